@@ -1,0 +1,24 @@
+//! Maximum-likelihood error models from an ensemble of non-identical tests.
+//!
+//! Every test obeys a linear state-space model whose initial state differs from test to test. This crate finds
+//! the mean μ and the covariance Σ of that initial state over the population, under constraints. The flow has one
+//! direction, and each arrow is one public function:
+//!
+//! ```text
+//! Model + Test ── reduce ──> Reduction ── estimate ──> Estimate ── infer ──> Inference ──> FitRecord
+//! ```
+//!
+//! The crate is pure: it knows nothing of files, model-file syntax, tables, clocks or the terminal.
+
+pub mod ensemble;
+pub mod estimate;
+pub mod infer;
+pub mod linalg;
+pub mod model;
+pub mod record;
+pub mod reduce;
+
+pub use ensemble::{Label, Labels, Source, Test};
+pub use model::{Alpha, Expression, Model};
+pub use record::FitRecord;
+pub use reduce::Reduction;

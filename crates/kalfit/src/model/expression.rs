@@ -1,0 +1,209 @@
+//! Coefficients: numbers that depend on a row of the data and on the parameters.
+
+use crate::ensemble::Label;
+use crate::model::Alpha;
+
+/// An expression without states. Truth is any number but zero.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Expression {
+    /// A constant.
+    Number(f64),
+    /// Cell of the numeric column with this index.
+    Column(usize),
+    /// `dt`: time since the test's previous step; at the first step, time since x_0.
+    Step,
+    /// Value of the parameter with this index, at the level the row belongs to.
+    Parameter(usize),
+    /// 1 where the cell of a text column is the literal with this index, else 0.
+    TextEquals {
+        /// Index of the text column.
+        column: usize,
+        /// Index into [`Model::literals`](crate::Model::literals).
+        literal: usize,
+    },
+    /// -a.
+    Negate(Box<Expression>),
+    /// 1 where a is zero, else 0.
+    Not(Box<Expression>),
+    /// a ∘ b.
+    Binary(Operator, Box<Expression>, Box<Expression>),
+    /// f(a) or f(a, b, …).
+    Call(Function, Vec<Expression>),
+    /// b where a is true, else c; the other branch is not evaluated.
+    If(Box<Expression>, Box<Expression>, Box<Expression>),
+}
+
+/// Binary operators.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[expect(missing_docs, reason = "the names say it")]
+pub enum Operator {
+    Add,
+    Subtract,
+    Multiply,
+    Divide,
+    Power,
+    Less,
+    LessEqual,
+    Greater,
+    GreaterEqual,
+    Equal,
+    NotEqual,
+    And,
+    Or,
+}
+
+/// Functions of one argument, and `min` and `max` of one or more.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[expect(missing_docs, reason = "the names say it")]
+pub enum Function {
+    Sqrt,
+    Exp,
+    Log,
+    Sin,
+    Cos,
+    Tan,
+    Abs,
+    Min,
+    Max,
+}
+
+/// What an expression is evaluated on: one row at one α.
+#[derive(Debug, Clone, Copy)]
+pub struct Scope<'a> {
+    /// Numeric cells of the row; NaN is missing.
+    pub numbers: &'a [f64],
+    /// Text cells of the row.
+    pub texts: &'a [Label],
+    /// `dt`.
+    pub step: f64,
+    /// Values of the parameters.
+    pub alpha: &'a Alpha,
+}
+
+/// Why an expression has no value on a row.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum EvaluationError {
+    /// A numeric cell that is needed is missing.
+    #[error("a needed cell is empty")]
+    MissingNumber {
+        /// Index of the numeric column.
+        column: usize,
+    },
+    /// A text cell that is needed is missing.
+    #[error("a needed cell is empty")]
+    MissingText {
+        /// Index of the text column.
+        column: usize,
+    },
+    /// The parameter has no value at the level of this row.
+    #[error("a parameter has no value for this level")]
+    NoLevel {
+        /// Index of the parameter.
+        parameter: usize,
+        /// The level.
+        level: Label,
+    },
+    /// Division by zero, overflow, the logarithm of a negative number and the like.
+    #[error("the value is not a finite number")]
+    NotFinite,
+}
+
+impl Expression {
+    /// Its value on a row: finite, or an error.
+    pub fn evaluate(&self, scope: &Scope<'_>) -> Result<f64, EvaluationError> {
+        let value = match self {
+            Expression::Number(x) => return Ok(*x),
+            Expression::Column(column) => {
+                let cell = scope.numbers[*column];
+                return if cell.is_nan() { Err(EvaluationError::MissingNumber { column: *column }) } else { Ok(cell) };
+            }
+            Expression::Step => scope.step,
+            Expression::Parameter(index) => return scope.alpha.value(*index, scope.texts),
+            Expression::TextEquals { column, literal } => {
+                let cell = scope.texts[*column];
+                if cell.is_missing() {
+                    return Err(EvaluationError::MissingText { column: *column });
+                }
+                truth(cell.index() == *literal)
+            }
+            Expression::Negate(a) => -a.evaluate(scope)?,
+            Expression::Not(a) => truth(a.evaluate(scope)? == 0.0),
+            Expression::Binary(operator, a, b) => operator.evaluate(a, b, scope)?,
+            Expression::Call(function, arguments) => function.evaluate(arguments, scope)?,
+            Expression::If(condition, a, b) => {
+                return if condition.evaluate(scope)? != 0.0 { a.evaluate(scope) } else { b.evaluate(scope) };
+            }
+        };
+        if value.is_finite() { Ok(value) } else { Err(EvaluationError::NotFinite) }
+    }
+
+    /// The number, when the expression is nothing but one.
+    pub fn as_number(&self) -> Option<f64> {
+        match self {
+            Expression::Number(x) => Some(*x),
+            _ => None,
+        }
+    }
+
+    /// True when `test` holds for this expression or any part of it.
+    pub fn any(&self, test: &mut dyn FnMut(&Expression) -> bool) -> bool {
+        test(self)
+            || match self {
+                Expression::Negate(a) | Expression::Not(a) => a.any(test),
+                Expression::Binary(_, a, b) => a.any(test) || b.any(test),
+                Expression::Call(_, arguments) => arguments.iter().any(|a| a.any(test)),
+                Expression::If(a, b, c) => a.any(test) || b.any(test) || c.any(test),
+                _ => false,
+            }
+    }
+}
+
+impl Operator {
+    fn evaluate(self, a: &Expression, b: &Expression, scope: &Scope<'_>) -> Result<f64, EvaluationError> {
+        let a = a.evaluate(scope)?;
+        match self {
+            Operator::And if a == 0.0 => return Ok(0.0),
+            Operator::Or if a != 0.0 => return Ok(1.0),
+            _ => {}
+        }
+        let b = b.evaluate(scope)?;
+        Ok(match self {
+            Operator::Add => a + b,
+            Operator::Subtract => a - b,
+            Operator::Multiply => a * b,
+            Operator::Divide => a / b,
+            Operator::Power => a.powf(b),
+            Operator::Less => truth(a < b),
+            Operator::LessEqual => truth(a <= b),
+            Operator::Greater => truth(a > b),
+            Operator::GreaterEqual => truth(a >= b),
+            Operator::Equal => truth(a == b),
+            Operator::NotEqual => truth(a != b),
+            Operator::And | Operator::Or => truth(b != 0.0),
+        })
+    }
+}
+
+impl Function {
+    fn evaluate(self, arguments: &[Expression], scope: &Scope<'_>) -> Result<f64, EvaluationError> {
+        let first = arguments[0].evaluate(scope)?;
+        let fold = |pick: fn(f64, f64) -> f64| {
+            arguments[1..].iter().try_fold(first, |best, argument| Ok(pick(best, argument.evaluate(scope)?)))
+        };
+        Ok(match self {
+            Function::Sqrt => first.sqrt(),
+            Function::Exp => first.exp(),
+            Function::Log => first.ln(),
+            Function::Sin => first.sin(),
+            Function::Cos => first.cos(),
+            Function::Tan => first.tan(),
+            Function::Abs => first.abs(),
+            Function::Min => fold(f64::min)?,
+            Function::Max => fold(f64::max)?,
+        })
+    }
+}
+
+fn truth(condition: bool) -> f64 {
+    f64::from(u8::from(condition))
+}

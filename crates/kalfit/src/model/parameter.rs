@@ -1,0 +1,122 @@
+//! Dynamic parameters and their values.
+
+use std::collections::BTreeMap;
+
+use crate::ensemble::Label;
+use crate::model::EvaluationError;
+
+/// One dynamic parameter: a time constant, a noise level, a coefficient.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Parameter {
+    /// Its name.
+    pub name: String,
+    /// Unit label.
+    pub unit: Option<String>,
+    /// What is known of it.
+    pub value: Value,
+    /// Text column whose levels have a value each.
+    pub per: Option<usize>,
+    /// Levels whose value is fixed, whatever `value` says; keys are indices into [`Model::literals`](crate::Model::literals).
+    pub fixed_levels: BTreeMap<usize, f64>,
+    /// Closed lower bound.
+    pub lower: Option<f64>,
+    /// Closed upper bound.
+    pub upper: Option<f64>,
+    /// It is used as a time constant, a standard deviation or a noise variance, so it cannot be negative.
+    pub positive: bool,
+}
+
+/// Whether a parameter is known.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Value {
+    /// Known.
+    Fixed(f64),
+    /// To be estimated, from this start value if one is given.
+    Free {
+        /// Start value.
+        start: Option<f64>,
+    },
+}
+
+/// The value of a parameter, common or by level.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Level {
+    /// One value for all rows.
+    Common(f64),
+    /// A value for each level of a text column; `other` is for levels that have none of their own.
+    Each {
+        /// The text column.
+        column: usize,
+        /// Values by label.
+        values: BTreeMap<Label, f64>,
+        /// Value of every other level.
+        other: Option<f64>,
+    },
+}
+
+/// α: a value for every parameter, at every level.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Alpha {
+    /// In the order of [`Model::parameters`](crate::Model::parameters).
+    pub values: Vec<Level>,
+}
+
+/// Why there is no α.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ParameterError {
+    /// These parameters are free, and nothing estimates them.
+    #[error("free parameters: {}", names.join(", "))]
+    Free {
+        /// Their names.
+        names: Vec<String>,
+    },
+}
+
+impl Alpha {
+    /// The α of a model whose parameters are all fixed.
+    pub fn fixed(parameters: &[Parameter]) -> Result<Alpha, ParameterError> {
+        let free: Vec<String> = parameters.iter().filter(|p| p.is_free()).map(|p| p.name.clone()).collect();
+        if !free.is_empty() {
+            return Err(ParameterError::Free { names: free });
+        }
+        Ok(Alpha { values: parameters.iter().map(Parameter::level).collect() })
+    }
+
+    /// Value of parameter `index` on a row with these text cells.
+    pub fn value(&self, index: usize, texts: &[Label]) -> Result<f64, EvaluationError> {
+        match &self.values[index] {
+            Level::Common(value) => Ok(*value),
+            Level::Each { column, values, other } => {
+                let level = texts[*column];
+                if level.is_missing() {
+                    return Err(EvaluationError::MissingText { column: *column });
+                }
+                values.get(&level).copied().or(*other).ok_or(EvaluationError::NoLevel { parameter: index, level })
+            }
+        }
+    }
+}
+
+impl Parameter {
+    /// True when some value of it is to be estimated. A parameter with levels is taken as known once every level that
+    /// the model names has a value and nothing says that others are free.
+    pub fn is_free(&self) -> bool {
+        matches!(self.value, Value::Free { .. }) && (self.per.is_none() || self.fixed_levels.is_empty())
+    }
+
+    fn level(&self) -> Level {
+        let common = match self.value {
+            Value::Fixed(value) => Some(value),
+            Value::Free { .. } => None,
+        };
+        match (self.per, common) {
+            (None, Some(value)) => Level::Common(value),
+            (None, None) => Level::Common(f64::NAN), // unreachable: such a parameter is free
+            (Some(column), other) => Level::Each {
+                column,
+                values: self.fixed_levels.iter().map(|(&literal, &v)| (Label::literal(literal), v)).collect(),
+                other,
+            },
+        }
+    }
+}

@@ -1,0 +1,165 @@
+//! What is assumed of μ and Σ: the constraints an engineer imposes.
+
+use nalgebra::DMatrix;
+
+use crate::model::Expression;
+
+/// Structure of the mean: μ_j = m0 + B β + Σ_r e_state(r) × covariate_jr × coefficient_r.
+///
+/// β has one entry for each free element and one for all proportional elements together; regression coefficients follow.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MeanStructure {
+    /// What was said of each element of μ.
+    pub elements: Vec<MeanElement>,
+    /// Start values of elements, where given.
+    pub start: Vec<Option<f64>>,
+    /// Regressions on columns that are constant within a test.
+    pub regression: Vec<Regression>,
+}
+
+/// What was said of one element of μ.
+#[derive(Debug, Clone, PartialEq)]
+pub enum MeanElement {
+    /// To be estimated.
+    Free,
+    /// Known.
+    Fixed(f64),
+    /// constant + Σ weight × other element; the others are not tied themselves.
+    Tied {
+        /// The constant.
+        constant: f64,
+        /// (element, weight).
+        terms: Vec<(usize, f64)>,
+    },
+    /// α_μ × this weight, α_μ common to all proportional elements (34).
+    Proportional(f64),
+}
+
+/// One regression coefficient: the mean of `element` moves with a column.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Regression {
+    /// Element of μ.
+    pub element: usize,
+    /// Numeric column, constant within a test.
+    pub column: usize,
+}
+
+impl MeanStructure {
+    /// All p elements free.
+    pub fn free(p: usize) -> MeanStructure {
+        MeanStructure { elements: vec![MeanElement::Free; p], start: vec![None; p], regression: Vec::new() }
+    }
+
+    /// (m0, B): μ = m0 + Bβ, without the regression. Shapes p and p × q.
+    pub fn basis(&self) -> (Vec<f64>, DMatrix<f64>) {
+        let p = self.elements.len();
+        let mut column_of = vec![None; p];
+        let mut proportional = None;
+        let mut q = 0;
+        for (i, element) in self.elements.iter().enumerate() {
+            match element {
+                MeanElement::Free => column_of[i] = Some(q),
+                MeanElement::Proportional(_) if proportional.is_none() => proportional = Some(q),
+                _ => continue,
+            }
+            q += 1;
+        }
+        let (mut offset, mut basis) = (vec![0.0; p], DMatrix::zeros(p, q));
+        for (i, element) in self.elements.iter().enumerate() {
+            match element {
+                MeanElement::Free => basis[(i, column_of[i].expect("a free element has a column"))] = 1.0,
+                MeanElement::Fixed(value) => offset[i] = *value,
+                MeanElement::Proportional(weight) => {
+                    basis[(i, proportional.expect("a proportional element has a column"))] = *weight;
+                }
+                MeanElement::Tied { .. } => {}
+            }
+        }
+        for (i, element) in self.elements.iter().enumerate() {
+            if let MeanElement::Tied { constant, terms } = element {
+                offset[i] = *constant;
+                for &(k, weight) in terms {
+                    offset[i] += weight * offset[k];
+                    for c in 0..q {
+                        basis[(i, c)] += weight * basis[(k, c)];
+                    }
+                }
+            }
+        }
+        (offset, basis)
+    }
+}
+
+/// Structure of the covariance.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CovarianceStructure {
+    /// The overall form.
+    pub kind: CovarianceKind,
+    /// Fixed elements, i ≥ j, each once; a variance fixed at zero stands with its row and column of zeros implied.
+    pub fixed: Vec<FixedElement>,
+    /// Groups of elements (i ≥ j) that are equal.
+    pub equal: Vec<Vec<(usize, usize)>>,
+    /// Known covariance added to the estimated one, p × p (29)-(30). It is part of P0, not of Σ.
+    pub known: Option<Vec<Vec<Expression>>>,
+    /// Start value, p × p.
+    pub start: Option<DMatrix<f64>>,
+}
+
+/// The form of Σ. Matrices are p × p, their entries expressions in parameters.
+#[derive(Debug, Clone, PartialEq)]
+pub enum CovarianceKind {
+    /// No zeros are imposed.
+    Full,
+    /// Zero outside the diagonal.
+    Diagonal,
+    /// States of different blocks are uncorrelated (26)-(28); every element stands in one block.
+    Blocks(Vec<Vec<usize>>),
+    /// Σ = β Σ*.
+    Proportional(Vec<Vec<Expression>>),
+    /// Σ = D R D with this R (35).
+    Correlation(Vec<Vec<Expression>>),
+    /// Σ is known.
+    Fixed(Vec<Vec<Expression>>),
+}
+
+/// σ_ij = value.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FixedElement {
+    /// Row.
+    pub i: usize,
+    /// Column, at most `i`.
+    pub j: usize,
+    /// The value.
+    pub value: f64,
+}
+
+impl CovarianceStructure {
+    /// Σ free.
+    pub fn full() -> CovarianceStructure {
+        CovarianceStructure {
+            kind: CovarianceKind::Full,
+            fixed: Vec::new(),
+            equal: Vec::new(),
+            known: None,
+            start: None,
+        }
+    }
+}
+
+/// Why a structure cannot be.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum StructureError {
+    /// A matrix that must be positive semidefinite is not.
+    #[error("{what} is not positive semidefinite: smallest eigenvalue {least:.3e}, largest {largest:.3e}")]
+    NotSemidefinite {
+        /// Which matrix.
+        what: String,
+        /// Its smallest eigenvalue.
+        least: f64,
+        /// Its largest eigenvalue.
+        largest: f64,
+    },
+    /// No positive semidefinite Σ meets the constraints together.
+    #[error("no positive semidefinite covariance has these fixed and equal elements")]
+    Contradiction,
+}

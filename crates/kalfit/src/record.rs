@@ -1,0 +1,291 @@
+//! The result of a fit as others read it: fit.json. Field names are a contract; unknown figures are null, never NaN.
+
+use serde::{Deserialize, Serialize};
+
+/// All that a fit found. `None` is written as null: not known, not identified, or not applicable.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FitRecord {
+    /// Always `kalfit-fit/1`.
+    pub schema: String,
+    /// Version that made it.
+    pub kalfit_version: String,
+    /// Title of the model.
+    pub title: String,
+    /// SHA-256 of the model file, `sha256:…`.
+    pub model_digest: Option<String>,
+    /// Counts.
+    pub data: DataRecord,
+    /// `ml` or `reml`.
+    pub criterion: String,
+    /// `measurements`, or `estimates` where a phase has a filter of its own.
+    pub log_likelihood_kind: String,
+    /// log p of all measurements, every constant included.
+    pub log_likelihood: f64,
+    /// Declared free quantities: μ, Σ and α.
+    pub free_parameters: usize,
+    /// 2k - 2ℓ.
+    pub aic: Option<f64>,
+    /// k log(observations) - 2ℓ.
+    pub bic: Option<f64>,
+    /// The optimality certificate holds.
+    pub converged: bool,
+    /// Why the solver stopped, in words.
+    pub reason: String,
+    /// The optimality certificate.
+    pub certificate: CertificateRecord,
+    /// What was done.
+    pub solver: SolverRecord,
+    /// One entry per phase.
+    pub phases: Vec<PhaseRecord>,
+    /// Dynamic parameters, one entry per level.
+    pub parameters: Vec<ParameterRecord>,
+    /// Every constrained element and what the constraint costs.
+    pub constraints: Vec<ConstraintRecord>,
+    /// What each test says.
+    pub tests: Vec<TestRecord>,
+    /// Findings in plain words, most important first.
+    #[serde(default)]
+    pub notes: Vec<String>,
+}
+
+/// Counts of the data.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DataRecord {
+    /// Tests.
+    pub tests: usize,
+    /// Steps over all tests.
+    pub steps: usize,
+    /// Scalar measurements over all tests.
+    pub observations: usize,
+    /// Sets of tests that share gains and information.
+    pub design_classes: usize,
+    /// Tests that went through the square-root path.
+    #[serde(default)]
+    pub square_root_tests: usize,
+    /// Files, as named on the command line.
+    #[serde(default)]
+    pub files: Vec<String>,
+}
+
+/// How far the optimality conditions are from holding, each in units of its tolerance-free natural scale: standard errors.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CertificateRecord {
+    /// Largest score of the mean.
+    pub mean: f64,
+    /// Largest entry of G Σ on the free elements.
+    pub covariance: f64,
+    /// Largest positive eigenvalue of G on the null space of Σ.
+    pub null_space: f64,
+    /// Largest score of the dynamic parameters.
+    pub parameters: f64,
+}
+
+/// What was done.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SolverRecord {
+    /// `hybrid`, `innovations` or `em`; how α was found.
+    pub method: String,
+    /// `newton` or `em`.
+    pub solver: String,
+    /// `chain`, `marginal` or `stacked`.
+    pub phases: String,
+    /// Passes over the reductions.
+    pub iterations: usize,
+    /// Runs of the filters over all tests.
+    pub filter_passes: usize,
+    /// Log-likelihood after each accepted step.
+    pub trace: Vec<f64>,
+    /// Wall time.
+    pub seconds: f64,
+}
+
+/// One phase's error model.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PhaseRecord {
+    /// `main` when there is but one.
+    pub name: String,
+    /// Estimated states, in the order of every matrix.
+    pub states: Vec<String>,
+    /// Their units.
+    #[serde(default)]
+    pub units: Vec<Option<String>>,
+    /// μ.
+    pub mean: MeanRecord,
+    /// Σ.
+    pub covariance: CovarianceRecord,
+    /// Square roots of the diagonal of Σ.
+    pub std_dev: VectorRecord,
+    /// Correlations.
+    pub correlation: MatrixRecord,
+    /// Where Σ is on the boundary of the positive semidefinite cone.
+    pub boundary: Vec<BoundaryRecord>,
+    /// Directions the data say nothing about.
+    pub unidentified: Vec<UnidentifiedRecord>,
+}
+
+/// μ with its uncertainty.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MeanRecord {
+    /// μ.
+    pub estimate: Vec<f64>,
+    /// Standard errors; null where fixed or not identified.
+    pub std_error: Vec<Option<f64>>,
+    /// Not estimated.
+    pub fixed: Vec<bool>,
+    /// α_μ of a proportional mean.
+    pub scale: Option<ScaleRecord>,
+    /// Regression coefficients.
+    pub regression: Vec<RegressionRecord>,
+}
+
+/// A scale factor.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ScaleRecord {
+    /// Its value.
+    pub estimate: f64,
+    /// Its standard error.
+    pub std_error: Option<f64>,
+}
+
+/// One regression coefficient.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RegressionRecord {
+    /// State whose mean moves.
+    pub state: String,
+    /// Column it moves with.
+    pub column: String,
+    /// Coefficient.
+    pub estimate: f64,
+    /// Its standard error.
+    pub std_error: Option<f64>,
+}
+
+/// Σ with its uncertainty.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CovarianceRecord {
+    /// Σ.
+    pub estimate: Vec<Vec<f64>>,
+    /// Standard errors.
+    pub std_error: Vec<Vec<Option<f64>>>,
+    /// Not estimated.
+    pub fixed: Vec<Vec<bool>>,
+    /// β of a proportional covariance.
+    pub scale: Option<ScaleRecord>,
+}
+
+/// Figures with standard errors.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct VectorRecord {
+    /// Figures.
+    pub estimate: Vec<f64>,
+    /// Standard errors.
+    pub std_error: Vec<Option<f64>>,
+}
+
+/// A matrix of figures with standard errors; null where not defined (a correlation with a zero variance).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MatrixRecord {
+    /// Figures.
+    pub estimate: Vec<Vec<Option<f64>>>,
+    /// Standard errors.
+    pub std_error: Vec<Vec<Option<f64>>>,
+}
+
+/// Σ on the boundary: `rank` of its `of` random states.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct BoundaryRecord {
+    /// `covariance`.
+    pub what: String,
+    /// Rank of Σ on the states whose variance is not fixed at zero.
+    pub rank: usize,
+    /// Their number.
+    pub of: usize,
+    /// States whose estimated variance is zero.
+    #[serde(default)]
+    pub zero_variances: Vec<String>,
+}
+
+/// A direction the data say nothing about.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct UnidentifiedRecord {
+    /// `mean` or `covariance`.
+    pub what: String,
+    /// Unit vector over the states (mean), or over the free covariance elements.
+    pub direction: Vec<f64>,
+    /// What the entries of `direction` stand for.
+    #[serde(default)]
+    pub elements: Vec<String>,
+}
+
+/// One dynamic parameter, at one level.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ParameterRecord {
+    /// Its name.
+    pub name: String,
+    /// Column whose levels have a value each; null for a common parameter.
+    pub per: Option<String>,
+    /// The level.
+    pub level: Option<String>,
+    /// Its value.
+    pub estimate: f64,
+    /// Its standard error.
+    pub std_error: Option<f64>,
+    /// 95 % interval.
+    pub interval95: Option<[f64; 2]>,
+    /// Not estimated.
+    pub fixed: bool,
+    /// At a bound.
+    pub at_bound: bool,
+    /// Unit label.
+    #[serde(default)]
+    pub unit: Option<String>,
+}
+
+/// What one constraint costs.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ConstraintRecord {
+    /// `mean[a]` or `covariance[a, b]`.
+    pub element: String,
+    /// Its phase.
+    pub phase: String,
+    /// Value it is held at.
+    pub value: f64,
+    /// dℓ_max / d value.
+    pub sensitivity: Option<f64>,
+    /// Score (Lagrange multiplier) statistic, χ² with one degree of freedom.
+    pub score_statistic: Option<f64>,
+    /// Its p-value.
+    pub p_value: Option<f64>,
+    /// Expected change of the element if it were freed.
+    pub expected_change: Option<f64>,
+}
+
+/// What one test says.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TestRecord {
+    /// Its id.
+    pub id: String,
+    /// log p of its measurements.
+    pub log_likelihood: f64,
+    /// Scalar measurements used.
+    pub observations: usize,
+    /// Posterior of ξ, by phase.
+    pub phases: Vec<PosteriorRecord>,
+    /// Standardised squared distance of the test from the population.
+    pub distance: Option<f64>,
+    /// Its degrees of freedom: rank of J.
+    pub degrees_of_freedom: usize,
+    /// Its χ² p-value.
+    pub p_value: Option<f64>,
+}
+
+/// Posterior of ξ in one phase.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PosteriorRecord {
+    /// Name of the phase.
+    pub name: String,
+    /// E[ξ | z].
+    pub mean: Vec<f64>,
+    /// Var[ξ | z].
+    pub covariance: Vec<Vec<f64>>,
+}

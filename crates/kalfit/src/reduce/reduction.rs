@@ -1,0 +1,34 @@
+//! The reduction of a test.
+
+/// log p(z | ξ) = constant - ½ ‖d - R ξ‖², exactly, for every ξ: the square-root information form of (c, y, J), with
+/// J = R'R, y = R'd, c = constant - ½ d'd. R may be singular; J is never inverted.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Reduction {
+    /// Id of the test.
+    pub test: String,
+    /// c' = c + ½ d'd: the log-likelihood at the best ξ of this test.
+    pub constant: f64,
+    /// d, p numbers.
+    pub data: Vec<f64>,
+    /// R, upper triangular p × p, stored by columns without the zeros: R_ik at i + k(k+1)/2, i ≤ k. Its diagonal is not negative.
+    pub factor: Vec<f64>,
+    /// Values of the regression columns, one per [`Regression`](crate::model::Regression).
+    pub covariates: Vec<f64>,
+    /// Number of steps of the test.
+    pub steps: usize,
+    /// Number of scalar measurements used.
+    pub observations: usize,
+    /// Which arithmetic made it.
+    pub path: Path,
+    /// Digest of all that S, K, T, J depend on: tests with one digest are one design class.
+    pub design: u128,
+}
+
+/// The arithmetic that made a reduction.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Path {
+    /// Sums of T'S⁻¹T and T'S⁻¹e: the fast path.
+    Information,
+    /// Square-root arrays folded by QR: for tests too ill-conditioned for the fast path.
+    SquareRoot,
+}
