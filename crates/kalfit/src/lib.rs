@@ -18,7 +18,7 @@ pub mod model;
 pub mod record;
 pub mod reduce;
 
-pub use ensemble::{Label, Labels, Source, Test};
+pub use ensemble::{Label, Labels, Layout, Source, Test, TestKey};
 pub use model::{Alpha, Expression, Model};
 pub use record::FitRecord;
 pub use reduce::Reduction;

@@ -1,0 +1,22 @@
+//! How rows of a table become tests.
+
+/// What a reader must know of a table beside the model's columns.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Layout {
+    /// What tells tests apart.
+    pub test: TestKey,
+    /// Texts that stand for a missing cell, beside the usual ones.
+    pub missing: Vec<String>,
+}
+
+/// What tells tests apart.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub enum TestKey {
+    /// All rows are one test.
+    #[default]
+    Single,
+    /// A column with the test's id.
+    Column(String),
+    /// Each file is a test (`@file`).
+    File,
+}
