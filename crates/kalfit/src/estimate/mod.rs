@@ -1,1 +1,146 @@
-//! (in progress)
+//! Maximum likelihood for (μ, Σ) on the reductions: the paper's DL algorithm, and a faster way to the same point.
+//!
+//! The estimator sees reductions, never data. [`fit`] returns an [`Estimate`], which always carries the optimality
+//! [`Certificate`]: an estimate without one cannot be written down.
+
+mod certificate;
+mod classes;
+mod covariance;
+mod em;
+mod exact;
+mod local;
+mod mean;
+mod newton;
+mod pass;
+mod problem;
+mod px;
+mod search;
+mod settings;
+mod start;
+
+use nalgebra::DMatrix;
+
+pub use certificate::Certificate;
+pub use settings::{Progress, Settings, Silent, Solver, Step};
+
+pub(crate) use classes::{Classes, unpack};
+pub(crate) use covariance::{CovarianceMap, Form};
+pub(crate) use local::{Local, Tangent, packed_score};
+pub(crate) use newton::Place;
+pub(crate) use pass::{Order, Point, Sums};
+pub(crate) use problem::Problem;
+
+use crate::model::{Alpha, CovarianceStructure, MeanStructure, Model, StructureError};
+use crate::reduce::Reduction;
+
+/// What is assumed of μ and Σ.
+#[derive(Debug, Clone, Copy)]
+pub struct Structure<'a> {
+    /// Of μ.
+    pub mean: &'a MeanStructure,
+    /// Of Σ.
+    pub covariance: &'a CovarianceStructure,
+    /// Parameters that matrices of the covariance structure refer to.
+    pub alpha: &'a Alpha,
+}
+
+impl<'a> Structure<'a> {
+    /// The structure of a model, with its parameters at α.
+    pub fn of(model: &'a Model, alpha: &'a Alpha) -> Structure<'a> {
+        Structure { mean: &model.mean, covariance: &model.covariance, alpha }
+    }
+}
+
+/// Why there is no estimate.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum FitError {
+    /// There are no tests.
+    #[error("there are no tests")]
+    NoTests,
+    /// The structure of Σ cannot be.
+    #[error(transparent)]
+    Structure(#[from] StructureError),
+    /// Two tests have the same id.
+    #[error("two tests have the id `{id}`")]
+    DuplicateTest {
+        /// The id.
+        id: String,
+    },
+    /// ℓ is not a finite number at the start.
+    #[error("the log-likelihood is not finite at the start values")]
+    NotFinite,
+    /// A step lowered the log-likelihood, which EM cannot do: the arithmetic has broken down.
+    #[error("an EM step lowered the log-likelihood from {before} to {after}; the problem is too ill-conditioned")]
+    NotMonotone {
+        /// ℓ before the step.
+        before: f64,
+        /// ℓ after it.
+        after: f64,
+    },
+}
+
+/// Why the search stopped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stop {
+    /// The certificate holds.
+    Certified,
+    /// The passes ran out first.
+    PassLimit,
+    /// No step raises ℓ, yet the certificate does not hold.
+    Stalled,
+}
+
+/// Where the search ended, in the user's units.
+#[derive(Debug, Clone)]
+pub struct Estimate {
+    /// μ (p).
+    pub mean: Vec<f64>,
+    /// Regression coefficients, in the order of [`MeanStructure::regression`].
+    pub coefficients: Vec<f64>,
+    /// Σ (p × p). Fixed elements have exactly their values.
+    pub covariance: DMatrix<f64>,
+    /// ℓ, every constant included.
+    pub log_likelihood: f64,
+    /// The optimality certificate.
+    pub certificate: Certificate,
+    /// Why the search stopped.
+    pub stop: Stop,
+    /// ℓ after each accepted step.
+    pub trace: Vec<f64>,
+    /// Passes over the reductions.
+    pub passes: usize,
+    /// Number of classes of tests with one information matrix.
+    pub classes: usize,
+    /// Solver that was used.
+    pub solver: Solver,
+    /// What inference needs: the problem, the final point in its own coordinates, and the derivatives there.
+    pub(crate) state: State,
+}
+
+/// The end of the search in the estimator's own coordinates.
+#[derive(Debug, Clone)]
+pub(crate) struct State {
+    pub(crate) problem: std::sync::Arc<Problem>,
+    pub(crate) place: Place,
+    pub(crate) sums: Sums,
+}
+
+/// Maximises ℓ(μ, Σ) over the reductions under a structure.
+pub fn fit(
+    reductions: &[Reduction],
+    structure: &Structure<'_>,
+    settings: &Settings,
+    progress: &mut dyn Progress,
+) -> Result<Estimate, FitError> {
+    if reductions.is_empty() {
+        return Err(FitError::NoTests);
+    }
+    let mut ids: Vec<&str> = reductions.iter().map(|r| r.test.as_str()).collect();
+    ids.sort_unstable();
+    if let Some(twice) = ids.windows(2).find(|pair| pair[0] == pair[1]) {
+        return Err(FitError::DuplicateTest { id: twice[0].to_owned() });
+    }
+    let problem = Problem::new(reductions, structure)?;
+    let start = start::start(&problem, structure)?;
+    search::Search::new(problem, settings, progress).run(start)
+}

@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 
-use crate::model::Expression;
+use crate::model::{EvaluationError, Expression};
 
 /// Structure of the mean: μ_j = m0 + B β + Σ_r e_state(r) × covariate_jr × coefficient_r.
 ///
@@ -158,6 +158,18 @@ pub enum StructureError {
         least: f64,
         /// Its largest eigenvalue.
         largest: f64,
+    },
+    /// An entry of a matrix has no value at this α.
+    #[error("entry ({row}, {column}) of {what} has no value: {source}")]
+    Entry {
+        /// Which matrix.
+        what: String,
+        /// Row, from 0.
+        row: usize,
+        /// Column, from 0.
+        column: usize,
+        /// Why.
+        source: EvaluationError,
     },
     /// No positive semidefinite Σ meets the constraints together.
     #[error("no positive semidefinite covariance has these fixed and equal elements")]

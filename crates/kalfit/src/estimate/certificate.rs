@@ -1,0 +1,127 @@
+//! The optimality certificate (theory §3): what "converged" means, on the boundary of the cone too.
+//!
+//! With the Lagrange multipliers Λ of the constraints on Σ: ∂ℓ/∂μ = 0 along the free mean; (G - Λ)Σ = 0; and
+//! -(G - Λ) ⪰ 0 on the null space of Σ. Each figure is in the scale of standard errors: how many of them the
+//! optimum may still be away.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::estimate::covariance::{CovarianceMap, Form, sub};
+use crate::estimate::newton::Place;
+use crate::linalg::symmetric;
+
+/// Null-space scores below this many standard errors count as zero.
+const NULL_TOLERANCE: f64 = 1e-5;
+
+/// How far the conditions of a maximum are from holding, in standard errors.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Certificate {
+    /// Score of the free mean coordinates.
+    pub mean: f64,
+    /// Score of the free coordinates of Σ: (G - Λ)Σ = 0.
+    pub covariance: f64,
+    /// Largest eigenvalue of G - Λ on the null space of Σ, zero if none is positive: ℓ would rise if Σ grew there.
+    pub null_space: f64,
+    /// Newton decrement over all coordinates together.
+    pub decrement: f64,
+}
+
+impl Certificate {
+    /// Whether the conditions hold to this tolerance.
+    pub fn holds(&self, tolerance: f64) -> bool {
+        self.decrement <= tolerance && self.null_space <= NULL_TOLERANCE
+    }
+}
+
+/// A direction in which Σ should leave the boundary, and how far a Newton step would go.
+#[derive(Debug, Clone)]
+pub(crate) struct Escape {
+    /// dΣ, a positive semidefinite matrix of rank one or Σ* itself.
+    pub(crate) direction: DMatrix<f64>,
+    pub(crate) length: f64,
+    /// Score along it, in standard errors.
+    pub(crate) score: f64,
+}
+
+/// The certificate at a place, and the way off the boundary when it fails there.
+pub(crate) fn certificate(map: &CovarianceMap, place: &Place, weight: &DMatrix<f64>, tests: f64) -> (Certificate, Option<Escape>) {
+    let escape = escape(map, place, weight, tests);
+    let (mean, covariance) = scores(place);
+    let null_space = escape.as_ref().map_or(0.0, |e| e.score.max(0.0));
+    (Certificate { mean, covariance, null_space, decrement: place.decrement() }, escape.filter(|e| e.score > NULL_TOLERANCE))
+}
+
+/// Decrements of the mean and of Σ, each with the other held.
+fn scores(place: &Place) -> (f64, f64) {
+    let tangent = &place.tangent;
+    let (q, n) = (tangent.mean, tangent.gradient.len());
+    let part = |from: usize, size: usize| {
+        let gradient = tangent.gradient.rows(from, size).clone_owned();
+        let information = tangent.information.view((from, from), (size, size)).clone_owned();
+        decrement(&information, &gradient)
+    };
+    (part(0, q), part(q, n - q))
+}
+
+fn decrement(information: &DMatrix<f64>, gradient: &DVector<f64>) -> f64 {
+    let scale = DVector::from_fn(gradient.len(), |i, _| {
+        let h = information[(i, i)].abs();
+        if h > 0.0 { h.sqrt().recip() } else { 0.0 }
+    });
+    let scaled = DMatrix::from_fn(gradient.len(), gradient.len(), |i, j| scale[i] * information[(i, j)] * scale[j]);
+    let (values, vectors) = symmetric::eigen(&scaled);
+    let along = vectors.transpose() * gradient.component_mul(&scale);
+    let term = |(v, g): (&f64, &f64)| if v.abs() > crate::estimate::local::FLAT { g * g / v.abs() } else { 0.0 };
+    values.iter().zip(along.iter()).map(term).sum::<f64>().sqrt()
+}
+
+/// The worst direction of the null space of Σ within the structure.
+fn escape(map: &CovarianceMap, place: &Place, weight: &DMatrix<f64>, tests: f64) -> Option<Escape> {
+    let residual = &place.tangent.residual_score;
+    match &map.form {
+        Form::Factor(blocks) => {
+            let of_block = |block: &Vec<usize>| block_escape(block, &place.point.root, residual, weight, tests);
+            blocks.iter().filter_map(of_block).max_by(|a, b| a.score.total_cmp(&b.score))
+        }
+        Form::Scale(star) if place.point.root.amax() <= 1e-9 * star.amax() => {
+            let direction = star * star.transpose();
+            let slope = (residual * &direction).trace();
+            let own = (weight * &direction / tests).norm();
+            Some(along(direction, slope, own, tests))
+        }
+        _ => None,
+    }
+}
+
+fn block_escape(
+    block: &[usize],
+    root: &DMatrix<f64>,
+    residual: &DMatrix<f64>,
+    weight: &DMatrix<f64>,
+    tests: f64,
+) -> Option<Escape> {
+    let own = DMatrix::from_fn(block.len(), root.ncols(), |i, c| root[(block[i], c)]);
+    let (values, vectors) = symmetric::eigen(&(&own * own.transpose()));
+    let floor = values.last().copied().unwrap_or(0.0).max(1.0) * 1e-13;
+    let null: Vec<usize> = (0..values.len()).filter(|&k| values[k] <= floor).collect();
+    if null.is_empty() {
+        return None;
+    }
+    let basis = vectors.select_columns(&null);
+    let (scores, directions) = symmetric::eigen(&(basis.transpose() * sub(residual, block) * &basis));
+    let slope = *scores.last()?;
+    let local = basis * directions.column(scores.len() - 1);
+    let mut direction = DVector::zeros(root.nrows());
+    block.iter().enumerate().for_each(|(k, &i)| direction[i] = local[k]);
+    let own = direction.dot(&(weight * &direction)) / tests;
+    Some(along(&direction * direction.transpose(), slope, own, tests))
+}
+
+/// In direction D with score s the expected information is about ½ N (tr W̄D)².
+fn along(direction: DMatrix<f64>, slope: f64, own: f64, tests: f64) -> Escape {
+    let information = 0.5 * tests * own * own;
+    if information <= 0.0 {
+        return Escape { direction, length: 0.0, score: 0.0 };
+    }
+    Escape { direction, length: slope / information, score: slope / information.sqrt() }
+}

@@ -1,0 +1,367 @@
+//! The structure of Σ in η: Σ = FF' with F linear in the solver's coordinates ψ, and linear constraints on Σ.
+//!
+//! Every structure of the model file has this form. Within a block Σ_b = L_b L_b' with L_b lower triangular in a pivoted
+//! order, so that a singular Σ shows as trailing columns that are zero; Σ = βΣ* is F = ψ root(Σ*); Σ = DRD is F = D root(R).
+//! Fixed and equal elements that no such form gives are constraints Σ_ab coefficient σ_ab = value.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::estimate::classes::Frame;
+use crate::linalg::symmetric::{self, pair, pairs};
+use crate::model::{Alpha, CovarianceKind, CovarianceStructure, Expression, Scope, StructureError};
+
+/// How Σ is built from coordinates.
+#[derive(Debug, Clone)]
+pub(crate) enum Form {
+    /// Blocks Σ_b = L_b L_b'.
+    Factor(Vec<Vec<usize>>),
+    /// Σ = ψ² root root'.
+    Scale(DMatrix<f64>),
+    /// Σ = D root root' D, D = diag(ψ) over these states.
+    StdDevs(DMatrix<f64>, Vec<usize>),
+    /// Σ is known.
+    Fixed,
+}
+
+/// Σ coefficient × σ_pair = value.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Constraint {
+    pub(crate) terms: Vec<(usize, usize, f64)>,
+    pub(crate) value: f64,
+}
+
+/// The structure of Σ, in η.
+#[derive(Debug, Clone)]
+pub(crate) struct CovarianceMap {
+    pub(crate) p: usize,
+    pub(crate) form: Form,
+    pub(crate) constraints: Vec<Constraint>,
+    /// States whose variance is not held at zero.
+    pub(crate) random: Vec<usize>,
+    /// The known Σ of [`Form::Fixed`].
+    pub(crate) known: DMatrix<f64>,
+    /// Start value from the model, in η.
+    pub(crate) start: Option<DMatrix<f64>>,
+}
+
+impl CovarianceMap {
+    pub(crate) fn new(
+        structure: &CovarianceStructure,
+        alpha: &Alpha,
+        frame: &Frame,
+    ) -> Result<CovarianceMap, StructureError> {
+        let p = frame.scale.len();
+        let zero = zero_variances(structure, p);
+        let random: Vec<usize> = (0..p).filter(|&i| !zero[i]).collect();
+        let numbers = |entries: &[Vec<Expression>], what| matrix(entries, alpha, what);
+        let mut known = DMatrix::zeros(p, p);
+        let form = match &structure.kind {
+            CovarianceKind::Full => Form::Factor(vec![random.clone()]),
+            CovarianceKind::Diagonal => Form::Factor(random.iter().map(|&i| vec![i]).collect()),
+            CovarianceKind::Blocks(blocks) => Form::Factor(restrict(blocks, &zero)),
+            CovarianceKind::Proportional(entries) => {
+                let sigma = frame.covariance_in(&numbers(entries, "the matrix of the proportional covariance")?);
+                Form::Scale(symmetric::square_root(&sigma))
+            }
+            CovarianceKind::Correlation(entries) => {
+                let root = symmetric::square_root(&numbers(entries, "the correlation matrix")?);
+                Form::StdDevs(root, random.clone())
+            }
+            CovarianceKind::Fixed(entries) => {
+                known = frame.covariance_in(&numbers(entries, "the fixed covariance")?);
+                Form::Fixed
+            }
+        };
+        let form = match form {
+            Form::Factor(blocks) => Form::Factor(split(blocks, structure)),
+            other => other,
+        };
+        let mut map = CovarianceMap { p, form, constraints: Vec::new(), random, known, start: None };
+        map.constraints = constraints(structure, frame, &map);
+        map.start = structure.start.as_ref().map(|start| frame.covariance_in(start));
+        Ok(map)
+    }
+
+    /// Σ in η cannot move.
+    pub(crate) fn is_fixed(&self) -> bool {
+        match &self.form {
+            Form::Factor(blocks) => blocks.is_empty(),
+            Form::StdDevs(_, states) => states.is_empty(),
+            Form::Scale(_) => false,
+            Form::Fixed => true,
+        }
+    }
+
+    /// Whether element (i, j) is zero because of the form.
+    pub(crate) fn is_structural_zero(&self, i: usize, j: usize) -> bool {
+        match &self.form {
+            Form::Factor(blocks) => !blocks.iter().any(|b| b.contains(&i) && b.contains(&j)),
+            _ => !(self.random.contains(&i) && self.random.contains(&j)),
+        }
+    }
+
+    /// Sets what the form makes zero to zero.
+    pub(crate) fn mask(&self, sigma: &DMatrix<f64>) -> DMatrix<f64> {
+        DMatrix::from_fn(self.p, self.p, |i, j| if self.is_structural_zero(i, j) { 0.0 } else { sigma[(i, j)] })
+    }
+
+    /// Values of the constraints' left sides minus their right sides.
+    pub(crate) fn residual(&self, sigma: &DMatrix<f64>) -> DVector<f64> {
+        let left = |c: &Constraint| c.terms.iter().map(|&(i, j, x)| x * sigma[(i, j)]).sum::<f64>();
+        DVector::from_iterator(self.constraints.len(), self.constraints.iter().map(|c| left(c) - c.value))
+    }
+
+    /// Number of free covariance quantities, as declared.
+    pub(crate) fn declared(&self) -> usize {
+        let of_form = match &self.form {
+            Form::Factor(blocks) => blocks.iter().map(|b| pairs(b.len())).sum(),
+            Form::Scale(_) => 1,
+            Form::StdDevs(_, states) => states.len(),
+            Form::Fixed => 0,
+        };
+        of_form - self.constraints.len()
+    }
+
+    /// Coordinates ψ near Σ = FF', as derivatives of F.
+    pub(crate) fn chart(&self, root: &DMatrix<f64>) -> Chart {
+        match &self.form {
+            Form::Factor(blocks) => factor_chart(blocks, root, self.p),
+            Form::Scale(star) => {
+                let entries = (0..self.p).flat_map(|i| (0..self.p).map(move |c| (i, c)));
+                let entries = entries.map(|(i, c)| (i, c, star[(i, c)])).collect();
+                Chart { root: root.clone(), coordinates: vec![entries], bounded: Vec::new() }
+            }
+            Form::StdDevs(correlation, states) => {
+                let row = |&i: &usize| (0..self.p).map(|c| (i, c, correlation[(i, c)])).collect();
+                let bounded = states.iter().map(|&i| self.std_dev(root, i)).collect();
+                Chart { root: root.clone(), coordinates: states.iter().map(row).collect(), bounded }
+            }
+            Form::Fixed => Chart { root: root.clone(), coordinates: Vec::new(), bounded: Vec::new() },
+        }
+    }
+
+    fn std_dev(&self, root: &DMatrix<f64>, i: usize) -> f64 {
+        root.row(i).norm()
+    }
+
+    /// A root F of the structure's own shape from any Σ that is nearly of the structure.
+    pub(crate) fn root_of(&self, sigma: &DMatrix<f64>) -> DMatrix<f64> {
+        match &self.form {
+            Form::Factor(blocks) => {
+                let mut root = DMatrix::zeros(self.p, self.p);
+                for block in blocks {
+                    let own = symmetric::square_root(&sub(sigma, block));
+                    place(&mut root, block, &own);
+                }
+                root
+            }
+            Form::Scale(star) => {
+                let star_trace: f64 = star.norm_squared();
+                star * (sigma.trace().max(0.0) / star_trace.max(f64::MIN_POSITIVE)).sqrt()
+            }
+            Form::StdDevs(correlation, states) => {
+                let sd = |i| if states.contains(&i) { sigma[(i, i)].max(0.0).sqrt() } else { 0.0 };
+                DMatrix::from_fn(self.p, self.p, |i, c| sd(i) * correlation[(i, c)])
+            }
+            Form::Fixed => symmetric::square_root(&self.known),
+        }
+    }
+}
+
+/// Coordinates ψ around a root F: F(ψ + s) = F + Σ s_k F_k, each F_k given by its entries (row, column, value).
+#[derive(Debug, Clone)]
+pub(crate) struct Chart {
+    pub(crate) root: DMatrix<f64>,
+    pub(crate) coordinates: Vec<Vec<(usize, usize, f64)>>,
+    /// Values of coordinates that cannot be negative (standard deviations); empty when none is bounded.
+    pub(crate) bounded: Vec<f64>,
+}
+
+impl Chart {
+    /// dσ_pair / dψ, pairs × coordinates, at a root that may have moved on from this chart's.
+    pub(crate) fn jacobian_at(&self, root: &DMatrix<f64>) -> DMatrix<f64> {
+        let p = root.nrows();
+        let mut jacobian = DMatrix::zeros(pairs(p), self.coordinates.len());
+        for (k, entries) in self.coordinates.iter().enumerate() {
+            for &(i, c, x) in entries {
+                for j in 0..p {
+                    jacobian[(pair(i, j), k)] += x * root[(j, c)] * if i == j { 2.0 } else { 1.0 };
+                }
+            }
+        }
+        jacobian
+    }
+
+    /// tr(G ∂²Σ/∂ψ_k∂ψ_l) = 2 tr(G F_k F_l'), coordinates × coordinates.
+    pub(crate) fn second_order(&self, score: &DMatrix<f64>) -> DMatrix<f64> {
+        let n = self.coordinates.len();
+        DMatrix::from_fn(n, n, |k, l| {
+            let mut sum = 0.0;
+            for &(i, c, x) in &self.coordinates[k] {
+                for &(j, d, y) in &self.coordinates[l] {
+                    if c == d {
+                        sum += score[(i, j)] * x * y;
+                    }
+                }
+            }
+            2.0 * sum
+        })
+    }
+
+    /// F after a step in ψ; bounded coordinates stop at zero.
+    pub(crate) fn moved(&self, step: &[f64]) -> DMatrix<f64> {
+        let mut root = self.root.clone();
+        for (k, entries) in self.coordinates.iter().enumerate() {
+            let s = match self.bounded.get(k) {
+                Some(&value) => step[k].max(-value),
+                None => step[k],
+            };
+            for &(i, c, x) in entries {
+                root[(i, c)] += s * x;
+            }
+        }
+        root
+    }
+}
+
+/// Lower-triangular coordinates in a pivoted order, after turning F (which leaves FF' alone) into that shape.
+fn factor_chart(blocks: &[Vec<usize>], root: &DMatrix<f64>, p: usize) -> Chart {
+    let mut turned = DMatrix::zeros(p, p);
+    let mut coordinates = Vec::new();
+    for block in blocks {
+        let own = DMatrix::from_fn(block.len(), p, |i, c| root[(block[i], c)]);
+        let order = pivot_order(&own);
+        let rows = DMatrix::from_fn(own.ncols(), own.nrows(), |c, i| own[(order[i], c)]);
+        let upper = rows.qr().r(); // own[order] = (QR)' so that own own' = R'R in that order
+        for (place, &i) in order.iter().enumerate() {
+            for c in 0..=place {
+                let value = if c < upper.nrows() { upper[(c, place)] } else { 0.0 };
+                turned[(block[i], block[c])] = value;
+                coordinates.push(vec![(block[i], block[c], 1.0)]);
+            }
+        }
+    }
+    Chart { root: turned, coordinates, bounded: Vec::new() }
+}
+
+/// Rows in the order of a Cholesky decomposition with pivoting: largest remaining norm first.
+fn pivot_order(rows: &DMatrix<f64>) -> Vec<usize> {
+    let mut left = rows.clone();
+    let mut order: Vec<usize> = Vec::new();
+    while order.len() < rows.nrows() {
+        let norm = |i: &usize| left.row(*i).norm_squared();
+        let rest = (0..rows.nrows()).filter(|i| !order.contains(i));
+        let next = rest.max_by(|a, b| norm(a).total_cmp(&norm(b)).then(b.cmp(a))).expect("a row remains");
+        order.push(next);
+        let pivot = left.row(next).clone_owned();
+        let size = pivot.norm_squared();
+        if size > 0.0 {
+            for i in 0..left.nrows() {
+                let along = left.row(i).dot(&pivot) / size;
+                let reduced = left.row(i) - &pivot * along;
+                left.set_row(i, &reduced);
+            }
+        }
+    }
+    order
+}
+
+pub(crate) fn zero_variances(structure: &CovarianceStructure, p: usize) -> Vec<bool> {
+    let mut zero = vec![false; p];
+    for element in &structure.fixed {
+        if element.i == element.j && element.value == 0.0 {
+            zero[element.i] = true;
+        }
+    }
+    zero
+}
+
+/// Evaluates a matrix of expressions in parameters, and checks that it is positive semidefinite.
+fn matrix(entries: &[Vec<Expression>], alpha: &Alpha, what: &str) -> Result<DMatrix<f64>, StructureError> {
+    let p = entries.len();
+    let scope = Scope { numbers: &[], texts: &[], step: 0.0, alpha };
+    let mut values = DMatrix::zeros(p, p);
+    for i in 0..p {
+        for j in 0..p {
+            values[(i, j)] = entries[i][j].evaluate(&scope).map_err(|source| StructureError::Entry {
+                what: what.to_owned(),
+                row: i,
+                column: j,
+                source,
+            })?;
+        }
+    }
+    if !symmetric::is_semidefinite(&values) {
+        let (values, _) = symmetric::eigen(&values);
+        let (least, largest) = (values[0], values[p - 1]);
+        return Err(StructureError::NotSemidefinite { what: what.to_owned(), least, largest });
+    }
+    Ok(values)
+}
+
+fn restrict(blocks: &[Vec<usize>], zero: &[bool]) -> Vec<Vec<usize>> {
+    let kept = blocks.iter().map(|b| b.iter().copied().filter(|&i| !zero[i]).collect::<Vec<_>>());
+    kept.filter(|b| !b.is_empty()).collect()
+}
+
+/// Splits blocks into the connected components that fixed zeros leave.
+fn split(blocks: Vec<Vec<usize>>, structure: &CovarianceStructure) -> Vec<Vec<usize>> {
+    let is_zero = |i: usize, j: usize| {
+        structure.fixed.iter().any(|e| e.value == 0.0 && (e.i, e.j) == (i.max(j), i.min(j)) && i != j)
+    };
+    let mut result = Vec::new();
+    for block in blocks {
+        let mut left = block;
+        while !left.is_empty() {
+            let mut component = vec![left.remove(0)];
+            let mut at = 0;
+            while at < component.len() {
+                let from = component[at];
+                let (joined, rest): (Vec<usize>, Vec<usize>) = left.iter().partition(|&&j| !is_zero(from, j));
+                component.extend(joined);
+                left = rest;
+                at += 1;
+            }
+            component.sort_unstable();
+            result.push(component);
+        }
+    }
+    result
+}
+
+/// Fixed and equal elements that the form does not give by itself, in η, scaled to coefficients of order one.
+fn constraints(structure: &CovarianceStructure, frame: &Frame, map: &CovarianceMap) -> Vec<Constraint> {
+    if !matches!(map.form, Form::Factor(_)) {
+        return Vec::new();
+    }
+    let unit = |i: usize, j: usize| frame.scale[i] * frame.scale[j];
+    let free = |i: usize, j: usize| !map.is_structural_zero(i, j);
+    let mut constraints = Vec::new();
+    for element in structure.fixed.iter().filter(|e| free(e.i, e.j)) {
+        let value = element.value / unit(element.i, element.j);
+        constraints.push(Constraint { terms: vec![(element.i, element.j, 1.0)], value });
+    }
+    for group in &structure.equal {
+        let (i, j) = group[0];
+        for &(k, l) in &group[1..] {
+            let size = unit(i, j).max(unit(k, l));
+            let terms = vec![(i, j, unit(i, j) / size), (k, l, -unit(k, l) / size)];
+            constraints.push(Constraint { terms, value: 0.0 });
+        }
+    }
+    constraints
+}
+
+/// The rows and columns of a block.
+pub(crate) fn sub(matrix: &DMatrix<f64>, block: &[usize]) -> DMatrix<f64> {
+    DMatrix::from_fn(block.len(), block.len(), |i, j| matrix[(block[i], block[j])])
+}
+
+/// Writes a block's matrix into its rows and columns.
+pub(crate) fn place(into: &mut DMatrix<f64>, block: &[usize], own: &DMatrix<f64>) {
+    for i in 0..block.len() {
+        for j in 0..block.len() {
+            into[(block[i], block[j])] = own[(i, j)];
+        }
+    }
+}

@@ -1,0 +1,67 @@
+//! M-steps without a closed form: maximise -½n (log|Σ| + tr(Σ⁻¹M̄)) under constraints, by the same Newton's method.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::estimate::covariance::{CovarianceMap, place, sub};
+use crate::estimate::local::{Local, Objective};
+use crate::estimate::newton::{Attempt, Damping, Place};
+use crate::estimate::pass::Point;
+use crate::linalg::symmetric::{over_pairs, pairs};
+
+/// n tests whose ξ is known exactly, with second moment M̄ about the mean.
+struct Exact<'a> {
+    second: &'a DMatrix<f64>,
+    n: f64,
+    random: &'a [usize],
+    jacobian: DMatrix<f64>,
+}
+
+impl Objective for Exact<'_> {
+    fn local(&self, point: &Point) -> Option<Local> {
+        let p = self.second.nrows();
+        let factor = sub(&point.covariance(), self.random).cholesky()?;
+        let inverse = factor.inverse();
+        let moment = sub(self.second, self.random);
+        let log_det = 2.0 * factor.l().diagonal().map(f64::ln).sum();
+        let value = -0.5 * self.n * (log_det + (&inverse * &moment).trace());
+        let mut weight = DMatrix::zeros(p, p);
+        place(&mut weight, self.random, &inverse);
+        let mut outer = DMatrix::zeros(p, p);
+        place(&mut outer, self.random, &(&inverse * moment * &inverse));
+        let score = (&outer - &weight) * (0.5 * self.n);
+        let inner = (outer - &weight * 0.5) * self.n;
+        Some(Local {
+            value,
+            mean_score: DVector::zeros(0),
+            mean_information: DMatrix::zeros(0, 0),
+            score,
+            cross: DMatrix::zeros(0, pairs(p)),
+            information: over_pairs(p, |k, l, a, b| weight[(l, a)] * inner[(b, k)]),
+        })
+    }
+
+    fn mean_jacobian(&self) -> &DMatrix<f64> {
+        &self.jacobian
+    }
+
+    fn move_mean(&self, point: &Point, _: &[f64]) -> Point {
+        point.clone()
+    }
+}
+
+/// Newton steps from the current root; every step raises the objective, so a step that is cut short is still a GEM step.
+pub(crate) fn maximise_exact(map: &CovarianceMap, second: &DMatrix<f64>, point: &Point, n: f64) -> DMatrix<f64> {
+    let objective = Exact { second, n, random: &map.random, jacobian: DMatrix::zeros(0, 0) };
+    let Some(mut place) = Place::new(&objective, map, point.clone()) else { return point.root.clone() };
+    let mut damping = Damping::default();
+    for _ in 0..50 {
+        if place.decrement() < 1e-10 * n.sqrt() {
+            break;
+        }
+        match damping.attempt(&objective, map, &place) {
+            Attempt::Better(next, _) => place = *next,
+            Attempt::Failed(_) => break,
+        }
+    }
+    place.point.root
+}

@@ -1,0 +1,227 @@
+//! A function of (mean coordinates, Σ) near a point: value, score, information; and its picture in free coordinates.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::estimate::covariance::{Chart, Constraint, CovarianceMap};
+use crate::estimate::pass::{Point, Sums};
+use crate::linalg::symmetric::{self, pair, pairs};
+
+/// Value and derivatives at a point, in mean coordinates and the elements of Σ.
+#[derive(Debug, Clone)]
+pub(crate) struct Local {
+    pub(crate) value: f64,
+    pub(crate) mean_score: DVector<f64>,
+    pub(crate) mean_information: DMatrix<f64>,
+    /// G: the value changes by tr(G dΣ).
+    pub(crate) score: DMatrix<f64>,
+    /// -∂²/∂mean ∂σ_pair.
+    pub(crate) cross: DMatrix<f64>,
+    /// -∂²/∂σ_pair ∂σ_pair.
+    pub(crate) information: DMatrix<f64>,
+}
+
+impl From<&Sums> for Local {
+    fn from(sums: &Sums) -> Local {
+        Local {
+            value: sums.value,
+            mean_score: sums.mean_score.clone(),
+            mean_information: sums.mean_information.clone(),
+            score: sums.score(),
+            cross: sums.cross_information(),
+            information: sums.observed_information(),
+        }
+    }
+}
+
+/// Something to maximise over (mean coordinates, Σ).
+pub(crate) trait Objective {
+    /// Value and derivatives; `None` where the function is not defined.
+    fn local(&self, point: &Point) -> Option<Local>;
+    /// d(mean coordinates) / d(free mean coordinates).
+    fn mean_jacobian(&self) -> &DMatrix<f64>;
+    /// The point with its free mean coordinates moved.
+    fn move_mean(&self, point: &Point, step: &[f64]) -> Point;
+}
+
+/// The picture in free coordinates (mean, then ψ) on the tangent space of the constraints.
+#[derive(Debug, Clone)]
+pub(crate) struct Tangent {
+    /// Free mean coordinates.
+    pub(crate) mean: usize,
+    pub(crate) chart: Chart,
+    /// dσ/dψ, pairs × ψ.
+    pub(crate) jacobian: DMatrix<f64>,
+    /// Columns span the directions in (mean, ψ) that keep the constraints.
+    pub(crate) basis: DMatrix<f64>,
+    /// Gradient along `basis`.
+    pub(crate) gradient: DVector<f64>,
+    /// Negative Hessian of the Lagrangian along `basis`.
+    pub(crate) information: DMatrix<f64>,
+    /// Lagrange multipliers: dℓ_max / d(constraint value).
+    pub(crate) multipliers: Vec<f64>,
+    /// G - Λ: the score that is left once the constraints have taken their share.
+    pub(crate) residual_score: DMatrix<f64>,
+}
+
+impl Tangent {
+    pub(crate) fn new(local: &Local, mean_jacobian: &DMatrix<f64>, map: &CovarianceMap, root: &DMatrix<f64>) -> Tangent {
+        let chart = map.chart(root);
+        let jacobian = chart.jacobian_at(&chart.root);
+        let q = mean_jacobian.ncols();
+        let sigma_gradient = jacobian.transpose() * packed_score(&local.score);
+        let normals = normals(&map.constraints, map.p) * &jacobian;
+        let multipliers = if normals.nrows() == 0 {
+            DVector::zeros(0)
+        } else {
+            symmetric::pseudo_solve(&(&normals * normals.transpose()), &(&normals * &sigma_gradient))
+        };
+        let residual_score = &local.score - multiplier_matrix(&map.constraints, multipliers.as_slice(), map.p);
+        let information = free_information(local, mean_jacobian, &chart, &jacobian, &residual_score);
+        let held = held_coordinates(&chart, &sigma_gradient);
+        let basis = tangent_basis(q, &normals, &held, jacobian.ncols());
+        let mut gradient = DVector::zeros(q + jacobian.ncols());
+        gradient.rows_mut(0, q).copy_from(&(mean_jacobian.transpose() * &local.mean_score));
+        gradient.rows_mut(q, jacobian.ncols()).copy_from(&sigma_gradient);
+        Tangent {
+            mean: q,
+            jacobian,
+            gradient: basis.transpose() * gradient,
+            information: basis.transpose() * information * &basis,
+            chart,
+            basis,
+            multipliers: multipliers.as_slice().to_vec(),
+            residual_score,
+        }
+    }
+}
+
+/// ∂/∂σ_pair of a function whose matrix score is G: off-diagonal elements count twice.
+pub(crate) fn packed_score(score: &DMatrix<f64>) -> DVector<f64> {
+    let p = score.nrows();
+    let mut packed = DVector::zeros(pairs(p));
+    for i in 0..p {
+        for j in 0..=i {
+            packed[pair(i, j)] = if i == j { score[(i, i)] } else { 2.0 * score[(i, j)] };
+        }
+    }
+    packed
+}
+
+/// Gradients of the constraints in σ_pair, constraints × pairs.
+pub(crate) fn normals(constraints: &[Constraint], p: usize) -> DMatrix<f64> {
+    let mut normals = DMatrix::zeros(constraints.len(), pairs(p));
+    for (m, constraint) in constraints.iter().enumerate() {
+        for &(i, j, x) in &constraint.terms {
+            normals[(m, pair(i, j))] += x;
+        }
+    }
+    normals
+}
+
+/// Λ with tr(Λ dΣ) = Σ multiplier × d(constraint).
+fn multiplier_matrix(constraints: &[Constraint], multipliers: &[f64], p: usize) -> DMatrix<f64> {
+    let mut matrix = DMatrix::zeros(p, p);
+    for (constraint, multiplier) in constraints.iter().zip(multipliers) {
+        for &(i, j, x) in &constraint.terms {
+            let half = 0.5 * multiplier * x;
+            matrix[(i, j)] += half;
+            matrix[(j, i)] += half;
+        }
+    }
+    matrix
+}
+
+/// Negative Hessian of the Lagrangian in (mean, ψ): the information chained to ψ, less the curvature of Σ = FF'.
+fn free_information(
+    local: &Local,
+    mean_jacobian: &DMatrix<f64>,
+    chart: &Chart,
+    jacobian: &DMatrix<f64>,
+    residual_score: &DMatrix<f64>,
+) -> DMatrix<f64> {
+    let (q, n) = (mean_jacobian.ncols(), jacobian.ncols());
+    let mut information = DMatrix::zeros(q + n, q + n);
+    let mean = mean_jacobian.transpose() * &local.mean_information * mean_jacobian;
+    let cross = mean_jacobian.transpose() * &local.cross * jacobian;
+    let sigma = jacobian.transpose() * &local.information * jacobian - chart.second_order(residual_score);
+    information.view_mut((0, 0), (q, q)).copy_from(&mean);
+    information.view_mut((0, q), (q, n)).copy_from(&cross);
+    information.view_mut((q, 0), (n, q)).copy_from(&cross.transpose());
+    information.view_mut((q, q), (n, n)).copy_from(&sigma);
+    information
+}
+
+/// Bounded coordinates that stand at zero and would go below.
+fn held_coordinates(chart: &Chart, gradient: &DVector<f64>) -> Vec<usize> {
+    let at_zero = |(k, value): (usize, &f64)| (*value <= 0.0 && gradient[k] <= 0.0).then_some(k);
+    chart.bounded.iter().enumerate().filter_map(at_zero).collect()
+}
+
+/// Orthonormal columns that span (all of the mean) × (null space of the normals, held coordinates left out).
+fn tangent_basis(q: usize, normals: &DMatrix<f64>, held: &[usize], n: usize) -> DMatrix<f64> {
+    let kept: Vec<usize> = (0..n).filter(|k| !held.contains(k)).collect();
+    let inner = if normals.nrows() == 0 {
+        DMatrix::identity(kept.len(), kept.len())
+    } else {
+        let normals = normals.select_columns(&kept);
+        let (values, vectors) = symmetric::eigen(&(normals.transpose() * &normals));
+        let floor = values.last().copied().unwrap_or(0.0) * 1e-12;
+        let null: Vec<usize> = (0..values.len()).filter(|&k| values[k] <= floor).collect();
+        vectors.select_columns(&null)
+    };
+    let mut basis = DMatrix::zeros(q + n, q + inner.ncols());
+    basis.view_mut((0, 0), (q, q)).fill_with_identity();
+    for (row, &k) in kept.iter().enumerate() {
+        basis.view_mut((q + k, q), (1, inner.ncols())).copy_from(&inner.row(row));
+    }
+    basis
+}
+
+/// A positive definite model of -Hessian: scaled to unit diagonal, eigenvalues by absolute value, flat directions left out.
+#[derive(Debug, Clone)]
+pub(crate) struct Curvature {
+    scale: DVector<f64>,
+    values: Vec<f64>,
+    vectors: DMatrix<f64>,
+    /// Gradient in the eigenvectors.
+    gradient: DVector<f64>,
+}
+
+/// Scaled eigenvalues below this are flat: the data say nothing there.
+pub(crate) const FLAT: f64 = 1e-10;
+
+impl Curvature {
+    pub(crate) fn new(tangent: &Tangent) -> Curvature {
+        let h = &tangent.information;
+        let n = h.nrows();
+        let largest = (0..n).map(|i| h[(i, i)].abs()).fold(0.0, f64::max);
+        let unit = |i: usize| if h[(i, i)].abs() > 1e-14 * largest { h[(i, i)].abs().sqrt().recip() } else { 0.0 };
+        let scale = DVector::from_fn(n, |i, _| unit(i));
+        let scaled = DMatrix::from_fn(n, n, |i, j| scale[i] * h[(i, j)] * scale[j]);
+        let (values, vectors) = symmetric::eigen(&scaled);
+        let gradient = vectors.transpose() * tangent.gradient.component_mul(&scale);
+        Curvature { scale, values, vectors, gradient }
+    }
+
+    fn terms(&self) -> impl Iterator<Item = (usize, f64, f64)> + '_ {
+        let kept = |&(_, h, _): &(usize, f64, f64)| h > FLAT;
+        self.values.iter().enumerate().map(|(k, v)| (k, v.abs(), self.gradient[k])).filter(kept)
+    }
+
+    /// Newton decrement: the distance to the optimum of the model, in standard errors.
+    pub(crate) fn decrement(&self) -> f64 {
+        self.terms().map(|(_, h, g)| g * g / h).sum::<f64>().sqrt()
+    }
+
+    /// Step along the tangent basis with this much damping, and the gain it promises.
+    pub(crate) fn step(&self, damping: f64) -> (DVector<f64>, f64) {
+        let mut along = DVector::zeros(self.values.len());
+        let mut gain = 0.0;
+        for (k, h, g) in self.terms() {
+            let s = g / (h + damping);
+            along[k] = s;
+            gain += g * s - 0.5 * h * s * s;
+        }
+        ((&self.vectors * along).component_mul(&self.scale), gain)
+    }
+}

@@ -1,0 +1,105 @@
+//! Newton's method in (μ, ψ) with the exact Hessian (theory §3).
+//!
+//! Eigenvalues of the Hessian by absolute value, Levenberg damping, every accepted step raises the value. It stops on
+//! the Newton decrement, never on a small change of the value.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::estimate::covariance::{Chart, CovarianceMap};
+use crate::estimate::local::{Curvature, Local, Objective, Tangent};
+use crate::estimate::pass::Point;
+use crate::linalg::symmetric;
+
+/// A point with all that is known there.
+#[derive(Debug, Clone)]
+pub(crate) struct Place {
+    pub(crate) point: Point,
+    pub(crate) local: Local,
+    pub(crate) tangent: Tangent,
+    pub(crate) curvature: Curvature,
+}
+
+impl Place {
+    /// Evaluates the objective: one pass.
+    pub(crate) fn new(objective: &dyn Objective, map: &CovarianceMap, mut point: Point) -> Option<Place> {
+        let local = objective.local(&point).filter(|l| l.value.is_finite())?;
+        let tangent = Tangent::new(&local, objective.mean_jacobian(), map, &point.root);
+        point.root = tangent.chart.root.clone();
+        let curvature = Curvature::new(&tangent);
+        Some(Place { point, local, tangent, curvature })
+    }
+
+    pub(crate) fn decrement(&self) -> f64 {
+        self.curvature.decrement()
+    }
+}
+
+/// What became of one attempt to step.
+pub(crate) enum Attempt {
+    /// A better place; passes spent.
+    Better(Box<Place>, usize),
+    /// No damping helped; passes spent.
+    Failed(usize),
+}
+
+/// Damping that is remembered from step to step.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Damping(f64);
+
+/// How often one step is tried with more damping before the safeguard takes over.
+const TRIES: usize = 6;
+
+impl Damping {
+    /// Steps from `place`, with more damping until the value rises.
+    pub(crate) fn attempt(&mut self, objective: &dyn Objective, map: &CovarianceMap, place: &Place) -> Attempt {
+        let slack = 1e-13 * place.local.value.abs().max(1.0);
+        for tries in 1..=TRIES {
+            let (step, promised) = place.curvature.step(self.0);
+            if let Some(next) = moved(objective, map, place, &step).and_then(|p| Place::new(objective, map, p)) {
+                let gain = next.local.value - place.local.value;
+                if gain >= -slack && (gain >= 0.05 * promised || promised <= slack) {
+                    self.0 = if gain > 0.75 * promised { self.0 * 0.1 } else if gain < 0.25 * promised { self.0 * 4.0 } else { self.0 };
+                    if self.0 < 1e-6 {
+                        self.0 = 0.0;
+                    }
+                    return Attempt::Better(Box::new(next), tries);
+                }
+            }
+            self.0 = (self.0 * 8.0).max(0.05);
+        }
+        Attempt::Failed(TRIES)
+    }
+}
+
+/// The point after a step along the tangent basis, brought back onto the constraints.
+fn moved(objective: &dyn Objective, map: &CovarianceMap, place: &Place, step: &DVector<f64>) -> Option<Point> {
+    let free = &place.tangent.basis * step;
+    let q = place.tangent.mean;
+    let mut point = objective.move_mean(&place.point, &free.as_slice()[..q]);
+    let step = free.rows(q, free.len() - q).clone_owned();
+    point.root = retract(map, &place.tangent.chart, step)?;
+    Some(point)
+}
+
+/// F after a step ψ, with ψ corrected by Newton's method until Σ = FF' meets the constraints.
+pub(crate) fn retract(map: &CovarianceMap, chart: &Chart, mut step: DVector<f64>) -> Option<DMatrix<f64>> {
+    let mut root = chart.moved(step.as_slice());
+    if map.constraints.is_empty() {
+        return Some(root);
+    }
+    let normals = crate::estimate::local::normals(&map.constraints, map.p);
+    let mut previous = f64::INFINITY;
+    for _ in 0..60 {
+        let sigma = &root * root.transpose();
+        let residual = map.residual(&sigma);
+        let size = residual.amax() / (1.0 + sigma.amax());
+        if size <= 1e-15 || (size <= 1e-12 && size >= 0.5 * previous) {
+            return Some(root);
+        }
+        previous = size;
+        let slope = &normals * chart.jacobian_at(&root);
+        step -= slope.transpose() * symmetric::pseudo_solve(&(&slope * slope.transpose()), &residual);
+        root = chart.moved(step.as_slice());
+    }
+    (previous <= 1e-10).then_some(root)
+}

@@ -1,0 +1,79 @@
+//! The problem as a whole: classes, the structure of μ and Σ, and a count of the passes.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::estimate::classes::Classes;
+use crate::estimate::covariance::CovarianceMap;
+use crate::estimate::local::{Local, Objective};
+use crate::estimate::mean::MeanMap;
+use crate::estimate::pass::{Order, Point, Sums, pass};
+use crate::estimate::{FitError, Structure};
+use crate::linalg::symmetric;
+use crate::reduce::Reduction;
+
+/// What is maximised: ℓ(μ, Σ) of the reductions under a structure.
+#[derive(Debug)]
+pub(crate) struct Problem {
+    pub(crate) classes: Classes,
+    pub(crate) mean: MeanMap,
+    pub(crate) covariance: CovarianceMap,
+    mean_jacobian: DMatrix<f64>,
+    passes: AtomicUsize,
+}
+
+impl Problem {
+    pub(crate) fn new(reductions: &[Reduction], structure: &Structure<'_>) -> Result<Problem, FitError> {
+        let p = structure.mean.elements.len();
+        let classes = Classes::new(reductions, p, structure.mean.regression.len());
+        let mean = MeanMap::new(structure.mean, &classes.frame);
+        let covariance = CovarianceMap::new(structure.covariance, structure.alpha, &classes.frame)?;
+        let mean_jacobian = mean.jacobian();
+        Ok(Problem { classes, mean, covariance, mean_jacobian, passes: AtomicUsize::new(0) })
+    }
+
+    /// ℓ and its derivatives: one pass over the classes.
+    pub(crate) fn sums(&self, point: &Point, order: Order) -> Sums {
+        self.passes.fetch_add(1, Ordering::Relaxed);
+        pass(&self.classes, &self.mean.regressors, point, order)
+    }
+
+    /// Passes so far.
+    pub(crate) fn passes(&self) -> usize {
+        self.passes.load(Ordering::Relaxed)
+    }
+
+    /// The free mean coordinates that maximise ℓ at the Σ of these sums: generalised least squares (theory §3).
+    pub(crate) fn least_squares_step(&self, sums: &Sums) -> DVector<f64> {
+        let information = self.mean_jacobian.transpose() * &sums.mean_information * &self.mean_jacobian;
+        let score = self.mean_jacobian.transpose() * &sums.mean_score;
+        scaled_solve(&information, &score)
+    }
+}
+
+/// Solves a x = b for positive semidefinite a after scaling to unit diagonal.
+pub(crate) fn scaled_solve(a: &DMatrix<f64>, b: &DVector<f64>) -> DVector<f64> {
+    let n = b.len();
+    let unit = |i: usize| if a[(i, i)] > 0.0 { a[(i, i)].sqrt().recip() } else { 0.0 };
+    let scale = DVector::from_fn(n, |i, _| unit(i));
+    let scaled = DMatrix::from_fn(n, n, |i, j| scale[i] * a[(i, j)] * scale[j]);
+    symmetric::pseudo_solve(&scaled, &b.component_mul(&scale)).component_mul(&scale)
+}
+
+impl Objective for Problem {
+    fn local(&self, point: &Point) -> Option<Local> {
+        Some(Local::from(&self.sums(point, Order::Second)))
+    }
+
+    fn mean_jacobian(&self) -> &DMatrix<f64> {
+        &self.mean_jacobian
+    }
+
+    fn move_mean(&self, point: &Point, step: &[f64]) -> Point {
+        let q = self.mean.basis.ncols();
+        let moved = DVector::from_column_slice(&point.mean) + &self.mean.basis * DVector::from_column_slice(&step[..q]);
+        let coefficients = point.coefficients.iter().zip(&step[q..]).map(|(c, s)| c + s).collect();
+        Point { mean: moved.as_slice().to_vec(), coefficients, root: point.root.clone() }
+    }
+}

@@ -1,0 +1,232 @@
+//! The search: DL/EM, or affine PX-EM followed by Newton's method with EM as the safeguard.
+
+use std::sync::Arc;
+
+
+use crate::estimate::certificate::{Certificate, Escape, certificate};
+use crate::estimate::covariance::Form;
+use crate::estimate::em::{self, Turn};
+use crate::estimate::newton::{Attempt, Damping, Place, retract};
+use crate::estimate::pass::{Order, Point, Sums};
+use crate::estimate::problem::Problem;
+use crate::estimate::settings::{Progress, Settings, Solver, Step};
+use crate::estimate::{Estimate, FitError, State, Stop, px};
+
+/// Affine PX-EM steps before Newton's method takes over.
+const EXPANDED_STEPS: usize = 2;
+/// EM passes between two looks at the certificate.
+const EM_LOOK: usize = 16;
+/// A trailing column of the factor this small (in η) is tried at exactly zero.
+const SNAP: f64 = 1e-5;
+
+pub(crate) struct Search<'a> {
+    problem: Problem,
+    settings: &'a Settings,
+    progress: &'a mut dyn Progress,
+    trace: Vec<f64>,
+}
+
+impl<'a> Search<'a> {
+    pub(crate) fn new(problem: Problem, settings: &'a Settings, progress: &'a mut dyn Progress) -> Self {
+        Search { problem, settings, progress, trace: Vec::new() }
+    }
+
+    pub(crate) fn run(mut self, start: Point) -> Result<Estimate, FitError> {
+        let (place, stop) = match self.settings.solver {
+            Solver::Newton => self.newton(start)?,
+            Solver::Em => self.em(start)?,
+        };
+        self.finish(place, stop)
+    }
+
+    fn accept(&mut self, value: f64, decrement: Option<f64>) {
+        self.trace.push(value);
+        self.progress.step(Step { passes: self.problem.passes(), log_likelihood: value, decrement });
+    }
+
+    fn out_of_passes(&self) -> bool {
+        self.problem.passes() >= self.settings.max_passes
+    }
+
+    fn place(&self, point: Point) -> Result<Place, FitError> {
+        Place::new(&self.problem, &self.problem.covariance, point).ok_or(FitError::NotFinite)
+    }
+
+    /// Affine PX-EM, Newton, and EM where Newton finds no step.
+    fn newton(&mut self, start: Point) -> Result<(Place, Stop), FitError> {
+        let start = self.expanded_start(start);
+        let mut place = self.place(start)?;
+        self.accept(place.local.value, Some(place.decrement()));
+        let mut damping = Damping::default();
+        let mut failures = 0;
+        loop {
+            if place.decrement() <= self.settings.tolerance {
+                match self.escape(&place)? {
+                    Some(better) => place = better,
+                    None => return Ok((place, Stop::Certified)),
+                }
+            }
+            if self.out_of_passes() {
+                return Ok((place, Stop::PassLimit));
+            }
+            match damping.attempt(&self.problem, &self.problem.covariance, &place) {
+                Attempt::Better(next, _) => {
+                    place = *next;
+                    failures = 0;
+                }
+                Attempt::Failed(_) => {
+                    failures += 1;
+                    match self.safeguard(&place)? {
+                        Some(next) if failures <= 3 => place = next,
+                        _ => return Ok((place, Stop::Stalled)),
+                    }
+                }
+            }
+            self.accept(place.local.value, Some(place.decrement()));
+        }
+    }
+
+    /// The start, moved on by affine PX-EM as long as that raises ℓ.
+    fn expanded_start(&mut self, mut point: Point) -> Point {
+        for _ in 0..EXPANDED_STEPS {
+            match px::step(&self.problem, &point) {
+                Some(next) => point = next,
+                None => {
+                    let sums = self.problem.sums(&point, Order::First);
+                    self.accept(sums.value, None);
+                    point = em::step(&self.problem, &point, &sums, &mut Turn::Covariance);
+                }
+            }
+        }
+        point
+    }
+
+    /// An EM step, where it raises ℓ.
+    fn safeguard(&mut self, place: &Place) -> Result<Option<Place>, FitError> {
+        let sums = self.problem.sums(&place.point, Order::First);
+        let next = em::step(&self.problem, &place.point, &sums, &mut Turn::Covariance);
+        let next = self.place(next)?;
+        Ok((next.local.value > place.local.value).then_some(next))
+    }
+
+    /// Off the boundary, when the certificate fails on the null space of Σ.
+    fn escape(&mut self, place: &Place) -> Result<Option<Place>, FitError> {
+        let weight = self.problem.sums(&place.point, Order::First).weight;
+        let tests = self.problem.classes.tests as f64;
+        let (_, escape) = certificate(&self.problem.covariance, place, &weight, tests);
+        let Some(escape) = escape else { return Ok(None) };
+        let mut length = escape.length;
+        for _ in 0..8 {
+            if let Some(next) = self.grown(place, &escape, length)? {
+                return Ok(Some(next));
+            }
+            length *= 0.25;
+        }
+        Ok(None)
+    }
+
+    fn grown(&mut self, place: &Place, escape: &Escape, length: f64) -> Result<Option<Place>, FitError> {
+        let map = &self.problem.covariance;
+        let sigma = place.point.covariance() + &escape.direction * length;
+        let root = map.root_of(&sigma);
+        let chart = map.chart(&root);
+        let still = nalgebra::DVector::zeros(chart.coordinates.len());
+        let Some(root) = retract(map, &chart, still) else { return Ok(None) };
+        let next = self.place(Point { root, ..place.point.clone() })?;
+        Ok((next.local.value > place.local.value).then_some(next))
+    }
+
+    /// The paper's algorithm. ℓ is checked to rise at every step; the certificate is looked at now and then.
+    fn em(&mut self, mut point: Point) -> Result<(Place, Stop), FitError> {
+        let mut turn = Turn::Mean;
+        let mut before = f64::NEG_INFINITY;
+        let mut steps = 0_usize;
+        loop {
+            let sums = self.problem.sums(&point, Order::First);
+            if !sums.value.is_finite() {
+                return Err(FitError::NotFinite);
+            }
+            if sums.value < before - 1e-9 * (1.0 + before.abs()) {
+                return Err(FitError::NotMonotone { before, after: sums.value });
+            }
+            before = sums.value;
+            self.accept(sums.value, None);
+            if steps.is_multiple_of(EM_LOOK) || self.out_of_passes() {
+                let place = self.place(point.clone())?;
+                if place.decrement() <= self.settings.tolerance {
+                    return Ok((place, Stop::Certified));
+                }
+                if self.out_of_passes() {
+                    return Ok((place, Stop::PassLimit));
+                }
+            }
+            point = em::step(&self.problem, &point, &sums, &mut turn);
+            steps += 1;
+        }
+    }
+
+    /// Sets what is all but zero to zero, looks at everything once more, and leaves the estimator's coordinates.
+    fn finish(mut self, place: Place, mut stop: Stop) -> Result<Estimate, FitError> {
+        let place = self.snapped(place)?;
+        let sums = self.problem.sums(&place.point, Order::Expected);
+        let tests = self.problem.classes.tests as f64;
+        let (certificate, _) = certificate(&self.problem.covariance, &place, &sums.weight, tests);
+        if stop == Stop::Certified && !certificate.holds(self.settings.tolerance) {
+            stop = Stop::Stalled;
+        }
+        Ok(self.leave(place, sums, certificate, stop))
+    }
+
+    fn leave(self, place: Place, sums: Sums, certificate: Certificate, stop: Stop) -> Estimate {
+        let problem = self.problem;
+        let frame = &problem.classes.frame;
+        let mut covariance = frame.covariance_out(&place.point.covariance());
+        for constraint in problem.covariance.constraints.iter().filter(|c| c.terms.len() == 1) {
+            let (i, j, _) = constraint.terms[0];
+            let value = constraint.value * frame.scale[i] * frame.scale[j];
+            covariance[(i, j)] = value;
+            covariance[(j, i)] = value;
+        }
+        let coefficients =
+            place.point.coefficients.iter().zip(&problem.mean.coefficient_scale).map(|(c, s)| c / s).collect();
+        Estimate {
+            mean: frame.mean_out(&place.point.mean),
+            coefficients,
+            covariance,
+            log_likelihood: sums.value,
+            certificate,
+            stop,
+            trace: self.trace,
+            passes: problem.passes(),
+            classes: problem.classes.classes.len(),
+            solver: self.settings.solver,
+            state: State { place, sums, problem: Arc::new(problem) },
+        }
+    }
+
+    /// Trailing columns of the factor that are all but zero, set to zero when ℓ does not mind.
+    fn snapped(&mut self, place: Place) -> Result<Place, FitError> {
+        let Form::Factor(blocks) = &self.problem.covariance.form else { return Ok(place) };
+        let mut root = place.point.root.clone();
+        let mut changed = false;
+        for block in blocks {
+            for &c in block {
+                let largest = block.iter().map(|&i| root[(i, c)].abs()).fold(0.0, f64::max);
+                if largest > 0.0 && largest < SNAP {
+                    block.iter().for_each(|&i| root[(i, c)] = 0.0);
+                    changed = true;
+                }
+            }
+        }
+        if !changed {
+            return Ok(place);
+        }
+        let chart = self.problem.covariance.chart(&root);
+        let still = nalgebra::DVector::zeros(chart.coordinates.len());
+        let Some(root) = retract(&self.problem.covariance, &chart, still) else { return Ok(place) };
+        let next = self.place(Point { root, ..place.point.clone() })?;
+        let fine = next.local.value >= place.local.value - 1e-9;
+        Ok(if fine && next.decrement() <= place.decrement().max(self.settings.tolerance) { next } else { place })
+    }
+}
+

@@ -1,0 +1,64 @@
+//! How to search, and whom to tell.
+
+/// How μ and Σ are sought.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Solver {
+    /// Affine PX-EM, then Newton's method with the exact Hessian in (μ, L), EM as safeguard.
+    #[default]
+    Newton,
+    /// The paper's DL algorithm, (8)-(11), with its constrained forms.
+    Em,
+}
+
+/// Settings of a fit of μ and Σ.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Settings {
+    /// How to search.
+    pub solver: Solver,
+    /// Stop when the Newton decrement is at most this: the distance to the optimum in standard errors.
+    pub tolerance: f64,
+    /// Largest number of passes over the reductions.
+    pub max_passes: usize,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Settings { solver: Solver::Newton, tolerance: 1e-8, max_passes: 200 }
+    }
+}
+
+impl Settings {
+    /// Default settings of a solver: EM needs many more passes than Newton's method.
+    pub fn of(solver: Solver) -> Settings {
+        let max_passes = match solver {
+            Solver::Newton => 200,
+            Solver::Em => 20_000,
+        };
+        Settings { solver, max_passes, ..Settings::default() }
+    }
+}
+
+/// What the search tells as it goes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Step {
+    /// Passes over the reductions so far.
+    pub passes: usize,
+    /// Log-likelihood now.
+    pub log_likelihood: f64,
+    /// Newton decrement, where it is known: distance to the optimum in standard errors.
+    pub decrement: Option<f64>,
+}
+
+/// Listens to the search.
+pub trait Progress {
+    /// Called after each accepted step.
+    fn step(&mut self, step: Step);
+}
+
+/// Listens to nothing.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Silent;
+
+impl Progress for Silent {
+    fn step(&mut self, _: Step) {}
+}

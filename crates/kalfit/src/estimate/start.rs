@@ -1,0 +1,86 @@
+//! Start values: from the model file where given, else from the data.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::estimate::covariance::{Chart, CovarianceMap};
+use crate::estimate::newton::retract;
+use crate::estimate::pass::Point;
+use crate::estimate::problem::{Problem, scaled_solve};
+use crate::estimate::{FitError, Structure};
+use crate::linalg::symmetric;
+use crate::model::StructureError;
+
+/// Smallest start variance, in units of what one average test tells of the state.
+const LEAST: f64 = 0.05;
+
+/// Where the search begins.
+pub(crate) fn start(problem: &Problem, structure: &Structure<'_>) -> Result<Point, FitError> {
+    let map = &problem.covariance;
+    let (mean, coefficients) = mean(problem, structure);
+    let sigma = match &map.start {
+        Some(start) => start.clone(),
+        None => DMatrix::from_diagonal(&variances(problem, &mean)),
+    };
+    let root = map.root_of(&map.mask(&sigma));
+    let root = if map.constraints.is_empty() { root } else { feasible(map, &sigma)? };
+    Ok(Point { mean: mean.as_slice().to_vec(), coefficients, root })
+}
+
+/// Pooled least squares on the structure, with the model's start values where the data say nothing or the model says so.
+fn mean(problem: &Problem, structure: &Structure<'_>) -> (DVector<f64>, Vec<f64>) {
+    let (map, frame) = (&problem.mean, &problem.classes.frame);
+    let p = frame.scale.len();
+    // in η the pooled least-squares mean is the origin
+    let told = |i: usize| structure.mean.start[i].map(|v| (v - frame.centre[i]) / frame.scale[i]);
+    let wanted = DVector::from_fn(p, |i, _| told(i).unwrap_or(0.0));
+    let information = map.basis.transpose() * &problem.classes.information * &map.basis;
+    let score = map.basis.transpose() * &problem.classes.information * (&wanted - &map.offset);
+    let b = if structure.mean.start.iter().any(Option::is_some) {
+        map.basis.transpose() * (&wanted - &map.offset)
+    } else {
+        scaled_solve(&information, &score)
+    };
+    (&map.offset + &map.basis * b, vec![0.0; map.regressors.len()])
+}
+
+/// A variance for each state by moments, as if the states were uncorrelated: Σ_j (y - Jμ)_i² has the mean Σ_j (J + JΣJ)_ii.
+fn variances(problem: &Problem, mean: &DVector<f64>) -> DVector<f64> {
+    let p = mean.len();
+    let mut excess = DVector::<f64>::zeros(p);
+    let mut weight = DVector::<f64>::zeros(p);
+    for class in &problem.classes.classes {
+        let factor = DMatrix::from_row_slice(p, p, &class.factor);
+        let residual = factor.transpose() * (DVector::from_column_slice(&class.mean) - &factor * mean);
+        let scatter = class.scatter.as_ref().map(|s| factor.transpose() * DMatrix::from_row_slice(p, p, s) * &factor);
+        for i in 0..p {
+            let own = factor.column(i).norm_squared();
+            let spread = scatter.as_ref().map_or(0.0, |s| s[(i, i)]);
+            excess[i] += class.count * (residual[i] * residual[i] - own) + spread;
+            weight[i] += class.count * own * own;
+        }
+    }
+    DVector::from_fn(p, |i, _| if weight[i] > 0.0 { (excess[i] / weight[i]).max(LEAST) } else { 1.0 })
+}
+
+/// A root whose FF' meets the constraints, near Σ if possible.
+fn feasible(map: &CovarianceMap, sigma: &DMatrix<f64>) -> Result<DMatrix<f64>, FitError> {
+    let mut wanted = map.mask(sigma);
+    let mut own = vec![true; map.p];
+    for constraint in map.constraints.iter().filter(|c| c.terms.len() == 1) {
+        let (i, j, _) = constraint.terms[0];
+        wanted[(i, j)] = constraint.value;
+        wanted[(j, i)] = constraint.value;
+        own[i] &= i != j;
+    }
+    // the free variances grow until the fixed covariances fit beside them
+    for _ in 0..60 {
+        if symmetric::scaled_range(&wanted).0 > 1e-3 || !own.contains(&true) {
+            break;
+        }
+        (0..map.p).filter(|&i| own[i]).for_each(|i| wanted[(i, i)] *= 2.0);
+    }
+    let root = map.root_of(&wanted);
+    let chart: Chart = map.chart(&root);
+    let still = DVector::zeros(chart.coordinates.len());
+    retract(map, &chart, still).ok_or(FitError::Structure(StructureError::Contradiction))
+}

@@ -1,0 +1,163 @@
+//! Random-effects meta-analyses whose optima independent programs know (metafor 3.8.1 and a dense maximisation,
+//! refined to about 1e-9): interior and singular optima, constraints of μ and Σ.
+
+use kalfit::estimate::{self, Estimate, Settings, Silent, Solver, Stop, Structure};
+use kalfit::model::{
+    Alpha, CovarianceKind, CovarianceStructure, Expression, FixedElement, MeanElement, MeanStructure,
+};
+use kalfit::reduce::{Path, Reduction};
+use nalgebra::{DMatrix, DVector};
+
+/// Bivariate studies of a file `test, y1, y2, v1, v2, c12`, reduced by plain dense algebra.
+fn studies(text: &str) -> Vec<Reduction> {
+    let cell = |s: &str| s.trim().parse::<f64>().ok();
+    text.lines()
+        .skip(1)
+        .map(|line| {
+            let cells: Vec<&str> = line.split(',').collect();
+            let y = [cell(cells[1]), cell(cells[2])];
+            let v = [cell(cells[3]), cell(cells[4])];
+            let seen: Vec<usize> = (0..2).filter(|&i| y[i].is_some()).collect();
+            let m = seen.len();
+            let noise = DMatrix::from_fn(m, m, |a, b| if a == b { v[seen[a]].unwrap() } else { cell(cells[5]).unwrap() });
+            let design = DMatrix::from_fn(m, 2, |a, k| f64::from(u8::from(seen[a] == k)));
+            let z = DVector::from_fn(m, |a, _| y[seen[a]].unwrap());
+            reduce(cells[0], &design, &noise, &z)
+        })
+        .collect()
+}
+
+fn reduce(id: &str, design: &DMatrix<f64>, noise: &DMatrix<f64>, z: &DVector<f64>) -> Reduction {
+    let p = design.ncols();
+    let root = noise.clone().cholesky().unwrap().l();
+    let whitened = root.solve_lower_triangular(design).unwrap();
+    let residual = root.solve_lower_triangular(z).unwrap();
+    let mut stacked = DMatrix::zeros(p + z.len(), p + 1);
+    stacked.view_mut((p, 0), (z.len(), p)).copy_from(&whitened);
+    stacked.view_mut((p, p), (z.len(), 1)).copy_from(&residual);
+    let r = stacked.qr().r();
+    let sign = |i: usize| if r[(i, i)] < 0.0 { -1.0 } else { 1.0 };
+    let log_det = 2.0 * root.diagonal().map(f64::ln).sum();
+    let left = if r.nrows() > p { r[(p, p)].powi(2) } else { 0.0 };
+    Reduction {
+        test: id.to_owned(),
+        constant: -0.5 * (z.len() as f64 * (2.0 * std::f64::consts::PI).ln() + log_det + left),
+        data: (0..p).map(|i| sign(i) * r[(i, p)]).collect(),
+        factor: (0..p).flat_map(|k| (0..=k).map(move |i| (i, k))).map(|(i, k)| sign(i) * r[(i, k)]).collect(),
+        covariates: Vec::new(),
+        steps: 1,
+        observations: z.len(),
+        path: Path::Information,
+        design: 0,
+    }
+}
+
+fn berkey() -> Vec<Reduction> {
+    studies(include_str!("data/berkey1998.csv"))
+}
+
+fn kalaian() -> Vec<Reduction> {
+    studies(include_str!("data/kalaian1996.csv"))
+}
+
+fn riley() -> Vec<Reduction> {
+    studies(include_str!("data/riley2003.csv"))
+}
+
+fn numbers(rows: [[f64; 2]; 2]) -> Vec<Vec<Expression>> {
+    rows.iter().map(|row| row.iter().map(|&x| Expression::Number(x)).collect()).collect()
+}
+
+fn fixed(elements: &[(usize, usize, f64)]) -> CovarianceStructure {
+    let fixed = elements.iter().map(|&(i, j, value)| FixedElement { i, j, value }).collect();
+    CovarianceStructure { fixed, ..CovarianceStructure::full() }
+}
+
+fn kind(kind: CovarianceKind) -> CovarianceStructure {
+    CovarianceStructure { kind, ..CovarianceStructure::full() }
+}
+
+fn mean_of(elements: Vec<MeanElement>) -> MeanStructure {
+    MeanStructure { elements, ..MeanStructure::free(2) }
+}
+
+struct Expected {
+    log_likelihood: f64,
+    mean: [f64; 2],
+    /// σ11, σ12, σ22.
+    covariance: [f64; 3],
+    tolerance: f64,
+}
+
+fn fit(reductions: &[Reduction], mean: &MeanStructure, covariance: &CovarianceStructure, solver: Solver) -> Estimate {
+    let structure = Structure { mean, covariance, alpha: &Alpha::default() };
+    let settings = Settings { tolerance: if solver == Solver::Em { 1e-6 } else { 1e-8 }, ..Settings::of(solver) };
+    estimate::fit(reductions, &structure, &settings, &mut Silent).unwrap()
+}
+
+/// Both solvers reach the reference optimum, certified; Newton within 15 passes. Returns the number of Newton passes.
+fn agrees(data: &[Reduction], mean: &MeanStructure, covariance: &CovarianceStructure, want: &Expected) -> usize {
+    let newton = fit(data, mean, covariance, Solver::Newton);
+    close(&newton, want, 1.0);
+    assert_eq!(newton.stop, Stop::Certified, "{:?} after {:?}", newton.certificate, newton.trace);
+    assert!(newton.passes <= 15, "{} passes: {:?}", newton.passes, newton.trace);
+    eprintln!("{} newton passes, gaps {:?}", newton.passes, newton.trace.iter().map(|t| newton.log_likelihood - t).collect::<Vec<_>>());
+    let em = fit(data, mean, covariance, Solver::Em);
+    close(&em, want, if em.stop == Stop::Certified { 10.0 } else { 1e4 });
+    newton.passes
+}
+
+fn close(found: &Estimate, want: &Expected, factor: f64) {
+    let same = |what: &str, a: f64, b: f64, unit: f64| {
+        let error = (a - b).abs() / (factor * unit);
+        assert!(error <= 1.0, "{what}: found {a}, expected {b}: {error:.3} × tolerance; {:?} {:?}", found.stop, found.certificate);
+    };
+    same("log-likelihood", found.log_likelihood, want.log_likelihood, 1e-7 * want.tolerance / 1e-6);
+    for i in 0..2 {
+        same("mean", found.mean[i], want.mean[i], want.tolerance * 0.05);
+    }
+    let s = &found.covariance;
+    for (k, (i, j)) in [(0, 0), (1, 0), (1, 1)].into_iter().enumerate() {
+        same("covariance", s[(i, j)], want.covariance[k], want.tolerance * 0.05);
+    }
+}
+
+macro_rules! case {
+    ($name:ident, $data:expr, $mean:expr, $covariance:expr, $ll:expr, $mu:expr, $sigma:expr, $tolerance:expr) => {
+        #[test]
+        fn $name() {
+            let want = Expected { log_likelihood: $ll, mean: $mu, covariance: $sigma, tolerance: $tolerance };
+            agrees(&$data, &$mean, &$covariance, &want);
+        }
+    };
+}
+
+fn free() -> MeanStructure {
+    MeanStructure::free(2)
+}
+
+fn full() -> CovarianceStructure {
+    CovarianceStructure::full()
+}
+
+case!(berkey_full, berkey(), free(), full(), 5.8406568847751, [0.344839168023, -0.337938115107], [0.00700199850109, 0.00946066480785, 0.0261445173081], 1e-6);
+case!(berkey_diagonal, berkey(), free(), kind(CovarianceKind::Diagonal), 5.1654176411984, [0.357255262241, -0.353888624725], [0.00714553846695, 0.0, 0.0254734078331], 1e-6);
+case!(berkey_blocks, berkey(), free(), kind(CovarianceKind::Blocks(vec![vec![0], vec![1]])), 5.1654176411984, [0.357255262241, -0.353888624725], [0.00714553846695, 0.0, 0.0254734078331], 1e-6);
+case!(berkey_correlation_known, berkey(), free(), kind(CovarianceKind::Correlation(numbers([[1.0, 0.5], [0.5, 1.0]]))), 5.7629456971343, [0.350320538973, -0.343177760906], [0.00707260270367, 0.00658197149106, 0.0245015027843], 1e-6);
+case!(berkey_variance_fixed, berkey(), free(), fixed(&[(1, 1, 0.03)]), 5.8208291581031, [0.344854712376, -0.337587399534], [0.00755277086572, 0.010914897966, 0.03], 1e-6);
+case!(berkey_covariance_fixed, berkey(), free(), fixed(&[(1, 0, 0.004)]), 5.621142368871, [0.349724951987, -0.347061571557], [0.00515487091974, 0.004, 0.0219976301051], 1e-6);
+case!(berkey_equal_variances, berkey(), free(), CovarianceStructure { equal: vec![vec![(0, 0), (1, 1)]], ..full() }, 5.2055574070082, [0.360471711172, -0.336806677305], [0.0197396101531, 0.0109172143415, 0.0197396101531], 1e-6);
+case!(berkey_proportional, berkey(), free(), kind(CovarianceKind::Proportional(numbers([[0.01, 0.006], [0.006, 0.03]]))), 5.6244422286235, [0.354017327488, -0.346129875544], [0.00781362426721, 0.00468817456033, 0.0234408728016], 1e-6);
+case!(berkey_mean_fixed, berkey(), mean_of(vec![MeanElement::Fixed(0.3), MeanElement::Free]), full(), 5.4708998213148, [0.3, -0.378984684054], [0.00732796338439, 0.0115939005308, 0.027831320023], 1e-6);
+case!(berkey_means_fixed, berkey(), mean_of(vec![MeanElement::Fixed(0.3), MeanElement::Fixed(-0.3)]), full(), 4.6785238612295, [0.3, -0.3], [0.00932776810587, 0.00983728949481, 0.0278232207749], 1e-6);
+case!(berkey_means_proportional, berkey(), mean_of(vec![MeanElement::Proportional(1.0), MeanElement::Proportional(-1.0)]), full(), 5.8389398784346, [0.342317796648, -0.342317796648], [0.00691587416742, 0.00941827324531, 0.0261433407694], 1e-6);
+case!(berkey_covariance_known, berkey(), free(), kind(CovarianceKind::Fixed(numbers([[0.01, 0.006], [0.006, 0.03]]))), 5.540448677914, [0.356617030348, -0.346324602134], [0.01, 0.006, 0.03], 1e-6);
+case!(berkey_common_effect, berkey(), free(), fixed(&[(0, 0, 0.0), (1, 1, 0.0)]), -45.441631433239, [0.307218608491, -0.394377007899], [0.0, 0.0, 0.0], 1e-6);
+case!(kalaian_full_is_singular, kalaian(), free(), full(), 7.0555213245556, [0.116707031265, 0.13772924706], [0.00242314044699, -0.00515832863656, 0.0109809377149], 1e-5);
+case!(kalaian_diagonal_has_a_zero_variance, kalaian(), free(), kind(CovarianceKind::Diagonal), 6.2178683486165, [0.118762122014, 0.139583234417], [0.0, 0.0, 0.0186580029728], 1e-5);
+case!(kalaian_zero_variance_imposed, kalaian(), free(), fixed(&[(1, 1, 0.0)]), 4.0796434071995, [0.117647295206, 0.132742609351], [0.00864985071215, 0.0, 0.0], 1e-6);
+case!(kalaian_fixed_covariance_makes_the_cone_active, kalaian(), free(), fixed(&[(1, 0, -0.002)]), 6.6848068309199, [0.117915714596, 0.139188916699], [0.000290065993592, -0.002, 0.0137899653471], 1e-5);
+case!(riley_full, riley(), free(), full(), -120.54971974283, [1.48104558782, 1.64127734602], [0.374576054552, 0.324228274133, 0.359746572211], 1e-6);
+case!(riley_variance_fixed, riley(), free(), fixed(&[(0, 0, 0.5)]), -120.91313457092, [1.49871175255, 1.64168198019], [0.5, 0.40080882755, 0.389109342834], 1e-6);
+case!(riley_means_tied, riley(), mean_of(vec![MeanElement::Free, MeanElement::Tied { constant: 0.0, terms: vec![(0, 1.0)] }]), full(), -121.46055687969, [1.57306859177, 1.57306859177], [0.409241191053, 0.316660973666, 0.332558027782], 1e-6);
+case!(riley_correlation_known, riley(), free(), kind(CovarianceKind::Correlation(numbers([[1.0, 0.9], [0.9, 1.0]]))), -120.55723943135, [1.48135315648, 1.64101483103], [0.378393021736, 0.332114597665, 0.359871780202], 1e-6);
