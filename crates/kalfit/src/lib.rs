@@ -20,5 +20,5 @@ pub mod reduce;
 
 pub use ensemble::{Label, Labels, Layout, Source, Test, TestKey};
 pub use model::{Alpha, Expression, Model};
-pub use record::FitRecord;
+pub use record::{FitRecord, Provenance};
 pub use reduce::Reduction;

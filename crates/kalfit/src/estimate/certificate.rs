@@ -44,11 +44,14 @@ pub(crate) struct Escape {
 }
 
 /// The certificate at a place, and the way off the boundary when it fails there.
-pub(crate) fn certificate(map: &CovarianceMap, place: &Place, weight: &DMatrix<f64>, tests: f64) -> (Certificate, Option<Escape>) {
-    let escape = escape(map, place, weight, tests);
+pub(crate) fn certificate(map: &CovarianceMap, place: &Place, tests: f64) -> (Certificate, Option<Escape>) {
+    let escape = escape(map, place, tests);
     let (mean, covariance) = scores(place);
     let null_space = escape.as_ref().map_or(0.0, |e| e.score.max(0.0));
-    (Certificate { mean, covariance, null_space, decrement: place.decrement() }, escape.filter(|e| e.score > NULL_TOLERANCE))
+    (
+        Certificate { mean, covariance, null_space, decrement: place.decrement() },
+        escape.filter(|e| e.score > NULL_TOLERANCE),
+    )
 }
 
 /// Decrements of the mean and of Σ, each with the other held.
@@ -76,8 +79,9 @@ fn decrement(information: &DMatrix<f64>, gradient: &DVector<f64>) -> f64 {
 }
 
 /// The worst direction of the null space of Σ within the structure.
-fn escape(map: &CovarianceMap, place: &Place, weight: &DMatrix<f64>, tests: f64) -> Option<Escape> {
+fn escape(map: &CovarianceMap, place: &Place, tests: f64) -> Option<Escape> {
     let residual = &place.tangent.residual_score;
+    let weight = &place.local.weight;
     match &map.form {
         Form::Factor(blocks) => {
             let of_block = |block: &Vec<usize>| block_escape(block, &place.point.root, residual, weight, tests);

@@ -89,6 +89,11 @@ impl Classes {
         Classes { classes, frame, tests: reductions.len(), information }
     }
 
+    /// One test as a class of its own, in the same η.
+    pub(crate) fn single(&self, reduction: &Reduction) -> Class {
+        gather(std::slice::from_ref(reduction), &[0], &self.frame, self.dimension())
+    }
+
     /// p.
     pub(crate) fn dimension(&self) -> usize {
         self.frame.scale.len()

@@ -82,16 +82,6 @@ impl CovarianceMap {
         Ok(map)
     }
 
-    /// Σ in η cannot move.
-    pub(crate) fn is_fixed(&self) -> bool {
-        match &self.form {
-            Form::Factor(blocks) => blocks.is_empty(),
-            Form::StdDevs(_, states) => states.is_empty(),
-            Form::Scale(_) => false,
-            Form::Fixed => true,
-        }
-    }
-
     /// Whether element (i, j) is zero because of the form.
     pub(crate) fn is_structural_zero(&self, i: usize, j: usize) -> bool {
         match &self.form {
@@ -120,6 +110,26 @@ impl CovarianceMap {
             Form::Fixed => 0,
         };
         of_form - self.constraints.len()
+    }
+
+    /// Directions in which Σ may move, pairs × directions: the free elements where Σ is linear in them, else along ψ.
+    pub(crate) fn free_directions(&self, chart: &Chart) -> DMatrix<f64> {
+        if !matches!(self.form, Form::Factor(_)) {
+            return chart.jacobian_at(&chart.root);
+        }
+        let free: Vec<usize> = (0..self.p)
+            .flat_map(|i| (0..=i).map(move |j| (i, j)))
+            .filter(|&(i, j)| !self.is_structural_zero(i, j))
+            .map(|(i, j)| pair(i, j))
+            .collect();
+        let all = DMatrix::<f64>::identity(pairs(self.p), pairs(self.p)).select_columns(&free);
+        if self.constraints.is_empty() {
+            return all;
+        }
+        let normals = crate::estimate::local::normals(&self.constraints, self.p) * &all;
+        let (values, vectors) = symmetric::eigen(&(normals.transpose() * &normals));
+        let null: Vec<usize> = (0..values.len()).filter(|&k| values[k] < 1e-12).collect();
+        all * vectors.select_columns(&null)
     }
 
     /// Coordinates ψ near Σ = FF', as derivatives of F.

@@ -105,8 +105,7 @@ fn regression_form(map: &CovarianceMap, blocks: &[Vec<usize>], second: &DMatrix<
         let own = sub(second, &free);
         let mixed = DMatrix::from_fn(free.len(), held.len(), |i, j| second[(free[i], held[j])]);
         let part = &mixed * b.transpose();
-        let sigma11 =
-            own - &part - part.transpose() + &b * (sub(second, &held) + &sigma22) * b.transpose();
+        let sigma11 = own - &part - part.transpose() + &b * (sub(second, &held) + &sigma22) * b.transpose();
         place(&mut sigma, &free, &sigma11);
         place(&mut sigma, &held, &sigma22);
         for (i, &f) in free.iter().enumerate() {

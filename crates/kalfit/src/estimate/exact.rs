@@ -37,6 +37,7 @@ impl Objective for Exact<'_> {
             score,
             cross: DMatrix::zeros(0, pairs(p)),
             information: over_pairs(p, |k, l, a, b| weight[(l, a)] * inner[(b, k)]),
+            weight: weight * self.n,
         })
     }
 
@@ -59,8 +60,8 @@ pub(crate) fn maximise_exact(map: &CovarianceMap, second: &DMatrix<f64>, point: 
             break;
         }
         match damping.attempt(&objective, map, &place) {
-            Attempt::Better(next, _) => place = *next,
-            Attempt::Failed(_) => break,
+            Attempt::Better(next) => place = *next,
+            Attempt::Failed => break,
         }
     }
     place.point.root

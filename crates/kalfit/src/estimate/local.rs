@@ -18,6 +18,8 @@ pub(crate) struct Local {
     pub(crate) cross: DMatrix<f64>,
     /// -∂²/∂σ_pair ∂σ_pair.
     pub(crate) information: DMatrix<f64>,
+    /// Σ W over tests: the scale of information on Σ.
+    pub(crate) weight: DMatrix<f64>,
 }
 
 impl From<&Sums> for Local {
@@ -29,6 +31,7 @@ impl From<&Sums> for Local {
             score: sums.score(),
             cross: sums.cross_information(),
             information: sums.observed_information(),
+            weight: sums.weight.clone(),
         }
     }
 }
@@ -64,7 +67,12 @@ pub(crate) struct Tangent {
 }
 
 impl Tangent {
-    pub(crate) fn new(local: &Local, mean_jacobian: &DMatrix<f64>, map: &CovarianceMap, root: &DMatrix<f64>) -> Tangent {
+    pub(crate) fn new(
+        local: &Local,
+        mean_jacobian: &DMatrix<f64>,
+        map: &CovarianceMap,
+        root: &DMatrix<f64>,
+    ) -> Tangent {
         let chart = map.chart(root);
         let jacobian = chart.jacobian_at(&chart.root);
         let q = mean_jacobian.ncols();

@@ -32,11 +32,6 @@ impl MeanMap {
         MeanMap { offset, basis, regressors, coefficient_scale }
     }
 
-    /// q + number of regression coefficients.
-    pub(crate) fn free(&self) -> usize {
-        self.basis.ncols() + self.regressors.len()
-    }
-
     /// d(mean coordinates of [`Sums`](super::pass::Sums)) / d(b, γ): block diagonal (Q, I).
     pub(crate) fn jacobian(&self) -> DMatrix<f64> {
         let (p, q) = self.basis.shape();
@@ -45,11 +40,6 @@ impl MeanMap {
         jacobian.view_mut((0, 0), (p, q)).copy_from(&self.basis);
         jacobian.view_mut((p, q), (r, r)).fill_with_identity();
         jacobian
-    }
-
-    /// The point of the structure nearest to μ: b = Q'(μ - offset).
-    pub(crate) fn project(&self, mu: &DVector<f64>) -> DVector<f64> {
-        &self.offset + &self.basis * (self.basis.transpose() * (mu - &self.offset))
     }
 
     /// The paper's (20), generalised: the point of the structure nearest to the mean of the posterior means in the

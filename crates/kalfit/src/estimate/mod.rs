@@ -23,14 +23,13 @@ use nalgebra::DMatrix;
 pub use certificate::Certificate;
 pub use settings::{Progress, Settings, Silent, Solver, Step};
 
-pub(crate) use classes::{Classes, unpack};
 pub(crate) use covariance::{CovarianceMap, Form};
-pub(crate) use local::{Local, Tangent, packed_score};
+pub(crate) use local::Tangent;
 pub(crate) use newton::Place;
-pub(crate) use pass::{Order, Point, Sums};
+pub(crate) use pass::{Sums, Terms};
 pub(crate) use problem::Problem;
 
-use crate::model::{Alpha, CovarianceStructure, MeanStructure, Model, StructureError};
+use crate::model::{Alpha, CovarianceKind, CovarianceStructure, MeanStructure, Model, StructureError};
 use crate::reduce::Reduction;
 
 /// What is assumed of μ and Σ.
@@ -117,12 +116,29 @@ pub struct Estimate {
     pub(crate) state: State,
 }
 
+impl Estimate {
+    /// Number of free covariance quantities, as declared.
+    pub fn declared_covariance(&self) -> usize {
+        self.state.problem.covariance.declared()
+    }
+
+    /// β of Σ = βΣ*; zero for other structures.
+    pub fn covariance_scale(&self) -> f64 {
+        match &self.state.problem.covariance.form {
+            Form::Scale(star) => self.state.place.point.covariance().trace() / star.norm_squared(),
+            _ => 0.0,
+        }
+    }
+}
+
 /// The end of the search in the estimator's own coordinates.
 #[derive(Debug, Clone)]
 pub(crate) struct State {
     pub(crate) problem: std::sync::Arc<Problem>,
     pub(crate) place: Place,
     pub(crate) sums: Sums,
+    pub(crate) mean: MeanStructure,
+    pub(crate) covariance_kind: CovarianceKind,
 }
 
 /// Maximises ℓ(μ, Σ) over the reductions under a structure.
@@ -132,6 +148,24 @@ pub fn fit(
     settings: &Settings,
     progress: &mut dyn Progress,
 ) -> Result<Estimate, FitError> {
+    let problem = problem(reductions, structure)?;
+    let start = start::start(&problem, structure)?;
+    search::Search::new(problem, settings, progress).run(start, structure)
+}
+
+/// The place where a search would begin, with the expected information there.
+pub(crate) fn at_start(
+    reductions: &[Reduction],
+    structure: &Structure<'_>,
+) -> Result<(Problem, Place, Sums), FitError> {
+    let problem = problem(reductions, structure)?;
+    let start = start::start(&problem, structure)?;
+    let place = Place::new(&problem, &problem.covariance, start).ok_or(FitError::NotFinite)?;
+    let sums = problem.sums(&place.point, pass::Order::Expected);
+    Ok((problem, place, sums))
+}
+
+fn problem(reductions: &[Reduction], structure: &Structure<'_>) -> Result<Problem, FitError> {
     if reductions.is_empty() {
         return Err(FitError::NoTests);
     }
@@ -140,7 +174,5 @@ pub fn fit(
     if let Some(twice) = ids.windows(2).find(|pair| pair[0] == pair[1]) {
         return Err(FitError::DuplicateTest { id: twice[0].to_owned() });
     }
-    let problem = Problem::new(reductions, structure)?;
-    let start = start::start(&problem, structure)?;
-    search::Search::new(problem, settings, progress).run(start)
+    Problem::new(reductions, structure)
 }

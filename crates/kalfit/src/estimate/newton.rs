@@ -36,10 +36,10 @@ impl Place {
 
 /// What became of one attempt to step.
 pub(crate) enum Attempt {
-    /// A better place; passes spent.
-    Better(Box<Place>, usize),
-    /// No damping helped; passes spent.
-    Failed(usize),
+    /// A better place.
+    Better(Box<Place>),
+    /// No damping helped.
+    Failed,
 }
 
 /// Damping that is remembered from step to step.
@@ -53,21 +53,32 @@ impl Damping {
     /// Steps from `place`, with more damping until the value rises.
     pub(crate) fn attempt(&mut self, objective: &dyn Objective, map: &CovarianceMap, place: &Place) -> Attempt {
         let slack = 1e-13 * place.local.value.abs().max(1.0);
-        for tries in 1..=TRIES {
+        for _ in 0..TRIES {
             let (step, promised) = place.curvature.step(self.0);
             if let Some(next) = moved(objective, map, place, &step).and_then(|p| Place::new(objective, map, p)) {
                 let gain = next.local.value - place.local.value;
                 if gain >= -slack && (gain >= 0.05 * promised || promised <= slack) {
-                    self.0 = if gain > 0.75 * promised { self.0 * 0.1 } else if gain < 0.25 * promised { self.0 * 4.0 } else { self.0 };
-                    if self.0 < 1e-6 {
-                        self.0 = 0.0;
-                    }
-                    return Attempt::Better(Box::new(next), tries);
+                    self.judge(gain / promised);
+                    return Attempt::Better(Box::new(next));
                 }
             }
             self.0 = (self.0 * 8.0).max(0.05);
         }
-        Attempt::Failed(TRIES)
+        Attempt::Failed
+    }
+}
+
+impl Damping {
+    /// Less damping after a step that gave what it promised, more after one that did not.
+    fn judge(&mut self, ratio: f64) {
+        if ratio > 0.75 {
+            self.0 *= 0.1;
+        } else if ratio < 0.25 {
+            self.0 *= 4.0;
+        }
+        if self.0 < 1e-6 {
+            self.0 = 0.0;
+        }
     }
 }
 

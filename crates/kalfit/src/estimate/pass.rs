@@ -284,6 +284,11 @@ impl Terms {
         trace
     }
 
+    /// w'w of the class mean: the squared distance of a single test from the mean, in its own innovations.
+    pub(crate) fn distance(&self) -> f64 {
+        self.w.iter().map(|x| x * x).sum()
+    }
+
     /// Σ_j (y_j - ȳ) r_j' over the class, p × p: what the scatter gives to Σ y r'.
     pub(crate) fn scattered_cross(&self, class: &Class) -> DMatrix<f64> {
         let p = self.p;
@@ -411,7 +416,9 @@ fn fold(upper: &mut [f64], rows: &mut [f64], p: usize) {
     for k in 0..p {
         for i in 0..m {
             let x = rows[i * p + k];
-            if x == 0.0 { continue; }
+            if x == 0.0 {
+                continue;
+            }
             let d = upper[k * p + k];
             let h = d.hypot(x);
             let (c, s) = (d / h, x / h);

@@ -35,8 +35,13 @@ impl Problem {
 
     /// ℓ and its derivatives: one pass over the classes.
     pub(crate) fn sums(&self, point: &Point, order: Order) -> Sums {
-        self.passes.fetch_add(1, Ordering::Relaxed);
+        self.count_pass();
         pass(&self.classes, &self.mean.regressors, point, order)
+    }
+
+    /// Counts one pass over the classes.
+    pub(crate) fn count_pass(&self) {
+        self.passes.fetch_add(1, Ordering::Relaxed);
     }
 
     /// Passes so far.

@@ -27,7 +27,7 @@ struct Moments {
     spread: DMatrix<f64>,
 }
 
-/// One step from `point`, or `None` where the structure leaves no B free. Does not count as a pass by itself: see the caller.
+/// One step from `point`, one pass over the classes; `None` where the structure leaves no B free.
 pub(crate) fn step(problem: &Problem, point: &Point) -> Option<Point> {
     let Form::Factor(blocks) = &problem.covariance.form else { return None };
     if !problem.covariance.constraints.is_empty() || !problem.mean.regressors.is_empty() || blocks.is_empty() {
@@ -36,6 +36,7 @@ pub(crate) fn step(problem: &Problem, point: &Point) -> Option<Point> {
     let p = point.mean.len();
     let free: Vec<(usize, usize)> =
         blocks.iter().flat_map(|b| b.iter().flat_map(move |&i| b.iter().map(move |&l| (i, l)))).collect();
+    problem.count_pass();
     let moments = moments(problem, point);
     let (mean, b) = expanded(problem, &moments, &free, p);
     let n = problem.classes.tests as f64;

@@ -2,15 +2,15 @@
 
 use std::sync::Arc;
 
-
 use crate::estimate::certificate::{Certificate, Escape, certificate};
 use crate::estimate::covariance::Form;
 use crate::estimate::em::{self, Turn};
 use crate::estimate::newton::{Attempt, Damping, Place, retract};
-use crate::estimate::pass::{Order, Point, Sums};
+use crate::estimate::pass::{Order, Point};
 use crate::estimate::problem::Problem;
 use crate::estimate::settings::{Progress, Settings, Solver, Step};
-use crate::estimate::{Estimate, FitError, State, Stop, px};
+use crate::estimate::{Estimate, FitError, State, Stop, Structure, px};
+use crate::model::MeanElement;
 
 /// Affine PX-EM steps before Newton's method takes over.
 const EXPANDED_STEPS: usize = 2;
@@ -31,12 +31,12 @@ impl<'a> Search<'a> {
         Search { problem, settings, progress, trace: Vec::new() }
     }
 
-    pub(crate) fn run(mut self, start: Point) -> Result<Estimate, FitError> {
+    pub(crate) fn run(mut self, start: Point, structure: &Structure<'_>) -> Result<Estimate, FitError> {
         let (place, stop) = match self.settings.solver {
             Solver::Newton => self.newton(start)?,
             Solver::Em => self.em(start)?,
         };
-        self.finish(place, stop)
+        self.finish(place, stop, structure)
     }
 
     fn accept(&mut self, value: f64, decrement: Option<f64>) {
@@ -70,11 +70,11 @@ impl<'a> Search<'a> {
                 return Ok((place, Stop::PassLimit));
             }
             match damping.attempt(&self.problem, &self.problem.covariance, &place) {
-                Attempt::Better(next, _) => {
+                Attempt::Better(next) => {
                     place = *next;
                     failures = 0;
                 }
-                Attempt::Failed(_) => {
+                Attempt::Failed => {
                     failures += 1;
                     match self.safeguard(&place)? {
                         Some(next) if failures <= 3 => place = next,
@@ -111,9 +111,7 @@ impl<'a> Search<'a> {
 
     /// Off the boundary, when the certificate fails on the null space of Σ.
     fn escape(&mut self, place: &Place) -> Result<Option<Place>, FitError> {
-        let weight = self.problem.sums(&place.point, Order::First).weight;
-        let tests = self.problem.classes.tests as f64;
-        let (_, escape) = certificate(&self.problem.covariance, place, &weight, tests);
+        let (_, escape) = certificate(&self.problem.covariance, place, self.problem.classes.tests as f64);
         let Some(escape) = escape else { return Ok(None) };
         let mut length = escape.length;
         for _ in 0..8 {
@@ -166,42 +164,18 @@ impl<'a> Search<'a> {
     }
 
     /// Sets what is all but zero to zero, looks at everything once more, and leaves the estimator's coordinates.
-    fn finish(mut self, place: Place, mut stop: Stop) -> Result<Estimate, FitError> {
+    fn finish(mut self, place: Place, mut stop: Stop, structure: &Structure<'_>) -> Result<Estimate, FitError> {
         let place = self.snapped(place)?;
         let sums = self.problem.sums(&place.point, Order::Expected);
         let tests = self.problem.classes.tests as f64;
-        let (certificate, _) = certificate(&self.problem.covariance, &place, &sums.weight, tests);
+        let (certificate, _) = certificate(&self.problem.covariance, &place, tests);
         if stop == Stop::Certified && !certificate.holds(self.settings.tolerance) {
             stop = Stop::Stalled;
         }
-        Ok(self.leave(place, sums, certificate, stop))
-    }
-
-    fn leave(self, place: Place, sums: Sums, certificate: Certificate, stop: Stop) -> Estimate {
-        let problem = self.problem;
-        let frame = &problem.classes.frame;
-        let mut covariance = frame.covariance_out(&place.point.covariance());
-        for constraint in problem.covariance.constraints.iter().filter(|c| c.terms.len() == 1) {
-            let (i, j, _) = constraint.terms[0];
-            let value = constraint.value * frame.scale[i] * frame.scale[j];
-            covariance[(i, j)] = value;
-            covariance[(j, i)] = value;
-        }
-        let coefficients =
-            place.point.coefficients.iter().zip(&problem.mean.coefficient_scale).map(|(c, s)| c / s).collect();
-        Estimate {
-            mean: frame.mean_out(&place.point.mean),
-            coefficients,
-            covariance,
-            log_likelihood: sums.value,
-            certificate,
-            stop,
-            trace: self.trace,
-            passes: problem.passes(),
-            classes: problem.classes.classes.len(),
-            solver: self.settings.solver,
-            state: State { place, sums, problem: Arc::new(problem) },
-        }
+        let mean = structure.mean.clone();
+        let covariance_kind = structure.covariance.kind.clone();
+        let state = State { place, sums, problem: Arc::new(self.problem), mean, covariance_kind };
+        Ok(leave(state, certificate, stop, self.trace, self.settings.solver))
     }
 
     /// Trailing columns of the factor that are all but zero, set to zero when ℓ does not mind.
@@ -230,3 +204,34 @@ impl<'a> Search<'a> {
     }
 }
 
+/// The estimate in the user's units; fixed elements get exactly their values.
+fn leave(state: State, certificate: Certificate, stop: Stop, trace: Vec<f64>, solver: Solver) -> Estimate {
+    let (problem, point) = (&state.problem, &state.place.point);
+    let frame = &problem.classes.frame;
+    let mut covariance = frame.covariance_out(&point.covariance());
+    for constraint in problem.covariance.constraints.iter().filter(|c| c.terms.len() == 1) {
+        let (i, j, _) = constraint.terms[0];
+        let value = constraint.value * frame.scale[i] * frame.scale[j];
+        covariance[(i, j)] = value;
+        covariance[(j, i)] = value;
+    }
+    let mut mean = frame.mean_out(&point.mean);
+    for (value, element) in mean.iter_mut().zip(&state.mean.elements) {
+        if let MeanElement::Fixed(exact) = element {
+            *value = *exact;
+        }
+    }
+    Estimate {
+        mean,
+        coefficients: point.coefficients.iter().zip(&problem.mean.coefficient_scale).map(|(c, s)| c / s).collect(),
+        covariance,
+        log_likelihood: state.sums.value,
+        certificate,
+        stop,
+        trace,
+        passes: problem.passes(),
+        classes: problem.classes.classes.len(),
+        solver,
+        state,
+    }
+}

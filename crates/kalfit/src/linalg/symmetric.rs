@@ -59,7 +59,8 @@ pub fn square_root(a: &DMatrix<f64>) -> DMatrix<f64> {
 
 /// Smallest and largest eigenvalue after scaling to unit diagonal; zero diagonals are left as they are.
 pub fn scaled_range(a: &DMatrix<f64>) -> (f64, f64) {
-    let scale: Vec<f64> = (0..a.nrows()).map(|i| if a[(i, i)] > 0.0 { a[(i, i)].sqrt().recip() } else { 1.0 }).collect();
+    let scale: Vec<f64> =
+        (0..a.nrows()).map(|i| if a[(i, i)] > 0.0 { a[(i, i)].sqrt().recip() } else { 1.0 }).collect();
     let scaled = DMatrix::from_fn(a.nrows(), a.ncols(), |i, j| scale[i] * a[(i, j)] * scale[j]);
     let (values, _) = eigen(&scaled);
     (values.first().copied().unwrap_or(0.0), values.last().copied().unwrap_or(0.0))

@@ -1,6 +1,10 @@
 //! The result of a fit as others read it: fit.json. Field names are a contract; unknown figures are null, never NaN.
 
+mod build;
+
 use serde::{Deserialize, Serialize};
+
+pub use build::Provenance;
 
 /// All that a fit found. `None` is written as null: not known, not identified, or not applicable.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -200,6 +204,9 @@ pub struct BoundaryRecord {
     pub rank: usize,
     /// Their number.
     pub of: usize,
+    /// The states of the block that is singular.
+    #[serde(default)]
+    pub states: Vec<String>,
     /// States whose estimated variance is zero.
     #[serde(default)]
     pub zero_variances: Vec<String>,

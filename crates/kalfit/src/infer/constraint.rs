@@ -1,0 +1,166 @@
+//! What each constraint costs: its sensitivity dℓ_max/d(value), and the score test of it (theory §4).
+
+use nalgebra::{DMatrix, DVector};
+use statrs::distribution::{ChiSquared, ContinuousCDF};
+
+use crate::estimate::{Estimate, Form, State};
+use crate::infer::information::Law;
+use crate::linalg::symmetric::pair;
+use crate::model::{CovarianceKind, MeanElement};
+
+/// A constrained element.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Element {
+    /// Of μ.
+    Mean(usize),
+    /// Of Σ.
+    Covariance(usize, usize),
+}
+
+/// What holding one element costs. Beside the derivative stands the score (Lagrange multiplier) test of the constraint.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sensitivity {
+    /// The element.
+    pub element: Element,
+    /// Value it is held at.
+    pub value: f64,
+    /// dℓ_max / d value; an off-diagonal element moves both of its places.
+    pub sensitivity: f64,
+    /// Score statistic; `None` where freeing the element alone makes no sense or carries no information.
+    pub statistic: Option<f64>,
+    /// Its p-value: χ² with one degree of freedom, one-sided for a variance held at zero.
+    pub p_value: Option<f64>,
+    /// By how much the element would change if it were free, to first order.
+    pub expected_change: Option<f64>,
+}
+
+/// Sensitivities of all constrained elements: the mean first, then Σ by rows.
+pub fn sensitivities(estimate: &Estimate) -> Vec<Sensitivity> {
+    let state = &estimate.state;
+    let law = Law::new(state);
+    let mut found: Vec<Sensitivity> = Vec::new();
+    for (i, element) in state.mean.elements.iter().enumerate() {
+        if let MeanElement::Fixed(value) = element {
+            found.push(of_mean(state, &law, i, *value));
+        }
+    }
+    let p = estimate.mean.len();
+    for i in 0..p {
+        for j in 0..=i {
+            if let Some(multiplier) = held(state, i, j) {
+                found.push(of_covariance(estimate, &law, (i, j), multiplier));
+            }
+        }
+    }
+    found
+}
+
+/// How an element of Σ is held.
+enum Held {
+    /// By a constraint with this multiplier, in η.
+    Multiplier(f64),
+    /// By the form.
+    Form,
+}
+
+fn held(state: &State, i: usize, j: usize) -> Option<Held> {
+    let map = &state.problem.covariance;
+    let constrained =
+        map.constraints.iter().position(|c| c.terms.len() == 1 && pair(c.terms[0].0, c.terms[0].1) == pair(i, j));
+    if let Some(k) = constrained {
+        return Some(Held::Multiplier(state.place.tangent.multipliers[k]));
+    }
+    match &map.form {
+        Form::Fixed => Some(Held::Form),
+        _ => map.is_structural_zero(i, j).then_some(Held::Form),
+    }
+}
+
+/// The mean moves with a fixed element, and with it the elements tied to that one.
+fn of_mean(state: &State, law: &Law<'_>, i: usize, value: f64) -> Sensitivity {
+    let scale = &state.problem.classes.frame.scale;
+    let local = &state.place.local;
+    let mut direction = DVector::zeros(local.mean_score.len());
+    direction[i] = scale[i].recip();
+    for (t, element) in state.mean.elements.iter().enumerate() {
+        if let MeanElement::Tied { terms, .. } = element {
+            let weight: f64 = terms.iter().filter(|(k, _)| *k == i).map(|(_, w)| w).sum();
+            direction[t] += weight / scale[t];
+        }
+    }
+    let score = local.mean_score.dot(&direction);
+    let own = direction.dot(&(&local.mean_information * &direction));
+    let mean = &local.mean_information * &direction;
+    let sigma = local.cross.transpose() * &direction;
+    let test = score_test(score, own, &tangent_cross(state, &mean, &sigma), law, false);
+    Sensitivity { element: Element::Mean(i), value, sensitivity: score, ..test }
+}
+
+fn of_covariance(estimate: &Estimate, law: &Law<'_>, (i, j): (usize, usize), held: Held) -> Sensitivity {
+    let state = &estimate.state;
+    let scale = &state.problem.classes.frame.scale;
+    let unit = (scale[i] * scale[j]).recip();
+    let local = &state.place.local;
+    let places = if i == j { 1.0 } else { 2.0 };
+    let score = unit
+        * match held {
+            Held::Multiplier(multiplier) => multiplier,
+            Held::Form => places * local.score[(i, j)],
+        };
+    let k = pair(i, j);
+    let mean = local.cross.column(k) * unit;
+    let sigma = local.information.column(k) * unit;
+    let own = local.information[(k, k)] * unit * unit;
+    let value = estimate.covariance[(i, j)];
+    let zero = |s: usize| estimate.covariance[(s, s)] == 0.0;
+    let alone = i == j || !(zero(i) || zero(j)); // a covariance beside a zero variance cannot be freed alone
+    let one_sided = i == j && value == 0.0;
+    let test = score_test(score, own, &tangent_cross(state, &mean.into(), &sigma.into()), law, one_sided);
+    let test =
+        if alone && !matches!(state.covariance_kind, CovarianceKind::Fixed(_)) { test } else { without_test(score) };
+    Sensitivity { element: Element::Covariance(i, j), value, sensitivity: score, ..test }
+}
+
+/// Cross information between an element and the free coordinates along the tangent basis.
+fn tangent_cross(state: &State, mean: &DVector<f64>, sigma: &DVector<f64>) -> DVector<f64> {
+    let tangent = &state.place.tangent;
+    let jacobian: DMatrix<f64> = state.problem.mean.jacobian();
+    let mut cross = DVector::zeros(tangent.basis.nrows());
+    cross.rows_mut(0, tangent.mean).copy_from(&(jacobian.transpose() * mean));
+    cross.rows_mut(tangent.mean, tangent.jacobian.ncols()).copy_from(&(tangent.jacobian.transpose() * sigma));
+    tangent.basis.transpose() * cross
+}
+
+/// s² / (I_ee - I_ez I_zz⁻¹ I_ze): the score of the element against its variance once the free coordinates have adapted.
+fn score_test(score: f64, own: f64, cross: &DVector<f64>, law: &Law<'_>, one_sided: bool) -> Sensitivity {
+    let information = own - cross.dot(&(law.coordinates() * cross));
+    if !(information > 1e-10 * own.abs()) {
+        return without_test(score);
+    }
+    let statistic = score * score / information;
+    let chi = ChiSquared::new(1.0).expect("one degree of freedom is legal");
+    let two_sided = chi.sf(statistic);
+    let p_value = match (one_sided, score > 0.0) {
+        (false, _) => two_sided,
+        (true, true) => 0.5 * two_sided,
+        (true, false) => 1.0,
+    };
+    let change = score / information;
+    Sensitivity {
+        statistic: Some(statistic),
+        p_value: Some(p_value),
+        expected_change: Some(if one_sided { change.max(0.0) } else { change }),
+        ..without_test(score)
+    }
+}
+
+fn without_test(score: f64) -> Sensitivity {
+    Sensitivity {
+        element: Element::Mean(0),
+        value: 0.0,
+        sensitivity: score,
+        statistic: None,
+        p_value: None,
+        expected_change: None,
+    }
+}

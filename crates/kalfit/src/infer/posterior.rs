@@ -1,0 +1,66 @@
+//! What each test says: its likelihood, the posterior of its ξ (10), (11), and its distance from the population.
+
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+use statrs::distribution::{ChiSquared, ContinuousCDF};
+
+use crate::estimate::{Estimate, Terms};
+use crate::reduce::Reduction;
+
+/// What one test says, at an estimate.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Posterior {
+    /// log p of its measurements.
+    pub log_likelihood: f64,
+    /// E[ξ | z] (p).
+    pub mean: Vec<f64>,
+    /// Var[ξ | z] (p × p).
+    pub covariance: DMatrix<f64>,
+    /// (y - Jμ)'(J + JΣJ)⁺(y - Jμ): standardised squared distance of the test's own estimate from the population mean.
+    pub distance: f64,
+    /// Rank of J.
+    pub degrees_of_freedom: usize,
+    /// χ² tail probability of the distance; `None` without degrees of freedom.
+    pub p_value: Option<f64>,
+}
+
+/// Posteriors of all tests, in their order.
+pub fn posteriors(estimate: &Estimate, reductions: &[Reduction]) -> Vec<Posterior> {
+    reductions.par_iter().map(|reduction| posterior(estimate, reduction)).collect()
+}
+
+fn posterior(estimate: &Estimate, reduction: &Reduction) -> Posterior {
+    let state = &estimate.state;
+    let (problem, point) = (&state.problem, &state.place.point);
+    let frame = &problem.classes.frame;
+    let class = problem.classes.single(reduction);
+    let p = point.mean.len();
+    let mut terms = Terms::new(p);
+    terms.evaluate(&class, &problem.mean.regressors, point);
+    let mut mean = DVector::from_column_slice(&point.mean);
+    for (c, &element) in problem.mean.regressors.iter().enumerate() {
+        mean[element] += class.covariates[c] * point.coefficients[c];
+    }
+    mean += point.covariance() * DVector::from_column_slice(&terms.r);
+    let rank = (0..p).filter(|&i| (i..p).any(|k| class.factor[i * p + k] != 0.0)).count();
+    let distance = terms.distance();
+    let tail = |chi: ChiSquared| chi.sf(distance);
+    Posterior {
+        log_likelihood: terms.value,
+        mean: frame.mean_out(mean.as_slice()),
+        covariance: frame.covariance_out(&posterior_covariance(&class.factor, &point.root)),
+        distance,
+        degrees_of_freedom: rank,
+        p_value: ChiSquared::new(rank as f64).ok().map(tail),
+    }
+}
+
+/// F (I + F'JF)⁻¹ F', which loses nothing where the test knows ξ far better than the population does.
+fn posterior_covariance(factor: &[f64], root: &DMatrix<f64>) -> DMatrix<f64> {
+    let p = root.nrows();
+    let rf = DMatrix::from_row_slice(p, p, factor) * root;
+    let a = DMatrix::identity(root.ncols(), root.ncols()) + rf.transpose() * rf;
+    let lower = a.cholesky().expect("I plus a positive semidefinite matrix has a Cholesky factor").l();
+    let half = lower.solve_lower_triangular(&root.transpose()).expect("its diagonal is at least one");
+    half.transpose() * half
+}

@@ -1,0 +1,223 @@
+//! The arithmetic that kernels are written in: one source for plain numbers, for counting and, later, for lanes.
+
+use std::cell::Cell;
+use std::ops::{Add, Div, Mul, Neg, Sub};
+
+/// A number, or several side by side. Kernels over it never branch on values: lanes could not.
+pub trait Real:
+    Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self> + Neg<Output = Self>
+{
+    /// The same number in every lane.
+    fn splat(x: f64) -> Self;
+    /// self × factor + addend; one rounding where the machine has the instruction.
+    fn fma(self, factor: Self, addend: Self) -> Self;
+    /// addend - self × factor.
+    fn fnma(self, factor: Self, addend: Self) -> Self;
+    /// The smaller one.
+    fn minimum(self, other: Self) -> Self;
+    /// The larger one.
+    fn maximum(self, other: Self) -> Self;
+    /// Its magnitude.
+    fn magnitude(self) -> Self;
+    /// 1/x where x > 0, else 0.
+    fn recip_or_zero(self) -> Self;
+    /// x where x > 0, else 1.
+    fn or_one(self) -> Self;
+    /// Of a positive finite x, (m, e) with x = m 2^e, 1 ≤ m < 2, e a whole number.
+    fn split(self) -> (Self, Self);
+}
+
+impl Real for f64 {
+    #[inline(always)]
+    fn splat(x: f64) -> f64 {
+        x
+    }
+
+    #[inline(always)]
+    fn fma(self, factor: f64, addend: f64) -> f64 {
+        // Without the instruction `mul_add` is a slow library call.
+        if cfg!(target_feature = "fma") { self.mul_add(factor, addend) } else { self * factor + addend }
+    }
+
+    #[inline(always)]
+    fn fnma(self, factor: f64, addend: f64) -> f64 {
+        if cfg!(target_feature = "fma") { (-self).mul_add(factor, addend) } else { addend - self * factor }
+    }
+
+    #[inline(always)]
+    fn minimum(self, other: f64) -> f64 {
+        if other < self { other } else { self }
+    }
+
+    #[inline(always)]
+    fn maximum(self, other: f64) -> f64 {
+        if other > self { other } else { self }
+    }
+
+    #[inline(always)]
+    fn magnitude(self) -> f64 {
+        self.abs()
+    }
+
+    #[inline(always)]
+    fn recip_or_zero(self) -> f64 {
+        if self > 0.0 { 1.0 / self } else { 0.0 }
+    }
+
+    #[inline(always)]
+    fn or_one(self) -> f64 {
+        if self > 0.0 { self } else { 1.0 }
+    }
+
+    #[inline(always)]
+    fn split(self) -> (f64, f64) {
+        const MANTISSA: u64 = (1 << 52) - 1;
+        const BIAS: f64 = 1023.0;
+        let tiny = self < f64::MIN_POSITIVE; // subnormal: lift it first
+        let bits = if tiny { self * 2f64.powi(64) } else { self }.to_bits();
+        let exponent = (bits >> 52) as f64 - BIAS - if tiny { 64.0 } else { 0.0 };
+        (f64::from_bits((bits & MANTISSA) | 1f64.to_bits()), exponent)
+    }
+}
+
+/// Floating-point operations done by [`Counted`] numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Flops {
+    /// Additions and subtractions.
+    pub add: u64,
+    /// Multiplications.
+    pub mul: u64,
+    /// Multiplications with an addition.
+    pub fma: u64,
+    /// Divisions and reciprocals.
+    pub div: u64,
+}
+
+thread_local! {
+    static FLOPS: Cell<Flops> = const { Cell::new(Flops { add: 0, mul: 0, fma: 0, div: 0 }) };
+}
+
+/// A number that counts the operations done with it on this thread.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Counted(pub f64);
+
+impl Counted {
+    /// What `work` does on this thread.
+    pub fn count(work: impl FnOnce()) -> Flops {
+        FLOPS.set(Flops::default());
+        work();
+        FLOPS.get()
+    }
+}
+
+fn tally(note: impl FnOnce(&mut Flops)) {
+    let mut flops = FLOPS.get();
+    note(&mut flops);
+    FLOPS.set(flops);
+}
+
+impl Add for Counted {
+    type Output = Counted;
+    fn add(self, other: Counted) -> Counted {
+        tally(|f| f.add += 1);
+        Counted(self.0 + other.0)
+    }
+}
+
+impl Sub for Counted {
+    type Output = Counted;
+    fn sub(self, other: Counted) -> Counted {
+        tally(|f| f.add += 1);
+        Counted(self.0 - other.0)
+    }
+}
+
+impl Mul for Counted {
+    type Output = Counted;
+    fn mul(self, other: Counted) -> Counted {
+        tally(|f| f.mul += 1);
+        Counted(self.0 * other.0)
+    }
+}
+
+impl Div for Counted {
+    type Output = Counted;
+    fn div(self, other: Counted) -> Counted {
+        tally(|f| f.div += 1);
+        Counted(self.0 / other.0)
+    }
+}
+
+impl Neg for Counted {
+    type Output = Counted;
+    fn neg(self) -> Counted {
+        Counted(-self.0)
+    }
+}
+
+impl Real for Counted {
+    fn splat(x: f64) -> Counted {
+        Counted(x)
+    }
+
+    fn fma(self, factor: Counted, addend: Counted) -> Counted {
+        tally(|f| f.fma += 1);
+        Counted(self.0.fma(factor.0, addend.0))
+    }
+
+    fn fnma(self, factor: Counted, addend: Counted) -> Counted {
+        tally(|f| f.fma += 1);
+        Counted(self.0.fnma(factor.0, addend.0))
+    }
+
+    fn minimum(self, other: Counted) -> Counted {
+        Counted(self.0.minimum(other.0))
+    }
+
+    fn maximum(self, other: Counted) -> Counted {
+        Counted(self.0.maximum(other.0))
+    }
+
+    fn magnitude(self) -> Counted {
+        Counted(self.0.abs())
+    }
+
+    fn recip_or_zero(self) -> Counted {
+        tally(|f| f.div += 1);
+        Counted(self.0.recip_or_zero())
+    }
+
+    fn or_one(self) -> Counted {
+        Counted(self.0.or_one())
+    }
+
+    fn split(self) -> (Counted, Counted) {
+        let (mantissa, exponent) = self.0.split();
+        (Counted(mantissa), Counted(exponent))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_split_number_is_mantissa_times_power_of_two() {
+        for x in [1.0, 0.75, 3e-310, 5e-324, 1e300, f64::MAX, f64::MIN_POSITIVE] {
+            let (mantissa, exponent) = x.split();
+            assert!((1.0..2.0).contains(&mantissa), "{x:e}: mantissa {mantissa}");
+            let half = 2f64.powi((exponent / 2.0) as i32);
+            let back = mantissa * half * 2f64.powi(exponent as i32 - (exponent / 2.0) as i32);
+            assert_eq!(back, x, "{mantissa} 2^{exponent}");
+        }
+    }
+
+    #[test]
+    fn counting_does_not_change_the_numbers() {
+        let flops = Counted::count(|| {
+            let x = Counted(3.0).fma(Counted(2.0), Counted(1.0)) / Counted(2.0) - Counted(0.5) * Counted(1.0);
+            assert_eq!(x, Counted(3.0));
+        });
+        assert_eq!(flops, Flops { add: 1, mul: 1, fma: 1, div: 1 });
+    }
+}

@@ -1,0 +1,301 @@
+//! From an estimate and its inference to the record.
+
+use nalgebra::DMatrix;
+
+use crate::estimate::{Estimate, Solver, Stop};
+use crate::infer::{Direction, Element, Inference, Quantity, Sensitivity};
+use crate::model::{Alpha, CovarianceKind, Level, MeanElement, Model, Parameter, Value};
+use crate::record::{
+    BoundaryRecord, CertificateRecord, ConstraintRecord, CovarianceRecord, DataRecord, FitRecord, MatrixRecord,
+    MeanRecord, ParameterRecord, PhaseRecord, PosteriorRecord, RegressionRecord, ScaleRecord, SolverRecord, TestRecord,
+    UnidentifiedRecord, VectorRecord,
+};
+use crate::reduce::{Path, Reduction};
+
+/// Name of the only phase of a single-phase model.
+const MAIN: &str = "main";
+
+/// What the core does not know about a fit.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Provenance {
+    /// SHA-256 of the model file, `sha256:…`.
+    pub model_digest: Option<String>,
+    /// Data files, as named by the user.
+    pub files: Vec<String>,
+    /// Wall time.
+    pub seconds: f64,
+}
+
+impl FitRecord {
+    /// The record of a fit of μ and Σ at a known α.
+    pub fn new(
+        model: &Model,
+        alpha: &Alpha,
+        reductions: &[Reduction],
+        estimate: &Estimate,
+        inference: &Inference,
+        provenance: Provenance,
+    ) -> FitRecord {
+        let data = data(reductions, provenance.files);
+        let free = free_parameters(model, estimate);
+        let log_likelihood = estimate.log_likelihood;
+        let penalty = |per: f64| Some(free as f64 * per - 2.0 * log_likelihood);
+        FitRecord {
+            schema: "kalfit-fit/1".to_owned(),
+            kalfit_version: env!("CARGO_PKG_VERSION").to_owned(),
+            title: model.title.clone(),
+            model_digest: provenance.model_digest,
+            criterion: "ml".to_owned(),
+            log_likelihood_kind: "measurements".to_owned(),
+            log_likelihood,
+            free_parameters: free,
+            aic: penalty(2.0),
+            bic: if data.observations > 0 { penalty((data.observations as f64).ln()) } else { None },
+            converged: estimate.stop == Stop::Certified,
+            reason: reason(estimate),
+            certificate: CertificateRecord {
+                mean: estimate.certificate.mean,
+                covariance: estimate.certificate.covariance,
+                null_space: estimate.certificate.null_space,
+                parameters: 0.0,
+            },
+            solver: solver(estimate, provenance.seconds),
+            phases: vec![phase(model, estimate, inference)],
+            parameters: parameters(model, alpha),
+            constraints: inference.sensitivities.iter().map(|s| constraint(model, s)).collect(),
+            tests: tests(reductions, inference),
+            notes: notes(model, estimate, inference),
+            data,
+        }
+    }
+}
+
+fn data(reductions: &[Reduction], files: Vec<String>) -> DataRecord {
+    let mut designs: Vec<u128> = reductions.iter().map(|r| r.design).collect();
+    designs.sort_unstable();
+    designs.dedup();
+    DataRecord {
+        tests: reductions.len(),
+        steps: reductions.iter().map(|r| r.steps).sum(),
+        observations: reductions.iter().map(|r| r.observations).sum(),
+        design_classes: designs.len(),
+        square_root_tests: reductions.iter().filter(|r| r.path == Path::SquareRoot).count(),
+        files,
+    }
+}
+
+/// Declared free quantities of μ and Σ, as lme4 counts them.
+fn free_parameters(model: &Model, estimate: &Estimate) -> usize {
+    let (_, basis) = model.mean.basis();
+    basis.ncols() + model.mean.regression.len() + estimate.declared_covariance()
+}
+
+fn reason(estimate: &Estimate) -> String {
+    let far = estimate.certificate.decrement;
+    match estimate.stop {
+        Stop::Certified => format!("the optimality certificate holds: within {far:.1e} standard errors of the optimum"),
+        Stop::PassLimit => format!(
+            "the search ran out of passes ({}) about {far:.1e} standard errors from the optimum",
+            estimate.passes
+        ),
+        Stop::Stalled => format!(
+            "no step raises the log-likelihood, but the optimality certificate does not hold ({far:.1e} standard errors away)"
+        ),
+    }
+}
+
+fn solver(estimate: &Estimate, seconds: f64) -> SolverRecord {
+    SolverRecord {
+        method: "hybrid".to_owned(),
+        solver: match estimate.solver {
+            Solver::Newton => "newton".to_owned(),
+            Solver::Em => "em".to_owned(),
+        },
+        phases: "chain".to_owned(),
+        iterations: estimate.passes,
+        filter_passes: 1,
+        trace: estimate.trace.clone(),
+        seconds,
+    }
+}
+
+fn phase(model: &Model, estimate: &Estimate, inference: &Inference) -> PhaseRecord {
+    let states = model.estimated_names();
+    let names = |elements: &[usize]| elements.iter().map(|&i| states[i].clone()).collect::<Vec<_>>();
+    let boundary = |b: &crate::infer::Boundary| BoundaryRecord {
+        what: "covariance".to_owned(),
+        rank: b.rank,
+        of: b.states.len(),
+        states: names(&b.states),
+        zero_variances: names(&b.zero_variances),
+    };
+    PhaseRecord {
+        name: MAIN.to_owned(),
+        units: model.estimated.iter().map(|&s| model.states[s].unit.clone()).collect(),
+        mean: mean(model, estimate, inference),
+        covariance: covariance(model, estimate, inference),
+        std_dev: VectorRecord {
+            estimate: estimate.covariance.diagonal().iter().map(|v| v.max(0.0).sqrt()).collect(),
+            std_error: inference.uncertainty.std_dev.clone(),
+        },
+        correlation: MatrixRecord {
+            estimate: correlations(&estimate.covariance),
+            std_error: inference.uncertainty.correlation.clone(),
+        },
+        boundary: inference.uncertainty.boundary.iter().map(boundary).collect(),
+        unidentified: inference.unidentified.iter().map(|d| unidentified(d, &states)).collect(),
+        states,
+    }
+}
+
+fn mean(model: &Model, estimate: &Estimate, inference: &Inference) -> MeanRecord {
+    let structure = &model.mean;
+    let errors = &inference.uncertainty.mean;
+    let proportional = structure.elements.iter().enumerate().find_map(|(i, e)| match e {
+        MeanElement::Proportional(weight) if *weight != 0.0 => Some((i, *weight)),
+        _ => None,
+    });
+    let regression = |(c, r): (usize, &crate::model::Regression)| RegressionRecord {
+        state: model.states[model.estimated[r.element]].name.clone(),
+        column: model.columns[r.column].name.clone(),
+        estimate: estimate.coefficients[c],
+        std_error: inference.uncertainty.coefficients[c],
+    };
+    MeanRecord {
+        estimate: estimate.mean.clone(),
+        std_error: errors.clone(),
+        fixed: structure.elements.iter().map(|e| matches!(e, MeanElement::Fixed(_))).collect(),
+        scale: proportional.map(|(i, weight)| ScaleRecord {
+            estimate: estimate.mean[i] / weight,
+            std_error: errors[i].map(|e| e / weight.abs()),
+        }),
+        regression: structure.regression.iter().enumerate().map(regression).collect(),
+    }
+}
+
+fn covariance(model: &Model, estimate: &Estimate, inference: &Inference) -> CovarianceRecord {
+    let p = estimate.mean.len();
+    let mut fixed = vec![vec![false; p]; p];
+    for sensitivity in &inference.sensitivities {
+        if let Element::Covariance(i, j) = sensitivity.element {
+            fixed[i][j] = true;
+            fixed[j][i] = true;
+        }
+    }
+    let scale = matches!(model.covariance.kind, CovarianceKind::Proportional(_)).then(|| estimate.covariance_scale());
+    CovarianceRecord {
+        estimate: rows(&estimate.covariance),
+        std_error: inference.uncertainty.covariance.clone(),
+        fixed,
+        scale: scale.map(|beta| ScaleRecord {
+            estimate: beta,
+            std_error: inference.uncertainty.scale.map(|relative| relative * beta),
+        }),
+    }
+}
+
+fn correlations(sigma: &DMatrix<f64>) -> Vec<Vec<Option<f64>>> {
+    let p = sigma.nrows();
+    let entry = |i: usize, j: usize| {
+        let unit = (sigma[(i, i)] * sigma[(j, j)]).sqrt();
+        let inside = |r: f64| r.clamp(-1.0, 1.0);
+        (unit > 0.0).then(|| if i == j { 1.0 } else { inside(sigma[(i, j)] / unit) })
+    };
+    (0..p).map(|i| (0..p).map(|j| entry(i, j)).collect()).collect()
+}
+
+fn unidentified(direction: &Direction, states: &[String]) -> UnidentifiedRecord {
+    let (what, elements) = match direction.quantity {
+        Quantity::Mean => ("mean", states.to_vec()),
+        Quantity::Covariance => {
+            let pairs = (0..states.len()).flat_map(|i| (0..=i).map(move |j| (i, j)));
+            ("covariance", pairs.map(|(i, j)| format!("{}, {}", states[j], states[i])).collect())
+        }
+    };
+    UnidentifiedRecord { what: what.to_owned(), direction: direction.direction.clone(), elements }
+}
+
+fn parameters(model: &Model, alpha: &Alpha) -> Vec<ParameterRecord> {
+    let record = |parameter: &Parameter, level: Option<String>, estimate: f64| ParameterRecord {
+        name: parameter.name.clone(),
+        per: parameter.per.map(|column| model.text_columns[column].name.clone()),
+        level,
+        estimate,
+        std_error: None,
+        interval95: None,
+        fixed: true,
+        at_bound: false,
+        unit: parameter.unit.clone(),
+    };
+    let mut records = Vec::new();
+    for (parameter, level) in model.parameters.iter().zip(&alpha.values) {
+        match level {
+            Level::Common(value) => records.push(record(parameter, None, *value)),
+            Level::Each { values, .. } => {
+                for (label, value) in values {
+                    records.push(record(parameter, Some(model.literals[label.index()].clone()), *value));
+                }
+                if let Value::Fixed(value) = parameter.value {
+                    records.push(record(parameter, None, value));
+                }
+            }
+        }
+    }
+    records
+}
+
+fn constraint(model: &Model, sensitivity: &Sensitivity) -> ConstraintRecord {
+    let name = |i: usize| &model.states[model.estimated[i]].name;
+    ConstraintRecord {
+        element: match sensitivity.element {
+            Element::Mean(i) => format!("mean[{}]", name(i)),
+            Element::Covariance(i, j) => format!("covariance[{}, {}]", name(j), name(i)),
+        },
+        phase: MAIN.to_owned(),
+        value: sensitivity.value,
+        sensitivity: Some(sensitivity.sensitivity),
+        score_statistic: sensitivity.statistic,
+        p_value: sensitivity.p_value,
+        expected_change: sensitivity.expected_change,
+    }
+}
+
+fn tests(reductions: &[Reduction], inference: &Inference) -> Vec<TestRecord> {
+    let mut order: Vec<usize> = (0..reductions.len()).collect();
+    order.sort_by(|&a, &b| reductions[a].test.cmp(&reductions[b].test));
+    let record = |j: usize| {
+        let (reduction, posterior) = (&reductions[j], &inference.posteriors[j]);
+        TestRecord {
+            id: reduction.test.clone(),
+            log_likelihood: posterior.log_likelihood,
+            observations: reduction.observations,
+            phases: vec![PosteriorRecord {
+                name: MAIN.to_owned(),
+                mean: posterior.mean.clone(),
+                covariance: rows(&posterior.covariance),
+            }],
+            distance: (posterior.degrees_of_freedom > 0).then_some(posterior.distance),
+            degrees_of_freedom: posterior.degrees_of_freedom,
+            p_value: posterior.p_value,
+        }
+    };
+    order.into_iter().map(record).collect()
+}
+
+/// What a reader should be told that no single figure shows.
+fn notes(model: &Model, estimate: &Estimate, inference: &Inference) -> Vec<String> {
+    let mut notes = Vec::new();
+    for (i, name) in model.estimated_names().iter().enumerate() {
+        let variance = estimate.covariance[(i, i)];
+        if let Some(error) = inference.uncertainty.covariance[i][i].filter(|e| *e >= variance) {
+            notes.push(format!(
+                "the variance of `{name}` is weakly determined: its standard error ({error:.3e}) is no smaller than the variance itself ({variance:.3e})"
+            ));
+        }
+    }
+    notes
+}
+
+fn rows(matrix: &DMatrix<f64>) -> Vec<Vec<f64>> {
+    matrix.row_iter().map(|row| row.iter().copied().collect()).collect()
+}
