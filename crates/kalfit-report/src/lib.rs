@@ -1,1 +1,51 @@
-//! (in progress)
+//! Results in words and tables.
+//!
+//! From a [`FitRecord`](kalfit::FitRecord) alone, without models or data: [`summary`] makes the text that
+//! `kalfit fit` prints.
+
+mod number;
+mod summary;
+mod table;
+mod words;
+
+pub use summary::summary;
+
+/// How a text is laid out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Style {
+    /// Characters a line may have; less than 60 is taken as 60.
+    pub width: usize,
+    /// Bold headings and a coloured headline, by ANSI escape sequences. Nothing is said by colour alone.
+    pub color: bool,
+}
+
+impl Default for Style {
+    /// 80 characters, no colour.
+    fn default() -> Style {
+        Style { width: 80, color: false }
+    }
+}
+
+impl Style {
+    fn columns(&self) -> usize {
+        self.width.max(60)
+    }
+
+    fn bold(&self, text: &str) -> String {
+        self.paint("1", text)
+    }
+
+    /// Green and bold: can be trusted.
+    fn good(&self, text: &str) -> String {
+        self.paint("1;32", text)
+    }
+
+    /// Red and bold: cannot.
+    fn bad(&self, text: &str) -> String {
+        self.paint("1;31", text)
+    }
+
+    fn paint(&self, code: &str, text: &str) -> String {
+        if self.color { format!("\u{1b}[{code}m{text}\u{1b}[0m") } else { text.to_owned() }
+    }
+}

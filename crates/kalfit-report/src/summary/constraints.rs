@@ -1,0 +1,67 @@
+//! What each constraint costs.
+
+use kalfit::FitRecord;
+use kalfit::record::ConstraintRecord;
+
+use super::Page;
+use crate::number::{DIGITS, plain, probability};
+use crate::table::{Column, Side, table};
+use crate::words::{clean, list};
+
+/// A diagonal Σ of many states has very many; the others are in fit.json.
+const MOST_ROWS: usize = 20;
+/// Level at which the data are said to speak against a constraint.
+const LEVEL: f64 = 0.05;
+
+pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
+    if record.constraints.is_empty() {
+        return String::new();
+    }
+    let mut rows: Vec<&ConstraintRecord> = record.constraints.iter().collect();
+    if rows.len() > MOST_ROWS {
+        rows.sort_by(|a, b| a.p_value.unwrap_or(2.0).total_cmp(&b.p_value.unwrap_or(2.0)));
+        rows.truncate(MOST_ROWS);
+    }
+    let name = |row: &ConstraintRecord| match record.phases.len() {
+        0 | 1 => row.element.clone(),
+        _ => format!("{}: {}", row.phase, row.element),
+    };
+    let figures = |of: fn(&ConstraintRecord) -> Option<f64>, digits: usize| -> Vec<String> {
+        rows.iter().map(|&row| of(row).map_or_else(|| "-".to_owned(), |x| plain(x, digits))).collect()
+    };
+    let p_values = rows.iter().map(|r| r.p_value.map_or_else(|| "-".to_owned(), probability)).collect();
+    let columns = [
+        Column::new("element", Side::Left, rows.iter().map(|r| name(r)).collect()),
+        Column::new("held at", Side::Right, figures(|r| Some(r.value), DIGITS)),
+        Column::new("dℓ/dvalue", Side::Right, figures(|r| r.sensitivity, 3)),
+        Column::new("p-value", Side::Right, p_values),
+        Column::new("if freed", Side::Right, figures(|r| r.expected_change.map(|c| r.value + c), 3)),
+    ];
+    let body = table(&columns, page.width()) + &page.items(&remarks(record, rows.len()));
+    page.section("Constraints: what they cost (score test of each by itself)", &body)
+}
+
+fn remarks(record: &FitRecord, shown: usize) -> Vec<String> {
+    let mut remarks = Vec::new();
+    if record.constraints.len() > shown {
+        remarks.push(format!(
+            "These are the {shown} of {} constraints with the smallest p-values.",
+            record.constraints.len()
+        ));
+    }
+    let tested = record.constraints.iter().filter(|c| c.p_value.is_some()).count();
+    let against: Vec<String> = record
+        .constraints
+        .iter()
+        .filter(|c| c.p_value.is_some_and(|p| p * (tested as f64) < LEVEL))
+        .map(|c| clean(&c.element))
+        .collect();
+    let counted = if tested > 1 { format!(", counting that there are {tested}") } else { String::new() };
+    if !against.is_empty() {
+        remarks.push(format!("The data speak against holding {} (5 % level{counted}).", list(&against, 5)));
+    } else if tested > 0 {
+        let which = if tested == 1 { "the constraint" } else { "any of them" };
+        remarks.push(format!("The data do not speak against {which} (5 % level{counted})."));
+    }
+    remarks
+}

@@ -1,0 +1,90 @@
+//! What the data leave open: a singular Σ, directions that nothing was observed of.
+
+use kalfit::record::{BoundaryRecord, PhaseRecord, UnidentifiedRecord};
+
+use super::Page;
+use crate::number::plain;
+use crate::words::{clean, list};
+
+/// Smaller weights of a unit direction are left out. Weights are in the states' own units, so small ones may matter.
+pub(super) const NEGLIGIBLE: f64 = 1e-6;
+/// No more terms than this of a direction are written out.
+const MOST_TERMS: usize = 6;
+/// No more names than this in a list.
+const MOST_NAMES: usize = 12;
+
+pub(super) fn section(phase: &PhaseRecord, title: &dyn Fn(&str) -> String, page: &Page<'_>) -> String {
+    let mut sentences: Vec<String> = phase.boundary.iter().map(|b| singular(b, phase.states.len())).collect();
+    sentences.extend(phase.unidentified.iter().map(|u| unidentified(u, &phase.states)));
+    page.section(&title("Limits of what the data say"), &page.items(&sentences))
+}
+
+fn singular(boundary: &BoundaryRecord, all: usize) -> String {
+    let (rank, of) = (boundary.rank, boundary.of);
+    let names = |states: &[String]| list(&states.iter().map(|s| clean(s)).collect::<Vec<_>>(), MOST_NAMES);
+    if let ([state], 0) = (boundary.states.as_slice(), rank) {
+        return format!("The variance of {} is estimated as zero.", clean(state));
+    }
+    let part = boundary.states.len() < all && !boundary.states.is_empty();
+    let whose = if part { format!("Σ of {}", names(&boundary.states)) } else { "Σ".to_owned() };
+    if rank == 0 {
+        return format!("{whose} is estimated as zero: the tests do not differ in it beyond their noise.");
+    }
+    let why = match (boundary.zero_variances.len(), of.saturating_sub(rank)) {
+        (0, 1) => "one combination of these states does not vary from test to test, as far as the data tell".to_owned(),
+        (0, missing) => {
+            format!("{missing} combinations of these states do not vary from test to test, as far as the data tell")
+        }
+        (1, _) => format!("the variance of {} is estimated as zero", names(&boundary.zero_variances)),
+        _ => format!("the variances of {} are estimated as zero", names(&boundary.zero_variances)),
+    };
+    format!("{whose} is singular: rank {rank} of {of}; {why}.")
+}
+
+fn unidentified(found: &UnidentifiedRecord, states: &[String]) -> String {
+    let mean = found.what == "mean";
+    let names = if found.elements.is_empty() { states } else { &found.elements };
+    let weights = found.direction.iter().zip(names).filter(|(w, _)| w.abs() > NEGLIGIBLE && w.is_finite());
+    let mut terms: Vec<(f64, &String)> = weights.map(|(&w, name)| (w, name)).collect();
+    terms.sort_by(|a, b| b.0.abs().total_cmp(&a.0.abs()));
+    let direction = match (terms.as_slice(), mean) {
+        ([], _) => return format!("A direction of the {} is not identified.", clean(&found.what)),
+        ([(_, only)], true) => format!("the mean of {}", clean(only)),
+        ([(_, only)], false) => match covariance_of(only) {
+            Some((a, b)) if a == b => format!("the variance of {}", clean(a)),
+            Some((a, b)) => format!("the covariance of {} and {}", clean(a), clean(b)),
+            None => format!("the covariance {}", clean(only)),
+        },
+        (terms, true) => format!("the combination {} of the means", combination(terms, &|name| clean(name))),
+        (terms, false) => format!("the combination {}", combination(terms, &short)),
+    };
+    format!("Not identified: the data say nothing about {direction}; its start value was kept.")
+}
+
+/// The two states of `a, b` or `covariance[a, b]`.
+pub(super) fn covariance_of(element: &str) -> Option<(&str, &str)> {
+    element.strip_prefix("covariance[").and_then(|e| e.strip_suffix(']')).unwrap_or(element).split_once(", ")
+}
+
+fn short(element: &str) -> String {
+    match covariance_of(element) {
+        Some((a, b)) if a == b => format!("var({})", clean(a)),
+        Some((a, b)) => format!("cov({}, {})", clean(a), clean(b)),
+        None => clean(element),
+    }
+}
+
+fn combination(terms: &[(f64, &String)], word: &dyn Fn(&str) -> String) -> String {
+    let sign = terms[0].0.signum();
+    let mut text = String::new();
+    for (i, (weight, name)) in terms.iter().take(MOST_TERMS).enumerate() {
+        let weight = weight * sign;
+        let joint = match (i, weight < 0.0) {
+            (0, _) => "",
+            (_, true) => " - ",
+            (_, false) => " + ",
+        };
+        text.push_str(&format!("{joint}{} {}", plain(weight.abs(), 2), word(name)));
+    }
+    if terms.len() > MOST_TERMS { text + " + …" } else { text }
+}

@@ -1,0 +1,91 @@
+//! The first lines: can the result be trusted, and what was fitted to what.
+
+use kalfit::FitRecord;
+
+use super::Page;
+use crate::number::{hundredths, plain};
+use crate::words::{clean, count, list};
+
+pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
+    let mut text = String::new();
+    if !record.title.trim().is_empty() {
+        text.push_str(&format!("{}\n\n", page.heading(&clean(&record.title))));
+    }
+    let verdict = page.paragraph(&verdict(record));
+    let paint = |line: &str| if record.converged { page.style.good(line) } else { page.style.bad(line) };
+    text.extend(verdict.lines().map(|line| paint(line) + "\n"));
+    if !record.converged {
+        text.push_str(&page.paragraph(&shortfall(record)));
+    }
+    text.push('\n');
+    text.push_str(&page.paragraph(&data(record)));
+    text.push_str(&page.paragraph(&likelihood(record)));
+    text
+}
+
+/// One sentence on whether the result can be trusted.
+fn verdict(record: &FitRecord) -> String {
+    if !record.converged {
+        let reason = clean(&record.reason);
+        let reason = reason.trim().trim_end_matches('.');
+        let reason = if reason.is_empty() { "no reason was given" } else { reason };
+        return format!(
+            "Not converged: {reason}. The figures below are where the solver stopped, not a maximum of the likelihood."
+        );
+    }
+    let what = if record.criterion == "reml" { "restricted maximum-likelihood" } else { "maximum-likelihood" };
+    let edge = record.phases.iter().any(|p| !p.boundary.is_empty());
+    let blind = record.phases.iter().any(|p| !p.unidentified.is_empty());
+    let where_ = match (edge, blind) {
+        (false, false) => "",
+        (true, false) => " on the boundary of the possible covariances",
+        (false, true) => " of all that the data identify",
+        (true, true) => " of all that the data identify, on the boundary of the possible covariances",
+    };
+    format!("Converged: the optimality certificate holds, so these are the {what} estimates{where_}.")
+}
+
+/// What the certificate lacks.
+fn shortfall(record: &FitRecord) -> String {
+    let c = &record.certificate;
+    let figures = [
+        ("mean", c.mean),
+        ("covariance", c.covariance),
+        ("null space of Σ", c.null_space),
+        ("parameters", c.parameters),
+    ];
+    let figures = figures.map(|(name, x)| format!("{name} {}", plain(x, 2)));
+    format!("Optimality conditions are missed, in standard errors, by: {}.", figures.join(", "))
+}
+
+fn data(record: &FitRecord) -> String {
+    let d = &record.data;
+    let counts = [count(d.tests, "test"), count(d.steps, "step"), count(d.observations, "observation")].join(", ");
+    let files: Vec<String> = d.files.iter().map(|f| clean(f)).collect();
+    let from = if files.is_empty() { String::new() } else { format!(" from {}", list(&files, 3)) };
+    let designs = match (d.design_classes, d.tests) {
+        (_, 0 | 1) => String::new(),
+        (1, _) => "; all tests share one design".to_owned(),
+        (n, tests) if n == tests => "; every test has a design of its own".to_owned(),
+        (n, _) => format!("; {n} different designs"),
+    };
+    let roots = match d.square_root_tests {
+        0 => String::new(),
+        1 => "; 1 test took the square-root path".to_owned(),
+        n => format!("; {n} tests took the square-root path"),
+    };
+    format!("Data: {counts}{from}{designs}{roots}.")
+}
+
+fn likelihood(record: &FitRecord) -> String {
+    let name = match (record.log_likelihood_kind.as_str(), record.criterion.as_str()) {
+        ("estimates", _) => "Log-likelihood of the estimates",
+        (_, "reml") => "Restricted log-likelihood",
+        _ => "Log-likelihood",
+    };
+    let mut parts =
+        vec![format!("{name} {}", hundredths(record.log_likelihood)), count(record.free_parameters, "free parameter")];
+    parts.extend(record.aic.map(|x| format!("AIC {}", hundredths(x))));
+    parts.extend(record.bic.map(|x| format!("BIC {}", hundredths(x))));
+    parts.join(", ") + "."
+}

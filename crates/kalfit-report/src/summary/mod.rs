@@ -1,0 +1,97 @@
+//! The summary of a fit, in the order in which a test engineer asks: can it be trusted, what is it, what is doubtful.
+
+mod constraints;
+mod correlations;
+mod doubts;
+mod headline;
+mod outliers;
+mod parameters;
+mod states;
+
+use kalfit::FitRecord;
+use kalfit::record::PhaseRecord;
+
+use crate::words::{clean, count, wrap};
+use crate::{Style, number};
+
+/// The fit in words and tables. Every line fits `style.width` and ends with a line feed. Works from the record alone and copes
+/// with any record, also with one whose lists do not match in length; figures that are not finite are said to be unknown.
+pub fn summary(record: &FitRecord, style: &Style) -> String {
+    let page = Page { style };
+    let mut sections = vec![headline::section(record, &page)];
+    for phase in &record.phases {
+        sections.extend(phase_sections(record, phase, &page));
+    }
+    sections.push(parameters::section(record, &page));
+    sections.push(constraints::section(record, &page));
+    sections.push(outliers::section(record, &page));
+    sections.push(notes(record, &page));
+    sections.push(work(record, &page));
+    sections.retain(|s| !s.is_empty());
+    sections.join("\n")
+}
+
+fn phase_sections(record: &FitRecord, phase: &PhaseRecord, page: &Page<'_>) -> Vec<String> {
+    let title = |what: &str| match record.phases.len() {
+        1 => what.to_owned(),
+        _ => format!("Phase {}: {}{}", clean(&phase.name), what[..1].to_lowercase(), &what[1..]),
+    };
+    vec![
+        states::section(phase, &title, page),
+        correlations::section(phase, &title, page),
+        doubts::section(phase, &title, page),
+    ]
+}
+
+fn notes(record: &FitRecord, page: &Page<'_>) -> String {
+    let lines: Vec<String> = record.notes.iter().map(|note| clean(note)).collect();
+    page.section("Notes", &page.items(&lines))
+}
+
+fn work(record: &FitRecord, page: &Page<'_>) -> String {
+    let solver = &record.solver;
+    page.paragraph(&format!(
+        "Solver {}: {} over the reductions, {} of the filters, {}.",
+        clean(&solver.solver),
+        count(solver.iterations, "pass"),
+        count(solver.filter_passes, "run"),
+        number::seconds(solver.seconds)
+    ))
+}
+
+/// What all sections are laid out with.
+struct Page<'a> {
+    style: &'a Style,
+}
+
+impl Page<'_> {
+    fn width(&self) -> usize {
+        self.style.columns()
+    }
+
+    /// A heading over a body; nothing when the body is empty.
+    fn section(&self, heading: &str, body: &str) -> String {
+        if body.is_empty() {
+            return String::new();
+        }
+        format!("{}\n{body}", self.heading(heading))
+    }
+
+    fn heading(&self, heading: &str) -> String {
+        let wrapped = wrap(heading, self.width(), 0);
+        wrapped.lines().map(|line| self.style.bold(line)).collect::<Vec<_>>().join("\n")
+    }
+
+    fn paragraph(&self, text: &str) -> String {
+        wrap(text, self.width(), 0) + "\n"
+    }
+
+    /// A list of sentences, indented as tables are.
+    fn items(&self, sentences: &[String]) -> String {
+        sentences.iter().map(|s| indent(&wrap(s, self.width() - 2, 2))).collect()
+    }
+}
+
+fn indent(text: &str) -> String {
+    text.lines().map(|line| format!("  {line}\n")).collect()
+}

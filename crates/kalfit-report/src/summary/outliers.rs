@@ -1,0 +1,56 @@
+//! Tests that do not look like the others.
+
+use kalfit::FitRecord;
+use kalfit::record::TestRecord;
+
+use super::Page;
+use crate::number::{plain, probability};
+use crate::table::{Column, Side, table};
+use crate::words::clean;
+
+/// Level of the whole search, not of each test.
+const LEVEL: f64 = 0.05;
+const MOST_ROWS: usize = 5;
+
+pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
+    let mut tested: Vec<(f64, &TestRecord)> =
+        record.tests.iter().filter_map(|t| t.p_value.filter(|p| p.is_finite()).map(|p| (p, t))).collect();
+    tested.sort_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.id.cmp(&b.1.id)));
+    let Some(&(least, nearest)) = tested.first() else { return String::new() };
+    let all = tested.len();
+    let corrected = |p: f64| (p * all as f64).min(1.0);
+    let outliers: Vec<(f64, &TestRecord)> = tested.into_iter().filter(|&(p, _)| corrected(p) < LEVEL).collect();
+    if outliers.is_empty() {
+        let which = if all == 1 { "its p-value".to_owned() } else { format!("the smallest of {all} p-values") };
+        let then = match all {
+            1 => String::new(),
+            _ => format!(", or {} with Bonferroni's correction", probability(corrected(least))),
+        };
+        let sentence =
+            format!("No test stands out: {which} is {} (test {}){then}.", probability(least), clean(&nearest.id));
+        return page.section("Outlying tests", &page.items(&[sentence]));
+    }
+    let rows = &outliers[..outliers.len().min(MOST_ROWS)];
+    let columns = [
+        Column::new("test", Side::Left, rows.iter().map(|(_, t)| t.id.clone()).collect()),
+        Column::new("distance²", Side::Right, rows.iter().map(|(_, t)| distance(t)).collect()),
+        Column::new("expected", Side::Right, rows.iter().map(|(_, t)| t.degrees_of_freedom.to_string()).collect()),
+        Column::new("p-value", Side::Right, rows.iter().map(|&(p, _)| probability(p)).collect()),
+        Column::new(
+            &format!("times {all}"),
+            Side::Right,
+            rows.iter().map(|&(p, _)| probability(corrected(p))).collect(),
+        ),
+    ];
+    let more = match outliers.len() - rows.len() {
+        0 => String::new(),
+        n => format!(" (and {n} more)"),
+    };
+    let stands = if outliers.len() == 1 { "This test stands out" } else { "These tests stand out" };
+    let sentence = format!("{stands}{more} even though the search went over {all} tests (Bonferroni, 5 % level).");
+    page.section("Outlying tests", &(table(&columns, page.width()) + &page.items(&[sentence])))
+}
+
+fn distance(test: &TestRecord) -> String {
+    test.distance.map_or_else(|| "-".to_owned(), |d| plain(d, 3))
+}

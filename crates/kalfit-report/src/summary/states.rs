@@ -1,0 +1,106 @@
+//! μ and the standard deviations, state by state, with what else shifts the mean.
+
+use kalfit::record::{PhaseRecord, ScaleRecord, UnidentifiedRecord};
+
+use super::Page;
+use super::doubts::{NEGLIGIBLE, covariance_of};
+use crate::number::Precision;
+use crate::table::{Column, Side, table};
+use crate::words::clean;
+
+/// A figure and what is known of its error, in two cells.
+pub(super) type Cells = (String, String);
+
+pub(super) fn section(phase: &PhaseRecord, title: &dyn Fn(&str) -> String, page: &Page<'_>) -> String {
+    if phase.states.is_empty() {
+        return page.paragraph(&title("Initial state: nothing of it is estimated."));
+    }
+    let p = phase.states.len();
+    let (mean, mean_error): (Vec<_>, Vec<_>) = (0..p).map(|i| mean(phase, i)).unzip();
+    let (std_dev, std_dev_error): (Vec<_>, Vec<_>) = (0..p).map(|i| std_dev(phase, i)).unzip();
+    let units = (0..p).map(|i| phase.units.get(i).cloned().flatten().unwrap_or_default()).collect();
+    let columns = [
+        Column::new("state", Side::Left, phase.states.clone()),
+        Column::new("unit", Side::Left, units),
+        Column::new("mean", Side::Right, mean),
+        Column::new("", Side::Left, mean_error),
+        Column::new("std dev", Side::Right, std_dev),
+        Column::new("", Side::Left, std_dev_error),
+    ];
+    let heading = title("Initial state over the tests (± standard error)");
+    page.section(&heading, &table(&columns, page.width())) + &scales(phase, page) + &regression(phase, page)
+}
+
+fn mean(phase: &PhaseRecord, i: usize) -> Cells {
+    let Some(&estimate) = phase.mean.estimate.get(i) else { return Default::default() };
+    let fixed = phase.mean.fixed.get(i).copied().unwrap_or(false);
+    let error = phase.mean.std_error.get(i).copied().flatten();
+    cells(estimate, error, fixed, &|| {
+        touches(&phase.unidentified, "mean", &phase.states, &|e| e == phase.states[i]).then_some("not identified")
+    })
+}
+
+fn std_dev(phase: &PhaseRecord, i: usize) -> Cells {
+    let Some(&estimate) = phase.std_dev.estimate.get(i) else { return Default::default() };
+    let name = &phase.states[i];
+    if phase.boundary.iter().any(|b| b.zero_variances.contains(name)) {
+        return ("0".to_owned(), "at zero (boundary)".to_owned());
+    }
+    let fixed = phase.covariance.fixed.get(i).and_then(|row| row.get(i)).copied().unwrap_or(false);
+    let error = phase.std_dev.std_error.get(i).copied().flatten();
+    cells(estimate, error, fixed, &|| {
+        let is_variance = |element: &str| covariance_of(element).is_some_and(|(a, b)| a == name && b == name);
+        let singular = phase.boundary.iter().any(|b| b.states.contains(name));
+        match touches(&phase.unidentified, "covariance", &[], &is_variance) {
+            true => Some("not identified"),
+            false => singular.then_some("boundary"),
+        }
+    })
+}
+
+/// The figure with `± error`, or with the reason why there is none.
+pub(super) fn cells(estimate: f64, error: Option<f64>, fixed: bool, why: &dyn Fn() -> Option<&'static str>) -> Cells {
+    let precision = Precision::of(estimate, error.filter(|_| !fixed));
+    let beside = match error.filter(|e| e.is_finite()) {
+        _ if fixed => "fixed".to_owned(),
+        Some(error) => format!("± {}", precision.show_error(error)),
+        None => why().unwrap_or("± unknown").to_owned(),
+    };
+    (precision.show(estimate), beside)
+}
+
+/// True when some unidentified direction of this kind has weight on an element that `wanted` picks. `names` stand for the
+/// elements of a direction that does not name its own.
+fn touches(directions: &[UnidentifiedRecord], what: &str, names: &[String], wanted: &dyn Fn(&str) -> bool) -> bool {
+    directions.iter().filter(|u| u.what == what).any(|u| {
+        let names = if u.elements.is_empty() { names } else { &u.elements };
+        names.iter().zip(&u.direction).any(|(name, w)| wanted(name) && w.abs() > NEGLIGIBLE)
+    })
+}
+
+fn scales(phase: &PhaseRecord, page: &Page<'_>) -> String {
+    let line = |scale: &Option<ScaleRecord>, what: &str| {
+        scale.as_ref().map_or(String::new(), |s| {
+            let (value, error) = cells(s.estimate, s.std_error, false, &|| None);
+            page.items(&[format!("{what}: {value} {error}.")])
+        })
+    };
+    line(&phase.mean.scale, "The mean is the given direction times a scale")
+        + &line(&phase.covariance.scale, "The covariance is the given matrix times a scale")
+}
+
+fn regression(phase: &PhaseRecord, page: &Page<'_>) -> String {
+    let rows = &phase.mean.regression;
+    let (values, errors): (Vec<_>, Vec<_>) =
+        rows.iter().map(|r| cells(r.estimate, r.std_error, false, &|| None)).unzip();
+    if rows.is_empty() {
+        return String::new();
+    }
+    let columns = [
+        Column::new("mean of", Side::Left, rows.iter().map(|r| r.state.clone()).collect()),
+        Column::new("per unit of", Side::Left, rows.iter().map(|r| clean(&r.column)).collect()),
+        Column::new("coefficient", Side::Right, values),
+        Column::new("", Side::Left, errors),
+    ];
+    format!("\n{}", table(&columns, page.width()))
+}

@@ -1,0 +1,127 @@
+//! Tables without rules: columns set apart by two spaces, two spaces in front. A column without a heading belongs to the
+//! one before it and stands closer.
+
+use comfy_table::presets::NOTHING;
+use comfy_table::{CellAlignment, ColumnConstraint, ContentArrangement, Table, Width};
+
+use crate::words::clean;
+
+const INDENT: usize = 2;
+const GAP: u16 = 2;
+/// A name wider than this goes on in the next line of its cell.
+const WIDEST_NAME: u16 = 36;
+
+/// Side a column leans to: names left, figures right.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Side {
+    Left,
+    Right,
+}
+
+/// One column: its heading, its side, its cells.
+#[derive(Debug, Clone)]
+pub(crate) struct Column {
+    heading: String,
+    side: Side,
+    cells: Vec<String>,
+}
+
+impl Column {
+    pub(crate) fn new(heading: &str, side: Side, cells: Vec<String>) -> Column {
+        Column { heading: clean(heading), side, cells: cells.iter().map(|c| clean(c)).collect() }
+    }
+
+    fn width(&self) -> usize {
+        let widest = self.cells.iter().map(|c| c.chars().count()).max().unwrap_or(0);
+        widest.max(self.heading.chars().count()).min(usize::from(WIDEST_NAME)).max(1) + usize::from(GAP)
+    }
+
+    fn is_empty(&self) -> bool {
+        self.cells.iter().all(String::is_empty)
+    }
+}
+
+/// The columns side by side, each line ended. Columns without any cell filled are left out.
+pub(crate) fn table(columns: &[Column], width: usize) -> String {
+    let columns: Vec<&Column> = columns.iter().filter(|c| !c.is_empty()).collect();
+    let rows = columns.iter().map(|c| c.cells.len()).max().unwrap_or(0);
+    let mut table = Table::new();
+    table.load_style(NOTHING).set_content_arrangement(ContentArrangement::Dynamic);
+    table.set_width(u16::try_from(width.saturating_sub(INDENT)).unwrap_or(u16::MAX));
+    table.set_header(columns.iter().map(|c| c.heading.clone()).collect::<Vec<String>>());
+    for row in 0..rows {
+        table.add_row(columns.iter().map(|c| c.cells.get(row).cloned().unwrap_or_default()).collect::<Vec<String>>());
+    }
+    for (i, (column, shape)) in columns.iter().zip(table.column_iter_mut()).enumerate() {
+        let belongs = columns.get(i + 1).is_some_and(|next| next.heading.is_empty());
+        shape.set_padding((0, if belongs { 1 } else { GAP }));
+        shape.set_cell_alignment(match column.side {
+            Side::Left => CellAlignment::Left,
+            Side::Right => CellAlignment::Right,
+        });
+        shape.set_constraint(ColumnConstraint::UpperBoundary(Width::Fixed(WIDEST_NAME + GAP)));
+    }
+    table.lines().map(|line| format!("{}{}\n", " ".repeat(INDENT), line.trim_end()).replace("  \n", "\n")).collect()
+}
+
+/// A table too wide for the page as several, one below the other: `first` leads each, with as many of the others as fit. Rows
+/// for which no column of a part has a cell filled are left out of that part.
+pub(crate) fn wide_table(first: &Column, others: &[Column], width: usize) -> String {
+    let room = width.saturating_sub(INDENT + first.width());
+    let mut parts: Vec<Vec<&Column>> = Vec::new();
+    let mut used = usize::MAX;
+    for column in others.iter().filter(|c| !c.is_empty()) {
+        if used.saturating_add(column.width()) > room {
+            parts.push(Vec::new());
+            used = 0;
+        }
+        used += column.width();
+        parts.last_mut().expect("a part was just opened").push(column);
+    }
+    let part = |columns: &Vec<&Column>| {
+        let rows: Vec<usize> = (0..first.cells.len())
+            .filter(|&row| columns.iter().any(|c| c.cells.get(row).is_some_and(|cell| !cell.is_empty())))
+            .collect();
+        let pick = |c: &Column| Column {
+            cells: rows.iter().map(|&row| c.cells.get(row).cloned().unwrap_or_default()).collect(),
+            ..c.clone()
+        };
+        let picked: Vec<Column> = std::iter::once(first).chain(columns.iter().copied()).map(pick).collect();
+        table(&picked, width)
+    };
+    parts.iter().map(part).collect::<Vec<_>>().join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn column(heading: &str, side: Side, cells: &[&str]) -> Column {
+        Column::new(heading, side, cells.iter().map(|&c| c.to_owned()).collect())
+    }
+
+    #[test]
+    fn names_lean_left_and_figures_right() {
+        let names = column("state", Side::Left, &["a", "slope"]);
+        let empty = column("unit", Side::Left, &["", ""]);
+        let figures = column("mean", Side::Right, &["1.25", "251.4"]);
+        insta::assert_snapshot!(table(&[names, empty, figures], 80), @r"
+          state   mean
+          a       1.25
+          slope  251.4
+        ");
+    }
+
+    #[test]
+    fn every_line_fits_however_narrow_the_page() {
+        let long = "a_name_that_goes_on_and_on_and_on_without_an_end";
+        let names = column("state", Side::Left, &[long, "b"]);
+        let figures: Vec<Column> =
+            (0..12).map(|i| column(&format!("c{i}"), Side::Right, &["1.25 ± 0.1", "2"])).collect();
+        for width in 60..120 {
+            for line in wide_table(&names, &figures, width).lines() {
+                assert!(line.chars().count() <= width, "{} > {width}: {line}", line.chars().count());
+            }
+        }
+    }
+}
