@@ -1,1 +1,47 @@
-//! (in progress)
+//! Tables in, tests out: CSV, Parquet and Arrow IPC, from files and standard input, as [`Test`](kalfit::Test)s of the core.
+//!
+//! [`read`] goes through the inputs once, row by row, and hands complete tests to a [`Sink`] in batches, so that an
+//! ensemble whose tests stand together in the data is never held whole. When a test comes back after another one began,
+//! the sink is told to [restart](Sink::restart), and everything is read again with the rows gathered by test first.
+//!
+//! # What is read
+//!
+//! * **Columns.** Those the model names, those of the layout, no others; each file may have its own order and kind.
+//! * **Kind of a file.** By its extension (`.csv .tsv .txt`, `.parquet .pq`, `.arrow .ipc .feather .arrows`), else by its
+//!   first bytes, else CSV. Standard input goes by its first bytes.
+//! * **CSV.** A header is required. The delimiter is whichever of comma, semicolon and tab occurs most often outside
+//!   quotes in the header line (comma wins a draw); in a `.tsv` file it is the tab. Lines end with LF or CRLF, and a byte
+//!   order mark is skipped. Blank lines are skipped, except between the rows of a file of one column, where a blank line
+//!   could be a missing cell and is an error.
+//! * **Missing cells.** Empty, `NA`, `NaN` (`nan`, `NAN`), `null` (`NULL`, `Null`), nulls of Parquet and Arrow, and what
+//!   [`Layout::missing`](kalfit::Layout) adds: by its text, and in numeric columns also by its value (`-99` is `-99.0`).
+//!   Spaces around a number do not count; texts are kept as they are.
+//! * **Texts** of other columns than text columns: integers and whole floats print as the integer, other floats in the
+//!   shortest form that reads back the same, booleans as `true` and `false`, dates and timestamps as in ISO 8601.
+//! * **Times** are numbers, or date-times (ISO 8601, RFC 3339; Parquet and Arrow timestamps and dates) that are read as
+//!   time since the test's first row in the model's time unit. Date-times without an offset are taken on a clock that
+//!   never jumps; with and without an offset do not mix.
+//!
+//! # Hostile files
+//!
+//! Nothing here trusts its input: what a file declares is checked against its size before memory is asked for, and a
+//! panic of the Parquet or Arrow libraries on broken bytes is caught and becomes [`DataError::Crashed`] (the panic hook
+//! still runs). This needs unwinding: do not build with `panic = "abort"`.
+
+mod cell;
+mod error;
+mod gather;
+mod hint;
+mod input;
+mod kind;
+mod moment;
+mod pass;
+mod reading;
+mod row;
+mod spool;
+mod table;
+mod wanted;
+
+pub use error::{DataError, Place, ReadError};
+pub use input::Input;
+pub use reading::{Reading, SINGLE_TEST, Sink, read, read_from};

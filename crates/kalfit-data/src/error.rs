@@ -1,0 +1,365 @@
+//! What can be wrong with data.
+
+use std::fmt;
+use std::io;
+
+use arrow::error::ArrowError;
+use parquet::errors::ParquetError;
+
+use crate::reading::Reading;
+
+/// A cell of a file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Place {
+    /// The file, as it was given.
+    pub file: String,
+    /// Its row: the line of a CSV file (the header is line 1), else the number of the row from 1.
+    pub row: u64,
+    /// Name of the column.
+    pub column: String,
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}, row {}, column `{}`", self.file, self.row, self.column)
+    }
+}
+
+/// Why reading ended early.
+#[derive(Debug, thiserror::Error)]
+pub enum ReadError<E> {
+    /// The data are wrong.
+    #[error(transparent)]
+    Data(#[from] DataError),
+    /// The sink refused a test.
+    #[error("{error}")]
+    Sink {
+        /// What it said.
+        error: E,
+        /// What was read so far: [`Reading::place`] turns the sources of the error into files and rows.
+        reading: Box<Reading>,
+    },
+}
+
+/// What is wrong with the data. The message says where, what was found and what was expected; [`DataError::hint`] says
+/// what to do, where that is known.
+#[derive(Debug, thiserror::Error)]
+pub enum DataError {
+    /// No file was given.
+    #[error("no data were given: expected a file, a pattern or `-`")]
+    NoInput,
+    /// A pattern cannot be read.
+    #[error("`{pattern}` is not a pattern of file names: {reason} at character {position}")]
+    Pattern {
+        /// The pattern.
+        pattern: String,
+        /// Character where it goes wrong, from 1.
+        position: usize,
+        /// What is wrong there.
+        reason: &'static str,
+    },
+    /// A pattern matches no file.
+    #[error("no file matches `{pattern}`")]
+    NoMatch {
+        /// The pattern.
+        pattern: String,
+    },
+    /// One file was given twice.
+    #[error("the same data were given twice: `{first}` and `{second}`")]
+    SameFile {
+        /// As first given.
+        first: String,
+        /// As given again.
+        second: String,
+    },
+    /// Two files would be tests with the same id.
+    #[error("`{first}` and `{second}` would both be test `{id}`")]
+    SameTest {
+        /// The id.
+        id: String,
+        /// The first file.
+        first: String,
+        /// The second file.
+        second: String,
+    },
+    /// A directory was given.
+    #[error("`{file}` is a directory, expected a file")]
+    Directory {
+        /// Its path.
+        file: String,
+    },
+    /// The system could not read.
+    #[error("cannot read {file}: {source}")]
+    Io {
+        /// The file.
+        file: String,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// A kind of file that is not read.
+    #[error("{file} is {found}, expected CSV, Parquet or Arrow IPC")]
+    Kind {
+        /// The file.
+        file: String,
+        /// What it is, with its article.
+        found: &'static str,
+    },
+    /// A file of no bytes.
+    #[error("{file} is empty, expected a header and rows")]
+    Empty {
+        /// The file.
+        file: String,
+    },
+    /// A table of no rows.
+    #[error("{file} has no rows")]
+    NoRows {
+        /// The file.
+        file: String,
+    },
+    /// A column that is needed is not there.
+    #[error("{file} has no column `{column}`, which is needed for {used_in}")]
+    MissingColumn {
+        /// The file.
+        file: String,
+        /// Name of the column.
+        column: String,
+        /// What it is needed for, in words.
+        used_in: String,
+        /// The columns of the file, the likeliest first if one is close.
+        columns: Box<Columns>,
+    },
+    /// A column that is needed is there more than once.
+    #[error("{file} has two columns named `{column}`: its columns {first} and {second}")]
+    DuplicateColumn {
+        /// The file.
+        file: String,
+        /// Name of the column.
+        column: String,
+        /// Position of the first, from 1.
+        first: usize,
+        /// Position of the second, from 1.
+        second: usize,
+    },
+    /// A column's type does not fit its use.
+    #[error("{file}, column `{column}`: found values of type {found}, expected {expected} for {used_in}")]
+    ColumnType {
+        /// The file.
+        file: String,
+        /// Name of the column.
+        column: String,
+        /// What it is used for, in words.
+        used_in: String,
+        /// Its type, in Arrow's words.
+        found: Box<str>,
+        /// What would fit.
+        expected: &'static str,
+    },
+    /// A CSV row has too few or too many cells.
+    #[error("{file}, row {row}: found {found} cells, expected {expected} as in the header")]
+    RowLength {
+        /// The file.
+        file: String,
+        /// Line where the row begins.
+        row: u64,
+        /// Number of its cells.
+        found: usize,
+        /// Number of the header's cells.
+        expected: usize,
+        /// Number of lines of the row; above 1 a quoted cell has line ends in it.
+        lines: u64,
+    },
+    /// A CSV quote that is never closed.
+    #[error("{file}, row {row}: found a quote that is still open at the end of the file, expected another `\"`")]
+    OpenQuote {
+        /// The file.
+        file: String,
+        /// Line where the row begins.
+        row: u64,
+    },
+    /// A blank line that may be a missing cell.
+    #[error("{file}, row {row}: found a blank line in a file of one column, expected a value or `NA`")]
+    BlankRow {
+        /// The file.
+        file: String,
+        /// The line.
+        row: u64,
+    },
+    /// A CSV row without an end in sight.
+    #[error("{file}, row {row}: found a row of more than {limit} bytes")]
+    LongRow {
+        /// The file.
+        file: String,
+        /// Line where the row begins.
+        row: u64,
+        /// The limit.
+        limit: u64,
+    },
+    /// A CSV file whose lines end with carriage returns alone.
+    #[error("{file}, row 1: found carriage returns alone, expected lines that end with LF or CRLF")]
+    CarriageReturns {
+        /// The file.
+        file: String,
+    },
+    /// Bytes that are not UTF-8.
+    #[error("{file}, row {row}: found bytes that are not UTF-8 text{}", column.as_ref().map(|c| format!(" in column `{c}`")).unwrap_or_default())]
+    NotUtf8 {
+        /// The file.
+        file: String,
+        /// Line.
+        row: u64,
+        /// Name of the column, when it is known.
+        column: Option<String>,
+    },
+    /// A cell that is not a number.
+    #[error("{at}: found `{found}`, expected a number")]
+    NotANumber {
+        /// The cell.
+        at: Box<Place>,
+        /// Its text, shortened.
+        found: String,
+    },
+    /// A cell that is not finite.
+    #[error("{at}: found `{found}`, expected a finite number")]
+    Infinite {
+        /// The cell.
+        at: Box<Place>,
+        /// Its text, shortened.
+        found: String,
+    },
+    /// A row does not say which test it belongs to.
+    #[error("{at}: found an empty cell, expected the id of the row's test")]
+    MissingTest {
+        /// The cell.
+        at: Box<Place>,
+    },
+    /// A row has no time.
+    #[error("{at}: found an empty cell, expected the time of the row")]
+    MissingTime {
+        /// The cell.
+        at: Box<Place>,
+    },
+    /// A cell of the time column that is no time.
+    #[error("{at}: found `{found}`, expected a number or a date-time")]
+    NotATime {
+        /// The cell.
+        at: Box<Place>,
+        /// Its text, shortened.
+        found: String,
+    },
+    /// Times go back within a test.
+    #[error("{at}: found time {found} after time {previous} in test `{test}`, expected times that do not decrease")]
+    TimeDecreases {
+        /// The cell.
+        at: Box<Place>,
+        /// Id of the test, shortened.
+        test: String,
+        /// The time.
+        found: Box<str>,
+        /// The time of the test's previous row.
+        previous: Box<str>,
+    },
+    /// Date-times need a unit to be read in.
+    #[error("{at}: found date-times, expected a time unit for them in the model, {}", match found {
+        None => "which has none".to_owned(),
+        Some(unit) => format!("whose `time_unit` is `{unit}`"),
+    })]
+    TimeUnit {
+        /// The first such cell.
+        at: Box<Place>,
+        /// The model's unit.
+        found: Option<String>,
+    },
+    /// Numbers and date-times in one column.
+    #[error("{at}: found {found}, expected {expected} as in {first}")]
+    MixedTimes {
+        /// The cell.
+        at: Box<Place>,
+        /// What it is.
+        found: &'static str,
+        /// What came before.
+        expected: &'static str,
+        /// The first cell of all.
+        first: Box<Place>,
+    },
+    /// A compression inside a Parquet file that is not read.
+    #[error("{file}, column `{column}`: found compression {found}, expected none, snappy or zstd")]
+    Codec {
+        /// The file.
+        file: String,
+        /// Name of the column.
+        column: String,
+        /// The compression.
+        found: Box<str>,
+    },
+    /// A file that declares far more than its bytes can hold.
+    #[error("{file}: found {declared} {what} declared by {bytes} bytes, expected at most {limit}")]
+    Oversized {
+        /// The file.
+        file: String,
+        /// What is declared.
+        what: &'static str,
+        /// How much.
+        declared: u64,
+        /// Bytes that declare it.
+        bytes: u64,
+        /// The most that is believed of them.
+        limit: u64,
+    },
+    /// An Arrow file that does not end as it should.
+    #[error("{file} ends early: found {found} record batches, expected {}", match expected {
+        Some(expected) => format!("{expected}"),
+        None => "a footer after them".to_owned(),
+    })]
+    Truncated {
+        /// The file.
+        file: String,
+        /// Record batches read.
+        found: usize,
+        /// Record batches of the footer, when there is one.
+        expected: Option<usize>,
+    },
+    /// The Parquet library refused the file.
+    #[error("{file} is not a sound Parquet file: {source}")]
+    Parquet {
+        /// The file.
+        file: String,
+        /// What it said.
+        source: Box<ParquetError>,
+    },
+    /// The Arrow library refused the file.
+    #[error("{file} is not a sound Arrow IPC file: {source}")]
+    Arrow {
+        /// The file.
+        file: String,
+        /// What it said.
+        source: Box<ArrowError>,
+    },
+    /// A library panicked on broken bytes.
+    #[error("{file} is not a sound {format} file: its contents contradict each other")]
+    Crashed {
+        /// The file.
+        file: String,
+        /// The kind of file.
+        format: &'static str,
+    },
+}
+
+/// The columns a file has, and the one that was probably meant.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Columns {
+    /// The column whose name is close, if there is one.
+    pub near: Option<String>,
+    /// All names, in the order of the file.
+    pub names: Vec<String>,
+}
+
+/// Text of a cell for a message: control characters escaped, and not too long.
+pub(crate) fn shown(cell: &[u8]) -> String {
+    const LONGEST: usize = 60;
+    let text = String::from_utf8_lossy(&cell[..cell.len().min(4 * LONGEST)]);
+    let mut short: String = text.chars().take(LONGEST).flat_map(char::escape_debug).collect();
+    if text.chars().count() > LONGEST || cell.len() > 4 * LONGEST {
+        short.push('…');
+    }
+    short
+}

@@ -1,0 +1,138 @@
+//! Rows into tests.
+
+use std::collections::HashMap;
+
+use kalfit::{Source, Test};
+
+use crate::moment::Moment;
+use crate::row::Row;
+
+/// Gathers rows by test. Streaming, a test is complete when the next one begins; holding, when all is read.
+pub(crate) struct Gather {
+    holds: bool,
+    numbers: usize,
+    texts: usize,
+    /// Numeric cells that the time fills.
+    time_cells: Vec<usize>,
+    /// Ids seen, with their place in `open` (holding).
+    seen: HashMap<String, usize>,
+    /// Tests that may still get rows, in order of first appearance: one while streaming.
+    open: Vec<Open>,
+    /// The test of the last row.
+    current: usize,
+    /// Complete tests, to be handed over.
+    complete: Vec<Test>,
+    /// Cells in `complete`.
+    cells: usize,
+}
+
+/// A test that may still get rows.
+struct Open {
+    test: Test,
+    /// Times of its first and last rows.
+    times: Option<(Moment, Moment)>,
+}
+
+/// What became of a row.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Outcome {
+    /// It stands in its test.
+    Gathered,
+    /// Its test was complete already (streaming only): everything must be read again, holding.
+    Returned,
+    /// Its time is before this one, of the row before it in its test.
+    Before(Moment),
+}
+
+/// A batch is handed over when it has this many tests or cells.
+const BATCH_TESTS: usize = 1024;
+const BATCH_CELLS: usize = 1_000_000;
+
+impl Gather {
+    pub(crate) fn new(holds: bool, numbers: usize, texts: usize, time_cells: Vec<usize>) -> Gather {
+        Gather {
+            holds,
+            numbers,
+            texts,
+            time_cells,
+            seen: HashMap::new(),
+            open: Vec::new(),
+            current: 0,
+            complete: Vec::new(),
+            cells: 0,
+        }
+    }
+
+    /// Puts a row into its test. `unit`: nanoseconds in the unit that date-times are read in.
+    pub(crate) fn push(&mut self, row: &mut Row, source: Source, unit: i128) -> Outcome {
+        if self.open.get(self.current).is_none_or(|open| open.test.id != row.id) {
+            match self.seen.get(&row.id) {
+                Some(_) if !self.holds => return Outcome::Returned,
+                Some(&known) => self.current = known,
+                None => self.begin(&row.id),
+            }
+        }
+        let open = &mut self.open[self.current];
+        if let Some(now) = row.time {
+            let (first, last) = open.times.unwrap_or((now, now));
+            if now < last {
+                return Outcome::Before(last);
+            }
+            open.times = Some((first, now));
+            for &cell in &self.time_cells {
+                row.numbers[cell] = now.value(first, unit);
+            }
+        }
+        open.test.push(&row.numbers, &row.texts, source);
+        Outcome::Gathered
+    }
+
+    fn begin(&mut self, id: &str) {
+        if !self.holds {
+            self.close();
+        }
+        self.current = self.open.len();
+        self.seen.insert(id.to_owned(), self.current);
+        self.open.push(Open { test: Test::new(id, self.numbers, self.texts), times: None });
+    }
+
+    fn close(&mut self) {
+        for open in self.open.drain(..) {
+            self.cells += open.test.rows() * (self.numbers + self.texts).max(1);
+            self.complete.push(open.test);
+        }
+    }
+
+    /// The complete tests, once there are enough of them to hand over.
+    pub(crate) fn batch(&mut self) -> Option<Vec<Test>> {
+        if self.complete.len() < BATCH_TESTS && self.cells < BATCH_CELLS {
+            return None;
+        }
+        self.cells = 0;
+        Some(std::mem::take(&mut self.complete))
+    }
+
+    /// Number of tests seen.
+    pub(crate) fn tests(&self) -> usize {
+        self.seen.len()
+    }
+
+    /// All that is left, in batches.
+    pub(crate) fn finish(mut self) -> Vec<Vec<Test>> {
+        self.close();
+        let width = (self.numbers + self.texts).max(1);
+        let (mut batches, mut batch, mut cells) = (Vec::new(), Vec::new(), 0);
+        for test in self.complete {
+            cells += test.rows() * width;
+            batch.push(test);
+            if batch.len() >= BATCH_TESTS || cells >= BATCH_CELLS {
+                batches.push(std::mem::take(&mut batch));
+                cells = 0;
+            }
+        }
+        if !batch.is_empty() {
+            batches.push(batch);
+        }
+        batches
+    }
+}

@@ -1,0 +1,122 @@
+//! What to do about an error, where that is known.
+
+use crate::error::{Columns, DataError};
+use crate::moment::Moment;
+
+impl DataError {
+    /// What to do about it, in one sentence; None when the message says all.
+    pub fn hint(&self) -> Option<String> {
+        Some(match self {
+            DataError::NoInput => return None,
+            DataError::Pattern { .. } => "give the file's whole name, or write `[*]` for a star and `[?]` for a question mark".into(),
+            DataError::NoMatch { .. } => "`*` stands for any text, `?` for one character, `[ab]` for a or b, `**/` for any folders".into(),
+            DataError::SameFile { .. } => "give each file once: its rows would count twice".into(),
+            DataError::SameTest { .. } => "with `test = \"@file\"` each file needs a name of its own".into(),
+            DataError::Directory { file } => format!("give its files: `{}/*.csv`", file.trim_end_matches('/')),
+            DataError::Kind { found, .. } => kind_hint(found),
+            DataError::MissingColumn { columns, .. } => columns_hint(columns),
+            DataError::DuplicateColumn { .. } => "rename one of them: the model cannot tell which is meant".into(),
+            DataError::ColumnType { found, .. } => type_hint(found)?,
+            DataError::RowLength { found, expected, lines, .. } => length_hint(*found, *expected, *lines),
+            DataError::OpenQuote { .. } => "a quote opens a cell that ends at the next quote; write `\"\"` for a quote inside it".into(),
+            DataError::BlankRow { .. } => "write `NA` for a missing cell, or remove the line".into(),
+            DataError::LongRow { .. } => "a quote that is not closed makes one row of many lines".into(),
+            DataError::CarriageReturns { .. } => "save the file with the line ends of Unix or Windows".into(),
+            DataError::NotUtf8 { .. } => "save the file as UTF-8".into(),
+            DataError::NotANumber { found, .. } => number_hint(found),
+            DataError::Infinite { .. } => "write `NA` where there is no measurement".into(),
+            DataError::MissingTest { .. } => "every row needs the id of its test".into(),
+            DataError::MissingTime { .. } => "every row needs a time when the model names a time column".into(),
+            DataError::NotATime { found, .. } => time_hint(found),
+            DataError::TimeDecreases { .. } => {
+                "sort the rows of each test by time; if these are two tests, give them two ids".into()
+            }
+            DataError::TimeUnit { .. } => "date-times are read as time since the test's first row: set `time_unit` in `[data]` to `s`, `ms`, `us`, `ns`, `min`, `h` or `d`".into(),
+            DataError::MixedTimes { .. } => "write the whole column one way".into(),
+            DataError::Codec { .. } => "write the file again with snappy or zstd".into(),
+            DataError::Truncated { .. } => "the file was not written or copied whole".into(),
+            DataError::Oversized { .. } => "the file is damaged, or made to exhaust memory; if it is sound, split it into several files".into(),
+            DataError::Parquet { .. } | DataError::Arrow { .. } | DataError::Crashed { .. } => "the file may be damaged; if other programs read it, write it again with one of them".into(),
+            DataError::Io { .. } | DataError::Empty { .. } | DataError::NoRows { .. } => return None,
+        })
+    }
+}
+
+fn kind_hint(found: &str) -> String {
+    if found.contains("workbook") {
+        "save the sheet as CSV".into()
+    } else if found.contains("Feather") {
+        "write it again as Feather version 2, which is Arrow IPC, or as Parquet".into()
+    } else {
+        "unpack it first, for instance `gunzip -c data.csv.gz | kalfit fit model.toml -`".into()
+    }
+}
+
+fn columns_hint(columns: &Columns) -> String {
+    const MOST: usize = 12;
+    if let Some(near) = &columns.near {
+        return format!("there is a column `{near}`");
+    }
+    let shown: Vec<String> =
+        columns.names.iter().take(MOST).map(|name| format!("`{}`", crate::error::shown(name.as_bytes()))).collect();
+    let more = columns.names.len().saturating_sub(MOST);
+    let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+    format!("its columns are {}{more}", shown.join(", "))
+}
+
+fn type_hint(found: &str) -> Option<String> {
+    if found.starts_with("Timestamp") || found.starts_with("Date") {
+        Some("only the column that `time` of `[data]` names may hold date-times as times".into())
+    } else if found.contains("Binary") {
+        Some("write the column as text (UTF-8), not as bytes".into())
+    } else {
+        None
+    }
+}
+
+fn length_hint(found: usize, expected: usize, lines: u64) -> String {
+    if lines > 1 {
+        format!("the row runs over {lines} lines: a quote may not be closed")
+    } else if found > expected {
+        "a cell that contains the delimiter needs quotes; a decimal comma needs another delimiter".into()
+    } else {
+        "a missing cell still needs its delimiter".into()
+    }
+}
+
+fn time_hint(found: &str) -> String {
+    if found.contains('/') || found.contains('[') {
+        "write date-times as `2024-03-01T12:00:00` or `2024-03-01T12:00:00+01:00`".into()
+    } else {
+        number_hint(found)
+    }
+}
+
+/// What a text in a numeric column may have meant.
+fn number_hint(found: &str) -> String {
+    let digits = |text: &str| !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit());
+    let unsigned = found.trim_start_matches(['+', '-']);
+    let parts: Vec<&str> = unsigned.split(',').collect();
+    let whole = unsigned.split('.').next().unwrap_or_default();
+    let groups: Vec<&str> = whole.split([',', ' ', '\'', '_', '\u{a0}', '\u{202f}']).collect();
+    let grouped = groups.len() > 1
+        && digits(groups[0])
+        && groups[0].len() <= 3
+        && groups[1..].iter().all(|group| digits(group) && group.len() == 3);
+    let comma = parts.len() == 2 && digits(parts[0]) && parts[1].bytes().next().is_some_and(|b| b.is_ascii_digit());
+    if grouped && comma {
+        "write a decimal comma as `.`, and leave out a separator of thousands".into()
+    } else if grouped {
+        "leave out the separators of thousands".into()
+    } else if comma {
+        "write the decimal comma as `.`".into()
+    } else if Moment::parse(found).is_some() {
+        "date-times are read in the column that `time` of `[data]` names, and nowhere else".into()
+    } else if ["true", "false"].contains(&found.to_ascii_lowercase().as_str()) {
+        "write 1 for true and 0 for false".into()
+    } else if unsigned.starts_with(|c: char| c.is_ascii_digit()) {
+        "a cell holds a number and nothing else; units go into the model file".into()
+    } else {
+        "leave a missing cell empty, or add its text to `missing` of `[data]`".into()
+    }
+}

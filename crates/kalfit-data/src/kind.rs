@@ -1,0 +1,60 @@
+//! Kinds of files, by name and by first bytes.
+
+/// What a file is read as.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Kind {
+    /// Text; with `tab` the delimiter is known.
+    Csv { tab: bool },
+    /// Parquet.
+    Parquet,
+    /// Arrow IPC, file format (Feather version 2).
+    ArrowFile,
+    /// Arrow IPC, stream format.
+    ArrowStream,
+}
+
+/// Number of first bytes that tell kinds apart.
+pub(crate) const HEAD: usize = 8;
+
+const REFUSED: [(&[u8], &str); 7] = [
+    (b"\x1f\x8b", "compressed with gzip"),
+    (b"\x28\xb5\x2f\xfd", "compressed with zstd"),
+    (b"\xfd7zXZ\0", "compressed with xz"),
+    (b"BZh91AY", "compressed with bzip2"),
+    (b"PK\x03\x04", "a zip archive or an Excel workbook"),
+    (b"\xd0\xcf\x11\xe0", "an old Excel workbook"),
+    (b"FEA1", "a Feather file of version 1"),
+];
+
+/// The kind of a file, or what it is that is not read.
+pub(crate) fn detect(extension: Option<&str>, head: &[u8]) -> Result<Kind, &'static str> {
+    if let Some((_, found)) = REFUSED.iter().find(|(magic, _)| head.starts_with(magic)) {
+        return Err(found);
+    }
+    let arrow = if head.starts_with(b"ARROW1") { Kind::ArrowFile } else { Kind::ArrowStream };
+    Ok(match extension {
+        Some("csv" | "txt") => Kind::Csv { tab: false },
+        Some("tsv") => Kind::Csv { tab: true },
+        Some("parquet" | "pq") => Kind::Parquet,
+        Some("arrow" | "ipc" | "feather" | "arrows") => arrow,
+        _ if head.starts_with(b"PAR1") => Kind::Parquet,
+        _ if head.starts_with(b"ARROW1") || head.starts_with(&[0xff; 4]) => arrow,
+        _ => Kind::Csv { tab: false },
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn extensions_go_before_first_bytes() {
+        assert_eq!(detect(Some("csv"), b"PAR1"), Ok(Kind::Csv { tab: false }));
+        assert_eq!(detect(Some("dat"), b"PAR1\x15"), Ok(Kind::Parquet));
+        assert_eq!(detect(None, b"ARROW1\0\0"), Ok(Kind::ArrowFile));
+        assert_eq!(detect(None, &[0xff, 0xff, 0xff, 0xff, 0x10, 0, 0, 0]), Ok(Kind::ArrowStream));
+        assert_eq!(detect(Some("feather"), b"\xff\xff\xff\xff"), Ok(Kind::ArrowStream));
+        assert_eq!(detect(None, b"a,b\n1,2"), Ok(Kind::Csv { tab: false }));
+        assert_eq!(detect(Some("csv"), b"\x1f\x8b\x08"), Err("compressed with gzip"));
+    }
+}

@@ -1,0 +1,149 @@
+//! Times of rows: numbers, or date-times in exact nanoseconds.
+
+use std::fmt;
+
+use jiff::civil::DateTime;
+use jiff::tz::TimeZone;
+use jiff::{SignedDuration, Timestamp};
+
+/// The time of one row.
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
+pub(crate) enum Moment {
+    /// A number in the model's unit.
+    Number(f64),
+    /// A date-time without an offset: nanoseconds since 1970-01-01T00:00 on the same clock.
+    Civil(i128),
+    /// A date-time with an offset: nanoseconds since 1970-01-01T00:00Z.
+    Instant(i128),
+}
+
+const EPOCH: DateTime = DateTime::constant(1970, 1, 1, 0, 0, 0, 0);
+
+impl Moment {
+    /// Reads an ISO 8601 or RFC 3339 date-time; a date alone is its midnight. None when the text is something else,
+    /// or names a time zone in brackets, which an offset cannot replace.
+    pub(crate) fn parse(text: &str) -> Option<Moment> {
+        if text.len() > 64 || text.contains('[') {
+            return None;
+        }
+        if let Ok(instant) = text.parse::<Timestamp>() {
+            return Some(Moment::Instant(instant.as_nanosecond()));
+        }
+        let civil: DateTime = text.parse().ok()?;
+        Some(Moment::Civil(civil.duration_since(EPOCH).as_nanos()))
+    }
+
+    /// What it is, in words.
+    pub(crate) fn kind(self) -> &'static str {
+        match self {
+            Moment::Number(_) => "a number",
+            Moment::Civil(_) => "a date-time without an offset",
+            Moment::Instant(_) => "a date-time with an offset",
+        }
+    }
+
+    /// True when both are numbers, or both date-times of the same kind.
+    pub(crate) fn same_kind(self, other: Moment) -> bool {
+        std::mem::discriminant(&self) == std::mem::discriminant(&other)
+    }
+
+    /// The number the core sees: the number itself, or the time since `first` in units of `unit` nanoseconds.
+    pub(crate) fn value(self, first: Moment, unit: i128) -> f64 {
+        match (self, first) {
+            (Moment::Civil(now), Moment::Civil(first)) | (Moment::Instant(now), Moment::Instant(first)) => {
+                let elapsed = now - first;
+                (elapsed / unit) as f64 + (elapsed % unit) as f64 / unit as f64
+            }
+            (Moment::Number(value), _) => value,
+            _ => f64::NAN, // unreachable: moments of a column are of one kind
+        }
+    }
+}
+
+impl fmt::Display for Moment {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let instant = |nanoseconds: i128| Timestamp::from_nanosecond(nanoseconds).ok();
+        match *self {
+            Moment::Number(value) => write!(f, "{value}"),
+            Moment::Civil(ns) => match instant(ns) {
+                Some(at) => write!(f, "{}", TimeZone::UTC.to_datetime(at)),
+                None => write!(f, "1970-01-01 + {ns} ns"),
+            },
+            Moment::Instant(ns) => match instant(ns) {
+                Some(at) => write!(f, "{at}"),
+                None => write!(f, "1970-01-01Z + {ns} ns"),
+            },
+        }
+    }
+}
+
+/// Text of a date given in days since 1970-01-01.
+pub(crate) fn date_text(days: i64) -> String {
+    match EPOCH.checked_add(SignedDuration::from_hours(days.saturating_mul(24).clamp(-100_000_000, 100_000_000))) {
+        Ok(date) => date.date().to_string(),
+        Err(_) => format!("1970-01-01 + {days} d"),
+    }
+}
+
+/// Nanoseconds in a unit of time, by its symbol or its English name. None when it is not one of fixed length.
+pub(crate) fn unit_nanoseconds(unit: &str) -> Option<i128> {
+    const SECOND: i128 = 1_000_000_000;
+    let unit = unit.trim();
+    let name = if unit.chars().count() > 2 { unit.to_lowercase() } else { unit.to_owned() };
+    Some(match name.as_str() {
+        "ns" | "nanosecond" | "nanoseconds" => 1,
+        "us" | "µs" | "μs" | "usec" | "microsecond" | "microseconds" => 1_000,
+        "ms" | "msec" | "millisecond" | "milliseconds" => 1_000_000,
+        "s" | "sec" | "secs" | "second" | "seconds" => SECOND,
+        "min" | "mins" | "minute" | "minutes" => 60 * SECOND,
+        "h" | "hr" | "hrs" | "hour" | "hours" => 3_600 * SECOND,
+        "d" | "day" | "days" => 86_400 * SECOND,
+        "week" | "weeks" => 7 * 86_400 * SECOND,
+        _ => return None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn iso_texts_are_read_to_the_nanosecond() {
+        assert_eq!(Moment::parse("1970-01-02"), Some(Moment::Civil(86_400_000_000_000)));
+        assert_eq!(Moment::parse("1970-01-01 00:00:01.5"), Some(Moment::Civil(1_500_000_000)));
+        assert_eq!(Moment::parse("1970-01-01T00:00:00.000000001Z"), Some(Moment::Instant(1)));
+        assert_eq!(Moment::parse("1970-01-01T02:00:00+02:00"), Some(Moment::Instant(0)));
+        assert_eq!(Moment::parse("1969-12-31 23:59:59Z"), Some(Moment::Instant(-1_000_000_000)));
+        for other in ["", "12:30", "yesterday", "2024-13-01", "2024-01-01T00:00[Europe/Paris]", "01/02/2024"] {
+            assert_eq!(Moment::parse(other), None, "{other}");
+        }
+    }
+
+    #[test]
+    fn elapsed_time_is_exact_where_a_difference_of_floats_is_not() {
+        let first = Moment::parse("2024-01-01T00:00:00.1Z").unwrap();
+        let later = Moment::parse("2024-01-01T00:00:00.3Z").unwrap();
+        assert_eq!(later.value(first, 1_000_000_000), 0.2);
+        let year = Moment::parse("2025-01-01T00:00:00.1Z").unwrap();
+        assert_eq!(year.value(first, 86_400_000_000_000), 366.0);
+    }
+
+    #[test]
+    fn units_are_known_by_symbol_and_name() {
+        for (unit, expected) in [("ms", 1_000_000), (" s ", 1_000_000_000), ("Hours", 3_600_000_000_000)] {
+            assert_eq!(unit_nanoseconds(unit), Some(expected), "{unit}");
+        }
+        for unit in ["m", "month", "", "S", "fortnight"] {
+            assert_eq!(unit_nanoseconds(unit), None, "{unit}");
+        }
+    }
+
+    #[test]
+    fn moments_print_as_iso_even_far_away() {
+        assert_eq!(Moment::Civil(1_500_000_000).to_string(), "1970-01-01T00:00:01.5");
+        assert_eq!(Moment::Instant(0).to_string(), "1970-01-01T00:00:00Z");
+        assert_eq!(Moment::Civil(i128::MAX).to_string(), format!("1970-01-01 + {} ns", i128::MAX));
+        assert_eq!(date_text(19_723), "2024-01-01");
+        assert_eq!(date_text(i64::MAX), format!("1970-01-01 + {} d", i64::MAX));
+    }
+}

@@ -1,0 +1,131 @@
+//! One pass over all inputs.
+
+use kalfit::{Source, Test};
+
+use crate::error::{DataError, Place, ReadError, shown};
+use crate::gather::{Gather, Outcome};
+use crate::input::Input;
+use crate::moment::{Moment, unit_nanoseconds};
+use crate::reading::{Reading, Sink};
+use crate::row::Row;
+use crate::spool::Spool;
+use crate::table::Table;
+use crate::wanted::Wanted;
+
+/// What a pass must know, the same for every pass.
+pub(crate) struct Job<'a> {
+    inputs: &'a [Input],
+    wanted: &'a Wanted,
+    /// Id of the test of each input; none when a column tells tests apart.
+    ids: Vec<String>,
+    time_unit: Option<String>,
+}
+
+/// How a pass ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Ended {
+    /// Everything was handed over.
+    Complete,
+    /// A test came back after it was complete.
+    MustHold,
+}
+
+/// Times seen so far, which must be of one kind and have a unit if they are date-times.
+struct Times<'a> {
+    wanted: &'a Wanted,
+    time_unit: Option<&'a str>,
+    first: Option<(Moment, Box<Place>)>,
+    /// Nanoseconds in a time unit; 1 when times are numbers.
+    unit: i128,
+}
+
+impl<'a> Job<'a> {
+    pub(crate) fn new(inputs: &'a [Input], wanted: &'a Wanted, ids: Vec<String>, time_unit: Option<String>) -> Job<'a> {
+        Job { inputs, wanted, ids, time_unit }
+    }
+}
+
+/// Reads every input once.
+pub(crate) fn run<S: Sink>(
+    job: &Job<'_>,
+    mut gather: Gather,
+    reading: &mut Reading,
+    sink: &mut S,
+    spool: &mut Spool<'_>,
+) -> Result<Ended, ReadError<S::Error>> {
+    let mut row = Row::new(job.wanted.numbers, job.wanted.texts);
+    let mut times = Times { wanted: job.wanted, time_unit: job.time_unit.as_deref(), first: None, unit: 1 };
+    for (index, input) in job.inputs.iter().enumerate() {
+        let file = input.name();
+        let mut table = Table::open(input, &file, job.wanted, spool)?;
+        if let Some(id) = job.ids.get(index) {
+            row.set_id(id);
+        }
+        let before = reading.rows;
+        while table.next(&mut row, &mut reading.labels)? {
+            times.check(&row, &file)?;
+            let source = Source { file: u32::try_from(index).expect("fewer than 2^32 files"), row: row.number };
+            match gather.push(&mut row, source, times.unit) {
+                Outcome::Gathered => reading.rows += 1,
+                Outcome::Returned => return Ok(Ended::MustHold),
+                Outcome::Before(previous) => return Err(times.decrease(&row, &file, previous).into()),
+            }
+            if let Some(batch) = gather.batch() {
+                hand_over(sink, batch, reading)?;
+            }
+        }
+        if reading.rows == before {
+            return Err(DataError::NoRows { file: file.clone() }.into());
+        }
+    }
+    reading.tests = gather.tests();
+    for batch in gather.finish() {
+        hand_over(sink, batch, reading)?;
+    }
+    Ok(Ended::Complete)
+}
+
+fn hand_over<S: Sink>(sink: &mut S, batch: Vec<Test>, reading: &mut Reading) -> Result<(), ReadError<S::Error>> {
+    sink.tests(batch, &reading.labels)
+        .map_err(|error| ReadError::Sink { error, reading: Box::new(std::mem::take(reading)) })
+}
+
+impl Times<'_> {
+    /// Refuses a time of another kind than the first, and date-times without a unit.
+    fn check(&mut self, row: &Row, file: &str) -> Result<(), DataError> {
+        let Some(now) = row.time else { return Ok(()) };
+        match &self.first {
+            Some((first, _)) if first.same_kind(now) => Ok(()),
+            Some((first, place)) => Err(DataError::MixedTimes {
+                at: self.place(row, file),
+                found: now.kind(),
+                expected: first.kind(),
+                first: place.clone(),
+            }),
+            None => {
+                let at = self.place(row, file);
+                if !matches!(now, Moment::Number(_)) {
+                    let Some(unit) = self.time_unit.and_then(unit_nanoseconds) else {
+                        return Err(DataError::TimeUnit { at, found: self.time_unit.map(str::to_owned) });
+                    };
+                    self.unit = unit;
+                }
+                self.first = Some((now, at));
+                Ok(())
+            }
+        }
+    }
+
+    fn decrease(&self, row: &Row, file: &str, previous: Moment) -> DataError {
+        DataError::TimeDecreases {
+            at: self.place(row, file),
+            test: shown(row.id.as_bytes()),
+            found: row.time.map(|time| time.to_string()).unwrap_or_default().into(),
+            previous: previous.to_string().into(),
+        }
+    }
+
+    fn place(&self, row: &Row, file: &str) -> Box<Place> {
+        self.wanted.time().expect("a row has a time only with a time column").place(file, row.number)
+    }
+}

@@ -1,0 +1,69 @@
+//! Standard input, which comes only once, for a reader that may have to start again.
+
+use std::io::{self, Read};
+
+/// Standard input with a memory: what was read can be read again from the start.
+pub(crate) struct Spool<'a> {
+    source: &'a mut dyn Read,
+    kept: Vec<u8>,
+    keeps: bool,
+}
+
+impl<'a> Spool<'a> {
+    /// Remembers what passes only when `keeps` says that it may be needed again.
+    pub(crate) fn new(source: &'a mut dyn Read, keeps: bool) -> Spool<'a> {
+        Spool { source, kept: Vec::new(), keeps }
+    }
+
+    /// What comes from now on need not be remembered.
+    pub(crate) fn last_time(&mut self) {
+        self.keeps = false;
+    }
+
+    /// All of it, from the start.
+    pub(crate) fn rewound(&mut self) -> Rewound<'_, 'a> {
+        Rewound { spool: self, position: 0 }
+    }
+}
+
+/// One reading of a [`Spool`].
+pub(crate) struct Rewound<'s, 'a> {
+    spool: &'s mut Spool<'a>,
+    position: usize,
+}
+
+impl Read for Rewound<'_, '_> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let spool = &mut *self.spool;
+        if self.position < spool.kept.len() {
+            let again = (&spool.kept[self.position..]).read(buffer)?;
+            self.position += again;
+            return Ok(again);
+        }
+        let fresh = spool.source.read(buffer)?;
+        if spool.keeps {
+            spool.kept.extend_from_slice(&buffer[..fresh]);
+            self.position += fresh;
+        }
+        Ok(fresh)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_read_comes_again_and_the_rest_follows() {
+        let mut source: &[u8] = b"abcdefgh";
+        let mut spool = Spool::new(&mut source, true);
+        let mut start = [0; 3];
+        spool.rewound().read_exact(&mut start).unwrap();
+        assert_eq!(&start, b"abc");
+        spool.last_time();
+        let mut all = String::new();
+        spool.rewound().read_to_string(&mut all).unwrap();
+        assert_eq!(all, "abcdefgh");
+        assert_eq!(spool.kept, b"abc", "the second reading is not kept");
+    }
+}

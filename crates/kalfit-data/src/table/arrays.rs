@@ -1,0 +1,181 @@
+//! Columns of record batches, read as numbers, times and texts.
+
+use std::fmt::Write;
+
+use arrow::array::{Array, ArrayRef, AsArray, BooleanArray, Float32Array, Float64Array, Int64Array, UInt64Array};
+use arrow::compute::cast;
+use arrow::datatypes::{DataType, Date32Type, Float32Type, Float64Type, Int64Type, TimeUnit, UInt64Type};
+use arrow::error::ArrowError;
+
+use super::strings::{Strings, is_text};
+use crate::moment::{Moment, date_text};
+
+const DAY: i128 = 86_400_000_000_000;
+
+/// True for types that hold numbers.
+pub(super) fn is_numeric(data_type: &DataType) -> bool {
+    match data_type {
+        DataType::Boolean | DataType::Null => true,
+        DataType::Decimal32(..) | DataType::Decimal64(..) | DataType::Decimal128(..) | DataType::Decimal256(..) => true,
+        DataType::Dictionary(_, values) => values.is_numeric(),
+        other => other.is_numeric(),
+    }
+}
+
+/// True for types that hold dates and times of day.
+pub(super) fn is_temporal(data_type: &DataType) -> bool {
+    matches!(data_type, DataType::Timestamp(..) | DataType::Date32 | DataType::Date64)
+}
+
+/// A numeric column of a batch.
+pub(super) enum Numbers {
+    /// Values; nulls are NaN.
+    Values(Vec<f64>),
+    /// Texts, to be read as in a CSV file.
+    Texts(Strings),
+}
+
+/// The time column of a batch.
+pub(super) enum Times {
+    /// Numbers or texts.
+    Numbers(Numbers),
+    /// Dates and timestamps; None where null.
+    Moments(Vec<Option<Moment>>),
+}
+
+/// A text column of a batch.
+pub(super) enum Texts {
+    Strings(Strings),
+    Signed(Int64Array),
+    Unsigned(UInt64Array),
+    Single(Float32Array),
+    Double(Float64Array),
+    Boolean(BooleanArray),
+    /// Printed decimals, with their trailing zeros.
+    Decimal(Strings),
+    Dates(Vec<Option<i64>>),
+    Moments(Vec<Option<Moment>>),
+    Nothing,
+}
+
+impl Numbers {
+    /// Shape: one value a row.
+    pub(super) fn new(array: &dyn Array) -> Result<Numbers, ArrowError> {
+        if let Some(strings) = Strings::new(array) {
+            return Ok(Numbers::Texts(strings));
+        }
+        if *array.data_type() == DataType::Null {
+            return Ok(Numbers::Values(vec![f64::NAN; array.len()]));
+        }
+        let array = cast(array, &DataType::Float64)?;
+        let values = array.as_primitive::<Float64Type>();
+        Ok(Numbers::Values(values.iter().map(|value| value.unwrap_or(f64::NAN)).collect()))
+    }
+}
+
+impl Times {
+    /// Shape: one value a row.
+    pub(super) fn new(array: &dyn Array) -> Result<Times, ArrowError> {
+        Ok(match moments(array)? {
+            Some(moments) => Times::Moments(moments),
+            None => Times::Numbers(Numbers::new(array)?),
+        })
+    }
+}
+
+impl Texts {
+    /// Shape: one text a row.
+    pub(super) fn new(array: &dyn Array) -> Result<Texts, ArrowError> {
+        if let Some(strings) = Strings::new(array) {
+            return Ok(Texts::Strings(strings));
+        }
+        let converted = |to: DataType| cast(array, &to);
+        Ok(match array.data_type() {
+            DataType::Dictionary(_, values) => return Texts::new(&converted((**values).clone())?),
+            DataType::Null => Texts::Nothing,
+            DataType::Boolean => Texts::Boolean(array.as_boolean().clone()),
+            DataType::Float16 | DataType::Float32 => {
+                Texts::Single(converted(DataType::Float32)?.as_primitive::<Float32Type>().clone())
+            }
+            DataType::Float64 => Texts::Double(array.as_primitive::<Float64Type>().clone()),
+            DataType::Date32 => {
+                Texts::Dates(array.as_primitive::<Date32Type>().iter().map(|day| day.map(i64::from)).collect())
+            }
+            DataType::UInt8 | DataType::UInt16 | DataType::UInt32 | DataType::UInt64 => {
+                Texts::Unsigned(converted(DataType::UInt64)?.as_primitive::<UInt64Type>().clone())
+            }
+            other if other.is_integer() => {
+                Texts::Signed(converted(DataType::Int64)?.as_primitive::<Int64Type>().clone())
+            }
+            other if is_temporal(other) => Texts::Moments(moments(array)?.unwrap_or_default()),
+            _ => Texts::Decimal(Strings::Utf8(converted(DataType::Utf8)?.as_string::<i32>().clone())),
+        })
+    }
+
+    /// The text in a row, written to `scratch` unless it is one already; None when it is null or not a number.
+    pub(super) fn get<'a>(&'a self, row: usize, scratch: &'a mut String) -> Option<&'a str> {
+        scratch.clear();
+        let written = match self {
+            Texts::Strings(strings) => return strings.get(row),
+            Texts::Signed(array) => write!(scratch, "{}", array.is_valid(row).then(|| array.value(row))?),
+            Texts::Unsigned(array) => write!(scratch, "{}", array.is_valid(row).then(|| array.value(row))?),
+            // Adding zero turns -0 into 0.
+            Texts::Single(array) => write!(scratch, "{}", array.is_valid(row).then(|| array.value(row) + 0.0)?),
+            Texts::Double(array) => write!(scratch, "{}", array.is_valid(row).then(|| array.value(row) + 0.0)?),
+            Texts::Boolean(array) => write!(scratch, "{}", array.is_valid(row).then(|| array.value(row))?),
+            Texts::Decimal(strings) => {
+                let text = strings.get(row)?;
+                return Some(if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { text });
+            }
+            Texts::Dates(days) => write!(scratch, "{}", date_text(days[row]?)),
+            Texts::Moments(moments) => write!(scratch, "{}", moments[row]?),
+            Texts::Nothing => return None,
+        };
+        written.expect("writing to a String cannot fail");
+        Some(scratch)
+    }
+}
+
+/// Dates and timestamps as moments; None for other types.
+fn moments(array: &dyn Array) -> Result<Option<Vec<Option<Moment>>>, ArrowError> {
+    let (scale, zoned) = match array.data_type() {
+        DataType::Timestamp(unit, zone) => (nanoseconds(*unit), zone.is_some()),
+        DataType::Date32 => (DAY, false),
+        DataType::Date64 => (1_000_000, false),
+        _ => return Ok(None),
+    };
+    let integers: ArrayRef = if *array.data_type() == DataType::Date32 {
+        cast(&cast(array, &DataType::Int32)?, &DataType::Int64)?
+    } else {
+        cast(array, &DataType::Int64)?
+    };
+    let moment = |value: i64| {
+        let nanoseconds = i128::from(value) * scale;
+        if zoned { Moment::Instant(nanoseconds) } else { Moment::Civil(nanoseconds) }
+    };
+    Ok(Some(integers.as_primitive::<Int64Type>().iter().map(|value| value.map(moment)).collect()))
+}
+
+fn nanoseconds(unit: TimeUnit) -> i128 {
+    match unit {
+        TimeUnit::Second => 1_000_000_000,
+        TimeUnit::Millisecond => 1_000_000,
+        TimeUnit::Microsecond => 1_000,
+        TimeUnit::Nanosecond => 1,
+    }
+}
+
+/// What a use of a column needs, in words, when the type does not do; None when it does.
+pub(super) fn misfit(data_type: &DataType, is_number: bool, is_time: bool, is_text_use: bool) -> Option<&'static str> {
+    let textual = is_text(data_type);
+    if is_number && !is_numeric(data_type) && !textual {
+        return Some("numbers");
+    }
+    if is_time && !is_numeric(data_type) && !is_temporal(data_type) && !textual {
+        return Some("numbers or date-times");
+    }
+    if is_text_use && !is_numeric(data_type) && !is_temporal(data_type) && !textual {
+        return Some("text or numbers");
+    }
+    None
+}

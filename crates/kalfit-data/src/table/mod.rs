@@ -1,0 +1,102 @@
+//! Tables: files of any kind, row by row.
+
+mod arrays;
+mod batches;
+mod csv;
+mod guard;
+mod ipc;
+mod parquet;
+mod strings;
+
+use std::fs::File;
+use std::io::{self, Cursor, Read};
+
+use ::bytes::Bytes;
+use kalfit::Labels;
+
+use self::batches::BatchTable;
+use self::csv::CsvTable;
+use crate::error::DataError;
+use crate::input::Input;
+use crate::kind::{HEAD, Kind, detect};
+use crate::row::Row;
+use crate::spool::Spool;
+use crate::wanted::Wanted;
+
+/// An open table.
+pub(crate) enum Table<'a> {
+    /// Text.
+    Csv(Box<CsvTable<'a>>),
+    /// Record batches of Parquet or Arrow IPC.
+    Batches(Box<BatchTable<'a>>),
+}
+
+impl<'a> Table<'a> {
+    /// Opens an input and finds the wanted columns in it.
+    pub(crate) fn open(
+        input: &Input,
+        file: &'a str,
+        wanted: &'a Wanted,
+        spool: &'a mut Spool<'_>,
+    ) -> Result<Table<'a>, DataError> {
+        let failed = |source: io::Error| DataError::Io { file: file.to_owned(), source };
+        let mut bytes: Box<dyn Read + 'a> = match input {
+            Input::Path(path) => Box::new(File::open(path).map_err(failed)?),
+            Input::Stdin => Box::new(spool.rewound()),
+        };
+        let mut head = Vec::with_capacity(HEAD);
+        bytes.by_ref().take(HEAD as u64).read_to_end(&mut head).map_err(failed)?;
+        if head.is_empty() {
+            return Err(DataError::Empty { file: file.to_owned() });
+        }
+        let kind = detect(input.extension().as_deref(), &head)
+            .map_err(|found| DataError::Kind { file: file.to_owned(), found })?;
+        let mut bytes = Cursor::new(head).chain(bytes);
+        Ok(match (kind, input) {
+            (Kind::Csv { tab }, _) => Table::Csv(Box::new(CsvTable::open(file, bytes, tab, wanted)?)),
+            (Kind::Parquet, Input::Path(path)) => {
+                let open = File::open(path).map_err(failed)?;
+                Table::Batches(Box::new(parquet::open(file, open, wanted)?))
+            }
+            (Kind::Parquet, Input::Stdin) => {
+                let mut all = Vec::new();
+                bytes.read_to_end(&mut all).map_err(failed)?;
+                Table::Batches(Box::new(parquet::open(file, Bytes::from(all), wanted)?))
+            }
+            (Kind::ArrowFile | Kind::ArrowStream, _) => {
+                Table::Batches(Box::new(ipc::open(file, Box::new(bytes), kind == Kind::ArrowFile, wanted)?))
+            }
+        })
+    }
+
+    /// Reads the next row; false at the end.
+    pub(crate) fn next(&mut self, row: &mut Row, labels: &mut Labels) -> Result<bool, DataError> {
+        match self {
+            Table::Csv(table) => table.next(row, labels),
+            Table::Batches(table) => table.next(row, labels),
+        }
+    }
+}
+
+/// The label of the text last seen in a column: texts are looked up only when they change.
+#[derive(Default)]
+struct LastLabel(Option<(String, kalfit::Label)>);
+
+impl LastLabel {
+    fn label(&mut self, text: &str, labels: &mut Labels) -> kalfit::Label {
+        match &mut self.0 {
+            Some((last, label)) if last == text => *label,
+            Some((last, label)) => {
+                last.clear();
+                last.push_str(text);
+                *label = labels.intern(text);
+                *label
+            }
+            None => {
+                let label = labels.intern(text);
+                self.0 = Some((text.to_owned(), label));
+                label
+            }
+        }
+    }
+}

@@ -1,0 +1,52 @@
+//! Columns of text, whichever way Arrow lays them out.
+
+use arrow::array::{Array, ArrayRef, AsArray, LargeStringArray, StringArray, StringViewArray};
+use arrow::datatypes::DataType;
+
+/// A column of text. Texts are looked at in place: a dictionary or view may show one long text in every row.
+pub(super) enum Strings {
+    Utf8(StringArray),
+    Large(LargeStringArray),
+    View(StringViewArray),
+    Dictionary { keys: ArrayRef, index: Vec<usize>, values: Box<Strings> },
+}
+
+/// True for types that [`Strings`] can show.
+pub(super) fn is_text(data_type: &DataType) -> bool {
+    match data_type {
+        DataType::Utf8 | DataType::LargeUtf8 | DataType::Utf8View => true,
+        DataType::Dictionary(_, values) => {
+            matches!(**values, DataType::Utf8 | DataType::LargeUtf8 | DataType::Utf8View)
+        }
+        _ => false,
+    }
+}
+
+impl Strings {
+    /// The texts of an array; None when it is of another type.
+    pub(super) fn new(array: &dyn Array) -> Option<Strings> {
+        Some(match array.data_type() {
+            DataType::Utf8 => Strings::Utf8(array.as_string::<i32>().clone()),
+            DataType::LargeUtf8 => Strings::Large(array.as_string::<i64>().clone()),
+            DataType::Utf8View => Strings::View(array.as_string_view().clone()),
+            DataType::Dictionary(_, values) if is_text(values) && is_text(array.data_type()) => {
+                let dictionary = array.as_any_dictionary_opt()?;
+                let index = if dictionary.values().is_empty() { Vec::new() } else { dictionary.normalized_keys() };
+                let values = Box::new(Strings::new(dictionary.values())?);
+                Strings::Dictionary { keys: arrow::array::make_array(dictionary.keys().to_data()), index, values }
+            }
+            _ => return None,
+        })
+    }
+
+    /// The text in a row; None when it is null.
+    pub(super) fn get(&self, row: usize) -> Option<&str> {
+        match self {
+            Strings::Utf8(array) => array.is_valid(row).then(|| array.value(row)),
+            Strings::Large(array) => array.is_valid(row).then(|| array.value(row)),
+            Strings::View(array) => array.is_valid(row).then(|| array.value(row)),
+            Strings::Dictionary { keys, index, values } if keys.is_valid(row) => values.get(*index.get(row)?),
+            Strings::Dictionary { .. } => None,
+        }
+    }
+}

@@ -1,0 +1,167 @@
+//! The columns that are wanted of a table.
+
+use kalfit::{Layout, Model, TestKey};
+
+use crate::cell::{Fault, Tokens};
+use crate::error::{Columns, DataError, Place, shown};
+use crate::moment::Moment;
+
+/// Every column that the model or the layout names, once, with its uses.
+#[derive(Debug)]
+pub(crate) struct Wanted {
+    /// The columns.
+    pub(crate) columns: Vec<WantedColumn>,
+    /// Number of numeric cells of a row.
+    pub(crate) numbers: usize,
+    /// Number of text cells of a row.
+    pub(crate) texts: usize,
+    /// What stands for a missing cell.
+    pub(crate) tokens: Tokens,
+}
+
+/// One column and its uses.
+#[derive(Debug)]
+pub(crate) struct WantedColumn {
+    /// Its name.
+    pub(crate) name: String,
+    /// Where it is used first, in words.
+    pub(crate) used_in: String,
+    /// Numeric cells of a row that it fills.
+    pub(crate) numbers: Vec<usize>,
+    /// Text cells of a row that it fills.
+    pub(crate) texts: Vec<usize>,
+    /// It holds the test's id.
+    pub(crate) is_test: bool,
+    /// It holds the time of the row.
+    pub(crate) is_time: bool,
+}
+
+impl Wanted {
+    pub(crate) fn new(model: &Model, layout: &Layout) -> Wanted {
+        let (numbers, texts) = (model.columns.len(), model.text_columns.len());
+        let mut wanted = Wanted { columns: Vec::new(), numbers, texts, tokens: Tokens::new(&layout.missing) };
+        if let TestKey::Column(name) = &layout.test {
+            wanted.column(name, "`test` of `[data]`").is_test = true;
+        }
+        for (index, column) in model.columns.iter().enumerate() {
+            let wanted = wanted.column(&column.name, &column.used_in);
+            wanted.numbers.push(index);
+            wanted.is_time |= model.clock.time == Some(index);
+        }
+        for (index, column) in model.text_columns.iter().enumerate() {
+            wanted.column(&column.name, &column.used_in).texts.push(index);
+        }
+        wanted
+    }
+
+    /// The column of this name, known or new.
+    fn column(&mut self, name: &str, used_in: &str) -> &mut WantedColumn {
+        let index = self.columns.iter().position(|column| column.name == name).unwrap_or_else(|| {
+            self.columns.push(WantedColumn {
+                name: name.to_owned(),
+                used_in: used_in.to_owned(),
+                numbers: Vec::new(),
+                texts: Vec::new(),
+                is_test: false,
+                is_time: false,
+            });
+            self.columns.len() - 1
+        });
+        &mut self.columns[index]
+    }
+
+    /// The time column, if there is one.
+    pub(crate) fn time(&self) -> Option<&WantedColumn> {
+        self.columns.iter().find(|column| column.is_time)
+    }
+
+    /// Position in the header of each wanted column. Spaces around names do not count.
+    pub(crate) fn positions(&self, file: &str, header: &[&str]) -> Result<Vec<usize>, DataError> {
+        self.columns.iter().map(|column| column.position(file, header)).collect()
+    }
+}
+
+impl WantedColumn {
+    fn position(&self, file: &str, header: &[&str]) -> Result<usize, DataError> {
+        let name = self.name.trim();
+        let mut places = header.iter().enumerate().filter(|(_, found)| found.trim() == name).map(|(place, _)| place);
+        let Some(first) = places.next() else {
+            let names: Vec<String> = header.iter().map(|found| found.trim().to_owned()).collect();
+            return Err(DataError::MissingColumn {
+                file: file.to_owned(),
+                column: self.name.clone(),
+                used_in: self.used_in.clone(),
+                columns: Box::new(Columns { near: nearest(name, &names), names }),
+            });
+        };
+        match places.next() {
+            None => Ok(first),
+            Some(second) => Err(DataError::DuplicateColumn {
+                file: file.to_owned(),
+                column: self.name.clone(),
+                first: first + 1,
+                second: second + 1,
+            }),
+        }
+    }
+
+    /// True when its cells are read as plain numbers.
+    pub(crate) fn is_number(&self) -> bool {
+        !self.is_time && !self.numbers.is_empty()
+    }
+
+    /// True when its cells are read as text.
+    pub(crate) fn is_text(&self) -> bool {
+        self.is_test || !self.texts.is_empty()
+    }
+
+    /// Its cell in a row of a file.
+    pub(crate) fn place(&self, file: &str, row: u64) -> Box<Place> {
+        Box::new(Place { file: file.to_owned(), row, column: self.name.clone() })
+    }
+
+    /// The error for a cell that is not a number.
+    pub(crate) fn fault(&self, fault: Fault, file: &str, row: u64, cell: &[u8]) -> DataError {
+        let at = self.place(file, row);
+        match fault {
+            Fault::NotANumber => DataError::NotANumber { at, found: shown(cell) },
+            Fault::Infinite => DataError::Infinite { at, found: shown(cell) },
+            Fault::NotUtf8 => self.not_utf8(file, row),
+        }
+    }
+
+    /// The error for a cell that is not text.
+    pub(crate) fn not_utf8(&self, file: &str, row: u64) -> DataError {
+        DataError::NotUtf8 { file: file.to_owned(), row, column: Some(self.name.clone()) }
+    }
+
+    /// The time in a cell of text.
+    pub(crate) fn moment(&self, tokens: &Tokens, file: &str, row: u64, cell: &[u8]) -> Result<Moment, DataError> {
+        match tokens.number(cell) {
+            Ok(value) if value.is_nan() => Err(DataError::MissingTime { at: self.place(file, row) }),
+            Ok(value) => Ok(Moment::Number(value)),
+            Err(Fault::NotANumber) => {
+                let text = std::str::from_utf8(cell.trim_ascii()).map_err(|_| self.not_utf8(file, row))?;
+                Moment::parse(text)
+                    .ok_or_else(|| DataError::NotATime { at: self.place(file, row), found: shown(text.as_bytes()) })
+            }
+            Err(fault) => Err(self.fault(fault, file, row, cell)),
+        }
+    }
+}
+
+/// The name that was probably meant: the same but for case, else one within a third of its letters.
+fn nearest(name: &str, names: &[String]) -> Option<String> {
+    const LONGEST: usize = 128; // longer names are not compared: the cost grows with the product of the lengths
+    if name.len() > LONGEST {
+        return None;
+    }
+    let lower = name.to_lowercase();
+    names
+        .iter()
+        .filter(|found| found.len() <= LONGEST)
+        .map(|found| (strsim::osa_distance(&lower, &found.to_lowercase()), found))
+        .min_by_key(|(distance, _)| *distance)
+        .filter(|(distance, _)| *distance <= (name.chars().count() / 3).max(1) && *distance < name.chars().count())
+        .map(|(_, found)| found.clone())
+}
