@@ -13,6 +13,9 @@ use crate::linalg::symmetric;
 /// Null-space scores below this many standard errors count as zero.
 const NULL_TOLERANCE: f64 = 1e-5;
 
+/// Eigenvalues of Σ (in η) below this count as zero: so near the boundary, a score in L no longer shows a way inward.
+const NEAR_NULL: f64 = 1e-10;
+
 /// How far the conditions of a maximum are from holding, in standard errors.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Certificate {
@@ -106,7 +109,7 @@ fn block_escape(
 ) -> Option<Escape> {
     let own = DMatrix::from_fn(block.len(), root.ncols(), |i, c| root[(block[i], c)]);
     let (values, vectors) = symmetric::eigen(&(&own * own.transpose()));
-    let floor = values.last().copied().unwrap_or(0.0).max(1.0) * 1e-13;
+    let floor = values.last().copied().unwrap_or(0.0).max(1.0) * NEAR_NULL;
     let null: Vec<usize> = (0..values.len()).filter(|&k| values[k] <= floor).collect();
     if null.is_empty() {
         return None;

@@ -13,7 +13,7 @@ mod mean;
 mod newton;
 mod pass;
 mod problem;
-mod px;
+mod scoring;
 mod search;
 mod settings;
 mod start;

@@ -11,6 +11,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use crate::estimate::classes::{Class, Classes};
+use crate::linalg::fold::fold;
 use crate::linalg::symmetric::{over_pairs, pair, pairs};
 
 /// Classes summed by one task. Fixed, so that sums have the same bits for any number of threads.
@@ -97,6 +98,26 @@ impl Sums {
     /// G = ∂ℓ/∂Σ = ½ Σ (r r' - W), (5): ℓ changes by tr(G dΣ).
     pub(crate) fn score(&self) -> DMatrix<f64> {
         (&self.outer - &self.weight) * 0.5
+    }
+
+    /// G once the mean coordinates have moved by `shift`: r_j becomes r_j - W_j E_j shift. Exact, without regressors; with
+    /// them their part of the shift is left out. Needs [`Order::Expected`].
+    pub(crate) fn score_after(&self, regressors: &Regressors, shift: &DVector<f64>) -> DMatrix<f64> {
+        let p = self.outer.nrows();
+        debug_assert_eq!(shift.len(), p + regressors.len(), "mean coordinates");
+        let mut outer = self.outer.clone();
+        for a in 0..p {
+            for b in 0..p {
+                for k in 0..p {
+                    // Σ W_ak r_b and its mirror
+                    outer[(a, b)] -= shift[k] * (self.cross[(a, k * p + b)] + self.cross[(b, k * p + a)]);
+                    for l in 0..p {
+                        outer[(a, b)] += shift[k] * shift[l] * self.expected[(pair(a, k), pair(b, l))];
+                    }
+                }
+            }
+        }
+        (outer - &self.weight) * 0.5
     }
 
     /// -∂²ℓ/∂σ_kl ∂σ_ab, pairs × pairs; an off-diagonal element moves both of its places.
@@ -289,16 +310,6 @@ impl Terms {
         self.w.iter().map(|x| x * x).sum()
     }
 
-    /// Σ_j (y_j - ȳ) r_j' over the class, p × p: what the scatter gives to Σ y r'.
-    pub(crate) fn scattered_cross(&self, class: &Class) -> DMatrix<f64> {
-        let p = self.p;
-        let Some(scatter) = &class.scatter else { return DMatrix::zeros(p, p) };
-        let mut solved = scatter.clone();
-        solve_lower(&self.C, &mut solved, p, p); // C⁻¹ scatter
-        let factor = DMatrix::from_row_slice(p, p, &class.factor);
-        factor.transpose() * DMatrix::from_row_slice(p, p, &solved).transpose() * DMatrix::from_row_slice(p, p, &self.V)
-    }
-
     fn add_to(&self, sums: &mut Sums, class: &Class, regressors: &Regressors, order: Order) {
         let (p, n) = (self.p, class.count);
         sums.value += self.value;
@@ -406,27 +417,6 @@ fn transpose(a: &mut [f64], p: usize) {
     for i in 0..p {
         for k in 0..i {
             a.swap(i * p + k, k * p + i);
-        }
-    }
-}
-
-/// Temporary.
-fn fold(upper: &mut [f64], rows: &mut [f64], p: usize) {
-    let m = rows.len() / p;
-    for k in 0..p {
-        for i in 0..m {
-            let x = rows[i * p + k];
-            if x == 0.0 {
-                continue;
-            }
-            let d = upper[k * p + k];
-            let h = d.hypot(x);
-            let (c, s) = (d / h, x / h);
-            for j in k..p {
-                let (u, r) = (upper[k * p + j], rows[i * p + j]);
-                upper[k * p + j] = c * u + s * r;
-                rows[i * p + j] = c * r - s * u;
-            }
         }
     }
 }

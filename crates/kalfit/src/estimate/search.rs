@@ -1,4 +1,4 @@
-//! The search: DL/EM, or affine PX-EM followed by Newton's method with EM as the safeguard.
+//! The search: DL/EM, or Fisher scoring followed by Newton's method with EM as the safeguard.
 
 use std::sync::Arc;
 
@@ -9,11 +9,13 @@ use crate::estimate::newton::{Attempt, Damping, Place, retract};
 use crate::estimate::pass::{Order, Point};
 use crate::estimate::problem::Problem;
 use crate::estimate::settings::{Progress, Settings, Solver, Step};
-use crate::estimate::{Estimate, FitError, State, Stop, Structure, px};
+use crate::estimate::{Estimate, FitError, State, Stop, Structure, scoring};
 use crate::model::MeanElement;
 
-/// Affine PX-EM steps before Newton's method takes over.
-const EXPANDED_STEPS: usize = 2;
+/// Most scoring steps before Newton's method takes over.
+const SCORING_STEPS: usize = 5;
+/// Newton's method takes over once scoring promises, or has just given, no more than this of ℓ.
+const ENOUGH: f64 = 0.5;
 /// EM passes between two looks at the certificate.
 const EM_LOOK: usize = 16;
 /// A trailing column of the factor this small (in η) is tried at exactly zero.
@@ -52,9 +54,9 @@ impl<'a> Search<'a> {
         Place::new(&self.problem, &self.problem.covariance, point).ok_or(FitError::NotFinite)
     }
 
-    /// Affine PX-EM, Newton, and EM where Newton finds no step.
+    /// Fisher scoring, Newton, and EM where Newton finds no step.
     fn newton(&mut self, start: Point) -> Result<(Place, Stop), FitError> {
-        let start = self.expanded_start(start);
+        let start = self.scored_start(start);
         let mut place = self.place(start)?;
         self.accept(place.local.value, Some(place.decrement()));
         let mut damping = Damping::default();
@@ -86,16 +88,23 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// The start, moved on by affine PX-EM as long as that raises ℓ.
-    fn expanded_start(&mut self, mut point: Point) -> Point {
-        for _ in 0..EXPANDED_STEPS {
-            match px::step(&self.problem, &point) {
-                Some(next) => point = next,
-                None => {
-                    let sums = self.problem.sums(&point, Order::First);
-                    self.accept(sums.value, None);
-                    point = em::step(&self.problem, &point, &sums, &mut Turn::Covariance);
-                }
+    /// The start, moved on by Fisher scoring while that promises much; ℓ need not rise on the way, and where it falls the
+    /// better point is kept.
+    fn scored_start(&mut self, start: Point) -> Point {
+        let mut best: Option<(f64, Point)> = None;
+        let mut point = start;
+        for _ in 0..SCORING_STEPS {
+            let sums = self.problem.sums(&point, Order::Expected);
+            match &best {
+                Some((value, kept)) if sums.value.is_nan() || sums.value < *value => return kept.clone(),
+                _ => self.accept(sums.value, None),
+            }
+            let gained = best.as_ref().map_or(f64::INFINITY, |(before, _)| sums.value - before);
+            let (next, promised) = scoring::step(&self.problem, &point, &sums);
+            best = Some((sums.value, point));
+            point = next;
+            if promised < ENOUGH || gained < ENOUGH {
+                break;
             }
         }
         point
@@ -166,6 +175,7 @@ impl<'a> Search<'a> {
     /// Sets what is all but zero to zero, looks at everything once more, and leaves the estimator's coordinates.
     fn finish(mut self, place: Place, mut stop: Stop, structure: &Structure<'_>) -> Result<Estimate, FitError> {
         let place = self.snapped(place)?;
+        let passes = self.problem.passes();
         let sums = self.problem.sums(&place.point, Order::Expected);
         let tests = self.problem.classes.tests as f64;
         let (certificate, _) = certificate(&self.problem.covariance, &place, tests);
@@ -175,7 +185,7 @@ impl<'a> Search<'a> {
         let mean = structure.mean.clone();
         let covariance_kind = structure.covariance.kind.clone();
         let state = State { place, sums, problem: Arc::new(self.problem), mean, covariance_kind };
-        Ok(leave(state, certificate, stop, self.trace, self.settings.solver))
+        Ok(Estimate { passes, ..leave(state, certificate, stop, self.trace, self.settings.solver) })
     }
 
     /// Trailing columns of the factor that are all but zero, set to zero when ℓ does not mind.

@@ -3,7 +3,7 @@
 /// How μ and Σ are sought.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Solver {
-    /// Affine PX-EM, then Newton's method with the exact Hessian in (μ, L), EM as safeguard.
+    /// Fisher scoring, then Newton's method with the exact Hessian in (μ, L), EM as safeguard.
     #[default]
     Newton,
     /// The paper's DL algorithm, (8)-(11), with its constrained forms.

@@ -1,0 +1,80 @@
+//! Fisher scoring: the start of the Newton solver.
+//!
+//! One pass gives the mean by generalised least squares at the present Σ, the score of Σ at *that* mean, and the expected
+//! information; the scoring step in Σ is exact when all tests are alike. No direction of Σ shrinks more than tenfold.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::estimate::covariance::Form;
+use crate::estimate::local::{Objective, packed_score};
+use crate::estimate::pass::{Point, Sums};
+use crate::estimate::problem::Problem;
+use crate::linalg::symmetric::{self, pair};
+
+/// The largest part of Σ that one step may take away in any direction.
+const LARGEST_LOSS: f64 = 0.9;
+
+/// The next point, and the gain in ℓ that the step promises, from the sums of order [`Expected`](crate::estimate::pass::Order::Expected) at a point.
+pub(crate) fn step(problem: &Problem, point: &Point, sums: &Sums) -> (Point, f64) {
+    let move_mean = problem.least_squares_step(sums);
+    let shift = problem.mean.jacobian() * &move_mean;
+    let mut next = problem.move_mean(point, move_mean.as_slice());
+    let map = &problem.covariance;
+    let chart = map.chart(&point.root);
+    let free = map.free_directions(&chart);
+    let score = sums.score_after(&problem.mean.regressors, &shift);
+    let information = free.transpose() * sums.expected_information() * &free;
+    let score = free.transpose() * packed_score(&score);
+    let along = relative_solve(&information, &score, &metric(&chart.root, &free));
+    let promised = 0.5 * (along.dot(&score) + shift.dot(&sums.mean_score));
+    let change = unpack(&(free * along), map.p);
+    next.root = match &map.form {
+        Form::Fixed => point.root.clone(),
+        _ => grown(&chart.root, &change, map.constraints.is_empty())
+            .map_or_else(|| point.root.clone(), |sigma| map.root_of(&sigma)),
+    };
+    (next, promised)
+}
+
+/// tr(Σ⁺D Σ⁺E) over the free directions: the size of a change relative to Σ = FF'.
+fn metric(root: &DMatrix<f64>, free: &DMatrix<f64>) -> DMatrix<f64> {
+    let inverse = symmetric::pseudo_inverse(&(root * root.transpose()));
+    let p = root.nrows();
+    let full = symmetric::over_pairs(p, |k, l, a, b| inverse[(l, a)] * inverse[(b, k)]);
+    free.transpose() * full * free
+}
+
+/// The smallest solution of I x = g in a metric: what the data do not determine changes as little as it can relative to Σ.
+/// That keeps the regression of an unobserved state on the observed ones (the paper's §2.3), and so keeps Σ positive.
+fn relative_solve(information: &DMatrix<f64>, score: &DVector<f64>, metric: &DMatrix<f64>) -> DVector<f64> {
+    let (values, vectors) = symmetric::eigen(metric);
+    let floor = values.last().copied().unwrap_or(0.0) * 1e-14;
+    let unit = values.iter().map(|&v| if v > floor { v.sqrt().recip() } else { 0.0 });
+    let half = vectors * DMatrix::from_diagonal(&DVector::from_iterator(values.len(), unit));
+    let relative = half.transpose() * information * &half;
+    let right = half.transpose() * score;
+    half * symmetric::pseudo_solve(&relative, &right)
+}
+
+fn unpack(packed: &DVector<f64>, p: usize) -> DMatrix<f64> {
+    DMatrix::from_fn(p, p, |i, j| packed[pair(i, j)])
+}
+
+/// Σ + change, with the change cut where it would leave less than a tenth of Σ = FF': direction by direction, or, so as to
+/// keep constraints, as a whole.
+fn grown(root: &DMatrix<f64>, change: &DMatrix<f64>, by_direction: bool) -> Option<DMatrix<f64>> {
+    let (values, vectors) = symmetric::eigen(&(root * root.transpose()));
+    let largest = values.last().copied().filter(|v| *v > 0.0)?;
+    // only within the range of Σ, where a relative change has a meaning; zero rows (fixed variances) stay
+    let range: Vec<usize> = (0..values.len()).filter(|&k| values[k] > 1e-14 * largest).collect();
+    let half = DMatrix::from_fn(root.nrows(), range.len(), |i, k| vectors[(i, range[k])] * values[range[k]].sqrt());
+    let inverse = DMatrix::from_fn(range.len(), root.nrows(), |k, i| vectors[(i, range[k])] / values[range[k]].sqrt());
+    let relative = &inverse * change * inverse.transpose();
+    let (relative, directions) = symmetric::eigen(&relative);
+    let worst = relative.first().copied().unwrap_or(0.0);
+    let whole = if by_direction || worst > -LARGEST_LOSS { 1.0 } else { LARGEST_LOSS / -worst };
+    let factors = relative.iter().map(|m| 1.0 + (whole * m).max(-LARGEST_LOSS));
+    let factors = DMatrix::from_diagonal(&DVector::from_iterator(relative.len(), factors));
+    let turned = half * directions;
+    Some(&turned * factors * turned.transpose())
+}
