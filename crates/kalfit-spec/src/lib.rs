@@ -1,1 +1,155 @@
-//! (in progress)
+//! Model files: TOML with equations, read into a [`kalfit::Model`].
+//!
+//! ```
+//! let text = r#"
+//! [states]
+//! intercept = {}
+//! slope = {}
+//!
+//! [measurements.reaction]
+//! column = "Reaction"
+//! equation = "intercept + slope * Days"
+//! noise = "sigma"
+//!
+//! [parameters]
+//! sigma = { start = 20 }
+//! "#;
+//! let spec = kalfit_spec::Spec::parse("sleep.toml", text)?;
+//! assert_eq!(spec.model.estimated_names(), ["intercept", "slope"]);
+//!
+//! let error = kalfit_spec::Spec::parse("sleep.toml", &text.replace("Days", "intercept")).unwrap_err();
+//! assert_eq!(error.message, "state `slope` times state `intercept` is not linear in the states");
+//! # Ok::<(), kalfit_spec::SpecError>(())
+//! ```
+//!
+//! Every message has its place in the file as a byte range ([`SpecError::span`]). A model file is untrusted: whatever
+//! it holds, reading it ends, in bounded memory, with a [`Spec`] or a [`SpecError`].
+//!
+//! Models of one phase are read; `[phases]`, `[data] phase` and `[filter]` are refused.
+//!
+//! # The expression language
+//!
+//! ```text
+//! expression  = number | name | `any text` | 'text' | ( expression ) | function ( expression, … )
+//!             | - expression | not expression | expression operator expression
+//! operator    = or | and | < <= > >= == != | + - | * / | ^
+//! function    = sqrt exp log sin cos tan abs (one argument), min max (one or more), if (condition, value, other value)
+//! ```
+//!
+//! From loosest to tightest: `or`, `and`, `not`, comparisons (which cannot be chained), `+ -`, `* /`, unary minus, `^`.
+//! All group from the left but `^`, which groups from the right and takes a signed exponent: `2^-1` is a half, `-2^2`
+//! is minus four. Numbers are decimal (`1`, `.5`, `1e-6`); names are letters, digits and `_`, not starting with a digit.
+//! A quote inside a text is written twice.
+//!
+//! A name is a state, else a parameter, else `pi` or `dt`, else a column of the data; a name in backticks is always a
+//! column. Numbers, conditions and texts are different types: a condition becomes a number by `if(c, 1, 0)`, a number a
+//! condition by `x != 0`, and a text can only be compared, by `==` or `!=`, with a column, which is then a text column.
+//!
+//! Equations must be linear in the states after expansion: products, quotients and functions of states are refused.
+//! Constants are folded exactly; a constant that is not a finite number is refused.
+
+mod build;
+mod constraints;
+mod covariance;
+mod data;
+mod describe;
+mod elements;
+mod error;
+mod expression;
+mod matrix;
+mod mean;
+mod measurements;
+mod motion;
+mod names;
+mod noise;
+mod parameters;
+mod semidefinite;
+mod set;
+mod show;
+mod states;
+mod suggest;
+mod table;
+
+use std::io::Read;
+use std::ops::Range;
+use std::path::Path;
+
+pub use error::{ExpressionProblem, Problem, SpecError, StructureProblem};
+use kalfit::{Layout, Model};
+
+/// A model file that was read.
+#[derive(Debug, Clone)]
+pub struct Spec {
+    /// The model. Its invariants hold, whatever the file.
+    pub model: Model,
+    /// How rows of the data become tests.
+    pub layout: Layout,
+    /// `sha256:` and 64 hexadecimal digits: the digest of `text`.
+    pub digest: String,
+    /// Name of the file, for messages.
+    pub name: String,
+    /// The model file as it was read.
+    pub text: String,
+    places: build::Places,
+}
+
+impl Spec {
+    /// Reads a model from text; `name` is for messages.
+    ///
+    /// # Errors
+    /// Whatever is wrong with the text, one problem at a time.
+    pub fn parse(name: &str, text: &str) -> Result<Spec, SpecError> {
+        build::spec(name, text)
+    }
+
+    /// Reads a model file.
+    ///
+    /// # Errors
+    /// As [`Spec::read_text`] and [`Spec::parse`].
+    pub fn load(path: &Path) -> Result<Spec, SpecError> {
+        Spec::parse(&path.display().to_string(), &Spec::read_text(path)?)
+    }
+
+    /// The text of a model file, for [`Spec::parse`] and for showing the place of an error.
+    ///
+    /// # Errors
+    /// The file cannot be read, has more than 4 MiB, or is not UTF-8 text.
+    pub fn read_text(path: &Path) -> Result<String, SpecError> {
+        let unreadable = |error: std::io::Error| {
+            SpecError::new(Problem::Unreadable { path: path.display().to_string(), reason: error.to_string() })
+        };
+        let file = std::fs::File::open(path).map_err(unreadable)?;
+        let size = file.metadata().map_err(unreadable)?.len();
+        let mut bytes = Vec::new();
+        // The size of a pipe is not known before it is read, so the limit holds while reading too.
+        file.take(build::MAX_BYTES + 1).read_to_end(&mut bytes).map_err(unreadable)?;
+        let found = size.max(bytes.len() as u64);
+        if found > build::MAX_BYTES {
+            return Err(SpecError::new(Problem::TooLarge { found, limit: build::MAX_BYTES }));
+        }
+        String::from_utf8(bytes).map_err(|error| {
+            SpecError::new(Problem::NotText { offset: error.utf8_error().valid_up_to() })
+                .hint("save the file as UTF-8 text")
+        })
+    }
+
+    /// Bytes of the file where a column of the data is used first; `None` when the model does not use it.
+    pub fn column_span(&self, column: &str) -> Option<Range<usize>> {
+        self.places.columns.get(column).cloned()
+    }
+
+    /// Bytes of the file where a parameter is declared.
+    pub fn parameter_span(&self, parameter: &str) -> Option<Range<usize>> {
+        self.places.parameters.get(parameter).cloned()
+    }
+
+    /// Bytes of the file where a state is declared; of its owner for a hidden state.
+    pub fn state_span(&self, state: &str) -> Option<Range<usize>> {
+        self.places.states.get(state).cloned()
+    }
+
+    /// Bytes of the file where a measurement is declared.
+    pub fn measurement_span(&self, measurement: &str) -> Option<Range<usize>> {
+        self.places.measurements.get(measurement).cloned()
+    }
+}

@@ -1,0 +1,165 @@
+//! Fixed and equal elements of Σ.
+
+use std::collections::BTreeMap;
+
+use kalfit::model::State;
+
+use crate::elements::{Elements, pair, pair_of, to_problem};
+use crate::error::{Result, Span, SpecError, StructureProblem};
+use crate::names::Context;
+use crate::semidefinite::defect;
+use crate::table::Field;
+
+/// An open structure, its elements and what is needed to read their names.
+pub(crate) struct Structure<'s, 't> {
+    pub(crate) word: &'static str,
+    pub(crate) block_of: Vec<usize>,
+    pub(crate) context: &'s Context<'t>,
+    pub(crate) states: &'s [State],
+    pub(crate) elements: &'s Elements,
+}
+
+impl Structure<'_, '_> {
+    /// True for elements that the structure makes zero.
+    pub(crate) fn is_zero(&self, i: usize, j: usize) -> bool {
+        match self.word {
+            "diagonal" => i != j,
+            "blocks" => self.block_of[i] != self.block_of[j],
+            _ => false,
+        }
+    }
+
+    /// (row, column), row ≥ column, of two names.
+    fn element(&self, names: (&str, &str), place: &str, span: &Span) -> Result<(usize, usize)> {
+        let find = |name| self.elements.find(self.context, self.states, name, place, span);
+        let (i, j) = (find(names.0)?, find(names.1)?);
+        Ok((i.max(j), i.min(j)))
+    }
+}
+
+/// Fixed elements with the places where they were fixed; zeros that follow from others are left out.
+#[derive(Debug, Default)]
+pub(crate) struct Fixed {
+    pub(crate) values: BTreeMap<(usize, usize), (f64, Option<Span>)>,
+}
+
+impl Fixed {
+    /// The variances of states with one value common to all tests.
+    pub(crate) fn of_common(elements: &Elements) -> Fixed {
+        let common = (0..elements.len()).filter(|&i| !elements.random[i]);
+        Fixed { values: common.map(|i| ((i, i), (0.0, None))).collect() }
+    }
+
+    /// The value of an element that is fixed, or zero because a variance is.
+    pub(crate) fn value(&self, i: usize, j: usize) -> Option<f64> {
+        if self.no_variance(i) || self.no_variance(j) {
+            return Some(0.0);
+        }
+        self.values.get(&(i.max(j), i.min(j))).map(|(value, _)| *value)
+    }
+
+    fn no_variance(&self, i: usize) -> bool {
+        self.values.get(&(i, i)).is_some_and(|(value, _)| *value == 0.0)
+    }
+}
+
+const FIXED: &str = "`fixed` of `[covariance]`";
+const EQUAL: &str = "`equal` of `[covariance]`";
+
+/// Reads `fixed` and adds the zero variances of states that are not random.
+pub(crate) fn fixed_elements(structure: &Structure<'_, '_>, field: Option<&Field<'_>>) -> Result<Fixed> {
+    let elements = structure.elements;
+    let mut fixed = Fixed::of_common(elements);
+    let Some(field) = field else { return Ok(fixed) };
+    for field in field.section(FIXED)?.fields() {
+        let value = field.number()?;
+        let (i, j) = structure.element(pair(&field, FIXED)?, FIXED, &field.key_span)?;
+        let wrong = |problem: StructureProblem| Err(SpecError::new(problem).at(field.key_span.clone()));
+        if structure.is_zero(i, j) {
+            if value == 0.0 {
+                continue;
+            }
+            let (element, found) = (elements.pair_name(i, j), value.to_string());
+            let place = FIXED.to_owned();
+            return wrong(StructureProblem::StructuralZero { element, place, found, structure: structure.word });
+        }
+        if i == j && value != 0.0 && !elements.random[i] {
+            let (name, what, place) = (elements.name(i), "variance", FIXED.to_owned());
+            return wrong(StructureProblem::NotRandom { name, what, place });
+        }
+        match fixed.values.get(&(i, j)) {
+            Some((before, Some(_))) if *before != value => {
+                let (element, place) = (elements.pair_name(i, j), FIXED.to_owned());
+                let (first, second) = (before.to_string(), value.to_string());
+                return wrong(StructureProblem::GivenTwice { element, place, first, second });
+            }
+            _ => fixed.values.insert((i, j), (value, Some(field.key_span.clone()))),
+        };
+    }
+    check_fixed(structure, &fixed, &field.key_span)?;
+    let implied: Vec<(usize, usize)> = fixed.values.keys().copied().filter(|&(i, j)| i != j).collect();
+    for (i, j) in implied {
+        if fixed.no_variance(i) || fixed.no_variance(j) {
+            fixed.values.remove(&(i, j));
+        }
+    }
+    Ok(fixed)
+}
+
+/// Refuses fixed elements that no covariance has together.
+fn check_fixed(structure: &Structure<'_, '_>, fixed: &Fixed, whole: &Span) -> Result<()> {
+    let p = structure.elements.len();
+    let mut known = vec![vec![None; p]; p];
+    for i in 0..p {
+        for j in 0..=i {
+            let said = fixed.values.get(&(i, j)).map(|(value, _)| *value);
+            let implied = structure.is_zero(i, j) || (i != j && (fixed.no_variance(i) || fixed.no_variance(j)));
+            known[i][j] = said.or(implied.then_some(0.0));
+            known[j][i] = known[i][j];
+        }
+    }
+    let Some(defect) = defect(&known) else { return Ok(()) };
+    let span = defect.element().and_then(|element| fixed.values.get(&element)).and_then(|(_, span)| span.clone());
+    let error = to_problem(&defect, FIXED, &|i| structure.elements.name(i));
+    Err(error.at(span.unwrap_or(whole.clone())))
+}
+
+/// Reads `equal`: groups of elements that are free otherwise, no element twice.
+pub(crate) fn equal_groups(
+    structure: &Structure<'_, '_>,
+    field: Option<&Field<'_>>,
+    fixed: &Fixed,
+) -> Result<Vec<Vec<(usize, usize)>>> {
+    let Some(field) = field else { return Ok(Vec::new()) };
+    let elements = structure.elements;
+    let mut seen = std::collections::BTreeSet::new();
+    let mut groups = Vec::new();
+    for group in field.items("an array of arrays of elements")? {
+        let mut members = Vec::new();
+        for (text, span) in group.texts()? {
+            let (i, j) = structure.element(pair_of(text, &span, EQUAL)?, EQUAL, &span)?;
+            let element = elements.pair_name(i, j);
+            let why = if structure.is_zero(i, j) {
+                format!("0 by structure `{}`", structure.word)
+            } else if let Some(value) = fixed.value(i, j) {
+                format!("fixed at {value}")
+            } else {
+                String::new()
+            };
+            if !why.is_empty() {
+                return Err(SpecError::new(StructureProblem::NotFree { element, why }).at(span));
+            }
+            if !seen.insert((i, j)) {
+                let (name, place) = (element, EQUAL.to_owned());
+                return Err(SpecError::new(StructureProblem::ListedTwice { name, place }).at(span));
+            }
+            members.push((i, j));
+        }
+        if members.len() < 2 {
+            let (place, found, expected) = (EQUAL.to_owned(), "a group of fewer than two", "at least two elements");
+            return Err(SpecError::new(StructureProblem::TooFew { place, found, expected }).at(group.span));
+        }
+        groups.push(members);
+    }
+    Ok(groups)
+}

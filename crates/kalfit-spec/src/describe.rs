@@ -1,0 +1,225 @@
+//! The model in plain words.
+
+use kalfit::TestKey;
+use kalfit::model::{
+    Clock, CovarianceKind, Expression, Initial, MeanElement, Measurement, Motion, Parameter, State, Value,
+};
+
+use crate::Spec;
+use crate::expression::is_zero;
+use crate::show;
+
+impl Spec {
+    /// The model in plain words, one fact a line: tests and steps, states with their motion and start, measurements,
+    /// parameters, the order of μ and Σ, and the constraints on them.
+    pub fn describe(&self) -> Vec<String> {
+        let mut lines = vec![self.tests(), self.steps()];
+        lines.extend(self.model.states.iter().map(|state| self.state(state)));
+        lines.extend(self.covariances("process noise", &self.model.process_noise_covariance, &|i| {
+            self.model.states[i].name.clone()
+        }));
+        lines.extend(self.model.measurements.iter().map(|measurement| self.measurement(measurement)));
+        lines.extend(self.covariances("measurement noise", &self.model.noise_covariance, &|i| {
+            self.model.measurements[i].name.clone()
+        }));
+        lines.extend(self.model.parameters.iter().map(|parameter| self.parameter(parameter)));
+        lines.push(self.order());
+        lines.extend(self.mean());
+        lines.extend(self.covariance());
+        lines
+    }
+
+    fn tests(&self) -> String {
+        let group = self.model.group.map_or(String::new(), |column| {
+            format!("; reports are grouped by column `{}`", self.model.text_columns[column].name)
+        });
+        match &self.layout.test {
+            TestKey::Single => format!("tests: all rows are one test{group}"),
+            TestKey::Column(name) => format!("tests: one for each value of column `{name}`{group}"),
+            TestKey::File => format!("tests: one for each file{group}"),
+        }
+    }
+
+    fn steps(&self) -> String {
+        let Clock { time, unit, initial_time, step_first, previous_inputs } = &self.model.clock;
+        let unit = unit.as_ref().map_or(String::new(), |unit| format!(" [{unit}]"));
+        let steps = match time {
+            Some(column) => format!("steps: rows of equal time, column `{}`{unit}", self.model.columns[*column].name),
+            None => "steps: one for each row".to_owned(),
+        };
+        let start = match initial_time {
+            Some(time) => format!("x_0 is at time {}", self.shown(time)),
+            None if *step_first => "one step from x_0 to the first row".to_owned(),
+            None => "x_0 is at the first row".to_owned(),
+        };
+        let inputs = if *previous_inputs { "; a step uses the columns of the row it starts from" } else { "" };
+        format!("{steps}; {start}{inputs}")
+    }
+
+    fn state(&self, state: &State) -> String {
+        let motion = match &state.motion {
+            Motion::Constant => "constant".to_owned(),
+            Motion::Continuous { derivative, noise_variance } => {
+                let driven = self.driven(noise_variance, "per unit of time");
+                format!("d/dt = {}{driven}", show::linear(&self.model, derivative))
+            }
+            Motion::Discrete { next, noise_variance } => {
+                let driven = self.driven(noise_variance, "per step");
+                format!("next = {}{driven}", show::linear(&self.model, next))
+            }
+        };
+        let start = match &state.initial {
+            Initial::Estimated if state.random => "start estimated".to_owned(),
+            Initial::Estimated => "start estimated, one value common to all tests".to_owned(),
+            Initial::Stationary => "start in its stationary law".to_owned(),
+            Initial::Known { mean, variance } => {
+                format!("start known, mean {}, variance {}", self.shown(mean), self.shown(variance))
+            }
+        };
+        let offset = state.offset.as_ref().map_or(String::new(), |offset| format!(", plus {}", self.shown(offset)));
+        format!("state `{}`{}: {motion}; {start}{offset}", state.name, unit(state.unit.as_deref()))
+    }
+
+    fn driven(&self, variance: &Expression, per: &str) -> String {
+        if is_zero(variance) {
+            return String::new();
+        }
+        format!(" + noise of variance {} {per}", self.shown(variance))
+    }
+
+    fn measurement(&self, measurement: &Measurement) -> String {
+        let filter =
+            measurement.filter.as_ref().map_or(String::new(), |filter| format!(" where {}", self.shown(filter)));
+        let column = &self.model.columns[measurement.column].name;
+        let noise = match is_zero(&measurement.noise_variance) {
+            true => "no noise".to_owned(),
+            false => format!("noise of variance {}", self.shown(&measurement.noise_variance)),
+        };
+        let equation = show::linear(&self.model, &measurement.equation);
+        format!("measurement `{}`: column `{column}`{filter} = {equation}; {noise}", measurement.name)
+    }
+
+    fn covariances(
+        &self,
+        what: &str,
+        covariances: &[(usize, usize, Expression)],
+        name: &dyn Fn(usize) -> String,
+    ) -> Vec<String> {
+        covariances
+            .iter()
+            .map(|(i, j, value)| {
+                format!("{what} of `{}` and `{}`: covariance {}", name(*j), name(*i), self.shown(value))
+            })
+            .collect()
+    }
+
+    fn parameter(&self, parameter: &Parameter) -> String {
+        let mut facts = Vec::new();
+        match parameter.value {
+            Value::Fixed(value) => facts.push(format!("fixed at {value}")),
+            Value::Free { start: Some(start) } => facts.push(format!("free, start {start}")),
+            Value::Free { start: None } => facts.push("free".to_owned()),
+        }
+        if parameter.positive {
+            facts.push("not negative".to_owned());
+        }
+        facts.extend(parameter.lower.map(|lower| format!("at least {lower}")));
+        facts.extend(parameter.upper.map(|upper| format!("at most {upper}")));
+        facts.extend(
+            parameter
+                .per
+                .map(|column| format!("one value for each value of column `{}`", self.model.text_columns[column].name)),
+        );
+        for (literal, value) in &parameter.fixed_levels {
+            facts.push(format!("fixed at {value} for '{}'", self.model.literals[*literal]));
+        }
+        format!("parameter `{}`{}: {}", parameter.name, unit(parameter.unit.as_deref()), facts.join(", "))
+    }
+
+    fn order(&self) -> String {
+        let names = self.model.estimated_names();
+        if names.is_empty() {
+            return "no state has an estimated start: there is no μ and no Σ".to_owned();
+        }
+        format!("order of μ and Σ: {}", names.join(", "))
+    }
+
+    fn mean(&self) -> Vec<String> {
+        let (mean, names) = (&self.model.mean, self.model.estimated_names());
+        let mut lines = Vec::new();
+        for (i, element) in mean.elements.iter().enumerate() {
+            let fact = match element {
+                MeanElement::Free => match mean.start[i] {
+                    None => continue,
+                    Some(start) => format!("free, start {start}"),
+                },
+                MeanElement::Fixed(value) => format!("fixed at {value}"),
+                MeanElement::Proportional(weight) => format!("the common scale times {weight}"),
+                MeanElement::Tied { constant, terms } => {
+                    let mut parts: Vec<String> =
+                        terms.iter().map(|(k, weight)| format!("{weight} × mean of `{}`", names[*k])).collect();
+                    if *constant != 0.0 {
+                        parts.push(constant.to_string());
+                    }
+                    format!("tied to {}", parts.join(" + "))
+                }
+            };
+            lines.push(format!("mean of `{}`: {fact}", names[i]));
+        }
+        for regression in &mean.regression {
+            let column = &self.model.columns[regression.column].name;
+            lines.push(format!("mean of `{}`: moves with column `{column}`", names[regression.element]));
+        }
+        lines
+    }
+
+    fn covariance(&self) -> Vec<String> {
+        let (covariance, names) = (&self.model.covariance, self.model.estimated_names());
+        if names.is_empty() {
+            return Vec::new();
+        }
+        let kind = match &covariance.kind {
+            CovarianceKind::Full => "full".to_owned(),
+            CovarianceKind::Diagonal => "diagonal".to_owned(),
+            CovarianceKind::Blocks(blocks) => {
+                let block =
+                    |members: &Vec<usize>| members.iter().map(|&i| names[i].as_str()).collect::<Vec<_>>().join(", ");
+                format!("blocks ({})", blocks.iter().map(block).collect::<Vec<_>>().join("; "))
+            }
+            CovarianceKind::Proportional(matrix) => format!("a common scale times {}", self.matrix(matrix)),
+            CovarianceKind::Correlation(matrix) => format!("correlations known, {}", self.matrix(matrix)),
+            CovarianceKind::Fixed(matrix) => format!("known, {}", self.matrix(matrix)),
+        };
+        let mut lines = vec![format!("covariance Σ: {kind}")];
+        for fixed in &covariance.fixed {
+            lines.push(format!("covariance of `{}, {}`: fixed at {}", names[fixed.j], names[fixed.i], fixed.value));
+        }
+        for group in &covariance.equal {
+            let elements: Vec<String> = group.iter().map(|(i, j)| format!("`{}, {}`", names[*j], names[*i])).collect();
+            lines.push(format!("covariances of {}: equal", elements.join(" and ")));
+        }
+        if let Some(known) = &covariance.known {
+            lines.push(format!("known covariance added to Σ: {}", self.matrix(known)));
+        }
+        if covariance.start.is_some() {
+            lines.push("covariance Σ: starts at the given matrix".to_owned());
+        }
+        lines
+    }
+
+    fn matrix(&self, matrix: &[Vec<Expression>]) -> String {
+        let row = |row: &Vec<Expression>| {
+            let entries: Vec<String> = row.iter().map(|entry| self.shown(entry)).collect();
+            format!("[{}]", entries.join(", "))
+        };
+        format!("[{}]", matrix.iter().map(row).collect::<Vec<_>>().join(", "))
+    }
+
+    fn shown(&self, expression: &Expression) -> String {
+        show::expression(&self.model, expression)
+    }
+}
+
+fn unit(unit: Option<&str>) -> String {
+    unit.map_or(String::new(), |unit| format!(" [{unit}]"))
+}

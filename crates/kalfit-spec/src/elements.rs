@@ -1,0 +1,93 @@
+//! Elements of μ and Σ by name.
+
+use kalfit::model::State;
+
+use crate::error::{Problem, Result, Span, SpecError, StructureProblem};
+use crate::names::{Context, Index};
+use crate::semidefinite::Defect;
+use crate::states::start_words;
+use crate::suggest::suggest;
+use crate::table::Field;
+
+/// The estimated states in the order of μ and Σ.
+pub(crate) struct Elements {
+    index: Index,
+    /// Whether the state is random; its variance is zero when not.
+    pub(crate) random: Vec<bool>,
+}
+
+impl Elements {
+    /// Of the states with these indices.
+    pub(crate) fn new(states: &[State], estimated: &[usize]) -> Elements {
+        let mut index = Index::default();
+        for &state in estimated {
+            index.add(&states[state].name, 0..0);
+        }
+        Elements { index, random: estimated.iter().map(|&state| states[state].random).collect() }
+    }
+
+    /// p.
+    pub(crate) fn len(&self) -> usize {
+        self.random.len()
+    }
+
+    pub(crate) fn name(&self, i: usize) -> String {
+        self.index.name(i).to_owned()
+    }
+
+    /// "a, b".
+    pub(crate) fn pair_name(&self, i: usize, j: usize) -> String {
+        format!("{}, {}", self.index.name(j), self.index.name(i))
+    }
+
+    /// The element of a name.
+    pub(crate) fn find(
+        &self,
+        context: &Context<'_>,
+        states: &[State],
+        name: &str,
+        place: &str,
+        span: &Span,
+    ) -> Result<usize> {
+        if let Some(i) = self.index.get(name) {
+            return Ok(i);
+        }
+        let (name, place) = (name.to_owned(), place.to_owned());
+        let error = match context.states.get(&name) {
+            Some(state) => {
+                SpecError::new(Problem::NotEstimated { name, place, start: start_words(&states[state].initial) })
+            }
+            None => {
+                let hint = suggest(&name, self.index.names());
+                SpecError::new(Problem::UnknownName { what: "state", name, place }).maybe_hint(hint)
+            }
+        };
+        Err(error.at(span.clone()))
+    }
+}
+
+/// The two names of an element, "a, b", spaces aside.
+pub(crate) fn pair<'d>(field: &Field<'d>, place: &str) -> Result<(&'d str, &'d str)> {
+    pair_of(field.key, &field.key_span, place)
+}
+
+/// The two names in a text.
+pub(crate) fn pair_of<'t>(text: &'t str, span: &Span, place: &str) -> Result<(&'t str, &'t str)> {
+    let names: Vec<&str> = text.split(',').map(str::trim).take(3).collect();
+    match names.as_slice() {
+        [first, second] if !first.is_empty() && !second.is_empty() => Ok((first, second)),
+        _ => {
+            let (found, place, example) = (text.to_owned(), place.to_owned(), "a, b".to_owned());
+            Err(SpecError::new(StructureProblem::NotAnElement { found, place, example }).at(span.clone()))
+        }
+    }
+}
+
+/// The error of a matrix that is no covariance.
+pub(crate) fn to_problem(defect: &Defect, place: &str, name: &dyn Fn(usize) -> String) -> SpecError {
+    let error = SpecError::new(defect.problem(place, name));
+    match defect {
+        Defect::Eigenvalues { .. } => error.hint("every pair is possible by itself, but not all together"),
+        _ => error,
+    }
+}

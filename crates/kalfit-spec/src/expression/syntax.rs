@@ -1,0 +1,295 @@
+//! From words to a tree, with the bytes of every part.
+
+use std::ops::Range;
+
+use kalfit::model::Operator;
+
+use crate::error::ExpressionProblem;
+use crate::expression::token::{Token, Word, tokenize};
+
+/// Longest expression that is read, in bytes.
+const MAX_LENGTH: usize = 16_384;
+/// Parts of one expression.
+const MAX_PARTS: usize = 1_000;
+/// Levels of nesting: it bounds the recursion of all that walks the tree.
+const MAX_DEPTH: usize = 64;
+
+/// A part of an expression and its bytes in the text.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Node {
+    pub(crate) kind: Kind,
+    pub(crate) span: Range<usize>,
+}
+
+/// The kinds of part.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Kind {
+    Number(f64),
+    Name(String),
+    Column(String),
+    Text(String),
+    Negate(Box<Node>),
+    Not(Box<Node>),
+    Binary(Operator, Box<Node>, Box<Node>),
+    Call(String, Vec<Node>),
+}
+
+/// A fault of syntax: what, where, and what may help.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Fault {
+    pub(crate) problem: ExpressionProblem,
+    pub(crate) span: Range<usize>,
+    pub(crate) hint: Option<String>,
+}
+
+type Parsed<T> = Result<T, Box<Fault>>;
+
+/// Reads a whole text as one expression.
+pub(crate) fn parse(text: &str) -> Parsed<Node> {
+    if text.len() > MAX_LENGTH {
+        return fault(ExpressionProblem::TooLong { found: text.len(), limit: MAX_LENGTH }, 0..text.len(), None);
+    }
+    let words = tokenize(text).map_err(|(problem, span)| {
+        let hint = character_hint(&problem);
+        Box::new(Fault { problem, span, hint })
+    })?;
+    let mut parser = Parser { words: &words, next: 0, end: text.len(), parts: 0 };
+    let node = parser.expression(0, 0)?;
+    match parser.peek() {
+        None => Ok(node),
+        Some(_) => parser.unexpected("an operator or the end"),
+    }
+}
+
+struct Parser<'w, 's> {
+    words: &'w [Word<'s>],
+    next: usize,
+    end: usize,
+    parts: usize,
+}
+
+/// How tightly operators bind, loosest first: left and right power of each.
+fn power(token: &Token<'_>) -> Option<(u8, u8, Operator)> {
+    let (left, right, operator) = match token {
+        Token::Name("or") => (1, 2, Operator::Or),
+        Token::Name("and") => (3, 4, Operator::And),
+        Token::Symbol(symbol) => match *symbol {
+            "<" => (COMPARISON, COMPARISON + 1, Operator::Less),
+            "<=" => (COMPARISON, COMPARISON + 1, Operator::LessEqual),
+            ">" => (COMPARISON, COMPARISON + 1, Operator::Greater),
+            ">=" => (COMPARISON, COMPARISON + 1, Operator::GreaterEqual),
+            "==" => (COMPARISON, COMPARISON + 1, Operator::Equal),
+            "!=" => (COMPARISON, COMPARISON + 1, Operator::NotEqual),
+            "+" => (9, 10, Operator::Add),
+            "-" => (9, 10, Operator::Subtract),
+            "*" => (11, 12, Operator::Multiply),
+            "/" => (11, 12, Operator::Divide),
+            "^" => (16, 15, Operator::Power), // groups from the right
+            _ => return None,
+        },
+        _ => return None,
+    };
+    Some((left, right, operator))
+}
+
+const NOT: u8 = 6;
+const COMPARISON: u8 = 7;
+const MINUS: u8 = 13;
+const OPERAND: &str = "a number, a name or `(`";
+
+impl<'w> Parser<'w, '_> {
+    /// Precedence climbing: all operators that bind at least as tightly as `least`.
+    fn expression(&mut self, least: u8, depth: usize) -> Parsed<Node> {
+        if depth >= MAX_DEPTH {
+            return fault(ExpressionProblem::TooDeep { limit: MAX_DEPTH }, self.here(), None);
+        }
+        let mut left = self.operand(depth)?;
+        let mut compared = false;
+        while let Some((left_power, right_power, operator)) = self.peek().and_then(power) {
+            if left_power < least {
+                break;
+            }
+            let comparison = left_power == COMPARISON;
+            if comparison && compared {
+                let hint = "write `a < b and b < c`";
+                return fault(ExpressionProblem::ChainedComparison, self.here(), Some(hint.to_owned()));
+            }
+            compared = comparison;
+            self.next += 1;
+            let right = self.expression(right_power, depth + 1)?;
+            let span = left.span.start..right.span.end;
+            left = self.node(Kind::Binary(operator, Box::new(left), Box::new(right)), span)?;
+        }
+        Ok(left)
+    }
+
+    fn operand(&mut self, depth: usize) -> Parsed<Node> {
+        let Some((token, span)) = self.words.get(self.next) else { return self.unexpected(OPERAND) };
+        let span = span.clone();
+        self.next += 1;
+        match token {
+            Token::Number(x) => self.node(Kind::Number(*x), span),
+            Token::Column(name) => self.node(Kind::Column((*name).to_owned()), span),
+            Token::Text(text) => self.node(Kind::Text(text.clone()), span),
+            Token::Name("not") => self.prefix(NOT, Kind::Not, span, depth),
+            Token::Symbol("-") => self.prefix(MINUS, Kind::Negate, span, depth),
+            Token::Name(name) if !matches!(*name, "and" | "or") => match self.peek() {
+                Some(Token::Symbol("(")) => self.call(name, span, depth),
+                _ => self.node(Kind::Name((*name).to_owned()), span),
+            },
+            Token::Symbol("(") => {
+                let mut inside = self.expression(0, depth + 1)?;
+                let close = self.close(&span)?;
+                inside.span = span.start..close;
+                Ok(inside)
+            }
+            _ => {
+                self.next -= 1;
+                self.unexpected(OPERAND)
+            }
+        }
+    }
+
+    fn prefix(&mut self, least: u8, kind: fn(Box<Node>) -> Kind, span: Range<usize>, depth: usize) -> Parsed<Node> {
+        let operand = self.expression(least, depth + 1)?;
+        let span = span.start..operand.span.end;
+        self.node(kind(Box::new(operand)), span)
+    }
+
+    fn call(&mut self, name: &str, span: Range<usize>, depth: usize) -> Parsed<Node> {
+        let open = self.here();
+        self.next += 1;
+        let mut arguments = Vec::new();
+        if self.peek() != Some(&Token::Symbol(")")) {
+            loop {
+                arguments.push(self.expression(0, depth + 1)?);
+                if self.peek() != Some(&Token::Symbol(",")) {
+                    break;
+                }
+                self.next += 1;
+            }
+        }
+        let close = self.close(&open)?;
+        self.node(Kind::Call(name.to_owned(), arguments), span.start..close)
+    }
+
+    /// The end of the parenthesis that was opened at `open`.
+    fn close(&mut self, open: &Range<usize>) -> Parsed<usize> {
+        match self.words.get(self.next) {
+            Some((Token::Symbol(")"), span)) => {
+                self.next += 1;
+                Ok(span.end)
+            }
+            Some(_) => self.unexpected("an operator or `)`"),
+            None => fault(ExpressionProblem::Unclosed { what: "the parenthesis", expected: "`)`" }, open.clone(), None),
+        }
+    }
+
+    fn node(&mut self, kind: Kind, span: Range<usize>) -> Parsed<Node> {
+        self.parts += 1;
+        if self.parts > MAX_PARTS {
+            return fault(ExpressionProblem::TooManyParts { limit: MAX_PARTS }, 0..self.end, None);
+        }
+        Ok(Node { kind, span })
+    }
+
+    fn peek(&self) -> Option<&'w Token<'_>> {
+        self.words.get(self.next).map(|(token, _)| token)
+    }
+
+    fn here(&self) -> Range<usize> {
+        self.words.get(self.next).map_or(self.end..self.end, |(_, span)| span.clone())
+    }
+
+    fn unexpected<T>(&self, expected: &'static str) -> Parsed<T> {
+        let found = self.peek().map_or("the end".to_owned(), Token::shown);
+        let before = self.next.checked_sub(1).map(|i| &self.words[i].0);
+        let hint = match (before, self.peek()) {
+            (Some(Token::Symbol("*")), Some(Token::Symbol("*"))) => Some("`^` raises to a power".to_owned()),
+            (Some(Token::Number(x)), Some(Token::Name(name))) => Some(format!("write `{x} * {name}`")),
+            (Some(Token::Number(x)), Some(Token::Symbol("("))) => Some(format!("write `{x} * (`")),
+            (_, Some(Token::Symbol("+"))) => Some("a sign `+` is left out".to_owned()),
+            _ => None,
+        };
+        fault(ExpressionProblem::Unexpected { found, expected }, self.here(), hint)
+    }
+}
+
+fn fault<T>(problem: ExpressionProblem, span: Range<usize>, hint: Option<String>) -> Parsed<T> {
+    Err(Box::new(Fault { problem, span, hint }))
+}
+
+fn character_hint(problem: &ExpressionProblem) -> Option<String> {
+    let ExpressionProblem::UnknownCharacter { found } = problem else { return None };
+    Some(match found {
+        '=' => "`==` compares".to_owned(),
+        '&' => "write `and`".to_owned(),
+        '|' => "write `or`".to_owned(),
+        '!' => "write `not`".to_owned(),
+        '"' => "texts stand in single quotes".to_owned(),
+        '.' | '@' | '#' | '$' | '%' | ':' | '[' | ']' | '{' | '}' => {
+            "a column whose name has other characters than letters, digits and `_` stands in backticks".to_owned()
+        }
+        _ => return None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The tree with every parenthesis written.
+    fn grouped(text: &str) -> String {
+        fn show(node: &Node) -> String {
+            match &node.kind {
+                Kind::Number(x) => format!("{x}"),
+                Kind::Name(name) => name.clone(),
+                Kind::Column(name) => format!("`{name}`"),
+                Kind::Text(text) => format!("'{text}'"),
+                Kind::Negate(a) => format!("(-{})", show(a)),
+                Kind::Not(a) => format!("(not {})", show(a)),
+                Kind::Binary(operator, a, b) => format!("({} {operator:?} {})", show(a), show(b)),
+                Kind::Call(name, arguments) => {
+                    format!("{name}({})", arguments.iter().map(show).collect::<Vec<_>>().join(", "))
+                }
+            }
+        }
+        show(&parse(text).unwrap())
+    }
+
+    #[test]
+    fn operators_bind_in_the_documented_order() {
+        for (text, expected) in [
+            ("a + b * c", "(a Add (b Multiply c))"),
+            ("a - b - c", "((a Subtract b) Subtract c)"),
+            ("a / b * c", "((a Divide b) Multiply c)"),
+            ("a ^ b ^ c", "(a Power (b Power c))"),
+            ("-a ^ b", "(-(a Power b))"),
+            ("2^-1", "(2 Power (-1))"),
+            ("2^-a*b", "((2 Power (-a)) Multiply b)"),
+            ("-a * b", "((-a) Multiply b)"),
+            ("a or b and not c < d + 1", "(a Or (b And (not (c Less (d Add 1)))))"),
+            ("not a == b or c", "((not (a Equal b)) Or c)"),
+            ("if(a < b, max(a, b, 1), (c))", "if((a Less b), max(a, b, 1), c)"),
+        ] {
+            assert_eq!(grouped(text), expected, "{text}");
+        }
+    }
+
+    #[test]
+    fn deep_nesting_is_refused_and_not_followed() {
+        for text in
+            ["(".repeat(5_000), "-".repeat(5_000), "2^".repeat(5_000), "not ".repeat(3_000), "sin(".repeat(3_000)]
+        {
+            let problem = parse(&text).unwrap_err().problem;
+            assert_eq!(problem, ExpressionProblem::TooDeep { limit: MAX_DEPTH });
+        }
+    }
+
+    #[test]
+    fn an_endless_sum_is_refused() {
+        let problem = parse(&vec!["a"; 2_000].join("+")).unwrap_err().problem;
+        assert_eq!(problem, ExpressionProblem::TooManyParts { limit: MAX_PARTS });
+        assert!(parse(&vec!["a"; 500].join("+")).is_ok());
+    }
+}

@@ -1,0 +1,108 @@
+//! Matrices in the order of μ and Σ.
+
+use kalfit::model::Expression;
+
+use crate::elements::{Elements, to_problem};
+use crate::error::{Result, Span, SpecError, StructureProblem};
+use crate::expression::{self, Scope, is_zero};
+use crate::names::Context;
+use crate::semidefinite::defect;
+use crate::table::Field;
+
+/// A symmetric matrix whose entries are expressions in parameters, and where they stand.
+pub(crate) struct Matrix {
+    pub(crate) entries: Vec<Vec<Expression>>,
+    spans: Vec<Vec<Span>>,
+    place: String,
+    span: Span,
+}
+
+impl Matrix {
+    /// Reads a p × p array of arrays; it must be symmetric, and positive semidefinite as far as its numbers are known.
+    pub(crate) fn read(context: &mut Context<'_>, field: &Field<'_>, elements: &Elements) -> Result<Matrix> {
+        let place = format!("`{}` of {}", field.key, field.place);
+        let rows = field.items("an array of rows")?;
+        check_shape(rows.len(), elements.len(), "rows", field, &place)?;
+        let mut matrix = Matrix { entries: Vec::new(), spans: Vec::new(), place, span: field.span.clone() };
+        for row in rows {
+            let cells = row.items("an array of rows")?;
+            let part = format!("entries in row {}", matrix.entries.len() + 1);
+            check_shape(cells.len(), elements.len(), &part, &row, &matrix.place)?;
+            let mut values = Vec::with_capacity(cells.len());
+            for cell in &cells {
+                values.push(expression::scalar(context, cell, Scope::common(&matrix.place))?);
+            }
+            matrix.entries.push(values);
+            matrix.spans.push(cells.into_iter().map(|cell| cell.span).collect());
+        }
+        matrix.check(elements)?;
+        Ok(matrix)
+    }
+
+    fn check(&self, elements: &Elements) -> Result<()> {
+        for i in 0..self.entries.len() {
+            for j in 0..i {
+                if self.entries[i][j] != self.entries[j][i] {
+                    let element = elements.pair_name(i, j);
+                    let problem = StructureProblem::NotSymmetric { place: self.place.clone(), element };
+                    return Err(self.at(i, j, problem));
+                }
+            }
+        }
+        let known: Vec<Vec<Option<f64>>> =
+            self.entries.iter().map(|row| row.iter().map(Expression::as_number).collect()).collect();
+        match defect(&known) {
+            None => Ok(()),
+            Some(defect) => {
+                let span = defect.element().map_or(self.span.clone(), |(i, j)| self.spans[i][j].clone());
+                Err(to_problem(&defect, &self.place, &|i| elements.name(i)).at(span))
+            }
+        }
+    }
+
+    /// A problem of one entry.
+    pub(crate) fn at(&self, i: usize, j: usize, problem: StructureProblem) -> SpecError {
+        SpecError::new(problem).at(self.spans[i][j].clone())
+    }
+
+    /// States that are not random must have no covariance, and no variance unless `unit` says that the diagonal is one.
+    pub(crate) fn check_random(&self, elements: &Elements, unit: bool) -> Result<()> {
+        for i in (0..elements.len()).filter(|&i| !elements.random[i]) {
+            for j in (0..elements.len()).filter(|&j| j != i || !unit) {
+                if !is_zero(&self.entries[i][j]) {
+                    let what = if i == j { "variance" } else { "covariance" };
+                    let (name, place) = (elements.name(i), self.place.clone());
+                    return Err(self.at(i, j, StructureProblem::NotRandom { name, what, place }));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// A correlation matrix has a unit diagonal.
+    pub(crate) fn check_unit_diagonal(&self, elements: &Elements) -> Result<()> {
+        match (0..elements.len()).find(|&i| self.entries[i][i].as_number() != Some(1.0)) {
+            None => Ok(()),
+            Some(i) => Err(self.at(i, i, StructureProblem::NotUnitDiagonal { name: elements.name(i) })),
+        }
+    }
+
+    /// A matrix that is scaled must not be zero.
+    pub(crate) fn check_not_zero(&self) -> Result<()> {
+        if self.entries.iter().flatten().all(is_zero) {
+            return Err(SpecError::new(StructureProblem::AllZero { place: self.place.clone() }).at(self.span.clone()));
+        }
+        Ok(())
+    }
+}
+
+fn check_shape(found: usize, expected: usize, part: &str, field: &Field<'_>, place: &str) -> Result<()> {
+    if found == expected {
+        return Ok(());
+    }
+    let (place, part) = (place.to_owned(), part.to_owned());
+    let problem = StructureProblem::Shape { place, part, found, expected };
+    Err(SpecError::new(problem)
+        .at(field.span.clone())
+        .hint("a row and a column for every estimated state, in the order of Σ"))
+}

@@ -1,0 +1,177 @@
+//! `[process_noise_covariance]` and `[noise_covariance]`: covariances between noises, by pairs of names.
+
+use std::collections::BTreeMap;
+
+use kalfit::model::{Expression, Measurement, State};
+
+use crate::elements::{pair, to_problem};
+use crate::error::{Problem, Result, Span, SpecError, StructureProblem};
+use crate::expression::{self, Scope, is_zero};
+use crate::names::{Context, Index};
+use crate::semidefinite::defect;
+use crate::states::noise;
+use crate::suggest::suggest;
+use crate::table::Field;
+
+/// (row, column, covariance), row > column, in file order.
+pub(crate) type Covariances = Vec<(usize, usize, Expression)>;
+
+type Spans = BTreeMap<(usize, usize), Span>;
+
+/// Reads `[process_noise_covariance]`.
+pub(crate) fn between_states(
+    context: &mut Context<'_>,
+    field: Option<Field<'_>>,
+    states: &[State],
+) -> Result<Covariances> {
+    let Some(field) = field else { return Ok(Vec::new()) };
+    let place = "`[process_noise_covariance]`";
+    let find = |context: &Context<'_>, name: &str| context.states.get(name).ok_or_else(|| unknown_state(context, name));
+    let (covariances, spans) = read(context, &field, place, "state", &find)?;
+    for (i, j, value) in &covariances {
+        let span = &spans[&(*i, *j)];
+        let kinds = [*i, *j].map(|state| noise(&states[state]));
+        for (state, kind) in [(*i, kinds[0]), (*j, kinds[1])] {
+            if kind.is_none_or(|(variance, _)| is_zero(variance)) && !is_zero(value) {
+                let other = if state == *i { *j } else { *i };
+                return Err(no_noise(states, state, other, place).at(span.clone()));
+            }
+        }
+        if let [Some((_, first_kind)), Some((_, second_kind))] = kinds
+            && first_kind != second_kind
+        {
+            let (first, second) = (states[*i].name.clone(), states[*j].name.clone());
+            let problem = StructureProblem::MixedNoise { first, first_kind, second, second_kind };
+            return Err(SpecError::new(problem).at(span.clone()));
+        }
+    }
+    let variance = |state: usize| noise(&states[state]).map_or(Some(0.0), |(variance, _)| variance.as_number());
+    check(&covariances, &spans, place, &variance, &|state| states[state].name.clone(), &field.key_span)?;
+    Ok(covariances)
+}
+
+/// Reads `[noise_covariance]`.
+pub(crate) fn between_measurements(
+    context: &mut Context<'_>,
+    field: Option<Field<'_>>,
+    measurements: &[Measurement],
+    names: &Index,
+) -> Result<Covariances> {
+    let Some(field) = field else { return Ok(Vec::new()) };
+    let place = "`[noise_covariance]`";
+    let find = |_: &Context<'_>, name: &str| {
+        names.get(name).ok_or_else(|| unknown("measurement", name, place, suggest(name, names.names())))
+    };
+    let (covariances, spans) = read(context, &field, place, "measurement", &find)?;
+    let variance = |i: usize| measurements[i].noise_variance.as_number();
+    check(&covariances, &spans, place, &variance, &|i| measurements[i].name.clone(), &field.key_span)?;
+    Ok(covariances)
+}
+
+type Find<'f> = dyn Fn(&Context<'_>, &str) -> Result<usize> + 'f;
+
+fn read(
+    context: &mut Context<'_>,
+    field: &Field<'_>,
+    place: &str,
+    what: &'static str,
+    find: &Find<'_>,
+) -> Result<(Covariances, Spans)> {
+    let section = field.section(place)?;
+    let mut seen: BTreeMap<(usize, usize), usize> = BTreeMap::new();
+    let mut spans = Spans::new();
+    let mut all = Covariances::new();
+    for field in section.fields() {
+        let (first, second) = pair(&field, place)?;
+        let (i, j) = (
+            find(context, first).map_err(|error| error.at(field.key_span.clone()))?,
+            find(context, second).map_err(|error| error.at(field.key_span.clone()))?,
+        );
+        if i == j {
+            let problem = StructureProblem::Variance { found: field.key.to_owned(), place: place.to_owned() };
+            let hint = format!("the noise of a {what} by itself is given in its own table");
+            return Err(SpecError::new(problem).at(field.key_span).hint(hint));
+        }
+        let words = field.what();
+        let value = expression::scalar(context, &field, Scope::row(&words))?;
+        let key = (i.max(j), i.min(j));
+        match seen.get(&key) {
+            None => {
+                seen.insert(key, all.len());
+                spans.insert(key, field.key_span.clone());
+                all.push((key.0, key.1, value));
+            }
+            Some(&before) if all[before].2 == value => {}
+            Some(&before) => {
+                let problem = StructureProblem::GivenTwice {
+                    element: format!("{first}, {second}"),
+                    place: place.to_owned(),
+                    first: shown(&all[before].2),
+                    second: shown(&value),
+                };
+                return Err(SpecError::new(problem).at(field.key_span));
+            }
+        }
+    }
+    Ok((all, spans))
+}
+
+fn shown(value: &Expression) -> String {
+    value.as_number().map_or("an expression".to_owned(), |x| x.to_string())
+}
+
+/// Refuses covariances that no noise can have, as far as numbers are known.
+fn check(
+    covariances: &Covariances,
+    spans: &Spans,
+    place: &str,
+    variance: &dyn Fn(usize) -> Option<f64>,
+    name: &dyn Fn(usize) -> String,
+    whole: &Span,
+) -> Result<()> {
+    let mut involved: Vec<usize> = covariances.iter().flat_map(|(i, j, _)| [*i, *j]).collect();
+    involved.sort_unstable();
+    involved.dedup();
+    let row_of = |i: usize| involved.binary_search(&i).expect("every covariance is between involved noises");
+    let mut matrix = vec![vec![Some(0.0); involved.len()]; involved.len()];
+    for (row, i) in involved.iter().enumerate() {
+        matrix[row][row] = variance(*i);
+    }
+    for (i, j, value) in covariances {
+        let (i, j) = (row_of(*i), row_of(*j));
+        matrix[i][j] = value.as_number();
+        matrix[j][i] = matrix[i][j];
+    }
+    match defect(&matrix) {
+        None => Ok(()),
+        Some(defect) => {
+            let element = defect.element().map(|(i, j)| (involved[i], involved[j]));
+            let span = element.and_then(|element| spans.get(&element)).unwrap_or(whole);
+            Err(to_problem(&defect, place, &|row| name(involved[row])).at(span.clone()))
+        }
+    }
+}
+
+fn no_noise(states: &[State], state: usize, other: usize, place: &str) -> SpecError {
+    let problem = StructureProblem::CovarianceWithoutVariance {
+        first: states[state].name.clone(),
+        second: states[other].name.clone(),
+        place: place.to_owned(),
+    };
+    let rate = format!("{} (rate)", states[state].name);
+    match states.get(state + 1) {
+        Some(next) if next.name == rate => {
+            SpecError::new(problem).hint(format!("the noise of this process drives its hidden state `{rate}`"))
+        }
+        _ => SpecError::new(problem).hint(format!("state `{}` has no noise", states[state].name)),
+    }
+}
+
+fn unknown_state(context: &Context<'_>, name: &str) -> SpecError {
+    unknown("state", name, "`[process_noise_covariance]`", suggest(name, context.states.names()))
+}
+
+fn unknown(what: &'static str, name: &str, place: &str, hint: Option<String>) -> SpecError {
+    let problem = Problem::UnknownName { what, name: name.to_owned(), place: place.to_owned() };
+    SpecError::new(problem).maybe_hint(hint)
+}

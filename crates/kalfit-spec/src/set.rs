@@ -1,0 +1,77 @@
+//! `--set name=value`: fixing parameters after the model was read.
+
+use kalfit::model::Value;
+
+use crate::Spec;
+use crate::error::{Problem, Result, SpecError};
+use crate::parameters::check_value;
+use crate::suggest::suggest;
+
+/// `name[level] = value`, taken apart.
+struct Assignment<'a> {
+    name: &'a str,
+    level: Option<&'a str>,
+    value: f64,
+}
+
+impl Spec {
+    /// Fixes a parameter: `tau=90` at all its levels, `sigma_v[A]=0.7` at one level of a `per` parameter.
+    ///
+    /// # Errors
+    /// Something that is not an assignment of a finite number, a name that is no parameter, a level of a parameter
+    /// without `per`, a value out of bounds or of the wrong sign. The errors have no span, and the model stays as it was.
+    pub fn set(&mut self, assignment: &str) -> std::result::Result<(), SpecError> {
+        let Assignment { name, level, value } = take_apart(assignment)?;
+        let parameters = &mut self.model.parameters;
+        let Some(index) = parameters.iter().position(|parameter| parameter.name == name) else {
+            let hint = suggest(name, parameters.iter().map(|parameter| parameter.name.as_str()));
+            let problem = Problem::UnknownName {
+                what: "parameter",
+                name: name.to_owned(),
+                place: format!("the assignment `{assignment}`"),
+            };
+            return Err(SpecError::new(problem).maybe_hint(hint));
+        };
+        let parameter = &mut parameters[index];
+        check_value(parameter, self.places.roles[index], value).map_err(SpecError::new)?;
+        match level {
+            None => {
+                parameter.value = Value::Fixed(value);
+                parameter.fixed_levels.clear();
+            }
+            Some(_) if parameter.per.is_none() => {
+                let why = format!("on parameter `{name}`, which has no `per`");
+                let error = SpecError::new(Problem::NoEffect { key: assignment.to_owned(), why });
+                return Err(error.hint(format!("write `{name}={value}`")));
+            }
+            Some(level) => {
+                let literals = &mut self.model.literals;
+                let literal = literals.iter().position(|text| text == level).unwrap_or_else(|| {
+                    literals.push(level.to_owned());
+                    literals.len() - 1
+                });
+                parameter.fixed_levels.insert(literal, value);
+            }
+        }
+        Ok(())
+    }
+}
+
+fn take_apart(assignment: &str) -> Result<Assignment<'_>> {
+    let wrong = || SpecError::new(Problem::NotAnAssignment { found: assignment.to_owned() });
+    let (target, value) = assignment.rsplit_once('=').ok_or_else(wrong)?;
+    let (target, text) = (target.trim(), value.trim());
+    let value: f64 = text.parse().map_err(|_| wrong())?;
+    if !value.is_finite() {
+        let what = format!("the value of `{assignment}`");
+        return Err(SpecError::new(Problem::NotFinite { what, found: text.to_owned() }));
+    }
+    let (name, level) = match target.split_once('[') {
+        None => (target, None),
+        Some((name, rest)) => (name.trim(), Some(rest.strip_suffix(']').ok_or_else(wrong)?)),
+    };
+    if name.is_empty() || level.is_some_and(str::is_empty) {
+        return Err(wrong());
+    }
+    Ok(Assignment { name, level, value })
+}

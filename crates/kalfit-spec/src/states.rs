@@ -1,0 +1,195 @@
+//! `[states]`: what there is, how it starts, and which of it is estimated.
+
+use kalfit::model::{Expression, Initial, Motion, State};
+
+use crate::error::{Problem, Result, Span, SpecError};
+use crate::expression::{self, Scope, ZERO};
+use crate::motion::{Process, deviation, moved, squared};
+use crate::names::{Context, Role, check_name};
+use crate::table::{Field, Section};
+
+const KEYS: [&str; 12] = [
+    "unit",
+    "process",
+    "time_constant",
+    "sigma",
+    "noise_density",
+    "step_noise",
+    "derivative",
+    "next",
+    "of",
+    "initial",
+    "offset",
+    "random",
+];
+/// States of one model; μ, Σ and every filter step grow with its square.
+const MAX_STATES: usize = 500;
+
+/// A state whose name is known and whose equations are not read yet.
+pub(crate) struct Declared<'d> {
+    name: &'d str,
+    index: usize,
+    section: Section<'d>,
+    process: Process,
+    start: Option<Field<'d>>,
+}
+
+/// Reads the names of all states and makes them known, hidden ones after their owners.
+pub(crate) fn declare<'d>(context: &mut Context<'_>, field: Option<&Field<'d>>) -> Result<Vec<Declared<'d>>> {
+    let section = field.map(|field| field.section("`[states]`")).transpose()?;
+    let found = section.as_ref().map_or(0, Section::len);
+    if found == 0 || found > MAX_STATES {
+        let problem = Problem::Count { what: "states", found, expected: format!("1 to {MAX_STATES}") };
+        let error = SpecError::new(problem).hint("a state is a table in `[states]`, as in `intercept = {}`");
+        return Err(field.map_or(error.clone(), |field| error.at(field.key_span.clone())));
+    }
+    let mut all = Vec::with_capacity(found);
+    for field in section.iter().flat_map(Section::fields) {
+        check_name("state", field.key, &field.key_span)?;
+        if context.parameters.get(field.key).is_some() {
+            let problem = Problem::TakenName { name: field.key.to_owned() };
+            return Err(SpecError::new(problem).at(field.key_span));
+        }
+        let mut section = field.section(format!("state `{}`", field.key))?.only(&KEYS)?;
+        let process = Process::of(&mut section)?;
+        let index = context.states.add(field.key, field.key_span.clone());
+        if process == Process::GaussMarkov2 {
+            context.states.add(&format!("{} (rate)", field.key), field.key_span.clone());
+        }
+        all.push(Declared { name: field.key, index, section, process, start: None });
+    }
+    Ok(all)
+}
+
+/// Reads the equations of all states.
+pub(crate) fn lower(context: &mut Context<'_>, mut declared: Vec<Declared<'_>>) -> Result<Vec<State>> {
+    let mut states = Vec::with_capacity(declared.len());
+    for one in &mut declared {
+        lower_one(context, one, &mut states)?;
+    }
+    for one in &declared {
+        check_stationary(context, one, &states)?;
+    }
+    for one in declared {
+        let (why, hint) = one.process.words();
+        one.section.finish(why, Some(hint))?;
+    }
+    Ok(states)
+}
+
+fn lower_one(context: &mut Context<'_>, one: &mut Declared<'_>, states: &mut Vec<State>) -> Result<()> {
+    let section = &mut one.section;
+    let unit = section.take("unit").map(|unit| unit.text().map(str::to_owned)).transpose()?;
+    let moved = moved(context, section, one.process, one.index)?;
+    one.start = section.take("initial");
+    let initial = match &one.start {
+        Some(field) => initial(context, field, &section.place)?,
+        None if moved.stationary => Initial::Stationary,
+        None => Initial::Estimated,
+    };
+    let estimated = initial == Initial::Estimated;
+    let offset = section.take("offset");
+    let random = section.take("random");
+    if let Some(field) = offset.as_ref().or(random.as_ref())
+        && !estimated
+    {
+        let why = format!("on a state whose start is not estimated ({})", start_words(&initial));
+        return Err(field.no_effect(&why));
+    }
+    let place = format!("offset of state `{}`", one.name);
+    let offset = offset.map(|field| expression::scalar(context, &field, Scope::start(&place))).transpose()?;
+    let random = random.map_or(Ok(true), |field| field.truth())?;
+    let hidden = moved.hidden.map(|rate| State {
+        name: context.states.name(one.index + 1).to_owned(),
+        unit: None,
+        motion: rate.motion,
+        initial: match initial {
+            Initial::Stationary => Initial::Stationary,
+            _ => Initial::Known { mean: ZERO, variance: rate.variance },
+        },
+        offset: None,
+        random: true,
+    });
+    states.push(State { name: one.name.to_owned(), unit, motion: moved.motion, initial, offset, random });
+    states.extend(hidden);
+    Ok(())
+}
+
+fn initial(context: &mut Context<'_>, field: &Field<'_>, place: &str) -> Result<Initial> {
+    if !field.is_table() {
+        if field.as_text().is_none() {
+            return Err(field.wrong_type("`\"estimated\"`, `\"stationary\"` or `{ mean = …, sigma = … }`"));
+        }
+        return Ok(match field.word(&["estimated", "stationary"])? {
+            0 => Initial::Estimated,
+            _ => Initial::Stationary,
+        });
+    }
+    let mut section = field.section(format!("`initial` of {place}"))?.only(&["mean", "sigma"])?;
+    let (mean, sigma) = match (section.take("mean"), section.take("sigma")) {
+        (Some(mean), Some(sigma)) => (mean, sigma),
+        (None, _) => return Err(section.missing("mean").hint("write `mean = 0` when the known mean is 0")),
+        (_, None) => {
+            let hint = "write `sigma = 0` when the start is known exactly, \
+                        `initial = \"estimated\"` when its spread is to be found";
+            return Err(section.missing("sigma").hint(hint));
+        }
+    };
+    let mean_place = mean.what();
+    let mean = expression::scalar(context, &mean, Scope::start(&mean_place))?;
+    let sigma_place = sigma.what();
+    let deviation = deviation(context, &sigma, Scope::start(&sigma_place), Role::StandardDeviation)?;
+    Ok(Initial::Known { mean, variance: squared(context, deviation, &sigma.span)? })
+}
+
+/// How a state starts, in words.
+pub(crate) fn start_words(initial: &Initial) -> &'static str {
+    match initial {
+        Initial::Estimated => "estimated",
+        Initial::Stationary => "stationary",
+        Initial::Known { .. } => "known",
+    }
+}
+
+/// A stationary law must exist, and belong to the stationary states alone.
+fn check_stationary(context: &Context<'_>, one: &Declared<'_>, states: &[State]) -> Result<()> {
+    let state = &states[one.index];
+    if state.initial != Initial::Stationary {
+        return Ok(());
+    }
+    let wrong = |why: String| {
+        let span: Span = one.start.as_ref().map_or(context.states.span(one.index), |field| field.span.clone());
+        Err(SpecError::new(Problem::NoStationaryLaw { name: one.name.to_owned(), why }).at(span))
+    };
+    match one.process {
+        Process::Constant => return wrong("a constant keeps the value it starts with".to_owned()),
+        Process::RandomWalk => return wrong("the variance of a random walk grows without bound".to_owned()),
+        Process::Integral => return wrong("an integral keeps all that it started with".to_owned()),
+        _ => {}
+    }
+    let (Motion::Continuous { derivative: linear, .. } | Motion::Discrete { next: linear, .. }) = &state.motion else {
+        return Ok(());
+    };
+    let other = linear.terms.iter().find(|(other, _)| states[*other].initial != Initial::Stationary);
+    match other {
+        None => Ok(()),
+        Some((other, _)) => {
+            let start = start_words(&states[*other].initial);
+            wrong(format!("it moves with state `{}`, whose start is {start}", context.states.name(*other)))
+        }
+    }
+}
+
+/// States that are estimated, in file order.
+pub(crate) fn estimated(states: &[State]) -> Vec<usize> {
+    (0..states.len()).filter(|&i| states[i].initial == Initial::Estimated).collect()
+}
+
+/// The driving noise of a state: its variance, and what kind it is; none for a constant.
+pub(crate) fn noise(state: &State) -> Option<(&Expression, &'static str)> {
+    match &state.motion {
+        Motion::Constant => None,
+        Motion::Continuous { noise_variance, .. } => Some((noise_variance, "per unit of time")),
+        Motion::Discrete { noise_variance, .. } => Some((noise_variance, "per step")),
+    }
+}
