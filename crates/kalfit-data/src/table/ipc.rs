@@ -34,8 +34,16 @@ pub(super) fn open<'a>(
     is_file: bool,
     wanted: &'a Wanted,
 ) -> Result<BatchTable<'a>, DataError> {
-    let mut messages =
-        Messages { file, bytes, is_file, decoder: StreamDecoder::new(), batches: 0, marked: false, ended: false };
+    let mut messages = Messages {
+        file,
+        bytes,
+        is_file,
+        decoder: StreamDecoder::new(),
+        pending: Buffer::from_vec(Vec::<u8>::new()),
+        batches: 0,
+        marked: false,
+        ended: false,
+    };
     let (schema, first) = guarded(file, FORMAT, || messages.begin())?;
     let mut first = first;
     let next = move || match first.take() {
@@ -50,6 +58,9 @@ struct Messages<'a> {
     bytes: Box<dyn Read + 'a>,
     is_file: bool,
     decoder: StreamDecoder,
+    /// What the decoder has not taken yet.
+    pending: Buffer,
+    /// Messages with rows so far.
     batches: usize,
     /// Messages begin with a continuation mark (all but those of very old writers).
     marked: bool,
@@ -87,17 +98,18 @@ impl Messages<'_> {
 
     /// The next batch; None at the end.
     fn next(&mut self) -> Result<Option<RecordBatch>, DataError> {
-        while !self.ended {
-            let message = self.message()?;
-            let mut message = Buffer::from_vec(message);
-            while !message.is_empty() {
-                if let Some(batch) = self.decoder.decode(&mut message).map_err(|error| self.refused(error))? {
-                    self.batches += 1;
+        loop {
+            // A message without a body is decoded with the bytes of the next one, some of which then wait here.
+            while !self.pending.is_empty() {
+                if let Some(batch) = self.decoder.decode(&mut self.pending).map_err(|error| self.refused(error))? {
                     return Ok(Some(batch));
                 }
             }
+            if self.ended {
+                return Ok(None);
+            }
+            self.pending = Buffer::from_vec(self.message()?);
         }
-        Ok(None)
     }
 
     /// One whole message with its frame, its declarations checked. At the end, the mark of the end.
@@ -127,6 +139,7 @@ impl Messages<'_> {
         if self.read(body, &mut message)? < body {
             return Err(self.cut_off());
         }
+        self.batches += usize::from(header == MessageHeader::RecordBatch);
         if matches!(header, MessageHeader::RecordBatch | MessageHeader::DictionaryBatch) {
             self.refuse_oversized(&message[start..body_start], &message[body_start..])?;
         }
