@@ -190,9 +190,9 @@ fn accumulate(sum: &mut [f64], a: &[f64], factor: f64) {
 
 /// Largest row sum of magnitudes.
 fn norm(a: &[f64], m: usize) -> f64 {
-    a.chunks_exact(m).map(|row| row.iter().map(|x| x.abs()).sum::<f64>()).fold(0.0, |most: f64, sum| {
-        if sum.is_nan() { f64::INFINITY } else { most.max(sum) }
-    })
+    a.chunks_exact(m)
+        .map(|row| row.iter().map(|x| x.abs()).sum::<f64>())
+        .fold(0.0, |most: f64, sum| if sum.is_nan() { f64::INFINITY } else { most.max(sum) })
 }
 
 #[cfg(test)]
@@ -241,7 +241,8 @@ mod tests {
                     let phi = if j >= i { f64::powi(step, (j - i) as i32) / factorial[j - i] } else { 0.0 };
                     assert_near(&[flow.phi[i * m + j]], &[phi], 1e-14);
                     let (a, b) = (3 - i, 3 - j);
-                    let noise = 2.0 * f64::powi(step, (a + b + 1) as i32) / (factorial[a] * factorial[b] * (a + b + 1) as f64);
+                    let noise =
+                        2.0 * f64::powi(step, (a + b + 1) as i32) / (factorial[a] * factorial[b] * (a + b + 1) as f64);
                     assert_near(&[flow.q[i * m + j]], &[noise], 1e-13);
                 }
             }

@@ -13,9 +13,9 @@ pub trait Real:
     fn fma(self, factor: Self, addend: Self) -> Self;
     /// addend - self × factor.
     fn fnma(self, factor: Self, addend: Self) -> Self;
-    /// The smaller one.
+    /// The smaller one; not a number, if either is not.
     fn minimum(self, other: Self) -> Self;
-    /// The larger one.
+    /// The larger one; not a number, if either is not.
     fn maximum(self, other: Self) -> Self;
     /// Its magnitude.
     fn magnitude(self) -> Self;
@@ -46,12 +46,12 @@ impl Real for f64 {
 
     #[inline(always)]
     fn minimum(self, other: f64) -> f64 {
-        if other < self { other } else { self }
+        if other < self || other.is_nan() { other } else { self }
     }
 
     #[inline(always)]
     fn maximum(self, other: f64) -> f64 {
-        if other > self { other } else { self }
+        if other > self || other.is_nan() { other } else { self }
     }
 
     #[inline(always)]
@@ -98,7 +98,7 @@ thread_local! {
 }
 
 /// A number that counts the operations done with it on this thread.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Counted(pub f64);
 
 impl Counted {
@@ -116,10 +116,14 @@ fn tally(note: impl FnOnce(&mut Flops)) {
     FLOPS.set(flops);
 }
 
+fn bump(count: &mut u64) {
+    *count += 1;
+}
+
 impl Add for Counted {
     type Output = Counted;
     fn add(self, other: Counted) -> Counted {
-        tally(|f| f.add += 1);
+        tally(|f| bump(&mut f.add));
         Counted(self.0 + other.0)
     }
 }
@@ -127,7 +131,7 @@ impl Add for Counted {
 impl Sub for Counted {
     type Output = Counted;
     fn sub(self, other: Counted) -> Counted {
-        tally(|f| f.add += 1);
+        tally(|f| bump(&mut f.add));
         Counted(self.0 - other.0)
     }
 }
@@ -135,7 +139,7 @@ impl Sub for Counted {
 impl Mul for Counted {
     type Output = Counted;
     fn mul(self, other: Counted) -> Counted {
-        tally(|f| f.mul += 1);
+        tally(|f| bump(&mut f.mul));
         Counted(self.0 * other.0)
     }
 }
@@ -143,7 +147,7 @@ impl Mul for Counted {
 impl Div for Counted {
     type Output = Counted;
     fn div(self, other: Counted) -> Counted {
-        tally(|f| f.div += 1);
+        tally(|f| bump(&mut f.div));
         Counted(self.0 / other.0)
     }
 }
@@ -161,21 +165,21 @@ impl Real for Counted {
     }
 
     fn fma(self, factor: Counted, addend: Counted) -> Counted {
-        tally(|f| f.fma += 1);
+        tally(|f| bump(&mut f.fma));
         Counted(self.0.fma(factor.0, addend.0))
     }
 
     fn fnma(self, factor: Counted, addend: Counted) -> Counted {
-        tally(|f| f.fma += 1);
+        tally(|f| bump(&mut f.fma));
         Counted(self.0.fnma(factor.0, addend.0))
     }
 
     fn minimum(self, other: Counted) -> Counted {
-        Counted(self.0.minimum(other.0))
+        Counted(Real::minimum(self.0, other.0))
     }
 
     fn maximum(self, other: Counted) -> Counted {
-        Counted(self.0.maximum(other.0))
+        Counted(Real::maximum(self.0, other.0))
     }
 
     fn magnitude(self) -> Counted {
@@ -183,7 +187,7 @@ impl Real for Counted {
     }
 
     fn recip_or_zero(self) -> Counted {
-        tally(|f| f.div += 1);
+        tally(|f| bump(&mut f.div));
         Counted(self.0.recip_or_zero())
     }
 

@@ -2,7 +2,35 @@
 //!
 //! The filter runs once per test with ξ = 0 and carries the sensitivity Ψ of the filtered state to ξ. What it leaves
 //! is a [`Reduction`]: all that the test says about ξ.
+//!
+//! ```text
+//! Model at α ── Reducer::new ──> Preparer                dynamics, start, motion, observe: coefficients at α
+//! Test ── prepare ──> Design + Data                      steps; transitions are made once per length and coefficients
+//! Design ── gains (or root) ──> Gains                    S, K, T, P, J: once per design class
+//! Gains + Data ── data ──> Reduction                     e, x̂, y: once per test
+//! ```
 
+mod data;
+mod design;
+mod digest;
+mod dynamics;
+mod error;
+mod gains;
+mod kernel;
+mod motion;
+mod observe;
+mod plain;
+mod prepare;
+mod reducer;
 mod reduction;
+mod root;
+mod semidefinite;
+mod shared;
+mod start;
+mod steps;
+mod subject;
 
+pub use error::{Cell, ReduceError, ReduceErrorKind};
+pub use plain::{Plain, StepMatrices, Terminal};
+pub use reducer::{Reducer, Work};
 pub use reduction::{Path, Reduction};

@@ -1,0 +1,221 @@
+//! The data pass: innovations of a test under the schedule of its design, and what they add up to.
+#![expect(non_snake_case, reason = "the letters of the theory: K, T, J")]
+
+use crate::linalg::real::Real;
+use crate::reduce::design::Design;
+use crate::reduce::gains::{Gains, Settle, Turns};
+use crate::reduce::kernel;
+
+/// e'S⁻¹e beyond which c + ½d'd would lose digits, so that the innovations are taken again from the best ξ.
+const REFINE: f64 = 1e3;
+/// A measurement that can only be one value may miss it by this part of the size of its terms.
+const ROUNDING: f64 = 1e-10;
+
+/// The data of a test, in kernel order and whitened.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Data<R = f64> {
+    /// a, n numbers.
+    pub(crate) start: Vec<R>,
+    /// b of the driven states, for each transition.
+    pub(crate) inputs: Vec<R>,
+    /// z - d.
+    pub(crate) values: Vec<R>,
+    /// |z| + |d|.
+    pub(crate) sizes: Vec<R>,
+}
+
+impl<R> Data<R> {
+    pub(crate) fn clear(&mut self) {
+        self.start.clear();
+        self.inputs.clear();
+        self.values.clear();
+        self.sizes.clear();
+    }
+}
+
+/// Work space of the data pass; afterwards x̂ of the last step.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct DataWork<R = f64> {
+    pub(crate) x: Vec<R>,
+    moved: Vec<R>,
+    e: Vec<R>,
+    y: Vec<R>,
+}
+
+/// What the data say under a design.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Outcome {
+    pub(crate) constant: f64,
+    /// d, p numbers.
+    pub(crate) data: Vec<f64>,
+}
+
+/// Measurement `row` missed its only possible value.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Miss {
+    pub(crate) row: usize,
+    pub(crate) residual: f64,
+}
+
+/// x̂ ← φx̂ + b, e = z - d - h'x̂, x̂ ← x̂ + Ke over the test; y = Σ T'e/S. Returns e'S⁻¹e. `look(row, e, x̂)` sees each
+/// innovation before its update.
+#[inline(always)]
+pub(crate) fn innovate<R: Real>(
+    design: &Design<R>,
+    rows: &[R],
+    data: &Data<R>,
+    work: &mut DataWork<R>,
+    mut look: impl FnMut(usize, R, &[R]),
+) -> R {
+    let (frame, zero) = (&*design.frame, R::splat(0.0));
+    let (p, r, stride) = (frame.p, frame.r, 1 + frame.r + frame.p);
+    work.x.clone_from(&data.start);
+    work.e.clear();
+    work.y.clear();
+    work.y.resize(p, zero);
+    let (mut square, mut first, mut input) = (zero, 0, 0);
+    for step in &design.steps {
+        if let Some(transition) = &step.transition {
+            kernel::advance(&mut work.x, 1, transition, &mut work.moved);
+            for &state in &frame.driven {
+                work.x[state as usize] = work.x[state as usize] + data.inputs[input];
+                input += 1;
+            }
+        }
+        for row in first..step.rows {
+            let (states, h) = design.terms(row);
+            let mut e = data.values[row];
+            for (&state, &h) in states.iter().zip(h) {
+                e = h.fnma(work.x[state as usize], e);
+            }
+            look(row, e, &work.x);
+            let (weight, gains) = rows[row * stride..][..stride].split_first().expect("stride is positive");
+            let (K, T) = gains.split_at(r);
+            let weighted = e * *weight;
+            for (x, &K) in work.x.iter_mut().zip(K) {
+                *x = K.fma(e, *x);
+            }
+            for (y, &T) in work.y.iter_mut().zip(T) {
+                *y = T.fma(weighted, *y);
+            }
+            square = e.fma(weighted, square);
+            work.e.push(e);
+        }
+        first = step.rows;
+    }
+    square
+}
+
+/// The outcome of a test. An error when a measurement that can only be one value is another.
+pub(crate) fn outcome(design: &Design, gains: &Gains, data: &Data, work: &mut DataWork) -> Result<Outcome, Miss> {
+    let log_density = -0.5 * (gains.active as f64 * std::f64::consts::TAU.ln() + gains.log_determinant);
+    let (residual, data) = match &gains.turns {
+        None => {
+            let square = innovate(design, &gains.rows, data, work, |_, _, _| {});
+            least_squares(design, gains, work, square)
+        }
+        Some(turns) => {
+            if gains.active < design.rows.len() {
+                possible(design, gains, data, work)?;
+            } else {
+                innovate(design, &gains.rows, data, work, |_, _, _| {});
+            }
+            folded(design, gains, turns, work)
+        }
+    };
+    Ok(Outcome { constant: log_density - 0.5 * residual, data })
+}
+
+/// The data pass of a test with measurements that say nothing: each must be what it must be.
+fn possible(design: &Design, gains: &Gains, data: &Data, work: &mut DataWork) -> Result<(), Miss> {
+    let (stride, mut miss) = (1 + design.frame.r + design.frame.p, None);
+    innovate(design, &gains.rows, data, work, |row, e, x| {
+        let (states, h) = design.terms(row);
+        let terms: f64 = states.iter().zip(h).map(|(&state, h)| (h * x[state as usize]).abs()).sum();
+        let silent = gains.rows[row * stride] == 0.0;
+        let off = e.abs() > ROUNDING * (data.sizes[row] + terms);
+        if silent && off && miss.is_none() {
+            miss = Some(Miss { row, residual: e });
+        }
+    });
+    miss.map_or(Ok(()), Err)
+}
+
+/// (residual sum of squares, d) from y and e'S⁻¹e. Where these are large, the innovations at the best ξ, e - Tξ, are what
+/// counts: nothing cancels in them. (Corrected seminormal equations, Björck 1987.)
+fn least_squares(design: &Design, gains: &Gains, work: &mut DataWork, square: f64) -> (f64, Vec<f64>) {
+    let (p, r) = (design.frame.p, design.frame.r);
+    let mut d = work.y.clone();
+    forward(&gains.factor, &mut d);
+    if square <= REFINE || p == 0 {
+        return (square - d.iter().map(|x| x * x).sum::<f64>(), d);
+    }
+    let mut best = d;
+    backward(&gains.factor, &mut best);
+    let (mut left, mut correction) = (0.0, vec![0.0; p]);
+    for (row, &e) in gains.rows.chunks_exact(1 + r + p).zip(&work.e) {
+        let T = &row[1 + r..];
+        let rest = e - T.iter().zip(&best).map(|(T, x)| T * x).sum::<f64>();
+        left += rest * rest * row[0];
+        for (sum, T) in correction.iter_mut().zip(T) {
+            *sum += T * rest * row[0];
+        }
+    }
+    forward(&gains.factor, &mut correction);
+    left -= correction.iter().map(|x| x * x).sum::<f64>();
+    let mut at = 0;
+    for k in 0..p {
+        for i in 0..=k {
+            correction[i] += gains.factor[at + i] * best[k]; // d = R ξ + what is left
+        }
+        at += k + 1;
+    }
+    (left, correction)
+}
+
+/// d ← R'⁻¹ d, zero for zero rows of R.
+fn forward(factor: &[f64], d: &mut [f64]) {
+    let mut at = 0;
+    for k in 0..d.len() {
+        let mut sum = d[k];
+        for i in 0..k {
+            sum -= factor[at + i] * d[i];
+        }
+        d[k] = if factor[at + k] > 0.0 { sum / factor[at + k] } else { 0.0 };
+        at += k + 1;
+    }
+}
+
+/// ξ ← R⁻¹ ξ, zero for zero rows of R.
+fn backward(factor: &[f64], x: &mut [f64]) {
+    for k in (0..x.len()).rev() {
+        let at = k * (k + 1) / 2;
+        x[k] = if factor[at + k] > 0.0 { x[k] / factor[at + k] } else { 0.0 };
+        for i in 0..k {
+            x[i] -= factor[at + i] * x[k];
+        }
+    }
+}
+
+/// (residual sum of squares, d): the innovations take the rotations that made R.
+fn folded(design: &Design, gains: &Gains, turns: &Turns, work: &DataWork) -> (f64, Vec<f64>) {
+    let (p, stride) = (design.frame.p, 1 + design.frame.r + design.frame.p);
+    let (mut d, mut residual) = (vec![0.0; p], 0.0);
+    for (row, &e) in work.e.iter().enumerate() {
+        let mut left = e * gains.rows[row * stride].sqrt();
+        for (d, &(c, s)) in d.iter_mut().zip(&turns.folds[row * p..]) {
+            (*d, left) = (c * *d + s * left, c * left - s * *d);
+        }
+        residual += left * left;
+    }
+    for &settle in &turns.settle {
+        match settle {
+            Settle::Turn { k, i, c, s } => (d[k], d[i]) = (c * d[k] + s * d[i], c * d[i] - s * d[k]),
+            Settle::Drop { i } => {
+                residual += d[i] * d[i];
+                d[i] = 0.0;
+            }
+        }
+    }
+    (residual, d)
+}

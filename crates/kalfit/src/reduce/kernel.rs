@@ -1,0 +1,161 @@
+//! The steps of the filter on flat arrays, one source for every kind of [`Real`]. (theory §2)
+#![expect(non_snake_case, reason = "the letters of the theory: P, Psi, G = P h, K, T, S, J")]
+
+use crate::linalg::real::Real;
+use crate::reduce::design::{DENSE, Frame, Transition, ZERO};
+
+/// X ← φX. Shape: `x` n × width, row-major.
+#[inline(always)]
+pub(crate) fn advance<R: Real>(x: &mut [R], width: usize, transition: &Transition<R>, work: &mut Vec<R>) {
+    work.clear();
+    work.resize(transition.moved.len() * width, R::splat(0.0));
+    for (row, out) in transition.moved.iter().zip(work.chunks_exact_mut(width.max(1))) {
+        for k in row.start as usize..row.end as usize {
+            let from = &x[transition.columns[k] as usize * width..][..width];
+            for (sum, &value) in out.iter_mut().zip(from) {
+                *sum = transition.phi[k].fma(value, *sum);
+            }
+        }
+    }
+    for (row, out) in transition.moved.iter().zip(work.chunks_exact(width.max(1))) {
+        x[row.state as usize * width..][..width].copy_from_slice(out);
+    }
+}
+
+/// Entry {i, j} of a symmetric matrix whose lower triangle counts.
+#[inline(always)]
+fn at(i: usize, j: usize, r: usize) -> usize {
+    if i >= j { i * r + j } else { j * r + i }
+}
+
+/// P ← φPφ' + Q, lower triangle. Shape: `P` r × r, row-major.
+#[inline(always)]
+pub(crate) fn predict<R: Real>(P: &mut [R], r: usize, transition: &Transition<R>, work: &mut Vec<R>) {
+    let moved = transition.moved.partition_point(|row| (row.state as usize) < r);
+    let moved = &transition.moved[..moved];
+    work.clear();
+    work.resize(moved.len() * r, R::splat(0.0));
+    // W = φP for the rows that move; the others are P's own.
+    for (row, W) in moved.iter().zip(work.chunks_exact_mut(r.max(1))) {
+        for k in row.start as usize..row.reach as usize {
+            let column = transition.columns[k] as usize;
+            for (j, sum) in W.iter_mut().enumerate() {
+                *sum = transition.phi[k].fma(P[at(column, j, r)], *sum);
+            }
+        }
+    }
+    for (row, W) in moved.iter().zip(work.chunks_exact(r.max(1))) {
+        let i = row.state as usize;
+        for j in 0..r {
+            P[at(i, j, r)] = W[j];
+        }
+    }
+    // Among moved states the other φ' is still to come: overwrite with Wφ'.
+    for (m, row) in moved.iter().enumerate() {
+        let i = row.state as usize;
+        for other in &moved[..=m] {
+            let mut sum = R::splat(0.0);
+            for k in other.start as usize..other.reach as usize {
+                sum = transition.phi[k].fma(work[m * r + transition.columns[k] as usize], sum);
+            }
+            P[i * r + other.state as usize] = sum;
+        }
+    }
+    for (&(i, j), &q) in transition.pairs.iter().zip(&transition.q) {
+        let entry = &mut P[i as usize * r + j as usize];
+        *entry = *entry + q;
+    }
+}
+
+/// T = h'Ψ. Shapes: `Psi` n × p, row-major; `T` p.
+#[inline(always)]
+pub(crate) fn sensitivity<R: Real>(frame: &Frame, states: &[u32], h: &[R], Psi: &[R], T: &mut [R]) {
+    T.fill(R::splat(0.0));
+    for (&state, &h) in states.iter().zip(h) {
+        match frame.rows[state as usize] {
+            ZERO => {}
+            DENSE => {
+                let row = &Psi[state as usize * frame.p..][..frame.p];
+                for (sum, &value) in T.iter_mut().zip(row) {
+                    *sum = h.fma(value, *sum);
+                }
+            }
+            column => T[column as usize] = T[column as usize] + h,
+        }
+    }
+}
+
+/// How far a scalar update may shrink a variance, or the terms of one may cancel, in plain covariance arithmetic.
+const KEPT: f64 = 1e-7;
+
+/// What a scalar update finds.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Update<R> {
+    /// S.
+    pub(crate) S: R,
+    /// 1/S, or 0 where S = 0.
+    pub(crate) weight: R,
+    /// Below zero where an update cancelled too many digits.
+    pub(crate) kept: R,
+}
+
+/// Updates P and finds S and K for z = h'x + v. Shapes: `P` r × r, row-major, lower triangle; `G` (work), `K` r.
+#[inline(always)]
+pub(crate) fn update<R: Real>(
+    r: usize,
+    states: &[u32],
+    h: &[R],
+    noise: R,
+    P: &mut [R],
+    G: &mut [R],
+    K: &mut [R],
+) -> Update<R> {
+    let reach = states.partition_point(|&state| (state as usize) < r);
+    let terms = || states[..reach].iter().map(|&state| state as usize).zip(&h[..reach]);
+    for (i, sum) in G.iter_mut().enumerate() {
+        *sum = R::splat(0.0);
+        for (j, &h) in terms() {
+            *sum = h.fma(P[at(i, j, r)], *sum);
+        }
+    }
+    let (mut S, mut size) = (noise, noise);
+    for (j, &h) in terms() {
+        S = h.fma(G[j], S);
+        size = (h * h).fma(P[j * r + j], size);
+    }
+    let weight = S.recip_or_zero();
+    let mut kept = size.fnma(R::splat(KEPT), S);
+    for i in 0..r {
+        K[i] = G[i] * weight;
+        let before = P[i * r + i];
+        let row = &mut P[i * r..][..=i];
+        for (entry, &G) in row.iter_mut().zip(G.iter()) {
+            *entry = K[i].fnma(G, *entry);
+        }
+        kept = kept.minimum(before.fnma(R::splat(KEPT), row[i]));
+    }
+    Update { S, weight, kept }
+}
+
+/// Ψ ← Ψ - K T on the reachable states.
+#[inline(always)]
+pub(crate) fn correct<R: Real>(p: usize, K: &[R], T: &[R], Psi: &mut [R]) {
+    for (&K, row) in K.iter().zip(Psi.chunks_exact_mut(p.max(1))) {
+        for (entry, &T) in row.iter_mut().zip(T) {
+            *entry = K.fnma(T, *entry);
+        }
+    }
+}
+
+/// J ← J + T T'/S, packed by columns: entry i ≤ k at i + k(k+1)/2.
+#[inline(always)]
+pub(crate) fn inform<R: Real>(T: &[R], weight: R, J: &mut [R]) {
+    let mut at = 0;
+    for k in 0..T.len() {
+        let weighted = T[k] * weight;
+        for (entry, &T) in J[at..=at + k].iter_mut().zip(T) {
+            *entry = weighted.fma(T, *entry);
+        }
+        at += k + 1;
+    }
+}

@@ -1,0 +1,242 @@
+//! The measurements of a step: which there are, their equations and noise, whitened.
+
+use crate::ensemble::Test;
+use crate::model::Scope;
+use crate::reduce::data::Data;
+use crate::reduce::design::Design;
+use crate::reduce::error::ReduceErrorKind;
+use crate::reduce::semidefinite::{NotSemidefinite, ldl};
+use crate::reduce::subject::{At, Coefficient, Fault, Subject};
+
+/// A measurement of the model at α.
+#[derive(Debug, Clone)]
+struct Meter {
+    column: usize,
+    filter: Option<Coefficient>,
+    /// (kernel state, h), ascending, without zeros.
+    terms: Vec<(u32, Coefficient)>,
+    constant: Coefficient,
+    noise: Coefficient,
+}
+
+/// All measurements of a model at α.
+#[derive(Debug, Clone)]
+pub(crate) struct Meters {
+    meters: Vec<Meter>,
+    /// (i, j, covariance).
+    pairs: Vec<(usize, usize, Coefficient)>,
+}
+
+/// One scalar measurement of a test.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Instance {
+    pub(crate) meter: usize,
+    /// Row of the test.
+    pub(crate) row: usize,
+}
+
+impl Meters {
+    /// `place`: kernel index of each state.
+    pub(crate) fn new(at: &At<'_>, place: &[usize]) -> Result<Meters, Box<Fault>> {
+        let mut meters = Vec::with_capacity(at.model.measurements.len());
+        for (m, measurement) in at.model.measurements.iter().enumerate() {
+            let mut terms = Vec::new();
+            for (state, h) in &measurement.equation.terms {
+                let h = at.coefficient(h, Subject::Equation(m))?;
+                if !h.is_zero() {
+                    terms.push((place[*state] as u32, h));
+                }
+            }
+            terms.sort_by_key(|term| term.0);
+            let filter = measurement.filter.as_ref().map(|filter| at.coefficient(filter, Subject::Filter(m)));
+            meters.push(Meter {
+                column: measurement.column,
+                filter: filter.transpose()?,
+                terms,
+                constant: at.coefficient(&measurement.equation.constant, Subject::Equation(m))?,
+                noise: at.variance(&measurement.noise_variance, Subject::Noise(m))?,
+            });
+        }
+        let mut pairs = Vec::new();
+        for (i, j, covariance) in &at.model.noise_covariance {
+            let subject = Subject::NoiseCovariance(*i, *j);
+            if i == j {
+                let name = at.model.measurements[*i].name.clone();
+                return Err(Fault::new(subject, ReduceErrorKind::SelfCovariance { name }));
+            }
+            let covariance = at.coefficient(covariance, subject)?;
+            if !covariance.is_zero() {
+                pairs.push((*i, *j, covariance));
+            }
+        }
+        Ok(Meters { meters, pairs })
+    }
+
+    /// Appends the scalar measurements of rows `rows` of a test, one step, to design and data.
+    pub(crate) fn observe(
+        &self,
+        at: &At<'_>,
+        test: &Test,
+        (rows, dt): (std::ops::Range<usize>, f64),
+        out: &mut Observed<'_>,
+    ) -> Result<(), Box<Fault>> {
+        let first = out.instances.len();
+        for row in rows {
+            let scope = Scope { numbers: test.numbers(row), texts: test.texts(row), step: dt, alpha: at.alpha };
+            for (m, meter) in self.meters.iter().enumerate() {
+                let z = scope.numbers[meter.column];
+                if !z.is_nan() && meter.take(at, m, z, &scope, out).map_err(|fault| fault.on(row))? {
+                    out.instances.push(Instance { meter: m, row });
+                }
+            }
+        }
+        if self.pairs.is_empty() || out.instances.len() < first + 2 {
+            return Ok(());
+        }
+        let row = out.instances[first].row;
+        let found = self.covariances(at, test, dt, &out.instances[first..])?;
+        if found.is_empty() {
+            return Ok(());
+        }
+        whiten(out.design, out.data, first, &found).map_err(|bad| {
+            let kind = ReduceErrorKind::NotSemidefinite { left: bad.left, variance: bad.variance };
+            Fault::new(Subject::StepNoise, kind).on(row)
+        })
+    }
+
+    /// Covariances (i, j, value) among the instances of a step.
+    fn covariances(
+        &self,
+        at: &At<'_>,
+        test: &Test,
+        dt: f64,
+        instances: &[Instance],
+    ) -> Result<Vec<(usize, usize, f64)>, Box<Fault>> {
+        let mut found = Vec::new();
+        for (i, j, covariance) in &self.pairs {
+            let of = |meter: usize| {
+                instances.iter().enumerate().filter(move |(_, instance)| instance.meter == meter).map(|(k, _)| k)
+            };
+            let (firsts, seconds): (Vec<usize>, Vec<usize>) = (of(*i).collect(), of(*j).collect());
+            let partner = |a: usize| seconds.iter().copied().find(|&b| instances[b].row == instances[a].row);
+            let mut joined: Vec<(usize, usize)> = firsts.iter().filter_map(|&a| Some((a, partner(a)?))).collect();
+            if joined.len() < firsts.len() && joined.len() < seconds.len() {
+                if firsts.len() > 1 || seconds.len() > 1 {
+                    let name = |m: usize| at.model.measurements[m].name.clone();
+                    let kind = ReduceErrorKind::AmbiguousCovariance { first: name(*i), second: name(*j) };
+                    return Err(Fault::new(Subject::NoiseCovariance(*i, *j), kind).on(instances[firsts[0]].row));
+                }
+                joined.push((firsts[0], seconds[0]));
+            }
+            for (a, b) in joined {
+                let value = |k: usize| {
+                    let row = instances[k].row;
+                    let scope = Scope { numbers: test.numbers(row), texts: test.texts(row), step: dt, alpha: at.alpha };
+                    at.value(covariance, &scope).map_err(|fault| fault.on(row))
+                };
+                let value = match value(a) {
+                    Err(fault) if matches!(fault.kind, ReduceErrorKind::MissingCell { .. }) => {
+                        value(b).map_err(|_| fault)
+                    }
+                    other => other,
+                }?;
+                found.push((a, b, value));
+            }
+        }
+        Ok(found)
+    }
+}
+
+/// Where scalar measurements go.
+#[derive(Debug)]
+pub(crate) struct Observed<'a> {
+    pub(crate) design: &'a mut Design,
+    pub(crate) data: &'a mut Data,
+    pub(crate) instances: &'a mut Vec<Instance>,
+}
+
+impl Meter {
+    /// Takes the measured value, unless the filter says no.
+    fn take(
+        &self,
+        at: &At<'_>,
+        m: usize,
+        z: f64,
+        scope: &Scope<'_>,
+        out: &mut Observed<'_>,
+    ) -> Result<bool, Box<Fault>> {
+        if let Some(filter) = &self.filter
+            && at.value(filter, scope)? == 0.0
+        {
+            return Ok(false);
+        }
+        if z.is_infinite() {
+            let column = at.model.columns[self.column].name.clone();
+            return Err(Fault::new(Subject::Value(m), ReduceErrorKind::InfiniteCell { column, value: z }));
+        }
+        let noise = at.variance_value(&self.noise, scope)?;
+        let constant = at.value(&self.constant, scope)?;
+        for (state, h) in &self.terms {
+            out.design.states.push(*state);
+            out.design.h.push(at.value(h, scope)?);
+        }
+        out.design.rows.push(out.design.states.len());
+        out.design.noise.push(noise);
+        out.data.values.push(z - constant);
+        out.data.sizes.push(z.abs() + constant.abs());
+        Ok(true)
+    }
+}
+
+/// Replaces the scalar measurements from `first` on by L⁻¹ times them, where R = LDL' (L unit lower triangular), with noise D.
+/// `covariances`: entries (i, j, value) of R besides its diagonal, counted from `first`.
+pub(crate) fn whiten(
+    design: &mut Design,
+    data: &mut Data,
+    first: usize,
+    covariances: &[(usize, usize, f64)],
+) -> Result<(), NotSemidefinite> {
+    let (m, n) = (design.rows.len() - first, design.frame.n);
+    let mut l = vec![0.0; m * m];
+    for i in 0..m {
+        l[i * m + i] = design.noise[first + i];
+    }
+    for &(i, j, value) in covariances {
+        l[i.max(j) * m + i.min(j)] += value;
+    }
+    ldl(&mut l, m)?;
+    // Dense rows for a moment: whitened rows have the states of several.
+    let (mut h, mut present) = (vec![0.0; m * n], vec![false; m * n]);
+    for i in 0..m {
+        let (states, coefficients) = design.terms(first + i);
+        for (&state, &coefficient) in states.iter().zip(coefficients) {
+            h[i * n + state as usize] = coefficient;
+            present[i * n + state as usize] = true;
+        }
+        for k in 0..i {
+            let factor = l[i * m + k];
+            if factor == 0.0 {
+                continue;
+            }
+            for state in 0..n {
+                h[i * n + state] -= factor * h[k * n + state];
+                present[i * n + state] |= present[k * n + state];
+            }
+            data.values[first + i] -= factor * data.values[first + k];
+            data.sizes[first + i] += factor.abs() * data.sizes[first + k];
+        }
+    }
+    let start = if first == 0 { 0 } else { design.rows[first - 1] };
+    design.states.truncate(start);
+    design.h.truncate(start);
+    design.rows.truncate(first);
+    for i in 0..m {
+        for state in (0..n).filter(|state| present[i * n + state]) {
+            design.states.push(state as u32);
+            design.h.push(h[i * n + state]);
+        }
+        design.rows.push(design.states.len());
+        design.noise[first + i] = l[i * m + i];
+    }
+    Ok(())
+}

@@ -1,0 +1,408 @@
+//! Reductions for those who have matrices: one test as φ, b, Q, M, d, R, z.
+
+use std::sync::Arc;
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::reduce::data::{Data, DataWork, outcome};
+use crate::reduce::design::{DENSE, Design, Frame, Step, Transition, ZERO};
+use crate::reduce::error::{ReduceError, ReduceErrorKind};
+use crate::reduce::gains::{Gains, GainsWork};
+use crate::reduce::observe::whiten;
+use crate::reduce::reducer::{impossible, information_gains};
+use crate::reduce::root::{RootError, root_gains};
+use crate::reduce::semidefinite::{NotSemidefinite, ldl};
+use crate::reduce::{Path, Reduction};
+
+/// One step: x_k = φ x_{k-1} + b + w, w ~ N(0, Q), then z = M x_k + d + v, v ~ N(0, R).
+#[derive(Debug, Clone, PartialEq)]
+pub struct StepMatrices {
+    /// φ, n × n; `None` is the identity.
+    pub transition: Option<DMatrix<f64>>,
+    /// b, n numbers; `None` is zero.
+    pub input: Option<DVector<f64>>,
+    /// Q, n × n, positive semidefinite; `None` is zero.
+    pub process_noise: Option<DMatrix<f64>>,
+    /// M, m × n; m may be zero.
+    pub measurement: DMatrix<f64>,
+    /// d, m numbers.
+    pub constant: DVector<f64>,
+    /// R, m × m, positive semidefinite. An infinite variance means not measured.
+    pub noise: DMatrix<f64>,
+    /// z, m numbers; NaN is missing.
+    pub values: DVector<f64>,
+}
+
+/// One test in matrices, with x_0 = a + A ξ + ζ, ζ ~ N(0, P0).
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plain {
+    /// Its id.
+    pub id: String,
+    /// a, n numbers.
+    pub offset: DVector<f64>,
+    /// A, n × p.
+    pub sensitivity: DMatrix<f64>,
+    /// P0, n × n, positive semidefinite.
+    pub covariance: DMatrix<f64>,
+    /// The steps, in order.
+    pub steps: Vec<StepMatrices>,
+}
+
+/// x_K | z, ξ ~ N(x̂_K + Ψ_K ξ, P_K): the state after the last step.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Terminal {
+    /// x̂_K, n numbers.
+    pub mean: DVector<f64>,
+    /// Ψ_K, n × p.
+    pub sensitivity: DMatrix<f64>,
+    /// P_K, n × n.
+    pub covariance: DMatrix<f64>,
+}
+
+impl StepMatrices {
+    /// A step without motion, input or constant: z = M x + v.
+    pub fn new(measurement: DMatrix<f64>, noise: DMatrix<f64>, values: DVector<f64>) -> StepMatrices {
+        let constant = DVector::zeros(values.len());
+        StepMatrices { transition: None, input: None, process_noise: None, measurement, constant, noise, values }
+    }
+
+    /// A step that measures nothing, of n states.
+    pub fn silent(n: usize) -> StepMatrices {
+        StepMatrices::new(DMatrix::zeros(0, n), DMatrix::zeros(0, 0), DVector::zeros(0))
+    }
+
+    /// With φ and Q.
+    #[must_use]
+    pub fn moving(mut self, transition: DMatrix<f64>, process_noise: DMatrix<f64>) -> StepMatrices {
+        (self.transition, self.process_noise) = (Some(transition), Some(process_noise));
+        self
+    }
+
+    /// With b.
+    #[must_use]
+    pub fn with_input(mut self, input: DVector<f64>) -> StepMatrices {
+        self.input = Some(input);
+        self
+    }
+
+    /// With d.
+    #[must_use]
+    pub fn with_constant(mut self, constant: DVector<f64>) -> StepMatrices {
+        self.constant = constant;
+        self
+    }
+}
+
+impl Plain {
+    /// A test without steps.
+    pub fn new(
+        id: impl Into<String>,
+        offset: DVector<f64>,
+        sensitivity: DMatrix<f64>,
+        covariance: DMatrix<f64>,
+    ) -> Plain {
+        Plain { id: id.into(), offset, sensitivity, covariance, steps: Vec::new() }
+    }
+
+    /// Its reduction.
+    pub fn reduce(&self) -> Result<Reduction, ReduceError> {
+        Ok(self.solve(false)?.0)
+    }
+
+    /// Its reduction, by square-root arrays whether called for or not.
+    pub fn reduce_square_root(&self) -> Result<Reduction, ReduceError> {
+        Ok(self.solve(true)?.0)
+    }
+
+    /// Its reduction and the state after its last step.
+    pub fn reduce_with_terminal(&self) -> Result<(Reduction, Terminal), ReduceError> {
+        self.solve(false)
+    }
+
+    fn solve(&self, square_root: bool) -> Result<(Reduction, Terminal), ReduceError> {
+        self.check()?;
+        let order = PlainOrder::new(self);
+        let (mut design, mut data, mut rows) = (Design::new(order.frame.clone()), Data::default(), Vec::new());
+        self.fill(&order, &mut design, &mut data, &mut rows)?;
+        let mut work = GainsWork::default();
+        let gains = if square_root { None } else { information_gains(&design, &mut work) };
+        let (gains, psi, covariance) = match gains {
+            Some(gains) => (gains, work.Psi, work.P),
+            None => self.root(&design, &rows)?,
+        };
+        let mut pass = DataWork::default();
+        let outcome = outcome(&design, &gains, &data, &mut pass)
+            .map_err(|miss| self.refuse(format!("step {}", rows[miss.row] + 1), impossible(miss)))?;
+        if !outcome.constant.is_finite() || outcome.data.iter().any(|d| !d.is_finite()) {
+            return Err(self.refuse("the test".to_owned(), ReduceErrorKind::NotFinite));
+        }
+        let terminal = order.terminal(&pass.x, &psi, &covariance);
+        let Gains { factor, active, turns, .. } = gains;
+        let reduction = Reduction {
+            test: self.id.clone(),
+            constant: outcome.constant,
+            data: outcome.data,
+            factor,
+            covariates: Vec::new(),
+            steps: self.steps.len(),
+            observations: active,
+            path: if turns.is_some() { Path::SquareRoot } else { Path::Information },
+            design: design.digest(),
+        };
+        Ok((reduction, terminal))
+    }
+
+    /// (gains, Ψ_K, lower triangle of P_K) by square-root arrays.
+    fn root(&self, design: &Design, rows: &[usize]) -> Result<(Gains, Vec<f64>, Vec<f64>), ReduceError> {
+        let (gains, filter) = root_gains(design).map_err(|error| match error {
+            RootError::Exact { row } => {
+                self.refuse(format!("step {}", rows[row] + 1), ReduceErrorKind::ExactMeasurement)
+            }
+            RootError::NotSemidefinite(bad) => self.refuse("process noise".to_owned(), not_semidefinite(bad)),
+            RootError::NotFinite => self.refuse("the test".to_owned(), ReduceErrorKind::NotFinite),
+        })?;
+        let r = design.frame.r;
+        let entry = |i: usize, j: usize| (0..r).map(|k| filter.U[k * r + i] * filter.U[k * r + j]).sum();
+        let covariance = (0..r * r).map(|at| entry(at / r, at % r)).collect();
+        Ok((gains, filter.Psi, covariance))
+    }
+
+    fn fill(
+        &self,
+        order: &PlainOrder,
+        design: &mut Design,
+        data: &mut Data,
+        rows: &mut Vec<usize>,
+    ) -> Result<(), ReduceError> {
+        let r = order.frame.r;
+        data.start.extend(order.states.iter().map(|&state| self.offset[state]));
+        for i in 0..r {
+            for j in 0..=i {
+                design.variance[i * r + j] = self.covariance[(order.states[i], order.states[j])];
+            }
+        }
+        for (k, step) in self.steps.iter().enumerate() {
+            let transition = order.transition(step);
+            if transition.is_some() {
+                let input = |&state: &u32| step.input.as_ref().map_or(0.0, |input| input[order.states[state as usize]]);
+                data.inputs.extend(order.frame.driven.iter().map(input));
+            }
+            let first = design.rows.len();
+            let kept: Vec<usize> = (0..step.values.len())
+                .filter(|&i| !step.values[i].is_nan() && step.noise[(i, i)] != f64::INFINITY)
+                .collect();
+            for &i in &kept {
+                for (state, &from) in order.states.iter().enumerate() {
+                    if step.measurement[(i, from)] != 0.0 {
+                        design.states.push(state as u32);
+                        design.h.push(step.measurement[(i, from)]);
+                    }
+                }
+                design.rows.push(design.states.len());
+                design.noise.push(step.noise[(i, i)]);
+                data.values.push(step.values[i] - step.constant[i]);
+                data.sizes.push(step.values[i].abs() + step.constant[i].abs());
+                rows.push(k);
+            }
+            let covariances: Vec<(usize, usize, f64)> = (0..kept.len())
+                .flat_map(|a| (0..a).map(move |b| (a, b)))
+                .map(|(a, b)| (a, b, step.noise[(kept[a], kept[b])]))
+                .filter(|entry| entry.2 != 0.0)
+                .collect();
+            if !covariances.is_empty() {
+                whiten(design, data, first, &covariances)
+                    .map_err(|bad| self.refuse(format!("noise of step {}", k + 1), not_semidefinite(bad)))?;
+            }
+            design.steps.push(Step { transition: transition.map(Arc::new), rows: design.rows.len() });
+        }
+        Ok(())
+    }
+
+    fn refuse(&self, what: String, kind: ReduceErrorKind) -> ReduceError {
+        ReduceError { test: Some(self.id.clone()), row: None, what, kind: Box::new(kind) }
+    }
+
+    /// Shapes agree, numbers are finite, covariances symmetric and positive semidefinite.
+    fn check(&self) -> Result<(), ReduceError> {
+        let (n, p) = (self.offset.len(), self.sensitivity.ncols());
+        self.shaped("offset a", &self.offset, (n, 1))?;
+        self.shaped("sensitivity A", &self.sensitivity, (n, p))?;
+        self.shaped("covariance P0", &self.covariance, (n, n))?;
+        self.semidefinite("covariance P0", &self.covariance)?;
+        for (k, step) in self.steps.iter().enumerate() {
+            let m = step.values.len();
+            let name = |what: &str| format!("{what} of step {}", k + 1);
+            if let Some(phi) = &step.transition {
+                self.shaped(&name("transition"), phi, (n, n))?;
+            }
+            if let Some(input) = &step.input {
+                self.shaped(&name("input"), input, (n, 1))?;
+            }
+            if let Some(noise) = &step.process_noise {
+                self.shaped(&name("process noise"), noise, (n, n))?;
+                self.semidefinite(&name("process noise"), noise)?;
+            }
+            self.shaped(&name("measurement"), &step.measurement, (m, n))?;
+            self.shaped(&name("constant"), &step.constant, (m, 1))?;
+            let finite = step.noise.map(|x| if x == f64::INFINITY { 0.0 } else { x });
+            let off_diagonal = (0..finite.len()).any(|at| {
+                let (i, j) = (at / m.max(1), at % m.max(1));
+                step.noise.shape() == (m, m) && i != j && step.noise[(i, j)].is_infinite()
+            });
+            if off_diagonal {
+                return Err(self.refuse(name("noise"), ReduceErrorKind::NotFinite));
+            }
+            self.shaped(&name("noise"), &finite, (m, m))?;
+            self.symmetric(&name("noise"), &finite)?;
+            let values = step.values.map(|x| if x.is_nan() { 0.0 } else { x });
+            self.shaped(&name("values"), &values, (m, 1))?;
+            if let Some(value) = finite.diagonal().iter().find(|value| **value < 0.0) {
+                return Err(self.refuse(name("noise"), ReduceErrorKind::NegativeVariance { value: *value }));
+            }
+        }
+        Ok(())
+    }
+
+    fn shaped<C: nalgebra::Dim, S: nalgebra::RawStorage<f64, nalgebra::Dyn, C>>(
+        &self,
+        what: &str,
+        matrix: &nalgebra::Matrix<f64, nalgebra::Dyn, C, S>,
+        expected: (usize, usize),
+    ) -> Result<(), ReduceError> {
+        if matrix.shape() != expected {
+            return Err(self.refuse(what.to_owned(), ReduceErrorKind::Shape { found: matrix.shape(), expected }));
+        }
+        if matrix.iter().all(|x| x.is_finite()) {
+            Ok(())
+        } else {
+            Err(self.refuse(what.to_owned(), ReduceErrorKind::NotFinite))
+        }
+    }
+
+    fn symmetric(&self, what: &str, matrix: &DMatrix<f64>) -> Result<(), ReduceError> {
+        for i in 0..matrix.nrows() {
+            for j in 0..i {
+                let (lower, upper) = (matrix[(i, j)], matrix[(j, i)]);
+                let size = (matrix[(i, i)] * matrix[(j, j)]).abs().sqrt().max(lower.abs()).max(upper.abs());
+                if (lower - upper).abs() > 1e-12 * size {
+                    return Err(self.refuse(what.to_owned(), ReduceErrorKind::NotSymmetric { upper, lower }));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn semidefinite(&self, what: &str, matrix: &DMatrix<f64>) -> Result<(), ReduceError> {
+        self.symmetric(what, matrix)?;
+        let mut copy: Vec<f64> = matrix.transpose().as_slice().to_vec(); // row-major
+        ldl(&mut copy, matrix.nrows()).map_err(|bad| self.refuse(what.to_owned(), not_semidefinite(bad)))
+    }
+}
+
+fn not_semidefinite(bad: NotSemidefinite) -> ReduceErrorKind {
+    ReduceErrorKind::NotSemidefinite { left: bad.left, variance: bad.variance }
+}
+
+/// Kernel order of a test's states.
+struct PlainOrder {
+    /// State of the test at each place of the kernels.
+    states: Vec<usize>,
+    frame: Arc<Frame>,
+}
+
+impl PlainOrder {
+    fn new(test: &Plain) -> PlainOrder {
+        let (n, p) = (test.offset.len(), test.sensitivity.ncols());
+        let noises = || test.steps.iter().filter_map(|step| step.process_noise.as_ref()).chain([&test.covariance]);
+        let mut noisy: Vec<bool> = (0..n).map(|i| noises().any(|q| q[(i, i)] != 0.0)).collect();
+        let mut moving = vec![false; n];
+        let mut driven = vec![false; n];
+        let mut depends = DMatrix::from_element(n, n, false);
+        for step in &test.steps {
+            for i in 0..n {
+                if let Some(phi) = &step.transition {
+                    (0..n).filter(|&j| phi[(i, j)] != 0.0).for_each(|j| depends[(i, j)] = true);
+                    moving[i] |= !identity_row(phi, i);
+                }
+                driven[i] |= step.input.as_ref().is_some_and(|input| input[i] != 0.0);
+            }
+        }
+        for _ in 0..n {
+            for i in 0..n {
+                noisy[i] |= (0..n).any(|j| depends[(i, j)] && noisy[j]);
+            }
+        }
+        let mut states: Vec<usize> = (0..n).collect();
+        states.sort_by_key(|&i| (!noisy[i], !moving[i], i));
+        let row = |&state: &usize| {
+            let row: Vec<f64> = test.sensitivity.row(state).iter().copied().collect();
+            let unit = row.iter().position(|&x| x != 0.0);
+            match unit {
+                _ if noisy[state] || moving[state] => DENSE,
+                None => ZERO,
+                Some(c) if row[c] == 1.0 && row[c + 1..].iter().all(|&x| x == 0.0) => c as u32,
+                Some(_) => DENSE,
+            }
+        };
+        let frame = Frame {
+            n,
+            p,
+            r: noisy.iter().filter(|&&noisy| noisy).count(),
+            rows: states.iter().map(row).collect(),
+            sensitivity: states.iter().flat_map(|&state| (0..p).map(move |c| test.sensitivity[(state, c)])).collect(),
+            driven: (0..n).filter(|&place| driven[states[place]]).map(|place| place as u32).collect(),
+            digest: 0,
+        };
+        PlainOrder { states, frame: Arc::new(frame.seal()) }
+    }
+
+    fn transition(&self, step: &StepMatrices) -> Option<Transition> {
+        if step.transition.is_none() && step.process_noise.is_none() && step.input.is_none() {
+            return None;
+        }
+        let mut out = Transition::empty();
+        if let Some(phi) = &step.transition {
+            for (place, &i) in self.states.iter().enumerate().filter(|&(_, &i)| !identity_row(phi, i)) {
+                let row = self.states.iter().enumerate().map(|(column, &j)| (column, phi[(i, j)]));
+                let terms: Vec<(usize, f64)> = row.filter(|term| term.1 != 0.0).collect();
+                out.push(place, self.frame.r, &terms);
+            }
+        }
+        if let Some(noise) = &step.process_noise {
+            for i in 0..self.frame.r {
+                for j in 0..=i {
+                    let q = noise[(self.states[i], self.states[j])];
+                    if q != 0.0 {
+                        out.pairs.push((i as u32, j as u32));
+                        out.q.push(q);
+                    }
+                }
+            }
+        }
+        Some(out.seal())
+    }
+
+    /// The terminal triple in the test's own order. `covariance`: lower triangle, r × r.
+    fn terminal(&self, x: &[f64], psi: &[f64], covariance: &[f64]) -> Terminal {
+        let (n, p, r) = (self.frame.n, self.frame.p, self.frame.r);
+        let mut out =
+            Terminal { mean: DVector::zeros(n), sensitivity: DMatrix::zeros(n, p), covariance: DMatrix::zeros(n, n) };
+        for (place, &state) in self.states.iter().enumerate() {
+            out.mean[state] = x[place];
+            for c in 0..p {
+                out.sensitivity[(state, c)] = psi[place * p + c];
+            }
+            for (other, &to) in self.states.iter().enumerate().take(r.min(place + 1)) {
+                if place < r {
+                    out.covariance[(state, to)] = covariance[place * r + other];
+                    out.covariance[(to, state)] = covariance[place * r + other];
+                }
+            }
+        }
+        out
+    }
+}
+
+fn identity_row(phi: &DMatrix<f64>, i: usize) -> bool {
+    (0..phi.ncols()).all(|j| phi[(i, j)] == f64::from(i == j))
+}

@@ -1,0 +1,247 @@
+//! A test of a model, evaluated: its design and its data.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use crate::ensemble::Test;
+use crate::model::{Alpha, Model, Scope};
+use crate::reduce::data::{Data, DataWork};
+use crate::reduce::design::{Design, Step};
+use crate::reduce::digest::Digest;
+use crate::reduce::dynamics::Dynamics;
+use crate::reduce::error::ReduceErrorKind;
+use crate::reduce::gains::GainsWork;
+use crate::reduce::motion::{Moves, Order, moves};
+use crate::reduce::observe::{Instance, Meters, Observed};
+use crate::reduce::shared::{Entry, Shared};
+use crate::reduce::start::{Law, Start};
+use crate::reduce::steps::{Cells, Span, spans};
+use crate::reduce::subject::{At, Fault, Subject};
+
+/// Bytes of transitions that are kept.
+const TRANSITION_BYTES: usize = 64 << 20;
+
+type Moved = Entry<Vec<u64>, Result<Moves, Box<Fault>>>;
+
+/// A model at α, ready to evaluate tests.
+#[derive(Debug)]
+pub(crate) struct Preparer {
+    pub(crate) model: Model,
+    alpha: Alpha,
+    dynamics: Dynamics,
+    start: Start,
+    order: Order,
+    meters: Meters,
+    /// The law of x_0, when no test changes it.
+    law: Option<Law>,
+    transitions: Shared<Vec<u64>, Result<Moves, Box<Fault>>>,
+    /// Transitions computed.
+    pub(crate) computed: AtomicU64,
+}
+
+/// One test evaluated, and the work space of all its passes.
+#[derive(Debug)]
+pub(crate) struct Workspace {
+    pub(crate) design: Design,
+    pub(crate) data: Data,
+    pub(crate) instances: Vec<Instance>,
+    pub(crate) covariates: Vec<f64>,
+    pub(crate) gains: GainsWork,
+    pub(crate) pass: DataWork,
+    spans: Vec<Span>,
+    whole: Cells,
+    step: Cells,
+    values: Vec<f64>,
+    inputs: Vec<f64>,
+    key: Vec<u64>,
+    last: Option<Arc<Moved>>,
+}
+
+impl Preparer {
+    pub(crate) fn new(model: &Model, alpha: &Alpha) -> Result<Preparer, Box<Fault>> {
+        let at = At { model, alpha };
+        let dynamics = Dynamics::new(&at)?;
+        let start = Start::new(&at, &dynamics)?;
+        let order = Order::new(&at, &dynamics, &start);
+        let meters = Meters::new(&at, &order.place)?;
+        let settled = !start.settles() || dynamics.table.varying.is_empty() && dynamics.inputs.varying.is_empty();
+        let law = if start.fixed && settled {
+            let scope = Scope { numbers: &[], texts: &[], step: 0.0, alpha };
+            Some(start.law(&at, &scope, &dynamics.table.fixed, &dynamics.inputs.fixed)?)
+        } else {
+            None
+        };
+        Ok(Preparer {
+            model: model.clone(),
+            alpha: alpha.clone(),
+            dynamics,
+            start,
+            order,
+            meters,
+            law,
+            transitions: Shared::new(TRANSITION_BYTES),
+            computed: AtomicU64::new(0),
+        })
+    }
+
+    fn at(&self) -> At<'_> {
+        At { model: &self.model, alpha: &self.alpha }
+    }
+
+    pub(crate) fn workspace(&self) -> Workspace {
+        Workspace {
+            design: Design::new(self.order.frame.clone()),
+            data: Data::default(),
+            instances: Vec::new(),
+            covariates: Vec::new(),
+            gains: GainsWork::default(),
+            pass: DataWork::default(),
+            spans: Vec::new(),
+            whole: Cells::default(),
+            step: Cells::default(),
+            values: Vec::new(),
+            inputs: Vec::new(),
+            key: Vec::new(),
+            last: None,
+        }
+    }
+
+    /// Evaluates a test into the work space.
+    pub(crate) fn prepare(&self, test: &Test, work: &mut Workspace) -> Result<(), Box<Fault>> {
+        let at = self.at();
+        if test.rows() == 0 {
+            return Err(Fault::new(Subject::Test, ReduceErrorKind::NoRows));
+        }
+        work.design.clear();
+        work.data.clear();
+        work.instances.clear();
+        work.whole.gather(&at, test, 0..test.rows(), (&self.start.uses, true))?;
+        let scope =
+            Scope { numbers: &work.whole.numbers, texts: &work.whole.texts, step: f64::NAN, alpha: &self.alpha };
+        let initial = self.start.initial_time.as_ref().map(|time| at.value(time, &scope)).transpose()?;
+        spans(&at, test, initial, &mut work.spans)?;
+        self.covariates(&at, work)?;
+        self.begin(&at, test, work)?;
+        for k in 0..work.spans.len() {
+            let Span { rows, dt, moves } = work.spans[k].clone();
+            let transition = if moves { Some(self.transition(&at, test, k, work)?) } else { None };
+            let Workspace { design, data, instances, .. } = &mut *work;
+            self.meters.observe(&at, test, (rows, dt), &mut Observed { design, data, instances })?;
+            let rows = work.design.rows.len();
+            work.design.steps.push(Step { transition, rows });
+        }
+        Ok(())
+    }
+
+    fn covariates(&self, at: &At<'_>, work: &mut Workspace) -> Result<(), Box<Fault>> {
+        work.covariates.clear();
+        for (r, regression) in self.model.mean.regression.iter().enumerate() {
+            let cell = work.whole.numbers[regression.column];
+            if !cell.is_finite() {
+                let column = at.model.columns[regression.column].name.clone();
+                let kind = if cell.is_nan() {
+                    ReduceErrorKind::MissingCell { column }
+                } else {
+                    ReduceErrorKind::InfiniteCell { column, value: cell }
+                };
+                return Err(Fault::new(Subject::Regression(r), kind));
+            }
+            work.covariates.push(cell);
+        }
+        Ok(())
+    }
+
+    /// a and P0 of a test.
+    fn begin(&self, at: &At<'_>, test: &Test, work: &mut Workspace) -> Result<(), Box<Fault>> {
+        let own;
+        let law = match &self.law {
+            Some(law) => law,
+            None => {
+                let dt = work.spans[0].dt;
+                if self.start.settles() {
+                    self.evaluate(at, test, 0, work)?;
+                }
+                let scope =
+                    Scope { numbers: &work.whole.numbers, texts: &work.whole.texts, step: dt, alpha: &self.alpha };
+                own = self.start.law(at, &scope, &work.values, &work.inputs).map_err(|fault| fault.on(0))?;
+                &own
+            }
+        };
+        let r = self.order.frame.r;
+        work.data.start.resize(law.mean.len(), 0.0);
+        for (state, &mean) in law.mean.iter().enumerate() {
+            work.data.start[self.order.place[state]] = mean;
+        }
+        for &(i, j, value) in &law.covariance {
+            let (i, j) = (self.order.place[i], self.order.place[j]);
+            // A variance of zero may belong to a state that noise never reaches.
+            if value != 0.0 {
+                work.design.variance[i.max(j) * r + i.min(j)] += value;
+            }
+        }
+        Ok(())
+    }
+
+    /// Values of the dynamics' coefficients and inputs on step `k`.
+    fn evaluate(&self, at: &At<'_>, test: &Test, k: usize, work: &mut Workspace) -> Result<(), Box<Fault>> {
+        let source = if self.model.clock.previous_inputs && k > 0 { k - 1 } else { k };
+        let (rows, dt) = (work.spans[source].rows.clone(), work.spans[k].dt);
+        let first = rows.start;
+        let (numbers, texts) = if rows.len() == 1 {
+            (test.numbers(first), test.texts(first))
+        } else {
+            work.step.gather(at, test, rows, (&self.dynamics.uses, false))?;
+            (&*work.step.numbers, &*work.step.texts)
+        };
+        let scope = Scope { numbers, texts, step: dt, alpha: &self.alpha };
+        self.dynamics.table.evaluate(at, &scope, &mut work.values).map_err(|fault| fault.on(first))?;
+        self.dynamics.inputs.evaluate(at, &scope, &mut work.inputs).map_err(|fault| fault.on(first))
+    }
+
+    /// The transition that leads to step `k`; its inputs go to the data.
+    fn transition(
+        &self,
+        at: &At<'_>,
+        test: &Test,
+        k: usize,
+        work: &mut Workspace,
+    ) -> Result<Arc<crate::reduce::design::Transition>, Box<Fault>> {
+        let (row, dt) = (work.spans[k].rows.start, work.spans[k].dt);
+        let continuous = !self.dynamics.components.is_empty();
+        if continuous && dt.is_nan() {
+            return Err(Fault::new(Subject::Transition, ReduceErrorKind::UnknownFirstStep).on(row));
+        }
+        self.evaluate(at, test, k, work)?;
+        work.key.clear();
+        work.key.push(if continuous { dt.to_bits() } else { 0 });
+        work.key.extend(self.dynamics.table.varying.iter().map(|(slot, ..)| work.values[*slot].to_bits()));
+        let entry = match &work.last {
+            Some(entry) if entry.key == work.key => entry.clone(),
+            _ => self.shared_moves(work, dt),
+        };
+        let moves = entry.value().as_ref().map_err(|fault| fault.clone().on(row))?;
+        self.order.inputs(&self.dynamics, moves, &work.inputs, &mut work.data.inputs);
+        let transition = moves.transition.clone();
+        work.last = Some(entry);
+        Ok(transition)
+    }
+
+    fn shared_moves(&self, work: &Workspace, dt: f64) -> Arc<Moved> {
+        let mut digest = Digest::new();
+        work.key.iter().for_each(|&word| digest.word(word));
+        self.transitions.get(
+            digest.finish(),
+            |key| *key == work.key,
+            || work.key.clone(),
+            |_| {
+                self.computed.fetch_add(1, Ordering::Relaxed);
+                moves(&self.dynamics, &self.order, &work.values, dt)
+            },
+            |key, moves| {
+                let moves =
+                    moves.as_ref().map_or(0, |moves| 28 * moves.transition.phi.len() + 16 * moves.transition.q.len());
+                8 * key.len() + moves + 400
+            },
+        )
+    }
+}

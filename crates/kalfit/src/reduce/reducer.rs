@@ -1,0 +1,154 @@
+//! Tests → reductions.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use rayon::prelude::*;
+
+use crate::ensemble::Test;
+use crate::model::{Alpha, Model};
+use crate::reduce::data::{Miss, outcome};
+use crate::reduce::design::Design;
+use crate::reduce::error::{ReduceError, ReduceErrorKind};
+use crate::reduce::gains::{Gains, GainsWork, schedule};
+use crate::reduce::observe::Instance;
+use crate::reduce::prepare::{Preparer, Workspace};
+use crate::reduce::root::{RootError, root_gains};
+use crate::reduce::shared::{Entry, Shared};
+use crate::reduce::subject::{Fault, Subject};
+use crate::reduce::{Path, Reduction};
+
+/// Bytes of design classes that are kept: tests of one design share its covariance run while they fit.
+const CLASS_BYTES: usize = 256 << 20;
+
+/// Reduces the tests of a model at α.
+///
+/// It keeps transitions and design classes from call to call, so one reducer should serve all batches of an ensemble.
+/// Reductions do not depend on that, nor on threads, batches or the order of the tests: they are the same bit for bit.
+#[derive(Debug)]
+pub struct Reducer {
+    preparer: Preparer,
+    classes: Shared<Design, Result<Gains, RootError>>,
+    design_runs: AtomicU64,
+    root_runs: AtomicU64,
+    data_runs: AtomicU64,
+}
+
+/// What a reducer has done.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Work {
+    /// Covariance filters run: one for each design class.
+    pub design_runs: u64,
+    /// Those of them that were run again in square-root arrays.
+    pub root_runs: u64,
+    /// Data recursions run: one for each test.
+    pub data_runs: u64,
+    /// Transitions computed: one for each length of step and set of coefficients.
+    pub transitions: u64,
+}
+
+impl Reducer {
+    /// A reducer of a model at α. An error when some coefficient has no value, whatever the data.
+    pub fn new(model: &Model, alpha: &Alpha) -> Result<Reducer, ReduceError> {
+        Ok(Reducer {
+            preparer: Preparer::new(model, alpha).map_err(|fault| fault.name(model, None))?,
+            classes: Shared::new(CLASS_BYTES),
+            design_runs: AtomicU64::new(0),
+            root_runs: AtomicU64::new(0),
+            data_runs: AtomicU64::new(0),
+        })
+    }
+
+    /// The reductions of tests, in their order; of several tests in error, the first one's error.
+    pub fn reduce(&mut self, tests: &[Test]) -> Result<Vec<Reduction>, ReduceError> {
+        let this = &*self;
+        let all: Vec<Result<Reduction, ReduceError>> =
+            tests.par_iter().map_init(|| this.preparer.workspace(), |work, test| this.one(test, work)).collect();
+        all.into_iter().collect()
+    }
+
+    /// What has been done so far.
+    pub fn work(&self) -> Work {
+        let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        Work {
+            design_runs: read(&self.design_runs),
+            root_runs: read(&self.root_runs),
+            data_runs: read(&self.data_runs),
+            transitions: read(&self.preparer.computed),
+        }
+    }
+
+    fn one(&self, test: &Test, work: &mut Workspace) -> Result<Reduction, ReduceError> {
+        self.reduced(test, work).map_err(|fault| fault.name(&self.preparer.model, Some(test)))
+    }
+
+    fn reduced(&self, test: &Test, work: &mut Workspace) -> Result<Reduction, Box<Fault>> {
+        self.preparer.prepare(test, work)?;
+        let digest = work.design.digest();
+        let class = self.class(digest, work);
+        let gains = class.value().as_ref().map_err(|&error| root_fault(error, &work.instances))?;
+        self.data_runs.fetch_add(1, Ordering::Relaxed);
+        let outcome = outcome(&work.design, gains, &work.data, &mut work.pass).map_err(|miss| {
+            let Instance { meter, row } = work.instances[miss.row];
+            Fault::new(Subject::Value(meter), impossible(miss)).on(row)
+        })?;
+        if !outcome.constant.is_finite() || outcome.data.iter().any(|d| !d.is_finite()) {
+            return Err(Fault::new(Subject::Test, ReduceErrorKind::NotFinite));
+        }
+        Ok(Reduction {
+            test: test.id.clone(),
+            constant: outcome.constant,
+            data: outcome.data,
+            factor: gains.factor.clone(),
+            covariates: work.covariates.clone(),
+            steps: work.design.steps.len(),
+            observations: gains.active,
+            path: if gains.turns.is_some() { Path::SquareRoot } else { Path::Information },
+            design: digest,
+        })
+    }
+
+    /// The design class of the test in the work space.
+    fn class(&self, digest: u128, work: &mut Workspace) -> Arc<Entry<Design, Result<Gains, RootError>>> {
+        let Workspace { design, gains, .. } = work;
+        self.classes.get(
+            digest,
+            |known| known.same(design),
+            || design.clone(),
+            |design| {
+                self.design_runs.fetch_add(1, Ordering::Relaxed);
+                information_gains(design, gains).map_or_else(
+                    || {
+                        self.root_runs.fetch_add(1, Ordering::Relaxed);
+                        root_gains(design).map(|(gains, _)| gains)
+                    },
+                    Ok,
+                )
+            },
+            |design, gains| design.bytes() + gains.as_ref().map_or(0, Gains::bytes),
+        )
+    }
+}
+
+/// The design pass in plain covariance and information arithmetic; `None` where that would lose too much.
+pub(crate) fn information_gains(design: &Design, work: &mut GainsWork) -> Option<Gains> {
+    schedule(design, work).finish(design.frame.p, design.rows.len())
+}
+
+pub(crate) fn impossible(miss: Miss) -> ReduceErrorKind {
+    ReduceErrorKind::Impossible { residual: miss.residual }
+}
+
+fn root_fault(error: RootError, instances: &[Instance]) -> Box<Fault> {
+    match error {
+        RootError::Exact { row } => {
+            let Instance { meter, row } = instances[row];
+            Fault::new(Subject::Value(meter), ReduceErrorKind::ExactMeasurement).on(row)
+        }
+        RootError::NotSemidefinite(bad) => {
+            let kind = ReduceErrorKind::NotSemidefinite { left: bad.left, variance: bad.variance };
+            Fault::new(Subject::Transition, kind)
+        }
+        RootError::NotFinite => Fault::new(Subject::Test, ReduceErrorKind::NotFinite),
+    }
+}

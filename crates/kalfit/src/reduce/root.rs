@@ -1,0 +1,219 @@
+//! The design pass in square-root arrays: for designs that plain covariance and information arithmetic would spoil.
+//!
+//! P = U'U is carried by its root, measurements are taken in by plane rotations (Carlson's update), and whitened rows T/√S
+//! are folded into R (Bierman 1977, ch. V), so no digits cancel however singular P or J are.
+#![expect(non_snake_case, reason = "the letters of the theory: P, Psi, K, T, S, U with U'U = P, R with R'R = J")]
+
+use crate::linalg::fold::{Rotation, fold, fold_row};
+use crate::reduce::design::{Design, Frame, Transition};
+use crate::reduce::gains::{Gains, Settle, Turns};
+use crate::reduce::kernel;
+use crate::reduce::semidefinite::{NotSemidefinite, root};
+
+/// A noise-free measurement whose prior standard deviation is this part of what it was without measurements is known already.
+const KNOWN: f64 = 1e-12;
+/// Its sensitivity is zero when it is this part of its terms.
+const INSENSITIVE: f64 = 1e-11;
+/// A diagonal of R below this part of its column is zero information.
+const UNINFORMED: f64 = 1e-13;
+
+/// Why there is no such pass.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum RootError {
+    /// Scalar measurement `row` determines a combination of ξ exactly.
+    Exact { row: usize },
+    /// P0 or some Q is not positive semidefinite.
+    NotSemidefinite(NotSemidefinite),
+    /// Overflow.
+    NotFinite,
+}
+
+/// A design in square-root arrays; afterwards the state of the last step.
+#[derive(Debug, Clone)]
+pub(crate) struct RootFilter<'a> {
+    frame: &'a Frame,
+    /// U, r × r, row-major, upper triangular.
+    pub(crate) U: Vec<f64>,
+    /// Ψ, n × p, row-major.
+    pub(crate) Psi: Vec<f64>,
+    /// P and Ψ as they would be without measurements: the measure of what is zero.
+    open_P: Vec<f64>,
+    open_Psi: Vec<f64>,
+    /// R, p × p, row-major.
+    R: Vec<f64>,
+    work: Vec<f64>,
+}
+
+/// Runs the square-root filter of a design.
+pub(crate) fn root_gains<'a>(design: &'a Design) -> Result<(Gains, RootFilter<'a>), RootError> {
+    let mut filter = RootFilter::start(design)?;
+    let (p, r) = (design.frame.p, design.frame.r);
+    let mut gains = Gains {
+        rows: vec![0.0; (1 + r + p) * design.rows.len()],
+        factor: Vec::with_capacity(p * (p + 1) / 2),
+        log_determinant: 0.0,
+        active: 0,
+        turns: None,
+    };
+    let mut turns = Turns { folds: Vec::with_capacity(p * design.rows.len()), settle: Vec::new() };
+    let mut first = 0;
+    for step in &design.steps {
+        if let Some(transition) = &step.transition {
+            filter.predict(transition)?;
+        }
+        for row in first..step.rows {
+            filter.update(design, row, &mut gains, &mut turns.folds)?;
+        }
+        first = step.rows;
+    }
+    filter.settle(&mut turns.settle);
+    for k in 0..p {
+        gains.factor.extend((0..=k).map(|i| filter.R[i * p + k]));
+    }
+    let sound = gains.log_determinant.is_finite() && gains.rows.iter().chain(&gains.factor).all(|x| x.is_finite());
+    gains.turns = Some(turns);
+    if sound { Ok((gains, filter)) } else { Err(RootError::NotFinite) }
+}
+
+impl<'a> RootFilter<'a> {
+    fn start(design: &'a Design) -> Result<RootFilter<'a>, RootError> {
+        let frame = &*design.frame;
+        Ok(RootFilter {
+            frame,
+            U: root(&design.variance, frame.r).map_err(RootError::NotSemidefinite)?,
+            Psi: frame.sensitivity.clone(),
+            open_P: design.variance.clone(),
+            open_Psi: frame.sensitivity.clone(),
+            R: vec![0.0; frame.p * frame.p],
+            work: Vec::new(),
+        })
+    }
+
+    /// Folds the rows of [Uφ'; Q^½'] into the new U.
+    fn predict(&mut self, transition: &Transition) -> Result<(), RootError> {
+        let (p, r) = (self.frame.p, self.frame.r);
+        kernel::advance(&mut self.Psi, p, transition, &mut self.work);
+        kernel::advance(&mut self.open_Psi, p, transition, &mut self.work);
+        let still = transition.moved.first().is_none_or(|row| row.state as usize >= r);
+        if still && transition.pairs.is_empty() {
+            return Ok(());
+        }
+        kernel::predict(&mut self.open_P, r, transition, &mut self.work);
+        let mut rows = self.U.clone();
+        for (row, old) in rows.chunks_exact_mut(r).zip(self.U.chunks_exact(r)) {
+            for moved in transition.moved.iter().take_while(|moved| (moved.state as usize) < r) {
+                let terms = moved.start as usize..moved.reach as usize;
+                row[moved.state as usize] =
+                    terms.map(|k| transition.phi[k] * old[transition.columns[k] as usize]).sum();
+            }
+        }
+        let mut Q = vec![0.0; r * r];
+        for (&(i, j), &q) in transition.pairs.iter().zip(&transition.q) {
+            Q[i as usize * r + j as usize] += q;
+        }
+        self.U.fill(0.0);
+        fold(&mut self.U, &mut rows, r);
+        fold(&mut self.U, &mut root(&Q, r).map_err(RootError::NotSemidefinite)?, r);
+        Ok(())
+    }
+
+    fn update(
+        &mut self,
+        design: &Design,
+        row: usize,
+        gains: &mut Gains,
+        folds: &mut Vec<(f64, f64)>,
+    ) -> Result<(), RootError> {
+        let (p, r) = (self.frame.p, self.frame.r);
+        let (states, h) = design.terms(row);
+        let noise = design.noise[row];
+        let out = &mut gains.rows[row * (1 + r + p)..][..1 + r + p];
+        let (weight, out) = out.split_first_mut().expect("it has a weight");
+        let (K, T) = out.split_at_mut(r);
+        kernel::sensitivity(self.frame, states, h, &self.Psi, T);
+        let reach = states.partition_point(|&state| (state as usize) < r);
+        let (inner, h_inner) = (&states[..reach], &h[..reach]);
+        let spread = |u: &[f64]| inner.iter().zip(h_inner).map(|(&state, h)| h * u[state as usize]).sum::<f64>();
+        let w: Vec<f64> = self.U.chunks_exact(r.max(1)).map(spread).collect();
+        if noise == 0.0 {
+            let open: f64 = inner
+                .iter()
+                .zip(h_inner)
+                .map(|(&i, h)| h.abs() * self.open_P[i as usize * (r + 1)].max(0.0).sqrt())
+                .sum();
+            if w.iter().fold(0.0, |sum: f64, &w| sum.hypot(w)) <= KNOWN * open {
+                if self.insensitive(states, h, T) {
+                    folds.extend((0..p).map(|_| (1.0, 0.0)));
+                    T.fill(0.0);
+                    return Ok(());
+                }
+                return Err(RootError::Exact { row });
+            }
+        }
+        let deviation = self.take_in(&w, noise.sqrt(), K);
+        *weight = 1.0 / deviation / deviation;
+        gains.log_determinant += 2.0 * deviation.ln();
+        gains.active += 1;
+        kernel::correct(p, K, T, &mut self.Psi);
+        self.work.clear();
+        self.work.extend(T.iter().map(|T| T / deviation));
+        fold_row(&mut self.R, &mut self.work, &mut |_, turn| folds.push((turn.c, turn.s)));
+        Ok(())
+    }
+
+    /// Carlson's update of U for a measurement with w = Uh and noise deviation `rho`: rotates the row [√R | 0] with the rows
+    /// [w_j | U_j] until the w are gone. Returns √S; leaves K.
+    fn take_in(&mut self, w: &[f64], mut rho: f64, K: &mut [f64]) -> f64 {
+        let r = K.len();
+        K.fill(0.0);
+        for j in (0..r).rev() {
+            let rotation = Rotation::of(rho, w[j]);
+            rho = rotation.length;
+            for (K, U) in K[j..].iter_mut().zip(&mut self.U[j * r + j..][..r - j]) {
+                (*K, *U) = rotation.turn(*K, *U);
+            }
+        }
+        K.iter_mut().for_each(|K| *K /= rho);
+        rho
+    }
+
+    /// T is rounding error, against its own terms with and without the measurements so far.
+    fn insensitive(&self, states: &[u32], h: &[f64], T: &[f64]) -> bool {
+        let p = self.frame.p;
+        T.iter().enumerate().all(|(c, T)| {
+            let terms: f64 = states
+                .iter()
+                .zip(h)
+                .map(|(&i, h)| {
+                    let at = i as usize * p + c;
+                    h.abs() * (self.Psi[at].abs() + self.open_Psi[at].abs())
+                })
+                .sum();
+            T.abs() <= INSENSITIVE * terms
+        })
+    }
+
+    /// Rounds directions without information to none: their rows of R go into the rows below, their data into the residual.
+    fn settle(&mut self, settle: &mut Vec<Settle>) {
+        let p = self.frame.p;
+        let norms: Vec<f64> = (0..p).map(|k| (0..=k).fold(0.0, |sum: f64, i| sum.hypot(self.R[i * p + k]))).collect();
+        for i in 0..p {
+            if self.R[i * p + i] > UNINFORMED * norms[i] {
+                continue;
+            }
+            self.R[i * p + i] = 0.0;
+            for k in i + 1..p {
+                let turn = Rotation::of(self.R[k * p + k], self.R[i * p + k]);
+                if turn.s == 0.0 {
+                    continue;
+                }
+                for c in k..p {
+                    (self.R[k * p + c], self.R[i * p + c]) = turn.turn(self.R[k * p + c], self.R[i * p + c]);
+                }
+                self.R[i * p + k] = 0.0;
+                settle.push(Settle::Turn { k, i, c: turn.c, s: turn.s });
+            }
+            settle.push(Settle::Drop { i });
+        }
+    }
+}

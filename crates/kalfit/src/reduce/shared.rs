@@ -1,0 +1,65 @@
+//! Results that threads share: each is made once, however many ask for it at the same time.
+
+use std::collections::HashMap;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+
+/// A store of values by key, bounded in bytes. A full store keeps what it has; what it returns never depends on that.
+#[derive(Debug)]
+pub(crate) struct Shared<K, V> {
+    shards: Vec<Mutex<Shard<K, V>>>,
+    bytes: AtomicUsize,
+    limit: usize,
+}
+
+type Shard<K, V> = HashMap<u128, Arc<Entry<K, V>>>;
+
+/// A key and its value.
+#[derive(Debug)]
+pub(crate) struct Entry<K, V> {
+    pub(crate) key: K,
+    value: OnceLock<V>,
+}
+
+impl<K, V> Entry<K, V> {
+    pub(crate) fn value(&self) -> &V {
+        self.value.get().expect("entries leave the store with their value")
+    }
+}
+
+impl<K, V> Shared<K, V> {
+    pub(crate) fn new(limit: usize) -> Shared<K, V> {
+        Shared { shards: (0..16).map(|_| Mutex::default()).collect(), bytes: AtomicUsize::new(0), limit }
+    }
+
+    /// The entry of a key, made if need be. `same` tells the key from others of the same digest, `size` is for the key and
+    /// its value together.
+    pub(crate) fn get(
+        &self,
+        digest: u128,
+        same: impl Fn(&K) -> bool,
+        key: impl FnOnce() -> K,
+        make: impl FnOnce(&K) -> V,
+        size: impl FnOnce(&K, &V) -> usize,
+    ) -> Arc<Entry<K, V>> {
+        let entry = {
+            let mut shard = self.shards[digest as usize % 16].lock().unwrap_or_else(PoisonError::into_inner);
+            match shard.get(&digest) {
+                Some(entry) if same(&entry.key) => entry.clone(),
+                found => {
+                    let entry = Arc::new(Entry { key: key(), value: OnceLock::new() });
+                    if found.is_none() && self.bytes.load(Ordering::Relaxed) < self.limit {
+                        shard.insert(digest, entry.clone());
+                    }
+                    entry
+                }
+            }
+        };
+        entry.value.get_or_init(|| {
+            let value = make(&entry.key);
+            self.bytes.fetch_add(size(&entry.key, &value), Ordering::Relaxed);
+            value
+        });
+        entry
+    }
+}

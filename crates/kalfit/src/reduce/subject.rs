@@ -1,0 +1,243 @@
+//! What is being computed, and coefficients at α.
+
+use std::collections::BTreeSet;
+
+use crate::ensemble::Test;
+use crate::model::{Alpha, EvaluationError, Expression, Level, Model, Scope};
+use crate::reduce::error::{ReduceError, ReduceErrorKind};
+
+/// What is being computed, for messages.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Subject {
+    Derivative(usize),
+    Next(usize),
+    ProcessNoise(usize),
+    ProcessCovariance(usize, usize),
+    Transition,
+    Equation(usize),
+    Noise(usize),
+    Filter(usize),
+    Value(usize),
+    NoiseCovariance(usize, usize),
+    StepNoise,
+    InitialMean(usize),
+    InitialVariance(usize),
+    StationaryLaw(usize),
+    Offset(usize),
+    KnownCovariance,
+    InitialTime,
+    Time,
+    Regression(usize),
+    Test,
+}
+
+impl Subject {
+    pub(crate) fn words(self, model: &Model) -> String {
+        let state = |i: usize| &model.states[i].name;
+        let meter = |i: usize| &model.measurements[i].name;
+        match self {
+            Subject::Derivative(i) => format!("derivative of state `{}`", state(i)),
+            Subject::Next(i) => format!("next value of state `{}`", state(i)),
+            Subject::ProcessNoise(i) => format!("process noise variance of state `{}`", state(i)),
+            Subject::ProcessCovariance(i, j) => {
+                format!("process noise covariance of states `{}` and `{}`", state(i), state(j))
+            }
+            Subject::Transition => "transition of a step".to_owned(),
+            Subject::Equation(i) => format!("equation of measurement `{}`", meter(i)),
+            Subject::Noise(i) => format!("noise variance of measurement `{}`", meter(i)),
+            Subject::Filter(i) => format!("`where` of measurement `{}`", meter(i)),
+            Subject::Value(i) => format!("measurement `{}`", meter(i)),
+            Subject::NoiseCovariance(i, j) => {
+                format!("noise covariance of measurements `{}` and `{}`", meter(i), meter(j))
+            }
+            Subject::StepNoise => "noise covariance of a step".to_owned(),
+            Subject::InitialMean(i) => format!("initial mean of state `{}`", state(i)),
+            Subject::InitialVariance(i) => format!("initial variance of state `{}`", state(i)),
+            Subject::StationaryLaw(i) => format!("stationary start of state `{}`", state(i)),
+            Subject::Offset(i) => format!("offset of state `{}`", state(i)),
+            Subject::KnownCovariance => "known covariance of the initial states".to_owned(),
+            Subject::InitialTime => "initial time".to_owned(),
+            Subject::Time => "time of a row".to_owned(),
+            Subject::Regression(r) => {
+                let element = model.mean.regression[r].element;
+                format!("regression of the mean of state `{}`", state(model.estimated[element]))
+            }
+            Subject::Test => "the test".to_owned(),
+        }
+    }
+}
+
+/// A refusal before it knows the names.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Fault {
+    pub(crate) subject: Subject,
+    /// Row of the test.
+    pub(crate) row: Option<usize>,
+    pub(crate) kind: ReduceErrorKind,
+}
+
+impl Fault {
+    pub(crate) fn new(subject: Subject, kind: ReduceErrorKind) -> Box<Fault> {
+        Box::new(Fault { subject, row: None, kind })
+    }
+
+    pub(crate) fn on(mut self: Box<Fault>, row: usize) -> Box<Fault> {
+        self.row = Some(row);
+        self
+    }
+
+    pub(crate) fn name(self, model: &Model, test: Option<&Test>) -> ReduceError {
+        ReduceError {
+            test: test.map(|test| test.id.clone()),
+            row: test.zip(self.row).map(|(test, row)| test.source(row)),
+            what: self.subject.words(model),
+            kind: Box::new(self.kind),
+        }
+    }
+}
+
+/// The model and α that coefficients are taken from.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct At<'a> {
+    pub(crate) model: &'a Model,
+    pub(crate) alpha: &'a Alpha,
+}
+
+impl At<'_> {
+    /// The coefficient that an expression is at α.
+    pub(crate) fn coefficient(&self, expression: &Expression, subject: Subject) -> Result<Coefficient, Box<Fault>> {
+        if self.varies(expression) {
+            return Ok(Coefficient::Varying(expression.clone(), subject));
+        }
+        let scope = Scope { numbers: &[], texts: &[], step: 0.0, alpha: self.alpha };
+        self.finite(expression.evaluate(&scope), subject).map(Coefficient::Fixed)
+    }
+
+    /// As [`At::coefficient`], for a variance.
+    pub(crate) fn variance(&self, expression: &Expression, subject: Subject) -> Result<Coefficient, Box<Fault>> {
+        let coefficient = self.coefficient(expression, subject)?;
+        if let Coefficient::Fixed(value) = coefficient {
+            not_negative(value, subject)?;
+        }
+        Ok(coefficient)
+    }
+
+    /// True when the value can differ from row to row.
+    fn varies(&self, expression: &Expression) -> bool {
+        expression.any(&mut |part| match part {
+            Expression::Column(_) | Expression::Step | Expression::TextEquals { .. } => true,
+            Expression::Parameter(index) => matches!(self.alpha.values[*index], Level::Each { .. }),
+            _ => false,
+        })
+    }
+
+    pub(crate) fn finite(&self, value: Result<f64, EvaluationError>, subject: Subject) -> Result<f64, Box<Fault>> {
+        match value {
+            Ok(value) if value.is_finite() => Ok(value),
+            Ok(_) | Err(EvaluationError::NotFinite) => Err(Fault::new(subject, ReduceErrorKind::NotFinite)),
+            Err(EvaluationError::MissingNumber { column }) => {
+                let column = self.model.columns[column].name.clone();
+                Err(Fault::new(subject, ReduceErrorKind::MissingCell { column }))
+            }
+            Err(EvaluationError::MissingText { column }) => {
+                let column = self.model.text_columns[column].name.clone();
+                Err(Fault::new(subject, ReduceErrorKind::MissingCell { column }))
+            }
+            Err(EvaluationError::NoLevel { parameter, level }) => {
+                let parameter = self.model.parameters[parameter].name.clone();
+                Err(Fault::new(subject, ReduceErrorKind::NoLevel { parameter, level }))
+            }
+        }
+    }
+
+    /// Value of a coefficient on a row.
+    #[inline]
+    pub(crate) fn value(&self, coefficient: &Coefficient, scope: &Scope<'_>) -> Result<f64, Box<Fault>> {
+        match coefficient {
+            Coefficient::Fixed(value) => Ok(*value),
+            Coefficient::Varying(expression, subject) => match expression.evaluate(scope) {
+                Ok(value) if value.is_finite() => Ok(value),
+                // An unknown first step is not a number, and so is whatever depends on it.
+                Err(EvaluationError::NotFinite) if scope.step.is_nan() && mentions_step(expression) => {
+                    Err(Fault::new(*subject, ReduceErrorKind::UnknownFirstStep))
+                }
+                other => self.finite(other, *subject),
+            },
+        }
+    }
+
+    /// Value of a coefficient that is a variance.
+    #[inline]
+    pub(crate) fn variance_value(&self, coefficient: &Coefficient, scope: &Scope<'_>) -> Result<f64, Box<Fault>> {
+        let value = self.value(coefficient, scope)?;
+        if let Coefficient::Varying(_, subject) = coefficient {
+            not_negative(value, *subject)?;
+        }
+        Ok(value)
+    }
+}
+
+fn mentions_step(expression: &Expression) -> bool {
+    expression.any(&mut |part| matches!(part, Expression::Step))
+}
+
+fn not_negative(value: f64, subject: Subject) -> Result<(), Box<Fault>> {
+    if value < 0.0 { Err(Fault::new(subject, ReduceErrorKind::NegativeVariance { value })) } else { Ok(()) }
+}
+
+/// A coefficient of the model at α.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Coefficient {
+    /// The same on every row.
+    Fixed(f64),
+    /// To be evaluated on each row.
+    Varying(Expression, Subject),
+}
+
+impl Coefficient {
+    /// Zero on every row.
+    pub(crate) fn is_zero(&self) -> bool {
+        matches!(self, Coefficient::Fixed(value) if *value == 0.0)
+    }
+}
+
+/// Columns that expressions read.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Uses {
+    pub(crate) numbers: BTreeSet<usize>,
+    pub(crate) texts: BTreeSet<usize>,
+}
+
+impl Uses {
+    pub(crate) fn add(&mut self, coefficient: &Coefficient, alpha: &Alpha) {
+        if let Coefficient::Varying(expression, _) = coefficient {
+            self.expression(expression, alpha);
+        }
+    }
+
+    fn expression(&mut self, expression: &Expression, alpha: &Alpha) {
+        expression.any(&mut |part| {
+            match part {
+                Expression::Column(column) => {
+                    self.numbers.insert(*column);
+                }
+                Expression::TextEquals { column, .. } => {
+                    self.texts.insert(*column);
+                }
+                Expression::Parameter(index) => {
+                    if let Level::Each { column, .. } = &alpha.values[*index] {
+                        self.texts.insert(*column);
+                    }
+                }
+                _ => {}
+            }
+            false
+        });
+    }
+}
+
+/// True when the value of a coefficient is read from the data, parameters by level apart.
+pub(crate) fn reads_data(coefficient: &Coefficient) -> bool {
+    let Coefficient::Varying(expression, _) = coefficient else { return false };
+    expression.any(&mut |part| matches!(part, Expression::Column(_) | Expression::Step | Expression::TextEquals { .. }))
+}
