@@ -142,8 +142,8 @@ mod tests {
 
     /// n states, the first r of them noisy and coupled, p uncertain; every step measures the sum of all states.
     fn flops(n: usize, r: usize, p: usize, steps: usize) -> Flops {
-        let sensitivity = (0..n * p).map(|at| if at / p == at % p { 1.0 } else { 0.0 }).collect();
-        let rows = (0..n).map(|i| if i < r { DENSE } else { i as u32 }).collect();
+        let sensitivity = (0..n * p).map(|at| if at / p == at % p + n - p { 1.0 } else { 0.0 }).collect();
+        let rows = (0..n).map(|i| if i < r { DENSE } else { (i + p - n) as u32 }).collect();
         let frame = Arc::new(Frame { n, p, r, rows, sensitivity, driven: Vec::new(), digest: 0 });
         let mut transition = Transition::empty();
         for i in 0..r {
