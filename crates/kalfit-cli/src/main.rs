@@ -1,1 +1,27 @@
-fn main() {}
+//! The command `kalfit`: what was typed → what is meant → one call → exit status.
+
+mod args;
+mod check;
+mod diagnostic;
+mod failure;
+mod fit;
+mod job;
+mod model;
+mod output;
+mod progress;
+mod reductions;
+mod terminal;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+
+fn main() -> ExitCode {
+    match job::Job::from(args::Args::parse()).run() {
+        Ok(outcome) => outcome.exit_code(),
+        Err(failure) => {
+            terminal::complain(&diagnostic::render(&failure, terminal::color_on_stderr()));
+            ExitCode::from(2)
+        }
+    }
+}

@@ -1,13 +1,16 @@
 //! Results in words and tables.
 //!
 //! From a [`FitRecord`](kalfit::FitRecord) alone, without models or data: [`summary`] makes the text that
-//! `kalfit fit` prints.
+//! `kalfit fit` prints. [`check_summary`] does the same for `kalfit check`, from a [`CheckRecord`].
 
+mod check;
 mod number;
+mod page;
 mod summary;
 mod table;
 mod words;
 
+pub use check::{CheckRecord, Checked, check_summary};
 pub use summary::summary;
 
 /// How a text is laid out.

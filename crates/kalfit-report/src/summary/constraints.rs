@@ -3,8 +3,8 @@
 use kalfit::FitRecord;
 use kalfit::record::ConstraintRecord;
 
-use super::Page;
 use crate::number::{DIGITS, plain, probability};
+use crate::page::Page;
 use crate::table::{Column, Side, table};
 use crate::words::{clean, list};
 

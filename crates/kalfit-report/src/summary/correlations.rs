@@ -2,8 +2,8 @@
 
 use kalfit::record::PhaseRecord;
 
-use super::Page;
 use crate::number::Precision;
+use crate::page::Page;
 use crate::table::{Column, Side, wide_table};
 
 /// What is shown for a correlation with a state that does not vary.

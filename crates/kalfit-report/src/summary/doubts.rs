@@ -2,8 +2,8 @@
 
 use kalfit::record::{BoundaryRecord, PhaseRecord, UnidentifiedRecord};
 
-use super::Page;
 use crate::number::plain;
+use crate::page::Page;
 use crate::words::{clean, list};
 
 /// Smaller weights of a unit direction are left out. Weights are in the states' own units, so small ones may matter.
@@ -15,7 +15,9 @@ const MOST_NAMES: usize = 12;
 
 pub(super) fn section(phase: &PhaseRecord, title: &dyn Fn(&str) -> String, page: &Page<'_>) -> String {
     let mut sentences: Vec<String> = phase.boundary.iter().map(|b| singular(b, phase.states.len())).collect();
-    sentences.extend(phase.unidentified.iter().map(|u| unidentified(u, &phase.states)));
+    sentences.extend(phase.unidentified.iter().map(|u| {
+        format!("Not identified: the data say nothing about {}; its start value was kept.", direction(u, &phase.states))
+    }));
     page.section(&title("Limits of what the data say"), &page.items(&sentences))
 }
 
@@ -41,14 +43,15 @@ fn singular(boundary: &BoundaryRecord, all: usize) -> String {
     format!("{whose} is singular: rank {rank} of {of}; {why}.")
 }
 
-fn unidentified(found: &UnidentifiedRecord, states: &[String]) -> String {
+/// A direction of μ or Σ in words.
+pub(crate) fn direction(found: &UnidentifiedRecord, states: &[String]) -> String {
     let mean = found.what == "mean";
     let names = if found.elements.is_empty() { states } else { &found.elements };
     let weights = found.direction.iter().zip(names).filter(|(w, _)| w.abs() > NEGLIGIBLE && w.is_finite());
     let mut terms: Vec<(f64, &String)> = weights.map(|(&w, name)| (w, name)).collect();
     terms.sort_by(|a, b| b.0.abs().total_cmp(&a.0.abs()));
-    let direction = match (terms.as_slice(), mean) {
-        ([], _) => return format!("A direction of the {} is not identified.", clean(&found.what)),
+    match (terms.as_slice(), mean) {
+        ([], _) => format!("a direction of the {}", clean(&found.what)),
         ([(_, only)], true) => format!("the mean of {}", clean(only)),
         ([(_, only)], false) => match covariance_of(only) {
             Some((a, b)) if a == b => format!("the variance of {}", clean(a)),
@@ -57,8 +60,7 @@ fn unidentified(found: &UnidentifiedRecord, states: &[String]) -> String {
         },
         (terms, true) => format!("the combination {} of the means", combination(terms, &|name| clean(name))),
         (terms, false) => format!("the combination {}", combination(terms, &short)),
-    };
-    format!("Not identified: the data say nothing about {direction}; its start value was kept.")
+    }
 }
 
 /// The two states of `a, b` or `covariance[a, b]`.

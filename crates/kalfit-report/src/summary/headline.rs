@@ -1,9 +1,10 @@
 //! The first lines: can the result be trusted, and what was fitted to what.
 
 use kalfit::FitRecord;
+use kalfit::record::DataRecord;
 
-use super::Page;
 use crate::number::{hundredths, plain};
+use crate::page::Page;
 use crate::words::{clean, count, list};
 
 pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
@@ -18,7 +19,7 @@ pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
         text.push_str(&page.paragraph(&shortfall(record)));
     }
     text.push('\n');
-    text.push_str(&page.paragraph(&data(record)));
+    text.push_str(&page.paragraph(&data(&record.data)));
     text.push_str(&page.paragraph(&likelihood(record)));
     text
 }
@@ -58,11 +59,10 @@ fn shortfall(record: &FitRecord) -> String {
     format!("Optimality conditions are missed, in standard errors, by: {}.", figures.join(", "))
 }
 
-fn data(record: &FitRecord) -> String {
-    let d = &record.data;
+/// Counts of the data, in one sentence.
+pub(crate) fn data(d: &DataRecord) -> String {
     let counts = [count(d.tests, "test"), count(d.steps, "step"), count(d.observations, "observation")].join(", ");
-    let files: Vec<String> = d.files.iter().map(|f| clean(f)).collect();
-    let from = if files.is_empty() { String::new() } else { format!(" from {}", list(&files, 3)) };
+    let from = from(&d.files);
     let designs = match (d.design_classes, d.tests) {
         (_, 0 | 1) => String::new(),
         (1, _) => "; all tests share one design".to_owned(),
@@ -75,6 +75,12 @@ fn data(record: &FitRecord) -> String {
         n => format!("; {n} tests took the square-root path"),
     };
     format!("Data: {counts}{from}{designs}{roots}.")
+}
+
+/// ` from a.csv, b.csv and 7 more`
+pub(crate) fn from(files: &[String]) -> String {
+    let files: Vec<String> = files.iter().map(|f| clean(f)).collect();
+    if files.is_empty() { String::new() } else { format!(" from {}", list(&files, 3)) }
 }
 
 fn likelihood(record: &FitRecord) -> String {

@@ -2,8 +2,8 @@
 
 mod constraints;
 mod correlations;
-mod doubts;
-mod headline;
+pub(crate) mod doubts;
+pub(crate) mod headline;
 mod outliers;
 mod parameters;
 mod states;
@@ -11,13 +11,14 @@ mod states;
 use kalfit::FitRecord;
 use kalfit::record::PhaseRecord;
 
-use crate::words::{clean, count, wrap};
+use crate::page::Page;
+use crate::words::{clean, count};
 use crate::{Style, number};
 
 /// The fit in words and tables. Every line fits `style.width` and ends with a line feed. Works from the record alone and copes
 /// with any record, also with one whose lists do not match in length; figures that are not finite are said to be unknown.
 pub fn summary(record: &FitRecord, style: &Style) -> String {
-    let page = Page { style };
+    let page = Page::new(style);
     let mut sections = vec![headline::section(record, &page)];
     for phase in &record.phases {
         sections.extend(phase_sections(record, phase, &page));
@@ -57,41 +58,4 @@ fn work(record: &FitRecord, page: &Page<'_>) -> String {
         count(solver.filter_passes, "run"),
         number::seconds(solver.seconds)
     ))
-}
-
-/// What all sections are laid out with.
-struct Page<'a> {
-    style: &'a Style,
-}
-
-impl Page<'_> {
-    fn width(&self) -> usize {
-        self.style.columns()
-    }
-
-    /// A heading over a body; nothing when the body is empty.
-    fn section(&self, heading: &str, body: &str) -> String {
-        if body.is_empty() {
-            return String::new();
-        }
-        format!("{}\n{body}", self.heading(heading))
-    }
-
-    fn heading(&self, heading: &str) -> String {
-        let wrapped = wrap(heading, self.width(), 0);
-        wrapped.lines().map(|line| self.style.bold(line)).collect::<Vec<_>>().join("\n")
-    }
-
-    fn paragraph(&self, text: &str) -> String {
-        wrap(text, self.width(), 0) + "\n"
-    }
-
-    /// A list of sentences, indented as tables are.
-    fn items(&self, sentences: &[String]) -> String {
-        sentences.iter().map(|s| indent(&wrap(s, self.width() - 2, 2))).collect()
-    }
-}
-
-fn indent(text: &str) -> String {
-    text.lines().map(|line| format!("  {line}\n")).collect()
 }

@@ -3,9 +3,9 @@
 use kalfit::FitRecord;
 use kalfit::record::ParameterRecord;
 
-use super::Page;
 use super::states::{Cells, cells};
 use crate::number::Precision;
+use crate::page::Page;
 use crate::table::{Column, Side, table};
 
 /// A parameter with a value per test can have thousands of rows.

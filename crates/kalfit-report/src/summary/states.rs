@@ -2,9 +2,9 @@
 
 use kalfit::record::{PhaseRecord, ScaleRecord, UnidentifiedRecord};
 
-use super::Page;
 use super::doubts::{NEGLIGIBLE, covariance_of};
 use crate::number::Precision;
+use crate::page::Page;
 use crate::table::{Column, Side, table};
 use crate::words::clean;
 

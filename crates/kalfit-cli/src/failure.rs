@@ -1,0 +1,164 @@
+//! Why a command ended: what a library said, and where the user should look.
+
+use std::ops::Range;
+use std::path::Path;
+
+use kalfit::estimate::FitError;
+use kalfit::reduce::ReduceError;
+use kalfit_data::{DataError, Reading};
+use kalfit_spec::{Spec, SpecError};
+
+use crate::output::OutputError;
+
+/// Bad input, or a world that does not let us write. Exit status 2.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum Failure {
+    /// The model file.
+    #[error("{error}")]
+    Model {
+        error: SpecError,
+        /// The file and its text, when it could be read.
+        file: Option<Source>,
+    },
+    /// An assignment of `--set`.
+    #[error("{error}")]
+    Set { error: SpecError },
+    /// The data.
+    #[error("{error}")]
+    Data {
+        error: DataError,
+        /// Where the model uses what the data lack.
+        place: Option<Place>,
+    },
+    /// The model does not work on the data.
+    #[error("{}", reduce_message(error, reading.as_deref()))]
+    Reduce { error: ReduceError, reading: Option<Box<Reading>> },
+    /// Free parameters, which nothing estimates.
+    #[error("{}", free_message(names))]
+    Free { names: Vec<String>, place: Option<Place> },
+    /// The estimator.
+    #[error("{0}")]
+    Fit(FitError),
+    /// The output file.
+    #[error(transparent)]
+    Output(#[from] OutputError),
+    /// Standard output.
+    #[error("cannot write to standard output: {0}")]
+    Stdout(std::io::Error),
+    /// Threads.
+    #[error("cannot start {threads} threads: {reason}")]
+    Threads { threads: usize, reason: String },
+}
+
+/// A text file, for showing places in it.
+#[derive(Debug, Clone)]
+pub(crate) struct Source {
+    pub(crate) name: String,
+    pub(crate) text: String,
+}
+
+/// Bytes of a text file.
+#[derive(Debug, Clone)]
+pub(crate) struct Place {
+    pub(crate) source: Source,
+    pub(crate) span: Range<usize>,
+    pub(crate) label: Option<String>,
+}
+
+impl Place {
+    /// A place in a model file.
+    pub(crate) fn in_model(spec: &Spec, span: Option<Range<usize>>, label: &str) -> Option<Place> {
+        let source = Source { name: spec.name.clone(), text: spec.text.clone() };
+        Some(Place { source, span: span?, label: Some(label.to_owned()) })
+    }
+}
+
+impl Failure {
+    /// Wrong data, pointing into the model when that names a column they do not have.
+    pub(crate) fn data(error: DataError, spec: &Spec) -> Failure {
+        let place = match &error {
+            DataError::MissingColumn { column, .. } => {
+                Place::in_model(spec, spec.column_span(column), "this column is not in the data")
+            }
+            _ => None,
+        };
+        Failure::Data { error, place }
+    }
+
+    /// A model that cannot be read from this path.
+    pub(crate) fn model(error: SpecError, path: &Path, text: Option<String>) -> Failure {
+        let file = text.map(|text| Source { name: path.display().to_string(), text });
+        Failure::Model { error, file }
+    }
+
+    /// Where to look.
+    pub(crate) fn place(&self) -> Option<Place> {
+        match self {
+            Failure::Model { error, file } => {
+                Some(Place { source: file.clone()?, span: error.span.clone()?, label: error.label.clone() })
+            }
+            Failure::Data { place, .. } | Failure::Free { place, .. } => place.clone(),
+            _ => None,
+        }
+    }
+
+    /// What to do about it.
+    pub(crate) fn hint(&self) -> Option<String> {
+        match self {
+            Failure::Model { error, .. } | Failure::Set { error } => error.hint.clone(),
+            Failure::Data { error, .. } => error.hint(),
+            Failure::Reduce { error, .. } => error.hint().map(str::to_owned),
+            Failure::Free { names, .. } => {
+                Some(format!("fix them: `--set {}=VALUE`, or a number in `[parameters]`", names.first()?))
+            }
+            Failure::Fit(error) => fit_hint(error).map(str::to_owned),
+            Failure::Output(error) => error.hint().map(str::to_owned),
+            Failure::Stdout(_) => None,
+            Failure::Threads { .. } => Some("ask for fewer with `--threads`".to_owned()),
+        }
+    }
+}
+
+fn free_message(names: &[String]) -> String {
+    const MOST: usize = 8;
+    let shown: Vec<String> = names.iter().take(MOST).map(|name| format!("`{name}`")).collect();
+    let more = if names.len() > MOST { format!(" and {} more", names.len() - MOST) } else { String::new() };
+    let (what, are) = if names.len() == 1 { ("parameter", "is") } else { ("parameters", "are") };
+    format!("{what} {}{more} {are} free, and this version does not estimate parameters", shown.join(", "))
+}
+
+/// The core knows rows by number only; the reading knows their files, and the texts behind labels.
+fn reduce_message(error: &ReduceError, reading: Option<&Reading>) -> String {
+    let (Some(reading), Some(row)) = (reading, error.row) else { return error.to_string() };
+    let test = error.test.as_ref().map_or(String::new(), |test| format!(" (test `{test}`)"));
+    format!("{}{test}: {}: {}", reading.place(row), error.what, kind_message(error, reading))
+}
+
+fn kind_message(error: &ReduceError, reading: &Reading) -> String {
+    use kalfit::reduce::{Cell, ReduceErrorKind as Kind};
+    let text = |cell: &Cell| match cell {
+        Cell::Text(label) => format!("`{}`", reading.labels.text(*label)),
+        Cell::Number(_) => cell.to_string(),
+    };
+    match &*error.kind {
+        Kind::NoLevel { parameter, level } => {
+            format!("parameter `{parameter}` has no value for level `{}`", reading.labels.text(*level))
+        }
+        Kind::Varies { column, first, second } => {
+            format!("column `{column}` varies within the test: {} and {}", text(first), text(second))
+        }
+        Kind::StepConflict { column, first, second } => {
+            format!("rows of one step disagree in column `{column}`: {} and {}", text(first), text(second))
+        }
+        kind => kind.to_string(),
+    }
+}
+
+fn fit_hint(error: &FitError) -> Option<&'static str> {
+    match error {
+        FitError::DuplicateTest { .. } => Some("give each test an id of its own"),
+        FitError::NotFinite => Some("give start values in `[mean]` and `[covariance]` nearer to what is expected"),
+        FitError::NotMonotone { .. } => Some("choose units in which the states are of comparable size"),
+        FitError::NoTests | FitError::Structure(_) => None,
+    }
+}

@@ -1,0 +1,58 @@
+//! `kalfit fit`.
+
+use std::path::Path;
+
+use kalfit::estimate::Structure;
+use kalfit::record::Provenance;
+use kalfit::{FitRecord, estimate, infer};
+use kalfit_data::Input;
+use kalfit_report::summary;
+use kalfit_spec::Spec;
+
+use crate::failure::Failure;
+use crate::job::{FitJob, Outcome};
+use crate::output::Output;
+use crate::progress::Line;
+use crate::{model, reductions, terminal};
+
+pub(crate) fn run(job: &FitJob) -> Result<Outcome, Failure> {
+    let spec = model::load(&job.model)?;
+    let inputs = Input::expand(&job.data).map_err(|error| Failure::data(error, &spec))?;
+    let output = job.out.as_deref().map(|path| Output::prepare(path, &files(job, &inputs))).transpose()?;
+    let record = fit(job, &spec, &inputs)?;
+    if let Some(output) = &output {
+        output.write(&record)?;
+    }
+    if !job.quiet {
+        terminal::print(&summary(&record, &terminal::style())).map_err(Failure::Stdout)?;
+        if let Some(output) = &output {
+            terminal::complain(&format!("Wrote {}\n", output.name()));
+        }
+    }
+    Ok(if record.converged { Outcome::Done } else { Outcome::NotCertified })
+}
+
+/// The method in one place: reduce, estimate, infer, record.
+fn fit(job: &FitJob, spec: &Spec, inputs: &[Input]) -> Result<FitRecord, Failure> {
+    let mut line = Line::new(job.quiet);
+    let model = &spec.model;
+    let alpha = model::alpha(spec)?;
+    let reductions = reductions::reduce(spec, &alpha, inputs, &mut line)?;
+    let estimate =
+        estimate::fit(&reductions, &Structure::of(model, &alpha), &job.settings, &mut line).map_err(Failure::Fit)?;
+    let inference = infer::infer(&estimate, &reductions);
+    let provenance = Provenance {
+        model_digest: Some(spec.digest.clone()),
+        files: inputs.iter().map(Input::name).collect(),
+        seconds: line.seconds(),
+    };
+    Ok(FitRecord::new(model, &alpha, &reductions, &estimate, &inference, provenance))
+}
+
+fn files<'a>(job: &'a FitJob, inputs: &'a [Input]) -> Vec<&'a Path> {
+    let data = inputs.iter().filter_map(|input| match input {
+        Input::Path(path) => Some(path.as_path()),
+        Input::Stdin => None,
+    });
+    std::iter::once(job.model.path.as_path()).chain(data).collect()
+}

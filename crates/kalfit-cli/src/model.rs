@@ -1,0 +1,32 @@
+//! The model file, read, with what `--set` says.
+
+use kalfit::model::ParameterError;
+use kalfit::{Alpha, Model};
+use kalfit_spec::Spec;
+
+use crate::failure::{Failure, Place};
+use crate::job::ModelJob;
+
+/// Reads the model.
+pub(crate) fn load(job: &ModelJob) -> Result<Spec, Failure> {
+    let text = Spec::read_text(&job.path).map_err(|error| Failure::model(error, &job.path, None))?;
+    let name = job.path.display().to_string();
+    let mut spec = Spec::parse(&name, &text).map_err(|error| Failure::model(error, &job.path, Some(text)))?;
+    for assignment in &job.set {
+        spec.set(assignment).map_err(|error| Failure::Set { error })?;
+    }
+    Ok(spec)
+}
+
+/// The values of all parameters, which must be known.
+pub(crate) fn alpha(spec: &Spec) -> Result<Alpha, Failure> {
+    Alpha::fixed(&spec.model.parameters).map_err(|ParameterError::Free { names }| {
+        let span = names.first().and_then(|name| spec.parameter_span(name));
+        Failure::Free { place: Place::in_model(spec, span, "free"), names }
+    })
+}
+
+/// Names of the free parameters.
+pub(crate) fn free_parameters(model: &Model) -> Vec<String> {
+    model.parameters.iter().filter(|p| p.is_free()).map(|p| p.name.clone()).collect()
+}

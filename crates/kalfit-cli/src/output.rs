@@ -1,0 +1,105 @@
+//! A result file: whole or not at all. What stood there before survives every failure.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use kalfit::FitRecord;
+
+/// Why a result file cannot be written.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum OutputError {
+    #[error("the folder `{}` for the output does not exist", folder.display())]
+    NoFolder { folder: PathBuf },
+    #[error("the output `{}` is {found}, expected the name of a file", path.display())]
+    NotAFile { path: PathBuf, found: &'static str },
+    #[error("the output `{}` is one of the inputs", path.display())]
+    IsInput { path: PathBuf },
+    #[error("cannot write `{}`: {source}", path.display())]
+    Io { path: PathBuf, source: std::io::Error },
+}
+
+impl OutputError {
+    pub(crate) fn hint(&self) -> Option<&'static str> {
+        match self {
+            OutputError::NoFolder { .. } => Some("make the folder first"),
+            OutputError::NotAFile { .. } => Some("`--out` takes a file such as `fit.json`"),
+            OutputError::IsInput { .. } => Some("give the output a name of its own"),
+            OutputError::Io { .. } => None,
+        }
+    }
+}
+
+/// A place to write to that was found sound before the work began.
+#[derive(Debug)]
+pub(crate) struct Output {
+    /// As the user named it.
+    named: PathBuf,
+    /// With links followed, so that a link stays a link.
+    target: PathBuf,
+    folder: PathBuf,
+}
+
+impl Output {
+    /// Checks that a file of this name can be written and is not among the inputs.
+    pub(crate) fn prepare(path: &Path, inputs: &[&Path]) -> Result<Output, OutputError> {
+        let not_a_file = |found| OutputError::NotAFile { path: path.to_owned(), found };
+        if path.as_os_str().is_empty() || path == Path::new("-") || path.file_name().is_none() {
+            return Err(not_a_file("not a file name"));
+        }
+        let target = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+        match std::fs::metadata(&target) {
+            Ok(found) if found.is_dir() => return Err(not_a_file("a folder")),
+            Ok(found) if !found.is_file() => return Err(not_a_file("a device or a pipe")),
+            _ => {}
+        }
+        if inputs.iter().any(|input| input.canonicalize().is_ok_and(|input| input == target)) {
+            return Err(OutputError::IsInput { path: path.to_owned() });
+        }
+        let folder = match target.parent() {
+            Some(parent) if parent != Path::new("") => parent.to_owned(),
+            _ => PathBuf::from("."),
+        };
+        if !folder.is_dir() {
+            return Err(OutputError::NoFolder { folder });
+        }
+        let output = Output { named: path.to_owned(), target, folder };
+        output.temporary()?; // gone again at once: better to fail before hours of work than after
+        Ok(output)
+    }
+
+    /// Its name as the user gave it.
+    pub(crate) fn name(&self) -> String {
+        self.named.display().to_string()
+    }
+
+    /// Writes the record beside the target and moves it into place.
+    pub(crate) fn write(&self, record: &FitRecord) -> Result<(), OutputError> {
+        let mut file = self.temporary()?;
+        let mut writer = std::io::BufWriter::new(file.as_file_mut());
+        let written = serde_json::to_writer_pretty(&mut writer, record).map_err(std::io::Error::from);
+        let written = written.and_then(|()| writer.write_all(b"\n")).and_then(|()| writer.flush());
+        drop(writer);
+        written.and_then(|()| file.as_file().sync_all()).map_err(|source| self.io(source))?;
+        if let Ok(old) = std::fs::metadata(&self.target) {
+            std::fs::set_permissions(file.path(), old.permissions()).map_err(|source| self.io(source))?;
+        }
+        file.persist(&self.target).map_err(|error| self.io(error.error))?;
+        Ok(())
+    }
+
+    fn temporary(&self) -> Result<tempfile::NamedTempFile, OutputError> {
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(".kalfit-").suffix(".tmp");
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::PermissionsExt;
+            // What any new file gets, less the umask; by default only the owner could read it.
+            builder.permissions(std::fs::Permissions::from_mode(0o666));
+        }
+        builder.tempfile_in(&self.folder).map_err(|source| self.io(source))
+    }
+
+    fn io(&self, source: std::io::Error) -> OutputError {
+        OutputError::Io { path: self.named.clone(), source }
+    }
+}

@@ -1,0 +1,45 @@
+//! What the terminal can do.
+
+use std::io::{IsTerminal, Write};
+
+use kalfit_report::Style;
+
+/// Wider lines are hard to read.
+const WIDEST: usize = 120;
+
+/// How to lay out what goes to standard output.
+pub(crate) fn style() -> Style {
+    let mut style = Style::default();
+    if std::io::stdout().is_terminal() {
+        if let Some((terminal_size::Width(width), _)) = terminal_size::terminal_size() {
+            style.width = usize::from(width).min(WIDEST);
+        }
+        style.color = wants_color();
+    }
+    style
+}
+
+/// Whether messages to standard error may be coloured.
+pub(crate) fn color_on_stderr() -> bool {
+    std::io::stderr().is_terminal() && wants_color()
+}
+
+/// <https://no-color.org>, and terminals that know nothing of colours.
+fn wants_color() -> bool {
+    let set = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty());
+    set("NO_COLOR").is_none() && set("TERM").is_none_or(|term| term != "dumb")
+}
+
+/// Writes to standard output. A reader that has gone away (`kalfit fit … | head`) is no error.
+pub(crate) fn print(text: &str) -> std::io::Result<()> {
+    let mut out = std::io::stdout().lock();
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
+        other => other,
+    }
+}
+
+/// Writes to standard error, where nothing can be done about a failure.
+pub(crate) fn complain(text: &str) {
+    let _ = std::io::stderr().lock().write_all(text.as_bytes());
+}

@@ -1,0 +1,111 @@
+//! What `kalfit check` prints.
+
+use kalfit::record::{DataRecord, UnidentifiedRecord};
+use kalfit_report::{CheckRecord, Checked, Style, check_summary};
+
+fn shown(checked: Checked) -> String {
+    let record = CheckRecord {
+        title: "Reaction time".into(),
+        model: vec![
+            "tests: one for each value of column `Subject`".into(),
+            "measurement `reaction`: column `Reaction` = intercept + Days × slope; noise of variance 654.94103".into(),
+        ],
+        states: vec!["intercept".into(), "slope".into()],
+        checked,
+    };
+    check_summary(&record, &Style::default())
+}
+
+fn reduced(unidentified: Vec<UnidentifiedRecord>, at_start_of: Vec<String>) -> Checked {
+    let files = vec!["a.csv".into(), "b.csv".into()];
+    let data = DataRecord { tests: 18, steps: 180, observations: 180, design_classes: 2, square_root_tests: 0, files };
+    Checked::Reduced { data, unidentified, at_start_of }
+}
+
+#[test]
+fn a_model_alone() {
+    insta::assert_snapshot!(shown(Checked::Model), @"
+    Reaction time
+
+    Model
+      tests: one for each value of column `Subject`
+      measurement `reaction`: column `Reaction` = intercept + Days × slope; noise of
+        variance 654.94103
+
+    The model is sound. Give data too, to see what they identify.
+    ");
+}
+
+#[test]
+fn parameters_without_values_keep_the_filters_from_running() {
+    let files = vec!["-".to_owned()];
+    insta::assert_snapshot!(shown(Checked::Read { tests: 1, rows: 180, files, free: vec!["tau".into(), "s".into()] }), @"
+    Reaction time
+
+    Model
+      tests: one for each value of column `Subject`
+      measurement `reaction`: column `Reaction` = intercept + Days × slope; noise of
+        variance 654.94103
+
+    Data
+      1 test, 180 rows from -.
+
+    Identifiability
+      Not examined: tau and s are free and they have no start value; give one, as by
+        `--set tau=VALUE`.
+    ");
+}
+
+#[test]
+fn identified_quantities_are_all_there_is_to_say() {
+    insta::assert_snapshot!(shown(reduced(vec![], vec!["sigma".into()])), @"
+    Reaction time
+
+    Model
+      tests: one for each value of column `Subject`
+      measurement `reaction`: column `Reaction` = intercept + Days × slope; noise of
+        variance 654.94103
+
+    Data
+      18 tests, 180 steps, 180 observations from a.csv and b.csv; 2 different
+        designs.
+
+    Identifiability
+      The data identify all that is free in the mean and the covariance.
+      Examined with sigma at its start value.
+    ");
+}
+
+#[test]
+fn unidentified_directions_are_named() {
+    let direction = |what: &str, direction: Vec<f64>, elements: Vec<&str>| UnidentifiedRecord {
+        what: what.into(),
+        direction,
+        elements: elements.into_iter().map(String::from).collect(),
+    };
+    let pairs = vec!["intercept, intercept", "intercept, slope", "slope, slope"];
+    let unidentified = vec![
+        direction("mean", vec![0.0, 1.0], vec![]),
+        direction("covariance", vec![0.0, 1.0, 0.0], pairs.clone()),
+        direction("covariance", vec![0.6, 0.0, -0.8], pairs),
+    ];
+    insta::assert_snapshot!(shown(reduced(unidentified, vec![])), @"
+    Reaction time
+
+    Model
+      tests: one for each value of column `Subject`
+      measurement `reaction`: column `Reaction` = intercept + Days × slope; noise of
+        variance 654.94103
+
+    Data
+      18 tests, 180 steps, 180 observations from a.csv and b.csv; 2 different
+        designs.
+
+    Identifiability
+      Not identified: the data say nothing about the mean of slope.
+      Not identified: the data say nothing about the covariance of intercept and
+        slope.
+      Not identified: the data say nothing about the combination 0.8 var(slope) -
+        0.6 var(intercept).
+    ");
+}
