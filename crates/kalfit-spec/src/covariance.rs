@@ -186,10 +186,8 @@ fn start_matrix(
     equal: &[Vec<(usize, usize)>],
 ) -> Result<DMatrix<f64>> {
     let (elements, p) = (structure.elements, structure.elements.len());
-    // A context of its own: start values are numbers, so no name means anything in them.
-    let mut numbers = Context::new(structure.context.source);
-    let matrix = Matrix::read(&mut numbers, field, elements)?;
-    let value = |i: usize, j: usize| matrix.entries[i][j].as_number().expect("without names all entries are numbers");
+    let matrix = Matrix::read_numbers(field, elements)?;
+    let value = |i: usize, j: usize| matrix.entries[i][j].as_number().expect("only numbers were read");
     let wrong = |i: usize, j: usize, why: String| {
         let element = elements.pair_name(i, j);
         Err(matrix.at(i, j, StructureProblem::Start { element, found: value(i, j), why }))

@@ -7,7 +7,7 @@ use kalfit::model::{
 
 use crate::Spec;
 use crate::expression::is_zero;
-use crate::show;
+use crate::show::{self, figure};
 
 impl Spec {
     /// The model in plain words, one fact a line: tests and steps, states with their motion and start, measurements,
@@ -60,11 +60,11 @@ impl Spec {
         let motion = match &state.motion {
             Motion::Constant => "constant".to_owned(),
             Motion::Continuous { derivative, noise_variance } => {
-                let driven = self.driven(noise_variance, "per unit of time");
+                let driven = self.driven(noise_variance, ["per unit of time", "per square root of a unit of time"]);
                 format!("d/dt = {}{driven}", show::linear(&self.model, derivative))
             }
             Motion::Discrete { next, noise_variance } => {
-                let driven = self.driven(noise_variance, "per step");
+                let driven = self.driven(noise_variance, ["per step"; 2]);
                 format!("next = {}{driven}", show::linear(&self.model, next))
             }
         };
@@ -80,23 +80,24 @@ impl Spec {
         format!("state `{}`{}: {motion}; {start}{offset}", state.name, unit(state.unit.as_deref()))
     }
 
-    fn driven(&self, variance: &Expression, per: &str) -> String {
+    fn driven(&self, variance: &Expression, per: [&str; 2]) -> String {
         if is_zero(variance) {
             return String::new();
         }
-        format!(" + noise of variance {} {per}", self.shown(variance))
+        let (noise, deviation) = show::noise(&self.model, variance);
+        format!(" + {noise} {}", per[usize::from(deviation)])
     }
 
     fn measurement(&self, measurement: &Measurement) -> String {
-        let filter =
-            measurement.filter.as_ref().map_or(String::new(), |filter| format!(" where {}", self.shown(filter)));
+        let rows = measurement.filter.as_ref();
+        let rows = rows.map_or(String::new(), |filter| format!(" (rows where {})", self.shown(filter)));
         let column = &self.model.columns[measurement.column].name;
         let noise = match is_zero(&measurement.noise_variance) {
-            true => "no noise".to_owned(),
-            false => format!("noise of variance {}", self.shown(&measurement.noise_variance)),
+            true => "without noise".to_owned(),
+            false => show::noise(&self.model, &measurement.noise_variance).0,
         };
         let equation = show::linear(&self.model, &measurement.equation);
-        format!("measurement `{}`: column `{column}`{filter} = {equation}; {noise}", measurement.name)
+        format!("measurement `{}`: column `{column}`{rows} reads {equation}; {noise}", measurement.name)
     }
 
     fn covariances(
@@ -116,22 +117,22 @@ impl Spec {
     fn parameter(&self, parameter: &Parameter) -> String {
         let mut facts = Vec::new();
         match parameter.value {
-            Value::Fixed(value) => facts.push(format!("fixed at {value}")),
-            Value::Free { start: Some(start) } => facts.push(format!("free, start {start}")),
+            Value::Fixed(value) => facts.push(format!("fixed at {}", figure(value))),
+            Value::Free { start: Some(start) } => facts.push(format!("free, start {}", figure(start))),
             Value::Free { start: None } => facts.push("free".to_owned()),
         }
         if parameter.positive {
             facts.push("not negative".to_owned());
         }
-        facts.extend(parameter.lower.map(|lower| format!("at least {lower}")));
-        facts.extend(parameter.upper.map(|upper| format!("at most {upper}")));
+        facts.extend(parameter.lower.map(|lower| format!("at least {}", figure(lower))));
+        facts.extend(parameter.upper.map(|upper| format!("at most {}", figure(upper))));
         facts.extend(
             parameter
                 .per
                 .map(|column| format!("one value for each value of column `{}`", self.model.text_columns[column].name)),
         );
         for (literal, value) in &parameter.fixed_levels {
-            facts.push(format!("fixed at {value} for '{}'", self.model.literals[*literal]));
+            facts.push(format!("fixed at {} for '{}'", figure(*value), self.model.literals[*literal]));
         }
         format!("parameter `{}`{}: {}", parameter.name, unit(parameter.unit.as_deref()), facts.join(", "))
     }
@@ -151,17 +152,17 @@ impl Spec {
             let fact = match element {
                 MeanElement::Free => match mean.start[i] {
                     None => continue,
-                    Some(start) => format!("free, start {start}"),
+                    Some(start) => format!("free, start {}", figure(start)),
                 },
-                MeanElement::Fixed(value) => format!("fixed at {value}"),
-                MeanElement::Proportional(weight) => format!("the common scale times {weight}"),
+                MeanElement::Fixed(value) => format!("fixed at {}", figure(*value)),
+                MeanElement::Proportional(weight) => format!("the common scale times {}", figure(*weight)),
                 MeanElement::Tied { constant, terms } => {
-                    let mut parts: Vec<String> =
-                        terms.iter().map(|(k, weight)| format!("{weight} × mean of `{}`", names[*k])).collect();
+                    let term = |(k, weight): &(usize, f64)| format!("{} × mean of `{}`", figure(*weight), names[*k]);
+                    let mut parts: Vec<String> = terms.iter().map(term).collect();
                     if *constant != 0.0 {
-                        parts.push(constant.to_string());
+                        parts.push(figure(*constant));
                     }
-                    format!("tied to {}", parts.join(" + "))
+                    format!("tied to {}", show::sum(&parts))
                 }
             };
             lines.push(format!("mean of `{}`: {fact}", names[i]));
@@ -192,7 +193,11 @@ impl Spec {
         };
         let mut lines = vec![format!("covariance Σ: {kind}")];
         for fixed in &covariance.fixed {
-            lines.push(format!("covariance of `{}, {}`: fixed at {}", names[fixed.j], names[fixed.i], fixed.value));
+            let element = match fixed.i == fixed.j {
+                true => format!("variance of `{}`", names[fixed.i]),
+                false => format!("covariance of `{}, {}`", names[fixed.j], names[fixed.i]),
+            };
+            lines.push(format!("{element}: fixed at {}", figure(fixed.value)));
         }
         for group in &covariance.equal {
             let elements: Vec<String> = group.iter().map(|(i, j)| format!("`{}, {}`", names[*j], names[*i])).collect();

@@ -78,7 +78,10 @@ pub(crate) fn pair_of<'t>(text: &'t str, span: &Span, place: &str) -> Result<(&'
         [first, second] if !first.is_empty() && !second.is_empty() => Ok((first, second)),
         _ => {
             let (found, place, example) = (text.to_owned(), place.to_owned(), "a, b".to_owned());
-            Err(SpecError::new(StructureProblem::NotAnElement { found, place, example }).at(span.clone()))
+            let variance = |name: &&str| format!("the variance of `{name}` is the element `{name}, {name}`");
+            let hint = names.first().filter(|_| names.len() == 1).map(variance);
+            let problem = StructureProblem::NotAnElement { found, place, example };
+            Err(SpecError::new(problem).at(span.clone()).maybe_hint(hint))
         }
     }
 }

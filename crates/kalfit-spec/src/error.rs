@@ -2,6 +2,8 @@
 
 use std::ops::Range;
 
+use crate::show::figure;
+
 /// Bytes `start..end` of the model file.
 pub(crate) type Span = Range<usize>;
 
@@ -82,7 +84,7 @@ pub enum Problem {
     #[error("`{key}` of {place} is {found}, expected {expected}")]
     WrongType { key: String, place: String, found: &'static str, expected: &'static str },
     /// A word that is not one of those known.
-    #[error("{what} of {place} is `{found}`, expected {expected}")]
+    #[error("`{what}` of {place} is `{found}`, expected {expected}")]
     UnknownWord { what: String, place: String, found: String, expected: String },
     /// A key that would change nothing.
     #[error("`{key}` has no effect {why}")]
@@ -115,7 +117,7 @@ pub enum Problem {
     #[error("{what} is {found}, expected a finite number")]
     NotFinite { what: String, found: String },
     /// A number where it cannot be.
-    #[error("{what} is {found}, expected {expected}")]
+    #[error("{what} is {}, expected {expected}", figure(*found))]
     OutOfRange { what: String, found: f64, expected: String },
     /// Motion in continuous time without time.
     #[error("{what} moves in continuous time, which needs `time` in `[data]`")]
@@ -250,7 +252,7 @@ pub enum StructureProblem {
     #[error("{place} is not symmetric: the entries of `{element}` differ")]
     NotSymmetric { place: String, element: String },
     /// A negative variance.
-    #[error("the variance of `{name}` in {place} is {found}, expected 0 or more")]
+    #[error("the variance of `{name}` in {place} is {}, expected 0 or more", figure(*found))]
     NegativeVariance { name: String, place: String, found: f64 },
     /// A covariance where the variance is zero.
     #[error("the covariance of `{first}` and `{second}` in {place} is not 0, but the variance of `{first}` is")]
@@ -277,7 +279,7 @@ pub enum StructureProblem {
     #[error("element `{element}` in `equal` is {why}, so it has no value to share")]
     NotFree { element: String, why: String },
     /// A start value that breaks a constraint.
-    #[error("`start` has {found} for element `{element}`, but {why}")]
+    #[error("`start` has {} for element `{element}`, but {why}", figure(*found))]
     Start { element: String, found: f64, why: String },
     /// Two things said of one mean.
     #[error("the mean of `{name}` is {first} and {second}")]

@@ -21,16 +21,30 @@ impl Matrix {
     /// Reads a p × p array of arrays; it must be symmetric, and positive semidefinite as far as its numbers are known.
     pub(crate) fn read(context: &mut Context<'_>, field: &Field<'_>, elements: &Elements) -> Result<Matrix> {
         let place = format!("`{}` of {}", field.key, field.place);
+        Matrix::read_with(field, elements, |cell| expression::scalar(context, cell, Scope::common(&place)))
+    }
+
+    /// As [`Matrix::read`], with nothing but numbers.
+    pub(crate) fn read_numbers(field: &Field<'_>, elements: &Elements) -> Result<Matrix> {
+        Matrix::read_with(field, elements, |cell| cell.number().map(Expression::Number))
+    }
+
+    fn read_with(
+        field: &Field<'_>,
+        elements: &Elements,
+        mut entry: impl FnMut(&Field<'_>) -> Result<Expression>,
+    ) -> Result<Matrix> {
+        let place = format!("`{}` of {}", field.key, field.place);
         let rows = field.items("an array of rows")?;
-        check_shape(rows.len(), elements.len(), "rows", field, &place)?;
+        check_shape((rows.len(), elements.len()), ["row", "rows"], "", field, &place)?;
         let mut matrix = Matrix { entries: Vec::new(), spans: Vec::new(), place, span: field.span.clone() };
         for row in rows {
             let cells = row.items("an array of rows")?;
-            let part = format!("entries in row {}", matrix.entries.len() + 1);
-            check_shape(cells.len(), elements.len(), &part, &row, &matrix.place)?;
+            let row_words = format!(" in row {}", matrix.entries.len() + 1);
+            check_shape((cells.len(), elements.len()), ["entry", "entries"], &row_words, &row, &matrix.place)?;
             let mut values = Vec::with_capacity(cells.len());
             for cell in &cells {
-                values.push(expression::scalar(context, cell, Scope::common(&matrix.place))?);
+                values.push(entry(cell)?);
             }
             matrix.entries.push(values);
             matrix.spans.push(cells.into_iter().map(|cell| cell.span).collect());
@@ -96,13 +110,18 @@ impl Matrix {
     }
 }
 
-fn check_shape(found: usize, expected: usize, part: &str, field: &Field<'_>, place: &str) -> Result<()> {
+fn check_shape(
+    (found, expected): (usize, usize),
+    [one, many]: [&str; 2],
+    row: &str,
+    field: &Field<'_>,
+    place: &str,
+) -> Result<()> {
     if found == expected {
         return Ok(());
     }
-    let (place, part) = (place.to_owned(), part.to_owned());
-    let problem = StructureProblem::Shape { place, part, found, expected };
-    Err(SpecError::new(problem)
-        .at(field.span.clone())
-        .hint("a row and a column for every estimated state, in the order of Σ"))
+    let part = format!("{}{row}", if found == 1 { one } else { many });
+    let problem = StructureProblem::Shape { place: place.to_owned(), part, found, expected };
+    let hint = "a row and a column for every estimated state, in the order of Σ";
+    Err(SpecError::new(problem).at(field.span.clone()).hint(hint))
 }

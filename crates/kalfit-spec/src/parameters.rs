@@ -6,6 +6,8 @@ use kalfit::model::{Parameter, Value};
 
 use crate::error::{Problem, Result, Span, SpecError};
 use crate::names::{Context, Role, check_name};
+use crate::show::figure;
+use crate::suggest::nearest;
 use crate::table::{Field, Section};
 
 const KEYS: [&str; 7] = ["value", "start", "unit", "lower", "upper", "per", "fixed"];
@@ -122,10 +124,7 @@ pub(crate) fn finish(context: &Context<'_>, declared: Vec<Declared>) -> Result<V
 }
 
 fn checked(context: &Context<'_>, index: usize, Declared { mut parameter, spans }: Declared) -> Result<Parameter> {
-    let Some(role) = context.roles[index] else {
-        let problem = Problem::Unused { name: parameter.name };
-        return Err(SpecError::new(problem).at(context.parameters.span(index)));
-    };
+    let Some(role) = context.roles[index] else { return Err(unused(context, index, parameter.name)) };
     let at = |span: &Span| {
         let span = span.clone();
         move |problem: Problem| SpecError::new(problem).at(span)
@@ -150,6 +149,15 @@ fn checked(context: &Context<'_>, index: usize, Declared { mut parameter, spans 
     Ok(parameter)
 }
 
+/// A name that is misspelt where it is used has become a column.
+fn unused(context: &Context<'_>, index: usize, name: String) -> SpecError {
+    let columns = context.columns.iter().map(|column| column.name.as_str());
+    let hint = nearest(&name, columns)
+        .and_then(|near| context.columns.iter().find(|column| column.name == near))
+        .map(|column| format!("{} names `{}`, which is then a column of the data", column.used_in, column.name));
+    SpecError::new(Problem::Unused { name }).at(context.parameters.span(index)).maybe_hint(hint)
+}
+
 fn check_bounds(parameter: &Parameter, role: Role, spans: &Spans) -> Result<()> {
     let name = &parameter.name;
     let wrong = |key: &str, found: f64, expected: String, span: &Span| {
@@ -169,7 +177,7 @@ fn check_bounds(parameter: &Parameter, role: Role, spans: &Spans) -> Result<()> 
         if let Some(lower) = parameter.lower
             && upper <= lower
         {
-            return wrong("upper", upper, format!("more than `lower`, which is {lower}"), &spans.upper);
+            return wrong("upper", upper, format!("more than `lower`, which is {}", figure(lower)), &spans.upper);
         }
     }
     Ok(())
@@ -180,9 +188,9 @@ pub(crate) fn check_value(parameter: &Parameter, role: Role, value: f64) -> std:
     let expected = if let Some(expected) = role.expected(value) {
         expected.to_owned()
     } else if let Some(lower) = parameter.lower.filter(|lower| value < *lower) {
-        format!("at least {lower}, its `lower` bound")
+        format!("at least {}, its `lower` bound", figure(lower))
     } else if let Some(upper) = parameter.upper.filter(|upper| value > *upper) {
-        format!("at most {upper}, its `upper` bound")
+        format!("at most {}, its `upper` bound", figure(upper))
     } else {
         return Ok(());
     };

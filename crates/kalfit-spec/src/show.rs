@@ -19,6 +19,24 @@ enum Grip {
     Atom,
 }
 
+/// A number as a person would write it: very large and very small ones with an exponent.
+pub(crate) fn figure(x: f64) -> String {
+    if x != 0.0 && !(1e-4..1e15).contains(&x.abs()) { format!("{x:e}") } else { x.to_string() }
+}
+
+/// Noise by its standard deviation where that is what was written, else by its variance; true for a standard deviation.
+pub(crate) fn noise(model: &Model, variance: &Expression) -> (String, bool) {
+    let deviation = match variance {
+        Expression::Binary(Operator::Multiply, a, b) if a == b => Some(expression(model, a)),
+        Expression::Number(x) => Some(figure(x.sqrt())).filter(|root| root.len() < figure(*x).len()),
+        _ => None,
+    };
+    match deviation {
+        Some(deviation) => (format!("noise of standard deviation {deviation}"), true),
+        None => (format!("noise of variance {}", expression(model, variance)), false),
+    }
+}
+
 /// An expression with the names of a model.
 pub(crate) fn expression(model: &Model, a: &Expression) -> String {
     write(model, a).0
@@ -26,30 +44,36 @@ pub(crate) fn expression(model: &Model, a: &Expression) -> String {
 
 /// A linear form with the names of a model.
 pub(crate) fn linear(model: &Model, form: &Linear) -> String {
-    let mut text = String::new();
-    let mut join = |(part, _): (String, Grip)| match part.strip_prefix('-') {
-        _ if text.is_empty() => text = part,
-        Some(rest) => text = format!("{text} - {rest}"),
-        None => text = format!("{text} + {part}"),
-    };
-    for (state, coefficient) in &form.terms {
-        join(term(model, *state, coefficient));
-    }
+    let mut parts: Vec<String> =
+        form.terms.iter().map(|(state, coefficient)| term(model, *state, coefficient)).collect();
     if !is_zero(&form.constant) || form.terms.is_empty() {
-        join(write(model, &form.constant));
+        parts.push(enclosed(write(model, &form.constant), Grip::Sum));
+    }
+    sum(&parts)
+}
+
+/// "a + b - c" of the parts a, b and -c.
+pub(crate) fn sum(parts: &[String]) -> String {
+    let mut text = String::new();
+    for part in parts {
+        match part.strip_prefix('-') {
+            _ if text.is_empty() => text.clone_from(part),
+            Some(rest) => text = format!("{text} - {rest}"),
+            None => text = format!("{text} + {part}"),
+        }
     }
     text
 }
 
-fn term(model: &Model, state: usize, coefficient: &Expression) -> (String, Grip) {
+fn term(model: &Model, state: usize, coefficient: &Expression) -> String {
     let name = &model.states[state].name;
     match coefficient {
-        a if *a == ONE => (name.clone(), Grip::Atom),
-        Expression::Number(-1.0) => (format!("-{name}"), Grip::Minus),
+        a if *a == ONE => name.clone(),
+        Expression::Number(-1.0) => format!("-{name}"),
         Expression::Negate(inside) => {
-            (format!("-{} * {name}", enclosed(write(model, inside), Grip::Product)), Grip::Product)
+            format!("-{} * {name}", enclosed(write(model, inside), Grip::Product))
         }
-        a => (format!("{} * {name}", enclosed(write(model, a), Grip::Product)), Grip::Product),
+        a => format!("{} * {name}", enclosed(write(model, a), Grip::Product)),
     }
 }
 
@@ -60,8 +84,8 @@ fn enclosed((text, grip): (String, Grip), least: Grip) -> String {
 fn write(model: &Model, a: &Expression) -> (String, Grip) {
     let atom = |text: String| (text, Grip::Atom);
     match a {
-        Expression::Number(x) if *x < 0.0 => (x.to_string(), Grip::Minus),
-        Expression::Number(x) => atom(x.to_string()),
+        Expression::Number(x) if *x < 0.0 => (figure(*x), Grip::Minus),
+        Expression::Number(x) => atom(figure(*x)),
         Expression::Column(column) => atom(quoted(&model.columns[*column].name)),
         Expression::Step => atom("dt".to_owned()),
         Expression::Parameter(index) => atom(model.parameters[*index].name.clone()),

@@ -14,7 +14,11 @@ pub(crate) fn nearest<'a>(name: &str, candidates: impl IntoIterator<Item = &'a s
         return None;
     }
     let wanted = name.to_lowercase();
-    let reach = (wanted.chars().count() / 3).max(1);
+    // One letter is near to every other letter, which says nothing.
+    let reach = match wanted.chars().count() {
+        0 | 1 => 0,
+        length => (length / 3).max(1),
+    };
     let mut best: Option<(usize, &str)> = None;
     for candidate in candidates {
         if candidate.len() > LONGEST || candidate.len().abs_diff(name.len()) > 2 * LONGEST / 3 {

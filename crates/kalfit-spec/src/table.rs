@@ -101,7 +101,7 @@ impl<'d> Section<'d> {
 impl<'d> Field<'d> {
     /// "`key` of place".
     pub(crate) fn what(&self) -> String {
-        format!("{} of {}", self.key, self.place)
+        format!("`{}` of {}", self.key, self.place)
     }
 
     pub(crate) fn text(&self) -> Result<&'d str> {

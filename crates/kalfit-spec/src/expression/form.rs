@@ -28,18 +28,11 @@ impl Form {
         Form { terms, constant: fold::negate(self.constant) }
     }
 
-    pub(crate) fn add(self, other: Form) -> Made {
-        let plus = |a, b| match b {
-            // a + (-b) is written as it was read: a - b.
-            Expression::Negate(b) => fold::binary(Operator::Subtract, a, *b),
-            b => fold::binary(Operator::Add, a, b),
-        };
-        let constant = plus(self.constant, other.constant)?;
-        let mut terms = merge(self.terms, other.terms, |a, b| match (a, b) {
-            (Some(a), Some(b)) => plus(a, b),
-            (Some(only), None) | (None, Some(only)) => Ok(only),
-            (None, None) => Ok(ZERO),
-        })?;
+    /// a + b or a - b, as the operator says.
+    pub(crate) fn join(self, operator: Operator, other: Form) -> Made {
+        let constant = fold::binary(operator, self.constant, other.constant)?;
+        let mut terms =
+            merge(self.terms, other.terms, |a, b| fold::binary(operator, a.unwrap_or(ZERO), b.unwrap_or(ZERO)))?;
         terms.retain(|(_, coefficient)| !fold::is_zero(coefficient));
         Ok(Form { terms, constant })
     }

@@ -152,8 +152,7 @@ impl Lowering<'_, '_> {
 
     fn combine(&mut self, operator: Operator, a: Form, b: Form, span: &Range<usize>) -> Result<Form> {
         let folded = match operator {
-            Operator::Add => a.add(b),
-            Operator::Subtract => a.add(b.negate()),
+            Operator::Add | Operator::Subtract => a.join(operator, b),
             _ => match (a.first_state(), b.first_state()) {
                 (Some(first), Some(second)) => {
                     let (first, second) = (self.state_name(first), self.state_name(second));

@@ -1,0 +1,174 @@
+//! Whatever a model file holds, reading it ends with a model or with an error whose place is in the file.
+
+use kalfit_spec::{ExpressionProblem, Problem, Spec, SpecError};
+use proptest::prelude::*;
+
+fn read(text: &str) -> Result<Spec, SpecError> {
+    let result = Spec::parse("model.toml", text);
+    if let Err(error) = &result {
+        assert!(!error.message.is_empty() && !error.message.ends_with('.'), "{error:?}");
+        if let Some(span) = &error.span {
+            assert!(text.get(span.clone()).is_some(), "{span:?} is no part of the text: {error}");
+        }
+    }
+    if let Ok(spec) = &result {
+        assert!(!spec.describe().is_empty());
+    }
+    result
+}
+
+fn with_equation(quoted: &str) -> String {
+    format!(
+        "[states]\na = {{}}\nb = {{}}\n[measurements.y]\ncolumn = 'y'\nnoise = 1\nequation = {quoted}\n[data]\ntime = 't'\n"
+    )
+}
+
+/// Pieces that expressions are made of, and some that they are not.
+const PIECES: [&str; 34] = [
+    "a", "b", "u", "1", "2.5", "1e-6", "dt", "pi", " ", "+", "-", "*", "/", "^", "(", ")", ",", "<", "==", "!=",
+    "and ", "or ", "not ", "if(", "sqrt(", "max(", "`c d`", "''", "\"", "'A'", "`", "é", "=", "\\u0062",
+];
+
+/// Lines that model files are made of, some of them wrong.
+const LINES: [&str; 40] = [
+    "[data]",
+    "time = 't'",
+    "test = '@file'",
+    "step_first = true",
+    "initial_time = 0",
+    "inputs = 'previous'",
+    "[states]",
+    "a = {}",
+    "b = { random = false }",
+    "[states.c]",
+    "process = 'gauss-markov-2'",
+    "time_constant = 'tau'",
+    "sigma = 's'",
+    "next = 'a + 0.5 * c'",
+    "derivative = '-c / tau'",
+    "noise_density = 's'",
+    "step_noise = 0.1",
+    "initial = { mean = 0, sigma = 1 }",
+    "initial = 'stationary'",
+    "[measurements.y]",
+    "column = 'y'",
+    "equation = 'a + b * u + c'",
+    "noise = 's'",
+    "variance = 2",
+    "[measurements.z]",
+    "[noise_covariance]",
+    "'y, z' = 0.1",
+    "[parameters]",
+    "tau = { start = 3, lower = 1 }",
+    "s = { per = 'lot', fixed = { A = 1 } }",
+    "[mean]",
+    "tied = { a = 'b + 1' }",
+    "proportional_to = { a = 1 }",
+    "[covariance]",
+    "structure = 'blocks'",
+    "blocks = [['a', 'b']]",
+    "fixed = { 'a, a' = 0 }",
+    "known = [[1, 0], [0, 1]]",
+    "order = ['b', 'a']",
+    "[process_noise_covariance]",
+];
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 2_000, ..ProptestConfig::default() })]
+
+    #[test]
+    fn any_text_is_read_or_refused(text in any::<String>()) {
+        let _ = read(&text);
+    }
+
+    #[test]
+    fn any_expression_is_read_or_refused(pieces in prop::collection::vec(prop::sample::select(&PIECES[..]), 0..24)) {
+        let expression: String = pieces.concat();
+        let _ = read(&with_equation(&format!("\"\"\"{expression}\"\"\"")));
+        let _ = read(&with_equation(&format!("'''{expression}'''")));
+        let _ = read(&with_equation(&format!("\"{expression}\"")));
+    }
+
+    #[test]
+    fn any_characters_in_an_expression_are_read_or_refused(expression in "[^'\\p{Cc}]{0,40}") {
+        let _ = read(&with_equation(&format!("'{expression}'")));
+    }
+
+    #[test]
+    fn any_lines_are_read_or_refused(lines in prop::collection::vec(prop::sample::select(&LINES[..]), 0..30)) {
+        let _ = read(&lines.join("\n"));
+    }
+
+    #[test]
+    fn any_assignment_is_done_or_refused(assignment in "(s|tau|x|é)?(\\[.{0,3}\\]?)?=?.{0,6}") {
+        let mut spec = read(
+            "[states]\na = {}\n[measurements.y]\ncolumn = 'y'\nequation = 'tau * a'\nnoise = 's'\n\
+             [parameters]\ntau = {}\ns = { per = 'lot' }\n",
+        )
+        .expect("the model is whole");
+        let _ = spec.set(&assignment);
+        let _ = spec.describe();
+    }
+}
+
+/// A model whose lines are shuffled by leaving some out is still read or refused.
+#[test]
+fn every_part_of_a_model_may_be_missing() {
+    let whole = "[data]\ntime = 't'\n[states.a]\nprocess = 'gauss-markov'\ntime_constant = 'tau'\nsigma = 1\n[states.b]\n\
+                 unit = 'm'\n[measurements.y]\ncolumn = 'y'\nequation = 'a + b'\nnoise = 1\n[parameters]\ntau = 3\n";
+    assert!(read(whole).is_ok());
+    let lines: Vec<&str> = whole.lines().collect();
+    for without in 0..lines.len() {
+        let rest: Vec<&str> = lines.iter().enumerate().filter(|(i, _)| *i != without).map(|(_, l)| *l).collect();
+        let _ = read(&rest.join("\n"));
+    }
+    for end in (0..whole.len()).filter(|end| whole.is_char_boundary(*end)) {
+        let _ = read(&whole[..end]);
+    }
+}
+
+#[test]
+fn deep_tables_and_arrays_are_refused() {
+    for text in [
+        format!("a = {}", "[".repeat(100_000)),
+        format!("a = {}", "{a=".repeat(100_000)),
+        format!("[{}a]", "a.".repeat(100_000)),
+        format!("{}a = 1", "a.".repeat(100_000)),
+    ] {
+        assert!(matches!(*read(&text).unwrap_err().problem, Problem::Toml { .. }));
+    }
+}
+
+#[test]
+fn equations_whose_expansion_explodes_are_refused() {
+    // 250 states, each times the same sum of 240 columns, in equation after equation.
+    let names: Vec<String> = (0..250).map(|i| format!("s{i}")).collect();
+    let factor: Vec<String> = (0..240).map(|i| format!("u{i}")).collect();
+    let mut text = "[states]\n".to_owned();
+    for name in &names {
+        text.push_str(&format!("{name} = {{}}\n"));
+    }
+    for i in 0..100 {
+        let (sum, factor) = (names.join(" + "), factor.join(" + "));
+        text.push_str(&format!("[measurements.m{i}]\ncolumn = 'y{i}'\nnoise = 1\nequation = '({factor}) * ({sum})'\n"));
+    }
+    let problem = *read(&text).unwrap_err().problem;
+    assert!(matches!(problem, Problem::Expression(ExpressionProblem::ModelTooLarge { .. })), "{problem:?}");
+}
+
+#[test]
+fn files_that_are_too_large_or_no_text_are_refused() {
+    let text = format!("# {}", "x".repeat(4 * 1024 * 1024));
+    assert!(matches!(*read(&text).unwrap_err().problem, Problem::TooLarge { .. }));
+    let folder = std::env::temp_dir().join(format!("kalfit-spec-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let path = folder.join("model.toml");
+    std::fs::write(&path, [b'[', 0xff, b']']).unwrap();
+    assert_eq!(*Spec::load(&path).unwrap_err().problem, Problem::NotText { offset: 1 });
+    std::fs::write(&path, &text).unwrap();
+    assert!(matches!(*Spec::load(&path).unwrap_err().problem, Problem::TooLarge { .. }));
+    assert!(matches!(*Spec::load(&folder.join("none.toml")).unwrap_err().problem, Problem::Unreadable { .. }));
+    std::fs::write(&path, with_equation("'a + b'")).unwrap();
+    assert_eq!(Spec::load(&path).unwrap().model.estimated.len(), 2);
+    std::fs::remove_dir_all(&folder).unwrap();
+}
