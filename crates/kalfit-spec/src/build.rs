@@ -69,10 +69,10 @@ fn model(text: &str, mut root: Section<'_>) -> Result<(Model, Data, Places)> {
     let (measurements, measured) = measurements::read(&mut context, root.take("measurements").as_ref())?;
     let noises = root.take("noise_covariance");
     let noise_covariance = noise::between_measurements(&mut context, noises, &measurements, &measured)?;
-    let (section, estimated) = covariance::open(&context, root.take("covariance").as_ref(), &states)?;
+    let (section, estimated) = covariance::open(root.take("covariance").as_ref(), &states)?;
     let elements = Elements::new(&states, &estimated);
-    let mean = mean::read(&mut context, root.take("mean").as_ref(), &states, &estimated, &elements)?;
-    let covariance = covariance::read(&mut context, section, &states, &elements)?;
+    let mean = mean::read(&mut context, root.take("mean").as_ref(), &estimated, &elements)?;
+    let covariance = covariance::read(&mut context, section, &elements)?;
     let parameters = parameters::finish(&context, declared)?;
     let (clock, group) = (std::mem::take(&mut data.clock), data.group);
     let places = places(&mut context, measured);

@@ -2,24 +2,19 @@
 
 use std::collections::BTreeMap;
 
-use kalfit::model::State;
-
 use crate::elements::{Elements, pair, pair_of, to_problem};
 use crate::error::{Result, Span, SpecError, StructureProblem};
-use crate::names::Context;
 use crate::semidefinite::defect;
 use crate::table::Field;
 
 /// An open structure, its elements and what is needed to read their names.
-pub(crate) struct Structure<'s, 't> {
+pub(crate) struct Structure<'s> {
     pub(crate) word: &'static str,
     pub(crate) block_of: Vec<usize>,
-    pub(crate) context: &'s Context<'t>,
-    pub(crate) states: &'s [State],
     pub(crate) elements: &'s Elements,
 }
 
-impl Structure<'_, '_> {
+impl Structure<'_> {
     /// True for elements that the structure makes zero.
     pub(crate) fn is_zero(&self, i: usize, j: usize) -> bool {
         match self.word {
@@ -31,7 +26,7 @@ impl Structure<'_, '_> {
 
     /// (row, column), row ≥ column, of two names.
     fn element(&self, names: (&str, &str), place: &str, span: &Span) -> Result<(usize, usize)> {
-        let find = |name| self.elements.find(self.context, self.states, name, place, span);
+        let find = |name| self.elements.find(name, place, span);
         let (i, j) = (find(names.0)?, find(names.1)?);
         Ok((i.max(j), i.min(j)))
     }
@@ -67,7 +62,7 @@ const FIXED: &str = "`fixed` of `[covariance]`";
 const EQUAL: &str = "`equal` of `[covariance]`";
 
 /// Reads `fixed` and adds the zero variances of states that are not random.
-pub(crate) fn fixed_elements(structure: &Structure<'_, '_>, field: Option<&Field<'_>>) -> Result<Fixed> {
+pub(crate) fn fixed_elements(structure: &Structure<'_>, field: Option<&Field<'_>>) -> Result<Fixed> {
     let elements = structure.elements;
     let mut fixed = Fixed::of_common(elements);
     let Some(field) = field else { return Ok(fixed) };
@@ -107,7 +102,7 @@ pub(crate) fn fixed_elements(structure: &Structure<'_, '_>, field: Option<&Field
 }
 
 /// Refuses fixed elements that no covariance has together.
-fn check_fixed(structure: &Structure<'_, '_>, fixed: &Fixed, whole: &Span) -> Result<()> {
+fn check_fixed(structure: &Structure<'_>, fixed: &Fixed, whole: &Span) -> Result<()> {
     let p = structure.elements.len();
     let mut known = vec![vec![None; p]; p];
     for i in 0..p {
@@ -126,7 +121,7 @@ fn check_fixed(structure: &Structure<'_, '_>, fixed: &Fixed, whole: &Span) -> Re
 
 /// Reads `equal`: groups of elements that are free otherwise, no element twice.
 pub(crate) fn equal_groups(
-    structure: &Structure<'_, '_>,
+    structure: &Structure<'_>,
     field: Option<&Field<'_>>,
     fixed: &Fixed,
 ) -> Result<Vec<Vec<(usize, usize)>>> {

@@ -20,11 +20,7 @@ const OPEN: [&str; 3] = ["full", "diagonal", "blocks"];
 const WITH_MATRIX: [&str; 3] = ["proportional", "correlation", "fixed"];
 
 /// Opens `[covariance]` and reads the order of the estimated states.
-pub(crate) fn open<'d>(
-    context: &Context<'_>,
-    field: Option<&Field<'d>>,
-    states: &[State],
-) -> Result<(Option<Section<'d>>, Vec<usize>)> {
+pub(crate) fn open<'d>(field: Option<&Field<'d>>, states: &[State]) -> Result<(Option<Section<'d>>, Vec<usize>)> {
     let mut estimated = states::estimated(states);
     let Some(field) = field else { return Ok((None, estimated)) };
     let mut section = field.section(PLACE)?.only(&KEYS)?;
@@ -34,7 +30,7 @@ pub(crate) fn open<'d>(
         let mut listed = vec![false; estimated.len()];
         let mut ordered = Vec::with_capacity(estimated.len());
         for (name, span) in order.texts()? {
-            let i = elements.find(context, states, name, place, &span)?;
+            let i = elements.find(name, place, &span)?;
             if std::mem::replace(&mut listed[i], true) {
                 let problem = StructureProblem::ListedTwice { name: name.to_owned(), place: place.to_owned() };
                 return Err(SpecError::new(problem).at(span));
@@ -54,7 +50,6 @@ pub(crate) fn open<'d>(
 pub(crate) fn read(
     context: &mut Context<'_>,
     section: Option<Section<'_>>,
-    states: &[State],
     elements: &Elements,
 ) -> Result<CovarianceStructure> {
     let mut covariance = CovarianceStructure::full();
@@ -66,9 +61,9 @@ pub(crate) fn read(
     let word = named.as_ref().map_or(Ok(0), |field| field.word(&STRUCTURES))?;
     let word = STRUCTURES[word];
     refuse_idle(&section, word)?;
-    let blocks = blocks(context, &mut section, states, elements, word)?;
+    let blocks = blocks(&mut section, elements, word)?;
     let matrix = matrix(context, &mut section, elements, word)?;
-    let structure = Structure { word, block_of: block_of(&blocks, elements.len()), context, states, elements };
+    let structure = Structure { word, block_of: block_of(&blocks, elements.len()), elements };
     let mut fixed = fixed_elements(&structure, section.take("fixed").as_ref())?;
     covariance.equal = equal_groups(&structure, section.take("equal").as_ref(), &fixed)?;
     if let Some(start) = section.take("start") {
@@ -110,13 +105,7 @@ fn refuse_idle(section: &Section<'_>, word: &str) -> Result<()> {
 
 type Blocks = Option<Vec<Vec<usize>>>;
 
-fn blocks(
-    context: &Context<'_>,
-    section: &mut Section<'_>,
-    states: &[State],
-    elements: &Elements,
-    word: &str,
-) -> Result<Blocks> {
+fn blocks(section: &mut Section<'_>, elements: &Elements, word: &str) -> Result<Blocks> {
     if word != "blocks" {
         return Ok(None);
     }
@@ -127,7 +116,7 @@ fn blocks(
     for block in field.items("an array of arrays of names")? {
         let mut members = Vec::new();
         for (name, span) in block.texts()? {
-            let i = elements.find(context, states, name, place, &span)?;
+            let i = elements.find(name, place, &span)?;
             if std::mem::replace(&mut listed[i], true) {
                 let problem = StructureProblem::ListedTwice { name: name.to_owned(), place: place.to_owned() };
                 return Err(SpecError::new(problem).at(span));
@@ -180,7 +169,7 @@ fn matrix(
 
 /// A start value: numbers that meet the other constraints.
 fn start_matrix(
-    structure: &Structure<'_, '_>,
+    structure: &Structure<'_>,
     field: &Field<'_>,
     fixed: &Fixed,
     equal: &[Vec<(usize, usize)>],

@@ -1,9 +1,11 @@
 //! Elements of μ and Σ by name.
 
-use kalfit::model::State;
+use std::collections::HashMap;
+
+use kalfit::model::{Initial, State};
 
 use crate::error::{Problem, Result, Span, SpecError, StructureProblem};
-use crate::names::{Context, Index};
+use crate::names::Index;
 use crate::semidefinite::Defect;
 use crate::states::start_words;
 use crate::suggest::suggest;
@@ -12,6 +14,8 @@ use crate::table::Field;
 /// The estimated states in the order of μ and Σ.
 pub(crate) struct Elements {
     index: Index,
+    /// The other states, and how they start.
+    others: HashMap<String, &'static str>,
     /// Whether the state is random; its variance is zero when not.
     pub(crate) random: Vec<bool>,
 }
@@ -23,7 +27,9 @@ impl Elements {
         for &state in estimated {
             index.add(&states[state].name, 0..0);
         }
-        Elements { index, random: estimated.iter().map(|&state| states[state].random).collect() }
+        let others = states.iter().filter(|state| state.initial != Initial::Estimated);
+        let others = others.map(|state| (state.name.clone(), start_words(&state.initial))).collect();
+        Elements { index, others, random: estimated.iter().map(|&state| states[state].random).collect() }
     }
 
     /// p.
@@ -41,22 +47,13 @@ impl Elements {
     }
 
     /// The element of a name.
-    pub(crate) fn find(
-        &self,
-        context: &Context<'_>,
-        states: &[State],
-        name: &str,
-        place: &str,
-        span: &Span,
-    ) -> Result<usize> {
+    pub(crate) fn find(&self, name: &str, place: &str, span: &Span) -> Result<usize> {
         if let Some(i) = self.index.get(name) {
             return Ok(i);
         }
         let (name, place) = (name.to_owned(), place.to_owned());
-        let error = match context.states.get(&name) {
-            Some(state) => {
-                SpecError::new(Problem::NotEstimated { name, place, start: start_words(&states[state].initial) })
-            }
+        let error = match self.others.get(&name) {
+            Some(start) => SpecError::new(Problem::NotEstimated { name, place, start }),
             None => {
                 let hint = suggest(&name, self.index.names());
                 SpecError::new(Problem::UnknownName { what: "state", name, place }).maybe_hint(hint)

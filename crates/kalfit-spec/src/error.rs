@@ -7,6 +7,9 @@ use crate::show::figure;
 /// Bytes `start..end` of the model file.
 pub(crate) type Span = Range<usize>;
 
+/// Longest message, in characters: a hostile name can be as long as the file.
+const MAX_MESSAGE: usize = 1_000;
+
 pub(crate) type Result<T> = std::result::Result<T, SpecError>;
 
 /// What is wrong with a model file, where, and what may help.
@@ -31,7 +34,12 @@ pub struct SpecError {
 impl SpecError {
     pub(crate) fn new(problem: impl Into<Problem>) -> SpecError {
         let problem = problem.into();
-        SpecError { message: problem.to_string(), problem: Box::new(problem), span: None, label: None, hint: None }
+        let mut message = problem.to_string();
+        if let Some((end, _)) = message.char_indices().nth(MAX_MESSAGE) {
+            message.truncate(end);
+            message.push('…');
+        }
+        SpecError { message, problem: Box::new(problem), span: None, label: None, hint: None }
     }
 
     pub(crate) fn at(mut self, span: Span) -> SpecError {

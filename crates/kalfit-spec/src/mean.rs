@@ -2,10 +2,10 @@
 
 use std::collections::BTreeSet;
 
-use kalfit::model::{MeanElement, MeanStructure, Regression, State};
+use kalfit::model::{MeanElement, MeanStructure, Regression};
 
 use crate::elements::Elements;
-use crate::error::{Result, SpecError, StructureProblem};
+use crate::error::{Problem, Result, SpecError, StructureProblem};
 use crate::expression::{self, Scope};
 use crate::names::Context;
 use crate::table::{Field, Section};
@@ -13,9 +13,11 @@ use crate::table::{Field, Section};
 const PLACE: &str = "`[mean]`";
 const KEYS: [&str; 5] = ["fixed", "start", "tied", "proportional_to", "regression"];
 
+/// Regression coefficients of one model; what is found of them grows with its square.
+const MAX_REGRESSION: usize = 1_000;
+
 struct Reader<'r, 't> {
     context: &'r mut Context<'t>,
-    states: &'r [State],
     /// Indices of the estimated states.
     estimated: &'r [usize],
     elements: &'r Elements,
@@ -26,14 +28,13 @@ struct Reader<'r, 't> {
 pub(crate) fn read(
     context: &mut Context<'_>,
     field: Option<&Field<'_>>,
-    states: &[State],
     estimated: &[usize],
     elements: &Elements,
 ) -> Result<MeanStructure> {
     let mean = MeanStructure::free(elements.len());
     let Some(field) = field else { return Ok(mean) };
     let mut section = field.section(PLACE)?.only(&KEYS)?;
-    let mut reader = Reader { context, states, estimated, elements, mean };
+    let mut reader = Reader { context, estimated, elements, mean };
     if let Some(field) = section.take("fixed") {
         reader.fixed(&field)?;
     }
@@ -65,7 +66,7 @@ fn said(element: &MeanElement) -> Option<&'static str> {
 
 impl Reader<'_, '_> {
     fn find(&self, field: &Field<'_>) -> Result<usize> {
-        self.elements.find(self.context, self.states, field.key, &field.place, &field.key_span)
+        self.elements.find(field.key, &field.place, &field.key_span)
     }
 
     fn table<'d>(&self, field: &Field<'d>) -> Result<Section<'d>> {
@@ -141,7 +142,7 @@ impl Reader<'_, '_> {
                 let name = self.context.states.name(*state).to_owned();
                 return Err(self
                     .elements
-                    .find(self.context, self.states, &name, &place, &field.span)
+                    .find(&name, &place, &field.span)
                     .expect_err("a state that is not among the estimated ones is not found among them"));
             };
             if k == i {
@@ -184,6 +185,12 @@ impl Reader<'_, '_> {
                     return Err(SpecError::new(problem).at(span));
                 }
                 self.mean.regression.push(Regression { element, column });
+                let found = self.mean.regression.len();
+                if found > MAX_REGRESSION {
+                    let expected = format!("at most {MAX_REGRESSION}");
+                    let problem = Problem::Count { what: "regression coefficients", found, expected };
+                    return Err(SpecError::new(problem).at(span));
+                }
             }
         }
         Ok(())

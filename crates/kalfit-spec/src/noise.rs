@@ -45,8 +45,11 @@ pub(crate) fn between_states(
             return Err(SpecError::new(problem).at(span.clone()));
         }
     }
-    let variance = |state: usize| noise(&states[state]).map_or(Some(0.0), |(variance, _)| variance.as_number());
-    check(&covariances, &spans, place, &variance, &|state| states[state].name.clone(), &field.key_span)?;
+    let of = |state: usize| {
+        let variance = noise(&states[state]).map_or(Some(0.0), |(variance, _)| variance.as_number());
+        (states[state].name.clone(), variance)
+    };
+    check(&covariances, &spans, place, &of, &field.key_span)?;
     Ok(covariances)
 }
 
@@ -63,8 +66,8 @@ pub(crate) fn between_measurements(
         names.get(name).ok_or_else(|| unknown("measurement", name, place, suggest(name, names.names())))
     };
     let (covariances, spans) = read(context, &field, place, "measurement", &find)?;
-    let variance = |i: usize| measurements[i].noise_variance.as_number();
-    check(&covariances, &spans, place, &variance, &|i| measurements[i].name.clone(), &field.key_span)?;
+    let of = |i: usize| (measurements[i].name.clone(), measurements[i].noise_variance.as_number());
+    check(&covariances, &spans, place, &of, &field.key_span)?;
     Ok(covariances)
 }
 
@@ -120,13 +123,12 @@ fn shown(value: &Expression) -> String {
     value.as_number().map_or("an expression".to_owned(), |x| x.to_string())
 }
 
-/// Refuses covariances that no noise can have, as far as numbers are known.
+/// Refuses covariances that no noise can have, as far as numbers are known; `of` tells the name and variance of one.
 fn check(
     covariances: &Covariances,
     spans: &Spans,
     place: &str,
-    variance: &dyn Fn(usize) -> Option<f64>,
-    name: &dyn Fn(usize) -> String,
+    of: &dyn Fn(usize) -> (String, Option<f64>),
     whole: &Span,
 ) -> Result<()> {
     let mut involved: Vec<usize> = covariances.iter().flat_map(|(i, j, _)| [*i, *j]).collect();
@@ -135,7 +137,7 @@ fn check(
     let row_of = |i: usize| involved.binary_search(&i).expect("every covariance is between involved noises");
     let mut matrix = vec![vec![Some(0.0); involved.len()]; involved.len()];
     for (row, i) in involved.iter().enumerate() {
-        matrix[row][row] = variance(*i);
+        matrix[row][row] = of(*i).1;
     }
     for (i, j, value) in covariances {
         let (i, j) = (row_of(*i), row_of(*j));
@@ -147,7 +149,7 @@ fn check(
         Some(defect) => {
             let element = defect.element().map(|(i, j)| (involved[i], involved[j]));
             let span = element.and_then(|element| spans.get(&element)).unwrap_or(whole);
-            Err(to_problem(&defect, place, &|row| name(involved[row])).at(span.clone()))
+            Err(to_problem(&defect, place, &|row| of(involved[row]).0).at(span.clone()))
         }
     }
 }

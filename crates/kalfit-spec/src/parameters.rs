@@ -12,6 +12,9 @@ use crate::table::{Field, Section};
 
 const KEYS: [&str; 7] = ["value", "start", "unit", "lower", "upper", "per", "fixed"];
 
+/// Parameters of one model; what is found of them grows with its square.
+const MAX_PARAMETERS: usize = 1_000;
+
 /// A parameter with the places of its numbers, for checks that need all of the model.
 #[derive(Debug)]
 pub(crate) struct Declared {
@@ -32,7 +35,12 @@ struct Spans {
 pub(crate) fn read(context: &mut Context<'_>, field: Option<Field<'_>>) -> Result<Vec<Declared>> {
     let Some(field) = field else { return Ok(Vec::new()) };
     let section = field.section("`[parameters]`")?;
-    let mut all = Vec::with_capacity(section.len());
+    let found = section.len();
+    if found > MAX_PARAMETERS {
+        let problem = Problem::Count { what: "parameters", found, expected: format!("at most {MAX_PARAMETERS}") };
+        return Err(SpecError::new(problem).at(field.key_span));
+    }
+    let mut all = Vec::with_capacity(found);
     for field in section.fields() {
         check_name("parameter", field.key, &field.key_span)?;
         context.parameters.add(field.key, field.key_span.clone());

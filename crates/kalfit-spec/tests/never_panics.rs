@@ -157,6 +157,22 @@ fn equations_whose_expansion_explodes_are_refused() {
 }
 
 #[test]
+fn lists_without_end_and_names_without_end_are_refused() {
+    let states = "[states]\na = {}\n[measurements.y]\ncolumn = 'y'\nequation = 'a'\nnoise = 1\n";
+    let many = |line: fn(usize) -> String| (0..2_000).map(line).collect::<String>();
+    for text in [
+        format!("[measurements]\n[states]\n{}", many(|i| format!("s{i} = {{}}\n"))),
+        format!("[states]\na = {{}}\n[measurements]\n{}", many(|i| format!("m{i} = {{}}\n"))),
+        format!("{states}[parameters]\n{}", many(|i| format!("p{i} = {{}}\n"))),
+        format!("{states}[mean.regression]\na = [{}]\n", many(|i| format!("'c{i}', "))),
+    ] {
+        assert!(matches!(*read(&text).unwrap_err().problem, Problem::Count { .. }));
+    }
+    let error = read(&format!("{} = 1", "k".repeat(1_000_000))).unwrap_err();
+    assert!(error.message.len() < 2_000, "the message has {} bytes", error.message.len());
+}
+
+#[test]
 fn files_that_are_too_large_or_no_text_are_refused() {
     let text = format!("# {}", "x".repeat(4 * 1024 * 1024));
     assert!(matches!(*read(&text).unwrap_err().problem, Problem::TooLarge { .. }));
