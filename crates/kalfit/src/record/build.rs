@@ -70,6 +70,20 @@ impl FitRecord {
     }
 }
 
+impl DataRecord {
+    /// Counts of the data behind reductions.
+    pub fn of(reductions: &[Reduction], files: Vec<String>) -> DataRecord {
+        data(reductions, files)
+    }
+}
+
+impl UnidentifiedRecord {
+    /// A direction with its elements named; `states` are the estimated ones.
+    pub fn of(direction: &Direction, states: &[String]) -> UnidentifiedRecord {
+        unidentified(direction, states)
+    }
+}
+
 fn data(reductions: &[Reduction], files: Vec<String>) -> DataRecord {
     let mut designs: Vec<u128> = reductions.iter().map(|r| r.design).collect();
     designs.sort_unstable();
