@@ -117,7 +117,7 @@ pub enum DataError {
         file: String,
     },
     /// A column that is needed is not there.
-    #[error("{file} has no column `{column}`, which is needed for {used_in}")]
+    #[error("{file} has no column `{column}`, which is used in {used_in}")]
     MissingColumn {
         /// The file.
         file: String,
@@ -141,7 +141,7 @@ pub enum DataError {
         second: usize,
     },
     /// A column's type does not fit its use.
-    #[error("{file}, column `{column}`: found values of type {found}, expected {expected} for {used_in}")]
+    #[error("{file}, column `{column}`: found values of type {found}, expected {expected} (used in {used_in})")]
     ColumnType {
         /// The file.
         file: String,
@@ -227,13 +227,13 @@ pub enum DataError {
         found: String,
     },
     /// A row does not say which test it belongs to.
-    #[error("{at}: found an empty cell, expected the id of the row's test")]
+    #[error("{at}: found a missing cell, expected the id of the row's test")]
     MissingTest {
         /// The cell.
         at: Box<Place>,
     },
     /// A row has no time.
-    #[error("{at}: found an empty cell, expected the time of the row")]
+    #[error("{at}: found a missing cell, expected the time of the row")]
     MissingTime {
         /// The cell.
         at: Box<Place>,
@@ -353,11 +353,20 @@ pub struct Columns {
     pub names: Vec<String>,
 }
 
-/// Text of a cell for a message: control characters escaped, and not too long.
+/// Text of a cell for a message: not too long, and without characters that could play tricks on a terminal.
 pub(crate) fn shown(cell: &[u8]) -> String {
     const LONGEST: usize = 60;
     let text = String::from_utf8_lossy(&cell[..cell.len().min(4 * LONGEST)]);
-    let mut short: String = text.chars().take(LONGEST).flat_map(char::escape_debug).collect();
+    let mut short = String::new();
+    for character in text.chars().take(LONGEST) {
+        let directs_text =
+            matches!(character, '\u{200e}'..='\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+        if character.is_control() || directs_text {
+            short.extend(character.escape_default());
+        } else {
+            short.push(character);
+        }
+    }
     if text.chars().count() > LONGEST || cell.len() > 4 * LONGEST {
         short.push('…');
     }

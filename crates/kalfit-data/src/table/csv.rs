@@ -106,7 +106,8 @@ impl<'a> CsvTable<'a> {
                 return Ok(None);
             }
             if self.record.as_slice().ends_with(b"\0\n") && self.record.as_slice().trim_ascii_end().ends_with(END) {
-                return Err(DataError::OpenQuote { file: self.file.to_owned(), row });
+                // No line end stands after an open cell: all are in it.
+                return Err(DataError::OpenQuote { file: self.file.to_owned(), row: row + 1 });
             }
             if self.record.len() == 1 && &self.record[0] == b"\r" {
                 blank = blank.or(Some(row));

@@ -67,7 +67,9 @@ fn refuse_codecs(file: &str, metadata: &ParquetMetaData, roots: &[usize], wanted
             let codec = chunk.compression();
             if !matches!(codec, Compression::UNCOMPRESSED | Compression::SNAPPY | Compression::ZSTD(_)) {
                 let column = wanted.columns[index].name.clone();
-                return Err(DataError::Codec { file: file.to_owned(), column, found: codec.to_string().into() });
+                let codec = codec.to_string();
+                let name = codec.split('(').next().unwrap_or(&codec).to_lowercase();
+                return Err(DataError::Codec { file: file.to_owned(), column, found: name.into() });
             }
         }
     }
