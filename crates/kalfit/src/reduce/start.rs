@@ -71,6 +71,10 @@ impl Start {
                 }
             }
         }
+        if start.covariance.iter().all(|(.., entry)| matches!(entry, Coefficient::Fixed(_))) {
+            let scope = Scope { numbers: &[], texts: &[], step: 0.0, alpha: at.alpha };
+            start.add_known_covariance(at, &scope, &mut Law::default())?; // no test is to blame
+        }
         if let Some(time) = &at.model.clock.initial_time {
             if at.model.clock.time.is_none() {
                 return Err(Fault::new(Subject::InitialTime, ReduceErrorKind::InitialTimeWithoutTime));
@@ -160,6 +164,10 @@ fn groups(at: &At<'_>, dynamics: &Dynamics, settled: &[usize]) -> Result<Vec<Gro
     }
     for recursion in &dynamics.recursions {
         motion.extend(recursion.terms.iter().map(|&(j, slot)| (recursion.state, j, slot)));
+    }
+    if let Some(&still) = settled.iter().find(|&&i| at.model.states[i].motion == Motion::Constant) {
+        let kind = ReduceErrorKind::Unstable { states: vec![name(still)] };
+        return Err(Fault::new(Subject::StationaryLaw(still), kind));
     }
     motion.retain(|(i, ..)| settled.contains(i));
     for &(i, j, _) in &motion {
