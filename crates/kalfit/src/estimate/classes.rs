@@ -13,19 +13,19 @@ use crate::reduce::{Path, Reduction};
 
 /// Tests that share R and covariates, in η: log p(z_j | η) = constant_j - ½ ‖d_j - R η‖².
 #[derive(Debug, Clone)]
-pub(crate) struct Class {
+pub(crate) struct Class<T = f64> {
     /// n, the number of tests.
-    pub(crate) count: f64,
+    pub(crate) count: T,
     /// Σ_j constant_j.
-    pub(crate) constant: f64,
+    pub(crate) constant: T,
     /// R, p × p by rows, upper triangular.
-    pub(crate) factor: Vec<f64>,
+    pub(crate) factor: Vec<T>,
     /// Mean of d_j.
-    pub(crate) mean: Vec<f64>,
+    pub(crate) mean: Vec<T>,
     /// Σ_j (d_j - mean)(d_j - mean)', p × p by rows; `None` for a single test.
-    pub(crate) scatter: Option<Vec<f64>>,
+    pub(crate) scatter: Option<Vec<T>>,
     /// Scaled covariates of the regressions.
-    pub(crate) covariates: Vec<f64>,
+    pub(crate) covariates: Vec<T>,
     /// Some test of it needs square-root arithmetic.
     pub(crate) square_root: bool,
 }

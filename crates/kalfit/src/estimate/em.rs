@@ -8,7 +8,8 @@ use nalgebra::{DMatrix, DVector};
 use crate::estimate::covariance::{CovarianceMap, Form, place, sub};
 use crate::estimate::exact::maximise_exact;
 use crate::estimate::local::Objective;
-use crate::estimate::pass::{Point, Sums};
+use crate::estimate::pass::Sums;
+use crate::estimate::terms::Point;
 use crate::estimate::problem::Problem;
 use crate::linalg::symmetric;
 

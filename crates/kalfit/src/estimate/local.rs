@@ -3,7 +3,8 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::covariance::{Chart, Constraint, CovarianceMap};
-use crate::estimate::pass::{Point, Sums};
+use crate::estimate::pass::Sums;
+use crate::estimate::terms::Point;
 use crate::linalg::symmetric::{self, pair, pairs};
 
 /// Value and derivatives at a point, in mean coordinates and the elements of Σ.

@@ -17,6 +17,7 @@ mod scoring;
 mod search;
 mod settings;
 mod start;
+mod terms;
 
 use nalgebra::DMatrix;
 
@@ -26,8 +27,9 @@ pub use settings::{Progress, Settings, Silent, Solver, Step};
 pub(crate) use covariance::{CovarianceMap, Form};
 pub(crate) use local::Tangent;
 pub(crate) use newton::Place;
-pub(crate) use pass::{Sums, Terms};
+pub(crate) use pass::Sums;
 pub(crate) use problem::Problem;
+pub(crate) use terms::Terms;
 
 use crate::model::{Alpha, CovarianceKind, CovarianceStructure, MeanStructure, Model, StructureError};
 use crate::reduce::Reduction;

@@ -7,7 +7,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::covariance::{Chart, CovarianceMap};
 use crate::estimate::local::{Curvature, Local, Objective, Tangent};
-use crate::estimate::pass::Point;
+use crate::estimate::terms::Point;
 use crate::linalg::symmetric;
 
 /// A point with all that is known there.

@@ -7,7 +7,8 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::covariance::Form;
 use crate::estimate::local::{Objective, packed_score};
-use crate::estimate::pass::{Point, Sums};
+use crate::estimate::pass::Sums;
+use crate::estimate::terms::Point;
 use crate::estimate::problem::Problem;
 use crate::linalg::symmetric::{self, pair};
 

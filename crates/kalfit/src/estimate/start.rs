@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::covariance::{Chart, CovarianceMap};
 use crate::estimate::newton::retract;
-use crate::estimate::pass::Point;
+use crate::estimate::terms::Point;
 use crate::estimate::problem::{Problem, scaled_solve};
 use crate::estimate::{FitError, Structure};
 use crate::linalg::symmetric;

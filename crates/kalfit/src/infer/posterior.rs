@@ -43,10 +43,10 @@ fn posterior(estimate: &Estimate, reduction: &Reduction) -> Posterior {
     }
     mean += point.covariance() * DVector::from_column_slice(&terms.r);
     let rank = (0..p).filter(|&i| (i..p).any(|k| class.factor[i * p + k] != 0.0)).count();
-    let distance = terms.distance();
+    let distance = terms.quadratic;
     let tail = |chi: ChiSquared| chi.sf(distance);
     Posterior {
-        log_likelihood: terms.value,
+        log_likelihood: terms.value(&class),
         mean: frame.mean_out(mean.as_slice()),
         covariance: frame.covariance_out(&posterior_covariance(&class.factor, &point.root)),
         distance,

@@ -1,0 +1,285 @@
+//! What one class of tests says at a point: the kernel of every pass, one source for every kind of [`Real`].
+//!
+//! With S = I + RΣR' = LDL', U = L⁻¹R and u = L⁻¹(d - Rμ), which needs no inverse of R, J or Σ and no square root:
+//!
+//! ```text
+//! ℓ = constant - ½ log|D| - ½ u'D⁻¹u      W = U'D⁻¹U = (I+JΣ)⁻¹J      r = U'D⁻¹u = (I+JΣ)⁻¹(y - Jμ)
+//! ```
+#![expect(non_snake_case, reason = "R, S, L, D, U, W, F are the letters of the theory")]
+
+use nalgebra::DMatrix;
+
+use crate::estimate::classes::Class;
+use crate::linalg::fold::fold;
+use crate::linalg::real::Real;
+
+/// Where ℓ is evaluated, in η: the mean (without regression), scaled regression coefficients, and F with Σ = FF'.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Point {
+    pub(crate) mean: Vec<f64>,
+    pub(crate) coefficients: Vec<f64>,
+    pub(crate) root: DMatrix<f64>,
+}
+
+impl Point {
+    /// Σ = FF'.
+    pub(crate) fn covariance(&self) -> DMatrix<f64> {
+        &self.root * self.root.transpose()
+    }
+}
+
+/// Elements of the mean that the regression coefficients act on.
+pub(crate) type Regressors = [usize];
+
+/// What one class says at a point, and the room to work it out. Matrices p × p by rows.
+#[derive(Debug, Clone)]
+pub(crate) struct Terms<T = f64> {
+    p: usize,
+    /// RF, then work.
+    work: Vec<T>,
+    other: Vec<T>,
+    /// L below the diagonal; S while it is being factorised.
+    L: Vec<T>,
+    /// D⁻¹.
+    inverse: Vec<T>,
+    U: Vec<T>,
+    u: Vec<T>,
+    /// log|D| = ln(mantissa) + exponent ln 2.
+    mantissa: T,
+    exponent: T,
+    /// Σ_j u_j'D⁻¹u_j over the class.
+    pub(crate) quadratic: T,
+    /// (I+JΣ)⁻¹(y - Jμ) of the class mean.
+    pub(crate) r: Vec<T>,
+    /// (I+JΣ)⁻¹J.
+    pub(crate) W: Vec<T>,
+    /// Σ_j r_j r_j' over the class.
+    pub(crate) outer: Vec<T>,
+}
+
+impl<T: Real> Terms<T> {
+    pub(crate) fn new(p: usize) -> Terms<T> {
+        let zero = T::splat(0.0);
+        let square = || vec![zero; p * p];
+        let vector = || vec![zero; p];
+        Terms {
+            p,
+            work: square(),
+            other: square(),
+            L: square(),
+            inverse: vector(),
+            U: square(),
+            u: vector(),
+            mantissa: T::splat(1.0),
+            exponent: zero,
+            quadratic: zero,
+            r: vector(),
+            W: square(),
+            outer: square(),
+        }
+    }
+
+    /// RF into `work`. R is upper triangular.
+    fn spread(&mut self, class: &Class<T>, F: &DMatrix<f64>) {
+        let p = self.p;
+        for i in 0..p {
+            for c in 0..p {
+                let mut sum = T::splat(0.0);
+                for k in i..p {
+                    sum = class.factor[i * p + k].fma(T::splat(F[(k, c)]), sum);
+                }
+                self.work[i * p + c] = sum;
+            }
+        }
+    }
+
+    /// S = I + RF(RF)' = LDL'.
+    pub(crate) fn factorise(&mut self, class: &Class<T>, F: &DMatrix<f64>) {
+        let p = self.p;
+        self.spread(class, F);
+        (self.mantissa, self.exponent) = (T::splat(1.0), T::splat(0.0));
+        for i in 0..p {
+            for k in 0..=i {
+                let mut sum = T::splat(if i == k { 1.0 } else { 0.0 });
+                for c in 0..p {
+                    sum = self.work[i * p + c].fma(self.work[k * p + c], sum);
+                }
+                // the row of LD so far stands in L; `other` keeps the row of L itself
+                for c in 0..k {
+                    sum = self.L[i * p + c].fnma(self.other[k * p + c], sum);
+                }
+                self.L[i * p + k] = sum;
+                if k < i {
+                    self.other[i * p + k] = sum * self.inverse[k];
+                }
+            }
+            // S ⪰ I, so no pivot is below one; rounding must not make it so
+            let pivot = self.L[i * p + i].maximum(T::splat(1.0));
+            self.pivot(i, pivot);
+        }
+        std::mem::swap(&mut self.L, &mut self.other);
+    }
+
+    fn pivot(&mut self, i: usize, pivot: T) {
+        self.inverse[i] = T::splat(1.0) / pivot;
+        let (mantissa, exponent) = (self.mantissa * pivot).split();
+        self.mantissa = mantissa;
+        self.exponent = self.exponent + exponent;
+    }
+
+    /// All sums from L and D.
+    pub(crate) fn finish(&mut self, class: &Class<T>, regressors: &Regressors, point: &Point) {
+        let p = self.p;
+        self.U.copy_from_slice(&class.factor);
+        solve_unit_lower(&self.L, &mut self.U, p, p);
+        self.residual(class, regressors, point);
+        solve_unit_lower(&self.L, &mut self.u, p, 1);
+        let mut quadratic = T::splat(0.0);
+        for i in 0..p {
+            quadratic = (self.u[i] * self.u[i]).fma(self.inverse[i], quadratic);
+        }
+        self.quadratic = class.count * quadratic;
+        for a in 0..p {
+            let mut r = T::splat(0.0);
+            for i in 0..p {
+                r = (self.U[i * p + a] * self.inverse[i]).fma(self.u[i], r);
+            }
+            self.r[a] = r;
+        }
+        self.weigh();
+        for a in 0..p {
+            for b in 0..p {
+                self.outer[a * p + b] = class.count * self.r[a] * self.r[b];
+            }
+        }
+        if let Some(scatter) = &class.scatter {
+            self.scatter(scatter);
+        }
+    }
+
+    /// d - Rμ_j of the class mean into u.
+    fn residual(&mut self, class: &Class<T>, regressors: &Regressors, point: &Point) {
+        let p = self.p;
+        for i in 0..p {
+            let mut residual = class.mean[i];
+            for k in i..p {
+                residual = class.factor[i * p + k].fnma(T::splat(point.mean[k]), residual);
+            }
+            for (c, &element) in regressors.iter().enumerate() {
+                let moved = class.covariates[c] * T::splat(point.coefficients[c]);
+                residual = class.factor[i * p + element].fnma(moved, residual);
+            }
+            self.u[i] = residual;
+        }
+    }
+
+    /// W = U'D⁻¹U.
+    fn weigh(&mut self) {
+        let p = self.p;
+        for i in 0..p {
+            for a in 0..p {
+                self.other[i * p + a] = self.U[i * p + a] * self.inverse[i];
+            }
+        }
+        for a in 0..p {
+            for b in 0..=a {
+                let mut sum = T::splat(0.0);
+                for i in 0..p {
+                    sum = self.U[i * p + a].fma(self.other[i * p + b], sum);
+                }
+                self.W[a * p + b] = sum;
+                self.W[b * p + a] = sum;
+            }
+        }
+    }
+
+    /// Adds what the tests' scatter about their mean gives to Σ r r' and to Σ u'D⁻¹u.
+    fn scatter(&mut self, scatter: &[T]) {
+        let p = self.p;
+        // T = L⁻¹ scatter L⁻ᵀ
+        self.work.copy_from_slice(scatter);
+        solve_unit_lower(&self.L, &mut self.work, p, p);
+        transpose(&mut self.work, p);
+        solve_unit_lower(&self.L, &mut self.work, p, p);
+        for i in 0..p {
+            self.quadratic = self.work[i * p + i].fma(self.inverse[i], self.quadratic);
+        }
+        // D⁻¹U'(T)D⁻¹U, with D⁻¹U still in `other`
+        for i in 0..p {
+            for b in 0..p {
+                let mut sum = T::splat(0.0);
+                for k in 0..p {
+                    sum = self.work[i * p + k].fma(self.other[k * p + b], sum);
+                }
+                self.U[i * p + b] = sum;
+            }
+        }
+        for a in 0..p {
+            for b in 0..p {
+                let mut sum = self.outer[a * p + b];
+                for i in 0..p {
+                    sum = self.other[i * p + a].fma(self.U[i * p + b], sum);
+                }
+                self.outer[a * p + b] = sum;
+            }
+        }
+    }
+}
+
+impl Terms<f64> {
+    /// All that the class says at a point.
+    pub(crate) fn evaluate(&mut self, class: &Class, regressors: &Regressors, point: &Point) {
+        if class.square_root {
+            self.factorise_by_qr(class, &point.root);
+        } else {
+            self.factorise(class, &point.root);
+        }
+        self.finish(class, regressors, point);
+    }
+
+    /// Σ_j ℓ_j over the class.
+    pub(crate) fn value(&self, class: &Class) -> f64 {
+        let log_det = self.mantissa.ln() + self.exponent * std::f64::consts::LN_2;
+        class.constant - 0.5 * (class.count * log_det + self.quadratic)
+    }
+
+    /// The same L and D without forming RΣR': the rows of (RF)' folded into I by QR.
+    fn factorise_by_qr(&mut self, class: &Class, F: &DMatrix<f64>) {
+        let p = self.p;
+        self.spread(class, F);
+        transpose(&mut self.work, p);
+        let mut upper = vec![0.0; p * p];
+        (0..p).for_each(|i| upper[i * p + i] = 1.0);
+        fold(&mut upper, &mut self.work, p);
+        (self.mantissa, self.exponent) = (1.0, 0.0);
+        for k in 0..p {
+            let root = upper[k * p + k];
+            for i in k + 1..p {
+                self.L[i * p + k] = upper[k * p + i] / root;
+            }
+            self.pivot(k, root * root);
+        }
+    }
+}
+
+/// X ← L⁻¹X, L unit lower triangular p × p by rows, X p × columns by rows.
+fn solve_unit_lower<T: Real>(L: &[T], X: &mut [T], p: usize, columns: usize) {
+    for i in 1..p {
+        let (done, rest) = X.split_at_mut(i * columns);
+        let row = &mut rest[..columns];
+        for k in 0..i {
+            let factor = L[i * p + k];
+            for (x, d) in row.iter_mut().zip(&done[k * columns..]) {
+                *x = factor.fnma(*d, *x);
+            }
+        }
+    }
+}
+
+fn transpose<T: Copy>(a: &mut [T], p: usize) {
+    for i in 0..p {
+        for k in 0..i {
+            a.swap(i * p + k, k * p + i);
+        }
+    }
+}
