@@ -81,7 +81,10 @@ mod tests {
 
     #[test]
     fn the_span_is_underlined() {
-        insta::assert_snapshot!(shown("title = 'a'\n\tnoise = 3\n", 13..18), @"");
+        insta::assert_snapshot!(shown("title = 'a'\n\tnoise = 3\n", 13..18), @"
+        m.toml:2:2 | noise = 3
+                   | ^^^^^ here
+        ");
     }
 
     #[test]

@@ -109,7 +109,8 @@ impl Failure {
             Failure::Data { error, .. } => error.hint(),
             Failure::Reduce { error, .. } => error.hint().map(str::to_owned),
             Failure::Free { names, .. } => {
-                Some(format!("fix them: `--set {}=VALUE`, or a number in `[parameters]`", names.first()?))
+                let them = if names.len() == 1 { "it" } else { "them" };
+                Some(format!("fix {them}: `--set {}=VALUE`, or a number in `[parameters]`", names.first()?))
             }
             Failure::Fit(error) => fit_hint(error).map(str::to_owned),
             Failure::Output(error) => error.hint().map(str::to_owned),

@@ -8,8 +8,8 @@ use kalfit::FitRecord;
 /// Why a result file cannot be written.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum OutputError {
-    #[error("the folder `{}` for the output does not exist", folder.display())]
-    NoFolder { folder: PathBuf },
+    #[error("the folder `{}` for the output {found}", folder.display())]
+    NoFolder { folder: PathBuf, found: &'static str },
     #[error("the output `{}` is {found}, expected the name of a file", path.display())]
     NotAFile { path: PathBuf, found: &'static str },
     #[error("the output `{}` is one of the inputs", path.display())]
@@ -21,7 +21,7 @@ pub(crate) enum OutputError {
 impl OutputError {
     pub(crate) fn hint(&self) -> Option<&'static str> {
         match self {
-            OutputError::NoFolder { .. } => Some("make the folder first"),
+            OutputError::NoFolder { .. } => Some("name a folder that exists"),
             OutputError::NotAFile { .. } => Some("`--out` takes a file such as `fit.json`"),
             OutputError::IsInput { .. } => Some("give the output a name of its own"),
             OutputError::Io { .. } => None,
@@ -60,7 +60,8 @@ impl Output {
             _ => PathBuf::from("."),
         };
         if !folder.is_dir() {
-            return Err(OutputError::NoFolder { folder });
+            let found = if folder.exists() { "is not a folder" } else { "does not exist" };
+            return Err(OutputError::NoFolder { folder, found });
         }
         let output = Output { named: path.to_owned(), target, folder };
         output.temporary()?; // gone again at once: better to fail before hours of work than after

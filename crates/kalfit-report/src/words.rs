@@ -5,6 +5,13 @@ pub(crate) fn clean(text: &str) -> String {
     text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
 }
 
+/// With a capital letter and a full stop.
+pub(crate) fn sentence(text: &str) -> String {
+    let mut letters = text.trim().chars();
+    let stop = if text.trim().ends_with(['.', '!', '?']) { "" } else { "." };
+    letters.next().map_or(String::new(), |first| format!("{}{}{stop}", first.to_uppercase(), letters.as_str()))
+}
+
 /// `1 test`, `18 tests`.
 pub(crate) fn count(n: usize, singular: &str) -> String {
     match n {
@@ -63,6 +70,13 @@ mod tests {
         assert_eq!(list(&items[..3], 3), "a, b and c");
         assert_eq!(list(&items, 2), "a, b and 2 more");
         assert_eq!(list(&items, 0), "a and 3 more");
+    }
+
+    #[test]
+    fn sentences_begin_large_and_end() {
+        assert_eq!(sentence("the end"), "The end.");
+        assert_eq!(sentence(" Done. "), "Done.");
+        assert_eq!(sentence(""), "");
     }
 
     #[test]

@@ -39,7 +39,7 @@ fn a_healthy_fit_reads_from_verdict_to_figures() {
       No test stands out: the smallest of 4 p-values is 0.02 (test 310), or 0.08
         with Bonferroni's correction.
 
-    Solver newton: 9 passes over the reductions, 1 run of the filters, 12 ms.
+    Solver newton, 9 passes over the reductions, 1 filter run, 12 ms.
     ");
 }
 
@@ -82,7 +82,7 @@ fn singular_covariances_and_unidentified_directions_are_said_in_words() {
     Notes
       Units of the states span 9 powers of ten; they were scaled.
 
-    Solver newton: 9 passes over the reductions, 1 run of the filters, 12 ms.
+    Solver newton, 9 passes over the reductions, 1 filter run, 12 ms.
     ");
 }
 
@@ -133,7 +133,7 @@ fn constraints_show_what_they_cost() {
       These tests stand out even though the search went over 4 tests (Bonferroni, 5
         % level).
 
-    Solver newton: 9 passes over the reductions, 1 run of the filters, 12 ms.
+    Solver newton, 9 passes over the reductions, 1 filter run, 12 ms.
     ");
 }
 
@@ -160,7 +160,7 @@ fn without_random_states_the_means_remain() {
       No test stands out: the smallest of 4 p-values is 0.02 (test 310), or 0.08
         with Bonferroni's correction.
 
-    Solver newton: 9 passes over the reductions, 1 run of the filters, 12 ms.
+    Solver newton, 9 passes over the reductions, 1 filter run, 12 ms.
     ");
 }
 
@@ -180,7 +180,7 @@ fn without_estimated_states_the_likelihood_remains() {
 
     Initial state: nothing of it is estimated.
 
-    Solver newton: 9 passes over the reductions, 1 run of the filters, 12 ms.
+    Solver newton, 9 passes over the reductions, 1 filter run, 12 ms.
     ");
 }
 
@@ -257,7 +257,7 @@ fn wide_matrices_are_cut_into_parts_that_fit_80_columns() {
       No test stands out: the smallest of 4 p-values is 0.02 (test 310), or 0.08
         with Bonferroni's correction.
 
-    Solver newton: 9 passes over the reductions, 1 run of the filters, 12 ms.
+    Solver newton, 9 passes over the reductions, 1 filter run, 12 ms.
     ");
 }
 
@@ -305,7 +305,7 @@ fn wide_matrices_use_120_columns_where_there_are() {
     Outlying tests
       No test stands out: the smallest of 4 p-values is 0.02 (test 310), or 0.08 with Bonferroni's correction.
 
-    Solver newton: 9 passes over the reductions, 1 run of the filters, 12 ms.
+    Solver newton, 9 passes over the reductions, 1 filter run, 12 ms.
     ");
 }
 
@@ -348,7 +348,7 @@ fn what_did_not_converge_says_so_first() {
       No test stands out: the smallest of 4 p-values is 0.02 (test 310), or 0.08
         with Bonferroni's correction.
 
-    Solver newton: 9 passes over the reductions, 1 run of the filters, 12 ms.
+    Solver newton, 9 passes over the reductions, 1 filter run, 12 ms.
     ");
 }
 
@@ -389,7 +389,7 @@ fn phases_have_a_section_each() {
       No test stands out: the smallest of 4 p-values is 0.02 (test 310), or 0.08
         with Bonferroni's correction.
 
-    Solver newton: 9 passes over the reductions, 1 run of the filters, 12 ms.
+    Solver newton, 9 passes over the reductions, 1 filter run, 12 ms.
     ");
 }
 

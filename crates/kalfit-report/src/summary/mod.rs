@@ -12,7 +12,7 @@ use kalfit::FitRecord;
 use kalfit::record::PhaseRecord;
 
 use crate::page::Page;
-use crate::words::{clean, count};
+use crate::words::{clean, count, sentence};
 use crate::{Style, number};
 
 /// The fit in words and tables. Every line fits `style.width` and ends with a line feed. Works from the record alone and copes
@@ -45,17 +45,17 @@ fn phase_sections(record: &FitRecord, phase: &PhaseRecord, page: &Page<'_>) -> V
 }
 
 fn notes(record: &FitRecord, page: &Page<'_>) -> String {
-    let lines: Vec<String> = record.notes.iter().map(|note| clean(note)).collect();
+    let lines: Vec<String> = record.notes.iter().map(|note| sentence(&clean(note))).collect();
     page.section("Notes", &page.items(&lines))
 }
 
 fn work(record: &FitRecord, page: &Page<'_>) -> String {
     let solver = &record.solver;
     page.paragraph(&format!(
-        "Solver {}: {} over the reductions, {} of the filters, {}.",
+        "Solver {}, {} over the reductions, {}, {}.",
         clean(&solver.solver),
         count(solver.iterations, "pass"),
-        count(solver.filter_passes, "run"),
+        count(solver.filter_passes, "filter run"),
         number::seconds(solver.seconds)
     ))
 }

@@ -1,0 +1,768 @@
+//! Whole commands on sound input.
+
+mod common;
+
+use common::{DATA, Folder, MODEL, shown, steady};
+use insta::assert_snapshot;
+use kalfit::FitRecord;
+
+/// Model and data by the same name: those of the repository, then those of these tests; and the options they need.
+const EXAMPLES: [(&str, &str); 6] = [
+    ("random-coefficients/sleepstudy", "--set sigma=25.59182"),
+    ("meta-analysis/berkey1998", ""),
+    ("gyro-bench/bench", ""),
+    ("vaccine", ""),
+    ("gyro", "--set tau=200"),
+    ("sensors", ""),
+];
+
+fn example(name: &str) -> Folder {
+    let folder = Folder::new(&[]);
+    let base = if name.contains('/') { "../../examples" } else { "tests/data" };
+    folder.copy(&format!("{base}/{name}.toml"));
+    folder.copy(&format!("{base}/{name}.csv"));
+    folder
+}
+
+/// The name without its folder.
+fn stem(name: &str) -> &str {
+    name.rsplit('/').next().unwrap_or(name)
+}
+
+/// Fits an example; what was printed, and the record.
+fn fit(name: &str, options: &str) -> (String, FitRecord) {
+    let folder = example(name);
+    let name = stem(name);
+    let output = folder.run(&format!("fit {name}.toml {name}.csv --out fit.json {options}"));
+    let text =
+        std::fs::read_to_string(folder.path("fit.json")).unwrap_or_else(|error| panic!("{error}\n{}", shown(&output)));
+    (shown(&output), serde_json::from_str(&text).expect("fit.json is a record: no number in it is null"))
+}
+
+#[test]
+fn version_and_help() {
+    let folder = Folder::new(&[]);
+    assert_snapshot!(shown(&folder.run("--version")).replace(env!("CARGO_PKG_VERSION"), "[version]"), @"
+    exit 0
+    ----- stdout
+    kalfit [version]
+    ----- stderr
+    ");
+    assert_snapshot!(shown(&folder.run("--help")), @"
+    exit 0
+    ----- stdout
+    Error models from ensembles of non-identical tests, by maximum likelihood
+
+    Usage: kalfit <COMMAND>
+
+    Commands:
+      fit    Fit a model to data: a summary to standard output, all results to a file
+      check  Read a model, and data if given, and fit nothing: the model in words, counts, what the data
+             identify
+      help   Print this message or the help of the given subcommand(s)
+
+    Options:
+      -h, --help     Print help
+      -V, --version  Print version
+
+    Exit status: 0 done and certified; 1 finished without a certified optimum; 2 bad input, nothing is
+    written.
+    ----- stderr
+    ");
+    assert_snapshot!(shown(&folder.run("fit --help")), @"
+    exit 0
+    ----- stdout
+    Fit a model to data: a summary to standard output, all results to a file
+
+    Usage: kalfit fit [OPTIONS] <MODEL> <DATA>...
+
+    Arguments:
+      <MODEL>
+              Model file (TOML)
+
+      <DATA>...
+              Data: CSV, Parquet or Arrow files, patterns such as `runs/*.csv`, `-` for standard input
+
+    Options:
+          --set <NAME=VALUE>
+              Fix a parameter: `tau=90`, or `sigma[A]=0.7` at one level; may be given many times
+
+          --threads <N>
+              Threads to use; the results do not depend on it [default: all processors]
+
+          --out <FILE>
+              File for all results, as JSON
+
+          --solver <SOLVER>
+              How the mean and the covariance are sought
+
+              Possible values:
+              - newton: Newton's method with the exact Hessian, safeguarded by EM
+              - em:     The EM algorithm: many more passes, to the same point
+              
+              [default: newton]
+
+          --tolerance <T>
+              Stop within this many standard errors of the optimum [default: 1e-8]
+
+          --max-iterations <N>
+              Stop after this many passes over the reduced data [default: 200 with newton, 20000 with
+              em]
+
+          --quiet
+              Print nothing but errors
+
+      -h, --help
+              Print help (see a summary with '-h')
+    ----- stderr
+    ");
+    assert_snapshot!(shown(&folder.run("check --help")), @"
+    exit 0
+    ----- stdout
+    Read a model, and data if given, and fit nothing: the model in words, counts, what the data identify
+
+    Usage: kalfit check [OPTIONS] <MODEL> [DATA]...
+
+    Arguments:
+      <MODEL>    Model file (TOML)
+      [DATA]...  Data: CSV, Parquet or Arrow files, patterns such as `runs/*.csv`, `-` for standard
+                 input
+
+    Options:
+          --set <NAME=VALUE>  Fix a parameter: `tau=90`, or `sigma[A]=0.7` at one level; may be given
+                              many times
+          --threads <N>       Threads to use; the results do not depend on it [default: all processors]
+      -h, --help              Print help
+    ----- stderr
+    ");
+}
+
+#[test]
+fn sleep_study_has_the_figures_of_lme4() {
+    let (text, record) = fit("random-coefficients/sleepstudy", "--set sigma=25.59182");
+    let expected = [
+        ("log-likelihood", record.log_likelihood, -875.9697),
+        ("intercept", record.phases[0].mean.estimate[0], 251.4051),
+    ];
+    for (what, found, expected) in expected {
+        assert!((found - expected).abs() < 1e-4, "{what}: found {found}, lme4 has {expected}");
+    }
+    assert_snapshot!(steady(&text), @"
+    exit 0
+    ----- stdout
+    Reaction time under sleep deprivation
+
+    Converged: the optimality certificate holds, so these are the maximum-likelihood
+    estimates.
+
+    Data: 18 tests, 180 steps, 180 observations from sleepstudy.csv; all tests share
+    one design.
+    Log-likelihood -875.97, 5 free parameters, AIC 1761.94, BIC 1777.90.
+
+    Initial state over the tests (± standard error)
+      state      unit     mean        std dev
+      intercept  ms      251.4 ± 6.6     23.8 ± 5.5
+      slope      ms/day   10.5 ± 1.5      5.7 ± 1.2
+
+    Correlations (± standard error)
+               intercept
+      slope  0.08 ± 0.32
+
+    Parameters (± standard error)
+      parameter  unit    value
+      sigma      ms    25.5918 fixed
+
+    Outlying tests
+      No test stands out: the smallest of 18 p-values is 0.08 (test 309), or 1 with
+        Bonferroni's correction.
+
+    Solver newton, [work].
+    ----- stderr
+    Wrote fit.json
+    ");
+}
+
+#[test]
+fn meta_analysis_has_the_figures_of_metafor() {
+    let (text, record) = fit("meta-analysis/berkey1998", "");
+    let mean = &record.phases[0].mean.estimate;
+    let expected = [
+        ("log-likelihood", record.log_likelihood, 5.8406568847751),
+        ("PD", mean[0], 0.344839168023),
+        ("AL", mean[1], -0.337938115107),
+    ];
+    for (what, found, expected) in expected {
+        assert!((found - expected).abs() < 1e-7, "{what}: found {found}, metafor has {expected}");
+    }
+    assert_snapshot!(steady(&text), @"
+    exit 0
+    ----- stdout
+    Surgical against non-surgical treatment of periodontal disease
+
+    Converged: the optimality certificate holds, so these are the maximum-likelihood
+    estimates.
+
+    Data: 5 tests, 5 steps, 10 observations from berkey1998.csv; every test has a
+    design of its own.
+    Log-likelihood 5.84, 5 free parameters, AIC -1.68, BIC -0.17.
+
+    Initial state over the tests (± standard error)
+      state  unit    mean          std dev
+      PD     mm     0.345 ± 0.054    0.084 ± 0.054
+      AL     mm    -0.338 ± 0.081    0.162 ± 0.055
+
+    Correlations (± standard error)
+                   PD
+      AL  0.70 ± 0.45
+
+    Outlying tests
+      No test stands out: the smallest of 5 p-values is 0.20 (test 5), or 1 with
+        Bonferroni's correction.
+
+    Notes
+      The variance of `PD` is weakly determined: its standard error (9.050e-3) is no
+        smaller than the variance itself (7.002e-3).
+
+    Solver newton, [work].
+    ----- stderr
+    Wrote fit.json
+    ");
+}
+
+#[test]
+fn gyro_bench_finds_the_error_model_behind_the_simulated_data() {
+    assert_snapshot!(steady(&fit("gyro-bench/bench", "").0), @"
+    exit 0
+    ----- stdout
+    Gyros on two bench stations
+
+    Converged: the optimality certificate holds, so these are the maximum-likelihood
+    estimates.
+
+    Data: 28 tests, 614 steps, 614 observations from bench.csv; every test has a
+    design of its own; 8 tests took the square-root path.
+    Log-likelihood 377.11, 9 free parameters, AIC -736.23, BIC -696.45.
+
+    Initial state over the tests (± standard error)
+      state          unit      mean          std dev
+      bias           deg/h     0.62 ± 0.15      0.77 ± 0.11
+      scale          ppm       47.5 ± 6.6       29.0 ± 5.1
+      g_sensitivity  deg/h/g  0.271 ± 0.077    0.313 ± 0.057
+
+    Correlations (± standard error)
+                             bias         scale
+      scale           0.49 ± 0.18
+      g_sensitivity  -0.14 ± 0.25  -0.62 ± 0.18
+
+    Parameters (± standard error)
+      parameter    unit   value
+      tau          h        0.5 fixed
+      sigma_drift  deg/h   0.15 fixed
+      noise_a      deg/h   0.06 fixed
+      noise_b      deg/h    0.1 fixed
+
+    Outlying tests
+      No test stands out: the smallest of 28 p-values is 0.09 (test g23), or 1 with
+        Bonferroni's correction.
+
+    Solver newton, [work].
+    ----- stderr
+    Wrote fit.json
+    ");
+}
+
+#[test]
+fn vaccine_trials_with_a_regression() {
+    assert_snapshot!(steady(&fit("vaccine", "").0), @"
+    exit 0
+    ----- stdout
+    BCG vaccine against tuberculosis, log risk ratios
+
+    Converged: the optimality certificate holds, so these are the maximum-likelihood
+    estimates.
+
+    Data: 13 tests, 13 steps, 13 observations from vaccine.csv; every test has a
+    design of its own.
+    Log-likelihood -7.69, 3 free parameters, AIC 21.37, BIC 23.07.
+
+    Initial state over the tests (± standard error)
+      state   mean         std dev
+      effect  0.28 ± 0.19     0.19 ± 0.11
+
+      mean of  per unit of  coefficient
+      effect   latitude         -0.0295 ± 0.0055
+
+    Outlying tests
+      No test stands out: the smallest of 13 p-values is 0.008 (test 7), or 0.11
+        with Bonferroni's correction.
+
+    Notes
+      The variance of `effect` is weakly determined: its standard error (4.050e-2)
+        is no smaller than the variance itself (3.435e-2).
+
+    Solver newton, [work].
+    ----- stderr
+    Wrote fit.json
+    ");
+}
+
+#[test]
+fn gyros_with_drift_and_constraints() {
+    assert_snapshot!(steady(&fit("gyro", "--set tau=200").0), @"
+    exit 0
+    ----- stdout
+    Gyros on a turntable
+
+    Converged: the optimality certificate holds, so these are the maximum-likelihood
+    estimates.
+
+    Data: 6 tests, 60 steps, 57 observations from gyro.csv; every test has a design
+    of its own.
+    Log-likelihood 84.31, 4 free parameters, AIC -160.62, BIC -152.44.
+
+    Initial state over the tests (± standard error)
+      state                    unit      mean            std dev
+      bias                     deg/h    0.401 ± 0.035      0.079 ± 0.027
+      scale                    ppm        300 fixed           54 ± 19
+      temperature_coefficient         0.00946 ± 0.00099        0 fixed
+
+    Correlations
+      The states are held uncorrelated.
+
+    Parameters (± standard error)
+      parameter    for    unit  value
+      tau                 s       200 fixed
+      sigma_drift                0.05 fixed
+      sigma_v      lot A         0.02 fixed
+      sigma_v      lot B         0.04 fixed
+
+    Constraints: what they cost (score test of each by itself)
+      element                               held at  dℓ/dvalue  p-value  if freed
+      mean[scale]                               300     0.0391     0.28       329
+      covariance[bias, scale]                     0      0.425     0.16      4.68
+      covariance[bias,                            0     -17668        -         -
+      temperature_coefficient]
+      covariance[scale,                           0        -21        -         -
+      temperature_coefficient]
+      covariance[temperature_coefficient,         0      42721     0.44   5.42e-7
+      temperature_coefficient]
+      The data do not speak against any of them (5 % level, counting that there are
+        3).
+
+    Outlying tests
+      No test stands out: the smallest of 6 p-values is 0.02 (test U06), or 0.10
+        with Bonferroni's correction.
+
+    Solver newton, [work].
+    ----- stderr
+    Wrote fit.json
+    ");
+}
+
+#[test]
+fn two_sensors_in_long_data() {
+    assert_snapshot!(steady(&fit("sensors", "").0), @"
+    exit 0
+    ----- stdout
+    Two sensors, long data
+
+    Converged: the optimality certificate holds, so these are the maximum-likelihood
+    estimates.
+
+    Data: 5 tests, 39 steps, 71 observations from sensors.csv; every test has a
+    design of its own.
+    Log-likelihood 13.62, 5 free parameters, AIC -17.24, BIC -5.93.
+
+    Initial state over the tests (± standard error)
+      state   mean         std dev
+      x1      0.88 ± 0.18     0.37 ± 0.13
+      x2     -1.00 ± 0.15     0.28 ± 0.14
+
+    Correlations (± standard error)
+                   x1
+      x2  0.01 ± 0.57
+
+    Parameters (± standard error)
+      parameter  value
+      f            0.9 fixed
+      g            0.2 fixed
+      s            0.1 fixed
+
+    Outlying tests
+      No test stands out: the smallest of 5 p-values is 0.15 (test s0), or 0.77 with
+        Bonferroni's correction.
+
+    Notes
+      The variance of `x2` is weakly determined: its standard error (7.601e-2) is no
+        smaller than the variance itself (7.598e-2).
+
+    Solver newton, [work].
+    ----- stderr
+    Wrote fit.json
+    ");
+}
+
+#[test]
+fn without_an_output_the_summary_is_all() {
+    let folder = Folder::new(&[]);
+    let before = folder.contents();
+    let output = folder.run("fit m.toml d.csv");
+    assert_eq!(before, folder.contents(), "nothing is written");
+    assert_eq!(String::from_utf8_lossy(&output.stderr), "", "nothing on standard error");
+    assert_snapshot!(steady(&shown(&output)), @"
+    exit 0
+    ----- stdout
+    Converged: the optimality certificate holds, so these are the maximum-likelihood
+    estimates.
+
+    Data: 3 tests, 9 steps, 9 observations from d.csv; all tests share one design.
+    Log-likelihood -3.72, 5 free parameters, AIC 17.45, BIC 18.43.
+
+    Initial state over the tests (± standard error)
+      state  mean         std dev
+      level  1.16 ± 0.37     0.63 ± 0.26
+      slope  0.53 ± 0.22     0.37 ± 0.16
+
+    Correlations (± standard error)
+                    level
+      slope  -0.37 ± 0.51
+
+    Outlying tests
+      No test stands out: the smallest of 3 p-values is 0.37 (test a), or 1 with
+        Bonferroni's correction.
+
+    Solver newton, [work].
+    ----- stderr
+    ");
+}
+
+#[test]
+fn quiet_prints_nothing() {
+    let folder = Folder::new(&[]);
+    assert_eq!(shown(&folder.run("fit m.toml d.csv --quiet --out fit.json")), "exit 0\n----- stdout\n----- stderr\n");
+    assert!(folder.path("fit.json").exists(), "the output is written all the same");
+}
+
+#[test]
+fn what_did_not_converge_is_written_and_says_so() {
+    let (text, record) = fit("vaccine", "--max-iterations 1");
+    assert!(text.starts_with("exit 1\n"), "{text}");
+    assert!(text.contains("Not converged: "), "{text}");
+    assert!(!record.converged, "the record says so too");
+    assert!(record.reason.contains("passes"), "the reason is given: {}", record.reason);
+}
+
+#[test]
+fn both_solvers_end_at_one_point() {
+    for (name, options) in EXAMPLES {
+        let (newton, em) = (fit(name, options).1, fit(name, &format!("{options} --solver em")).1);
+        let difference = (newton.log_likelihood - em.log_likelihood).abs();
+        assert!(difference < 1e-6, "{name}: newton {} em {}", newton.log_likelihood, em.log_likelihood);
+        assert_eq!((newton.solver.solver.as_str(), em.solver.solver.as_str()), ("newton", "em"));
+    }
+}
+
+#[test]
+fn defaults_of_the_contract_may_be_spelled_out() {
+    let spelled = "--set sigma=25 --method hybrid --solver newton --criterion ml --phases chain --intervals wald";
+    let (found, expected) =
+        (fit("random-coefficients/sleepstudy", spelled).1, fit("random-coefficients/sleepstudy", "--set sigma=25").1);
+    assert_eq!(found.log_likelihood, expected.log_likelihood);
+}
+
+/// A record without what differs from run to run.
+fn timeless(mut record: FitRecord) -> FitRecord {
+    record.solver.seconds = 0.0;
+    record.data.files.clear();
+    record
+}
+
+#[test]
+fn threads_change_no_bit() {
+    for (name, options) in EXAMPLES {
+        let one = timeless(fit(name, &format!("{options} --threads 1")).1);
+        let three = timeless(fit(name, &format!("{options} --threads 3")).1);
+        assert_eq!(one, three, "{name}");
+    }
+}
+
+#[test]
+fn the_order_of_tests_changes_no_bit() {
+    let folder = Folder::new(&[]);
+    folder.run("fit m.toml d.csv --out a.json");
+    let rows: Vec<&str> = DATA.lines().skip(1).collect();
+    let turned: Vec<&str> = [6, 3, 0, 1, 7, 4, 2, 5, 8].iter().map(|&i| rows[i]).collect();
+    folder.write("d.csv", format!("id,x,y\n{}\n", turned.join("\n")).as_bytes());
+    folder.run("fit m.toml d.csv --out b.json");
+    let read = |name: &str| -> FitRecord {
+        serde_json::from_slice(&std::fs::read(folder.path(name)).unwrap()).expect("the output is a record")
+    };
+    assert_eq!(timeless(read("a.json")), timeless(read("b.json")));
+}
+
+#[test]
+fn data_may_come_from_patterns_and_from_standard_input() {
+    let folder = Folder::new(&[]);
+    let whole = folder.run("fit m.toml d.csv");
+    let (head, rows) = DATA.split_once('\n').unwrap();
+    for test in ["a", "b", "c"] {
+        let own: Vec<&str> = rows.lines().filter(|row| row.starts_with(test)).collect();
+        folder.write(&format!("part_{test}.csv"), format!("{head}\n{}\n", own.join("\n")).as_bytes());
+    }
+    let likelihood = |text: String| text.lines().find(|line| line.starts_with("Log-likelihood")).map(str::to_owned);
+    let expected = likelihood(shown(&whole));
+    assert!(expected.is_some(), "{}", shown(&whole));
+    assert_eq!(likelihood(shown(&folder.run("fit m.toml part_*.csv"))), expected);
+    assert_eq!(likelihood(shown(&folder.run_with_input("fit m.toml -", DATA.as_bytes()))), expected);
+}
+
+#[test]
+fn records_have_the_shape_of_the_contract() {
+    for (name, options) in EXAMPLES {
+        let (_, record) = fit(name, options);
+        let json = serde_json::to_value(&record).expect("a record is JSON");
+        walk(&json, name);
+        for key in
+            "schema kalfit_version title model_digest data criterion log_likelihood free_parameters aic bic converged \
+                    reason certificate solver phases parameters constraints tests"
+                .split_whitespace()
+        {
+            assert!(json.get(key).is_some(), "{name} has no `{key}`");
+        }
+        let sum: f64 = record.tests.iter().map(|t| t.log_likelihood).sum();
+        let error = (sum - record.log_likelihood).abs();
+        assert!(error < 1e-9 * sum.abs(), "{name}: tests add up to {sum}, the whole is {}", record.log_likelihood);
+        assert!(record.model_digest.is_some_and(|digest| digest.starts_with("sha256:")), "{name} has a digest");
+        assert!(record.solver.seconds > 0.0, "{name} took time");
+        assert_eq!(record.data.files, [format!("{}.csv", stem(name))]);
+    }
+}
+
+/// Every number is one that a double can hold, and no text smuggles one that it cannot.
+fn walk(value: &serde_json::Value, at: &str) {
+    match value {
+        serde_json::Value::Number(number) => {
+            assert!(number.as_f64().is_some_and(f64::is_finite), "{at}: {number}");
+        }
+        serde_json::Value::Array(items) => items.iter().enumerate().for_each(|(i, v)| walk(v, &format!("{at}[{i}]"))),
+        serde_json::Value::Object(fields) => fields.iter().for_each(|(k, v)| walk(v, &format!("{at}.{k}"))),
+        serde_json::Value::String(text) => assert!(text != "NaN" && text != "inf", "{at}: {text}"),
+        serde_json::Value::Null | serde_json::Value::Bool(_) => {}
+    }
+}
+
+#[test]
+fn an_old_output_is_replaced_whole() {
+    let folder = Folder::new(&[("fit.json", &[b'x'; 100_000])]);
+    let output = folder.run("fit m.toml d.csv --out fit.json");
+    assert!(output.status.success(), "{}", shown(&output));
+    let text = std::fs::read_to_string(folder.path("fit.json")).unwrap();
+    assert!(text.starts_with('{') && text.ends_with("}\n"), "the new file stands alone: {}", &text[text.len() - 20..]);
+    assert_eq!(folder.contents().len(), 3, "no temporary file is left");
+}
+
+#[cfg(unix)]
+#[test]
+fn outputs_keep_links_and_permissions() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = Folder::new(&[("real.json", b"old")]);
+    std::fs::set_permissions(folder.path("real.json"), std::fs::Permissions::from_mode(0o640)).unwrap();
+    std::os::unix::fs::symlink("real.json", folder.path("link.json")).unwrap();
+    let output = folder.run("fit m.toml d.csv --out link.json");
+    assert!(output.status.success(), "{}", shown(&output));
+    assert!(folder.path("link.json").is_symlink(), "the link is still a link");
+    let mode = std::fs::metadata(folder.path("real.json")).unwrap().permissions().mode() & 0o777;
+    assert_eq!(mode, 0o640, "found {mode:o}");
+    assert!(std::fs::read_to_string(folder.path("real.json")).unwrap().starts_with('{'), "the file was replaced");
+}
+
+#[cfg(unix)]
+#[test]
+fn readers_that_go_away_are_no_error() {
+    use std::process::Stdio;
+    let folder = Folder::new(&[]);
+    let mut child = folder.command("fit m.toml d.csv").stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    drop(child.stdout.take());
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(shown(&output), "exit 0\n----- stdout\n----- stderr\n");
+}
+
+#[test]
+fn check_says_the_model_in_words() {
+    assert_snapshot!(shown(&example("gyro").run("check gyro.toml")), @"
+    exit 0
+    ----- stdout
+    Gyros on a turntable
+
+    Model
+      tests: one for each value of column `unit`; reports are grouped by column
+        `lot`
+      steps: rows of equal time, column `t` [s]; x_0 is at the first row
+      state `bias` [deg/h]: constant; start estimated
+      state `scale` [ppm]: constant; start estimated
+      state `drift`: d/dt = -1 / tau * drift + noise of variance 2 * sigma_drift^2 /
+        tau per unit of time; start in its stationary law
+      state `temperature_coefficient`: constant; start estimated, one value common
+        to all tests
+      measurement `gyro`: column `rate_out` reads bias + 1e-6 * rate_in * scale +
+        drift + (T - 20) * temperature_coefficient; noise of standard deviation
+        sigma_v
+      parameter `tau` [s]: free, start 200, not negative, at least 1
+      parameter `sigma_drift`: fixed at 0.05, not negative
+      parameter `sigma_v`: free, not negative, one value for each value of column
+        `lot`, fixed at 0.02 for 'A', fixed at 0.04 for 'B'
+      order of μ and Σ: bias, scale, temperature_coefficient
+      mean of `scale`: fixed at 300
+      covariance Σ: diagonal
+      variance of `temperature_coefficient`: fixed at 0
+
+    The model is sound. Give data too, to see what they identify.
+    ----- stderr
+    ");
+}
+
+#[test]
+fn check_says_what_data_identify() {
+    let folder = example("random-coefficients/sleepstudy");
+    assert_snapshot!(shown(&folder.run("check sleepstudy.toml sleepstudy.csv")), @"
+    exit 0
+    ----- stdout
+    Reaction time under sleep deprivation
+
+    Model
+      tests: one for each value of column `Subject`
+      steps: one for each row; x_0 is at the first row
+      state `intercept` [ms]: constant; start estimated
+      state `slope` [ms/day]: constant; start estimated
+      measurement `reaction`: column `Reaction` reads intercept + Days * slope;
+        noise of standard deviation sigma
+      parameter `sigma` [ms]: free, start 20, not negative
+      order of μ and Σ: intercept, slope
+      covariance Σ: full
+
+    Data
+      18 tests, 180 steps, 180 observations from sleepstudy.csv; all tests share one
+        design.
+
+    Identifiability
+      The data identify all that is free in the mean and the covariance.
+      Examined with sigma at its start value.
+    ----- stderr
+    ");
+    assert_snapshot!(shown(&example("vaccine").run("check vaccine.toml vaccine.csv")), @"
+    exit 0
+    ----- stdout
+    BCG vaccine against tuberculosis, log risk ratios
+
+    Model
+      tests: one for each value of column `trial`
+      steps: one for each row; x_0 is at the first row
+      state `effect`: constant; start estimated
+      measurement `log_risk_ratio`: column `yi` reads effect; noise of variance vi
+      order of μ and Σ: effect
+      mean of `effect`: moves with column `latitude`
+      covariance Σ: full
+
+    Data
+      13 tests, 13 steps, 13 observations from vaccine.csv; every test has a design
+        of its own.
+
+    Identifiability
+      The data identify all that is free in the mean and the covariance.
+    ----- stderr
+    ");
+}
+
+#[test]
+fn check_names_what_data_do_not_identify() {
+    let folder = Folder::new(&[("one.csv", b"id,x,y\na,1,1\nb,1,2\nc,1,4\n")]);
+    assert_snapshot!(shown(&folder.run("check m.toml one.csv")), @"
+    exit 0
+    ----- stdout
+    Model
+      tests: one for each value of column `id`
+      steps: one for each row; x_0 is at the first row
+      state `level`: constant; start estimated
+      state `slope`: constant; start estimated
+      measurement `y`: column `y` reads level + x * slope; noise of standard
+        deviation 0.1
+      order of μ and Σ: level, slope
+      covariance Σ: full
+
+    Data
+      3 tests, 3 steps, 3 observations from one.csv; all tests share one design; 3
+        tests took the square-root path.
+
+    Identifiability
+      Not identified: the data say nothing about the combination 0.71 level - 0.71
+        slope of the means.
+      Not identified: the data say nothing about the combination 0.87 var(level) -
+        0.44 var(slope) - 0.22 cov(level, slope).
+      Not identified: the data say nothing about the combination 0.89 var(slope) -
+        0.45 cov(level, slope).
+    ----- stderr
+    ");
+    assert_snapshot!(steady(&shown(&folder.run("fit m.toml one.csv"))), @"
+    exit 0
+    ----- stdout
+    Converged: the optimality certificate holds, so these are the maximum-likelihood
+    estimates of all that the data identify.
+
+    Data: 3 tests, 3 steps, 3 observations from one.csv; all tests share one design;
+    3 tests took the square-root path.
+    Log-likelihood -4.92, 5 free parameters, AIC 19.84, BIC 15.33.
+
+    Initial state over the tests (± standard error)
+      state     mean                 std dev
+      level  1.16667 not identified  1.07665 not identified
+      slope  1.16667 not identified  1.07665 not identified
+
+    Correlations (± standard error)
+              level
+      slope  -0.333
+
+    Limits of what the data say
+      Not identified: the data say nothing about the combination 0.71 level - 0.71
+        slope of the means; its start value was kept.
+      Not identified: the data say nothing about the combination 0.87 var(level) -
+        0.44 var(slope) - 0.22 cov(level, slope); its start value was kept.
+      Not identified: the data say nothing about the combination 0.89 var(slope) -
+        0.45 cov(level, slope); its start value was kept.
+
+    Outlying tests
+      No test stands out: the smallest of 3 p-values is 0.18 (test c), or 0.54 with
+        Bonferroni's correction.
+
+    Solver newton, [work].
+    ----- stderr
+    ");
+}
+
+#[test]
+fn check_reads_data_for_parameters_without_values() {
+    let model = format!("{}[parameters]\nsigma = {{}}\n", MODEL.replace("noise = 0.1", "noise = \"sigma\""));
+    let folder = Folder::new(&[("m.toml", model.as_bytes())]);
+    assert_snapshot!(shown(&folder.run("check m.toml d.csv")), @"
+    exit 0
+    ----- stdout
+    Model
+      tests: one for each value of column `id`
+      steps: one for each row; x_0 is at the first row
+      state `level`: constant; start estimated
+      state `slope`: constant; start estimated
+      measurement `y`: column `y` reads level + x * slope; noise of standard
+        deviation sigma
+      parameter `sigma`: free, not negative
+      order of μ and Σ: level, slope
+      covariance Σ: full
+
+    Data
+      3 tests, 9 rows from d.csv.
+
+    Identifiability
+      Not examined: sigma is free and it has no start value; give one, as by `--set
+        sigma=VALUE`.
+    ----- stderr
+    ");
+    assert!(shown(&folder.run("check m.toml d.csv --set sigma=1")).contains("identify all"), "with a value it runs");
+}
