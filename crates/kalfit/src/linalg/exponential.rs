@@ -27,7 +27,12 @@ pub enum FlowError {
 
 /// The motion over `step` ≥ 0. Shapes: `f`, `q` m × m, row-major; `q` symmetric, per unit time.
 pub fn flow(f: &[f64], q: &[f64], m: usize, step: f64) -> Result<Flow, FlowError> {
-    let flow = if m == 1 { scalar(f[0], q[0], step) } else { general(f, q, m, step)? };
+    let flow = if m == 1 {
+        let [phi, gamma, q] = scalar_flow(f[0], q[0], step);
+        Flow { phi: vec![phi], gamma: vec![gamma], q: vec![q] }
+    } else {
+        general(f, q, m, step)?
+    };
     if [&flow.phi, &flow.gamma, &flow.q].into_iter().flatten().all(|x| x.is_finite()) {
         Ok(flow)
     } else {
@@ -35,11 +40,10 @@ pub fn flow(f: &[f64], q: &[f64], m: usize, step: f64) -> Result<Flow, FlowError
     }
 }
 
-/// exp(fδ), expm1(fδ)/f, q expm1(2fδ)/(2f).
-fn scalar(f: f64, q: f64, step: f64) -> Flow {
+/// φ, Γ, Q of a single state: exp(fδ), expm1(fδ)/f, q expm1(2fδ)/(2f). Not finite where it overflows.
+pub fn scalar_flow(f: f64, q: f64, step: f64) -> [f64; 3] {
     let integral = |rate: f64| if rate == 0.0 { step } else { (rate * step).exp_m1() / rate };
-    let noise = if q == 0.0 { 0.0 } else { q * integral(2.0 * f) };
-    Flow { phi: vec![(f * step).exp()], gamma: vec![integral(f)], q: vec![noise] }
+    [(f * step).exp(), integral(f), if q == 0.0 { 0.0 } else { q * integral(2.0 * f) }]
 }
 
 fn general(f: &[f64], q: &[f64], m: usize, step: f64) -> Result<Flow, FlowError> {

@@ -55,65 +55,61 @@ pub(crate) struct Moved {
     pub(crate) end: u32,
 }
 
-/// φ and Q of one step, without identity rows and without zeros.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Transition<R = f64> {
+/// Which entries of φ and Q a step has: no identity rows, no zeros. All transitions of a model have one.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub(crate) struct Pattern {
     /// In ascending order of state.
     pub(crate) moved: Vec<Moved>,
     pub(crate) columns: Vec<u32>,
-    pub(crate) phi: Vec<R>,
     /// Entries i ≥ j of Q.
     pub(crate) pairs: Vec<(u32, u32)>,
-    pub(crate) q: Vec<R>,
-    pub(crate) digest: u128,
+    digest: u128,
 }
 
-impl<R> Transition<R> {
-    pub(crate) fn empty() -> Transition<R> {
-        Transition {
-            moved: Vec::new(),
-            columns: Vec::new(),
-            phi: Vec::new(),
-            pairs: Vec::new(),
-            q: Vec::new(),
-            digest: 0,
-        }
-    }
-
-    /// Appends row `state` of φ; terms in ascending order of state.
-    pub(crate) fn push(&mut self, state: usize, reachable: usize, terms: &[(usize, R)])
-    where
-        R: Copy,
-    {
+impl Pattern {
+    /// Appends row `state` of φ, with terms of these states, ascending.
+    pub(crate) fn push(&mut self, state: usize, reachable: usize, terms: impl Iterator<Item = usize>) {
         let start = self.columns.len() as u32;
-        let reach = start + terms.iter().filter(|term| term.0 < reachable).count() as u32;
-        self.columns.extend(terms.iter().map(|term| term.0 as u32));
-        self.phi.extend(terms.iter().map(|term| term.1));
-        self.moved.push(Moved { state: state as u32, start, reach, end: self.columns.len() as u32 });
+        self.columns.extend(terms.map(|term| term as u32));
+        let reach = self.columns[start as usize..].iter().filter(|&&term| (term as usize) < reachable).count() as u32;
+        self.moved.push(Moved { state: state as u32, start, reach: start + reach, end: self.columns.len() as u32 });
     }
-}
 
-impl Transition<f64> {
-    pub(crate) fn seal(mut self) -> Transition<f64> {
+    pub(crate) fn seal(mut self) -> Pattern {
         let mut digest = Digest::new();
         digest.count(self.moved.len());
         for row in &self.moved {
             digest.word(u64::from(row.state) << 32 | u64::from(row.end - row.start));
         }
         self.columns.iter().for_each(|&column| digest.word(u64::from(column)));
-        digest.numbers(&self.phi);
         self.pairs.iter().for_each(|&(i, j)| digest.word(u64::from(i) << 32 | u64::from(j)));
-        digest.numbers(&self.q);
         self.digest = digest.finish();
         self
+    }
+}
+
+/// φ and Q of one step.
+#[derive(Debug, Clone)]
+pub(crate) struct Transition<R = f64> {
+    pub(crate) pattern: Arc<Pattern>,
+    pub(crate) phi: Vec<R>,
+    pub(crate) q: Vec<R>,
+    pub(crate) digest: u128,
+}
+
+impl Transition<f64> {
+    pub(crate) fn new(pattern: Arc<Pattern>, phi: Vec<f64>, q: Vec<f64>) -> Transition {
+        let mut digest = Digest::new();
+        digest.wide(pattern.digest);
+        digest.numbers(&phi);
+        digest.numbers(&q);
+        Transition { digest: digest.finish(), pattern, phi, q }
     }
 
     fn same(&self, other: &Transition) -> bool {
         self.digest == other.digest
-            && self.moved == other.moved
-            && self.columns == other.columns
+            && (Arc::ptr_eq(&self.pattern, &other.pattern) || self.pattern == other.pattern)
             && same_bits(&self.phi, &other.phi)
-            && self.pairs == other.pairs
             && same_bits(&self.q, &other.q)
     }
 }

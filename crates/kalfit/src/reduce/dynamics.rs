@@ -131,6 +131,17 @@ impl Dynamics {
         Ok(dynamics)
     }
 
+    /// States with a known input.
+    pub(crate) fn driven(&self) -> impl Iterator<Item = usize> {
+        let recursions = self.recursions.iter().filter(|recursion| recursion.input.is_some()).map(|r| r.state);
+        let components = self.components.iter().flat_map(|component| {
+            let m = component.states.len();
+            let driven = move |&i: &usize| (0..m).any(|k| component.inputs[k].is_some() && component.depends(i, k));
+            (0..m).filter(driven).map(|i| component.states[i])
+        });
+        recursions.chain(components)
+    }
+
     fn slot(&mut self, at: &At<'_>, coefficient: Coefficient, variance: bool) -> Option<usize> {
         self.uses.add(&coefficient, at.alpha);
         self.table.add(coefficient, variance)

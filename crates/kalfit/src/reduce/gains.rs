@@ -138,20 +138,18 @@ mod tests {
 
     use super::*;
     use crate::linalg::real::{Counted, Flops};
-    use crate::reduce::design::{DENSE, Frame, Step, Transition};
+    use crate::reduce::design::{DENSE, Frame, Pattern, Step, Transition};
 
     /// n states, the first r of them noisy and coupled, p uncertain; every step measures the sum of all states.
     fn flops(n: usize, r: usize, p: usize, steps: usize) -> Flops {
         let sensitivity = (0..n * p).map(|at| if at / p == at % p + n - p { 1.0 } else { 0.0 }).collect();
         let rows = (0..n).map(|i| if i < r { DENSE } else { (i + p - n) as u32 }).collect();
         let frame = Arc::new(Frame { n, p, r, rows, sensitivity, driven: Vec::new(), digest: 0 });
-        let mut transition = Transition::empty();
-        for i in 0..r {
-            let terms: Vec<_> = (0..r).map(|j| (j, Counted(0.1 + f64::from(i == j)))).collect();
-            transition.push(i, r, &terms);
-            transition.pairs.push((i as u32, i as u32));
-            transition.q.push(Counted(1.0));
-        }
+        let mut pattern = Pattern::default();
+        (0..r).for_each(|i| pattern.push(i, r, 0..r));
+        pattern.pairs.extend((0..r as u32).map(|i| (i, i)));
+        let phi = (0..r * r).map(|at| Counted(0.1 + f64::from(at / r == at % r))).collect();
+        let transition = Transition { pattern: Arc::new(pattern), phi, q: vec![Counted(1.0); r], digest: 0 };
         let transition = Arc::new(transition);
         let mut design = Design::new(frame);
         for _ in 0..steps {

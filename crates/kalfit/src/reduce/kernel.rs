@@ -8,16 +8,16 @@ use crate::reduce::design::{DENSE, Frame, Transition, ZERO};
 #[inline(always)]
 pub(crate) fn advance<R: Real>(x: &mut [R], width: usize, transition: &Transition<R>, work: &mut Vec<R>) {
     work.clear();
-    work.resize(transition.moved.len() * width, R::splat(0.0));
-    for (row, out) in transition.moved.iter().zip(work.chunks_exact_mut(width.max(1))) {
+    work.resize(transition.pattern.moved.len() * width, R::splat(0.0));
+    for (row, out) in transition.pattern.moved.iter().zip(work.chunks_exact_mut(width.max(1))) {
         for k in row.start as usize..row.end as usize {
-            let from = &x[transition.columns[k] as usize * width..][..width];
+            let from = &x[transition.pattern.columns[k] as usize * width..][..width];
             for (sum, &value) in out.iter_mut().zip(from) {
                 *sum = transition.phi[k].fma(value, *sum);
             }
         }
     }
-    for (row, out) in transition.moved.iter().zip(work.chunks_exact(width.max(1))) {
+    for (row, out) in transition.pattern.moved.iter().zip(work.chunks_exact(width.max(1))) {
         x[row.state as usize * width..][..width].copy_from_slice(out);
     }
 }
@@ -31,14 +31,14 @@ fn at(i: usize, j: usize, r: usize) -> usize {
 /// P ← φPφ' + Q, lower triangle. Shape: `P` r × r, row-major.
 #[inline(always)]
 pub(crate) fn predict<R: Real>(P: &mut [R], r: usize, transition: &Transition<R>, work: &mut Vec<R>) {
-    let moved = transition.moved.partition_point(|row| (row.state as usize) < r);
-    let moved = &transition.moved[..moved];
+    let moved = transition.pattern.moved.partition_point(|row| (row.state as usize) < r);
+    let moved = &transition.pattern.moved[..moved];
     work.clear();
     work.resize(moved.len() * r, R::splat(0.0));
     // W = φP for the rows that move; the others are P's own.
     for (row, W) in moved.iter().zip(work.chunks_exact_mut(r.max(1))) {
         for k in row.start as usize..row.reach as usize {
-            let column = transition.columns[k] as usize;
+            let column = transition.pattern.columns[k] as usize;
             for (j, sum) in W.iter_mut().enumerate() {
                 *sum = transition.phi[k].fma(P[at(column, j, r)], *sum);
             }
@@ -56,12 +56,12 @@ pub(crate) fn predict<R: Real>(P: &mut [R], r: usize, transition: &Transition<R>
         for other in &moved[..=m] {
             let mut sum = R::splat(0.0);
             for k in other.start as usize..other.reach as usize {
-                sum = transition.phi[k].fma(work[m * r + transition.columns[k] as usize], sum);
+                sum = transition.phi[k].fma(work[m * r + transition.pattern.columns[k] as usize], sum);
             }
             P[i * r + other.state as usize] = sum;
         }
     }
-    for (&(i, j), &q) in transition.pairs.iter().zip(&transition.q) {
+    for (&(i, j), &q) in transition.pattern.pairs.iter().zip(&transition.q) {
         let entry = &mut P[i as usize * r + j as usize];
         *entry = *entry + q;
     }

@@ -19,6 +19,7 @@ mod gains;
 mod kernel;
 mod motion;
 mod observe;
+mod order;
 mod plain;
 mod prepare;
 mod reducer;

@@ -1,206 +1,211 @@
-//! The kernel order of a model's states, and the transitions of its steps.
+//! The transitions of a model's steps.
 
 use std::sync::Arc;
 
-use crate::linalg::exponential::{Flow, flow};
-use crate::reduce::design::{DENSE, Frame, Transition, ZERO};
-use crate::reduce::dynamics::{Component, Dynamics, close};
+use crate::linalg::exponential::{flow, scalar_flow};
+use crate::reduce::design::{Pattern, Transition};
+use crate::reduce::dynamics::{Component, Dynamics, Recursion};
 use crate::reduce::error::ReduceErrorKind;
+use crate::reduce::order::Order;
 use crate::reduce::semidefinite::ldl;
-use crate::reduce::start::Start;
-use crate::reduce::subject::{At, Fault, Subject};
+use crate::reduce::subject::{Fault, Subject};
 
-/// Where states stand in the kernels, and what drives them.
+/// How the entries of φ, Q and b follow from coefficients and from the flows of components. The flows stand one after the
+/// other: φ, Γ, Q of the first component, each m × m, then of the next.
 #[derive(Debug, Clone)]
-pub(crate) struct Order {
-    /// Kernel index of each state of the model.
-    pub(crate) place: Vec<usize>,
-    pub(crate) frame: Arc<Frame>,
-    /// What drives each state of [`Frame::driven`].
+pub(crate) struct Plan {
+    pattern: Arc<Pattern>,
+    phi: Vec<Entry>,
+    q: Vec<Entry>,
+    /// b of each state of [`Frame::driven`](crate::reduce::design::Frame::driven).
     drives: Vec<Drive>,
+    /// Start of each component's flow.
+    offsets: Vec<usize>,
+}
+
+/// Where an entry of φ or Q comes from.
+#[derive(Debug, Clone, PartialEq, Eq)]
+enum Entry {
+    /// A coefficient.
+    Slot(usize),
+    /// An entry of a flow.
+    Flow(usize),
+    /// Σ entry of a flow × coefficient: ΓG, for states that are held over the step.
+    Held(Vec<(usize, usize)>),
 }
 
 /// Where a known input comes from.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 enum Drive {
     /// This slot of the inputs.
     Slot(usize),
-    /// Row `i` of Γ times the inputs of a component.
-    Flow { component: usize, i: usize },
+    /// Σ entry of a flow × slot of the inputs: Γu.
+    Flow(Vec<(usize, usize)>),
 }
 
 /// What a step does to the states, whatever its inputs.
 #[derive(Debug, Clone)]
 pub(crate) struct Moves {
     pub(crate) transition: Arc<Transition>,
-    /// Γ of each component.
-    gammas: Vec<Vec<f64>>,
+    /// The flows, where inputs need them.
+    flows: Vec<f64>,
 }
 
-impl Order {
-    pub(crate) fn new(at: &At<'_>, dynamics: &Dynamics, start: &Start) -> Order {
-        let (n, p) = (at.model.states.len(), at.model.estimated.len());
-        let noisy = reachable(n, dynamics, start, &at.model.estimated);
-        let mut moving = vec![false; n];
+/// How a state of the model moves.
+enum Mover<'a> {
+    Still,
+    Recursion(&'a Recursion),
+    /// State `i` of component `c`.
+    Component(usize, &'a Component, usize),
+}
+
+fn mover(dynamics: &Dynamics, state: usize) -> Mover<'_> {
+    if let Some(recursion) = dynamics.recursions.iter().find(|recursion| recursion.state == state) {
+        return Mover::Recursion(recursion);
+    }
+    for (c, component) in dynamics.components.iter().enumerate() {
+        if let Ok(i) = component.states.binary_search(&state) {
+            return Mover::Component(c, component, i);
+        }
+    }
+    Mover::Still
+}
+
+impl Plan {
+    pub(crate) fn new(dynamics: &Dynamics, order: &Order) -> Plan {
+        let mut offsets = Vec::new();
+        let mut size = 0;
         for component in &dynamics.components {
-            for (i, &state) in component.states.iter().enumerate() {
-                moving[state] = !component.still(i);
+            offsets.push(size);
+            size += 3 * component.states.len().pow(2);
+        }
+        let (mut pattern, mut phi, mut drives) = (Pattern::default(), Vec::new(), Vec::new());
+        for (place, &state) in order.states.iter().enumerate() {
+            let mover = mover(dynamics, state);
+            if let Some(mut row) = phi_row(&mover, &offsets, order) {
+                row.sort_by_key(|term| term.0);
+                pattern.push(place, order.frame.r, row.iter().map(|term| term.0));
+                phi.extend(row.into_iter().map(|term| term.1));
+            }
+            if order.frame.driven.contains(&(place as u32)) {
+                drives.push(drive(&mover, &offsets));
             }
         }
-        dynamics.recursions.iter().for_each(|recursion| moving[recursion.state] = true);
-        let mut states: Vec<usize> = (0..n).collect();
-        states.sort_by_key(|&i| (!noisy[i], !moving[i], i));
-        let mut place = vec![0; n];
-        states.iter().enumerate().for_each(|(at, &state)| place[state] = at);
-        let column = |state: usize| at.model.estimated.iter().position(|&e| e == state);
-        let row = |&state: &usize| match column(state) {
-            _ if noisy[state] || moving[state] => DENSE,
-            Some(column) => column as u32,
-            None => ZERO,
-        };
-        let mut sensitivity = vec![0.0; n * p];
-        for (column, &state) in at.model.estimated.iter().enumerate() {
-            sensitivity[place[state] * p + column] = 1.0;
+        let mut noise = noise_entries(dynamics, order, &offsets);
+        noise.sort_by_key(|entry| entry.0);
+        pattern.pairs = noise.iter().map(|entry| entry.0).collect();
+        let q = noise.into_iter().map(|entry| entry.1).collect();
+        Plan { pattern: Arc::new(pattern.seal()), phi, q, drives, offsets }
+    }
+
+    /// φ, Q and Γ of a step of length `dt`. `values`: the dynamics' coefficients on the step; `flows`: work space.
+    pub(crate) fn moves(
+        &self,
+        dynamics: &Dynamics,
+        values: &[f64],
+        dt: f64,
+        flows: &mut Vec<f64>,
+    ) -> Result<Moves, Box<Fault>> {
+        check_noise(dynamics, values)?;
+        flows.clear();
+        for (component, &offset) in dynamics.components.iter().zip(&self.offsets) {
+            debug_assert_eq!(flows.len(), offset, "flows stand one after the other");
+            append_flow(component, values, dt, flows)?;
         }
-        let mut drives = drives(dynamics, &place);
-        drives.sort_by_key(|drive| drive.0);
-        let frame = Frame {
-            n,
-            p,
-            r: noisy.iter().filter(|&&noisy| noisy).count(),
-            rows: states.iter().map(row).collect(),
-            sensitivity,
-            driven: drives.iter().map(|drive| drive.0).collect(),
-            digest: 0,
+        let entry = |entry: &Entry| match entry {
+            Entry::Slot(slot) => values[*slot],
+            Entry::Flow(at) => flows[*at],
+            Entry::Held(terms) => terms.iter().map(|&(at, slot)| flows[at] * values[slot]).sum(),
         };
-        Order { place, frame: Arc::new(frame.seal()), drives: drives.into_iter().map(|drive| drive.1).collect() }
+        let phi: Vec<f64> = self.phi.iter().map(entry).collect();
+        let q: Vec<f64> = self.q.iter().map(entry).collect();
+        if phi.iter().chain(&q).any(|x| !x.is_finite()) {
+            return Err(Fault::new(Subject::Transition, ReduceErrorKind::NotFinite));
+        }
+        let kept = self.drives.iter().any(|drive| matches!(drive, Drive::Flow(_)));
+        Ok(Moves {
+            transition: Arc::new(Transition::new(self.pattern.clone(), phi, q)),
+            flows: if kept { flows.clone() } else { Vec::new() },
+        })
     }
 
     /// Appends b of the driven states. `inputs`: values of the dynamics' inputs.
-    pub(crate) fn inputs(&self, dynamics: &Dynamics, moves: &Moves, inputs: &[f64], out: &mut Vec<f64>) {
-        for drive in &self.drives {
-            out.push(match *drive {
-                Drive::Slot(slot) => inputs[slot],
-                Drive::Flow { component, i } => {
-                    let gamma = &moves.gammas[component];
-                    let component = &dynamics.components[component];
-                    let m = component.states.len();
-                    let term =
-                        |(k, slot): (usize, &Option<usize>)| slot.map_or(0.0, |slot| gamma[i * m + k] * inputs[slot]);
-                    component.inputs.iter().enumerate().map(term).sum()
+    pub(crate) fn inputs(&self, moves: &Moves, inputs: &[f64], out: &mut Vec<f64>) {
+        out.extend(self.drives.iter().map(|drive| match drive {
+            Drive::Slot(slot) => inputs[*slot],
+            Drive::Flow(terms) => terms.iter().map(|&(at, slot)| moves.flows[at] * inputs[slot]).sum(),
+        }));
+    }
+}
+
+/// Row of φ: (place, entry); `None` for a row of the identity.
+fn phi_row(mover: &Mover<'_>, offsets: &[usize], order: &Order) -> Option<Vec<(usize, Entry)>> {
+    match *mover {
+        Mover::Recursion(recursion) => {
+            Some(recursion.terms.iter().map(|&(state, slot)| (order.place[state], Entry::Slot(slot))).collect())
+        }
+        Mover::Component(c, component, i) if !component.still(i) => {
+            let m = component.states.len();
+            let inner = (0..m).filter(|&j| component.depends(i, j));
+            let mut row: Vec<(usize, Entry)> =
+                inner.map(|j| (order.place[component.states[j]], Entry::Flow(offsets[c] + i * m + j))).collect();
+            for &(k, state, slot) in component.held.iter().filter(|&&(k, ..)| component.depends(i, k)) {
+                let term = (offsets[c] + m * m + i * m + k, slot);
+                match row.iter_mut().find(|(place, _)| *place == order.place[state]) {
+                    Some((_, Entry::Held(terms))) => terms.push(term),
+                    _ => row.push((order.place[state], Entry::Held(vec![term]))),
                 }
-            });
-        }
-    }
-}
-
-/// States that noise ever reaches.
-fn reachable(n: usize, dynamics: &Dynamics, start: &Start, estimated: &[usize]) -> Vec<bool> {
-    // depends[i * n + j]: x_i moves with x_j.
-    let mut depends = vec![false; n * n];
-    let mut noisy = vec![false; n];
-    start.noisy(estimated).iter().for_each(|&state| noisy[state] = true);
-    dynamics.noise.iter().for_each(|&(i, j, _)| (noisy[i], noisy[j]) = (true, true));
-    for component in &dynamics.components {
-        for &(i, j, _) in &component.rates {
-            depends[component.states[i] * n + component.states[j]] = true;
-        }
-        component.held.iter().for_each(|&(i, state, _)| depends[component.states[i] * n + state] = true);
-        for &(i, j, _) in &component.noise {
-            (noisy[component.states[i]], noisy[component.states[j]]) = (true, true);
-        }
-    }
-    for recursion in &dynamics.recursions {
-        recursion.terms.iter().for_each(|&(state, _)| depends[recursion.state * n + state] = true);
-    }
-    close(&mut depends, n);
-    (0..n).map(|i| noisy[i] || (0..n).any(|j| depends[i * n + j] && noisy[j])).collect()
-}
-
-fn drives(dynamics: &Dynamics, place: &[usize]) -> Vec<(u32, Drive)> {
-    let mut drives = Vec::new();
-    for recursion in &dynamics.recursions {
-        drives.extend(recursion.input.map(|slot| (place[recursion.state] as u32, Drive::Slot(slot))));
-    }
-    for (c, component) in dynamics.components.iter().enumerate() {
-        for (i, &state) in component.states.iter().enumerate() {
-            if component.inputs.iter().enumerate().any(|(k, input)| input.is_some() && component.depends(i, k)) {
-                drives.push((place[state] as u32, Drive::Flow { component: c, i }));
             }
+            Some(row)
         }
+        _ => None,
     }
-    drives
 }
 
-/// φ, Q and Γ of a step of length `dt`. `values`: the dynamics' coefficients on the step.
-pub(crate) fn moves(dynamics: &Dynamics, order: &Order, values: &[f64], dt: f64) -> Result<Moves, Box<Fault>> {
-    let r = order.frame.r;
-    let place = |state: usize| order.place[state];
-    let mut rows: Vec<(usize, Vec<(usize, f64)>)> = Vec::new();
-    let mut noise: Vec<(usize, usize, f64)> = Vec::new();
-    let mut gammas = Vec::with_capacity(dynamics.components.len());
-    for recursion in &dynamics.recursions {
-        let terms = recursion.terms.iter().map(|&(state, slot)| (place(state), values[slot])).collect();
-        rows.push((place(recursion.state), terms));
+fn drive(mover: &Mover<'_>, offsets: &[usize]) -> Drive {
+    match *mover {
+        Mover::Recursion(Recursion { input: Some(slot), .. }) => Drive::Slot(*slot),
+        Mover::Component(c, component, i) => {
+            let m = component.states.len();
+            let term = |k: usize| Some((offsets[c] + m * m + i * m + k, component.inputs[k]?));
+            Drive::Flow((0..m).filter(|&k| component.depends(i, k)).filter_map(term).collect())
+        }
+        _ => Drive::Flow(Vec::new()),
     }
-    discrete_noise(dynamics, values, &mut |i, j, q| noise.push((place(i), place(j), q)))?;
-    for component in &dynamics.components {
-        let flow = component_flow(component, values, dt)?;
+}
+
+/// Entries i ≥ j of Q that can be other than zero.
+fn noise_entries(dynamics: &Dynamics, order: &Order, offsets: &[usize]) -> Vec<((u32, u32), Entry)> {
+    let pair = |a: usize, b: usize| {
+        let (a, b) = (order.place[a], order.place[b]);
+        (a.max(b) as u32, a.min(b) as u32)
+    };
+    let mut entries: Vec<_> = dynamics.noise.iter().map(|&(i, j, slot)| (pair(i, j), Entry::Slot(slot))).collect();
+    for (component, &offset) in dynamics.components.iter().zip(offsets) {
         let m = component.states.len();
-        for i in (0..m).filter(|&i| !component.still(i)) {
-            rows.push((place(component.states[i]), component_row(component, &flow, values, i, place)));
-        }
-        for (i, &state) in component.states.iter().enumerate() {
-            for (j, &other) in component.states[..=i].iter().enumerate() {
-                if flow.q[i * m + j] != 0.0 {
-                    noise.push((place(state), place(other), flow.q[i * m + j]));
+        for i in 0..m {
+            for j in 0..=i {
+                let reaches = |k: usize, l: usize| component.depends(i, k) && component.depends(j, l);
+                if component.noise.iter().any(|&(k, l, _)| reaches(k, l) || reaches(l, k)) {
+                    let at = offset + 2 * m * m + i * m + j;
+                    entries.push((pair(component.states[i], component.states[j]), Entry::Flow(at)));
                 }
             }
         }
-        gammas.push(flow.gamma);
     }
-    rows.sort_by_key(|row| row.0);
-    let mut transition = Transition::empty();
-    for (state, terms) in &mut rows {
-        terms.sort_by_key(|term| term.0);
-        if terms.iter().any(|term| !term.1.is_finite()) {
-            return Err(Fault::new(Subject::Transition, ReduceErrorKind::NotFinite));
-        }
-        transition.push(*state, r, terms);
-    }
-    let mut noise: Vec<(u32, u32, f64)> =
-        noise.into_iter().map(|(i, j, q)| (i.max(j) as u32, i.min(j) as u32, q)).collect();
-    noise.sort_by_key(|&(i, j, _)| (i, j));
-    transition.pairs.extend(noise.iter().map(|&(i, j, _)| (i, j)));
-    transition.q.extend(noise.iter().map(|&(.., q)| q));
-    Ok(Moves { transition: Arc::new(transition.seal()), gammas })
+    entries
 }
 
-/// Row i of φ: exp(Fδ) on the component, ΓG on what is held over the step.
-fn component_row(
-    component: &Component,
-    flow: &Flow,
-    values: &[f64],
-    i: usize,
-    place: impl Fn(usize) -> usize,
-) -> Vec<(usize, f64)> {
+/// Appends φ, Γ and Q of a component.
+fn append_flow(component: &Component, values: &[f64], dt: f64, flows: &mut Vec<f64>) -> Result<(), Box<Fault>> {
     let m = component.states.len();
-    let mut terms: Vec<(usize, f64)> = (0..m)
-        .filter(|&j| component.depends(i, j))
-        .map(|j| (place(component.states[j]), flow.phi[i * m + j]))
-        .collect();
-    for &(k, state, slot) in component.held.iter().filter(|&&(k, ..)| component.depends(i, k)) {
-        let value = flow.gamma[i * m + k] * values[slot];
-        match terms.iter_mut().find(|term| term.0 == place(state)) {
-            Some(term) => term.1 += value,
-            None => terms.push((place(state), value)),
-        }
+    let fault = || Fault::new(Subject::Derivative(component.states[0]), ReduceErrorKind::NotFinite);
+    if m == 1 {
+        let value = |terms: &[(usize, usize, usize)]| terms.first().map_or(0.0, |term| values[term.2]);
+        let flow = scalar_flow(value(&component.rates), value(&component.noise), dt);
+        flows.extend(flow);
+        return if flow.iter().all(|x| x.is_finite()) { Ok(()) } else { Err(fault()) };
     }
-    terms
-}
-
-fn component_flow(component: &Component, values: &[f64], dt: f64) -> Result<Flow, Box<Fault>> {
-    let m = component.states.len();
     let (mut f, mut q) = (vec![0.0; m * m], vec![0.0; m * m]);
     for &(i, j, slot) in &component.rates {
         f[i * m + j] = values[slot];
@@ -209,32 +214,37 @@ fn component_flow(component: &Component, values: &[f64], dt: f64) -> Result<Flow
         q[i * m + j] = values[slot];
         q[j * m + i] = values[slot];
     }
-    semidefinite(&q, m, Subject::ProcessNoise(component.states[0]))?;
-    flow(&f, &q, m, dt).map_err(|_| Fault::new(Subject::Derivative(component.states[0]), ReduceErrorKind::NotFinite))
+    let flow = flow(&f, &q, m, dt).map_err(|_| fault())?;
+    [flow.phi, flow.gamma, flow.q].iter().for_each(|matrix| flows.extend(matrix));
+    Ok(())
 }
 
-/// Checks the noise of discrete motion and gives its entries that are not zero.
-fn discrete_noise(
-    dynamics: &Dynamics,
+/// Noises that are correlated must be positive semidefinite together; single variances were checked one by one.
+fn check_noise(dynamics: &Dynamics, values: &[f64]) -> Result<(), Box<Fault>> {
+    semidefinite(&dynamics.noise, values, |state| state)?;
+    dynamics.components.iter().try_for_each(|c| semidefinite(&c.noise, values, |i| c.states[i]))
+}
+
+fn semidefinite(
+    noise: &[(usize, usize, usize)],
     values: &[f64],
-    give: &mut dyn FnMut(usize, usize, f64),
+    name: impl Fn(usize) -> usize,
 ) -> Result<(), Box<Fault>> {
-    let mut states: Vec<usize> = dynamics.noise.iter().flat_map(|&(i, j, _)| [i, j]).collect();
+    if noise.iter().all(|(i, j, _)| i == j) {
+        return Ok(());
+    }
+    let mut states: Vec<usize> = noise.iter().flat_map(|&(i, j, _)| [i, j]).collect();
     states.sort_unstable();
     states.dedup();
     let m = states.len();
+    let local = |state: &usize| states.binary_search(state).expect("every state of the noise is listed");
     let mut q = vec![0.0; m * m];
-    for &(i, j, slot) in &dynamics.noise {
-        let local = |state| states.binary_search(&state).expect("every state of the noise is listed");
-        q[local(i).max(local(j)) * m + local(i).min(local(j))] = values[slot];
-        if values[slot] != 0.0 {
-            give(i, j, values[slot]);
-        }
+    for (i, j, slot) in noise {
+        let (i, j) = (local(i), local(j));
+        q[i.max(j) * m + i.min(j)] = values[*slot];
     }
-    states.first().map_or(Ok(()), |&state| semidefinite(&q, m, Subject::ProcessNoise(state)))
-}
-
-fn semidefinite(q: &[f64], m: usize, subject: Subject) -> Result<(), Box<Fault>> {
-    ldl(&mut q.to_vec(), m)
-        .map_err(|bad| Fault::new(subject, ReduceErrorKind::NotSemidefinite { left: bad.left, variance: bad.variance }))
+    ldl(&mut q, m).map_err(|bad| {
+        let kind = ReduceErrorKind::NotSemidefinite { left: bad.left, variance: bad.variance };
+        Fault::new(Subject::ProcessNoise(name(states[0])), kind)
+    })
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use nalgebra::{DMatrix, DVector};
 
 use crate::reduce::data::{Data, DataWork, outcome};
-use crate::reduce::design::{DENSE, Design, Frame, Step, Transition, ZERO};
+use crate::reduce::design::{DENSE, Design, Frame, Pattern, Step, Transition, ZERO};
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
 use crate::reduce::gains::{Gains, GainsWork};
 use crate::reduce::observe::whiten;
@@ -360,26 +360,23 @@ impl PlainOrder {
         if step.transition.is_none() && step.process_noise.is_none() && step.input.is_none() {
             return None;
         }
-        let mut out = Transition::empty();
-        if let Some(phi) = &step.transition {
-            for (place, &i) in self.states.iter().enumerate().filter(|&(_, &i)| !identity_row(phi, i)) {
-                let row = self.states.iter().enumerate().map(|(column, &j)| (column, phi[(i, j)]));
-                let terms: Vec<(usize, f64)> = row.filter(|term| term.1 != 0.0).collect();
-                out.push(place, self.frame.r, &terms);
+        let (mut pattern, mut phi, mut q) = (Pattern::default(), Vec::new(), Vec::new());
+        if let Some(matrix) = &step.transition {
+            for (place, &i) in self.states.iter().enumerate().filter(|&(_, &i)| !identity_row(matrix, i)) {
+                let columns: Vec<usize> = (0..self.frame.n).filter(|&c| matrix[(i, self.states[c])] != 0.0).collect();
+                phi.extend(columns.iter().map(|&c| matrix[(i, self.states[c])]));
+                pattern.push(place, self.frame.r, columns.into_iter());
             }
         }
         if let Some(noise) = &step.process_noise {
             for i in 0..self.frame.r {
-                for j in 0..=i {
-                    let q = noise[(self.states[i], self.states[j])];
-                    if q != 0.0 {
-                        out.pairs.push((i as u32, j as u32));
-                        out.q.push(q);
-                    }
+                for j in (0..=i).filter(|&j| noise[(self.states[i], self.states[j])] != 0.0) {
+                    pattern.pairs.push((i as u32, j as u32));
+                    q.push(noise[(self.states[i], self.states[j])]);
                 }
             }
         }
-        Some(out.seal())
+        Some(Transition::new(Arc::new(pattern.seal()), phi, q))
     }
 
     /// The terminal triple in the test's own order. `covariance`: lower triangle, r × r.

@@ -11,15 +11,16 @@ use crate::reduce::digest::Digest;
 use crate::reduce::dynamics::Dynamics;
 use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::gains::GainsWork;
-use crate::reduce::motion::{Moves, Order, moves};
+use crate::reduce::motion::{Moves, Plan};
 use crate::reduce::observe::{Instance, Meters, Observed};
+use crate::reduce::order::Order;
 use crate::reduce::shared::{Entry, Shared};
 use crate::reduce::start::{Law, Start};
 use crate::reduce::steps::{Cells, Span, spans};
 use crate::reduce::subject::{At, Fault, Subject};
 
 /// Bytes of transitions that are kept.
-const TRANSITION_BYTES: usize = 64 << 20;
+const TRANSITION_BYTES: usize = 16 << 20;
 
 type Moved = Entry<Vec<u64>, Result<Moves, Box<Fault>>>;
 
@@ -31,6 +32,7 @@ pub(crate) struct Preparer {
     dynamics: Dynamics,
     start: Start,
     order: Order,
+    plan: Plan,
     meters: Meters,
     /// The law of x_0, when no test changes it.
     law: Option<Law>,
@@ -53,6 +55,7 @@ pub(crate) struct Workspace {
     step: Cells,
     values: Vec<f64>,
     inputs: Vec<f64>,
+    flows: Vec<f64>,
     key: Vec<u64>,
     last: Option<Arc<Moved>>,
 }
@@ -74,6 +77,7 @@ impl Preparer {
         Ok(Preparer {
             model: model.clone(),
             alpha: alpha.clone(),
+            plan: Plan::new(&dynamics, &order),
             dynamics,
             start,
             order,
@@ -101,6 +105,7 @@ impl Preparer {
             step: Cells::default(),
             values: Vec::new(),
             inputs: Vec::new(),
+            flows: Vec::new(),
             key: Vec::new(),
             last: None,
         }
@@ -220,27 +225,27 @@ impl Preparer {
             _ => self.shared_moves(work, dt),
         };
         let moves = entry.value().as_ref().map_err(|fault| fault.clone().on(row))?;
-        self.order.inputs(&self.dynamics, moves, &work.inputs, &mut work.data.inputs);
+        self.plan.inputs(moves, &work.inputs, &mut work.data.inputs);
         let transition = moves.transition.clone();
         work.last = Some(entry);
         Ok(transition)
     }
 
-    fn shared_moves(&self, work: &Workspace, dt: f64) -> Arc<Moved> {
+    fn shared_moves(&self, work: &mut Workspace, dt: f64) -> Arc<Moved> {
         let mut digest = Digest::new();
         work.key.iter().for_each(|&word| digest.word(word));
+        let Workspace { key, values, flows, .. } = work;
         self.transitions.get(
             digest.finish(),
-            |key| *key == work.key,
-            || work.key.clone(),
+            |known| known == key,
+            || key.clone(),
             |_| {
                 self.computed.fetch_add(1, Ordering::Relaxed);
-                moves(&self.dynamics, &self.order, &work.values, dt)
+                self.plan.moves(&self.dynamics, values, dt, flows)
             },
             |key, moves| {
-                let moves =
-                    moves.as_ref().map_or(0, |moves| 28 * moves.transition.phi.len() + 16 * moves.transition.q.len());
-                8 * key.len() + moves + 400
+                let numbers = moves.as_ref().map_or(0, |m| m.transition.phi.len() + m.transition.q.len());
+                8 * (key.len() + numbers) + 300
             },
         )
     }

@@ -94,21 +94,21 @@ impl<'a> RootFilter<'a> {
         let (p, r) = (self.frame.p, self.frame.r);
         kernel::advance(&mut self.Psi, p, transition, &mut self.work);
         kernel::advance(&mut self.open_Psi, p, transition, &mut self.work);
-        let still = transition.moved.first().is_none_or(|row| row.state as usize >= r);
-        if still && transition.pairs.is_empty() {
+        let still = transition.pattern.moved.first().is_none_or(|row| row.state as usize >= r);
+        if still && transition.pattern.pairs.is_empty() {
             return Ok(());
         }
         kernel::predict(&mut self.open_P, r, transition, &mut self.work);
         let mut rows = self.U.clone();
         for (row, old) in rows.chunks_exact_mut(r).zip(self.U.chunks_exact(r)) {
-            for moved in transition.moved.iter().take_while(|moved| (moved.state as usize) < r) {
+            for moved in transition.pattern.moved.iter().take_while(|moved| (moved.state as usize) < r) {
                 let terms = moved.start as usize..moved.reach as usize;
                 row[moved.state as usize] =
-                    terms.map(|k| transition.phi[k] * old[transition.columns[k] as usize]).sum();
+                    terms.map(|k| transition.phi[k] * old[transition.pattern.columns[k] as usize]).sum();
             }
         }
         let mut Q = vec![0.0; r * r];
-        for (&(i, j), &q) in transition.pairs.iter().zip(&transition.q) {
+        for (&(i, j), &q) in transition.pattern.pairs.iter().zip(&transition.q) {
             Q[i as usize * r + j as usize] += q;
         }
         self.U.fill(0.0);
