@@ -1,8 +1,6 @@
 //! Broken input of every kind: exit status 2, a message that names what was found and what was expected, nothing written.
 
-mod common;
-
-use common::{DATA, Folder, MODEL};
+use crate::folder::{DATA, Folder, MODEL};
 use insta::assert_snapshot;
 
 /// Runs a command that must be refused; its message.
@@ -14,7 +12,7 @@ fn refused(args: &str, files: &[(&str, &str)]) -> String {
 fn refused_bytes(args: &str, files: &[(&str, &[u8])]) -> String {
     let folder = Folder::new(files);
     folder.write("kept.json", b"from before");
-    std::fs::create_dir(folder.path("folder")).unwrap();
+    std::fs::create_dir(folder.path("folder")).expect("the folder is new");
     let before = folder.contents();
     let output = folder.run(args);
     let message = String::from_utf8(output.stderr).expect("messages are UTF-8");

@@ -1,8 +1,6 @@
 //! Whole commands on sound input.
 
-mod common;
-
-use common::{DATA, Folder, MODEL, shown, steady};
+use crate::folder::{DATA, Folder, MODEL, shown, steady};
 use insta::assert_snapshot;
 use kalfit::FitRecord;
 

@@ -1,0 +1,5 @@
+//! The built command, run as a user runs it.
+
+mod broken;
+mod folder;
+mod sound;
