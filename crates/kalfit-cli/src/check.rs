@@ -51,7 +51,7 @@ fn start_values(spec: &mut Spec) -> Result<Vec<String>, Failure> {
     for name in model::free_parameters(&spec.model) {
         let start = spec.model.parameters.iter().find(|p| p.name == name).map(|p| p.value);
         if let Some(Value::Free { start: Some(start) }) = start {
-            spec.set(&format!("{name}={start}")).map_err(|error| Failure::Set { error })?;
+            spec.set(&format!("{name}={start}")).map_err(|error| Failure::Set { error: Box::new(error) })?;
             started.push(name);
         }
     }

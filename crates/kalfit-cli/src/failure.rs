@@ -16,26 +16,26 @@ pub(crate) enum Failure {
     /// The model file.
     #[error("{error}")]
     Model {
-        error: SpecError,
+        error: Box<SpecError>,
         /// The file and its text, when it could be read.
         file: Option<Source>,
     },
     /// An assignment of `--set`.
     #[error("{error}")]
-    Set { error: SpecError },
+    Set { error: Box<SpecError> },
     /// The data.
     #[error("{error}")]
     Data {
-        error: DataError,
+        error: Box<DataError>,
         /// Where the model uses what the data lack.
-        place: Option<Place>,
+        place: Option<Box<Place>>,
     },
     /// The model does not work on the data.
     #[error("{}", reduce_message(error, reading.as_deref()))]
     Reduce { error: ReduceError, reading: Option<Box<Reading>> },
     /// Free parameters, which nothing estimates.
     #[error("{}", free_message(names))]
-    Free { names: Vec<String>, place: Option<Place> },
+    Free { names: Vec<String>, place: Option<Box<Place>> },
     /// The estimator.
     #[error("{0}")]
     Fit(FitError),
@@ -67,9 +67,9 @@ pub(crate) struct Place {
 
 impl Place {
     /// A place in a model file.
-    pub(crate) fn in_model(spec: &Spec, span: Option<Range<usize>>, label: &str) -> Option<Place> {
+    pub(crate) fn in_model(spec: &Spec, span: Option<Range<usize>>, label: &str) -> Option<Box<Place>> {
         let source = Source { name: spec.name.clone(), text: spec.text.clone() };
-        Some(Place { source, span: span?, label: Some(label.to_owned()) })
+        Some(Box::new(Place { source, span: span?, label: Some(label.to_owned()) }))
     }
 }
 
@@ -82,13 +82,13 @@ impl Failure {
             }
             _ => None,
         };
-        Failure::Data { error, place }
+        Failure::Data { error: Box::new(error), place }
     }
 
     /// A model that cannot be read from this path.
     pub(crate) fn model(error: SpecError, path: &Path, text: Option<String>) -> Failure {
         let file = text.map(|text| Source { name: path.display().to_string(), text });
-        Failure::Model { error, file }
+        Failure::Model { error: Box::new(error), file }
     }
 
     /// Where to look.
@@ -97,7 +97,7 @@ impl Failure {
             Failure::Model { error, file } => {
                 Some(Place { source: file.clone()?, span: error.span.clone()?, label: error.label.clone() })
             }
-            Failure::Data { place, .. } | Failure::Free { place, .. } => place.clone(),
+            Failure::Data { place, .. } | Failure::Free { place, .. } => place.as_deref().cloned(),
             _ => None,
         }
     }

@@ -13,7 +13,7 @@ pub(crate) fn load(job: &ModelJob) -> Result<Spec, Failure> {
     let name = job.path.display().to_string();
     let mut spec = Spec::parse(&name, &text).map_err(|error| Failure::model(error, &job.path, Some(text)))?;
     for assignment in &job.set {
-        spec.set(assignment).map_err(|error| Failure::Set { error })?;
+        spec.set(assignment).map_err(|error| Failure::Set { error: Box::new(error) })?;
     }
     Ok(spec)
 }

@@ -58,7 +58,7 @@ impl Progress for Line {
     fn step(&mut self, step: Step) {
         self.say(|| {
             let far = step.decrement.map_or(String::new(), |d| format!(", about {d:.1e} standard errors to go"));
-            format!("fitting: {} passes, log-likelihood {:.4}{far}", step.passes, step.log_likelihood)
+            format!("fitting: pass {}, log-likelihood {:.4}{far}", step.passes, step.log_likelihood)
         });
     }
 }
