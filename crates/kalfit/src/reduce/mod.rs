@@ -21,6 +21,7 @@ mod motion;
 mod observe;
 mod order;
 mod plain;
+mod plain_order;
 mod prepare;
 mod reducer;
 mod reduction;
