@@ -1,7 +1,9 @@
 //! The estimator on thousands of random ensembles of reductions: weak and strong information, singular J and Σ, unequal
 //! and shared designs, constraints. Everything is compared with naive dense algebra or with the other solver.
 
-use kalfit::estimate::{self, Estimate, Settings, Silent, Solver, Stop, Structure};
+use kalfit::estimate::{
+    self, Derivatives, Estimate, Likelihood, Settings, Silent, Solver, Stop, Structure, pass_flops,
+};
 use kalfit::model::{Alpha, CovarianceKind, CovarianceStructure, FixedElement, MeanElement, MeanStructure, Regression};
 use kalfit::reduce::{Path, Reduction};
 use nalgebra::{DMatrix, DVector};
@@ -258,4 +260,63 @@ fn a_design_class_equals_its_tests_apart() {
             single.covariance
         );
     }
+}
+
+/// Scores and information equal central differences of ℓ, at points far from the optimum and with a singular J.
+#[test]
+fn derivatives_equal_difference_quotients() {
+    let pairs: Vec<(usize, usize)> = (0..3).flat_map(|i| (0..=i).map(move |j| (i, j))).collect();
+    for (seed, observed) in [(1, 6), (2, 2), (3, 4)] {
+        let recipe = Recipe { p: 3, tests: 12, rank: 3, observed, strength: 1.0, designs: 5, regressors: 0 };
+        let likelihood = Likelihood::new(&ensemble(recipe, seed), 3);
+        let mean = vec![0.3, -1.0, 2.0];
+        let sigma = DMatrix::from_row_slice(3, 3, &[2.0, 0.3, -0.2, 0.3, 1.0, 0.4, -0.2, 0.4, 0.7]);
+        let here = likelihood.at(&mean, &sigma, Derivatives::Second);
+        let step = 1e-5;
+        let moved_mean = |i: usize, h: f64| {
+            let mut m = mean.clone();
+            m[i] += h;
+            likelihood.at(&m, &sigma, Derivatives::First)
+        };
+        let moved_sigma = |(i, j): (usize, usize), h: f64| {
+            let mut s = sigma.clone();
+            s[(i, j)] += h;
+            s[(j, i)] = s[(i, j)];
+            likelihood.at(&mean, &s, Derivatives::First)
+        };
+        let close = |what: &str, analytic: f64, numeric: f64| {
+            let error = (analytic - numeric).abs() / (1.0 + analytic.abs());
+            assert!(error < 1e-7, "{what}: {analytic} but difference quotient {numeric}");
+        };
+        for i in 0..3 {
+            let (up, down) = (moved_mean(i, step), moved_mean(i, -step));
+            close("mean score", here.mean_score[i], (up.log_likelihood - down.log_likelihood) / (2.0 * step));
+            for k in 0..3 {
+                let slope = -(up.mean_score[k] - down.mean_score[k]) / (2.0 * step);
+                close("mean information", here.mean_information[(k, i)], slope);
+            }
+        }
+        for (a, &at) in pairs.iter().enumerate() {
+            let (up, down) = (moved_sigma(at, step), moved_sigma(at, -step));
+            let places = if at.0 == at.1 { 1.0 } else { 2.0 };
+            let slope = (up.log_likelihood - down.log_likelihood) / (2.0 * step);
+            close("covariance score", places * here.covariance_score[at], slope);
+            for (b, &other) in pairs.iter().enumerate() {
+                let places = if other.0 == other.1 { 1.0 } else { 2.0 };
+                let slope = -places * (up.covariance_score[other] - down.covariance_score[other]) / (2.0 * step);
+                close("covariance information", here.covariance_information.as_ref().unwrap()[(a, b)], slope);
+            }
+            for i in 0..3 {
+                let slope = -(up.mean_score[i] - down.mean_score[i]) / (2.0 * step);
+                close("cross information", here.cross_information.as_ref().unwrap()[(i, a)], slope);
+            }
+        }
+    }
+}
+
+/// Work of a pass, as counted flops a test: a regression gate that no noisy machine can upset.
+#[test]
+fn passes_cost_what_they_cost() {
+    let cost = |p| (p, pass_flops(p, Derivatives::First), pass_flops(p, Derivatives::Second));
+    insta::assert_snapshot!(format!("{:?}", [1, 3, 6, 10].map(cost)), @"[(1, 29, 37), (3, 280, 460), (6, 1539, 3177), (10, 5957, 15307)]");
 }

@@ -9,8 +9,8 @@ use crate::estimate::covariance::{CovarianceMap, Form, place, sub};
 use crate::estimate::exact::maximise_exact;
 use crate::estimate::local::Objective;
 use crate::estimate::pass::Sums;
-use crate::estimate::terms::Point;
 use crate::estimate::problem::Problem;
+use crate::estimate::terms::Point;
 use crate::linalg::symmetric;
 
 /// Which conditional maximisation comes next, when μ and Σ cannot move together.

@@ -8,6 +8,7 @@ mod classes;
 mod covariance;
 mod em;
 mod exact;
+mod likelihood;
 mod local;
 mod mean;
 mod newton;
@@ -22,6 +23,7 @@ mod terms;
 use nalgebra::DMatrix;
 
 pub use certificate::Certificate;
+pub use likelihood::{Derivatives, Evaluation, Likelihood, pass_flops};
 pub use settings::{Progress, Settings, Silent, Solver, Step};
 
 pub(crate) use covariance::{CovarianceMap, Form};

@@ -8,8 +8,8 @@ use nalgebra::{DMatrix, DVector};
 use crate::estimate::covariance::Form;
 use crate::estimate::local::{Objective, packed_score};
 use crate::estimate::pass::Sums;
-use crate::estimate::terms::Point;
 use crate::estimate::problem::Problem;
+use crate::estimate::terms::Point;
 use crate::linalg::symmetric::{self, pair};
 
 /// The largest part of Σ that one step may take away in any direction.

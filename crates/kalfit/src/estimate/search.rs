@@ -7,9 +7,9 @@ use crate::estimate::covariance::Form;
 use crate::estimate::em::{self, Turn};
 use crate::estimate::newton::{Attempt, Damping, Place, retract};
 use crate::estimate::pass::Order;
-use crate::estimate::terms::Point;
 use crate::estimate::problem::Problem;
 use crate::estimate::settings::{Progress, Settings, Solver, Step};
+use crate::estimate::terms::Point;
 use crate::estimate::{Estimate, FitError, State, Stop, Structure, scoring};
 use crate::model::MeanElement;
 

@@ -4,8 +4,8 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::covariance::{Chart, CovarianceMap};
 use crate::estimate::newton::retract;
-use crate::estimate::terms::Point;
 use crate::estimate::problem::{Problem, scaled_solve};
+use crate::estimate::terms::Point;
 use crate::estimate::{FitError, Structure};
 use crate::linalg::symmetric;
 use crate::model::StructureError;

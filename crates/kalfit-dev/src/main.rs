@@ -1,0 +1,42 @@
+//! Tasks of kalfit's developers: the test command and the benchmarks.
+#![expect(clippy::print_stdout, clippy::print_stderr, reason = "a developer's tool talks on the terminal")]
+
+mod bench;
+mod peak;
+mod test;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+/// Tasks of kalfit's developers.
+#[derive(Debug, Parser)]
+#[command(name = "cargo dev", version)]
+struct Arguments {
+    #[command(subcommand)]
+    task: Task,
+}
+
+#[derive(Debug, Subcommand)]
+enum Task {
+    /// Everything a change must pass: format, lints, tests, documentation, dependencies.
+    Test {
+        /// Only the steps whose name contains this.
+        #[arg(long)]
+        only: Option<String>,
+    },
+    /// Times the reduction and the solver's passes against the machine's measured peak.
+    Bench {
+        /// Run in this process; without it the benchmark is first built for this machine's own instructions.
+        #[arg(long)]
+        here: bool,
+    },
+}
+
+fn main() -> ExitCode {
+    match Arguments::parse().task {
+        Task::Test { only } => test::run(only.as_deref()),
+        Task::Bench { here: true } => bench::run(),
+        Task::Bench { here: false } => bench::build_and_run(),
+    }
+}

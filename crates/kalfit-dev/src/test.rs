@@ -1,0 +1,110 @@
+//! The test command: what the README names and CI runs.
+
+use std::path::Path;
+use std::process::{Command, ExitCode};
+use std::time::Instant;
+
+/// One thing that must hold.
+struct Step {
+    name: &'static str,
+    program: &'static str,
+    arguments: &'static [&'static str],
+    environment: &'static [(&'static str, &'static str)],
+    /// Where the program is missing, the step is left out with these words.
+    optional: Option<&'static str>,
+}
+
+const STEPS: &[Step] = &[
+    Step {
+        name: "format",
+        program: "cargo",
+        arguments: &["fmt", "--all", "--", "--check"],
+        environment: &[],
+        optional: None,
+    },
+    Step {
+        name: "lints",
+        program: "cargo",
+        arguments: &["clippy", "--workspace", "--all-targets", "--locked", "--", "-D", "warnings"],
+        environment: &[],
+        optional: None,
+    },
+    Step {
+        name: "tests",
+        program: "cargo",
+        arguments: &["test", "--workspace", "--locked"],
+        environment: &[("RUST_BACKTRACE", "0")],
+        optional: None,
+    },
+    Step {
+        name: "documentation",
+        program: "cargo",
+        arguments: &["doc", "--workspace", "--no-deps", "--locked"],
+        environment: &[("RUSTDOCFLAGS", "-D warnings")],
+        optional: None,
+    },
+    Step {
+        name: "dependencies",
+        program: "cargo-deny",
+        arguments: &["deny", "check", "licenses", "bans", "sources"],
+        environment: &[],
+        optional: Some("cargo-deny is not installed: cargo install --locked cargo-deny"),
+    },
+];
+
+/// Runs the steps in order and stops at the first that fails.
+pub(crate) fn run(only: Option<&str>) -> ExitCode {
+    if let Err(message) = minimum_toolchain() {
+        eprintln!("toolchain: {message}");
+        return ExitCode::FAILURE;
+    }
+    let begun = Instant::now();
+    for step in STEPS.iter().filter(|step| only.is_none_or(|word| step.name.contains(word))) {
+        let started = Instant::now();
+        println!("== {}: {} {}", step.name, step.program, step.arguments.join(" "));
+        match step.run() {
+            Outcome::Passed => println!("== {} passed in {:.0} s\n", step.name, started.elapsed().as_secs_f64()),
+            Outcome::LeftOut(why) => println!("== {} left out: {why}\n", step.name),
+            Outcome::Failed(why) => {
+                eprintln!("== {} failed: {why}", step.name);
+                return ExitCode::FAILURE;
+            }
+        }
+    }
+    println!("everything holds, in {:.0} s", begun.elapsed().as_secs_f64());
+    ExitCode::SUCCESS
+}
+
+enum Outcome {
+    Passed,
+    LeftOut(&'static str),
+    Failed(String),
+}
+
+impl Step {
+    fn run(&self) -> Outcome {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).expect("the crate lies in crates/");
+        let mut command = Command::new(self.program);
+        command.args(self.arguments).current_dir(root).envs(self.environment.iter().copied());
+        match (command.status(), self.optional) {
+            (Ok(status), _) if status.success() => Outcome::Passed,
+            (Ok(status), _) => Outcome::Failed(status.to_string()),
+            (Err(error), Some(why)) if error.kind() == std::io::ErrorKind::NotFound => Outcome::LeftOut(why),
+            (Err(error), _) => Outcome::Failed(error.to_string()),
+        }
+    }
+}
+
+/// The stated minimum is tested when the toolchain at hand is that minimum; a newer one is said to be newer.
+fn minimum_toolchain() -> Result<(), String> {
+    let stated = env!("CARGO_PKG_RUST_VERSION");
+    let output = Command::new("rustc").arg("--version").output().map_err(|e| e.to_string())?;
+    let version = String::from_utf8_lossy(&output.stdout).trim().to_owned();
+    let at_hand = version.split_whitespace().nth(1).unwrap_or_default();
+    if at_hand.starts_with(stated) {
+        println!("== toolchain: {version}, the minimum that Cargo.toml states\n");
+    } else {
+        println!("== toolchain: {version}; the stated minimum, {stated}, is tested where that is installed\n");
+    }
+    Ok(())
+}

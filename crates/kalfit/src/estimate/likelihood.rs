@@ -1,0 +1,119 @@
+//! ℓ(μ, Σ) on its own: value and derivatives anywhere, in the user's units, without a search.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::estimate::classes::{Class, Classes};
+use crate::estimate::pass::{self, Order, Sums};
+use crate::estimate::terms::{Point, Terms};
+use crate::linalg::real::{Counted, Real};
+use crate::linalg::symmetric::{self, pairs};
+use crate::reduce::Reduction;
+
+/// Which derivatives are computed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Derivatives {
+    /// The score: one pass as EM needs it.
+    First,
+    /// And the observed information: one pass as Newton's method needs it.
+    Second,
+}
+
+/// The log-likelihood of an ensemble of reductions as a function of (μ, Σ).
+#[derive(Debug, Clone)]
+pub struct Likelihood {
+    classes: Classes,
+}
+
+/// ℓ and its derivatives at a point, in the user's units.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Evaluation {
+    /// ℓ.
+    pub log_likelihood: f64,
+    /// ∂ℓ/∂μ (p), (4).
+    pub mean_score: DVector<f64>,
+    /// G = ∂ℓ/∂Σ (p × p), (5): ℓ changes by tr(G dΣ).
+    pub covariance_score: DMatrix<f64>,
+    /// Σ_j W_j = -∂²ℓ/∂μ∂μ' (p × p).
+    pub mean_information: DMatrix<f64>,
+    /// -∂²ℓ/∂σ∂σ' over the pairs (0,0), (1,0), (1,1), …; an off-diagonal element moves both of its places.
+    pub covariance_information: Option<DMatrix<f64>>,
+    /// -∂²ℓ/∂μ∂σ' (p × pairs).
+    pub cross_information: Option<DMatrix<f64>>,
+}
+
+impl Likelihood {
+    /// Gathers the reductions, all of dimension p and without regression.
+    pub fn new(reductions: &[Reduction], p: usize) -> Likelihood {
+        Likelihood { classes: Classes::new(reductions, p, 0) }
+    }
+
+    /// Number of classes of tests with one information matrix.
+    pub fn classes(&self) -> usize {
+        self.classes.classes.len()
+    }
+
+    /// ℓ and its derivatives at μ and a positive semidefinite Σ: one pass over the classes.
+    pub fn at(&self, mean: &[f64], covariance: &DMatrix<f64>, derivatives: Derivatives) -> Evaluation {
+        let frame = &self.classes.frame;
+        let p = frame.scale.len();
+        let point = Point {
+            mean: (0..p).map(|i| (mean[i] - frame.centre[i]) / frame.scale[i]).collect(),
+            coefficients: Vec::new(),
+            root: symmetric::square_root(&frame.covariance_in(covariance)),
+        };
+        let order = match derivatives {
+            Derivatives::First => Order::First,
+            Derivatives::Second => Order::Second,
+        };
+        self.evaluation(&pass::pass(&self.classes, &[], &point, order), order)
+    }
+
+    fn evaluation(&self, sums: &Sums, order: Order) -> Evaluation {
+        let scale = &self.classes.frame.scale;
+        let p = scale.len();
+        let places: Vec<f64> =
+            (0..p).flat_map(|i| (0..=i).map(move |j| (i, j))).map(|(i, j)| scale[i] * scale[j]).collect();
+        let score = sums.score();
+        let second = order == Order::Second;
+        let over = |m: DMatrix<f64>, rows: &[f64], columns: &[f64]| {
+            DMatrix::from_fn(m.nrows(), m.ncols(), |i, j| m[(i, j)] / (rows[i] * columns[j]))
+        };
+        Evaluation {
+            log_likelihood: sums.value,
+            mean_score: DVector::from_fn(p, |i, _| sums.mean_score[i] / scale[i]),
+            covariance_score: over(score, scale, scale),
+            mean_information: over(sums.mean_information.clone(), scale, scale),
+            covariance_information: second.then(|| over(sums.observed_information(), &places, &places)),
+            cross_information: second.then(|| over(sums.cross_information(), scale, &places)),
+        }
+    }
+}
+
+/// Floating-point operations of one pass for one test of dimension p: those of the kernel, counted as it runs, and those
+/// of adding its terms to the sums.
+pub fn pass_flops(p: usize, derivatives: Derivatives) -> u64 {
+    let zero = Counted::splat(0.0);
+    let class = Class {
+        count: Counted::splat(1.0),
+        constant: zero,
+        factor: vec![Counted::splat(1.0); p * p],
+        mean: vec![zero; p],
+        scatter: None,
+        covariates: Vec::new(),
+        square_root: false,
+    };
+    let point = Point { mean: vec![0.0; p], coefficients: Vec::new(), root: DMatrix::identity(p, p) };
+    let mut terms = Terms::<Counted>::new(p);
+    let flops = Counted::count(|| {
+        terms.factorise(&class, &point.root);
+        terms.finish(&class, &[], &point);
+    });
+    let kernel = flops.add + flops.mul + 2 * flops.fma + flops.div;
+    let (p, s) = (p as u64, pairs(p) as u64);
+    let first = 1 + 2 * p + 5 * p * p;
+    let second = match derivatives {
+        Derivatives::First => 0,
+        Derivatives::Second => 3 * p * p + 2 * s * s + 3 * p * p * p,
+    };
+    kernel + first + second
+}
