@@ -115,7 +115,7 @@ fn of_covariance(estimate: &Estimate, law: &Law<'_>, (i, j): (usize, usize), hel
     let zero = |s: usize| estimate.covariance[(s, s)] == 0.0;
     let alone = i == j || !(zero(i) || zero(j)); // a covariance beside a zero variance cannot be freed alone
     let one_sided = i == j && value == 0.0;
-    let test = score_test(score, own, &tangent_cross(state, &mean.into(), &sigma.into()), law, one_sided);
+    let test = score_test(score, own, &tangent_cross(state, &mean, &sigma), law, one_sided);
     let test =
         if alone && !matches!(state.covariance_kind, CovarianceKind::Fixed(_)) { test } else { without_test(score) };
     Sensitivity { element: Element::Covariance(i, j), value, sensitivity: score, ..test }
@@ -134,7 +134,7 @@ fn tangent_cross(state: &State, mean: &DVector<f64>, sigma: &DVector<f64>) -> DV
 /// s² / (I_ee - I_ez I_zz⁻¹ I_ze): the score of the element against its variance once the free coordinates have adapted.
 fn score_test(score: f64, own: f64, cross: &DVector<f64>, law: &Law<'_>, one_sided: bool) -> Sensitivity {
     let information = own - cross.dot(&(law.coordinates() * cross));
-    if !(information > 1e-10 * own.abs()) {
+    if information.is_nan() || information <= 1e-10 * own.abs() {
         return without_test(score);
     }
     let statistic = score * score / information;

@@ -26,7 +26,7 @@ pub struct Uncertainty {
     pub correlation: Vec<Vec<Option<f64>>>,
     /// Relative standard error of β in Σ = βΣ*.
     pub scale: Option<f64>,
-    /// Standard error of α_μ relative to unit weight: of (element / weight).
+    /// Blocks of Σ that are singular.
     pub boundary: Vec<Boundary>,
 }
 
@@ -53,7 +53,7 @@ pub fn uncertainty(estimate: &Estimate, unidentified: &[Direction]) -> Uncertain
         of.map(|d| d.direction[k].abs()).fold(0.0, f64::max) > PART
     };
     let on_boundary = |i: usize| boundary.iter().any(|b| b.states.contains(&i));
-    let known = |i: usize, j: usize| !(on_boundary(i) || on_boundary(j)) && !parts(Quantity::Covariance, pair(i, j));
+    let known = |i: usize, j: usize| !(on_boundary(i) || on_boundary(j) || parts(Quantity::Covariance, pair(i, j)));
     let sigma = &estimate.covariance;
     let mut covariance = vec![vec![None; p]; p];
     let mut correlation = vec![vec![None; p]; p];
