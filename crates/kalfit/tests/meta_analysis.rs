@@ -18,10 +18,11 @@ fn studies(text: &str) -> Vec<Reduction> {
             let v = [cell(cells[3]), cell(cells[4])];
             let seen: Vec<usize> = (0..2).filter(|&i| y[i].is_some()).collect();
             let m = seen.len();
-            let noise =
-                DMatrix::from_fn(m, m, |a, b| if a == b { v[seen[a]].unwrap() } else { cell(cells[5]).unwrap() });
+            let noise = DMatrix::from_fn(m, m, |a, b| {
+                if a == b { v[seen[a]].expect("sound numbers") } else { cell(cells[5]).expect("sound numbers") }
+            });
             let design = DMatrix::from_fn(m, 2, |a, k| f64::from(u8::from(seen[a] == k)));
-            let z = DVector::from_fn(m, |a, _| y[seen[a]].unwrap());
+            let z = DVector::from_fn(m, |a, _| y[seen[a]].expect("sound numbers"));
             reduce(cells[0], &design, &noise, &z)
         })
         .collect()
@@ -29,9 +30,9 @@ fn studies(text: &str) -> Vec<Reduction> {
 
 fn reduce(id: &str, design: &DMatrix<f64>, noise: &DMatrix<f64>, z: &DVector<f64>) -> Reduction {
     let p = design.ncols();
-    let root = noise.clone().cholesky().unwrap().l();
-    let whitened = root.solve_lower_triangular(design).unwrap();
-    let residual = root.solve_lower_triangular(z).unwrap();
+    let root = noise.clone().cholesky().expect("sound numbers").l();
+    let whitened = root.solve_lower_triangular(design).expect("sound numbers");
+    let residual = root.solve_lower_triangular(z).expect("sound numbers");
     let mut stacked = DMatrix::zeros(p + z.len(), p + 1);
     stacked.view_mut((p, 0), (z.len(), p)).copy_from(&whitened);
     stacked.view_mut((p, p), (z.len(), 1)).copy_from(&residual);
@@ -92,7 +93,7 @@ struct Expected {
 fn fit(reductions: &[Reduction], mean: &MeanStructure, covariance: &CovarianceStructure, solver: Solver) -> Estimate {
     let structure = Structure { mean, covariance, alpha: &Alpha::default() };
     let settings = Settings { tolerance: if solver == Solver::Em { 1e-6 } else { 1e-8 }, ..Settings::of(solver) };
-    estimate::fit(reductions, &structure, &settings, &mut Silent).unwrap()
+    estimate::fit(reductions, &structure, &settings, &mut Silent).expect("sound numbers")
 }
 
 /// Both solvers reach the reference optimum, certified; Newton within 15 passes. Returns the number of Newton passes.
