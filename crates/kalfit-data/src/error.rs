@@ -305,19 +305,6 @@ pub enum DataError {
         /// The most that is believed of them.
         limit: u64,
     },
-    /// An Arrow file that does not end as it should.
-    #[error("{file} ends early: found {found} record batches, expected {}", match expected {
-        Some(expected) => format!("{expected}"),
-        None => "a footer after them".to_owned(),
-    })]
-    Truncated {
-        /// The file.
-        file: String,
-        /// Record batches read.
-        found: usize,
-        /// Record batches of the footer, when there is one.
-        expected: Option<usize>,
-    },
     /// The Parquet library refused the file.
     #[error("{file} is not a sound Parquet file: {source}")]
     Parquet {

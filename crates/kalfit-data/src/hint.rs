@@ -34,9 +34,8 @@ impl DataError {
             DataError::TimeUnit { .. } => "date-times are read as time since the test's first row: set `time_unit` in `[data]` to `s`, `ms`, `us`, `ns`, `min`, `h` or `d`".into(),
             DataError::MixedTimes { .. } => "write the whole column one way".into(),
             DataError::Codec { .. } => "write the file again with snappy or zstd".into(),
-            DataError::Truncated { .. } => "the file was not written or copied whole".into(),
             DataError::Oversized { .. } => "the file is damaged, or made to exhaust memory; if it is sound, split it into several files".into(),
-            DataError::Parquet { .. } | DataError::Arrow { .. } | DataError::Crashed { .. } => "the file may be damaged; if other programs read it, write it again with one of them".into(),
+            DataError::Parquet { .. } | DataError::Arrow { .. } | DataError::Crashed { .. } => "the file may be damaged, or not copied whole; if other programs read it, write it again with one of them".into(),
             DataError::Io { .. } | DataError::Empty { .. } | DataError::NoRows { .. } => return None,
         })
     }

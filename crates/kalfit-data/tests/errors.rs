@@ -1,5 +1,7 @@
 //! Every error: what it says, and what it advises.
 
+#![expect(clippy::unwrap_used, reason = "also in what the tests share")]
+
 mod support;
 
 use std::fs;
@@ -273,9 +275,7 @@ fn numbers_in_record_batches() {
     hint: only the column that `time` of `[data]` names may hold date-times as times
     ");
     let lists = ListArray::from_iter_primitive::<Int64Type, _, _>(vec![Some(vec![Some(1)])]);
-    assert_snapshot!(refused_y(Arc::new(lists)), @r"
-    standard input, column `y`: found values of type List(Int64), expected numbers (used in equation of measurement `m_y`)
-    ");
+    assert_snapshot!(refused_y(Arc::new(lists)), @"standard input, column `y`: found values of type List(Int64), expected numbers (used in equation of measurement `m_y`)");
 }
 
 #[test]
@@ -371,7 +371,7 @@ fn damaged_parquet() {
     let bytes = parquet(&columns(), 2);
     assert_snapshot!(refused(&bytes[..bytes.len() - 6]), @r"
     standard input is not a sound Parquet file: Parquet error: Invalid Parquet file. Corrupt footer
-    hint: the file may be damaged; if other programs read it, write it again with one of them
+    hint: the file may be damaged, or not copied whole; if other programs read it, write it again with one of them
     ");
     let folder = tempfile::tempdir().unwrap();
     let input = write(folder.path(), "text.parquet", b"id,y,lot\n1,2,A\n");
@@ -380,7 +380,7 @@ fn damaged_parquet() {
     let root = folder.path().display().to_string();
     assert_snapshot!(said(&error).replace(&root, "ROOT"), @r"
     ROOT/text.parquet is not a sound Parquet file: Parquet error: Invalid Parquet file. Corrupt footer
-    hint: the file may be damaged; if other programs read it, write it again with one of them
+    hint: the file may be damaged, or not copied whole; if other programs read it, write it again with one of them
     ");
 }
 
@@ -408,28 +408,28 @@ fn parquet_compression_that_is_not_read() {
 fn damaged_arrow() {
     let file = arrow_file(&columns(), 1, IpcWriteOptions::default());
     assert_snapshot!(refused(&file[..file.len() - 1]), @r"
-    standard input ends early: found 4 record batches, expected a footer after them
-    hint: the file was not written or copied whole
+    standard input is not a sound Arrow IPC file: Parser error: Arrow file does not contain correct footer
+    hint: the file may be damaged, or not copied whole; if other programs read it, write it again with one of them
     ");
     assert_snapshot!(refused(&file[..file.len() / 3]), @r"
-    standard input is not a sound Arrow IPC file: Ipc error: it ends inside a message
-    hint: the file may be damaged; if other programs read it, write it again with one of them
+    standard input is not a sound Arrow IPC file: Parser error: Arrow file does not contain correct footer
+    hint: the file may be damaged, or not copied whole; if other programs read it, write it again with one of them
     ");
     let stream = arrow_stream(&columns(), 1);
     assert_snapshot!(refused(&stream[..stream.len() - 100]), @r"
     standard input is not a sound Arrow IPC file: Ipc error: it ends inside a message
-    hint: the file may be damaged; if other programs read it, write it again with one of them
+    hint: the file may be damaged, or not copied whole; if other programs read it, write it again with one of them
     ");
     assert_snapshot!(refused(&stream[..6]), @r"
     standard input is not a sound Arrow IPC file: Ipc error: it ends inside a message
-    hint: the file may be damaged; if other programs read it, write it again with one of them
+    hint: the file may be damaged, or not copied whole; if other programs read it, write it again with one of them
     ");
     let nothing = arrow_file(&columns().slice(0, 0), 1, IpcWriteOptions::default());
     assert_snapshot!(refused(&nothing), @"standard input has no rows");
 }
 
 #[test]
-fn a_file_that_lacks_one_of_its_batches_is_refused() {
+fn an_arrow_file_without_a_block_of_its_footer_is_refused() {
     let file = arrow_file(&columns(), 2, IpcWriteOptions::default());
     let frame = b"\xff\xff\xff\xff";
     let starts: Vec<usize> = (0..file.len() - 4).filter(|&at| &file[at..at + 4] == frame).collect();
@@ -437,8 +437,8 @@ fn a_file_that_lacks_one_of_its_batches_is_refused() {
     assert_eq!(starts.len(), 4, "{starts:?}");
     let cut = [&file[..starts[2]], &file[starts[3]..]].concat();
     assert_snapshot!(refused(&cut), @r"
-    standard input ends early: found 1 record batches, expected 2
-    hint: the file was not written or copied whole
+    standard input is not a sound Arrow IPC file: Ipc error: its footer lists blocks that the file does not have
+    hint: the file may be damaged, or not copied whole; if other programs read it, write it again with one of them
     ");
 }
 

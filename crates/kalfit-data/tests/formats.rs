@@ -89,6 +89,28 @@ fn the_same_table_gives_the_same_tests_in_every_format() {
     }
 }
 
+/// `data/write.py` tells how these were made.
+#[test]
+fn files_of_other_programs_give_the_same_tests() {
+    let model = model(&["t", "y", "n"], &["lot", "n"], Some("t"));
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/");
+    for name in [
+        "pyarrow.parquet",
+        "pyarrow_v2.parquet",
+        "pyarrow.feather",
+        "pyarrow.arrows",
+        "polars.parquet",
+        "polars.arrow",
+        "polars.arrows",
+        "polars.csv",
+    ] {
+        let input = Input::Path([folder, name].concat().into());
+        let (sink, reading) = collect(&model, &by("unit"), &[input], &mut std::io::empty())
+            .unwrap_or_else(|error| panic!("{name}: {error}"));
+        assert_eq!(shown(&sink.tests, &reading.labels), EXPECTED, "{name}");
+    }
+}
+
 #[test]
 fn rows_know_where_they_came_from() {
     let model = model(&["y"], &[], None);

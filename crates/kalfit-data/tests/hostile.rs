@@ -1,5 +1,7 @@
 //! Bytes that nobody wrote, or that somebody wrote to hurt: an error or tests, never a panic.
 
+#![expect(clippy::unwrap_used, reason = "also in what the tests share")]
+
 mod support;
 
 use std::sync::Arc;

@@ -1,5 +1,7 @@
 //! Times as numbers and as date-times.
 
+#![expect(clippy::unwrap_used, reason = "also in what the tests share")]
+
 mod support;
 
 use std::sync::Arc;

@@ -52,21 +52,24 @@ impl<'a> Table<'a> {
         let kind = detect(input.extension().as_deref(), &head)
             .map_err(|found| DataError::Kind { file: file.to_owned(), found })?;
         let mut bytes = Cursor::new(head).chain(bytes);
+        // Formats with a footer are read here and there: from a path opened again, or else from memory.
+        let again = |path| File::open(path).map_err(failed);
+        let mut all = Vec::new();
+        if matches!(kind, Kind::Parquet | Kind::ArrowFile) && *input == Input::Stdin {
+            bytes.read_to_end(&mut all).map_err(failed)?;
+        }
         Ok(match (kind, input) {
             (Kind::Csv { tab }, _) => Table::Csv(Box::new(CsvTable::open(file, bytes, tab, wanted)?)),
-            (Kind::Parquet, Input::Path(path)) => {
-                let open = File::open(path).map_err(failed)?;
-                Table::Batches(Box::new(parquet::open(file, open, wanted)?))
-            }
-            (Kind::Parquet, Input::Stdin) => {
-                let mut all = Vec::new();
-                bytes.read_to_end(&mut all).map_err(failed)?;
-                Table::Batches(Box::new(parquet::open(file, Bytes::from(all), wanted)?))
-            }
-            (Kind::ArrowFile | Kind::ArrowStream, _) => {
-                Table::Batches(Box::new(ipc::open(file, Box::new(bytes), kind == Kind::ArrowFile, wanted)?))
-            }
+            (Kind::Parquet, Input::Path(path)) => Table::batches(parquet::open(file, again(path)?, wanted)?),
+            (Kind::Parquet, Input::Stdin) => Table::batches(parquet::open(file, Bytes::from(all), wanted)?),
+            (Kind::ArrowFile, Input::Path(path)) => Table::batches(ipc::open_file(file, again(path)?, wanted)?),
+            (Kind::ArrowFile, Input::Stdin) => Table::batches(ipc::open_file(file, Cursor::new(all), wanted)?),
+            (Kind::ArrowStream, _) => Table::batches(ipc::open_stream(file, Box::new(bytes), wanted)?),
         })
+    }
+
+    fn batches(table: BatchTable<'a>) -> Table<'a> {
+        Table::Batches(Box::new(table))
     }
 
     /// Reads the next row; false at the end.

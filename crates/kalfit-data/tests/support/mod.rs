@@ -1,5 +1,6 @@
 //! A model that only names columns, sinks that watch, and writers of one table in every format.
 #![allow(dead_code, reason = "each test file uses a part")]
+#![allow(clippy::unwrap_used, reason = "only tests call these")]
 
 use std::fmt::Write as _;
 use std::io::{Cursor, Read};
