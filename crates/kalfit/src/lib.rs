@@ -22,3 +22,8 @@ pub use ensemble::{Label, Labels, Layout, Source, Test, TestKey};
 pub use model::{Alpha, Expression, Model};
 pub use record::{FitRecord, Provenance};
 pub use reduce::Reduction;
+
+/// The README's example, compiled and run.
+#[cfg(doctest)]
+#[doc = include_str!("../../../README.md")]
+struct ReadmeDoctests;

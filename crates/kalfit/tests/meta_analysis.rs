@@ -102,11 +102,6 @@ fn agrees(data: &[Reduction], mean: &MeanStructure, covariance: &CovarianceStruc
     close(&newton, want, 1.0);
     assert_eq!(newton.stop, Stop::Certified, "{:?} after {:?}", newton.certificate, newton.trace);
     assert!(newton.passes <= 15, "{} passes: {:?}", newton.passes, newton.trace);
-    eprintln!(
-        "{} newton passes, gaps {:?}",
-        newton.passes,
-        newton.trace.iter().map(|t| newton.log_likelihood - t).collect::<Vec<_>>()
-    );
     let em = fit(data, mean, covariance, Solver::Em);
     close(&em, want, if em.stop == Stop::Certified { 10.0 } else { 1e4 });
     newton.passes

@@ -60,7 +60,7 @@ fn ensemble(recipe: Recipe, seed: u64) -> Vec<Reduction> {
                 covariates: x,
                 steps: 1,
                 observations: 1,
-                path: if seed % 3 == 0 { Path::SquareRoot } else { Path::Information },
+                path: if seed.is_multiple_of(3) { Path::SquareRoot } else { Path::Information },
                 design: (j % designs) as u128,
             }
         })
