@@ -10,7 +10,7 @@ use kalfit::estimate::{Derivatives, Likelihood, pass_flops};
 use kalfit::model::{
     Alpha, Clock, Column, CovarianceStructure, Expression, Initial, Linear, MeanStructure, Measurement, Motion, State,
 };
-use kalfit::reduce::{Path, Reducer, Reduction};
+use kalfit::reduce::{Path, Reducer, Reduction, reduction_flops};
 use kalfit::{Model, Source, Test};
 use nalgebra::DMatrix;
 use rand::{RngExt, SeedableRng};
@@ -48,10 +48,10 @@ pub(crate) fn run() -> ExitCode {
         pass(p, Derivatives::First, "EM pass, own designs", peak);
         pass(p, Derivatives::Second, "Newton pass, own designs", peak);
     }
-    println!("\nreduction                         n   rows   tests/s   ns/row   design runs");
+    println!("\nreduction                         n   rows   tests/s   ns/row   flops/row   of peak   design runs");
     for states in [2, 5, 8, 15] {
-        reduction(states, false);
-        reduction(states, true);
+        reduction(states, false, peak);
+        reduction(states, true, peak);
     }
     ExitCode::SUCCESS
 }
@@ -153,7 +153,7 @@ fn bench_model(states: usize) -> Model {
     }
 }
 
-fn reduction(states: usize, shared: bool) {
+fn reduction(states: usize, shared: bool, peak: f64) {
     let rows = 3 * states;
     let tests: Vec<Test> = random_tests(states, rows, 4000, shared);
     let model = bench_model(states);
@@ -164,11 +164,14 @@ fn reduction(states: usize, shared: bool) {
         design_runs = reducer.work().design_runs;
     });
     let name = if shared { "one design for all" } else { "own designs" };
+    let (design, data) = reduction_flops(states, 1, states - 1, rows);
+    let flops = (data + if shared { 0 } else { design }) as f64 / rows as f64;
     let per_row = seconds / (tests.len() * rows) as f64;
     println!(
-        "{name:30} {states:4} {rows:6} {:9.0} {:8.1} {design_runs:13}",
+        "{name:30} {states:4} {rows:6} {:9.0} {:8.1} {flops:11.0} {:8.1}% {design_runs:13}",
         tests.len() as f64 / seconds,
-        per_row * 1e9
+        per_row * 1e9,
+        100.0 * flops / per_row / peak
     );
 }
 

@@ -15,6 +15,7 @@ mod design;
 mod digest;
 mod dynamics;
 mod error;
+mod flops;
 mod gains;
 mod kernel;
 mod motion;
@@ -33,6 +34,7 @@ mod steps;
 mod subject;
 
 pub use error::{Cell, ReduceError, ReduceErrorKind};
+pub use flops::reduction_flops;
 pub use plain::{Plain, StepMatrices, Terminal};
 pub use reducer::{Reducer, Work};
 pub use reduction::{Path, Reduction};
