@@ -21,7 +21,8 @@ const RATIO: u64 = 1_000;
 /// Rows that a batch may declare beyond one a bit.
 const ROWS_FREE: u64 = 1 << 16;
 
-/// Compares the rows and the unpacked size that a message declares with the bytes it has. Messages without rows pass.
+/// Compares the rows, the buffers and the unpacked size that a message declares with the bytes it has. Messages without
+/// rows pass.
 fn refuse_oversized(file: &str, metadata: &[u8], body: &[u8]) -> Result<(), DataError> {
     let message = root_as_message(metadata).map_err(|error| refused(file, ArrowError::IpcError(error.to_string())))?;
     let batch = match message.header_as_dictionary_batch() {
@@ -31,14 +32,12 @@ fn refuse_oversized(file: &str, metadata: &[u8], body: &[u8]) -> Result<(), Data
     let Some(batch) = batch else { return Ok(()) };
     let bytes = body.len() as u64;
     let mut unpacked = bytes;
-    if batch.compression().is_some() {
-        for buffer in batch.buffers().into_iter().flatten() {
-            // Each packed buffer begins with its unpacked length; -1 says that it is not packed.
-            let declared = usize::try_from(buffer.offset())
-                .ok()
-                .and_then(|offset| body.get(offset..)?.first_chunk::<8>())
-                .map_or(0, |prefix| i64::from_le_bytes(*prefix));
-            unpacked = unpacked.saturating_add(u64::try_from(declared).unwrap_or(0));
+    for buffer in batch.buffers().into_iter().flatten() {
+        let packed = slice(body, buffer.offset(), buffer.length())
+            .ok_or_else(|| unsound(file, "a buffer lies outside of its batch"))?;
+        // Each packed buffer begins with its unpacked length; -1 says that it is not packed.
+        if let (Some(_), Some(length)) = (batch.compression(), packed.first_chunk().copied().map(i64::from_le_bytes)) {
+            unpacked = unpacked.saturating_add(u64::try_from(length).unwrap_or(0));
         }
     }
     let oversized =
@@ -52,6 +51,10 @@ fn refuse_oversized(file: &str, metadata: &[u8], body: &[u8]) -> Result<(), Data
         Ok(rows) if rows <= limit => Ok(()),
         rows => Err(oversized("rows", rows.unwrap_or(u64::MAX), limit)),
     }
+}
+
+fn slice(body: &[u8], offset: i64, length: i64) -> Option<&[u8]> {
+    body.get(usize::try_from(offset).ok()?..)?.get(..usize::try_from(length).ok()?)
 }
 
 fn refused(file: &str, source: ArrowError) -> DataError {
