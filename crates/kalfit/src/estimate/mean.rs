@@ -25,7 +25,7 @@ impl MeanMap {
         let p = m0.len();
         let offset = DVector::from_fn(p, |i, _| (m0[i] - frame.centre[i]) / frame.scale[i]);
         let scaled = DMatrix::from_fn(p, b.ncols(), |i, c| b[(i, c)] / frame.scale[i]);
-        let basis = if b.ncols() == 0 { DMatrix::zeros(p, 0) } else { scaled.qr().q() };
+        let basis = orthonormal(scaled);
         let regressors: Vec<usize> = structure.regression.iter().map(|r| r.element).collect();
         let coefficient_scale =
             regressors.iter().zip(&frame.covariate_scale).map(|(&i, x)| x / frame.scale[i]).collect();
@@ -55,5 +55,42 @@ impl MeanMap {
         let information = self.basis.transpose() * &inverse * &self.basis;
         let right = self.basis.transpose() * inverse * (posterior_mean - &self.offset);
         Some(&self.offset + &self.basis * symmetric::pseudo_solve(&information, &right))
+    }
+}
+
+/// Orthonormal columns with the span of the columns of a matrix of full column rank, by Gram-Schmidt, twice. Columns without
+/// a common element are left as they are: reflections would give them rounding errors in elements that are theirs by no
+/// right, and so a trace of information to means that the data say nothing about.
+fn orthonormal(mut a: DMatrix<f64>) -> DMatrix<f64> {
+    for c in 0..a.ncols() {
+        for _ in 0..2 {
+            for k in 0..c {
+                let along = a.column(k).dot(&a.column(c));
+                if along != 0.0 {
+                    let part = a.column(k) * along;
+                    a.set_column(c, &(a.column(c) - part));
+                }
+            }
+            let norm = a.column(c).norm();
+            if norm > 0.0 {
+                a.column_mut(c).unscale_mut(norm);
+            }
+        }
+    }
+    a
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_orthonormal_basis_leaves_elements_of_other_columns_at_zero() {
+        let fixed_first = orthonormal(DMatrix::from_row_slice(3, 2, &[0.0, 0.0, 3.0, 0.0, 0.0, 0.2]));
+        assert_eq!(fixed_first, DMatrix::from_row_slice(3, 2, &[0.0, 0.0, 1.0, 0.0, 0.0, 1.0]));
+        let tied = orthonormal(DMatrix::from_row_slice(4, 2, &[0.5, 0.5, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0]));
+        let product = tied.transpose() * &tied;
+        assert!((&product - DMatrix::identity(2, 2)).amax() < 1e-15, "{product}");
+        assert_eq!((tied[(3, 0)], tied[(3, 1)]), (0.0, 0.0));
     }
 }
