@@ -55,12 +55,36 @@ fn posterior(estimate: &Estimate, reduction: &Reduction) -> Posterior {
     }
 }
 
-/// F (I + F'JF)⁻¹ F', which loses nothing where the test knows ξ far better than the population does.
+/// F (I + F'JF)⁻¹ F', which loses nothing where the test knows ξ far better than the population does. I + F'JF = U'U by QR of
+/// [I; RF], without forming it: however large RF is, U has a diagonal.
 fn posterior_covariance(factor: &[f64], root: &DMatrix<f64>) -> DMatrix<f64> {
-    let p = root.nrows();
+    let (p, n) = root.shape();
     let rf = DMatrix::from_row_slice(p, p, factor) * root;
-    let a = DMatrix::identity(root.ncols(), root.ncols()) + rf.transpose() * rf;
-    let lower = a.cholesky().expect("I plus a positive semidefinite matrix has a Cholesky factor").l();
-    let half = lower.solve_lower_triangular(&root.transpose()).expect("its diagonal is at least one");
+    let stacked = DMatrix::from_fn(n + p, n, |i, c| if i < n { f64::from(i == c) } else { rf[(i - n, c)] });
+    let mut upper = stacked.qr().r();
+    for k in 0..n {
+        // no less than the least singular value of [I; RF], which is at least one; rounding must not make it so
+        upper[(k, k)] = upper[(k, k)].abs().max(1.0).copysign(upper[(k, k)]);
+    }
+    let half = upper.transpose().solve_lower_triangular(&root.transpose()).expect("its diagonal is at least one");
     half.transpose() * half
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_test_that_knows_much_more_than_the_population_has_a_posterior() {
+        // two directions of very different information, neither along a state
+        let factor = [3e12, 1e12, 0.0, 0.5];
+        let root = DMatrix::from_row_slice(2, 2, &[1e3, 0.0, -3e3, 1e-4]);
+        let found = posterior_covariance(&factor, &root);
+        // by hand: along the root's first column RF is (0, -1500)', along its second (1e8, 5e-5)'
+        let first = 1.0 / (1.0 + 1500.0_f64.powi(2));
+        assert!((found[(0, 0)] / (1e6 * first) - 1.0).abs() < 1e-6, "{} {}", found[(0, 0)], 1e6 * first);
+        assert!(found.iter().all(|x| x.is_finite()), "{found}");
+        let huge = posterior_covariance(&[1e140, 1e140, 0.0, 1.0], &DMatrix::from_element(2, 2, 1e3));
+        assert!(huge.iter().all(|x| x.is_finite()), "{huge}");
+    }
 }
