@@ -101,6 +101,16 @@ impl CovarianceMap {
         DVector::from_iterator(self.constraints.len(), self.constraints.iter().map(|c| left(c) - c.value))
     }
 
+    /// The largest residual beside the elements that it is about: a large variance elsewhere excuses nothing.
+    pub(crate) fn relative_residual(&self, sigma: &DMatrix<f64>, residual: &DVector<f64>) -> f64 {
+        let size = |c: &Constraint| {
+            let spread = |i: usize, j: usize| (sigma[(i, i)] * sigma[(j, j)]).max(0.0).sqrt();
+            c.value.abs() + c.terms.iter().map(|&(i, j, x)| x.abs() * spread(i, j)).sum::<f64>()
+        };
+        let relative = self.constraints.iter().zip(residual.iter()).map(|(c, r)| r.abs() / (1.0 + size(c)));
+        relative.fold(0.0, f64::max)
+    }
+
     /// Number of free covariance quantities, as declared.
     pub(crate) fn declared(&self) -> usize {
         let of_form = match &self.form {
@@ -143,15 +153,11 @@ impl CovarianceMap {
             }
             Form::StdDevs(correlation, states) => {
                 let row = |&i: &usize| (0..self.p).map(|c| (i, c, correlation[(i, c)])).collect();
-                let bounded = states.iter().map(|&i| self.std_dev(root, i)).collect();
+                let bounded = states.iter().map(|&i| std_dev(root, correlation, i)).collect();
                 Chart { root: root.clone(), coordinates: states.iter().map(row).collect(), bounded }
             }
             Form::Fixed => Chart { root: root.clone(), coordinates: Vec::new(), bounded: Vec::new() },
         }
-    }
-
-    fn std_dev(&self, root: &DMatrix<f64>, i: usize) -> f64 {
-        root.row(i).norm()
     }
 
     /// A root F of the structure's own shape from any Σ that is nearly of the structure.
@@ -176,6 +182,12 @@ impl CovarianceMap {
             Form::Fixed => symmetric::square_root(&self.known),
         }
     }
+}
+
+/// ψ_i of row i of DR^½, with its sign: a standard deviation that rounding made negative counts as zero.
+fn std_dev(root: &DMatrix<f64>, correlation: &DMatrix<f64>, i: usize) -> f64 {
+    let unit = correlation.row(i).norm_squared();
+    if unit > 0.0 { (root.row(i).dot(&correlation.row(i)) / unit).max(0.0) } else { 0.0 }
 }
 
 /// Coordinates ψ around a root F: F(ψ + s) = F + Σ s_k F_k, each F_k given by its entries (row, column, value).
@@ -222,12 +234,12 @@ impl Chart {
     pub(crate) fn moved(&self, step: &[f64]) -> DMatrix<f64> {
         let mut root = self.root.clone();
         for (k, entries) in self.coordinates.iter().enumerate() {
-            let s = match self.bounded.get(k) {
-                Some(&value) => step[k].max(-value),
-                None => step[k],
-            };
             for &(i, c, x) in entries {
-                root[(i, c)] += s * x;
+                match self.bounded.get(k) {
+                    // written anew, so that zero is exactly zero and no rounding goes below
+                    Some(&value) => root[(i, c)] = (value + step[k]).max(0.0) * x,
+                    None => root[(i, c)] += step[k] * x,
+                }
             }
         }
         root
@@ -373,5 +385,24 @@ pub(crate) fn place(into: &mut DMatrix<f64>, block: &[usize], own: &DMatrix<f64>
         for j in 0..block.len() {
             into[(block[i], block[j])] = own[(i, j)];
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_standard_deviation_stops_at_exactly_zero() {
+        let correlation = DMatrix::from_row_slice(1, 3, &[0.1_f64.sqrt(), 0.3_f64.sqrt(), 0.6_f64.sqrt()]);
+        let entries: Vec<_> = (0..3).map(|c| (0, c, correlation[(0, c)])).collect();
+        let chart = Chart {
+            root: &correlation * 0.3,
+            coordinates: vec![entries],
+            bounded: vec![std_dev(&(&correlation * 0.3), &correlation, 0)],
+        };
+        assert_eq!(chart.moved(&[-5.0]), DMatrix::zeros(1, 3));
+        let below = std_dev(&(&correlation * -1e-17), &correlation, 0);
+        assert_eq!(below, 0.0, "a standard deviation below zero would turn the signs of the correlations");
     }
 }

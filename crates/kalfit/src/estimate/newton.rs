@@ -103,7 +103,7 @@ pub(crate) fn retract(map: &CovarianceMap, chart: &Chart, mut step: DVector<f64>
     for _ in 0..60 {
         let sigma = &root * root.transpose();
         let residual = map.residual(&sigma);
-        let size = residual.amax() / (1.0 + sigma.amax());
+        let size = map.relative_residual(&sigma, &residual);
         if size <= 1e-15 || (size <= 1e-12 && size >= 0.5 * previous) {
             return Some(root);
         }

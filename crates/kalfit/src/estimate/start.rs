@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::covariance::{Chart, CovarianceMap};
+use crate::estimate::covariance::{Chart, CovarianceMap, sub};
 use crate::estimate::newton::retract;
 use crate::estimate::problem::{Problem, scaled_solve};
 use crate::estimate::terms::Point;
@@ -72,12 +72,20 @@ fn feasible(map: &CovarianceMap, sigma: &DMatrix<f64>) -> Result<DMatrix<f64>, F
         wanted[(j, i)] = constraint.value;
         own[i] &= i != j;
     }
-    // the free variances grow until the fixed covariances fit beside them
+    // The free variances grow until the fixed covariances fit beside them, and no longer than that helps: zero variances, and
+    // fixed elements that are singular among themselves, stay what they are.
+    let least = |sigma: &DMatrix<f64>| symmetric::scaled_range(&sub(sigma, &map.random)).0;
     for _ in 0..60 {
-        if symmetric::scaled_range(&wanted).0 > 1e-3 || !own.contains(&true) {
+        let before = least(&wanted);
+        if before > 1e-3 {
             break;
         }
-        (0..map.p).filter(|&i| own[i]).for_each(|i| wanted[(i, i)] *= 2.0);
+        let mut next = wanted.clone();
+        (0..map.p).filter(|&i| own[i]).for_each(|i| next[(i, i)] *= 2.0);
+        if least(&next) <= before + 1e-9 {
+            break;
+        }
+        wanted = next;
     }
     let root = map.root_of(&wanted);
     let chart: Chart = map.chart(&root);
