@@ -2,4 +2,5 @@
 
 mod broken;
 mod folder;
+mod scales;
 mod sound;

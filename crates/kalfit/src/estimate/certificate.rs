@@ -7,13 +7,14 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::covariance::{CovarianceMap, Form, sub};
+use crate::estimate::local::natural_sizes;
 use crate::estimate::newton::Place;
 use crate::linalg::symmetric;
 
 /// Null-space scores below this many standard errors count as zero.
 const NULL_TOLERANCE: f64 = 1e-5;
 
-/// Eigenvalues of Σ (in η) below this count as zero: so near the boundary, a score in L no longer shows a way inward.
+/// Eigenvalues of Σ (in natural sizes) below this count as zero: so near the boundary, a score in L no longer shows a way inward.
 const NEAR_NULL: f64 = 1e-10;
 
 /// How far the conditions of a maximum are from holding, in standard errors.
@@ -78,7 +79,7 @@ fn decrement(information: &DMatrix<f64>, gradient: &DVector<f64>) -> f64 {
     let (values, vectors) = symmetric::eigen(&scaled);
     let along = vectors.transpose() * gradient.component_mul(&scale);
     let term = |(v, g): (&f64, &f64)| if v.abs() > crate::estimate::local::FLAT { g * g / v.abs() } else { 0.0 };
-    values.iter().zip(along.iter()).map(term).sum::<f64>().sqrt()
+    values.iter().zip(along.iter()).map(term).fold(0.0, |a, b| a + b).sqrt()
 }
 
 /// The worst direction of the null space of Σ within the structure.
@@ -107,7 +108,10 @@ fn block_escape(
     weight: &DMatrix<f64>,
     tests: f64,
 ) -> Option<Escape> {
-    let own = DMatrix::from_fn(block.len(), root.ncols(), |i, c| root[(block[i], c)]);
+    // in the natural size of each element: a spread much larger than another must not make the other look like nothing
+    let sizes = natural_sizes(root);
+    let size = |i: usize| sizes[block[i]];
+    let own = DMatrix::from_fn(block.len(), root.ncols(), |i, c| root[(block[i], c)] / size(i));
     let (values, vectors) = symmetric::eigen(&(&own * own.transpose()));
     let floor = values.last().copied().unwrap_or(0.0).max(1.0) * NEAR_NULL;
     let null: Vec<usize> = (0..values.len()).filter(|&k| values[k] <= floor).collect();
@@ -115,11 +119,13 @@ fn block_escape(
         return None;
     }
     let basis = vectors.select_columns(&null);
-    let (scores, directions) = symmetric::eigen(&(basis.transpose() * sub(residual, block) * &basis));
+    let residual = sub(residual, block);
+    let residual = DMatrix::from_fn(block.len(), block.len(), |i, j| size(i) * residual[(i, j)] * size(j));
+    let (scores, directions) = symmetric::eigen(&(basis.transpose() * residual * &basis));
     let slope = *scores.last()?;
     let local = basis * directions.column(scores.len() - 1);
     let mut direction = DVector::zeros(root.nrows());
-    block.iter().enumerate().for_each(|(k, &i)| direction[i] = local[k]);
+    block.iter().enumerate().for_each(|(k, &i)| direction[i] = size(k) * local[k]);
     let own = direction.dot(&(weight * &direction)) / tests;
     Some(along(&direction * direction.transpose(), slope, own, tests))
 }

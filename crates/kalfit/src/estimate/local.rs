@@ -61,6 +61,8 @@ pub(crate) struct Tangent {
     pub(crate) gradient: DVector<f64>,
     /// Negative Hessian of the Lagrangian along `basis`.
     pub(crate) information: DMatrix<f64>,
+    /// A step along each column of `basis` that is of the size of what varies there, in [`natural_sizes`].
+    pub(crate) sizes: Vec<f64>,
     /// Lagrange multipliers: dℓ_max / d(constraint value).
     pub(crate) multipliers: Vec<f64>,
     /// G - Λ: the score that is left once the constraints have taken their share.
@@ -88,6 +90,7 @@ impl Tangent {
         let information = free_information(local, mean_jacobian, &chart, &jacobian, &residual_score);
         let held = held_coordinates(&chart, &sigma_gradient);
         let basis = tangent_basis(q, &normals, &held, jacobian.ncols());
+        let sizes = coordinate_sizes(mean_jacobian, &chart, root);
         let mut gradient = DVector::zeros(q + jacobian.ncols());
         gradient.rows_mut(0, q).copy_from(&(mean_jacobian.transpose() * &local.mean_score));
         gradient.rows_mut(q, jacobian.ncols()).copy_from(&sigma_gradient);
@@ -96,12 +99,36 @@ impl Tangent {
             jacobian,
             gradient: basis.transpose() * gradient,
             information: basis.transpose() * information * &basis,
+            sizes: (0..basis.ncols())
+                .map(|c| harmonic(basis.column(c).iter().copied().zip(sizes.iter().copied())))
+                .collect(),
             chart,
             basis,
             multipliers: multipliers.as_slice().to_vec(),
             residual_score,
         }
     }
+}
+
+/// What varies in each element, in η: √(1 + Σ_ii), the spread over the tests and what one test leaves open. Information on
+/// an element counts in this unit: a large Σ makes the information on μ and Σ small, yet it is all there is to know.
+pub(crate) fn natural_sizes(root: &DMatrix<f64>) -> Vec<f64> {
+    root.row_iter().map(|row| (1.0 + row.norm_squared()).sqrt()).collect()
+}
+
+/// The step along Σ weight × coordinate that is of natural size: the smallest size counts most, as it does for information.
+pub(crate) fn harmonic(parts: impl Iterator<Item = (f64, f64)>) -> f64 {
+    let sum: f64 = parts.map(|(weight, size)| (weight / size).powi(2)).sum();
+    if sum > 0.0 { sum.sqrt().recip() } else { 1.0 }
+}
+
+/// Natural sizes of the free coordinates (mean, then ψ).
+fn coordinate_sizes(mean_jacobian: &DMatrix<f64>, chart: &Chart, root: &DMatrix<f64>) -> Vec<f64> {
+    let sizes = natural_sizes(root);
+    let of = |i: usize| sizes.get(i).copied().unwrap_or(1.0); // regression coefficients: of the size of their covariates
+    let mean = mean_jacobian.column_iter().map(|c| harmonic(c.iter().enumerate().map(|(i, x)| (*x, of(i)))));
+    let psi = chart.coordinates.iter().map(|entries| harmonic(entries.iter().map(|&(i, _, x)| (x, sizes[i]))));
+    mean.chain(psi).collect()
 }
 
 /// ∂/∂σ_pair of a function whose matrix score is G: off-diagonal elements count twice.
@@ -203,8 +230,9 @@ impl Curvature {
     pub(crate) fn new(tangent: &Tangent) -> Curvature {
         let h = &tangent.information;
         let n = h.nrows();
-        let largest = (0..n).map(|i| h[(i, i)].abs()).fold(0.0, f64::max);
-        let unit = |i: usize| if h[(i, i)].abs() > 1e-14 * largest { h[(i, i)].abs().sqrt().recip() } else { 0.0 };
+        let own = |i: usize| h[(i, i)].abs() * tangent.sizes[i].powi(2);
+        let largest = (0..n).map(own).fold(0.0, f64::max);
+        let unit = |i: usize| if own(i) > 1e-14 * largest { h[(i, i)].abs().sqrt().recip() } else { 0.0 };
         let scale = DVector::from_fn(n, |i, _| unit(i));
         let scaled = DMatrix::from_fn(n, n, |i, j| scale[i] * h[(i, j)] * scale[j]);
         let (values, vectors) = symmetric::eigen(&scaled);
@@ -219,7 +247,7 @@ impl Curvature {
 
     /// Newton decrement: the distance to the optimum of the model, in standard errors.
     pub(crate) fn decrement(&self) -> f64 {
-        self.terms().map(|(_, h, g)| g * g / h).sum::<f64>().sqrt()
+        self.terms().map(|(_, h, g)| g * g / h).fold(0.0, |a, b| a + b).sqrt() // a sum of nothing is -0
     }
 
     /// Step along the tangent basis with this much damping, and the gain it promises.

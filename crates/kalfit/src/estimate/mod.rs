@@ -27,7 +27,7 @@ pub use likelihood::{Derivatives, Evaluation, Likelihood, pass_flops};
 pub use settings::{Progress, Settings, Silent, Solver, Step};
 
 pub(crate) use covariance::{CovarianceMap, Form};
-pub(crate) use local::Tangent;
+pub(crate) use local::{Tangent, harmonic, natural_sizes};
 pub(crate) use newton::Place;
 pub(crate) use pass::Sums;
 pub(crate) use problem::Problem;

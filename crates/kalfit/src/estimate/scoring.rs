@@ -39,8 +39,10 @@ pub(crate) fn step(problem: &Problem, point: &Point, sums: &Sums) -> (Point, f64
 
 /// tr(Σ⁺D Σ⁺E) over the free directions: the size of a change relative to Σ = FF'.
 fn metric(root: &DMatrix<f64>, free: &DMatrix<f64>) -> DMatrix<f64> {
-    let inverse = symmetric::pseudo_inverse(&(root * root.transpose()));
-    let p = root.nrows();
+    let sigma = root * root.transpose();
+    let (p, size) = (root.nrows(), symmetric::sizes(&sigma));
+    let inverse = symmetric::pseudo_inverse(&DMatrix::from_fn(p, p, |i, j| sigma[(i, j)] / size[i] / size[j]));
+    let inverse = DMatrix::from_fn(p, p, |i, j| inverse[(i, j)] / size[i] / size[j]);
     let full = symmetric::over_pairs(p, |k, l, a, b| inverse[(l, a)] * inverse[(b, k)]);
     free.transpose() * full * free
 }
@@ -48,10 +50,11 @@ fn metric(root: &DMatrix<f64>, free: &DMatrix<f64>) -> DMatrix<f64> {
 /// The smallest solution of I x = g in a metric: what the data do not determine changes as little as it can relative to Σ.
 /// That keeps the regression of an unobserved state on the observed ones (the paper's §2.3), and so keeps Σ positive.
 fn relative_solve(information: &DMatrix<f64>, score: &DVector<f64>, metric: &DMatrix<f64>) -> DVector<f64> {
-    let (values, vectors) = symmetric::eigen(metric);
+    let (n, size) = (metric.nrows(), symmetric::sizes(metric));
+    let (values, vectors) = symmetric::eigen(&DMatrix::from_fn(n, n, |i, j| metric[(i, j)] / size[i] / size[j]));
     let floor = values.last().copied().unwrap_or(0.0) * 1e-14;
-    let unit = values.iter().map(|&v| if v > floor { v.sqrt().recip() } else { 0.0 });
-    let half = vectors * DMatrix::from_diagonal(&DVector::from_iterator(values.len(), unit));
+    let unit = |k: usize| if values[k] > floor { values[k].sqrt().recip() } else { 0.0 };
+    let half = DMatrix::from_fn(n, n, |i, k| vectors[(i, k)] * unit(k) / size[i]);
     let relative = half.transpose() * information * &half;
     let right = half.transpose() * score;
     half * symmetric::pseudo_solve(&relative, &right)
@@ -64,12 +67,17 @@ fn unpack(packed: &DVector<f64>, p: usize) -> DMatrix<f64> {
 /// Σ + change, with the change cut where it would leave less than a tenth of Σ = FF': direction by direction, or, so as to
 /// keep constraints, as a whole.
 fn grown(root: &DMatrix<f64>, change: &DMatrix<f64>, by_direction: bool) -> Option<DMatrix<f64>> {
-    let (values, vectors) = symmetric::eigen(&(root * root.transpose()));
+    let sigma = root * root.transpose();
+    let size = symmetric::sizes(&sigma);
+    let scaled = DMatrix::from_fn(sigma.nrows(), sigma.ncols(), |i, j| sigma[(i, j)] / size[i] / size[j]);
+    let (values, vectors) = symmetric::eigen(&scaled);
     let largest = values.last().copied().filter(|v| *v > 0.0)?;
     // only within the range of Σ, where a relative change has a meaning; zero rows (fixed variances) stay
     let range: Vec<usize> = (0..values.len()).filter(|&k| values[k] > 1e-14 * largest).collect();
-    let half = DMatrix::from_fn(root.nrows(), range.len(), |i, k| vectors[(i, range[k])] * values[range[k]].sqrt());
-    let inverse = DMatrix::from_fn(range.len(), root.nrows(), |k, i| vectors[(i, range[k])] / values[range[k]].sqrt());
+    let half =
+        DMatrix::from_fn(root.nrows(), range.len(), |i, k| size[i] * vectors[(i, range[k])] * values[range[k]].sqrt());
+    let inverse =
+        DMatrix::from_fn(range.len(), root.nrows(), |k, i| vectors[(i, range[k])] / values[range[k]].sqrt() / size[i]);
     let relative = &inverse * change * inverse.transpose();
     let (relative, directions) = symmetric::eigen(&relative);
     let worst = relative.first().copied().unwrap_or(0.0);

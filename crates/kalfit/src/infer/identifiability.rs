@@ -5,7 +5,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::{Estimate, FitError, Place, Problem, Structure, Tangent};
+use crate::estimate::{Estimate, FitError, Place, Problem, Structure, Tangent, harmonic, natural_sizes};
 use crate::linalg::symmetric::{self, pairs};
 use crate::reduce::Reduction;
 
@@ -62,7 +62,11 @@ fn mean_directions(problem: &Problem) -> Vec<Direction> {
             direction: unit(direction.iter().zip(scale).map(|(d, s)| d * s).collect()),
         }
     };
-    null_space(&information).into_iter().map(out).collect()
+    // in η the average test has unit information on each element, so 1 is the natural size
+    null_space(&information, &vec![1.0; basis.ncols()], problem.classes.information.diagonal().amax())
+        .into_iter()
+        .map(out)
+        .collect()
 }
 
 fn covariance_directions(problem: &Problem, tangent: &Tangent, expected: &DMatrix<f64>) -> Vec<Direction> {
@@ -79,14 +83,19 @@ fn covariance_directions(problem: &Problem, tangent: &Tangent, expected: &DMatri
             direction: unit(direction.iter().zip(&units).map(|(d, s)| d * s).collect()),
         }
     };
-    null_space(&information).into_iter().map(out).collect()
+    let sizes = natural_sizes(&tangent.chart.root);
+    let sizes: Vec<f64> = (0..p).flat_map(|i| (0..=i).map(move |j| (i, j))).map(|(i, j)| sizes[i] * sizes[j]).collect();
+    let own = free.column_iter().map(|c| harmonic(c.iter().copied().zip(sizes.iter().copied()))).collect::<Vec<_>>();
+    null_space(&information, &own, 0.0).into_iter().map(out).collect()
 }
 
-/// Directions v with vanishing information after scaling to unit diagonal, in the unscaled coordinates.
-fn null_space(information: &DMatrix<f64>) -> Vec<DVector<f64>> {
+/// Directions v with vanishing information after scaling to unit diagonal, in the unscaled coordinates. A coordinate is one
+/// itself when, in steps of its size, it has nothing beside the best known one and beside `elsewhere`.
+fn null_space(information: &DMatrix<f64>, sizes: &[f64], elsewhere: f64) -> Vec<DVector<f64>> {
     let n = information.nrows();
-    let largest = (0..n).map(|i| information[(i, i)]).fold(0.0, f64::max);
-    let known = |i: usize| information[(i, i)] > 1e-14 * largest;
+    let own = |i: usize| information[(i, i)] * sizes[i].powi(2);
+    let largest = (0..n).map(own).fold(elsewhere, f64::max);
+    let known = |i: usize| own(i) > 1e-14 * largest;
     let scale = DVector::from_fn(n, |i, _| if known(i) { information[(i, i)].sqrt().recip() } else { 1.0 });
     let scaled =
         DMatrix::from_fn(

@@ -137,9 +137,11 @@ impl<'a> Law<'a> {
     }
 
     fn variance(&self, weights: &DVector<f64>) -> Option<f64> {
-        let along = self.jacobian.transpose() * weights;
+        // in η, where sizes have a meaning whatever the user's units
+        let unit = Some(weights.amax()).filter(|unit| *unit > 0.0)?;
+        let along = self.jacobian.transpose() * (weights / unit);
         let size = along.amax();
-        let variance = along.dot(&(&self.coordinates * &along));
+        let variance = along.dot(&(&self.coordinates * &along)) * unit * unit;
         (size > 1e-12 && variance.is_finite() && variance > 0.0).then(|| variance.sqrt())
     }
 

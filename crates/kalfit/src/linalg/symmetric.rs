@@ -50,11 +50,17 @@ pub fn pseudo_inverse(a: &DMatrix<f64>) -> DMatrix<f64> {
     &vectors * inverse * vectors.transpose()
 }
 
-/// A square root F of a positive semidefinite matrix, FF' = a; eigenvalues below zero count as zero.
+/// A square root F of a positive semidefinite matrix, FF' = a; eigenvalues below zero count as zero. They are those after
+/// scaling to unit diagonal, so that a large element costs a small one no digits.
 pub fn square_root(a: &DMatrix<f64>) -> DMatrix<f64> {
-    let (values, vectors) = eigen(a);
-    let roots = DVector::from_iterator(values.len(), values.iter().map(|v| v.max(0.0).sqrt()));
-    vectors * DMatrix::from_diagonal(&roots)
+    let size = sizes(a);
+    let (values, vectors) = eigen(&DMatrix::from_fn(a.nrows(), a.ncols(), |i, j| a[(i, j)] / size[i] / size[j]));
+    DMatrix::from_fn(a.nrows(), a.ncols(), |i, k| size[i] * vectors[(i, k)] * values[k].max(0.0).sqrt())
+}
+
+/// √a_ii, or one where that is zero.
+pub fn sizes(a: &DMatrix<f64>) -> Vec<f64> {
+    a.diagonal().iter().map(|x| if *x > 0.0 { x.sqrt() } else { 1.0 }).collect()
 }
 
 /// Smallest and largest eigenvalue after scaling to unit diagonal; zero diagonals are left as they are.
@@ -86,4 +92,19 @@ pub fn over_pairs(p: usize, term: impl Fn(usize, usize, usize, usize) -> f64) ->
         }
     }
     (&result + result.transpose()) * 0.5
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_square_root_keeps_the_digits_of_small_elements() {
+        let a = DMatrix::from_row_slice(3, 3, &[4e18, 3e9, 0.0, 3e9, 2.5, 0.0, 0.0, 0.0, 0.0]);
+        let root = square_root(&a);
+        let product = &root * root.transpose();
+        for (found, expected) in product.iter().zip(&a) {
+            assert!((found - expected).abs() <= 1e-14 * expected.abs(), "{found} {expected}");
+        }
+    }
 }
