@@ -4,3 +4,4 @@ mod broken;
 mod folder;
 mod scales;
 mod sound;
+mod starts;

@@ -32,8 +32,19 @@ impl Table {
 
     /// All values on a row.
     pub(crate) fn evaluate(&self, at: &At<'_>, scope: &Scope<'_>, values: &mut Vec<f64>) -> Result<(), Box<Fault>> {
+        self.evaluate_some(at, scope, |_| true, values)
+    }
+
+    /// Values on a row, 0 where they vary and the slot is not needed.
+    pub(crate) fn evaluate_some(
+        &self,
+        at: &At<'_>,
+        scope: &Scope<'_>,
+        needed: impl Fn(usize) -> bool,
+        values: &mut Vec<f64>,
+    ) -> Result<(), Box<Fault>> {
         values.clone_from(&self.fixed);
-        for (slot, coefficient, variance) in &self.varying {
+        for (slot, coefficient, variance) in self.varying.iter().filter(|(slot, ..)| needed(*slot)) {
             values[*slot] =
                 if *variance { at.variance_value(coefficient, scope)? } else { at.value(coefficient, scope)? };
         }

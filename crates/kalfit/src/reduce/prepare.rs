@@ -67,7 +67,8 @@ impl Preparer {
         let start = Start::new(&at, &dynamics)?;
         let order = Order::new(&at, &dynamics, &start);
         let meters = Meters::new(&at, &order.place)?;
-        let settled = !start.settles() || dynamics.table.varying.is_empty() && dynamics.inputs.varying.is_empty();
+        let settled = !dynamics.table.varying.iter().any(|(slot, ..)| start.needs(*slot))
+            && !dynamics.inputs.varying.iter().any(|(slot, ..)| start.needs_input(*slot));
         let law = if start.fixed && settled {
             let scope = Scope { numbers: &[], texts: &[], step: 0.0, alpha };
             Some(start.law(&at, &scope, &dynamics.table.fixed, &dynamics.inputs.fixed)?)
@@ -164,7 +165,7 @@ impl Preparer {
             None => {
                 let dt = work.spans[0].dt;
                 if self.start.settles() {
-                    self.evaluate(at, test, 0, work)?;
+                    self.evaluate(at, test, 0, work, true)?;
                 }
                 let scope =
                     Scope { numbers: &work.whole.numbers, texts: &work.whole.texts, step: dt, alpha: &self.alpha };
@@ -187,8 +188,15 @@ impl Preparer {
         Ok(())
     }
 
-    /// Values of the dynamics' coefficients and inputs on step `k`.
-    fn evaluate(&self, at: &At<'_>, test: &Test, k: usize, work: &mut Workspace) -> Result<(), Box<Fault>> {
+    /// Values of the dynamics' coefficients and inputs on step `k`; for the start, only those that the stationary law needs.
+    fn evaluate(
+        &self,
+        at: &At<'_>,
+        test: &Test,
+        k: usize,
+        work: &mut Workspace,
+        start: bool,
+    ) -> Result<(), Box<Fault>> {
         let source = if self.model.clock.previous_inputs && k > 0 { k - 1 } else { k };
         let (rows, dt) = (work.spans[source].rows.clone(), work.spans[k].dt);
         let first = rows.start;
@@ -199,8 +207,15 @@ impl Preparer {
             (&*work.step.numbers, &*work.step.texts)
         };
         let scope = Scope { numbers, texts, step: dt, alpha: &self.alpha };
-        self.dynamics.table.evaluate(at, &scope, &mut work.values).map_err(|fault| fault.on(first))?;
-        self.dynamics.inputs.evaluate(at, &scope, &mut work.inputs).map_err(|fault| fault.on(first))
+        let (table, inputs) = (&self.dynamics.table, &self.dynamics.inputs);
+        if start {
+            let needed = |slot| self.start.needs(slot);
+            table.evaluate_some(at, &scope, needed, &mut work.values).map_err(|fault| fault.on(first))?;
+            let needed = |slot| self.start.needs_input(slot);
+            return inputs.evaluate_some(at, &scope, needed, &mut work.inputs).map_err(|fault| fault.on(first));
+        }
+        table.evaluate(at, &scope, &mut work.values).map_err(|fault| fault.on(first))?;
+        inputs.evaluate(at, &scope, &mut work.inputs).map_err(|fault| fault.on(first))
     }
 
     /// The transition that leads to step `k`; its inputs go to the data.
@@ -216,7 +231,7 @@ impl Preparer {
         if continuous && dt.is_nan() {
             return Err(Fault::new(Subject::Transition, ReduceErrorKind::UnknownFirstStep).on(row));
         }
-        self.evaluate(at, test, k, work)?;
+        self.evaluate(at, test, k, work, false)?;
         work.key.clear();
         work.key.push(if continuous { dt.to_bits() } else { 0 });
         work.key.extend(self.dynamics.table.varying.iter().map(|(slot, ..)| work.values[*slot].to_bits()));

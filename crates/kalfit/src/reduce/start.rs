@@ -109,6 +109,18 @@ impl Start {
         !self.groups.is_empty()
     }
 
+    /// Whether the law needs this slot of the dynamics' coefficients. Other states' coefficients are none of its business: their
+    /// cells may be empty on a first row that no step leads to.
+    pub(crate) fn needs(&self, slot: usize) -> bool {
+        let of = |terms: &[(usize, usize, usize)]| terms.iter().any(|term| term.2 == slot);
+        self.groups.iter().any(|group| of(&group.motion) || of(&group.noise))
+    }
+
+    /// Whether the law needs this slot of the dynamics' inputs.
+    pub(crate) fn needs_input(&self, slot: usize) -> bool {
+        self.groups.iter().any(|group| group.inputs.iter().any(|input| input.1 == slot))
+    }
+
     /// The law of x_0. `values`, `inputs`: the dynamics' tables on the first row.
     pub(crate) fn law(
         &self,
