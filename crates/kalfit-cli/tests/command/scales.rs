@@ -90,3 +90,12 @@ fn fixed_variances_leave_the_others_in_their_place() {
     let unseen = phase.covariance.estimate[2][2];
     assert!(unseen < 1e3, "a variance that nothing is known of: {unseen}");
 }
+
+#[test]
+fn equal_variances_that_are_both_zero_are_certified_together() {
+    // b varies less from test to test than its noise, a a little more: together, nothing is left
+    let model = TWO.replace("NOISE", "1") + "[covariance]\nstructure = \"diagonal\"\nequal = [[\"a, a\", \"b, b\"]]\n";
+    let data = "id,y,z\n0,1.2,0.1\n1,-1.3,0\n2,0.2,-0.1\n3,0.9,0.1\n";
+    let phase = &fit(&model, data).phases[0];
+    assert_eq!(phase.covariance.estimate, [[0.0, 0.0], [0.0, 0.0]]);
+}

@@ -80,12 +80,10 @@ impl Tangent {
         let jacobian = chart.jacobian_at(&chart.root);
         let q = mean_jacobian.ncols();
         let sigma_gradient = jacobian.transpose() * packed_score(&local.score);
-        let normals = normals(&map.constraints, map.p) * &jacobian;
-        let multipliers = if normals.nrows() == 0 {
-            DVector::zeros(0)
-        } else {
-            symmetric::pseudo_solve(&(&normals * normals.transpose()), &(&normals * &sigma_gradient))
-        };
+        let in_sigma = normals(&map.constraints, map.p);
+        let normals = &in_sigma * &jacobian;
+        let multipliers =
+            multipliers(&map.constraints, (&in_sigma, &normals), &packed_score(&local.score), &sigma_gradient);
         let residual_score = &local.score - multiplier_matrix(&map.constraints, multipliers.as_slice(), map.p);
         let information = free_information(local, mean_jacobian, &chart, &jacobian, &residual_score);
         let held = held_coordinates(&chart, &sigma_gradient);
@@ -152,6 +150,35 @@ pub(crate) fn normals(constraints: &[Constraint], p: usize) -> DMatrix<f64> {
         }
     }
     normals
+}
+
+/// Lagrange multipliers. Where all elements of a constraint stand at zero variances, no step in ψ feels it (dσ/dψ = 0): then
+/// they share the score so that what is left of it lies along the constraint, as the certificate needs it.
+fn multipliers(
+    constraints: &[Constraint],
+    (in_sigma, normals): (&DMatrix<f64>, &DMatrix<f64>),
+    score: &DVector<f64>,
+    gradient: &DVector<f64>,
+) -> DVector<f64> {
+    if normals.nrows() == 0 {
+        return DVector::zeros(0);
+    }
+    let mut found = symmetric::pseudo_solve(&(normals * normals.transpose()), &(normals * gradient));
+    let numb: Vec<usize> = (0..normals.nrows()).filter(|&m| normals.row(m).amax() == 0.0).collect();
+    if !numb.is_empty() {
+        // along the constraint, elements grow in the ratio of its coefficients: their parts of the score are made to count alike
+        let mut size = DVector::from_element(score.len(), 1.0);
+        for &m in &numb {
+            if let [(i, j, x), (k, l, y)] = constraints[m].terms[..] {
+                size[pair(k, l)] = size[pair(i, j)] * (x / y).abs();
+            }
+        }
+        let own = in_sigma.select_rows(&numb) * DMatrix::from_diagonal(&size);
+        let left = (score - in_sigma.transpose() * &found).component_mul(&size);
+        let shared = symmetric::pseudo_solve(&(&own * own.transpose()), &(&own * left));
+        numb.iter().zip(shared.iter()).for_each(|(&m, share)| found[m] = *share);
+    }
+    found
 }
 
 /// Λ with tr(Λ dΣ) = Σ multiplier × d(constraint).
