@@ -99,3 +99,19 @@ fn equal_variances_that_are_both_zero_are_certified_together() {
     let phase = &fit(&model, data).phases[0];
     assert_eq!(phase.covariance.estimate, [[0.0, 0.0], [0.0, 0.0]]);
 }
+
+#[test]
+fn standard_deviations_of_zero_are_left_when_the_data_say_so() {
+    let model =
+        TWO.replace("NOISE", "1") + "[covariance]\nstructure = \"correlation\"\nmatrix = [[1, -0.7], [-0.7, 1]]\n";
+    // both spreads are a little above what the noise explains, with the other sign of correlation; b alone is best left at 0
+    let data = "id,y,z\n0,1.5,0.4\n1,-1.5,-0.4\n2,1.1,0.3\n3,-1.1,-0.3\n";
+    let phase = &fit(&model, data).phases[0];
+    let expected = (1.5_f64.powi(2) + 1.1_f64.powi(2)) / 2.0 - 1.0;
+    assert!(
+        (phase.covariance.estimate[0][0] - expected).abs() < 1e-6,
+        "{} {expected}",
+        phase.covariance.estimate[0][0]
+    );
+    assert_eq!(phase.covariance.estimate[1][1], 0.0);
+}

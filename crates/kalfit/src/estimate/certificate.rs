@@ -17,6 +17,9 @@ const NULL_TOLERANCE: f64 = 1e-5;
 /// Eigenvalues of Σ (in natural sizes) below this count as zero: so near the boundary, a score in L no longer shows a way inward.
 const NEAR_NULL: f64 = 1e-10;
 
+/// Standard deviations (in η) below this count as zero.
+const NO_STD_DEV: f64 = 1e-9;
+
 /// How far the conditions of a maximum are from holding, in standard errors.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Certificate {
@@ -97,8 +100,34 @@ fn escape(map: &CovarianceMap, place: &Place, tests: f64) -> Option<Escape> {
             let own = (weight * &direction / tests).norm();
             Some(along(direction, slope, own, tests))
         }
+        Form::StdDevs(correlation, states) => std_dev_escape(correlation, states, place, tests),
         _ => None,
     }
+}
+
+/// Σ = DRD where standard deviations are zero: ℓ is flat in them there to first order, unless others that are not zero are
+/// correlated with them, which the gradient sees. To second order ℓ rises by u'(G∘R)u when they grow to u ≥ 0; tried one by
+/// one and two by two.
+fn std_dev_escape(correlation: &DMatrix<f64>, states: &[usize], place: &Place, tests: f64) -> Option<Escape> {
+    let (residual, weight) = (&place.tangent.residual_score, &place.local.weight);
+    let r = correlation * correlation.transpose();
+    let sigma = place.point.covariance();
+    let is_zero = |i: usize| sigma[(i, i)].sqrt() <= NO_STD_DEV;
+    let others = |i: usize| states.iter().filter(move |&&j| !is_zero(j)).map(move |&j| (i, j));
+    let slope = |i: usize| others(i).map(|(i, j)| residual[(i, j)] * r[(i, j)] * sigma[(j, j)].sqrt()).sum::<f64>();
+    let zero: Vec<usize> = states.iter().copied().filter(|&i| is_zero(i) && slope(i) >= 0.0).collect();
+    let grown = |parts: &[(usize, f64)]| {
+        let mut u = DVector::zeros(r.nrows());
+        parts.iter().for_each(|&(i, x)| u[i] = x);
+        let direction = r.component_mul(&(&u * u.transpose()));
+        let (slope, own) = ((residual * &direction).trace(), (weight * &direction).trace() / tests);
+        along(direction, slope, own, tests)
+    };
+    let unit = |i: usize| if weight[(i, i)] > 0.0 { (tests / weight[(i, i)]).sqrt() } else { 0.0 };
+    let pairs = zero.iter().enumerate().flat_map(|(k, &i)| zero[..k].iter().map(move |&j| (i, j)));
+    let singles = zero.iter().map(|&i| grown(&[(i, unit(i))]));
+    let both = pairs.map(|(i, j)| grown(&[(i, unit(i)), (j, unit(j))]));
+    singles.chain(both).max_by(|a, b| a.score.total_cmp(&b.score))
 }
 
 fn block_escape(
