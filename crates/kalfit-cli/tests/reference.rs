@@ -1,0 +1,133 @@
+//! The built command on public data sets whose maximum-likelihood figures are known from other programs.
+//!
+//! Each folder of `reference` is a case: tables, one model a fit, and `expected.json`. The dynamic parameters are set
+//! to their reference values, so what is estimated is the mean and the covariance of the initial state.
+
+#![expect(clippy::unwrap_used, reason = "also in what the tests share")]
+
+#[path = "reference/compare.rs"]
+mod compare;
+
+use compare::{Comparison, list, text};
+use serde_json::Value;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+/// What solves when the command is not told.
+const DEFAULT_SOLVER: &str = "newton";
+/// EM stops where its steps are small, which is further from the optimum than where Newton's method stops.
+const EM_LIMIT: f64 = 100.0;
+/// Passes over the reductions within which every fit ends.
+const MOST_PASSES: u64 = 15;
+
+/// A test for each case, and the list of them.
+macro_rules! cases {
+    ($($test:ident: $case:literal,)*) => {
+        const CASES: &[&str] = &[$($case),*];
+
+        $(
+            #[test]
+            fn $test() {
+                holds($case);
+            }
+        )*
+    };
+}
+
+cases! {
+    alpha_per_group_is_at_its_reference: "alpha-per-group",
+    gm_ovary_is_at_its_reference: "gm-ovary",
+    inertial_gyro_is_at_its_reference: "inertial-gyro",
+    lmm_dyestuff_is_at_its_reference: "lmm-dyestuff",
+    lmm_sleepstudy_is_at_its_reference: "lmm-sleepstudy",
+    meta_bcg_is_at_its_reference: "meta-bcg",
+    meta_berkey1998_is_at_its_reference: "meta-berkey1998",
+    meta_kalaian1996_is_at_its_reference: "meta-kalaian1996",
+    meta_riley2003_is_at_its_reference: "meta-riley2003",
+    schmidt_single_is_at_its_reference: "schmidt-single",
+    ssm_continuous3_is_at_its_reference: "ssm-continuous3",
+    ssm_nile_is_at_its_reference: "ssm-nile",
+}
+
+/// Every fit of a case is at its reference, as by default and by EM; all failures are reported together.
+fn holds(case: &str) {
+    let mut failures = Vec::new();
+    for want in list(&expected(case)) {
+        let mut check = |solver: &str, limit: f64| {
+            let lines = match fit(case, want, solver) {
+                Ok(found) => Comparison::of(&found, want).failures(limit),
+                Err(said) => vec![said],
+            };
+            let name = text(&want["fit"]);
+            failures.extend(lines.iter().map(|line| format!("{case}/{name} by {solver}: {line}")));
+        };
+        check(DEFAULT_SOLVER, 1.0);
+        // towards a boundary EM creeps, and the default number of iterations ends before the certificate holds
+        if list(&want["boundary"]).is_empty() {
+            check("em", EM_LIMIT);
+        }
+    }
+    assert!(failures.is_empty(), "{} failures\n{}", failures.len(), failures.join("\n"));
+}
+
+#[test]
+fn work_of_every_fit_is_as_recorded() {
+    let mut table = String::from("case/fit: passes, design_classes, square_root_tests\n");
+    let mut excess = Vec::new();
+    for case in CASES {
+        for want in list(&expected(case)) {
+            let name = text(&want["fit"]);
+            let found = fit(case, want, DEFAULT_SOLVER).unwrap_or_else(|said| panic!("{case}/{name}: {said}"));
+            let passes = found["solver"]["iterations"].as_u64().unwrap();
+            let data = &found["data"];
+            writeln!(table, "{case}/{name}: {passes}, {}, {}", data["design_classes"], data["square_root_tests"])
+                .unwrap();
+            if passes > MOST_PASSES {
+                excess.push(format!("{case}/{name}: {passes} passes, expected at most {MOST_PASSES}"));
+            }
+        }
+    }
+    assert!(excess.is_empty(), "{}", excess.join("\n"));
+    let mut settings = insta::Settings::clone_current();
+    settings.set_snapshot_path("reference");
+    settings.set_prepend_module_to_snapshot(false);
+    settings.set_omit_expression(true);
+    settings.bind(|| insta::assert_snapshot!("work", table));
+}
+
+fn folder(case: &str) -> PathBuf {
+    Path::new("tests/reference").join(case)
+}
+
+fn expected(case: &str) -> Value {
+    let path = folder(case).join("expected.json");
+    let content = std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    serde_json::from_str(&content).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
+/// The fit.json of one certified fit; what went wrong if the fit failed or is not certified.
+fn fit(case: &str, want: &Value, solver: &str) -> Result<Value, String> {
+    let home = tempfile::tempdir().unwrap();
+    let out = home.path().join("fit.json");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_kalfit"));
+    command.arg("fit").arg(folder(case).join(text(&want["model"]))).arg(folder(case).join(text(&want["data"])));
+    for set in list(&want["set"]) {
+        command.arg("--set").arg(text(set));
+    }
+    if solver != DEFAULT_SOLVER {
+        command.arg("--solver").arg(solver);
+    }
+    command.arg("--out").arg(&out);
+    let output = command.stdin(Stdio::null()).output().unwrap();
+    if output.status.code() != Some(0) {
+        let said = String::from_utf8_lossy(&output.stderr);
+        return Err(format!("found {}, expected exit status 0: {}", output.status, said.trim()));
+    }
+    let found: Value = serde_json::from_str(&std::fs::read_to_string(&out).unwrap()).unwrap();
+    if found["converged"] != true || found["solver"]["solver"] != solver {
+        let solver = &found["solver"]["solver"];
+        return Err(format!("found converged {} by {solver}: {}", found["converged"], found["reason"]));
+    }
+    Ok(found)
+}
