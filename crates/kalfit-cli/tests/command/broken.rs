@@ -442,12 +442,12 @@ fn files_that_are_no_data() {
     assert_snapshot!(refused_bytes("fit m.toml d.parquet", &[("d.parquet", b"PAR1 and then nothing good PAR1")]), @"
     error: d.parquet is not a sound Parquet file: EOF: Parquet file too small. Size is 31 but need 543453047
 
-    hint: the file may be damaged; if other programs read it, write it again with one of them
+    hint: the file may be damaged, or not copied whole; if other programs read it, write it again with one of them
     ");
     assert_snapshot!(refused_bytes("fit m.toml d.arrow", &[("d.arrow", b"ARROW1\0\0\xff\xff\xff\xff\xff\xff\xff\x7f")]), @"
     error: d.arrow is not a sound Arrow IPC file: Parser error: Arrow file does not contain correct footer
 
-    hint: the file may be damaged; if other programs read it, write it again with one of them
+    hint: the file may be damaged, or not copied whole; if other programs read it, write it again with one of them
     ");
     assert_snapshot!(refused_bytes("fit m.toml d.csv", &[("d.csv", b"id,x,y\na,1,\xff\n")]), @"
     error: d.csv, row 2: found bytes that are not UTF-8 text in column `y`
