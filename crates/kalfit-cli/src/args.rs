@@ -21,6 +21,8 @@ pub(crate) struct Args {
 pub(crate) enum Command {
     /// Fit a model to data: a summary to standard output, all results to a file
     Fit(FitArgs),
+    /// Test a hypothesis within a model by the ratio of the likelihoods
+    Test(TestArgs),
     /// Read a model, and data if given, and fit nothing: the model in words, counts, what the data identify
     Check(CheckArgs),
 }
@@ -65,6 +67,18 @@ pub(crate) struct FitArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) max_iterations: Option<u32>,
 
+    /// What 95 % intervals are made of
+    #[arg(long, value_enum, default_value_t = IntervalsArg::Wald)]
+    pub(crate) intervals: IntervalsArg,
+
+    /// What standard errors are made of
+    #[arg(long, value_enum, default_value_t = StdErrorsArg::Observed)]
+    pub(crate) std_errors: StdErrorsArg,
+
+    /// Whether to fit again without each test in turn
+    #[arg(long, value_enum, default_value_t = DeletionArg::Auto)]
+    pub(crate) deletion: DeletionArg,
+
     /// Print nothing but errors
     #[arg(long)]
     pub(crate) quiet: bool,
@@ -82,8 +96,52 @@ pub(crate) struct OnlyArgs {
     criterion: Option<String>,
     #[arg(long, hide = true, value_parser = only("chain"))]
     phases: Option<String>,
-    #[arg(long, hide = true, value_parser = only("wald"))]
-    intervals: Option<String>,
+}
+
+#[derive(Debug, Group)]
+#[command(after_help = "\
+The hypothesis is a TOML file with `[mean]`, `[covariance]` or `[parameters]`. Its keys replace the model's; `structure` drops
+the model's other keys of `[covariance]`. For example, no spread of the slope, whose mean is 10:
+
+  [mean]
+  fixed = { slope = 10 }
+  [covariance]
+  fixed = { \"slope, slope\" = 0 }")]
+pub(crate) struct TestArgs {
+    #[command(flatten)]
+    pub(crate) model: ModelArgs,
+
+    /// Data: CSV, Parquet or Arrow files, patterns such as `runs/*.csv`, `-` for standard input
+    #[arg(required = true)]
+    pub(crate) data: Vec<String>,
+
+    /// File of the hypothesis (TOML)
+    #[arg(long, value_name = "NULL")]
+    pub(crate) null: PathBuf,
+
+    /// Also draw this many ensembles from the hypothesis, and test it in each: no large-sample law is needed
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    pub(crate) bootstrap: Option<u32>,
+
+    /// Seed of the bootstrap [default: 1]
+    #[arg(long, value_name = "S", requires = "bootstrap")]
+    pub(crate) seed: Option<u64>,
+
+    /// File for the results, as JSON
+    #[arg(long, value_name = "FILE")]
+    pub(crate) out: Option<PathBuf>,
+
+    /// Stop within this many standard errors of the optimum [default: 1e-8]
+    #[arg(long, value_name = "T", value_parser = tolerance)]
+    pub(crate) tolerance: Option<f64>,
+
+    /// Stop a fit after this many passes over the reduced data [default: 200]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub(crate) max_iterations: Option<u32>,
+
+    /// Print nothing but errors
+    #[arg(long)]
+    pub(crate) quiet: bool,
 }
 
 #[derive(Debug, Group)]
@@ -101,6 +159,34 @@ pub(crate) enum SolverArg {
     Newton,
     /// The EM algorithm: many more passes, to the same point
     Em,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum IntervalsArg {
+    /// Standard errors
+    Wald,
+    /// Profile likelihood: what a likelihood-ratio test at 5 % does not reject
+    Profile,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum StdErrorsArg {
+    /// The curvature of the log-likelihood
+    Observed,
+    /// Its expectation
+    Expected,
+    /// Both, and the spread of the tests' scores: right also for a wrong model, given many tests
+    Sandwich,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum DeletionArg {
+    /// When it takes about a second at most
+    Auto,
+    /// Whatever it takes
+    All,
+    /// Never
+    None,
 }
 
 fn tolerance(text: &str) -> Result<f64, String> {

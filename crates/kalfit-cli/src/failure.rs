@@ -4,6 +4,7 @@ use std::ops::Range;
 use std::path::Path;
 
 use kalfit::estimate::FitError;
+use kalfit::infer::NotNested;
 use kalfit::reduce::ReduceError;
 use kalfit_data::{DataError, Reading};
 use kalfit_spec::{Spec, SpecError};
@@ -39,6 +40,12 @@ pub(crate) enum Failure {
     /// The estimator.
     #[error("{0}")]
     Fit(FitError),
+    /// A hypothesis that cannot be tested within the model.
+    #[error("cannot test this hypothesis: {0}")]
+    NotNested(NotNested),
+    /// A hypothesis that holds a parameter at another value than the model does.
+    #[error("the hypothesis holds parameter `{name}` at another value than the model, which does not estimate it")]
+    HypothesisParameter { name: String },
     /// The output file.
     #[error(transparent)]
     Output(#[from] OutputError),
@@ -113,6 +120,8 @@ impl Failure {
                 Some(format!("fix {them}: `--set {}=VALUE`, or a number in `[parameters]`", names.first()?))
             }
             Failure::Fit(error) => fit_hint(error).map(str::to_owned),
+            Failure::NotNested(error) => Some(nesting_hint(*error).to_owned()),
+            Failure::HypothesisParameter { .. } => Some("a hypothesis restricts what the model leaves free".to_owned()),
             Failure::Output(error) => error.hint().map(str::to_owned),
             Failure::Stdout(_) => None,
             Failure::Threads { .. } => Some("ask for fewer with `--threads`".to_owned()),
@@ -152,6 +161,16 @@ fn kind_message(error: &ReduceError, reading: &Reading) -> String {
             format!("rows of one step disagree in column `{column}`: {} and {}", text(first), text(second))
         }
         kind => kind.to_string(),
+    }
+}
+
+fn nesting_hint(error: NotNested) -> &'static str {
+    match error {
+        NotNested::Same => "a hypothesis adds constraints to the model's",
+        NotNested::Mean | NotNested::Covariance => {
+            "keys of the hypothesis replace the model's whole, so repeat in them the constraints that the model has"
+        }
+        NotNested::Different => "give both the same states",
     }
 }
 

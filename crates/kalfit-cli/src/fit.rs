@@ -40,7 +40,7 @@ fn fit(job: &FitJob, spec: &Spec, inputs: &[Input]) -> Result<FitRecord, Failure
     let reductions = reductions::reduce(spec, &alpha, inputs, &mut line)?;
     let estimate =
         estimate::fit(&reductions, &Structure::of(model, &alpha), &job.settings, &mut line).map_err(Failure::Fit)?;
-    let inference = infer::infer(&estimate, &reductions);
+    let inference = infer::infer(&estimate, &reductions, job.choices);
     let provenance = Provenance {
         model_digest: Some(spec.digest.clone()),
         files: inputs.iter().map(Input::name).collect(),

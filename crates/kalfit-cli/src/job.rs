@@ -4,15 +4,19 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use kalfit::estimate::{Settings, Solver};
+use kalfit::infer::{Bootstrap, Choices, DeletionChoice, IntervalKind, StdErrors};
 
-use crate::args::{Args, CheckArgs, Command, FitArgs, ModelArgs, SolverArg};
+use crate::args::{
+    Args, CheckArgs, Command, DeletionArg, FitArgs, IntervalsArg, ModelArgs, SolverArg, StdErrorsArg, TestArgs,
+};
 use crate::failure::Failure;
-use crate::{check, fit};
+use crate::{check, fit, test};
 
 /// One command with all that it needs to know.
 #[derive(Debug)]
 pub(crate) enum Job {
     Fit(FitJob),
+    Test(TestJob),
     Check(CheckJob),
 }
 
@@ -30,6 +34,18 @@ pub(crate) struct ModelJob {
 pub(crate) struct FitJob {
     pub(crate) model: ModelJob,
     pub(crate) data: Vec<String>,
+    pub(crate) out: Option<PathBuf>,
+    pub(crate) settings: Settings,
+    pub(crate) choices: Choices,
+    pub(crate) quiet: bool,
+}
+
+#[derive(Debug)]
+pub(crate) struct TestJob {
+    pub(crate) model: ModelJob,
+    pub(crate) data: Vec<String>,
+    pub(crate) null: PathBuf,
+    pub(crate) bootstrap: Option<Bootstrap>,
     pub(crate) out: Option<PathBuf>,
     pub(crate) settings: Settings,
     pub(crate) quiet: bool,
@@ -62,6 +78,7 @@ impl Job {
     pub(crate) fn run(&self) -> Result<Outcome, Failure> {
         let threads = match self {
             Job::Fit(job) => job.model.threads,
+            Job::Test(job) => job.model.threads,
             Job::Check(job) => job.model.threads,
         };
         if let Some(threads) = threads {
@@ -70,6 +87,7 @@ impl Job {
         }
         match self {
             Job::Fit(job) => fit::run(job),
+            Job::Test(job) => test::run(job),
             Job::Check(job) => check::run(job),
         }
     }
@@ -79,6 +97,7 @@ impl From<Args> for Job {
     fn from(args: Args) -> Job {
         match args.command {
             Command::Fit(args) => Job::Fit(args.into()),
+            Command::Test(args) => Job::Test(args.into()),
             Command::Check(args) => Job::Check(args.into()),
         }
     }
@@ -90,19 +109,52 @@ impl From<ModelArgs> for ModelJob {
     }
 }
 
+/// Settings of a solver with what was asked for.
+fn settings(solver: SolverArg, tolerance: Option<f64>, passes: Option<u32>) -> Settings {
+    let mut settings = Settings::of(match solver {
+        SolverArg::Newton => Solver::Newton,
+        SolverArg::Em => Solver::Em,
+    });
+    settings.tolerance = tolerance.unwrap_or(settings.tolerance);
+    settings.max_passes = passes.map_or(settings.max_passes, |passes| passes as usize);
+    settings
+}
+
+impl From<TestArgs> for TestJob {
+    fn from(args: TestArgs) -> TestJob {
+        let seed = args.seed.unwrap_or(1);
+        TestJob {
+            model: args.model.into(),
+            data: args.data,
+            null: args.null,
+            bootstrap: args.bootstrap.map(|n| Bootstrap { replicates: n as usize, seed }),
+            out: args.out,
+            settings: settings(SolverArg::Newton, args.tolerance, args.max_iterations),
+            quiet: args.quiet,
+        }
+    }
+}
+
 impl From<FitArgs> for FitJob {
     fn from(args: FitArgs) -> FitJob {
-        let mut settings = Settings::of(match args.solver {
-            SolverArg::Newton => Solver::Newton,
-            SolverArg::Em => Solver::Em,
-        });
-        if let Some(tolerance) = args.tolerance {
-            settings.tolerance = tolerance;
-        }
-        if let Some(passes) = args.max_iterations {
-            settings.max_passes = passes as usize;
-        }
-        FitJob { model: args.model.into(), data: args.data, out: args.out, settings, quiet: args.quiet }
+        let settings = settings(args.solver, args.tolerance, args.max_iterations);
+        let choices = Choices {
+            std_errors: match args.std_errors {
+                StdErrorsArg::Observed => StdErrors::Observed,
+                StdErrorsArg::Expected => StdErrors::Expected,
+                StdErrorsArg::Sandwich => StdErrors::Sandwich,
+            },
+            intervals: match args.intervals {
+                IntervalsArg::Wald => IntervalKind::Wald,
+                IntervalsArg::Profile => IntervalKind::Profile,
+            },
+            deletion: match args.deletion {
+                DeletionArg::Auto => DeletionChoice::Cheap,
+                DeletionArg::All => DeletionChoice::All,
+                DeletionArg::None => DeletionChoice::None,
+            },
+        };
+        FitJob { model: args.model.into(), data: args.data, out: args.out, settings, choices, quiet: args.quiet }
     }
 }
 

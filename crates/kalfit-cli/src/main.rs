@@ -11,6 +11,7 @@ mod output;
 mod progress;
 mod reductions;
 mod terminal;
+mod test;
 
 use std::process::ExitCode;
 

@@ -3,8 +3,6 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use kalfit::FitRecord;
-
 /// Why a result file cannot be written.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum OutputError {
@@ -74,7 +72,7 @@ impl Output {
     }
 
     /// Writes the record beside the target and moves it into place.
-    pub(crate) fn write(&self, record: &FitRecord) -> Result<(), OutputError> {
+    pub(crate) fn write(&self, record: &impl serde::Serialize) -> Result<(), OutputError> {
         let mut file = self.temporary()?;
         let mut writer = std::io::BufWriter::new(file.as_file_mut());
         let written = serde_json::to_writer_pretty(&mut writer, record).map_err(std::io::Error::from);

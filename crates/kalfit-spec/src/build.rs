@@ -57,7 +57,7 @@ pub(crate) fn spec(name: &str, text: &str) -> Result<Spec> {
     Ok(Spec { model, layout: data.layout, digest: digest(text), name: name.to_owned(), text: text.to_owned(), places })
 }
 
-fn model(text: &str, mut root: Section<'_>) -> Result<(Model, Data, Places)> {
+pub(crate) fn model(text: &str, mut root: Section<'_>) -> Result<(Model, Data, Places)> {
     let title = root.take("title").map_or(Ok(""), |title| title.text())?.to_owned();
     let mut context = Context::new(text);
     let mut data = data::read(&mut context, root.take("data"))?;
@@ -107,7 +107,7 @@ fn places(context: &mut Context<'_>, measured: Index) -> Places {
     }
 }
 
-fn not_toml(error: &toml::de::Error, text: &str) -> SpecError {
+pub(crate) fn not_toml(error: &toml::de::Error, text: &str) -> SpecError {
     let what = error.message().lines().next().unwrap_or_default().trim_end_matches('.').to_owned();
     let wrong = SpecError::new(Problem::Toml { what });
     match error.span() {
@@ -116,7 +116,7 @@ fn not_toml(error: &toml::de::Error, text: &str) -> SpecError {
     }
 }
 
-fn digest(text: &str) -> String {
+pub(crate) fn digest(text: &str) -> String {
     let bytes = Sha256::digest(text.as_bytes());
     let hex: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
     format!("sha256:{hex}")

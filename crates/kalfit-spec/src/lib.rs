@@ -56,6 +56,7 @@ mod describe;
 mod elements;
 mod error;
 mod expression;
+mod hypothesis;
 mod matrix;
 mod mean;
 mod measurements;
@@ -75,6 +76,7 @@ use std::ops::Range;
 use std::path::Path;
 
 pub use error::{ExpressionProblem, Problem, SpecError, StructureProblem};
+pub use hypothesis::{Hypothesis, HypothesisError};
 use kalfit::{Layout, Model};
 
 /// A model file that was read.

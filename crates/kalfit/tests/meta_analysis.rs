@@ -358,7 +358,7 @@ case!(
 
 fn inferred(data: &[Reduction], mean: &MeanStructure, covariance: &CovarianceStructure) -> (Estimate, Inference) {
     let estimate = fit(data, mean, covariance, Solver::Newton);
-    let inference = infer::infer(&estimate, data);
+    let inference = infer::infer(&estimate, data, infer::Choices::default());
     (estimate, inference)
 }
 

@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::classes::Frame;
 use crate::linalg::symmetric;
-use crate::model::MeanStructure;
+use crate::model::{MeanElement, MeanStructure};
 
 /// Free coordinates of the mean: b, then γ.
 #[derive(Debug, Clone)]
@@ -17,6 +17,8 @@ pub(crate) struct MeanMap {
     pub(crate) regressors: Vec<usize>,
     /// γ = coefficient × this.
     pub(crate) coefficient_scale: Vec<f64>,
+    /// Elements of μ that are fixed, in the user's units.
+    pub(crate) fixed: Vec<Option<f64>>,
 }
 
 impl MeanMap {
@@ -29,7 +31,12 @@ impl MeanMap {
         let regressors: Vec<usize> = structure.regression.iter().map(|r| r.element).collect();
         let coefficient_scale =
             regressors.iter().zip(&frame.covariate_scale).map(|(&i, x)| x / frame.scale[i]).collect();
-        MeanMap { offset, basis, regressors, coefficient_scale }
+        let known = |element: &MeanElement| match element {
+            MeanElement::Fixed(value) => Some(*value),
+            _ => None,
+        };
+        let fixed = structure.elements.iter().map(known).collect();
+        MeanMap { offset, basis, regressors, coefficient_scale, fixed }
     }
 
     /// d(mean coordinates of [`Sums`](super::pass::Sums)) / d(b, γ): block diagonal (Q, I).

@@ -5,6 +5,7 @@
 
 mod certificate;
 mod classes;
+mod climb;
 mod covariance;
 mod em;
 mod exact;
@@ -26,14 +27,17 @@ pub use certificate::Certificate;
 pub use likelihood::{Derivatives, Evaluation, Likelihood, pass_flops};
 pub use settings::{Progress, Settings, Silent, Solver, Step};
 
-pub(crate) use covariance::{CovarianceMap, Form};
-pub(crate) use local::{Tangent, harmonic, natural_sizes};
-pub(crate) use newton::Place;
-pub(crate) use pass::Sums;
+pub(crate) use classes::{Class, unpack};
+pub(crate) use climb::{Limits, climb};
+pub(crate) use covariance::{Constraint, CovarianceMap, Form};
+pub(crate) use local::{Local, Objective, Tangent, harmonic, natural_sizes, packed_score};
+pub(crate) use newton::{Place, retract};
+pub(crate) use pass::{Order, Sums, of_class};
 pub(crate) use problem::Problem;
-pub(crate) use terms::Terms;
+pub(crate) use start::generic_root;
+pub(crate) use terms::{Point, Terms};
 
-use crate::model::{Alpha, CovarianceKind, CovarianceStructure, MeanStructure, Model, StructureError};
+use crate::model::{Alpha, CovarianceStructure, MeanStructure, Model, StructureError};
 use crate::reduce::Reduction;
 
 /// What is assumed of μ and Σ.
@@ -121,6 +125,12 @@ pub struct Estimate {
 }
 
 impl Estimate {
+    /// Number of free mean quantities, as declared: elements of μ and regression coefficients.
+    pub fn declared_mean(&self) -> usize {
+        let (_, basis) = self.state.mean.basis();
+        basis.ncols() + self.state.mean.regression.len()
+    }
+
     /// Number of free covariance quantities, as declared.
     pub fn declared_covariance(&self) -> usize {
         self.state.problem.covariance.declared()
@@ -142,7 +152,16 @@ pub(crate) struct State {
     pub(crate) place: Place,
     pub(crate) sums: Sums,
     pub(crate) mean: MeanStructure,
-    pub(crate) covariance_kind: CovarianceKind,
+    pub(crate) covariance: CovarianceStructure,
+    pub(crate) alpha: Alpha,
+    pub(crate) settings: Settings,
+}
+
+impl State {
+    /// The structure that was assumed.
+    pub(crate) fn structure(&self) -> Structure<'_> {
+        Structure { mean: &self.mean, covariance: &self.covariance, alpha: &self.alpha }
+    }
 }
 
 /// Maximises ℓ(μ, Σ) over the reductions under a structure.
@@ -155,6 +174,41 @@ pub fn fit(
     let problem = problem(reductions, structure)?;
     let start = start::start(&problem, structure)?;
     search::Search::new(problem, settings, progress).run(start, structure)
+}
+
+/// Values of μ, Σ and the regression coefficients, in the user's units.
+#[derive(Debug, Clone, PartialEq)]
+pub struct InitialState {
+    /// μ (p).
+    pub mean: Vec<f64>,
+    /// Regression coefficients, in the order of [`MeanStructure::regression`].
+    pub coefficients: Vec<f64>,
+    /// Σ (p × p), positive semidefinite.
+    pub covariance: DMatrix<f64>,
+}
+
+impl From<&Estimate> for InitialState {
+    fn from(estimate: &Estimate) -> InitialState {
+        InitialState {
+            mean: estimate.mean.clone(),
+            coefficients: estimate.coefficients.clone(),
+            covariance: estimate.covariance.clone(),
+        }
+    }
+}
+
+/// As [`fit`], from values that are near the optimum: those of a fit under another structure or to other tests. They
+/// need not meet the structure. Regression coefficients that are not given start at zero.
+pub fn fit_from(
+    reductions: &[Reduction],
+    structure: &Structure<'_>,
+    start: &InitialState,
+    settings: &Settings,
+    progress: &mut dyn Progress,
+) -> Result<Estimate, FitError> {
+    let problem = problem(reductions, structure)?;
+    let start = start::near(&problem, start)?;
+    search::Search::new(problem, settings, progress).resume(start, structure)
 }
 
 /// The place where a search would begin, with the expected information there.

@@ -21,9 +21,21 @@ pub(crate) struct Place {
 
 impl Place {
     /// Evaluates the objective: one pass.
-    pub(crate) fn new(objective: &dyn Objective, map: &CovarianceMap, mut point: Point) -> Option<Place> {
-        let local = objective.local(&point).filter(|l| l.value.is_finite())?;
-        let tangent = Tangent::new(&local, objective.mean_jacobian(), map, &point.root);
+    pub(crate) fn new(objective: &dyn Objective, map: &CovarianceMap, point: Point) -> Option<Place> {
+        Place::at(objective.local(&point)?, objective.mean_jacobian(), map, point)
+    }
+
+    /// A point where the objective is known; `None` where it is not finite.
+    pub(crate) fn at(
+        local: Local,
+        mean_jacobian: &DMatrix<f64>,
+        map: &CovarianceMap,
+        mut point: Point,
+    ) -> Option<Place> {
+        if !local.value.is_finite() {
+            return None;
+        }
+        let tangent = Tangent::new(&local, mean_jacobian, map, &point.root);
         point.root = tangent.chart.root.clone();
         let curvature = Curvature::new(&tangent);
         Some(Place { point, local, tangent, curvature })

@@ -143,6 +143,16 @@ pub(crate) fn pass(classes: &Classes, regressors: &Regressors, point: &Point, or
     chunks.iter().fold(zero(), Sums::add)
 }
 
+/// What one class says by itself.
+pub(crate) fn of_class(class: &Class, regressors: &Regressors, point: &Point, order: Order) -> Sums {
+    let p = point.mean.len();
+    let mut sums = Sums::zero(p, regressors.len(), order);
+    let mut terms = Terms::new(p);
+    terms.evaluate(class, regressors, point);
+    terms.add_to(&mut sums, class, regressors, order);
+    sums
+}
+
 impl Terms {
     fn add_to(&self, sums: &mut Sums, class: &Class, regressors: &Regressors, order: Order) {
         let (p, n) = (self.r.len(), class.count);

@@ -10,7 +10,7 @@ use crate::estimate::local::{Local, Objective};
 use crate::estimate::mean::MeanMap;
 use crate::estimate::pass::{Order, Sums, pass};
 use crate::estimate::terms::Point;
-use crate::estimate::{FitError, Structure};
+use crate::estimate::{FitError, InitialState, Structure};
 use crate::linalg::symmetric;
 use crate::reduce::Reduction;
 
@@ -48,6 +48,35 @@ impl Problem {
     /// Passes so far.
     pub(crate) fn passes(&self) -> usize {
         self.passes.load(Ordering::Relaxed)
+    }
+
+    /// A point in the user's units. Fixed elements get exactly their values.
+    pub(crate) fn values_of(&self, point: &Point) -> InitialState {
+        let frame = &self.classes.frame;
+        let mut covariance = frame.covariance_out(&point.covariance());
+        for constraint in self.covariance.constraints.iter().filter(|c| c.terms.len() == 1) {
+            let (i, j, unit) = constraint.terms[0];
+            let value = constraint.value / unit * frame.scale[i] * frame.scale[j];
+            covariance[(i, j)] = value;
+            covariance[(j, i)] = value;
+        }
+        let mut mean = frame.mean_out(&point.mean);
+        for (value, exact) in mean.iter_mut().zip(&self.mean.fixed) {
+            *value = exact.unwrap_or(*value);
+        }
+        let coefficients = point.coefficients.iter().zip(&self.mean.coefficient_scale).map(|(c, s)| c / s).collect();
+        InitialState { mean, coefficients, covariance }
+    }
+
+    /// The point of values that meet the structure.
+    pub(crate) fn point_of(&self, values: &InitialState) -> Point {
+        let frame = &self.classes.frame;
+        let centred = |i: usize| (values.mean[i] - frame.centre[i]) / frame.scale[i];
+        Point {
+            mean: (0..values.mean.len()).map(centred).collect(),
+            coefficients: values.coefficients.iter().zip(&self.mean.coefficient_scale).map(|(c, s)| c * s).collect(),
+            root: self.covariance.root_of(&frame.covariance_in(&values.covariance)),
+        }
     }
 
     /// The free mean coordinates that maximise ℓ at the Σ of these sums: generalised least squares (theory §3).

@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use crate::estimate::certificate::{Certificate, Escape, certificate};
+use crate::estimate::certificate::{Certificate, certificate};
+use crate::estimate::climb::escaped;
 use crate::estimate::covariance::Form;
 use crate::estimate::em::{self, Turn};
 use crate::estimate::newton::{Attempt, Damping, Place, retract};
@@ -10,8 +11,7 @@ use crate::estimate::pass::Order;
 use crate::estimate::problem::Problem;
 use crate::estimate::settings::{Progress, Settings, Solver, Step};
 use crate::estimate::terms::Point;
-use crate::estimate::{Estimate, FitError, State, Stop, Structure, scoring};
-use crate::model::MeanElement;
+use crate::estimate::{Estimate, FitError, InitialState, State, Stop, Structure, scoring};
 
 /// Most scoring steps before Newton's method takes over.
 const SCORING_STEPS: usize = 5;
@@ -34,7 +34,17 @@ impl<'a> Search<'a> {
         Search { problem, settings, progress, trace: Vec::new() }
     }
 
+    /// From a start that is not known to be good.
     pub(crate) fn run(mut self, start: Point, structure: &Structure<'_>) -> Result<Estimate, FitError> {
+        let start = match self.settings.solver {
+            Solver::Newton => self.scored_start(start),
+            Solver::Em => start,
+        };
+        self.resume(start, structure)
+    }
+
+    /// From a start that is near the optimum.
+    pub(crate) fn resume(mut self, start: Point, structure: &Structure<'_>) -> Result<Estimate, FitError> {
         let (place, stop) = match self.settings.solver {
             Solver::Newton => self.newton(start)?,
             Solver::Em => self.em(start)?,
@@ -55,16 +65,16 @@ impl<'a> Search<'a> {
         Place::new(&self.problem, &self.problem.covariance, point).ok_or(FitError::NotFinite)
     }
 
-    /// Fisher scoring, Newton, and EM where Newton finds no step.
+    /// Newton, and EM where Newton finds no step.
     fn newton(&mut self, start: Point) -> Result<(Place, Stop), FitError> {
-        let start = self.scored_start(start);
         let mut place = self.place(start)?;
         self.accept(place.local.value, Some(place.decrement()));
         let mut damping = Damping::default();
         let mut failures = 0;
         loop {
             if place.decrement() <= self.settings.tolerance {
-                match self.escape(&place)? {
+                let tests = self.problem.classes.tests as f64;
+                match escaped(&self.problem, &self.problem.covariance, tests, &place) {
                     Some(better) => place = better,
                     None => return Ok((place, Stop::Certified)),
                 }
@@ -119,31 +129,6 @@ impl<'a> Search<'a> {
         Ok((next.local.value > place.local.value).then_some(next))
     }
 
-    /// Off the boundary, when the certificate fails on the null space of Σ.
-    fn escape(&mut self, place: &Place) -> Result<Option<Place>, FitError> {
-        let (_, escape) = certificate(&self.problem.covariance, place, self.problem.classes.tests as f64);
-        let Some(escape) = escape else { return Ok(None) };
-        let mut length = escape.length;
-        for _ in 0..8 {
-            if let Some(next) = self.grown(place, &escape, length)? {
-                return Ok(Some(next));
-            }
-            length *= 0.25;
-        }
-        Ok(None)
-    }
-
-    fn grown(&mut self, place: &Place, escape: &Escape, length: f64) -> Result<Option<Place>, FitError> {
-        let map = &self.problem.covariance;
-        let sigma = place.point.covariance() + &escape.direction * length;
-        let root = map.root_of(&sigma);
-        let chart = map.chart(&root);
-        let still = nalgebra::DVector::zeros(chart.coordinates.len());
-        let Some(root) = retract(map, &chart, still) else { return Ok(None) };
-        let next = self.place(Point { root, ..place.point.clone() })?;
-        Ok((next.local.value > place.local.value).then_some(next))
-    }
-
     /// The paper's algorithm. ℓ is checked to rise at every step; the certificate is looked at now and then.
     fn em(&mut self, mut point: Point) -> Result<(Place, Stop), FitError> {
         let mut turn = Turn::Mean;
@@ -184,8 +169,9 @@ impl<'a> Search<'a> {
             stop = Stop::Stalled;
         }
         let mean = structure.mean.clone();
-        let covariance_kind = structure.covariance.kind.clone();
-        let state = State { place, sums, problem: Arc::new(self.problem), mean, covariance_kind };
+        let (covariance, alpha) = (structure.covariance.clone(), structure.alpha.clone());
+        let settings = self.settings.clone();
+        let state = State { place, sums, problem: Arc::new(self.problem), mean, covariance, alpha, settings };
         Ok(Estimate { passes, ..leave(state, certificate, stop, self.trace, self.settings.solver) })
     }
 
@@ -215,26 +201,13 @@ impl<'a> Search<'a> {
     }
 }
 
-/// The estimate in the user's units; fixed elements get exactly their values.
+/// The estimate in the user's units.
 fn leave(state: State, certificate: Certificate, stop: Stop, trace: Vec<f64>, solver: Solver) -> Estimate {
-    let (problem, point) = (&state.problem, &state.place.point);
-    let frame = &problem.classes.frame;
-    let mut covariance = frame.covariance_out(&point.covariance());
-    for constraint in problem.covariance.constraints.iter().filter(|c| c.terms.len() == 1) {
-        let (i, j, _) = constraint.terms[0];
-        let value = constraint.value * frame.scale[i] * frame.scale[j];
-        covariance[(i, j)] = value;
-        covariance[(j, i)] = value;
-    }
-    let mut mean = frame.mean_out(&point.mean);
-    for (value, element) in mean.iter_mut().zip(&state.mean.elements) {
-        if let MeanElement::Fixed(exact) = element {
-            *value = *exact;
-        }
-    }
+    let problem = &state.problem;
+    let InitialState { mean, coefficients, covariance } = problem.values_of(&state.place.point);
     Estimate {
         mean,
-        coefficients: point.coefficients.iter().zip(&problem.mean.coefficient_scale).map(|(c, s)| c / s).collect(),
+        coefficients,
         covariance,
         log_likelihood: state.sums.value,
         certificate,

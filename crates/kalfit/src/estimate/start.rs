@@ -6,7 +6,7 @@ use crate::estimate::covariance::{Chart, CovarianceMap, sub};
 use crate::estimate::newton::retract;
 use crate::estimate::problem::{Problem, scaled_solve};
 use crate::estimate::terms::Point;
-use crate::estimate::{FitError, Structure};
+use crate::estimate::{FitError, InitialState, Structure};
 use crate::linalg::symmetric;
 use crate::model::StructureError;
 
@@ -24,6 +24,39 @@ pub(crate) fn start(problem: &Problem, structure: &Structure<'_>) -> Result<Poin
     let root = map.root_of(&map.mask(&sigma));
     let root = if map.constraints.is_empty() { root } else { feasible(map, &sigma)? };
     Ok(Point { mean: mean.as_slice().to_vec(), coefficients, root })
+}
+
+/// A root of the highest rank that the structure has: that of a start from nothing but the structure.
+pub(crate) fn generic_root(problem: &Problem) -> DMatrix<f64> {
+    let map = &problem.covariance;
+    let sigma = DMatrix::identity(map.p, map.p);
+    if map.constraints.is_empty() {
+        return map.root_of(&map.mask(&sigma));
+    }
+    feasible(map, &sigma).unwrap_or_else(|_| map.root_of(&map.mask(&sigma)))
+}
+
+/// Σ is singular for [`near`] when a scaled eigenvalue is below this.
+const SINGULAR: f64 = 1e-6;
+
+/// The point of the structure near given values. A singular Σ is made regular: in its null space, ℓ would look flat to
+/// a search that begins there.
+pub(crate) fn near(problem: &Problem, values: &InitialState) -> Result<Point, FitError> {
+    let (map, mean, frame) = (&problem.covariance, &problem.mean, &problem.classes.frame);
+    let p = frame.scale.len();
+    let wanted = DVector::from_fn(p, |i, _| (values.mean[i] - frame.centre[i]) / frame.scale[i]);
+    let b = mean.basis.transpose() * (wanted - &mean.offset);
+    let coefficient = |(c, scale): (usize, &f64)| values.coefficients.get(c).map_or(0.0, |value| value * scale);
+    let mut sigma = map.mask(&frame.covariance_in(&values.covariance));
+    if symmetric::scaled_range(&sub(&sigma, &map.random)).0 < SINGULAR {
+        map.random.iter().for_each(|&i| sigma[(i, i)] += LEAST.max(0.01 * sigma[(i, i)]));
+    }
+    let root = if map.constraints.is_empty() { map.root_of(&sigma) } else { feasible(map, &sigma)? };
+    Ok(Point {
+        mean: (&mean.offset + &mean.basis * b).as_slice().to_vec(),
+        coefficients: mean.coefficient_scale.iter().enumerate().map(coefficient).collect(),
+        root,
+    })
 }
 
 /// Pooled least squares on the structure, with the model's start values where the data say nothing or the model says so.

@@ -117,7 +117,7 @@ fn of_covariance(estimate: &Estimate, law: &Law<'_>, (i, j): (usize, usize), hel
     let one_sided = i == j && value == 0.0;
     let test = score_test(score, own, &tangent_cross(state, &mean, &sigma), law, one_sided);
     let test =
-        if alone && !matches!(state.covariance_kind, CovarianceKind::Fixed(_)) { test } else { without_test(score) };
+        if alone && !matches!(state.covariance.kind, CovarianceKind::Fixed(_)) { test } else { without_test(score) };
     Sensitivity { element: Element::Covariance(i, j), value, sensitivity: score, ..test }
 }
 

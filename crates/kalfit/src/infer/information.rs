@@ -1,10 +1,23 @@
-//! Standard errors from the observed information at the optimum.
+//! Standard errors at the optimum: from the observed information, the expected information, or the sandwich of both.
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::{CovarianceMap, Estimate, Form, State};
+use crate::estimate::{CovarianceMap, Estimate, Form, Order, State, of_class, packed_score};
 use crate::infer::{Direction, Quantity};
 use crate::linalg::symmetric::{self, pair, pairs};
+use crate::reduce::Reduction;
+
+/// What standard errors are made of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum StdErrors {
+    /// H⁻¹, H the negative Hessian of ℓ.
+    #[default]
+    Observed,
+    /// I⁻¹, I the expected information (theory §3).
+    Expected,
+    /// H⁻¹ (Σ_j s_j s_j') H⁻¹ with the scores s_j of the tests: right also when the model is not, given many tests.
+    Sandwich,
+}
 
 /// Scaled eigenvalues of the information below this carry none.
 const FLAT: f64 = 1e-10;
@@ -41,17 +54,58 @@ pub struct Boundary {
     pub zero_variances: Vec<usize>,
 }
 
-/// Standard errors at an estimate.
-pub fn uncertainty(estimate: &Estimate, unidentified: &[Direction]) -> Uncertainty {
+/// Whether a quantity takes part in an unidentified direction.
+fn takes_part(unidentified: &[Direction], quantity: Quantity, k: usize) -> bool {
+    let of = unidentified.iter().filter(|d| d.quantity == quantity);
+    of.map(|d| d.direction[k].abs()).fold(0.0, f64::max) > PART
+}
+
+/// Quantities that are neither fixed nor unidentified.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Free {
+    /// Of μ (p).
+    pub mean: Vec<bool>,
+    /// Of Σ (p × p).
+    pub covariance: Vec<Vec<bool>>,
+    /// Of the correlations (p × p).
+    pub correlation: Vec<Vec<bool>>,
+}
+
+/// The free quantities of an estimate.
+pub fn free(estimate: &Estimate, unidentified: &[Direction]) -> Free {
+    let problem = &estimate.state.problem;
+    let p = estimate.mean.len();
+    let mean = |i: usize| problem.mean.basis.row(i).amax() > 0.0 && !takes_part(unidentified, Quantity::Mean, i);
+    let directions = problem.covariance.free_directions(&estimate.state.place.tangent.chart);
+    let moves = |i: usize, j: usize| {
+        directions.row(pair(i, j)).iter().any(|x| x.abs() > 1e-12)
+            && !takes_part(unidentified, Quantity::Covariance, pair(i, j))
+    };
+    let bends = |i: usize, j: usize| {
+        matches!(problem.covariance.form, Form::Factor(_))
+            && i != j
+            && (moves(i, j)
+                || (estimate.covariance[(i, j)] != 0.0
+                    && (moves(i, i) || moves(j, j))
+                    && !takes_part(unidentified, Quantity::Covariance, pair(i, j))))
+    };
+    let matrix = |of: &dyn Fn(usize, usize) -> bool| (0..p).map(|i| (0..p).map(|j| of(i, j)).collect()).collect();
+    Free { mean: (0..p).map(mean).collect(), covariance: matrix(&moves), correlation: matrix(&bends) }
+}
+
+/// Standard errors at an estimate. The reductions are those it was made from; only the sandwich looks at them.
+pub fn uncertainty(
+    estimate: &Estimate,
+    reductions: &[Reduction],
+    unidentified: &[Direction],
+    kind: StdErrors,
+) -> Uncertainty {
     let state = &estimate.state;
     let map = &state.problem.covariance;
     let boundary = boundary(map, &state.place.point.root);
-    let law = Law::new(state);
+    let law = Law::of(state, reductions, kind);
     let p = estimate.mean.len();
-    let parts = |quantity: Quantity, k: usize| {
-        let of = unidentified.iter().filter(|d| d.quantity == quantity);
-        of.map(|d| d.direction[k].abs()).fold(0.0, f64::max) > PART
-    };
+    let parts = |quantity: Quantity, k: usize| takes_part(unidentified, quantity, k);
     let on_boundary = |i: usize| boundary.iter().any(|b| b.states.contains(&i));
     let known = |i: usize, j: usize| !(on_boundary(i) || on_boundary(j) || parts(Quantity::Covariance, pair(i, j)));
     let sigma = &estimate.covariance;
@@ -121,14 +175,28 @@ pub(crate) struct Law<'a> {
 }
 
 impl<'a> Law<'a> {
+    /// From the observed information.
     pub(crate) fn new(state: &'a State) -> Law<'a> {
+        Law::of(state, &[], StdErrors::Observed)
+    }
+
+    fn of(state: &'a State, reductions: &[Reduction], kind: StdErrors) -> Law<'a> {
         let tangent = &state.place.tangent;
         let mean = state.problem.mean.jacobian();
         let (m, s) = (mean.nrows(), pairs(state.place.point.mean.len()));
         let mut jacobian = DMatrix::zeros(m + s, tangent.mean + tangent.jacobian.ncols());
         jacobian.view_mut((0, 0), mean.shape()).copy_from(&mean);
         jacobian.view_mut((m, tangent.mean), tangent.jacobian.shape()).copy_from(&tangent.jacobian);
-        Law { state, coordinates: inverse(&tangent.information), jacobian: jacobian * &tangent.basis }
+        let jacobian = jacobian * &tangent.basis;
+        let coordinates = match kind {
+            StdErrors::Observed => inverse(&tangent.information),
+            StdErrors::Expected => inverse(&(jacobian.transpose() * expected(state, m, s) * &jacobian)),
+            StdErrors::Sandwich => {
+                let bread = inverse(&tangent.information);
+                &bread * (jacobian.transpose() * outer_scores(state, reductions, m, s) * &jacobian) * &bread
+            }
+        };
+        Law { state, coordinates, jacobian }
     }
 
     /// Inverse of the information along the tangent basis.
@@ -193,6 +261,30 @@ impl<'a> Law<'a> {
         let i = (0..sigma.nrows()).max_by(|&a, &b| sigma[(a, a)].total_cmp(&sigma[(b, b)]))?;
         (sigma[(i, i)] > 0.0).then(|| self.sigma_error(i, i).map(|e| e / sigma[(i, i)])).flatten()
     }
+}
+
+/// Expected information of mean coordinates and elements of Σ: no cross terms.
+fn expected(state: &State, m: usize, s: usize) -> DMatrix<f64> {
+    let mut information = DMatrix::zeros(m + s, m + s);
+    information.view_mut((0, 0), (m, m)).copy_from(&state.sums.mean_information);
+    information.view_mut((m, m), (s, s)).copy_from(&state.sums.expected_information());
+    information
+}
+
+/// Σ_j s_j s_j' over the tests, in mean coordinates and elements of Σ.
+fn outer_scores(state: &State, reductions: &[Reduction], m: usize, s: usize) -> DMatrix<f64> {
+    let (problem, point) = (&state.problem, &state.place.point);
+    let mut sum = DMatrix::zeros(m + s, m + s);
+    let mut order: Vec<&Reduction> = reductions.iter().collect();
+    order.sort_by(|a, b| a.test.cmp(&b.test)); // the same bits whatever the order of the tests
+    for reduction in order {
+        let own = of_class(&problem.classes.single(reduction), &problem.mean.regressors, point, Order::First);
+        let mut score = DVector::zeros(m + s);
+        score.rows_mut(0, m).copy_from(&own.mean_score);
+        score.rows_mut(m, s).copy_from(&packed_score(&own.score()));
+        sum.ger(1.0, &score, &score, 1.0);
+    }
+    sum
 }
 
 /// Inverse after scaling to unit diagonal; flat and negative directions count as no information and are left out.

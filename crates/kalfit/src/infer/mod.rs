@@ -1,38 +1,93 @@
 //! How far each number can be trusted: standard errors, sensitivities, identifiability, and what each test says.
 
 mod constraint;
+mod deletion;
+mod held;
 mod identifiability;
 mod information;
+mod interval;
 mod posterior;
+mod ratio;
 
 pub use constraint::{Element, Sensitivity, sensitivities};
+pub use deletion::{Deletion, deletion_work, deletions};
 pub use identifiability::{Direction, Quantity, identifiability, identifiability_at_start};
-pub use information::{Boundary, Uncertainty, uncertainty};
-pub use posterior::{Posterior, posteriors};
+pub use information::{Boundary, Free, StdErrors, Uncertainty, free, uncertainty};
+pub use interval::{Interval, IntervalKind, Intervals, profile, wald};
+pub use posterior::{Distance, Posterior, posteriors};
+pub use ratio::{
+    Bootstrap, BootstrapResult, Component, LikelihoodRatio, NotNested, ReferenceLaw, at_least, bootstrap, fit_null,
+    likelihood_ratio,
+};
 
 use crate::estimate::Estimate;
 use crate::reduce::Reduction;
 
+/// What to infer, and how.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Choices {
+    /// What standard errors are made of.
+    pub std_errors: StdErrors,
+    /// How intervals are made.
+    pub intervals: IntervalKind,
+    /// Whether each test is left out in turn.
+    pub deletion: DeletionChoice,
+}
+
+/// Whether each test is left out in turn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum DeletionChoice {
+    /// When that takes about a second at most.
+    #[default]
+    Cheap,
+    /// Whatever it takes.
+    All,
+    /// Never.
+    None,
+}
+
+/// Multiplications that count as cheap.
+const CHEAP: f64 = 5e8;
+
 /// All that is inferred from an estimate.
 #[derive(Debug, Clone)]
 pub struct Inference {
+    /// What standard errors are made of.
+    pub std_errors: StdErrors,
     /// Standard errors and the boundary.
     pub uncertainty: Uncertainty,
+    /// 95 % intervals.
+    pub intervals: Intervals,
     /// Directions the data say nothing about.
     pub unidentified: Vec<Direction>,
     /// What each constraint costs.
     pub sensitivities: Vec<Sensitivity>,
     /// What each test says, in the order of the reductions.
     pub posteriors: Vec<Posterior>,
+    /// The fit without each test, in the order of the reductions; `None` when that was not asked for.
+    pub deletions: Option<Vec<Option<Deletion>>>,
 }
 
-/// Infers all of it.
-pub fn infer(estimate: &Estimate, reductions: &[Reduction]) -> Inference {
+/// Infers all of it, from the reductions that the estimate was made from.
+pub fn infer(estimate: &Estimate, reductions: &[Reduction], choices: Choices) -> Inference {
     let unidentified = identifiability(estimate);
+    let uncertainty = uncertainty(estimate, reductions, &unidentified, choices.std_errors);
+    let intervals = match choices.intervals {
+        IntervalKind::Wald => wald(estimate, &uncertainty),
+        IntervalKind::Profile => profile(estimate, &uncertainty, &free(estimate, &unidentified)),
+    };
+    let wanted = match choices.deletion {
+        DeletionChoice::Cheap => deletion_work(estimate, reductions.len()) <= CHEAP,
+        DeletionChoice::All => true,
+        DeletionChoice::None => false,
+    };
     Inference {
-        uncertainty: uncertainty(estimate, &unidentified),
+        std_errors: choices.std_errors,
+        intervals,
+        uncertainty,
         sensitivities: sensitivities(estimate),
         posteriors: posteriors(estimate, reductions),
+        deletions: wanted.then(|| deletions(estimate, reductions)),
         unidentified,
     }
 }

@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-use crate::estimate::{Estimate, Terms};
+use crate::estimate::{Class, Estimate, Point, Problem, Terms};
 use crate::reduce::Reduction;
 
 /// What one test says, at an estimate.
@@ -16,11 +16,18 @@ pub struct Posterior {
     pub mean: Vec<f64>,
     /// Var[ξ | z] (p × p).
     pub covariance: DMatrix<f64>,
-    /// (y - Jμ)'(J + JΣJ)⁺(y - Jμ): standardised squared distance of the test's own estimate from the population mean.
-    pub distance: f64,
+    /// How far the test is from the population.
+    pub distance: Distance,
+}
+
+/// Standardised squared distance of a test's own estimate from the population mean.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Distance {
+    /// (y - Jμ)'(J + JΣJ)⁺(y - Jμ).
+    pub squared: f64,
     /// Rank of J.
     pub degrees_of_freedom: usize,
-    /// χ² tail probability of the distance; `None` without degrees of freedom.
+    /// χ² tail probability; `None` without degrees of freedom.
     pub p_value: Option<f64>,
 }
 
@@ -32,26 +39,41 @@ pub fn posteriors(estimate: &Estimate, reductions: &[Reduction]) -> Vec<Posterio
 fn posterior(estimate: &Estimate, reduction: &Reduction) -> Posterior {
     let state = &estimate.state;
     let (problem, point) = (&state.problem, &state.place.point);
-    let frame = &problem.classes.frame;
     let class = problem.classes.single(reduction);
-    let p = point.mean.len();
-    let mut terms = Terms::new(p);
-    terms.evaluate(&class, &problem.mean.regressors, point);
+    let terms = terms(problem, point, &class);
     let mut mean = DVector::from_column_slice(&point.mean);
     for (c, &element) in problem.mean.regressors.iter().enumerate() {
         mean[element] += class.covariates[c] * point.coefficients[c];
     }
     mean += point.covariance() * DVector::from_column_slice(&terms.r);
-    let rank = (0..p).filter(|&i| (i..p).any(|k| class.factor[i * p + k] != 0.0)).count();
-    let distance = terms.quadratic;
-    let tail = |chi: ChiSquared| chi.sf(distance);
+    let frame = &problem.classes.frame;
     Posterior {
         log_likelihood: terms.value(&class),
         mean: frame.mean_out(mean.as_slice()),
         covariance: frame.covariance_out(&posterior_covariance(&class.factor, &point.root)),
-        distance,
-        degrees_of_freedom: rank,
-        p_value: ChiSquared::new(rank as f64).ok().map(tail),
+        distance: Distance::new(terms.quadratic, &class),
+    }
+}
+
+/// log p of a test's measurements and its distance from the population, at any point.
+pub(crate) fn distance(problem: &Problem, point: &Point, reduction: &Reduction) -> (f64, Distance) {
+    let class = problem.classes.single(reduction);
+    let terms = terms(problem, point, &class);
+    (terms.value(&class), Distance::new(terms.quadratic, &class))
+}
+
+fn terms(problem: &Problem, point: &Point, class: &Class) -> Terms {
+    let mut terms = Terms::new(point.mean.len());
+    terms.evaluate(class, &problem.mean.regressors, point);
+    terms
+}
+
+impl Distance {
+    fn new(squared: f64, class: &Class) -> Distance {
+        let p = class.mean.len();
+        let rank = (0..p).filter(|&i| (i..p).any(|k| class.factor[i * p + k] != 0.0)).count();
+        let p_value = ChiSquared::new(rank as f64).ok().map(|chi| chi.sf(squared));
+        Distance { squared, degrees_of_freedom: rank, p_value }
     }
 }
 

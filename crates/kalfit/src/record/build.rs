@@ -3,12 +3,12 @@
 use nalgebra::DMatrix;
 
 use crate::estimate::{Estimate, Solver, Stop};
-use crate::infer::{Direction, Element, Inference, Quantity, Sensitivity};
+use crate::infer::{Deletion, Direction, Element, Inference, IntervalKind, Quantity, Sensitivity, StdErrors};
 use crate::model::{Alpha, CovarianceKind, Level, MeanElement, Model, Parameter, Value};
 use crate::record::{
-    BoundaryRecord, CertificateRecord, ConstraintRecord, CovarianceRecord, DataRecord, FitRecord, MatrixRecord,
-    MeanRecord, ParameterRecord, PhaseRecord, PosteriorRecord, RegressionRecord, ScaleRecord, SolverRecord, TestRecord,
-    UnidentifiedRecord, VectorRecord,
+    BoundaryRecord, CertificateRecord, ConstraintRecord, CovarianceRecord, DataRecord, DeletedRecord, DeletionRecord,
+    FitRecord, Interval, MatrixRecord, MeanRecord, ParameterRecord, PhaseRecord, PosteriorRecord, RegressionRecord,
+    ScaleRecord, SolverRecord, TestRecord, UnidentifiedRecord, VectorRecord,
 };
 use crate::reduce::{Path, Reduction};
 
@@ -37,7 +37,7 @@ impl FitRecord {
         provenance: Provenance,
     ) -> FitRecord {
         let data = data(reductions, provenance.files);
-        let free = free_parameters(model, estimate);
+        let free = estimate.declared_mean() + estimate.declared_covariance(); // as lme4 counts them
         let log_likelihood = estimate.log_likelihood;
         let penalty = |per: f64| Some(free as f64 * per - 2.0 * log_likelihood);
         FitRecord {
@@ -60,6 +60,8 @@ impl FitRecord {
                 parameters: 0.0,
             },
             solver: solver(estimate, provenance.seconds),
+            std_errors: std_errors(inference).to_owned(),
+            intervals: intervals(inference).to_owned(),
             phases: vec![phase(model, estimate, inference)],
             parameters: parameters(model, alpha),
             constraints: inference.sensitivities.iter().map(|s| constraint(model, s)).collect(),
@@ -98,12 +100,6 @@ fn data(reductions: &[Reduction], files: Vec<String>) -> DataRecord {
     }
 }
 
-/// Declared free quantities of μ and Σ, as lme4 counts them.
-fn free_parameters(model: &Model, estimate: &Estimate) -> usize {
-    let (_, basis) = model.mean.basis();
-    basis.ncols() + model.mean.regression.len() + estimate.declared_covariance()
-}
-
 fn reason(estimate: &Estimate) -> String {
     let far = estimate.certificate.decrement;
     match estimate.stop {
@@ -133,6 +129,21 @@ fn solver(estimate: &Estimate, seconds: f64) -> SolverRecord {
     }
 }
 
+fn std_errors(inference: &Inference) -> &'static str {
+    match inference.std_errors {
+        StdErrors::Observed => "observed",
+        StdErrors::Expected => "expected",
+        StdErrors::Sandwich => "sandwich",
+    }
+}
+
+fn intervals(inference: &Inference) -> &'static str {
+    match inference.intervals.kind {
+        IntervalKind::Wald => "wald",
+        IntervalKind::Profile => "profile",
+    }
+}
+
 fn phase(model: &Model, estimate: &Estimate, inference: &Inference) -> PhaseRecord {
     let states = model.estimated_names();
     let names = |elements: &[usize]| elements.iter().map(|&i| states[i].clone()).collect::<Vec<_>>();
@@ -151,10 +162,12 @@ fn phase(model: &Model, estimate: &Estimate, inference: &Inference) -> PhaseReco
         std_dev: VectorRecord {
             estimate: estimate.covariance.diagonal().iter().map(|v| v.max(0.0).sqrt()).collect(),
             std_error: inference.uncertainty.std_dev.clone(),
+            interval95: inference.intervals.std_dev.clone(),
         },
         correlation: MatrixRecord {
             estimate: correlations(&estimate.covariance),
             std_error: inference.uncertainty.correlation.clone(),
+            interval95: inference.intervals.correlation.clone(),
         },
         boundary: inference.uncertainty.boundary.iter().map(boundary).collect(),
         unidentified: inference.unidentified.iter().map(|d| unidentified(d, &states)).collect(),
@@ -174,14 +187,17 @@ fn mean(model: &Model, estimate: &Estimate, inference: &Inference) -> MeanRecord
         column: model.columns[r.column].name.clone(),
         estimate: estimate.coefficients[c],
         std_error: inference.uncertainty.coefficients[c],
+        interval95: inference.intervals.coefficients[c],
     };
     MeanRecord {
         estimate: estimate.mean.clone(),
         std_error: errors.clone(),
+        interval95: inference.intervals.mean.clone(),
         fixed: structure.elements.iter().map(|e| matches!(e, MeanElement::Fixed(_))).collect(),
         scale: proportional.map(|(i, weight)| ScaleRecord {
             estimate: estimate.mean[i] / weight,
             std_error: errors[i].map(|e| e / weight.abs()),
+            interval95: inference.intervals.mean[i].map(|ends| scaled(ends, weight.recip())),
         }),
         regression: structure.regression.iter().enumerate().map(regression).collect(),
     }
@@ -200,12 +216,28 @@ fn covariance(model: &Model, estimate: &Estimate, inference: &Inference) -> Cova
     CovarianceRecord {
         estimate: rows(&estimate.covariance),
         std_error: inference.uncertainty.covariance.clone(),
+        interval95: inference.intervals.covariance.clone(),
         fixed,
         scale: scale.map(|beta| ScaleRecord {
             estimate: beta,
             std_error: inference.uncertainty.scale.map(|relative| relative * beta),
+            interval95: scale_interval(estimate, inference, beta),
         }),
     }
+}
+
+/// The interval of β from that of the largest variance, which is in proportion.
+fn scale_interval(estimate: &Estimate, inference: &Inference, beta: f64) -> Interval {
+    let diagonal = estimate.covariance.diagonal();
+    let i = (0..diagonal.len()).max_by(|&a, &b| diagonal[a].total_cmp(&diagonal[b]))?;
+    let ends = inference.intervals.covariance[i][i]?;
+    (diagonal[i] > 0.0).then(|| scaled(ends, beta / diagonal[i]))
+}
+
+/// Both ends times a factor, the lower one first.
+fn scaled(ends: [Option<f64>; 2], factor: f64) -> [Option<f64>; 2] {
+    let [a, b] = ends.map(|end| end.map(|x| x * factor));
+    if factor < 0.0 { [b, a] } else { [a, b] }
 }
 
 fn correlations(sigma: &DMatrix<f64>) -> Vec<Vec<Option<f64>>> {
@@ -279,6 +311,7 @@ fn tests(reductions: &[Reduction], inference: &Inference) -> Vec<TestRecord> {
     order.sort_by(|&a, &b| reductions[a].test.cmp(&reductions[b].test));
     let record = |j: usize| {
         let (reduction, posterior) = (&reductions[j], &inference.posteriors[j]);
+        let distance = posterior.distance;
         TestRecord {
             id: reduction.test.clone(),
             log_likelihood: posterior.log_likelihood,
@@ -288,12 +321,29 @@ fn tests(reductions: &[Reduction], inference: &Inference) -> Vec<TestRecord> {
                 mean: posterior.mean.clone(),
                 covariance: rows(&posterior.covariance),
             }],
-            distance: (posterior.degrees_of_freedom > 0).then_some(posterior.distance),
-            degrees_of_freedom: posterior.degrees_of_freedom,
-            p_value: posterior.p_value,
+            distance: (distance.degrees_of_freedom > 0).then_some(distance.squared),
+            degrees_of_freedom: distance.degrees_of_freedom,
+            p_value: distance.p_value,
+            deletion: inference.deletions.as_ref().and_then(|all| all[j].as_ref()).map(deletion),
         }
     };
     order.into_iter().map(record).collect()
+}
+
+fn deletion(deletion: &Deletion) -> DeletionRecord {
+    let Deletion { estimate, log_density, distance, displacement } = deletion;
+    DeletionRecord {
+        log_density: *log_density,
+        distance: (distance.degrees_of_freedom > 0).then_some(distance.squared),
+        p_value: distance.p_value,
+        displacement: *displacement,
+        phases: vec![DeletedRecord {
+            name: MAIN.to_owned(),
+            mean: estimate.mean.clone(),
+            regression: estimate.coefficients.clone(),
+            covariance: rows(&estimate.covariance),
+        }],
+    }
 }
 
 /// What a reader should be told that no single figure shows.

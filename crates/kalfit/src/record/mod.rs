@@ -1,10 +1,14 @@
 //! The result of a fit as others read it: fit.json. Field names are a contract; unknown figures are null, never NaN.
 
 mod build;
+mod ratio;
 
 use serde::{Deserialize, Serialize};
 
+pub use crate::infer::Interval;
+
 pub use build::Provenance;
+pub use ratio::{BootstrapRecord, ComponentRecord, PartRecord, RatioProvenance, RatioRecord, SideRecord};
 
 /// All that a fit found. `None` is written as null: not known, not identified, or not applicable.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -39,6 +43,12 @@ pub struct FitRecord {
     pub certificate: CertificateRecord,
     /// What was done.
     pub solver: SolverRecord,
+    /// What standard errors are made of: `observed`, `expected` or `sandwich`.
+    #[serde(default)]
+    pub std_errors: String,
+    /// How 95 % intervals were made: `wald` or `profile`.
+    #[serde(default)]
+    pub intervals: String,
     /// One entry per phase.
     pub phases: Vec<PhaseRecord>,
     /// Dynamic parameters, one entry per level.
@@ -134,6 +144,9 @@ pub struct MeanRecord {
     pub estimate: Vec<f64>,
     /// Standard errors; null where fixed or not identified.
     pub std_error: Vec<Option<f64>>,
+    /// 95 % intervals, lower and upper end; an end is null where the data set no limit.
+    #[serde(default)]
+    pub interval95: Vec<Interval>,
     /// Not estimated.
     pub fixed: Vec<bool>,
     /// α_μ of a proportional mean.
@@ -149,6 +162,9 @@ pub struct ScaleRecord {
     pub estimate: f64,
     /// Its standard error.
     pub std_error: Option<f64>,
+    /// 95 % interval.
+    #[serde(default)]
+    pub interval95: Interval,
 }
 
 /// One regression coefficient.
@@ -162,6 +178,9 @@ pub struct RegressionRecord {
     pub estimate: f64,
     /// Its standard error.
     pub std_error: Option<f64>,
+    /// 95 % interval.
+    #[serde(default)]
+    pub interval95: Interval,
 }
 
 /// Σ with its uncertainty.
@@ -171,6 +190,9 @@ pub struct CovarianceRecord {
     pub estimate: Vec<Vec<f64>>,
     /// Standard errors.
     pub std_error: Vec<Vec<Option<f64>>>,
+    /// 95 % intervals, lower and upper end; an end is null where the data set no limit.
+    #[serde(default)]
+    pub interval95: Vec<Vec<Interval>>,
     /// Not estimated.
     pub fixed: Vec<Vec<bool>>,
     /// β of a proportional covariance.
@@ -184,6 +206,9 @@ pub struct VectorRecord {
     pub estimate: Vec<f64>,
     /// Standard errors.
     pub std_error: Vec<Option<f64>>,
+    /// 95 % intervals, lower and upper end; an end is null where the data set no limit.
+    #[serde(default)]
+    pub interval95: Vec<Interval>,
 }
 
 /// A matrix of figures with standard errors; null where not defined (a correlation with a zero variance).
@@ -193,6 +218,9 @@ pub struct MatrixRecord {
     pub estimate: Vec<Vec<Option<f64>>>,
     /// Standard errors.
     pub std_error: Vec<Vec<Option<f64>>>,
+    /// 95 % intervals, lower and upper end; an end is null where the data set no limit.
+    #[serde(default)]
+    pub interval95: Vec<Vec<Interval>>,
 }
 
 /// Σ on the boundary: `rank` of its `of` random states.
@@ -284,6 +312,38 @@ pub struct TestRecord {
     pub degrees_of_freedom: usize,
     /// Its χ² p-value.
     pub p_value: Option<f64>,
+    /// The fit without this test; null when it was not asked for or has no certified optimum.
+    #[serde(default)]
+    pub deletion: Option<DeletionRecord>,
+}
+
+/// The fit without one test.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DeletionRecord {
+    /// log p of the test's measurements at the fit without it: its predictive density.
+    pub log_density: f64,
+    /// Standardised squared distance from the population that the other tests describe.
+    pub distance: Option<f64>,
+    /// Its χ² p-value.
+    pub p_value: Option<f64>,
+    /// 2 (ℓ(θ̂) - ℓ(θ̂ without the test)) over all tests: how far the test pulls the estimate.
+    pub displacement: f64,
+    /// The answer without the test, by phase.
+    pub phases: Vec<DeletedRecord>,
+}
+
+/// μ and Σ of one phase without a test.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DeletedRecord {
+    /// Name of the phase.
+    pub name: String,
+    /// μ.
+    pub mean: Vec<f64>,
+    /// Regression coefficients.
+    #[serde(default)]
+    pub regression: Vec<f64>,
+    /// Σ.
+    pub covariance: Vec<Vec<f64>>,
 }
 
 /// Posterior of ξ in one phase.

@@ -1,0 +1,137 @@
+//! `kalfit test`: a hypothesis within a model.
+
+use std::path::Path;
+
+use kalfit::estimate::{Estimate, Progress, Structure};
+use kalfit::infer::{NotNested, at_least, bootstrap, fit_null, likelihood_ratio};
+use kalfit::model::{CovarianceStructure, MeanStructure};
+use kalfit::record::{PartRecord, RatioProvenance, RatioRecord};
+use kalfit::{Alpha, Model, Reduction, estimate};
+use kalfit_data::Input;
+use kalfit_report::ratio_summary;
+use kalfit_spec::{Hypothesis, HypothesisError, Spec};
+
+use crate::failure::Failure;
+use crate::job::{Outcome, TestJob};
+use crate::output::Output;
+use crate::progress::Line;
+use crate::{model, reductions, terminal};
+
+pub(crate) fn run(job: &TestJob) -> Result<Outcome, Failure> {
+    let spec = model::load(&job.model)?;
+    let hypothesis = hypothesis(&spec, job)?;
+    let inputs = Input::expand(&job.data).map_err(|error| Failure::data(error, &spec))?;
+    let output = job.out.as_deref().map(|path| Output::prepare(path, &files(job, &inputs))).transpose()?;
+    let record = test(job, &spec, &hypothesis, &inputs)?;
+    if let Some(output) = &output {
+        output.write(&record)?;
+    }
+    if !job.quiet {
+        terminal::print(&ratio_summary(&record, &terminal::style())).map_err(Failure::Stdout)?;
+        if let Some(output) = &output {
+            terminal::complain(&format!("Wrote {}\n", output.name()));
+        }
+    }
+    Ok(if record.converged { Outcome::Done } else { Outcome::NotCertified })
+}
+
+fn hypothesis(spec: &Spec, job: &TestJob) -> Result<Hypothesis, Failure> {
+    let text = Spec::read_text(&job.null).map_err(|error| Failure::model(error, &job.null, None))?;
+    spec.under(&text).map_err(|error| match error {
+        HypothesisError::Hypothesis(error) => Failure::model(error, &job.null, Some(text)),
+        HypothesisError::Model(error) => Failure::model(error, &job.model.path, Some(spec.text.clone())),
+    })
+}
+
+/// The method in one place: reduce once, fit both, compare.
+fn test(job: &TestJob, spec: &Spec, hypothesis: &Hypothesis, inputs: &[Input]) -> Result<RatioRecord, Failure> {
+    let mut line = Line::new(job.quiet);
+    let alpha = model::alpha(spec)?;
+    same_parameters(spec, hypothesis, &alpha)?;
+    let reductions = reductions::reduce(spec, &alpha, inputs, &mut line)?;
+    let bench = Bench { job, model: &spec.model, null: &hypothesis.model, alpha: &alpha, reductions: &reductions };
+    let wide = estimate::fit(&reductions, &Structure::of(&spec.model, &alpha), &job.settings, &mut line)
+        .map_err(Failure::Fit)?;
+    let null = bench.fit(&hypothesis.model.mean, &hypothesis.model.covariance, &mut line)?;
+    let wide = at_least(wide, &null, &reductions).map_err(Failure::Fit)?;
+    let ratio = likelihood_ratio(&null, &wide).map_err(Failure::NotNested)?;
+    let parts = bench.parts(&wide, &mut line)?;
+    line.say(|| "drawing ensembles from the hypothesis".to_owned());
+    let drawn = job.bootstrap.map(|b| (b, bootstrap(&null, &wide, &reductions, ratio.statistic, b)));
+    let provenance = RatioProvenance {
+        title: spec.model.title.clone(),
+        hypothesis: hypothesis.title.clone().unwrap_or_else(|| job.null.display().to_string()),
+        model_digest: Some(spec.digest.clone()),
+        null_digest: Some(hypothesis.digest.clone()),
+        files: inputs.iter().map(Input::name).collect(),
+    };
+    let drawn = drawn.as_ref().map(|(b, found)| (*b, found));
+    Ok(RatioRecord::new(&reductions, (&null, &wide), &ratio, drawn, parts, provenance))
+}
+
+/// What all fits of a test share.
+struct Bench<'a> {
+    job: &'a TestJob,
+    model: &'a Model,
+    null: &'a Model,
+    alpha: &'a Alpha,
+    reductions: &'a [Reduction],
+}
+
+impl Bench<'_> {
+    fn fit(
+        &self,
+        mean: &MeanStructure,
+        covariance: &CovarianceStructure,
+        progress: &mut dyn Progress,
+    ) -> Result<Estimate, Failure> {
+        let structure = Structure { mean, covariance, alpha: self.alpha };
+        fit_null(self.reductions, &self.model.mean, &structure, &self.job.settings, progress)
+            .ok_or(Failure::NotNested(NotNested::Mean))?
+            .map_err(Failure::Fit)
+    }
+
+    /// A hypothesis on both μ and Σ, each by itself (Shumway, Olsen and Levy).
+    fn parts(&self, wide: &Estimate, progress: &mut dyn Progress) -> Result<Vec<PartRecord>, Failure> {
+        let (model, null) = (self.model, self.null);
+        if unstarted(&model.mean) == unstarted(&null.mean) || unstarted_sigma(model) == unstarted_sigma(null) {
+            return Ok(Vec::new());
+        }
+        let mut parts = Vec::new();
+        for (what, mean, covariance) in
+            [("mean", &null.mean, &model.covariance), ("covariance", &model.mean, &null.covariance)]
+        {
+            let estimate = self.fit(mean, covariance, progress)?;
+            let ratio = likelihood_ratio(&estimate, wide).map_err(Failure::NotNested)?;
+            parts.push(PartRecord::new(what, &estimate, &ratio));
+        }
+        Ok(parts)
+    }
+}
+
+/// A structure without start values, which constrain nothing.
+fn unstarted(mean: &MeanStructure) -> MeanStructure {
+    MeanStructure { start: vec![None; mean.start.len()], ..mean.clone() }
+}
+
+fn unstarted_sigma(model: &Model) -> CovarianceStructure {
+    CovarianceStructure { start: None, ..model.covariance.clone() }
+}
+
+/// Parameters that neither side estimates must be the same on both.
+fn same_parameters(spec: &Spec, hypothesis: &Hypothesis, alpha: &Alpha) -> Result<(), Failure> {
+    let null = Alpha::fixed(&hypothesis.model.parameters).ok();
+    let differs = |k: usize| null.as_ref().is_none_or(|null| null.values[k] != alpha.values[k]);
+    match (0..alpha.values.len()).find(|&k| differs(k)) {
+        None => Ok(()),
+        Some(k) => Err(Failure::HypothesisParameter { name: spec.model.parameters[k].name.clone() }),
+    }
+}
+
+fn files<'a>(job: &'a TestJob, inputs: &'a [Input]) -> Vec<&'a Path> {
+    let data = inputs.iter().filter_map(|input| match input {
+        Input::Path(path) => Some(path.as_path()),
+        Input::Stdin => None,
+    });
+    [job.model.path.as_path(), job.null.as_path()].into_iter().chain(data).collect()
+}

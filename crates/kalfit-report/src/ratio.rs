@@ -1,0 +1,121 @@
+//! A likelihood-ratio test in words and tables.
+
+use kalfit::record::{BootstrapRecord, RatioRecord, SideRecord};
+
+use crate::Style;
+use crate::number::{hundredths, plain, probability};
+use crate::page::Page;
+use crate::table::{Column, Side, table};
+use crate::words::{clean, count, sentence};
+
+/// The test in words and tables: what is tested, what was found, how far it can be trusted. Every line fits `style.width`.
+pub fn ratio_summary(record: &RatioRecord, style: &Style) -> String {
+    let page = Page::new(style);
+    let mut sections = vec![headline(record, &page), fits(record, &page), laws(record, &page)];
+    sections.push(parts(record, &page));
+    let notes: Vec<String> = record.notes.iter().map(|note| sentence(&clean(note))).collect();
+    sections.push(page.section("Notes", &page.items(&notes)));
+    sections.retain(|s| !s.is_empty());
+    sections.join("\n")
+}
+
+fn headline(record: &RatioRecord, page: &Page<'_>) -> String {
+    let title = if record.title.is_empty() { "Test of a hypothesis" } else { record.title.as_str() };
+    let mut text = page.heading(&clean(title)) + "\n\n";
+    text += &page.paragraph(&format!("Hypothesis: {}", clean(&record.hypothesis)));
+    if !record.converged {
+        text += &page.paragraph(
+            &page.style.bad("Not certified: a fit did not end at a certified optimum, so this test means little."),
+        );
+        return text;
+    }
+    let (p, how) = match &record.bootstrap {
+        Some(bootstrap) => (bootstrap.p_value, "by the bootstrap"),
+        None => (record.p_value, "by the large-sample law"),
+    };
+    let verdict = match p {
+        p if p < 0.001 => "the data speak strongly against it",
+        p if p < 0.05 => "the data speak against it",
+        _ => "the data do not speak against it",
+    };
+    text += &page.paragraph(&format!("{}: p = {} {how}.", capital(verdict), probability(p)));
+    text
+}
+
+fn capital(text: &str) -> String {
+    text[..1].to_uppercase() + &text[1..]
+}
+
+fn fits(record: &RatioRecord, page: &Page<'_>) -> String {
+    let sides: [(&str, &SideRecord); 2] = [("hypothesis", &record.null), ("model", &record.alternative)];
+    let column = |of: &dyn Fn(&SideRecord) -> String| sides.iter().map(|(_, side)| of(side)).collect();
+    let columns = [
+        Column::new("", Side::Left, sides.iter().map(|(name, _)| (*name).to_owned()).collect()),
+        Column::new("log-likelihood", Side::Right, column(&|s| plain(s.log_likelihood, 8))),
+        Column::new("free", Side::Right, column(&|s| s.free_parameters.to_string())),
+        Column::new(
+            "AIC",
+            Side::Right,
+            column(&|s| hundredths(2.0 * s.free_parameters as f64 - 2.0 * s.log_likelihood)),
+        ),
+        Column::new("certified", Side::Right, column(&|s| if s.converged { "yes" } else { "no" }.to_owned())),
+    ];
+    page.section(&format!("Fits to {}", count(record.data.tests, "test")), &table(&columns, page.width()))
+}
+
+fn laws(record: &RatioRecord, page: &Page<'_>) -> String {
+    let mut rows: Vec<(String, f64)> = Vec::new();
+    let law = record.law.iter().map(|c| match record.law.len() {
+        1 => format!("χ²({})", c.df),
+        _ => format!("{} χ²({})", plain(c.weight, 3), c.df),
+    });
+    let law = law.collect::<Vec<_>>().join(" + ");
+    let bound = if record.law_is_bound { ", an upper bound" } else { "" };
+    rows.push((format!("{law}{bound}"), record.p_value));
+    if record.law.len() > 1 {
+        if let (Some(p), Some(mixture)) = (record.p_mixture, &record.mixture)
+            && (p - record.p_value).abs() > 1e-3 * record.p_value
+        {
+            rows.push((format!("as if independent: {}", mixture.replace("chi2_", "χ² ")), p));
+        }
+        rows.push((format!("χ²({}), which ignores the boundary", record.df), record.p_chi2_df));
+    }
+    if let Some(bootstrap) = &record.bootstrap {
+        rows.push((drawn(bootstrap), bootstrap.p_value));
+    }
+    let columns = [
+        Column::new("reference law", Side::Left, rows.iter().map(|r| r.0.clone()).collect()),
+        Column::new("p-value", Side::Right, rows.iter().map(|r| probability(r.1)).collect()),
+    ];
+    let heading = format!("-2 log λ = {}", plain(record.lr, 6));
+    let mut body = table(&columns, page.width());
+    if let Some(bootstrap) = record.bootstrap.as_ref().filter(|b| b.failed > 0) {
+        body += &page.items(&[format!("{} had no certified fit and were left out.", count(bootstrap.failed, "draw"))]);
+    }
+    page.section(&heading, &body)
+}
+
+fn drawn(bootstrap: &BootstrapRecord) -> String {
+    format!("{}, seed {} (± {})", count(bootstrap.replicates, "draw"), bootstrap.seed, plain(bootstrap.std_error, 2))
+}
+
+fn parts(record: &RatioRecord, page: &Page<'_>) -> String {
+    if record.parts.is_empty() {
+        return String::new();
+    }
+    let mut rows: Vec<(String, f64, usize, f64)> = record
+        .parts
+        .iter()
+        .map(|p| {
+            (format!("{} alone{}", p.what, if p.converged { "" } else { " (not certified)" }), p.lr, p.df, p.p_value)
+        })
+        .collect();
+    rows.push(("both".to_owned(), record.lr, record.df, record.p_value));
+    let columns = [
+        Column::new("hypothesis on", Side::Left, rows.iter().map(|r| r.0.clone()).collect()),
+        Column::new("-2 log λ", Side::Right, rows.iter().map(|r| plain(r.1, 5)).collect()),
+        Column::new("df", Side::Right, rows.iter().map(|r| r.2.to_string()).collect()),
+        Column::new("p-value", Side::Right, rows.iter().map(|r| probability(r.3)).collect()),
+    ];
+    page.section("Mean and covariance apart", &table(&columns, page.width()))
+}

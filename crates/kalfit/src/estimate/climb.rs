@@ -1,0 +1,68 @@
+//! Newton's method from a place onwards, for objectives near one that is solved already: no start to find, few steps.
+
+use nalgebra::DVector;
+
+use crate::estimate::Stop;
+use crate::estimate::certificate::{Escape, certificate};
+use crate::estimate::covariance::CovarianceMap;
+use crate::estimate::local::Objective;
+use crate::estimate::newton::{Attempt, Damping, Place, retract};
+use crate::estimate::terms::Point;
+
+/// When a climb ends.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Limits {
+    /// Newton decrement that counts as the optimum.
+    pub(crate) tolerance: f64,
+    /// Most accepted steps.
+    pub(crate) steps: usize,
+}
+
+/// Steps until the certificate holds, leaving the boundary where it must.
+pub(crate) fn climb(
+    objective: &dyn Objective,
+    map: &CovarianceMap,
+    tests: f64,
+    start: Place,
+    limits: Limits,
+) -> (Place, Stop) {
+    let mut place = start;
+    let mut damping = Damping::default();
+    for _ in 0..limits.steps {
+        if place.decrement() <= limits.tolerance {
+            match escaped(objective, map, tests, &place) {
+                Some(better) => place = better,
+                None => return (place, Stop::Certified),
+            }
+        }
+        match damping.attempt(objective, map, &place) {
+            Attempt::Better(next) => place = *next,
+            Attempt::Failed => return (place, Stop::Stalled),
+        }
+    }
+    let certified = place.decrement() <= limits.tolerance && certificate(map, &place, tests).1.is_none();
+    (place, if certified { Stop::Certified } else { Stop::PassLimit })
+}
+
+/// A better place off the boundary, when the certificate fails on the null space of Σ.
+pub(crate) fn escaped(objective: &dyn Objective, map: &CovarianceMap, tests: f64, place: &Place) -> Option<Place> {
+    let (_, escape) = certificate(map, place, tests);
+    let escape = escape?;
+    let mut length = escape.length;
+    for _ in 0..8 {
+        if let Some(next) = grown(objective, map, place, &escape, length) {
+            return Some(next);
+        }
+        length *= 0.25;
+    }
+    None
+}
+
+fn grown(objective: &dyn Objective, map: &CovarianceMap, place: &Place, escape: &Escape, length: f64) -> Option<Place> {
+    let sigma = place.point.covariance() + &escape.direction * length;
+    let chart = map.chart(&map.root_of(&sigma));
+    let still = DVector::zeros(chart.coordinates.len());
+    let root = retract(map, &chart, still)?;
+    let next = Place::new(objective, map, Point { root, ..place.point.clone() })?;
+    (next.local.value > place.local.value).then_some(next)
+}

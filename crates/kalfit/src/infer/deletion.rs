@@ -1,0 +1,113 @@
+//! Exact deletion: the answer without one test, and how well that answer predicts the test (theory §9).
+//!
+//! The reductions are kept, so the ensemble without test j costs a few Newton steps from the optimum of all. The first of
+//! them is free: the sums over the others are the sums over all, less what the test says.
+
+use nalgebra::DMatrix;
+use rayon::prelude::*;
+
+use crate::estimate::{
+    Class, CovarianceMap, Estimate, InitialState, Limits, Local, Objective, Order, Place, Point, Problem, Silent, Stop,
+    climb, fit_from, of_class,
+};
+use crate::infer::posterior::{Distance, distance};
+use crate::reduce::Reduction;
+
+/// The fit without one test.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Deletion {
+    /// μ, Σ and regression coefficients without the test.
+    pub estimate: InitialState,
+    /// log p of the test's measurements at that estimate: its predictive density.
+    pub log_density: f64,
+    /// Distance of the test from the population that the others describe.
+    pub distance: Distance,
+    /// 2 (ℓ(θ̂) - ℓ(θ̂₋ⱼ)), ℓ of all tests: how far the test pulls the estimate (Cook's likelihood displacement).
+    pub displacement: f64,
+}
+
+/// Steps of one deletion before a search of its own takes over.
+const STEPS: usize = 12;
+
+/// The fit without each test, in the order of the reductions. `None` where the others alone have no certified optimum, and for
+/// the only test.
+pub fn deletions(estimate: &Estimate, reductions: &[Reduction]) -> Vec<Option<Deletion>> {
+    if reductions.len() < 2 {
+        return vec![None; reductions.len()];
+    }
+    let without = |j: usize| {
+        let near = climbed(estimate, &reductions[j]);
+        let point = match near {
+            Some(point) => point,
+            None => searched(estimate, reductions, j)?,
+        };
+        Some(deletion(estimate, &reductions[j], &point))
+    };
+    (0..reductions.len()).into_par_iter().map(without).collect()
+}
+
+/// Rough number of multiplications that [`deletions`] takes.
+pub fn deletion_work(estimate: &Estimate, tests: usize) -> f64 {
+    let p = estimate.mean.len() as f64;
+    3.0 * tests as f64 * estimate.classes as f64 * (p + 1.0).powi(3)
+}
+
+/// All tests but one.
+struct Without<'a> {
+    problem: &'a Problem,
+    test: Class,
+}
+
+impl Without<'_> {
+    fn own(&self, point: &Point) -> Local {
+        Local::from(&of_class(&self.test, &self.problem.mean.regressors, point, Order::Second))
+    }
+}
+
+impl Objective for Without<'_> {
+    fn local(&self, point: &Point) -> Option<Local> {
+        Some(self.problem.local(point)?.less(&self.own(point)))
+    }
+
+    fn mean_jacobian(&self) -> &DMatrix<f64> {
+        self.problem.mean_jacobian()
+    }
+
+    fn move_mean(&self, point: &Point, step: &[f64]) -> Point {
+        self.problem.move_mean(point, step)
+    }
+}
+
+/// Newton steps from the optimum of all tests, in its coordinates.
+fn climbed(estimate: &Estimate, reduction: &Reduction) -> Option<Point> {
+    let state = &estimate.state;
+    let (problem, map): (&Problem, &CovarianceMap) = (&state.problem, &state.problem.covariance);
+    let objective = Without { problem, test: problem.classes.single(reduction) };
+    let local = state.place.local.clone().less(&objective.own(&state.place.point));
+    let start = Place::at(local, objective.mean_jacobian(), map, state.place.point.clone())?;
+    let limits = Limits { tolerance: state.settings.tolerance, steps: STEPS };
+    let (place, stop) = climb(&objective, map, problem.classes.tests as f64 - 1.0, start, limits);
+    (stop == Stop::Certified).then_some(place.point)
+}
+
+/// A search over the other tests, from the optimum of all; its end in the coordinates of the estimate of all.
+fn searched(estimate: &Estimate, reductions: &[Reduction], j: usize) -> Option<Point> {
+    let mut others = reductions.to_vec();
+    others.remove(j);
+    let state = &estimate.state;
+    let start = InitialState::from(estimate);
+    let found = fit_from(&others, &state.structure(), &start, &state.settings, &mut Silent).ok()?;
+    (found.stop == Stop::Certified).then(|| state.problem.point_of(&InitialState::from(&found)))
+}
+
+fn deletion(estimate: &Estimate, reduction: &Reduction, point: &Point) -> Deletion {
+    let problem = &estimate.state.problem;
+    let (log_density, distance) = distance(problem, point, reduction);
+    let all = problem.sums(point, Order::First).value;
+    Deletion {
+        estimate: problem.values_of(point),
+        log_density,
+        distance,
+        displacement: (2.0 * (estimate.state.sums.value - all)).max(0.0),
+    }
+}

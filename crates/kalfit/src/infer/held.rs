@@ -1,0 +1,170 @@
+//! The maximum of ℓ with one quantity held at a value: what profile likelihoods are made of.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::estimate::{
+    Constraint, CovarianceMap, Limits, Local, Objective, Place, Point, Problem, State, Stop, climb, retract,
+};
+use crate::infer::information::Law;
+use crate::linalg::symmetric;
+
+/// A quantity that can be held. Values are in the user's units.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Holdable {
+    /// μ_i.
+    Mean(usize),
+    /// A regression coefficient.
+    Coefficient(usize),
+    /// √σ_ii.
+    StdDev(usize),
+    /// σ_ij, i ≠ j.
+    Covariance(usize, usize),
+    /// σ_ij / √(σ_ii σ_jj).
+    Correlation(usize, usize),
+}
+
+/// A point of the profile.
+#[derive(Debug, Clone)]
+pub(crate) struct HeldMaximum {
+    pub(crate) point: Point,
+    /// ℓ_max with the quantity held.
+    pub(crate) value: f64,
+    /// dℓ_max / d(value held): the Lagrange multiplier.
+    pub(crate) slope: f64,
+}
+
+/// Within this many standard errors a held maximum is found: ℓ is then right to half its square.
+const TOLERANCE: f64 = 1e-7;
+/// Steps of one climb.
+const STEPS: usize = 40;
+/// Turns of the linearisation of a correlation.
+const TURNS: usize = 30;
+
+/// ℓ with free mean coordinates restricted to the columns of Z.
+struct Restricted<'a> {
+    problem: &'a Problem,
+    directions: DMatrix<f64>,
+    jacobian: DMatrix<f64>,
+}
+
+impl Objective for Restricted<'_> {
+    fn local(&self, point: &Point) -> Option<Local> {
+        self.problem.local(point)
+    }
+
+    fn mean_jacobian(&self) -> &DMatrix<f64> {
+        &self.jacobian
+    }
+
+    fn move_mean(&self, point: &Point, step: &[f64]) -> Point {
+        let free = &self.directions * DVector::from_column_slice(&step[..self.directions.ncols()]);
+        self.problem.move_mean(point, free.as_slice())
+    }
+}
+
+/// Holds quantities near an estimate.
+pub(crate) struct Holder<'a> {
+    state: &'a State,
+    law: Law<'a>,
+    limits: Limits,
+}
+
+impl<'a> Holder<'a> {
+    pub(crate) fn new(state: &'a State) -> Holder<'a> {
+        let tolerance = state.settings.tolerance.max(TOLERANCE);
+        Holder { state, law: Law::new(state), limits: Limits { tolerance, steps: STEPS } }
+    }
+
+    /// The maximum with `what` held at `value`, from a point nearby. `None` where no certified one is found.
+    pub(crate) fn maximum(&self, what: Holdable, value: f64, near: &Point) -> Option<HeldMaximum> {
+        let frame = &self.state.problem.classes.frame;
+        match what {
+            Holdable::Mean(i) => {
+                let row = self.state.problem.mean.jacobian().row(i).transpose();
+                self.mean(&row, frame.scale[i], (value - frame.centre[i]) / frame.scale[i] - near.mean[i], near)
+            }
+            Holdable::Coefficient(c) => {
+                let map = &self.state.problem.mean;
+                let row = map.jacobian().row(frame.scale.len() + c).transpose();
+                let unit = map.coefficient_scale[c];
+                self.mean(&row, unit.recip(), value * unit - near.coefficients[c], near)
+            }
+            Holdable::StdDev(i) => {
+                let unit = frame.scale[i];
+                let found = self.covariance(vec![(i, i, 1.0)], (value / unit).powi(2), near)?;
+                let slope = found.slope * 2.0 * value / unit.powi(2);
+                Some(HeldMaximum { slope, ..found })
+            }
+            Holdable::Covariance(i, j) => {
+                let unit = frame.scale[i] * frame.scale[j];
+                let found = self.covariance(vec![(i.max(j), i.min(j), 1.0)], value / unit, near)?;
+                Some(HeldMaximum { slope: found.slope / unit, ..found })
+            }
+            Holdable::Correlation(i, j) => self.correlation((i.max(j), i.min(j)), value, near),
+        }
+    }
+
+    /// row'(b, γ) moved by `shift` and held; `unit` is one unit of it in the user's.
+    fn mean(&self, row: &DVector<f64>, unit: f64, shift: f64, near: &Point) -> Option<HeldMaximum> {
+        let (problem, n) = (&*self.state.problem, row.len());
+        let size = row.norm_squared();
+        if size == 0.0 {
+            return None;
+        }
+        let (values, vectors) = symmetric::eigen(&(DMatrix::identity(n, n) - row * row.transpose() / size));
+        let kept: Vec<usize> = (0..n).filter(|&k| values[k] > 0.5).collect();
+        let directions = vectors.select_columns(&kept);
+        let jacobian = problem.mean.jacobian() * &directions;
+        let along = self.law.coordinates().view((0, 0), (n, n)) * row;
+        let along = if row.dot(&along) > 0.0 { along } else { row.clone() };
+        let moved = problem.move_mean(near, (&along * (shift / row.dot(&along))).as_slice());
+        let objective = Restricted { problem, directions, jacobian };
+        let place = self.climb(&objective, &problem.covariance, moved)?;
+        let score = problem.mean.jacobian().transpose() * &place.local.mean_score;
+        let slope = score.dot(row) / size / unit;
+        Some(HeldMaximum { value: place.local.value, slope, point: place.point })
+    }
+
+    /// Σ coefficient σ_pair held at a value, in η.
+    fn covariance(&self, terms: Vec<(usize, usize, f64)>, value: f64, near: &Point) -> Option<HeldMaximum> {
+        let problem = &*self.state.problem;
+        let mut map = problem.covariance.clone();
+        map.constraints.push(Constraint { terms, value });
+        let chart = map.chart(&near.root);
+        let still = DVector::zeros(chart.coordinates.len());
+        let root = retract(&map, &chart, still)?;
+        let place = self.climb(problem, &map, Point { root, ..near.clone() })?;
+        let slope = *place.tangent.multipliers.last().expect("the constraint has a multiplier");
+        Some(HeldMaximum { value: place.local.value, slope, point: place.point })
+    }
+
+    /// σ_ij = ρ√(σ_ii σ_jj) through 2σ_ij = ρ(tσ_ii + σ_jj/t) with t² = σ_jj/σ_ii: there the two have the same value and the same
+    /// gradient, so a fixed point in t is the maximum on the curved constraint.
+    fn correlation(&self, (i, j): (usize, usize), rho: f64, near: &Point) -> Option<HeldMaximum> {
+        let mut near = near.clone();
+        let ratio = |point: &Point| {
+            let sigma = point.covariance();
+            let t = (sigma[(j, j)] / sigma[(i, i)]).sqrt();
+            (t.is_finite() && t > 0.0).then_some(t)
+        };
+        let mut t = ratio(&near)?;
+        for _ in 0..TURNS {
+            let terms = vec![(i, j, 2.0), (i, i, -rho * t), (j, j, -rho / t)];
+            let found = self.covariance(terms, 0.0, &near)?;
+            let next = ratio(&found.point)?;
+            if (next / t).ln().abs() < 1e-7 {
+                let sigma = found.point.covariance();
+                return Some(HeldMaximum { slope: found.slope * (t * sigma[(i, i)] + sigma[(j, j)] / t), ..found });
+            }
+            (t, near) = (next, found.point);
+        }
+        None
+    }
+
+    fn climb(&self, objective: &dyn Objective, map: &CovarianceMap, start: Point) -> Option<Place> {
+        let start = Place::new(objective, map, start)?;
+        let tests = self.state.problem.classes.tests as f64;
+        let (place, stop) = climb(objective, map, tests, start, self.limits);
+        (stop == Stop::Certified).then_some(place)
+    }
+}

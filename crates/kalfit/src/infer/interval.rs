@@ -1,0 +1,266 @@
+//! 95 % intervals: Wald's, on scales where the law is nearly normal, and by profile likelihood.
+
+use rayon::prelude::*;
+
+use crate::estimate::{Estimate, Point};
+use crate::infer::held::{HeldMaximum, Holdable, Holder};
+use crate::infer::information::{Free, Uncertainty};
+use crate::linalg::symmetric::pairs;
+
+/// Normal quantile of 97.5 %: an interval holds the values whose ℓ_max is within half its square of the maximum.
+const QUANTILE: f64 = 1.959_963_984_540_054;
+/// The root of the deviance is found to this.
+const PRECISION: f64 = 1e-6;
+/// Evaluations for one end.
+const TRIES: usize = 40;
+
+/// How intervals are made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum IntervalKind {
+    /// From standard errors: of means as they are, of standard deviations in logarithms, of correlations in Fisher's z.
+    #[default]
+    Wald,
+    /// Values that the likelihood-ratio test at 5 % does not reject.
+    Profile,
+}
+
+/// Lower and upper end; an end is `None` where the data set no limit.
+pub type Interval = Option<[Option<f64>; 2]>;
+
+/// 95 % intervals in the user's units. `None` where a quantity is fixed or not identified.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Intervals {
+    /// How they were made.
+    pub kind: IntervalKind,
+    /// Of μ (p).
+    pub mean: Vec<Interval>,
+    /// Of the regression coefficients.
+    pub coefficients: Vec<Interval>,
+    /// Of the standard deviations (p).
+    pub std_dev: Vec<Interval>,
+    /// Of Σ (p × p); of the variances, the squares of those of the standard deviations.
+    pub covariance: Vec<Vec<Interval>>,
+    /// Of the correlations (p × p).
+    pub correlation: Vec<Vec<Interval>>,
+}
+
+impl Intervals {
+    fn none(kind: IntervalKind, p: usize, coefficients: usize) -> Intervals {
+        Intervals {
+            kind,
+            mean: vec![None; p],
+            coefficients: vec![None; coefficients],
+            std_dev: vec![None; p],
+            covariance: vec![vec![None; p]; p],
+            correlation: vec![vec![None; p]; p],
+        }
+    }
+
+    fn set(&mut self, what: Holdable, interval: Interval) {
+        let mut both = |matrix: fn(&mut Intervals) -> &mut Vec<Vec<Interval>>, i: usize, j: usize| {
+            matrix(self)[i][j] = interval;
+            matrix(self)[j][i] = interval;
+        };
+        match what {
+            Holdable::Covariance(i, j) => both(|s| &mut s.covariance, i, j),
+            Holdable::Correlation(i, j) => both(|s| &mut s.correlation, i, j),
+            Holdable::Mean(i) => self.mean[i] = interval,
+            Holdable::Coefficient(c) => self.coefficients[c] = interval,
+            Holdable::StdDev(i) => {
+                self.std_dev[i] = interval;
+                self.covariance[i][i] = interval.map(|ends| ends.map(|end| end.map(|s| s * s)));
+            }
+        }
+    }
+}
+
+/// Intervals from standard errors.
+pub fn wald(estimate: &Estimate, uncertainty: &Uncertainty) -> Intervals {
+    let p = estimate.mean.len();
+    let mut found = Intervals::none(IntervalKind::Wald, p, estimate.coefficients.len());
+    for what in quantities(p, estimate.coefficients.len()) {
+        let value = value(estimate, what);
+        let interval = error(uncertainty, what).zip(value).and_then(|(e, x)| {
+            let around = |centre: f64, e: f64| [centre - QUANTILE * e, centre + QUANTILE * e];
+            let ends = match what {
+                Holdable::StdDev(_) if x > 0.0 => around(x.ln(), e / x).map(f64::exp),
+                Holdable::Correlation(..) if x.abs() < 1.0 => around(x.atanh(), e / (1.0 - x * x)).map(f64::tanh),
+                Holdable::StdDev(_) | Holdable::Correlation(..) => return None,
+                _ => around(x, e),
+            };
+            ends.iter().all(|end| end.is_finite()).then(|| ends.map(Some))
+        });
+        found.set(what, interval);
+    }
+    found
+}
+
+/// Intervals by profile likelihood. A quantity on the boundary has one too; one for which no certified maximum is found near
+/// an end has none there.
+pub fn profile(estimate: &Estimate, uncertainty: &Uncertainty, free: &Free) -> Intervals {
+    let p = estimate.mean.len();
+    let mut found = Intervals::none(IntervalKind::Profile, p, estimate.coefficients.len());
+    let holder = Holder::new(&estimate.state);
+    let wanted: Vec<Holdable> =
+        quantities(p, estimate.coefficients.len()).into_iter().filter(|what| is_free(free, estimate, *what)).collect();
+    let ends: Vec<Interval> = wanted
+        .par_iter()
+        .map(|&what| {
+            let centre = value(estimate, what)?;
+            let step = error(uncertainty, what).map_or_else(|| guess(estimate, what), |e| QUANTILE * e);
+            let profile = Profile { holder: &holder, what, centre, maximum: estimate.state.place.local.value };
+            let start = &estimate.state.place.point;
+            Some([profile.end(start, -step), profile.end(start, step)])
+        })
+        .collect();
+    wanted.iter().zip(ends).for_each(|(&what, interval)| found.set(what, interval));
+    found
+}
+
+fn quantities(p: usize, coefficients: usize) -> Vec<Holdable> {
+    let below = || (0..p).flat_map(|i| (0..i).map(move |j| (i, j)));
+    let mut all = Vec::with_capacity(2 * p + coefficients + 2 * pairs(p));
+    all.extend((0..p).map(Holdable::Mean));
+    all.extend((0..coefficients).map(Holdable::Coefficient));
+    all.extend((0..p).map(Holdable::StdDev));
+    all.extend(below().map(|(i, j)| Holdable::Covariance(i, j)));
+    all.extend(below().map(|(i, j)| Holdable::Correlation(i, j)));
+    all
+}
+
+fn is_free(free: &Free, estimate: &Estimate, what: Holdable) -> bool {
+    match what {
+        Holdable::Mean(i) => free.mean[i],
+        Holdable::Coefficient(_) => true,
+        Holdable::StdDev(i) => free.covariance[i][i],
+        Holdable::Covariance(i, j) => free.covariance[i][j],
+        Holdable::Correlation(i, j) => free.correlation[i][j] && value(estimate, what).is_some(),
+    }
+}
+
+fn value(estimate: &Estimate, what: Holdable) -> Option<f64> {
+    let sigma = &estimate.covariance;
+    match what {
+        Holdable::Mean(i) => Some(estimate.mean[i]),
+        Holdable::Coefficient(c) => Some(estimate.coefficients[c]),
+        Holdable::StdDev(i) => Some(sigma[(i, i)].max(0.0).sqrt()),
+        Holdable::Covariance(i, j) => Some(sigma[(i, j)]),
+        Holdable::Correlation(i, j) => {
+            let unit = (sigma[(i, i)] * sigma[(j, j)]).sqrt();
+            (unit > 0.0).then(|| (sigma[(i, j)] / unit).clamp(-1.0, 1.0))
+        }
+    }
+}
+
+fn error(uncertainty: &Uncertainty, what: Holdable) -> Option<f64> {
+    match what {
+        Holdable::Mean(i) => uncertainty.mean[i],
+        Holdable::Coefficient(c) => uncertainty.coefficients[c],
+        Holdable::StdDev(i) => uncertainty.std_dev[i],
+        Holdable::Covariance(i, j) => uncertainty.covariance[i][j],
+        Holdable::Correlation(i, j) => uncertainty.correlation[i][j],
+    }
+}
+
+/// A first step for a quantity of Σ without a standard error, from Σ_j W_j alone.
+fn guess(estimate: &Estimate, what: Holdable) -> f64 {
+    let state = &estimate.state;
+    let (scale, weight) = (&state.problem.classes.frame.scale, &state.place.local.weight);
+    let tests = state.problem.classes.tests as f64;
+    let unit = |i: usize| {
+        let own = weight[(i, i)];
+        scale[i] * if own > 0.0 { ((8.0 * tests).sqrt() / own).sqrt() } else { 1.0 }
+    };
+    match what {
+        Holdable::Mean(i) | Holdable::StdDev(i) => unit(i),
+        Holdable::Covariance(i, j) => unit(i) * unit(j),
+        Holdable::Correlation(..) => 0.5,
+        Holdable::Coefficient(_) => 1.0,
+    }
+}
+
+/// The profile of one quantity.
+struct Profile<'a> {
+    holder: &'a Holder<'a>,
+    what: Holdable,
+    centre: f64,
+    maximum: f64,
+}
+
+impl Profile<'_> {
+    /// Values beyond which the quantity cannot go.
+    fn limit(&self, sign: f64) -> Option<f64> {
+        match self.what {
+            Holdable::StdDev(_) if sign < 0.0 => Some(0.0),
+            Holdable::Correlation(..) => Some(sign),
+            _ => None,
+        }
+    }
+
+    /// ζ = √(2(ℓ_max - ℓ_max(x))) and its derivative away from the centre.
+    fn root(&self, x: f64, near: &Point, sign: f64) -> Option<(f64, f64, HeldMaximum)> {
+        let held = self.holder.maximum(self.what, x, near)?;
+        let zeta = (2.0 * (self.maximum - held.value)).max(0.0).sqrt();
+        let slope = if zeta > 0.0 { -sign * held.slope / zeta } else { 0.0 };
+        Some((zeta, slope, held))
+    }
+
+    /// Where ζ reaches the quantile: Newton's method with the exact slope, which the multiplier gives, inside a bracket.
+    fn end(&self, start: &Point, step: f64) -> Option<f64> {
+        let sign = step.signum();
+        let limit = self.limit(sign);
+        if limit.is_some_and(|limit| sign * (limit - self.centre) <= 1e-12) {
+            return limit;
+        }
+        let mut near = start.clone();
+        let (mut below, mut above) = (self.centre, f64::INFINITY * sign);
+        let mut x = self.inside(self.centre + step, self.centre, limit, sign);
+        for _ in 0..TRIES {
+            let Some((zeta, slope, held)) = self.root(x, &near, sign) else {
+                above = x; // no certified maximum there: nearer
+                x = 0.5 * (below + x);
+                continue;
+            };
+            if (zeta - QUANTILE).abs() < PRECISION {
+                return Some(x);
+            }
+            if zeta < QUANTILE {
+                below = x;
+                near = held.point;
+                if limit.is_some_and(|l| (l - x).abs() <= 1e-4 * (l - self.centre).abs()) {
+                    return limit;
+                }
+                if (x - self.centre).abs() > 1e7 * step.abs() {
+                    return None;
+                }
+            } else {
+                above = x;
+            }
+            x = self.next(x, zeta, slope, (below, above), step);
+            x = self.inside(x, below, limit, sign);
+        }
+        None
+    }
+
+    fn next(&self, x: f64, zeta: f64, slope: f64, (below, above): (f64, f64), step: f64) -> f64 {
+        let sign = step.signum();
+        let newton = x + sign * (QUANTILE - zeta) / slope;
+        let farthest = below + 3.0 * sign * (below - self.centre).abs().max(step.abs());
+        let newton = if slope > 0.0 && newton.is_finite() { newton } else { farthest };
+        let newton = if above.is_finite() || sign * (newton - farthest) <= 0.0 { newton } else { farthest };
+        let inside = sign * (newton - below) > 0.0 && sign * (above - newton) > 0.0;
+        match (inside, above.is_finite()) {
+            (true, _) => newton,
+            (false, true) => 0.5 * (below + above),
+            (false, false) => farthest,
+        }
+    }
+
+    /// Short of the limit: nine tenths of the way there.
+    fn inside(&self, x: f64, below: f64, limit: Option<f64>, sign: f64) -> f64 {
+        match limit {
+            Some(limit) if sign * (x - limit) >= 0.0 => below + 0.9 * (limit - below),
+            _ => x,
+        }
+    }
+}

@@ -1,0 +1,141 @@
+//! The parametric bootstrap of a likelihood ratio: ensembles drawn from the hypothesis, both models fitted to each.
+//!
+//! What a test says about ξ is d = Rξ + e, e ~ N(0, I) on the rows of R that are not zero. So new ensembles are drawn as
+//! reductions, exactly, and no filter runs. The remaining part of each log-likelihood does not move the ratio.
+
+use nalgebra::{DMatrix, DVector};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+use rayon::prelude::*;
+
+use crate::estimate::{Estimate, InitialState, Silent, State, Stop, fit, fit_from, unpack};
+use crate::infer::ratio::nested::regressions;
+use crate::linalg::symmetric;
+use crate::reduce::Reduction;
+
+/// How many ensembles to draw, and the seed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Bootstrap {
+    /// Ensembles.
+    pub replicates: usize,
+    /// Replicate b draws from stream b of ChaCha8 with this seed, whatever the threads.
+    pub seed: u64,
+}
+
+/// What the bootstrap found.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BootstrapResult {
+    /// Statistics of the replicates whose two fits were certified, in the order of the replicates.
+    pub statistics: Vec<f64>,
+    /// Replicates that were not.
+    pub failed: usize,
+    /// (1 + replicates at or above the statistic) / (1 + replicates).
+    pub p_value: f64,
+    /// Its standard error: the bootstrap is a sample.
+    pub std_error: f64,
+}
+
+/// Draws ensembles from the hypothesis and tests it in each. `statistic` is that of the data, `reductions` those that the
+/// alternative was fitted to.
+pub fn bootstrap(
+    null: &Estimate,
+    alternative: &Estimate,
+    reductions: &[Reduction],
+    statistic: f64,
+    bootstrap: Bootstrap,
+) -> BootstrapResult {
+    let places = regressions(&null.state.mean, &alternative.state.mean).expect("nesting was checked");
+    let draw = Draw::new(null, reductions, &places);
+    let found: Vec<Option<f64>> = (0..bootstrap.replicates)
+        .into_par_iter()
+        .map(|b| {
+            let mut random = ChaCha8Rng::seed_from_u64(bootstrap.seed);
+            random.set_stream(b as u64);
+            ratio(null, alternative, &draw.ensemble(&mut random), &places)
+        })
+        .collect();
+    let statistics: Vec<f64> = found.iter().copied().flatten().collect();
+    // within rounding of the statistic counts as at it: ties are common where both are zero
+    let reached = statistics.iter().filter(|s| **s >= statistic - 1e-9 * statistic.max(1.0)).count();
+    let n = statistics.len() as f64;
+    let p_value = (1.0 + reached as f64) / (1.0 + n);
+    let std_error = (p_value * (1.0 - p_value) / (1.0 + n)).sqrt();
+    BootstrapResult { failed: found.len() - statistics.len(), statistics, p_value, std_error }
+}
+
+/// The statistic of one ensemble; `None` when a fit is not certified.
+fn ratio(null: &Estimate, alternative: &Estimate, reductions: &[Reduction], places: &[usize]) -> Option<f64> {
+    let truth = InitialState::from(null);
+    let narrow = certified(&null.state, &select_covariates(reductions, places), &truth)?;
+    let widened = |state: &Estimate| widened(state, places, alternative.coefficients.len());
+    let wide = certified(&alternative.state, reductions, &widened(null))?;
+    let found = 2.0 * (wide.log_likelihood - narrow.log_likelihood);
+    if found >= -1e-7 {
+        return Some(found.max(0.0));
+    }
+    let wide = certified(&alternative.state, reductions, &widened(&narrow))?;
+    let found = 2.0 * (wide.log_likelihood - narrow.log_likelihood);
+    (found >= -1e-7).then(|| found.max(0.0))
+}
+
+/// The values of the hypothesis as values of the model.
+pub(super) fn widened(null: &Estimate, places: &[usize], coefficients: usize) -> InitialState {
+    let mut all = vec![0.0; coefficients];
+    places.iter().zip(&null.coefficients).for_each(|(&at, value)| all[at] = *value);
+    InitialState { coefficients: all, ..InitialState::from(null) }
+}
+
+/// Reductions with only these of their covariates.
+pub(super) fn select_covariates(reductions: &[Reduction], places: &[usize]) -> Vec<Reduction> {
+    let selected =
+        |r: &Reduction| Reduction { covariates: places.iter().map(|&at| r.covariates[at]).collect(), ..r.clone() };
+    reductions.iter().map(selected).collect()
+}
+
+/// From the truth, and from the data when that does not end well.
+fn certified(state: &State, reductions: &[Reduction], start: &InitialState) -> Option<Estimate> {
+    let (structure, settings) = (state.structure(), &state.settings);
+    let near = fit_from(reductions, &structure, start, settings, &mut Silent).ok();
+    near.filter(|e| e.stop == Stop::Certified)
+        .or_else(|| fit(reductions, &structure, settings, &mut Silent).ok().filter(|e| e.stop == Stop::Certified))
+}
+
+/// New data for the same tests.
+struct Draw<'a> {
+    reductions: &'a [Reduction],
+    /// By id: draws do not depend on the order of the tests.
+    order: Vec<usize>,
+    null: &'a Estimate,
+    /// Where the regressions of the hypothesis stand among the covariates.
+    places: &'a [usize],
+    /// F with Σ = FF'.
+    root: DMatrix<f64>,
+}
+
+impl<'a> Draw<'a> {
+    fn new(null: &'a Estimate, reductions: &'a [Reduction], places: &'a [usize]) -> Draw<'a> {
+        let mut order: Vec<usize> = (0..reductions.len()).collect();
+        order.sort_by(|&a, &b| reductions[a].test.cmp(&reductions[b].test));
+        Draw { reductions, order, null, places, root: symmetric::square_root(&null.covariance) }
+    }
+
+    fn ensemble(&self, random: &mut ChaCha8Rng) -> Vec<Reduction> {
+        self.order.iter().map(|&j| self.test(&self.reductions[j], random)).collect()
+    }
+
+    fn test(&self, like: &Reduction, random: &mut ChaCha8Rng) -> Reduction {
+        let p = self.root.nrows();
+        let mut normal = |n: usize| DVector::from_fn(n, |_, _| StandardNormal.sample(&mut *random));
+        let mut xi = DVector::from_column_slice(&self.null.mean) + &self.root * normal(self.root.ncols());
+        let regression = &self.null.state.mean.regression;
+        for (c, r) in regression.iter().enumerate() {
+            xi[r.element] += like.covariates[self.places[c]] * self.null.coefficients[c];
+        }
+        let factor = unpack(&like.factor, p);
+        let noise = normal(p);
+        let told = |i: usize| (i..p).any(|k| factor[(i, k)] != 0.0);
+        let data = &factor * xi + DVector::from_fn(p, |i, _| if told(i) { noise[i] } else { 0.0 });
+        Reduction { data: data.as_slice().to_vec(), constant: 0.0, ..like.clone() }
+    }
+}

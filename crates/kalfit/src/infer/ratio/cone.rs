@@ -1,0 +1,316 @@
+//! The tangent cone of a model at a hypothesis, and the law of the likelihood ratio that it gives (Chernoff; Self and Liang).
+//!
+//! Near a Σ₀ of the hypothesis the model's Σ₀ + D must be positive semidefinite: N'DN ⪰ 0 on the null space N that the
+//! hypothesis gives a block. Where each such N is a line, these are m half-spaces, and -2 log λ is χ² of the other d - m
+//! directions plus the squared length of the projection of a normal vector onto an orthant: a mixture of χ² whose weights
+//! follow from the correlations of the m estimates.
+
+use nalgebra::{DMatrix, DVector};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+use crate::estimate::{CovarianceMap, Estimate, Form, Order, Problem, generic_root};
+use crate::infer::ratio::law::{Component, ReferenceLaw};
+use crate::infer::ratio::nested::regressions;
+use crate::linalg::symmetric::{self, pair, pairs};
+
+/// Scaled eigenvalues below this count as none.
+const NONE: f64 = 1e-10;
+/// Draws for the weights of four and more half-spaces.
+const DRAWS: usize = 200_000;
+/// Half-spaces beyond which only the bound is given.
+const MOST: usize = 20;
+
+/// What the tangent cone says.
+pub(super) struct Tangent {
+    pub(super) degrees_of_freedom: usize,
+    pub(super) law: ReferenceLaw,
+    pub(super) null_on_boundary: bool,
+}
+
+pub(super) fn tangent(null: &Estimate, alternative: &Estimate) -> Tangent {
+    let (inner, outer) = (&*null.state.problem, &*alternative.state.problem);
+    let places = regressions(&null.state.mean, &alternative.state.mean).expect("nesting was checked");
+    let information = information(null, outer, &places);
+    let wide = directions(outer, outer.mean.jacobian(), &null.state.place.point.root);
+    let mean = narrow_mean(&null.state.problem.mean.jacobian(), outer.mean.jacobian().nrows(), &places);
+    let narrow = directions(inner, mean, &null.state.place.point.root);
+    let rank = |basis: &DMatrix<f64>| rank(&(basis.transpose() * &information * basis));
+    let degrees_of_freedom = rank(&wide).saturating_sub(rank(&narrow));
+    let sides = sides(inner, outer);
+    let null_on_boundary = !null_is_generic(null, inner);
+    let law = match sides {
+        Sides::None => ReferenceLaw::chi_squared(degrees_of_freedom),
+        Sides::Unknown => bound(degrees_of_freedom),
+        Sides::Lines(lines) => {
+            let covariance = covariance_of(&lines, &wide, &information, outer.mean.jacobian().nrows());
+            mixture(&covariance, degrees_of_freedom)
+        }
+    };
+    Tangent { degrees_of_freedom, law, null_on_boundary }
+}
+
+/// Expected information of mean coordinates and elements of Σ at the end of the hypothesis.
+fn information(null: &Estimate, outer: &Problem, places: &[usize]) -> DMatrix<f64> {
+    let mut point = null.state.place.point.clone();
+    let mut coefficients = vec![0.0; outer.mean.regressors.len()];
+    places.iter().zip(&point.coefficients).for_each(|(&at, value)| coefficients[at] = *value);
+    point.coefficients = coefficients;
+    let sums = outer.sums(&point, Order::Expected);
+    let (m, s) = (sums.mean_score.len(), pairs(point.mean.len()));
+    let mut information = DMatrix::zeros(m + s, m + s);
+    information.view_mut((0, 0), (m, m)).copy_from(&sums.mean_information);
+    information.view_mut((m, m), (s, s)).copy_from(&sums.expected_information());
+    information
+}
+
+/// d(mean coordinates of the model) / d(free mean coordinates of the hypothesis).
+fn narrow_mean(jacobian: &DMatrix<f64>, rows: usize, places: &[usize]) -> DMatrix<f64> {
+    let p = jacobian.nrows() - places.len();
+    let mut mean = DMatrix::zeros(rows, jacobian.ncols());
+    for row in 0..jacobian.nrows() {
+        let at = if row < p { row } else { p + places[row - p] };
+        mean.set_row(at, &jacobian.row(row));
+    }
+    mean
+}
+
+/// Directions of the free quantities in mean coordinates of the model and elements of Σ.
+fn directions(problem: &Problem, mean: DMatrix<f64>, root: &DMatrix<f64>) -> DMatrix<f64> {
+    let sigma = match &problem.covariance.form {
+        // dΣ/dψ vanishes at Σ = 0, and yet β > 0 is a direction
+        Form::Scale(star) => {
+            let star = star * star.transpose();
+            DMatrix::from_fn(pairs(star.nrows()), 1, |k, _| unpair(k).map_or(0.0, |(i, j)| star[(i, j)]))
+        }
+        _ => problem.covariance.free_directions(&problem.covariance.chart(root)),
+    };
+    let mut all = DMatrix::zeros(mean.nrows() + sigma.nrows(), mean.ncols() + sigma.ncols());
+    all.view_mut((0, 0), mean.shape()).copy_from(&mean);
+    all.view_mut(mean.shape(), sigma.shape()).copy_from(&sigma);
+    all
+}
+
+fn unpair(k: usize) -> Option<(usize, usize)> {
+    (0..=k).flat_map(|i| (0..=i).map(move |j| (i, j))).find(|&(i, j)| pair(i, j) == k)
+}
+
+/// Number of identified directions.
+fn rank(information: &DMatrix<f64>) -> usize {
+    let size = symmetric::sizes(information);
+    let n = information.nrows();
+    let largest = information.diagonal().amax();
+    let known = |i: usize| information[(i, i)] > 1e-14 * largest;
+    let scaled =
+        DMatrix::from_fn(n, n, |i, j| if known(i) && known(j) { information[(i, j)] / size[i] / size[j] } else { 0.0 });
+    symmetric::eigen(&scaled).0.iter().filter(|v| **v > NONE).count()
+}
+
+/// Where the hypothesis puts Σ on the boundary of what the model allows.
+enum Sides {
+    /// Nowhere.
+    None,
+    /// Half-spaces: D must not fall along these (weights of the elements of Σ).
+    Lines(Vec<DVector<f64>>),
+    /// A null space of more than one dimension within a block, or a curved structure.
+    Unknown,
+}
+
+fn sides(inner: &Problem, outer: &Problem) -> Sides {
+    let narrow = generic_root(inner);
+    let mut lines = Vec::new();
+    match &outer.covariance.form {
+        Form::Factor(blocks) => {
+            let wide = generic_root(outer);
+            for block in blocks {
+                let null = null_space(&narrow, block);
+                let own = null_space(&wide, block).ncols();
+                match null.ncols() {
+                    n if n == own => {}
+                    1 => lines.push(line(&null.column(0).into_owned(), block, outer.covariance.p)),
+                    _ => return Sides::Unknown,
+                }
+            }
+        }
+        Form::Scale(star) if narrow.amax() == 0.0 => {
+            let star = star * star.transpose();
+            let size = star.norm_squared();
+            lines.push(DVector::from_fn(pairs(star.nrows()), |k, _| {
+                unpair(k).map_or(0.0, |(i, j)| star[(i, j)] / size * if i == j { 1.0 } else { 2.0 })
+            }));
+        }
+        Form::StdDevs(_, states) if states.iter().any(|&i| narrow.row(i).norm() == 0.0) => return Sides::Unknown,
+        _ => {}
+    }
+    if lines.is_empty() { Sides::None } else { Sides::Lines(lines) }
+}
+
+/// Null space of (FF') on a block, in units of its standard deviations.
+fn null_space(root: &DMatrix<f64>, block: &[usize]) -> DMatrix<f64> {
+    let own = DMatrix::from_fn(block.len(), root.ncols(), |i, c| root[(block[i], c)]);
+    let norms: Vec<f64> = own.row_iter().map(|r| r.norm()).collect();
+    let unit = |i: usize| if norms[i] > 0.0 { norms[i] } else { 1.0 };
+    let scaled = DMatrix::from_fn(own.nrows(), own.ncols(), |i, c| own[(i, c)] / unit(i));
+    let (values, vectors) = symmetric::eigen(&(&scaled * scaled.transpose()));
+    let null: Vec<usize> = (0..values.len()).filter(|&k| values[k] <= NONE).collect();
+    let vectors = vectors.select_columns(&null);
+    DMatrix::from_fn(block.len(), null.len(), |i, c| vectors[(i, c)] / unit(i))
+}
+
+/// D ↦ n'Dn over the elements of D.
+fn line(n: &DVector<f64>, block: &[usize], p: usize) -> DVector<f64> {
+    let mut weights = DVector::zeros(pairs(p));
+    for a in 0..block.len() {
+        for b in 0..=a {
+            weights[pair(block[a], block[b])] = n[a] * n[b] * if a == b { 1.0 } else { 2.0 };
+        }
+    }
+    weights
+}
+
+/// Whether Σ of the hypothesis has the rank that the hypothesis gives it.
+fn null_is_generic(null: &Estimate, inner: &Problem) -> bool {
+    let map: &CovarianceMap = &inner.covariance;
+    let generic = generic_root(inner);
+    let rank = |root: &DMatrix<f64>| map.random.len() - null_space(root, &map.random).ncols();
+    rank(&null.state.place.point.root) >= rank(&generic)
+}
+
+/// Covariance of the estimates along lines, once all other free quantities have adapted.
+fn covariance_of(lines: &[DVector<f64>], wide: &DMatrix<f64>, information: &DMatrix<f64>, m: usize) -> DMatrix<f64> {
+    let free = wide.transpose() * information * wide;
+    let size = symmetric::sizes(&free);
+    let n = free.nrows();
+    let scaled = DMatrix::from_fn(n, n, |i, j| free[(i, j)] / size[i] / size[j]);
+    let inverse = symmetric::pseudo_inverse(&scaled);
+    let inverse = DMatrix::from_fn(n, n, |i, j| inverse[(i, j)] / size[i] / size[j]);
+    let rows = DMatrix::from_fn(lines.len(), wide.nrows(), |k, c| if c < m { 0.0 } else { lines[k][c - m] });
+    let along = rows * wide;
+    &along * inverse * along.transpose()
+}
+
+/// The law for half-spaces with correlated estimates.
+fn mixture(covariance: &DMatrix<f64>, degrees_of_freedom: usize) -> ReferenceLaw {
+    // a half-space without information has no part in the statistic
+    let known: Vec<usize> = (0..covariance.nrows()).filter(|&k| covariance[(k, k)] > 0.0).collect();
+    let m = known.len().min(degrees_of_freedom);
+    if m == 0 {
+        return ReferenceLaw::chi_squared(degrees_of_freedom);
+    }
+    if m > MOST || m < known.len() {
+        return bound(degrees_of_freedom);
+    }
+    let correlation = DMatrix::from_fn(m, m, |a, b| {
+        let (a, b) = (known[a], known[b]);
+        covariance[(a, b)] / (covariance[(a, a)] * covariance[(b, b)]).sqrt()
+    });
+    let component = |(i, weight): (usize, f64)| Component { degrees_of_freedom: degrees_of_freedom - m + i, weight };
+    let independent = (0..=m).map(|i| binomial(m, i) * 0.5_f64.powi(m as i32));
+    ReferenceLaw {
+        components: orthant_weights(&correlation).into_iter().enumerate().map(component).collect(),
+        independent: independent.enumerate().map(component).collect(),
+        is_bound: false,
+    }
+}
+
+/// ½χ²_{d-1} + ½χ²_d: no cone that is not the whole space gives a larger tail (Perlman).
+fn bound(degrees_of_freedom: usize) -> ReferenceLaw {
+    let half = |d: usize| Component { degrees_of_freedom: d, weight: 0.5 };
+    let components = vec![half(degrees_of_freedom.saturating_sub(1)), half(degrees_of_freedom)];
+    ReferenceLaw { independent: components.clone(), components, is_bound: true }
+}
+
+fn binomial(n: usize, k: usize) -> f64 {
+    (0..k).fold(1.0, |product, i| product * (n - i) as f64 / (i + 1) as f64)
+}
+
+/// Probabilities that the projection of N(0, R) onto the positive orthant, in the metric R⁻¹, has 0, 1, …, m positive entries.
+fn orthant_weights(r: &DMatrix<f64>) -> Vec<f64> {
+    use std::f64::consts::PI;
+    let arc = |x: f64| x.clamp(-1.0, 1.0).acos();
+    match r.nrows() {
+        1 => vec![0.5, 0.5],
+        2 => {
+            let both = 0.25 + (0.5 * PI - arc(r[(0, 1)])) / (2.0 * PI);
+            vec![0.5 - both, 0.5, both]
+        }
+        3 => {
+            let angle = |a: usize, b: usize| arc(r[(a, b)]);
+            let all = (2.0 * PI - angle(0, 1) - angle(0, 2) - angle(1, 2)) / (4.0 * PI);
+            let partial = |a: usize, b: usize, c: usize| {
+                let left = (1.0 - r[(a, c)].powi(2)) * (1.0 - r[(b, c)].powi(2));
+                arc((r[(a, b)] - r[(a, c)] * r[(b, c)]) / left.sqrt())
+            };
+            let two = (3.0 * PI - partial(0, 1, 2) - partial(0, 2, 1) - partial(1, 2, 0)) / (4.0 * PI);
+            vec![0.5 - two, 0.5 - all, two, all]
+        }
+        _ => drawn_weights(r),
+    }
+}
+
+/// The same by drawing, with a seed of its own: the same weights every run.
+fn drawn_weights(r: &DMatrix<f64>) -> Vec<f64> {
+    let m = r.nrows();
+    let mut random = ChaCha8Rng::seed_from_u64(0);
+    let root = symmetric::square_root(r);
+    let metric = symmetric::pseudo_inverse(r);
+    let mut counts = vec![0_usize; m + 1];
+    for _ in 0..DRAWS {
+        let z = DVector::from_fn(m, |_, _| StandardNormal.sample(&mut random));
+        counts[positive_entries(&metric, &(&root * z))] += 1;
+    }
+    counts.iter().map(|&n| n as f64 / DRAWS as f64).collect()
+}
+
+/// Positive entries of the minimiser of (x - u)'M(x - u) over x ≥ 0, by coordinate descent.
+fn positive_entries(metric: &DMatrix<f64>, u: &DVector<f64>) -> usize {
+    let mut x = u.map(|v| v.max(0.0));
+    for _ in 0..200 {
+        let mut moved = 0.0_f64;
+        for i in 0..x.len() {
+            let gradient: f64 = (0..x.len()).map(|k| metric[(i, k)] * (x[k] - u[k])).sum();
+            let next = (x[i] - gradient / metric[(i, i)]).max(0.0);
+            moved = moved.max((next - x[i]).abs());
+            x[i] = next;
+        }
+        if moved < 1e-9 {
+            break;
+        }
+    }
+    x.iter().filter(|v| **v > 1e-7).count()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn equal(m: usize, rho: f64) -> DMatrix<f64> {
+        DMatrix::from_fn(m, m, |i, j| if i == j { 1.0 } else { rho })
+    }
+
+    #[test]
+    fn weights_of_independent_estimates_are_binomial() {
+        for (m, expected) in [(2, vec![0.25, 0.5, 0.25]), (3, vec![0.125, 0.375, 0.375, 0.125])] {
+            let found = orthant_weights(&equal(m, 0.0));
+            for (f, e) in found.iter().zip(&expected) {
+                assert!((f - e).abs() < 1e-12, "{found:?} {expected:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn weights_by_formula_are_those_by_drawing() {
+        for (m, rho) in [(2, 0.6), (2, -0.4), (3, 0.5), (3, -0.3)] {
+            let (formula, drawn) = (orthant_weights(&equal(m, rho)), drawn_weights(&equal(m, rho)));
+            assert!((formula.iter().sum::<f64>() - 1.0).abs() < 1e-12, "{formula:?}");
+            for (f, d) in formula.iter().zip(&drawn) {
+                assert!((f - d).abs() < 5e-3, "m = {m}, ρ = {rho}: {formula:?} {drawn:?}");
+            }
+        }
+        let drawn = drawn_weights(&equal(4, 0.0));
+        for (i, d) in drawn.iter().enumerate() {
+            assert!((binomial(4, i) / 16.0 - d).abs() < 5e-3, "{drawn:?}");
+        }
+    }
+}
