@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::{
-    Constraint, CovarianceMap, Limits, Local, Objective, Place, Point, Problem, State, Stop, climb, retract,
+    Constraint, CovarianceMap, Form, Limits, Local, Objective, Place, Point, Problem, State, Stop, climb, retract,
 };
 use crate::infer::information::Law;
 use crate::linalg::symmetric;
@@ -130,7 +130,7 @@ impl<'a> Holder<'a> {
         let problem = &*self.state.problem;
         let mut map = problem.covariance.clone();
         map.constraints.push(Constraint { terms, value });
-        let chart = map.chart(&near.root);
+        let chart = map.chart(&begin(&problem.covariance, &map.constraints, near));
         let still = DVector::zeros(chart.coordinates.len());
         let root = retract(&map, &chart, still)?;
         let place = self.climb(problem, &map, Point { root, ..near.clone() })?;
@@ -167,4 +167,23 @@ impl<'a> Holder<'a> {
         let (place, stop) = climb(objective, map, tests, start, self.limits);
         (stop == Stop::Certified).then_some(place)
     }
+}
+
+/// A root that is near to meeting the last constraint: where that holds a variance, its row and column are stretched to it, which
+/// keeps the correlations. From a variance of zero no step along F would lead away.
+fn begin(map: &CovarianceMap, constraints: &[Constraint], near: &Point) -> DMatrix<f64> {
+    let Some(Constraint { terms, value }) = constraints.last() else { return near.root.clone() };
+    let (&[(i, k, _)], Form::Factor(_)) = (&terms[..], &map.form) else { return near.root.clone() };
+    if i != k {
+        return near.root.clone();
+    }
+    let mut sigma = near.covariance();
+    if sigma[(i, i)] > 1e-12 * value {
+        let stretch = (value / sigma[(i, i)]).sqrt();
+        sigma.row_mut(i).scale_mut(stretch);
+        sigma.column_mut(i).scale_mut(stretch);
+    } else {
+        sigma[(i, i)] = *value;
+    }
+    map.root_of(&sigma)
 }
