@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use kalfit::estimate::{Settings, Solver};
+use kalfit::estimate::{Criterion, Settings, Solver};
 
-use crate::args::{Args, CheckArgs, Command, FitArgs, ModelArgs, SolverArg};
+use crate::args::{Args, CheckArgs, Command, CriterionArg, FitArgs, ModelArgs, SolverArg};
 use crate::failure::Failure;
 use crate::{check, fit};
 
@@ -96,6 +96,10 @@ impl From<FitArgs> for FitJob {
             SolverArg::Newton => Solver::Newton,
             SolverArg::Em => Solver::Em,
         });
+        settings.criterion = match args.criterion {
+            CriterionArg::Ml => Criterion::Ml,
+            CriterionArg::Reml => Criterion::Reml,
+        };
         if let Some(tolerance) = args.tolerance {
             settings.tolerance = tolerance;
         }

@@ -2,15 +2,17 @@
 
 use std::sync::Arc;
 
+use nalgebra::DMatrix;
+
 use crate::estimate::certificate::{Certificate, Escape, certificate};
 use crate::estimate::covariance::Form;
 use crate::estimate::em::{self, Turn};
 use crate::estimate::newton::{Attempt, Damping, Place, retract};
-use crate::estimate::pass::Order;
+use crate::estimate::pass::{Order, Sums};
 use crate::estimate::problem::Problem;
 use crate::estimate::settings::{Progress, Settings, Solver, Step};
 use crate::estimate::terms::Point;
-use crate::estimate::{Estimate, FitError, State, Stop, Structure, scoring};
+use crate::estimate::{Criterion, Estimate, FitError, State, Stop, Structure, scoring};
 use crate::model::MeanElement;
 
 /// Most scoring steps before Newton's method takes over.
@@ -51,14 +53,18 @@ impl<'a> Search<'a> {
         self.problem.passes() >= self.settings.max_passes
     }
 
-    fn place(&self, point: Point) -> Result<Place, FitError> {
-        Place::new(&self.problem, &self.problem.covariance, point).ok_or(FitError::NotFinite)
+    fn place(&self, point: Point, near: Option<&DMatrix<f64>>) -> Result<Place, FitError> {
+        Place::new(&self.problem, &self.problem.covariance, point, near).ok_or(FitError::NotFinite)
+    }
+
+    fn sums(&self, point: &Point, order: Order) -> Result<Sums, FitError> {
+        self.problem.sums(point, order, None).ok_or(FitError::NotFinite)
     }
 
     /// Fisher scoring, Newton, and EM where Newton finds no step.
     fn newton(&mut self, start: Point) -> Result<(Place, Stop), FitError> {
-        let start = self.scored_start(start);
-        let mut place = self.place(start)?;
+        let (start, near) = self.scored_start(start)?;
+        let mut place = self.place(start, near.as_ref())?;
         self.accept(place.local.value, Some(place.decrement()));
         let mut damping = Damping::default();
         let mut failures = 0;
@@ -90,14 +96,18 @@ impl<'a> Search<'a> {
     }
 
     /// The start, moved on by Fisher scoring while that promises much; ℓ need not rise on the way, and where it falls the
-    /// better point is kept.
-    fn scored_start(&mut self, start: Point) -> Point {
+    /// better point is kept. With it comes the covariance of the mean there, under the restricted likelihood.
+    fn scored_start(&mut self, start: Point) -> Result<(Point, Option<DMatrix<f64>>), FitError> {
         let mut best: Option<(f64, Point)> = None;
+        let mut near = None;
         let mut point = start;
         for _ in 0..SCORING_STEPS {
-            let sums = self.problem.sums(&point, Order::Expected);
+            let sums = self.sums(&point, Order::Expected)?;
+            near = sums.restricted.as_ref().map(|r| r.covariance.clone());
             match &best {
-                Some((value, kept)) if sums.value.is_nan() || sums.value < *value => return kept.clone(),
+                Some((value, kept)) if sums.value.is_nan() || sums.value < *value => {
+                    return Ok((kept.clone(), near));
+                }
                 _ => self.accept(sums.value, None),
             }
             let gained = best.as_ref().map_or(f64::INFINITY, |(before, _)| sums.value - before);
@@ -108,14 +118,14 @@ impl<'a> Search<'a> {
                 break;
             }
         }
-        point
+        Ok((point, near))
     }
 
     /// An EM step, where it raises ℓ.
     fn safeguard(&mut self, place: &Place) -> Result<Option<Place>, FitError> {
-        let sums = self.problem.sums(&place.point, Order::First);
+        let sums = self.sums(&place.point, Order::First)?;
         let next = em::step(&self.problem, &place.point, &sums, &mut Turn::Covariance);
-        let next = self.place(next)?;
+        let next = self.place(next, place.near())?;
         Ok((next.local.value > place.local.value).then_some(next))
     }
 
@@ -140,7 +150,7 @@ impl<'a> Search<'a> {
         let chart = map.chart(&root);
         let still = nalgebra::DVector::zeros(chart.coordinates.len());
         let Some(root) = retract(map, &chart, still) else { return Ok(None) };
-        let next = self.place(Point { root, ..place.point.clone() })?;
+        let next = self.place(Point { root, ..place.point.clone() }, place.near())?;
         Ok((next.local.value > place.local.value).then_some(next))
     }
 
@@ -150,7 +160,12 @@ impl<'a> Search<'a> {
         let mut before = f64::NEG_INFINITY;
         let mut steps = 0_usize;
         loop {
-            let sums = self.problem.sums(&point, Order::First);
+            let sums = self.sums(&point, Order::First)?;
+            if self.problem.criterion() == Criterion::Reml && turn == Turn::Mean {
+                // the restricted likelihood is that at the mean of least squares, which comes first
+                point = em::step(&self.problem, &point, &sums, &mut turn);
+                continue;
+            }
             if !sums.value.is_finite() {
                 return Err(FitError::NotFinite);
             }
@@ -160,7 +175,8 @@ impl<'a> Search<'a> {
             before = sums.value;
             self.accept(sums.value, None);
             if steps.is_multiple_of(EM_LOOK) || self.out_of_passes() {
-                let place = self.place(point.clone())?;
+                let near = sums.restricted.as_ref().map(|r| r.covariance.clone());
+                let place = self.place(point.clone(), near.as_ref())?;
                 if place.decrement() <= self.settings.tolerance {
                     return Ok((place, Stop::Certified));
                 }
@@ -175,9 +191,13 @@ impl<'a> Search<'a> {
 
     /// Sets what is all but zero to zero, looks at everything once more, and leaves the estimator's coordinates.
     fn finish(mut self, place: Place, mut stop: Stop, structure: &Structure<'_>) -> Result<Estimate, FitError> {
-        let place = self.snapped(place)?;
+        let mut place = self.snapped(place)?;
+        if self.problem.criterion() == Criterion::Reml {
+            // the second derivatives are exact once the covariance of the mean is that of this very place
+            place = self.place(place.point.clone(), place.near())?;
+        }
         let passes = self.problem.passes();
-        let sums = self.problem.sums(&place.point, Order::Expected);
+        let sums = self.sums(&place.point, Order::Expected)?;
         let tests = self.problem.classes.tests as f64;
         let (certificate, _) = certificate(&self.problem.covariance, &place, tests);
         if stop == Stop::Certified && !certificate.holds(self.settings.tolerance) {
@@ -209,7 +229,7 @@ impl<'a> Search<'a> {
         let chart = self.problem.covariance.chart(&root);
         let still = nalgebra::DVector::zeros(chart.coordinates.len());
         let Some(root) = retract(&self.problem.covariance, &chart, still) else { return Ok(place) };
-        let next = self.place(Point { root, ..place.point.clone() })?;
+        let next = self.place(Point { root, ..place.point.clone() }, place.near())?;
         let fine = next.local.value >= place.local.value - 1e-9;
         Ok(if fine && next.decrement() <= place.decrement().max(self.settings.tolerance) { next } else { place })
     }
@@ -242,6 +262,7 @@ fn leave(state: State, certificate: Certificate, stop: Stop, trace: Vec<f64>, so
         trace,
         passes: problem.passes(),
         classes: problem.classes.classes.len(),
+        criterion: problem.criterion(),
         solver,
         state,
     }
