@@ -9,6 +9,7 @@ mod covariance;
 mod em;
 mod exact;
 mod likelihood;
+mod linear;
 mod local;
 mod mean;
 mod newton;

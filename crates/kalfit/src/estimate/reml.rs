@@ -15,6 +15,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use crate::linalg::echelon::echelon;
 use crate::linalg::symmetric::{self, pair, pairs};
 
 /// Scaled eigenvalues of the information on β below this are zero: no test informs that direction.
@@ -112,28 +113,6 @@ fn curvature(half: &DMatrix<f64>, spread: &DMatrix<f64>, p: usize) -> DMatrix<f6
         }
     }
     y.transpose() * y * 0.5
-}
-
-/// A basis of the same space whose rows at the pivots are those of the identity; pivots are the largest entries.
-fn echelon(mut basis: DMatrix<f64>) -> (Vec<usize>, DMatrix<f64>) {
-    let mut pivots: Vec<usize> = Vec::new();
-    for c in 0..basis.ncols() {
-        let left = (0..basis.nrows()).filter(|i| !pivots.contains(i));
-        // among the columns that are not done, for a pivot as large as can be
-        let candidates = left.flat_map(|i| (c..basis.ncols()).map(move |k| (i, k)));
-        let size = |&(i, k): &(usize, usize)| basis[(i, k)].abs();
-        let (row, column) =
-            candidates.max_by(|a, b| size(a).total_cmp(&size(b)).then(b.cmp(a))).expect("a basis has a row a column");
-        basis.swap_columns(c, column);
-        let pivot = basis[(row, c)];
-        basis.column_mut(c).unscale_mut(pivot);
-        for k in (0..basis.ncols()).filter(|&k| k != c) {
-            let part = basis.column(c) * basis[(row, k)];
-            basis.set_column(k, &(basis.column(k) - part));
-        }
-        pivots.push(row);
-    }
-    (pivots, basis)
 }
 
 fn log_det(positive: &DMatrix<f64>) -> f64 {
