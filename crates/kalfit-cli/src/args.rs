@@ -59,6 +59,10 @@ pub(crate) struct FitArgs {
     #[arg(long, value_enum, default_value_t = SolverArg::Newton)]
     pub(crate) solver: SolverArg,
 
+    /// What is maximised
+    #[arg(long, value_enum, default_value_t = CriterionArg::Ml)]
+    pub(crate) criterion: CriterionArg,
+
     /// Stop within this many standard errors of the optimum [default: 1e-8]
     #[arg(long, value_name = "T", value_parser = tolerance)]
     pub(crate) tolerance: Option<f64>,
@@ -92,8 +96,6 @@ pub(crate) struct FitArgs {
 pub(crate) struct OnlyArgs {
     #[arg(long, hide = true, value_parser = only("hybrid"))]
     method: Option<String>,
-    #[arg(long, hide = true, value_parser = only("ml"))]
-    criterion: Option<String>,
     #[arg(long, hide = true, value_parser = only("chain"))]
     phases: Option<String>,
 }
@@ -187,6 +189,14 @@ pub(crate) enum DeletionArg {
     All,
     /// Never
     None,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum CriterionArg {
+    /// The likelihood of the mean and the covariance
+    Ml,
+    /// The restricted likelihood of the covariance, whose estimate does not shrink when tests are few
+    Reml,
 }
 
 fn tolerance(text: &str) -> Result<f64, String> {

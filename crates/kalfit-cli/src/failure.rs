@@ -170,6 +170,7 @@ fn nesting_hint(error: NotNested) -> &'static str {
         NotNested::Mean | NotNested::Covariance => {
             "keys of the hypothesis replace the model's whole, so repeat in them the constraints that the model has"
         }
+        NotNested::Restricted => "compare likelihoods instead",
         NotNested::Different => "give both the same states",
     }
 }

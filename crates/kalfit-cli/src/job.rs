@@ -3,11 +3,12 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use kalfit::estimate::{Settings, Solver};
+use kalfit::estimate::{Criterion, Settings, Solver};
 use kalfit::infer::{Bootstrap, Choices, DeletionChoice, IntervalKind, StdErrors};
 
 use crate::args::{
-    Args, CheckArgs, Command, DeletionArg, FitArgs, IntervalsArg, ModelArgs, SolverArg, StdErrorsArg, TestArgs,
+    Args, CheckArgs, Command, CriterionArg, DeletionArg, FitArgs, IntervalsArg, ModelArgs, SolverArg, StdErrorsArg,
+    TestArgs,
 };
 use crate::failure::Failure;
 use crate::{check, fit, test};
@@ -137,7 +138,11 @@ impl From<TestArgs> for TestJob {
 
 impl From<FitArgs> for FitJob {
     fn from(args: FitArgs) -> FitJob {
-        let settings = settings(args.solver, args.tolerance, args.max_iterations);
+        let mut settings = settings(args.solver, args.tolerance, args.max_iterations);
+        settings.criterion = match args.criterion {
+            CriterionArg::Ml => Criterion::Ml,
+            CriterionArg::Reml => Criterion::Reml,
+        };
         let choices = Choices {
             std_errors: match args.std_errors {
                 StdErrorsArg::Observed => StdErrors::Observed,

@@ -115,6 +115,9 @@ fn fit(case: &str, want: &Value, solver: &str) -> Result<Value, String> {
     for set in list(&want["set"]) {
         command.arg("--set").arg(text(set));
     }
+    if !want["criterion"].is_null() {
+        command.arg("--criterion").arg(text(&want["criterion"]));
+    }
     if solver != DEFAULT_SOLVER {
         command.arg("--solver").arg(solver);
     }
@@ -125,6 +128,9 @@ fn fit(case: &str, want: &Value, solver: &str) -> Result<Value, String> {
         return Err(format!("found {}, expected exit status 0: {}", output.status, said.trim()));
     }
     let found: Value = serde_json::from_str(&std::fs::read_to_string(&out).unwrap()).unwrap();
+    if found["criterion"] != *want.get("criterion").unwrap_or(&Value::from("ml")) {
+        return Err(format!("found criterion {}", found["criterion"]));
+    }
     if found["converged"] != true || found["solver"]["solver"] != solver {
         let solver = &found["solver"]["solver"];
         return Err(format!("found converged {} by {solver}: {}", found["converged"], found["reason"]));

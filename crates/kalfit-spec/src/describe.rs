@@ -190,6 +190,9 @@ impl Spec {
             CovarianceKind::Proportional(matrix) => format!("a common scale times {}", self.matrix(matrix)),
             CovarianceKind::Correlation(matrix) => format!("correlations known, {}", self.matrix(matrix)),
             CovarianceKind::Fixed(matrix) => format!("known, {}", self.matrix(matrix)),
+            CovarianceKind::Linear { generators, .. } => {
+                format!("linear in {} free quantities", generators.len())
+            }
         };
         let mut lines = vec![format!("covariance Σ: {kind}")];
         for fixed in &covariance.fixed {

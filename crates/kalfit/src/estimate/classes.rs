@@ -94,6 +94,21 @@ impl Classes {
         gather(std::slice::from_ref(reduction), &[0], &self.frame, self.dimension())
     }
 
+    /// Σ_j E_j'J_jE_j: information on the p elements of μ and the scaled regression coefficients at Σ = 0.
+    pub(crate) fn mean_information(&self, regressors: &[usize]) -> DMatrix<f64> {
+        let p = self.dimension();
+        let mut information = DMatrix::zeros(p + regressors.len(), p + regressors.len());
+        for class in &self.classes {
+            let column = |m: usize| if m < p { (m, 1.0) } else { (regressors[m - p], class.covariates[m - p]) };
+            let rows = DMatrix::from_fn(p, p + regressors.len(), |i, m| {
+                let (k, x) = column(m);
+                x * class.factor[i * p + k]
+            });
+            information += rows.transpose() * &rows * class.count;
+        }
+        information
+    }
+
     /// p.
     pub(crate) fn dimension(&self) -> usize {
         self.frame.scale.len()

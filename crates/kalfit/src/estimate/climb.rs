@@ -63,6 +63,6 @@ fn grown(objective: &dyn Objective, map: &CovarianceMap, place: &Place, escape: 
     let chart = map.chart(&map.root_of(&sigma));
     let still = DVector::zeros(chart.coordinates.len());
     let root = retract(map, &chart, still)?;
-    let next = Place::new(objective, map, Point { root, ..place.point.clone() })?;
+    let next = Place::new(objective, map, Point { root, ..place.point.clone() }, place.near())?;
     (next.local.value > place.local.value).then_some(next)
 }

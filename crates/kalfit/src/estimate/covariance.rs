@@ -7,6 +7,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::classes::Frame;
+use crate::estimate::linear::Linear;
 use crate::linalg::symmetric::{self, pair, pairs};
 use crate::model::{Alpha, CovarianceKind, CovarianceStructure, Expression, Scope, StructureError};
 
@@ -52,11 +53,20 @@ impl CovarianceMap {
     ) -> Result<CovarianceMap, StructureError> {
         let p = frame.scale.len();
         let zero = zero_variances(structure, p);
-        let random: Vec<usize> = (0..p).filter(|&i| !zero[i]).collect();
+        let linear = match &structure.kind {
+            CovarianceKind::Linear { constant, generators } => {
+                Some(Linear::new(structure, constant, generators, frame)?)
+            }
+            _ => None,
+        };
+        let random: Vec<usize> = match &linear {
+            Some(linear) => linear.random(),
+            None => (0..p).filter(|&i| !zero[i]).collect(),
+        };
         let numbers = |entries: &[Vec<Expression>], what| matrix(entries, alpha, what);
         let mut known = DMatrix::zeros(p, p);
         let form = match &structure.kind {
-            CovarianceKind::Full => Form::Factor(vec![random.clone()]),
+            CovarianceKind::Full | CovarianceKind::Linear { .. } => Form::Factor(vec![random.clone()]),
             CovarianceKind::Diagonal => Form::Factor(random.iter().map(|&i| vec![i]).collect()),
             CovarianceKind::Blocks(blocks) => Form::Factor(restrict(blocks, &zero)),
             CovarianceKind::Proportional(entries) => {
@@ -73,11 +83,17 @@ impl CovarianceMap {
             }
         };
         let form = match form {
-            Form::Factor(blocks) => Form::Factor(split(blocks, structure)),
+            Form::Factor(blocks) => Form::Factor(split(blocks, &|i, j| match &linear {
+                Some(linear) => linear.is_zero(i, j),
+                None => is_fixed_zero(structure, i, j),
+            })),
             other => other,
         };
         let mut map = CovarianceMap { p, form, constraints: Vec::new(), random, known, start: None };
-        map.constraints = constraints(structure, frame, &map);
+        map.constraints = match &linear {
+            Some(linear) => linear.constraints(&map)?,
+            None => constraints(structure, frame, &map),
+        };
         map.start = structure.start.as_ref().map(|start| frame.covariance_in(start));
         Ok(map)
     }
@@ -326,11 +342,12 @@ fn restrict(blocks: &[Vec<usize>], zero: &[bool]) -> Vec<Vec<usize>> {
     kept.filter(|b| !b.is_empty()).collect()
 }
 
-/// Splits blocks into the connected components that fixed zeros leave.
-fn split(blocks: Vec<Vec<usize>>, structure: &CovarianceStructure) -> Vec<Vec<usize>> {
-    let is_zero = |i: usize, j: usize| {
-        structure.fixed.iter().any(|e| e.value == 0.0 && (e.i, e.j) == (i.max(j), i.min(j)) && i != j)
-    };
+fn is_fixed_zero(structure: &CovarianceStructure, i: usize, j: usize) -> bool {
+    structure.fixed.iter().any(|e| e.value == 0.0 && (e.i, e.j) == (i.max(j), i.min(j)) && i != j)
+}
+
+/// Splits blocks into the connected components that zeros leave.
+fn split(blocks: Vec<Vec<usize>>, is_zero: &dyn Fn(usize, usize) -> bool) -> Vec<Vec<usize>> {
     let mut result = Vec::new();
     for block in blocks {
         let mut left = block;

@@ -5,6 +5,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use crate::estimate::Criterion;
 use crate::estimate::covariance::{CovarianceMap, Form, place, sub};
 use crate::estimate::exact::maximise_exact;
 use crate::estimate::local::Objective;
@@ -21,14 +22,17 @@ pub(crate) enum Turn {
 }
 
 /// One EM step from the sums at a point. Where μ has no closed form beside Σ (a singular Σ with a constrained mean,
-/// or a regression), μ and Σ take turns: generalised least squares for μ, EM for Σ (ECM).
+/// or a regression), μ and Σ take turns: generalised least squares for μ, EM for Σ (ECM). So they do under the restricted
+/// likelihood, where the mean is missing data too, with a flat prior: its uncertainty adds to the second moment.
 pub(crate) fn step(problem: &Problem, point: &Point, sums: &Sums, turn: &mut Turn) -> Point {
     let n = problem.classes.tests as f64;
     let sigma = point.covariance();
     let mu = DVector::from_column_slice(&point.mean);
     let p = mu.len();
     let shift = &sigma * sums.mean_score.rows(0, p) / n; // mean x̂_j - μ
-    let together = problem.mean.regressors.is_empty().then(|| problem.mean.maximise(&(&mu + &shift), &sigma)).flatten();
+    let together = (problem.mean.regressors.is_empty() && problem.criterion() == Criterion::Ml)
+        .then(|| problem.mean.maximise(&(&mu + &shift), &sigma))
+        .flatten();
     let random = problem.covariance.random.len() == p;
     let next_mean = match together {
         Some(next) if random => next,
@@ -55,7 +59,7 @@ fn second_moment(
     delta: &DVector<f64>,
     n: f64,
 ) -> DMatrix<f64> {
-    let spread = sigma - sigma * (&sums.weight - &sums.outer) * sigma / n;
+    let spread = sigma - sigma * (&sums.weight - sums.moment()) * sigma / n;
     spread - shift * delta.transpose() - delta * shift.transpose() + delta * delta.transpose()
 }
 

@@ -17,7 +17,7 @@ struct Exact<'a> {
 }
 
 impl Objective for Exact<'_> {
-    fn local(&self, point: &Point) -> Option<Local> {
+    fn local(&self, point: &Point, _: Option<&DMatrix<f64>>) -> Option<Local> {
         let p = self.second.nrows();
         let factor = sub(&point.covariance(), self.random).cholesky()?;
         let inverse = factor.inverse();
@@ -38,6 +38,7 @@ impl Objective for Exact<'_> {
             cross: DMatrix::zeros(0, pairs(p)),
             information: over_pairs(p, |k, l, a, b| weight[(l, a)] * inner[(b, k)]),
             weight: weight * self.n,
+            mean_covariance: None,
         })
     }
 
@@ -53,7 +54,7 @@ impl Objective for Exact<'_> {
 /// Newton steps from the current root; every step raises the objective, so a step that is cut short is still a GEM step.
 pub(crate) fn maximise_exact(map: &CovarianceMap, second: &DMatrix<f64>, point: &Point, n: f64) -> DMatrix<f64> {
     let objective = Exact { second, n, random: &map.random, jacobian: DMatrix::zeros(0, 0) };
-    let Some(mut place) = Place::new(&objective, map, point.clone()) else { return point.root.clone() };
+    let Some(mut place) = Place::new(&objective, map, point.clone(), None) else { return point.root.clone() };
     let mut damping = Damping::default();
     for _ in 0..50 {
         if place.decrement() < 1e-10 * n.sqrt() {

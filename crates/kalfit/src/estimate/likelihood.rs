@@ -65,7 +65,7 @@ impl Likelihood {
             Derivatives::First => Order::First,
             Derivatives::Second => Order::Second,
         };
-        self.evaluation(&pass::pass(&self.classes, &[], &point, order), order)
+        self.evaluation(&pass::pass(&self.classes, &[], &point, order, None), order)
     }
 
     fn evaluation(&self, sums: &Sums, order: Order) -> Evaluation {

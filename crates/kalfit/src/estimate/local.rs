@@ -21,6 +21,8 @@ pub(crate) struct Local {
     pub(crate) information: DMatrix<f64>,
     /// Σ W over tests: the scale of information on Σ.
     pub(crate) weight: DMatrix<f64>,
+    /// Covariance of the free mean coordinates at a known Σ, under the restricted likelihood.
+    pub(crate) mean_covariance: Option<DMatrix<f64>>,
 }
 
 impl From<&Sums> for Local {
@@ -33,6 +35,7 @@ impl From<&Sums> for Local {
             cross: sums.cross_information(),
             information: sums.observed_information(),
             weight: sums.weight.clone(),
+            mean_covariance: sums.restricted.as_ref().map(|r| r.covariance.clone()),
         }
     }
 }
@@ -53,8 +56,9 @@ impl Local {
 
 /// Something to maximise over (mean coordinates, Σ).
 pub(crate) trait Objective {
-    /// Value and derivatives; `None` where the function is not defined.
-    fn local(&self, point: &Point) -> Option<Local>;
+    /// Value and derivatives; `None` where the function is not defined. `near` is the
+    /// covariance of the free mean coordinates at a place near by, where it is known.
+    fn local(&self, point: &Point, near: Option<&DMatrix<f64>>) -> Option<Local>;
     /// d(mean coordinates) / d(free mean coordinates).
     fn mean_jacobian(&self) -> &DMatrix<f64>;
     /// The point with its free mean coordinates moved.

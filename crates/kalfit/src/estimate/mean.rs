@@ -49,6 +49,17 @@ impl MeanMap {
         jacobian
     }
 
+    /// d(b, γ) / d(the user's β and regression coefficients), q × q.
+    pub(crate) fn by_user(&self, structure: &MeanStructure, frame: &Frame) -> DMatrix<f64> {
+        let (_, b) = structure.basis();
+        let scaled = DMatrix::from_fn(b.nrows(), b.ncols(), |i, c| b[(i, c)] / frame.scale[i]);
+        let (q, r) = (b.ncols(), self.regressors.len());
+        let mut by_user = DMatrix::zeros(q + r, q + r);
+        by_user.view_mut((0, 0), (q, q)).copy_from(&(self.basis.transpose() * scaled));
+        self.coefficient_scale.iter().enumerate().for_each(|(c, scale)| by_user[(q + c, q + c)] = *scale);
+        by_user
+    }
+
     /// The paper's (20), generalised: the point of the structure nearest to the mean of the posterior means in the
     /// metric Σ⁻¹. With nothing constrained that is (8): the mean itself. `None` when Σ is singular and the mean is
     /// constrained: then the metric has no meaning and the mean needs generalised least squares instead.

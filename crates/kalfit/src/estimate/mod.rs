@@ -10,11 +10,13 @@ mod covariance;
 mod em;
 mod exact;
 mod likelihood;
+mod linear;
 mod local;
 mod mean;
 mod newton;
 mod pass;
 mod problem;
+mod reml;
 mod scoring;
 mod search;
 mod settings;
@@ -25,7 +27,7 @@ use nalgebra::DMatrix;
 
 pub use certificate::Certificate;
 pub use likelihood::{Derivatives, Evaluation, Likelihood, pass_flops};
-pub use settings::{Progress, Settings, Silent, Solver, Step};
+pub use settings::{Criterion, Progress, Settings, Silent, Solver, Step};
 
 pub(crate) use classes::{Class, unpack};
 pub(crate) use climb::{Limits, climb};
@@ -106,7 +108,7 @@ pub struct Estimate {
     pub coefficients: Vec<f64>,
     /// Σ (p × p). Fixed elements have exactly their values.
     pub covariance: DMatrix<f64>,
-    /// ℓ, every constant included.
+    /// ℓ, or under [`Criterion::Reml`] the restricted ℓ_R; every constant included.
     pub log_likelihood: f64,
     /// The optimality certificate.
     pub certificate: Certificate,
@@ -120,6 +122,8 @@ pub struct Estimate {
     pub classes: usize,
     /// Solver that was used.
     pub solver: Solver,
+    /// What was maximised.
+    pub criterion: Criterion,
     /// What inference needs: the problem, the final point in its own coordinates, and the derivatives there.
     pub(crate) state: State,
 }
@@ -164,14 +168,15 @@ impl State {
     }
 }
 
-/// Maximises ℓ(μ, Σ) over the reductions under a structure.
+/// Maximises ℓ(μ, Σ) over the reductions under a structure, or the restricted likelihood of Σ with μ by generalised least
+/// squares, as the criterion of the settings says.
 pub fn fit(
     reductions: &[Reduction],
     structure: &Structure<'_>,
     settings: &Settings,
     progress: &mut dyn Progress,
 ) -> Result<Estimate, FitError> {
-    let problem = problem(reductions, structure)?;
+    let problem = problem(reductions, structure, settings.criterion)?;
     let start = start::start(&problem, structure)?;
     search::Search::new(problem, settings, progress).run(start, structure)
 }
@@ -206,7 +211,7 @@ pub fn fit_from(
     settings: &Settings,
     progress: &mut dyn Progress,
 ) -> Result<Estimate, FitError> {
-    let problem = problem(reductions, structure)?;
+    let problem = problem(reductions, structure, settings.criterion)?;
     let start = start::near(&problem, start)?;
     search::Search::new(problem, settings, progress).resume(start, structure)
 }
@@ -216,14 +221,14 @@ pub(crate) fn at_start(
     reductions: &[Reduction],
     structure: &Structure<'_>,
 ) -> Result<(Problem, Place, Sums), FitError> {
-    let problem = problem(reductions, structure)?;
+    let problem = problem(reductions, structure, Criterion::Ml)?;
     let start = start::start(&problem, structure)?;
-    let place = Place::new(&problem, &problem.covariance, start).ok_or(FitError::NotFinite)?;
-    let sums = problem.sums(&place.point, pass::Order::Expected);
+    let place = Place::new(&problem, &problem.covariance, start, None).ok_or(FitError::NotFinite)?;
+    let sums = problem.sums(&place.point, pass::Order::Expected, None).ok_or(FitError::NotFinite)?;
     Ok((problem, place, sums))
 }
 
-fn problem(reductions: &[Reduction], structure: &Structure<'_>) -> Result<Problem, FitError> {
+fn problem(reductions: &[Reduction], structure: &Structure<'_>, criterion: Criterion) -> Result<Problem, FitError> {
     if reductions.is_empty() {
         return Err(FitError::NoTests);
     }
@@ -232,5 +237,5 @@ fn problem(reductions: &[Reduction], structure: &Structure<'_>) -> Result<Proble
     if let Some(twice) = ids.windows(2).find(|pair| pair[0] == pair[1]) {
         return Err(FitError::DuplicateTest { id: twice[0].to_owned() });
     }
-    Problem::new(reductions, structure)
+    Problem::new(reductions, structure, criterion)
 }

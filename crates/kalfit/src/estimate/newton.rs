@@ -21,8 +21,13 @@ pub(crate) struct Place {
 
 impl Place {
     /// Evaluates the objective: one pass.
-    pub(crate) fn new(objective: &dyn Objective, map: &CovarianceMap, point: Point) -> Option<Place> {
-        Place::at(objective.local(&point)?, objective.mean_jacobian(), map, point)
+    pub(crate) fn new(
+        objective: &dyn Objective,
+        map: &CovarianceMap,
+        point: Point,
+        near: Option<&DMatrix<f64>>,
+    ) -> Option<Place> {
+        Place::at(objective.local(&point, near)?, objective.mean_jacobian(), map, point)
     }
 
     /// A point where the objective is known; `None` where it is not finite.
@@ -39,6 +44,11 @@ impl Place {
         point.root = tangent.chart.root.clone();
         let curvature = Curvature::new(&tangent);
         Some(Place { point, local, tangent, curvature })
+    }
+
+    /// What places near by may take from this one.
+    pub(crate) fn near(&self) -> Option<&DMatrix<f64>> {
+        self.local.mean_covariance.as_ref()
     }
 
     pub(crate) fn decrement(&self) -> f64 {
@@ -67,7 +77,9 @@ impl Damping {
         let slack = 1e-13 * place.local.value.abs().max(1.0);
         for _ in 0..TRIES {
             let (step, promised) = place.curvature.step(self.0);
-            if let Some(next) = moved(objective, map, place, &step).and_then(|p| Place::new(objective, map, p)) {
+            if let Some(next) =
+                moved(objective, map, place, &step).and_then(|point| Place::new(objective, map, point, place.near()))
+            {
                 let gain = next.local.value - place.local.value;
                 if gain >= -slack && (gain >= 0.05 * promised || promised <= slack) {
                     self.judge(gain / promised);

@@ -5,6 +5,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use crate::estimate::classes::{Class, Classes};
+use crate::estimate::reml::Restricted;
 use crate::estimate::terms::{Point, Regressors, Terms};
 use crate::linalg::symmetric::{over_pairs, pair, pairs};
 
@@ -35,7 +36,11 @@ pub(crate) struct Sums {
     pub(crate) outer: DMatrix<f64>,
     /// Σ W.
     pub(crate) weight: DMatrix<f64>,
-    /// Σ W ⊗ (r r' - ½W), pairs × pairs.
+    /// What the restricted likelihood adds, already part of `value`.
+    pub(crate) restricted: Option<Restricted>,
+    /// Σ X'W ⊗ WX, pairs of free mean coordinates × pairs of elements; nothing under maximum likelihood.
+    spread: DMatrix<f64>,
+    /// Σ W ⊗ (r r' - ½W), pairs × pairs; under the restricted likelihood Σ W ⊗ (r r' - ½W + W X V X'W).
     curvature: DMatrix<f64>,
     /// Σ W ⊗ r for each mean coordinate: entry (coordinate, k, l) of E'W_{·k} r_l at (coordinate, k p + l).
     cross: DMatrix<f64>,
@@ -44,7 +49,7 @@ pub(crate) struct Sums {
 }
 
 impl Sums {
-    fn zero(p: usize, regressors: usize, order: Order) -> Sums {
+    fn zero(p: usize, regressors: usize, order: Order, flat: Option<&FlatMean<'_>>) -> Sums {
         let size = |n: usize, from: Order| if order >= from { n } else { 0 };
         let (m, s) = (p + regressors, pairs(p));
         Sums {
@@ -53,6 +58,8 @@ impl Sums {
             mean_information: DMatrix::zeros(m, m),
             outer: DMatrix::zeros(p, p),
             weight: DMatrix::zeros(p, p),
+            restricted: None,
+            spread: flat.map_or_else(|| DMatrix::zeros(0, 0), |f| DMatrix::zeros(pairs(f.jacobian.ncols()), s)),
             curvature: DMatrix::zeros(size(s, Order::Second), size(s, Order::Second)),
             cross: DMatrix::zeros(size(m, Order::Second), size(p * p, Order::Second)),
             expected: DMatrix::zeros(size(s, Order::Expected), size(s, Order::Expected)),
@@ -65,15 +72,36 @@ impl Sums {
         self.mean_information += &other.mean_information;
         self.outer += &other.outer;
         self.weight += &other.weight;
+        self.spread += &other.spread;
         self.curvature += &other.curvature;
         self.cross += &other.cross;
         self.expected += &other.expected;
         self
     }
 
-    /// G = ∂ℓ/∂Σ = ½ Σ (r r' - W), (5): ℓ changes by tr(G dΣ).
+    /// Σ X'W ⊗ WX.
+    pub(crate) fn spread(&self) -> &DMatrix<f64> {
+        &self.spread
+    }
+
+    /// With what the restricted likelihood adds.
+    pub(crate) fn restrict(mut self, restricted: Restricted) -> Sums {
+        self.value += restricted.value;
+        self.restricted = Some(restricted);
+        self
+    }
+
+    /// Σ r r', to which under the restricted likelihood the uncertainty of the mean adds Σ W X V X'W.
+    pub(crate) fn moment(&self) -> DMatrix<f64> {
+        match &self.restricted {
+            Some(restricted) => &self.outer + &restricted.score * 2.0,
+            None => self.outer.clone(),
+        }
+    }
+
+    /// G = ∂ℓ/∂Σ = ½ Σ (r r' - W), (5), with what the restricted likelihood adds: the value changes by tr(G dΣ).
     pub(crate) fn score(&self) -> DMatrix<f64> {
-        (&self.outer - &self.weight) * 0.5
+        (self.moment() - &self.weight) * 0.5
     }
 
     /// G once the mean coordinates have moved by `shift`: r_j becomes r_j - W_j E_j shift. Exact, without regressors; with
@@ -81,7 +109,7 @@ impl Sums {
     pub(crate) fn score_after(&self, regressors: &Regressors, shift: &DVector<f64>) -> DMatrix<f64> {
         let p = self.outer.nrows();
         debug_assert_eq!(shift.len(), p + regressors.len(), "mean coordinates");
-        let mut outer = self.outer.clone();
+        let mut outer = self.moment();
         for a in 0..p {
             for b in 0..p {
                 for k in 0..p {
@@ -99,7 +127,11 @@ impl Sums {
     /// -∂²ℓ/∂σ_kl ∂σ_ab, pairs × pairs; an off-diagonal element moves both of its places.
     pub(crate) fn observed_information(&self) -> DMatrix<f64> {
         let p = self.outer.nrows();
-        over_pairs(p, |k, l, a, b| self.curvature[(pair(l, a), pair(b, k))])
+        let own = over_pairs(p, |k, l, a, b| self.curvature[(pair(l, a), pair(b, k))]);
+        match &self.restricted {
+            Some(restricted) => own - &restricted.curvature,
+            None => own,
+        }
     }
 
     /// ½ Σ tr(W D W E), pairs × pairs.
@@ -124,9 +156,24 @@ impl Sums {
     }
 }
 
+/// What the restricted likelihood needs of every class: X = E × jacobian, the mean by its free coordinates.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct FlatMean<'a> {
+    /// d(mean coordinates) / d(free mean coordinates).
+    pub(crate) jacobian: &'a DMatrix<f64>,
+    /// V, the covariance of the free mean coordinates.
+    pub(crate) covariance: Option<&'a DMatrix<f64>>,
+}
+
 /// ℓ and its derivatives at a point.
-pub(crate) fn pass(classes: &Classes, regressors: &Regressors, point: &Point, order: Order) -> Sums {
-    let zero = || Sums::zero(classes.dimension(), regressors.len(), order);
+pub(crate) fn pass(
+    classes: &Classes,
+    regressors: &Regressors,
+    point: &Point,
+    order: Order,
+    flat: Option<&FlatMean<'_>>,
+) -> Sums {
+    let zero = || Sums::zero(classes.dimension(), regressors.len(), order, flat);
     let chunks: Vec<Sums> = classes
         .classes
         .par_chunks(CHUNK)
@@ -135,7 +182,7 @@ pub(crate) fn pass(classes: &Classes, regressors: &Regressors, point: &Point, or
             let mut terms = Terms::new(classes.dimension());
             for class in chunk {
                 terms.evaluate(class, regressors, point);
-                terms.add_to(&mut sums, class, regressors, order);
+                terms.add_to(&mut sums, class, regressors, order, flat);
             }
             sums
         })
@@ -146,15 +193,22 @@ pub(crate) fn pass(classes: &Classes, regressors: &Regressors, point: &Point, or
 /// What one class says by itself.
 pub(crate) fn of_class(class: &Class, regressors: &Regressors, point: &Point, order: Order) -> Sums {
     let p = point.mean.len();
-    let mut sums = Sums::zero(p, regressors.len(), order);
+    let mut sums = Sums::zero(p, regressors.len(), order, None);
     let mut terms = Terms::new(p);
     terms.evaluate(class, regressors, point);
-    terms.add_to(&mut sums, class, regressors, order);
+    terms.add_to(&mut sums, class, regressors, order, None);
     sums
 }
 
 impl Terms {
-    fn add_to(&self, sums: &mut Sums, class: &Class, regressors: &Regressors, order: Order) {
+    fn add_to(
+        &self,
+        sums: &mut Sums,
+        class: &Class,
+        regressors: &Regressors,
+        order: Order,
+        flat: Option<&FlatMean<'_>>,
+    ) {
         let (p, n) = (self.r.len(), class.count);
         sums.value += self.value(class);
         for a in 0..p {
@@ -168,8 +222,9 @@ impl Terms {
         for (c, &element) in regressors.iter().enumerate() {
             self.add_regressor(sums, class, regressors, (c, element));
         }
+        let uncertainty = flat.and_then(|flat| self.add_flat(sums, class, regressors, flat));
         if order >= Order::Second {
-            self.add_second(sums, class, regressors);
+            self.add_second(sums, class, regressors, uncertainty.as_ref());
         }
         if order >= Order::Expected {
             self.for_pairs(|s, t, w, u| sums.expected[(s, t)] += n * w * u, &self.W);
@@ -190,10 +245,39 @@ impl Terms {
         }
     }
 
-    fn add_second(&self, sums: &mut Sums, class: &Class, regressors: &Regressors) {
+    /// Adds to Σ X'W ⊗ WX, and returns W X V X'W (p × p) where V is known.
+    fn add_flat(
+        &self,
+        sums: &mut Sums,
+        class: &Class,
+        regressors: &Regressors,
+        flat: &FlatMean<'_>,
+    ) -> Option<DMatrix<f64>> {
+        let p = self.r.len();
+        let rows = DMatrix::from_fn(p, p + regressors.len(), |a, m| {
+            if m < p { self.W[a * p + m] } else { class.covariates[m - p] * self.W[regressors[m - p] * p + a] }
+        });
+        let own = rows * flat.jacobian; // WX
+        for c in 0..own.ncols() {
+            for d in 0..=c {
+                for k in 0..p {
+                    for l in 0..=k {
+                        let both = own[(k, c)] * own[(l, d)] + own[(l, c)] * own[(k, d)];
+                        sums.spread[(pair(c, d), pair(k, l))] += 0.5 * class.count * both;
+                    }
+                }
+            }
+        }
+        flat.covariance.map(|covariance| &own * covariance * own.transpose())
+    }
+
+    fn add_second(&self, sums: &mut Sums, class: &Class, regressors: &Regressors, uncertainty: Option<&DMatrix<f64>>) {
         let (p, n) = (self.r.len(), class.count);
         let mut inner = self.outer.clone();
         inner.iter_mut().zip(&self.W).for_each(|(m, w)| *m -= 0.5 * n * w);
+        if let Some(uncertainty) = uncertainty {
+            inner.iter_mut().zip(uncertainty.iter()).for_each(|(m, u)| *m += n * u); // symmetric
+        }
         self.for_pairs(|s, t, w, m| sums.curvature[(s, t)] += w * m, &inner);
         for k in 0..p {
             for l in 0..p {

@@ -8,36 +8,70 @@ use crate::estimate::classes::Classes;
 use crate::estimate::covariance::CovarianceMap;
 use crate::estimate::local::{Local, Objective};
 use crate::estimate::mean::MeanMap;
-use crate::estimate::pass::{Order, Sums, pass};
+use crate::estimate::pass::{FlatMean, Order, Sums, pass};
+use crate::estimate::reml::Restriction;
 use crate::estimate::terms::Point;
-use crate::estimate::{FitError, InitialState, Structure};
+use crate::estimate::{Criterion, FitError, InitialState, Structure};
 use crate::linalg::symmetric;
 use crate::reduce::Reduction;
 
-/// What is maximised: ℓ(μ, Σ) of the reductions under a structure.
+/// What is maximised: ℓ(μ, Σ) of the reductions under a structure, with what the restricted likelihood adds to it.
 #[derive(Debug)]
 pub(crate) struct Problem {
     pub(crate) classes: Classes,
     pub(crate) mean: MeanMap,
     pub(crate) covariance: CovarianceMap,
     mean_jacobian: DMatrix<f64>,
+    restriction: Option<Restriction>,
     passes: AtomicUsize,
 }
 
 impl Problem {
-    pub(crate) fn new(reductions: &[Reduction], structure: &Structure<'_>) -> Result<Problem, FitError> {
+    pub(crate) fn new(
+        reductions: &[Reduction],
+        structure: &Structure<'_>,
+        criterion: Criterion,
+    ) -> Result<Problem, FitError> {
         let p = structure.mean.elements.len();
         let classes = Classes::new(reductions, p, structure.mean.regression.len());
         let mean = MeanMap::new(structure.mean, &classes.frame);
         let covariance = CovarianceMap::new(structure.covariance, structure.alpha, &classes.frame)?;
         let mean_jacobian = mean.jacobian();
-        Ok(Problem { classes, mean, covariance, mean_jacobian, passes: AtomicUsize::new(0) })
+        let restriction = (criterion == Criterion::Reml).then(|| {
+            let at_zero = classes.mean_information(&mean.regressors);
+            Restriction::new(
+                &(mean_jacobian.transpose() * at_zero * &mean_jacobian),
+                &mean.by_user(structure.mean, &classes.frame),
+            )
+        });
+        Ok(Problem { classes, mean, covariance, mean_jacobian, restriction, passes: AtomicUsize::new(0) })
     }
 
-    /// ℓ and its derivatives: one pass over the classes.
-    pub(crate) fn sums(&self, point: &Point, order: Order) -> Sums {
+    /// What is maximised and its derivatives: one pass over the classes. The restricted likelihood's second derivatives hold
+    /// the covariance C⁻¹ of the mean under the sum over classes, and C is such a sum itself: there `near` stands for it, from
+    /// a place near by. They are exact when that place is this one, and nothing else depends on it.
+    /// `None` where the restricted likelihood is not defined.
+    pub(crate) fn sums(&self, point: &Point, order: Order, near: Option<&DMatrix<f64>>) -> Option<Sums> {
         self.count_pass();
-        pass(&self.classes, &self.mean.regressors, point, order)
+        let Some(restriction) = &self.restriction else {
+            return Some(pass(&self.classes, &self.mean.regressors, point, order, None));
+        };
+        let flat = FlatMean { jacobian: &self.mean_jacobian, covariance: near };
+        let sums = pass(&self.classes, &self.mean.regressors, point, order, Some(&flat));
+        let information = self.mean_jacobian.transpose() * &sums.mean_information * &self.mean_jacobian;
+        let restricted = restriction.at(&information, sums.spread(), self.classes.dimension())?;
+        Some(sums.restrict(restricted))
+    }
+
+    /// ℓ and its derivatives, whatever is maximised: one pass.
+    pub(crate) fn likelihood(&self, point: &Point, order: Order) -> Sums {
+        self.count_pass();
+        pass(&self.classes, &self.mean.regressors, point, order, None)
+    }
+
+    /// What is maximised.
+    pub(crate) fn criterion(&self) -> Criterion {
+        if self.restriction.is_some() { Criterion::Reml } else { Criterion::Ml }
     }
 
     /// Counts one pass over the classes.
@@ -97,8 +131,8 @@ pub(crate) fn scaled_solve(a: &DMatrix<f64>, b: &DVector<f64>) -> DVector<f64> {
 }
 
 impl Objective for Problem {
-    fn local(&self, point: &Point) -> Option<Local> {
-        Some(Local::from(&self.sums(point, Order::Second)))
+    fn local(&self, point: &Point, near: Option<&DMatrix<f64>>) -> Option<Local> {
+        Some(Local::from(&self.sums(point, Order::Second, near)?))
     }
 
     fn mean_jacobian(&self) -> &DMatrix<f64> {

@@ -2,16 +2,18 @@
 
 use std::sync::Arc;
 
+use nalgebra::DMatrix;
+
 use crate::estimate::certificate::{Certificate, certificate};
 use crate::estimate::climb::escaped;
 use crate::estimate::covariance::Form;
 use crate::estimate::em::{self, Turn};
 use crate::estimate::newton::{Attempt, Damping, Place, retract};
-use crate::estimate::pass::Order;
+use crate::estimate::pass::{Order, Sums};
 use crate::estimate::problem::Problem;
 use crate::estimate::settings::{Progress, Settings, Solver, Step};
 use crate::estimate::terms::Point;
-use crate::estimate::{Estimate, FitError, InitialState, State, Stop, Structure, scoring};
+use crate::estimate::{Criterion, Estimate, FitError, InitialState, State, Stop, Structure, scoring};
 
 /// Most scoring steps before Newton's method takes over.
 const SCORING_STEPS: usize = 5;
@@ -36,17 +38,20 @@ impl<'a> Search<'a> {
 
     /// From a start that is not known to be good.
     pub(crate) fn run(mut self, start: Point, structure: &Structure<'_>) -> Result<Estimate, FitError> {
-        let start = match self.settings.solver {
-            Solver::Newton => self.scored_start(start),
-            Solver::Em => start,
+        let (place, stop) = match self.settings.solver {
+            Solver::Newton => {
+                let (start, near) = self.scored_start(start)?;
+                self.newton(start, near.as_ref())?
+            }
+            Solver::Em => self.em(start)?,
         };
-        self.resume(start, structure)
+        self.finish(place, stop, structure)
     }
 
     /// From a start that is near the optimum.
     pub(crate) fn resume(mut self, start: Point, structure: &Structure<'_>) -> Result<Estimate, FitError> {
         let (place, stop) = match self.settings.solver {
-            Solver::Newton => self.newton(start)?,
+            Solver::Newton => self.newton(start, None)?,
             Solver::Em => self.em(start)?,
         };
         self.finish(place, stop, structure)
@@ -61,13 +66,17 @@ impl<'a> Search<'a> {
         self.problem.passes() >= self.settings.max_passes
     }
 
-    fn place(&self, point: Point) -> Result<Place, FitError> {
-        Place::new(&self.problem, &self.problem.covariance, point).ok_or(FitError::NotFinite)
+    fn place(&self, point: Point, near: Option<&DMatrix<f64>>) -> Result<Place, FitError> {
+        Place::new(&self.problem, &self.problem.covariance, point, near).ok_or(FitError::NotFinite)
+    }
+
+    fn sums(&self, point: &Point, order: Order) -> Result<Sums, FitError> {
+        self.problem.sums(point, order, None).ok_or(FitError::NotFinite)
     }
 
     /// Newton, and EM where Newton finds no step.
-    fn newton(&mut self, start: Point) -> Result<(Place, Stop), FitError> {
-        let mut place = self.place(start)?;
+    fn newton(&mut self, start: Point, near: Option<&DMatrix<f64>>) -> Result<(Place, Stop), FitError> {
+        let mut place = self.place(start, near)?;
         self.accept(place.local.value, Some(place.decrement()));
         let mut damping = Damping::default();
         let mut failures = 0;
@@ -100,14 +109,18 @@ impl<'a> Search<'a> {
     }
 
     /// The start, moved on by Fisher scoring while that promises much; ℓ need not rise on the way, and where it falls the
-    /// better point is kept.
-    fn scored_start(&mut self, start: Point) -> Point {
+    /// better point is kept. With it comes the covariance of the mean there, under the restricted likelihood.
+    fn scored_start(&mut self, start: Point) -> Result<(Point, Option<DMatrix<f64>>), FitError> {
         let mut best: Option<(f64, Point)> = None;
+        let mut near = None;
         let mut point = start;
         for _ in 0..SCORING_STEPS {
-            let sums = self.problem.sums(&point, Order::Expected);
+            let sums = self.sums(&point, Order::Expected)?;
+            near = sums.restricted.as_ref().map(|r| r.covariance.clone());
             match &best {
-                Some((value, kept)) if sums.value.is_nan() || sums.value < *value => return kept.clone(),
+                Some((value, kept)) if sums.value.is_nan() || sums.value < *value => {
+                    return Ok((kept.clone(), near));
+                }
                 _ => self.accept(sums.value, None),
             }
             let gained = best.as_ref().map_or(f64::INFINITY, |(before, _)| sums.value - before);
@@ -118,14 +131,14 @@ impl<'a> Search<'a> {
                 break;
             }
         }
-        point
+        Ok((point, near))
     }
 
     /// An EM step, where it raises ℓ.
     fn safeguard(&mut self, place: &Place) -> Result<Option<Place>, FitError> {
-        let sums = self.problem.sums(&place.point, Order::First);
+        let sums = self.sums(&place.point, Order::First)?;
         let next = em::step(&self.problem, &place.point, &sums, &mut Turn::Covariance);
-        let next = self.place(next)?;
+        let next = self.place(next, place.near())?;
         Ok((next.local.value > place.local.value).then_some(next))
     }
 
@@ -135,7 +148,12 @@ impl<'a> Search<'a> {
         let mut before = f64::NEG_INFINITY;
         let mut steps = 0_usize;
         loop {
-            let sums = self.problem.sums(&point, Order::First);
+            let sums = self.sums(&point, Order::First)?;
+            if self.problem.criterion() == Criterion::Reml && turn == Turn::Mean {
+                // the restricted likelihood is that at the mean of least squares, which comes first
+                point = em::step(&self.problem, &point, &sums, &mut turn);
+                continue;
+            }
             if !sums.value.is_finite() {
                 return Err(FitError::NotFinite);
             }
@@ -145,7 +163,8 @@ impl<'a> Search<'a> {
             before = sums.value;
             self.accept(sums.value, None);
             if steps.is_multiple_of(EM_LOOK) || self.out_of_passes() {
-                let place = self.place(point.clone())?;
+                let near = sums.restricted.as_ref().map(|r| r.covariance.clone());
+                let place = self.place(point.clone(), near.as_ref())?;
                 if place.decrement() <= self.settings.tolerance {
                     return Ok((place, Stop::Certified));
                 }
@@ -160,9 +179,13 @@ impl<'a> Search<'a> {
 
     /// Sets what is all but zero to zero, looks at everything once more, and leaves the estimator's coordinates.
     fn finish(mut self, place: Place, mut stop: Stop, structure: &Structure<'_>) -> Result<Estimate, FitError> {
-        let place = self.snapped(place)?;
+        let mut place = self.snapped(place)?;
+        if self.problem.criterion() == Criterion::Reml {
+            // the second derivatives are exact once the covariance of the mean is that of this very place
+            place = self.place(place.point.clone(), place.near())?;
+        }
         let passes = self.problem.passes();
-        let sums = self.problem.sums(&place.point, Order::Expected);
+        let sums = self.sums(&place.point, Order::Expected)?;
         let tests = self.problem.classes.tests as f64;
         let (certificate, _) = certificate(&self.problem.covariance, &place, tests);
         if stop == Stop::Certified && !certificate.holds(self.settings.tolerance) {
@@ -195,7 +218,7 @@ impl<'a> Search<'a> {
         let chart = self.problem.covariance.chart(&root);
         let still = nalgebra::DVector::zeros(chart.coordinates.len());
         let Some(root) = retract(&self.problem.covariance, &chart, still) else { return Ok(place) };
-        let next = self.place(Point { root, ..place.point.clone() })?;
+        let next = self.place(Point { root, ..place.point.clone() }, place.near())?;
         let fine = next.local.value >= place.local.value - 1e-9;
         Ok(if fine && next.decrement() <= place.decrement().max(self.settings.tolerance) { next } else { place })
     }
@@ -215,6 +238,7 @@ fn leave(state: State, certificate: Certificate, stop: Stop, trace: Vec<f64>, so
         trace,
         passes: problem.passes(),
         classes: problem.classes.classes.len(),
+        criterion: problem.criterion(),
         solver,
         state,
     }

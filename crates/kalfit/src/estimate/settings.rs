@@ -10,11 +10,25 @@ pub enum Solver {
     Em,
 }
 
+/// What is maximised.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Criterion {
+    /// ℓ(μ, Σ).
+    #[default]
+    Ml,
+    /// The restricted log-likelihood ℓ_R(Σ) = ℓ(μ̂(Σ), Σ) - ½ log|Σ_j B'W_jB| + ½ q log 2π, with μ = m0 + Bβ in the user's
+    /// units and q = dim β, regression coefficients included; μ̂ is that of generalised least squares. Directions of β that
+    /// no test informs are left out of the determinant (the product of its non-zero eigenvalues is meant) and of q.
+    Reml,
+}
+
 /// Settings of a fit of μ and Σ.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Settings {
     /// How to search.
     pub solver: Solver,
+    /// What is maximised.
+    pub criterion: Criterion,
     /// Stop when the Newton decrement is at most this: the distance to the optimum in standard errors.
     pub tolerance: f64,
     /// Largest number of passes over the reductions.
@@ -23,7 +37,7 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Settings { solver: Solver::Newton, tolerance: 1e-8, max_passes: 200 }
+        Settings { solver: Solver::Newton, criterion: Criterion::Ml, tolerance: 1e-8, max_passes: 200 }
     }
 }
 

@@ -6,9 +6,9 @@ use crate::estimate::covariance::{Chart, CovarianceMap, sub};
 use crate::estimate::newton::retract;
 use crate::estimate::problem::{Problem, scaled_solve};
 use crate::estimate::terms::Point;
-use crate::estimate::{FitError, InitialState, Structure};
+use crate::estimate::{FitError, InitialState, Structure, linear};
 use crate::linalg::symmetric;
-use crate::model::StructureError;
+use crate::model::{CovarianceKind, StructureError};
 
 /// Smallest start variance, in units of what one average test tells of the state.
 const LEAST: f64 = 0.05;
@@ -22,7 +22,14 @@ pub(crate) fn start(problem: &Problem, structure: &Structure<'_>) -> Result<Poin
         None => DMatrix::from_diagonal(&variances(problem, &mean)),
     };
     let root = map.root_of(&map.mask(&sigma));
-    let root = if map.constraints.is_empty() { root } else { feasible(map, &sigma)? };
+    let root = match &structure.covariance.kind {
+        _ if map.constraints.is_empty() => root,
+        CovarianceKind::Linear { .. } => {
+            let root = map.root_of(&linear::member(map, &map.mask(&sigma)));
+            onto(map, &root).ok_or(StructureError::NoMember)?
+        }
+        _ => feasible(map, &sigma)?,
+    };
     Ok(Point { mean: mean.as_slice().to_vec(), coefficients, root })
 }
 
@@ -120,8 +127,12 @@ fn feasible(map: &CovarianceMap, sigma: &DMatrix<f64>) -> Result<DMatrix<f64>, F
         }
         wanted = next;
     }
-    let root = map.root_of(&wanted);
-    let chart: Chart = map.chart(&root);
+    onto(map, &map.root_of(&wanted)).ok_or(FitError::Structure(StructureError::Contradiction))
+}
+
+/// The root nearby whose FF' meets the constraints, if there is one.
+fn onto(map: &CovarianceMap, root: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+    let chart: Chart = map.chart(root);
     let still = DVector::zeros(chart.coordinates.len());
-    retract(map, &chart, still).ok_or(FitError::Structure(StructureError::Contradiction))
+    retract(map, &chart, still)
 }

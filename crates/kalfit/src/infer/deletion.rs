@@ -7,8 +7,8 @@ use nalgebra::DMatrix;
 use rayon::prelude::*;
 
 use crate::estimate::{
-    Class, CovarianceMap, Estimate, InitialState, Limits, Local, Objective, Order, Place, Point, Problem, Silent, Stop,
-    climb, fit_from, of_class,
+    Class, CovarianceMap, Criterion, Estimate, InitialState, Limits, Local, Objective, Order, Place, Point, Problem,
+    Silent, Stop, climb, fit_from, of_class,
 };
 use crate::infer::posterior::{Distance, distance};
 use crate::reduce::Reduction;
@@ -65,8 +65,8 @@ impl Without<'_> {
 }
 
 impl Objective for Without<'_> {
-    fn local(&self, point: &Point) -> Option<Local> {
-        Some(self.problem.local(point)?.less(&self.own(point)))
+    fn local(&self, point: &Point, near: Option<&DMatrix<f64>>) -> Option<Local> {
+        Some(self.problem.local(point, near)?.less(&self.own(point)))
     }
 
     fn mean_jacobian(&self) -> &DMatrix<f64> {
@@ -81,6 +81,9 @@ impl Objective for Without<'_> {
 /// Newton steps from the optimum of all tests, in its coordinates.
 fn climbed(estimate: &Estimate, reduction: &Reduction) -> Option<Point> {
     let state = &estimate.state;
+    if estimate.criterion == Criterion::Reml {
+        return None; // log|ΣB'WB| is no sum over tests
+    }
     let (problem, map): (&Problem, &CovarianceMap) = (&state.problem, &state.problem.covariance);
     let objective = Without { problem, test: problem.classes.single(reduction) };
     let local = state.place.local.clone().less(&objective.own(&state.place.point));
@@ -103,11 +106,11 @@ fn searched(estimate: &Estimate, reductions: &[Reduction], j: usize) -> Option<P
 fn deletion(estimate: &Estimate, reduction: &Reduction, point: &Point) -> Deletion {
     let problem = &estimate.state.problem;
     let (log_density, distance) = distance(problem, point, reduction);
-    let all = problem.sums(point, Order::First).value;
+    let likelihood = |point: &Point| problem.likelihood(point, Order::First).value;
     Deletion {
         estimate: problem.values_of(point),
         log_density,
         distance,
-        displacement: (2.0 * (estimate.state.sums.value - all)).max(0.0),
+        displacement: (2.0 * (likelihood(&estimate.state.place.point) - likelihood(point))).max(0.0),
     }
 }

@@ -48,8 +48,8 @@ struct Restricted<'a> {
 }
 
 impl Objective for Restricted<'_> {
-    fn local(&self, point: &Point) -> Option<Local> {
-        self.problem.local(point)
+    fn local(&self, point: &Point, near: Option<&DMatrix<f64>>) -> Option<Local> {
+        self.problem.local(point, near)
     }
 
     fn mean_jacobian(&self) -> &DMatrix<f64> {
@@ -162,7 +162,7 @@ impl<'a> Holder<'a> {
     }
 
     fn climb(&self, objective: &dyn Objective, map: &CovarianceMap, start: Point) -> Option<Place> {
-        let start = Place::new(objective, map, start)?;
+        let start = Place::new(objective, map, start, self.state.place.near())?;
         let tests = self.state.problem.classes.tests as f64;
         let (place, stop) = climb(objective, map, tests, start, self.limits);
         (stop == Stop::Certified).then_some(place)

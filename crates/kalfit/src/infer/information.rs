@@ -170,6 +170,8 @@ pub(crate) struct Law<'a> {
     state: &'a State,
     /// Covariance of the coordinates along the tangent basis.
     coordinates: DMatrix<f64>,
+    /// The same for the mean alone: under the restricted likelihood that of generalised least squares at the estimated Σ.
+    mean: Option<DMatrix<f64>>,
     /// d(μ in η, γ; σ pairs) / d(tangent coordinates).
     jacobian: DMatrix<f64>,
 }
@@ -187,6 +189,11 @@ impl<'a> Law<'a> {
         let mut jacobian = DMatrix::zeros(m + s, tangent.mean + tangent.jacobian.ncols());
         jacobian.view_mut((0, 0), mean.shape()).copy_from(&mean);
         jacobian.view_mut((m, tangent.mean), tangent.jacobian.shape()).copy_from(&tangent.jacobian);
+        let gls = state.place.near().map(|own| {
+            let mut mean = DMatrix::zeros(tangent.basis.ncols(), tangent.basis.ncols());
+            mean.view_mut((0, 0), own.shape()).copy_from(own); // the basis begins with the mean coordinates
+            mean
+        });
         let jacobian = jacobian * &tangent.basis;
         let coordinates = match kind {
             StdErrors::Observed => inverse(&tangent.information),
@@ -196,7 +203,9 @@ impl<'a> Law<'a> {
                 &bread * (jacobian.transpose() * outer_scores(state, reductions, m, s) * &jacobian) * &bread
             }
         };
-        Law { state, coordinates, jacobian }
+        // the sandwich is of the mean as well; the other two are generalised least squares for it
+        let mean = gls.filter(|_| kind != StdErrors::Sandwich);
+        Law { state, coordinates, mean, jacobian }
     }
 
     /// Inverse of the information along the tangent basis.
@@ -204,13 +213,21 @@ impl<'a> Law<'a> {
         &self.coordinates
     }
 
-    fn variance(&self, weights: &DVector<f64>) -> Option<f64> {
+    fn error(&self, law: &DMatrix<f64>, weights: &DVector<f64>) -> Option<f64> {
         // in η, where sizes have a meaning whatever the user's units
         let unit = Some(weights.amax()).filter(|unit| *unit > 0.0)?;
         let along = self.jacobian.transpose() * (weights / unit);
         let size = along.amax();
-        let variance = along.dot(&(&self.coordinates * &along)) * unit * unit;
+        let variance = along.dot(&(law * &along)) * unit * unit;
         (size > 1e-12 && variance.is_finite() && variance > 0.0).then(|| variance.sqrt())
+    }
+
+    fn sigma_part(&self, weights: &DVector<f64>) -> Option<f64> {
+        self.error(&self.coordinates, weights)
+    }
+
+    fn mean_part(&self, weights: &DVector<f64>) -> Option<f64> {
+        self.error(self.mean.as_ref().unwrap_or(&self.coordinates), weights)
     }
 
     fn weights(&self, entries: &[(usize, f64)]) -> DVector<f64> {
@@ -231,16 +248,17 @@ impl<'a> Law<'a> {
     }
 
     fn mean_error(&self, i: usize) -> Option<f64> {
-        self.variance(&self.weights(&[(i, self.scale()[i])]))
+        self.mean_part(&self.weights(&[(i, self.scale()[i])]))
     }
 
     fn coefficient_error(&self, c: usize) -> Option<f64> {
         let row = self.scale().len() + c;
-        self.variance(&self.weights(&[(row, self.state.problem.mean.coefficient_scale[c].recip())]))
+        let weights = self.weights(&[(row, self.state.problem.mean.coefficient_scale[c].recip())]);
+        self.mean_part(&weights)
     }
 
     fn sigma_error(&self, i: usize, j: usize) -> Option<f64> {
-        self.variance(&self.weights(&[self.sigma(i, j, 1.0)]))
+        self.sigma_part(&self.weights(&[self.sigma(i, j, 1.0)]))
     }
 
     /// Delta method for ρ = σ_ij / √(σ_ii σ_jj).
@@ -253,7 +271,7 @@ impl<'a> Law<'a> {
         let rho = sigma[(i, j)] / unit;
         let entries =
             [self.sigma(i, j, 1.0 / unit), self.sigma(i, i, -0.5 * rho / vi), self.sigma(j, j, -0.5 * rho / vj)];
-        self.variance(&self.weights(&entries))
+        self.sigma_part(&self.weights(&entries))
     }
 
     /// Relative standard error of a common factor on Σ, read off its largest variance.

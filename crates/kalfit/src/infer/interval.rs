@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::estimate::{Estimate, Point};
+use crate::estimate::{Criterion, Estimate, Point};
 use crate::infer::held::{HeldMaximum, Holdable, Holder};
 use crate::infer::information::{Free, Uncertainty};
 use crate::linalg::symmetric::pairs;
@@ -95,14 +95,23 @@ pub fn wald(estimate: &Estimate, uncertainty: &Uncertainty) -> Intervals {
     found
 }
 
-/// Intervals by profile likelihood. A quantity on the boundary has one too; one for which no certified maximum is found near
+/// Intervals by profile likelihood; of means under the restricted likelihood, which has no profile of them, Wald's. A quantity on the boundary has one too; one for which no certified maximum is found near
 /// an end has none there.
 pub fn profile(estimate: &Estimate, uncertainty: &Uncertainty, free: &Free) -> Intervals {
     let p = estimate.mean.len();
     let mut found = Intervals::none(IntervalKind::Profile, p, estimate.coefficients.len());
+    let of_mean = |what: &Holdable| matches!(what, Holdable::Mean(_) | Holdable::Coefficient(_));
+    let has_profile = |what: &Holdable| estimate.criterion == Criterion::Ml || !of_mean(what);
+    if estimate.criterion == Criterion::Reml {
+        let wald = wald(estimate, uncertainty);
+        found.mean = wald.mean;
+        found.coefficients = wald.coefficients;
+    }
     let holder = Holder::new(&estimate.state);
-    let wanted: Vec<Holdable> =
-        quantities(p, estimate.coefficients.len()).into_iter().filter(|what| is_free(free, estimate, *what)).collect();
+    let wanted: Vec<Holdable> = quantities(p, estimate.coefficients.len())
+        .into_iter()
+        .filter(|what| is_free(free, estimate, *what) && has_profile(what))
+        .collect();
     let ends: Vec<Interval> = wanted
         .par_iter()
         .map(|&what| {

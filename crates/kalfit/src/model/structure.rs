@@ -120,6 +120,14 @@ pub enum CovarianceKind {
     Correlation(Vec<Vec<Expression>>),
     /// Σ is known.
     Fixed(Vec<Vec<Expression>>),
+    /// Σ = G0 + Σ_g θ_g G_g, a linear covariance structure (Anderson 1973), with as many free quantities as generators.
+    /// `fixed` and `equal` elements do not go with it: they are constraints on θ, to be written into the generators.
+    Linear {
+        /// G0, p × p, symmetric; it need not be positive semidefinite by itself.
+        constant: DMatrix<f64>,
+        /// G_g, p × p each, symmetric and linearly independent.
+        generators: Vec<DMatrix<f64>>,
+    },
 }
 
 /// σ_ij = value.
@@ -171,6 +179,46 @@ pub enum StructureError {
         /// Why.
         source: EvaluationError,
     },
+    /// A matrix of a linear structure has the wrong shape.
+    #[error("{what} is {rows} × {columns}, expected {states} × {states}, a row and a column for each estimated state")]
+    Shape {
+        /// Which matrix.
+        what: String,
+        /// Its rows.
+        rows: usize,
+        /// Its columns.
+        columns: usize,
+        /// The number of estimated states.
+        states: usize,
+    },
+    /// A matrix of a linear structure is not symmetric, or has an entry that is not a finite number.
+    #[error("{what} is not symmetric: found {above} at ({row}, {column}) and {below} at ({column}, {row})")]
+    Asymmetric {
+        /// Which matrix.
+        what: String,
+        /// Row, from 0.
+        row: usize,
+        /// Column, from 0.
+        column: usize,
+        /// The entry there.
+        above: f64,
+        /// The entry in the mirrored place.
+        below: f64,
+    },
+    /// Generators of a linear structure that say the same thing twice.
+    #[error("the {generators} generators of the linear covariance are dependent: they span {rank} dimensions")]
+    Dependent {
+        /// How many there are.
+        generators: usize,
+        /// How many would do.
+        rank: usize,
+    },
+    /// A linear structure beside fixed or equal elements.
+    #[error("fixed and equal elements do not go with a linear covariance: write them into its generators")]
+    NotAlone,
+    /// No member of a linear structure is a covariance.
+    #[error("no member of the linear covariance is positive semidefinite")]
+    NoMember,
     /// No positive semidefinite Σ meets the constraints together.
     #[error("no positive semidefinite covariance has these fixed and equal elements")]
     Contradiction,

@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 
-use crate::estimate::{Estimate, Solver, Stop};
+use crate::estimate::{Criterion, Estimate, Solver, Stop};
 use crate::infer::{Deletion, Direction, Element, Inference, IntervalKind, Quantity, Sensitivity, StdErrors};
 use crate::model::{Alpha, CovarianceKind, Level, MeanElement, Model, Parameter, Value};
 use crate::record::{
@@ -45,7 +45,10 @@ impl FitRecord {
             kalfit_version: env!("CARGO_PKG_VERSION").to_owned(),
             title: model.title.clone(),
             model_digest: provenance.model_digest,
-            criterion: "ml".to_owned(),
+            criterion: match estimate.criterion {
+                Criterion::Ml => "ml".to_owned(),
+                Criterion::Reml => "reml".to_owned(),
+            },
             log_likelihood_kind: "measurements".to_owned(),
             log_likelihood,
             free_parameters: free,

@@ -27,7 +27,7 @@ pub struct FitRecord {
     pub criterion: String,
     /// `measurements`, or `estimates` where a phase has a filter of its own.
     pub log_likelihood_kind: String,
-    /// log p of all measurements, every constant included.
+    /// log p of all measurements, every constant included; under `reml` the restricted log-likelihood.
     pub log_likelihood: f64,
     /// Declared free quantities: μ, Σ and α.
     pub free_parameters: usize,

@@ -57,7 +57,7 @@ fn information(null: &Estimate, outer: &Problem, places: &[usize]) -> DMatrix<f6
     let mut coefficients = vec![0.0; outer.mean.regressors.len()];
     places.iter().zip(&point.coefficients).for_each(|(&at, value)| coefficients[at] = *value);
     point.coefficients = coefficients;
-    let sums = outer.sums(&point, Order::Expected);
+    let sums = outer.likelihood(&point, Order::Expected);
     let (m, s) = (sums.mean_score.len(), pairs(point.mean.len()));
     let mut information = DMatrix::zeros(m + s, m + s);
     information.view_mut((0, 0), (m, m)).copy_from(&sums.mean_information);

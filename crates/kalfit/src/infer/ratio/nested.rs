@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::{Estimate, Problem};
+use crate::estimate::{Criterion, Estimate, Problem};
 use crate::linalg::symmetric;
 use crate::model::MeanStructure;
 
@@ -21,6 +21,9 @@ pub enum NotNested {
     /// Some covariance of the hypothesis is not one of the model.
     #[error("the hypothesis allows covariances that the model does not")]
     Covariance,
+    /// Restricted likelihoods of different means.
+    #[error("restricted likelihoods of different means cannot be compared")]
+    Restricted,
     /// Nothing is restricted.
     #[error("the hypothesis restricts nothing that the model leaves free")]
     Same,
@@ -39,6 +42,11 @@ pub(super) fn check(null: &Estimate, alternative: &Estimate) -> Result<(), NotNe
     }
     regressions(&null.state.mean, &alternative.state.mean).ok_or(NotNested::Mean)?;
     mean(inner, outer)?;
+    let same_mean = inner.mean.basis.ncols() == outer.mean.basis.ncols()
+        && inner.mean.regressors.len() == outer.mean.regressors.len();
+    if alternative.criterion != null.criterion || (null.criterion == Criterion::Reml && !same_mean) {
+        return Err(NotNested::Restricted);
+    }
     covariance(null, inner, outer)?;
     let free = |e: &Estimate| e.state.problem.mean.jacobian().ncols() + e.declared_covariance();
     if free(null) >= free(alternative) { Err(NotNested::Same) } else { Ok(()) }
