@@ -8,6 +8,7 @@ mod classes;
 mod covariance;
 mod em;
 mod exact;
+mod expected;
 mod likelihood;
 mod local;
 mod mean;
@@ -27,6 +28,7 @@ pub use likelihood::{Derivatives, Evaluation, Likelihood, pass_flops};
 pub use settings::{Progress, Settings, Silent, Solver, Step};
 
 pub(crate) use covariance::{CovarianceMap, Form};
+pub(crate) use expected::{ExpectedError, at_population};
 pub(crate) use local::{Tangent, harmonic, natural_sizes};
 pub(crate) use newton::Place;
 pub(crate) use pass::Sums;

@@ -10,6 +10,10 @@ pub use identifiability::{Direction, Quantity, identifiability, identifiability_
 pub use information::{Boundary, Uncertainty, uncertainty};
 pub use posterior::{Posterior, posteriors};
 
+pub(crate) use constraint::is_held;
+pub(crate) use identifiability::directions;
+pub(crate) use information::{PART, uncertainty_at};
+
 use crate::estimate::Estimate;
 use crate::reduce::Reduction;
 
