@@ -5,15 +5,17 @@ use std::process::ExitCode;
 
 use kalfit::estimate::{Settings, Solver};
 
-use crate::args::{Args, CheckArgs, Command, FitArgs, ModelArgs, SolverArg};
+use crate::args::{Args, CheckArgs, Command, FitArgs, ModelArgs, PlanArgs, SimulateArgs, SolverArg};
 use crate::failure::Failure;
-use crate::{check, fit};
+use crate::{check, fit, plan, simulate};
 
 /// One command with all that it needs to know.
 #[derive(Debug)]
 pub(crate) enum Job {
     Fit(FitJob),
     Check(CheckJob),
+    Simulate(SimulateJob),
+    Plan(PlanJob),
 }
 
 /// Which model, on how many threads.
@@ -42,6 +44,32 @@ pub(crate) struct CheckJob {
     pub(crate) data: Vec<String>,
 }
 
+#[derive(Debug)]
+pub(crate) struct SimulateJob {
+    pub(crate) model: ModelJob,
+    /// Where the population comes from.
+    pub(crate) from: PathBuf,
+    pub(crate) design: Vec<String>,
+    /// As many as the design when none.
+    pub(crate) tests: Option<u64>,
+    pub(crate) seed: u64,
+    pub(crate) out: PathBuf,
+    /// File for the true initial states.
+    pub(crate) states: Option<PathBuf>,
+    pub(crate) quiet: bool,
+}
+
+#[derive(Debug)]
+pub(crate) struct PlanJob {
+    pub(crate) model: ModelJob,
+    /// Where the population comes from.
+    pub(crate) from: PathBuf,
+    pub(crate) design: Vec<String>,
+    pub(crate) tests: Vec<usize>,
+    pub(crate) out: Option<PathBuf>,
+    pub(crate) quiet: bool,
+}
+
 /// How a command ended that had good input.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Outcome {
@@ -63,6 +91,8 @@ impl Job {
         let threads = match self {
             Job::Fit(job) => job.model.threads,
             Job::Check(job) => job.model.threads,
+            Job::Simulate(job) => job.model.threads,
+            Job::Plan(job) => job.model.threads,
         };
         if let Some(threads) = threads {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
@@ -71,6 +101,8 @@ impl Job {
         match self {
             Job::Fit(job) => fit::run(job),
             Job::Check(job) => check::run(job),
+            Job::Simulate(job) => simulate::run(job),
+            Job::Plan(job) => plan::run(job),
         }
     }
 }
@@ -80,6 +112,8 @@ impl From<Args> for Job {
         match args.command {
             Command::Fit(args) => Job::Fit(args.into()),
             Command::Check(args) => Job::Check(args.into()),
+            Command::Simulate(args) => Job::Simulate(args.into()),
+            Command::Plan(args) => Job::Plan(args.into()),
         }
     }
 }
@@ -109,5 +143,33 @@ impl From<FitArgs> for FitJob {
 impl From<CheckArgs> for CheckJob {
     fn from(args: CheckArgs) -> CheckJob {
         CheckJob { model: args.model.into(), data: args.data }
+    }
+}
+
+impl From<SimulateArgs> for SimulateJob {
+    fn from(args: SimulateArgs) -> SimulateJob {
+        SimulateJob {
+            model: args.model.into(),
+            from: args.truth.from,
+            design: args.truth.design,
+            tests: args.tests,
+            seed: args.seed,
+            out: args.out,
+            states: args.states,
+            quiet: args.quiet,
+        }
+    }
+}
+
+impl From<PlanArgs> for PlanJob {
+    fn from(args: PlanArgs) -> PlanJob {
+        PlanJob {
+            model: args.model.into(),
+            from: args.truth.from,
+            design: args.truth.design,
+            tests: args.tests.into_iter().map(|n| n as usize).collect(),
+            out: args.out,
+            quiet: args.quiet,
+        }
     }
 }

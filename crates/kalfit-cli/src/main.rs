@@ -8,9 +8,12 @@ mod fit;
 mod job;
 mod model;
 mod output;
+mod plan;
 mod progress;
 mod reductions;
+mod simulate;
 mod terminal;
+mod truth;
 
 use std::process::ExitCode;
 

@@ -6,11 +6,13 @@
 mod check;
 mod number;
 mod page;
+mod plan;
 mod summary;
 mod table;
 mod words;
 
 pub use check::{CheckRecord, Checked, check_summary};
+pub use plan::plan_summary;
 pub use summary::summary;
 
 /// How a text is laid out.

@@ -1,10 +1,12 @@
 //! The result of a fit as others read it: fit.json. Field names are a contract; unknown figures are null, never NaN.
 
 mod build;
+mod population;
 
 use serde::{Deserialize, Serialize};
 
 pub use build::Provenance;
+pub use population::{FIT_SCHEMA, RecordError};
 
 /// All that a fit found. `None` is written as null: not known, not identified, or not applicable.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

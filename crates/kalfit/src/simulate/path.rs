@@ -9,9 +9,7 @@ use rand_distr::{Distribution, StandardNormal};
 
 use crate::linalg::symmetric;
 use crate::model::{Model, Population};
-use crate::reduce::{
-    Design, Fault, NotSemidefinite, ReduceErrorKind, Subject, Transition, Workspace, advance, ldl,
-};
+use crate::reduce::{Design, Fault, NotSemidefinite, ReduceErrorKind, Subject, Transition, Workspace, advance, ldl};
 use crate::simulate::Simulator;
 
 /// Roots of Q that are kept.
