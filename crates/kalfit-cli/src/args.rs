@@ -25,6 +25,10 @@ pub(crate) enum Command {
     Test(TestArgs),
     /// Read a model, and data if given, and fit nothing: the model in words, counts, what the data identify
     Check(CheckArgs),
+    /// Draw an ensemble of tests from a fit, or from the values of a model
+    Simulate(SimulateArgs),
+    /// Expected standard errors against the number of tests, before any is run
+    Plan(PlanArgs),
 }
 
 /// Options that say what the model and the data are.
@@ -153,6 +157,71 @@ pub(crate) struct CheckArgs {
 
     /// Data: CSV, Parquet or Arrow files, patterns such as `runs/*.csv`, `-` for standard input
     pub(crate) data: Vec<String>,
+}
+
+/// Where the population and the design come from.
+#[derive(Debug, Group)]
+pub(crate) struct TruthArgs {
+    /// The true population: results of `kalfit fit`, or a model file, whose fixed values and start values are taken. Free
+    /// parameters of MODEL get their values from there too
+    #[arg(long, value_name = "FIT.json|MODEL.toml")]
+    pub(crate) from: PathBuf,
+
+    /// Data that give times, inputs and which values are missing; measured values in them do not matter
+    #[arg(long, required = true, num_args = 1.., value_name = "DATA")]
+    pub(crate) design: Vec<String>,
+}
+
+#[derive(Debug, Group)]
+pub(crate) struct SimulateArgs {
+    #[command(flatten)]
+    pub(crate) model: ModelArgs,
+
+    #[command(flatten)]
+    pub(crate) truth: TruthArgs,
+
+    /// Number of tests: those of the design are taken in turn, and after the first round get ids such as `A#2` [default: as
+    /// many as the design has]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1_000_000_000))]
+    pub(crate) tests: Option<u64>,
+
+    /// Seed: the same seed draws the same ensemble
+    #[arg(long, value_name = "S")]
+    pub(crate) seed: u64,
+
+    /// File for the data: `.csv`, `.tsv`, `.parquet` or `.arrow`
+    #[arg(long, value_name = "FILE")]
+    pub(crate) out: PathBuf,
+
+    /// CSV file for the true initial state of each test
+    #[arg(long = "truth", value_name = "FILE.csv")]
+    pub(crate) states: Option<PathBuf>,
+
+    /// Print nothing but errors
+    #[arg(long)]
+    pub(crate) quiet: bool,
+}
+
+#[derive(Debug, Group)]
+pub(crate) struct PlanArgs {
+    #[command(flatten)]
+    pub(crate) model: ModelArgs,
+
+    #[command(flatten)]
+    pub(crate) truth: TruthArgs,
+
+    /// Numbers of tests, each like those of the design: `5,10,20,50`
+    #[arg(long, required = true, value_delimiter = ',', value_name = "N,N,...",
+          value_parser = clap::value_parser!(u32).range(1..=1_000_000_000))]
+    pub(crate) tests: Vec<u32>,
+
+    /// File for the plan, as JSON
+    #[arg(long, value_name = "FILE")]
+    pub(crate) out: Option<PathBuf>,
+
+    /// Print nothing but errors
+    #[arg(long)]
+    pub(crate) quiet: bool,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]

@@ -4,12 +4,15 @@ use std::ops::Range;
 use std::path::Path;
 
 use kalfit::estimate::FitError;
-use kalfit::infer::NotNested;
+use kalfit::infer::{Element, NotNested};
+use kalfit::plan::PlanError;
 use kalfit::reduce::ReduceError;
-use kalfit_data::{DataError, Reading};
+use kalfit::simulate::SimulateError;
+use kalfit_data::{DataError, Reading, WriteError};
 use kalfit_spec::{Spec, SpecError};
 
 use crate::output::OutputError;
+use crate::truth::TruthError;
 
 /// Bad input, or a world that does not let us write. Exit status 2.
 #[derive(Debug, thiserror::Error)]
@@ -46,6 +49,22 @@ pub(crate) enum Failure {
     /// A hypothesis that holds a parameter at another value than the model does.
     #[error("the hypothesis holds parameter `{name}` at another value than the model, which does not estimate it")]
     HypothesisParameter { name: String },
+    /// The population to draw from or to plan for.
+    #[error("{0}")]
+    Truth(Box<TruthError>),
+    /// The ensemble cannot be drawn.
+    #[error("{}", simulate_message(error, reading.as_deref()))]
+    Simulate { error: Box<SimulateError>, reading: Option<Box<Reading>> },
+    /// There is no plan.
+    #[error("{}", plan_message(error, states))]
+    Plan {
+        error: Box<PlanError>,
+        /// Names of the estimated states.
+        states: Vec<String>,
+    },
+    /// The table to write.
+    #[error("{}", write_message(error, path))]
+    Write { error: Box<WriteError>, path: String },
     /// The output file.
     #[error(transparent)]
     Output(#[from] OutputError),
@@ -122,6 +141,10 @@ impl Failure {
             Failure::Fit(error) => fit_hint(error).map(str::to_owned),
             Failure::NotNested(error) => Some(nesting_hint(*error).to_owned()),
             Failure::HypothesisParameter { .. } => Some("a hypothesis restricts what the model leaves free".to_owned()),
+            Failure::Truth(error) => error.hint(),
+            Failure::Simulate { error, .. } => error.hint().map(str::to_owned),
+            Failure::Plan { error, .. } => plan_hint(error).map(str::to_owned),
+            Failure::Write { error, .. } => write_hint(error).map(str::to_owned),
             Failure::Output(error) => error.hint().map(str::to_owned),
             Failure::Stdout(_) => None,
             Failure::Threads { .. } => Some("ask for fewer with `--threads`".to_owned()),
@@ -135,6 +158,57 @@ fn free_message(names: &[String]) -> String {
     let more = if names.len() > MOST { format!(" and {} more", names.len() - MOST) } else { String::new() };
     let (what, are) = if names.len() == 1 { ("parameter", "is") } else { ("parameters", "are") };
     format!("{what} {}{more} {are} free, and this version does not estimate parameters", shown.join(", "))
+}
+
+/// As [`reduce_message`], for what is drawn.
+fn simulate_message(error: &SimulateError, reading: Option<&Reading>) -> String {
+    match (error, reading) {
+        (SimulateError::Reduce(error), reading) => reduce_message(error, reading),
+        (SimulateError::SharedCell { row, .. } | SimulateError::NotFinite { row, .. }, Some(reading)) => {
+            format!("{}: {error}", reading.place(*row))
+        }
+        _ => error.to_string(),
+    }
+}
+
+/// The core knows states by their places only.
+fn plan_message(error: &PlanError, states: &[String]) -> String {
+    let name = |i: usize| states.get(i).map_or("?", String::as_str);
+    match error {
+        PlanError::OffStructure { element, found, expected } => {
+            let element = match *element {
+                Element::Mean(i) => format!("mean[{}]", name(i)),
+                Element::Covariance(i, j) => format!("covariance[{}, {}]", name(j), name(i)),
+            };
+            format!("{element} is {found} in the population, and the model makes it {expected}")
+        }
+        _ => error.to_string(),
+    }
+}
+
+fn plan_hint(error: &PlanError) -> Option<&'static str> {
+    match error {
+        PlanError::OffStructure { .. } => {
+            Some("plan with values that obey the model, such as a fit of this very model")
+        }
+        PlanError::Design(error) => fit_hint(error),
+        _ => None,
+    }
+}
+
+/// What the libraries say of a write does not name the file.
+fn write_message(error: &WriteError, path: &str) -> String {
+    match error {
+        WriteError::Format { .. } | WriteError::IdInUse { .. } => error.to_string(),
+        _ => format!("cannot write `{path}`: {error}"),
+    }
+}
+
+fn write_hint(error: &WriteError) -> Option<&'static str> {
+    match error {
+        WriteError::IdInUse { .. } => Some("ask for no more tests than the design has"),
+        _ => None,
+    }
 }
 
 /// The core knows rows by number only; the reading knows their files, and the texts behind labels.

@@ -7,11 +7,11 @@ use kalfit::estimate::{Criterion, Settings, Solver};
 use kalfit::infer::{Bootstrap, Choices, DeletionChoice, IntervalKind, StdErrors};
 
 use crate::args::{
-    Args, CheckArgs, Command, CriterionArg, DeletionArg, FitArgs, IntervalsArg, ModelArgs, SolverArg, StdErrorsArg,
-    TestArgs,
+    Args, CheckArgs, Command, CriterionArg, DeletionArg, FitArgs, IntervalsArg, ModelArgs, PlanArgs, SimulateArgs,
+    SolverArg, StdErrorsArg, TestArgs,
 };
 use crate::failure::Failure;
-use crate::{check, fit, test};
+use crate::{check, fit, plan, simulate, test};
 
 /// One command with all that it needs to know.
 #[derive(Debug)]
@@ -19,6 +19,8 @@ pub(crate) enum Job {
     Fit(FitJob),
     Test(TestJob),
     Check(CheckJob),
+    Simulate(SimulateJob),
+    Plan(PlanJob),
 }
 
 /// Which model, on how many threads.
@@ -59,6 +61,32 @@ pub(crate) struct CheckJob {
     pub(crate) data: Vec<String>,
 }
 
+#[derive(Debug)]
+pub(crate) struct SimulateJob {
+    pub(crate) model: ModelJob,
+    /// Where the population comes from.
+    pub(crate) from: PathBuf,
+    pub(crate) design: Vec<String>,
+    /// As many as the design when none.
+    pub(crate) tests: Option<u64>,
+    pub(crate) seed: u64,
+    pub(crate) out: PathBuf,
+    /// File for the true initial states.
+    pub(crate) states: Option<PathBuf>,
+    pub(crate) quiet: bool,
+}
+
+#[derive(Debug)]
+pub(crate) struct PlanJob {
+    pub(crate) model: ModelJob,
+    /// Where the population comes from.
+    pub(crate) from: PathBuf,
+    pub(crate) design: Vec<String>,
+    pub(crate) tests: Vec<usize>,
+    pub(crate) out: Option<PathBuf>,
+    pub(crate) quiet: bool,
+}
+
 /// How a command ended that had good input.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Outcome {
@@ -81,6 +109,8 @@ impl Job {
             Job::Fit(job) => job.model.threads,
             Job::Test(job) => job.model.threads,
             Job::Check(job) => job.model.threads,
+            Job::Simulate(job) => job.model.threads,
+            Job::Plan(job) => job.model.threads,
         };
         if let Some(threads) = threads {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
@@ -90,6 +120,8 @@ impl Job {
             Job::Fit(job) => fit::run(job),
             Job::Test(job) => test::run(job),
             Job::Check(job) => check::run(job),
+            Job::Simulate(job) => simulate::run(job),
+            Job::Plan(job) => plan::run(job),
         }
     }
 }
@@ -100,6 +132,8 @@ impl From<Args> for Job {
             Command::Fit(args) => Job::Fit(args.into()),
             Command::Test(args) => Job::Test(args.into()),
             Command::Check(args) => Job::Check(args.into()),
+            Command::Simulate(args) => Job::Simulate(args.into()),
+            Command::Plan(args) => Job::Plan(args.into()),
         }
     }
 }
@@ -166,5 +200,33 @@ impl From<FitArgs> for FitJob {
 impl From<CheckArgs> for CheckJob {
     fn from(args: CheckArgs) -> CheckJob {
         CheckJob { model: args.model.into(), data: args.data }
+    }
+}
+
+impl From<SimulateArgs> for SimulateJob {
+    fn from(args: SimulateArgs) -> SimulateJob {
+        SimulateJob {
+            model: args.model.into(),
+            from: args.truth.from,
+            design: args.truth.design,
+            tests: args.tests,
+            seed: args.seed,
+            out: args.out,
+            states: args.states,
+            quiet: args.quiet,
+        }
+    }
+}
+
+impl From<PlanArgs> for PlanJob {
+    fn from(args: PlanArgs) -> PlanJob {
+        PlanJob {
+            model: args.model.into(),
+            from: args.truth.from,
+            design: args.truth.design,
+            tests: args.tests.into_iter().map(|n| n as usize).collect(),
+            out: args.out,
+            quiet: args.quiet,
+        }
     }
 }

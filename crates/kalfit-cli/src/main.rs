@@ -8,10 +8,13 @@ mod fit;
 mod job;
 mod model;
 mod output;
+mod plan;
 mod progress;
 mod reductions;
+mod simulate;
 mod terminal;
 mod test;
+mod truth;
 
 use std::process::ExitCode;
 

@@ -1,5 +1,7 @@
 //! The model file, read, with what `--set` says.
 
+use std::path::Path;
+
 use kalfit::model::ParameterError;
 use kalfit::{Alpha, Model};
 use kalfit_spec::Spec;
@@ -9,13 +11,23 @@ use crate::job::ModelJob;
 
 /// Reads the model.
 pub(crate) fn load(job: &ModelJob) -> Result<Spec, Failure> {
-    let text = Spec::read_text(&job.path).map_err(|error| Failure::model(error, &job.path, None))?;
-    let name = job.path.display().to_string();
-    let mut spec = Spec::parse(&name, &text).map_err(|error| Failure::model(error, &job.path, Some(text)))?;
-    for assignment in &job.set {
-        spec.set(assignment).map_err(|error| Failure::Set { error: Box::new(error) })?;
-    }
+    let mut spec = read(&job.path)?;
+    set(&mut spec, &job.set)?;
     Ok(spec)
+}
+
+/// Reads a model file as it stands.
+pub(crate) fn read(path: &Path) -> Result<Spec, Failure> {
+    let text = Spec::read_text(path).map_err(|error| Failure::model(error, path, None))?;
+    let name = path.display().to_string();
+    Spec::parse(&name, &text).map_err(|error| Failure::model(error, path, Some(text)))
+}
+
+/// Does what `--set` says.
+pub(crate) fn set(spec: &mut Spec, assignments: &[String]) -> Result<(), Failure> {
+    assignments
+        .iter()
+        .try_for_each(|assignment| spec.set(assignment).map_err(|error| Failure::Set { error: Box::new(error) }))
 }
 
 /// The values of all parameters, which must be known.

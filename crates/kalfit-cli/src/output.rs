@@ -12,6 +12,8 @@ pub(crate) enum OutputError {
     NotAFile { path: PathBuf, found: &'static str },
     #[error("the output `{}` is one of the inputs", path.display())]
     IsInput { path: PathBuf },
+    #[error("both outputs are `{}`, expected two files", path.display())]
+    Twice { path: PathBuf },
     #[error("cannot write `{}`: {source}", path.display())]
     Io { path: PathBuf, source: std::io::Error },
 }
@@ -21,7 +23,7 @@ impl OutputError {
         match self {
             OutputError::NoFolder { .. } => Some("name a folder that exists"),
             OutputError::NotAFile { .. } => Some("`--out` takes a file such as `fit.json`"),
-            OutputError::IsInput { .. } => Some("give the output a name of its own"),
+            OutputError::IsInput { .. } | OutputError::Twice { .. } => Some("give the output a name of its own"),
             OutputError::Io { .. } => None,
         }
     }
@@ -66,6 +68,14 @@ impl Output {
         Ok(output)
     }
 
+    /// Refuses two outputs in one place.
+    pub(crate) fn refuse_same(&self, other: Option<&Output>) -> Result<(), OutputError> {
+        match other {
+            Some(other) if self.is_same(other) => Err(OutputError::Twice { path: other.named.clone() }),
+            _ => Ok(()),
+        }
+    }
+
     /// Its name as the user gave it.
     pub(crate) fn name(&self) -> String {
         self.named.display().to_string()
@@ -73,17 +83,24 @@ impl Output {
 
     /// Writes the record beside the target and moves it into place.
     pub(crate) fn write(&self, record: &impl serde::Serialize) -> Result<(), OutputError> {
-        let mut file = self.temporary()?;
-        let mut writer = std::io::BufWriter::new(file.as_file_mut());
+        let pending = self.begin()?;
+        let mut writer = std::io::BufWriter::new(pending.file());
         let written = serde_json::to_writer_pretty(&mut writer, record).map_err(std::io::Error::from);
         let written = written.and_then(|()| writer.write_all(b"\n")).and_then(|()| writer.flush());
         drop(writer);
-        written.and_then(|()| file.as_file().sync_all()).map_err(|source| self.io(source))?;
-        if let Ok(old) = std::fs::metadata(&self.target) {
-            std::fs::set_permissions(file.path(), old.permissions()).map_err(|source| self.io(source))?;
-        }
-        file.persist(&self.target).map_err(|error| self.io(error.error))?;
-        Ok(())
+        written.map_err(|source| self.io(source))?;
+        pending.finish()
+    }
+
+    /// A file beside the target, to be moved into place when it is whole.
+    pub(crate) fn begin(&self) -> Result<Pending<'_>, OutputError> {
+        Ok(Pending { output: self, file: self.temporary()? })
+    }
+
+    /// True when both would be one file.
+    fn is_same(&self, other: &Output) -> bool {
+        let place = |output: &Output| Some((output.folder.canonicalize().ok()?, output.target.file_name()?.to_owned()));
+        place(self) == place(other)
     }
 
     fn temporary(&self) -> Result<tempfile::NamedTempFile, OutputError> {
@@ -100,5 +117,35 @@ impl Output {
 
     fn io(&self, source: std::io::Error) -> OutputError {
         OutputError::Io { path: self.named.clone(), source }
+    }
+}
+
+/// A result file that is being written; it is gone again unless it is finished.
+#[derive(Debug)]
+pub(crate) struct Pending<'a> {
+    output: &'a Output,
+    file: tempfile::NamedTempFile,
+}
+
+impl Pending<'_> {
+    /// What the user named.
+    pub(crate) fn path(&self) -> &Path {
+        &self.output.named
+    }
+
+    /// Where to write.
+    pub(crate) fn file(&self) -> &std::fs::File {
+        self.file.as_file()
+    }
+
+    /// Moves it into place.
+    pub(crate) fn finish(self) -> Result<(), OutputError> {
+        let Pending { output, file } = self;
+        file.as_file().sync_all().map_err(|source| output.io(source))?;
+        if let Ok(old) = std::fs::metadata(&output.target) {
+            std::fs::set_permissions(file.path(), old.permissions()).map_err(|source| output.io(source))?;
+        }
+        file.persist(&output.target).map_err(|error| output.io(error.error))?;
+        Ok(())
     }
 }

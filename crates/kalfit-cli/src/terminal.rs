@@ -43,3 +43,11 @@ pub(crate) fn print(text: &str) -> std::io::Result<()> {
 pub(crate) fn complain(text: &str) {
     let _ = std::io::stderr().lock().write_all(text.as_bytes());
 }
+
+/// Writes warnings to standard error, each on a line of its own.
+pub(crate) fn warn(warnings: &[String]) {
+    for warning in warnings {
+        let line: String = warning.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
+        complain(&format!("warning: {line}\n"));
+    }
+}

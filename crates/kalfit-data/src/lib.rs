@@ -22,6 +22,10 @@
 //!   time since the test's first row in the model's time unit. Date-times without an offset are taken on a clock that
 //!   never jumps; with and without an offset do not mix.
 //!
+//! # What is written
+//!
+//! [`TestWriter`] writes tests back to one table that [`read`] takes in again: the same ids, texts and numbers, bit for bit.
+//!
 //! # Hostile files
 //!
 //! Nothing here trusts its input: what a file declares is checked against its size before memory is asked for, and a
@@ -41,7 +45,9 @@ mod row;
 mod spool;
 mod table;
 mod wanted;
+mod write;
 
 pub use error::{DataError, Place, ReadError};
 pub use input::Input;
 pub use reading::{Reading, SINGLE_TEST, Sink, read, read_from};
+pub use write::{Format, Ids, StateWriter, TestWriter, WriteError, added_id_column};

@@ -6,12 +6,14 @@
 mod check;
 mod number;
 mod page;
+mod plan;
 mod ratio;
 mod summary;
 mod table;
 mod words;
 
 pub use check::{CheckRecord, Checked, check_summary};
+pub use plan::plan_summary;
 pub use ratio::ratio_summary;
 pub use summary::summary;
 

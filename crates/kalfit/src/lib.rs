@@ -15,11 +15,13 @@ pub mod estimate;
 pub mod infer;
 pub mod linalg;
 pub mod model;
+pub mod plan;
 pub mod record;
 pub mod reduce;
+pub mod simulate;
 
 pub use ensemble::{Label, Labels, Layout, Source, Test, TestKey};
-pub use model::{Alpha, Expression, Model};
+pub use model::{Alpha, Expression, Model, Population};
 pub use record::{FitRecord, Provenance};
 pub use reduce::Reduction;
 

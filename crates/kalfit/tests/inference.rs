@@ -1,11 +1,13 @@
 //! Deletion, intervals, standard errors and likelihood ratios on random ensembles, against refits and dense algebra.
 
-use kalfit::estimate::{self, Estimate, InitialState, Likelihood, Settings, Silent, Stop, Structure};
+use kalfit::estimate::{self, Estimate, Likelihood, Settings, Silent, Stop, Structure};
 use kalfit::infer::{
     self, Bootstrap, Choices, DeletionChoice, Inference, IntervalKind, NotNested, StdErrors, bootstrap, fit_null,
     likelihood_ratio,
 };
-use kalfit::model::{Alpha, CovarianceKind, CovarianceStructure, FixedElement, MeanElement, MeanStructure, Regression};
+use kalfit::model::{
+    Alpha, CovarianceKind, CovarianceStructure, FixedElement, MeanElement, MeanStructure, Population, Regression,
+};
 use kalfit::reduce::{Path, Reduction};
 use nalgebra::{DMatrix, DVector};
 use rand::{RngExt, SeedableRng};
@@ -382,8 +384,7 @@ fn a_fit_from_values_nearby_ends_where_a_fit_from_scratch_does() {
     for seed in 0..20 {
         let data = ensemble(30, &spread(), 0, seed);
         let all = free_fit(&data, 2);
-        let start =
-            InitialState { mean: vec![0.5, 2.0], coefficients: Vec::new(), covariance: DMatrix::identity(2, 2) };
+        let start = Population { mean: vec![0.5, 2.0], coefficients: Vec::new(), covariance: DMatrix::identity(2, 2) };
         let (mean, covariance, alpha) = (MeanStructure::free(2), CovarianceStructure::full(), Alpha::default());
         let structure = Structure { mean: &mean, covariance: &covariance, alpha: &alpha };
         let near = estimate::fit_from(&data, &structure, &start, &Settings::default(), &mut Silent).expect("legal");

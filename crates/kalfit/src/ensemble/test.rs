@@ -47,6 +47,12 @@ impl Test {
         &self.numbers[row * self.columns..][..self.columns]
     }
 
+    /// Sets a numeric cell. Panics when there is no such cell.
+    pub fn set_number(&mut self, row: usize, column: usize, value: f64) {
+        assert!(column < self.columns, "column {column} of {}", self.columns);
+        self.numbers[row * self.columns + column] = value;
+    }
+
     /// Text cells of a row.
     pub fn texts(&self, row: usize) -> &[Label] {
         &self.texts[row * self.text_columns..][..self.text_columns]

@@ -9,6 +9,7 @@ mod climb;
 mod covariance;
 mod em;
 mod exact;
+mod expected;
 mod likelihood;
 mod linear;
 mod local;
@@ -32,6 +33,7 @@ pub use settings::{Criterion, Progress, Settings, Silent, Solver, Step};
 pub(crate) use classes::{Class, unpack};
 pub(crate) use climb::{Limits, climb};
 pub(crate) use covariance::{Constraint, CovarianceMap, Form};
+pub(crate) use expected::{ExpectedError, at_population};
 pub(crate) use local::{Local, Objective, Tangent, harmonic, natural_sizes, packed_score};
 pub(crate) use newton::{Place, retract};
 pub(crate) use pass::{Order, Sums, of_class};
@@ -39,7 +41,7 @@ pub(crate) use problem::Problem;
 pub(crate) use start::generic_root;
 pub(crate) use terms::{Point, Terms};
 
-use crate::model::{Alpha, CovarianceStructure, MeanStructure, Model, StructureError};
+use crate::model::{Alpha, CovarianceStructure, MeanStructure, Model, Population, StructureError};
 use crate::reduce::Reduction;
 
 /// What is assumed of μ and Σ.
@@ -181,20 +183,9 @@ pub fn fit(
     search::Search::new(problem, settings, progress).run(start, structure)
 }
 
-/// Values of μ, Σ and the regression coefficients, in the user's units.
-#[derive(Debug, Clone, PartialEq)]
-pub struct InitialState {
-    /// μ (p).
-    pub mean: Vec<f64>,
-    /// Regression coefficients, in the order of [`MeanStructure::regression`].
-    pub coefficients: Vec<f64>,
-    /// Σ (p × p), positive semidefinite.
-    pub covariance: DMatrix<f64>,
-}
-
-impl From<&Estimate> for InitialState {
-    fn from(estimate: &Estimate) -> InitialState {
-        InitialState {
+impl From<&Estimate> for Population {
+    fn from(estimate: &Estimate) -> Population {
+        Population {
             mean: estimate.mean.clone(),
             coefficients: estimate.coefficients.clone(),
             covariance: estimate.covariance.clone(),
@@ -207,7 +198,7 @@ impl From<&Estimate> for InitialState {
 pub fn fit_from(
     reductions: &[Reduction],
     structure: &Structure<'_>,
-    start: &InitialState,
+    start: &Population,
     settings: &Settings,
     progress: &mut dyn Progress,
 ) -> Result<Estimate, FitError> {

@@ -11,8 +11,9 @@ use crate::estimate::mean::MeanMap;
 use crate::estimate::pass::{FlatMean, Order, Sums, pass};
 use crate::estimate::reml::Restriction;
 use crate::estimate::terms::Point;
-use crate::estimate::{Criterion, FitError, InitialState, Structure};
+use crate::estimate::{Criterion, FitError, Structure};
 use crate::linalg::symmetric;
+use crate::model::Population;
 use crate::reduce::Reduction;
 
 /// What is maximised: ℓ(μ, Σ) of the reductions under a structure, with what the restricted likelihood adds to it.
@@ -85,7 +86,7 @@ impl Problem {
     }
 
     /// A point in the user's units. Fixed elements get exactly their values.
-    pub(crate) fn values_of(&self, point: &Point) -> InitialState {
+    pub(crate) fn values_of(&self, point: &Point) -> Population {
         let frame = &self.classes.frame;
         let mut covariance = frame.covariance_out(&point.covariance());
         for constraint in self.covariance.constraints.iter().filter(|c| c.terms.len() == 1) {
@@ -99,11 +100,11 @@ impl Problem {
             *value = exact.unwrap_or(*value);
         }
         let coefficients = point.coefficients.iter().zip(&self.mean.coefficient_scale).map(|(c, s)| c / s).collect();
-        InitialState { mean, coefficients, covariance }
+        Population { mean, coefficients, covariance }
     }
 
     /// The point of values that meet the structure.
-    pub(crate) fn point_of(&self, values: &InitialState) -> Point {
+    pub(crate) fn point_of(&self, values: &Population) -> Point {
         let frame = &self.classes.frame;
         let centred = |i: usize| (values.mean[i] - frame.centre[i]) / frame.scale[i];
         Point {

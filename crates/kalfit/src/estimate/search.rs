@@ -13,7 +13,8 @@ use crate::estimate::pass::{Order, Sums};
 use crate::estimate::problem::Problem;
 use crate::estimate::settings::{Progress, Settings, Solver, Step};
 use crate::estimate::terms::Point;
-use crate::estimate::{Criterion, Estimate, FitError, InitialState, State, Stop, Structure, scoring};
+use crate::estimate::{Criterion, Estimate, FitError, State, Stop, Structure, scoring};
+use crate::model::Population;
 
 /// Most scoring steps before Newton's method takes over.
 const SCORING_STEPS: usize = 5;
@@ -227,7 +228,7 @@ impl<'a> Search<'a> {
 /// The estimate in the user's units.
 fn leave(state: State, certificate: Certificate, stop: Stop, trace: Vec<f64>, solver: Solver) -> Estimate {
     let problem = &state.problem;
-    let InitialState { mean, coefficients, covariance } = problem.values_of(&state.place.point);
+    let Population { mean, coefficients, covariance } = problem.values_of(&state.place.point);
     Estimate {
         mean,
         coefficients,

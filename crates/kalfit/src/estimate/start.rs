@@ -6,9 +6,9 @@ use crate::estimate::covariance::{Chart, CovarianceMap, sub};
 use crate::estimate::newton::retract;
 use crate::estimate::problem::{Problem, scaled_solve};
 use crate::estimate::terms::Point;
-use crate::estimate::{FitError, InitialState, Structure, linear};
+use crate::estimate::{FitError, Structure, linear};
 use crate::linalg::symmetric;
-use crate::model::{CovarianceKind, StructureError};
+use crate::model::{CovarianceKind, Population, StructureError};
 
 /// Smallest start variance, in units of what one average test tells of the state.
 const LEAST: f64 = 0.05;
@@ -48,7 +48,7 @@ const SINGULAR: f64 = 1e-6;
 
 /// The point of the structure near given values. A singular Σ is made regular: in its null space, ℓ would look flat to
 /// a search that begins there.
-pub(crate) fn near(problem: &Problem, values: &InitialState) -> Result<Point, FitError> {
+pub(crate) fn near(problem: &Problem, values: &Population) -> Result<Point, FitError> {
     let (map, mean, frame) = (&problem.covariance, &problem.mean, &problem.classes.frame);
     let p = frame.scale.len();
     let wanted = DVector::from_fn(p, |i, _| (values.mean[i] - frame.centre[i]) / frame.scale[i]);

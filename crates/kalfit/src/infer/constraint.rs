@@ -63,6 +63,11 @@ enum Held {
     Form,
 }
 
+/// True when the structure holds element (i, j) of Σ.
+pub(crate) fn is_held(state: &State, i: usize, j: usize) -> bool {
+    held(state, i, j).is_some()
+}
+
 fn held(state: &State, i: usize, j: usize) -> Option<Held> {
     let map = &state.problem.covariance;
     let constrained =

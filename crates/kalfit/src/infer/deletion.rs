@@ -7,17 +7,18 @@ use nalgebra::DMatrix;
 use rayon::prelude::*;
 
 use crate::estimate::{
-    Class, CovarianceMap, Criterion, Estimate, InitialState, Limits, Local, Objective, Order, Place, Point, Problem,
-    Silent, Stop, climb, fit_from, of_class,
+    Class, CovarianceMap, Criterion, Estimate, Limits, Local, Objective, Order, Place, Point, Problem, Silent, Stop,
+    climb, fit_from, of_class,
 };
 use crate::infer::posterior::{Distance, distance};
+use crate::model::Population;
 use crate::reduce::Reduction;
 
 /// The fit without one test.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Deletion {
     /// μ, Σ and regression coefficients without the test.
-    pub estimate: InitialState,
+    pub estimate: Population,
     /// log p of the test's measurements at that estimate: its predictive density.
     pub log_density: f64,
     /// Distance of the test from the population that the others describe.
@@ -98,9 +99,9 @@ fn searched(estimate: &Estimate, reductions: &[Reduction], j: usize) -> Option<P
     let mut others = reductions.to_vec();
     others.remove(j);
     let state = &estimate.state;
-    let start = InitialState::from(estimate);
+    let start = Population::from(estimate);
     let found = fit_from(&others, &state.structure(), &start, &state.settings, &mut Silent).ok()?;
-    (found.stop == Stop::Certified).then(|| state.problem.point_of(&InitialState::from(&found)))
+    (found.stop == Stop::Certified).then(|| state.problem.point_of(&Population::from(&found)))
 }
 
 fn deletion(estimate: &Estimate, reduction: &Reduction, point: &Point) -> Deletion {

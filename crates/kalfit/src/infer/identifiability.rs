@@ -45,7 +45,7 @@ pub fn identifiability_at_start(
     Ok(directions(&problem, &place, &sums.expected_information()))
 }
 
-fn directions(problem: &Problem, place: &Place, expected: &DMatrix<f64>) -> Vec<Direction> {
+pub(crate) fn directions(problem: &Problem, place: &Place, expected: &DMatrix<f64>) -> Vec<Direction> {
     let mut found = mean_directions(problem);
     found.extend(covariance_directions(problem, &place.tangent, expected));
     found

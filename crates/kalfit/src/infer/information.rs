@@ -22,7 +22,7 @@ pub enum StdErrors {
 /// Scaled eigenvalues of the information below this carry none.
 const FLAT: f64 = 1e-10;
 /// An element that takes part in an unidentified direction by more than this has no standard error.
-const PART: f64 = 1e-6;
+pub(crate) const PART: f64 = 1e-6;
 
 /// Standard errors, in the user's units. `None` where a quantity is fixed, not identified, or on the boundary.
 #[derive(Debug, Clone, PartialEq)]
@@ -100,15 +100,23 @@ pub fn uncertainty(
     unidentified: &[Direction],
     kind: StdErrors,
 ) -> Uncertainty {
-    let state = &estimate.state;
+    uncertainty_by(&Law::of(&estimate.state, reductions, kind), &estimate.covariance, unidentified)
+}
+
+/// Standard errors from the information in a state of the estimator, at the end of a search or anywhere else; `sigma` is Σ
+/// there, in the user's units.
+pub(crate) fn uncertainty_at(state: &State, sigma: &DMatrix<f64>, unidentified: &[Direction]) -> Uncertainty {
+    uncertainty_by(&Law::new(state), sigma, unidentified)
+}
+
+fn uncertainty_by(law: &Law<'_>, sigma: &DMatrix<f64>, unidentified: &[Direction]) -> Uncertainty {
+    let state = law.state;
     let map = &state.problem.covariance;
     let boundary = boundary(map, &state.place.point.root);
-    let law = Law::of(state, reductions, kind);
-    let p = estimate.mean.len();
+    let p = sigma.nrows();
     let parts = |quantity: Quantity, k: usize| takes_part(unidentified, quantity, k);
     let on_boundary = |i: usize| boundary.iter().any(|b| b.states.contains(&i));
     let known = |i: usize, j: usize| !(on_boundary(i) || on_boundary(j) || parts(Quantity::Covariance, pair(i, j)));
-    let sigma = &estimate.covariance;
     let mut covariance = vec![vec![None; p]; p];
     let mut correlation = vec![vec![None; p]; p];
     let mut std_dev = vec![None; p];
@@ -129,7 +137,7 @@ pub fn uncertainty(
         }
     }
     let mean = (0..p).map(|i| if parts(Quantity::Mean, i) { None } else { law.mean_error(i) }).collect();
-    let coefficients = (0..estimate.coefficients.len()).map(|c| law.coefficient_error(c)).collect();
+    let coefficients = (0..state.problem.mean.regressors.len()).map(|c| law.coefficient_error(c)).collect();
     let scale = matches!(map.form, Form::Scale(_)).then(|| law.scale_error(sigma)).flatten();
     Uncertainty { mean, coefficients, covariance, std_dev, correlation, scale, boundary }
 }

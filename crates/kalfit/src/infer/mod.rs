@@ -20,6 +20,10 @@ pub use ratio::{
     likelihood_ratio,
 };
 
+pub(crate) use constraint::is_held;
+pub(crate) use identifiability::directions;
+pub(crate) use information::{PART, uncertainty_at};
+
 use crate::estimate::Estimate;
 use crate::reduce::Reduction;
 

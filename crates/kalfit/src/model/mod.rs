@@ -5,10 +5,12 @@
 
 mod expression;
 mod parameter;
+mod population;
 mod structure;
 
 pub use expression::{EvaluationError, Expression, Function, Operator, Scope};
 pub use parameter::{Alpha, Level, Parameter, ParameterError, Value};
+pub use population::{Population, PopulationError};
 pub use structure::{
     CovarianceKind, CovarianceStructure, FixedElement, MeanElement, MeanStructure, Regression, StructureError,
 };

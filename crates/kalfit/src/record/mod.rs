@@ -1,6 +1,7 @@
 //! The result of a fit as others read it: fit.json. Field names are a contract; unknown figures are null, never NaN.
 
 mod build;
+mod population;
 mod ratio;
 
 use serde::{Deserialize, Serialize};
@@ -8,6 +9,7 @@ use serde::{Deserialize, Serialize};
 pub use crate::infer::Interval;
 
 pub use build::Provenance;
+pub use population::{FIT_SCHEMA, RecordError};
 pub use ratio::{BootstrapRecord, ComponentRecord, PartRecord, RatioProvenance, RatioRecord, SideRecord};
 
 /// All that a fit found. `None` is written as null: not known, not identified, or not applicable.

@@ -38,3 +38,9 @@ pub use flops::reduction_flops;
 pub use plain::{Plain, StepMatrices, Terminal};
 pub use reducer::{Reducer, Work};
 pub use reduction::{Path, Reduction};
+
+pub(crate) use design::{Design, Transition};
+pub(crate) use kernel::advance;
+pub(crate) use prepare::{Preparer, Workspace};
+pub(crate) use semidefinite::{NotSemidefinite, ldl};
+pub(crate) use subject::{Fault, Subject};

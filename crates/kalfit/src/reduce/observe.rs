@@ -98,6 +98,10 @@ impl Meters {
         if found.is_empty() {
             return Ok(());
         }
+        if let Some(covariances) = &mut out.covariances {
+            covariances.extend(found.iter().map(|&(i, j, value)| (first + i, first + j, value)));
+            return Ok(());
+        }
         whiten(out.design, out.data, first, &found).map_err(|bad| {
             let kind = ReduceErrorKind::NotSemidefinite { left: bad.left, variance: bad.variance };
             Fault::new(Subject::StepNoise, kind).on(row)
@@ -153,6 +157,8 @@ pub(crate) struct Observed<'a> {
     pub(crate) design: &'a mut Design,
     pub(crate) data: &'a mut Data,
     pub(crate) instances: &'a mut Vec<Instance>,
+    /// Where covariances go that are not to be whitened away.
+    pub(crate) covariances: Option<&'a mut Vec<(usize, usize, f64)>>,
 }
 
 impl Meter {

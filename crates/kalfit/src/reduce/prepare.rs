@@ -48,6 +48,9 @@ pub(crate) struct Workspace {
     pub(crate) data: Data,
     pub(crate) instances: Vec<Instance>,
     pub(crate) covariates: Vec<f64>,
+    /// When given, covariances (i, j, value) between scalar measurements of the test go here, and the measurements are not
+    /// whitened.
+    pub(crate) covariances: Option<Vec<(usize, usize, f64)>>,
     pub(crate) gains: GainsWork,
     pub(crate) pass: DataWork,
     spans: Vec<Span>,
@@ -99,6 +102,7 @@ impl Preparer {
             data: Data::default(),
             instances: Vec::new(),
             covariates: Vec::new(),
+            covariances: None,
             gains: GainsWork::default(),
             pass: DataWork::default(),
             spans: Vec::new(),
@@ -121,6 +125,7 @@ impl Preparer {
         work.design.clear();
         work.data.clear();
         work.instances.clear();
+        work.covariances.iter_mut().for_each(Vec::clear);
         work.whole.gather(&at, test, 0..test.rows(), (&self.start.uses, true))?;
         let scope =
             Scope { numbers: &work.whole.numbers, texts: &work.whole.texts, step: f64::NAN, alpha: &self.alpha };
@@ -131,8 +136,9 @@ impl Preparer {
         for k in 0..work.spans.len() {
             let Span { rows, dt, moves } = work.spans[k].clone();
             let transition = if moves { Some(self.transition(&at, test, k, work)?) } else { None };
-            let Workspace { design, data, instances, .. } = &mut *work;
-            self.meters.observe(&at, test, (rows, dt), &mut Observed { design, data, instances })?;
+            let Workspace { design, data, instances, covariances, .. } = &mut *work;
+            let mut observed = Observed { design, data, instances, covariances: covariances.as_mut() };
+            self.meters.observe(&at, test, (rows, dt), &mut observed)?;
             let rows = work.design.rows.len();
             work.design.steps.push(Step { transition, rows });
         }

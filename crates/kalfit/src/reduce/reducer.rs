@@ -67,6 +67,42 @@ impl Reducer {
         all.into_iter().collect()
     }
 
+    /// The reductions of designs: information and covariates as in [`Reducer::reduce`], from times, inputs and which values are
+    /// missing. What was measured is not looked at, and `data` and `constant` are zero.
+    ///
+    /// # Errors
+    /// Of several tests in error, the first one's error.
+    pub fn reduce_designs(&mut self, tests: &[Test]) -> Result<Vec<Reduction>, ReduceError> {
+        let this = &*self;
+        let one = |work: &mut Workspace, test: &Test| {
+            this.designed(test, work).map_err(|fault| fault.name(&this.preparer.model, Some(test)))
+        };
+        let all: Vec<Result<Reduction, ReduceError>> =
+            tests.par_iter().map_init(|| this.preparer.workspace(), one).collect();
+        all.into_iter().collect()
+    }
+
+    fn designed(&self, test: &Test, work: &mut Workspace) -> Result<Reduction, Box<Fault>> {
+        self.preparer.prepare(test, work)?;
+        let digest = work.design.digest();
+        let class = self.class(digest, work);
+        let gains = class.value().as_ref().map_err(|&error| root_fault(error, &work.instances))?;
+        if gains.factor.iter().any(|x| !x.is_finite()) {
+            return Err(Fault::new(Subject::Test, ReduceErrorKind::NotFinite));
+        }
+        Ok(Reduction {
+            test: test.id.clone(),
+            constant: 0.0,
+            data: vec![0.0; work.design.frame.p],
+            factor: gains.factor.clone(),
+            covariates: work.covariates.clone(),
+            steps: work.design.steps.len(),
+            observations: gains.active,
+            path: if gains.turns.is_some() { Path::SquareRoot } else { Path::Information },
+            design: digest,
+        })
+    }
+
     /// What has been done so far.
     pub fn work(&self) -> Work {
         let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);

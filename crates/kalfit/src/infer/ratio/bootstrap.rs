@@ -9,9 +9,10 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
-use crate::estimate::{Estimate, InitialState, Silent, State, Stop, fit, fit_from, unpack};
+use crate::estimate::{Estimate, Silent, State, Stop, fit, fit_from, unpack};
 use crate::infer::ratio::nested::regressions;
 use crate::linalg::symmetric;
+use crate::model::Population;
 use crate::reduce::Reduction;
 
 /// How many ensembles to draw, and the seed.
@@ -66,7 +67,7 @@ pub fn bootstrap(
 
 /// The statistic of one ensemble; `None` when a fit is not certified.
 fn ratio(null: &Estimate, alternative: &Estimate, reductions: &[Reduction], places: &[usize]) -> Option<f64> {
-    let truth = InitialState::from(null);
+    let truth = Population::from(null);
     let narrow = certified(&null.state, &select_covariates(reductions, places), &truth)?;
     let widened = |state: &Estimate| widened(state, places, alternative.coefficients.len());
     let wide = certified(&alternative.state, reductions, &widened(null))?;
@@ -80,10 +81,10 @@ fn ratio(null: &Estimate, alternative: &Estimate, reductions: &[Reduction], plac
 }
 
 /// The values of the hypothesis as values of the model.
-pub(super) fn widened(null: &Estimate, places: &[usize], coefficients: usize) -> InitialState {
+pub(super) fn widened(null: &Estimate, places: &[usize], coefficients: usize) -> Population {
     let mut all = vec![0.0; coefficients];
     places.iter().zip(&null.coefficients).for_each(|(&at, value)| all[at] = *value);
-    InitialState { coefficients: all, ..InitialState::from(null) }
+    Population { coefficients: all, ..Population::from(null) }
 }
 
 /// Reductions with only these of their covariates.
@@ -94,7 +95,7 @@ pub(super) fn select_covariates(reductions: &[Reduction], places: &[usize]) -> V
 }
 
 /// From the truth, and from the data when that does not end well.
-fn certified(state: &State, reductions: &[Reduction], start: &InitialState) -> Option<Estimate> {
+fn certified(state: &State, reductions: &[Reduction], start: &Population) -> Option<Estimate> {
     let (structure, settings) = (state.structure(), &state.settings);
     let near = fit_from(reductions, &structure, start, settings, &mut Silent).ok();
     near.filter(|e| e.stop == Stop::Certified)

@@ -1,0 +1,265 @@
+//! `--from`: the population and the parameters that are taken as true, from a fit or from a model file.
+
+use std::io::Read;
+use std::path::Path;
+
+use kalfit::model::{Level, Parameter, ParameterError, PopulationError, Value};
+use kalfit::record::{FIT_SCHEMA, RecordError};
+use kalfit::{Alpha, FitRecord, Population};
+use kalfit_spec::{Spec, SpecError};
+use serde::Deserialize;
+
+use crate::failure::Failure;
+use crate::model;
+
+/// Larger result files are not read.
+const MAX_BYTES: u64 = 1 << 30;
+
+/// What is taken as true.
+#[derive(Debug)]
+pub(crate) struct Truth {
+    pub(crate) population: Population,
+    pub(crate) alpha: Alpha,
+    /// Free parameters of the model that got their values from `--from`.
+    pub(crate) taken: Vec<String>,
+    /// What the user should know.
+    pub(crate) warnings: Vec<String>,
+}
+
+/// Why nothing can be taken as true.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum TruthError {
+    #[error("cannot read `{path}`: {reason}")]
+    Unreadable { path: String, reason: String },
+    #[error("`{path}` has {found} bytes, expected at most {limit}")]
+    TooLarge { path: String, found: u64, limit: u64 },
+    #[error("`{path}` is not a result of `kalfit fit`: {reason}")]
+    NotARecord { path: String, reason: String },
+    #[error("`{path}`: {error}")]
+    Record { path: String, error: RecordError },
+    #[error("`{path}`: {error}")]
+    Population { path: String, error: PopulationError },
+    #[error("`{path}` has the parameter `{name}`, which the model does not have")]
+    UnknownParameter { path: String, name: String },
+    #[error(
+        "`{path}` has parameter `{name}` {}, expected it {} as in the model",
+        per_words(found),
+        per_words(expected)
+    )]
+    Per { path: String, name: String, found: Option<String>, expected: Option<String> },
+    #[error("`{path}`: {error}")]
+    Value { path: String, error: Box<SpecError> },
+    #[error("no value is given for {}", names.iter().map(|n| format!("parameter `{n}`")).collect::<Vec<_>>().join(", "))]
+    NoParameter { names: Vec<String> },
+}
+
+fn per_words(per: &Option<String>) -> String {
+    per.as_ref().map_or("common to all tests".to_owned(), |per| format!("per `{per}`"))
+}
+
+impl TruthError {
+    pub(crate) fn hint(&self) -> Option<String> {
+        match self {
+            TruthError::NotARecord { .. } | TruthError::Record { error: RecordError::Schema { .. }, .. } => {
+                Some("`--from` takes what `kalfit fit --out` writes, or a model file that ends in `.toml`".to_owned())
+            }
+            TruthError::Population { error: PopulationError::NoValue { .. }, .. } => {
+                Some("fix it or give it a start value in `[mean]` and `[covariance]`, or take a fit".to_owned())
+            }
+            TruthError::NoParameter { names } => Some(format!("give it: `--set {}=VALUE`", names.first()?)),
+            TruthError::Value { error, .. } => error.hint.clone(),
+            _ => None,
+        }
+    }
+}
+
+impl From<TruthError> for Failure {
+    fn from(error: TruthError) -> Failure {
+        Failure::Truth(Box::new(error))
+    }
+}
+
+/// The value of one parameter, at one level or common to all.
+struct Known {
+    name: String,
+    per: Option<String>,
+    level: Option<String>,
+    value: f64,
+}
+
+/// Takes the truth from a file. Free parameters of the model get its values; then `set` is done.
+pub(crate) fn load(spec: &mut Spec, from: &Path, set: &[String]) -> Result<Truth, Failure> {
+    let path = from.display().to_string();
+    let mut warnings = Vec::new();
+    let (population, known) = if is_model(from)? {
+        of_model(spec, from, set)?
+    } else {
+        let record = read_record(from)?;
+        let population =
+            record.population(&spec.model).map_err(|error| TruthError::Record { path: path.clone(), error })?;
+        if record.model_digest.as_ref().is_some_and(|digest| *digest != spec.digest) {
+            warnings.push(format!("`{path}` was made with another version of `{}`", spec.name));
+        }
+        let known = of_record(spec, &record, &path)?;
+        (population, known)
+    };
+    let taken = give(spec, &known, &path, &mut warnings)?;
+    model::set(spec, set)?;
+    let alpha = Alpha::fixed(&spec.model.parameters)
+        .map_err(|ParameterError::Free { names }| Failure::from(TruthError::NoParameter { names }))?;
+    Ok(Truth { population, alpha, taken, warnings })
+}
+
+/// True for a model file: by its extension, else by its first character.
+fn is_model(path: &Path) -> Result<bool, TruthError> {
+    match path.extension().and_then(|extension| extension.to_str()).map(str::to_ascii_lowercase).as_deref() {
+        Some("toml") => return Ok(true),
+        Some("json") => return Ok(false),
+        _ => {}
+    }
+    let mut start = Vec::new();
+    let unreadable = |error: std::io::Error| unreadable(path, &error);
+    std::fs::File::open(path).map_err(unreadable)?.take(64).read_to_end(&mut start).map_err(unreadable)?;
+    Ok(!start.trim_ascii_start().starts_with(b"{"))
+}
+
+fn unreadable(path: &Path, error: &std::io::Error) -> TruthError {
+    TruthError::Unreadable { path: path.display().to_string(), reason: error.to_string() }
+}
+
+fn read_record(path: &Path) -> Result<FitRecord, TruthError> {
+    #[derive(Deserialize)]
+    struct Head {
+        schema: Option<String>,
+    }
+    let unreadable = |error: std::io::Error| unreadable(path, &error);
+    let name = path.display().to_string();
+    let file = std::fs::File::open(path).map_err(unreadable)?;
+    let size = file.metadata().map_err(unreadable)?.len();
+    let mut bytes = Vec::new();
+    // The size of a pipe is not known before it is read.
+    file.take(MAX_BYTES + 1).read_to_end(&mut bytes).map_err(unreadable)?;
+    let found = size.max(bytes.len() as u64);
+    if found > MAX_BYTES {
+        return Err(TruthError::TooLarge { path: name, found, limit: MAX_BYTES });
+    }
+    let refused = |error: serde_json::Error| TruthError::NotARecord { path: name.clone(), reason: error.to_string() };
+    let head: Head = serde_json::from_slice(&bytes).map_err(refused)?;
+    match head.schema {
+        Some(schema) if schema == FIT_SCHEMA => serde_json::from_slice(&bytes).map_err(refused),
+        Some(found) => {
+            Err(TruthError::Record { path: name, error: RecordError::Schema { found, expected: FIT_SCHEMA } })
+        }
+        None => Err(TruthError::NotARecord { path: name, reason: "it has no `schema`".to_owned() }),
+    }
+}
+
+/// The population of a model file, in the order of the model, and the values of its parameters.
+fn of_model(spec: &Spec, from: &Path, set: &[String]) -> Result<(Population, Vec<Known>), Failure> {
+    let path = from.display().to_string();
+    let mut truth = model::read(from)?;
+    for parameter in truth.model.parameters.clone() {
+        if let Value::Free { start: Some(start) } = parameter.value {
+            take(&mut truth, &parameter, None, start)?;
+        }
+    }
+    let is_there = |name: &str| truth.model.parameters.iter().any(|p| p.name == name);
+    let own: Vec<String> =
+        set.iter().filter(|s| is_there(s.split(['=', '[']).next().unwrap_or_default().trim())).cloned().collect();
+    model::set(&mut truth, &own)?;
+    let alpha = Alpha::fixed(&truth.model.parameters)
+        .map_err(|ParameterError::Free { names }| Failure::from(TruthError::NoParameter { names }))?;
+    let (found, expected) = (truth.model.estimated_names(), spec.model.estimated_names());
+    let place: Option<Vec<usize>> = expected.iter().map(|name| found.iter().position(|other| other == name)).collect();
+    let Some(place) = place.filter(|place| place.len() == found.len()) else {
+        let error = RecordError::Names { what: "the estimated states", found, expected };
+        return Err(TruthError::Record { path, error }.into());
+    };
+    let refused = |error| Failure::from(TruthError::Population { path: path.clone(), error });
+    let mut population = Population::of_model(&truth.model, &alpha).map_err(refused)?;
+    population.mean = place.iter().map(|&i| population.mean[i]).collect();
+    population.covariance = population.covariance.select_rows(&place).select_columns(&place);
+    population.check(&spec.model).map_err(refused)?;
+    Ok((population, levels(&truth, &alpha)))
+}
+
+/// Gives a free parameter a value at one level, or at all levels that have none of their own.
+fn take(spec: &mut Spec, parameter: &Parameter, level: Option<&str>, value: f64) -> Result<(), Failure> {
+    let own = parameter.fixed_levels.clone();
+    let assignment = match level {
+        None => format!("{}={value}", parameter.name),
+        Some(level) => format!("{}[{level}]={value}", parameter.name),
+    };
+    spec.set(&assignment)
+        .map_err(|error| Failure::from(TruthError::Value { path: spec.name.clone(), error: Box::new(error) }))?;
+    // what the model fixes at some levels stays
+    if let Some(changed) = spec.model.parameters.iter_mut().find(|p| p.name == parameter.name) {
+        changed.fixed_levels.extend(own);
+    }
+    Ok(())
+}
+
+/// All values of a model's parameters.
+fn levels(spec: &Spec, alpha: &Alpha) -> Vec<Known> {
+    let mut known = Vec::new();
+    for (parameter, level) in spec.model.parameters.iter().zip(&alpha.values) {
+        let per = parameter.per.map(|column| spec.model.text_columns[column].name.clone());
+        let mut add = |level: Option<&String>, value: f64| {
+            known.push(Known { name: parameter.name.clone(), per: per.clone(), level: level.cloned(), value });
+        };
+        match level {
+            Level::Common(value) => add(None, *value),
+            Level::Each { values, other, .. } => {
+                other.iter().for_each(|value| add(None, *value));
+                values.iter().for_each(|(label, value)| add(spec.model.literals.get(label.index()), *value));
+            }
+        }
+    }
+    known
+}
+
+/// The parameters of a fit, all of which the model must have.
+fn of_record(spec: &Spec, record: &FitRecord, path: &str) -> Result<Vec<Known>, TruthError> {
+    let known = |p: &kalfit::record::ParameterRecord| {
+        if spec.model.parameters.iter().all(|own| own.name != p.name) {
+            return Err(TruthError::UnknownParameter { path: path.to_owned(), name: p.name.clone() });
+        }
+        Ok(Known { name: p.name.clone(), per: p.per.clone(), level: p.level.clone(), value: p.estimate })
+    };
+    let mut all = record.parameters.iter().map(known).collect::<Result<Vec<_>, _>>()?;
+    all.sort_by_key(|known| known.level.is_some()); // what is common to all levels first
+    Ok(all)
+}
+
+/// Gives the model's free parameters the values that are known; the names of those that got one.
+fn give(spec: &mut Spec, known: &[Known], path: &str, warnings: &mut Vec<String>) -> Result<Vec<String>, Failure> {
+    let parameters = spec.model.parameters.clone();
+    let mut taken: Vec<String> = Vec::new();
+    for Known { name, per, level, value } in known {
+        let Some(parameter) = parameters.iter().find(|p| p.name == *name) else { continue };
+        let literal = level.as_ref().and_then(|level| spec.model.literals.iter().position(|text| text == level));
+        let at_level = literal.and_then(|literal| parameter.fixed_levels.get(&literal).copied());
+        let own = match parameter.value {
+            Value::Fixed(own) => Some(at_level.unwrap_or(own)),
+            Value::Free { .. } => at_level,
+        };
+        if let Some(own) = own {
+            if own != *value {
+                let at = level.as_ref().map_or(String::new(), |level| format!("[{level}]"));
+                warnings
+                    .push(format!("`{name}{at}` is {own} in `{}` and {value} in `{path}`: {own} is used", spec.name));
+            }
+            continue;
+        }
+        let expected = parameter.per.map(|column| spec.model.text_columns[column].name.clone());
+        if *per != expected {
+            let (path, name, found) = (path.to_owned(), name.clone(), per.clone());
+            return Err(TruthError::Per { path, name, found, expected }.into());
+        }
+        take(spec, parameter, level.as_deref(), *value)?;
+        if !taken.contains(name) {
+            taken.push(name.clone());
+        }
+    }
+    Ok(taken)
+}

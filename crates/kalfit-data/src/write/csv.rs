@@ -1,0 +1,117 @@
+//! Tests as CSV.
+
+use std::io::Write;
+
+use kalfit::{Labels, Test};
+
+use super::WriteError;
+use super::columns::{From, OutColumn, text};
+
+/// Writes CSV with a header. Numbers are in the shortest form that reads back the same; missing cells are empty.
+pub(super) struct CsvTests<W: Write> {
+    writer: csv::Writer<W>,
+}
+
+impl<W: Write> CsvTests<W> {
+    pub(super) fn new(mut sink: W, delimiter: u8, columns: &[OutColumn]) -> Result<CsvTests<W>, WriteError> {
+        header(&mut sink, delimiter, columns.iter().map(|column| column.name.as_str()))?;
+        Ok(CsvTests { writer: csv::WriterBuilder::new().delimiter(delimiter).from_writer(sink) })
+    }
+
+    pub(super) fn write(&mut self, columns: &[OutColumn], test: &Test, labels: &Labels) -> Result<(), WriteError> {
+        for row in 0..test.rows() {
+            for column in columns {
+                let cell = match column.from {
+                    From::Number(index) => self.writer.write_field(number(test.numbers(row)[index])),
+                    from => self.writer.write_field(text(from, test, row, labels).unwrap_or_default()),
+                };
+                cell.map_err(failed)?;
+            }
+            self.writer.write_record(None::<&[u8]>).map_err(failed)?;
+        }
+        Ok(())
+    }
+
+    pub(super) fn finish(self) -> Result<W, WriteError> {
+        self.writer.into_inner().map_err(|error| WriteError::Io(error.into_error()))
+    }
+}
+
+/// Writes the true initial states of drawn tests as CSV: a column of ids, and one for each estimated state.
+pub struct StateWriter<W: Write> {
+    writer: csv::Writer<W>,
+}
+
+impl<W: Write> StateWriter<W> {
+    /// Begins a table. The ids stand in column `test`, or in `test_2` and so on beside a state of that name.
+    ///
+    /// # Errors
+    /// A sink that cannot be written to.
+    pub fn new(mut sink: W, states: &[String]) -> Result<StateWriter<W>, WriteError> {
+        let names = std::iter::once("test".to_owned()).chain((2_u32..).map(|k| format!("test_{k}")));
+        let id = names.into_iter().find(|name| !states.contains(name)).expect("one of so many names is free");
+        header(&mut sink, b',', std::iter::once(id.as_str()).chain(states.iter().map(String::as_str)))?;
+        Ok(StateWriter { writer: csv::Writer::from_writer(sink) })
+    }
+
+    /// Appends a test: its id and its initial state.
+    ///
+    /// # Errors
+    /// A sink that cannot be written to.
+    pub fn write(&mut self, id: &str, initial: &[f64]) -> Result<(), WriteError> {
+        self.writer.write_field(id).map_err(failed)?;
+        for &value in initial {
+            self.writer.write_field(number(value)).map_err(failed)?;
+        }
+        self.writer.write_record(None::<&[u8]>).map_err(failed)
+    }
+
+    /// Ends the table.
+    ///
+    /// # Errors
+    /// A sink that cannot be written to.
+    pub fn finish(self) -> Result<W, WriteError> {
+        self.writer.into_inner().map_err(|error| WriteError::Io(error.into_error()))
+    }
+}
+
+/// The reader takes the most frequent delimiter outside quotes: a name with any delimiter in it needs quotes.
+fn header<'a>(sink: &mut impl Write, delimiter: u8, names: impl Iterator<Item = &'a str>) -> std::io::Result<()> {
+    let quoted = |name: &str| match name.contains([',', ';', '\t', '"', '\n', '\r']) {
+        true => format!("\"{}\"", name.replace('"', "\"\"")),
+        false => name.to_owned(),
+    };
+    let names: Vec<String> = names.map(quoted).collect();
+    writeln!(sink, "{}", names.join(&char::from(delimiter).to_string()))
+}
+
+/// What the csv library says, as an error of the system: nothing but writing can fail here.
+fn failed(error: csv::Error) -> WriteError {
+    WriteError::Io(error.into())
+}
+
+/// The shortest text that reads back the same; empty for a missing cell.
+pub(super) fn number(value: f64) -> String {
+    let size = value.abs();
+    match value {
+        x if x.is_nan() => String::new(),
+        x if x == 0.0 || (1e-5..1e16).contains(&size) => format!("{x}"),
+        x => format!("{x:e}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_read_back_bit_for_bit() {
+        for x in [0.1, -0.0, 1.0 / 3.0, 1e300, -5e-324, 123456789.0, 1e16, f64::MAX, 9.99e-6] {
+            let text = number(x);
+            let back: f64 = text.parse().expect("a number");
+            assert_eq!(back.to_bits(), x.to_bits(), "{x:e} is written {text}");
+            assert!(text.len() < 26, "{text}");
+        }
+        assert_eq!(number(f64::NAN), "");
+    }
+}

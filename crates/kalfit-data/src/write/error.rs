@@ -1,0 +1,40 @@
+//! Why tests cannot be written.
+
+use arrow::error::ArrowError;
+use parquet::errors::ParquetError;
+
+/// What is wrong with a table that is to be written.
+#[derive(Debug, thiserror::Error)]
+pub enum WriteError {
+    /// The name of the file does not say its format.
+    #[error("cannot tell the format of `{path}`: found {}, expected one of {}", found(extension), EXTENSIONS)]
+    Format {
+        /// The file.
+        path: String,
+        /// Its extension.
+        extension: Option<String>,
+    },
+    /// The column of the test's id is used otherwise too.
+    #[error("column `{column}` tells tests apart and is used in {used_in} too, so a test cannot have a new id")]
+    IdInUse {
+        /// Name of the column.
+        column: String,
+        /// Where else it is used, in words.
+        used_in: String,
+    },
+    /// The system could not write.
+    #[error("{0}")]
+    Io(#[from] std::io::Error),
+    /// The Parquet library could not write.
+    #[error("{0}")]
+    Parquet(#[from] ParquetError),
+    /// The Arrow library could not write.
+    #[error("{0}")]
+    Arrow(#[from] ArrowError),
+}
+
+const EXTENSIONS: &str = "`.csv`, `.tsv`, `.parquet`, `.arrow`";
+
+fn found(extension: &Option<String>) -> String {
+    extension.as_ref().map_or("no extension".to_owned(), |extension| format!("`.{extension}`"))
+}

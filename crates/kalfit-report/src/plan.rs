@@ -1,0 +1,105 @@
+//! What `kalfit plan` found.
+
+use kalfit::plan::{PlanRecord, PlannedRecord};
+
+use crate::Style;
+use crate::number::{Precision, plain};
+use crate::page::Page;
+use crate::summary::headline;
+use crate::table::{Column, Side, wide_table};
+use crate::words::{clean, count, list};
+
+/// No more names than this in a sentence.
+const MOST_NAMES: usize = 12;
+
+/// A plan in words and tables. Every line fits `style.width` and ends with a line feed.
+pub fn plan_summary(record: &PlanRecord, style: &Style) -> String {
+    let page = Page::new(style);
+    let mut sections = Vec::new();
+    if !record.title.trim().is_empty() {
+        sections.push(page.heading(&clean(&record.title)) + "\n");
+    }
+    let facts = headline::data(&record.design);
+    let design = format!("Design: {}", facts.trim_start_matches("Data: "));
+    sections.push(page.paragraph(&design) + &page.paragraph(&format!("Population: {}.", clean(&record.from))));
+    for (kind, heading) in [
+        ("mean", "Expected standard errors of the means"),
+        ("regression", "Expected standard errors of the regression coefficients"),
+        ("std_dev", "Expected standard errors of the standard deviations"),
+        ("correlation", "Expected standard errors of the correlations"),
+    ] {
+        let rows: Vec<&PlannedRecord> = record.quantities.iter().filter(|q| is_shown(q, kind)).collect();
+        sections.push(page.section(heading, &table(record, &rows, page.width())));
+    }
+    sections.push(page.section("How to read this", &page.items(&notes(record))));
+    sections.retain(|section| !section.is_empty());
+    sections.join("\n")
+}
+
+/// Correlations that the model holds fill pages in models of many states, and say nothing.
+fn is_shown(quantity: &PlannedRecord, kind: &str) -> bool {
+    quantity.quantity == kind && !(kind == "correlation" && quantity.reason.as_deref() == Some("fixed"))
+}
+
+fn table(record: &PlanRecord, rows: &[&PlannedRecord], width: usize) -> String {
+    if rows.is_empty() {
+        return String::new();
+    }
+    let smallest = |q: &PlannedRecord| q.std_error.iter().flatten().copied().reduce(f64::min);
+    let value = |q: &PlannedRecord| q.value.map_or("-".to_owned(), |v| Precision::of(v, smallest(q)).show(v));
+    let names = rows.iter().map(|q| q.states.join(", ")).collect();
+    let mut columns = vec![
+        Column::new("per unit of", Side::Left, rows.iter().map(|q| q.column.clone().unwrap_or_default()).collect()),
+        Column::new("unit", Side::Left, rows.iter().map(|q| q.unit.clone().unwrap_or_default()).collect()),
+        Column::new("value", Side::Right, rows.iter().map(|q| value(q)).collect()),
+    ];
+    for (k, &tests) in record.tests.iter().enumerate() {
+        let cell = |q: &&PlannedRecord| match (q.std_error.get(k).copied().flatten(), k) {
+            (Some(error), _) => two_digits(error),
+            (None, 0) => reason(q).to_owned(),
+            (None, _) => "-".to_owned(),
+        };
+        columns.push(Column::new(&count(tests, "test"), Side::Right, rows.iter().map(cell).collect()));
+    }
+    wide_table(&Column::new("state", Side::Left, names), &columns, width)
+}
+
+fn two_digits(error: f64) -> String {
+    if error > 0.0 { Precision::of(error, Some(error)).show_error(error) } else { plain(error, 2) }
+}
+
+fn reason(quantity: &PlannedRecord) -> &'static str {
+    match quantity.reason.as_deref() {
+        Some("fixed") => "fixed",
+        Some("unidentified") => "not identified",
+        Some("boundary") => "boundary",
+        _ => "unknown",
+    }
+}
+
+fn notes(record: &PlanRecord) -> Vec<String> {
+    let mut notes = vec![format!(
+        "From the expected information at these values; N tests count as N/{} times the design. Estimates from few tests spread more, and those of standard deviations are skewed.",
+        record.design.tests
+    )];
+    if record.quantities.iter().any(|q| q.reason.as_deref() == Some("boundary")) {
+        notes.push(
+            "Boundary: the covariance is singular there, and a standard error does not describe its estimates."
+                .to_owned(),
+        );
+    }
+    if record.quantities.iter().any(|q| q.reason.as_deref() == Some("unidentified")) {
+        notes.push("Not identified: no number of tests like these tells anything about it.".to_owned());
+    }
+    let names: Vec<String> = record.parameters_taken_as_known.iter().map(|name| clean(name)).collect();
+    if !names.is_empty() {
+        let (are, their) = if names.len() == 1 { ("is", "its") } else { ("are", "their") };
+        notes.push(format!(
+            "{} {are} free in the model and {are} taken as known here, at {their} value in {}; estimating {} too makes standard errors larger.",
+            list(&names, MOST_NAMES),
+            clean(&record.from),
+            if names.len() == 1 { "it" } else { "them" }
+        ));
+    }
+    notes
+}

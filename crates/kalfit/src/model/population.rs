@@ -1,0 +1,233 @@
+//! A population of tests as it is: values of μ, of the regression coefficients and of Σ.
+
+use nalgebra::DMatrix;
+
+use crate::linalg::symmetric;
+use crate::model::{Alpha, CovarianceKind, Expression, MeanElement, Model, Scope, StructureError};
+
+/// ξ_j ~ N(μ_j, Σ) with μ_j = μ + Σ_r e_state(r) × covariate_jr × coefficient_r.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Population {
+    /// μ (p), in the order of [`Model::estimated`].
+    pub mean: Vec<f64>,
+    /// Regression coefficients, in the order of [`MeanStructure::regression`](crate::model::MeanStructure::regression).
+    pub coefficients: Vec<f64>,
+    /// Σ (p × p), positive semidefinite; it may be singular.
+    pub covariance: DMatrix<f64>,
+}
+
+/// Why there is no population.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum PopulationError {
+    /// A count that is not the model's.
+    #[error("found {found} {what}, expected {expected} as in the model")]
+    Count {
+        /// What was counted.
+        what: &'static str,
+        /// How many there are.
+        found: usize,
+        /// How many there should be.
+        expected: usize,
+    },
+    /// A value that is no finite number.
+    #[error("{what} is {found}, expected a finite number")]
+    NotFinite {
+        /// Which value.
+        what: String,
+        /// The value.
+        found: f64,
+    },
+    /// Σ is not symmetric.
+    #[error("the covariance is not symmetric: {upper} above the diagonal, {lower} below, for `{first}` and `{second}`")]
+    NotSymmetric {
+        /// One state.
+        first: String,
+        /// The other.
+        second: String,
+        /// Entry above the diagonal.
+        upper: f64,
+        /// Entry below it.
+        lower: f64,
+    },
+    /// A matrix is not positive semidefinite, or has no value.
+    #[error(transparent)]
+    Structure(#[from] StructureError),
+    /// The model gives no value to these.
+    #[error("no value is given for {}", elements.join(", "))]
+    NoValue {
+        /// `mean[a]`, `covariance[a, b]` and the like.
+        elements: Vec<String>,
+    },
+}
+
+impl Population {
+    /// The population a model file describes: what it fixes, else what it gives as start value.
+    ///
+    /// # Errors
+    /// [`PopulationError::NoValue`] names all that has neither; a matrix that is not positive semidefinite.
+    pub fn of_model(model: &Model, alpha: &Alpha) -> Result<Population, PopulationError> {
+        let mut missing = Vec::new();
+        let mean = means(model, &mut missing);
+        let name = |element: usize| &model.states[model.estimated[element]].name;
+        for regression in &model.mean.regression {
+            let column = &model.columns[regression.column].name;
+            missing.push(format!("the coefficient of `{column}` in mean[{}]", name(regression.element)));
+        }
+        let covariance = covariance(model, alpha, &mut missing)?;
+        if !missing.is_empty() {
+            return Err(PopulationError::NoValue { elements: missing });
+        }
+        let population = Population { mean, coefficients: Vec::new(), covariance };
+        population.check(model)?;
+        Ok(population)
+    }
+
+    /// Whether it has the model's dimensions, finite values, and a covariance that is symmetric and positive semidefinite.
+    ///
+    /// # Errors
+    /// The first of these that it has not.
+    pub fn check(&self, model: &Model) -> Result<(), PopulationError> {
+        self.check_named(model.dimension(), model.mean.regression.len(), &|i| {
+            model.states[model.estimated[i]].name.clone()
+        })
+    }
+
+    /// [`Population::check`] against p states of these names, and a number of regression coefficients.
+    pub(crate) fn check_named(
+        &self,
+        p: usize,
+        regressions: usize,
+        name: &dyn Fn(usize) -> String,
+    ) -> Result<(), PopulationError> {
+        let sigma = &self.covariance;
+        for (what, found, expected) in [
+            ("means", self.mean.len(), p),
+            ("regression coefficients", self.coefficients.len(), regressions),
+            ("rows of the covariance", sigma.nrows(), p),
+            ("columns of the covariance", sigma.ncols(), p),
+        ] {
+            if found != expected {
+                return Err(PopulationError::Count { what, found, expected });
+            }
+        }
+        let finite = |found: f64, what: &dyn Fn() -> String| match found.is_finite() {
+            true => Ok(()),
+            false => Err(PopulationError::NotFinite { what: what(), found }),
+        };
+        for (i, &mean) in self.mean.iter().enumerate() {
+            finite(mean, &|| format!("mean[{}]", name(i)))?;
+        }
+        for (r, &coefficient) in self.coefficients.iter().enumerate() {
+            finite(coefficient, &|| format!("regression coefficient {}", r + 1))?;
+        }
+        for i in 0..p {
+            for j in 0..p {
+                finite(sigma[(i, j)], &|| format!("covariance[{}, {}]", name(i), name(j)))?;
+            }
+        }
+        for i in 0..p {
+            for j in 0..i {
+                let (lower, upper) = (sigma[(i, j)], sigma[(j, i)]);
+                if (lower - upper).abs() > 1e-9 * lower.abs().max(upper.abs()) {
+                    return Err(PopulationError::NotSymmetric { first: name(j), second: name(i), upper, lower });
+                }
+            }
+        }
+        if sigma.diagonal().iter().any(|v| *v < 0.0) || !symmetric::is_semidefinite(sigma) {
+            let (values, _) = symmetric::eigen(sigma);
+            let (least, largest) = (values[0], values[p - 1]);
+            return Err(StructureError::NotSemidefinite { what: "the covariance".to_owned(), least, largest }.into());
+        }
+        Ok(())
+    }
+}
+
+/// μ, with zeros where nothing is given; what is missing is added to `missing`.
+fn means(model: &Model, missing: &mut Vec<String>) -> Vec<f64> {
+    let structure = &model.mean;
+    let scale = structure.elements.iter().zip(&structure.start).find_map(|(element, start)| match element {
+        MeanElement::Proportional(weight) if *weight != 0.0 => start.map(|start| start / weight),
+        _ => None,
+    });
+    let own = |i: usize| match structure.elements[i] {
+        MeanElement::Fixed(value) => Some(value),
+        MeanElement::Free => structure.start[i],
+        MeanElement::Proportional(weight) => scale.map(|scale| scale * weight),
+        MeanElement::Tied { .. } => None,
+    };
+    let mut mean = vec![0.0; structure.elements.len()];
+    for (i, element) in structure.elements.iter().enumerate() {
+        // A tied element whose sources lack values is not named beside them.
+        match (element, own(i)) {
+            (MeanElement::Tied { constant, terms }, _) => {
+                mean[i] = terms.iter().fold(*constant, |sum, &(k, weight)| sum + weight * own(k).unwrap_or(0.0));
+            }
+            (_, Some(value)) => mean[i] = value,
+            (_, None) => missing.push(format!("mean[{}]", model.states[model.estimated[i]].name)),
+        }
+    }
+    mean
+}
+
+/// Σ, with zeros where nothing is given; what is missing is added to `missing`.
+fn covariance(model: &Model, alpha: &Alpha, missing: &mut Vec<String>) -> Result<DMatrix<f64>, PopulationError> {
+    let (p, structure) = (model.dimension(), &model.covariance);
+    let name = |i: usize| &model.states[model.estimated[i]].name;
+    let blocks: Vec<Vec<usize>> = match &structure.kind {
+        CovarianceKind::Fixed(entries) => return matrix(entries, alpha),
+        CovarianceKind::Proportional(_) => {
+            missing.push("the scale of the proportional covariance".to_owned());
+            return Ok(DMatrix::zeros(p, p));
+        }
+        CovarianceKind::Correlation(_) => {
+            missing.extend((0..p).filter(|&i| !is_zero(model, i)).map(|i| format!("covariance[{0}, {0}]", name(i))));
+            return Ok(DMatrix::zeros(p, p));
+        }
+        CovarianceKind::Linear { .. } => {
+            return Ok(structure.start.clone().unwrap_or_else(|| {
+                missing.push("the coefficients of the linear covariance".to_owned());
+                DMatrix::zeros(p, p)
+            }));
+        }
+        CovarianceKind::Full => vec![(0..p).collect()],
+        CovarianceKind::Diagonal => (0..p).map(|i| vec![i]).collect(),
+        CovarianceKind::Blocks(blocks) => blocks.clone(),
+    };
+    if let Some(start) = &structure.start {
+        return Ok(start.clone());
+    }
+    let mut sigma = DMatrix::zeros(p, p);
+    for i in 0..p {
+        for j in 0..=i {
+            let fixed = structure.fixed.iter().find(|e| (e.i, e.j) == (i, j)).map(|e| e.value);
+            let absent = is_zero(model, i)
+                || is_zero(model, j)
+                || !blocks.iter().any(|block| block.contains(&i) && block.contains(&j));
+            match fixed {
+                Some(value) => (sigma[(i, j)], sigma[(j, i)]) = (value, value),
+                None if absent => {}
+                None => missing.push(format!("covariance[{}, {}]", name(j), name(i))),
+            }
+        }
+    }
+    Ok(sigma)
+}
+
+/// True when a variance is fixed at zero.
+fn is_zero(model: &Model, i: usize) -> bool {
+    model.covariance.fixed.iter().any(|e| (e.i, e.j) == (i, i) && e.value == 0.0)
+}
+
+fn matrix(entries: &[Vec<Expression>], alpha: &Alpha) -> Result<DMatrix<f64>, PopulationError> {
+    let scope = Scope { numbers: &[], texts: &[], step: 0.0, alpha };
+    let mut values = DMatrix::zeros(entries.len(), entries.len());
+    for (row, expressions) in entries.iter().enumerate() {
+        for (column, expression) in expressions.iter().enumerate() {
+            values[(row, column)] = expression.evaluate(&scope).map_err(|source| {
+                let what = "the fixed covariance".to_owned();
+                StructureError::Entry { what, row, column, source }
+            })?;
+        }
+    }
+    Ok(values)
+}

@@ -1,0 +1,82 @@
+//! The design of an ensemble: the tests that give times, inputs and missingness, and the ids of what is drawn for them.
+
+use std::collections::BTreeSet;
+
+use crate::ensemble::Test;
+use crate::simulate::SimulateError;
+
+/// Tests to draw for, at least one, with ids of their own. Test j of an ensemble is drawn for test j mod n of the n tests here.
+#[derive(Debug, Clone)]
+pub struct Designs {
+    tests: Vec<Test>,
+    mark: String,
+}
+
+impl Designs {
+    /// Takes the tests of a design.
+    ///
+    /// # Errors
+    /// No tests, or two with one id.
+    pub fn new(tests: Vec<Test>) -> Result<Designs, SimulateError> {
+        if tests.is_empty() {
+            return Err(SimulateError::NoTests);
+        }
+        let mut ids = BTreeSet::new();
+        if let Some(twice) = tests.iter().find(|test| !ids.insert(test.id.as_str())) {
+            return Err(SimulateError::DuplicateTest { id: twice.id.clone() });
+        }
+        let mut mark = "#".to_owned();
+        while ids.iter().any(|id| id.trim_end_matches(|c: char| c.is_ascii_digit()).ends_with(&mark)) {
+            mark.push('#');
+        }
+        Ok(Designs { tests, mark })
+    }
+
+    /// The tests of the design.
+    pub fn tests(&self) -> &[Test] {
+        &self.tests
+    }
+
+    /// The test that test `index` of an ensemble is drawn for.
+    pub fn design(&self, index: u64) -> &Test {
+        let n = self.tests.len() as u64;
+        &self.tests[usize::try_from(index % n).expect("a remainder is below the number of tests")]
+    }
+
+    /// Id of test `index` of an ensemble: that of its design the first time round, `id#2` the second time. More than one `#`
+    /// stands there when the design has an id that ends in `#` and digits itself, so that no two ids are equal.
+    pub fn id(&self, index: u64) -> String {
+        let design = self.design(index);
+        match index / self.tests.len() as u64 {
+            0 => design.id.clone(),
+            round => format!("{}{}{}", design.id, self.mark, round + 1),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn designs(ids: &[&str]) -> Result<Designs, SimulateError> {
+        Designs::new(ids.iter().map(|id| Test::new(*id, 0, 0)).collect())
+    }
+
+    #[test]
+    fn ids_of_an_ensemble_differ_whatever_the_ids_of_the_design() {
+        for ids in [&["a", "b"][..], &["a", "a#2"], &["a", "a#", "a##2", "#3"], &["007", "7", ""]] {
+            let designs = designs(ids).expect("ids differ");
+            let all: BTreeSet<String> = (0..40).map(|index| designs.id(index)).collect();
+            assert_eq!(all.len(), 40, "{ids:?} become {all:?}");
+        }
+        let plain = designs(&["a", "b"]).expect("ids differ");
+        let first: Vec<String> = (0..5).map(|index| plain.id(index)).collect();
+        assert_eq!(first, ["a", "b", "a#2", "b#2", "a#3"]);
+    }
+
+    #[test]
+    fn a_design_needs_tests_with_ids_of_their_own() {
+        assert_eq!(designs(&[]).err(), Some(SimulateError::NoTests));
+        assert_eq!(designs(&["a", "b", "a"]).err(), Some(SimulateError::DuplicateTest { id: "a".to_owned() }));
+    }
+}

@@ -1,0 +1,74 @@
+//! Why an ensemble cannot be drawn.
+
+use crate::ensemble::Source;
+use crate::model::PopulationError;
+use crate::reduce::ReduceError;
+
+/// A refusal to draw.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum SimulateError {
+    /// The population does not fit the model.
+    #[error("the population cannot be drawn from: {0}")]
+    Population(#[from] PopulationError),
+    /// The model at α does not work on a test of the design.
+    #[error(transparent)]
+    Reduce(#[from] ReduceError),
+    /// There is no design to draw for.
+    #[error("the design has no tests")]
+    NoTests,
+    /// Two tests of the design have one id.
+    #[error("two tests of the design have the id `{id}`")]
+    DuplicateTest {
+        /// The id.
+        id: String,
+    },
+    /// A measured column is an input too.
+    #[error(
+        "column `{column}` holds measurements and is read as an input too: a drawn value would change the model that it is drawn from"
+    )]
+    MeasuredInput {
+        /// Name of the column.
+        column: String,
+    },
+    /// Two measurements read one cell.
+    #[error(
+        "test `{test}`: measurements `{first}` and `{second}` read the same cell of column `{column}`, which can hold one value only"
+    )]
+    SharedCell {
+        /// Id of the test.
+        test: String,
+        /// The row.
+        row: Source,
+        /// Name of the column.
+        column: String,
+        /// Name of one measurement.
+        first: String,
+        /// Name of the other.
+        second: String,
+    },
+    /// A drawn value is too large to be a number.
+    #[error("test `{test}`: the drawn value of column `{column}` is not a finite number")]
+    NotFinite {
+        /// Id of the test.
+        test: String,
+        /// The row.
+        row: Source,
+        /// Name of the column.
+        column: String,
+    },
+}
+
+impl SimulateError {
+    /// What to do about it, where that is plain.
+    pub fn hint(&self) -> Option<&'static str> {
+        match self {
+            SimulateError::Reduce(error) => error.hint(),
+            SimulateError::MeasuredInput { .. } => Some("read the input from a column of its own"),
+            SimulateError::SharedCell { .. } => {
+                Some("tell the rows of the two apart with `where`, or give each measurement a column")
+            }
+            SimulateError::DuplicateTest { .. } => Some("give each test an id of its own"),
+            _ => None,
+        }
+    }
+}

@@ -1,0 +1,177 @@
+//! The path of one test, from its initial state to its last measurement. (theory §1)
+#![expect(non_snake_case, reason = "the letters of the theory: P0, Q, R, F with FF' = Q")]
+
+use std::collections::HashMap;
+
+use nalgebra::DMatrix;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+use crate::linalg::symmetric;
+use crate::model::{Model, Population};
+use crate::reduce::{Design, Fault, NotSemidefinite, ReduceErrorKind, Subject, Transition, Workspace, advance, ldl};
+use crate::simulate::Simulator;
+
+/// Roots of Q that are kept.
+const MOST_ROOTS: usize = 1024;
+
+/// A root of Q: kernel states with process noise, and F over them.
+#[derive(Debug, Clone)]
+struct Noise {
+    states: Vec<usize>,
+    F: DMatrix<f64>,
+}
+
+/// Work space of the draws of one thread; the evaluated test stands in `work`, its measurements not whitened.
+#[derive(Debug)]
+pub(super) struct Path {
+    pub(super) work: Workspace,
+    /// Drawn values, one for each instance of `work`.
+    pub(super) values: Vec<f64>,
+    x: Vec<f64>,
+    moved: Vec<f64>,
+    noises: HashMap<u128, Noise>,
+    /// P0 of the last test, and its root.
+    start: (Vec<f64>, DMatrix<f64>),
+}
+
+impl Path {
+    pub(super) fn new(simulator: &Simulator) -> Path {
+        let mut work = simulator.preparer.workspace();
+        work.covariances = Some(Vec::new());
+        let start = (Vec::new(), DMatrix::zeros(0, 0));
+        Path { work, values: Vec::new(), x: Vec::new(), moved: Vec::new(), noises: HashMap::new(), start }
+    }
+
+    /// ξ ~ N(μ_j, Σ), with `root` a root of Σ.
+    pub(super) fn draw_initial(
+        &self,
+        model: &Model,
+        population: &Population,
+        root: &DMatrix<f64>,
+        random: &mut ChaCha8Rng,
+    ) -> Vec<f64> {
+        let mut xi = population.mean.clone();
+        let regressions = model.mean.regression.iter().zip(&population.coefficients).zip(&self.work.covariates);
+        for ((regression, coefficient), covariate) in regressions {
+            xi[regression.element] += coefficient * covariate;
+        }
+        add_noise(root, random, |i, value| xi[i] += value);
+        xi
+    }
+
+    /// The measured values of the test, given ξ.
+    pub(super) fn draw_values(&mut self, initial: &[f64], random: &mut ChaCha8Rng) -> Result<(), Box<Fault>> {
+        self.start(initial, random);
+        self.values.clear();
+        let (mut first, mut input) = (0, 0);
+        for k in 0..self.work.design.steps.len() {
+            let rows = first..self.work.design.steps[k].rows;
+            if let Some(transition) = self.work.design.steps[k].transition.clone() {
+                advance(&mut self.x, 1, &transition, &mut self.moved);
+                for &state in &self.work.design.frame.driven {
+                    self.x[state as usize] += self.work.data.inputs[input];
+                    input += 1;
+                }
+                let noise = noise_of(&mut self.noises, &transition);
+                add_noise(&noise.F, random, |i, value| self.x[noise.states[i]] += value);
+            }
+            self.measure(rows, random)?;
+            first = self.work.design.steps[k].rows;
+        }
+        Ok(())
+    }
+
+    /// x_0 = a + Aξ + ζ.
+    fn start(&mut self, initial: &[f64], random: &mut ChaCha8Rng) {
+        let Design { frame, variance, .. } = &self.work.design;
+        let (p, r) = (frame.p, frame.r);
+        self.x.clone_from(&self.work.data.start);
+        for (state, x) in self.x.iter_mut().enumerate() {
+            *x += frame.sensitivity[state * p..][..p].iter().zip(initial).map(|(a, xi)| a * xi).sum::<f64>();
+        }
+        if self.start.0 != *variance || self.start.1.nrows() != r {
+            let P0 = DMatrix::from_fn(r, r, |i, j| variance[i.max(j) * r + i.min(j)]);
+            self.start = (variance.clone(), symmetric::square_root(&P0));
+        }
+        add_noise(&self.start.1, random, |i, value| self.x[i] += value);
+    }
+
+    /// z = Mx + d + v of one step, correlated noise by R = LDL'.
+    fn measure(&mut self, rows: std::ops::Range<usize>, random: &mut ChaCha8Rng) -> Result<(), Box<Fault>> {
+        for row in rows.clone() {
+            let (states, h) = self.work.design.terms(row);
+            let known: f64 = states.iter().zip(h).map(|(&state, h)| h * self.x[state as usize]).sum();
+            // the design's measured values were set to zero, so that z - d is -d
+            self.values.push(known - self.work.data.values[row]);
+        }
+        let joint = joint_noise(&self.work, rows.clone())?;
+        let m = rows.len();
+        let variance = |i: usize| joint.as_ref().map_or(self.work.design.noise[rows.start + i], |R| R[i * m + i]);
+        let white: Vec<f64> = (0..m).map(|i| variance(i).sqrt() * normal(random)).collect();
+        for (i, value) in self.values[rows.start..].iter_mut().enumerate() {
+            let others = joint.iter().flat_map(|R| (0..i).map(|k| R[i * m + k] * white[k]));
+            *value += white[i] + others.sum::<f64>();
+        }
+        Ok(())
+    }
+}
+
+/// L and D of R = LDL' for the measurements of a step, m × m, row-major; `None` when they are not correlated.
+fn joint_noise(work: &Workspace, rows: std::ops::Range<usize>) -> Result<Option<Vec<f64>>, Box<Fault>> {
+    let covariances = work.covariances.as_deref().unwrap_or_default();
+    // those of one step stand together, step after step
+    let begin = covariances.partition_point(|&(i, ..)| i < rows.start);
+    let own = covariances[begin..].iter().take_while(|(i, ..)| *i < rows.end);
+    let m = rows.len();
+    let mut R: Option<Vec<f64>> = None;
+    for &(i, j, value) in own {
+        let R = R.get_or_insert_with(|| {
+            let variance = |k: usize| if k / m == k % m { work.design.noise[rows.start + k / m] } else { 0.0 };
+            (0..m * m).map(variance).collect()
+        });
+        R[(i.max(j) - rows.start) * m + i.min(j) - rows.start] += value;
+    }
+    if let Some(R) = &mut R {
+        ldl(R, m).map_err(|bad: NotSemidefinite| {
+            let kind = ReduceErrorKind::NotSemidefinite { left: bad.left, variance: bad.variance };
+            Fault::new(Subject::StepNoise, kind).on(work.instances[rows.start].row)
+        })?;
+    }
+    Ok(R)
+}
+
+/// The root of a transition's Q, from memory where it is known.
+fn noise_of<'a>(noises: &'a mut HashMap<u128, Noise>, transition: &Transition) -> &'a Noise {
+    if noises.len() >= MOST_ROOTS && !noises.contains_key(&transition.digest) {
+        noises.clear();
+    }
+    noises.entry(transition.digest).or_insert_with(|| {
+        let pairs = &transition.pattern.pairs;
+        let mut states: Vec<usize> = pairs.iter().flat_map(|&(i, j)| [i as usize, j as usize]).collect();
+        states.sort_unstable();
+        states.dedup();
+        let local = |state: u32| states.binary_search(&(state as usize)).expect("every state of a pair is listed");
+        let mut Q = DMatrix::zeros(states.len(), states.len());
+        for (&(i, j), &q) in pairs.iter().zip(&transition.q) {
+            let (i, j) = (local(i), local(j));
+            Q[(i, j)] += q;
+            if i != j {
+                Q[(j, i)] += q;
+            }
+        }
+        Noise { F: symmetric::square_root(&Q), states }
+    })
+}
+
+/// Adds Fε, ε ~ N(0, I), element by element.
+fn add_noise(F: &DMatrix<f64>, random: &mut ChaCha8Rng, mut add: impl FnMut(usize, f64)) {
+    for c in 0..F.ncols() {
+        let epsilon = normal(random);
+        (0..F.nrows()).for_each(|i| add(i, F[(i, c)] * epsilon));
+    }
+}
+
+fn normal(random: &mut ChaCha8Rng) -> f64 {
+    StandardNormal.sample(random)
+}
