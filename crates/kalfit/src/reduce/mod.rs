@@ -38,3 +38,8 @@ pub use flops::reduction_flops;
 pub use plain::{Plain, StepMatrices, Terminal};
 pub use reducer::{Reducer, Work};
 pub use reduction::{Path, Reduction};
+
+pub(crate) use data::innovate;
+pub(crate) use design::Frame;
+pub(crate) use gains::Gains;
+pub(crate) use prepare::Workspace;
