@@ -65,6 +65,10 @@ pub(crate) struct FitArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) max_iterations: Option<u32>,
 
+    /// Look at each test's innovations after the fit: is the model right for it
+    #[arg(long, value_enum, value_name = "WHEN", default_value_t = InnovationsArg::On)]
+    pub(crate) innovations: InnovationsArg,
+
     /// Print nothing but errors
     #[arg(long)]
     pub(crate) quiet: bool,
@@ -101,6 +105,14 @@ pub(crate) enum SolverArg {
     Newton,
     /// The EM algorithm: many more passes, to the same point
     Em,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum InnovationsArg {
+    /// Look at them; large data are read a second time
+    On,
+    /// Leave them out, and read the data once
+    Off,
 }
 
 fn tolerance(text: &str) -> Result<f64, String> {

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use kalfit::estimate::{Settings, Solver};
 
-use crate::args::{Args, CheckArgs, Command, FitArgs, ModelArgs, SolverArg};
+use crate::args::{Args, CheckArgs, Command, FitArgs, InnovationsArg, ModelArgs, SolverArg};
 use crate::failure::Failure;
 use crate::{check, fit};
 
@@ -32,6 +32,8 @@ pub(crate) struct FitJob {
     pub(crate) data: Vec<String>,
     pub(crate) out: Option<PathBuf>,
     pub(crate) settings: Settings,
+    /// Look at the data once more after the fit.
+    pub(crate) innovations: bool,
     pub(crate) quiet: bool,
 }
 
@@ -102,7 +104,14 @@ impl From<FitArgs> for FitJob {
         if let Some(passes) = args.max_iterations {
             settings.max_passes = passes as usize;
         }
-        FitJob { model: args.model.into(), data: args.data, out: args.out, settings, quiet: args.quiet }
+        FitJob {
+            model: args.model.into(),
+            data: args.data,
+            out: args.out,
+            settings,
+            innovations: args.innovations == InnovationsArg::On,
+            quiet: args.quiet,
+        }
     }
 }
 

@@ -1,6 +1,6 @@
 //! What `kalfit check` prints.
 
-use kalfit::record::{DataRecord, UnidentifiedRecord};
+use kalfit::record::{DataRecord, ObservabilityRecord, UnidentifiedRecord, WeakRecord};
 use kalfit_report::{CheckRecord, Checked, Style, check_summary};
 
 fn shown(checked: Checked) -> String {
@@ -19,7 +19,22 @@ fn shown(checked: Checked) -> String {
 fn reduced(unidentified: Vec<UnidentifiedRecord>, at_start_of: Vec<String>) -> Checked {
     let files = vec!["a.csv".into(), "b.csv".into()];
     let data = DataRecord { tests: 18, steps: 180, observations: 180, design_classes: 2, square_root_tests: 0, files };
-    Checked::Reduced { data, unidentified, at_start_of }
+    let state = |state: &str, informed_by, observed_by, share| ObservabilityRecord {
+        state: state.into(),
+        informed_by,
+        observed_by,
+        tests: vec![],
+        leading_test: Some("308".into()),
+        leading_share: Some(share),
+    };
+    Checked::Reduced {
+        data,
+        observability: vec![state("intercept", 18, 18, 0.0612), state("slope", 17, 0, 0.93)],
+        unidentified,
+        weak: vec![],
+        notes: vec![],
+        at_start_of,
+    }
 }
 
 #[test]
@@ -82,6 +97,8 @@ fn unidentified_directions_are_named() {
         what: what.into(),
         direction,
         elements: elements.into_iter().map(String::from).collect(),
+        tests: vec![],
+        reason: "no test observes `slope`".into(),
     };
     let pairs = vec!["intercept, intercept", "intercept, slope", "slope, slope"];
     let unidentified = vec![

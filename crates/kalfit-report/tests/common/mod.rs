@@ -31,6 +31,8 @@ pub(crate) fn phase(name: &str, states: &[&str]) -> PhaseRecord {
         },
         boundary: vec![],
         unidentified: vec![],
+        observability: vec![],
+        weakly_determined: vec![],
     }
 }
 
@@ -83,6 +85,7 @@ pub(crate) fn tests(p_values: &[f64]) -> Vec<TestRecord> {
         distance: Some(-2.0 * p.ln()),
         degrees_of_freedom: 2,
         p_value: Some(p),
+        innovations: None,
     };
     p_values.iter().enumerate().map(test).collect()
 }
@@ -134,11 +137,15 @@ pub(crate) fn singular() -> FitRecord {
         what: "mean".into(),
         direction: vec![0.6, -0.8, 1e-9],
         elements: vec![],
+        tests: vec![],
+        reason: String::new(),
     });
     main.unidentified.push(UnidentifiedRecord {
         what: "covariance".into(),
         direction: vec![0.0, 1.0],
         elements: vec!["bias, bias".into(), "bias, scale".into()],
+        tests: vec![],
+        reason: "`bias` and `scale` are never observed in one test".into(),
     });
     let mut record = record("Static IMU", vec![main]);
     record.data.square_root_tests = 3;

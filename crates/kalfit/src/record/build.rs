@@ -3,13 +3,14 @@
 use nalgebra::DMatrix;
 
 use crate::estimate::{Estimate, Solver, Stop};
-use crate::infer::{Direction, Element, Inference, Quantity, Sensitivity};
+use crate::infer::{Element, Inference, Sensitivity};
 use crate::model::{Alpha, CovarianceKind, Level, MeanElement, Model, Parameter, Value};
 use crate::record::{
     BoundaryRecord, CertificateRecord, ConstraintRecord, CovarianceRecord, DataRecord, FitRecord, MatrixRecord,
-    MeanRecord, ParameterRecord, PhaseRecord, PosteriorRecord, RegressionRecord, ScaleRecord, SolverRecord, TestRecord,
-    UnidentifiedRecord, VectorRecord,
+    MeanRecord, ObservabilityRecord, ParameterRecord, PhaseRecord, PosteriorRecord, RegressionRecord, ScaleRecord, SolverRecord, TestRecord,
+    UnidentifiedRecord, VectorRecord, WeakRecord,
 };
+use crate::record::diagnosis::shortage_notes;
 use crate::reduce::{Path, Reduction};
 
 /// Name of the only phase of a single-phase model.
@@ -74,13 +75,6 @@ impl DataRecord {
     /// Counts of the data behind reductions.
     pub fn of(reductions: &[Reduction], files: Vec<String>) -> DataRecord {
         data(reductions, files)
-    }
-}
-
-impl UnidentifiedRecord {
-    /// A direction with its elements named; `states` are the estimated ones.
-    pub fn of(direction: &Direction, states: &[String]) -> UnidentifiedRecord {
-        unidentified(direction, states)
     }
 }
 
@@ -157,7 +151,9 @@ fn phase(model: &Model, estimate: &Estimate, inference: &Inference) -> PhaseReco
             std_error: inference.uncertainty.correlation.clone(),
         },
         boundary: inference.uncertainty.boundary.iter().map(boundary).collect(),
-        unidentified: inference.unidentified.iter().map(|d| unidentified(d, &states)).collect(),
+        unidentified: UnidentifiedRecord::all(model, &inference.unidentified, &inference.explanations),
+        observability: ObservabilityRecord::all(model, &inference.observability),
+        weakly_determined: WeakRecord::all(&inference.observability),
         states,
     }
 }
@@ -216,17 +212,6 @@ fn correlations(sigma: &DMatrix<f64>) -> Vec<Vec<Option<f64>>> {
         (unit > 0.0).then(|| if i == j { 1.0 } else { inside(sigma[(i, j)] / unit) })
     };
     (0..p).map(|i| (0..p).map(|j| entry(i, j)).collect()).collect()
-}
-
-fn unidentified(direction: &Direction, states: &[String]) -> UnidentifiedRecord {
-    let (what, elements) = match direction.quantity {
-        Quantity::Mean => ("mean", states.to_vec()),
-        Quantity::Covariance => {
-            let pairs = (0..states.len()).flat_map(|i| (0..=i).map(move |j| (i, j)));
-            ("covariance", pairs.map(|(i, j)| format!("{}, {}", states[j], states[i])).collect())
-        }
-    };
-    UnidentifiedRecord { what: what.to_owned(), direction: direction.direction.clone(), elements }
 }
 
 fn parameters(model: &Model, alpha: &Alpha) -> Vec<ParameterRecord> {
@@ -291,6 +276,7 @@ fn tests(reductions: &[Reduction], inference: &Inference) -> Vec<TestRecord> {
             distance: (posterior.degrees_of_freedom > 0).then_some(posterior.distance),
             degrees_of_freedom: posterior.degrees_of_freedom,
             p_value: posterior.p_value,
+            innovations: None,
         }
     };
     order.into_iter().map(record).collect()
@@ -298,7 +284,7 @@ fn tests(reductions: &[Reduction], inference: &Inference) -> Vec<TestRecord> {
 
 /// What a reader should be told that no single figure shows.
 fn notes(model: &Model, estimate: &Estimate, inference: &Inference) -> Vec<String> {
-    let mut notes = Vec::new();
+    let mut notes = shortage_notes(model, &inference.observability);
     for (i, name) in model.estimated_names().iter().enumerate() {
         let variance = estimate.covariance[(i, i)];
         if let Some(error) = inference.uncertainty.covariance[i][i].filter(|e| *e >= variance) {
