@@ -1,6 +1,6 @@
 //! What `kalfit check` prints.
 
-use kalfit::record::{DataRecord, ObservabilityRecord, UnidentifiedRecord, WeakRecord};
+use kalfit::record::{DataRecord, ObservabilityRecord, UnidentifiedRecord};
 use kalfit_report::{CheckRecord, Checked, Style, check_summary};
 
 fn shown(checked: Checked) -> String {

@@ -2,9 +2,9 @@
 
 use kalfit::record::{BoundaryRecord, PhaseRecord, UnidentifiedRecord};
 
+use super::observability;
 use crate::number::plain;
 use crate::page::Page;
-use super::observability;
 use crate::words::{clean, list, sentence};
 
 /// Smaller weights of a unit direction are left out. Weights are in the states' own units, so small ones may matter.

@@ -3,7 +3,7 @@
 use kalfit::FitRecord;
 use kalfit::record::InnovationRecord;
 
-use crate::number::{plain, probability};
+use crate::number::{Precision, plain, probability};
 use crate::page::Page;
 use crate::table::{Column, Side, table};
 use crate::words::{clean, count};
@@ -70,7 +70,7 @@ fn overall(all: &[(&str, &InnovationRecord)]) -> String {
     format!(
         "Mean square of {} over all tests, each in units of its variance: {} (expected 1 ± {}).",
         count(n, "innovation"),
-        plain(nis / n.max(1) as f64, 3),
+        Precision::of(nis / n.max(1) as f64, Some(spread)).show(nis / n.max(1) as f64),
         plain(spread, 2)
     )
 }

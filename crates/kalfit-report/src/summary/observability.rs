@@ -12,6 +12,8 @@ use crate::words::{clean, count, list};
 const ONE_TEST: f64 = 0.9;
 /// Tests are named when there are no more of them.
 const FEW: usize = 5;
+/// A largest share of this times the average is that of any other test too.
+const EQUAL: f64 = 1.0 + 1e-6;
 /// A large model would fill the screen; the rest is in fit.json.
 const MOST_ROWS: usize = 40;
 
@@ -25,8 +27,9 @@ pub(crate) fn overview(seen: &[ObservabilityRecord], tests: usize, page: &Page<'
         rows.iter().map(|row| of_all(of(row), tests)).collect()
     };
     let largest = |row: &ObservabilityRecord| match (&row.leading_test, row.leading_share) {
-        (Some(test), Some(share)) if tests > 1 => format!("{} ({} %)", clean(test), plain(100.0 * share, 2)),
-        _ => String::new(),
+        (Some(_), Some(share)) if share * row.informed_by as f64 <= EQUAL => "all equal".to_owned(),
+        (Some(test), Some(share)) => format!("{} %, {}", plain(100.0 * share, 2), clean(test)),
+        _ => "-".to_owned(),
     };
     let columns = [
         Column::new("state", Side::Left, rows.iter().map(|row| row.state.clone()).collect()),
@@ -41,8 +44,8 @@ pub(crate) fn overview(seen: &[ObservabilityRecord], tests: usize, page: &Page<'
     let mut legend = "Seen by: tests whose measurements depend on the state. Determined by: tests that could \
                       estimate it alone."
         .to_owned();
-    if rows.iter().any(|row| row.leading_share.is_some()) && tests > 1 {
-        legend += " Largest share: the test that tells most of the mean, and its part of what is known.";
+    if rows.iter().any(|row| row.leading_share.is_some()) {
+        legend += " Largest share: how much of what is known of the mean comes from one test, and which.";
     }
     body + &page.items(&[legend])
 }
@@ -67,9 +70,7 @@ fn one_test(row: &ObservabilityRecord, tests: usize) -> Option<String> {
     let state = clean(&row.state);
     match (row.informed_by, row.tests.as_slice(), &row.leading_test, row.leading_share) {
         _ if tests < 2 => None,
-        (1, [only], ..) => {
-            Some(format!("Only one test, {}, says anything about {state}.", clean(only)))
-        }
+        (1, [only], ..) => Some(format!("Only one test, {}, says anything about {state}.", clean(only))),
         (_, _, Some(test), Some(share)) if share > ONE_TEST => Some(format!(
             "{} % of what is known of the mean of {state} rests on one test, {}.",
             plain(100.0 * share, 2),

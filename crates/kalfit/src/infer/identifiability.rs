@@ -6,9 +6,9 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::{Estimate, FitError, Place, Problem, Structure, Sums, Tangent, harmonic, natural_sizes};
-use crate::linalg::symmetric::{self, pairs};
 use crate::infer::observability::{Observability, observability};
 use crate::infer::reason::{Explanation, explain};
+use crate::linalg::symmetric::{self, pairs};
 use crate::reduce::Reduction;
 
 /// Scaled information below this is none.

@@ -104,9 +104,8 @@ pub(crate) fn observability(
 ) -> Observability {
     let p = problem.classes.dimension();
     let designs = designs(reductions, p);
-    let count = |of: &dyn Fn(&Design<'_>) -> bool| -> usize {
-        designs.iter().filter(|d| of(d)).map(|d| d.tests.len()).sum()
-    };
+    let count =
+        |of: &dyn Fn(&Design<'_>) -> bool| -> usize { designs.iter().filter(|d| of(d)).map(|d| d.tests.len()).sum() };
     let shares = Shares { problem, place, designs: &designs };
     let (known, weak) = known_and_weak(problem, weight);
     let mut directions: Vec<DVector<f64>> = known.iter().flatten().cloned().collect();

@@ -88,7 +88,9 @@ fn covariance(direction: &Direction, seen: &Observability) -> Explanation {
     let tests = seen.tests_of(&states);
     let dark = unseen(&states, seen);
     let reason = match elements.as_slice() {
-        elements if elements.iter().all(|(i, k)| dark.contains(i) || dark.contains(k)) => Reason::Unseen { states: dark },
+        elements if elements.iter().all(|(i, k)| dark.contains(i) || dark.contains(k)) => {
+            Reason::Unseen { states: dark }
+        }
         &[(i, k)] if i != k && seen.together[i][k] == 0 => Reason::NeverTogether { states: [k, i] },
         _ if states.iter().all(|&i| seen.states[i].observed_by == 0) => Reason::NeverApart { states },
         _ => Reason::TooFewCombinations { states },

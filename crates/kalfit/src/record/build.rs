@@ -5,12 +5,12 @@ use nalgebra::DMatrix;
 use crate::estimate::{Estimate, Solver, Stop};
 use crate::infer::{Element, Inference, Sensitivity};
 use crate::model::{Alpha, CovarianceKind, Level, MeanElement, Model, Parameter, Value};
+use crate::record::diagnosis::shortage_notes;
 use crate::record::{
     BoundaryRecord, CertificateRecord, ConstraintRecord, CovarianceRecord, DataRecord, FitRecord, MatrixRecord,
-    MeanRecord, ObservabilityRecord, ParameterRecord, PhaseRecord, PosteriorRecord, RegressionRecord, ScaleRecord, SolverRecord, TestRecord,
-    UnidentifiedRecord, VectorRecord, WeakRecord,
+    MeanRecord, ObservabilityRecord, ParameterRecord, PhaseRecord, PosteriorRecord, RegressionRecord, ScaleRecord,
+    SolverRecord, TestRecord, UnidentifiedRecord, VectorRecord, WeakRecord,
 };
-use crate::record::diagnosis::shortage_notes;
 use crate::reduce::{Path, Reduction};
 
 /// Name of the only phase of a single-phase model.

@@ -38,7 +38,8 @@ impl UnidentifiedRecord {
 
 /// States, then regression coefficients as `state per column`.
 fn mean_elements(model: &Model, states: &[String]) -> Vec<String> {
-    let coefficient = |r: &crate::model::Regression| format!("{} per {}", states[r.element], model.columns[r.column].name);
+    let coefficient =
+        |r: &crate::model::Regression| format!("{} per {}", states[r.element], model.columns[r.column].name);
     states.iter().cloned().chain(model.mean.regression.iter().map(coefficient)).collect()
 }
 
@@ -137,7 +138,8 @@ pub fn shortage_notes(model: &Model, seen: &Observability) -> Vec<String> {
     let states = model.estimated_names();
     let sentence = |s: &crate::infer::Shortage| {
         let names = list(s.states.iter().map(|&i| states[i].as_str()), "and");
-        let tests = if s.tests == 1 { "only 1 test informs".to_owned() } else { format!("only {} tests inform", s.tests) };
+        let tests =
+            if s.tests == 1 { "only 1 test informs".to_owned() } else { format!("only {} tests inform", s.tests) };
         match (s.states.len(), s.rank) {
             (1, _) => format!("{tests} {names}, so its variance can only be estimated as zero"),
             (n, 0) => format!("{tests} {names}, so all their {n} variances can only be estimated as zero"),
