@@ -128,9 +128,10 @@ pub(crate) fn add(
     initial: &InitialState,
     line: &mut Line,
 ) {
-    let found = InnovationFilter::new(&spec.model, alpha, initial)
-        .map_err(Unavailable::Filter)
-        .and_then(|filter| all(Looking { filter, found: Vec::new(), failed: None, line }, kept, spec, inputs));
+    let estimated = spec.model.dimension();
+    let found = InnovationFilter::new(&spec.model, alpha, initial).map_err(Unavailable::Filter).and_then(|filter| {
+        all(Looking { filter, estimated, found: Vec::new(), failed: None, line }, kept, spec, inputs)
+    });
     match found {
         Ok((found, failed)) => {
             if let Some(error) = failed {
@@ -169,6 +170,8 @@ fn attach(record: &mut FitRecord, mut found: Vec<Found>) {
 /// Takes tests in and keeps figures only.
 struct Looking<'a> {
     filter: InnovationFilter,
+    /// Number of estimated states.
+    estimated: usize,
     found: Vec<Found>,
     failed: Option<ReduceError>,
     line: &'a mut Line,
@@ -180,7 +183,7 @@ impl Looking<'_> {
             match result {
                 Ok(one) => self.found.push(Found {
                     log_likelihood: one.log_likelihood,
-                    record: InnovationRecord::from(&one),
+                    record: InnovationRecord::new(&one, self.estimated),
                     test: one.test,
                 }),
                 Err(error) => self.failed = self.failed.take().or(Some(error)),
@@ -285,5 +288,52 @@ mod tests {
         file.seek(SeekFrom::Start(0)).unwrap();
         file.read_to_string(&mut second).unwrap();
         assert_eq!((first.as_str(), second.as_str()), ("some text", "some text"));
+    }
+
+    const MODEL: &str = r#"
+[data]
+test = "id"
+[states.level]
+[measurements.y]
+column = "y"
+equation = "level"
+noise = 1
+"#;
+    /// `b` comes back after `a`, so that the second reading starts again too.
+    const DATA: &str = "id,y\nb,1\na,2\na,3\nb,-1\nb,4\n";
+
+    fn figures(kept: Kept, inputs: &[Input]) -> Result<Vec<(String, f64)>, Unavailable> {
+        let spec = Spec::parse("m.toml", MODEL).unwrap();
+        let mut initial = InitialState { mean: vec![1.0], coefficients: vec![], covariance: Default::default() };
+        initial.covariance.resize_mut(1, 1, 1.0);
+        let filter = InnovationFilter::new(&spec.model, &Alpha::default(), &initial).unwrap();
+        let looking = Looking { filter, estimated: 1, found: Vec::new(), failed: None, line: &mut Line::new(true) };
+        let (found, failed) = all(looking, kept, &spec, inputs)?;
+        assert_eq!(failed, None);
+        Ok(found.into_iter().map(|one| (one.test, one.log_likelihood)).collect())
+    }
+
+    fn overflowed(copy: Copy) -> Kept {
+        Kept { tests: KeptTests { wanted: true, overflowed: true, ..KeptTests::default() }, copy }
+    }
+
+    #[test]
+    fn data_too_large_to_keep_are_read_a_second_time_to_the_same_figures() {
+        let mut file = tempfile::Builder::new().suffix(".csv").tempfile().unwrap();
+        file.write_all(DATA.as_bytes()).unwrap();
+        let inputs = [Input::Path(file.path().to_owned())];
+        let from_file = figures(overflowed(Copy::None), &inputs).unwrap();
+        // by hand: y of test b is N((1, 1, 1), I + 11'), with inverse I - 11'/4 and determinant 4
+        let (z, tau) = ([0.0, -2.0, 3.0], std::f64::consts::TAU);
+        let square: f64 = z.iter().map(|z| z * z).sum::<f64>() - z.iter().sum::<f64>().powi(2) / 4.0;
+        let expected = -0.5 * (3.0 * tau.ln() + 4f64.ln() + square);
+        assert_eq!((from_file[0].0.as_str(), from_file.len()), ("b", 2));
+        assert!((from_file[0].1 - expected).abs() < 1e-12, "{} {expected}", from_file[0].1);
+        let mut copy = Box::new(SpooledTempFile::new(8)); // rolls over to a file
+        copy.write_all(DATA.as_bytes()).unwrap();
+        assert_eq!(figures(overflowed(Copy::Whole(copy)), &[Input::Stdin]).unwrap(), from_file);
+        assert!(matches!(figures(overflowed(Copy::Failed), &[Input::Stdin]), Err(Unavailable::NoCopy)));
+        let gone = [Input::Path("no/such/pipe".into())];
+        assert!(matches!(figures(overflowed(Copy::None), &gone), Err(Unavailable::OnlyOnce { .. })));
     }
 }

@@ -85,8 +85,17 @@ fn identified_quantities_are_all_there_is_to_say() {
       18 tests, 180 steps, 180 observations from a.csv and b.csv; 2 different
         designs.
 
+    Observability
+      state       seen by  determined by  largest share
+      intercept    all 18         all 18  6.1 %, 308
+      slope      17 of 18           none  93 %, 308
+      Seen by: tests whose measurements depend on the state. Determined by: tests
+        that could estimate it alone. Largest share: how much of what is known of
+        the mean comes from one test, and which.
+
     Identifiability
       The data identify all that is free in the mean and the covariance.
+      93 % of what is known of the mean of slope rests on one test, 308.
       Examined with sigma at its start value.
     ");
 }
@@ -118,11 +127,21 @@ fn unidentified_directions_are_named() {
       18 tests, 180 steps, 180 observations from a.csv and b.csv; 2 different
         designs.
 
+    Observability
+      state       seen by  determined by  largest share
+      intercept    all 18         all 18  6.1 %, 308
+      slope      17 of 18           none  93 %, 308
+      Seen by: tests whose measurements depend on the state. Determined by: tests
+        that could estimate it alone. Largest share: how much of what is known of
+        the mean comes from one test, and which.
+
     Identifiability
-      Not identified: the data say nothing about the mean of slope.
+      Not identified: the data say nothing about the mean of slope. No test observes
+        `slope`.
       Not identified: the data say nothing about the covariance of intercept and
-        slope.
+        slope. No test observes `slope`.
       Not identified: the data say nothing about the combination 0.8 var(slope) -
-        0.6 var(intercept).
+        0.6 var(intercept). No test observes `slope`.
+      93 % of what is known of the mean of slope rests on one test, 308.
     ");
 }

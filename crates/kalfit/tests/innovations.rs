@@ -243,7 +243,7 @@ fn tail_probabilities_are_uniform_when_the_model_is_right() {
     assert!((mean - 1.0).abs() < 0.03, "Ljung-Box statistic per degree of freedom: {mean}");
     for level in [0.05, 0.2, 0.5] {
         let error = 4.0 * (level * (1.0 - level) / found.len() as f64).sqrt();
-        let nis = part(level, &|one| one.p_value().expect("measured"));
+        let nis = part(level, &|one| one.p_value(0).expect("measured"));
         assert!((nis - level).abs() < error, "NIS below {level}: {nis}");
         let white = part(level, &|one| one.whiteness.expect("long enough").p_value);
         assert!((white - level).abs() < error + 0.02, "whiteness below {level}: {white}");
@@ -261,18 +261,33 @@ fn noise_that_is_larger_smaller_or_coloured_is_found_out() {
         run(&model(), &truth(), &[test("t", &simulated(7, 200, noise, drift, false))]).remove(0)
     };
     let (right, large, small, coloured) = (one(1.0, 1.0), one(1.5, 1.0), one(0.6, 1.0), one(1.0, 3.0));
-    assert!(right.p_value().expect("measured") > 0.01, "{:?}", right.p_value());
+    assert!(right.p_value(0).expect("measured") > 0.01, "{:?}", right.p_value(0));
     assert!(right.whiteness.expect("long").p_value > 0.01, "{:?}", right.whiteness);
     assert!(large.upper_tail.expect("measured") < 1e-6, "{:?}", large.upper_tail);
     assert!(small.lower_tail.expect("measured") < 1e-6, "{:?}", small.lower_tail);
     assert!(coloured.whiteness.expect("long").p_value < 1e-3, "{:?}", coloured.whiteness);
 }
 
+/// One test that determines its own mean leaves small innovations, which is no finding.
+#[test]
+fn innovations_that_the_estimate_absorbed_are_not_too_small() {
+    let tests = [test("t", &simulated(3, 2, 1.0, 1.0, false))];
+    let mut model = model();
+    model.mean.regression.clear();
+    let alpha = Alpha::default();
+    let reductions = Reducer::new(&model, &alpha).expect("sound").reduce(&tests).expect("sound");
+    let structure = Structure::of(&model, &alpha);
+    let fit = estimate::fit(&reductions, &structure, &Settings::of(Solver::Newton), &mut Silent).expect("a fit");
+    let found = run(&model, &InitialState::from(&fit), &tests).remove(0);
+    let (known, estimated) = (found.p_value(0).expect("measured"), found.p_value(2).expect("measured"));
+    assert!(found.count == 4 && estimated > known && estimated > 0.05, "{known} {estimated}");
+}
+
 #[test]
 fn a_test_without_measurements_has_no_figures() {
     let found = run(&model(), &truth(), &[test("t", &vec![[0.0, EMPTY, EMPTY, 0.0, 1.0]])]).remove(0);
     assert_eq!((found.count, found.nis, found.log_likelihood), (0, 0.0, 0.0));
-    assert_eq!((found.p_value(), found.mean, found.whiteness), (None, None, None));
+    assert_eq!((found.p_value(0), found.mean, found.whiteness), (None, None, None));
 }
 
 #[test]

@@ -11,6 +11,8 @@ use crate::words::{clean, count};
 /// Level of the whole search, not of each test.
 const LEVEL: f64 = 0.05;
 const MOST_ROWS: usize = 5;
+/// A mean square this many standard deviations from one is no chance.
+const FAR: f64 = 3.0;
 
 /// One figure of one test that has a probability.
 struct Finding<'a> {
@@ -35,8 +37,11 @@ pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     let Some(least) = findings.first() else { return String::new() };
     let improbable = findings.iter().take_while(|f| f.adjusted < LEVEL).count();
     let body = match improbable {
-        0 => page.items(&[overall(&all), probable(least, findings.len())]),
-        n => shown(&findings[..n], page) + &page.items(&[meaning(&findings[..n], findings.len()), overall(&all)]),
+        0 => page.items(&[overall(&all, record.free_parameters), probable(least, findings.len())]),
+        n => {
+            shown(&findings[..n], page)
+                + &page.items(&[meaning(&findings[..n], findings.len()), overall(&all, record.free_parameters)])
+        }
     };
     page.section("Innovations (what the filter did not expect)", &body)
 }
@@ -63,14 +68,21 @@ fn findings<'a>(all: &[(&'a str, &'a InnovationRecord)]) -> Vec<Finding<'a>> {
 }
 
 /// Size of all innovations together.
-fn overall(all: &[(&str, &InnovationRecord)]) -> String {
+fn overall(all: &[(&str, &InnovationRecord)], free: usize) -> String {
     let n: usize = all.iter().map(|(_, found)| found.count).sum();
     let nis: f64 = all.iter().filter_map(|(_, found)| found.nis).sum();
     let spread = (2.0 / n.max(1) as f64).sqrt();
+    let mean = nis / n.max(1) as f64;
+    // what was estimated makes innovations smaller, which says nothing of the noise unless they are many
+    let verdict = match (mean - 1.0) / spread {
+        apart if apart > FAR => " That is more than chance allows: noise or a motion is missing from the model.",
+        apart if apart < -FAR && n > 10 * free => " That is less than chance allows: the model's noise is too large.",
+        _ => "",
+    };
     format!(
-        "Mean square of {} over all tests, each in units of its variance: {} (expected 1 ± {}).",
+        "Mean square of {} over all tests, each in units of its variance: {} (expected 1 ± {}).{verdict}",
         count(n, "innovation"),
-        Precision::of(nis / n.max(1) as f64, Some(spread)).show(nis / n.max(1) as f64),
+        Precision::of(mean, Some(spread)).show(mean),
         plain(spread, 2)
     )
 }
@@ -106,8 +118,8 @@ fn shown(improbable: &[Finding<'_>], page: &Page<'_>) -> String {
 impl Of<'_> {
     fn words(&self) -> &'static str {
         match self {
-            Of::Size(found) if found.nis.is_some_and(|nis| nis < found.count as f64) => "smaller than the noise",
-            Of::Size(_) => "larger than the noise",
+            Of::Size(found) if found.nis.is_some_and(|nis| nis < found.count as f64) => "smaller than modelled",
+            Of::Size(_) => "larger than modelled",
             Of::Whiteness(_) => "correlated in time",
         }
     }
@@ -139,10 +151,10 @@ fn meaning(improbable: &[Finding<'_>], all: usize) -> String {
     let any = |of: fn(&Of<'_>) -> bool| improbable.iter().any(|f| of(&f.of));
     let mut because = Vec::new();
     if any(|of| matches!(of, Of::Size(_))) {
-        because.push("a size apart from the noise asks for other noise levels, or for a look at the test");
+        because.push("a size other than modelled asks for other noise levels, or for a look at the test");
     }
     if any(|of| matches!(of, Of::Whiteness(_))) {
         because.push("correlation in time asks for a motion that the model lacks, such as a drift");
     }
-    format!("{these} improbable{more} among {all} p-values (Holm, 5 % level): {}.", because.join("; "))
+    format!("{these} improbable{more} among {} (Holm, 5 % level): {}.", count(all, "p-value"), because.join("; "))
 }

@@ -15,6 +15,7 @@
 use std::cmp::Ordering;
 
 use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
 
 use crate::estimate::{Form, Place, Problem, Terms};
 use crate::infer::identifiability::{NONE, unit};
@@ -23,6 +24,8 @@ use crate::reduce::Reduction;
 
 /// Condition index beyond which a direction of the mean is weakly determined; 30 is Belsley, Kuh and Welsch's "strong".
 pub const WEAK: f64 = 30.0;
+/// Designs that one thread takes at a time; sums are over these, then over all.
+const CHUNK: usize = 256;
 /// No more ids of tests than this are listed.
 pub const MOST_TESTS: usize = 20;
 /// A column of R below this part of that of the test with the largest is rounding error.
@@ -80,7 +83,7 @@ pub struct WeakDirection {
 /// A block of Σ whose estimate must be singular: `tests` tests allow it no higher rank than `rank`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Shortage {
-    /// Elements of the block.
+    /// Elements of the block that any test informs.
     pub states: Vec<usize>,
     /// Tests that inform any of them.
     pub tests: usize,
@@ -162,8 +165,8 @@ fn designs(reductions: &[Reduction], p: usize) -> Vec<Design<'_>> {
         let observes = observed(&tests[0].factor, &informs);
         (informs, observes)
     };
-    order
-        .chunk_by(|a, b| by_factor(a, b).is_eq())
+    let same: Vec<&[&Reduction]> = order.chunk_by(|a, b| by_factor(a, b).is_eq()).collect();
+    same.into_par_iter()
         .map(|tests| {
             let (informs, observes) = gather(tests);
             Design { tests: tests.to_vec(), informs, observes }
@@ -178,6 +181,12 @@ fn observed(factor: &[f64], informs: &[bool]) -> Vec<bool> {
     let entry = |i: usize, k: usize| if i <= k { factor[i + k * (k + 1) / 2] } else { 0.0 };
     let norm = |k: usize| (0..=k).fold(0.0, |n: f64, i| n.hypot(entry(i, k)));
     let norms: Vec<f64> = states.iter().map(|&k| norm(k)).collect();
+    // Of J scaled to unit diagonal the least eigenvalue is at least a third of the determinant, and that at least Π R_kk²:
+    // eigenvalues need not be sought where it is plain that none is near zero.
+    let determinant: f64 = states.iter().zip(&norms).map(|(&k, norm)| (entry(k, k) / norm).powi(2)).product();
+    if determinant > 10.0 * NONE {
+        return informs.to_vec();
+    }
     let scaled = DMatrix::from_fn(p, states.len(), |i, c| entry(i, states[c]) / norms[c]);
     let (values, vectors) = symmetric::eigen(&(scaled.transpose() * &scaled));
     let mut observed = vec![false; p];
@@ -243,28 +252,62 @@ struct Shares<'a> {
 impl Shares<'_> {
     /// For each direction u the test with the largest u'W_ju, and its share of their sum.
     fn leading(&self, directions: &[DVector<f64>]) -> Vec<Option<Leading>> {
+        let mut all = Parts::none(directions.len());
+        let chunks: Vec<Parts<'_>> =
+            self.designs.par_chunks(CHUNK).map(|designs| self.parts(designs, directions)).collect();
+        chunks.into_iter().for_each(|parts| all.add(parts));
+        let Parts { totals, best } = all;
+        let share = |(best, total): (Option<(f64, &str)>, f64)| {
+            best.map(|(own, id)| Leading { test: id.to_owned(), share: (own / total).min(1.0) })
+        };
+        best.into_iter().zip(totals).map(share).collect()
+    }
+
+    fn parts<'b>(&self, designs: &'b [Design<'_>], directions: &[DVector<f64>]) -> Parts<'b> {
         let p = self.problem.classes.dimension();
         let mut terms = Terms::new(p);
-        let mut totals = vec![0.0; directions.len()];
-        let mut best: Vec<Option<(f64, &str)>> = vec![None; directions.len()];
-        for design in self.designs {
+        let mut parts = Parts::none(directions.len());
+        for design in designs {
             let first = design.tests[0];
             let class = self.problem.classes.single(first);
             terms.evaluate(&class, &self.problem.mean.regressors, &self.place.point);
             let W = DMatrix::from_row_slice(p, p, &terms.W);
             for (c, u) in directions.iter().enumerate() {
                 let own = u.dot(&(&W * u));
-                totals[c] += own * design.tests.len() as f64;
-                let better = |&(most, id): &(f64, &str)| own > most || (own >= most && first.test.as_str() < id);
-                if own > 0.0 && best[c].as_ref().is_none_or(better) {
-                    best[c] = Some((own, &first.test));
-                }
+                parts.totals[c] += own * design.tests.len() as f64;
+                parts.offer(c, own, &first.test);
             }
         }
-        let share = |(best, total): (Option<(f64, &str)>, f64)| {
-            best.map(|(own, id)| Leading { test: id.to_owned(), share: (own / total).min(1.0) })
-        };
-        best.into_iter().zip(totals).map(share).collect()
+        parts
+    }
+}
+
+/// For each direction u the sum of u'W_ju and its largest term, with the test it is of.
+struct Parts<'a> {
+    totals: Vec<f64>,
+    best: Vec<Option<(f64, &'a str)>>,
+}
+
+impl<'a> Parts<'a> {
+    fn none(directions: usize) -> Parts<'a> {
+        Parts { totals: vec![0.0; directions], best: vec![None; directions] }
+    }
+
+    fn add(&mut self, other: Parts<'a>) {
+        self.totals.iter_mut().zip(&other.totals).for_each(|(sum, part)| *sum += part);
+        for (c, best) in other.best.into_iter().enumerate() {
+            if let Some((own, test)) = best {
+                self.offer(c, own, test);
+            }
+        }
+    }
+
+    /// The larger stays; of equals the first by id.
+    fn offer(&mut self, c: usize, own: f64, test: &'a str) {
+        let better = |&(most, id): &(f64, &str)| own > most || (own >= most && test < id);
+        if own > 0.0 && self.best[c].as_ref().is_none_or(better) {
+            self.best[c] = Some((own, test));
+        }
     }
 }
 
@@ -274,10 +317,12 @@ fn shortages(problem: &Problem, count: &dyn Fn(&dyn Fn(&Design<'_>) -> bool) -> 
     if !problem.covariance.constraints.is_empty() {
         return Vec::new();
     }
-    let shortage = |states: &Vec<usize>| {
+    let shortage = |block: &Vec<usize>| {
+        let seen = |i: &usize| count(&|d| d.informs[*i]) > 0;
+        let states: Vec<usize> = block.iter().copied().filter(seen).collect();
         let tests = count(&|d| states.iter().any(|&i| d.informs[i]));
         let free = states.iter().any(|&i| problem.mean.basis.row(i).norm() > 0.0);
-        Shortage { states: states.clone(), tests, rank: tests.saturating_sub(usize::from(free)) }
+        Shortage { states, tests, rank: tests.saturating_sub(usize::from(free)) }
     };
     blocks.iter().map(shortage).filter(|s| s.tests > 0 && s.rank < s.states.len()).collect()
 }

@@ -76,8 +76,9 @@ fn named(leading: &Option<Leading>) -> (Option<String>, Option<f64>) {
     (leading.as_ref().map(|l| l.test.clone()), leading.as_ref().map(|l| l.share))
 }
 
-impl From<&Innovations> for InnovationRecord {
-    fn from(found: &Innovations) -> InnovationRecord {
+impl InnovationRecord {
+    /// Figures of innovations at an estimate of p states.
+    pub fn new(found: &Innovations, p: usize) -> InnovationRecord {
         let finite = |x: f64| Some(x).filter(|x| x.is_finite());
         let whiteness = |w: Whiteness| WhitenessRecord {
             statistic: w.statistic,
@@ -88,7 +89,7 @@ impl From<&Innovations> for InnovationRecord {
         InnovationRecord {
             count: found.count,
             nis: finite(found.nis).filter(|_| found.count > 0),
-            nis_p_value: found.p_value().and_then(finite),
+            nis_p_value: found.p_value(p).and_then(finite),
             mean: found.mean.and_then(finite),
             whiteness: found.whiteness.filter(|w| w.statistic.is_finite() && w.p_value.is_finite()).map(whiteness),
         }

@@ -340,7 +340,8 @@ pub struct InnovationRecord {
     pub count: usize,
     /// Normalised innovation squared, Σ e²/S; its expectation is n. Null without innovations.
     pub nis: Option<f64>,
-    /// Two-sided χ²_n p-value of it: twice the smaller tail.
+    /// Two-sided p-value of it: twice the smaller of the upper tail of χ²_n and the lower tail of χ² with n less the number of
+    /// estimated states, which the estimate may have absorbed.
     pub nis_p_value: Option<f64>,
     /// Mean of e/√S; its standard deviation is 1/√n.
     pub mean: Option<f64>,
