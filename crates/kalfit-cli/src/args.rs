@@ -87,6 +87,10 @@ pub(crate) struct FitArgs {
     #[arg(long, value_enum, default_value_t = DeletionArg::Auto)]
     pub(crate) deletion: DeletionArg,
 
+    /// Look at each test's innovations after the fit: is the model right for it
+    #[arg(long, value_enum, value_name = "WHEN", default_value_t = InnovationsArg::On)]
+    pub(crate) innovations: InnovationsArg,
+
     /// Print nothing but errors
     #[arg(long)]
     pub(crate) quiet: bool,
@@ -266,6 +270,14 @@ pub(crate) enum CriterionArg {
     Ml,
     /// The restricted likelihood of the covariance, whose estimate does not shrink when tests are few
     Reml,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum InnovationsArg {
+    /// Look at them; large data are read a second time
+    On,
+    /// Leave them out, and read the data once
+    Off,
 }
 
 fn tolerance(text: &str) -> Result<f64, String> {

@@ -2,7 +2,7 @@
 
 use kalfit::estimate::Structure;
 use kalfit::model::Value;
-use kalfit::record::{DataRecord, UnidentifiedRecord};
+use kalfit::record::{DataRecord, ObservabilityRecord, UnidentifiedRecord, WeakRecord, shortage_notes};
 use kalfit::{Labels, Test, infer};
 use kalfit_data::{Input, ReadError, Reading, Sink};
 use kalfit_report::{CheckRecord, Checked, check_summary};
@@ -36,11 +36,14 @@ fn data(spec: &mut Spec, args: &[String]) -> Result<Checked, Failure> {
     let alpha = model::alpha(spec)?;
     let reductions = reductions::reduce(spec, &alpha, &inputs, &mut line)?;
     line.clear();
-    let directions = infer::identifiability_at_start(&reductions, &Structure::of(&spec.model, &alpha));
-    let names = spec.model.estimated_names();
+    let found = infer::examine_at_start(&reductions, &Structure::of(&spec.model, &alpha)).map_err(Failure::Fit)?;
+    let model = &spec.model;
     Ok(Checked::Reduced {
         data: DataRecord::of(&reductions, files),
-        unidentified: directions.map_err(Failure::Fit)?.iter().map(|d| UnidentifiedRecord::of(d, &names)).collect(),
+        observability: ObservabilityRecord::all(model, &found.observability),
+        unidentified: UnidentifiedRecord::all(model, &found.unidentified, &found.explanations),
+        weak: WeakRecord::all(&found.observability),
+        notes: shortage_notes(model, &found.observability),
         at_start_of,
     })
 }

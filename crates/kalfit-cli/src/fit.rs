@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use kalfit::estimate::Structure;
+use kalfit::model::Population;
 use kalfit::record::Provenance;
 use kalfit::{FitRecord, estimate, infer};
 use kalfit_data::Input;
@@ -10,6 +11,7 @@ use kalfit_report::summary;
 use kalfit_spec::Spec;
 
 use crate::failure::Failure;
+use crate::innovations::{self, Kept};
 use crate::job::{FitJob, Outcome};
 use crate::output::Output;
 use crate::progress::Line;
@@ -37,7 +39,8 @@ fn fit(job: &FitJob, spec: &Spec, inputs: &[Input]) -> Result<FitRecord, Failure
     let mut line = Line::new(job.quiet);
     let model = &spec.model;
     let alpha = model::alpha(spec)?;
-    let reductions = reductions::reduce(spec, &alpha, inputs, &mut line)?;
+    let mut kept = if job.innovations { Kept::of(inputs) } else { Kept::nothing() };
+    let reductions = reductions::reduce_keeping(spec, &alpha, inputs, &mut line, &mut kept)?;
     let estimate =
         estimate::fit(&reductions, &Structure::of(model, &alpha), &job.settings, &mut line).map_err(Failure::Fit)?;
     let inference = infer::infer(&estimate, &reductions, job.choices);
@@ -46,7 +49,12 @@ fn fit(job: &FitJob, spec: &Spec, inputs: &[Input]) -> Result<FitRecord, Failure
         files: inputs.iter().map(Input::name).collect(),
         seconds: line.seconds(),
     };
-    Ok(FitRecord::new(model, &alpha, &reductions, &estimate, &inference, provenance))
+    let mut record = FitRecord::new(model, &alpha, &reductions, &estimate, &inference, provenance);
+    if job.innovations {
+        innovations::add(&mut record, kept, (spec, &alpha, inputs), &Population::from(&estimate), &mut line);
+        record.solver.seconds = line.seconds();
+    }
+    Ok(record)
 }
 
 fn files<'a>(job: &'a FitJob, inputs: &'a [Input]) -> Vec<&'a Path> {

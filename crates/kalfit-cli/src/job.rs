@@ -7,8 +7,8 @@ use kalfit::estimate::{Criterion, Settings, Solver};
 use kalfit::infer::{Bootstrap, Choices, DeletionChoice, IntervalKind, StdErrors};
 
 use crate::args::{
-    Args, CheckArgs, Command, CriterionArg, DeletionArg, FitArgs, IntervalsArg, ModelArgs, PlanArgs, SimulateArgs,
-    SolverArg, StdErrorsArg, TestArgs,
+    Args, CheckArgs, Command, CriterionArg, DeletionArg, FitArgs, InnovationsArg, IntervalsArg, ModelArgs, PlanArgs,
+    SimulateArgs, SolverArg, StdErrorsArg, TestArgs,
 };
 use crate::failure::Failure;
 use crate::{check, fit, plan, simulate, test};
@@ -40,6 +40,8 @@ pub(crate) struct FitJob {
     pub(crate) out: Option<PathBuf>,
     pub(crate) settings: Settings,
     pub(crate) choices: Choices,
+    /// Look at the data once more after the fit.
+    pub(crate) innovations: bool,
     pub(crate) quiet: bool,
 }
 
@@ -193,7 +195,15 @@ impl From<FitArgs> for FitJob {
                 DeletionArg::None => DeletionChoice::None,
             },
         };
-        FitJob { model: args.model.into(), data: args.data, out: args.out, settings, choices, quiet: args.quiet }
+        FitJob {
+            model: args.model.into(),
+            data: args.data,
+            out: args.out,
+            settings,
+            choices,
+            innovations: args.innovations == InnovationsArg::On,
+            quiet: args.quiet,
+        }
     }
 }
 

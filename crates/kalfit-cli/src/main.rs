@@ -5,6 +5,7 @@ mod check;
 mod diagnostic;
 mod failure;
 mod fit;
+mod innovations;
 mod job;
 mod model;
 mod output;

@@ -1,12 +1,12 @@
 //! What `kalfit check` says of a model and its data.
 
-use kalfit::record::{DataRecord, UnidentifiedRecord};
+use kalfit::record::{DataRecord, ObservabilityRecord, UnidentifiedRecord, WeakRecord};
 
 use crate::Style;
 use crate::page::Page;
-use crate::summary::doubts::direction;
-use crate::summary::headline;
-use crate::words::{clean, count, list};
+use crate::summary::doubts::{direction, reason};
+use crate::summary::{headline, observability};
+use crate::words::{clean, count, list, sentence};
 
 /// No more names than this in a sentence.
 const MOST_NAMES: usize = 12;
@@ -44,8 +44,14 @@ pub enum Checked {
     Reduced {
         /// Counts.
         data: DataRecord,
+        /// Which tests say what of each state.
+        observability: Vec<ObservabilityRecord>,
         /// Directions of μ and Σ the data say nothing about.
         unidentified: Vec<UnidentifiedRecord>,
+        /// Directions of μ that are weakly determined.
+        weak: Vec<WeakRecord>,
+        /// What else a fit will run into, in sentences.
+        notes: Vec<String>,
         /// Free parameters that were held at their start values.
         at_start_of: Vec<String>,
     },
@@ -70,15 +76,28 @@ pub fn check_summary(record: &CheckRecord, style: &Style) -> String {
             sections.push(page.section("Data", &page.items(&[facts])));
             sections.push(page.section("Identifiability", &page.items(&[not_examined(free)])));
         }
-        Checked::Reduced { data, unidentified, at_start_of } => {
-            let facts = headline::data(data);
-            sections.push(page.section("Data", &page.items(&[facts.trim_start_matches("Data: ").to_owned()])));
-            let sentences = identified(record, unidentified, at_start_of);
-            sections.push(page.section("Identifiability", &page.items(&sentences)));
-        }
+        Checked::Reduced { data, .. } => sections.extend(reduced(record, data, &page)),
     }
     sections.retain(|section| !section.is_empty());
     sections.join("\n")
+}
+
+/// Data, observability, identifiability.
+fn reduced(record: &CheckRecord, data: &DataRecord, page: &Page<'_>) -> Vec<String> {
+    let Checked::Reduced { observability, unidentified, weak, notes, at_start_of, .. } = &record.checked else {
+        return Vec::new();
+    };
+    let facts = headline::data(data);
+    let mut sentences = identified(record, unidentified);
+    sentences.extend(observability::warnings(observability, weak, data.tests));
+    sentences.extend(observability::few_tests(observability, data.tests));
+    sentences.extend(notes.iter().map(|note| sentence(&clean(note))));
+    sentences.extend(held_at_start(at_start_of));
+    vec![
+        page.section("Data", &page.items(&[facts.trim_start_matches("Data: ").to_owned()])),
+        page.section("Observability", &observability::overview(observability, data.tests, page)),
+        page.section("Identifiability", &page.items(&sentences)),
+    ]
 }
 
 fn not_examined(free: &[String]) -> String {
@@ -91,20 +110,21 @@ fn not_examined(free: &[String]) -> String {
     )
 }
 
-fn identified(record: &CheckRecord, unidentified: &[UnidentifiedRecord], at_start_of: &[String]) -> Vec<String> {
+fn identified(record: &CheckRecord, unidentified: &[UnidentifiedRecord]) -> Vec<String> {
     let mut sentences: Vec<String> = unidentified
         .iter()
-        .map(|u| format!("Not identified: the data say nothing about {}.", direction(u, &record.states)))
+        .map(|u| format!("Not identified: the data say nothing about {}.{}", direction(u, &record.states), reason(u)))
         .collect();
     if record.states.is_empty() {
         sentences.push("No state has an estimated start, so there is nothing to identify.".to_owned());
     } else if sentences.is_empty() {
         sentences.push("The data identify all that is free in the mean and the covariance.".to_owned());
     }
-    if !at_start_of.is_empty() {
-        let names: Vec<String> = at_start_of.iter().map(|name| clean(name)).collect();
-        let (them, value) = if names.len() == 1 { ("its", "value") } else { ("their", "values") };
-        sentences.push(format!("Examined with {} at {them} start {value}.", list(&names, MOST_NAMES)));
-    }
     sentences
+}
+
+fn held_at_start(at_start_of: &[String]) -> Option<String> {
+    let names: Vec<String> = at_start_of.iter().map(|name| clean(name)).collect();
+    let (them, value) = if names.len() == 1 { ("its", "value") } else { ("their", "values") };
+    (!names.is_empty()).then(|| format!("Examined with {} at {them} start {value}.", list(&names, MOST_NAMES)))
 }

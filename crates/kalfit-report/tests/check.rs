@@ -1,6 +1,6 @@
 //! What `kalfit check` prints.
 
-use kalfit::record::{DataRecord, UnidentifiedRecord};
+use kalfit::record::{DataRecord, ObservabilityRecord, UnidentifiedRecord};
 use kalfit_report::{CheckRecord, Checked, Style, check_summary};
 
 fn shown(checked: Checked) -> String {
@@ -19,7 +19,22 @@ fn shown(checked: Checked) -> String {
 fn reduced(unidentified: Vec<UnidentifiedRecord>, at_start_of: Vec<String>) -> Checked {
     let files = vec!["a.csv".into(), "b.csv".into()];
     let data = DataRecord { tests: 18, steps: 180, observations: 180, design_classes: 2, square_root_tests: 0, files };
-    Checked::Reduced { data, unidentified, at_start_of }
+    let state = |state: &str, informed_by, observed_by, share| ObservabilityRecord {
+        state: state.into(),
+        informed_by,
+        observed_by,
+        tests: vec![],
+        leading_test: Some("308".into()),
+        leading_share: Some(share),
+    };
+    Checked::Reduced {
+        data,
+        observability: vec![state("intercept", 18, 18, 0.0612), state("slope", 17, 0, 0.93)],
+        unidentified,
+        weak: vec![],
+        notes: vec![],
+        at_start_of,
+    }
 }
 
 #[test]
@@ -70,8 +85,17 @@ fn identified_quantities_are_all_there_is_to_say() {
       18 tests, 180 steps, 180 observations from a.csv and b.csv; 2 different
         designs.
 
+    Observability
+      state       seen by  determined by  largest share
+      intercept    all 18         all 18  6.1 %, 308
+      slope      17 of 18           none  93 %, 308
+      Seen by: tests whose measurements depend on the state. Determined by: tests
+        that could estimate it alone. Largest share: how much of what is known of
+        the mean comes from one test, and which.
+
     Identifiability
       The data identify all that is free in the mean and the covariance.
+      93 % of what is known of the mean of slope rests on one test, 308.
       Examined with sigma at its start value.
     ");
 }
@@ -82,6 +106,8 @@ fn unidentified_directions_are_named() {
         what: what.into(),
         direction,
         elements: elements.into_iter().map(String::from).collect(),
+        tests: vec![],
+        reason: "no test observes `slope`".into(),
     };
     let pairs = vec!["intercept, intercept", "intercept, slope", "slope, slope"];
     let unidentified = vec![
@@ -101,11 +127,21 @@ fn unidentified_directions_are_named() {
       18 tests, 180 steps, 180 observations from a.csv and b.csv; 2 different
         designs.
 
+    Observability
+      state       seen by  determined by  largest share
+      intercept    all 18         all 18  6.1 %, 308
+      slope      17 of 18           none  93 %, 308
+      Seen by: tests whose measurements depend on the state. Determined by: tests
+        that could estimate it alone. Largest share: how much of what is known of
+        the mean comes from one test, and which.
+
     Identifiability
-      Not identified: the data say nothing about the mean of slope.
+      Not identified: the data say nothing about the mean of slope. No test observes
+        `slope`.
       Not identified: the data say nothing about the covariance of intercept and
-        slope.
+        slope. No test observes `slope`.
       Not identified: the data say nothing about the combination 0.8 var(slope) -
-        0.6 var(intercept).
+        0.6 var(intercept). No test observes `slope`.
+      93 % of what is known of the mean of slope rests on one test, 308.
     ");
 }

@@ -73,7 +73,7 @@ fn singular_covariances_and_unidentified_directions_are_said_in_words() {
       Not identified: the data say nothing about the combination 0.8 scale - 0.6
         bias of the means; its start value was kept.
       Not identified: the data say nothing about the covariance of bias and scale;
-        its start value was kept.
+        its start value was kept. `bias` and `scale` are never observed in one test.
 
     Outlying tests
       No test stands out: the smallest of 4 p-values is 0.02 (test 310), or 0.08

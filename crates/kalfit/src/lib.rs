@@ -13,6 +13,7 @@
 pub mod ensemble;
 pub mod estimate;
 pub mod infer;
+pub mod innovations;
 pub mod linalg;
 pub mod model;
 pub mod plan;

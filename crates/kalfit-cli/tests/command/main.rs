@@ -2,6 +2,7 @@
 
 mod broken;
 mod folder;
+mod innovations;
 mod scales;
 mod sound;
 mod starts;

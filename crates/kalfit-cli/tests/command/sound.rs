@@ -97,7 +97,7 @@ fn version_and_help() {
               Possible values:
               - newton: Newton's method with the exact Hessian, safeguarded by EM
               - em:     The EM algorithm: many more passes, to the same point
-              
+
               [default: newton]
 
           --tolerance <T>
@@ -106,6 +106,15 @@ fn version_and_help() {
           --max-iterations <N>
               Stop after this many passes over the reduced data [default: 200 with newton, 20000 with
               em]
+
+          --innovations <WHEN>
+              Look at each test's innovations after the fit: is the model right for it
+
+              Possible values:
+              - on:  Look at them; large data are read a second time
+              - off: Leave them out, and read the data once
+
+              [default: on]
 
           --quiet
               Print nothing but errors
@@ -174,6 +183,18 @@ fn sleep_study_has_the_figures_of_lme4() {
       No test stands out: the smallest of 18 p-values is 0.08 (test 309), or 1 with
         Bonferroni's correction.
 
+    Innovations (what the filter did not expect)
+      test  what                  found  expected  p-value    Holm
+      332   larger than modelled   45.5        10     4e-6  0.0001
+      309   correlated in time     15.7         2   0.0004    0.01
+      335   correlated in time     14.9         2   0.0006    0.02
+      308   larger than modelled     31        10    0.001    0.04
+      These are improbable among 36 p-values (Holm, 5 % level): a size other than
+        modelled asks for other noise levels, or for a look at the test; correlation
+        in time asks for a motion that the model lacks, such as a drift.
+      Mean square of 180 innovations over all tests, each in units of its variance:
+        1.00 (expected 1 ± 0.11).
+
     Solver newton, [work].
     ----- stderr
     Wrote fit.json
@@ -216,6 +237,12 @@ fn meta_analysis_has_the_figures_of_metafor() {
     Outlying tests
       No test stands out: the smallest of 5 p-values is 0.20 (test 5), or 1 with
         Bonferroni's correction.
+
+    Innovations (what the filter did not expect)
+      Mean square of 10 innovations over all tests, each in units of its variance:
+        1.08 (expected 1 ± 0.45).
+      No test's innovations are improbable: the smallest of 5 p-values is 0.41 (size
+        in test 5), or 1 with Holm's correction.
 
     Notes
       The variance of `PD` is weakly determined: its standard error (9.050e-3) is no
@@ -263,6 +290,12 @@ fn gyro_bench_finds_the_error_model_behind_the_simulated_data() {
       No test stands out: the smallest of 28 p-values is 0.09 (test g23), or 1 with
         Bonferroni's correction.
 
+    Innovations (what the filter did not expect)
+      Mean square of 614 innovations over all tests, each in units of its variance:
+        1.106 (expected 1 ± 0.057).
+      No test's innovations are improbable: the smallest of 54 p-values is 0.005
+        (correlation in time in test g28), or 0.25 with Holm's correction.
+
     Solver newton, [work].
     ----- stderr
     Wrote fit.json
@@ -293,6 +326,12 @@ fn vaccine_trials_with_a_regression() {
     Outlying tests
       No test stands out: the smallest of 13 p-values is 0.008 (test 7), or 0.11
         with Bonferroni's correction.
+
+    Innovations (what the filter did not expect)
+      Mean square of 13 innovations over all tests, each in units of its variance:
+        1.42 (expected 1 ± 0.39).
+      No test's innovations are improbable: the smallest of 13 p-values is 0.02
+        (size in test 7), or 0.21 with Holm's correction.
 
     Notes
       The variance of `effect` is weakly determined: its standard error (4.050e-2)
@@ -351,6 +390,12 @@ fn gyros_with_drift_and_constraints() {
       No test stands out: the smallest of 6 p-values is 0.02 (test U06), or 0.10
         with Bonferroni's correction.
 
+    Innovations (what the filter did not expect)
+      Mean square of 57 innovations over all tests, each in units of its variance:
+        0.83 (expected 1 ± 0.19).
+      No test's innovations are improbable: the smallest of 12 p-values is 0.23
+        (correlation in time in test U06), or 1 with Holm's correction.
+
     Solver newton, [work].
     ----- stderr
     Wrote fit.json
@@ -390,6 +435,12 @@ fn two_sensors_in_long_data() {
       No test stands out: the smallest of 5 p-values is 0.15 (test s0), or 0.77 with
         Bonferroni's correction.
 
+    Innovations (what the filter did not expect)
+      Mean square of 71 innovations over all tests, each in units of its variance:
+        1.29 (expected 1 ± 0.17).
+      No test's innovations are improbable: the smallest of 10 p-values is 0.04
+        (size in test s2), or 0.37 with Holm's correction.
+
     Notes
       The variance of `x2` is weakly determined: its standard error (7.601e-2) is no
         smaller than the variance itself (7.598e-2).
@@ -428,6 +479,12 @@ fn without_an_output_the_summary_is_all() {
     Outlying tests
       No test stands out: the smallest of 3 p-values is 0.37 (test a), or 1 with
         Bonferroni's correction.
+
+    Innovations (what the filter did not expect)
+      Mean square of 9 innovations over all tests, each in units of its variance:
+        0.93 (expected 1 ± 0.47).
+      No test's innovations are improbable: the smallest of 3 p-values is 0.64 (size
+        in test a), or 1 with Holm's correction.
 
     Solver newton, [work].
     ----- stderr
@@ -642,6 +699,14 @@ fn check_says_what_data_identify() {
       18 tests, 180 steps, 180 observations from sleepstudy.csv; all tests share one
         design.
 
+    Observability
+      state      seen by  determined by  largest share
+      intercept   all 18         all 18  all equal
+      slope       all 18         all 18  all equal
+      Seen by: tests whose measurements depend on the state. Determined by: tests
+        that could estimate it alone. Largest share: how much of what is known of
+        the mean comes from one test, and which.
+
     Identifiability
       The data identify all that is free in the mean and the covariance.
       Examined with sigma at its start value.
@@ -664,6 +729,13 @@ fn check_says_what_data_identify() {
     Data
       13 tests, 13 steps, 13 observations from vaccine.csv; every test has a design
         of its own.
+
+    Observability
+      state   seen by  determined by  largest share
+      effect   all 13         all 13  11 %, 8
+      Seen by: tests whose measurements depend on the state. Determined by: tests
+        that could estimate it alone. Largest share: how much of what is known of
+        the mean comes from one test, and which.
 
     Identifiability
       The data identify all that is free in the mean and the covariance.
@@ -691,13 +763,23 @@ fn check_names_what_data_do_not_identify() {
       3 tests, 3 steps, 3 observations from one.csv; all tests share one design; 3
         tests took the square-root path.
 
+    Observability
+      state  seen by  determined by  largest share
+      level    all 3           none  -
+      slope    all 3           none  -
+      Seen by: tests whose measurements depend on the state. Determined by: tests
+        that could estimate it alone.
+
     Identifiability
       Not identified: the data say nothing about the combination 0.71 level - 0.71
-        slope of the means.
-      Not identified: the data say nothing about the combination 0.87 var(level) -
-        0.44 var(slope) - 0.22 cov(level, slope).
+        slope of the means. No test tells `level` and `slope` apart: only
+        combinations of them are measured.
+      Not identified: the data say nothing about the combination 0.71 var(level) -
+        0.71 var(slope). No test tells `level` and `slope` apart: only combinations
+        of them are measured.
       Not identified: the data say nothing about the combination 0.89 var(slope) -
-        0.45 cov(level, slope).
+        0.45 cov(level, slope). No test tells `level` and `slope` apart: only
+        combinations of them are measured.
     ----- stderr
     ");
     assert_snapshot!(steady(&shown(&folder.run("fit m.toml one.csv"))), @"
@@ -721,15 +803,24 @@ fn check_names_what_data_do_not_identify() {
 
     Limits of what the data say
       Not identified: the data say nothing about the combination 0.71 level - 0.71
-        slope of the means; its start value was kept.
-      Not identified: the data say nothing about the combination 0.87 var(level) -
-        0.44 var(slope) - 0.22 cov(level, slope); its start value was kept.
+        slope of the means; its start value was kept. No test tells `level` and
+        `slope` apart: only combinations of them are measured.
+      Not identified: the data say nothing about the combination 0.71 var(level) -
+        0.71 var(slope); its start value was kept. No test tells `level` and `slope`
+        apart: only combinations of them are measured.
       Not identified: the data say nothing about the combination 0.89 var(slope) -
-        0.45 cov(level, slope); its start value was kept.
+        0.45 cov(level, slope); its start value was kept. No test tells `level` and
+        `slope` apart: only combinations of them are measured.
 
     Outlying tests
       No test stands out: the smallest of 3 p-values is 0.18 (test c), or 0.54 with
         Bonferroni's correction.
+
+    Innovations (what the filter did not expect)
+      Mean square of 3 innovations over all tests, each in units of its variance:
+        1.00 (expected 1 ± 0.82).
+      No test's innovations are improbable: the smallest of 3 p-values is 0.36 (size
+        in test c), or 1 with Holm's correction.
 
     Solver newton, [work].
     ----- stderr

@@ -2,9 +2,10 @@
 
 use kalfit::record::{BoundaryRecord, PhaseRecord, UnidentifiedRecord};
 
+use super::observability;
 use crate::number::plain;
 use crate::page::Page;
-use crate::words::{clean, list};
+use crate::words::{clean, list, sentence};
 
 /// Smaller weights of a unit direction are left out. Weights are in the states' own units, so small ones may matter.
 pub(super) const NEGLIGIBLE: f64 = 1e-6;
@@ -13,12 +14,19 @@ const MOST_TERMS: usize = 6;
 /// No more names than this in a list.
 const MOST_NAMES: usize = 12;
 
-pub(super) fn section(phase: &PhaseRecord, title: &dyn Fn(&str) -> String, page: &Page<'_>) -> String {
+pub(super) fn section(phase: &PhaseRecord, tests: usize, title: &dyn Fn(&str) -> String, page: &Page<'_>) -> String {
     let mut sentences: Vec<String> = phase.boundary.iter().map(|b| singular(b, phase.states.len())).collect();
     sentences.extend(phase.unidentified.iter().map(|u| {
-        format!("Not identified: the data say nothing about {}; its start value was kept.", direction(u, &phase.states))
+        let what = direction(u, &phase.states);
+        format!("Not identified: the data say nothing about {what}; its start value was kept.{}", reason(u))
     }));
+    sentences.extend(observability::warnings(&phase.observability, &phase.weakly_determined, tests));
     page.section(&title("Limits of what the data say"), &page.items(&sentences))
+}
+
+/// Why, as a sentence of its own with a space in front.
+pub(crate) fn reason(found: &UnidentifiedRecord) -> String {
+    if found.reason.is_empty() { String::new() } else { format!(" {}", sentence(&clean(&found.reason))) }
 }
 
 fn singular(boundary: &BoundaryRecord, all: usize) -> String {
@@ -47,12 +55,13 @@ fn singular(boundary: &BoundaryRecord, all: usize) -> String {
 pub(crate) fn direction(found: &UnidentifiedRecord, states: &[String]) -> String {
     let mean = found.what == "mean";
     let names = if found.elements.is_empty() { states } else { &found.elements };
-    let weights = found.direction.iter().zip(names).filter(|(w, _)| w.abs() > NEGLIGIBLE && w.is_finite());
-    let mut terms: Vec<(f64, &String)> = weights.map(|(&w, name)| (w, name)).collect();
-    terms.sort_by(|a, b| b.0.abs().total_cmp(&a.0.abs()));
+    let terms = weighted(&found.direction, names);
     match (terms.as_slice(), mean) {
         ([], _) => format!("a direction of the {}", clean(&found.what)),
-        ([(_, only)], true) => format!("the mean of {}", clean(only)),
+        ([(_, only)], true) => match only.split_once(" per ").filter(|_| !states.contains(only)) {
+            Some((state, column)) => format!("the coefficient of {} in the mean of {}", clean(column), clean(state)),
+            None => format!("the mean of {}", clean(only)),
+        },
         ([(_, only)], false) => match covariance_of(only) {
             Some((a, b)) if a == b => format!("the variance of {}", clean(a)),
             Some((a, b)) => format!("the covariance of {} and {}", clean(a), clean(b)),
@@ -74,6 +83,19 @@ fn short(element: &str) -> String {
         Some((a, b)) => format!("cov({}, {})", clean(a), clean(b)),
         None => clean(element),
     }
+}
+
+/// The terms of a direction that count, the largest first.
+pub(crate) fn weighted<'a>(direction: &[f64], names: &'a [String]) -> Vec<(f64, &'a String)> {
+    let weights = direction.iter().zip(names).filter(|(w, _)| w.abs() > NEGLIGIBLE && w.is_finite());
+    let mut terms: Vec<(f64, &String)> = weights.map(|(&w, name)| (w, name)).collect();
+    terms.sort_by(|a, b| b.0.abs().total_cmp(&a.0.abs()));
+    terms
+}
+
+/// A combination of states in words.
+pub(crate) fn combination_of(terms: &[(f64, &String)]) -> String {
+    if terms.is_empty() { "of none".to_owned() } else { combination(terms, &|name| clean(name)) }
 }
 
 fn combination(terms: &[(f64, &String)], word: &dyn Fn(&str) -> String) -> String {

@@ -4,6 +4,8 @@ mod constraints;
 mod correlations;
 pub(crate) mod doubts;
 pub(crate) mod headline;
+mod innovations;
+pub(crate) mod observability;
 mod outliers;
 mod parameters;
 mod states;
@@ -26,6 +28,7 @@ pub fn summary(record: &FitRecord, style: &Style) -> String {
     sections.push(parameters::section(record, &page));
     sections.push(constraints::section(record, &page));
     sections.push(outliers::section(record, &page));
+    sections.push(innovations::section(record, &page));
     sections.push(notes(record, &page));
     sections.push(work(record, &page));
     sections.retain(|s| !s.is_empty());
@@ -40,7 +43,7 @@ fn phase_sections(record: &FitRecord, phase: &PhaseRecord, page: &Page<'_>) -> V
     vec![
         states::section(phase, &title, page),
         correlations::section(phase, &title, page),
-        doubts::section(phase, &title, page),
+        doubts::section(phase, record.data.tests, &title, page),
     ]
 }
 

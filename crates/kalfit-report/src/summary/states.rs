@@ -1,6 +1,6 @@
 //! μ and the standard deviations, state by state, with what else shifts the mean.
 
-use kalfit::record::{PhaseRecord, ScaleRecord, UnidentifiedRecord};
+use kalfit::record::{PhaseRecord, RegressionRecord, ScaleRecord, UnidentifiedRecord};
 
 use super::doubts::{NEGLIGIBLE, covariance_of};
 use crate::number::Precision;
@@ -89,10 +89,16 @@ fn scales(phase: &PhaseRecord, page: &Page<'_>) -> String {
         + &line(&phase.covariance.scale, "The covariance is the given matrix times a scale")
 }
 
+/// Why a regression coefficient has no standard error.
+fn coefficient(phase: &PhaseRecord, row: &RegressionRecord) -> Option<&'static str> {
+    let own = format!("{} per {}", row.state, row.column);
+    touches(&phase.unidentified, "mean", &[], &|element| element == own).then_some("not identified")
+}
+
 fn regression(phase: &PhaseRecord, page: &Page<'_>) -> String {
     let rows = &phase.mean.regression;
     let (values, errors): (Vec<_>, Vec<_>) =
-        rows.iter().map(|r| cells(r.estimate, r.std_error, false, &|| None)).unzip();
+        rows.iter().map(|r| cells(r.estimate, r.std_error, false, &|| coefficient(phase, r))).unzip();
     if rows.is_empty() {
         return String::new();
     }

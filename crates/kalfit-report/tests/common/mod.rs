@@ -14,6 +14,7 @@ pub(crate) fn phase(name: &str, states: &[&str]) -> PhaseRecord {
         mean: MeanRecord {
             estimate: (0..p).map(|i| 1.0 + i as f64).collect(),
             std_error: vec![Some(0.25); p],
+            interval95: vec![None; p],
             fixed: vec![false; p],
             scale: None,
             regression: vec![],
@@ -21,16 +22,20 @@ pub(crate) fn phase(name: &str, states: &[&str]) -> PhaseRecord {
         covariance: CovarianceRecord {
             estimate: square(1.0, 0.0),
             std_error: some(square(0.3, 0.2)),
+            interval95: vec![vec![None; p]; p],
             fixed: vec![vec![false; p]; p],
             scale: None,
         },
-        std_dev: VectorRecord { estimate: vec![1.0; p], std_error: vec![Some(0.15); p] },
+        std_dev: VectorRecord { estimate: vec![1.0; p], std_error: vec![Some(0.15); p], interval95: vec![None; p] },
         correlation: MatrixRecord {
             estimate: some(square(1.0, 0.0)),
             std_error: (0..p).map(|i| (0..p).map(|k| (i != k).then_some(0.2)).collect()).collect(),
+            interval95: vec![vec![None; p]; p],
         },
         boundary: vec![],
         unidentified: vec![],
+        observability: vec![],
+        weakly_determined: vec![],
     }
 }
 
@@ -49,6 +54,8 @@ pub(crate) fn record(title: &str, phases: Vec<PhaseRecord>) -> FitRecord {
             files: vec!["data.csv".into()],
         },
         criterion: "ml".into(),
+        std_errors: "observed".into(),
+        intervals: "wald".into(),
         log_likelihood_kind: "measurements".into(),
         log_likelihood: -875.96967,
         free_parameters: 6,
@@ -83,6 +90,8 @@ pub(crate) fn tests(p_values: &[f64]) -> Vec<TestRecord> {
         distance: Some(-2.0 * p.ln()),
         degrees_of_freedom: 2,
         p_value: Some(p),
+        deletion: None,
+        innovations: None,
     };
     p_values.iter().enumerate().map(test).collect()
 }
@@ -134,11 +143,15 @@ pub(crate) fn singular() -> FitRecord {
         what: "mean".into(),
         direction: vec![0.6, -0.8, 1e-9],
         elements: vec![],
+        tests: vec![],
+        reason: String::new(),
     });
     main.unidentified.push(UnidentifiedRecord {
         what: "covariance".into(),
         direction: vec![0.0, 1.0],
         elements: vec!["bias, bias".into(), "bias, scale".into()],
+        tests: vec![],
+        reason: "`bias` and `scale` are never observed in one test".into(),
     });
     let mut record = record("Static IMU", vec![main]);
     record.data.square_root_tests = 3;
@@ -160,12 +173,13 @@ pub(crate) fn constrained() -> FitRecord {
     main.covariance.estimate[2][2] = 0.0;
     main.std_dev.estimate[2] = 0.0;
     main.std_dev.std_error[2] = None;
-    main.mean.scale = Some(ScaleRecord { estimate: 1.0213, std_error: Some(0.0345) });
+    main.mean.scale = Some(ScaleRecord { estimate: 1.0213, std_error: Some(0.0345), interval95: None });
     main.mean.regression.push(RegressionRecord {
         state: "bias".into(),
         column: "temperature".into(),
         estimate: 0.01234,
         std_error: Some(0.0012),
+        interval95: None,
     });
     let mut record = record("Gyro bench", vec![main]);
     let constraint = |element: &str, p: f64| ConstraintRecord {

@@ -1,21 +1,23 @@
 //! What the ensemble says nothing about (theory §5).
 //!
-//! For μ: the null space of Σ_j J_j on the free mean. For Σ: the null space of the expected information
+//! For μ with its regression coefficients: the null space of Σ_j E_j'J_jE_j on what is free of them, μ_j = E_j(μ, γ). For Σ: the null space of the expected information
 //! ½ Σ_j tr(W_j D W_j E) on the free directions of Σ.
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::{Estimate, FitError, Place, Problem, Structure, Tangent, harmonic, natural_sizes};
+use crate::estimate::{Estimate, FitError, Place, Problem, Structure, Sums, Tangent, harmonic, natural_sizes};
+use crate::infer::observability::{Observability, observability};
+use crate::infer::reason::{Explanation, explain};
 use crate::linalg::symmetric::{self, pairs};
 use crate::reduce::Reduction;
 
 /// Scaled information below this is none.
-const NONE: f64 = 1e-10;
+pub(crate) const NONE: f64 = 1e-10;
 
 /// What a direction is a direction of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Quantity {
-    /// Of μ; entries by element.
+    /// Of μ; entries by element, then by regression coefficient where there are any.
     Mean,
     /// Of Σ; entries by pair (0,0), (1,0), (1,1), (2,0), …
     Covariance,
@@ -26,8 +28,36 @@ pub enum Quantity {
 pub struct Direction {
     /// Of what.
     pub quantity: Quantity,
-    /// p entries for the mean, p(p+1)/2 for the covariance.
+    /// p entries for the mean and one for each regression coefficient; p(p+1)/2 for the covariance.
     pub direction: Vec<f64>,
+}
+
+/// What the data identify, why not all, and from which tests.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Examination {
+    /// Directions the data say nothing about.
+    pub unidentified: Vec<Direction>,
+    /// Why, for each of them.
+    pub explanations: Vec<Explanation>,
+    /// Which tests say what of each state.
+    pub observability: Observability,
+}
+
+/// All of it before any fit: at the start values.
+pub fn examine_at_start(reductions: &[Reduction], structure: &Structure<'_>) -> Result<Examination, FitError> {
+    let (problem, place, sums) = crate::estimate::at_start(reductions, structure)?;
+    Ok(examination(&problem, &place, &sums, reductions))
+}
+
+pub(crate) fn examine(estimate: &Estimate, reductions: &[Reduction]) -> Examination {
+    let state = &estimate.state;
+    examination(&state.problem, &state.place, &state.sums, reductions)
+}
+
+fn examination(problem: &Problem, place: &Place, sums: &Sums, reductions: &[Reduction]) -> Examination {
+    let unidentified = directions(problem, place, &sums.expected_information());
+    let observability = observability(problem, place, &sums.weight, reductions);
+    Examination { explanations: explain(problem, &unidentified, &observability), unidentified, observability }
 }
 
 /// Unidentified directions at an estimate.
@@ -52,14 +82,15 @@ pub(crate) fn directions(problem: &Problem, place: &Place, expected: &DMatrix<f6
 }
 
 fn mean_directions(problem: &Problem) -> Vec<Direction> {
-    let basis = &problem.mean.basis;
-    let information = basis.transpose() * &problem.classes.information * basis;
-    let scale = &problem.classes.frame.scale;
+    let basis = problem.mean.jacobian();
+    let information = basis.transpose() * mean_information(problem) * &basis;
+    let coefficients = problem.mean.coefficient_scale.iter().map(|x| x.recip());
+    let scale: Vec<f64> = problem.classes.frame.scale.iter().copied().chain(coefficients).collect();
     let out = |v: DVector<f64>| {
-        let direction = basis * v;
+        let direction = &basis * v;
         Direction {
             quantity: Quantity::Mean,
-            direction: unit(direction.iter().zip(scale).map(|(d, s)| d * s).collect()),
+            direction: unit(direction.iter().zip(&scale).map(|(d, s)| d * s).collect()),
         }
     };
     // in η the average test has unit information on each element, so 1 is the natural size
@@ -67,6 +98,35 @@ fn mean_directions(problem: &Problem) -> Vec<Direction> {
         .into_iter()
         .map(out)
         .collect()
+}
+
+/// Σ_j E_j'J_jE_j over μ and the regression coefficients, in η.
+fn mean_information(problem: &Problem) -> DMatrix<f64> {
+    let (p, regressors) = (problem.classes.dimension(), &problem.mean.regressors);
+    let m = p + regressors.len();
+    let mut information = DMatrix::zeros(m, m);
+    information.view_mut((0, 0), (p, p)).copy_from(&problem.classes.information);
+    if regressors.is_empty() {
+        return information;
+    }
+    for class in &problem.classes.classes {
+        let factor = DMatrix::from_row_slice(p, p, &class.factor);
+        let own = factor.transpose() * &factor * class.count;
+        for (c, &i) in regressors.iter().enumerate() {
+            for k in 0..p {
+                information[(p + c, k)] += class.covariates[c] * own[(i, k)];
+            }
+            for (d, &k) in regressors.iter().enumerate() {
+                information[(p + c, p + d)] += class.covariates[c] * own[(i, k)] * class.covariates[d];
+            }
+        }
+    }
+    for c in p..m {
+        for k in 0..p {
+            information[(k, c)] = information[(c, k)];
+        }
+    }
+    information
 }
 
 fn covariance_directions(problem: &Problem, tangent: &Tangent, expected: &DMatrix<f64>) -> Vec<Direction> {
@@ -106,12 +166,36 @@ fn null_space(information: &DMatrix<f64>, sizes: &[f64], elsewhere: f64) -> Vec<
             },
         );
     let (values, vectors) = symmetric::eigen(&scaled);
-    let flat = (0..n).filter(|&k| values[k] < NONE);
-    flat.map(|k| vectors.column(k).component_mul(&scale)).collect()
+    let flat: Vec<usize> = (0..n).filter(|&k| values[k] < NONE).collect();
+    let simple = simplest(vectors.select_columns(&flat));
+    simple.column_iter().map(|v| v.component_mul(&scale)).collect()
+}
+
+/// A basis of the same span with many zeros: Gauss-Jordan elimination with complete pivoting. Several directions that nothing
+/// was observed of come in any mixture otherwise, and say little to a reader.
+fn simplest(mut basis: DMatrix<f64>) -> DMatrix<f64> {
+    for c in 0..basis.ncols() {
+        let (mut at, mut largest) = ((0, c), 0.0);
+        for k in c..basis.ncols() {
+            for i in 0..basis.nrows() {
+                if basis[(i, k)].abs() > largest * (1.0 + 1e-6) {
+                    (at, largest) = ((i, k), basis[(i, k)].abs());
+                }
+            }
+        }
+        basis.swap_columns(c, at.1);
+        let pivot = basis[(at.0, c)];
+        basis.column_mut(c).unscale_mut(pivot);
+        for k in (0..basis.ncols()).filter(|&k| k != c) {
+            let part = basis.column(c) * basis[(at.0, k)];
+            basis.set_column(k, &(basis.column(k) - part));
+        }
+    }
+    basis
 }
 
 /// Scaled to length one, noise removed, largest entry positive.
-fn unit(mut direction: Vec<f64>) -> Vec<f64> {
+pub(crate) fn unit(mut direction: Vec<f64>) -> Vec<f64> {
     let norm = direction.iter().map(|x| x * x).sum::<f64>().sqrt();
     let largest = direction.iter().copied().fold(0.0, |a: f64, b| if b.abs() > a.abs() { b } else { a });
     let sign = if largest < 0.0 { -1.0 } else { 1.0 };

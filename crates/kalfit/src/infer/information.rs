@@ -137,7 +137,9 @@ fn uncertainty_by(law: &Law<'_>, sigma: &DMatrix<f64>, unidentified: &[Direction
         }
     }
     let mean = (0..p).map(|i| if parts(Quantity::Mean, i) { None } else { law.mean_error(i) }).collect();
-    let coefficients = (0..state.problem.mean.regressors.len()).map(|c| law.coefficient_error(c)).collect();
+    let coefficients = (0..state.problem.mean.regressors.len())
+        .map(|c| if parts(Quantity::Mean, p + c) { None } else { law.coefficient_error(c) })
+        .collect();
     let scale = matches!(map.form, Form::Scale(_)).then(|| law.scale_error(sigma)).flatten();
     Uncertainty { mean, coefficients, covariance, std_dev, correlation, scale, boundary }
 }

@@ -6,19 +6,25 @@ mod held;
 mod identifiability;
 mod information;
 mod interval;
+mod observability;
 mod posterior;
 mod ratio;
+mod reason;
 
 pub use constraint::{Element, Sensitivity, sensitivities};
 pub use deletion::{Deletion, deletion_work, deletions};
-pub use identifiability::{Direction, Quantity, identifiability, identifiability_at_start};
+pub use identifiability::{
+    Direction, Examination, Quantity, examine_at_start, identifiability, identifiability_at_start,
+};
 pub use information::{Boundary, Free, StdErrors, Uncertainty, free, uncertainty};
 pub use interval::{Interval, IntervalKind, Intervals, profile, wald};
+pub use observability::{Leading, MOST_TESTS, Observability, Shortage, StateObservability, WEAK, WeakDirection};
 pub use posterior::{Distance, Posterior, posteriors};
 pub use ratio::{
     Bootstrap, BootstrapResult, Component, LikelihoodRatio, NotNested, ReferenceLaw, at_least, bootstrap, fit_null,
     likelihood_ratio,
 };
+pub use reason::{Explanation, Reason};
 
 pub(crate) use constraint::is_held;
 pub(crate) use identifiability::directions;
@@ -64,6 +70,10 @@ pub struct Inference {
     pub intervals: Intervals,
     /// Directions the data say nothing about.
     pub unidentified: Vec<Direction>,
+    /// Why, for each of them.
+    pub explanations: Vec<Explanation>,
+    /// Which tests say what of each state.
+    pub observability: Observability,
     /// What each constraint costs.
     pub sensitivities: Vec<Sensitivity>,
     /// What each test says, in the order of the reductions.
@@ -74,7 +84,7 @@ pub struct Inference {
 
 /// Infers all of it, from the reductions that the estimate was made from.
 pub fn infer(estimate: &Estimate, reductions: &[Reduction], choices: Choices) -> Inference {
-    let unidentified = identifiability(estimate);
+    let Examination { unidentified, explanations, observability } = identifiability::examine(estimate, reductions);
     let uncertainty = uncertainty(estimate, reductions, &unidentified, choices.std_errors);
     let intervals = match choices.intervals {
         IntervalKind::Wald => wald(estimate, &uncertainty),
@@ -93,5 +103,7 @@ pub fn infer(estimate: &Estimate, reductions: &[Reduction], choices: Choices) ->
         posteriors: posteriors(estimate, reductions),
         deletions: wanted.then(|| deletions(estimate, reductions)),
         unidentified,
+        explanations,
+        observability,
     }
 }

@@ -3,12 +3,13 @@
 use nalgebra::DMatrix;
 
 use crate::estimate::{Criterion, Estimate, Solver, Stop};
-use crate::infer::{Deletion, Direction, Element, Inference, IntervalKind, Quantity, Sensitivity, StdErrors};
+use crate::infer::{Deletion, Element, Inference, IntervalKind, Sensitivity, StdErrors};
 use crate::model::{Alpha, CovarianceKind, Level, MeanElement, Model, Parameter, Value};
+use crate::record::diagnosis::shortage_notes;
 use crate::record::{
     BoundaryRecord, CertificateRecord, ConstraintRecord, CovarianceRecord, DataRecord, DeletedRecord, DeletionRecord,
-    FitRecord, Interval, MatrixRecord, MeanRecord, ParameterRecord, PhaseRecord, PosteriorRecord, RegressionRecord,
-    ScaleRecord, SolverRecord, TestRecord, UnidentifiedRecord, VectorRecord,
+    FitRecord, Interval, MatrixRecord, MeanRecord, ObservabilityRecord, ParameterRecord, PhaseRecord, PosteriorRecord,
+    RegressionRecord, ScaleRecord, SolverRecord, TestRecord, UnidentifiedRecord, VectorRecord, WeakRecord,
 };
 use crate::reduce::{Path, Reduction};
 
@@ -79,13 +80,6 @@ impl DataRecord {
     /// Counts of the data behind reductions.
     pub fn of(reductions: &[Reduction], files: Vec<String>) -> DataRecord {
         data(reductions, files)
-    }
-}
-
-impl UnidentifiedRecord {
-    /// A direction with its elements named; `states` are the estimated ones.
-    pub fn of(direction: &Direction, states: &[String]) -> UnidentifiedRecord {
-        unidentified(direction, states)
     }
 }
 
@@ -173,7 +167,9 @@ fn phase(model: &Model, estimate: &Estimate, inference: &Inference) -> PhaseReco
             interval95: inference.intervals.correlation.clone(),
         },
         boundary: inference.uncertainty.boundary.iter().map(boundary).collect(),
-        unidentified: inference.unidentified.iter().map(|d| unidentified(d, &states)).collect(),
+        unidentified: UnidentifiedRecord::all(model, &inference.unidentified, &inference.explanations),
+        observability: ObservabilityRecord::all(model, &inference.observability),
+        weakly_determined: WeakRecord::all(&inference.observability),
         states,
     }
 }
@@ -253,17 +249,6 @@ fn correlations(sigma: &DMatrix<f64>) -> Vec<Vec<Option<f64>>> {
     (0..p).map(|i| (0..p).map(|j| entry(i, j)).collect()).collect()
 }
 
-fn unidentified(direction: &Direction, states: &[String]) -> UnidentifiedRecord {
-    let (what, elements) = match direction.quantity {
-        Quantity::Mean => ("mean", states.to_vec()),
-        Quantity::Covariance => {
-            let pairs = (0..states.len()).flat_map(|i| (0..=i).map(move |j| (i, j)));
-            ("covariance", pairs.map(|(i, j)| format!("{}, {}", states[j], states[i])).collect())
-        }
-    };
-    UnidentifiedRecord { what: what.to_owned(), direction: direction.direction.clone(), elements }
-}
-
 fn parameters(model: &Model, alpha: &Alpha) -> Vec<ParameterRecord> {
     let record = |parameter: &Parameter, level: Option<String>, estimate: f64| ParameterRecord {
         name: parameter.name.clone(),
@@ -328,6 +313,7 @@ fn tests(reductions: &[Reduction], inference: &Inference) -> Vec<TestRecord> {
             degrees_of_freedom: distance.degrees_of_freedom,
             p_value: distance.p_value,
             deletion: inference.deletions.as_ref().and_then(|all| all[j].as_ref()).map(deletion),
+            innovations: None,
         }
     };
     order.into_iter().map(record).collect()
@@ -351,7 +337,7 @@ fn deletion(deletion: &Deletion) -> DeletionRecord {
 
 /// What a reader should be told that no single figure shows.
 fn notes(model: &Model, estimate: &Estimate, inference: &Inference) -> Vec<String> {
-    let mut notes = Vec::new();
+    let mut notes = shortage_notes(model, &inference.observability);
     for (i, name) in model.estimated_names().iter().enumerate() {
         let variance = estimate.covariance[(i, i)];
         if let Some(error) = inference.uncertainty.covariance[i][i].filter(|e| *e >= variance) {

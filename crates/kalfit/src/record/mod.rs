@@ -1,6 +1,7 @@
 //! The result of a fit as others read it: fit.json. Field names are a contract; unknown figures are null, never NaN.
 
 mod build;
+mod diagnosis;
 mod population;
 mod ratio;
 
@@ -9,6 +10,7 @@ use serde::{Deserialize, Serialize};
 pub use crate::infer::Interval;
 
 pub use build::Provenance;
+pub use diagnosis::shortage_notes;
 pub use population::{FIT_SCHEMA, RecordError};
 pub use ratio::{BootstrapRecord, ComponentRecord, PartRecord, RatioProvenance, RatioRecord, SideRecord};
 
@@ -137,6 +139,12 @@ pub struct PhaseRecord {
     pub boundary: Vec<BoundaryRecord>,
     /// Directions the data say nothing about.
     pub unidentified: Vec<UnidentifiedRecord>,
+    /// Which tests say what of each state, one entry per estimated state.
+    #[serde(default)]
+    pub observability: Vec<ObservabilityRecord>,
+    /// Directions of the mean that are known much worse than its elements suggest, the worst first.
+    #[serde(default)]
+    pub weakly_determined: Vec<WeakRecord>,
 }
 
 /// μ with its uncertainty.
@@ -252,6 +260,42 @@ pub struct UnidentifiedRecord {
     /// What the entries of `direction` stand for.
     #[serde(default)]
     pub elements: Vec<String>,
+    /// Ids of the tests that inform any of its states, when they are at most twenty.
+    #[serde(default)]
+    pub tests: Vec<String>,
+    /// Why, in words.
+    #[serde(default)]
+    pub reason: String,
+}
+
+/// What the ensemble says of one state.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ObservabilityRecord {
+    /// The state.
+    pub state: String,
+    /// Number of tests whose measurements depend on it.
+    pub informed_by: usize,
+    /// Number of tests that could estimate it alone.
+    pub observed_by: usize,
+    /// Ids of the tests that inform it, when they are at most twenty; else none.
+    pub tests: Vec<String>,
+    /// The test that most of what is known of its mean rests on; null where the mean is fixed or not identified.
+    pub leading_test: Option<String>,
+    /// That test's share of what is known, 0 to 1.
+    pub leading_share: Option<f64>,
+}
+
+/// A weakly determined direction of the mean.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct WeakRecord {
+    /// Unit vector over the states.
+    pub direction: Vec<f64>,
+    /// Condition index: how many times less precisely it is known than the best known direction, states in comparable units.
+    pub condition: f64,
+    /// The test that most of what is known of it rests on.
+    pub leading_test: Option<String>,
+    /// That test's share of what is known, 0 to 1.
+    pub leading_share: Option<f64>,
 }
 
 /// One dynamic parameter, at one level.
@@ -317,6 +361,38 @@ pub struct TestRecord {
     /// The fit without this test; null when it was not asked for or has no certified optimum.
     #[serde(default)]
     pub deletion: Option<DeletionRecord>,
+    /// Innovations of the filter at the estimate; null when they were not asked for or could not be had.
+    #[serde(default)]
+    pub innovations: Option<InnovationRecord>,
+}
+
+/// Innovations of one test at the estimate, as figures: e of variance S, in the order of the filter.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct InnovationRecord {
+    /// Their number, n.
+    pub count: usize,
+    /// Normalised innovation squared, Σ e²/S; its expectation is n. Null without innovations.
+    pub nis: Option<f64>,
+    /// Two-sided p-value of it: twice the smaller of the upper tail of χ²_n and the lower tail of χ² with n less the number of
+    /// estimated states, which the estimate may have absorbed.
+    pub nis_p_value: Option<f64>,
+    /// Mean of e/√S; its standard deviation is 1/√n.
+    pub mean: Option<f64>,
+    /// Ljung and Box's test; null when too short.
+    pub whiteness: Option<WhitenessRecord>,
+}
+
+/// Ljung and Box's test of the e/√S, each measurement by itself, added up.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct WhitenessRecord {
+    /// The statistic.
+    pub statistic: f64,
+    /// The longest lag: at most 10, and one for every five innovations of a measurement.
+    pub lags: usize,
+    /// Degrees of freedom: the lags of all measurements together.
+    pub degrees_of_freedom: usize,
+    /// Its χ² p-value.
+    pub p_value: f64,
 }
 
 /// The fit without one test.

@@ -43,6 +43,12 @@ impl Frame {
         self.digest = digest.finish();
         self
     }
+
+    /// The same states without ξ.
+    pub(crate) fn without_unknowns(&self) -> Frame {
+        let frame = Frame { p: 0, rows: vec![ZERO; self.n], sensitivity: Vec::new(), ..self.clone() };
+        frame.seal()
+    }
 }
 
 /// A row of φ that is not a row of the identity.

@@ -39,7 +39,9 @@ pub use plain::{Plain, StepMatrices, Terminal};
 pub use reducer::{Reducer, Work};
 pub use reduction::{Path, Reduction};
 
-pub(crate) use design::{Design, Transition};
+pub(crate) use data::innovate;
+pub(crate) use design::{Design, Frame, Transition};
+pub(crate) use gains::Gains;
 pub(crate) use kernel::advance;
 pub(crate) use prepare::{Preparer, Workspace};
 pub(crate) use semidefinite::{NotSemidefinite, ldl};

@@ -114,6 +114,25 @@ impl Reducer {
         }
     }
 
+    /// Work space for [`Reducer::with_gains`].
+    pub(crate) fn workspace(&self) -> Workspace {
+        self.preparer.workspace()
+    }
+
+    /// Evaluates a test into the work space, and calls `pass` with the gains of its design: for other passes over the data.
+    pub(crate) fn with_gains<T>(
+        &self,
+        test: &Test,
+        work: &mut Workspace,
+        pass: impl FnOnce(&Gains, &mut Workspace) -> T,
+    ) -> Result<T, ReduceError> {
+        let named = |fault: Box<Fault>| fault.name(&self.preparer.model, Some(test));
+        self.preparer.prepare(test, work).map_err(named)?;
+        let class = self.class(work.design.digest(), work);
+        let gains = class.value().as_ref().map_err(|&error| named(root_fault(error, &work.instances)))?;
+        Ok(pass(gains, work))
+    }
+
     fn one(&self, test: &Test, work: &mut Workspace) -> Result<Reduction, ReduceError> {
         self.reduced(test, work).map_err(|fault| fault.name(&self.preparer.model, Some(test)))
     }

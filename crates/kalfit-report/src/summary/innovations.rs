@@ -1,0 +1,160 @@
+//! Are the innovations of the tests what the model says: independent, of the right size?
+
+use kalfit::FitRecord;
+use kalfit::record::InnovationRecord;
+
+use crate::number::{Precision, plain, probability};
+use crate::page::Page;
+use crate::table::{Column, Side, table};
+use crate::words::{clean, count};
+
+/// Level of the whole search, not of each test.
+const LEVEL: f64 = 0.05;
+const MOST_ROWS: usize = 5;
+/// A mean square this many standard deviations from one is no chance.
+const FAR: f64 = 3.0;
+
+/// One figure of one test that has a probability.
+struct Finding<'a> {
+    test: &'a str,
+    of: Of<'a>,
+    p_value: f64,
+    /// Holm's (1979) adjusted p-value.
+    adjusted: f64,
+}
+
+enum Of<'a> {
+    /// The normalised innovation squared.
+    Size(&'a InnovationRecord),
+    /// Ljung and Box's statistic.
+    Whiteness(&'a InnovationRecord),
+}
+
+pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
+    let all: Vec<(&str, &InnovationRecord)> =
+        record.tests.iter().filter_map(|t| Some((t.id.as_str(), t.innovations.as_ref()?))).collect();
+    let findings = findings(&all);
+    let Some(least) = findings.first() else { return String::new() };
+    let improbable = findings.iter().take_while(|f| f.adjusted < LEVEL).count();
+    let body = match improbable {
+        0 => page.items(&[overall(&all, record.free_parameters), probable(least, findings.len())]),
+        n => {
+            shown(&findings[..n], page)
+                + &page.items(&[meaning(&findings[..n], findings.len()), overall(&all, record.free_parameters)])
+        }
+    };
+    page.section("Innovations (what the filter did not expect)", &body)
+}
+
+/// The figures of all tests, the least probable first.
+fn findings<'a>(all: &[(&'a str, &'a InnovationRecord)]) -> Vec<Finding<'a>> {
+    let mut findings: Vec<Finding<'a>> = Vec::new();
+    for &(test, found) in all {
+        let mut add = |of, p: Option<f64>| {
+            if let Some(p_value) = p.filter(|p| p.is_finite()) {
+                findings.push(Finding { test, of, p_value, adjusted: 1.0 });
+            }
+        };
+        add(Of::Size(found), found.nis_p_value);
+        add(Of::Whiteness(found), found.whiteness.as_ref().map(|w| w.p_value));
+    }
+    findings.sort_by(|a, b| a.p_value.total_cmp(&b.p_value).then_with(|| a.test.cmp(b.test)));
+    let (all, mut largest) = (findings.len(), 0.0_f64);
+    for (k, finding) in findings.iter_mut().enumerate() {
+        largest = largest.max(finding.p_value * (all - k) as f64).min(1.0);
+        finding.adjusted = largest;
+    }
+    findings
+}
+
+/// Size of all innovations together.
+fn overall(all: &[(&str, &InnovationRecord)], free: usize) -> String {
+    let n: usize = all.iter().map(|(_, found)| found.count).sum();
+    let nis: f64 = all.iter().filter_map(|(_, found)| found.nis).sum();
+    let spread = (2.0 / n.max(1) as f64).sqrt();
+    let mean = nis / n.max(1) as f64;
+    // what was estimated makes innovations smaller, which says nothing of the noise unless they are many
+    let verdict = match (mean - 1.0) / spread {
+        apart if apart > FAR => " That is more than chance allows: noise or a motion is missing from the model.",
+        apart if apart < -FAR && n > 10 * free => " That is less than chance allows: the model's noise is too large.",
+        _ => "",
+    };
+    format!(
+        "Mean square of {} over all tests, each in units of its variance: {} (expected 1 ± {}).{verdict}",
+        count(n, "innovation"),
+        Precision::of(mean, Some(spread)).show(mean),
+        plain(spread, 2)
+    )
+}
+
+fn probable(least: &Finding<'_>, all: usize) -> String {
+    let what = match least.of {
+        Of::Size(_) => "size",
+        Of::Whiteness(_) => "correlation in time",
+    };
+    format!(
+        "No test's innovations are improbable: the smallest of {all} p-values is {} ({what} in test {}), or {} with \
+         Holm's correction.",
+        probability(least.p_value),
+        clean(least.test),
+        probability(least.adjusted)
+    )
+}
+
+fn shown(improbable: &[Finding<'_>], page: &Page<'_>) -> String {
+    let rows = &improbable[..improbable.len().min(MOST_ROWS)];
+    let figures = |of: fn(&Of<'_>) -> String| -> Vec<String> { rows.iter().map(|f| of(&f.of)).collect() };
+    let columns = [
+        Column::new("test", Side::Left, rows.iter().map(|f| f.test.to_owned()).collect()),
+        Column::new("what", Side::Left, figures(|of| of.words().to_owned())),
+        Column::new("found", Side::Right, figures(|of| of.found())),
+        Column::new("expected", Side::Right, figures(|of| of.expected())),
+        Column::new("p-value", Side::Right, rows.iter().map(|f| probability(f.p_value)).collect()),
+        Column::new("Holm", Side::Right, rows.iter().map(|f| probability(f.adjusted)).collect()),
+    ];
+    table(&columns, page.width())
+}
+
+impl Of<'_> {
+    fn words(&self) -> &'static str {
+        match self {
+            Of::Size(found) if found.nis.is_some_and(|nis| nis < found.count as f64) => "smaller than modelled",
+            Of::Size(_) => "larger than modelled",
+            Of::Whiteness(_) => "correlated in time",
+        }
+    }
+
+    fn found(&self) -> String {
+        match self {
+            Of::Size(found) => found.nis.map_or_else(|| "-".to_owned(), |x| plain(x, 3)),
+            Of::Whiteness(found) => found.whiteness.as_ref().map_or_else(|| "-".to_owned(), |w| plain(w.statistic, 3)),
+        }
+    }
+
+    fn expected(&self) -> String {
+        match self {
+            Of::Size(found) => found.count.to_string(),
+            Of::Whiteness(found) => {
+                found.whiteness.as_ref().map_or_else(|| "-".to_owned(), |w| w.degrees_of_freedom.to_string())
+            }
+        }
+    }
+}
+
+/// What to make of it.
+fn meaning(improbable: &[Finding<'_>], all: usize) -> String {
+    let more = match improbable.len().saturating_sub(MOST_ROWS) {
+        0 => String::new(),
+        n => format!(" (and {n} more)"),
+    };
+    let these = if improbable.len() == 1 { "This is" } else { "These are" };
+    let any = |of: fn(&Of<'_>) -> bool| improbable.iter().any(|f| of(&f.of));
+    let mut because = Vec::new();
+    if any(|of| matches!(of, Of::Size(_))) {
+        because.push("a size other than modelled asks for other noise levels, or for a look at the test");
+    }
+    if any(|of| matches!(of, Of::Whiteness(_))) {
+        because.push("correlation in time asks for a motion that the model lacks, such as a drift");
+    }
+    format!("{these} improbable{more} among {} (Holm, 5 % level): {}.", count(all, "p-value"), because.join("; "))
+}

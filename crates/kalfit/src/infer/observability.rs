@@ -1,0 +1,328 @@
+//! Which tests say what of each state (theory §5, the paper's 2.3).
+//!
+//! A test informs a state when its measurements depend on it (row of J not zero), and observes it when it could estimate it
+//! alone (the unit vector of the state in the range of J). The mean of a state is then known from
+//!
+//! ```text
+//! I = Σ_j W_j        variance of μ̂_i = u'Iu with u = I⁺e_i = Σ_j u'W_ju
+//! ```
+//!
+//! on the free directions of μ: test j's part of that sum is its share of what is known of the mean. A direction of the mean
+//! is weakly determined when it is nearly one that nothing was observed of: its condition index (Belsley, Kuh, Welsch 1980),
+//! √(λ_max / λ) of I scaled to unit diagonal, exceeds [`WEAK`]. None of these figures depends on units.
+#![expect(non_snake_case, reason = "W is the letter of the theory")]
+
+use std::cmp::Ordering;
+
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+
+use crate::estimate::{Form, Place, Problem, Terms};
+use crate::infer::identifiability::{NONE, unit};
+use crate::linalg::symmetric;
+use crate::reduce::Reduction;
+
+/// Condition index beyond which a direction of the mean is weakly determined; 30 is Belsley, Kuh and Welsch's "strong".
+pub const WEAK: f64 = 30.0;
+/// Designs that one thread takes at a time; sums are over these, then over all.
+const CHUNK: usize = 256;
+/// No more ids of tests than this are listed.
+pub const MOST_TESTS: usize = 20;
+/// A column of R below this part of that of the test with the largest is rounding error.
+const TRACE: f64 = 1e-12;
+/// A state with more than this of a direction without information is not observed.
+const PART: f64 = 1e-6;
+
+/// What the ensemble says of the estimated states and of the mean.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Observability {
+    /// By element of μ.
+    pub states: Vec<StateObservability>,
+    /// [i][k]: number of tests that inform both i and k.
+    pub together: Vec<Vec<usize>>,
+    /// Directions of the mean that are known much worse than its elements suggest, the worst first.
+    pub weak: Vec<WeakDirection>,
+    /// Blocks of Σ that too few tests inform.
+    pub shortages: Vec<Shortage>,
+}
+
+/// What the ensemble says of one state.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StateObservability {
+    /// Number of tests whose measurements depend on it.
+    pub informed_by: usize,
+    /// Number of tests that could estimate it alone.
+    pub observed_by: usize,
+    /// Ids of the tests that inform it, in order, when there are at most [`MOST_TESTS`]; else none.
+    pub tests: Vec<String>,
+    /// The test that most of what is known of its mean rests on; `None` where that is fixed or not identified. Regression
+    /// coefficients are taken as known.
+    pub leading: Option<Leading>,
+}
+
+/// A test and its share of what is known.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Leading {
+    /// Id of the test; of several with the same share, the first by id.
+    pub test: String,
+    /// Its share, 0 to 1.
+    pub share: f64,
+}
+
+/// A weakly determined direction of the mean.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WeakDirection {
+    /// A unit vector in the user's units (p).
+    pub direction: Vec<f64>,
+    /// Its condition index.
+    pub condition: f64,
+    /// The test that most of what is known of it rests on.
+    pub leading: Option<Leading>,
+}
+
+/// A block of Σ whose estimate must be singular: `tests` tests allow it no higher rank than `rank`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Shortage {
+    /// Elements of the block that any test informs.
+    pub states: Vec<usize>,
+    /// Tests that inform any of them.
+    pub tests: usize,
+    /// The highest rank that Σ can have there: one less than the tests when a mean is free, for then Σ r_j = 0 in GΣ = 0.
+    pub rank: usize,
+}
+
+/// Tests with one R.
+struct Design<'a> {
+    /// In order of their ids.
+    tests: Vec<&'a Reduction>,
+    informs: Vec<bool>,
+    observes: Vec<bool>,
+}
+
+pub(crate) fn observability(
+    problem: &Problem,
+    place: &Place,
+    weight: &DMatrix<f64>,
+    reductions: &[Reduction],
+) -> Observability {
+    let p = problem.classes.dimension();
+    let designs = designs(reductions, p);
+    let count =
+        |of: &dyn Fn(&Design<'_>) -> bool| -> usize { designs.iter().filter(|d| of(d)).map(|d| d.tests.len()).sum() };
+    let shares = Shares { problem, place, designs: &designs };
+    let (known, weak) = known_and_weak(problem, weight);
+    let mut directions: Vec<DVector<f64>> = known.iter().flatten().cloned().collect();
+    directions.extend(weak.iter().map(|(direction, _)| direction.clone()));
+    let mut leading = shares.leading(&directions).into_iter();
+    let states = (0..p)
+        .map(|i| StateObservability {
+            informed_by: count(&|d| d.informs[i]),
+            observed_by: count(&|d| d.observes[i]),
+            tests: listed(&designs, &|d| d.informs[i]),
+            leading: known[i].as_ref().and_then(|_| leading.next().expect("one for each direction")),
+        })
+        .collect();
+    let scale = &problem.classes.frame.scale;
+    let weak = weak.into_iter().map(|(direction, condition)| WeakDirection {
+        direction: unit(direction.iter().zip(scale).map(|(d, s)| d * s).collect()),
+        condition,
+        leading: leading.next().expect("one for each direction"),
+    });
+    Observability {
+        states,
+        weak: weak.collect(),
+        together: (0..p).map(|i| (0..p).map(|k| count(&|d| d.informs[i] && d.informs[k])).collect()).collect(),
+        shortages: shortages(problem, &count),
+    }
+}
+
+impl Observability {
+    /// Ids of the tests that inform any of these states, in order, when there are at most [`MOST_TESTS`]; else none.
+    pub fn tests_of(&self, states: &[usize]) -> Vec<String> {
+        let of = || states.iter().map(|&i| &self.states[i]);
+        if of().any(|state| state.informed_by > MOST_TESTS) {
+            return Vec::new();
+        }
+        let mut all: Vec<String> = of().flat_map(|state| state.tests.iter().cloned()).collect();
+        all.sort();
+        all.dedup();
+        if all.len() > MOST_TESTS { Vec::new() } else { all }
+    }
+}
+
+/// Gathers tests by R, in an order that does not see theirs.
+fn designs(reductions: &[Reduction], p: usize) -> Vec<Design<'_>> {
+    let by_factor = |a: &Reduction, b: &Reduction| {
+        let different = a.factor.iter().zip(&b.factor).map(|(x, y)| x.total_cmp(y)).find(|o| o.is_ne());
+        different.unwrap_or(Ordering::Equal)
+    };
+    let mut order: Vec<&Reduction> = reductions.iter().collect();
+    order.sort_by(|a, b| by_factor(a, b).then_with(|| a.test.cmp(&b.test)));
+    let norm = |r: &Reduction, k: usize| r.factor[k * (k + 1) / 2..][..=k].iter().fold(0.0, |n: f64, x| n.hypot(*x));
+    let largest: Vec<f64> = (0..p).map(|k| order.iter().map(|r| norm(r, k)).fold(0.0, f64::max)).collect();
+    let gather = |tests: &[&'_ Reduction]| {
+        let informs: Vec<bool> = (0..p).map(|k| norm(tests[0], k) > TRACE * largest[k]).collect();
+        let observes = observed(&tests[0].factor, &informs);
+        (informs, observes)
+    };
+    let same: Vec<&[&Reduction]> = order.chunk_by(|a, b| by_factor(a, b).is_eq()).collect();
+    same.into_par_iter()
+        .map(|tests| {
+            let (informs, observes) = gather(tests);
+            Design { tests: tests.to_vec(), informs, observes }
+        })
+        .collect()
+}
+
+/// For each state whether its unit vector is in the range of J = R'R, on the states it informs.
+fn observed(factor: &[f64], informs: &[bool]) -> Vec<bool> {
+    let p = informs.len();
+    let states: Vec<usize> = (0..p).filter(|&i| informs[i]).collect();
+    let entry = |i: usize, k: usize| if i <= k { factor[i + k * (k + 1) / 2] } else { 0.0 };
+    let norm = |k: usize| (0..=k).fold(0.0, |n: f64, i| n.hypot(entry(i, k)));
+    let norms: Vec<f64> = states.iter().map(|&k| norm(k)).collect();
+    // Of J scaled to unit diagonal the least eigenvalue is at least a third of the determinant, and that at least Π R_kk²:
+    // eigenvalues need not be sought where it is plain that none is near zero.
+    let determinant: f64 = states.iter().zip(&norms).map(|(&k, norm)| (entry(k, k) / norm).powi(2)).product();
+    if determinant > 10.0 * NONE {
+        return informs.to_vec();
+    }
+    let scaled = DMatrix::from_fn(p, states.len(), |i, c| entry(i, states[c]) / norms[c]);
+    let (values, vectors) = symmetric::eigen(&(scaled.transpose() * &scaled));
+    let mut observed = vec![false; p];
+    for (c, &state) in states.iter().enumerate() {
+        let blind = values.iter().enumerate().filter(|(_, v)| **v < NONE).map(|(k, _)| vectors[(c, k)]);
+        observed[state] = blind.fold(0.0, f64::hypot) <= PART;
+    }
+    observed
+}
+
+/// Ids of the tests of designs that `of` picks, when they are few.
+fn listed(designs: &[Design<'_>], of: &dyn Fn(&Design<'_>) -> bool) -> Vec<String> {
+    let tests = designs.iter().filter(|d| of(d)).flat_map(|d| &d.tests).take(MOST_TESTS + 1);
+    let mut ids: Vec<String> = tests.map(|test| test.test.clone()).collect();
+    if ids.len() > MOST_TESTS {
+        return Vec::new();
+    }
+    ids.sort();
+    ids
+}
+
+/// A direction of the mean in η and its condition index.
+type Weak = (DVector<f64>, f64);
+
+/// In η: for each element of μ the direction I⁺e_i when its mean is free and identified; and the weak directions.
+fn known_and_weak(problem: &Problem, weight: &DMatrix<f64>) -> (Vec<Option<DVector<f64>>>, Vec<Weak>) {
+    let basis = &problem.mean.basis;
+    let (p, q) = basis.shape();
+    let information = basis.transpose() * weight * basis;
+    let scale = DVector::from_fn(q, |i, _| match information[(i, i)] {
+        own if own > 0.0 => own.sqrt().recip(),
+        _ => 0.0,
+    });
+    let scaled = DMatrix::from_fn(q, q, |i, k| scale[i] * information[(i, k)] * scale[k]);
+    let (values, vectors) = symmetric::eigen(&scaled);
+    let largest = values.last().copied().unwrap_or(0.0);
+    let seen = |k: &usize| values[*k] >= NONE;
+    let out = |v: DVector<f64>| basis * v.component_mul(&scale);
+    let weak = (0..q).filter(seen).map(|k| (k, (largest / values[k]).sqrt())).filter(|(_, index)| *index > WEAK);
+    let weak = weak.map(|(k, index)| (out(vectors.column(k).into()), index)).collect();
+    let known = |i: usize| {
+        let element: DVector<f64> = basis.row(i).transpose().component_mul(&scale);
+        let mut solution = DVector::zeros(q);
+        let mut left = element.clone();
+        for k in (0..q).filter(seen) {
+            let along = vectors.column(k).dot(&element);
+            solution.axpy(along / values[k], &vectors.column(k), 1.0);
+            left.axpy(-along, &vectors.column(k), 1.0);
+        }
+        let identified = basis.row(i).norm() > 0.0 && element.norm() > 0.0 && left.norm() <= PART * element.norm();
+        identified.then(|| out(solution))
+    };
+    ((0..p).map(known).collect(), weak)
+}
+
+/// The tests that directions of the mean rest on.
+struct Shares<'a> {
+    problem: &'a Problem,
+    place: &'a Place,
+    designs: &'a [Design<'a>],
+}
+
+impl Shares<'_> {
+    /// For each direction u the test with the largest u'W_ju, and its share of their sum.
+    fn leading(&self, directions: &[DVector<f64>]) -> Vec<Option<Leading>> {
+        let mut all = Parts::none(directions.len());
+        let chunks: Vec<Parts<'_>> =
+            self.designs.par_chunks(CHUNK).map(|designs| self.parts(designs, directions)).collect();
+        chunks.into_iter().for_each(|parts| all.add(parts));
+        let Parts { totals, best } = all;
+        let share = |(best, total): (Option<(f64, &str)>, f64)| {
+            best.map(|(own, id)| Leading { test: id.to_owned(), share: (own / total).min(1.0) })
+        };
+        best.into_iter().zip(totals).map(share).collect()
+    }
+
+    fn parts<'b>(&self, designs: &'b [Design<'_>], directions: &[DVector<f64>]) -> Parts<'b> {
+        let p = self.problem.classes.dimension();
+        let mut terms = Terms::new(p);
+        let mut parts = Parts::none(directions.len());
+        for design in designs {
+            let first = design.tests[0];
+            let class = self.problem.classes.single(first);
+            terms.evaluate(&class, &self.problem.mean.regressors, &self.place.point);
+            let W = DMatrix::from_row_slice(p, p, &terms.W);
+            for (c, u) in directions.iter().enumerate() {
+                let own = u.dot(&(&W * u));
+                parts.totals[c] += own * design.tests.len() as f64;
+                parts.offer(c, own, &first.test);
+            }
+        }
+        parts
+    }
+}
+
+/// For each direction u the sum of u'W_ju and its largest term, with the test it is of.
+struct Parts<'a> {
+    totals: Vec<f64>,
+    best: Vec<Option<(f64, &'a str)>>,
+}
+
+impl<'a> Parts<'a> {
+    fn none(directions: usize) -> Parts<'a> {
+        Parts { totals: vec![0.0; directions], best: vec![None; directions] }
+    }
+
+    fn add(&mut self, other: Parts<'a>) {
+        self.totals.iter_mut().zip(&other.totals).for_each(|(sum, part)| *sum += part);
+        for (c, best) in other.best.into_iter().enumerate() {
+            if let Some((own, test)) = best {
+                self.offer(c, own, test);
+            }
+        }
+    }
+
+    /// The larger stays; of equals the first by id.
+    fn offer(&mut self, c: usize, own: f64, test: &'a str) {
+        let better = |&(most, id): &(f64, &str)| own > most || (own >= most && test < id);
+        if own > 0.0 && self.best[c].as_ref().is_none_or(better) {
+            self.best[c] = Some((own, test));
+        }
+    }
+}
+
+/// Blocks of a Σ without fixed or equal elements that fewer tests inform than a regular estimate takes.
+fn shortages(problem: &Problem, count: &dyn Fn(&dyn Fn(&Design<'_>) -> bool) -> usize) -> Vec<Shortage> {
+    let Form::Factor(blocks) = &problem.covariance.form else { return Vec::new() };
+    if !problem.covariance.constraints.is_empty() {
+        return Vec::new();
+    }
+    let shortage = |block: &Vec<usize>| {
+        let seen = |i: &usize| count(&|d| d.informs[*i]) > 0;
+        let states: Vec<usize> = block.iter().copied().filter(seen).collect();
+        let tests = count(&|d| states.iter().any(|&i| d.informs[i]));
+        let free = states.iter().any(|&i| problem.mean.basis.row(i).norm() > 0.0);
+        Shortage { states, tests, rank: tests.saturating_sub(usize::from(free)) }
+    };
+    blocks.iter().map(shortage).filter(|s| s.tests > 0 && s.rank < s.states.len()).collect()
+}

@@ -1,0 +1,103 @@
+//! Why the data say nothing about a direction.
+
+use crate::estimate::Problem;
+use crate::infer::{Direction, Observability, Quantity};
+use crate::linalg::symmetric::pairs;
+
+/// A weight of a unit direction below this is none.
+const NEGLIGIBLE: f64 = 1e-6;
+
+/// Why a direction is not identified. States are elements of μ.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Reason {
+    /// No test informs these states.
+    Unseen {
+        /// The states.
+        states: Vec<usize>,
+    },
+    /// No test informs both states of a covariance.
+    NeverTogether {
+        /// The two states.
+        states: [usize; 2],
+    },
+    /// No test tells these states apart: it informs combinations of them only.
+    NeverApart {
+        /// The states.
+        states: Vec<usize>,
+    },
+    /// The tests see too few different combinations of these states.
+    TooFewCombinations {
+        /// The states.
+        states: Vec<usize>,
+    },
+    /// Columns of these regressions vary too little, or together, over the tests that inform their states.
+    Confounded {
+        /// Indices of [`MeanStructure::regression`](crate::model::MeanStructure::regression).
+        regressions: Vec<usize>,
+    },
+}
+
+/// A direction's reason, and the tests that it is about.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Explanation {
+    /// Why.
+    pub reason: Reason,
+    /// Ids of the tests that inform any of its states, when they are few.
+    pub tests: Vec<String>,
+}
+
+/// An explanation for each direction.
+pub(crate) fn explain(problem: &Problem, directions: &[Direction], seen: &Observability) -> Vec<Explanation> {
+    let one = |direction: &Direction| match direction.quantity {
+        Quantity::Mean => mean(problem, direction, seen),
+        Quantity::Covariance => covariance(direction, seen),
+    };
+    directions.iter().map(one).collect()
+}
+
+/// Indices of the weights that count.
+fn support(direction: &[f64]) -> Vec<usize> {
+    (0..direction.len()).filter(|&k| direction[k].abs() > NEGLIGIBLE).collect()
+}
+
+fn mean(problem: &Problem, direction: &Direction, seen: &Observability) -> Explanation {
+    let p = seen.states.len();
+    let (mut states, coefficients): (Vec<usize>, Vec<usize>) =
+        support(&direction.direction).into_iter().partition(|&k| k < p);
+    let regressions: Vec<usize> = coefficients.into_iter().map(|k| k - p).collect();
+    states.extend(regressions.iter().map(|&c| problem.mean.regressors[c]));
+    states.sort_unstable();
+    states.dedup();
+    let tests = seen.tests_of(&states);
+    let reason = match unseen(&states, seen) {
+        dark if dark.len() == states.len() => Reason::Unseen { states },
+        _ if !regressions.is_empty() => Reason::Confounded { regressions },
+        _ => Reason::NeverApart { states },
+    };
+    Explanation { reason, tests }
+}
+
+fn covariance(direction: &Direction, seen: &Observability) -> Explanation {
+    let p = seen.states.len();
+    debug_assert_eq!(direction.direction.len(), pairs(p), "one weight for each element");
+    let all: Vec<(usize, usize)> = (0..p).flat_map(|i| (0..=i).map(move |k| (i, k))).collect();
+    let elements: Vec<(usize, usize)> = support(&direction.direction).into_iter().map(|at| all[at]).collect();
+    let mut states: Vec<usize> = elements.iter().flat_map(|&(i, k)| [i, k]).collect();
+    states.sort_unstable();
+    states.dedup();
+    let tests = seen.tests_of(&states);
+    let dark = unseen(&states, seen);
+    let reason = match elements.as_slice() {
+        elements if elements.iter().all(|(i, k)| dark.contains(i) || dark.contains(k)) => {
+            Reason::Unseen { states: dark }
+        }
+        &[(i, k)] if i != k && seen.together[i][k] == 0 => Reason::NeverTogether { states: [k, i] },
+        _ if states.iter().all(|&i| seen.states[i].observed_by == 0) => Reason::NeverApart { states },
+        _ => Reason::TooFewCombinations { states },
+    };
+    Explanation { reason, tests }
+}
+
+fn unseen(states: &[usize], seen: &Observability) -> Vec<usize> {
+    states.iter().copied().filter(|&i| seen.states[i].informed_by == 0).collect()
+}

@@ -1,0 +1,114 @@
+//! A model whose initial state is known in law: μ and Σ become part of a and P0, and ξ is gone.
+
+use std::sync::Arc;
+
+use crate::ensemble::Test;
+use crate::innovations::series::{Innovation, Innovations};
+use crate::model::{Alpha, Expression, Model, Operator, Population};
+use crate::reduce::{Frame, Gains, ReduceError, ReduceErrorKind, Reducer, Workspace, innovate};
+
+/// The filter of a model from x_0 ~ N(a + Aμ_j, P0 + AΣA').
+#[derive(Debug)]
+pub(crate) struct KnownStart {
+    reducer: Reducer,
+    /// The reducer's order of states, without ξ.
+    frame: Arc<Frame>,
+    time: Option<usize>,
+}
+
+impl KnownStart {
+    pub(crate) fn new(model: &Model, alpha: &Alpha, initial: &Population) -> Result<KnownStart, ReduceError> {
+        check(model, initial)?;
+        let reducer = Reducer::new(&known(model, initial), alpha)?;
+        let frame = Arc::new(reducer.workspace().design.frame.without_unknowns());
+        Ok(KnownStart { reducer, frame, time: model.clock.time })
+    }
+
+    pub(crate) fn workspace(&self) -> Workspace {
+        let mut work = self.reducer.workspace();
+        work.design.frame = self.frame.clone();
+        work
+    }
+
+    /// The innovations of a test. `work` is of [`KnownStart::workspace`].
+    pub(crate) fn innovations(&self, test: &Test, work: &mut Workspace) -> Result<Innovations, ReduceError> {
+        let series = self.reducer.with_gains(test, work, |gains, work| self.series(test, gains, work))?;
+        let sound = |one: &Innovation| one.standardised.is_finite() && one.variance.is_finite();
+        if !series.iter().all(sound) {
+            let kind = Box::new(ReduceErrorKind::NotFinite);
+            return Err(ReduceError { test: Some(test.id.clone()), row: None, what: "innovations".to_owned(), kind });
+        }
+        Ok(Innovations::new(test.id.clone(), series))
+    }
+
+    /// Runs the data pass of the test in the work space.
+    fn series(&self, test: &Test, gains: &Gains, work: &mut Workspace) -> Vec<Innovation> {
+        let (stride, mut step) = (1 + self.frame.r, 0);
+        let Workspace { design, data, instances, pass, .. } = work;
+        let mut series = Vec::with_capacity(instances.len());
+        innovate(design, &gains.rows, data, pass, |row, e, _| {
+            while design.steps[step].rows <= row {
+                step += 1;
+            }
+            let weight = gains.rows[row * stride];
+            // a measurement that can only be one value says nothing; whether it was that value is the reduction's business
+            if weight > 0.0 {
+                let time = self.time.map(|column| test.numbers(instances[row].row)[column]);
+                let (measurement, variance) = (instances[row].meter, weight.recip());
+                let standardised = e * weight.sqrt();
+                series.push(Innovation { step, time, measurement, value: e, variance, standardised });
+            }
+        });
+        series
+    }
+}
+
+/// The shapes of `initial` are those of the model.
+fn check(model: &Model, initial: &Population) -> Result<(), ReduceError> {
+    let (p, regressors) = (model.estimated.len(), model.mean.regression.len());
+    let shaped = |what: &str, found: (usize, usize), expected: (usize, usize)| {
+        let kind = Box::new(ReduceErrorKind::Shape { found, expected });
+        if found == expected { Ok(()) } else { Err(ReduceError { test: None, row: None, what: what.to_owned(), kind }) }
+    };
+    shaped("mean of the initial state", (initial.mean.len(), 1), (p, 1))?;
+    shaped("regression coefficients", (initial.coefficients.len(), 1), (regressors, 1))?;
+    shaped("covariance of the initial state", initial.covariance.shape(), (p, p))
+}
+
+/// The model with μ_j among the offsets and Σ added to the known covariance.
+fn known(model: &Model, initial: &Population) -> Model {
+    let mut known = model.clone();
+    for (i, &state) in model.estimated.iter().enumerate() {
+        add(&mut known.states[state].offset, Expression::Number(initial.mean[i]));
+    }
+    for (regression, &coefficient) in model.mean.regression.iter().zip(&initial.coefficients) {
+        let (slope, column) = (Expression::Number(coefficient), Expression::Column(regression.column));
+        let product = Expression::Binary(Operator::Multiply, Box::new(slope), Box::new(column));
+        add(&mut known.states[model.estimated[regression.element]].offset, product);
+    }
+    let p = model.estimated.len();
+    let zero = || vec![vec![Expression::Number(0.0); p]; p];
+    let matrix = known.covariance.known.get_or_insert_with(zero);
+    for (i, row) in matrix.iter_mut().enumerate() {
+        for (j, entry) in row.iter_mut().enumerate() {
+            let own = std::mem::replace(entry, Expression::Number(0.0));
+            *entry = sum(own, Expression::Number(initial.covariance[(i, j)]));
+        }
+    }
+    known
+}
+
+fn add(offset: &mut Option<Expression>, term: Expression) {
+    *offset = Some(match offset.take() {
+        Some(own) => sum(own, term),
+        None => term,
+    });
+}
+
+/// a + b; a number where both are.
+fn sum(a: Expression, b: Expression) -> Expression {
+    match (a.as_number(), b.as_number()) {
+        (Some(a), Some(b)) => Expression::Number(a + b),
+        _ => Expression::Binary(Operator::Add, Box::new(a), Box::new(b)),
+    }
+}

@@ -1,0 +1,97 @@
+//! Are the innovations uncorrelated in time?
+
+use statrs::distribution::{ChiSquared, ContinuousCDF};
+
+use crate::innovations::Innovation;
+
+/// No more lags than this.
+const MOST_LAGS: usize = 10;
+/// One lag for each so many innovations.
+const PER_LAG: usize = 5;
+
+/// Ljung and Box's test (1978), of each measurement by itself, added up over the measurements:
+///
+/// ```text
+/// Q = Σ_measurements n (n + 2) Σ_k r_k² / (n - k)      r_k = Σ_t z_t z_{t+k} / Σ_t z_t²      k = 1 … min(10, n/5)
+/// ```
+///
+/// The mean of the z = e/√S is known to be zero and is not subtracted, so that Q has exactly the mean of its χ² however few
+/// they are, and a bias of the innovations counts as correlation. A measurement with fewer than five has no lag. The lag is
+/// counted in innovations of the measurement, whatever the time between them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Whiteness {
+    /// Q.
+    pub statistic: f64,
+    /// The longest lag of any measurement.
+    pub lags: usize,
+    /// Degrees of freedom of Q: the lags of all measurements together.
+    pub degrees_of_freedom: usize,
+    /// χ² probability of a Q as large as this.
+    pub p_value: f64,
+}
+
+impl Whiteness {
+    /// Of the innovations of a test in their order; `None` when no measurement has five, or all innovations are zero.
+    pub(crate) fn of(series: &[Innovation]) -> Option<Whiteness> {
+        let measurements = series.iter().map(|one| one.measurement + 1).max().unwrap_or(0);
+        let mut channels: Vec<Vec<f64>> = vec![Vec::new(); measurements];
+        series.iter().for_each(|one| channels[one.measurement].push(one.standardised));
+        let (mut statistic, mut lags, mut degrees_of_freedom) = (0.0, 0, 0);
+        for z in &channels {
+            if let Some(q) = ljung_box(z) {
+                statistic += q;
+                lags = lags.max(most_lags(z.len()));
+                degrees_of_freedom += most_lags(z.len());
+            }
+        }
+        let chi = ChiSquared::new(degrees_of_freedom as f64).ok().filter(|_| degrees_of_freedom > 0)?;
+        Some(Whiteness { statistic, lags, degrees_of_freedom, p_value: chi.sf(statistic) })
+    }
+}
+
+fn most_lags(n: usize) -> usize {
+    (n / PER_LAG).min(MOST_LAGS)
+}
+
+fn ljung_box(z: &[f64]) -> Option<f64> {
+    let (n, largest) = (z.len(), z.iter().fold(0.0, |most: f64, x| most.max(x.abs())));
+    if most_lags(n) == 0 || largest == 0.0 {
+        return None;
+    }
+    // in parts of the largest, so that no square overflows or vanishes
+    let square: f64 = z.iter().map(|x| (x / largest).powi(2)).sum();
+    let lag = |k: usize| {
+        let product: f64 = z.iter().zip(&z[k..]).map(|(a, b)| (a / largest) * (b / largest)).sum();
+        (product / square).powi(2) / (n - k) as f64
+    };
+    Some((n * (n + 2)) as f64 * (1..=most_lags(n)).map(lag).sum::<f64>())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(z: &[f64]) -> Option<Whiteness> {
+        let one =
+            |&x: &f64| Innovation { step: 0, time: None, measurement: 0, value: x, variance: 1.0, standardised: x };
+        Whiteness::of(&z.iter().map(one).collect::<Vec<_>>())
+    }
+
+    #[test]
+    fn the_statistic_is_ljung_and_boxs() {
+        // n = 6, one lag: r = (1·2 + 2·-1 + -1·3 + 3·0 + 0·1)/(1 + 4 + 1 + 9 + 0 + 1) = -3/16; Q = 48 r²/5
+        let found = of(&[1.0, 2.0, -1.0, 3.0, 0.0, 1.0]).expect("long enough");
+        let expected = 48.0 * (3.0f64 / 16.0).powi(2) / 5.0;
+        assert!((found.statistic - expected).abs() < 1e-14, "{} {expected}", found.statistic);
+        assert_eq!((found.lags, found.degrees_of_freedom), (1, 1));
+    }
+
+    #[test]
+    fn short_and_silent_series_have_none_and_huge_ones_do_not_overflow() {
+        assert_eq!(of(&[1.0, -1.0, 1.0, 2.0]), None);
+        assert_eq!(of(&[0.0; 50]), None);
+        let huge: Vec<f64> = (0..50).map(|k| if k % 3 == 0 { 1e200 } else { -3e199 }).collect();
+        let found = of(&huge).expect("long enough");
+        assert!(found.statistic.is_finite() && (0.0..=1.0).contains(&found.p_value), "{found:?}");
+    }
+}
