@@ -56,6 +56,7 @@ mod describe;
 mod elements;
 mod error;
 mod expression;
+mod give;
 mod matrix;
 mod mean;
 mod measurements;

@@ -113,8 +113,7 @@ fn structures_are_planned_in_their_free_coordinates() {
     // diagonal: two variances
     let diagonal = CovarianceStructure { kind: CovarianceKind::Diagonal, ..CovarianceStructure::full() };
     let plan = planned(&designs(&roots()), &MeanStructure::free(2), &diagonal, &truth, &[3]).expect("sound");
-    let information =
-        DMatrix::from_fn(2, 2, |i, j| 0.5 * weights.iter().map(|w| w[(i, j)] * w[(j, i)]).sum::<f64>());
+    let information = DMatrix::from_fn(2, 2, |i, j| 0.5 * weights.iter().map(|w| w[(i, j)] * w[(j, i)]).sum::<f64>());
     let covariance = information.try_inverse().expect("regular");
     for i in 0..2 {
         let found = of(&plan, Quantity::Covariance(i, i)).expect("identified");
@@ -126,8 +125,10 @@ fn structures_are_planned_in_their_free_coordinates() {
     let entries = |x: &DMatrix<f64>| -> Vec<Vec<Expression>> {
         (0..2).map(|i| (0..2).map(|j| Expression::Number(x[(i, j)])).collect()).collect()
     };
-    let scaled =
-        CovarianceStructure { kind: CovarianceKind::Proportional(entries(&(&sigma * 4.0))), ..CovarianceStructure::full() };
+    let scaled = CovarianceStructure {
+        kind: CovarianceKind::Proportional(entries(&(&sigma * 4.0))),
+        ..CovarianceStructure::full()
+    };
     let plan = planned(&designs(&roots()), &MeanStructure::free(2), &scaled, &truth, &[3]).expect("sound");
     let information = 0.5 * weights.iter().map(|w| (w * &sigma * w * &sigma).trace()).sum::<f64>();
     let found = of(&plan, Quantity::Covariance(1, 1)).expect("identified");

@@ -4,7 +4,8 @@ mod dense;
 
 use dense::dense;
 use kalfit::model::{
-    Clock, Column, CovarianceStructure, Initial, Linear, MeanStructure, Measurement, Motion, Operator, Regression, State,
+    Clock, Column, CovarianceStructure, Initial, Linear, MeanStructure, Measurement, Motion, Operator, Regression,
+    State,
 };
 use kalfit::reduce::{Plain, Reducer, StepMatrices};
 use kalfit::simulate::{Designs, Drawn, SimulateError, Simulator};
@@ -119,7 +120,11 @@ impl Numbers {
         let states = vec![
             bias,
             state("gain", Motion::Constant, Initial::Estimated),
-            state("drift", Motion::Continuous { derivative: drift, noise_variance: number(white) }, Initial::Stationary),
+            state(
+                "drift",
+                Motion::Continuous { derivative: drift, noise_variance: number(white) },
+                Initial::Stationary,
+            ),
             state("angle", Motion::Continuous { derivative: angle, noise_variance: number(self.walk) }, known),
             state(
                 "memory",
@@ -241,8 +246,7 @@ fn drawn_measurements_have_the_law_of_the_joint_gaussian() {
         let covariance = &root * root.transpose();
         let mut at = mean.clone();
         at[1] += numbers.coefficient * 1.5;
-        let population =
-            Population { mean, coefficients: vec![numbers.coefficient], covariance: covariance.clone() };
+        let population = Population { mean, coefficients: vec![numbers.coefficient], covariance: covariance.clone() };
         let drawn = draw(&simulator(&numbers.model(), population, 100 + seed), test("a", &ROWS), 4000);
         let law = dense(&numbers.plain());
         let z: Vec<DVector<f64>> = drawn.iter().map(|drawn| values(&drawn.test)).collect();
@@ -252,8 +256,7 @@ fn drawn_measurements_have_the_law_of_the_joint_gaussian() {
         let xi: Vec<DVector<f64>> = drawn.iter().map(|d| DVector::from_row_slice(&d.initial)).collect();
         assert_law(&format!("seed {seed}, xi"), &xi, &mu, &covariance);
         // what is left of z once its own ξ is known is the noise, independent of it
-        let left: Vec<DVector<f64>> =
-            z.iter().zip(&xi).map(|(z, xi)| z - &law.mean - &law.sensitivity * xi).collect();
+        let left: Vec<DVector<f64>> = z.iter().zip(&xi).map(|(z, xi)| z - &law.mean - &law.sensitivity * xi).collect();
         assert_law(&format!("seed {seed}, noise"), &left, &DVector::zeros(law.mean.len()), &law.covariance);
     }
 }
@@ -272,10 +275,7 @@ fn the_model_that_is_drawn_is_the_one_that_is_reduced() {
         let left = values(&drawn.test) - &law.mean - &law.sensitivity * &xi;
         let expected = dense::log_density(&left, &law.covariance);
         let r = &reduction.factor;
-        let residual = [
-            reduction.data[0] - r[0] * xi[0] - r[1] * xi[1],
-            reduction.data[1] - r[2] * xi[1],
-        ];
+        let residual = [reduction.data[0] - r[0] * xi[0] - r[1] * xi[1], reduction.data[1] - r[2] * xi[1]];
         let found = reduction.constant - 0.5 * residual.iter().map(|x| x * x).sum::<f64>();
         assert!((found - expected).abs() < 1e-10 * (1.0 + expected.abs()), "{found} against {expected}");
     }
@@ -292,7 +292,10 @@ fn draws_do_not_depend_on_threads_or_batches() {
         pool.install(|| simulator.draw(&designs, 0..50)).expect("sound")
     };
     let bits = |drawn: &[Drawn]| -> Vec<u64> {
-        drawn.iter().flat_map(|d| values(&d.test).iter().chain(&d.initial).map(|x| x.to_bits()).collect::<Vec<_>>()).collect()
+        drawn
+            .iter()
+            .flat_map(|d| values(&d.test).iter().chain(&d.initial).map(|x| x.to_bits()).collect::<Vec<_>>())
+            .collect()
     };
     let (one, two) = (run(1), run(2));
     assert_eq!(bits(&one), bits(&two), "one thread and two");

@@ -2,6 +2,9 @@
 
 mod broken;
 mod folder;
+mod plan;
 mod scales;
+mod simulate;
 mod sound;
 mod starts;
+mod undrawable;
