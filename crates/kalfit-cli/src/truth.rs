@@ -104,11 +104,17 @@ pub(crate) fn load(spec: &mut Spec, from: &Path, set: &[String]) -> Result<Truth
         let known = of_record(spec, &record, &path)?;
         (population, known)
     };
-    let taken = give(spec, &known, &path, &mut warnings)?;
+    let mut taken = give(spec, &known, &path, &mut warnings)?;
     model::set(spec, set)?;
+    taken.retain(|name| !set.iter().any(|assignment| assigned(assignment) == name));
     let alpha = Alpha::fixed(&spec.model.parameters)
         .map_err(|ParameterError::Free { names }| Failure::from(TruthError::NoParameter { names }))?;
     Ok(Truth { population, alpha, taken, warnings })
+}
+
+/// Name of the parameter of an assignment such as `tau=90` or `sigma[A]=0.7`.
+fn assigned(assignment: &str) -> &str {
+    assignment.split(['=', '[']).next().unwrap_or_default().trim()
 }
 
 /// True for a model file: by its extension, else by its first character.
@@ -167,8 +173,7 @@ fn of_model(spec: &Spec, from: &Path, set: &[String]) -> Result<(Population, Vec
         }
     }
     let is_there = |name: &str| truth.model.parameters.iter().any(|p| p.name == name);
-    let own: Vec<String> =
-        set.iter().filter(|s| is_there(s.split(['=', '[']).next().unwrap_or_default().trim())).cloned().collect();
+    let own: Vec<String> = set.iter().filter(|assignment| is_there(assigned(assignment))).cloned().collect();
     model::set(&mut truth, &own)?;
     let alpha = Alpha::fixed(&truth.model.parameters)
         .map_err(|ParameterError::Free { names }| Failure::from(TruthError::NoParameter { names }))?;

@@ -1,6 +1,6 @@
 //! What `simulate` and `plan` refuse: exit status 2, a message, nothing written.
 
-use crate::folder::{DATA, Folder, MODEL};
+use crate::folder::{Folder, MODEL};
 use insta::assert_snapshot;
 
 /// Values for the sound model.
