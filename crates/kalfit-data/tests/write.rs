@@ -45,8 +45,11 @@ fn back(
     (sink.tests, reading.labels)
 }
 
+/// A row: the id of its test, its numbers as bits, its texts.
+type Spelt = (String, Vec<Option<u64>>, Vec<Option<String>>);
+
 /// Everything in tests, texts spelt out and numbers as bits.
-fn spelt(tests: &[Test], labels: &Labels) -> Vec<(String, Vec<Option<u64>>, Vec<Option<String>>)> {
+fn spelt(tests: &[Test], labels: &Labels) -> Vec<Spelt> {
     let mut rows = Vec::new();
     for test in tests {
         for row in 0..test.rows() {

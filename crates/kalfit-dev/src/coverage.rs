@@ -1,4 +1,4 @@
-//! Coverage of 95 % Wald intervals: 2000 simulated ensembles of each set-up, drawn, reduced, fitted and inferred as a user's
+//! Coverage of 95 % Wald intervals: simulated ensembles of some set-ups, drawn, reduced, fitted and inferred as a user's
 //! data are.
 //!
 //! Intervals of means and regression coefficients are taken on their own scale, those of standard deviations on that of their
@@ -14,7 +14,6 @@ use kalfit_spec::Spec;
 use nalgebra::DMatrix;
 use rayon::prelude::*;
 
-const ENSEMBLES: u64 = 2000;
 const SEED: u64 = 1980;
 /// Coverage of an interval that is what it says, within sampling error and terms of order 1/N.
 const SOUND: std::ops::RangeInclusive<f64> = 0.935..=0.965;
@@ -34,12 +33,11 @@ struct Setup {
     std_dev: &'static [f64],
     /// Correlation of each two states.
     correlation: f64,
+    /// There are so many tests that the coverage must be sound; else it is only shown.
+    large: bool,
 }
 
-const SETUPS: [Setup; 3] = [
-    Setup {
-        title: "Random coefficients: 100 tests of 6 to 10 rows",
-        model: r#"
+const RANDOM_COEFFICIENTS: &str = r#"
 [states]
 level = {}
 slope = {}
@@ -47,7 +45,26 @@ slope = {}
 column = "y"
 equation = "level + slope * x"
 noise = 20
-"#,
+"#;
+
+const SETUPS: [Setup; 4] = [
+    Setup {
+        title: "Random coefficients: 18 tests of 10 rows (too few for normal intervals of spreads; shown, not required)",
+        model: RANDOM_COEFFICIENTS,
+        cell: |_, row, column| match column {
+            "x" => (row < 10).then_some(row as f64),
+            _ => Some(0.0),
+        },
+        tests: 18,
+        mean: &[250.0, 10.0],
+        coefficients: &[],
+        std_dev: &[24.0, 6.0],
+        correlation: 0.3,
+        large: false,
+    },
+    Setup {
+        title: "Random coefficients: 100 tests of 6 to 10 rows",
+        model: RANDOM_COEFFICIENTS,
         cell: |test, row, column| match column {
             "x" => (row < 6 + test % 5).then_some(row as f64),
             _ => Some(0.0),
@@ -57,6 +74,7 @@ noise = 20
         coefficients: &[],
         std_dev: &[24.0, 6.0],
         correlation: 0.3,
+        large: true,
     },
     Setup {
         title: "Gyros: 120 tests of unequal runs, a stationary drift, a lot effect, some that never turn",
@@ -85,6 +103,7 @@ bias = ["lot"]
         coefficients: &[0.3],
         std_dev: &[0.8, 25.0],
         correlation: -0.4,
+        large: true,
     },
     Setup {
         title: "Meta-analysis: 150 studies of two outcomes with errors of their own, some of one outcome only",
@@ -115,6 +134,7 @@ variance = "vb"
         coefficients: &[],
         std_dev: &[0.25, 0.35],
         correlation: 0.6,
+        large: true,
     },
 ];
 
@@ -127,8 +147,8 @@ struct Tally {
 }
 
 /// Runs all set-ups and prints the table; fails when some coverage is not sound.
-pub(crate) fn run() -> ExitCode {
-    println!("Coverage of 95 % Wald intervals, {ENSEMBLES} ensembles each, seed {SEED}.\n");
+pub(crate) fn run(ensembles: u64) -> ExitCode {
+    println!("Coverage of 95 % Wald intervals, {ensembles} ensembles each, seed {SEED}.\n");
     let mut sound = true;
     for setup in &SETUPS {
         let model = match Spec::parse("set-up", setup.model) {
@@ -139,10 +159,10 @@ pub(crate) fn run() -> ExitCode {
             }
         };
         println!("{}\n\n| quantity | truth | coverage | no interval |\n|---|---|---|---|", setup.title);
-        let (names, tallies) = (names(&model), tally(setup, &model));
+        let (names, tallies) = (names(&model), tally(setup, &model, ensembles));
         for ((name, truth), tally) in names.iter().zip(truths(setup)).zip(&tallies) {
-            let coverage = tally.held as f64 / (ENSEMBLES - tally.without).max(1) as f64;
-            sound &= SOUND.contains(&coverage) && tally.without == 0;
+            let coverage = tally.held as f64 / (ensembles - tally.without).max(1) as f64;
+            sound &= !setup.large || (SOUND.contains(&coverage) && tally.without == 0);
             println!("| {name} | {truth} | {:.2} % | {} |", 100.0 * coverage, tally.without);
         }
         println!();
@@ -189,11 +209,11 @@ fn design(setup: &Setup, model: &Model) -> Vec<Test> {
     (0..setup.tests).map(one).collect()
 }
 
-fn tally(setup: &Setup, model: &Model) -> Vec<Tally> {
+fn tally(setup: &Setup, model: &Model, ensembles: u64) -> Vec<Tally> {
     let alpha = Alpha::fixed(&model.parameters).expect("a set-up has no free parameters");
     let designs = Designs::new(design(setup, model)).expect("tests of a set-up have ids of their own");
     let truths = truths(setup);
-    let each: Vec<Vec<Option<bool>>> = (0..ENSEMBLES)
+    let each: Vec<Vec<Option<bool>>> = (0..ensembles)
         .into_par_iter()
         .map_init(
             || Reducer::new(model, &alpha).expect("a set-up is sound"),

@@ -51,7 +51,41 @@ fn record() -> PlanRecord {
 
 #[test]
 fn a_plan_says_what_is_expected_and_why_something_is_not() {
-    assert_snapshot!(plan_summary(&record(), &Style::default()), @"SNAP");
+    assert_snapshot!(plan_summary(&record(), &Style::default()), @"
+    Gyros
+
+    Design: 4 tests, 40 steps, 39 observations from bench.csv; every test has a
+    design of its own.
+    Population: fit.json.
+
+    Expected standard errors of the means
+      state  unit   value          1 test  20 tests  500 tests
+      bias   deg/h  0.500            0.40     0.090      0.018
+      scale  deg/h    300           fixed         -          -
+      rate   deg/h   1e-6  not identified         -          -
+
+    Expected standard errors of the regression coefficients
+      state  per unit of  value  1 test  20 tests  500 tests
+      bias   lot [31m         2       0  2.2e-308    1.0e300
+
+    Expected standard errors of the standard deviations
+      state  unit   value    1 test  20 tests  500 tests
+      scale  deg/h      0  boundary         -          -
+
+    Expected standard errors of the correlations
+      state        value    1 test  20 tests  500 tests
+      bias, scale      -  boundary         -          -
+
+    How to read this
+      From the expected information at these values; N tests count as N/4 times the
+        design. Estimates from few tests spread more, and those of standard
+        deviations are skewed.
+      Boundary: the covariance is singular there, and a standard error does not
+        describe its estimates.
+      Not identified: no number of tests like these tells anything about it.
+      tau and sigma are free in the model and are taken as known here, at their
+        values in fit.json; estimating them too makes standard errors larger.
+    ");
 }
 
 #[test]
