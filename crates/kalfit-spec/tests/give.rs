@@ -9,8 +9,8 @@ const MODEL: &str = r#"
 level = {}
 [measurements.y]
 column = "y"
-equation = "level"
-noise = "s + 0 * q"
+equation = "level + q"
+noise = "s"
 [parameters]
 s = { per = "lot", upper = 9, fixed = { B = 5 } }
 q = {}
