@@ -44,10 +44,14 @@ pub(crate) fn complain(text: &str) {
     let _ = std::io::stderr().lock().write_all(text.as_bytes());
 }
 
-/// Writes warnings to standard error, each on a line of its own.
+/// Writes warnings to standard error, each on a line of its own; of very many the first.
 pub(crate) fn warn(warnings: &[String]) {
-    for warning in warnings {
+    const MOST: usize = 20;
+    for warning in warnings.iter().take(MOST) {
         let line: String = warning.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
         complain(&format!("warning: {line}\n"));
+    }
+    if warnings.len() > MOST {
+        complain(&format!("warning: and {} more of this kind\n", warnings.len() - MOST));
     }
 }

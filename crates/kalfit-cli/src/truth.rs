@@ -1,9 +1,10 @@
 //! `--from`: the population and the parameters that are taken as true, from a fit or from a model file.
 
+use std::collections::{BTreeSet, HashMap};
 use std::io::Read;
 use std::path::Path;
 
-use kalfit::model::{Level, Parameter, ParameterError, PopulationError, Value};
+use kalfit::model::{Level, ParameterError, PopulationError, Value};
 use kalfit::record::{FIT_SCHEMA, RecordError};
 use kalfit::{Alpha, FitRecord, Population};
 use kalfit_spec::{Spec, SpecError};
@@ -103,11 +104,17 @@ pub(crate) fn load(spec: &mut Spec, from: &Path, set: &[String]) -> Result<Truth
         let known = of_record(spec, &record, &path)?;
         (population, known)
     };
-    let taken = give(spec, &known, &path, &mut warnings)?;
+    let mut taken = give(spec, &known, &path, &mut warnings)?;
     model::set(spec, set)?;
+    taken.retain(|name| !set.iter().any(|assignment| assigned(assignment) == name));
     let alpha = Alpha::fixed(&spec.model.parameters)
         .map_err(|ParameterError::Free { names }| Failure::from(TruthError::NoParameter { names }))?;
     Ok(Truth { population, alpha, taken, warnings })
+}
+
+/// Name of the parameter of an assignment such as `tau=90` or `sigma[A]=0.7`.
+fn assigned(assignment: &str) -> &str {
+    assignment.split(['=', '[']).next().unwrap_or_default().trim()
 }
 
 /// True for a model file: by its extension, else by its first character.
@@ -160,12 +167,13 @@ fn of_model(spec: &Spec, from: &Path, set: &[String]) -> Result<(Population, Vec
     let mut truth = model::read(from)?;
     for parameter in truth.model.parameters.clone() {
         if let Value::Free { start: Some(start) } = parameter.value {
-            take(&mut truth, &parameter, None, start)?;
+            truth
+                .give(&parameter.name, &[(None, start)])
+                .map_err(|error| Failure::from(TruthError::Value { path: path.clone(), error: Box::new(error) }))?;
         }
     }
     let is_there = |name: &str| truth.model.parameters.iter().any(|p| p.name == name);
-    let own: Vec<String> =
-        set.iter().filter(|s| is_there(s.split(['=', '[']).next().unwrap_or_default().trim())).cloned().collect();
+    let own: Vec<String> = set.iter().filter(|assignment| is_there(assigned(assignment))).cloned().collect();
     model::set(&mut truth, &own)?;
     let alpha = Alpha::fixed(&truth.model.parameters)
         .map_err(|ParameterError::Free { names }| Failure::from(TruthError::NoParameter { names }))?;
@@ -181,22 +189,6 @@ fn of_model(spec: &Spec, from: &Path, set: &[String]) -> Result<(Population, Vec
     population.covariance = population.covariance.select_rows(&place).select_columns(&place);
     population.check(&spec.model).map_err(refused)?;
     Ok((population, levels(&truth, &alpha)))
-}
-
-/// Gives a free parameter a value at one level, or at all levels that have none of their own.
-fn take(spec: &mut Spec, parameter: &Parameter, level: Option<&str>, value: f64) -> Result<(), Failure> {
-    let own = parameter.fixed_levels.clone();
-    let assignment = match level {
-        None => format!("{}={value}", parameter.name),
-        Some(level) => format!("{}[{level}]={value}", parameter.name),
-    };
-    spec.set(&assignment)
-        .map_err(|error| Failure::from(TruthError::Value { path: spec.name.clone(), error: Box::new(error) }))?;
-    // what the model fixes at some levels stays
-    if let Some(changed) = spec.model.parameters.iter_mut().find(|p| p.name == parameter.name) {
-        changed.fixed_levels.extend(own);
-    }
-    Ok(())
 }
 
 /// All values of a model's parameters.
@@ -220,46 +212,54 @@ fn levels(spec: &Spec, alpha: &Alpha) -> Vec<Known> {
 
 /// The parameters of a fit, all of which the model must have.
 fn of_record(spec: &Spec, record: &FitRecord, path: &str) -> Result<Vec<Known>, TruthError> {
+    let names: BTreeSet<&str> = spec.model.parameters.iter().map(|own| own.name.as_str()).collect();
     let known = |p: &kalfit::record::ParameterRecord| {
-        if spec.model.parameters.iter().all(|own| own.name != p.name) {
+        if !names.contains(p.name.as_str()) {
             return Err(TruthError::UnknownParameter { path: path.to_owned(), name: p.name.clone() });
         }
         Ok(Known { name: p.name.clone(), per: p.per.clone(), level: p.level.clone(), value: p.estimate })
     };
-    let mut all = record.parameters.iter().map(known).collect::<Result<Vec<_>, _>>()?;
-    all.sort_by_key(|known| known.level.is_some()); // what is common to all levels first
-    Ok(all)
+    record.parameters.iter().map(known).collect()
 }
 
 /// Gives the model's free parameters the values that are known; the names of those that got one.
 fn give(spec: &mut Spec, known: &[Known], path: &str, warnings: &mut Vec<String>) -> Result<Vec<String>, Failure> {
-    let parameters = spec.model.parameters.clone();
-    let mut taken: Vec<String> = Vec::new();
-    for Known { name, per, level, value } in known {
-        let Some(parameter) = parameters.iter().find(|p| p.name == *name) else { continue };
-        let literal = level.as_ref().and_then(|level| spec.model.literals.iter().position(|text| text == level));
-        let at_level = literal.and_then(|literal| parameter.fixed_levels.get(&literal).copied());
-        let own = match parameter.value {
-            Value::Fixed(own) => Some(at_level.unwrap_or(own)),
-            Value::Free { .. } => at_level,
-        };
-        if let Some(own) = own {
-            if own != *value {
-                let at = level.as_ref().map_or(String::new(), |level| format!("[{level}]"));
-                warnings
-                    .push(format!("`{name}{at}` is {own} in `{}` and {value} in `{path}`: {own} is used", spec.name));
+    let literals: HashMap<String, usize> =
+        spec.model.literals.iter().enumerate().map(|(literal, text)| (text.clone(), literal)).collect();
+    let mut taken = Vec::new();
+    for parameter in spec.model.parameters.clone() {
+        let mut values = Vec::new();
+        for Known { per, level, value, .. } in known.iter().filter(|known| known.name == parameter.name) {
+            let literal = level.as_ref().and_then(|level| literals.get(level));
+            let at_level = literal.and_then(|literal| parameter.fixed_levels.get(literal).copied());
+            let own = match parameter.value {
+                Value::Fixed(own) => Some(at_level.unwrap_or(own)),
+                Value::Free { .. } => at_level,
+            };
+            if let Some(own) = own {
+                if own != *value {
+                    warnings.push(difference(spec, &parameter.name, level.as_deref(), (own, *value), path));
+                }
+                continue;
             }
+            let expected = parameter.per.map(|column| spec.model.text_columns[column].name.clone());
+            if *per != expected {
+                let (path, name, found) = (path.to_owned(), parameter.name.clone(), per.clone());
+                return Err(TruthError::Per { path, name, found, expected }.into());
+            }
+            values.push((level.as_deref(), *value));
+        }
+        if values.is_empty() {
             continue;
         }
-        let expected = parameter.per.map(|column| spec.model.text_columns[column].name.clone());
-        if *per != expected {
-            let (path, name, found) = (path.to_owned(), name.clone(), per.clone());
-            return Err(TruthError::Per { path, name, found, expected }.into());
-        }
-        take(spec, parameter, level.as_deref(), *value)?;
-        if !taken.contains(name) {
-            taken.push(name.clone());
-        }
+        spec.give(&parameter.name, &values)
+            .map_err(|error| Failure::from(TruthError::Value { path: path.to_owned(), error: Box::new(error) }))?;
+        taken.push(parameter.name.clone());
     }
     Ok(taken)
+}
+
+fn difference(spec: &Spec, name: &str, level: Option<&str>, (own, other): (f64, f64), path: &str) -> String {
+    let at = level.map_or(String::new(), |level| format!("[{level}]"));
+    format!("`{name}{at}` is {own} in `{}` and {other} in `{path}`: {own} is used", spec.name)
 }

@@ -2,6 +2,7 @@
 #![expect(clippy::print_stdout, clippy::print_stderr, reason = "a developer's tool talks on the terminal")]
 
 mod bench;
+mod coverage;
 mod peak;
 mod test;
 
@@ -25,6 +26,12 @@ enum Task {
         #[arg(long)]
         only: Option<String>,
     },
+    /// Coverage of confidence intervals in simulated ensembles: the table of `docs/coverage.md`. Best built with `--release`.
+    Coverage {
+        /// Ensembles of each set-up.
+        #[arg(long, default_value_t = 20_000, value_parser = clap::value_parser!(u64).range(1..))]
+        ensembles: u64,
+    },
     /// Times the reduction and the solver's passes against the machine's measured peak.
     Bench {
         /// Run in this process; without it the benchmark is first built for this machine's own instructions.
@@ -36,6 +43,7 @@ enum Task {
 fn main() -> ExitCode {
     match Arguments::parse().task {
         Task::Test { only } => test::run(only.as_deref()),
+        Task::Coverage { ensembles } => coverage::run(ensembles),
         Task::Bench { here: true } => bench::run(),
         Task::Bench { here: false } => bench::build_and_run(),
     }

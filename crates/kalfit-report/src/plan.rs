@@ -78,6 +78,9 @@ fn reason(quantity: &PlannedRecord) -> &'static str {
 }
 
 fn notes(record: &PlanRecord) -> Vec<String> {
+    if record.quantities.is_empty() {
+        return vec!["No state has an estimated start, so there is nothing to plan for.".to_owned()];
+    }
     let mut notes = vec![format!(
         "From the expected information at these values; N tests count as N/{} times the design. Estimates from few tests spread more, and those of standard deviations are skewed.",
         record.design.tests
@@ -93,9 +96,9 @@ fn notes(record: &PlanRecord) -> Vec<String> {
     }
     let names: Vec<String> = record.parameters_taken_as_known.iter().map(|name| clean(name)).collect();
     if !names.is_empty() {
-        let (are, their) = if names.len() == 1 { ("is", "its") } else { ("are", "their") };
+        let (are, values) = if names.len() == 1 { ("is", "its value") } else { ("are", "their values") };
         notes.push(format!(
-            "{} {are} free in the model and {are} taken as known here, at {their} value in {}; estimating {} too makes standard errors larger.",
+            "{} {are} free in the model and {are} taken as known here, at {values} in {}; estimating {} too makes standard errors larger.",
             list(&names, MOST_NAMES),
             clean(&record.from),
             if names.len() == 1 { "it" } else { "them" }

@@ -56,6 +56,7 @@ mod describe;
 mod elements;
 mod error;
 mod expression;
+mod give;
 mod hypothesis;
 mod matrix;
 mod mean;

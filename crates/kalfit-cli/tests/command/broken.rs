@@ -234,8 +234,8 @@ fn free_parameters_are_refused_by_name() {
 #[test]
 fn wrong_arguments() {
     assert_snapshot!(refused("", &[]).lines().next().unwrap_or_default(), @"Error models from ensembles of non-identical tests, by maximum likelihood");
-    assert_snapshot!(refused("simulate m.toml", &[]), @"
-    error: unrecognized subcommand 'simulate'
+    assert_snapshot!(refused("frobnicate m.toml", &[]), @"
+    error: unrecognized subcommand 'frobnicate'
 
     Usage: kalfit <COMMAND>
 

@@ -3,6 +3,9 @@
 mod broken;
 mod folder;
 mod innovations;
+mod plan;
 mod scales;
+mod simulate;
 mod sound;
 mod starts;
+mod undrawable;

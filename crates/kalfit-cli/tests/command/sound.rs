@@ -54,10 +54,12 @@ fn version_and_help() {
     Usage: kalfit <COMMAND>
 
     Commands:
-      fit    Fit a model to data: a summary to standard output, all results to a file
-      check  Read a model, and data if given, and fit nothing: the model in words, counts, what the data
-             identify
-      help   Print this message or the help of the given subcommand(s)
+      fit       Fit a model to data: a summary to standard output, all results to a file
+      check     Read a model, and data if given, and fit nothing: the model in words, counts, what the
+                data identify
+      simulate  Draw an ensemble of tests from a fit, or from the values of a model
+      plan      Expected standard errors against the number of tests, before any is run
+      help      Print this message or the help of the given subcommand(s)
 
     Options:
       -h, --help     Print help

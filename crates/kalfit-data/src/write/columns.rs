@@ -54,8 +54,8 @@ pub(super) fn id_column(model: &Model, layout: &Layout, many: bool) -> Option<St
         TestKey::Single if !many => None,
         TestKey::Single | TestKey::File => {
             let taken = |name: &str| model.columns.iter().chain(&model.text_columns).any(|column| column.name == name);
-            let names = std::iter::once("test".to_owned()).chain((2_u32..).map(|k| format!("test_{k}")));
-            names.into_iter().find(|name| !taken(name))
+            let mut names = std::iter::once("test".to_owned()).chain((2_u32..).map(|k| format!("test_{k}")));
+            names.find(|name| !taken(name))
         }
     }
 }

@@ -48,8 +48,8 @@ impl<W: Write> StateWriter<W> {
     /// # Errors
     /// A sink that cannot be written to.
     pub fn new(mut sink: W, states: &[String]) -> Result<StateWriter<W>, WriteError> {
-        let names = std::iter::once("test".to_owned()).chain((2_u32..).map(|k| format!("test_{k}")));
-        let id = names.into_iter().find(|name| !states.contains(name)).expect("one of so many names is free");
+        let mut names = std::iter::once("test".to_owned()).chain((2_u32..).map(|k| format!("test_{k}")));
+        let id = names.find(|name| !states.contains(name)).expect("one of so many names is free");
         header(&mut sink, b',', std::iter::once(id.as_str()).chain(states.iter().map(String::as_str)))?;
         Ok(StateWriter { writer: csv::Writer::from_writer(sink) })
     }

@@ -71,7 +71,7 @@ pub fn added_id_column(model: &Model, layout: &Layout, ids: Ids) -> Option<Strin
 }
 
 enum Table<W: Write + Send> {
-    Csv(CsvTests<W>),
+    Csv(Box<CsvTests<W>>),
     Batches(BatchTests<W>),
 }
 
@@ -86,8 +86,8 @@ impl<W: Write + Send> TestWriter<W> {
         }
         let columns = columns(model, layout, ids == Ids::New);
         let table = match format {
-            Format::Csv => Table::Csv(CsvTests::new(sink, b',', &columns)?),
-            Format::Tsv => Table::Csv(CsvTests::new(sink, b'\t', &columns)?),
+            Format::Csv => Table::Csv(Box::new(CsvTests::new(sink, b',', &columns)?)),
+            Format::Tsv => Table::Csv(Box::new(CsvTests::new(sink, b'\t', &columns)?)),
             Format::Parquet => Table::Batches(BatchTests::parquet(sink, &columns)?),
             Format::Arrow => Table::Batches(BatchTests::arrow(sink, &columns)?),
         };

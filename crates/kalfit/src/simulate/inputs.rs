@@ -15,10 +15,10 @@ pub(super) fn refuse_measured_inputs(model: &Model) -> Result<(), SimulateError>
             clash.is_some()
         });
     }
-    let others = model.clock.time.into_iter().chain(model.mean.regression.iter().map(|r| r.column));
-    clash = clash.or_else(|| others.into_iter().find(|&column| is_measured(column)));
-    let texts = model.text_columns.iter().map(|column| &column.name);
-    let text = texts.into_iter().find(|name| model.measurements.iter().any(|m| model.columns[m.column].name == **name));
+    let mut others = model.clock.time.into_iter().chain(model.mean.regression.iter().map(|r| r.column));
+    clash = clash.or_else(|| others.find(|&column| is_measured(column)));
+    let mut texts = model.text_columns.iter().map(|column| &column.name);
+    let text = texts.find(|name| model.measurements.iter().any(|m| model.columns[m.column].name == **name));
     match clash.map(|column| &model.columns[column].name).or(text) {
         Some(column) => Err(SimulateError::MeasuredInput { column: column.clone() }),
         None => Ok(()),

@@ -158,8 +158,8 @@ impl Simulator {
         let instances = &path.work.instances;
         for (k, instance) in instances.iter().enumerate() {
             let column = model.measurements[instance.meter].column;
-            let same_row = instances[..k].iter().rev().take_while(|other| other.row == instance.row);
-            if let Some(other) = same_row.into_iter().find(|other| model.measurements[other.meter].column == column) {
+            let mut same_row = instances[..k].iter().rev().take_while(|other| other.row == instance.row);
+            if let Some(other) = same_row.find(|other| model.measurements[other.meter].column == column) {
                 return Err(SimulateError::SharedCell {
                     test: test.id.clone(),
                     row: test.source(instance.row),

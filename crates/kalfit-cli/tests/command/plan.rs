@@ -1,0 +1,137 @@
+//! `kalfit plan`.
+
+use crate::folder::{Folder, shown};
+use insta::assert_snapshot;
+use kalfit::plan::PlanRecord;
+
+fn example() -> Folder {
+    let folder = Folder::new(&[]);
+    folder.copy("../../examples/gyro-bench/bench.toml");
+    folder.copy("../../examples/gyro-bench/bench.csv");
+    folder.copy("tests/data/gyro.toml");
+    folder.copy("tests/data/gyro.csv");
+    assert_eq!(folder.run("fit bench.toml bench.csv --out fit.json --quiet").status.code(), Some(0));
+    assert_eq!(folder.run("fit gyro.toml gyro.csv --set tau=200 --out gyro.json --quiet").status.code(), Some(0));
+    folder
+}
+
+fn record(folder: &Folder) -> PlanRecord {
+    let text = std::fs::read_to_string(folder.path("plan.json")).expect("a plan was written");
+    serde_json::from_str(&text).expect("plan.json is a record")
+}
+
+#[test]
+fn the_plan_of_an_example() {
+    let folder = example();
+    let output = folder.run("plan bench.toml --from fit.json --design bench.csv --tests 5,10,28,50 --out plan.json");
+    assert_snapshot!(shown(&output), @"
+    exit 0
+    ----- stdout
+    Gyros on two bench stations
+
+    Design: 28 tests, 614 steps, 614 observations from bench.csv; every test has a
+    design of its own; 8 tests took the square-root path.
+    Population: fit.json.
+
+    Expected standard errors of the means
+      state          unit     value  5 tests  10 tests  28 tests  50 tests
+      bias           deg/h     0.62     0.35      0.25      0.15      0.11
+      scale          ppm       47.5       15        11       6.4       4.8
+      g_sensitivity  deg/h/g  0.271     0.18      0.13     0.076     0.057
+
+    Expected standard errors of the standard deviations
+      state          unit     value  5 tests  10 tests  28 tests  50 tests
+      bias           deg/h    0.765     0.26      0.18      0.11     0.082
+      scale          ppm       29.0       11       8.0       4.8       3.6
+      g_sensitivity  deg/h/g  0.313     0.14     0.097     0.058     0.043
+
+    Expected standard errors of the correlations
+      state                 value  5 tests  10 tests  28 tests  50 tests
+      bias, scale            0.49     0.43      0.30      0.18      0.14
+      bias, g_sensitivity   -0.14     0.58      0.41      0.25      0.18
+      scale, g_sensitivity  -0.62     0.47      0.33      0.20      0.15
+
+    How to read this
+      From the expected information at these values; N tests count as N/28 times the
+        design. Estimates from few tests spread more, and those of standard
+        deviations are skewed.
+    ----- stderr
+    Wrote plan.json
+    ");
+    let plan = record(&folder);
+    assert_eq!((plan.schema.as_str(), plan.tests.as_slice()), ("kalfit-plan/1", &[5, 10, 28, 50][..]));
+    assert_eq!(plan.quantities.len(), 3 + 3 + 3 + 6);
+    // at the number of tests of the fit, its own standard errors are near
+    let text = std::fs::read_to_string(folder.path("fit.json")).expect("a fit was written");
+    let fit: kalfit::FitRecord = serde_json::from_str(&text).expect("a record");
+    for (i, planned) in plan.quantities[..3].iter().enumerate() {
+        let (a, b) = (planned.std_error[2].expect("known"), fit.phases[0].mean.std_error[i].expect("known"));
+        assert!((a / b - 1.0).abs() < 0.1, "mean of {:?}: {a} against {b}", planned.states);
+    }
+}
+
+#[test]
+fn what_is_fixed_and_what_is_taken_as_known_is_said() {
+    let folder = example();
+    let output = folder.run("plan gyro.toml --from gyro.json --design gyro.csv --tests 5,100 --out plan.json");
+    assert_snapshot!(shown(&output), @"
+    exit 0
+    ----- stdout
+    Gyros on a turntable
+
+    Design: 6 tests, 60 steps, 57 observations from gyro.csv; every test has a
+    design of its own.
+    Population: gyro.json.
+
+    Expected standard errors of the means
+      state                    unit     value  5 tests  100 tests
+      bias                     deg/h   0.4010    0.039     0.0087
+      scale                    ppm        300    fixed          -
+      temperature_coefficient         0.00946   0.0011    0.00024
+
+    Expected standard errors of the standard deviations
+      state                    unit    value  5 tests  100 tests
+      bias                     deg/h  0.0785    0.030     0.0067
+      scale                    ppm      53.7       20        4.5
+      temperature_coefficient              0    fixed          -
+
+    How to read this
+      From the expected information at these values; N tests count as N/6 times the
+        design. Estimates from few tests spread more, and those of standard
+        deviations are skewed.
+      tau is free in the model and is taken as known here, at its value in
+        gyro.json; estimating it too makes standard errors larger.
+    ----- stderr
+    Wrote plan.json
+    ");
+    let plan = record(&folder);
+    assert_eq!(plan.parameters_taken_as_known, ["tau"]);
+    let fixed: Vec<&str> = plan.quantities.iter().filter_map(|q| q.reason.as_deref()).collect();
+    assert!(!fixed.is_empty() && fixed.iter().all(|reason| *reason == "fixed"), "{fixed:?}");
+}
+
+#[test]
+fn measured_values_of_the_design_do_not_matter() {
+    let folder = example();
+    let text = std::fs::read_to_string(folder.path("bench.csv")).expect("the data");
+    let other: String = text
+        .lines()
+        .enumerate()
+        .map(|(k, line)| {
+            let mut cells: Vec<&str> = line.split(',').collect();
+            let place = text.lines().next().and_then(|h| h.split(',').position(|name| name == "rate"));
+            if k > 0 && !cells[place.expect("a column `rate`")].is_empty() {
+                cells[place.expect("a column `rate`")] = "123456";
+            }
+            cells.join(",") + "\n"
+        })
+        .collect();
+    folder.write("other.csv", other.as_bytes());
+    let tables = |design: &str| {
+        let output = folder.run(&format!("plan bench.toml --from fit.json --design {design} --tests 5,1000000000"));
+        let text = shown(&output);
+        assert_eq!(output.status.code(), Some(0), "{text}");
+        text.split("Expected").skip(1).collect::<String>()
+    };
+    assert_eq!(tables("bench.csv"), tables("other.csv"));
+}

@@ -1,0 +1,263 @@
+//! Coverage of 95 % Wald intervals: simulated ensembles of some set-ups, drawn, reduced, fitted and inferred as a user's
+//! data are.
+//!
+//! Intervals of means and regression coefficients are taken on their own scale, those of standard deviations on that of their
+//! logarithm, those of correlations on that of atanh.
+
+use std::process::ExitCode;
+
+use kalfit::estimate::{self, Settings, Silent, Stop, Structure};
+use kalfit::reduce::Reducer;
+use kalfit::simulate::{Designs, Simulator};
+use kalfit::{Alpha, Label, Model, Population, Source, Test, infer};
+use kalfit_spec::Spec;
+use nalgebra::DMatrix;
+use rayon::prelude::*;
+
+const SEED: u64 = 1980;
+/// Coverage of an interval that is what it says, within sampling error and terms of order 1/N.
+const SOUND: std::ops::RangeInclusive<f64> = 0.935..=0.965;
+/// Half-width of a 95 % interval in standard errors.
+const WIDE: f64 = 1.959_963_984_540_054;
+
+/// A model, a design and a population.
+struct Setup {
+    title: &'static str,
+    model: &'static str,
+    /// Cells of a row of a test, by column; `None` ends the test.
+    cell: fn(test: usize, row: usize, column: &str) -> Option<f64>,
+    tests: usize,
+    mean: &'static [f64],
+    coefficients: &'static [f64],
+    /// Standard deviations.
+    std_dev: &'static [f64],
+    /// Correlation of each two states.
+    correlation: f64,
+    /// There are so many tests that the coverage must be sound; else it is only shown.
+    large: bool,
+}
+
+const RANDOM_COEFFICIENTS: &str = r#"
+[states]
+level = {}
+slope = {}
+[measurements.y]
+column = "y"
+equation = "level + slope * x"
+noise = 20
+"#;
+
+const SETUPS: [Setup; 4] = [
+    Setup {
+        title: "Random coefficients: 18 tests of 10 rows (too few for normal intervals of spreads; shown, not required)",
+        model: RANDOM_COEFFICIENTS,
+        cell: |_, row, column| match column {
+            "x" => (row < 10).then_some(row as f64),
+            _ => Some(0.0),
+        },
+        tests: 18,
+        mean: &[250.0, 10.0],
+        coefficients: &[],
+        std_dev: &[24.0, 6.0],
+        correlation: 0.3,
+        large: false,
+    },
+    Setup {
+        title: "Random coefficients: 100 tests of 6 to 10 rows",
+        model: RANDOM_COEFFICIENTS,
+        cell: |test, row, column| match column {
+            "x" => (row < 6 + test % 5).then_some(row as f64),
+            _ => Some(0.0),
+        },
+        tests: 100,
+        mean: &[250.0, 10.0],
+        coefficients: &[],
+        std_dev: &[24.0, 6.0],
+        correlation: 0.3,
+        large: true,
+    },
+    Setup {
+        title: "Gyros: 120 tests of unequal runs, a stationary drift, a lot effect, some that never turn",
+        model: r#"
+[data]
+time = "t"
+[states]
+bias = {}
+scale = {}
+drift = { process = "gauss-markov", time_constant = 0.5, sigma = 0.15 }
+[measurements.rate]
+column = "z"
+equation = "bias + scale * turn + drift"
+noise = 0.08
+[mean.regression]
+bias = ["lot"]
+"#,
+        cell: |test, row, column| match column {
+            "t" => (row < 8 + 3 * (test % 4)).then_some(0.05 * row as f64 * (1.0 + (test % 3) as f64)),
+            "turn" => Some(if test % 5 == 0 { 0.0 } else { 0.02 * ((row % 3) as f64 - 0.7) }),
+            "lot" => Some(if test % 2 == 0 { 0.5 } else { -0.5 }),
+            _ => Some(0.0),
+        },
+        tests: 120,
+        mean: &[0.5, 40.0],
+        coefficients: &[0.3],
+        std_dev: &[0.8, 25.0],
+        correlation: -0.4,
+        large: true,
+    },
+    Setup {
+        title: "Meta-analysis: 150 studies of two outcomes with errors of their own, some of one outcome only",
+        model: r#"
+[states]
+first = {}
+second = {}
+[measurements.a]
+column = "a"
+equation = "first"
+variance = "va"
+[measurements.b]
+column = "b"
+equation = "second"
+variance = "vb"
+[noise_covariance]
+"a, b" = "0.5 * sqrt(va * vb)"
+"#,
+        cell: |test, row, column| match column {
+            _ if row > 0 => None,
+            "va" => Some(0.02 + 0.01 * (test % 7) as f64),
+            "vb" => Some(0.03 + 0.005 * (test % 11) as f64),
+            "b" if test % 4 == 1 => Some(f64::NAN),
+            _ => Some(0.0),
+        },
+        tests: 150,
+        mean: &[0.4, -0.3],
+        coefficients: &[],
+        std_dev: &[0.25, 0.35],
+        correlation: 0.6,
+        large: true,
+    },
+];
+
+/// How often an interval held the truth.
+#[derive(Debug, Clone, Copy, Default)]
+struct Tally {
+    held: u64,
+    /// Fits without this interval.
+    without: u64,
+}
+
+/// Runs all set-ups and prints the table; fails when some coverage is not sound.
+pub(crate) fn run(ensembles: u64) -> ExitCode {
+    println!("Coverage of 95 % Wald intervals, {ensembles} ensembles each, seed {SEED}.\n");
+    let mut sound = true;
+    for setup in &SETUPS {
+        let model = match Spec::parse("set-up", setup.model) {
+            Ok(spec) => spec.model,
+            Err(error) => {
+                eprintln!("{}: {error}", setup.title);
+                return ExitCode::FAILURE;
+            }
+        };
+        println!("{}\n\n| quantity | truth | coverage | no interval |\n|---|---|---|---|", setup.title);
+        let (names, tallies) = (names(&model), tally(setup, &model, ensembles));
+        for ((name, truth), tally) in names.iter().zip(truths(setup)).zip(&tallies) {
+            let coverage = tally.held as f64 / (ensembles - tally.without).max(1) as f64;
+            sound &= !setup.large || (SOUND.contains(&coverage) && tally.without == 0);
+            println!("| {name} | {truth} | {:.2} % | {} |", 100.0 * coverage, tally.without);
+        }
+        println!();
+    }
+    if sound { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}
+
+fn names(model: &Model) -> Vec<String> {
+    let states = model.estimated_names();
+    let mut names: Vec<String> = states.iter().map(|s| format!("mean of {s}")).collect();
+    let regression =
+        |r: &kalfit::model::Regression| format!("{} on {}", states[r.element], model.columns[r.column].name);
+    names.extend(model.mean.regression.iter().map(regression));
+    names.extend(states.iter().map(|s| format!("log std dev of {s}")));
+    names.push(format!("atanh correlation of {}", states.join(", ")));
+    names
+}
+
+/// In the order of [`names`].
+fn truths(setup: &Setup) -> Vec<f64> {
+    [setup.mean, setup.coefficients, setup.std_dev, &[setup.correlation]].concat()
+}
+
+fn population(setup: &Setup) -> Population {
+    let p = setup.mean.len();
+    let correlation = |i: usize, j: usize| if i == j { 1.0 } else { setup.correlation };
+    Population {
+        mean: setup.mean.to_vec(),
+        coefficients: setup.coefficients.to_vec(),
+        covariance: DMatrix::from_fn(p, p, |i, j| setup.std_dev[i] * setup.std_dev[j] * correlation(i, j)),
+    }
+}
+
+fn design(setup: &Setup, model: &Model) -> Vec<Test> {
+    let one = |k: usize| {
+        let mut test = Test::new(format!("t{k:03}"), model.columns.len(), 0);
+        for row in 0.. {
+            let cells = model.columns.iter().map(|column| (setup.cell)(k, row, &column.name));
+            let Some(cells) = cells.collect::<Option<Vec<f64>>>() else { break };
+            test.push(&cells, &[] as &[Label], Source::default());
+        }
+        test
+    };
+    (0..setup.tests).map(one).collect()
+}
+
+fn tally(setup: &Setup, model: &Model, ensembles: u64) -> Vec<Tally> {
+    let alpha = Alpha::fixed(&model.parameters).expect("a set-up has no free parameters");
+    let designs = Designs::new(design(setup, model)).expect("tests of a set-up have ids of their own");
+    let truths = truths(setup);
+    let each: Vec<Vec<Option<bool>>> = (0..ensembles)
+        .into_par_iter()
+        .map_init(
+            || Reducer::new(model, &alpha).expect("a set-up is sound"),
+            |reducer, k| {
+                let simulator = Simulator::new(model, &alpha, population(setup), SEED + k).expect("a set-up is sound");
+                let drawn = simulator.draw(&designs, 0..setup.tests as u64).expect("a set-up is sound");
+                let tests: Vec<Test> = drawn.into_iter().map(|drawn| drawn.test).collect();
+                held(reducer, model, &alpha, &tests, &truths)
+            },
+        )
+        .collect();
+    (0..truths.len())
+        .map(|q| Tally {
+            held: each.iter().filter(|ensemble| ensemble[q] == Some(true)).count() as u64,
+            without: each.iter().filter(|ensemble| ensemble[q].is_none()).count() as u64,
+        })
+        .collect()
+}
+
+/// For each quantity, whether the interval of a fit holds the truth; `None` where the fit has no interval.
+fn held(reducer: &mut Reducer, model: &Model, alpha: &Alpha, tests: &[Test], truths: &[f64]) -> Vec<Option<bool>> {
+    let reductions = reducer.reduce(tests).expect("a set-up is sound");
+    let structure = Structure::of(model, alpha);
+    let fit = estimate::fit(&reductions, &structure, &Settings::default(), &mut Silent).expect("a legal problem");
+    if fit.stop != Stop::Certified {
+        return vec![None; truths.len()];
+    }
+    let errors = infer::infer(&fit, &reductions).uncertainty;
+    let (p, r) = (fit.mean.len(), fit.coefficients.len());
+    let std_dev = |i: usize| fit.covariance[(i, i)].sqrt();
+    let rho = fit.covariance[(1, 0)] / (std_dev(0) * std_dev(1));
+    // (estimate, standard error, truth) on the scale of the interval
+    let on_scale = |q: usize| -> Option<(f64, f64, f64)> {
+        let truth = truths[q];
+        Some(match q {
+            q if q < p => (fit.mean[q], errors.mean[q]?, truth),
+            q if q < p + r => (fit.coefficients[q - p], errors.coefficients[q - p]?, truth),
+            q if q < p + r + p => {
+                let i = q - p - r;
+                (std_dev(i).ln(), errors.std_dev[i]? / std_dev(i), truth.ln())
+            }
+            _ => (rho.atanh(), errors.correlation[1][0]? / (1.0 - rho * rho), truth.atanh()),
+        })
+    };
+    let inside = |(estimate, error, truth): (f64, f64, f64)| (estimate - truth).abs() <= WIDE * error;
+    (0..truths.len()).map(|q| on_scale(q).map(inside)).collect()
+}

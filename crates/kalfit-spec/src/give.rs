@@ -1,0 +1,53 @@
+//! Values for a free parameter from elsewhere, such as a fit: many levels at once.
+
+use std::collections::HashMap;
+
+use kalfit::model::Value;
+
+use crate::Spec;
+use crate::error::{Problem, SpecError};
+use crate::parameters::check_value;
+use crate::suggest::suggest;
+
+impl Spec {
+    /// Fixes a parameter at values: one for a level, or with `None` for all levels that have no value of their own. Levels that
+    /// the model fixes keep their values; of two values for one level the last counts.
+    ///
+    /// # Errors
+    /// A name that is no parameter, a level of a parameter without `per`, a value out of bounds or of the wrong sign. The errors
+    /// have no span, and the model stays as it was.
+    pub fn give(&mut self, name: &str, values: &[(Option<&str>, f64)]) -> Result<(), SpecError> {
+        let parameters = &mut self.model.parameters;
+        let Some(index) = parameters.iter().position(|parameter| parameter.name == name) else {
+            let hint = suggest(name, parameters.iter().map(|parameter| parameter.name.as_str()));
+            let (what, place) = ("parameter", "the values to take".to_owned());
+            return Err(SpecError::new(Problem::UnknownName { what, name: name.to_owned(), place }).maybe_hint(hint));
+        };
+        let parameter = &mut parameters[index];
+        for (level, value) in values {
+            check_value(parameter, self.places.roles[index], *value).map_err(SpecError::new)?;
+            if let Some(level) = level.filter(|_| parameter.per.is_none()) {
+                let why = format!("on parameter `{name}`, which has no `per`");
+                return Err(SpecError::new(Problem::NoEffect { key: format!("{name}[{level}]"), why }));
+            }
+        }
+        let literals = &mut self.model.literals;
+        let mut known: HashMap<String, usize> =
+            literals.iter().enumerate().map(|(k, text)| (text.clone(), k)).collect();
+        let own = parameter.fixed_levels.clone();
+        for &(level, value) in values {
+            let Some(level) = level else {
+                parameter.value = Value::Fixed(value);
+                continue;
+            };
+            let literal = *known.entry(level.to_owned()).or_insert_with(|| {
+                literals.push(level.to_owned());
+                literals.len() - 1
+            });
+            if !own.contains_key(&literal) {
+                parameter.fixed_levels.insert(literal, value);
+            }
+        }
+        Ok(())
+    }
+}
