@@ -97,7 +97,7 @@ fn version_and_help() {
               Possible values:
               - newton: Newton's method with the exact Hessian, safeguarded by EM
               - em:     The EM algorithm: many more passes, to the same point
-
+              
               [default: newton]
 
           --tolerance <T>
@@ -113,7 +113,7 @@ fn version_and_help() {
               Possible values:
               - on:  Look at them; large data are read a second time
               - off: Leave them out, and read the data once
-
+              
               [default: on]
 
           --quiet
