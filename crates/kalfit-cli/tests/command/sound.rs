@@ -772,14 +772,9 @@ fn check_names_what_data_do_not_identify() {
 
     Identifiability
       Not identified: the data say nothing about the combination 0.71 level - 0.71
-        slope of the means. No test tells `level` and `slope` apart: only
-        combinations of them are measured.
-      Not identified: the data say nothing about the combination 0.71 var(level) -
-        0.71 var(slope). No test tells `level` and `slope` apart: only combinations
-        of them are measured.
-      Not identified: the data say nothing about the combination 0.89 var(slope) -
-        0.45 cov(level, slope). No test tells `level` and `slope` apart: only
-        combinations of them are measured.
+        slope of the means, the combination 0.71 var(level) - 0.71 var(slope) and
+        the combination 0.89 var(slope) - 0.45 cov(level, slope). No test tells
+        `level` and `slope` apart: only combinations of them are measured.
     ----- stderr
     ");
     assert_snapshot!(steady(&shown(&folder.run("fit m.toml one.csv"))), @"

@@ -38,7 +38,7 @@ const PART: f64 = 1e-6;
 pub struct Observability {
     /// By element of μ.
     pub states: Vec<StateObservability>,
-    /// [i][k]: number of tests that inform both i and k.
+    /// Number of tests that inform both i and k, p × p by rows.
     pub together: Vec<Vec<usize>>,
     /// Directions of the mean that are known much worse than its elements suggest, the worst first.
     pub weak: Vec<WeakDirection>,
