@@ -798,14 +798,10 @@ fn check_names_what_data_do_not_identify() {
 
     Limits of what the data say
       Not identified: the data say nothing about the combination 0.71 level - 0.71
-        slope of the means; its start value was kept. No test tells `level` and
-        `slope` apart: only combinations of them are measured.
-      Not identified: the data say nothing about the combination 0.71 var(level) -
-        0.71 var(slope); its start value was kept. No test tells `level` and `slope`
-        apart: only combinations of them are measured.
-      Not identified: the data say nothing about the combination 0.89 var(slope) -
-        0.45 cov(level, slope); its start value was kept. No test tells `level` and
-        `slope` apart: only combinations of them are measured.
+        slope of the means, the combination 0.71 var(level) - 0.71 var(slope) and
+        the combination 0.89 var(slope) - 0.45 cov(level, slope); their start values
+        were kept. No test tells `level` and `slope` apart: only combinations of
+        them are measured.
 
     Outlying tests
       No test stands out: the smallest of 3 p-values is 0.18 (test c), or 0.54 with
