@@ -4,7 +4,7 @@ use kalfit::record::{DataRecord, ObservabilityRecord, UnidentifiedRecord, WeakRe
 
 use crate::Style;
 use crate::page::Page;
-use crate::summary::doubts::{direction, reason};
+use crate::summary::doubts;
 use crate::summary::{headline, observability};
 use crate::words::{clean, count, list, sentence};
 
@@ -111,10 +111,7 @@ fn not_examined(free: &[String]) -> String {
 }
 
 fn identified(record: &CheckRecord, unidentified: &[UnidentifiedRecord]) -> Vec<String> {
-    let mut sentences: Vec<String> = unidentified
-        .iter()
-        .map(|u| format!("Not identified: the data say nothing about {}.{}", direction(u, &record.states), reason(u)))
-        .collect();
+    let mut sentences = doubts::unidentified(unidentified, &record.states, false);
     if record.states.is_empty() {
         sentences.push("No state has an estimated start, so there is nothing to identify.".to_owned());
     } else if sentences.is_empty() {

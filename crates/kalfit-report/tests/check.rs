@@ -136,12 +136,9 @@ fn unidentified_directions_are_named() {
         the mean comes from one test, and which.
 
     Identifiability
-      Not identified: the data say nothing about the mean of slope. No test observes
-        `slope`.
-      Not identified: the data say nothing about the covariance of intercept and
-        slope. No test observes `slope`.
-      Not identified: the data say nothing about the combination 0.8 var(slope) -
-        0.6 var(intercept). No test observes `slope`.
+      Not identified: the data say nothing about the mean of slope, the covariance
+        of intercept and slope and the combination 0.8 var(slope) - 0.6
+        var(intercept). No test observes `slope`.
       93 % of what is known of the mean of slope rests on one test, 308.
     ");
 }

@@ -99,7 +99,7 @@ fn version_and_help() {
               Possible values:
               - newton: Newton's method with the exact Hessian, safeguarded by EM
               - em:     The EM algorithm: many more passes, to the same point
-
+              
               [default: newton]
 
           --tolerance <T>
@@ -115,7 +115,7 @@ fn version_and_help() {
               Possible values:
               - on:  Look at them; large data are read a second time
               - off: Leave them out, and read the data once
-
+              
               [default: on]
 
           --quiet
@@ -774,14 +774,9 @@ fn check_names_what_data_do_not_identify() {
 
     Identifiability
       Not identified: the data say nothing about the combination 0.71 level - 0.71
-        slope of the means. No test tells `level` and `slope` apart: only
-        combinations of them are measured.
-      Not identified: the data say nothing about the combination 0.71 var(level) -
-        0.71 var(slope). No test tells `level` and `slope` apart: only combinations
-        of them are measured.
-      Not identified: the data say nothing about the combination 0.89 var(slope) -
-        0.45 cov(level, slope). No test tells `level` and `slope` apart: only
-        combinations of them are measured.
+        slope of the means, the combination 0.71 var(level) - 0.71 var(slope) and
+        the combination 0.89 var(slope) - 0.45 cov(level, slope). No test tells
+        `level` and `slope` apart: only combinations of them are measured.
     ----- stderr
     ");
     assert_snapshot!(steady(&shown(&folder.run("fit m.toml one.csv"))), @"
@@ -805,14 +800,10 @@ fn check_names_what_data_do_not_identify() {
 
     Limits of what the data say
       Not identified: the data say nothing about the combination 0.71 level - 0.71
-        slope of the means; its start value was kept. No test tells `level` and
-        `slope` apart: only combinations of them are measured.
-      Not identified: the data say nothing about the combination 0.71 var(level) -
-        0.71 var(slope); its start value was kept. No test tells `level` and `slope`
-        apart: only combinations of them are measured.
-      Not identified: the data say nothing about the combination 0.89 var(slope) -
-        0.45 cov(level, slope); its start value was kept. No test tells `level` and
-        `slope` apart: only combinations of them are measured.
+        slope of the means, the combination 0.71 var(level) - 0.71 var(slope) and
+        the combination 0.89 var(slope) - 0.45 cov(level, slope); their start values
+        were kept. No test tells `level` and `slope` apart: only combinations of
+        them are measured.
 
     Outlying tests
       No test stands out: the smallest of 3 p-values is 0.18 (test c), or 0.54 with

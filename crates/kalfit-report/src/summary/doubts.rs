@@ -11,21 +11,39 @@ use crate::words::{clean, list, sentence};
 pub(super) const NEGLIGIBLE: f64 = 1e-6;
 /// No more terms than this of a direction are written out.
 const MOST_TERMS: usize = 6;
+/// No more directions than this in a sentence; all are in fit.json.
+const MOST_DIRECTIONS: usize = 8;
 /// No more names than this in a list.
 const MOST_NAMES: usize = 12;
 
 pub(super) fn section(phase: &PhaseRecord, tests: usize, title: &dyn Fn(&str) -> String, page: &Page<'_>) -> String {
     let mut sentences: Vec<String> = phase.boundary.iter().map(|b| singular(b, phase.states.len())).collect();
-    sentences.extend(phase.unidentified.iter().map(|u| {
-        let what = direction(u, &phase.states);
-        format!("Not identified: the data say nothing about {what}; its start value was kept.{}", reason(u))
-    }));
+    sentences.extend(unidentified(&phase.unidentified, &phase.states, true));
     sentences.extend(observability::warnings(&phase.observability, &phase.weakly_determined, tests));
     page.section(&title("Limits of what the data say"), &page.items(&sentences))
 }
 
+/// What the data say nothing about, one sentence for each reason. `kept`: start values stand in their place.
+pub(crate) fn unidentified(found: &[UnidentifiedRecord], states: &[String], kept: bool) -> Vec<String> {
+    let one_reason = |a: &UnidentifiedRecord, b: &UnidentifiedRecord| !a.reason.is_empty() && a.reason == b.reason;
+    let sentence = |group: &[UnidentifiedRecord]| {
+        let what: Vec<String> = group.iter().map(|u| direction(u, states)).collect();
+        let kept = match (kept, group.len()) {
+            (false, _) => "",
+            (true, 1) => "; its start value was kept",
+            (true, _) => "; their start values were kept",
+        };
+        format!(
+            "Not identified: the data say nothing about {}{kept}.{}",
+            list(&what, MOST_DIRECTIONS),
+            reason(&group[0])
+        )
+    };
+    found.chunk_by(one_reason).map(sentence).collect()
+}
+
 /// Why, as a sentence of its own with a space in front.
-pub(crate) fn reason(found: &UnidentifiedRecord) -> String {
+fn reason(found: &UnidentifiedRecord) -> String {
     if found.reason.is_empty() { String::new() } else { format!(" {}", sentence(&clean(&found.reason))) }
 }
 

@@ -38,7 +38,7 @@ const PART: f64 = 1e-6;
 pub struct Observability {
     /// By element of μ.
     pub states: Vec<StateObservability>,
-    /// [i][k]: number of tests that inform both i and k.
+    /// Number of tests that inform both i and k, p × p by rows.
     pub together: Vec<Vec<usize>>,
     /// Directions of the mean that are known much worse than its elements suggest, the worst first.
     pub weak: Vec<WeakDirection>,
@@ -107,8 +107,6 @@ pub(crate) fn observability(
 ) -> Observability {
     let p = problem.classes.dimension();
     let designs = designs(reductions, p);
-    let count =
-        |of: &dyn Fn(&Design<'_>) -> bool| -> usize { designs.iter().filter(|d| of(d)).map(|d| d.tests.len()).sum() };
     let shares = Shares { problem, place, designs: &designs };
     let (known, weak) = known_and_weak(problem, weight);
     let mut directions: Vec<DVector<f64>> = known.iter().flatten().cloned().collect();
@@ -116,8 +114,8 @@ pub(crate) fn observability(
     let mut leading = shares.leading(&directions).into_iter();
     let states = (0..p)
         .map(|i| StateObservability {
-            informed_by: count(&|d| d.informs[i]),
-            observed_by: count(&|d| d.observes[i]),
+            informed_by: count(&designs, |d| d.informs[i]),
+            observed_by: count(&designs, |d| d.observes[i]),
             tests: listed(&designs, &|d| d.informs[i]),
             leading: known[i].as_ref().and_then(|_| leading.next().expect("one for each direction")),
         })
@@ -131,8 +129,8 @@ pub(crate) fn observability(
     Observability {
         states,
         weak: weak.collect(),
-        together: (0..p).map(|i| (0..p).map(|k| count(&|d| d.informs[i] && d.informs[k])).collect()).collect(),
-        shortages: shortages(problem, &count),
+        together: (0..p).map(|i| (0..p).map(|k| count(&designs, |d| d.informs[i] && d.informs[k])).collect()).collect(),
+        shortages: shortages(problem, &designs),
     }
 }
 
@@ -195,6 +193,11 @@ fn observed(factor: &[f64], informs: &[bool]) -> Vec<bool> {
         observed[state] = blind.fold(0.0, f64::hypot) <= PART;
     }
     observed
+}
+
+/// Number of tests of designs that `of` picks.
+fn count(designs: &[Design<'_>], of: impl Fn(&Design<'_>) -> bool) -> usize {
+    designs.iter().filter(|design| of(design)).map(|design| design.tests.len()).sum()
 }
 
 /// Ids of the tests of designs that `of` picks, when they are few.
@@ -312,15 +315,15 @@ impl<'a> Parts<'a> {
 }
 
 /// Blocks of a Σ without fixed or equal elements that fewer tests inform than a regular estimate takes.
-fn shortages(problem: &Problem, count: &dyn Fn(&dyn Fn(&Design<'_>) -> bool) -> usize) -> Vec<Shortage> {
+fn shortages(problem: &Problem, designs: &[Design<'_>]) -> Vec<Shortage> {
     let Form::Factor(blocks) = &problem.covariance.form else { return Vec::new() };
     if !problem.covariance.constraints.is_empty() {
         return Vec::new();
     }
     let shortage = |block: &Vec<usize>| {
-        let seen = |i: &usize| count(&|d| d.informs[*i]) > 0;
+        let seen = |i: &usize| count(designs, |d| d.informs[*i]) > 0;
         let states: Vec<usize> = block.iter().copied().filter(seen).collect();
-        let tests = count(&|d| states.iter().any(|&i| d.informs[i]));
+        let tests = count(designs, |d| states.iter().any(|&i| d.informs[i]));
         let free = states.iter().any(|&i| problem.mean.basis.row(i).norm() > 0.0);
         Shortage { states, tests, rank: tests.saturating_sub(usize::from(free)) }
     };
