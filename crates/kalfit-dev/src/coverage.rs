@@ -7,6 +7,7 @@
 use std::process::ExitCode;
 
 use kalfit::estimate::{self, Settings, Silent, Stop, Structure};
+use kalfit::infer::{Choices, DeletionChoice};
 use kalfit::reduce::Reducer;
 use kalfit::simulate::{Designs, Simulator};
 use kalfit::{Alpha, Label, Model, Population, Source, Test, infer};
@@ -17,8 +18,6 @@ use rayon::prelude::*;
 const SEED: u64 = 1980;
 /// Coverage of an interval that is what it says, within sampling error and terms of order 1/N.
 const SOUND: std::ops::RangeInclusive<f64> = 0.935..=0.965;
-/// Half-width of a 95 % interval in standard errors.
-const WIDE: f64 = 1.959_963_984_540_054;
 
 /// A model, a design and a population.
 struct Setup {
@@ -241,23 +240,16 @@ fn held(reducer: &mut Reducer, model: &Model, alpha: &Alpha, tests: &[Test], tru
     if fit.stop != Stop::Certified {
         return vec![None; truths.len()];
     }
-    let errors = infer::infer(&fit, &reductions).uncertainty;
+    let choices = Choices { deletion: DeletionChoice::None, ..Choices::default() };
+    let intervals = infer::infer(&fit, &reductions, choices).intervals;
     let (p, r) = (fit.mean.len(), fit.coefficients.len());
-    let std_dev = |i: usize| fit.covariance[(i, i)].sqrt();
-    let rho = fit.covariance[(1, 0)] / (std_dev(0) * std_dev(1));
-    // (estimate, standard error, truth) on the scale of the interval
-    let on_scale = |q: usize| -> Option<(f64, f64, f64)> {
-        let truth = truths[q];
-        Some(match q {
-            q if q < p => (fit.mean[q], errors.mean[q]?, truth),
-            q if q < p + r => (fit.coefficients[q - p], errors.coefficients[q - p]?, truth),
-            q if q < p + r + p => {
-                let i = q - p - r;
-                (std_dev(i).ln(), errors.std_dev[i]? / std_dev(i), truth.ln())
-            }
-            _ => (rho.atanh(), errors.correlation[1][0]? / (1.0 - rho * rho), truth.atanh()),
-        })
+    let of = |q: usize| match q {
+        q if q < p => intervals.mean[q],
+        q if q < p + r => intervals.coefficients[q - p],
+        q if q < p + r + p => intervals.std_dev[q - p - r],
+        _ => intervals.correlation[1][0],
     };
-    let inside = |(estimate, error, truth): (f64, f64, f64)| (estimate - truth).abs() <= WIDE * error;
-    (0..truths.len()).map(|q| on_scale(q).map(inside)).collect()
+    let inside =
+        |q: usize| of(q).map(|[low, high]| low.is_none_or(|l| l <= truths[q]) && high.is_none_or(|h| truths[q] <= h));
+    (0..truths.len()).map(inside).collect()
 }
