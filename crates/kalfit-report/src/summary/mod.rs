@@ -4,7 +4,9 @@ mod constraints;
 mod correlations;
 pub(crate) mod doubts;
 pub(crate) mod headline;
+mod influence;
 mod innovations;
+mod intervals;
 pub(crate) mod observability;
 mod outliers;
 mod parameters;
@@ -28,6 +30,7 @@ pub fn summary(record: &FitRecord, style: &Style) -> String {
     sections.push(parameters::section(record, &page));
     sections.push(constraints::section(record, &page));
     sections.push(outliers::section(record, &page));
+    sections.push(influence::section(record, &page));
     sections.push(innovations::section(record, &page));
     sections.push(notes(record, &page));
     sections.push(work(record, &page));
@@ -43,6 +46,7 @@ fn phase_sections(record: &FitRecord, phase: &PhaseRecord, page: &Page<'_>) -> V
     vec![
         states::section(phase, &title, page),
         correlations::section(phase, &title, page),
+        intervals::section(record, phase, &title, page),
         doubts::section(phase, record.data.tests, &title, page),
     ]
 }

@@ -1,0 +1,53 @@
+//! Tests that decide the answer: what happens to it without them.
+
+use kalfit::FitRecord;
+use kalfit::record::{DeletionRecord, TestRecord};
+
+use crate::number::{plain, probability};
+use crate::page::Page;
+use crate::table::{Column, Side, table};
+use crate::words::clean;
+
+const MOST_ROWS: usize = 5;
+
+pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
+    let mut deleted: Vec<(&TestRecord, &DeletionRecord)> =
+        record.tests.iter().filter_map(|t| t.deletion.as_ref().map(|d| (t, d))).collect();
+    deleted.sort_by(|a, b| b.1.displacement.total_cmp(&a.1.displacement).then_with(|| a.0.id.cmp(&b.0.id)));
+    let Some(&(first, most)) = deleted.first() else { return String::new() };
+    let heading = "The answer without each test";
+    let influential: Vec<_> = deleted.iter().filter(|(_, d)| d.displacement > limit(record.free_parameters)).collect();
+    if influential.is_empty() {
+        let sentence = format!(
+            "No test decides it alone: the estimates move most without test {}, by a displacement of {} for {} free quantities.",
+            clean(&first.id),
+            plain(most.displacement, 2),
+            record.free_parameters
+        );
+        return page.section(heading, &page.items(&[sentence]));
+    }
+    let rows = &influential[..influential.len().min(MOST_ROWS)];
+    let columns = [
+        Column::new("test", Side::Left, rows.iter().map(|(t, _)| t.id.clone()).collect()),
+        Column::new("displacement", Side::Right, rows.iter().map(|(_, d)| plain(d.displacement, 3)).collect()),
+        Column::new("p-value by the others", Side::Right, rows.iter().map(|(_, d)| p_value(d)).collect()),
+    ];
+    let more = match influential.len() - rows.len() {
+        0 => String::new(),
+        n => format!(" So do {n} more."),
+    };
+    let sentence = format!(
+        "Without a test of this table the estimates lie outside the 50 % confidence region of all tests.{more} The estimates without it are in the results file."
+    );
+    page.section(heading, &(table(&columns, page.width()) + &page.items(&[sentence])))
+}
+
+fn p_value(deletion: &DeletionRecord) -> String {
+    deletion.p_value.map_or_else(|| "-".to_owned(), probability)
+}
+
+/// Median of χ² with k degrees of freedom, by Wilson and Hilferty: the edge of the 50 % confidence region.
+fn limit(k: usize) -> f64 {
+    let k = k.max(1) as f64;
+    k * (1.0 - 2.0 / (9.0 * k)).powi(3)
+}
