@@ -254,6 +254,10 @@ pub(crate) struct Curvature {
     gradient: DVector<f64>,
 }
 
+/// A step that fails is tried again at no less and no more than these parts of its length.
+const SHORTEST: f64 = 0.1;
+const LONGEST: f64 = 0.5;
+
 /// Scaled eigenvalues below this are flat: the data say nothing there.
 pub(crate) const FLAT: f64 = 1e-10;
 
@@ -279,6 +283,25 @@ impl Curvature {
     /// Newton decrement: the distance to the optimum of the model, in standard errors.
     pub(crate) fn decrement(&self) -> f64 {
         self.terms().map(|(_, h, g)| g * g / h).fold(0.0, |a, b| a + b).sqrt() // a sum of nothing is -0
+    }
+
+    /// The damping for the next try after a step with this much gave only `gain`: the value along the step as a parabola with
+    /// the slope at the place says how much shorter, between a tenth and a half.
+    pub(crate) fn shorter(&self, damping: f64, gain: f64) -> f64 {
+        let length = |d: f64| self.terms().map(|(_, h, g)| (g / (h + d)).powi(2)).sum::<f64>().sqrt();
+        let slope: f64 = self.terms().map(|(_, h, g)| g * g / (h + damping)).sum();
+        let part = slope / (2.0 * (slope - gain)); // zero where there is no value
+        let wanted = length(damping) * part.clamp(SHORTEST, LONGEST);
+        let (mut low, mut high) = (damping, damping.max(1e-3));
+        while length(high) > wanted && high < 1e30 {
+            low = high;
+            high *= 4.0;
+        }
+        for _ in 0..20 {
+            let middle = 0.5 * (low + high);
+            if length(middle) > wanted { low = middle } else { high = middle }
+        }
+        high
     }
 
     /// Step along the tangent basis with this much damping, and the gain it promises.

@@ -24,14 +24,19 @@ impl Place {
     pub(crate) fn new(
         objective: &dyn Objective,
         map: &CovarianceMap,
-        mut point: Point,
+        point: Point,
         near: Option<&DMatrix<f64>>,
     ) -> Option<Place> {
         let local = objective.local(&point, near).filter(|l| l.value.is_finite())?;
+        Some(Place::of(objective, map, point, local))
+    }
+
+    /// The place where this is known.
+    pub(crate) fn of(objective: &dyn Objective, map: &CovarianceMap, mut point: Point, local: Local) -> Place {
         let tangent = Tangent::new(&local, objective.mean_jacobian(), map, &point.root);
         point.root = tangent.chart.root.clone();
         let curvature = Curvature::new(&tangent);
-        Some(Place { point, local, tangent, curvature })
+        Place { point, local, tangent, curvature }
     }
 
     /// What places near by may take from this one.
@@ -73,8 +78,10 @@ impl Damping {
                     self.judge(gain / promised);
                     return Attempt::Better(Box::new(next));
                 }
+                self.0 = place.curvature.shorter(self.0, gain);
+            } else {
+                self.0 = place.curvature.shorter(self.0, f64::NEG_INFINITY);
             }
-            self.0 = (self.0 * 8.0).max(0.05);
         }
         Attempt::Failed
     }

@@ -7,6 +7,7 @@ use nalgebra::DMatrix;
 use crate::estimate::certificate::{Certificate, Escape, certificate};
 use crate::estimate::covariance::Form;
 use crate::estimate::em::{self, Turn};
+use crate::estimate::local::Local;
 use crate::estimate::newton::{Attempt, Damping, Place, retract};
 use crate::estimate::pass::{Order, Sums};
 use crate::estimate::problem::Problem;
@@ -63,8 +64,7 @@ impl<'a> Search<'a> {
 
     /// Fisher scoring, Newton, and EM where Newton finds no step.
     fn newton(&mut self, start: Point) -> Result<(Place, Stop), FitError> {
-        let (start, near) = self.scored_start(start)?;
-        let mut place = self.place(start, near.as_ref())?;
+        let mut place = self.scored_start(start)?;
         self.accept(place.local.value, Some(place.decrement()));
         let mut damping = Damping::default();
         let mut failures = 0;
@@ -96,29 +96,27 @@ impl<'a> Search<'a> {
     }
 
     /// The start, moved on by Fisher scoring while that promises much; ℓ need not rise on the way, and where it falls the
-    /// better point is kept. With it comes the covariance of the mean there, under the restricted likelihood.
-    fn scored_start(&mut self, start: Point) -> Result<(Point, Option<DMatrix<f64>>), FitError> {
-        let mut best: Option<(f64, Point)> = None;
-        let mut near = None;
+    /// better point is kept, which needs no new pass.
+    fn scored_start(&mut self, start: Point) -> Result<Place, FitError> {
+        let mut best: Option<(Sums, Point)> = None;
         let mut point = start;
         for _ in 0..SCORING_STEPS {
-            let sums = self.sums(&point, Order::Expected)?;
-            near = sums.restricted.as_ref().map(|r| r.covariance.clone());
-            match &best {
-                Some((value, kept)) if sums.value.is_nan() || sums.value < *value => {
-                    return Ok((kept.clone(), near));
-                }
-                _ => self.accept(sums.value, None),
+            let near = best.as_ref().and_then(|(sums, _)| sums.near());
+            let sums = self.problem.sums(&point, Order::Expected, near).ok_or(FitError::NotFinite)?;
+            let before = best.as_ref().map(|(sums, _)| sums.value);
+            if let Some((kept, at)) = best.take_if(|(kept, _)| sums.value.is_nan() || sums.value < kept.value) {
+                return Ok(Place::of(&self.problem, &self.problem.covariance, at, Local::from(&kept)));
             }
-            let gained = best.as_ref().map_or(f64::INFINITY, |(before, _)| sums.value - before);
+            self.accept(sums.value, None);
+            let gained = before.map_or(f64::INFINITY, |before| sums.value - before);
             let (next, promised) = scoring::step(&self.problem, &point, &sums);
-            best = Some((sums.value, point));
+            best = Some((sums, point));
             point = next;
             if promised < ENOUGH || gained < ENOUGH {
                 break;
             }
         }
-        Ok((point, near))
+        self.place(point, best.as_ref().and_then(|(sums, _)| sums.near()))
     }
 
     /// An EM step, where it raises ℓ.
@@ -175,8 +173,7 @@ impl<'a> Search<'a> {
             before = sums.value;
             self.accept(sums.value, None);
             if steps.is_multiple_of(EM_LOOK) || self.out_of_passes() {
-                let near = sums.restricted.as_ref().map(|r| r.covariance.clone());
-                let place = self.place(point.clone(), near.as_ref())?;
+                let place = self.place(point.clone(), sums.near())?;
                 if place.decrement() <= self.settings.tolerance {
                     return Ok((place, Stop::Certified));
                 }

@@ -1,6 +1,8 @@
 //! Random ensembles of reductions, and naive dense algebra to compare with.
 #![allow(dead_code, reason = "each test crate uses its own part of it")]
 
+pub(crate) mod structures;
+
 use kalfit::estimate::{self, Criterion, Estimate, Settings, Silent, Solver, Structure};
 use kalfit::model::{Alpha, CovarianceStructure, FixedElement, MeanStructure};
 use kalfit::reduce::{Path, Reduction};
