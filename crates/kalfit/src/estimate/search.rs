@@ -13,7 +13,7 @@ use crate::estimate::pass::{Order, Sums};
 use crate::estimate::problem::Problem;
 use crate::estimate::settings::{Progress, Settings, Solver, Step};
 use crate::estimate::terms::Point;
-use crate::estimate::{Criterion, Estimate, FitError, State, Stop, Structure, scoring};
+use crate::estimate::{Criterion, Estimate, FitError, State, Stop, Structure, scoring, unobserved};
 use crate::model::MeanElement;
 
 /// Most scoring steps before Newton's method takes over.
@@ -39,7 +39,11 @@ impl<'a> Search<'a> {
 
     pub(crate) fn run(mut self, start: Point, structure: &Structure<'_>) -> Result<Estimate, FitError> {
         let (place, stop) = match self.settings.solver {
-            Solver::Newton => self.newton(start)?,
+            Solver::Newton => {
+                let began = start.root.clone();
+                let (place, stop) = self.newton(start)?;
+                (self.restored(place, &began)?, stop)
+            }
             Solver::Em => self.em(start)?,
         };
         self.finish(place, stop, structure)
@@ -204,6 +208,15 @@ impl<'a> Search<'a> {
         let covariance_kind = structure.covariance.kind.clone();
         let state = State { place, sums, problem: Arc::new(self.problem), mean, covariance_kind };
         Ok(Estimate { passes, ..leave(state, certificate, stop, self.trace, self.settings.solver) })
+    }
+
+    /// What no test observes put back to the law it started with, where Newton's steps have moved it.
+    fn restored(&mut self, place: Place, start: &DMatrix<f64>) -> Result<Place, FitError> {
+        let (map, information) = (&self.problem.covariance, &self.problem.classes.information);
+        let Some(root) = unobserved::restored(map, information, start, &place.point.root) else { return Ok(place) };
+        let next = self.place(Point { root, ..place.point.clone() }, place.near())?;
+        let fine = next.local.value >= place.local.value - 1e-9;
+        Ok(if fine && next.decrement() <= place.decrement().max(self.settings.tolerance) { next } else { place })
     }
 
     /// Trailing columns of the factor that are all but zero, set to zero when ℓ does not mind.
