@@ -254,6 +254,9 @@ pub(crate) struct Curvature {
     gradient: DVector<f64>,
 }
 
+/// Further from the optimum than this (in standard errors), by the model's account, the model is not to be trusted.
+const FAR: f64 = 1.0;
+
 /// A step that fails is tried again at no less and no more than these parts of its length.
 const SHORTEST: f64 = 0.1;
 const LONGEST: f64 = 0.5;
@@ -283,6 +286,12 @@ impl Curvature {
     /// Newton decrement: the distance to the optimum of the model, in standard errors.
     pub(crate) fn decrement(&self) -> f64 {
         self.terms().map(|(_, h, g)| g * g / h).fold(0.0, |a, b| a + b).sqrt() // a sum of nothing is -0
+    }
+
+    /// Damping for a place where the value is not concave: the model holds less far.
+    pub(crate) fn doubtful(&self) -> f64 {
+        let least = self.values.first().copied().unwrap_or(0.0);
+        if least < -1e-3 && self.decrement() > FAR { 0.6 * -least } else { 0.0 }
     }
 
     /// The damping for the next try after a step with this much gave only `gain`: the value along the step as a parabola with

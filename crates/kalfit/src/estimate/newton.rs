@@ -68,6 +68,7 @@ impl Damping {
     /// Steps from `place`, with more damping until the value rises.
     pub(crate) fn attempt(&mut self, objective: &dyn Objective, map: &CovarianceMap, place: &Place) -> Attempt {
         let slack = 1e-13 * place.local.value.abs().max(1.0);
+        self.0 = self.0.max(place.curvature.doubtful());
         for _ in 0..TRIES {
             let (step, promised) = place.curvature.step(self.0);
             if let Some(next) =

@@ -20,6 +20,8 @@ use crate::model::MeanElement;
 const SCORING_STEPS: usize = 5;
 /// Newton's method takes over once scoring promises, or has just given, no more than this of ℓ.
 const ENOUGH: f64 = 0.5;
+/// … or has given less than this part of what it promised.
+const KEPT: f64 = 0.7;
 /// EM passes between two looks at the certificate.
 const EM_LOOK: usize = 16;
 /// A trailing column of the factor this small (in η) is tried at exactly zero.
@@ -104,6 +106,7 @@ impl<'a> Search<'a> {
     fn scored_start(&mut self, start: Point) -> Result<Place, FitError> {
         let mut best: Option<(Sums, Point)> = None;
         let mut point = start;
+        let mut expected = 0.0;
         for _ in 0..SCORING_STEPS {
             let near = best.as_ref().and_then(|(sums, _)| sums.near());
             let sums = self.problem.sums(&point, Order::Expected, near).ok_or(FitError::NotFinite)?;
@@ -114,13 +117,19 @@ impl<'a> Search<'a> {
             self.accept(sums.value, None);
             let gained = before.map_or(f64::INFINITY, |before| sums.value - before);
             let (next, promised) = scoring::step(&self.problem, &point, &sums);
+            let kept_its_word = gained >= KEPT * expected;
+            expected = promised;
             best = Some((sums, point));
             point = next;
-            if promised < ENOUGH || gained < ENOUGH {
+            if promised < ENOUGH || gained < ENOUGH || !kept_its_word {
                 break;
             }
         }
-        self.place(point, best.as_ref().and_then(|(sums, _)| sums.near()))
+        let place = self.place(point, best.as_ref().and_then(|(sums, _)| sums.near()))?;
+        match best.filter(|(sums, _)| sums.value > place.local.value) {
+            Some((sums, point)) => Ok(Place::of(&self.problem, &self.problem.covariance, point, Local::from(&sums))),
+            None => Ok(place),
+        }
     }
 
     /// An EM step, where it raises ℓ.
