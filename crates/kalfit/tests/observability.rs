@@ -15,7 +15,8 @@ const O: usize = 2;
 
 /// Tests that all see `seen` ξ (O × P) and nothing else.
 fn tests(seen: &DMatrix<f64>, seed: u64) -> Vec<Reduction> {
-    let recipe = Recipe { p: O, tests: 25, rank: O, observed: 4, strength: 1.5, designs: 25, regressors: 0 };
+    let recipe =
+        Recipe { p: O, tests: 25, rank: O, observed: 4, strength: 1.5, designs: 25, regressors: 0, mild: false };
     let wide = |reduction: &Reduction| {
         let r = unpack(reduction, O) * seen;
         let mut stacked = DMatrix::zeros(P + 1, P + 1);

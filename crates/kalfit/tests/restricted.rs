@@ -10,7 +10,7 @@ use nalgebra::{DMatrix, DVector};
 use simulated::{Assumed, Recipe, beta, dense, ensemble, fit, fixed, simplex};
 
 fn base() -> Recipe {
-    Recipe { p: 3, tests: 12, rank: 3, observed: 5, strength: 1.5, designs: 12, regressors: 0 }
+    Recipe { p: 3, tests: 12, rank: 3, observed: 5, strength: 1.5, designs: 12, regressors: 0, mild: false }
 }
 
 fn means() -> Vec<MeanStructure> {

@@ -12,7 +12,8 @@ const FAR: f64 = 1e-3;
 
 #[test]
 fn em_and_newton_end_at_the_same_point_under_every_structure() {
-    let recipe = Recipe { p: 3, tests: 60, rank: 3, observed: 6, strength: 5.0, designs: 60, regressors: 1 };
+    let recipe =
+        Recipe { p: 3, tests: 60, rank: 3, observed: 6, strength: 5.0, designs: 60, regressors: 1, mild: false };
     for (name, assumed) in structures(3) {
         let mut arrived = 0;
         for seed in 0..6 {

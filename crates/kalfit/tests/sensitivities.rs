@@ -104,7 +104,8 @@ fn slope(f: &dyn Fn(f64) -> f64, h: f64, one_sided: bool) -> f64 {
 
 #[test]
 fn sensitivities_are_derivatives_of_the_refitted_maximum() {
-    let plain = Recipe { p: 3, tests: 40, rank: 3, observed: 6, strength: 1.5, designs: 40, regressors: 0 };
+    let plain =
+        Recipe { p: 3, tests: 40, rank: 3, observed: 6, strength: 1.5, designs: 40, regressors: 0, mild: false };
     let singular = Recipe { rank: 2, tests: 20, designs: 20, ..plain };
     for recipe in [plain, singular] {
         for case in cases() {

@@ -28,7 +28,8 @@ impl Place {
         near: Option<&DMatrix<f64>>,
     ) -> Option<Place> {
         let local = objective.local(&point, near).filter(|l| l.value.is_finite())?;
-        Some(Place::of(objective, map, point, local))
+        // a point so far out that its derivatives overflow is none
+        Some(Place::of(objective, map, point, local)).filter(|place| place.decrement().is_finite())
     }
 
     /// The place where this is known.

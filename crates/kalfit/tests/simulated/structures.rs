@@ -22,7 +22,7 @@ pub(crate) fn pattern(p: usize, zero: impl Fn(usize, usize) -> bool) -> Covarian
 
 /// Σ22 of the last two states known, with Σ12 free or known.
 pub(crate) fn held(p: usize, beside: bool) -> CovarianceStructure {
-    let mut elements = vec![(p - 1, p - 1, 1.5), (p - 2, p - 2, 1.0), (p - 1, p - 2, 0.3)];
+    let mut elements = vec![(p - 1, p - 1, 1.2), (p - 2, p - 2, 1.0), (p - 1, p - 2, 0.3)];
     if beside {
         elements.extend((0..p - 2).map(|j| (p - 1, j, 0.1)));
     }
@@ -63,8 +63,8 @@ pub(crate) fn structures(p: usize) -> Vec<(&'static str, Assumed)> {
         ("correlation", ml(of(CovarianceKind::Correlation(numbers(p, |i, j| if i == j { 1.0 } else { 0.3 }))))),
         ("known", ml(of(CovarianceKind::Fixed(numbers(p, |i, j| if i == j { 1.0 } else { 0.3 }))))),
         ("toeplitz", ml(of(CovarianceKind::Linear { constant: DMatrix::zeros(p, p), generators: bands }))),
-        ("mean fixed", mean(MeanElement::Fixed(1.0))),
-        ("mean tied", mean(MeanElement::Tied { constant: 0.2, terms: vec![(0, 0.5), (1, -1.0)] })),
+        ("mean fixed", mean(MeanElement::Fixed(p as f64))),
+        ("mean tied", mean(MeanElement::Tied { constant: p as f64 + 1.5, terms: vec![(0, 0.5), (1, -1.0)] })),
         (
             "mean proportional",
             Assumed::ml(MeanStructure { elements: proportional, ..free.clone() }, CovarianceStructure::full()),
