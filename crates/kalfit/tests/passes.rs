@@ -76,8 +76,7 @@ fn table(p: usize) {
             write!(table, "{passes:14}").expect("text");
         }
     }
-    println!("{table}");
-    assert!(failures.is_empty(), "{} failures\n{}", failures.len(), failures.join("\n"));
+    assert!(failures.is_empty(), "{table}\n{} failures\n{}", failures.len(), failures.join("\n"));
 }
 
 #[test]
