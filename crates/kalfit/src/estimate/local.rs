@@ -258,7 +258,7 @@ pub(crate) struct Curvature {
 const FAR: f64 = 1.0;
 
 /// A step that fails is tried again at no less and no more than these parts of its length.
-const SHORTEST: f64 = 0.1;
+const SHORTEST: f64 = 0.25;
 const LONGEST: f64 = 0.5;
 
 /// Scaled eigenvalues below this are flat: the data say nothing there.
@@ -295,7 +295,7 @@ impl Curvature {
     }
 
     /// The damping for the next try after a step with this much gave only `gain`: the value along the step as a parabola with
-    /// the slope at the place says how much shorter, between a tenth and a half.
+    /// the slope at the place says how much shorter, between a quarter and a half.
     pub(crate) fn shorter(&self, damping: f64, gain: f64) -> f64 {
         let length = |d: f64| self.terms().map(|(_, h, g)| (g / (h + d)).powi(2)).sum::<f64>().sqrt();
         let slope: f64 = self.terms().map(|(_, h, g)| g * g / (h + damping)).sum();
