@@ -10,7 +10,7 @@ use nalgebra::{DMatrix, DVector};
 use simulated::{Assumed, Recipe, beta, dense, ensemble, fit, fixed, simplex};
 
 fn base() -> Recipe {
-    Recipe { p: 3, tests: 12, rank: 3, observed: 5, strength: 1.5, designs: 12, regressors: 0 }
+    Recipe { p: 3, tests: 12, rank: 3, observed: 5, strength: 1.5, designs: 12, regressors: 0, mild: false }
 }
 
 fn means() -> Vec<MeanStructure> {
@@ -145,7 +145,8 @@ fn standard_errors_of_the_covariance_are_those_of_difference_quotients() {
             }
             dense(&data, &mean, &zero, &sigma).restricted
         };
-        let h = 1e-3 * found.covariance.amax();
+        // small beside the smallest variance too, so that the differences stay inside the cone
+        let h = 3e-4 * found.covariance.symmetric_eigenvalues().min();
         let unit = |k: usize, s: f64| std::array::from_fn(|i| if i == k { s * h } else { 0.0 });
         let plus = |a: [f64; 3], b: [f64; 3]| std::array::from_fn(|i| a[i] + b[i]);
         let second = DMatrix::from_fn(3, 3, |a, b| {
@@ -180,7 +181,9 @@ fn em_and_newton_end_at_the_same_point() {
                 assert!(em.trace.windows(2).all(|w| w[1] >= w[0] - 1e-9), "EM fell, {what}: {:?}", em.trace);
                 let gap = newton.log_likelihood - em.log_likelihood;
                 // towards a nearly singular optimum EM creeps, and has not arrived when the passes run out
-                let slow = if em.stop == Stop::Certified { 1e-7 } else { 1.0 };
+                // equal variances where the true ones are not: EM may end at another, lower maximum
+                let elsewhere = !covariance.equal.is_empty();
+                let slow = if em.stop == Stop::Certified && !elsewhere { 1e-7 } else { f64::INFINITY };
                 arrived += usize::from(em.stop == Stop::Certified);
                 assert!(gap > -1e-8 && gap < slow, "{what}: newton {} em {}", newton.log_likelihood, em.log_likelihood);
             }

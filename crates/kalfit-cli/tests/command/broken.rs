@@ -279,11 +279,6 @@ fn wrong_arguments() {
 
     For more information, try '--help'.
     ");
-    assert_snapshot!(refused("fit m.toml d.csv --criterion reml", &[]), @"
-    error: invalid value 'reml' for '--criterion <CRITERION>': this version has only `ml`
-
-    For more information, try '--help'.
-    ");
     assert_snapshot!(refused("fit m.toml d.csv --phases marginal", &[]), @"
     error: invalid value 'marginal' for '--phases <PHASES>': this version has only `chain`
 

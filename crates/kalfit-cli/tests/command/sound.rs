@@ -102,6 +102,16 @@ fn version_and_help() {
               
               [default: newton]
 
+          --criterion <CRITERION>
+              What is maximised
+
+              Possible values:
+              - ml:   The likelihood of the mean and the covariance
+              - reml: The restricted likelihood of the covariance, whose estimate does not shrink when
+                tests are few
+              
+              [default: ml]
+
           --tolerance <T>
               Stop within this many standard errors of the optimum [default: 1e-8]
 

@@ -268,6 +268,13 @@ pub(crate) struct Curvature {
     gradient: DVector<f64>,
 }
 
+/// Further from the optimum than this (in standard errors), by the model's account, the model is not to be trusted.
+const FAR: f64 = 1.0;
+
+/// A step that fails is tried again at no less and no more than these parts of its length.
+const SHORTEST: f64 = 0.25;
+const LONGEST: f64 = 0.5;
+
 /// Scaled eigenvalues below this are flat: the data say nothing there.
 pub(crate) const FLAT: f64 = 1e-10;
 
@@ -293,6 +300,31 @@ impl Curvature {
     /// Newton decrement: the distance to the optimum of the model, in standard errors.
     pub(crate) fn decrement(&self) -> f64 {
         self.terms().map(|(_, h, g)| g * g / h).fold(0.0, |a, b| a + b).sqrt() // a sum of nothing is -0
+    }
+
+    /// Damping for a place where the value is not concave: the model holds less far.
+    pub(crate) fn doubtful(&self) -> f64 {
+        let least = self.values.first().copied().unwrap_or(0.0);
+        if least < -1e-3 && self.decrement() > FAR { 0.6 * -least } else { 0.0 }
+    }
+
+    /// The damping for the next try after a step with this much gave only `gain`: the value along the step as a parabola with
+    /// the slope at the place says how much shorter, between a quarter and a half.
+    pub(crate) fn shorter(&self, damping: f64, gain: f64) -> f64 {
+        let length = |d: f64| self.terms().map(|(_, h, g)| (g / (h + d)).powi(2)).sum::<f64>().sqrt();
+        let slope: f64 = self.terms().map(|(_, h, g)| g * g / (h + damping)).sum();
+        let part = slope / (2.0 * (slope - gain)); // zero where there is no value
+        let wanted = length(damping) * part.clamp(SHORTEST, LONGEST);
+        let (mut low, mut high) = (damping, damping.max(1e-3));
+        while length(high) > wanted && high < 1e30 {
+            low = high;
+            high *= 4.0;
+        }
+        for _ in 0..20 {
+            let middle = 0.5 * (low + high);
+            if length(middle) > wanted { low = middle } else { high = middle }
+        }
+        high
     }
 
     /// Step along the tangent basis with this much damping, and the gain it promises.

@@ -23,6 +23,7 @@ mod search;
 mod settings;
 mod start;
 mod terms;
+mod unobserved;
 
 use nalgebra::DMatrix;
 

@@ -30,7 +30,7 @@ impl Place {
         Place::at(objective.local(&point, near)?, objective.mean_jacobian(), map, point)
     }
 
-    /// A point where the objective is known; `None` where it is not finite.
+    /// The place where this is known; `None` where it is not finite, or so far out that its derivatives overflow.
     pub(crate) fn at(
         local: Local,
         mean_jacobian: &DMatrix<f64>,
@@ -43,7 +43,8 @@ impl Place {
         let tangent = Tangent::new(&local, mean_jacobian, map, &point.root);
         point.root = tangent.chart.root.clone();
         let curvature = Curvature::new(&tangent);
-        Some(Place { point, local, tangent, curvature })
+        let place = Place { point, local, tangent, curvature };
+        place.decrement().is_finite().then_some(place)
     }
 
     /// What places near by may take from this one.
@@ -75,6 +76,7 @@ impl Damping {
     /// Steps from `place`, with more damping until the value rises.
     pub(crate) fn attempt(&mut self, objective: &dyn Objective, map: &CovarianceMap, place: &Place) -> Attempt {
         let slack = 1e-13 * place.local.value.abs().max(1.0);
+        self.0 = self.0.max(place.curvature.doubtful());
         for _ in 0..TRIES {
             let (step, promised) = place.curvature.step(self.0);
             if let Some(next) =
@@ -85,8 +87,10 @@ impl Damping {
                     self.judge(gain / promised);
                     return Attempt::Better(Box::new(next));
                 }
+                self.0 = place.curvature.shorter(self.0, gain);
+            } else {
+                self.0 = place.curvature.shorter(self.0, f64::NEG_INFINITY);
             }
-            self.0 = (self.0 * 8.0).max(0.05);
         }
         Attempt::Failed
     }

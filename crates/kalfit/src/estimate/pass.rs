@@ -91,6 +91,11 @@ impl Sums {
         self
     }
 
+    /// What places near by may take from this one.
+    pub(crate) fn near(&self) -> Option<&DMatrix<f64>> {
+        self.restricted.as_ref().map(|r| &r.covariance)
+    }
+
     /// Σ r r', to which under the restricted likelihood the uncertainty of the mean adds Σ W X V X'W.
     pub(crate) fn moment(&self) -> DMatrix<f64> {
         match &self.restricted {

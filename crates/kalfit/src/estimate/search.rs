@@ -8,18 +8,21 @@ use crate::estimate::certificate::{Certificate, certificate};
 use crate::estimate::climb::escaped;
 use crate::estimate::covariance::Form;
 use crate::estimate::em::{self, Turn};
+use crate::estimate::local::{Local, Objective};
 use crate::estimate::newton::{Attempt, Damping, Place, retract};
 use crate::estimate::pass::{Order, Sums};
 use crate::estimate::problem::Problem;
 use crate::estimate::settings::{Progress, Settings, Solver, Step};
 use crate::estimate::terms::Point;
-use crate::estimate::{Criterion, Estimate, FitError, State, Stop, Structure, scoring};
+use crate::estimate::{Criterion, Estimate, FitError, State, Stop, Structure, scoring, unobserved};
 use crate::model::Population;
 
 /// Most scoring steps before Newton's method takes over.
 const SCORING_STEPS: usize = 5;
 /// Newton's method takes over once scoring promises, or has just given, no more than this of ℓ.
 const ENOUGH: f64 = 0.5;
+/// … or has given less than this part of what it promised.
+const KEPT: f64 = 0.7;
 /// EM passes between two looks at the certificate.
 const EM_LOOK: usize = 16;
 /// A trailing column of the factor this small (in η) is tried at exactly zero.
@@ -41,8 +44,10 @@ impl<'a> Search<'a> {
     pub(crate) fn run(mut self, start: Point, structure: &Structure<'_>) -> Result<Estimate, FitError> {
         let (place, stop) = match self.settings.solver {
             Solver::Newton => {
-                let (start, near) = self.scored_start(start)?;
-                self.newton(start, near.as_ref())?
+                let began = start.root.clone();
+                let scored = self.scored_start(start)?;
+                let (place, stop) = self.newton(scored)?;
+                (self.restored(place, &began)?, stop)
             }
             Solver::Em => self.em(start)?,
         };
@@ -52,7 +57,12 @@ impl<'a> Search<'a> {
     /// From a start that is near the optimum.
     pub(crate) fn resume(mut self, start: Point, structure: &Structure<'_>) -> Result<Estimate, FitError> {
         let (place, stop) = match self.settings.solver {
-            Solver::Newton => self.newton(start, None)?,
+            Solver::Newton => {
+                let began = start.root.clone();
+                let near = self.place(start, None)?;
+                let (place, stop) = self.newton(near)?;
+                (self.restored(place, &began)?, stop)
+            }
             Solver::Em => self.em(start)?,
         };
         self.finish(place, stop, structure)
@@ -71,13 +81,18 @@ impl<'a> Search<'a> {
         Place::new(&self.problem, &self.problem.covariance, point, near).ok_or(FitError::NotFinite)
     }
 
+    /// The place where these are the sums.
+    fn known(&self, point: Point, sums: &Sums) -> Result<Place, FitError> {
+        let problem = &self.problem;
+        Place::at(Local::from(sums), problem.mean_jacobian(), &problem.covariance, point).ok_or(FitError::NotFinite)
+    }
+
     fn sums(&self, point: &Point, order: Order) -> Result<Sums, FitError> {
         self.problem.sums(point, order, None).ok_or(FitError::NotFinite)
     }
 
     /// Newton, and EM where Newton finds no step.
-    fn newton(&mut self, start: Point, near: Option<&DMatrix<f64>>) -> Result<(Place, Stop), FitError> {
-        let mut place = self.place(start, near)?;
+    fn newton(&mut self, mut place: Place) -> Result<(Place, Stop), FitError> {
         self.accept(place.local.value, Some(place.decrement()));
         let mut damping = Damping::default();
         let mut failures = 0;
@@ -110,29 +125,34 @@ impl<'a> Search<'a> {
     }
 
     /// The start, moved on by Fisher scoring while that promises much; ℓ need not rise on the way, and where it falls the
-    /// better point is kept. With it comes the covariance of the mean there, under the restricted likelihood.
-    fn scored_start(&mut self, start: Point) -> Result<(Point, Option<DMatrix<f64>>), FitError> {
-        let mut best: Option<(f64, Point)> = None;
-        let mut near = None;
+    /// better point is kept, which needs no new pass.
+    fn scored_start(&mut self, start: Point) -> Result<Place, FitError> {
+        let mut best: Option<(Sums, Point)> = None;
         let mut point = start;
+        let mut expected = 0.0;
         for _ in 0..SCORING_STEPS {
-            let sums = self.sums(&point, Order::Expected)?;
-            near = sums.restricted.as_ref().map(|r| r.covariance.clone());
-            match &best {
-                Some((value, kept)) if sums.value.is_nan() || sums.value < *value => {
-                    return Ok((kept.clone(), near));
-                }
-                _ => self.accept(sums.value, None),
+            let near = best.as_ref().and_then(|(sums, _)| sums.near());
+            let sums = self.problem.sums(&point, Order::Expected, near).ok_or(FitError::NotFinite)?;
+            let before = best.as_ref().map(|(sums, _)| sums.value);
+            if let Some((kept, at)) = best.take_if(|(kept, _)| sums.value.is_nan() || sums.value < kept.value) {
+                return self.known(at, &kept);
             }
-            let gained = best.as_ref().map_or(f64::INFINITY, |(before, _)| sums.value - before);
+            self.accept(sums.value, None);
+            let gained = before.map_or(f64::INFINITY, |before| sums.value - before);
             let (next, promised) = scoring::step(&self.problem, &point, &sums);
-            best = Some((sums.value, point));
+            let kept_its_word = gained >= KEPT * expected;
+            expected = promised;
+            best = Some((sums, point));
             point = next;
-            if promised < ENOUGH || gained < ENOUGH {
+            if promised < ENOUGH || gained < ENOUGH || !kept_its_word {
                 break;
             }
         }
-        Ok((point, near))
+        let place = self.place(point, best.as_ref().and_then(|(sums, _)| sums.near()))?;
+        match best.filter(|(sums, _)| sums.value > place.local.value) {
+            Some((sums, point)) => self.known(point, &sums),
+            None => Ok(place),
+        }
     }
 
     /// An EM step, where it raises ℓ.
@@ -164,8 +184,7 @@ impl<'a> Search<'a> {
             before = sums.value;
             self.accept(sums.value, None);
             if steps.is_multiple_of(EM_LOOK) || self.out_of_passes() {
-                let near = sums.restricted.as_ref().map(|r| r.covariance.clone());
-                let place = self.place(point.clone(), near.as_ref())?;
+                let place = self.place(point.clone(), sums.near())?;
                 if place.decrement() <= self.settings.tolerance {
                     return Ok((place, Stop::Certified));
                 }
@@ -197,6 +216,15 @@ impl<'a> Search<'a> {
         let settings = self.settings.clone();
         let state = State { place, sums, problem: Arc::new(self.problem), mean, covariance, alpha, settings };
         Ok(Estimate { passes, ..leave(state, certificate, stop, self.trace, self.settings.solver) })
+    }
+
+    /// What no test observes put back to the law it started with, where Newton's steps have moved it.
+    fn restored(&mut self, place: Place, start: &DMatrix<f64>) -> Result<Place, FitError> {
+        let (map, information) = (&self.problem.covariance, &self.problem.classes.information);
+        let Some(root) = unobserved::restored(map, information, start, &place.point.root) else { return Ok(place) };
+        let next = self.place(Point { root, ..place.point.clone() }, place.near())?;
+        let fine = next.local.value >= place.local.value - 1e-9;
+        Ok(if fine && next.decrement() <= place.decrement().max(self.settings.tolerance) { next } else { place })
     }
 
     /// Trailing columns of the factor that are all but zero, set to zero when ℓ does not mind.

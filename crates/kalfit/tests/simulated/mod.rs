@@ -1,6 +1,8 @@
 //! Random ensembles of reductions, and naive dense algebra to compare with.
 #![allow(dead_code, reason = "each test crate uses its own part of it")]
 
+pub(crate) mod structures;
+
 use kalfit::estimate::{self, Criterion, Estimate, Settings, Silent, Solver, Structure};
 use kalfit::model::{Alpha, CovarianceStructure, FixedElement, MeanStructure};
 use kalfit::reduce::{Path, Reduction};
@@ -23,6 +25,8 @@ pub(crate) struct Recipe {
     /// Number of distinct designs.
     pub(crate) designs: usize,
     pub(crate) regressors: usize,
+    /// The structures of [`structures`] are not far from the truth: means 1, 2, 3, …, variances of one.
+    pub(crate) mild: bool,
 }
 
 pub(crate) fn normal(rng: &mut impl Rng) -> f64 {
@@ -30,10 +34,11 @@ pub(crate) fn normal(rng: &mut impl Rng) -> f64 {
 }
 
 pub(crate) fn ensemble(recipe: Recipe, seed: u64) -> Vec<Reduction> {
-    let Recipe { p, tests, rank, observed, strength, designs, regressors } = recipe;
+    let Recipe { p, tests, rank, observed, strength, designs, regressors, mild } = recipe;
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mu = DVector::from_fn(p, |_, _| 3.0 * normal(&mut rng));
     let root = DMatrix::from_fn(p, rank, |_, _| normal(&mut rng));
+    let (mu, root) = if mild { (DVector::from_fn(p, |i, _| 1.0 + i as f64), unit_variances(root)) } else { (mu, root) };
     let factors: Vec<DMatrix<f64>> = (0..designs)
         .map(|_| {
             let m = rng.random_range(1..=observed);
@@ -67,6 +72,20 @@ pub(crate) fn ensemble(recipe: Recipe, seed: u64) -> Vec<Reduction> {
 
 pub(crate) fn unpack(reduction: &Reduction, p: usize) -> DMatrix<f64> {
     DMatrix::from_fn(p, p, |i, k| if i <= k { reduction.factor[i + k * (k + 1) / 2] } else { 0.0 })
+}
+
+/// Of full rank: correlations of 0.3. Otherwise: the rows scaled.
+fn unit_variances(mut root: DMatrix<f64>) -> DMatrix<f64> {
+    let (p, rank) = root.shape();
+    if rank == p {
+        let sigma = DMatrix::from_fn(p, p, |i, j| if i == j { 1.0 } else { 0.3 });
+        return sigma.cholesky().expect("positive definite").unpack();
+    }
+    root.row_iter_mut().for_each(|mut row| {
+        let norm = row.norm();
+        row.unscale_mut(norm);
+    });
+    root
 }
 
 /// What is assumed, and what is maximised.
