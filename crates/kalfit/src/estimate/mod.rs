@@ -17,6 +17,7 @@ mod mean;
 mod newton;
 mod pass;
 mod problem;
+mod quadratic;
 mod reml;
 mod scoring;
 mod search;

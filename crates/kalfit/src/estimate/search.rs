@@ -14,7 +14,7 @@ use crate::estimate::pass::{Order, Sums};
 use crate::estimate::problem::Problem;
 use crate::estimate::settings::{Progress, Settings, Solver, Step};
 use crate::estimate::terms::Point;
-use crate::estimate::{Criterion, Estimate, FitError, State, Stop, Structure, scoring, unobserved};
+use crate::estimate::{Criterion, Estimate, FitError, State, Stop, Structure, quadratic, scoring, unobserved};
 use crate::model::Population;
 
 /// Most scoring steps before Newton's method takes over.
@@ -106,6 +106,12 @@ impl<'a> Search<'a> {
             }
             if self.out_of_passes() {
                 return Ok((place, Stop::PassLimit));
+            }
+            let tests = self.problem.classes.tests as f64;
+            if let Some(next) = quadratic::step(&self.problem, &self.problem.covariance, tests, &place) {
+                place = next;
+                self.accept(place.local.value, Some(place.decrement()));
+                continue;
             }
             match damping.attempt(&self.problem, &self.problem.covariance, &place) {
                 Attempt::Better(next) => {

@@ -1,0 +1,157 @@
+//! A step on the quadratic model of ℓ in (mean, Σ) itself, over the cone that Σ must stay in.
+//!
+//! Newton's method in (mean, ψ), Σ = FF', has a quadratic model in ψ. Where a column of F goes to zero while the score along it
+//! vanishes too, ℓ is of fourth order in that column, and such steps only shrink it by a third each. In Σ there is no such
+//! degeneracy: maximising the quadratic model in (mean, Σ) over Σ = FF' costs no pass, and its end is a step that finds the
+//! boundary at once.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::estimate::climb::{Limits, climb};
+use crate::estimate::covariance::{CovarianceMap, Form};
+use crate::estimate::local::{Local, Objective, packed_score};
+use crate::estimate::newton::{Place, retract};
+use crate::estimate::terms::Point;
+use crate::linalg::symmetric::{pair, pairs};
+
+/// Steps on the model.
+const STEPS: usize = 25;
+/// Columns of F (in η) below this may be zero.
+const SMALL: f64 = 0.1;
+/// How many times what they were variances may become.
+const REACH: f64 = 4.0;
+/// What a value of ℓ may be off by, relative to its size.
+const NOISE: f64 = 1e-13;
+/// The part of the promised gain that makes a step good.
+const ENOUGH: f64 = 0.25;
+
+/// The better place at the model's maximum; `None` where it is not better by what the model promised. One pass.
+pub(crate) fn step(objective: &dyn Objective, map: &CovarianceMap, tests: f64, place: &Place) -> Option<Place> {
+    let model = Quadratic::new(objective, place);
+    let start = Place::new(&model, map, place.point.clone(), None)?;
+    let limits = Limits { tolerance: 1e-4 * place.decrement().min(1.0), steps: STEPS };
+    let (end, _) = climb(&model, map, tests, start, limits);
+    let noise = NOISE * place.local.value.abs().max(1.0);
+    let end = flattened(&model, map, (tests, noise), end, limits);
+    let promised = end.local.value - place.local.value;
+    if promised.is_nan() || !is_near(&end.point, &place.point) {
+        return None;
+    }
+    let next = Place::new(objective, map, end.point, place.near())?;
+    let gain = next.local.value - place.local.value;
+    // where the value has no digits left to tell, the decrement does
+    let closer = gain >= -noise && next.decrement() < 0.5 * place.decrement();
+    (if promised > noise { gain >= ENOUGH * promised } else { closer }).then_some(next)
+}
+
+/// The end with columns of F set to zero, the smallest first, as long as the model does not mind: it nears a boundary slowly.
+fn flattened(
+    model: &Quadratic<'_>,
+    map: &CovarianceMap,
+    (tests, noise): (f64, f64),
+    mut end: Place,
+    limits: Limits,
+) -> Place {
+    for _ in 0..end.point.root.ncols() {
+        let Some(root) = without_least_column(map, &end.point.root) else { break };
+        let chart = map.chart(&root);
+        let still = DVector::zeros(chart.coordinates.len());
+        let next = retract(map, &chart, still)
+            .and_then(|root| Place::new(model, map, Point { root, ..end.point.clone() }, None))
+            .filter(|next| next.local.value >= end.local.value - noise);
+        let Some(next) = next else { break };
+        end = climb(model, map, tests, next, limits).0;
+    }
+    end
+}
+
+/// F with the smallest column that is small, but not zero, set to zero.
+fn without_least_column(map: &CovarianceMap, root: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+    let Form::Factor(_) = &map.form else { return None };
+    let small = |c: &usize| (0.0..SMALL).contains(&root.column(*c).amax()) && root.column(*c).amax() > 0.0;
+    let least = (0..root.ncols())
+        .filter(small)
+        .min_by(|&a, &b| root.column(a).amax().total_cmp(&root.column(b).amax()))?;
+    let mut root = root.clone();
+    root.column_mut(least).fill(0.0);
+    Some(root)
+}
+
+/// ℓ near a place to second order, curvature by absolute value.
+struct Quadratic<'a> {
+    objective: &'a dyn Objective,
+    place: &'a Place,
+    sigma: DMatrix<f64>,
+    /// In mean coordinates, then pairs.
+    gradient: DVector<f64>,
+    information: DMatrix<f64>,
+}
+
+impl<'a> Quadratic<'a> {
+    fn new(objective: &'a dyn Objective, place: &'a Place) -> Quadratic<'a> {
+        let local = &place.local;
+        let (m, s) = (local.mean_score.len(), local.information.nrows());
+        let mut gradient = DVector::zeros(m + s);
+        gradient.rows_mut(0, m).copy_from(&local.mean_score);
+        gradient.rows_mut(m, s).copy_from(&packed_score(&local.score));
+        let mut information = DMatrix::zeros(m + s, m + s);
+        information.view_mut((0, 0), (m, m)).copy_from(&local.mean_information);
+        information.view_mut((0, m), (m, s)).copy_from(&local.cross);
+        information.view_mut((m, 0), (s, m)).copy_from(&local.cross.transpose());
+        information.view_mut((m, m), (s, s)).copy_from(&local.information);
+        Quadratic { objective, sigma: place.point.covariance(), place, gradient, information }
+    }
+
+    fn away(&self, point: &Point) -> DVector<f64> {
+        let at = &self.place.point;
+        let (p, m) = (at.mean.len(), self.place.local.mean_score.len());
+        let moved = point.covariance() - &self.sigma;
+        let mut away = DVector::zeros(m + pairs(p));
+        for i in 0..p {
+            away[i] = point.mean[i] - at.mean[i];
+            for j in 0..=i {
+                away[m + pair(i, j)] = moved[(i, j)];
+            }
+        }
+        for (c, (now, then)) in point.coefficients.iter().zip(&at.coefficients).enumerate() {
+            away[p + c] = now - then;
+        }
+        away
+    }
+}
+
+/// Whether Σ stays within reach of what it was: beyond, a model of second order says little.
+fn is_near(point: &Point, from: &Point) -> bool {
+    let spread = |point: &Point, i: usize| point.root.row(i).norm_squared();
+    (0..point.mean.len()).all(|i| spread(point, i) <= REACH * (1.0 + spread(from, i)))
+}
+
+impl Objective for Quadratic<'_> {
+    fn local(&self, point: &Point, _: Option<&DMatrix<f64>>) -> Option<Local> {
+        let (p, m) = (point.mean.len(), self.place.local.mean_score.len());
+        let s = pairs(p);
+        let away = self.away(point);
+        let pull = &self.information * &away;
+        let gradient = &self.gradient - &pull;
+        let packed = |k: usize| gradient[m + k];
+        let score = |i: usize, j: usize| packed(pair(i, j)) * if i == j { 1.0 } else { 0.5 };
+        Some(Local {
+            value: self.place.local.value + away.dot(&(&self.gradient - pull * 0.5)),
+            mean_score: gradient.rows(0, m).clone_owned(),
+            mean_information: self.information.view((0, 0), (m, m)).clone_owned(),
+            score: DMatrix::from_fn(p, p, score),
+            cross: self.information.view((0, m), (m, s)).clone_owned(),
+            information: self.information.view((m, m), (s, s)).clone_owned(),
+            weight: self.place.local.weight.clone(),
+            mean_covariance: None,
+        })
+    }
+
+    fn mean_jacobian(&self) -> &DMatrix<f64> {
+        self.objective.mean_jacobian()
+    }
+
+    fn move_mean(&self, point: &Point, step: &[f64]) -> Point {
+        self.objective.move_mean(point, step)
+    }
+}
