@@ -41,6 +41,11 @@ impl From<&Sums> for Local {
 }
 
 impl Local {
+    /// Number of mean coordinates and elements of Σ.
+    pub(crate) fn gradient_size(&self) -> usize {
+        self.mean_score.len() + self.information.nrows()
+    }
+
     /// Without what some of the tests say.
     pub(crate) fn less(mut self, other: &Local) -> Local {
         self.value -= other.value;

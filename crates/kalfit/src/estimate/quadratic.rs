@@ -23,7 +23,7 @@ const REACH: f64 = 4.0;
 /// What a value of ℓ may be off by, relative to its size.
 const NOISE: f64 = 1e-13;
 /// The part of the promised gain that makes a step good.
-const ENOUGH: f64 = 0.25;
+const ENOUGH: f64 = 0.05;
 
 /// The better place at the model's maximum; `None` where it is not better by what the model promised. One pass.
 pub(crate) fn step(objective: &dyn Objective, map: &CovarianceMap, tests: f64, place: &Place) -> Option<Place> {
@@ -69,9 +69,8 @@ fn flattened(
 fn without_least_column(map: &CovarianceMap, root: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     let Form::Factor(_) = &map.form else { return None };
     let small = |c: &usize| (0.0..SMALL).contains(&root.column(*c).amax()) && root.column(*c).amax() > 0.0;
-    let least = (0..root.ncols())
-        .filter(small)
-        .min_by(|&a, &b| root.column(a).amax().total_cmp(&root.column(b).amax()))?;
+    let least =
+        (0..root.ncols()).filter(small).min_by(|&a, &b| root.column(a).amax().total_cmp(&root.column(b).amax()))?;
     let mut root = root.clone();
     root.column_mut(least).fill(0.0);
     Some(root)

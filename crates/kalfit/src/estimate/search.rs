@@ -23,6 +23,10 @@ const SCORING_STEPS: usize = 5;
 const ENOUGH: f64 = 0.5;
 /// … or has given less than this part of what it promised.
 const KEPT: f64 = 0.7;
+/// Newton's method in ψ is left to itself while it takes the decrement down by this, unless the model in Σ costs little: up to
+/// so many mean coordinates and elements of Σ.
+const FAST: f64 = 0.1;
+const CHEAP: usize = 120;
 /// EM passes between two looks at the certificate.
 const EM_LOOK: usize = 16;
 /// A trailing column of the factor this small (in η) is tried at exactly zero.
@@ -96,6 +100,7 @@ impl<'a> Search<'a> {
         self.accept(place.local.value, Some(place.decrement()));
         let mut damping = Damping::default();
         let mut failures = 0;
+        let mut before = f64::INFINITY;
         loop {
             if place.decrement() <= self.settings.tolerance {
                 let tests = self.problem.classes.tests as f64;
@@ -107,8 +112,11 @@ impl<'a> Search<'a> {
             if self.out_of_passes() {
                 return Ok((place, Stop::PassLimit));
             }
-            let tests = self.problem.classes.tests as f64;
-            if let Some(next) = quadratic::step(&self.problem, &self.problem.covariance, tests, &place) {
+            let fast = place.decrement() < FAST * before;
+            before = place.decrement();
+            if (!fast || place.local.gradient_size() <= CHEAP)
+                && let Some(next) = self.on_the_cone(&place)
+            {
                 place = next;
                 self.accept(place.local.value, Some(place.decrement()));
                 continue;
@@ -159,6 +167,11 @@ impl<'a> Search<'a> {
             Some((sums, point)) => self.known(point, &sums),
             None => Ok(place),
         }
+    }
+
+    fn on_the_cone(&self, place: &Place) -> Option<Place> {
+        let tests = self.problem.classes.tests as f64;
+        quadratic::step(&self.problem, &self.problem.covariance, tests, place)
     }
 
     /// An EM step, where it raises ℓ.
