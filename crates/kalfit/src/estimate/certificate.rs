@@ -6,9 +6,10 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::covariance::{CovarianceMap, Form, sub};
+use crate::estimate::covariance::{CovarianceMap, Form, place as place_block, sub};
 use crate::estimate::local::natural_sizes;
 use crate::estimate::newton::Place;
+use crate::estimate::relaxed::{relax, undetermined};
 use crate::linalg::symmetric;
 
 /// Null-space scores below this many standard errors count as zero.
@@ -91,7 +92,9 @@ fn escape(map: &CovarianceMap, place: &Place, tests: f64) -> Option<Escape> {
     let weight = &place.local.weight;
     match &map.form {
         Form::Factor(blocks) => {
-            let of_block = |block: &Vec<usize>| block_escape(block, &place.point.root, residual, weight, tests);
+            let free = undetermined(&map.constraints, &place.point.root);
+            let of_block =
+                |block: &Vec<usize>| block_escape(block, &place.point.root, (residual, &free), weight, tests);
             blocks.iter().filter_map(of_block).max_by(|a, b| a.score.total_cmp(&b.score))
         }
         Form::Scale(star) if place.point.root.amax() <= 1e-9 * star.amax() => {
@@ -130,10 +133,11 @@ fn std_dev_escape(correlation: &DMatrix<f64>, states: &[usize], place: &Place, t
     singles.chain(both).max_by(|a, b| a.score.total_cmp(&b.score))
 }
 
+/// The worst direction of the null space of Σ on a block, once multipliers that are not determined have done what they can.
 fn block_escape(
     block: &[usize],
     root: &DMatrix<f64>,
-    residual: &DMatrix<f64>,
+    (residual, free): (&DMatrix<f64>, &[DMatrix<f64>]),
     weight: &DMatrix<f64>,
     tests: f64,
 ) -> Option<Escape> {
@@ -148,15 +152,16 @@ fn block_escape(
         return None;
     }
     let basis = vectors.select_columns(&null);
-    let residual = sub(residual, block);
-    let residual = DMatrix::from_fn(block.len(), block.len(), |i, j| size(i) * residual[(i, j)] * size(j));
-    let (scores, directions) = symmetric::eigen(&(basis.transpose() * residual * &basis));
-    let slope = *scores.last()?;
-    let local = basis * directions.column(scores.len() - 1);
-    let mut direction = DVector::zeros(root.nrows());
-    block.iter().enumerate().for_each(|(k, &i)| direction[i] = size(k) * local[k]);
-    let own = direction.dot(&(weight * &direction)) / tests;
-    Some(along(&direction * direction.transpose(), slope, own, tests))
+    let scaled = DMatrix::from_fn(block.len(), null.len(), |i, c| size(i) * basis[(i, c)]);
+    let within = |matrix: &DMatrix<f64>| scaled.transpose() * sub(matrix, block) * &scaled;
+    let free: Vec<DMatrix<f64>> = free.iter().map(within).collect();
+    let (score, density) = relax(&within(residual), &free);
+    let (scores, _) = symmetric::eigen(&score);
+    let direction = &scaled * &density * scaled.transpose();
+    let mut whole = DMatrix::zeros(root.nrows(), root.nrows());
+    place_block(&mut whole, block, &direction);
+    let own = (weight * &whole).trace() / tests;
+    Some(along(whole, *scores.last()?, own, tests))
 }
 
 /// In direction D with score s the expected information is about ½ N (tr W̄D)².

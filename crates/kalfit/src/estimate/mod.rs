@@ -18,6 +18,7 @@ mod newton;
 mod pass;
 mod problem;
 mod quadratic;
+mod relaxed;
 mod reml;
 mod scoring;
 mod search;
