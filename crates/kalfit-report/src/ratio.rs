@@ -100,9 +100,7 @@ fn laws(record: &RatioRecord, page: &Page<'_>) -> String {
     ];
     let heading = format!("-2 log λ = {}", plain(record.lr, 6));
     let mut body = table(&columns, page.width());
-    if let Some(bootstrap) = record.bootstrap.as_ref().filter(|b| b.failed > 0) {
-        body += &page.items(&[format!("{} had no certified fit and were left out.", count(bootstrap.failed, "draw"))]);
-    }
+    body += &page.items(&record.bootstrap.as_ref().map_or_else(Vec::new, remarks));
     page.section(&heading, &body)
 }
 
@@ -110,6 +108,22 @@ fn laws(record: &RatioRecord, page: &Page<'_>) -> String {
 fn independent(mixture: &str) -> String {
     let component = |word: &str| word.split_once("chi2_").map(|(weight, df)| format!("{weight}χ²({df})"));
     mixture.split("; ").map(|word| component(word).unwrap_or_else(|| word.to_owned())).collect::<Vec<_>>().join(" + ")
+}
+
+/// What its p-value does not say.
+fn remarks(bootstrap: &BootstrapRecord) -> Vec<String> {
+    let mut remarks = Vec::new();
+    if bootstrap.failed > 0 {
+        remarks.push(match bootstrap.failed {
+            1 => "1 draw had no certified fit and was left out.".to_owned(),
+            n => format!("{n} draws had no certified fit and were left out."),
+        });
+    }
+    let counted = bootstrap.replicates.saturating_sub(bootstrap.failed) as f64;
+    if counts(bootstrap) && bootstrap.p_value * (1.0 + counted) < 1.5 {
+        remarks.push("No draw came up to the data: more draws may well give a smaller p-value.".to_owned());
+    }
+    remarks
 }
 
 fn drawn(bootstrap: &BootstrapRecord) -> String {

@@ -239,6 +239,20 @@ fn a_bootstrap_of_which_nothing_counts_gives_no_verdict() {
 }
 
 #[test]
+fn a_p_value_that_the_number_of_draws_limits_is_said_to_be_so() {
+    let says = |p_value: f64, failed: usize| {
+        let mut record = drawn(failed);
+        record.bootstrap.as_mut().expect("there is one").p_value = p_value;
+        at_80(&record).contains("No draw came up to the data")
+    };
+    for (counted, failed) in [(200.0, 0), (50.0, 150)] {
+        assert!(says(1.0 / (1.0 + counted), failed), "none of {counted}");
+        assert!(!says(2.0 / (1.0 + counted), failed), "one of {counted}");
+    }
+    assert!(!says(1.0, 200), "none counts");
+}
+
+#[test]
 fn parts_stand_below_each_other() {
     insta::assert_snapshot!(at_80(&parts(false)), @"
     Gyro bench

@@ -161,6 +161,7 @@ fn the_bootstrap_draws_the_same_on_any_number_of_threads() {
       0.5 χ²(1) + 0.5 χ²(2)                 1e-5
       χ²(2), which ignores the boundary     2e-5
       bootstrap of 60, seed 7 (± 0.016)     0.02
+      No draw came up to the data: more draws may well give a smaller p-value.
 
     Mean and covariance apart
       hypothesis on     -2 log λ  df  p-value

@@ -105,8 +105,8 @@ fn tests_are_deleted_when_asked() {
     The answer without each test
       test  displacement  p-value by the others
       6             13.3                   3e-5
-      Without any one of these tests the estimates lie outside the 50 % confidence
-        region of all tests.
+      Without this test the estimates lie outside the 50 % confidence region of all
+        tests.
       Displacement: twice the log-likelihood of all tests that the estimates without
         this one lose.
     ");

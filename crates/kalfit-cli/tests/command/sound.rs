@@ -288,8 +288,8 @@ fn meta_analysis_has_the_figures_of_metafor() {
     The answer without each test
       test  displacement  p-value by the others
       2             10.3                 0.0002
-      Without any one of these tests the estimates lie outside the 50 % confidence
-        region of all tests.
+      Without this test the estimates lie outside the 50 % confidence region of all
+        tests.
       Displacement: twice the log-likelihood of all tests that the estimates without
         this one lose.
 
@@ -348,8 +348,8 @@ fn gyro_bench_finds_the_error_model_behind_the_simulated_data() {
     The answer without each test
       test  displacement  p-value by the others
       g07             23                   1e-7
-      Without any one of these tests the estimates lie outside the 50 % confidence
-        region of all tests.
+      Without this test the estimates lie outside the 50 % confidence region of all
+        tests.
       Displacement: twice the log-likelihood of all tests that the estimates without
         this one lose.
 
@@ -393,8 +393,8 @@ fn vaccine_trials_with_a_regression() {
     The answer without each test
       test  displacement  p-value by the others
       6             13.3                   3e-5
-      Without any one of these tests the estimates lie outside the 50 % confidence
-        region of all tests.
+      Without this test the estimates lie outside the 50 % confidence region of all
+        tests.
       Displacement: twice the log-likelihood of all tests that the estimates without
         this one lose.
 
@@ -464,8 +464,8 @@ fn gyros_with_drift_and_constraints() {
     The answer without each test
       test  displacement  p-value by the others
       U03           5.32                  0.006
-      Without any one of these tests the estimates lie outside the 50 % confidence
-        region of all tests.
+      Without this test the estimates lie outside the 50 % confidence region of all
+        tests.
       Displacement: twice the log-likelihood of all tests that the estimates without
         this one lose.
 
@@ -908,8 +908,8 @@ fn check_names_what_data_do_not_identify() {
     The answer without each test
       test  displacement  p-value by the others
       c             18.5                   6e-7
-      Without any one of these tests the estimates lie outside the 50 % confidence
-        region of all tests.
+      Without this test the estimates lie outside the 50 % confidence region of all
+        tests.
       Displacement: twice the log-likelihood of all tests that the estimates without
         this one lose.
 

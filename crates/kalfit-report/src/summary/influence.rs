@@ -33,14 +33,13 @@ pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
         Column::new("displacement", Side::Right, rows.iter().map(|(_, d)| plain(d.displacement, 3)).collect()),
         Column::new("p-value by the others", Side::Right, rows.iter().map(|(_, d)| p_value(d)).collect()),
     ];
-    let more = match influential.len() - rows.len() {
-        0 => String::new(),
-        n => format!(" (and of {n} more)"),
+    let which = match (rows.len(), influential.len() - rows.len()) {
+        (1, _) => "this test".to_owned(),
+        (_, 0) => "any one of these tests".to_owned(),
+        (_, n) => format!("any one of these tests (and of {n} more)"),
     };
     let sentences = [
-        format!(
-            "Without any one of these tests{more} the estimates lie outside the 50 % confidence region of all tests."
-        ),
+        format!("Without {which} the estimates lie outside the 50 % confidence region of all tests."),
         "Displacement: twice the log-likelihood of all tests that the estimates without this one lose.".to_owned(),
     ];
     page.section(heading, &(table(&columns, page.width()) + &page.items(&sentences)))
