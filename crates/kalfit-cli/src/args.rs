@@ -110,8 +110,8 @@ pub(crate) struct OnlyArgs {
 
 #[derive(Debug, Group)]
 #[command(after_help = "\
-The hypothesis is a TOML file with `[mean]`, `[covariance]` or `[parameters]`. Its keys replace the model's; `structure` drops
-the model's other keys of `[covariance]`. For example, no spread of the slope, whose mean is 10:
+The hypothesis is a TOML file with `[mean]`, `[covariance]` or `[parameters]`. Its keys replace the model's; \
+`structure` drops the model's other keys of `[covariance]`. For example, no spread of the slope, whose mean is 10:
 
   [mean]
   fixed = { slope = 10 }

@@ -46,8 +46,8 @@ pub(crate) enum Failure {
     /// A hypothesis that cannot be tested within the model.
     #[error("cannot test this hypothesis: {0}")]
     NotNested(NotNested),
-    /// A hypothesis that holds a parameter at another value than the model does.
-    #[error("the hypothesis holds parameter `{name}` at another value than the model, which does not estimate it")]
+    /// A hypothesis that does not leave a parameter as the model has it.
+    #[error("parameter `{name}` is not the same in the hypothesis as in the model, which does not estimate it")]
     HypothesisParameter { name: String },
     /// The population to draw from or to plan for.
     #[error("{0}")]

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use kalfit::estimate::{Estimate, Progress, Structure};
 use kalfit::infer::{NotNested, at_least, bootstrap, fit_null, likelihood_ratio};
-use kalfit::model::{CovarianceStructure, MeanStructure};
+use kalfit::model::{CovarianceStructure, Level, MeanStructure, Parameter};
 use kalfit::record::{PartRecord, RatioProvenance, RatioRecord};
 use kalfit::{Alpha, Model, Reduction, estimate};
 use kalfit_data::Input;
@@ -47,7 +47,7 @@ fn hypothesis(spec: &Spec, job: &TestJob) -> Result<Hypothesis, Failure> {
 fn test(job: &TestJob, spec: &Spec, hypothesis: &Hypothesis, inputs: &[Input]) -> Result<RatioRecord, Failure> {
     let mut line = Line::new(job.quiet);
     let alpha = model::alpha(spec)?;
-    same_parameters(spec, hypothesis, &alpha)?;
+    same_parameters(hypothesis, &alpha)?;
     let reductions = reductions::reduce(spec, &alpha, inputs, &mut line)?;
     let bench = Bench { job, model: &spec.model, null: &hypothesis.model, alpha: &alpha, reductions: &reductions };
     let wide = estimate::fit(&reductions, &Structure::of(&spec.model, &alpha), &job.settings, &mut line)
@@ -119,12 +119,12 @@ fn unstarted_sigma(model: &Model) -> CovarianceStructure {
 }
 
 /// Parameters that neither side estimates must be the same on both.
-fn same_parameters(spec: &Spec, hypothesis: &Hypothesis, alpha: &Alpha) -> Result<(), Failure> {
-    let null = Alpha::fixed(&hypothesis.model.parameters).ok();
-    let differs = |k: usize| null.as_ref().is_none_or(|null| null.values[k] != alpha.values[k]);
-    match (0..alpha.values.len()).find(|&k| differs(k)) {
+fn same_parameters(hypothesis: &Hypothesis, alpha: &Alpha) -> Result<(), Failure> {
+    let alone = |parameter: &Parameter| Alpha::fixed(std::slice::from_ref(parameter)).ok();
+    let same = |parameter: &Parameter, known: &Level| alone(parameter).is_some_and(|null| null.values[0] == *known);
+    match hypothesis.model.parameters.iter().zip(&alpha.values).find(|(parameter, known)| !same(parameter, known)) {
         None => Ok(()),
-        Some(k) => Err(Failure::HypothesisParameter { name: spec.model.parameters[k].name.clone() }),
+        Some((parameter, _)) => Err(Failure::HypothesisParameter { name: parameter.name.clone() }),
     }
 }
 

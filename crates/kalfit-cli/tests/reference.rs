@@ -7,6 +7,8 @@
 
 #[path = "reference/compare.rs"]
 mod compare;
+#[path = "reference/ratios.rs"]
+mod ratios;
 
 use compare::{Comparison, list, text};
 use serde_json::Value;

@@ -24,22 +24,33 @@ fn headline(record: &RatioRecord, page: &Page<'_>) -> String {
     let mut text = page.heading(&clean(title)) + "\n\n";
     text += &page.paragraph(&format!("Hypothesis: {}", clean(&record.hypothesis)));
     if !record.converged {
-        text += &page.paragraph(
-            &page.style.bad("Not certified: a fit did not end at a certified optimum, so this test means little."),
-        );
+        let verdict = "Not certified: a fit did not end at a certified optimum, so this test means little.";
+        text.extend(page.paragraph(verdict).lines().map(|line| page.style.bad(line) + "\n"));
         return text;
     }
-    let (p, how) = match &record.bootstrap {
+    let (p, how) = match record.bootstrap.as_ref().filter(|b| counts(b)) {
         Some(bootstrap) => (bootstrap.p_value, "by the bootstrap"),
         None => (record.p_value, "by the large-sample law"),
     };
     let verdict = match p {
+        p if !p.is_finite() => "there is no verdict",
         p if p < 0.001 => "the data speak strongly against it",
         p if p < 0.05 => "the data speak against it",
         _ => "the data do not speak against it",
     };
-    text += &page.paragraph(&format!("{}: p = {} {how}.", capital(verdict), probability(p)));
+    text += &page.paragraph(&format!("{}: {} {how}.", capital(verdict), p_value(p)));
     text
+}
+
+/// `p = 0.03`, `p < 1e-10`.
+fn p_value(p: f64) -> String {
+    let shown = probability(p);
+    if shown.starts_with('<') { format!("p {shown}") } else { format!("p = {shown}") }
+}
+
+/// Without a single certified draw the bootstrap says nothing.
+fn counts(bootstrap: &BootstrapRecord) -> bool {
+    bootstrap.failed < bootstrap.replicates
 }
 
 fn capital(text: &str) -> String {
@@ -70,18 +81,18 @@ fn laws(record: &RatioRecord, page: &Page<'_>) -> String {
         _ => format!("{} χ²({})", plain(c.weight, 3), c.df),
     });
     let law = law.collect::<Vec<_>>().join(" + ");
-    let bound = if record.law_is_bound { ", an upper bound" } else { "" };
-    rows.push((format!("{law}{bound}"), record.p_value));
+    let bound = if record.law_is_bound { "upper bound: " } else { "" };
+    rows.push((format!("{bound}{law}"), record.p_value));
     if record.law.len() > 1 {
         if let (Some(p), Some(mixture)) = (record.p_mixture, &record.mixture)
             && (p - record.p_value).abs() > 1e-3 * record.p_value
         {
-            rows.push((format!("as if independent: {}", mixture.replace("chi2_", "χ² ")), p));
+            rows.push((format!("as if independent: {}", independent(mixture)), p));
         }
         rows.push((format!("χ²({}), which ignores the boundary", record.df), record.p_chi2_df));
     }
     if let Some(bootstrap) = &record.bootstrap {
-        rows.push((drawn(bootstrap), bootstrap.p_value));
+        rows.push((drawn(bootstrap), if counts(bootstrap) { bootstrap.p_value } else { f64::NAN }));
     }
     let columns = [
         Column::new("reference law", Side::Left, rows.iter().map(|r| r.0.clone()).collect()),
@@ -89,14 +100,35 @@ fn laws(record: &RatioRecord, page: &Page<'_>) -> String {
     ];
     let heading = format!("-2 log λ = {}", plain(record.lr, 6));
     let mut body = table(&columns, page.width());
-    if let Some(bootstrap) = record.bootstrap.as_ref().filter(|b| b.failed > 0) {
-        body += &page.items(&[format!("{} had no certified fit and were left out.", count(bootstrap.failed, "draw"))]);
-    }
+    body += &page.items(&record.bootstrap.as_ref().map_or_else(Vec::new, remarks));
     page.section(&heading, &body)
 }
 
+/// `0.5 chi2_0; 0.5 chi2_1` as other laws are written.
+fn independent(mixture: &str) -> String {
+    let component = |word: &str| word.split_once("chi2_").map(|(weight, df)| format!("{weight}χ²({df})"));
+    mixture.split("; ").map(|word| component(word).unwrap_or_else(|| word.to_owned())).collect::<Vec<_>>().join(" + ")
+}
+
+/// What its p-value does not say.
+fn remarks(bootstrap: &BootstrapRecord) -> Vec<String> {
+    let mut remarks = Vec::new();
+    if bootstrap.failed > 0 {
+        remarks.push(match bootstrap.failed {
+            1 => "1 draw had no certified fit and was left out.".to_owned(),
+            n => format!("{n} draws had no certified fit and were left out."),
+        });
+    }
+    let counted = bootstrap.replicates.saturating_sub(bootstrap.failed) as f64;
+    if counts(bootstrap) && bootstrap.p_value * (1.0 + counted) < 1.5 {
+        remarks.push("No draw came up to the data: more draws may well give a smaller p-value.".to_owned());
+    }
+    remarks
+}
+
 fn drawn(bootstrap: &BootstrapRecord) -> String {
-    format!("{}, seed {} (± {})", count(bootstrap.replicates, "draw"), bootstrap.seed, plain(bootstrap.std_error, 2))
+    let how = format!("bootstrap of {}, seed {}", bootstrap.replicates, bootstrap.seed);
+    if counts(bootstrap) { format!("{how} (± {})", plain(bootstrap.std_error, 2)) } else { how }
 }
 
 fn parts(record: &RatioRecord, page: &Page<'_>) -> String {

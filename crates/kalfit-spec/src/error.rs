@@ -71,13 +71,13 @@ pub enum Problem {
     #[error("cannot read `{path}`: {reason}")]
     Unreadable { path: String, reason: String },
     /// The file is too large.
-    #[error("the model file has {found} bytes, expected at most {limit}")]
+    #[error("the file has {found} bytes, expected at most {limit}")]
     TooLarge { found: u64, limit: u64 },
     /// The file is not text.
-    #[error("the model file is not UTF-8 text: byte {offset} is not part of a character")]
+    #[error("the file is not UTF-8 text: byte {offset} is not part of a character")]
     NotText { offset: usize },
     /// The text is not TOML.
-    #[error("the model file is not valid TOML: {what}")]
+    #[error("not valid TOML: {what}")]
     Toml { what: String },
     /// A part of the contract that this version does not have.
     #[error("{what} is not supported by this version")]

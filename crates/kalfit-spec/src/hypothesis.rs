@@ -4,12 +4,12 @@
 //! the model's text, so that every message still knows its file.
 
 use kalfit::Model;
-use kalfit::model::Regression;
+use kalfit::model::{Column, Regression};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use crate::Spec;
-use crate::build::{self, MAX_BYTES};
+use crate::build::{self, MAX_BYTES, Places};
 use crate::error::{Problem, Span, SpecError};
 use crate::suggest::suggest;
 use crate::table::Section;
@@ -24,7 +24,7 @@ const KEPT: [&str; 2] = ["order", "known"];
 pub struct Hypothesis {
     /// What the hypothesis is called, if it says so.
     pub title: Option<String>,
-    /// The model with the keys replaced. Columns of its regressions are those of the model it came from.
+    /// The model with the keys replaced. Its columns and texts are numbered as in the model it came from.
     pub model: Model,
     /// `sha256:` and 64 hexadecimal digits: the digest of the text of the hypothesis.
     pub digest: String,
@@ -73,15 +73,40 @@ impl Spec {
             }
         }
         let root = Section::open("the model file", 0..text.len(), &base);
-        let (mut model, _, _) = build::model(text, root)?;
+        let (read, _, places) = build::model(text, root)?;
+        let mut model = self.adopt(read, &places)?;
         self.keep_set(&mut model);
-        self.adopt_columns(&mut model, offset..text.len())?;
         Ok((title, model))
+    }
+
+    /// What the hypothesis speaks of, with columns and texts numbered as in the model.
+    fn adopt(&self, mut read: Model, places: &Places) -> Result<Model, SpecError> {
+        for Regression { column, .. } in &mut read.mean.regression {
+            let name = &read.columns[*column].name;
+            let found = self.model.columns.iter().position(|known| known.name == *name);
+            *column = found.ok_or_else(|| {
+                let place = format!("{PLACE}: the model has no regression on it");
+                let problem = Problem::UnknownName { what: "regression column", name: name.clone(), place };
+                SpecError { span: places.columns.get(name).cloned(), ..SpecError::new(problem) }
+            })?;
+        }
+        let Model { mean, covariance, parameters, .. } = read;
+        let mut model = Model { mean, covariance, parameters, ..self.model.clone() };
+        for parameter in &mut model.parameters {
+            let same = |known: &Column, column: &Column| known.name == column.name;
+            parameter.per =
+                parameter.per.map(|column| place_of(&mut model.text_columns, &read.text_columns[column], same));
+            let levels = std::mem::take(&mut parameter.fixed_levels).into_iter();
+            let level = |(level, value): (usize, f64)| {
+                (place_of(&mut model.literals, &read.literals[level], String::eq), value)
+            };
+            parameter.fixed_levels = levels.map(level).collect();
+        }
+        Ok(model)
     }
 
     /// Parameters that were set after the model was read and that the hypothesis says nothing else of.
     fn keep_set(&self, model: &mut Model) {
-        model.literals.clone_from(&self.model.literals);
         let unset = build::spec(&self.name, &self.text).expect("the model was read before").model;
         for ((new, old), set) in model.parameters.iter_mut().zip(&unset.parameters).zip(&self.model.parameters) {
             if new == old {
@@ -89,22 +114,14 @@ impl Spec {
             }
         }
     }
+}
 
-    /// Columns of regressions, by name.
-    fn adopt_columns(&self, model: &mut Model, span: Span) -> Result<(), SpecError> {
-        let columns = std::mem::take(&mut model.columns);
-        for Regression { column, .. } in &mut model.mean.regression {
-            let name = &columns[*column].name;
-            let found = self.model.columns.iter().position(|known| known.name == *name);
-            *column = found.ok_or_else(|| {
-                let place = format!("{PLACE}: the model has no regression on it");
-                let problem = Problem::UnknownName { what: "regression column", name: name.clone(), place };
-                SpecError::new(problem).at(span.clone())
-            })?;
-        }
-        model.columns.clone_from(&self.model.columns);
-        Ok(())
-    }
+/// Where an entry stands in a list; at its end when it was not there.
+fn place_of<T: Clone>(list: &mut Vec<T>, entry: &T, same: impl Fn(&T, &T) -> bool) -> usize {
+    list.iter().position(|known| same(known, entry)).unwrap_or_else(|| {
+        list.push(entry.clone());
+        list.len() - 1
+    })
 }
 
 fn located(mut error: SpecError, offset: usize) -> HypothesisError {
@@ -134,9 +151,11 @@ fn check(own: &DeTable<'_>, span: Span) -> Result<Option<String>, SpecError> {
         let problem = Problem::MissingKey { key: "mean".to_owned(), place: PLACE.to_owned() };
         return Err(SpecError::new(problem).at(span).hint("say what to test, in `[mean]` or `[covariance]`"));
     }
-    if let Some(covariance) = root.peek("covariance") {
-        let section = covariance.section("`[covariance]` of the hypothesis")?;
-        if let Some(kept) = KEPT.iter().find_map(|key| section.peek(key)) {
+    for field in KEYS[1..].iter().filter_map(|key| root.peek(key)) {
+        let section = field.section(format!("`[{}]` of {PLACE}", field.key))?;
+        if field.key == "covariance"
+            && let Some(kept) = KEPT.iter().find_map(|key| section.peek(key))
+        {
             return Err(kept.no_effect("in a hypothesis: it is no constraint, and the model's stays"));
         }
     }

@@ -2,6 +2,8 @@
 
 mod broken;
 mod folder;
+mod hypotheses;
+mod inference;
 mod innovations;
 mod plan;
 mod scales;

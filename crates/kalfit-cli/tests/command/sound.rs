@@ -55,6 +55,7 @@ fn version_and_help() {
 
     Commands:
       fit       Fit a model to data: a summary to standard output, all results to a file
+      test      Test a hypothesis within a model by the ratio of the likelihoods
       check     Read a model, and data if given, and fit nothing: the model in words, counts, what the
                 data identify
       simulate  Draw an ensemble of tests from a fit, or from the values of a model
@@ -118,6 +119,36 @@ fn version_and_help() {
           --max-iterations <N>
               Stop after this many passes over the reduced data [default: 200 with newton, 20000 with
               em]
+
+          --intervals <INTERVALS>
+              What 95 % intervals are made of
+
+              Possible values:
+              - wald:    Standard errors
+              - profile: Profile likelihood: what a likelihood-ratio test at 5 % does not reject
+              
+              [default: wald]
+
+          --std-errors <STD_ERRORS>
+              What standard errors are made of
+
+              Possible values:
+              - observed: The curvature of the log-likelihood
+              - expected: Its expectation
+              - sandwich: Both, and the spread of the tests' scores: right also for a wrong model, given
+                many tests
+              
+              [default: observed]
+
+          --deletion <DELETION>
+              Whether to fit again without each test in turn
+
+              Possible values:
+              - auto: When it takes about a second at most
+              - all:  Whatever it takes
+              - none: Never
+              
+              [default: auto]
 
           --innovations <WHEN>
               Look at each test's innovations after the fit: is the model right for it
@@ -195,6 +226,10 @@ fn sleep_study_has_the_figures_of_lme4() {
       No test stands out: the smallest of 18 p-values is 0.08 (test 309), or 1 with
         Bonferroni's correction.
 
+    The answer without each test
+      No test decides it alone: the estimates move most without test 309, by a
+        displacement of 1.3 for 5 free quantities.
+
     Innovations (what the filter did not expect)
       test  what                  found  expected  p-value    Holm
       332   larger than modelled   45.5        10     4e-6  0.0001
@@ -250,6 +285,14 @@ fn meta_analysis_has_the_figures_of_metafor() {
       No test stands out: the smallest of 5 p-values is 0.20 (test 5), or 1 with
         Bonferroni's correction.
 
+    The answer without each test
+      test  displacement  p-value by the others
+      2             10.3                 0.0002
+      Without this test the estimates lie outside the 50 % confidence region of all
+        tests.
+      Displacement: twice the log-likelihood of all tests that the estimates without
+        this one lose.
+
     Innovations (what the filter did not expect)
       Mean square of 10 innovations over all tests, each in units of its variance:
         1.08 (expected 1 ± 0.45).
@@ -302,6 +345,14 @@ fn gyro_bench_finds_the_error_model_behind_the_simulated_data() {
       No test stands out: the smallest of 28 p-values is 0.09 (test g23), or 1 with
         Bonferroni's correction.
 
+    The answer without each test
+      test  displacement  p-value by the others
+      g07             23                   1e-7
+      Without this test the estimates lie outside the 50 % confidence region of all
+        tests.
+      Displacement: twice the log-likelihood of all tests that the estimates without
+        this one lose.
+
     Innovations (what the filter did not expect)
       Mean square of 614 innovations over all tests, each in units of its variance:
         1.106 (expected 1 ± 0.057).
@@ -338,6 +389,14 @@ fn vaccine_trials_with_a_regression() {
     Outlying tests
       No test stands out: the smallest of 13 p-values is 0.008 (test 7), or 0.11
         with Bonferroni's correction.
+
+    The answer without each test
+      test  displacement  p-value by the others
+      6             13.3                   3e-5
+      Without this test the estimates lie outside the 50 % confidence region of all
+        tests.
+      Displacement: twice the log-likelihood of all tests that the estimates without
+        this one lose.
 
     Innovations (what the filter did not expect)
       Mean square of 13 innovations over all tests, each in units of its variance:
@@ -402,6 +461,14 @@ fn gyros_with_drift_and_constraints() {
       No test stands out: the smallest of 6 p-values is 0.02 (test U06), or 0.10
         with Bonferroni's correction.
 
+    The answer without each test
+      test  displacement  p-value by the others
+      U03           5.32                  0.006
+      Without this test the estimates lie outside the 50 % confidence region of all
+        tests.
+      Displacement: twice the log-likelihood of all tests that the estimates without
+        this one lose.
+
     Innovations (what the filter did not expect)
       Mean square of 57 innovations over all tests, each in units of its variance:
         0.83 (expected 1 ± 0.19).
@@ -447,6 +514,15 @@ fn two_sensors_in_long_data() {
       No test stands out: the smallest of 5 p-values is 0.15 (test s0), or 0.77 with
         Bonferroni's correction.
 
+    The answer without each test
+      test  displacement  p-value by the others
+      s0            27.9                   2e-9
+      s4             9.8                 0.0002
+      Without any one of these tests the estimates lie outside the 50 % confidence
+        region of all tests.
+      Displacement: twice the log-likelihood of all tests that the estimates without
+        this one lose.
+
     Innovations (what the filter did not expect)
       Mean square of 71 innovations over all tests, each in units of its variance:
         1.29 (expected 1 ± 0.17).
@@ -491,6 +567,16 @@ fn without_an_output_the_summary_is_all() {
     Outlying tests
       No test stands out: the smallest of 3 p-values is 0.37 (test a), or 1 with
         Bonferroni's correction.
+
+    The answer without each test
+      test  displacement  p-value by the others
+      b              482                < 1e-10
+      a              143                < 1e-10
+      c              130                < 1e-10
+      Without any one of these tests the estimates lie outside the 50 % confidence
+        region of all tests.
+      Displacement: twice the log-likelihood of all tests that the estimates without
+        this one lose.
 
     Innovations (what the filter did not expect)
       Mean square of 9 innovations over all tests, each in units of its variance:
@@ -818,6 +904,14 @@ fn check_names_what_data_do_not_identify() {
     Outlying tests
       No test stands out: the smallest of 3 p-values is 0.18 (test c), or 0.54 with
         Bonferroni's correction.
+
+    The answer without each test
+      test  displacement  p-value by the others
+      c             18.5                   6e-7
+      Without this test the estimates lie outside the 50 % confidence region of all
+        tests.
+      Displacement: twice the log-likelihood of all tests that the estimates without
+        this one lose.
 
     Innovations (what the filter did not expect)
       Mean square of 3 innovations over all tests, each in units of its variance:

@@ -45,7 +45,7 @@ fn truths_that_are_none() {
     hint: fix it or give it a start value in `[mean]` and `[covariance]`, or take a fit
     ");
     assert_snapshot!(simulate("d.csv", "--out new.csv", &[]), @"
-    error: the model file is not valid TOML: key with no value, expected `=`
+    error: not valid TOML: key with no value, expected `=`
       --> d.csv:1:3 | id,x,y
                     |   ^
     ");

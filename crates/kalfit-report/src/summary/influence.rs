@@ -13,6 +13,7 @@ const MOST_ROWS: usize = 5;
 pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     let mut deleted: Vec<(&TestRecord, &DeletionRecord)> =
         record.tests.iter().filter_map(|t| t.deletion.as_ref().map(|d| (t, d))).collect();
+    deleted.retain(|(_, d)| d.displacement.is_finite());
     deleted.sort_by(|a, b| b.1.displacement.total_cmp(&a.1.displacement).then_with(|| a.0.id.cmp(&b.0.id)));
     let Some(&(first, most)) = deleted.first() else { return String::new() };
     let heading = "The answer without each test";
@@ -32,14 +33,16 @@ pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
         Column::new("displacement", Side::Right, rows.iter().map(|(_, d)| plain(d.displacement, 3)).collect()),
         Column::new("p-value by the others", Side::Right, rows.iter().map(|(_, d)| p_value(d)).collect()),
     ];
-    let more = match influential.len() - rows.len() {
-        0 => String::new(),
-        n => format!(" So do {n} more."),
+    let which = match (rows.len(), influential.len() - rows.len()) {
+        (1, _) => "this test".to_owned(),
+        (_, 0) => "any one of these tests".to_owned(),
+        (_, n) => format!("any one of these tests (and of {n} more)"),
     };
-    let sentence = format!(
-        "Without a test of this table the estimates lie outside the 50 % confidence region of all tests.{more} The estimates without it are in the results file."
-    );
-    page.section(heading, &(table(&columns, page.width()) + &page.items(&[sentence])))
+    let sentences = [
+        format!("Without {which} the estimates lie outside the 50 % confidence region of all tests."),
+        "Displacement: twice the log-likelihood of all tests that the estimates without this one lose.".to_owned(),
+    ];
+    page.section(heading, &(table(&columns, page.width()) + &page.items(&sentences)))
 }
 
 fn p_value(deletion: &DeletionRecord) -> String {

@@ -6,7 +6,7 @@ fn text_that_is_not_toml() {
 a = {}
 "#;
     insta::assert_snapshot!(refusal(text), @r#"
-    the model file is not valid TOML: unclosed table, expected `]`
+    not valid TOML: unclosed table, expected `]`
     at   ""
     "#);
 }
