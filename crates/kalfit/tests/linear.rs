@@ -36,7 +36,7 @@ fn toeplitz(p: usize) -> CovarianceStructure {
 
 fn certified(estimate: &Estimate, what: &str) {
     assert_eq!(estimate.stop, Stop::Certified, "{what}: {:?} {:?}", estimate.certificate, estimate.trace);
-    assert!(estimate.passes <= 20, "{what}: {} passes: {:?}", estimate.passes, estimate.trace);
+    assert!(estimate.passes <= 15, "{what}: {} passes: {:?}", estimate.passes, estimate.trace);
 }
 
 fn close(what: &str, a: &Estimate, b: &Estimate) {
@@ -143,15 +143,14 @@ fn the_optimum_is_that_of_a_crude_search_over_theta() {
     }
 }
 
-/// Optima on the boundary are singular members, and nearly all are certified: where Σ is singular and the multipliers of its
-/// constraints are not unique, the certificate may miss the ones that would do, and then says that it does not hold.
+/// Optima on the boundary are singular members, and certified, though the multipliers of the constraints are not unique there.
 #[test]
-fn boundary_optima_are_members_and_nearly_all_certified() {
-    let (mut singular, mut certain) = (0, 0);
+fn boundary_optima_are_members_and_certified() {
+    let mut singular = 0;
     for seed in 0..30 {
         let data = ensemble(Recipe { rank: 1, tests: 15, designs: 15, strength: 0.6, ..base() }, seed);
         let found = fit(&data, &assumed(toeplitz(3)), Solver::Newton);
-        certain += usize::from(found.stop == Stop::Certified);
+        certified(&found, &format!("seed {seed}"));
         let values = found.covariance.clone().symmetric_eigen().eigenvalues;
         assert!(values.min() >= -1e-9 * values.max(), "{values}");
         singular += usize::from(values.min() < 1e-7 * values.max().max(1e-7));
@@ -159,7 +158,6 @@ fn boundary_optima_are_members_and_nearly_all_certified() {
         let spread = [s[(0, 0)] - s[(1, 1)], s[(1, 1)] - s[(2, 2)], s[(1, 0)] - s[(2, 1)]].map(f64::abs);
         assert!(spread.iter().all(|d| *d < 1e-9 * (1.0 + values.max())), "not Toeplitz: {s}");
     }
-    assert!(certain >= 27, "{certain} of 30 are certified");
     assert!(singular >= 5, "only {singular} of 30 optima are singular: the test is not about the boundary");
 }
 

@@ -39,10 +39,6 @@ fn most_passes(kind: &str) -> usize {
     }
 }
 
-/// Fits that end on a boundary which the search does not leave although the certificate says it should: they say so.
-const STALLED: [(usize, &str, &str); 3] =
-    [(6, "one design", "arrow pattern"), (6, "near-singular", "toeplitz"), (10, "one design", "toeplitz")];
-
 /// The most passes of any seed, and what went wrong.
 fn most(
     (p, kind, recipe): (usize, &str, Recipe),
@@ -52,7 +48,7 @@ fn most(
     let count = |seed| {
         let found = fit(&ensemble(recipe, seed), assumed, Solver::Newton);
         assert!(found.certificate.decrement.is_finite(), "{:?}", found.certificate);
-        if (found.stop != Stop::Certified || found.passes > most_passes(kind)) {
+        if found.stop != Stop::Certified || found.passes > most_passes(kind) {
             let (passes, stop, certificate) = (found.passes, found.stop, found.certificate);
             failures.push(format!("p = {p}, {kind}, {name} seed {seed}: {passes} passes, {stop:?}, {certificate:?}"));
         }

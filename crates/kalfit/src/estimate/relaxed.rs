@@ -32,7 +32,7 @@ pub(crate) fn undetermined(constraints: &[Constraint], root: &DMatrix<f64>) -> V
         effects.column_mut(m).copy_from_slice(effect.as_slice());
     }
     let (values, vectors) = symmetric::eigen(&(effects.transpose() * &effects));
-    let floor = values.last().copied().unwrap_or(0.0) * NOTHING * NOTHING.sqrt();
+    let floor = values.last().copied().unwrap_or(0.0) * NOTHING;
     let combined =
         |k: usize| matrices.iter().zip(vectors.column(k).iter()).fold(DMatrix::zeros(p, p), |sum, (m, v)| sum + m * *v);
     (0..values.len()).filter(|&k| values[k] <= floor).map(combined).collect()
