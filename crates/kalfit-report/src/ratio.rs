@@ -28,8 +28,8 @@ fn headline(record: &RatioRecord, page: &Page<'_>) -> String {
         text.extend(page.paragraph(verdict).lines().map(|line| page.style.bad(line) + "\n"));
         return text;
     }
-    let (p, how) = match record.bootstrap.as_ref().filter(|b| counts(b)) {
-        Some(bootstrap) => (bootstrap.p_value, "by the bootstrap"),
+    let (p, how) = match record.bootstrap.as_ref().and_then(|b| b.p_value) {
+        Some(p) => (p, "by the bootstrap"),
         None => (record.p_value, "by the large-sample law"),
     };
     let verdict = match p {
@@ -46,11 +46,6 @@ fn headline(record: &RatioRecord, page: &Page<'_>) -> String {
 fn p_value(p: f64) -> String {
     let shown = probability(p);
     if shown.starts_with('<') { format!("p {shown}") } else { format!("p = {shown}") }
-}
-
-/// Without a single certified draw the bootstrap says nothing.
-fn counts(bootstrap: &BootstrapRecord) -> bool {
-    bootstrap.failed < bootstrap.replicates
 }
 
 fn capital(text: &str) -> String {
@@ -92,7 +87,7 @@ fn laws(record: &RatioRecord, page: &Page<'_>) -> String {
         rows.push((format!("χ²({}), which ignores the boundary", record.df), record.p_chi2_df));
     }
     if let Some(bootstrap) = &record.bootstrap {
-        rows.push((drawn(bootstrap), if counts(bootstrap) { bootstrap.p_value } else { f64::NAN }));
+        rows.push((drawn(bootstrap), bootstrap.p_value.unwrap_or(f64::NAN)));
     }
     let columns = [
         Column::new("reference law", Side::Left, rows.iter().map(|r| r.0.clone()).collect()),
@@ -120,7 +115,7 @@ fn remarks(bootstrap: &BootstrapRecord) -> Vec<String> {
         });
     }
     let counted = bootstrap.replicates.saturating_sub(bootstrap.failed) as f64;
-    if counts(bootstrap) && bootstrap.p_value * (1.0 + counted) < 1.5 {
+    if bootstrap.p_value.is_some_and(|p| p * (1.0 + counted) < 1.5) {
         remarks.push("No draw came up to the data: more draws may well give a smaller p-value.".to_owned());
     }
     remarks
@@ -128,7 +123,7 @@ fn remarks(bootstrap: &BootstrapRecord) -> Vec<String> {
 
 fn drawn(bootstrap: &BootstrapRecord) -> String {
     let how = format!("bootstrap of {}, seed {}", bootstrap.replicates, bootstrap.seed);
-    if counts(bootstrap) { format!("{how} (± {})", plain(bootstrap.std_error, 2)) } else { how }
+    bootstrap.std_error.map_or_else(|| how.clone(), |error| format!("{how} (± {})", plain(error, 2)))
 }
 
 fn parts(record: &RatioRecord, page: &Page<'_>) -> String {

@@ -87,7 +87,7 @@ fn standard_errors_say_what_they_are_made_of() {
     ");
     let summary = |kind: &str| section(&fit(&format!("--std-errors {kind}")).0, "Initial state over the tests");
     assert_snapshot!(summary("expected"), @"
-    Initial state over the tests (± standard error)
+    Initial state over the tests (± expected standard error)
       state   mean         std dev
       effect  0.28 ± 0.19    0.185 ± 0.076
     ");

@@ -44,7 +44,7 @@ fn phase_sections(record: &FitRecord, phase: &PhaseRecord, page: &Page<'_>) -> V
         _ => format!("Phase {}: {}{}", clean(&phase.name), what[..1].to_lowercase(), &what[1..]),
     };
     vec![
-        states::section(phase, &title, page),
+        states::section(phase, &record.std_errors, &title, page),
         correlations::section(phase, &title, page),
         intervals::section(record, phase, &title, page),
         doubts::section(phase, record.data.tests, &title, page),

@@ -11,7 +11,15 @@ use crate::words::clean;
 /// A figure and what is known of its error, in two cells.
 pub(super) type Cells = (String, String);
 
-pub(super) fn section(phase: &PhaseRecord, title: &dyn Fn(&str) -> String, page: &Page<'_>) -> String {
+/// The standard error by its name, where it is not the usual one.
+fn std_error(kind: &str) -> String {
+    match kind {
+        "expected" | "sandwich" => format!("{kind} standard error"),
+        _ => "standard error".to_owned(),
+    }
+}
+
+pub(super) fn section(phase: &PhaseRecord, kind: &str, title: &dyn Fn(&str) -> String, page: &Page<'_>) -> String {
     if phase.states.is_empty() {
         return page.paragraph(&title("Initial state: nothing of it is estimated."));
     }
@@ -27,7 +35,7 @@ pub(super) fn section(phase: &PhaseRecord, title: &dyn Fn(&str) -> String, page:
         Column::new("std dev", Side::Right, std_dev),
         Column::new("", Side::Left, std_dev_error),
     ];
-    let heading = title("Initial state over the tests (± standard error)");
+    let heading = title(&format!("Initial state over the tests (± {})", std_error(kind)));
     page.section(&heading, &table(&columns, page.width())) + &scales(phase, page) + &regression(phase, page)
 }
 

@@ -87,10 +87,10 @@ pub struct BootstrapRecord {
     pub failed: usize,
     /// Seed.
     pub seed: u64,
-    /// (1 + replicates at or above `lr`) / (1 + replicates).
-    pub p_value: f64,
+    /// (1 + replicates at or above `lr`) / (1 + replicates); null when none counts.
+    pub p_value: Option<f64>,
     /// Its standard error.
-    pub std_error: f64,
+    pub std_error: Option<f64>,
     /// 95 % point of the statistic.
     pub quantile95: Option<f64>,
 }
@@ -157,7 +157,7 @@ impl RatioRecord {
             mixture: mixed.then(|| words(&law.independent)),
             law: law.components.iter().map(component).collect(),
             law_is_bound: law.is_bound,
-            notes: notes(ratio, &null, &alternative),
+            notes: notes(ratio, &null, &alternative, (reductions.len(), bootstrap.is_some())),
             bootstrap: bootstrap.map(|(asked, found)| BootstrapRecord::of(asked, found)),
             parts,
             null,
@@ -168,6 +168,7 @@ impl RatioRecord {
 
 impl BootstrapRecord {
     fn of(asked: Bootstrap, found: &BootstrapResult) -> BootstrapRecord {
+        let counts = !found.statistics.is_empty();
         let mut sorted = found.statistics.clone();
         sorted.sort_by(f64::total_cmp);
         let at = (0.95 * (sorted.len() as f64 + 1.0)).ceil() as usize;
@@ -175,8 +176,8 @@ impl BootstrapRecord {
             replicates: asked.replicates,
             failed: found.failed,
             seed: asked.seed,
-            p_value: found.p_value,
-            std_error: found.std_error,
+            p_value: counts.then_some(found.p_value),
+            std_error: counts.then_some(found.std_error),
             quantile95: sorted.get(at.wrapping_sub(1)).copied(),
         }
     }
@@ -216,7 +217,15 @@ fn words(components: &[Component]) -> String {
     components.iter().map(word).collect::<Vec<_>>().join("; ")
 }
 
-fn notes(ratio: &LikelihoodRatio, null: &SideRecord, alternative: &SideRecord) -> Vec<String> {
+/// Fewer tests than this, and large-sample laws are a rough guide.
+const FEW: usize = 50;
+
+fn notes(
+    ratio: &LikelihoodRatio,
+    null: &SideRecord,
+    alternative: &SideRecord,
+    (tests, drawn): (usize, bool),
+) -> Vec<String> {
     let mut notes = Vec::new();
     if ratio.law.is_bound {
         notes.push(
@@ -229,6 +238,11 @@ fn notes(ratio: &LikelihoodRatio, null: &SideRecord, alternative: &SideRecord) -
             "under the hypothesis the estimated covariance is singular, where the large-sample law does not hold exactly: `--bootstrap` does not depend on it"
                 .to_owned(),
         );
+    }
+    if tests < FEW && !drawn && notes.is_empty() {
+        notes.push(format!(
+            "with {tests} tests the large-sample law is a rough guide, and its p-values tend to be too small: `--bootstrap 1000` does not depend on it"
+        ));
     }
     let declared = alternative.free_parameters.saturating_sub(null.free_parameters);
     if declared != ratio.degrees_of_freedom {
