@@ -318,3 +318,33 @@ fn passes_cost_what_they_cost() {
     let cost = |p| (p, pass_flops(p, Derivatives::First), pass_flops(p, Derivatives::Second));
     insta::assert_snapshot!(format!("{:?}", [1, 3, 6, 10].map(cost)), @"[(1, 29, 37), (3, 280, 460), (6, 1539, 3177), (10, 5957, 15307)]");
 }
+
+/// Equal variances tie blocks together: at zero, what one gains may be what the other loses, and only their sum decides.
+#[test]
+fn equal_variances_leave_zero_when_their_sum_should() {
+    let (mut zeros, mut positive) = (0, 0);
+    for seed in 0..80 {
+        let recipe = Recipe { p: 2, tests: 8, rank: 1, observed: 3, strength: 0.4, designs: 8, regressors: 0 };
+        let data = ensemble(recipe, seed);
+        let covariance = CovarianceStructure {
+            kind: CovarianceKind::Diagonal,
+            equal: vec![vec![(0, 0), (1, 1)]],
+            ..CovarianceStructure::full()
+        };
+        let found = fit(&data, &MeanStructure::free(2), &covariance, Solver::Newton);
+        assert_eq!(found.stop, Stop::Certified, "seed {seed}: {:?}", found.certificate);
+        let likelihood = Likelihood::new(&data, 2);
+        let at = |t: f64| {
+            let sigma = DMatrix::identity(2, 2) * t;
+            let at = likelihood.at(&[0.0, 0.0], &sigma, Derivatives::First);
+            let Some(factor) = at.mean_information.clone().cholesky() else { return f64::NEG_INFINITY };
+            let mean = factor.solve(&at.mean_score);
+            likelihood.at(mean.as_slice(), &sigma, Derivatives::First).log_likelihood
+        };
+        let scanned = (0..400).map(|k| 1e-6 * 1.06_f64.powi(k)).chain([0.0]).map(at).fold(f64::NEG_INFINITY, f64::max);
+        assert!(found.log_likelihood >= scanned - 1e-9, "seed {seed}: ℓ {} scanned {scanned}", found.log_likelihood);
+        let counter = if found.covariance[(0, 0)] == 0.0 { &mut zeros } else { &mut positive };
+        *counter += 1;
+    }
+    assert!(zeros > 5 && positive > 5, "{zeros} at zero, {positive} not");
+}

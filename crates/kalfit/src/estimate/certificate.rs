@@ -92,9 +92,13 @@ fn escape(map: &CovarianceMap, place: &Place, tests: f64) -> Option<Escape> {
     let weight = &place.local.weight;
     match &map.form {
         Form::Factor(blocks) => {
-            let free = undetermined(&map.constraints, &place.point.root);
+            let root = &place.point.root;
+            let free = undetermined(&map.constraints, root);
+            if !free.is_empty() {
+                return null_escape(blocks, root, (residual, &free), weight, tests); // constraints may tie blocks
+            }
             let of_block =
-                |block: &Vec<usize>| block_escape(block, &place.point.root, (residual, &free), weight, tests);
+                |block: &Vec<usize>| null_escape(std::slice::from_ref(block), root, (residual, &[]), weight, tests);
             blocks.iter().filter_map(of_block).max_by(|a, b| a.score.total_cmp(&b.score))
         }
         Form::Scale(star) if place.point.root.amax() <= 1e-9 * star.amax() => {
@@ -133,35 +137,61 @@ fn std_dev_escape(correlation: &DMatrix<f64>, states: &[usize], place: &Place, t
     singles.chain(both).max_by(|a, b| a.score.total_cmp(&b.score))
 }
 
-/// The worst direction of the null space of Σ on a block, once multipliers that are not determined have done what they can.
-fn block_escape(
-    block: &[usize],
+/// The worst direction of the null space of Σ on blocks, once multipliers that are not determined have done what they can.
+fn null_escape(
+    blocks: &[Vec<usize>],
     root: &DMatrix<f64>,
     (residual, free): (&DMatrix<f64>, &[DMatrix<f64>]),
     weight: &DMatrix<f64>,
     tests: f64,
 ) -> Option<Escape> {
-    // in the natural size of each element: a spread much larger than another must not make the other look like nothing
-    let sizes = natural_sizes(root);
-    let size = |i: usize| sizes[block[i]];
-    let own = DMatrix::from_fn(block.len(), root.ncols(), |i, c| root[(block[i], c)] / size(i));
-    let (values, vectors) = symmetric::eigen(&(&own * own.transpose()));
-    let floor = values.last().copied().unwrap_or(0.0).max(1.0) * NEAR_NULL;
-    let null: Vec<usize> = (0..values.len()).filter(|&k| values[k] <= floor).collect();
-    if null.is_empty() {
+    let null = null_spaces(blocks, root);
+    if null.iter().all(|basis| basis.ncols() == 0) {
         return None;
     }
-    let basis = vectors.select_columns(&null);
-    let scaled = DMatrix::from_fn(block.len(), null.len(), |i, c| size(i) * basis[(i, c)]);
-    let within = |matrix: &DMatrix<f64>| scaled.transpose() * sub(matrix, block) * &scaled;
+    let within = |matrix: &DMatrix<f64>| {
+        let parts = blocks.iter().zip(&null).map(|(block, basis)| basis.transpose() * sub(matrix, block) * basis);
+        block_diagonal(&parts.collect::<Vec<_>>())
+    };
     let free: Vec<DMatrix<f64>> = free.iter().map(within).collect();
     let (score, density) = relax(&within(residual), &free);
     let (scores, _) = symmetric::eigen(&score);
-    let direction = &scaled * &density * scaled.transpose();
-    let mut whole = DMatrix::zeros(root.nrows(), root.nrows());
-    place_block(&mut whole, block, &direction);
-    let own = (weight * &whole).trace() / tests;
-    Some(along(whole, *scores.last()?, own, tests))
+    let mut direction = DMatrix::zeros(root.nrows(), root.nrows());
+    let mut from = 0;
+    for (block, basis) in blocks.iter().zip(&null) {
+        let n = basis.ncols();
+        let own = basis * density.view((from, from), (n, n)) * basis.transpose();
+        place_block(&mut direction, block, &own);
+        from += n;
+    }
+    let own = (weight * &direction).trace() / tests;
+    Some(along(direction, *scores.last()?, own, tests))
+}
+
+/// The null space of FF' on each block, in the natural size of each element: a spread much larger than another must not make the
+/// other look like nothing.
+fn null_spaces(blocks: &[Vec<usize>], root: &DMatrix<f64>) -> Vec<DMatrix<f64>> {
+    let sizes = natural_sizes(root);
+    let of = |block: &Vec<usize>| {
+        let size = |i: usize| sizes[block[i]];
+        let own = DMatrix::from_fn(block.len(), root.ncols(), |i, c| root[(block[i], c)] / size(i));
+        let (values, vectors) = symmetric::eigen(&(&own * own.transpose()));
+        let floor = values.last().copied().unwrap_or(0.0).max(1.0) * NEAR_NULL;
+        let null: Vec<usize> = (0..values.len()).filter(|&k| values[k] <= floor).collect();
+        DMatrix::from_fn(block.len(), null.len(), |i, c| size(i) * vectors[(i, null[c])])
+    };
+    blocks.iter().map(of).collect()
+}
+
+fn block_diagonal(parts: &[DMatrix<f64>]) -> DMatrix<f64> {
+    let n = parts.iter().map(DMatrix::nrows).sum();
+    let mut whole = DMatrix::zeros(n, n);
+    let mut from = 0;
+    for part in parts {
+        whole.view_mut((from, from), part.shape()).copy_from(part);
+        from += part.nrows();
+    }
+    whole
 }
 
 /// In direction D with score s the expected information is about ½ N (tr W̄D)².

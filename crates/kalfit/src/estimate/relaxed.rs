@@ -105,7 +105,7 @@ mod tests {
         // diag(3, -1) less t diag(1, -1): both are one at t = 2
         let a = DMatrix::from_diagonal(&DVector::from_column_slice(&[3.0, -1.0]));
         let s = DMatrix::from_diagonal(&DVector::from_column_slice(&[2.0, -2.0]));
-        let (best, p) = relax(&a, &[s.clone()]);
+        let (best, p) = relax(&a, std::slice::from_ref(&s));
         let largest = *symmetric::eigen(&best).0.last().expect("two");
         assert!((largest - 1.0).abs() < 0.02, "{largest} 1");
         assert!(p.component_mul(&s).sum().abs() < 0.2, "{p}");
