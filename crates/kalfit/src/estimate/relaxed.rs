@@ -7,35 +7,35 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::covariance::Constraint;
+use crate::estimate::local::natural_sizes;
 use crate::linalg::symmetric;
 
 /// Steps for each sharpness.
 const STEPS: usize = 80;
 /// Sharpness of the smooth maximum, in units of the largest element.
 const SHARPNESS: [f64; 6] = [1.0, 4.0, 16.0, 64.0, 256.0, 1024.0];
-/// Relative size below which a combination changes nothing.
+/// Squared effect, in natural sizes, below which a combination changes nothing.
 const NOTHING: f64 = 1e-9;
 
 /// Matrices Λ (p × p), combinations of the constraints, with ΛF = 0.
 pub(crate) fn undetermined(constraints: &[Constraint], root: &DMatrix<f64>) -> Vec<DMatrix<f64>> {
     let (p, n) = root.shape();
-    let matrices: Vec<DMatrix<f64>> = constraints.iter().map(|c| matrix(c, p)).collect();
+    let mut matrices: Vec<DMatrix<f64>> = constraints.iter().map(|c| matrix(c, p)).collect();
     if matrices.is_empty() {
         return Vec::new();
     }
-    let sizes: Vec<f64> = root.row_iter().map(|row| row.norm().max(NOTHING)).collect();
+    let sizes = natural_sizes(root);
     let unit = DMatrix::from_fn(p, n, |i, c| root[(i, c)] / sizes[i]);
     let mut effects = DMatrix::zeros(p * n, matrices.len());
-    for (m, lambda) in matrices.iter().enumerate() {
-        let scaled = DMatrix::from_fn(p, p, |i, j| sizes[i] * lambda[(i, j)] * sizes[j]);
-        let effect = scaled * &unit;
-        effects.column_mut(m).copy_from_slice(effect.as_slice());
+    for (m, lambda) in matrices.iter_mut().enumerate() {
+        let scaled = |matrix: &DMatrix<f64>| DMatrix::from_fn(p, p, |i, j| sizes[i] * matrix[(i, j)] * sizes[j]);
+        *lambda /= scaled(lambda).norm();
+        effects.column_mut(m).copy_from_slice((scaled(lambda) * &unit).as_slice());
     }
     let (values, vectors) = symmetric::eigen(&(effects.transpose() * &effects));
-    let floor = values.last().copied().unwrap_or(0.0) * NOTHING;
     let combined =
         |k: usize| matrices.iter().zip(vectors.column(k).iter()).fold(DMatrix::zeros(p, p), |sum, (m, v)| sum + m * *v);
-    (0..values.len()).filter(|&k| values[k] <= floor).map(combined).collect()
+    (0..values.len()).filter(|&k| values[k] <= NOTHING).map(combined).collect()
 }
 
 fn matrix(constraint: &Constraint, p: usize) -> DMatrix<f64> {
