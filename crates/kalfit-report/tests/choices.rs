@@ -74,7 +74,7 @@ fn ends_that_the_data_do_not_set_are_left_open() {
       std dev of intercept                   24       0       -
       std dev of slope                      5.7     3.8     8.8
       correlation of intercept, slope   0.08132       -       -
-      - the data set no limit on this side.
+      - no limit was found on this side.
     ");
 }
 

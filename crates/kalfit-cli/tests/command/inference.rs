@@ -92,7 +92,7 @@ fn standard_errors_say_what_they_are_made_of() {
       effect  0.28 ± 0.19    0.185 ± 0.076
     ");
     assert_snapshot!(summary("sandwich"), @"
-    Initial state over the tests (± standard error)
+    Initial state over the tests (± sandwich standard error)
       state   mean         std dev
       effect  0.28 ± 0.16     0.19 ± 0.11
     ");

@@ -37,7 +37,7 @@ pub(super) fn section(
     ];
     let mut body = table(&columns, page.width());
     if rows.iter().any(|row| row.ends.iter().any(|end| end == OPEN)) {
-        body += &page.items(&[format!("{OPEN} the data set no limit on this side.")]);
+        body += &page.items(&[format!("{OPEN} no limit was found on this side.")]);
     }
     page.section(&title("95 % intervals by profile likelihood"), &body)
 }

@@ -24,7 +24,7 @@ pub enum IntervalKind {
     Profile,
 }
 
-/// Lower and upper end; an end is `None` where the data set no limit.
+/// Lower and upper end; an end is `None` where no limit was found.
 pub type Interval = Option<[Option<f64>; 2]>;
 
 /// 95 % intervals in the user's units. `None` where a quantity is fixed or not identified.

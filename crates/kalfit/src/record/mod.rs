@@ -154,7 +154,7 @@ pub struct MeanRecord {
     pub estimate: Vec<f64>,
     /// Standard errors; null where fixed or not identified.
     pub std_error: Vec<Option<f64>>,
-    /// 95 % intervals, lower and upper end; an end is null where the data set no limit.
+    /// 95 % intervals, lower and upper end; an end is null where no limit was found.
     #[serde(default)]
     pub interval95: Vec<Interval>,
     /// Not estimated.
@@ -200,7 +200,7 @@ pub struct CovarianceRecord {
     pub estimate: Vec<Vec<f64>>,
     /// Standard errors.
     pub std_error: Vec<Vec<Option<f64>>>,
-    /// 95 % intervals, lower and upper end; an end is null where the data set no limit.
+    /// 95 % intervals, lower and upper end; an end is null where no limit was found.
     #[serde(default)]
     pub interval95: Vec<Vec<Interval>>,
     /// Not estimated.
@@ -216,7 +216,7 @@ pub struct VectorRecord {
     pub estimate: Vec<f64>,
     /// Standard errors.
     pub std_error: Vec<Option<f64>>,
-    /// 95 % intervals, lower and upper end; an end is null where the data set no limit.
+    /// 95 % intervals, lower and upper end; an end is null where no limit was found.
     #[serde(default)]
     pub interval95: Vec<Interval>,
 }
@@ -228,7 +228,7 @@ pub struct MatrixRecord {
     pub estimate: Vec<Vec<Option<f64>>>,
     /// Standard errors.
     pub std_error: Vec<Vec<Option<f64>>>,
-    /// 95 % intervals, lower and upper end; an end is null where the data set no limit.
+    /// 95 % intervals, lower and upper end; an end is null where no limit was found.
     #[serde(default)]
     pub interval95: Vec<Vec<Interval>>,
 }
