@@ -1,75 +1,15 @@
 //! The estimator on thousands of random ensembles of reductions: weak and strong information, singular J and Σ, unequal
 //! and shared designs, constraints. Everything is compared with naive dense algebra or with the other solver.
 
+mod simulated;
+
 use kalfit::estimate::{
     self, Derivatives, Estimate, Likelihood, Settings, Silent, Solver, Stop, Structure, pass_flops,
 };
 use kalfit::model::{Alpha, CovarianceKind, CovarianceStructure, FixedElement, MeanElement, MeanStructure, Regression};
-use kalfit::reduce::{Path, Reduction};
+use kalfit::reduce::Reduction;
 use nalgebra::{DMatrix, DVector};
-use rand::{Rng, RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
-use rand_distr::StandardNormal;
-
-/// What a random ensemble is like.
-#[derive(Debug, Clone, Copy)]
-struct Recipe {
-    p: usize,
-    tests: usize,
-    /// Rank of the true Σ.
-    rank: usize,
-    /// Rows of R that are not zero, at most.
-    observed: usize,
-    /// Size of R: information per test is its square.
-    strength: f64,
-    /// Number of distinct designs.
-    designs: usize,
-    regressors: usize,
-}
-
-fn normal(rng: &mut impl Rng) -> f64 {
-    rng.sample(StandardNormal)
-}
-
-fn ensemble(recipe: Recipe, seed: u64) -> Vec<Reduction> {
-    let Recipe { p, tests, rank, observed, strength, designs, regressors } = recipe;
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mu = DVector::from_fn(p, |_, _| 3.0 * normal(&mut rng));
-    let root = DMatrix::from_fn(p, rank, |_, _| normal(&mut rng));
-    let factors: Vec<DMatrix<f64>> = (0..designs)
-        .map(|_| {
-            let m = rng.random_range(1..=observed);
-            let rows = DMatrix::from_fn(m.max(p), p, |i, _| if i < m { strength * normal(&mut rng) } else { 0.0 });
-            rows.qr().r()
-        })
-        .collect();
-    (0..tests)
-        .map(|j| {
-            let r = &factors[j % designs];
-            let x: Vec<f64> = (0..regressors).map(|_| normal(&mut rng)).collect();
-            let mut xi = &mu + &root * DVector::from_fn(rank, |_, _| normal(&mut rng));
-            x.iter().enumerate().for_each(|(c, v)| xi[c] += 0.7 * v);
-            let noise = DVector::from_fn(p, |i, _| if r.row(i).norm() > 0.0 { normal(&mut rng) } else { 0.0 });
-            let d = r * xi + noise;
-            let sign = |i: usize| if r[(i, i)] < 0.0 { -1.0 } else { 1.0 };
-            Reduction {
-                test: format!("t{j:05}"),
-                constant: normal(&mut rng),
-                data: (0..p).map(|i| sign(i) * d[i]).collect(),
-                factor: (0..p).flat_map(|k| (0..=k).map(move |i| (i, k))).map(|(i, k)| sign(i) * r[(i, k)]).collect(),
-                covariates: x,
-                steps: 1,
-                observations: 1,
-                path: if seed.is_multiple_of(3) { Path::SquareRoot } else { Path::Information },
-                design: (j % designs) as u128,
-            }
-        })
-        .collect()
-}
-
-fn unpack(reduction: &Reduction, p: usize) -> DMatrix<f64> {
-    DMatrix::from_fn(p, p, |i, k| if i <= k { reduction.factor[i + k * (k + 1) / 2] } else { 0.0 })
-}
+use simulated::{Recipe, ensemble, unpack};
 
 /// Σ_j log N(d_j; R_j μ_j, I + R_j Σ R_j') + constant_j + ½ p log 2π: the density of the reductions, naively.
 fn dense(data: &[Reduction], estimate: &Estimate, elements: &[usize]) -> f64 {
@@ -98,7 +38,7 @@ fn fit(data: &[Reduction], mean: &MeanStructure, covariance: &CovarianceStructur
 }
 
 fn recipes() -> Vec<Recipe> {
-    let base = Recipe { p: 3, tests: 40, rank: 3, observed: 6, strength: 1.0, designs: 40, regressors: 0 };
+    let base = Recipe { p: 3, tests: 40, rank: 3, observed: 6, strength: 1.0, designs: 40, regressors: 0, mild: false };
     vec![
         Recipe { p: 1, rank: 1, ..base },
         Recipe { p: 2, rank: 1, ..base },
@@ -146,7 +86,7 @@ fn newton_is_certified_in_few_passes_and_its_likelihood_is_the_dense_one() {
 /// EM and Newton end at the same point; EM is slow, so it is held to its own, looser decrement.
 #[test]
 fn em_and_newton_end_at_the_same_point() {
-    let base = Recipe { p: 2, tests: 30, rank: 2, observed: 4, strength: 2.0, designs: 30, regressors: 0 };
+    let base = Recipe { p: 2, tests: 30, rank: 2, observed: 4, strength: 2.0, designs: 30, regressors: 0, mild: false };
     let structures = [
         (MeanStructure::free(2), CovarianceStructure::full()),
         (MeanStructure::free(2), CovarianceStructure { kind: CovarianceKind::Diagonal, ..CovarianceStructure::full() }),
@@ -191,7 +131,8 @@ fn fixed(elements: &[(usize, usize, f64)]) -> CovarianceStructure {
 #[test]
 fn regressions_are_estimated() {
     for seed in 0..20 {
-        let recipe = Recipe { p: 3, tests: 60, rank: 3, observed: 5, strength: 1.5, designs: 60, regressors: 2 };
+        let recipe =
+            Recipe { p: 3, tests: 60, rank: 3, observed: 5, strength: 1.5, designs: 60, regressors: 2, mild: false };
         let data = ensemble(recipe, seed);
         let regression = vec![Regression { element: 0, column: 0 }, Regression { element: 1, column: 1 }];
         let mean = MeanStructure { regression, ..MeanStructure::free(3) };
@@ -209,7 +150,8 @@ fn regressions_are_estimated() {
 /// Units: rescaling a state rescales the answer and shifts ℓ not at all.
 #[test]
 fn units_do_not_matter() {
-    let recipe = Recipe { p: 3, tests: 40, rank: 2, observed: 5, strength: 1.0, designs: 40, regressors: 0 };
+    let recipe =
+        Recipe { p: 3, tests: 40, rank: 2, observed: 5, strength: 1.0, designs: 40, regressors: 0, mild: false };
     for seed in 0..20 {
         let data = ensemble(recipe, seed);
         let unit = [1e-6, 1.0, 3e5];
@@ -239,7 +181,8 @@ fn units_do_not_matter() {
 /// A class of tests fitted as one equals the tests fitted apart (here kept apart by a constant covariate nobody uses).
 #[test]
 fn a_design_class_equals_its_tests_apart() {
-    let recipe = Recipe { p: 3, tests: 60, rank: 3, observed: 6, strength: 1.0, designs: 4, regressors: 0 };
+    let recipe =
+        Recipe { p: 3, tests: 60, rank: 3, observed: 6, strength: 1.0, designs: 4, regressors: 0, mild: false };
     for seed in 0..20 {
         let data = ensemble(recipe, seed);
         let mut apart = data.clone();
@@ -265,7 +208,8 @@ fn a_design_class_equals_its_tests_apart() {
 fn derivatives_equal_difference_quotients() {
     let pairs: Vec<(usize, usize)> = (0..3).flat_map(|i| (0..=i).map(move |j| (i, j))).collect();
     for (seed, observed) in [(1, 6), (2, 2), (3, 4)] {
-        let recipe = Recipe { p: 3, tests: 12, rank: 3, observed, strength: 1.0, designs: 5, regressors: 0 };
+        let recipe =
+            Recipe { p: 3, tests: 12, rank: 3, observed, strength: 1.0, designs: 5, regressors: 0, mild: false };
         let likelihood = Likelihood::new(&ensemble(recipe, seed), 3);
         let mean = vec![0.3, -1.0, 2.0];
         let sigma = DMatrix::from_row_slice(3, 3, &[2.0, 0.3, -0.2, 0.3, 1.0, 0.4, -0.2, 0.4, 0.7]);
@@ -324,7 +268,8 @@ fn passes_cost_what_they_cost() {
 fn equal_variances_leave_zero_when_their_sum_should() {
     let (mut zeros, mut positive) = (0, 0);
     for seed in 0..80 {
-        let recipe = Recipe { p: 2, tests: 8, rank: 1, observed: 3, strength: 0.4, designs: 8, regressors: 0 };
+        let recipe =
+            Recipe { p: 2, tests: 8, rank: 1, observed: 3, strength: 0.4, designs: 8, regressors: 0, mild: false };
         let data = ensemble(recipe, seed);
         let covariance = CovarianceStructure {
             kind: CovarianceKind::Diagonal,
