@@ -71,6 +71,9 @@ pub(crate) enum Failure {
     /// Standard output.
     #[error("cannot write to standard output: {0}")]
     Stdout(std::io::Error),
+    /// Standard errors that a criterion does not have.
+    #[error("`--std-errors expected` and `--std-errors sandwich` go with `--criterion ml` only")]
+    RestrictedErrors,
     /// Threads.
     #[error("cannot start {threads} threads: {reason}")]
     Threads { threads: usize, reason: String },
@@ -147,6 +150,9 @@ impl Failure {
             Failure::Write { error, .. } => write_hint(error).map(str::to_owned),
             Failure::Output(error) => error.hint().map(str::to_owned),
             Failure::Stdout(_) => None,
+            Failure::RestrictedErrors => {
+                Some("leave `--std-errors` out: the restricted likelihood has those of its own curvature".to_owned())
+            }
             Failure::Threads { .. } => Some("ask for fewer with `--threads`".to_owned()),
         }
     }

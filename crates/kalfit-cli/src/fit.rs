@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use kalfit::estimate::Structure;
+use kalfit::estimate::{Criterion, Structure};
+use kalfit::infer::StdErrors;
 use kalfit::model::Population;
 use kalfit::record::Provenance;
 use kalfit::{FitRecord, estimate, infer};
@@ -18,6 +19,9 @@ use crate::progress::Line;
 use crate::{model, reductions, terminal};
 
 pub(crate) fn run(job: &FitJob) -> Result<Outcome, Failure> {
+    if job.settings.criterion == Criterion::Reml && job.choices.std_errors != StdErrors::Observed {
+        return Err(Failure::RestrictedErrors); // log|ΣB'WB| is no sum over tests
+    }
     let spec = model::load(&job.model)?;
     let inputs = Input::expand(&job.data).map_err(|error| Failure::data(error, &spec))?;
     let output = job.out.as_deref().map(|path| Output::prepare(path, &files(job, &inputs))).transpose()?;

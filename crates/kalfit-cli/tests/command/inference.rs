@@ -184,3 +184,16 @@ fn choices_that_are_not_known_are_refused() {
     For more information, try '--help'.
     ");
 }
+
+#[test]
+fn errors_that_the_restricted_likelihood_does_not_have_are_refused() {
+    let output = Folder::new(&[]).run("fit m.toml d.csv --criterion reml --std-errors sandwich");
+    assert_snapshot!(shown(&output), @"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: `--std-errors expected` and `--std-errors sandwich` go with `--criterion ml` only
+
+    hint: leave `--std-errors` out: the restricted likelihood has those of its own curvature
+    ");
+}

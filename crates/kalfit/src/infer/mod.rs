@@ -30,13 +30,13 @@ pub(crate) use constraint::is_held;
 pub(crate) use identifiability::directions;
 pub(crate) use information::{PART, uncertainty_at};
 
-use crate::estimate::Estimate;
+use crate::estimate::{Criterion, Estimate};
 use crate::reduce::Reduction;
 
 /// What to infer, and how.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Choices {
-    /// What standard errors are made of.
+    /// What standard errors are made of; under the restricted likelihood always the observed information.
     pub std_errors: StdErrors,
     /// How intervals are made.
     pub intervals: IntervalKind,
@@ -85,7 +85,11 @@ pub struct Inference {
 /// Infers all of it, from the reductions that the estimate was made from.
 pub fn infer(estimate: &Estimate, reductions: &[Reduction], choices: Choices) -> Inference {
     let Examination { unidentified, explanations, observability } = identifiability::examine(estimate, reductions);
-    let uncertainty = uncertainty(estimate, reductions, &unidentified, choices.std_errors);
+    let std_errors = match estimate.criterion {
+        Criterion::Ml => choices.std_errors,
+        Criterion::Reml => StdErrors::Observed, // what it adds to ℓ is no sum over tests
+    };
+    let uncertainty = uncertainty(estimate, reductions, &unidentified, std_errors);
     let intervals = match choices.intervals {
         IntervalKind::Wald => wald(estimate, &uncertainty),
         IntervalKind::Profile => profile(estimate, &uncertainty, &free(estimate, &unidentified)),
@@ -96,7 +100,7 @@ pub fn infer(estimate: &Estimate, reductions: &[Reduction], choices: Choices) ->
         DeletionChoice::None => false,
     };
     Inference {
-        std_errors: choices.std_errors,
+        std_errors,
         intervals,
         uncertainty,
         sensitivities: sensitivities(estimate),
