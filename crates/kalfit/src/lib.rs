@@ -10,6 +10,7 @@
 //!
 //! The crate is pure: it knows nothing of files, model-file syntax, tables, clocks or the terminal.
 
+pub mod dynamic;
 pub mod ensemble;
 pub mod estimate;
 pub mod infer;
@@ -19,6 +20,7 @@ pub mod model;
 pub mod plan;
 pub mod record;
 pub mod reduce;
+pub mod score;
 pub mod simulate;
 
 pub use ensemble::{Label, Labels, Layout, Source, Test, TestKey};

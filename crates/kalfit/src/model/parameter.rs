@@ -104,7 +104,7 @@ impl Parameter {
         matches!(self.value, Value::Free { .. }) && (self.per.is_none() || self.fixed_levels.is_empty())
     }
 
-    fn level(&self) -> Level {
+    pub(crate) fn level(&self) -> Level {
         let common = match self.value {
             Value::Fixed(value) => Some(value),
             Value::Free { .. } => None,

@@ -1,0 +1,115 @@
+//! Dynamic parameters α (time constants, noise levels, coefficients) together with μ and Σ: ℓ(α) = maximum over (μ, Σ) of the
+//! reductions at α, and the filters run again only when α moves (the paper's section 2.4, theory §6).
+
+mod settings;
+
+use crate::ensemble::{Labels, Test};
+use crate::estimate::{Estimate, FitError, Progress, Stop};
+use crate::infer::{Choices, Inference, Interval};
+use crate::model::{Alpha, Model};
+use crate::reduce::{ReduceError, Reduction};
+use crate::score::Slots;
+
+pub use settings::{Method, Settings};
+
+/// Why there is no fit.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum DynamicError {
+    /// A test has no reduction, whatever α is tried.
+    #[error(transparent)]
+    Reduce(#[from] Box<ReduceError>),
+    /// μ and Σ cannot be estimated.
+    #[error(transparent)]
+    Fit(#[from] FitError),
+}
+
+/// μ, Σ and α at the end of a search.
+#[derive(Debug, Clone)]
+pub struct DynamicFit {
+    /// Every value of α.
+    pub alpha: Alpha,
+    /// Which of them are free.
+    pub slots: Slots,
+    /// Their values, in the order of the slots.
+    pub values: Vec<f64>,
+    /// Reductions at α, in the order of the tests.
+    pub reductions: Vec<Reduction>,
+    /// μ and Σ at α, with their own certificate.
+    pub estimate: Estimate,
+    /// Largest score of α in units of its standard error.
+    pub certificate: f64,
+    /// Why the search for α stopped.
+    pub stop: Stop,
+    /// How α was found.
+    pub method: Method,
+    /// ℓ after each accepted step.
+    pub trace: Vec<f64>,
+    /// Forward runs of the filters over all tests.
+    pub filter_passes: usize,
+    /// Backward runs over all tests.
+    pub score_passes: usize,
+    /// Passes over reductions, all of them.
+    pub passes: usize,
+    /// Where other starts ended, best first.
+    pub others: Vec<OtherEnd>,
+}
+
+/// Where another start ended.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OtherEnd {
+    /// ℓ there.
+    pub log_likelihood: f64,
+    /// The free values of α, in the order of the slots.
+    pub values: Vec<f64>,
+    /// Why the search stopped.
+    pub stop: Stop,
+}
+
+/// What is known of one free value of α.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ParameterInference {
+    /// Standard error; `None` at a bound, and where the data do not determine the value.
+    pub std_error: Option<f64>,
+    /// 95 % interval.
+    pub interval: Interval,
+    /// Where the value lies.
+    pub standing: Standing,
+}
+
+/// Where a free value of α lies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Standing {
+    /// Inside.
+    Inside,
+    /// At its lower bound, or at zero.
+    Lower,
+    /// At its upper bound.
+    Upper,
+    /// ℓ still rises, ever more slowly, towards infinity: a time constant far longer than the records.
+    Unbounded,
+    /// ℓ does not depend on it.
+    Unidentified,
+}
+
+/// Estimates α, μ and Σ of tests. With no free values it is [`estimate::fit`](crate::estimate::fit) on the reductions.
+pub fn fit(
+    model: &Model,
+    labels: &Labels,
+    tests: &[Test],
+    settings: &Settings,
+    progress: &mut dyn Progress,
+) -> Result<DynamicFit, DynamicError> {
+    let _ = (model, labels, tests, settings, progress);
+    todo!("the lead writes this")
+}
+
+/// What each number is worth: of μ and Σ with the uncertainty of α in it, and of each free value of α.
+pub fn infer(
+    model: &Model,
+    tests: &[Test],
+    fit: &DynamicFit,
+    choices: Choices,
+) -> Result<(Inference, Vec<ParameterInference>), DynamicError> {
+    let _ = (model, tests, fit, choices);
+    todo!("the lead writes this")
+}
