@@ -5,7 +5,24 @@
 //! ```
 
 mod backward;
+mod chain;
 mod moments;
 mod slots;
 
+use rayon::prelude::*;
+
+use crate::ensemble::Test;
+use crate::reduce::{ReduceError, Reducer};
+use backward::{BackwardWork, Run, Wanted};
+
 pub use slots::{Slot, Slots};
+
+pub(crate) use chain::{Chain, Gradient};
+pub(crate) use moments::{Moments, moments};
+
+/// Scores of tests at the α of a reducer.
+#[derive(Debug)]
+pub(crate) struct Scorer<'a> {
+    reducer: &'a Reducer,
+    chain: Chain<'a>,
+}
