@@ -108,7 +108,8 @@ impl<'a> Bench<'a> {
         let (reducer, reductions) = self.reduce(&alpha).map_err(Box::new)?;
         let estimate = self.inner(&reductions, &alpha, near)?;
         let scores = self.scores(&reducer, &reductions, &estimate.state.law())?;
-        let matrix = matrix_gradient(self.model, &alpha, self.slots, &estimate.covariance, &estimate.state.covariance_score());
+        let matrix =
+            matrix_gradient(self.model, &alpha, self.slots, &estimate.covariance, &estimate.state.covariance_score());
         let gradient = self.gradient(values, &scores, &matrix);
         Ok(Solved { values: values.to_vec(), alpha, reductions, estimate, scores, gradient })
     }
@@ -187,7 +188,8 @@ impl<'a> Bench<'a> {
     ) -> Result<Vec<Gradient>, DynamicError> {
         self.score_passes.fetch_add(1, Ordering::Relaxed);
         let moments: Vec<_> = reductions.par_iter().map(|reduction| moments(reduction, law)).collect();
-        Ok(Scorer::new(reducer, self.slots).scores(self.tests, &moments).map_err(Box::new)?)
+        let scorer = Scorer::new(reducer, self.slots).map_err(Box::new)?;
+        Ok(scorer.scores(self.tests, &moments).map_err(Box::new)?)
     }
 
     /// dℓ/dcoordinate from what tests and matrices give.

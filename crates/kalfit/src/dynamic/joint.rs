@@ -125,7 +125,8 @@ impl Joint {
         self.own.retain(|(_, t), _| !step_of.contains_key(t));
         let mut add = |s: usize, t: usize, value: f64| *self.own.entry((s, t)).or_insert(0.0) += value;
         let slope = |side: &Shifted, s: usize| bench.coordinates[s].slope(side.values[s]);
-        for (j, by) in bench.order().into_iter().map(|j| (j, touching.of_test[j].iter().find(|s| step_of.contains_key(s)))) {
+        for (j, by) in bench.order().iter().map(|&j| (j, touching.of_test[j].iter().find(|s| step_of.contains_key(s))))
+        {
             let Some(&by) = by else { continue };
             for (side, sign) in sides.iter().zip([-1.0, 1.0]) {
                 for &(s, bar) in &side.scores[j] {
@@ -260,7 +261,8 @@ fn positive_inverse(matrix: &DMatrix<f64>) -> (DMatrix<f64>, bool) {
     let (scale, values, vectors) = scaled_eigen(matrix);
     let positive = values.iter().all(|v| *v > -1e-6);
     let turned = values.iter().map(|v| if v.abs() > FLAT { v.abs().max(1e-8).recip() } else { 0.0 });
-    let inverse = &vectors * DMatrix::from_diagonal(&DVector::from_iterator(values.len(), turned)) * vectors.transpose();
+    let inverse =
+        &vectors * DMatrix::from_diagonal(&DVector::from_iterator(values.len(), turned)) * vectors.transpose();
     (DMatrix::from_fn(scale.len(), scale.len(), |i, k| scale[i] * inverse[(i, k)] * scale[k]), positive)
 }
 

@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 
-use crate::model::{Alpha, CovarianceKind, Expression, Model, Scope};
+use crate::model::{Alpha, CovarianceKind, Expression, Model, Scope, Tape};
 use crate::score::{Gradient, Slots};
 
 /// dℓ/dvalue through Σ = Σ* (fixed), βΣ* (proportional) or DRD (correlation), from G with dℓ = tr(G dΣ).
@@ -31,10 +31,11 @@ pub(crate) fn matrix_gradient(
         CovarianceKind::Fixed(_) => 1.0,
         _ => 0.0,
     };
-    let mut gradient = vec![0.0; slots.len()];
+    let (mut gradient, mut tape) = (vec![0.0; slots.len()], Tape::default());
     for (i, row) in entries.iter().enumerate() {
         for (j, entry) in row.iter().enumerate() {
-            let _ = entry.differentiate(&scope, score[(i, j)] * weight(i, j), &mut |parameter, bar| {
+            let seed = score[(i, j)] * weight(i, j);
+            let _ = entry.differentiate(seed, &scope, &mut tape, &mut |parameter, bar| {
                 if let Some(slot) = slots.find(parameter, &[]) {
                     gradient[slot] += bar;
                 }

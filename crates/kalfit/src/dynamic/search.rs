@@ -57,8 +57,7 @@ impl<'b, 'a> Search<'b, 'a> {
     /// Values at bounds that want to go beyond are held there, others are let go.
     fn place(&mut self) {
         for s in 0..self.standing.len() {
-            let (coordinate, value, slope) =
-                (self.bench.coordinates[s], self.home.values[s], self.home.gradient[s]);
+            let (coordinate, value, slope) = (self.bench.coordinates[s], self.home.values[s], self.home.gradient[s]);
             self.standing[s] = match self.standing[s] {
                 Standing::Unbounded => Standing::Unbounded,
                 _ if coordinate.log && value == 0.0 => Standing::Lower,
@@ -105,7 +104,11 @@ impl<'b, 'a> Search<'b, 'a> {
             let leapt = self.leap(&joint.active, &|s| joint.curvature(s));
             if !moved && !leapt {
                 if fine {
-                    stop = if step.decrement <= 1e2 * self.tolerance() && step.concave { Stop::Certified } else { Stop::Stalled };
+                    stop = if step.decrement <= 1e2 * self.tolerance() && step.concave {
+                        Stop::Certified
+                    } else {
+                        Stop::Stalled
+                    };
                     break;
                 }
                 fine = true;
@@ -176,8 +179,11 @@ impl<'b, 'a> Search<'b, 'a> {
         let mut leapt = false;
         let sinking: Vec<usize> =
             candidates.iter().copied().filter(|&s| self.home.gradient[s] < 0.0 && !self.returned[s]).collect();
-        let sets: Vec<Vec<usize>> =
-            if sinking.len() > 1 { std::iter::once(sinking.clone()).chain(sinking.iter().take(8).map(|&s| vec![s])).collect() } else { vec![sinking] };
+        let sets: Vec<Vec<usize>> = if sinking.len() > 1 {
+            std::iter::once(sinking.clone()).chain(sinking.iter().take(8).map(|&s| vec![s])).collect()
+        } else {
+            vec![sinking]
+        };
         for set in sets.iter().filter(|set| !set.is_empty()) {
             if set.iter().any(|&s| self.home.values[s] == 0.0) {
                 continue;
@@ -186,7 +192,8 @@ impl<'b, 'a> Search<'b, 'a> {
             set.iter().for_each(|&s| values[s] = self.bench.coordinates[s].lower);
             leapt |= self.jump(values, set);
         }
-        for &s in candidates.iter().filter(|&&s| self.home.gradient[s] > 0.0) {
+        let rising: Vec<usize> = candidates.iter().copied().filter(|&s| self.home.gradient[s] > 0.0).collect();
+        for s in rising {
             let mut values = self.home.values.clone();
             values[s] = self.bench.coordinates[s].moved(values[s], LEAP);
             if self.jump(values, &[s]) {
@@ -201,7 +208,9 @@ impl<'b, 'a> Search<'b, 'a> {
 
     fn jump(&mut self, values: Vec<f64>, set: &[usize]) -> bool {
         let slack = 1e-11 * self.home.value().abs().max(1.0);
-        let Some(next) = self.at(&values).filter(|next| next.value() >= self.home.value() - slack) else { return false };
+        let Some(next) = self.at(&values).filter(|next| next.value() >= self.home.value() - slack) else {
+            return false;
+        };
         set.iter().for_each(|&s| self.before_zero[s] = self.home.values[s]);
         self.home = next;
         true

@@ -72,10 +72,7 @@ fn unknown(bench: &Bench<'_>) -> Vec<usize> {
         Value::Fixed(_) => true,
     };
     let parameters = bench.model.parameters.iter().enumerate();
-    parameters
-        .filter(|(p, what)| bench.slots.is_free(*p) && !told(what.value, what.positive))
-        .map(|(p, _)| p)
-        .collect()
+    parameters.filter(|(p, what)| bench.slots.is_free(*p) && !told(what.value, what.positive)).map(|(p, _)| p).collect()
 }
 
 fn first_guess(bench: &Bench<'_>) -> Vec<f64> {
