@@ -74,6 +74,9 @@ pub(crate) enum Failure {
     /// Standard errors that a criterion does not have.
     #[error("`--std-errors expected` and `--std-errors sandwich` go with `--criterion ml` only")]
     RestrictedErrors,
+    /// An option of the search for dynamic parameters, none of which is free.
+    #[error("`{option}` has no effect: the model has no free parameters")]
+    NoFreeParameter { option: &'static str },
     /// Threads.
     #[error("cannot start {threads} threads: {reason}")]
     Threads { threads: usize, reason: String },
@@ -152,6 +155,9 @@ impl Failure {
             Failure::Stdout(_) => None,
             Failure::RestrictedErrors => {
                 Some("leave `--std-errors` out: the restricted likelihood has those of its own curvature".to_owned())
+            }
+            Failure::NoFreeParameter { .. } => {
+                Some("leave it out, or free a parameter in `[parameters]`: `{}` or `{ start = 1 }`".to_owned())
             }
             Failure::Threads { .. } => Some("ask for fewer with `--threads`".to_owned()),
         }

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use kalfit::dynamic::Method;
 use kalfit::estimate::{Criterion, Structure};
 use kalfit::infer::StdErrors;
 use kalfit::model::Population;
@@ -16,16 +17,20 @@ use crate::innovations::{self, Kept};
 use crate::job::{FitJob, Outcome};
 use crate::output::Output;
 use crate::progress::Line;
-use crate::{model, reductions, terminal};
+use crate::{dynamic, model, reductions, terminal};
 
 pub(crate) fn run(job: &FitJob) -> Result<Outcome, Failure> {
     if job.settings.criterion == Criterion::Reml && job.choices.std_errors != StdErrors::Observed {
         return Err(Failure::RestrictedErrors); // log|ΣB'WB| is no sum over tests
     }
     let spec = model::load(&job.model)?;
+    let free = !model::free_parameters(&spec.model).is_empty();
+    if !free {
+        refuse_idle(job)?;
+    }
     let inputs = Input::expand(&job.data).map_err(|error| Failure::data(error, &spec))?;
     let output = job.out.as_deref().map(|path| Output::prepare(path, &files(job, &inputs))).transpose()?;
-    let record = fit(job, &spec, &inputs)?;
+    let record = if free { dynamic::fit(job, &spec, &inputs)? } else { fit(job, &spec, &inputs)? };
     if let Some(output) = &output {
         output.write(&record)?;
     }
@@ -36,6 +41,15 @@ pub(crate) fn run(job: &FitJob) -> Result<Outcome, Failure> {
         }
     }
     Ok(if record.converged { Outcome::Done } else { Outcome::NotCertified })
+}
+
+/// Options that say how to search for α have no effect when nothing of it is free.
+fn refuse_idle(job: &FitJob) -> Result<(), Failure> {
+    let option = match job.method {
+        Some(Method::Hybrid) => (job.search.starts > 0).then_some("--starts"),
+        _ => Some("--method"),
+    };
+    option.map_or(Ok(()), |option| Err(Failure::NoFreeParameter { option }))
 }
 
 /// The method in one place: reduce, estimate, infer, record.

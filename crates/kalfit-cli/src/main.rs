@@ -3,6 +3,7 @@
 mod args;
 mod check;
 mod diagnostic;
+mod dynamic;
 mod failure;
 mod fit;
 mod innovations;
@@ -15,6 +16,7 @@ mod reductions;
 mod simulate;
 mod terminal;
 mod test;
+mod tests;
 mod truth;
 
 use std::process::ExitCode;
