@@ -4,7 +4,7 @@ use std::ops::Range;
 use std::path::Path;
 
 use kalfit::estimate::FitError;
-use kalfit::infer::{Element, NotNested};
+use kalfit::infer::{DynamicRatioError, Element, NotNested};
 use kalfit::plan::PlanError;
 use kalfit::reduce::ReduceError;
 use kalfit::simulate::SimulateError;
@@ -46,8 +46,11 @@ pub(crate) enum Failure {
     /// A hypothesis that cannot be tested within the model.
     #[error("cannot test this hypothesis: {0}")]
     NotNested(NotNested),
+    /// The same, where dynamic parameters are estimated.
+    #[error("cannot test this hypothesis: {0}")]
+    DynamicRatio(DynamicRatioError),
     /// A hypothesis that does not leave a parameter as the model has it.
-    #[error("parameter `{name}` is not the same in the hypothesis as in the model, which does not estimate it")]
+    #[error("parameter `{name}` is not the same in the hypothesis as in the model, which has it fixed")]
     HypothesisParameter { name: String },
     /// The population to draw from or to plan for.
     #[error("{0}")]
@@ -146,6 +149,7 @@ impl Failure {
             }
             Failure::Fit(error) => fit_hint(error).map(str::to_owned),
             Failure::NotNested(error) => Some(nesting_hint(*error).to_owned()),
+            Failure::DynamicRatio(error) => dynamic_ratio_hint(error).map(str::to_owned),
             Failure::HypothesisParameter { .. } => Some("a hypothesis restricts what the model leaves free".to_owned()),
             Failure::Truth(error) => error.hint(),
             Failure::Simulate { error, .. } => error.hint().map(str::to_owned),
@@ -258,6 +262,24 @@ fn nesting_hint(error: NotNested) -> &'static str {
         }
         NotNested::Restricted => "compare likelihoods instead",
         NotNested::Different => "give both the same states",
+    }
+}
+
+fn dynamic_ratio_hint(error: &DynamicRatioError) -> Option<&'static str> {
+    use kalfit::infer::NotNestedParameter as Parameter;
+    match error {
+        DynamicRatioError::Structure(error) => Some(nesting_hint(*error)),
+        DynamicRatioError::Parameter(Parameter::Fixed { .. }) => {
+            Some("a hypothesis restricts what the model leaves free")
+        }
+        DynamicRatioError::Parameter(Parameter::Levels { .. }) => {
+            Some("a hypothesis has as many values as the model, or fewer")
+        }
+        DynamicRatioError::Parameter(Parameter::OutOfBounds { .. }) => Some("widen the bounds in the model"),
+        DynamicRatioError::Parameter(Parameter::Bounds { .. }) => {
+            Some("a parameter of the hypothesis replaces the model's whole, so repeat in it the bounds that the model has")
+        }
+        DynamicRatioError::Fit(error) => fit_hint(error),
     }
 }
 

@@ -12,6 +12,7 @@ mod model;
 mod output;
 mod plan;
 mod progress;
+mod ratio;
 mod reductions;
 mod simulate;
 mod terminal;

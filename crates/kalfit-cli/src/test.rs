@@ -15,6 +15,7 @@ use crate::failure::Failure;
 use crate::job::{Outcome, TestJob};
 use crate::output::Output;
 use crate::progress::Line;
+use crate::ratio::{self, unstarted, unstarted_sigma};
 use crate::{model, reductions, terminal};
 
 pub(crate) fn run(job: &TestJob) -> Result<Outcome, Failure> {
@@ -45,6 +46,16 @@ fn hypothesis(spec: &Spec, job: &TestJob) -> Result<Hypothesis, Failure> {
 
 /// The method in one place: reduce once, fit both, compare.
 fn test(job: &TestJob, spec: &Spec, hypothesis: &Hypothesis, inputs: &[Input]) -> Result<RatioRecord, Failure> {
+    let provenance = RatioProvenance {
+        title: spec.model.title.clone(),
+        hypothesis: hypothesis.title.clone().unwrap_or_else(|| job.null.display().to_string()),
+        model_digest: Some(spec.digest.clone()),
+        null_digest: Some(hypothesis.digest.clone()),
+        files: inputs.iter().map(Input::name).collect(),
+    };
+    if !model::free_parameters(&spec.model).is_empty() {
+        return ratio::test(job, spec, hypothesis, inputs, provenance);
+    }
     let mut line = Line::new(job.quiet);
     let alpha = model::alpha(spec)?;
     same_parameters(hypothesis, &alpha)?;
@@ -58,13 +69,6 @@ fn test(job: &TestJob, spec: &Spec, hypothesis: &Hypothesis, inputs: &[Input]) -
     let parts = bench.parts(&wide, &mut line)?;
     line.say(|| "drawing ensembles from the hypothesis".to_owned());
     let drawn = job.bootstrap.map(|b| (b, bootstrap(&null, &wide, &reductions, ratio.statistic, b)));
-    let provenance = RatioProvenance {
-        title: spec.model.title.clone(),
-        hypothesis: hypothesis.title.clone().unwrap_or_else(|| job.null.display().to_string()),
-        model_digest: Some(spec.digest.clone()),
-        null_digest: Some(hypothesis.digest.clone()),
-        files: inputs.iter().map(Input::name).collect(),
-    };
     let drawn = drawn.as_ref().map(|(b, found)| (*b, found));
     Ok(RatioRecord::new(&reductions, (&null, &wide), &ratio, drawn, parts, provenance))
 }
@@ -109,16 +113,7 @@ impl Bench<'_> {
     }
 }
 
-/// A structure without start values, which constrain nothing.
-fn unstarted(mean: &MeanStructure) -> MeanStructure {
-    MeanStructure { start: vec![None; mean.start.len()], ..mean.clone() }
-}
-
-fn unstarted_sigma(model: &Model) -> CovarianceStructure {
-    CovarianceStructure { start: None, ..model.covariance.clone() }
-}
-
-/// Parameters that neither side estimates must be the same on both.
+/// Parameters of a model without free ones must be the same on both sides.
 fn same_parameters(hypothesis: &Hypothesis, alpha: &Alpha) -> Result<(), Failure> {
     let alone = |parameter: &Parameter| Alpha::fixed(std::slice::from_ref(parameter)).ok();
     let same = |parameter: &Parameter, known: &Level| alone(parameter).is_some_and(|null| null.values[0] == *known);

@@ -105,7 +105,7 @@ fn name(method: Method) -> &'static str {
     }
 }
 
-fn converged(fit: &DynamicFit) -> bool {
+pub(super) fn converged(fit: &DynamicFit) -> bool {
     fit.stop == Stop::Certified && fit.estimate.stop == Stop::Certified
 }
 

@@ -3,6 +3,7 @@
 mod build;
 mod diagnosis;
 mod dynamic;
+mod dynamic_ratio;
 mod levels;
 mod parameters;
 mod population;
@@ -15,6 +16,7 @@ pub use crate::infer::Interval;
 pub use build::Provenance;
 pub use diagnosis::shortage_notes;
 pub use dynamic::DynamicParts;
+pub use dynamic_ratio::DynamicSides;
 pub use levels::{LevelCounts, level_notes};
 pub use parameters::{MethodRecord, StartRecord};
 pub use population::{FIT_SCHEMA, RecordError};
