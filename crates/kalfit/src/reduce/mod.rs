@@ -46,3 +46,11 @@ pub(crate) use kernel::advance;
 pub(crate) use prepare::{Preparer, Workspace};
 pub(crate) use semidefinite::{NotSemidefinite, ldl};
 pub(crate) use subject::{Fault, Subject};
+#[cfg(test)]
+pub(crate) use {
+    data::outcome,
+    data::{Data, DataWork},
+    design::{DENSE, Pattern, Step},
+    gains::GainsWork,
+    reducer::information_gains,
+};

@@ -4,6 +4,8 @@
 //! Test at α, moments (x̂, V) of ξ ── backward ──> adjoints of φ, Q, M, R, b, d, a, P0 ── chain ──> dℓ/dα
 //! ```
 
+mod backward;
+mod moments;
 mod slots;
 
 pub use slots::{Slot, Slots};
