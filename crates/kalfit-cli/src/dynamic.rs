@@ -3,7 +3,8 @@
 use kalfit::dynamic::{self, DynamicError, DynamicFit, Method, Settings};
 use kalfit::model::Population;
 use kalfit::record::{DynamicParts, LevelCounts, MethodRecord, level_notes};
-use kalfit::{FitRecord, Labels, Model, Provenance, Test};
+use kalfit::score::Slots;
+use kalfit::{Alpha, FitRecord, Labels, Model, Provenance, Test};
 use kalfit_data::{Input, Reading};
 use kalfit_spec::Spec;
 
@@ -11,7 +12,7 @@ use crate::failure::Failure;
 use crate::innovations;
 use crate::job::FitJob;
 use crate::progress::Line;
-use crate::tests;
+use crate::{fit, reductions, tests};
 
 /// Every method, the one that the results are of first.
 const ALL: [Method; 3] = [Method::Hybrid, Method::Innovations, Method::Em];
@@ -21,6 +22,14 @@ pub(crate) fn fit(job: &FitJob, spec: &Spec, inputs: &[Input]) -> Result<FitReco
     let mut line = Line::new(job.quiet);
     let model = &spec.model;
     let (tests, reading) = tests::read(spec, inputs, &mut line)?;
+    let slots = Slots::new(model, &reading.labels, &tests);
+    let notes = level_notes(model, &LevelCounts::all(model, &reading.labels, &tests));
+    if slots.is_empty() {
+        let alpha = slots.alpha(model, &[]);
+        let mut record = known(job, spec, inputs, (&alpha, &tests, &reading), &mut line)?;
+        record.notes.extend(notes);
+        return Ok(record);
+    }
     let data = Data { model, tests: &tests, reading: &reading };
     let methods = job.method.map_or(ALL.to_vec(), |method| vec![method]);
     let mut ends = Vec::new();
@@ -35,20 +44,39 @@ pub(crate) fn fit(job: &FitJob, spec: &Spec, inputs: &[Input]) -> Result<FitReco
     line.say(|| "standard errors and intervals".to_owned());
     let (inference, parameters) =
         dynamic::infer(model, &tests, &fit, job.choices).map_err(|error| failure(error, &reading))?;
-    let parts = DynamicParts { model, labels: &reading.labels, fit: &fit, inference: &inference, parameters: &parameters };
+    let parts =
+        DynamicParts { model, labels: &reading.labels, fit: &fit, inference: &inference, parameters: &parameters };
     let provenance = Provenance {
         model_digest: Some(spec.digest.clone()),
         files: inputs.iter().map(Input::name).collect(),
         seconds: line.seconds(),
     };
     let mut record = FitRecord::dynamic(&parts, provenance);
-    record.notes.extend(level_notes(model, &LevelCounts::all(model, &reading.labels, &tests)));
+    record.notes.extend(notes);
     if ends.len() > 1 {
         record.add_methods(ends);
     }
     if job.innovations {
         let at = (model, &fit.alpha, &Population::from(&fit.estimate));
         innovations::add_of(&mut record, at, &tests, &mut line);
+        record.solver.seconds = line.seconds();
+    }
+    Ok(record)
+}
+
+/// Every level of the data has a value after all.
+fn known(
+    job: &FitJob,
+    spec: &Spec,
+    inputs: &[Input],
+    (alpha, tests, reading): (&Alpha, &[Test], &Reading),
+    line: &mut Line,
+) -> Result<FitRecord, Failure> {
+    fit::refuse_idle(job)?;
+    let reductions = reductions::of(&spec.model, alpha, tests, reading)?;
+    let (mut record, population) = fit::record(job, spec, inputs, (alpha, &reductions), line)?;
+    if job.innovations {
+        innovations::add_of(&mut record, (&spec.model, alpha, &population), tests, line);
         record.solver.seconds = line.seconds();
     }
     Ok(record)

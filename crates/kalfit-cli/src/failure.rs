@@ -37,9 +37,6 @@ pub(crate) enum Failure {
     /// The model does not work on the data.
     #[error("{}", reduce_message(error, reading.as_deref()))]
     Reduce { error: ReduceError, reading: Option<Box<Reading>> },
-    /// Free parameters, which nothing estimates.
-    #[error("{}", free_message(names))]
-    Free { names: Vec<String>, place: Option<Box<Place>> },
     /// The estimator.
     #[error("{0}")]
     Fit(FitError),
@@ -132,7 +129,7 @@ impl Failure {
             Failure::Model { error, file } => {
                 Some(Place { source: file.clone()?, span: error.span.clone()?, label: error.label.clone() })
             }
-            Failure::Data { place, .. } | Failure::Free { place, .. } => place.as_deref().cloned(),
+            Failure::Data { place, .. } => place.as_deref().cloned(),
             _ => None,
         }
     }
@@ -143,10 +140,6 @@ impl Failure {
             Failure::Model { error, .. } | Failure::Set { error } => error.hint.clone(),
             Failure::Data { error, .. } => error.hint(),
             Failure::Reduce { error, .. } => error.hint().map(str::to_owned),
-            Failure::Free { names, .. } => {
-                let them = if names.len() == 1 { "it" } else { "them" };
-                Some(format!("fix {them}: `--set {}=VALUE`, or a number in `[parameters]`", names.first()?))
-            }
             Failure::Fit(error) => fit_hint(error).map(str::to_owned),
             Failure::NotNested(error) => Some(nesting_hint(*error).to_owned()),
             Failure::DynamicRatio(error) => dynamic_ratio_hint(error).map(str::to_owned),
@@ -166,14 +159,6 @@ impl Failure {
             Failure::Threads { .. } => Some("ask for fewer with `--threads`".to_owned()),
         }
     }
-}
-
-fn free_message(names: &[String]) -> String {
-    const MOST: usize = 8;
-    let shown: Vec<String> = names.iter().take(MOST).map(|name| format!("`{name}`")).collect();
-    let more = if names.len() > MOST { format!(" and {} more", names.len() - MOST) } else { String::new() };
-    let (what, are) = if names.len() == 1 { ("parameter", "is") } else { ("parameters", "are") };
-    format!("{what} {}{more} {are} free, and this version does not estimate parameters", shown.join(", "))
 }
 
 /// As [`reduce_message`], for what is drawn.
@@ -276,9 +261,9 @@ fn dynamic_ratio_hint(error: &DynamicRatioError) -> Option<&'static str> {
             Some("a hypothesis has as many values as the model, or fewer")
         }
         DynamicRatioError::Parameter(Parameter::OutOfBounds { .. }) => Some("widen the bounds in the model"),
-        DynamicRatioError::Parameter(Parameter::Bounds { .. }) => {
-            Some("a parameter of the hypothesis replaces the model's whole, so repeat in it the bounds that the model has")
-        }
+        DynamicRatioError::Parameter(Parameter::Bounds { .. }) => Some(
+            "a parameter of the hypothesis replaces the model's whole, so repeat in it the bounds that the model has",
+        ),
         DynamicRatioError::Fit(error) => fit_hint(error),
     }
 }

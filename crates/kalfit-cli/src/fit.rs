@@ -7,7 +7,7 @@ use kalfit::estimate::{Criterion, Structure};
 use kalfit::infer::StdErrors;
 use kalfit::model::Population;
 use kalfit::record::Provenance;
-use kalfit::{FitRecord, estimate, infer};
+use kalfit::{Alpha, FitRecord, Reduction, estimate, infer};
 use kalfit_data::Input;
 use kalfit_report::summary;
 use kalfit_spec::Spec;
@@ -24,7 +24,7 @@ pub(crate) fn run(job: &FitJob) -> Result<Outcome, Failure> {
         return Err(Failure::RestrictedErrors); // log|ΣB'WB| is no sum over tests
     }
     let spec = model::load(&job.model)?;
-    let free = !model::free_parameters(&spec.model).is_empty();
+    let free = model::has_free(&spec.model);
     if !free {
         refuse_idle(job)?;
     }
@@ -44,7 +44,7 @@ pub(crate) fn run(job: &FitJob) -> Result<Outcome, Failure> {
 }
 
 /// Options that say how to search for α have no effect when nothing of it is free.
-fn refuse_idle(job: &FitJob) -> Result<(), Failure> {
+pub(crate) fn refuse_idle(job: &FitJob) -> Result<(), Failure> {
     let option = match job.method {
         Some(Method::Hybrid) => (job.search.starts > 0).then_some("--starts"),
         _ => Some("--method"),
@@ -52,27 +52,39 @@ fn refuse_idle(job: &FitJob) -> Result<(), Failure> {
     option.map_or(Ok(()), |option| Err(Failure::NoFreeParameter { option }))
 }
 
-/// The method in one place: reduce, estimate, infer, record.
+/// The method in one place, with known parameters: reduce, estimate, infer, record.
 fn fit(job: &FitJob, spec: &Spec, inputs: &[Input]) -> Result<FitRecord, Failure> {
     let mut line = Line::new(job.quiet);
-    let model = &spec.model;
-    let alpha = model::alpha(spec)?;
+    let alpha = model::alpha(spec);
     let mut kept = if job.innovations { Kept::of(inputs) } else { Kept::nothing() };
     let reductions = reductions::reduce_keeping(spec, &alpha, inputs, &mut line, &mut kept)?;
+    let (mut record, population) = record(job, spec, inputs, (&alpha, &reductions), &mut line)?;
+    if job.innovations {
+        innovations::add(&mut record, kept, (spec, &alpha, inputs), &population, &mut line);
+        record.solver.seconds = line.seconds();
+    }
+    Ok(record)
+}
+
+/// Estimate, infer, record; the population too.
+pub(crate) fn record(
+    job: &FitJob,
+    spec: &Spec,
+    inputs: &[Input],
+    (alpha, reductions): (&Alpha, &[Reduction]),
+    line: &mut Line,
+) -> Result<(FitRecord, Population), Failure> {
+    let model = &spec.model;
     let estimate =
-        estimate::fit(&reductions, &Structure::of(model, &alpha), &job.settings, &mut line).map_err(Failure::Fit)?;
-    let inference = infer::infer(&estimate, &reductions, job.choices);
+        estimate::fit(reductions, &Structure::of(model, alpha), &job.settings, line).map_err(Failure::Fit)?;
+    let inference = infer::infer(&estimate, reductions, job.choices);
     let provenance = Provenance {
         model_digest: Some(spec.digest.clone()),
         files: inputs.iter().map(Input::name).collect(),
         seconds: line.seconds(),
     };
-    let mut record = FitRecord::new(model, &alpha, &reductions, &estimate, &inference, provenance);
-    if job.innovations {
-        innovations::add(&mut record, kept, (spec, &alpha, inputs), &Population::from(&estimate), &mut line);
-        record.solver.seconds = line.seconds();
-    }
-    Ok(record)
+    let record = FitRecord::new(model, alpha, reductions, &estimate, &inference, provenance);
+    Ok((record, Population::from(&estimate)))
 }
 
 fn files<'a>(job: &'a FitJob, inputs: &'a [Input]) -> Vec<&'a Path> {

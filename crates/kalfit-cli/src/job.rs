@@ -8,8 +8,8 @@ use kalfit::estimate::{Criterion, Settings, Solver};
 use kalfit::infer::{Bootstrap, Choices, DeletionChoice, IntervalKind, StdErrors};
 
 use crate::args::{
-    Args, CheckArgs, Command, CriterionArg, DeletionArg, FitArgs, InnovationsArg, IntervalsArg, MethodArg, ModelArgs, PlanArgs,
-    SimulateArgs, SolverArg, StdErrorsArg, TestArgs,
+    Args, CheckArgs, Command, CriterionArg, DeletionArg, FitArgs, InnovationsArg, IntervalsArg, MethodArg, ModelArgs,
+    PlanArgs, SimulateArgs, SolverArg, StdErrorsArg, TestArgs,
 };
 use crate::failure::Failure;
 use crate::{check, fit, plan, simulate, test};

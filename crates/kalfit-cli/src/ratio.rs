@@ -2,10 +2,12 @@
 
 use kalfit::dynamic::{self, DynamicFit, Method, ParameterInference, Settings};
 use kalfit::infer::{
-    Choices, DeletionChoice, Inference, LikelihoodRatio, NotNested, dynamic_bootstrap, dynamic_ratio, started,
+    Choices, DeletionChoice, DynamicRatioError, Inference, LikelihoodRatio, NotNested, dynamic_bootstrap,
+    dynamic_ratio, restricted, started,
 };
 use kalfit::model::{CovarianceStructure, MeanStructure, Parameter, Value};
 use kalfit::record::{DynamicParts, DynamicSides, PartRecord, RatioProvenance, RatioRecord};
+use kalfit::score::Slots;
 use kalfit::{Labels, Model, Test};
 use kalfit_data::{Input, Reading};
 use kalfit_spec::{Hypothesis, Spec};
@@ -14,7 +16,8 @@ use crate::dynamic::{Data, failure};
 use crate::failure::Failure;
 use crate::job::TestJob;
 use crate::progress::Line;
-use crate::tests;
+use crate::test as known;
+use crate::{reductions, tests};
 
 /// A search that ended below the hypothesis is made again with so many random starts.
 const STARTS: usize = 8;
@@ -32,6 +35,15 @@ pub(crate) fn test(
     // labels are numbered by the texts that both name
     let wide = Model { literals: null.literals.clone(), text_columns: null.text_columns.clone(), ..spec.model.clone() };
     let (tests, reading) = tests::read_for(spec, null, inputs, &mut line)?;
+    let slots = [Slots::new(null, &reading.labels, &tests), Slots::new(&wide, &reading.labels, &tests)];
+    restricted((null, &slots[0]), (&wide, &slots[1]), &tests)
+        .map_err(|error| Failure::DynamicRatio(DynamicRatioError::Parameter(error)))?;
+    if slots[1].is_empty() {
+        // every level of the data has a value after all
+        let alpha = slots[1].alpha(&wide, &[]);
+        let reductions = reductions::of(&wide, &alpha, &tests, &reading)?;
+        return known::test(job, (spec, hypothesis), (&alpha, &reductions), provenance, &mut line);
+    }
     let settings = Settings { method: Method::Hybrid, inner: job.settings.clone(), starts: 0, seed: 1 };
     let bench = Bench { wide: &wide, null, tests: &tests, reading: &reading, settings };
     let narrow = bench.fit(null, &mut line)?;
@@ -44,9 +56,10 @@ pub(crate) fn test(
             line.say(|| "drawing ensembles from the hypothesis".to_owned());
             let data = (&reading.labels, &tests[..]);
             let asked_of = (ratio.statistic, asked);
-            let found = dynamic_bootstrap((null, &narrow), &wide, data, &bench.settings, asked_of).map_err(|error| {
-                Failure::Simulate { error: Box::new(error), reading: Some(Box::new(reading.clone())) }
-            })?;
+            let found =
+                dynamic_bootstrap((null, &narrow), &wide, data, &bench.settings, asked_of).map_err(|error| {
+                    Failure::Simulate { error: Box::new(error), reading: Some(Box::new(reading.clone())) }
+                })?;
             Some((asked, found))
         }
     };
@@ -127,7 +140,7 @@ impl Bench<'_> {
             let fit = self.fit(&model, line)?;
             match self.ratio((&model, &fit), full) {
                 Ok(ratio) => parts.push(PartRecord::dynamic(what, &fit, &ratio)),
-                Err(Failure::DynamicRatio(kalfit::infer::DynamicRatioError::Structure(NotNested::Same))) => {}
+                Err(Failure::DynamicRatio(DynamicRatioError::Structure(NotNested::Same))) => {}
                 Err(error) => return Err(error),
             }
         }

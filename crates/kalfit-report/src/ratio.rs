@@ -144,7 +144,8 @@ fn parameters(record: &RatioRecord, page: &Page<'_>) -> String {
     };
     let null = |p: &ParameterRecord| {
         let of = record.null.parameters.iter().filter(|other| other.name == p.name);
-        let (own, common) = (of.clone().find(|other| name(other) == name(p)), of.clone().find(|other| other.per.is_none()));
+        let (own, common) =
+            (of.clone().find(|other| name(other) == name(p)), of.clone().find(|other| other.per.is_none()));
         own.or(common).map_or("-".to_owned(), value)
     };
     if rows.is_empty() {

@@ -22,7 +22,8 @@ pub use observability::{Leading, MOST_TESTS, Observability, Shortage, StateObser
 pub use posterior::{Distance, Posterior, posteriors};
 pub use ratio::{
     Bootstrap, BootstrapResult, Component, DynamicRatioError, LikelihoodRatio, NotNested, NotNestedParameter,
-    ReferenceLaw, at_least, bootstrap, dynamic_bootstrap, dynamic_ratio, fit_null, likelihood_ratio, started,
+    ReferenceLaw, Restricted, at_least, bootstrap, dynamic_bootstrap, dynamic_ratio, fit_null, likelihood_ratio,
+    restricted, started,
 };
 pub use reason::{Explanation, Reason};
 

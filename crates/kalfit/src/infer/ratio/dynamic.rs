@@ -39,7 +39,7 @@ pub fn dynamic_ratio(
     wide: (&Model, &DynamicFit),
     tests: &[Test],
 ) -> Result<LikelihoodRatio, DynamicRatioError> {
-    let taken = restricted(null, wide, tests)?;
+    let taken = restricted((null.0, &null.1.slots), (wide.0, &wide.1.slots), tests)?;
     let of_population = population(null.0, wide)?;
     if of_population.is_none() && taken.count == 0 {
         return Err(NotNested::Same.into());
@@ -59,8 +59,7 @@ fn population(null: &Model, wide: (&Model, &DynamicFit)) -> Result<Option<Likeli
     let (model, fit) = wide;
     let structure = Structure::of(null, &fit.alpha);
     let settings = &fit.estimate.state.settings;
-    let narrow =
-        fit_null(&fit.reductions, &model.mean, &structure, settings, &mut Silent).ok_or(NotNested::Mean)??;
+    let narrow = fit_null(&fit.reductions, &model.mean, &structure, settings, &mut Silent).ok_or(NotNested::Mean)??;
     match likelihood_ratio(&narrow, &fit.estimate) {
         Ok(ratio) => Ok(Some(ratio)),
         Err(NotNested::Same) => Ok(None),

@@ -11,7 +11,7 @@ pub use bootstrap::{Bootstrap, BootstrapResult, bootstrap};
 pub use dynamic::{DynamicRatioError, dynamic_bootstrap, dynamic_ratio, started};
 pub use law::{Component, ReferenceLaw};
 pub use nested::NotNested;
-pub use restricted::NotNestedParameter;
+pub use restricted::{NotNestedParameter, Restricted, restricted};
 
 use crate::estimate::{Estimate, FitError, Progress, Settings, Silent, Structure, fit, fit_from};
 use crate::model::MeanStructure;

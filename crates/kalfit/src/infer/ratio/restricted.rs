@@ -1,8 +1,8 @@
 //! Whether a hypothesis on α lies within a model, and how much it takes away.
 
-use crate::dynamic::DynamicFit;
 use crate::ensemble::{Label, Test};
-use crate::model::{Model, Parameter};
+use crate::model::{Alpha, Model, Parameter};
+use crate::score::Slots;
 
 /// Why a hypothesis on α cannot be tested within a model.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -47,11 +47,11 @@ fn fixed_words(found: &Option<f64>) -> String {
 
 /// What a hypothesis takes away of α.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Restricted {
+pub struct Restricted {
     /// Free values less.
-    pub(super) count: usize,
+    pub count: usize,
     /// Those that it puts at a bound of theirs.
-    pub(super) at_bound: usize,
+    pub at_bound: usize,
 }
 
 /// What becomes of a free value of the model under the hypothesis.
@@ -61,25 +61,43 @@ enum Target {
     Value(f64),
 }
 
-/// Compares the two α row by row. Both fits are of these tests.
-pub(super) fn restricted(
-    null: (&Model, &DynamicFit),
-    wide: (&Model, &DynamicFit),
+/// One side of a comparison.
+struct Side<'a> {
+    model: &'a Model,
+    slots: &'a Slots,
+    /// Its free values do not matter.
+    alpha: Alpha,
+}
+
+impl<'a> Side<'a> {
+    fn new((model, slots): (&'a Model, &'a Slots)) -> Side<'a> {
+        Side { model, slots, alpha: slots.alpha(model, &vec![0.0; slots.len()]) }
+    }
+}
+
+/// What a hypothesis takes away of the α of a model, both with their free values in these tests.
+///
+/// # Errors
+/// The hypothesis is not within the model.
+pub fn restricted(
+    null: (&Model, &Slots),
+    wide: (&Model, &Slots),
     tests: &[Test],
 ) -> Result<Restricted, NotNestedParameter> {
-    let mut targets: Vec<Option<Target>> = vec![None; wide.1.slots.len()];
-    for index in 0..wide.0.parameters.len() {
+    let (null, wide) = (Side::new(null), Side::new(wide));
+    let mut targets: Vec<Option<Target>> = vec![None; wide.slots.len()];
+    for index in 0..wide.model.parameters.len() {
         let mut last: Option<&[Label]> = None;
         for texts in tests.iter().flat_map(|test| (0..test.rows()).map(|row| test.texts(row))) {
             // most rows are like the one before
             if last.replace(texts) != Some(texts) {
-                follow(index, texts, null, wide, &mut targets)?;
+                follow(index, texts, (&null, &wide), &mut targets)?;
             }
         }
     }
     let mut at_bound = 0;
-    for (slot, target) in wide.1.slots.slots().iter().zip(&targets) {
-        let (model, hypothesis) = (&wide.0.parameters[slot.parameter], &null.0.parameters[slot.parameter]);
+    for (slot, target) in wide.slots.slots().iter().zip(&targets) {
+        let (model, hypothesis) = (&wide.model.parameters[slot.parameter], &null.model.parameters[slot.parameter]);
         match target {
             Some(Target::Value(value)) => at_bound += usize::from(on_bound(model, *value)?),
             Some(Target::Slot(_)) if (model.lower, model.upper) != (hypothesis.lower, hypothesis.upper) => {
@@ -88,24 +106,23 @@ pub(super) fn restricted(
             _ => {}
         }
     }
-    Ok(Restricted { count: wide.1.slots.len().saturating_sub(null.1.slots.len()), at_bound })
+    Ok(Restricted { count: wide.slots.len().saturating_sub(null.slots.len()), at_bound })
 }
 
 /// What one parameter is on one row, in both.
 fn follow(
     index: usize,
     texts: &[Label],
-    null: (&Model, &DynamicFit),
-    wide: (&Model, &DynamicFit),
+    (null, wide): (&Side<'_>, &Side<'_>),
     targets: &mut [Option<Target>],
 ) -> Result<(), NotNestedParameter> {
-    let name = || wide.0.parameters[index].name.clone();
+    let name = || wide.model.parameters[index].name.clone();
     // a row whose level is missing does not need the parameter, or the filters would have refused it
-    let (Ok(found), Ok(expected)) = (null.1.alpha.value(index, texts), wide.1.alpha.value(index, texts)) else {
+    let (Ok(found), Ok(expected)) = (null.alpha.value(index, texts), wide.alpha.value(index, texts)) else {
         return Ok(());
     };
-    let slot = null.1.slots.find(index, texts);
-    let Some(place) = wide.1.slots.find(index, texts) else {
+    let slot = null.slots.find(index, texts);
+    let Some(place) = wide.slots.find(index, texts) else {
         return match slot {
             None if found == expected => Ok(()),
             None => Err(NotNestedParameter::Fixed { name: name(), found: Some(found), expected }),
