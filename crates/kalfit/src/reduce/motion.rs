@@ -1,5 +1,7 @@
 //! The transitions of a model's steps.
 
+mod backward;
+
 use std::sync::Arc;
 
 use crate::linalg::exponential::{flow, scalar_flow};
