@@ -125,10 +125,7 @@ fn chain(seed: f64, slope: f64) -> f64 {
 
 impl Operator {
     fn is_arithmetic(self) -> bool {
-        matches!(
-            self,
-            Operator::Add | Operator::Subtract | Operator::Multiply | Operator::Divide | Operator::Power
-        )
+        matches!(self, Operator::Add | Operator::Subtract | Operator::Multiply | Operator::Divide | Operator::Power)
     }
 
     /// Slopes of a ∘ b = `value` to a and to b.

@@ -12,6 +12,8 @@ use crate::reduce::order::Order;
 use crate::reduce::semidefinite::ldl;
 use crate::reduce::subject::{Fault, Subject};
 
+pub(crate) use backward::Evaluated;
+
 /// How the entries of φ, Q and b follow from coefficients and from the flows of components. The flows stand one after the
 /// other: φ, Γ, Q of the first component, each m × m, then of the next.
 #[derive(Debug, Clone)]

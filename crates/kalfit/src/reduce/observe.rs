@@ -10,6 +10,8 @@ use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::semidefinite::{NotSemidefinite, ldl};
 use crate::reduce::subject::{At, Coefficient, Fault, Subject};
 
+pub(crate) use backward::Unwhitened;
+
 /// A measurement of the model at α.
 #[derive(Debug, Clone)]
 struct Meter {

@@ -21,6 +21,8 @@ use crate::reduce::subject::{At, Fault, Subject};
 
 mod replay;
 
+pub(crate) use replay::Replay;
+
 /// Bytes of transitions that are kept.
 const TRANSITION_BYTES: usize = 16 << 20;
 

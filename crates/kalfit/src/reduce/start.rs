@@ -284,7 +284,8 @@ impl Group {
         if self.inputs.is_empty() {
             return Ok(());
         }
-        let mean = self.fixed_point(&f).lu().solve(&self.input(inputs)).ok_or_else(|| Fault::new(subject, unstable()))?;
+        let mean =
+            self.fixed_point(&f).lu().solve(&self.input(inputs)).ok_or_else(|| Fault::new(subject, unstable()))?;
         for (&state, mean) in self.states.iter().zip(&mean) {
             law.mean[state] = *mean;
         }

@@ -122,8 +122,21 @@ impl At<'_> {
 
     /// True when an expression mentions a free parameter.
     pub(crate) fn depends(&self, expression: &Expression) -> bool {
-        let free = |index: &usize| self.free.get(*index).copied().unwrap_or(false);
-        expression.any(&mut |part| matches!(part, Expression::Parameter(index) if free(index)))
+        self.free_parameter(expression).is_some()
+    }
+
+    /// The first free parameter that an expression mentions.
+    pub(crate) fn free_parameter(&self, expression: &Expression) -> Option<usize> {
+        let mut found = None;
+        expression.any(&mut |part| {
+            if let Expression::Parameter(index) = part
+                && self.free.get(*index).copied().unwrap_or(false)
+            {
+                found = Some(*index);
+            }
+            found.is_some()
+        });
+        found
     }
 
     /// As [`At::coefficient`], for a variance.

@@ -29,9 +29,8 @@ fn scalar_adjoint(f: f64, q: f64, step: f64, [phi, gamma, noise]: [f64; 3]) -> [
         if x.abs() < 1.0 { step * step * near(x) } else { (step / x) * (step / x) * far(x) }
     };
     let part = |bar: f64, slope: &dyn Fn() -> f64| if bar == 0.0 { 0.0 } else { bar * slope() };
-    let f_bar = part(phi, &|| step * (f * step).exp())
-        + part(gamma, &|| slope(f))
-        + part(noise * q, &|| 2.0 * slope(2.0 * f));
+    let f_bar =
+        part(phi, &|| step * (f * step).exp()) + part(gamma, &|| slope(f)) + part(noise * q, &|| 2.0 * slope(2.0 * f));
     [f_bar, if noise == 0.0 { 0.0 } else { noise * integral(2.0 * f) }]
 }
 
@@ -63,7 +62,8 @@ fn general(
 ) -> Result<(Vec<f64>, Vec<f64>), FlowError> {
     let (doublings, small) = scaling(f, m, step)?;
     let mut orders: Vec<(Vec<f64>, Vec<f64>)> = Vec::with_capacity(19 + m);
-    let mut doubling = Doubling::start_seen(f, q, m, small, |power, noise| orders.push((power.to_vec(), noise.to_vec())));
+    let mut doubling =
+        Doubling::start_seen(f, q, m, small, |power, noise| orders.push((power.to_vec(), noise.to_vec())));
     let mut before: Vec<Before> = Vec::with_capacity(doublings.max(0) as usize);
     for _ in 0..doublings {
         before.push((doubling.phi.clone(), doubling.gamma.clone(), doubling.q.clone()));
@@ -225,7 +225,8 @@ mod tests {
     #[test]
     fn adjoints_of_motions_equal_difference_quotients() {
         for m in 1..=4 {
-            let f: Vec<f64> = (0..m * m).map(|ij| 0.3 * weight(ij) - if ij / m == ij % m { 0.9 } else { 0.0 }).collect();
+            let f: Vec<f64> =
+                (0..m * m).map(|ij| 0.3 * weight(ij) - if ij / m == ij % m { 0.9 } else { 0.0 }).collect();
             for step in [1e-6, 0.03, 0.4, 2.0, 30.0] {
                 check(&f, &noise(m), m, step);
             }
@@ -238,7 +239,12 @@ mod tests {
             check(&[0.5], &[0.3], 1, step);
             check(&[0.0], &[0.3], 1, step);
             check(&[1e-9], &[0.3], 1, step);
-            check(&[0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], &[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.0], 3, step);
+            check(
+                &[0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0],
+                &[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.0],
+                3,
+                step,
+            );
             check(&[0.0; 4], &noise(2), 2, step);
         }
         check(&[-1e3, 1.0, 0.5, -1e-3], &noise(2), 2, 10.0);

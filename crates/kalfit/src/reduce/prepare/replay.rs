@@ -39,6 +39,19 @@ impl Preparer {
         Scope { numbers: &work.whole.numbers, texts: &work.whole.texts, step: work.spans[0].dt, alpha: &self.alpha }
     }
 
+    /// What the stationary law was evaluated on: nothing, when no test changes it.
+    pub(crate) fn settled<'a>(
+        &'a self,
+        test: &'a Test,
+        work: &Workspace,
+        cells: &'a mut Cells,
+    ) -> Result<Scope<'a>, Box<Fault>> {
+        match self.law {
+            Some(_) => Ok(Scope { numbers: &[], texts: &[], step: 0.0, alpha: &self.alpha }),
+            None => self.moving(test, 0, work, cells),
+        }
+    }
+
     /// The dynamics' coefficients on a step.
     pub(crate) fn values(&self, scope: &Scope<'_>, out: &mut Replay) -> Result<(), Box<Fault>> {
         self.dynamics.table.evaluate(&self.at(), scope, &mut out.values)
