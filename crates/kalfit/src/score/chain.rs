@@ -223,7 +223,6 @@ impl Adjoints<'_> {
         let (preparer, context) = (chain.preparer, chain.context());
         let law = LawAdjoint { place: &preparer.order.place, r: preparer.order.frame.r, mean, variance };
         if !preparer.start.settles() {
-            (replay.values.clear(), replay.inputs.clear());
             preparer.start.backward(&context.at, (&[], &[]), &law, out)?;
         } else {
             let scope = preparer.settled(test, work, &mut moving.cells)?;
