@@ -68,6 +68,14 @@ pub(crate) enum Settle {
 }
 
 impl Gains {
+    /// 1/S, K (r) and T (p) of a scalar measurement.
+    #[inline(always)]
+    pub(crate) fn row(&self, r: usize, p: usize, row: usize) -> (f64, &[f64], &[f64]) {
+        let (weight, rest) = self.rows[row * (1 + r + p)..][..1 + r + p].split_first().expect("stride is positive");
+        let (gain, sensitivity) = rest.split_at(r);
+        (*weight, gain, sensitivity)
+    }
+
     /// Bytes it occupies.
     pub(crate) fn bytes(&self) -> usize {
         let turns = self.turns.as_ref().map_or(0, |turns| 2 * turns.folds.len() + 5 * turns.settle.len());

@@ -51,3 +51,11 @@ pub(crate) use semidefinite::{NotSemidefinite, ldl};
 pub(crate) use start::{LawAdjoint, StartAdjoint};
 pub(crate) use steps::Cells;
 pub(crate) use subject::{At, Coefficient, Fault, Subject, Uses};
+#[cfg(test)]
+pub(crate) use {
+    data::outcome,
+    data::{Data, DataWork},
+    design::{DENSE, Pattern, Step},
+    gains::GainsWork,
+    reducer::information_gains,
+};

@@ -24,7 +24,9 @@ use crate::reduce::{
 };
 use crate::score::Slots;
 
+pub(crate) use measured::Measured;
 use measured::Measuring;
+pub(crate) use moved::Moved;
 use moved::Moving;
 use taps::{Context, Pending, Read, Taps};
 
