@@ -151,6 +151,20 @@ impl<'a> Bench<'a> {
         Some(Shifted { values: values.to_vec(), reductions, inner, scores, matrix })
     }
 
+    /// ℓ after a step in α and, along the tangent basis of home, in (μ, Σ); `None` where it is not defined.
+    pub(crate) fn step(&self, home: &Solved, values: &[f64], inner: &DVector<f64>) -> Option<Solved> {
+        let alpha = self.slots.alpha(self.model, values);
+        let (reducer, reductions) = self.reduce(&alpha).ok()?;
+        self.passes.fetch_add(1, Ordering::Relaxed);
+        let state = home.estimate.state.moved(&reductions, &alpha, inner)?;
+        let estimate = Estimate::unfinished(state);
+        let scores = self.scores(&reducer, &reductions, &estimate.state.law()).ok()?;
+        let sigma = &estimate.covariance;
+        let matrix = matrix_gradient(self.model, &alpha, self.slots, sigma, &estimate.state.covariance_score());
+        let gradient = self.gradient(values, &scores, &matrix);
+        Some(Solved { values: values.to_vec(), alpha, reductions, estimate, scores, gradient })
+    }
+
     /// What [`Bench::shift`] gives at home.
     pub(crate) fn at_home(&self, home: &Solved) -> Shifted {
         let state = &home.estimate.state;

@@ -17,6 +17,8 @@ const STEPS: usize = 200;
 /// A logarithm whose curvature is no more than this many times its slope has no optimum in sight: ℓ runs level towards a bound,
 /// as 1/x, x² or the like.
 const LEVEL: f64 = 3.5;
+/// … and only a slope below this, and so little of ℓ to be had, makes a leap worth a try.
+const TAIL: f64 = 0.1;
 /// A leap along a logarithm that runs level.
 const LEAP: f64 = 4.0;
 /// ℓ that may still be had beyond, where a value counts as infinite.
@@ -96,13 +98,15 @@ impl<'b, 'a> Search<'b, 'a> {
         let mut last = None;
         for _ in 0..STEPS {
             let joint = Joint::new(self.bench, &self.home, &self.active(), fine);
-            let inner = self.home.estimate.state.place.tangent.gradient.clone() * 0.0;
-            let step = joint.step(&self.home.gradient, &inner, 0.0);
+            let step = joint.step(&self.home.gradient, self.inner_gradient(), 0.0);
             let near = step.decrement <= self.tolerance() && step.concave;
             last = Some((joint, step.decrement));
             if near {
                 if !fine {
                     fine = true;
+                    continue;
+                }
+                if self.settled() {
                     continue;
                 }
                 if self.released() {
@@ -146,6 +150,23 @@ impl<'b, 'a> Search<'b, 'a> {
         self.progress.step(Step { passes, log_likelihood: self.home.value(), decrement: Some(decrement) });
     }
 
+    /// Gradient along the coordinates of (μ, Σ): nothing where they have been solved for.
+    fn inner_gradient(&self) -> &DVector<f64> {
+        &self.home.estimate.state.place.tangent.gradient
+    }
+
+    /// Where (μ, Σ) moved along with α, they are solved for by themselves, which certifies them and takes them off the boundary
+    /// of the cone where that is no maximum; `false` when that had been done.
+    fn settled(&mut self) -> bool {
+        if self.bench.settings.method != Method::Innovations || self.home.estimate.stop == Stop::Certified {
+            return false;
+        }
+        let Some(next) = self.at(&self.home.values) else { return false };
+        let certified = next.estimate.stop == Stop::Certified;
+        self.home = next;
+        certified
+    }
+
     /// ℓ at other values, from the (μ, Σ) at hand; `None` where it is not defined.
     fn at(&self, values: &[f64]) -> Option<Solved> {
         let near = Population::from(&self.home.estimate);
@@ -155,14 +176,17 @@ impl<'b, 'a> Search<'b, 'a> {
 
     /// One step, damped until ℓ rises.
     fn advance(&mut self, joint: &Joint, decrement: f64) -> bool {
-        let still = DVector::zeros(self.home.estimate.state.place.tangent.gradient.len());
         let slack = 1e-12 * self.home.value().abs().max(1.0);
         for _ in 0..TRIES {
-            let step = self.within_reach(joint, &still);
+            let step = self.within_reach(joint);
             let promised = 0.5 * step.decrement.powi(2);
             let moved = |(s, d): (usize, &f64)| self.bench.coordinates[s].moved(self.home.values[s], *d);
             let values: Vec<f64> = step.alpha.iter().enumerate().map(moved).collect();
-            let Some(next) = self.at(&values) else {
+            let next = match self.bench.settings.method {
+                Method::Innovations => self.bench.step(&self.home, &values, &step.inner),
+                Method::Hybrid | Method::Em => self.at(&values),
+            };
+            let Some(next) = next else {
                 self.damping = (8.0 * self.damping).max(0.1);
                 continue;
             };
@@ -179,9 +203,9 @@ impl<'b, 'a> Search<'b, 'a> {
     }
 
     /// The step with so much damping that no logarithm goes too far; values of single tests are cut off by themselves.
-    fn within_reach(&mut self, joint: &Joint, still: &DVector<f64>) -> joint::Step {
+    fn within_reach(&mut self, joint: &Joint) -> joint::Step {
         loop {
-            let mut step = joint.step(&self.home.gradient, still, self.damping);
+            let mut step = joint.step(&self.home.gradient, self.inner_gradient(), self.damping);
             let far = |&&s: &&usize| self.bench.coordinates[s].log && step.alpha[s].abs() > LONGEST;
             if joint.shared().iter().find(far).is_none() || self.damping > 1e6 {
                 for (_, d) in step.alpha.iter_mut().enumerate().filter(|(s, _)| self.bench.coordinates[*s].log) {
@@ -197,7 +221,8 @@ impl<'b, 'a> Search<'b, 'a> {
     fn leap(&mut self, active: &[usize], curvature: &dyn Fn(usize) -> f64) -> bool {
         let level = |&s: &usize| {
             let (slope, bend) = (self.home.gradient[s], curvature(s));
-            self.bench.coordinates[s].log && slope != 0.0 && bend > 0.0 && bend <= LEVEL * slope.abs()
+            let tail = slope != 0.0 && slope.abs() <= TAIL && bend > 0.0 && bend <= LEVEL * slope.abs();
+            self.bench.coordinates[s].log && tail
         };
         let candidates: Vec<usize> = active.iter().copied().filter(level).collect();
         let mut leapt = false;
@@ -271,7 +296,5 @@ pub(crate) fn search(
     progress: &mut dyn Progress,
 ) -> Result<End, DynamicError> {
     let home = bench.solve(values, near)?;
-    match bench.settings.method {
-        Method::Hybrid | Method::Innovations | Method::Em => Search::new(bench, progress, home).run(),
-    }
+    Search::new(bench, progress, home).run()
 }

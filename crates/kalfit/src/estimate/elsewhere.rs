@@ -1,11 +1,14 @@
 //! The objective of a finished search under reductions at another α, in the same coordinates: what mixed second derivatives
 //! of α, μ and Σ are made of; and the law of ξ_j at a point, as posteriors want it.
 
+use std::sync::Arc;
+
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::classes::Classes;
 use crate::estimate::covariance::{CovarianceMap, Form};
 use crate::estimate::local::packed_score;
+use crate::estimate::newton::{self, Place};
 use crate::estimate::pass::{Order, Sums, of_class};
 use crate::estimate::problem::Problem;
 use crate::estimate::terms::Point;
@@ -100,6 +103,25 @@ impl State {
         let point = Point { root, ..self.place.point.clone() };
         let sums = problem.sums(&point, Order::First, self.place.near());
         Ok(sums.map(|sums| Elsewhere { problem, point, sums }))
+    }
+
+    /// The state after a step along the tangent basis of this place, under other reductions of the same tests; `None` where it
+    /// is not defined.
+    pub(crate) fn moved(&self, reductions: &[Reduction], alpha: &Alpha, step: &DVector<f64>) -> Option<State> {
+        let structure = Structure { alpha, ..self.structure() };
+        let frame = &self.problem.classes.frame;
+        let problem = Problem::within(reductions, &structure, self.problem.criterion(), frame).ok()?;
+        let point = newton::moved(&*self.problem, &self.problem.covariance, &self.place, step)?;
+        let root = carried(&self.problem.covariance, &problem.covariance, &point.root);
+        let point = Point { root, ..point };
+        let place = Place::new(&problem, &problem.covariance, point, self.place.near())?;
+        // the restricted likelihood's second derivatives want the covariance of the mean at the place itself
+        let place = match place.near().cloned() {
+            Some(own) => Place::new(&problem, &problem.covariance, place.point, Some(&own))?,
+            None => place,
+        };
+        let sums = problem.sums(&place.point, Order::Expected, place.near())?;
+        Some(State { problem: Arc::new(problem), place, sums, alpha: alpha.clone(), joint: None, ..self.clone() })
     }
 
     /// Gradient of one test's ℓ_j along the tangent basis of this place, under another reduction of it.

@@ -111,7 +111,12 @@ impl Damping {
 }
 
 /// The point after a step along the tangent basis, brought back onto the constraints.
-fn moved(objective: &dyn Objective, map: &CovarianceMap, place: &Place, step: &DVector<f64>) -> Option<Point> {
+pub(crate) fn moved(
+    objective: &dyn Objective,
+    map: &CovarianceMap,
+    place: &Place,
+    step: &DVector<f64>,
+) -> Option<Point> {
     let free = &place.tangent.basis * step;
     let q = place.tangent.mean;
     let mut point = objective.move_mean(&place.point, &free.as_slice()[..q]);

@@ -273,6 +273,15 @@ impl<'a> Search<'a> {
     }
 }
 
+impl Estimate {
+    /// What is known at a place that no search has ended at.
+    pub(crate) fn unfinished(state: State) -> Estimate {
+        let tests = state.problem.classes.tests as f64;
+        let (certificate, _) = certificate(&state.problem.covariance, &state.place, tests);
+        leave(state, certificate, Stop::PassLimit, Vec::new(), Solver::Newton)
+    }
+}
+
 /// The estimate in the user's units.
 fn leave(state: State, certificate: Certificate, stop: Stop, trace: Vec<f64>, solver: Solver) -> Estimate {
     let problem = &state.problem;
