@@ -3,6 +3,10 @@
 //! φ = exp(Fδ), Γ = ∫₀^δ exp(Fs) ds, Q = ∫₀^δ exp(Fs) Q_c exp(F's) ds. A small step is summed by Taylor, then doubled:
 //! Q ← Q + φQφ', Γ ← Γ + φΓ, φ ← φ². No exp(+δ/τ) is ever formed, so steps far longer than the time constants are exact.
 
+mod backward;
+
+pub(crate) use backward::{flow_adjoint, stationary_adjoint};
+
 /// φ, Γ, Q of one step; each m × m, row-major.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Flow {
@@ -47,18 +51,23 @@ pub fn scalar_flow(f: f64, q: f64, step: f64) -> [f64; 3] {
 }
 
 fn general(f: &[f64], q: &[f64], m: usize, step: f64) -> Result<Flow, FlowError> {
+    let (doublings, small) = scaling(f, m, step)?;
+    let mut doubling = Doubling::start(f, q, m, small);
+    for _ in 0..doublings {
+        doubling.double();
+    }
+    Ok(doubling.finish())
+}
+
+/// How often to double which small step.
+fn scaling(f: &[f64], m: usize, step: f64) -> Result<(i32, f64), FlowError> {
     let reach = norm(f, m) * step;
     if !reach.is_finite() {
         return Err(FlowError::NotFinite);
     }
     let doublings = if reach > 0.5 { (2.0 * reach).log2().ceil() as i32 } else { 0 };
     // At most about 1026, since `reach` is finite; two factors, since 2^1026 alone is not.
-    let small = step * 0.5f64.powi(doublings / 2) * 0.5f64.powi(doublings - doublings / 2);
-    let mut doubling = Doubling::start(f, q, m, small);
-    for _ in 0..doublings {
-        doubling.double();
-    }
-    Ok(doubling.finish())
+    Ok((doublings, step * 0.5f64.powi(doublings / 2) * 0.5f64.powi(doublings - doublings / 2)))
 }
 
 /// The law that dx = Fx dt + noise settles in: FP + PF' + Q = 0. An error unless F is stable.
@@ -113,6 +122,11 @@ struct Doubling {
 impl Doubling {
     /// Taylor sums for a step with ‖F‖ × step ≤ ½: 18 terms leave 1e-21 of the norm, and m more reach the far corner of a chain.
     fn start(f: &[f64], q: &[f64], m: usize, step: f64) -> Doubling {
+        Doubling::start_seen(f, q, m, step, |_, _| {})
+    }
+
+    /// As [`Doubling::start`]; `see` is shown both terms before each order.
+    fn start_seen(f: &[f64], q: &[f64], m: usize, step: f64, mut see: impl FnMut(&[f64], &[f64])) -> Doubling {
         let transpose: Vec<f64> = (0..m * m).map(|ij| f[(ij % m) * m + ij / m]).collect();
         let fs: Vec<f64> = f.iter().map(|x| x * step).collect();
         let ts: Vec<f64> = transpose.iter().map(|x| x * step).collect();
@@ -122,6 +136,7 @@ impl Doubling {
         let mut gamma: Vec<f64> = identity(m).iter().map(|x| x * step).collect();
         for k in 1..(19 + m) {
             let order = k as f64;
+            see(&power, &noise);
             power = product(&fs, &power, m);
             scale(&mut power, 1.0 / order);
             accumulate(&mut excess, &power, 1.0);

@@ -19,6 +19,10 @@ use crate::reduce::start::{Law, Start};
 use crate::reduce::steps::{Cells, Span, spans};
 use crate::reduce::subject::{At, Fault, Subject};
 
+mod replay;
+
+pub(crate) use replay::Replay;
+
 /// Bytes of transitions that are kept.
 const TRANSITION_BYTES: usize = 16 << 20;
 
@@ -29,11 +33,13 @@ type Moved = Entry<Vec<u64>, Result<Moves, Box<Fault>>>;
 pub(crate) struct Preparer {
     pub(crate) model: Model,
     alpha: Alpha,
-    dynamics: Dynamics,
-    start: Start,
-    order: Order,
-    plan: Plan,
-    meters: Meters,
+    /// Which parameters are free, where derivatives are wanted.
+    free: Vec<bool>,
+    pub(crate) dynamics: Dynamics,
+    pub(crate) start: Start,
+    pub(crate) order: Order,
+    pub(crate) plan: Plan,
+    pub(crate) meters: Meters,
     /// The law of x_0, when no test changes it.
     law: Option<Law>,
     transitions: Shared<Vec<u64>, Result<Moves, Box<Fault>>>,
@@ -65,7 +71,13 @@ pub(crate) struct Workspace {
 
 impl Preparer {
     pub(crate) fn new(model: &Model, alpha: &Alpha) -> Result<Preparer, Box<Fault>> {
-        let at = At { model, alpha };
+        Preparer::with_free(model, alpha, Vec::new())
+    }
+
+    /// With derivatives in mind: no coefficient that depends on a free parameter is left out for being zero at this α.
+    /// `free`: one for each parameter.
+    pub(crate) fn with_free(model: &Model, alpha: &Alpha, free: Vec<bool>) -> Result<Preparer, Box<Fault>> {
+        let at = At { model, alpha, free: &free };
         let dynamics = Dynamics::new(&at)?;
         let start = Start::new(&at, &dynamics)?;
         let order = Order::new(&at, &dynamics, &start);
@@ -81,6 +93,7 @@ impl Preparer {
         Ok(Preparer {
             model: model.clone(),
             alpha: alpha.clone(),
+            free,
             plan: Plan::new(&dynamics, &order),
             dynamics,
             start,
@@ -92,8 +105,8 @@ impl Preparer {
         })
     }
 
-    fn at(&self) -> At<'_> {
-        At { model: &self.model, alpha: &self.alpha }
+    pub(crate) fn at(&self) -> At<'_> {
+        At { model: &self.model, alpha: &self.alpha, free: &self.free }
     }
 
     pub(crate) fn workspace(&self) -> Workspace {
@@ -203,16 +216,7 @@ impl Preparer {
         work: &mut Workspace,
         start: bool,
     ) -> Result<(), Box<Fault>> {
-        let source = if self.model.clock.previous_inputs && k > 0 { k - 1 } else { k };
-        let (rows, dt) = (work.spans[source].rows.clone(), work.spans[k].dt);
-        let first = rows.start;
-        let (numbers, texts) = if rows.len() == 1 {
-            (test.numbers(first), test.texts(first))
-        } else {
-            work.step.gather(at, test, rows, (&self.dynamics.uses, false))?;
-            (&*work.step.numbers, &*work.step.texts)
-        };
-        let scope = Scope { numbers, texts, step: dt, alpha: &self.alpha };
+        let (scope, first) = self.motion_scope(at, test, k, (&work.spans, &mut work.step))?;
         let (table, inputs) = (&self.dynamics.table, &self.dynamics.inputs);
         if start {
             let needed = |slot| self.start.needs(slot);
@@ -222,6 +226,26 @@ impl Preparer {
         }
         table.evaluate(at, &scope, &mut work.values).map_err(|fault| fault.on(first))?;
         inputs.evaluate(at, &scope, &mut work.inputs).map_err(|fault| fault.on(first))
+    }
+
+    /// What the transition to step `k` is evaluated on, and its first row. `cells`: room for the cells of several rows.
+    fn motion_scope<'a>(
+        &'a self,
+        at: &At<'_>,
+        test: &'a Test,
+        k: usize,
+        (spans, cells): (&[Span], &'a mut Cells),
+    ) -> Result<(Scope<'a>, usize), Box<Fault>> {
+        let source = if self.model.clock.previous_inputs && k > 0 { k - 1 } else { k };
+        let (rows, step) = (spans[source].rows.clone(), spans[k].dt);
+        let first = rows.start;
+        let (numbers, texts) = if rows.len() == 1 {
+            (test.numbers(first), test.texts(first))
+        } else {
+            cells.gather(at, test, rows, (&self.dynamics.uses, false))?;
+            (&*cells.numbers, &*cells.texts)
+        };
+        Ok((Scope { numbers, texts, step, alpha: &self.alpha }, first))
     }
 
     /// The transition that leads to step `k`; its inputs go to the data.

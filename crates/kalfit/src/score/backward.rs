@@ -485,10 +485,11 @@ mod tests {
     use nalgebra::{DMatrix, DVector};
 
     use super::*;
+    use crate::estimate::InitialLaw;
     use crate::reduce::{
         DENSE, Data, DataWork, Frame, GainsWork, Path, Pattern, Reduction, Step, information_gains, outcome,
     };
-    use crate::score::moments::{Prior, moments};
+    use crate::score::moments::moments;
 
     /// A test by hand: four states, the first two noisy, three unknowns; every number of it is its own.
     #[derive(Debug, Clone)]
@@ -631,7 +632,7 @@ mod tests {
         let all = numbers();
         let (design, data, gains, reduction) = reduced(&all);
         let (mean, root) = prior();
-        let moments = moments(&reduction, &Prior { mean: &mean, root: &root, mean_root: None });
+        let moments = moments(&reduction, &InitialLaw::known(mean, root));
         let wanted = Wanted { motion: true, equation: true };
         let run = Run {
             design: &design,

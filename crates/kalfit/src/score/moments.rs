@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::unpack;
+use crate::estimate::{InitialLaw, unpack};
 use crate::reduce::Reduction;
 
 /// E[ξ | z] and a root C of Var[ξ | z] = CC'.
@@ -15,37 +15,29 @@ pub(crate) struct Moments {
     pub(crate) columns: usize,
 }
 
-/// Where posteriors are taken: ξ_j ~ N(μ_j, FF'), in the user's units.
-#[derive(Debug, Clone)]
-pub(crate) struct Prior<'a> {
-    /// μ_j of the test.
-    pub(crate) mean: &'a DVector<f64>,
-    /// F (p × any).
-    pub(crate) root: &'a DMatrix<f64>,
-    /// Under the restricted likelihood a root of the covariance of the test's own μ_j at a known Σ (p × any): the restricted
-    /// likelihood counts it with the posterior covariance, as (I+ΣJ)⁻¹ of it.
-    pub(crate) mean_root: Option<&'a DMatrix<f64>>,
-}
-
 /// x̂ = μ + V(y - Jμ) and V = F(I + F'JF)⁻¹F' (10), (11), by QR of [I; RF], without forming I + F'JF.
-pub(crate) fn moments(reduction: &Reduction, prior: &Prior<'_>) -> Moments {
-    let (p, n) = prior.root.shape();
+///
+/// Under the restricted likelihood the covariance of μ_j at a known Σ adds to V, as (I+ΣJ)⁻¹ of it: ℓ_R changes by
+/// -½ tr((V + …) ∂J) where ℓ changes by -½ tr(V ∂J).
+pub(crate) fn moments(reduction: &Reduction, law: &InitialLaw) -> Moments {
+    let (p, n) = law.root.shape();
     let factor = unpack(&reduction.factor, p);
-    let rf = &factor * prior.root;
+    let mean = law.mean_of(&reduction.covariates);
+    let rf = &factor * &law.root;
     let stacked = DMatrix::from_fn(n + p, n, |i, c| if i < n { f64::from(i == c) } else { rf[(i - n, c)] });
     let mut upper = stacked.qr().r();
     for k in 0..n {
         // no less than the least singular value of [I; RF], which is at least one; rounding must not make it so
         upper[(k, k)] = upper[(k, k)].abs().max(1.0).copysign(upper[(k, k)]);
     }
-    let half = upper.transpose().solve_lower_triangular(&prior.root.transpose()).expect("its diagonal is at least one");
+    let half = upper.transpose().solve_lower_triangular(&law.root.transpose()).expect("its diagonal is at least one");
     let root = half.transpose();
-    let residual = DVector::from_column_slice(&reduction.data) - &factor * prior.mean;
-    let mean = prior.mean + &root * (half * (factor.transpose() * &residual));
+    let residual = DVector::from_column_slice(&reduction.data) - &factor * &mean;
+    let mean = mean + &root * (half * (factor.transpose() * &residual));
     let mut columns: Vec<DVector<f64>> = root.column_iter().map(|c| c.into_owned()).collect();
-    if let Some(extra) = prior.mean_root {
+    if let Some(extra) = law.mean_root_of(&reduction.covariates) {
         // (I+ΣJ)⁻¹X = X - VJX
-        let moved = extra - &root * (root.transpose() * (factor.transpose() * (&factor * extra)));
+        let moved = &extra - &root * (root.transpose() * (factor.transpose() * (&factor * &extra)));
         columns.extend(moved.column_iter().map(|c| c.into_owned()));
     }
     columns.retain(|c| c.amax() > 0.0);
