@@ -164,7 +164,9 @@ fn fit(case: &str, want: &Value, solver: &str) -> Result<Value, String> {
     let output = command.stdin(Stdio::null()).output().unwrap();
     if output.status.code() != Some(0) {
         let said = String::from_utf8_lossy(&output.stderr);
-        return Err(format!("found {}, expected exit status 0: {}", output.status, said.trim()));
+        let written = std::fs::read_to_string(&out).unwrap_or_default();
+        let reason = serde_json::from_str::<Value>(&written).unwrap_or_default()["reason"].clone();
+        return Err(format!("found {}, expected exit status 0: {} {reason}", output.status, said.trim()));
     }
     let found: Value = serde_json::from_str(&std::fs::read_to_string(&out).unwrap()).unwrap();
     if found["criterion"] != *want.get("criterion").unwrap_or(&Value::from("ml")) {

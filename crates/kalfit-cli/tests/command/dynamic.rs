@@ -252,3 +252,154 @@ fn a_hypothesis_beyond_the_model_is_refused_before_any_fit() {
     hint: a hypothesis has as many values as the model, or fewer
     ");
 }
+
+/// A case of the reference tests: its model as `m.toml`, its data as `d.csv`.
+fn case(model: &str) -> Folder {
+    let folder = Folder::new(&[]);
+    let (home, name) = model.split_once('/').expect("case/model");
+    for (from, to) in [(name, "m.toml"), ("data.csv", "d.csv")] {
+        let bytes = std::fs::read(format!("tests/reference/{home}/{from}")).expect("the case is there");
+        folder.write(to, &bytes);
+    }
+    folder
+}
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap_or_else(|| panic!("a number expected, found {value}"))
+}
+
+#[track_caller]
+fn close(what: &str, found: f64, expected: f64, tolerance: f64) {
+    let error = (found - expected).abs() / tolerance;
+    assert!(error <= 1.0, "{what}: found {found}, expected {expected}: {error:.3e} x tolerance");
+}
+
+#[test]
+fn a_noise_level_is_estimated_with_mean_and_covariance() {
+    let folder = case("lmm-sleepstudy/un.toml");
+    let text = said(&folder, "fit m.toml d.csv --out fit.json");
+    assert!(text.starts_with("exit 0"), "{text}");
+    assert_snapshot!(from(&text, "Dynamic parameters").lines().take(3).collect::<Vec<_>>().join("\n"), @"
+    Dynamic parameters (± standard error)
+      parameter  value        95 % interval
+      sigma       25.6 ± 1.5  22.8 to 28.7
+    ");
+    let fit = json(&folder, "fit.json");
+    close("log-likelihood", number(&fit["log_likelihood"]), -875.9696722, 1e-6);
+    assert_eq!(fit["free_parameters"], 6, "two means, three covariances, one noise level: as lme4 counts");
+    close("aic", number(&fit["aic"]), 2.0 * 6.0 + 2.0 * 875.9696722, 1e-5);
+    close("bic", number(&fit["bic"]), 6.0 * 180f64.ln() + 2.0 * 875.9696722, 1e-5);
+    let [sigma] = &fit["parameters"].as_array().expect("a list")[..] else { panic!("{}", fit["parameters"]) };
+    close("sigma", number(&sigma["estimate"]), 25.5918, 1e-4);
+    let expected = [
+        ("per", Value::Null),
+        ("level", Value::Null),
+        ("fixed", false.into()),
+        ("at_bound", false.into()),
+        ("standing", "inside".into()),
+    ];
+    for (key, expected) in expected {
+        assert_eq!(sigma[key], expected, "{key}");
+    }
+    let ends = sigma["interval95"].as_array().expect("two ends");
+    assert!(number(&ends[0]) < 25.5918 && number(&ends[1]) > 25.5918, "{ends:?}");
+    assert!(number(&fit["certificate"]["parameters"]) < 1e-4, "{}", fit["certificate"]);
+    assert_eq!(fit["solver"]["method"], "hybrid");
+    assert!(fit["solver"]["filter_passes"].as_u64() > Some(1) && fit["solver"]["score_passes"].as_u64() > Some(0));
+    let reason = fit["reason"].as_str().expect("a text");
+    assert!(reason.contains("the dynamic parameter"), "{reason}");
+}
+
+#[test]
+fn three_methods_are_shown_side_by_side_and_agree() {
+    let folder = case("ssm-nile/first.toml");
+    let text = said(&folder, "fit m.toml d.csv --method all --out fit.json");
+    assert!(text.starts_with("exit 0"), "{text}");
+    assert!(text.contains("Methods side by side"), "{text}");
+    let fit = json(&folder, "fit.json");
+    let methods = fit["methods"].as_array().expect("a list");
+    let names: Vec<&str> = methods.iter().map(|m| m["method"].as_str().expect("a name")).collect();
+    assert_eq!(names, ["hybrid", "innovations", "em"]);
+    for method in methods {
+        let name = method["method"].as_str().expect("a name");
+        assert_eq!(method["converged"], true, "{name}: {}", method["reason"]);
+        close(name, number(&method["log_likelihood"]), -637.60293209092, 1e-6);
+        close(&format!("walk by {name}"), number(&method["values"][0]), 35.77193701576698, 1e-3);
+        close(&format!("sigma by {name}"), number(&method["values"][1]), 123.61018868645093, 1e-3);
+    }
+    assert_eq!(fit["solver"]["method"], "hybrid");
+    close("log-likelihood", number(&fit["log_likelihood"]), number(&methods[0]["log_likelihood"]), 1e-12);
+}
+
+#[test]
+fn one_value_for_all_levels_is_a_hypothesis_with_as_many_degrees_of_freedom_as_values_fall_away() {
+    let folder = case("alpha-per-group/per-group.toml");
+    folder.write("h.toml", b"[parameters]\nsigma_v = {}\n");
+    let text = said(&folder, "test m.toml d.csv --null h.toml --out t.json");
+    assert!(text.starts_with("exit 0"), "{text}");
+    let test = json(&folder, "t.json");
+    // of another program, which maximised both: with one noise level and with one for each lot
+    let (null, alternative) = (-441.4096390402, -403.2504507276);
+    close("model", number(&test["alternative"]["log_likelihood"]), alternative, 1e-6);
+    close("-2 log λ", number(&test["lr"]), 2.0 * (alternative - null), 1e-3);
+    assert_eq!((&test["df"], &test["null"]["free_parameters"]), (&2.into(), &8.into()));
+}
+
+#[test]
+fn a_noise_level_of_zero_is_tested_against_a_mixture() {
+    let folder = case("ssm-nile/first.toml");
+    folder.write("h.toml", b"title = \"no walk\"\n[parameters]\nwalk = 0\n");
+    let command = "test m.toml d.csv --null h.toml --out t.json";
+    assert_snapshot!(said(&folder, command), @"
+    exit 0
+    ----- stdout
+    Flow of the Nile: level of the first year
+
+    Hypothesis: no walk
+    The data speak strongly against it: p = 3e-9 by the large-sample law.
+
+    Fits to 1 test
+                  log-likelihood  free      AIC  certified
+      hypothesis      -654.51573     2  1313.03        yes
+      model           -637.60293     3  1281.21        yes
+
+    -2 log λ = 33.8256
+      reference law                      p-value
+      0.5 χ²(0) + 0.5 χ²(1)                 3e-9
+      χ²(1), which ignores the boundary     6e-9
+
+    Dynamic parameters
+      parameter  hypothesis    model
+      walk          0 fixed  35.7719
+      sigma         168.379   123.61
+
+    Notes
+      With 1 test the large-sample law is a rough guide, and its p-values tend to be
+        too small: `--bootstrap 1000` does not depend on it.
+    ----- stderr
+    Wrote t.json
+    ");
+    let test = json(&folder, "t.json");
+    // both fits by statsmodels
+    close("-2 log λ", number(&test["lr"]), 2.0 * (654.5157332521 - 637.60293209092), 1e-5);
+    let drawn = |seed: &str| {
+        let text = said(&folder, &format!("{command} --bootstrap 20 --seed {seed}"));
+        assert!(text.starts_with("exit 0"), "{text}");
+        json(&folder, "t.json")["bootstrap"].clone()
+    };
+    let first = drawn("3");
+    close("p-value", number(&first["p_value"]), 1.0 / 21.0, 1e-12);
+    assert_eq!(first, drawn("3"), "the same seed draws the same ensembles");
+    assert_ne!(first["quantile95"], drawn("4")["quantile95"]);
+}
+
+#[test]
+fn several_quantities_on_their_boundary_have_a_bound_for_a_law() {
+    let folder = case("alpha-per-group/two-per-group.toml");
+    folder.write("h.toml", b"[parameters]\nsigma_drift = { per = \"lot\", fixed = { A = 0, B = 0 } }\n");
+    let text = said(&folder, "test m.toml d.csv --null h.toml --out t.json");
+    assert!(!text.starts_with("exit 2"), "{text}");
+    let test = json(&folder, "t.json");
+    assert_eq!((&test["df"], &test["law_is_bound"]), (&2.into(), &true.into()), "{text}");
+    assert!(text.contains("several quantities on their boundary"), "{text}");
+}
