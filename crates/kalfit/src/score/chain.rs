@@ -24,11 +24,10 @@ use crate::reduce::{
 };
 use crate::score::Slots;
 
-use measured::Measuring;
-use moved::Moving;
-
 pub(crate) use measured::Measured;
+use measured::Measuring;
 pub(crate) use moved::Moved;
+use moved::Moving;
 use taps::{Context, Pending, Read, Taps};
 
 /// Gradient of one test: (slot, dℓ/dvalue), each slot at most once, ascending.
@@ -226,7 +225,6 @@ impl Adjoints<'_> {
         let (preparer, context) = (chain.preparer, chain.context());
         let law = LawAdjoint { place: &preparer.order.place, r: preparer.order.frame.r, mean, variance };
         if !preparer.start.settles() {
-            (replay.values.clear(), replay.inputs.clear());
             preparer.start.backward(&context.at, (&[], &[]), &law, out)?;
         } else {
             let scope = preparer.settled(test, work, &mut moving.cells)?;

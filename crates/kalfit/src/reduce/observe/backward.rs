@@ -9,7 +9,6 @@ use crate::reduce::subject::{At, Coefficient, Fault};
 
 impl Meters {
     /// Noise, constant and terms (kernel state, h) of each measurement.
-    #[expect(clippy::type_complexity, reason = "three parts of one meter")]
     pub(crate) fn parts(&self) -> impl Iterator<Item = (&Coefficient, &Coefficient, &[(u32, Coefficient)])> {
         self.meters.iter().map(|meter| (&meter.noise, &meter.constant, &*meter.terms))
     }

@@ -164,7 +164,7 @@ impl Pending {
             }
         };
         let done = expression.differentiate(seed, &scope, &mut self.tape, sink);
-        let done = done.and_then(|()| if finite { Ok(0.0) } else { Err(EvaluationError::NotFinite) });
+        let done = done.and(if finite { Ok(0.0) } else { Err(EvaluationError::NotFinite) });
         context.at.finite(done, *subject).map(|_| ())
     }
 

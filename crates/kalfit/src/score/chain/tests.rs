@@ -6,8 +6,8 @@ use std::collections::BTreeMap;
 use super::*;
 use crate::ensemble::{Label, Labels, Source};
 use crate::model::{
-    Alpha, Clock, Column, CovarianceStructure, Expression, Function, Initial, Linear, MeanStructure, Measurement,
-    Model, Motion, Operator, Parameter, State, Value,
+    Clock, Column, CovarianceStructure, Expression, Function, Initial, Linear, MeanStructure, Measurement, Model,
+    Motion, Operator, Parameter, State, Value,
 };
 use crate::score::chain::measured::Measured;
 use crate::score::chain::moved::Moved;
@@ -128,7 +128,7 @@ fn test() -> Test {
     rows(&[
         ([0.0, 1.2, 0.5, -0.3, 0.4, 2.0], 0),
         ([0.5, 0.4, EMPTY, 0.2, -1.0, 2.0], 0),
-        ([1.0, 0.1, 0.8, EMPTY, -1.0, 2.0], 1),
+        ([1.0, 0.1, 0.8, EMPTY, 0.9, 2.0], 1),
         ([1.5, -0.9, 0.1, 1.1, 0.7, 2.0], 1),
         ([1.5, EMPTY, 0.6, 0.9, 0.7, 2.0], 1),
         ([4.0, 0.3, -0.2, 0.5, 1.5, 2.0], 0),
@@ -440,10 +440,10 @@ fn what_decides_rows_or_times_cannot_be_free() {
     };
     let mut filtered = gyro();
     filtered.measurements[0].filter = Some(binary(Operator::Less, column(U), alpha(3)));
-    insta::assert_snapshot!(refusal(&filtered), @"");
+    insta::assert_snapshot!(refusal(&filtered), @"`where` of measurement `z0`: it depends on the free parameter `a3`, expected parameters that are fixed");
     let mut timed = gyro();
     timed.clock.initial_time = Some(minus(alpha(3)));
-    insta::assert_snapshot!(refusal(&timed), @"");
+    insta::assert_snapshot!(refusal(&timed), @"initial time: it depends on the free parameter `a3`, expected parameters that are fixed");
 }
 
 #[test]
