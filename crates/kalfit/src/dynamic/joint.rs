@@ -166,6 +166,11 @@ impl Joint {
         }
     }
 
+    /// Values that are not of single tests.
+    pub(crate) fn shared(&self) -> &[usize] {
+        &self.shared
+    }
+
     fn entry(&self, s: usize, t: usize) -> f64 {
         let at = |s, t| self.own.get(&(s, t)).copied().unwrap_or(0.0);
         0.5 * (at(s, t) + at(t, s))
@@ -184,7 +189,7 @@ impl Joint {
     }
 
     /// (shared values, inner coordinates) once private values have been eliminated, and their gradient.
-    fn reduced(&self, gradient: &[f64], inner: &DVector<f64>) -> (DMatrix<f64>, DVector<f64>, bool) {
+    fn reduced(&self, gradient: &[f64], inner: &DVector<f64>, damping: f64) -> (DMatrix<f64>, DVector<f64>, bool) {
         let (k, m) = (self.shared.len(), self.inner.nrows());
         let mut matrix = DMatrix::zeros(k + m, k + m);
         matrix.view_mut((0, 0), (k, k)).copy_from(&self.block(&self.shared));
@@ -197,7 +202,7 @@ impl Joint {
         right.rows_mut(k, m).copy_from(inner);
         let mut concave = true;
         for block in &self.private {
-            let (inverse, positive) = positive_inverse(&self.block(block));
+            let (inverse, positive) = positive_inverse(&self.block(block), damping);
             concave &= positive;
             let border = self.border(block);
             let own = DVector::from_iterator(block.len(), block.iter().map(|&s| gradient[s]));
@@ -208,17 +213,18 @@ impl Joint {
         (matrix, right, concave)
     }
 
-    /// Newton's step: where the curvature has the wrong sign its absolute value stands for it.
-    pub(crate) fn step(&self, gradient: &[f64], inner: &DVector<f64>) -> Step {
-        let (matrix, right, mut concave) = self.reduced(gradient, inner);
-        let (inverse, positive) = positive_inverse(&matrix);
+    /// Newton's step with Levenberg's damping, in coordinates of unit curvature; where the curvature has the wrong sign its
+    /// absolute value stands for it.
+    pub(crate) fn step(&self, gradient: &[f64], inner: &DVector<f64>, damping: f64) -> Step {
+        let (matrix, right, mut concave) = self.reduced(gradient, inner, damping);
+        let (inverse, positive) = positive_inverse(&matrix, damping);
         concave &= positive;
         let x = inverse * &right;
         let k = self.shared.len();
         let mut alpha = vec![0.0; gradient.len()];
         self.shared.iter().enumerate().for_each(|(i, &s)| alpha[s] = x[i]);
         for block in &self.private {
-            let (inverse, _) = positive_inverse(&self.block(block));
+            let (inverse, _) = positive_inverse(&self.block(block), damping);
             let own = DVector::from_iterator(block.len(), block.iter().map(|&s| gradient[s]));
             let step = inverse * (own - self.border(block) * &x);
             block.iter().zip(step.iter()).for_each(|(&s, step)| alpha[s] = *step);
@@ -231,7 +237,7 @@ impl Joint {
     /// Covariances of all coordinates: the inverse, flat directions left out.
     pub(crate) fn covariances(&self) -> Covariances {
         let n = self.cross.nrows();
-        let (matrix, _, _) = self.reduced(&vec![0.0; n], &DVector::zeros(self.inner.nrows()));
+        let (matrix, _, _) = self.reduced(&vec![0.0; n], &DVector::zeros(self.inner.nrows()), 0.0);
         let (law, flat) = inverse(&matrix);
         let k = self.shared.len();
         let mut alpha = vec![None; n];
@@ -256,11 +262,11 @@ impl Joint {
     }
 }
 
-/// The inverse with eigenvalues by absolute value, flat directions left out; whether none is negative.
-fn positive_inverse(matrix: &DMatrix<f64>) -> (DMatrix<f64>, bool) {
+/// The inverse with damped eigenvalues by absolute value, flat directions left out; whether none is negative.
+fn positive_inverse(matrix: &DMatrix<f64>, damping: f64) -> (DMatrix<f64>, bool) {
     let (scale, values, vectors) = scaled_eigen(matrix);
     let positive = values.iter().all(|v| *v > -1e-6);
-    let turned = values.iter().map(|v| if v.abs() > FLAT { v.abs().max(1e-8).recip() } else { 0.0 });
+    let turned = values.iter().map(|v| if v.abs() > FLAT { (v.abs().max(1e-8) + damping).recip() } else { 0.0 });
     let inverse =
         &vectors * DMatrix::from_diagonal(&DVector::from_iterator(values.len(), turned)) * vectors.transpose();
     (DMatrix::from_fn(scale.len(), scale.len(), |i, k| scale[i] * inverse[(i, k)] * scale[k]), positive)

@@ -1,13 +1,17 @@
 //! The outer search (the paper's Figure 1): μ and Σ are solved for each α, and Newton's method moves α.
 
+use nalgebra::DVector;
+
 use crate::dynamic::bench::{Bench, Solved};
-use crate::dynamic::joint::Joint;
+use crate::dynamic::joint::{self, Joint};
 use crate::dynamic::{DynamicError, Method, Standing};
 use crate::estimate::{Progress, Step, Stop};
 use crate::model::Population;
 
 /// Longest step of a logarithm.
 const LONGEST: f64 = 2.0;
+/// How often one step is tried with more damping.
+const TRIES: usize = 14;
 /// Most outer steps.
 const STEPS: usize = 200;
 /// A logarithm whose curvature is no more than this many times its slope has no optimum in sight: ℓ runs level towards a bound,
@@ -29,6 +33,7 @@ pub(crate) struct Search<'b, 'a> {
     pub(crate) trace: Vec<f64>,
     /// The value of each coordinate before it was set to zero.
     before_zero: Vec<f64>,
+    damping: f64,
     /// Values that have returned from zero once stay off it.
     returned: Vec<bool>,
 }
@@ -48,8 +53,16 @@ impl<'b, 'a> Search<'b, 'a> {
         let n = home.values.len();
         let trace = vec![home.value()];
         let (before_zero, returned) = (home.values.clone(), vec![false; n]);
-        let mut search =
-            Search { bench, progress, home, standing: vec![Standing::Inside; n], trace, before_zero, returned };
+        let mut search = Search {
+            bench,
+            progress,
+            home,
+            standing: vec![Standing::Inside; n],
+            trace,
+            before_zero,
+            damping: 0.0,
+            returned,
+        };
         search.place();
         search
     }
@@ -84,7 +97,7 @@ impl<'b, 'a> Search<'b, 'a> {
         for _ in 0..STEPS {
             let joint = Joint::new(self.bench, &self.home, &self.active(), fine);
             let inner = self.home.estimate.state.place.tangent.gradient.clone() * 0.0;
-            let step = joint.step(&self.home.gradient, &inner);
+            let step = joint.step(&self.home.gradient, &inner, 0.0);
             let near = step.decrement <= self.tolerance() && step.concave;
             last = Some((joint, step.decrement));
             if near {
@@ -99,8 +112,8 @@ impl<'b, 'a> Search<'b, 'a> {
                 stop = Stop::Certified;
                 break;
             }
-            let (joint, _) = last.as_ref().expect("just set");
-            let moved = self.advance(&step.alpha, step.decrement);
+            let joint = last.as_ref().expect("just set").0.clone();
+            let moved = self.advance(&joint, step.decrement);
             let leapt = self.leap(&joint.active, &|s| joint.curvature(s));
             if !moved && !leapt {
                 if fine {
@@ -140,33 +153,44 @@ impl<'b, 'a> Search<'b, 'a> {
         solved.value().is_finite().then_some(solved)
     }
 
-    /// One step along a direction of ascent, shortened until ℓ rises.
-    fn advance(&mut self, direction: &[f64], decrement: f64) -> bool {
-        let coordinates = &self.bench.coordinates;
-        let clipped: Vec<f64> = direction
-            .iter()
-            .zip(coordinates)
-            .map(|(d, c)| if c.log { d.clamp(-LONGEST, LONGEST) } else { *d })
-            .collect();
-        let slope: f64 = clipped.iter().zip(&self.home.gradient).map(|(d, g)| d * g).sum();
+    /// One step, damped until ℓ rises.
+    fn advance(&mut self, joint: &Joint, decrement: f64) -> bool {
+        let still = DVector::zeros(self.home.estimate.state.place.tangent.gradient.len());
         let slack = 1e-12 * self.home.value().abs().max(1.0);
-        let mut part = 1.0;
-        for _ in 0..12 {
-            let moved = |(s, d): (usize, &f64)| coordinates[s].moved(self.home.values[s], part * d);
-            let values: Vec<f64> = clipped.iter().enumerate().map(moved).collect();
-            if let Some(next) = self.at(&values) {
-                let gain = next.value() - self.home.value();
-                if gain >= 1e-4 * part * slope || (part * slope <= slack && gain >= -slack && decrement < 1e-3) {
-                    self.home = next;
-                    return true;
-                }
-                let parabola = 0.5 * part * slope / (part * slope - gain).max(f64::MIN_POSITIVE);
-                part *= parabola.clamp(0.1, 0.5);
-            } else {
-                part *= 0.25;
+        for _ in 0..TRIES {
+            let step = self.within_reach(joint, &still);
+            let promised = 0.5 * step.decrement.powi(2);
+            let moved = |(s, d): (usize, &f64)| self.bench.coordinates[s].moved(self.home.values[s], *d);
+            let values: Vec<f64> = step.alpha.iter().enumerate().map(moved).collect();
+            let Some(next) = self.at(&values) else {
+                self.damping = (8.0 * self.damping).max(0.1);
+                continue;
+            };
+            let gain = next.value() - self.home.value();
+            if gain >= 0.05 * promised || (promised <= slack && gain >= -slack && decrement < 1e-3) {
+                self.damping *= if gain > 0.5 * promised { 0.1 } else { 1.0 };
+                self.damping = if self.damping < 1e-4 { 0.0 } else { self.damping };
+                self.home = next;
+                return true;
             }
+            self.damping = (5.0 * self.damping).max(0.05);
         }
         false
+    }
+
+    /// The step with so much damping that no logarithm goes too far; values of single tests are cut off by themselves.
+    fn within_reach(&mut self, joint: &Joint, still: &DVector<f64>) -> joint::Step {
+        loop {
+            let mut step = joint.step(&self.home.gradient, still, self.damping);
+            let far = |&&s: &&usize| self.bench.coordinates[s].log && step.alpha[s].abs() > LONGEST;
+            if joint.shared().iter().find(far).is_none() || self.damping > 1e6 {
+                for (_, d) in step.alpha.iter_mut().enumerate().filter(|(s, _)| self.bench.coordinates[*s].log) {
+                    *d = d.clamp(-LONGEST, LONGEST);
+                }
+                return step;
+            }
+            self.damping = (3.0 * self.damping).max(0.01);
+        }
     }
 
     /// Logarithms along which ℓ runs level are tried far out: at zero below, far beyond above.

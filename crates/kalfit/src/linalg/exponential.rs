@@ -134,15 +134,20 @@ impl Doubling {
         let mut noise: Vec<f64> = q.iter().map(|x| x * step).collect(); // h^{k+1} L_k / (k+1)!, L_{k+1} = F L_k + L_k F'
         let (mut excess, mut total) = (vec![0.0; m * m], noise.clone());
         let mut gamma: Vec<f64> = identity(m).iter().map(|x| x * step).collect();
+        let (mut left, mut right) = (vec![0.0; m * m], vec![0.0; m * m]);
         for k in 1..(19 + m) {
             let order = k as f64;
             see(&power, &noise);
-            power = product(&fs, &power, m);
+            product_into(&fs, &power, m, &mut left);
+            std::mem::swap(&mut power, &mut left);
             scale(&mut power, 1.0 / order);
             accumulate(&mut excess, &power, 1.0);
             accumulate(&mut gamma, &power, step / (order + 1.0));
-            let (left, right) = (product(&fs, &noise, m), product(&noise, &ts, m));
-            noise = left.iter().zip(&right).map(|(a, b)| (a + b) / (order + 1.0)).collect();
+            product_into(&fs, &noise, m, &mut left);
+            product_into(&noise, &ts, m, &mut right);
+            for (term, (a, b)) in noise.iter_mut().zip(left.iter().zip(&right)) {
+                *term = (a + b) / (order + 1.0);
+            }
             accumulate(&mut total, &noise, 1.0);
         }
         let phi = excess.iter().zip(identity(m)).map(|(a, b)| a + b).collect();
@@ -186,17 +191,19 @@ fn identity(m: usize) -> Vec<f64> {
 
 fn product(a: &[f64], b: &[f64], m: usize) -> Vec<f64> {
     let mut out = vec![0.0; m * m];
-    for i in 0..m {
-        for k in 0..m {
-            let factor = a[i * m + k];
+    product_into(a, b, m, &mut out);
+    out
+}
+
+fn product_into(a: &[f64], b: &[f64], m: usize, out: &mut [f64]) {
+    out.fill(0.0);
+    for (row, factors) in out.chunks_exact_mut(m).zip(a.chunks_exact(m)) {
+        for (&factor, b) in factors.iter().zip(b.chunks_exact(m)) {
             if factor != 0.0 {
-                for j in 0..m {
-                    out[i * m + j] += factor * b[k * m + j];
-                }
+                row.iter_mut().zip(b).for_each(|(x, b)| *x += factor * b);
             }
         }
     }
-    out
 }
 
 fn scale(a: &mut [f64], factor: f64) {

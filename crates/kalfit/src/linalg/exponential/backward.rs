@@ -1,6 +1,6 @@
 //! Adjoints of motions and of their stationary laws: from ∂ℓ/∂(φ, Γ, Q) to ∂ℓ/∂(F, Q_c). The sums and doublings run backwards.
 
-use super::{Doubling, FlowError, accumulate, product, scale, scaling, stationary, stationary_discrete};
+use super::{Doubling, FlowError, accumulate, product, product_into, scale, scaling, stationary, stationary_discrete};
 
 /// (∂ℓ/∂F, ∂ℓ/∂Q_c) of [`flow`](super::flow). Shapes: all m × m, row-major; `bars`: ∂ℓ/∂φ, ∂ℓ/∂Γ, ∂ℓ/∂Q, each place by itself;
 /// the last is taken as symmetric, of its two triangles the mean.
@@ -61,9 +61,11 @@ fn general(
     [phi, gamma, noise]: [&[f64]; 3],
 ) -> Result<(Vec<f64>, Vec<f64>), FlowError> {
     let (doublings, small) = scaling(f, m, step)?;
-    let mut orders: Vec<(Vec<f64>, Vec<f64>)> = Vec::with_capacity(19 + m);
-    let mut doubling =
-        Doubling::start_seen(f, q, m, small, |power, noise| orders.push((power.to_vec(), noise.to_vec())));
+    let mut orders = Vec::with_capacity(2 * m * m * (19 + m));
+    let mut doubling = Doubling::start_seen(f, q, m, small, |power, noise| {
+        orders.extend_from_slice(power);
+        orders.extend_from_slice(noise);
+    });
     let mut before: Vec<Before> = Vec::with_capacity(doublings.max(0) as usize);
     for _ in 0..doublings {
         before.push((doubling.phi.clone(), doubling.gamma.clone(), doubling.q.clone()));
@@ -92,36 +94,42 @@ fn undouble([phi, gamma, q]: [&[f64]; 3], [phi_bar, gamma_bar, q_bar]: [&mut Vec
 }
 
 /// Back over the Taylor sums of a small step h. `orders`: (Fh)^k / k! and the noise term, before each order.
-fn unsum(
-    f: &[f64],
-    m: usize,
-    h: f64,
-    orders: &[(Vec<f64>, Vec<f64>)],
-    [phi, gamma, noise]: [&[f64]; 3],
-) -> (Vec<f64>, Vec<f64>) {
-    let fs: Vec<f64> = f.iter().map(|x| x * h).collect();
-    let back = transpose(&fs, m);
+fn unsum(f: &[f64], m: usize, h: f64, orders: &[f64], [phi, gamma, noise]: [&[f64]; 3]) -> (Vec<f64>, Vec<f64>) {
+    let mut back = transpose(f, m);
+    scale(&mut back, h);
     let mut f_bar = vec![0.0; m * m]; // of Fh
-    let (mut power_bar, mut noise_bar) = (vec![0.0; m * m], vec![0.0; m * m]);
-    for (k, (power, term)) in orders.iter().enumerate().rev() {
-        let order = (k + 1) as f64;
+    let (mut power_bar, mut noise_bar, mut moved) = (vec![0.0; m * m], vec![0.0; m * m], vec![0.0; m * m]);
+    for (k, terms) in orders.chunks_exact(2 * m * m).enumerate().rev() {
+        let (order, (power, term)) = ((k + 1) as f64, terms.split_at(m * m));
         // power ← Fh power / k; φ += power; Γ += power h / (k + 1)
-        accumulate(&mut power_bar, phi, 1.0);
-        accumulate(&mut power_bar, gamma, h / (order + 1.0));
-        scale(&mut power_bar, 1.0 / order);
-        accumulate(&mut f_bar, &product(&power_bar, &transpose(power, m), m), 1.0);
-        power_bar = product(&back, &power_bar, m);
+        for (bar, (phi, gamma)) in power_bar.iter_mut().zip(phi.iter().zip(gamma)) {
+            *bar = (*bar + phi + gamma * h / (order + 1.0)) / order;
+        }
         // noise ← (Fh noise + noise F'h) / (k + 1); Q += noise; all symmetric
-        accumulate(&mut noise_bar, noise, 1.0);
-        scale(&mut noise_bar, 1.0 / (order + 1.0));
-        accumulate(&mut f_bar, &product(&noise_bar, term, m), 2.0);
-        let moved = product(&back, &noise_bar, m);
-        noise_bar = moved.iter().zip(transpose(&moved, m)).map(|(a, b)| a + b).collect();
+        noise_bar.iter_mut().zip(noise).for_each(|(bar, noise)| *bar = (*bar + noise) / (order + 1.0));
+        for i in 0..m {
+            for j in 0..m {
+                let powers = inner(&power_bar[i * m..][..m], &power[j * m..][..m]);
+                f_bar[i * m + j] += powers + 2.0 * inner(&noise_bar[i * m..][..m], &term[j * m..][..m]);
+            }
+        }
+        product_into(&back, &power_bar, m, &mut moved);
+        std::mem::swap(&mut power_bar, &mut moved);
+        product_into(&back, &noise_bar, m, &mut moved);
+        for i in 0..m {
+            for j in 0..m {
+                noise_bar[i * m + j] = moved[i * m + j] + moved[j * m + i];
+            }
+        }
     }
     accumulate(&mut noise_bar, noise, 1.0);
     scale(&mut f_bar, h);
     scale(&mut noise_bar, h);
     (f_bar, noise_bar)
+}
+
+fn inner(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
 /// (∂ℓ/∂F, ∂ℓ/∂Q) of [`stationary`], or of [`stationary_discrete`] when `discrete`, from the law P and ∂ℓ/∂P:

@@ -17,6 +17,11 @@ impl Plan {
         dynamics.components.iter().map(|component| 3 * component.states.len().pow(2)).sum()
     }
 
+    /// φ has entries ΓG.
+    pub(crate) fn holds(&self) -> bool {
+        self.phi.iter().any(|entry| matches!(entry, Entry::Held(_)))
+    }
+
     /// The flows of a step again.
     pub(crate) fn flows(
         &self,
@@ -91,6 +96,7 @@ impl Plan {
 pub(crate) struct Evaluated<'a> {
     pub(crate) values: &'a [f64],
     pub(crate) dt: f64,
+    /// Read only when [`Plan::holds`].
     pub(crate) flows: &'a [f64],
 }
 

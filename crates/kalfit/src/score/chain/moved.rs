@@ -165,7 +165,12 @@ impl Adjoints<'_> {
             let k = groups.steps[group];
             let scope = preparer.moving(test, k, work, cells)?;
             preparer.values(&scope, replay)?;
-            preparer.plan.flows(&preparer.dynamics, &replay.values, scope.step, flows)?;
+            if chain.needs.inputs {
+                flows.clear();
+                flows.extend_from_slice(groups.flows(group));
+            } else if preparer.plan.holds() {
+                preparer.plan.flows(&preparer.dynamics, &replay.values, scope.step, flows)?;
+            }
             sums.clear();
             sums.extend_from_slice(groups.sums(group));
             bars.clear();

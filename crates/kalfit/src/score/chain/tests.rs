@@ -218,7 +218,7 @@ fn pass(chain: &Chain<'_>, adjoints: &mut Adjoints<'_>, work: &Workspace, test: 
     adjoints.finish(test, work).expect("finite")
 }
 
-/// Compares every slot with the difference quotient; `zero`: slots at which a variance is zero, so that they can only grow.
+/// Compares every slot with the difference quotient; `grows`: slots whose variance is zero, so that they can only grow.
 #[track_caller]
 fn check(model: &Model, values: &[f64], test: &Test, grows: &[usize]) {
     let labels = Labels::new(&model.literals);
@@ -290,6 +290,16 @@ fn continuous_motion_inputs_starts_and_measurements() {
 fn inputs_of_the_row_before_are_taken_from_there() {
     let mut model = gyro();
     model.clock.previous_inputs = true;
+    check(&model, &GYRO, &test(), &[]);
+}
+
+#[test]
+fn known_inputs_and_free_motion() {
+    let mut model = gyro();
+    for (state, input) in [(1, column(U)), (3, number(0.4))] {
+        let Motion::Continuous { derivative, .. } = &mut model.states[state].motion else { continue };
+        derivative.constant = input;
+    }
     check(&model, &GYRO, &test(), &[]);
 }
 
