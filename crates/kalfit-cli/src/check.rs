@@ -47,6 +47,7 @@ fn started(spec: &Spec, args: &[String]) -> Result<(Vec<ParameterCounts>, Checke
     let (tests, reading) = tests::read(spec, &inputs, &mut line)?;
     let slots = Slots::new(model, &reading.labels, &tests);
     let counts = LevelCounts::all(model, &reading.labels, &tests);
+    let notes = level_notes(model, &counts);
     let parameters = parameters(model, &slots, &counts);
     let start = |slot: &kalfit::score::Slot| match model.parameters[slot.parameter].value {
         Value::Free { start } => start,
@@ -58,13 +59,13 @@ fn started(spec: &Spec, args: &[String]) -> Result<(Vec<ParameterCounts>, Checke
         let without = |p: &&ParameterCounts| p.free > 0 && p.start.is_none();
         let free = parameters.iter().filter(without).map(|p| p.name.clone()).collect();
         let Reading { tests, rows, .. } = reading;
-        return Ok((parameters, Checked::Read { tests, rows, files: files(&inputs), free }));
+        return Ok((parameters, Checked::Read { tests, rows, files: files(&inputs), free, notes }));
     };
     let alpha = slots.alpha(model, &starts);
     let reductions = reductions::of(model, &alpha, &tests, &reading)?;
     line.clear();
     let at_start_of = parameters.iter().filter(|p| p.free > 0).map(|p| p.name.clone()).collect();
-    let said = (level_notes(model, &counts), at_start_of);
+    let said = (notes, at_start_of);
     let checked = examined(model, &alpha, &reductions, files(&inputs), said)?;
     Ok((parameters, checked))
 }

@@ -1,7 +1,8 @@
 //! The built command on public data sets whose maximum-likelihood figures are known from other programs.
 //!
-//! Each folder of `reference` is a case: tables, one model a fit, and `expected.json`. The dynamic parameters are set
-//! to their reference values, so what is estimated is the mean and the covariance of the initial state.
+//! Each folder of `reference` is a case: tables, one model a fit, and `expected.json`. Each fit is made twice: with the
+//! dynamic parameters set to their reference values, so that the mean and the covariance of the initial state are
+//! estimated, and with the parameters estimated too.
 
 #![expect(clippy::unwrap_used, reason = "also in what the tests share")]
 
@@ -10,7 +11,7 @@ mod compare;
 #[path = "reference/ratios.rs"]
 mod ratios;
 
-use compare::{Comparison, list, text};
+use compare::{Comparison, freed, list, text};
 use serde_json::Value;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -50,6 +51,42 @@ cases! {
     schmidt_single_is_at_its_reference: "schmidt-single",
     ssm_continuous3_is_at_its_reference: "ssm-continuous3",
     ssm_nile_is_at_its_reference: "ssm-nile",
+}
+
+/// A test for each case with parameters to estimate.
+macro_rules! free_cases {
+    ($($test:ident: $case:literal,)*) => {
+        $(
+            #[test]
+            fn $test() {
+                finds_the_parameters_of($case);
+            }
+        )*
+    };
+}
+
+free_cases! {
+    alpha_per_group_is_found_from_its_start_values: "alpha-per-group",
+    gm_ovary_is_found_from_its_start_values: "gm-ovary",
+    inertial_gyro_is_found_from_its_start_values: "inertial-gyro",
+    lmm_dyestuff_is_found_from_its_start_values: "lmm-dyestuff",
+    lmm_sleepstudy_is_found_from_its_start_values: "lmm-sleepstudy",
+    ssm_continuous3_is_found_from_its_start_values: "ssm-continuous3",
+    ssm_nile_is_found_from_its_start_values: "ssm-nile",
+}
+
+/// Every fit of a case whose parameters are set elsewhere is at its reference when they are estimated too.
+fn finds_the_parameters_of(case: &str) {
+    let mut failures = Vec::new();
+    for want in list(&expected(case)).iter().filter(|want| !list(&want["set"]).is_empty()) {
+        let want = freed(want);
+        let lines = match fit(case, &want, DEFAULT_SOLVER) {
+            Ok(found) => Comparison::of(&found, &want).failures(1.0),
+            Err(said) => vec![said],
+        };
+        failures.extend(lines.iter().map(|line| format!("{case}/{}: {line}", text(&want["fit"]))));
+    }
+    assert!(failures.is_empty(), "{} failures\n{}", failures.len(), failures.join("\n"));
 }
 
 /// Every fit of a case is at its reference, as by default and by EM; all failures are reported together.
@@ -127,7 +164,9 @@ fn fit(case: &str, want: &Value, solver: &str) -> Result<Value, String> {
     let output = command.stdin(Stdio::null()).output().unwrap();
     if output.status.code() != Some(0) {
         let said = String::from_utf8_lossy(&output.stderr);
-        return Err(format!("found {}, expected exit status 0: {}", output.status, said.trim()));
+        let written = std::fs::read_to_string(&out).unwrap_or_default();
+        let reason = serde_json::from_str::<Value>(&written).unwrap_or_default()["reason"].clone();
+        return Err(format!("found {}, expected exit status 0: {} {reason}", output.status, said.trim()));
     }
     let found: Value = serde_json::from_str(&std::fs::read_to_string(&out).unwrap()).unwrap();
     if found["criterion"] != *want.get("criterion").unwrap_or(&Value::from("ml")) {

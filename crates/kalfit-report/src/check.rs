@@ -64,6 +64,8 @@ pub enum Checked {
         files: Vec<String>,
         /// Names of those parameters.
         free: Vec<String>,
+        /// What else a fit will run into, in sentences.
+        notes: Vec<String>,
     },
     /// The filters ran over the data.
     Reduced {
@@ -95,12 +97,14 @@ pub fn check_summary(record: &CheckRecord, style: &Style) -> String {
         Checked::Model => {
             sections.push(page.paragraph("The model is sound. Give data too, to see what they identify."))
         }
-        Checked::Read { tests, rows, files, free } => {
+        Checked::Read { tests, rows, files, free, notes } => {
             let rows = count(usize::try_from(*rows).unwrap_or(usize::MAX), "row");
             let facts = format!("{}, {rows}{}.", count(*tests, "test"), headline::from(files));
             sections.push(page.section("Data", &page.items(&[facts])));
             sections.push(parameters(record, *tests, &page));
-            sections.push(page.section("Identifiability", &page.items(&[not_examined(free)])));
+            let mut said = vec![not_examined(free)];
+            said.extend(notes.iter().map(|note| sentence(&clean(note))));
+            sections.push(page.section("Identifiability", &page.items(&said)));
         }
         Checked::Reduced { data, .. } => sections.extend(reduced(record, data, &page)),
     }

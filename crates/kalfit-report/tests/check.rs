@@ -55,7 +55,7 @@ fn a_model_alone() {
 #[test]
 fn parameters_without_values_keep_the_filters_from_running() {
     let files = vec!["-".to_owned()];
-    insta::assert_snapshot!(shown(Checked::Read { tests: 1, rows: 180, files, free: vec!["tau".into(), "s".into()] }), @"
+    insta::assert_snapshot!(shown(Checked::Read { tests: 1, rows: 180, files, free: vec!["tau".into(), "s".into()], notes: vec![] }), @"
     Reaction time
 
     Model

@@ -31,7 +31,7 @@ fn a_healthy_fit_reads_from_verdict_to_figures() {
                intercept
       slope  0.08 ± 0.33
 
-    Parameters (± standard error)
+    Dynamic parameters (± standard error)
       parameter  unit  value        95 % interval
       sigma      ms     25.6 ± 1.5  22.8 to 28.7
 
@@ -111,7 +111,7 @@ fn constraints_show_what_they_cost() {
     Correlations
       The states are held uncorrelated.
 
-    Parameters (± standard error)
+    Dynamic parameters (± standard error)
       parameter  for    unit  value               95 % interval
       sigma_v    lot A          0.7 fixed
       sigma_v    lot B        0.123 ± 0.012       0.099 to 0.147
@@ -340,7 +340,7 @@ fn what_did_not_converge_says_so_first() {
                intercept
       slope  0.08 ± 0.33
 
-    Parameters (± standard error)
+    Dynamic parameters (± standard error)
       parameter  unit  value        95 % interval
       sigma      ms     25.6 ± 1.5  22.8 to 28.7
 

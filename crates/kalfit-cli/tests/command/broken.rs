@@ -210,28 +210,6 @@ fn wrong_constraints_in_models() {
 }
 
 #[test]
-fn free_parameters_are_refused_by_name() {
-    let free = |parameters: &str| {
-        let text = format!("{}[parameters]\n{parameters}\n", model("noise = 0.1", "noise = \"s1 + s2\""));
-        refused("fit m.toml d.csv --out kept.json", &[("m.toml", &text)])
-    };
-    assert_snapshot!(free("s1 = { start = 1 }\ns2 = 2"), @"
-    error: parameter `s1` is free, and this version does not estimate parameters
-      --> m.toml:12:1 | s1 = { start = 1 }
-                      | ^^ free
-
-    hint: fix it: `--set s1=VALUE`, or a number in `[parameters]`
-    ");
-    assert_snapshot!(free("s1 = {}\ns2 = {}"), @"
-    error: parameters `s1`, `s2` are free, and this version does not estimate parameters
-      --> m.toml:12:1 | s1 = {}
-                      | ^^ free
-
-    hint: fix them: `--set s1=VALUE`, or a number in `[parameters]`
-    ");
-}
-
-#[test]
 fn wrong_arguments() {
     assert_snapshot!(refused("", &[]).lines().next().unwrap_or_default(), @"Error models from ensembles of non-identical tests, by maximum likelihood");
     assert_snapshot!(refused("frobnicate m.toml", &[]), @"
@@ -537,11 +515,6 @@ fn data_that_do_not_fit_the_model() {
     hint: a `noise` is a standard deviation; `variance` must be 0 or more
     ");
     assert_snapshot!(with("noise = 0.1", "noise = \"1 / v\"", "id,x,y,v\na,1,2,1\na,1,2,0\n"), @"error: d.csv, row 3 (test `a`): noise variance of measurement `y`: the value is not a finite number");
-    assert_snapshot!(with("noise = 0.1", "noise = \"s\"\n[parameters]\ns = { per = \"lot\", fixed = { A = 1 } }", "id,x,y,lot\na,1,2,A\na,1,2,B\n"), @"
-    error: d.csv, row 3 (test `a`): noise variance of measurement `y`: parameter `s` has no value for level `B`
-
-    hint: give the parameter a value for this level, or let it be estimated
-    ");
     assert_snapshot!(with("noise = 0.1", "noise = 0", DATA), @"
     error: d.csv, row 2 (test `a`): measurement `y`: a combination of estimated states is measured without any noise
 

@@ -47,6 +47,7 @@ impl Comparison {
         all.constraints(fit, want, rel);
         all.boundary(phase, want);
         all.parameters(fit, want);
+        all.estimates(fit, want, rel);
         all.tests(fit, want, rel, absolute);
         all
     }
@@ -135,16 +136,36 @@ impl Comparison {
     fn parameters(&mut self, fit: &Value, want: &Value) {
         for set in list(&want["set"]) {
             let (name, value) = text(set).split_once('=').expect("a setting is NAME=VALUE");
-            let written = |p: &Value| match p["level"].as_str() {
-                Some(level) => format!("{}[{level}]", text(&p["name"])),
-                None => text(&p["name"]).to_owned(),
-            };
             let expected: f64 = value.parse().expect("a setting is a number");
             let found = list(&fit["parameters"]).iter().find(|p| written(p) == name);
             let found = found.map(|p| (p["estimate"].clone(), p["fixed"].clone()));
             if found != Some((Value::from(expected), Value::from(true))) {
                 self.mismatches.push(format!("{name}: found {found:?}, expected {expected} fixed"));
             }
+        }
+    }
+
+    /// Parameters that were estimated, and their standard errors.
+    fn estimates(&mut self, fit: &Value, want: &Value, rel: f64) {
+        for estimate in list(&want["estimates"]) {
+            let name = text(&estimate["name"]);
+            let Some(found) = list(&fit["parameters"]).iter().find(|p| written(p) == name && p["fixed"] == false)
+            else {
+                self.mismatches.push(format!("{name} is not among the estimates"));
+                continue;
+            };
+            let scale = &estimate["scale"];
+            self.walk(name, &found["estimate"], &estimate["value"], scale, &|expected, scale| {
+                rel * expected.abs().max(scale.unwrap_or(0.0)).max(LEAST)
+            });
+            let what = format!("std_error of {name}");
+            self.walk(
+                &what,
+                &found["std_error"],
+                &want["std_error"]["parameters"][name],
+                &Value::Null,
+                &|expected, _| (STD_ERROR_REL * expected.abs()).max(LEAST),
+            );
         }
     }
 
@@ -163,6 +184,31 @@ impl Comparison {
                 self.scaled(&format!("{kind} of test {id}"), &found["phases"][0][kind], &test[kind], &Value::Null, rel);
             }
         }
+    }
+}
+
+/// What an entry with `set` says of the fit without it: the same optimum, the parameters among the estimates.
+pub(super) fn freed(want: &Value) -> Value {
+    let mut want = want.clone();
+    let Value::Array(set) = want["set"].take() else { panic!("no parameters are set") };
+    let free = want["free_parameters"].as_u64().expect("a count") + set.len() as u64;
+    want["free_parameters"] = Value::from(free);
+    want["std_error"] = want.get("free_std_error").cloned().unwrap_or_default();
+    let scales = want["std_error"]["scale"].clone();
+    let estimate = |set: &Value| {
+        let (name, value) = text(set).split_once('=').expect("a setting is NAME=VALUE");
+        let value: f64 = value.parse().expect("a setting is a number");
+        serde_json::json!({ "name": name, "value": value, "scale": scales[name] })
+    };
+    want["estimates"] = set.iter().map(estimate).collect();
+    want
+}
+
+/// `name`, or `name[level]`.
+fn written(parameter: &Value) -> String {
+    match parameter["level"].as_str() {
+        Some(level) => format!("{}[{level}]", text(&parameter["name"])),
+        None => text(&parameter["name"]).to_owned(),
     }
 }
 
@@ -200,9 +246,9 @@ mod notices {
 
     fn expected() -> Value {
         json!({
-            "set": ["r[A]=2"], "log_likelihood": -10.0, "free_parameters": 3, "states": ["a", "b"],
+            "set": ["r[A]=2"], "estimates": [{"name": "q", "value": 5.0, "scale": null}], "log_likelihood": -10.0, "free_parameters": 3, "states": ["a", "b"],
             "mean": [1.0, 0.0], "covariance": [[4.0, null], [null, 0.0]],
-            "scale": {"covariance": [[1.0, 1.0], [1.0, 0.5]]}, "std_error": {"mean": [0.1, null]},
+            "scale": {"covariance": [[1.0, 1.0], [1.0, 0.5]]}, "std_error": {"mean": [0.1, null], "parameters": {"q": 0.5}},
             "constraints": [{"element": "covariance[b, b]", "value": 0, "sensitivity": -3.0}],
             "boundary": [{"rank": 1, "of": 2}],
             "tests": [{"id": "x", "log_likelihood": -10.0, "mean": [1.0, 0.0], "covariance": [[4.0, 0.0], [0.0, 1.0]]}],
@@ -217,7 +263,8 @@ mod notices {
                 "states": ["a", "b"], "mean": {"estimate": [1.0, 0.0], "std_error": [0.1, 7.0]},
                 "covariance": {"estimate": [[4.0, 7.0], [7.0, 0.0]]}, "boundary": [{"what": "covariance", "rank": 1, "of": 2}],
             }],
-            "parameters": [{"name": "r", "level": "A", "estimate": 2.0, "fixed": true}],
+            "parameters": [{"name": "r", "level": "A", "estimate": 2.0, "fixed": true},
+                           {"name": "q", "level": null, "estimate": 5.0, "std_error": 0.5, "fixed": false}],
             "constraints": [{"element": "covariance[b,b]", "value": 0.0, "sensitivity": -3.0}],
             "tests": [{"id": "x", "log_likelihood": -10.0, "phases": [{"mean": [1.0, 0.0], "covariance": [[4.0, 0.0], [0.0, 1.0]]}]}],
         })
@@ -239,6 +286,8 @@ mod notices {
             (format!("{covariance}/0/0"), 4.0, 4e-5),
             (format!("{covariance}/1/1"), 0.0, 5e-6),
             ("/phases/0/mean/std_error/0".to_owned(), 0.1, 1e-4),
+            ("/parameters/1/estimate".to_owned(), 5.0, 5e-5),
+            ("/parameters/1/std_error".to_owned(), 0.5, 5e-4),
             ("/constraints/0/value".to_owned(), 0.0, 1e-12),
             ("/constraints/0/sensitivity".to_owned(), -3.0, 3e-4),
             ("/tests/0/log_likelihood".to_owned(), -10.0, 1e-4),
@@ -265,6 +314,7 @@ mod notices {
             ("/phases/0/boundary", json!([])),
             ("/parameters/0/fixed", json!(false)),
             ("/parameters/0/estimate", json!(2.5)),
+            ("/parameters/1/fixed", json!(true)),
             ("/constraints", json!([])),
             ("/tests/0/id", json!("y")),
         ];

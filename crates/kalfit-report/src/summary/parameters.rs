@@ -14,6 +14,8 @@ const MOST_ROWS: usize = 40;
 /// A parameter with more levels than this shows the first ones and the extremes.
 const MOST_LEVELS: usize = 12;
 const FIRST_LEVELS: usize = 6;
+/// Digits of the end of an interval that no standard error stands behind.
+const END_DIGITS: usize = 3;
 
 pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     if record.parameters.is_empty() {
@@ -102,8 +104,11 @@ fn level(row: &ParameterRecord) -> String {
 
 fn interval(row: &ParameterRecord) -> String {
     let Some(ends) = row.interval95.filter(|_| !row.fixed) else { return String::new() };
-    let width = ends.iter().flatten().map(|end| (end - row.estimate).abs()).fold(0.0, f64::max);
-    let precision = Precision::of(row.estimate, row.std_error.or(Some(0.5 * width).filter(|w| *w > 0.0)));
+    // without a standard error each end stands for itself
+    let precision = match row.std_error {
+        Some(error) => Precision::of(row.estimate, Some(error)),
+        None => Precision::Significant(END_DIGITS),
+    };
     match ends {
         [Some(low), Some(high)] => format!("{} to {}", precision.show(low), precision.show(high)),
         [Some(low), None] => format!("from {}", precision.show(low)),

@@ -117,7 +117,7 @@ pub(crate) fn sleepstudy() -> FitRecord {
         level: None,
         estimate: 25.591796,
         std_error: Some(1.508),
-        interval95: Some([22.8, 28.7]),
+        interval95: Some([Some(22.8), Some(28.7)]),
         fixed: false,
         at_bound: false,
         unit: Some("ms".into()),

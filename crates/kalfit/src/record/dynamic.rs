@@ -34,7 +34,11 @@ impl FitRecord {
     /// The record of a fit of α, μ and Σ.
     pub fn dynamic(parts: &DynamicParts<'_>, provenance: Provenance) -> FitRecord {
         let &DynamicParts { model, labels, fit, inference, parameters: inferred } = parts;
-        let parameters = parameters::estimated(model, labels, fit, inferred);
+        let mut parameters = parameters::estimated(model, labels, fit, inferred);
+        if !converged(fit) {
+            // short of a maximum nothing is known of where the values lie
+            parameters.iter_mut().for_each(|p| (p.standing, p.note) = (None, None));
+        }
         let mut record = FitRecord::at(model, &fit.reductions, &fit.estimate, inference, parameters, provenance);
         let free = record.free_parameters + fit.slots.len();
         let penalty = |per: f64| free as f64 * per - 2.0 * record.log_likelihood;
@@ -50,7 +54,7 @@ impl FitRecord {
         record.solver.score_passes = fit.score_passes;
         record.solver.trace = fit.trace.clone();
         record.starts = StartRecord::all(fit);
-        let mut notes = standing_notes(parts);
+        let mut notes = if record.converged { standing_notes(parts) } else { Vec::new() };
         notes.extend(start_notes(parts));
         notes.append(&mut record.notes);
         record.notes = notes;
@@ -178,7 +182,7 @@ fn start_notes(parts: &DynamicParts<'_>) -> Vec<String> {
         let ended = if count == 1 { "another maximum" } else { "other maxima" };
         let nearest = if count == 1 { "by" } else { "the best of them by" };
         notes.push(format!(
-            "{count} of {all} other starts ended at {ended} of the {what}, lower {nearest} {least:.4}: the search depends on where it starts"
+            "{count} of {all} other starts ended at {ended} of the {what}, lower {nearest} {least:.4}: more `--starts` may find a higher one"
         ));
     }
     let elsewhere = |end: &&&crate::dynamic::OtherEnd| {

@@ -89,9 +89,12 @@ fn notes(
         estimate.declared_mean() + estimate.declared_covariance()
     };
     let tests = sides.alternative.fit.reductions.len();
-    if tests < FEW && !drawn && notes.is_empty() && of(&sides.null) != of(&sides.alternative) {
+    // χ² for values of α alone comes with the measurements, not with the tests
+    let by_tests = of(&sides.null) != of(&sides.alternative) || !ratio.law.is_chi_squared();
+    if tests < FEW && !drawn && notes.is_empty() && by_tests {
         notes.push(format!(
-            "with {tests} tests the large-sample law is a rough guide, and its p-values tend to be too small: `--bootstrap 1000` does not depend on it"
+            "with {} the large-sample law is a rough guide, and its p-values tend to be too small: `--bootstrap 1000` does not depend on it",
+            if tests == 1 { "1 test".to_owned() } else { format!("{tests} tests") }
         ));
     }
     let declared = alternative.free_parameters.saturating_sub(null.free_parameters);

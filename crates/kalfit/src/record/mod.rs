@@ -18,7 +18,7 @@ pub use diagnosis::shortage_notes;
 pub use dynamic::DynamicParts;
 pub use dynamic_ratio::DynamicSides;
 pub use levels::{LevelCounts, level_notes};
-pub use parameters::{MethodRecord, StartRecord};
+pub use parameters::{MethodRecord, ParameterRecord, StartRecord};
 pub use population::{FIT_SCHEMA, RecordError};
 pub use ratio::{BootstrapRecord, ComponentRecord, PartRecord, RatioProvenance, RatioRecord, SideRecord};
 
@@ -313,36 +313,6 @@ pub struct WeakRecord {
     pub leading_test: Option<String>,
     /// That test's share of what is known, 0 to 1.
     pub leading_share: Option<f64>,
-}
-
-/// One dynamic parameter, at one level.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct ParameterRecord {
-    /// Its name.
-    pub name: String,
-    /// Column whose levels have a value each; null for a common parameter.
-    pub per: Option<String>,
-    /// The level.
-    pub level: Option<String>,
-    /// Its value.
-    pub estimate: f64,
-    /// Its standard error.
-    pub std_error: Option<f64>,
-    /// 95 % interval, lower and upper end; an end is null where no limit was found.
-    pub interval95: Interval,
-    /// Not estimated.
-    pub fixed: bool,
-    /// At a bound.
-    pub at_bound: bool,
-    /// Unit label.
-    #[serde(default)]
-    pub unit: Option<String>,
-    /// Where the value lies: `inside`, `lower`, `upper`, `unbounded` or `unidentified`; null for a fixed value.
-    #[serde(default)]
-    pub standing: Option<String>,
-    /// What that means, in words; null when the value is inside.
-    #[serde(default)]
-    pub note: Option<String>,
 }
 
 /// What one constraint costs.

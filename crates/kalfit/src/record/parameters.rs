@@ -6,8 +6,38 @@ use crate::dynamic::{DynamicFit, ParameterInference, Standing};
 use crate::ensemble::{Label, Labels};
 use crate::estimate::Stop;
 use crate::model::{Alpha, Level, Model, Parameter, Value};
-use crate::record::{Interval, ParameterRecord};
+use crate::record::Interval;
 use crate::score::Slot;
+
+/// One dynamic parameter, at one level.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ParameterRecord {
+    /// Its name.
+    pub name: String,
+    /// Column whose levels have a value each; null for a common parameter.
+    pub per: Option<String>,
+    /// The level.
+    pub level: Option<String>,
+    /// Its value.
+    pub estimate: f64,
+    /// Its standard error.
+    pub std_error: Option<f64>,
+    /// 95 % interval, lower and upper end; an end is null where no limit was found.
+    pub interval95: Interval,
+    /// Not estimated.
+    pub fixed: bool,
+    /// At a bound.
+    pub at_bound: bool,
+    /// Unit label.
+    #[serde(default)]
+    pub unit: Option<String>,
+    /// Where the value lies: `inside`, `lower`, `upper`, `unbounded` or `unidentified`; null for a fixed value.
+    #[serde(default)]
+    pub standing: Option<String>,
+    /// What that means, in words; null when the value is inside.
+    #[serde(default)]
+    pub note: Option<String>,
+}
 
 /// Where the search for α from another start ended.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

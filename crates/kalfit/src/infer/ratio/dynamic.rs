@@ -146,3 +146,46 @@ pub fn started(model: &Model, (of, fit): (&Model, &DynamicFit)) -> Model {
     }
     model
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn mixture(weights: &[(usize, f64)], is_bound: bool) -> ReferenceLaw {
+        let components: Vec<Component> =
+            weights.iter().map(|&(degrees_of_freedom, weight)| Component { degrees_of_freedom, weight }).collect();
+        ReferenceLaw { independent: components.clone(), components, is_bound }
+    }
+
+    fn half_space(r: usize) -> ReferenceLaw {
+        mixture(&[(r - 1, 0.5), (r, 0.5)], false)
+    }
+
+    #[test]
+    fn one_quantity_on_its_boundary_makes_a_half_space_whatever_else_falls_away() {
+        let free = Restricted { count: 3, at_bound: 0 };
+        let edge = Restricted { count: 3, at_bound: 1 };
+        let plain = ReferenceLaw::chi_squared(2);
+        assert_eq!(law(None, free, 3), ReferenceLaw::chi_squared(3));
+        assert_eq!(law(None, edge, 3), half_space(3));
+        assert_eq!(law(Some(&plain), free, 5), ReferenceLaw::chi_squared(5));
+        assert_eq!(law(Some(&plain), edge, 5), half_space(5));
+        assert_eq!(law(Some(&half_space(2)), free, 5), half_space(5));
+    }
+
+    #[test]
+    fn several_quantities_on_their_boundaries_have_a_bound() {
+        let bound = ReferenceLaw { is_bound: true, ..half_space(4) };
+        assert_eq!(law(None, Restricted { count: 4, at_bound: 2 }, 4), bound);
+        assert_eq!(law(Some(&half_space(2)), Restricted { count: 2, at_bound: 1 }, 4), bound);
+        let three = mixture(&[(0, 0.3), (1, 0.5), (2, 0.2)], false);
+        assert_eq!(law(Some(&three), Restricted { count: 2, at_bound: 0 }, 4), bound);
+        // two independent ones: the bound is no smaller anywhere
+        let two = mixture(&[(0, 0.25), (1, 0.5), (2, 0.25)], false);
+        let bound = law(None, Restricted { count: 2, at_bound: 2 }, 2);
+        for x in [0.1, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0] {
+            let (above, below) = (bound.tail(x), two.tail(x));
+            assert!(above >= below, "at {x}: {above} is below {below}");
+        }
+    }
+}

@@ -1,0 +1,405 @@
+//! Free dynamic parameters, as a user meets them.
+
+use crate::folder::{Folder, shown};
+use insta::assert_snapshot;
+use serde_json::Value;
+
+/// A line for each test, with a noise level for each lot.
+const MODEL: &str = r#"[data]
+test = "id"
+
+[states.level]
+[states.slope]
+
+[measurements.y]
+column = "y"
+equation = "level + slope * x"
+noise = "s"
+
+[parameters]
+"#;
+/// Four tests in two lots; the first changes its lot on the way.
+const DATA: &str = "id,x,y,lot\n\
+    a,0,1.1,1\na,1,2.0,1\na,2,3.2,2\na,3,3.9,2\nb,0,0.4,2\nb,1,1.3,2\nb,2,1.2,2\nb,3,2.0,2\n\
+    c,0,2.0,1\nc,1,2.1,1\nc,2,2.3,1\nc,3,2.5,1\nd,0,0.9,1\nd,1,1.7,1\nd,2,2.4,1\nd,3,3.4,1\n";
+
+fn folder(parameters: &str) -> Folder {
+    let folder = Folder::new(&[("d.csv", DATA.as_bytes())]);
+    folder.write("m.toml", format!("{MODEL}{parameters}\n").as_bytes());
+    folder
+}
+
+/// All that is said.
+fn said(folder: &Folder, args: &str) -> String {
+    shown(&folder.run(args))
+}
+
+/// A command that must be refused, with nothing written.
+fn refused(folder: &Folder, args: &str) -> String {
+    let before = folder.contents();
+    let output = folder.run(args);
+    let text = shown(&output);
+    assert_eq!(output.status.code(), Some(2), "{text}");
+    assert_eq!(before, folder.contents(), "`kalfit {args}` left the folder as it was");
+    text.split_once("----- stderr\n").map_or(String::new(), |(_, error)| error.trim_end().to_owned())
+}
+
+fn json(folder: &Folder, name: &str) -> Value {
+    let text = std::fs::read_to_string(folder.path(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
+    serde_json::from_str(&text).expect("it is JSON")
+}
+
+/// The last part of what `check` says, from a heading on.
+fn from<'a>(text: &'a str, heading: &str) -> &'a str {
+    &text[text.find(heading).unwrap_or_else(|| panic!("no {heading} in\n{text}"))..]
+}
+
+#[test]
+fn options_of_the_search_are_refused_without_free_parameters() {
+    let folder = folder("s = 0.1");
+    for (option, culprit) in
+        [("--method em", "--method"), ("--method innovations", "--method"), ("--method all", "--method")]
+            .into_iter()
+            .chain([("--starts 3", "--starts"), ("--starts 3 --seed 7", "--starts")])
+    {
+        let text = refused(&folder, &format!("fit m.toml d.csv --out kept.json {option}"));
+        let expected = format!("error: `{culprit}` has no effect: the model has no free parameters");
+        assert_eq!(text.lines().next(), Some(expected.as_str()), "{option}");
+    }
+    assert_snapshot!(refused(&folder, "fit m.toml d.csv --seed 3").lines().take(2).collect::<Vec<_>>().join("\n"), @"
+    error: the following required arguments were not provided:
+      --starts <N>
+    ");
+    let text = said(&folder, "fit m.toml d.csv --method hybrid");
+    assert!(text.starts_with("exit 0"), "the default may be spelled out\n{text}");
+}
+
+#[test]
+fn options_of_the_search_are_refused_when_every_level_of_the_data_has_a_value() {
+    let folder = folder("s = { per = \"lot\", fixed = { 1 = 0.1, 2 = 0.2 } }");
+    assert_snapshot!(refused(&folder, "fit m.toml d.csv --out kept.json --method all"), @"
+    error: `--method` has no effect: the model has no free parameters
+
+    hint: leave it out, or free a parameter in `[parameters]`: `{}` or `{ start = 1 }`
+    ");
+}
+
+#[test]
+fn levels_that_all_have_values_are_fitted_as_known_ones() {
+    let folder = folder("s = { per = \"lot\", fixed = { 2 = 0.2 } }");
+    let text = said(&folder, "fit m.toml d.csv --set s[1]=0.1 --out levels.json --quiet");
+    assert!(text.starts_with("exit 0"), "{text}");
+    folder.write(
+        "m.toml",
+        format!("{}s = 0.1\nr = 0.2\n", MODEL.replace("\"s\"", "\"if(lot == '1', s, r)\"")).as_bytes(),
+    );
+    let text = said(&folder, "fit m.toml d.csv --out plain.json --quiet");
+    assert!(text.starts_with("exit 0"), "{text}");
+    let (levels, plain) = (json(&folder, "levels.json"), json(&folder, "plain.json"));
+    for key in ["log_likelihood", "free_parameters", "aic", "phases", "tests"] {
+        assert_eq!(levels[key], plain[key], "{key}");
+    }
+    let of = |p: &Value| format!("{} {} {} {}", p["name"], p["level"], p["estimate"], p["fixed"]);
+    let parameters: Vec<String> = levels["parameters"].as_array().expect("a list").iter().map(of).collect();
+    assert_eq!(parameters, ["\"s\" \"1\" 0.1 true", "\"s\" \"2\" 0.2 true"]);
+}
+
+#[test]
+fn check_counts_the_tests_behind_each_free_value() {
+    let folder = folder("s = { start = 0.3, per = \"lot\", fixed = { a = 0.1, 2 = 0.2 } }");
+    assert_snapshot!(from(&said(&folder, "check m.toml d.csv"), "Free parameters"), @"
+    Free parameters
+      parameter  free values     one for each  tests each  start
+      s          1, and 1 fixed  lot           2 to 3      0.3
+      Levels of s: 1 in 3 tests and 2 in 2 tests.
+
+    Observability
+      state  seen by  determined by  largest share
+      level    all 4          all 4  26 %, b
+      slope    all 4          all 4  26 %, b
+      Seen by: tests whose measurements depend on the state. Determined by: tests
+        that could estimate it alone. Largest share: how much of what is known of
+        the mean comes from one test, and which.
+
+    Identifiability
+      The data identify all that is free in the mean and the covariance.
+      `s` is fixed for lot `a`, which the data do not have: they have `1` and `2`.
+      Examined with s at its start value.
+    ----- stderr
+    ");
+}
+
+#[test]
+fn check_says_why_it_cannot_examine_the_data() {
+    let folder = folder("s = { per = \"lot\", fixed = { a = 0.1 } }");
+    assert_snapshot!(from(&said(&folder, "check m.toml d.csv"), "Free parameters"), @"
+    Free parameters
+      parameter  free values  one for each  tests each  start
+      s          2            lot           2 to 3      not given
+      Levels of s: 1 in 3 tests and 2 in 2 tests.
+
+    Identifiability
+      Not examined: s is free and it has no start value; give one, as by `--set
+        s=VALUE`.
+      `s` is fixed for lot `a`, which the data do not have: they have `1` and `2`.
+    ----- stderr
+    ");
+}
+
+#[test]
+fn an_empty_cell_of_a_level_that_is_needed_is_named() {
+    let folder = folder("s = { start = 0.3, per = \"lot\" }");
+    folder.write("d.csv", DATA.replace("b,2,1.2,2", "b,2,1.2,").as_bytes());
+    let cell = refused(&folder, "check m.toml d.csv");
+    assert_snapshot!(cell, @"
+    error: d.csv, row 8 (test `b`): noise variance of measurement `y`: the cell of column `lot` is empty, and it is needed
+
+    hint: fill the cell, or leave the measured value empty too
+    ");
+    assert_eq!(refused(&folder, "fit m.toml d.csv --out kept.json"), cell, "a fit says the same");
+    // without a measurement the cell is not needed
+    folder.write("d.csv", DATA.replace("b,2,1.2,2", "b,2,,").as_bytes());
+    let text = said(&folder, "check m.toml d.csv");
+    assert!(text.starts_with("exit 0"), "{text}");
+}
+
+#[test]
+fn a_numeric_column_can_have_levels() {
+    let folder = folder("s = { start = 0.3, per = \"x\" }");
+    let text = said(&folder, "check m.toml d.csv");
+    assert_snapshot!(from(&text, "Free parameters").lines().take(4).collect::<Vec<_>>().join("\n"), @"
+    Free parameters
+      parameter  free values  one for each  tests each  start
+      s          4            x             4           0.3
+      Levels of s: 0 in 4 tests, 1 in 4 tests, 2 in 4 tests and 3 in 4 tests.
+    ");
+}
+
+#[test]
+fn parameters_of_a_fit_are_taken_by_the_texts_of_their_levels() {
+    let folder = folder("s = { per = \"lot\" }");
+    let text = said(&folder, "fit m.toml d.csv --set s[1]=0.1 --set s[2]=0.2 --out fit.json --quiet");
+    assert!(text.starts_with("exit 0"), "{text}");
+    let plan = |name: &str| {
+        said(&folder, &format!("plan m.toml --from fit.json --design d.csv --tests 4 --out {name} --quiet"))
+    };
+    assert!(plan("taken.json").starts_with("exit 0"), "{}", plan("taken.json"));
+    let set =
+        "plan m.toml --from fit.json --design d.csv --tests 4 --set s[1]=0.1 --set s[2]=0.2 --out set.json --quiet";
+    assert!(said(&folder, set).starts_with("exit 0"));
+    let (mut taken, mut set) = (json(&folder, "taken.json"), json(&folder, "set.json"));
+    assert_eq!(taken["parameters_taken_as_known"].take(), serde_json::json!(["s"]));
+    set["parameters_taken_as_known"].take();
+    assert_eq!(taken, set);
+    // lots the other way round are other values
+    let other =
+        "plan m.toml --from fit.json --design d.csv --tests 4 --set s[1]=0.2 --set s[2]=0.1 --out other.json --quiet";
+    assert!(said(&folder, other).starts_with("exit 0"));
+    assert_ne!(taken, json(&folder, "other.json"));
+    folder.write("d.csv", DATA.replace(",2\n", ",three\n").as_bytes());
+    assert_snapshot!(refused(&folder, "simulate m.toml --from fit.json --design d.csv --seed 1 --out new.csv"), @"
+    error: d.csv, row 4 (test `a`): noise variance of measurement `y`: parameter `s` has no value for level `three`
+
+    hint: give the parameter a value for this level, or let it be estimated
+    ");
+    assert_snapshot!(refused(&folder, "plan m.toml --from fit.json --design d.csv --tests 4"), @"
+    error: d.csv, row 4 (test `a`): noise variance of measurement `y`: parameter `s` has no value for level `three`
+
+    hint: give the parameter a value for this level, or let it be estimated
+    ");
+}
+
+#[test]
+fn a_hypothesis_beyond_the_model_is_refused_before_any_fit() {
+    let test = |parameters: &str, hypothesis: &str| {
+        let folder = folder(parameters);
+        folder.write("h.toml", format!("[parameters]\n{hypothesis}\n").as_bytes());
+        refused(&folder, "test m.toml d.csv --null h.toml --out kept.json")
+    };
+    assert_snapshot!(test("s = { start = 1, lower = 0.5 }", "s = 0.2"), @"
+    error: cannot test this hypothesis: the hypothesis has parameter `s` at 0.2, and the model wants it at least 0.5
+
+    hint: widen the bounds in the model
+    ");
+    assert_snapshot!(test("s = { start = 1, upper = 2 }", "s = 3"), @"
+    error: cannot test this hypothesis: the hypothesis has parameter `s` at 3, and the model wants it at most 2
+
+    hint: widen the bounds in the model
+    ");
+    assert_snapshot!(test("s = { start = 1 }", "s = { per = \"lot\" }"), @"
+    error: cannot test this hypothesis: the hypothesis lets parameter `s` differ where the model has one value
+
+    hint: a hypothesis has as many values as the model, or fewer
+    ");
+    assert_snapshot!(test("s = { per = \"lot\", fixed = { 1 = 0.1 } }", "s = 0.2"), @"
+    error: cannot test this hypothesis: the model fixes parameter `s` at 0.1, and the hypothesis has it at 0.2
+
+    hint: a hypothesis restricts what the model leaves free
+    ");
+    assert_snapshot!(test("s = { per = \"lot\", fixed = { 1 = 0.1 } }", "s = { start = 1 }"), @"
+    error: cannot test this hypothesis: the model fixes parameter `s` at 0.1, and the hypothesis leaves it free
+
+    hint: a hypothesis restricts what the model leaves free
+    ");
+    assert_snapshot!(test("s = { per = \"lot\", upper = 4 }", "s = { start = 1 }"), @"
+    error: cannot test this hypothesis: the bounds of parameter `s` are not the same in the hypothesis as in the model
+
+    hint: a parameter of the hypothesis replaces the model's whole, so repeat in it the bounds that the model has
+    ");
+    assert_snapshot!(test("s = { per = \"id\" }", "s = { per = \"lot\" }"), @"
+    error: cannot test this hypothesis: the hypothesis lets parameter `s` differ where the model has one value
+
+    hint: a hypothesis has as many values as the model, or fewer
+    ");
+}
+
+/// A case of the reference tests: its model as `m.toml`, its data as `d.csv`.
+fn case(model: &str) -> Folder {
+    let folder = Folder::new(&[]);
+    let (home, name) = model.split_once('/').expect("case/model");
+    for (from, to) in [(name, "m.toml"), ("data.csv", "d.csv")] {
+        let bytes = std::fs::read(format!("tests/reference/{home}/{from}")).expect("the case is there");
+        folder.write(to, &bytes);
+    }
+    folder
+}
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap_or_else(|| panic!("a number expected, found {value}"))
+}
+
+#[track_caller]
+fn close(what: &str, found: f64, expected: f64, tolerance: f64) {
+    let error = (found - expected).abs() / tolerance;
+    assert!(error <= 1.0, "{what}: found {found}, expected {expected}: {error:.3e} x tolerance");
+}
+
+#[test]
+fn a_noise_level_is_estimated_with_mean_and_covariance() {
+    let folder = case("lmm-sleepstudy/un.toml");
+    let text = said(&folder, "fit m.toml d.csv --out fit.json");
+    assert!(text.starts_with("exit 0"), "{text}");
+    assert_snapshot!(from(&text, "Dynamic parameters").lines().take(3).collect::<Vec<_>>().join("\n"), @"
+    Dynamic parameters (± standard error)
+      parameter  value        95 % interval
+      sigma       25.6 ± 1.5  22.8 to 28.7
+    ");
+    let fit = json(&folder, "fit.json");
+    close("log-likelihood", number(&fit["log_likelihood"]), -875.9696722, 1e-6);
+    assert_eq!(fit["free_parameters"], 6, "two means, three covariances, one noise level: as lme4 counts");
+    close("aic", number(&fit["aic"]), 2.0 * 6.0 + 2.0 * 875.9696722, 1e-5);
+    close("bic", number(&fit["bic"]), 6.0 * 180f64.ln() + 2.0 * 875.9696722, 1e-5);
+    let [sigma] = &fit["parameters"].as_array().expect("a list")[..] else { panic!("{}", fit["parameters"]) };
+    close("sigma", number(&sigma["estimate"]), 25.5918, 1e-4);
+    let expected = [
+        ("per", Value::Null),
+        ("level", Value::Null),
+        ("fixed", false.into()),
+        ("at_bound", false.into()),
+        ("standing", "inside".into()),
+    ];
+    for (key, expected) in expected {
+        assert_eq!(sigma[key], expected, "{key}");
+    }
+    let ends = sigma["interval95"].as_array().expect("two ends");
+    assert!(number(&ends[0]) < 25.5918 && number(&ends[1]) > 25.5918, "{ends:?}");
+    assert!(number(&fit["certificate"]["parameters"]) < 1e-4, "{}", fit["certificate"]);
+    assert_eq!(fit["solver"]["method"], "hybrid");
+    assert!(fit["solver"]["filter_passes"].as_u64() > Some(1) && fit["solver"]["score_passes"].as_u64() > Some(0));
+    let reason = fit["reason"].as_str().expect("a text");
+    assert!(reason.contains("the dynamic parameter"), "{reason}");
+}
+
+#[test]
+fn three_methods_are_shown_side_by_side_and_agree() {
+    let folder = case("ssm-nile/first.toml");
+    let text = said(&folder, "fit m.toml d.csv --method all --out fit.json");
+    assert!(text.starts_with("exit 0"), "{text}");
+    assert!(text.contains("Methods side by side"), "{text}");
+    let fit = json(&folder, "fit.json");
+    let methods = fit["methods"].as_array().expect("a list");
+    let names: Vec<&str> = methods.iter().map(|m| m["method"].as_str().expect("a name")).collect();
+    assert_eq!(names, ["hybrid", "innovations", "em"]);
+    for method in methods {
+        let name = method["method"].as_str().expect("a name");
+        assert_eq!(method["converged"], true, "{name}: {}", method["reason"]);
+        close(name, number(&method["log_likelihood"]), -637.60293209092, 1e-6);
+        close(&format!("walk by {name}"), number(&method["values"][0]), 35.77193701576698, 1e-3);
+        close(&format!("sigma by {name}"), number(&method["values"][1]), 123.61018868645093, 1e-3);
+    }
+    assert_eq!(fit["solver"]["method"], "hybrid");
+    close("log-likelihood", number(&fit["log_likelihood"]), number(&methods[0]["log_likelihood"]), 1e-12);
+}
+
+#[test]
+fn one_value_for_all_levels_is_a_hypothesis_with_as_many_degrees_of_freedom_as_values_fall_away() {
+    let folder = case("alpha-per-group/per-group.toml");
+    folder.write("h.toml", b"[parameters]\nsigma_v = {}\n");
+    let text = said(&folder, "test m.toml d.csv --null h.toml --out t.json");
+    assert!(text.starts_with("exit 0"), "{text}");
+    let test = json(&folder, "t.json");
+    // of another program, which maximised both: with one noise level and with one for each lot
+    let (null, alternative) = (-441.4096390402, -403.2504507276);
+    close("model", number(&test["alternative"]["log_likelihood"]), alternative, 1e-6);
+    close("-2 log λ", number(&test["lr"]), 2.0 * (alternative - null), 1e-3);
+    assert_eq!((&test["df"], &test["null"]["free_parameters"]), (&2.into(), &8.into()));
+}
+
+#[test]
+fn a_noise_level_of_zero_is_tested_against_a_mixture() {
+    let folder = case("ssm-nile/first.toml");
+    folder.write("h.toml", b"title = \"no walk\"\n[parameters]\nwalk = 0\n");
+    let command = "test m.toml d.csv --null h.toml --out t.json";
+    assert_snapshot!(said(&folder, command), @"
+    exit 0
+    ----- stdout
+    Flow of the Nile: level of the first year
+
+    Hypothesis: no walk
+    The data speak strongly against it: p = 3e-9 by the large-sample law.
+
+    Fits to 1 test
+                  log-likelihood  free      AIC  certified
+      hypothesis      -654.51573     2  1313.03        yes
+      model           -637.60293     3  1281.21        yes
+
+    -2 log λ = 33.8256
+      reference law                      p-value
+      0.5 χ²(0) + 0.5 χ²(1)                 3e-9
+      χ²(1), which ignores the boundary     6e-9
+
+    Dynamic parameters
+      parameter  hypothesis    model
+      walk          0 fixed  35.7719
+      sigma         168.379   123.61
+
+    Notes
+      With 1 test the large-sample law is a rough guide, and its p-values tend to be
+        too small: `--bootstrap 1000` does not depend on it.
+    ----- stderr
+    Wrote t.json
+    ");
+    let test = json(&folder, "t.json");
+    // both fits by statsmodels
+    close("-2 log λ", number(&test["lr"]), 2.0 * (654.5157332521 - 637.60293209092), 1e-5);
+    let drawn = |seed: &str| {
+        let text = said(&folder, &format!("{command} --bootstrap 20 --seed {seed}"));
+        assert!(text.starts_with("exit 0"), "{text}");
+        json(&folder, "t.json")["bootstrap"].clone()
+    };
+    let first = drawn("3");
+    close("p-value", number(&first["p_value"]), 1.0 / 21.0, 1e-12);
+    assert_eq!(first, drawn("3"), "the same seed draws the same ensembles");
+    assert_ne!(first["quantile95"], drawn("4")["quantile95"]);
+}
+
+#[test]
+fn several_quantities_on_their_boundary_have_a_bound_for_a_law() {
+    let folder = case("alpha-per-group/two-per-group.toml");
+    folder.write("h.toml", b"[parameters]\nsigma_drift = { per = \"lot\", fixed = { A = 0, B = 0 } }\n");
+    let text = said(&folder, "test m.toml d.csv --null h.toml --out t.json");
+    assert!(!text.starts_with("exit 2"), "{text}");
+    let test = json(&folder, "t.json");
+    assert_eq!((&test["df"], &test["law_is_bound"]), (&2.into(), &true.into()), "{text}");
+    assert!(text.contains("several quantities on their boundary"), "{text}");
+}
