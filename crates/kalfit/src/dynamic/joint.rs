@@ -234,6 +234,18 @@ impl Joint {
         Step { alpha, inner: inner_step, decrement: promised.max(0.0).sqrt(), concave }
     }
 
+    /// The direction in shared values along which ℓ curves upward most, its largest entry one; `None` where it does not.
+    pub(crate) fn upward(&self) -> Option<Vec<f64>> {
+        let n = self.cross.nrows();
+        let (matrix, _, _) = self.reduced(&vec![0.0; n], &DVector::zeros(self.inner.nrows()), 0.0);
+        let (scale, values, vectors) = scaled_eigen(&matrix);
+        let (worst, _) = values.iter().enumerate().filter(|(_, v)| **v < -1e-6).min_by(|a, b| a.1.total_cmp(b.1))?;
+        let mut direction = vec![0.0; n];
+        self.shared.iter().enumerate().for_each(|(i, &s)| direction[s] = scale[i] * vectors[(i, worst)]);
+        let largest = direction.iter().fold(0.0, |most: f64, d| most.max(d.abs()));
+        (largest > 0.0).then(|| direction.iter().map(|d| d / largest).collect())
+    }
+
     /// Covariances of all coordinates: the inverse, flat directions left out.
     pub(crate) fn covariances(&self) -> Covariances {
         let n = self.cross.nrows();

@@ -99,9 +99,13 @@ impl<'b, 'a> Search<'b, 'a> {
         for _ in 0..STEPS {
             let joint = Joint::new(self.bench, &self.home, &self.active(), fine);
             let step = joint.step(&self.home.gradient, self.inner_gradient(), 0.0);
-            let near = step.decrement <= self.tolerance() && step.concave;
+            let still = step.decrement <= self.tolerance();
+            if still && !step.concave && (self.settled() || self.off_saddle(&joint)) {
+                fine = false;
+                continue;
+            }
             last = Some((joint, step.decrement));
-            if near {
+            if still && step.concave {
                 if !fine {
                     fine = true;
                     continue;
@@ -153,6 +157,20 @@ impl<'b, 'a> Search<'b, 'a> {
     /// Gradient along the coordinates of (μ, Σ): nothing where they have been solved for.
     fn inner_gradient(&self) -> &DVector<f64> {
         &self.home.estimate.state.place.tangent.gradient
+    }
+
+    /// Off a stationary point that is no maximum, along the direction in which ℓ curves upward most.
+    fn off_saddle(&mut self, joint: &Joint) -> bool {
+        let Some(direction) = joint.upward() else { return false };
+        for length in [0.5, -0.5, 0.1, -0.1, 0.02, -0.02] {
+            let moved = |(s, d): (usize, &f64)| self.bench.coordinates[s].moved(self.home.values[s], length * d);
+            let values: Vec<f64> = direction.iter().enumerate().map(moved).collect();
+            if let Some(next) = self.at(&values).filter(|next| next.value() > self.home.value() + 1e-9) {
+                self.home = next;
+                return true;
+            }
+        }
+        false
     }
 
     /// Where (μ, Σ) moved along with α, they are solved for by themselves, which certifies them and takes them off the boundary
