@@ -43,13 +43,9 @@ pub(crate) fn run(job: &FitJob) -> Result<Outcome, Failure> {
     Ok(if record.converged { Outcome::Done } else { Outcome::NotCertified })
 }
 
-/// Options that say how to search for α have no effect when nothing of it is free.
+/// Other starts of α have no effect when nothing of it is free. The methods are then one and the same, and any may be named.
 pub(crate) fn refuse_idle(job: &FitJob) -> Result<(), Failure> {
-    let option = match job.method {
-        Some(Method::Hybrid) => (job.search.starts > 0).then_some("--starts"),
-        _ => Some("--method"),
-    };
-    option.map_or(Ok(()), |option| Err(Failure::NoFreeParameter { option }))
+    if job.search.starts > 0 { Err(Failure::NoFreeParameter { option: "--starts" }) } else { Ok(()) }
 }
 
 /// The method in one place, with known parameters: reduce, estimate, infer, record.

@@ -48,6 +48,15 @@ pub(crate) struct End {
     pub(crate) certificate: f64,
     pub(crate) stop: Stop,
     pub(crate) trace: Vec<f64>,
+    before_zero: Vec<f64>,
+}
+
+impl End {
+    /// The values as a start elsewhere: those at zero a little above it, where they can move.
+    pub(crate) fn restart(&self) -> Vec<f64> {
+        let zero = |(value, before): (&f64, &f64)| if *value == 0.0 { RETURN * before } else { *value };
+        self.home.values.iter().zip(&self.before_zero).map(zero).collect()
+    }
 }
 
 impl<'b, 'a> Search<'b, 'a> {
@@ -145,7 +154,8 @@ impl<'b, 'a> Search<'b, 'a> {
         if self.home.estimate.stop != Stop::Certified {
             stop = self.home.estimate.stop;
         }
-        Ok(End { home: self.home, standing: self.standing, joint, certificate, stop, trace: self.trace })
+        let (home, standing, before_zero) = (self.home, self.standing, self.before_zero);
+        Ok(End { home, standing, joint, certificate, stop, trace: self.trace, before_zero })
     }
 
     fn tell(&mut self, decrement: f64) {

@@ -8,16 +8,23 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use crate::dynamic::bench::Bench;
+use crate::dynamic::search::{End, search};
 use crate::dynamic::{Coordinate, DynamicError};
 use crate::ensemble::Test;
+use crate::estimate::Silent;
 use crate::model::{Expression, Linear, Model, Motion, Value};
 
+/// Ends on a part of the data whose ℓ is this close to the best one's are followed on all of it.
+const CLOSE: f64 = 5.0;
 /// Rows that start values are worked out from, and rows of one test among them.
 const ROWS: usize = 20_000;
 const ROWS_OF_A_TEST: usize = 4_000;
 /// Powers of this factor are tried, so many to each side.
 const FACTOR: f64 = 4.0;
 const EACH_SIDE: i32 = 6;
+/// Points scattered about the first guess, and their spread: standard deviation of a logarithm.
+const SCATTERED: usize = 40;
+const WIDE: f64 = 2.5;
 /// Spread of random starts: standard deviation of a logarithm.
 const SPREAD: f64 = 1.5;
 /// Values other than logarithms that are tried where none is given.
@@ -40,11 +47,38 @@ pub(crate) fn starts(bench: &Bench<'_>) -> Result<Vec<Vec<f64>>, DynamicError> {
         bench.solve(&first, None)?; // says what is wrong
     }
     let mut all = vec![first.clone()];
+    if !unknown.is_empty() {
+        all.extend(scattered(&small, &unknown, &first));
+    }
     for parameter in time_constants(bench.model).into_iter().filter(|&p| bench.slots.is_free(p)) {
         all.extend(other_maxima(&small, parameter, &first));
     }
     all.extend((0..bench.settings.starts).map(|k| random(bench, &first, k)));
-    Ok(all)
+    Ok(if total(&sample) < total(bench.tests) { promising(&small, all) } else { all })
+}
+
+fn total(tests: &[Test]) -> usize {
+    tests.iter().map(Test::rows).sum()
+}
+
+/// Of many starts, where the best ones end on a part of the data; all of them when they all fail there.
+fn promising(small: &Bench<'_>, starts: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
+    if starts.len() == 1 {
+        return starts;
+    }
+    let mut ends: Vec<End> = starts.iter().filter_map(|start| search(small, start, None, &mut Silent).ok()).collect();
+    ends.sort_by(|a, b| b.home.value().total_cmp(&a.home.value()));
+    let Some(best) = ends.first().map(|end| end.home.value()) else { return starts };
+    let mut kept: Vec<Vec<f64>> = Vec::new();
+    for end in ends.into_iter().filter(|end| best - end.home.value() <= CLOSE) {
+        let values = end.restart();
+        let same =
+            |other: &Vec<f64>| other.iter().zip(&values).all(|(a, b)| (a - b).abs() <= 1e-3 * a.abs().max(b.abs()));
+        if !kept.iter().any(same) {
+            kept.push(values);
+        }
+    }
+    kept
 }
 
 /// Every test's first rows, as many tests as fit.
@@ -250,6 +284,28 @@ fn other_maxima(small: &Bench<'_>, parameter: usize, first: &[f64]) -> Vec<Vec<f
     let middle = EACH_SIDE as usize;
     let near = |k: usize| k.abs_diff(middle) <= 1;
     (0..values.len()).filter(peak).filter(|&k| !near(k)).take(3).map(|k| grid[k].clone()).collect()
+}
+
+/// The best of some points scattered widely about the first guess: noise may lie in the measurements or in the motion, and
+/// a search that begins with one may end there.
+fn scattered(small: &Bench<'_>, unknown: &[usize], first: &[f64]) -> Vec<Vec<f64>> {
+    let mut random = ChaCha8Rng::seed_from_u64(0);
+    let mut found: Vec<(Vec<f64>, f64)> = Vec::new();
+    for _ in 0..SCATTERED {
+        // all levels of a parameter together
+        let draws: Vec<f64> = small.model.parameters.iter().map(|_| StandardNormal.sample(&mut random)).collect();
+        let moved = |(s, value): (usize, &f64)| {
+            let parameter = small.slots.slots()[s].parameter;
+            let own = unknown.contains(&parameter) && small.coordinates[s].log;
+            if own { small.coordinates[s].moved(*value, WIDE * draws[parameter]) } else { *value }
+        };
+        let values: Vec<f64> = first.iter().enumerate().map(moved).collect();
+        if let Some(value) = small.value(&values) {
+            found.push((values, value));
+        }
+    }
+    found.sort_by(|a, b| b.1.total_cmp(&a.1));
+    found.into_iter().take(2).map(|(values, _)| values).collect()
 }
 
 /// Random start `k`: logarithms moved by normal numbers, other values by their own size. A stream of its own for each.
