@@ -43,14 +43,14 @@ impl KnownStart {
 
     /// Runs the data pass of the test in the work space.
     fn series(&self, test: &Test, gains: &Gains, work: &mut Workspace) -> Vec<Innovation> {
-        let (stride, mut step) = (1 + self.frame.r, 0);
+        let mut step = 0;
         let Workspace { design, data, instances, pass, .. } = work;
         let mut series = Vec::with_capacity(instances.len());
-        innovate(design, &gains.rows, data, pass, |row, e, _| {
+        innovate(design, gains, data, pass, |row, e, _| {
             while design.steps[step].rows <= row {
                 step += 1;
             }
-            let weight = gains.rows[row * stride];
+            let weight = gains.row(row).0;
             // a measurement that can only be one value says nothing; whether it was that value is the reduction's business
             if weight > 0.0 {
                 let time = self.time.map(|column| test.numbers(instances[row].row)[column]);

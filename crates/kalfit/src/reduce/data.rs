@@ -60,20 +60,19 @@ pub(crate) struct Miss {
 /// x̂ ← φx̂ + b, e = z - d - h'x̂, x̂ ← x̂ + Ke over the test; y = Σ T'e/S. Returns e'S⁻¹e. `look(row, e, x̂)` sees each
 /// innovation before its update.
 #[inline(always)]
-pub(crate) fn innovate<R: Real>(
-    design: &Design<R>,
-    rows: &[R],
-    data: &Data<R>,
-    work: &mut DataWork<R>,
-    mut look: impl FnMut(usize, R, &[R]),
-) -> R {
-    let (frame, zero) = (&*design.frame, R::splat(0.0));
-    let (p, r, stride) = (frame.p, frame.r, 1 + frame.r + frame.p);
+pub(crate) fn innovate(
+    design: &Design,
+    gains: &Gains,
+    data: &Data,
+    work: &mut DataWork,
+    mut look: impl FnMut(usize, f64, &[f64]),
+) -> f64 {
+    let frame = &*design.frame;
     work.x.clone_from(&data.start);
     work.e.clear();
     work.y.clear();
-    work.y.resize(p, zero);
-    let (mut square, mut first, mut input) = (zero, 0, 0);
+    work.y.resize(frame.p, 0.0);
+    let (mut square, mut first, mut input) = (0.0, 0, 0);
     for step in &design.steps {
         if let Some(transition) = &step.transition {
             kernel::advance(&mut work.x, 1, transition, &mut work.moved);
@@ -89,9 +88,8 @@ pub(crate) fn innovate<R: Real>(
                 e = h.fnma(work.x[state as usize], e);
             }
             look(row, e, &work.x);
-            let (weight, gains) = rows[row * stride..][..stride].split_first().expect("stride is positive");
-            let (K, T) = gains.split_at(r);
-            let weighted = e * *weight;
+            let (weight, K, T) = gains.row(row);
+            let weighted = e * weight;
             for (x, &K) in work.x.iter_mut().zip(K) {
                 *x = K.fma(e, *x);
             }
@@ -111,14 +109,14 @@ pub(crate) fn outcome(design: &Design, gains: &Gains, data: &Data, work: &mut Da
     let log_density = -0.5 * (gains.active as f64 * std::f64::consts::TAU.ln() + gains.log_determinant);
     let (residual, data) = match &gains.turns {
         None => {
-            let square = innovate(design, &gains.rows, data, work, |_, _, _| {});
+            let square = innovate(design, gains, data, work, |_, _, _| {});
             least_squares(design, gains, work, square)
         }
         Some(turns) => {
             if gains.active < design.rows.len() {
                 possible(design, gains, data, work)?;
             } else {
-                innovate(design, &gains.rows, data, work, |_, _, _| {});
+                innovate(design, gains, data, work, |_, _, _| {});
             }
             folded(design, gains, turns, work)
         }
@@ -128,11 +126,11 @@ pub(crate) fn outcome(design: &Design, gains: &Gains, data: &Data, work: &mut Da
 
 /// The data pass of a test with measurements that say nothing: each must be what it must be.
 fn possible(design: &Design, gains: &Gains, data: &Data, work: &mut DataWork) -> Result<(), Miss> {
-    let (stride, mut miss) = (1 + design.frame.r + design.frame.p, None);
-    innovate(design, &gains.rows, data, work, |row, e, x| {
+    let mut miss = None;
+    innovate(design, gains, data, work, |row, e, x| {
         let (states, h) = design.terms(row);
         let terms: f64 = states.iter().zip(h).map(|(&state, h)| (h * x[state as usize]).abs()).sum();
-        let silent = gains.rows[row * stride] == 0.0;
+        let silent = gains.row(row).0 == 0.0;
         let off = e.abs() > ROUNDING * (data.sizes[row] + terms);
         if silent && off && miss.is_none() {
             miss = Some(Miss { row, residual: e });
@@ -144,7 +142,7 @@ fn possible(design: &Design, gains: &Gains, data: &Data, work: &mut DataWork) ->
 /// (residual sum of squares, d) from y and e'S⁻¹e. Where these are large, the innovations at the best ξ, e - Tξ, are what
 /// counts: nothing cancels in them. (Corrected seminormal equations, Björck 1987.)
 fn least_squares(design: &Design, gains: &Gains, work: &mut DataWork, square: f64) -> (f64, Vec<f64>) {
-    let (p, r) = (design.frame.p, design.frame.r);
+    let p = design.frame.p;
     let mut d = work.y.clone();
     forward(&gains.factor, &mut d);
     if square <= REFINE || p == 0 {
@@ -153,12 +151,12 @@ fn least_squares(design: &Design, gains: &Gains, work: &mut DataWork, square: f6
     let mut best = d;
     backward(&gains.factor, &mut best);
     let (mut left, mut correction) = (0.0, vec![0.0; p]);
-    for (row, &e) in gains.rows.chunks_exact(1 + r + p).zip(&work.e) {
-        let T = &row[1 + r..];
+    for (row, &e) in work.e.iter().enumerate() {
+        let (weight, _, T) = gains.row(row);
         let rest = e - T.iter().zip(&best).map(|(T, x)| T * x).sum::<f64>();
-        left += rest * rest * row[0];
+        left += rest * rest * weight;
         for (sum, T) in correction.iter_mut().zip(T) {
-            *sum += T * rest * row[0];
+            *sum += T * rest * weight;
         }
     }
     forward(&gains.factor, &mut correction);
@@ -199,10 +197,10 @@ fn backward(factor: &[f64], x: &mut [f64]) {
 
 /// (residual sum of squares, d): the innovations take the rotations that made R.
 fn folded(design: &Design, gains: &Gains, turns: &Turns, work: &DataWork) -> (f64, Vec<f64>) {
-    let (p, stride) = (design.frame.p, 1 + design.frame.r + design.frame.p);
+    let p = design.frame.p;
     let (mut d, mut residual) = (vec![0.0; p], 0.0);
     for (row, &e) in work.e.iter().enumerate() {
-        let mut left = e * gains.rows[row * stride].sqrt();
+        let mut left = e * gains.row(row).0.sqrt();
         for (d, &(c, s)) in d.iter_mut().zip(&turns.folds[row * p..]) {
             (*d, left) = (c * *d + s * left, c * left - s * *d);
         }

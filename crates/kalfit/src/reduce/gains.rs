@@ -37,6 +37,10 @@ pub(crate) struct GainsWork<R = f64> {
 /// A finished design pass: everything but the data.
 #[derive(Debug, Clone)]
 pub(crate) struct Gains {
+    /// r, length of K.
+    pub(crate) r: usize,
+    /// p, length of T.
+    pub(crate) p: usize,
     /// For each scalar measurement 1/S, K (r), T (p); 1/S = 0 for one that says nothing.
     pub(crate) rows: Vec<f64>,
     /// R with J = R'R, packed by columns.
@@ -68,6 +72,15 @@ pub(crate) enum Settle {
 }
 
 impl Gains {
+    /// (1/S, K, T) of a scalar measurement; 1/S = 0 for one that says nothing.
+    #[inline(always)]
+    pub(crate) fn row(&self, row: usize) -> (f64, &[f64], &[f64]) {
+        let stride = 1 + self.r + self.p;
+        let (weight, gains) = self.rows[row * stride..][..stride].split_first().expect("stride is positive");
+        let (K, T) = gains.split_at(self.r);
+        (*weight, K, T)
+    }
+
     /// Bytes it occupies.
     pub(crate) fn bytes(&self) -> usize {
         let turns = self.turns.as_ref().map_or(0, |turns| 2 * turns.folds.len() + 5 * turns.settle.len());
@@ -121,14 +134,14 @@ pub(crate) fn schedule<R: Real>(design: &Design<R>, work: &mut GainsWork<R>) -> 
 
 impl Schedule<f64> {
     /// The finished information form, or `None` where square-root arrays are called for.
-    pub(crate) fn finish(self, p: usize, active: usize) -> Option<Gains> {
+    pub(crate) fn finish(self, (r, p): (usize, usize), active: usize) -> Option<Gains> {
         let sound = self.kept >= 0.0 && self.least > 0.0 && self.J.iter().all(|x| x.is_finite());
         if !sound || !self.mantissa.is_finite() {
             return None;
         }
         let (factor, least) = information_root(&self.J, p, LEAST_PIVOT);
         let log_determinant = self.mantissa.ln() + self.exponent * std::f64::consts::LN_2;
-        (least >= LEAST_PIVOT).then_some(Gains { rows: self.rows, factor, log_determinant, active, turns: None })
+        (least >= LEAST_PIVOT).then_some(Gains { r, p, rows: self.rows, factor, log_determinant, active, turns: None })
     }
 }
 

@@ -187,7 +187,7 @@ impl Reducer {
 
 /// The design pass in plain covariance and information arithmetic; `None` where that would lose too much.
 pub(crate) fn information_gains(design: &Design, work: &mut GainsWork) -> Option<Gains> {
-    schedule(design, work).finish(design.frame.p, design.rows.len())
+    schedule(design, work).finish((design.frame.r, design.frame.p), design.rows.len())
 }
 
 pub(crate) fn impossible(miss: Miss) -> ReduceErrorKind {

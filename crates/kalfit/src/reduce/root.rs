@@ -49,6 +49,8 @@ pub(crate) fn root_gains<'a>(design: &'a Design) -> Result<(Gains, RootFilter<'a
     let mut filter = RootFilter::start(design)?;
     let (p, r) = (design.frame.p, design.frame.r);
     let mut gains = Gains {
+        r,
+        p,
         rows: vec![0.0; (1 + r + p) * design.rows.len()],
         factor: Vec::with_capacity(p * (p + 1) / 2),
         log_determinant: 0.0,
