@@ -5,6 +5,7 @@ use crate::linalg::real::Real;
 use crate::reduce::design::Design;
 use crate::reduce::gains::{Gains, Settle, Turns};
 use crate::reduce::kernel;
+use crate::reduce::scan::{scan, sums};
 
 /// e'S⁻¹e beyond which c + ½d'd would lose digits, so that the innovations are taken again from the best ξ.
 const REFINE: f64 = 1e3;
@@ -38,8 +39,9 @@ impl<R> Data<R> {
 pub(crate) struct DataWork<R = f64> {
     pub(crate) x: Vec<R>,
     moved: Vec<R>,
-    e: Vec<R>,
-    y: Vec<R>,
+    /// The innovations, in order.
+    pub(crate) e: Vec<R>,
+    pub(crate) y: Vec<R>,
 }
 
 /// What the data say under a design.
@@ -57,49 +59,61 @@ pub(crate) struct Miss {
     pub(crate) residual: f64,
 }
 
-/// x̂ ← φx̂ + b, e = z - d - h'x̂, x̂ ← x̂ + Ke over the test; y = Σ T'e/S. Returns e'S⁻¹e. `look(row, e, x̂)` sees each
-/// innovation before its update.
-#[inline(always)]
-pub(crate) fn innovate(
-    design: &Design,
-    gains: &Gains,
-    data: &Data,
-    work: &mut DataWork,
-    mut look: impl FnMut(usize, f64, &[f64]),
-) -> f64 {
-    let frame = &*design.frame;
+/// x̂ ← φx̂ + b, e = z - d - h'x̂, x̂ ← x̂ + Ke over the test; y = Σ T'e/S. Returns e'S⁻¹e.
+pub(crate) fn innovate(design: &Design, gains: &Gains, data: &Data, work: &mut DataWork) -> f64 {
+    pass(design, gains, data, work, None)
+}
+
+/// Sees (row, its line, e, x̂) before the update.
+type Look<'a> = &'a mut dyn FnMut(usize, usize, f64, &[f64]);
+
+/// [`innovate`]; with `look`, which sees every innovation, step by step to the end.
+fn pass(design: &Design, gains: &Gains, data: &Data, work: &mut DataWork, mut look: Option<Look<'_>>) -> f64 {
     work.x.clone_from(&data.start);
     work.e.clear();
+    work.e.reserve(data.values.len());
     work.y.clear();
-    work.y.resize(frame.p, 0.0);
-    let (mut square, mut first, mut input) = (0.0, 0, 0);
-    for step in &design.steps {
-        if let Some(transition) = &step.transition {
-            kernel::advance(&mut work.x, 1, transition, &mut work.moved);
-            for &state in &frame.driven {
-                work.x[state as usize] = work.x[state as usize] + data.inputs[input];
-                input += 1;
+    work.y.resize(design.frame.p, 0.0);
+    let (mut square, mut input, mut at) = (0.0, 0, 0);
+    for stretch in design.stretches() {
+        while gains.pieces.get(at + 1).is_some_and(|next| next.row <= stretch.rows.start) {
+            at += 1;
+        }
+        let piece = &gains.pieces[at];
+        let whole = look.is_some() || piece.row != stretch.rows.start || stretch.rows.is_empty();
+        let moving = if whole { stretch.count } else { piece.moving().min(stretch.count) };
+        for (number, step) in stretch.steps().enumerate() {
+            if number == moving && scan(design, &stretch, (gains, piece, number), data, work, &mut square) {
+                break;
+            }
+            if let Some(transition) = step.transition {
+                kernel::advance(&mut work.x, 1, transition, &mut work.moved);
+                for &state in &design.frame.driven {
+                    work.x[state as usize] += data.inputs[input];
+                    input += 1;
+                }
+            }
+            for (line, row) in step.lines.zip(step.rows) {
+                let (states, h) = design.terms(line);
+                let mut e = data.values[row];
+                for (&state, &h) in states.iter().zip(h) {
+                    e = h.fnma(work.x[state as usize], e);
+                }
+                if let Some(look) = &mut look {
+                    look(row, line, e, &work.x);
+                }
+                let (weight, K, T) = gains.of(piece, row);
+                let weighted = e * weight;
+                for (x, &K) in work.x.iter_mut().zip(K) {
+                    *x = K.fma(e, *x);
+                }
+                for (y, &T) in work.y.iter_mut().zip(T) {
+                    *y = T.fma(weighted, *y);
+                }
+                square = e.fma(weighted, square);
+                work.e.push(e);
             }
         }
-        for row in first..step.rows {
-            let (states, h) = design.terms(row);
-            let mut e = data.values[row];
-            for (&state, &h) in states.iter().zip(h) {
-                e = h.fnma(work.x[state as usize], e);
-            }
-            look(row, e, &work.x);
-            let (weight, K, T) = gains.row(row);
-            let weighted = e * weight;
-            for (x, &K) in work.x.iter_mut().zip(K) {
-                *x = K.fma(e, *x);
-            }
-            for (y, &T) in work.y.iter_mut().zip(T) {
-                *y = T.fma(weighted, *y);
-            }
-            square = e.fma(weighted, square);
-            work.e.push(e);
-        }
-        first = step.rows;
     }
     square
 }
@@ -109,14 +123,14 @@ pub(crate) fn outcome(design: &Design, gains: &Gains, data: &Data, work: &mut Da
     let log_density = -0.5 * (gains.active as f64 * std::f64::consts::TAU.ln() + gains.log_determinant);
     let (residual, data) = match &gains.turns {
         None => {
-            let square = innovate(design, gains, data, work, |_, _, _| {});
+            let square = innovate(design, gains, data, work);
             least_squares(design, gains, work, square)
         }
         Some(turns) => {
-            if gains.active < design.rows.len() {
+            if gains.active < design.rows() {
                 possible(design, gains, data, work)?;
             } else {
-                innovate(design, gains, data, work, |_, _, _| {});
+                innovate(design, gains, data, work);
             }
             folded(design, gains, turns, work)
         }
@@ -127,15 +141,16 @@ pub(crate) fn outcome(design: &Design, gains: &Gains, data: &Data, work: &mut Da
 /// The data pass of a test with measurements that say nothing: each must be what it must be.
 fn possible(design: &Design, gains: &Gains, data: &Data, work: &mut DataWork) -> Result<(), Miss> {
     let mut miss = None;
-    innovate(design, gains, data, work, |row, e, x| {
-        let (states, h) = design.terms(row);
+    let mut look = |row: usize, line: usize, e: f64, x: &[f64]| {
+        let (states, h) = design.terms(line);
         let terms: f64 = states.iter().zip(h).map(|(&state, h)| (h * x[state as usize]).abs()).sum();
         let silent = gains.row(row).0 == 0.0;
         let off = e.abs() > ROUNDING * (data.sizes[row] + terms);
         if silent && off && miss.is_none() {
             miss = Some(Miss { row, residual: e });
         }
-    });
+    };
+    pass(design, gains, data, work, Some(&mut look));
     miss.map_or(Ok(()), Err)
 }
 
@@ -151,12 +166,24 @@ fn least_squares(design: &Design, gains: &Gains, work: &mut DataWork, square: f6
     let mut best = d;
     backward(&gains.factor, &mut best);
     let (mut left, mut correction) = (0.0, vec![0.0; p]);
-    for (row, &e) in work.e.iter().enumerate() {
-        let (weight, _, T) = gains.row(row);
-        let rest = e - T.iter().zip(&best).map(|(T, x)| T * x).sum::<f64>();
-        left += rest * rest * weight;
-        for (sum, T) in correction.iter_mut().zip(T) {
-            *sum += T * rest * weight;
+    for (piece, end) in gains.stretches(work.e.len()) {
+        let kept = end.min(piece.row + piece.moving() * piece.width);
+        for row in piece.row..kept {
+            let (weight, _, T) = gains.of(piece, row);
+            let rest = work.e[row] - T.iter().zip(&best).map(|(T, x)| T * x).sum::<f64>();
+            left += rest * rest * weight;
+            for (sum, T) in correction.iter_mut().zip(T) {
+                *sum += T * rest * weight;
+            }
+        }
+        for line in kept..end.min(kept + piece.width) {
+            let (weight, _, T) = gains.of(piece, line);
+            let predicted = T.iter().zip(&best).map(|(T, x)| T * x).sum::<f64>();
+            let (sum, squares) = residuals(&work.e[line..end], piece.width, predicted);
+            left += squares * weight;
+            for (correction, T) in correction.iter_mut().zip(T) {
+                *correction += T * sum * weight;
+            }
         }
     }
     forward(&gains.factor, &mut correction);
@@ -169,6 +196,14 @@ fn least_squares(design: &Design, gains: &Gains, work: &mut DataWork, square: f6
         at += k + 1;
     }
     (left, correction)
+}
+
+/// (Σ (e - t), Σ (e - t)²) of every `width`-th innovation.
+fn residuals(e: &[f64], width: usize, t: f64) -> (f64, f64) {
+    if width == 1 {
+        return sums(e, t);
+    }
+    e.iter().step_by(width).fold((0.0, 0.0), |(sum, squares), e| (sum + (e - t), squares + (e - t) * (e - t)))
 }
 
 /// d ← R'⁻¹ d, zero for zero rows of R.

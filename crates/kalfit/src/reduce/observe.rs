@@ -1,12 +1,13 @@
 //! The measurements of a step: which there are, their equations and noise, whitened.
 
 use crate::ensemble::Test;
-use crate::model::Scope;
+use crate::model::{Alpha, Scope};
 use crate::reduce::data::Data;
 use crate::reduce::design::Design;
 use crate::reduce::error::ReduceErrorKind;
+use crate::reduce::instances::{Instance, Instances};
 use crate::reduce::semidefinite::{NotSemidefinite, ldl};
-use crate::reduce::subject::{At, Coefficient, Fault, Subject};
+use crate::reduce::subject::{At, Coefficient, Fault, Subject, Uses};
 
 /// A measurement of the model at α.
 #[derive(Debug, Clone)]
@@ -25,14 +26,6 @@ pub(crate) struct Meters {
     meters: Vec<Meter>,
     /// (i, j, covariance).
     pairs: Vec<(usize, usize, Coefficient)>,
-}
-
-/// One scalar measurement of a test.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Instance {
-    pub(crate) meter: usize,
-    /// Row of the test.
-    pub(crate) row: usize,
 }
 
 impl Meters {
@@ -80,7 +73,9 @@ impl Meters {
         (rows, dt): (std::ops::Range<usize>, f64),
         out: &mut Observed<'_>,
     ) -> Result<(), Box<Fault>> {
-        let first = out.instances.len();
+        let (first, line) = (out.instances.len(), out.design.ends.len());
+        out.instances.begin(rows.start);
+        out.constants.clear();
         for row in rows {
             let scope = Scope { numbers: test.numbers(row), texts: test.texts(row), step: dt, alpha: at.alpha };
             for (m, meter) in self.meters.iter().enumerate() {
@@ -90,11 +85,12 @@ impl Meters {
                 }
             }
         }
-        if self.pairs.is_empty() || out.instances.len() < first + 2 {
+        let own = out.instances.last_step();
+        if self.pairs.is_empty() || own.len() < 2 {
             return Ok(());
         }
-        let row = out.instances[first].row;
-        let found = self.covariances(at, test, dt, &out.instances[first..])?;
+        let row = own[0].row;
+        let found = self.covariances(at, test, dt, own)?;
         if found.is_empty() {
             return Ok(());
         }
@@ -102,10 +98,60 @@ impl Meters {
             covariances.extend(found.iter().map(|&(i, j, value)| (first + i, first + j, value)));
             return Ok(());
         }
-        whiten(out.design, out.data, first, &found).map_err(|bad| {
+        whiten(out.design, out.data, line, &found).map_err(|bad| {
             let kind = ReduceErrorKind::NotSemidefinite { left: bad.left, variance: bad.variance };
             Fault::new(Subject::StepNoise, kind).on(row)
         })
+    }
+
+    /// Columns that lines, and which there are of them, depend on, and columns that only constants depend on.
+    pub(crate) fn uses(&self, alpha: &Alpha) -> (Uses, Uses) {
+        let (mut lines, mut constants) = (Uses::default(), Uses::default());
+        for meter in &self.meters {
+            let terms = meter.terms.iter().map(|(_, h)| h);
+            terms.chain(&meter.filter).chain([&meter.noise]).for_each(|c| lines.add(c, alpha));
+            constants.add(&meter.constant, alpha);
+        }
+        (lines, constants)
+    }
+
+    /// True when the measurements of a step whose cells repeat are those of the step before but for their values.
+    pub(crate) fn can_repeat(&self) -> bool {
+        self.pairs.is_empty() // whitening mixes values
+    }
+
+    /// Appends the measured values of a step whose lines are those of the step before, `height` rows earlier. False, and nothing
+    /// is appended, where other values are measured or one is infinite. `fresh`: constants may differ.
+    #[inline]
+    pub(crate) fn repeat(
+        &self,
+        at: &At<'_>,
+        test: &Test,
+        ((first, height), dt): ((usize, usize), f64),
+        fresh: bool,
+        out: &mut Observed<'_>,
+    ) -> Result<bool, Box<Fault>> {
+        let measured = |row: usize, meter: &Meter| {
+            let (z, before) = (test.numbers(row)[meter.column], test.numbers(row - height)[meter.column]);
+            z.is_nan() == before.is_nan() && !z.is_infinite()
+        };
+        if !(first..first + height).all(|row| self.meters.iter().all(|meter| measured(row, meter))) {
+            return Ok(false);
+        }
+        let entries = out.instances.last_step();
+        for (entry, constant) in entries.iter().zip(out.constants.iter_mut()) {
+            let (meter, row) = (&self.meters[entry.meter], first + (entry.row - out.instances.first_row()));
+            let numbers = test.numbers(row);
+            if fresh {
+                let scope = Scope { numbers, texts: test.texts(row), step: dt, alpha: at.alpha };
+                *constant = at.value(&meter.constant, &scope).map_err(|fault| fault.on(row))?;
+            }
+            let z = numbers[meter.column];
+            out.data.values.push(z - *constant);
+            out.data.sizes.push(z.abs() + constant.abs());
+        }
+        out.instances.repeat(height);
+        Ok(true)
     }
 
     /// Covariances (i, j, value) among the instances of a step.
@@ -156,7 +202,9 @@ impl Meters {
 pub(crate) struct Observed<'a> {
     pub(crate) design: &'a mut Design,
     pub(crate) data: &'a mut Data,
-    pub(crate) instances: &'a mut Vec<Instance>,
+    pub(crate) instances: &'a mut Instances,
+    /// d of each scalar measurement of the last step.
+    pub(crate) constants: &'a mut Vec<f64>,
     /// Where covariances go that are not to be whitened away.
     pub(crate) covariances: Option<&'a mut Vec<(usize, usize, f64)>>,
 }
@@ -186,15 +234,16 @@ impl Meter {
             out.design.states.push(*state);
             out.design.h.push(at.value(h, scope)?);
         }
-        out.design.rows.push(out.design.states.len());
+        out.design.ends.push(out.design.states.len());
         out.design.noise.push(noise);
+        out.constants.push(constant);
         out.data.values.push(z - constant);
         out.data.sizes.push(z.abs() + constant.abs());
         Ok(true)
     }
 }
 
-/// Replaces the scalar measurements from `first` on by L⁻¹ times them, where R = LDL' (L unit lower triangular), with noise D.
+/// Replaces the scalar measurements from line `first` on, the last ones of the data, by L⁻¹ times them, where R = LDL' (L unit lower triangular), with noise D.
 /// `covariances`: entries (i, j, value) of R besides its diagonal, counted from `first`.
 pub(crate) fn whiten(
     design: &mut Design,
@@ -202,7 +251,8 @@ pub(crate) fn whiten(
     first: usize,
     covariances: &[(usize, usize, f64)],
 ) -> Result<(), NotSemidefinite> {
-    let (m, n) = (design.rows.len() - first, design.frame.n);
+    let (m, n) = (design.ends.len() - first, design.frame.n);
+    let row = data.values.len() - m;
     let mut l = vec![0.0; m * m];
     for i in 0..m {
         l[i * m + i] = design.noise[first + i];
@@ -228,20 +278,20 @@ pub(crate) fn whiten(
                 h[i * n + state] -= factor * h[k * n + state];
                 present[i * n + state] |= present[k * n + state];
             }
-            data.values[first + i] -= factor * data.values[first + k];
-            data.sizes[first + i] += factor.abs() * data.sizes[first + k];
+            data.values[row + i] -= factor * data.values[row + k];
+            data.sizes[row + i] += factor.abs() * data.sizes[row + k];
         }
     }
-    let start = if first == 0 { 0 } else { design.rows[first - 1] };
+    let start = if first == 0 { 0 } else { design.ends[first - 1] };
     design.states.truncate(start);
     design.h.truncate(start);
-    design.rows.truncate(first);
+    design.ends.truncate(first);
     for i in 0..m {
         for state in (0..n).filter(|state| present[i * n + state]) {
             design.states.push(state as u32);
             design.h.push(h[i * n + state]);
         }
-        design.rows.push(design.states.len());
+        design.ends.push(design.states.len());
         design.noise[first + i] = l[i * m + i];
     }
     Ok(())

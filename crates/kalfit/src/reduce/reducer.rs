@@ -10,10 +10,11 @@ use crate::model::{Alpha, Model};
 use crate::reduce::data::{Miss, outcome};
 use crate::reduce::design::Design;
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
-use crate::reduce::gains::{Gains, GainsWork, schedule};
-use crate::reduce::observe::Instance;
+use crate::reduce::gains::Gains;
+use crate::reduce::instances::{Instance, Instances};
 use crate::reduce::prepare::{Preparer, Workspace};
 use crate::reduce::root::{RootError, root_gains};
+use crate::reduce::schedule::{GainsWork, schedule};
 use crate::reduce::shared::{Entry, Shared};
 use crate::reduce::subject::{Fault, Subject};
 use crate::reduce::{Path, Reduction};
@@ -96,7 +97,7 @@ impl Reducer {
             data: vec![0.0; work.design.frame.p],
             factor: gains.factor.clone(),
             covariates: work.covariates.clone(),
-            steps: work.design.steps.len(),
+            steps: work.design.steps(),
             observations: gains.active,
             path: if gains.turns.is_some() { Path::SquareRoot } else { Path::Information },
             design: digest,
@@ -144,7 +145,7 @@ impl Reducer {
         let gains = class.value().as_ref().map_err(|&error| root_fault(error, &work.instances))?;
         self.data_runs.fetch_add(1, Ordering::Relaxed);
         let outcome = outcome(&work.design, gains, &work.data, &mut work.pass).map_err(|miss| {
-            let Instance { meter, row } = work.instances[miss.row];
+            let Instance { meter, row } = work.instances.get(miss.row);
             Fault::new(Subject::Value(meter), impossible(miss)).on(row)
         })?;
         if !outcome.constant.is_finite() || outcome.data.iter().any(|d| !d.is_finite()) {
@@ -156,7 +157,7 @@ impl Reducer {
             data: outcome.data,
             factor: gains.factor.clone(),
             covariates: work.covariates.clone(),
-            steps: work.design.steps.len(),
+            steps: work.design.steps(),
             observations: gains.active,
             path: if gains.turns.is_some() { Path::SquareRoot } else { Path::Information },
             design: digest,
@@ -187,17 +188,17 @@ impl Reducer {
 
 /// The design pass in plain covariance and information arithmetic; `None` where that would lose too much.
 pub(crate) fn information_gains(design: &Design, work: &mut GainsWork) -> Option<Gains> {
-    schedule(design, work).finish((design.frame.r, design.frame.p), design.rows.len())
+    schedule(design, work).finish((design.frame.r, design.frame.p), design.rows())
 }
 
 pub(crate) fn impossible(miss: Miss) -> ReduceErrorKind {
     ReduceErrorKind::Impossible { residual: miss.residual }
 }
 
-fn root_fault(error: RootError, instances: &[Instance]) -> Box<Fault> {
+fn root_fault(error: RootError, instances: &Instances) -> Box<Fault> {
     match error {
         RootError::Exact { row } => {
-            let Instance { meter, row } = instances[row];
+            let Instance { meter, row } = instances.get(row);
             Fault::new(Subject::Value(meter), ReduceErrorKind::ExactMeasurement).on(row)
         }
         RootError::NotSemidefinite(bad) => {
