@@ -5,10 +5,12 @@ use crate::linalg::real::Real;
 use crate::reduce::design::Design;
 use crate::reduce::gains::{Gains, Settle, Turns};
 use crate::reduce::kernel;
-use crate::reduce::scan::{scan, sums};
+use crate::reduce::scan::scan;
 
 /// e'S⁻¹e beyond which c + ½d'd would lose digits, so that the innovations are taken again from the best ξ.
 const REFINE: f64 = 1e3;
+/// So many equal steps are not worth a scan.
+const FEW: usize = 64;
 /// A measurement that can only be one value may miss it by this part of the size of its terms.
 const ROUNDING: f64 = 1e-10;
 
@@ -80,12 +82,11 @@ fn pass(design: &Design, gains: &Gains, data: &Data, work: &mut DataWork, mut lo
             at += 1;
         }
         let piece = &gains.pieces[at];
-        let whole = look.is_some() || piece.row != stretch.rows.start || stretch.rows.is_empty();
-        let moving = if whole { stretch.count } else { piece.moving().min(stretch.count) };
-        for (number, step) in stretch.steps().enumerate() {
-            if number == moving && scan(design, &stretch, (gains, piece, number), data, work, &mut square) {
-                break;
-            }
+        let scanned = look.is_none() && stretch.count > FEW;
+        if scanned && scan(design, &stretch, (gains, piece), data, work, &mut square) {
+            continue;
+        }
+        for step in stretch.steps() {
             if let Some(transition) = step.transition {
                 kernel::advance(&mut work.x, 1, transition, &mut work.moved);
                 for &state in &design.frame.driven {
@@ -167,24 +168,7 @@ fn least_squares(design: &Design, gains: &Gains, work: &mut DataWork, square: f6
     backward(&gains.factor, &mut best);
     let (mut left, mut correction) = (0.0, vec![0.0; p]);
     for (piece, end) in gains.stretches(work.e.len()) {
-        let kept = end.min(piece.row + piece.moving() * piece.width);
-        for row in piece.row..kept {
-            let (weight, _, T) = gains.of(piece, row);
-            let rest = work.e[row] - T.iter().zip(&best).map(|(T, x)| T * x).sum::<f64>();
-            left += rest * rest * weight;
-            for (sum, T) in correction.iter_mut().zip(T) {
-                *sum += T * rest * weight;
-            }
-        }
-        for line in kept..end.min(kept + piece.width) {
-            let (weight, _, T) = gains.of(piece, line);
-            let predicted = T.iter().zip(&best).map(|(T, x)| T * x).sum::<f64>();
-            let (sum, squares) = residuals(&work.e[line..end], piece.width, predicted);
-            left += squares * weight;
-            for (correction, T) in correction.iter_mut().zip(T) {
-                *correction += T * sum * weight;
-            }
-        }
+        left += gains.weigh((piece, piece.row..end), &work.e[piece.row..end], &best, &mut correction);
     }
     forward(&gains.factor, &mut correction);
     left -= correction.iter().map(|x| x * x).sum::<f64>();
@@ -196,14 +180,6 @@ fn least_squares(design: &Design, gains: &Gains, work: &mut DataWork, square: f6
         at += k + 1;
     }
     (left, correction)
-}
-
-/// (Σ (e - t), Σ (e - t)²) of every `width`-th innovation.
-fn residuals(e: &[f64], width: usize, t: f64) -> (f64, f64) {
-    if width == 1 {
-        return sums(e, t);
-    }
-    e.iter().step_by(width).fold((0.0, 0.0), |(sum, squares), e| (sum + (e - t), squares + (e - t) * (e - t)))
 }
 
 /// d ← R'⁻¹ d, zero for zero rows of R.

@@ -45,6 +45,11 @@ impl Piece {
         Piece { row: 0, width: 1, gain: 0, gain_steps: rows, sensitivity: 0, sensitivity_steps: rows }
     }
 
+    /// Steps from a row on after which S and K do not change any more; steps of one measurement.
+    pub(crate) fn moving_gains(&self, row: usize) -> usize {
+        (self.row + self.gain_steps).saturating_sub(row)
+    }
+
     /// Steps after which nothing changes any more.
     pub(crate) fn moving(&self) -> usize {
         self.gain_steps.max(self.sensitivity_steps)
@@ -92,6 +97,12 @@ impl Gains {
         let stride = 1 + self.r;
         let (weight, K) = self.gains[gain * stride..][..stride].split_first().expect("stride is positive");
         (*weight, K, &self.sensitivities[sensitivity * self.p..][..self.p])
+    }
+
+    /// 1/S, K of so many steps from a row on, all of them kept; steps of one measurement.
+    pub(crate) fn kept(&self, piece: &Piece, row: usize, steps: usize) -> &[f64] {
+        let stride = 1 + self.r;
+        &self.gains[(piece.gain + row - piece.row) * stride..][..steps * stride]
     }
 
     /// Pieces with the end of their rows, of `rows` in all.

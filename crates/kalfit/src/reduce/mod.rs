@@ -33,6 +33,7 @@ mod schedule;
 mod semidefinite;
 mod settling;
 mod shared;
+mod small;
 mod start;
 mod steps;
 mod subject;

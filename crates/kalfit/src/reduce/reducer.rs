@@ -30,6 +30,7 @@ const CLASS_BYTES: usize = 256 << 20;
 pub struct Reducer {
     preparer: Preparer,
     classes: Shared<Design, Result<Gains, RootError>>,
+    unfrozen: bool,
     design_runs: AtomicU64,
     root_runs: AtomicU64,
     data_runs: AtomicU64,
@@ -54,17 +55,26 @@ impl Reducer {
         Ok(Reducer {
             preparer: Preparer::new(model, alpha).map_err(|fault| fault.name(model, None))?,
             classes: Shared::new(CLASS_BYTES),
+            unfrozen: false,
             design_runs: AtomicU64::new(0),
             root_runs: AtomicU64::new(0),
             data_runs: AtomicU64::new(0),
         })
     }
 
+    /// Every step of every record in full, gains that no longer change too: to compare with, in tests and benchmarks.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn unfrozen(mut self) -> Reducer {
+        self.unfrozen = true;
+        self
+    }
+
     /// The reductions of tests, in their order; of several tests in error, the first one's error.
     pub fn reduce(&mut self, tests: &[Test]) -> Result<Vec<Reduction>, ReduceError> {
         let this = &*self;
         let all: Vec<Result<Reduction, ReduceError>> =
-            tests.par_iter().map_init(|| this.preparer.workspace(), |work, test| this.one(test, work)).collect();
+            tests.par_iter().map_init(|| this.workspace(), |work, test| this.one(test, work)).collect();
         all.into_iter().collect()
     }
 
@@ -78,8 +88,7 @@ impl Reducer {
         let one = |work: &mut Workspace, test: &Test| {
             this.designed(test, work).map_err(|fault| fault.name(&this.preparer.model, Some(test)))
         };
-        let all: Vec<Result<Reduction, ReduceError>> =
-            tests.par_iter().map_init(|| this.preparer.workspace(), one).collect();
+        let all: Vec<Result<Reduction, ReduceError>> = tests.par_iter().map_init(|| this.workspace(), one).collect();
         all.into_iter().collect()
     }
 
@@ -115,9 +124,11 @@ impl Reducer {
         }
     }
 
-    /// Work space for [`Reducer::with_gains`].
+    /// Work space for all passes.
     pub(crate) fn workspace(&self) -> Workspace {
-        self.preparer.workspace()
+        let mut work = self.preparer.workspace();
+        work.gains.settling.off = self.unfrozen;
+        work
     }
 
     /// Evaluates a test into the work space, and calls `pass` with the gains of its design: for other passes over the data.

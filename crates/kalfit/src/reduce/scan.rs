@@ -1,9 +1,12 @@
-//! The data pass over equal steps under gains that no longer change: a linear scan.
+//! The data pass over equal steps of one measurement, for few moving states: a linear scan.
 #![expect(non_snake_case, reason = "the letters of the theory: K, h, phi, T")]
+
+use std::ops::Range;
 
 use crate::reduce::data::{Data, DataWork};
 use crate::reduce::design::{Design, Stretch};
 use crate::reduce::gains::{Gains, Piece};
+use crate::reduce::small::moving;
 
 /// Terms that are added up before they join the sum: rounding grows with the number of blocks, not of rows.
 const BLOCK: usize = 512;
@@ -15,19 +18,18 @@ struct Steady<const N: usize> {
     phi: [[f64; N]; N],
     /// What the states that rest add to φx.
     c: [f64; N],
-    K: [f64; N],
     /// φ'h, so that e needs no predicted x.
     g: [f64; N],
     /// h'c and what the states that rest add to z.
     d: f64,
 }
 
-/// Runs the steps of a stretch from number `done` on; appends the innovations of each, and adds to e'S⁻¹e and y. False, and
+/// Runs the steps of a stretch that begins a piece; appends the innovations of each, and adds to e'S⁻¹e and y. False, and
 /// nothing is done, where the steps are not of the kind that it knows.
 pub(crate) fn scan(
     design: &Design,
     stretch: &Stretch<'_>,
-    (gains, piece, done): (&Gains, &Piece, usize),
+    (gains, piece): (&Gains, &Piece),
     data: &Data,
     work: &mut DataWork,
     square: &mut f64,
@@ -35,13 +37,7 @@ pub(crate) fn scan(
     if stretch.lines.len() != 1 || !design.frame.driven.is_empty() {
         return false;
     }
-    let moved = stretch.transition.and_then(|transition| transition.pattern.moved.last());
-    let first = stretch.rows.start + done;
-    let values = &data.values[first..stretch.rows.end];
-    let (weight, K, T) = gains.of(piece, first);
-    let line = (design.terms(stretch.lines.start), K);
-    let start = work.e.len();
-    let run = match design.frame.r.max(moved.map_or(0, |row| row.state as usize + 1)) {
+    let run = match moving(design, stretch) {
         0 => steady::<0>,
         1 => steady::<1>,
         2 => steady::<2>,
@@ -51,33 +47,45 @@ pub(crate) fn scan(
         6 => steady::<6>,
         _ => return false,
     };
-    run(stretch, line, values, work);
-    let (sum, squares) = sums(&work.e[start..], 0.0);
-    *square += squares * weight;
-    for (y, T) in work.y.iter_mut().zip(T) {
-        *y += T * (sum * weight);
+    let start = work.e.len();
+    run(design, stretch, (gains, piece), &data.values[stretch.rows.clone()], work);
+    let mut correction = vec![0.0; design.frame.p];
+    *square += gains.weigh((piece, stretch.rows.clone()), &work.e[start..], &[], &mut correction);
+    for (y, sum) in work.y.iter_mut().zip(&correction) {
+        *y += sum;
     }
     true
 }
 
 fn steady<const N: usize>(
+    design: &Design,
     stretch: &Stretch<'_>,
-    (terms, K): ((&[u32], &[f64]), &[f64]),
+    (gains, piece): (&Gains, &Piece),
     values: &[f64],
     work: &mut DataWork,
 ) {
-    let step = Steady::<N>::new(stretch, terms, K, &work.x);
-    let mut x = [0.0; N];
+    let step = Steady::<N>::new(stretch, design.terms(stretch.lines.start), &work.x);
+    let (mut x, mut K) = ([0.0; N], [0.0; N]);
     x.copy_from_slice(&work.x[..N]);
-    work.e.extend(values.iter().map(|z| step.take(&mut x, *z)));
+    let (first, r) = (stretch.rows.start, design.frame.r);
+    let moving = piece.moving_gains(first).min(values.len());
+    let kept = gains.kept(piece, first, moving);
+    work.e.extend(values[..moving].iter().zip(kept.chunks_exact(1 + r)).map(|(z, gain)| {
+        K[..r].copy_from_slice(&gain[1..]);
+        step.take(&mut x, &K, *z)
+    }));
+    if moving < values.len() {
+        let (_, last, _) = gains.of(piece, first + moving);
+        K[..r].copy_from_slice(last);
+        work.e.extend(values[moving..].iter().map(|z| step.take(&mut x, &K, *z)));
+    }
     work.x[..N].copy_from_slice(&x);
 }
 
 impl<const N: usize> Steady<N> {
-    fn new(stretch: &Stretch<'_>, (states, h): (&[u32], &[f64]), gain: &[f64], x: &[f64]) -> Steady<N> {
-        let mut step = Steady { phi: [[0.0; N]; N], c: [0.0; N], K: [0.0; N], g: [0.0; N], d: 0.0 };
+    fn new(stretch: &Stretch<'_>, (states, h): (&[u32], &[f64]), x: &[f64]) -> Steady<N> {
+        let mut step = Steady { phi: [[0.0; N]; N], c: [0.0; N], g: [0.0; N], d: 0.0 };
         (0..N).for_each(|i| step.phi[i][i] = 1.0);
-        step.K[..gain.len()].copy_from_slice(gain);
         for row in stretch.transition.iter().flat_map(|transition| &transition.pattern.moved) {
             let transition = stretch.transition.expect("it has rows");
             let i = row.state as usize;
@@ -103,7 +111,7 @@ impl<const N: usize> Steady<N> {
 
     /// e; x is updated.
     #[inline(always)]
-    fn take(&self, x: &mut [f64; N], z: f64) -> f64 {
+    fn take(&self, x: &mut [f64; N], K: &[f64; N], z: f64) -> f64 {
         let mut e = z - self.d;
         let mut next = self.c;
         for j in 0..N {
@@ -115,14 +123,55 @@ impl<const N: usize> Steady<N> {
             }
         }
         for i in 0..N {
-            x[i] = next[i] + self.K[i] * e;
+            x[i] = next[i] + K[i] * e;
         }
         e
     }
 }
 
-/// (Σ (e - t), Σ (e - t)²), in blocks.
-pub(crate) fn sums(e: &[f64], t: f64) -> (f64, f64) {
+impl Gains {
+    /// Σ (e - Tξ)²/S over rows of a piece, in blocks; adds Σ T'(e - Tξ)/S to `sum`. Without `xi`, ξ = 0.
+    pub(crate) fn weigh(&self, (piece, rows): (&Piece, Range<usize>), e: &[f64], xi: &[f64], sum: &mut [f64]) -> f64 {
+        let predicted = |T: &[f64]| T.iter().zip(xi).map(|(T, x)| T * x).sum::<f64>();
+        let (mut squares, width) = (0.0, piece.width);
+        let kept = (piece.row + piece.moving() * width).clamp(rows.start, rows.end);
+        let mut part = vec![0.0; sum.len()];
+        for start in (rows.start..kept).step_by(BLOCK) {
+            let block = start..kept.min(start + BLOCK);
+            let mut square = 0.0;
+            part.fill(0.0);
+            for row in block {
+                let (weight, _, T) = self.of(piece, row);
+                let left = e[row - rows.start] - predicted(T);
+                square += left * left * weight;
+                for (part, T) in part.iter_mut().zip(T) {
+                    *part += T * (left * weight);
+                }
+            }
+            squares += square;
+            for (sum, part) in sum.iter_mut().zip(&part) {
+                *sum += part;
+            }
+        }
+        for row in kept..rows.end.min(kept + width) {
+            let (weight, _, T) = self.of(piece, row);
+            let (total, square) = sums(&e[row - rows.start..], width, predicted(T));
+            squares += square * weight;
+            for (sum, T) in sum.iter_mut().zip(T) {
+                *sum += T * (total * weight);
+            }
+        }
+        squares
+    }
+}
+
+/// (Σ (e - t), Σ (e - t)²) of every `width`-th e, in blocks.
+fn sums(e: &[f64], width: usize, t: f64) -> (f64, f64) {
+    if width > 1 {
+        let add = |(sum, squares): (f64, f64), e: &f64| (sum + (e - t), squares + (e - t) * (e - t));
+        let block = |block: &[f64]| block.iter().step_by(width).fold((0.0, 0.0), add);
+        return e.chunks(BLOCK * width).map(block).fold((0.0, 0.0), |(a, b), (c, d)| (a + c, b + d));
+    }
     let (mut sum, mut squares) = (0.0, 0.0);
     for block in e.chunks(BLOCK) {
         let (mut lanes, mut lane_squares) = ([0.0; LANES], [0.0; LANES]);

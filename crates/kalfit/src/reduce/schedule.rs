@@ -9,16 +9,19 @@ use crate::reduce::gains::{Gains, Piece};
 use crate::reduce::kernel;
 use crate::reduce::semidefinite::information_root;
 use crate::reduce::settling::{Frozen, Settling};
+use crate::reduce::small;
 
 /// A scaled pivot of J below this is too ill-conditioned for sums of T'S⁻¹T.
 const LEAST_PIVOT: f64 = 1e-9;
+/// So many equal steps are not worth a kernel of their own.
+const FEW: usize = 64;
 
 /// What a design pass leaves.
 #[derive(Debug, Clone)]
 pub(crate) struct Schedule<R = f64> {
     /// As in [`Gains`].
-    gains: Vec<R>,
-    sensitivities: Vec<R>,
+    pub(crate) gains: Vec<R>,
+    pub(crate) sensitivities: Vec<R>,
     pieces: Vec<Piece>,
     /// J, packed by columns.
     pub(crate) J: Vec<R>,
@@ -76,14 +79,18 @@ impl<R: Real> Schedule<R> {
         let (gain, sensitivity) = (self.gains.len() / (1 + frame.r), self.sensitivities.len() / frame.p.max(1));
         let watched = work.settling.begin(stretch.count);
         let (mut frozen, mut gain_steps, mut done) = (Frozen::Nothing, 0, 0);
+        let small = if stretch.count > FEW { small::steps(design, stretch) } else { None };
         while done < stretch.count && frozen != Frozen::All {
-            if frozen == Frozen::Nothing {
-                self.step(design, stretch, work);
-                gain_steps += 1;
-            } else {
-                self.sensitivities(design, stretch, work);
+            let before = done;
+            done = if watched { work.settling.next_look().min(stretch.count) } else { stretch.count };
+            match (frozen, small) {
+                (Frozen::Nothing, Some(steps)) => steps(design, stretch, done - before, work, self),
+                (Frozen::Nothing, None) => (before..done).for_each(|_| self.step(design, stretch, work)),
+                _ => (before..done).for_each(|_| self.sensitivities(design, stretch, work)),
             }
-            done += 1;
+            if frozen == Frozen::Nothing {
+                gain_steps = done;
+            }
             if watched {
                 frozen = work.settling.look(done, (&work.P, frame.r), &work.Psi, frozen);
             }
@@ -117,11 +124,17 @@ impl<R: Real> Schedule<R> {
             kernel::correct(p, K, T, &mut work.Psi);
             kernel::inform(T, update.weight, &mut self.J);
             *weight = update.weight;
-            self.kept = self.kept.minimum(update.kept);
-            self.least = self.least.minimum(update.S);
-            let (mantissa, exponent) = (self.mantissa * update.S.or_one()).split();
-            (self.mantissa, self.exponent) = (mantissa, self.exponent + exponent);
+            self.count(update.S, update.kept);
         }
+    }
+
+    /// Takes S of a row into account.
+    #[inline(always)]
+    pub(crate) fn count(&mut self, S: R, kept: R) {
+        self.kept = self.kept.minimum(kept);
+        self.least = self.least.minimum(S);
+        let (mantissa, exponent) = (self.mantissa * S.or_one()).split();
+        (self.mantissa, self.exponent) = (mantissa, self.exponent + exponent);
     }
 
     /// A step under the gains of the last one.

@@ -33,8 +33,7 @@ pub(crate) enum Frozen {
 /// Without noise P falls like 1/k, a fifth over any window, and is never frozen.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Settling<R = f64> {
-    /// True in tests that compare.
-    #[cfg(test)]
+    /// Nothing is ever frozen.
     pub(crate) off: bool,
     P: Vec<R>,
     Psi: Vec<R>,
@@ -54,12 +53,13 @@ impl<R: Real> Settling<R> {
 
     /// Begins so many equal steps. False where they are too few to look at.
     pub(crate) fn begin(&mut self, count: usize) -> bool {
-        #[cfg(test)]
-        if self.off {
-            return false;
-        }
         (self.last, self.next) = (0, 1);
-        count > 2 * WINDOW
+        !self.off && count > 2 * WINDOW
+    }
+
+    /// The number of steps to look after.
+    pub(crate) fn next_look(&self) -> usize {
+        self.next
     }
 
     /// Looks, if it is time: after `step` of these steps. Shapes: `P` r × r, row-major, lower triangle.
