@@ -249,13 +249,13 @@ impl<R: Real> Design<R> {
         self.runs.push(Run { transition, lines, count: 1, rows: row + lines - line });
     }
 
-    /// One more step like the last one.
-    pub(crate) fn repeat(&mut self) {
+    /// So many more steps like the last one.
+    pub(crate) fn repeat(&mut self, many: usize) {
         let at = self.runs.len() - 1;
         let before = if at == 0 { 0 } else { self.runs[at - 1].lines };
         let run = &mut self.runs[at];
-        run.count += 1;
-        run.rows += run.lines - before;
+        run.count += many;
+        run.rows += many * (run.lines - before);
     }
 }
 
@@ -269,7 +269,7 @@ impl Design<f64> {
             self.noise.truncate(line);
             self.states.truncate(term);
             self.h.truncate(term);
-            self.repeat();
+            self.repeat(1);
         } else {
             self.push_step(transition);
         }

@@ -65,19 +65,19 @@ impl Instances {
         self.row
     }
 
-    /// The last step once more, `height` rows later.
-    pub(crate) fn repeat(&mut self, height: usize) {
+    /// The last step `many` times more, each `height` rows later.
+    pub(crate) fn repeat(&mut self, many: usize, height: usize) {
         let (width, last) = (self.entries.len() - self.step, self.blocks.len() - 1);
-        if width == 0 {
+        if width == 0 || many == 0 {
             return;
         }
         let block = &mut self.blocks[last];
         if block.entry == self.step {
-            (block.count, block.height) = (block.count + 1, height);
+            (block.count, block.height) = (block.count + many, height);
         } else {
-            self.blocks.push(Block { first: self.len - width, entry: self.step, count: 2, height });
+            self.blocks.push(Block { first: self.len - width, entry: self.step, count: 1 + many, height });
         }
-        self.len += width;
+        self.len += many * width;
     }
 
     /// The scalar measurement with this number.
@@ -118,7 +118,7 @@ mod tests {
             }
             row += 5;
             for _ in 0..repeats {
-                short.repeat(5);
+                short.repeat(1, 5);
                 long.extend((0..meters).map(|meter| Instance { meter, row: row + meter }));
                 row += 5;
             }

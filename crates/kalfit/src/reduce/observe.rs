@@ -150,8 +150,36 @@ impl Meters {
             out.data.values.push(z - *constant);
             out.data.sizes.push(z.abs() + constant.abs());
         }
-        out.instances.repeat(height);
+        out.instances.repeat(1, height);
         Ok(true)
+    }
+
+    /// Takes the values of at most `most` steps of one row like the last step, from row `first` on, of a test with nothing but
+    /// values to read; stops before a row that measures something else. Returns how many.
+    pub(crate) fn repeat_values(&self, test: &Test, first: usize, most: usize, out: &mut Observed<'_>) -> usize {
+        let entries = out.instances.last_step();
+        let mut is_taken = vec![false; self.meters.len()];
+        entries.iter().for_each(|entry| is_taken[entry.meter] = true);
+        let columns: Vec<(usize, bool)> =
+            self.meters.iter().zip(&is_taken).map(|(meter, &taken)| (meter.column, taken)).collect();
+        let taken: Vec<(usize, f64)> =
+            entries.iter().zip(&*out.constants).map(|(e, &d)| (self.meters[e.meter].column, d)).collect();
+        let mut many = 0;
+        while many < most {
+            let numbers = test.numbers(first + many);
+            let alike = |&(column, taken): &(usize, bool)| match numbers[column] {
+                z if taken => z.is_finite(),
+                z => z.is_nan(),
+            };
+            if !columns.iter().all(alike) {
+                break;
+            }
+            out.data.values.extend(taken.iter().map(|&(column, constant)| numbers[column] - constant));
+            out.data.sizes.extend(taken.iter().map(|&(column, constant)| numbers[column].abs() + constant.abs()));
+            many += 1;
+        }
+        out.instances.repeat(many, 1);
+        many
     }
 
     /// Covariances (i, j, value) among the instances of a step.

@@ -40,6 +40,8 @@ pub(crate) struct Preparer {
     shape: Uses,
     /// Columns that only known inputs and constants depend on.
     drive: Uses,
+    /// Nothing is read from the data but measured values and times.
+    plain: bool,
     /// The law of x_0, when no test changes it.
     law: Option<Law>,
     transitions: Shared<Vec<u64>, Result<Moves, Box<Fault>>>,
@@ -99,6 +101,7 @@ impl Preparer {
         dynamics.table.varying.iter().for_each(|(_, coefficient, _)| shape.add(coefficient, alpha));
         dynamics.inputs.varying.iter().for_each(|(_, coefficient, _)| drive.add(coefficient, alpha));
         Ok(Preparer {
+            plain: shape.is_empty() && drive.is_empty() && meters.can_repeat(),
             shape,
             drive,
             model: model.clone(),
@@ -159,8 +162,8 @@ impl Preparer {
         let mut source = 0..0; // rows of the step before
         for at_span in 0..work.spans.len() {
             let span = work.spans[at_span].clone();
-            let mut repeats = 0;
-            for number in 0..span.count {
+            let (mut repeats, mut number) = (0, 0);
+            while number < span.count {
                 let rows = span.step(number);
                 if source.is_empty() || !self.clock_previous() {
                     source = rows.clone();
@@ -174,9 +177,27 @@ impl Preparer {
                     self.step(&at, test, &moment, work)?;
                 }
                 source = rows;
+                number += 1;
+                if self.plain && span.height() == 1 {
+                    number += self.repeat_values(test, span.rows.start + number, span.count - number, work);
+                }
             }
         }
         Ok(())
+    }
+
+    /// Takes as many steps as there are like the last one, of one row each, where only values are read from the data.
+    fn repeat_values(&self, test: &Test, first: usize, most: usize, work: &mut Workspace) -> usize {
+        let Workspace { design, data, instances, covariances, constants, .. } = &mut *work;
+        let mut observed = Observed { design, data, instances, covariances: covariances.as_mut(), constants };
+        let many = self.meters.repeat_values(test, first, most, &mut observed);
+        work.design.repeat(many);
+        let driven = self.order.frame.driven.len();
+        for _ in 0..many * usize::from(driven > 0) {
+            let last = work.data.inputs.len() - driven;
+            work.data.inputs.extend_from_within(last..);
+        }
+        many
     }
 
     fn clock_previous(&self) -> bool {
@@ -215,7 +236,7 @@ impl Preparer {
         let mut observed = Observed { design, data, instances, covariances: covariances.as_mut(), constants };
         let same = self.meters.repeat(at, test, ((moment.rows.start, height), moment.dt), fresh, &mut observed)?;
         if same {
-            work.design.repeat();
+            work.design.repeat(1);
         } else {
             work.data.inputs.truncate(inputs);
         }
