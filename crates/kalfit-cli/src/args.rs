@@ -59,6 +59,18 @@ pub(crate) struct FitArgs {
     #[arg(long, value_name = "FILE")]
     pub(crate) out: Option<PathBuf>,
 
+    /// How free dynamic parameters are sought
+    #[arg(long, value_enum, default_value_t = MethodArg::Hybrid)]
+    pub(crate) method: MethodArg,
+
+    /// Random starts of the search for dynamic parameters, besides the one worked out from the data [default: 0]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub(crate) starts: Option<u32>,
+
+    /// Seed of the random starts [default: 1]
+    #[arg(long, value_name = "N", requires = "starts")]
+    pub(crate) seed: Option<u64>,
+
     /// How the mean and the covariance are sought
     #[arg(long, value_enum, default_value_t = SolverArg::Newton)]
     pub(crate) solver: SolverArg,
@@ -102,8 +114,6 @@ pub(crate) struct FitArgs {
 /// Choices of the contract of which this version has one: they may be spelled out, and anything else is refused.
 #[derive(Debug, Group)]
 pub(crate) struct OnlyArgs {
-    #[arg(long, hide = true, value_parser = only("hybrid"))]
-    method: Option<String>,
     #[arg(long, hide = true, value_parser = only("chain"))]
     phases: Option<String>,
 }
@@ -226,6 +236,18 @@ pub(crate) struct PlanArgs {
     /// Print nothing but errors
     #[arg(long)]
     pub(crate) quiet: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum MethodArg {
+    /// Mean and covariance are solved for each value of the parameters, which an outer search moves
+    Hybrid,
+    /// Maximum likelihood of the innovations, jointly in all that is free
+    Innovations,
+    /// EM on the states and noises: many more steps, to the same point
+    Em,
+    /// All three, side by side; the results are those of `hybrid`
+    All,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]

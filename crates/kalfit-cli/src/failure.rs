@@ -4,7 +4,7 @@ use std::ops::Range;
 use std::path::Path;
 
 use kalfit::estimate::FitError;
-use kalfit::infer::{Element, NotNested};
+use kalfit::infer::{DynamicRatioError, Element, NotNested};
 use kalfit::plan::PlanError;
 use kalfit::reduce::ReduceError;
 use kalfit::simulate::SimulateError;
@@ -37,17 +37,17 @@ pub(crate) enum Failure {
     /// The model does not work on the data.
     #[error("{}", reduce_message(error, reading.as_deref()))]
     Reduce { error: ReduceError, reading: Option<Box<Reading>> },
-    /// Free parameters, which nothing estimates.
-    #[error("{}", free_message(names))]
-    Free { names: Vec<String>, place: Option<Box<Place>> },
     /// The estimator.
     #[error("{0}")]
     Fit(FitError),
     /// A hypothesis that cannot be tested within the model.
     #[error("cannot test this hypothesis: {0}")]
     NotNested(NotNested),
+    /// The same, where dynamic parameters are estimated.
+    #[error("cannot test this hypothesis: {0}")]
+    DynamicRatio(DynamicRatioError),
     /// A hypothesis that does not leave a parameter as the model has it.
-    #[error("parameter `{name}` is not the same in the hypothesis as in the model, which does not estimate it")]
+    #[error("parameter `{name}` is not the same in the hypothesis as in the model, which has it fixed")]
     HypothesisParameter { name: String },
     /// The population to draw from or to plan for.
     #[error("{0}")]
@@ -74,6 +74,9 @@ pub(crate) enum Failure {
     /// Standard errors that a criterion does not have.
     #[error("`--std-errors expected` and `--std-errors sandwich` go with `--criterion ml` only")]
     RestrictedErrors,
+    /// An option of the search for dynamic parameters, none of which is free.
+    #[error("`{option}` has no effect: the model has no free parameters")]
+    NoFreeParameter { option: &'static str },
     /// Threads.
     #[error("cannot start {threads} threads: {reason}")]
     Threads { threads: usize, reason: String },
@@ -126,7 +129,7 @@ impl Failure {
             Failure::Model { error, file } => {
                 Some(Place { source: file.clone()?, span: error.span.clone()?, label: error.label.clone() })
             }
-            Failure::Data { place, .. } | Failure::Free { place, .. } => place.as_deref().cloned(),
+            Failure::Data { place, .. } => place.as_deref().cloned(),
             _ => None,
         }
     }
@@ -137,12 +140,9 @@ impl Failure {
             Failure::Model { error, .. } | Failure::Set { error } => error.hint.clone(),
             Failure::Data { error, .. } => error.hint(),
             Failure::Reduce { error, .. } => error.hint().map(str::to_owned),
-            Failure::Free { names, .. } => {
-                let them = if names.len() == 1 { "it" } else { "them" };
-                Some(format!("fix {them}: `--set {}=VALUE`, or a number in `[parameters]`", names.first()?))
-            }
             Failure::Fit(error) => fit_hint(error).map(str::to_owned),
             Failure::NotNested(error) => Some(nesting_hint(*error).to_owned()),
+            Failure::DynamicRatio(error) => dynamic_ratio_hint(error).map(str::to_owned),
             Failure::HypothesisParameter { .. } => Some("a hypothesis restricts what the model leaves free".to_owned()),
             Failure::Truth(error) => error.hint(),
             Failure::Simulate { error, .. } => error.hint().map(str::to_owned),
@@ -153,17 +153,12 @@ impl Failure {
             Failure::RestrictedErrors => {
                 Some("leave `--std-errors` out: the restricted likelihood has those of its own curvature".to_owned())
             }
+            Failure::NoFreeParameter { .. } => {
+                Some("leave it out, or free a parameter in `[parameters]`: `{}` or `{ start = 1 }`".to_owned())
+            }
             Failure::Threads { .. } => Some("ask for fewer with `--threads`".to_owned()),
         }
     }
-}
-
-fn free_message(names: &[String]) -> String {
-    const MOST: usize = 8;
-    let shown: Vec<String> = names.iter().take(MOST).map(|name| format!("`{name}`")).collect();
-    let more = if names.len() > MOST { format!(" and {} more", names.len() - MOST) } else { String::new() };
-    let (what, are) = if names.len() == 1 { ("parameter", "is") } else { ("parameters", "are") };
-    format!("{what} {}{more} {are} free, and this version does not estimate parameters", shown.join(", "))
 }
 
 /// As [`reduce_message`], for what is drawn.
@@ -252,6 +247,24 @@ fn nesting_hint(error: NotNested) -> &'static str {
         }
         NotNested::Restricted => "compare likelihoods instead",
         NotNested::Different => "give both the same states",
+    }
+}
+
+fn dynamic_ratio_hint(error: &DynamicRatioError) -> Option<&'static str> {
+    use kalfit::infer::NotNestedParameter as Parameter;
+    match error {
+        DynamicRatioError::Structure(error) => Some(nesting_hint(*error)),
+        DynamicRatioError::Parameter(Parameter::Fixed { .. }) => {
+            Some("a hypothesis restricts what the model leaves free")
+        }
+        DynamicRatioError::Parameter(Parameter::Levels { .. }) => {
+            Some("a hypothesis has as many values as the model, or fewer")
+        }
+        DynamicRatioError::Parameter(Parameter::OutOfBounds { .. }) => Some("widen the bounds in the model"),
+        DynamicRatioError::Parameter(Parameter::Bounds { .. }) => Some(
+            "a parameter of the hypothesis replaces the model's whole, so repeat in it the bounds that the model has",
+        ),
+        DynamicRatioError::Fit(error) => fit_hint(error),
     }
 }
 

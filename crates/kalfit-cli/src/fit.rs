@@ -2,11 +2,12 @@
 
 use std::path::Path;
 
+use kalfit::dynamic::Method;
 use kalfit::estimate::{Criterion, Structure};
 use kalfit::infer::StdErrors;
 use kalfit::model::Population;
 use kalfit::record::Provenance;
-use kalfit::{FitRecord, estimate, infer};
+use kalfit::{Alpha, FitRecord, Reduction, estimate, infer};
 use kalfit_data::Input;
 use kalfit_report::summary;
 use kalfit_spec::Spec;
@@ -16,16 +17,20 @@ use crate::innovations::{self, Kept};
 use crate::job::{FitJob, Outcome};
 use crate::output::Output;
 use crate::progress::Line;
-use crate::{model, reductions, terminal};
+use crate::{dynamic, model, reductions, terminal};
 
 pub(crate) fn run(job: &FitJob) -> Result<Outcome, Failure> {
     if job.settings.criterion == Criterion::Reml && job.choices.std_errors != StdErrors::Observed {
         return Err(Failure::RestrictedErrors); // log|ΣB'WB| is no sum over tests
     }
     let spec = model::load(&job.model)?;
+    let free = model::has_free(&spec.model);
+    if !free {
+        refuse_idle(job)?;
+    }
     let inputs = Input::expand(&job.data).map_err(|error| Failure::data(error, &spec))?;
     let output = job.out.as_deref().map(|path| Output::prepare(path, &files(job, &inputs))).transpose()?;
-    let record = fit(job, &spec, &inputs)?;
+    let record = if free { dynamic::fit(job, &spec, &inputs)? } else { fit(job, &spec, &inputs)? };
     if let Some(output) = &output {
         output.write(&record)?;
     }
@@ -38,27 +43,48 @@ pub(crate) fn run(job: &FitJob) -> Result<Outcome, Failure> {
     Ok(if record.converged { Outcome::Done } else { Outcome::NotCertified })
 }
 
-/// The method in one place: reduce, estimate, infer, record.
+/// Options that say how to search for α have no effect when nothing of it is free.
+pub(crate) fn refuse_idle(job: &FitJob) -> Result<(), Failure> {
+    let option = match job.method {
+        Some(Method::Hybrid) => (job.search.starts > 0).then_some("--starts"),
+        _ => Some("--method"),
+    };
+    option.map_or(Ok(()), |option| Err(Failure::NoFreeParameter { option }))
+}
+
+/// The method in one place, with known parameters: reduce, estimate, infer, record.
 fn fit(job: &FitJob, spec: &Spec, inputs: &[Input]) -> Result<FitRecord, Failure> {
     let mut line = Line::new(job.quiet);
-    let model = &spec.model;
-    let alpha = model::alpha(spec)?;
+    let alpha = model::alpha(spec);
     let mut kept = if job.innovations { Kept::of(inputs) } else { Kept::nothing() };
     let reductions = reductions::reduce_keeping(spec, &alpha, inputs, &mut line, &mut kept)?;
+    let (mut record, population) = record(job, spec, inputs, (&alpha, &reductions), &mut line)?;
+    if job.innovations {
+        innovations::add(&mut record, kept, (spec, &alpha, inputs), &population, &mut line);
+        record.solver.seconds = line.seconds();
+    }
+    Ok(record)
+}
+
+/// Estimate, infer, record; the population too.
+pub(crate) fn record(
+    job: &FitJob,
+    spec: &Spec,
+    inputs: &[Input],
+    (alpha, reductions): (&Alpha, &[Reduction]),
+    line: &mut Line,
+) -> Result<(FitRecord, Population), Failure> {
+    let model = &spec.model;
     let estimate =
-        estimate::fit(&reductions, &Structure::of(model, &alpha), &job.settings, &mut line).map_err(Failure::Fit)?;
-    let inference = infer::infer(&estimate, &reductions, job.choices);
+        estimate::fit(reductions, &Structure::of(model, alpha), &job.settings, line).map_err(Failure::Fit)?;
+    let inference = infer::infer(&estimate, reductions, job.choices);
     let provenance = Provenance {
         model_digest: Some(spec.digest.clone()),
         files: inputs.iter().map(Input::name).collect(),
         seconds: line.seconds(),
     };
-    let mut record = FitRecord::new(model, &alpha, &reductions, &estimate, &inference, provenance);
-    if job.innovations {
-        innovations::add(&mut record, kept, (spec, &alpha, inputs), &Population::from(&estimate), &mut line);
-        record.solver.seconds = line.seconds();
-    }
-    Ok(record)
+    let record = FitRecord::new(model, alpha, reductions, &estimate, &inference, provenance);
+    Ok((record, Population::from(&estimate)))
 }
 
 fn files<'a>(job: &'a FitJob, inputs: &'a [Input]) -> Vec<&'a Path> {

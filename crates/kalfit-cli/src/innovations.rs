@@ -8,7 +8,7 @@ use kalfit::innovations::InnovationFilter;
 use kalfit::model::Population;
 use kalfit::record::InnovationRecord;
 use kalfit::reduce::ReduceError;
-use kalfit::{Alpha, FitRecord, Labels, Test};
+use kalfit::{Alpha, FitRecord, Labels, Model, Test};
 use kalfit_data::{DataError, Input, ReadError, Sink};
 use kalfit_spec::Spec;
 use tempfile::SpooledTempFile;
@@ -134,14 +134,33 @@ pub(crate) fn add(
         all(Looking { filter, estimated, found: Vec::new(), failed: None, line }, kept, spec, inputs)
     });
     match found {
-        Ok((found, failed)) => {
-            if let Some(error) = failed {
-                record.notes.push(format!("the innovations of some tests could not be computed: {error}"));
-            }
-            attach(record, found);
-        }
+        Ok((found, failed)) => finish(record, found, failed),
         Err(why) => record.notes.push(format!("innovations were not computed: {why}")),
     }
+}
+
+/// As [`add`], of tests that were all kept.
+pub(crate) fn add_of(
+    record: &mut FitRecord,
+    (model, alpha, initial): (&Model, &Alpha, &Population),
+    tests: &[Test],
+    line: &mut Line,
+) {
+    match InnovationFilter::new(model, alpha, initial) {
+        Ok(filter) => {
+            let mut looking = Looking { filter, estimated: model.dimension(), found: Vec::new(), failed: None, line };
+            tests.chunks(BATCH).for_each(|tests| looking.look(tests));
+            finish(record, looking.found, looking.failed);
+        }
+        Err(error) => record.notes.push(format!("innovations were not computed: {error}")),
+    }
+}
+
+fn finish(record: &mut FitRecord, found: Vec<Found>, failed: Option<ReduceError>) {
+    if let Some(error) = failed {
+        record.notes.push(format!("the innovations of some tests could not be computed: {error}"));
+    }
+    attach(record, found);
 }
 
 /// One test's innovations in figures.

@@ -3,12 +3,13 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+use kalfit::dynamic::{self, Method};
 use kalfit::estimate::{Criterion, Settings, Solver};
 use kalfit::infer::{Bootstrap, Choices, DeletionChoice, IntervalKind, StdErrors};
 
 use crate::args::{
-    Args, CheckArgs, Command, CriterionArg, DeletionArg, FitArgs, InnovationsArg, IntervalsArg, ModelArgs, PlanArgs,
-    SimulateArgs, SolverArg, StdErrorsArg, TestArgs,
+    Args, CheckArgs, Command, CriterionArg, DeletionArg, FitArgs, InnovationsArg, IntervalsArg, MethodArg, ModelArgs,
+    PlanArgs, SimulateArgs, SolverArg, StdErrorsArg, TestArgs,
 };
 use crate::failure::Failure;
 use crate::{check, fit, plan, simulate, test};
@@ -39,6 +40,10 @@ pub(crate) struct FitJob {
     pub(crate) data: Vec<String>,
     pub(crate) out: Option<PathBuf>,
     pub(crate) settings: Settings,
+    /// Of free dynamic parameters.
+    pub(crate) search: dynamic::Settings,
+    /// How they are sought; in every way when none.
+    pub(crate) method: Option<Method>,
     pub(crate) choices: Choices,
     /// Look at the data once more after the fit.
     pub(crate) innovations: bool,
@@ -195,11 +200,24 @@ impl From<FitArgs> for FitJob {
                 DeletionArg::None => DeletionChoice::None,
             },
         };
+        let search = dynamic::Settings {
+            method: Method::Hybrid,
+            inner: settings.clone(),
+            starts: args.starts.unwrap_or(0) as usize,
+            seed: args.seed.unwrap_or(1),
+        };
         FitJob {
             model: args.model.into(),
             data: args.data,
             out: args.out,
             settings,
+            search,
+            method: match args.method {
+                MethodArg::Hybrid => Some(Method::Hybrid),
+                MethodArg::Innovations => Some(Method::Innovations),
+                MethodArg::Em => Some(Method::Em),
+                MethodArg::All => None,
+            },
             choices,
             innovations: args.innovations == InnovationsArg::On,
             quiet: args.quiet,

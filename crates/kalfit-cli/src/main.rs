@@ -3,6 +3,7 @@
 mod args;
 mod check;
 mod diagnostic;
+mod dynamic;
 mod failure;
 mod fit;
 mod innovations;
@@ -11,10 +12,12 @@ mod model;
 mod output;
 mod plan;
 mod progress;
+mod ratio;
 mod reductions;
 mod simulate;
 mod terminal;
 mod test;
+mod tests;
 mod truth;
 
 use std::process::ExitCode;

@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use kalfit::model::ParameterError;
+use kalfit::model::Parameter;
 use kalfit::{Alpha, Model};
 use kalfit_spec::Spec;
 
-use crate::failure::{Failure, Place};
+use crate::failure::Failure;
 use crate::job::ModelJob;
 
 /// Reads the model.
@@ -30,15 +30,12 @@ pub(crate) fn set(spec: &mut Spec, assignments: &[String]) -> Result<(), Failure
         .try_for_each(|assignment| spec.set(assignment).map_err(|error| Failure::Set { error: Box::new(error) }))
 }
 
-/// The values of all parameters, which must be known.
-pub(crate) fn alpha(spec: &Spec) -> Result<Alpha, Failure> {
-    Alpha::fixed(&spec.model.parameters).map_err(|ParameterError::Free { names }| {
-        let span = names.first().and_then(|name| spec.parameter_span(name));
-        Failure::Free { place: Place::in_model(spec, span, "free"), names }
-    })
+/// The values of all parameters of a model without free ones.
+pub(crate) fn alpha(spec: &Spec) -> Alpha {
+    Alpha::fixed(&spec.model.parameters).expect("no parameter is free")
 }
 
-/// Names of the free parameters.
-pub(crate) fn free_parameters(model: &Model) -> Vec<String> {
-    model.parameters.iter().filter(|p| p.is_free()).map(|p| p.name.clone()).collect()
+/// True when some parameter has no value, or may have levels without one.
+pub(crate) fn has_free(model: &Model) -> bool {
+    model.parameters.iter().any(Parameter::is_free)
 }

@@ -1,8 +1,8 @@
 //! Data → reductions: tests are reduced as they are read, and forgotten.
 
 use kalfit::reduce::{ReduceError, Reducer};
-use kalfit::{Alpha, Labels, Reduction, Test};
-use kalfit_data::{Input, ReadError, Sink};
+use kalfit::{Alpha, Labels, Model, Reduction, Test};
+use kalfit_data::{Input, ReadError, Reading, Sink};
 use kalfit_spec::Spec;
 
 use crate::failure::Failure;
@@ -56,4 +56,11 @@ pub(crate) fn reduce_keeping(
         ReadError::Sink { error, reading } => Failure::Reduce { error, reading: Some(reading) },
     })?;
     Ok(sink.reductions)
+}
+
+/// Runs the filters over tests that were kept.
+pub(crate) fn of(model: &Model, alpha: &Alpha, tests: &[Test], reading: &Reading) -> Result<Vec<Reduction>, Failure> {
+    Reducer::new(model, alpha)
+        .and_then(|mut reducer| reducer.reduce(tests))
+        .map_err(|error| Failure::Reduce { error, reading: Some(Box::new(reading.clone())) })
 }

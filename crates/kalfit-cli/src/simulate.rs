@@ -1,20 +1,18 @@
 //! `kalfit simulate`.
 
-use std::convert::Infallible;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use kalfit::simulate::{Designs, Drawn, Simulator};
-use kalfit::{Labels, Test};
-use kalfit_data::{Format, Ids, Input, ReadError, Reading, Sink, StateWriter, TestWriter, WriteError, added_id_column};
+use kalfit_data::{Format, Ids, Input, Reading, StateWriter, TestWriter, WriteError, added_id_column};
 use kalfit_spec::Spec;
 
 use crate::failure::Failure;
 use crate::job::{Outcome, SimulateJob};
 use crate::output::{Output, Pending};
 use crate::progress::Line;
-use crate::{model, terminal, truth};
+use crate::{model, terminal, tests, truth};
 
 /// Tests are drawn this many at a time, or fewer if they have many rows.
 const BATCH_TESTS: u64 = 1024;
@@ -34,7 +32,7 @@ pub(crate) fn run(job: &SimulateJob) -> Result<Outcome, Failure> {
     let refused = |error, reading| Failure::Simulate { error: Box::new(error), reading };
     let simulator = Simulator::new(&spec.model, &truth.alpha, truth.population.clone(), job.seed)
         .map_err(|error| refused(error, None))?;
-    let (tests, reading) = read(&spec, &inputs, &mut line)?;
+    let (tests, reading) = tests::read(&spec, &inputs, &mut line)?;
     let designs = Designs::new(tests).map_err(|error| refused(error, None))?;
     let count = job.tests.unwrap_or(designs.tests().len() as u64);
     let ids = if count > designs.tests().len() as u64 { Ids::New } else { Ids::Same };
@@ -161,31 +159,6 @@ impl<'a> StateTable<'a> {
         let mut sink = self.writer.finish().map_err(|error| failed(error, self.path))?;
         sink.flush().map_err(|error| failed(error.into(), self.path))
     }
-}
-
-/// Reads the tests of the design.
-fn read(spec: &Spec, inputs: &[Input], line: &mut Line) -> Result<(Vec<Test>, Reading), Failure> {
-    struct Keep<'a>(Vec<Test>, &'a mut Line);
-    impl Sink for Keep<'_> {
-        type Error = Infallible;
-
-        fn tests(&mut self, tests: Vec<Test>, _: &Labels) -> Result<(), Infallible> {
-            self.0.extend(tests);
-            let done = self.0.len();
-            self.1.say(|| format!("reading: {done} tests"));
-            Ok(())
-        }
-
-        fn restart(&mut self) {
-            self.0.clear();
-        }
-    }
-    let mut keep = Keep(Vec::new(), line);
-    let reading = kalfit_data::read(&spec.model, &spec.layout, inputs, &mut keep).map_err(|error| match error {
-        ReadError::Data(error) => Failure::data(error, spec),
-        ReadError::Sink { error, .. } => match error {},
-    })?;
-    Ok((keep.0, reading))
 }
 
 fn failed(error: WriteError, path: &Path) -> Failure {

@@ -15,6 +15,7 @@ use crate::failure::Failure;
 use crate::job::{Outcome, TestJob};
 use crate::output::Output;
 use crate::progress::Line;
+use crate::ratio::{self, unstarted, unstarted_sigma};
 use crate::{model, reductions, terminal};
 
 pub(crate) fn run(job: &TestJob) -> Result<Outcome, Failure> {
@@ -22,7 +23,7 @@ pub(crate) fn run(job: &TestJob) -> Result<Outcome, Failure> {
     let hypothesis = hypothesis(&spec, job)?;
     let inputs = Input::expand(&job.data).map_err(|error| Failure::data(error, &spec))?;
     let output = job.out.as_deref().map(|path| Output::prepare(path, &files(job, &inputs))).transpose()?;
-    let record = test(job, &spec, &hypothesis, &inputs)?;
+    let record = read_and_test(job, &spec, &hypothesis, &inputs)?;
     if let Some(output) = &output {
         output.write(&record)?;
     }
@@ -43,21 +44,13 @@ fn hypothesis(spec: &Spec, job: &TestJob) -> Result<Hypothesis, Failure> {
     })
 }
 
-/// The method in one place: reduce once, fit both, compare.
-fn test(job: &TestJob, spec: &Spec, hypothesis: &Hypothesis, inputs: &[Input]) -> Result<RatioRecord, Failure> {
-    let mut line = Line::new(job.quiet);
-    let alpha = model::alpha(spec)?;
-    same_parameters(hypothesis, &alpha)?;
-    let reductions = reductions::reduce(spec, &alpha, inputs, &mut line)?;
-    let bench = Bench { job, model: &spec.model, null: &hypothesis.model, alpha: &alpha, reductions: &reductions };
-    let wide = estimate::fit(&reductions, &Structure::of(&spec.model, &alpha), &job.settings, &mut line)
-        .map_err(Failure::Fit)?;
-    let null = bench.fit(&hypothesis.model.mean, &hypothesis.model.covariance, &mut line)?;
-    let wide = at_least(wide, &null, &reductions).map_err(Failure::Fit)?;
-    let ratio = likelihood_ratio(&null, &wide).map_err(Failure::NotNested)?;
-    let parts = bench.parts(&wide, &mut line)?;
-    line.say(|| "drawing ensembles from the hypothesis".to_owned());
-    let drawn = job.bootstrap.map(|b| (b, bootstrap(&null, &wide, &reductions, ratio.statistic, b)));
+/// Which way it goes: with known parameters tests are forgotten once they are reduced.
+fn read_and_test(
+    job: &TestJob,
+    spec: &Spec,
+    hypothesis: &Hypothesis,
+    inputs: &[Input],
+) -> Result<RatioRecord, Failure> {
     let provenance = RatioProvenance {
         title: spec.model.title.clone(),
         hypothesis: hypothesis.title.clone().unwrap_or_else(|| job.null.display().to_string()),
@@ -65,8 +58,35 @@ fn test(job: &TestJob, spec: &Spec, hypothesis: &Hypothesis, inputs: &[Input]) -
         null_digest: Some(hypothesis.digest.clone()),
         files: inputs.iter().map(Input::name).collect(),
     };
+    if model::has_free(&spec.model) {
+        return ratio::test(job, spec, hypothesis, inputs, provenance);
+    }
+    let mut line = Line::new(job.quiet);
+    let alpha = model::alpha(spec);
+    same_parameters(hypothesis, &alpha)?;
+    let reductions = reductions::reduce(spec, &alpha, inputs, &mut line)?;
+    test(job, (spec, hypothesis), (&alpha, &reductions), provenance, &mut line)
+}
+
+/// The method in one place: fit both, compare.
+pub(crate) fn test(
+    job: &TestJob,
+    (spec, hypothesis): (&Spec, &Hypothesis),
+    (alpha, reductions): (&Alpha, &[Reduction]),
+    provenance: RatioProvenance,
+    line: &mut Line,
+) -> Result<RatioRecord, Failure> {
+    let bench = Bench { job, model: &spec.model, null: &hypothesis.model, alpha, reductions };
+    let wide =
+        estimate::fit(reductions, &Structure::of(&spec.model, alpha), &job.settings, line).map_err(Failure::Fit)?;
+    let null = bench.fit(&hypothesis.model.mean, &hypothesis.model.covariance, line)?;
+    let wide = at_least(wide, &null, reductions).map_err(Failure::Fit)?;
+    let ratio = likelihood_ratio(&null, &wide).map_err(Failure::NotNested)?;
+    let parts = bench.parts(&wide, line)?;
+    line.say(|| "drawing ensembles from the hypothesis".to_owned());
+    let drawn = job.bootstrap.map(|b| (b, bootstrap(&null, &wide, reductions, ratio.statistic, b)));
     let drawn = drawn.as_ref().map(|(b, found)| (*b, found));
-    Ok(RatioRecord::new(&reductions, (&null, &wide), &ratio, drawn, parts, provenance))
+    Ok(RatioRecord::new(reductions, (&null, &wide), &ratio, drawn, parts, provenance))
 }
 
 /// What all fits of a test share.
@@ -109,16 +129,7 @@ impl Bench<'_> {
     }
 }
 
-/// A structure without start values, which constrain nothing.
-fn unstarted(mean: &MeanStructure) -> MeanStructure {
-    MeanStructure { start: vec![None; mean.start.len()], ..mean.clone() }
-}
-
-fn unstarted_sigma(model: &Model) -> CovarianceStructure {
-    CovarianceStructure { start: None, ..model.covariance.clone() }
-}
-
-/// Parameters that neither side estimates must be the same on both.
+/// Parameters of a model without free ones must be the same on both sides.
 fn same_parameters(hypothesis: &Hypothesis, alpha: &Alpha) -> Result<(), Failure> {
     let alone = |parameter: &Parameter| Alpha::fixed(std::slice::from_ref(parameter)).ok();
     let same = |parameter: &Parameter, known: &Level| alone(parameter).is_some_and(|null| null.values[0] == *known);

@@ -3,13 +3,19 @@
 use kalfit::record::{DataRecord, ObservabilityRecord, UnidentifiedRecord, WeakRecord};
 
 use crate::Style;
+use crate::number::plain;
 use crate::page::Page;
 use crate::summary::doubts;
 use crate::summary::{headline, observability};
+use crate::table::{Column, Side, table};
 use crate::words::{clean, count, list, sentence};
 
 /// No more names than this in a sentence.
 const MOST_NAMES: usize = 12;
+/// Rows of the table of free parameters.
+const MOST_PARAMETERS: usize = 40;
+/// Levels that are named.
+const MOST_LEVELS: usize = 6;
 
 /// A model and its data, looked at without a fit.
 #[derive(Debug, Clone, PartialEq)]
@@ -20,8 +26,27 @@ pub struct CheckRecord {
     pub model: Vec<String>,
     /// Estimated states, in the order of μ and Σ.
     pub states: Vec<String>,
+    /// Dynamic parameters some values of which are free, counted in the data.
+    pub parameters: Vec<ParameterCounts>,
     /// How far the check went.
     pub checked: Checked,
+}
+
+/// The values of one dynamic parameter that the data have use for.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ParameterCounts {
+    /// Its name.
+    pub name: String,
+    /// Column whose levels have a value each.
+    pub per: Option<String>,
+    /// Free values.
+    pub free: usize,
+    /// Levels of the data whose value is fixed.
+    pub fixed: usize,
+    /// Start value, if one is given.
+    pub start: Option<f64>,
+    /// Each level with the number of tests that have it; empty for a common parameter.
+    pub levels: Vec<(String, usize)>,
 }
 
 /// How far a check went.
@@ -74,6 +99,7 @@ pub fn check_summary(record: &CheckRecord, style: &Style) -> String {
             let rows = count(usize::try_from(*rows).unwrap_or(usize::MAX), "row");
             let facts = format!("{}, {rows}{}.", count(*tests, "test"), headline::from(files));
             sections.push(page.section("Data", &page.items(&[facts])));
+            sections.push(parameters(record, *tests, &page));
             sections.push(page.section("Identifiability", &page.items(&[not_examined(free)])));
         }
         Checked::Reduced { data, .. } => sections.extend(reduced(record, data, &page)),
@@ -95,9 +121,54 @@ fn reduced(record: &CheckRecord, data: &DataRecord, page: &Page<'_>) -> Vec<Stri
     sentences.extend(held_at_start(at_start_of));
     vec![
         page.section("Data", &page.items(&[facts.trim_start_matches("Data: ").to_owned()])),
+        parameters(record, data.tests, page),
         page.section("Observability", &observability::overview(observability, data.tests, page)),
         page.section("Identifiability", &page.items(&sentences)),
     ]
+}
+
+/// Free parameters, with how many tests each value of them has to be learnt from.
+fn parameters(record: &CheckRecord, tests: usize, page: &Page<'_>) -> String {
+    let rows = &record.parameters[..record.parameters.len().min(MOST_PARAMETERS)];
+    if rows.is_empty() {
+        return String::new();
+    }
+    let column = |of: &dyn Fn(&ParameterCounts) -> String| rows.iter().map(of).collect();
+    let free = |row: &ParameterCounts| match row.fixed {
+        0 => row.free.to_string(),
+        fixed => format!("{}, and {fixed} fixed", row.free),
+    };
+    let start = |row: &ParameterCounts| match (row.free, row.start) {
+        (0, _) => String::new(),
+        (_, Some(start)) => plain(start, 6),
+        (_, None) => "not given".to_owned(),
+    };
+    let columns = [
+        Column::new("parameter", Side::Left, column(&|row| row.name.clone())),
+        Column::new("free values", Side::Left, column(&free)),
+        Column::new("one for each", Side::Left, column(&|row| row.per.clone().unwrap_or_default())),
+        Column::new("tests each", Side::Left, column(&|row| tests_each(row, tests))),
+        Column::new("start", Side::Left, column(&start)),
+    ];
+    let mut remarks: Vec<String> = Vec::new();
+    for row in rows.iter().filter(|row| !row.levels.is_empty()) {
+        let level = |(level, n): &(String, usize)| format!("{} in {}", clean(level), count(*n, "test"));
+        let levels: Vec<String> = row.levels.iter().map(level).collect();
+        remarks.push(format!("Levels of {}: {}.", clean(&row.name), list(&levels, MOST_LEVELS)));
+    }
+    if record.parameters.len() > rows.len() {
+        remarks.push(format!("… and {} more parameters.", record.parameters.len() - rows.len()));
+    }
+    page.section("Free parameters", &(table(&columns, page.width()) + &page.items(&remarks)))
+}
+
+fn tests_each(row: &ParameterCounts, tests: usize) -> String {
+    let counts = || row.levels.iter().map(|(_, n)| *n);
+    match (counts().min(), counts().max()) {
+        (Some(least), Some(most)) if least == most => least.to_string(),
+        (Some(least), Some(most)) => format!("{least} to {most}"),
+        _ => format!("all {tests}"),
+    }
 }
 
 fn not_examined(free: &[String]) -> String {

@@ -1,6 +1,6 @@
 //! A likelihood-ratio test in words and tables.
 
-use kalfit::record::{BootstrapRecord, RatioRecord, SideRecord};
+use kalfit::record::{BootstrapRecord, ParameterRecord, RatioRecord, SideRecord};
 
 use crate::Style;
 use crate::number::{hundredths, plain, probability};
@@ -8,10 +8,14 @@ use crate::page::Page;
 use crate::table::{Column, Side, table};
 use crate::words::{clean, count, sentence};
 
+/// Rows of the table of parameters.
+const MOST_PARAMETERS: usize = 30;
+
 /// The test in words and tables: what is tested, what was found, how far it can be trusted. Every line fits `style.width`.
 pub fn ratio_summary(record: &RatioRecord, style: &Style) -> String {
     let page = Page::new(style);
     let mut sections = vec![headline(record, &page), fits(record, &page), laws(record, &page)];
+    sections.push(parameters(record, &page));
     sections.push(parts(record, &page));
     let notes: Vec<String> = record.notes.iter().map(|note| sentence(&clean(note))).collect();
     sections.push(page.section("Notes", &page.items(&notes)));
@@ -126,6 +130,37 @@ fn drawn(bootstrap: &BootstrapRecord) -> String {
     bootstrap.std_error.map_or_else(|| how.clone(), |error| format!("{how} (± {})", plain(error, 2)))
 }
 
+fn name(p: &ParameterRecord) -> [Option<&str>; 3] {
+    [Some(p.name.as_str()), p.per.as_deref(), p.level.as_deref()]
+}
+
+/// Dynamic parameters on both sides, where some are free.
+fn parameters(record: &RatioRecord, page: &Page<'_>) -> String {
+    let rows = &record.alternative.parameters[..record.alternative.parameters.len().min(MOST_PARAMETERS)];
+    let words = |p: &ParameterRecord| name(p).into_iter().flatten().collect::<Vec<_>>().join(" ");
+    let value = |p: &ParameterRecord| {
+        let fixed = if p.fixed { " fixed" } else { "" };
+        format!("{}{fixed}", plain(p.estimate, 6))
+    };
+    let null = |p: &ParameterRecord| {
+        let of = record.null.parameters.iter().filter(|other| other.name == p.name);
+        let (own, common) =
+            (of.clone().find(|other| name(other) == name(p)), of.clone().find(|other| other.per.is_none()));
+        own.or(common).map_or("-".to_owned(), value)
+    };
+    if rows.is_empty() {
+        return String::new();
+    }
+    let columns = [
+        Column::new("parameter", Side::Left, rows.iter().map(words).collect()),
+        Column::new("hypothesis", Side::Right, rows.iter().map(null).collect()),
+        Column::new("model", Side::Right, rows.iter().map(value).collect()),
+    ];
+    let more = record.alternative.parameters.len() - rows.len();
+    let more = if more > 0 { vec![format!("… and {more} more.")] } else { Vec::new() };
+    page.section("Dynamic parameters", &(table(&columns, page.width()) + &page.items(&more)))
+}
+
 fn parts(record: &RatioRecord, page: &Page<'_>) -> String {
     if record.parts.is_empty() {
         return String::new();
@@ -137,12 +172,18 @@ fn parts(record: &RatioRecord, page: &Page<'_>) -> String {
             (format!("{} alone{}", p.what, if p.converged { "" } else { " (not certified)" }), p.lr, p.df, p.p_value)
         })
         .collect();
-    rows.push(("both".to_owned(), record.lr, record.df, record.p_value));
+    let dynamic = record.parts.iter().any(|p| p.what == "parameters");
+    let (all, heading) = match (dynamic, rows.len()) {
+        (false, _) => ("both", "Mean and covariance apart"),
+        (true, 2) => ("both", "The two parts of the hypothesis apart"),
+        (true, _) => ("all", "The parts of the hypothesis apart"),
+    };
+    rows.push((all.to_owned(), record.lr, record.df, record.p_value));
     let columns = [
         Column::new("hypothesis on", Side::Left, rows.iter().map(|r| r.0.clone()).collect()),
         Column::new("-2 log λ", Side::Right, rows.iter().map(|r| plain(r.1, 5)).collect()),
         Column::new("df", Side::Right, rows.iter().map(|r| r.2.to_string()).collect()),
         Column::new("p-value", Side::Right, rows.iter().map(|r| probability(r.3)).collect()),
     ];
-    page.section("Mean and covariance apart", &table(&columns, page.width()))
+    page.section(heading, &table(&columns, page.width()))
 }

@@ -11,6 +11,7 @@ fn shown(checked: Checked) -> String {
             "measurement `reaction`: column `Reaction` = intercept + Days × slope; noise of variance 654.94103".into(),
         ],
         states: vec!["intercept".into(), "slope".into()],
+        parameters: vec![],
         checked,
     };
     check_summary(&record, &Style::default())

@@ -4,7 +4,14 @@ use kalfit::record::{BootstrapRecord, ComponentRecord, DataRecord, PartRecord, R
 use kalfit_report::{Style, ratio_summary};
 
 fn side(log_likelihood: f64, free_parameters: usize) -> SideRecord {
-    SideRecord { log_likelihood, free_parameters, converged: true, mean: vec![0.0], covariance: vec![vec![1.0]] }
+    SideRecord {
+        log_likelihood,
+        free_parameters,
+        converged: true,
+        mean: vec![0.0],
+        covariance: vec![vec![1.0]],
+        parameters: vec![],
+    }
 }
 
 /// χ²(1) at 1.53.

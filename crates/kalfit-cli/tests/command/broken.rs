@@ -275,9 +275,9 @@ fn wrong_arguments() {
     For more information, try '--help'.
     ");
     assert_snapshot!(refused("fit m.toml d.csv --method em", &[]), @"
-    error: invalid value 'em' for '--method <METHOD>': this version has only `hybrid`
+    error: `--method` has no effect: the model has no free parameters
 
-    For more information, try '--help'.
+    hint: leave it out, or free a parameter in `[parameters]`: `{}` or `{ start = 1 }`
     ");
     assert_snapshot!(refused("fit m.toml d.csv --phases marginal", &[]), @"
     error: invalid value 'marginal' for '--phases <PHASES>': this version has only `chain`

@@ -94,6 +94,25 @@ fn version_and_help() {
           --out <FILE>
               File for all results, as JSON
 
+          --method <METHOD>
+              How free dynamic parameters are sought
+
+              Possible values:
+              - hybrid:      Mean and covariance are solved for each value of the parameters, which an
+                outer search moves
+              - innovations: Maximum likelihood of the innovations, jointly in all that is free
+              - em:          EM on the states and noises: many more steps, to the same point
+              - all:         All three, side by side; the results are those of `hybrid`
+              
+              [default: hybrid]
+
+          --starts <N>
+              Random starts of the search for dynamic parameters, besides the one worked out from the
+              data [default: 0]
+
+          --seed <N>
+              Seed of the random starts [default: 1]
+
           --solver <SOLVER>
               How the mean and the covariance are sought
 
@@ -218,7 +237,7 @@ fn sleep_study_has_the_figures_of_lme4() {
                intercept
       slope  0.08 ± 0.32
 
-    Parameters (± standard error)
+    Dynamic parameters (± standard error)
       parameter  unit    value
       sigma      ms    25.5918 fixed
 
@@ -334,7 +353,7 @@ fn gyro_bench_finds_the_error_model_behind_the_simulated_data() {
       scale           0.49 ± 0.18
       g_sensitivity  -0.14 ± 0.25  -0.62 ± 0.18
 
-    Parameters (± standard error)
+    Dynamic parameters (± standard error)
       parameter    unit   value
       tau          h        0.5 fixed
       sigma_drift  deg/h   0.15 fixed
@@ -437,7 +456,7 @@ fn gyros_with_drift_and_constraints() {
     Correlations
       The states are held uncorrelated.
 
-    Parameters (± standard error)
+    Dynamic parameters (± standard error)
       parameter    for    unit  value
       tau                 s       200 fixed
       sigma_drift                0.05 fixed
@@ -504,7 +523,7 @@ fn two_sensors_in_long_data() {
                    x1
       x2  0.01 ± 0.57
 
-    Parameters (± standard error)
+    Dynamic parameters (± standard error)
       parameter  value
       f            0.9 fixed
       g            0.2 fixed
@@ -797,6 +816,10 @@ fn check_says_what_data_identify() {
       18 tests, 180 steps, 180 observations from sleepstudy.csv; all tests share one
         design.
 
+    Free parameters
+      parameter  free values  tests each  start
+      sigma      1            all 18      20
+
     Observability
       state      seen by  determined by  largest share
       intercept   all 18         all 18  all equal
@@ -944,6 +967,10 @@ fn check_reads_data_for_parameters_without_values() {
 
     Data
       3 tests, 9 rows from d.csv.
+
+    Free parameters
+      parameter  free values  tests each  start
+      sigma      1            all 3       not given
 
     Identifiability
       Not examined: sigma is free and it has no start value; give one, as by `--set

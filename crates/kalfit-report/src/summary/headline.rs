@@ -36,7 +36,8 @@ fn verdict(record: &FitRecord) -> String {
     }
     let what = if record.criterion == "reml" { "restricted maximum-likelihood" } else { "maximum-likelihood" };
     let edge = record.phases.iter().any(|p| !p.boundary.is_empty());
-    let blind = record.phases.iter().any(|p| !p.unidentified.is_empty());
+    let blind = record.phases.iter().any(|p| !p.unidentified.is_empty())
+        || record.parameters.iter().any(|p| p.standing.as_deref() == Some("unidentified"));
     let where_ = match (edge, blind) {
         (false, false) => "",
         (true, false) => " on the boundary of the possible covariances",

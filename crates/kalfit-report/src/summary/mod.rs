@@ -28,6 +28,7 @@ pub fn summary(record: &FitRecord, style: &Style) -> String {
         sections.extend(phase_sections(record, phase, &page));
     }
     sections.push(parameters::section(record, &page));
+    sections.push(parameters::methods(record, &page));
     sections.push(constraints::section(record, &page));
     sections.push(outliers::section(record, &page));
     sections.push(influence::section(record, &page));
@@ -58,8 +59,12 @@ fn notes(record: &FitRecord, page: &Page<'_>) -> String {
 
 fn work(record: &FitRecord, page: &Page<'_>) -> String {
     let solver = &record.solver;
+    let (method, backward) = match solver.score_passes {
+        0 => ("Solver ".to_owned(), String::new()),
+        n => (format!("Method {}, solver ", clean(&solver.method)), format!(", {}", count(n, "backward run"))),
+    };
     page.paragraph(&format!(
-        "Solver {}, {} over the reductions, {}, {}.",
+        "{method}{}, {} over the reductions, {}{backward}, {}.",
         clean(&solver.solver),
         count(solver.iterations, "pass"),
         count(solver.filter_passes, "filter run"),

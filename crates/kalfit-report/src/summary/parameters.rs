@@ -3,41 +3,92 @@
 use kalfit::FitRecord;
 use kalfit::record::ParameterRecord;
 
-use super::states::{Cells, cells};
-use crate::number::Precision;
+use super::states::{Cells, cells, std_error};
+use crate::number::{DIGITS, Precision, plain};
 use crate::page::Page;
 use crate::table::{Column, Side, table};
+use crate::words::{clean, count};
 
-/// A parameter with a value per test can have thousands of rows.
-const MOST_ROWS: usize = 30;
+/// Rows of the table; a model can have very many parameters.
+const MOST_ROWS: usize = 40;
+/// A parameter with more levels than this shows the first ones and the extremes.
+const MOST_LEVELS: usize = 12;
+const FIRST_LEVELS: usize = 6;
 
 pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     if record.parameters.is_empty() {
         return String::new();
     }
-    let rows = &record.parameters[..record.parameters.len().min(MOST_ROWS)];
-    let (values, errors): (Vec<_>, Vec<_>) = rows.iter().map(value).unzip();
+    let mut rows: Vec<&ParameterRecord> = Vec::new();
+    let mut remarks = Vec::new();
+    for of_one in record.parameters.chunk_by(|a, b| a.name == b.name) {
+        if of_one.len() <= MOST_LEVELS {
+            rows.extend(of_one);
+        } else {
+            let chosen = first_and_extremes(of_one);
+            remarks.push(others(of_one, chosen.len()));
+            rows.extend(chosen);
+        }
+    }
+    if rows.len() > MOST_ROWS {
+        remarks.push(format!("… and {} more rows; all are in the results file.", rows.len() - MOST_ROWS));
+        rows.truncate(MOST_ROWS);
+    }
+    let (values, errors): (Vec<_>, Vec<_>) = rows.iter().map(|row| value(row)).unzip();
     let columns = [
         Column::new("parameter", Side::Left, rows.iter().map(|r| r.name.clone()).collect()),
-        Column::new("for", Side::Left, rows.iter().map(level).collect()),
+        Column::new("for", Side::Left, rows.iter().map(|r| level(r)).collect()),
         Column::new("unit", Side::Left, rows.iter().map(|r| r.unit.clone().unwrap_or_default()).collect()),
         Column::new("value", Side::Right, values),
         Column::new("", Side::Left, errors),
-        Column::new("95 % interval", Side::Left, rows.iter().map(interval).collect()),
+        Column::new("95 % interval", Side::Left, rows.iter().map(|r| interval(r)).collect()),
     ];
-    let mut body = table(&columns, page.width());
-    if record.parameters.len() > rows.len() {
-        body += &page.items(&[format!("… and {} more.", record.parameters.len() - rows.len())]);
+    let body = table(&columns, page.width()) + &page.items(&remarks);
+    page.section(&format!("Dynamic parameters (± {})", std_error(&record.std_errors)), &body)
+}
+
+/// The first levels, then the smallest and the largest value.
+fn first_and_extremes(levels: &[ParameterRecord]) -> Vec<&ParameterRecord> {
+    let order = |a: &&ParameterRecord, b: &&ParameterRecord| a.estimate.total_cmp(&b.estimate);
+    let extremes = [levels.iter().min_by(order), levels.iter().max_by(order)];
+    let mut chosen: Vec<&ParameterRecord> = levels[..FIRST_LEVELS].iter().collect();
+    for extreme in extremes.into_iter().flatten() {
+        if !chosen.iter().any(|shown| std::ptr::eq(*shown, extreme)) {
+            chosen.push(extreme);
+        }
     }
-    page.section("Parameters (± standard error)", &body)
+    chosen
+}
+
+fn others(levels: &[ParameterRecord], shown: usize) -> String {
+    let mut values: Vec<f64> = levels.iter().map(|level| level.estimate).collect();
+    values.sort_by(f64::total_cmp);
+    let fixed = levels.iter().filter(|level| level.fixed).count();
+    let fixed = if fixed > 0 { format!(", {fixed} of them fixed") } else { String::new() };
+    format!(
+        "{} has {}{fixed}: shown are the first {FIRST_LEVELS}, the smallest and the largest; {} more are in the results \
+         file. Their median is {}.",
+        clean(&levels[0].name),
+        count(levels.len(), "level"),
+        levels.len() - shown,
+        plain(values[values.len() / 2], DIGITS)
+    )
 }
 
 fn value(row: &ParameterRecord) -> Cells {
-    let (value, error) = cells(row.estimate, row.std_error, row.fixed, &|| None);
-    match (row.at_bound && !row.fixed, row.std_error) {
-        (true, None) => (value, "at its bound".to_owned()),
-        (true, Some(_)) => (value, format!("{error}, at its bound")),
-        (false, _) => (value, error),
+    let why = match row.standing.as_deref() {
+        Some("lower") if row.estimate == 0.0 => "at zero",
+        Some("lower") => "at its lower bound",
+        Some("upper") => "at its upper bound",
+        Some("unbounded") => "no upper limit found",
+        Some("unidentified") => "not identified",
+        _ if row.at_bound => "at its bound",
+        _ => return cells(row.estimate, row.std_error, row.fixed, &|| None),
+    };
+    let (value, error) = cells(row.estimate, row.std_error, row.fixed, &|| Some(why));
+    match row.std_error {
+        Some(_) if !row.fixed => (value, format!("{error}, {why}")),
+        _ => (value, error),
     }
 }
 
@@ -50,7 +101,50 @@ fn level(row: &ParameterRecord) -> String {
 }
 
 fn interval(row: &ParameterRecord) -> String {
-    let Some([low, high]) = row.interval95.filter(|_| !row.fixed) else { return String::new() };
-    let precision = Precision::of(row.estimate, row.std_error);
-    format!("{} to {}", precision.show(low), precision.show(high))
+    let Some(ends) = row.interval95.filter(|_| !row.fixed) else { return String::new() };
+    let width = ends.iter().flatten().map(|end| (end - row.estimate).abs()).fold(0.0, f64::max);
+    let precision = Precision::of(row.estimate, row.std_error.or(Some(0.5 * width).filter(|w| *w > 0.0)));
+    match ends {
+        [Some(low), Some(high)] => format!("{} to {}", precision.show(low), precision.show(high)),
+        [Some(low), None] => format!("from {}", precision.show(low)),
+        [None, Some(high)] => format!("to {}", precision.show(high)),
+        [None, None] => String::new(),
+    }
+}
+
+/// Several methods side by side.
+pub(super) fn methods(record: &FitRecord, page: &Page<'_>) -> String {
+    let methods = &record.methods;
+    if methods.is_empty() {
+        return String::new();
+    }
+    let column = |of: &dyn Fn(&kalfit::record::MethodRecord) -> String| methods.iter().map(of).collect();
+    let work = [
+        Column::new("method", Side::Left, column(&|m| m.method.clone())),
+        Column::new("log-likelihood", Side::Right, column(&|m| Precision::Decimals(6).show(m.log_likelihood))),
+        Column::new("certified", Side::Left, column(&|m| if m.converged { "yes" } else { "no" }.to_owned())),
+        Column::new("passes", Side::Right, column(&|m| m.iterations.to_string())),
+        Column::new("filter runs", Side::Right, column(&|m| m.filter_passes.to_string())),
+        Column::new("backward", Side::Right, column(&|m| m.score_passes.to_string())),
+        Column::new("time", Side::Right, column(&|m| crate::number::seconds(m.seconds))),
+    ];
+    let free: Vec<&ParameterRecord> = record.parameters.iter().filter(|p| !p.fixed).collect();
+    let shown = free.len().min(MOST_LEVELS);
+    let name = |p: &ParameterRecord| format!("{} {}", p.name, level(p)).trim_end().to_owned();
+    let mut columns = vec![Column::new("parameter", Side::Left, free[..shown].iter().map(|p| name(p)).collect())];
+    for method in methods {
+        let cell = |i: usize| method.values.get(i).map_or(String::new(), |x| plain(*x, 7));
+        columns.push(Column::new(&method.method, Side::Right, (0..shown).map(cell).collect()));
+    }
+    let mut body = table(&work, page.width()) + "\n" + &table(&columns, page.width());
+    let mut remarks: Vec<String> = methods
+        .iter()
+        .filter(|m| !m.converged)
+        .map(|m| format!("{} is not certified: {}.", clean(&m.method), clean(&m.reason)))
+        .collect();
+    if free.len() > shown {
+        remarks.push(format!("… and {} more free values.", free.len() - shown));
+    }
+    body += &page.items(&remarks);
+    page.section("Methods side by side", &body)
 }

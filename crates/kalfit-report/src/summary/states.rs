@@ -12,7 +12,7 @@ use crate::words::clean;
 pub(super) type Cells = (String, String);
 
 /// The standard error by its name, where it is not the usual one.
-fn std_error(kind: &str) -> String {
+pub(super) fn std_error(kind: &str) -> String {
     match kind {
         "expected" | "sandwich" => format!("{kind} standard error"),
         _ => "standard error".to_owned(),

@@ -70,11 +70,14 @@ pub(crate) fn record(title: &str, phases: Vec<PhaseRecord>) -> FitRecord {
             phases: "chain".into(),
             iterations: 9,
             filter_passes: 1,
+            score_passes: 0,
             trace: vec![-900.0, -875.96967],
             seconds: 0.012,
         },
         phases,
         parameters: vec![],
+        starts: vec![],
+        methods: vec![],
         constraints: vec![],
         tests: tests(&[0.4, 0.7, 0.021, 0.9]),
         notes: vec![],
@@ -118,6 +121,8 @@ pub(crate) fn sleepstudy() -> FitRecord {
         fixed: false,
         at_bound: false,
         unit: Some("ms".into()),
+        standing: None,
+        note: None,
     });
     record
 }
@@ -208,10 +213,12 @@ pub(crate) fn constrained() -> FitRecord {
         level: Some(level.into()),
         estimate,
         std_error: (!fixed).then_some(0.0123),
-        interval95: (!fixed).then_some([estimate - 0.024, estimate + 0.024]),
+        interval95: (!fixed).then_some([Some(estimate - 0.024), Some(estimate + 0.024)]),
         fixed,
         at_bound: false,
         unit: None,
+        standing: None,
+        note: None,
     };
     record.parameters = vec![level("A", 0.7, true), level("B", 0.123456, false)];
     record.parameters.push(ParameterRecord {
@@ -222,6 +229,8 @@ pub(crate) fn constrained() -> FitRecord {
         interval95: None,
         at_bound: true,
         unit: Some("s".into()),
+        standing: None,
+        note: None,
         ..level("", 1.0, false)
     });
     record.tests = tests(&[0.4, 1e-12, 0.0004, 0.9]);

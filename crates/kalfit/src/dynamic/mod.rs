@@ -1,7 +1,14 @@
 //! Dynamic parameters α (time constants, noise levels, coefficients) together with μ and Σ: ℓ(α) = maximum over (μ, Σ) of the
 //! reductions at α, and the filters run again only when α moves (the paper's section 2.4, theory §6).
 
+mod bench;
+mod coordinates;
+mod joint;
+mod matrices;
+mod search;
 mod settings;
+mod start;
+mod worth;
 
 use crate::ensemble::{Labels, Test};
 use crate::estimate::{Estimate, FitError, Progress, Stop};
@@ -10,6 +17,8 @@ use crate::model::{Alpha, Model};
 use crate::reduce::{ReduceError, Reduction};
 use crate::score::Slots;
 
+pub(crate) use bench::Bench;
+pub(crate) use coordinates::Coordinate;
 pub use settings::{Method, Settings};
 
 /// Why there is no fit.
@@ -52,6 +61,10 @@ pub struct DynamicFit {
     pub passes: usize,
     /// Where other starts ended, best first.
     pub others: Vec<OtherEnd>,
+    /// Observed information of (α, μ, Σ).
+    pub(crate) joint: joint::Joint,
+    /// Where each free value lies.
+    pub(crate) standing: Vec<Standing>,
 }
 
 /// Where another start ended.
@@ -99,8 +112,42 @@ pub fn fit(
     settings: &Settings,
     progress: &mut dyn Progress,
 ) -> Result<DynamicFit, DynamicError> {
-    let _ = (model, labels, tests, settings, progress);
-    todo!("the lead writes this")
+    let slots = Slots::new(model, labels, tests);
+    let bench = Bench::new(model, tests, &slots, settings);
+    let mut ends = Vec::new();
+    let mut first_error = None;
+    for start in start::starts(&bench)? {
+        match search::search(&bench, &start, None, progress) {
+            Ok(end) => ends.push(end),
+            Err(error) => first_error = first_error.or(Some(error)),
+        }
+    }
+    // the best certified one; of equals the first
+    ends.sort_by(|a, b| b.home.value().total_cmp(&a.home.value()));
+    let mut ends = ends.into_iter();
+    let Some(best) = ends.next() else {
+        return Err(first_error.unwrap_or(DynamicError::Fit(FitError::NoTests)));
+    };
+    let others = ends.map(|end| OtherEnd { log_likelihood: end.home.value(), values: end.home.values, stop: end.stop });
+    let others = others.collect();
+    let (filter_passes, score_passes, passes) = (bench.filter_passes(), bench.score_passes(), bench.passes());
+    Ok(DynamicFit {
+        alpha: best.home.alpha,
+        values: best.home.values,
+        reductions: best.home.reductions,
+        estimate: best.home.estimate,
+        certificate: best.certificate,
+        stop: best.stop,
+        method: settings.method,
+        trace: best.trace,
+        filter_passes,
+        score_passes,
+        passes,
+        others,
+        joint: best.joint,
+        standing: best.standing,
+        slots,
+    })
 }
 
 /// What each number is worth: of μ and Σ with the uncertainty of α in it, and of each free value of α.
@@ -110,6 +157,10 @@ pub fn infer(
     fit: &DynamicFit,
     choices: Choices,
 ) -> Result<(Inference, Vec<ParameterInference>), DynamicError> {
-    let _ = (model, tests, fit, choices);
-    todo!("the lead writes this")
+    let _ = (model, tests);
+    let covariances = fit.joint.covariances();
+    let mut estimate = fit.estimate.clone();
+    estimate.state.joint = Some(covariances.inner.clone());
+    let inference = crate::infer::infer(&estimate, &fit.reductions, choices);
+    Ok((inference, worth::parameters(model, fit, &covariances)))
 }

@@ -43,6 +43,13 @@ impl Test {
         self.rows += 1;
     }
 
+    /// The first rows, at most as many as there are.
+    pub(crate) fn first(&self, rows: usize) -> Test {
+        let mut test = Test::new(self.id.clone(), self.columns, self.text_columns);
+        (0..rows.min(self.rows())).for_each(|row| test.push(self.numbers(row), self.texts(row), self.source(row)));
+        test
+    }
+
     /// Number of rows.
     pub fn rows(&self) -> usize {
         self.rows

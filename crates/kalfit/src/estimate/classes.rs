@@ -70,9 +70,17 @@ impl Frame {
 impl Classes {
     /// Gathers reductions of dimension p with `regressors` covariates each.
     pub(crate) fn new(reductions: &[Reduction], p: usize, regressors: usize) -> Classes {
-        let mut order: Vec<usize> = (0..reductions.len()).collect();
-        order.sort_by(|&a, &b| canonical(&reductions[a], &reductions[b]));
-        let frame = frame(reductions, &order, p, regressors);
+        let order = ordered(reductions);
+        Classes::gathered(reductions, &order, frame(reductions, &order, p, regressors))
+    }
+
+    /// The same in coordinates that are given.
+    pub(crate) fn within(reductions: &[Reduction], frame: Frame) -> Classes {
+        Classes::gathered(reductions, &ordered(reductions), frame)
+    }
+
+    fn gathered(reductions: &[Reduction], order: &[usize], frame: Frame) -> Classes {
+        let p = frame.scale.len();
         let mut classes: Vec<Class> = Vec::new();
         let mut start = 0;
         while start < order.len() {
@@ -113,6 +121,12 @@ impl Classes {
     pub(crate) fn dimension(&self) -> usize {
         self.frame.scale.len()
     }
+}
+
+fn ordered(reductions: &[Reduction]) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..reductions.len()).collect();
+    order.sort_by(|&a, &b| canonical(&reductions[a], &reductions[b]));
+    order
 }
 
 /// Order by R, covariates, then id: a total order that gathers classes and does not see the order of the tests.

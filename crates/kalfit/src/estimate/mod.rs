@@ -7,6 +7,7 @@ mod certificate;
 mod classes;
 mod climb;
 mod covariance;
+mod elsewhere;
 mod em;
 mod exact;
 mod expected;
@@ -36,6 +37,7 @@ pub use settings::{Criterion, Progress, Settings, Silent, Solver, Step};
 pub(crate) use classes::{Class, unpack};
 pub(crate) use climb::{Limits, climb};
 pub(crate) use covariance::{Constraint, CovarianceMap, Form};
+pub(crate) use elsewhere::{Elsewhere, InitialLaw};
 pub(crate) use expected::{ExpectedError, at_population};
 pub(crate) use local::{Local, Objective, Tangent, harmonic, natural_sizes, packed_score};
 pub(crate) use newton::{Place, retract};
@@ -164,6 +166,8 @@ pub(crate) struct State {
     pub(crate) covariance: CovarianceStructure,
     pub(crate) alpha: Alpha,
     pub(crate) settings: Settings,
+    /// Covariance along the tangent basis, where it is known with the uncertainty of dynamic parameters in it.
+    pub(crate) joint: Option<DMatrix<f64>>,
 }
 
 impl State {
@@ -231,5 +235,5 @@ fn problem(reductions: &[Reduction], structure: &Structure<'_>, criterion: Crite
     if let Some(twice) = ids.windows(2).find(|pair| pair[0] == pair[1]) {
         return Err(FitError::DuplicateTest { id: twice[0].to_owned() });
     }
-    Problem::new(reductions, structure, criterion)
+    Ok(Problem::new(reductions, structure, criterion)?)
 }

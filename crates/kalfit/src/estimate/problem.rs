@@ -11,9 +11,9 @@ use crate::estimate::mean::MeanMap;
 use crate::estimate::pass::{FlatMean, Order, Sums, pass};
 use crate::estimate::reml::Restriction;
 use crate::estimate::terms::Point;
-use crate::estimate::{Criterion, FitError, Structure};
+use crate::estimate::{Criterion, Structure};
 use crate::linalg::symmetric;
-use crate::model::Population;
+use crate::model::{Population, StructureError};
 use crate::reduce::Reduction;
 
 /// What is maximised: ℓ(μ, Σ) of the reductions under a structure, with what the restricted likelihood adds to it.
@@ -32,9 +32,17 @@ impl Problem {
         reductions: &[Reduction],
         structure: &Structure<'_>,
         criterion: Criterion,
-    ) -> Result<Problem, FitError> {
+    ) -> Result<Problem, StructureError> {
         let p = structure.mean.elements.len();
-        let classes = Classes::new(reductions, p, structure.mean.regression.len());
+        Problem::of(Classes::new(reductions, p, structure.mean.regression.len()), structure, criterion)
+    }
+
+    /// The problem of these classes.
+    pub(crate) fn of(
+        classes: Classes,
+        structure: &Structure<'_>,
+        criterion: Criterion,
+    ) -> Result<Problem, StructureError> {
         let mean = MeanMap::new(structure.mean, &classes.frame);
         let covariance = CovarianceMap::new(structure.covariance, structure.alpha, &classes.frame)?;
         let mean_jacobian = mean.jacobian();

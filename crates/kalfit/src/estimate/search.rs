@@ -233,7 +233,8 @@ impl<'a> Search<'a> {
         let mean = structure.mean.clone();
         let (covariance, alpha) = (structure.covariance.clone(), structure.alpha.clone());
         let settings = self.settings.clone();
-        let state = State { place, sums, problem: Arc::new(self.problem), mean, covariance, alpha, settings };
+        let state =
+            State { place, sums, problem: Arc::new(self.problem), mean, covariance, alpha, settings, joint: None };
         Ok(Estimate { passes, ..leave(state, certificate, stop, self.trace, self.settings.solver) })
     }
 

@@ -206,7 +206,10 @@ impl<'a> Law<'a> {
         });
         let jacobian = jacobian * &tangent.basis;
         let coordinates = match kind {
-            StdErrors::Observed => inverse(&tangent.information),
+            StdErrors::Observed => match &state.joint {
+                Some(joint) => joint.clone(),
+                None => inverse(&tangent.information),
+            },
             StdErrors::Expected => inverse(&(jacobian.transpose() * expected(state, m, s) * &jacobian)),
             StdErrors::Sandwich => {
                 let bread = inverse(&tangent.information);

@@ -21,8 +21,9 @@ pub use interval::{Interval, IntervalKind, Intervals, profile, wald};
 pub use observability::{Leading, MOST_TESTS, Observability, Shortage, StateObservability, WEAK, WeakDirection};
 pub use posterior::{Distance, Posterior, posteriors};
 pub use ratio::{
-    Bootstrap, BootstrapResult, Component, LikelihoodRatio, NotNested, ReferenceLaw, at_least, bootstrap, fit_null,
-    likelihood_ratio,
+    Bootstrap, BootstrapResult, Component, DynamicRatioError, LikelihoodRatio, NotNested, NotNestedParameter,
+    ReferenceLaw, Restricted, at_least, bootstrap, dynamic_bootstrap, dynamic_ratio, fit_null, likelihood_ratio,
+    restricted, started,
 };
 pub use reason::{Explanation, Reason};
 

@@ -3,6 +3,10 @@
 //! φ = exp(Fδ), Γ = ∫₀^δ exp(Fs) ds, Q = ∫₀^δ exp(Fs) Q_c exp(F's) ds. A small step is summed by Taylor, then doubled:
 //! Q ← Q + φQφ', Γ ← Γ + φΓ, φ ← φ². No exp(+δ/τ) is ever formed, so steps far longer than the time constants are exact.
 
+mod backward;
+
+pub(crate) use backward::{flow_adjoint, stationary_adjoint};
+
 /// φ, Γ, Q of one step; each m × m, row-major.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Flow {
@@ -47,18 +51,23 @@ pub fn scalar_flow(f: f64, q: f64, step: f64) -> [f64; 3] {
 }
 
 fn general(f: &[f64], q: &[f64], m: usize, step: f64) -> Result<Flow, FlowError> {
+    let (doublings, small) = scaling(f, m, step)?;
+    let mut doubling = Doubling::start(f, q, m, small);
+    for _ in 0..doublings {
+        doubling.double();
+    }
+    Ok(doubling.finish())
+}
+
+/// How often to double which small step.
+fn scaling(f: &[f64], m: usize, step: f64) -> Result<(i32, f64), FlowError> {
     let reach = norm(f, m) * step;
     if !reach.is_finite() {
         return Err(FlowError::NotFinite);
     }
     let doublings = if reach > 0.5 { (2.0 * reach).log2().ceil() as i32 } else { 0 };
     // At most about 1026, since `reach` is finite; two factors, since 2^1026 alone is not.
-    let small = step * 0.5f64.powi(doublings / 2) * 0.5f64.powi(doublings - doublings / 2);
-    let mut doubling = Doubling::start(f, q, m, small);
-    for _ in 0..doublings {
-        doubling.double();
-    }
-    Ok(doubling.finish())
+    Ok((doublings, step * 0.5f64.powi(doublings / 2) * 0.5f64.powi(doublings - doublings / 2)))
 }
 
 /// The law that dx = Fx dt + noise settles in: FP + PF' + Q = 0. An error unless F is stable.
@@ -113,6 +122,11 @@ struct Doubling {
 impl Doubling {
     /// Taylor sums for a step with ‖F‖ × step ≤ ½: 18 terms leave 1e-21 of the norm, and m more reach the far corner of a chain.
     fn start(f: &[f64], q: &[f64], m: usize, step: f64) -> Doubling {
+        Doubling::start_seen(f, q, m, step, |_, _| {})
+    }
+
+    /// As [`Doubling::start`]; `see` is shown both terms before each order.
+    fn start_seen(f: &[f64], q: &[f64], m: usize, step: f64, mut see: impl FnMut(&[f64], &[f64])) -> Doubling {
         let transpose: Vec<f64> = (0..m * m).map(|ij| f[(ij % m) * m + ij / m]).collect();
         let fs: Vec<f64> = f.iter().map(|x| x * step).collect();
         let ts: Vec<f64> = transpose.iter().map(|x| x * step).collect();
@@ -120,14 +134,20 @@ impl Doubling {
         let mut noise: Vec<f64> = q.iter().map(|x| x * step).collect(); // h^{k+1} L_k / (k+1)!, L_{k+1} = F L_k + L_k F'
         let (mut excess, mut total) = (vec![0.0; m * m], noise.clone());
         let mut gamma: Vec<f64> = identity(m).iter().map(|x| x * step).collect();
+        let (mut left, mut right) = (vec![0.0; m * m], vec![0.0; m * m]);
         for k in 1..(19 + m) {
             let order = k as f64;
-            power = product(&fs, &power, m);
+            see(&power, &noise);
+            product_into(&fs, &power, m, &mut left);
+            std::mem::swap(&mut power, &mut left);
             scale(&mut power, 1.0 / order);
             accumulate(&mut excess, &power, 1.0);
             accumulate(&mut gamma, &power, step / (order + 1.0));
-            let (left, right) = (product(&fs, &noise, m), product(&noise, &ts, m));
-            noise = left.iter().zip(&right).map(|(a, b)| (a + b) / (order + 1.0)).collect();
+            product_into(&fs, &noise, m, &mut left);
+            product_into(&noise, &ts, m, &mut right);
+            for (term, (a, b)) in noise.iter_mut().zip(left.iter().zip(&right)) {
+                *term = (a + b) / (order + 1.0);
+            }
             accumulate(&mut total, &noise, 1.0);
         }
         let phi = excess.iter().zip(identity(m)).map(|(a, b)| a + b).collect();
@@ -171,17 +191,19 @@ fn identity(m: usize) -> Vec<f64> {
 
 fn product(a: &[f64], b: &[f64], m: usize) -> Vec<f64> {
     let mut out = vec![0.0; m * m];
-    for i in 0..m {
-        for k in 0..m {
-            let factor = a[i * m + k];
+    product_into(a, b, m, &mut out);
+    out
+}
+
+fn product_into(a: &[f64], b: &[f64], m: usize, out: &mut [f64]) {
+    out.fill(0.0);
+    for (row, factors) in out.chunks_exact_mut(m).zip(a.chunks_exact(m)) {
+        for (&factor, b) in factors.iter().zip(b.chunks_exact(m)) {
             if factor != 0.0 {
-                for j in 0..m {
-                    out[i * m + j] += factor * b[k * m + j];
-                }
+                row.iter_mut().zip(b).for_each(|(x, b)| *x += factor * b);
             }
         }
     }
-    out
 }
 
 fn scale(a: &mut [f64], factor: f64) {

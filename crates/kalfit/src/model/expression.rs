@@ -167,7 +167,12 @@ impl Operator {
             _ => {}
         }
         let b = b.evaluate(scope)?;
-        Ok(match self {
+        Ok(self.of(a, b))
+    }
+
+    /// a ∘ b.
+    pub(super) fn of(self, a: f64, b: f64) -> f64 {
+        match self {
             Operator::Add => a + b,
             Operator::Subtract => a - b,
             Operator::Multiply => a * b,
@@ -179,28 +184,36 @@ impl Operator {
             Operator::GreaterEqual => truth(a >= b),
             Operator::Equal => truth(a == b),
             Operator::NotEqual => truth(a != b),
-            Operator::And | Operator::Or => truth(b != 0.0),
-        })
+            Operator::And => truth(a != 0.0 && b != 0.0),
+            Operator::Or => truth(a != 0.0 || b != 0.0),
+        }
     }
 }
 
 impl Function {
     fn evaluate(self, arguments: &[Expression], scope: &Scope<'_>) -> Result<f64, EvaluationError> {
         let first = arguments[0].evaluate(scope)?;
-        let fold = |pick: fn(f64, f64) -> f64| {
-            arguments[1..].iter().try_fold(first, |best, argument| Ok(pick(best, argument.evaluate(scope)?)))
-        };
-        Ok(match self {
-            Function::Sqrt => first.sqrt(),
-            Function::Exp => first.exp(),
-            Function::Log => first.ln(),
-            Function::Sin => first.sin(),
-            Function::Cos => first.cos(),
-            Function::Tan => first.tan(),
-            Function::Abs => first.abs(),
-            Function::Min => fold(f64::min)?,
-            Function::Max => fold(f64::max)?,
-        })
+        let rest = if matches!(self, Function::Min | Function::Max) { &arguments[1..] } else { &[] };
+        rest.iter().try_fold(self.of(first), |best, argument| Ok(self.better(best, argument.evaluate(scope)?)))
+    }
+
+    /// f(a).
+    pub(super) fn of(self, a: f64) -> f64 {
+        match self {
+            Function::Sqrt => a.sqrt(),
+            Function::Exp => a.exp(),
+            Function::Log => a.ln(),
+            Function::Sin => a.sin(),
+            Function::Cos => a.cos(),
+            Function::Tan => a.tan(),
+            Function::Abs => a.abs(),
+            Function::Min | Function::Max => a,
+        }
+    }
+
+    /// The one of two values that `min` or `max` takes.
+    pub(super) fn better(self, a: f64, b: f64) -> f64 {
+        if self == Function::Min { a.min(b) } else { a.max(b) }
     }
 }
 

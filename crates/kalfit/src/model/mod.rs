@@ -3,11 +3,13 @@
 //! A [`Model`] holds its equations as exact linear forms whose coefficients are [`Expression`]s in the columns of the
 //! data and the parameters. It refers to columns, states and parameters by index; names are kept for reports only.
 
+mod derivative;
 mod expression;
 mod parameter;
 mod population;
 mod structure;
 
+pub(crate) use derivative::Tape;
 pub use expression::{EvaluationError, Expression, Function, Operator, Scope};
 pub use parameter::{Alpha, Level, Parameter, ParameterError, Value};
 pub use population::{Population, PopulationError};

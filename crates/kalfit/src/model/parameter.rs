@@ -73,9 +73,10 @@ pub enum ParameterError {
 }
 
 impl Alpha {
-    /// The α of a model whose parameters are all fixed.
+    /// The α of a model whose parameters have values. One with levels needs a value at some level only: a row with another
+    /// level is then an error where the value is needed.
     pub fn fixed(parameters: &[Parameter]) -> Result<Alpha, ParameterError> {
-        let free: Vec<String> = parameters.iter().filter(|p| p.is_free()).map(|p| p.name.clone()).collect();
+        let free: Vec<String> = parameters.iter().filter(|p| p.has_no_value()).map(|p| p.name.clone()).collect();
         if !free.is_empty() {
             return Err(ParameterError::Free { names: free });
         }
@@ -98,10 +99,15 @@ impl Alpha {
 }
 
 impl Parameter {
-    /// True when some value of it is to be estimated. A parameter with levels is taken as known once every level that
-    /// the model names has a value and nothing says that others are free.
+    /// True when values of it are to be estimated: its common value, or that of every level which is not fixed. Whether the
+    /// data have such levels is for [`Slots`](crate::score::Slots) to say.
     pub fn is_free(&self) -> bool {
-        matches!(self.value, Value::Free { .. }) && (self.per.is_none() || self.fixed_levels.is_empty())
+        matches!(self.value, Value::Free { .. })
+    }
+
+    /// True when no value of it is known, at any level.
+    pub fn has_no_value(&self) -> bool {
+        self.is_free() && (self.per.is_none() || self.fixed_levels.is_empty())
     }
 
     pub(crate) fn level(&self) -> Level {
@@ -111,7 +117,7 @@ impl Parameter {
         };
         match (self.per, common) {
             (None, Some(value)) => Level::Common(value),
-            (None, None) => Level::Common(f64::NAN), // unreachable: such a parameter is free
+            (None, None) => Level::Common(f64::NAN), // unreachable: such a parameter has no value
             (Some(column), other) => Level::Each {
                 column,
                 values: self.fixed_levels.iter().map(|(&literal, &v)| (Label::literal(literal), v)).collect(),

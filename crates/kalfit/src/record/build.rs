@@ -4,8 +4,9 @@ use nalgebra::DMatrix;
 
 use crate::estimate::{Criterion, Estimate, Solver, Stop};
 use crate::infer::{Deletion, Element, Inference, IntervalKind, Sensitivity, StdErrors};
-use crate::model::{Alpha, CovarianceKind, Level, MeanElement, Model, Parameter, Value};
+use crate::model::{Alpha, CovarianceKind, MeanElement, Model};
 use crate::record::diagnosis::shortage_notes;
+use crate::record::parameters;
 use crate::record::{
     BoundaryRecord, CertificateRecord, ConstraintRecord, CovarianceRecord, DataRecord, DeletedRecord, DeletionRecord,
     FitRecord, Interval, MatrixRecord, MeanRecord, ObservabilityRecord, ParameterRecord, PhaseRecord, PosteriorRecord,
@@ -35,6 +36,19 @@ impl FitRecord {
         reductions: &[Reduction],
         estimate: &Estimate,
         inference: &Inference,
+        provenance: Provenance,
+    ) -> FitRecord {
+        let parameters = parameters::fixed(model, alpha);
+        FitRecord::at(model, reductions, estimate, inference, parameters, provenance)
+    }
+
+    /// The record of μ and Σ, with the parameters given as they are.
+    pub(super) fn at(
+        model: &Model,
+        reductions: &[Reduction],
+        estimate: &Estimate,
+        inference: &Inference,
+        parameters: Vec<ParameterRecord>,
         provenance: Provenance,
     ) -> FitRecord {
         let data = data(reductions, provenance.files);
@@ -67,7 +81,9 @@ impl FitRecord {
             std_errors: std_errors(inference).to_owned(),
             intervals: intervals(inference).to_owned(),
             phases: vec![phase(model, estimate, inference)],
-            parameters: parameters(model, alpha),
+            parameters,
+            starts: Vec::new(),
+            methods: Vec::new(),
             constraints: inference.sensitivities.iter().map(|s| constraint(model, s)).collect(),
             tests: tests(reductions, inference),
             notes: notes(model, estimate, inference),
@@ -97,7 +113,7 @@ fn data(reductions: &[Reduction], files: Vec<String>) -> DataRecord {
     }
 }
 
-fn reason(estimate: &Estimate) -> String {
+pub(super) fn reason(estimate: &Estimate) -> String {
     let far = estimate.certificate.decrement;
     match estimate.stop {
         Stop::Certified => format!("the optimality certificate holds: within {far:.1e} standard errors of the optimum"),
@@ -121,6 +137,7 @@ fn solver(estimate: &Estimate, seconds: f64) -> SolverRecord {
         phases: "chain".to_owned(),
         iterations: estimate.passes,
         filter_passes: 1,
+        score_passes: 0,
         trace: estimate.trace.clone(),
         seconds,
     }
@@ -247,35 +264,6 @@ fn correlations(sigma: &DMatrix<f64>) -> Vec<Vec<Option<f64>>> {
         (unit > 0.0).then(|| if i == j { 1.0 } else { inside(sigma[(i, j)] / unit) })
     };
     (0..p).map(|i| (0..p).map(|j| entry(i, j)).collect()).collect()
-}
-
-fn parameters(model: &Model, alpha: &Alpha) -> Vec<ParameterRecord> {
-    let record = |parameter: &Parameter, level: Option<String>, estimate: f64| ParameterRecord {
-        name: parameter.name.clone(),
-        per: parameter.per.map(|column| model.text_columns[column].name.clone()),
-        level,
-        estimate,
-        std_error: None,
-        interval95: None,
-        fixed: true,
-        at_bound: false,
-        unit: parameter.unit.clone(),
-    };
-    let mut records = Vec::new();
-    for (parameter, level) in model.parameters.iter().zip(&alpha.values) {
-        match level {
-            Level::Common(value) => records.push(record(parameter, None, *value)),
-            Level::Each { values, .. } => {
-                for (label, value) in values {
-                    records.push(record(parameter, Some(model.literals[label.index()].clone()), *value));
-                }
-                if let Value::Fixed(value) = parameter.value {
-                    records.push(record(parameter, None, value));
-                }
-            }
-        }
-    }
-    records
 }
 
 fn constraint(model: &Model, sensitivity: &Sensitivity) -> ConstraintRecord {

@@ -153,7 +153,7 @@ pub fn shortage_notes(model: &Model, seen: &Observability) -> Vec<String> {
 }
 
 /// `a`, `a and b`, `a, b and c`, each name in backticks.
-fn list<'a>(names: impl ExactSizeIterator<Item = &'a str>, last: &str) -> String {
+pub(super) fn list<'a>(names: impl ExactSizeIterator<Item = &'a str>, last: &str) -> String {
     let all = names.len();
     let mut shown: Vec<String> = names.take(MOST_NAMES).map(|name| format!("`{name}`")).collect();
     if all > MOST_NAMES {

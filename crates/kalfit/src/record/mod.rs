@@ -2,6 +2,10 @@
 
 mod build;
 mod diagnosis;
+mod dynamic;
+mod dynamic_ratio;
+mod levels;
+mod parameters;
 mod population;
 mod ratio;
 
@@ -11,6 +15,10 @@ pub use crate::infer::Interval;
 
 pub use build::Provenance;
 pub use diagnosis::shortage_notes;
+pub use dynamic::DynamicParts;
+pub use dynamic_ratio::DynamicSides;
+pub use levels::{LevelCounts, level_notes};
+pub use parameters::{MethodRecord, StartRecord};
 pub use population::{FIT_SCHEMA, RecordError};
 pub use ratio::{BootstrapRecord, ComponentRecord, PartRecord, RatioProvenance, RatioRecord, SideRecord};
 
@@ -55,8 +63,14 @@ pub struct FitRecord {
     pub intervals: String,
     /// One entry per phase.
     pub phases: Vec<PhaseRecord>,
-    /// Dynamic parameters, one entry per level.
+    /// Dynamic parameters, one entry per level, in the order of the model and, within a parameter, of the texts of its levels.
     pub parameters: Vec<ParameterRecord>,
+    /// Where searches for α from other starts ended, the best first.
+    #[serde(default)]
+    pub starts: Vec<StartRecord>,
+    /// The methods that were asked for, when there were several: where each of them ended.
+    #[serde(default)]
+    pub methods: Vec<MethodRecord>,
     /// Every constrained element and what the constraint costs.
     pub constraints: Vec<ConstraintRecord>,
     /// What each test says.
@@ -111,6 +125,9 @@ pub struct SolverRecord {
     pub iterations: usize,
     /// Runs of the filters over all tests.
     pub filter_passes: usize,
+    /// Backward runs over all tests, for the scores of the dynamic parameters.
+    #[serde(default)]
+    pub score_passes: usize,
     /// Log-likelihood after each accepted step.
     pub trace: Vec<f64>,
     /// Wall time.
@@ -311,8 +328,8 @@ pub struct ParameterRecord {
     pub estimate: f64,
     /// Its standard error.
     pub std_error: Option<f64>,
-    /// 95 % interval.
-    pub interval95: Option<[f64; 2]>,
+    /// 95 % interval, lower and upper end; an end is null where no limit was found.
+    pub interval95: Interval,
     /// Not estimated.
     pub fixed: bool,
     /// At a bound.
@@ -320,6 +337,12 @@ pub struct ParameterRecord {
     /// Unit label.
     #[serde(default)]
     pub unit: Option<String>,
+    /// Where the value lies: `inside`, `lower`, `upper`, `unbounded` or `unidentified`; null for a fixed value.
+    #[serde(default)]
+    pub standing: Option<String>,
+    /// What that means, in words; null when the value is inside.
+    #[serde(default)]
+    pub note: Option<String>,
 }
 
 /// What one constraint costs.

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::estimate::{Estimate, Stop};
 use crate::infer::{Bootstrap, BootstrapResult, Component, LikelihoodRatio};
-use crate::record::DataRecord;
+use crate::record::{DataRecord, ParameterRecord};
 use crate::reduce::Reduction;
 
 /// All that a test of a hypothesis found.
@@ -48,7 +48,7 @@ pub struct RatioRecord {
     pub law_is_bound: bool,
     /// The parametric bootstrap.
     pub bootstrap: Option<BootstrapRecord>,
-    /// The parts of a hypothesis on both μ and Σ, each by itself (Shumway, Olsen and Levy).
+    /// The parts of a hypothesis on more than one of μ, Σ and α, each by itself (Shumway, Olsen and Levy).
     pub parts: Vec<PartRecord>,
     /// Findings in plain words, most important first.
     pub notes: Vec<String>,
@@ -67,6 +67,9 @@ pub struct SideRecord {
     pub mean: Vec<f64>,
     /// Σ.
     pub covariance: Vec<Vec<f64>>,
+    /// Dynamic parameters, where some are free.
+    #[serde(default)]
+    pub parameters: Vec<ParameterRecord>,
 }
 
 /// χ² with a weight.
@@ -98,7 +101,7 @@ pub struct BootstrapRecord {
 /// One part of a hypothesis.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PartRecord {
-    /// `mean` or `covariance`.
+    /// `mean`, `covariance` or `parameters`.
     pub what: String,
     /// -2 log λ of this part alone, the other left as in the model.
     pub lr: f64,
@@ -137,9 +140,22 @@ impl RatioRecord {
         parts: Vec<PartRecord>,
         provenance: RatioProvenance,
     ) -> RatioRecord {
+        let sides = (side(null), side(alternative));
+        let notes = notes(ratio, &sides.0, &sides.1, (reductions.len(), bootstrap.is_some()));
+        RatioRecord::at(reductions, sides, ratio, bootstrap, (parts, notes), provenance)
+    }
+
+    /// The record with its sides and notes as given.
+    pub(super) fn at(
+        reductions: &[Reduction],
+        (null, alternative): (SideRecord, SideRecord),
+        ratio: &LikelihoodRatio,
+        bootstrap: Option<(Bootstrap, &BootstrapResult)>,
+        (parts, notes): (Vec<PartRecord>, Vec<String>),
+        provenance: RatioProvenance,
+    ) -> RatioRecord {
         let law = &ratio.law;
         let mixed = !law.is_chi_squared() && !law.is_bound;
-        let (null, alternative) = (side(null), side(alternative));
         RatioRecord {
             schema: "kalfit-test/1".to_owned(),
             kalfit_version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -157,7 +173,7 @@ impl RatioRecord {
             mixture: mixed.then(|| words(&law.independent)),
             law: law.components.iter().map(component).collect(),
             law_is_bound: law.is_bound,
-            notes: notes(ratio, &null, &alternative, (reductions.len(), bootstrap.is_some())),
+            notes,
             bootstrap: bootstrap.map(|(asked, found)| BootstrapRecord::of(asked, found)),
             parts,
             null,
@@ -197,13 +213,14 @@ impl PartRecord {
     }
 }
 
-fn side(estimate: &Estimate) -> SideRecord {
+pub(super) fn side(estimate: &Estimate) -> SideRecord {
     SideRecord {
         log_likelihood: estimate.log_likelihood,
         free_parameters: estimate.declared_mean() + estimate.declared_covariance(),
         converged: estimate.stop == Stop::Certified,
         mean: estimate.mean.clone(),
         covariance: estimate.covariance.row_iter().map(|row| row.iter().copied().collect()).collect(),
+        parameters: Vec::new(),
     }
 }
 
@@ -218,7 +235,7 @@ fn words(components: &[Component]) -> String {
 }
 
 /// Fewer tests than this, and large-sample laws are a rough guide.
-const FEW: usize = 50;
+pub(super) const FEW: usize = 50;
 
 fn notes(
     ratio: &LikelihoodRatio,

@@ -131,6 +131,8 @@ pub(crate) struct Run<R = f64> {
     pub(crate) count: usize,
     /// End of its scalar measurements among those of the test.
     pub(crate) rows: usize,
+    /// End of its steps among those of the test.
+    pub(crate) steps: usize,
 }
 
 /// The design of a test, scalar measurements whitened.
@@ -220,7 +222,17 @@ impl<R: Real> Design<R> {
 
     /// Number of steps.
     pub(crate) fn steps(&self) -> usize {
-        self.runs.iter().map(|run| run.count).sum()
+        self.runs.last().map_or(0, |run| run.steps)
+    }
+
+    /// The step with this number.
+    pub(crate) fn step(&self, k: usize) -> Step<'_, R> {
+        let at = self.runs.partition_point(|run| run.steps <= k);
+        let run = &self.runs[at];
+        let (line, row) = if at == 0 { (0, 0) } else { (self.runs[at - 1].lines, self.runs[at - 1].rows) };
+        let first = row + (k + run.count - run.steps) * (run.lines - line);
+        let rows = first..first + run.lines - line;
+        Step { transition: run.transition.as_ref(), lines: line..run.lines, rows }
     }
 
     /// Its runs, in order.
@@ -244,9 +256,9 @@ impl<R: Real> Design<R> {
 
     /// Appends a step whose lines were appended already: a run of its own.
     pub(crate) fn push_step(&mut self, transition: Option<Arc<Transition<R>>>) {
-        let (line, row) = self.runs.last().map_or((0, 0), |run| (run.lines, run.rows));
+        let (line, row, step) = self.runs.last().map_or((0, 0, 0), |run| (run.lines, run.rows, run.steps));
         let lines = self.ends.len();
-        self.runs.push(Run { transition, lines, count: 1, rows: row + lines - line });
+        self.runs.push(Run { transition, lines, count: 1, rows: row + lines - line, steps: step + 1 });
     }
 
     /// So many more steps like the last one.
@@ -255,6 +267,7 @@ impl<R: Real> Design<R> {
         let before = if at == 0 { 0 } else { self.runs[at - 1].lines };
         let run = &mut self.runs[at];
         run.count += many;
+        run.steps += many;
         run.rows += many * (run.lines - before);
     }
 }

@@ -11,6 +11,8 @@ pub(crate) struct Table {
     pub(crate) fixed: Vec<f64>,
     /// (slot, coefficient, it is a variance).
     pub(crate) varying: Vec<(usize, Coefficient, bool)>,
+    /// (slot, coefficient): those of the fixed that depend on free parameters.
+    pub(crate) free: Vec<(usize, Coefficient)>,
 }
 
 impl Table {
@@ -20,12 +22,11 @@ impl Table {
             return None;
         }
         let slot = self.fixed.len();
+        self.fixed.push(coefficient.constant().unwrap_or(0.0));
         match coefficient {
-            Coefficient::Fixed(value) => self.fixed.push(value),
-            varying => {
-                self.fixed.push(0.0);
-                self.varying.push((slot, varying, variance));
-            }
+            Coefficient::Fixed(_) => {}
+            free @ Coefficient::Free(..) => self.free.push((slot, free)),
+            varying @ Coefficient::Varying(..) => self.varying.push((slot, varying, variance)),
         }
         Some(slot)
     }

@@ -190,6 +190,12 @@ pub enum ReduceErrorKind {
         /// Measured minus only possible value.
         residual: f64,
     },
+    /// A free parameter decides something that jumps.
+    #[error("it depends on the free parameter `{parameter}`, expected parameters that are fixed")]
+    FreeParameter {
+        /// Its name.
+        parameter: String,
+    },
     /// The test has no rows.
     #[error("the test has no rows")]
     NoRows,
@@ -240,6 +246,9 @@ impl ReduceError {
             | ReduceErrorKind::StationaryMixed { .. }
             | ReduceErrorKind::StationaryInput { .. } => {
                 "give `initial = { mean, sigma }` or `initial = \"estimated\"`"
+            }
+            ReduceErrorKind::FreeParameter { .. } => {
+                "give the parameter a value: which rows count, and when x_0 is, cannot be estimated"
             }
             ReduceErrorKind::ExactMeasurement => "give the measurement some noise",
             ReduceErrorKind::Impossible { .. } => {

@@ -90,6 +90,11 @@ impl Instances {
         Instance { meter, row: row + number / width * block.height }
     }
 
+    /// Those of a step.
+    pub(crate) fn of(&self, rows: std::ops::Range<usize>) -> Vec<Instance> {
+        rows.map(|row| self.get(row)).collect()
+    }
+
     /// All of them, in order.
     pub(crate) fn iter(&self) -> impl Iterator<Item = Instance> {
         self.blocks.iter().enumerate().flat_map(|(at, block)| {

@@ -46,9 +46,22 @@ pub use reduction::{Path, Reduction};
 
 pub(crate) use data::innovate;
 pub(crate) use design::{Design, Frame, Step, Transition};
+pub(crate) use dynamics::Table;
 pub(crate) use gains::Gains;
 pub(crate) use instances::Instance;
 pub(crate) use kernel::advance;
-pub(crate) use prepare::{Preparer, Workspace};
+pub(crate) use motion::Evaluated;
+pub(crate) use observe::Unwhitened;
+pub(crate) use prepare::{Preparer, Replay, Workspace};
 pub(crate) use semidefinite::{NotSemidefinite, ldl};
-pub(crate) use subject::{Fault, Subject};
+pub(crate) use start::{LawAdjoint, StartAdjoint};
+pub(crate) use steps::Cells;
+pub(crate) use subject::{At, Coefficient, Fault, Subject, Uses};
+#[cfg(test)]
+pub(crate) use {
+    data::outcome,
+    data::{Data, DataWork},
+    design::{DENSE, Pattern},
+    reducer::information_gains,
+    schedule::GainsWork,
+};

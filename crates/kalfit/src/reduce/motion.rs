@@ -1,5 +1,7 @@
 //! The transitions of a model's steps.
 
+mod backward;
+
 use std::sync::Arc;
 
 use crate::linalg::exponential::{flow, scalar_flow};
@@ -9,6 +11,8 @@ use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::order::Order;
 use crate::reduce::semidefinite::ldl;
 use crate::reduce::subject::{Fault, Subject};
+
+pub(crate) use backward::Evaluated;
 
 /// How the entries of φ, Q and b follow from coefficients and from the flows of components. The flows stand one after the
 /// other: φ, Γ, Q of the first component, each m × m, then of the next.

@@ -1,5 +1,7 @@
 //! The measurements of a step: which there are, their equations and noise, whitened.
 
+mod backward;
+
 use crate::ensemble::Test;
 use crate::model::{Alpha, Scope};
 use crate::reduce::data::Data;
@@ -8,6 +10,8 @@ use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::instances::{Instance, Instances};
 use crate::reduce::semidefinite::{NotSemidefinite, ldl};
 use crate::reduce::subject::{At, Coefficient, Fault, Subject, Uses};
+
+pub(crate) use backward::Unwhitened;
 
 /// A measurement of the model at α.
 #[derive(Debug, Clone)]
@@ -26,6 +30,18 @@ pub(crate) struct Meters {
     meters: Vec<Meter>,
     /// (i, j, covariance).
     pairs: Vec<(usize, usize, Coefficient)>,
+}
+
+/// Covariance of two measurements of a step, counted from its first.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Correlation {
+    pub(crate) i: usize,
+    pub(crate) j: usize,
+    pub(crate) value: f64,
+    /// Which covariance of the model.
+    pub(crate) pair: usize,
+    /// Row of the test that it was evaluated on.
+    pub(crate) row: usize,
 }
 
 impl Meters {
@@ -95,10 +111,11 @@ impl Meters {
             return Ok(());
         }
         if let Some(covariances) = &mut out.covariances {
-            covariances.extend(found.iter().map(|&(i, j, value)| (first + i, first + j, value)));
+            covariances.extend(found.iter().map(|c| (first + c.i, first + c.j, c.value)));
             return Ok(());
         }
-        whiten(out.design, out.data, line, &found).map_err(|bad| {
+        let entries: Vec<(usize, usize, f64)> = found.iter().map(|c| (c.i, c.j, c.value)).collect();
+        whiten(out.design, out.data, line, &entries).map_err(|bad| {
             let kind = ReduceErrorKind::NotSemidefinite { left: bad.left, variance: bad.variance };
             Fault::new(Subject::StepNoise, kind).on(row)
         })
@@ -182,16 +199,16 @@ impl Meters {
         many
     }
 
-    /// Covariances (i, j, value) among the instances of a step.
-    fn covariances(
+    /// Covariances among the instances of a step.
+    pub(crate) fn covariances(
         &self,
         at: &At<'_>,
         test: &Test,
         dt: f64,
         instances: &[Instance],
-    ) -> Result<Vec<(usize, usize, f64)>, Box<Fault>> {
+    ) -> Result<Vec<Correlation>, Box<Fault>> {
         let mut found = Vec::new();
-        for (i, j, covariance) in &self.pairs {
+        for (pair, (i, j, covariance)) in self.pairs.iter().enumerate() {
             let of = |meter: usize| {
                 instances.iter().enumerate().filter(move |(_, instance)| instance.meter == meter).map(|(k, _)| k)
             };
@@ -212,13 +229,13 @@ impl Meters {
                     let scope = Scope { numbers: test.numbers(row), texts: test.texts(row), step: dt, alpha: at.alpha };
                     at.value(covariance, &scope).map_err(|fault| fault.on(row))
                 };
-                let value = match value(a) {
+                let (value, row) = match value(a) {
                     Err(fault) if matches!(fault.kind, ReduceErrorKind::MissingCell { .. }) => {
-                        value(b).map_err(|_| fault)
+                        value(b).map(|value| (value, instances[b].row)).map_err(|_| fault)
                     }
-                    other => other,
+                    other => other.map(|value| (value, instances[a].row)),
                 }?;
-                found.push((a, b, value));
+                found.push(Correlation { i: a, j: b, value, pair, row });
             }
         }
         Ok(found)

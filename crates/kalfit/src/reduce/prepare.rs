@@ -21,6 +21,10 @@ use crate::reduce::start::{Law, Start};
 use crate::reduce::steps::{Cells, Span, spans};
 use crate::reduce::subject::{At, Fault, Subject, Uses};
 
+mod replay;
+
+pub(crate) use replay::Replay;
+
 /// Bytes of transitions that are kept.
 const TRANSITION_BYTES: usize = 16 << 20;
 
@@ -31,11 +35,13 @@ type Moved = Entry<Vec<u64>, Result<Moves, Box<Fault>>>;
 pub(crate) struct Preparer {
     pub(crate) model: Model,
     alpha: Alpha,
-    dynamics: Dynamics,
-    start: Start,
-    order: Order,
-    plan: Plan,
-    meters: Meters,
+    /// Which parameters are free, where derivatives are wanted.
+    free: Vec<bool>,
+    pub(crate) dynamics: Dynamics,
+    pub(crate) start: Start,
+    pub(crate) order: Order,
+    pub(crate) plan: Plan,
+    pub(crate) meters: Meters,
     /// Columns that φ, Q, h, R or which values count depend on: where their cells repeat, so do these.
     shape: Uses,
     /// Columns that only known inputs and constants depend on.
@@ -72,6 +78,8 @@ pub(crate) struct Workspace {
     pub(crate) gains: GainsWork,
     pub(crate) pass: DataWork,
     spans: Vec<Span>,
+    /// Number of the first step of each span.
+    firsts: Vec<usize>,
     constants: Vec<f64>,
     whole: Cells,
     step: Cells,
@@ -84,7 +92,13 @@ pub(crate) struct Workspace {
 
 impl Preparer {
     pub(crate) fn new(model: &Model, alpha: &Alpha) -> Result<Preparer, Box<Fault>> {
-        let at = At { model, alpha };
+        Preparer::with_free(model, alpha, Vec::new())
+    }
+
+    /// With derivatives in mind: no coefficient that depends on a free parameter is left out for being zero at this α.
+    /// `free`: one for each parameter.
+    pub(crate) fn with_free(model: &Model, alpha: &Alpha, free: Vec<bool>) -> Result<Preparer, Box<Fault>> {
+        let at = At { model, alpha, free: &free };
         let dynamics = Dynamics::new(&at)?;
         let start = Start::new(&at, &dynamics)?;
         let order = Order::new(&at, &dynamics, &start);
@@ -106,6 +120,7 @@ impl Preparer {
             drive,
             model: model.clone(),
             alpha: alpha.clone(),
+            free,
             plan: Plan::new(&dynamics, &order),
             dynamics,
             start,
@@ -117,8 +132,8 @@ impl Preparer {
         })
     }
 
-    fn at(&self) -> At<'_> {
-        At { model: &self.model, alpha: &self.alpha }
+    pub(crate) fn at(&self) -> At<'_> {
+        At { model: &self.model, alpha: &self.alpha, free: &self.free }
     }
 
     pub(crate) fn workspace(&self) -> Workspace {
@@ -126,6 +141,7 @@ impl Preparer {
             design: Design::new(self.order.frame.clone()),
             data: Data::default(),
             instances: Instances::default(),
+            firsts: Vec::new(),
             constants: Vec::new(),
             covariates: Vec::new(),
             covariances: None,
@@ -157,6 +173,12 @@ impl Preparer {
             Scope { numbers: &work.whole.numbers, texts: &work.whole.texts, step: f64::NAN, alpha: &self.alpha };
         let initial = self.start.initial_time.as_ref().map(|time| at.value(time, &scope)).transpose()?;
         spans(&at, test, initial, &mut work.spans)?;
+        work.firsts.clear();
+        let mut first = 0;
+        for span in &work.spans {
+            work.firsts.push(first);
+            first += span.count;
+        }
         self.covariates(&at, work)?;
         self.begin(&at, test, work)?;
         let mut source = 0..0; // rows of the step before
@@ -305,7 +327,7 @@ impl Preparer {
     ) -> Result<(), Box<Fault>> {
         let first = moment.source.start;
         let Workspace { step, values, inputs: known, .. } = work;
-        let scope = self.scope(at, test, moment, step)?;
+        let scope = self.motion_scope(at, test, moment, step)?;
         let (table, inputs) = (&self.dynamics.table, &self.dynamics.inputs);
         if start {
             let needed = |slot| self.start.needs(slot);
@@ -325,12 +347,12 @@ impl Preparer {
         moment: &Moment,
         work: &mut Workspace,
     ) -> Result<(), Box<Fault>> {
-        let scope = self.scope(at, test, moment, &mut work.step)?;
+        let scope = self.motion_scope(at, test, moment, &mut work.step)?;
         self.dynamics.inputs.evaluate(at, &scope, &mut work.inputs).map_err(|fault| fault.on(moment.source.start))
     }
 
     /// What the dynamics of a step are evaluated on. `cells`: work space for steps of several rows.
-    fn scope<'a>(
+    fn motion_scope<'a>(
         &'a self,
         at: &At<'_>,
         test: &'a Test,

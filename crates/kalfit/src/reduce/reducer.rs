@@ -18,6 +18,7 @@ use crate::reduce::schedule::{GainsWork, schedule};
 use crate::reduce::shared::{Entry, Shared};
 use crate::reduce::subject::{Fault, Subject};
 use crate::reduce::{Path, Reduction};
+use crate::score::Slots;
 
 /// Bytes of design classes that are kept: tests of one design share its covariance run while they fit.
 const CLASS_BYTES: usize = 256 << 20;
@@ -52,14 +53,30 @@ pub struct Work {
 impl Reducer {
     /// A reducer of a model at α. An error when some coefficient has no value, whatever the data.
     pub fn new(model: &Model, alpha: &Alpha) -> Result<Reducer, ReduceError> {
-        Ok(Reducer {
-            preparer: Preparer::new(model, alpha).map_err(|fault| fault.name(model, None))?,
+        let preparer = Preparer::new(model, alpha).map_err(|fault| fault.name(model, None))?;
+        Ok(Reducer::of(preparer))
+    }
+
+    /// A reducer for scores: no coefficient that depends on free values is left out for being zero at this α.
+    pub(crate) fn scoring(model: &Model, alpha: &Alpha, slots: &Slots) -> Result<Reducer, ReduceError> {
+        let preparer = Preparer::with_free(model, alpha, slots.free()).map_err(|fault| fault.name(model, None))?;
+        Ok(Reducer::of(preparer))
+    }
+
+    fn of(preparer: Preparer) -> Reducer {
+        Reducer {
+            preparer,
             classes: Shared::new(CLASS_BYTES),
             unfrozen: false,
             design_runs: AtomicU64::new(0),
             root_runs: AtomicU64::new(0),
             data_runs: AtomicU64::new(0),
-        })
+        }
+    }
+
+    /// What evaluates tests.
+    pub(crate) fn preparer(&self) -> &Preparer {
+        &self.preparer
     }
 
     /// Every step of every record in full, gains that no longer change too: to compare with, in tests and benchmarks.

@@ -1,5 +1,7 @@
 //! The start of a model at α: x_0 = a + Aξ + ζ.
 
+mod backward;
+
 use nalgebra::{DMatrix, DVector};
 
 use crate::linalg::exponential::{FlowError, stationary, stationary_discrete};
@@ -8,6 +10,8 @@ use crate::reduce::dynamics::{Dynamics, connected};
 use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::semidefinite::ldl;
 use crate::reduce::subject::{At, Coefficient, Fault, Subject, Uses};
+
+pub(crate) use backward::{LawAdjoint, StartAdjoint};
 
 /// The start of a model. States are those of the model.
 #[derive(Debug, Clone, Default)]
@@ -71,7 +75,7 @@ impl Start {
                 }
             }
         }
-        if start.covariance.iter().all(|(.., entry)| matches!(entry, Coefficient::Fixed(_))) {
+        if start.covariance.iter().all(|(.., entry)| entry.constant().is_some()) {
             let scope = Scope { numbers: &[], texts: &[], step: 0.0, alpha: at.alpha };
             start.add_known_covariance(at, &scope, &mut Law::default())?; // no test is to blame
         }
@@ -85,14 +89,15 @@ impl Start {
         let coefficients: Vec<&Coefficient> = start.coefficients().collect();
         let mut uses = Uses::default();
         coefficients.iter().for_each(|coefficient| uses.add(coefficient, at.alpha));
-        start.fixed = coefficients.iter().all(|coefficient| matches!(coefficient, Coefficient::Fixed(_)));
+        start.fixed = coefficients.iter().all(|coefficient| coefficient.constant().is_some());
         start.initial_time.iter().for_each(|coefficient| uses.add(coefficient, at.alpha));
         uses.numbers.extend(at.model.mean.regression.iter().map(|regression| regression.column));
         start.uses = uses;
         Ok(start)
     }
 
-    fn coefficients(&self) -> impl Iterator<Item = &Coefficient> {
+    /// Mean and variance of each known start, offsets, known covariances.
+    pub(crate) fn coefficients(&self) -> impl Iterator<Item = &Coefficient> {
         let known = self.known.iter().flat_map(|(_, mean, variance)| [mean, variance]);
         known.chain(self.offsets.iter().map(|(_, c)| c)).chain(self.covariance.iter().map(|(.., c)| c))
     }
@@ -224,8 +229,8 @@ fn inputs_of(dynamics: &Dynamics, states: &[usize]) -> Vec<(usize, usize)> {
 }
 
 impl Group {
-    /// Lyapunov's equation and the fixed point of constant inputs.
-    fn settle(&self, at: &At<'_>, values: &[f64], inputs: &[f64], law: &mut Law) -> Result<(), Box<Fault>> {
+    /// F (or φ) and Q, m × m.
+    fn matrices(&self, values: &[f64]) -> (Vec<f64>, Vec<f64>) {
         let m = self.states.len();
         let (mut f, mut q) = (vec![0.0; m * m], vec![0.0; m * m]);
         for &(i, j, slot) in &self.motion {
@@ -235,6 +240,28 @@ impl Group {
             q[i * m + j] = values[slot];
             q[j * m + i] = values[slot];
         }
+        (f, q)
+    }
+
+    /// A of Am = u, which is 0 = Fm + u, or m = φm + u.
+    fn fixed_point(&self, f: &[f64]) -> DMatrix<f64> {
+        let m = self.states.len();
+        DMatrix::from_fn(m, m, |i, j| f64::from(!self.continuous && i == j) - f[i * m + j])
+    }
+
+    /// u.
+    fn input(&self, inputs: &[f64]) -> DVector<f64> {
+        let mut u = DVector::zeros(self.states.len());
+        for &(i, slot) in &self.inputs {
+            u[i] = inputs[slot];
+        }
+        u
+    }
+
+    /// Lyapunov's equation and the fixed point of constant inputs.
+    fn settle(&self, at: &At<'_>, values: &[f64], inputs: &[f64], law: &mut Law) -> Result<(), Box<Fault>> {
+        let m = self.states.len();
+        let (f, q) = self.matrices(values);
         let subject = Subject::StationaryLaw(self.states[0]);
         ldl(&mut q.clone(), m).map_err(|bad| {
             Fault::new(subject, ReduceErrorKind::NotSemidefinite { left: bad.left, variance: bad.variance })
@@ -257,13 +284,8 @@ impl Group {
         if self.inputs.is_empty() {
             return Ok(());
         }
-        let mut u = DVector::zeros(m);
-        for &(i, slot) in &self.inputs {
-            u[i] = inputs[slot];
-        }
-        // 0 = Fm + u, or m = φm + u.
-        let matrix = DMatrix::from_fn(m, m, |i, j| f64::from(!self.continuous && i == j) - f[i * m + j]);
-        let mean = matrix.lu().solve(&u).ok_or_else(|| Fault::new(subject, unstable()))?;
+        let mean =
+            self.fixed_point(&f).lu().solve(&self.input(inputs)).ok_or_else(|| Fault::new(subject, unstable()))?;
         for (&state, mean) in self.states.iter().zip(&mean) {
             law.mean[state] = *mean;
         }

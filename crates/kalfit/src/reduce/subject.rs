@@ -101,6 +101,8 @@ impl Fault {
 pub(crate) struct At<'a> {
     pub(crate) model: &'a Model,
     pub(crate) alpha: &'a Alpha,
+    /// Which parameters are free; empty where no derivatives are wanted.
+    pub(crate) free: &'a [bool],
 }
 
 impl At<'_> {
@@ -110,13 +112,37 @@ impl At<'_> {
             return Ok(Coefficient::Varying(expression.clone(), subject));
         }
         let scope = Scope { numbers: &[], texts: &[], step: 0.0, alpha: self.alpha };
-        self.finite(expression.evaluate(&scope), subject).map(Coefficient::Fixed)
+        let value = self.finite(expression.evaluate(&scope), subject)?;
+        Ok(if self.depends(expression) {
+            Coefficient::Free(value, expression.clone(), subject)
+        } else {
+            Coefficient::Fixed(value)
+        })
+    }
+
+    /// True when an expression mentions a free parameter.
+    pub(crate) fn depends(&self, expression: &Expression) -> bool {
+        self.free_parameter(expression).is_some()
+    }
+
+    /// The first free parameter that an expression mentions.
+    pub(crate) fn free_parameter(&self, expression: &Expression) -> Option<usize> {
+        let mut found = None;
+        expression.any(&mut |part| {
+            if let Expression::Parameter(index) = part
+                && self.free.get(*index).copied().unwrap_or(false)
+            {
+                found = Some(*index);
+            }
+            found.is_some()
+        });
+        found
     }
 
     /// As [`At::coefficient`], for a variance.
     pub(crate) fn variance(&self, expression: &Expression, subject: Subject) -> Result<Coefficient, Box<Fault>> {
         let coefficient = self.coefficient(expression, subject)?;
-        if let Coefficient::Fixed(value) = coefficient {
+        if let Some(value) = coefficient.constant() {
             not_negative(value, subject)?;
         }
         Ok(coefficient)
@@ -154,7 +180,7 @@ impl At<'_> {
     #[inline]
     pub(crate) fn value(&self, coefficient: &Coefficient, scope: &Scope<'_>) -> Result<f64, Box<Fault>> {
         match coefficient {
-            Coefficient::Fixed(value) => Ok(*value),
+            Coefficient::Fixed(value) | Coefficient::Free(value, ..) => Ok(*value),
             Coefficient::Varying(expression, subject) => match expression.evaluate(scope) {
                 Ok(value) if value.is_finite() => Ok(value),
                 // An unknown first step is not a number, and so is whatever depends on it.
@@ -190,6 +216,8 @@ fn not_negative(value: f64, subject: Subject) -> Result<(), Box<Fault>> {
 pub(crate) enum Coefficient {
     /// The same on every row.
     Fixed(f64),
+    /// The same on every row, and a function of free parameters: zero at this α is not zero at the next.
+    Free(f64, Expression, Subject),
     /// To be evaluated on each row.
     Varying(Expression, Subject),
 }
@@ -198,6 +226,24 @@ impl Coefficient {
     /// Zero on every row.
     pub(crate) fn is_zero(&self) -> bool {
         matches!(self, Coefficient::Fixed(value) if *value == 0.0)
+    }
+
+    /// Its value, when that is the same on every row.
+    pub(crate) fn constant(&self) -> Option<f64> {
+        match self {
+            Coefficient::Fixed(value) | Coefficient::Free(value, ..) => Some(*value),
+            Coefficient::Varying(..) => None,
+        }
+    }
+
+    /// Where its value comes from, unless it is known for good.
+    pub(crate) fn source(&self) -> Option<(&Expression, Subject)> {
+        match self {
+            Coefficient::Fixed(_) => None,
+            Coefficient::Free(_, expression, subject) | Coefficient::Varying(expression, subject) => {
+                Some((expression, *subject))
+            }
+        }
     }
 }
 
@@ -232,7 +278,7 @@ impl Uses {
             })
     }
 
-    fn expression(&mut self, expression: &Expression, alpha: &Alpha) {
+    pub(crate) fn expression(&mut self, expression: &Expression, alpha: &Alpha) {
         expression.any(&mut |part| {
             match part {
                 Expression::Column(column) => {

@@ -78,6 +78,11 @@ impl Slots {
         }
     }
 
+    /// Which parameters have free values, one for each parameter.
+    pub(crate) fn free(&self) -> Vec<bool> {
+        (0..self.places.len()).map(|parameter| self.is_free(parameter)).collect()
+    }
+
     /// Slot of a parameter on a row with these text cells; `None` where its value is fixed.
     pub fn find(&self, parameter: usize, texts: &[Label]) -> Option<usize> {
         match &self.places[parameter] {

@@ -56,13 +56,20 @@ pub fn bootstrap(
             ratio(null, alternative, &draw.ensemble(&mut random), &places)
         })
         .collect();
-    let statistics: Vec<f64> = found.iter().copied().flatten().collect();
-    // within rounding of the statistic counts as at it: ties are common where both are zero
-    let reached = statistics.iter().filter(|s| **s >= statistic - 1e-9 * statistic.max(1.0)).count();
-    let n = statistics.len() as f64;
-    let p_value = (1.0 + reached as f64) / (1.0 + n);
-    let std_error = (p_value * (1.0 - p_value) / (1.0 + n)).sqrt();
-    BootstrapResult { failed: found.len() - statistics.len(), statistics, p_value, std_error }
+    BootstrapResult::of(&found, statistic)
+}
+
+impl BootstrapResult {
+    /// What the statistics of replicates, `None` where a fit failed, say of that of the data.
+    pub(super) fn of(found: &[Option<f64>], statistic: f64) -> BootstrapResult {
+        let statistics: Vec<f64> = found.iter().copied().flatten().collect();
+        // within rounding of the statistic counts as at it: ties are common where both are zero
+        let reached = statistics.iter().filter(|s| **s >= statistic - 1e-9 * statistic.max(1.0)).count();
+        let n = statistics.len() as f64;
+        let p_value = (1.0 + reached as f64) / (1.0 + n);
+        let std_error = (p_value * (1.0 - p_value) / (1.0 + n)).sqrt();
+        BootstrapResult { failed: found.len() - statistics.len(), statistics, p_value, std_error }
+    }
 }
 
 /// The statistic of one ensemble; `None` when a fit is not certified.

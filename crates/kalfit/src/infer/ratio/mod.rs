@@ -2,12 +2,16 @@
 
 mod bootstrap;
 mod cone;
+mod dynamic;
 mod law;
 mod nested;
+mod restricted;
 
 pub use bootstrap::{Bootstrap, BootstrapResult, bootstrap};
+pub use dynamic::{DynamicRatioError, dynamic_bootstrap, dynamic_ratio, started};
 pub use law::{Component, ReferenceLaw};
 pub use nested::NotNested;
+pub use restricted::{NotNestedParameter, Restricted, restricted};
 
 use crate::estimate::{Estimate, FitError, Progress, Settings, Silent, Structure, fit, fit_from};
 use crate::model::MeanStructure;

@@ -1,0 +1,109 @@
+//! `kalfit fit` where dynamic parameters are free: the tests are kept, since the filters run again whenever α moves.
+
+use kalfit::dynamic::{self, DynamicError, DynamicFit, Method, Settings};
+use kalfit::model::Population;
+use kalfit::record::{DynamicParts, LevelCounts, MethodRecord, level_notes};
+use kalfit::score::Slots;
+use kalfit::{Alpha, FitRecord, Labels, Model, Provenance, Test};
+use kalfit_data::{Input, Reading};
+use kalfit_spec::Spec;
+
+use crate::failure::Failure;
+use crate::innovations;
+use crate::job::FitJob;
+use crate::progress::Line;
+use crate::{fit, reductions, tests};
+
+/// Every method, the one that the results are of first.
+const ALL: [Method; 3] = [Method::Hybrid, Method::Innovations, Method::Em];
+
+/// The method in one place: read, fit, infer, record.
+pub(crate) fn fit(job: &FitJob, spec: &Spec, inputs: &[Input]) -> Result<FitRecord, Failure> {
+    let mut line = Line::new(job.quiet);
+    let model = &spec.model;
+    let (tests, reading) = tests::read(spec, inputs, &mut line)?;
+    let slots = Slots::new(model, &reading.labels, &tests);
+    let notes = level_notes(model, &LevelCounts::all(model, &reading.labels, &tests));
+    if slots.is_empty() {
+        let alpha = slots.alpha(model, &[]);
+        let mut record = known(job, spec, inputs, (&alpha, &tests, &reading), &mut line)?;
+        record.notes.extend(notes);
+        return Ok(record);
+    }
+    let data = Data { model, tests: &tests, reading: &reading };
+    let methods = job.method.map_or(ALL.to_vec(), |method| vec![method]);
+    let mut ends = Vec::new();
+    let mut first = None;
+    for method in methods {
+        let began = line.seconds();
+        let fit = data.fit(&Settings { method, ..job.search.clone() }, &mut line)?;
+        ends.push(MethodRecord::new(&fit, line.seconds() - began));
+        first = first.or(Some(fit));
+    }
+    let fit = first.expect("there is at least one method");
+    line.say(|| "standard errors and intervals".to_owned());
+    let (inference, parameters) =
+        dynamic::infer(model, &tests, &fit, job.choices).map_err(|error| failure(error, &reading))?;
+    let parts =
+        DynamicParts { model, labels: &reading.labels, fit: &fit, inference: &inference, parameters: &parameters };
+    let provenance = Provenance {
+        model_digest: Some(spec.digest.clone()),
+        files: inputs.iter().map(Input::name).collect(),
+        seconds: line.seconds(),
+    };
+    let mut record = FitRecord::dynamic(&parts, provenance);
+    record.notes.extend(notes);
+    if ends.len() > 1 {
+        record.add_methods(ends);
+    }
+    if job.innovations {
+        let at = (model, &fit.alpha, &Population::from(&fit.estimate));
+        innovations::add_of(&mut record, at, &tests, &mut line);
+        record.solver.seconds = line.seconds();
+    }
+    Ok(record)
+}
+
+/// Every level of the data has a value after all.
+fn known(
+    job: &FitJob,
+    spec: &Spec,
+    inputs: &[Input],
+    (alpha, tests, reading): (&Alpha, &[Test], &Reading),
+    line: &mut Line,
+) -> Result<FitRecord, Failure> {
+    fit::refuse_idle(job)?;
+    let reductions = reductions::of(&spec.model, alpha, tests, reading)?;
+    let (mut record, population) = fit::record(job, spec, inputs, (alpha, &reductions), line)?;
+    if job.innovations {
+        innovations::add_of(&mut record, (&spec.model, alpha, &population), tests, line);
+        record.solver.seconds = line.seconds();
+    }
+    Ok(record)
+}
+
+/// What a search for α is made in.
+pub(crate) struct Data<'a> {
+    pub(crate) model: &'a Model,
+    pub(crate) tests: &'a [Test],
+    pub(crate) reading: &'a Reading,
+}
+
+impl Data<'_> {
+    pub(crate) fn labels(&self) -> &Labels {
+        &self.reading.labels
+    }
+
+    pub(crate) fn fit(&self, settings: &Settings, line: &mut Line) -> Result<DynamicFit, Failure> {
+        dynamic::fit(self.model, self.labels(), self.tests, settings, line)
+            .map_err(|error| failure(error, self.reading))
+    }
+}
+
+/// What the core says, with the files and texts of the data.
+pub(crate) fn failure(error: DynamicError, reading: &Reading) -> Failure {
+    match error {
+        DynamicError::Reduce(error) => Failure::Reduce { error: *error, reading: Some(Box::new(reading.clone())) },
+        DynamicError::Fit(error) => Failure::Fit(error),
+    }
+}

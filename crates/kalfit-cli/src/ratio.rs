@@ -1,0 +1,169 @@
+//! `kalfit test` where dynamic parameters are free: both sides are fitted with α, to tests that are kept.
+
+use kalfit::dynamic::{self, DynamicFit, Method, ParameterInference, Settings};
+use kalfit::infer::{
+    Choices, DeletionChoice, DynamicRatioError, Inference, LikelihoodRatio, NotNested, dynamic_bootstrap,
+    dynamic_ratio, restricted, started,
+};
+use kalfit::model::{CovarianceStructure, MeanStructure, Parameter, Value};
+use kalfit::record::{DynamicParts, DynamicSides, PartRecord, RatioProvenance, RatioRecord};
+use kalfit::score::Slots;
+use kalfit::{Labels, Model, Test};
+use kalfit_data::{Input, Reading};
+use kalfit_spec::{Hypothesis, Spec};
+
+use crate::dynamic::{Data, failure};
+use crate::failure::Failure;
+use crate::job::TestJob;
+use crate::progress::Line;
+use crate::test as known;
+use crate::{reductions, tests};
+
+/// A search that ended below the hypothesis is made again with so many random starts.
+const STARTS: usize = 8;
+
+/// The method in one place: read, fit both, compare.
+pub(crate) fn test(
+    job: &TestJob,
+    spec: &Spec,
+    hypothesis: &Hypothesis,
+    inputs: &[Input],
+    provenance: RatioProvenance,
+) -> Result<RatioRecord, Failure> {
+    let mut line = Line::new(job.quiet);
+    let null = &hypothesis.model;
+    // labels are numbered by the texts that both name
+    let wide = Model { literals: null.literals.clone(), text_columns: null.text_columns.clone(), ..spec.model.clone() };
+    let (tests, reading) = tests::read_for(spec, null, inputs, &mut line)?;
+    let slots = [Slots::new(null, &reading.labels, &tests), Slots::new(&wide, &reading.labels, &tests)];
+    restricted((null, &slots[0]), (&wide, &slots[1]), &tests)
+        .map_err(|error| Failure::DynamicRatio(DynamicRatioError::Parameter(error)))?;
+    if slots[1].is_empty() {
+        // every level of the data has a value after all
+        let alpha = slots[1].alpha(&wide, &[]);
+        let reductions = reductions::of(&wide, &alpha, &tests, &reading)?;
+        return known::test(job, (spec, hypothesis), (&alpha, &reductions), provenance, &mut line);
+    }
+    let settings = Settings { method: Method::Hybrid, inner: job.settings.clone(), starts: 0, seed: 1 };
+    let bench = Bench { wide: &wide, null, tests: &tests, reading: &reading, settings };
+    let narrow = bench.fit(null, &mut line)?;
+    let full = bench.at_least(bench.fit(&wide, &mut line)?, &narrow, &mut line)?;
+    let ratio = bench.ratio((null, &narrow), &full)?;
+    let parts = bench.parts(&full, &mut line)?;
+    let drawn = match job.bootstrap {
+        None => None,
+        Some(asked) => {
+            line.say(|| "drawing ensembles from the hypothesis".to_owned());
+            let data = (&reading.labels, &tests[..]);
+            let asked_of = (ratio.statistic, asked);
+            let found =
+                dynamic_bootstrap((null, &narrow), &wide, data, &bench.settings, asked_of).map_err(|error| {
+                    Failure::Simulate { error: Box::new(error), reading: Some(Box::new(reading.clone())) }
+                })?;
+            Some((asked, found))
+        }
+    };
+    let inferred = [bench.infer(null, &narrow)?, bench.infer(&wide, &full)?];
+    let sides = DynamicSides {
+        null: parts_of(null, &reading.labels, &narrow, &inferred[0]),
+        alternative: parts_of(&wide, &reading.labels, &full, &inferred[1]),
+    };
+    let drawn = drawn.as_ref().map(|(asked, found)| (*asked, found));
+    Ok(RatioRecord::dynamic(&sides, &ratio, drawn, parts, provenance))
+}
+
+fn parts_of<'a>(
+    model: &'a Model,
+    labels: &'a Labels,
+    fit: &'a DynamicFit,
+    (inference, parameters): &'a (Inference, Vec<ParameterInference>),
+) -> DynamicParts<'a> {
+    DynamicParts { model, labels, fit, inference, parameters }
+}
+
+/// What all fits of a test share.
+struct Bench<'a> {
+    wide: &'a Model,
+    null: &'a Model,
+    tests: &'a [Test],
+    reading: &'a Reading,
+    settings: Settings,
+}
+
+impl Bench<'_> {
+    fn fit_with(&self, model: &Model, settings: &Settings, line: &mut Line) -> Result<DynamicFit, Failure> {
+        Data { model, tests: self.tests, reading: self.reading }.fit(settings, line)
+    }
+
+    fn fit(&self, model: &Model, line: &mut Line) -> Result<DynamicFit, Failure> {
+        self.fit_with(model, &self.settings, line)
+    }
+
+    fn infer(&self, model: &Model, fit: &DynamicFit) -> Result<(Inference, Vec<ParameterInference>), Failure> {
+        let choices = Choices { deletion: DeletionChoice::None, ..Choices::default() };
+        dynamic::infer(model, self.tests, fit, choices).map_err(|error| failure(error, self.reading))
+    }
+
+    /// The model fitted again, from the hypothesis and from elsewhere, when the hypothesis has the higher likelihood.
+    fn at_least(&self, full: DynamicFit, narrow: &DynamicFit, line: &mut Line) -> Result<DynamicFit, Failure> {
+        let (found, least) = (full.estimate.log_likelihood, narrow.estimate.log_likelihood);
+        if found >= least - 1e-9 * least.abs().max(1.0) {
+            return Ok(full);
+        }
+        let settings = Settings { starts: STARTS, ..self.settings.clone() };
+        let again = self.fit_with(&started(self.wide, (self.null, narrow)), &settings, line)?;
+        Ok(if again.estimate.log_likelihood > found { again } else { full })
+    }
+
+    fn ratio(&self, null: (&Model, &DynamicFit), full: &DynamicFit) -> Result<LikelihoodRatio, Failure> {
+        dynamic_ratio(null, (self.wide, full), self.tests).map_err(Failure::DynamicRatio)
+    }
+
+    /// A hypothesis on more than one of μ, Σ and α, each by itself.
+    fn parts(&self, full: &DynamicFit, line: &mut Line) -> Result<Vec<PartRecord>, Failure> {
+        let (wide, null) = (self.wide, self.null);
+        let mut alone: Vec<(&str, Model)> = Vec::new();
+        if unstarted(&wide.mean) != unstarted(&null.mean) {
+            alone.push(("mean", Model { mean: null.mean.clone(), ..wide.clone() }));
+        }
+        if unstarted_sigma(wide) != unstarted_sigma(null) {
+            alone.push(("covariance", Model { covariance: null.covariance.clone(), ..wide.clone() }));
+        }
+        if unstarted_parameters(wide) != unstarted_parameters(null) {
+            alone.push(("parameters", Model { parameters: null.parameters.clone(), ..wide.clone() }));
+        }
+        if alone.len() < 2 {
+            return Ok(Vec::new());
+        }
+        let mut parts = Vec::new();
+        for (what, model) in alone {
+            let fit = self.fit(&model, line)?;
+            match self.ratio((&model, &fit), full) {
+                Ok(ratio) => parts.push(PartRecord::dynamic(what, &fit, &ratio)),
+                Err(Failure::DynamicRatio(DynamicRatioError::Structure(NotNested::Same))) => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(parts)
+    }
+}
+
+/// A structure without start values, which constrain nothing.
+pub(crate) fn unstarted(mean: &MeanStructure) -> MeanStructure {
+    MeanStructure { start: vec![None; mean.start.len()], ..mean.clone() }
+}
+
+pub(crate) fn unstarted_sigma(model: &Model) -> CovarianceStructure {
+    CovarianceStructure { start: None, ..model.covariance.clone() }
+}
+
+fn unstarted_parameters(model: &Model) -> Vec<Parameter> {
+    let one = |parameter: &Parameter| {
+        let value = match parameter.value {
+            Value::Free { .. } => Value::Free { start: None },
+            fixed => fixed,
+        };
+        Parameter { value, unit: None, ..parameter.clone() }
+    };
+    model.parameters.iter().map(one).collect()
+}

@@ -1,0 +1,205 @@
+//! ℓ(α): the reductions at α, the maximum over (μ, Σ) on them, and its gradient in α. The filters run when α moves, and only
+//! then.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use nalgebra::DVector;
+use rayon::prelude::*;
+
+use crate::dynamic::matrices::{self, matrix_gradient};
+use crate::dynamic::{Coordinate, DynamicError, Settings};
+use crate::ensemble::Test;
+use crate::estimate::{self, Criterion, Estimate, InitialLaw, Silent, Structure};
+use crate::model::{Alpha, Model, Population};
+use crate::reduce::{ReduceError, Reducer, Reduction};
+use crate::score::{Gradient, Scorer, Slots, moments};
+
+/// The ensemble and the model, ready for any α.
+#[derive(Debug)]
+pub(crate) struct Bench<'a> {
+    pub(crate) model: &'a Model,
+    pub(crate) tests: &'a [Test],
+    pub(crate) slots: &'a Slots,
+    pub(crate) coordinates: Vec<Coordinate>,
+    pub(crate) settings: &'a Settings,
+    order: Vec<usize>,
+    filter_passes: AtomicUsize,
+    score_passes: AtomicUsize,
+    passes: AtomicUsize,
+}
+
+/// ℓ at α with its gradient, at the best (μ, Σ).
+#[derive(Debug, Clone)]
+pub(crate) struct Solved {
+    /// The free values.
+    pub(crate) values: Vec<f64>,
+    pub(crate) alpha: Alpha,
+    pub(crate) reductions: Vec<Reduction>,
+    pub(crate) estimate: Estimate,
+    /// dℓ_j/dvalue of each test.
+    pub(crate) scores: Vec<Gradient>,
+    /// dℓ/dcoordinate.
+    pub(crate) gradient: Vec<f64>,
+}
+
+impl Solved {
+    pub(crate) fn value(&self) -> f64 {
+        self.estimate.log_likelihood
+    }
+}
+
+/// ℓ near a solved α at the (μ, Σ) found there.
+#[derive(Debug)]
+pub(crate) struct Shifted {
+    pub(crate) values: Vec<f64>,
+    pub(crate) reductions: Vec<Reduction>,
+    /// Gradient along the tangent basis of (μ, Σ) of the solved place.
+    pub(crate) inner: DVector<f64>,
+    /// dℓ_j/dvalue of each test.
+    pub(crate) scores: Vec<Gradient>,
+    /// dℓ/dvalue through matrices of the covariance structure.
+    pub(crate) matrix: Gradient,
+}
+
+impl<'a> Bench<'a> {
+    pub(crate) fn new(model: &'a Model, tests: &'a [Test], slots: &'a Slots, settings: &'a Settings) -> Bench<'a> {
+        let zero = || AtomicUsize::new(0);
+        let mut order: Vec<usize> = (0..tests.len()).collect();
+        order.sort_by(|&a, &b| tests[a].id.cmp(&tests[b].id));
+        Bench {
+            model,
+            tests,
+            slots,
+            coordinates: Coordinate::of(model, slots),
+            settings,
+            order,
+            filter_passes: zero(),
+            score_passes: zero(),
+            passes: zero(),
+        }
+    }
+
+    /// Runs of the filters over all tests, forward.
+    pub(crate) fn filter_passes(&self) -> usize {
+        self.filter_passes.load(Ordering::Relaxed)
+    }
+
+    /// Runs backward.
+    pub(crate) fn score_passes(&self) -> usize {
+        self.score_passes.load(Ordering::Relaxed)
+    }
+
+    /// Passes over the reductions.
+    pub(crate) fn passes(&self) -> usize {
+        self.passes.load(Ordering::Relaxed)
+    }
+
+    /// The reductions at α.
+    pub(crate) fn reduce(&self, alpha: &Alpha) -> Result<(Reducer, Vec<Reduction>), ReduceError> {
+        let mut reducer = Reducer::scoring(self.model, alpha, self.slots)?;
+        self.filter_passes.fetch_add(1, Ordering::Relaxed);
+        let reductions = reducer.reduce(self.tests)?;
+        Ok((reducer, reductions))
+    }
+
+    /// ℓ(α) and its gradient; `near` is a population near the best one.
+    pub(crate) fn solve(&self, values: &[f64], near: Option<&Population>) -> Result<Solved, DynamicError> {
+        let alpha = self.slots.alpha(self.model, values);
+        let (reducer, reductions) = self.reduce(&alpha).map_err(Box::new)?;
+        let estimate = self.inner(&reductions, &alpha, near)?;
+        let scores = self.scores(&reducer, &reductions, &estimate.state.law())?;
+        let matrix =
+            matrix_gradient(self.model, &alpha, self.slots, &estimate.covariance, &estimate.state.covariance_score());
+        let gradient = self.gradient(values, &scores, &matrix);
+        Ok(Solved { values: values.to_vec(), alpha, reductions, estimate, scores, gradient })
+    }
+
+    /// ℓ(α) alone; `None` where it is not defined.
+    pub(crate) fn value(&self, values: &[f64]) -> Option<f64> {
+        let alpha = self.slots.alpha(self.model, values);
+        let (_, reductions) = self.reduce(&alpha).ok()?;
+        let estimate = self.inner(&reductions, &alpha, None).ok()?;
+        Some(estimate.log_likelihood).filter(|value| value.is_finite())
+    }
+
+    /// The best (μ, Σ) on reductions.
+    pub(crate) fn inner(
+        &self,
+        reductions: &[Reduction],
+        alpha: &Alpha,
+        near: Option<&Population>,
+    ) -> Result<Estimate, DynamicError> {
+        let structure = Structure::of(self.model, alpha);
+        let settings = &self.settings.inner;
+        let estimate = match near {
+            Some(start) => estimate::fit_from(reductions, &structure, start, settings, &mut Silent)?,
+            None => estimate::fit(reductions, &structure, settings, &mut Silent)?,
+        };
+        self.passes.fetch_add(estimate.passes, Ordering::Relaxed);
+        Ok(estimate)
+    }
+
+    /// ℓ and its gradient in α at other values but the (μ, Σ) of `home`; `None` where it is not defined.
+    pub(crate) fn shift(&self, home: &Solved, values: &[f64]) -> Option<Shifted> {
+        let alpha = self.slots.alpha(self.model, values);
+        let (reducer, reductions) = self.reduce(&alpha).ok()?;
+        self.passes.fetch_add(1, Ordering::Relaxed);
+        let at = home.estimate.state.elsewhere(&reductions, &alpha).ok()??;
+        let scores = self.scores(&reducer, &reductions, &at.law()).ok()?;
+        let matrix = matrix_gradient(self.model, &alpha, self.slots, &at.covariance(), &at.covariance_score());
+        let inner = at.gradient(&home.estimate.state);
+        Some(Shifted { values: values.to_vec(), reductions, inner, scores, matrix })
+    }
+
+    /// What [`Bench::shift`] gives at home.
+    pub(crate) fn at_home(&self, home: &Solved) -> Shifted {
+        let state = &home.estimate.state;
+        let sigma = &home.estimate.covariance;
+        Shifted {
+            values: home.values.clone(),
+            reductions: home.reductions.clone(),
+            inner: state.place.tangent.gradient.clone(),
+            scores: home.scores.clone(),
+            matrix: matrix_gradient(self.model, &home.alpha, self.slots, sigma, &state.covariance_score()),
+        }
+    }
+
+    /// Values that stand in matrices of the covariance structure.
+    pub(crate) fn matrix_slots(&self) -> Vec<usize> {
+        matrices::slots(self.model, self.slots)
+    }
+
+    /// The restricted likelihood is maximised.
+    pub(crate) fn restricted(&self) -> bool {
+        self.settings.inner.criterion == Criterion::Reml
+    }
+
+    /// The tests in an order that does not depend on theirs.
+    pub(crate) fn order(&self) -> &[usize] {
+        &self.order
+    }
+
+    /// dℓ_j/dvalue of each test.
+    pub(crate) fn scores(
+        &self,
+        reducer: &Reducer,
+        reductions: &[Reduction],
+        law: &InitialLaw,
+    ) -> Result<Vec<Gradient>, DynamicError> {
+        self.score_passes.fetch_add(1, Ordering::Relaxed);
+        let moments: Vec<_> = reductions.par_iter().map(|reduction| moments(reduction, law)).collect();
+        let scorer = Scorer::new(reducer, self.slots).map_err(Box::new)?;
+        Ok(scorer.scores(self.tests, &moments).map_err(Box::new)?)
+    }
+
+    /// dℓ/dcoordinate from what tests and matrices give.
+    pub(crate) fn gradient(&self, values: &[f64], scores: &[Gradient], matrix: &Gradient) -> Vec<f64> {
+        let mut gradient = vec![0.0; values.len()];
+        for (slot, bar) in self.order.iter().flat_map(|&j| &scores[j]).chain(matrix) {
+            gradient[*slot] += bar;
+        }
+        let slope = |(s, value): (usize, &f64)| self.coordinates[s].slope(*value);
+        gradient.iter_mut().zip(values.iter().enumerate().map(slope)).for_each(|(g, slope)| *g *= slope);
+        gradient
+    }
+}

@@ -1,0 +1,379 @@
+//! Observed information of (α, μ, Σ) together, from differences of exact gradients.
+//!
+//! At fixed (μ, Σ) a small change of α gives a column of -∂²ℓ/∂α∂(α, μ, Σ). Values that no test has in common change at the
+//! same time: thousands of levels cost as many runs of the filters as one test has values. Values of single tests are
+//! eliminated test by test, so no matrix of their number is ever formed.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::dynamic::bench::{Bench, Shifted, Solved};
+use crate::linalg::symmetric;
+
+/// Up to so many values none is eliminated by itself.
+const DENSE: usize = 24;
+/// Step of a logarithm for differences to both sides.
+const STEP: f64 = 1e-4;
+/// … and to one side.
+const SHORT: f64 = 1e-6;
+/// A step of a value that is not positive should be between these parts of its standard error.
+const PARTS: [f64; 2] = [1e-6, 3e-2];
+/// Scaled eigenvalues of the information below this are flat.
+pub(crate) const FLAT: f64 = 1e-10;
+
+/// The information in coordinates of α and along the tangent basis of (μ, Σ).
+#[derive(Debug, Clone)]
+pub(crate) struct Joint {
+    /// Values that move.
+    pub(crate) active: Vec<usize>,
+    /// Values of single tests, by test.
+    private: Vec<Vec<usize>>,
+    /// The others.
+    shared: Vec<usize>,
+    /// -∂²ℓ/∂α∂α where it is not zero, both triangles.
+    own: BTreeMap<(usize, usize), f64>,
+    /// -∂²ℓ/∂α∂(μ, Σ), a row for each value.
+    cross: DMatrix<f64>,
+    /// -∂²ℓ/∂(μ, Σ)².
+    inner: DMatrix<f64>,
+}
+
+/// Solution of Joint × step = gradient, or as near as positive curvature allows.
+#[derive(Debug, Clone)]
+pub(crate) struct Step {
+    /// Of α, zero for values that do not move.
+    pub(crate) alpha: Vec<f64>,
+    /// Along the tangent basis of (μ, Σ).
+    pub(crate) inner: DVector<f64>,
+    /// What the step promises: half of this squared.
+    pub(crate) decrement: f64,
+    /// The curvature is positive, flat directions apart.
+    pub(crate) concave: bool,
+}
+
+/// Covariances from the inverse of the information.
+#[derive(Debug, Clone)]
+pub(crate) struct Covariances {
+    /// Variance of each coordinate of α; `None` where it does not move or is flat.
+    pub(crate) alpha: Vec<Option<f64>>,
+    /// Covariance along the tangent basis of (μ, Σ), the uncertainty of α in it.
+    pub(crate) inner: DMatrix<f64>,
+}
+
+impl Joint {
+    /// The information at a solved α among the values that are `active`. With differences to both sides it is good to
+    /// about 1e-7.
+    pub(crate) fn new(bench: &Bench<'_>, home: &Solved, active: &[bool], central: bool) -> Joint {
+        let touching = touching(bench, home);
+        let n = home.values.len();
+        let inner = home.estimate.state.place.tangent.information.clone();
+        let list: Vec<usize> = (0..n).filter(|&s| active[s]).collect();
+        let alone = |s: usize| list.len() > DENSE && touching.tests[s].len() == 1 && !touching.matrix[s];
+        let mut by_test: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+        list.iter().filter(|&&s| alone(s)).for_each(|&s| by_test.entry(touching.tests[s][0]).or_default().push(s));
+        let mut joint = Joint {
+            shared: list.iter().copied().filter(|&s| !alone(s)).collect(),
+            private: by_test.into_values().collect(),
+            active: list,
+            own: BTreeMap::new(),
+            cross: DMatrix::zeros(n, inner.nrows()),
+            inner,
+        };
+        for colour in touching.colours(&joint.active, bench.restricted()) {
+            joint.column(bench, home, &colour, &touching, central);
+        }
+        joint
+    }
+
+    /// The columns of some values that no test has in common.
+    fn column(&mut self, bench: &Bench<'_>, home: &Solved, colour: &[usize], touching: &Touching, central: bool) {
+        let mut steps: Vec<f64> = colour.iter().map(|&s| first_step(bench, home, s, central)).collect();
+        for attempt in 0..5 {
+            let sides = sides(bench, home, colour, &steps, central);
+            let Some(sides) = sides.filter(|sides| widths(bench, colour, sides).values().all(|w| *w > 0.0)) else {
+                steps.iter_mut().for_each(|h| *h *= 1e-2);
+                continue;
+            };
+            self.differences(bench, home, (colour, &steps), &sides, touching);
+            let mut wrong = false;
+            for (&s, h) in colour.iter().zip(&mut steps) {
+                let own = self.own.get(&(s, s)).copied().unwrap_or(0.0).abs().sqrt();
+                let part = *h * own;
+                if !bench.coordinates[s].log && own > 0.0 && attempt < 3 && !(PARTS[0]..=PARTS[1]).contains(&part) {
+                    *h = (PARTS[0] * PARTS[1]).sqrt() / own;
+                    wrong = true;
+                }
+            }
+            if !wrong {
+                return;
+            }
+        }
+    }
+
+    /// Fills the columns of a colour from the two sides.
+    fn differences(
+        &mut self,
+        bench: &Bench<'_>,
+        home: &Solved,
+        (colour, steps): (&[usize], &[f64]),
+        sides: &[Shifted; 2],
+        touching: &Touching,
+    ) {
+        let step_of: BTreeMap<usize, f64> = colour.iter().copied().zip(steps.iter().copied()).collect();
+        let width = widths(bench, colour, sides);
+        self.own.retain(|(_, t), _| !step_of.contains_key(t));
+        let mut add = |s: usize, t: usize, value: f64| *self.own.entry((s, t)).or_insert(0.0) += value;
+        let slope = |side: &Shifted, s: usize| bench.coordinates[s].slope(side.values[s]);
+        for (j, by) in bench.order().iter().map(|&j| (j, touching.of_test[j].iter().find(|s| step_of.contains_key(s))))
+        {
+            let Some(&by) = by else { continue };
+            for (side, sign) in sides.iter().zip([-1.0, 1.0]) {
+                for &(s, bar) in &side.scores[j] {
+                    add(s, by, sign * bar * slope(side, s) / width[&by]);
+                }
+            }
+        }
+        for &by in colour.iter().filter(|&&s| touching.matrix[s] || touching.everywhere(s)) {
+            for (side, sign) in sides.iter().zip([-1.0, 1.0]) {
+                for &(s, bar) in &side.matrix {
+                    add(s, by, sign * bar * slope(side, s) / width[&by]);
+                }
+            }
+        }
+        self.crosses(home, (colour, &width), sides, touching);
+    }
+
+    fn crosses(
+        &mut self,
+        home: &Solved,
+        (colour, width): (&[usize], &BTreeMap<usize, f64>),
+        sides: &[Shifted; 2],
+        touching: &Touching,
+    ) {
+        let state = &home.estimate.state;
+        if let [s] = colour {
+            let row = (&sides[1].inner - &sides[0].inner) / width[s];
+            self.cross.set_row(*s, &row.transpose());
+            return;
+        }
+        for &s in colour {
+            let mut row = DVector::zeros(self.inner.nrows());
+            for &j in &touching.tests[s] {
+                row += state.gradient_of(&sides[1].reductions[j]) - state.gradient_of(&sides[0].reductions[j]);
+            }
+            self.cross.set_row(s, &(row / width[&s]).transpose());
+        }
+    }
+
+    /// Values that are not of single tests.
+    pub(crate) fn shared(&self) -> &[usize] {
+        &self.shared
+    }
+
+    fn entry(&self, s: usize, t: usize) -> f64 {
+        let at = |s, t| self.own.get(&(s, t)).copied().unwrap_or(0.0);
+        0.5 * (at(s, t) + at(t, s))
+    }
+
+    /// Rows of a private block against (shared values, inner coordinates).
+    fn border(&self, block: &[usize]) -> DMatrix<f64> {
+        let k = self.shared.len();
+        DMatrix::from_fn(block.len(), k + self.inner.nrows(), |i, c| {
+            if c < k { self.entry(block[i], self.shared[c]) } else { self.cross[(block[i], c - k)] }
+        })
+    }
+
+    fn block(&self, block: &[usize]) -> DMatrix<f64> {
+        DMatrix::from_fn(block.len(), block.len(), |i, k| self.entry(block[i], block[k]))
+    }
+
+    /// (shared values, inner coordinates) once private values have been eliminated, and their gradient.
+    fn reduced(&self, gradient: &[f64], inner: &DVector<f64>, damping: f64) -> (DMatrix<f64>, DVector<f64>, bool) {
+        let (k, m) = (self.shared.len(), self.inner.nrows());
+        let mut matrix = DMatrix::zeros(k + m, k + m);
+        matrix.view_mut((0, 0), (k, k)).copy_from(&self.block(&self.shared));
+        matrix.view_mut((k, k), (m, m)).copy_from(&self.inner);
+        let cross = DMatrix::from_fn(k, m, |i, c| self.cross[(self.shared[i], c)]);
+        matrix.view_mut((0, k), (k, m)).copy_from(&cross);
+        matrix.view_mut((k, 0), (m, k)).copy_from(&cross.transpose());
+        let mut right = DVector::zeros(k + m);
+        self.shared.iter().enumerate().for_each(|(i, &s)| right[i] = gradient[s]);
+        right.rows_mut(k, m).copy_from(inner);
+        let mut concave = true;
+        for block in &self.private {
+            let (inverse, positive) = positive_inverse(&self.block(block), damping);
+            concave &= positive;
+            let border = self.border(block);
+            let own = DVector::from_iterator(block.len(), block.iter().map(|&s| gradient[s]));
+            let half = &inverse * &border;
+            matrix -= border.transpose() * &half;
+            right -= half.transpose() * own;
+        }
+        (matrix, right, concave)
+    }
+
+    /// Newton's step with Levenberg's damping, in coordinates of unit curvature; where the curvature has the wrong sign its
+    /// absolute value stands for it.
+    pub(crate) fn step(&self, gradient: &[f64], inner: &DVector<f64>, damping: f64) -> Step {
+        let (matrix, right, mut concave) = self.reduced(gradient, inner, damping);
+        let (inverse, positive) = positive_inverse(&matrix, damping);
+        concave &= positive;
+        let x = inverse * &right;
+        let k = self.shared.len();
+        let mut alpha = vec![0.0; gradient.len()];
+        self.shared.iter().enumerate().for_each(|(i, &s)| alpha[s] = x[i]);
+        for block in &self.private {
+            let (inverse, _) = positive_inverse(&self.block(block), damping);
+            let own = DVector::from_iterator(block.len(), block.iter().map(|&s| gradient[s]));
+            let step = inverse * (own - self.border(block) * &x);
+            block.iter().zip(step.iter()).for_each(|(&s, step)| alpha[s] = *step);
+        }
+        let inner_step = x.rows(k, x.len() - k).into_owned();
+        let promised = self.active.iter().map(|&s| alpha[s] * gradient[s]).sum::<f64>() + inner_step.dot(inner);
+        Step { alpha, inner: inner_step, decrement: promised.max(0.0).sqrt(), concave }
+    }
+
+    /// Covariances of all coordinates: the inverse, flat directions left out.
+    pub(crate) fn covariances(&self) -> Covariances {
+        let n = self.cross.nrows();
+        let (matrix, _, _) = self.reduced(&vec![0.0; n], &DVector::zeros(self.inner.nrows()), 0.0);
+        let (law, flat) = inverse(&matrix);
+        let k = self.shared.len();
+        let mut alpha = vec![None; n];
+        for (i, &s) in self.shared.iter().enumerate() {
+            alpha[s] = Some(law[(i, i)]).filter(|v| *v > 0.0 && !flat[i]);
+        }
+        for block in &self.private {
+            let (own, flat) = inverse(&self.block(block));
+            let carried = &own * self.border(block);
+            let total = &own + &carried * &law * carried.transpose();
+            for (i, &s) in block.iter().enumerate() {
+                alpha[s] = Some(total[(i, i)]).filter(|v| *v > 0.0 && !flat[i]);
+            }
+        }
+        let m = self.inner.nrows();
+        Covariances { alpha, inner: law.view((k, k), (m, m)).into_owned() }
+    }
+
+    /// Information on one value when everything else follows it: the inverse of its variance.
+    pub(crate) fn curvature(&self, s: usize) -> f64 {
+        self.entry(s, s)
+    }
+}
+
+/// The inverse with damped eigenvalues by absolute value, flat directions left out; whether none is negative.
+fn positive_inverse(matrix: &DMatrix<f64>, damping: f64) -> (DMatrix<f64>, bool) {
+    let (scale, values, vectors) = scaled_eigen(matrix);
+    let positive = values.iter().all(|v| *v > -1e-6);
+    let turned = values.iter().map(|v| if v.abs() > FLAT { (v.abs().max(1e-8) + damping).recip() } else { 0.0 });
+    let inverse =
+        &vectors * DMatrix::from_diagonal(&DVector::from_iterator(values.len(), turned)) * vectors.transpose();
+    (DMatrix::from_fn(scale.len(), scale.len(), |i, k| scale[i] * inverse[(i, k)] * scale[k]), positive)
+}
+
+/// The inverse, and which coordinates take part in a flat direction.
+fn inverse(matrix: &DMatrix<f64>) -> (DMatrix<f64>, Vec<bool>) {
+    let (scale, values, vectors) = scaled_eigen(matrix);
+    let n = scale.len();
+    let mut flat: Vec<bool> = scale.iter().map(|s| *s == 0.0).collect();
+    for (k, _) in values.iter().enumerate().filter(|(_, v)| **v <= FLAT) {
+        (0..n).filter(|&i| vectors[(i, k)].abs() > 1e-3).for_each(|i| flat[i] = true);
+    }
+    let turned = values.iter().map(|&v| if v > FLAT { v.recip() } else { 0.0 });
+    let inverse = &vectors * DMatrix::from_diagonal(&DVector::from_iterator(n, turned)) * vectors.transpose();
+    (DMatrix::from_fn(n, n, |i, k| scale[i] * inverse[(i, k)] * scale[k]), flat)
+}
+
+fn scaled_eigen(matrix: &DMatrix<f64>) -> (Vec<f64>, Vec<f64>, DMatrix<f64>) {
+    let n = matrix.nrows();
+    let unit = |i: usize| if matrix[(i, i)] != 0.0 { matrix[(i, i)].abs().sqrt().recip() } else { 0.0 };
+    let scale: Vec<f64> = (0..n).map(unit).collect();
+    let scaled = DMatrix::from_fn(n, n, |i, k| scale[i] * 0.5 * (matrix[(i, k)] + matrix[(k, i)]) * scale[k]);
+    let (values, vectors) = symmetric::eigen(&scaled);
+    (scale, values, vectors)
+}
+
+/// ℓ on both sides of home, with the values of a colour moved; the lower side is home itself for differences to one side.
+fn sides(bench: &Bench<'_>, home: &Solved, colour: &[usize], steps: &[f64], central: bool) -> Option<[Shifted; 2]> {
+    let moved = |sign: f64| {
+        let mut values = home.values.clone();
+        colour.iter().zip(steps).for_each(|(&s, h)| values[s] = bench.coordinates[s].moved(values[s], sign * h));
+        bench.shift(home, &values)
+    };
+    let upper = moved(1.0);
+    let lower = if central || upper.is_none() { moved(-1.0) } else { Some(bench.at_home(home)) };
+    match (upper, lower) {
+        (Some(upper), Some(lower)) => Some([upper, lower]),
+        (Some(upper), None) => Some([upper, bench.at_home(home)]),
+        (None, Some(lower)) => Some([bench.at_home(home), lower]),
+        (None, None) => None,
+    }
+}
+
+/// How far apart the sides are in each coordinate of a colour.
+fn widths(bench: &Bench<'_>, colour: &[usize], sides: &[Shifted; 2]) -> BTreeMap<usize, f64> {
+    let width = |&s: &usize| {
+        let [upper, lower] = [sides[0].values[s], sides[1].values[s]];
+        (s, if bench.coordinates[s].log { (upper / lower).ln() } else { upper - lower })
+    };
+    colour.iter().map(width).collect()
+}
+
+fn first_step(bench: &Bench<'_>, home: &Solved, s: usize, central: bool) -> f64 {
+    let h = if central { STEP } else { SHORT };
+    if bench.coordinates[s].log { h } else { h * home.values[s].abs().max(1e-2) }
+}
+
+/// Which tests depend on which values.
+#[derive(Debug)]
+struct Touching {
+    tests: Vec<Vec<usize>>,
+    of_test: Vec<Vec<usize>>,
+    /// The value stands in a matrix of the covariance structure.
+    matrix: Vec<bool>,
+    count: usize,
+}
+
+fn touching(bench: &Bench<'_>, home: &Solved) -> Touching {
+    let n = home.values.len();
+    let mut tests = vec![Vec::new(); n];
+    let of_test: Vec<Vec<usize>> = home.scores.iter().map(|g| g.iter().map(|(s, _)| *s).collect()).collect();
+    for (j, slots) in of_test.iter().enumerate() {
+        slots.iter().for_each(|&s| tests[s].push(j));
+    }
+    let mut matrix = vec![false; n];
+    bench.matrix_slots().into_iter().for_each(|s| matrix[s] = true);
+    Touching { tests, of_test, matrix, count: home.scores.len() }
+}
+
+impl Touching {
+    fn everywhere(&self, s: usize) -> bool {
+        self.tests[s].len() == self.count
+    }
+
+    /// Sets of values that no test has in common; each value alone when `apart`.
+    fn colours(&self, active: &[usize], apart: bool) -> Vec<Vec<usize>> {
+        if apart {
+            return active.iter().map(|&s| vec![s]).collect();
+        }
+        let mut colours: Vec<(Vec<usize>, Vec<bool>)> = Vec::new();
+        for &s in active {
+            let whole = self.matrix[s] || self.everywhere(s);
+            let free = |taken: &[bool]| !whole && self.tests[s].iter().all(|&j| !taken[j]);
+            let place = colours.iter().position(|(_, taken)| free(taken));
+            let place = place.unwrap_or_else(|| {
+                colours.push((Vec::new(), vec![false; self.count]));
+                colours.len() - 1
+            });
+            let (colour, taken) = &mut colours[place];
+            colour.push(s);
+            if whole {
+                taken.fill(true);
+            } else {
+                self.tests[s].iter().for_each(|&j| taken[j] = true);
+            }
+        }
+        colours.into_iter().map(|(colour, _)| colour).collect()
+    }
+}

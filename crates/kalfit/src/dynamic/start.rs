@@ -1,0 +1,265 @@
+//! Start values of α: the model file's where it gives them, else worked out from the data.
+//!
+//! Scales come from the spread of what was measured and from the lengths of steps and records; then each value without a start
+//! is tried over many powers of ten, cheaply: on a part of the data, with μ and Σ solved for each.
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+use crate::dynamic::bench::Bench;
+use crate::dynamic::{Coordinate, DynamicError};
+use crate::ensemble::Test;
+use crate::model::{Expression, Linear, Model, Motion, Value};
+
+/// Rows that start values are worked out from, and rows of one test among them.
+const ROWS: usize = 20_000;
+const ROWS_OF_A_TEST: usize = 4_000;
+/// Powers of this factor are tried, so many to each side.
+const FACTOR: f64 = 4.0;
+const EACH_SIDE: i32 = 6;
+/// Spread of random starts: standard deviation of a logarithm.
+const SPREAD: f64 = 1.5;
+/// Values other than logarithms that are tried where none is given.
+const TRIED: [f64; 5] = [0.0, 0.5, 0.9, -0.5, 1.0];
+
+/// Start values, the likeliest first: the one worked out from the data, others where the likelihood looks to have other maxima
+/// in a time constant, and as many random ones as the settings say.
+pub(crate) fn starts(bench: &Bench<'_>) -> Result<Vec<Vec<f64>>, DynamicError> {
+    let sample = sample(bench.tests);
+    let small = Bench::new(bench.model, &sample, bench.slots, bench.settings);
+    let mut first = first_guess(bench);
+    let unknown = unknown(bench);
+    if !unknown.is_empty() {
+        scale_together(&small, &unknown, &mut first);
+        for _ in 0..unknown.len().min(2) {
+            unknown.iter().for_each(|&parameter| scan(&small, parameter, &mut first));
+        }
+    }
+    if small.value(&first).is_none() {
+        bench.solve(&first, None)?; // says what is wrong
+    }
+    let mut all = vec![first.clone()];
+    for parameter in time_constants(bench.model).into_iter().filter(|&p| bench.slots.is_free(p)) {
+        all.extend(other_maxima(&small, parameter, &first));
+    }
+    all.extend((0..bench.settings.starts).map(|k| random(bench, &first, k)));
+    Ok(all)
+}
+
+/// Every test's first rows, as many tests as fit.
+fn sample(tests: &[Test]) -> Vec<Test> {
+    let mut order: Vec<&Test> = tests.iter().collect();
+    order.sort_by(|a, b| a.id.cmp(&b.id));
+    let mut rows = 0;
+    let mut sample = Vec::new();
+    for test in order {
+        let kept = test.rows().min(ROWS_OF_A_TEST);
+        sample.push(test.first(kept));
+        rows += kept;
+        if rows > ROWS {
+            break;
+        }
+    }
+    sample
+}
+
+/// Parameters without a start value, by index.
+fn unknown(bench: &Bench<'_>) -> Vec<usize> {
+    let told = |value: Value, log: bool| match value {
+        Value::Free { start: Some(start) } => !(log && start == 0.0), // a logarithm cannot start at zero
+        Value::Free { start: None } => false,
+        Value::Fixed(_) => true,
+    };
+    let parameters = bench.model.parameters.iter().enumerate();
+    parameters.filter(|(p, what)| bench.slots.is_free(*p) && !told(what.value, what.positive)).map(|(p, _)| p).collect()
+}
+
+fn first_guess(bench: &Bench<'_>) -> Vec<f64> {
+    let scales = Scales::of(bench);
+    let one = |(s, slot): (usize, &crate::score::Slot)| {
+        let parameter = &bench.model.parameters[slot.parameter];
+        let coordinate = bench.coordinates[s];
+        let guess = match parameter.value {
+            Value::Free { start: Some(start) } if !(coordinate.log && start == 0.0) => start,
+            _ if coordinate.log => scales.guess(bench.model, slot.parameter),
+            _ => 0.0,
+        };
+        inside(coordinate, guess)
+    };
+    bench.slots.slots().iter().enumerate().map(one).collect()
+}
+
+/// A start value strictly between the bounds where that is possible.
+fn inside(coordinate: Coordinate, value: f64) -> f64 {
+    if value > coordinate.lower && value < coordinate.upper {
+        return value;
+    }
+    match (coordinate.lower.is_finite(), coordinate.upper.is_finite()) {
+        (true, true) => 0.5 * (coordinate.lower + coordinate.upper),
+        (true, false) if coordinate.log => 2.0 * coordinate.lower.max(0.5),
+        (true, false) => coordinate.lower + 1.0,
+        (false, true) => coordinate.upper - 1.0,
+        (false, false) => value,
+    }
+}
+
+/// Sizes found in the data.
+struct Scales {
+    /// Of the differences of successive measured values, by measurement.
+    noise: Vec<f64>,
+    /// Median length of a step.
+    step: f64,
+    /// Median length of a test.
+    span: f64,
+}
+
+impl Scales {
+    fn of(bench: &Bench<'_>) -> Scales {
+        let noise = bench.model.measurements.iter().map(|m| differences(bench.tests, m.column)).collect();
+        let (mut steps, mut spans) = (Vec::new(), Vec::new());
+        if let Some(time) = bench.model.clock.time {
+            for test in bench.tests {
+                let times: Vec<f64> = (0..test.rows().min(ROWS_OF_A_TEST)).map(|row| test.numbers(row)[time]).collect();
+                steps.extend(times.windows(2).map(|pair| pair[1] - pair[0]).filter(|d| *d > 0.0));
+                let last = test.rows().checked_sub(1).map(|row| test.numbers(row)[time]);
+                spans.extend(last.zip(times.first()).map(|(last, first)| last - first).filter(|d| *d > 0.0));
+            }
+        }
+        Scales { noise, step: median(steps).unwrap_or(1.0), span: median(spans).unwrap_or(1.0) }
+    }
+
+    /// A value for a positive parameter.
+    fn guess(&self, model: &Model, parameter: usize) -> f64 {
+        if time_constants(model).contains(&parameter) {
+            return (self.step * self.span).sqrt();
+        }
+        let own = model.measurements.iter().zip(&self.noise).find(|(m, _)| mentions(&m.noise_variance, parameter));
+        if let Some((measurement, &size)) = own {
+            // the variance is the square of the parameter, or the parameter itself
+            let as_variance = measurement.noise_variance == Expression::Parameter(parameter);
+            return if as_variance { size * size } else { size };
+        }
+        let all = median(self.noise.iter().copied().filter(|size| *size > 0.0).collect()).unwrap_or(1.0);
+        let variance = |motion: &Motion| match motion {
+            Motion::Continuous { noise_variance, .. } | Motion::Discrete { noise_variance, .. } => {
+                *noise_variance == Expression::Parameter(parameter)
+            }
+            Motion::Constant => false,
+        };
+        if model.states.iter().any(|state| variance(&state.motion)) { all * all } else { all }
+    }
+}
+
+/// Root mean square of the differences of successive values within tests, over √2.
+fn differences(tests: &[Test], column: usize) -> f64 {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for test in tests {
+        let mut last = f64::NAN;
+        for row in 0..test.rows().min(ROWS_OF_A_TEST) {
+            let value = test.numbers(row)[column];
+            if !value.is_nan() {
+                if !last.is_nan() {
+                    sum += (value - last).powi(2);
+                    count += 2.0;
+                }
+                last = value;
+            }
+        }
+    }
+    let size: f64 = if count > 0.0 { f64::sqrt(sum / count) } else { 0.0 };
+    if size > 0.0 && size.is_finite() { size } else { 1.0 }
+}
+
+fn median(mut list: Vec<f64>) -> Option<f64> {
+    list.sort_by(f64::total_cmp);
+    list.get(list.len() / 2).copied()
+}
+
+fn mentions(expression: &Expression, parameter: usize) -> bool {
+    expression.any(&mut |part| matches!(part, Expression::Parameter(index) if *index == parameter))
+}
+
+/// Positive parameters that the coefficients of a motion depend on.
+pub(crate) fn time_constants(model: &Model) -> Vec<usize> {
+    let motion = |linear: &Linear, parameter| linear.terms.iter().any(|(_, h)| mentions(h, parameter));
+    let used = |parameter: usize| {
+        model.states.iter().any(|state| match &state.motion {
+            Motion::Constant => false,
+            Motion::Continuous { derivative, .. } => motion(derivative, parameter),
+            Motion::Discrete { next, .. } => motion(next, parameter),
+        })
+    };
+    (0..model.parameters.len()).filter(|&p| model.parameters[p].positive && used(p)).collect()
+}
+
+/// All unknown noise levels by one factor: the data's units are not those of every state.
+fn scale_together(small: &Bench<'_>, unknown: &[usize], values: &mut Vec<f64>) {
+    let constants = time_constants(small.model);
+    let levels: Vec<usize> = unknown.iter().copied().filter(|p| !constants.contains(p)).collect();
+    let logs = |values: &[f64], k: i32| -> Vec<f64> {
+        let moved = |(s, value): (usize, &f64)| {
+            let own = levels.contains(&small.slots.slots()[s].parameter) && small.coordinates[s].log;
+            if own { small.coordinates[s].moved(*value, f64::from(k) * FACTOR.ln()) } else { *value }
+        };
+        values.iter().enumerate().map(moved).collect()
+    };
+    let tries = (-3..=3).map(|k| logs(values, k));
+    if let Some((best, _)) = best(small, tries) {
+        *values = best;
+    }
+}
+
+/// All levels of one parameter over many powers of a factor.
+fn scan(small: &Bench<'_>, parameter: usize, values: &mut Vec<f64>) {
+    let mut tries = vec![values.clone()];
+    tries.extend(grid(small, parameter, values));
+    if let Some((best, _)) = best(small, tries.into_iter()) {
+        *values = best;
+    }
+}
+
+fn grid(small: &Bench<'_>, parameter: usize, values: &[f64]) -> Vec<Vec<f64>> {
+    let own = |s: usize| small.slots.slots()[s].parameter == parameter;
+    let with = |change: &dyn Fn(usize, f64) -> f64| -> Vec<f64> {
+        values.iter().enumerate().map(|(s, &v)| if own(s) { change(s, v) } else { v }).collect()
+    };
+    if (0..values.len()).any(|s| own(s) && small.coordinates[s].log) {
+        (-EACH_SIDE..=EACH_SIDE)
+            .map(|k| with(&|s, v| small.coordinates[s].moved(v, f64::from(k) * FACTOR.ln())))
+            .collect()
+    } else {
+        TRIED.iter().map(|&x| with(&|s, _| inside(small.coordinates[s], x))).collect()
+    }
+}
+
+fn best(small: &Bench<'_>, tries: impl Iterator<Item = Vec<f64>>) -> Option<(Vec<f64>, f64)> {
+    let valued = tries.filter_map(|values| small.value(&values).map(|value| (values, value)));
+    valued.fold(None, |best: Option<(Vec<f64>, f64)>, next| match best {
+        Some(best) if best.1 >= next.1 => Some(best),
+        _ => Some(next),
+    })
+}
+
+/// Starts where ℓ over the powers of a time constant has other maxima than at the first start.
+fn other_maxima(small: &Bench<'_>, parameter: usize, first: &[f64]) -> Vec<Vec<f64>> {
+    let grid = grid(small, parameter, first);
+    let values: Vec<f64> = grid.iter().map(|v| small.value(v).unwrap_or(f64::NEG_INFINITY)).collect();
+    let at = |k: usize| values.get(k).copied().unwrap_or(f64::NEG_INFINITY);
+    let peak = |&k: &usize| values[k].is_finite() && (k == 0 || at(k - 1) < values[k]) && at(k + 1) <= values[k];
+    let middle = EACH_SIDE as usize;
+    let near = |k: usize| k.abs_diff(middle) <= 1;
+    (0..values.len()).filter(peak).filter(|&k| !near(k)).take(3).map(|k| grid[k].clone()).collect()
+}
+
+/// Random start `k`: logarithms moved by normal numbers, other values by their own size. A stream of its own for each.
+fn random(bench: &Bench<'_>, first: &[f64], k: usize) -> Vec<f64> {
+    let mut random = ChaCha8Rng::seed_from_u64(bench.settings.seed);
+    random.set_stream(k as u64);
+    let moved = |(s, value): (usize, &f64)| {
+        let draw: f64 = StandardNormal.sample(&mut random);
+        let coordinate = bench.coordinates[s];
+        coordinate.moved(*value, if coordinate.log { SPREAD * draw } else { draw * value.abs().max(0.5) })
+    };
+    first.iter().enumerate().map(moved).collect()
+}

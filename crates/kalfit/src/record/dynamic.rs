@@ -1,0 +1,205 @@
+//! The record of a fit with free dynamic parameters.
+
+use crate::dynamic::{DynamicFit, Method, ParameterInference, Standing};
+use crate::ensemble::Labels;
+use crate::estimate::{Criterion, Stop};
+use crate::infer::Inference;
+use crate::model::{Model, Parameter};
+use crate::record::build;
+use crate::record::diagnosis::list;
+use crate::record::parameters::{self, MethodRecord, StartRecord, meaning};
+use crate::record::{FitRecord, Provenance};
+
+/// Two searches whose log-likelihoods differ by no more than this ended equally high.
+const EQUAL: f64 = 1e-4;
+/// Values that differ by no more than this part of their standard error, or of themselves, are the same.
+const SAME: f64 = 0.05;
+
+/// A fit of α, μ and Σ and what was inferred from it.
+#[derive(Debug, Clone, Copy)]
+pub struct DynamicParts<'a> {
+    /// The model.
+    pub model: &'a Model,
+    /// Texts of the data.
+    pub labels: &'a Labels,
+    /// Where the search ended.
+    pub fit: &'a DynamicFit,
+    /// What is known of μ and Σ.
+    pub inference: &'a Inference,
+    /// What is known of the free values of α, in the order of the slots.
+    pub parameters: &'a [ParameterInference],
+}
+
+impl FitRecord {
+    /// The record of a fit of α, μ and Σ.
+    pub fn dynamic(parts: &DynamicParts<'_>, provenance: Provenance) -> FitRecord {
+        let &DynamicParts { model, labels, fit, inference, parameters: inferred } = parts;
+        let parameters = parameters::estimated(model, labels, fit, inferred);
+        let mut record = FitRecord::at(model, &fit.reductions, &fit.estimate, inference, parameters, provenance);
+        let free = record.free_parameters + fit.slots.len();
+        let penalty = |per: f64| free as f64 * per - 2.0 * record.log_likelihood;
+        record.aic = Some(penalty(2.0));
+        record.bic = (record.data.observations > 0).then(|| penalty((record.data.observations as f64).ln()));
+        record.free_parameters = free;
+        record.converged = converged(fit);
+        record.reason = reason(fit);
+        record.certificate.parameters = if fit.certificate.is_finite() { fit.certificate } else { f64::MAX };
+        record.solver.method = name(fit.method).to_owned();
+        record.solver.iterations = fit.passes;
+        record.solver.filter_passes = fit.filter_passes;
+        record.solver.score_passes = fit.score_passes;
+        record.solver.trace = fit.trace.clone();
+        record.starts = StartRecord::all(fit);
+        let mut notes = standing_notes(parts);
+        notes.extend(start_notes(parts));
+        notes.append(&mut record.notes);
+        record.notes = notes;
+        record
+    }
+
+    /// Adds where several methods ended, this record's own among them; a note says so when they disagree.
+    pub fn add_methods(&mut self, methods: Vec<MethodRecord>) {
+        let apart = |m: &MethodRecord| (m.log_likelihood - self.log_likelihood).abs() > EQUAL;
+        let differ: Vec<String> = methods
+            .iter()
+            .filter(|m| m.converged && apart(m))
+            .map(|m| format!("`{}` at a log-likelihood of {:.4}", m.method, m.log_likelihood))
+            .collect();
+        if !differ.is_empty() {
+            self.notes.insert(
+                0,
+                format!(
+                    "the methods ended at different maxima: {}, `{}` at {:.4}",
+                    differ.join(", "),
+                    self.solver.method,
+                    self.log_likelihood
+                ),
+            );
+        }
+        self.methods = methods;
+    }
+}
+
+impl MethodRecord {
+    /// Where a method ended.
+    pub fn new(fit: &DynamicFit, seconds: f64) -> MethodRecord {
+        MethodRecord {
+            method: name(fit.method).to_owned(),
+            log_likelihood: fit.estimate.log_likelihood,
+            converged: converged(fit),
+            reason: reason(fit),
+            values: fit.values.clone(),
+            iterations: fit.passes,
+            filter_passes: fit.filter_passes,
+            score_passes: fit.score_passes,
+            seconds,
+        }
+    }
+}
+
+fn name(method: Method) -> &'static str {
+    match method {
+        Method::Hybrid => "hybrid",
+        Method::Innovations => "innovations",
+        Method::Em => "em",
+    }
+}
+
+pub(super) fn converged(fit: &DynamicFit) -> bool {
+    fit.stop == Stop::Certified && fit.estimate.stop == Stop::Certified
+}
+
+fn reason(fit: &DynamicFit) -> String {
+    let n = fit.slots.len();
+    let inner = build::reason(&fit.estimate);
+    if n == 0 {
+        return inner;
+    }
+    let (far, what) = (fit.certificate, if n == 1 { "the dynamic parameter" } else { "the dynamic parameters" });
+    match (fit.stop, fit.estimate.stop) {
+        (Stop::Certified, Stop::Certified) => format!(
+            "the optimality certificate holds: mean and covariance are within {:.1e} standard errors of the optimum, {what} within {far:.1e}",
+            fit.estimate.certificate.decrement
+        ),
+        (Stop::Certified, _) => format!("at the values found for {what}: {inner}"),
+        (Stop::PassLimit, _) => format!(
+            "the search for {what} ran out of passes ({}) with a score of {far:.1e} standard errors",
+            fit.passes
+        ),
+        (Stop::Stalled, _) => format!(
+            "no step of {what} raises the log-likelihood, but the optimality certificate does not hold (score of {far:.1e} standard errors)"
+        ),
+    }
+}
+
+/// What stands at a limit, one sentence for each parameter and limit.
+fn standing_notes(parts: &DynamicParts<'_>) -> Vec<String> {
+    let mut notes = Vec::new();
+    for (index, parameter) in parts.model.parameters.iter().enumerate() {
+        let mut seen: Vec<(&'static str, Vec<String>)> = Vec::new();
+        for ((slot, value), found) in parts.fit.slots.slots().iter().zip(&parts.fit.values).zip(parts.parameters) {
+            let Some(meaning) = meaning(found.standing, *value).filter(|_| slot.parameter == index) else { continue };
+            let level = slot.level.map_or(String::new(), |level| parts.labels.text(level).to_owned());
+            match seen.iter_mut().find(|(known, _)| *known == meaning) {
+                Some((_, levels)) => levels.push(level),
+                None => seen.push((meaning, vec![level])),
+            }
+        }
+        let sentence = |(meaning, levels): &(&str, Vec<String>)| {
+            format!("{} is {}", whose(parts.model, parameter, levels), meaning)
+        };
+        notes.extend(seen.iter().map(sentence));
+    }
+    notes
+}
+
+/// `tau`, or `sigma` at `lot` A, B and 7 more.
+fn whose(model: &Model, parameter: &Parameter, levels: &[String]) -> String {
+    match parameter.per {
+        None => format!("`{}`", parameter.name),
+        Some(column) => {
+            let shown = list(levels.iter().map(String::as_str), "and");
+            format!("`{}` for {} {shown}", parameter.name, model.text_columns[column].name)
+        }
+    }
+}
+
+/// Other starts that ended elsewhere.
+fn start_notes(parts: &DynamicParts<'_>) -> Vec<String> {
+    let fit = parts.fit;
+    let what = if fit.estimate.criterion == Criterion::Reml { "restricted log-likelihood" } else { "log-likelihood" };
+    let top = fit.estimate.log_likelihood;
+    let equal = EQUAL + 1e-9 * top.abs();
+    let all = fit.others.len();
+    let certified: Vec<_> = fit.others.iter().filter(|end| end.stop == Stop::Certified).collect();
+    let below: Vec<f64> = certified.iter().map(|end| top - end.log_likelihood).filter(|gap| *gap > equal).collect();
+    let mut notes = Vec::new();
+    if let (Some(least), count) = (below.iter().copied().reduce(f64::min), below.len()) {
+        let ended = if count == 1 { "another maximum" } else { "other maxima" };
+        let nearest = if count == 1 { "by" } else { "the best of them by" };
+        notes.push(format!(
+            "{count} of {all} other starts ended at {ended} of the {what}, lower {nearest} {least:.4}: the search depends on where it starts"
+        ));
+    }
+    let elsewhere = |end: &&&crate::dynamic::OtherEnd| {
+        top - end.log_likelihood <= equal && (0..fit.values.len()).any(|i| apart(parts, i, end.values[i]))
+    };
+    let flat = certified.iter().filter(elsewhere).count();
+    if flat > 0 {
+        notes.push(format!(
+            "{flat} of {all} other starts ended as high at other values of the dynamic parameters: the maximum is not unique"
+        ));
+    }
+    let lost = all - certified.len();
+    if lost > 0 {
+        notes.push(format!("{lost} of {all} other starts did not end at a certified optimum"));
+    }
+    notes
+}
+
+/// True when another start's value of slot `i` is not this fit's.
+fn apart(parts: &DynamicParts<'_>, i: usize, other: f64) -> bool {
+    let (value, found) = (parts.fit.values[i], &parts.parameters[i]);
+    let unit = found.std_error.unwrap_or(value.abs());
+    found.standing == Standing::Inside && (other - value).abs() > SAME * unit
+}

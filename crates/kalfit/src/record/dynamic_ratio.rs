@@ -1,0 +1,118 @@
+//! The record of a test of a hypothesis where dynamic parameters are estimated.
+
+use crate::dynamic::{DynamicFit, Standing};
+use crate::infer::{Bootstrap, BootstrapResult, LikelihoodRatio};
+use crate::record::diagnosis::list;
+use crate::record::dynamic::{DynamicParts, converged};
+use crate::record::parameters;
+use crate::record::ratio::{FEW, side};
+use crate::record::{PartRecord, RatioProvenance, RatioRecord, SideRecord};
+
+/// The two fits of a test.
+#[derive(Debug, Clone, Copy)]
+pub struct DynamicSides<'a> {
+    /// Under the hypothesis.
+    pub null: DynamicParts<'a>,
+    /// Of the model.
+    pub alternative: DynamicParts<'a>,
+}
+
+impl RatioRecord {
+    /// The record of a test of a hypothesis, α estimated.
+    pub fn dynamic(
+        sides: &DynamicSides<'_>,
+        ratio: &LikelihoodRatio,
+        bootstrap: Option<(Bootstrap, &BootstrapResult)>,
+        parts: Vec<PartRecord>,
+        provenance: RatioProvenance,
+    ) -> RatioRecord {
+        let both = (dynamic_side(&sides.null), dynamic_side(&sides.alternative));
+        let notes = notes(sides, ratio, &both, bootstrap.is_some());
+        let reductions = &sides.alternative.fit.reductions;
+        RatioRecord::at(reductions, both, ratio, bootstrap, (parts, notes), provenance)
+    }
+}
+
+impl PartRecord {
+    /// One part, tested alone, α estimated.
+    pub fn dynamic(what: &str, null: &DynamicFit, ratio: &LikelihoodRatio) -> PartRecord {
+        PartRecord { converged: converged(null), ..PartRecord::new(what, &null.estimate, ratio) }
+    }
+}
+
+fn dynamic_side(parts: &DynamicParts<'_>) -> SideRecord {
+    let plain = side(&parts.fit.estimate);
+    SideRecord {
+        free_parameters: plain.free_parameters + parts.fit.slots.len(),
+        converged: converged(parts.fit),
+        parameters: parameters::estimated(parts.model, parts.labels, parts.fit, parts.parameters),
+        ..plain
+    }
+}
+
+fn notes(
+    sides: &DynamicSides<'_>,
+    ratio: &LikelihoodRatio,
+    (null, alternative): &(SideRecord, SideRecord),
+    drawn: bool,
+) -> Vec<String> {
+    let mut notes = Vec::new();
+    let gap = alternative.log_likelihood - null.log_likelihood;
+    if gap < -1e-6 * (1.0 + null.log_likelihood.abs()) {
+        notes.push(format!(
+            "the hypothesis has a log-likelihood higher by {:.4} than the model that it lies within: the search for the model ended at a lower maximum",
+            -gap
+        ));
+    }
+    let without = without_effect(sides);
+    if !without.is_empty() {
+        let have = if without.len() == 1 { "has" } else { "have" };
+        notes.push(format!(
+            "under the hypothesis {} {have} no effect, where the large-sample law does not hold and its p-value tends to be too small: `--bootstrap` does not depend on it",
+            list(without.iter().map(String::as_str), "and")
+        ));
+    }
+    if ratio.law.is_bound {
+        notes.push(
+            "the hypothesis puts several quantities on their boundary: the law given is an upper bound, so the p-value is not too small but may be too large; `--bootstrap` gives one without that doubt"
+                .to_owned(),
+        );
+    }
+    if ratio.null_on_boundary {
+        notes.push(
+            "under the hypothesis the estimated covariance is singular, where the large-sample law does not hold exactly: `--bootstrap` does not depend on it"
+                .to_owned(),
+        );
+    }
+    let of = |parts: &DynamicParts<'_>| {
+        let estimate = &parts.fit.estimate;
+        estimate.declared_mean() + estimate.declared_covariance()
+    };
+    let tests = sides.alternative.fit.reductions.len();
+    if tests < FEW && !drawn && notes.is_empty() && of(&sides.null) != of(&sides.alternative) {
+        notes.push(format!(
+            "with {tests} tests the large-sample law is a rough guide, and its p-values tend to be too small: `--bootstrap 1000` does not depend on it"
+        ));
+    }
+    let declared = alternative.free_parameters.saturating_sub(null.free_parameters);
+    if declared != ratio.degrees_of_freedom {
+        notes.push(format!(
+            "the hypothesis takes {declared} free quantities away, of which the data identify {}",
+            ratio.degrees_of_freedom
+        ));
+    }
+    notes
+}
+
+/// Free parameters that do something in the model and nothing under the hypothesis.
+fn without_effect(sides: &DynamicSides<'_>) -> Vec<String> {
+    let idle = |parts: &DynamicParts<'_>, index: usize| {
+        let mut own = parts.fit.slots.slots().iter().zip(parts.parameters).filter(|(s, _)| s.parameter == index);
+        own.any(|(_, found)| found.standing == Standing::Unidentified)
+    };
+    let names = sides.null.model.parameters.iter().enumerate();
+    names
+        .filter(|(index, _)| idle(&sides.null, *index) && !idle(&sides.alternative, *index))
+        .map(|(_, parameter)| parameter.name.clone())
+        .collect()
+}

@@ -1,0 +1,165 @@
+//! Dynamic parameters as records: one entry for each value, with what is known of it.
+
+use serde::{Deserialize, Serialize};
+
+use crate::dynamic::{DynamicFit, ParameterInference, Standing};
+use crate::ensemble::{Label, Labels};
+use crate::estimate::Stop;
+use crate::model::{Alpha, Level, Model, Parameter, Value};
+use crate::record::{Interval, ParameterRecord};
+use crate::score::Slot;
+
+/// Where the search for α from another start ended.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct StartRecord {
+    /// log p of all measurements there.
+    pub log_likelihood: f64,
+    /// The optimality certificate holds there.
+    pub converged: bool,
+    /// The free values, in the order of the free entries of `parameters`.
+    pub values: Vec<f64>,
+}
+
+/// Where one of several methods ended.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MethodRecord {
+    /// `hybrid`, `innovations` or `em`.
+    pub method: String,
+    /// log p of all measurements.
+    pub log_likelihood: f64,
+    /// The optimality certificate holds.
+    pub converged: bool,
+    /// Why the search stopped, in words.
+    pub reason: String,
+    /// The free values, in the order of the free entries of `parameters`.
+    pub values: Vec<f64>,
+    /// Passes over the reductions.
+    pub iterations: usize,
+    /// Runs of the filters over all tests.
+    pub filter_passes: usize,
+    /// Backward runs over all tests.
+    pub score_passes: usize,
+    /// Wall time.
+    pub seconds: f64,
+}
+
+/// Parameters of a model without free ones, whose levels are all texts that the model names.
+pub(super) fn fixed(model: &Model, alpha: &Alpha) -> Vec<ParameterRecord> {
+    all(model, &|label| model.literals[label.index()].clone(), alpha, &|_| None)
+}
+
+/// Parameters of a model some of which were estimated.
+pub(super) fn estimated(
+    model: &Model,
+    labels: &Labels,
+    fit: &DynamicFit,
+    inferred: &[ParameterInference],
+) -> Vec<ParameterRecord> {
+    // slots are in the order of the model and of the texts, not of the labels
+    let mut places: Vec<(Slot, usize)> = fit.slots.slots().iter().enumerate().map(|(i, slot)| (*slot, i)).collect();
+    places.sort_unstable();
+    let find = |slot: Slot| {
+        let at = places.binary_search_by_key(&slot, |(slot, _)| *slot).ok()?;
+        inferred.get(places[at].1)
+    };
+    all(model, &|label| labels.text(label).to_owned(), &fit.alpha, &find)
+}
+
+fn all<'a>(
+    model: &Model,
+    text: &dyn Fn(Label) -> String,
+    alpha: &Alpha,
+    find: &dyn Fn(Slot) -> Option<&'a ParameterInference>,
+) -> Vec<ParameterRecord> {
+    let mut records = Vec::new();
+    for (index, (parameter, level)) in model.parameters.iter().zip(&alpha.values).enumerate() {
+        match level {
+            Level::Common(value) => {
+                let found = find(Slot { parameter: index, level: None });
+                records.push(record(model, parameter, None, *value, found));
+            }
+            Level::Each { values, .. } => {
+                let mut own: Vec<ParameterRecord> = values
+                    .iter()
+                    .map(|(&label, &value)| {
+                        let found = find(Slot { parameter: index, level: Some(label) });
+                        record(model, parameter, Some(text(label)), value, found)
+                    })
+                    .collect();
+                own.sort_by(|a, b| a.level.cmp(&b.level));
+                records.append(&mut own);
+                if let Value::Fixed(value) = parameter.value {
+                    records.push(record(model, parameter, None, value, None));
+                }
+            }
+        }
+    }
+    records
+}
+
+fn record(
+    model: &Model,
+    parameter: &Parameter,
+    level: Option<String>,
+    estimate: f64,
+    found: Option<&ParameterInference>,
+) -> ParameterRecord {
+    let standing = found.map(|f| f.standing);
+    ParameterRecord {
+        name: parameter.name.clone(),
+        per: parameter.per.map(|column| model.text_columns[column].name.clone()),
+        level,
+        estimate,
+        std_error: found.and_then(|f| f.std_error).filter(|e| e.is_finite()),
+        interval95: found.and_then(|f| finite(f.interval)),
+        fixed: found.is_none(),
+        at_bound: matches!(standing, Some(Standing::Lower | Standing::Upper)),
+        unit: parameter.unit.clone(),
+        standing: standing.map(|s| standing_word(s).to_owned()),
+        note: standing.and_then(|s| meaning(s, estimate)).map(str::to_owned),
+    }
+}
+
+/// An end that is no number is not known.
+fn finite(interval: Interval) -> Interval {
+    let ends = interval?.map(|end| end.filter(|x| x.is_finite()));
+    ends.iter().any(Option::is_some).then_some(ends)
+}
+
+fn standing_word(standing: Standing) -> &'static str {
+    match standing {
+        Standing::Inside => "inside",
+        Standing::Lower => "lower",
+        Standing::Upper => "upper",
+        Standing::Unbounded => "unbounded",
+        Standing::Unidentified => "unidentified",
+    }
+}
+
+/// What a standing means for the value itself.
+pub(super) fn meaning(standing: Standing, value: f64) -> Option<&'static str> {
+    match standing {
+        Standing::Inside => None,
+        Standing::Lower if value == 0.0 => Some("estimated as zero: the data show no sign of it"),
+        Standing::Lower => Some("at its lower bound: the data would have it lower"),
+        Standing::Upper => Some("at its upper bound: the data would have it higher"),
+        Standing::Unbounded => Some(
+            "larger than the data can tell: the log-likelihood still rises, ever more slowly; a time constant so much longer than the records cannot be told from a random constant or a random walk",
+        ),
+        Standing::Unidentified => {
+            Some("not identified: the log-likelihood does not depend on it, so its start value was kept")
+        }
+    }
+}
+
+impl StartRecord {
+    /// Where other starts ended.
+    pub(super) fn all(fit: &DynamicFit) -> Vec<StartRecord> {
+        let record = |end: &crate::dynamic::OtherEnd| StartRecord {
+            log_likelihood: end.log_likelihood,
+            converged: end.stop == Stop::Certified,
+            values: end.values.clone(),
+        };
+        fit.others.iter().filter(|end| end.log_likelihood.is_finite()).map(record).collect()
+    }
+}

@@ -1,0 +1,137 @@
+//! From ∂ℓ/∂(φ, Q, b) of steps back to ∂ℓ/∂coefficient of the dynamics.
+
+use crate::linalg::exponential::flow_adjoint;
+use crate::reduce::dynamics::{Component, Dynamics};
+use crate::reduce::error::ReduceErrorKind;
+use crate::reduce::motion::{Drive, Entry, Plan, append_flow};
+use crate::reduce::subject::{Fault, Subject};
+
+impl Plan {
+    /// Numbers of entries of φ and of Q.
+    pub(crate) fn entries(&self) -> (usize, usize) {
+        (self.phi.len(), self.q.len())
+    }
+
+    /// Numbers in the flows of all components.
+    pub(crate) fn flow_len(&self, dynamics: &Dynamics) -> usize {
+        dynamics.components.iter().map(|component| 3 * component.states.len().pow(2)).sum()
+    }
+
+    /// φ has entries ΓG.
+    pub(crate) fn holds(&self) -> bool {
+        self.phi.iter().any(|entry| matches!(entry, Entry::Held(_)))
+    }
+
+    /// The flows of a step again.
+    pub(crate) fn flows(
+        &self,
+        dynamics: &Dynamics,
+        values: &[f64],
+        dt: f64,
+        out: &mut Vec<f64>,
+    ) -> Result<(), Box<Fault>> {
+        out.clear();
+        dynamics.components.iter().try_for_each(|component| append_flow(component, values, dt, out))
+    }
+
+    /// Adds ∂ℓ/∂Γ of one step to the flows' adjoints: b = Γu.
+    pub(crate) fn drive_flows(&self, input_bar: &[f64], inputs: &[f64], flow_bar: &mut [f64]) {
+        for (drive, bar) in self.drives.iter().zip(input_bar) {
+            if let Drive::Flow(terms) = drive {
+                terms.iter().for_each(|&(at, slot)| flow_bar[at] += bar * inputs[slot]);
+            }
+        }
+    }
+
+    /// Shows ∂ℓ/∂u of one step, slot by slot, some more than once. `flows` may be empty when all motion is discrete.
+    pub(crate) fn drive_inputs(
+        &self,
+        input_bar: &[f64],
+        flows: &[f64],
+        mut show: impl FnMut(usize, f64) -> Result<(), Box<Fault>>,
+    ) -> Result<(), Box<Fault>> {
+        for (drive, bar) in self.drives.iter().zip(input_bar) {
+            match drive {
+                Drive::Slot(slot) => show(*slot, *bar)?,
+                Drive::Flow(terms) => terms.iter().try_for_each(|&(at, slot)| show(slot, bar * flows[at]))?,
+            }
+        }
+        Ok(())
+    }
+
+    /// Adds ∂ℓ/∂coefficient of one transition to `out`. `bars`: of the entries of φ and of Q, summed over its steps, an
+    /// off-diagonal entry of Q for both its places; `flow_bar`: what [`Plan::drive_flows`] left. `free`: coefficients that count.
+    pub(crate) fn backward(
+        &self,
+        dynamics: &Dynamics,
+        step: &Evaluated<'_>,
+        (phi_bar, q_bar, flow_bar): (&[f64], &[f64], &mut [f64]),
+        free: &[bool],
+        out: &mut [f64],
+    ) -> Result<(), Box<Fault>> {
+        let entries = self.phi.iter().zip(phi_bar).chain(self.q.iter().zip(q_bar));
+        for (entry, &bar) in entries {
+            match entry {
+                Entry::Slot(slot) => out[*slot] += bar,
+                Entry::Flow(at) => flow_bar[*at] += bar,
+                Entry::Held(terms) => {
+                    for &(at, slot) in terms {
+                        flow_bar[at] += bar * step.values[slot];
+                        out[slot] += bar * step.flows[at];
+                    }
+                }
+            }
+        }
+        for (component, &offset) in dynamics.components.iter().zip(&self.offsets) {
+            let bars = &flow_bar[offset..][..3 * component.states.len().pow(2)];
+            if component.counts(free) && bars.iter().any(|&bar| bar != 0.0) {
+                component_backward(component, step, bars, out)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Coefficients, length and flows of a step.
+pub(crate) struct Evaluated<'a> {
+    pub(crate) values: &'a [f64],
+    pub(crate) dt: f64,
+    /// Read only when [`Plan::holds`].
+    pub(crate) flows: &'a [f64],
+}
+
+impl Component {
+    fn counts(&self, free: &[bool]) -> bool {
+        self.rates.iter().chain(&self.noise).any(|&(.., slot)| free[slot])
+    }
+}
+
+fn component_backward(
+    component: &Component,
+    step: &Evaluated<'_>,
+    bars: &[f64],
+    out: &mut [f64],
+) -> Result<(), Box<Fault>> {
+    let m = component.states.len();
+    let (mut f, mut q) = (vec![0.0; m * m], vec![0.0; m * m]);
+    for &(i, j, slot) in &component.rates {
+        f[i * m + j] = step.values[slot];
+    }
+    for &(i, j, slot) in &component.noise {
+        q[i * m + j] = step.values[slot];
+        q[j * m + i] = step.values[slot];
+    }
+    let (phi, rest) = bars.split_at(m * m);
+    let (gamma, noise) = rest.split_at(m * m);
+    let (mut f_bar, mut q_bar) = flow_adjoint(&f, &q, m, step.dt, [phi, gamma, noise])
+        .map_err(|_| Fault::new(Subject::Derivative(component.states[0]), ReduceErrorKind::NotFinite))?;
+    // Of two coefficients for one place the last is the one in it.
+    for &(i, j, slot) in component.rates.iter().rev() {
+        out[slot] += std::mem::take(&mut f_bar[i * m + j]);
+    }
+    for &(i, j, slot) in component.noise.iter().rev() {
+        let lower = std::mem::take(&mut q_bar[i * m + j]);
+        out[slot] += lower + std::mem::take(&mut q_bar[j * m + i]);
+    }
+    Ok(())
+}

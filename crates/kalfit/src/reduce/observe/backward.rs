@@ -1,0 +1,129 @@
+//! From ∂ℓ/∂(whitened measurement) back to ∂ℓ/∂(measurement as the model has it).
+
+use crate::ensemble::Test;
+use crate::model::Scope;
+use crate::reduce::design::Design;
+use crate::reduce::instances::Instance;
+use crate::reduce::observe::{Correlation, Meters};
+use crate::reduce::semidefinite::ldl;
+use crate::reduce::subject::{At, Coefficient, Fault};
+
+impl Meters {
+    /// Noise, constant and terms (kernel state, h) of each measurement.
+    pub(crate) fn parts(&self) -> impl Iterator<Item = (&Coefficient, &Coefficient, &[(u32, Coefficient)])> {
+        self.meters.iter().map(|meter| (&meter.noise, &meter.constant, &*meter.terms))
+    }
+
+    /// Covariances of measurements.
+    pub(crate) fn pairs(&self) -> impl Iterator<Item = &Coefficient> {
+        self.pairs.iter().map(|(.., covariance)| covariance)
+    }
+
+    /// The filter of each measurement that has one.
+    pub(crate) fn filters(&self) -> impl Iterator<Item = (usize, &Coefficient)> {
+        self.meters.iter().enumerate().filter_map(|(m, meter)| Some((m, meter.filter.as_ref()?)))
+    }
+
+    /// The noise variance of each instance, before whitening.
+    pub(crate) fn noises(
+        &self,
+        at: &At<'_>,
+        test: &Test,
+        (instances, dt): (&[Instance], f64),
+        out: &mut Vec<f64>,
+    ) -> Result<(), Box<Fault>> {
+        out.clear();
+        for &Instance { meter, row } in instances {
+            let scope = Scope { numbers: test.numbers(row), texts: test.texts(row), step: dt, alpha: at.alpha };
+            out.push(at.variance_value(&self.meters[meter].noise, &scope).map_err(|fault| fault.on(row))?);
+        }
+        Ok(())
+    }
+}
+
+/// Adjoints of the m scalar measurements of a step: of R (all of it, m × m), of z - d, of M (m × n, or empty when not wanted).
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Unwhitened {
+    pub(crate) noise: Vec<f64>,
+    pub(crate) value: Vec<f64>,
+    pub(crate) h: Vec<f64>,
+    factor: Vec<f64>,
+}
+
+impl Unwhitened {
+    /// Back through z̃ = L⁻¹ζ, M̃ = L⁻¹M, R = LDL': ζ̄ = L'⁻¹z̄, M̄ = L'⁻¹H̄, R̄ = L'⁻¹(Φ + D̄)L⁻¹, symmetrised, with Φ the strictly
+    /// lower part of -(z̄z̃' + H̄M̃')D⁻¹. `raw`: the noises before; `value`, `h` hold the whitened adjoints, and `noise_bar` is D̄. `line`: that of
+    /// the first of the rows.
+    pub(crate) fn set(
+        &mut self,
+        (design, values): (&Design, &[f64]),
+        (line, rows): (usize, std::ops::Range<usize>),
+        (raw, correlations): (&[f64], &[Correlation]),
+        (noise_bar, value_bar, h_bar): (&[f64], &[f64], &[f64]),
+    ) {
+        let (m, n) = (rows.len(), design.frame.n);
+        self.factor.clear();
+        self.factor.resize(m * m, 0.0);
+        for (i, raw) in raw.iter().enumerate() {
+            self.factor[i * m + i] = *raw;
+        }
+        for c in correlations {
+            self.factor[c.i.max(c.j) * m + c.i.min(c.j)] += c.value;
+        }
+        ldl(&mut self.factor, m).expect("it was positive semidefinite on the way forward");
+        self.value.clear();
+        self.value.extend_from_slice(value_bar);
+        self.h.clear();
+        self.h.extend_from_slice(h_bar);
+        self.noise.clear();
+        self.noise.resize(m * m, 0.0);
+        for j in 0..m {
+            self.noise[j * m + j] = noise_bar[j];
+            let pivot = self.factor[j * m + j];
+            if pivot == 0.0 {
+                continue;
+            }
+            let (states, coefficients) = design.terms(line + j);
+            for i in j + 1..m {
+                let mut sum = value_bar[i] * values[rows.start + j];
+                if !h_bar.is_empty() {
+                    sum += states.iter().zip(coefficients).map(|(&s, h)| h_bar[i * n + s as usize] * h).sum::<f64>();
+                }
+                self.noise[i * m + j] = -sum / pivot;
+            }
+        }
+        back(&self.factor, m, &mut self.value, 1);
+        let columns = if self.h.is_empty() { 0 } else { n };
+        back(&self.factor, m, &mut self.h, columns);
+        back(&self.factor, m, &mut self.noise, m);
+        self.finish(m);
+    }
+
+    /// ... × L⁻¹ from the right, then ½(R̄ + R̄').
+    fn finish(&mut self, m: usize) {
+        for row in self.noise.chunks_exact_mut(m) {
+            for k in (0..m).rev() {
+                let x = row[k];
+                (0..k).for_each(|j| row[j] -= x * self.factor[k * m + j]);
+            }
+        }
+        for i in 0..m {
+            for j in 0..i {
+                let mean = 0.5 * (self.noise[i * m + j] + self.noise[j * m + i]);
+                (self.noise[i * m + j], self.noise[j * m + i]) = (mean, mean);
+            }
+        }
+    }
+}
+
+/// A ← L'⁻¹A, m × `columns`.
+fn back(factor: &[f64], m: usize, a: &mut [f64], columns: usize) {
+    for k in (0..m).rev() {
+        for i in 0..k {
+            let l = factor[k * m + i];
+            if l != 0.0 {
+                (0..columns).for_each(|c| a[i * columns + c] -= l * a[k * columns + c]);
+            }
+        }
+    }
+}

@@ -1,0 +1,86 @@
+//! Steps of a prepared test looked at again, one by one, for their derivatives.
+
+use crate::ensemble::Test;
+use crate::model::Scope;
+use crate::reduce::prepare::{Moment, Preparer, Workspace};
+use crate::reduce::steps::{Cells, Span};
+use crate::reduce::subject::Fault;
+
+/// Room for the coefficients of one step.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Replay {
+    /// The dynamics' coefficients.
+    pub(crate) values: Vec<f64>,
+    /// The dynamics' inputs.
+    pub(crate) inputs: Vec<f64>,
+}
+
+impl Workspace {
+    /// Length of step `k`.
+    pub(crate) fn dt(&self, k: usize) -> f64 {
+        self.place(k).0.dt
+    }
+
+    /// The span of step `k`, and its number there.
+    fn place(&self, k: usize) -> (&Span, usize) {
+        let at = self.firsts.partition_point(|&first| first <= k) - 1;
+        (&self.spans[at], k - self.firsts[at])
+    }
+
+    fn moment(&self, k: usize, previous: bool) -> Moment {
+        let rows = |k: usize| {
+            let (span, number) = self.place(k);
+            span.step(number)
+        };
+        let (dt, moves) = (self.place(k).0.dt, self.place(k).0.moves);
+        Moment { rows: rows(k), source: rows(if previous && k > 0 { k - 1 } else { k }), dt, moves }
+    }
+}
+
+impl Preparer {
+    /// What the transition to step `k` was evaluated on. `cells`: room for the cells of several rows.
+    pub(crate) fn moving<'a>(
+        &'a self,
+        test: &'a Test,
+        k: usize,
+        work: &Workspace,
+        cells: &'a mut Cells,
+    ) -> Result<Scope<'a>, Box<Fault>> {
+        self.motion_scope(&self.at(), test, &work.moment(k, self.clock_previous()), cells)
+    }
+
+    /// What the start was evaluated on.
+    pub(crate) fn starting<'a>(&'a self, work: &'a Workspace) -> Scope<'a> {
+        Scope { numbers: &work.whole.numbers, texts: &work.whole.texts, step: work.spans[0].dt, alpha: &self.alpha }
+    }
+
+    /// What the stationary law was evaluated on: nothing, when no test changes it.
+    pub(crate) fn settled<'a>(
+        &'a self,
+        test: &'a Test,
+        work: &Workspace,
+        cells: &'a mut Cells,
+    ) -> Result<Scope<'a>, Box<Fault>> {
+        match self.law {
+            Some(_) => Ok(Scope { numbers: &[], texts: &[], step: 0.0, alpha: &self.alpha }),
+            None => self.moving(test, 0, work, cells),
+        }
+    }
+
+    /// The dynamics' coefficients on a step.
+    pub(crate) fn values(&self, scope: &Scope<'_>, out: &mut Replay) -> Result<(), Box<Fault>> {
+        self.dynamics.table.evaluate(&self.at(), scope, &mut out.values)
+    }
+
+    /// The dynamics' inputs on a step.
+    pub(crate) fn inputs(&self, scope: &Scope<'_>, out: &mut Replay) -> Result<(), Box<Fault>> {
+        self.dynamics.inputs.evaluate(&self.at(), scope, &mut out.inputs)
+    }
+
+    /// Those of both that the stationary law needs.
+    pub(crate) fn settling(&self, scope: &Scope<'_>, out: &mut Replay) -> Result<(), Box<Fault>> {
+        let at = self.at();
+        self.dynamics.table.evaluate_some(&at, scope, |slot| self.start.needs(slot), &mut out.values)?;
+        self.dynamics.inputs.evaluate_some(&at, scope, |slot| self.start.needs_input(slot), &mut out.inputs)
+    }
+}

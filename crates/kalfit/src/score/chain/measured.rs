@@ -1,0 +1,110 @@
+//! Adjoints of the measurements of a test.
+
+use std::ops::Range;
+
+use crate::ensemble::Test;
+use crate::model::Scope;
+use crate::reduce::{Fault, Unwhitened, Workspace};
+use crate::score::chain::Adjoints;
+
+/// Adjoints of one step's whitened scalar measurements.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Measured<'a> {
+    /// ∂ℓ/∂R, one for each.
+    pub(crate) noise: &'a [f64],
+    /// ∂ℓ/∂(z - d), one for each.
+    pub(crate) value: &'a [f64],
+    /// ∂ℓ/∂h to all n kernel states, one row for each, when [`Chain::needs_equation`](super::Chain::needs_equation); else it may
+    /// be empty.
+    pub(crate) h: &'a [f64],
+}
+
+/// Room for measurements whose noises are correlated.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Measuring {
+    raw: Vec<f64>,
+    back: Unwhitened,
+    diagonal: Vec<f64>,
+}
+
+impl Adjoints<'_> {
+    /// The measurements of step `k` of a test, after [`Preparer::prepare`](crate::reduce::Preparer::prepare) into `work`.
+    pub(crate) fn step_measured(
+        &mut self,
+        test: &Test,
+        k: usize,
+        work: &Workspace,
+        bars: Measured<'_>,
+    ) -> Result<(), Box<Fault>> {
+        if !self.chain.needs.measurements {
+            return Ok(());
+        }
+        let rows = work.design.step(k).rows;
+        if rows.len() < 2 || self.chain.pairs.is_empty() || !self.correlated(test, k, rows.clone(), work, bars)? {
+            return self.scalars(test, k, rows, work, bars);
+        }
+        let back = std::mem::take(&mut self.measuring.back);
+        let diagonal = std::mem::take(&mut self.measuring.diagonal);
+        let result = self.scalars(test, k, rows, work, Measured { noise: &diagonal, value: &back.value, h: &back.h });
+        (self.measuring.back, self.measuring.diagonal) = (back, diagonal);
+        result
+    }
+
+    /// Measurements as the model has them.
+    fn scalars(
+        &mut self,
+        test: &Test,
+        k: usize,
+        rows: Range<usize>,
+        work: &Workspace,
+        bars: Measured<'_>,
+    ) -> Result<(), Box<Fault>> {
+        let Adjoints { chain, pending, .. } = self;
+        let (context, n, step) = (chain.context(), work.design.frame.n, work.dt(k));
+        for (i, instance) in rows.map(|row| work.instances.get(row)).enumerate() {
+            let (meter, row) = (&chain.meters[instance.meter], instance.row);
+            let scope = Scope { numbers: test.numbers(row), texts: test.texts(row), step, alpha: context.at.alpha };
+            if let Some(tap) = meter.noise {
+                pending.add(&context, tap, bars.noise[i], &scope)?;
+            }
+            if let Some(tap) = meter.constant {
+                pending.add(&context, tap, -bars.value[i], &scope)?;
+            }
+            for &(state, tap) in &meter.terms {
+                pending.add(&context, tap, bars.h[i * n + state], &scope)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Back through the whitening of a step; false when its noises are not correlated.
+    fn correlated(
+        &mut self,
+        test: &Test,
+        k: usize,
+        rows: Range<usize>,
+        work: &Workspace,
+        bars: Measured<'_>,
+    ) -> Result<bool, Box<Fault>> {
+        let Adjoints { chain, pending, measuring: Measuring { raw, back, diagonal }, .. } = self;
+        let (context, meters, dt, m) = (chain.context(), &chain.preparer.meters, work.dt(k), rows.len());
+        let instances = &work.instances.of(rows.clone());
+        let found = meters.covariances(&context.at, test, dt, instances)?;
+        if found.is_empty() {
+            return Ok(false);
+        }
+        meters.noises(&context.at, test, (instances, dt), raw)?;
+        let whitened = (bars.noise, bars.value, bars.h);
+        back.set((&work.design, &work.data.values), (work.design.step(k).lines.start, rows), (raw, &found), whitened);
+        for c in &found {
+            if let Some(tap) = chain.pairs[c.pair] {
+                let scope =
+                    Scope { numbers: test.numbers(c.row), texts: test.texts(c.row), step: dt, alpha: context.at.alpha };
+                pending.add(&context, tap, back.noise[c.i * m + c.j] + back.noise[c.j * m + c.i], &scope)?;
+            }
+        }
+        diagonal.clear();
+        diagonal.extend((0..m).map(|i| back.noise[i * m + i]));
+        Ok(true)
+    }
+}

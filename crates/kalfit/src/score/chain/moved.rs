@@ -1,0 +1,197 @@
+//! Adjoints of the transitions of a test.
+
+use std::sync::Arc;
+
+use crate::ensemble::Test;
+use crate::model::Scope;
+use crate::reduce::{Cells, Evaluated, Fault, Transition, Workspace};
+use crate::score::chain::groups::Groups;
+use crate::score::chain::{Adjoints, Chain};
+
+/// Adjoints of one step's transition. What no free value asks for is not read, and may be empty.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Moved<'a> {
+    /// ∂ℓ/∂φ, one for each entry of the transition, when [`Chain::needs_motion`].
+    pub(crate) phi: &'a [f64],
+    /// ∂ℓ/∂Q, one for each of its pairs, when [`Chain::needs_noise`]; off the diagonal for both places together.
+    pub(crate) q: &'a [f64],
+    /// ∂ℓ/∂b, one for each driven state, when [`Chain::needs_motion`].
+    pub(crate) input: &'a [f64],
+}
+
+/// What has come of the steps of a test.
+#[derive(Debug, Clone)]
+pub(super) struct Moving {
+    pub(super) groups: Groups,
+    /// Entries of φ, of Q.
+    entries: (usize, usize),
+    pub(super) cells: Cells,
+    /// Sums of one group; adjoints of its coefficients.
+    sums: Vec<f64>,
+    bars: Vec<f64>,
+    flows: Vec<f64>,
+}
+
+impl Moving {
+    pub(super) fn new(chain: &Chain<'_>) -> Moving {
+        let preparer = chain.preparer;
+        let (phi, q) = preparer.plan.entries();
+        let flows = preparer.plan.flow_len(&preparer.dynamics);
+        Moving {
+            groups: Groups::new(phi + q + flows, if chain.needs.inputs { flows } else { 0 }),
+            entries: (phi, q),
+            cells: Cells::default(),
+            sums: Vec::new(),
+            bars: Vec::new(),
+            flows: Vec::new(),
+        }
+    }
+}
+
+impl Adjoints<'_> {
+    /// The transition to step `k` of a test, after [`Preparer::prepare`](crate::reduce::Preparer::prepare) into `work`.
+    pub(crate) fn step_moved(
+        &mut self,
+        test: &Test,
+        k: usize,
+        work: &Workspace,
+        bars: Moved<'_>,
+    ) -> Result<(), Box<Fault>> {
+        let needs = self.chain.needs;
+        if !(needs.rates || needs.noise || needs.inputs) {
+            return Ok(());
+        }
+        let Some(transition) = work.design.step(k).transition else { return Ok(()) };
+        let group = match self.again(transition, test, k, work)? {
+            Some(group) => group,
+            None => self.enter(transition, test, k, work)?,
+        };
+        let (phi, q) = self.moving.entries;
+        let sums = self.moving.groups.sums(group);
+        if needs.rates {
+            add(&mut sums[..phi], bars.phi);
+        }
+        if needs.noise {
+            add(&mut sums[phi..phi + q], bars.q);
+        }
+        if bars.input.is_empty() { Ok(()) } else { self.driven(test, k, work, group, bars.input) }
+    }
+
+    /// The group of the step, when it is that of the last.
+    #[inline]
+    fn again(
+        &mut self,
+        transition: &Arc<Transition>,
+        test: &Test,
+        k: usize,
+        work: &Workspace,
+    ) -> Result<Option<usize>, Box<Fault>> {
+        let Adjoints { chain, moving, .. } = self;
+        if chain.reads.is_empty() {
+            return Ok(moving.groups.again(transition, &[], None));
+        }
+        let scope = chain.preparer.moving(test, k, work, &mut moving.cells)?;
+        Ok(moving.groups.again(transition, &chain.reads, Some(&scope)))
+    }
+
+    /// The group of the step, new or known.
+    fn enter(
+        &mut self,
+        transition: &Arc<Transition>,
+        test: &Test,
+        k: usize,
+        work: &Workspace,
+    ) -> Result<usize, Box<Fault>> {
+        if self.moving.groups.full() {
+            self.settle(test, work)?;
+        }
+        let Adjoints { chain, moving, replay, .. } = self;
+        let preparer = chain.preparer;
+        let scope = preparer.moving(test, k, work, &mut moving.cells)?;
+        preparer.values(&scope, replay)?;
+        let dt = if preparer.dynamics.components.is_empty() { 0.0 } else { scope.step };
+        let varying = preparer.dynamics.table.varying.iter().map(|(slot, ..)| replay.values[*slot]);
+        let made = std::iter::once(dt).chain(varying);
+        let (group, new) = moving.groups.find((transition, k), (&chain.reads, &scope), made);
+        if new && chain.needs.inputs {
+            preparer.plan.flows(&preparer.dynamics, &replay.values, scope.step, &mut moving.flows)?;
+            moving.groups.flows(group).copy_from_slice(&moving.flows);
+        }
+        Ok(group)
+    }
+
+    /// b = Γu of one step.
+    fn driven(
+        &mut self,
+        test: &Test,
+        k: usize,
+        work: &Workspace,
+        group: usize,
+        bars: &[f64],
+    ) -> Result<(), Box<Fault>> {
+        let Adjoints { chain, moving, pending, replay, .. } = self;
+        let (preparer, context) = (chain.preparer, chain.context());
+        let Moving { groups, entries: (phi, q), cells, .. } = moving;
+        let inputs = &preparer.dynamics.inputs;
+        let scope = if inputs.varying.is_empty() {
+            Scope { numbers: &[], texts: &[], step: work.dt(k), alpha: context.at.alpha }
+        } else {
+            preparer.moving(test, k, work, cells)?
+        };
+        if chain.needs.rates {
+            let values = if inputs.varying.is_empty() {
+                &inputs.fixed
+            } else {
+                preparer.inputs(&scope, replay)?;
+                &replay.inputs
+            };
+            preparer.plan.drive_flows(bars, values, &mut groups.sums(group)[*phi + *q..]);
+        }
+        if chain.needs.inputs {
+            preparer.plan.drive_inputs(bars, groups.flows(group), |slot, bar| match chain.inputs[slot] {
+                Some(tap) => pending.add(&context, tap, bar, &scope),
+                None => Ok(()),
+            })?;
+        }
+        Ok(())
+    }
+
+    /// Sends what the groups have summed on to the coefficients.
+    pub(super) fn settle(&mut self, test: &Test, work: &Workspace) -> Result<(), Box<Fault>> {
+        let Adjoints { chain, moving, pending, replay, .. } = self;
+        let (preparer, context) = (chain.preparer, chain.context());
+        let Moving { groups, entries: (phi, q), cells, sums, bars, flows } = moving;
+        for group in 0..groups.steps.len() {
+            let k = groups.steps[group];
+            let scope = preparer.moving(test, k, work, cells)?;
+            preparer.values(&scope, replay)?;
+            if chain.needs.inputs {
+                flows.clear();
+                flows.extend_from_slice(groups.flows(group));
+            } else if preparer.plan.holds() {
+                preparer.plan.flows(&preparer.dynamics, &replay.values, scope.step, flows)?;
+            }
+            sums.clear();
+            sums.extend_from_slice(groups.sums(group));
+            bars.clear();
+            bars.resize(replay.values.len(), 0.0);
+            let (phi_bar, rest) = sums.split_at_mut(*phi);
+            let (q_bar, flow_bar) = rest.split_at_mut(*q);
+            let step = Evaluated { values: &replay.values, dt: scope.step, flows };
+            let adjoints = (&*phi_bar, &*q_bar, flow_bar);
+            preparer.plan.backward(&preparer.dynamics, &step, adjoints, &chain.free, bars)?;
+            for (tap, &bar) in chain.values.iter().zip(&*bars) {
+                if let Some(tap) = *tap {
+                    pending.add(&context, tap, bar, &scope)?;
+                }
+            }
+        }
+        groups.clear();
+        Ok(())
+    }
+}
+
+fn add(sums: &mut [f64], bars: &[f64]) {
+    debug_assert_eq!(sums.len(), bars.len(), "one adjoint for each entry");
+    sums.iter_mut().zip(bars).for_each(|(sum, bar)| *sum += bar);
+}

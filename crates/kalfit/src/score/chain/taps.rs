@@ -1,0 +1,215 @@
+//! Coefficients that depend on free values of α, and the adjoints that have come to them.
+
+use crate::ensemble::Label;
+use crate::model::{Alpha, EvaluationError, Expression, Scope, Tape};
+use crate::reduce::{At, Coefficient, Fault, ReduceErrorKind, Subject, Uses};
+use crate::score::Slots;
+use crate::score::chain::Gradient;
+
+/// A cell of the data that a coefficient reads.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Read {
+    Number(usize),
+    Text(usize),
+    Step,
+}
+
+impl Read {
+    pub(super) fn bits(self, scope: &Scope<'_>) -> u64 {
+        match self {
+            Read::Number(column) => scope.numbers[column].to_bits(),
+            Read::Text(column) => scope.texts[column].index() as u64,
+            Read::Step => scope.step.to_bits(),
+        }
+    }
+}
+
+/// A coefficient that depends on free values.
+#[derive(Debug, Clone)]
+struct Tap {
+    expression: Expression,
+    subject: Subject,
+    reads: Vec<Read>,
+    /// Where its cells stand in [`Pending::cells`].
+    start: usize,
+}
+
+/// All coefficients of a model that depend on free values.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Taps {
+    taps: Vec<Tap>,
+    cells: usize,
+}
+
+impl Taps {
+    /// A place for the coefficient, if it depends on free values.
+    pub(super) fn add(&mut self, at: &At<'_>, coefficient: &Coefficient) -> Option<usize> {
+        let (expression, subject) = coefficient.source().filter(|(expression, _)| at.depends(expression))?;
+        let reads = reads(expression, at.alpha);
+        let start = self.cells;
+        self.cells += reads.len();
+        self.taps.push(Tap { expression: expression.clone(), subject, reads, start });
+        Some(self.taps.len() - 1)
+    }
+
+    /// Cells that a coefficient reads.
+    pub(super) fn reads(&self, tap: usize) -> &[Read] {
+        &self.taps[tap].reads
+    }
+}
+
+fn reads(expression: &Expression, alpha: &Alpha) -> Vec<Read> {
+    let mut uses = Uses::default();
+    uses.expression(expression, alpha);
+    let mut reads: Vec<Read> = uses.numbers.into_iter().map(Read::Number).collect();
+    reads.extend(uses.texts.into_iter().map(Read::Text));
+    if expression.any(&mut |part| matches!(part, Expression::Step)) {
+        reads.push(Read::Step);
+    }
+    reads
+}
+
+/// Adjoints that wait for their derivatives. Those of a coefficient on equal cells are summed, and differentiated once.
+#[derive(Debug, Clone)]
+pub(super) struct Pending {
+    seeds: Vec<f64>,
+    /// For each coefficient, whether it has cells.
+    begun: Vec<bool>,
+    cells: Vec<u64>,
+    row: Row,
+    tape: Tape,
+    found: Found,
+}
+
+/// A row with the cells of one coefficient.
+#[derive(Debug, Clone)]
+struct Row {
+    numbers: Vec<f64>,
+    texts: Vec<Label>,
+}
+
+/// A sum by slot, of which few are touched.
+#[derive(Debug, Clone)]
+struct Found {
+    sums: Vec<f64>,
+    touched: Vec<bool>,
+    slots: Vec<usize>,
+}
+
+impl Pending {
+    pub(super) fn new(taps: &Taps, at: &At<'_>, slots: &Slots) -> Pending {
+        let count = taps.taps.len();
+        Pending {
+            seeds: vec![0.0; count],
+            begun: vec![false; count],
+            cells: vec![0; taps.cells],
+            row: Row {
+                numbers: vec![f64::NAN; at.model.columns.len()],
+                texts: vec![Label::MISSING; at.model.text_columns.len()],
+            },
+            tape: Tape::default(),
+            found: Found { sums: vec![0.0; slots.len()], touched: vec![false; slots.len()], slots: Vec::new() },
+        }
+    }
+
+    /// ∂ℓ/∂coefficient on one row.
+    #[inline]
+    pub(super) fn add(
+        &mut self,
+        context: &Context<'_>,
+        tap: usize,
+        seed: f64,
+        scope: &Scope<'_>,
+    ) -> Result<(), Box<Fault>> {
+        if seed == 0.0 {
+            return Ok(());
+        }
+        let Tap { reads, start, .. } = &context.taps.taps[tap];
+        if !reads.is_empty() {
+            let known = &self.cells[*start..][..reads.len()];
+            let same = self.begun[tap] && reads.iter().zip(known).all(|(read, &bits)| read.bits(scope) == bits);
+            if !same {
+                self.flush(context, tap)?;
+                let cells = &mut self.cells[*start..][..reads.len()];
+                cells.iter_mut().zip(reads).for_each(|(bits, read)| *bits = read.bits(scope));
+            }
+        }
+        self.begun[tap] = true;
+        self.seeds[tap] += seed;
+        Ok(())
+    }
+
+    /// Differentiates what waits for a coefficient.
+    fn flush(&mut self, context: &Context<'_>, tap: usize) -> Result<(), Box<Fault>> {
+        let seed = std::mem::take(&mut self.seeds[tap]);
+        if !std::mem::take(&mut self.begun[tap]) {
+            return Ok(());
+        }
+        let Tap { expression, subject, reads, start } = &context.taps.taps[tap];
+        let mut step = 0.0;
+        for (read, &bits) in reads.iter().zip(&self.cells[*start..]) {
+            match *read {
+                Read::Number(column) => self.row.numbers[column] = f64::from_bits(bits),
+                Read::Text(column) => self.row.texts[column] = Label::literal(bits as usize),
+                Read::Step => step = f64::from_bits(bits),
+            }
+        }
+        let Row { numbers, texts } = &self.row;
+        let scope = Scope { numbers, texts, step, alpha: context.at.alpha };
+        let (found, mut finite) = (&mut self.found, true);
+        let sink = &mut |parameter: usize, x: f64| {
+            if let Some(slot) = context.slots.find(parameter, texts) {
+                finite &= x.is_finite();
+                found.add(slot, x);
+            }
+        };
+        let done = expression.differentiate(seed, &scope, &mut self.tape, sink);
+        let done = done.and(if finite { Ok(0.0) } else { Err(EvaluationError::NotFinite) });
+        context.at.finite(done, *subject).map(|_| ())
+    }
+
+    /// The gradient; nothing waits any more.
+    pub(super) fn finish(&mut self, context: &Context<'_>) -> Result<Gradient, Box<Fault>> {
+        (0..self.seeds.len()).try_for_each(|tap| self.flush(context, tap))?;
+        let gradient = self.found.take();
+        match gradient.iter().all(|(_, x)| x.is_finite()) {
+            true => Ok(gradient),
+            false => Err(Fault::new(Subject::Test, ReduceErrorKind::NotFinite)),
+        }
+    }
+
+    /// Forgets everything.
+    pub(super) fn clear(&mut self) {
+        self.seeds.fill(0.0);
+        self.begun.fill(false);
+        self.found.take();
+    }
+}
+
+/// What derivatives are taken of.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Context<'a> {
+    pub(super) at: At<'a>,
+    pub(super) slots: &'a Slots,
+    pub(super) taps: &'a Taps,
+}
+
+impl Found {
+    fn add(&mut self, slot: usize, x: f64) {
+        if !self.touched[slot] {
+            self.touched[slot] = true;
+            self.slots.push(slot);
+        }
+        self.sums[slot] += x;
+    }
+
+    fn take(&mut self) -> Gradient {
+        self.slots.sort_unstable();
+        let (sums, touched) = (&mut self.sums, &mut self.touched);
+        let mut take = |slot: usize| {
+            touched[slot] = false;
+            (slot, std::mem::take(&mut sums[slot]))
+        };
+        self.slots.drain(..).map(&mut take).collect()
+    }
+}

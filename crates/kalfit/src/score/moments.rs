@@ -1,0 +1,47 @@
+//! Posterior moments of ξ as the backward pass wants them.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::estimate::{InitialLaw, unpack};
+use crate::reduce::Reduction;
+
+/// E[ξ | z] and a root C of Var[ξ | z] = CC'.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(crate) struct Moments {
+    /// x̂ (p).
+    pub(crate) mean: Vec<f64>,
+    /// C, p × columns, by rows.
+    pub(crate) root: Vec<f64>,
+    pub(crate) columns: usize,
+}
+
+/// x̂ = μ + V(y - Jμ) and V = F(I + F'JF)⁻¹F' (10), (11), by QR of [I; RF], without forming I + F'JF.
+///
+/// Under the restricted likelihood the covariance of μ_j at a known Σ adds to V, as (I+ΣJ)⁻¹ of it: ℓ_R changes by
+/// -½ tr((V + …) ∂J) where ℓ changes by -½ tr(V ∂J).
+pub(crate) fn moments(reduction: &Reduction, law: &InitialLaw) -> Moments {
+    let (p, n) = law.root.shape();
+    let factor = unpack(&reduction.factor, p);
+    let mean = law.mean_of(&reduction.covariates);
+    let rf = &factor * &law.root;
+    let stacked = DMatrix::from_fn(n + p, n, |i, c| if i < n { f64::from(i == c) } else { rf[(i - n, c)] });
+    let mut upper = stacked.qr().r();
+    for k in 0..n {
+        // no less than the least singular value of [I; RF], which is at least one; rounding must not make it so
+        upper[(k, k)] = upper[(k, k)].abs().max(1.0).copysign(upper[(k, k)]);
+    }
+    let half = upper.transpose().solve_lower_triangular(&law.root.transpose()).expect("its diagonal is at least one");
+    let root = half.transpose();
+    let residual = DVector::from_column_slice(&reduction.data) - &factor * &mean;
+    let mean = mean + &root * (half * (factor.transpose() * &residual));
+    let mut columns: Vec<DVector<f64>> = root.column_iter().map(|c| c.into_owned()).collect();
+    if let Some(extra) = law.mean_root_of(&reduction.covariates) {
+        // (I+ΣJ)⁻¹X = X - VJX
+        let moved = &extra - &root * (root.transpose() * (factor.transpose() * (&factor * &extra)));
+        columns.extend(moved.column_iter().map(|c| c.into_owned()));
+    }
+    columns.retain(|c| c.amax() > 0.0);
+    let entry = |i: usize, c: usize| columns[c][i];
+    let root = (0..p).flat_map(|i| (0..columns.len()).map(move |c| (i, c))).map(|(i, c)| entry(i, c)).collect();
+    Moments { mean: mean.as_slice().to_vec(), root, columns: columns.len() }
+}
