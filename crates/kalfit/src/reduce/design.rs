@@ -273,7 +273,7 @@ impl<R: Real> Design<R> {
 }
 
 impl Design<f64> {
-    /// [`Design::push_step`]; a step equal to the last one joins its run, so that equal designs have equal runs.
+    /// [`Design::push_step`]; a step like the last one, with the very same transition, joins its run.
     pub(crate) fn join_step(&mut self, transition: Option<Arc<Transition>>) {
         if self.is_repeated(transition.as_ref()) {
             let line = self.runs[self.runs.len() - 1].lines;
@@ -302,7 +302,7 @@ impl Design<f64> {
             lines.clone().zip(fresh.clone()).all(|(a, b)| length(a) == length(b))
         };
         lines.len() == fresh.len()
-            && same_transition(last.transition, transition)
+            && shared(last.transition, transition)
             && old.len() == new.len()
             && same_shape()
             && self.states[old.clone()] == self.states[new.clone()]
@@ -349,6 +349,15 @@ impl Design<f64> {
     /// Bytes it occupies, transitions apart.
     pub(crate) fn bytes(&self) -> usize {
         8 * (self.variance.len() + 4 * self.runs.len() + self.ends.len() + 2 * self.h.len() + self.noise.len()) + 200
+    }
+}
+
+/// Made from the same coefficients over the same time. (Those made from others can be equal too, but their derivatives differ.)
+fn shared(a: Option<&Arc<Transition>>, b: Option<&Arc<Transition>>) -> bool {
+    match (a, b) {
+        (Some(a), Some(b)) => Arc::ptr_eq(a, b),
+        (None, None) => true,
+        _ => false,
     }
 }
 
