@@ -348,7 +348,7 @@ impl Design<f64> {
 
     /// Bytes it occupies, transitions apart.
     pub(crate) fn bytes(&self) -> usize {
-        8 * (self.variance.len() + 4 * self.runs.len() + self.ends.len() + 2 * self.h.len() + self.noise.len()) + 200
+        8 * (self.variance.len() + 6 * self.runs.len() + self.ends.len() + 2 * self.h.len() + self.noise.len()) + 200
     }
 }
 

@@ -6,9 +6,12 @@
 //! ```text
 //! Model at α ── Reducer::new ──> Preparer                dynamics, start, motion, observe: coefficients at α
 //! Test ── prepare ──> Design + Data                      steps; transitions are made once per length and coefficients
-//! Design ── gains (or root) ──> Gains                    S, K, T, P, J: once per design class
+//! Design ── schedule (or root) ──> Gains                 S, K, T, P, J: once per design class
 //! Gains + Data ── data ──> Reduction                     e, x̂, y: once per test
 //! ```
+//!
+//! Long uniform records cost little: equal steps are one run of the design, S, K, T are kept once from where they no longer
+//! change (settling), J then grows in closed form, and the data pass is a linear scan (scan).
 
 mod data;
 mod design;
