@@ -69,8 +69,8 @@ impl Uniform {
     fn take(&mut self, time: f64) -> bool {
         let (dt, slack) = (time - self.last, slack(self.last, time));
         let (least, most) = (self.least.max(dt - slack), self.most.min(dt + slack));
-        if !(least <= most) {
-            return false; // lengths that are not numbers are equal to none
+        if least > most || dt.is_nan() {
+            return false;
         }
         self.exact &= dt == self.dt;
         (self.least, self.most, self.last) = (least, most, time);
