@@ -20,13 +20,16 @@ pub struct Test {
     text_columns: usize,
     numbers: Vec<f64>,
     texts: Vec<Label>,
-    sources: Vec<Source>,
+    rows: usize,
+    /// (row of the test, where it came from): the first of rows that follow each other in a file.
+    sources: Vec<(usize, Source)>,
 }
 
 impl Test {
     /// An empty test whose rows have this many numeric and text cells.
     pub fn new(id: impl Into<String>, columns: usize, text_columns: usize) -> Test {
-        Test { id: id.into(), columns, text_columns, numbers: Vec::new(), texts: Vec::new(), sources: Vec::new() }
+        let (numbers, texts, sources) = (Vec::new(), Vec::new(), Vec::new());
+        Test { id: id.into(), columns, text_columns, numbers, texts, rows: 0, sources }
     }
 
     /// Appends a row. Panics when the number of cells is not that of the test.
@@ -34,7 +37,10 @@ impl Test {
         assert_eq!((numbers.len(), texts.len()), (self.columns, self.text_columns), "cells of a row");
         self.numbers.extend_from_slice(numbers);
         self.texts.extend_from_slice(texts);
-        self.sources.push(source);
+        if self.rows == 0 || self.next_source() != Some(source) {
+            self.sources.push((self.rows, source));
+        }
+        self.rows += 1;
     }
 
     /// The first rows, at most as many as there are.
@@ -46,7 +52,7 @@ impl Test {
 
     /// Number of rows.
     pub fn rows(&self) -> usize {
-        self.sources.len()
+        self.rows
     }
 
     /// Numeric cells of a row.
@@ -67,6 +73,31 @@ impl Test {
 
     /// Where a row came from.
     pub fn source(&self, row: usize) -> Source {
-        self.sources[row]
+        assert!(row < self.rows, "row {row} of {}", self.rows);
+        let run = self.sources.partition_point(|(first, _)| *first <= row) - 1;
+        let (first, source) = self.sources[run];
+        Source { row: source.row + (row - first) as u64, ..source }
+    }
+
+    /// Where the next row comes from, if it follows the last one in its file.
+    fn next_source(&self) -> Option<Source> {
+        let (first, source) = self.sources.last()?;
+        Some(Source { row: source.row.checked_add((self.rows - first) as u64)?, ..*source })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_row_remembers_where_it_came_from() {
+        let sources = [(0, 2), (0, 3), (0, 4), (0, 7), (1, 8), (1, 9), (1, 9), (1, u64::MAX), (1, 0), (0, 1)];
+        let mut test = Test::new("t", 0, 0);
+        sources.iter().for_each(|&(file, row)| test.push(&[], &[], Source { file, row }));
+        for (k, &(file, row)) in sources.iter().enumerate() {
+            assert_eq!(test.source(k), Source { file, row }, "row {k}");
+        }
+        assert_eq!((test.rows(), test.sources.len()), (10, 7));
     }
 }

@@ -43,22 +43,19 @@ impl KnownStart {
 
     /// Runs the data pass of the test in the work space.
     fn series(&self, test: &Test, gains: &Gains, work: &mut Workspace) -> Vec<Innovation> {
-        let (stride, mut step) = (1 + self.frame.r, 0);
         let Workspace { design, data, instances, pass, .. } = work;
+        innovate(design, gains, data, pass);
         let mut series = Vec::with_capacity(instances.len());
-        innovate(design, &gains.rows, data, pass, |row, e, _| {
-            while design.steps[step].rows <= row {
-                step += 1;
-            }
-            let weight = gains.rows[row * stride];
+        let steps = design.each_step().enumerate().flat_map(|(step, rows)| rows.rows.map(move |row| (step, row)));
+        for ((step, row), instance) in steps.zip(instances.iter()) {
+            let (value, weight) = (pass.e[row], gains.row(row).0);
             // a measurement that can only be one value says nothing; whether it was that value is the reduction's business
             if weight > 0.0 {
-                let time = self.time.map(|column| test.numbers(instances[row].row)[column]);
-                let (measurement, variance) = (instances[row].meter, weight.recip());
-                let standardised = e * weight.sqrt();
-                series.push(Innovation { step, time, measurement, value: e, variance, standardised });
+                let time = self.time.map(|column| test.numbers(instance.row)[column]);
+                let (measurement, variance, standardised) = (instance.meter, weight.recip(), value * weight.sqrt());
+                series.push(Innovation { step, time, measurement, value, variance, standardised });
             }
-        });
+        }
         series
     }
 }

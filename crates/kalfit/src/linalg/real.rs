@@ -19,6 +19,8 @@ pub trait Real:
     fn maximum(self, other: Self) -> Self;
     /// Its magnitude.
     fn magnitude(self) -> Self;
+    /// True when it is at most `bound`, in every lane; false, if either is not a number.
+    fn at_most(self, bound: Self) -> bool;
     /// 1/x where x > 0, else 0.
     fn recip_or_zero(self) -> Self;
     /// x where x > 0, else 1.
@@ -57,6 +59,11 @@ impl Real for f64 {
     #[inline(always)]
     fn magnitude(self) -> f64 {
         self.abs()
+    }
+
+    #[inline(always)]
+    fn at_most(self, bound: f64) -> bool {
+        self <= bound
     }
 
     #[inline(always)]
@@ -184,6 +191,10 @@ impl Real for Counted {
 
     fn magnitude(self) -> Counted {
         Counted(self.0.abs())
+    }
+
+    fn at_most(self, bound: Counted) -> bool {
+        self.0 <= bound.0
     }
 
     fn recip_or_zero(self) -> Counted {

@@ -5,9 +5,12 @@ use crate::linalg::real::Real;
 use crate::reduce::design::Design;
 use crate::reduce::gains::{Gains, Settle, Turns};
 use crate::reduce::kernel;
+use crate::reduce::scan::scan;
 
 /// e'S⁻¹e beyond which c + ½d'd would lose digits, so that the innovations are taken again from the best ξ.
 const REFINE: f64 = 1e3;
+/// So many equal steps are not worth a scan.
+const FEW: usize = 64;
 /// A measurement that can only be one value may miss it by this part of the size of its terms.
 const ROUNDING: f64 = 1e-10;
 
@@ -38,8 +41,9 @@ impl<R> Data<R> {
 pub(crate) struct DataWork<R = f64> {
     pub(crate) x: Vec<R>,
     moved: Vec<R>,
-    e: Vec<R>,
-    y: Vec<R>,
+    /// The innovations, in order.
+    pub(crate) e: Vec<R>,
+    pub(crate) y: Vec<R>,
 }
 
 /// What the data say under a design.
@@ -57,51 +61,60 @@ pub(crate) struct Miss {
     pub(crate) residual: f64,
 }
 
-/// x̂ ← φx̂ + b, e = z - d - h'x̂, x̂ ← x̂ + Ke over the test; y = Σ T'e/S. Returns e'S⁻¹e. `look(row, e, x̂)` sees each
-/// innovation before its update.
-#[inline(always)]
-pub(crate) fn innovate<R: Real>(
-    design: &Design<R>,
-    rows: &[R],
-    data: &Data<R>,
-    work: &mut DataWork<R>,
-    mut look: impl FnMut(usize, R, &[R]),
-) -> R {
-    let (frame, zero) = (&*design.frame, R::splat(0.0));
-    let (p, r, stride) = (frame.p, frame.r, 1 + frame.r + frame.p);
+/// x̂ ← φx̂ + b, e = z - d - h'x̂, x̂ ← x̂ + Ke over the test; y = Σ T'e/S. Returns e'S⁻¹e.
+pub(crate) fn innovate(design: &Design, gains: &Gains, data: &Data, work: &mut DataWork) -> f64 {
+    pass(design, gains, data, work, None)
+}
+
+/// Sees (row, its line, e, x̂) before the update.
+type Look<'a> = &'a mut dyn FnMut(usize, usize, f64, &[f64]);
+
+/// [`innovate`]; with `look`, which sees every innovation, step by step to the end.
+fn pass(design: &Design, gains: &Gains, data: &Data, work: &mut DataWork, mut look: Option<Look<'_>>) -> f64 {
     work.x.clone_from(&data.start);
     work.e.clear();
+    work.e.reserve(data.values.len());
     work.y.clear();
-    work.y.resize(p, zero);
-    let (mut square, mut first, mut input) = (zero, 0, 0);
-    for step in &design.steps {
-        if let Some(transition) = &step.transition {
-            kernel::advance(&mut work.x, 1, transition, &mut work.moved);
-            for &state in &frame.driven {
-                work.x[state as usize] = work.x[state as usize] + data.inputs[input];
-                input += 1;
+    work.y.resize(design.frame.p, 0.0);
+    let (mut square, mut input, mut at) = (0.0, 0, 0);
+    for stretch in design.stretches() {
+        while gains.pieces.get(at + 1).is_some_and(|next| next.row <= stretch.rows.start) {
+            at += 1;
+        }
+        let piece = &gains.pieces[at];
+        let scanned = look.is_none() && stretch.count > FEW;
+        if scanned && scan(design, &stretch, (gains, piece), data, work, &mut square) {
+            continue;
+        }
+        for step in stretch.steps() {
+            if let Some(transition) = step.transition {
+                kernel::advance(&mut work.x, 1, transition, &mut work.moved);
+                for &state in &design.frame.driven {
+                    work.x[state as usize] += data.inputs[input];
+                    input += 1;
+                }
+            }
+            for (line, row) in step.lines.zip(step.rows) {
+                let (states, h) = design.terms(line);
+                let mut e = data.values[row];
+                for (&state, &h) in states.iter().zip(h) {
+                    e = h.fnma(work.x[state as usize], e);
+                }
+                if let Some(look) = &mut look {
+                    look(row, line, e, &work.x);
+                }
+                let (weight, K, T) = gains.of(piece, row);
+                let weighted = e * weight;
+                for (x, &K) in work.x.iter_mut().zip(K) {
+                    *x = K.fma(e, *x);
+                }
+                for (y, &T) in work.y.iter_mut().zip(T) {
+                    *y = T.fma(weighted, *y);
+                }
+                square = e.fma(weighted, square);
+                work.e.push(e);
             }
         }
-        for row in first..step.rows {
-            let (states, h) = design.terms(row);
-            let mut e = data.values[row];
-            for (&state, &h) in states.iter().zip(h) {
-                e = h.fnma(work.x[state as usize], e);
-            }
-            look(row, e, &work.x);
-            let (weight, gains) = rows[row * stride..][..stride].split_first().expect("stride is positive");
-            let (K, T) = gains.split_at(r);
-            let weighted = e * *weight;
-            for (x, &K) in work.x.iter_mut().zip(K) {
-                *x = K.fma(e, *x);
-            }
-            for (y, &T) in work.y.iter_mut().zip(T) {
-                *y = T.fma(weighted, *y);
-            }
-            square = e.fma(weighted, square);
-            work.e.push(e);
-        }
-        first = step.rows;
     }
     square
 }
@@ -111,14 +124,14 @@ pub(crate) fn outcome(design: &Design, gains: &Gains, data: &Data, work: &mut Da
     let log_density = -0.5 * (gains.active as f64 * std::f64::consts::TAU.ln() + gains.log_determinant);
     let (residual, data) = match &gains.turns {
         None => {
-            let square = innovate(design, &gains.rows, data, work, |_, _, _| {});
+            let square = innovate(design, gains, data, work);
             least_squares(design, gains, work, square)
         }
         Some(turns) => {
-            if gains.active < design.rows.len() {
+            if gains.active < design.rows() {
                 possible(design, gains, data, work)?;
             } else {
-                innovate(design, &gains.rows, data, work, |_, _, _| {});
+                innovate(design, gains, data, work);
             }
             folded(design, gains, turns, work)
         }
@@ -128,23 +141,24 @@ pub(crate) fn outcome(design: &Design, gains: &Gains, data: &Data, work: &mut Da
 
 /// The data pass of a test with measurements that say nothing: each must be what it must be.
 fn possible(design: &Design, gains: &Gains, data: &Data, work: &mut DataWork) -> Result<(), Miss> {
-    let (stride, mut miss) = (1 + design.frame.r + design.frame.p, None);
-    innovate(design, &gains.rows, data, work, |row, e, x| {
-        let (states, h) = design.terms(row);
+    let mut miss = None;
+    let mut look = |row: usize, line: usize, e: f64, x: &[f64]| {
+        let (states, h) = design.terms(line);
         let terms: f64 = states.iter().zip(h).map(|(&state, h)| (h * x[state as usize]).abs()).sum();
-        let silent = gains.rows[row * stride] == 0.0;
+        let silent = gains.row(row).0 == 0.0;
         let off = e.abs() > ROUNDING * (data.sizes[row] + terms);
         if silent && off && miss.is_none() {
             miss = Some(Miss { row, residual: e });
         }
-    });
+    };
+    pass(design, gains, data, work, Some(&mut look));
     miss.map_or(Ok(()), Err)
 }
 
 /// (residual sum of squares, d) from y and e'S⁻¹e. Where these are large, the innovations at the best ξ, e - Tξ, are what
 /// counts: nothing cancels in them. (Corrected seminormal equations, Björck 1987.)
 fn least_squares(design: &Design, gains: &Gains, work: &mut DataWork, square: f64) -> (f64, Vec<f64>) {
-    let (p, r) = (design.frame.p, design.frame.r);
+    let p = design.frame.p;
     let mut d = work.y.clone();
     forward(&gains.factor, &mut d);
     if square <= REFINE || p == 0 {
@@ -153,13 +167,8 @@ fn least_squares(design: &Design, gains: &Gains, work: &mut DataWork, square: f6
     let mut best = d;
     backward(&gains.factor, &mut best);
     let (mut left, mut correction) = (0.0, vec![0.0; p]);
-    for (row, &e) in gains.rows.chunks_exact(1 + r + p).zip(&work.e) {
-        let T = &row[1 + r..];
-        let rest = e - T.iter().zip(&best).map(|(T, x)| T * x).sum::<f64>();
-        left += rest * rest * row[0];
-        for (sum, T) in correction.iter_mut().zip(T) {
-            *sum += T * rest * row[0];
-        }
+    for (piece, end) in gains.stretches(work.e.len()) {
+        left += gains.weigh((piece, piece.row..end), &work.e[piece.row..end], &best, &mut correction);
     }
     forward(&gains.factor, &mut correction);
     left -= correction.iter().map(|x| x * x).sum::<f64>();
@@ -199,10 +208,10 @@ fn backward(factor: &[f64], x: &mut [f64]) {
 
 /// (residual sum of squares, d): the innovations take the rotations that made R.
 fn folded(design: &Design, gains: &Gains, turns: &Turns, work: &DataWork) -> (f64, Vec<f64>) {
-    let (p, stride) = (design.frame.p, 1 + design.frame.r + design.frame.p);
+    let p = design.frame.p;
     let (mut d, mut residual) = (vec![0.0; p], 0.0);
     for (row, &e) in work.e.iter().enumerate() {
-        let mut left = e * gains.rows[row * stride].sqrt();
+        let mut left = e * gains.row(row).0.sqrt();
         for (d, &(c, s)) in d.iter_mut().zip(&turns.folds[row * p..]) {
             (*d, left) = (c * *d + s * left, c * left - s * *d);
         }

@@ -3,6 +3,7 @@
 //! Kernel order: noise-reachable states first (those that P0 or process noise ever reaches; P lives on them alone),
 //! then other states that move, then those that never move. Random constants of the last kind live only in Ψ.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use crate::linalg::real::Real;
@@ -120,29 +121,68 @@ impl Transition<f64> {
     }
 }
 
-/// One step: a transition, then scalar measurements.
+/// Equal steps that follow each other: a transition, then scalar measurements, so many times.
 #[derive(Debug, Clone)]
-pub(crate) struct Step<R = f64> {
+pub(crate) struct Run<R = f64> {
     pub(crate) transition: Option<Arc<Transition<R>>>,
-    /// End of its rows in [`Design::rows`].
+    /// End of the lines of one step; they begin where those of the run before end.
+    pub(crate) lines: usize,
+    /// Number of steps.
+    pub(crate) count: usize,
+    /// End of its scalar measurements among those of the test.
     pub(crate) rows: usize,
+    /// End of its steps among those of the test.
+    pub(crate) steps: usize,
 }
 
 /// The design of a test, scalar measurements whitened.
+///
+/// A *row* is a scalar measurement of the test. Rows of equal steps have one *line*: terms and noise are kept once.
 #[derive(Debug, Clone)]
 pub(crate) struct Design<R = f64> {
     pub(crate) frame: Arc<Frame>,
     /// P0 on the reachable states, r × r, row-major; the lower triangle counts.
     pub(crate) variance: Vec<R>,
-    pub(crate) steps: Vec<Step<R>>,
-    /// End of the terms of each scalar measurement.
-    pub(crate) rows: Vec<usize>,
-    /// States of the terms, ascending within a measurement.
+    pub(crate) runs: Vec<Run<R>>,
+    /// End of the terms of each line.
+    pub(crate) ends: Vec<usize>,
+    /// States of the terms, ascending within a line.
     pub(crate) states: Vec<u32>,
     /// Their coefficients h.
     pub(crate) h: Vec<R>,
-    /// R, one variance per scalar measurement.
+    /// R, one variance for each line.
     pub(crate) noise: Vec<R>,
+}
+
+/// A run and where it stands.
+#[derive(Debug, Clone)]
+pub(crate) struct Stretch<'a, R = f64> {
+    pub(crate) transition: Option<&'a Arc<Transition<R>>>,
+    pub(crate) lines: Range<usize>,
+    pub(crate) count: usize,
+    /// Its scalar measurements, step after step.
+    pub(crate) rows: Range<usize>,
+}
+
+/// One step of a test.
+#[derive(Debug, Clone)]
+pub(crate) struct Step<'a, R = f64> {
+    pub(crate) transition: Option<&'a Arc<Transition<R>>>,
+    pub(crate) lines: Range<usize>,
+    /// Its scalar measurements: row `rows.start + i` has line `lines.start + i`.
+    pub(crate) rows: Range<usize>,
+}
+
+impl<'a, R> Stretch<'a, R> {
+    /// Its steps, in order.
+    pub(crate) fn steps(&self) -> impl DoubleEndedIterator<Item = Step<'a, R>> + use<'a, R> {
+        let (transition, lines, row) = (self.transition, self.lines.clone(), self.rows.start);
+        let width = lines.len();
+        (0..self.count).map(move |k| {
+            let first = row + k * width;
+            Step { transition, lines: lines.clone(), rows: first..first + width }
+        })
+    }
 }
 
 impl<R: Real> Design<R> {
@@ -151,8 +191,8 @@ impl<R: Real> Design<R> {
         Design {
             frame,
             variance,
-            steps: Vec::new(),
-            rows: Vec::new(),
+            runs: Vec::new(),
+            ends: Vec::new(),
             states: Vec::new(),
             h: Vec::new(),
             noise: Vec::new(),
@@ -161,35 +201,129 @@ impl<R: Real> Design<R> {
 
     pub(crate) fn clear(&mut self) {
         self.variance.fill(R::splat(0.0));
-        self.steps.clear();
-        self.rows.clear();
+        self.runs.clear();
+        self.ends.clear();
         self.states.clear();
         self.h.clear();
         self.noise.clear();
     }
 
-    /// (states, coefficients) of a scalar measurement.
+    /// (states, coefficients) of a line.
     #[inline(always)]
-    pub(crate) fn terms(&self, row: usize) -> (&[u32], &[R]) {
-        let start = if row == 0 { 0 } else { self.rows[row - 1] };
-        (&self.states[start..self.rows[row]], &self.h[start..self.rows[row]])
+    pub(crate) fn terms(&self, line: usize) -> (&[u32], &[R]) {
+        let start = if line == 0 { 0 } else { self.ends[line - 1] };
+        (&self.states[start..self.ends[line]], &self.h[start..self.ends[line]])
+    }
+
+    /// Number of scalar measurements.
+    pub(crate) fn rows(&self) -> usize {
+        self.runs.last().map_or(0, |run| run.rows)
+    }
+
+    /// Number of steps.
+    pub(crate) fn steps(&self) -> usize {
+        self.runs.last().map_or(0, |run| run.steps)
+    }
+
+    /// The step with this number.
+    pub(crate) fn step(&self, k: usize) -> Step<'_, R> {
+        let at = self.runs.partition_point(|run| run.steps <= k);
+        let run = &self.runs[at];
+        let (line, row) = if at == 0 { (0, 0) } else { (self.runs[at - 1].lines, self.runs[at - 1].rows) };
+        let first = row + (k + run.count - run.steps) * (run.lines - line);
+        let rows = first..first + run.lines - line;
+        Step { transition: run.transition.as_ref(), lines: line..run.lines, rows }
+    }
+
+    /// Its runs, in order.
+    pub(crate) fn stretches(&self) -> impl DoubleEndedIterator<Item = Stretch<'_, R>> {
+        (0..self.runs.len()).map(|at| {
+            let run = &self.runs[at];
+            let (line, row) = if at == 0 { (0, 0) } else { (self.runs[at - 1].lines, self.runs[at - 1].rows) };
+            Stretch {
+                transition: run.transition.as_ref(),
+                lines: line..run.lines,
+                count: run.count,
+                rows: row..run.rows,
+            }
+        })
+    }
+
+    /// All steps, in order.
+    pub(crate) fn each_step(&self) -> impl DoubleEndedIterator<Item = Step<'_, R>> {
+        self.stretches().flat_map(|stretch| stretch.steps())
+    }
+
+    /// Appends a step whose lines were appended already: a run of its own.
+    pub(crate) fn push_step(&mut self, transition: Option<Arc<Transition<R>>>) {
+        let (line, row, step) = self.runs.last().map_or((0, 0, 0), |run| (run.lines, run.rows, run.steps));
+        let lines = self.ends.len();
+        self.runs.push(Run { transition, lines, count: 1, rows: row + lines - line, steps: step + 1 });
+    }
+
+    /// So many more steps like the last one.
+    pub(crate) fn repeat(&mut self, many: usize) {
+        let at = self.runs.len() - 1;
+        let before = if at == 0 { 0 } else { self.runs[at - 1].lines };
+        let run = &mut self.runs[at];
+        run.count += many;
+        run.steps += many;
+        run.rows += many * (run.lines - before);
     }
 }
 
 impl Design<f64> {
+    /// [`Design::push_step`]; a step like the last one, with the very same transition, joins its run.
+    pub(crate) fn join_step(&mut self, transition: Option<Arc<Transition>>) {
+        if self.is_repeated(transition.as_ref()) {
+            let line = self.runs[self.runs.len() - 1].lines;
+            let term = if line == 0 { 0 } else { self.ends[line - 1] };
+            self.ends.truncate(line);
+            self.noise.truncate(line);
+            self.states.truncate(term);
+            self.h.truncate(term);
+            self.repeat(1);
+        } else {
+            self.push_step(transition);
+        }
+    }
+
+    /// True when the lines that no run has yet, and this transition, are those of the last run.
+    fn is_repeated(&self, transition: Option<&Arc<Transition>>) -> bool {
+        let Some(last) = self.stretches().next_back() else { return false };
+        let (lines, fresh) = (last.lines, self.runs[self.runs.len() - 1].lines..self.ends.len());
+        let terms = |lines: &Range<usize>| {
+            let start = |line: usize| if line == 0 { 0 } else { self.ends[line - 1] };
+            start(lines.start)..start(lines.end)
+        };
+        let (old, new) = (terms(&lines), terms(&fresh));
+        let same_shape = || {
+            let length = |line: usize| self.terms(line).0.len();
+            lines.clone().zip(fresh.clone()).all(|(a, b)| length(a) == length(b))
+        };
+        lines.len() == fresh.len()
+            && shared(last.transition, transition)
+            && old.len() == new.len()
+            && same_shape()
+            && self.states[old.clone()] == self.states[new.clone()]
+            && same_bits(&self.h[old], &self.h[new])
+            && same_bits(&self.noise[lines], &self.noise[fresh])
+    }
+
     pub(crate) fn digest(&self) -> u128 {
         let mut digest = Digest::new();
         digest.wide(self.frame.digest);
         digest.numbers(&self.variance);
-        digest.count(self.steps.len());
-        for step in &self.steps {
-            digest.count(step.rows);
-            if let Some(transition) = &step.transition {
+        digest.count(self.runs.len());
+        for run in &self.runs {
+            digest.count(run.lines);
+            digest.count(run.count);
+            if let Some(transition) = &run.transition {
                 digest.wide(transition.digest);
             }
         }
-        for row in 0..self.rows.len() {
-            let (states, h) = self.terms(row);
+        for line in 0..self.ends.len() {
+            let (states, h) = self.terms(line);
             states.iter().for_each(|&state| digest.word(u64::from(state)));
             digest.numbers(h);
         }
@@ -199,18 +333,13 @@ impl Design<f64> {
 
     /// Equal bit for bit.
     pub(crate) fn same(&self, other: &Design) -> bool {
-        let same_steps = |(a, b): (&Step, &Step)| {
-            a.rows == b.rows
-                && match (&a.transition, &b.transition) {
-                    (Some(a), Some(b)) => Arc::ptr_eq(a, b) || a.same(b),
-                    (None, None) => true,
-                    _ => false,
-                }
+        let same_runs = |(a, b): (&Run, &Run)| {
+            (a.lines, a.count) == (b.lines, b.count) && same_transition(a.transition.as_ref(), b.transition.as_ref())
         };
         (Arc::ptr_eq(&self.frame, &other.frame) || self.frame == other.frame)
-            && self.steps.len() == other.steps.len()
-            && self.steps.iter().zip(&other.steps).all(same_steps)
-            && self.rows == other.rows
+            && self.runs.len() == other.runs.len()
+            && self.runs.iter().zip(&other.runs).all(same_runs)
+            && self.ends == other.ends
             && self.states == other.states
             && same_bits(&self.variance, &other.variance)
             && same_bits(&self.h, &other.h)
@@ -219,7 +348,24 @@ impl Design<f64> {
 
     /// Bytes it occupies, transitions apart.
     pub(crate) fn bytes(&self) -> usize {
-        8 * (self.variance.len() + 2 * self.steps.len() + self.rows.len() + 2 * self.h.len() + self.noise.len()) + 200
+        8 * (self.variance.len() + 6 * self.runs.len() + self.ends.len() + 2 * self.h.len() + self.noise.len()) + 200
+    }
+}
+
+/// Made from the same coefficients over the same time. (Those made from others can be equal too, but their derivatives differ.)
+fn shared(a: Option<&Arc<Transition>>, b: Option<&Arc<Transition>>) -> bool {
+    match (a, b) {
+        (Some(a), Some(b)) => Arc::ptr_eq(a, b),
+        (None, None) => true,
+        _ => false,
+    }
+}
+
+fn same_transition(a: Option<&Arc<Transition>>, b: Option<&Arc<Transition>>) -> bool {
+    match (a, b) {
+        (Some(a), Some(b)) => Arc::ptr_eq(a, b) || a.same(b),
+        (None, None) => true,
+        _ => false,
     }
 }
 

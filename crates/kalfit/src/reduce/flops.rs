@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use crate::linalg::real::{Counted, Flops};
-use crate::reduce::design::{DENSE, Design, Frame, Pattern, Step, Transition};
-use crate::reduce::gains::{GainsWork, schedule};
+use crate::reduce::design::{DENSE, Design, Frame, Pattern, Transition};
+use crate::reduce::schedule::{GainsWork, schedule};
 
 /// Floating-point operations of (the design pass, the data pass) for a test of n states, r of them noisy, p uncertain and
 /// the others constant, whose every row measures all states.
@@ -30,9 +30,9 @@ pub(crate) fn design_pass(n: usize, r: usize, p: usize, steps: usize) -> Flops {
     for _ in 0..steps {
         design.states.extend(0..n as u32);
         design.h.extend(vec![Counted(1.0); n]);
-        design.rows.push(design.states.len());
+        design.ends.push(design.states.len());
         design.noise.push(Counted(1.0));
-        design.steps.push(Step { transition: Some(transition.clone()), rows: design.rows.len() });
+        design.push_step(Some(transition.clone()));
     }
     Counted::count(|| {
         schedule(&design, &mut GainsWork::default());

@@ -1,44 +1,19 @@
-//! The design pass: one covariance run per design class leaves a schedule of weights, gains and sensitivities.
-#![expect(non_snake_case, reason = "the letters of the theory: P, Psi, G = P h, K, T, S, J")]
-
-use crate::linalg::real::Real;
-use crate::reduce::design::Design;
-use crate::reduce::kernel;
-use crate::reduce::semidefinite::information_root;
-
-/// A scaled pivot of J below this is too ill-conditioned for sums of T'S⁻¹T.
-const LEAST_PIVOT: f64 = 1e-9;
-
-/// What a design pass leaves.
-#[derive(Debug, Clone)]
-pub(crate) struct Schedule<R = f64> {
-    /// For each scalar measurement 1/S, K (r), T (p).
-    pub(crate) rows: Vec<R>,
-    /// J, packed by columns.
-    pub(crate) J: Vec<R>,
-    /// Π S = mantissa × 2^exponent.
-    mantissa: R,
-    exponent: R,
-    /// Below zero where an update cancelled too many digits.
-    kept: R,
-    /// Smallest S.
-    least: R,
-}
-
-/// Work space of the design pass; afterwards P and Ψ of the last step.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct GainsWork<R = f64> {
-    pub(crate) P: Vec<R>,
-    pub(crate) Psi: Vec<R>,
-    G: Vec<R>,
-    rows: Vec<R>,
-}
+//! The gains of a design: everything that the data pass needs but the data.
+#![expect(non_snake_case, reason = "the letters of the theory: K, T, S, J")]
 
 /// A finished design pass: everything but the data.
 #[derive(Debug, Clone)]
 pub(crate) struct Gains {
-    /// For each scalar measurement 1/S, K (r), T (p); 1/S = 0 for one that says nothing.
-    pub(crate) rows: Vec<f64>,
+    /// r, length of K.
+    pub(crate) r: usize,
+    /// p, length of T.
+    pub(crate) p: usize,
+    /// 1/S, K (r) of scalar measurements; 1/S = 0 for one that says nothing. Where they repeat, they are kept once.
+    pub(crate) gains: Vec<f64>,
+    /// T (p) of scalar measurements, likewise.
+    pub(crate) sensitivities: Vec<f64>,
+    /// Which are kept, in order of rows; at least one piece.
+    pub(crate) pieces: Vec<Piece>,
     /// R with J = R'R, packed by columns.
     pub(crate) factor: Vec<f64>,
     /// Σ log S.
@@ -47,6 +22,38 @@ pub(crate) struct Gains {
     pub(crate) active: usize,
     /// How the data are folded, when square-root arrays made it.
     pub(crate) turns: Option<Turns>,
+}
+
+/// Rows of equal steps and what is kept of them: of the first steps each, and the last one kept stands for all that follow.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Piece {
+    /// The first row.
+    pub(crate) row: usize,
+    /// Rows of each step.
+    pub(crate) width: usize,
+    /// First kept 1/S, K, and of how many steps there are any.
+    pub(crate) gain: usize,
+    pub(crate) gain_steps: usize,
+    /// First kept T, and of how many steps there are any.
+    pub(crate) sensitivity: usize,
+    pub(crate) sensitivity_steps: usize,
+}
+
+impl Piece {
+    /// The first `rows` rows, all of them kept, each a step to itself.
+    pub(crate) fn all(rows: usize) -> Piece {
+        Piece { row: 0, width: 1, gain: 0, gain_steps: rows, sensitivity: 0, sensitivity_steps: rows }
+    }
+
+    /// Steps from a row on after which S and K do not change any more; steps of one measurement.
+    pub(crate) fn moving_gains(&self, row: usize) -> usize {
+        (self.row + self.gain_steps).saturating_sub(row)
+    }
+
+    /// Steps after which nothing changes any more.
+    pub(crate) fn moving(&self) -> usize {
+        self.gain_steps.max(self.sensitivity_steps)
+    }
 }
 
 /// The rotations that took [T | ·]/√S into R: the data take them too.
@@ -68,91 +75,46 @@ pub(crate) enum Settle {
 }
 
 impl Gains {
-    /// 1/S, K (r) and T (p) of a scalar measurement.
+    /// (1/S, K, T) of a scalar measurement; 1/S = 0 for one that says nothing.
+    #[inline]
+    pub(crate) fn row(&self, row: usize) -> (f64, &[f64], &[f64]) {
+        self.of(&self.pieces[self.piece(row)], row)
+    }
+
+    /// Number of the piece that has a row.
+    #[inline]
+    pub(crate) fn piece(&self, row: usize) -> usize {
+        if self.pieces.len() == 1 { 0 } else { self.pieces.partition_point(|piece| piece.row <= row) - 1 }
+    }
+
+    /// [`Gains::row`] of a row in this piece.
     #[inline(always)]
-    pub(crate) fn row(&self, r: usize, p: usize, row: usize) -> (f64, &[f64], &[f64]) {
-        let (weight, rest) = self.rows[row * (1 + r + p)..][..1 + r + p].split_first().expect("stride is positive");
-        let (gain, sensitivity) = rest.split_at(r);
-        (*weight, gain, sensitivity)
+    pub(crate) fn of(&self, piece: &Piece, row: usize) -> (f64, &[f64], &[f64]) {
+        let number = row - piece.row;
+        let (step, line) = if piece.width == 1 { (number, 0) } else { (number / piece.width, number % piece.width) };
+        let gain = piece.gain + step.min(piece.gain_steps - 1) * piece.width + line;
+        let sensitivity = piece.sensitivity + step.min(piece.sensitivity_steps - 1) * piece.width + line;
+        let stride = 1 + self.r;
+        let (weight, K) = self.gains[gain * stride..][..stride].split_first().expect("stride is positive");
+        (*weight, K, &self.sensitivities[sensitivity * self.p..][..self.p])
+    }
+
+    /// 1/S, K of so many steps from a row on, all of them kept; steps of one measurement.
+    pub(crate) fn kept(&self, piece: &Piece, row: usize, steps: usize) -> &[f64] {
+        let stride = 1 + self.r;
+        &self.gains[(piece.gain + row - piece.row) * stride..][..steps * stride]
+    }
+
+    /// Pieces with the end of their rows, of `rows` in all.
+    pub(crate) fn stretches(&self, rows: usize) -> impl Iterator<Item = (&Piece, usize)> {
+        let ends = self.pieces[1..].iter().map(|piece| piece.row).chain([rows]);
+        self.pieces.iter().zip(ends)
     }
 
     /// Bytes it occupies.
     pub(crate) fn bytes(&self) -> usize {
         let turns = self.turns.as_ref().map_or(0, |turns| 2 * turns.folds.len() + 5 * turns.settle.len());
-        8 * (self.rows.len() + self.factor.len() + turns) + 200
-    }
-}
-
-/// Runs the covariance filter of a design.
-pub(crate) fn schedule<R: Real>(design: &Design<R>, work: &mut GainsWork<R>) -> Schedule<R> {
-    let (frame, zero) = (&*design.frame, R::splat(0.0));
-    let (p, r) = (frame.p, frame.r);
-    work.P.clone_from(&design.variance);
-    work.Psi.clear();
-    work.Psi.extend(frame.sensitivity.iter().map(|&x| R::splat(x)));
-    work.G.clear();
-    work.G.resize(r, zero);
-    let stride = 1 + r + p;
-    let one = R::splat(1.0);
-    let mut out = Schedule {
-        rows: vec![zero; stride * design.rows.len()],
-        J: vec![zero; p * (p + 1) / 2],
-        mantissa: one,
-        exponent: zero,
-        kept: one,
-        least: one,
-    };
-    let mut first = 0;
-    for step in &design.steps {
-        if let Some(transition) = &step.transition {
-            kernel::predict(&mut work.P, r, transition, &mut work.rows);
-            kernel::advance(&mut work.Psi, p, transition, &mut work.rows);
-        }
-        for row in first..step.rows {
-            let (states, h) = design.terms(row);
-            let (weight, gains) = out.rows[row * stride..][..stride].split_first_mut().expect("stride is positive");
-            let (K, T) = gains.split_at_mut(r);
-            kernel::sensitivity(frame, states, h, &work.Psi, T);
-            let update = kernel::update(r, states, h, design.noise[row], &mut work.P, &mut work.G, K);
-            kernel::correct(p, K, T, &mut work.Psi);
-            kernel::inform(T, update.weight, &mut out.J);
-            *weight = update.weight;
-            out.kept = out.kept.minimum(update.kept);
-            out.least = out.least.minimum(update.S);
-            let (mantissa, exponent) = (out.mantissa * update.S.or_one()).split();
-            (out.mantissa, out.exponent) = (mantissa, out.exponent + exponent);
-        }
-        first = step.rows;
-    }
-    out
-}
-
-impl Schedule<f64> {
-    /// The finished information form, or `None` where square-root arrays are called for.
-    pub(crate) fn finish(self, p: usize, active: usize) -> Option<Gains> {
-        let sound = self.kept >= 0.0 && self.least > 0.0 && self.J.iter().all(|x| x.is_finite());
-        if !sound || !self.mantissa.is_finite() {
-            return None;
-        }
-        let (factor, least) = information_root(&self.J, p, LEAST_PIVOT);
-        let log_determinant = self.mantissa.ln() + self.exponent * std::f64::consts::LN_2;
-        (least >= LEAST_PIVOT).then_some(Gains { rows: self.rows, factor, log_determinant, active, turns: None })
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use crate::reduce::flops::design_pass;
-
-    fn line(flops: crate::linalg::real::Flops) -> String {
-        format!("add {} mul {} fma {} div {}", flops.add, flops.mul, flops.fma, flops.div)
-    }
-
-    #[test]
-    fn the_design_pass_keeps_its_flop_budget() {
-        // n, r, p: random coefficients; an inertial instrument; all states noisy.
-        insta::assert_snapshot!(line(design_pass(2, 0, 2, 10)), @"add 30 mul 30 fma 40 div 10");
-        insta::assert_snapshot!(line(design_pass(15, 2, 13, 10)), @"add 160 mul 180 fma 2230 div 10");
-        insta::assert_snapshot!(line(design_pass(4, 4, 4, 10)), @"add 50 mul 130 fma 2490 div 10");
+        let kept = self.gains.len() + self.sensitivities.len() + 6 * self.pieces.len();
+        8 * (kept + self.factor.len() + turns) + 200
     }
 }

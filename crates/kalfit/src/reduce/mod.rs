@@ -6,9 +6,12 @@
 //! ```text
 //! Model at α ── Reducer::new ──> Preparer                dynamics, start, motion, observe: coefficients at α
 //! Test ── prepare ──> Design + Data                      steps; transitions are made once per length and coefficients
-//! Design ── gains (or root) ──> Gains                    S, K, T, P, J: once per design class
+//! Design ── schedule (or root) ──> Gains                 S, K, T, P, J: once per design class
 //! Gains + Data ── data ──> Reduction                     e, x̂, y: once per test
 //! ```
+//!
+//! Long uniform records cost little: equal steps are one run of the design, S, K, T are kept once from where they no longer
+//! change (settling), J then grows in closed form, and the data pass is a linear scan (scan).
 
 mod data;
 mod design;
@@ -17,6 +20,7 @@ mod dynamics;
 mod error;
 mod flops;
 mod gains;
+mod instances;
 mod kernel;
 mod motion;
 mod observe;
@@ -27,8 +31,12 @@ mod prepare;
 mod reducer;
 mod reduction;
 mod root;
+mod scan;
+mod schedule;
 mod semidefinite;
+mod settling;
 mod shared;
+mod small;
 mod start;
 mod steps;
 mod subject;
@@ -40,9 +48,10 @@ pub use reducer::{Reducer, Work};
 pub use reduction::{Path, Reduction};
 
 pub(crate) use data::innovate;
-pub(crate) use design::{Design, Frame, Transition};
+pub(crate) use design::{Design, Frame, Step, Transition};
 pub(crate) use dynamics::Table;
 pub(crate) use gains::Gains;
+pub(crate) use instances::Instance;
 pub(crate) use kernel::advance;
 pub(crate) use motion::Evaluated;
 pub(crate) use observe::Unwhitened;
@@ -55,7 +64,7 @@ pub(crate) use subject::{At, Coefficient, Fault, Subject, Uses};
 pub(crate) use {
     data::outcome,
     data::{Data, DataWork},
-    design::{DENSE, Pattern, Step},
-    gains::GainsWork,
+    design::{DENSE, Pattern},
     reducer::information_gains,
+    schedule::GainsWork,
 };

@@ -3,12 +3,13 @@
 mod backward;
 
 use crate::ensemble::Test;
-use crate::model::Scope;
+use crate::model::{Alpha, Scope};
 use crate::reduce::data::Data;
 use crate::reduce::design::Design;
 use crate::reduce::error::ReduceErrorKind;
+use crate::reduce::instances::{Instance, Instances};
 use crate::reduce::semidefinite::{NotSemidefinite, ldl};
-use crate::reduce::subject::{At, Coefficient, Fault, Subject};
+use crate::reduce::subject::{At, Coefficient, Fault, Subject, Uses};
 
 pub(crate) use backward::Unwhitened;
 
@@ -40,14 +41,6 @@ pub(crate) struct Correlation {
     /// Which covariance of the model.
     pub(crate) pair: usize,
     /// Row of the test that it was evaluated on.
-    pub(crate) row: usize,
-}
-
-/// One scalar measurement of a test.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Instance {
-    pub(crate) meter: usize,
-    /// Row of the test.
     pub(crate) row: usize,
 }
 
@@ -96,7 +89,9 @@ impl Meters {
         (rows, dt): (std::ops::Range<usize>, f64),
         out: &mut Observed<'_>,
     ) -> Result<(), Box<Fault>> {
-        let first = out.instances.len();
+        let (first, line) = (out.instances.len(), out.design.ends.len());
+        out.instances.begin(rows.start);
+        out.constants.clear();
         for row in rows {
             let scope = Scope { numbers: test.numbers(row), texts: test.texts(row), step: dt, alpha: at.alpha };
             for (m, meter) in self.meters.iter().enumerate() {
@@ -106,11 +101,12 @@ impl Meters {
                 }
             }
         }
-        if self.pairs.is_empty() || out.instances.len() < first + 2 {
+        let own = out.instances.last_step();
+        if self.pairs.is_empty() || own.len() < 2 {
             return Ok(());
         }
-        let row = out.instances[first].row;
-        let found = self.covariances(at, test, dt, &out.instances[first..])?;
+        let row = own[0].row;
+        let found = self.covariances(at, test, dt, own)?;
         if found.is_empty() {
             return Ok(());
         }
@@ -119,10 +115,88 @@ impl Meters {
             return Ok(());
         }
         let entries: Vec<(usize, usize, f64)> = found.iter().map(|c| (c.i, c.j, c.value)).collect();
-        whiten(out.design, out.data, first, &entries).map_err(|bad| {
+        whiten(out.design, out.data, line, &entries).map_err(|bad| {
             let kind = ReduceErrorKind::NotSemidefinite { left: bad.left, variance: bad.variance };
             Fault::new(Subject::StepNoise, kind).on(row)
         })
+    }
+
+    /// Columns that lines, and which there are of them, depend on, and columns that only constants depend on.
+    pub(crate) fn uses(&self, alpha: &Alpha) -> (Uses, Uses) {
+        let (mut lines, mut constants) = (Uses::default(), Uses::default());
+        for meter in &self.meters {
+            let terms = meter.terms.iter().map(|(_, h)| h);
+            terms.chain(&meter.filter).chain([&meter.noise]).for_each(|c| lines.add(c, alpha));
+            constants.add(&meter.constant, alpha);
+        }
+        (lines, constants)
+    }
+
+    /// True when the measurements of a step whose cells repeat are those of the step before but for their values.
+    pub(crate) fn can_repeat(&self) -> bool {
+        self.pairs.is_empty() // whitening mixes values
+    }
+
+    /// Appends the measured values of a step whose lines are those of the step before, `height` rows earlier. False, and nothing
+    /// is appended, where other values are measured or one is infinite. `fresh`: constants may differ.
+    #[inline]
+    pub(crate) fn repeat(
+        &self,
+        at: &At<'_>,
+        test: &Test,
+        ((first, height), dt): ((usize, usize), f64),
+        fresh: bool,
+        out: &mut Observed<'_>,
+    ) -> Result<bool, Box<Fault>> {
+        let measured = |row: usize, meter: &Meter| {
+            let (z, before) = (test.numbers(row)[meter.column], test.numbers(row - height)[meter.column]);
+            z.is_nan() == before.is_nan() && !z.is_infinite()
+        };
+        if !(first..first + height).all(|row| self.meters.iter().all(|meter| measured(row, meter))) {
+            return Ok(false);
+        }
+        let entries = out.instances.last_step();
+        for (entry, constant) in entries.iter().zip(out.constants.iter_mut()) {
+            let (meter, row) = (&self.meters[entry.meter], first + (entry.row - out.instances.first_row()));
+            let numbers = test.numbers(row);
+            if fresh {
+                let scope = Scope { numbers, texts: test.texts(row), step: dt, alpha: at.alpha };
+                *constant = at.value(&meter.constant, &scope).map_err(|fault| fault.on(row))?;
+            }
+            let z = numbers[meter.column];
+            out.data.values.push(z - *constant);
+            out.data.sizes.push(z.abs() + constant.abs());
+        }
+        out.instances.repeat(1, height);
+        Ok(true)
+    }
+
+    /// Takes the values of at most `most` steps of one row like the last step, from row `first` on, of a test with nothing but
+    /// values to read; stops before a row that measures something else. Returns how many.
+    pub(crate) fn repeat_values(&self, test: &Test, first: usize, most: usize, out: &mut Observed<'_>) -> usize {
+        let entries = out.instances.last_step();
+        let mut is_taken = vec![false; self.meters.len()];
+        entries.iter().for_each(|entry| is_taken[entry.meter] = true);
+        let columns: Vec<(usize, bool)> =
+            self.meters.iter().zip(&is_taken).map(|(meter, &taken)| (meter.column, taken)).collect();
+        let taken: Vec<(usize, f64)> =
+            entries.iter().zip(&*out.constants).map(|(e, &d)| (self.meters[e.meter].column, d)).collect();
+        let mut many = 0;
+        while many < most {
+            let numbers = test.numbers(first + many);
+            let alike = |&(column, taken): &(usize, bool)| match numbers[column] {
+                z if taken => z.is_finite(),
+                z => z.is_nan(),
+            };
+            if !columns.iter().all(alike) {
+                break;
+            }
+            out.data.values.extend(taken.iter().map(|&(column, constant)| numbers[column] - constant));
+            out.data.sizes.extend(taken.iter().map(|&(column, constant)| numbers[column].abs() + constant.abs()));
+            many += 1;
+        }
+        out.instances.repeat(many, 1);
+        many
     }
 
     /// Covariances among the instances of a step.
@@ -173,7 +247,9 @@ impl Meters {
 pub(crate) struct Observed<'a> {
     pub(crate) design: &'a mut Design,
     pub(crate) data: &'a mut Data,
-    pub(crate) instances: &'a mut Vec<Instance>,
+    pub(crate) instances: &'a mut Instances,
+    /// d of each scalar measurement of the last step.
+    pub(crate) constants: &'a mut Vec<f64>,
     /// Where covariances go that are not to be whitened away.
     pub(crate) covariances: Option<&'a mut Vec<(usize, usize, f64)>>,
 }
@@ -203,15 +279,16 @@ impl Meter {
             out.design.states.push(*state);
             out.design.h.push(at.value(h, scope)?);
         }
-        out.design.rows.push(out.design.states.len());
+        out.design.ends.push(out.design.states.len());
         out.design.noise.push(noise);
+        out.constants.push(constant);
         out.data.values.push(z - constant);
         out.data.sizes.push(z.abs() + constant.abs());
         Ok(true)
     }
 }
 
-/// Replaces the scalar measurements from `first` on by L⁻¹ times them, where R = LDL' (L unit lower triangular), with noise D.
+/// Replaces the scalar measurements from line `first` on, the last ones of the data, by L⁻¹ times them, where R = LDL' (L unit lower triangular), with noise D.
 /// `covariances`: entries (i, j, value) of R besides its diagonal, counted from `first`.
 pub(crate) fn whiten(
     design: &mut Design,
@@ -219,7 +296,8 @@ pub(crate) fn whiten(
     first: usize,
     covariances: &[(usize, usize, f64)],
 ) -> Result<(), NotSemidefinite> {
-    let (m, n) = (design.rows.len() - first, design.frame.n);
+    let (m, n) = (design.ends.len() - first, design.frame.n);
+    let row = data.values.len() - m;
     let mut l = vec![0.0; m * m];
     for i in 0..m {
         l[i * m + i] = design.noise[first + i];
@@ -245,20 +323,20 @@ pub(crate) fn whiten(
                 h[i * n + state] -= factor * h[k * n + state];
                 present[i * n + state] |= present[k * n + state];
             }
-            data.values[first + i] -= factor * data.values[first + k];
-            data.sizes[first + i] += factor.abs() * data.sizes[first + k];
+            data.values[row + i] -= factor * data.values[row + k];
+            data.sizes[row + i] += factor.abs() * data.sizes[row + k];
         }
     }
-    let start = if first == 0 { 0 } else { design.rows[first - 1] };
+    let start = if first == 0 { 0 } else { design.ends[first - 1] };
     design.states.truncate(start);
     design.h.truncate(start);
-    design.rows.truncate(first);
+    design.ends.truncate(first);
     for i in 0..m {
         for state in (0..n).filter(|state| present[i * n + state]) {
             design.states.push(state as u32);
             design.h.push(h[i * n + state]);
         }
-        design.rows.push(design.states.len());
+        design.ends.push(design.states.len());
         design.noise[first + i] = l[i * m + i];
     }
     Ok(())

@@ -5,13 +5,14 @@ use std::sync::Arc;
 use nalgebra::{DMatrix, DVector};
 
 use crate::reduce::data::{Data, DataWork, outcome};
-use crate::reduce::design::{Design, Step};
+use crate::reduce::design::Design;
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
-use crate::reduce::gains::{Gains, GainsWork};
+use crate::reduce::gains::Gains;
 use crate::reduce::observe::whiten;
 use crate::reduce::plain_order::PlainOrder;
 use crate::reduce::reducer::{impossible, information_gains};
 use crate::reduce::root::{RootError, root_gains};
+use crate::reduce::schedule::GainsWork;
 use crate::reduce::semidefinite::{NotSemidefinite, ldl};
 use crate::reduce::{Path, Reduction};
 
@@ -188,7 +189,7 @@ impl Plain {
                 let input = |&state: &u32| step.input.as_ref().map_or(0.0, |input| input[order.states[state as usize]]);
                 data.inputs.extend(order.frame.driven.iter().map(input));
             }
-            let first = design.rows.len();
+            let first = design.ends.len();
             let kept: Vec<usize> = (0..step.values.len())
                 .filter(|&i| !step.values[i].is_nan() && step.noise[(i, i)] != f64::INFINITY)
                 .collect();
@@ -199,7 +200,7 @@ impl Plain {
                         design.h.push(step.measurement[(i, from)]);
                     }
                 }
-                design.rows.push(design.states.len());
+                design.ends.push(design.states.len());
                 design.noise.push(step.noise[(i, i)]);
                 data.values.push(step.values[i] - step.constant[i]);
                 data.sizes.push(step.values[i].abs() + step.constant[i].abs());
@@ -214,7 +215,8 @@ impl Plain {
                 whiten(design, data, first, &covariances)
                     .map_err(|bad| self.refuse(format!("noise of step {}", k + 1), not_semidefinite(bad)))?;
             }
-            design.steps.push(Step { transition: transition.map(Arc::new), rows: design.rows.len() });
+            // never joined: nothing is frozen here
+            design.push_step(transition.map(Arc::new));
         }
         Ok(())
     }

@@ -1,23 +1,25 @@
 //! A test of a model, evaluated: its design and its data.
 
+use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::ensemble::Test;
 use crate::model::{Alpha, Model, Scope};
 use crate::reduce::data::{Data, DataWork};
-use crate::reduce::design::{Design, Step};
+use crate::reduce::design::Design;
 use crate::reduce::digest::Digest;
 use crate::reduce::dynamics::Dynamics;
 use crate::reduce::error::ReduceErrorKind;
-use crate::reduce::gains::GainsWork;
+use crate::reduce::instances::Instances;
 use crate::reduce::motion::{Moves, Plan};
-use crate::reduce::observe::{Instance, Meters, Observed};
+use crate::reduce::observe::{Meters, Observed};
 use crate::reduce::order::Order;
+use crate::reduce::schedule::GainsWork;
 use crate::reduce::shared::{Entry, Shared};
 use crate::reduce::start::{Law, Start};
 use crate::reduce::steps::{Cells, Span, spans};
-use crate::reduce::subject::{At, Fault, Subject};
+use crate::reduce::subject::{At, Fault, Subject, Uses};
 
 mod replay;
 
@@ -40,6 +42,12 @@ pub(crate) struct Preparer {
     pub(crate) order: Order,
     pub(crate) plan: Plan,
     pub(crate) meters: Meters,
+    /// Columns that φ, Q, h, R or which values count depend on: where their cells repeat, so do these.
+    shape: Uses,
+    /// Columns that only known inputs and constants depend on.
+    drive: Uses,
+    /// Nothing is read from the data but measured values and times.
+    plain: bool,
     /// The law of x_0, when no test changes it.
     law: Option<Law>,
     transitions: Shared<Vec<u64>, Result<Moves, Box<Fault>>>,
@@ -47,12 +55,22 @@ pub(crate) struct Preparer {
     pub(crate) computed: AtomicU64,
 }
 
+/// One step to be evaluated.
+#[derive(Debug, Clone)]
+struct Moment {
+    rows: Range<usize>,
+    /// The rows whose cells the dynamics read.
+    source: Range<usize>,
+    dt: f64,
+    moves: bool,
+}
+
 /// One test evaluated, and the work space of all its passes.
 #[derive(Debug)]
 pub(crate) struct Workspace {
     pub(crate) design: Design,
     pub(crate) data: Data,
-    pub(crate) instances: Vec<Instance>,
+    pub(crate) instances: Instances,
     pub(crate) covariates: Vec<f64>,
     /// When given, covariances (i, j, value) between scalar measurements of the test go here, and the measurements are not
     /// whitened.
@@ -60,6 +78,9 @@ pub(crate) struct Workspace {
     pub(crate) gains: GainsWork,
     pub(crate) pass: DataWork,
     spans: Vec<Span>,
+    /// Number of the first step of each span.
+    firsts: Vec<usize>,
+    constants: Vec<f64>,
     whole: Cells,
     step: Cells,
     values: Vec<f64>,
@@ -90,7 +111,13 @@ impl Preparer {
         } else {
             None
         };
+        let (mut shape, mut drive) = meters.uses(alpha);
+        dynamics.table.varying.iter().for_each(|(_, coefficient, _)| shape.add(coefficient, alpha));
+        dynamics.inputs.varying.iter().for_each(|(_, coefficient, _)| drive.add(coefficient, alpha));
         Ok(Preparer {
+            plain: shape.is_empty() && drive.is_empty() && meters.can_repeat(),
+            shape,
+            drive,
             model: model.clone(),
             alpha: alpha.clone(),
             free,
@@ -113,7 +140,9 @@ impl Preparer {
         Workspace {
             design: Design::new(self.order.frame.clone()),
             data: Data::default(),
-            instances: Vec::new(),
+            instances: Instances::default(),
+            firsts: Vec::new(),
+            constants: Vec::new(),
             covariates: Vec::new(),
             covariances: None,
             gains: GainsWork::default(),
@@ -144,18 +173,96 @@ impl Preparer {
             Scope { numbers: &work.whole.numbers, texts: &work.whole.texts, step: f64::NAN, alpha: &self.alpha };
         let initial = self.start.initial_time.as_ref().map(|time| at.value(time, &scope)).transpose()?;
         spans(&at, test, initial, &mut work.spans)?;
+        work.firsts.clear();
+        let mut first = 0;
+        for span in &work.spans {
+            work.firsts.push(first);
+            first += span.count;
+        }
         self.covariates(&at, work)?;
         self.begin(&at, test, work)?;
-        for k in 0..work.spans.len() {
-            let Span { rows, dt, moves } = work.spans[k].clone();
-            let transition = if moves { Some(self.transition(&at, test, k, work)?) } else { None };
-            let Workspace { design, data, instances, covariances, .. } = &mut *work;
-            let mut observed = Observed { design, data, instances, covariances: covariances.as_mut() };
-            self.meters.observe(&at, test, (rows, dt), &mut observed)?;
-            let rows = work.design.rows.len();
-            work.design.steps.push(Step { transition, rows });
+        let mut source = 0..0; // rows of the step before
+        for at_span in 0..work.spans.len() {
+            let span = work.spans[at_span].clone();
+            let (mut repeats, mut number) = (0, 0);
+            while number < span.count {
+                let rows = span.step(number);
+                if source.is_empty() || !self.clock_previous() {
+                    source = rows.clone();
+                }
+                let moment = Moment { rows: rows.clone(), source: source.clone(), dt: span.dt, moves: span.moves };
+                let again = number > 0 && self.shape.repeat(test, &rows);
+                repeats = if again { repeats + 1 } else { 0 };
+                // with inputs of the row before, that row must have repeated too
+                let enough = repeats > usize::from(self.clock_previous());
+                if !(enough && self.meters.can_repeat() && self.repeat(&at, test, &moment, work)?) {
+                    self.step(&at, test, &moment, work)?;
+                }
+                source = rows;
+                number += 1;
+                if self.plain && span.height() == 1 {
+                    number += self.repeat_values(test, span.rows.start + number, span.count - number, work);
+                }
+            }
         }
         Ok(())
+    }
+
+    /// Takes as many steps as there are like the last one, of one row each, where only values are read from the data.
+    fn repeat_values(&self, test: &Test, first: usize, most: usize, work: &mut Workspace) -> usize {
+        let Workspace { design, data, instances, covariances, constants, .. } = &mut *work;
+        let mut observed = Observed { design, data, instances, covariances: covariances.as_mut(), constants };
+        let many = self.meters.repeat_values(test, first, most, &mut observed);
+        work.design.repeat(many);
+        let driven = self.order.frame.driven.len();
+        for _ in 0..many * usize::from(driven > 0) {
+            let last = work.data.inputs.len() - driven;
+            work.data.inputs.extend_from_within(last..);
+        }
+        many
+    }
+
+    fn clock_previous(&self) -> bool {
+        self.model.clock.previous_inputs
+    }
+
+    /// Evaluates a step in full.
+    fn step(&self, at: &At<'_>, test: &Test, moment: &Moment, work: &mut Workspace) -> Result<(), Box<Fault>> {
+        let transition = if moment.moves { Some(self.transition(at, test, moment, work)?) } else { None };
+        let Workspace { design, data, instances, covariances, constants, .. } = &mut *work;
+        let mut observed = Observed { design, data, instances, covariances: covariances.as_mut(), constants };
+        self.meters.observe(at, test, (moment.rows.clone(), moment.dt), &mut observed)?;
+        work.design.join_step(transition);
+        Ok(())
+    }
+
+    /// A step whose φ, Q, h, R are those of the step before; false, and nothing is done, where it measures something else.
+    fn repeat(&self, at: &At<'_>, test: &Test, moment: &Moment, work: &mut Workspace) -> Result<bool, Box<Fault>> {
+        let (driven, height) = (self.order.frame.driven.len(), moment.rows.len());
+        let driven_on = !self.drive.is_empty();
+        let fresh = driven_on && !self.drive.repeat(test, &moment.rows);
+        // the row before may have been the first with its cells
+        let fresh_inputs = fresh || (driven_on && self.clock_previous());
+        let inputs = work.data.inputs.len();
+        if driven > 0 && moment.moves {
+            if fresh_inputs {
+                self.evaluate_inputs(at, test, moment, work)?;
+                let last = work.last.clone().expect("a step that repeats has had a transition");
+                let moves = last.value().as_ref().expect("which was sound");
+                self.plan.inputs(moves, &work.inputs, &mut work.data.inputs);
+            } else {
+                work.data.inputs.extend_from_within(inputs - driven..);
+            }
+        }
+        let Workspace { design, data, instances, covariances, constants, .. } = &mut *work;
+        let mut observed = Observed { design, data, instances, covariances: covariances.as_mut(), constants };
+        let same = self.meters.repeat(at, test, ((moment.rows.start, height), moment.dt), fresh, &mut observed)?;
+        if same {
+            work.design.repeat(1);
+        } else {
+            work.data.inputs.truncate(inputs);
+        }
+        Ok(same)
     }
 
     fn covariates(&self, at: &At<'_>, work: &mut Workspace) -> Result<(), Box<Fault>> {
@@ -184,7 +291,9 @@ impl Preparer {
             None => {
                 let dt = work.spans[0].dt;
                 if self.start.settles() {
-                    self.evaluate(at, test, 0, work, true)?;
+                    let rows = work.spans[0].step(0);
+                    let moment = Moment { source: rows.clone(), rows, dt, moves: true };
+                    self.evaluate(at, test, &moment, work, true)?;
                 }
                 let scope =
                     Scope { numbers: &work.whole.numbers, texts: &work.whole.texts, step: dt, alpha: &self.alpha };
@@ -207,61 +316,72 @@ impl Preparer {
         Ok(())
     }
 
-    /// Values of the dynamics' coefficients and inputs on step `k`; for the start, only those that the stationary law needs.
+    /// Values of the dynamics' coefficients and inputs on a step; for the start, only those that the stationary law needs.
     fn evaluate(
         &self,
         at: &At<'_>,
         test: &Test,
-        k: usize,
+        moment: &Moment,
         work: &mut Workspace,
         start: bool,
     ) -> Result<(), Box<Fault>> {
-        let (scope, first) = self.motion_scope(at, test, k, (&work.spans, &mut work.step))?;
+        let first = moment.source.start;
+        let Workspace { step, values, inputs: known, .. } = work;
+        let scope = self.motion_scope(at, test, moment, step)?;
         let (table, inputs) = (&self.dynamics.table, &self.dynamics.inputs);
         if start {
             let needed = |slot| self.start.needs(slot);
-            table.evaluate_some(at, &scope, needed, &mut work.values).map_err(|fault| fault.on(first))?;
+            table.evaluate_some(at, &scope, needed, values).map_err(|fault| fault.on(first))?;
             let needed = |slot| self.start.needs_input(slot);
-            return inputs.evaluate_some(at, &scope, needed, &mut work.inputs).map_err(|fault| fault.on(first));
+            return inputs.evaluate_some(at, &scope, needed, known).map_err(|fault| fault.on(first));
         }
-        table.evaluate(at, &scope, &mut work.values).map_err(|fault| fault.on(first))?;
-        inputs.evaluate(at, &scope, &mut work.inputs).map_err(|fault| fault.on(first))
+        table.evaluate(at, &scope, values).map_err(|fault| fault.on(first))?;
+        inputs.evaluate(at, &scope, known).map_err(|fault| fault.on(first))
     }
 
-    /// What the transition to step `k` is evaluated on, and its first row. `cells`: room for the cells of several rows.
+    /// Values of the dynamics' inputs on a step.
+    fn evaluate_inputs(
+        &self,
+        at: &At<'_>,
+        test: &Test,
+        moment: &Moment,
+        work: &mut Workspace,
+    ) -> Result<(), Box<Fault>> {
+        let scope = self.motion_scope(at, test, moment, &mut work.step)?;
+        self.dynamics.inputs.evaluate(at, &scope, &mut work.inputs).map_err(|fault| fault.on(moment.source.start))
+    }
+
+    /// What the dynamics of a step are evaluated on. `cells`: work space for steps of several rows.
     fn motion_scope<'a>(
         &'a self,
         at: &At<'_>,
         test: &'a Test,
-        k: usize,
-        (spans, cells): (&[Span], &'a mut Cells),
-    ) -> Result<(Scope<'a>, usize), Box<Fault>> {
-        let source = if self.model.clock.previous_inputs && k > 0 { k - 1 } else { k };
-        let (rows, step) = (spans[source].rows.clone(), spans[k].dt);
-        let first = rows.start;
-        let (numbers, texts) = if rows.len() == 1 {
-            (test.numbers(first), test.texts(first))
+        moment: &Moment,
+        cells: &'a mut Cells,
+    ) -> Result<Scope<'a>, Box<Fault>> {
+        let (numbers, texts) = if moment.source.len() == 1 {
+            (test.numbers(moment.source.start), test.texts(moment.source.start))
         } else {
-            cells.gather(at, test, rows, (&self.dynamics.uses, false))?;
+            cells.gather(at, test, moment.source.clone(), (&self.dynamics.uses, false))?;
             (&*cells.numbers, &*cells.texts)
         };
-        Ok((Scope { numbers, texts, step, alpha: &self.alpha }, first))
+        Ok(Scope { numbers, texts, step: moment.dt, alpha: &self.alpha })
     }
 
-    /// The transition that leads to step `k`; its inputs go to the data.
+    /// The transition that leads to a step; its inputs go to the data.
     fn transition(
         &self,
         at: &At<'_>,
         test: &Test,
-        k: usize,
+        moment: &Moment,
         work: &mut Workspace,
     ) -> Result<Arc<crate::reduce::design::Transition>, Box<Fault>> {
-        let (row, dt) = (work.spans[k].rows.start, work.spans[k].dt);
+        let (row, dt) = (moment.rows.start, moment.dt);
         let continuous = !self.dynamics.components.is_empty();
         if continuous && dt.is_nan() {
             return Err(Fault::new(Subject::Transition, ReduceErrorKind::UnknownFirstStep).on(row));
         }
-        self.evaluate(at, test, k, work, false)?;
+        self.evaluate(at, test, moment, work, false)?;
         work.key.clear();
         work.key.push(if continuous { dt.to_bits() } else { 0 });
         work.key.extend(self.dynamics.table.varying.iter().map(|(slot, ..)| work.values[*slot].to_bits()));

@@ -10,10 +10,11 @@ use crate::model::{Alpha, Model};
 use crate::reduce::data::{Miss, outcome};
 use crate::reduce::design::Design;
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
-use crate::reduce::gains::{Gains, GainsWork, schedule};
-use crate::reduce::observe::Instance;
+use crate::reduce::gains::Gains;
+use crate::reduce::instances::{Instance, Instances};
 use crate::reduce::prepare::{Preparer, Workspace};
 use crate::reduce::root::{RootError, root_gains};
+use crate::reduce::schedule::{GainsWork, schedule};
 use crate::reduce::shared::{Entry, Shared};
 use crate::reduce::subject::{Fault, Subject};
 use crate::reduce::{Path, Reduction};
@@ -30,6 +31,7 @@ const CLASS_BYTES: usize = 256 << 20;
 pub struct Reducer {
     preparer: Preparer,
     classes: Shared<Design, Result<Gains, RootError>>,
+    unfrozen: bool,
     design_runs: AtomicU64,
     root_runs: AtomicU64,
     data_runs: AtomicU64,
@@ -65,6 +67,7 @@ impl Reducer {
         Reducer {
             preparer,
             classes: Shared::new(CLASS_BYTES),
+            unfrozen: false,
             design_runs: AtomicU64::new(0),
             root_runs: AtomicU64::new(0),
             data_runs: AtomicU64::new(0),
@@ -76,11 +79,19 @@ impl Reducer {
         &self.preparer
     }
 
+    /// Every step of every record in full, gains that no longer change too: to compare with, in tests and benchmarks.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn unfrozen(mut self) -> Reducer {
+        self.unfrozen = true;
+        self
+    }
+
     /// The reductions of tests, in their order; of several tests in error, the first one's error.
     pub fn reduce(&mut self, tests: &[Test]) -> Result<Vec<Reduction>, ReduceError> {
         let this = &*self;
         let all: Vec<Result<Reduction, ReduceError>> =
-            tests.par_iter().map_init(|| this.preparer.workspace(), |work, test| this.one(test, work)).collect();
+            tests.par_iter().map_init(|| this.workspace(), |work, test| this.one(test, work)).collect();
         all.into_iter().collect()
     }
 
@@ -94,8 +105,7 @@ impl Reducer {
         let one = |work: &mut Workspace, test: &Test| {
             this.designed(test, work).map_err(|fault| fault.name(&this.preparer.model, Some(test)))
         };
-        let all: Vec<Result<Reduction, ReduceError>> =
-            tests.par_iter().map_init(|| this.preparer.workspace(), one).collect();
+        let all: Vec<Result<Reduction, ReduceError>> = tests.par_iter().map_init(|| this.workspace(), one).collect();
         all.into_iter().collect()
     }
 
@@ -113,7 +123,7 @@ impl Reducer {
             data: vec![0.0; work.design.frame.p],
             factor: gains.factor.clone(),
             covariates: work.covariates.clone(),
-            steps: work.design.steps.len(),
+            steps: work.design.steps(),
             observations: gains.active,
             path: if gains.turns.is_some() { Path::SquareRoot } else { Path::Information },
             design: digest,
@@ -131,9 +141,11 @@ impl Reducer {
         }
     }
 
-    /// Work space for [`Reducer::with_gains`].
+    /// Work space for all passes.
     pub(crate) fn workspace(&self) -> Workspace {
-        self.preparer.workspace()
+        let mut work = self.preparer.workspace();
+        work.gains.settling.off = self.unfrozen;
+        work
     }
 
     /// Evaluates a test into the work space, and calls `pass` with the gains of its design: for other passes over the data.
@@ -161,7 +173,7 @@ impl Reducer {
         let gains = class.value().as_ref().map_err(|&error| root_fault(error, &work.instances))?;
         self.data_runs.fetch_add(1, Ordering::Relaxed);
         let outcome = outcome(&work.design, gains, &work.data, &mut work.pass).map_err(|miss| {
-            let Instance { meter, row } = work.instances[miss.row];
+            let Instance { meter, row } = work.instances.get(miss.row);
             Fault::new(Subject::Value(meter), impossible(miss)).on(row)
         })?;
         if !outcome.constant.is_finite() || outcome.data.iter().any(|d| !d.is_finite()) {
@@ -173,7 +185,7 @@ impl Reducer {
             data: outcome.data,
             factor: gains.factor.clone(),
             covariates: work.covariates.clone(),
-            steps: work.design.steps.len(),
+            steps: work.design.steps(),
             observations: gains.active,
             path: if gains.turns.is_some() { Path::SquareRoot } else { Path::Information },
             design: digest,
@@ -204,17 +216,17 @@ impl Reducer {
 
 /// The design pass in plain covariance and information arithmetic; `None` where that would lose too much.
 pub(crate) fn information_gains(design: &Design, work: &mut GainsWork) -> Option<Gains> {
-    schedule(design, work).finish(design.frame.p, design.rows.len())
+    schedule(design, work).finish((design.frame.r, design.frame.p), design.rows())
 }
 
 pub(crate) fn impossible(miss: Miss) -> ReduceErrorKind {
     ReduceErrorKind::Impossible { residual: miss.residual }
 }
 
-fn root_fault(error: RootError, instances: &[Instance]) -> Box<Fault> {
+fn root_fault(error: RootError, instances: &Instances) -> Box<Fault> {
     match error {
         RootError::Exact { row } => {
-            let Instance { meter, row } = instances[row];
+            let Instance { meter, row } = instances.get(row);
             Fault::new(Subject::Value(meter), ReduceErrorKind::ExactMeasurement).on(row)
         }
         RootError::NotSemidefinite(bad) => {

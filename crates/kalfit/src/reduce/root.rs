@@ -6,7 +6,7 @@
 
 use crate::linalg::fold::{Rotation, fold, fold_row};
 use crate::reduce::design::{Design, Frame, Transition};
-use crate::reduce::gains::{Gains, Settle, Turns};
+use crate::reduce::gains::{Gains, Piece, Settle, Turns};
 use crate::reduce::kernel;
 use crate::reduce::semidefinite::{NotSemidefinite, root};
 
@@ -49,28 +49,31 @@ pub(crate) fn root_gains<'a>(design: &'a Design) -> Result<(Gains, RootFilter<'a
     let mut filter = RootFilter::start(design)?;
     let (p, r) = (design.frame.p, design.frame.r);
     let mut gains = Gains {
-        rows: vec![0.0; (1 + r + p) * design.rows.len()],
+        r,
+        p,
+        gains: vec![0.0; (1 + r) * design.rows()],
+        sensitivities: vec![0.0; p * design.rows()],
+        pieces: vec![Piece::all(design.rows())],
         factor: Vec::with_capacity(p * (p + 1) / 2),
         log_determinant: 0.0,
         active: 0,
         turns: None,
     };
-    let mut turns = Turns { folds: Vec::with_capacity(p * design.rows.len()), settle: Vec::new() };
-    let mut first = 0;
-    for step in &design.steps {
-        if let Some(transition) = &step.transition {
+    let mut turns = Turns { folds: Vec::with_capacity(p * design.rows()), settle: Vec::new() };
+    for step in design.each_step() {
+        if let Some(transition) = step.transition {
             filter.predict(transition)?;
         }
-        for row in first..step.rows {
-            filter.update(design, row, &mut gains, &mut turns.folds)?;
+        for (line, row) in step.lines.zip(step.rows) {
+            filter.update(design, (line, row), &mut gains, &mut turns.folds)?;
         }
-        first = step.rows;
     }
     filter.settle(&mut turns.settle);
     for k in 0..p {
         gains.factor.extend((0..=k).map(|i| filter.R[i * p + k]));
     }
-    let sound = gains.log_determinant.is_finite() && gains.rows.iter().chain(&gains.factor).all(|x| x.is_finite());
+    let sound = gains.log_determinant.is_finite()
+        && gains.gains.iter().chain(&gains.sensitivities).chain(&gains.factor).all(|x| x.is_finite());
     gains.turns = Some(turns);
     if sound { Ok((gains, filter)) } else { Err(RootError::NotFinite) }
 }
@@ -120,16 +123,16 @@ impl<'a> RootFilter<'a> {
     fn update(
         &mut self,
         design: &Design,
-        row: usize,
+        (line, row): (usize, usize),
         gains: &mut Gains,
         folds: &mut Vec<(f64, f64)>,
     ) -> Result<(), RootError> {
         let (p, r) = (self.frame.p, self.frame.r);
-        let (states, h) = design.terms(row);
-        let noise = design.noise[row];
-        let out = &mut gains.rows[row * (1 + r + p)..][..1 + r + p];
-        let (weight, out) = out.split_first_mut().expect("it has a weight");
-        let (K, T) = out.split_at_mut(r);
+        let (states, h) = design.terms(line);
+        let noise = design.noise[line];
+        let gain = &mut gains.gains[row * (1 + r)..][..1 + r];
+        let (weight, K) = gain.split_first_mut().expect("it has a weight");
+        let T = &mut gains.sensitivities[row * p..][..p];
         kernel::sensitivity(self.frame, states, h, &self.Psi, T);
         let reach = states.partition_point(|&state| (state as usize) < r);
         let (inner, h_inner) = (&states[..reach], &h[..reach]);

@@ -261,6 +261,23 @@ impl Uses {
         }
     }
 
+    /// True when there are none.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.numbers.is_empty() && self.texts.is_empty()
+    }
+
+    /// True when the cells in `rows` are, bit for bit, those of as many rows before them.
+    #[inline]
+    pub(crate) fn repeat(&self, test: &Test, rows: &std::ops::Range<usize>) -> bool {
+        self.is_empty()
+            || rows.clone().all(|row| {
+                let (now, before) = (test.numbers(row), test.numbers(row - rows.len()));
+                let (texts, texts_before) = (test.texts(row), test.texts(row - rows.len()));
+                self.numbers.iter().all(|&column| now[column].to_bits() == before[column].to_bits())
+                    && self.texts.iter().all(|&column| texts[column] == texts_before[column])
+            })
+    }
+
     pub(crate) fn expression(&mut self, expression: &Expression, alpha: &Alpha) {
         expression.any(&mut |part| {
             match part {

@@ -16,7 +16,7 @@
 //! with r, ρ, N of later steps on the right, one scalar measurement after the other.
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, N, K, T, S, D")]
 
-use crate::reduce::{Design, Gains, Transition};
+use crate::reduce::{Design, Gains, Step, Transition};
 use crate::score::moments::Moments;
 
 /// What the chain rule asks of a backward pass.
@@ -115,15 +115,15 @@ impl Run<'_> {
         work.rho.resize(n * c, 0.0);
         work.N.clear();
         work.N.resize(r * r, 0.0);
-        let mut transitions = self.design.steps.iter().filter(|step| step.transition.is_some()).count();
-        for k in (0..self.design.steps.len()).rev() {
-            let step = &self.design.steps[k];
-            let first = if k == 0 { 0 } else { self.design.steps[k - 1].rows };
-            if step.rows > first {
-                self.measured(first, step.rows, work);
+        let mut transitions = self.design.each_step().filter(|step| step.transition.is_some()).count();
+        let mut k = self.design.steps();
+        for step in self.design.each_step().rev() {
+            k -= 1;
+            if !step.rows.is_empty() {
+                self.measured(&step, work);
                 sink.measured(k, &work.measured)?;
             }
-            if let Some(transition) = &step.transition {
+            if let Some(transition) = step.transition {
                 transitions -= 1;
                 self.moved(transition, transitions, work);
                 sink.moved(k, &work.moved)?;
@@ -163,9 +163,9 @@ impl Run<'_> {
         if self.wanted.motion || self.wanted.equation {
             now.P.extend(full(&self.design.variance, frame.r));
         }
-        let (mut first, mut input) = (0, 0);
-        for step in &self.design.steps {
-            if let Some(transition) = &step.transition {
+        let mut input = 0;
+        for step in self.design.each_step() {
+            if let Some(transition) = step.transition {
                 if self.wanted.motion {
                     left.push(now.clone());
                 }
@@ -173,20 +173,19 @@ impl Run<'_> {
                 now.advance(transition, (&frame.driven, driven), (frame.r, c), rows);
                 input += frame.driven.len();
             }
-            for row in first..step.rows {
+            for (line, row) in step.lines.zip(step.rows) {
                 if self.wanted.equation {
                     before.push(now.clone());
                 }
-                self.innovate(row, now, (e, T));
+                self.innovate((line, row), now, (e, T));
             }
-            first = step.rows;
         }
     }
 
-    fn innovate(&self, row: usize, now: &mut Filtered, (e, T): (&mut Vec<f64>, &mut Vec<f64>)) {
+    fn innovate(&self, (line, row): (usize, usize), now: &mut Filtered, (e, T): (&mut Vec<f64>, &mut Vec<f64>)) {
         let (r, c) = (self.design.frame.r, self.moments.columns);
-        let (states, h) = self.design.terms(row);
-        let (_, K, _) = self.gains.row(r, self.design.frame.p, row);
+        let (states, h) = self.design.terms(line);
+        let (_, K, _) = self.gains.row(row);
         let mut innovation = self.values[row];
         let at = T.len();
         T.resize(at + c, 0.0);
@@ -203,15 +202,15 @@ impl Run<'_> {
             }
         }
         if !now.P.is_empty() {
-            now.joseph(r, (states, h), K, self.design.noise[row]);
+            now.joseph(r, (states, h), K, self.design.noise[line]);
         }
         e.push(innovation);
     }
 
-    /// The measurements first..end of one step, the last first.
-    fn measured(&self, first: usize, end: usize, work: &mut BackwardWork) {
+    /// The measurements of one step, the last first.
+    fn measured(&self, step: &Step<'_>, work: &mut BackwardWork) {
         let (n, c) = (self.design.frame.n, self.moments.columns);
-        let m = end - first;
+        let m = step.rows.len();
         let bar = &mut work.measured;
         for (list, size) in
             [(&mut bar.noise, m), (&mut bar.value, m), (&mut bar.h, if self.wanted.equation { m * n } else { 0 })]
@@ -219,15 +218,15 @@ impl Run<'_> {
             list.clear();
             list.resize(size, 0.0);
         }
-        for row in (first..end).rev() {
-            self.one(row, row - first, c, work);
+        for (place, (line, row)) in step.lines.clone().zip(step.rows.clone()).enumerate().rev() {
+            self.one((line, row), place, c, work);
         }
     }
 
-    fn one(&self, row: usize, place: usize, c: usize, work: &mut BackwardWork) {
+    fn one(&self, (line, row): (usize, usize), place: usize, c: usize, work: &mut BackwardWork) {
         let (n, r) = (self.design.frame.n, self.design.frame.r);
-        let (states, h) = self.design.terms(row);
-        let (weight, K, _) = self.gains.row(r, self.design.frame.p, row);
+        let (states, h) = self.design.terms(line);
+        let (weight, K, _) = self.gains.row(row);
         if weight == 0.0 {
             return; // it can only be what it is: K and T are zero
         }
@@ -487,7 +486,7 @@ mod tests {
     use super::*;
     use crate::estimate::InitialLaw;
     use crate::reduce::{
-        DENSE, Data, DataWork, Frame, GainsWork, Path, Pattern, Reduction, Step, information_gains, outcome,
+        DENSE, Data, DataWork, Frame, GainsWork, Path, Pattern, Reduction, information_gains, outcome,
     };
     use crate::score::moments::moments;
 
@@ -525,9 +524,9 @@ mod tests {
             let transition = (k > 0).then(|| Arc::new(Transition::new(pattern.clone(), phi, q)));
             for row in 2 * k..2 * k + 2 {
                 design.states.extend(if row % 2 == 0 { vec![0, 1, 2] } else { vec![0, 3] });
-                design.rows.push(design.states.len());
+                design.ends.push(design.states.len());
             }
-            design.steps.push(Step { transition, rows: 2 * k + 2 });
+            design.push_step(transition);
         }
         design.h.clone_from(&numbers.h);
         design.noise.clone_from(&numbers.noise);
@@ -663,7 +662,7 @@ mod tests {
         }
         for (row, bar) in &kept.h {
             let (states, _) = design.terms(*row);
-            let first = design.rows[*row] - states.len();
+            let first = design.ends[*row] - states.len();
             for (i, &state) in states.iter().enumerate() {
                 check(&format!("h of {row} on {state}"), bar[state as usize], &|n, x| n.h[first + i] += x);
             }

@@ -36,7 +36,7 @@ pub use error::SimulateError;
 use crate::ensemble::Test;
 use crate::linalg::symmetric;
 use crate::model::{Alpha, Model, Population};
-use crate::reduce::{Fault, Preparer, ReduceError};
+use crate::reduce::{Fault, Instance, Preparer, ReduceError};
 use path::Path;
 
 /// A test that was drawn.
@@ -156,9 +156,11 @@ impl Simulator {
     fn refuse_shared_cells(&self, test: &Test, path: &Path) -> Result<(), SimulateError> {
         let model = &self.preparer.model;
         let instances = &path.work.instances;
-        for (k, instance) in instances.iter().enumerate() {
+        let mut own: Vec<Instance> = Vec::new(); // of the row so far
+        for instance in instances.iter() {
             let column = model.measurements[instance.meter].column;
-            let mut same_row = instances[..k].iter().rev().take_while(|other| other.row == instance.row);
+            own.retain(|other| other.row == instance.row);
+            let mut same_row = own.iter().rev();
             if let Some(other) = same_row.find(|other| model.measurements[other.meter].column == column) {
                 return Err(SimulateError::SharedCell {
                     test: test.id.clone(),
@@ -168,6 +170,7 @@ impl Simulator {
                     second: model.measurements[instance.meter].name.clone(),
                 });
             }
+            own.push(instance);
         }
         Ok(())
     }

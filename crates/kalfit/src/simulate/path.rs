@@ -9,7 +9,9 @@ use rand_distr::{Distribution, StandardNormal};
 
 use crate::linalg::symmetric;
 use crate::model::{Model, Population};
-use crate::reduce::{Design, Fault, NotSemidefinite, ReduceErrorKind, Subject, Transition, Workspace, advance, ldl};
+use crate::reduce::{
+    Design, Fault, NotSemidefinite, ReduceErrorKind, Step, Subject, Transition, Workspace, advance, ldl,
+};
 use crate::simulate::Simulator;
 
 /// Roots of Q that are kept.
@@ -64,20 +66,18 @@ impl Path {
     pub(super) fn draw_values(&mut self, initial: &[f64], random: &mut ChaCha8Rng) -> Result<(), Box<Fault>> {
         self.start(initial, random);
         self.values.clear();
-        let (mut first, mut input) = (0, 0);
-        for k in 0..self.work.design.steps.len() {
-            let rows = first..self.work.design.steps[k].rows;
-            if let Some(transition) = self.work.design.steps[k].transition.clone() {
-                advance(&mut self.x, 1, &transition, &mut self.moved);
-                for &state in &self.work.design.frame.driven {
-                    self.x[state as usize] += self.work.data.inputs[input];
+        let (work, mut input) = (&self.work, 0);
+        for step in work.design.each_step() {
+            if let Some(transition) = step.transition {
+                advance(&mut self.x, 1, transition, &mut self.moved);
+                for &state in &work.design.frame.driven {
+                    self.x[state as usize] += work.data.inputs[input];
                     input += 1;
                 }
-                let noise = noise_of(&mut self.noises, &transition);
+                let noise = noise_of(&mut self.noises, transition);
                 add_noise(&noise.F, random, |i, value| self.x[noise.states[i]] += value);
             }
-            self.measure(rows, random)?;
-            first = self.work.design.steps[k].rows;
+            measure(work, &self.x, &step, &mut self.values, random)?;
         }
         Ok(())
     }
@@ -96,29 +96,37 @@ impl Path {
         }
         add_noise(&self.start.1, random, |i, value| self.x[i] += value);
     }
+}
 
-    /// z = Mx + d + v of one step, correlated noise by R = LDL'.
-    fn measure(&mut self, rows: std::ops::Range<usize>, random: &mut ChaCha8Rng) -> Result<(), Box<Fault>> {
-        for row in rows.clone() {
-            let (states, h) = self.work.design.terms(row);
-            let known: f64 = states.iter().zip(h).map(|(&state, h)| h * self.x[state as usize]).sum();
-            // the design's measured values were set to zero, so that z - d is -d
-            self.values.push(known - self.work.data.values[row]);
-        }
-        let joint = joint_noise(&self.work, rows.clone())?;
-        let m = rows.len();
-        let variance = |i: usize| joint.as_ref().map_or(self.work.design.noise[rows.start + i], |R| R[i * m + i]);
-        let white: Vec<f64> = (0..m).map(|i| variance(i).sqrt() * normal(random)).collect();
-        for (i, value) in self.values[rows.start..].iter_mut().enumerate() {
-            let others = joint.iter().flat_map(|R| (0..i).map(|k| R[i * m + k] * white[k]));
-            *value += white[i] + others.sum::<f64>();
-        }
-        Ok(())
+/// Appends z = Mx + d + v of one step, correlated noise by R = LDL'.
+fn measure(
+    work: &Workspace,
+    x: &[f64],
+    step: &Step<'_>,
+    values: &mut Vec<f64>,
+    random: &mut ChaCha8Rng,
+) -> Result<(), Box<Fault>> {
+    let first = values.len();
+    for (line, row) in step.lines.clone().zip(step.rows.clone()) {
+        let (states, h) = work.design.terms(line);
+        let known: f64 = states.iter().zip(h).map(|(&state, h)| h * x[state as usize]).sum();
+        // the design's measured values were set to zero, so that z - d is -d
+        values.push(known - work.data.values[row]);
     }
+    let joint = joint_noise(work, step)?;
+    let m = step.rows.len();
+    let variance = |i: usize| joint.as_ref().map_or(work.design.noise[step.lines.start + i], |R| R[i * m + i]);
+    let white: Vec<f64> = (0..m).map(|i| variance(i).sqrt() * normal(random)).collect();
+    for (i, value) in values[first..].iter_mut().enumerate() {
+        let others = joint.iter().flat_map(|R| (0..i).map(|k| R[i * m + k] * white[k]));
+        *value += white[i] + others.sum::<f64>();
+    }
+    Ok(())
 }
 
 /// L and D of R = LDL' for the measurements of a step, m × m, row-major; `None` when they are not correlated.
-fn joint_noise(work: &Workspace, rows: std::ops::Range<usize>) -> Result<Option<Vec<f64>>, Box<Fault>> {
+fn joint_noise(work: &Workspace, step: &Step<'_>) -> Result<Option<Vec<f64>>, Box<Fault>> {
+    let (rows, line) = (step.rows.clone(), step.lines.start);
     let covariances = work.covariances.as_deref().unwrap_or_default();
     // those of one step stand together, step after step
     let begin = covariances.partition_point(|&(i, ..)| i < rows.start);
@@ -127,7 +135,7 @@ fn joint_noise(work: &Workspace, rows: std::ops::Range<usize>) -> Result<Option<
     let mut R: Option<Vec<f64>> = None;
     for &(i, j, value) in own {
         let R = R.get_or_insert_with(|| {
-            let variance = |k: usize| if k / m == k % m { work.design.noise[rows.start + k / m] } else { 0.0 };
+            let variance = |k: usize| if k / m == k % m { work.design.noise[line + k / m] } else { 0.0 };
             (0..m * m).map(variance).collect()
         });
         R[(i.max(j) - rows.start) * m + i.min(j) - rows.start] += value;
@@ -135,7 +143,7 @@ fn joint_noise(work: &Workspace, rows: std::ops::Range<usize>) -> Result<Option<
     if let Some(R) = &mut R {
         ldl(R, m).map_err(|bad: NotSemidefinite| {
             let kind = ReduceErrorKind::NotSemidefinite { left: bad.left, variance: bad.variance };
-            Fault::new(Subject::StepNoise, kind).on(work.instances[rows.start].row)
+            Fault::new(Subject::StepNoise, kind).on(work.instances.get(rows.start).row)
         })?;
     }
     Ok(R)

@@ -3,7 +3,8 @@
 use crate::ensemble::Test;
 use crate::model::Scope;
 use crate::reduce::design::Design;
-use crate::reduce::observe::{Correlation, Instance, Meters};
+use crate::reduce::instances::Instance;
+use crate::reduce::observe::{Correlation, Meters};
 use crate::reduce::semidefinite::ldl;
 use crate::reduce::subject::{At, Coefficient, Fault};
 
@@ -51,11 +52,12 @@ pub(crate) struct Unwhitened {
 
 impl Unwhitened {
     /// Back through z̃ = L⁻¹ζ, M̃ = L⁻¹M, R = LDL': ζ̄ = L'⁻¹z̄, M̄ = L'⁻¹H̄, R̄ = L'⁻¹(Φ + D̄)L⁻¹, symmetrised, with Φ the strictly
-    /// lower part of -(z̄z̃' + H̄M̃')D⁻¹. `raw`: the noises before; `value`, `h` hold the whitened adjoints, and `noise_bar` is D̄.
+    /// lower part of -(z̄z̃' + H̄M̃')D⁻¹. `raw`: the noises before; `value`, `h` hold the whitened adjoints, and `noise_bar` is D̄. `line`: that of
+    /// the first of the rows.
     pub(crate) fn set(
         &mut self,
         (design, values): (&Design, &[f64]),
-        rows: std::ops::Range<usize>,
+        (line, rows): (usize, std::ops::Range<usize>),
         (raw, correlations): (&[f64], &[Correlation]),
         (noise_bar, value_bar, h_bar): (&[f64], &[f64], &[f64]),
     ) {
@@ -81,7 +83,7 @@ impl Unwhitened {
             if pivot == 0.0 {
                 continue;
             }
-            let (states, coefficients) = design.terms(rows.start + j);
+            let (states, coefficients) = design.terms(line + j);
             for i in j + 1..m {
                 let mut sum = value_bar[i] * values[rows.start + j];
                 if !h_bar.is_empty() {

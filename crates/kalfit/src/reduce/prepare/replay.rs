@@ -2,8 +2,8 @@
 
 use crate::ensemble::Test;
 use crate::model::Scope;
-use crate::reduce::prepare::{Preparer, Workspace};
-use crate::reduce::steps::Cells;
+use crate::reduce::prepare::{Moment, Preparer, Workspace};
+use crate::reduce::steps::{Cells, Span};
 use crate::reduce::subject::Fault;
 
 /// Room for the coefficients of one step.
@@ -18,7 +18,22 @@ pub(crate) struct Replay {
 impl Workspace {
     /// Length of step `k`.
     pub(crate) fn dt(&self, k: usize) -> f64 {
-        self.spans[k].dt
+        self.place(k).0.dt
+    }
+
+    /// The span of step `k`, and its number there.
+    fn place(&self, k: usize) -> (&Span, usize) {
+        let at = self.firsts.partition_point(|&first| first <= k) - 1;
+        (&self.spans[at], k - self.firsts[at])
+    }
+
+    fn moment(&self, k: usize, previous: bool) -> Moment {
+        let rows = |k: usize| {
+            let (span, number) = self.place(k);
+            span.step(number)
+        };
+        let (dt, moves) = (self.place(k).0.dt, self.place(k).0.moves);
+        Moment { rows: rows(k), source: rows(if previous && k > 0 { k - 1 } else { k }), dt, moves }
     }
 }
 
@@ -31,7 +46,7 @@ impl Preparer {
         work: &Workspace,
         cells: &'a mut Cells,
     ) -> Result<Scope<'a>, Box<Fault>> {
-        Ok(self.motion_scope(&self.at(), test, k, (&work.spans, cells))?.0)
+        self.motion_scope(&self.at(), test, &work.moment(k, self.clock_previous()), cells)
     }
 
     /// What the start was evaluated on.

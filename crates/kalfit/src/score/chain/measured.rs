@@ -39,8 +39,7 @@ impl Adjoints<'_> {
         if !self.chain.needs.measurements {
             return Ok(());
         }
-        let first = if k == 0 { 0 } else { work.design.steps[k - 1].rows };
-        let rows = first..work.design.steps[k].rows;
+        let rows = work.design.step(k).rows;
         if rows.len() < 2 || self.chain.pairs.is_empty() || !self.correlated(test, k, rows.clone(), work, bars)? {
             return self.scalars(test, k, rows, work, bars);
         }
@@ -62,7 +61,7 @@ impl Adjoints<'_> {
     ) -> Result<(), Box<Fault>> {
         let Adjoints { chain, pending, .. } = self;
         let (context, n, step) = (chain.context(), work.design.frame.n, work.dt(k));
-        for (i, instance) in work.instances[rows].iter().enumerate() {
+        for (i, instance) in rows.map(|row| work.instances.get(row)).enumerate() {
             let (meter, row) = (&chain.meters[instance.meter], instance.row);
             let scope = Scope { numbers: test.numbers(row), texts: test.texts(row), step, alpha: context.at.alpha };
             if let Some(tap) = meter.noise {
@@ -89,14 +88,14 @@ impl Adjoints<'_> {
     ) -> Result<bool, Box<Fault>> {
         let Adjoints { chain, pending, measuring: Measuring { raw, back, diagonal }, .. } = self;
         let (context, meters, dt, m) = (chain.context(), &chain.preparer.meters, work.dt(k), rows.len());
-        let instances = &work.instances[rows.clone()];
+        let instances = &work.instances.of(rows.clone());
         let found = meters.covariances(&context.at, test, dt, instances)?;
         if found.is_empty() {
             return Ok(false);
         }
         meters.noises(&context.at, test, (instances, dt), raw)?;
         let whitened = (bars.noise, bars.value, bars.h);
-        back.set((&work.design, &work.data.values), rows, (raw, &found), whitened);
+        back.set((&work.design, &work.data.values), (work.design.step(k).lines.start, rows), (raw, &found), whitened);
         for c in &found {
             if let Some(tap) = chain.pairs[c.pair] {
                 let scope =

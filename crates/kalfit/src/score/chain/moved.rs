@@ -61,7 +61,7 @@ impl Adjoints<'_> {
         if !(needs.rates || needs.noise || needs.inputs) {
             return Ok(());
         }
-        let Some(transition) = &work.design.steps[k].transition else { return Ok(()) };
+        let Some(transition) = work.design.step(k).transition else { return Ok(()) };
         let group = match self.again(transition, test, k, work)? {
             Some(group) => group,
             None => self.enter(transition, test, k, work)?,

@@ -162,18 +162,18 @@ fn functional(work: &Workspace) -> f64 {
     let (design, data) = (&work.design, &work.data);
     let (n, r) = (design.frame.n, design.frame.r);
     let mut sum = weighted(0, 0, &data.start) + weighted(1, 0, &data.inputs) + weighted(2, 0, &data.values);
-    sum += weighted(3, 0, &design.noise);
     for i in 0..r {
         sum += (0..=i).map(|j| weight(4, i * r + j) * design.variance[i * r + j]).sum::<f64>();
     }
-    for (k, step) in design.steps.iter().enumerate() {
-        if let Some(transition) = &step.transition {
+    for (k, step) in design.each_step().enumerate() {
+        if let Some(transition) = step.transition {
             sum += weighted(5, k * 100, &transition.phi) + weighted(6, k * 100, &transition.q);
         }
-    }
-    for row in 0..design.rows.len() {
-        let (states, h) = design.terms(row);
-        sum += states.iter().zip(h).map(|(&state, h)| weight(7, row * n + state as usize) * h).sum::<f64>();
+        for (line, row) in step.lines.zip(step.rows) {
+            let (states, h) = design.terms(line);
+            sum += weight(3, row) * design.noise[line];
+            sum += states.iter().zip(h).map(|(&state, h)| weight(7, row * n + state as usize) * h).sum::<f64>();
+        }
     }
     sum
 }
@@ -190,14 +190,14 @@ fn pass(chain: &Chain<'_>, adjoints: &mut Adjoints<'_>, work: &Workspace, test: 
     let design = &work.design;
     let (n, r, driven) = (design.frame.n, design.frame.r, design.frame.driven.len());
     let when = |needed: bool, bars: Vec<f64>| if needed { bars } else { Vec::new() };
-    let moves = |k: usize| design.steps[..k].iter().filter(|step| step.transition.is_some()).count();
-    for k in (0..design.steps.len()).rev() {
-        let first = if k == 0 { 0 } else { design.steps[k - 1].rows };
-        let m = design.steps[k].rows - first;
+    let moves = |k: usize| design.each_step().take(k).filter(|step| step.transition.is_some()).count();
+    for k in (0..design.steps()).rev() {
+        let step = design.step(k);
+        let (first, m) = (step.rows.start, step.rows.len());
         let (noise, value) = (weights(3, first, m), weights(2, first, m));
         let h = when(chain.needs_equation(), weights(7, first * n, m * n));
         adjoints.step_measured(test, k, work, Measured { noise: &noise, value: &value, h: &h }).expect("finite");
-        if let Some(transition) = &design.steps[k].transition {
+        if let Some(transition) = step.transition {
             let phi = when(chain.needs_motion(), weights(5, k * 100, transition.phi.len()));
             let q = when(chain.needs_noise(), weights(6, k * 100, transition.q.len()));
             let input = when(chain.needs_motion(), weights(1, moves(k) * driven, driven));

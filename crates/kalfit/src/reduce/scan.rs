@@ -1,0 +1,196 @@
+//! The data pass over equal steps of one measurement, for few moving states: a linear scan.
+#![expect(non_snake_case, reason = "the letters of the theory: K, h, phi, T")]
+
+use std::ops::Range;
+
+use crate::reduce::data::{Data, DataWork};
+use crate::reduce::design::{Design, Stretch};
+use crate::reduce::gains::{Gains, Piece};
+use crate::reduce::small::moving;
+
+/// Terms that are added up before they join the sum: rounding grows with the number of blocks, not of rows.
+const BLOCK: usize = 512;
+/// Sums side by side.
+const LANES: usize = 8;
+
+/// Steps of one scalar measurement z = h'x + v: x ← φx + c + Ke on the N states that move, e = z - h'(φx + c) - d.
+struct Steady<const N: usize> {
+    phi: [[f64; N]; N],
+    /// What the states that rest add to φx.
+    c: [f64; N],
+    /// φ'h, so that e needs no predicted x.
+    g: [f64; N],
+    /// h'c and what the states that rest add to z.
+    d: f64,
+}
+
+/// Runs the steps of a stretch that begins a piece; appends the innovations of each, and adds to e'S⁻¹e and y. False, and
+/// nothing is done, where the steps are not of the kind that it knows.
+pub(crate) fn scan(
+    design: &Design,
+    stretch: &Stretch<'_>,
+    (gains, piece): (&Gains, &Piece),
+    data: &Data,
+    work: &mut DataWork,
+    square: &mut f64,
+) -> bool {
+    if stretch.lines.len() != 1 || !design.frame.driven.is_empty() {
+        return false;
+    }
+    let run = match moving(design, stretch) {
+        0 => steady::<0>,
+        1 => steady::<1>,
+        2 => steady::<2>,
+        3 => steady::<3>,
+        4 => steady::<4>,
+        5 => steady::<5>,
+        6 => steady::<6>,
+        _ => return false,
+    };
+    let start = work.e.len();
+    run(design, stretch, (gains, piece), &data.values[stretch.rows.clone()], work);
+    let mut correction = vec![0.0; design.frame.p];
+    *square += gains.weigh((piece, stretch.rows.clone()), &work.e[start..], &[], &mut correction);
+    for (y, sum) in work.y.iter_mut().zip(&correction) {
+        *y += sum;
+    }
+    true
+}
+
+fn steady<const N: usize>(
+    design: &Design,
+    stretch: &Stretch<'_>,
+    (gains, piece): (&Gains, &Piece),
+    values: &[f64],
+    work: &mut DataWork,
+) {
+    let step = Steady::<N>::new(stretch, design.terms(stretch.lines.start), &work.x);
+    let (mut x, mut K) = ([0.0; N], [0.0; N]);
+    x.copy_from_slice(&work.x[..N]);
+    let (first, r) = (stretch.rows.start, design.frame.r);
+    let moving = piece.moving_gains(first).min(values.len());
+    let kept = gains.kept(piece, first, moving);
+    work.e.extend(values[..moving].iter().zip(kept.chunks_exact(1 + r)).map(|(z, gain)| {
+        K[..r].copy_from_slice(&gain[1..]);
+        step.take(&mut x, &K, *z)
+    }));
+    if moving < values.len() {
+        let (_, last, _) = gains.of(piece, first + moving);
+        K[..r].copy_from_slice(last);
+        work.e.extend(values[moving..].iter().map(|z| step.take(&mut x, &K, *z)));
+    }
+    work.x[..N].copy_from_slice(&x);
+}
+
+impl<const N: usize> Steady<N> {
+    fn new(stretch: &Stretch<'_>, (states, h): (&[u32], &[f64]), x: &[f64]) -> Steady<N> {
+        let mut step = Steady { phi: [[0.0; N]; N], c: [0.0; N], g: [0.0; N], d: 0.0 };
+        (0..N).for_each(|i| step.phi[i][i] = 1.0);
+        for row in stretch.transition.iter().flat_map(|transition| &transition.pattern.moved) {
+            let transition = stretch.transition.expect("it has rows");
+            let i = row.state as usize;
+            step.phi[i] = [0.0; N];
+            for k in row.start as usize..row.end as usize {
+                match transition.pattern.columns[k] as usize {
+                    j if j < N => step.phi[i][j] = transition.phi[k],
+                    j => step.c[i] += transition.phi[k] * x[j],
+                }
+            }
+        }
+        for (&state, &h) in states.iter().zip(h) {
+            match state as usize {
+                i if i < N => {
+                    (0..N).for_each(|j| step.g[j] += h * step.phi[i][j]);
+                    step.d += h * step.c[i];
+                }
+                i => step.d += h * x[i],
+            }
+        }
+        step
+    }
+
+    /// e; x is updated.
+    #[inline(always)]
+    fn take(&self, x: &mut [f64; N], K: &[f64; N], z: f64) -> f64 {
+        let mut e = z - self.d;
+        let mut next = self.c;
+        for j in 0..N {
+            e -= self.g[j] * x[j];
+        }
+        for i in 0..N {
+            for j in 0..N {
+                next[i] += self.phi[i][j] * x[j];
+            }
+        }
+        for i in 0..N {
+            x[i] = next[i] + K[i] * e;
+        }
+        e
+    }
+}
+
+impl Gains {
+    /// Σ (e - Tξ)²/S over rows of a piece, in blocks; adds Σ T'(e - Tξ)/S to `sum`. Without `xi`, ξ = 0.
+    pub(crate) fn weigh(&self, (piece, rows): (&Piece, Range<usize>), e: &[f64], xi: &[f64], sum: &mut [f64]) -> f64 {
+        let predicted = |T: &[f64]| T.iter().zip(xi).map(|(T, x)| T * x).sum::<f64>();
+        let (mut squares, width) = (0.0, piece.width);
+        let kept = (piece.row + piece.moving() * width).clamp(rows.start, rows.end);
+        let mut part = vec![0.0; sum.len()];
+        for start in (rows.start..kept).step_by(BLOCK) {
+            let block = start..kept.min(start + BLOCK);
+            let mut square = 0.0;
+            part.fill(0.0);
+            for row in block {
+                let (weight, _, T) = self.of(piece, row);
+                let left = e[row - rows.start] - predicted(T);
+                square += left * left * weight;
+                for (part, T) in part.iter_mut().zip(T) {
+                    *part += T * (left * weight);
+                }
+            }
+            squares += square;
+            for (sum, part) in sum.iter_mut().zip(&part) {
+                *sum += part;
+            }
+        }
+        for row in kept..rows.end.min(kept + width) {
+            let (weight, _, T) = self.of(piece, row);
+            let (total, square) = sums(&e[row - rows.start..], width, predicted(T));
+            squares += square * weight;
+            for (sum, T) in sum.iter_mut().zip(T) {
+                *sum += T * (total * weight);
+            }
+        }
+        squares
+    }
+}
+
+/// (Σ (e - t), Σ (e - t)²) of every `width`-th e, in blocks.
+fn sums(e: &[f64], width: usize, t: f64) -> (f64, f64) {
+    if width > 1 {
+        let add = |(sum, squares): (f64, f64), e: &f64| (sum + (e - t), squares + (e - t) * (e - t));
+        let block = |block: &[f64]| block.iter().step_by(width).fold((0.0, 0.0), add);
+        return e.chunks(BLOCK * width).map(block).fold((0.0, 0.0), |(a, b), (c, d)| (a + c, b + d));
+    }
+    let (mut sum, mut squares) = (0.0, 0.0);
+    for block in e.chunks(BLOCK) {
+        let (mut lanes, mut lane_squares) = ([0.0; LANES], [0.0; LANES]);
+        let chunks = block.chunks_exact(LANES);
+        let rest = chunks.remainder();
+        for chunk in chunks {
+            for l in 0..LANES {
+                let left = chunk[l] - t;
+                lanes[l] += left;
+                lane_squares[l] += left * left;
+            }
+        }
+        for (l, e) in rest.iter().enumerate() {
+            let left = e - t;
+            lanes[l] += left;
+            lane_squares[l] += left * left;
+        }
+        sum += lanes.iter().sum::<f64>();
+        squares += lane_squares.iter().sum::<f64>();
+    }
+    (sum, squares)
+}

@@ -1,0 +1,109 @@
+//! When P and Ψ of equal steps have stopped changing.
+#![expect(non_snake_case, reason = "the letters of the theory: P, Psi")]
+
+use crate::linalg::real::Real;
+
+/// Nothing is looked at before so many steps, and looks are at least so many steps apart.
+const WINDOW: usize = 32;
+/// Looks are this part of the steps so far apart.
+const PART: usize = 4;
+/// What may change over a window of w steps, as a part of its size: w times the first, and no less or more than the others.
+const CREEP: f64 = 1e-17;
+const LEAST: f64 = 1e-15;
+const MOST: f64 = 1e-13;
+/// A sensitivity that has shrunk to this part of its largest value is measured against that.
+const FADED: f64 = 1e-3;
+
+/// What has stopped changing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Frozen {
+    Nothing,
+    /// P, and with it S and K.
+    Gains,
+    /// Ψ too, and with it T.
+    All,
+}
+
+/// Looks at P and Ψ from time to time.
+///
+/// P goes to its limit like λ^k, and the windows between looks grow with k: what is left to change after a window in which
+/// nothing changed is far less than the rounding in it, however slow the filter. (A change over one step would not show that: it
+/// is small in slow filters too.) What creeps, such as the variance of a state that is never measured, is let go at 1e-17 of
+/// itself a step: over 10⁶ steps 1e-11.
+/// Without noise P falls like 1/k, a fifth over any window, and is never frozen.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Settling<R = f64> {
+    /// Nothing is ever frozen.
+    pub(crate) off: bool,
+    P: Vec<R>,
+    Psi: Vec<R>,
+    /// Largest magnitudes of Ψ so far, as far as looked at.
+    peaks: Vec<R>,
+    /// The last look.
+    last: usize,
+    next: usize,
+}
+
+impl<R: Real> Settling<R> {
+    /// Begins a design.
+    pub(crate) fn start(&mut self, Psi: &[R]) {
+        self.peaks.clear();
+        self.peaks.extend(Psi.iter().map(|x| x.magnitude()));
+    }
+
+    /// Begins so many equal steps. False where they are too few to look at.
+    pub(crate) fn begin(&mut self, count: usize) -> bool {
+        (self.last, self.next) = (0, 1);
+        !self.off && count > 2 * WINDOW
+    }
+
+    /// The number of steps to look after.
+    pub(crate) fn next_look(&self) -> usize {
+        self.next
+    }
+
+    /// Looks, if it is time: after `step` of these steps. Shapes: `P` r × r, row-major, lower triangle.
+    #[inline]
+    pub(crate) fn look(&mut self, step: usize, (P, r): (&[R], usize), Psi: &[R], frozen: Frozen) -> Frozen {
+        if step < self.next {
+            return frozen;
+        }
+        let slack = ((step - self.last) as f64 * CREEP).clamp(LEAST, MOST);
+        let first = self.last == 0;
+        for (peak, x) in self.peaks.iter_mut().zip(Psi) {
+            *peak = peak.maximum(x.magnitude());
+        }
+        let frozen = match frozen {
+            _ if first => frozen,
+            Frozen::Nothing if !self.variance_rests(P, r, slack) => Frozen::Nothing,
+            _ if self.sensitivity_rests(Psi, slack) => Frozen::All,
+            _ => Frozen::Gains,
+        };
+        self.P.clear();
+        self.P.extend_from_slice(P);
+        self.Psi.clear();
+        self.Psi.extend_from_slice(Psi);
+        self.last = step;
+        self.next = step + WINDOW.max(step / PART);
+        frozen
+    }
+
+    fn variance_rests(&self, P: &[R], r: usize, slack: f64) -> bool {
+        (0..r).all(|i| {
+            (0..=i).all(|j| {
+                let change = (P[i * r + j] - self.P[i * r + j]).magnitude();
+                let (slack, zero) = (R::splat(slack), R::splat(0.0));
+                // against √(P_ii P_jj), without the root and without underflow
+                change.at_most(zero)
+                    || (change * (change / P[i * (r + 1)])).at_most(slack * slack * P[j * (r + 1)].magnitude())
+            })
+        })
+    }
+
+    fn sensitivity_rests(&self, Psi: &[R], slack: f64) -> bool {
+        Psi.iter().zip(&self.Psi).zip(&self.peaks).all(|((&now, &before), &peak)| {
+            let size = now.magnitude().maximum(peak * R::splat(FADED));
+            (now - before).magnitude().at_most(size * R::splat(slack))
+        })
+    }
+}
