@@ -244,9 +244,23 @@ pub(crate) fn deviation(
                 return Err(SpecError::new(problem).at(field.span.clone()));
             }
         }
+        _ if role != Role::TimeConstant => factors(&value, &mut |index| context.use_parameter(index, role)),
         _ => {}
     }
     Ok(value)
+}
+
+/// Parameters that are factors of a product, so that their sign is that of the whole.
+fn factors(value: &Expression, found: &mut dyn FnMut(usize)) {
+    match value {
+        Expression::Parameter(index) => found(*index),
+        Expression::Binary(Operator::Multiply, a, b) => {
+            factors(a, found);
+            factors(b, found);
+        }
+        Expression::Binary(Operator::Divide, a, _) => factors(a, found),
+        _ => {}
+    }
 }
 
 /// The variance of a standard deviation.

@@ -12,7 +12,7 @@ use crate::dynamic::search::{End, search};
 use crate::dynamic::{Coordinate, DynamicError};
 use crate::ensemble::Test;
 use crate::estimate::Silent;
-use crate::model::{Expression, Linear, Model, Motion, Value};
+use crate::model::{Expression, Linear, Model, Motion, Operator, Value};
 
 /// Ends on a part of the data whose ℓ is this close to the best one's are followed on all of it.
 const CLOSE: f64 = 5.0;
@@ -116,7 +116,7 @@ fn first_guess(bench: &Bench<'_>) -> Vec<f64> {
         let coordinate = bench.coordinates[s];
         let guess = match parameter.value {
             Value::Free { start: Some(start) } if !(coordinate.log && start == 0.0) => start,
-            _ if coordinate.log => scales.guess(bench.model, slot.parameter),
+            _ if coordinate.log || is_noise(bench.model, slot.parameter) => scales.guess(bench.model, slot.parameter),
             _ => 0.0,
         };
         inside(coordinate, guess)
@@ -171,7 +171,7 @@ impl Scales {
         let own = model.measurements.iter().zip(&self.noise).find(|(m, _)| mentions(&m.noise_variance, parameter));
         if let Some((measurement, &size)) = own {
             // the variance is the square of the parameter, or the parameter itself
-            let as_variance = measurement.noise_variance == Expression::Parameter(parameter);
+            let as_variance = !is_square(&measurement.noise_variance);
             return if as_variance { size * size } else { size };
         }
         let all = median(self.noise.iter().copied().filter(|size| *size > 0.0).collect()).unwrap_or(1.0);
@@ -183,6 +183,22 @@ impl Scales {
         };
         if model.states.iter().any(|state| variance(&state.motion)) { all * all } else { all }
     }
+}
+
+/// Whether a parameter stands in the variance of a noise.
+fn is_noise(model: &Model, parameter: usize) -> bool {
+    model.measurements.iter().any(|m| mentions(&m.noise_variance, parameter))
+        || model.states.iter().any(|state| match &state.motion {
+            Motion::Constant => false,
+            Motion::Continuous { noise_variance, .. } | Motion::Discrete { noise_variance, .. } => {
+                mentions(noise_variance, parameter)
+            }
+        })
+}
+
+/// A variance that was given as a standard deviation.
+fn is_square(variance: &Expression) -> bool {
+    matches!(variance, Expression::Binary(Operator::Multiply, a, b) if a == b)
 }
 
 /// Root mean square of the differences of successive values within tests, over √2.
