@@ -3,6 +3,7 @@
 
 mod bench;
 mod coordinates;
+mod interval;
 mod joint;
 mod matrices;
 mod search;
@@ -12,7 +13,7 @@ mod worth;
 
 use crate::ensemble::{Labels, Test};
 use crate::estimate::{Estimate, FitError, Progress, Stop};
-use crate::infer::{Choices, Inference, Interval};
+use crate::infer::{Choices, Inference, Interval, IntervalKind};
 use crate::model::{Alpha, Model};
 use crate::reduce::{ReduceError, Reduction};
 use crate::score::Slots;
@@ -65,6 +66,8 @@ pub struct DynamicFit {
     pub(crate) joint: joint::Joint,
     /// Where each free value lies.
     pub(crate) standing: Vec<Standing>,
+    /// What was asked.
+    pub(crate) settings: Settings,
 }
 
 /// Where another start ended.
@@ -116,9 +119,13 @@ pub fn fit(
     let bench = Bench::new(model, tests, &slots, settings);
     let mut ends = Vec::new();
     let mut first_error = None;
+    let mut floor = None;
     for start in start::starts(&bench)? {
-        match search::search(&bench, &start, None, progress) {
-            Ok(end) => ends.push(end),
+        match search::search(&bench, &start, floor, progress) {
+            Ok(end) => {
+                floor = Some(floor.map_or(end.home.value(), |floor: f64| floor.max(end.home.value())));
+                ends.push(end);
+            }
             Err(error) => first_error = first_error.or(Some(error)),
         }
     }
@@ -146,6 +153,7 @@ pub fn fit(
         others,
         joint: best.joint,
         standing: best.standing,
+        settings: settings.clone(),
         slots,
     })
 }
@@ -157,10 +165,16 @@ pub fn infer(
     fit: &DynamicFit,
     choices: Choices,
 ) -> Result<(Inference, Vec<ParameterInference>), DynamicError> {
-    let _ = (model, tests);
     let covariances = fit.joint.covariances();
     let mut estimate = fit.estimate.clone();
     estimate.state.joint = Some(covariances.inner.clone());
-    let inference = crate::infer::infer(&estimate, &fit.reductions, choices);
-    Ok((inference, worth::parameters(model, fit, &covariances)))
+    // with α free, those of μ and Σ are Wald's, the uncertainty of α in them
+    let wald = Choices { intervals: IntervalKind::Wald, ..choices };
+    let inference = crate::infer::infer(&estimate, &fit.reductions, wald);
+    let mut parameters = worth::parameters(model, fit, &covariances);
+    if choices.intervals == IntervalKind::Profile && fit.stop == Stop::Certified {
+        let bench = Bench::new(model, tests, &fit.slots, &fit.settings);
+        interval::profiles(&bench, fit, &covariances, &mut parameters)?;
+    }
+    Ok((inference, parameters))
 }

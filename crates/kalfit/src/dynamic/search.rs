@@ -36,6 +36,8 @@ pub(crate) struct Search<'b, 'a> {
     /// The value of each coordinate before it was set to zero.
     before_zero: Vec<f64>,
     damping: f64,
+    floor: Option<f64>,
+    held: Option<usize>,
     /// Values that have returned from zero once stay off it.
     returned: Vec<bool>,
 }
@@ -72,6 +74,8 @@ impl<'b, 'a> Search<'b, 'a> {
             trace,
             before_zero,
             damping: 0.0,
+            floor: None,
+            held: None,
             returned,
         };
         search.place();
@@ -92,8 +96,26 @@ impl<'b, 'a> Search<'b, 'a> {
         }
     }
 
+    /// Holds a value where it is.
+    pub(crate) fn hold(&mut self, slot: usize) {
+        self.held = Some(slot);
+    }
+
+    /// Gives up where no more than this ℓ is in sight.
+    pub(crate) fn beyond(mut self, floor: Option<f64>) -> Self {
+        self.floor = floor;
+        self
+    }
+
+    /// ℓ of another end is out of reach.
+    fn hopeless(&self, decrement: f64) -> bool {
+        let promised = self.home.value() + 2.0 * decrement * decrement + 1.0;
+        self.trace.len() > 3 && self.floor.is_some_and(|floor| promised < floor)
+    }
+
     fn active(&self) -> Vec<bool> {
-        self.standing.iter().map(|standing| *standing == Standing::Inside).collect()
+        let moves = |(s, standing): (usize, &Standing)| *standing == Standing::Inside && self.held != Some(s);
+        self.standing.iter().enumerate().map(moves).collect()
     }
 
     fn tolerance(&self) -> f64 {
@@ -114,6 +136,9 @@ impl<'b, 'a> Search<'b, 'a> {
                 continue;
             }
             last = Some((joint, step.decrement));
+            if self.hopeless(step.decrement) {
+                break;
+            }
             if still && step.concave {
                 if !fine {
                     fine = true;
@@ -297,6 +322,7 @@ impl<'b, 'a> Search<'b, 'a> {
     fn released(&mut self) -> bool {
         let zero: Vec<usize> = (0..self.standing.len())
             .filter(|&s| self.bench.coordinates[s].log && self.home.values[s] == 0.0 && !self.returned[s])
+            .filter(|&s| self.held != Some(s))
             .collect();
         let mut released = false;
         for &s in zero.iter().take(64) {
@@ -316,13 +342,13 @@ impl<'b, 'a> Search<'b, 'a> {
     }
 }
 
-/// A search from given values, by the method that was asked for.
+/// A search from given values, by the method that was asked for; it gives up where `floor` is out of reach.
 pub(crate) fn search(
     bench: &Bench<'_>,
     values: &[f64],
-    near: Option<&Population>,
+    floor: Option<f64>,
     progress: &mut dyn Progress,
 ) -> Result<End, DynamicError> {
-    let home = bench.solve(values, near)?;
-    Search::new(bench, progress, home).run()
+    let home = bench.solve(values, None)?;
+    Search::new(bench, progress, home).beyond(floor).run()
 }
