@@ -19,8 +19,8 @@ const STEPS: usize = 200;
 const LEVEL: f64 = 3.5;
 /// … and only a slope below this, and so little of ℓ to be had, makes a leap worth a try.
 const TAIL: f64 = 0.1;
-/// A leap along a logarithm that runs level.
-const LEAP: f64 = 4.0;
+/// A step of a logarithm beyond this goes far.
+const DRIFT: f64 = 0.25;
 /// ℓ that may still be had beyond, where a value counts as infinite.
 const BEYOND: f64 = 1e-8;
 /// A value that returns from zero does so at this part of what it was.
@@ -38,6 +38,8 @@ pub(crate) struct Search<'b, 'a> {
     damping: f64,
     floor: Option<f64>,
     held: Option<usize>,
+    /// Values left on their way to zero or to infinity.
+    drifted: Vec<bool>,
     /// Values that have returned from zero once stay off it.
     returned: Vec<bool>,
 }
@@ -76,6 +78,7 @@ impl<'b, 'a> Search<'b, 'a> {
             damping: 0.0,
             floor: None,
             held: None,
+            drifted: vec![false; n],
             returned,
         };
         search.place();
@@ -87,7 +90,7 @@ impl<'b, 'a> Search<'b, 'a> {
         for s in 0..self.standing.len() {
             let (coordinate, value, slope) = (self.bench.coordinates[s], self.home.values[s], self.home.gradient[s]);
             self.standing[s] = match self.standing[s] {
-                Standing::Unbounded => Standing::Unbounded,
+                kept if self.drifted[s] => kept,
                 _ if coordinate.log && value == 0.0 => Standing::Lower,
                 _ if coordinate.at_lower(value) && slope <= 0.0 => Standing::Lower,
                 _ if coordinate.at_upper(value) && slope >= 0.0 => Standing::Upper,
@@ -130,6 +133,11 @@ impl<'b, 'a> Search<'b, 'a> {
         for _ in 0..STEPS {
             let joint = Joint::new(self.bench, &self.home, &self.active(), fine);
             let step = joint.step(&self.home.gradient, self.inner_gradient(), 0.0);
+            if self.leap(&joint) || self.drifted(&step) {
+                self.place();
+                fine = false;
+                continue;
+            }
             let still = step.decrement <= self.tolerance();
             if still && !step.concave && (self.settled() || self.off_saddle(&joint)) {
                 fine = false;
@@ -156,8 +164,7 @@ impl<'b, 'a> Search<'b, 'a> {
             }
             let joint = last.as_ref().expect("just set").0.clone();
             let moved = self.advance(&joint, step.decrement);
-            let leapt = self.leap(&joint.active, &|s| joint.curvature(s));
-            if !moved && !leapt {
+            if !moved {
                 if fine {
                     stop = if step.decrement <= 1e2 * self.tolerance() && step.concave {
                         Stop::Certified
@@ -248,6 +255,7 @@ impl<'b, 'a> Search<'b, 'a> {
                 self.damping *= if gain > 0.5 * promised { 0.1 } else { 1.0 };
                 self.damping = if self.damping < 1e-4 { 0.0 } else { self.damping };
                 self.home = next;
+                self.stride(&step);
                 return true;
             }
             self.damping = (5.0 * self.damping).max(0.05);
@@ -270,42 +278,62 @@ impl<'b, 'a> Search<'b, 'a> {
         }
     }
 
-    /// Logarithms along which ℓ runs level are tried far out: at zero below, far beyond above.
-    fn leap(&mut self, active: &[usize], curvature: &dyn Fn(usize) -> f64) -> bool {
-        let level = |&s: &usize| {
-            let (slope, bend) = (self.home.gradient[s], curvature(s));
-            let tail = slope != 0.0 && slope.abs() <= TAIL && bend > 0.0 && bend <= LEVEL * slope.abs();
-            self.bench.coordinates[s].log && tail
+    /// Logarithms along which ℓ runs level downwards are tried at their lower bound, at zero say: all at once, then a few of
+    /// them one by one.
+    fn leap(&mut self, joint: &Joint) -> bool {
+        let sinking = |&s: &usize| {
+            let (slope, bend) = (self.home.gradient[s], joint.curvature(s));
+            let tail = slope < 0.0 && slope >= -TAIL && bend > 0.0 && bend <= LEVEL * slope.abs();
+            self.bench.coordinates[s].log && tail && !self.returned[s]
         };
-        let candidates: Vec<usize> = active.iter().copied().filter(level).collect();
+        let sinking: Vec<usize> = joint.active.iter().copied().filter(sinking).collect();
+        let mut sets = vec![sinking.clone()];
+        if sinking.len() > 1 {
+            sets.extend(sinking.iter().take(8).map(|&s| vec![s]));
+        }
         let mut leapt = false;
-        let sinking: Vec<usize> =
-            candidates.iter().copied().filter(|&s| self.home.gradient[s] < 0.0 && !self.returned[s]).collect();
-        let sets: Vec<Vec<usize>> = if sinking.len() > 1 {
-            std::iter::once(sinking.clone()).chain(sinking.iter().take(8).map(|&s| vec![s])).collect()
-        } else {
-            vec![sinking]
-        };
         for set in sets.iter().filter(|set| !set.is_empty()) {
             if set.iter().any(|&s| self.home.values[s] == 0.0) {
-                continue;
+                continue; // with all the others, a moment ago
             }
             let mut values = self.home.values.clone();
             set.iter().for_each(|&s| values[s] = self.bench.coordinates[s].lower);
             leapt |= self.jump(values, set);
         }
-        let rising: Vec<usize> = candidates.iter().copied().filter(|&s| self.home.gradient[s] > 0.0).collect();
-        for s in rising {
-            let mut values = self.home.values.clone();
-            values[s] = self.bench.coordinates[s].moved(values[s], LEAP);
-            if self.jump(values, &[s]) {
-                leapt = true;
-            } else if self.home.gradient[s] < BEYOND && self.home.gradient[s] > 0.0 {
-                self.standing[s] = Standing::Unbounded;
-                leapt = true;
+        leapt
+    }
+
+    /// Logarithms that would still go far for next to nothing are left where they are: at zero, as far as the data can tell, or
+    /// at infinity.
+    fn drifted(&mut self, step: &joint::Step) -> bool {
+        if 0.5 * step.decrement.powi(2) > BEYOND {
+            return false;
+        }
+        let mut any = false;
+        for (s, d) in step.alpha.iter().enumerate() {
+            if self.bench.coordinates[s].log && d.abs() > DRIFT && self.standing[s] == Standing::Inside {
+                self.standing[s] = if *d > 0.0 { Standing::Unbounded } else { Standing::Lower };
+                self.drifted[s] = true;
+                any = true;
             }
         }
-        leapt
+        any
+    }
+
+    /// The same step again and again, twice as long each time, while that raises ℓ: along a ridge that runs level.
+    fn stride(&mut self, step: &joint::Step) {
+        let far = step.alpha.iter().zip(&self.bench.coordinates).any(|(d, c)| c.log && d.abs() > DRIFT);
+        if !far || step.decrement > 0.3 {
+            return;
+        }
+        let mut length = 1.0;
+        for _ in 0..4 {
+            length *= 2.0;
+            let moved = |(s, d): (usize, &f64)| self.bench.coordinates[s].moved(self.home.values[s], length * d);
+            let values: Vec<f64> = step.alpha.iter().enumerate().map(moved).collect();
+            let Some(next) = self.at(&values).filter(|next| next.value() > self.home.value()) else { return };
+            self.home = next;
+        }
     }
 
     fn jump(&mut self, values: Vec<f64>, set: &[usize]) -> bool {
