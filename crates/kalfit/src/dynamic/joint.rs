@@ -19,6 +19,8 @@ const STEP: f64 = 1e-4;
 const SHORT: f64 = 1e-6;
 /// A step of a value that is not positive should be between these parts of its standard error.
 const PARTS: [f64; 2] = [1e-6, 3e-2];
+/// Slope and curvature of a logarithm below this are none.
+const LEVEL_GROUND: f64 = 1e-7;
 /// Scaled eigenvalues of the information below this are flat.
 pub(crate) const FLAT: f64 = 1e-10;
 
@@ -83,7 +85,20 @@ impl Joint {
         for colour in touching.colours(&joint.active, bench.restricted()) {
             joint.column(bench, home, &colour, &touching, central);
         }
+        joint.drop_flat(bench, home);
         joint
+    }
+
+    /// Logarithms that neither slope nor curve do not move: what differences show of them is rounding.
+    fn drop_flat(&mut self, bench: &Bench<'_>, home: &Solved) {
+        let flat = |s: usize| {
+            bench.coordinates[s].log && self.entry(s, s).abs() < LEVEL_GROUND && home.gradient[s].abs() < LEVEL_GROUND
+        };
+        let kept: Vec<bool> = (0..home.values.len()).map(|s| !flat(s)).collect();
+        self.active.retain(|&s| kept[s]);
+        self.shared.retain(|&s| kept[s]);
+        self.private.iter_mut().for_each(|block| block.retain(|&s| kept[s]));
+        self.private.retain(|block| !block.is_empty());
     }
 
     /// The columns of some values that no test has in common.

@@ -10,8 +10,8 @@ use crate::model::Population;
 
 /// Longest step of a logarithm.
 const LONGEST: f64 = 2.0;
-/// How often one step is tried with more damping.
-const TRIES: usize = 14;
+/// With more damping than this a step goes nowhere.
+const STIFF: f64 = 1e6;
 /// Most outer steps.
 const STEPS: usize = 200;
 /// A logarithm whose curvature is no more than this many times its slope has no optimum in sight: ℓ runs level towards a bound,
@@ -22,7 +22,7 @@ const TAIL: f64 = 0.1;
 /// A step of a logarithm beyond this goes far.
 const DRIFT: f64 = 0.25;
 /// ℓ that may still be had beyond, where a value counts as infinite.
-const BEYOND: f64 = 1e-8;
+const BEYOND: f64 = 1e-7;
 /// A value that returns from zero does so at this part of what it was.
 const RETURN: f64 = 1e-2;
 
@@ -133,7 +133,7 @@ impl<'b, 'a> Search<'b, 'a> {
         for _ in 0..STEPS {
             let joint = Joint::new(self.bench, &self.home, &self.active(), fine);
             let step = joint.step(&self.home.gradient, self.inner_gradient(), 0.0);
-            if self.leap(&joint) || self.drifted(&step) {
+            if self.leap(&joint) || self.drifted(&joint, &step) {
                 self.place();
                 fine = false;
                 continue;
@@ -237,7 +237,7 @@ impl<'b, 'a> Search<'b, 'a> {
     /// One step, damped until ℓ rises.
     fn advance(&mut self, joint: &Joint, decrement: f64) -> bool {
         let slack = 1e-12 * self.home.value().abs().max(1.0);
-        for _ in 0..TRIES {
+        while self.damping < STIFF {
             let step = self.within_reach(joint);
             let promised = 0.5 * step.decrement.powi(2);
             let moved = |(s, d): (usize, &f64)| self.bench.coordinates[s].moved(self.home.values[s], *d);
@@ -260,6 +260,7 @@ impl<'b, 'a> Search<'b, 'a> {
             }
             self.damping = (5.0 * self.damping).max(0.05);
         }
+        self.damping = 0.0;
         false
     }
 
@@ -268,7 +269,7 @@ impl<'b, 'a> Search<'b, 'a> {
         loop {
             let mut step = joint.step(&self.home.gradient, self.inner_gradient(), self.damping);
             let far = |&&s: &&usize| self.bench.coordinates[s].log && step.alpha[s].abs() > LONGEST;
-            if joint.shared().iter().find(far).is_none() || self.damping > 1e6 {
+            if joint.shared().iter().find(far).is_none() || self.damping > STIFF {
                 for (_, d) in step.alpha.iter_mut().enumerate().filter(|(s, _)| self.bench.coordinates[*s].log) {
                     *d = d.clamp(-LONGEST, LONGEST);
                 }
@@ -305,14 +306,20 @@ impl<'b, 'a> Search<'b, 'a> {
 
     /// Logarithms that would still go far for next to nothing are left where they are: at zero, as far as the data can tell, or
     /// at infinity.
-    fn drifted(&mut self, step: &joint::Step) -> bool {
+    fn drifted(&mut self, joint: &Joint, step: &joint::Step) -> bool {
         if 0.5 * step.decrement.powi(2) > BEYOND {
             return false;
         }
         let mut any = false;
         for (s, d) in step.alpha.iter().enumerate() {
             if self.bench.coordinates[s].log && d.abs() > DRIFT && self.standing[s] == Standing::Inside {
-                self.standing[s] = if *d > 0.0 { Standing::Unbounded } else { Standing::Lower };
+                let (slope, bend) = (self.home.gradient[s], joint.curvature(s));
+                let level = bend > 0.0 && bend <= LEVEL * slope.abs();
+                self.standing[s] = match (level, slope > 0.0) {
+                    (true, true) => Standing::Unbounded,
+                    (true, false) => Standing::Lower,
+                    (false, _) => Standing::Unidentified,
+                };
                 self.drifted[s] = true;
                 any = true;
             }
