@@ -19,6 +19,8 @@ use std::process::{Command, Stdio};
 
 /// What solves when the command is not told.
 const DEFAULT_SOLVER: &str = "newton";
+/// How dynamic parameters are found.
+const METHODS: [&str; 3] = ["hybrid", "innovations", "em"];
 /// EM stops where its steps are small, which is further from the optimum than where Newton's method stops.
 const EM_LIMIT: f64 = 100.0;
 /// Passes over the reductions within which every fit ends.
@@ -75,16 +77,18 @@ free_cases! {
     ssm_nile_is_found_from_its_start_values: "ssm-nile",
 }
 
-/// Every fit of a case whose parameters are set elsewhere is at its reference when they are estimated too.
+/// Every fit of a case whose parameters are set elsewhere is at its reference when they are estimated too, by each method.
 fn finds_the_parameters_of(case: &str) {
     let mut failures = Vec::new();
     for want in list(&expected(case)).iter().filter(|want| !list(&want["set"]).is_empty()) {
         let want = freed(want);
-        let lines = match fit(case, &want, DEFAULT_SOLVER) {
-            Ok(found) => Comparison::of(&found, &want).failures(1.0),
-            Err(said) => vec![said],
-        };
-        failures.extend(lines.iter().map(|line| format!("{case}/{}: {line}", text(&want["fit"]))));
+        for method in METHODS {
+            let lines = match fit_by(case, &want, DEFAULT_SOLVER, method) {
+                Ok(found) => Comparison::of(&found, &want).failures(1.0),
+                Err(said) => vec![said],
+            };
+            failures.extend(lines.iter().map(|line| format!("{case}/{} by {method}: {line}", text(&want["fit"]))));
+        }
     }
     assert!(failures.is_empty(), "{} failures\n{}", failures.len(), failures.join("\n"));
 }
@@ -147,6 +151,10 @@ fn expected(case: &str) -> Value {
 
 /// The fit.json of one certified fit; what went wrong if the fit failed or is not certified.
 fn fit(case: &str, want: &Value, solver: &str) -> Result<Value, String> {
+    fit_by(case, want, solver, METHODS[0])
+}
+
+fn fit_by(case: &str, want: &Value, solver: &str, method: &str) -> Result<Value, String> {
     let home = tempfile::tempdir().unwrap();
     let out = home.path().join("fit.json");
     let mut command = Command::new(env!("CARGO_BIN_EXE_kalfit"));
@@ -156,6 +164,9 @@ fn fit(case: &str, want: &Value, solver: &str) -> Result<Value, String> {
     }
     if !want["criterion"].is_null() {
         command.arg("--criterion").arg(text(&want["criterion"]));
+    }
+    if method != METHODS[0] {
+        command.arg("--method").arg(method);
     }
     if solver != DEFAULT_SOLVER {
         command.arg("--solver").arg(solver);

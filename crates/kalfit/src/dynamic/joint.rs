@@ -186,6 +186,12 @@ impl Joint {
         &self.shared
     }
 
+    /// The same with no value eliminated by itself.
+    #[cfg(test)]
+    pub(crate) fn undivided(&self) -> Joint {
+        Joint { shared: self.active.clone(), private: Vec::new(), ..self.clone() }
+    }
+
     fn entry(&self, s: usize, t: usize) -> f64 {
         let at = |s, t| self.own.get(&(s, t)).copied().unwrap_or(0.0);
         0.5 * (at(s, t) + at(t, s))

@@ -9,6 +9,8 @@ mod matrices;
 mod search;
 mod settings;
 mod start;
+#[cfg(test)]
+mod tests;
 mod worth;
 
 use crate::ensemble::{Labels, Test};

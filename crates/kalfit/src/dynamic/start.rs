@@ -63,9 +63,6 @@ fn total(tests: &[Test]) -> usize {
 
 /// Of many starts, where the best ones end on a part of the data; all of them when they all fail there.
 fn promising(small: &Bench<'_>, starts: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
-    if starts.len() == 1 {
-        return starts;
-    }
     let mut ends: Vec<End> = starts.iter().filter_map(|start| search(small, start, None, &mut Silent).ok()).collect();
     ends.sort_by(|a, b| b.home.value().total_cmp(&a.home.value()));
     let Some(best) = ends.first().map(|end| end.home.value()) else { return starts };

@@ -1,0 +1,297 @@
+//! Gradients, information and searches on a small bench of instruments: two noise levels that vary within a test, a drift.
+
+use std::collections::BTreeMap;
+
+use crate::dynamic::bench::Bench;
+use crate::dynamic::joint::Joint;
+use crate::dynamic::{Method, Settings, fit, infer};
+use crate::ensemble::{Label, Labels, Source, Test};
+use crate::estimate::{Criterion, Silent, Stop};
+use crate::infer::{Choices, IntervalKind};
+use crate::model::{
+    Clock, Column, CovarianceStructure, Expression, Initial, Linear, MeanStructure, Measurement, Model, Motion,
+    Operator, Parameter, State, Value,
+};
+use crate::score::Slots;
+
+const TAU: usize = 0;
+const DRIFT: usize = 1;
+const NOISE: usize = 2;
+const SLOPE: usize = 3;
+
+fn parameter(name: &str, start: f64, per: Option<usize>, positive: bool) -> Parameter {
+    Parameter {
+        name: name.to_owned(),
+        unit: None,
+        value: Value::Free { start: Some(start) },
+        per,
+        fixed_levels: BTreeMap::new(),
+        lower: None,
+        upper: None,
+        positive,
+    }
+}
+
+fn of(parameter: usize) -> Expression {
+    Expression::Parameter(parameter)
+}
+
+fn binary(operator: Operator, a: Expression, b: Expression) -> Expression {
+    Expression::Binary(operator, Box::new(a), Box::new(b))
+}
+
+fn square(a: Expression) -> Expression {
+    binary(Operator::Multiply, a.clone(), a)
+}
+
+fn state(name: &str, motion: Motion, initial: Initial) -> State {
+    State { name: name.to_owned(), unit: None, motion, initial, offset: None, random: true }
+}
+
+/// z = bias + scale u + drift + slope u² + noise; the noise level is the sensor's. Columns: time, z, u; text column: sensor.
+fn model(per_test: bool) -> Model {
+    let one = || Expression::Number(1.0);
+    let rate = Expression::Negate(Box::new(binary(Operator::Divide, one(), of(TAU))));
+    let driving =
+        binary(Operator::Divide, binary(Operator::Multiply, Expression::Number(2.0), square(of(DRIFT))), of(TAU));
+    let drift = Motion::Continuous {
+        derivative: Linear { terms: vec![(2, rate)], constant: Expression::Number(0.0) },
+        noise_variance: driving,
+    };
+    let equation = Linear {
+        terms: vec![(0, one()), (1, Expression::Column(2)), (2, one())],
+        constant: binary(Operator::Multiply, of(SLOPE), square(Expression::Column(2))),
+    };
+    let column = |name: &str| Column { name: name.to_owned(), used_in: String::new() };
+    Model {
+        title: String::new(),
+        columns: vec![column("t"), column("z"), column("u")],
+        text_columns: vec![column("sensor"), column("test")],
+        literals: vec!["A".to_owned(), "B".to_owned()],
+        parameters: vec![
+            parameter("tau", 1.0, None, true),
+            parameter("sigma_drift", 0.5, None, true),
+            parameter("sigma", 0.4, Some(usize::from(per_test)), true),
+            parameter("slope", 0.0, None, false),
+        ],
+        states: vec![
+            state("bias", Motion::Constant, Initial::Estimated),
+            state("scale", Motion::Constant, Initial::Estimated),
+            state("drift", drift, Initial::Stationary),
+        ],
+        process_noise_covariance: Vec::new(),
+        measurements: vec![Measurement {
+            name: "z".to_owned(),
+            column: 1,
+            filter: None,
+            equation,
+            noise_variance: square(of(NOISE)),
+        }],
+        noise_covariance: Vec::new(),
+        clock: Clock { time: Some(0), ..Clock::default() },
+        group: None,
+        estimated: vec![0, 1],
+        mean: MeanStructure::free(2),
+        covariance: CovarianceStructure::full(),
+    }
+}
+
+/// Uniform numbers in (-½, ½), the same on every machine.
+struct Lcg(u64);
+
+impl Lcg {
+    fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        ((self.0 >> 40) as f64 + 0.5) / f64::from(1 << 24) - 0.5
+    }
+
+    fn normal(&mut self) -> f64 {
+        (0..12).map(|_| self.next()).sum()
+    }
+}
+
+fn ensemble(model: &Model, tests: usize, rows: usize) -> (Labels, Vec<Test>) {
+    let (mut random, mut labels) = (Lcg(5), Labels::new(&model.literals));
+    let mut all = Vec::new();
+    for j in 0..tests {
+        let id = format!("u{j:02}");
+        let own = labels.intern(&id);
+        let mut test = Test::new(&id, 3, 2);
+        let (bias, scale) = (1.0 + random.normal(), -0.5 + 0.6 * random.normal());
+        let (mut t, mut drift) = (0.0, 0.5 * random.normal());
+        for k in 0..rows + j % 3 {
+            let dt = if k == 0 { 0.0 } else { 0.3 + 0.4 * (random.next() + 0.5) };
+            t += dt;
+            let phi = f64::exp(-dt / 1.5);
+            drift = phi * drift + 0.5 * (1.0 - phi * phi).sqrt() * random.normal();
+            let (u, sensor) = (random.next() * 3.0, usize::from(random.next() > 0.0));
+            let noise = if sensor == 0 { 0.3 } else { 0.6 };
+            let z = bias + scale * u + drift + 0.2 * u * u + noise * random.normal();
+            test.push(&[t, z, u], &[Label::literal(sensor), own], Source::default());
+        }
+        all.push(test);
+    }
+    (labels, all)
+}
+
+fn settings(method: Method, criterion: Criterion) -> Settings {
+    let mut settings = Settings { method, ..Settings::default() };
+    settings.inner.criterion = criterion;
+    settings
+}
+
+#[test]
+fn the_gradient_equals_differences_of_the_maximum_over_mean_and_covariance() {
+    let model = model(false);
+    let (labels, tests) = ensemble(&model, 8, 7);
+    let slots = Slots::new(&model, &labels, &tests);
+    assert_eq!(slots.len(), 5, "tau, sigma_drift, sigma of A and of B, slope");
+    for criterion in [Criterion::Ml, Criterion::Reml] {
+        let settings = settings(Method::Hybrid, criterion);
+        let bench = Bench::new(&model, &tests, &slots, &settings);
+        let values = [1.2, 0.6, 0.35, 0.5, 0.1];
+        let home = bench.solve(&values, None).expect("defined");
+        for s in 0..values.len() {
+            let at = |h: f64| {
+                let mut moved = values.to_vec();
+                moved[s] = bench.coordinates[s].moved(moved[s], h);
+                bench.value(&moved).expect("defined")
+            };
+            let h = 1e-3;
+            let expected = (8.0 * (at(h) - at(-h)) - (at(2.0 * h) - at(-2.0 * h))) / (12.0 * h);
+            let found = home.gradient[s];
+            assert!((found - expected).abs() < 1e-7 * (1.0 + expected.abs()), "{criterion:?} {s}: {found} {expected}");
+        }
+    }
+}
+
+#[test]
+fn the_joint_information_is_that_of_the_gradient_at_the_best_mean_and_covariance() {
+    let model = model(false);
+    let (labels, tests) = ensemble(&model, 14, 9);
+    let slots = Slots::new(&model, &labels, &tests);
+    for criterion in [Criterion::Ml, Criterion::Reml] {
+        let settings = settings(Method::Hybrid, criterion);
+        let bench = Bench::new(&model, &tests, &slots, &settings);
+        let values = fit(&model, &labels, &tests, &settings, &mut Silent).expect("a fit").values;
+        let home = bench.solve(&values, None).expect("defined");
+        let found = Joint::new(&bench, &home, &[true; 5], true).covariances();
+        // the profile information by differences of gradients that each come with their own mean and covariance
+        let h = 1e-4;
+        let information = nalgebra::DMatrix::from_fn(5, 5, |i, s| {
+            let at = |sign: f64| {
+                let mut moved = values.clone();
+                moved[s] = bench.coordinates[s].moved(moved[s], sign * h);
+                bench.solve(&moved, None).expect("defined").gradient[i]
+            };
+            -(at(1.0) - at(-1.0)) / (2.0 * h)
+        });
+        let expected = information.try_inverse().expect("regular");
+        for s in 0..5 {
+            let found = found.alpha[s].expect("determined");
+            let off = (found / expected[(s, s)] - 1.0).abs();
+            assert!(off < 1e-5, "{criterion:?} {s}: {found} {}", expected[(s, s)]);
+        }
+    }
+}
+
+#[test]
+fn the_methods_end_at_one_point() {
+    let model = model(false);
+    let (labels, tests) = ensemble(&model, 12, 8);
+    let run = |method| {
+        let settings = settings(method, Criterion::Ml);
+        let fit = fit(&model, &labels, &tests, &settings, &mut Silent).expect("a fit");
+        assert_eq!(fit.stop, Stop::Certified, "{method:?}");
+        fit
+    };
+    let hybrid = run(Method::Hybrid);
+    for method in [Method::Innovations, Method::Em] {
+        let other = run(method);
+        let (a, b) = (hybrid.estimate.log_likelihood, other.estimate.log_likelihood);
+        assert!((a - b).abs() < 1e-8, "{method:?}: {a} {b}");
+        for (a, b) in hybrid.values.iter().zip(&other.values) {
+            assert!((a - b).abs() < 1e-5 * (1.0 + a.abs()), "{method:?}: {a} {b}");
+        }
+    }
+}
+
+#[test]
+fn a_fit_has_the_same_bits_whatever_the_order_of_the_tests() {
+    let model = model(false);
+    let (labels, tests) = ensemble(&model, 9, 6);
+    let run = |tests: &[Test]| {
+        fit(&model, &labels, tests, &settings(Method::Hybrid, Criterion::Ml), &mut Silent).expect("a fit")
+    };
+    let (forward, backward) = (run(&tests), run(&tests.iter().rev().cloned().collect::<Vec<_>>()));
+    assert_eq!(forward.values, backward.values);
+    assert_eq!(forward.estimate.covariance, backward.estimate.covariance);
+    assert_eq!(forward.trace, backward.trace);
+}
+
+#[test]
+fn values_of_single_tests_are_eliminated_exactly() {
+    let model = model(true);
+    let (labels, tests) = ensemble(&model, 30, 16);
+    let slots = Slots::new(&model, &labels, &tests);
+    assert_eq!(slots.len(), 33, "tau, sigma_drift, slope, and sigma of thirty tests");
+    let settings = settings(Method::Hybrid, Criterion::Ml);
+    let bench = Bench::new(&model, &tests, &slots, &settings);
+    let values = fit(&model, &labels, &tests, &settings, &mut Silent).expect("a fit").values;
+    let home = bench.solve(&values, None).expect("defined");
+    let joint = Joint::new(&bench, &home, &[true; 33], true);
+    assert_eq!(joint.shared().len(), 3, "the others are of single tests");
+    let whole = joint.undivided();
+    let inner = home.estimate.state.place.tangent.gradient.clone();
+    let (a, b) = (joint.step(&home.gradient, &inner, 0.0), whole.step(&home.gradient, &inner, 0.0));
+    if a.concave && b.concave {
+        for (a, b) in a.alpha.iter().zip(&b.alpha) {
+            assert!((a - b).abs() < 1e-9 * (1.0 + b.abs()), "{a} {b}");
+        }
+    }
+    let (a, b) = (joint.covariances(), whole.covariances());
+    for (a, b) in a.alpha.iter().zip(&b.alpha) {
+        let (a, b) = (a.expect("determined"), b.expect("determined"));
+        assert!((a / b - 1.0).abs() < 1e-8, "{a} {b}");
+    }
+    assert!((&a.inner - &b.inner).amax() < 1e-8 * b.inner.amax(), "{} {}", a.inner, b.inner);
+}
+
+#[test]
+fn work_of_a_fit_is_as_recorded() {
+    let small = model(false);
+    let (labels, tests) = ensemble(&small, 12, 8);
+    let by = |method| {
+        let fit = fit(&small, &labels, &tests, &settings(method, Criterion::Ml), &mut Silent).expect("a fit");
+        format!("{method:?}: {} filter passes, {} score passes", fit.filter_passes, fit.score_passes)
+    };
+    let own = model(true);
+    let (labels, tests) = ensemble(&own, 60, 9);
+    let levels = fit(&own, &labels, &tests, &settings(Method::Hybrid, Criterion::Ml), &mut Silent).expect("a fit");
+    let levels = format!("63 values: {} filter passes, {} score passes", levels.filter_passes, levels.score_passes);
+    let lines = [by(Method::Hybrid), by(Method::Innovations), levels].join("\n");
+    insta::assert_snapshot!(lines, @r"
+    Hybrid: 107 filter passes, 107 score passes
+    Innovations: 132 filter passes, 132 score passes
+    63 values: 96 filter passes, 96 score passes
+    ");
+}
+
+#[test]
+fn profile_intervals_end_where_the_likelihood_has_fallen_by_the_quantile() {
+    let model = model(false);
+    let (labels, tests) = ensemble(&model, 12, 8);
+    let settings = settings(Method::Hybrid, Criterion::Ml);
+    let best = fit(&model, &labels, &tests, &settings, &mut Silent).expect("a fit");
+    let choices = Choices { intervals: IntervalKind::Profile, ..Choices::default() };
+    let (_, parameters) = infer(&model, &tests, &best, choices).expect("inferred");
+    for (slot, parameter) in best.slots.slots().iter().zip(&parameters).filter(|(slot, _)| slot.level.is_none()) {
+        for end in parameter.interval.expect("determined").into_iter().flatten().filter(|end| *end != 0.0) {
+            let mut held = model.clone();
+            held.parameters[slot.parameter].value = Value::Fixed(end);
+            let there = fit(&held, &labels, &tests, &settings, &mut Silent).expect("a fit");
+            let fallen = 2.0 * (best.estimate.log_likelihood - there.estimate.log_likelihood);
+            assert!((fallen - 3.841_458_8).abs() < 2e-3, "{}: {end} has {fallen}", slot.parameter);
+        }
+    }
+}
