@@ -145,7 +145,7 @@ impl Run<'_> {
             match part.kind {
                 Kind::Equal(kernel) => {
                     if self.tracked() {
-                        work.now.load(&work.marks[part.mark..], self.sizes());
+                        work.now.load(&work.marks[part.mark..][..self.stride()], self.sizes());
                     }
                     (kernel.backward)(self, &part, work);
                     sink.measured(part.steps.0, &work.measured)?;
@@ -169,7 +169,7 @@ impl Run<'_> {
         sink: &mut S,
     ) -> Result<(), S::Error> {
         if again && self.tracked() {
-            work.now.load(&work.marks[part.mark..], self.sizes());
+            work.now.load(&work.marks[part.mark..][..self.stride()], self.sizes());
             self.steps_forth(part, work);
         }
         let BackwardWork { e, left, before, adjoint, measured, moved, .. } = work;

@@ -8,6 +8,8 @@ mod backward;
 mod chain;
 mod moments;
 mod slots;
+#[cfg(test)]
+mod tests;
 
 use std::ops::Range;
 
