@@ -237,16 +237,14 @@ impl<R: Real> Design<R> {
 
     /// Its runs, in order.
     pub(crate) fn stretches(&self) -> impl DoubleEndedIterator<Item = Stretch<'_, R>> {
-        (0..self.runs.len()).map(|at| {
-            let run = &self.runs[at];
-            let (line, row) = if at == 0 { (0, 0) } else { (self.runs[at - 1].lines, self.runs[at - 1].rows) };
-            Stretch {
-                transition: run.transition.as_ref(),
-                lines: line..run.lines,
-                count: run.count,
-                rows: row..run.rows,
-            }
-        })
+        (0..self.runs.len()).map(|at| self.stretch(at))
+    }
+
+    /// The run with this number.
+    pub(crate) fn stretch(&self, at: usize) -> Stretch<'_, R> {
+        let run = &self.runs[at];
+        let (line, row) = if at == 0 { (0, 0) } else { (self.runs[at - 1].lines, self.runs[at - 1].rows) };
+        Stretch { transition: run.transition.as_ref(), lines: line..run.lines, count: run.count, rows: row..run.rows }
     }
 
     /// All steps, in order.

@@ -90,6 +90,24 @@ impl Instances {
         Instance { meter, row: row + number / width * block.height }
     }
 
+    /// True when these scalar measurements, at least one, are all of one measurement of the model.
+    pub(crate) fn uniform(&self, rows: std::ops::Range<usize>) -> bool {
+        let meter = self.get(rows.start).meter;
+        let first = self.blocks.partition_point(|block| block.first <= rows.start) - 1;
+        let blocks = self.blocks[first..].iter().take_while(|block| block.first < rows.end);
+        blocks.enumerate().all(|(k, block)| {
+            let end = self.blocks.get(first + k + 1).map_or(self.entries.len(), |next| next.entry);
+            // a block that does not repeat has one entry for each row, and perhaps others before and after
+            let (from, to) = if block.count > 1 {
+                (block.entry, end)
+            } else {
+                let at = |row: usize| block.entry + row.saturating_sub(block.first);
+                (at(rows.start), at(rows.end).min(end))
+            };
+            self.entries[from..to].iter().all(|entry| entry.meter == meter)
+        })
+    }
+
     /// Those of a step.
     pub(crate) fn of(&self, rows: std::ops::Range<usize>) -> Vec<Instance> {
         rows.map(|row| self.get(row)).collect()

@@ -87,6 +87,11 @@ impl Reducer {
         self
     }
 
+    /// Nothing is frozen.
+    pub(crate) fn is_unfrozen(&self) -> bool {
+        self.unfrozen
+    }
+
     /// The reductions of tests, in their order; of several tests in error, the first one's error.
     pub fn reduce(&mut self, tests: &[Test]) -> Result<Vec<Reduction>, ReduceError> {
         let this = &*self;

@@ -17,6 +17,7 @@ mod taps;
 mod tests;
 
 use std::collections::BTreeSet;
+use std::ops::Range;
 
 use crate::ensemble::Test;
 use crate::reduce::{
@@ -47,6 +48,8 @@ pub(crate) struct Chain<'a> {
     free: Vec<bool>,
     /// Cells that taps of the dynamics' coefficients read.
     reads: Vec<Read>,
+    /// Cells that any tap reads, if any does.
+    cells: Option<Vec<Read>>,
     meters: Vec<MeterTaps>,
     pairs: Vec<Option<usize>>,
     /// Tap of each of the start's coefficients.
@@ -94,6 +97,7 @@ impl<'a> Chain<'a> {
         let start: Vec<Option<usize>> = preparer.start.coefficients().map(|c| taps.add(&at, c)).collect();
         let reads: BTreeSet<Read> = values.iter().flatten().flat_map(|&tap| taps.reads(tap)).copied().collect();
         let free = values.iter().map(Option::is_some).collect();
+        let cells = taps.all_reads();
         let mut chain = Chain {
             preparer,
             slots,
@@ -102,6 +106,7 @@ impl<'a> Chain<'a> {
             inputs,
             free,
             reads: reads.into_iter().collect(),
+            cells: Some(cells).filter(|cells| !cells.is_empty()),
             meters,
             pairs,
             start,
@@ -136,12 +141,19 @@ impl<'a> Chain<'a> {
         }
     }
 
+    /// φ depends on free values.
+    pub(crate) fn needs_rates(&self) -> bool {
+        self.needs.rates
+    }
+
     /// φ or b depends on free values.
+    #[cfg(test)]
     pub(crate) fn needs_motion(&self) -> bool {
         self.needs.rates || self.needs.inputs
     }
 
     /// Q depends on free values.
+    #[cfg(test)]
     pub(crate) fn needs_noise(&self) -> bool {
         self.needs.noise
     }
@@ -152,6 +164,7 @@ impl<'a> Chain<'a> {
     }
 
     /// a or P0 depends on free values.
+    #[cfg(test)]
     pub(crate) fn needs_start(&self) -> bool {
         self.needs.start
     }
@@ -209,6 +222,29 @@ pub(crate) struct Adjoints<'a> {
 }
 
 impl Adjoints<'_> {
+    /// True when equal steps of one measurement each have coefficients that depend on the free values in the same way, so that
+    /// the sums of their adjoints, as those of the first of them, give the same gradient.
+    pub(crate) fn uniform(&self, test: &Test, steps: Range<usize>, work: &Workspace) -> bool {
+        let chain = self.chain;
+        let (first, last) = (work.design.step(steps.start).rows, work.design.step(steps.end - 1).rows);
+        if first.is_empty() || !work.instances.uniform(first.start..last.end) {
+            return false;
+        }
+        let Some(reads) = &chain.cells else { return true };
+        if !work.same_dt(&steps) {
+            return false;
+        }
+        let rows = work.rows_of(&steps, chain.preparer.reads_previous());
+        let (numbers, texts) = (test.numbers(rows.start), test.texts(rows.start));
+        reads.iter().all(|read| match *read {
+            Read::Step => true,
+            Read::Number(column) => {
+                rows.clone().all(|row| test.numbers(row)[column].to_bits() == numbers[column].to_bits())
+            }
+            Read::Text(column) => rows.clone().all(|row| test.texts(row)[column] == texts[column]),
+        })
+    }
+
     /// The start of a test, after [`Preparer::prepare`] into `work`. `mean`: ∂ℓ/∂a, n numbers in kernel order; `variance`:
     /// ∂ℓ/∂P0, r × r, symmetric, the derivative to each place by itself. Not read unless [`Chain::needs_start`].
     pub(crate) fn started(

@@ -8,6 +8,10 @@ mod backward;
 mod chain;
 mod moments;
 mod slots;
+#[cfg(test)]
+mod tests;
+
+use std::ops::Range;
 
 use rayon::prelude::*;
 
@@ -56,7 +60,8 @@ impl<'a> Scorer<'a> {
         backward: &mut BackwardWork,
         adjoints: &mut Adjoints<'_>,
     ) -> Result<Gradient, ReduceError> {
-        let wanted = Wanted { motion: self.chain.needs_motion(), equation: self.chain.needs_equation() };
+        let wanted = Wanted { motion: self.chain.needs_rates(), equation: self.chain.needs_equation() };
+        backward.set_unfrozen(self.reducer.is_unfrozen());
         let result = self.reducer.with_gains(test, work, |gains, work| {
             let run = Run {
                 design: &work.design,
@@ -84,6 +89,10 @@ struct Onward<'a, 'b> {
 
 impl Sink for Onward<'_, '_> {
     type Error = Box<Fault>;
+
+    fn sums(&mut self, steps: Range<usize>) -> bool {
+        self.adjoints.uniform(self.test, steps, self.work)
+    }
 
     fn measured(&mut self, k: usize, bar: &MeasuredBar) -> Result<(), Box<Fault>> {
         let bars = Measured { noise: &bar.noise, value: &bar.value, h: &bar.h };

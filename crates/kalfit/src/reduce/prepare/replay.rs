@@ -1,5 +1,7 @@
 //! Steps of a prepared test looked at again, one by one, for their derivatives.
 
+use std::ops::Range;
+
 use crate::ensemble::Test;
 use crate::model::Scope;
 use crate::reduce::prepare::{Moment, Preparer, Workspace};
@@ -21,6 +23,18 @@ impl Workspace {
         self.place(k).0.dt
     }
 
+    /// True when these steps, at least one, are equally long, bit for bit.
+    pub(crate) fn same_dt(&self, steps: &Range<usize>) -> bool {
+        let at = |k: usize| self.firsts.partition_point(|&first| first <= k) - 1;
+        let spans = &self.spans[at(steps.start)..=at(steps.end - 1)];
+        spans.iter().all(|span| span.dt.to_bits() == spans[0].dt.to_bits())
+    }
+
+    /// All rows that the coefficients of these steps, at least one, read.
+    pub(crate) fn rows_of(&self, steps: &Range<usize>, previous: bool) -> Range<usize> {
+        self.moment(steps.start, previous).source.start..self.moment(steps.end - 1, previous).rows.end
+    }
+
     /// The span of step `k`, and its number there.
     fn place(&self, k: usize) -> (&Span, usize) {
         let at = self.firsts.partition_point(|&first| first <= k) - 1;
@@ -38,6 +52,11 @@ impl Workspace {
 }
 
 impl Preparer {
+    /// Coefficients are read from the row before, not from a step's own.
+    pub(crate) fn reads_previous(&self) -> bool {
+        self.clock_previous()
+    }
+
     /// What the transition to step `k` was evaluated on. `cells`: room for the cells of several rows.
     pub(crate) fn moving<'a>(
         &'a self,

@@ -52,6 +52,14 @@ impl Taps {
         Some(self.taps.len() - 1)
     }
 
+    /// Cells that any of them reads.
+    pub(super) fn all_reads(&self) -> Vec<Read> {
+        let mut reads: Vec<Read> = self.taps.iter().flat_map(|tap| &tap.reads).copied().collect();
+        reads.sort_unstable();
+        reads.dedup();
+        reads
+    }
+
     /// Cells that a coefficient reads.
     pub(super) fn reads(&self, tap: usize) -> &[Read] {
         &self.taps[tap].reads

@@ -1,0 +1,363 @@
+//! Many equal steps of one scalar measurement, of few moving states: back through them with sums, and without renewing N and ρ
+//! where these no longer change.
+
+use crate::reduce::{Frozen, Piece, Stretch, moving};
+use crate::score::backward::filtered::Filtered;
+use crate::score::backward::parts::Part;
+use crate::score::backward::steady::{Bars, Gain, Rest, Spread, Steady, Sums};
+use crate::score::backward::{BackwardWork, Run};
+
+/// The way forth over a stretch, and back.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Kernel {
+    pub(super) forward: Pass,
+    pub(super) backward: Pass,
+}
+
+type Pass = fn(&Run<'_>, &Part, &mut BackwardWork);
+
+impl Kernel {
+    fn new<const N: usize, const C: usize>() -> Kernel {
+        Kernel { forward: forward::<N, C>, backward: backward::<N, C> }
+    }
+
+    fn columns<const N: usize>(c: usize) -> Option<Kernel> {
+        Some(match c {
+            0 => Kernel::new::<N, 0>(),
+            1 => Kernel::new::<N, 1>(),
+            2 => Kernel::new::<N, 2>(),
+            3 => Kernel::new::<N, 3>(),
+            _ => return None,
+        })
+    }
+}
+
+/// The kernel of a stretch, if there is one. The model must have no driven states.
+pub(super) fn kernel(run: &Run<'_>, stretch: &Stretch<'_>) -> Option<Kernel> {
+    let c = run.moments.columns;
+    if stretch.lines.len() != 1 {
+        return None;
+    }
+    match moving(run.design, stretch) {
+        0 => Kernel::columns::<0>(c),
+        1 => Kernel::columns::<1>(c),
+        2 => Kernel::columns::<2>(c),
+        3 => Kernel::columns::<3>(c),
+        4 => Kernel::columns::<4>(c),
+        _ => None,
+    }
+}
+
+/// A stretch with its gains: from `moving` steps on none of them changes, from `gains` on S and K do not.
+struct Steps<'a> {
+    run: &'a Run<'a>,
+    stretch: Stretch<'a>,
+    piece: &'a Piece,
+    moving: usize,
+    gains: usize,
+    block: usize,
+}
+
+impl<'a> Steps<'a> {
+    fn new(run: &'a Run<'a>, part: &Part, block: usize) -> Steps<'a> {
+        let stretch = run.design.stretch(part.stretch);
+        let first = stretch.rows.start;
+        let piece = &run.gains.pieces[run.gains.piece(first)];
+        let moving = (piece.row + piece.moving()).saturating_sub(first).min(stretch.count);
+        let gains = piece.moving_gains(first).min(stretch.count);
+        Steps { run, stretch, piece, moving, gains, block }
+    }
+
+    fn row(&self, step: usize) -> usize {
+        self.stretch.rows.start + step
+    }
+
+    #[inline(always)]
+    fn gain<const N: usize, const C: usize>(&self, step: usize) -> Gain<N, C> {
+        let (weight, own, sensitivity) = self.run.gains.of(self.piece, self.row(step));
+        let (mut K, mut T) = ([0.0; N], [0.0; C]);
+        K[..own.len()].copy_from_slice(own);
+        for (sensitivity, root) in sensitivity.iter().zip(self.run.moments.root.chunks_exact(C.max(1))) {
+            for j in 0..C {
+                T[j] += sensitivity * root[j];
+            }
+        }
+        Gain { weight, K, T }
+    }
+
+    /// From a state of the filter, over steps `from..to`: x̄ before each, P and ΨC too as long as they change.
+    fn again<const N: usize, const C: usize>(
+        &self,
+        step: &Steady<N, C>,
+        (mut x, mut spread): ([f64; N], Spread<N, C>),
+        (from, to): (usize, usize),
+        e: &[f64],
+        (xs, spreads): (&mut Vec<[f64; N]>, &mut Vec<Spread<N, C>>),
+    ) {
+        xs.clear();
+        spreads.clear();
+        for k in from..to.min(self.moving) {
+            xs.push(x);
+            spreads.push(spread);
+            let gain = self.gain(k);
+            spread = step.advance(&spread, &gain, k < self.gains);
+            x = step.state(&x, &gain.K, e[self.row(k)]);
+        }
+        if to > self.moving {
+            spreads.push(spread);
+            let (from, gain) = (from.max(self.moving), self.gain::<N, C>(self.moving));
+            xs.extend(e[self.row(from)..self.row(to)].iter().map(|&e| {
+                let before = x;
+                x = step.state(&x, &gain.K, e);
+                before
+            }));
+        }
+    }
+}
+
+/// The innovations of a stretch; the state of the filter is kept at the beginning of every block but the first.
+fn forward<const N: usize, const C: usize>(run: &Run<'_>, part: &Part, work: &mut BackwardWork) {
+    let steps = Steps::new(run, part, work.cut.block);
+    let BackwardWork { e, marks, now, .. } = work;
+    let step = Steady::<N, C>::new(run, &steps.stretch, now);
+    let (mut x, mut spread) = load::<N, C>(run, now);
+    let (tracked, count) = (run.tracked(), steps.stretch.count);
+    let values = &run.values[steps.stretch.rows.clone()];
+    for from in (0..count).step_by(steps.block) {
+        let to = count.min(from + steps.block);
+        if tracked && from > 0 {
+            save(&x, &spread, marks);
+        }
+        for k in from..to.min(steps.moving) {
+            let gain = steps.gain::<N, C>(k);
+            let innovation = step.innovation(&x, values[k]);
+            if tracked {
+                spread = step.advance(&spread, &gain, k < steps.gains);
+            }
+            x = step.state(&x, &gain.K, innovation);
+            e.push(innovation);
+        }
+        if to > steps.moving {
+            let gain = steps.gain::<N, C>(steps.moving);
+            e.extend(values[from.max(steps.moving)..to].iter().map(|&z| {
+                let innovation = step.innovation(&x, z);
+                x = step.state(&x, &gain.K, innovation);
+                innovation
+            }));
+        }
+    }
+    store(run, (&x, &spread), now);
+}
+
+fn save<const N: usize, const C: usize>(x: &[f64; N], spread: &Spread<N, C>, marks: &mut Vec<f64>) {
+    marks.extend_from_slice(x);
+    marks.extend_from_slice(spread.P.as_flattened());
+    marks.extend_from_slice(spread.Psi.as_flattened());
+}
+
+fn load<const N: usize, const C: usize>(run: &Run<'_>, now: &Filtered) -> ([f64; N], Spread<N, C>) {
+    let r = run.design.frame.r;
+    let (mut x, mut spread) = ([0.0; N], Spread { P: [[0.0; N]; N], Psi: [[0.0; C]; N] });
+    x.copy_from_slice(&now.x[..N]);
+    if run.tracked() {
+        (0..r).for_each(|i| spread.P[i][..r].copy_from_slice(&now.P[i * r..][..r]));
+        spread.Psi.as_flattened_mut().copy_from_slice(&now.Psi[..N * C]);
+    }
+    (x, spread)
+}
+
+fn store<const N: usize, const C: usize>(run: &Run<'_>, (x, spread): (&[f64; N], &Spread<N, C>), now: &mut Filtered) {
+    let r = run.design.frame.r;
+    now.x[..N].copy_from_slice(x);
+    if run.tracked() {
+        (0..r).for_each(|i| now.P[i * r..][..r].copy_from_slice(&spread.P[i][..r]));
+        now.Psi[..N * C].copy_from_slice(spread.Psi.as_flattened());
+    }
+}
+
+fn marked<const N: usize, const C: usize>(mut kept: &[f64]) -> ([f64; N], Spread<N, C>) {
+    let (mut x, mut spread) = ([0.0; N], Spread { P: [[0.0; N]; N], Psi: [[0.0; C]; N] });
+    for part in [&mut x, spread.P.as_flattened_mut(), spread.Psi.as_flattened_mut()] {
+        let (own, rest) = kept.split_at(part.len());
+        part.copy_from_slice(own);
+        kept = rest;
+    }
+    (x, spread)
+}
+
+/// The way back over a stretch: its state, and whether N and ρ rest.
+struct Back<const N: usize, const C: usize> {
+    step: Steady<N, C>,
+    bars: Bars<N, C>,
+    sums: Sums<N, C>,
+    rest: Rest<N>,
+    /// P, ΨC and gains where they rest, while N and ρ do.
+    still: Option<(Spread<N, C>, Gain<N, C>)>,
+    watched: bool,
+}
+
+/// The adjoints of a stretch, summed, into `measured` and `moved` of the work space. `now` is the filter before it.
+fn backward<const N: usize, const C: usize>(run: &Run<'_>, part: &Part, work: &mut BackwardWork) {
+    let steps = Steps::new(run, part, work.cut.block);
+    let count = steps.stretch.count;
+    let mut back = Back::<N, C>::new(&steps, work);
+    let (mut xs, mut spreads) = (Vec::new(), Vec::new());
+    for from in (0..count).step_by(steps.block).rev() {
+        let to = count.min(from + steps.block);
+        if run.tracked() {
+            let start = if from == 0 {
+                load(run, &work.now)
+            } else {
+                let size = N + N * N + N * C;
+                marked(&work.marks[part.mark + run.stride() + (from / steps.block - 1) * size..])
+            };
+            steps.again(&back.step, start, (from, to), &work.e, (&mut xs, &mut spreads));
+        } else {
+            xs.resize(steps.block, [0.0; N]);
+            spreads.resize(1, Spread { P: [[0.0; N]; N], Psi: [[0.0; C]; N] });
+        }
+        back.block(&steps, (from, to), (&xs, &spreads), work);
+    }
+    back.settle();
+    back.finish(&steps, work);
+}
+
+impl<const N: usize, const C: usize> Back<N, C> {
+    fn new(steps: &Steps<'_>, work: &mut BackwardWork) -> Back<N, C> {
+        let (r, adjoint) = (steps.run.design.frame.r, &work.adjoint);
+        let mut bars = Bars { r: [0.0; N], rho: [[0.0; C]; N], N: [[0.0; N]; N] };
+        bars.r.copy_from_slice(&adjoint.r[..N]);
+        bars.rho.as_flattened_mut().copy_from_slice(&adjoint.rho[..N * C]);
+        (0..r).for_each(|i| bars.N[i][..r].copy_from_slice(&adjoint.N[i * r..][..r]));
+        work.settling.start(bars.rho.as_flattened());
+        Back {
+            step: Steady::new(steps.run, &steps.stretch, &work.now),
+            bars,
+            sums: Sums::ZERO,
+            rest: Rest::ZERO,
+            still: None,
+            watched: work.settling.begin(steps.stretch.count - steps.moving),
+        }
+    }
+
+    /// Back over steps `from..to`.
+    fn block(
+        &mut self,
+        steps: &Steps<'_>,
+        (from, to): (usize, usize),
+        (xs, spreads): (&[[f64; N]], &[Spread<N, C>]),
+        work: &mut BackwardWork,
+    ) {
+        let e = &work.e[steps.stretch.rows.clone()];
+        let (mut k, low) = (to, from.max(steps.moving));
+        while k > low {
+            let gain = steps.gain::<N, C>(k - 1);
+            if self.still.is_some() {
+                let mut r = self.bars.r;
+                for (&e, x) in e[low..k].iter().zip(&xs[low - from..k - from]).rev() {
+                    self.step.rest_back(&mut r, &gain, e, x, &mut self.rest);
+                }
+                self.bars.r = r;
+                self.rest.count += k - low;
+                k = low;
+                continue;
+            }
+            let count = steps.stretch.count;
+            let until = if self.watched { low.max(count.saturating_sub(work.settling.next_look())) } else { low };
+            let spread = spreads[spreads.len() - 1];
+            for k in (until..k).rev() {
+                self.step.back(&mut self.bars, &gain, e[k], (&xs[k - from], &spread), &mut self.sums);
+            }
+            k = until;
+            if self.watched && self.looks(steps, count - k, &mut work.settling) {
+                self.still = Some((spread, gain));
+            }
+        }
+        if from < steps.moving {
+            self.settle();
+        }
+        for k in (from..k.min(to)).rev() {
+            let (gain, spread) = (steps.gain::<N, C>(k), &spreads[(k - from).min(spreads.len() - 1)]);
+            self.step.back(&mut self.bars, &gain, e[k], (&xs[k - from], spread), &mut self.sums);
+        }
+    }
+
+    /// Whether N and ρ have come to rest after so many steps.
+    fn looks(&self, steps: &Steps<'_>, done: usize, settling: &mut crate::reduce::Settling) -> bool {
+        if done < settling.next_look() {
+            return false;
+        }
+        let r = steps.run.design.frame.r;
+        let mut information = [0.0; 16];
+        for i in 0..r {
+            information[i * r..][..r].copy_from_slice(&self.bars.N[i][..r]);
+        }
+        let rho = self.bars.rho.as_flattened();
+        settling.look(done, (&information[..r * r], r), rho, Frozen::Nothing) == Frozen::All
+    }
+
+    /// Sums what N and ρ have added since they came to rest.
+    fn settle(&mut self) {
+        if let Some((spread, gain)) = self.still.take() {
+            self.step.rested(&self.bars, &gain, &spread, &self.rest, &mut self.sums);
+        }
+        self.rest = Rest::ZERO;
+    }
+
+    /// The adjoints of the states before the stretch, and of its coefficients.
+    fn finish(&self, steps: &Steps<'_>, work: &mut BackwardWork) {
+        let (run, sums) = (steps.run, &self.sums);
+        let r = run.design.frame.r;
+        let adjoint = &mut work.adjoint;
+        adjoint.r[..N].copy_from_slice(&self.bars.r);
+        adjoint.rho[..N * C].copy_from_slice(self.bars.rho.as_flattened());
+        (0..r).for_each(|i| adjoint.N[i * r..][..r].copy_from_slice(&self.bars.N[i][..r]));
+        let mut add = |state: usize, factor: f64, u: f64, upsilon: &[f64; C]| {
+            adjoint.r[state] += factor * u;
+            (0..C).for_each(|j| adjoint.rho[state * C + j] += factor * upsilon[j]);
+        };
+        let (states, h) = run.design.terms(steps.stretch.lines.start);
+        for (&state, &h) in states.iter().zip(h).filter(|(state, _)| **state as usize >= N) {
+            add(state as usize, h, sums.u, &sums.upsilon);
+        }
+        let bar = &mut work.measured;
+        bar.noise.clear();
+        bar.noise.push(sums.noise);
+        bar.value.clear();
+        bar.value.push(-sums.u);
+        bar.h.clear();
+        if run.wanted.equation {
+            bar.h.extend_from_slice(&sums.h);
+            bar.h.extend((N..run.design.frame.n).map(|s| resting(&work.now, s, sums.u, &sums.upsilon)));
+        }
+        let Some(transition) = steps.stretch.transition else { return };
+        let (pattern, bar) = (&transition.pattern, &mut work.moved);
+        bar.input.clear();
+        bar.q.clear();
+        bar.q.extend(pattern.pairs.iter().map(|&(i, j)| {
+            let one = sums.q[i as usize][j as usize];
+            if i == j { one } else { 2.0 * one }
+        }));
+        bar.phi.clear();
+        bar.phi.resize(transition.phi.len(), 0.0);
+        for row in &pattern.moved {
+            let i = row.state as usize;
+            for k in row.start as usize..row.end as usize {
+                let j = pattern.columns[k] as usize;
+                if j >= N {
+                    add(j, transition.phi[k], sums.r[i], &sums.rho[i]);
+                }
+                if run.wanted.motion {
+                    let rests = || resting(&work.now, j, sums.r[i], &sums.rho[i]);
+                    bar.phi[k] = if j < N { sums.phi[i][j] } else { rests() };
+                }
+            }
+        }
+    }
+}
+
+/// ux - υ(ΨC)' of a state that rests.
+fn resting<const C: usize>(now: &Filtered, state: usize, u: f64, upsilon: &[f64; C]) -> f64 {
+    let Psi = &now.Psi[state * C..][..C];
+    u * now.x[state] - upsilon.iter().zip(Psi).map(|(upsilon, Psi)| upsilon * Psi).sum::<f64>()
+}

@@ -1,0 +1,131 @@
+//! The parts in which a record is gone back through, and the way forth over them.
+
+use crate::reduce::{Design, Step};
+use crate::score::backward::equal::{Kernel, kernel};
+use crate::score::backward::{BackwardWork, Run, Sink};
+
+/// Steps that are gone back through together.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Part {
+    pub(super) kind: Kind,
+    /// Numbers of the first step, and of the first one after.
+    pub(super) steps: (usize, usize),
+    /// The stretch that the first step is of, and its number there.
+    pub(super) stretch: usize,
+    skip: usize,
+    /// First known input.
+    input: usize,
+    /// Where the state of the forward filter before it is kept.
+    pub(super) mark: usize,
+}
+
+/// How.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Kind {
+    /// One by one.
+    Steps,
+    /// A whole stretch of equal ones, summed.
+    Equal(Kernel),
+}
+
+impl Part {
+    /// Its steps, in order.
+    pub(super) fn steps<'a>(&self, design: &'a Design) -> std::vec::IntoIter<Step<'a>> {
+        let (mut stretch, mut skip) = (self.stretch, self.skip);
+        let mut steps = Vec::with_capacity(self.steps.1 - self.steps.0);
+        while steps.len() < self.steps.1 - self.steps.0 {
+            let left = self.steps.1 - self.steps.0 - steps.len();
+            steps.extend(design.stretch(stretch).steps().skip(skip).take(left));
+            (stretch, skip) = (stretch + 1, 0);
+        }
+        steps.into_iter()
+    }
+}
+
+impl Run<'_> {
+    /// Length of a kept state.
+    pub(super) fn stride(&self) -> usize {
+        let frame = &self.design.frame;
+        frame.n + frame.r * frame.r + frame.n * self.moments.columns
+    }
+
+    /// The filter at ξ = x̂ under the gains of the design: its innovations, its parts, and its state where they begin.
+    pub(super) fn forward<S: Sink>(&self, work: &mut BackwardWork, sink: &mut S) {
+        self.cut(work, sink);
+        work.e.clear();
+        work.e.reserve(self.values.len());
+        work.marks.clear();
+        work.now.begin(self);
+        for at in 0..work.parts.len() {
+            work.parts[at].mark = work.marks.len();
+            if self.tracked() {
+                work.now.save(&mut work.marks);
+            }
+            let part = work.parts[at];
+            match part.kind {
+                Kind::Steps => self.steps_forth(&part, work),
+                Kind::Equal(kernel) => (kernel.forward)(self, &part, work),
+            }
+        }
+    }
+
+    /// Cuts the record into parts.
+    fn cut<S: Sink>(&self, work: &mut BackwardWork, sink: &mut S) {
+        let (parts, cut, driven) = (&mut work.parts, work.cut, self.design.frame.driven.len());
+        parts.clear();
+        let (mut step, mut input) = (0, 0);
+        for (at, stretch) in self.design.stretches().enumerate() {
+            let inputs = if stretch.transition.is_some() { driven } else { 0 };
+            let steps = (step, step + stretch.count);
+            let long = stretch.count > cut.few && driven == 0;
+            let summed = || kernel(self, &stretch).filter(|_| sink.sums(steps.0..steps.1));
+            if let Some(kernel) = long.then(summed).flatten() {
+                parts.push(Part { kind: Kind::Equal(kernel), steps, stretch: at, skip: 0, input, mark: 0 });
+            } else {
+                let mut skip = 0;
+                while skip < stretch.count {
+                    let open = parts
+                        .last_mut()
+                        .filter(|last| matches!(last.kind, Kind::Steps) && last.steps.1 - last.steps.0 < cut.block);
+                    let start = step + skip;
+                    let part = match open {
+                        Some(part) => part,
+                        None => {
+                            let (steps, input) = ((start, start), input + skip * inputs);
+                            parts.push(Part { kind: Kind::Steps, steps, stretch: at, skip, input, mark: 0 });
+                            parts.last_mut().expect("one was pushed")
+                        }
+                    };
+                    let take = (stretch.count - skip).min(cut.block - (part.steps.1 - part.steps.0));
+                    part.steps.1 += take;
+                    skip += take;
+                }
+            }
+            step += stretch.count;
+            input += stretch.count * inputs;
+        }
+    }
+
+    /// Over the steps of a part, one by one; what the filter passes through is kept for the way back.
+    pub(super) fn steps_forth(&self, part: &Part, work: &mut BackwardWork) {
+        let BackwardWork { e, left, before, now, .. } = work;
+        let (driven, mut input) = (self.design.frame.driven.len(), part.input);
+        left.clear();
+        before.clear();
+        for step in part.steps(self.design) {
+            if let Some(transition) = step.transition {
+                if self.wanted.motion {
+                    now.save(left);
+                }
+                now.advance(transition, &self.inputs[input..input + driven], self);
+                input += driven;
+            }
+            for (line, row) in step.lines.zip(step.rows) {
+                if self.wanted.equation {
+                    now.save(before);
+                }
+                now.measure(self, (line, row), e);
+            }
+        }
+    }
+}

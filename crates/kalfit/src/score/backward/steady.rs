@@ -1,0 +1,463 @@
+//! One step of the filter and its way back on arrays of known size, which stay in registers: one scalar measurement of the N
+//! states that move; those that rest are constants.
+
+use crate::reduce::Stretch;
+use crate::score::backward::Run;
+use crate::score::backward::filtered::Filtered;
+
+/// The coefficients of a step. C: columns of ΨC.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Steady<const N: usize, const C: usize> {
+    phi: [[f64; N]; N],
+    Q: [[f64; N]; N],
+    /// What the states that rest add to φx, to φΨC.
+    c: [f64; N],
+    cPsi: [[f64; C]; N],
+    h: [f64; N],
+    /// φ'h and what the states that rest add to h'x: e needs no predicted x.
+    g: [f64; N],
+    d: f64,
+    noise: f64,
+    moves: bool,
+    pub(super) equation: bool,
+    pub(super) motion: bool,
+}
+
+/// P and ΨC.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Spread<const N: usize, const C: usize> {
+    pub(super) P: [[f64; N]; N],
+    pub(super) Psi: [[f64; C]; N],
+}
+
+/// 1/S, K, TC of a row.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Gain<const N: usize, const C: usize> {
+    pub(super) weight: f64,
+    pub(super) K: [f64; N],
+    pub(super) T: [f64; C],
+}
+
+/// r, ρ, N.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Bars<const N: usize, const C: usize> {
+    pub(super) r: [f64; N],
+    pub(super) rho: [[f64; C]; N],
+    pub(super) N: [[f64; N]; N],
+}
+
+/// Adjoints of the coefficients, summed over steps.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Sums<const N: usize, const C: usize> {
+    pub(super) noise: f64,
+    pub(super) u: f64,
+    pub(super) upsilon: [f64; C],
+    pub(super) h: [f64; N],
+    pub(super) q: [[f64; N]; N],
+    pub(super) phi: [[f64; N]; N],
+    /// r and ρ where the transitions end.
+    pub(super) r: [f64; N],
+    pub(super) rho: [[f64; C]; N],
+}
+
+/// Products that are summed while N and ρ rest, so that only r and x change.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Rest<const N: usize> {
+    pub(super) count: usize,
+    u: f64,
+    uu: f64,
+    ux: [f64; N],
+    ur: [f64; N],
+    r: [f64; N],
+    rr: [[f64; N]; N],
+    rx: [[f64; N]; N],
+}
+
+impl<const N: usize, const C: usize> Sums<N, C> {
+    pub(super) const ZERO: Sums<N, C> = Sums {
+        noise: 0.0,
+        u: 0.0,
+        upsilon: [0.0; C],
+        h: [0.0; N],
+        q: [[0.0; N]; N],
+        phi: [[0.0; N]; N],
+        r: [0.0; N],
+        rho: [[0.0; C]; N],
+    };
+}
+
+impl<const N: usize> Rest<N> {
+    pub(super) const ZERO: Rest<N> = Rest {
+        count: 0,
+        u: 0.0,
+        uu: 0.0,
+        ux: [0.0; N],
+        ur: [0.0; N],
+        r: [0.0; N],
+        rr: [[0.0; N]; N],
+        rx: [[0.0; N]; N],
+    };
+}
+
+fn inner<const M: usize>(a: &[f64; M], b: &[f64; M]) -> f64 {
+    let mut sum = 0.0;
+    for i in 0..M {
+        sum += a[i] * b[i];
+    }
+    sum
+}
+
+/// φ'X.
+#[inline(always)]
+fn transposed<const N: usize, const W: usize>(phi: &[[f64; N]; N], x: &[[f64; W]; N]) -> [[f64; W]; N] {
+    let mut out = [[0.0; W]; N];
+    for k in 0..N {
+        for i in 0..N {
+            for j in 0..W {
+                out[i][j] += phi[k][i] * x[k][j];
+            }
+        }
+    }
+    out
+}
+
+/// XY.
+#[inline(always)]
+fn product<const N: usize, const W: usize>(x: &[[f64; N]; N], y: &[[f64; W]; N]) -> [[f64; W]; N] {
+    let mut out = [[0.0; W]; N];
+    for i in 0..N {
+        for k in 0..N {
+            for j in 0..W {
+                out[i][j] += x[i][k] * y[k][j];
+            }
+        }
+    }
+    out
+}
+
+impl<const N: usize, const C: usize> Steady<N, C> {
+    pub(super) fn new(run: &Run<'_>, stretch: &Stretch<'_>, now: &Filtered) -> Steady<N, C> {
+        let line = stretch.lines.start;
+        let mut step = Steady {
+            phi: [[0.0; N]; N],
+            Q: [[0.0; N]; N],
+            c: [0.0; N],
+            cPsi: [[0.0; C]; N],
+            h: [0.0; N],
+            g: [0.0; N],
+            d: 0.0,
+            noise: run.design.noise[line],
+            moves: stretch.transition.is_some(),
+            equation: run.wanted.equation,
+            motion: run.wanted.motion,
+        };
+        (0..N).for_each(|i| step.phi[i][i] = 1.0);
+        if let Some(transition) = stretch.transition {
+            for row in &transition.pattern.moved {
+                let i = row.state as usize;
+                step.phi[i] = [0.0; N];
+                for k in row.start as usize..row.end as usize {
+                    match transition.pattern.columns[k] as usize {
+                        j if j < N => step.phi[i][j] = transition.phi[k],
+                        j => step.rest(i, transition.phi[k], j, now),
+                    }
+                }
+            }
+            for (&(i, j), &q) in transition.pattern.pairs.iter().zip(&transition.q) {
+                let (i, j) = (i as usize, j as usize);
+                (step.Q[i][j], step.Q[j][i]) = (q, q);
+            }
+        }
+        let (states, h) = run.design.terms(line);
+        for (&state, &h) in states.iter().zip(h) {
+            match state as usize {
+                i if i < N => step.h[i] = h,
+                i => step.d += h * now.x[i],
+            }
+        }
+        for i in 0..N {
+            step.d += step.h[i] * step.c[i];
+            (0..N).for_each(|j| step.g[j] += step.h[i] * step.phi[i][j]);
+        }
+        step
+    }
+
+    /// State `i` moves with state `j`, which rests.
+    fn rest(&mut self, i: usize, phi: f64, j: usize, now: &Filtered) {
+        self.c[i] += phi * now.x[j];
+        if !now.Psi.is_empty() {
+            (0..C).for_each(|k| self.cPsi[i][k] += phi * now.Psi[j * C + k]);
+        }
+    }
+
+    /// ē.
+    #[inline(always)]
+    pub(super) fn innovation(&self, x: &[f64; N], z: f64) -> f64 {
+        let mut e = z - self.d;
+        for j in 0..N {
+            e -= self.g[j] * x[j];
+        }
+        e
+    }
+
+    /// φx + c.
+    #[inline(always)]
+    fn predicted(&self, x: &[f64; N]) -> [f64; N] {
+        let mut next = self.c;
+        for i in 0..N {
+            for j in 0..N {
+                next[i] += self.phi[i][j] * x[j];
+            }
+        }
+        next
+    }
+
+    /// x ← φx + c + Ke.
+    #[inline(always)]
+    pub(super) fn state(&self, x: &[f64; N], K: &[f64; N], e: f64) -> [f64; N] {
+        let mut next = self.predicted(x);
+        for i in 0..N {
+            next[i] += K[i] * e;
+        }
+        next
+    }
+
+    /// φΨC, and φPφ' + Q.
+    #[inline(always)]
+    fn spread(&self, from: &Spread<N, C>) -> Spread<N, C> {
+        let mut Psi = product(&self.phi, &from.Psi);
+        let half = product(&self.phi, &from.P);
+        let mut P = self.Q;
+        for i in 0..N {
+            for j in 0..C {
+                Psi[i][j] += self.cPsi[i][j];
+            }
+            for j in 0..N {
+                P[i][j] += inner(&half[i], &self.phi[j]);
+            }
+        }
+        Spread { P, Psi }
+    }
+
+    /// P and ΨC after the step. Where gains rest (`P` false), P does too.
+    #[inline(always)]
+    pub(super) fn advance(&self, from: &Spread<N, C>, gain: &Gain<N, C>, P: bool) -> Spread<N, C> {
+        let K = &gain.K;
+        if !P {
+            let mut Psi = product(&self.phi, &from.Psi);
+            for i in 0..N {
+                for j in 0..C {
+                    Psi[i][j] += self.cPsi[i][j] - K[i] * gain.T[j];
+                }
+            }
+            return Spread { P: from.P, Psi };
+        }
+        let mut to = self.spread(from);
+        let mut G = [0.0; N];
+        for i in 0..N {
+            G[i] = inner(&to.P[i], &self.h);
+        }
+        let S = self.noise + inner(&self.h, &G);
+        for i in 0..N {
+            for j in 0..N {
+                to.P[i][j] += S * K[i] * K[j] - (K[i] * G[j] + G[i] * K[j]);
+            }
+            for j in 0..C {
+                to.Psi[i][j] -= K[i] * gain.T[j];
+            }
+        }
+        to
+    }
+
+    /// Back through one step; x̄, P, ΨC are those before it.
+    #[inline(always)]
+    pub(super) fn back(
+        &self,
+        bars: &mut Bars<N, C>,
+        gain: &Gain<N, C>,
+        e: f64,
+        (x, spread): (&[f64; N], &Spread<N, C>),
+        sums: &mut Sums<N, C>,
+    ) {
+        if gain.weight != 0.0 {
+            self.measured(bars, gain, e, (x, spread), sums);
+        }
+        if !self.moves {
+            return;
+        }
+        for i in 0..N {
+            for j in 0..=i {
+                let squares = bars.r[i] * bars.r[j] + inner(&bars.rho[i], &bars.rho[j]);
+                sums.q[i][j] += 0.5 * (squares - bars.N[i][j]);
+            }
+            sums.r[i] += bars.r[i];
+            for j in 0..C {
+                sums.rho[i][j] += bars.rho[i][j];
+            }
+        }
+        let mut Nphi = [[0.0; N]; N];
+        for i in 0..N {
+            for k in 0..N {
+                for j in 0..N {
+                    Nphi[i][j] += bars.N[i][k] * self.phi[k][j];
+                }
+            }
+        }
+        let (r, rho) = (self.adjoint(&bars.r), transposed(&self.phi, &bars.rho));
+        if self.motion {
+            for j in 0..N {
+                let mut smoothed = x[j];
+                let mut B = spread.Psi[j];
+                for k in 0..N {
+                    smoothed += spread.P[j][k] * r[k];
+                    for l in 0..C {
+                        B[l] -= spread.P[j][k] * rho[k][l];
+                    }
+                }
+                for i in 0..N {
+                    let taken = inner(&bars.rho[i], &B) + inner(&Nphi[i], &spread.P[j]);
+                    sums.phi[i][j] += bars.r[i] * smoothed - taken;
+                }
+            }
+        }
+        *bars = Bars { r, rho, N: transposed(&self.phi, &Nphi) };
+    }
+
+    /// φ'r.
+    #[inline(always)]
+    fn adjoint(&self, r: &[f64; N]) -> [f64; N] {
+        let mut out = [0.0; N];
+        for k in 0..N {
+            for i in 0..N {
+                out[i] += self.phi[k][i] * r[k];
+            }
+        }
+        out
+    }
+
+    #[inline(always)]
+    fn measured(
+        &self,
+        bars: &mut Bars<N, C>,
+        gain: &Gain<N, C>,
+        e: f64,
+        (x, spread): (&[f64; N], &Spread<N, C>),
+        sums: &mut Sums<N, C>,
+    ) {
+        let (weight, K, h) = (gain.weight, &gain.K, &self.h);
+        let u = e * weight - inner(K, &bars.r);
+        let mut upsilon = gain.T;
+        for j in 0..C {
+            upsilon[j] *= weight;
+            for i in 0..N {
+                upsilon[j] -= K[i] * bars.rho[i][j];
+            }
+        }
+        let mut NK = [0.0; N];
+        for i in 0..N {
+            NK[i] = inner(&bars.N[i], K);
+        }
+        let D = weight + inner(&NK, K);
+        sums.noise += 0.5 * (u * u + inner(&upsilon, &upsilon) - D);
+        sums.u += u;
+        for j in 0..C {
+            sums.upsilon[j] += upsilon[j];
+        }
+        for i in 0..N {
+            bars.r[i] += h[i] * u;
+            for j in 0..C {
+                bars.rho[i][j] += h[i] * upsilon[j];
+            }
+        }
+        if self.equation {
+            let (x, spread) = (self.predicted(x), self.spread(spread));
+            for i in 0..N {
+                let mut sum = u * x[i] - inner(&upsilon, &spread.Psi[i]);
+                for j in 0..N {
+                    let rest = u * bars.r[j] + inner(&upsilon, &bars.rho[j]) + NK[j] - h[j] * D;
+                    sum += spread.P[i][j] * rest;
+                }
+                sums.h[i] += sum;
+            }
+        }
+        for i in 0..N {
+            for j in 0..N {
+                bars.N[i][j] += D * (h[i] * h[j]) - (h[i] * NK[j] + NK[i] * h[j]);
+            }
+        }
+    }
+
+    /// Back through one step where N and ρ rest: what changes is summed.
+    #[inline(always)]
+    pub(super) fn rest_back(&self, r: &mut [f64; N], gain: &Gain<N, C>, e: f64, x: &[f64; N], rest: &mut Rest<N>) {
+        let u = e * gain.weight - inner(&gain.K, r);
+        rest.u += u;
+        rest.uu += u * u;
+        for i in 0..N {
+            r[i] += self.h[i] * u;
+        }
+        for i in 0..N {
+            if self.equation {
+                rest.ux[i] += u * x[i];
+                rest.ur[i] += u * r[i];
+            }
+            rest.r[i] += r[i];
+            for j in 0..=i {
+                rest.rr[i][j] += r[i] * r[j];
+            }
+            if self.motion {
+                for j in 0..N {
+                    rest.rx[i][j] += r[i] * x[j];
+                }
+            }
+        }
+        if self.moves {
+            *r = self.adjoint(r);
+        }
+    }
+
+    /// Adds what has been summed while N and ρ rested.
+    pub(super) fn rested(
+        &self,
+        bars: &Bars<N, C>,
+        gain: &Gain<N, C>,
+        spread: &Spread<N, C>,
+        rest: &Rest<N>,
+        sums: &mut Sums<N, C>,
+    ) {
+        // What every step adds: that of a step with e = r = 0.
+        let (mut each, mut still) = (Sums::ZERO, Bars { r: [0.0; N], ..*bars });
+        self.back(&mut still, gain, 0.0, (&[0.0; N], spread), &mut each);
+        let many = rest.count as f64;
+        let before = self.spread(spread);
+        sums.noise += many * each.noise + 0.5 * rest.uu;
+        sums.u += rest.u;
+        for j in 0..C {
+            sums.upsilon[j] += many * each.upsilon[j];
+        }
+        for i in 0..N {
+            sums.h[i] += many * each.h[i] + inner(&self.phi[i], &rest.ux) + self.c[i] * rest.u;
+            sums.h[i] += inner(&before.P[i], &rest.ur);
+        }
+        if !self.moves {
+            return;
+        }
+        let rr = |i: usize, j: usize| rest.rr[i.max(j)][i.min(j)];
+        for i in 0..N {
+            sums.r[i] += rest.r[i];
+            for j in 0..C {
+                sums.rho[i][j] += many * each.rho[i][j];
+            }
+            for j in 0..=i {
+                sums.q[i][j] += many * each.q[i][j] + 0.5 * rest.rr[i][j];
+            }
+            for j in 0..N {
+                sums.phi[i][j] += many * each.phi[i][j] + rest.rx[i][j];
+                for l in 0..N {
+                    let moved: f64 = (0..N).map(|m| self.phi[m][l] * rr(i, m)).sum();
+                    sums.phi[i][j] += spread.P[j][l] * moved;
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,382 @@
+//! Adjoints against differences of the likelihood, and every way through a record against the plain one.
+
+use std::sync::Arc;
+
+use nalgebra::{DMatrix, DVector};
+
+use super::*;
+use crate::estimate::InitialLaw;
+use crate::reduce::Transition;
+use crate::reduce::{DENSE, Data, DataWork, Frame, GainsWork, Path, Pattern, Reduction, information_gains, outcome};
+use crate::score::moments::moments;
+
+/// A test by hand: four states, the first two noisy, three unknowns; every number of it is its own.
+#[derive(Debug, Clone)]
+struct Numbers {
+    phi: Vec<Vec<f64>>,
+    q: Vec<Vec<f64>>,
+    h: Vec<f64>,
+    noise: Vec<f64>,
+    values: Vec<f64>,
+    inputs: Vec<f64>,
+    start: Vec<f64>,
+    variance: Vec<f64>,
+}
+
+const STEPS: usize = 5;
+
+fn design(numbers: &Numbers) -> (Design, Data) {
+    let mut pattern = Pattern::default();
+    pattern.push(0, 2, [0, 1, 3].into_iter());
+    pattern.push(1, 2, [0, 1].into_iter());
+    pattern.push(2, 2, [2, 3].into_iter());
+    pattern.pairs = vec![(0, 0), (1, 0), (1, 1)];
+    let pattern = Arc::new(pattern.seal());
+    let mut sensitivity = vec![0.0; 12];
+    sensitivity[0] = 1.0;
+    sensitivity[2 * 3 + 1] = 1.0;
+    sensitivity[3 * 3 + 2] = 1.0;
+    let frame = Frame { n: 4, p: 3, r: 2, rows: vec![DENSE; 4], sensitivity, driven: vec![0, 2], digest: 0 };
+    let mut design = Design::new(Arc::new(frame.seal()));
+    design.variance.copy_from_slice(&numbers.variance);
+    for k in 0..STEPS {
+        let (phi, q) = (numbers.phi[k].clone(), numbers.q[k].clone());
+        let transition = (k > 0).then(|| Arc::new(Transition::new(pattern.clone(), phi, q)));
+        for row in 2 * k..2 * k + 2 {
+            design.states.extend(if row % 2 == 0 { vec![0, 1, 2] } else { vec![0, 3] });
+            design.ends.push(design.states.len());
+        }
+        design.push_step(transition);
+    }
+    design.h.clone_from(&numbers.h);
+    design.noise.clone_from(&numbers.noise);
+    let sizes = vec![1.0; numbers.values.len()];
+    (
+        design,
+        Data {
+            start: numbers.start.clone(),
+            inputs: numbers.inputs[2..].to_vec(),
+            values: numbers.values.clone(),
+            sizes,
+        },
+    )
+}
+
+fn reduced(numbers: &Numbers) -> (Design, Data, Gains, Reduction) {
+    let (design, data) = design(numbers);
+    let gains = information_gains(&design, &mut GainsWork::default()).expect("well conditioned");
+    let found = outcome(&design, &gains, &data, &mut DataWork::default()).expect("possible");
+    let reduction = Reduction {
+        test: String::new(),
+        constant: found.constant,
+        data: found.data,
+        factor: gains.factor.clone(),
+        covariates: Vec::new(),
+        steps: STEPS,
+        observations: 10,
+        path: Path::Information,
+        design: 0,
+    };
+    (design, data, gains, reduction)
+}
+
+fn prior() -> (DVector<f64>, DMatrix<f64>) {
+    let root = DMatrix::from_row_slice(3, 2, &[0.8, 0.1, -0.3, 0.9, 0.4, 0.2]);
+    (DVector::from_vec(vec![0.3, -0.2, 0.5]), root)
+}
+
+/// ℓ = log ∫ p(z | ξ) N(ξ; μ, FF') dξ, densely.
+fn likelihood(numbers: &Numbers) -> f64 {
+    let (_, _, _, reduction) = reduced(numbers);
+    let (mean, root) = prior();
+    let factor = crate::estimate::unpack(&reduction.factor, 3);
+    let residual = DVector::from_vec(reduction.data) - &factor * mean;
+    let rf = factor * root;
+    let spread = DMatrix::identity(3, 3) + &rf * rf.transpose();
+    let cholesky = spread.cholesky().expect("positive definite");
+    reduction.constant - 0.5 * cholesky.determinant().ln() - 0.5 * residual.dot(&cholesky.solve(&residual))
+}
+
+#[derive(Default)]
+struct Kept {
+    noise: Vec<(usize, f64)>,
+    value: Vec<(usize, f64)>,
+    h: Vec<(usize, Vec<f64>)>,
+    moved: Vec<(usize, MovedBar)>,
+    mean: Vec<f64>,
+    variance: Vec<f64>,
+}
+
+impl Sink for Kept {
+    type Error = std::convert::Infallible;
+    fn sums(&mut self, _: Range<usize>) -> bool {
+        false
+    }
+    fn measured(&mut self, k: usize, bar: &MeasuredBar) -> Result<(), Self::Error> {
+        for i in 0..2 {
+            self.noise.push((2 * k + i, bar.noise[i]));
+            self.value.push((2 * k + i, bar.value[i]));
+            self.h.push((2 * k + i, bar.h[i * 4..][..4].to_vec()));
+        }
+        Ok(())
+    }
+    fn moved(&mut self, k: usize, bar: &MovedBar) -> Result<(), Self::Error> {
+        self.moved.push((k, bar.clone()));
+        Ok(())
+    }
+    fn started(&mut self, mean: &[f64], variance: &[f64]) -> Result<(), Self::Error> {
+        (self.mean, self.variance) = (mean.to_vec(), variance.to_vec());
+        Ok(())
+    }
+}
+
+fn numbers() -> Numbers {
+    let mut seed = 7u64;
+    let mut next = || {
+        seed = seed.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        (seed >> 40) as f64 / f64::from(1 << 24) - 0.5
+    };
+    let mut list = |n: usize| (0..n).map(|_| next()).collect::<Vec<f64>>();
+    Numbers {
+        phi: (0..STEPS).map(|_| list(7)).collect(),
+        q: (0..STEPS).map(|_| list(3).iter().zip([1.0, 0.1, 1.0]).map(|(x, m)| m * (x + 0.8)).collect()).collect(),
+        h: list(5 * STEPS),
+        noise: list(2 * STEPS).iter().map(|x| x + 0.7).collect(),
+        values: list(2 * STEPS),
+        inputs: list(2 * STEPS),
+        start: list(4),
+        variance: vec![0.5, 0.0, 0.1, 0.4],
+    }
+}
+
+#[test]
+fn adjoints_equal_differences_of_the_likelihood() {
+    let all = numbers();
+    let (design, data, gains, reduction) = reduced(&all);
+    let (mean, root) = prior();
+    let moments = moments(&reduction, &InitialLaw::known(mean, root));
+    let wanted = Wanted { motion: true, equation: true };
+    let run = Run {
+        design: &design,
+        gains: &gains,
+        start: &data.start,
+        inputs: &data.inputs,
+        values: &data.values,
+        moments: &moments,
+        wanted,
+    };
+    let mut kept = Kept::default();
+    let Ok(()) = run.backward(&mut BackwardWork::default(), &mut kept);
+    let check = |what: &str, found: f64, change: &dyn Fn(&mut Numbers, f64)| {
+        let at = |x: f64| {
+            let mut moved = all.clone();
+            change(&mut moved, x);
+            likelihood(&moved)
+        };
+        let h = 1e-4;
+        let expected = (8.0 * (at(h) - at(-h)) - (at(2.0 * h) - at(-2.0 * h))) / (12.0 * h);
+        assert!((found - expected).abs() <= 2e-9 * (1.0 + expected.abs()), "{what}: {found} against {expected}");
+    };
+    for &(row, bar) in &kept.noise {
+        check(&format!("R of {row}"), bar, &|n, x| n.noise[row] += x);
+    }
+    for &(row, bar) in &kept.value {
+        check(&format!("z of {row}"), bar, &|n, x| n.values[row] += x);
+    }
+    for (row, bar) in &kept.h {
+        let (states, _) = design.terms(*row);
+        let first = design.ends[*row] - states.len();
+        for (i, &state) in states.iter().enumerate() {
+            check(&format!("h of {row} on {state}"), bar[state as usize], &|n, x| n.h[first + i] += x);
+        }
+    }
+    for (k, bar) in &kept.moved {
+        for (i, &phi) in bar.phi.iter().enumerate() {
+            check(&format!("φ {i} of step {k}"), phi, &|n, x| n.phi[*k][i] += x);
+        }
+        for (i, &q) in bar.q.iter().enumerate() {
+            check(&format!("Q {i} of step {k}"), q, &|n, x| n.q[*k][i] += x);
+        }
+        for (i, &b) in bar.input.iter().enumerate() {
+            check(&format!("b {i} of step {k}"), b, &|n, x| n.inputs[2 * k + i] += x);
+        }
+    }
+    for (i, &a) in kept.mean.iter().enumerate() {
+        check(&format!("a {i}"), a, &|n, x| n.start[i] += x);
+    }
+    for (i, j) in [(0, 0), (1, 0), (1, 1)] {
+        let both = if i == j { kept.variance[i * 2 + j] } else { 2.0 * kept.variance[i * 2 + j] };
+        check(&format!("P0 {i} {j}"), both, &|n, x| n.variance[i * 2 + j] += x);
+    }
+}
+
+/// Sums of adjoints over each stretch.
+#[derive(Debug, Default, Clone, PartialEq)]
+struct Totals {
+    ends: Vec<usize>,
+    takes_sums: bool,
+    /// Of each stretch: R̄, z̄, h̄, φ̄, Q̄, each line by itself.
+    bars: std::collections::BTreeMap<usize, [Vec<f64>; 5]>,
+    start: Vec<f64>,
+}
+
+impl Totals {
+    fn new(design: &Design, takes_sums: bool) -> Totals {
+        Totals { ends: design.runs.iter().map(|run| run.steps).collect(), takes_sums, ..Totals::default() }
+    }
+
+    fn add(&mut self, k: usize, what: usize, bars: &[f64]) {
+        let at = self.ends.partition_point(|&end| end <= k);
+        let list = &mut self.bars.entry(at).or_default()[what];
+        list.resize(bars.len(), 0.0);
+        list.iter_mut().zip(bars).for_each(|(sum, bar)| *sum += bar);
+    }
+
+    #[track_caller]
+    fn check(&self, other: &Totals) {
+        let near = |what: &str, a: &[f64], b: &[f64]| {
+            let size = 1e-3 + a.iter().fold(0.0f64, |most, x| most.max(x.abs()));
+            assert_eq!(a.len(), b.len(), "{what}");
+            for (a, b) in a.iter().zip(b) {
+                assert!((a - b).abs() <= 1e-10 * size, "{what}: {a} against {b}, largest {size}");
+            }
+        };
+        assert_eq!(self.bars.len(), other.bars.len());
+        for ((at, a), b) in self.bars.iter().zip(other.bars.values()) {
+            for (what, (a, b)) in ["R", "z", "h", "φ", "Q"].iter().zip(a.iter().zip(b)) {
+                near(&format!("{what} of stretch {at}"), a, b);
+            }
+        }
+        near("start", &self.start, &other.start);
+    }
+}
+
+impl Sink for Totals {
+    type Error = std::convert::Infallible;
+    fn sums(&mut self, _: Range<usize>) -> bool {
+        self.takes_sums
+    }
+    fn measured(&mut self, k: usize, bar: &MeasuredBar) -> Result<(), Self::Error> {
+        [&bar.noise, &bar.value, &bar.h].iter().enumerate().for_each(|(what, bars)| self.add(k, what, bars));
+        Ok(())
+    }
+    fn moved(&mut self, k: usize, bar: &MovedBar) -> Result<(), Self::Error> {
+        [&bar.phi, &bar.q].iter().enumerate().for_each(|(what, bars)| self.add(k, 3 + what, bars));
+        Ok(())
+    }
+    fn started(&mut self, mean: &[f64], variance: &[f64]) -> Result<(), Self::Error> {
+        self.start = [mean, variance].concat();
+        Ok(())
+    }
+}
+
+/// Long stretches of equal steps, with others between: two noisy states, one that a constant moves, the constant.
+fn long() -> (Design, Data) {
+    let mut pattern = Pattern::default();
+    pattern.push(0, 2, [0, 1, 3].into_iter());
+    pattern.push(1, 2, [1].into_iter());
+    pattern.push(2, 2, [2, 3].into_iter());
+    pattern.pairs = vec![(0, 0), (1, 0), (1, 1)];
+    let pattern = Arc::new(pattern.seal());
+    let mut sensitivity = vec![0.0; 12];
+    (sensitivity[0], sensitivity[2 * 3 + 1], sensitivity[3 * 3 + 2]) = (1.0, 1.0, 1.0);
+    let frame = Frame { n: 4, p: 3, r: 2, rows: vec![DENSE; 4], sensitivity, driven: Vec::new(), digest: 0 };
+    let mut design = Design::new(Arc::new(frame.seal()));
+    design.variance.copy_from_slice(&[0.5, 0.0, 0.1, 0.4]);
+    let transition = |x: f64| {
+        let phi = vec![0.8 + x, 0.1, 0.2, 0.9 - x, 0.7, 0.3 + x];
+        Arc::new(Transition::new(pattern.clone(), phi, vec![0.3, 0.05 + x, 0.2 + x]))
+    };
+    let mut step = |transition: Option<Arc<Transition>>, lines: usize, count: usize| {
+        for line in 0..lines {
+            design.states.extend([0, 1, 2, 3]);
+            design.h.extend([1.0, 0.5 - 0.3 * line as f64, -0.4, 0.6]);
+            design.ends.push(design.states.len());
+            design.noise.push(0.7 + 0.1 * line as f64);
+        }
+        design.push_step(transition);
+        design.repeat(count - 1);
+    };
+    step(None, 1, 1);
+    step(Some(transition(0.0)), 1, 1500);
+    step(Some(transition(0.05)), 2, 1);
+    step(Some(transition(0.0)), 0, 3);
+    step(Some(transition(0.02)), 1, 20);
+    step(Some(transition(0.01)), 1, 900);
+    step(Some(transition(0.03)), 2, 700);
+    let rows = design.rows();
+    let values = (0..rows).map(|row| ((row * row) as f64 * 0.618_033_988_749_895).fract() * 4.0 - 1.5).collect();
+    (design, Data { start: vec![0.1, -0.2, 0.3, 0.4], inputs: Vec::new(), values, sizes: vec![1.0; rows] })
+}
+
+fn totals(cut: Cut, unfrozen: bool, wanted: Wanted, takes_sums: bool) -> Totals {
+    let (design, data) = long();
+    let mut work = GainsWork::default();
+    work.settling.off = unfrozen;
+    let gains = information_gains(&design, &mut work).expect("well conditioned");
+    let (mean, root) = prior();
+    let found = outcome(&design, &gains, &data, &mut DataWork::default()).expect("possible");
+    let reduction = Reduction {
+        test: String::new(),
+        constant: found.constant,
+        data: found.data,
+        factor: gains.factor.clone(),
+        covariates: Vec::new(),
+        steps: design.steps(),
+        observations: design.rows(),
+        path: Path::Information,
+        design: 0,
+    };
+    let moments = moments(&reduction, &InitialLaw::known(mean, root));
+    let run = Run {
+        design: &design,
+        gains: &gains,
+        start: &data.start,
+        inputs: &data.inputs,
+        values: &data.values,
+        moments: &moments,
+        wanted,
+    };
+    let mut back = BackwardWork { cut, ..BackwardWork::default() };
+    back.set_unfrozen(unfrozen);
+    let mut totals = Totals::new(&design, takes_sums);
+    let Ok(()) = run.backward(&mut back, &mut totals);
+    let first = totals.clone();
+    totals = Totals::new(&design, takes_sums);
+    let Ok(()) = run.backward(&mut back, &mut totals); // nothing is left of the first time
+    assert_eq!(totals, first);
+    totals
+}
+
+const ALL: Wanted = Wanted { motion: true, equation: true };
+
+#[test]
+fn blocks_have_the_bits_of_one_block() {
+    let cut = |block: usize| Cut { block, ..Cut::default() };
+    for wanted in [ALL, Wanted::default(), Wanted { motion: true, equation: false }] {
+        for sums in [true, false] {
+            let whole = totals(cut(1 << 20), false, wanted, sums);
+            for block in [1, 37, 256] {
+                assert_eq!(totals(cut(block), false, wanted, sums), whole, "{wanted:?}, {sums}, {block}");
+            }
+        }
+    }
+}
+
+#[test]
+fn equal_steps_summed_are_the_steps_one_by_one() {
+    for wanted in [ALL, Wanted::default(), Wanted { motion: false, equation: true }] {
+        let each = totals(Cut::default(), true, wanted, false);
+        totals(Cut::default(), true, wanted, true).check(&each);
+        totals(Cut { few: 1, ..Cut::default() }, true, wanted, true).check(&each);
+    }
+}
+
+#[test]
+fn frozen_equals_unfrozen() {
+    for wanted in [ALL, Wanted::default()] {
+        let each = totals(Cut::default(), true, wanted, false);
+        totals(Cut::default(), false, wanted, true).check(&each);
+        totals(Cut::default(), false, wanted, false).check(&each);
+    }
+}

@@ -1,0 +1,229 @@
+//! Scores of long records against differences of ℓ.
+
+use nalgebra::{DMatrix, DVector};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+
+use super::*;
+use crate::ensemble::{Labels, Source};
+use crate::estimate::{InitialLaw, unpack};
+use crate::model::{
+    Clock, Column, CovarianceStructure, Expression, Initial, Linear, MeanStructure, Measurement, Model, Motion,
+    Operator, Parameter, State, Value,
+};
+use crate::reduce::Reduction;
+
+fn number(x: f64) -> Expression {
+    Expression::Number(x)
+}
+
+fn alpha(index: usize) -> Expression {
+    Expression::Parameter(index)
+}
+
+fn binary(operator: Operator, a: Expression, b: Expression) -> Expression {
+    Expression::Binary(operator, Box::new(a), Box::new(b))
+}
+
+fn over(a: Expression, b: Expression) -> Expression {
+    binary(Operator::Divide, a, b)
+}
+
+fn square(a: Expression) -> Expression {
+    binary(Operator::Power, a, number(2.0))
+}
+
+fn state(name: &str, motion: Motion, initial: Initial) -> State {
+    State { name: name.to_owned(), unit: None, motion, initial, offset: None, random: true }
+}
+
+/// z = bias + scale·walk + drift + level + v; α = (q, τ, σ, r, scale, level), of which the first `free` are free.
+fn model(free: usize) -> Model {
+    let continuous = |terms: Vec<(usize, Expression)>, noise_variance: Expression| Motion::Continuous {
+        derivative: Linear { terms, constant: number(0.0) },
+        noise_variance,
+    };
+    let walk = continuous(Vec::new(), square(alpha(0)));
+    let spread = over(binary(Operator::Multiply, number(2.0), square(alpha(2))), alpha(1));
+    let drift = continuous(vec![(2, over(number(-1.0), alpha(1)))], spread);
+    let states = vec![
+        state("bias", Motion::Constant, Initial::Estimated),
+        state("walk", walk, Initial::Known { mean: number(0.0), variance: number(0.0) }),
+        state("drift", drift, Initial::Stationary),
+    ];
+    let parameter = |k: usize| Parameter {
+        name: format!("a{k}"),
+        unit: None,
+        value: if k < free { Value::Free { start: None } } else { Value::Fixed(VALUES[k]) },
+        per: None,
+        fixed_levels: std::collections::BTreeMap::new(),
+        lower: None,
+        upper: None,
+        positive: false,
+    };
+    let named = |name: &&str| Column { name: (*name).to_owned(), used_in: String::new() };
+    Model {
+        title: String::new(),
+        columns: ["t", "z"].iter().map(named).collect(),
+        text_columns: Vec::new(),
+        literals: Vec::new(),
+        parameters: (0..VALUES.len()).map(parameter).collect(),
+        process_noise_covariance: Vec::new(),
+        measurements: vec![Measurement {
+            name: "z".to_owned(),
+            column: 1,
+            filter: None,
+            equation: Linear { terms: vec![(0, number(1.0)), (1, alpha(4)), (2, number(1.0))], constant: alpha(5) },
+            noise_variance: square(alpha(3)),
+        }],
+        noise_covariance: Vec::new(),
+        clock: Clock { time: Some(0), ..Clock::default() },
+        group: None,
+        mean: MeanStructure::free(1),
+        covariance: CovarianceStructure::full(),
+        estimated: vec![0],
+        states,
+    }
+}
+
+const VALUES: [f64; 6] = [0.05, 2.0, 0.4, 0.8, 1.3, 0.1];
+
+/// What the model says of it, simulated.
+fn record(rows: u32) -> Test {
+    let mut rng = ChaCha8Rng::seed_from_u64(11);
+    let mut normal = || -> f64 { rng.sample(StandardNormal) };
+    let [q, tau, sigma, r, scale, level] = VALUES;
+    let (step, bias) = (0.01, 0.7);
+    let keep = (-step / tau).exp();
+    let (mut walk, mut drift) = (0.0, sigma * normal());
+    let mut test = Test::new("long", 2, 0);
+    for k in 0..rows {
+        let z = bias + scale * walk + drift + level + r * normal();
+        test.push(&[f64::from(k) * step, z], &[], Source { file: 0, row: u64::from(k) });
+        walk += q * step.sqrt() * normal();
+        drift = keep * drift + sigma * (1.0 - keep * keep).sqrt() * normal();
+    }
+    test
+}
+
+fn law() -> InitialLaw {
+    InitialLaw::known(DVector::from_vec(vec![0.4]), DMatrix::from_vec(1, 1, vec![0.6]))
+}
+
+fn likelihood(reduction: &Reduction) -> f64 {
+    let law = law();
+    let factor = unpack(&reduction.factor, 1);
+    let residual = DVector::from_vec(reduction.data.clone()) - &factor * law.mean_of(&[]);
+    let rf = factor * &law.root;
+    let spread = DMatrix::identity(1, 1) + &rf * rf.transpose();
+    let cholesky = spread.cholesky().expect("positive definite");
+    reduction.constant - 0.5 * cholesky.determinant().ln() - 0.5 * residual.dot(&cholesky.solve(&residual))
+}
+
+fn at(model: &Model, slots: &Slots, values: &[f64], test: &Test, unfrozen: bool) -> (f64, Gradient) {
+    let reducer = Reducer::scoring(model, &slots.alpha(model, values), slots).expect("sound");
+    let mut reducer = if unfrozen { reducer.unfrozen() } else { reducer };
+    let tests = std::slice::from_ref(test);
+    let reductions = reducer.reduce(tests).expect("sound");
+    let moments = vec![moments(&reductions[0], &law())];
+    let scorer = Scorer::new(&reducer, slots).expect("differentiable");
+    (likelihood(&reductions[0]), scorer.scores(tests, &moments).expect("sound").remove(0))
+}
+
+#[test]
+fn the_score_of_a_long_record_equals_differences() {
+    let test = record(100_000);
+    for free in [1, 4, 6] {
+        let model = model(free);
+        let slots = Slots::new(&model, &Labels::default(), std::slice::from_ref(&test));
+        let values = &VALUES[..free];
+        let (_, score) = at(&model, &slots, values, &test, false);
+        let (_, full) = at(&model, &slots, values, &test, true);
+        for slot in 0..free {
+            let ell = |x: f64| {
+                let mut moved = values.to_vec();
+                moved[slot] += x;
+                at(&model, &slots, &moved, &test, false).0
+            };
+            let h = 2e-3 * values[slot];
+            let central = |h: f64| (ell(h) - ell(-h)) / (2.0 * h);
+            let expected = (4.0 * central(h) - central(2.0 * h)) / 3.0;
+            let (found, full) = (score[slot].1, full[slot].1);
+            // ℓ is about 1e5, and is told apart to 1e-10 of that
+            let bound = 1e-6 * expected.abs() + 1e-4 / values[slot];
+            assert!((found - expected).abs() <= bound, "{free}, slot {slot}: {found} against {expected}");
+            let size = full.abs().max(1.0 / values[slot]);
+            assert!((found - full).abs() <= 1e-8 * size, "{free}, slot {slot}: {found}, unfrozen {full}");
+        }
+    }
+}
+
+#[test]
+fn a_long_record_is_scored_to_the_same_bits_on_any_thread() {
+    let tests: Vec<Test> = (0..4).map(|k| record(3000 + 700 * k)).collect();
+    let model = model(6);
+    let slots = Slots::new(&model, &Labels::default(), &tests);
+    let mut reducer = Reducer::scoring(&model, &slots.alpha(&model, &VALUES), &slots).expect("sound");
+    let reductions = reducer.reduce(&tests).expect("sound");
+    let moments: Vec<Moments> = reductions.iter().map(|reduction| moments(reduction, &law())).collect();
+    let scorer = Scorer::new(&reducer, &slots).expect("differentiable");
+    let together = scorer.scores(&tests, &moments).expect("sound");
+    for k in 0..tests.len() {
+        let alone = scorer.scores(&tests[k..=k], &moments[k..=k]).expect("sound");
+        assert_eq!(alone[0], together[k]);
+    }
+}
+
+/// `cargo test -p kalfit --lib score::tests::costs -- --ignored --nocapture`: nanoseconds a row, forward and backward.
+#[test]
+#[ignore = "a measurement"]
+fn costs() {
+    let best = |work: &mut dyn FnMut()| {
+        let time = |work: &mut dyn FnMut()| {
+            let start = std::time::Instant::now();
+            work();
+            start.elapsed().as_secs_f64()
+        };
+        (0..5).map(|_| time(work)).fold(f64::INFINITY, f64::min)
+    };
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("one thread");
+    let long = vec![record(1_000_000)];
+    let short: Vec<Test> = (0..5000).map(|_| record(10)).collect();
+    let mut lines = Vec::new();
+    for (name, tests) in [("long", &long), ("short", &short)] {
+        for free in [1, 4, 6] {
+            let model = model(free);
+            let slots = Slots::new(&model, &Labels::default(), tests);
+            let alpha = slots.alpha(&model, &VALUES[..free]);
+            let rows: usize = tests.iter().map(Test::rows).sum();
+            pool.install(|| {
+                let mut forward = f64::INFINITY;
+                let mut prepare = f64::INFINITY;
+                for _ in 0..5 {
+                    let mut reducer = Reducer::scoring(&model, &alpha, &slots).expect("sound");
+                    let start = std::time::Instant::now();
+                    reducer.reduce(tests).expect("sound");
+                    forward = forward.min(start.elapsed().as_secs_f64());
+                    let mut work = reducer.workspace();
+                    let start = std::time::Instant::now();
+                    tests.iter().for_each(|test| reducer.with_gains(test, &mut work, |_, _| ()).expect("sound"));
+                    prepare = prepare.min(start.elapsed().as_secs_f64());
+                }
+                let mut reducer = Reducer::scoring(&model, &alpha, &slots).expect("sound");
+                let reductions = reducer.reduce(tests).expect("sound");
+                let moments: Vec<Moments> = reductions.iter().map(|reduction| moments(reduction, &law())).collect();
+                let scorer = Scorer::new(&reducer, &slots).expect("differentiable");
+                let backward = best(&mut || drop(scorer.scores(tests, &moments).expect("sound")));
+                let row = 1e9 / rows as f64;
+                lines.push(format!(
+                    "{name}, {free} free: forward {:.1}, of which preparation {:.1}; backward with preparation {:.1} ns a row",
+                    forward * row,
+                    prepare * row,
+                    backward * row
+                ));
+            });
+        }
+    }
+    panic!("\n{}", lines.join("\n"));
+}
