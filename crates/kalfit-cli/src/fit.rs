@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use kalfit::dynamic::Method;
 use kalfit::estimate::{Criterion, Structure};
 use kalfit::infer::StdErrors;
 use kalfit::model::Population;
@@ -27,6 +26,8 @@ pub(crate) fn run(job: &FitJob) -> Result<Outcome, Failure> {
     let free = model::has_free(&spec.model);
     if !free {
         refuse_idle(job)?;
+    } else if job.choices.std_errors != StdErrors::Observed {
+        return Err(Failure::FreeErrors);
     }
     let inputs = Input::expand(&job.data).map_err(|error| Failure::data(error, &spec))?;
     let output = job.out.as_deref().map(|path| Output::prepare(path, &files(job, &inputs))).transpose()?;
