@@ -3,13 +3,14 @@
 use nalgebra::DVector;
 
 use crate::dynamic::bench::{Bench, Solved};
+use crate::dynamic::em::Em;
 use crate::dynamic::joint::{self, Joint};
 use crate::dynamic::{DynamicError, Method, Standing};
 use crate::estimate::{Progress, Step, Stop};
 use crate::model::Population;
 
 /// Longest step of a logarithm.
-const LONGEST: f64 = 2.0;
+pub(super) const LONGEST: f64 = 2.0;
 /// How often one step is tried with more damping.
 const TRIES: usize = 14;
 /// Most outer steps.
@@ -26,7 +27,7 @@ const RETURN: f64 = 1e-2;
 
 /// Where a search is.
 pub(crate) struct Search<'b, 'a> {
-    bench: &'b Bench<'a>,
+    pub(super) bench: &'b Bench<'a>,
     progress: &'b mut dyn Progress,
     pub(crate) home: Solved,
     pub(crate) standing: Vec<Standing>,
@@ -68,7 +69,7 @@ impl<'b, 'a> Search<'b, 'a> {
     }
 
     /// Values at bounds that want to go beyond are held there, others are let go.
-    fn place(&mut self) {
+    pub(super) fn place(&mut self) {
         for s in 0..self.standing.len() {
             let (coordinate, value, slope) = (self.bench.coordinates[s], self.home.values[s], self.home.gradient[s]);
             self.standing[s] = match self.standing[s] {
@@ -81,11 +82,11 @@ impl<'b, 'a> Search<'b, 'a> {
         }
     }
 
-    fn active(&self) -> Vec<bool> {
+    pub(super) fn active(&self) -> Vec<bool> {
         self.standing.iter().map(|standing| *standing == Standing::Inside).collect()
     }
 
-    fn tolerance(&self) -> f64 {
+    pub(super) fn tolerance(&self) -> f64 {
         self.bench.settings.inner.tolerance.max(1e-7)
     }
 
@@ -140,14 +141,14 @@ impl<'b, 'a> Search<'b, 'a> {
         Ok(End { home: self.home, standing: self.standing, joint, certificate, stop, trace: self.trace })
     }
 
-    fn tell(&mut self, decrement: f64) {
+    pub(super) fn tell(&mut self, decrement: f64) {
         self.trace.push(self.home.value());
         let passes = self.bench.filter_passes();
         self.progress.step(Step { passes, log_likelihood: self.home.value(), decrement: Some(decrement) });
     }
 
     /// ℓ at other values, from the (μ, Σ) at hand; `None` where it is not defined.
-    fn at(&self, values: &[f64]) -> Option<Solved> {
+    pub(super) fn at(&self, values: &[f64]) -> Option<Solved> {
         let near = Population::from(&self.home.estimate);
         let solved = self.bench.solve(values, Some(&near)).ok()?;
         solved.value().is_finite().then_some(solved)
@@ -194,7 +195,7 @@ impl<'b, 'a> Search<'b, 'a> {
     }
 
     /// Logarithms along which ℓ runs level are tried far out: at zero below, far beyond above.
-    fn leap(&mut self, active: &[usize], curvature: &dyn Fn(usize) -> f64) -> bool {
+    pub(super) fn leap(&mut self, active: &[usize], curvature: &dyn Fn(usize) -> f64) -> bool {
         let level = |&s: &usize| {
             let (slope, bend) = (self.home.gradient[s], curvature(s));
             self.bench.coordinates[s].log && slope != 0.0 && bend > 0.0 && bend <= LEVEL * slope.abs()
@@ -241,7 +242,7 @@ impl<'b, 'a> Search<'b, 'a> {
     }
 
     /// Values at zero where ℓ rises with their square, or bounded ones whose slope points inward, are let go.
-    fn released(&mut self) -> bool {
+    pub(super) fn released(&mut self) -> bool {
         let zero: Vec<usize> = (0..self.standing.len())
             .filter(|&s| self.bench.coordinates[s].log && self.home.values[s] == 0.0 && !self.returned[s])
             .collect();
@@ -272,6 +273,7 @@ pub(crate) fn search(
 ) -> Result<End, DynamicError> {
     let home = bench.solve(values, near)?;
     match bench.settings.method {
-        Method::Hybrid | Method::Innovations | Method::Em => Search::new(bench, progress, home).run(),
+        Method::Hybrid | Method::Innovations => Search::new(bench, progress, home).run(),
+        Method::Em => Em::new(Search::new(bench, progress, home))?.run(),
     }
 }

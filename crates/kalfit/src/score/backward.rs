@@ -26,6 +26,8 @@ pub(crate) struct Wanted {
     pub(crate) motion: bool,
     /// ∂ℓ/∂h.
     pub(crate) equation: bool,
+    /// Moments of states and noises.
+    pub(crate) smooth: bool,
 }
 
 /// Adjoints of the scalar measurements of one step, as they stand in the design (whitened).
@@ -50,6 +52,26 @@ pub(crate) struct MovedBar {
     pub(crate) input: Vec<f64>,
 }
 
+/// E[x] and Var[x] at one time, given all data of the test.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Smoothed {
+    /// n numbers.
+    pub(crate) mean: Vec<f64>,
+    /// n × n.
+    pub(crate) variance: Vec<f64>,
+}
+
+/// Moments of the noise w of one transition given all data of the test, on the r noise-reachable states.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Driven {
+    /// E[w] (r).
+    pub(crate) mean: Vec<f64>,
+    /// E[ww'] (r × r).
+    pub(crate) second: Vec<f64>,
+    /// Cov[w, x] with the state x before the transition (r × n).
+    pub(crate) cross: Vec<f64>,
+}
+
 /// Takes adjoints from the last step to the first.
 pub(crate) trait Sink {
     /// Why it cannot go on.
@@ -60,6 +82,10 @@ pub(crate) trait Sink {
     fn moved(&mut self, k: usize, bar: &MovedBar) -> Result<(), Self::Error>;
     /// Of a (n) and P0 (r × r, each place by itself).
     fn started(&mut self, mean: &[f64], variance: &[f64]) -> Result<(), Self::Error>;
+    /// Moments of x_0 (`k` = 0) or of the state after step `k` - 1, when they are wanted.
+    fn smoothed(&mut self, _k: usize, _moments: &Smoothed) {}
+    /// Moments of the noise of the transition to step `k`, when they are wanted.
+    fn driven(&mut self, _k: usize, _moments: &Driven) {}
 }
 
 /// What is remembered of the forward pass, and work space.
@@ -72,6 +98,8 @@ pub(crate) struct BackwardWork {
     /// x̄, P, ΨC before each scalar measurement (when h is wanted), and before each transition (when φ is).
     before: Vec<Filtered>,
     left: Vec<Filtered>,
+    /// The same at the start and after each step, when moments are wanted.
+    ends: Vec<Filtered>,
     now: Filtered,
     rows: Vec<f64>,
     r: Vec<f64>,
@@ -81,6 +109,8 @@ pub(crate) struct BackwardWork {
     other: Vec<f64>,
     measured: MeasuredBar,
     moved: MovedBar,
+    smoothed: Smoothed,
+    driven: Driven,
 }
 
 /// State of the forward filter at ξ = x̂: x̄ (n), P (r × r, both triangles), ΨC (n × c).
@@ -119,6 +149,10 @@ impl Run<'_> {
         for k in (0..self.design.steps.len()).rev() {
             let step = &self.design.steps[k];
             let first = if k == 0 { 0 } else { self.design.steps[k - 1].rows };
+            if self.wanted.smooth {
+                work.ends[k + 1].smooth(&work.r, &work.rho, (&work.N, r, c), &mut work.smoothed);
+                sink.smoothed(k + 1, &work.smoothed);
+            }
             if step.rows > first {
                 self.measured(first, step.rows, work);
                 sink.measured(k, &work.measured)?;
@@ -127,7 +161,14 @@ impl Run<'_> {
                 transitions -= 1;
                 self.moved(transition, transitions, work);
                 sink.moved(k, &work.moved)?;
+                if self.wanted.smooth {
+                    sink.driven(k, &work.driven);
+                }
             }
+        }
+        if self.wanted.smooth {
+            work.ends[0].smooth(&work.r, &work.rho, (&work.N, r, c), &mut work.smoothed);
+            sink.smoothed(0, &work.smoothed);
         }
         work.other.clear();
         work.other.extend((0..r * r).map(|ij| {
@@ -141,7 +182,8 @@ impl Run<'_> {
     fn forward(&self, work: &mut BackwardWork) {
         let frame = &self.design.frame;
         let (n, p, c) = (frame.n, frame.p, self.moments.columns);
-        let BackwardWork { e, T, before, left, now, rows, .. } = work;
+        let BackwardWork { e, T, before, left, ends, now, rows, .. } = work;
+        ends.clear();
         e.clear();
         T.clear();
         before.clear();
@@ -160,13 +202,16 @@ impl Run<'_> {
             }
         }
         now.P.clear();
-        if self.wanted.motion || self.wanted.equation {
+        if self.wanted.motion || self.wanted.equation || self.wanted.smooth {
             now.P.extend(full(&self.design.variance, frame.r));
+        }
+        if self.wanted.smooth {
+            ends.push(now.clone());
         }
         let (mut first, mut input) = (0, 0);
         for step in &self.design.steps {
             if let Some(transition) = &step.transition {
-                if self.wanted.motion {
+                if self.wanted.motion || self.wanted.smooth {
                     left.push(now.clone());
                 }
                 let driven = &self.inputs[input..input + frame.driven.len()];
@@ -180,6 +225,9 @@ impl Run<'_> {
                 self.innovate(row, now, (e, T));
             }
             first = step.rows;
+            if self.wanted.smooth {
+                ends.push(now.clone());
+            }
         }
     }
 
@@ -270,7 +318,7 @@ impl Run<'_> {
     fn moved(&self, transition: &Transition, number: usize, work: &mut BackwardWork) {
         let frame = &self.design.frame;
         let (r, c) = (frame.r, self.moments.columns);
-        let BackwardWork { left, r: adjoint, rho, N, NK, other, moved, .. } = work;
+        let BackwardWork { left, r: adjoint, rho, N, NK, other, moved, driven, .. } = work;
         let pattern = &transition.pattern;
         moved.input.clear();
         moved.input.extend(frame.driven.iter().map(|&state| adjoint[state as usize]));
@@ -282,7 +330,10 @@ impl Run<'_> {
         }));
         moved.phi.clear();
         moved.phi.resize(transition.phi.len(), 0.0);
-        if self.wanted.motion {
+        if self.wanted.smooth {
+            driven.at(transition, (adjoint, rho, N), (r, c));
+        }
+        if self.wanted.motion || self.wanted.smooth {
             // the first factors of the products in ∂ℓ/∂φ, before r and ρ move on
             NK.clear();
             NK.extend_from_slice(adjoint);
@@ -301,8 +352,69 @@ impl Run<'_> {
                 &mut moved.phi,
             );
         }
+        if self.wanted.smooth {
+            let rho_before = &NK[frame.n..];
+            driven.across(transition, &left[number], (rho, rho_before), (N, r, c));
+        }
         back(N, r, transition, other);
     }
+}
+
+impl Driven {
+    /// E[w] = Qr, E[ww'] = Q + Q(rr' + ρρ' - N)Q, with r, ρ, N before they move on.
+    fn at(&mut self, transition: &Transition, (adjoint, rho, N): (&[f64], &[f64], &[f64]), (r, c): (usize, usize)) {
+        let q = full_noise(transition, r);
+        self.mean.clear();
+        self.mean.extend((0..r).map(|i| dot(&q[i * r..][..r], adjoint)));
+        let g: Vec<f64> =
+            (0..r * r).map(|ij| second(adjoint, rho, c, ij / r, ij % r) - N[ij]).collect();
+        let qg = product(&q, &g, r, r);
+        self.second = product(&qg, &q, r, r);
+        self.second.iter_mut().zip(&q).for_each(|(second, q)| *second += q);
+    }
+
+    /// Cov[w, x] = -Q(ρB' + NφP), `N` being Nφ, `rho` φ'ρ.
+    fn across(
+        &mut self,
+        transition: &Transition,
+        left: &Filtered,
+        (rho, rho_before): (&[f64], &[f64]),
+        (N, r, c): (&[f64], usize, usize),
+    ) {
+        let n = left.x.len();
+        let B = left.unknown_part(rho, r, c);
+        let mut inner = vec![0.0; r * n];
+        for i in 0..r {
+            for j in 0..n {
+                inner[i * n + j] = -dot(&rho_before[i * c..][..c], &B[j * c..][..c]);
+            }
+            for j in 0..r {
+                inner[i * n + j] -= (0..r).map(|m| N[i * r + m] * left.P[m * r + j]).sum::<f64>();
+            }
+        }
+        self.cross = product(&full_noise(transition, r), &inner, r, n);
+    }
+}
+
+/// Q, both triangles, r × r.
+fn full_noise(transition: &Transition, r: usize) -> Vec<f64> {
+    let mut q = vec![0.0; r * r];
+    for (&(i, j), &value) in transition.pattern.pairs.iter().zip(&transition.q) {
+        q[i as usize * r + j as usize] = value;
+        q[j as usize * r + i as usize] = value;
+    }
+    q
+}
+
+/// AB with A r × r, B r × n.
+fn product(a: &[f64], b: &[f64], r: usize, n: usize) -> Vec<f64> {
+    let mut out = vec![0.0; r * n];
+    for i in 0..r {
+        for (k, &a) in a[i * r..][..r].iter().enumerate().filter(|(_, a)| **a != 0.0) {
+            out[i * n..][..n].iter_mut().zip(&b[k * n..]).for_each(|(out, b)| *out += a * b);
+        }
+    }
+    out
 }
 
 impl Filtered {
@@ -327,6 +439,32 @@ impl Filtered {
                     self.P[j * r + i] += q;
                 }
             }
+        }
+    }
+
+    /// ΨC - Pρ (n × c): what the smoothed state owes to ξ.
+    fn unknown_part(&self, rho: &[f64], r: usize, c: usize) -> Vec<f64> {
+        let mut B = self.Psi.clone();
+        for i in 0..r {
+            for j in 0..r {
+                let P = self.P[i * r + j];
+                (0..c).for_each(|k| B[i * c + k] -= P * rho[j * c + k]);
+            }
+        }
+        B
+    }
+
+    /// The state given all data: x̄ + Pr, and P - PNP + BB'.
+    fn smooth(&self, adjoint: &[f64], rho: &[f64], (N, r, c): (&[f64], usize, usize), out: &mut Smoothed) {
+        let n = self.x.len();
+        let B = self.unknown_part(rho, r, c);
+        out.mean.clone_from(&self.x);
+        out.variance.clear();
+        out.variance.extend((0..n * n).map(|ij| dot(&B[ij / n * c..][..c], &B[ij % n * c..][..c])));
+        let PNP = product(&product(&self.P, N, r, r), &self.P, r, r);
+        for i in 0..r {
+            out.mean[i] += dot(&self.P[i * r..][..r], adjoint);
+            (0..r).for_each(|j| out.variance[i * n + j] += self.P[i * r + j] - PNP[i * r + j]);
         }
     }
 
