@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 
 /// Differences that are remembered.
-const DEPTH: usize = 8;
+const DEPTH: usize = 16;
 /// Singular values below this part of the largest do not count.
 const RANK: f64 = 1e-9;
 

@@ -8,6 +8,8 @@
 
 mod anderson;
 mod ascent;
+#[cfg(test)]
+mod tests;
 mod ways;
 
 use nalgebra::DVector;
@@ -25,6 +27,13 @@ use ways::{Way, ways};
 const PASSES: usize = 20_000;
 /// First look at the certificate.
 const FIRST: usize = 6;
+/// A longer step must raise ℓ by this part of the slope along that of EM, which itself raises it by half of that or more.
+const ENOUGH: f64 = 0.5;
+/// … and an extrapolation by this part.
+const LITTLE: f64 = 0.1;
+/// Bounds of how much longer.
+const SHORTEST: f64 = 2.0;
+const LONGER: f64 = 1024.0;
 /// How often a step that does not raise ℓ is halved.
 const HALVES: usize = 12;
 /// Looks at the certificate without a better one, when steps no longer raise ℓ.
@@ -36,6 +45,8 @@ pub(crate) struct Em<'b, 'a> {
     ways: Vec<Way>,
     ascent: Ascent,
     anderson: Anderson,
+    /// How many times its length a step of EM is tried at.
+    stretch: f64,
 }
 
 /// A look at the certificate.
@@ -48,7 +59,7 @@ struct Look {
 impl<'b, 'a> Em<'b, 'a> {
     pub(crate) fn new(search: Search<'b, 'a>) -> Result<Em<'b, 'a>, DynamicError> {
         let ways = ways(search.bench, &search.home)?;
-        Ok(Em { search, ways, ascent: Ascent::default(), anderson: Anderson::default() })
+        Ok(Em { search, ways, ascent: Ascent::default(), anderson: Anderson::default(), stretch: SHORTEST })
     }
 
     /// To the optimum, certified by differences to both sides.
@@ -123,9 +134,9 @@ impl<'b, 'a> Em<'b, 'a> {
         let promised: f64 = step.iter().zip(&self.search.home.gradient).map(|(d, g)| d * g).sum();
         let near = promised <= (0.1 * self.search.tolerance()).powi(2);
         let further = self.anderson.extrapolate(&self.coordinates(), &step, &active);
-        let moved = further.is_some_and(|further| self.go(&further, 1.0)) || {
+        let moved = further.is_some_and(|further| self.go(&further, (1.0, LITTLE * promised))) || {
             self.anderson.restart();
-            self.halving(&step)
+            self.stretched(&step, promised) || self.halving(&step)
         };
         self.search.place();
         if self.search.active() != active {
@@ -135,9 +146,16 @@ impl<'b, 'a> Em<'b, 'a> {
         Ok(near || !moved)
     }
 
+    /// The step of EM, longer than it is: as much longer as has gone well.
+    fn stretched(&mut self, step: &[f64], promised: f64) -> bool {
+        let well = self.go(step, (self.stretch, ENOUGH * promised));
+        self.stretch = if well { (2.0 * self.stretch).min(LONGER) } else { (0.25 * self.stretch).max(SHORTEST) };
+        well
+    }
+
     /// The step of EM, halved until ℓ does not fall; what is moved on ℓ itself apart from the rest.
     fn halving(&mut self, step: &[f64]) -> bool {
-        if self.go(step, 1.0) {
+        if self.go(step, (1.0, 0.0)) {
             return true;
         }
         let only = |own: &dyn Fn(Way) -> bool| -> Vec<f64> {
@@ -147,20 +165,20 @@ impl<'b, 'a> Em<'b, 'a> {
         let parts = parts.iter().filter(|part| part.iter().any(|d| *d != 0.0));
         let mut moved = false;
         for part in parts {
-            moved |= (0..HALVES).any(|k| self.go(part, 0.5_f64.powi(k as i32)));
+            moved |= (0..HALVES).any(|k| self.go(part, (0.5_f64.powi(k as i32), 0.0)));
         }
         moved
     }
 
-    /// Goes a part of a step in the coordinates unless ℓ falls by more than rounding.
-    fn go(&mut self, step: &[f64], part: f64) -> bool {
+    /// Goes a part of a step in the coordinates unless ℓ rises by less than `gain`, rounding apart.
+    fn go(&mut self, step: &[f64], (part, gain): (f64, f64)) -> bool {
         let home = &self.search.home;
         let far = |(s, d): (usize, &f64)| if self.search.bench.coordinates[s].log { d.abs() } else { 0.0 };
         let longest = step.iter().enumerate().map(far).fold(0.0, f64::max) * part;
         let part = part * if longest > LONGEST { LONGEST / longest } else { 1.0 };
         let values = self.moved(&home.values, step, part);
         let slack = 1e-12 * home.value().abs().max(1.0);
-        match self.search.at(&values).filter(|next: &Solved| next.value() >= home.value() - slack) {
+        match self.search.at(&values).filter(|next: &Solved| next.value() >= home.value() + gain - slack) {
             Some(next) => {
                 self.search.home = next;
                 true
