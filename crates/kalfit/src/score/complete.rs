@@ -78,9 +78,8 @@ impl Begun {
         let r = self.variance.len().isqrt();
         let entry = |i: usize, j: usize| self.variance[i * r + j];
         self.mean = (0..r).map(|i| (0..r).map(|j| entry(i, j) * adjoint[j]).sum()).collect();
-        let half: Vec<f64> = (0..r * r)
-            .map(|ij| (0..r).map(|k| entry(ij / r, k) * bar[k * r + ij % r]).sum::<f64>())
-            .collect();
+        let half: Vec<f64> =
+            (0..r * r).map(|ij| (0..r).map(|k| entry(ij / r, k) * bar[k * r + ij % r]).sum::<f64>()).collect();
         self.second = (0..r * r)
             .map(|ij| {
                 let (i, j) = (ij / r, ij % r);

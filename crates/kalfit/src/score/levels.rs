@@ -95,7 +95,8 @@ pub(super) fn mentions(expression: &Expression, parameter: usize) -> bool {
 /// d when the parameter scales whole variances of noises, each with σ^d, and stands nowhere else.
 fn degree(model: &Model, slots: &Slots, parameter: usize) -> Option<f64> {
     let here = |expression: &Expression| mentions(expression, parameter);
-    let free = |expression: &Expression| (0..model.parameters.len()).any(|p| slots.is_free(p) && mentions(expression, p));
+    let free =
+        |expression: &Expression| (0..model.parameters.len()).any(|p| slots.is_free(p) && mentions(expression, p));
     if elsewhere(model, &here) {
         return None;
     }
@@ -137,7 +138,13 @@ fn elsewhere(model: &Model, here: &dyn Fn(&Expression) -> bool) -> bool {
     };
     let covariances = model.noise_covariance.iter().chain(&model.process_noise_covariance).any(|(.., c)| here(c));
     let known = model.covariance.known.iter().flatten().flatten().any(here);
-    measured || moved || begun || settled || matrices || covariances || known
+    measured
+        || moved
+        || begun
+        || settled
+        || matrices
+        || covariances
+        || known
         || model.clock.initial_time.as_ref().is_some_and(here)
 }
 
@@ -151,9 +158,7 @@ fn alone(model: &Model, state: usize, free: &dyn Fn(&Expression) -> bool) -> boo
         Motion::Continuous { derivative, .. } => {
             let own = derivative.terms.iter().all(|(j, h)| if *j == state { !free(h) } else { !continuous(*j) });
             let others = model.states.iter().enumerate().filter(|(i, _)| *i != state);
-            let fed = |motion: &Motion| {
-                matches!(motion, Motion::Continuous { derivative, .. } if derivative.terms.iter().any(|t| t.0 == state))
-            };
+            let fed = |motion: &Motion| matches!(motion, Motion::Continuous { derivative, .. } if derivative.terms.iter().any(|t| t.0 == state));
             own && !others.into_iter().any(|(_, other)| fed(&other.motion))
         }
         _ => true,

@@ -88,8 +88,7 @@ impl<'a> Scorer<'a> {
         backward: &mut BackwardWork,
         adjoints: &mut Adjoints<'_>,
     ) -> Result<Gradient, ReduceError> {
-        let wanted =
-            Wanted { motion: self.chain.needs_motion(), equation: self.chain.needs_equation(), smooth: false };
+        let wanted = Wanted { motion: self.chain.needs_motion(), equation: self.chain.needs_equation(), smooth: false };
         let result = self.reducer.with_gains(test, work, |gains, work| {
             let run = Run {
                 design: &work.design,

@@ -86,7 +86,13 @@ impl Ascent {
         let most = step.iter().fold(0.0, |most: f64, d| most.max(d.abs()));
         let scale = match pairs.last() {
             Some((s, y)) => dot(s, y, inside) / dot(y, y, inside),
-            None => if most > 0.0 { (FIRST / most).min(1.0) } else { 0.0 },
+            None => {
+                if most > 0.0 {
+                    (FIRST / most).min(1.0)
+                } else {
+                    0.0
+                }
+            }
         };
         step.iter_mut().for_each(|d| *d *= scale);
         for ((s, y), weight) in pairs.iter().zip(weights.iter().rev()) {
@@ -123,7 +129,8 @@ fn climb(
     let slack = 1e-13 * value.abs().max(1.0);
     let mut part = 1.0;
     for _ in 0..30 {
-        let one = |(s, v): (usize, &f64)| if step[s] == 0.0 { *v } else { bench.coordinates[s].moved(*v, part * step[s]) };
+        let one =
+            |(s, v): (usize, &f64)| if step[s] == 0.0 { *v } else { bench.coordinates[s].moved(*v, part * step[s]) };
         let next: Vec<f64> = values.iter().enumerate().map(one).collect();
         if next == values {
             return None;

@@ -229,12 +229,7 @@ impl<'b, 'a> Em<'b, 'a> {
 }
 
 /// σ^d_new = σ^d (1 + (2/dn) ∂ℓ/∂ln σ), as a step of the coordinate.
-fn level_step(
-    coordinate: &crate::dynamic::Coordinate,
-    home: &Solved,
-    s: usize,
-    (degree, count): (f64, f64),
-) -> f64 {
+fn level_step(coordinate: &crate::dynamic::Coordinate, home: &Solved, s: usize, (degree, count): (f64, f64)) -> f64 {
     let value = home.values[s];
     let score = if coordinate.log { home.gradient[s] } else { home.gradient[s] * value };
     if count == 0.0 || value == 0.0 {
