@@ -1,6 +1,7 @@
 //! The built command, run as a user runs it.
 
 mod broken;
+mod em;
 mod folder;
 mod hypotheses;
 mod inference;

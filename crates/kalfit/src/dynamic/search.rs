@@ -141,10 +141,17 @@ impl<'b, 'a> Search<'b, 'a> {
         Ok(End { home: self.home, standing: self.standing, joint, certificate, stop, trace: self.trace })
     }
 
-    pub(super) fn tell(&mut self, decrement: f64) {
+    fn tell(&mut self, decrement: f64) {
         self.trace.push(self.home.value());
         let passes = self.bench.filter_passes();
         self.progress.step(Step { passes, log_likelihood: self.home.value(), decrement: Some(decrement) });
+    }
+
+    /// The same where the distance to the optimum is not known.
+    pub(super) fn passed(&mut self) {
+        self.trace.push(self.home.value());
+        let passes = self.bench.filter_passes();
+        self.progress.step(Step { passes, log_likelihood: self.home.value(), decrement: None });
     }
 
     /// ℓ at other values, from the (μ, Σ) at hand; `None` where it is not defined.

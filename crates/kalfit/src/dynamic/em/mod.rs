@@ -36,7 +36,7 @@ const SHORTEST: f64 = 2.0;
 const LONGER: f64 = 1024.0;
 /// How often a step that does not raise ℓ is halved.
 const HALVES: usize = 12;
-/// Looks at the certificate without a better one, when steps no longer raise ℓ.
+/// Looks at the certificate that find it no better, where steps no longer raise ℓ.
 const PATIENCE: usize = 4;
 
 /// Where EM is.
@@ -64,41 +64,39 @@ impl<'b, 'a> Em<'b, 'a> {
 
     /// To the optimum, certified by differences to both sides.
     pub(crate) fn run(mut self) -> Result<End, DynamicError> {
-        let (mut next, mut stop, mut best, mut stuck) = (FIRST, Stop::PassLimit, f64::INFINITY, 0);
-        let mut last = self.look(true);
+        let (mut next, mut best, mut stuck) = (FIRST, f64::INFINITY, 0);
+        let mut before = f64::NEG_INFINITY; // ℓ at the last look
+        let mut ended = None;
         for pass in 0..PASSES {
             let near = self.pass()?;
             if !near && pass < next {
                 continue;
             }
             next = pass + 4 + pass / 2;
+            let value = self.search.home.value();
+            let rises = value > before + 1e-12 * value.abs();
+            before = value;
             let coarse = self.look(false);
-            if !(coarse.concave && coarse.decrement <= 10.0 * self.search.tolerance()) {
-                if self.leap(&coarse.joint) {
-                    continue;
-                }
-                if !near {
-                    self.search.tell(coarse.decrement);
-                    continue;
-                }
+            if !(coarse.concave && coarse.decrement <= 10.0 * self.search.tolerance())
+                && (self.leap(&coarse.joint) || !near && rises)
+            {
+                continue;
             }
-            last = self.look(true);
-            let good = last.concave && last.decrement <= self.search.tolerance();
+            let look = self.look(true);
+            let good = look.concave && look.decrement <= self.search.tolerance();
             if good && self.search.released() {
                 self.forget();
                 continue;
             }
-            stuck = if last.decrement < 0.5 * best { 0 } else { stuck + 1 };
-            best = best.min(last.decrement);
+            stuck = if look.decrement < 0.5 * best { 0 } else { stuck + 1 };
+            best = best.min(look.decrement);
             if good || stuck >= PATIENCE {
-                let enough = last.concave && last.decrement <= 1e2 * self.search.tolerance();
-                stop = if good || enough { Stop::Certified } else { Stop::Stalled };
+                let enough = look.concave && look.decrement <= 1e2 * self.search.tolerance();
+                ended = Some((look, if good || enough { Stop::Certified } else { Stop::Stalled }));
                 break;
             }
         }
-        if stop == Stop::PassLimit {
-            last = self.look(true);
-        }
+        let (last, mut stop) = ended.unwrap_or_else(|| (self.look(true), Stop::PassLimit));
         let Search { home, standing, trace, .. } = self.search;
         if home.estimate.stop != Stop::Certified {
             stop = home.estimate.stop;

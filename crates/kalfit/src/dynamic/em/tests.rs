@@ -159,9 +159,9 @@ fn drawn(model: &Model, seed: u64) -> Vec<Test> {
         let mut test = Test::new(format!("t{j}"), 3, 0);
         let mut t = 0.0;
         for k in 0..12 + j % 3 {
-            let missing = if (j + 2 * k) % 7 == 0 { f64::NAN } else { 1.0 };
+            let missing = if (j + 2 * k).is_multiple_of(7) { f64::NAN } else { 1.0 };
             test.push(&[t, 1.0, missing], &[], Source::default());
-            t += if j % 2 == 0 { 0.5 } else { 0.2 + noise(31 * j + k) };
+            t += if j.is_multiple_of(2) { 0.5 } else { 0.2 + noise(31 * j + k) };
         }
         test
     };
