@@ -43,6 +43,8 @@ const PATIENCE: usize = 4;
 pub(crate) struct Em<'b, 'a> {
     search: Search<'b, 'a>,
     ways: Vec<Way>,
+    /// Values that were zero when their ways were found.
+    zero: Vec<usize>,
     ascent: Ascent,
     anderson: Anderson,
     /// How many times its length a step of EM is tried at.
@@ -59,7 +61,8 @@ struct Look {
 impl<'b, 'a> Em<'b, 'a> {
     pub(crate) fn new(search: Search<'b, 'a>) -> Result<Em<'b, 'a>, DynamicError> {
         let ways = ways(search.bench, &search.home)?;
-        Ok(Em { search, ways, ascent: Ascent::default(), anderson: Anderson::default(), stretch: SHORTEST })
+        let zero = zeros(&search.home);
+        Ok(Em { search, ways, zero, ascent: Ascent::default(), anderson: Anderson::default(), stretch: SHORTEST })
     }
 
     /// To the optimum, certified by differences to both sides.
@@ -139,6 +142,10 @@ impl<'b, 'a> Em<'b, 'a> {
         self.search.place();
         if self.search.active() != active {
             self.anderson.clear();
+        }
+        if self.zero.iter().any(|&s| self.search.home.values[s] != 0.0) {
+            (self.ways, self.zero) = (ways(self.search.bench, &self.search.home)?, zeros(&self.search.home));
+            self.forget();
         }
         self.search.trace.push(self.search.home.value());
         Ok(near || !moved)
@@ -224,6 +231,10 @@ impl<'b, 'a> Em<'b, 'a> {
         }
         Ok(step)
     }
+}
+
+fn zeros(home: &Solved) -> Vec<usize> {
+    (0..home.values.len()).filter(|&s| home.values[s] == 0.0).collect()
 }
 
 /// σ^d_new = σ^d (1 + (2/dn) ∂ℓ/∂ln σ), as a step of the coordinate.

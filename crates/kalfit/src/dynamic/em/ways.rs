@@ -23,6 +23,8 @@ pub(super) fn ways(bench: &Bench<'_>, home: &Solved) -> Result<Vec<Way>, Dynamic
     let matrix = bench.matrix_slots();
     let first = |s: usize| match levels.of(bench.slots, s) {
         _ if matrix.contains(&s) => Way::Likelihood,
+        // a level at zero would stay there
+        Some(_) if home.values[s] == 0.0 => Way::Likelihood,
         Some((degree, count)) => Way::Level { degree, count },
         None => Way::Expected,
     };
