@@ -13,6 +13,8 @@ use crate::score::moments::Moments;
 pub(crate) struct Complete {
     /// x_0, then the state after each step.
     pub(crate) states: Vec<Smoothed>,
+    /// Whether each scalar measurement had noise.
+    pub(crate) noisy: Vec<bool>,
     /// The transition to each step.
     pub(crate) moves: Vec<Option<Move>>,
     pub(crate) start: Begun,
@@ -105,7 +107,8 @@ impl Complete {
         }
         let variance = (0..r * r).map(|ij| design.variance[(ij / r).max(ij % r) * r + (ij / r).min(ij % r)]).collect();
         let start = Begun { known: data.start.clone(), variance, ..Begun::default() };
-        Complete { states: vec![Smoothed::default(); design.steps.len() + 1], moves, start }
+        let noisy = design.noise.iter().map(|noise| *noise > 0.0).collect();
+        Complete { noisy, states: vec![Smoothed::default(); design.steps.len() + 1], moves, start }
     }
 }
 

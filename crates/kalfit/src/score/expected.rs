@@ -55,7 +55,7 @@ fn sum(
     let mut input = work.data.inputs.len();
     let (mut value, mut known) = (0.0, Known::default());
     for k in (0..design.steps.len()).rev() {
-        let Some(measured) = measurements(work, k, &complete.states[k + 1]) else { return Ok(None) };
+        let Some(measured) = measurements(work, k, complete) else { return Ok(None) };
         value += measured.value;
         let bars = Measured { noise: &measured.noise, value: &measured.data, h: &measured.h };
         adjoints.step_measured(test, k, work, bars)?;
@@ -81,13 +81,17 @@ struct MeasuredPart {
     h: Vec<f64>,
 }
 
-fn measurements(work: &Workspace, k: usize, state: &Smoothed) -> Option<MeasuredPart> {
-    let (design, n) = (&work.design, work.design.frame.n);
+/// `None` where a measurement gets noise that had none, or loses it.
+fn measurements(work: &Workspace, k: usize, complete: &Complete) -> Option<MeasuredPart> {
+    let (design, n, state) = (&work.design, work.design.frame.n, &complete.states[k + 1]);
     let first = if k == 0 { 0 } else { design.steps[k - 1].rows };
     let mut part = MeasuredPart::default();
     for row in first..design.steps[k].rows {
         let (states, h) = design.terms(row);
         let (noise, z) = (design.noise[row], work.data.values[row]);
+        if (noise > 0.0) != complete.noisy[row] {
+            return None;
+        }
         let terms = || states.iter().map(|state| *state as usize).zip(h);
         let residual = z - terms().map(|(i, h)| h * state.mean[i]).sum::<f64>();
         let carried = |i: usize| terms().map(|(j, h)| h * state.variance[i * n + j]).sum::<f64>(); // (Vh)_i

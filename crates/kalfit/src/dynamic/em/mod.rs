@@ -147,7 +147,7 @@ impl<'b, 'a> Em<'b, 'a> {
             (self.ways, self.zero) = (ways(self.search.bench, &self.search.home)?, zeros(&self.search.home));
             self.forget();
         }
-        self.search.trace.push(self.search.home.value());
+        self.search.passed();
         Ok(near || !moved)
     }
 
