@@ -7,8 +7,12 @@ use kalfit::FitRecord;
 const GYRO: &[u8] = include_bytes!("../reference/inertial-gyro/full.toml");
 const ROWS: &[u8] = include_bytes!("../reference/inertial-gyro/data.csv");
 
-fn fit(options: &str) -> FitRecord {
-    let folder = Folder::new(&[("m.toml", GYRO), ("d.csv", ROWS)]);
+/// Two Gauss-Markov states; the noise variances are sums, whose search begins at zero.
+const SUMS: &[u8] = include_bytes!("../reference/ssm-continuous3/stationary.toml");
+const SUMS_ROWS: &[u8] = include_bytes!("../reference/ssm-continuous3/data.csv");
+
+fn fit((model, rows): (&[u8], &[u8]), options: &str) -> FitRecord {
+    let folder = Folder::new(&[("m.toml", model), ("d.csv", rows)]);
     let output = folder.run(&format!("fit m.toml d.csv --out fit.json {options}"));
     let text = std::fs::read_to_string(folder.path("fit.json")).unwrap_or_else(|_| panic!("{}", shown(&output)));
     assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
@@ -17,10 +21,12 @@ fn fit(options: &str) -> FitRecord {
 
 #[test]
 fn em_and_the_default_method_end_at_the_same_point() {
-    let (em, hybrid) = (fit("--method em"), fit(""));
-    assert!(em.converged, "certificate {:?}", em.certificate);
-    let (own, other) = (em.log_likelihood, hybrid.log_likelihood);
-    assert!((own - other).abs() < 1e-8, "ℓ {own} by EM, {other} by the default method");
-    let falls = em.solver.trace.windows(2).filter(|pair| pair[1] < pair[0] - 1e-9).count();
-    assert_eq!(falls, 0, "ℓ falls {falls} times: {:?}", em.solver.trace);
+    for files in [(GYRO, ROWS), (SUMS, SUMS_ROWS)] {
+        let (em, hybrid) = (fit(files, "--method em"), fit(files, ""));
+        assert!(em.converged, "certificate {:?}", em.certificate);
+        let (own, other) = (em.log_likelihood, hybrid.log_likelihood);
+        assert!((own - other).abs() < 1e-8, "ℓ {own} by EM, {other} by the default method");
+        let falls = em.solver.trace.windows(2).filter(|pair| pair[1] < pair[0] - 1e-9).count();
+        assert_eq!(falls, 0, "ℓ falls {falls} times: {:?}", em.solver.trace);
+    }
 }

@@ -323,18 +323,3 @@ fn a_level_that_should_be_zero_gets_there() {
         );
     });
 }
-
-#[test]
-fn noises_that_start_at_zero_leave_it() {
-    let mut model = sensors();
-    model.noise_covariance.clear();
-    model.parameters[2].positive = false;
-    model.measurements[0].noise_variance = plus(alpha(2), times(alpha(7), Expression::Column(0)));
-    with_bench(&model, 31, |bench| {
-        let mut zero = starts(&model);
-        (zero[2], zero[7]) = (0.0, 0.0);
-        let (em, from) = (end(bench, &zero, Method::Em), end(bench, &starts(&model), Method::Hybrid));
-        let (a, b) = (em.home.value(), from.home.value());
-        assert!((a - b).abs() < 1e-7, "ℓ {a} by EM from zero, {b} by the hybrid; {:?}", em.home.values);
-    });
-}
