@@ -2,6 +2,7 @@
 
 mod broken;
 mod dynamic;
+mod em;
 mod folder;
 mod hypotheses;
 mod inference;

@@ -12,7 +12,7 @@ use crate::ensemble::Test;
 use crate::estimate::{self, Criterion, Estimate, InitialLaw, Silent, Structure};
 use crate::model::{Alpha, Model, Population};
 use crate::reduce::{ReduceError, Reducer, Reduction};
-use crate::score::{Gradient, Scorer, Slots, moments};
+use crate::score::{Complete, Gradient, Levels, Scorer, Slots, moments};
 
 /// The ensemble and the model, ready for any α.
 #[derive(Debug)]
@@ -204,6 +204,36 @@ impl<'a> Bench<'a> {
         let moments: Vec<_> = reductions.par_iter().map(|reduction| moments(reduction, law)).collect();
         let scorer = Scorer::new(reducer, self.slots).map_err(Box::new)?;
         Ok(scorer.scores(self.tests, &moments).map_err(Box::new)?)
+    }
+
+    /// Moments of the complete data of each test at a solved α.
+    pub(crate) fn complete(&self, home: &Solved) -> Result<Vec<Complete>, DynamicError> {
+        self.filter_passes.fetch_add(1, Ordering::Relaxed);
+        self.score_passes.fetch_add(1, Ordering::Relaxed);
+        let law = home.estimate.state.law();
+        let moments: Vec<_> = home.reductions.par_iter().map(|reduction| moments(reduction, &law)).collect();
+        let reducer = Reducer::scoring(self.model, &home.alpha, self.slots).map_err(Box::new)?;
+        let scorer = Scorer::new(&reducer, self.slots).map_err(Box::new)?;
+        Ok(scorer.all_complete(self.tests, &moments).map_err(Box::new)?)
+    }
+
+    /// The expected log-likelihood of the complete data at α and its gradient to the coordinates; `None` where it is not
+    /// defined.
+    pub(crate) fn expected(&self, complete: &[Complete], values: &[f64]) -> Option<(f64, Vec<f64>)> {
+        let alpha = self.slots.alpha(self.model, values);
+        let reducer = Reducer::scoring(self.model, &alpha, self.slots).ok()?;
+        let scorer = Scorer::new(&reducer, self.slots).ok()?;
+        let (own, scores): (Vec<f64>, Vec<Gradient>) =
+            scorer.all_expected(self.tests, complete).ok()??.into_iter().unzip();
+        let value: f64 = self.order.iter().map(|&j| own[j]).sum();
+        let gradient = self.gradient(values, &scores, &Gradient::new());
+        (value.is_finite() && gradient.iter().all(|g| g.is_finite())).then_some((value, gradient))
+    }
+
+    /// Which free values are noise levels, at an α where none is zero.
+    pub(crate) fn levels(&self, alpha: &Alpha) -> Result<Levels, DynamicError> {
+        let reducer = Reducer::scoring(self.model, alpha, self.slots).map_err(Box::new)?;
+        Ok(Levels::new(&reducer, self.slots, self.tests).map_err(Box::new)?)
     }
 
     /// dℓ/dcoordinate from what tests and matrices give.

@@ -28,6 +28,11 @@ impl Coordinate {
         slots.slots().iter().map(one).collect()
     }
 
+    /// The coordinate of a value.
+    pub(crate) fn of_value(&self, value: f64) -> f64 {
+        if self.log { value.ln() } else { value }
+    }
+
     /// dvalue/dcoordinate.
     pub(crate) fn slope(&self, value: f64) -> f64 {
         if self.log { value } else { 1.0 }

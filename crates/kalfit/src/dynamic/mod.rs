@@ -3,6 +3,7 @@
 
 mod bench;
 mod coordinates;
+mod em;
 mod interval;
 mod joint;
 mod matrices;

@@ -3,13 +3,14 @@
 use nalgebra::DVector;
 
 use crate::dynamic::bench::{Bench, Solved};
+use crate::dynamic::em::Em;
 use crate::dynamic::joint::{self, Joint};
 use crate::dynamic::{DynamicError, Method, Standing};
 use crate::estimate::{Progress, Step, Stop};
 use crate::model::Population;
 
 /// Longest step of a logarithm.
-const LONGEST: f64 = 2.0;
+pub(super) const LONGEST: f64 = 2.0;
 /// With more damping than this a step goes nowhere.
 const STIFF: f64 = 1e6;
 /// Most outer steps.
@@ -28,13 +29,13 @@ const RETURN: f64 = 1e-2;
 
 /// Where a search is.
 pub(crate) struct Search<'b, 'a> {
-    bench: &'b Bench<'a>,
+    pub(super) bench: &'b Bench<'a>,
     progress: &'b mut dyn Progress,
     pub(crate) home: Solved,
     pub(crate) standing: Vec<Standing>,
     pub(crate) trace: Vec<f64>,
     /// The value of each coordinate before it was set to zero.
-    before_zero: Vec<f64>,
+    pub(super) before_zero: Vec<f64>,
     damping: f64,
     floor: Option<f64>,
     held: Option<usize>,
@@ -52,7 +53,7 @@ pub(crate) struct End {
     pub(crate) certificate: f64,
     pub(crate) stop: Stop,
     pub(crate) trace: Vec<f64>,
-    before_zero: Vec<f64>,
+    pub(super) before_zero: Vec<f64>,
 }
 
 impl End {
@@ -86,7 +87,7 @@ impl<'b, 'a> Search<'b, 'a> {
     }
 
     /// Values at bounds that want to go beyond are held there, others are let go.
-    fn place(&mut self) {
+    pub(super) fn place(&mut self) {
         for s in 0..self.standing.len() {
             let (coordinate, value, slope) = (self.bench.coordinates[s], self.home.values[s], self.home.gradient[s]);
             self.standing[s] = match self.standing[s] {
@@ -116,12 +117,12 @@ impl<'b, 'a> Search<'b, 'a> {
         self.trace.len() > 3 && self.floor.is_some_and(|floor| promised < floor)
     }
 
-    fn active(&self) -> Vec<bool> {
+    pub(super) fn active(&self) -> Vec<bool> {
         let moves = |(s, standing): (usize, &Standing)| *standing == Standing::Inside && self.held != Some(s);
         self.standing.iter().enumerate().map(moves).collect()
     }
 
-    fn tolerance(&self) -> f64 {
+    pub(super) fn tolerance(&self) -> f64 {
         self.bench.settings.inner.tolerance.max(1e-7)
     }
 
@@ -227,8 +228,15 @@ impl<'b, 'a> Search<'b, 'a> {
         certified
     }
 
+    /// A step where the distance to the optimum is not known.
+    pub(super) fn passed(&mut self) {
+        self.trace.push(self.home.value());
+        let passes = self.bench.filter_passes();
+        self.progress.step(Step { passes, log_likelihood: self.home.value(), decrement: None });
+    }
+
     /// ℓ at other values, from the (μ, Σ) at hand; `None` where it is not defined.
-    fn at(&self, values: &[f64]) -> Option<Solved> {
+    pub(super) fn at(&self, values: &[f64]) -> Option<Solved> {
         let near = Population::from(&self.home.estimate);
         let solved = self.bench.solve(values, Some(&near)).ok()?;
         solved.value().is_finite().then_some(solved)
@@ -281,7 +289,7 @@ impl<'b, 'a> Search<'b, 'a> {
 
     /// Logarithms along which ℓ runs level downwards are tried at their lower bound, at zero say: all at once, then a few of
     /// them one by one.
-    fn leap(&mut self, joint: &Joint) -> bool {
+    pub(super) fn leap(&mut self, joint: &Joint) -> bool {
         let sinking = |&s: &usize| {
             let (slope, bend) = (self.home.gradient[s], joint.curvature(s));
             let tail = slope < 0.0 && slope >= -TAIL && bend > 0.0 && bend <= LEVEL * slope.abs();
@@ -354,7 +362,7 @@ impl<'b, 'a> Search<'b, 'a> {
     }
 
     /// Values at zero where ℓ rises with their square, or bounded ones whose slope points inward, are let go.
-    fn released(&mut self) -> bool {
+    pub(super) fn released(&mut self) -> bool {
         let zero: Vec<usize> = (0..self.standing.len())
             .filter(|&s| self.bench.coordinates[s].log && self.home.values[s] == 0.0 && !self.returned[s])
             .filter(|&s| self.held != Some(s))
@@ -385,5 +393,9 @@ pub(crate) fn search(
     progress: &mut dyn Progress,
 ) -> Result<End, DynamicError> {
     let home = bench.solve(values, None)?;
-    Search::new(bench, progress, home).beyond(floor).run()
+    let search = Search::new(bench, progress, home).beyond(floor);
+    match bench.settings.method {
+        Method::Hybrid | Method::Innovations => search.run(),
+        Method::Em => Em::new(search)?.run(),
+    }
 }

@@ -37,7 +37,7 @@ pub use settings::{Criterion, Progress, Settings, Silent, Solver, Step};
 pub(crate) use classes::{Class, unpack};
 pub(crate) use climb::{Limits, climb};
 pub(crate) use covariance::{Constraint, CovarianceMap, Form};
-pub(crate) use elsewhere::{Elsewhere, InitialLaw};
+pub(crate) use elsewhere::InitialLaw;
 pub(crate) use expected::{ExpectedError, at_population};
 pub(crate) use local::{Local, Objective, Tangent, harmonic, natural_sizes, packed_score};
 pub(crate) use newton::{Place, retract};

@@ -24,6 +24,7 @@ mod adjoint;
 mod equal;
 mod filtered;
 mod parts;
+mod smooth;
 mod steady;
 #[cfg(test)]
 mod tests;
@@ -35,6 +36,8 @@ use crate::score::moments::Moments;
 use adjoint::Adjoint;
 use filtered::{Filtered, Seen};
 use parts::{Kind, Part};
+
+pub(crate) use smooth::{Driven, Smoothed, Smoothing};
 
 /// What the chain rule asks of a backward pass.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

@@ -6,6 +6,9 @@
 
 mod backward;
 mod chain;
+mod complete;
+mod expected;
+mod levels;
 mod moments;
 mod slots;
 #[cfg(test)]
@@ -23,6 +26,8 @@ use chain::{Adjoints, Chain, Measured, Moved};
 pub use slots::{Slot, Slots};
 
 pub(crate) use chain::Gradient;
+pub(crate) use complete::Complete;
+pub(crate) use levels::Levels;
 pub(crate) use moments::{Moments, moments};
 
 /// Scores of tests at the α of a reducer.
@@ -49,6 +54,33 @@ impl<'a> Scorer<'a> {
         };
         let all: Vec<Result<Gradient, ReduceError>> =
             tests.par_iter().zip(moments).map_init(room, |room, pair| one(room, pair)).collect();
+        all.into_iter().collect()
+    }
+
+    /// Moments of the complete data of each test (the E-step), with the moments of its ξ.
+    pub(crate) fn all_complete(&self, tests: &[Test], moments: &[Moments]) -> Result<Vec<Complete>, ReduceError> {
+        let room = || (self.reducer.workspace(), BackwardWork::default());
+        let one = |(work, backward): &mut (Workspace, BackwardWork), (test, moments): (&Test, &Moments)| {
+            self.complete(test, moments, (work, backward))
+        };
+        let all: Vec<Result<Complete, ReduceError>> =
+            tests.par_iter().zip(moments).map_init(room, |room, pair| one(room, pair)).collect();
+        all.into_iter().collect()
+    }
+
+    /// The expected log-likelihood of the complete data of each test and its gradient, at the α of the reducer; `None` where
+    /// the complete data of some test could not have come about.
+    pub(crate) fn all_expected(
+        &self,
+        tests: &[Test],
+        complete: &[Complete],
+    ) -> Result<Option<Vec<(f64, Gradient)>>, ReduceError> {
+        let room = || (self.reducer.workspace(), self.chain.adjoints());
+        let one = |(work, adjoints): &mut (Workspace, Adjoints<'_>), (test, complete): (&Test, &Complete)| {
+            self.expected(test, complete, (work, adjoints))
+        };
+        let all: Vec<Result<Option<(f64, Gradient)>, ReduceError>> =
+            tests.par_iter().zip(complete).map_init(room, |room, pair| one(room, pair)).collect();
         all.into_iter().collect()
     }
 

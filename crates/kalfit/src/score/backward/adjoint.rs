@@ -224,7 +224,7 @@ fn back(x: &mut [f64], width: usize, transition: &Transition, work: &mut Vec<f64
 }
 
 /// N ← Nφ on the r noisy states.
-fn columns(N: &mut [f64], r: usize, transition: &Transition, work: &mut Vec<f64>) {
+pub(super) fn columns(N: &mut [f64], r: usize, transition: &Transition, work: &mut Vec<f64>) {
     let moved = transition.pattern.moved.partition_point(|row| (row.state as usize) < r);
     let moved = &transition.pattern.moved[..moved];
     for line in N.chunks_exact_mut(r.max(1)) {

@@ -1,0 +1,251 @@
+//! EM on states and noises (Sun's, extended to tests that repeat).
+//!
+//! Complete data of a test: ξ, all states, all noises. The E-step is the smoother at (α, μ, Σ). The M-step sets every noise
+//! level in closed form, and raises the expected log-likelihood of the complete data over time constants and other
+//! coefficients. Two kinds of values are moved on ℓ itself, as ECME does, because it goes further: μ and Σ, whose maximum at
+//! the new α is found on the reductions; and what the complete data determine or do not know of (a coefficient that no noise
+//! accompanies, matrices of the covariance structure). ℓ never falls, and Anderson's extrapolation shortens the way.
+
+mod anderson;
+mod ascent;
+#[cfg(test)]
+mod tests;
+mod ways;
+
+use nalgebra::DVector;
+
+use crate::dynamic::DynamicError;
+use crate::dynamic::bench::Solved;
+use crate::dynamic::joint::Joint;
+use crate::dynamic::search::{End, LONGEST, Search};
+use crate::estimate::Stop;
+use anderson::Anderson;
+use ascent::Ascent;
+use ways::{Way, ways};
+
+/// Most passes.
+const PASSES: usize = 20_000;
+/// First look at the certificate.
+const FIRST: usize = 6;
+/// A longer step must raise ℓ by this part of the slope along that of EM, which itself raises it by half of that or more.
+const ENOUGH: f64 = 0.5;
+/// … and an extrapolation by this part.
+const LITTLE: f64 = 0.1;
+/// Bounds of how much longer.
+const SHORTEST: f64 = 2.0;
+const LONGER: f64 = 1024.0;
+/// How often a step that does not raise ℓ is halved.
+const HALVES: usize = 12;
+/// Looks at the certificate that find it no better, where steps no longer raise ℓ.
+const PATIENCE: usize = 4;
+
+/// Where EM is.
+pub(crate) struct Em<'b, 'a> {
+    search: Search<'b, 'a>,
+    ways: Vec<Way>,
+    /// Values that were zero when their ways were found.
+    zero: Vec<usize>,
+    ascent: Ascent,
+    anderson: Anderson,
+    /// How many times its length a step of EM is tried at.
+    stretch: f64,
+}
+
+/// A look at the certificate.
+struct Look {
+    joint: Joint,
+    decrement: f64,
+    concave: bool,
+}
+
+impl<'b, 'a> Em<'b, 'a> {
+    pub(crate) fn new(search: Search<'b, 'a>) -> Result<Em<'b, 'a>, DynamicError> {
+        let ways = ways(search.bench, &search.home)?;
+        let zero = zeros(&search.home);
+        Ok(Em { search, ways, zero, ascent: Ascent::default(), anderson: Anderson::default(), stretch: SHORTEST })
+    }
+
+    /// To the optimum, certified by differences to both sides.
+    pub(crate) fn run(mut self) -> Result<End, DynamicError> {
+        let (mut next, mut best, mut stuck) = (FIRST, f64::INFINITY, 0);
+        let mut before = f64::NEG_INFINITY; // ℓ at the last look
+        let mut ended = None;
+        for pass in 0..PASSES {
+            let near = self.pass()?;
+            if !near && pass < next {
+                continue;
+            }
+            next = pass + 4 + pass / 2;
+            let value = self.search.home.value();
+            let rises = value > before + 1e-12 * value.abs();
+            before = value;
+            let coarse = self.look(false);
+            if !(coarse.concave && coarse.decrement <= 10.0 * self.search.tolerance())
+                && (self.leap(&coarse.joint) || !near && rises)
+            {
+                continue;
+            }
+            let look = self.look(true);
+            let good = look.concave && look.decrement <= self.search.tolerance();
+            if good && self.search.released() {
+                self.forget();
+                continue;
+            }
+            stuck = if look.decrement < 0.5 * best { 0 } else { stuck + 1 };
+            best = best.min(look.decrement);
+            if good || stuck >= PATIENCE {
+                let enough = look.concave && look.decrement <= 1e2 * self.search.tolerance();
+                ended = Some((look, if good || enough { Stop::Certified } else { Stop::Stalled }));
+                break;
+            }
+        }
+        let (last, mut stop) = ended.unwrap_or_else(|| (self.look(true), Stop::PassLimit));
+        let Search { home, standing, trace, before_zero, .. } = self.search;
+        if home.estimate.stop != Stop::Certified {
+            stop = home.estimate.stop;
+        }
+        Ok(End { home, standing, joint: last.joint, certificate: last.decrement, stop, trace, before_zero })
+    }
+
+    fn look(&self, fine: bool) -> Look {
+        let joint = Joint::new(self.search.bench, &self.search.home, &self.search.active(), fine);
+        let still = DVector::zeros(self.search.home.estimate.state.place.tangent.gradient.len());
+        let step = joint.step(&self.search.home.gradient, &still, 0.0);
+        Look { joint, decrement: step.decrement, concave: step.concave }
+    }
+
+    fn leap(&mut self, joint: &Joint) -> bool {
+        let leapt = self.search.leap(joint);
+        if leapt {
+            self.search.place();
+            self.forget();
+        }
+        leapt
+    }
+
+    fn forget(&mut self) {
+        self.search.place();
+        self.anderson.clear();
+    }
+
+    /// One pass; whether it hardly promises anything any more.
+    fn pass(&mut self) -> Result<bool, DynamicError> {
+        let active = self.search.active();
+        let step = self.step(&active)?;
+        let promised: f64 = step.iter().zip(&self.search.home.gradient).map(|(d, g)| d * g).sum();
+        let near = promised <= (0.1 * self.search.tolerance()).powi(2);
+        let further = self.anderson.extrapolate(&self.coordinates(), &step, &active);
+        let moved = further.is_some_and(|further| self.go(&further, (1.0, LITTLE * promised))) || {
+            self.anderson.restart();
+            self.stretched(&step, promised) || self.halving(&step)
+        };
+        self.search.place();
+        if self.search.active() != active {
+            self.anderson.clear();
+        }
+        if self.zero.iter().any(|&s| self.search.home.values[s] != 0.0) {
+            (self.ways, self.zero) = (ways(self.search.bench, &self.search.home)?, zeros(&self.search.home));
+            self.forget();
+        }
+        self.search.passed();
+        Ok(near || !moved)
+    }
+
+    /// The step of EM, longer than it is: as much longer as has gone well.
+    fn stretched(&mut self, step: &[f64], promised: f64) -> bool {
+        let well = self.go(step, (self.stretch, ENOUGH * promised));
+        self.stretch = if well { (2.0 * self.stretch).min(LONGER) } else { (0.25 * self.stretch).max(SHORTEST) };
+        well
+    }
+
+    /// The step of EM, halved until ℓ does not fall; what is moved on ℓ itself apart from the rest.
+    fn halving(&mut self, step: &[f64]) -> bool {
+        if self.go(step, (1.0, 0.0)) {
+            return true;
+        }
+        let only = |own: &dyn Fn(Way) -> bool| -> Vec<f64> {
+            step.iter().zip(&self.ways).map(|(d, way)| if own(*way) { *d } else { 0.0 }).collect()
+        };
+        let parts = [only(&|way| way != Way::Likelihood), only(&|way| way == Way::Likelihood)];
+        let parts = parts.iter().filter(|part| part.iter().any(|d| *d != 0.0));
+        let mut moved = false;
+        for part in parts {
+            moved |= (0..HALVES).any(|k| self.go(part, (0.5_f64.powi(k as i32), 0.0)));
+        }
+        moved
+    }
+
+    /// Goes a part of a step in the coordinates unless ℓ rises by less than `gain`, rounding apart.
+    fn go(&mut self, step: &[f64], (part, gain): (f64, f64)) -> bool {
+        let home = &self.search.home;
+        let far = |(s, d): (usize, &f64)| if self.search.bench.coordinates[s].log { d.abs() } else { 0.0 };
+        let longest = step.iter().enumerate().map(far).fold(0.0, f64::max) * part;
+        let part = part * if longest > LONGEST { LONGEST / longest } else { 1.0 };
+        let values = self.moved(&home.values, step, part);
+        let slack = 1e-12 * home.value().abs().max(1.0);
+        match self.search.at(&values).filter(|next: &Solved| next.value() >= home.value() + gain - slack) {
+            Some(next) => {
+                self.search.home = next;
+                true
+            }
+            None => false,
+        }
+    }
+
+    fn moved(&self, values: &[f64], step: &[f64], part: f64) -> Vec<f64> {
+        let coordinates = &self.search.bench.coordinates;
+        let one = |(s, (v, d)): (usize, (&f64, &f64))| if *d == 0.0 { *v } else { coordinates[s].moved(*v, part * d) };
+        values.iter().zip(step).enumerate().map(one).collect()
+    }
+
+    /// The values as they are sought; 0 for logarithms of zero, which stay.
+    fn coordinates(&self) -> Vec<f64> {
+        let one = |(s, v): (usize, &f64)| Some(self.search.bench.coordinates[s].of_value(*v)).filter(|c| c.is_finite());
+        self.search.home.values.iter().enumerate().map(|pair| one(pair).unwrap_or(0.0)).collect()
+    }
+
+    /// What E-step and M-step do to the coordinates.
+    fn step(&mut self, active: &[bool]) -> Result<Vec<f64>, DynamicError> {
+        let (bench, home) = (self.search.bench, &self.search.home);
+        let mut step = vec![0.0; active.len()];
+        for s in (0..active.len()).filter(|&s| active[s]) {
+            if let Way::Level { degree, count } = self.ways[s] {
+                step[s] = level_step(&bench.coordinates[s], home, s, (degree, count));
+            }
+        }
+        let smooth: Vec<bool> = (0..active.len()).map(|s| active[s] && self.ways[s] == Way::Expected).collect();
+        if smooth.contains(&true) {
+            let complete = bench.complete(home)?;
+            let begun = self.moved(&home.values, &step, 1.0);
+            let reached = self.ascent.maximise(&|values| bench.expected(&complete, values), begun, &smooth, bench);
+            for s in (0..active.len()).filter(|&s| smooth[s]) {
+                step[s] = bench.coordinates[s].of_value(reached[s]) - bench.coordinates[s].of_value(home.values[s]);
+            }
+        }
+        let direct: Vec<bool> = (0..active.len()).map(|s| active[s] && self.ways[s] == Way::Likelihood).collect();
+        if direct.contains(&true) {
+            let joint = Joint::new(bench, home, &direct, false);
+            let still = DVector::zeros(home.estimate.state.place.tangent.gradient.len());
+            let newton = joint.step(&home.gradient, &still, 0.0);
+            (0..active.len()).filter(|&s| direct[s]).for_each(|s| step[s] = newton.alpha[s]);
+        }
+        Ok(step)
+    }
+}
+
+fn zeros(home: &Solved) -> Vec<usize> {
+    (0..home.values.len()).filter(|&s| home.values[s] == 0.0).collect()
+}
+
+/// σ^d_new = σ^d (1 + (2/dn) ∂ℓ/∂ln σ), as a step of the coordinate.
+fn level_step(coordinate: &crate::dynamic::Coordinate, home: &Solved, s: usize, (degree, count): (f64, f64)) -> f64 {
+    let value = home.values[s];
+    let score = if coordinate.log { home.gradient[s] } else { home.gradient[s] * value };
+    if count == 0.0 || value == 0.0 {
+        return 0.0;
+    }
+    // E[v²] is positive, rounding apart
+    let factor = (1.0 + 2.0 * score / (degree * count)).max(1e-6).ln() / degree;
+    let new = coordinate.moved(value, if coordinate.log { factor } else { value * factor.exp_m1() });
+    coordinate.of_value(new) - coordinate.of_value(value)
+}

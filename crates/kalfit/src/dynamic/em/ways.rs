@@ -1,0 +1,49 @@
+//! How EM moves each free value.
+
+use crate::dynamic::DynamicError;
+use crate::dynamic::bench::{Bench, Solved};
+
+/// A step of a coordinate that shows whether the complete data let it move.
+const PROBE: f64 = 1e-4;
+
+/// How one free value moves.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Way {
+    /// A noise level, in closed form: `count` variances go with its power `degree`.
+    Level { degree: f64, count: f64 },
+    /// By the expected log-likelihood of the complete data.
+    Expected,
+    /// By ℓ itself: the complete data determine the value, or do not depend on it.
+    Likelihood,
+}
+
+/// The way of every free value, by what the model says and, where it does not, by trying.
+pub(super) fn ways(bench: &Bench<'_>, home: &Solved) -> Result<Vec<Way>, DynamicError> {
+    let levels = bench.levels(&home.alpha)?;
+    let matrix = bench.matrix_slots();
+    let first = |s: usize| match levels.of(bench.slots, s) {
+        _ if matrix.contains(&s) => Way::Likelihood,
+        // a level at zero would stay there
+        Some(_) if home.values[s] == 0.0 => Way::Likelihood,
+        Some((degree, count)) => Way::Level { degree, count },
+        None => Way::Expected,
+    };
+    let mut ways: Vec<Way> = (0..home.values.len()).map(first).collect();
+    if !ways.contains(&Way::Expected) {
+        return Ok(ways);
+    }
+    let complete = bench.complete(home)?;
+    for parameter in 0..bench.model.parameters.len() {
+        let own = |s: &usize| bench.slots.slots()[*s].parameter == parameter && ways[*s] == Way::Expected;
+        let own: Vec<usize> = (0..home.values.len()).filter(own).collect();
+        let moves = |sign: f64| {
+            let mut values = home.values.clone();
+            own.iter().for_each(|&s| values[s] = bench.coordinates[s].moved(values[s], sign * PROBE));
+            values != home.values && bench.expected(&complete, &values).is_some()
+        };
+        if !own.is_empty() && !moves(1.0) && !moves(-1.0) {
+            own.iter().for_each(|&s| ways[s] = Way::Likelihood);
+        }
+    }
+    Ok(ways)
+}

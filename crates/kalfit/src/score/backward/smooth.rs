@@ -1,0 +1,191 @@
+//! Moments of states and noises, from the adjoints of the backward pass (theory §6).
+//!
+//! ```text
+//! E[x] = x̄ + Pr        Var[x] = P - PNP + BB'        B = ΨC - Pρ
+//! E[w] = Qr        E[ww'] = Q + Q(rr' + ρρ' - N)Q        Cov[w, x] = -Q(ρB' + NφP)
+//! ```
+#![expect(non_snake_case, reason = "the letters of the theory: P, B, N")]
+
+use crate::reduce::Transition;
+use crate::score::backward::adjoint::columns;
+use crate::score::backward::filtered::{Seen, second};
+use crate::score::backward::{BackwardWork, Run, dot};
+
+/// Takes moments from the last step to the first.
+pub(crate) trait Smoothing {
+    /// Of the state after step `k - 1`; of x_0 for 0.
+    fn smoothed(&mut self, k: usize, moments: &Smoothed);
+    /// Of the noise of the transition to step `k`.
+    fn driven(&mut self, k: usize, moments: &Driven);
+    /// ∂ℓ/∂a (n) and ∂ℓ/∂P0 (r × r, each place by itself).
+    fn started(&mut self, mean: &[f64], variance: &[f64]);
+}
+
+/// E[x] and Var[x] at one time, given all data of the test.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Smoothed {
+    /// n numbers.
+    pub(crate) mean: Vec<f64>,
+    /// n × n.
+    pub(crate) variance: Vec<f64>,
+}
+
+/// Moments of the noise w of one transition given all data of the test, on the r noise-reachable states.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Driven {
+    /// E[w] (r).
+    pub(crate) mean: Vec<f64>,
+    /// E[ww'] (r × r).
+    pub(crate) second: Vec<f64>,
+    /// Cov[w, x] with the state x before the transition (r × n).
+    pub(crate) cross: Vec<f64>,
+}
+
+impl Driven {
+    /// E[w] = Qr, E[ww'] = Q + Q(rr' + ρρ' - N)Q, with r, ρ, N before they move on.
+    pub(super) fn at(
+        &mut self,
+        transition: &Transition,
+        (adjoint, rho, N): (&[f64], &[f64], &[f64]),
+        (r, c): (usize, usize),
+    ) {
+        let q = full_noise(transition, r);
+        self.mean.clear();
+        self.mean.extend((0..r).map(|i| dot(&q[i * r..][..r], adjoint)));
+        let g: Vec<f64> = (0..r * r).map(|ij| second(adjoint, rho, c, ij / r, ij % r) - N[ij]).collect();
+        let qg = product(&q, &g, r, r);
+        self.second = product(&qg, &q, r, r);
+        self.second.iter_mut().zip(&q).for_each(|(second, q)| *second += q);
+    }
+
+    /// Cov[w, x] = -Q(ρB' + NφP), `N` being Nφ, `rho` φ'ρ.
+    pub(super) fn across(
+        &mut self,
+        transition: &Transition,
+        left: Seen<'_>,
+        (rho, rho_before): (&[f64], &[f64]),
+        (N, r, c): (&[f64], usize, usize),
+    ) {
+        let n = left.x.len();
+        let B = left.unknown_part(rho, r, c);
+        let mut inner = vec![0.0; r * n];
+        for i in 0..r {
+            for j in 0..n {
+                inner[i * n + j] = -dot(&rho_before[i * c..][..c], &B[j * c..][..c]);
+            }
+            for j in 0..r {
+                inner[i * n + j] -= (0..r).map(|m| N[i * r + m] * left.P[m * r + j]).sum::<f64>();
+            }
+        }
+        self.cross = product(&full_noise(transition, r), &inner, r, n);
+    }
+}
+
+/// Q, both triangles, r × r.
+fn full_noise(transition: &Transition, r: usize) -> Vec<f64> {
+    let mut q = vec![0.0; r * r];
+    for (&(i, j), &value) in transition.pattern.pairs.iter().zip(&transition.q) {
+        q[i as usize * r + j as usize] = value;
+        q[j as usize * r + i as usize] = value;
+    }
+    q
+}
+
+/// AB with A r × r, B r × n.
+fn product(a: &[f64], b: &[f64], r: usize, n: usize) -> Vec<f64> {
+    let mut out = vec![0.0; r * n];
+    for i in 0..r {
+        for (k, &a) in a[i * r..][..r].iter().enumerate().filter(|(_, a)| **a != 0.0) {
+            out[i * n..][..n].iter_mut().zip(&b[k * n..]).for_each(|(out, b)| *out += a * b);
+        }
+    }
+    out
+}
+
+impl Seen<'_> {
+    /// ΨC - Pρ (n × c): what the smoothed state owes to ξ.
+    fn unknown_part(&self, rho: &[f64], r: usize, c: usize) -> Vec<f64> {
+        let mut B = self.Psi.to_vec();
+        for i in 0..r {
+            for j in 0..r {
+                let P = self.P[i * r + j];
+                (0..c).for_each(|k| B[i * c + k] -= P * rho[j * c + k]);
+            }
+        }
+        B
+    }
+
+    /// The state given all data: x̄ + Pr, and P - PNP + BB'.
+    pub(super) fn smooth(&self, adjoint: &[f64], rho: &[f64], (N, r, c): (&[f64], usize, usize), out: &mut Smoothed) {
+        let n = self.x.len();
+        let B = self.unknown_part(rho, r, c);
+        out.mean.clear();
+        out.mean.extend_from_slice(self.x);
+        out.variance.clear();
+        out.variance.extend((0..n * n).map(|ij| dot(&B[ij / n * c..][..c], &B[ij % n * c..][..c])));
+        let PNP = product(&product(self.P, N, r, r), self.P, r, r);
+        for i in 0..r {
+            out.mean[i] += dot(&self.P[i * r..][..r], adjoint);
+            (0..r).for_each(|j| out.variance[i * n + j] += self.P[i * r + j] - PNP[i * r + j]);
+        }
+    }
+}
+
+impl Run<'_> {
+    /// The moments of the test, into the sink: step by step, every state of the forward filter remembered. `wanted.motion` must
+    /// be set, so that the filter keeps P and ΨC.
+    pub(crate) fn smooth<S: Smoothing>(&self, work: &mut BackwardWork, sink: &mut S) {
+        let (n, r, c) = (self.design.frame.n, self.design.frame.r, self.moments.columns);
+        let stride = self.stride();
+        let (mut ends, mut left) = (Vec::new(), Vec::new());
+        self.forward_all(work, &mut ends, &mut left);
+        let BackwardWork { e, adjoint, measured, moved, variance, .. } = work;
+        adjoint.begin(self);
+        let seen = |kept: &'_ [f64], at: usize| at * stride..kept.len().min((at + 1) * stride);
+        let (mut state, mut noise) = (Smoothed::default(), Driven::default());
+        let (mut k, mut transitions) = (self.design.steps(), left.len() / stride.max(1));
+        for step in self.design.each_step().rev() {
+            let end = Seen::new(&ends[seen(&ends, k)], self.sizes());
+            end.smooth(&adjoint.r, &adjoint.rho, (&adjoint.N, r, c), &mut state);
+            sink.smoothed(k, &state);
+            k -= 1;
+            adjoint.measured(self, &step, e, |_| end, measured);
+            let Some(transition) = step.transition else { continue };
+            transitions -= 1;
+            let before = Seen::new(&left[seen(&left, transitions)], self.sizes());
+            noise.at(transition, (&adjoint.r, &adjoint.rho, &adjoint.N), (r, c));
+            let mut turned = adjoint.N.clone();
+            columns(&mut turned, r, transition, &mut Vec::new());
+            let rho = adjoint.rho.clone();
+            adjoint.moved(self, transition, None, moved);
+            noise.across(transition, before, (&adjoint.rho, &rho), (&turned, r, c));
+            sink.driven(k, &noise);
+        }
+        let start = Seen::new(&ends[seen(&ends, 0)], self.sizes());
+        start.smooth(&adjoint.r, &adjoint.rho, (&adjoint.N, r, c), &mut state);
+        debug_assert_eq!(state.mean.len(), n, "a mean for each state");
+        sink.smoothed(0, &state);
+        adjoint.variance(self, variance);
+        sink.started(&adjoint.r, variance);
+    }
+
+    /// The filter at ξ = x̂: its state at the start and after each step, and before each transition.
+    fn forward_all(&self, work: &mut BackwardWork, ends: &mut Vec<f64>, left: &mut Vec<f64>) {
+        let BackwardWork { e, now, .. } = work;
+        let (driven, mut input) = (self.design.frame.driven.len(), 0);
+        e.clear();
+        now.begin(self);
+        now.save(ends);
+        for step in self.design.each_step() {
+            if let Some(transition) = step.transition {
+                now.save(left);
+                now.advance(transition, &self.inputs[input..input + driven], self);
+                input += driven;
+            }
+            for (line, row) in step.lines.zip(step.rows) {
+                now.measure(self, (line, row), e);
+            }
+            now.save(ends);
+        }
+    }
+}

@@ -1,0 +1,128 @@
+//! The E-step of EM on states and noises: what is known of the states and noises of a test when α, μ and Σ are.
+
+use std::sync::Arc;
+
+use crate::ensemble::Test;
+use crate::reduce::{ReduceError, Transition, Workspace};
+use crate::score::Scorer;
+use crate::score::backward::{BackwardWork, Driven, Run, Smoothed, Smoothing, Wanted};
+use crate::score::moments::Moments;
+
+/// Moments of the complete data of a test (states and noises), given all that was measured.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Complete {
+    /// x_0, then the state after each step.
+    pub(crate) states: Vec<Smoothed>,
+    /// Whether each scalar measurement had noise.
+    pub(crate) noisy: Vec<bool>,
+    /// The transition to each step.
+    pub(crate) moves: Vec<Option<Move>>,
+    pub(crate) start: Begun,
+}
+
+/// A transition as it was when the moments were taken, and its noise.
+#[derive(Debug, Clone)]
+pub(crate) struct Move {
+    pub(crate) transition: Arc<Transition>,
+    /// b of the driven states.
+    pub(crate) input: Vec<f64>,
+    pub(crate) noise: Driven,
+}
+
+/// The law of x_0 = a + Aξ + ζ when the moments were taken, and its noise ζ.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Begun {
+    /// a (n).
+    pub(crate) known: Vec<f64>,
+    /// P0, r × r, both triangles.
+    pub(crate) variance: Vec<f64>,
+    /// E[ζ] (r).
+    pub(crate) mean: Vec<f64>,
+    /// E[ζζ'] (r × r).
+    pub(crate) second: Vec<f64>,
+}
+
+/// Gathers moments.
+struct Collect<'a> {
+    complete: &'a mut Complete,
+}
+
+impl Smoothing for Collect<'_> {
+    fn started(&mut self, mean: &[f64], variance: &[f64]) {
+        self.complete.start.take(mean, variance);
+    }
+
+    fn smoothed(&mut self, k: usize, moments: &Smoothed) {
+        self.complete.states[k] = moments.clone();
+    }
+
+    fn driven(&mut self, k: usize, moments: &Driven) {
+        if let Some(own) = &mut self.complete.moves[k] {
+            own.noise = moments.clone();
+        }
+    }
+}
+
+impl Begun {
+    /// E[ζ] = P0 r and E[ζζ'] = P0 + 2 P0 G P0, with r = ∂ℓ/∂a and G = ∂ℓ/∂P0.
+    fn take(&mut self, adjoint: &[f64], bar: &[f64]) {
+        let r = self.variance.len().isqrt();
+        let entry = |i: usize, j: usize| self.variance[i * r + j];
+        self.mean = (0..r).map(|i| (0..r).map(|j| entry(i, j) * adjoint[j]).sum()).collect();
+        let half: Vec<f64> =
+            (0..r * r).map(|ij| (0..r).map(|k| entry(ij / r, k) * bar[k * r + ij % r]).sum::<f64>()).collect();
+        self.second = (0..r * r)
+            .map(|ij| {
+                let (i, j) = (ij / r, ij % r);
+                entry(i, j) + 2.0 * (0..r).map(|k| half[i * r + k] * entry(k, j)).sum::<f64>()
+            })
+            .collect();
+    }
+}
+
+impl Complete {
+    /// The coefficients that the moments belong to.
+    fn of(work: &Workspace) -> Complete {
+        let (design, data) = (&work.design, &work.data);
+        let (r, driven) = (design.frame.r, design.frame.driven.len());
+        let mut at = 0;
+        let mut moves = Vec::with_capacity(design.steps());
+        for step in design.each_step() {
+            moves.push(step.transition.map(|transition| {
+                let input = data.inputs[at..at + driven].to_vec();
+                at += driven;
+                Move { transition: transition.clone(), input, noise: Driven::default() }
+            }));
+        }
+        let variance = (0..r * r).map(|ij| design.variance[(ij / r).max(ij % r) * r + (ij / r).min(ij % r)]).collect();
+        let start = Begun { known: data.start.clone(), variance, ..Begun::default() };
+        let noisy = design.each_step().flat_map(|step| step.lines).map(|line| design.noise[line] > 0.0).collect();
+        Complete { noisy, states: vec![Smoothed::default(); design.steps() + 1], moves, start }
+    }
+}
+
+impl Scorer<'_> {
+    /// Moments of the complete data of a test at the α of the reducer, `moments` being those of its ξ.
+    pub(crate) fn complete(
+        &self,
+        test: &Test,
+        moments: &Moments,
+        (work, backward): (&mut Workspace, &mut BackwardWork),
+    ) -> Result<Complete, ReduceError> {
+        let wanted = Wanted { motion: true, equation: false };
+        self.reducer.with_gains(test, work, |gains, work| {
+            let run = Run {
+                design: &work.design,
+                gains,
+                start: &work.data.start,
+                inputs: &work.data.inputs,
+                values: &work.data.values,
+                moments,
+                wanted,
+            };
+            let mut complete = Complete::of(work);
+            run.smooth(backward, &mut Collect { complete: &mut complete });
+            complete
+        })
+    }
+}

@@ -1,0 +1,201 @@
+//! Noise levels: parameters that do nothing but scale noises, whose M-step has a closed form.
+//!
+//! Where n noises have variances R_k = σ^d s_k, E[v_k²] = R_k + 2 R_k² ∂ℓ/∂R_k sums to σ^d_new = σ^d (1 + (2/dn) ∂ℓ/∂ln σ).
+
+use rayon::prelude::*;
+
+use crate::ensemble::Test;
+use crate::model::{CovarianceKind, Expression, Function, Initial, Model, Motion, Operator};
+use crate::reduce::{Fault, ReduceError, Reducer, Workspace};
+use crate::score::Slots;
+
+/// Which free values are noise levels, and of how many noises.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Levels {
+    /// d of each parameter that is a level.
+    degree: Vec<Option<f64>>,
+    /// n of each slot.
+    count: Vec<f64>,
+}
+
+impl Levels {
+    /// `reducer` at an α where no level is zero.
+    pub(crate) fn new(reducer: &Reducer, slots: &Slots, tests: &[Test]) -> Result<Levels, ReduceError> {
+        let model = &reducer.preparer().model;
+        let free = |p: usize| slots.is_free(p);
+        let degree: Vec<Option<f64>> =
+            (0..model.parameters.len()).map(|p| if free(p) { degree(model, slots, p) } else { None }).collect();
+        let mut count = vec![0.0; slots.len()];
+        if degree.iter().any(Option::is_some) {
+            let one = |work: &mut Workspace, test: &Test| {
+                counted(reducer, slots, &degree, test, work).map_err(|fault| fault.name(model, Some(test)))
+            };
+            let all: Vec<Result<Vec<usize>, ReduceError>> =
+                tests.par_iter().map_init(|| reducer.workspace(), one).collect();
+            for found in all {
+                found?.into_iter().for_each(|slot| count[slot] += 1.0);
+            }
+        }
+        Ok(Levels { degree, count })
+    }
+
+    /// (d, n) of a slot of a level.
+    pub(crate) fn of(&self, slots: &Slots, slot: usize) -> Option<(f64, f64)> {
+        Some((self.degree[slots.slots()[slot].parameter]?, self.count[slot]))
+    }
+}
+
+/// The slot of each noise of a test that has one.
+fn counted(
+    reducer: &Reducer,
+    slots: &Slots,
+    degree: &[Option<f64>],
+    test: &Test,
+    work: &mut Workspace,
+) -> Result<Vec<usize>, Box<Fault>> {
+    let preparer = reducer.preparer();
+    let model = &preparer.model;
+    preparer.prepare(test, work)?;
+    let level = |expression: &Expression| (0..degree.len()).find(|&p| degree[p].is_some() && mentions(expression, p));
+    let mut found = Vec::new();
+    let meters: Vec<Option<usize>> = model.measurements.iter().map(|m| level(&m.noise_variance)).collect();
+    let lines = work.design.each_step().flat_map(|step| step.lines);
+    for (instance, noise) in work.instances.iter().zip(lines.map(|line| &work.design.noise[line])) {
+        if let Some(parameter) = meters[instance.meter].filter(|_| *noise > 0.0) {
+            found.extend(slots.find(parameter, test.texts(instance.row)));
+        }
+    }
+    let driven: Vec<(u32, usize)> = (0..model.states.len())
+        .filter_map(|i| Some((preparer.order.place[i] as u32, level(process_noise(model, i)?)?)))
+        .collect();
+    let mut cells = crate::reduce::Cells::default();
+    for (k, step) in work.design.each_step().enumerate() {
+        let Some(transition) = step.transition.filter(|_| !driven.is_empty()) else { continue };
+        let scope = preparer.moving(test, k, work, &mut cells)?;
+        for &(place, parameter) in &driven {
+            let own = transition.pattern.pairs.iter().position(|pair| *pair == (place, place));
+            if own.is_some_and(|at| transition.q[at] > 0.0) {
+                found.extend(slots.find(parameter, scope.texts));
+            }
+        }
+    }
+    Ok(found)
+}
+
+fn process_noise(model: &Model, state: usize) -> Option<&Expression> {
+    match &model.states[state].motion {
+        Motion::Constant => None,
+        Motion::Continuous { noise_variance, .. } | Motion::Discrete { noise_variance, .. } => Some(noise_variance),
+    }
+}
+
+pub(super) fn mentions(expression: &Expression, parameter: usize) -> bool {
+    expression.any(&mut |part| matches!(part, Expression::Parameter(index) if *index == parameter))
+}
+
+/// d when the parameter scales whole variances of noises, each with σ^d, and stands nowhere else.
+fn degree(model: &Model, slots: &Slots, parameter: usize) -> Option<f64> {
+    let here = |expression: &Expression| mentions(expression, parameter);
+    let free =
+        |expression: &Expression| (0..model.parameters.len()).any(|p| slots.is_free(p) && mentions(expression, p));
+    if elsewhere(model, &here) {
+        return None;
+    }
+    let mut degrees = Vec::new();
+    for (m, measurement) in model.measurements.iter().enumerate() {
+        if here(&measurement.noise_variance) {
+            let paired = model.noise_covariance.iter().any(|(i, j, _)| *i == m || *j == m);
+            degrees.push(if paired { None } else { scales(&measurement.noise_variance, model, slots, parameter) });
+        }
+    }
+    for i in 0..model.states.len() {
+        if let Some(noise) = process_noise(model, i).filter(|noise| here(noise)) {
+            degrees.push(if alone(model, i, &free) { scales(noise, model, slots, parameter) } else { None });
+        }
+    }
+    let first = degrees.first().copied().flatten().filter(|d| *d != 0.0)?;
+    degrees.iter().all(|d| *d == Some(first)).then_some(first)
+}
+
+/// The parameter stands somewhere other than in variances of noises, or in the start through them.
+fn elsewhere(model: &Model, here: &dyn Fn(&Expression) -> bool) -> bool {
+    let linear = |linear: &crate::model::Linear| linear.terms.iter().any(|(_, h)| here(h)) || here(&linear.constant);
+    let measured = model.measurements.iter().any(|m| linear(&m.equation) || m.filter.as_ref().is_some_and(here));
+    let moved = model.states.iter().any(|state| match &state.motion {
+        Motion::Constant => false,
+        Motion::Continuous { derivative: motion, .. } | Motion::Discrete { next: motion, .. } => linear(motion),
+    });
+    let begun = model.states.iter().any(|state| {
+        state.offset.as_ref().is_some_and(here)
+            || matches!(&state.initial, Initial::Known { mean, variance } if here(mean) || here(variance))
+    });
+    let settled = model.states.iter().any(|state| state.initial == Initial::Stationary)
+        && (0..model.states.len()).any(|i| process_noise(model, i).is_some_and(here));
+    let matrices = match &model.covariance.kind {
+        CovarianceKind::Fixed(m) | CovarianceKind::Proportional(m) | CovarianceKind::Correlation(m) => {
+            m.iter().flatten().any(here)
+        }
+        _ => false,
+    };
+    let covariances = model.noise_covariance.iter().chain(&model.process_noise_covariance).any(|(.., c)| here(c));
+    let known = model.covariance.known.iter().flatten().flatten().any(here);
+    measured
+        || moved
+        || begun
+        || settled
+        || matrices
+        || covariances
+        || known
+        || model.clock.initial_time.as_ref().is_some_and(here)
+}
+
+/// The noise of a state is no other's, and what scales its variance scales that of every step.
+fn alone(model: &Model, state: usize, free: &dyn Fn(&Expression) -> bool) -> bool {
+    if model.process_noise_covariance.iter().any(|(i, j, _)| *i == state || *j == state) {
+        return false;
+    }
+    let continuous = |i: usize| matches!(model.states[i].motion, Motion::Continuous { .. });
+    match &model.states[state].motion {
+        Motion::Continuous { derivative, .. } => {
+            let own = derivative.terms.iter().all(|(j, h)| if *j == state { !free(h) } else { !continuous(*j) });
+            let others = model.states.iter().enumerate().filter(|(i, _)| *i != state);
+            let fed = |motion: &Motion| matches!(motion, Motion::Continuous { derivative, .. } if derivative.terms.iter().any(|t| t.0 == state));
+            own && !others.into_iter().any(|(_, other)| fed(&other.motion))
+        }
+        _ => true,
+    }
+}
+
+/// d when the expression is σ^d times what holds no free parameter.
+fn scales(expression: &Expression, model: &Model, slots: &Slots, parameter: usize) -> Option<f64> {
+    let others = (0..model.parameters.len()).filter(|&p| p != parameter && slots.is_free(p));
+    if others.into_iter().any(|p| mentions(expression, p)) {
+        return None;
+    }
+    power(expression, parameter)
+}
+
+fn power(expression: &Expression, parameter: usize) -> Option<f64> {
+    if !mentions(expression, parameter) {
+        return Some(0.0);
+    }
+    let of = |part: &Expression| power(part, parameter);
+    match expression {
+        Expression::Parameter(_) => Some(1.0),
+        Expression::Negate(a) => of(a),
+        Expression::Call(Function::Sqrt, arguments) => Some(0.5 * of(&arguments[0])?),
+        Expression::Call(Function::Abs, arguments) => of(&arguments[0]),
+        Expression::If(condition, a, b) if !mentions(condition, parameter) => {
+            let (a, b) = (of(a)?, of(b)?);
+            (a == b).then_some(a)
+        }
+        Expression::Binary(Operator::Multiply, a, b) => Some(of(a)? + of(b)?),
+        Expression::Binary(Operator::Divide, a, b) => Some(of(a)? - of(b)?),
+        Expression::Binary(Operator::Power, a, b) => Some(of(a)? * b.as_number()?),
+        Expression::Binary(Operator::Add | Operator::Subtract, a, b) => {
+            let (a, b) = (of(a)?, of(b)?);
+            (a == b).then_some(a)
+        }
+        _ => None,
+    }
+}
