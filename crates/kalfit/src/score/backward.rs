@@ -21,6 +21,7 @@
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, N, K, T, S, D")]
 
 mod adjoint;
+mod bars;
 mod equal;
 mod filtered;
 mod parts;
