@@ -21,6 +21,7 @@
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, N, K, T, S, D")]
 
 mod adjoint;
+mod bars;
 mod equal;
 mod filtered;
 mod parts;
@@ -89,13 +90,18 @@ pub(crate) trait Sink {
 struct Cut {
     /// Steps from one kept state of the forward filter to the next.
     block: usize,
-    /// So many equal steps are not worth a kernel of their own.
+    /// So many equal steps are not worth a kernel of their own,
     few: usize,
+    /// nor so many after the first [`MOST`] times: the state of the filter is kept each time.
+    short: usize,
 }
+
+/// Short stretches that are gone back through by themselves.
+const MOST: usize = 64;
 
 impl Default for Cut {
     fn default() -> Cut {
-        Cut { block: 256, few: 64 }
+        Cut { block: 256, few: 4, short: 64 }
     }
 }
 

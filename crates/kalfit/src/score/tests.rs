@@ -107,6 +107,18 @@ fn record(rows: u32) -> Test {
     test
 }
 
+/// Rows at irregular times of its own.
+fn scattered(rows: u32, seed: u64) -> Test {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut normal = || -> f64 { rng.sample(StandardNormal) };
+    let (mut time, mut test) = (0.0, Test::new("scattered", 2, 0));
+    for k in 0..rows {
+        test.push(&[time, normal()], &[], Source { file: 0, row: u64::from(k) });
+        time += 0.01 + 0.1 * normal().abs();
+    }
+    test
+}
+
 fn law() -> InitialLaw {
     InitialLaw::known(DVector::from_vec(vec![0.4]), DMatrix::from_vec(1, 1, vec![0.6]))
 }
@@ -190,8 +202,9 @@ fn costs() {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("one thread");
     let long = vec![record(1_000_000)];
     let short: Vec<Test> = (0..5000).map(|_| record(10)).collect();
+    let own: Vec<Test> = (0..5000).map(|k| scattered(20, k)).collect();
     let mut lines = Vec::new();
-    for (name, tests) in [("long", &long), ("short", &short)] {
+    for (name, tests) in [("long", &long), ("short", &short), ("irregular", &own)] {
         for free in [1, 4, 6] {
             let model = model(free);
             let slots = Slots::new(&model, &Labels::default(), tests);

@@ -2,9 +2,10 @@
 //! where these no longer change.
 
 use crate::reduce::{Frozen, Piece, Stretch, moving};
+use crate::score::backward::bars::{Bars, Gain, Rest, Spread, Sums};
 use crate::score::backward::filtered::Filtered;
 use crate::score::backward::parts::Part;
-use crate::score::backward::steady::{Bars, Gain, Rest, Spread, Steady, Sums};
+use crate::score::backward::steady::Steady;
 use crate::score::backward::{BackwardWork, Run};
 
 /// The way forth over a stretch, and back.

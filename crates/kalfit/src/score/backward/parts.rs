@@ -2,7 +2,7 @@
 
 use crate::reduce::{Design, Step};
 use crate::score::backward::equal::{Kernel, kernel};
-use crate::score::backward::{BackwardWork, Run, Sink};
+use crate::score::backward::{BackwardWork, MOST, Run, Sink};
 
 /// Steps that are gone back through together.
 #[derive(Debug, Clone, Copy)]
@@ -73,13 +73,15 @@ impl Run<'_> {
     fn cut<S: Sink>(&self, work: &mut BackwardWork, sink: &mut S) {
         let (parts, cut, driven) = (&mut work.parts, work.cut, self.design.frame.driven.len());
         parts.clear();
-        let (mut step, mut input) = (0, 0);
+        let (mut step, mut input, mut many) = (0, 0, 0);
         for (at, stretch) in self.design.stretches().enumerate() {
             let inputs = if stretch.transition.is_some() { driven } else { 0 };
             let steps = (step, step + stretch.count);
-            let long = stretch.count > cut.few && driven == 0;
+            let few = if many < MOST { cut.few } else { cut.few.max(cut.short) };
+            let long = stretch.count > few && driven == 0;
             let summed = || kernel(self, &stretch).filter(|_| sink.sums(steps.0..steps.1));
             if let Some(kernel) = long.then(summed).flatten() {
+                many += 1;
                 parts.push(Part { kind: Kind::Equal(kernel), steps, stretch: at, skip: 0, input, mark: 0 });
             } else {
                 let mut skip = 0;
