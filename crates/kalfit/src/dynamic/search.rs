@@ -5,7 +5,7 @@ use nalgebra::DVector;
 use crate::dynamic::bench::{Bench, Solved};
 use crate::dynamic::em::Em;
 use crate::dynamic::joint::{self, Joint};
-use crate::dynamic::{DynamicError, Method, Standing};
+use crate::dynamic::{DynamicError, Method, Standing, start};
 use crate::estimate::{Progress, Step, Stop};
 use crate::model::Population;
 
@@ -25,7 +25,7 @@ const DRIFT: f64 = 0.25;
 /// ℓ that may still be had beyond, where a value counts as infinite.
 const BEYOND: f64 = 1e-7;
 /// A value that returns from zero does so at this part of what it was.
-const RETURN: f64 = 1e-2;
+const RETURN: f64 = 5e-2;
 
 /// Where a search is.
 pub(crate) struct Search<'b, 'a> {
@@ -369,19 +369,45 @@ impl<'b, 'a> Search<'b, 'a> {
             .collect();
         let mut released = false;
         for &s in zero.iter().take(64) {
-            let mut values = self.home.values.clone();
-            values[s] = RETURN * self.before_zero[s];
-            if let Some(next) = self.at(&values)
-                && next.gradient[s] > 0.0
-                && next.value() > self.home.value()
-            {
+            let rises = |next: &Solved| next.gradient[s] > 0.0 && next.value() > self.home.value();
+            let best = self.near_zero(s).into_iter().filter_map(|values| self.at(&values)).filter(rises);
+            if let Some(next) = best.max_by(|a, b| a.value().total_cmp(&b.value())) {
                 self.home = next;
+                self.standing.iter_mut().filter(|standing| **standing == Standing::Unidentified).for_each(|standing| {
+                    *standing = Standing::Inside; // a time constant whose noise has come back
+                });
+                self.drifted.fill(false);
                 self.returned[s] = true;
                 self.standing[s] = Standing::Inside;
                 released = true;
             }
         }
         released
+    }
+}
+
+impl Search<'_, '_> {
+    /// Places a little way off zero: with the other values as they are, and with time constants that mean nothing at zero
+    /// between the length of a step and that of a record.
+    fn near_zero(&self, s: usize) -> Vec<Vec<f64>> {
+        let mut values = self.home.values.clone();
+        values[s] = RETURN * self.before_zero[s];
+        let flat = |t: usize| self.home.gradient[t].abs() < 1e-9 && self.home.values[t] > 0.0 && self.held != Some(t);
+        let constants = start::time_constants(self.bench.model);
+        let slots = self.bench.slots.slots();
+        let idle: Vec<usize> =
+            (0..slots.len()).filter(|&t| constants.contains(&slots[t].parameter) && flat(t)).collect();
+        let mut all = vec![values.clone()];
+        if !idle.is_empty() {
+            for time in start::Scales::of(self.bench).times() {
+                let mut values = values.clone();
+                idle.iter().for_each(|&t| {
+                    values[t] = time.clamp(self.bench.coordinates[t].lower, self.bench.coordinates[t].upper)
+                });
+                all.push(values);
+            }
+        }
+        all
     }
 }
 

@@ -17,14 +17,16 @@ use crate::model::{Expression, Linear, Model, Motion, Operator, Value};
 /// Ends on a part of the data whose ℓ is this close to the best one's are followed on all of it.
 const CLOSE: f64 = 5.0;
 /// Rows that start values are worked out from, and rows of one test among them.
-const ROWS: usize = 20_000;
-const ROWS_OF_A_TEST: usize = 4_000;
+const ROWS: usize = 100_000;
+const ROWS_OF_A_TEST: usize = 20_000;
 /// Powers of this factor are tried, so many to each side.
 const FACTOR: f64 = 4.0;
 const EACH_SIDE: i32 = 6;
 /// Points scattered about the first guess, and their spread: standard deviation of a logarithm.
 const SCATTERED: usize = 40;
 const WIDE: f64 = 2.5;
+/// Time constants that are tried for a noise level at zero.
+const TIMES: i32 = 6;
 /// Spread of random starts: standard deviation of a logarithm.
 const SPREAD: f64 = 1.5;
 /// Values other than logarithms that are tried where none is given.
@@ -136,7 +138,7 @@ fn inside(coordinate: Coordinate, value: f64) -> f64 {
 }
 
 /// Sizes found in the data.
-struct Scales {
+pub(crate) struct Scales {
     /// Of the differences of successive measured values, by measurement.
     noise: Vec<f64>,
     /// Median length of a step.
@@ -146,7 +148,7 @@ struct Scales {
 }
 
 impl Scales {
-    fn of(bench: &Bench<'_>) -> Scales {
+    pub(crate) fn of(bench: &Bench<'_>) -> Scales {
         let noise = bench.model.measurements.iter().map(|m| differences(bench.tests, m.column)).collect();
         let (mut steps, mut spans) = (Vec::new(), Vec::new());
         if let Some(time) = bench.model.clock.time {
@@ -158,6 +160,12 @@ impl Scales {
             }
         }
         Scales { noise, step: median(steps).unwrap_or(1.0), span: median(spans).unwrap_or(1.0) }
+    }
+
+    /// Time constants between the length of a step and that of a test.
+    pub(crate) fn times(&self) -> impl Iterator<Item = f64> {
+        let (step, ratio) = (self.step, (self.span / self.step).max(1.0));
+        (0..TIMES).map(move |k| step * ratio.powf((f64::from(k) + 0.5) / f64::from(TIMES)))
     }
 
     /// A value for a positive parameter.
