@@ -107,18 +107,6 @@ fn record(rows: u32) -> Test {
     test
 }
 
-/// Rows at irregular times of its own.
-fn scattered(rows: u32, seed: u64) -> Test {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut normal = || -> f64 { rng.sample(StandardNormal) };
-    let (mut time, mut test) = (0.0, Test::new("scattered", 2, 0));
-    for k in 0..rows {
-        test.push(&[time, normal()], &[], Source { file: 0, row: u64::from(k) });
-        time += 0.01 + 0.1 * normal().abs();
-    }
-    test
-}
-
 fn law() -> InitialLaw {
     InitialLaw::known(DVector::from_vec(vec![0.4]), DMatrix::from_vec(1, 1, vec![0.6]))
 }
@@ -185,58 +173,4 @@ fn a_long_record_is_scored_to_the_same_bits_on_any_thread() {
         let alone = scorer.scores(&tests[k..=k], &moments[k..=k]).expect("sound");
         assert_eq!(alone[0], together[k]);
     }
-}
-
-/// `cargo test -p kalfit --lib score::tests::costs -- --ignored --nocapture`: nanoseconds a row, forward and backward.
-#[test]
-#[ignore = "a measurement"]
-fn costs() {
-    let best = |work: &mut dyn FnMut()| {
-        let time = |work: &mut dyn FnMut()| {
-            let start = std::time::Instant::now();
-            work();
-            start.elapsed().as_secs_f64()
-        };
-        (0..5).map(|_| time(work)).fold(f64::INFINITY, f64::min)
-    };
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("one thread");
-    let long = vec![record(1_000_000)];
-    let short: Vec<Test> = (0..5000).map(|_| record(10)).collect();
-    let own: Vec<Test> = (0..5000).map(|k| scattered(20, k)).collect();
-    let mut lines = Vec::new();
-    for (name, tests) in [("long", &long), ("short", &short), ("irregular", &own)] {
-        for free in [1, 4, 6] {
-            let model = model(free);
-            let slots = Slots::new(&model, &Labels::default(), tests);
-            let alpha = slots.alpha(&model, &VALUES[..free]);
-            let rows: usize = tests.iter().map(Test::rows).sum();
-            pool.install(|| {
-                let mut forward = f64::INFINITY;
-                let mut prepare = f64::INFINITY;
-                for _ in 0..5 {
-                    let mut reducer = Reducer::scoring(&model, &alpha, &slots).expect("sound");
-                    let start = std::time::Instant::now();
-                    reducer.reduce(tests).expect("sound");
-                    forward = forward.min(start.elapsed().as_secs_f64());
-                    let mut work = reducer.workspace();
-                    let start = std::time::Instant::now();
-                    tests.iter().for_each(|test| reducer.with_gains(test, &mut work, |_, _| ()).expect("sound"));
-                    prepare = prepare.min(start.elapsed().as_secs_f64());
-                }
-                let mut reducer = Reducer::scoring(&model, &alpha, &slots).expect("sound");
-                let reductions = reducer.reduce(tests).expect("sound");
-                let moments: Vec<Moments> = reductions.iter().map(|reduction| moments(reduction, &law())).collect();
-                let scorer = Scorer::new(&reducer, &slots).expect("differentiable");
-                let backward = best(&mut || drop(scorer.scores(tests, &moments).expect("sound")));
-                let row = 1e9 / rows as f64;
-                lines.push(format!(
-                    "{name}, {free} free: forward {:.1}, of which preparation {:.1}; backward with preparation {:.1} ns a row",
-                    forward * row,
-                    prepare * row,
-                    backward * row
-                ));
-            });
-        }
-    }
-    panic!("\n{}", lines.join("\n"));
 }
