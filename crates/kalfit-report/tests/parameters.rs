@@ -1,5 +1,6 @@
 //! Dynamic parameters in the summary: where they lie, very many levels, several methods.
 
+#[allow(dead_code, reason = "each test crate uses its own part of it")]
 mod common;
 
 use common::{phase, record};

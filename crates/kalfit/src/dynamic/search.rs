@@ -292,7 +292,7 @@ impl<'b, 'a> Search<'b, 'a> {
     pub(super) fn leap(&mut self, joint: &Joint) -> bool {
         let sinking = |&s: &usize| {
             let (slope, bend) = (self.home.gradient[s], joint.curvature(s));
-            let tail = slope < 0.0 && slope >= -TAIL && bend > 0.0 && bend <= LEVEL * slope.abs();
+            let tail = (-TAIL..0.0).contains(&slope) && bend > 0.0 && bend <= LEVEL * slope.abs();
             self.bench.coordinates[s].log && tail && !self.returned[s]
         };
         let sinking: Vec<usize> = joint.active.iter().copied().filter(sinking).collect();
