@@ -82,7 +82,9 @@ fn finds_the_parameters_of(case: &str) {
     let mut failures = Vec::new();
     for want in list(&expected(case)).iter().filter(|want| !list(&want["set"]).is_empty()) {
         let want = freed(want);
-        for method in METHODS {
+        // EM converges linearly: there it needs several hundred runs of the filters, a minute of them
+        let methods = if case == "ssm-continuous3" { &METHODS[..2] } else { &METHODS };
+        for method in methods {
             let lines = match fit_by(case, &want, DEFAULT_SOLVER, method) {
                 Ok(found) => Comparison::of(&found, &want).failures(1.0),
                 Err(said) => vec![said],

@@ -252,11 +252,6 @@ fn wrong_arguments() {
 
     For more information, try '--help'.
     ");
-    assert_snapshot!(refused("fit m.toml d.csv --method em", &[]), @"
-    error: `--method` has no effect: the model has no free parameters
-
-    hint: leave it out, or free a parameter in `[parameters]`: `{}` or `{ start = 1 }`
-    ");
     assert_snapshot!(refused("fit m.toml d.csv --phases marginal", &[]), @"
     error: invalid value 'marginal' for '--phases <PHASES>': this version has only `chain`
 

@@ -126,7 +126,7 @@ pub(super) fn methods(record: &FitRecord, page: &Page<'_>) -> String {
     let column = |of: &dyn Fn(&kalfit::record::MethodRecord) -> String| methods.iter().map(of).collect();
     let work = [
         Column::new("method", Side::Left, column(&|m| m.method.clone())),
-        Column::new("log-likelihood", Side::Right, column(&|m| Precision::Decimals(6).show(m.log_likelihood))),
+        Column::new("log-lik.", Side::Right, column(&|m| Precision::Decimals(6).show(m.log_likelihood))),
         Column::new("certified", Side::Left, column(&|m| if m.converged { "yes" } else { "no" }.to_owned())),
         Column::new("passes", Side::Right, column(&|m| m.iterations.to_string())),
         Column::new("filter runs", Side::Right, column(&|m| m.filter_passes.to_string())),
