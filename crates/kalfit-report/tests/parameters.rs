@@ -138,10 +138,10 @@ fn methods_stand_side_by_side() {
     };
     insta::assert_snapshot!(shown(&record, "Methods side by side"), @"
     Methods side by side
-      method       log-likelihood  certified  passes  filter runs  backward   time
-      hybrid          -637.602932  yes            26           20        19  12 ms
-      innovations     -637.602932  yes            26           20        19  12 ms
-      em              -637.612932  no             26           20        19  12 ms
+      method          log-lik.  certified  passes  filter runs  backward   time
+      hybrid       -637.602932  yes            26           20        19  12 ms
+      innovations  -637.602932  yes            26           20        19  12 ms
+      em           -637.612932  no             26           20        19  12 ms
 
       parameter      hybrid  innovations      em
       walk         35.77194     35.77194    36.5
