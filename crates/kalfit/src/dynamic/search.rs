@@ -13,6 +13,8 @@ use crate::model::Population;
 pub(super) const LONGEST: f64 = 2.0;
 /// With more damping than this a step goes nowhere.
 const STIFF: f64 = 1e6;
+/// Where rounding keeps the search from going on, so many tolerances are near enough.
+pub(super) const NEAR_ENOUGH: f64 = 1e2;
 /// Most outer steps.
 const STEPS: usize = 200;
 /// A logarithm whose curvature is no more than this many times its slope has no optimum in sight: ℓ runs level towards a bound,
@@ -43,6 +45,14 @@ pub(crate) struct Search<'b, 'a> {
     drifted: Vec<bool>,
     /// Values that have returned from zero once stay off it.
     returned: Vec<bool>,
+}
+
+/// How a search goes on.
+enum Turn {
+    /// With differences to both sides, or to one.
+    On { closer: bool },
+    /// Not at all.
+    End(Stop),
 }
 
 /// Where it ended.
@@ -134,61 +144,55 @@ impl<'b, 'a> Search<'b, 'a> {
         for _ in 0..STEPS {
             let joint = Joint::new(self.bench, &self.home, &self.active(), fine);
             let step = joint.step(&self.home.gradient, self.inner_gradient(), 0.0);
-            if self.leap(&joint) || self.drifted(&joint, &step) {
-                self.place();
-                fine = false;
-                continue;
-            }
-            let still = step.decrement <= self.tolerance();
-            if still && !step.concave && (self.settled() || self.off_saddle(&joint)) {
-                fine = false;
-                continue;
-            }
+            let turn = self.turn(&joint, &step, fine);
             last = Some((joint, step.decrement));
-            if self.hopeless(step.decrement) {
-                break;
-            }
-            if still && step.concave {
-                if !fine {
-                    fine = true;
-                    continue;
-                }
-                if self.settled() {
-                    continue;
-                }
-                if self.released() {
-                    fine = false;
-                    continue;
-                }
-                stop = Stop::Certified;
-                break;
-            }
-            let joint = last.as_ref().expect("just set").0.clone();
-            let moved = self.advance(&joint, step.decrement);
-            if !moved {
-                if fine {
-                    stop = if step.decrement <= 1e2 * self.tolerance() && step.concave {
-                        Stop::Certified
-                    } else {
-                        Stop::Stalled
-                    };
+            match turn {
+                Turn::On { closer } => fine = closer,
+                Turn::End(how) => {
+                    stop = how;
                     break;
                 }
-                fine = true;
-                continue;
             }
-            self.place();
-            self.tell(step.decrement);
         }
-        let (joint, certificate) = match last {
-            Some(last) => last,
-            None => (Joint::new(self.bench, &self.home, &self.active(), true), f64::INFINITY),
-        };
+        let (joint, certificate) = last.expect("there is at least one step");
         if self.home.estimate.stop != Stop::Certified {
             stop = self.home.estimate.stop;
         }
         let (home, standing, before_zero) = (self.home, self.standing, self.before_zero);
         Ok(End { home, standing, joint, certificate, stop, trace: self.trace, before_zero })
+    }
+
+    /// What to do where this is known; `fine` when it is by differences to both sides.
+    fn turn(&mut self, joint: &Joint, step: &joint::Step, fine: bool) -> Turn {
+        if self.leap(joint) || self.drifted(joint, step) {
+            self.place();
+            return Turn::On { closer: false };
+        }
+        let still = step.decrement <= self.tolerance();
+        if still && !step.concave && (self.settled() || self.off_saddle(joint)) {
+            return Turn::On { closer: false };
+        }
+        if self.hopeless(step.decrement) {
+            return Turn::End(Stop::PassLimit);
+        }
+        if still && step.concave {
+            return match fine {
+                false => Turn::On { closer: true },
+                true if self.settled() => Turn::On { closer: true },
+                true if self.released() => Turn::On { closer: false },
+                true => Turn::End(Stop::Certified),
+            };
+        }
+        if self.advance(joint, step.decrement) {
+            self.place();
+            self.tell(step.decrement);
+            return Turn::On { closer: fine };
+        }
+        if !fine {
+            return Turn::On { closer: true };
+        }
+        let enough = step.decrement <= NEAR_ENOUGH * self.tolerance() && step.concave;
+        Turn::End(if enough { Stop::Certified } else { Stop::Stalled })
     }
 
     fn tell(&mut self, decrement: f64) {

@@ -244,10 +244,9 @@ fn values_of_single_tests_are_eliminated_exactly() {
     let whole = joint.undivided();
     let inner = home.estimate.state.place.tangent.gradient.clone();
     let (a, b) = (joint.step(&home.gradient, &inner, 0.0), whole.step(&home.gradient, &inner, 0.0));
-    if a.concave && b.concave {
-        for (a, b) in a.alpha.iter().zip(&b.alpha) {
-            assert!((a - b).abs() < 1e-9 * (1.0 + b.abs()), "{a} {b}");
-        }
+    assert!(a.concave && b.concave, "at a maximum the curvature is positive");
+    for (a, b) in a.alpha.iter().zip(&b.alpha) {
+        assert!((a - b).abs() < 1e-9 * (1.0 + b.abs()), "{a} {b}");
     }
     let (a, b) = (joint.covariances(), whole.covariances());
     for (a, b) in a.alpha.iter().zip(&b.alpha) {

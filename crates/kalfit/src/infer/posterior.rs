@@ -5,6 +5,7 @@ use rayon::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::estimate::{Class, Estimate, Point, Problem, Terms};
+use crate::linalg::posterior_root;
 use crate::reduce::Reduction;
 
 /// What one test says, at an estimate.
@@ -77,19 +78,11 @@ impl Distance {
     }
 }
 
-/// F (I + F'JF)⁻¹ F', which loses nothing where the test knows ξ far better than the population does. I + F'JF = U'U by QR of
-/// [I; RF], without forming it: however large RF is, U has a diagonal.
+/// F (I + F'JF)⁻¹ F'; `factor` is R with J = R'R, by rows.
 fn posterior_covariance(factor: &[f64], root: &DMatrix<f64>) -> DMatrix<f64> {
-    let (p, n) = root.shape();
-    let rf = DMatrix::from_row_slice(p, p, factor) * root;
-    let stacked = DMatrix::from_fn(n + p, n, |i, c| if i < n { f64::from(i == c) } else { rf[(i - n, c)] });
-    let mut upper = stacked.qr().r();
-    for k in 0..n {
-        // no less than the least singular value of [I; RF], which is at least one; rounding must not make it so
-        upper[(k, k)] = upper[(k, k)].abs().max(1.0).copysign(upper[(k, k)]);
-    }
-    let half = upper.transpose().solve_lower_triangular(&root.transpose()).expect("its diagonal is at least one");
-    half.transpose() * half
+    let p = root.nrows();
+    let half = posterior_root(&DMatrix::from_row_slice(p, p, factor), root);
+    &half * half.transpose()
 }
 
 #[cfg(test)]

@@ -3,5 +3,7 @@
 pub mod echelon;
 pub mod exponential;
 pub mod fold;
+mod posterior;
 pub mod real;
 pub mod symmetric;
+pub(crate) use posterior::posterior_root;

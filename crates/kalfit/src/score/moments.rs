@@ -1,8 +1,9 @@
 //! Posterior moments of ξ as the backward pass wants them.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DVector;
 
 use crate::estimate::{InitialLaw, unpack};
+use crate::linalg::posterior_root;
 use crate::reduce::Reduction;
 
 /// E[ξ | z] and a root C of Var[ξ | z] = CC'.
@@ -15,25 +16,17 @@ pub(crate) struct Moments {
     pub(crate) columns: usize,
 }
 
-/// x̂ = μ + V(y - Jμ) and V = F(I + F'JF)⁻¹F' (10), (11), by QR of [I; RF], without forming I + F'JF.
+/// x̂ = μ + V(y - Jμ) and V = F(I + F'JF)⁻¹F' (10), (11).
 ///
 /// Under the restricted likelihood the covariance of μ_j at a known Σ adds to V, as (I+ΣJ)⁻¹ of it: ℓ_R changes by
 /// -½ tr((V + …) ∂J) where ℓ changes by -½ tr(V ∂J).
 pub(crate) fn moments(reduction: &Reduction, law: &InitialLaw) -> Moments {
-    let (p, n) = law.root.shape();
+    let p = law.root.nrows();
     let factor = unpack(&reduction.factor, p);
     let mean = law.mean_of(&reduction.covariates);
-    let rf = &factor * &law.root;
-    let stacked = DMatrix::from_fn(n + p, n, |i, c| if i < n { f64::from(i == c) } else { rf[(i - n, c)] });
-    let mut upper = stacked.qr().r();
-    for k in 0..n {
-        // no less than the least singular value of [I; RF], which is at least one; rounding must not make it so
-        upper[(k, k)] = upper[(k, k)].abs().max(1.0).copysign(upper[(k, k)]);
-    }
-    let half = upper.transpose().solve_lower_triangular(&law.root.transpose()).expect("its diagonal is at least one");
-    let root = half.transpose();
+    let root = posterior_root(&factor, &law.root);
     let residual = DVector::from_column_slice(&reduction.data) - &factor * &mean;
-    let mean = mean + &root * (half * (factor.transpose() * &residual));
+    let mean = mean + &root * (root.transpose() * (factor.transpose() * &residual));
     let mut columns: Vec<DVector<f64>> = root.column_iter().map(|c| c.into_owned()).collect();
     if let Some(extra) = law.mean_root_of(&reduction.covariates) {
         // (I+ΣJ)⁻¹X = X - VJX

@@ -17,7 +17,7 @@ use nalgebra::DVector;
 use crate::dynamic::DynamicError;
 use crate::dynamic::bench::Solved;
 use crate::dynamic::joint::Joint;
-use crate::dynamic::search::{End, LONGEST, Search};
+use crate::dynamic::search::{End, LONGEST, NEAR_ENOUGH, Search};
 use crate::estimate::Stop;
 use anderson::Anderson;
 use ascent::Ascent;
@@ -94,7 +94,7 @@ impl<'b, 'a> Em<'b, 'a> {
             stuck = if look.decrement < 0.5 * best { 0 } else { stuck + 1 };
             best = best.min(look.decrement);
             if good || stuck >= PATIENCE {
-                let enough = look.concave && look.decrement <= 1e2 * self.search.tolerance();
+                let enough = look.concave && look.decrement <= NEAR_ENOUGH * self.search.tolerance();
                 ended = Some((look, if good || enough { Stop::Certified } else { Stop::Stalled }));
                 break;
             }
