@@ -18,13 +18,13 @@ use crate::{model, reductions, terminal, tests};
 
 pub(crate) fn run(job: &CheckJob) -> Result<Outcome, Failure> {
     let spec = model::load(&job.model)?;
-    let free = model::has_free(&spec.model);
+    let free = model::has_free(spec.model.shared());
     let (parameters, checked) = match (job.data.is_empty(), free) {
         (true, _) => (Vec::new(), Checked::Model),
         (false, false) => (Vec::new(), known(&spec, &job.data)?),
         (false, true) => started(&spec, &job.data)?,
     };
-    let (title, states) = (spec.model.title.clone(), spec.model.estimated_names());
+    let (title, states) = (spec.model.shared().title.clone(), spec.model.estimated_names());
     let record = CheckRecord { title, model: spec.describe(), states, parameters, checked };
     terminal::print(&check_summary(&record, &terminal::style())).map_err(Failure::Stdout)?;
     Ok(Outcome::Done)
@@ -37,13 +37,13 @@ fn known(spec: &Spec, args: &[String]) -> Result<Checked, Failure> {
     let alpha = model::alpha(spec);
     let reductions = reductions::reduce(spec, &alpha, &inputs, &mut line)?;
     line.clear();
-    examined(&spec.model, &alpha, &reductions, files(&inputs), (Vec::new(), Vec::new()))
+    examined(spec.model.shared(), &alpha, &reductions, files(&inputs), (Vec::new(), Vec::new()))
 }
 
 /// Reads the data, counts the free values that they have use for, and runs the filters at start values if all are given.
 fn started(spec: &Spec, args: &[String]) -> Result<(Vec<ParameterCounts>, Checked), Failure> {
     let inputs = Input::expand(args).map_err(|error| Failure::data(error, spec))?;
-    let (model, mut line) = (&spec.model, Line::new(false));
+    let (model, mut line) = (spec.model.shared(), Line::new(false));
     let (tests, reading) = tests::read(spec, &inputs, &mut line)?;
     let slots = Slots::new(model, &reading.labels, &tests);
     let counts = LevelCounts::all(model, &reading.labels, &tests);

@@ -20,7 +20,7 @@ const ALL: [Method; 3] = [Method::Hybrid, Method::Innovations, Method::Em];
 /// The method in one place: read, fit, infer, record.
 pub(crate) fn fit(job: &FitJob, spec: &Spec, inputs: &[Input]) -> Result<FitRecord, Failure> {
     let mut line = Line::new(job.quiet);
-    let model = &spec.model;
+    let model = spec.model.shared();
     let (tests, reading) = tests::read(spec, inputs, &mut line)?;
     let slots = Slots::new(model, &reading.labels, &tests);
     let notes = level_notes(model, &LevelCounts::all(model, &reading.labels, &tests));
@@ -73,10 +73,10 @@ fn known(
     line: &mut Line,
 ) -> Result<FitRecord, Failure> {
     fit::refuse_idle(job)?;
-    let reductions = reductions::of(&spec.model, alpha, tests, reading)?;
+    let reductions = reductions::of(spec.model.shared(), alpha, tests, reading)?;
     let (mut record, population) = fit::record(job, spec, inputs, (alpha, &reductions), line)?;
     if job.innovations {
-        innovations::add_of(&mut record, (&spec.model, alpha, &population), tests, line);
+        innovations::add_of(&mut record, (spec.model.shared(), alpha, &population), tests, line);
         record.solver.seconds = line.seconds();
     }
     Ok(record)

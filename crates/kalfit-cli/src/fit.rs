@@ -23,7 +23,7 @@ pub(crate) fn run(job: &FitJob) -> Result<Outcome, Failure> {
         return Err(Failure::RestrictedErrors); // log|ΣB'WB| is no sum over tests
     }
     let spec = model::load(&job.model)?;
-    let free = model::has_free(&spec.model);
+    let free = model::has_free(spec.model.shared());
     if !free {
         refuse_idle(job)?;
     } else if job.choices.std_errors != StdErrors::Observed {
@@ -71,7 +71,7 @@ pub(crate) fn record(
     (alpha, reductions): (&Alpha, &[Reduction]),
     line: &mut Line,
 ) -> Result<(FitRecord, Population), Failure> {
-    let model = &spec.model;
+    let model = spec.model.shared();
     let estimate =
         estimate::fit(reductions, &Structure::of(model, alpha), &job.settings, line).map_err(Failure::Fit)?;
     let inference = infer::infer(&estimate, reductions, job.choices);

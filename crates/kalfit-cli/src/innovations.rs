@@ -130,9 +130,10 @@ pub(crate) fn add(
     line: &mut Line,
 ) {
     let estimated = spec.model.dimension();
-    let found = InnovationFilter::new(&spec.model, alpha, initial).map_err(Unavailable::Filter).and_then(|filter| {
-        all(Looking { filter, estimated, found: Vec::new(), failed: None, line }, kept, spec, inputs)
-    });
+    let found =
+        InnovationFilter::new(spec.model.shared(), alpha, initial).map_err(Unavailable::Filter).and_then(|filter| {
+            all(Looking { filter, estimated, found: Vec::new(), failed: None, line }, kept, spec, inputs)
+        });
     match found {
         Ok((found, failed)) => finish(record, found, failed),
         Err(why) => record.notes.push(format!("innovations were not computed: {why}")),
@@ -262,7 +263,7 @@ fn again(looking: &mut Looking<'_>, kept: Kept, spec: &Spec, inputs: &[Input]) -
         }
         Copy::Failed => return Err(Unavailable::NoCopy),
     };
-    match kalfit_data::read_from(&spec.model, &spec.layout, inputs, looking, &mut copy) {
+    match kalfit_data::read_from(spec.model.shared(), &spec.layout, inputs, looking, &mut copy) {
         Ok(_) => Ok(()),
         Err(ReadError::Data(error)) => Err(Unavailable::Unreadable(error)),
         Err(ReadError::Sink { error, .. }) => match error {},
@@ -326,7 +327,7 @@ noise = 1
         let spec = Spec::parse("m.toml", MODEL).unwrap();
         let mut initial = Population { mean: vec![1.0], coefficients: vec![], covariance: Default::default() };
         initial.covariance.resize_mut(1, 1, 1.0);
-        let filter = InnovationFilter::new(&spec.model, &Alpha::default(), &initial).unwrap();
+        let filter = InnovationFilter::new(spec.model.shared(), &Alpha::default(), &initial).unwrap();
         let looking = Looking { filter, estimated: 1, found: Vec::new(), failed: None, line: &mut Line::new(true) };
         let (found, failed) = all(looking, kept, &spec, inputs)?;
         assert_eq!(failed, None);

@@ -32,7 +32,7 @@ pub(crate) fn set(spec: &mut Spec, assignments: &[String]) -> Result<(), Failure
 
 /// The values of all parameters of a model without free ones.
 pub(crate) fn alpha(spec: &Spec) -> Alpha {
-    Alpha::fixed(&spec.model.parameters).expect("no parameter is free")
+    Alpha::fixed(&spec.model.shared().parameters).expect("no parameter is free")
 }
 
 /// True when some parameter has no value, or may have levels without one.

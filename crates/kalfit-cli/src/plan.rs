@@ -27,7 +27,7 @@ pub(crate) fn run(job: &PlanJob) -> Result<Outcome, Failure> {
     let output = job.out.as_deref().map(|path| Output::prepare(path, &used)).transpose()?;
     let mut line = Line::new(job.quiet);
     let reductions = designs(&spec, &truth.alpha, &inputs, &mut line)?;
-    let structure = Structure::of(&spec.model, &truth.alpha);
+    let structure = Structure::of(spec.model.shared(), &truth.alpha);
     let states = spec.model.estimated_names();
     let found = plan(&reductions, &structure, &truth.population, &job.tests)
         .map_err(|error| Failure::Plan { error: Box::new(error), states })?;
@@ -37,7 +37,7 @@ pub(crate) fn run(job: &PlanJob) -> Result<Outcome, Failure> {
         design: DataRecord::of(&reductions, inputs.iter().map(Input::name).collect()),
         parameters_taken_as_known: truth.taken.clone(),
     };
-    let record = PlanRecord::new(&spec.model, &found, provenance);
+    let record = PlanRecord::new(spec.model.shared(), &found, provenance);
     line.clear();
     if let Some(output) = &output {
         output.write(&record)?;
@@ -69,9 +69,9 @@ fn designs(spec: &Spec, alpha: &Alpha, inputs: &[Input], line: &mut Line) -> Res
             self.1.clear();
         }
     }
-    let reducer = Reducer::new(&spec.model, alpha).map_err(|error| Failure::Reduce { error, reading: None })?;
+    let reducer = Reducer::new(spec.model.shared(), alpha).map_err(|error| Failure::Reduce { error, reading: None })?;
     let mut sink = Designing(reducer, Vec::new(), line);
-    kalfit_data::read(&spec.model, &spec.layout, inputs, &mut sink).map_err(|error| match error {
+    kalfit_data::read(spec.model.shared(), &spec.layout, inputs, &mut sink).map_err(|error| match error {
         ReadError::Data(error) => Failure::data(error, spec),
         ReadError::Sink { error, reading } => Failure::Reduce { error, reading: Some(reading) },
     })?;

@@ -31,9 +31,13 @@ pub(crate) fn test(
     provenance: RatioProvenance,
 ) -> Result<RatioRecord, Failure> {
     let mut line = Line::new(job.quiet);
-    let null = &hypothesis.model;
+    let null = hypothesis.model.shared();
     // labels are numbered by the texts that both name
-    let wide = Model { literals: null.literals.clone(), text_columns: null.text_columns.clone(), ..spec.model.clone() };
+    let wide = Model {
+        literals: null.literals.clone(),
+        text_columns: null.text_columns.clone(),
+        ..spec.model.shared().clone()
+    };
     let (tests, reading) = tests::read_for(spec, null, inputs, &mut line)?;
     let slots = [Slots::new(null, &reading.labels, &tests), Slots::new(&wide, &reading.labels, &tests)];
     restricted((null, &slots[0]), (&wide, &slots[1]), &tests)

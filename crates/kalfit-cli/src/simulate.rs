@@ -30,7 +30,7 @@ pub(crate) fn run(job: &SimulateJob) -> Result<Outcome, Failure> {
     output.refuse_same(states.as_ref())?;
     let mut line = Line::new(job.quiet);
     let refused = |error, reading| Failure::Simulate { error: Box::new(error), reading };
-    let simulator = Simulator::new(&spec.model, &truth.alpha, truth.population.clone(), job.seed)
+    let simulator = Simulator::new(spec.model.shared(), &truth.alpha, truth.population.clone(), job.seed)
         .map_err(|error| refused(error, None))?;
     let (tests, reading) = tests::read(&spec, &inputs, &mut line)?;
     let designs = Designs::new(tests).map_err(|error| refused(error, None))?;
@@ -82,7 +82,7 @@ impl Task<'_> {
         let spec = self.spec;
         let in_data = |error: WriteError| failed(error, data.path());
         let sink = BufWriter::new(data.file());
-        let mut table = TestWriter::new(&spec.model, &spec.layout, self.ids, format, sink).map_err(in_data)?;
+        let mut table = TestWriter::new(spec.model.shared(), &spec.layout, self.ids, format, sink).map_err(in_data)?;
         let names = spec.model.estimated_names();
         let begin = |pending| StateTable::new(pending, &names);
         let mut truths = states.map(begin).transpose()?;
@@ -128,7 +128,7 @@ impl Task<'_> {
         if let Some(states) = states {
             text.push_str(&format!("Wrote {}: the initial states that were drawn\n", states.name()));
         }
-        if let Some(column) = added_id_column(&self.spec.model, &self.spec.layout, self.ids) {
+        if let Some(column) = added_id_column(self.spec.model.shared(), &self.spec.layout, self.ids) {
             text.push_str(&format!(
                 "The tests are told apart by column `{column}`: to fit this file, set `test = \"{column}\"` in `[data]`\n"
             ));

@@ -52,13 +52,13 @@ fn read_and_test(
     inputs: &[Input],
 ) -> Result<RatioRecord, Failure> {
     let provenance = RatioProvenance {
-        title: spec.model.title.clone(),
+        title: spec.model.shared().title.clone(),
         hypothesis: hypothesis.title.clone().unwrap_or_else(|| job.null.display().to_string()),
         model_digest: Some(spec.digest.clone()),
         null_digest: Some(hypothesis.digest.clone()),
         files: inputs.iter().map(Input::name).collect(),
     };
-    if model::has_free(&spec.model) {
+    if model::has_free(spec.model.shared()) {
         return ratio::test(job, spec, hypothesis, inputs, provenance);
     }
     let mut line = Line::new(job.quiet);
@@ -76,10 +76,10 @@ pub(crate) fn test(
     provenance: RatioProvenance,
     line: &mut Line,
 ) -> Result<RatioRecord, Failure> {
-    let bench = Bench { job, model: &spec.model, null: &hypothesis.model, alpha, reductions };
-    let wide =
-        estimate::fit(reductions, &Structure::of(&spec.model, alpha), &job.settings, line).map_err(Failure::Fit)?;
-    let null = bench.fit(&hypothesis.model.mean, &hypothesis.model.covariance, line)?;
+    let bench = Bench { job, model: spec.model.shared(), null: hypothesis.model.shared(), alpha, reductions };
+    let wide = estimate::fit(reductions, &Structure::of(spec.model.shared(), alpha), &job.settings, line)
+        .map_err(Failure::Fit)?;
+    let null = bench.fit(hypothesis.model.shared().mean, &hypothesis.model.shared().covariance, line)?;
     let wide = at_least(wide, &null, reductions).map_err(Failure::Fit)?;
     let ratio = likelihood_ratio(&null, &wide).map_err(Failure::NotNested)?;
     let parts = bench.parts(&wide, line)?;
@@ -133,7 +133,14 @@ impl Bench<'_> {
 fn same_parameters(hypothesis: &Hypothesis, alpha: &Alpha) -> Result<(), Failure> {
     let alone = |parameter: &Parameter| Alpha::fixed(std::slice::from_ref(parameter)).ok();
     let same = |parameter: &Parameter, known: &Level| alone(parameter).is_some_and(|null| null.values[0] == *known);
-    match hypothesis.model.parameters.iter().zip(&alpha.values).find(|(parameter, known)| !same(parameter, known)) {
+    match hypothesis
+        .model
+        .shared()
+        .parameters
+        .iter()
+        .zip(&alpha.values)
+        .find(|(parameter, known)| !same(parameter, known))
+    {
         None => Ok(()),
         Some((parameter, _)) => Err(Failure::HypothesisParameter { name: parameter.name.clone() }),
     }

@@ -28,7 +28,7 @@ impl Sink for Keep<'_> {
 
 /// Reads all tests.
 pub(crate) fn read(spec: &Spec, inputs: &[Input], line: &mut Line) -> Result<(Vec<Test>, Reading), Failure> {
-    read_for(spec, &spec.model, inputs, line)
+    read_for(spec, spec.model.shared(), inputs, line)
 }
 
 /// Reads all tests for a model that has the columns of the file's, and perhaps more texts.

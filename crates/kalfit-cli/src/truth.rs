@@ -97,7 +97,7 @@ pub(crate) fn load(spec: &mut Spec, from: &Path, set: &[String]) -> Result<Truth
     } else {
         let record = read_record(from)?;
         let population =
-            record.population(&spec.model).map_err(|error| TruthError::Record { path: path.clone(), error })?;
+            record.population(spec.model.shared()).map_err(|error| TruthError::Record { path: path.clone(), error })?;
         if record.model_digest.as_ref().is_some_and(|digest| *digest != spec.digest) {
             warnings.push(format!("`{path}` was made with another version of `{}`", spec.name));
         }
@@ -107,7 +107,7 @@ pub(crate) fn load(spec: &mut Spec, from: &Path, set: &[String]) -> Result<Truth
     let mut taken = give(spec, &known, &path, &mut warnings)?;
     model::set(spec, set)?;
     taken.retain(|name| !set.iter().any(|assignment| assigned(assignment) == name));
-    let alpha = Alpha::fixed(&spec.model.parameters)
+    let alpha = Alpha::fixed(&spec.model.shared().parameters)
         .map_err(|ParameterError::Free { names }| Failure::from(TruthError::NoParameter { names }))?;
     Ok(Truth { population, alpha, taken, warnings })
 }
@@ -187,15 +187,15 @@ fn of_model(spec: &Spec, from: &Path, set: &[String]) -> Result<(Population, Vec
     let mut population = Population::of_model(&truth.model, &alpha).map_err(refused)?;
     population.mean = place.iter().map(|&i| population.mean[i]).collect();
     population.covariance = population.covariance.select_rows(&place).select_columns(&place);
-    population.check(&spec.model).map_err(refused)?;
+    population.check(spec.model.shared()).map_err(refused)?;
     Ok((population, levels(&truth, &alpha)))
 }
 
 /// All values of a model's parameters.
 fn levels(spec: &Spec, alpha: &Alpha) -> Vec<Known> {
     let mut known = Vec::new();
-    for (parameter, level) in spec.model.parameters.iter().zip(&alpha.values) {
-        let per = parameter.per.map(|column| spec.model.text_columns[column].name.clone());
+    for (parameter, level) in spec.model.shared().parameters.iter().zip(&alpha.values) {
+        let per = parameter.per.map(|column| spec.model.shared().text_columns[column].name.clone());
         let mut add = |level: Option<&String>, value: f64| {
             known.push(Known { name: parameter.name.clone(), per: per.clone(), level: level.cloned(), value });
         };
@@ -203,7 +203,7 @@ fn levels(spec: &Spec, alpha: &Alpha) -> Vec<Known> {
             Level::Common(value) => add(None, *value),
             Level::Each { values, other, .. } => {
                 other.iter().for_each(|value| add(None, *value));
-                values.iter().for_each(|(label, value)| add(spec.model.literals.get(label.index()), *value));
+                values.iter().for_each(|(label, value)| add(spec.model.shared().literals.get(label.index()), *value));
             }
         }
     }
@@ -212,7 +212,7 @@ fn levels(spec: &Spec, alpha: &Alpha) -> Vec<Known> {
 
 /// The parameters of a fit, all of which the model must have.
 fn of_record(spec: &Spec, record: &FitRecord, path: &str) -> Result<Vec<Known>, TruthError> {
-    let names: BTreeSet<&str> = spec.model.parameters.iter().map(|own| own.name.as_str()).collect();
+    let names: BTreeSet<&str> = spec.model.shared().parameters.iter().map(|own| own.name.as_str()).collect();
     let known = |p: &kalfit::record::ParameterRecord| {
         if !names.contains(p.name.as_str()) {
             return Err(TruthError::UnknownParameter { path: path.to_owned(), name: p.name.clone() });
@@ -225,9 +225,9 @@ fn of_record(spec: &Spec, record: &FitRecord, path: &str) -> Result<Vec<Known>, 
 /// Gives the model's free parameters the values that are known; the names of those that got one.
 fn give(spec: &mut Spec, known: &[Known], path: &str, warnings: &mut Vec<String>) -> Result<Vec<String>, Failure> {
     let literals: HashMap<String, usize> =
-        spec.model.literals.iter().enumerate().map(|(literal, text)| (text.clone(), literal)).collect();
+        spec.model.shared().literals.iter().enumerate().map(|(literal, text)| (text.clone(), literal)).collect();
     let mut taken = Vec::new();
-    for parameter in spec.model.parameters.clone() {
+    for parameter in spec.model.shared().parameters.clone() {
         let mut values = Vec::new();
         for Known { per, level, value, .. } in known.iter().filter(|known| known.name == parameter.name) {
             let literal = level.as_ref().and_then(|level| literals.get(level));
@@ -242,7 +242,7 @@ fn give(spec: &mut Spec, known: &[Known], path: &str, warnings: &mut Vec<String>
                 }
                 continue;
             }
-            let expected = parameter.per.map(|column| spec.model.text_columns[column].name.clone());
+            let expected = parameter.per.map(|column| spec.model.shared().text_columns[column].name.clone());
             if *per != expected {
                 let (path, name, found) = (path.to_owned(), parameter.name.clone(), per.clone());
                 return Err(TruthError::Per { path, name, found, expected }.into());

@@ -103,6 +103,7 @@ fn random_reductions(p: usize, tests: usize) -> Vec<Reduction> {
         observations: p,
         path: Path::Information,
         design: j as u128,
+        chain: None,
     };
     (0..tests).map(reduction).collect()
 }

@@ -158,7 +158,7 @@ pub(crate) fn run(ensembles: u64) -> ExitCode {
             }
         };
         println!("{}\n\n| quantity | truth | coverage | no interval |\n|---|---|---|---|", setup.title);
-        let (names, tallies) = (names(&model), tally(setup, &model, ensembles));
+        let (names, tallies) = (names(model.shared()), tally(setup, model.shared(), ensembles));
         for ((name, truth), tally) in names.iter().zip(truths(setup)).zip(&tallies) {
             let coverage = tally.held as f64 / (ensembles - tally.without).max(1) as f64;
             sound &= !setup.large || (SOUND.contains(&coverage) && tally.without == 0);

@@ -54,7 +54,14 @@ pub(crate) fn spec(name: &str, text: &str) -> Result<Spec> {
         }
     }
     let (model, data, places) = model(text, root)?;
-    Ok(Spec { model, layout: data.layout, digest: digest(text), name: name.to_owned(), text: text.to_owned(), places })
+    Ok(Spec {
+        model: model.into(),
+        layout: data.layout,
+        digest: digest(text),
+        name: name.to_owned(),
+        text: text.to_owned(),
+        places,
+    })
 }
 
 pub(crate) fn model(text: &str, mut root: Section<'_>) -> Result<(Model, Data, Places)> {

@@ -14,15 +14,15 @@ impl Spec {
     /// parameters, the order of μ and Σ, and the constraints on them.
     pub fn describe(&self) -> Vec<String> {
         let mut lines = vec![self.tests(), self.steps()];
-        lines.extend(self.model.states.iter().map(|state| self.state(state)));
-        lines.extend(self.covariances("process noise", &self.model.process_noise_covariance, &|i| {
-            self.model.states[i].name.clone()
+        lines.extend(self.model.shared().states.iter().map(|state| self.state(state)));
+        lines.extend(self.covariances("process noise", &self.model.shared().process_noise_covariance, &|i| {
+            self.model.shared().states[i].name.clone()
         }));
-        lines.extend(self.model.measurements.iter().map(|measurement| self.measurement(measurement)));
-        lines.extend(self.covariances("measurement noise", &self.model.noise_covariance, &|i| {
-            self.model.measurements[i].name.clone()
+        lines.extend(self.model.shared().measurements.iter().map(|measurement| self.measurement(measurement)));
+        lines.extend(self.covariances("measurement noise", &self.model.shared().noise_covariance, &|i| {
+            self.model.shared().measurements[i].name.clone()
         }));
-        lines.extend(self.model.parameters.iter().map(|parameter| self.parameter(parameter)));
+        lines.extend(self.model.shared().parameters.iter().map(|parameter| self.parameter(parameter)));
         lines.push(self.order());
         lines.extend(self.mean());
         lines.extend(self.covariance());
@@ -30,8 +30,8 @@ impl Spec {
     }
 
     fn tests(&self) -> String {
-        let group = self.model.group.map_or(String::new(), |column| {
-            format!("; reports are grouped by column `{}`", self.model.text_columns[column].name)
+        let group = self.model.shared().group.map_or(String::new(), |column| {
+            format!("; reports are grouped by column `{}`", self.model.shared().text_columns[column].name)
         });
         match &self.layout.test {
             TestKey::Single => format!("tests: all rows are one test{group}"),
@@ -41,10 +41,12 @@ impl Spec {
     }
 
     fn steps(&self) -> String {
-        let Clock { time, unit, initial_time, step_first, previous_inputs } = &self.model.clock;
+        let Clock { time, unit, initial_time, step_first, previous_inputs } = &self.model.shared().clock;
         let unit = unit.as_ref().map_or(String::new(), |unit| format!(" [{unit}]"));
         let steps = match time {
-            Some(column) => format!("steps: rows of equal time, column `{}`{unit}", self.model.columns[*column].name),
+            Some(column) => {
+                format!("steps: rows of equal time, column `{}`{unit}", self.model.shared().columns[*column].name)
+            }
             None => "steps: one for each row".to_owned(),
         };
         let start = match initial_time {
@@ -61,11 +63,11 @@ impl Spec {
             Motion::Constant => "constant".to_owned(),
             Motion::Continuous { derivative, noise_variance } => {
                 let driven = self.driven(noise_variance, ["per unit of time", "per square root of a unit of time"]);
-                format!("d/dt = {}{driven}", show::linear(&self.model, derivative))
+                format!("d/dt = {}{driven}", show::linear(self.model.shared(), derivative))
             }
             Motion::Discrete { next, noise_variance } => {
                 let driven = self.driven(noise_variance, ["per step"; 2]);
-                format!("next = {}{driven}", show::linear(&self.model, next))
+                format!("next = {}{driven}", show::linear(self.model.shared(), next))
             }
         };
         let start = match &state.initial {
@@ -84,19 +86,19 @@ impl Spec {
         if is_zero(variance) {
             return String::new();
         }
-        let (noise, deviation) = show::noise(&self.model, variance);
+        let (noise, deviation) = show::noise(self.model.shared(), variance);
         format!(" + {noise} {}", per[usize::from(deviation)])
     }
 
     fn measurement(&self, measurement: &Measurement) -> String {
         let rows = measurement.filter.as_ref();
         let rows = rows.map_or(String::new(), |filter| format!(" (rows where {})", self.shown(filter)));
-        let column = &self.model.columns[measurement.column].name;
+        let column = &self.model.shared().columns[measurement.column].name;
         let noise = match is_zero(&measurement.noise_variance) {
             true => "without noise".to_owned(),
-            false => show::noise(&self.model, &measurement.noise_variance).0,
+            false => show::noise(self.model.shared(), &measurement.noise_variance).0,
         };
-        let equation = show::linear(&self.model, &measurement.equation);
+        let equation = show::linear(self.model.shared(), &measurement.equation);
         format!("measurement `{}`: column `{column}`{rows} reads {equation}; {noise}", measurement.name)
     }
 
@@ -126,13 +128,11 @@ impl Spec {
         }
         facts.extend(parameter.lower.map(|lower| format!("at least {}", figure(lower))));
         facts.extend(parameter.upper.map(|upper| format!("at most {}", figure(upper))));
-        facts.extend(
-            parameter
-                .per
-                .map(|column| format!("one value for each value of column `{}`", self.model.text_columns[column].name)),
-        );
+        facts.extend(parameter.per.map(|column| {
+            format!("one value for each value of column `{}`", self.model.shared().text_columns[column].name)
+        }));
         for (literal, value) in &parameter.fixed_levels {
-            facts.push(format!("fixed at {} for '{}'", figure(*value), self.model.literals[*literal]));
+            facts.push(format!("fixed at {} for '{}'", figure(*value), self.model.shared().literals[*literal]));
         }
         format!("parameter `{}`{}: {}", parameter.name, unit(parameter.unit.as_deref()), facts.join(", "))
     }
@@ -146,7 +146,7 @@ impl Spec {
     }
 
     fn mean(&self) -> Vec<String> {
-        let (mean, names) = (&self.model.mean, self.model.estimated_names());
+        let (mean, names) = (&self.model.shared().mean, self.model.estimated_names());
         let mut lines = Vec::new();
         for (i, element) in mean.elements.iter().enumerate() {
             let fact = match element {
@@ -168,14 +168,14 @@ impl Spec {
             lines.push(format!("mean of `{}`: {fact}", names[i]));
         }
         for regression in &mean.regression {
-            let column = &self.model.columns[regression.column].name;
+            let column = &self.model.shared().columns[regression.column].name;
             lines.push(format!("mean of `{}`: moves with column `{column}`", names[regression.element]));
         }
         lines
     }
 
     fn covariance(&self) -> Vec<String> {
-        let (covariance, names) = (&self.model.covariance, self.model.estimated_names());
+        let (covariance, names) = (&self.model.shared().covariance, self.model.estimated_names());
         if names.is_empty() {
             return Vec::new();
         }
@@ -224,7 +224,7 @@ impl Spec {
     }
 
     fn shown(&self, expression: &Expression) -> String {
-        show::expression(&self.model, expression)
+        show::expression(self.model.shared(), expression)
     }
 }
 

@@ -17,7 +17,8 @@ impl Spec {
     /// A name that is no parameter, a level of a parameter without `per`, a value out of bounds or of the wrong sign. The errors
     /// have no span, and the model stays as it was.
     pub fn give(&mut self, name: &str, values: &[(Option<&str>, f64)]) -> Result<(), SpecError> {
-        let parameters = &mut self.model.parameters;
+        let model = &mut self.model.phases[0].model;
+        let parameters = &mut model.parameters;
         let Some(index) = parameters.iter().position(|parameter| parameter.name == name) else {
             let hint = suggest(name, parameters.iter().map(|parameter| parameter.name.as_str()));
             let (what, place) = ("parameter", "the values to take".to_owned());
@@ -31,7 +32,7 @@ impl Spec {
                 return Err(SpecError::new(Problem::NoEffect { key: format!("{name}[{level}]"), why }));
             }
         }
-        let literals = &mut self.model.literals;
+        let literals = &mut model.literals;
         let mut known: HashMap<String, usize> =
             literals.iter().enumerate().map(|(k, text)| (text.clone(), k)).collect();
         let own = parameter.fixed_levels.clone();

@@ -3,8 +3,8 @@
 //! The tables of the two files are merged and read again as one model. Places in the hypothesis are counted from the end of
 //! the model's text, so that every message still knows its file.
 
-use kalfit::Model;
 use kalfit::model::{Column, Regression};
+use kalfit::{Model, PhasedModel};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
@@ -25,7 +25,7 @@ pub struct Hypothesis {
     /// What the hypothesis is called, if it says so.
     pub title: Option<String>,
     /// The model with the keys replaced. Its columns and texts are numbered as in the model it came from.
-    pub model: Model,
+    pub model: PhasedModel,
     /// `sha256:` and 64 hexadecimal digits: the digest of the text of the hypothesis.
     pub digest: String,
 }
@@ -55,7 +55,7 @@ impl Spec {
         let (text, offset) = (format!("{}\n{hypothesis}", self.text), self.text.len() + 1);
         let sort = |error: SpecError| located(error, offset);
         let (title, model) = self.merged(&text, offset).map_err(sort)?;
-        Ok(Hypothesis { title, model, digest: build::digest(hypothesis) })
+        Ok(Hypothesis { title, model: model.into(), digest: build::digest(hypothesis) })
     }
 
     fn merged(&self, text: &str, offset: usize) -> Result<(Option<String>, Model), SpecError> {
@@ -83,7 +83,7 @@ impl Spec {
     fn adopt(&self, mut read: Model, places: &Places) -> Result<Model, SpecError> {
         for Regression { column, .. } in &mut read.mean.regression {
             let name = &read.columns[*column].name;
-            let found = self.model.columns.iter().position(|known| known.name == *name);
+            let found = self.model.shared().columns.iter().position(|known| known.name == *name);
             *column = found.ok_or_else(|| {
                 let place = format!("{PLACE}: the model has no regression on it");
                 let problem = Problem::UnknownName { what: "regression column", name: name.clone(), place };
@@ -91,7 +91,7 @@ impl Spec {
             })?;
         }
         let Model { mean, covariance, parameters, .. } = read;
-        let mut model = Model { mean, covariance, parameters, ..self.model.clone() };
+        let mut model = Model { mean, covariance, parameters, ..self.model.shared().clone() };
         for parameter in &mut model.parameters {
             let same = |known: &Column, column: &Column| known.name == column.name;
             parameter.per =
@@ -108,7 +108,9 @@ impl Spec {
     /// Parameters that were set after the model was read and that the hypothesis says nothing else of.
     fn keep_set(&self, model: &mut Model) {
         let unset = build::spec(&self.name, &self.text).expect("the model was read before").model;
-        for ((new, old), set) in model.parameters.iter_mut().zip(&unset.parameters).zip(&self.model.parameters) {
+        for ((new, old), set) in
+            model.parameters.iter_mut().zip(&unset.shared().parameters).zip(&self.model.shared().parameters)
+        {
             if new == old {
                 new.clone_from(set);
             }

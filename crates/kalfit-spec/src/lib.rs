@@ -78,13 +78,13 @@ use std::path::Path;
 
 pub use error::{ExpressionProblem, Problem, SpecError, StructureProblem};
 pub use hypothesis::{Hypothesis, HypothesisError};
-use kalfit::{Layout, Model};
+use kalfit::{Layout, PhasedModel};
 
 /// A model file that was read.
 #[derive(Debug, Clone)]
 pub struct Spec {
-    /// The model. Its invariants hold, whatever the file.
-    pub model: Model,
+    /// The model, of one phase or of several. Its invariants hold, whatever the file.
+    pub model: PhasedModel,
     /// How rows of the data become tests.
     pub layout: Layout,
     /// `sha256:` and 64 hexadecimal digits: the digest of `text`.

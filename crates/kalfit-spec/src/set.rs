@@ -22,7 +22,8 @@ impl Spec {
     /// without `per`, a value out of bounds or of the wrong sign. The errors have no span, and the model stays as it was.
     pub fn set(&mut self, assignment: &str) -> std::result::Result<(), SpecError> {
         let Assignment { name, level, value } = take_apart(assignment)?;
-        let parameters = &mut self.model.parameters;
+        let model = &mut self.model.phases[0].model;
+        let parameters = &mut model.parameters;
         let Some(index) = parameters.iter().position(|parameter| parameter.name == name) else {
             let hint = suggest(name, parameters.iter().map(|parameter| parameter.name.as_str()));
             let problem = Problem::UnknownName {
@@ -45,7 +46,7 @@ impl Spec {
                 return Err(error.hint(format!("write `{name}={value}`")));
             }
             Some(level) => {
-                let literals = &mut self.model.literals;
+                let literals = &mut model.literals;
                 let literal = literals.iter().position(|text| text == level).unwrap_or_else(|| {
                     literals.push(level.to_owned());
                     literals.len() - 1

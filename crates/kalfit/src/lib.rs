@@ -24,9 +24,9 @@ pub mod score;
 pub mod simulate;
 
 pub use ensemble::{Label, Labels, Layout, Source, Test, TestKey};
-pub use model::{Alpha, Expression, Model, Population};
+pub use model::{Alpha, Expression, Model, PhasedModel, Population};
 pub use record::{FitRecord, Provenance};
-pub use reduce::Reduction;
+pub use reduce::{Evidence, PhasedTest, Reduction};
 
 /// The README's example, compiled and run.
 #[cfg(doctest)]

@@ -6,12 +6,14 @@
 mod derivative;
 mod expression;
 mod parameter;
+mod phased;
 mod population;
 mod structure;
 
 pub(crate) use derivative::Tape;
 pub use expression::{EvaluationError, Expression, Function, Operator, Scope};
 pub use parameter::{Alpha, Level, Parameter, ParameterError, Value};
+pub use phased::{Carry, Filter, MAIN, Phase, PhasedModel};
 pub use population::{Population, PopulationError};
 pub use structure::{
     CovarianceKind, CovarianceStructure, FixedElement, MeanElement, MeanStructure, Regression, StructureError,

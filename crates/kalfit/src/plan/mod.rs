@@ -86,6 +86,7 @@ pub struct Plan {
 /// let test = Reduction {
 ///     test: "design".into(), constant: 0.0, data: vec![0.0], factor: vec![1.0], covariates: vec![],
 ///     steps: 1, observations: 1, path: Path::Information, design: 0,
+///     chain: None,
 /// };
 /// let (mean, covariance, alpha) = (MeanStructure::free(1), CovarianceStructure::full(), Alpha::default());
 /// let structure = Structure { mean: &mean, covariance: &covariance, alpha: &alpha };

@@ -13,11 +13,13 @@
 //! Long uniform records cost little: equal steps are one run of the design, S, K, T are kept once from where they no longer
 //! change (settling), J then grows in closed form, and the data pass is a linear scan (scan).
 
+mod chain;
 mod data;
 mod design;
 mod digest;
 mod dynamics;
 mod error;
+mod evidence;
 mod flops;
 mod gains;
 mod instances;
@@ -41,7 +43,9 @@ mod start;
 mod steps;
 mod subject;
 
+pub use chain::{Chain, ChainPhase, Link};
 pub use error::{Cell, ReduceError, ReduceErrorKind};
+pub use evidence::{Estimates, Evidence, Inherited, PhaseReduction, PhasedTest};
 pub use flops::reduction_flops;
 pub use plain::{Plain, StepMatrices, Terminal};
 pub use reducer::{Reducer, Work};

@@ -150,6 +150,7 @@ impl Plain {
             observations: active,
             path: if turns.is_some() { Path::SquareRoot } else { Path::Information },
             design: design.digest(),
+            chain: None,
         };
         Ok((reduction, terminal))
     }

@@ -132,6 +132,7 @@ impl Reducer {
             observations: gains.active,
             path: if gains.turns.is_some() { Path::SquareRoot } else { Path::Information },
             design: digest,
+            chain: None,
         })
     }
 
@@ -194,6 +195,7 @@ impl Reducer {
             observations: gains.active,
             path: if gains.turns.is_some() { Path::SquareRoot } else { Path::Information },
             design: digest,
+            chain: None,
         })
     }
 

@@ -1,5 +1,7 @@
 //! The reduction of a test.
 
+use crate::reduce::Chain;
+
 /// log p(z | ξ) = constant - ½ ‖d - R ξ‖², exactly, for every ξ: the square-root information form of (c, y, J), with
 /// J = R'R, y = R'd, c = constant - ½ d'd. R may be singular; J is never inverted.
 #[derive(Debug, Clone, PartialEq)]
@@ -22,6 +24,9 @@ pub struct Reduction {
     pub path: Path,
     /// Digest of all that S, K, T, J depend on: tests with one digest are one design class.
     pub design: u128,
+    /// The same phase by phase, for a test of a model with several phases. `data` and `factor` are then those of all phases
+    /// together: of (ξ_1, …, ξ_I), with what lies between the phases integrated out; of phases that the test lacks, zero.
+    pub chain: Option<Box<Chain>>,
 }
 
 /// The arithmetic that made a reduction.

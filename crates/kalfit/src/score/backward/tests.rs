@@ -76,6 +76,7 @@ fn reduced(numbers: &Numbers) -> (Design, Data, Gains, Reduction) {
         observations: 10,
         path: Path::Information,
         design: 0,
+        chain: None,
     };
     (design, data, gains, reduction)
 }
@@ -326,6 +327,7 @@ fn totals(cut: Cut, unfrozen: bool, wanted: Wanted, takes_sums: bool) -> Totals 
         observations: design.rows(),
         path: Path::Information,
         design: 0,
+        chain: None,
     };
     let moments = moments(&reduction, &InitialLaw::known(mean, root));
     let run = Run {

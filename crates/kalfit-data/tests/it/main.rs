@@ -1,0 +1,9 @@
+//! The tests of reading and writing tables, one program.
+
+mod errors;
+mod formats;
+mod hostile;
+mod streaming;
+mod support;
+mod times;
+mod write;

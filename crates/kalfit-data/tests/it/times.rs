@@ -1,0 +1,65 @@
+//! Times as numbers and as date-times.
+
+#![expect(clippy::unwrap_used, reason = "also in what the tests share")]
+
+use crate::support;
+
+use std::sync::Arc;
+
+use arrow::array::{ArrayRef, Date32Array, Int64Array, TimestampMillisecondArray, TimestampNanosecondArray};
+use kalfit::Layout;
+use support::*;
+
+fn times(bytes: &[u8], unit: &str) -> Vec<Vec<f64>> {
+    let model = with_unit(model(&["t"], &[], Some("t")), unit);
+    let (sink, _) = collect_stdin(&model, &by("id"), bytes).unwrap();
+    sink.tests.iter().map(|test| (0..test.rows()).map(|row| test.numbers(row)[0]).collect()).collect()
+}
+
+#[test]
+fn date_times_are_read_as_time_since_the_first_row_of_each_test() {
+    let csv = b"id,t\na,2024-02-28T23:59:59.5Z\na,2024-02-29 00:00:00+00:00\na,2024-02-29T01:00:00.25+01:00\nb,2024-01-01T00:00:00Z\nb,2024-01-02T00:00:00Z\n";
+    assert_eq!(times(csv, "s"), [vec![0.0, 0.5, 0.75], vec![0.0, 86_400.0]]);
+    assert_eq!(times(csv, "ms"), [vec![0.0, 500.0, 750.0], vec![0.0, 86_400_000.0]]);
+    assert_eq!(times(csv, "days")[1], [0.0, 1.0]);
+}
+
+#[test]
+fn dates_without_a_clock_are_midnights() {
+    let csv = b"id,t\na,2023-12-31\na,2024-01-01\na,2024-01-01 06:00\na,2025-01-01\n";
+    assert_eq!(times(csv, "d"), [[0.0, 1.0, 1.25, 367.0]]);
+}
+
+#[test]
+fn scattered_date_times_count_from_the_first_row_of_their_test() {
+    let csv = b"id,t\na,2024-01-01T00:00:10Z\nb,2024-01-01T00:00:00Z\na,2024-01-01T00:00:13Z\n";
+    assert_eq!(times(csv, "s"), [vec![0.0, 3.0], vec![0.0]]);
+}
+
+#[test]
+fn timestamps_and_dates_of_parquet_and_arrow_are_date_times() {
+    let id = || Arc::new(Int64Array::from(vec![1, 1, 1])) as ArrayRef;
+    let at = 1_700_000_000_000;
+    let ms = batch(vec![("id", id()), ("t", Arc::new(TimestampMillisecondArray::from(vec![at, at + 1, at + 1500])))]);
+    assert_eq!(times(&parquet(&ms, 2), "s"), [[0.0, 0.001, 1.5]]);
+    let ns = TimestampNanosecondArray::from(vec![at, at + 1, at + 5]).with_timezone("+01:00");
+    let ns = batch(vec![("id", id()), ("t", Arc::new(ns) as ArrayRef)]);
+    assert_eq!(times(&arrow_stream(&ns, 2), "us"), [[0.0, 0.001, 0.005]]);
+    let days = batch(vec![("id", id()), ("t", Arc::new(Date32Array::from(vec![-1, 0, 31])) as ArrayRef)]);
+    assert_eq!(times(&parquet(&days, 2), "h"), [[0.0, 24.0, 768.0]]);
+}
+
+#[test]
+fn numbers_stay_as_they_are_and_need_no_unit() {
+    let model = model(&["t", "y"], &[], Some("t"));
+    let (sink, _) = collect_stdin(&model, &Layout::default(), b"t,y\n-5,1\n-5,2\n0.1,3\n1e3,4\n").unwrap();
+    let found: Vec<f64> = (0..4).map(|row| sink.tests[0].numbers(row)[0]).collect();
+    assert_eq!(found, [-5.0, -5.0, 0.1, 1000.0]);
+}
+
+#[test]
+fn times_may_restart_with_the_next_test() {
+    let model = model(&["t"], &[], Some("t"));
+    let (sink, _) = collect_stdin(&model, &by("id"), b"id,t\na,5\na,6\nb,1\nb,1\n").unwrap();
+    assert_eq!(sink.tests.len(), 2);
+}

@@ -1,0 +1,112 @@
+//! What the summary says of innovations and observability.
+
+#[allow(dead_code, reason = "each test crate uses its own part of it")]
+use crate::common;
+
+use kalfit::FitRecord;
+use kalfit::record::{InnovationRecord, ObservabilityRecord, WeakRecord, WhitenessRecord};
+use kalfit_report::{Style, summary};
+
+fn innovations(nis: f64, nis_p: f64, white_p: f64) -> InnovationRecord {
+    let whiteness = WhitenessRecord { statistic: 4.5, lags: 2, degrees_of_freedom: 2, p_value: white_p };
+    InnovationRecord {
+        count: 10,
+        nis: Some(nis),
+        nis_p_value: Some(nis_p),
+        mean: Some(0.1),
+        whiteness: Some(whiteness),
+    }
+}
+
+fn record(found: &[InnovationRecord]) -> FitRecord {
+    let mut record = common::sleepstudy();
+    record.tests = common::tests(&vec![0.5; found.len()]);
+    record.tests.iter_mut().zip(found).for_each(|(test, found)| test.innovations = Some(found.clone()));
+    record
+}
+
+/// The section on innovations.
+fn section(record: &FitRecord) -> String {
+    let text = summary(record, &Style::default());
+    let from = text.find("Innovations").map_or("", |at| &text[at..]);
+    from.split("\n\n").next().unwrap_or_default().to_owned() + "\n"
+}
+
+#[test]
+fn probable_innovations_are_said_to_be_so() {
+    let record = record(&[innovations(9.0, 0.9, 0.4), innovations(14.0, 0.3, 0.03)]);
+    insta::assert_snapshot!(section(&record), @"
+    Innovations (what the filter did not expect)
+      Mean square of 20 innovations over all tests, each in units of its variance:
+        1.15 (expected 1 ± 0.32).
+      No test's innovations are improbable: the smallest of 4 p-values is 0.03
+        (correlation in time in test 309), or 0.12 with Holm's correction.
+    ");
+}
+
+#[test]
+fn improbable_innovations_are_named_by_test_and_kind() {
+    let found = [innovations(9.0, 0.9, 1e-5), innovations(60.0, 7e-9, 0.5), innovations(0.3, 2e-4, 0.6)];
+    insta::assert_snapshot!(section(&record(&found)), @"
+    Innovations (what the filter did not expect)
+      test  what                   found  expected  p-value    Holm
+      309   larger than modelled      60        10     7e-9    4e-8
+      308   correlated in time       4.5         2     1e-5    5e-5
+      310   smaller than modelled    0.3        10   0.0002  0.0008
+      These are improbable among 6 p-values (Holm, 5 % level): a size other than
+        modelled asks for other noise levels, or for a look at the test; correlation
+        in time asks for a motion that the model lacks, such as a drift.
+      Mean square of 30 innovations over all tests, each in units of its variance:
+        2.31 (expected 1 ± 0.26). That is more than chance allows: noise or a motion
+        is missing from the model.
+    ");
+}
+
+#[test]
+fn holms_correction_stops_at_the_first_that_is_probable() {
+    // of ten p-values 0.004 passes (times 10), 0.0055 does too (times 9), 0.007 does not (times 8)
+    let p_values = [0.004, 0.0055, 0.007, 0.5, 0.6];
+    let found: Vec<InnovationRecord> = p_values.iter().map(|&p| innovations(20.0, p, 0.9)).collect();
+    let text = section(&record(&found));
+    assert_eq!(text.matches("larger than modelled").count(), 2, "{text}");
+}
+
+#[test]
+fn records_without_innovations_say_nothing_and_broken_ones_do_no_harm() {
+    assert_eq!(section(&record(&[])), "\n");
+    let broken = InnovationRecord { count: 0, nis: None, nis_p_value: Some(f64::NAN), mean: None, whiteness: None };
+    assert_eq!(section(&record(&[broken])), "\n");
+    let text = section(&record(&[innovations(f64::INFINITY, 0.0, f64::NAN)]));
+    assert!(!text.contains("NaN") && !text.contains("inf"), "{text}");
+}
+
+#[test]
+fn states_that_hang_on_one_test_and_weak_directions_are_warned_of() {
+    let mut record = common::sleepstudy();
+    let state = |state: &str, informed_by, tests: &[&str], share| ObservabilityRecord {
+        state: state.into(),
+        informed_by,
+        observed_by: 1,
+        tests: tests.iter().map(|&t| t.into()).collect(),
+        leading_test: Some("335".into()),
+        leading_share: Some(share),
+    };
+    let phase = &mut record.phases[0];
+    phase.observability = vec![state("intercept", 1, &["308"], 1.0), state("slope", 18, &[], 0.957)];
+    phase.weakly_determined = vec![WeakRecord {
+        direction: vec![0.6, -0.8],
+        condition: 45.3,
+        leading_test: Some("335".into()),
+        leading_share: Some(0.4),
+    }];
+    let text = summary(&record, &Style::default());
+    let at = text.find("Limits").expect("a section");
+    insta::assert_snapshot!(text[at..].split("\n\n").next().unwrap(), @"
+    Limits of what the data say
+      Only one test, 308, says anything about intercept.
+      96 % of what is known of the mean of slope rests on one test, 335.
+      Weakly determined: the combination 0.8 slope - 0.6 intercept of the means is
+        known 45 times less precisely than the best known combination, in comparable
+        units.
+    ");
+}

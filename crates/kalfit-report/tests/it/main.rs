@@ -1,0 +1,10 @@
+//! The tests of what is shown, one program.
+
+mod check;
+mod choices;
+mod common;
+mod diagnosis;
+mod parameters;
+mod plan;
+mod ratio;
+mod summary;

@@ -1,0 +1,83 @@
+//! What is known of a test, phase by phase: rows still to be filtered, estimates of somebody's filter, or a reduction that
+//! was made before.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::ensemble::Test;
+use crate::reduce::{Reduction, Terminal};
+
+/// One test through its phases. Later phases of the model may be missing; the first ones may not.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PhasedTest {
+    /// Its id.
+    pub id: String,
+    /// What is known of each phase, from the first one on.
+    pub phases: Vec<Evidence>,
+}
+
+/// What is known of one phase of a test.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Evidence {
+    /// Its rows.
+    Rows(Test),
+    /// What a filter made of them, here or elsewhere (theory §8).
+    Estimates(Box<Estimates>),
+    /// Its reduction at the α of the fit.
+    Reduced(Box<PhaseReduction>),
+}
+
+/// What a filter, optimal or not, made of one phase (theory §8): ŝ is linear in the data, and with the final state
+///
+/// ```text
+/// [x_K; ŝ] = [φ_K; S] x_0 + [s̄_1; s̄] + D × white noise
+/// ```
+///
+/// x_0 is the whole state of the phase's model, n numbers in file order. ŝ holds any linear functions of the data, in the
+/// usual case the filter's estimates [x̂_K; x̂_{0|K}]; the more of them, the more information.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Estimates {
+    /// ŝ, m numbers.
+    pub estimates: DVector<f64>,
+    /// s̄, what ŝ would be on average at x_0 = 0: m numbers.
+    pub offsets: DVector<f64>,
+    /// S, m × n.
+    pub sensitivities: DMatrix<f64>,
+    /// φ_K from x_0 to the last step, n × n.
+    pub transition: DMatrix<f64>,
+    /// s̄_1, the known inputs' part of x_K: n numbers.
+    pub drift: DVector<f64>,
+    /// D, (n + m) × any number of columns: DD' = Γ, the covariance of (x_K, ŝ) at a known x_0.
+    pub root: DMatrix<f64>,
+    /// One row with the columns of the model that are constant within the test; missing where unknown.
+    pub constants: Test,
+    /// Steps behind it.
+    pub steps: usize,
+    /// Scalar measurements behind it.
+    pub observations: usize,
+}
+
+/// The reduction of one phase by itself, in its entering coordinates σ ([`Phase::entering`](crate::model::Phase::entering)).
+#[derive(Debug, Clone, PartialEq)]
+pub struct PhaseReduction {
+    /// log p(z | σ), without a chain.
+    pub reduction: Reduction,
+    /// The state after the last step given σ; `None` where no phase of the model follows.
+    pub terminal: Option<Terminal>,
+    /// What this phase inherits; `None` for the first one.
+    pub inherited: Option<Inherited>,
+}
+
+/// σ = [ξ; 0] + T x_K + t, of the phase before.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Inherited {
+    /// T, q × n of the phase before.
+    pub transition: DMatrix<f64>,
+    /// t, q numbers.
+    pub input: DVector<f64>,
+}
+
+impl From<Test> for PhasedTest {
+    fn from(test: Test) -> PhasedTest {
+        PhasedTest { id: test.id.clone(), phases: vec![Evidence::Rows(test)] }
+    }
+}
