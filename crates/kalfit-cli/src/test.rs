@@ -79,7 +79,7 @@ pub(crate) fn test(
     let bench = Bench { job, model: spec.model.shared(), null: hypothesis.model.shared(), alpha, reductions };
     let wide = estimate::fit(reductions, &Structure::of(spec.model.shared(), alpha), &job.settings, line)
         .map_err(Failure::Fit)?;
-    let null = bench.fit(hypothesis.model.shared().mean, &hypothesis.model.shared().covariance, line)?;
+    let null = bench.fit(&hypothesis.model.shared().mean, &hypothesis.model.shared().covariance, line)?;
     let wide = at_least(wide, &null, reductions).map_err(Failure::Fit)?;
     let ratio = likelihood_ratio(&null, &wide).map_err(Failure::NotNested)?;
     let parts = bench.parts(&wide, line)?;

@@ -165,17 +165,17 @@ fn read_record(path: &Path) -> Result<FitRecord, TruthError> {
 fn of_model(spec: &Spec, from: &Path, set: &[String]) -> Result<(Population, Vec<Known>), Failure> {
     let path = from.display().to_string();
     let mut truth = model::read(from)?;
-    for parameter in truth.model.parameters.clone() {
+    for parameter in truth.model.shared().parameters.clone() {
         if let Value::Free { start: Some(start) } = parameter.value {
             truth
                 .give(&parameter.name, &[(None, start)])
                 .map_err(|error| Failure::from(TruthError::Value { path: path.clone(), error: Box::new(error) }))?;
         }
     }
-    let is_there = |name: &str| truth.model.parameters.iter().any(|p| p.name == name);
+    let is_there = |name: &str| truth.model.shared().parameters.iter().any(|p| p.name == name);
     let own: Vec<String> = set.iter().filter(|assignment| is_there(assigned(assignment))).cloned().collect();
     model::set(&mut truth, &own)?;
-    let alpha = Alpha::fixed(&truth.model.parameters)
+    let alpha = Alpha::fixed(&truth.model.shared().parameters)
         .map_err(|ParameterError::Free { names }| Failure::from(TruthError::NoParameter { names }))?;
     let (found, expected) = (truth.model.estimated_names(), spec.model.estimated_names());
     let place: Option<Vec<usize>> = expected.iter().map(|name| found.iter().position(|other| other == name)).collect();
@@ -184,7 +184,7 @@ fn of_model(spec: &Spec, from: &Path, set: &[String]) -> Result<(Population, Vec
         return Err(TruthError::Record { path, error }.into());
     };
     let refused = |error| Failure::from(TruthError::Population { path: path.clone(), error });
-    let mut population = Population::of_model(&truth.model, &alpha).map_err(refused)?;
+    let mut population = Population::of_model(truth.model.shared(), &alpha).map_err(refused)?;
     population.mean = place.iter().map(|&i| population.mean[i]).collect();
     population.covariance = population.covariance.select_rows(&place).select_columns(&place);
     population.check(spec.model.shared()).map_err(refused)?;

@@ -1,5 +1,6 @@
 //! Models that are read, and what becomes of them.
 
+use crate::Only as _;
 use kalfit::model::{
     CovarianceKind, Expression, FixedElement, Initial, Linear, MeanElement, Motion, Operator, Regression, Value,
 };
@@ -130,7 +131,7 @@ arw = 0.003
 
 #[test]
 fn an_inertial_instrument_has_continuous_states_driven_by_a_table() {
-    let model = read(GYRO).model;
+    let model = read(GYRO).only();
     assert_eq!(model.estimated_names(), ["bias", "scale", "temperature_coefficient"]);
     assert_eq!(model.clock.time, Some(0));
     assert_eq!(model.clock.unit.as_deref(), Some("s"));
@@ -199,7 +200,7 @@ q12 = { start = 0 }
 
 #[test]
 fn a_discrete_model_has_next_values_inputs_and_covariances_of_noises() {
-    let model = read(SUBJECTS).model;
+    let model = read(SUBJECTS).only();
     let u = Column(model.columns.iter().position(|c| c.name == "u").unwrap());
     let next = Linear { terms: vec![(0, Parameter(0))], constant: times(Parameter(1), u) };
     let noise_variance = times(Parameter(2), Parameter(2));
@@ -229,7 +230,7 @@ fn constraints_on_the_mean_are_kept_by_element() {
         "[mean]\nfixed = { c = 0 }\nstart = { a = 1.5 }\ntied = { b = '0.5 * a + 0.25 * c + 1' }\n\
          regression = { a = ['temperature', 'lot_b'], c = ['temperature'] }",
     )
-    .model
+    .only()
     .mean;
     let tied = MeanElement::Tied { constant: 1.0, terms: vec![(0, 0.5), (2, 0.25)] };
     assert_eq!(mean.elements, [MeanElement::Free, tied, MeanElement::Fixed(0.0)]);
@@ -237,7 +238,7 @@ fn constraints_on_the_mean_are_kept_by_element() {
     let regression = |element, column| Regression { element, column };
     assert_eq!(mean.regression, [regression(0, 3), regression(0, 4), regression(2, 3)]);
 
-    let mean = three("[mean]\nproportional_to = { a = 1, c = 200 }").model.mean;
+    let mean = three("[mean]\nproportional_to = { a = 1, c = 200 }").only().mean;
     assert_eq!(mean.elements, [MeanElement::Proportional(1.0), MeanElement::Free, MeanElement::Proportional(200.0)]);
 }
 
@@ -247,7 +248,7 @@ fn the_order_of_the_covariance_is_the_order_of_everything() {
         "[mean]\nfixed = { a = 2 }\n[covariance]\norder = ['c', 'a', 'b']\n\
          fixed = { 'b, c' = 0, 'a,a' = 4 }\nstart = [[1, 0.5, 0], [0.5, 4, 0], [0, 0, 9]]",
     )
-    .model;
+    .only();
     assert_eq!(model.estimated, [2, 0, 1]);
     assert_eq!(model.mean.elements[1], MeanElement::Fixed(2.0));
     let fixed = |i, j, value| FixedElement { i, j, value };
@@ -261,7 +262,7 @@ fn the_order_of_the_covariance_is_the_order_of_everything() {
 #[test]
 fn all_structures_of_the_covariance_are_read() {
     let rho = "[parameters]\nrho = {}\n[covariance]\n";
-    let kind = |text: &str| three(text).model.covariance.kind;
+    let kind = |text: &str| three(text).only().covariance.kind;
     let matrix = |corner: Expression| {
         vec![
             vec![number(1.0), corner.clone(), number(0.0)],
@@ -289,7 +290,7 @@ fn known_equal_and_fixed_elements_combine_with_a_diagonal() {
         "[covariance]\nstructure = 'diagonal'\nfixed = { 'c, c' = 2, 'a, b' = 0 }\nequal = [['b, b', 'a, a']]\n\
          known = [[0.1, 0, 0], [0, 0, 0], [0, 0, '2 * 0.25']]",
     )
-    .model
+    .only()
     .covariance;
     assert_eq!(covariance.fixed, [FixedElement { i: 2, j: 2, value: 2.0 }]);
     assert_eq!(covariance.equal, [[(1, 1), (0, 0)]]);
@@ -300,7 +301,7 @@ fn known_equal_and_fixed_elements_combine_with_a_diagonal() {
 #[test]
 fn a_zero_variance_implies_its_covariances_and_may_be_said_twice() {
     let covariance =
-        three("[covariance]\nfixed = { 'a, a' = 0, 'b, a' = 0, 'a, b' = 0, 'c,a' = 0.0 }").model.covariance;
+        three("[covariance]\nfixed = { 'a, a' = 0, 'b, a' = 0, 'a, b' = 0, 'c,a' = 0.0 }").only().covariance;
     assert_eq!(covariance.fixed, [FixedElement { i: 0, j: 0, value: 0.0 }]);
 }
 
@@ -312,7 +313,7 @@ fn a_second_order_process_has_a_hidden_rate_after_its_owner() {
              [states.b]\n[measurements.y]\ncolumn = 'y'\nequation = 'a + b'\nnoise = 1\n"
         )
     };
-    let model = read(&text("")).model;
+    let model = read(&text("")).only();
     let names: Vec<&str> = model.states.iter().map(|s| s.name.as_str()).collect();
     assert_eq!(names, ["a", "a (rate)", "b"]);
     // β = 1/2: dv = -v·2β - x·β², noise 4β³σ² = 4.5, stationary variance of v β²σ² = 2.25.
@@ -331,7 +332,7 @@ fn a_second_order_process_has_a_hidden_rate_after_its_owner() {
     assert_eq!(model.estimated, [2]);
 
     for initial in ["initial = 'estimated'", "initial = { mean = 1, sigma = 2 }"] {
-        let model = read(&text(initial)).model;
+        let model = read(&text(initial)).only();
         let known = Initial::Known { mean: number(0.0), variance: number(2.25) };
         assert_eq!(model.states[1].initial, known, "{initial}");
     }
@@ -345,7 +346,7 @@ fn random_walks_and_integrals_move_as_named() {
          d = { process = 'integral', of = 'a - 2 * u', offset = 'h + 1' }\n\
          [measurements.y]\ncolumn = 'y'\nequation = 'b + c + d'\nvariance = 'v'\n[parameters]\nv = {}\n",
     )
-    .model;
+    .only();
     let still = Linear { terms: Vec::new(), constant: number(0.0) };
     let a = Motion::Continuous { derivative: still, noise_variance: number(4.0) };
     assert_eq!(model.states[0].motion, a);
@@ -378,7 +379,7 @@ fn states_and_parameters_hide_columns_unless_in_backticks() {
         "[states]\na = {}\n[measurements.y]\ncolumn = 'y'\nequation = '`a` * a + k * `k` + `two words`'\nnoise = 1\n\
          [parameters]\nk = 2\n",
     )
-    .model;
+    .only();
     let names: Vec<&str> = model.columns.iter().map(|c| c.name.as_str()).collect();
     assert_eq!(names, ["y", "a", "k", "two words"]);
     assert_eq!(model.measurements[0].equation.terms, [(0, Column(1))]);
@@ -397,13 +398,13 @@ fn levels_may_be_fixed_one_by_one() {
 
 #[test]
 fn conditions_choose_between_linear_forms() {
-    let model = three("").model;
+    let model = three("").only();
     assert_eq!(model.measurements[0].equation.terms.len(), 3);
     let model = read(
         "[states]\na = {}\nb = {}\n[measurements.y]\ncolumn = 'y'\nequation = \"if(s != 'A' and u > 1, a + b, 2 * a)\"\n\
          noise = 1\n",
     )
-    .model;
+    .only();
     let terms = &model.measurements[0].equation.terms;
     let Expression::If(condition, one, two) = &terms[0].1 else { panic!("{terms:?}") };
     assert!(matches!(**condition, Expression::Binary(Operator::And, ..)));

@@ -1,5 +1,6 @@
 //! Values for free parameters from elsewhere.
 
+use crate::Only as _;
 use kalfit::model::{Level, Value};
 use kalfit::{Alpha, Label};
 use kalfit_spec::Spec;
@@ -37,7 +38,7 @@ fn levels_get_values_and_the_model_keeps_its_own() {
 #[test]
 fn values_that_cannot_be_are_refused_and_change_nothing() {
     let mut spec = spec();
-    let before = spec.model.shared().clone();
+    let before = spec.only();
     for (name, values, part) in [
         ("S", vec![(None, 1.0)], "unknown parameter `S`"),
         ("s", vec![(Some("A"), 1.0), (None, 10.0)], "at most 9"),
@@ -46,7 +47,7 @@ fn values_that_cannot_be_are_refused_and_change_nothing() {
     ] {
         let error = spec.give(name, &values).expect_err("refused").to_string();
         assert!(error.contains(part), "{error}");
-        assert_eq!(spec.model, before.into());
+        assert_eq!(spec.only(), before);
     }
 }
 

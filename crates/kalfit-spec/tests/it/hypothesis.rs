@@ -1,5 +1,6 @@
 //! A model under a hypothesis: what replaces what, what stays, and what is refused with its place in the right file.
 
+use crate::Only as _;
 use kalfit::model::{CovarianceKind, MeanElement, Value};
 use kalfit_spec::{Hypothesis, HypothesisError, Problem, Spec};
 use proptest::prelude::*;
@@ -59,49 +60,49 @@ fn refusal(hypothesis: &str) -> String {
 #[test]
 fn what_a_hypothesis_does_not_speak_of_stays() {
     let found = under("title = 'no bias'\n[mean]\nfixed = { scale = 0 }\n");
-    let base = model().model;
+    let base = model().only();
     assert_eq!(found.title.as_deref(), Some("no bias"));
-    assert_eq!(found.model.title, "bench", "the title of the model is its own");
-    assert_eq!(found.model.covariance, base.covariance, "[covariance], start values included");
-    assert_eq!(found.model.parameters, base.parameters);
-    assert_eq!(found.model.literals, base.literals);
-    assert_eq!((found.model.columns, found.model.text_columns), (base.columns, base.text_columns));
-    assert_eq!(found.model.mean.regression, base.mean.regression, "a key of [mean] that is not replaced");
+    assert_eq!(found.only().title, "bench", "the title of the model is its own");
+    assert_eq!(found.only().covariance, base.covariance, "[covariance], start values included");
+    assert_eq!(found.only().parameters, base.parameters);
+    assert_eq!(found.only().literals, base.literals);
+    assert_eq!((found.only().columns, found.only().text_columns), (base.columns, base.text_columns));
+    assert_eq!(found.only().mean.regression, base.mean.regression, "a key of [mean] that is not replaced");
     assert_eq!(found.digest.len(), "sha256:".len() + 64);
     assert_ne!(found.digest, model().digest);
 }
 
 #[test]
 fn keys_of_the_mean_replace_keys_and_drop_the_start_values() {
-    let found = under("[mean]\nfixed = { scale = 0 }\n").model.mean;
+    let found = under("[mean]\nfixed = { scale = 0 }\n").only().mean;
     assert_eq!(found.elements, [MeanElement::Fixed(0.0), MeanElement::Free, MeanElement::Free]);
     assert_eq!(found.start, [None; 3], "the model starts the mean of bias at 3");
-    let found = under("[mean]\nfixed = { scale = 0 }\nstart = { drift = 7 }\n").model.mean;
+    let found = under("[mean]\nfixed = { scale = 0 }\nstart = { drift = 7 }\n").only().mean;
     assert_eq!(found.start, [None, None, Some(7.0)], "start values of its own");
-    let found = under("[mean]\nfixed = { bias = 3 }\n").model.mean;
+    let found = under("[mean]\nfixed = { bias = 3 }\n").only().mean;
     assert_eq!(found.elements[1], MeanElement::Fixed(3.0), "fixed where the model has a start value");
 }
 
 #[test]
 fn keys_of_the_covariance_replace_keys_whole() {
-    let found = under("[covariance]\nfixed = { 'bias, bias' = 0 }\n").model.covariance;
+    let found = under("[covariance]\nfixed = { 'bias, bias' = 0 }\n").only().covariance;
     let mut alone = MODEL.replace("fixed = { \"scale, drift\" = 0 }", "fixed = { 'bias, bias' = 0 }");
     alone.truncate(alone.find("start = [[4").expect("the start values are last"));
-    let expected = Spec::parse("model.toml", &alone).expect("the model is whole").model.covariance;
+    let expected = Spec::parse("model.toml", &alone).expect("the model is whole").only().covariance;
     assert_eq!(found, expected, "as a model with that key instead of its own, without start values");
-    assert_ne!(found, model().model.covariance);
+    assert_ne!(found, model().only().covariance);
 }
 
 #[test]
 fn a_structure_drops_the_other_keys_but_the_order() {
-    let found = under("[covariance]\nstructure = 'full'\n").model;
+    let found = under("[covariance]\nstructure = 'full'\n").only();
     let names = found.estimated_names();
     assert_eq!(names, ["scale", "bias", "drift"], "the order of the model");
     let expected = MODEL.replace("fixed = { \"scale, drift\" = 0 }", "");
     let expected = expected.replace("start = [[4, 0, 0], [0, 1, 0], [0, 0, 1]]", "");
-    let expected = Spec::parse("model.toml", &expected).expect("the model is whole").model.covariance;
+    let expected = Spec::parse("model.toml", &expected).expect("the model is whole").only().covariance;
     assert_eq!(found.covariance, expected, "`fixed` of the model is gone");
-    let diagonal = under("[covariance]\nstructure = 'diagonal'\n").model.covariance;
+    let diagonal = under("[covariance]\nstructure = 'diagonal'\n").only().covariance;
     assert_ne!(diagonal, expected);
 }
 
@@ -109,7 +110,7 @@ fn a_structure_drops_the_other_keys_but_the_order() {
 fn a_structure_keeps_the_known_part() {
     let known = MODEL.replace("[covariance]\n", "[covariance]\nknown = [[1, 0, 0], [0, 2, 0], [0, 0, 3]]\n");
     let spec = Spec::parse("model.toml", &known.replace("start = [[4, 0, 0], [0, 1, 0], [0, 0, 1]]", "")).unwrap();
-    let found = spec.under("[covariance]\nstructure = 'diagonal'\n").unwrap().model.covariance;
+    let found = spec.under("[covariance]\nstructure = 'diagonal'\n").unwrap().only().covariance;
     assert_eq!(found.kind, CovarianceKind::Diagonal);
     assert_eq!(found.known, spec.model.shared().covariance.known);
     assert!(found.known.is_some());
@@ -119,33 +120,33 @@ fn a_structure_keeps_the_known_part() {
 fn tables_that_the_model_has_not_are_added() {
     let bare = "[states]\na = {}\nb = {}\n[measurements.y]\ncolumn = 'y'\nequation = 'a + b * u'\nnoise = 1\n";
     let spec = Spec::parse("model.toml", bare).unwrap();
-    let found = spec.under("[mean]\nfixed = { b = 0 }\n[covariance]\nstructure = 'diagonal'\n").unwrap().model;
+    let found = spec.under("[mean]\nfixed = { b = 0 }\n[covariance]\nstructure = 'diagonal'\n").unwrap().only();
     let whole = format!("{bare}[mean]\nfixed = {{ b = 0 }}\n[covariance]\nstructure = 'diagonal'\n");
-    let expected = Spec::parse("model.toml", &whole).unwrap().model;
+    let expected = Spec::parse("model.toml", &whole).unwrap().only();
     assert_eq!(found, expected);
 }
 
 #[test]
 fn regressions_keep_the_columns_of_the_model() {
-    let columns: Vec<String> = model().model.columns.iter().map(|c| c.name.clone()).collect();
+    let columns: Vec<String> = model().only().columns.iter().map(|c| c.name.clone()).collect();
     for (own, expected) in [("['age']", vec!["age"]), ("['age', 'warm']", vec!["age", "warm"])] {
-        let found = under(&format!("[mean]\nregression = {{ bias = {own} }}\n")).model;
+        let found = under(&format!("[mean]\nregression = {{ bias = {own} }}\n")).only();
         let names: Vec<&str> = found.mean.regression.iter().map(|r| columns[r.column].as_str()).collect();
         assert_eq!(names, expected, "{own}");
-        assert_eq!(found.columns, model().model.columns);
+        assert_eq!(found.columns, model().only().columns);
     }
-    assert!(under("[mean]\nregression = {}\n").model.mean.regression.is_empty());
+    assert!(under("[mean]\nregression = {}\n").only().mean.regression.is_empty());
 }
 
 #[test]
 fn parameters_are_replaced_one_by_one_in_the_order_of_the_model() {
-    let found = under("[parameters]\ns = 0.5\ntau = { start = 9 }\n").model.parameters;
+    let found = under("[parameters]\ns = 0.5\ntau = { start = 9 }\n").only().parameters;
     let names: Vec<&str> = found.iter().map(|p| p.name.as_str()).collect();
     assert_eq!(names, ["tau", "s", "noise"]);
     assert_eq!(found[0].value, Value::Free { start: Some(9.0) });
     assert_eq!(found[0].lower, None, "a parameter is replaced whole, its bounds with it");
     assert_eq!(found[1].value, Value::Fixed(0.5));
-    assert_eq!(found[2], model().model.parameters[2]);
+    assert_eq!(found[2], model().only().parameters[2]);
 }
 
 #[test]
@@ -154,7 +155,7 @@ fn what_was_set_stays_set_unless_the_hypothesis_speaks_of_it() {
     for assignment in ["tau=90", "s=0.3", "noise[C]=2"] {
         spec.set(assignment).unwrap();
     }
-    let found = spec.under("[parameters]\ns = 0.5\n").unwrap().model;
+    let found = spec.under("[parameters]\ns = 0.5\n").unwrap().only();
     assert_eq!(found.parameters[0].value, Value::Fixed(90.0), "set");
     assert_eq!(found.parameters[1].value, Value::Fixed(0.5), "said by the hypothesis");
     assert_eq!(found.parameters[2], spec.model.shared().parameters[2], "a level that was set");
@@ -164,7 +165,7 @@ fn what_was_set_stays_set_unless_the_hypothesis_speaks_of_it() {
 #[test]
 fn levels_of_a_parameter_are_those_of_the_model_by_name() {
     let levels = |hypothesis: &str| {
-        let found = under(hypothesis).model;
+        let found = under(hypothesis).only();
         let level = |(level, value): (&usize, &f64)| (found.literals[*level].clone(), *value);
         let column = found.parameters[2].per.map(|c| found.text_columns[c].name.clone());
         (column.unwrap(), found.parameters[2].fixed_levels.iter().map(level).collect::<Vec<_>>())
@@ -324,14 +325,14 @@ fn a_hypothesis_that_is_too_large_is_refused() {
     assert_eq!(error.message, "the file has 4194306 bytes, expected at most 4194304");
     let largest = format!("[mean]\nfixed = {{ scale = 0 }}\n#{}", "x".repeat(4 * 1024 * 1024 - 30));
     assert_eq!(largest.len(), 4 * 1024 * 1024);
-    assert_eq!(under(&largest).model.mean.elements[0], MeanElement::Fixed(0.0), "the limit is for each file");
+    assert_eq!(under(&largest).only().mean.elements[0], MeanElement::Fixed(0.0), "the limit is for each file");
 }
 
 /// Whatever the two files hold, the place of an error is in the file it names.
 fn survives(spec: &Spec, hypothesis: &str) {
     let (text, error) = match spec.under(hypothesis) {
         Ok(found) => {
-            let (model, base) = (&found.model, spec.model.shared());
+            let (model, base) = (&found.only(), spec.model.shared());
             assert_eq!(model.estimated, base.estimated, "{hypothesis}");
             assert_eq!(model.columns, base.columns, "{hypothesis}");
             let known = |c: &usize| *c < base.columns.len();

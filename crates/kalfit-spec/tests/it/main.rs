@@ -7,3 +7,23 @@ mod linear;
 mod never_panics;
 mod refuses;
 mod set;
+
+use kalfit::Model;
+use kalfit_spec::{Hypothesis, Spec};
+
+/// The model of a file without phases.
+pub(crate) trait Only {
+    fn only(&self) -> Model;
+}
+
+impl Only for Spec {
+    fn only(&self) -> Model {
+        self.model.shared().clone()
+    }
+}
+
+impl Only for Hypothesis {
+    fn only(&self) -> Model {
+        self.model.shared().clone()
+    }
+}

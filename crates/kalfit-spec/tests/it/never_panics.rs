@@ -185,6 +185,6 @@ fn files_that_are_too_large_or_no_text_are_refused() {
     assert!(matches!(*Spec::load(&path).unwrap_err().problem, Problem::TooLarge { .. }));
     assert!(matches!(*Spec::load(&folder.join("none.toml")).unwrap_err().problem, Problem::Unreadable { .. }));
     std::fs::write(&path, with_equation("'a + b'")).unwrap();
-    assert_eq!(Spec::load(&path).unwrap().model.estimated.len(), 2);
+    assert_eq!(Spec::load(&path).unwrap().model.shared().estimated.len(), 2);
     std::fs::remove_dir_all(&folder).unwrap();
 }
