@@ -18,7 +18,7 @@ pub use record::{PlanProvenance, PlanRecord, PlannedRecord};
 
 use crate::estimate::{ExpectedError, State, Structure, at_population};
 use crate::infer::{self, Direction, Uncertainty};
-use crate::linalg::symmetric::pair;
+use crate::linalg::elements::Elements;
 use crate::model::Population;
 use crate::reduce::Reduction;
 
@@ -128,15 +128,17 @@ pub fn plan(
         value: found.value(quantity),
         std_errors: found.error(quantity).map(at_each).ok_or_else(|| found.reason(quantity)),
     };
-    let quantities = quantities(p, regressions).into_iter().map(one).collect();
+    let elements = &state.problem.covariance.elements;
+    let quantities = quantities(elements, regressions).into_iter().map(one).collect();
     Ok(Plan { design_tests: n, tests: tests.to_vec(), quantities })
 }
 
-fn quantities(p: usize, regressions: usize) -> Vec<Quantity> {
-    let lower = |from: usize| (0..p).flat_map(move |i| (0..(i + 1).saturating_sub(from)).map(move |j| (i, j)));
+fn quantities(elements: &Elements, regressions: usize) -> Vec<Quantity> {
+    let p = elements.states();
+    let below = || elements.all().filter(|(i, j)| i != j);
     let means = (0..p).map(Quantity::Mean).chain((0..regressions).map(Quantity::Coefficient));
-    let spreads = (0..p).map(Quantity::StdDev).chain(lower(1).map(|(i, j)| Quantity::Correlation(i, j)));
-    means.chain(spreads).chain(lower(0).map(|(i, j)| Quantity::Covariance(i, j))).collect()
+    let spreads = (0..p).map(Quantity::StdDev).chain(below().map(|(i, j)| Quantity::Correlation(i, j)));
+    means.chain(spreads).chain(elements.all().map(|(i, j)| Quantity::Covariance(i, j))).collect()
 }
 
 /// What was found at the population.
@@ -174,6 +176,11 @@ impl Found<'_> {
         error.filter(|error| error.is_finite())
     }
 
+    /// The number of an element of Σ.
+    fn element(&self, i: usize, j: usize) -> usize {
+        self.state.problem.covariance.elements.index(i, j)
+    }
+
     /// Why a quantity has no standard error.
     fn reason(&self, quantity: Quantity) -> Reason {
         let takes_part = |what: infer::Quantity, k: usize| {
@@ -194,7 +201,7 @@ impl Found<'_> {
             Reason::Fixed
         } else if is_singular(i) || is_singular(j) {
             Reason::Boundary
-        } else if elements.iter().any(|&(i, j)| takes_part(infer::Quantity::Covariance, pair(i, j))) {
+        } else if elements.iter().any(|&(i, j)| takes_part(infer::Quantity::Covariance, self.element(i, j))) {
             Reason::Unidentified
         } else {
             Reason::Fixed
