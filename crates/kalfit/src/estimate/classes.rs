@@ -11,7 +11,7 @@ use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::chained::Chained;
+use crate::estimate::chained::{Chained, Detail};
 use crate::estimate::pass::{Order, pass};
 use crate::estimate::terms::{Point, Terms};
 use crate::linalg::elements::Elements;
@@ -195,7 +195,7 @@ impl Classes {
             }
             Some(_) => {
                 let point = Point { mean: mean.as_slice().to_vec(), ..self.origin(0) };
-                terms.evaluate(class, &[], &point, false);
+                terms.evaluate(class, &[], &point, Detail::Phases);
                 let one = |at: usize| (terms.outer[at] - class.count * terms.W[at], terms.W[at]);
                 (class.count, (0..p).map(|i| one(i * p + i)).collect())
             }

@@ -9,12 +9,12 @@ use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector};
 
+use crate::estimate::chart::Chart;
 use crate::estimate::classes::Frame;
-use crate::estimate::linear::Linear;
 use crate::estimate::structure::Structure;
 use crate::linalg::elements::Elements;
 use crate::linalg::symmetric::{self, pairs};
-use crate::model::{Alpha, CovarianceKind, CovarianceStructure, Expression, Scope, StructureError};
+use crate::model::StructureError;
 
 /// How the Σ of a phase is built from coordinates. Matrices are those of the phase, states are counted over all phases.
 #[derive(Debug, Clone)]
@@ -122,58 +122,6 @@ impl CovarianceMap {
         whole
     }
 
-    fn of_phase(
-        structure: &CovarianceStructure,
-        alpha: &Alpha,
-        frame: &Frame,
-    ) -> Result<CovarianceMap, StructureError> {
-        let p = frame.scale.len();
-        let zero = zero_variances(structure, p);
-        let linear = match &structure.kind {
-            CovarianceKind::Linear { constant, generators } => {
-                Some(Linear::new(structure, constant, generators, frame)?)
-            }
-            _ => None,
-        };
-        let random: Vec<usize> = match &linear {
-            Some(linear) => linear.random(),
-            None => (0..p).filter(|&i| !zero[i]).collect(),
-        };
-        let numbers = |entries: &[Vec<Expression>], what| matrix(entries, alpha, what);
-        let form = match &structure.kind {
-            CovarianceKind::Full | CovarianceKind::Linear { .. } => Form::Factor(vec![random.clone()]),
-            CovarianceKind::Diagonal => Form::Factor(random.iter().map(|&i| vec![i]).collect()),
-            CovarianceKind::Blocks(blocks) => Form::Factor(restrict(blocks, &zero)),
-            CovarianceKind::Proportional(entries) => {
-                let sigma = frame.covariance_in(&numbers(entries, "the matrix of the proportional covariance")?);
-                Form::Scale(symmetric::square_root(&sigma))
-            }
-            CovarianceKind::Correlation(entries) => {
-                let root = symmetric::square_root(&numbers(entries, "the correlation matrix")?);
-                Form::StdDevs(root, random.clone())
-            }
-            CovarianceKind::Fixed(entries) => {
-                Form::Fixed(frame.covariance_in(&numbers(entries, "the fixed covariance")?))
-            }
-        };
-        let form = match form {
-            Form::Factor(blocks) => Form::Factor(split(blocks, &|i, j| match &linear {
-                Some(linear) => linear.is_zero(i, j),
-                None => is_fixed_zero(structure, i, j),
-            })),
-            other => other,
-        };
-        let start = structure.start.as_ref().map(|start| frame.covariance_in(start));
-        let part = Part { states: 0..p, form, linear: linear.is_some(), start };
-        let elements = Elements::single(p);
-        let mut map = CovarianceMap { p, parts: vec![part], constraints: Vec::new(), random, elements };
-        map.constraints = match &linear {
-            Some(linear) => linear.constraints(&map)?,
-            None => constraints(structure, frame, &map),
-        };
-        Ok(map)
-    }
-
     /// Whether element (i, j) is zero because of the form.
     pub(crate) fn is_structural_zero(&self, i: usize, j: usize) -> bool {
         match self.form_of(i) {
@@ -260,34 +208,6 @@ impl CovarianceMap {
         all * vectors.select_columns(&null)
     }
 
-    /// Coordinates ψ near Σ = FF', as derivatives of F.
-    pub(crate) fn chart(&self, root: &DMatrix<f64>) -> Chart {
-        let elements = self.elements.clone();
-        let mut chart = Chart { root: root.clone(), coordinates: Vec::new(), bounded: Vec::new(), elements };
-        for part in &self.parts {
-            let (start, end) = (part.states.start, part.states.end);
-            match &part.form {
-                Form::Factor(blocks) => factor_chart(blocks, root, &part.states, &mut chart),
-                Form::Scale(star) => {
-                    let entries = (start..end).flat_map(|i| (start..end).map(move |c| (i, c)));
-                    let entries = entries.map(|(i, c)| (i, c, star[(i - start, c - start)])).collect();
-                    chart.coordinates.push(entries);
-                    chart.bounded.push(None);
-                }
-                Form::StdDevs(correlation, states) => {
-                    for &i in states {
-                        let row = (start..end).map(|c| (i, c, correlation[(i - start, c - start)])).collect();
-                        chart.coordinates.push(row);
-                        let own = root.view((start, start), (end - start, end - start)).clone_owned();
-                        chart.bounded.push(Some(std_dev(&own, correlation, i - start)));
-                    }
-                }
-                Form::Fixed(_) => {}
-            }
-        }
-        chart
-    }
-
     /// A root F of the structure's own shape from any Σ that is nearly of the structure.
     pub(crate) fn root_of(&self, sigma: &DMatrix<f64>) -> DMatrix<f64> {
         let mut root = DMatrix::zeros(self.p, self.p);
@@ -353,199 +273,6 @@ impl Constraint {
     }
 }
 
-/// ψ_i of row i of DR^½, with its sign: a standard deviation that rounding made negative counts as zero.
-fn std_dev(root: &DMatrix<f64>, correlation: &DMatrix<f64>, i: usize) -> f64 {
-    let unit = correlation.row(i).norm_squared();
-    if unit > 0.0 { (root.row(i).dot(&correlation.row(i)) / unit).max(0.0) } else { 0.0 }
-}
-
-/// Coordinates ψ around a root F: F(ψ + s) = F + Σ s_k F_k, each F_k given by its entries (row, column, value).
-#[derive(Debug, Clone)]
-pub(crate) struct Chart {
-    pub(crate) root: DMatrix<f64>,
-    pub(crate) coordinates: Vec<Vec<(usize, usize, f64)>>,
-    /// Values of coordinates that cannot be negative (standard deviations); `None` for others.
-    pub(crate) bounded: Vec<Option<f64>>,
-    /// The elements of Σ.
-    pub(crate) elements: Elements,
-}
-
-impl Chart {
-    /// dσ_pair / dψ, elements × coordinates, at a root that may have moved on from this chart's.
-    pub(crate) fn jacobian_at(&self, root: &DMatrix<f64>) -> DMatrix<f64> {
-        let elements = &self.elements;
-        let mut jacobian = DMatrix::zeros(elements.count(), self.coordinates.len());
-        for (k, entries) in self.coordinates.iter().enumerate() {
-            for &(i, c, x) in entries {
-                for j in elements.blocks()[elements.block_of(i)].clone() {
-                    jacobian[(elements.index(i, j), k)] += x * root[(j, c)] * if i == j { 2.0 } else { 1.0 };
-                }
-            }
-        }
-        jacobian
-    }
-
-    /// tr(G ∂²Σ/∂ψ_k∂ψ_l) = 2 tr(G F_k F_l'), coordinates × coordinates.
-    pub(crate) fn second_order(&self, score: &DMatrix<f64>) -> DMatrix<f64> {
-        let n = self.coordinates.len();
-        DMatrix::from_fn(n, n, |k, l| {
-            let mut sum = 0.0;
-            for &(i, c, x) in &self.coordinates[k] {
-                for &(j, d, y) in &self.coordinates[l] {
-                    if c == d {
-                        sum += score[(i, j)] * x * y;
-                    }
-                }
-            }
-            2.0 * sum
-        })
-    }
-
-    /// F after a step in ψ; bounded coordinates stop at zero.
-    pub(crate) fn moved(&self, step: &[f64]) -> DMatrix<f64> {
-        let mut root = self.root.clone();
-        for (k, entries) in self.coordinates.iter().enumerate() {
-            for &(i, c, x) in entries {
-                match self.bounded[k] {
-                    // written anew, so that zero is exactly zero and no rounding goes below
-                    Some(value) => root[(i, c)] = (value + step[k]).max(0.0) * x,
-                    None => root[(i, c)] += step[k] * x,
-                }
-            }
-        }
-        root
-    }
-}
-
-/// Lower-triangular coordinates in a pivoted order, after turning F (which leaves FF' alone) into that shape.
-fn factor_chart(blocks: &[Vec<usize>], root: &DMatrix<f64>, states: &Range<usize>, chart: &mut Chart) {
-    let (start, p) = (states.start, states.len());
-    chart.root.view_mut((start, start), (p, p)).fill(0.0);
-    for block in blocks {
-        let own = DMatrix::from_fn(block.len(), p, |i, c| root[(block[i], start + c)]);
-        let order = pivot_order(&own);
-        let rows = DMatrix::from_fn(own.ncols(), own.nrows(), |c, i| own[(order[i], c)]);
-        let upper = rows.qr().r(); // own[order] = (QR)' so that own own' = R'R in that order
-        for (place, &i) in order.iter().enumerate() {
-            for c in 0..=place {
-                let value = if c < upper.nrows() { upper[(c, place)] } else { 0.0 };
-                chart.root[(block[i], block[c])] = value;
-                chart.coordinates.push(vec![(block[i], block[c], 1.0)]);
-                chart.bounded.push(None);
-            }
-        }
-    }
-}
-
-/// Rows in the order of a Cholesky decomposition with pivoting: largest remaining norm first.
-fn pivot_order(rows: &DMatrix<f64>) -> Vec<usize> {
-    let mut left = rows.clone();
-    let mut order: Vec<usize> = Vec::new();
-    while order.len() < rows.nrows() {
-        let norm = |i: &usize| left.row(*i).norm_squared();
-        let rest = (0..rows.nrows()).filter(|i| !order.contains(i));
-        let next = rest.max_by(|a, b| norm(a).total_cmp(&norm(b)).then(b.cmp(a))).expect("a row remains");
-        order.push(next);
-        let pivot = left.row(next).clone_owned();
-        let size = pivot.norm_squared();
-        if size > 0.0 {
-            for i in 0..left.nrows() {
-                let along = left.row(i).dot(&pivot) / size;
-                let reduced = left.row(i) - &pivot * along;
-                left.set_row(i, &reduced);
-            }
-        }
-    }
-    order
-}
-
-pub(crate) fn zero_variances(structure: &CovarianceStructure, p: usize) -> Vec<bool> {
-    let mut zero = vec![false; p];
-    for element in &structure.fixed {
-        if element.i == element.j && element.value == 0.0 {
-            zero[element.i] = true;
-        }
-    }
-    zero
-}
-
-/// Evaluates a matrix of expressions in parameters, and checks that it is positive semidefinite.
-fn matrix(entries: &[Vec<Expression>], alpha: &Alpha, what: &str) -> Result<DMatrix<f64>, StructureError> {
-    let p = entries.len();
-    let scope = Scope { numbers: &[], texts: &[], step: 0.0, alpha };
-    let mut values = DMatrix::zeros(p, p);
-    for i in 0..p {
-        for j in 0..p {
-            values[(i, j)] = entries[i][j].evaluate(&scope).map_err(|source| StructureError::Entry {
-                what: what.to_owned(),
-                row: i,
-                column: j,
-                source,
-            })?;
-        }
-    }
-    if !symmetric::is_semidefinite(&values) {
-        let (values, _) = symmetric::eigen(&values);
-        let (least, largest) = (values[0], values[p - 1]);
-        return Err(StructureError::NotSemidefinite { what: what.to_owned(), least, largest });
-    }
-    Ok(values)
-}
-
-fn restrict(blocks: &[Vec<usize>], zero: &[bool]) -> Vec<Vec<usize>> {
-    let kept = blocks.iter().map(|b| b.iter().copied().filter(|&i| !zero[i]).collect::<Vec<_>>());
-    kept.filter(|b| !b.is_empty()).collect()
-}
-
-fn is_fixed_zero(structure: &CovarianceStructure, i: usize, j: usize) -> bool {
-    structure.fixed.iter().any(|e| e.value == 0.0 && (e.i, e.j) == (i.max(j), i.min(j)) && i != j)
-}
-
-/// Splits blocks into the connected components that zeros leave.
-fn split(blocks: Vec<Vec<usize>>, is_zero: &dyn Fn(usize, usize) -> bool) -> Vec<Vec<usize>> {
-    let mut result = Vec::new();
-    for block in blocks {
-        let mut left = block;
-        while !left.is_empty() {
-            let mut component = vec![left.remove(0)];
-            let mut at = 0;
-            while at < component.len() {
-                let from = component[at];
-                let (joined, rest): (Vec<usize>, Vec<usize>) = left.iter().partition(|&&j| !is_zero(from, j));
-                component.extend(joined);
-                left = rest;
-                at += 1;
-            }
-            component.sort_unstable();
-            result.push(component);
-        }
-    }
-    result
-}
-
-/// Fixed and equal elements that the form does not give by itself, in η, scaled to coefficients of order one.
-fn constraints(structure: &CovarianceStructure, frame: &Frame, map: &CovarianceMap) -> Vec<Constraint> {
-    if !matches!(map.parts[0].form, Form::Factor(_)) {
-        return Vec::new();
-    }
-    let unit = |i: usize, j: usize| frame.scale[i] * frame.scale[j];
-    let free = |i: usize, j: usize| !map.is_structural_zero(i, j);
-    let mut constraints = Vec::new();
-    for element in structure.fixed.iter().filter(|e| free(e.i, e.j)) {
-        let value = element.value / unit(element.i, element.j);
-        constraints.push(Constraint { terms: vec![(element.i, element.j, 1.0)], value });
-    }
-    for group in &structure.equal {
-        let (i, j) = group[0];
-        for &(k, l) in &group[1..] {
-            let size = unit(i, j).max(unit(k, l));
-            let terms = vec![(i, j, unit(i, j) / size), (k, l, -unit(k, l) / size)];
-            constraints.push(Constraint { terms, value: 0.0 });
-        }
-    }
-    constraints
-}
-
 /// The rows and columns of a block.
 pub(crate) fn sub(matrix: &DMatrix<f64>, block: &[usize]) -> DMatrix<f64> {
     DMatrix::from_fn(block.len(), block.len(), |i, j| matrix[(block[i], block[j])])
@@ -557,25 +284,5 @@ pub(crate) fn place(into: &mut DMatrix<f64>, block: &[usize], own: &DMatrix<f64>
         for j in 0..block.len() {
             into[(block[i], block[j])] = own[(i, j)];
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_standard_deviation_stops_at_exactly_zero() {
-        let correlation = DMatrix::from_row_slice(1, 3, &[0.1_f64.sqrt(), 0.3_f64.sqrt(), 0.6_f64.sqrt()]);
-        let entries: Vec<_> = (0..3).map(|c| (0, c, correlation[(0, c)])).collect();
-        let chart = Chart {
-            root: &correlation * 0.3,
-            coordinates: vec![entries],
-            bounded: vec![Some(std_dev(&(&correlation * 0.3), &correlation, 0))],
-            elements: Elements::single(1),
-        };
-        assert_eq!(chart.moved(&[-5.0]), DMatrix::zeros(1, 3));
-        let below = std_dev(&(&correlation * -1e-17), &correlation, 0);
-        assert_eq!(below, 0.0, "a standard deviation below zero would turn the signs of the correlations");
     }
 }

@@ -2,7 +2,8 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::covariance::{Chart, Constraint, CovarianceMap};
+use crate::estimate::chart::Chart;
+use crate::estimate::covariance::{Constraint, CovarianceMap};
 use crate::estimate::pass::Sums;
 use crate::estimate::terms::Point;
 use crate::linalg::elements::Elements;

@@ -14,7 +14,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::linalg::rows::{Care, Rows, absorb, identity_plus};
+use crate::linalg::rows::{Factors, Rotations, Rows};
 use crate::reduce::{Chain, ChainPhase, Link, Path, Reduction};
 
 /// Singular values below this part of what the columns were before anything was taken out of them are zero.
@@ -57,7 +57,7 @@ impl Difference {
     fn left(before: &ChainPhase, link: &Link, (own, data): (DMatrix<f64>, DVector<f64>)) -> Difference {
         let (earlier, q) = (unpacked(before), own.nrows());
         let from = earlier.nrows();
-        let spread = identity_plus(&Rows::from(&(&own * &link.root).transpose()), Care::Rotations);
+        let spread = Rotations::identity_plus(&Rows::from(&(&own * &link.root).transpose()));
         let residual = data - &own * &link.mean;
         let mut rows = DMatrix::zeros(q, from + q + 1);
         rows.view_mut((0, 0), (q, from)).copy_from(&(&own * &link.sensitivity));
@@ -94,7 +94,7 @@ impl Difference {
         let rows = self.factor.nrows();
         let entry = |i: usize, k: usize| if k < own { self.factor[(i, k)] } else { self.data[i] };
         let mut upper = Rows::zeros(own, own + 1);
-        let left = absorb(&mut upper, Rows::from_fn(rows, own + 1, entry), own, Care::Rotations);
+        let left = Rotations::absorb(&mut upper, Rows::from_fn(rows, own + 1, entry), own);
         let residual: f64 = (0..left.nrows()).map(|i| left[(i, own)].powi(2)).sum();
         let places = (0..own).flat_map(|k| (0..=k).map(move |i| (i, k)));
         let nothing = |from: usize| Link {

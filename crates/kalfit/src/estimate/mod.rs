@@ -5,6 +5,7 @@
 
 mod certificate;
 mod chained;
+mod chart;
 mod classes;
 mod climb;
 mod covariance;
@@ -12,6 +13,7 @@ mod elsewhere;
 mod em;
 mod exact;
 mod expected;
+mod form;
 mod likelihood;
 mod linear;
 mod local;
@@ -20,6 +22,7 @@ mod mean;
 mod newton;
 mod pass;
 mod problem;
+mod products;
 mod quadratic;
 mod relaxed;
 mod reml;
@@ -29,6 +32,7 @@ mod settings;
 mod start;
 mod structure;
 mod terms;
+mod together;
 mod unobserved;
 
 use std::borrow::Cow;
@@ -40,7 +44,7 @@ pub use likelihood::{Derivatives, Evaluation, Likelihood, pass_flops};
 pub use settings::{Combination, Criterion, Progress, Settings, Silent, Solver, Step};
 pub use structure::{PhaseStructure, Structure};
 
-pub(crate) use chained::Chained;
+pub(crate) use chained::{Chained, Detail};
 pub(crate) use classes::{Class, unpack};
 pub(crate) use climb::{Limits, climb};
 pub(crate) use covariance::{Constraint, CovarianceMap, Form, Part};
@@ -53,6 +57,7 @@ pub(crate) use problem::Problem;
 pub(crate) use start::generic_root;
 pub(crate) use structure::Assumed;
 pub(crate) use terms::{Point, Terms};
+pub(crate) use together::each;
 
 use rayon::prelude::*;
 

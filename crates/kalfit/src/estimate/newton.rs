@@ -5,7 +5,8 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::covariance::{Chart, CovarianceMap};
+use crate::estimate::chart::Chart;
+use crate::estimate::covariance::CovarianceMap;
 use crate::estimate::local::{Curvature, Local, Objective, Tangent};
 use crate::estimate::terms::Point;
 use crate::linalg::symmetric;

@@ -1,13 +1,17 @@
 //! One pass over the classes: ℓ(μ, Σ) and its derivatives (theory §3), the sums that every solver lives on.
+#![expect(non_snake_case, reason = "W is the letter of the theory")]
 
 use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
+use crate::estimate::chained::Detail;
 use crate::estimate::classes::{Class, Classes};
+use crate::estimate::products::{Crosses, Products};
 use crate::estimate::reml::Restricted;
 use crate::estimate::terms::{Point, Regressors, Terms};
+use crate::estimate::together::each;
 use crate::linalg::elements::Elements;
 use crate::linalg::symmetric::{pair, pairs};
 
@@ -46,75 +50,16 @@ pub(crate) struct Sums {
     spread: DMatrix<f64>,
     /// Σ W ⊗ (r r' - ½W); under the restricted likelihood Σ W ⊗ (r r' - ½W + W X V X'W).
     curvature: Products,
-    /// Σ W ⊗ r for each mean coordinate: entry (coordinate, k, l) of E'W_{·k} r_l at (coordinate, place (k, l)).
-    cross: DMatrix<f64>,
+    /// Σ W ⊗ r for each mean coordinate.
+    cross: Crosses,
     /// Σ W ⊗ W.
     expected: Products,
     /// The elements of Σ.
     pub(crate) elements: Elements,
 }
 
-/// Sums of A ⊗ B over tests, A and B symmetric, as far as second derivatives by two elements of Σ need them: A_la B_bk with k, l
-/// of one phase and a, b of one phase. Within a phase entry (l a, b k) stands at a pair of pairs, between phases at a pair of places
-/// of the block.
-#[derive(Debug, Clone)]
-struct Products {
-    /// For phases f ≥ g at f(f+1)/2 + g; none where they are not wanted.
-    blocks: Vec<DMatrix<f64>>,
-}
-
-impl Products {
-    fn zero(elements: &Elements, wanted: bool) -> Products {
-        let size = |f: usize| elements.blocks()[f].len();
-        let between = |f: usize, g: usize| if f == g { pairs(size(f)) } else { size(f) * size(g) };
-        let count = if wanted { elements.blocks().len() } else { 0 };
-        let blocks = (0..count).flat_map(|f| (0..=f).map(move |g| (f, g)));
-        Products { blocks: blocks.map(|(f, g)| DMatrix::zeros(between(f, g), between(f, g))).collect() }
-    }
-
-    fn plus(&mut self, other: &Products) {
-        self.blocks.iter_mut().zip(&other.blocks).for_each(|(own, other)| *own += other);
-    }
-
-    /// Adds scale × A ⊗ B; both p × p by rows.
-    fn add(&mut self, elements: &Elements, (scale, a): (f64, &[f64]), b: &[f64]) {
-        let p = elements.states();
-        let of_block = |(rows, columns): (&Range<usize>, &Range<usize>), same: bool| -> Vec<usize> {
-            let row = |i: usize| columns.clone().filter(move |&k| !same || k <= i).map(move |k| i * p + k);
-            rows.clone().flat_map(row).collect()
-        };
-        let all = elements.blocks().iter().enumerate().flat_map(|(f, one)| {
-            elements.blocks()[..=f].iter().enumerate().map(move |(g, other)| (f == g, one, other))
-        });
-        let mut left: Vec<f64> = Vec::new();
-        for (block, (same, one, other)) in self.blocks.iter_mut().zip(all) {
-            let places = of_block((one, other), same);
-            left.clear();
-            left.extend(places.iter().map(|&at| scale * a[at]));
-            for (column, &at) in block.as_mut_slice().chunks_exact_mut(left.len().max(1)).zip(&places) {
-                let right = b[at];
-                column.iter_mut().zip(&left).for_each(|(sum, l)| *sum += l * right);
-            }
-        }
-    }
-
-    /// A_la B_bk, k and l of one phase, a and b of one phase.
-    fn get(&self, elements: &Elements, (l, a): (usize, usize), (b, k): (usize, usize)) -> f64 {
-        let (f, g) = (elements.block_of(l), elements.block_of(a));
-        let within = |i: usize| i - elements.blocks()[elements.block_of(i)].start;
-        let (l, a, b, k) = (within(l), within(a), within(b), within(k));
-        if f == g {
-            return self.blocks[pair(f, f)][(pair(l, a), pair(b, k))];
-        }
-        let (one, other) = if f > g { ((l, a), (k, b)) } else { ((a, l), (b, k)) };
-        let width = elements.blocks()[f.min(g)].len();
-        self.blocks[pair(f, g)][(one.0 * width + one.1, other.0 * width + other.1)]
-    }
-}
-
 impl Sums {
     fn zero(elements: &Elements, regressors: usize, order: Order, flat: Option<&FlatMean<'_>>) -> Sums {
-        let size = |n: usize, from: Order| if order >= from { n } else { 0 };
         let p = elements.states();
         let (m, s) = (p + regressors, elements.count());
         Sums {
@@ -126,10 +71,18 @@ impl Sums {
             restricted: None,
             spread: flat.map_or_else(|| DMatrix::zeros(0, 0), |f| DMatrix::zeros(pairs(f.jacobian.ncols()), s)),
             curvature: Products::zero(elements, order >= Order::Second),
-            cross: DMatrix::zeros(size(m, Order::Second), size(elements.places(), Order::Second)),
+            cross: Crosses::zero(elements, m, order >= Order::Second),
             expected: Products::zero(elements, order >= Order::Expected),
             elements: elements.clone(),
         }
+    }
+
+    /// Nothing is left to be added.
+    fn settled(mut self) -> Sums {
+        self.curvature.settle();
+        self.cross.settle();
+        self.expected.settle();
+        self
     }
 
     fn add(mut self, other: &Sums) -> Sums {
@@ -140,7 +93,7 @@ impl Sums {
         self.weight += &other.weight;
         self.spread += &other.spread;
         self.curvature.plus(&other.curvature);
-        self.cross += &other.cross;
+        self.cross.plus(&other.cross);
         self.expected.plus(&other.expected);
         self
     }
@@ -181,15 +134,14 @@ impl Sums {
         let p = self.outer.nrows();
         debug_assert!(self.elements.is_single(), "between phases the sums do not tell");
         debug_assert_eq!(shift.len(), p + regressors.len(), "mean coordinates");
-        let expected = &self.expected.blocks[0];
         let mut outer = self.moment();
         for a in 0..p {
             for b in 0..p {
                 for k in 0..p {
                     // Σ W_ak r_b and its mirror
-                    outer[(a, b)] -= shift[k] * (self.cross[(a, k * p + b)] + self.cross[(b, k * p + a)]);
+                    outer[(a, b)] -= shift[k] * (self.cross.get(a, (k, b)) + self.cross.get(b, (k, a)));
                     for l in 0..p {
-                        outer[(a, b)] += shift[k] * shift[l] * expected[(pair(a, k), pair(b, l))];
+                        outer[(a, b)] += shift[k] * shift[l] * self.expected.get((a, k), (b, l));
                     }
                 }
             }
@@ -200,7 +152,7 @@ impl Sums {
     /// -∂²ℓ/∂σ_kl ∂σ_ab, elements × elements; an off-diagonal element moves both of its places.
     pub(crate) fn observed_information(&self) -> DMatrix<f64> {
         let elements = &self.elements;
-        let own = elements.over(|k, l, a, b| self.curvature.get(elements, (l, a), (b, k)));
+        let own = elements.over(|k, l, a, b| self.curvature.get((l, a), (b, k)));
         match &self.restricted {
             Some(restricted) => own - &restricted.curvature,
             None => own,
@@ -210,7 +162,7 @@ impl Sums {
     /// ½ Σ tr(W D W E), elements × elements.
     pub(crate) fn expected_information(&self) -> DMatrix<f64> {
         let elements = &self.elements;
-        elements.over(|k, l, a, b| 0.5 * self.expected.get(elements, (l, a), (b, k)))
+        elements.over(|k, l, a, b| 0.5 * self.expected.get((l, a), (b, k)))
     }
 
     /// -∂²ℓ/∂(mean coordinate) ∂σ_kl = Σ E'(W_{·k} r_l + W_{·l} r_k), mean coordinates × elements.
@@ -219,8 +171,8 @@ impl Sums {
         let mut cross = DMatrix::zeros(self.mean_score.len(), elements.count());
         for m in 0..self.mean_score.len() {
             for (s, (k, l)) in elements.all().enumerate() {
-                let once = self.cross[(m, elements.place(k, l))];
-                cross[(m, s)] = if k == l { once } else { once + self.cross[(m, elements.place(l, k))] };
+                let once = self.cross.get(m, (k, l));
+                cross[(m, s)] = if k == l { once } else { once + self.cross.get(m, (l, k)) };
             }
         }
         cross
@@ -254,6 +206,10 @@ impl Wanted<'_> {
     fn between(&self) -> bool {
         self.order >= Order::Mean
     }
+
+    fn detail(&self) -> Detail {
+        if self.between() { Detail::Between } else { Detail::Phases }
+    }
 }
 
 /// ℓ and its derivatives at a point.
@@ -265,19 +221,12 @@ pub(crate) fn pass(
     flat: Option<&FlatMean<'_>>,
 ) -> Sums {
     let wanted = wanted(&classes.elements, regressors, order, flat);
-    let chunks: Vec<Sums> = classes
-        .classes
-        .par_chunks(CHUNK)
-        .map(|chunk| {
-            let mut sums = wanted.zero();
-            let mut terms = Terms::new(classes.dimension());
-            for class in chunk {
-                terms.evaluate(class, regressors, point, wanted.between());
-                terms.add_to(&mut sums, class, wanted);
-            }
-            sums
-        })
-        .collect();
+    let of_chunk = |chunk: &[Class]| {
+        let mut sums = wanted.zero();
+        each(chunk, regressors, point, wanted.detail(), &mut |k, terms| terms.add_to(&mut sums, &chunk[k], wanted));
+        sums.settled()
+    };
+    let chunks: Vec<Sums> = classes.classes.par_chunks(CHUNK).map(of_chunk).collect();
     chunks.iter().fold(wanted.zero(), Sums::add)
 }
 
@@ -286,9 +235,9 @@ pub(crate) fn of_class(classes: &Classes, class: &Class, regressors: &Regressors
     let wanted = wanted(&classes.elements, regressors, order, None);
     let mut sums = wanted.zero();
     let mut terms = Terms::new(point.mean.len());
-    terms.evaluate(class, regressors, point, wanted.between());
+    terms.evaluate(class, regressors, point, wanted.detail());
     terms.add_to(&mut sums, class, wanted);
-    sums
+    sums.settled()
 }
 
 /// Regressions and the restricted likelihood need all of the information on the mean.
@@ -302,6 +251,11 @@ fn wanted<'a>(
     Wanted { elements, regressors, order: order.max(least), flat }
 }
 
+/// Adds n W to a column, in some rows.
+fn add(column: &mut [f64], n: f64, W: &[f64], rows: Range<usize>) {
+    column[rows.clone()].iter_mut().zip(&W[rows]).for_each(|(sum, w)| *sum += n * w);
+}
+
 impl Terms {
     fn add_to(&self, sums: &mut Sums, class: &Class, wanted: Wanted<'_>) {
         let (p, n) = (self.r.len(), class.count);
@@ -309,17 +263,15 @@ impl Terms {
         for a in 0..p {
             sums.mean_score[a] += n * self.r[a];
         }
+        let m = sums.mean_information.nrows();
         for block in wanted.elements.blocks() {
-            for a in block.clone() {
-                for b in block.clone() {
-                    sums.mean_information[(a, b)] += n * self.W[a * p + b];
-                    sums.weight[(a, b)] += n * self.W[a * p + b];
+            for b in block.clone() {
+                let W = &self.W[b * p..][..p]; // symmetric
+                let known = if wanted.between() { 0..p } else { block.clone() };
+                add(&mut sums.mean_information.as_mut_slice()[b * m..][..p], n, W, known);
+                add(&mut sums.weight.as_mut_slice()[b * p..][..p], n, W, block.clone());
+                for a in block.clone() {
                     sums.outer[(a, b)] += self.outer[a * p + b];
-                }
-                if wanted.between() {
-                    for b in (0..block.start).chain(block.end..p) {
-                        sums.mean_information[(a, b)] += n * self.W[a * p + b];
-                    }
                 }
             }
         }
@@ -332,7 +284,7 @@ impl Terms {
             self.add_second(sums, class, wanted, uncertainty.as_ref());
         }
         if wanted.order >= Order::Expected {
-            sums.expected.add(wanted.elements, (n, &self.W), &self.W);
+            sums.expected.add((n, &self.W), &self.W);
         }
     }
 
@@ -375,26 +327,18 @@ impl Terms {
     }
 
     fn add_second(&self, sums: &mut Sums, class: &Class, wanted: Wanted<'_>, uncertainty: Option<&DMatrix<f64>>) {
-        let Wanted { elements, regressors, .. } = wanted;
+        let regressors = wanted.regressors;
         let (p, n) = (self.r.len(), class.count);
         let mut inner = self.outer.clone();
         inner.iter_mut().zip(&self.W).for_each(|(m, w)| *m -= 0.5 * n * w);
         if let Some(uncertainty) = uncertainty {
             inner.iter_mut().zip(uncertainty.iter()).for_each(|(m, u)| *m += n * u); // symmetric
         }
-        sums.curvature.add(elements, (1.0, &self.W), &inner);
-        for block in elements.blocks() {
-            for k in block.clone() {
-                for l in block.clone() {
-                    let column = elements.place(k, l);
-                    for a in 0..p {
-                        sums.cross[(a, column)] += n * self.W[a * p + k] * self.r[l];
-                    }
-                    for (c, &element) in regressors.iter().enumerate() {
-                        sums.cross[(p + c, column)] += n * class.covariates[c] * self.W[element * p + k] * self.r[l];
-                    }
-                }
-            }
-        }
+        sums.curvature.add((1.0, &self.W), &inner);
+        let weight = |a: usize, k: usize| match a.checked_sub(p) {
+            None => n * self.W[a * p + k],
+            Some(c) => n * class.covariates[c] * self.W[regressors[c] * p + k],
+        };
+        sums.cross.add(weight, &self.r);
     }
 }

@@ -2,7 +2,8 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::covariance::{Chart, CovarianceMap, Part, sub};
+use crate::estimate::chart::Chart;
+use crate::estimate::covariance::{CovarianceMap, Part, sub};
 use crate::estimate::newton::retract;
 use crate::estimate::problem::{Problem, scaled_solve};
 use crate::estimate::terms::Point;

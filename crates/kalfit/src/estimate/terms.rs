@@ -9,10 +9,11 @@
 
 use nalgebra::DMatrix;
 
-use crate::estimate::chained::Chained;
+use crate::estimate::chained::{Chained, Detail, Said};
 use crate::estimate::classes::Class;
 use crate::linalg::fold::fold;
 use crate::linalg::real::Real;
+use crate::linalg::rows::Rows;
 
 /// Where ℓ is evaluated, in η: the mean (without regression), scaled regression coefficients, and F with Σ = FF'.
 #[derive(Debug, Clone, PartialEq)]
@@ -23,6 +24,15 @@ pub(crate) struct Point {
 }
 
 impl Point {
+    /// μ of the tests of a class.
+    pub(crate) fn mean_of(&self, class: &Class, regressors: &Regressors) -> Vec<f64> {
+        let mut mean = self.mean.clone();
+        for (c, &element) in regressors.iter().enumerate() {
+            mean[element] += class.covariates[c] * self.coefficients[c];
+        }
+        mean
+    }
+
     /// Σ = FF'.
     pub(crate) fn covariance(&self) -> DMatrix<f64> {
         &self.root * self.root.transpose()
@@ -56,6 +66,10 @@ pub(crate) struct Terms<T = f64> {
     pub(crate) W: Vec<T>,
     /// Σ_j r_j r_j' over the class.
     pub(crate) outer: Vec<T>,
+    /// Of tests kept phase by phase, Var[ξ_i | z] of each phase, where it was asked for ([`Detail::Posterior`]).
+    pub(crate) covariances: Vec<Rows<T>>,
+    /// And log|S| of the links alone.
+    pub(crate) link_log_det: f64,
 }
 
 impl<T: Real> Terms<T> {
@@ -77,6 +91,8 @@ impl<T: Real> Terms<T> {
             r: vector(),
             W: square(),
             outer: square(),
+            covariances: Vec::new(),
+            link_log_det: 0.0,
         }
     }
 
@@ -228,11 +244,12 @@ impl<T: Real> Terms<T> {
 }
 
 impl Terms<f64> {
-    /// All that the class says at a point. Of tests kept phase by phase, W between phases is left at zero where it is not wanted
-    /// (`between`), and so is Σ r r'.
-    pub(crate) fn evaluate(&mut self, class: &Class, regressors: &Regressors, point: &Point, between: bool) {
+    /// All that the class says at a point; of tests kept phase by phase in as much detail as is wanted, with zeros between phases
+    /// where nothing is.
+    pub(crate) fn evaluate(&mut self, class: &Class, regressors: &Regressors, point: &Point, detail: Detail) {
         if let Some(chain) = &class.chain {
-            return self.evaluate_chain(chain, class, (regressors, point), between);
+            let said = chain.at(&point.mean_of(class, regressors), &point.root, detail);
+            return self.take(chain, class, &said, |x| x);
         }
         if class.square_root {
             self.factorise_by_qr(class, &point.root);
@@ -248,36 +265,30 @@ impl Terms<f64> {
         class.constant - 0.5 * (class.count * log_det + self.quadratic)
     }
 
-    fn evaluate_chain(
-        &mut self,
-        chain: &Chained,
-        class: &Class,
-        (regressors, point): (&Regressors, &Point),
-        between: bool,
-    ) {
+    /// What a class in phases says, as far as it is wanted.
+    pub(crate) fn take<N: Real>(&mut self, chain: &Chained, class: &Class, said: &Said<N>, of: impl Fn(N) -> f64) {
         let p = self.p;
-        let mut mean = point.mean.clone();
-        for (c, &element) in regressors.iter().enumerate() {
-            mean[element] += class.covariates[c] * point.coefficients[c];
-        }
-        let said = chain.at(&mean, &point.root, between);
-        (self.mantissa, self.exponent) = (1.0, said.log_det / std::f64::consts::LN_2);
-        self.quadratic = said.quadratic;
+        let (mantissa, exponent) = said.root_det;
+        (self.mantissa, self.exponent) = (of(mantissa) * of(mantissa), 2.0 * of(exponent));
+        self.quadratic = of(said.quadratic);
+        self.link_log_det = 2.0 * (of(said.link_root_det.0).ln() + of(said.link_root_det.1) * std::f64::consts::LN_2);
+        let lane = |m: &Rows<N>| Rows::from_fn(m.nrows(), m.ncols(), |i, k| of(m[(i, k)]));
+        self.covariances = said.covariances.iter().map(lane).collect();
         [&mut self.r, &mut self.W, &mut self.outer].into_iter().for_each(|all| all.fill(0.0));
-        let weight = |c: usize| if c == 0 { class.count } else { 1.0 };
         let own: Vec<_> = chain.ranges().collect();
         let mut blocks = said.W.iter();
         for (k, one) in own.iter().enumerate() {
-            (0..one.len()).for_each(|a| self.r[one.start + a] = said.r[k][(a, 0)]);
+            (0..one.len()).for_each(|a| self.r[one.start + a] = of(said.r[k][(a, 0)]));
             for (i, other) in own[..=k].iter().enumerate() {
                 let Some(block) = blocks.next().and_then(Option::as_ref) else { continue };
                 for a in 0..one.len() {
                     for b in 0..other.len() {
-                        let both = said.r[k].row(a).iter().zip(said.r[i].row(b)).enumerate();
-                        let outer = both.map(|(c, (x, y))| weight(c) * x * y).sum();
-                        let (at, mirror) =
-                            ((one.start + a) * p + other.start + b, (other.start + b) * p + one.start + a);
-                        (self.W[at], self.W[mirror]) = (block[(a, b)], block[(a, b)]);
+                        let (x, y) = (said.r[k].row(a), said.r[i].row(b));
+                        let others = x[1..].iter().zip(&y[1..]);
+                        let outer = others.fold(class.count * of(x[0]) * of(y[0]), |sum, (&x, &y)| sum + of(x) * of(y));
+                        let at = (one.start + a) * p + other.start + b;
+                        let mirror = (other.start + b) * p + one.start + a;
+                        (self.W[at], self.W[mirror]) = (of(block[(a, b)]), of(block[(a, b)]));
                         (self.outer[at], self.outer[mirror]) = (outer, outer);
                     }
                 }

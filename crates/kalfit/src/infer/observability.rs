@@ -17,7 +17,7 @@ use std::cmp::Ordering;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use crate::estimate::{Form, Part, Place, Problem, Terms};
+use crate::estimate::{Detail, Form, Part, Place, Problem, each};
 use crate::infer::identifiability::{NONE, unit};
 use crate::linalg::symmetric;
 use crate::reduce::Reduction;
@@ -186,6 +186,9 @@ fn observed(factor: &[f64], informs: &[bool]) -> Vec<bool> {
         return informs.to_vec();
     }
     let scaled = DMatrix::from_fn(p, states.len(), |i, c| entry(i, states[c]) / norms[c]);
+    if states.iter().enumerate().all(|(c, &state)| c == state) && is_regular(&scaled) {
+        return informs.to_vec();
+    }
     let (values, vectors) = symmetric::eigen(&(scaled.transpose() * &scaled));
     let mut observed = vec![false; p];
     for (c, &state) in states.iter().enumerate() {
@@ -193,6 +196,23 @@ fn observed(factor: &[f64], informs: &[bool]) -> Vec<bool> {
         observed[state] = blind.fold(0.0, f64::hypot) <= PART;
     }
     observed
+}
+
+/// Whether no eigenvalue of R'R can be near zero: the least one is at least 1 / ‖R⁻¹‖². R is upper triangular, but for rows of
+/// zeros below.
+fn is_regular(upper: &DMatrix<f64>) -> bool {
+    let n = upper.ncols();
+    let mut inverse = vec![0.0; n];
+    let mut squares = 0.0;
+    for k in 0..n {
+        inverse[k] = upper[(k, k)].recip();
+        for i in (0..k).rev() {
+            let sum: f64 = (i + 1..=k).map(|m| upper[(i, m)] * inverse[m]).sum();
+            inverse[i] = -sum / upper[(i, i)];
+        }
+        squares += inverse[..=k].iter().map(|x| x * x).sum::<f64>();
+    }
+    10.0 * NONE * squares < 1.0 // false for what is not a number
 }
 
 /// Number of tests of designs that `of` picks.
@@ -268,19 +288,22 @@ impl Shares<'_> {
 
     fn parts<'b>(&self, designs: &'b [Design<'_>], directions: &[DVector<f64>]) -> Parts<'b> {
         let p = self.problem.classes.dimension();
-        let mut terms = Terms::new(p);
         let mut parts = Parts::none(directions.len());
-        for design in designs {
-            let first = design.tests[0];
-            let class = self.problem.classes.single(first);
-            terms.evaluate(&class, &self.problem.mean.regressors, &self.place.point, true);
+        let several = !self.problem.covariance.elements.is_single();
+        let classes: Vec<_> = designs.iter().map(|design| self.problem.classes.single(design.tests[0])).collect();
+        let all = DMatrix::from_fn(p, directions.len(), |i, c| directions[c][i]);
+        each(&classes, &self.problem.mean.regressors, &self.place.point, Detail::Between, &mut |k, terms| {
             let W = DMatrix::from_row_slice(p, p, &terms.W);
+            let products = if several { Some(&W * &all) } else { None }; // at once, where there are many
             for (c, u) in directions.iter().enumerate() {
-                let own = u.dot(&(&W * u));
-                parts.totals[c] += own * design.tests.len() as f64;
-                parts.offer(c, own, &first.test);
+                let own = match &products {
+                    Some(products) => u.dot(&products.column(c)),
+                    None => u.dot(&(&W * u)),
+                };
+                parts.totals[c] += own * designs[k].tests.len() as f64;
+                parts.offer(c, own, &designs[k].tests[0].test);
             }
-        }
+        });
         parts
     }
 }

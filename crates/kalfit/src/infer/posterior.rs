@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-use crate::estimate::{Class, Estimate, Point, Problem, Terms};
+use crate::estimate::{Class, Detail, Estimate, Point, Problem, Terms, each};
 use crate::linalg::posterior_root;
 use crate::reduce::Reduction;
 
@@ -32,27 +32,42 @@ pub struct Distance {
     pub p_value: Option<f64>,
 }
 
+/// Tests that one thread takes at a time.
+const CHUNK: usize = 64;
+
 /// Posteriors of all tests, in their order.
 pub fn posteriors(estimate: &Estimate, reductions: &[Reduction]) -> Vec<Posterior> {
-    reductions.par_iter().map(|reduction| posterior(estimate, reduction)).collect()
+    reductions.par_chunks(CHUNK).flat_map_iter(|reductions| chunk(estimate, reductions)).collect()
 }
 
-fn posterior(estimate: &Estimate, reduction: &Reduction) -> Posterior {
-    let state = &estimate.state;
-    let (problem, point) = (&state.problem, &state.place.point);
-    let class = problem.classes.single(reduction);
-    let terms = terms(problem, point, &class);
+fn chunk(estimate: &Estimate, reductions: &[Reduction]) -> Vec<Posterior> {
+    let problem = &estimate.state.problem;
+    let classes: Vec<Class> = reductions.iter().map(|reduction| problem.classes.single(reduction)).collect();
+    let mut found: Vec<Option<Posterior>> = vec![None; classes.len()];
+    let (point, sigma) = (&estimate.state.place.point, estimate.state.place.point.covariance());
+    each(&classes, &problem.mean.regressors, point, Detail::Posterior, &mut |k, terms| {
+        found[k] = Some(posterior((problem, point, &sigma), terms, &classes[k], &reductions[k]));
+    });
+    found.into_iter().map(|one| one.expect("every class has its turn")).collect()
+}
+
+fn posterior(
+    (problem, point, sigma): (&Problem, &Point, &DMatrix<f64>),
+    terms: &Terms,
+    class: &Class,
+    reduction: &Reduction,
+) -> Posterior {
     let mut mean = DVector::from_column_slice(&point.mean);
     for (c, &element) in problem.mean.regressors.iter().enumerate() {
         mean[element] += class.covariates[c] * point.coefficients[c];
     }
-    mean += point.covariance() * DVector::from_column_slice(&terms.r);
+    mean += sigma * DVector::from_column_slice(&terms.r);
     let frame = &problem.classes.frame;
     Posterior {
-        log_likelihood: terms.value(&class),
+        log_likelihood: terms.value(class),
         mean: frame.mean_out(mean.as_slice()),
-        covariance: frame.covariance_out(&covariance(problem, &class, &point.root)),
-        distance: Distance::of(&terms, &class, reduction),
+        covariance: frame.covariance_out(&covariance(problem, class, terms, point)),
+        distance: Distance::of(terms, class, reduction),
     }
 }
 
@@ -65,7 +80,7 @@ pub(crate) fn distance(problem: &Problem, point: &Point, reduction: &Reduction) 
 
 fn terms(problem: &Problem, point: &Point, class: &Class) -> Terms {
     let mut terms = Terms::new(point.mean.len());
-    terms.evaluate(class, &problem.mean.regressors, point, false);
+    terms.evaluate(class, &problem.mean.regressors, point, Detail::Posterior);
     terms
 }
 
@@ -75,10 +90,10 @@ impl Distance {
         let rank = (0..p).filter(|&i| (i..p).any(|k| reduction.factor[i + k * (k + 1) / 2] != 0.0)).count();
         // of tests kept phase by phase the quadratic form holds what their phases disagree on at any ξ as well: the stacked constant
         // is what is left of those of the phases after that and after the noise between them
-        let disagreement = class
-            .chain
-            .as_ref()
-            .map_or(0.0, |chain| 2.0 * (class.constant - reduction.constant) - chain.link_log_det(p));
+        let disagreement = match &class.chain {
+            Some(_) => 2.0 * (class.constant - reduction.constant) - terms.link_log_det,
+            None => 0.0,
+        };
         let squared = (terms.quadratic - disagreement).max(0.0);
         let p_value = ChiSquared::new(rank as f64).ok().map(|chi| chi.sf(squared));
         Distance { squared, degrees_of_freedom: rank, p_value }
@@ -86,11 +101,15 @@ impl Distance {
 }
 
 /// Var[ξ | z] in η. Of tests kept phase by phase, zero between phases; of phases that a test lacks, Σ.
-fn covariance(problem: &Problem, class: &Class, root: &DMatrix<f64>) -> DMatrix<f64> {
-    let Some(chain) = &class.chain else { return posterior_covariance(&class.factor, root) };
-    let mut covariance = root * root.transpose();
-    for (own, states) in chain.posterior_covariances(root).iter().zip(problem.covariance.elements.blocks()) {
-        covariance.view_mut((states.start, states.start), own.shape()).copy_from(own);
+fn covariance(problem: &Problem, class: &Class, terms: &Terms, point: &Point) -> DMatrix<f64> {
+    if class.chain.is_none() {
+        return posterior_covariance(&class.factor, &point.root);
+    }
+    let mut covariance = point.covariance();
+    for (own, states) in terms.covariances.iter().zip(problem.covariance.elements.blocks()) {
+        for (a, i) in states.clone().enumerate() {
+            states.clone().enumerate().for_each(|(b, k)| covariance[(i, k)] = own[(a, b)]);
+        }
     }
     covariance
 }

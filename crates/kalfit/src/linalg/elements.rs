@@ -14,21 +14,18 @@ pub struct Elements {
     block: Vec<usize>,
     /// Number of the first element of each block; at the end their number.
     first: Vec<usize>,
-    /// The same for the p_f² places of each block.
-    first_place: Vec<usize>,
 }
 
 impl Elements {
     /// Of blocks that hold these states, which follow each other from 0 on.
     pub fn new(ranges: Vec<Range<usize>>) -> Elements {
-        let (mut first, mut first_place, mut block) = (vec![0], vec![0], Vec::new());
+        let (mut first, mut block) = (vec![0], Vec::new());
         for (f, range) in ranges.iter().enumerate() {
             debug_assert_eq!(range.start, block.len(), "blocks follow each other");
             first.push(first[f] + pairs(range.len()));
-            first_place.push(first_place[f] + range.len() * range.len());
             block.extend(range.clone().map(|_| f));
         }
-        Elements { ranges, block, first, first_place }
+        Elements { ranges, block, first }
     }
 
     /// Of a matrix in one block of p states.
@@ -85,18 +82,6 @@ impl Elements {
     /// Element (i, j), by its number.
     pub fn at(&self, number: usize) -> Option<(usize, usize)> {
         self.all().nth(number)
-    }
-
-    /// How many places (k, l) there are within blocks.
-    pub(crate) fn places(&self) -> usize {
-        self.first_place[self.ranges.len()]
-    }
-
-    /// The number of place (k, l) of one block, by rows.
-    pub(crate) fn place(&self, k: usize, l: usize) -> usize {
-        let f = self.block[k];
-        let range = &self.ranges[f];
-        self.first_place[f] + (k - range.start) * range.len() + (l - range.start)
     }
 
     /// The symmetric matrix with these elements.

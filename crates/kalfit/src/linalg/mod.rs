@@ -4,6 +4,7 @@ pub mod echelon;
 pub mod elements;
 pub mod exponential;
 pub mod fold;
+pub(crate) mod four;
 mod posterior;
 pub mod real;
 pub(crate) mod rows;

@@ -25,6 +25,8 @@ pub trait Real:
     fn recip_or_zero(self) -> Self;
     /// x where x > 0, else 1.
     fn or_one(self) -> Self;
+    /// Its square root.
+    fn root(self) -> Self;
     /// Of a positive finite x, (m, e) with x = m 2^e, 1 ≤ m < 2, e a whole number.
     fn split(self) -> (Self, Self);
 }
@@ -77,6 +79,11 @@ impl Real for f64 {
     }
 
     #[inline(always)]
+    fn root(self) -> f64 {
+        self.sqrt()
+    }
+
+    #[inline(always)]
     fn split(self) -> (f64, f64) {
         const MANTISSA: u64 = (1 << 52) - 1;
         const BIAS: f64 = 1023.0;
@@ -96,7 +103,7 @@ pub struct Flops {
     pub mul: u64,
     /// Multiplications with an addition.
     pub fma: u64,
-    /// Divisions and reciprocals.
+    /// Divisions, reciprocals and square roots.
     pub div: u64,
 }
 
@@ -204,6 +211,11 @@ impl Real for Counted {
 
     fn or_one(self) -> Counted {
         Counted(self.0.or_one())
+    }
+
+    fn root(self) -> Counted {
+        tally(|f| bump(&mut f.div));
+        Counted(self.0.sqrt())
     }
 
     fn split(self) -> (Counted, Counted) {

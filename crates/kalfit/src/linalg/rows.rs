@@ -1,28 +1,31 @@
-//! Small dense matrices by rows, for kernels that work on square roots: products, and triangular factors of sums of rows.
+//! Small dense matrices by rows, for kernels that work on square roots: products, and triangular factors of sums of rows. One
+//! source for every kind of [`Real`].
 
+use std::marker::PhantomData;
 use std::ops::{Index, IndexMut};
 
 use nalgebra::DMatrix;
 
 use crate::linalg::fold::Rotation;
+use crate::linalg::real::Real;
 
 /// A matrix by rows.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Rows {
+pub(crate) struct Rows<T = f64> {
     rows: usize,
     columns: usize,
-    data: Vec<f64>,
+    data: Vec<T>,
 }
 
-impl Index<(usize, usize)> for Rows {
-    type Output = f64;
-    fn index(&self, (i, k): (usize, usize)) -> &f64 {
+impl<T> Index<(usize, usize)> for Rows<T> {
+    type Output = T;
+    fn index(&self, (i, k): (usize, usize)) -> &T {
         &self.data[i * self.columns + k]
     }
 }
 
-impl IndexMut<(usize, usize)> for Rows {
-    fn index_mut(&mut self, (i, k): (usize, usize)) -> &mut f64 {
+impl<T> IndexMut<(usize, usize)> for Rows<T> {
+    fn index_mut(&mut self, (i, k): (usize, usize)) -> &mut T {
         &mut self.data[i * self.columns + k]
     }
 }
@@ -33,12 +36,12 @@ impl From<&DMatrix<f64>> for Rows {
     }
 }
 
-impl Rows {
-    pub(crate) fn zeros(rows: usize, columns: usize) -> Rows {
-        Rows { rows, columns, data: vec![0.0; rows * columns] }
+impl<T: Real> Rows<T> {
+    pub(crate) fn zeros(rows: usize, columns: usize) -> Rows<T> {
+        Rows { rows, columns, data: vec![T::splat(0.0); rows * columns] }
     }
 
-    pub(crate) fn from_fn(rows: usize, columns: usize, entry: impl Fn(usize, usize) -> f64) -> Rows {
+    pub(crate) fn from_fn(rows: usize, columns: usize, entry: impl Fn(usize, usize) -> T) -> Rows<T> {
         let mut all = Rows::zeros(rows, columns);
         if columns > 0 {
             for (i, row) in all.data.chunks_exact_mut(columns).enumerate() {
@@ -46,6 +49,12 @@ impl Rows {
             }
         }
         all
+    }
+
+    pub(crate) fn identity(size: usize) -> Rows<T> {
+        let mut identity = Rows::zeros(size, size);
+        (0..size).for_each(|i| identity[(i, i)] = T::splat(1.0));
+        identity
     }
 
     pub(crate) fn nrows(&self) -> usize {
@@ -56,32 +65,32 @@ impl Rows {
         self.columns
     }
 
-    pub(crate) fn row(&self, i: usize) -> &[f64] {
+    pub(crate) fn row(&self, i: usize) -> &[T] {
         &self.data[i * self.columns..][..self.columns]
     }
 
-    pub(crate) fn row_mut(&mut self, i: usize) -> &mut [f64] {
+    pub(crate) fn row_mut(&mut self, i: usize) -> &mut [T] {
         &mut self.data[i * self.columns..][..self.columns]
     }
 
     /// Puts rows below.
-    pub(crate) fn append(&mut self, below: &Rows) {
+    pub(crate) fn append(&mut self, below: &Rows<T>) {
         debug_assert_eq!(self.columns, below.columns, "one width");
         self.rows += below.rows;
         self.data.extend_from_slice(&below.data);
     }
 
     /// The first columns of it.
-    pub(crate) fn first_columns(&self, columns: usize) -> Rows {
+    pub(crate) fn first_columns(&self, columns: usize) -> Rows<T> {
         self.some_columns(0, columns)
     }
 
     /// The last columns of it.
-    pub(crate) fn last_columns(&self, columns: usize) -> Rows {
+    pub(crate) fn last_columns(&self, columns: usize) -> Rows<T> {
         self.some_columns(self.columns - columns, columns)
     }
 
-    fn some_columns(&self, from: usize, columns: usize) -> Rows {
+    fn some_columns(&self, from: usize, columns: usize) -> Rows<T> {
         let mut some = Rows::zeros(self.rows, columns);
         for i in 0..self.rows {
             some.row_mut(i).copy_from_slice(&self.row(i)[from..from + columns]);
@@ -90,12 +99,12 @@ impl Rows {
     }
 
     /// The first rows of it.
-    pub(crate) fn first_rows(&self, rows: usize) -> Rows {
+    pub(crate) fn first_rows(&self, rows: usize) -> Rows<T> {
         Rows { rows, columns: self.columns, data: self.data[..rows * self.columns].to_vec() }
     }
 
     /// [A B].
-    pub(crate) fn beside(&self, other: &Rows) -> Rows {
+    pub(crate) fn beside(&self, other: &Rows<T>) -> Rows<T> {
         let own = self.columns;
         let mut both = Rows::zeros(self.rows, own + other.columns);
         for i in 0..self.rows {
@@ -107,9 +116,9 @@ impl Rows {
     }
 
     /// AB.
-    pub(crate) fn times(&self, other: &Rows) -> Rows {
-        let mut product = Rows::zeros(self.nrows(), other.columns);
-        for i in 0..self.nrows() {
+    pub(crate) fn times(&self, other: &Rows<T>) -> Rows<T> {
+        let mut product = Rows::zeros(self.rows, other.columns);
+        for i in 0..self.rows {
             for (k, &a) in self.row(i).iter().enumerate() {
                 add(product.row_mut(i), a, other.row(k));
             }
@@ -118,9 +127,9 @@ impl Rows {
     }
 
     /// A'B.
-    pub(crate) fn transpose_times(&self, other: &Rows) -> Rows {
+    pub(crate) fn transpose_times(&self, other: &Rows<T>) -> Rows<T> {
         let mut product = Rows::zeros(self.columns, other.columns);
-        for k in 0..self.nrows() {
+        for k in 0..self.rows {
             for (i, &a) in self.row(k).iter().enumerate() {
                 add(product.row_mut(i), a, other.row(k));
             }
@@ -129,165 +138,166 @@ impl Rows {
     }
 
     /// AB'.
-    pub(crate) fn times_transpose(&self, other: &Rows) -> Rows {
+    pub(crate) fn times_transpose(&self, other: &Rows<T>) -> Rows<T> {
         let mut product = Rows::zeros(self.rows, other.rows);
         for i in 0..self.rows {
             let own = self.row(i);
             for (k, x) in product.row_mut(i).iter_mut().enumerate() {
-                *x = own.iter().zip(other.row(k)).fold(0.0, |sum, (a, b)| sum + a * b);
+                *x = own.iter().zip(other.row(k)).fold(T::splat(0.0), |sum, (&a, &b)| sum + a * b);
             }
         }
         product
     }
 
     /// A - B.
-    pub(crate) fn less(mut self, other: &Rows) -> Rows {
-        self.data.iter_mut().zip(&other.data).for_each(|(a, b)| *a -= b);
+    pub(crate) fn less(mut self, other: &Rows<T>) -> Rows<T> {
+        self.data.iter_mut().zip(&other.data).for_each(|(a, &b)| *a = *a - b);
         self
     }
 
     /// A + B.
-    pub(crate) fn plus(mut self, other: &Rows) -> Rows {
-        self.data.iter_mut().zip(&other.data).for_each(|(a, b)| *a += b);
+    pub(crate) fn plus(mut self, other: &Rows<T>) -> Rows<T> {
+        self.data.iter_mut().zip(&other.data).for_each(|(a, &b)| *a = *a + b);
         self
     }
 
-    /// The largest entry by magnitude.
-    pub(crate) fn amax(&self) -> f64 {
-        self.data.iter().fold(0.0, |most: f64, x| most.max(x.abs()))
+    /// No entry is larger than this, or not a number.
+    pub(crate) fn is_within(&self, bound: f64) -> bool {
+        let most = self.data.iter().fold(T::splat(0.0), |most, x| most.maximum(x.magnitude()));
+        most.at_most(T::splat(bound))
     }
 
     /// U⁻ᵀB, U upper triangular.
-    pub(crate) fn solved_below(upper: &Rows, mut b: Rows) -> Rows {
-        for i in 0..b.nrows() {
+    pub(crate) fn solved_below(upper: &Rows<T>, mut b: Rows<T>) -> Rows<T> {
+        for i in 0..b.rows {
             let (done, rest) = b.data.split_at_mut(i * b.columns);
             let row = &mut rest[..b.columns];
             for k in 0..i {
                 add(row, -upper[(k, i)], &done[k * b.columns..][..b.columns]);
             }
-            row.iter_mut().for_each(|x| *x /= upper[(i, i)]);
+            let inverse = T::splat(1.0) / upper[(i, i)];
+            row.iter_mut().for_each(|x| *x = *x * inverse);
         }
         b
     }
 }
 
 /// y ← y + a x.
-fn add(y: &mut [f64], a: f64, x: &[f64]) {
-    if a != 0.0 {
-        y.iter_mut().zip(x).for_each(|(y, x)| *y += a * x);
-    }
+#[inline(always)]
+fn add<T: Real>(y: &mut [T], a: T, x: &[T]) {
+    y.iter_mut().zip(x).for_each(|(y, &x)| *y = *y + a * x);
 }
 
 /// How triangular factors are made.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Care {
-    /// From cross products and reflections: fast.
-    Plain,
-    /// By plane rotations, row by row: rows of very different size do no harm.
-    Rotations,
+pub(crate) trait Factors {
+    /// Of what.
+    type Number: Real;
+    /// Rows of any size are borne.
+    const CAREFUL: bool;
+
+    /// U, upper triangular w × w, with U'U = I + rows'rows; rows any number × w. No diagonal element is below one.
+    fn identity_plus(rows: &Rows<Self::Number>) -> Rows<Self::Number>;
+
+    /// Folds rows into [R | d], R upper triangular (first `width` columns) with a diagonal that is not negative. What is left of
+    /// the rows in the other columns is returned: R takes no part of it.
+    fn absorb(upper: &mut Rows<Self::Number>, rows: Rows<Self::Number>, width: usize) -> Rows<Self::Number>;
 }
 
-/// U, upper triangular w × w, with U'U = I + rows'rows; rows any number × w. No diagonal element is below one.
-pub(crate) fn identity_plus(rows: &Rows, care: Care) -> Rows {
-    let w = rows.columns;
-    let mut upper = Rows::from_fn(w, w, |i, k| f64::from(u8::from(i == k)));
-    match care {
-        Care::Rotations => rotate(&mut upper, rows.clone(), w),
-        Care::Plain => {
-            for row in 0..rows.nrows() {
-                for i in 0..w {
-                    let (a, from) = (rows[(row, i)], row * w);
-                    add(&mut upper.row_mut(i)[i..], a, &rows.data[from + i..from + w]);
-                }
+/// From cross products and reflections: fast.
+#[derive(Debug)]
+pub(crate) struct Plain<T>(PhantomData<T>);
+
+/// By plane rotations, row by row: rows of very different size do no harm.
+#[derive(Debug)]
+pub(crate) struct Rotations;
+
+impl<T: Real> Factors for Plain<T> {
+    type Number = T;
+    const CAREFUL: bool = false;
+
+    fn identity_plus(rows: &Rows<T>) -> Rows<T> {
+        let w = rows.columns;
+        let mut upper = Rows::identity(w);
+        for row in rows.data.chunks_exact(w.max(1)) {
+            for i in 0..w {
+                add(&mut upper.row_mut(i)[i..], row[i], &row[i..]);
             }
-            cholesky(&mut upper);
         }
+        for i in 0..w {
+            let (done, rest) = upper.data.split_at_mut(i * w);
+            let own = &mut rest[..w];
+            for above in done.chunks_exact(w) {
+                add(&mut own[i..], -above[i], &above[i..]);
+            }
+            let pivot = own[i].maximum(T::splat(1.0)).root(); // rounding must not make it less than one
+            let inverse = T::splat(1.0) / pivot;
+            own[i] = pivot;
+            own[i + 1..].iter_mut().for_each(|x| *x = *x * inverse);
+        }
+        upper
     }
-    for i in 0..w {
-        upper[(i, i)] = upper[(i, i)].max(1.0); // rounding must not make it less
-    }
-    upper
-}
 
-/// The upper triangle of a matrix ⪰ I turned into its Cholesky factor.
-fn cholesky(upper: &mut Rows) {
-    let w = upper.columns;
-    for i in 0..w {
-        let (done, rest) = upper.data.split_at_mut(i * w);
-        let row = &mut rest[..w];
-        for k in 0..i {
-            let above = &done[k * w..][..w];
-            add(&mut row[i..], -above[i], &above[i..]);
-        }
-        let pivot = row[i].max(1.0).sqrt();
-        row[i] = pivot;
-        row[i + 1..].iter_mut().for_each(|x| *x /= pivot);
-    }
-}
-
-/// Folds rows into [R | d], R upper triangular (first `width` columns) with a diagonal that is not negative. What is left of
-/// the rows in the other columns is returned: R takes no part of it.
-pub(crate) fn absorb(upper: &mut Rows, mut rows: Rows, width: usize, care: Care) -> Rows {
-    match care {
-        Care::Rotations => {
-            rotate_keeping(upper, &mut rows, width);
-            rows
-        }
-        Care::Plain => {
-            let mut along = vec![0.0; upper.columns];
-            (0..width).for_each(|k| reflect(upper, &mut rows, k, &mut along));
-            rows
-        }
+    fn absorb(upper: &mut Rows<T>, mut rows: Rows<T>, width: usize) -> Rows<T> {
+        let mut along = vec![T::splat(0.0); upper.columns];
+        (0..width).for_each(|k| reflect(upper, &mut rows, k, &mut along));
+        rows
     }
 }
 
 /// One reflection, which takes column k of the rows into row k of the triangle.
-fn reflect(upper: &mut Rows, rows: &mut Rows, k: usize, along: &mut [f64]) {
-    let below: f64 = (0..rows.nrows()).map(|i| rows[(i, k)].powi(2)).sum();
-    if below == 0.0 {
-        return;
-    }
+fn reflect<T: Real>(upper: &mut Rows<T>, rows: &mut Rows<T>, k: usize, along: &mut [T]) {
     let head = upper[(k, k)];
-    let length = (head * head + below).sqrt();
+    let square = (0..rows.rows).fold(head * head, |sum, i| sum + rows[(i, k)] * rows[(i, k)]);
+    let length = square.root();
     // head ≥ 0: the reflection to -length cancels nothing; the row's sign is turned afterwards
     let first = head + length;
-    let scale = 1.0 / (length * first);
+    let scale = (length * first).recip_or_zero();
     let along = &mut along[k..];
-    along.iter_mut().zip(&upper.row(k)[k..]).for_each(|(s, x)| *s = x * first);
-    for i in 0..rows.nrows() {
+    along.iter_mut().zip(&upper.row(k)[k..]).for_each(|(s, &x)| *s = x * first);
+    for i in 0..rows.rows {
         let a = rows[(i, k)];
         add(along, a, &rows.row(i)[k..]);
     }
-    along.iter_mut().for_each(|x| *x *= scale);
-    for (x, s) in upper.row_mut(k)[k..].iter_mut().zip(along.iter()) {
+    along.iter_mut().for_each(|x| *x = *x * scale);
+    for (x, &s) in upper.row_mut(k)[k..].iter_mut().zip(along.iter()) {
         *x = first * s - *x;
     }
-    for i in 0..rows.nrows() {
+    for i in 0..rows.rows {
         let a = rows[(i, k)];
         add(&mut rows.row_mut(i)[k..], -a, along);
-        rows[(i, k)] = 0.0;
+        rows[(i, k)] = T::splat(0.0);
     }
     upper[(k, k)] = length;
 }
 
-fn rotate(upper: &mut Rows, mut rows: Rows, width: usize) {
-    rotate_keeping(upper, &mut rows, width);
-}
+impl Factors for Rotations {
+    type Number = f64;
+    const CAREFUL: bool = true;
 
-fn rotate_keeping(upper: &mut Rows, rows: &mut Rows, width: usize) {
-    for i in 0..rows.nrows() {
-        let row = rows.row_mut(i);
-        for k in 0..width {
-            let pivot = upper.row_mut(k);
-            let rotation = Rotation::of(pivot[k], row[k]);
-            if rotation.s == 0.0 {
-                continue;
-            }
-            (pivot[k], row[k]) = (rotation.length, 0.0);
-            for (a, b) in pivot[k + 1..].iter_mut().zip(&mut row[k + 1..]) {
-                (*a, *b) = rotation.turn(*a, *b);
+    fn identity_plus(rows: &Rows) -> Rows {
+        let w = rows.columns;
+        let mut upper = Rows::identity(w);
+        Rotations::absorb(&mut upper, rows.clone(), w);
+        (0..w).for_each(|i| upper[(i, i)] = upper[(i, i)].max(1.0)); // rounding must not make it less
+        upper
+    }
+
+    fn absorb(upper: &mut Rows, mut rows: Rows, width: usize) -> Rows {
+        for i in 0..rows.rows {
+            let row = rows.row_mut(i);
+            for k in 0..width {
+                let pivot = upper.row_mut(k);
+                let rotation = Rotation::of(pivot[k], row[k]);
+                if rotation.s == 0.0 {
+                    continue;
+                }
+                (pivot[k], row[k]) = (rotation.length, 0.0);
+                for (a, b) in pivot[k + 1..].iter_mut().zip(&mut row[k + 1..]) {
+                    (*a, *b) = rotation.turn(*a, *b);
+                }
             }
         }
+        rows
     }
 }
 
@@ -316,32 +326,40 @@ mod tests {
     #[test]
     fn both_ways_to_a_factor_have_the_same_cross_products() {
         let rows = sample(5, 3, 0.3);
-        let mut expected = gram(&rows);
-        (0..3).for_each(|i| expected[(i, i)] += 1.0);
-        for care in [Care::Plain, Care::Rotations] {
-            let upper = identity_plus(&rows, care);
+        let expected = gram(&rows).plus(&Rows::identity(3));
+        for upper in [Plain::<f64>::identity_plus(&rows), Rotations::identity_plus(&rows)] {
             close(&gram(&upper), &expected, 1e-14);
             assert!((0..3).all(|i| (0..i).all(|k| upper[(i, k)] == 0.0)), "{upper:?}");
         }
     }
 
+    fn absorbs<F: Factors<Number = f64>>() {
+        let (own, below) = (sample(3, 5, 1.0), sample(4, 5, 2.0));
+        let mut upper = Rows::zeros(3, 5);
+        let left_first = F::absorb(&mut upper, own.clone(), 3);
+        let left = F::absorb(&mut upper, below.clone(), 3);
+        let found = gram(&upper).plus(&gram(&left)).plus(&gram(&left_first));
+        close(&found, &gram(&own).plus(&gram(&below)), 1e-13);
+        assert!((0..3).all(|i| upper[(i, i)] >= 0.0 && (0..i).all(|k| upper[(i, k)] == 0.0)), "{upper:?}");
+    }
+
     #[test]
     fn absorbing_rows_keeps_the_cross_products_and_tells_what_is_left() {
-        let (own, below) = (sample(3, 5, 1.0), sample(4, 5, 2.0));
-        for care in [Care::Plain, Care::Rotations] {
-            let mut upper = Rows::zeros(3, 5);
-            let left_first = absorb(&mut upper, own.clone(), 3, care);
-            let left = absorb(&mut upper, below.clone(), 3, care);
-            let found = gram(&upper).plus(&gram(&left)).plus(&gram(&left_first));
-            close(&found, &gram(&own).plus(&gram(&below)), 1e-13);
-            assert!((0..3).all(|i| upper[(i, i)] >= 0.0 && (0..i).all(|k| upper[(i, k)] == 0.0)), "{upper:?}");
-        }
+        absorbs::<Plain<f64>>();
+        absorbs::<Rotations>();
+    }
+
+    #[test]
+    fn rows_of_zeros_change_nothing() {
+        let mut upper = Rows::zeros(2, 3);
+        let left = Plain::<f64>::absorb(&mut upper, Rows::zeros(2, 3), 2);
+        assert_eq!((upper, left), (Rows::zeros(2, 3), Rows::zeros(2, 3)));
     }
 
     #[test]
     fn rotations_keep_small_rows_beside_huge_ones() {
         let rows = Rows::from_fn(1, 2, |_, _| 1e12);
-        let upper = identity_plus(&rows, Care::Rotations);
+        let upper = Rotations::identity_plus(&rows);
         // |I + xx'| = 1 + |x|²
         let (found, expected) = (upper[(0, 0)] * upper[(1, 1)], (1.0 + 2e24_f64).sqrt());
         assert!((found / expected - 1.0).abs() < 1e-14, "{found} {expected}");

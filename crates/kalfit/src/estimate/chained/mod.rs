@@ -1,0 +1,332 @@
+//! Tests in phases that share all matrices, and what they say at a point, phase by phase (theory §7).
+//!
+//! Data of a class: everything is linear in d, so a class of n tests is the mean of its d and columns whose outer products
+//! add up to the scatter about it, no more of them than numbers in d.
+
+mod kernel;
+
+use std::ops::Range;
+
+use nalgebra::DMatrix;
+
+use crate::estimate::chained::kernel::{Prior, compressed};
+use crate::estimate::classes::Frame;
+use crate::linalg::four::Four;
+use crate::linalg::rows::{Plain, Rotations, Rows};
+use crate::reduce::{Chain, ChainPhase, Path, Reduction};
+
+pub(crate) use kernel::{Detail, Said};
+
+/// Tests whose chains share all matrices, in η: σ in units of the frame where it is a phase's own, centred.
+#[derive(Debug, Clone)]
+pub(crate) struct Chained<T = f64> {
+    phases: Vec<Phase<T>>,
+    /// The mean of the data of the tests, then columns for the scatter about it.
+    columns: usize,
+    /// n.
+    count: T,
+    /// Some phase needs square-root arithmetic.
+    careful: bool,
+}
+
+#[derive(Debug, Clone)]
+struct Phase<T> {
+    /// Its states among those of all phases.
+    own: Range<usize>,
+    /// R, q × q.
+    factor: Rows<T>,
+    /// d of all columns, q × columns.
+    data: Rows<T>,
+    link: Option<Link<T>>,
+}
+
+#[derive(Debug, Clone)]
+struct Link<T> {
+    /// G, q × q of the phase before.
+    sensitivity: Rows<T>,
+    /// C', any number × q.
+    root: Rows<T>,
+}
+
+impl Chained {
+    /// Tests with equal matrices, in a frame; `ranges` says where the states of each phase of the model stand.
+    pub(crate) fn new(members: &[&Reduction], ranges: &[Range<usize>], frame: &Frame) -> Chained {
+        let chains: Vec<&Chain> = members.iter().map(|r| r.chain.as_deref().expect("it has a chain")).collect();
+        let careful = chains.iter().any(|chain| chain.phases.iter().any(|phase| phase.path == Path::SquareRoot));
+        let data: Vec<Vec<Vec<f64>>> = chains.iter().map(|chain| centred(chain, ranges, frame)).collect();
+        let columns = columns(&data);
+        let mut row = 0;
+        let mut before: Option<Vec<f64>> = None;
+        let phases = chains[0].phases.iter().zip(ranges).map(|(phase, own)| {
+            let scale = scales(phase, own, frame);
+            let q = phase.data.len();
+            let own_data = Rows::from_fn(q, columns.ncols(), |i, k| columns[(row + i, k)]);
+            row += q;
+            let link = phase.link.as_ref().zip(before.as_ref()).map(|(link, from)| Link {
+                sensitivity: Rows::from_fn(q, from.len(), |i, k| link.sensitivity[(i, k)] * from[k] / scale[i]),
+                root: Rows::from_fn(link.root.ncols(), q, |c, i| link.root[(i, c)] / scale[i]),
+            });
+            let factor = Rows::from_fn(q, q, |i, k| packed(&phase.factor, i, k) * scale[k]);
+            before = Some(scale);
+            Phase { own: own.clone(), factor, data: own_data, link }
+        });
+        let phases: Vec<Phase<f64>> = phases.collect();
+        Chained { phases, columns: columns.ncols(), count: members.len() as f64, careful }
+    }
+
+    /// How many phases its tests have.
+    pub(crate) fn phases(&self) -> usize {
+        self.phases.len()
+    }
+
+    /// How many coordinates enter a phase.
+    pub(crate) fn entering(&self, phase: usize) -> usize {
+        self.phases[phase].factor.nrows()
+    }
+
+    /// n J of a phase by itself, in what enters it.
+    pub(crate) fn own_information(&self, phase: usize) -> DMatrix<f64> {
+        let factor = &self.phases[phase].factor;
+        let gram = factor.transpose_times(factor);
+        DMatrix::from_fn(gram.nrows(), gram.ncols(), |i, k| self.count * gram[(i, k)])
+    }
+
+    /// n J of the first phases together on the initial states of all, `states` of them.
+    pub(crate) fn information(&self, phases: usize, states: usize) -> DMatrix<f64> {
+        let first = Chained { phases: self.phases[..phases].to_vec(), ..self.clone() };
+        let said = first.at(&vec![0.0; states], &DMatrix::zeros(states, states), Detail::Between);
+        let mut information = DMatrix::zeros(states, states);
+        let own: Vec<&Range<usize>> = first.ranges().collect();
+        let mut blocks = said.W.iter().flatten();
+        for (k, one) in own.iter().enumerate() {
+            for (other, block) in own[..=k].iter().zip(&mut blocks) {
+                for (a, row) in (**one).clone().enumerate() {
+                    for (b, column) in (**other).clone().enumerate() {
+                        information[(row, column)] = self.count * block[(a, b)];
+                        information[(column, row)] = information[(row, column)];
+                    }
+                }
+            }
+        }
+        information
+    }
+
+    /// All that the class says at a point: μ of its tests and F with Σ = FF', both of all phases, in as much
+    /// detail as is wanted.
+    pub(crate) fn at(&self, mean: &[f64], root: &DMatrix<f64>, detail: Detail) -> Said {
+        let prior = Prior { root, mean };
+        let plain = if self.careful { None } else { self.said::<Plain<f64>>(&prior, detail) };
+        plain.unwrap_or_else(|| self.said::<Rotations>(&prior, detail).expect(BEARS))
+    }
+
+    /// The same of four classes of one shape; `None` where one of them needs more care.
+    pub(crate) fn at_four(
+        four: [&Chained; 4],
+        means: [&[f64]; 4],
+        root: &DMatrix<f64>,
+        detail: Detail,
+    ) -> Option<Said<Four>> {
+        if four.iter().any(|one| one.careful) {
+            return None;
+        }
+        let mean: Vec<Four> = (0..means[0].len()).map(|i| Four(means.map(|mean| mean[i]))).collect();
+        Chained::side_by_side(four).said::<Plain<Four>>(&Prior { root, mean: &mean }, detail)
+    }
+
+    /// Whether another has matrices of the same sizes.
+    pub(crate) fn is_alike(&self, other: &Chained) -> bool {
+        let shape = |phase: &Phase<f64>| {
+            (phase.own.clone(), phase.factor.nrows(), phase.link.as_ref().map(|link| link.root.nrows()))
+        };
+        self.columns == other.columns
+            && self.phases.len() == other.phases.len()
+            && self.phases.iter().zip(&other.phases).all(|(a, b)| shape(a) == shape(b))
+    }
+
+    /// Four of one shape as one.
+    fn side_by_side(four: [&Chained; 4]) -> Chained<Four> {
+        let rows = |of: &dyn Fn(&Chained) -> &Rows| -> Rows<Four> {
+            let each = four.map(of);
+            Rows::from_fn(each[0].nrows(), each[0].ncols(), |i, k| Four(each.map(|one| one[(i, k)])))
+        };
+        let phase = |f: usize| {
+            let link = |chained: &Chained| chained.phases[f].link.is_some();
+            fn linked(chained: &Chained, f: usize) -> &Link<f64> {
+                chained.phases[f].link.as_ref().expect("of one shape")
+            }
+            Phase {
+                own: four[0].phases[f].own.clone(),
+                factor: rows(&|chained| &chained.phases[f].factor),
+                data: rows(&|chained| &chained.phases[f].data),
+                link: link(four[0]).then(|| Link {
+                    sensitivity: rows(&|chained| &linked(chained, f).sensitivity),
+                    root: rows(&|chained| &linked(chained, f).root),
+                }),
+            }
+        };
+        Chained {
+            phases: (0..four[0].phases.len()).map(phase).collect(),
+            columns: four[0].columns,
+            count: Four(four.map(|one| one.count)),
+            careful: false,
+        }
+    }
+
+    /// Where the states of its phases stand.
+    pub(crate) fn ranges(&self) -> impl Iterator<Item = &Range<usize>> {
+        self.phases.iter().map(|phase| &phase.own)
+    }
+}
+
+/// Why careful arithmetic has an answer.
+const BEARS: &str = "rotations bear any size";
+
+/// The unit of each coordinate of a phase's σ: that of the frame where it is its own.
+fn scales(phase: &ChainPhase, own: &Range<usize>, frame: &Frame) -> Vec<f64> {
+    let of = |i: usize| if i < own.len() { frame.scale[own.start + i] } else { 1.0 };
+    (0..phase.data.len()).map(of).collect()
+}
+
+/// d_i - R_i × (σ_i at the centre of the frame without noise), by phase.
+fn centred(chain: &Chain, ranges: &[Range<usize>], frame: &Frame) -> Vec<Vec<f64>> {
+    let mut at: Vec<f64> = Vec::new();
+    let one = |(phase, own): (&ChainPhase, &Range<usize>)| {
+        let q = phase.data.len();
+        let mut sigma: Vec<f64> =
+            (0..q).map(|i| if i < own.len() { frame.centre[own.start + i] } else { 0.0 }).collect();
+        if let Some(link) = &phase.link {
+            for (i, s) in sigma.iter_mut().enumerate() {
+                *s += link.mean[i] + at.iter().enumerate().map(|(k, x)| link.sensitivity[(i, k)] * x).sum::<f64>();
+            }
+        }
+        let told = |i: usize| (i..q).map(|k| packed(&phase.factor, i, k) * sigma[k]).sum::<f64>();
+        let data = (0..q).map(|i| phase.data[i] - told(i)).collect();
+        at = sigma;
+        data
+    };
+    chain.phases.iter().zip(ranges).map(one).collect()
+}
+
+/// The mean of the data of the tests, then columns whose outer products add up to the scatter about it: one for each test, or, if
+/// that is less, one for each number of data.
+fn columns(data: &[Vec<Vec<f64>>]) -> Rows {
+    let all: Vec<Vec<f64>> = data.iter().map(|test| test.concat()).collect();
+    let (n, size) = (all.len(), all[0].len());
+    let mut mean = vec![0.0; size];
+    all.iter().for_each(|test| mean.iter_mut().zip(test).for_each(|(m, d)| *m += d));
+    mean.iter_mut().for_each(|m| *m /= n as f64);
+    let away = |j: usize, i: usize| all[j][i] - mean[i];
+    let scatter = match n {
+        1 => Rows::zeros(0, size),
+        n if n <= size => Rows::from_fn(n, size, away),
+        n => compressed::<Plain<f64>>(Rows::from_fn(n, size, away)),
+    };
+    let m = scatter.nrows();
+    Rows::from_fn(size, 1 + m, |i, k| if k == 0 { mean[i] } else { scatter[(k - 1, i)] })
+}
+
+/// Entry (i, k) of a packed upper triangle.
+fn packed(factor: &[f64], i: usize, k: usize) -> f64 {
+    if i <= k { factor[i + k * (k + 1) / 2] } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::DVector;
+
+    use super::*;
+    use crate::linalg::real::{Counted, Real};
+
+    /// Phases of three states, the last two of which are inherited.
+    fn chain(phases: usize) -> (Chained, Frame) {
+        let wave =
+            |seed: usize, size: usize| -> Vec<f64> { (0..size).map(|k| ((seed + 3 * k) as f64).sin()).collect() };
+        let phase = |f: usize| ChainPhase {
+            own: 3,
+            constant: 0.0,
+            data: wave(f, 3),
+            factor: wave(7 * f, 6)
+                .iter()
+                .enumerate()
+                .map(|(k, x)| if [0, 2, 5].contains(&k) { 2.0 + x } else { *x })
+                .collect(),
+            path: Path::Information,
+            link: (f > 0).then(|| crate::reduce::Link {
+                mean: DVector::from_vec(wave(f + 1, 3)),
+                sensitivity: DMatrix::from_vec(3, 3, wave(f + 2, 9)),
+                root: DMatrix::from_vec(3, 2, wave(f + 3, 6)),
+            }),
+        };
+        let frame = Frame { centre: vec![0.0; 3 * phases], scale: vec![1.0; 3 * phases], covariate_scale: Vec::new() };
+        let chain = Chain { phases: (0..phases).map(phase).collect() };
+        let reduction = Reduction {
+            test: "a".to_owned(),
+            constant: 0.0,
+            data: Vec::new(),
+            factor: Vec::new(),
+            covariates: Vec::new(),
+            steps: 1,
+            observations: 1,
+            path: Path::Information,
+            design: 0,
+            chain: Some(Box::new(chain)),
+        };
+        let ranges: Vec<Range<usize>> = (0..phases).map(|f| 3 * f..3 * f + 3).collect();
+        (Chained::new(&[&reduction], &ranges, &frame), frame)
+    }
+
+    fn counted(chained: &Chained) -> Chained<Counted> {
+        let rows = |m: &Rows| Rows::from_fn(m.nrows(), m.ncols(), |i, k| Counted(m[(i, k)]));
+        let phase = |phase: &Phase<f64>| Phase {
+            own: phase.own.clone(),
+            factor: rows(&phase.factor),
+            data: rows(&phase.data),
+            link: phase.link.as_ref().map(|link| Link { sensitivity: rows(&link.sensitivity), root: rows(&link.root) }),
+        };
+        Chained {
+            phases: chained.phases.iter().map(phase).collect(),
+            columns: chained.columns,
+            count: Counted(chained.count),
+            careful: false,
+        }
+    }
+
+    #[test]
+    fn the_cost_of_first_derivatives_is_linear_in_the_number_of_phases() {
+        let flops = |phases: usize| {
+            let chained = counted(&chain(phases).0);
+            let (root, mean) = (DMatrix::identity(3 * phases, 3 * phases), vec![Counted::splat(0.1); 3 * phases]);
+            let prior = Prior { root: &root, mean: &mean };
+            let flops = Counted::count(|| {
+                chained.said::<Plain<Counted>>(&prior, Detail::Phases).expect("of common size");
+            });
+            flops.add + flops.mul + flops.div
+        };
+        let each: Vec<u64> = (2..8).map(flops).collect();
+        let steps: Vec<u64> = each.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        assert!(steps.iter().all(|step| *step == steps[0]), "{each:?}: {steps:?}");
+    }
+
+    #[test]
+    fn rotations_and_four_at_a_time_give_what_reflections_give() {
+        let (chained, _) = chain(4);
+        let (root, mean) = (DMatrix::identity(12, 12), vec![0.1; 12]);
+        let plain = chained.at(&mean, &root, Detail::Between);
+        let careful = Chained { careful: true, ..chained.clone() }.at(&mean, &root, Detail::Between);
+        let close = |what: &str, a: f64, b: f64| assert!((a - b).abs() < 1e-12 * (1.0 + b.abs()), "{what}: {a} {b}");
+        close("quadratic form", plain.quadratic, careful.quadratic);
+        close(
+            "determinant",
+            plain.root_det.0 * 2f64.powf(plain.root_det.1),
+            careful.root_det.0 * 2f64.powf(careful.root_det.1),
+        );
+        for (a, b) in plain.W.iter().flatten().zip(careful.W.iter().flatten()) {
+            (0..3).flat_map(|i| (0..3).map(move |k| (i, k))).for_each(|at| close("W", a[at], b[at]));
+        }
+        let four = Chained::at_four([&chained; 4], [&mean; 4], &root, Detail::Between).expect("of common size");
+        assert_eq!(four.quadratic.0, [plain.quadratic; 4], "the same bits in every lane");
+        for (a, b) in four.W.iter().flatten().zip(plain.W.iter().flatten()) {
+            (0..3).flat_map(|i| (0..3).map(move |k| (i, k))).for_each(|at| assert_eq!(a[at].0, [b[at]; 4]));
+        }
+    }
+}
