@@ -130,7 +130,7 @@ fn covariance(cut: &Cut<'_>, estimate: &Estimate, inference: &Inference) -> Cova
         }
     }
     let proportional = matches!(cut.phase.model.covariance.kind, CovarianceKind::Proportional(_));
-    let scale = proportional.then(|| estimate.covariance_scale());
+    let scale = proportional.then(|| estimate.covariance_scale(cut.index));
     CovarianceRecord {
         estimate: cut.block(&estimate.covariance),
         std_error: cut.square(&inference.uncertainty.covariance),
@@ -138,7 +138,7 @@ fn covariance(cut: &Cut<'_>, estimate: &Estimate, inference: &Inference) -> Cova
         fixed,
         scale: scale.map(|beta| ScaleRecord {
             estimate: beta,
-            std_error: inference.uncertainty.scale.map(|relative| relative * beta),
+            std_error: inference.uncertainty.scale[cut.index].map(|relative| relative * beta),
             interval95: scale_interval(cut, estimate, inference, beta),
         }),
     }

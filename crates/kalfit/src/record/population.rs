@@ -68,13 +68,13 @@ impl FitRecord {
         let found: Vec<String> = self.phases.iter().map(|phase| phase.name.clone()).collect();
         let expected: Vec<String> = model.phases.iter().map(|phase| phase.name.clone()).collect();
         let place = places("the phases".to_owned(), &found, &expected)?;
-        let (p, names) = (model.dimension(), model.estimated_names());
+        let p = model.dimension();
         let mut whole = Population { mean: Vec::new(), coefficients: Vec::new(), covariance: DMatrix::zeros(p, p) };
         for (cut, &place) in Cut::all(model).iter().zip(&place) {
             let of = if model.is_single() { String::new() } else { format!(" of phase `{}`", cut.phase.name) };
             add(&mut whole, cut, &self.phases[place], &of)?;
         }
-        whole.check_named(p, whole.coefficients.len(), &|i| names[i].clone())?;
+        whole.check(model)?;
         Ok(whole)
     }
 }
