@@ -39,7 +39,7 @@ pub(crate) fn test(
         Model { literals, text_columns, ..model }
     });
     let (tests, reading) = tests::read_for(spec, null, inputs, &mut line)?;
-    let slots = [Slots::new(null, &reading.labels, &tests), Slots::new(&wide, &reading.labels, &tests)];
+    let slots = [Slots::in_phases(null, &reading.labels, &tests), Slots::in_phases(&wide, &reading.labels, &tests)];
     restricted((null, &slots[0]), (&wide, &slots[1]), &tests)
         .map_err(|error| Failure::DynamicRatio(DynamicRatioError::Parameter(error)))?;
     if slots[1].is_empty() {
