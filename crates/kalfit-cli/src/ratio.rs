@@ -38,7 +38,7 @@ pub(crate) fn test(
         text_columns: null.text_columns.clone(),
         ..spec.model.shared().clone()
     };
-    let (tests, reading) = tests::read_for(spec, null, inputs, &mut line)?;
+    let (tests, reading) = tests::read_for(spec, &hypothesis.model, inputs, &mut line)?;
     let slots = [Slots::new(null, &reading.labels, &tests), Slots::new(&wide, &reading.labels, &tests)];
     restricted((null, &slots[0]), (&wide, &slots[1]), &tests)
         .map_err(|error| Failure::DynamicRatio(DynamicRatioError::Parameter(error)))?;

@@ -51,11 +51,9 @@ pub(crate) fn reduce_keeping(
     let Kept { tests, copy } = kept;
     let mut sink = Reducing { reducer, reductions: Vec::new(), kept: tests, line };
     let mut stdin = copy.copying(&mut stdin);
-    kalfit_data::read_from(spec.model.shared(), &spec.layout, inputs, &mut sink, &mut stdin).map_err(|error| {
-        match error {
-            ReadError::Data(error) => Failure::data(error, spec),
-            ReadError::Sink { error, reading } => Failure::Reduce { error, reading: Some(reading) },
-        }
+    kalfit_data::read_from(&spec.model, &spec.layout, inputs, &mut sink, &mut stdin).map_err(|error| match error {
+        ReadError::Data(error) => Failure::data(error, spec),
+        ReadError::Sink { error, reading } => Failure::Reduce { error, reading: Some(reading) },
     })?;
     Ok(sink.reductions)
 }

@@ -2,7 +2,7 @@
 
 use std::convert::Infallible;
 
-use kalfit::{Labels, Model, Test};
+use kalfit::{Labels, PhasedModel, Test};
 use kalfit_data::{Input, ReadError, Reading, Sink};
 use kalfit_spec::Spec;
 
@@ -28,13 +28,13 @@ impl Sink for Keep<'_> {
 
 /// Reads all tests.
 pub(crate) fn read(spec: &Spec, inputs: &[Input], line: &mut Line) -> Result<(Vec<Test>, Reading), Failure> {
-    read_for(spec, spec.model.shared(), inputs, line)
+    read_for(spec, &spec.model, inputs, line)
 }
 
 /// Reads all tests for a model that has the columns of the file's, and perhaps more texts.
 pub(crate) fn read_for(
     spec: &Spec,
-    model: &Model,
+    model: &PhasedModel,
     inputs: &[Input],
     line: &mut Line,
 ) -> Result<(Vec<Test>, Reading), Failure> {

@@ -246,13 +246,15 @@ pub enum DataError {
         /// Its text, shortened.
         found: String,
     },
-    /// Times go back within a test.
-    #[error("{at}: found time {found} after time {previous} in test `{test}`, expected times that do not decrease")]
+    /// Times go back within a test and phase.
+    #[error("{at}: found time {found} after time {previous} in {}test `{test}`, expected times that do not decrease", phase.as_ref().map(|phase| format!("phase `{phase}` of ")).unwrap_or_default())]
     TimeDecreases {
         /// The cell.
         at: Box<Place>,
         /// Id of the test, shortened.
         test: String,
+        /// Phase of the row, in a model of several; shortened.
+        phase: Option<Box<str>>,
         /// The time.
         found: Box<str>,
         /// The time of the test's previous row.

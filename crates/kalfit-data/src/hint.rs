@@ -28,8 +28,11 @@ impl DataError {
             DataError::MissingTest { .. } => "every row needs the id of its test".into(),
             DataError::MissingTime { .. } => "every row needs a time when the model names a time column".into(),
             DataError::NotATime { found, .. } => time_hint(found),
-            DataError::TimeDecreases { .. } => {
+            DataError::TimeDecreases { phase: None, .. } => {
                 "sort the rows of each test by time; if these are two tests, give them two ids".into()
+            }
+            DataError::TimeDecreases { .. } => {
+                "sort the rows of each phase by time; times may start again with the next phase only".into()
             }
             DataError::TimeUnit { .. } => "date-times are read as time since the test's first row: set `time_unit` in `[data]` to `s`, `ms`, `us`, `ns`, `min`, `h` or `d`".into(),
             DataError::MixedTimes { .. } => "write the whole column one way".into(),
