@@ -6,6 +6,7 @@ use std::io;
 use arrow::error::ArrowError;
 use parquet::errors::ParquetError;
 
+use crate::exchange::ExchangeError;
 use crate::reading::Reading;
 
 /// A cell of a file.
@@ -323,6 +324,9 @@ pub enum DataError {
         /// What it said.
         source: Box<ArrowError>,
     },
+    /// An exchange file is wrong, or does not go with the model or the other files.
+    #[error(transparent)]
+    Exchange(Box<ExchangeError>),
     /// A library panicked on broken bytes.
     #[error("{file} is not a sound {format} file: its contents contradict each other")]
     Crashed {
@@ -331,6 +335,12 @@ pub enum DataError {
         /// The kind of file.
         format: &'static str,
     },
+}
+
+impl From<ExchangeError> for DataError {
+    fn from(error: ExchangeError) -> DataError {
+        DataError::Exchange(Box::new(error))
+    }
 }
 
 /// The columns a file has, and the one that was probably meant.

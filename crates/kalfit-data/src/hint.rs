@@ -8,6 +8,7 @@ impl DataError {
     pub fn hint(&self) -> Option<String> {
         Some(match self {
             DataError::NoInput => return None,
+            DataError::Exchange(error) => return error.hint(),
             DataError::Pattern { .. } => "give the file's whole name, or write `[*]` for a star and `[?]` for a question mark".into(),
             DataError::NoMatch { .. } => "`*` stands for any text, `?` for one character, `[ab]` for a or b, `**/` for any folders".into(),
             DataError::SameFile { .. } => "give each file once: its rows would count twice".into(),
@@ -54,7 +55,7 @@ fn kind_hint(found: &str) -> String {
     }
 }
 
-fn columns_hint(columns: &Columns) -> String {
+pub(crate) fn columns_hint(columns: &Columns) -> String {
     const MOST: usize = 12;
     if let Some(near) = &columns.near {
         return format!("there is a column `{near}`");

@@ -45,9 +45,14 @@ pub struct Reading {
 impl Reading {
     /// Where a row came from, in words: "bench.csv, row 12".
     pub fn place(&self, source: Source) -> String {
-        let file = self.files.get(source.file as usize).map_or("unknown file", String::as_str);
-        format!("{file}, row {}", source.row)
+        place(&self.files, source)
     }
+}
+
+/// Where a row came from, in words.
+pub(crate) fn place(files: &[String], source: Source) -> String {
+    let file = files.get(source.file as usize).map_or("unknown file", String::as_str);
+    format!("{file}, row {}", source.row)
 }
 
 /// Reads the inputs and hands their tests to the sink, rows of all phases together; see the [crate's documentation](crate) for
