@@ -165,7 +165,11 @@ fn root_of(row: Row<'_>, covariance: &[f64], size: usize) -> Result<DMatrix<f64>
             }
         }
     }
-    let unit = |i: usize, j: usize| if scale[i] * scale[j] > 0.0 { a[(i, j)] / scale[i] / scale[j] } else { 0.0 };
+    let unit = |i: usize, j: usize| {
+        let (element, of) = (a[(i, j)], scale[i] * scale[j]);
+        // What does not vary has no covariance with anything; if it does, an eigenvalue will be negative.
+        if of > 0.0 { element / scale[i] / scale[j] } else { element.signum() * f64::from(u8::from(element != 0.0)) }
+    };
     let (values, vectors) = eigen(&DMatrix::from_fn(size, size, unit));
     let (least, largest) = (values.first().copied().unwrap_or(0.0), values.last().copied().unwrap_or(0.0));
     if least < -1e3 * rounding * largest {
