@@ -42,6 +42,7 @@ mod small;
 mod start;
 mod steps;
 mod subject;
+mod suboptimal;
 
 pub use chain::{Chain, ChainPhase, Link};
 pub use error::{Cell, ReduceError, ReduceErrorKind};
@@ -50,6 +51,7 @@ pub use flops::reduction_flops;
 pub use plain::{Plain, StepMatrices, Terminal};
 pub use reducer::{Reducer, Work};
 pub use reduction::{Path, Reduction};
+pub use suboptimal::{EstimateReducer, FilterRunner};
 
 pub(crate) use data::innovate;
 pub(crate) use design::{Design, Frame, Step, Stretch, Transition};

@@ -18,4 +18,5 @@ mod same_point;
 mod sensitivities;
 mod simulate;
 mod simulated;
+mod suboptimal;
 mod unobservable;
