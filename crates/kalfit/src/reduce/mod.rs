@@ -72,5 +72,6 @@ pub(crate) use {
     data::{Data, DataWork},
     design::{DENSE, Pattern},
     reducer::information_gains,
+    root::root_gains,
     schedule::GainsWork,
 };

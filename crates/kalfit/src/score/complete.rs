@@ -118,6 +118,7 @@ impl Scorer<'_> {
                 inputs: &work.data.inputs,
                 values: &work.data.values,
                 moments,
+                ending: None,
                 wanted,
             };
             let mut complete = Complete::of(work);

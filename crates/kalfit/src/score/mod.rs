@@ -11,6 +11,7 @@ mod expected;
 mod levels;
 mod moments;
 mod slots;
+mod smoother;
 #[cfg(test)]
 mod tests;
 
@@ -102,6 +103,7 @@ impl<'a> Scorer<'a> {
                 inputs: &work.data.inputs,
                 values: &work.data.values,
                 moments,
+                ending: None,
                 wanted,
             };
             let mut onward = Onward { adjoints, test, work };
