@@ -147,8 +147,14 @@ fn is_indirect(model: &PhasedModel, at: usize, evidence: &Evidence) -> bool {
 }
 
 /// The phases of a test, those known by estimates at another α.
-fn mixed(model: &PhasedModel, test: &PhasedTest, home: &[PhaseReduction], there: &[PhaseReduction]) -> Vec<PhaseReduction> {
-    let choose = |(at, evidence): (usize, &Evidence)| if is_indirect(model, at, evidence) { &there[at] } else { &home[at] };
+fn mixed(
+    model: &PhasedModel,
+    test: &PhasedTest,
+    home: &[PhaseReduction],
+    there: &[PhaseReduction],
+) -> Vec<PhaseReduction> {
+    let choose =
+        |(at, evidence): (usize, &Evidence)| if is_indirect(model, at, evidence) { &there[at] } else { &home[at] };
     test.phases.iter().enumerate().map(choose).cloned().collect()
 }
 

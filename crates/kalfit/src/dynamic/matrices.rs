@@ -17,7 +17,8 @@ pub(crate) fn matrix_gradient(
 ) -> Gradient {
     let mut sum = BTreeMap::new();
     for (phase, range) in model.phases.iter().zip(model.ranges()) {
-        let own = |matrix: &DMatrix<f64>| matrix.view((range.start, range.start), (range.len(), range.len())).into_owned();
+        let own =
+            |matrix: &DMatrix<f64>| matrix.view((range.start, range.start), (range.len(), range.len())).into_owned();
         for (slot, bar) in phase_gradient(&phase.model, alpha, slots, &own(sigma), &own(score)) {
             *sum.entry(slot).or_insert(0.0) += bar;
         }
@@ -25,13 +26,7 @@ pub(crate) fn matrix_gradient(
     sum.into_iter().collect()
 }
 
-fn phase_gradient(
-    model: &Model,
-    alpha: &Alpha,
-    slots: &Slots,
-    sigma: &DMatrix<f64>,
-    score: &DMatrix<f64>,
-) -> Gradient {
+fn phase_gradient(model: &Model, alpha: &Alpha, slots: &Slots, sigma: &DMatrix<f64>, score: &DMatrix<f64>) -> Gradient {
     let (CovarianceKind::Fixed(entries) | CovarianceKind::Proportional(entries) | CovarianceKind::Correlation(entries)) =
         &model.covariance.kind
     else {

@@ -44,7 +44,9 @@ pub enum DynamicError {
         free: usize,
     },
     /// A reduction is for one value of each parameter; it cannot follow a free one.
-    #[error("test `{test}` comes as a reduction, made at known parameters, but `{parameter}` of phase `{phase}` is free")]
+    #[error(
+        "test `{test}` comes as a reduction, made at known parameters, but `{parameter}` of phase `{phase}` is free"
+    )]
     FixedReduction {
         /// Id of the test.
         test: String,
@@ -182,14 +184,11 @@ pub fn fit(
 }
 
 /// What has no meaning while parameters are free.
-fn refuse(
-    model: &PhasedModel,
-    tests: &[PhasedTest],
-    slots: &Slots,
-    settings: &Settings,
-) -> Result<(), DynamicError> {
+fn refuse(model: &PhasedModel, tests: &[PhasedTest], slots: &Slots, settings: &Settings) -> Result<(), DynamicError> {
     let name = |parameter: usize| model.shared().parameters[parameter].name.clone();
-    if let (Some(slot), Combination::Marginal, false) = (slots.slots().first(), settings.inner.phases, model.is_single()) {
+    if let (Some(slot), Combination::Marginal, false) =
+        (slots.slots().first(), settings.inner.phases, model.is_single())
+    {
         return Err(DynamicError::Marginal { parameter: name(slot.parameter), free: slots.len() });
     }
     for (at, phase) in model.phases.iter().enumerate() {

@@ -188,7 +188,8 @@ impl Scales {
         if time_constants(model).contains(&parameter) {
             return (self.step * self.span).sqrt();
         }
-        let measurements = model.phases.iter().zip(&self.noise).flat_map(|(p, noise)| p.model.measurements.iter().zip(noise));
+        let measurements =
+            model.phases.iter().zip(&self.noise).flat_map(|(p, noise)| p.model.measurements.iter().zip(noise));
         let own = measurements.into_iter().find(|(m, _)| mentions(&m.noise_variance, parameter));
         if let Some((measurement, &size)) = own {
             // the variance is the square of the parameter, or the parameter itself
@@ -344,7 +345,8 @@ fn scattered(small: &Bench<'_>, unknown: &[usize], first: &[f64]) -> Vec<Vec<f64
     let mut found: Vec<(Vec<f64>, f64)> = Vec::new();
     for _ in 0..SCATTERED {
         // all levels of a parameter together
-        let draws: Vec<f64> = small.model.shared().parameters.iter().map(|_| StandardNormal.sample(&mut random)).collect();
+        let draws: Vec<f64> =
+            small.model.shared().parameters.iter().map(|_| StandardNormal.sample(&mut random)).collect();
         let moved = |(s, value): (usize, &f64)| {
             let parameter = small.slots.slots()[s].parameter;
             let own = unknown.contains(&parameter) && small.coordinates[s].log;

@@ -39,7 +39,8 @@ impl Levels {
                     let (Evidence::Rows(rows), None) = (evidence, &model.phases[at].filter) else { continue };
                     let phase = &reducer.phases()[at];
                     let own = counted(&phase.reducer, slots, &degree, rows, &mut work.phases[at]);
-                    let named = |fault: Box<Fault>| phase.named(fault.name(&phase.reducer.preparer().model, Some(rows)));
+                    let named =
+                        |fault: Box<Fault>| phase.named(fault.name(&phase.reducer.preparer().model, Some(rows)));
                     found.extend(own.map_err(named)?);
                 }
                 Ok(found)

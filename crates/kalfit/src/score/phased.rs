@@ -7,6 +7,9 @@
 //!
 //! Phases that are known by estimates or by a reduction have no part in it.
 
+#[cfg(test)]
+mod tests;
+
 use std::collections::BTreeMap;
 
 use rayon::prelude::*;
@@ -14,9 +17,7 @@ use rayon::prelude::*;
 use crate::ensemble::Test;
 use crate::estimate::InitialLaw;
 use crate::model::{EvaluationError, PhasedModel, Tape};
-use crate::reduce::{
-    Evidence, Fault, Inherits, PhasedReducer, PhasedTest, PhasedWork, ReduceError, Reduction,
-};
+use crate::reduce::{Evidence, Fault, Inherits, PhasedReducer, PhasedTest, PhasedWork, ReduceError, Reduction};
 use crate::score::backward::BackwardWork;
 use crate::score::chain::{Adjoints, Gradient};
 use crate::score::complete::Complete;

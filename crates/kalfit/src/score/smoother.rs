@@ -15,7 +15,7 @@ use std::ops::Range;
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::{InitialLaw, unpack};
-use crate::linalg::{compressed, log_determinant, posterior_root, symmetric, whitened, whitener};
+use crate::linalg::{compressed, log_determinant, posterior_root, whitened, whitener};
 use crate::reduce::{Inherited, PhaseReduction, Terminal};
 use crate::score::moments::Moments;
 
@@ -169,8 +169,6 @@ struct Prior {
 struct Pass<'a> {
     pieces: &'a [PhaseReduction],
     laws: &'a [PhaseLaw],
-    /// Roots of P_K, of all phases but the last.
-    terminal_roots: Vec<DMatrix<f64>>,
     own: Vec<Known>,
 }
 
@@ -186,9 +184,7 @@ impl<'a> Pass<'a> {
             }
         };
         let own = pieces.iter().zip(laws).map(own).collect();
-        let last = pieces.len() - 1;
-        let terminal_roots = pieces[..last].iter().map(|p| symmetric::square_root(&terminal(p).covariance)).collect();
-        Pass { pieces, laws, terminal_roots, own }
+        Pass { pieces, laws, own }
     }
 
     /// What phase i + 1 and those after it say of the last state of phase i, `total` being what they say of σ_{i+1}; and the
@@ -211,8 +207,7 @@ impl<'a> Pass<'a> {
             let (later, log) = self.on_last_state(i, &totals[totals.len() - 1]);
             let terminal = terminal(&self.pieces[i]);
             let still = DMatrix::zeros(terminal.mean.len(), later.columns.ncols());
-            let (known, log_own) =
-                later.through((&terminal.mean, &still), &terminal.sensitivity, &self.terminal_roots[i]);
+            let (known, log_own) = later.through((&terminal.mean, &still), &terminal.sensitivity, &terminal.root);
             let (total, left) = self.own[i].and(&known);
             value -= 0.5 * (log + log_own + left);
             totals.push(total);
@@ -239,7 +234,7 @@ impl<'a> Pass<'a> {
         let spread = &terminal.sensitivity * own.root;
         Prior {
             mean: &terminal.mean + &terminal.sensitivity * own.mean,
-            root: beside(&spread, &self.terminal_roots[i]),
+            root: beside(&spread, &terminal.root),
             directions: &terminal.sensitivity * own.directions,
         }
     }
@@ -300,7 +295,7 @@ impl Later {
     /// r = R'S⁻¹(d - R x̄_K), ρ = R'S⁻¹(RΨ_KC - D), N = R'S⁻¹R with S = I + RP_KR' and D of the directions of the mean.
     fn of(known: &Known, pass: &Pass<'_>, i: usize, moments: &Prior) -> Later {
         let terminal = terminal(&pass.pieces[i]);
-        let lower = whitener(&(&known.factor * &pass.terminal_roots[i]));
+        let lower = whitener(&(&known.factor * &terminal.root));
         let R = whitened(&lower, &known.factor);
         let mean = &terminal.mean + &terminal.sensitivity * &moments.mean;
         let residual = &known.data - &known.factor * mean;

@@ -260,7 +260,7 @@ fn terminal(design: &Design, data: &Data) -> Terminal {
             P = &P - &K * K.transpose() * S;
         }
     }
-    Terminal { mean: x, sensitivity: psi, covariance: P }
+    Terminal { mean: x, sensitivity: psi, root: crate::linalg::symmetric::square_root(&P) }
 }
 
 /// Every adjoint, in the order of the numbers.
