@@ -8,6 +8,8 @@ mod indirect;
 mod interval;
 mod joint;
 mod matrices;
+#[cfg(test)]
+mod phased_tests;
 mod search;
 mod settings;
 mod start;
@@ -55,6 +57,22 @@ pub enum DynamicError {
         /// The first free parameter that the phase depends on.
         parameter: String,
     },
+}
+
+impl DynamicError {
+    /// What to do about it.
+    pub fn hint(&self) -> Option<&'static str> {
+        match self {
+            DynamicError::Reduce(error) => error.hint(),
+            DynamicError::Fit(_) => None,
+            DynamicError::Marginal { .. } => {
+                Some("give every parameter a value, or put the phases together by `chain`")
+            }
+            DynamicError::FixedReduction { .. } => {
+                Some("give the parameter the value that the reduction was made at, or give the data in its place")
+            }
+        }
+    }
 }
 
 /// μ, Σ and α at the end of a search.
