@@ -59,6 +59,7 @@ pub use reducer::{Reducer, Work};
 pub use reduction::{Path, Reduction};
 pub use split::SplitError;
 
+pub(crate) use carry::Inherits;
 pub(crate) use data::innovate;
 pub(crate) use design::{Design, Frame, Step, Stretch, Transition};
 pub(crate) use dynamics::Table;
@@ -67,6 +68,8 @@ pub(crate) use instances::Instance;
 pub(crate) use kernel::advance;
 pub(crate) use motion::Evaluated;
 pub(crate) use observe::Unwhitened;
+pub(crate) use part::PhaseReducer;
+pub(crate) use phased::PhasedWork;
 pub(crate) use prepare::{Preparer, Replay, Workspace};
 pub(crate) use semidefinite::{NotSemidefinite, ldl};
 pub(crate) use settling::{Frozen, Settling};
