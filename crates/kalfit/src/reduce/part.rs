@@ -91,6 +91,11 @@ impl PhaseReducer {
         Ok(PhaseReducer { place, reducer, inheritance, own, filtered, sizes })
     }
 
+    /// An error of this phase, saying so where there are others.
+    pub(crate) fn named(&self, error: ReduceError) -> ReduceError {
+        of_phase(self.place.name.as_deref(), error)
+    }
+
     /// Every step of every record in full.
     pub(crate) fn unfrozen(self) -> PhaseReducer {
         PhaseReducer { reducer: self.reducer.unfrozen(), ..self }
