@@ -81,3 +81,13 @@ impl From<Test> for PhasedTest {
         PhasedTest { id: test.id.clone(), phases: vec![Evidence::Rows(test)] }
     }
 }
+
+impl PhasedTest {
+    /// The rows of its phases, of those that are given by rows.
+    pub fn rows(self) -> impl Iterator<Item = Test> {
+        self.phases.into_iter().filter_map(|evidence| match evidence {
+            Evidence::Rows(rows) => Some(rows),
+            Evidence::Estimates(_) | Evidence::Reduced(_) => None,
+        })
+    }
+}
