@@ -17,8 +17,8 @@ pub(crate) struct KnownStart {
 }
 
 impl KnownStart {
+    /// `initial` is of the shape of the model.
     pub(crate) fn new(model: &Model, alpha: &Alpha, initial: &Population) -> Result<KnownStart, ReduceError> {
-        check(model, initial)?;
         let reducer = Reducer::new(&known(model, initial), alpha)?;
         let frame = Arc::new(reducer.workspace().design.frame.without_unknowns());
         Ok(KnownStart { reducer, frame, time: model.clock.time })
@@ -53,23 +53,11 @@ impl KnownStart {
             if weight > 0.0 {
                 let time = self.time.map(|column| test.numbers(instance.row)[column]);
                 let (measurement, variance, standardised) = (instance.meter, weight.recip(), value * weight.sqrt());
-                series.push(Innovation { step, time, measurement, value, variance, standardised });
+                series.push(Innovation { phase: 0, step, time, measurement, value, variance, standardised });
             }
         }
         series
     }
-}
-
-/// The shapes of `initial` are those of the model.
-fn check(model: &Model, initial: &Population) -> Result<(), ReduceError> {
-    let (p, regressors) = (model.estimated.len(), model.mean.regression.len());
-    let shaped = |what: &str, found: (usize, usize), expected: (usize, usize)| {
-        let kind = Box::new(ReduceErrorKind::Shape { found, expected });
-        if found == expected { Ok(()) } else { Err(ReduceError { test: None, row: None, what: what.to_owned(), kind }) }
-    };
-    shaped("mean of the initial state", (initial.mean.len(), 1), (p, 1))?;
-    shaped("regression coefficients", (initial.coefficients.len(), 1), (regressors, 1))?;
-    shaped("covariance of the initial state", initial.covariance.shape(), (p, p))
 }
 
 /// The model with μ_j among the offsets and Σ added to the known covariance.

@@ -52,16 +52,6 @@ pub enum PopulationError {
     /// A matrix is not positive semidefinite, or has no value.
     #[error(transparent)]
     Structure(#[from] StructureError),
-    /// States of two phases are correlated.
-    #[error("the covariance of `{first}` and `{second}` is {found}, expected 0 between phases")]
-    AcrossPhases {
-        /// One state, with its phase.
-        first: String,
-        /// The other.
-        second: String,
-        /// Their covariance.
-        found: f64,
-    },
     /// The model gives no value to these.
     #[error("no value is given for {}", elements.join(", "))]
     NoValue {

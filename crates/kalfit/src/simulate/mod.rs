@@ -130,7 +130,7 @@ impl Simulator {
         population: Population,
         seed: u64,
     ) -> Result<Simulator, SimulateError> {
-        population.check_phases(model)?;
+        population.check(model)?;
         model.phases.iter().try_for_each(inputs::refuse_measured_inputs)?;
         let mut phases = Vec::new();
         for (at, own) in population.apart(model).into_iter().enumerate() {

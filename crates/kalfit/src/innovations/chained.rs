@@ -1,0 +1,154 @@
+//! Innovations of tests in phases: one filter over all phases, from the factors of each (theory §7).
+//!
+//! The filter of a phase runs with σ = 0, as for its reduction, and leaves e, S and T of each measurement: given σ, its innovation
+//! is e - Tσ, of variance S. σ itself is known in law from all that came before, in the phase and in earlier ones ([`Law`]), so
+//! that the innovation of the test is e - Tσ̂, of variance S + T Var(σ) T'. After the last step the law of σ becomes that of the
+//! next phase's, by the link between them. What Σ adds is carried in square roots: it may be singular, zero or huge.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::ensemble::Test;
+use crate::innovations::law::Law;
+use crate::innovations::series::{Innovation, Innovations};
+use crate::linalg::symmetric;
+use crate::model::{Alpha, Phase, PhasedModel, Population};
+use crate::reduce::{
+    ChainPhase, Evidence, Gains, Link, PhasedReducer, PhasedTest, PhasedWork, ReduceError, ReduceErrorKind,
+    Workspace, innovate,
+};
+
+/// The filter of tests in phases at (α, μ, Σ).
+#[derive(Debug)]
+pub(crate) struct Chained {
+    reducer: PhasedReducer,
+    phases: Vec<Start>,
+}
+
+/// What a phase adds of its own.
+#[derive(Debug)]
+struct Start {
+    mean: Vec<f64>,
+    /// (element of μ, coefficient), in the order of the covariates.
+    regressions: Vec<(usize, f64)>,
+    /// L with LL' = Σ, p × p.
+    root: DMatrix<f64>,
+    time: Option<usize>,
+    /// The phase has a filter of its own: its measurements are not evidence.
+    filtered: bool,
+}
+
+impl Chained {
+    /// `initial` is of the shape of the model.
+    pub(crate) fn new(model: &PhasedModel, alpha: &Alpha, initial: &Population) -> Result<Chained, ReduceError> {
+        let reducer = PhasedReducer::new(model, alpha)?;
+        let start = |(phase, own): (&Phase, Population)| -> Result<Start, ReduceError> {
+            if !symmetric::is_semidefinite(&own.covariance) {
+                let (least, largest) = symmetric::scaled_range(&own.covariance);
+                let kind = Box::new(ReduceErrorKind::NotSemidefinite { left: least, variance: largest });
+                let what = format!("covariance of the initial state of phase `{}`", phase.name);
+                return Err(ReduceError { test: None, row: None, what, kind });
+            }
+            Ok(Start {
+                regressions: phase.model.mean.regression.iter().map(|r| r.element).zip(own.coefficients).collect(),
+                root: symmetric::square_root(&own.covariance),
+                time: phase.model.clock.time,
+                filtered: phase.filter.is_some(),
+                mean: own.mean,
+            })
+        };
+        let phases = model.phases.iter().zip(initial.apart(model)).map(start).collect::<Result<_, _>>()?;
+        Ok(Chained { reducer, phases })
+    }
+
+    pub(crate) fn workspace(&self) -> PhasedWork {
+        self.reducer.workspace()
+    }
+
+    /// The innovations of a test; `None` where no phase is given by rows alone.
+    pub(crate) fn innovations(
+        &self,
+        test: &PhasedTest,
+        work: &mut PhasedWork,
+    ) -> Result<Option<Innovations>, ReduceError> {
+        let reduction = self.reducer.one(test, work)?;
+        let chain = reduction.chain.as_deref().expect("a model of several phases has a chain");
+        let (mut series, mut rest) = (Vec::new(), 0.0);
+        let (mut covariates, mut before) = (&*reduction.covariates, None);
+        let mut seen = false;
+        for (at, (start, phase)) in self.phases.iter().zip(&chain.phases).enumerate() {
+            let (own, others) = covariates.split_at(start.regressions.len());
+            covariates = others;
+            let mut law = start.law(own, phase, before.take());
+            match &test.phases[at] {
+                Evidence::Rows(rows) if !start.filtered => {
+                    let reducer = &self.reducer.phases()[at].reducer;
+                    let look = |gains: &Gains, work: &mut Workspace| start.look(at, rows, gains, work, &mut law);
+                    series.extend(reducer.with_gains(rows, &mut work.phases[at], look)?);
+                    seen = true;
+                }
+                _ => rest += absorb(phase, &mut law),
+            }
+            before = Some(law.posterior());
+        }
+        if !series.iter().all(|one: &Innovation| one.standardised.is_finite() && one.variance.is_finite()) {
+            let kind = Box::new(ReduceErrorKind::NotFinite);
+            return Err(ReduceError { test: Some(test.id.clone()), row: None, what: "innovations".to_owned(), kind });
+        }
+        Ok(seen.then(|| Innovations::of_phases(test.id.clone(), series, rest)))
+    }
+}
+
+impl Start {
+    /// The law of σ of a phase given all earlier ones; `before`: mean and root of σ of the phase before.
+    fn law(&self, covariates: &[f64], phase: &ChainPhase, before: Option<(DVector<f64>, DMatrix<f64>)>) -> Law {
+        let (p, q) = (self.mean.len(), phase.data.len());
+        let mut mean = DVector::from_fn(q, |i, _| self.mean.get(i).copied().unwrap_or(0.0));
+        for (&(element, coefficient), covariate) in self.regressions.iter().zip(covariates) {
+            mean[element] += coefficient * covariate;
+        }
+        let own = self.root.clone().resize_vertically(q, 0.0);
+        let Some(((m, f), Link { mean: g, sensitivity, root })) = before.zip(phase.link.as_ref()) else {
+            return Law::new(mean, &own);
+        };
+        mean += g + sensitivity * m;
+        let carried = sensitivity * f;
+        let mut all = DMatrix::zeros(q, p + carried.ncols() + root.ncols());
+        all.columns_mut(0, p).copy_from(&own);
+        all.columns_mut(p, carried.ncols()).copy_from(&carried);
+        all.columns_mut(p + carried.ncols(), root.ncols()).copy_from(root);
+        Law::new(mean, &all)
+    }
+
+    /// Runs the data pass of the phase in its work space, and takes its measurements in.
+    fn look(&self, phase: usize, rows: &Test, gains: &Gains, work: &mut Workspace, law: &mut Law) -> Vec<Innovation> {
+        let Workspace { design, data, instances, pass, .. } = work;
+        innovate(design, gains, data, pass);
+        let mut series = Vec::with_capacity(instances.len());
+        let steps = design.each_step().enumerate().flat_map(|(step, rows)| rows.rows.map(move |row| (step, row)));
+        for ((step, row), instance) in steps.zip(instances.iter()) {
+            let (weight, _, sensitivity) = gains.row(row);
+            // a measurement that can only be one value says nothing
+            if weight > 0.0 {
+                let (value, variance) = law.take(pass.e[row], sensitivity, weight);
+                let time = self.time.map(|column| rows.numbers(instance.row)[column]);
+                let (measurement, standardised) = (instance.meter, value / variance.sqrt());
+                series.push(Innovation { phase, step, time, measurement, value, variance, standardised });
+            }
+        }
+        series
+    }
+}
+
+/// Takes in what is known of a phase otherwise than by rows; its log p given all earlier phases.
+fn absorb(phase: &ChainPhase, law: &mut Law) -> f64 {
+    let q = phase.data.len();
+    let mut log_density = phase.constant;
+    let mut line = vec![0.0; q];
+    for i in 0..q {
+        line.fill(0.0);
+        (i..q).for_each(|k| line[k] = phase.factor[i + k * (k + 1) / 2]);
+        let (value, variance) = law.take(phase.data[i], &line, 1.0);
+        log_density -= 0.5 * (variance.ln() + value * value / variance);
+    }
+    log_density
+}
