@@ -78,7 +78,8 @@ fn examined(
     files: Vec<String>,
     (mut notes, at_start_of): (Vec<String>, Vec<String>),
 ) -> Result<Checked, Failure> {
-    let found = infer::examine_at_start(reductions, &Structure::of(model, alpha)).map_err(Failure::Fit)?;
+    let found = infer::examine_at_start(reductions, &Structure::single(&model.mean, &model.covariance, alpha))
+        .map_err(Failure::Fit)?;
     notes.splice(0..0, shortage_notes(model, &found.observability));
     Ok(Checked::Reduced {
         data: DataRecord::of(reductions, files),

@@ -72,8 +72,8 @@ pub(crate) fn record(
     line: &mut Line,
 ) -> Result<(FitRecord, Population), Failure> {
     let model = spec.model.shared();
-    let estimate =
-        estimate::fit(reductions, &Structure::of(model, alpha), &job.settings, line).map_err(Failure::Fit)?;
+    let structure = Structure::of(&spec.model, alpha);
+    let estimate = estimate::fit(reductions, &structure, &job.settings, line).map_err(Failure::Fit)?;
     let inference = infer::infer(&estimate, reductions, job.choices);
     let provenance = Provenance {
         model_digest: Some(spec.digest.clone()),

@@ -77,8 +77,8 @@ pub(crate) fn test(
     line: &mut Line,
 ) -> Result<RatioRecord, Failure> {
     let bench = Bench { job, model: spec.model.shared(), null: hypothesis.model.shared(), alpha, reductions };
-    let wide = estimate::fit(reductions, &Structure::of(spec.model.shared(), alpha), &job.settings, line)
-        .map_err(Failure::Fit)?;
+    let wide =
+        estimate::fit(reductions, &Structure::of(&spec.model, alpha), &job.settings, line).map_err(Failure::Fit)?;
     let null = bench.fit(&hypothesis.model.shared().mean, &hypothesis.model.shared().covariance, line)?;
     let wide = at_least(wide, &null, reductions).map_err(Failure::Fit)?;
     let ratio = likelihood_ratio(&null, &wide).map_err(Failure::NotNested)?;
@@ -105,8 +105,9 @@ impl Bench<'_> {
         covariance: &CovarianceStructure,
         progress: &mut dyn Progress,
     ) -> Result<Estimate, Failure> {
-        let structure = Structure { mean, covariance, alpha: self.alpha };
-        fit_null(self.reductions, &self.model.mean, &structure, &self.job.settings, progress)
+        let structure = Structure::single(mean, covariance, self.alpha);
+        let within = Structure::single(&self.model.mean, &self.model.covariance, self.alpha);
+        fit_null(self.reductions, &within, &structure, &self.job.settings, progress)
             .ok_or(Failure::NotNested(NotNested::Mean))?
             .map_err(Failure::Fit)
     }

@@ -16,13 +16,15 @@ mod record;
 pub use error::PlanError;
 pub use record::{PlanProvenance, PlanRecord, PlannedRecord};
 
+use std::ops::Range;
+
 use crate::estimate::{ExpectedError, State, Structure, at_population};
 use crate::infer::{self, Direction, Uncertainty};
 use crate::linalg::symmetric::pair;
 use crate::model::Population;
 use crate::reduce::Reduction;
 
-/// What is estimated. Indices are places in μ and Σ.
+/// What is estimated. Indices are places in μ and Σ of all phases together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Quantity {
     /// An element of μ.
@@ -66,7 +68,7 @@ pub struct Plan {
     pub design_tests: usize,
     /// The numbers of tests asked for.
     pub tests: Vec<usize>,
-    /// All quantities: μ, regression coefficients, standard deviations, correlations by rows, Σ by rows.
+    /// All quantities: μ, regression coefficients, standard deviations, correlations by rows, Σ by rows; pairs within a phase.
     pub quantities: Vec<Planned>,
 }
 
@@ -89,7 +91,7 @@ pub struct Plan {
 ///     chain: None,
 /// };
 /// let (mean, covariance, alpha) = (MeanStructure::free(1), CovarianceStructure::full(), Alpha::default());
-/// let structure = Structure { mean: &mean, covariance: &covariance, alpha: &alpha };
+/// let structure = Structure::single(&mean, &covariance, &alpha);
 /// let population = Population { mean: vec![5.0], coefficients: vec![], covariance: DMatrix::from_element(1, 1, 3.0) };
 ///
 /// let plan = plan(&[test], &structure, &population, &[4, 100])?;
@@ -109,8 +111,8 @@ pub fn plan(
     population: &Population,
     tests: &[usize],
 ) -> Result<Plan, PlanError> {
-    let p = structure.mean.elements.len();
-    population.check_named(p, structure.mean.regression.len(), &|i| (i + 1).to_string())?;
+    let (p, regressions) = (structure.dimension(), structure.regressions().len());
+    population.check_named(p, regressions, &|i| (i + 1).to_string())?;
     if tests.contains(&0) {
         return Err(PlanError::ZeroTests);
     }
@@ -128,14 +130,22 @@ pub fn plan(
         value: found.value(quantity),
         std_errors: found.error(quantity).map(at_each).ok_or_else(|| found.reason(quantity)),
     };
-    let quantities = quantities(p, structure.mean.regression.len()).into_iter().map(one).collect();
+    let quantities = quantities(&structure.ranges(), regressions).into_iter().map(one).collect();
     Ok(Plan { design_tests: n, tests: tests.to_vec(), quantities })
 }
 
-fn quantities(p: usize, regressions: usize) -> Vec<Quantity> {
-    let lower = |from: usize| (0..p).flat_map(move |i| (0..(i + 1).saturating_sub(from)).map(move |j| (i, j)));
-    let means = (0..p).map(Quantity::Mean).chain((0..regressions).map(Quantity::Coefficient));
-    let spreads = (0..p).map(Quantity::StdDev).chain(lower(1).map(|(i, j)| Quantity::Correlation(i, j)));
+/// Those of all phases; of pairs, those within a phase: states of different phases are independent.
+fn quantities(phases: &[Range<usize>], regressions: usize) -> Vec<Quantity> {
+    let all = || phases.iter().flat_map(Clone::clone);
+    let lower = |least: usize| {
+        let of = move |range: &Range<usize>| {
+            let first = range.start;
+            range.clone().flat_map(move |i| (first..(i + 1).saturating_sub(least).max(first)).map(move |j| (i, j)))
+        };
+        phases.iter().flat_map(of)
+    };
+    let means = all().map(Quantity::Mean).chain((0..regressions).map(Quantity::Coefficient));
+    let spreads = all().map(Quantity::StdDev).chain(lower(1).map(|(i, j)| Quantity::Correlation(i, j)));
     means.chain(spreads).chain(lower(0).map(|(i, j)| Quantity::Covariance(i, j))).collect()
 }
 

@@ -228,7 +228,7 @@ fn covariance(model: &Model, estimate: &Estimate, inference: &Inference) -> Cova
             fixed[j][i] = true;
         }
     }
-    let scale = matches!(model.covariance.kind, CovarianceKind::Proportional(_)).then(|| estimate.covariance_scale());
+    let scale = matches!(model.covariance.kind, CovarianceKind::Proportional(_)).then(|| estimate.covariance_scale(0));
     CovarianceRecord {
         estimate: rows(&estimate.covariance),
         std_error: inference.uncertainty.covariance.clone(),
@@ -236,7 +236,7 @@ fn covariance(model: &Model, estimate: &Estimate, inference: &Inference) -> Cova
         fixed,
         scale: scale.map(|beta| ScaleRecord {
             estimate: beta,
-            std_error: inference.uncertainty.scale.map(|relative| relative * beta),
+            std_error: inference.uncertainty.scale[0].map(|relative| relative * beta),
             interval95: scale_interval(estimate, inference, beta),
         }),
     }

@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 
-use crate::model::{Model, Population, PopulationError};
+use crate::model::{Model, PhasedModel, Population, PopulationError};
 use crate::record::{FitRecord, PhaseRecord};
 
 /// Why a record has no population for a model.
@@ -79,7 +79,7 @@ impl FitRecord {
             coefficients: coefficients(phase, model)?,
             covariance: DMatrix::from_fn(p, p, |i, j| phase.covariance.estimate[place[i]][place[j]]),
         };
-        population.check(model)?;
+        population.check(&PhasedModel::from(model.clone()))?;
         Ok(population)
     }
 }
