@@ -7,14 +7,14 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::ensemble::Test;
 use crate::innovations::law::Law;
-use crate::innovations::series::{Innovation, Innovations};
+use crate::innovations::rows::{self, Figures};
+use crate::innovations::series::Innovations;
 use crate::linalg::symmetric;
 use crate::model::{Alpha, Phase, PhasedModel, Population};
 use crate::reduce::{
     ChainPhase, Evidence, Gains, Link, PhasedReducer, PhasedTest, PhasedWork, ReduceError, ReduceErrorKind,
-    Workspace, innovate,
+    Workspace,
 };
 
 /// The filter of tests in phases at (α, μ, Σ).
@@ -67,10 +67,10 @@ impl Chained {
     /// The innovations of a test; `None` where no phase is given by rows alone.
     pub(crate) fn innovations(
         &self,
-        test: &PhasedTest,
+        whole: &PhasedTest,
         work: &mut PhasedWork,
     ) -> Result<Option<Innovations>, ReduceError> {
-        let reduction = self.reducer.one(test, work)?;
+        let reduction = self.reducer.one(whole, work)?;
         let chain = reduction.chain.as_deref().expect("a model of several phases has a chain");
         let (mut series, mut rest) = (Vec::new(), 0.0);
         let (mut covariates, mut before) = (&*reduction.covariates, None);
@@ -79,22 +79,26 @@ impl Chained {
             let (own, others) = covariates.split_at(start.regressions.len());
             covariates = others;
             let mut law = start.law(own, phase, before.take());
-            match &test.phases[at] {
-                Evidence::Rows(rows) if !start.filtered => {
+            match &whole.phases[at] {
+                Evidence::Rows(test) if !start.filtered => {
                     let reducer = &self.reducer.phases()[at].reducer;
-                    let look = |gains: &Gains, work: &mut Workspace| start.look(at, rows, gains, work, &mut law);
-                    series.extend(reducer.with_gains(rows, &mut work.phases[at], look)?);
+                    let take = |e: f64, weight: f64, sensitivity: &[f64]| {
+                        let (value, variance) = law.take(e, sensitivity, weight);
+                        Figures { value, variance, standardised: value / variance.sqrt() }
+                    };
+                    let look = |gains: &Gains, work: &mut Workspace| rows::series((at, test, start.time), gains, work, take);
+                    series.extend(reducer.with_gains(test, &mut work.phases[at], look)?);
                     seen = true;
                 }
                 _ => rest += absorb(phase, &mut law),
             }
             before = Some(law.posterior());
         }
-        if !series.iter().all(|one: &Innovation| one.standardised.is_finite() && one.variance.is_finite()) {
+        if !rows::are_finite(&series) {
             let kind = Box::new(ReduceErrorKind::NotFinite);
-            return Err(ReduceError { test: Some(test.id.clone()), row: None, what: "innovations".to_owned(), kind });
+            return Err(ReduceError { test: Some(whole.id.clone()), row: None, what: "innovations".to_owned(), kind });
         }
-        Ok(seen.then(|| Innovations::of_phases(test.id.clone(), series, rest)))
+        Ok(seen.then(|| Innovations::of_phases(whole.id.clone(), series, rest)))
     }
 }
 
@@ -117,25 +121,6 @@ impl Start {
         all.columns_mut(p, carried.ncols()).copy_from(&carried);
         all.columns_mut(p + carried.ncols(), root.ncols()).copy_from(root);
         Law::new(mean, &all)
-    }
-
-    /// Runs the data pass of the phase in its work space, and takes its measurements in.
-    fn look(&self, phase: usize, rows: &Test, gains: &Gains, work: &mut Workspace, law: &mut Law) -> Vec<Innovation> {
-        let Workspace { design, data, instances, pass, .. } = work;
-        innovate(design, gains, data, pass);
-        let mut series = Vec::with_capacity(instances.len());
-        let steps = design.each_step().enumerate().flat_map(|(step, rows)| rows.rows.map(move |row| (step, row)));
-        for ((step, row), instance) in steps.zip(instances.iter()) {
-            let (weight, _, sensitivity) = gains.row(row);
-            // a measurement that can only be one value says nothing
-            if weight > 0.0 {
-                let (value, variance) = law.take(pass.e[row], sensitivity, weight);
-                let time = self.time.map(|column| rows.numbers(instance.row)[column]);
-                let (measurement, standardised) = (instance.meter, value / variance.sqrt());
-                series.push(Innovation { phase, step, time, measurement, value, variance, standardised });
-            }
-        }
-        series
     }
 }
 

@@ -22,7 +22,6 @@
 //! population, and on nothing else: not on threads, batches, other tests or the length of the ensemble. It is the same for the
 //! same version of kalfit; a later version may draw otherwise, and then says so in its change log.
 
-mod carrier;
 mod designs;
 mod error;
 mod inputs;
@@ -30,7 +29,7 @@ mod path;
 
 use std::ops::Range;
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -41,8 +40,7 @@ pub use error::SimulateError;
 use crate::ensemble::Test;
 use crate::linalg::symmetric;
 use crate::model::{Alpha, PhasedModel, Population};
-use crate::reduce::{Evidence, Fault, Instance, PhasedTest, Preparer, ReduceError};
-use carrier::Carrier;
+use crate::reduce::{Evidence, Fault, Inheritance, Inherited, Instance, PhasedTest, Preparer, ReduceError};
 use path::Path;
 
 /// A test that was drawn.
@@ -64,7 +62,7 @@ pub struct Drawn {
 /// use kalfit::model::PhasedModel;
 /// use kalfit::reduce::Evidence;
 /// use kalfit::{Alpha, Expression, Model, Population, Source, Test};
-/// use nalgebra::DMatrix;
+/// use nalgebra::{DMatrix, DVector};
 ///
 /// // each unit has a level of its own, measured twice
 /// let number = Expression::Number;
@@ -112,7 +110,8 @@ pub(crate) struct PhaseDraw {
     name: String,
     /// Of the model with all that enters as its ξ.
     preparer: Preparer,
-    carrier: Option<Carrier>,
+    /// `None` for the first phase.
+    inheritance: Option<Inheritance>,
     population: Population,
     /// F with FF' = Σ.
     root: DMatrix<f64>,
@@ -157,7 +156,7 @@ impl Simulator {
         }
         let mut random = ChaCha8Rng::seed_from_u64(self.seed);
         random.set_stream(place);
-        let (mut phases, mut initial, mut last) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut phases, mut initial, mut last) = (Vec::new(), Vec::new(), DVector::zeros(0));
         for ((phase, evidence), path) in self.phases.iter().zip(&design.phases).zip(paths) {
             let mut rows = phase.rows(evidence, &id)?;
             rows.id.clone_from(&id);
@@ -176,8 +175,10 @@ impl PhaseDraw {
         let entry = phase.entry_model();
         let preparer = Preparer::new(&entry, alpha).map_err(|fault| fault.name(&entry, None))?;
         let root = symmetric::square_root(&population.covariance);
-        let carrier = Carrier::of(model, at, alpha)?;
-        Ok(PhaseDraw { name: phase.name.clone(), preparer, carrier, population, root })
+        let before = at.checked_sub(1).map(|before| model.phases[before].model.states.len());
+        let inheritance = before.map(|before| Inheritance::new(phase, before, &preparer.at())).transpose();
+        let inheritance = inheritance.map_err(|fault| fault.name(&entry, None))?;
+        Ok(PhaseDraw { name: phase.name.clone(), preparer, inheritance, population, root })
     }
 
     /// The rows of the design, with a zero for every value that may be measured.
@@ -204,7 +205,7 @@ impl PhaseDraw {
     fn draw(
         &self,
         rows: &mut Test,
-        before: &[f64],
+        before: &DVector<f64>,
         path: &mut Path,
         random: &mut ChaCha8Rng,
     ) -> Result<Vec<f64>, SimulateError> {
@@ -214,9 +215,11 @@ impl PhaseDraw {
         self.refuse_shared_cells(rows, path)?;
         let xi = path.draw_initial(model, &self.population, &self.root, random);
         let mut entering = xi.clone();
-        if let Some(carrier) = &self.carrier {
+        if let Some(inheritance) = &self.inheritance {
+            let Inherited { transition, input } = inheritance.of(&self.preparer.at(), rows, &mut path.cells)?;
             entering.resize(model.estimated.len(), 0.0);
-            carrier.inherit(rows, before, &mut entering)?;
+            let inherited = transition * before + input;
+            entering.iter_mut().zip(&inherited).for_each(|(own, more)| *own += more);
         }
         path.draw_values(&entering, random).map_err(|fault| named(fault, rows))?;
         for (instance, &value) in path.work.instances.iter().zip(&path.values) {
@@ -231,8 +234,9 @@ impl PhaseDraw {
     }
 
     /// The state that the path ended in, in the order of the model.
-    fn last(&self, path: &Path) -> Vec<f64> {
-        self.preparer.order.place.iter().map(|&place| path.last()[place]).collect()
+    fn last(&self, path: &Path) -> DVector<f64> {
+        let place = &self.preparer.order.place;
+        DVector::from_fn(place.len(), |state, _| path.last()[place[state]])
     }
 
     fn refuse_shared_cells(&self, test: &Test, path: &Path) -> Result<(), SimulateError> {

@@ -10,7 +10,7 @@ use rand_distr::{Distribution, StandardNormal};
 use crate::linalg::symmetric;
 use crate::model::{Model, Population};
 use crate::reduce::{
-    Design, Fault, NotSemidefinite, ReduceErrorKind, Step, Subject, Transition, Workspace, advance, ldl,
+    Cells, Design, Fault, NotSemidefinite, ReduceErrorKind, Step, Subject, Transition, Workspace, advance, ldl,
 };
 use crate::simulate::PhaseDraw;
 
@@ -28,6 +28,8 @@ struct Noise {
 #[derive(Debug)]
 pub(super) struct Path {
     pub(super) work: Workspace,
+    /// Room for what a carry is evaluated on.
+    pub(super) cells: Cells,
     /// Drawn values, one for each instance of `work`.
     pub(super) values: Vec<f64>,
     x: Vec<f64>,
@@ -42,7 +44,7 @@ impl Path {
         let mut work = phase.preparer.workspace();
         work.covariances = Some(Vec::new());
         let start = (Vec::new(), DMatrix::zeros(0, 0));
-        Path { work, values: Vec::new(), x: Vec::new(), moved: Vec::new(), noises: HashMap::new(), start }
+        Path { work, cells: Cells::default(), values: Vec::new(), x: Vec::new(), moved: Vec::new(), noises: HashMap::new(), start }
     }
 
     /// ξ ~ N(μ_j, Σ), with `root` a root of Σ.

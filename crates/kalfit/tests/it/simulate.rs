@@ -223,7 +223,7 @@ fn values(test: &Test) -> DVector<f64> {
 
 /// Mean and covariance of a sample lie within 4 standard errors of those of a normal law.
 #[track_caller]
-fn assert_law(what: &str, sample: &[DVector<f64>], mean: &DVector<f64>, covariance: &DMatrix<f64>) {
+pub(crate) fn assert_law(what: &str, sample: &[DVector<f64>], mean: &DVector<f64>, covariance: &DMatrix<f64>) {
     let (n, count) = (mean.len(), sample.len() as f64);
     let found = sample.iter().fold(DVector::zeros(n), |sum, z| sum + z) / count;
     let spread = sample.iter().fold(DMatrix::zeros(n, n), |sum, z| sum + (z - mean) * (z - mean).transpose()) / count;
