@@ -4,6 +4,8 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
+use kalfit::Test;
+use kalfit::reduce::Evidence;
 use kalfit::simulate::{Designs, Drawn, Simulator};
 use kalfit_data::{Format, Ids, Input, Reading, StateWriter, TestWriter, WriteError, added_id_column};
 use kalfit_spec::Spec;
@@ -30,13 +32,13 @@ pub(crate) fn run(job: &SimulateJob) -> Result<Outcome, Failure> {
     output.refuse_same(states.as_ref())?;
     let mut line = Line::new(job.quiet);
     let refused = |error, reading| Failure::Simulate { error: Box::new(error), reading };
-    let simulator = Simulator::new(spec.model.shared(), &truth.alpha, truth.population.clone(), job.seed)
+    let simulator = Simulator::new(&spec.model, &truth.alpha, truth.population.clone(), job.seed)
         .map_err(|error| refused(error, None))?;
     let (tests, reading) = tests::read(&spec, &inputs, &mut line)?;
-    let designs = Designs::new(tests).map_err(|error| refused(error, None))?;
+    let (designs, orders) = designs(&spec, tests, &reading)?;
     let count = job.tests.unwrap_or(designs.tests().len() as u64);
     let ids = if count > designs.tests().len() as u64 { Ids::New } else { Ids::Same };
-    let task = Task { spec: &spec, simulator: &simulator, designs: &designs, reading: &reading, count, ids };
+    let task = Task { spec: &spec, simulator: &simulator, designs: &designs, orders: &orders, reading: &reading, count, ids };
     let rows = task.write((&output, format), states.as_ref(), &mut line)?;
     line.clear();
     if !job.quiet {
@@ -46,11 +48,27 @@ pub(crate) fn run(job: &SimulateJob) -> Result<Outcome, Failure> {
     Ok(Outcome::Done)
 }
 
+/// The tests of the design by phase, and of which phase each of their rows is: none said where there is but one.
+fn designs(spec: &Spec, tests: Vec<Test>, reading: &Reading) -> Result<(Designs, Vec<Vec<usize>>), Failure> {
+    let (mut phased, mut orders) = (Vec::new(), Vec::new());
+    for test in tests {
+        let order = if spec.model.is_single() { Ok(Vec::new()) } else { spec.model.phase_of_rows(&test, &reading.labels) };
+        let split = order.and_then(|order| Ok((order, spec.model.split(test, &reading.labels)?)));
+        let (order, test) = split.map_err(|error| Failure::split(error, reading))?;
+        orders.push(order);
+        phased.push(test);
+    }
+    let designs = Designs::new(phased).map_err(|error| Failure::Simulate { error: Box::new(error), reading: None })?;
+    Ok((designs, orders))
+}
+
 /// All that a drawn file depends on.
 struct Task<'a> {
     spec: &'a Spec,
     simulator: &'a Simulator,
     designs: &'a Designs,
+    /// Of which phase each row of each design is.
+    orders: &'a [Vec<usize>],
     reading: &'a Reading,
     /// Number of tests.
     count: u64,
@@ -90,9 +108,10 @@ impl Task<'_> {
         while done < self.count {
             let next = self.count.min(done + self.batch(done));
             let drawn = self.draw(done..next)?;
-            rows += drawn.iter().map(|drawn| drawn.test.rows() as u64).sum::<u64>();
-            table.write(drawn.iter().map(|drawn| &drawn.test), &self.reading.labels).map_err(in_data)?;
             truths.as_mut().map_or(Ok(()), |truths| truths.write(&drawn))?;
+            let tests = self.joined(done, drawn);
+            rows += tests.iter().map(|test| test.rows() as u64).sum::<u64>();
+            table.write(tests.iter(), &self.reading.labels).map_err(in_data)?;
             done = next;
             line.say(|| format!("drawing: {done} of {} tests", self.count));
         }
@@ -109,12 +128,19 @@ impl Task<'_> {
         })
     }
 
+    /// Drawn tests, the first of which is test `first` of the ensemble, with their rows in the order of the design.
+    fn joined(&self, first: u64, drawn: Vec<Drawn>) -> Vec<Test> {
+        let order = |place: u64| &self.orders[(place % self.orders.len() as u64) as usize];
+        (first..).zip(drawn).map(|(place, drawn)| drawn.test.joined(order(place))).collect()
+    }
+
     /// How many tests to draw at once, from this one on.
     fn batch(&self, from: u64) -> u64 {
         let mut rows = 0;
         let mut many = 0;
         while many < BATCH_TESTS && rows < BATCH_ROWS {
-            rows += self.designs.design(from + many).rows() as u64;
+            let rows_of = |evidence: &Evidence| if let Evidence::Rows(rows) = evidence { rows.rows() as u64 } else { 0 };
+            rows += self.designs.design(from + many).phases.iter().map(rows_of).sum::<u64>();
             many += 1;
         }
         many
@@ -141,17 +167,24 @@ impl Task<'_> {
 struct StateTable<'a> {
     writer: StateWriter<BufWriter<&'a File>>,
     path: &'a Path,
+    /// Columns of states.
+    width: usize,
 }
 
 impl<'a> StateTable<'a> {
     fn new(pending: &'a Pending<'_>, states: &[String]) -> Result<StateTable<'a>, Failure> {
         let path = pending.path();
         let writer = StateWriter::new(BufWriter::new(pending.file()), states).map_err(|error| failed(error, path))?;
-        Ok(StateTable { writer, path })
+        Ok(StateTable { writer, path, width: states.len() })
     }
 
     fn write(&mut self, drawn: &[Drawn]) -> Result<(), Failure> {
-        let mut write = |drawn: &Drawn| self.writer.write(&drawn.test.id, &drawn.initial);
+        let width = self.width;
+        let mut write = |drawn: &Drawn| {
+            let mut initial = drawn.initial.clone();
+            initial.resize(width, f64::NAN); // empty cells for phases that the test lacks
+            self.writer.write(&drawn.test.id, &initial)
+        };
         drawn.iter().try_for_each(&mut write).map_err(|error| failed(error, self.path))
     }
 

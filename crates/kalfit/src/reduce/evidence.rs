@@ -90,4 +90,26 @@ impl PhasedTest {
             Evidence::Estimates(_) | Evidence::Reduced(_) => None,
         })
     }
+
+    /// The rows of all phases as one test again, the next row each time from the phase with the next number of `order`:
+    /// undoes [`PhasedModel::split`](crate::model::PhasedModel::split) with the order that
+    /// [`PhasedModel::phase_of_rows`](crate::model::PhasedModel::phase_of_rows) gives. Numbers for which there is no row are
+    /// passed over.
+    pub fn joined(self, order: &[usize]) -> Test {
+        let id = self.id.clone();
+        let mut phases: Vec<Test> = self.rows().collect();
+        if phases.len() == 1 {
+            return phases.remove(0);
+        }
+        let mut whole = phases.first().map_or_else(|| Test::new(id, 0, 0), |phase| phase.first(0));
+        let mut next = vec![0; phases.len()];
+        for &phase in order {
+            if let Some(rows) = phases.get(phase).filter(|rows| next[phase] < rows.rows()) {
+                let row = next[phase];
+                whole.push(rows.numbers(row), rows.texts(row), rows.source(row));
+                next[phase] += 1;
+            }
+        }
+        whole
+    }
 }
