@@ -25,8 +25,6 @@
 //! Every message has its place in the file as a byte range ([`SpecError::span`]). A model file is untrusted: whatever
 //! it holds, reading it ends, in bounded memory, with a [`Spec`] or a [`SpecError`].
 //!
-//! Models of one phase are read; `[phases]`, `[data] phase` and `[filter]` are refused.
-//!
 //! # The expression language
 //!
 //! ```text
@@ -49,6 +47,7 @@
 //! Constants are folded exactly; a constant that is not a finite number is refused.
 
 mod build;
+mod carry;
 mod constraints;
 mod covariance;
 mod data;
@@ -56,15 +55,20 @@ mod describe;
 mod elements;
 mod error;
 mod expression;
+mod filter;
 mod give;
 mod hypothesis;
 mod matrix;
 mod mean;
 mod measurements;
+mod merge;
 mod motion;
 mod names;
 mod noise;
 mod parameters;
+mod phase;
+mod phases;
+mod places;
 mod semidefinite;
 mod set;
 mod show;
@@ -73,7 +77,6 @@ mod suggest;
 mod table;
 
 use std::io::Read;
-use std::ops::Range;
 use std::path::Path;
 
 pub use error::{ExpressionProblem, Problem, SpecError, StructureProblem};
@@ -93,7 +96,7 @@ pub struct Spec {
     pub name: String,
     /// The model file as it was read.
     pub text: String,
-    places: build::Places,
+    places: places::Places,
 }
 
 impl Spec {
@@ -134,25 +137,5 @@ impl Spec {
             SpecError::new(Problem::NotText { offset: error.utf8_error().valid_up_to() })
                 .hint("save the file as UTF-8 text")
         })
-    }
-
-    /// Bytes of the file where a column of the data is used first; `None` when the model does not use it.
-    pub fn column_span(&self, column: &str) -> Option<Range<usize>> {
-        self.places.columns.get(column).cloned()
-    }
-
-    /// Bytes of the file where a parameter is declared.
-    pub fn parameter_span(&self, parameter: &str) -> Option<Range<usize>> {
-        self.places.parameters.get(parameter).cloned()
-    }
-
-    /// Bytes of the file where a state is declared; of its owner for a hidden state.
-    pub fn state_span(&self, state: &str) -> Option<Range<usize>> {
-        self.places.states.get(state).cloned()
-    }
-
-    /// Bytes of the file where a measurement is declared.
-    pub fn measurement_span(&self, measurement: &str) -> Option<Range<usize>> {
-        self.places.measurements.get(measurement).cloned()
     }
 }

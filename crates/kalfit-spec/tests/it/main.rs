@@ -5,6 +5,7 @@ mod give;
 mod hypothesis;
 mod linear;
 mod never_panics;
+mod phases;
 mod refuses;
 mod set;
 
