@@ -83,9 +83,9 @@ fn designs(spec: &Spec, alpha: &Alpha, inputs: &[Input], line: &mut Line) -> Res
     }
     let reducer = PhasedReducer::new(&spec.model, alpha).map_err(|error| Failure::Reduce { error, reading: None })?;
     let mut sink = Designing { model: &spec.model, reducer, reductions: Vec::new(), line };
-    kalfit_data::read(spec.model.shared(), &spec.layout, inputs, &mut sink).map_err(|error| match error {
+    kalfit_data::read(&spec.model, &spec.layout, inputs, &mut sink).map_err(|error| match error {
         ReadError::Data(error) => Failure::data(error, spec),
-        ReadError::Sink { error: Unreadable::Split(error), reading } => Failure::split(error, &reading),
+        ReadError::Sink { error: Unreadable::Split(error), reading } => Failure::Split { error, reading },
         ReadError::Sink { error: Unreadable::Reduce(error), reading } => {
             Failure::Reduce { error, reading: Some(reading) }
         }

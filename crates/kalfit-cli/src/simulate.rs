@@ -35,10 +35,10 @@ pub(crate) fn run(job: &SimulateJob) -> Result<Outcome, Failure> {
     let simulator = Simulator::new(&spec.model, &truth.alpha, truth.population.clone(), job.seed)
         .map_err(|error| refused(error, None))?;
     let (tests, reading) = tests::read(&spec, &inputs, &mut line)?;
-    let (designs, orders) = designs(&spec, tests, &reading)?;
+    let designs = Designs::new(tests).map_err(|error| refused(error, None))?;
     let count = job.tests.unwrap_or(designs.tests().len() as u64);
     let ids = if count > designs.tests().len() as u64 { Ids::New } else { Ids::Same };
-    let task = Task { spec: &spec, simulator: &simulator, designs: &designs, orders: &orders, reading: &reading, count, ids };
+    let task = Task { spec: &spec, simulator: &simulator, designs: &designs, reading: &reading, count, ids };
     let rows = task.write((&output, format), states.as_ref(), &mut line)?;
     line.clear();
     if !job.quiet {
@@ -48,27 +48,11 @@ pub(crate) fn run(job: &SimulateJob) -> Result<Outcome, Failure> {
     Ok(Outcome::Done)
 }
 
-/// The tests of the design by phase, and of which phase each of their rows is: none said where there is but one.
-fn designs(spec: &Spec, tests: Vec<Test>, reading: &Reading) -> Result<(Designs, Vec<Vec<usize>>), Failure> {
-    let (mut phased, mut orders) = (Vec::new(), Vec::new());
-    for test in tests {
-        let order = if spec.model.is_single() { Ok(Vec::new()) } else { spec.model.phase_of_rows(&test, &reading.labels) };
-        let split = order.and_then(|order| Ok((order, spec.model.split(test, &reading.labels)?)));
-        let (order, test) = split.map_err(|error| Failure::split(error, reading))?;
-        orders.push(order);
-        phased.push(test);
-    }
-    let designs = Designs::new(phased).map_err(|error| Failure::Simulate { error: Box::new(error), reading: None })?;
-    Ok((designs, orders))
-}
-
 /// All that a drawn file depends on.
 struct Task<'a> {
     spec: &'a Spec,
     simulator: &'a Simulator,
     designs: &'a Designs,
-    /// Of which phase each row of each design is.
-    orders: &'a [Vec<usize>],
     reading: &'a Reading,
     /// Number of tests.
     count: u64,
@@ -109,7 +93,7 @@ impl Task<'_> {
             let next = self.count.min(done + self.batch(done));
             let drawn = self.draw(done..next)?;
             truths.as_mut().map_or(Ok(()), |truths| truths.write(&drawn))?;
-            let tests = self.joined(done, drawn);
+            let tests: Vec<Test> = drawn.into_iter().map(|drawn| drawn.test.joined()).collect();
             rows += tests.iter().map(|test| test.rows() as u64).sum::<u64>();
             table.write(tests.iter(), &self.reading.labels).map_err(in_data)?;
             done = next;
@@ -126,12 +110,6 @@ impl Task<'_> {
             error: Box::new(error),
             reading: Some(Box::new(self.reading.clone())),
         })
-    }
-
-    /// Drawn tests, the first of which is test `first` of the ensemble, with their rows in the order of the design.
-    fn joined(&self, first: u64, drawn: Vec<Drawn>) -> Vec<Test> {
-        let order = |place: u64| &self.orders[(place % self.orders.len() as u64) as usize];
-        (first..).zip(drawn).map(|(place, drawn)| drawn.test.joined(order(place))).collect()
     }
 
     /// How many tests to draw at once, from this one on.

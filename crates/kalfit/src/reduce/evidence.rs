@@ -91,25 +91,22 @@ impl PhasedTest {
         })
     }
 
-    /// The rows of all phases as one test again, the next row each time from the phase with the next number of `order`:
-    /// undoes [`PhasedModel::split`](crate::model::PhasedModel::split) with the order that
-    /// [`PhasedModel::phase_of_rows`](crate::model::PhasedModel::phase_of_rows) gives. Numbers for which there is no row are
-    /// passed over.
-    pub fn joined(self, order: &[usize]) -> Test {
+    /// The rows of all phases as one test again, in the order in which they came from the data, those without a place of their own
+    /// phase after phase. Undoes [`PhasedModel::split`](crate::model::PhasedModel::split).
+    pub fn joined(self) -> Test {
         let id = self.id.clone();
         let mut phases: Vec<Test> = self.rows().collect();
         if phases.len() == 1 {
             return phases.remove(0);
         }
+        let all = phases.iter().flat_map(|rows| (0..rows.rows()).map(move |row| (rows, row)));
+        let mut all: Vec<(&Test, usize)> = all.collect();
+        all.sort_by_key(|(rows, row)| {
+            let source = rows.source(*row);
+            (source.file, source.row)
+        });
         let mut whole = phases.first().map_or_else(|| Test::new(id, 0, 0), |phase| phase.first(0));
-        let mut next = vec![0; phases.len()];
-        for &phase in order {
-            if let Some(rows) = phases.get(phase).filter(|rows| next[phase] < rows.rows()) {
-                let row = next[phase];
-                whole.push(rows.numbers(row), rows.texts(row), rows.source(row));
-                next[phase] += 1;
-            }
-        }
+        all.into_iter().for_each(|(rows, row)| whole.push(rows.numbers(row), rows.texts(row), rows.source(row)));
         whole
     }
 }
