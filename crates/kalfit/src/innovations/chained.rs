@@ -13,8 +13,7 @@ use crate::innovations::series::Innovations;
 use crate::linalg::symmetric;
 use crate::model::{Alpha, Phase, PhasedModel, Population};
 use crate::reduce::{
-    ChainPhase, Evidence, Gains, Link, PhasedReducer, PhasedTest, PhasedWork, ReduceError, ReduceErrorKind,
-    Workspace,
+    ChainPhase, Evidence, Gains, Link, PhasedReducer, PhasedTest, PhasedWork, ReduceError, ReduceErrorKind, Workspace,
 };
 
 /// The filter of tests in phases at (α, μ, Σ).
@@ -86,8 +85,10 @@ impl Chained {
                         let (value, variance) = law.take(e, sensitivity, weight);
                         Figures { value, variance, standardised: value / variance.sqrt() }
                     };
-                    let look = |gains: &Gains, work: &mut Workspace| rows::series((at, test, start.time), gains, work, take);
-                    series.extend(reducer.with_gains(test, &mut work.phases[at], look)?);
+                    let look =
+                        |gains: &Gains, work: &mut Workspace| rows::series((at, test, start.time), gains, work, take);
+                    let found = reducer.with_gains(test, &mut work.phases[at], look);
+                    series.extend(found.map_err(|error| self.reducer.phases()[at].named(error))?);
                     seen = true;
                 }
                 _ => rest += absorb(phase, &mut law),

@@ -130,7 +130,11 @@ mod tests {
     #[test]
     fn measurements_come_in_as_in_the_textbook() {
         let mean = DVector::from_vec(vec![0.5, -1.0, 2.0]);
-        let wide = DMatrix::from_row_slice(3, 5, &[1.0, 0.2, 0.0, 3.0, 1.0, 0.0, 1.0, 0.5, -1.0, 0.0, 0.3, 0.0, 2.0, 0.1, 0.4]);
+        let wide = DMatrix::from_row_slice(
+            3,
+            5,
+            &[1.0, 0.2, 0.0, 3.0, 1.0, 0.0, 1.0, 0.5, -1.0, 0.0, 0.3, 0.0, 2.0, 0.1, 0.4],
+        );
         let thin = DMatrix::from_row_slice(3, 1, &[1.0, 2.0, 0.0]);
         for root in [wide, thin, DMatrix::zeros(3, 3), DMatrix::zeros(3, 0)] {
             let (seen, last, covariance) = naive(&mean, &root);

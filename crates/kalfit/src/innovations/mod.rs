@@ -90,10 +90,9 @@ impl InnovationFilter {
                     },
                 )
                 .collect(),
-            Way::Chained(filter) => tests
-                .par_iter()
-                .map_init(|| filter.workspace(), |work, test| filter.innovations(test, work))
-                .collect(),
+            Way::Chained(filter) => {
+                tests.par_iter().map_init(|| filter.workspace(), |work, test| filter.innovations(test, work)).collect()
+            }
         }
     }
 }

@@ -73,8 +73,15 @@ mod tests {
     use super::*;
 
     fn of(z: &[f64]) -> Option<Whiteness> {
-        let one =
-            |&x: &f64| Innovation { phase: 0, step: 0, time: None, measurement: 0, value: x, variance: 1.0, standardised: x };
+        let one = |&x: &f64| Innovation {
+            phase: 0,
+            step: 0,
+            time: None,
+            measurement: 0,
+            value: x,
+            variance: 1.0,
+            standardised: x,
+        };
         Whiteness::of(&z.iter().map(one).collect::<Vec<_>>())
     }
 

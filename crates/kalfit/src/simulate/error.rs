@@ -23,7 +23,9 @@ pub enum SimulateError {
         id: String,
     },
     /// A phase of a design is not given by its rows.
-    #[error("test `{test}`: phase `{phase}` is given by {found}, expected its rows: they tell times, inputs and missing values")]
+    #[error(
+        "test `{test}`: phase `{phase}` is given by {found}, expected its rows: they tell times, inputs and missing values"
+    )]
     NoRows {
         /// Id of the test.
         test: String,

@@ -39,8 +39,8 @@ pub use error::SimulateError;
 
 use crate::ensemble::Test;
 use crate::linalg::symmetric;
-use crate::model::{Alpha, PhasedModel, Population};
-use crate::reduce::{Evidence, Fault, Inheritance, Inherited, Instance, PhasedTest, Preparer, ReduceError};
+use crate::model::{Alpha, Phase, PhasedModel, Population};
+use crate::reduce::{Evidence, Fault, Inherited, Instance, PhaseReducer, PhasedReducer, PhasedTest, Preparer};
 use path::Path;
 
 /// A test that was drawn.
@@ -100,21 +100,27 @@ pub struct Drawn {
 /// ```
 #[derive(Debug)]
 pub struct Simulator {
-    phases: Vec<PhaseDraw>,
+    /// Whose phases evaluate tests, with all that enters a phase as its ξ.
+    reducer: PhasedReducer,
+    laws: Vec<PhaseLaw>,
     seed: u64,
 }
 
-/// What one phase is drawn with.
+/// What one phase adds of its own.
 #[derive(Debug)]
-pub(crate) struct PhaseDraw {
+struct PhaseLaw {
     name: String,
-    /// Of the model with all that enters as its ξ.
-    preparer: Preparer,
-    /// `None` for the first phase.
-    inheritance: Option<Inheritance>,
     population: Population,
     /// F with FF' = Σ.
     root: DMatrix<f64>,
+}
+
+/// What one phase is drawn with.
+#[derive(Debug, Clone, Copy)]
+struct PhaseDraw<'a> {
+    law: &'a PhaseLaw,
+    phase: &'a PhaseReducer,
+    preparer: &'a Preparer,
 }
 
 impl Simulator {
@@ -131,11 +137,20 @@ impl Simulator {
     ) -> Result<Simulator, SimulateError> {
         population.check(model)?;
         model.phases.iter().try_for_each(inputs::refuse_measured_inputs)?;
-        let mut phases = Vec::new();
-        for (at, own) in population.apart(model).into_iter().enumerate() {
-            phases.push(PhaseDraw::new(model, at, alpha, own)?);
-        }
-        Ok(Simulator { phases, seed })
+        let reducer = PhasedReducer::new(model, alpha)?;
+        let law = |(phase, population): (&Phase, Population)| PhaseLaw {
+            name: phase.name.clone(),
+            root: symmetric::square_root(&population.covariance),
+            population,
+        };
+        let laws = model.phases.iter().zip(population.apart(model)).map(law).collect();
+        Ok(Simulator { reducer, laws, seed })
+    }
+
+    /// Its phases, in order.
+    fn phases(&self) -> impl Iterator<Item = PhaseDraw<'_>> {
+        let draw = |(phase, law)| PhaseDraw { law, phase, preparer: phase.reducer.preparer() };
+        self.reducer.phases().iter().zip(&self.laws).map(draw)
     }
 
     /// Draws the tests with these places in the ensemble, in their order.
@@ -143,7 +158,7 @@ impl Simulator {
     /// # Errors
     /// Of several tests in error, the first one's error.
     pub fn draw(&self, designs: &Designs, places: Range<u64>) -> Result<Vec<Drawn>, SimulateError> {
-        let paths = || -> Vec<Path> { self.phases.iter().map(Path::new).collect() };
+        let paths = || -> Vec<Path> { self.phases().map(|phase| Path::new(phase.preparer)).collect() };
         let all: Vec<Result<Drawn, SimulateError>> =
             places.into_par_iter().map_init(paths, |paths, place| self.one(designs, place, paths)).collect();
         all.into_iter().collect()
@@ -151,13 +166,14 @@ impl Simulator {
 
     fn one(&self, designs: &Designs, place: u64, paths: &mut [Path]) -> Result<Drawn, SimulateError> {
         let (design, id) = (designs.design(place), designs.id(place));
-        if !(1..=self.phases.len()).contains(&design.phases.len()) {
-            return Err(SimulateError::Phases { test: id, found: design.phases.len(), expected: self.phases.len() });
+        let (found, expected) = (design.phases.len(), self.laws.len());
+        if !(1..=expected).contains(&found) {
+            return Err(SimulateError::Phases { test: id, found, expected });
         }
         let mut random = ChaCha8Rng::seed_from_u64(self.seed);
         random.set_stream(place);
         let (mut phases, mut initial, mut last) = (Vec::new(), Vec::new(), DVector::zeros(0));
-        for ((phase, evidence), path) in self.phases.iter().zip(&design.phases).zip(paths) {
+        for ((phase, evidence), path) in self.phases().zip(&design.phases).zip(paths) {
             let mut rows = phase.rows(evidence, &id)?;
             rows.id.clone_from(&id);
             let xi = phase.draw(&mut rows, &last, path, &mut random)?;
@@ -169,18 +185,7 @@ impl Simulator {
     }
 }
 
-impl PhaseDraw {
-    fn new(model: &PhasedModel, at: usize, alpha: &Alpha, population: Population) -> Result<PhaseDraw, SimulateError> {
-        let phase = &model.phases[at];
-        let entry = phase.entry_model();
-        let preparer = Preparer::new(&entry, alpha).map_err(|fault| fault.name(&entry, None))?;
-        let root = symmetric::square_root(&population.covariance);
-        let before = at.checked_sub(1).map(|before| model.phases[before].model.states.len());
-        let inheritance = before.map(|before| Inheritance::new(phase, before, &preparer.at())).transpose();
-        let inheritance = inheritance.map_err(|fault| fault.name(&entry, None))?;
-        Ok(PhaseDraw { name: phase.name.clone(), preparer, inheritance, population, root })
-    }
-
+impl PhaseDraw<'_> {
     /// The rows of the design, with a zero for every value that may be measured.
     fn rows(&self, evidence: &Evidence, test: &str) -> Result<Test, SimulateError> {
         let found = match evidence {
@@ -198,7 +203,7 @@ impl PhaseDraw {
             Evidence::Estimates(_) => "estimates",
             Evidence::Reduced(_) => "a reduction",
         };
-        Err(SimulateError::NoRows { test: test.to_owned(), phase: self.name.clone(), found })
+        Err(SimulateError::NoRows { test: test.to_owned(), phase: self.law.name.clone(), found })
     }
 
     /// Draws the phase into its rows, given the state that the phase before ended in; its ξ.
@@ -210,13 +215,14 @@ impl PhaseDraw {
         random: &mut ChaCha8Rng,
     ) -> Result<Vec<f64>, SimulateError> {
         let model = &self.preparer.model;
-        let named = |fault: Box<Fault>, rows: &Test| -> ReduceError { fault.name(model, Some(rows)) };
+        let named = |fault: Box<Fault>, rows: &Test| self.phase.named(fault.name(model, Some(rows)));
         self.preparer.prepare(rows, &mut path.work).map_err(|fault| named(fault, rows))?;
         self.refuse_shared_cells(rows, path)?;
-        let xi = path.draw_initial(model, &self.population, &self.root, random);
+        let xi = path.draw_initial(model, &self.law.population, &self.law.root, random);
         let mut entering = xi.clone();
-        if let Some(inheritance) = &self.inheritance {
-            let Inherited { transition, input } = inheritance.of(&self.preparer.at(), rows, &mut path.cells)?;
+        if let Some(inheritance) = &self.phase.inheritance {
+            let inherited = inheritance.of(&self.preparer.at(), rows, &mut path.cells);
+            let Inherited { transition, input } = inherited.map_err(|error| self.phase.named(error))?;
             entering.resize(model.estimated.len(), 0.0);
             let inherited = transition * before + input;
             entering.iter_mut().zip(&inherited).for_each(|(own, more)| *own += more);

@@ -10,9 +10,9 @@ use rand_distr::{Distribution, StandardNormal};
 use crate::linalg::symmetric;
 use crate::model::{Model, Population};
 use crate::reduce::{
-    Cells, Design, Fault, NotSemidefinite, ReduceErrorKind, Step, Subject, Transition, Workspace, advance, ldl,
+    Cells, Design, Fault, NotSemidefinite, Preparer, ReduceErrorKind, Step, Subject, Transition, Workspace, advance,
+    ldl,
 };
-use crate::simulate::PhaseDraw;
 
 /// Roots of Q that are kept.
 const MOST_ROOTS: usize = 1024;
@@ -40,11 +40,19 @@ pub(super) struct Path {
 }
 
 impl Path {
-    pub(super) fn new(phase: &PhaseDraw) -> Path {
-        let mut work = phase.preparer.workspace();
+    pub(super) fn new(preparer: &Preparer) -> Path {
+        let mut work = preparer.workspace();
         work.covariances = Some(Vec::new());
         let start = (Vec::new(), DMatrix::zeros(0, 0));
-        Path { work, cells: Cells::default(), values: Vec::new(), x: Vec::new(), moved: Vec::new(), noises: HashMap::new(), start }
+        Path {
+            work,
+            cells: Cells::default(),
+            values: Vec::new(),
+            x: Vec::new(),
+            moved: Vec::new(),
+            noises: HashMap::new(),
+            start,
+        }
     }
 
     /// ξ ~ N(μ_j, Σ), with `root` a root of Σ.

@@ -62,7 +62,8 @@ fn only_rows_can_be_drawn_for() {
     let mut reducer = kalfit::reduce::PhasedReducer::new(&model(), &Alpha::default()).expect("sound");
     let pieces = reducer.pieces(&[reduced.clone()]).expect("sound").remove(0);
     reduced.phases[1] = Evidence::Reduced(Box::new(pieces[1].clone()));
-    let expected = "test `a`: phase `two` is given by a reduction, expected its rows: they tell times, inputs and missing values";
+    let expected =
+        "test `a`: phase `two` is given by a reduction, expected its rows: they tell times, inputs and missing values";
     assert_eq!(refusal(reduced).to_string(), expected);
 }
 

@@ -260,9 +260,8 @@ pub(crate) fn law(rows: &[Vec<Row>; 3], population: &Population) -> (DVector<f64
 /// Roots of Σ: full, of rank one, zero, and huge.
 pub(crate) fn roots(seed: usize) -> [DMatrix<f64>; 3] {
     let wave = |k: f64| (12.9898 * (seed as f64 + 1.0) + 78.233 * k).sin();
-    let root = |p: usize, columns: usize, at: f64| {
-        DMatrix::from_fn(p, columns, |i, c| wave(at + i as f64 + 10.0 * c as f64))
-    };
+    let root =
+        |p: usize, columns: usize, at: f64| DMatrix::from_fn(p, columns, |i, c| wave(at + i as f64 + 10.0 * c as f64));
     match seed % 4 {
         0 => [root(2, 2, 0.0), root(2, 2, 30.0), root(1, 1, 60.0)],
         1 => [root(2, 1, 0.0), root(2, 2, 30.0), DMatrix::zeros(1, 1)],
