@@ -13,11 +13,13 @@
 //! Long uniform records cost little: equal steps are one run of the design, S, K, T are kept once from where they no longer
 //! change (settling), J then grows in closed form, and the data pass is a linear scan (scan).
 
+mod carry;
 mod chain;
 mod data;
 mod design;
 mod digest;
 mod dynamics;
+mod end;
 mod error;
 mod evidence;
 mod flops;
@@ -27,6 +29,8 @@ mod kernel;
 mod motion;
 mod observe;
 mod order;
+mod part;
+mod phased;
 mod plain;
 mod plain_order;
 mod prepare;
@@ -39,6 +43,8 @@ mod semidefinite;
 mod settling;
 mod shared;
 mod small;
+mod split;
+mod stack;
 mod start;
 mod steps;
 mod subject;
@@ -47,9 +53,11 @@ pub use chain::{Chain, ChainPhase, Link};
 pub use error::{Cell, ReduceError, ReduceErrorKind};
 pub use evidence::{Estimates, Evidence, Inherited, PhaseReduction, PhasedTest};
 pub use flops::reduction_flops;
+pub use phased::PhasedReducer;
 pub use plain::{Plain, StepMatrices, Terminal};
 pub use reducer::{Reducer, Work};
 pub use reduction::{Path, Reduction};
+pub use split::SplitError;
 
 pub(crate) use data::innovate;
 pub(crate) use design::{Design, Frame, Step, Stretch, Transition};
@@ -59,6 +67,8 @@ pub(crate) use instances::Instance;
 pub(crate) use kernel::advance;
 pub(crate) use motion::Evaluated;
 pub(crate) use observe::Unwhitened;
+pub(crate) use part::PhaseReducer;
+pub(crate) use phased::PhasedWork;
 pub(crate) use prepare::{Preparer, Replay, Workspace};
 pub(crate) use semidefinite::{NotSemidefinite, ldl};
 pub(crate) use settling::{Frozen, Settling};
