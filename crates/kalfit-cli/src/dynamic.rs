@@ -3,6 +3,7 @@
 use kalfit::dynamic::{self, DynamicError, DynamicFit, Method, Settings};
 use kalfit::model::Population;
 use kalfit::record::{DynamicParts, LevelCounts, MethodRecord, level_notes};
+use kalfit::reduce::PhasedTest;
 use kalfit::score::Slots;
 use kalfit::{Alpha, FitRecord, Labels, Model, Provenance, Test};
 use kalfit_data::{Input, Reading};
@@ -43,7 +44,7 @@ pub(crate) fn fit(job: &FitJob, spec: &Spec, inputs: &[Input]) -> Result<FitReco
     let fit = first.expect("there is at least one method");
     line.say(|| "standard errors and intervals".to_owned());
     let (inference, parameters) =
-        dynamic::infer(model, &tests, &fit, job.choices).map_err(|error| failure(error, &reading))?;
+        dynamic::infer(&spec.model, &phased(&tests), &fit, job.choices).map_err(|error| failure(error, &reading))?;
     let parts =
         DynamicParts { model, labels: &reading.labels, fit: &fit, inference: &inference, parameters: &parameters };
     let provenance = Provenance {
@@ -95,7 +96,7 @@ impl Data<'_> {
     }
 
     pub(crate) fn fit(&self, settings: &Settings, line: &mut Line) -> Result<DynamicFit, Failure> {
-        dynamic::fit(self.model, self.labels(), self.tests, settings, line)
+        dynamic::fit(&self.model.clone().into(), self.labels(), &phased(self.tests), settings, line)
             .map_err(|error| failure(error, self.reading))
     }
 }
@@ -105,5 +106,13 @@ pub(crate) fn failure(error: DynamicError, reading: &Reading) -> Failure {
     match error {
         DynamicError::Reduce(error) => Failure::Reduce { error: *error, reading: Some(Box::new(reading.clone())) },
         DynamicError::Fit(error) => Failure::Fit(error),
+        error @ (DynamicError::Marginal { .. } | DynamicError::FixedReduction { .. }) => {
+            Failure::Dynamic(Box::new(error))
+        }
     }
+}
+
+/// Tests whose rows are all of one phase.
+pub(crate) fn phased(tests: &[Test]) -> Vec<PhasedTest> {
+    tests.iter().cloned().map(PhasedTest::from).collect()
 }

@@ -3,6 +3,7 @@
 use std::ops::Range;
 use std::path::Path;
 
+use kalfit::dynamic::DynamicError;
 use kalfit::estimate::FitError;
 use kalfit::infer::{DynamicRatioError, Element, NotNested};
 use kalfit::plan::PlanError;
@@ -43,6 +44,9 @@ pub(crate) enum Failure {
     /// The estimator.
     #[error("{0}")]
     Fit(FitError),
+    /// Free parameters where they mean nothing.
+    #[error("{0}")]
+    Dynamic(Box<DynamicError>),
     /// A hypothesis that cannot be tested within the model.
     #[error("cannot test this hypothesis: {0}")]
     NotNested(NotNested),
@@ -151,6 +155,7 @@ impl Failure {
             Failure::Split { error, .. } => Some(error.hint().to_owned()),
             Failure::Reduce { error, .. } => error.hint().map(str::to_owned),
             Failure::Fit(error) => fit_hint(error).map(str::to_owned),
+            Failure::Dynamic(error) => error.hint().map(str::to_owned),
             Failure::NotNested(error) => Some(nesting_hint(*error).to_owned()),
             Failure::DynamicRatio(error) => dynamic_ratio_hint(error).map(str::to_owned),
             Failure::HypothesisParameter { .. } => Some("a hypothesis restricts what the model leaves free".to_owned()),

@@ -12,7 +12,7 @@ use kalfit::{Labels, Model, PhasedModel, PhasedTest};
 use kalfit_data::{Input, Reading};
 use kalfit_spec::{Hypothesis, Spec};
 
-use crate::dynamic::{Data, failure};
+use crate::dynamic::{Data, failure, phased};
 use crate::failure::Failure;
 use crate::job::TestJob;
 use crate::progress::Line;
@@ -105,7 +105,8 @@ impl Bench<'_> {
 
     fn infer(&self, model: &PhasedModel, fit: &DynamicFit) -> Result<(Inference, Vec<ParameterInference>), Failure> {
         let choices = Choices { deletion: DeletionChoice::None, ..Choices::default() };
-        dynamic::infer(model, self.tests, fit, choices).map_err(|error| failure(error, self.reading))
+        let (model, tests) = (model.clone().into(), phased(self.tests));
+        dynamic::infer(&model, &tests, fit, choices).map_err(|error| failure(error, self.reading))
     }
 
     /// The model fitted again, from the hypothesis and from elsewhere, when the hypothesis has the higher likelihood.

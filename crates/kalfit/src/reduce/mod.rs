@@ -59,6 +59,7 @@ pub use reducer::{Reducer, Work};
 pub use reduction::{Path, Reduction};
 pub use split::SplitError;
 
+pub(crate) use carry::Inherits;
 pub(crate) use data::innovate;
 pub(crate) use design::{Design, Frame, Step, Stretch, Transition};
 pub(crate) use dynamics::Table;
@@ -82,5 +83,6 @@ pub(crate) use {
     data::{Data, DataWork},
     design::{DENSE, Pattern},
     reducer::information_gains,
+    root::root_gains,
     schedule::GainsWork,
 };

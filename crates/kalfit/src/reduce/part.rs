@@ -91,7 +91,7 @@ impl PhaseReducer {
         Ok(PhaseReducer { place, reducer, inheritance, own, filtered, sizes })
     }
 
-    /// An error of this phase, with its name where there are several.
+    /// An error of this phase, saying so where there are others.
     pub(crate) fn named(&self, error: ReduceError) -> ReduceError {
         of_phase(self.place.name.as_deref(), error)
     }
