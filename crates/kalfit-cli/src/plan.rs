@@ -27,7 +27,7 @@ pub(crate) fn run(job: &PlanJob) -> Result<Outcome, Failure> {
     let output = job.out.as_deref().map(|path| Output::prepare(path, &used)).transpose()?;
     let mut line = Line::new(job.quiet);
     let reductions = designs(&spec, &truth.alpha, &inputs, &mut line)?;
-    let structure = Structure::of(spec.model.shared(), &truth.alpha);
+    let structure = Structure::of(&spec.model, &truth.alpha);
     let states = spec.model.estimated_names();
     let found = plan(&reductions, &structure, &truth.population, &job.tests)
         .map_err(|error| Failure::Plan { error: Box::new(error), states })?;

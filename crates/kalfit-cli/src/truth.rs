@@ -184,10 +184,10 @@ fn of_model(spec: &Spec, from: &Path, set: &[String]) -> Result<(Population, Vec
         return Err(TruthError::Record { path, error }.into());
     };
     let refused = |error| Failure::from(TruthError::Population { path: path.clone(), error });
-    let mut population = Population::of_model(truth.model.shared(), &alpha).map_err(refused)?;
+    let mut population = Population::of_model(&truth.model, &alpha).map_err(refused)?;
     population.mean = place.iter().map(|&i| population.mean[i]).collect();
     population.covariance = population.covariance.select_rows(&place).select_columns(&place);
-    population.check(spec.model.shared()).map_err(refused)?;
+    population.check(&spec.model).map_err(refused)?;
     Ok((population, levels(&truth, &alpha)))
 }
 

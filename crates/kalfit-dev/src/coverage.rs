@@ -235,7 +235,7 @@ fn tally(setup: &Setup, model: &Model, ensembles: u64) -> Vec<Tally> {
 /// For each quantity, whether the interval of a fit holds the truth; `None` where the fit has no interval.
 fn held(reducer: &mut Reducer, model: &Model, alpha: &Alpha, tests: &[Test], truths: &[f64]) -> Vec<Option<bool>> {
     let reductions = reducer.reduce(tests).expect("a set-up is sound");
-    let structure = Structure::of(model, alpha);
+    let structure = Structure::single(&model.mean, &model.covariance, alpha);
     let fit = estimate::fit(&reductions, &structure, &Settings::default(), &mut Silent).expect("a legal problem");
     if fit.stop != Stop::Certified {
         return vec![None; truths.len()];

@@ -129,7 +129,7 @@ impl<'a> Bench<'a> {
         alpha: &Alpha,
         near: Option<&Population>,
     ) -> Result<Estimate, DynamicError> {
-        let structure = Structure::of(self.model, alpha);
+        let structure = Structure::single(&self.model.mean, &self.model.covariance, alpha);
         let settings = &self.settings.inner;
         let estimate = match near {
             Some(start) => estimate::fit_from(reductions, &structure, start, settings, &mut Silent)?,

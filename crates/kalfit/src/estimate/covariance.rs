@@ -8,6 +8,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::classes::Frame;
 use crate::estimate::linear::Linear;
+use crate::estimate::structure::Structure;
 use crate::linalg::symmetric::{self, pair, pairs};
 use crate::model::{Alpha, CovarianceKind, CovarianceStructure, Expression, Scope, StructureError};
 
@@ -46,7 +47,11 @@ pub(crate) struct CovarianceMap {
 }
 
 impl CovarianceMap {
-    pub(crate) fn new(
+    pub(crate) fn new(structure: &Structure<'_>, frame: &Frame) -> Result<CovarianceMap, StructureError> {
+        CovarianceMap::of_phase(structure.phases[0].covariance, structure.alpha, frame)
+    }
+
+    fn of_phase(
         structure: &CovarianceStructure,
         alpha: &Alpha,
         frame: &Frame,

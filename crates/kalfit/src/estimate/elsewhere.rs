@@ -97,7 +97,7 @@ impl State {
         alpha: &Alpha,
     ) -> Result<Option<Elsewhere>, StructureError> {
         let frame = &self.problem.classes.frame;
-        let structure = Structure { alpha, ..self.structure() };
+        let structure = self.assumed.at(alpha);
         let problem = Problem::within(reductions, &structure, self.problem.criterion(), frame)?;
         let root = carried(&self.problem.covariance, &problem.covariance, &self.place.point.root);
         let point = Point { root, ..self.place.point.clone() };
@@ -108,7 +108,7 @@ impl State {
     /// The state after a step along the tangent basis of this place, under other reductions of the same tests; `None` where it
     /// is not defined.
     pub(crate) fn moved(&self, reductions: &[Reduction], alpha: &Alpha, step: &DVector<f64>) -> Option<State> {
-        let structure = Structure { alpha, ..self.structure() };
+        let structure = self.assumed.at(alpha);
         let frame = &self.problem.classes.frame;
         let problem = Problem::within(reductions, &structure, self.problem.criterion(), frame).ok()?;
         let point = newton::moved(&*self.problem, &self.problem.covariance, &self.place, step)?;
@@ -121,7 +121,8 @@ impl State {
             None => place,
         };
         let sums = problem.sums(&place.point, Order::Expected, place.near())?;
-        Some(State { problem: Arc::new(problem), place, sums, alpha: alpha.clone(), joint: None, ..self.clone() })
+        let assumed = (&structure).into();
+        Some(State { problem: Arc::new(problem), place, sums, assumed, joint: None, ..self.clone() })
     }
 
     /// Gradient of one test's ℓ_j along the tangent basis of this place, under another reduction of it.

@@ -54,9 +54,8 @@ pub(crate) fn at_population(
     }
     point.root = tangent.chart.root.clone();
     let place = Place { curvature: Curvature::new(&tangent), point, local, tangent };
-    let (mean, covariance, alpha) = (structure.mean.clone(), structure.covariance.clone(), structure.alpha.clone());
     let settings = Settings::default();
-    Ok(State { problem: Arc::new(problem), place, sums, mean, covariance, alpha, settings, joint: None })
+    Ok(State { problem: Arc::new(problem), place, sums, assumed: structure.into(), settings, joint: None })
 }
 
 /// At the truth the score is zero on average, the information of μ is Σ E'WE, that of Σ is ½ Σ tr(W D W E), and they are

@@ -25,6 +25,7 @@ mod scoring;
 mod search;
 mod settings;
 mod start;
+mod structure;
 mod terms;
 mod unobserved;
 
@@ -32,7 +33,8 @@ use nalgebra::DMatrix;
 
 pub use certificate::Certificate;
 pub use likelihood::{Derivatives, Evaluation, Likelihood, pass_flops};
-pub use settings::{Criterion, Progress, Settings, Silent, Solver, Step};
+pub use settings::{Combination, Criterion, Progress, Settings, Silent, Solver, Step};
+pub use structure::{PhaseStructure, Structure};
 
 pub(crate) use classes::{Class, unpack};
 pub(crate) use climb::{Limits, climb};
@@ -44,28 +46,11 @@ pub(crate) use newton::{Place, retract};
 pub(crate) use pass::{Order, Sums, of_class};
 pub(crate) use problem::Problem;
 pub(crate) use start::generic_root;
+pub(crate) use structure::Assumed;
 pub(crate) use terms::{Point, Terms};
 
-use crate::model::{Alpha, CovarianceStructure, MeanStructure, Model, Population, StructureError};
+use crate::model::{Population, StructureError};
 use crate::reduce::Reduction;
-
-/// What is assumed of μ and Σ.
-#[derive(Debug, Clone, Copy)]
-pub struct Structure<'a> {
-    /// Of μ.
-    pub mean: &'a MeanStructure,
-    /// Of Σ.
-    pub covariance: &'a CovarianceStructure,
-    /// Parameters that matrices of the covariance structure refer to.
-    pub alpha: &'a Alpha,
-}
-
-impl<'a> Structure<'a> {
-    /// The structure of a model, with its parameters at α.
-    pub fn of(model: &'a Model, alpha: &'a Alpha) -> Structure<'a> {
-        Structure { mean: &model.mean, covariance: &model.covariance, alpha }
-    }
-}
 
 /// Why there is no estimate.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -111,7 +96,7 @@ pub enum Stop {
 pub struct Estimate {
     /// μ (p).
     pub mean: Vec<f64>,
-    /// Regression coefficients, in the order of [`MeanStructure::regression`].
+    /// Regression coefficients, in the order of [`Structure::regressions`].
     pub coefficients: Vec<f64>,
     /// Σ (p × p). Fixed elements have exactly their values.
     pub covariance: DMatrix<f64>,
@@ -138,8 +123,8 @@ pub struct Estimate {
 impl Estimate {
     /// Number of free mean quantities, as declared: elements of μ and regression coefficients.
     pub fn declared_mean(&self) -> usize {
-        let (_, basis) = self.state.mean.basis();
-        basis.ncols() + self.state.mean.regression.len()
+        let mean = &self.state.problem.mean;
+        mean.basis.ncols() + mean.regressors.len()
     }
 
     /// Number of free covariance quantities, as declared.
@@ -147,8 +132,8 @@ impl Estimate {
         self.state.problem.covariance.declared()
     }
 
-    /// β of Σ = βΣ*; zero for other structures.
-    pub fn covariance_scale(&self) -> f64 {
+    /// β of a phase's Σ = βΣ*; zero for other structures.
+    pub fn covariance_scale(&self, _phase: usize) -> f64 {
         match &self.state.problem.covariance.form {
             Form::Scale(star) => self.state.place.point.covariance().trace() / star.norm_squared(),
             _ => 0.0,
@@ -162,9 +147,7 @@ pub(crate) struct State {
     pub(crate) problem: std::sync::Arc<Problem>,
     pub(crate) place: Place,
     pub(crate) sums: Sums,
-    pub(crate) mean: MeanStructure,
-    pub(crate) covariance: CovarianceStructure,
-    pub(crate) alpha: Alpha,
+    pub(crate) assumed: Assumed,
     pub(crate) settings: Settings,
     /// Covariance along the tangent basis, where it is known with the uncertainty of dynamic parameters in it.
     pub(crate) joint: Option<DMatrix<f64>>,
@@ -173,7 +156,7 @@ pub(crate) struct State {
 impl State {
     /// The structure that was assumed.
     pub(crate) fn structure(&self) -> Structure<'_> {
-        Structure { mean: &self.mean, covariance: &self.covariance, alpha: &self.alpha }
+        self.assumed.structure()
     }
 }
 

@@ -33,8 +33,8 @@ impl Problem {
         structure: &Structure<'_>,
         criterion: Criterion,
     ) -> Result<Problem, StructureError> {
-        let p = structure.mean.elements.len();
-        Problem::of(Classes::new(reductions, p, structure.mean.regression.len()), structure, criterion)
+        let classes = Classes::new(reductions, structure.dimension(), structure.regressions().len());
+        Problem::of(classes, structure, criterion)
     }
 
     /// The problem of these classes.
@@ -43,14 +43,14 @@ impl Problem {
         structure: &Structure<'_>,
         criterion: Criterion,
     ) -> Result<Problem, StructureError> {
-        let mean = MeanMap::new(structure.mean, &classes.frame);
-        let covariance = CovarianceMap::new(structure.covariance, structure.alpha, &classes.frame)?;
+        let mean = MeanMap::new(structure, &classes.frame);
+        let covariance = CovarianceMap::new(structure, &classes.frame)?;
         let mean_jacobian = mean.jacobian();
         let restriction = (criterion == Criterion::Reml).then(|| {
             let at_zero = classes.mean_information(&mean.regressors);
             Restriction::new(
                 &(mean_jacobian.transpose() * at_zero * &mean_jacobian),
-                &mean.by_user(structure.mean, &classes.frame),
+                &mean.by_user(structure, &classes.frame),
             )
         });
         Ok(Problem { classes, mean, covariance, mean_jacobian, restriction, passes: AtomicUsize::new(0) })

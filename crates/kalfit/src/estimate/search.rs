@@ -230,11 +230,9 @@ impl<'a> Search<'a> {
         if stop == Stop::Certified && !certificate.holds(self.settings.tolerance) {
             stop = Stop::Stalled;
         }
-        let mean = structure.mean.clone();
-        let (covariance, alpha) = (structure.covariance.clone(), structure.alpha.clone());
         let settings = self.settings.clone();
         let state =
-            State { place, sums, problem: Arc::new(self.problem), mean, covariance, alpha, settings, joint: None };
+            State { place, sums, problem: Arc::new(self.problem), assumed: structure.into(), settings, joint: None };
         Ok(Estimate { passes, ..leave(state, certificate, stop, self.trace, self.settings.solver) })
     }
 

@@ -22,7 +22,7 @@ pub(crate) fn start(problem: &Problem, structure: &Structure<'_>) -> Result<Poin
         None => DMatrix::from_diagonal(&variances(problem, &mean)),
     };
     let root = map.root_of(&map.mask(&sigma));
-    let root = match &structure.covariance.kind {
+    let root = match &structure.phases[0].covariance.kind {
         _ if map.constraints.is_empty() => root,
         CovarianceKind::Linear { .. } => {
             let root = map.root_of(&linear::member(map, &map.mask(&sigma)));
@@ -71,11 +71,12 @@ fn mean(problem: &Problem, structure: &Structure<'_>) -> (DVector<f64>, Vec<f64>
     let (map, frame) = (&problem.mean, &problem.classes.frame);
     let p = frame.scale.len();
     // in η the pooled least-squares mean is the origin
-    let told = |i: usize| structure.mean.start[i].map(|v| (v - frame.centre[i]) / frame.scale[i]);
+    let start = structure.mean_start();
+    let told = |i: usize| start[i].map(|v| (v - frame.centre[i]) / frame.scale[i]);
     let wanted = DVector::from_fn(p, |i, _| told(i).unwrap_or(0.0));
     let information = map.basis.transpose() * &problem.classes.information * &map.basis;
     let score = map.basis.transpose() * &problem.classes.information * (&wanted - &map.offset);
-    let b = if structure.mean.start.iter().any(Option::is_some) {
+    let b = if start.iter().any(Option::is_some) {
         map.basis.transpose() * (&wanted - &map.offset)
     } else {
         scaled_solve(&information, &score)

@@ -37,8 +37,8 @@ pub struct Uncertainty {
     pub std_dev: Vec<Option<f64>>,
     /// Of the correlations (p × p).
     pub correlation: Vec<Vec<Option<f64>>>,
-    /// Relative standard error of β in Σ = βΣ*.
-    pub scale: Option<f64>,
+    /// Relative standard error of β in Σ = βΣ*, by phase.
+    pub scale: Vec<Option<f64>>,
     /// Blocks of Σ that are singular.
     pub boundary: Vec<Boundary>,
 }
@@ -140,7 +140,7 @@ fn uncertainty_by(law: &Law<'_>, sigma: &DMatrix<f64>, unidentified: &[Direction
     let coefficients = (0..state.problem.mean.regressors.len())
         .map(|c| if parts(Quantity::Mean, p + c) { None } else { law.coefficient_error(c) })
         .collect();
-    let scale = matches!(map.form, Form::Scale(_)).then(|| law.scale_error(sigma)).flatten();
+    let scale = vec![matches!(map.form, Form::Scale(_)).then(|| law.scale_error(sigma)).flatten()];
     Uncertainty { mean, coefficients, covariance, std_dev, correlation, scale, boundary }
 }
 

@@ -89,7 +89,7 @@ pub struct Plan {
 ///     chain: None,
 /// };
 /// let (mean, covariance, alpha) = (MeanStructure::free(1), CovarianceStructure::full(), Alpha::default());
-/// let structure = Structure { mean: &mean, covariance: &covariance, alpha: &alpha };
+/// let structure = Structure::single(&mean, &covariance, &alpha);
 /// let population = Population { mean: vec![5.0], coefficients: vec![], covariance: DMatrix::from_element(1, 1, 3.0) };
 ///
 /// let plan = plan(&[test], &structure, &population, &[4, 100])?;
@@ -109,8 +109,8 @@ pub fn plan(
     population: &Population,
     tests: &[usize],
 ) -> Result<Plan, PlanError> {
-    let p = structure.mean.elements.len();
-    population.check_named(p, structure.mean.regression.len(), &|i| (i + 1).to_string())?;
+    let (p, regressions) = (structure.dimension(), structure.regressions().len());
+    population.check_named(p, regressions, &|i| (i + 1).to_string())?;
     if tests.contains(&0) {
         return Err(PlanError::ZeroTests);
     }
@@ -128,7 +128,7 @@ pub fn plan(
         value: found.value(quantity),
         std_errors: found.error(quantity).map(at_each).ok_or_else(|| found.reason(quantity)),
     };
-    let quantities = quantities(p, structure.mean.regression.len()).into_iter().map(one).collect();
+    let quantities = quantities(p, regressions).into_iter().map(one).collect();
     Ok(Plan { design_tests: n, tests: tests.to_vec(), quantities })
 }
 

@@ -35,7 +35,7 @@ pub use error::SimulateError;
 
 use crate::ensemble::Test;
 use crate::linalg::symmetric;
-use crate::model::{Alpha, Model, Population};
+use crate::model::{Alpha, Model, PhasedModel, Population};
 use crate::reduce::{Fault, Instance, Preparer, ReduceError};
 use path::Path;
 
@@ -107,7 +107,7 @@ impl Simulator {
     /// A population that does not fit the model or is no law; a coefficient without a value, whatever the data; a measured
     /// column that the model reads as an input too.
     pub fn new(model: &Model, alpha: &Alpha, population: Population, seed: u64) -> Result<Simulator, SimulateError> {
-        population.check(model)?;
+        population.check(&PhasedModel::from(model.clone()))?;
         inputs::refuse_measured_inputs(model)?;
         let preparer = Preparer::new(model, alpha).map_err(|fault| fault.name(model, None))?;
         let root = symmetric::square_root(&population.covariance);

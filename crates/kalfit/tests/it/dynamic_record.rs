@@ -142,7 +142,7 @@ fn the_fit_is_that_of_the_same_values_held() {
     model.parameters[0].fixed_levels = BTreeMap::from([(0, 0.25), (1, value("C")), (2, value("A"))]);
     let alpha = Alpha::fixed(&model.parameters).unwrap();
     let reductions = kalfit::reduce::Reducer::new(&model, &alpha).unwrap().reduce(&tests).unwrap();
-    let structure = kalfit::estimate::Structure::of(&model, &alpha);
+    let structure = kalfit::estimate::Structure::single(&model.mean, &model.covariance, &alpha);
     let estimate = kalfit::estimate::fit(&reductions, &structure, &Default::default(), &mut Silent).unwrap();
     let (found, expected) = (record.log_likelihood, estimate.log_likelihood);
     assert!((found - expected).abs() < 1e-9, "{found} {expected}");

@@ -203,7 +203,7 @@ fn innovations_add_up_to_the_likelihood_of_each_test_in_a_fit() {
             .collect();
         let alpha = Alpha::default();
         let reductions = Reducer::new(&model, &alpha).expect("sound").reduce(&tests).expect("sound");
-        let structure = Structure::of(&model, &alpha);
+        let structure = Structure::single(&model.mean, &model.covariance, &alpha);
         let fit = estimate::fit(&reductions, &structure, &Settings::of(Solver::Newton), &mut Silent).expect("a fit");
         let posteriors = infer::posteriors(&fit, &reductions);
         let found = run(&model, &Population::from(&fit), &tests);
@@ -277,7 +277,7 @@ fn innovations_that_the_estimate_absorbed_are_not_too_small() {
     model.mean.regression.clear();
     let alpha = Alpha::default();
     let reductions = Reducer::new(&model, &alpha).expect("sound").reduce(&tests).expect("sound");
-    let structure = Structure::of(&model, &alpha);
+    let structure = Structure::single(&model.mean, &model.covariance, &alpha);
     let fit = estimate::fit(&reductions, &structure, &Settings::of(Solver::Newton), &mut Silent).expect("a fit");
     let found = run(&model, &Population::from(&fit), &tests).remove(0);
     let (known, estimated) = (found.p_value(0).expect("measured"), found.p_value(2).expect("measured"));

@@ -31,7 +31,7 @@ pub(super) struct Tangent {
 
 pub(super) fn tangent(null: &Estimate, alternative: &Estimate) -> Tangent {
     let (inner, outer) = (&*null.state.problem, &*alternative.state.problem);
-    let places = regressions(&null.state.mean, &alternative.state.mean).expect("nesting was checked");
+    let places = regressions(&null.state.structure(), &alternative.state.structure()).expect("nesting was checked");
     let information = information(null, outer, &places);
     let wide = directions(outer, outer.mean.jacobian(), &null.state.place.point.root);
     let mean = narrow_mean(&null.state.problem.mean.jacobian(), outer.mean.jacobian().nrows(), &places);

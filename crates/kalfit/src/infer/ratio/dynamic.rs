@@ -57,9 +57,10 @@ pub fn dynamic_ratio(
 /// What the hypothesis says of μ and Σ, at the model's α; `None` when it restricts nothing there.
 fn population(null: &Model, wide: (&Model, &DynamicFit)) -> Result<Option<LikelihoodRatio>, DynamicRatioError> {
     let (model, fit) = wide;
-    let structure = Structure::of(null, &fit.alpha);
+    let structure = Structure::single(&null.mean, &null.covariance, &fit.alpha);
+    let within = Structure::single(&model.mean, &model.covariance, &fit.alpha);
     let settings = &fit.estimate.state.settings;
-    let narrow = fit_null(&fit.reductions, &model.mean, &structure, settings, &mut Silent).ok_or(NotNested::Mean)??;
+    let narrow = fit_null(&fit.reductions, &within, &structure, settings, &mut Silent).ok_or(NotNested::Mean)??;
     match likelihood_ratio(&narrow, &fit.estimate) {
         Ok(ratio) => Ok(Some(ratio)),
         Err(NotNested::Same) => Ok(None),

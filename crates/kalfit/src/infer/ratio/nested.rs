@@ -2,9 +2,8 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::{Criterion, Estimate, Problem};
+use crate::estimate::{Criterion, Estimate, Problem, Structure};
 use crate::linalg::symmetric;
-use crate::model::MeanStructure;
 
 /// Relative size of what counts as rounding.
 const ROUNDING: f64 = 1e-8;
@@ -40,7 +39,7 @@ pub(super) fn check(null: &Estimate, alternative: &Estimate) -> Result<(), NotNe
     if !same(&a.centre, &b.centre) || !same(&a.scale, &b.scale) || inner.classes.tests != outer.classes.tests {
         return Err(NotNested::Different);
     }
-    regressions(&null.state.mean, &alternative.state.mean).ok_or(NotNested::Mean)?;
+    regressions(&null.state.structure(), &alternative.state.structure()).ok_or(NotNested::Mean)?;
     mean(inner, outer)?;
     let same_mean = inner.mean.basis.ncols() == outer.mean.basis.ncols()
         && inner.mean.regressors.len() == outer.mean.regressors.len();
@@ -53,8 +52,9 @@ pub(super) fn check(null: &Estimate, alternative: &Estimate) -> Result<(), NotNe
 }
 
 /// Where the regressions of the one stand among those of the other; `None` when one is missing there.
-pub(super) fn regressions(inner: &MeanStructure, outer: &MeanStructure) -> Option<Vec<usize>> {
-    inner.regression.iter().map(|r| outer.regression.iter().position(|o| o == r)).collect()
+pub(super) fn regressions(inner: &Structure<'_>, outer: &Structure<'_>) -> Option<Vec<usize>> {
+    let outer = outer.regressions();
+    inner.regressions().iter().map(|r| outer.iter().position(|o| o == r)).collect()
 }
 
 /// m0 + Bβ of the one among those of the other.
