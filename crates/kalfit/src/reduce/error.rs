@@ -217,6 +217,26 @@ pub enum ReduceErrorKind {
         /// Its name.
         parameter: String,
     },
+    /// Something is missing of a phase that was reduced or estimated before.
+    #[error("the {what} is missing, and it is needed")]
+    Absent {
+        /// What.
+        what: &'static str,
+    },
+    /// A reduction made before has a row with a negative diagonal.
+    #[error("found {value} on the diagonal of the factor, expected 0 or more")]
+    NegativeDiagonal {
+        /// The entry.
+        value: f64,
+    },
+    /// The test has more phases than the model.
+    #[error("found {found} phases, expected {expected} at most")]
+    TooManyPhases {
+        /// Phases of the test.
+        found: usize,
+        /// Phases of the model.
+        expected: usize,
+    },
     /// The test has no rows.
     #[error("the test has no rows")]
     NoRows,

@@ -13,11 +13,13 @@
 //! Long uniform records cost little: equal steps are one run of the design, S, K, T are kept once from where they no longer
 //! change (settling), J then grows in closed form, and the data pass is a linear scan (scan).
 
+mod carry;
 mod chain;
 mod data;
 mod design;
 mod digest;
 mod dynamics;
+mod end;
 mod error;
 mod evidence;
 mod flops;
@@ -27,6 +29,8 @@ mod kernel;
 mod motion;
 mod observe;
 mod order;
+mod part;
+mod phased;
 mod plain;
 mod plain_order;
 mod prepare;
@@ -39,6 +43,8 @@ mod semidefinite;
 mod settling;
 mod shared;
 mod small;
+mod split;
+mod stack;
 mod start;
 mod steps;
 mod subject;
@@ -48,9 +54,11 @@ pub use chain::{Chain, ChainPhase, Link};
 pub use error::{Cell, ReduceError, ReduceErrorKind};
 pub use evidence::{Estimates, Evidence, Inherited, PhaseReduction, PhasedTest};
 pub use flops::reduction_flops;
+pub use phased::PhasedReducer;
 pub use plain::{Plain, StepMatrices, Terminal};
 pub use reducer::{Reducer, Work};
 pub use reduction::{Path, Reduction};
+pub use split::SplitError;
 pub use suboptimal::{EstimateReducer, FilterRunner};
 
 pub(crate) use data::innovate;

@@ -107,7 +107,7 @@ impl EstimateReducer {
         let known = &estimates.transition * &start + &estimates.drift;
         let terminal = folded.terminal(conditioned, known);
         let (constant, data, factor) = folded.reduction(conditioned);
-        let sound = terminal.mean.iter().chain(&terminal.sensitivity).chain(&terminal.covariance).chain(&data);
+        let sound = terminal.mean.iter().chain(&terminal.sensitivity).chain(&terminal.root).chain(&data);
         if !sound.chain(&factor).chain([&constant]).all(|x| x.is_finite()) {
             return Err(refuse("estimates", ReduceErrorKind::NotFinite));
         }
@@ -259,8 +259,11 @@ impl Folded {
         let mean = known + &conditioned.from_taken * &self.taken + &conditioned.from_white * &self.white + &through * d;
         let sensitivity =
             &conditioned.phi_E - &conditioned.from_taken * T_B - &conditioned.from_white * T - &through * R_sigma;
-        let covariance = &through * through.transpose() + &conditioned.rest * conditioned.rest.transpose();
-        Terminal { mean, sensitivity, covariance }
+        let (n, more) = (mean.len(), conditioned.rest.ncols());
+        let mut root = DMatrix::zeros(n, k + more);
+        root.columns_mut(0, k).copy_from(&through);
+        root.columns_mut(k, more).copy_from(&conditioned.rest);
+        Terminal { mean, sensitivity, root }
     }
 
     /// (constant, d, R packed) of σ.
