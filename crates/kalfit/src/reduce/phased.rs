@@ -129,7 +129,7 @@ impl PhasedReducer {
     ///
     /// # Errors
     /// Of several in error, the first one's error.
-    pub fn pieces_of(&mut self, phases: &[(&str, usize, &Evidence)]) -> Result<Vec<PhaseReduction>, ReduceError> {
+    pub fn each_piece(&mut self, phases: &[(&str, usize, &Evidence)]) -> Result<Vec<PhaseReduction>, ReduceError> {
         let this = &*self;
         let one = |work: &mut PhasedWork, &(id, at, evidence): &(&str, usize, &Evidence)| {
             let room = (&mut work.phases[at], &mut work.cells);
