@@ -25,8 +25,7 @@ pub(crate) fn run(job: &CheckJob) -> Result<Outcome, Failure> {
         (false, false) => (Vec::new(), known(&spec, &job.data)?),
         (false, true) => started(&spec, &job.data)?,
     };
-    let record =
-        CheckRecord { title: spec.model.shared().title.clone(), model: spec.describe(), parameters, checked };
+    let record = CheckRecord { title: spec.model.shared().title.clone(), model: spec.describe(), parameters, checked };
     terminal::print(&check_summary(&record, &terminal::style())).map_err(Failure::Stdout)?;
     Ok(Outcome::Done)
 }
@@ -67,7 +66,7 @@ fn started(spec: &Spec, args: &[String]) -> Result<(Vec<ParameterCounts>, Checke
     let (tests, reading) = tests::read(spec, &inputs, &mut line)?;
     let mut phases = no_counts(&spec.model);
     tests.iter().for_each(|test| add(&mut phases, test));
-    let slots = Slots::new(model, &reading.labels, &tests);
+    let slots = Slots::in_phases(&spec.model, &reading.labels, &tests);
     let counts = LevelCounts::all(model, &reading.labels, &tests);
     let notes = level_notes(model, &counts);
     let parameters = parameters(model, &slots, &counts);

@@ -39,7 +39,7 @@ pub(crate) fn test(
         Model { literals, text_columns, ..model }
     });
     let (tests, reading) = tests::read_for(spec, null, inputs, &mut line)?;
-    let slots = [Slots::new(null, &reading.labels, &tests), Slots::new(&wide, &reading.labels, &tests)];
+    let slots = [Slots::in_phases(null, &reading.labels, &tests), Slots::in_phases(&wide, &reading.labels, &tests)];
     restricted((null, &slots[0]), (&wide, &slots[1]), &tests)
         .map_err(|error| Failure::DynamicRatio(DynamicRatioError::Parameter(error)))?;
     if slots[1].is_empty() {
@@ -132,7 +132,8 @@ impl Bench<'_> {
             ("covariance", with_covariance(wide, null)),
             ("parameters", with_parameters(wide, null)),
         ];
-        let alone: Vec<(&str, PhasedModel)> = parts.into_iter().filter_map(|(what, model)| Some((what, model?))).collect();
+        let alone: Vec<(&str, PhasedModel)> =
+            parts.into_iter().filter_map(|(what, model)| Some((what, model?))).collect();
         if alone.len() < 2 {
             return Ok(Vec::new());
         }

@@ -23,4 +23,5 @@ mod sensitivities;
 mod simulate;
 mod simulated;
 mod three_phases;
+mod suboptimal;
 mod unobservable;

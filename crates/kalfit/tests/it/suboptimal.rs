@@ -1,0 +1,3 @@
+//! Estimates of suboptimal filters: golden numbers of the public case, and laws against dense constructions.
+
+mod schmidt;
