@@ -51,7 +51,7 @@ pub use flops::reduction_flops;
 pub use plain::{Plain, StepMatrices, Terminal};
 pub use reducer::{Reducer, Work};
 pub use reduction::{Path, Reduction};
-pub use suboptimal::{EstimateReducer, FilterRunner};
+pub use suboptimal::{EstimateReducer, FilterRunner, Lost, LostError, lost};
 
 pub(crate) use data::innovate;
 pub(crate) use design::{Design, Frame, Step, Stretch, Transition};
