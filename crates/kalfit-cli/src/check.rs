@@ -25,8 +25,7 @@ pub(crate) fn run(job: &CheckJob) -> Result<Outcome, Failure> {
         (false, false) => (Vec::new(), known(&spec, &job.data)?),
         (false, true) => started(&spec, &job.data)?,
     };
-    let record =
-        CheckRecord { title: spec.model.shared().title.clone(), model: spec.describe(), parameters, checked };
+    let record = CheckRecord { title: spec.model.shared().title.clone(), model: spec.describe(), parameters, checked };
     terminal::print(&check_summary(&record, &terminal::style())).map_err(Failure::Stdout)?;
     Ok(Outcome::Done)
 }

@@ -131,7 +131,8 @@ impl Bench<'_> {
             ("covariance", with_covariance(wide, null)),
             ("parameters", with_parameters(wide, null)),
         ];
-        let alone: Vec<(&str, PhasedModel)> = parts.into_iter().filter_map(|(what, model)| Some((what, model?))).collect();
+        let alone: Vec<(&str, PhasedModel)> =
+            parts.into_iter().filter_map(|(what, model)| Some((what, model?))).collect();
         if alone.len() < 2 {
             return Ok(Vec::new());
         }

@@ -28,8 +28,11 @@ impl Sink for Reducing<'_> {
     type Error = Refused;
 
     fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), Refused> {
-        let tests: Vec<PhasedTest> =
-            tests.into_iter().map(|test| self.model.split(test, labels)).collect::<Result<_, _>>().map_err(Refused::Split)?;
+        let tests: Vec<PhasedTest> = tests
+            .into_iter()
+            .map(|test| self.model.split(test, labels))
+            .collect::<Result<_, _>>()
+            .map_err(Refused::Split)?;
         self.reductions.extend(self.reducer.reduce(&tests).map_err(Refused::Reduce)?);
         tests.iter().for_each(|test| (self.counted)(Some(test)));
         self.kept.take(tests);
@@ -84,9 +87,7 @@ fn read(
     kalfit_data::read_from(model, &spec.layout, inputs, &mut sink, &mut stdin).map_err(|error| match error {
         ReadError::Data(error) => Failure::data(error, spec),
         ReadError::Sink { error: Refused::Split(error), reading } => Failure::Split { error, reading },
-        ReadError::Sink { error: Refused::Reduce(error), reading } => {
-            Failure::Reduce { error, reading: Some(reading) }
-        }
+        ReadError::Sink { error: Refused::Reduce(error), reading } => Failure::Reduce { error, reading: Some(reading) },
     })?;
     Ok(sink.reductions)
 }

@@ -108,8 +108,7 @@ impl Bench<'_> {
 
     /// A hypothesis on both μ and Σ, each by itself (Shumway, Olsen and Levy).
     fn parts(&self, wide: &Estimate, progress: &mut dyn Progress) -> Result<Vec<PartRecord>, Failure> {
-        let (Some(mean), Some(covariance)) =
-            (with_mean(self.model, self.null), with_covariance(self.model, self.null))
+        let (Some(mean), Some(covariance)) = (with_mean(self.model, self.null), with_covariance(self.model, self.null))
         else {
             return Ok(Vec::new());
         };

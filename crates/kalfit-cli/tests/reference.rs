@@ -128,7 +128,8 @@ fn work_of_every_fit_is_as_recorded() {
     for case in CASES {
         for want in list(&expected(case)) {
             let name = text(&want["fit"]);
-            let found = fit_by(case, want, DEFAULT_SOLVER, &combinations(want)[0]).unwrap_or_else(|said| panic!("{case}/{name}: {said}"));
+            let found = fit_by(case, want, DEFAULT_SOLVER, &combinations(want)[0])
+                .unwrap_or_else(|said| panic!("{case}/{name}: {said}"));
             let passes = found["solver"]["iterations"].as_u64().unwrap();
             let data = &found["data"];
             writeln!(table, "{case}/{name}: {passes}, {}, {}", data["design_classes"], data["square_root_tests"])

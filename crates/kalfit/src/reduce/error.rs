@@ -237,9 +237,6 @@ pub enum ReduceErrorKind {
         /// Phases of the model.
         expected: usize,
     },
-    /// The phase has a filter of its own, or its estimates are given, and this reducer knows the optimal filter only.
-    #[error("estimates of a filter are not read here")]
-    FilterEstimates,
     /// The test has no rows.
     #[error("the test has no rows")]
     NoRows,

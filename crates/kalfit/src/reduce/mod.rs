@@ -58,8 +58,8 @@ pub use phased::PhasedReducer;
 pub use plain::{Plain, StepMatrices, Terminal};
 pub use reducer::{Reducer, Work};
 pub use reduction::{Path, Reduction};
-pub use suboptimal::{EstimateReducer, FilterRunner};
 pub use split::SplitError;
+pub use suboptimal::{EstimateReducer, FilterRunner, Lost, LostError, lost};
 
 pub(crate) use carry::Inherits;
 pub(crate) use data::innovate;

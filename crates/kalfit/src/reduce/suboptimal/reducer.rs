@@ -1,6 +1,8 @@
 //! Estimates → reductions.
 #![expect(non_snake_case, reason = "the letters of the theory: P, S")]
 
+use std::sync::Arc;
+
 use nalgebra::{DMatrix, DVector};
 
 use crate::linalg::fold::{Rotation, fold};
@@ -8,7 +10,8 @@ use crate::model::{Alpha, Phase};
 use crate::reduce::digest::Digest;
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
 use crate::reduce::prepare::{Preparer, Workspace};
-use crate::reduce::shared::{self, Shared};
+use crate::reduce::semidefinite::root;
+use crate::reduce::shared::{Entry as Known, Shared};
 use crate::reduce::subject::{Fault, Subject};
 use crate::reduce::suboptimal::conditioned::{Conditioned, Entry, Exact};
 use crate::reduce::suboptimal::matrices::not_semidefinite;
@@ -29,7 +32,9 @@ struct Class {
     start: DMatrix<f64>,
 }
 
-type Classes = Shared<Class, Result<Conditioned, Exact>>;
+type Made = Result<Conditioned, Exact>;
+/// a, a root of P0, and covariates.
+type Started = (DVector<f64>, DMatrix<f64>, Vec<f64>);
 
 /// Makes reductions of estimates (theory §8), in the entering coordinates σ of their phase, x_0 = a + Eσ + ζ.
 ///
@@ -44,7 +49,7 @@ type Classes = Shared<Class, Result<Conditioned, Exact>>;
 pub struct EstimateReducer {
     entering: Vec<usize>,
     preparer: Preparer,
-    classes: Classes,
+    classes: Shared<Class, Made>,
 }
 
 impl EstimateReducer {
@@ -127,28 +132,23 @@ impl EstimateReducer {
         Ok((reduction, terminal, conditioned.log_volume))
     }
 
-    /// a, a root of P0, and covariates.
-    fn start(&self, estimates: &Estimates) -> Result<(DVector<f64>, DMatrix<f64>, Vec<f64>), Box<Fault>> {
+    fn start(&self, estimates: &Estimates) -> Result<Started, Box<Fault>> {
         let mut work: Workspace = self.preparer.workspace();
         self.preparer.open(&estimates.constants, &mut work)?;
         let (order, r) = (&self.preparer.order, work.design.frame.r);
         let start = DVector::from_fn(order.states.len(), |state, _| work.data.start[order.place[state]]);
-        let U = crate::reduce::semidefinite::root(&work.design.variance, r)
+        let U = root(&work.design.variance, r)
             .map_err(|bad| Fault::new(Subject::KnownCovariance, not_semidefinite(bad)))?;
         let kept: Vec<usize> = (0..r).filter(|k| U[k * r..][..r].iter().any(|x| *x != 0.0)).collect();
-        let mut root = DMatrix::zeros(order.states.len(), kept.len());
+        let mut start_root = DMatrix::zeros(order.states.len(), kept.len());
         for (column, k) in kept.iter().enumerate() {
-            (0..r).for_each(|i| root[(order.states[i], column)] = U[k * r + i]);
+            (0..r).for_each(|i| start_root[(order.states[i], column)] = U[k * r + i]);
         }
-        Ok((start, root, work.covariates))
+        Ok((start, start_root, work.covariates))
     }
 
     /// (digest of the design, what its tests share).
-    fn class(
-        &self,
-        estimates: &Estimates,
-        start: DMatrix<f64>,
-    ) -> (u128, std::sync::Arc<shared::Entry<Class, Result<Conditioned, Exact>>>) {
+    fn class(&self, estimates: &Estimates, start: DMatrix<f64>) -> (u128, Arc<Known<Class, Made>>) {
         let Estimates { sensitivities, transition, root, .. } = estimates;
         let mut digest = Digest::new();
         for matrix in [sensitivities, transition, root, &start] {
@@ -171,7 +171,7 @@ impl EstimateReducer {
             let entry = Entry { entering: &self.entering, root: class.start.clone() };
             Conditioned::new(estimates, &entry)
         };
-        let size = |class: &Class, made: &Result<Conditioned, Exact>| {
+        let size = |class: &Class, made: &Made| {
             let key = [&class.sensitivities, &class.transition, &class.root, &class.start];
             8 * key.iter().map(|a| a.len()).sum::<usize>() + made.as_ref().map_or(0, Conditioned::bytes)
         };
@@ -259,10 +259,10 @@ impl Folded {
         let mean = known + &conditioned.from_taken * &self.taken + &conditioned.from_white * &self.white + &through * d;
         let sensitivity =
             &conditioned.phi_E - &conditioned.from_taken * T_B - &conditioned.from_white * T - &through * R_sigma;
-        let (n, rest) = (through.nrows(), &conditioned.rest);
-        let mut root = DMatrix::zeros(n, k + rest.ncols());
+        let (n, more) = (mean.len(), conditioned.rest.ncols());
+        let mut root = DMatrix::zeros(n, k + more);
         root.columns_mut(0, k).copy_from(&through);
-        root.columns_mut(k, rest.ncols()).copy_from(rest);
+        root.columns_mut(k, more).copy_from(&conditioned.rest);
         Terminal { mean, sensitivity, root }
     }
 
