@@ -106,6 +106,8 @@ pub(crate) fn failure(error: DynamicError, reading: &Reading) -> Failure {
     match error {
         DynamicError::Reduce(error) => Failure::Reduce { error: *error, reading: Some(Box::new(reading.clone())) },
         DynamicError::Fit(error) => Failure::Fit(error),
-        error => Failure::Dynamic(error),
+        error @ (DynamicError::Marginal { .. } | DynamicError::FixedReduction { .. }) => {
+            Failure::Dynamic(Box::new(error))
+        }
     }
 }

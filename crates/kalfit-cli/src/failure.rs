@@ -46,7 +46,7 @@ pub(crate) enum Failure {
     Fit(FitError),
     /// The search for dynamic parameters.
     #[error("{0}")]
-    Dynamic(DynamicError),
+    Dynamic(Box<DynamicError>),
     /// A hypothesis that cannot be tested within the model.
     #[error("cannot test this hypothesis: {0}")]
     NotNested(NotNested),
@@ -155,7 +155,7 @@ impl Failure {
             Failure::Split { error, .. } => Some(error.hint().to_owned()),
             Failure::Reduce { error, .. } => error.hint().map(str::to_owned),
             Failure::Fit(error) => fit_hint(error).map(str::to_owned),
-            Failure::Dynamic(error) => dynamic_hint(error).map(str::to_owned),
+            Failure::Dynamic(error) => error.hint().map(str::to_owned),
             Failure::NotNested(error) => Some(nesting_hint(*error).to_owned()),
             Failure::DynamicRatio(error) => dynamic_ratio_hint(error).map(str::to_owned),
             Failure::HypothesisParameter { .. } => Some("a hypothesis restricts what the model leaves free".to_owned()),
@@ -283,17 +283,6 @@ fn nesting_hint(error: NotNested) -> &'static str {
         }
         NotNested::Restricted => "compare likelihoods instead",
         NotNested::Different => "give both the same states",
-    }
-}
-
-fn dynamic_hint(error: &DynamicError) -> Option<&'static str> {
-    match error {
-        DynamicError::Reduce(error) => error.hint(),
-        DynamicError::Fit(error) => fit_hint(error),
-        DynamicError::Marginal { .. } => Some("fix it with `--set`, or leave `--phases` out"),
-        DynamicError::FixedReduction { .. } => {
-            Some("give the measurements instead, or fix the parameter at the value the reduction was made at")
-        }
     }
 }
 

@@ -6,4 +6,6 @@ pub mod fold;
 mod posterior;
 pub mod real;
 pub mod symmetric;
+mod whiten;
 pub(crate) use posterior::posterior_root;
+pub(crate) use whiten::{compressed, log_determinant, whitened, whitener};

@@ -1,6 +1,6 @@
 //! From an estimate and its inference to the record.
 
-use crate::estimate::{Criterion, Estimate, Solver, Stop};
+use crate::estimate::{Combination, Criterion, Estimate, Solver, Stop};
 use crate::infer::{Deletion, Element, Inference, IntervalKind, Posterior, Sensitivity, StdErrors};
 use crate::model::{Alpha, PhasedModel};
 use crate::record::cut::Cut;
@@ -52,7 +52,9 @@ impl FitRecord {
         let data = data(reductions, provenance.files);
         let free = estimate.declared_mean() + estimate.declared_covariance(); // as lme4 counts them
         let log_likelihood = estimate.log_likelihood;
-        let comparable = !provenance.of_estimates;
+        let of_estimates = provenance.of_estimates || filtered(model, reductions);
+        let exact = estimate.state.settings.phases != Combination::Marginal || model.is_single();
+        let comparable = !of_estimates && exact;
         let penalty = |per: f64| comparable.then_some(free as f64 * per - 2.0 * log_likelihood);
         FitRecord {
             schema: "kalfit-fit/1".to_owned(),
@@ -63,7 +65,7 @@ impl FitRecord {
                 Criterion::Ml => "ml".to_owned(),
                 Criterion::Reml => "reml".to_owned(),
             },
-            log_likelihood_kind: if provenance.of_estimates { "estimates" } else { "measurements" }.to_owned(),
+            log_likelihood_kind: if of_estimates { "estimates" } else { "measurements" }.to_owned(),
             log_likelihood,
             composite_log_likelihood: None,
             free_parameters: free,
@@ -134,7 +136,11 @@ fn solver(estimate: &Estimate, seconds: f64) -> SolverRecord {
             Solver::Newton => "newton".to_owned(),
             Solver::Em => "em".to_owned(),
         },
-        phases: "chain".to_owned(),
+        phases: match estimate.state.settings.phases {
+            Combination::Chain => "chain".to_owned(),
+            Combination::Stacked => "stacked".to_owned(),
+            Combination::Marginal => "marginal".to_owned(),
+        },
         iterations: estimate.passes,
         filter_passes: 1,
         score_passes: 0,
@@ -205,6 +211,12 @@ fn tests(model: &PhasedModel, reductions: &[Reduction], inference: &Inference) -
         }
     };
     order.into_iter().map(record).collect()
+}
+
+/// Some test has a phase whose filter's estimates stand for its measurements.
+fn filtered(model: &PhasedModel, reductions: &[Reduction]) -> bool {
+    let has = |phase: usize| reductions.iter().any(|reduction| phases_of(reduction, model) > phase);
+    model.phases.iter().enumerate().any(|(i, phase)| phase.filter.is_some() && has(i))
 }
 
 /// How many phases of a model a test has.

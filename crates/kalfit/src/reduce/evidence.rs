@@ -81,3 +81,14 @@ impl From<Test> for PhasedTest {
         PhasedTest { id: test.id.clone(), phases: vec![Evidence::Rows(test)] }
     }
 }
+
+impl Evidence {
+    /// The rows with the model's columns, as far as there are any: those of the data, or the one of estimates.
+    pub(crate) fn cells(&self) -> Option<&Test> {
+        match self {
+            Evidence::Rows(test) => Some(test),
+            Evidence::Estimates(estimates) => Some(&estimates.constants),
+            Evidence::Reduced(_) => None,
+        }
+    }
+}

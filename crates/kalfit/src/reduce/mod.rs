@@ -61,6 +61,7 @@ pub use reduction::{Path, Reduction};
 pub use split::SplitError;
 pub use suboptimal::{EstimateReducer, FilterRunner};
 
+pub(crate) use carry::Inherits;
 pub(crate) use data::innovate;
 pub(crate) use design::{Design, Frame, Step, Stretch, Transition};
 pub(crate) use dynamics::Table;
@@ -69,6 +70,8 @@ pub(crate) use instances::Instance;
 pub(crate) use kernel::advance;
 pub(crate) use motion::Evaluated;
 pub(crate) use observe::Unwhitened;
+pub(crate) use part::PhaseReducer;
+pub(crate) use phased::PhasedWork;
 pub(crate) use prepare::{Preparer, Replay, Workspace};
 pub(crate) use semidefinite::{NotSemidefinite, ldl};
 pub(crate) use settling::{Frozen, Settling};
@@ -82,5 +85,6 @@ pub(crate) use {
     data::{Data, DataWork},
     design::{DENSE, Pattern},
     reducer::information_gains,
+    root::root_gains,
     schedule::GainsWork,
 };

@@ -102,6 +102,11 @@ impl PhaseReducer {
         self.filter.is_none()
     }
 
+    /// An error of this phase, saying so where there are others.
+    pub(crate) fn named(&self, error: ReduceError) -> ReduceError {
+        of_phase(self.place.name.as_deref(), error)
+    }
+
     /// Every step of every record in full.
     pub(crate) fn unfrozen(self) -> PhaseReducer {
         PhaseReducer { reducer: self.reducer.unfrozen(), ..self }

@@ -140,6 +140,15 @@ impl PhasedReducer {
         all.into_iter().collect()
     }
 
+    /// The phases of one test, as [`PhasedReducer::pieces`].
+    pub(crate) fn pieces_of(
+        &self,
+        test: &PhasedTest,
+        work: &mut PhasedWork,
+    ) -> Result<Vec<PhaseReduction>, ReduceError> {
+        Ok(self.parts(test, work, false)?.into_iter().map(Part::into_piece).collect())
+    }
+
     /// The reductions of designs: information and covariates as in [`PhasedReducer::reduce`], from times, inputs and which
     /// values are missing. What was measured is not looked at; `data` and `constant` are zero, and there is no chain.
     ///

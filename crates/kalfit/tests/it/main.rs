@@ -11,6 +11,7 @@ mod meta_analysis;
 mod observability;
 mod passes;
 mod phased;
+mod phased_record;
 mod plan;
 mod random_ensembles;
 mod reduction;

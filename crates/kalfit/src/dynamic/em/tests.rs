@@ -11,8 +11,9 @@ use crate::ensemble::{Labels, Source, Test};
 use crate::estimate::Silent;
 use crate::model::{
     Clock, Column, CovarianceStructure, Expression, Initial, Linear, MeanStructure, Measurement, Model, Motion,
-    Operator, Parameter, Population, State, Value,
+    Operator, Parameter, PhasedModel, Population, State, Value,
 };
+use crate::reduce::PhasedTest;
 use crate::score::Slots;
 use crate::simulate::{Designs, Simulator};
 
@@ -188,10 +189,14 @@ fn off(model: &Model) -> Vec<f64> {
     starts(model).into_iter().enumerate().map(moved).collect()
 }
 
+fn phased(tests: Vec<Test>) -> Vec<PhasedTest> {
+    tests.into_iter().map(PhasedTest::from).collect()
+}
+
 fn with_bench<T>(model: &Model, seed: u64, go: impl FnOnce(&Bench<'_>) -> T) -> T {
-    let tests = drawn(model, seed);
-    let slots = Slots::new(model, &Labels::default(), &tests);
-    go(&Bench::new(model, &tests, &slots, &Settings::default()))
+    let (tests, model) = (phased(drawn(model, seed)), PhasedModel::from(model.clone()));
+    let slots = Slots::in_phases(&model, &Labels::default(), &tests);
+    go(&Bench::new(&model, &tests, &slots, &Settings::default()))
 }
 
 fn end(bench: &Bench<'_>, values: &[f64], method: Method) -> End {
@@ -310,7 +315,7 @@ fn a_level_that_should_be_zero_gets_there() {
     with_bench(&model, 21, |bench| {
         let mut noiseless = model.clone();
         noiseless.parameters[1].value = Value::Free { start: Some(1e-9) };
-        let tests = drawn(&noiseless, 22);
+        let (tests, model) = (phased(drawn(&noiseless, 22)), PhasedModel::from(model.clone()));
         let own = Bench::new(&model, &tests, bench.slots, bench.settings);
         let (em, hybrid) = (end(&own, &[0.4, 0.05, 0.3], Method::Em), end(&own, &[0.4, 0.05, 0.3], Method::Hybrid));
         assert_eq!(em.stop, Stop::Certified);

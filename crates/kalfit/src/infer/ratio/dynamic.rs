@@ -14,6 +14,7 @@ use crate::infer::ratio::restricted::{NotNestedParameter, Restricted, restricted
 use crate::infer::ratio::{Bootstrap, BootstrapResult, Component, LikelihoodRatio, NotNested, ReferenceLaw};
 use crate::infer::ratio::{fit_null, likelihood_ratio};
 use crate::model::{Model, Population, Value};
+use crate::reduce::PhasedTest;
 use crate::simulate::{Designs, SimulateError, Simulator};
 
 /// Why a hypothesis cannot be tested.
@@ -125,7 +126,8 @@ pub fn dynamic_bootstrap(
 
 /// ℓ at a certified maximum.
 fn certified(model: &Model, labels: &Labels, tests: &[Test], settings: &Settings) -> Option<f64> {
-    let fit = dynamic::fit(model, labels, tests, settings, &mut Silent).ok()?;
+    let tests: Vec<PhasedTest> = tests.iter().cloned().map(PhasedTest::from).collect();
+    let fit = dynamic::fit(&model.clone().into(), labels, &tests, settings, &mut Silent).ok()?;
     (fit.stop == Stop::Certified && fit.estimate.stop == Stop::Certified).then_some(fit.estimate.log_likelihood)
 }
 
