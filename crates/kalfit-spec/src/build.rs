@@ -73,7 +73,7 @@ fn check_shared(context: &Context<'_>, declared: &[parameters::Declared], source
     let found = names * sources.len();
     match &sources[0].span {
         Some(span) if sources.len() > 1 && found > MAX_SHARED => {
-            let (what, expected) = ("columns and texts, counted once in each phase,", format!("at most {MAX_SHARED}"));
+            let (what, expected) = ("columns and texts (each counted in every phase)", format!("at most {MAX_SHARED}"));
             Err(SpecError::new(Problem::Count { what, found, expected }).at(span.clone()))
         }
         _ => Ok(()),

@@ -449,3 +449,67 @@ fn an_error_in_a_table_of_the_top_level_says_which_phase_takes_it() {
     for phase `coast`, which has no `states` of its own
     ");
 }
+
+/// A phase of an own part, which follows the platform's alignment.
+fn coast(own: &str) -> Spec {
+    let (align, _) = PLATFORM.split_at(PLATFORM.find("[phases.flight.states]").expect("there is a flight"));
+    let text = format!(
+        "{align}{own}[phases.coast.measurements.star]\ncolumn = 'star'\nequation = 'tilt'\nnoise = 'sigma_vel'\n\
+         [parameters]\nvrw = 0.01\narw = 0.02\nsigma_vel = 0.05\n"
+    );
+    read(&text)
+}
+
+#[test]
+fn an_inheritance_is_linear_in_the_states_in_which_the_phase_before_ended() {
+    let spec = coast(
+        r#"
+[phases.coast.states]
+velocity_error = {}
+tilt = {}
+[phases.coast.carry]                 # x_0 of this phase = own uncertain part + these (linear in the previous phase's final states)
+velocity_error = "velocity_error"
+tilt = "tilt + 0.1 * bias"           # coefficients: numbers, parameters, columns constant within the test; a constant term is a known input
+"#,
+    );
+    assert_eq!(spec.model.phases[1].carry, [takes(0, &[(0, 1.0)]), takes(1, &[(1, 1.0), (2, 0.1)])]);
+}
+
+#[test]
+fn a_covariance_that_is_known_may_be_zero_or_huge_in_any_phase() {
+    for value in ["0", "1e6", "0.25"] {
+        let spec = coast(&format!(
+            "[phases.coast.states]\ntilt = {{}}\nvelocity_error = {{ initial = {{ mean = 0, sigma = 0 }} }}\n\
+             [phases.coast.carry]\ntilt = '0.9 * tilt'\nvelocity_error = 'velocity_error'\n\
+             [phases.coast.covariance]\nstructure = 'fixed'\nmatrix = [[{value}]]\n"
+        ));
+        let known = number(value.parse().expect("it is a number"));
+        assert_eq!(spec.model.phases[1].model.covariance.kind, CovarianceKind::Fixed(vec![vec![known]]), "{value}");
+    }
+}
+
+#[test]
+fn a_filter_as_the_contract_writes_it_is_read() {
+    let spec = read(
+        r#"
+[states]
+bias = {}
+scale = {}
+[measurements.output]
+column = "output"
+equation = "bias + scale * g_in"
+noise = "sigma_v"
+[parameters]
+sigma_v = { start = 1, per = "lot" }
+[filter]                             # or [phases.NAME.filter]
+kind = "kalman-schmidt"
+consider = ["scale"]                 # states whose uncertainty is accounted for but which are not estimated
+mean = { bias = 0 }
+covariance = [[4, 0], [0, 1e4]]      # the filter's own prior, required, in the order of all states; a state left out of `mean` is 0
+parameters = { sigma_v = 0.2 }       # the filter's own belief, where it differs from the model (named parameters only)
+"#,
+    );
+    let filter = spec.model.phases[0].filter.as_ref().expect("there is a filter");
+    assert_eq!((filter.consider.as_slice(), filter.parameters.as_slice()), (&[1][..], &[(0, 0.2)][..]));
+    assert_eq!(filter.covariance[(1, 1)], 1e4);
+}
