@@ -59,7 +59,7 @@ pub use plain::{Plain, StepMatrices, Terminal};
 pub use reducer::{Reducer, Work};
 pub use reduction::{Path, Reduction};
 pub use split::SplitError;
-pub use suboptimal::{EstimateReducer, FilterRunner};
+pub use suboptimal::{EstimateReducer, FilterRunner, Lost, LostError, lost};
 
 pub(crate) use carry::Inherits;
 pub(crate) use data::innovate;

@@ -12,10 +12,12 @@ mod conditioned;
 mod jacobi;
 mod joint;
 mod known;
+mod lost;
 
 mod matrices;
 mod reducer;
 mod run;
 
+pub use lost::{Lost, LostError, lost};
 pub use reducer::EstimateReducer;
 pub use run::FilterRunner;

@@ -1,6 +1,9 @@
 //! Estimates → reductions.
 #![expect(non_snake_case, reason = "the letters of the theory: P, S")]
 
+use std::borrow::Cow;
+use std::sync::Arc;
+
 use nalgebra::{DMatrix, DVector};
 
 use crate::linalg::fold::{Rotation, fold};
@@ -8,7 +11,8 @@ use crate::model::{Alpha, Phase};
 use crate::reduce::digest::Digest;
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
 use crate::reduce::prepare::{Preparer, Workspace};
-use crate::reduce::shared::{self, Shared};
+use crate::reduce::semidefinite::root;
+use crate::reduce::shared::{Entry as Known, Shared};
 use crate::reduce::subject::{Fault, Subject};
 use crate::reduce::suboptimal::conditioned::{Conditioned, Entry, Exact};
 use crate::reduce::suboptimal::matrices::not_semidefinite;
@@ -18,6 +22,8 @@ use crate::reduce::{Estimates, Path, Reduction, Terminal};
 const CLASS_BYTES: usize = 64 << 20;
 /// A diagonal of R below this part of its column is zero information.
 const UNINFORMED: f64 = 1e-12;
+/// A deviation that is this part of an estimate is lost in its rounding.
+const DROWNED: f64 = 1e-12;
 
 /// What J and Ψ_K of estimates depend on.
 #[derive(Debug, Clone, PartialEq)]
@@ -29,7 +35,9 @@ struct Class {
     start: DMatrix<f64>,
 }
 
-type Classes = Shared<Class, Result<Conditioned, Exact>>;
+type Made = Result<Conditioned, Exact>;
+/// a, a root of P0, and covariates.
+type Started = (DVector<f64>, DMatrix<f64>, Vec<f64>);
 
 /// Makes reductions of estimates (theory §8), in the entering coordinates σ of their phase, x_0 = a + Eσ + ζ.
 ///
@@ -44,7 +52,7 @@ type Classes = Shared<Class, Result<Conditioned, Exact>>;
 pub struct EstimateReducer {
     entering: Vec<usize>,
     preparer: Preparer,
-    classes: Classes,
+    classes: Shared<Class, Made>,
 }
 
 impl EstimateReducer {
@@ -92,6 +100,7 @@ impl EstimateReducer {
             test: Some(id.to_owned()),
             ..fault.name(&self.preparer.model, Some(&estimates.constants))
         };
+        let estimates = &*without_drowned(estimates);
         let (start, root, covariates) = self.start(estimates).map_err(named)?;
         let (design, class) = self.class(estimates, root);
         let conditioned =
@@ -127,28 +136,23 @@ impl EstimateReducer {
         Ok((reduction, terminal, conditioned.log_volume))
     }
 
-    /// a, a root of P0, and covariates.
-    fn start(&self, estimates: &Estimates) -> Result<(DVector<f64>, DMatrix<f64>, Vec<f64>), Box<Fault>> {
+    fn start(&self, estimates: &Estimates) -> Result<Started, Box<Fault>> {
         let mut work: Workspace = self.preparer.workspace();
         self.preparer.open(&estimates.constants, &mut work)?;
         let (order, r) = (&self.preparer.order, work.design.frame.r);
         let start = DVector::from_fn(order.states.len(), |state, _| work.data.start[order.place[state]]);
-        let U = crate::reduce::semidefinite::root(&work.design.variance, r)
+        let U = root(&work.design.variance, r)
             .map_err(|bad| Fault::new(Subject::KnownCovariance, not_semidefinite(bad)))?;
         let kept: Vec<usize> = (0..r).filter(|k| U[k * r..][..r].iter().any(|x| *x != 0.0)).collect();
-        let mut root = DMatrix::zeros(order.states.len(), kept.len());
+        let mut start_root = DMatrix::zeros(order.states.len(), kept.len());
         for (column, k) in kept.iter().enumerate() {
-            (0..r).for_each(|i| root[(order.states[i], column)] = U[k * r + i]);
+            (0..r).for_each(|i| start_root[(order.states[i], column)] = U[k * r + i]);
         }
-        Ok((start, root, work.covariates))
+        Ok((start, start_root, work.covariates))
     }
 
     /// (digest of the design, what its tests share).
-    fn class(
-        &self,
-        estimates: &Estimates,
-        start: DMatrix<f64>,
-    ) -> (u128, std::sync::Arc<shared::Entry<Class, Result<Conditioned, Exact>>>) {
+    fn class(&self, estimates: &Estimates, start: DMatrix<f64>) -> (u128, Arc<Known<Class, Made>>) {
         let Estimates { sensitivities, transition, root, .. } = estimates;
         let mut digest = Digest::new();
         for matrix in [sensitivities, transition, root, &start] {
@@ -171,12 +175,33 @@ impl EstimateReducer {
             let entry = Entry { entering: &self.entering, root: class.start.clone() };
             Conditioned::new(estimates, &entry)
         };
-        let size = |class: &Class, made: &Result<Conditioned, Exact>| {
+        let size = |class: &Class, made: &Made| {
             let key = [&class.sensitivities, &class.transition, &class.root, &class.start];
             8 * key.iter().map(|a| a.len()).sum::<usize>() + made.as_ref().map_or(0, Conditioned::bytes)
         };
         (digest, self.classes.get(digest, same, key, make, size))
     }
+}
+
+/// The estimates, elements whose deviation is lost in the rounding of their values taken as certain. A gain that is zero but for
+/// rounding leaves such: what is left of them says nothing.
+fn without_drowned(estimates: &Estimates) -> Cow<'_, Estimates> {
+    let n = estimates.transition.nrows();
+    let drowned = |&i: &usize| {
+        let size = estimates.estimates[i].abs().max(estimates.offsets[i].abs());
+        let deviation = estimates.root.row(n + i).norm();
+        0.0 < deviation && deviation <= DROWNED * size
+    };
+    let rows: Vec<usize> = (0..estimates.estimates.len()).filter(drowned).collect();
+    if rows.is_empty() {
+        return Cow::Borrowed(estimates);
+    }
+    let mut cleared = estimates.clone();
+    for i in rows {
+        cleared.sensitivities.row_mut(i).fill(0.0);
+        cleared.root.row_mut(n + i).fill(0.0);
+    }
+    Cow::Owned(cleared)
 }
 
 fn same_bits(a: &DMatrix<f64>, b: &DMatrix<f64>) -> bool {

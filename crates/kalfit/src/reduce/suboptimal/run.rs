@@ -1,5 +1,7 @@
 //! A filter, optimal or not, run over tests: its estimates, and how they depend on the truth.
 
+use std::sync::Arc;
+
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
@@ -19,6 +21,7 @@ use crate::reduce::suboptimal::known::{check, constants, without_start};
 const CLASS_BYTES: usize = 256 << 20;
 
 type Covariances = Vec<(usize, usize, f64)>;
+type Made = Result<FilterDesign, Box<Fault>>;
 
 /// What gains, S and Γ depend on: design and covariances of noises, of the truth and of the filter.
 #[derive(Debug, Clone)]
@@ -40,7 +43,7 @@ pub struct FilterRunner {
     filter: Filter,
     truth: Preparer,
     own: Preparer,
-    classes: Shared<Class, Result<FilterDesign, Box<Fault>>>,
+    classes: Shared<Class, Made>,
 }
 
 /// Room for one test.
@@ -134,7 +137,7 @@ impl FilterRunner {
     }
 
     /// What the test in the room shares with others like it.
-    fn class(&self, room: &Room) -> std::sync::Arc<Entry<Class, Result<FilterDesign, Box<Fault>>>> {
+    fn class(&self, room: &Room) -> Arc<Entry<Class, Made>> {
         let sides = [&room.truth, &room.own];
         let covariances = |work: &Workspace| work.covariances.clone().unwrap_or_default();
         let mut digest = Digest::new();

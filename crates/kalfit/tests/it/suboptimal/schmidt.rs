@@ -1,11 +1,13 @@
 //! The public case schmidt-single: its numbers were found by stacking all noises of each test densely.
 
+use kalfit::estimate::Structure;
 use kalfit::model::{
-    Alpha, Clock, Column, CovarianceStructure, Filter, Initial, Linear, MeanStructure, Measurement, Motion, Operator,
-    Parameter, Phase, State, Value,
+    Alpha, Clock, Column, CovarianceStructure, Filter, FixedElement, Initial, Linear, MeanElement, MeanStructure,
+    Measurement, Motion, Operator, Parameter, Phase, State, Value,
 };
-use kalfit::reduce::{EstimateReducer, FilterRunner, Reducer, Reduction};
-use kalfit::{Expression, Model, PhasedModel, Source, Test};
+use kalfit::plan::{Quantity, information_lost};
+use kalfit::reduce::{EstimateReducer, FilterRunner, Reducer, Reduction, lost};
+use kalfit::{Expression, Model, PhasedModel, Population, Source, Test};
 use nalgebra::{DMatrix, DVector};
 
 /// unit, t, g_in, output.
@@ -184,4 +186,37 @@ fn a_filter_that_is_optimal_but_for_its_finite_prior_loses_nothing() {
         assert!((&j - &k).amax() <= 1e-11 * j.amax(), "test {}: J {j} {k}", raw.test);
         assert!((&y - &z).amax() <= 1e-11 * y.amax(), "test {}: y {y} {z}", raw.test);
     }
+}
+
+#[test]
+fn what_the_schmidt_filter_loses_of_the_information_is_that_of_the_public_case() {
+    let alpha = Alpha::fixed(&model().parameters).expect("all is fixed");
+    let raw = Reducer::new(&model(), &alpha).expect("sound").reduce(&tests()).expect("sound");
+    let (own, _) = reduced(&phase(&[2], &[(SIGMA_V, 2.0), (RW, 0.5)]));
+    let mut mean = MeanStructure::free(3);
+    mean.elements[2] = MeanElement::Fixed(0.0);
+    let fixed = |i: usize, j: usize, value: f64| FixedElement { i, j, value };
+    let mut structure = CovarianceStructure::full();
+    structure.fixed = vec![fixed(2, 2, 4.0), fixed(2, 0, 0.0), fixed(2, 1, 0.0)];
+    let population = Population {
+        mean: vec![11.101698507, 1.4961022844, 0.0],
+        coefficients: vec![],
+        covariance: covariance(13.01967194, 8.212585765, 6.1258288233),
+    };
+    let structure = Structure { mean: &mean, covariance: &structure, alpha: &alpha };
+    let found = information_lost(&raw, &own, &structure, &population).expect("sound");
+    let expected = [
+        (Quantity::Mean(0), 1.045168),
+        (Quantity::Mean(1), 1.006609),
+        (Quantity::Covariance(0, 0), 1.089779),
+        (Quantity::Covariance(1, 0), 1.045849),
+        (Quantity::Covariance(1, 1), 1.012337),
+    ];
+    for (quantity, expected) in expected {
+        let ratio = found.std_errors.iter().find(|ratio| ratio.quantity == quantity).expect("it is free").ratio;
+        close(&format!("{quantity:?}"), ratio, expected, 1e-6);
+    }
+    close("log |I|", found.log_determinant.expect("all is identified"), -0.48847525, 1e-8);
+    let parts: Vec<(f64, f64)> = raw.iter().zip(&own).map(|(a, b)| lost(a, b).expect("less").range).collect();
+    assert!(parts.iter().any(|(_, most)| *most > 0.05 && *most < 1.0), "nothing is lost: {parts:?}");
 }
