@@ -97,7 +97,7 @@ pub(crate) fn load(spec: &mut Spec, from: &Path, set: &[String]) -> Result<Truth
     } else {
         let record = read_record(from)?;
         let population =
-            record.population(spec.model.shared()).map_err(|error| TruthError::Record { path: path.clone(), error })?;
+            record.population(&spec.model).map_err(|error| TruthError::Record { path: path.clone(), error })?;
         if record.model_digest.as_ref().is_some_and(|digest| *digest != spec.digest) {
             warnings.push(format!("`{path}` was made with another version of `{}`", spec.name));
         }

@@ -18,13 +18,15 @@ pub use error::PlanError;
 pub use lost::{InformationLost, StdErrorRatio, information_lost};
 pub use record::{PlanProvenance, PlanRecord, PlannedRecord};
 
+use std::ops::Range;
+
 use crate::estimate::{ExpectedError, State, Structure, at_population};
 use crate::infer::{self, Direction, Uncertainty};
 use crate::linalg::symmetric::pair;
 use crate::model::Population;
 use crate::reduce::Reduction;
 
-/// What is estimated. Indices are places in μ and Σ.
+/// What is estimated. Indices are places in μ and Σ of all phases together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Quantity {
     /// An element of μ.
@@ -68,7 +70,7 @@ pub struct Plan {
     pub design_tests: usize,
     /// The numbers of tests asked for.
     pub tests: Vec<usize>,
-    /// All quantities: μ, regression coefficients, standard deviations, correlations by rows, Σ by rows.
+    /// All quantities: μ, regression coefficients, standard deviations, correlations by rows, Σ by rows; pairs within a phase.
     pub quantities: Vec<Planned>,
 }
 
@@ -127,7 +129,7 @@ pub fn plan(
         value: found.value(quantity),
         std_errors: found.error(quantity).map(at_each).ok_or_else(|| found.reason(quantity)),
     };
-    let quantities = quantities(p, regressions).into_iter().map(one).collect();
+    let quantities = quantities(&structure.ranges(), regressions).into_iter().map(one).collect();
     Ok(Plan { design_tests: n, tests: tests.to_vec(), quantities })
 }
 
@@ -138,10 +140,18 @@ fn off_structure(error: ExpectedError) -> PlanError {
     }
 }
 
-fn quantities(p: usize, regressions: usize) -> Vec<Quantity> {
-    let lower = |from: usize| (0..p).flat_map(move |i| (0..(i + 1).saturating_sub(from)).map(move |j| (i, j)));
-    let means = (0..p).map(Quantity::Mean).chain((0..regressions).map(Quantity::Coefficient));
-    let spreads = (0..p).map(Quantity::StdDev).chain(lower(1).map(|(i, j)| Quantity::Correlation(i, j)));
+/// Those of all phases; of pairs, those within a phase: states of different phases are independent.
+fn quantities(phases: &[Range<usize>], regressions: usize) -> Vec<Quantity> {
+    let all = || phases.iter().flat_map(Clone::clone);
+    let lower = |least: usize| {
+        let of = move |range: &Range<usize>| {
+            let first = range.start;
+            range.clone().flat_map(move |i| (first..(i + 1).saturating_sub(least).max(first)).map(move |j| (i, j)))
+        };
+        phases.iter().flat_map(of)
+    };
+    let means = all().map(Quantity::Mean).chain((0..regressions).map(Quantity::Coefficient));
+    let spreads = all().map(Quantity::StdDev).chain(lower(1).map(|(i, j)| Quantity::Correlation(i, j)));
     means.chain(spreads).chain(lower(0).map(|(i, j)| Quantity::Covariance(i, j))).collect()
 }
 

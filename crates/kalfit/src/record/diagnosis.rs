@@ -3,10 +3,10 @@
 use std::collections::HashMap;
 
 use crate::infer::{Leading, Observability, Reason, StateObservability};
-use crate::innovations::{Innovations, Whiteness};
+use crate::innovations::{Innovations, Part, Whiteness};
 use crate::model::PhasedModel;
 use crate::record::cut::{Cut, regressions};
-use crate::record::{FitRecord, InnovationRecord, ObservabilityRecord, WhitenessRecord};
+use crate::record::{FitRecord, InnovationPartRecord, InnovationRecord, ObservabilityRecord, WhitenessRecord};
 
 /// No more names than this in a sentence.
 const MOST_NAMES: usize = 8;
@@ -36,8 +36,22 @@ pub(super) fn named(leading: &Option<Leading>) -> (Option<String>, Option<f64>) 
 }
 
 impl InnovationRecord {
-    /// Figures of innovations at an estimate of p states.
-    pub fn new(found: &Innovations, p: usize) -> InnovationRecord {
+    /// Figures of innovations at an estimate of a model. Panics when they are of another model with more phases or measurements.
+    pub fn new(found: &Innovations, model: &PhasedModel) -> InnovationRecord {
+        let p = model.dimension();
+        let part = |part: Part| {
+            let phase = &model.phases[part.phase];
+            InnovationPartRecord {
+                phase: phase.name.clone(),
+                measurement: phase.model.measurements[part.measurement].name.clone(),
+                innovations: InnovationRecord::figures(&part.innovations, p),
+            }
+        };
+        let parts = if model.is_single() { Vec::new() } else { found.parts() };
+        InnovationRecord { parts: parts.into_iter().map(part).collect(), ..InnovationRecord::figures(found, p) }
+    }
+
+    fn figures(found: &Innovations, p: usize) -> InnovationRecord {
         let finite = |x: f64| Some(x).filter(|x| x.is_finite());
         let whiteness = |w: Whiteness| WhitenessRecord {
             statistic: w.statistic,
@@ -51,6 +65,7 @@ impl InnovationRecord {
             nis_p_value: found.p_value(p).and_then(finite),
             mean: found.mean.and_then(finite),
             whiteness: found.whiteness.filter(|w| w.statistic.is_finite() && w.p_value.is_finite()).map(whiteness),
+            parts: Vec::new(),
         }
     }
 }

@@ -31,7 +31,9 @@ pub use phase::{
 };
 pub use population::{FIT_SCHEMA, RecordError};
 pub use ratio::{BootstrapRecord, ComponentRecord, PartRecord, RatioProvenance, RatioRecord, SideRecord};
-pub use test::{DeletedRecord, DeletionRecord, InnovationRecord, PosteriorRecord, TestRecord, WhitenessRecord};
+pub use test::{
+    DeletedRecord, DeletionRecord, InnovationPartRecord, InnovationRecord, PosteriorRecord, TestRecord, WhitenessRecord,
+};
 
 /// All that a fit found. `None` is written as null: not known, not identified, or not applicable.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

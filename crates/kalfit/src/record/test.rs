@@ -41,6 +41,21 @@ pub struct InnovationRecord {
     pub mean: Option<f64>,
     /// Ljung and Box's test; null when too short.
     pub whiteness: Option<WhitenessRecord>,
+    /// The same of each measurement of each phase, where the model has several phases.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub parts: Vec<InnovationPartRecord>,
+}
+
+/// Innovations of one measurement of one phase of a test.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct InnovationPartRecord {
+    /// Name of the phase.
+    pub phase: String,
+    /// Name of the measurement.
+    pub measurement: String,
+    /// Their figures, as if they were a test.
+    #[serde(flatten)]
+    pub innovations: InnovationRecord,
 }
 
 /// Ljung and Box's test of the e/√S, each measurement by itself, added up.

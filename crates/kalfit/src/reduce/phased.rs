@@ -174,7 +174,8 @@ impl PhasedReducer {
         all.into_iter().collect()
     }
 
-    fn one(&self, test: &PhasedTest, work: &mut PhasedWork) -> Result<Reduction, ReduceError> {
+    /// The reduction of one test.
+    pub(crate) fn one(&self, test: &PhasedTest, work: &mut PhasedWork) -> Result<Reduction, ReduceError> {
         if let ([phase], [Evidence::Rows(rows)]) = (&*self.phases, &*test.phases)
             && phase.is_optimal()
         {

@@ -170,9 +170,10 @@ fn drawn(model: &Model, seed: u64) -> Vec<Test> {
     let p = model.dimension();
     let covariance = DMatrix::from_fn(p, p, |i, j| if i == j { 1.0 } else { 0.3 });
     let population = Population { mean: vec![2.0; p], coefficients: Vec::new(), covariance };
-    let simulator = Simulator::new(model, &slots.alpha(model, &starts(model)), population, seed).expect("a law");
-    let designs = Designs::new((0..14).map(design).collect()).expect("tests");
-    simulator.draw(&designs, 0..14).expect("drawn").into_iter().map(|drawn| drawn.test).collect()
+    let simulator =
+        Simulator::new(&model.clone().into(), &slots.alpha(model, &starts(model)), population, seed).expect("a law");
+    let designs = Designs::new((0..14).map(|j| design(j).into()).collect()).expect("tests");
+    simulator.draw(&designs, 0..14).expect("drawn").into_iter().flat_map(|drawn| drawn.test.rows()).collect()
 }
 
 fn starts(model: &Model) -> Vec<f64> {

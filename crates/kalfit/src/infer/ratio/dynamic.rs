@@ -106,13 +106,13 @@ pub fn dynamic_bootstrap(
     (statistic, asked): (f64, Bootstrap),
 ) -> Result<BootstrapResult, SimulateError> {
     let (model, fit) = null;
-    let simulator = Simulator::new(model, &fit.alpha, Population::from(&fit.estimate), asked.seed)?;
-    let designs = Designs::new(tests.to_vec())?;
+    let simulator = Simulator::new(&model.clone().into(), &fit.alpha, Population::from(&fit.estimate), asked.seed)?;
+    let designs = Designs::new(tests.iter().map(|test| test.clone().into()).collect())?;
     let starts = [started(model, null), started(wide, null)];
     let n = tests.len() as u64;
     let one = |b: usize| -> Result<Option<f64>, SimulateError> {
         let drawn = simulator.draw(&designs, b as u64 * n..(b as u64 + 1) * n)?;
-        let drawn: Vec<Test> = drawn.into_iter().map(|one| one.test).collect();
+        let drawn: Vec<Test> = drawn.into_iter().flat_map(|one| one.test.rows()).collect();
         let [narrow, full] = [(&starts[0], model), (&starts[1], wide)].map(|(near, plain)| {
             [near, plain].into_iter().find_map(|model| certified(model, labels, &drawn, settings))
         });
