@@ -1,18 +1,20 @@
 //! From the text of a model file to the model.
 
 use kalfit::{Layout, Model, PhasedModel};
-use sha2::{Digest, Sha256};
 use toml::de::DeTable;
 
 use crate::error::{Problem, Result, SpecError};
 use crate::names::Context;
 use crate::phase::{Read, Shared, phase};
+use crate::phases::Source;
 use crate::places::Places;
 use crate::table::Section;
-use crate::{Spec, data, parameters, phases};
+use crate::{Spec, data, digest, filter, parameters, phases};
 
 /// Largest model file, in bytes.
 pub(crate) const MAX_BYTES: u64 = 4 * 1024 * 1024;
+/// Columns, texts and levels of a model, times its phases.
+const MAX_SHARED: usize = 1_000_000;
 const KEYS: [&str; 11] = [
     "title",
     "data",
@@ -36,7 +38,7 @@ pub(crate) fn spec(name: &str, text: &str) -> Result<Spec> {
     let table = DeTable::parse(text).map_err(|error| not_toml(&error, text))?;
     let root = Section::open("the model file", table.span(), table.get_ref()).only(&KEYS)?;
     let (model, layout, places) = model(text, root)?;
-    Ok(Spec { model, layout, digest: digest(text), name: name.to_owned(), text: text.to_owned(), places })
+    Ok(Spec { model, layout, digest: digest::of_text(text), name: name.to_owned(), text: text.to_owned(), places })
 }
 
 /// Reads what the tables of a model file say.
@@ -54,6 +56,7 @@ pub(crate) fn model(text: &str, mut root: Section<'_>) -> Result<(PhasedModel, L
         source.count("states of all phases together", read.iter().map(|phase| phase.states.len()).sum())?;
         source.count("measurements of all phases together", read.iter().map(|one| one.measurements.len()).sum())?;
     }
+    check_shared(&context, &declared, &sources)?;
     let shared = Shared { title, parameters: parameters::finish(&context, declared)?, group: data.group };
     let models: Vec<Model> = read.iter().map(|phase| phase.model(&context, &shared)).collect();
     data.check(models.iter().zip(read.iter().map(|phase| &phase.start)))?;
@@ -63,14 +66,31 @@ pub(crate) fn model(text: &str, mut root: Section<'_>) -> Result<(PhasedModel, L
     Ok((PhasedModel { phases, column: data.phase }, data.layout, places))
 }
 
+/// Columns, texts and levels stand in every phase's model: refuses files of which that makes too much.
+fn check_shared(context: &Context<'_>, declared: &[parameters::Declared], sources: &[Source<'_>]) -> Result<()> {
+    let levels: usize = declared.iter().map(|one| one.parameter.fixed_levels.len()).sum();
+    let names = context.columns.len() + context.text_columns.len() + context.literals.texts.len() + levels;
+    let found = names * sources.len();
+    match &sources[0].span {
+        Some(span) if sources.len() > 1 && found > MAX_SHARED => {
+            let (what, expected) = ("columns and texts (each counted in every phase)", format!("at most {MAX_SHARED}"));
+            Err(SpecError::new(Problem::Count { what, found, expected }).at(span.clone()))
+        }
+        _ => Ok(()),
+    }
+}
+
 /// Filters can be checked when all uses of parameters are known; one table may serve several phases.
 fn check_filters(context: &Context<'_>, read: &[Read<'_>], models: &[Model]) -> Result<()> {
-    for (phase, model) in read.iter().zip(models) {
+    let used: Vec<Vec<bool>> = models.iter().map(filter::used).collect();
+    for (phase, (model, own)) in read.iter().zip(models.iter().zip(&used)) {
         let Some(filter) = &phase.filter else { continue };
+        let mut served = vec![false; model.parameters.len()];
         let same = |other: &Read<'_>| other.filter.as_ref().is_some_and(|other| other.span == filter.span);
-        let served: Vec<&Model> =
-            read.iter().zip(models).filter(|(other, _)| same(other)).map(|(_, model)| model).collect();
-        filter.check(context, model, &served).map_err(|error| phase.source.explain("filter", error))?;
+        for (_, used) in read.iter().zip(&used).filter(|(other, _)| same(other)) {
+            served.iter_mut().zip(used).for_each(|(served, used)| *served |= used);
+        }
+        filter.check(context, model, own, &served).map_err(|error| phase.source.explain("filter", error))?;
     }
     Ok(())
 }
@@ -82,11 +102,4 @@ pub(crate) fn not_toml(error: &toml::de::Error, text: &str) -> SpecError {
         Some(span) => wrong.at(span.start.min(text.len())..span.end.min(text.len())),
         None => wrong,
     }
-}
-
-/// `sha256:` and 64 hexadecimal digits.
-pub(crate) fn digest(text: &str) -> String {
-    let bytes = Sha256::digest(text.as_bytes());
-    let hex: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
-    format!("sha256:{hex}")
 }

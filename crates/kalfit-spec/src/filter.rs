@@ -100,13 +100,25 @@ fn beliefs(context: &Context<'_>, field: &Field<'_>) -> Result<Vec<Belief>> {
     Ok(all)
 }
 
+/// Whether motion, measurements or noises of a phase use each parameter: what its filter is made of.
+pub(crate) fn used(model: &Model) -> Vec<bool> {
+    let mut used = vec![false; model.parameters.len()];
+    uses(model, &mut |part| {
+        if let Expression::Parameter(index) = part {
+            used[*index] = true;
+        }
+        false
+    });
+    used
+}
+
 impl Declared {
-    /// Checks the filter of phase `model` now that all parameters and their uses are known; `served` are the models of all
-    /// phases that this table serves.
-    pub(crate) fn check(&self, context: &Context<'_>, model: &Model, served: &[&Model]) -> Result<()> {
+    /// Checks the filter now that all parameters and their uses are known: `used` by this phase, `served` by any phase that has
+    /// this table.
+    pub(crate) fn check(&self, context: &Context<'_>, model: &Model, used: &[bool], served: &[bool]) -> Result<()> {
         for Belief { parameter, value, span } in &self.beliefs {
             let name = &model.parameters[*parameter].name;
-            if !served.iter().any(|model| uses_parameter(model, *parameter)) {
+            if !served[*parameter] {
                 let why = format!("in {}: the filter does not use it", self.place);
                 return Err(SpecError::new(Problem::NoEffect { key: name.clone(), why }).at(span.clone()));
             }
@@ -117,10 +129,10 @@ impl Declared {
                 return Err(SpecError::new(problem).at(span.clone()));
             }
         }
-        match model.parameters.iter().enumerate().find(|(index, parameter)| self.lacks(model, *index, parameter)) {
+        match model.parameters.iter().zip(used).enumerate().find(|(index, one)| *one.1 && self.lacks(*index, one.0)) {
             None => Ok(()),
-            Some((_, parameter)) => {
-                let (name, place) = (parameter.name.clone(), self.place.clone());
+            Some((_, (Parameter { name, .. }, _))) => {
+                let (name, place) = (name.clone(), self.place.clone());
                 let hint = format!(
                     "the estimates are data, so what the filter believed is known: write `parameters = {{ {name} = … }}` \
                      there, or fix the parameter"
@@ -130,15 +142,9 @@ impl Declared {
         }
     }
 
-    /// The filter uses a parameter that has no value.
-    fn lacks(&self, model: &Model, index: usize, parameter: &Parameter) -> bool {
-        matches!(parameter.value, Value::Free { .. })
-            && !self.beliefs.iter().any(|belief| belief.parameter == index)
-            && uses_parameter(model, index)
+    /// A parameter has no value that the filter could have used.
+    fn lacks(&self, index: usize, parameter: &Parameter) -> bool {
+        let free = matches!(parameter.value, Value::Free { .. });
+        free && self.beliefs.binary_search_by_key(&index, |belief| belief.parameter).is_err()
     }
-}
-
-/// Motion, measurements or noises of a phase use a parameter.
-fn uses_parameter(model: &Model, index: usize) -> bool {
-    uses(model, &mut |part| *part == Expression::Parameter(index))
 }

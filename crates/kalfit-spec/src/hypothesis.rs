@@ -9,16 +9,15 @@ use toml::de::DeTable;
 
 use crate::Spec;
 use crate::build::{self, MAX_BYTES};
+use crate::digest;
 use crate::error::{Problem, Span, SpecError};
-use crate::merge::{KEPT, PLACE, merge, shifted_table};
+use crate::merge::{KEPT, OF_PHASE, PLACE, merge, shifted_table};
 use crate::names::phase_key;
 use crate::phases;
 use crate::places::Places;
 use crate::table::Section;
 
 const KEYS: [&str; 5] = ["title", "mean", "covariance", "parameters", "phases"];
-/// Tables of a phase that a hypothesis may have.
-const OF_PHASE: [&str; 2] = ["mean", "covariance"];
 
 /// A model under a hypothesis.
 #[derive(Debug, Clone)]
@@ -58,7 +57,7 @@ impl Spec {
         let (text, offset) = (format!("{}\n{hypothesis}", self.text), self.text.len() + 1);
         let sort = |error: SpecError| located(error, offset);
         let (title, model) = self.merged(&text, offset).map_err(sort)?;
-        Ok(Hypothesis { title, model, digest: build::digest(hypothesis) })
+        Ok(Hypothesis { title, model, digest: digest::of_text(hypothesis) })
     }
 
     fn merged(&self, text: &str, offset: usize) -> Result<(Option<String>, PhasedModel), SpecError> {

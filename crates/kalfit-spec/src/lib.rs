@@ -25,6 +25,17 @@
 //! Every message has its place in the file as a byte range ([`SpecError::span`]). A model file is untrusted: whatever
 //! it holds, reading it ends, in bounded memory, with a [`Spec`] or a [`SpecError`].
 //!
+//! # Phases
+//!
+//! `[phases]` makes one [`Phase`](kalfit::model::Phase) of each of its tables, in the order in which the file names them first.
+//! A phase has a table of its own whole (`[phases.coast.states]`), or takes that of the top level; a table of the top level that
+//! no phase takes is refused, and so are `initial_time` and `step_first` of `[data]` beside `[phases]`. Phases share columns and
+//! parameters; names of states and measurements are a phase's own.
+//!
+//! In `carry` the names are those of the phase before: its states, then parameters, then columns. A state that inherits adds
+//! its own start, which cannot be stationary. The hidden rate of a second-order Gauss-Markov state goes where its owner goes,
+//! by the same form, and adds nothing of its own. In a `[filter]` that considers such a state its rate is considered with it.
+//!
 //! # The expression language
 //!
 //! ```text
@@ -39,7 +50,7 @@
 //! is minus four. Numbers are decimal (`1`, `.5`, `1e-6`); names are letters, digits and `_`, not starting with a digit.
 //! A quote inside a text is written twice.
 //!
-//! A name is a state, else a parameter, else `pi` or `dt`, else a column of the data; a name in backticks is always a
+//! A name is a state of the phase, else a parameter, else `pi` or `dt`, else a column of the data; a name in backticks is always a
 //! column. Numbers, conditions and texts are different types: a condition becomes a number by `if(c, 1, 0)`, a number a
 //! condition by `x != 0`, and a text can only be compared, by `==` or `!=`, with a column, which is then a text column.
 //!
@@ -52,6 +63,7 @@ mod constraints;
 mod covariance;
 mod data;
 mod describe;
+mod digest;
 mod elements;
 mod error;
 mod expression;
@@ -75,6 +87,7 @@ mod show;
 mod states;
 mod suggest;
 mod table;
+mod words;
 
 use std::io::Read;
 use std::path::Path;

@@ -10,14 +10,16 @@ use crate::suggest::suggest;
 pub(crate) const PLACE: &str = "the hypothesis";
 /// Keys of `[covariance]` that are no constraints on Σ: a hypothesis leaves them alone.
 pub(crate) const KEPT: [&str; 2] = ["order", "known"];
+/// Tables of a phase that a hypothesis may have.
+pub(crate) const OF_PHASE: [&str; 2] = ["mean", "covariance"];
 
 type Key<'i> = Spanned<DeString<'i>>;
 type Item<'i> = Spanned<DeValue<'i>>;
 
 /// Puts the keys of a hypothesis, which were checked, into the model's.
 pub(crate) fn merge<'i>(base: &mut DeTable<'i>, own: DeTable<'i>) -> Result<(), SpecError> {
-    let spoken: Vec<String> = own.keys().map(|key| key.get_ref().to_string()).collect();
     let mut phases = DeTable::new();
+    refuse_idle(base, &own)?;
     for (key, value) in own {
         match (key.get_ref().as_ref(), value.get_ref()) {
             ("title", _) => {}
@@ -31,12 +33,30 @@ pub(crate) fn merge<'i>(base: &mut DeTable<'i>, own: DeTable<'i>) -> Result<(), 
             in_phase(base, phase.get_ref(), key, value);
         }
     }
-    for key in ["mean", "covariance"] {
-        if !spoken.iter().any(|spoken| spoken == key) {
-            drop_idle(base, key);
+    for key in OF_PHASE {
+        if idle(base, key) {
+            let found = base.keys().find(|k| k.get_ref() == key).cloned();
+            found.map(|key| base.remove(&key));
         }
     }
     Ok(())
+}
+
+/// Refuses tables of the top level that no phase of the model takes.
+fn refuse_idle(base: &DeTable<'_>, own: &DeTable<'_>) -> Result<(), SpecError> {
+    let idle = |key: &&Key<'_>| OF_PHASE.contains(&key.get_ref().as_ref()) && idle(base, key.get_ref());
+    let Some(key) = own.keys().find(idle) else { return Ok(()) };
+    let (name, why) = (key.get_ref().to_string(), "when every phase of the model has its own".to_owned());
+    let hint = format!("write `[phases.NAME.{name}]`");
+    Err(SpecError::new(Problem::NoEffect { key: name, why }).at(key.span()).hint(hint))
+}
+
+/// Every phase has this table itself.
+fn idle(base: &DeTable<'_>, key: &str) -> bool {
+    let phases = base.iter().find(|(k, _)| k.get_ref() == "phases").and_then(|(_, phases)| phases.get_ref().as_table());
+    let has =
+        |phase: &Item<'_>| phase.get_ref().as_table().is_some_and(|tables| tables.keys().any(|k| k.get_ref() == key));
+    phases.is_some_and(|phases| phases.values().all(has))
 }
 
 /// Keys replace those of what a phase has: its own table, or else a copy of the top level's.
@@ -47,17 +67,6 @@ fn in_phase<'i>(base: &mut DeTable<'i>, phase: &str, key: Key<'i>, value: Item<'
         phase.insert(key.clone(), top);
     }
     replace(phase, key, value);
-}
-
-/// Takes away a table of the model that no phase takes any more.
-fn drop_idle(base: &mut DeTable<'_>, key: &str) {
-    let Some(phases) = table_in(base, "phases") else { return };
-    let has =
-        |phase: &Item<'_>| phase.get_ref().as_table().is_some_and(|tables| tables.keys().any(|k| k.get_ref() == key));
-    if phases.values().all(has) {
-        let found = base.keys().find(|k| k.get_ref() == key).cloned();
-        found.map(|key| base.remove(&key));
-    }
 }
 
 fn table_in<'t, 'i>(table: &'t mut DeTable<'i>, key: &str) -> Option<&'t mut DeTable<'i>> {

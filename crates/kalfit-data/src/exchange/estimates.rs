@@ -119,26 +119,19 @@ fn order(row: Row<'_>, names: &[&str], phase: &str) -> Result<Vec<usize>, Exchan
 fn root(row: Row<'_>, n: usize, m: usize) -> Result<DMatrix<f64>, ExchangeError> {
     let size = n + m;
     let covariance = row.list("covariance")?;
-    let Some(root) = row.list("covariance_root")? else {
+    if row.list("covariance_root")?.is_none() {
         if covariance.is_none() {
             let at = row.place("covariance_root");
             return Err(ExchangeError::Missing { at, expected: "a list of numbers, here or in `covariance`" });
         }
         let rule = || format!("(n + m) × (n + m) with n = {n} states and m = {m} estimates");
         return root_of(row, row.exact("covariance", size * size, rule)?, size);
-    };
+    }
     if covariance.is_some() {
         return Err(ExchangeError::Both { at: row.place("covariance") });
     }
-    if size == 0 || root.len() % size != 0 {
-        return Err(ExchangeError::Length {
-            at: row.place("covariance_root"),
-            found: root.len(),
-            expected: format!("a multiple of {size}"),
-            rule: format!("(n + m) × any number of columns with n = {n} states and m = {m} estimates"),
-        });
-    }
-    Ok(DMatrix::from_row_slice(size, root.len() / size, root))
+    let rule = || format!("(n + m) × any number of columns with n = {n} states and m = {m} estimates");
+    row.rows("covariance_root", size, rule)
 }
 
 /// A root of Γ by its eigenvalues, once it is scaled to a diagonal of ones. Those within rounding of zero are zero: as variances

@@ -32,7 +32,7 @@ pub(super) const COLUMNS: [Column; 17] = [
     Column::optional("terminal_states", Shape::Words),
     Column::optional("terminal_mean", Shape::Numbers),
     Column::optional("terminal_sensitivity", Shape::Numbers),
-    Column::optional("terminal_covariance", Shape::Numbers),
+    Column::optional("terminal_root", Shape::Numbers),
     Column::optional("inherited_transition", Shape::Numbers),
     Column::optional("inherited_input", Shape::Numbers),
 ];
@@ -154,24 +154,12 @@ fn terminal(row: Row<'_>, n: usize, q: usize) -> Result<Terminal, ExchangeError>
     let mean = row.exact("terminal_mean", n, || format!("one for each of the {n} states"))?;
     let rule = || format!("n × q with n = {n} states and q = {q} entering states");
     let sensitivity = row.exact("terminal_sensitivity", n * q, rule)?;
-    let covariance = row.exact("terminal_covariance", n * n, || format!("n × n with n = {n} states"))?;
-    let covariance = DMatrix::from_row_slice(n, n, covariance);
-    if let Some((i, j)) = (0..n).flat_map(|i| (0..i).map(move |j| (i, j))).find(|&at| off(&covariance, at)) {
-        let (found, other) = (covariance[(i, j)], covariance[(j, i)]);
-        let at = row.place("terminal_covariance");
-        return Err(ExchangeError::NotSymmetric { at, row: i + 1, column: j + 1, found, other });
-    }
+    let root = row.rows("terminal_root", n, || format!("n × any number of columns with n = {n} states"))?;
     Ok(Terminal {
         mean: DVector::from_column_slice(mean),
         sensitivity: DMatrix::from_row_slice(n, q, sensitivity),
-        covariance,
+        root,
     })
-}
-
-/// An element and the one across the diagonal differ by more than rounding.
-fn off(a: &DMatrix<f64>, (i, j): (usize, usize)) -> bool {
-    let scale = a[(i, i)].abs().max(a[(j, j)].abs()).max(a[(i, j)].abs());
-    (a[(i, j)] - a[(j, i)]).abs() > 1e-6 * scale
 }
 
 fn same_names(row: Row<'_>, column: &str, expected: &[String], phase: &str) -> Result<(), ExchangeError> {

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use arrow::array::RecordBatch;
 use arrow::datatypes::DataType;
 use arrow::error::ArrowError;
+use nalgebra::DMatrix;
 use parquet::arrow::ProjectionMask;
 use parquet::arrow::arrow_reader::{ParquetRecordBatchReader, ParquetRecordBatchReaderBuilder};
 use parquet::errors::ParquetError;
@@ -324,6 +325,22 @@ impl<'b> Row<'b> {
         }
         let (at, found) = (self.place(column), list.len());
         Err(ExchangeError::Length { at, found, expected: length.to_string(), rule: rule() })
+    }
+
+    /// A matrix of this many rows and any number of columns; `rule` says why.
+    pub(super) fn rows(
+        self,
+        column: &str,
+        rows: usize,
+        rule: impl FnOnce() -> String,
+    ) -> Result<DMatrix<f64>, ExchangeError> {
+        let list = self.needed(column)?;
+        let columns = list.len().checked_div(rows).unwrap_or(0);
+        if columns * rows == list.len() {
+            return Ok(DMatrix::from_row_slice(rows, columns, list));
+        }
+        let (at, found, expected) = (self.place(column), list.len(), format!("a multiple of {rows}"));
+        Err(ExchangeError::Length { at, found, expected, rule: rule() })
     }
 
     /// True when a list has the precision of single floats.

@@ -202,7 +202,7 @@ impl<W: Write + Send> ReductionWriter<W> {
             ("terminal_states", Words),
             ("terminal_mean", Numbers),
             ("terminal_sensitivity", Numbers),
-            ("terminal_covariance", Numbers),
+            ("terminal_root", Numbers),
             ("inherited_transition", Numbers),
             ("inherited_input", Numbers),
         ];
@@ -210,39 +210,37 @@ impl<W: Write + Send> ReductionWriter<W> {
         Ok(ReductionWriter { table: Table::new(&columns, metadata, REDUCTIONS_SCHEMA, sink)?, phases: names(model) })
     }
 
-    /// Appends a test: what is known of its phases, from the first one on.
+    /// Appends one phase of a test.
     ///
     /// # Errors
     /// A sink that cannot be written to.
-    pub fn write(&mut self, test: &str, pieces: &[PhaseReduction]) -> Result<(), WriteError> {
-        for (piece, names) in pieces.iter().zip(&self.phases) {
-            let reduction = &piece.reduction;
-            let design = format!("{:032x}", reduction.design);
-            let (terminal, inherited) = (piece.terminal.as_ref(), piece.inherited.as_ref());
-            self.table.push(vec![
-                Cell::Text(Some(test)),
-                Cell::Text(Some(&names.phase)),
-                Cell::Words(Some(&names.entering)),
-                Cell::Number(Some(reduction.constant)),
-                Cell::Numbers(Some(reduction.data.clone())),
-                Cell::Numbers(Some(reduction.factor.clone())),
-                Cell::Numbers(Some(reduction.covariates.clone())),
-                Cell::Text(Some(match reduction.path {
-                    Path::Information => INFORMATION,
-                    Path::SquareRoot => SQUARE_ROOT,
-                })),
-                Cell::Text(Some(&design)),
-                Cell::Count(reduction.steps),
-                Cell::Count(reduction.observations),
-                Cell::Words(terminal.map(|_| names.states.as_slice())),
-                Cell::Numbers(terminal.map(|t| t.mean.as_slice().to_vec())),
-                Cell::Numbers(terminal.map(|t| rows_of(&t.sensitivity))),
-                Cell::Numbers(terminal.map(|t| rows_of(&t.covariance))),
-                Cell::Numbers(inherited.map(|i| rows_of(&i.transition))),
-                Cell::Numbers(inherited.map(|i| i.input.as_slice().to_vec())),
-            ])?;
-        }
-        Ok(())
+    pub fn write(&mut self, test: &str, phase: usize, piece: &PhaseReduction) -> Result<(), WriteError> {
+        let names = &self.phases[phase];
+        let reduction = &piece.reduction;
+        let design = format!("{:032x}", reduction.design);
+        let (terminal, inherited) = (piece.terminal.as_ref(), piece.inherited.as_ref());
+        self.table.push(vec![
+            Cell::Text(Some(test)),
+            Cell::Text(Some(&names.phase)),
+            Cell::Words(Some(&names.entering)),
+            Cell::Number(Some(reduction.constant)),
+            Cell::Numbers(Some(reduction.data.clone())),
+            Cell::Numbers(Some(reduction.factor.clone())),
+            Cell::Numbers(Some(reduction.covariates.clone())),
+            Cell::Text(Some(match reduction.path {
+                Path::Information => INFORMATION,
+                Path::SquareRoot => SQUARE_ROOT,
+            })),
+            Cell::Text(Some(&design)),
+            Cell::Count(reduction.steps),
+            Cell::Count(reduction.observations),
+            Cell::Words(terminal.map(|_| names.states.as_slice())),
+            Cell::Numbers(terminal.map(|t| t.mean.as_slice().to_vec())),
+            Cell::Numbers(terminal.map(|t| rows_of(&t.sensitivity))),
+            Cell::Numbers(terminal.map(|t| rows_of(&t.root))),
+            Cell::Numbers(inherited.map(|i| rows_of(&i.transition))),
+            Cell::Numbers(inherited.map(|i| i.input.as_slice().to_vec())),
+        ])
     }
 
     /// Ends the file; the sink may still have to be flushed.

@@ -71,10 +71,6 @@ fn matrix(n: usize, m: usize, salt: usize) -> DMatrix<f64> {
     DMatrix::from_fn(n, m, |i, j| awkward(3 * i + j + salt))
 }
 
-fn symmetric(n: usize, salt: usize) -> DMatrix<f64> {
-    DMatrix::from_fn(n, n, |i, j| awkward(i.min(j) + i.max(j) + salt))
-}
-
 fn reduction(test: &str, q: usize, salt: usize) -> Reduction {
     let factor = (0..q * (q + 1) / 2).map(|k| awkward(k + salt).abs()).collect();
     Reduction {
@@ -92,8 +88,11 @@ fn reduction(test: &str, q: usize, salt: usize) -> Reduction {
 }
 
 fn pieces(test: &str, salt: usize) -> Vec<PhaseReduction> {
-    let terminal =
-        Terminal { mean: vector(2, salt), sensitivity: matrix(2, 2, salt + 1), covariance: symmetric(2, salt + 2) };
+    let terminal = Terminal {
+        mean: vector(2, salt),
+        sensitivity: matrix(2, 2, salt + 1),
+        root: matrix(2, 1 + salt % 3, salt + 2),
+    };
     let inherited = Inherited { transition: matrix(3, 2, salt + 4), input: vector(3, salt) };
     vec![
         PhaseReduction { reduction: reduction(test, 2, salt), terminal: Some(terminal), inherited: None },
@@ -179,7 +178,7 @@ fn piece_bits(piece: &PhaseReduction) -> Vec<u64> {
     if let Some(terminal) = &piece.terminal {
         all.extend(bits(terminal.mean.as_slice()));
         all.extend(bits(terminal.sensitivity.as_slice()));
-        all.extend(bits(terminal.covariance.as_slice()));
+        all.extend(bits(terminal.root.as_slice()));
     }
     if let Some(inherited) = &piece.inherited {
         all.extend(bits(inherited.transition.as_slice()));
@@ -190,7 +189,9 @@ fn piece_bits(piece: &PhaseReduction) -> Vec<u64> {
 
 fn written_reductions(tests: &[(&str, Vec<PhaseReduction>)]) -> Vec<u8> {
     let mut writer = ReductionWriter::new(&two_phases(), &metadata(), Vec::new()).unwrap();
-    tests.iter().for_each(|(id, pieces)| writer.write(id, pieces).unwrap());
+    for (id, pieces) in tests {
+        pieces.iter().enumerate().for_each(|(phase, piece)| writer.write(id, phase, piece).unwrap());
+    }
     writer.finish().unwrap()
 }
 

@@ -1,8 +1,10 @@
 //! The tests of model files, one program.
 
 mod accepts;
+mod digest;
 mod give;
 mod hypothesis;
+mod hypothesis_phases;
 mod linear;
 mod never_panics;
 mod phases;

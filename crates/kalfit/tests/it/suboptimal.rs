@@ -3,3 +3,4 @@
 mod drawn;
 mod random;
 mod schmidt;
+mod two_phases;

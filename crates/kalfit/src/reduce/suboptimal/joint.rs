@@ -12,10 +12,7 @@ use crate::reduce::prepare::{Preparer, Workspace};
 use crate::reduce::semidefinite::NotSemidefinite;
 use crate::reduce::subject::{Fault, Subject};
 use crate::reduce::suboptimal::believed::Believed;
-use crate::reduce::suboptimal::matrices::{Matrices, not_semidefinite, root_of};
-
-/// The root D may have so many times its rows of columns before it is folded.
-const SPARE: usize = 3;
+use crate::reduce::suboptimal::matrices::{Matrices, append, fold, not_semidefinite, root_of};
 
 /// What tests share that the filter processes alike.
 #[derive(Debug, Clone)]
@@ -44,7 +41,7 @@ pub(super) fn run(truth: Side<'_>, own: Side<'_>, filter: &Filter) -> Result<Fil
         let own_moved = own_motion.of(&own_matrices, own_step.transition)?;
         joint.predict(moved, own_moved);
         if let Some(motion) = own_moved {
-            believed.predict(&motion.phi, &motion.Q);
+            believed.predict(&motion.phi, &motion.Q, &motion.root);
         }
         if step.rows.is_empty() {
             continue;
@@ -53,15 +50,16 @@ pub(super) fn run(truth: Side<'_>, own: Side<'_>, filter: &Filter) -> Result<Fil
         let refuse = |bad: NotSemidefinite| Fault::new(Subject::StepNoise, not_semidefinite(bad)).on(row);
         let (M, own_M) = (true_matrices.measurement(&step), own_matrices.measurement(&own_step));
         let root = root_of(&true_matrices.noise(&step)).map_err(refuse)?;
-        let K = believed.update(&own_M, &own_matrices.noise(&own_step)).map_err(refuse)?;
+        let own_root = root_of(&own_matrices.noise(&own_step)).map_err(refuse)?;
+        let K = believed.update(&own_M, &own_root);
         joint.update((&M, &own_M), &K, &root);
         for column in K.column_iter() {
             let states = &own.0.order.states;
             gains.extend((0..2).flat_map(|half| states.iter().map(move |&state| (half, state))).map(at(&column, n)));
         }
     }
-    joint.fold();
-    let Joint { sensitivity, root, .. } = joint;
+    let Joint { sensitivity, mut root, .. } = joint;
+    fold(&mut root);
     if gains.iter().chain(&sensitivity).chain(&root).all(|x| x.is_finite()) {
         Ok(FilterDesign { gains, sensitivity, root })
     } else {
@@ -131,7 +129,7 @@ impl Joint {
             }
         }
         if let Some(motion) = truth {
-            self.append(0, &motion.root);
+            append(&mut self.root, 0, &motion.root);
         }
     }
 
@@ -143,28 +141,6 @@ impl Joint {
             let mut estimates = all.rows_mut(n, 2 * n);
             estimates += K * e;
         }
-        self.append(n, &(K * noise));
-    }
-
-    /// Appends noise that enters from row `first` on.
-    fn append(&mut self, first: usize, noise: &DMatrix<f64>) {
-        let (columns, own) = (self.root.ncols(), noise.ncols());
-        if own == 0 {
-            return;
-        }
-        if columns + own > SPARE * 3 * self.n {
-            self.fold();
-        }
-        let columns = self.root.ncols();
-        let root = std::mem::replace(&mut self.root, DMatrix::zeros(0, 0));
-        self.root = root.resize_horizontally(columns + own, 0.0);
-        self.root.view_mut((first, columns), noise.shape()).copy_from(noise);
-    }
-
-    /// D with at most as many columns as rows, by an orthogonal transformation.
-    fn fold(&mut self) {
-        if self.root.ncols() > self.root.nrows() {
-            self.root = self.root.transpose().qr().r().transpose();
-        }
+        append(&mut self.root, n, &(K * noise));
     }
 }

@@ -1,10 +1,9 @@
 //! What is known before a filter runs: its prior, the model without its start, and the columns constant within a test.
 
 use crate::ensemble::{Label, Test};
+use crate::linalg::symmetric::{is_semidefinite, scaled_range};
 use crate::model::{CovarianceStructure, Expression, Filter, Initial, MeanStructure, Model};
 use crate::reduce::error::ReduceErrorKind;
-use crate::reduce::semidefinite::ldl;
-use crate::reduce::suboptimal::matrices::not_semidefinite;
 
 /// One row with the cells that are the same in all rows of the test, missing ones apart; measured values and times are none of
 /// them.
@@ -74,6 +73,10 @@ pub(super) fn check(filter: &Filter, model: &Model) -> Result<(), (&'static str,
             }
         }
     }
-    let mut rows = filter.covariance.as_slice().to_vec(); // symmetric
-    ldl(&mut rows, n).map_err(|bad| (covariance, not_semidefinite(bad)))
+    let (left, variance) = scaled_range(&filter.covariance);
+    if is_semidefinite(&filter.covariance) && filter.covariance.diagonal().iter().all(|x| *x >= 0.0) {
+        Ok(())
+    } else {
+        Err((covariance, ReduceErrorKind::NotSemidefinite { left, variance }))
+    }
 }

@@ -82,6 +82,30 @@ pub(super) fn root_of(a: &DMatrix<f64>) -> Result<DMatrix<f64>, NotSemidefinite>
     Ok(DMatrix::from_fn(m, kept.len(), |i, k| U[kept[k] * m + i]))
 }
 
+/// A root may have so many times its rows of columns before it is folded.
+const SPARE: usize = 3;
+
+/// Appends columns to a root, rows from `first` on: independent noise that is added.
+pub(super) fn append(root: &mut DMatrix<f64>, first: usize, noise: &DMatrix<f64>) {
+    if noise.ncols() == 0 {
+        return;
+    }
+    if root.ncols() + noise.ncols() > SPARE * root.nrows() {
+        fold(root);
+    }
+    let columns = root.ncols();
+    let old = std::mem::replace(root, DMatrix::zeros(0, 0));
+    *root = old.resize_horizontally(columns + noise.ncols(), 0.0);
+    root.view_mut((first, columns), noise.shape()).copy_from(noise);
+}
+
+/// A root with at most as many columns as rows, by an orthogonal transformation. Rows of zeros stay so.
+pub(super) fn fold(root: &mut DMatrix<f64>) {
+    if root.ncols() > root.nrows() {
+        *root = root.transpose().qr().r().transpose();
+    }
+}
+
 pub(super) fn not_semidefinite(bad: NotSemidefinite) -> ReduceErrorKind {
     ReduceErrorKind::NotSemidefinite { left: bad.left, variance: bad.variance }
 }

@@ -1,6 +1,7 @@
 //! Estimates → reductions.
 #![expect(non_snake_case, reason = "the letters of the theory: P, S")]
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector};
@@ -21,6 +22,8 @@ use crate::reduce::{Estimates, Path, Reduction, Terminal};
 const CLASS_BYTES: usize = 64 << 20;
 /// A diagonal of R below this part of its column is zero information.
 const UNINFORMED: f64 = 1e-12;
+/// A deviation that is this part of an estimate is lost in its rounding.
+const DROWNED: f64 = 1e-12;
 
 /// What J and Ψ_K of estimates depend on.
 #[derive(Debug, Clone, PartialEq)]
@@ -97,6 +100,7 @@ impl EstimateReducer {
             test: Some(id.to_owned()),
             ..fault.name(&self.preparer.model, Some(&estimates.constants))
         };
+        let estimates = &*without_drowned(estimates);
         let (start, root, covariates) = self.start(estimates).map_err(named)?;
         let (design, class) = self.class(estimates, root);
         let conditioned =
@@ -177,6 +181,27 @@ impl EstimateReducer {
         };
         (digest, self.classes.get(digest, same, key, make, size))
     }
+}
+
+/// The estimates, elements whose deviation is lost in the rounding of their values taken as certain. A gain that is zero but for
+/// rounding leaves such: what is left of them says nothing.
+fn without_drowned(estimates: &Estimates) -> Cow<'_, Estimates> {
+    let n = estimates.transition.nrows();
+    let drowned = |&i: &usize| {
+        let size = estimates.estimates[i].abs().max(estimates.offsets[i].abs());
+        let deviation = estimates.root.row(n + i).norm();
+        0.0 < deviation && deviation <= DROWNED * size
+    };
+    let rows: Vec<usize> = (0..estimates.estimates.len()).filter(drowned).collect();
+    if rows.is_empty() {
+        return Cow::Borrowed(estimates);
+    }
+    let mut cleared = estimates.clone();
+    for i in rows {
+        cleared.sensitivities.row_mut(i).fill(0.0);
+        cleared.root.row_mut(n + i).fill(0.0);
+    }
+    Cow::Owned(cleared)
 }
 
 fn same_bits(a: &DMatrix<f64>, b: &DMatrix<f64>) -> bool {

@@ -189,6 +189,15 @@ fn rows(m: usize, random: &mut ChaCha8Rng) -> Test {
 }
 
 impl Drawn {
+    /// The same with all of x_0 among the estimated.
+    pub(crate) fn free(mut self) -> Drawn {
+        let (model, n) = (&mut self.phase.model, self.phi.nrows());
+        model.states.iter_mut().for_each(|state| state.initial = Initial::Estimated);
+        (model.estimated, model.mean) = ((0..n).collect(), MeanStructure::free(n));
+        self.start = (DVector::zeros(n), DMatrix::zeros(n, n));
+        self
+    }
+
     fn at(&self, own: bool) -> At {
         let filter = self.phase.filter.as_ref().expect("it was drawn");
         let value = |p: usize| {

@@ -159,10 +159,7 @@ proptest! {
         let y = dense.sensitivities.transpose() * &whole * &residual;
         let start = DVector::from_fn(n, |i, _| drawn.start.0[i] + 0.3 * (i as f64 + 1.0));
         let w = &q_t * d_2.transpose() * &whole * (&residual - &dense.sensitivities * &start);
-        let mut free = drawn.clone();
-        free.phase.model.estimated = (0..n).collect();
-        free.phase.model.states.iter_mut().for_each(|state| state.initial = kalfit::model::Initial::Estimated);
-        free.phase.model.mean = kalfit::model::MeanStructure::free(n);
+        let free = drawn.clone().free();
         let (reduction, terminal) = reduce(&free, &run(&free));
         let (own_y, own_j) = self::information(&reduction);
         prop_assert!(off(&own_j, &information) < 1e-7, "J {} against {}", own_j, information);
