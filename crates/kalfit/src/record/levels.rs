@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use crate::ensemble::{Label, Labels, Test};
+use crate::ensemble::{Label, Labels};
 use crate::model::Model;
 use crate::record::diagnosis::list;
 use crate::reduce::{Evidence, PhasedTest};
@@ -34,7 +34,7 @@ impl LevelCounts {
 fn count(column: usize, labels: &Labels, tests: &[PhasedTest]) -> Vec<(String, usize)> {
     let mut counts: BTreeMap<Label, usize> = BTreeMap::new();
     for test in tests {
-        let rows = test.phases.iter().filter_map(rows);
+        let rows = test.phases.iter().filter_map(Evidence::cells);
         let own: BTreeSet<Label> =
             rows.flat_map(|rows| (0..rows.rows()).map(move |row| rows.texts(row)[column])).collect();
         own.into_iter().filter(|level| !level.is_missing()).for_each(|level| *counts.entry(level).or_default() += 1);
@@ -43,15 +43,6 @@ fn count(column: usize, labels: &Labels, tests: &[PhasedTest]) -> Vec<(String, u
         counts.into_iter().map(|(level, n)| (labels.text(level).to_owned(), n)).collect();
     named.sort();
     named
-}
-
-/// Rows whose texts tell the levels.
-fn rows(evidence: &Evidence) -> Option<&Test> {
-    match evidence {
-        Evidence::Rows(test) => Some(test),
-        Evidence::Estimates(estimates) => Some(&estimates.constants),
-        Evidence::Reduced(_) => None,
-    }
 }
 
 /// Fixed levels that the data do not have, in sentences without a full stop: one misspelt leaves the level that was meant free.
