@@ -112,6 +112,16 @@ pub(crate) fn load(spec: &mut Spec, from: &Path, set: &[String]) -> Result<Truth
     Ok(Truth { population, alpha, taken, warnings })
 }
 
+/// Gives the model's free parameters the values of a fit; what the user should know.
+pub(crate) fn parameters(spec: &mut Spec, from: &Path) -> Result<Vec<String>, Failure> {
+    let path = from.display().to_string();
+    let record = read_record(from)?;
+    let known = of_record(spec, &record, &path)?;
+    let mut warnings = Vec::new();
+    give(spec, &known, &path, &mut warnings)?;
+    Ok(warnings)
+}
+
 /// Name of the parameter of an assignment such as `tau=90` or `sigma[A]=0.7`.
 fn assigned(assignment: &str) -> &str {
     assignment.split(['=', '[']).next().unwrap_or_default().trim()
@@ -180,7 +190,7 @@ fn of_model(spec: &Spec, from: &Path, set: &[String]) -> Result<(Population, Vec
     let (found, expected) = (truth.model.estimated_names(), spec.model.estimated_names());
     let place: Option<Vec<usize>> = expected.iter().map(|name| found.iter().position(|other| other == name)).collect();
     let Some(place) = place.filter(|place| place.len() == found.len()) else {
-        let error = RecordError::Names { what: "the estimated states", found, expected };
+        let error = RecordError::Names { what: "the estimated states".to_owned(), found, expected };
         return Err(TruthError::Record { path, error }.into());
     };
     let refused = |error| Failure::from(TruthError::Population { path: path.clone(), error });

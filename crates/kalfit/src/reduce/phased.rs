@@ -125,6 +125,15 @@ impl PhasedReducer {
         self.each(tests, &|test, work| Ok(self.parts(test, work, false)?.into_iter().map(Part::into_piece).collect()))
     }
 
+    /// The phases of one test, as [`PhasedReducer::pieces`].
+    pub(crate) fn pieces_of(
+        &self,
+        test: &PhasedTest,
+        work: &mut PhasedWork,
+    ) -> Result<Vec<PhaseReduction>, ReduceError> {
+        Ok(self.parts(test, work, false)?.into_iter().map(Part::into_piece).collect())
+    }
+
     /// Phases of tests one by one, whether the phases before them are known or not: (id of the test, phase, what is known of it).
     ///
     /// # Errors
@@ -138,15 +147,6 @@ impl PhasedReducer {
         let all: Vec<Result<PhaseReduction, ReduceError>> =
             phases.par_iter().map_init(|| this.workspace(), one).collect();
         all.into_iter().collect()
-    }
-
-    /// The phases of one test, as [`PhasedReducer::pieces`].
-    pub(crate) fn pieces_of(
-        &self,
-        test: &PhasedTest,
-        work: &mut PhasedWork,
-    ) -> Result<Vec<PhaseReduction>, ReduceError> {
-        Ok(self.parts(test, work, false)?.into_iter().map(Part::into_piece).collect())
     }
 
     /// The reductions of designs: information and covariates as in [`PhasedReducer::reduce`], from times, inputs and which

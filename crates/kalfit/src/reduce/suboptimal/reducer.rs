@@ -284,10 +284,10 @@ impl Folded {
         let mean = known + &conditioned.from_taken * &self.taken + &conditioned.from_white * &self.white + &through * d;
         let sensitivity =
             &conditioned.phi_E - &conditioned.from_taken * T_B - &conditioned.from_white * T - &through * R_sigma;
-        let (n, rest) = (through.nrows(), &conditioned.rest);
-        let mut root = DMatrix::zeros(n, k + rest.ncols());
+        let (n, more) = (mean.len(), conditioned.rest.ncols());
+        let mut root = DMatrix::zeros(n, k + more);
         root.columns_mut(0, k).copy_from(&through);
-        root.columns_mut(k, rest.ncols()).copy_from(rest);
+        root.columns_mut(k, more).copy_from(&conditioned.rest);
         Terminal { mean, sensitivity, root }
     }
 
