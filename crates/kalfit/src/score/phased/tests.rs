@@ -244,7 +244,7 @@ fn scores_equal_differences_of_the_stacked_likelihood() {
         for (j, score) in scores.iter().enumerate() {
             let pieces = reducer.pieces_of(&tests[j], &mut reducer.workspace()).expect("sound");
             let laws = PhaseLaws::new(&law, &model.ranges(), &[]);
-            let (chain, whole) = (crate::score::likelihood(&pieces, &laws), stacked(&reductions[j], &law));
+            let (chain, whole) = (Plan::new(&pieces, &laws).likelihood(&pieces, &laws), stacked(&reductions[j], &law));
             assert!((chain - whole).abs() < 1e-11, "ℓ of test {j}: chain {chain}, stacked {whole}");
             for slot in 0..VALUES.len() {
                 let at = |x: f64| {
@@ -296,5 +296,107 @@ fn scores_have_the_same_bits_alone_and_together() {
     for j in 0..tests.len() {
         let alone = scorer.scores(&tests[j..=j], &reductions[j..=j], &law()).expect("sound");
         assert_eq!(alone[0], together[j], "test {j}");
+    }
+}
+
+#[test]
+fn scratch_timing() {
+    let states = || {
+        let mut all: Vec<State> =
+            (0..4).map(|k| state(&format!("c{k}"), Motion::Constant, Initial::Estimated)).collect();
+        all.push(state("drift", drift(4), Initial::Stationary));
+        all.push(state(
+            "walk",
+            Motion::Continuous {
+                derivative: linear(vec![(0, number(0.3))], number(0.0)),
+                noise_variance: square(alpha(STEP)),
+            },
+            known(number(0.0), number(0.1)),
+        ));
+        all
+    };
+    let one = || {
+        let mut h: Vec<(usize, Expression)> =
+            vec![(0, number(1.0)), (1, column(U)), (2, square(column(U))), (3, column(W))];
+        h.extend([(4, number(1.0)), (5, number(1.0))]);
+        let mut m = model(states(), linear(h, number(0.0)));
+        for k in [3, 5, 6, 7, 8, 9] {
+            m.parameters[k].value = Value::Fixed(VALUES[k]);
+            m.parameters[k].per = None;
+        }
+        m.parameters[NOISE].per = None;
+        m.literals = ["align", "coast", "land", "A", "B"].map(str::to_owned).to_vec();
+        m
+    };
+    let carry = || {
+        vec![
+            Carry { state: 0, from: linear(vec![(0, number(1.0))], number(0.0)) },
+            Carry { state: 5, from: linear(vec![(5, number(1.0)), (1, number(0.2))], number(0.0)) },
+        ]
+    };
+    let phases: Vec<Phase> = (0..5)
+        .map(|k| Phase {
+            name: format!("p{k}"),
+            label: Some(k),
+            model: one(),
+            carry: if k == 0 { vec![] } else { carry() },
+            filter: None,
+        })
+        .collect();
+    let whole = PhasedModel { phases, column: Some(0) };
+    let single: PhasedModel = one().into();
+    let mut seed = 9u64;
+    let mut random = move || {
+        seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (seed >> 40) as f64 / f64::from(1 << 24) - 0.5
+    };
+    let inputs: Vec<f64> = (0..20).map(|_| 3.0 * random()).collect();
+    let tests: Vec<PhasedTest> = (0..2000)
+        .map(|j| {
+            let phase = |at: usize, random: &mut dyn FnMut() -> f64| {
+                let mut test = Test::new(format!("t{j}"), 4, 3);
+                for k in 0..20 {
+                    test.push(
+                        &[k as f64 * 0.5, 3.0 * random(), inputs[(k + 3 * at) % 20], 1.0 + (k * k % 7) as f64],
+                        &[Label::literal(at), Label::literal(3), Label::literal(3)],
+                        Source::default(),
+                    );
+                }
+                Evidence::Rows(test)
+            };
+            PhasedTest { id: format!("t{j}"), phases: (0..5).map(|at| phase(at, &mut random)).collect() }
+        })
+        .collect();
+    let apart: Vec<Vec<PhasedTest>> = (0..5)
+        .map(|at| tests.iter().map(|t| PhasedTest { id: t.id.clone(), phases: vec![t.phases[at].clone()] }).collect())
+        .collect();
+    let labels = Labels::new(&whole.shared().literals);
+    let slots = Slots::in_phases(&whole, &labels, &tests);
+    let values: Vec<f64> = slots.slots().iter().map(|s| VALUES[s.parameter]).collect();
+    let law_of = |p: usize| InitialLaw::known(DVector::from_element(p, 0.2), DMatrix::identity(p, p) * 0.7);
+    for _ in 0..2 {
+        let clock = std::time::Instant::now();
+        let (reducer, reductions) = reduced(&whole, &slots, &values, &tests);
+        let a = clock.elapsed();
+        let scorer = PhasedScorer::new(&whole, &reducer, &slots).expect("differentiable");
+        let clock = std::time::Instant::now();
+        let _ = scorer.scores(&tests, &reductions, &law_of(20)).expect("sound");
+        let b = clock.elapsed();
+        let clock = std::time::Instant::now();
+        for t in &tests {
+            std::hint::black_box(reducer.pieces_of(t, &mut reducer.workspace()).unwrap());
+        }
+        let b2 = clock.elapsed();
+        let (mut c, mut d) = (std::time::Duration::ZERO, std::time::Duration::ZERO);
+        for tests in &apart {
+            let clock = std::time::Instant::now();
+            let (reducer, reductions) = reduced(&single, &slots, &values, tests);
+            c += clock.elapsed();
+            let scorer = PhasedScorer::new(&single, &reducer, &slots).expect("differentiable");
+            let clock = std::time::Instant::now();
+            let _ = scorer.scores(tests, &reductions, &law_of(4)).expect("sound");
+            d += clock.elapsed();
+        }
+        eprintln!("together: reduce {a:?}, scores {b:?} (pieces serial {b2:?}); apart: reduce {c:?}, scores {d:?}");
     }
 }
