@@ -152,7 +152,6 @@ impl Plan {
     }
 
     /// What phases from each on say of its σ, and what later ones say of its last state.
-    #[expect(clippy::type_complexity, reason = "a link is not whole before the forward pass")]
     fn backward(
         &mut self,
         pieces: &[PhaseReduction],
