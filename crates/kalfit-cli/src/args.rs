@@ -79,6 +79,10 @@ pub(crate) struct FitArgs {
     #[arg(long, value_enum, default_value_t = CriterionArg::Ml)]
     pub(crate) criterion: CriterionArg,
 
+    /// How tests in several phases are put together
+    #[arg(long, value_enum, default_value_t = PhasesArg::Chain)]
+    pub(crate) phases: PhasesArg,
+
     /// Stop within this many standard errors of the optimum [default: 1e-8]
     #[arg(long, value_name = "T", value_parser = tolerance)]
     pub(crate) tolerance: Option<f64>,
@@ -106,16 +110,6 @@ pub(crate) struct FitArgs {
     /// Print nothing but errors
     #[arg(long)]
     pub(crate) quiet: bool,
-
-    #[command(flatten)]
-    pub(crate) only: OnlyArgs,
-}
-
-/// Choices of the contract of which this version has one: they may be spelled out, and anything else is refused.
-#[derive(Debug, Group)]
-pub(crate) struct OnlyArgs {
-    #[arg(long, hide = true, value_parser = only("chain"))]
-    phases: Option<String>,
 }
 
 #[derive(Debug, Group)]
@@ -295,6 +289,16 @@ pub(crate) enum CriterionArg {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum PhasesArg {
+    /// Phase by phase: exact, at a cost that is linear in the number of phases
+    Chain,
+    /// Each phase by itself: the correlation between phases is ignored, and information with it
+    Marginal,
+    /// As one large test: exact, the reference
+    Stacked,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum InnovationsArg {
     /// Look at them; large data are read a second time
     On,
@@ -306,12 +310,5 @@ fn tolerance(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(value) if value > 0.0 && value <= 1.0 => Ok(value),
         _ => Err("expected a number above 0 and at most 1".to_owned()),
-    }
-}
-
-fn only(value: &'static str) -> impl Fn(&str) -> Result<String, String> + Clone {
-    move |text| match text == value {
-        true => Ok(text.to_owned()),
-        false => Err(format!("this version has only `{value}`")),
     }
 }

@@ -3,9 +3,8 @@
 use kalfit::dynamic::{self, DynamicError, DynamicFit, Method, Settings};
 use kalfit::model::Population;
 use kalfit::record::{DynamicParts, LevelCounts, MethodRecord, level_notes};
-use kalfit::reduce::PhasedTest;
 use kalfit::score::Slots;
-use kalfit::{Alpha, FitRecord, Labels, Model, Provenance, Test};
+use kalfit::{Alpha, FitRecord, Labels, PhasedModel, PhasedTest, Provenance};
 use kalfit_data::{Input, Reading};
 use kalfit_spec::Spec;
 
@@ -21,12 +20,12 @@ const ALL: [Method; 3] = [Method::Hybrid, Method::Innovations, Method::Em];
 /// The method in one place: read, fit, infer, record.
 pub(crate) fn fit(job: &FitJob, spec: &Spec, inputs: &[Input]) -> Result<FitRecord, Failure> {
     let mut line = Line::new(job.quiet);
-    let model = spec.model.shared();
+    let (model, shared) = (&spec.model, spec.model.shared());
     let (tests, reading) = tests::read(spec, inputs, &mut line)?;
-    let slots = Slots::new(model, &reading.labels, &tests);
-    let notes = level_notes(model, &LevelCounts::all(model, &reading.labels, &tests));
+    let slots = Slots::in_phases(model, &reading.labels, &tests);
+    let notes = level_notes(shared, &LevelCounts::all(shared, &reading.labels, &tests));
     if slots.is_empty() {
-        let alpha = slots.alpha(model, &[]);
+        let alpha = slots.alpha(shared, &[]);
         let mut record = known(job, spec, inputs, (&alpha, &tests, &reading), &mut line)?;
         record.notes.extend(notes);
         return Ok(record);
@@ -44,13 +43,14 @@ pub(crate) fn fit(job: &FitJob, spec: &Spec, inputs: &[Input]) -> Result<FitReco
     let fit = first.expect("there is at least one method");
     line.say(|| "standard errors and intervals".to_owned());
     let (inference, parameters) =
-        dynamic::infer(&spec.model, &phased(&tests), &fit, job.choices).map_err(|error| failure(error, &reading))?;
+        dynamic::infer(model, &tests, &fit, job.choices).map_err(|error| failure(error, &reading))?;
     let parts =
         DynamicParts { model, labels: &reading.labels, fit: &fit, inference: &inference, parameters: &parameters };
     let provenance = Provenance {
         model_digest: Some(spec.digest.clone()),
         files: inputs.iter().map(Input::name).collect(),
         seconds: line.seconds(),
+        of_estimates: false,
     };
     let mut record = FitRecord::dynamic(&parts, provenance);
     record.notes.extend(notes);
@@ -70,14 +70,14 @@ fn known(
     job: &FitJob,
     spec: &Spec,
     inputs: &[Input],
-    (alpha, tests, reading): (&Alpha, &[Test], &Reading),
+    (alpha, tests, reading): (&Alpha, &[PhasedTest], &Reading),
     line: &mut Line,
 ) -> Result<FitRecord, Failure> {
     fit::refuse_idle(job)?;
-    let reductions = reductions::of(spec.model.shared(), alpha, tests, reading)?;
+    let reductions = reductions::of(&spec.model, alpha, tests, reading)?;
     let (mut record, population) = fit::record(job, spec, inputs, (alpha, &reductions), line)?;
     if job.innovations {
-        innovations::add_of(&mut record, (spec.model.shared(), alpha, &population), tests, line);
+        innovations::add_of(&mut record, (&spec.model, alpha, &population), tests, line);
         record.solver.seconds = line.seconds();
     }
     Ok(record)
@@ -85,8 +85,8 @@ fn known(
 
 /// What a search for α is made in.
 pub(crate) struct Data<'a> {
-    pub(crate) model: &'a Model,
-    pub(crate) tests: &'a [Test],
+    pub(crate) model: &'a PhasedModel,
+    pub(crate) tests: &'a [PhasedTest],
     pub(crate) reading: &'a Reading,
 }
 
@@ -96,7 +96,7 @@ impl Data<'_> {
     }
 
     pub(crate) fn fit(&self, settings: &Settings, line: &mut Line) -> Result<DynamicFit, Failure> {
-        dynamic::fit(&self.model.clone().into(), self.labels(), &phased(self.tests), settings, line)
+        dynamic::fit(self.model, self.labels(), self.tests, settings, line)
             .map_err(|error| failure(error, self.reading))
     }
 }
@@ -110,9 +110,4 @@ pub(crate) fn failure(error: DynamicError, reading: &Reading) -> Failure {
             Failure::Dynamic(Box::new(error))
         }
     }
-}
-
-/// Tests whose rows are all of one phase.
-pub(crate) fn phased(tests: &[Test]) -> Vec<PhasedTest> {
-    tests.iter().cloned().map(PhasedTest::from).collect()
 }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use kalfit::estimate::{Criterion, Structure};
+use kalfit::estimate::{Combination, Criterion, Structure};
 use kalfit::infer::StdErrors;
 use kalfit::model::Population;
 use kalfit::record::Provenance;
@@ -23,6 +23,7 @@ pub(crate) fn run(job: &FitJob) -> Result<Outcome, Failure> {
         return Err(Failure::RestrictedErrors); // log|ΣB'WB| is no sum over tests
     }
     let spec = model::load(&job.model)?;
+    refuse_one_phase(job, &spec)?;
     let free = model::has_free(spec.model.shared());
     if !free {
         refuse_idle(job)?;
@@ -49,6 +50,15 @@ pub(crate) fn refuse_idle(job: &FitJob) -> Result<(), Failure> {
     if job.search.starts > 0 { Err(Failure::NoFreeParameter { option: "--starts" }) } else { Ok(()) }
 }
 
+/// One phase cannot be put together with others; to name the default is no harm.
+fn refuse_one_phase(job: &FitJob, spec: &Spec) -> Result<(), Failure> {
+    match (spec.model.is_single(), job.settings.phases) {
+        (false, _) | (true, Combination::Chain) => Ok(()),
+        (true, Combination::Marginal) => Err(Failure::OnePhase { found: "marginal" }),
+        (true, Combination::Stacked) => Err(Failure::OnePhase { found: "stacked" }),
+    }
+}
+
 /// The method in one place, with known parameters: reduce, estimate, infer, record.
 fn fit(job: &FitJob, spec: &Spec, inputs: &[Input]) -> Result<FitRecord, Failure> {
     let mut line = Line::new(job.quiet);
@@ -71,7 +81,6 @@ pub(crate) fn record(
     (alpha, reductions): (&Alpha, &[Reduction]),
     line: &mut Line,
 ) -> Result<(FitRecord, Population), Failure> {
-    let model = spec.model.shared();
     let structure = Structure::of(&spec.model, alpha);
     let estimate = estimate::fit(reductions, &structure, &job.settings, line).map_err(Failure::Fit)?;
     let inference = infer::infer(&estimate, reductions, job.choices);
@@ -79,8 +88,9 @@ pub(crate) fn record(
         model_digest: Some(spec.digest.clone()),
         files: inputs.iter().map(Input::name).collect(),
         seconds: line.seconds(),
+        of_estimates: false,
     };
-    let record = FitRecord::new(model, alpha, reductions, &estimate, &inference, provenance);
+    let record = FitRecord::new(&spec.model, alpha, reductions, &estimate, &inference, provenance);
     Ok((record, Population::from(&estimate)))
 }
 

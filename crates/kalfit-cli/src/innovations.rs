@@ -263,7 +263,7 @@ fn again(looking: &mut Looking<'_>, kept: Kept, spec: &Spec, inputs: &[Input]) -
         }
         Copy::Failed => return Err(Unavailable::NoCopy),
     };
-    match kalfit_data::read_from(spec.model.shared(), &spec.layout, inputs, looking, &mut copy) {
+    match kalfit_data::read_from(&spec.model, &spec.layout, inputs, looking, &mut copy) {
         Ok(_) => Ok(()),
         Err(ReadError::Data(error)) => Err(Unavailable::Unreadable(error)),
         Err(ReadError::Sink { error, .. }) => match error {},

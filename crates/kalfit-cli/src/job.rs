@@ -4,12 +4,12 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use kalfit::dynamic::{self, Method};
-use kalfit::estimate::{Criterion, Settings, Solver};
+use kalfit::estimate::{Combination, Criterion, Settings, Solver};
 use kalfit::infer::{Bootstrap, Choices, DeletionChoice, IntervalKind, StdErrors};
 
 use crate::args::{
     Args, CheckArgs, Command, CriterionArg, DeletionArg, FitArgs, InnovationsArg, IntervalsArg, MethodArg, ModelArgs,
-    PlanArgs, SimulateArgs, SolverArg, StdErrorsArg, TestArgs,
+    PhasesArg, PlanArgs, SimulateArgs, SolverArg, StdErrorsArg, TestArgs,
 };
 use crate::failure::Failure;
 use crate::{check, fit, plan, simulate, test};
@@ -183,6 +183,11 @@ impl From<FitArgs> for FitJob {
         settings.criterion = match args.criterion {
             CriterionArg::Ml => Criterion::Ml,
             CriterionArg::Reml => Criterion::Reml,
+        };
+        settings.phases = match args.phases {
+            PhasesArg::Chain => Combination::Chain,
+            PhasesArg::Marginal => Combination::Marginal,
+            PhasesArg::Stacked => Combination::Stacked,
         };
         let choices = Choices {
             std_errors: match args.std_errors {

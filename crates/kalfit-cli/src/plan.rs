@@ -71,7 +71,7 @@ fn designs(spec: &Spec, alpha: &Alpha, inputs: &[Input], line: &mut Line) -> Res
     }
     let reducer = Reducer::new(spec.model.shared(), alpha).map_err(|error| Failure::Reduce { error, reading: None })?;
     let mut sink = Designing(reducer, Vec::new(), line);
-    kalfit_data::read(spec.model.shared(), &spec.layout, inputs, &mut sink).map_err(|error| match error {
+    kalfit_data::read(&spec.model, &spec.layout, inputs, &mut sink).map_err(|error| match error {
         ReadError::Data(error) => Failure::data(error, spec),
         ReadError::Sink { error, reading } => Failure::Reduce { error, reading: Some(reading) },
     })?;

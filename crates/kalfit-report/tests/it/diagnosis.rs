@@ -98,6 +98,7 @@ fn states_that_hang_on_one_test_and_weak_directions_are_warned_of() {
         condition: 45.3,
         leading_test: Some("335".into()),
         leading_share: Some(0.4),
+        phases: vec![],
     }];
     let text = summary(&record, &Style::default());
     let at = text.find("Limits").expect("a section");

@@ -190,6 +190,27 @@ pub enum ReduceErrorKind {
         /// Measured minus only possible value.
         residual: f64,
     },
+    /// A phase whose estimates are wanted has no filter.
+    #[error("it has no filter, so nothing makes estimates of it")]
+    NoFilter,
+    /// The filter takes other measurements of a test than the model.
+    #[error(
+        "by its own parameters the filter takes {found} measurements, and other ones than the {expected} of the model"
+    )]
+    OtherMeasurements {
+        /// How many the filter takes.
+        found: usize,
+        /// How many the model has.
+        expected: usize,
+    },
+    /// What estimates say of a direction in which they are not random is not so.
+    #[error("where they are not random, the estimates are off by {residual:.3e}, expected {allowed:.1e} at most")]
+    Inconsistent {
+        /// Estimate minus its only possible value, in standard deviations where elements are random.
+        residual: f64,
+        /// What rounding allows.
+        allowed: f64,
+    },
     /// A free parameter decides something that jumps.
     #[error("it depends on the free parameter `{parameter}`, expected parameters that are fixed")]
     FreeParameter {
@@ -216,9 +237,6 @@ pub enum ReduceErrorKind {
         /// Phases of the model.
         expected: usize,
     },
-    /// The phase has a filter of its own, or its estimates are given, and this reducer knows the optimal filter only.
-    #[error("estimates of a filter are not read here")]
-    FilterEstimates,
     /// The test has no rows.
     #[error("the test has no rows")]
     NoRows,

@@ -48,6 +48,7 @@ mod stack;
 mod start;
 mod steps;
 mod subject;
+mod suboptimal;
 
 pub use chain::{Chain, ChainPhase, Link};
 pub use error::{Cell, ReduceError, ReduceErrorKind};
@@ -58,6 +59,7 @@ pub use plain::{Plain, StepMatrices, Terminal};
 pub use reducer::{Reducer, Work};
 pub use reduction::{Path, Reduction};
 pub use split::SplitError;
+pub use suboptimal::{EstimateReducer, FilterRunner, Lost, LostError, lost};
 
 pub(crate) use carry::Inherits;
 pub(crate) use data::innovate;

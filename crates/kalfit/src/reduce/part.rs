@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use nalgebra::{DMatrix, DVector};
 
 use crate::ensemble::Test;
-use crate::model::{Model, Phase};
+use crate::model::{Alpha, Model, Phase};
 use crate::reduce::carry::Inheritance;
 use crate::reduce::end::placed;
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
@@ -14,7 +14,9 @@ use crate::reduce::reducer::{Class, Reducer};
 use crate::reduce::stack::StackData;
 use crate::reduce::steps::Cells;
 use crate::reduce::subject::WHOLE;
-use crate::reduce::{Evidence, Inherited, PhaseReduction, Reduction, Terminal};
+use crate::reduce::{
+    EstimateReducer, Estimates, Evidence, FilterRunner, Inherited, PhaseReduction, Reduction, Terminal,
+};
 
 /// Where a phase stands among the others.
 #[derive(Debug, Clone)]
@@ -36,8 +38,10 @@ pub(crate) struct PhaseReducer {
     pub(crate) inheritance: Option<Inheritance>,
     /// p: its own ξ, the first of its coordinates.
     pub(crate) own: usize,
-    /// It has a suboptimal filter.
-    pub(crate) filtered: bool,
+    /// What makes reductions of estimates.
+    estimates: EstimateReducer,
+    /// Its suboptimal filter.
+    filter: Option<FilterRunner>,
     sizes: Sizes,
 }
 
@@ -66,13 +70,13 @@ pub(crate) enum Ending<'a> {
     /// x̂_K, and the design class with the rest.
     Class(DVector<f64>, Class),
     /// As it was given.
-    Known(&'a Terminal),
+    Known(Cow<'a, Terminal>),
 }
 
 impl PhaseReducer {
     /// `make`: how the reducer of its entering coordinates is made.
     pub(crate) fn new(
-        phase: &Phase,
+        (phase, alpha): (&Phase, &Alpha),
         place: Place,
         make: &dyn Fn(&Model) -> Result<Reducer, ReduceError>,
     ) -> Result<PhaseReducer, ReduceError> {
@@ -87,8 +91,15 @@ impl PhaseReducer {
             n: at.model.states.len(),
             regressions: at.model.mean.regression.len(),
         };
-        let (own, filtered) = (phase.model.dimension(), phase.filter.is_some());
-        Ok(PhaseReducer { place, reducer, inheritance, own, filtered, sizes })
+        let own = phase.model.dimension();
+        let estimates = EstimateReducer::new(phase, alpha).map_err(named)?;
+        let filter = phase.filter.as_ref().map(|_| FilterRunner::new(phase, alpha)).transpose().map_err(named)?;
+        Ok(PhaseReducer { place, reducer, inheritance, own, estimates, filter, sizes })
+    }
+
+    /// Rows of it are reduced by the optimal filter.
+    pub(crate) fn is_optimal(&self) -> bool {
+        self.filter.is_none()
     }
 
     /// An error of this phase, saying so where there are others.
@@ -108,17 +119,25 @@ impl PhaseReducer {
         (work, cells): (&mut Workspace, &mut Cells),
         (designs, linked): (bool, bool),
     ) -> Result<Part<'a>, ReduceError> {
-        let part = match evidence {
-            Evidence::Rows(rows) if !self.filtered => self.rows(rows, (work, cells), designs),
-            Evidence::Reduced(piece) => self.given(id, piece, linked),
-            Evidence::Rows(_) | Evidence::Estimates(_) => self.filtered(id),
+        let part = match (evidence, &self.filter) {
+            (Evidence::Rows(rows), None) => self.rows(rows, (work, cells), designs),
+            (Evidence::Rows(rows), Some(filter)) => {
+                filter.run(rows).and_then(|estimates| self.filtered(id, &estimates, cells))
+            }
+            (Evidence::Estimates(estimates), _) => self.filtered(id, estimates, cells),
+            (Evidence::Reduced(piece), _) => self.given(id, piece, linked),
         };
         part.map_err(|error| of_phase(self.place.name.as_deref(), error))
     }
 
     /// The phase by a filter that need not be optimal, run here or elsewhere.
-    fn filtered<'a>(&self, id: &str) -> Result<Part<'a>, ReduceError> {
-        Err(refuse(id, "estimates", ReduceErrorKind::FilterEstimates))
+    fn filtered<'a>(&self, id: &str, estimates: &Estimates, cells: &mut Cells) -> Result<Part<'a>, ReduceError> {
+        let (reduction, terminal) = self.estimates.reduce(id, estimates)?;
+        let at = self.reducer.preparer().at();
+        let inherited = self.inheritance.as_ref();
+        let inherited = inherited.map(|inheritance| inheritance.of(&at, &estimates.constants, cells)).transpose()?;
+        let ending = if self.place.followed { Ending::Known(Cow::Owned(terminal)) } else { Ending::None };
+        Ok(Part { reduction: Cow::Owned(reduction), ending, inherited: inherited.map(Cow::Owned) })
     }
 
     fn rows<'a>(
@@ -188,7 +207,7 @@ impl PhaseReducer {
         }
         Ok(Part {
             reduction: Cow::Borrowed(reduction),
-            ending: terminal.as_ref().map_or(Ending::None, Ending::Known),
+            ending: terminal.as_ref().map_or(Ending::None, |terminal| Ending::Known(Cow::Borrowed(terminal))),
             inherited: inherited.as_ref().filter(|_| before.is_some()).map(Cow::Borrowed),
         })
     }
@@ -203,7 +222,7 @@ impl Part<'_> {
                 let end = class.end().expect("it was looked at");
                 Some(Terminal { mean, sensitivity: end.sensitivity.clone(), root: end.root.clone() })
             }
-            Ending::Known(terminal) => Some(terminal.clone()),
+            Ending::Known(terminal) => Some(terminal.into_owned()),
         };
         let inherited = self.inherited.map(Cow::into_owned);
         PhaseReduction { reduction: self.reduction.into_owned(), terminal, inherited }

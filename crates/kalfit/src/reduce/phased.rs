@@ -45,16 +45,17 @@ pub(crate) struct PhasedWork {
 impl PhasedReducer {
     /// A reducer of a model at α. An error when some coefficient has no value, whatever the data.
     pub fn new(model: &PhasedModel, alpha: &Alpha) -> Result<PhasedReducer, ReduceError> {
-        PhasedReducer::made(model, &|model| Reducer::new(model, alpha))
+        PhasedReducer::made(model, alpha, &|model| Reducer::new(model, alpha))
     }
 
     /// A reducer for scores: no coefficient that depends on free values is left out for being zero at this α.
     pub(crate) fn scoring(model: &PhasedModel, alpha: &Alpha, slots: &Slots) -> Result<PhasedReducer, ReduceError> {
-        PhasedReducer::made(model, &|model| Reducer::scoring(model, alpha, slots))
+        PhasedReducer::made(model, alpha, &|model| Reducer::scoring(model, alpha, slots))
     }
 
     fn made(
         model: &PhasedModel,
+        alpha: &Alpha,
         reducer: &dyn Fn(&Model) -> Result<Reducer, ReduceError>,
     ) -> Result<PhasedReducer, ReduceError> {
         let last = model.phases.len() - 1;
@@ -64,7 +65,7 @@ impl PhasedReducer {
                 before: at.checked_sub(1).map(|at| model.phases[at].model.states.len()),
                 followed: at < last,
             };
-            PhaseReducer::new(&model.phases[at], place, reducer)
+            PhaseReducer::new((&model.phases[at], alpha), place, reducer)
         };
         Ok(PhasedReducer {
             phases: (0..=last).map(phase).collect::<Result<_, _>>()?,
@@ -124,6 +125,21 @@ impl PhasedReducer {
         self.each(tests, &|test, work| Ok(self.parts(test, work, false)?.into_iter().map(Part::into_piece).collect()))
     }
 
+    /// Phases of tests one by one, whether the phases before them are known or not: (id of the test, phase, what is known of it).
+    ///
+    /// # Errors
+    /// Of several in error, the first one's error.
+    pub fn each_piece(&mut self, phases: &[(&str, usize, &Evidence)]) -> Result<Vec<PhaseReduction>, ReduceError> {
+        let this = &*self;
+        let one = |work: &mut PhasedWork, &(id, at, evidence): &(&str, usize, &Evidence)| {
+            let room = (&mut work.phases[at], &mut work.cells);
+            this.phases[at].part((id, evidence), room, (false, false)).map(Part::into_piece)
+        };
+        let all: Vec<Result<PhaseReduction, ReduceError>> =
+            phases.par_iter().map_init(|| this.workspace(), one).collect();
+        all.into_iter().collect()
+    }
+
     /// The phases of one test, as [`PhasedReducer::pieces`].
     pub(crate) fn pieces_of(
         &self,
@@ -160,7 +176,7 @@ impl PhasedReducer {
 
     fn one(&self, test: &PhasedTest, work: &mut PhasedWork) -> Result<Reduction, ReduceError> {
         if let ([phase], [Evidence::Rows(rows)]) = (&*self.phases, &*test.phases)
-            && !phase.filtered
+            && phase.is_optimal()
         {
             return phase.reducer.one(rows, &mut work.phases[0]).map(|(reduction, _)| reduction);
         }

@@ -85,28 +85,46 @@ impl PhasedModel {
     /// # Errors
     /// A row without phase or of an unknown one; a phase without the one before it.
     pub fn split(&self, test: Test, labels: &Labels) -> Result<PhasedTest, SplitError> {
-        let Some(column) = self.column else { return Ok(PhasedTest::from(test)) };
-        let numbers: Vec<usize> =
-            (0..test.rows()).map(|row| self.phase_of(&test, row, column, labels)).collect::<Result<_, _>>()?;
-        if numbers.iter().all(|&phase| phase == 0) {
-            return Ok(PhasedTest::from(test));
-        }
-        let mut phases: Vec<Test> = self.phases.iter().map(|_| test.first(0)).collect();
-        for (row, &phase) in numbers.iter().enumerate() {
-            phases[phase].push(test.numbers(row), test.texts(row), test.source(row));
-        }
-        let last = numbers.iter().copied().max().unwrap_or(0);
+        let id = test.id.clone();
+        let mut phases = self.rows_by_phase(test, labels)?;
+        let last = phases.iter().rposition(|phase| phase.rows() > 0).unwrap_or(0);
         if let Some(missing) = phases[..last].iter().rposition(|phase| phase.rows() == 0) {
             let later = missing + 1;
             return Err(SplitError::MissingPhase {
-                test: test.id,
+                test: id,
                 at: phases[later].source(0),
                 missing: self.phases[missing].name.clone(),
                 later: self.phases[later].name.clone(),
             });
         }
         phases.truncate(last + 1);
-        Ok(PhasedTest { id: test.id, phases: phases.into_iter().map(Evidence::Rows).collect() })
+        Ok(PhasedTest { id, phases: phases.into_iter().map(Evidence::Rows).collect() })
+    }
+
+    /// The rows of a test by phase, in the order of the model, none for phases that the test has no rows of: these may be known
+    /// otherwise. Without a phase column the test is moved as it is.
+    ///
+    /// # Errors
+    /// A row without phase or of an unknown one.
+    pub fn rows_by_phase(&self, test: Test, labels: &Labels) -> Result<Vec<Test>, SplitError> {
+        let empty = || self.phases.iter().skip(1).map(|_| test.first(0)).collect::<Vec<Test>>();
+        let Some(column) = self.column else {
+            let mut phases = empty();
+            phases.insert(0, test);
+            return Ok(phases);
+        };
+        let numbers: Vec<usize> =
+            (0..test.rows()).map(|row| self.phase_of(&test, row, column, labels)).collect::<Result<_, _>>()?;
+        let mut phases = empty();
+        if numbers.iter().all(|&phase| phase == 0) {
+            phases.insert(0, test);
+            return Ok(phases);
+        }
+        phases.insert(0, test.first(0));
+        for (row, &phase) in numbers.iter().enumerate() {
+            phases[phase].push(test.numbers(row), test.texts(row), test.source(row));
+        }
+        Ok(phases)
     }
 
     /// The number of the phase that a row is of.

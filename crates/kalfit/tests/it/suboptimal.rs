@@ -1,0 +1,6 @@
+//! Estimates of suboptimal filters: golden numbers of the public case, and laws against dense constructions.
+
+mod drawn;
+mod random;
+mod schmidt;
+mod two_phases;
