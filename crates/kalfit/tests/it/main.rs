@@ -11,6 +11,7 @@ mod meta_analysis;
 mod observability;
 mod passes;
 mod phased;
+mod phases_single;
 mod plan;
 mod random_ensembles;
 mod reduction;
