@@ -272,7 +272,7 @@ proptest! {
         mixed.phases[0] = given.phases[0].clone();
         let expected = reduce(&journey);
         for test in [given, mixed] {
-            assert_eq!(reduce_all(&journey.model, &[test]), [expected.clone()]);
+            assert_eq!(reduce_all(&journey.model, &[test]).remove(0), expected);
         }
     }
 }
