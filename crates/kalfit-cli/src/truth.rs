@@ -180,7 +180,7 @@ fn of_model(spec: &Spec, from: &Path, set: &[String]) -> Result<(Population, Vec
     let (found, expected) = (truth.model.estimated_names(), spec.model.estimated_names());
     let place: Option<Vec<usize>> = expected.iter().map(|name| found.iter().position(|other| other == name)).collect();
     let Some(place) = place.filter(|place| place.len() == found.len()) else {
-        let error = RecordError::Names { what: "the estimated states", found, expected };
+        let error = RecordError::Names { what: "the estimated states".to_owned(), found, expected };
         return Err(TruthError::Record { path, error }.into());
     };
     let refused = |error| Failure::from(TruthError::Population { path: path.clone(), error });
