@@ -131,13 +131,13 @@ impl PhaseReducer {
     }
 
     /// The phase by a filter that need not be optimal, run here or elsewhere.
-    fn filtered<'a>(&self, id: &str, estimates: &Estimates, cells: &mut Cells) -> Result<Part<'a>, ReduceError> {
+    fn filtered<'a>(&'a self, id: &str, estimates: &Estimates, cells: &mut Cells) -> Result<Part<'a>, ReduceError> {
         let (reduction, terminal) = self.estimates.reduce(id, estimates)?;
         let at = self.reducer.preparer().at();
         let inherited = self.inheritance.as_ref();
         let inherited = inherited.map(|inheritance| inheritance.of(&at, &estimates.constants, cells)).transpose()?;
         let ending = if self.place.followed { Ending::Known(Cow::Owned(terminal)) } else { Ending::None };
-        Ok(Part { reduction: Cow::Owned(reduction), ending, inherited: inherited.map(Cow::Owned) })
+        Ok(Part { reduction: Cow::Owned(reduction), ending, inherited })
     }
 
     fn rows<'a>(

@@ -222,7 +222,8 @@ impl PhaseDraw<'_> {
         let mut entering = xi.clone();
         if let Some(inheritance) = &self.phase.inheritance {
             let inherited = inheritance.of(&self.preparer.at(), rows, &mut path.cells);
-            let Inherited { transition, input } = inherited.map_err(|error| self.phase.named(error))?;
+            let inherited = inherited.map_err(|error| self.phase.named(error))?;
+            let Inherited { transition, input } = inherited.as_ref();
             entering.resize(model.estimated.len(), 0.0);
             let inherited = transition * before + input;
             entering.iter_mut().zip(&inherited).for_each(|(own, more)| *own += more);
