@@ -8,40 +8,42 @@ use kalfit::record::{
 };
 use kalfit::score::Slots;
 use kalfit::{Alpha, Evidence, Model, PhasedModel, PhasedTest, Reduction, infer};
-use kalfit_data::{Input, Reading};
+use kalfit_data::Reading;
 use kalfit_report::{CheckRecord, Checked, CheckedPhase, ParameterCounts, PhaseCounts, check_summary};
 use kalfit_spec::Spec;
 
+use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::job::{CheckJob, Outcome};
 use crate::progress::Line;
 use crate::{model, reductions, terminal, tests};
 
 pub(crate) fn run(job: &CheckJob) -> Result<Outcome, Failure> {
-    let spec = model::load(&job.model)?;
+    let mut spec = model::load(&job.model)?;
+    let given = if job.data.is_empty() { None } else { Some(Given::open(&mut spec, &job.data)?) };
     let free = model::has_free(spec.model.shared());
-    let (parameters, checked) = match (job.data.is_empty(), free) {
-        (true, _) => (Vec::new(), Checked::Model),
-        (false, false) => (Vec::new(), known(&spec, &job.data)?),
-        (false, true) => started(&spec, &job.data)?,
+    let (parameters, checked) = match (&given, free) {
+        (None, _) => (Vec::new(), Checked::Model),
+        (Some(given), false) => (Vec::new(), known(&spec, given)?),
+        (Some(given), true) => started(&spec, given)?,
     };
+    terminal::warn(given.as_ref().map_or(&[], |given| &given.notes));
     let record = CheckRecord { title: spec.model.shared().title.clone(), model: spec.describe(), parameters, checked };
     terminal::print(&check_summary(&record, &terminal::style())).map_err(Failure::Stdout)?;
     Ok(Outcome::Done)
 }
 
 /// Reads the data and runs the filters: all parameters are known.
-fn known(spec: &Spec, args: &[String]) -> Result<Checked, Failure> {
-    let inputs = Input::expand(args).map_err(|error| Failure::data(error, spec))?;
+fn known(spec: &Spec, given: &Given) -> Result<Checked, Failure> {
     let mut line = Line::new(false);
     let alpha = model::alpha(spec);
     let mut counts = no_counts(&spec.model);
-    let reductions = reductions::reduce(spec, &alpha, &inputs, &mut line, &mut |test| match test {
+    let reductions = reductions::reduce(spec, &alpha, given, &mut line, &mut |test| match test {
         Some(test) => add(&mut counts, test),
         None => counts = no_counts(&spec.model),
     })?;
     line.clear();
-    examined((&spec.model, counts), &alpha, &reductions, files(&inputs), (Vec::new(), Vec::new()))
+    examined((&spec.model, counts), &alpha, &reductions, given.names(), (Vec::new(), Vec::new()))
 }
 
 fn no_counts(model: &PhasedModel) -> Vec<PhaseCounts> {
@@ -60,10 +62,9 @@ fn add(counts: &mut [PhaseCounts], test: &PhasedTest) {
 }
 
 /// Reads the data, counts the free values that they have use for, and runs the filters at start values if all are given.
-fn started(spec: &Spec, args: &[String]) -> Result<(Vec<ParameterCounts>, Checked), Failure> {
-    let inputs = Input::expand(args).map_err(|error| Failure::data(error, spec))?;
+fn started(spec: &Spec, given: &Given) -> Result<(Vec<ParameterCounts>, Checked), Failure> {
     let (model, mut line) = (spec.model.shared(), Line::new(false));
-    let (tests, reading) = tests::read(spec, &inputs, &mut line)?;
+    let (tests, reading) = tests::read(spec, given, &mut line)?;
     let mut phases = no_counts(&spec.model);
     tests.iter().for_each(|test| add(&mut phases, test));
     let slots = Slots::in_phases(&spec.model, &reading.labels, &tests);
@@ -80,14 +81,14 @@ fn started(spec: &Spec, args: &[String]) -> Result<(Vec<ParameterCounts>, Checke
         let without = |p: &&ParameterCounts| p.free > 0 && p.start.is_none();
         let free = parameters.iter().filter(without).map(|p| p.name.clone()).collect();
         let Reading { tests, rows, .. } = reading;
-        return Ok((parameters, Checked::Read { tests, rows, files: files(&inputs), free, notes, phases }));
+        return Ok((parameters, Checked::Read { tests, rows, files: given.names(), free, notes, phases }));
     };
     let alpha = slots.alpha(model, &starts);
     let reductions = reductions::of(&spec.model, &alpha, &tests, &reading)?;
     line.clear();
     let at_start_of = parameters.iter().filter(|p| p.free > 0).map(|p| p.name.clone()).collect();
     let said = (notes, at_start_of);
-    let checked = examined((&spec.model, phases), &alpha, &reductions, files(&inputs), said)?;
+    let checked = examined((&spec.model, phases), &alpha, &reductions, given.names(), said)?;
     Ok((parameters, checked))
 }
 
@@ -138,8 +139,4 @@ fn parameters(model: &Model, slots: &Slots, counts: &[LevelCounts]) -> Vec<Param
         })
     };
     model.parameters.iter().enumerate().filter_map(of).collect()
-}
-
-fn files(inputs: &[Input]) -> Vec<String> {
-    inputs.iter().map(Input::name).collect()
 }

@@ -46,6 +46,14 @@ impl Given {
         Ok(given)
     }
 
+    /// Inputs that are read as rows, whatever they hold.
+    pub(crate) fn rows_of(inputs: Vec<Input>) -> Given {
+        let (rows, files) = (inputs.clone(), inputs.iter().map(Input::name).collect());
+        let stdin: Box<dyn Read> = Box::new(std::io::stdin().lock());
+        let (reductions, estimates, notes) = (Vec::new(), Vec::new(), Vec::new());
+        Given { inputs, rows, reductions, estimates, files, stdin: RefCell::new(Some(stdin)), notes }
+    }
+
     /// Names of the inputs, as they were given.
     pub(crate) fn names(&self) -> Vec<String> {
         self.inputs.iter().map(Input::name).collect()

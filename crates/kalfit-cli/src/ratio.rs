@@ -9,10 +9,11 @@ use kalfit::model::{CovarianceStructure, MeanStructure, Parameter, Phase, Value}
 use kalfit::record::{DynamicParts, DynamicSides, PartRecord, RatioProvenance, RatioRecord};
 use kalfit::score::Slots;
 use kalfit::{Labels, Model, PhasedModel, PhasedTest};
-use kalfit_data::{Input, Reading};
+use kalfit_data::Reading;
 use kalfit_spec::{Hypothesis, Spec};
 
 use crate::dynamic::{Data, failure};
+use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::job::TestJob;
 use crate::progress::Line;
@@ -27,7 +28,7 @@ pub(crate) fn test(
     job: &TestJob,
     spec: &Spec,
     hypothesis: &Hypothesis,
-    inputs: &[Input],
+    given: &Given,
     provenance: RatioProvenance,
 ) -> Result<RatioRecord, Failure> {
     let mut line = Line::new(job.quiet);
@@ -38,7 +39,7 @@ pub(crate) fn test(
         let (literals, text_columns) = (literals.clone(), text_columns.clone());
         Model { literals, text_columns, ..model }
     });
-    let (tests, reading) = tests::read_for(spec, null, inputs, &mut line)?;
+    let (tests, reading) = tests::read_for(spec, null, given, &mut line)?;
     let slots = [Slots::in_phases(null, &reading.labels, &tests), Slots::in_phases(&wide, &reading.labels, &tests)];
     restricted((null, &slots[0]), (&wide, &slots[1]), &tests)
         .map_err(|error| Failure::DynamicRatio(DynamicRatioError::Parameter(error)))?;

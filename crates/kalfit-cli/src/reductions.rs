@@ -2,9 +2,10 @@
 
 use kalfit::reduce::{PhasedReducer, ReduceError, SplitError};
 use kalfit::{Alpha, Labels, PhasedModel, PhasedTest, Reduction, Test};
-use kalfit_data::{Input, ReadError, Reading, Sink};
+use kalfit_data::{ReadError, Reading, Sink};
 use kalfit_spec::Spec;
 
+use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::innovations::{Kept, KeptTests};
 use crate::progress::Line;
@@ -53,38 +54,43 @@ impl Sink for Reducing<'_> {
 pub(crate) fn reduce(
     spec: &Spec,
     alpha: &Alpha,
-    inputs: &[Input],
+    given: &Given,
     line: &mut Line,
     counted: &mut dyn FnMut(Option<&PhasedTest>),
 ) -> Result<Vec<Reduction>, Failure> {
-    read(spec, alpha, inputs, (line, counted), &mut Kept::nothing())
+    read(spec, alpha, given, (line, counted), &mut Kept::nothing())
 }
 
 /// [`reduce`], keeping what a second look at the data takes.
 pub(crate) fn reduce_keeping(
     spec: &Spec,
     alpha: &Alpha,
-    inputs: &[Input],
+    given: &Given,
     line: &mut Line,
     kept: &mut Kept,
 ) -> Result<Vec<Reduction>, Failure> {
-    read(spec, alpha, inputs, (line, &mut |_| ()), kept)
+    read(spec, alpha, given, (line, &mut |_| ()), kept)
 }
 
 fn read(
     spec: &Spec,
     alpha: &Alpha,
-    inputs: &[Input],
+    given: &Given,
     (line, counted): (&mut Line, &mut dyn FnMut(Option<&PhasedTest>)),
     kept: &mut Kept,
 ) -> Result<Vec<Reduction>, Failure> {
     let model = &spec.model;
+    if !given.is_rows() {
+        let (tests, reading) = given.tests(spec, model, line)?;
+        tests.iter().for_each(|test| counted(Some(test)));
+        return of(model, alpha, &tests, &reading);
+    }
     let reducer = PhasedReducer::new(model, alpha).map_err(|error| Failure::Reduce { error, reading: None })?;
-    let mut stdin = std::io::stdin().lock();
+    let mut stdin = given.stdin();
     let Kept { tests, copy } = kept;
     let mut sink = Reducing { model, reducer, reductions: Vec::new(), kept: tests, counted, line };
     let mut stdin = copy.copying(&mut stdin);
-    kalfit_data::read_from(model, &spec.layout, inputs, &mut sink, &mut stdin).map_err(|error| match error {
+    kalfit_data::read_from(model, &spec.layout, &given.inputs, &mut sink, &mut stdin).map_err(|error| match error {
         ReadError::Data(error) => Failure::data(error, spec),
         ReadError::Sink { error: Refused::Split(error), reading } => Failure::Split { error, reading },
         ReadError::Sink { error: Refused::Reduce(error), reading } => Failure::Reduce { error, reading: Some(reading) },

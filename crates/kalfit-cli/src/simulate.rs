@@ -10,6 +10,7 @@ use kalfit::simulate::{Designs, Drawn, Simulator};
 use kalfit_data::{Format, Ids, Input, Reading, StateWriter, TestWriter, WriteError, added_id_column};
 use kalfit_spec::Spec;
 
+use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::job::{Outcome, SimulateJob};
 use crate::output::{Output, Pending};
@@ -34,7 +35,7 @@ pub(crate) fn run(job: &SimulateJob) -> Result<Outcome, Failure> {
     let refused = |error, reading| Failure::Simulate { error: Box::new(error), reading };
     let simulator = Simulator::new(&spec.model, &truth.alpha, truth.population.clone(), job.seed)
         .map_err(|error| refused(error, None))?;
-    let (tests, reading) = tests::read(&spec, &inputs, &mut line)?;
+    let (tests, reading) = tests::read(&spec, &Given::rows_of(inputs), &mut line)?;
     let designs = Designs::new(tests).map_err(|error| refused(error, None))?;
     let count = job.tests.unwrap_or(designs.tests().len() as u64);
     let ids = if count > designs.tests().len() as u64 { Ids::New } else { Ids::Same };

@@ -11,6 +11,7 @@ use kalfit_data::Input;
 use kalfit_report::ratio_summary;
 use kalfit_spec::{Hypothesis, HypothesisError, Spec};
 
+use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::job::{Outcome, TestJob};
 use crate::output::Output;
@@ -19,15 +20,16 @@ use crate::ratio::{self, with_covariance, with_mean};
 use crate::{model, reductions, terminal};
 
 pub(crate) fn run(job: &TestJob) -> Result<Outcome, Failure> {
-    let spec = model::load(&job.model)?;
+    let mut spec = model::load(&job.model)?;
+    let given = Given::open(&mut spec, &job.data)?;
     let hypothesis = hypothesis(&spec, job)?;
-    let inputs = Input::expand(&job.data).map_err(|error| Failure::data(error, &spec))?;
-    let output = job.out.as_deref().map(|path| Output::prepare(path, &files(job, &inputs))).transpose()?;
-    let record = read_and_test(job, &spec, &hypothesis, &inputs)?;
+    let output = job.out.as_deref().map(|path| Output::prepare(path, &files(job, &given.inputs))).transpose()?;
+    let record = read_and_test(job, &spec, &hypothesis, &given)?;
     if let Some(output) = &output {
         output.write(&record)?;
     }
     if !job.quiet {
+        terminal::warn(&given.notes);
         terminal::print(&ratio_summary(&record, &terminal::style())).map_err(Failure::Stdout)?;
         if let Some(output) = &output {
             terminal::complain(&format!("Wrote {}\n", output.name()));
@@ -45,26 +47,21 @@ fn hypothesis(spec: &Spec, job: &TestJob) -> Result<Hypothesis, Failure> {
 }
 
 /// Which way it goes: with known parameters tests are forgotten once they are reduced.
-fn read_and_test(
-    job: &TestJob,
-    spec: &Spec,
-    hypothesis: &Hypothesis,
-    inputs: &[Input],
-) -> Result<RatioRecord, Failure> {
+fn read_and_test(job: &TestJob, spec: &Spec, hypothesis: &Hypothesis, given: &Given) -> Result<RatioRecord, Failure> {
     let provenance = RatioProvenance {
         title: spec.model.shared().title.clone(),
         hypothesis: hypothesis.title.clone().unwrap_or_else(|| job.null.display().to_string()),
         model_digest: Some(spec.digest.clone()),
         null_digest: Some(hypothesis.digest.clone()),
-        files: inputs.iter().map(Input::name).collect(),
+        files: given.names(),
     };
     if model::has_free(spec.model.shared()) {
-        return ratio::test(job, spec, hypothesis, inputs, provenance);
+        return ratio::test(job, spec, hypothesis, given, provenance);
     }
     let mut line = Line::new(job.quiet);
     let alpha = model::alpha(spec);
     same_parameters(hypothesis, &alpha)?;
-    let reductions = reductions::reduce(spec, &alpha, inputs, &mut line, &mut |_| ())?;
+    let reductions = reductions::reduce(spec, &alpha, given, &mut line, &mut |_| ())?;
     test(job, (spec, hypothesis), (&alpha, &reductions), provenance, &mut line)
 }
 

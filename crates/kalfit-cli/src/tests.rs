@@ -2,9 +2,10 @@
 
 use kalfit::reduce::SplitError;
 use kalfit::{Labels, PhasedModel, PhasedTest, Test};
-use kalfit_data::{Input, ReadError, Reading, Sink};
+use kalfit_data::{ReadError, Reading, Sink};
 use kalfit_spec::Spec;
 
+use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::progress::Line;
 
@@ -32,19 +33,23 @@ impl Sink for Keep<'_> {
 }
 
 /// Reads all tests.
-pub(crate) fn read(spec: &Spec, inputs: &[Input], line: &mut Line) -> Result<(Vec<PhasedTest>, Reading), Failure> {
-    read_for(spec, &spec.model, inputs, line)
+pub(crate) fn read(spec: &Spec, given: &Given, line: &mut Line) -> Result<(Vec<PhasedTest>, Reading), Failure> {
+    read_for(spec, &spec.model, given, line)
 }
 
 /// Reads all tests for a model that has the columns of the file's, and perhaps more texts.
 pub(crate) fn read_for(
     spec: &Spec,
     model: &PhasedModel,
-    inputs: &[Input],
+    given: &Given,
     line: &mut Line,
 ) -> Result<(Vec<PhasedTest>, Reading), Failure> {
+    if !given.is_rows() {
+        return given.tests(spec, model, line);
+    }
     let mut keep = Keep { model, tests: Vec::new(), line };
-    let reading = kalfit_data::read(model, &spec.layout, inputs, &mut keep).map_err(|error| match error {
+    let reading = kalfit_data::read_from(model, &spec.layout, &given.inputs, &mut keep, &mut given.stdin());
+    let reading = reading.map_err(|error| match error {
         ReadError::Data(error) => Failure::data(error, spec),
         ReadError::Sink { error, reading } => Failure::Split { error, reading },
     })?;

@@ -88,7 +88,7 @@ impl Source {
 }
 
 /// Looks into the inputs: an exchange file is a Parquet file whose metadata say so, or which has columns `estimates` and
-/// `sensitivities` of lists. Standard input is read into memory when it is Parquet.
+/// `sensitivities` of lists. Standard input is read into memory when it is Parquet; other pipes are read as rows.
 ///
 /// # Errors
 /// A Parquet file that cannot be opened, or of another version of the schema.
@@ -99,6 +99,8 @@ pub fn sort<'a>(inputs: &[Input], mut stdin: Box<dyn Read + 'a>) -> Result<Sorte
         let failed = |source| DataError::Io { file: name.clone(), source };
         let mut head = Vec::with_capacity(HEAD);
         let bytes = match input {
+            // What comes but once must not be looked into: a pipe is read as rows.
+            Input::Path(path) if !path.is_file() => Contents::Path(path.clone()),
             Input::Path(path) => {
                 File::open(path).and_then(|file| file.take(HEAD as u64).read_to_end(&mut head)).map_err(failed)?;
                 Contents::Path(path.clone())
