@@ -15,6 +15,7 @@ fn innovations(nis: f64, nis_p: f64, white_p: f64) -> InnovationRecord {
         nis_p_value: Some(nis_p),
         mean: Some(0.1),
         whiteness: Some(whiteness),
+        parts: Vec::new(),
     }
 }
 
