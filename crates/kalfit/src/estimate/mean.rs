@@ -3,8 +3,9 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::classes::Frame;
+use crate::estimate::structure::Structure;
 use crate::linalg::symmetric;
-use crate::model::{MeanElement, MeanStructure};
+use crate::model::MeanElement;
 
 /// Free coordinates of the mean: b, then γ.
 #[derive(Debug, Clone)]
@@ -22,20 +23,20 @@ pub(crate) struct MeanMap {
 }
 
 impl MeanMap {
-    pub(crate) fn new(structure: &MeanStructure, frame: &Frame) -> MeanMap {
+    pub(crate) fn new(structure: &Structure<'_>, frame: &Frame) -> MeanMap {
         let (m0, b) = structure.basis();
         let p = m0.len();
         let offset = DVector::from_fn(p, |i, _| (m0[i] - frame.centre[i]) / frame.scale[i]);
         let scaled = DMatrix::from_fn(p, b.ncols(), |i, c| b[(i, c)] / frame.scale[i]);
         let basis = orthonormal(scaled);
-        let regressors: Vec<usize> = structure.regression.iter().map(|r| r.element).collect();
+        let regressors: Vec<usize> = structure.regressions().iter().map(|r| r.element).collect();
         let coefficient_scale =
             regressors.iter().zip(&frame.covariate_scale).map(|(&i, x)| x / frame.scale[i]).collect();
         let known = |element: &MeanElement| match element {
             MeanElement::Fixed(value) => Some(*value),
             _ => None,
         };
-        let fixed = structure.elements.iter().map(known).collect();
+        let fixed = structure.elements().iter().map(known).collect();
         MeanMap { offset, basis, regressors, coefficient_scale, fixed }
     }
 
@@ -50,7 +51,7 @@ impl MeanMap {
     }
 
     /// d(b, γ) / d(the user's β and regression coefficients), q × q.
-    pub(crate) fn by_user(&self, structure: &MeanStructure, frame: &Frame) -> DMatrix<f64> {
+    pub(crate) fn by_user(&self, structure: &Structure<'_>, frame: &Frame) -> DMatrix<f64> {
         let (_, b) = structure.basis();
         let scaled = DMatrix::from_fn(b.nrows(), b.ncols(), |i, c| b[(i, c)] / frame.scale[i]);
         let (q, r) = (b.ncols(), self.regressors.len());

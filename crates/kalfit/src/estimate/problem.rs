@@ -4,14 +4,14 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::classes::Classes;
+use crate::estimate::classes::{Class, Classes};
 use crate::estimate::covariance::CovarianceMap;
 use crate::estimate::local::{Local, Objective};
 use crate::estimate::mean::MeanMap;
-use crate::estimate::pass::{FlatMean, Order, Sums, pass};
+use crate::estimate::pass::{FlatMean, Order, Sums, of_class, pass};
 use crate::estimate::reml::Restriction;
 use crate::estimate::terms::Point;
-use crate::estimate::{Criterion, Structure};
+use crate::estimate::{Combination, Criterion, Structure};
 use crate::linalg::symmetric;
 use crate::model::{Population, StructureError};
 use crate::reduce::Reduction;
@@ -31,10 +31,11 @@ impl Problem {
     pub(crate) fn new(
         reductions: &[Reduction],
         structure: &Structure<'_>,
-        criterion: Criterion,
+        (criterion, combination): (Criterion, Combination),
     ) -> Result<Problem, StructureError> {
-        let p = structure.mean.elements.len();
-        Problem::of(Classes::new(reductions, p, structure.mean.regression.len()), structure, criterion)
+        let chained = combination != Combination::Stacked;
+        let classes = Classes::new(reductions, structure.ranges(), structure.regressions().len(), chained);
+        Problem::of(classes, structure, criterion)
     }
 
     /// The problem of these classes.
@@ -43,14 +44,14 @@ impl Problem {
         structure: &Structure<'_>,
         criterion: Criterion,
     ) -> Result<Problem, StructureError> {
-        let mean = MeanMap::new(structure.mean, &classes.frame);
-        let covariance = CovarianceMap::new(structure.covariance, structure.alpha, &classes.frame)?;
+        let mean = MeanMap::new(structure, &classes.frame);
+        let covariance = CovarianceMap::new(structure, &classes.frame)?;
         let mean_jacobian = mean.jacobian();
         let restriction = (criterion == Criterion::Reml).then(|| {
             let at_zero = classes.mean_information(&mean.regressors);
             Restriction::new(
                 &(mean_jacobian.transpose() * at_zero * &mean_jacobian),
-                &mean.by_user(structure.mean, &classes.frame),
+                &mean.by_user(structure, &classes.frame),
             )
         });
         Ok(Problem { classes, mean, covariance, mean_jacobian, restriction, passes: AtomicUsize::new(0) })
@@ -68,7 +69,7 @@ impl Problem {
         let flat = FlatMean { jacobian: &self.mean_jacobian, covariance: near };
         let sums = pass(&self.classes, &self.mean.regressors, point, order, Some(&flat));
         let information = self.mean_jacobian.transpose() * &sums.mean_information * &self.mean_jacobian;
-        let restricted = restriction.at(&information, sums.spread(), self.classes.dimension())?;
+        let restricted = restriction.at(&information, sums.spread(), &self.classes.elements)?;
         Some(sums.restrict(restricted))
     }
 
@@ -76,6 +77,11 @@ impl Problem {
     pub(crate) fn likelihood(&self, point: &Point, order: Order) -> Sums {
         self.count_pass();
         pass(&self.classes, &self.mean.regressors, point, order, None)
+    }
+
+    /// What one class says by itself.
+    pub(crate) fn of_class(&self, class: &Class, point: &Point, order: Order) -> Sums {
+        of_class(&self.classes, class, &self.mean.regressors, point, order)
     }
 
     /// What is maximised.

@@ -22,6 +22,19 @@ pub enum Criterion {
     Reml,
 }
 
+/// How the phases of a test are put together (theory §7). For tests in one phase all are the same.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Combination {
+    /// Phase by phase, at a cost linear in the number of phases. Exact.
+    #[default]
+    Chain,
+    /// All phases as one big test: the reference. Exact.
+    Stacked,
+    /// Each phase by its least-squares differences from the phase before, their correlation over phases ignored: the paper's
+    /// quick analysis. It throws information away and approximates nothing.
+    Marginal,
+}
+
 /// Settings of a fit of μ and Σ.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Settings {
@@ -29,6 +42,8 @@ pub struct Settings {
     pub solver: Solver,
     /// What is maximised.
     pub criterion: Criterion,
+    /// How phases are put together.
+    pub phases: Combination,
     /// Stop when the Newton decrement is at most this: the distance to the optimum in standard errors.
     pub tolerance: f64,
     /// Largest number of passes over the reductions.
@@ -37,7 +52,13 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Settings { solver: Solver::Newton, criterion: Criterion::Ml, tolerance: 1e-8, max_passes: 200 }
+        Settings {
+            solver: Solver::Newton,
+            criterion: Criterion::Ml,
+            phases: Combination::Chain,
+            tolerance: 1e-8,
+            max_passes: 200,
+        }
     }
 }
 

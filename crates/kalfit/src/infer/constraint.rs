@@ -6,14 +6,14 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 use crate::estimate::{Estimate, Form, State};
 use crate::infer::information::Law;
 use crate::linalg::symmetric::pair;
-use crate::model::{CovarianceKind, MeanElement};
+use crate::model::MeanElement;
 
 /// A constrained element.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Element {
     /// Of μ.
     Mean(usize),
-    /// Of Σ.
+    /// Of Σ; both states are of one phase.
     Covariance(usize, usize),
 }
 
@@ -34,22 +34,21 @@ pub struct Sensitivity {
     pub expected_change: Option<f64>,
 }
 
-/// Sensitivities of all constrained elements: the mean first, then Σ by rows.
+/// Sensitivities of all constrained elements: the mean first, then Σ by rows. That states of different phases are uncorrelated is no
+/// constraint.
 pub fn sensitivities(estimate: &Estimate) -> Vec<Sensitivity> {
     let state = &estimate.state;
     let law = Law::new(state);
     let mut found: Vec<Sensitivity> = Vec::new();
-    for (i, element) in state.mean.elements.iter().enumerate() {
+    let elements = state.structure().elements();
+    for (i, element) in elements.iter().enumerate() {
         if let MeanElement::Fixed(value) = element {
-            found.push(of_mean(state, &law, i, *value));
+            found.push(of_mean(state, &law, &elements, (i, *value)));
         }
     }
-    let p = estimate.mean.len();
-    for i in 0..p {
-        for j in 0..=i {
-            if let Some(multiplier) = held(state, i, j) {
-                found.push(of_covariance(estimate, &law, (i, j), multiplier));
-            }
+    for (i, j) in state.problem.covariance.elements.all() {
+        if let Some(multiplier) = held(state, i, j) {
+            found.push(of_covariance(estimate, &law, (i, j), multiplier));
         }
     }
     found
@@ -75,19 +74,19 @@ fn held(state: &State, i: usize, j: usize) -> Option<Held> {
     if let Some(k) = constrained {
         return Some(Held::Multiplier(state.place.tangent.multipliers[k]));
     }
-    match &map.form {
-        Form::Fixed => Some(Held::Form),
+    match map.form_of(i) {
+        Form::Fixed(_) => Some(Held::Form),
         _ => map.is_structural_zero(i, j).then_some(Held::Form),
     }
 }
 
 /// The mean moves with a fixed element, and with it the elements tied to that one.
-fn of_mean(state: &State, law: &Law<'_>, i: usize, value: f64) -> Sensitivity {
+fn of_mean(state: &State, law: &Law<'_>, elements: &[MeanElement], (i, value): (usize, f64)) -> Sensitivity {
     let scale = &state.problem.classes.frame.scale;
     let local = &state.place.local;
     let mut direction = DVector::zeros(local.mean_score.len());
     direction[i] = scale[i].recip();
-    for (t, element) in state.mean.elements.iter().enumerate() {
+    for (t, element) in elements.iter().enumerate() {
         if let MeanElement::Tied { terms, .. } = element {
             let weight: f64 = terms.iter().filter(|(k, _)| *k == i).map(|(_, w)| w).sum();
             direction[t] += weight / scale[t];
@@ -112,7 +111,7 @@ fn of_covariance(estimate: &Estimate, law: &Law<'_>, (i, j): (usize, usize), hel
             Held::Multiplier(multiplier) => multiplier,
             Held::Form => places * local.score[(i, j)],
         };
-    let k = pair(i, j);
+    let k = state.problem.covariance.elements.index(i, j);
     let mean = local.cross.column(k) * unit;
     let sigma = local.information.column(k) * unit;
     let own = local.information[(k, k)] * unit * unit;
@@ -121,8 +120,11 @@ fn of_covariance(estimate: &Estimate, law: &Law<'_>, (i, j): (usize, usize), hel
     let alone = i == j || !(zero(i) || zero(j)); // a covariance beside a zero variance cannot be freed alone
     let one_sided = i == j && value == 0.0;
     let test = score_test(score, own, &tangent_cross(state, &mean, &sigma), law, one_sided);
-    let test =
-        if alone && !matches!(state.covariance.kind, CovarianceKind::Fixed(_)) { test } else { without_test(score) };
+    let test = if alone && !matches!(state.problem.covariance.form_of(i), Form::Fixed(_)) {
+        test
+    } else {
+        without_test(score)
+    };
     Sensitivity { element: Element::Covariance(i, j), value, sensitivity: score, ..test }
 }
 

@@ -3,16 +3,18 @@
 use nalgebra::DMatrix;
 
 use crate::linalg::symmetric;
-use crate::model::{Alpha, CovarianceKind, Expression, MeanElement, Model, Scope, StructureError};
+use crate::model::{Alpha, CovarianceKind, Expression, MeanElement, Model, PhasedModel, Scope, StructureError};
 
-/// ξ_j ~ N(μ_j, Σ) with μ_j = μ + Σ_r e_state(r) × covariate_jr × coefficient_r.
+/// ξ_j ~ N(μ_j, Σ) with μ_j = μ + Σ_r e_state(r) × covariate_jr × coefficient_r. Of a model in phases, ξ_j holds the estimated states
+/// of all phases in a row; those of different phases are independent.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Population {
-    /// μ (p), in the order of [`Model::estimated`].
+    /// μ (p), in the order of [`Model::estimated`], phase by phase.
     pub mean: Vec<f64>,
-    /// Regression coefficients, in the order of [`MeanStructure::regression`](crate::model::MeanStructure::regression).
+    /// Regression coefficients, in the order of [`MeanStructure::regression`](crate::model::MeanStructure::regression), phase by
+    /// phase.
     pub coefficients: Vec<f64>,
-    /// Σ (p × p), positive semidefinite; it may be singular.
+    /// Σ (p × p), positive semidefinite; it may be singular. Zero between phases.
     pub covariance: DMatrix<f64>,
 }
 
@@ -49,6 +51,16 @@ pub enum PopulationError {
         /// Entry below it.
         lower: f64,
     },
+    /// States of different phases are correlated.
+    #[error("the covariance of `{first}` and `{second}` is {found}, expected 0: they are of different phases")]
+    AcrossPhases {
+        /// One state.
+        first: String,
+        /// The other.
+        second: String,
+        /// Their covariance.
+        found: f64,
+    },
     /// A matrix is not positive semidefinite, or has no value.
     #[error(transparent)]
     Structure(#[from] StructureError),
@@ -65,19 +77,25 @@ impl Population {
     ///
     /// # Errors
     /// [`PopulationError::NoValue`] names all that has neither; a matrix that is not positive semidefinite.
-    pub fn of_model(model: &Model, alpha: &Alpha) -> Result<Population, PopulationError> {
-        let mut missing = Vec::new();
-        let mean = means(model, &mut missing);
-        let name = |element: usize| &model.states[model.estimated[element]].name;
-        for regression in &model.mean.regression {
-            let column = &model.columns[regression.column].name;
-            missing.push(format!("the coefficient of `{column}` in mean[{}]", name(regression.element)));
+    pub fn of_model(model: &PhasedModel, alpha: &Alpha) -> Result<Population, PopulationError> {
+        let p = model.dimension();
+        let (mut mean, mut sigma, mut missing) = (Vec::with_capacity(p), DMatrix::zeros(p, p), Vec::new());
+        let names = model.estimated_names();
+        for (phase, range) in model.phases.iter().zip(model.ranges()) {
+            let named = Named { model: &phase.model, names: &names[range.clone()] };
+            mean.extend(named.means(&mut missing));
+            for regression in &phase.model.mean.regression {
+                let column = &phase.model.columns[regression.column].name;
+                let element = &named.names[regression.element];
+                missing.push(format!("the coefficient of `{column}` in mean[{element}]"));
+            }
+            let own = named.covariance(alpha, &mut missing)?;
+            sigma.view_mut((range.start, range.start), own.shape()).copy_from(&own);
         }
-        let covariance = covariance(model, alpha, &mut missing)?;
         if !missing.is_empty() {
             return Err(PopulationError::NoValue { elements: missing });
         }
-        let population = Population { mean, coefficients: Vec::new(), covariance };
+        let population = Population { mean, coefficients: Vec::new(), covariance: sigma };
         population.check(model)?;
         Ok(population)
     }
@@ -86,10 +104,21 @@ impl Population {
     ///
     /// # Errors
     /// The first of these that it has not.
-    pub fn check(&self, model: &Model) -> Result<(), PopulationError> {
-        self.check_named(model.dimension(), model.mean.regression.len(), &|i| {
-            model.states[model.estimated[i]].name.clone()
-        })
+    pub fn check(&self, model: &PhasedModel) -> Result<(), PopulationError> {
+        let regressions = model.phases.iter().map(|phase| phase.model.mean.regression.len()).sum();
+        let names = model.estimated_names();
+        self.check_named(model.dimension(), regressions, &|i| names[i].clone())?;
+        let phase_of: Vec<usize> =
+            model.ranges().into_iter().enumerate().flat_map(|(phase, range)| range.map(move |_| phase)).collect();
+        let apart = |&(i, j): &(usize, usize)| phase_of[i] != phase_of[j] && self.covariance[(i, j)] != 0.0;
+        match (0..names.len()).flat_map(|i| (0..i).map(move |j| (i, j))).find(apart) {
+            Some((i, j)) => Err(PopulationError::AcrossPhases {
+                first: names[j].clone(),
+                second: names[i].clone(),
+                found: self.covariance[(i, j)],
+            }),
+            None => Ok(()),
+        }
     }
 
     /// [`Population::check`] against p states of these names, and a number of regression coefficients.
@@ -142,75 +171,84 @@ impl Population {
     }
 }
 
-/// μ, with zeros where nothing is given; what is missing is added to `missing`.
-fn means(model: &Model, missing: &mut Vec<String>) -> Vec<f64> {
-    let structure = &model.mean;
-    let scale = structure.elements.iter().zip(&structure.start).find_map(|(element, start)| match element {
-        MeanElement::Proportional(weight) if *weight != 0.0 => start.map(|start| start / weight),
-        _ => None,
-    });
-    let own = |i: usize| match structure.elements[i] {
-        MeanElement::Fixed(value) => Some(value),
-        MeanElement::Free => structure.start[i],
-        MeanElement::Proportional(weight) => scale.map(|scale| scale * weight),
-        MeanElement::Tied { .. } => None,
-    };
-    let mut mean = vec![0.0; structure.elements.len()];
-    for (i, element) in structure.elements.iter().enumerate() {
-        // A tied element whose sources lack values is not named beside them.
-        match (element, own(i)) {
-            (MeanElement::Tied { constant, terms }, _) => {
-                mean[i] = terms.iter().fold(*constant, |sum, &(k, weight)| sum + weight * own(k).unwrap_or(0.0));
-            }
-            (_, Some(value)) => mean[i] = value,
-            (_, None) => missing.push(format!("mean[{}]", model.states[model.estimated[i]].name)),
-        }
-    }
-    mean
+/// One phase's model, with the names of its estimated states as messages want them.
+struct Named<'a> {
+    model: &'a Model,
+    names: &'a [String],
 }
 
-/// Σ, with zeros where nothing is given; what is missing is added to `missing`.
-fn covariance(model: &Model, alpha: &Alpha, missing: &mut Vec<String>) -> Result<DMatrix<f64>, PopulationError> {
-    let (p, structure) = (model.dimension(), &model.covariance);
-    let name = |i: usize| &model.states[model.estimated[i]].name;
-    let blocks: Vec<Vec<usize>> = match &structure.kind {
-        CovarianceKind::Fixed(entries) => return matrix(entries, alpha),
-        CovarianceKind::Proportional(_) => {
-            missing.push("the scale of the proportional covariance".to_owned());
-            return Ok(DMatrix::zeros(p, p));
-        }
-        CovarianceKind::Correlation(_) => {
-            missing.extend((0..p).filter(|&i| !is_zero(model, i)).map(|i| format!("covariance[{0}, {0}]", name(i))));
-            return Ok(DMatrix::zeros(p, p));
-        }
-        CovarianceKind::Linear { .. } => {
-            return Ok(structure.start.clone().unwrap_or_else(|| {
-                missing.push("the coefficients of the linear covariance".to_owned());
-                DMatrix::zeros(p, p)
-            }));
-        }
-        CovarianceKind::Full => vec![(0..p).collect()],
-        CovarianceKind::Diagonal => (0..p).map(|i| vec![i]).collect(),
-        CovarianceKind::Blocks(blocks) => blocks.clone(),
-    };
-    if let Some(start) = &structure.start {
-        return Ok(start.clone());
-    }
-    let mut sigma = DMatrix::zeros(p, p);
-    for i in 0..p {
-        for j in 0..=i {
-            let fixed = structure.fixed.iter().find(|e| (e.i, e.j) == (i, j)).map(|e| e.value);
-            let absent = is_zero(model, i)
-                || is_zero(model, j)
-                || !blocks.iter().any(|block| block.contains(&i) && block.contains(&j));
-            match fixed {
-                Some(value) => (sigma[(i, j)], sigma[(j, i)]) = (value, value),
-                None if absent => {}
-                None => missing.push(format!("covariance[{}, {}]", name(j), name(i))),
+impl Named<'_> {
+    /// μ, with zeros where nothing is given; what is missing is added to `missing`.
+    fn means(&self, missing: &mut Vec<String>) -> Vec<f64> {
+        let structure = &self.model.mean;
+        let scale = structure.elements.iter().zip(&structure.start).find_map(|(element, start)| match element {
+            MeanElement::Proportional(weight) if *weight != 0.0 => start.map(|start| start / weight),
+            _ => None,
+        });
+        let own = |i: usize| match structure.elements[i] {
+            MeanElement::Fixed(value) => Some(value),
+            MeanElement::Free => structure.start[i],
+            MeanElement::Proportional(weight) => scale.map(|scale| scale * weight),
+            MeanElement::Tied { .. } => None,
+        };
+        let mut mean = vec![0.0; structure.elements.len()];
+        for (i, element) in structure.elements.iter().enumerate() {
+            // A tied element whose sources lack values is not named beside them.
+            match (element, own(i)) {
+                (MeanElement::Tied { constant, terms }, _) => {
+                    mean[i] = terms.iter().fold(*constant, |sum, &(k, weight)| sum + weight * own(k).unwrap_or(0.0));
+                }
+                (_, Some(value)) => mean[i] = value,
+                (_, None) => missing.push(format!("mean[{}]", self.names[i])),
             }
         }
+        mean
     }
-    Ok(sigma)
+
+    /// Σ, with zeros where nothing is given; what is missing is added to `missing`.
+    fn covariance(&self, alpha: &Alpha, missing: &mut Vec<String>) -> Result<DMatrix<f64>, PopulationError> {
+        let Named { model, names: name } = self;
+        let (p, structure) = (model.dimension(), &model.covariance);
+        let blocks: Vec<Vec<usize>> = match &structure.kind {
+            CovarianceKind::Fixed(entries) => return matrix(entries, alpha),
+            CovarianceKind::Proportional(_) => {
+                missing.push("the scale of the proportional covariance".to_owned());
+                return Ok(DMatrix::zeros(p, p));
+            }
+            CovarianceKind::Correlation(_) => {
+                missing
+                    .extend((0..p).filter(|&i| !is_zero(model, i)).map(|i| format!("covariance[{0}, {0}]", name[i])));
+                return Ok(DMatrix::zeros(p, p));
+            }
+            CovarianceKind::Linear { .. } => {
+                return Ok(structure.start.clone().unwrap_or_else(|| {
+                    missing.push("the coefficients of the linear covariance".to_owned());
+                    DMatrix::zeros(p, p)
+                }));
+            }
+            CovarianceKind::Full => vec![(0..p).collect()],
+            CovarianceKind::Diagonal => (0..p).map(|i| vec![i]).collect(),
+            CovarianceKind::Blocks(blocks) => blocks.clone(),
+        };
+        if let Some(start) = &structure.start {
+            return Ok(start.clone());
+        }
+        let mut sigma = DMatrix::zeros(p, p);
+        for i in 0..p {
+            for j in 0..=i {
+                let fixed = structure.fixed.iter().find(|e| (e.i, e.j) == (i, j)).map(|e| e.value);
+                let absent = is_zero(model, i)
+                    || is_zero(model, j)
+                    || !blocks.iter().any(|block| block.contains(&i) && block.contains(&j));
+                match fixed {
+                    Some(value) => (sigma[(i, j)], sigma[(j, i)]) = (value, value),
+                    None if absent => {}
+                    None => missing.push(format!("covariance[{}, {}]", name[j], name[i])),
+                }
+            }
+        }
+        Ok(sigma)
+    }
 }
 
 /// True when a variance is fixed at zero.

@@ -11,18 +11,20 @@
 //! the design's information, so that all standard errors fall as 1/√N.
 
 mod error;
+mod lost;
 mod record;
 
 pub use error::PlanError;
+pub use lost::{InformationLost, StdErrorRatio, information_lost};
 pub use record::{PlanProvenance, PlanRecord, PlannedRecord};
 
 use crate::estimate::{ExpectedError, State, Structure, at_population};
 use crate::infer::{self, Direction, Uncertainty};
-use crate::linalg::symmetric::pair;
+use crate::linalg::elements::Elements;
 use crate::model::Population;
 use crate::reduce::Reduction;
 
-/// What is estimated. Indices are places in μ and Σ.
+/// What is estimated. Indices are places in μ and Σ of all phases together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Quantity {
     /// An element of μ.
@@ -66,7 +68,7 @@ pub struct Plan {
     pub design_tests: usize,
     /// The numbers of tests asked for.
     pub tests: Vec<usize>,
-    /// All quantities: μ, regression coefficients, standard deviations, correlations by rows, Σ by rows.
+    /// All quantities: μ, regression coefficients, standard deviations, correlations by rows, Σ by rows; pairs within a phase.
     pub quantities: Vec<Planned>,
 }
 
@@ -89,7 +91,7 @@ pub struct Plan {
 ///     chain: None,
 /// };
 /// let (mean, covariance, alpha) = (MeanStructure::free(1), CovarianceStructure::full(), Alpha::default());
-/// let structure = Structure { mean: &mean, covariance: &covariance, alpha: &alpha };
+/// let structure = Structure::single(&mean, &covariance, &alpha);
 /// let population = Population { mean: vec![5.0], coefficients: vec![], covariance: DMatrix::from_element(1, 1, 3.0) };
 ///
 /// let plan = plan(&[test], &structure, &population, &[4, 100])?;
@@ -109,15 +111,12 @@ pub fn plan(
     population: &Population,
     tests: &[usize],
 ) -> Result<Plan, PlanError> {
-    let p = structure.mean.elements.len();
-    population.check_named(p, structure.mean.regression.len(), &|i| (i + 1).to_string())?;
+    let (p, regressions) = (structure.dimension(), structure.regressions().len());
+    population.check_named(p, regressions, &|i| (i + 1).to_string())?;
     if tests.contains(&0) {
         return Err(PlanError::ZeroTests);
     }
-    let state = at_population(reductions, structure, population).map_err(|error| match error {
-        ExpectedError::Fit(error) => PlanError::Design(error),
-        ExpectedError::Off { element, found, expected } => PlanError::OffStructure { element, found, expected },
-    })?;
+    let state = at_population(reductions, structure, population).map_err(off_structure)?;
     let unidentified = infer::directions(&state.problem, &state.place, &state.sums.expected_information());
     let uncertainty = infer::uncertainty_at(&state, &population.covariance, &unidentified);
     let found = Found { state: &state, population, unidentified: &unidentified, uncertainty: &uncertainty };
@@ -128,15 +127,24 @@ pub fn plan(
         value: found.value(quantity),
         std_errors: found.error(quantity).map(at_each).ok_or_else(|| found.reason(quantity)),
     };
-    let quantities = quantities(p, structure.mean.regression.len()).into_iter().map(one).collect();
+    let elements = &state.problem.covariance.elements;
+    let quantities = quantities(elements, regressions).into_iter().map(one).collect();
     Ok(Plan { design_tests: n, tests: tests.to_vec(), quantities })
 }
 
-fn quantities(p: usize, regressions: usize) -> Vec<Quantity> {
-    let lower = |from: usize| (0..p).flat_map(move |i| (0..(i + 1).saturating_sub(from)).map(move |j| (i, j)));
+fn off_structure(error: ExpectedError) -> PlanError {
+    match error {
+        ExpectedError::Fit(error) => PlanError::Design(error),
+        ExpectedError::Off { element, found, expected } => PlanError::OffStructure { element, found, expected },
+    }
+}
+
+fn quantities(elements: &Elements, regressions: usize) -> Vec<Quantity> {
+    let p = elements.states();
+    let below = || elements.all().filter(|(i, j)| i != j);
     let means = (0..p).map(Quantity::Mean).chain((0..regressions).map(Quantity::Coefficient));
-    let spreads = (0..p).map(Quantity::StdDev).chain(lower(1).map(|(i, j)| Quantity::Correlation(i, j)));
-    means.chain(spreads).chain(lower(0).map(|(i, j)| Quantity::Covariance(i, j))).collect()
+    let spreads = (0..p).map(Quantity::StdDev).chain(below().map(|(i, j)| Quantity::Correlation(i, j)));
+    means.chain(spreads).chain(elements.all().map(|(i, j)| Quantity::Covariance(i, j))).collect()
 }
 
 /// What was found at the population.
@@ -174,6 +182,11 @@ impl Found<'_> {
         error.filter(|error| error.is_finite())
     }
 
+    /// The number of an element of Σ.
+    fn element(&self, i: usize, j: usize) -> usize {
+        self.state.problem.covariance.elements.index(i, j)
+    }
+
     /// Why a quantity has no standard error.
     fn reason(&self, quantity: Quantity) -> Reason {
         let takes_part = |what: infer::Quantity, k: usize| {
@@ -194,7 +207,7 @@ impl Found<'_> {
             Reason::Fixed
         } else if is_singular(i) || is_singular(j) {
             Reason::Boundary
-        } else if elements.iter().any(|&(i, j)| takes_part(infer::Quantity::Covariance, pair(i, j))) {
+        } else if elements.iter().any(|&(i, j)| takes_part(infer::Quantity::Covariance, self.element(i, j))) {
             Reason::Unidentified
         } else {
             Reason::Fixed

@@ -7,11 +7,13 @@ use std::collections::BTreeMap;
 use kalfit::dynamic::{self, DynamicFit, OtherEnd, ParameterInference, Settings, Standing};
 use kalfit::estimate::{Silent, Stop};
 use kalfit::infer::{Choices, Inference, restricted};
+use kalfit::model::PhasedModel;
 use kalfit::model::{
     Clock, Column, CovarianceStructure, Initial, Linear, MeanStructure, Measurement, Motion, Operator, Parameter,
     State, Value,
 };
 use kalfit::record::{DynamicParts, LevelCounts, MethodRecord, level_notes};
+use kalfit::reduce::PhasedTest;
 use kalfit::score::Slots;
 use kalfit::{Alpha, Expression, FitRecord, Label, Labels, Model, Provenance, Source, Test};
 
@@ -86,8 +88,10 @@ fn ensemble() -> (Labels, Vec<Test>) {
 
 fn fitted(model: &Model) -> (Labels, Vec<Test>, DynamicFit, Inference, Vec<ParameterInference>) {
     let (labels, tests) = ensemble();
-    let fit = dynamic::fit(model, &labels, &tests, &Settings::default(), &mut Silent).unwrap();
-    let (inference, parameters) = dynamic::infer(model, &tests, &fit, Choices::default()).unwrap();
+    let (model, phased) =
+        (PhasedModel::from(model.clone()), tests.iter().cloned().map(PhasedTest::from).collect::<Vec<_>>());
+    let fit = dynamic::fit(&model, &labels, &phased, &Settings::default(), &mut Silent).unwrap();
+    let (inference, parameters) = dynamic::infer(&model, &phased, &fit, Choices::default()).unwrap();
     (labels, tests, fit, inference, parameters)
 }
 
@@ -142,7 +146,7 @@ fn the_fit_is_that_of_the_same_values_held() {
     model.parameters[0].fixed_levels = BTreeMap::from([(0, 0.25), (1, value("C")), (2, value("A"))]);
     let alpha = Alpha::fixed(&model.parameters).unwrap();
     let reductions = kalfit::reduce::Reducer::new(&model, &alpha).unwrap().reduce(&tests).unwrap();
-    let structure = kalfit::estimate::Structure::of(&model, &alpha);
+    let structure = kalfit::estimate::Structure::single(&model.mean, &model.covariance, &alpha);
     let estimate = kalfit::estimate::fit(&reductions, &structure, &Default::default(), &mut Silent).unwrap();
     let (found, expected) = (record.log_likelihood, estimate.log_likelihood);
     assert!((found - expected).abs() < 1e-9, "{found} {expected}");

@@ -51,7 +51,8 @@ fn spread() -> DMatrix<f64> {
 }
 
 fn fit(data: &[Reduction], mean: &MeanStructure, covariance: &CovarianceStructure) -> Estimate {
-    let structure = Structure { mean, covariance, alpha: &Alpha::default() };
+    let alpha = Alpha::default();
+    let structure = Structure::single(mean, covariance, &alpha);
     let found = estimate::fit(data, &structure, &Settings::default(), &mut Silent).expect("a legal problem");
     assert_eq!(found.stop, Stop::Certified, "{:?}", found.certificate);
     found
@@ -298,8 +299,9 @@ fn ratio(
     null: (&MeanStructure, &CovarianceStructure),
 ) -> Result<infer::LikelihoodRatio, NotNested> {
     let alpha = Alpha::default();
-    let structure = Structure { mean: null.0, covariance: null.1, alpha: &alpha };
-    let narrow = fit_null(data, alternative.0, &structure, &Settings::default(), &mut Silent)
+    let structure = Structure::single(null.0, null.1, &alpha);
+    let within = Structure::single(alternative.0, alternative.1, &alpha);
+    let narrow = fit_null(data, &within, &structure, &Settings::default(), &mut Silent)
         .ok_or(NotNested::Mean)?
         .expect("a legal problem");
     likelihood_ratio(&narrow, &fit(data, alternative.0, alternative.1))
@@ -359,8 +361,11 @@ fn the_bootstrap_agrees_with_the_large_sample_law() {
     let (mean, full) = (regression(2, 1), CovarianceStructure::full());
     let null = fixed(&[(1, 1, 0.0)]);
     let alpha = Alpha::default();
-    let structure = Structure { mean: &MeanStructure::free(2), covariance: &null, alpha: &alpha };
-    let narrow = fit_null(&data, &mean, &structure, &Settings::default(), &mut Silent).expect("nested").expect("legal");
+    let narrow_mean = MeanStructure::free(2);
+    let structure = Structure::single(&narrow_mean, &null, &alpha);
+    let within = Structure::single(&mean, &full, &alpha);
+    let narrow =
+        fit_null(&data, &within, &structure, &Settings::default(), &mut Silent).expect("nested").expect("legal");
     let wide = fit(&data, &mean, &full);
     let ratio = likelihood_ratio(&narrow, &wide).expect("nested");
     assert_eq!(shape(&ratio.law), [(2, 0.5), (3, 0.5)]);
@@ -387,7 +392,7 @@ fn a_fit_from_values_nearby_ends_where_a_fit_from_scratch_does() {
         let all = free_fit(&data, 2);
         let start = Population { mean: vec![0.5, 2.0], coefficients: Vec::new(), covariance: DMatrix::identity(2, 2) };
         let (mean, covariance, alpha) = (MeanStructure::free(2), CovarianceStructure::full(), Alpha::default());
-        let structure = Structure { mean: &mean, covariance: &covariance, alpha: &alpha };
+        let structure = Structure::single(&mean, &covariance, &alpha);
         let near = estimate::fit_from(&data, &structure, &start, &Settings::default(), &mut Silent).expect("legal");
         assert_eq!(near.stop, Stop::Certified);
         close(near.log_likelihood, all.log_likelihood, 1e-10, "ℓ");

@@ -1,14 +1,21 @@
 //! The tests of the core from outside, one program: they share the dense reference and drawn ensembles.
 
+mod chains;
 mod dense;
 mod dynamic_record;
 mod inference;
 mod innovations;
+mod journey;
 mod linear;
 mod long_records;
 mod meta_analysis;
 mod observability;
 mod passes;
+mod phased;
+mod phased_innovations;
+mod phased_record;
+mod phased_simulate;
+mod phases_single;
 mod plan;
 mod random_ensembles;
 mod reduction;
@@ -18,4 +25,6 @@ mod same_point;
 mod sensitivities;
 mod simulate;
 mod simulated;
+mod suboptimal;
+mod three_phases;
 mod unobservable;

@@ -92,7 +92,8 @@ struct Expected {
 }
 
 fn fit(reductions: &[Reduction], mean: &MeanStructure, covariance: &CovarianceStructure, solver: Solver) -> Estimate {
-    let structure = Structure { mean, covariance, alpha: &Alpha::default() };
+    let alpha = Alpha::default();
+    let structure = Structure::single(mean, covariance, &alpha);
     let settings = Settings { tolerance: if solver == Solver::Em { 1e-6 } else { 1e-8 }, ..Settings::of(solver) };
     estimate::fit(reductions, &structure, &settings, &mut Silent).expect("sound numbers")
 }

@@ -24,7 +24,7 @@ fn test(id: &str, rows: &[&[f64]]) -> Reduction {
 
 fn examine_under(data: &[Reduction], mean: &MeanStructure, covariance: &CovarianceStructure) -> Examination {
     let alpha = Alpha::default();
-    infer::examine_at_start(data, &Structure { mean, covariance, alpha: &alpha }).expect("a legal problem")
+    infer::examine_at_start(data, &Structure::single(mean, covariance, &alpha)).expect("a legal problem")
 }
 
 fn examine(data: &[Reduction]) -> Examination {
@@ -149,7 +149,7 @@ fn too_few_tests_for_a_covariance_are_counted() {
     // and the fit is as singular as that
     let alpha = Alpha::default();
     let (mean, covariance) = (MeanStructure::free(3), CovarianceStructure::full());
-    let structure = Structure { mean: &mean, covariance: &covariance, alpha: &alpha };
+    let structure = Structure::single(&mean, &covariance, &alpha);
     let fit = estimate::fit(&data, &structure, &Settings::of(Solver::Newton), &mut Silent).expect("a fit");
     let rank = infer::infer(&fit, &data, infer::Choices::default()).uncertainty.boundary[0].rank;
     assert!(rank <= 2, "{rank}");
@@ -170,7 +170,7 @@ fn a_covariate_that_does_not_vary_is_confounded_with_the_mean() {
     let mean = MeanStructure { regression, ..MeanStructure::free(2) };
     let covariance = CovarianceStructure::full();
     let alpha = Alpha::default();
-    let structure = Structure { mean: &mean, covariance: &covariance, alpha: &alpha };
+    let structure = Structure::single(&mean, &covariance, &alpha);
     let fit = |data: &[Reduction]| {
         let fit = estimate::fit(data, &structure, &Settings::of(Solver::Newton), &mut Silent).expect("a fit");
         infer::infer(&fit, data, infer::Choices::default())
@@ -193,7 +193,7 @@ fn what_is_not_identified_has_no_standard_error_and_what_is_has_one() {
     data.extend((0..9).map(|j| test(&format!("b{j}"), &[&[0.0, 0.0, 1.0, 0.0][..]; 3])));
     let (mean, covariance) = (MeanStructure::free(4), CovarianceStructure::full());
     let alpha = Alpha::default();
-    let structure = Structure { mean: &mean, covariance: &covariance, alpha: &alpha };
+    let structure = Structure::single(&mean, &covariance, &alpha);
     let fit = estimate::fit(&data, &structure, &Settings::of(Solver::Newton), &mut Silent).expect("a fit");
     let inference = infer::infer(&fit, &data, infer::Choices::default());
     let errors = &inference.uncertainty.mean;

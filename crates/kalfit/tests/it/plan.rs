@@ -52,7 +52,7 @@ fn planned(
     truth: &Population,
     tests: &[usize],
 ) -> Result<Plan, PlanError> {
-    plan(designs, &Structure { mean, covariance, alpha: &Alpha::default() }, truth, tests)
+    plan(designs, &Structure::single(mean, covariance, &Alpha::default()), truth, tests)
 }
 
 fn of(plan: &Plan, quantity: Quantity) -> Result<Vec<f64>, Reason> {
@@ -210,7 +210,7 @@ fn fits_of_simulated_ensembles_spread_as_planned() {
     let covariate = |j: usize| [-1.0, 0.2, 1.5, 0.9, -0.4][j % 5];
     let root = sigma.clone().cholesky().expect("positive definite").l();
     let (roots, full, alpha) = (roots(), CovarianceStructure::full(), Alpha::default());
-    let structure = Structure { mean: &mean, covariance: &full, alpha: &alpha };
+    let structure = Structure::single(&mean, &full, &alpha);
     let mut random = ChaCha8Rng::seed_from_u64(2026);
     let mut found: Vec<DVector<f64>> = Vec::new();
     for _ in 0..ENSEMBLES {

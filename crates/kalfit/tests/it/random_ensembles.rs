@@ -31,7 +31,8 @@ fn dense(data: &[Reduction], estimate: &Estimate, elements: &[usize]) -> f64 {
 }
 
 fn fit(data: &[Reduction], mean: &MeanStructure, covariance: &CovarianceStructure, solver: Solver) -> Estimate {
-    let structure = Structure { mean, covariance, alpha: &Alpha::default() };
+    let alpha = Alpha::default();
+    let structure = Structure::single(mean, covariance, &alpha);
     let tolerance = if solver == Solver::Em { 1e-4 } else { 1e-8 };
     let settings = Settings { tolerance, ..Settings::of(solver) };
     estimate::fit(data, &structure, &settings, &mut Silent).expect("a legal problem")

@@ -52,7 +52,8 @@ struct Start {
 fn search(data: &[Reduction], start: &Start, solver: Solver, passes: usize) -> Estimate {
     let mean = MeanStructure { start: start.mean.iter().copied().map(Some).collect(), ..MeanStructure::free(P) };
     let covariance = CovarianceStructure { start: Some(start.covariance.clone()), ..CovarianceStructure::full() };
-    let structure = Structure { mean: &mean, covariance: &covariance, alpha: &Alpha::default() };
+    let alpha = Alpha::default();
+    let structure = Structure::single(&mean, &covariance, &alpha);
     let settings = Settings { max_passes: passes, ..Settings::of(solver) };
     estimate::fit(data, &structure, &settings, &mut Silent).expect("a legal problem")
 }

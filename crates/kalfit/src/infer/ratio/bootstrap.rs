@@ -46,7 +46,7 @@ pub fn bootstrap(
     statistic: f64,
     bootstrap: Bootstrap,
 ) -> BootstrapResult {
-    let places = regressions(&null.state.mean, &alternative.state.mean).expect("nesting was checked");
+    let places = regressions(&null.state.structure(), &alternative.state.structure()).expect("nesting was checked");
     let draw = Draw::new(null, reductions, &places);
     let found: Vec<Option<f64>> = (0..bootstrap.replicates)
         .into_par_iter()
@@ -136,9 +136,8 @@ impl<'a> Draw<'a> {
         let p = self.root.nrows();
         let mut normal = |n: usize| DVector::from_fn(n, |_, _| StandardNormal.sample(&mut *random));
         let mut xi = DVector::from_column_slice(&self.null.mean) + &self.root * normal(self.root.ncols());
-        let regression = &self.null.state.mean.regression;
-        for (c, r) in regression.iter().enumerate() {
-            xi[r.element] += like.covariates[self.places[c]] * self.null.coefficients[c];
+        for (c, &element) in self.null.state.problem.mean.regressors.iter().enumerate() {
+            xi[element] += like.covariates[self.places[c]] * self.null.coefficients[c];
         }
         let factor = unpack(&like.factor, p);
         let noise = normal(p);

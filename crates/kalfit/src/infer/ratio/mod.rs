@@ -14,7 +14,6 @@ pub use nested::NotNested;
 pub use restricted::{NotNestedParameter, Restricted, restricted};
 
 use crate::estimate::{Estimate, FitError, Progress, Settings, Silent, Structure, fit, fit_from};
-use crate::model::MeanStructure;
 use crate::reduce::Reduction;
 
 /// A test of a hypothesis within a model.
@@ -58,12 +57,12 @@ pub fn likelihood_ratio(null: &Estimate, alternative: &Estimate) -> Result<Likel
 /// the hypothesis has a regression that the model has not.
 pub fn fit_null(
     reductions: &[Reduction],
-    model: &MeanStructure,
+    model: &Structure<'_>,
     null: &Structure<'_>,
     settings: &Settings,
     progress: &mut dyn Progress,
 ) -> Option<Result<Estimate, FitError>> {
-    let places = nested::regressions(null.mean, model)?;
+    let places = nested::regressions(null, model)?;
     Some(fit(&bootstrap::select_covariates(reductions, &places), null, settings, progress))
 }
 
@@ -73,7 +72,9 @@ pub fn at_least(alternative: Estimate, null: &Estimate, reductions: &[Reduction]
     if alternative.log_likelihood >= null.log_likelihood - 1e-9 * null.log_likelihood.abs().max(1.0) {
         return Ok(alternative);
     }
-    let Some(places) = nested::regressions(&null.state.mean, &alternative.state.mean) else { return Ok(alternative) };
+    let Some(places) = nested::regressions(&null.state.structure(), &alternative.state.structure()) else {
+        return Ok(alternative);
+    };
     let start = bootstrap::widened(null, &places, alternative.coefficients.len());
     let state = &alternative.state;
     let again = fit_from(reductions, &state.structure(), &start, &state.settings, &mut Silent)?;

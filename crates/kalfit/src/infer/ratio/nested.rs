@@ -2,9 +2,8 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::{Criterion, Estimate, Problem};
+use crate::estimate::{Criterion, Estimate, Problem, Structure};
 use crate::linalg::symmetric;
-use crate::model::MeanStructure;
 
 /// Relative size of what counts as rounding.
 const ROUNDING: f64 = 1e-8;
@@ -24,6 +23,9 @@ pub enum NotNested {
     /// Restricted likelihoods of different means.
     #[error("restricted likelihoods of different means cannot be compared")]
     Restricted,
+    /// Phases that were each taken by themselves.
+    #[error("no likelihood was maximised: `marginal` takes each phase by itself")]
+    Marginal,
     /// Nothing is restricted.
     #[error("the hypothesis restricts nothing that the model leaves free")]
     Same,
@@ -31,6 +33,9 @@ pub enum NotNested {
 
 /// Refuses a hypothesis that is not within the model.
 pub(super) fn check(null: &Estimate, alternative: &Estimate) -> Result<(), NotNested> {
+    if null.state.is_marginal() || alternative.state.is_marginal() {
+        return Err(NotNested::Marginal);
+    }
     let (inner, outer) = (&*null.state.problem, &*alternative.state.problem);
     let (a, b) = (&inner.classes.frame, &outer.classes.frame);
     // the order of the tests follows their covariates too, so a hypothesis with fewer may differ in rounding
@@ -40,7 +45,7 @@ pub(super) fn check(null: &Estimate, alternative: &Estimate) -> Result<(), NotNe
     if !same(&a.centre, &b.centre) || !same(&a.scale, &b.scale) || inner.classes.tests != outer.classes.tests {
         return Err(NotNested::Different);
     }
-    regressions(&null.state.mean, &alternative.state.mean).ok_or(NotNested::Mean)?;
+    regressions(&null.state.structure(), &alternative.state.structure()).ok_or(NotNested::Mean)?;
     mean(inner, outer)?;
     let same_mean = inner.mean.basis.ncols() == outer.mean.basis.ncols()
         && inner.mean.regressors.len() == outer.mean.regressors.len();
@@ -53,8 +58,9 @@ pub(super) fn check(null: &Estimate, alternative: &Estimate) -> Result<(), NotNe
 }
 
 /// Where the regressions of the one stand among those of the other; `None` when one is missing there.
-pub(super) fn regressions(inner: &MeanStructure, outer: &MeanStructure) -> Option<Vec<usize>> {
-    inner.regression.iter().map(|r| outer.regression.iter().position(|o| o == r)).collect()
+pub(super) fn regressions(inner: &Structure<'_>, outer: &Structure<'_>) -> Option<Vec<usize>> {
+    let outer = outer.regressions();
+    inner.regressions().iter().map(|r| outer.iter().position(|o| o == r)).collect()
 }
 
 /// m0 + Bβ of the one among those of the other.
@@ -84,9 +90,7 @@ fn covariance(null: &Estimate, inner: &Problem, outer: &Problem) -> Result<(), N
     let inside = inner.covariance.free_directions(&inner.covariance.chart(root));
     let around = map.free_directions(&map.chart(&copy));
     let scaled = |m: DMatrix<f64>| {
-        let p = size.len();
-        let units: Vec<f64> =
-            (0..p).flat_map(|i| (0..=i).map(move |j| (i, j))).map(|(i, j)| size[i] * size[j]).collect();
+        let units: Vec<f64> = map.elements.all().map(|(i, j)| size[i] * size[j]).collect();
         DMatrix::from_fn(m.nrows(), m.ncols(), |k, c| m[(k, c)] / units[k])
     };
     let (inside, around) = (scaled(inside), scaled(around));

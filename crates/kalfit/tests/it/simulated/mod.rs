@@ -112,7 +112,8 @@ pub(crate) fn fit(data: &[Reduction], assumed: &Assumed, solver: Solver) -> Esti
 }
 
 pub(crate) fn try_fit(data: &[Reduction], assumed: &Assumed, solver: Solver) -> Result<Estimate, estimate::FitError> {
-    let structure = Structure { mean: &assumed.mean, covariance: &assumed.covariance, alpha: &Alpha::default() };
+    let alpha = Alpha::default();
+    let structure = Structure::single(&assumed.mean, &assumed.covariance, &alpha);
     let tolerance = if solver == Solver::Em { 1e-4 } else { 1e-8 };
     let settings = Settings { tolerance, criterion: assumed.criterion, ..Settings::of(solver) };
     estimate::fit(data, &structure, &settings, &mut Silent)
