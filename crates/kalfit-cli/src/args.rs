@@ -21,6 +21,10 @@ pub(crate) struct Args {
 pub(crate) enum Command {
     /// Fit a model to data: a summary to standard output, all results to a file
     Fit(FitArgs),
+    /// Run the filters once, at known parameters, and write what they make of the data: all that a fit needs
+    Reduce(ExchangeArgs),
+    /// Run the `[filter]` of each phase, optimal or not, and write its estimates with the errors they make
+    Estimates(ExchangeArgs),
     /// Test a hypothesis within a model by the ratio of the likelihoods
     Test(TestArgs),
     /// Read a model, and data if given, and fit nothing: the model in words, counts, what the data identify
@@ -79,6 +83,10 @@ pub(crate) struct FitArgs {
     #[arg(long, value_enum, default_value_t = CriterionArg::Ml)]
     pub(crate) criterion: CriterionArg,
 
+    /// How tests in several phases are put together
+    #[arg(long, value_enum, default_value_t = PhasesArg::Chain)]
+    pub(crate) phases: PhasesArg,
+
     /// Stop within this many standard errors of the optimum [default: 1e-8]
     #[arg(long, value_name = "T", value_parser = tolerance)]
     pub(crate) tolerance: Option<f64>,
@@ -106,16 +114,6 @@ pub(crate) struct FitArgs {
     /// Print nothing but errors
     #[arg(long)]
     pub(crate) quiet: bool,
-
-    #[command(flatten)]
-    pub(crate) only: OnlyArgs,
-}
-
-/// Choices of the contract of which this version has one: they may be spelled out, and anything else is refused.
-#[derive(Debug, Group)]
-pub(crate) struct OnlyArgs {
-    #[arg(long, hide = true, value_parser = only("chain"))]
-    phases: Option<String>,
 }
 
 #[derive(Debug, Group)]
@@ -158,6 +156,28 @@ pub(crate) struct TestArgs {
     /// Stop a fit after this many passes over the reduced data [default: 200]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) max_iterations: Option<u32>,
+
+    /// Print nothing but errors
+    #[arg(long)]
+    pub(crate) quiet: bool,
+}
+
+#[derive(Debug, Group)]
+pub(crate) struct ExchangeArgs {
+    #[command(flatten)]
+    pub(crate) model: ModelArgs,
+
+    /// Data: CSV, Parquet or Arrow files, patterns such as `runs/*.csv`, `-` for standard input
+    #[arg(required = true)]
+    pub(crate) data: Vec<String>,
+
+    /// Results of `kalfit fit`: free parameters of the model get their values from there
+    #[arg(long, value_name = "FIT.json")]
+    pub(crate) at: Option<PathBuf>,
+
+    /// File to write: `.parquet`
+    #[arg(long, value_name = "FILE")]
+    pub(crate) out: PathBuf,
 
     /// Print nothing but errors
     #[arg(long)]
@@ -295,6 +315,16 @@ pub(crate) enum CriterionArg {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum PhasesArg {
+    /// Phase by phase: exact, at a cost that is linear in the number of phases
+    Chain,
+    /// Each phase by itself: the correlation between phases is ignored, and information with it
+    Marginal,
+    /// As one large test: exact, the reference
+    Stacked,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum InnovationsArg {
     /// Look at them; large data are read a second time
     On,
@@ -306,12 +336,5 @@ fn tolerance(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(value) if value > 0.0 && value <= 1.0 => Ok(value),
         _ => Err("expected a number above 0 and at most 1".to_owned()),
-    }
-}
-
-fn only(value: &'static str) -> impl Fn(&str) -> Result<String, String> + Clone {
-    move |text| match text == value {
-        true => Ok(text.to_owned()),
-        false => Err(format!("this version has only `{value}`")),
     }
 }

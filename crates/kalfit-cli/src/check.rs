@@ -3,49 +3,71 @@
 use kalfit::estimate::Structure;
 use kalfit::model::Value;
 use kalfit::record::{
-    DataRecord, LevelCounts, ObservabilityRecord, UnidentifiedRecord, WeakRecord, level_notes, shortage_notes,
+    DataRecord, LevelCounts, ObservabilityRecord, UnidentifiedRecord, WeakRecord, crossing_notes, level_notes,
+    shortage_notes,
 };
 use kalfit::score::Slots;
-use kalfit::{Alpha, Model, Reduction, infer};
-use kalfit_data::{Input, Reading};
-use kalfit_report::{CheckRecord, Checked, ParameterCounts, check_summary};
+use kalfit::{Alpha, Evidence, Model, PhasedModel, PhasedTest, Reduction, infer};
+use kalfit_data::Reading;
+use kalfit_report::{CheckRecord, Checked, CheckedPhase, ParameterCounts, PhaseCounts, check_summary};
 use kalfit_spec::Spec;
 
+use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::job::{CheckJob, Outcome};
 use crate::progress::Line;
 use crate::{model, reductions, terminal, tests};
 
 pub(crate) fn run(job: &CheckJob) -> Result<Outcome, Failure> {
-    let spec = model::load(&job.model)?;
+    let mut spec = model::load(&job.model)?;
+    let given = if job.data.is_empty() { None } else { Some(Given::open(&mut spec, &job.data)?) };
     let free = model::has_free(spec.model.shared());
-    let (parameters, checked) = match (job.data.is_empty(), free) {
-        (true, _) => (Vec::new(), Checked::Model),
-        (false, false) => (Vec::new(), known(&spec, &job.data)?),
-        (false, true) => started(&spec, &job.data)?,
+    let (parameters, checked) = match (&given, free) {
+        (None, _) => (Vec::new(), Checked::Model),
+        (Some(given), false) => (Vec::new(), known(&spec, given)?),
+        (Some(given), true) => started(&spec, given)?,
     };
-    let (title, states) = (spec.model.shared().title.clone(), spec.model.estimated_names());
-    let record = CheckRecord { title, model: spec.describe(), states, parameters, checked };
+    terminal::warn(given.as_ref().map_or(&[], |given| &given.notes));
+    let record = CheckRecord { title: spec.model.shared().title.clone(), model: spec.describe(), parameters, checked };
     terminal::print(&check_summary(&record, &terminal::style())).map_err(Failure::Stdout)?;
     Ok(Outcome::Done)
 }
 
 /// Reads the data and runs the filters: all parameters are known.
-fn known(spec: &Spec, args: &[String]) -> Result<Checked, Failure> {
-    let inputs = Input::expand(args).map_err(|error| Failure::data(error, spec))?;
+fn known(spec: &Spec, given: &Given) -> Result<Checked, Failure> {
     let mut line = Line::new(false);
     let alpha = model::alpha(spec);
-    let reductions = reductions::reduce(spec, &alpha, &inputs, &mut line)?;
+    let mut counts = no_counts(&spec.model);
+    let reductions = reductions::reduce(spec, &alpha, given, &mut line, &mut |test| match test {
+        Some(test) => add(&mut counts, test),
+        None => counts = no_counts(&spec.model),
+    })?;
     line.clear();
-    examined(spec.model.shared(), &alpha, &reductions, files(&inputs), (Vec::new(), Vec::new()))
+    examined((&spec.model, counts), &alpha, &reductions, given.names(), (Vec::new(), Vec::new()))
+}
+
+fn no_counts(model: &PhasedModel) -> Vec<PhaseCounts> {
+    let none = |name: &String| PhaseCounts { name: name.clone(), tests: 0, rows: 0, without_rows: 0 };
+    model.phases.iter().map(|phase| none(&phase.name)).collect()
+}
+
+fn add(counts: &mut [PhaseCounts], test: &PhasedTest) {
+    for (count, evidence) in counts.iter_mut().zip(&test.phases) {
+        count.tests += 1;
+        match evidence {
+            Evidence::Rows(rows) => count.rows += rows.rows(),
+            Evidence::Estimates(_) | Evidence::Reduced(_) => count.without_rows += 1,
+        }
+    }
 }
 
 /// Reads the data, counts the free values that they have use for, and runs the filters at start values if all are given.
-fn started(spec: &Spec, args: &[String]) -> Result<(Vec<ParameterCounts>, Checked), Failure> {
-    let inputs = Input::expand(args).map_err(|error| Failure::data(error, spec))?;
+fn started(spec: &Spec, given: &Given) -> Result<(Vec<ParameterCounts>, Checked), Failure> {
     let (model, mut line) = (spec.model.shared(), Line::new(false));
-    let (tests, reading) = tests::read(spec, &inputs, &mut line)?;
-    let slots = Slots::new(model, &reading.labels, &tests);
+    let (tests, reading) = tests::read(spec, given, &mut line)?;
+    let mut phases = no_counts(&spec.model);
+    tests.iter().for_each(|test| add(&mut phases, test));
+    let slots = Slots::in_phases(&spec.model, &reading.labels, &tests);
     let counts = LevelCounts::all(model, &reading.labels, &tests);
     let notes = level_notes(model, &counts);
     let parameters = parameters(model, &slots, &counts);
@@ -59,36 +81,46 @@ fn started(spec: &Spec, args: &[String]) -> Result<(Vec<ParameterCounts>, Checke
         let without = |p: &&ParameterCounts| p.free > 0 && p.start.is_none();
         let free = parameters.iter().filter(without).map(|p| p.name.clone()).collect();
         let Reading { tests, rows, .. } = reading;
-        return Ok((parameters, Checked::Read { tests, rows, files: files(&inputs), free, notes }));
+        return Ok((parameters, Checked::Read { tests, rows, files: given.names(), free, notes, phases }));
     };
     let alpha = slots.alpha(model, &starts);
-    let reductions = reductions::of(model, &alpha, &tests, &reading)?;
+    let reductions = reductions::of(&spec.model, &alpha, &tests, &reading)?;
     line.clear();
     let at_start_of = parameters.iter().filter(|p| p.free > 0).map(|p| p.name.clone()).collect();
     let said = (notes, at_start_of);
-    let checked = examined(model, &alpha, &reductions, files(&inputs), said)?;
+    let checked = examined((&spec.model, phases), &alpha, &reductions, given.names(), said)?;
     Ok((parameters, checked))
 }
 
 /// What the reductions say.
 fn examined(
-    model: &Model,
+    (model, counts): (&PhasedModel, Vec<PhaseCounts>),
     alpha: &Alpha,
     reductions: &[Reduction],
     files: Vec<String>,
     (mut notes, at_start_of): (Vec<String>, Vec<String>),
 ) -> Result<Checked, Failure> {
-    let found = infer::examine_at_start(reductions, &Structure::single(&model.mean, &model.covariance, alpha))
-        .map_err(Failure::Fit)?;
-    notes.splice(0..0, shortage_notes(model, &found.observability));
-    Ok(Checked::Reduced {
-        data: DataRecord::of(reductions, files),
-        observability: ObservabilityRecord::all(model, &found.observability),
-        unidentified: UnidentifiedRecord::all(model, &found.unidentified, &found.explanations),
-        weak: WeakRecord::all(&found.observability),
-        notes,
-        at_start_of,
-    })
+    let found = infer::examine_at_start(reductions, &Structure::of(model, alpha)).map_err(Failure::Fit)?;
+    let infer::Examination { unidentified, explanations, observability } = &found;
+    let mut said = crossing_notes(model, unidentified, explanations, observability);
+    said.extend(shortage_notes(model, observability));
+    notes.splice(0..0, said);
+    let by_phase = (
+        ObservabilityRecord::by_phase(model, observability),
+        UnidentifiedRecord::by_phase(model, unidentified, explanations),
+        WeakRecord::by_phase(model, observability),
+    );
+    let all = by_phase.0.into_iter().zip(by_phase.1).zip(by_phase.2).zip(counts).zip(&model.phases);
+    let phases = all.map(|((((observability, unidentified), weak), counts), phase)| CheckedPhase {
+        counts,
+        states: phase.model.estimated_names(),
+        observability,
+        unidentified,
+        weak,
+        information: None,
+    });
+    let phases = phases.collect();
+    Ok(Checked::Reduced { data: DataRecord::of(reductions, files), phases, notes, at_start_of })
 }
 
 /// The parameters that have free values, or would have with other data.
@@ -107,8 +139,4 @@ fn parameters(model: &Model, slots: &Slots, counts: &[LevelCounts]) -> Vec<Param
         })
     };
     model.parameters.iter().enumerate().filter_map(of).collect()
-}
-
-fn files(inputs: &[Input]) -> Vec<String> {
-    inputs.iter().map(Input::name).collect()
 }

@@ -4,10 +4,11 @@ use kalfit::dynamic::{self, DynamicError, DynamicFit, Method, Settings};
 use kalfit::model::Population;
 use kalfit::record::{DynamicParts, LevelCounts, MethodRecord, level_notes};
 use kalfit::score::Slots;
-use kalfit::{Alpha, FitRecord, Labels, Model, Provenance, Test};
-use kalfit_data::{Input, Reading};
+use kalfit::{Alpha, FitRecord, Labels, PhasedModel, PhasedTest, Provenance};
+use kalfit_data::Reading;
 use kalfit_spec::Spec;
 
+use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::innovations;
 use crate::job::FitJob;
@@ -18,15 +19,15 @@ use crate::{fit, reductions, tests};
 const ALL: [Method; 3] = [Method::Hybrid, Method::Innovations, Method::Em];
 
 /// The method in one place: read, fit, infer, record.
-pub(crate) fn fit(job: &FitJob, spec: &Spec, inputs: &[Input]) -> Result<FitRecord, Failure> {
+pub(crate) fn fit(job: &FitJob, spec: &Spec, given: &Given) -> Result<FitRecord, Failure> {
     let mut line = Line::new(job.quiet);
-    let model = spec.model.shared();
-    let (tests, reading) = tests::read(spec, inputs, &mut line)?;
-    let slots = Slots::new(model, &reading.labels, &tests);
-    let notes = level_notes(model, &LevelCounts::all(model, &reading.labels, &tests));
+    let (model, shared) = (&spec.model, spec.model.shared());
+    let (tests, reading) = tests::read(spec, given, &mut line)?;
+    let slots = Slots::in_phases(model, &reading.labels, &tests);
+    let notes = level_notes(shared, &LevelCounts::all(shared, &reading.labels, &tests));
     if slots.is_empty() {
-        let alpha = slots.alpha(model, &[]);
-        let mut record = known(job, spec, inputs, (&alpha, &tests, &reading), &mut line)?;
+        let alpha = slots.alpha(shared, &[]);
+        let mut record = known(job, spec, given, (&alpha, &tests, &reading), &mut line)?;
         record.notes.extend(notes);
         return Ok(record);
     }
@@ -48,8 +49,9 @@ pub(crate) fn fit(job: &FitJob, spec: &Spec, inputs: &[Input]) -> Result<FitReco
         DynamicParts { model, labels: &reading.labels, fit: &fit, inference: &inference, parameters: &parameters };
     let provenance = Provenance {
         model_digest: Some(spec.digest.clone()),
-        files: inputs.iter().map(Input::name).collect(),
+        files: given.names(),
         seconds: line.seconds(),
+        of_estimates: given.is_of_estimates(model),
     };
     let mut record = FitRecord::dynamic(&parts, provenance);
     record.notes.extend(notes);
@@ -64,19 +66,19 @@ pub(crate) fn fit(job: &FitJob, spec: &Spec, inputs: &[Input]) -> Result<FitReco
     Ok(record)
 }
 
-/// Every level of the data has a value after all.
-fn known(
+/// With known parameters, of tests that are kept.
+pub(crate) fn known(
     job: &FitJob,
     spec: &Spec,
-    inputs: &[Input],
-    (alpha, tests, reading): (&Alpha, &[Test], &Reading),
+    given: &Given,
+    (alpha, tests, reading): (&Alpha, &[PhasedTest], &Reading),
     line: &mut Line,
 ) -> Result<FitRecord, Failure> {
     fit::refuse_idle(job)?;
-    let reductions = reductions::of(spec.model.shared(), alpha, tests, reading)?;
-    let (mut record, population) = fit::record(job, spec, inputs, (alpha, &reductions), line)?;
+    let reductions = reductions::of(&spec.model, alpha, tests, reading)?;
+    let (mut record, population) = fit::record(job, spec, given, (alpha, &reductions), line)?;
     if job.innovations {
-        innovations::add_of(&mut record, (spec.model.shared(), alpha, &population), tests, line);
+        innovations::add_of(&mut record, (&spec.model, alpha, &population), tests, line);
         record.solver.seconds = line.seconds();
     }
     Ok(record)
@@ -84,8 +86,8 @@ fn known(
 
 /// What a search for α is made in.
 pub(crate) struct Data<'a> {
-    pub(crate) model: &'a Model,
-    pub(crate) tests: &'a [Test],
+    pub(crate) model: &'a PhasedModel,
+    pub(crate) tests: &'a [PhasedTest],
     pub(crate) reading: &'a Reading,
 }
 
@@ -105,5 +107,8 @@ pub(crate) fn failure(error: DynamicError, reading: &Reading) -> Failure {
     match error {
         DynamicError::Reduce(error) => Failure::Reduce { error: *error, reading: Some(Box::new(reading.clone())) },
         DynamicError::Fit(error) => Failure::Fit(error),
+        error @ (DynamicError::Marginal { .. } | DynamicError::FixedReduction { .. }) => {
+            Failure::Dynamic(Box::new(error))
+        }
     }
 }

@@ -3,10 +3,11 @@
 use std::ops::Range;
 use std::path::Path;
 
+use kalfit::dynamic::DynamicError;
 use kalfit::estimate::FitError;
 use kalfit::infer::{DynamicRatioError, Element, NotNested};
 use kalfit::plan::PlanError;
-use kalfit::reduce::ReduceError;
+use kalfit::reduce::{ReduceError, SplitError};
 use kalfit::simulate::SimulateError;
 use kalfit_data::{DataError, Reading, WriteError};
 use kalfit_spec::{Spec, SpecError};
@@ -34,12 +35,18 @@ pub(crate) enum Failure {
         /// Where the model uses what the data lack.
         place: Option<Box<Place>>,
     },
+    /// Rows that are not of the model's phases.
+    #[error("{}", split_message(error, reading))]
+    Split { error: SplitError, reading: Box<Reading> },
     /// The model does not work on the data.
     #[error("{}", reduce_message(error, reading.as_deref()))]
     Reduce { error: ReduceError, reading: Option<Box<Reading>> },
     /// The estimator.
     #[error("{0}")]
     Fit(FitError),
+    /// The search for dynamic parameters.
+    #[error("{0}")]
+    Dynamic(Box<DynamicError>),
     /// A hypothesis that cannot be tested within the model.
     #[error("cannot test this hypothesis: {0}")]
     NotNested(NotNested),
@@ -80,6 +87,18 @@ pub(crate) enum Failure {
     /// An option of the search for dynamic parameters, none of which is free.
     #[error("`{option}` has no effect: the model has no free parameters")]
     NoFreeParameter { option: &'static str },
+    /// A way to put phases together, of which there is but one.
+    #[error("`--phases {found}` has no effect: the model has one phase")]
+    OnePhase { found: &'static str },
+    /// An exchange file of another kind.
+    #[error("the output `{path}` is no name of a Parquet file, expected one that ends in `.parquet`")]
+    NotParquet { path: String },
+    /// Rows of a phase of which there are no estimates.
+    #[error("{at}: found rows of phase `{phase}`, which has no `[filter]`, expected rows of phases with one")]
+    NoFilter { phase: String, at: String },
+    /// A reduction among what estimates are to be made of.
+    #[error("{at}: found a reduction, of which no estimates can be made, expected rows or estimates")]
+    NotEstimates { at: String },
     /// Threads.
     #[error("cannot start {threads} threads: {reason}")]
     Threads { threads: usize, reason: String },
@@ -142,8 +161,10 @@ impl Failure {
         match self {
             Failure::Model { error, .. } | Failure::Set { error } => error.hint.clone(),
             Failure::Data { error, .. } => error.hint(),
+            Failure::Split { error, .. } => Some(error.hint().to_owned()),
             Failure::Reduce { error, .. } => error.hint().map(str::to_owned),
             Failure::Fit(error) => fit_hint(error).map(str::to_owned),
+            Failure::Dynamic(error) => error.hint().map(str::to_owned),
             Failure::NotNested(error) => Some(nesting_hint(*error).to_owned()),
             Failure::DynamicRatio(error) => dynamic_ratio_hint(error).map(str::to_owned),
             Failure::HypothesisParameter { .. } => Some("a hypothesis restricts what the model leaves free".to_owned()),
@@ -163,6 +184,13 @@ impl Failure {
             Failure::NoFreeParameter { .. } => {
                 Some("leave it out, or free a parameter in `[parameters]`: `{}` or `{ start = 1 }`".to_owned())
             }
+            Failure::OnePhase { .. } => Some("leave it out".to_owned()),
+            Failure::NotParquet { .. } => None,
+            Failure::NoFilter { .. } => Some(
+                "leave these rows out, they may stand beside the estimates as they are; or use `kalfit reduce`, which takes any phase"
+                    .to_owned(),
+            ),
+            Failure::NotEstimates { .. } => Some("leave the file out: it may stand beside the estimates".to_owned()),
             Failure::Threads { .. } => Some("ask for fewer with `--threads`".to_owned()),
         }
     }
@@ -216,6 +244,22 @@ fn write_hint(error: &WriteError) -> Option<&'static str> {
     match error {
         WriteError::IdInUse { .. } => Some("ask for no more tests than the design has"),
         _ => None,
+    }
+}
+
+/// The core knows rows by number only.
+fn split_message(error: &SplitError, reading: &Reading) -> String {
+    let place = format!("{} (test `{}`)", reading.place(error.at()), error.test());
+    match error {
+        SplitError::MissingCell { column, phases, .. } => {
+            format!("{place}: the cell of phase column `{column}` is empty, expected {}", phases.join(", "))
+        }
+        SplitError::UnknownPhase { column, found, phases, .. } => {
+            format!("{place}: found phase `{found}` in column `{column}`, expected {}", phases.join(", "))
+        }
+        SplitError::MissingPhase { missing, later, .. } => {
+            format!("{place}: phase `{later}` follows phase `{missing}`, of which the test has no row")
+        }
     }
 }
 

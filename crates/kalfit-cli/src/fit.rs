@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use kalfit::estimate::{Criterion, Structure};
+use kalfit::estimate::{Combination, Criterion, Structure};
 use kalfit::infer::StdErrors;
 use kalfit::model::Population;
 use kalfit::record::Provenance;
@@ -11,27 +11,30 @@ use kalfit_data::Input;
 use kalfit_report::summary;
 use kalfit_spec::Spec;
 
+use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::innovations::{self, Kept};
 use crate::job::{FitJob, Outcome};
 use crate::output::Output;
 use crate::progress::Line;
-use crate::{dynamic, model, reductions, terminal};
+use crate::{dynamic, model, reductions, terminal, tests};
 
 pub(crate) fn run(job: &FitJob) -> Result<Outcome, Failure> {
     if job.settings.criterion == Criterion::Reml && job.choices.std_errors != StdErrors::Observed {
         return Err(Failure::RestrictedErrors); // log|ΣB'WB| is no sum over tests
     }
-    let spec = model::load(&job.model)?;
+    let mut spec = model::load(&job.model)?;
+    refuse_one_phase(job, &spec)?;
+    let given = Given::open(&mut spec, &job.data)?;
     let free = model::has_free(spec.model.shared());
     if !free {
         refuse_idle(job)?;
     } else if job.choices.std_errors != StdErrors::Observed {
         return Err(Failure::FreeErrors);
     }
-    let inputs = Input::expand(&job.data).map_err(|error| Failure::data(error, &spec))?;
-    let output = job.out.as_deref().map(|path| Output::prepare(path, &files(job, &inputs))).transpose()?;
-    let record = if free { dynamic::fit(job, &spec, &inputs)? } else { fit(job, &spec, &inputs)? };
+    let output = job.out.as_deref().map(|path| Output::prepare(path, &files(job, &given.inputs))).transpose()?;
+    let mut record = if free { dynamic::fit(job, &spec, &given)? } else { fit(job, &spec, &given)? };
+    record.notes.splice(0..0, given.notes);
     if let Some(output) = &output {
         output.write(&record)?;
     }
@@ -49,15 +52,28 @@ pub(crate) fn refuse_idle(job: &FitJob) -> Result<(), Failure> {
     if job.search.starts > 0 { Err(Failure::NoFreeParameter { option: "--starts" }) } else { Ok(()) }
 }
 
+/// One phase cannot be put together with others; to name the default is no harm.
+fn refuse_one_phase(job: &FitJob, spec: &Spec) -> Result<(), Failure> {
+    match (spec.model.is_single(), job.settings.phases) {
+        (false, _) | (true, Combination::Chain) => Ok(()),
+        (true, Combination::Marginal) => Err(Failure::OnePhase { found: "marginal" }),
+        (true, Combination::Stacked) => Err(Failure::OnePhase { found: "stacked" }),
+    }
+}
+
 /// The method in one place, with known parameters: reduce, estimate, infer, record.
-fn fit(job: &FitJob, spec: &Spec, inputs: &[Input]) -> Result<FitRecord, Failure> {
+fn fit(job: &FitJob, spec: &Spec, given: &Given) -> Result<FitRecord, Failure> {
     let mut line = Line::new(job.quiet);
     let alpha = model::alpha(spec);
-    let mut kept = if job.innovations { Kept::of(inputs) } else { Kept::nothing() };
-    let reductions = reductions::reduce_keeping(spec, &alpha, inputs, &mut line, &mut kept)?;
-    let (mut record, population) = record(job, spec, inputs, (&alpha, &reductions), &mut line)?;
+    if !given.is_rows() {
+        let (tests, reading) = tests::read(spec, given, &mut line)?;
+        return dynamic::known(job, spec, given, (&alpha, &tests, &reading), &mut line);
+    }
+    let mut kept = if job.innovations { Kept::of(&given.inputs) } else { Kept::nothing() };
+    let reductions = reductions::reduce_keeping(spec, &alpha, given, &mut line, &mut kept)?;
+    let (mut record, population) = record(job, spec, given, (&alpha, &reductions), &mut line)?;
     if job.innovations {
-        innovations::add(&mut record, kept, (spec, &alpha, inputs), &population, &mut line);
+        innovations::add(&mut record, kept, (spec, &alpha, &given.inputs), &population, &mut line);
         record.solver.seconds = line.seconds();
     }
     Ok(record)
@@ -67,20 +83,20 @@ fn fit(job: &FitJob, spec: &Spec, inputs: &[Input]) -> Result<FitRecord, Failure
 pub(crate) fn record(
     job: &FitJob,
     spec: &Spec,
-    inputs: &[Input],
+    given: &Given,
     (alpha, reductions): (&Alpha, &[Reduction]),
     line: &mut Line,
 ) -> Result<(FitRecord, Population), Failure> {
-    let model = spec.model.shared();
     let structure = Structure::of(&spec.model, alpha);
     let estimate = estimate::fit(reductions, &structure, &job.settings, line).map_err(Failure::Fit)?;
     let inference = infer::infer(&estimate, reductions, job.choices);
     let provenance = Provenance {
         model_digest: Some(spec.digest.clone()),
-        files: inputs.iter().map(Input::name).collect(),
+        files: given.names(),
         seconds: line.seconds(),
+        of_estimates: given.is_of_estimates(&spec.model),
     };
-    let record = FitRecord::new(model, alpha, reductions, &estimate, &inference, provenance);
+    let record = FitRecord::new(&spec.model, alpha, reductions, &estimate, &inference, provenance);
     Ok((record, Population::from(&estimate)))
 }
 

@@ -1,14 +1,13 @@
 //! Innovations after the fit. They need the data once more: small data are kept while they are read, larger ones are read a
 //! second time, standard input from a copy in memory or, when large, in a temporary file.
 
-use std::convert::Infallible;
 use std::io::{Read, Seek, SeekFrom, Write};
 
 use kalfit::innovations::InnovationFilter;
 use kalfit::model::Population;
 use kalfit::record::InnovationRecord;
-use kalfit::reduce::ReduceError;
-use kalfit::{Alpha, FitRecord, Labels, Model, Test};
+use kalfit::reduce::{Evidence, ReduceError, SplitError};
+use kalfit::{Alpha, FitRecord, Labels, PhasedModel, PhasedTest, Test};
 use kalfit_data::{DataError, Input, ReadError, Sink};
 use kalfit_spec::Spec;
 use tempfile::SpooledTempFile;
@@ -29,6 +28,8 @@ enum Unavailable {
     NoCopy,
     #[error("the data could not be read a second time: {0}")]
     Unreadable(DataError),
+    #[error("the data changed while they were read: {0}")]
+    Split(SplitError),
     #[error("{0}")]
     Filter(ReduceError),
 }
@@ -43,7 +44,7 @@ pub(crate) struct Kept {
 #[derive(Default)]
 pub(crate) struct KeptTests {
     wanted: bool,
-    tests: Vec<Test>,
+    tests: Vec<PhasedTest>,
     bytes: usize,
     /// `tests` are not all.
     overflowed: bool,
@@ -75,7 +76,7 @@ impl Kept {
 
 impl KeptTests {
     /// Takes complete tests.
-    pub(crate) fn take(&mut self, tests: Vec<Test>) {
+    pub(crate) fn take(&mut self, tests: Vec<PhasedTest>) {
         if !self.wanted || self.overflowed {
             return;
         }
@@ -99,9 +100,17 @@ impl Copy {
     }
 }
 
-fn bytes(test: &Test) -> usize {
-    let row = |row| 16 + 8 * test.numbers(row).len() + 4 * test.texts(row).len();
-    128 + test.id.len() + if test.rows() > 0 { test.rows() * row(0) } else { 0 }
+fn bytes(test: &PhasedTest) -> usize {
+    let of = |evidence: &Evidence| match evidence {
+        Evidence::Rows(rows) if rows.rows() > 0 => {
+            rows.rows() * (16 + 8 * rows.numbers(0).len() + 4 * rows.texts(0).len())
+        }
+        // nobody looks at these again, but they are kept with the others
+        Evidence::Rows(_) => 0,
+        Evidence::Estimates(found) => 8 * (found.sensitivities.len() + found.transition.len() + found.root.len()),
+        Evidence::Reduced(found) => 8 * (found.reduction.factor.len() + 3 * found.reduction.data.len()),
+    };
+    test.phases.iter().map(|evidence| 128 + test.id.len() + of(evidence)).sum()
 }
 
 struct Copying<'a> {
@@ -129,13 +138,11 @@ pub(crate) fn add(
     initial: &Population,
     line: &mut Line,
 ) {
-    let estimated = spec.model.dimension();
-    let found =
-        InnovationFilter::new(spec.model.shared(), alpha, initial).map_err(Unavailable::Filter).and_then(|filter| {
-            all(Looking { filter, estimated, found: Vec::new(), failed: None, line }, kept, spec, inputs)
-        });
+    let found = Looking::new(&spec.model, alpha, initial, line)
+        .map_err(Unavailable::Filter)
+        .and_then(|looking| all(looking, kept, spec, inputs));
     match found {
-        Ok((found, failed)) => finish(record, found, failed),
+        Ok(found) => finish(record, found),
         Err(why) => record.notes.push(format!("innovations were not computed: {why}")),
     }
 }
@@ -143,25 +150,39 @@ pub(crate) fn add(
 /// As [`add`], of tests that were all kept.
 pub(crate) fn add_of(
     record: &mut FitRecord,
-    (model, alpha, initial): (&Model, &Alpha, &Population),
-    tests: &[Test],
+    (model, alpha, initial): (&PhasedModel, &Alpha, &Population),
+    tests: &[PhasedTest],
     line: &mut Line,
 ) {
-    match InnovationFilter::new(model, alpha, initial) {
-        Ok(filter) => {
-            let mut looking = Looking { filter, estimated: model.dimension(), found: Vec::new(), failed: None, line };
+    match Looking::new(model, alpha, initial, line) {
+        Ok(mut looking) => {
             tests.chunks(BATCH).for_each(|tests| looking.look(tests));
-            finish(record, looking.found, looking.failed);
+            finish(record, looking.seen);
         }
         Err(error) => record.notes.push(format!("innovations were not computed: {error}")),
     }
 }
 
-fn finish(record: &mut FitRecord, found: Vec<Found>, failed: Option<ReduceError>) {
-    if let Some(error) = failed {
+fn finish(record: &mut FitRecord, seen: Seen) {
+    if let Some(error) = seen.failed {
         record.notes.push(format!("the innovations of some tests could not be computed: {error}"));
     }
-    attach(record, found);
+    if seen.silent > 0 {
+        let tests = if seen.silent == 1 { "1 test has".to_owned() } else { format!("{} tests have", seen.silent) };
+        record.notes.push(format!(
+            "{tests} no innovations: they are given by estimates or reductions, which no longer tell what was measured when"
+        ));
+    }
+    attach(record, seen.found);
+}
+
+/// What the filter saw of all tests.
+#[derive(Default)]
+struct Seen {
+    found: Vec<Found>,
+    /// Tests that cannot have any.
+    silent: usize,
+    failed: Option<ReduceError>,
 }
 
 /// One test's innovations in figures.
@@ -191,59 +212,64 @@ fn attach(record: &mut FitRecord, mut found: Vec<Found>) {
 /// Takes tests in and keeps figures only.
 struct Looking<'a> {
     filter: InnovationFilter,
-    /// Number of estimated states.
-    estimated: usize,
-    found: Vec<Found>,
-    failed: Option<ReduceError>,
+    model: &'a PhasedModel,
+    seen: Seen,
     line: &'a mut Line,
 }
 
-impl Looking<'_> {
-    fn look(&mut self, tests: &[Test]) {
+impl<'a> Looking<'a> {
+    fn new(
+        model: &'a PhasedModel,
+        alpha: &Alpha,
+        initial: &Population,
+        line: &'a mut Line,
+    ) -> Result<Looking<'a>, ReduceError> {
+        Ok(Looking { filter: InnovationFilter::new(model, alpha, initial)?, model, seen: Seen::default(), line })
+    }
+
+    fn look(&mut self, tests: &[PhasedTest]) {
+        let seen = &mut self.seen;
         for result in self.filter.run(tests) {
             match result {
-                Ok(one) => self.found.push(Found {
+                Ok(Some(one)) => seen.found.push(Found {
                     log_likelihood: one.log_likelihood,
-                    record: InnovationRecord::new(&one, self.estimated),
+                    record: InnovationRecord::new(&one, self.model),
                     test: one.test,
                 }),
-                Err(error) => self.failed = self.failed.take().or(Some(error)),
+                Ok(None) => seen.silent += 1,
+                Err(error) => seen.failed = seen.failed.take().or(Some(error)),
             }
         }
-        let done = self.found.len();
+        let done = seen.found.len() + seen.silent;
         self.line.say(|| format!("innovations: {done} tests"));
     }
 }
 
 impl Sink for Looking<'_> {
-    type Error = Infallible;
+    type Error = SplitError;
 
-    fn tests(&mut self, tests: Vec<Test>, _: &Labels) -> Result<(), Infallible> {
+    fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), SplitError> {
+        let split = tests.into_iter().map(|test| self.model.split(test, labels));
+        let tests: Vec<PhasedTest> = split.collect::<Result<_, _>>()?;
         self.look(&tests);
         Ok(())
     }
 
     fn restart(&mut self) {
-        self.found.clear();
-        self.failed = None;
+        self.seen = Seen::default();
     }
 }
 
 /// Tests looked at together: their series of innovations are in memory at the same time.
 const BATCH: usize = 1024;
 
-fn all(
-    mut looking: Looking<'_>,
-    kept: Kept,
-    spec: &Spec,
-    inputs: &[Input],
-) -> Result<(Vec<Found>, Option<ReduceError>), Unavailable> {
+fn all(mut looking: Looking<'_>, kept: Kept, spec: &Spec, inputs: &[Input]) -> Result<Seen, Unavailable> {
     if kept.tests.overflowed {
         again(&mut looking, kept, spec, inputs)?;
     } else {
         kept.tests.tests.chunks(BATCH).for_each(|tests| looking.look(tests));
     }
-    Ok((looking.found, looking.failed))
+    Ok(looking.seen)
 }
 
 /// Reads the data a second time.
@@ -263,10 +289,10 @@ fn again(looking: &mut Looking<'_>, kept: Kept, spec: &Spec, inputs: &[Input]) -
         }
         Copy::Failed => return Err(Unavailable::NoCopy),
     };
-    match kalfit_data::read_from(spec.model.shared(), &spec.layout, inputs, looking, &mut copy) {
+    match kalfit_data::read_from(&spec.model, &spec.layout, inputs, looking, &mut copy) {
         Ok(_) => Ok(()),
         Err(ReadError::Data(error)) => Err(Unavailable::Unreadable(error)),
-        Err(ReadError::Sink { error, .. }) => match error {},
+        Err(ReadError::Sink { error, .. }) => Err(Unavailable::Split(error)),
     }
 }
 
@@ -276,10 +302,10 @@ mod tests {
 
     use super::*;
 
-    fn test(rows: usize) -> Test {
+    fn test(rows: usize) -> PhasedTest {
         let mut test = Test::new("a", 2, 0);
         (0..rows).for_each(|_| test.push(&[1.0, 2.0], &[], Source::default()));
-        test
+        test.into()
     }
 
     #[test]
@@ -327,11 +353,11 @@ noise = 1
         let spec = Spec::parse("m.toml", MODEL).unwrap();
         let mut initial = Population { mean: vec![1.0], coefficients: vec![], covariance: Default::default() };
         initial.covariance.resize_mut(1, 1, 1.0);
-        let filter = InnovationFilter::new(spec.model.shared(), &Alpha::default(), &initial).unwrap();
-        let looking = Looking { filter, estimated: 1, found: Vec::new(), failed: None, line: &mut Line::new(true) };
-        let (found, failed) = all(looking, kept, &spec, inputs)?;
-        assert_eq!(failed, None);
-        Ok(found.into_iter().map(|one| (one.test, one.log_likelihood)).collect())
+        let mut line = Line::new(true);
+        let looking = Looking::new(&spec.model, &Alpha::default(), &initial, &mut line).unwrap();
+        let seen = all(looking, kept, &spec, inputs)?;
+        assert_eq!((seen.failed, seen.silent), (None, 0));
+        Ok(seen.found.into_iter().map(|one| (one.test, one.log_likelihood)).collect())
     }
 
     fn overflowed(copy: Copy) -> Kept {

@@ -3,9 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use kalfit::estimate::Structure;
+use kalfit::model::PhasedModel;
 use kalfit::plan::{PlanProvenance, PlanRecord, plan};
 use kalfit::record::DataRecord;
-use kalfit::reduce::{ReduceError, Reducer};
+use kalfit::reduce::{PhasedReducer, ReduceError, SplitError};
 use kalfit::{Alpha, Labels, Reduction, Test};
 use kalfit_data::{Input, ReadError, Sink};
 use kalfit_report::plan_summary;
@@ -37,7 +38,7 @@ pub(crate) fn run(job: &PlanJob) -> Result<Outcome, Failure> {
         design: DataRecord::of(&reductions, inputs.iter().map(Input::name).collect()),
         parameters_taken_as_known: truth.taken.clone(),
     };
-    let record = PlanRecord::new(spec.model.shared(), &found, provenance);
+    let record = PlanRecord::new(&spec.model, &found, provenance);
     line.clear();
     if let Some(output) = &output {
         output.write(&record)?;
@@ -54,26 +55,40 @@ pub(crate) fn run(job: &PlanJob) -> Result<Outcome, Failure> {
 
 /// Reads the design and runs the covariance filters over it: what was measured is not looked at.
 fn designs(spec: &Spec, alpha: &Alpha, inputs: &[Input], line: &mut Line) -> Result<Vec<Reduction>, Failure> {
-    struct Designing<'a>(Reducer, Vec<Reduction>, &'a mut Line);
+    struct Designing<'a> {
+        model: &'a PhasedModel,
+        reducer: PhasedReducer,
+        reductions: Vec<Reduction>,
+        line: &'a mut Line,
+    }
     impl Sink for Designing<'_> {
-        type Error = ReduceError;
+        type Error = Unreadable;
 
-        fn tests(&mut self, tests: Vec<Test>, _: &Labels) -> Result<(), ReduceError> {
-            self.1.extend(self.0.reduce_designs(&tests)?);
-            let done = self.1.len();
-            self.2.say(|| format!("reading: {done} tests"));
+        fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), Unreadable> {
+            let split = |test| self.model.split(test, labels).map_err(Unreadable::Split);
+            let tests = tests.into_iter().map(split).collect::<Result<Vec<_>, _>>()?;
+            self.reductions.extend(self.reducer.reduce_designs(&tests).map_err(Unreadable::Reduce)?);
+            let done = self.reductions.len();
+            self.line.say(|| format!("reading: {done} tests"));
             Ok(())
         }
 
         fn restart(&mut self) {
-            self.1.clear();
+            self.reductions.clear();
         }
     }
-    let reducer = Reducer::new(spec.model.shared(), alpha).map_err(|error| Failure::Reduce { error, reading: None })?;
-    let mut sink = Designing(reducer, Vec::new(), line);
-    kalfit_data::read(spec.model.shared(), &spec.layout, inputs, &mut sink).map_err(|error| match error {
+    enum Unreadable {
+        Split(SplitError),
+        Reduce(ReduceError),
+    }
+    let reducer = PhasedReducer::new(&spec.model, alpha).map_err(|error| Failure::Reduce { error, reading: None })?;
+    let mut sink = Designing { model: &spec.model, reducer, reductions: Vec::new(), line };
+    kalfit_data::read(&spec.model, &spec.layout, inputs, &mut sink).map_err(|error| match error {
         ReadError::Data(error) => Failure::data(error, spec),
-        ReadError::Sink { error, reading } => Failure::Reduce { error, reading: Some(reading) },
+        ReadError::Sink { error: Unreadable::Split(error), reading } => Failure::Split { error, reading },
+        ReadError::Sink { error: Unreadable::Reduce(error), reading } => {
+            Failure::Reduce { error, reading: Some(reading) }
+        }
     })?;
-    Ok(sink.1)
+    Ok(sink.reductions)
 }

@@ -5,14 +5,15 @@ use kalfit::infer::{
     Choices, DeletionChoice, DynamicRatioError, Inference, LikelihoodRatio, NotNested, dynamic_bootstrap,
     dynamic_ratio, restricted, started,
 };
-use kalfit::model::{CovarianceStructure, MeanStructure, Parameter, Value};
+use kalfit::model::{CovarianceStructure, MeanStructure, Parameter, Phase, Value};
 use kalfit::record::{DynamicParts, DynamicSides, PartRecord, RatioProvenance, RatioRecord};
 use kalfit::score::Slots;
-use kalfit::{Labels, Model, Test};
-use kalfit_data::{Input, Reading};
+use kalfit::{Labels, Model, PhasedModel, PhasedTest};
+use kalfit_data::Reading;
 use kalfit_spec::{Hypothesis, Spec};
 
 use crate::dynamic::{Data, failure};
+use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::job::TestJob;
 use crate::progress::Line;
@@ -27,24 +28,24 @@ pub(crate) fn test(
     job: &TestJob,
     spec: &Spec,
     hypothesis: &Hypothesis,
-    inputs: &[Input],
+    given: &Given,
     provenance: RatioProvenance,
 ) -> Result<RatioRecord, Failure> {
     let mut line = Line::new(job.quiet);
-    let null = hypothesis.model.shared();
+    let null = &hypothesis.model;
     // labels are numbered by the texts that both name
-    let wide = Model {
-        literals: null.literals.clone(),
-        text_columns: null.text_columns.clone(),
-        ..spec.model.shared().clone()
-    };
-    let (tests, reading) = tests::read_for(spec, null, inputs, &mut line)?;
-    let slots = [Slots::new(null, &reading.labels, &tests), Slots::new(&wide, &reading.labels, &tests)];
+    let (literals, text_columns) = (&null.shared().literals, &null.shared().text_columns);
+    let wide = each(&spec.model, &|_, model| {
+        let (literals, text_columns) = (literals.clone(), text_columns.clone());
+        Model { literals, text_columns, ..model }
+    });
+    let (tests, reading) = tests::read_for(spec, null, given, &mut line)?;
+    let slots = [Slots::in_phases(null, &reading.labels, &tests), Slots::in_phases(&wide, &reading.labels, &tests)];
     restricted((null, &slots[0]), (&wide, &slots[1]), &tests)
         .map_err(|error| Failure::DynamicRatio(DynamicRatioError::Parameter(error)))?;
     if slots[1].is_empty() {
         // every level of the data has a value after all
-        let alpha = slots[1].alpha(&wide, &[]);
+        let alpha = slots[1].alpha(wide.shared(), &[]);
         let reductions = reductions::of(&wide, &alpha, &tests, &reading)?;
         return known::test(job, (spec, hypothesis), (&alpha, &reductions), provenance, &mut line);
     }
@@ -77,7 +78,7 @@ pub(crate) fn test(
 }
 
 fn parts_of<'a>(
-    model: &'a Model,
+    model: &'a PhasedModel,
     labels: &'a Labels,
     fit: &'a DynamicFit,
     (inference, parameters): &'a (Inference, Vec<ParameterInference>),
@@ -87,23 +88,23 @@ fn parts_of<'a>(
 
 /// What all fits of a test share.
 struct Bench<'a> {
-    wide: &'a Model,
-    null: &'a Model,
-    tests: &'a [Test],
+    wide: &'a PhasedModel,
+    null: &'a PhasedModel,
+    tests: &'a [PhasedTest],
     reading: &'a Reading,
     settings: Settings,
 }
 
 impl Bench<'_> {
-    fn fit_with(&self, model: &Model, settings: &Settings, line: &mut Line) -> Result<DynamicFit, Failure> {
+    fn fit_with(&self, model: &PhasedModel, settings: &Settings, line: &mut Line) -> Result<DynamicFit, Failure> {
         Data { model, tests: self.tests, reading: self.reading }.fit(settings, line)
     }
 
-    fn fit(&self, model: &Model, line: &mut Line) -> Result<DynamicFit, Failure> {
+    fn fit(&self, model: &PhasedModel, line: &mut Line) -> Result<DynamicFit, Failure> {
         self.fit_with(model, &self.settings, line)
     }
 
-    fn infer(&self, model: &Model, fit: &DynamicFit) -> Result<(Inference, Vec<ParameterInference>), Failure> {
+    fn infer(&self, model: &PhasedModel, fit: &DynamicFit) -> Result<(Inference, Vec<ParameterInference>), Failure> {
         let choices = Choices { deletion: DeletionChoice::None, ..Choices::default() };
         dynamic::infer(model, self.tests, fit, choices).map_err(|error| failure(error, self.reading))
     }
@@ -119,23 +120,20 @@ impl Bench<'_> {
         Ok(if again.estimate.log_likelihood > found { again } else { full })
     }
 
-    fn ratio(&self, null: (&Model, &DynamicFit), full: &DynamicFit) -> Result<LikelihoodRatio, Failure> {
+    fn ratio(&self, null: (&PhasedModel, &DynamicFit), full: &DynamicFit) -> Result<LikelihoodRatio, Failure> {
         dynamic_ratio(null, (self.wide, full), self.tests).map_err(Failure::DynamicRatio)
     }
 
     /// A hypothesis on more than one of μ, Σ and α, each by itself.
     fn parts(&self, full: &DynamicFit, line: &mut Line) -> Result<Vec<PartRecord>, Failure> {
         let (wide, null) = (self.wide, self.null);
-        let mut alone: Vec<(&str, Model)> = Vec::new();
-        if unstarted(&wide.mean) != unstarted(&null.mean) {
-            alone.push(("mean", Model { mean: null.mean.clone(), ..wide.clone() }));
-        }
-        if unstarted_sigma(wide) != unstarted_sigma(null) {
-            alone.push(("covariance", Model { covariance: null.covariance.clone(), ..wide.clone() }));
-        }
-        if unstarted_parameters(wide) != unstarted_parameters(null) {
-            alone.push(("parameters", Model { parameters: null.parameters.clone(), ..wide.clone() }));
-        }
+        let parts = [
+            ("mean", with_mean(wide, null)),
+            ("covariance", with_covariance(wide, null)),
+            ("parameters", with_parameters(wide, null)),
+        ];
+        let alone: Vec<(&str, PhasedModel)> =
+            parts.into_iter().filter_map(|(what, model)| Some((what, model?))).collect();
         if alone.len() < 2 {
             return Ok(Vec::new());
         }
@@ -152,12 +150,42 @@ impl Bench<'_> {
     }
 }
 
+/// A model with each phase's changed.
+fn each(model: &PhasedModel, change: &dyn Fn(usize, Model) -> Model) -> PhasedModel {
+    let of = |(i, phase): (usize, &Phase)| Phase { model: change(i, phase.model.clone()), ..phase.clone() };
+    PhasedModel { phases: model.phases.iter().enumerate().map(of).collect(), column: model.column }
+}
+
+/// The model under what the hypothesis says of the mean alone; `None` when that is nothing.
+pub(crate) fn with_mean(model: &PhasedModel, null: &PhasedModel) -> Option<PhasedModel> {
+    let of = |model: &PhasedModel| -> Vec<MeanStructure> {
+        model.phases.iter().map(|phase| unstarted(&phase.model.mean)).collect()
+    };
+    let said = |i: usize, model: Model| Model { mean: null.phases[i].model.mean.clone(), ..model };
+    (of(model) != of(null)).then(|| each(model, &said))
+}
+
+/// The model under what the hypothesis says of the covariance alone; `None` when that is nothing.
+pub(crate) fn with_covariance(model: &PhasedModel, null: &PhasedModel) -> Option<PhasedModel> {
+    let of = |model: &PhasedModel| -> Vec<CovarianceStructure> {
+        model.phases.iter().map(|phase| unstarted_sigma(&phase.model)).collect()
+    };
+    let said = |i: usize, model: Model| Model { covariance: null.phases[i].model.covariance.clone(), ..model };
+    (of(model) != of(null)).then(|| each(model, &said))
+}
+
+/// The model under what the hypothesis says of the parameters alone; `None` when that is nothing.
+fn with_parameters(model: &PhasedModel, null: &PhasedModel) -> Option<PhasedModel> {
+    let said = |_: usize, model: Model| Model { parameters: null.shared().parameters.clone(), ..model };
+    (unstarted_parameters(model.shared()) != unstarted_parameters(null.shared())).then(|| each(model, &said))
+}
+
 /// A structure without start values, which constrain nothing.
-pub(crate) fn unstarted(mean: &MeanStructure) -> MeanStructure {
+fn unstarted(mean: &MeanStructure) -> MeanStructure {
     MeanStructure { start: vec![None; mean.start.len()], ..mean.clone() }
 }
 
-pub(crate) fn unstarted_sigma(model: &Model) -> CovarianceStructure {
+fn unstarted_sigma(model: &Model) -> CovarianceStructure {
     CovarianceStructure { start: None, ..model.covariance.clone() }
 }
 

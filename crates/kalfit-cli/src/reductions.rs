@@ -1,26 +1,41 @@
 //! Data → reductions: tests are reduced as they are read, and forgotten.
 
-use kalfit::reduce::{ReduceError, Reducer};
-use kalfit::{Alpha, Labels, Model, Reduction, Test};
-use kalfit_data::{Input, ReadError, Reading, Sink};
+use kalfit::reduce::{PhasedReducer, ReduceError, SplitError};
+use kalfit::{Alpha, Labels, PhasedModel, PhasedTest, Reduction, Test};
+use kalfit_data::{ReadError, Reading, Sink};
 use kalfit_spec::Spec;
 
+use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::innovations::{Kept, KeptTests};
 use crate::progress::Line;
 
 struct Reducing<'a> {
-    reducer: Reducer,
+    model: &'a PhasedModel,
+    reducer: PhasedReducer,
     reductions: Vec<Reduction>,
     kept: &'a mut KeptTests,
+    counted: &'a mut dyn FnMut(Option<&PhasedTest>),
     line: &'a mut Line,
 }
 
-impl Sink for Reducing<'_> {
-    type Error = ReduceError;
+/// Why tests were refused.
+enum Refused {
+    Split(SplitError),
+    Reduce(ReduceError),
+}
 
-    fn tests(&mut self, tests: Vec<Test>, _: &Labels) -> Result<(), ReduceError> {
-        self.reductions.extend(self.reducer.reduce(&tests)?);
+impl Sink for Reducing<'_> {
+    type Error = Refused;
+
+    fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), Refused> {
+        let tests: Vec<PhasedTest> = tests
+            .into_iter()
+            .map(|test| self.model.split(test, labels))
+            .collect::<Result<_, _>>()
+            .map_err(Refused::Split)?;
+        self.reductions.extend(self.reducer.reduce(&tests).map_err(Refused::Reduce)?);
+        tests.iter().for_each(|test| (self.counted)(Some(test)));
         self.kept.take(tests);
         let done = self.reductions.len();
         self.line.say(|| format!("reading: {done} tests"));
@@ -29,40 +44,68 @@ impl Sink for Reducing<'_> {
 
     fn restart(&mut self) {
         self.reductions.clear();
+        (self.counted)(None);
         self.kept.restart();
     }
 }
 
-/// Reads the data and runs the filters over them at α.
-pub(crate) fn reduce(spec: &Spec, alpha: &Alpha, inputs: &[Input], line: &mut Line) -> Result<Vec<Reduction>, Failure> {
-    reduce_keeping(spec, alpha, inputs, line, &mut Kept::nothing())
+/// Reads the data and runs the filters over them at α. `counted` sees every test, and nothing when all are to be forgotten and
+/// read again.
+pub(crate) fn reduce(
+    spec: &Spec,
+    alpha: &Alpha,
+    given: &Given,
+    line: &mut Line,
+    counted: &mut dyn FnMut(Option<&PhasedTest>),
+) -> Result<Vec<Reduction>, Failure> {
+    read(spec, alpha, given, (line, counted), &mut Kept::nothing())
 }
 
 /// [`reduce`], keeping what a second look at the data takes.
 pub(crate) fn reduce_keeping(
     spec: &Spec,
     alpha: &Alpha,
-    inputs: &[Input],
+    given: &Given,
     line: &mut Line,
     kept: &mut Kept,
 ) -> Result<Vec<Reduction>, Failure> {
-    let reducer = Reducer::new(spec.model.shared(), alpha).map_err(|error| Failure::Reduce { error, reading: None })?;
-    let mut stdin = std::io::stdin().lock();
+    read(spec, alpha, given, (line, &mut |_| ()), kept)
+}
+
+fn read(
+    spec: &Spec,
+    alpha: &Alpha,
+    given: &Given,
+    (line, counted): (&mut Line, &mut dyn FnMut(Option<&PhasedTest>)),
+    kept: &mut Kept,
+) -> Result<Vec<Reduction>, Failure> {
+    let model = &spec.model;
+    if !given.is_rows() {
+        let (tests, reading) = given.tests(spec, model, line)?;
+        tests.iter().for_each(|test| counted(Some(test)));
+        return of(model, alpha, &tests, &reading);
+    }
+    let reducer = PhasedReducer::new(model, alpha).map_err(|error| Failure::Reduce { error, reading: None })?;
+    let mut stdin = given.stdin();
     let Kept { tests, copy } = kept;
-    let mut sink = Reducing { reducer, reductions: Vec::new(), kept: tests, line };
+    let mut sink = Reducing { model, reducer, reductions: Vec::new(), kept: tests, counted, line };
     let mut stdin = copy.copying(&mut stdin);
-    kalfit_data::read_from(spec.model.shared(), &spec.layout, inputs, &mut sink, &mut stdin).map_err(|error| {
-        match error {
-            ReadError::Data(error) => Failure::data(error, spec),
-            ReadError::Sink { error, reading } => Failure::Reduce { error, reading: Some(reading) },
-        }
+    kalfit_data::read_from(model, &spec.layout, &given.inputs, &mut sink, &mut stdin).map_err(|error| match error {
+        ReadError::Data(error) => Failure::data(error, spec),
+        ReadError::Sink { error: Refused::Split(error), reading } => Failure::Split { error, reading },
+        ReadError::Sink { error: Refused::Reduce(error), reading } => Failure::Reduce { error, reading: Some(reading) },
     })?;
     Ok(sink.reductions)
 }
 
 /// Runs the filters over tests that were kept.
-pub(crate) fn of(model: &Model, alpha: &Alpha, tests: &[Test], reading: &Reading) -> Result<Vec<Reduction>, Failure> {
-    Reducer::new(model, alpha)
+pub(crate) fn of(
+    model: &PhasedModel,
+    alpha: &Alpha,
+    tests: &[PhasedTest],
+    reading: &Reading,
+) -> Result<Vec<Reduction>, Failure> {
+    PhasedReducer::new(model, alpha)
         .and_then(|mut reducer| reducer.reduce(tests))
         .map_err(|error| Failure::Reduce { error, reading: Some(Box::new(reading.clone())) })
 }

@@ -4,10 +4,13 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
+use kalfit::Test;
+use kalfit::reduce::Evidence;
 use kalfit::simulate::{Designs, Drawn, Simulator};
 use kalfit_data::{Format, Ids, Input, Reading, StateWriter, TestWriter, WriteError, added_id_column};
 use kalfit_spec::Spec;
 
+use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::job::{Outcome, SimulateJob};
 use crate::output::{Output, Pending};
@@ -30,9 +33,9 @@ pub(crate) fn run(job: &SimulateJob) -> Result<Outcome, Failure> {
     output.refuse_same(states.as_ref())?;
     let mut line = Line::new(job.quiet);
     let refused = |error, reading| Failure::Simulate { error: Box::new(error), reading };
-    let simulator = Simulator::new(spec.model.shared(), &truth.alpha, truth.population.clone(), job.seed)
+    let simulator = Simulator::new(&spec.model, &truth.alpha, truth.population.clone(), job.seed)
         .map_err(|error| refused(error, None))?;
-    let (tests, reading) = tests::read(&spec, &inputs, &mut line)?;
+    let (tests, reading) = tests::read(&spec, &Given::rows_of(inputs), &mut line)?;
     let designs = Designs::new(tests).map_err(|error| refused(error, None))?;
     let count = job.tests.unwrap_or(designs.tests().len() as u64);
     let ids = if count > designs.tests().len() as u64 { Ids::New } else { Ids::Same };
@@ -90,9 +93,10 @@ impl Task<'_> {
         while done < self.count {
             let next = self.count.min(done + self.batch(done));
             let drawn = self.draw(done..next)?;
-            rows += drawn.iter().map(|drawn| drawn.test.rows() as u64).sum::<u64>();
-            table.write(drawn.iter().map(|drawn| &drawn.test), &self.reading.labels).map_err(in_data)?;
             truths.as_mut().map_or(Ok(()), |truths| truths.write(&drawn))?;
+            let tests: Vec<Test> = drawn.into_iter().map(|drawn| drawn.test.joined()).collect();
+            rows += tests.iter().map(|test| test.rows() as u64).sum::<u64>();
+            table.write(tests.iter(), &self.reading.labels).map_err(in_data)?;
             done = next;
             line.say(|| format!("drawing: {done} of {} tests", self.count));
         }
@@ -114,7 +118,9 @@ impl Task<'_> {
         let mut rows = 0;
         let mut many = 0;
         while many < BATCH_TESTS && rows < BATCH_ROWS {
-            rows += self.designs.design(from + many).rows() as u64;
+            let rows_of =
+                |evidence: &Evidence| if let Evidence::Rows(rows) = evidence { rows.rows() as u64 } else { 0 };
+            rows += self.designs.design(from + many).phases.iter().map(rows_of).sum::<u64>();
             many += 1;
         }
         many
@@ -141,17 +147,24 @@ impl Task<'_> {
 struct StateTable<'a> {
     writer: StateWriter<BufWriter<&'a File>>,
     path: &'a Path,
+    /// Columns of states.
+    width: usize,
 }
 
 impl<'a> StateTable<'a> {
     fn new(pending: &'a Pending<'_>, states: &[String]) -> Result<StateTable<'a>, Failure> {
         let path = pending.path();
         let writer = StateWriter::new(BufWriter::new(pending.file()), states).map_err(|error| failed(error, path))?;
-        Ok(StateTable { writer, path })
+        Ok(StateTable { writer, path, width: states.len() })
     }
 
     fn write(&mut self, drawn: &[Drawn]) -> Result<(), Failure> {
-        let mut write = |drawn: &Drawn| self.writer.write(&drawn.test.id, &drawn.initial);
+        let width = self.width;
+        let mut write = |drawn: &Drawn| {
+            let mut initial = drawn.initial.clone();
+            initial.resize(width, f64::NAN); // empty cells for phases that the test lacks
+            self.writer.write(&drawn.test.id, &initial)
+        };
         drawn.iter().try_for_each(&mut write).map_err(|error| failed(error, self.path))
     }
 

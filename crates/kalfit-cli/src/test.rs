@@ -4,30 +4,32 @@ use std::path::Path;
 
 use kalfit::estimate::{Estimate, Progress, Structure};
 use kalfit::infer::{NotNested, at_least, bootstrap, fit_null, likelihood_ratio};
-use kalfit::model::{CovarianceStructure, Level, MeanStructure, Parameter};
+use kalfit::model::{Level, Parameter};
 use kalfit::record::{PartRecord, RatioProvenance, RatioRecord};
-use kalfit::{Alpha, Model, Reduction, estimate};
+use kalfit::{Alpha, PhasedModel, Reduction, estimate};
 use kalfit_data::Input;
 use kalfit_report::ratio_summary;
 use kalfit_spec::{Hypothesis, HypothesisError, Spec};
 
+use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::job::{Outcome, TestJob};
 use crate::output::Output;
 use crate::progress::Line;
-use crate::ratio::{self, unstarted, unstarted_sigma};
+use crate::ratio::{self, with_covariance, with_mean};
 use crate::{model, reductions, terminal};
 
 pub(crate) fn run(job: &TestJob) -> Result<Outcome, Failure> {
-    let spec = model::load(&job.model)?;
+    let mut spec = model::load(&job.model)?;
+    let given = Given::open(&mut spec, &job.data)?;
     let hypothesis = hypothesis(&spec, job)?;
-    let inputs = Input::expand(&job.data).map_err(|error| Failure::data(error, &spec))?;
-    let output = job.out.as_deref().map(|path| Output::prepare(path, &files(job, &inputs))).transpose()?;
-    let record = read_and_test(job, &spec, &hypothesis, &inputs)?;
+    let output = job.out.as_deref().map(|path| Output::prepare(path, &files(job, &given.inputs))).transpose()?;
+    let record = read_and_test(job, &spec, &hypothesis, &given)?;
     if let Some(output) = &output {
         output.write(&record)?;
     }
     if !job.quiet {
+        terminal::warn(&given.notes);
         terminal::print(&ratio_summary(&record, &terminal::style())).map_err(Failure::Stdout)?;
         if let Some(output) = &output {
             terminal::complain(&format!("Wrote {}\n", output.name()));
@@ -45,26 +47,21 @@ fn hypothesis(spec: &Spec, job: &TestJob) -> Result<Hypothesis, Failure> {
 }
 
 /// Which way it goes: with known parameters tests are forgotten once they are reduced.
-fn read_and_test(
-    job: &TestJob,
-    spec: &Spec,
-    hypothesis: &Hypothesis,
-    inputs: &[Input],
-) -> Result<RatioRecord, Failure> {
+fn read_and_test(job: &TestJob, spec: &Spec, hypothesis: &Hypothesis, given: &Given) -> Result<RatioRecord, Failure> {
     let provenance = RatioProvenance {
         title: spec.model.shared().title.clone(),
         hypothesis: hypothesis.title.clone().unwrap_or_else(|| job.null.display().to_string()),
         model_digest: Some(spec.digest.clone()),
         null_digest: Some(hypothesis.digest.clone()),
-        files: inputs.iter().map(Input::name).collect(),
+        files: given.names(),
     };
     if model::has_free(spec.model.shared()) {
-        return ratio::test(job, spec, hypothesis, inputs, provenance);
+        return ratio::test(job, spec, hypothesis, given, provenance);
     }
     let mut line = Line::new(job.quiet);
     let alpha = model::alpha(spec);
     same_parameters(hypothesis, &alpha)?;
-    let reductions = reductions::reduce(spec, &alpha, inputs, &mut line)?;
+    let reductions = reductions::reduce(spec, &alpha, given, &mut line, &mut |_| ())?;
     test(job, (spec, hypothesis), (&alpha, &reductions), provenance, &mut line)
 }
 
@@ -76,37 +73,31 @@ pub(crate) fn test(
     provenance: RatioProvenance,
     line: &mut Line,
 ) -> Result<RatioRecord, Failure> {
-    let bench = Bench { job, model: spec.model.shared(), null: hypothesis.model.shared(), alpha, reductions };
+    let bench = Bench { job, model: &spec.model, null: &hypothesis.model, alpha, reductions };
     let wide =
         estimate::fit(reductions, &Structure::of(&spec.model, alpha), &job.settings, line).map_err(Failure::Fit)?;
-    let null = bench.fit(&hypothesis.model.shared().mean, &hypothesis.model.shared().covariance, line)?;
+    let null = bench.fit(&hypothesis.model, line)?;
     let wide = at_least(wide, &null, reductions).map_err(Failure::Fit)?;
     let ratio = likelihood_ratio(&null, &wide).map_err(Failure::NotNested)?;
     let parts = bench.parts(&wide, line)?;
     line.say(|| "drawing ensembles from the hypothesis".to_owned());
     let drawn = job.bootstrap.map(|b| (b, bootstrap(&null, &wide, reductions, ratio.statistic, b)));
     let drawn = drawn.as_ref().map(|(b, found)| (*b, found));
-    Ok(RatioRecord::new(reductions, (&null, &wide), &ratio, drawn, parts, provenance))
+    Ok(RatioRecord::new(&spec.model, reductions, (&null, &wide), &ratio, drawn, parts, provenance))
 }
 
 /// What all fits of a test share.
 struct Bench<'a> {
     job: &'a TestJob,
-    model: &'a Model,
-    null: &'a Model,
+    model: &'a PhasedModel,
+    null: &'a PhasedModel,
     alpha: &'a Alpha,
     reductions: &'a [Reduction],
 }
 
 impl Bench<'_> {
-    fn fit(
-        &self,
-        mean: &MeanStructure,
-        covariance: &CovarianceStructure,
-        progress: &mut dyn Progress,
-    ) -> Result<Estimate, Failure> {
-        let structure = Structure::single(mean, covariance, self.alpha);
-        let within = Structure::single(&self.model.mean, &self.model.covariance, self.alpha);
+    fn fit(&self, model: &PhasedModel, progress: &mut dyn Progress) -> Result<Estimate, Failure> {
+        let (within, structure) = (Structure::of(self.model, self.alpha), Structure::of(model, self.alpha));
         fit_null(self.reductions, &within, &structure, &self.job.settings, progress)
             .ok_or(Failure::NotNested(NotNested::Mean))?
             .map_err(Failure::Fit)
@@ -114,15 +105,13 @@ impl Bench<'_> {
 
     /// A hypothesis on both μ and Σ, each by itself (Shumway, Olsen and Levy).
     fn parts(&self, wide: &Estimate, progress: &mut dyn Progress) -> Result<Vec<PartRecord>, Failure> {
-        let (model, null) = (self.model, self.null);
-        if unstarted(&model.mean) == unstarted(&null.mean) || unstarted_sigma(model) == unstarted_sigma(null) {
+        let (Some(mean), Some(covariance)) = (with_mean(self.model, self.null), with_covariance(self.model, self.null))
+        else {
             return Ok(Vec::new());
-        }
+        };
         let mut parts = Vec::new();
-        for (what, mean, covariance) in
-            [("mean", &null.mean, &model.covariance), ("covariance", &model.mean, &null.covariance)]
-        {
-            let estimate = self.fit(mean, covariance, progress)?;
+        for (what, model) in [("mean", mean), ("covariance", covariance)] {
+            let estimate = self.fit(&model, progress)?;
             let ratio = likelihood_ratio(&estimate, wide).map_err(Failure::NotNested)?;
             parts.push(PartRecord::new(what, &estimate, &ratio));
         }

@@ -1,47 +1,57 @@
 //! Data that are kept whole: what the filters run over again and again, or what others are drawn like.
 
-use std::convert::Infallible;
-
-use kalfit::{Labels, Model, Test};
-use kalfit_data::{Input, ReadError, Reading, Sink};
+use kalfit::reduce::SplitError;
+use kalfit::{Labels, PhasedModel, PhasedTest, Test};
+use kalfit_data::{ReadError, Reading, Sink};
 use kalfit_spec::Spec;
 
+use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::progress::Line;
 
-struct Keep<'a>(Vec<Test>, &'a mut Line);
+struct Keep<'a> {
+    model: &'a PhasedModel,
+    tests: Vec<PhasedTest>,
+    line: &'a mut Line,
+}
 
 impl Sink for Keep<'_> {
-    type Error = Infallible;
+    type Error = SplitError;
 
-    fn tests(&mut self, tests: Vec<Test>, _: &Labels) -> Result<(), Infallible> {
-        self.0.extend(tests);
-        let done = self.0.len();
-        self.1.say(|| format!("reading: {done} tests"));
+    fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), SplitError> {
+        for test in tests {
+            self.tests.push(self.model.split(test, labels)?);
+        }
+        let done = self.tests.len();
+        self.line.say(|| format!("reading: {done} tests"));
         Ok(())
     }
 
     fn restart(&mut self) {
-        self.0.clear();
+        self.tests.clear();
     }
 }
 
 /// Reads all tests.
-pub(crate) fn read(spec: &Spec, inputs: &[Input], line: &mut Line) -> Result<(Vec<Test>, Reading), Failure> {
-    read_for(spec, spec.model.shared(), inputs, line)
+pub(crate) fn read(spec: &Spec, given: &Given, line: &mut Line) -> Result<(Vec<PhasedTest>, Reading), Failure> {
+    read_for(spec, &spec.model, given, line)
 }
 
 /// Reads all tests for a model that has the columns of the file's, and perhaps more texts.
 pub(crate) fn read_for(
     spec: &Spec,
-    model: &Model,
-    inputs: &[Input],
+    model: &PhasedModel,
+    given: &Given,
     line: &mut Line,
-) -> Result<(Vec<Test>, Reading), Failure> {
-    let mut keep = Keep(Vec::new(), line);
-    let reading = kalfit_data::read(model, &spec.layout, inputs, &mut keep).map_err(|error| match error {
+) -> Result<(Vec<PhasedTest>, Reading), Failure> {
+    if !given.is_rows() {
+        return given.tests(spec, model, line);
+    }
+    let mut keep = Keep { model, tests: Vec::new(), line };
+    let reading = kalfit_data::read_from(model, &spec.layout, &given.inputs, &mut keep, &mut given.stdin());
+    let reading = reading.map_err(|error| match error {
         ReadError::Data(error) => Failure::data(error, spec),
-        ReadError::Sink { error, .. } => match error {},
+        ReadError::Sink { error, reading } => Failure::Split { error, reading },
     })?;
-    Ok((keep.0, reading))
+    Ok((keep.tests, reading))
 }

@@ -97,7 +97,7 @@ pub(crate) fn load(spec: &mut Spec, from: &Path, set: &[String]) -> Result<Truth
     } else {
         let record = read_record(from)?;
         let population =
-            record.population(spec.model.shared()).map_err(|error| TruthError::Record { path: path.clone(), error })?;
+            record.population(&spec.model).map_err(|error| TruthError::Record { path: path.clone(), error })?;
         if record.model_digest.as_ref().is_some_and(|digest| *digest != spec.digest) {
             warnings.push(format!("`{path}` was made with another version of `{}`", spec.name));
         }
@@ -110,6 +110,16 @@ pub(crate) fn load(spec: &mut Spec, from: &Path, set: &[String]) -> Result<Truth
     let alpha = Alpha::fixed(&spec.model.shared().parameters)
         .map_err(|ParameterError::Free { names }| Failure::from(TruthError::NoParameter { names }))?;
     Ok(Truth { population, alpha, taken, warnings })
+}
+
+/// Gives the model's free parameters the values of a fit; what the user should know.
+pub(crate) fn parameters(spec: &mut Spec, from: &Path) -> Result<Vec<String>, Failure> {
+    let path = from.display().to_string();
+    let record = read_record(from)?;
+    let known = of_record(spec, &record, &path)?;
+    let mut warnings = Vec::new();
+    give(spec, &known, &path, &mut warnings)?;
+    Ok(warnings)
 }
 
 /// Name of the parameter of an assignment such as `tau=90` or `sigma[A]=0.7`.
@@ -180,7 +190,7 @@ fn of_model(spec: &Spec, from: &Path, set: &[String]) -> Result<(Population, Vec
     let (found, expected) = (truth.model.estimated_names(), spec.model.estimated_names());
     let place: Option<Vec<usize>> = expected.iter().map(|name| found.iter().position(|other| other == name)).collect();
     let Some(place) = place.filter(|place| place.len() == found.len()) else {
-        let error = RecordError::Names { what: "the estimated states", found, expected };
+        let error = RecordError::Names { what: "the estimated states".to_owned(), found, expected };
         return Err(TruthError::Record { path, error }.into());
     };
     let refused = |error| Failure::from(TruthError::Population { path: path.clone(), error });

@@ -50,6 +50,8 @@ cases! {
     meta_berkey1998_is_at_its_reference: "meta-berkey1998",
     meta_kalaian1996_is_at_its_reference: "meta-kalaian1996",
     meta_riley2003_is_at_its_reference: "meta-riley2003",
+    phases_single_is_at_its_reference: "phases-single",
+    phases_two_is_at_its_reference: "phases-two",
     schmidt_single_is_at_its_reference: "schmidt-single",
     ssm_continuous3_is_at_its_reference: "ssm-continuous3",
     ssm_nile_is_at_its_reference: "ssm-nile",
@@ -85,7 +87,8 @@ fn finds_the_parameters_of(case: &str) {
         // EM converges linearly: there it needs several hundred runs of the filters, a minute of them
         let methods = if case == "ssm-continuous3" { &METHODS[..2] } else { &METHODS };
         for method in methods {
-            let lines = match fit_by(case, &want, DEFAULT_SOLVER, method) {
+            let by: &[&str] = if *method == METHODS[0] { &[] } else { &["--method", method] };
+            let lines = match fit_by(case, &want, DEFAULT_SOLVER, by) {
                 Ok(found) => Comparison::of(&found, &want).failures(1.0),
                 Err(said) => vec![said],
             };
@@ -99,18 +102,20 @@ fn finds_the_parameters_of(case: &str) {
 fn holds(case: &str) {
     let mut failures = Vec::new();
     for want in list(&expected(case)) {
-        let mut check = |solver: &str, limit: f64| {
-            let lines = match fit(case, want, solver) {
-                Ok(found) => Comparison::of(&found, want).failures(limit),
-                Err(said) => vec![said],
+        for phases in combinations(want) {
+            let mut check = |solver: &str, limit: f64| {
+                let lines = match fit_by(case, want, solver, &phases) {
+                    Ok(found) => Comparison::of(&found, want).failures(limit),
+                    Err(said) => vec![said],
+                };
+                let name = text(&want["fit"]);
+                failures.extend(lines.iter().map(|line| format!("{case}/{name} by {solver}{phases:?}: {line}")));
             };
-            let name = text(&want["fit"]);
-            failures.extend(lines.iter().map(|line| format!("{case}/{name} by {solver}: {line}")));
-        };
-        check(DEFAULT_SOLVER, 1.0);
-        // towards a boundary EM creeps, and the default number of iterations ends before the certificate holds
-        if list(&want["boundary"]).is_empty() {
-            check("em", EM_LIMIT);
+            check(DEFAULT_SOLVER, 1.0);
+            // towards a boundary EM creeps, and the default number of iterations ends before the certificate holds
+            if list(&want["boundary"]).is_empty() {
+                check("em", EM_LIMIT);
+            }
         }
     }
     assert!(failures.is_empty(), "{} failures\n{}", failures.len(), failures.join("\n"));
@@ -123,7 +128,8 @@ fn work_of_every_fit_is_as_recorded() {
     for case in CASES {
         for want in list(&expected(case)) {
             let name = text(&want["fit"]);
-            let found = fit(case, want, DEFAULT_SOLVER).unwrap_or_else(|said| panic!("{case}/{name}: {said}"));
+            let found = fit_by(case, want, DEFAULT_SOLVER, &combinations(want)[0])
+                .unwrap_or_else(|said| panic!("{case}/{name}: {said}"));
             let passes = found["solver"]["iterations"].as_u64().unwrap();
             let data = &found["data"];
             writeln!(table, "{case}/{name}: {passes}, {}, {}", data["design_classes"], data["square_root_tests"])
@@ -151,12 +157,16 @@ fn expected(case: &str) -> Value {
     serde_json::from_str(&content).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// The fit.json of one certified fit; what went wrong if the fit failed or is not certified.
-fn fit(case: &str, want: &Value, solver: &str) -> Result<Value, String> {
-    fit_by(case, want, solver, METHODS[0])
+/// Options under which a fit has the figures of its entry: none but for tests in several phases.
+fn combinations(want: &Value) -> Vec<Vec<&str>> {
+    match list(&want["combinations"]) {
+        [] => vec![vec![]],
+        all => all.iter().map(|phases| vec!["--phases", text(phases)]).collect(),
+    }
 }
 
-fn fit_by(case: &str, want: &Value, solver: &str, method: &str) -> Result<Value, String> {
+/// The fit.json of one certified fit; what went wrong if the fit failed or is not certified.
+fn fit_by(case: &str, want: &Value, solver: &str, options: &[&str]) -> Result<Value, String> {
     let home = tempfile::tempdir().unwrap();
     let out = home.path().join("fit.json");
     let mut command = Command::new(env!("CARGO_BIN_EXE_kalfit"));
@@ -167,9 +177,7 @@ fn fit_by(case: &str, want: &Value, solver: &str, method: &str) -> Result<Value,
     if !want["criterion"].is_null() {
         command.arg("--criterion").arg(text(&want["criterion"]));
     }
-    if method != METHODS[0] {
-        command.arg("--method").arg(method);
-    }
+    command.args(options);
     if solver != DEFAULT_SOLVER {
         command.arg("--solver").arg(solver);
     }

@@ -6,6 +6,7 @@ use std::io;
 use arrow::error::ArrowError;
 use parquet::errors::ParquetError;
 
+use crate::exchange::ExchangeError;
 use crate::reading::Reading;
 
 /// A cell of a file.
@@ -246,13 +247,15 @@ pub enum DataError {
         /// Its text, shortened.
         found: String,
     },
-    /// Times go back within a test.
-    #[error("{at}: found time {found} after time {previous} in test `{test}`, expected times that do not decrease")]
+    /// Times go back within a test and phase.
+    #[error("{at}: found time {found} after time {previous} in {}test `{test}`, expected times that do not decrease", phase.as_ref().map(|phase| format!("phase `{phase}` of ")).unwrap_or_default())]
     TimeDecreases {
         /// The cell.
         at: Box<Place>,
         /// Id of the test, shortened.
         test: String,
+        /// Phase of the row, in a model of several; shortened.
+        phase: Option<Box<str>>,
         /// The time.
         found: Box<str>,
         /// The time of the test's previous row.
@@ -321,6 +324,9 @@ pub enum DataError {
         /// What it said.
         source: Box<ArrowError>,
     },
+    /// An exchange file is wrong, or does not go with the model or the other files.
+    #[error(transparent)]
+    Exchange(Box<ExchangeError>),
     /// A library panicked on broken bytes.
     #[error("{file} is not a sound {format} file: its contents contradict each other")]
     Crashed {
@@ -329,6 +335,12 @@ pub enum DataError {
         /// The kind of file.
         format: &'static str,
     },
+}
+
+impl From<ExchangeError> for DataError {
+    fn from(error: ExchangeError) -> DataError {
+        DataError::Exchange(Box::new(error))
+    }
 }
 
 /// The columns a file has, and the one that was probably meant.

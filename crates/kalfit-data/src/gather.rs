@@ -1,8 +1,8 @@
 //! Rows into tests.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 
-use kalfit::{Source, Test};
+use kalfit::{Label, Source, Test};
 
 use crate::moment::Moment;
 use crate::row::Row;
@@ -14,6 +14,8 @@ pub(crate) struct Gather {
     texts: usize,
     /// Numeric cells that the time fills.
     time_cells: Vec<usize>,
+    /// Text cell with the phase of the row.
+    phase_cell: Option<usize>,
     /// Ids seen, with their place in `open` (holding).
     seen: HashMap<String, usize>,
     /// Tests that may still get rows, in order of first appearance: one while streaming.
@@ -29,8 +31,33 @@ pub(crate) struct Gather {
 /// A test that may still get rows.
 struct Open {
     test: Test,
-    /// Times of its first and last rows.
-    times: Option<(Moment, Moment)>,
+    /// Times of its rows so far.
+    times: Option<Times>,
+}
+
+/// Times of a test: the first of all, and the last of each phase, since times may start again with a phase.
+struct Times {
+    first: Moment,
+    /// Phase of the last row, and its time.
+    phase: Label,
+    last: Moment,
+    /// Last times of the other phases seen.
+    others: BTreeMap<Label, Moment>,
+}
+
+impl Times {
+    /// Takes the time of the next row; the time before it in its phase, when that is later.
+    fn advance(&mut self, phase: Label, now: Moment) -> Result<(), Moment> {
+        if phase != self.phase {
+            self.others.insert(self.phase, self.last);
+            (self.phase, self.last) = (phase, self.others.get(&phase).copied().unwrap_or(now));
+        }
+        if now < self.last {
+            return Err(self.last);
+        }
+        self.last = now;
+        Ok(())
+    }
 }
 
 /// What became of a row.
@@ -40,7 +67,7 @@ pub(crate) enum Outcome {
     Gathered,
     /// Its test was complete already (streaming only): everything must be read again, holding.
     Returned,
-    /// Its time is before this one, of the row before it in its test.
+    /// Its time is before this one, of the row before it in its test and phase.
     Before(Moment),
 }
 
@@ -49,12 +76,18 @@ const BATCH_TESTS: usize = 1024;
 const BATCH_CELLS: usize = 1_000_000;
 
 impl Gather {
-    pub(crate) fn new(holds: bool, numbers: usize, texts: usize, time_cells: Vec<usize>) -> Gather {
+    pub(crate) fn new(
+        holds: bool,
+        (numbers, texts): (usize, usize),
+        time_cells: Vec<usize>,
+        phase_cell: Option<usize>,
+    ) -> Gather {
         Gather {
             holds,
             numbers,
             texts,
             time_cells,
+            phase_cell,
             seen: HashMap::new(),
             open: Vec::new(),
             current: 0,
@@ -74,13 +107,14 @@ impl Gather {
         }
         let open = &mut self.open[self.current];
         if let Some(now) = row.time {
-            let (first, last) = open.times.unwrap_or((now, now));
-            if now < last {
+            let phase = self.phase_cell.map_or(Label::MISSING, |cell| row.texts[cell]);
+            let new = || Times { first: now, phase, last: now, others: BTreeMap::new() };
+            let times = open.times.get_or_insert_with(new);
+            if let Err(last) = times.advance(phase, now) {
                 return Outcome::Before(last);
             }
-            open.times = Some((first, now));
             for &cell in &self.time_cells {
-                row.numbers[cell] = now.value(first, unit);
+                row.numbers[cell] = now.value(times.first, unit);
             }
         }
         open.test.push(&row.numbers, &row.texts, source);

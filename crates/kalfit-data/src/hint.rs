@@ -8,6 +8,7 @@ impl DataError {
     pub fn hint(&self) -> Option<String> {
         Some(match self {
             DataError::NoInput => return None,
+            DataError::Exchange(error) => return error.hint(),
             DataError::Pattern { .. } => "give the file's whole name, or write `[*]` for a star and `[?]` for a question mark".into(),
             DataError::NoMatch { .. } => "`*` stands for any text, `?` for one character, `[ab]` for a or b, `**/` for any folders".into(),
             DataError::SameFile { .. } => "give each file once: its rows would count twice".into(),
@@ -28,8 +29,11 @@ impl DataError {
             DataError::MissingTest { .. } => "every row needs the id of its test".into(),
             DataError::MissingTime { .. } => "every row needs a time when the model names a time column".into(),
             DataError::NotATime { found, .. } => time_hint(found),
-            DataError::TimeDecreases { .. } => {
+            DataError::TimeDecreases { phase: None, .. } => {
                 "sort the rows of each test by time; if these are two tests, give them two ids".into()
+            }
+            DataError::TimeDecreases { .. } => {
+                "sort the rows of each phase by time; times may start again with the next phase only".into()
             }
             DataError::TimeUnit { .. } => "date-times are read as time since the test's first row: set `time_unit` in `[data]` to `s`, `ms`, `us`, `ns`, `min`, `h` or `d`".into(),
             DataError::MixedTimes { .. } => "write the whole column one way".into(),
@@ -51,7 +55,7 @@ fn kind_hint(found: &str) -> String {
     }
 }
 
-fn columns_hint(columns: &Columns) -> String {
+pub(crate) fn columns_hint(columns: &Columns) -> String {
     const MOST: usize = 12;
     if let Some(near) = &columns.near {
         return format!("there is a column `{near}`");

@@ -26,6 +26,10 @@
 //!
 //! [`TestWriter`] writes tests back to one table that [`read`] takes in again: the same ids, texts and numbers, bit for bit.
 //!
+//! # Exchange files
+//!
+//! [`exchange`] reads and writes what filters made of tests: reductions and estimates, phase by phase.
+//!
 //! # Hostile files
 //!
 //! Nothing here trusts its input: what a file declares is checked against its size before memory is asked for, and a
@@ -34,6 +38,7 @@
 
 mod cell;
 mod error;
+pub mod exchange;
 mod gather;
 mod hint;
 mod input;

@@ -1,6 +1,6 @@
 //! One pass over all inputs.
 
-use kalfit::{Source, Test};
+use kalfit::{Labels, PhasedModel, Source, Test};
 
 use crate::error::{DataError, Place, ReadError, shown};
 use crate::gather::{Gather, Outcome};
@@ -18,7 +18,7 @@ pub(crate) struct Job<'a> {
     wanted: &'a Wanted,
     /// Id of the test of each input; none when a column tells tests apart.
     ids: Vec<String>,
-    time_unit: Option<String>,
+    model: &'a PhasedModel,
 }
 
 /// How a pass ended.
@@ -40,8 +40,8 @@ struct Times<'a> {
 }
 
 impl<'a> Job<'a> {
-    pub(crate) fn new(inputs: &'a [Input], wanted: &'a Wanted, ids: Vec<String>, time_unit: Option<String>) -> Job<'a> {
-        Job { inputs, wanted, ids, time_unit }
+    pub(crate) fn new(inputs: &'a [Input], wanted: &'a Wanted, ids: Vec<String>, model: &'a PhasedModel) -> Job<'a> {
+        Job { inputs, wanted, ids, model }
     }
 }
 
@@ -54,7 +54,8 @@ pub(crate) fn run<S: Sink>(
     spool: &mut Spool<'_>,
 ) -> Result<Ended, ReadError<S::Error>> {
     let mut row = Row::new(job.wanted.numbers, job.wanted.texts);
-    let mut times = Times { wanted: job.wanted, time_unit: job.time_unit.as_deref(), first: None, unit: 1 };
+    let clock = &job.model.shared().clock;
+    let mut times = Times { wanted: job.wanted, time_unit: clock.unit.as_deref(), first: None, unit: 1 };
     for (index, input) in job.inputs.iter().enumerate() {
         let file = input.name();
         let mut table = Table::open(input, &file, job.wanted, spool)?;
@@ -68,7 +69,10 @@ pub(crate) fn run<S: Sink>(
             match gather.push(&mut row, source, times.unit) {
                 Outcome::Gathered => reading.rows += 1,
                 Outcome::Returned => return Ok(Ended::MustHold),
-                Outcome::Before(previous) => return Err(times.decrease(&row, &file, previous).into()),
+                Outcome::Before(previous) => {
+                    let phase = phase(job.model, &row, &reading.labels);
+                    return Err(times.decrease(&row, &file, phase, previous).into());
+                }
             }
             if let Some(batch) = gather.batch() {
                 hand_over(sink, batch, reading)?;
@@ -83,6 +87,12 @@ pub(crate) fn run<S: Sink>(
         hand_over(sink, batch, reading)?;
     }
     Ok(Ended::Complete)
+}
+
+/// The phase of a row, by the text of its cell: that it is none of the model's is for others to say.
+fn phase(model: &PhasedModel, row: &Row, labels: &Labels) -> Option<String> {
+    let label = row.texts[model.column?];
+    (!label.is_missing()).then(|| shown(labels.text(label).as_bytes()))
 }
 
 fn hand_over<S: Sink>(sink: &mut S, batch: Vec<Test>, reading: &mut Reading) -> Result<(), ReadError<S::Error>> {
@@ -116,10 +126,11 @@ impl Times<'_> {
         }
     }
 
-    fn decrease(&self, row: &Row, file: &str, previous: Moment) -> DataError {
+    fn decrease(&self, row: &Row, file: &str, phase: Option<String>, previous: Moment) -> DataError {
         DataError::TimeDecreases {
             at: self.place(row, file),
             test: shown(row.id.as_bytes()),
+            phase: phase.map(String::into_boxed_str),
             found: row.time.map(|time| time.to_string()).unwrap_or_default().into(),
             previous: previous.to_string().into(),
         }

@@ -2,7 +2,7 @@
 
 use std::io::Read;
 
-use kalfit::{Labels, Layout, Model, Source, Test, TestKey};
+use kalfit::{Labels, Layout, PhasedModel, Source, Test, TestKey};
 
 use crate::error::{DataError, ReadError};
 use crate::gather::Gather;
@@ -45,17 +45,23 @@ pub struct Reading {
 impl Reading {
     /// Where a row came from, in words: "bench.csv, row 12".
     pub fn place(&self, source: Source) -> String {
-        let file = self.files.get(source.file as usize).map_or("unknown file", String::as_str);
-        format!("{file}, row {}", source.row)
+        place(&self.files, source)
     }
 }
 
-/// Reads the inputs and hands their tests to the sink; see the [crate's documentation](crate) for what is read how.
+/// Where a row came from, in words.
+pub(crate) fn place(files: &[String], source: Source) -> String {
+    let file = files.get(source.file as usize).map_or("unknown file", String::as_str);
+    format!("{file}, row {}", source.row)
+}
+
+/// Reads the inputs and hands their tests to the sink, rows of all phases together; see the [crate's documentation](crate) for
+/// what is read how.
 ///
 /// # Errors
 /// [`ReadError::Data`] when the data are wrong, [`ReadError::Sink`] when the sink refuses a test.
 pub fn read<S: Sink>(
-    model: &Model,
+    model: &PhasedModel,
     layout: &Layout,
     inputs: &[Input],
     sink: &mut S,
@@ -68,7 +74,7 @@ pub fn read<S: Sink>(
 /// # Errors
 /// As [`read`].
 pub fn read_from<S: Sink>(
-    model: &Model,
+    model: &PhasedModel,
     layout: &Layout,
     inputs: &[Input],
     sink: &mut S,
@@ -77,20 +83,21 @@ pub fn read_from<S: Sink>(
     if inputs.is_empty() {
         return Err(DataError::NoInput.into());
     }
-    let mut reading = Reading { labels: Labels::new(&model.literals), files: names(inputs), ..Reading::default() };
-    let wanted = Wanted::new(model, layout);
+    let mut reading =
+        Reading { labels: Labels::new(&model.shared().literals), files: names(inputs), ..Reading::default() };
+    let wanted = Wanted::new(model.shared(), layout);
     let ids = match &layout.test {
         TestKey::Single => vec![SINGLE_TEST.to_owned(); inputs.len()],
         TestKey::File => test_ids(inputs)?,
         TestKey::Column(_) => Vec::new(),
     };
-    let job = Job::new(inputs, &wanted, ids, model.clock.unit.clone());
+    let job = Job::new(inputs, &wanted, ids, model);
     let mut spool = Spool::new(stdin, matches!(layout.test, TestKey::Column(_)));
-    if run(&job, gather(&wanted, false), &mut reading, sink, &mut spool)? == Ended::MustHold {
+    if run(&job, gather(model, &wanted, false), &mut reading, sink, &mut spool)? == Ended::MustHold {
         sink.restart();
         spool.last_time();
         reading.rows = 0;
-        run(&job, gather(&wanted, true), &mut reading, sink, &mut spool)?;
+        run(&job, gather(model, &wanted, true), &mut reading, sink, &mut spool)?;
     }
     Ok(reading)
 }
@@ -99,7 +106,7 @@ fn names(inputs: &[Input]) -> Vec<String> {
     inputs.iter().map(Input::name).collect()
 }
 
-fn gather(wanted: &Wanted, holds: bool) -> Gather {
+fn gather(model: &PhasedModel, wanted: &Wanted, holds: bool) -> Gather {
     let time_cells = wanted.time().map_or_else(Vec::new, |column| column.numbers.clone());
-    Gather::new(holds, wanted.numbers, wanted.texts, time_cells)
+    Gather::new(holds, (wanted.numbers, wanted.texts), time_cells, model.column)
 }

@@ -151,7 +151,7 @@ impl WantedColumn {
 }
 
 /// The name that was probably meant: the same but for case, else one within a third of its letters.
-fn nearest(name: &str, names: &[String]) -> Option<String> {
+pub(crate) fn nearest(name: &str, names: &[String]) -> Option<String> {
     const LONGEST: usize = 128; // longer names are not compared: the cost grows with the product of the lengths
     if name.len() > LONGEST {
         return None;

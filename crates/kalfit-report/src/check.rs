@@ -1,12 +1,12 @@
 //! What `kalfit check` says of a model and its data.
 
-use kalfit::record::{DataRecord, ObservabilityRecord, UnidentifiedRecord, WeakRecord};
+use kalfit::record::{DataRecord, InformationRecord, ObservabilityRecord, UnidentifiedRecord, WeakRecord};
 
 use crate::Style;
 use crate::number::plain;
 use crate::page::Page;
 use crate::summary::doubts;
-use crate::summary::{headline, observability};
+use crate::summary::{headline, observability, phases};
 use crate::table::{Column, Side, table};
 use crate::words::{clean, count, list, sentence};
 
@@ -24,8 +24,6 @@ pub struct CheckRecord {
     pub title: String,
     /// The model in words, one fact a line.
     pub model: Vec<String>,
-    /// Estimated states, in the order of μ and Σ.
-    pub states: Vec<String>,
     /// Dynamic parameters some values of which are free, counted in the data.
     pub parameters: Vec<ParameterCounts>,
     /// How far the check went.
@@ -66,22 +64,50 @@ pub enum Checked {
         free: Vec<String>,
         /// What else a fit will run into, in sentences.
         notes: Vec<String>,
+        /// Counts by phase.
+        phases: Vec<PhaseCounts>,
     },
     /// The filters ran over the data.
     Reduced {
         /// Counts.
         data: DataRecord,
-        /// Which tests say what of each state.
-        observability: Vec<ObservabilityRecord>,
-        /// Directions of μ and Σ the data say nothing about.
-        unidentified: Vec<UnidentifiedRecord>,
-        /// Directions of μ that are weakly determined.
-        weak: Vec<WeakRecord>,
+        /// What they say of each phase.
+        phases: Vec<CheckedPhase>,
         /// What else a fit will run into, in sentences.
         notes: Vec<String>,
         /// Free parameters that were held at their start values.
         at_start_of: Vec<String>,
     },
+}
+
+/// How much there is of a phase.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct PhaseCounts {
+    /// Its name.
+    pub name: String,
+    /// Number of tests that have it.
+    pub tests: usize,
+    /// Number of its rows in all tests.
+    pub rows: usize,
+    /// Number of tests of which no rows are there, but what somebody's filter made of them.
+    pub without_rows: usize,
+}
+
+/// What the data say of one phase.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CheckedPhase {
+    /// How much there is of it.
+    pub counts: PhaseCounts,
+    /// Estimated states, in the order of μ and Σ.
+    pub states: Vec<String>,
+    /// Which tests say what of each state.
+    pub observability: Vec<ObservabilityRecord>,
+    /// Directions of μ and Σ the data say nothing about.
+    pub unidentified: Vec<UnidentifiedRecord>,
+    /// Directions of μ that are weakly determined.
+    pub weak: Vec<WeakRecord>,
+    /// What the phase adds to what is observable of all phases.
+    pub information: Option<InformationRecord>,
 }
 
 /// The check in words. Every line fits `style.width` and ends with a line feed.
@@ -97,38 +123,81 @@ pub fn check_summary(record: &CheckRecord, style: &Style) -> String {
         Checked::Model => {
             sections.push(page.paragraph("The model is sound. Give data too, to see what they identify."))
         }
-        Checked::Read { tests, rows, files, free, notes } => {
+        Checked::Read { tests, rows, files, free, notes, phases } => {
             let rows = count(usize::try_from(*rows).unwrap_or(usize::MAX), "row");
             let facts = format!("{}, {rows}{}.", count(*tests, "test"), headline::from(files));
-            sections.push(page.section("Data", &page.items(&[facts])));
+            sections.push(page.section("Data", &(page.items(&[facts]) + &counted(phases, *tests, &page))));
             sections.push(parameters(record, *tests, &page));
             let mut said = vec![not_examined(free)];
             said.extend(notes.iter().map(|note| sentence(&clean(note))));
             sections.push(page.section("Identifiability", &page.items(&said)));
         }
-        Checked::Reduced { data, .. } => sections.extend(reduced(record, data, &page)),
+        Checked::Reduced { data, phases, .. } => sections.extend(reduced(record, (data, phases), &page)),
     }
     sections.retain(|section| !section.is_empty());
     sections.join("\n")
 }
 
 /// Data, observability, identifiability.
-fn reduced(record: &CheckRecord, data: &DataRecord, page: &Page<'_>) -> Vec<String> {
-    let Checked::Reduced { observability, unidentified, weak, notes, at_start_of, .. } = &record.checked else {
-        return Vec::new();
-    };
-    let facts = headline::data(data);
-    let mut sentences = identified(record, unidentified);
-    sentences.extend(observability::warnings(observability, weak, data.tests));
-    sentences.extend(observability::few_tests(observability, data.tests));
-    sentences.extend(notes.iter().map(|note| sentence(&clean(note))));
-    sentences.extend(held_at_start(at_start_of));
-    vec![
-        page.section("Data", &page.items(&[facts.trim_start_matches("Data: ").to_owned()])),
+fn reduced(record: &CheckRecord, (data, phases): (&DataRecord, &[CheckedPhase]), page: &Page<'_>) -> Vec<String> {
+    let Checked::Reduced { notes, at_start_of, .. } = &record.checked else { return Vec::new() };
+    let facts = headline::data(data).trim_start_matches("Data: ").to_owned();
+    let counts: Vec<PhaseCounts> = phases.iter().map(|phase| phase.counts.clone()).collect();
+    let mut sections = vec![
+        page.section("Data", &(page.items(&[facts]) + &counted(&counts, data.tests, page))),
         parameters(record, data.tests, page),
-        page.section("Observability", &observability::overview(observability, data.tests, page)),
-        page.section("Identifiability", &page.items(&sentences)),
-    ]
+    ];
+    let mut said: Vec<String> = notes.iter().map(|note| sentence(&clean(note))).collect();
+    said.extend(held_at_start(at_start_of));
+    match phases {
+        [only] => {
+            let mut sentences = examined(only);
+            sentences.append(&mut said);
+            sections.push(page.section("Observability", &seen(only, page)));
+            sections.push(page.section("Identifiability", &page.items(&sentences)));
+        }
+        several => {
+            for phase in several {
+                let name = clean(&phase.counts.name);
+                sections.push(page.section(&format!("Phase {name}: observability"), &seen(phase, page)));
+                sections.push(page.section(&format!("Phase {name}: identifiability"), &page.items(&examined(phase))));
+            }
+            let information: Vec<_> =
+                several.iter().map(|p| (p.counts.name.as_str(), p.information.as_ref())).collect();
+            sections.push(phases::information(&information, page));
+            sections.push(page.section("All phases", &page.items(&said)));
+        }
+    }
+    sections
+}
+
+/// Rows and tests by phase, where there are several.
+fn counted(phases: &[PhaseCounts], tests: usize, page: &Page<'_>) -> String {
+    if phases.len() < 2 {
+        return String::new();
+    }
+    let column = |of: &dyn Fn(&PhaseCounts) -> String| phases.iter().map(of).collect();
+    let mut columns = vec![
+        Column::new("phase", Side::Left, column(&|p| p.name.clone())),
+        Column::new("tests", Side::Right, column(&|p| observability::of_all(p.tests, tests))),
+        Column::new("rows", Side::Right, column(&|p| p.rows.to_string())),
+    ];
+    if phases.iter().any(|phase| phase.without_rows > 0) {
+        columns.push(Column::new("tests without rows", Side::Right, column(&|p| p.without_rows.to_string())));
+    }
+    format!("\n{}", table(&columns, page.width()))
+}
+
+fn seen(phase: &CheckedPhase, page: &Page<'_>) -> String {
+    observability::overview(&phase.observability, phase.counts.tests, page)
+}
+
+/// What is identified of a phase, and on what that rests.
+fn examined(phase: &CheckedPhase) -> Vec<String> {
+    let mut sentences = identified(phase);
+    sentences.extend(observability::warnings(&phase.observability, &phase.weak, phase.counts.tests));
+    sentences.extend(observability::few_tests(&phase.observability, phase.counts.tests));
+    sentences
 }
 
 /// Free parameters, with how many tests each value of them has to be learnt from.
@@ -185,12 +254,14 @@ fn not_examined(free: &[String]) -> String {
     )
 }
 
-fn identified(record: &CheckRecord, unidentified: &[UnidentifiedRecord]) -> Vec<String> {
-    let mut sentences = doubts::unidentified(unidentified, &record.states, false);
-    if record.states.is_empty() {
+fn identified(phase: &CheckedPhase) -> Vec<String> {
+    let mut sentences = doubts::unidentified(&phase.unidentified, &phase.states, false);
+    if phase.states.is_empty() {
         sentences.push("No state has an estimated start, so there is nothing to identify.".to_owned());
-    } else if sentences.is_empty() {
+    } else if phase.unidentified.is_empty() {
         sentences.push("The data identify all that is free in the mean and the covariance.".to_owned());
+    } else if sentences.is_empty() {
+        sentences.push("Not identified: combinations with states of other phases; see below.".to_owned());
     }
     sentences
 }

@@ -12,7 +12,7 @@ mod summary;
 mod table;
 mod words;
 
-pub use check::{CheckRecord, Checked, ParameterCounts, check_summary};
+pub use check::{CheckRecord, Checked, CheckedPhase, ParameterCounts, PhaseCounts, check_summary};
 pub use plan::plan_summary;
 pub use ratio::ratio_summary;
 pub use summary::summary;

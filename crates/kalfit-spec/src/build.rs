@@ -1,20 +1,20 @@
 //! From the text of a model file to the model.
 
-use std::collections::BTreeMap;
-
-use kalfit::Model;
-use sha2::{Digest, Sha256};
+use kalfit::{Layout, Model, PhasedModel};
 use toml::de::DeTable;
 
-use crate::data::Data;
-use crate::elements::Elements;
-use crate::error::{Problem, Result, Span, SpecError};
-use crate::names::{Context, Index, Role};
+use crate::error::{Problem, Result, SpecError};
+use crate::names::Context;
+use crate::phase::{Read, Shared, phase};
+use crate::phases::Source;
+use crate::places::Places;
 use crate::table::Section;
-use crate::{Spec, covariance, data, mean, measurements, noise, parameters, states};
+use crate::{Spec, data, digest, filter, parameters, phases};
 
 /// Largest model file, in bytes.
 pub(crate) const MAX_BYTES: u64 = 4 * 1024 * 1024;
+/// Columns, texts and levels of a model, times its phases.
+const MAX_SHARED: usize = 1_000_000;
 const KEYS: [&str; 11] = [
     "title",
     "data",
@@ -29,16 +29,6 @@ const KEYS: [&str; 11] = [
     "filter",
 ];
 
-/// Places that messages about data and results point to.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct Places {
-    pub(crate) columns: BTreeMap<String, Span>,
-    pub(crate) parameters: BTreeMap<String, Span>,
-    pub(crate) states: BTreeMap<String, Span>,
-    pub(crate) measurements: BTreeMap<String, Span>,
-    pub(crate) roles: Vec<Role>,
-}
-
 /// Reads a whole model file.
 pub(crate) fn spec(name: &str, text: &str) -> Result<Spec> {
     let found = text.len() as u64;
@@ -47,71 +37,62 @@ pub(crate) fn spec(name: &str, text: &str) -> Result<Spec> {
     }
     let table = DeTable::parse(text).map_err(|error| not_toml(&error, text))?;
     let root = Section::open("the model file", table.span(), table.get_ref()).only(&KEYS)?;
-    for key in ["phases", "filter"] {
-        if let Some(field) = root.peek(key) {
-            let problem = Problem::Unsupported { what: format!("`[{key}]`") };
-            return Err(SpecError::new(problem).at(field.key_span));
-        }
-    }
-    let (model, data, places) = model(text, root)?;
-    Ok(Spec {
-        model: model.into(),
-        layout: data.layout,
-        digest: digest(text),
-        name: name.to_owned(),
-        text: text.to_owned(),
-        places,
-    })
+    let (model, layout, places) = model(text, root)?;
+    Ok(Spec { model, layout, digest: digest::of_text(text), name: name.to_owned(), text: text.to_owned(), places })
 }
 
-pub(crate) fn model(text: &str, mut root: Section<'_>) -> Result<(Model, Data, Places)> {
+/// Reads what the tables of a model file say.
+pub(crate) fn model(text: &str, mut root: Section<'_>) -> Result<(PhasedModel, Layout, Places)> {
     let title = root.take("title").map_or(Ok(""), |title| title.text())?.to_owned();
     let mut context = Context::new(text);
     let mut data = data::read(&mut context, root.take("data"))?;
     let declared = parameters::read(&mut context, root.take("parameters"))?;
-    let named = states::declare(&mut context, root.take("states").as_ref())?;
-    let states = states::lower(&mut context, named)?;
-    let process_noise = root.take("process_noise_covariance");
-    let process_noise_covariance = noise::between_states(&mut context, process_noise, &states)?;
-    let (measurements, measured) = measurements::read(&mut context, root.take("measurements").as_ref())?;
-    let noises = root.take("noise_covariance");
-    let noise_covariance = noise::between_measurements(&mut context, noises, &measurements, &measured)?;
-    let (section, estimated) = covariance::open(root.take("covariance").as_ref(), &states)?;
-    let elements = Elements::new(&states, &estimated);
-    let mean = mean::read(&mut context, root.take("mean").as_ref(), &estimated, &elements)?;
-    let covariance = covariance::read(&mut context, section, &elements)?;
-    let parameters = parameters::finish(&context, declared)?;
-    let (clock, group) = (std::mem::take(&mut data.clock), data.group);
-    let places = places(&mut context, measured);
-    let (columns, text_columns, literals) = (context.columns, context.text_columns, context.literals.texts);
-    let model = Model {
-        title,
-        columns,
-        text_columns,
-        literals,
-        parameters,
-        states,
-        process_noise_covariance,
-        measurements,
-        noise_covariance,
-        clock,
-        group,
-        estimated,
-        mean,
-        covariance,
-    };
-    data.check(&model)?;
-    Ok((model, data, places))
+    let sources = phases::open(&mut root)?;
+    data.check_phases(&sources)?;
+    let mut read: Vec<Read<'_>> = Vec::with_capacity(sources.len());
+    for source in &sources {
+        let one = phase(&mut context, &mut data, source, read.last_mut())?;
+        read.push(one);
+        source.count("states of all phases together", read.iter().map(|phase| phase.states.len()).sum())?;
+        source.count("measurements of all phases together", read.iter().map(|one| one.measurements.len()).sum())?;
+    }
+    check_shared(&context, &declared, &sources)?;
+    let shared = Shared { title, parameters: parameters::finish(&context, declared)?, group: data.group };
+    let models: Vec<Model> = read.iter().map(|phase| phase.model(&context, &shared)).collect();
+    data.check(models.iter().zip(read.iter().map(|phase| &phase.start)))?;
+    check_filters(&context, &read, &models)?;
+    let places = Places::of(&context, &read);
+    let phases = read.into_iter().zip(models).map(|(phase, model)| phase.finish(model)).collect();
+    Ok((PhasedModel { phases, column: data.phase }, data.layout, places))
 }
 
-fn places(context: &mut Context<'_>, measured: Index) -> Places {
-    Places {
-        columns: std::mem::take(&mut context.column_spans),
-        parameters: std::mem::take(&mut context.parameters).into_spans(),
-        states: std::mem::take(&mut context.states).into_spans(),
-        measurements: measured.into_spans(),
-        roles: context.roles.iter().map(|role| role.unwrap_or(Role::Coefficient)).collect(),
+/// Columns, texts and levels stand in every phase's model: refuses files of which that makes too much.
+fn check_shared(context: &Context<'_>, declared: &[parameters::Declared], sources: &[Source<'_>]) -> Result<()> {
+    let levels: usize = declared.iter().map(|one| one.parameter.fixed_levels.len()).sum();
+    let names = context.columns.len() + context.text_columns.len() + context.literals.texts.len() + levels;
+    let found = names * sources.len();
+    match &sources[0].span {
+        Some(span) if sources.len() > 1 && found > MAX_SHARED => {
+            let (what, expected) = ("columns and texts (each counted in every phase)", format!("at most {MAX_SHARED}"));
+            Err(SpecError::new(Problem::Count { what, found, expected }).at(span.clone()))
+        }
+        _ => Ok(()),
     }
+}
+
+/// Filters can be checked when all uses of parameters are known; one table may serve several phases.
+fn check_filters(context: &Context<'_>, read: &[Read<'_>], models: &[Model]) -> Result<()> {
+    let used: Vec<Vec<bool>> = models.iter().map(filter::used).collect();
+    for (phase, (model, own)) in read.iter().zip(models.iter().zip(&used)) {
+        let Some(filter) = &phase.filter else { continue };
+        let mut served = vec![false; model.parameters.len()];
+        let same = |other: &Read<'_>| other.filter.as_ref().is_some_and(|other| other.span == filter.span);
+        for (_, used) in read.iter().zip(&used).filter(|(other, _)| same(other)) {
+            served.iter_mut().zip(used).for_each(|(served, used)| *served |= used);
+        }
+        filter.check(context, model, own, &served).map_err(|error| phase.source.explain("filter", error))?;
+    }
+    Ok(())
 }
 
 pub(crate) fn not_toml(error: &toml::de::Error, text: &str) -> SpecError {
@@ -121,10 +102,4 @@ pub(crate) fn not_toml(error: &toml::de::Error, text: &str) -> SpecError {
         Some(span) => wrong.at(span.start.min(text.len())..span.end.min(text.len())),
         None => wrong,
     }
-}
-
-pub(crate) fn digest(text: &str) -> String {
-    let bytes = Sha256::digest(text.as_bytes());
-    let hex: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
-    format!("sha256:{hex}")
 }

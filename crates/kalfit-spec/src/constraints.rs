@@ -58,40 +58,38 @@ impl Fixed {
     }
 }
 
-const FIXED: &str = "`fixed` of `[covariance]`";
-const EQUAL: &str = "`equal` of `[covariance]`";
-
 /// Reads `fixed` and adds the zero variances of states that are not random.
 pub(crate) fn fixed_elements(structure: &Structure<'_>, field: Option<&Field<'_>>) -> Result<Fixed> {
     let elements = structure.elements;
     let mut fixed = Fixed::of_common(elements);
     let Some(field) = field else { return Ok(fixed) };
-    for field in field.section(FIXED)?.fields() {
+    let place = field.what();
+    for field in field.section(place.as_str())?.fields() {
         let value = field.number()?;
-        let (i, j) = structure.element(pair(&field, FIXED)?, FIXED, &field.key_span)?;
+        let (i, j) = structure.element(pair(&field, &place)?, &place, &field.key_span)?;
         let wrong = |problem: StructureProblem| Err(SpecError::new(problem).at(field.key_span.clone()));
         if structure.is_zero(i, j) {
             if value == 0.0 {
                 continue;
             }
             let (element, found) = (elements.pair_name(i, j), value.to_string());
-            let place = FIXED.to_owned();
+            let place = place.clone();
             return wrong(StructureProblem::StructuralZero { element, place, found, structure: structure.word });
         }
         if i == j && value != 0.0 && !elements.random[i] {
-            let (name, what, place) = (elements.name(i), "variance", FIXED.to_owned());
+            let (name, what, place) = (elements.name(i), "variance", place.clone());
             return wrong(StructureProblem::NotRandom { name, what, place });
         }
         match fixed.values.get(&(i, j)) {
             Some((before, Some(_))) if *before != value => {
-                let (element, place) = (elements.pair_name(i, j), FIXED.to_owned());
+                let (element, place) = (elements.pair_name(i, j), place.clone());
                 let (first, second) = (before.to_string(), value.to_string());
                 return wrong(StructureProblem::GivenTwice { element, place, first, second });
             }
             _ => fixed.values.insert((i, j), (value, Some(field.key_span.clone()))),
         };
     }
-    check_fixed(structure, &fixed, &field.key_span)?;
+    check_fixed(structure, &fixed, field)?;
     let implied: Vec<(usize, usize)> = fixed.values.keys().copied().filter(|&(i, j)| i != j).collect();
     for (i, j) in implied {
         if fixed.no_variance(i) || fixed.no_variance(j) {
@@ -102,7 +100,7 @@ pub(crate) fn fixed_elements(structure: &Structure<'_>, field: Option<&Field<'_>
 }
 
 /// Refuses fixed elements that no covariance has together.
-fn check_fixed(structure: &Structure<'_>, fixed: &Fixed, whole: &Span) -> Result<()> {
+fn check_fixed(structure: &Structure<'_>, fixed: &Fixed, whole: &Field<'_>) -> Result<()> {
     let p = structure.elements.len();
     let mut known = vec![vec![None; p]; p];
     for i in 0..p {
@@ -115,8 +113,8 @@ fn check_fixed(structure: &Structure<'_>, fixed: &Fixed, whole: &Span) -> Result
     }
     let Some(defect) = defect(&known) else { return Ok(()) };
     let span = defect.element().and_then(|element| fixed.values.get(&element)).and_then(|(_, span)| span.clone());
-    let error = to_problem(&defect, FIXED, &|i| structure.elements.name(i));
-    Err(error.at(span.unwrap_or(whole.clone())))
+    let error = to_problem(&defect, &whole.what(), &|i| structure.elements.name(i));
+    Err(error.at(span.unwrap_or(whole.key_span.clone())))
 }
 
 /// Reads `equal`: groups of elements that are free otherwise, no element twice.
@@ -126,13 +124,13 @@ pub(crate) fn equal_groups(
     fixed: &Fixed,
 ) -> Result<Vec<Vec<(usize, usize)>>> {
     let Some(field) = field else { return Ok(Vec::new()) };
-    let elements = structure.elements;
+    let (elements, place) = (structure.elements, field.what());
     let mut seen = std::collections::BTreeSet::new();
     let mut groups = Vec::new();
     for group in field.items("an array of arrays of elements")? {
         let mut members = Vec::new();
         for (text, span) in group.texts()? {
-            let (i, j) = structure.element(pair_of(text, &span, EQUAL)?, EQUAL, &span)?;
+            let (i, j) = structure.element(pair_of(text, &span, &place)?, &place, &span)?;
             let element = elements.pair_name(i, j);
             let why = if structure.is_zero(i, j) {
                 format!("0 by structure `{}`", structure.word)
@@ -145,13 +143,13 @@ pub(crate) fn equal_groups(
                 return Err(SpecError::new(StructureProblem::NotFree { element, why }).at(span));
             }
             if !seen.insert((i, j)) {
-                let (name, place) = (element, EQUAL.to_owned());
+                let (name, place) = (element, place.clone());
                 return Err(SpecError::new(StructureProblem::ListedTwice { name, place }).at(span));
             }
             members.push((i, j));
         }
         if members.len() < 2 {
-            let (place, found, expected) = (EQUAL.to_owned(), "a group of fewer than two", "at least two elements");
+            let (place, found, expected) = (place, "a group of fewer than two", "at least two elements");
             return Err(SpecError::new(StructureProblem::TooFew { place, found, expected }).at(group.span));
         }
         groups.push(members);

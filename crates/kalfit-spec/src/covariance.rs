@@ -12,7 +12,6 @@ use crate::states;
 use crate::suggest::either;
 use crate::table::{Field, Section};
 
-pub(crate) const PLACE: &str = "`[covariance]`";
 const KEYS: [&str; 8] = ["structure", "order", "blocks", "matrix", "fixed", "equal", "known", "start"];
 const STRUCTURES: [&str; 6] = ["full", "diagonal", "blocks", "proportional", "correlation", "fixed"];
 /// Structures that other constraints combine with.
@@ -20,13 +19,17 @@ const OPEN: [&str; 3] = ["full", "diagonal", "blocks"];
 const WITH_MATRIX: [&str; 3] = ["proportional", "correlation", "fixed"];
 
 /// Opens `[covariance]` and reads the order of the estimated states.
-pub(crate) fn open<'d>(field: Option<&Field<'d>>, states: &[State]) -> Result<(Option<Section<'d>>, Vec<usize>)> {
+pub(crate) fn open<'d>(
+    context: &Context<'_>,
+    field: Option<&Field<'d>>,
+    states: &[State],
+) -> Result<(Option<Section<'d>>, Vec<usize>)> {
     let mut estimated = states::estimated(states);
     let Some(field) = field else { return Ok((None, estimated)) };
-    let mut section = field.section(PLACE)?.only(&KEYS)?;
+    let mut section = field.section(context.phase.table("covariance"))?.only(&KEYS)?;
     if let Some(order) = section.take("order") {
         let elements = Elements::new(states, &estimated);
-        let place = "`order` of `[covariance]`";
+        let place = &order.what();
         let mut listed = vec![false; estimated.len()];
         let mut ordered = Vec::with_capacity(estimated.len());
         for (name, span) in order.texts()? {
@@ -110,7 +113,7 @@ fn blocks(section: &mut Section<'_>, elements: &Elements, word: &str) -> Result<
         return Ok(None);
     }
     let field = section.need("blocks")?;
-    let place = "`blocks` of `[covariance]`";
+    let place = &field.what();
     let mut listed = vec![false; elements.len()];
     let mut blocks = Vec::new();
     for block in field.items("an array of arrays of names")? {
@@ -153,7 +156,7 @@ fn matrix(
         return Ok(None);
     }
     let Some(field) = section.take("matrix") else {
-        let problem = Problem::MissingKey { key: "matrix".to_owned(), place: PLACE.to_owned() };
+        let problem = Problem::MissingKey { key: "matrix".to_owned(), place: section.place.clone() };
         let hint = format!("structure `{word}` needs `matrix`, with a row for every estimated state");
         return Err(SpecError::new(problem).at(section.span.clone()).hint(hint));
     };

@@ -5,6 +5,7 @@ use kalfit::{Layout, TestKey};
 
 use crate::error::{Problem, Result, Span, SpecError};
 use crate::names::Context;
+use crate::phases::Source;
 use crate::suggest::suggest;
 use crate::table::{Field, Section};
 
@@ -18,20 +19,28 @@ pub(crate) struct Data {
     pub(crate) layout: Layout,
     pub(crate) clock: Clock,
     pub(crate) group: Option<usize>,
+    /// The text column that tells the phase of a row.
+    pub(crate) phase: Option<usize>,
+    phase_key: Option<Span>,
+    start: Start,
+    previous_inputs: Option<Span>,
+    span: Span,
+}
+
+/// What was said of the first step.
+#[derive(Debug, Default)]
+pub(crate) struct Start {
     initial_time: Option<Span>,
     step_first: Option<Span>,
-    previous_inputs: Option<Span>,
+    /// Any of it, as it was written.
+    said: Option<(&'static str, Span)>,
 }
 
 /// Reads `[data]`; without it all rows are one test.
 pub(crate) fn read(context: &mut Context<'_>, field: Option<Field<'_>>) -> Result<Data> {
     let Some(field) = field else { return Ok(Data::default()) };
     let mut section = field.section(PLACE)?.only(&KEYS)?;
-    if let Some(phase) = section.peek("phase") {
-        let problem = Problem::Unsupported { what: "`phase` in `[data]`".to_owned() };
-        return Err(SpecError::new(problem).at(phase.key_span));
-    }
-    let mut data = Data::default();
+    let mut data = Data { span: section.span.clone(), ..Data::default() };
     if let Some(test) = section.take("test") {
         data.layout.test = test_key(context, &test)?;
     }
@@ -40,6 +49,10 @@ pub(crate) fn read(context: &mut Context<'_>, field: Option<Field<'_>>) -> Resul
     }
     if let Some(group) = section.take("group") {
         data.group = Some(context.text_column(group.text()?, group.span.clone(), "`group` in `[data]`"));
+    }
+    if let Some(phase) = section.take("phase") {
+        data.phase = Some(context.text_column(phase.text()?, phase.span.clone(), "`phase` in `[data]`"));
+        data.phase_key = Some(phase.key_span);
     }
     read_clock(context, &mut section, &mut data)?;
     section.finish("here", None)?;
@@ -70,34 +83,50 @@ fn read_clock(context: &mut Context<'_>, section: &mut Section<'_>, data: &mut D
         clock.time = Some(context.column(time.text()?, time.span.clone(), "`time` in `[data]`"));
     }
     context.time = clock.time.is_some();
-    for key in ["time_unit", "initial_time"] {
-        if let Some(field) = section.peek(key)
-            && clock.time.is_none()
-        {
-            return Err(field.no_effect("without `time`").hint("`time` names the column with the time of each row"));
-        }
-    }
     if let Some(unit) = section.take("time_unit") {
+        if clock.time.is_none() {
+            return Err(without_time(&unit));
+        }
         clock.unit = Some(unit.text()?.to_owned());
     }
-    if let Some(initial) = section.take("initial_time") {
-        clock.initial_time = Some(initial_time(context, &initial)?);
-        data.initial_time = Some(initial.key_span);
+    data.start = start(context, &mut |key| section.take(key), clock)?;
+    if let Some(inputs) = section.take("inputs") {
+        clock.previous_inputs = inputs.word(&["previous", "current"])? == 0;
+        data.previous_inputs = clock.previous_inputs.then_some(inputs.key_span);
     }
-    if let Some(first) = section.take("step_first") {
+    Ok(())
+}
+
+/// Reads where x_0 is.
+fn start<'d>(
+    context: &mut Context<'_>,
+    take: &mut dyn FnMut(&str) -> Option<Field<'d>>,
+    clock: &mut Clock,
+) -> Result<Start> {
+    let mut start = Start::default();
+    if let Some(initial) = take("initial_time") {
+        if clock.time.is_none() {
+            return Err(without_time(&initial));
+        }
+        clock.initial_time = Some(initial_time(context, &initial)?);
+        start.said = Some(("initial_time", initial.key_span.clone()));
+        start.initial_time = Some(initial.key_span);
+    }
+    if let Some(first) = take("step_first") {
         clock.step_first = first.truth()?;
         if clock.step_first && clock.initial_time.is_some() {
             return Err(first
                 .no_effect("beside `initial_time`")
                 .hint("with `initial_time` a step from x_0 precedes the first row anyway"));
         }
-        data.step_first = clock.step_first.then_some(first.key_span);
+        start.said = Some(("step_first", first.key_span.clone()));
+        start.step_first = clock.step_first.then_some(first.key_span);
     }
-    if let Some(inputs) = section.take("inputs") {
-        clock.previous_inputs = inputs.word(&["previous", "current"])? == 0;
-        data.previous_inputs = clock.previous_inputs.then_some(inputs.key_span);
-    }
-    Ok(())
+    Ok(start)
+}
+
+fn without_time(field: &Field<'_>) -> SpecError {
+    field.no_effect("without `time`").hint("`time` names the column with the time of each row")
 }
 
 fn initial_time(context: &mut Context<'_>, field: &Field<'_>) -> Result<Expression> {
@@ -106,13 +135,58 @@ fn initial_time(context: &mut Context<'_>, field: &Field<'_>) -> Result<Expressi
     if text.trim().parse::<f64>().is_ok() {
         return Err(field.wrong_type(expected).hint(format!("write the number without quotes: {}", text.trim())));
     }
-    let column = context.column(text, field.span.clone(), "`initial_time` in `[data]`");
+    let place = format!("`initial_time` in {}", field.place);
+    let column = context.column(text, field.span.clone(), &place);
     Ok(Expression::Column(column))
 }
 
 impl Data {
-    /// Refuses what has no effect on this model, and steps of unknown length.
-    pub(crate) fn check(&self, model: &Model) -> Result<()> {
+    /// The clock of a phase: a phase of the file says itself where its x_0 is.
+    pub(crate) fn clock(&mut self, context: &mut Context<'_>, source: &Source<'_>) -> Result<(Clock, Start)> {
+        if source.span.is_none() {
+            return Ok((self.clock.clone(), std::mem::take(&mut self.start)));
+        }
+        let mut clock = self.clock.clone();
+        let start = start(context, &mut |key| source.own(key), &mut clock)?;
+        Ok((clock, start))
+    }
+
+    /// Refuses a column of phases without phases, several phases without one, and a first step that belongs to phases.
+    pub(crate) fn check_phases(&self, phases: &[Source<'_>]) -> Result<()> {
+        let second = phases.get(1).and_then(|phase| phase.span.clone());
+        if let (None, Some(second)) = (self.phase, second) {
+            let problem = Problem::MissingKey { key: "phase".to_owned(), place: PLACE.to_owned() };
+            let span = if self.span.is_empty() { second } else { self.span.clone() };
+            return Err(SpecError::new(problem)
+                .at(span)
+                .hint("with several phases, `phase` names the column that holds the phase of each row"));
+        }
+        match (phases[0].span.is_some(), &self.phase_key, &self.start.said) {
+            (false, Some(span), _) => Err(idle("phase", "without `[phases]`", span)),
+            (true, _, Some((key, span))) => {
+                let hint = format!("write `{key}` in `[phases.NAME]`: each phase has its own x_0");
+                Err(idle(key, "beside `[phases]`", span).hint(hint))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Refuses what has no effect on these phases, and steps of unknown length.
+    pub(crate) fn check<'m>(&self, phases: impl Iterator<Item = (&'m Model, &'m Start)> + Clone) -> Result<()> {
+        for (model, start) in phases.clone() {
+            start.check(model)?;
+        }
+        match &self.previous_inputs {
+            Some(span) if !phases.clone().any(|(model, _)| moves_with_rows(model)) => {
+                Err(idle("inputs", "when no motion uses a column", span))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+impl Start {
+    fn check(&self, model: &Model) -> Result<()> {
         let moves = model.states.iter().any(|state| state.motion != Motion::Constant);
         let uses_step = uses(model, &mut |part| matches!(part, Expression::Step));
         if let Some(span) = &self.step_first {
@@ -127,25 +201,22 @@ impl Data {
                     .hint("`initial_time` says when the first step begins"));
             }
         }
-        if let Some(span) = &self.initial_time
-            && !moves
-            && !uses_step
-        {
-            return Err(idle("initial_time", "when no state moves", span));
+        match &self.initial_time {
+            Some(span) if !moves && !uses_step => Err(idle("initial_time", "when no state moves", span)),
+            _ => Ok(()),
         }
-        if let Some(span) = &self.previous_inputs {
-            let mut from_row = |part: &Expression| match part {
-                Expression::Column(_) | Expression::TextEquals { .. } => true,
-                Expression::Parameter(index) => model.parameters[*index].per.is_some(),
-                _ => false,
-            };
-            let covariances = model.process_noise_covariance.iter().any(|(_, _, q)| q.any(&mut from_row));
-            if !covariances && !model.states.iter().any(|state| in_motion(&state.motion, &mut from_row)) {
-                return Err(idle("inputs", "when no motion uses a column", span));
-            }
-        }
-        Ok(())
     }
+}
+
+/// A motion depends on the row.
+fn moves_with_rows(model: &Model) -> bool {
+    let mut from_row = |part: &Expression| match part {
+        Expression::Column(_) | Expression::TextEquals { .. } => true,
+        Expression::Parameter(index) => model.parameters[*index].per.is_some(),
+        _ => false,
+    };
+    model.process_noise_covariance.iter().any(|(_, _, q)| q.any(&mut from_row))
+        || model.states.iter().any(|state| in_motion(&state.motion, &mut from_row))
 }
 
 fn idle(key: &str, why: &str, span: &Span) -> SpecError {
@@ -167,8 +238,8 @@ fn in_motion(motion: &Motion, test: &mut dyn FnMut(&Expression) -> bool) -> bool
     }
 }
 
-/// True when `test` holds for a part of a motion or measurement.
-fn uses(model: &Model, test: &mut dyn FnMut(&Expression) -> bool) -> bool {
+/// True when `test` holds for a part of a motion, a measurement or a noise: of what a filter is made of.
+pub(crate) fn uses(model: &Model, test: &mut dyn FnMut(&Expression) -> bool) -> bool {
     model.states.iter().any(|state| in_motion(&state.motion, test))
         || model.measurements.iter().any(|measurement| {
             measurement.equation.terms.iter().any(|(_, a)| a.any(test))
@@ -176,5 +247,5 @@ fn uses(model: &Model, test: &mut dyn FnMut(&Expression) -> bool) -> bool {
                 || measurement.noise_variance.any(test)
                 || measurement.filter.as_ref().is_some_and(|filter| filter.any(test))
         })
-        || model.noise_covariance.iter().any(|(_, _, r)| r.any(test))
+        || model.noise_covariance.iter().chain(&model.process_noise_covariance).any(|(_, _, r)| r.any(test))
 }

@@ -11,11 +11,23 @@ use crate::states::start_words;
 use crate::suggest::suggest;
 use crate::table::Field;
 
-/// The estimated states in the order of μ and Σ.
+/// What the rows of a matrix are.
+#[derive(Clone, Copy)]
+enum Kind {
+    Estimated,
+    All,
+}
+
+/// States that a message lists; of more it says how many.
+const LISTED: usize = 12;
+
+/// The estimated states in the order of μ and Σ, or all states in file order.
 pub(crate) struct Elements {
     index: Index,
     /// The other states, and how they start.
     others: HashMap<String, &'static str>,
+    /// Which states these are, for messages about shapes.
+    kind: Kind,
     /// Whether the state is random; its variance is zero when not.
     pub(crate) random: Vec<bool>,
 }
@@ -29,7 +41,31 @@ impl Elements {
         }
         let others = states.iter().filter(|state| state.initial != Initial::Estimated);
         let others = others.map(|state| (state.name.clone(), start_words(&state.initial))).collect();
-        Elements { index, others, random: estimated.iter().map(|&state| states[state].random).collect() }
+        let random = estimated.iter().map(|&state| states[state].random).collect();
+        Elements { index, others, kind: Kind::Estimated, random }
+    }
+
+    /// All states, hidden ones too.
+    pub(crate) fn whole(states: &[State]) -> Elements {
+        let mut index = Index::default();
+        for state in states {
+            index.add(&state.name, 0..0);
+        }
+        Elements { index, others: HashMap::new(), kind: Kind::All, random: vec![true; states.len()] }
+    }
+
+    /// What the rows and columns of a matrix are.
+    pub(crate) fn order(&self) -> String {
+        match self.kind {
+            Kind::Estimated => "a row and a column for every estimated state, in the order of Σ".to_owned(),
+            Kind::All if self.len() > LISTED => {
+                format!("a row and a column for each of all {} states, in file order", self.len())
+            }
+            Kind::All => {
+                let names: Vec<&str> = self.index.names().collect();
+                format!("a row and a column for every state, in the order {}", names.join(", "))
+            }
+        }
     }
 
     /// p.

@@ -79,9 +79,6 @@ pub enum Problem {
     /// The text is not TOML.
     #[error("not valid TOML: {what}")]
     Toml { what: String },
-    /// A part of the contract that this version does not have.
-    #[error("{what} is not supported by this version")]
-    Unsupported { what: String },
     /// A key that nothing reads.
     #[error("unknown key `{key}` in {place}")]
     UnknownKey { key: String, place: String },
@@ -136,6 +133,9 @@ pub enum Problem {
     /// A start in a stationary law that does not exist.
     #[error("state `{name}` has no stationary law: {why}")]
     NoStationaryLaw { name: String, why: String },
+    /// A filter whose own belief of a parameter is not known.
+    #[error("parameter `{name}` is free, but {place} uses it and does not say at which value")]
+    FilterWithFree { name: String, place: String },
     /// `--set` with something that is not an assignment.
     #[error("`{found}` is not an assignment, expected `NAME=NUMBER` or `NAME[LEVEL]=NUMBER`")]
     NotAnAssignment { found: String },
@@ -307,6 +307,18 @@ pub enum StructureProblem {
     /// Two noises of which one is per step and the other per unit of time.
     #[error("the noise of `{first}` is {first_kind} and that of `{second}` {second_kind}, so they have no covariance")]
     MixedNoise { first: String, first_kind: &'static str, second: String, second_kind: &'static str },
+    /// A state that inherits and is stationary.
+    #[error("state `{name}` inherits by `carry`, so it cannot start in its stationary law")]
+    StationaryInherits { name: String },
+    /// A state that inherits from nothing.
+    #[error("`carry` of state `{name}` names no state of phase `{before}`")]
+    InheritsNothing { name: String, before: String },
+    /// A state of the phase itself, where the phase before it is meant.
+    #[error("`{name}` is no state of phase `{before}`, from which `carry` inherits, but of the phase that inherits")]
+    OwnStateInCarry { name: String, before: String },
+    /// A second-order process that inherits from something without a rate.
+    #[error("state `{name}` has a hidden rate, which cannot inherit from state `{other}`: it has none")]
+    NoRate { name: String, other: String },
     /// Two measurements of one cell.
     #[error("measurements `{first}` and `{second}` both read every row of column `{column}`")]
     SameCells { first: String, second: String, column: String },

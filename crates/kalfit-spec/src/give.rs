@@ -17,7 +17,7 @@ impl Spec {
     /// A name that is no parameter, a level of a parameter without `per`, a value out of bounds or of the wrong sign. The errors
     /// have no span, and the model stays as it was.
     pub fn give(&mut self, name: &str, values: &[(Option<&str>, f64)]) -> Result<(), SpecError> {
-        let model = &mut self.model.phases[0].model;
+        let mut model = self.model.shared().clone();
         let parameters = &mut model.parameters;
         let Some(index) = parameters.iter().position(|parameter| parameter.name == name) else {
             let hint = suggest(name, parameters.iter().map(|parameter| parameter.name.as_str()));
@@ -49,6 +49,7 @@ impl Spec {
                 parameter.fixed_levels.insert(literal, value);
             }
         }
+        self.share(&model);
         Ok(())
     }
 }

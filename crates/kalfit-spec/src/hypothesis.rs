@@ -1,23 +1,23 @@
-//! A hypothesis: a file whose `[mean]`, `[covariance]` and `[parameters]` replace keys of a model.
+//! A hypothesis: a file whose `[mean]`, `[covariance]`, those of phases and `[parameters]` replace keys of a model.
 //!
 //! The tables of the two files are merged and read again as one model. Places in the hypothesis are counted from the end of
 //! the model's text, so that every message still knows its file.
 
 use kalfit::model::{Column, Regression};
 use kalfit::{Model, PhasedModel};
-use toml::Spanned;
-use toml::de::{DeTable, DeValue};
+use toml::de::DeTable;
 
 use crate::Spec;
-use crate::build::{self, MAX_BYTES, Places};
+use crate::build::{self, MAX_BYTES};
+use crate::digest;
 use crate::error::{Problem, Span, SpecError};
-use crate::suggest::suggest;
+use crate::merge::{KEPT, OF_PHASE, PLACE, merge, shifted_table};
+use crate::names::phase_key;
+use crate::phases;
+use crate::places::Places;
 use crate::table::Section;
 
-const KEYS: [&str; 4] = ["title", "mean", "covariance", "parameters"];
-const PLACE: &str = "the hypothesis";
-/// Keys of `[covariance]` that are no constraints on Σ: a hypothesis leaves them alone.
-const KEPT: [&str; 2] = ["order", "known"];
+const KEYS: [&str; 5] = ["title", "mean", "covariance", "parameters", "phases"];
 
 /// A model under a hypothesis.
 #[derive(Debug, Clone)]
@@ -43,6 +43,8 @@ impl Spec {
     /// The model under a hypothesis, given as text: keys of its `[mean]`, `[covariance]` and `[parameters]` replace the
     /// model's; `structure` drops the model's other keys of `[covariance]` but `order` and `known`, which are no constraints.
     /// Start values of the model are dropped where the hypothesis speaks of the same table. What `set` fixed stays fixed.
+    /// `[phases.NAME.mean]` and `[phases.NAME.covariance]` replace keys of what that phase has, its own table or that of the
+    /// top level; `[mean]` and `[covariance]` act on the phases that leave them out, as in the model.
     ///
     /// # Errors
     /// Whatever is wrong with the text, and with the two together.
@@ -55,23 +57,16 @@ impl Spec {
         let (text, offset) = (format!("{}\n{hypothesis}", self.text), self.text.len() + 1);
         let sort = |error: SpecError| located(error, offset);
         let (title, model) = self.merged(&text, offset).map_err(sort)?;
-        Ok(Hypothesis { title, model: model.into(), digest: build::digest(hypothesis) })
+        Ok(Hypothesis { title, model, digest: digest::of_text(hypothesis) })
     }
 
-    fn merged(&self, text: &str, offset: usize) -> Result<(Option<String>, Model), SpecError> {
+    fn merged(&self, text: &str, offset: usize) -> Result<(Option<String>, PhasedModel), SpecError> {
         let (first, second) = (&text[..offset - 1], &text[offset..]);
         let own = DeTable::parse(second).map_err(|error| moved(build::not_toml(&error, second), offset))?;
         let own = shifted_table(own.into_inner(), offset);
         let mut base = DeTable::parse(first).map_err(|error| build::not_toml(&error, first))?.into_inner();
-        let title = check(&own, offset..text.len())?;
-        for (key, value) in own {
-            match (key.get_ref().as_ref(), value.get_ref()) {
-                ("title", _) => {}
-                ("parameters", DeValue::Table(_)) => parameters(&mut base, key, value)?,
-                (_, DeValue::Table(_)) => replace(&mut base, key, value)?,
-                _ => _ = base.insert(key, value), // not a table: reading the model says so
-            }
-        }
+        let title = self.check(&own, offset..text.len())?;
+        merge(&mut base, own)?;
         let root = Section::open("the model file", 0..text.len(), &base);
         let (read, _, places) = build::model(text, root)?;
         let mut model = self.adopt(read, &places)?;
@@ -80,8 +75,22 @@ impl Spec {
     }
 
     /// What the hypothesis speaks of, with columns and texts numbered as in the model.
-    fn adopt(&self, mut read: Model, places: &Places) -> Result<Model, SpecError> {
-        for Regression { column, .. } in &mut read.mean.regression {
+    fn adopt(&self, read: PhasedModel, places: &Places) -> Result<PhasedModel, SpecError> {
+        let mut model = self.model.clone();
+        for (phase, read) in model.phases.iter_mut().zip(&read.phases) {
+            phase.model = self.adopt_phase(phase.model.clone(), &read.model, places)?;
+        }
+        Ok(model)
+    }
+
+    fn adopt_phase(&self, model: Model, read: &Model, places: &Places) -> Result<Model, SpecError> {
+        let mut model = Model {
+            mean: read.mean.clone(),
+            covariance: read.covariance.clone(),
+            parameters: read.parameters.clone(),
+            ..model
+        };
+        for Regression { column, .. } in &mut model.mean.regression {
             let name = &read.columns[*column].name;
             let found = self.model.shared().columns.iter().position(|known| known.name == *name);
             *column = found.ok_or_else(|| {
@@ -90,8 +99,7 @@ impl Spec {
                 SpecError { span: places.columns.get(name).cloned(), ..SpecError::new(problem) }
             })?;
         }
-        let Model { mean, covariance, parameters, .. } = read;
-        let mut model = Model { mean, covariance, parameters, ..self.model.shared().clone() };
+        // The same places are added in every phase, so that columns and texts stay common to all.
         for parameter in &mut model.parameters {
             let same = |known: &Column, column: &Column| known.name == column.name;
             parameter.per =
@@ -106,16 +114,57 @@ impl Spec {
     }
 
     /// Parameters that were set after the model was read and that the hypothesis says nothing else of.
-    fn keep_set(&self, model: &mut Model) {
+    fn keep_set(&self, model: &mut PhasedModel) {
         let unset = build::spec(&self.name, &self.text).expect("the model was read before").model;
-        for ((new, old), set) in
-            model.parameters.iter_mut().zip(&unset.shared().parameters).zip(&self.model.shared().parameters)
-        {
-            if new == old {
-                new.clone_from(set);
+        for model in model.models_mut() {
+            for ((new, old), set) in
+                model.parameters.iter_mut().zip(&unset.shared().parameters).zip(&self.model.shared().parameters)
+            {
+                if new == old {
+                    new.clone_from(set);
+                }
             }
         }
     }
+
+    /// Known keys only, and at least one that says something.
+    fn check(&self, own: &DeTable<'_>, span: Span) -> Result<Option<String>, SpecError> {
+        let mut root = Section::open(PLACE, span.clone(), own).only(&KEYS)?;
+        let title = root.take("title").map(|title| title.text().map(str::to_owned)).transpose()?;
+        if KEYS[1..].iter().all(|key| root.peek(key).is_none()) {
+            let problem = Problem::MissingKey { key: "mean".to_owned(), place: PLACE.to_owned() };
+            return Err(SpecError::new(problem).at(span).hint("say what to test, in `[mean]` or `[covariance]`"));
+        }
+        check_tables(&root, "")?;
+        let Some(field) = root.peek("phases") else { return Ok(title) };
+        if self.model.phases.iter().all(|phase| self.phase_span(&phase.name).is_none()) {
+            return Err(field.no_effect("in a hypothesis about a model without phases"));
+        }
+        for field in field.section(format!("`[phases]` of {PLACE}"))?.fields() {
+            let known = self.model.phases.iter().map(|phase| phase.name.as_str());
+            phases::find(field.key, known, PLACE, &field.key_span)?;
+            let prefix = phase_key(field.key);
+            let section = field.section(format!("`[{prefix}]` of {PLACE}"))?.only(&OF_PHASE)?;
+            if section.len() == 0 {
+                return Err(section.missing("mean"));
+            }
+            check_tables(&section, &format!("{prefix}."))?;
+        }
+        Ok(title)
+    }
+}
+
+/// Tables where tables must be, without keys that are no constraints.
+fn check_tables(section: &Section<'_>, prefix: &str) -> Result<(), SpecError> {
+    for field in ["mean", "covariance", "parameters"].iter().filter_map(|key| section.peek(key)) {
+        let section = field.section(format!("`[{prefix}{}]` of {PLACE}", field.key))?;
+        if field.key == "covariance"
+            && let Some(kept) = KEPT.iter().find_map(|key| section.peek(key))
+        {
+            return Err(kept.no_effect("in a hypothesis: it is no constraint, and the model's stays"));
+        }
+    }
+    Ok(())
 }
 
 /// Where an entry stands in a list; at its end when it was not there.
@@ -143,98 +192,4 @@ fn located(mut error: SpecError, offset: usize) -> HypothesisError {
 fn moved(mut error: SpecError, offset: usize) -> SpecError {
     error.span = error.span.map(|span| span.start + offset..span.end + offset);
     error
-}
-
-/// Known keys only, and at least one that says something.
-fn check(own: &DeTable<'_>, span: Span) -> Result<Option<String>, SpecError> {
-    let mut root = Section::open(PLACE, span.clone(), own).only(&KEYS)?;
-    let title = root.take("title").map(|title| title.text().map(str::to_owned)).transpose()?;
-    if KEYS[1..].iter().all(|key| root.peek(key).is_none()) {
-        let problem = Problem::MissingKey { key: "mean".to_owned(), place: PLACE.to_owned() };
-        return Err(SpecError::new(problem).at(span).hint("say what to test, in `[mean]` or `[covariance]`"));
-    }
-    for field in KEYS[1..].iter().filter_map(|key| root.peek(key)) {
-        let section = field.section(format!("`[{}]` of {PLACE}", field.key))?;
-        if field.key == "covariance"
-            && let Some(kept) = KEPT.iter().find_map(|key| section.peek(key))
-        {
-            return Err(kept.no_effect("in a hypothesis: it is no constraint, and the model's stays"));
-        }
-    }
-    Ok(title)
-}
-
-/// Keys replace keys.
-fn replace<'i>(
-    base: &mut DeTable<'i>,
-    key: Spanned<toml::de::DeString<'i>>,
-    value: Spanned<DeValue<'i>>,
-) -> Result<(), SpecError> {
-    let DeValue::Table(own) = value.get_ref() else { return Ok(()) };
-    let anew = own.keys().any(|k| k.get_ref() == "structure");
-    let Some(DeValue::Table(table)) = base.get_mut(&key).map(Spanned::get_mut) else {
-        base.insert(key, value);
-        return Ok(());
-    };
-    let dropped = |k: &str| k == "start" || (anew && !KEPT.contains(&k));
-    let gone: Vec<_> = table.keys().filter(|k| dropped(k.get_ref())).cloned().collect();
-    for key in gone {
-        table.remove(&key);
-    }
-    let DeValue::Table(own) = value.into_inner() else { return Ok(()) };
-    for (key, value) in own {
-        table.remove(&key); // the place of the key is the hypothesis' from now on
-        table.insert(key, value);
-    }
-    Ok(())
-}
-
-/// Parameters of the model only.
-fn parameters<'i>(
-    base: &mut DeTable<'i>,
-    key: Spanned<toml::de::DeString<'i>>,
-    value: Spanned<DeValue<'i>>,
-) -> Result<(), SpecError> {
-    let DeValue::Table(own) = value.get_ref() else { return Ok(()) };
-    let known: Vec<String> = match base.get(&key).map(Spanned::get_ref) {
-        Some(DeValue::Table(table)) => table.keys().map(|k| k.get_ref().to_string()).collect(),
-        _ => Vec::new(),
-    };
-    if let Some(strange) = own.keys().find(|k| !known.iter().any(|name| name == k.get_ref())) {
-        let name = strange.get_ref().to_string();
-        let hint = suggest(&name, known.iter().map(String::as_str));
-        let problem = Problem::UnknownName { what: "parameter", name, place: PLACE.to_owned() };
-        return Err(SpecError::new(problem).at(strange.span()).maybe_hint(hint));
-    }
-    let (Some(DeValue::Table(table)), DeValue::Table(own)) =
-        (base.get_mut(&key).map(Spanned::get_mut), value.into_inner())
-    else {
-        return Ok(());
-    };
-    for (key, value) in own {
-        if let Some(slot) = table.get_mut(&key) {
-            *slot = value; // the order of the parameters stays
-        }
-    }
-    Ok(())
-}
-
-/// The same table with all places moved.
-fn shifted_table(table: DeTable<'_>, by: usize) -> DeTable<'_> {
-    let mut moved = DeTable::new();
-    for (key, value) in table {
-        let span = key.span();
-        moved.insert(Spanned::new(span.start + by..span.end + by, key.into_inner()), shifted(value, by));
-    }
-    moved
-}
-
-fn shifted(value: Spanned<DeValue<'_>>, by: usize) -> Spanned<DeValue<'_>> {
-    let span = value.span();
-    let inner = match value.into_inner() {
-        DeValue::Table(table) => DeValue::Table(shifted_table(table, by)),
-        DeValue::Array(array) => DeValue::Array(array.into_iter().map(|entry| shifted(entry, by)).collect()),
-        plain => plain,
-    };
-    Spanned::new(span.start + by..span.end + by, inner)
 }

@@ -25,7 +25,16 @@
 //! Every message has its place in the file as a byte range ([`SpecError::span`]). A model file is untrusted: whatever
 //! it holds, reading it ends, in bounded memory, with a [`Spec`] or a [`SpecError`].
 //!
-//! Models of one phase are read; `[phases]`, `[data] phase` and `[filter]` are refused.
+//! # Phases
+//!
+//! `[phases]` makes one [`Phase`](kalfit::model::Phase) of each of its tables, in the order in which the file names them first.
+//! A phase has a table of its own whole (`[phases.coast.states]`), or takes that of the top level; a table of the top level that
+//! no phase takes is refused, and so are `initial_time` and `step_first` of `[data]` beside `[phases]`. Phases share columns and
+//! parameters; names of states and measurements are a phase's own.
+//!
+//! In `carry` the names are those of the phase before: its states, then parameters, then columns. A state that inherits adds
+//! its own start, which cannot be stationary. The hidden rate of a second-order Gauss-Markov state goes where its owner goes,
+//! by the same form, and adds nothing of its own. In a `[filter]` that considers such a state its rate is considered with it.
 //!
 //! # The expression language
 //!
@@ -41,7 +50,7 @@
 //! is minus four. Numbers are decimal (`1`, `.5`, `1e-6`); names are letters, digits and `_`, not starting with a digit.
 //! A quote inside a text is written twice.
 //!
-//! A name is a state, else a parameter, else `pi` or `dt`, else a column of the data; a name in backticks is always a
+//! A name is a state of the phase, else a parameter, else `pi` or `dt`, else a column of the data; a name in backticks is always a
 //! column. Numbers, conditions and texts are different types: a condition becomes a number by `if(c, 1, 0)`, a number a
 //! condition by `x != 0`, and a text can only be compared, by `==` or `!=`, with a column, which is then a text column.
 //!
@@ -49,31 +58,38 @@
 //! Constants are folded exactly; a constant that is not a finite number is refused.
 
 mod build;
+mod carry;
 mod constraints;
 mod covariance;
 mod data;
 mod describe;
+mod digest;
 mod elements;
 mod error;
 mod expression;
+mod filter;
 mod give;
 mod hypothesis;
 mod matrix;
 mod mean;
 mod measurements;
+mod merge;
 mod motion;
 mod names;
 mod noise;
 mod parameters;
+mod phase;
+mod phases;
+mod places;
 mod semidefinite;
 mod set;
 mod show;
 mod states;
 mod suggest;
 mod table;
+mod words;
 
 use std::io::Read;
-use std::ops::Range;
 use std::path::Path;
 
 pub use error::{ExpressionProblem, Problem, SpecError, StructureProblem};
@@ -93,7 +109,7 @@ pub struct Spec {
     pub name: String,
     /// The model file as it was read.
     pub text: String,
-    places: build::Places,
+    places: places::Places,
 }
 
 impl Spec {
@@ -134,25 +150,5 @@ impl Spec {
             SpecError::new(Problem::NotText { offset: error.utf8_error().valid_up_to() })
                 .hint("save the file as UTF-8 text")
         })
-    }
-
-    /// Bytes of the file where a column of the data is used first; `None` when the model does not use it.
-    pub fn column_span(&self, column: &str) -> Option<Range<usize>> {
-        self.places.columns.get(column).cloned()
-    }
-
-    /// Bytes of the file where a parameter is declared.
-    pub fn parameter_span(&self, parameter: &str) -> Option<Range<usize>> {
-        self.places.parameters.get(parameter).cloned()
-    }
-
-    /// Bytes of the file where a state is declared; of its owner for a hidden state.
-    pub fn state_span(&self, state: &str) -> Option<Range<usize>> {
-        self.places.states.get(state).cloned()
-    }
-
-    /// Bytes of the file where a measurement is declared.
-    pub fn measurement_span(&self, measurement: &str) -> Option<Range<usize>> {
-        self.places.measurements.get(measurement).cloned()
     }
 }

@@ -36,12 +36,12 @@ impl Matrix {
     ) -> Result<Matrix> {
         let place = format!("`{}` of {}", field.key, field.place);
         let rows = field.items("an array of rows")?;
-        check_shape((rows.len(), elements.len()), ["row", "rows"], "", field, &place)?;
+        check_shape(elements, rows.len(), ["row", "rows"], "", field)?;
         let mut matrix = Matrix { entries: Vec::new(), spans: Vec::new(), place, span: field.span.clone() };
         for row in rows {
             let cells = row.items("an array of rows")?;
             let row_words = format!(" in row {}", matrix.entries.len() + 1);
-            check_shape((cells.len(), elements.len()), ["entry", "entries"], &row_words, &row, &matrix.place)?;
+            check_shape(elements, cells.len(), ["entry", "entries"], &row_words, &row)?;
             let mut values = Vec::with_capacity(cells.len());
             for cell in &cells {
                 values.push(entry(cell)?);
@@ -110,18 +110,12 @@ impl Matrix {
     }
 }
 
-fn check_shape(
-    (found, expected): (usize, usize),
-    [one, many]: [&str; 2],
-    row: &str,
-    field: &Field<'_>,
-    place: &str,
-) -> Result<()> {
+fn check_shape(elements: &Elements, found: usize, [one, many]: [&str; 2], row: &str, field: &Field<'_>) -> Result<()> {
+    let expected = elements.len();
     if found == expected {
         return Ok(());
     }
     let part = format!("{}{row}", if found == 1 { one } else { many });
-    let problem = StructureProblem::Shape { place: place.to_owned(), part, found, expected };
-    let hint = "a row and a column for every estimated state, in the order of Σ";
-    Err(SpecError::new(problem).at(field.span.clone()).hint(hint))
+    let problem = StructureProblem::Shape { place: field.what(), part, found, expected };
+    Err(SpecError::new(problem).at(field.span.clone()).hint(elements.order()))
 }

@@ -10,7 +10,6 @@ use crate::expression::{self, Scope};
 use crate::names::Context;
 use crate::table::{Field, Section};
 
-const PLACE: &str = "`[mean]`";
 const KEYS: [&str; 5] = ["fixed", "start", "tied", "proportional_to", "regression"];
 
 /// Regression coefficients of one model; what is found of them grows with its square.
@@ -18,6 +17,8 @@ const MAX_REGRESSION: usize = 1_000;
 
 struct Reader<'r, 't> {
     context: &'r mut Context<'t>,
+    /// The table in words.
+    place: String,
     /// Indices of the estimated states.
     estimated: &'r [usize],
     elements: &'r Elements,
@@ -33,8 +34,9 @@ pub(crate) fn read(
 ) -> Result<MeanStructure> {
     let mean = MeanStructure::free(elements.len());
     let Some(field) = field else { return Ok(mean) };
-    let mut section = field.section(PLACE)?.only(&KEYS)?;
-    let mut reader = Reader { context, estimated, elements, mean };
+    let place = context.phase.table("mean");
+    let mut section = field.section(place.as_str())?.only(&KEYS)?;
+    let mut reader = Reader { context, place, estimated, elements, mean };
     if let Some(field) = section.take("fixed") {
         reader.fixed(&field)?;
     }
@@ -70,7 +72,7 @@ impl Reader<'_, '_> {
     }
 
     fn table<'d>(&self, field: &Field<'d>) -> Result<Section<'d>> {
-        field.section(format!("`{}` of {PLACE}", field.key))
+        field.section(format!("`{}` of {}", field.key, self.place))
     }
 
     /// Says something of an element that nothing was said of.
@@ -100,7 +102,7 @@ impl Reader<'_, '_> {
             self.say(i, MeanElement::Proportional(weight), &field)?;
         }
         if all_zero {
-            let place = format!("`proportional_to` of {PLACE}");
+            let place = format!("`proportional_to` of {}", self.place);
             return Err(SpecError::new(StructureProblem::AllZero { place }).at(field.span.clone()));
         }
         Ok(())

@@ -14,7 +14,8 @@ const MAX_MEASUREMENTS: usize = 500;
 
 /// Reads all measurements, and their names.
 pub(crate) fn read(context: &mut Context<'_>, field: Option<&Field<'_>>) -> Result<(Vec<Measurement>, Index)> {
-    let section = field.map(|field| field.section("`[measurements]`")).transpose()?;
+    let table = context.phase.table("measurements");
+    let section = field.map(|field| field.section(table.as_str())).transpose()?;
     let found = section.as_ref().map_or(0, Section::len);
     if found == 0 || found > MAX_MEASUREMENTS {
         let problem = Problem::Count { what: "measurements", found, expected: format!("1 to {MAX_MEASUREMENTS}") };
@@ -33,7 +34,8 @@ pub(crate) fn read(context: &mut Context<'_>, field: Option<&Field<'_>>) -> Resu
 }
 
 fn one(context: &mut Context<'_>, field: &Field<'_>, before: &[Measurement]) -> Result<Measurement> {
-    let mut section = field.section(format!("measurement `{}`", field.key))?.only(&KEYS)?;
+    let place = context.phase.entry("measurements", "measurement", field.key);
+    let mut section = field.section(place)?.only(&KEYS)?;
     let source = section.need("column")?;
     let column = context.column(source.text()?, source.span.clone(), &source.what());
     let filter = section.take("where").map(|field| filter(context, &field)).transpose()?;

@@ -51,9 +51,48 @@ impl Index {
         self.spans[index].clone()
     }
 
-    pub(crate) fn into_spans(self) -> BTreeMap<String, Span> {
-        self.names.into_iter().zip(self.spans).collect()
+    /// Name and place of each.
+    pub(crate) fn spans(&self) -> BTreeMap<String, Span> {
+        self.names.iter().cloned().zip(self.spans.iter().cloned()).collect()
     }
+}
+
+/// A phase as messages name it, and which tables it has of its own.
+#[derive(Debug, Default)]
+pub(crate) struct Within {
+    /// Its name; `None` in a file without phases.
+    pub(crate) name: Option<String>,
+    /// Tables that stand in `[phases.NAME]`; the others are those of the top level.
+    pub(crate) own: Vec<&'static str>,
+}
+
+impl Within {
+    /// The name of the phase, where it has the table itself.
+    fn owner(&self, table: &str) -> Option<&str> {
+        self.name.as_deref().filter(|_| self.own.contains(&table))
+    }
+
+    /// "`[mean]`", or "`[phases.coast.mean]`" where the phase has its own.
+    pub(crate) fn table(&self, table: &str) -> String {
+        match self.owner(table) {
+            None => format!("`[{table}]`"),
+            Some(phase) => format!("`[{}.{table}]`", phase_key(phase)),
+        }
+    }
+
+    /// "state `a`", or "state `a` of phase `coast`" where the phase has the table of the states itself.
+    pub(crate) fn entry(&self, table: &str, what: &str, name: &str) -> String {
+        match self.owner(table) {
+            None => format!("{what} `{name}`"),
+            Some(phase) => format!("{what} `{name}` of phase `{phase}`"),
+        }
+    }
+}
+
+/// `phases.coast`, quoted where TOML wants it.
+pub(crate) fn phase_key(phase: &str) -> String {
+    let bare = phase.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-');
+    if bare { format!("phases.{phase}") } else { format!("phases.\"{phase}\"") }
 }
 
 /// What a parameter does, as far as its sign is concerned; the strictest use counts.
@@ -94,6 +133,9 @@ impl Role {
 pub(crate) struct Context<'t> {
     /// The model file.
     pub(crate) source: &'t str,
+    /// The phase that is being read.
+    pub(crate) phase: Within,
+    /// States of the phase that is being read.
     pub(crate) states: Index,
     pub(crate) parameters: Index,
     /// Column that each parameter has a value per level of.
@@ -135,6 +177,7 @@ impl<'t> Context<'t> {
     pub(crate) fn new(source: &'t str) -> Context<'t> {
         Context {
             source,
+            phase: Within::default(),
             states: Index::default(),
             parameters: Index::default(),
             levels: Vec::new(),

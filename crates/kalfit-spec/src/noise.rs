@@ -9,7 +9,7 @@ use crate::error::{Problem, Result, Span, SpecError, StructureProblem};
 use crate::expression::{self, Scope, is_zero};
 use crate::names::{Context, Index};
 use crate::semidefinite::defect;
-use crate::states::noise;
+use crate::states::{noise, rate_of};
 use crate::suggest::suggest;
 use crate::table::Field;
 
@@ -25,8 +25,10 @@ pub(crate) fn between_states(
     states: &[State],
 ) -> Result<Covariances> {
     let Some(field) = field else { return Ok(Vec::new()) };
-    let place = "`[process_noise_covariance]`";
-    let find = |context: &Context<'_>, name: &str| context.states.get(name).ok_or_else(|| unknown_state(context, name));
+    let place = &context.phase.table("process_noise_covariance");
+    let find = |context: &Context<'_>, name: &str| {
+        context.states.get(name).ok_or_else(|| unknown("state", name, place, suggest(name, context.states.names())))
+    };
     let (covariances, spans) = read(context, &field, place, "state", &find)?;
     for (i, j, value) in &covariances {
         let span = &spans[&(*i, *j)];
@@ -61,7 +63,7 @@ pub(crate) fn between_measurements(
     names: &Index,
 ) -> Result<Covariances> {
     let Some(field) = field else { return Ok(Vec::new()) };
-    let place = "`[noise_covariance]`";
+    let place = &context.phase.table("noise_covariance");
     let find = |_: &Context<'_>, name: &str| {
         names.get(name).ok_or_else(|| unknown("measurement", name, place, suggest(name, names.names())))
     };
@@ -160,17 +162,11 @@ fn no_noise(states: &[State], state: usize, other: usize, place: &str) -> SpecEr
         second: states[other].name.clone(),
         place: place.to_owned(),
     };
-    let rate = format!("{} (rate)", states[state].name);
-    match states.get(state + 1) {
-        Some(next) if next.name == rate => {
-            SpecError::new(problem).hint(format!("the noise of this process drives its hidden state `{rate}`"))
-        }
-        _ => SpecError::new(problem).hint(format!("state `{}` has no noise", states[state].name)),
-    }
-}
-
-fn unknown_state(context: &Context<'_>, name: &str) -> SpecError {
-    unknown("state", name, "`[process_noise_covariance]`", suggest(name, context.states.names()))
+    let hint = match rate_of(states, state) {
+        Some(rate) => format!("the noise of this process drives its hidden state `{}`", states[rate].name),
+        None => format!("state `{}` has no noise", states[state].name),
+    };
+    SpecError::new(problem).hint(hint)
 }
 
 fn unknown(what: &'static str, name: &str, place: &str, hint: Option<String>) -> SpecError {

@@ -1,5 +1,6 @@
 //! `--set name=value`: fixing parameters after the model was read.
 
+use kalfit::Model;
 use kalfit::model::Value;
 
 use crate::Spec;
@@ -22,7 +23,7 @@ impl Spec {
     /// without `per`, a value out of bounds or of the wrong sign. The errors have no span, and the model stays as it was.
     pub fn set(&mut self, assignment: &str) -> std::result::Result<(), SpecError> {
         let Assignment { name, level, value } = take_apart(assignment)?;
-        let model = &mut self.model.phases[0].model;
+        let mut model = self.model.shared().clone();
         let parameters = &mut model.parameters;
         let Some(index) = parameters.iter().position(|parameter| parameter.name == name) else {
             let hint = suggest(name, parameters.iter().map(|parameter| parameter.name.as_str()));
@@ -54,7 +55,18 @@ impl Spec {
                 parameter.fixed_levels.insert(literal, value);
             }
         }
+        self.share(&model);
         Ok(())
+    }
+}
+
+impl Spec {
+    /// Gives the parameters and texts of `changed` to all phases.
+    pub(crate) fn share(&mut self, changed: &Model) {
+        for model in self.model.models_mut() {
+            model.parameters.clone_from(&changed.parameters);
+            model.literals.clone_from(&changed.literals);
+        }
     }
 }
 

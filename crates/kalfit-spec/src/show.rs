@@ -86,17 +86,19 @@ fn write(model: &Model, a: &Expression) -> (String, Grip) {
     match a {
         Expression::Number(x) if *x < 0.0 => (figure(*x), Grip::Minus),
         Expression::Number(x) => atom(figure(*x)),
-        Expression::Column(column) => atom(quoted(&model.columns[*column].name)),
+        Expression::Column(column) => atom(quoted(model, &model.columns[*column].name)),
         Expression::Step => atom("dt".to_owned()),
         Expression::Parameter(index) => atom(model.parameters[*index].name.clone()),
         Expression::TextEquals { column, literal } => {
             let text = model.literals[*literal].replace('\'', "''");
-            (format!("{} == '{text}'", quoted(&model.text_columns[*column].name)), Grip::Comparison)
+            (format!("{} == '{text}'", quoted(model, &model.text_columns[*column].name)), Grip::Comparison)
         }
         Expression::Negate(a) => (format!("-{}", enclosed(write(model, a), Grip::Minus)), Grip::Minus),
         Expression::Not(a) => (format!("not {}", enclosed(write(model, a), Grip::Not)), Grip::Not),
         Expression::Binary(operator, a, b) => binary(model, *operator, a, b),
-        Expression::Call(function, arguments) => atom(format!("{}({})", name(*function), list(model, arguments))),
+        Expression::Call(function, arguments) => {
+            atom(format!("{}({})", self::function(*function), list(model, arguments)))
+        }
         Expression::If(a, b, c) => {
             let parts = [a, b, c].map(|part| expression(model, part));
             atom(format!("if({})", parts.join(", ")))
@@ -136,12 +138,15 @@ fn list(model: &Model, arguments: &[Expression]) -> String {
     arguments.iter().map(|a| expression(model, a)).collect::<Vec<_>>().join(", ")
 }
 
-/// The name of a column as expressions hold it.
-fn quoted(name: &str) -> String {
-    if is_name(name) { name.to_owned() } else { format!("`{name}`") }
+/// The name of a column as expressions hold it: in backticks where a state or a parameter hides it.
+fn quoted(model: &Model, name: &str) -> String {
+    let hidden = model.states.iter().any(|state| state.name == name)
+        || model.parameters.iter().any(|parameter| parameter.name == name);
+    if is_name(name) && !hidden { name.to_owned() } else { format!("`{name}`") }
 }
 
-fn name(function: Function) -> &'static str {
+/// The name of a function.
+pub(crate) fn function(function: Function) -> &'static str {
     match function {
         Function::Sqrt => "sqrt",
         Function::Exp => "exp",

@@ -36,7 +36,8 @@ pub(crate) struct Declared<'d> {
 
 /// Reads the names of all states and makes them known, hidden ones after their owners.
 pub(crate) fn declare<'d>(context: &mut Context<'_>, field: Option<&Field<'d>>) -> Result<Vec<Declared<'d>>> {
-    let section = field.map(|field| field.section("`[states]`")).transpose()?;
+    let table = context.phase.table("states");
+    let section = field.map(|field| field.section(table.as_str())).transpose()?;
     let found = section.as_ref().map_or(0, Section::len);
     if found == 0 || found > MAX_STATES {
         let problem = Problem::Count { what: "states", found, expected: format!("1 to {MAX_STATES}") };
@@ -50,11 +51,12 @@ pub(crate) fn declare<'d>(context: &mut Context<'_>, field: Option<&Field<'d>>) 
             let problem = Problem::TakenName { name: field.key.to_owned() };
             return Err(SpecError::new(problem).at(field.key_span));
         }
-        let mut section = field.section(format!("state `{}`", field.key))?.only(&KEYS)?;
+        let place = context.phase.entry("states", "state", field.key);
+        let mut section = field.section(place)?.only(&KEYS)?;
         let process = Process::of(&mut section)?;
         let index = context.states.add(field.key, field.key_span.clone());
         if process == Process::GaussMarkov2 {
-            context.states.add(&format!("{} (rate)", field.key), field.key_span.clone());
+            context.states.add(&rate_name(field.key), field.key_span.clone());
         }
         all.push(Declared { name: field.key, index, section, process, start: None });
     }
@@ -96,7 +98,7 @@ fn lower_one(context: &mut Context<'_>, one: &mut Declared<'_>, states: &mut Vec
         let why = format!("on a state whose start is not estimated ({})", start_words(&initial));
         return Err(field.no_effect(&why));
     }
-    let place = format!("offset of state `{}`", one.name);
+    let place = format!("offset of {}", section.place);
     let offset = offset.map(|field| expression::scalar(context, &field, Scope::start(&place))).transpose()?;
     let random = random.map_or(Ok(true), |field| field.truth())?;
     let hidden = moved.hidden.map(|rate| State {
@@ -178,6 +180,17 @@ fn check_stationary(context: &Context<'_>, one: &Declared<'_>, states: &[State])
             wrong(format!("it moves with state `{}`, whose start is {start}", context.states.name(*other)))
         }
     }
+}
+
+/// The hidden rate of a state, when it has one; it follows its owner.
+pub(crate) fn rate_of(states: &[State], state: usize) -> Option<usize> {
+    let rate = rate_name(&states[state].name);
+    states.get(state + 1).filter(|next| next.name == rate).map(|_| state + 1)
+}
+
+/// No name in an expression, so it names nothing else.
+fn rate_name(owner: &str) -> String {
+    format!("{owner} (rate)")
 }
 
 /// States that are estimated, in file order.

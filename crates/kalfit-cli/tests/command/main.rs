@@ -3,6 +3,7 @@
 mod broken;
 mod dynamic;
 mod em;
+mod exchange;
 mod folder;
 mod hypotheses;
 mod inference;

@@ -27,29 +27,43 @@ pub(super) struct Comparison {
 }
 
 impl Comparison {
-    /// Compares a fit.json with a single phase with an entry of expected.json.
+    /// Compares a fit.json with an entry of expected.json.
     pub(super) fn of(fit: &Value, want: &Value) -> Comparison {
         let mut all = Comparison::default();
         let rel = number(&want["tolerance"]["params_rel"]);
         let absolute = number(&want["tolerance"]["loglik_abs"]);
-        let phase = &fit["phases"][0];
         all.walk("log_likelihood", &fit["log_likelihood"], &want["log_likelihood"], &Value::Null, &|_, _| absolute);
+        let (found, expected) = (&fit["composite_log_likelihood"], &want["composite_log_likelihood"]);
+        all.walk("composite_log_likelihood", found, expected, &Value::Null, &|_, _| absolute);
         all.same("free_parameters", &fit["free_parameters"], &want["free_parameters"]);
-        all.same("states", &phase["states"], &want["states"]);
-        for kind in ["mean", "covariance"] {
-            let (found, expected) = (&phase[kind], &want[kind]);
-            all.scaled(kind, &found["estimate"], expected, &want["scale"][kind], rel);
-            let errors = &want["std_error"][kind];
-            all.walk(&format!("std_error of {kind}"), &found["std_error"], errors, &Value::Null, &|expected, _| {
-                (STD_ERROR_REL * expected.abs()).max(LEAST)
-            });
+        if want["phases"].is_null() {
+            all.phase("", &fit["phases"][0], want, rel);
+        } else {
+            all.same("phases", &names(&fit["phases"]), &names(&want["phases"]));
+            for (found, want) in list(&fit["phases"]).iter().zip(list(&want["phases"])) {
+                all.phase(&format!("{}: ", text(&want["name"])), found, want, rel);
+            }
         }
         all.constraints(fit, want, rel);
-        all.boundary(phase, want);
         all.parameters(fit, want);
         all.estimates(fit, want, rel);
         all.tests(fit, want, rel, absolute);
         all
+    }
+
+    /// What was found of one phase; `of` stands before the names of its figures.
+    fn phase(&mut self, of: &str, phase: &Value, want: &Value, rel: f64) {
+        self.same(&format!("{of}states"), &phase["states"], &want["states"]);
+        for kind in ["mean", "covariance"] {
+            let (found, expected) = (&phase[kind], &want[kind]);
+            self.scaled(&format!("{of}{kind}"), &found["estimate"], expected, &want["scale"][kind], rel);
+            let errors = &want["std_error"][kind];
+            let what = format!("{of}std_error of {kind}");
+            self.walk(&what, &found["std_error"], errors, &Value::Null, &|expected, _| {
+                (STD_ERROR_REL * expected.abs()).max(LEAST)
+            });
+        }
+        self.boundary(of, phase, want);
     }
 
     /// One line for each figure that is off by more than `limit` tolerances, the worst first, and for each mismatch.
@@ -124,11 +138,11 @@ impl Comparison {
         }
     }
 
-    fn boundary(&mut self, phase: &Value, want: &Value) {
+    fn boundary(&mut self, of: &str, phase: &Value, want: &Value) {
         let ranks = |of: &Value| list(of).iter().map(|b| (b["rank"].as_u64(), b["of"].as_u64())).collect::<Vec<_>>();
         let (found, expected) = (ranks(&phase["boundary"]), ranks(&want["boundary"]));
         if found != expected {
-            self.mismatches.push(format!("boundary (rank, of): found {found:?}, expected {expected:?}"));
+            self.mismatches.push(format!("{of}boundary (rank, of): found {found:?}, expected {expected:?}"));
         }
     }
 
@@ -180,11 +194,27 @@ impl Comparison {
             self.walk(&what, &found["log_likelihood"], &test["log_likelihood"], &Value::Null, &|expected, _| {
                 absolute.max(rel * expected.abs())
             });
-            for kind in ["mean", "covariance"] {
-                self.scaled(&format!("{kind} of test {id}"), &found["phases"][0][kind], &test[kind], &Value::Null, rel);
+            if test["phases"].is_null() {
+                self.posterior(&format!("test {id}"), &found["phases"][0], test, rel);
+                continue;
+            }
+            self.same(&format!("phases of test {id}"), &names(&found["phases"]), &names(&test["phases"]));
+            for (found, want) in list(&found["phases"]).iter().zip(list(&test["phases"])) {
+                self.posterior(&format!("phase {} of test {id}", text(&want["name"])), found, want, rel);
             }
         }
     }
+
+    fn posterior(&mut self, of: &str, found: &Value, want: &Value, rel: f64) {
+        for kind in ["mean", "covariance"] {
+            self.scaled(&format!("{kind} of {of}"), &found[kind], &want[kind], &Value::Null, rel);
+        }
+    }
+}
+
+/// Names of phases.
+fn names(phases: &Value) -> Value {
+    list(phases).iter().map(|phase| phase["name"].clone()).collect()
 }
 
 /// What an entry with `set` says of the fit without it: the same optimum, the parameters among the estimates.

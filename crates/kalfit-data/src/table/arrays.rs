@@ -13,7 +13,7 @@ use crate::moment::{Moment, date_text};
 const DAY: i128 = 86_400_000_000_000;
 
 /// True for types that hold numbers.
-pub(super) fn is_numeric(data_type: &DataType) -> bool {
+pub(crate) fn is_numeric(data_type: &DataType) -> bool {
     match data_type {
         DataType::Boolean | DataType::Null => true,
         DataType::Decimal32(..) | DataType::Decimal64(..) | DataType::Decimal128(..) | DataType::Decimal256(..) => true,
@@ -23,12 +23,12 @@ pub(super) fn is_numeric(data_type: &DataType) -> bool {
 }
 
 /// True for types that hold dates and times of day.
-pub(super) fn is_temporal(data_type: &DataType) -> bool {
+pub(crate) fn is_temporal(data_type: &DataType) -> bool {
     matches!(data_type, DataType::Timestamp(..) | DataType::Date32 | DataType::Date64)
 }
 
 /// A numeric column of a batch.
-pub(super) enum Numbers {
+pub(crate) enum Numbers {
     /// Values; nulls are NaN.
     Values(Vec<f64>),
     /// Texts, to be read as in a CSV file.
@@ -36,7 +36,7 @@ pub(super) enum Numbers {
 }
 
 /// The time column of a batch.
-pub(super) enum Times {
+pub(crate) enum Times {
     /// Numbers or texts.
     Numbers(Numbers),
     /// Dates and timestamps; None where null.
@@ -44,7 +44,7 @@ pub(super) enum Times {
 }
 
 /// A text column of a batch.
-pub(super) enum Texts {
+pub(crate) enum Texts {
     Strings(Strings),
     Signed(Int64Array),
     Unsigned(UInt64Array),
@@ -60,7 +60,7 @@ pub(super) enum Texts {
 
 impl Numbers {
     /// Shape: one value a row.
-    pub(super) fn new(array: &dyn Array) -> Result<Numbers, ArrowError> {
+    pub(crate) fn new(array: &dyn Array) -> Result<Numbers, ArrowError> {
         if let Some(strings) = Strings::new(array) {
             return Ok(Numbers::Texts(strings));
         }
@@ -75,7 +75,7 @@ impl Numbers {
 
 impl Times {
     /// Shape: one value a row.
-    pub(super) fn new(array: &dyn Array) -> Result<Times, ArrowError> {
+    pub(crate) fn new(array: &dyn Array) -> Result<Times, ArrowError> {
         Ok(match moments(array)? {
             Some(moments) => Times::Moments(moments),
             None => Times::Numbers(Numbers::new(array)?),
@@ -85,7 +85,7 @@ impl Times {
 
 impl Texts {
     /// Shape: one text a row.
-    pub(super) fn new(array: &dyn Array) -> Result<Texts, ArrowError> {
+    pub(crate) fn new(array: &dyn Array) -> Result<Texts, ArrowError> {
         if let Some(strings) = Strings::new(array) {
             return Ok(Texts::Strings(strings));
         }
@@ -113,7 +113,7 @@ impl Texts {
     }
 
     /// The text in a row, written to `scratch` unless it is one already; None when it is null or not a number.
-    pub(super) fn get<'a>(&'a self, row: usize, scratch: &'a mut String) -> Option<&'a str> {
+    pub(crate) fn get<'a>(&'a self, row: usize, scratch: &'a mut String) -> Option<&'a str> {
         scratch.clear();
         let written = match self {
             Texts::Strings(strings) => return strings.get(row),
@@ -166,7 +166,7 @@ fn nanoseconds(unit: TimeUnit) -> i128 {
 }
 
 /// What a use of a column needs, in words, when the type does not do; None when it does.
-pub(super) fn misfit(data_type: &DataType, is_number: bool, is_time: bool, is_text_use: bool) -> Option<&'static str> {
+pub(crate) fn misfit(data_type: &DataType, is_number: bool, is_time: bool, is_text_use: bool) -> Option<&'static str> {
     let textual = is_text(data_type);
     if is_number && !is_numeric(data_type) && !textual {
         return Some("numbers");

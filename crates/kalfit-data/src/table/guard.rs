@@ -5,7 +5,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use crate::error::DataError;
 
 /// Runs what reads untrusted bytes; a panic becomes an error. Whatever it touched must not be used again after one.
-pub(super) fn guarded<T>(
+pub(crate) fn guarded<T>(
     file: &str,
     format: &'static str,
     read: impl FnOnce() -> Result<T, DataError>,

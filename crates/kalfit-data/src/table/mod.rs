@@ -1,12 +1,12 @@
 //! Tables: files of any kind, row by row.
 
-mod arrays;
+pub(crate) mod arrays;
 mod batches;
 mod csv;
-mod guard;
+pub(crate) mod guard;
 mod ipc;
-mod parquet;
-mod strings;
+pub(crate) mod parquet;
+pub(crate) mod strings;
 
 use std::fs::File;
 use std::io::{self, Cursor, Read};

@@ -12,12 +12,12 @@ use super::guard::guarded;
 use crate::error::DataError;
 use crate::wanted::Wanted;
 
-const FORMAT: &str = "Parquet";
+pub(crate) const FORMAT: &str = "Parquet";
 
 /// Rows a file is believed to hold beyond [`ROWS_PER_BYTE`]. Run-length codes can declare billions of equal rows in a
 /// few bytes; a table worth reading does not compress so well.
-const ROWS_FREE: u64 = 1_000_000;
-const ROWS_PER_BYTE: u64 = 1_000;
+pub(crate) const ROWS_FREE: u64 = 1_000_000;
+pub(crate) const ROWS_PER_BYTE: u64 = 1_000;
 
 /// Opens a file: only the wanted columns are read, a few thousand rows at a time.
 pub(super) fn open<'a>(
@@ -32,7 +32,8 @@ pub(super) fn open<'a>(
         refuse_oversized(file, builder.metadata(), length)?;
         let names: Vec<&str> = builder.schema().fields().iter().map(|field| field.name().as_str()).collect();
         let mut roots = wanted.positions(file, &names)?;
-        refuse_codecs(file, builder.metadata(), &roots, wanted)?;
+        let columns: Vec<&str> = wanted.columns.iter().map(|column| column.name.as_str()).collect();
+        refuse_codecs(file, builder.metadata(), &roots, &columns)?;
         roots.sort_unstable();
         let mask = ProjectionMask::roots(builder.parquet_schema(), roots);
         let reader = builder.with_projection(mask).with_batch_size(ROWS).build().map_err(failed)?;
@@ -49,7 +50,7 @@ fn next_batch(
     reader.next().transpose().map_err(|source| DataError::Arrow { file: file.to_owned(), source: Box::new(source) })
 }
 
-fn refuse_oversized(file: &str, metadata: &ParquetMetaData, bytes: u64) -> Result<(), DataError> {
+pub(crate) fn refuse_oversized(file: &str, metadata: &ParquetMetaData, bytes: u64) -> Result<(), DataError> {
     let rows = metadata.row_groups().iter().map(|group| u64::try_from(group.num_rows()).unwrap_or(u64::MAX));
     let declared = rows.fold(0, u64::saturating_add);
     let limit = bytes.saturating_mul(ROWS_PER_BYTE).saturating_add(ROWS_FREE);
@@ -59,14 +60,20 @@ fn refuse_oversized(file: &str, metadata: &ParquetMetaData, bytes: u64) -> Resul
     Err(DataError::Oversized { file: file.to_owned(), what: "rows", declared, bytes, limit })
 }
 
-fn refuse_codecs(file: &str, metadata: &ParquetMetaData, roots: &[usize], wanted: &Wanted) -> Result<(), DataError> {
+/// Refuses columns, at these places and of these names, whose compression is not read.
+pub(crate) fn refuse_codecs(
+    file: &str,
+    metadata: &ParquetMetaData,
+    roots: &[usize],
+    names: &[&str],
+) -> Result<(), DataError> {
     let schema = metadata.file_metadata().schema_descr();
     for group in metadata.row_groups() {
         for (leaf, chunk) in group.columns().iter().enumerate().take(schema.num_columns()) {
             let Some(index) = roots.iter().position(|&root| root == schema.get_column_root_idx(leaf)) else { continue };
             let codec = chunk.compression();
             if !matches!(codec, Compression::UNCOMPRESSED | Compression::SNAPPY | Compression::ZSTD(_)) {
-                let column = wanted.columns[index].name.clone();
+                let column = names[index].to_owned();
                 let codec = codec.to_string();
                 let name = codec.split('(').next().unwrap_or(&codec).to_lowercase();
                 return Err(DataError::Codec { file: file.to_owned(), column, found: name.into() });

@@ -4,7 +4,7 @@ use arrow::array::{Array, ArrayRef, AsArray, LargeStringArray, StringArray, Stri
 use arrow::datatypes::DataType;
 
 /// A column of text. Texts are looked at in place: a dictionary or view may show one long text in every row.
-pub(super) enum Strings {
+pub(crate) enum Strings {
     Utf8(StringArray),
     Large(LargeStringArray),
     View(StringViewArray),
@@ -12,7 +12,7 @@ pub(super) enum Strings {
 }
 
 /// True for types that [`Strings`] can show.
-pub(super) fn is_text(data_type: &DataType) -> bool {
+pub(crate) fn is_text(data_type: &DataType) -> bool {
     match data_type {
         DataType::Utf8 | DataType::LargeUtf8 | DataType::Utf8View => true,
         DataType::Dictionary(_, values) => {
@@ -24,7 +24,7 @@ pub(super) fn is_text(data_type: &DataType) -> bool {
 
 impl Strings {
     /// The texts of an array; None when it is of another type.
-    pub(super) fn new(array: &dyn Array) -> Option<Strings> {
+    pub(crate) fn new(array: &dyn Array) -> Option<Strings> {
         Some(match array.data_type() {
             DataType::Utf8 => Strings::Utf8(array.as_string::<i32>().clone()),
             DataType::LargeUtf8 => Strings::Large(array.as_string::<i64>().clone()),
@@ -40,7 +40,7 @@ impl Strings {
     }
 
     /// The text in a row; None when it is null.
-    pub(super) fn get(&self, row: usize) -> Option<&str> {
+    pub(crate) fn get(&self, row: usize) -> Option<&str> {
         match self {
             Strings::Utf8(array) => array.is_valid(row).then(|| array.value(row)),
             Strings::Large(array) => array.is_valid(row).then(|| array.value(row)),

@@ -30,3 +30,38 @@ frame.write_parquet("polars.parquet")
 frame.write_ipc("polars.arrow", compression="zstd")
 frame.write_ipc_stream("polars.arrows")
 frame.write_csv("polars.csv")
+
+# Estimates files, as `docs/exchange.md` describes them: states in another order than the model's, `tilt` first; n = 2, m = 3.
+covariance = [
+    [0.0, 0.0, 0.0, 0.0, 0.0],
+    [0.0, 4.0, 0.5, 0.0, 1.0],
+    [0.0, 0.5, 1.0, 0.0, 0.25],
+    [0.0, 0.0, 0.0, 9.0, 0.0],
+    [0.0, 1.0, 0.25, 0.0, 0.5],
+]
+row = {
+    "states": ["tilt", "v"],
+    "estimates": [1.0, 2.0, 3.0],
+    "offsets": [0.0, 0.0, 0.5],
+    "sensitivities": [1.0, 2.0, 3.0, 4.0, 5.0, 6.0],
+    "covariance": [element for line in covariance for element in line],
+    "transition": [1.0, 2.0, 3.0, 4.0],
+    "steps": 5,
+    "observations": None,
+    "lot": "A",
+    "x": 1.5,
+}
+rows = [{"test": "007", **row}, {"test": "8", **row}]
+estimates = pa.Table.from_pylist(rows)
+pq.write_table(estimates, "estimates_pyarrow.parquet", row_group_size=1)
+lists = {name: len(row[name]) for name in ["estimates", "offsets", "sensitivities", "covariance", "transition"]}
+
+
+def as_lists(of):
+    fields = [pa.field(f.name, of(f.name)) if f.name in lists else f for f in estimates.schema]
+    return pa.Table.from_pylist(rows, pa.schema(fields))
+
+
+pq.write_table(as_lists(lambda _: pa.large_list(pa.float64())), "estimates_large.parquet", compression="zstd")
+pq.write_table(as_lists(lambda name: pa.list_(pa.float32(), lists[name])), "estimates_single.parquet")
+pl.DataFrame(rows).write_parquet("estimates_polars.parquet")

@@ -14,7 +14,7 @@ use arrow::array::{
 use arrow::datatypes::Int64Type;
 use arrow::ipc::writer::IpcWriteOptions;
 use insta::assert_snapshot;
-use kalfit::{Layout, Model, TestKey};
+use kalfit::{Layout, PhasedModel, TestKey};
 use kalfit_data::{DataError, Input};
 use parquet::arrow::ArrowWriter;
 use parquet::basic::Compression;
@@ -34,14 +34,14 @@ fn refused(bytes: &[u8]) -> String {
     refused_by(&model(&["y"], &["lot"], None), bytes)
 }
 
-fn refused_by(model: &Model, bytes: &[u8]) -> String {
+fn refused_by(model: &PhasedModel, bytes: &[u8]) -> String {
     said(&collect_stdin(model, &by("id"), bytes).expect_err("the data are wrong"))
 }
 
 /// What is said of a time column `t` in a test column `id`.
 fn refused_times(bytes: &[u8], unit: Option<&str>) -> String {
     let mut model = model(&["t"], &[], Some("t"));
-    model.clock.unit = unit.map(str::to_owned);
+    model.phases[0].model.clock.unit = unit.map(str::to_owned);
     refused_by(&model, bytes)
 }
 

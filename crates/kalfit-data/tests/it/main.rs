@@ -1,6 +1,7 @@
 //! The tests of reading and writing tables, one program.
 
 mod errors;
+mod exchange;
 mod formats;
 mod hostile;
 mod streaming;

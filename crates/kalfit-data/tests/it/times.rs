@@ -63,3 +63,42 @@ fn times_may_restart_with_the_next_test() {
     let (sink, _) = collect_stdin(&model, &by("id"), b"id,t\na,5\na,6\nb,1\nb,1\n").unwrap();
     assert_eq!(sink.tests.len(), 2);
 }
+
+fn phased(unit: Option<&str>) -> kalfit::PhasedModel {
+    let mut model = model(&["t"], &["phase"], Some("t"));
+    model.phases[0].model.clock.unit = unit.map(str::to_owned);
+    model.column = Some(0);
+    model
+}
+
+#[test]
+fn times_may_restart_with_the_next_phase_and_a_phase_may_come_back() {
+    let csv = b"id,phase,t\na,up,5\na,up,6\na,down,0\na,down,1\na,up,6\na,down,3\nb,up,2\n";
+    let (sink, _) = collect_stdin(&phased(None), &by("id"), csv).unwrap();
+    let found: Vec<f64> = (0..6).map(|row| sink.tests[0].numbers(row)[0]).collect();
+    assert_eq!(found, [5.0, 6.0, 0.0, 1.0, 6.0, 3.0]);
+}
+
+#[test]
+fn times_must_not_decrease_within_a_phase() {
+    let refused = |csv: &[u8]| {
+        let error = collect_stdin(&phased(None), &by("id"), csv).expect_err("times decrease");
+        format!("{error}\nhint: {}", error.hint().unwrap())
+    };
+    insta::assert_snapshot!(refused(b"id,phase,t\na,up,5\na,down,0\na,down,1\na,up,4\n"), @"
+    standard input, row 5, column `t`: found time 4 after time 5 in phase `up` of test `a`, expected times that do not decrease
+    hint: sort the rows of each phase by time; times may start again with the next phase only
+    ");
+    insta::assert_snapshot!(refused(b"id,phase,t\na,,5\na,,4\n"), @"
+    standard input, row 3, column `t`: found time 4 after time 5 in test `a`, expected times that do not decrease
+    hint: sort the rows of each test by time; if these are two tests, give them two ids
+    ");
+}
+
+#[test]
+fn date_times_of_all_phases_count_from_the_first_row_of_the_test() {
+    let csv = b"id,phase,t\na,up,2024-01-01T00:00:10Z\na,down,2024-01-01T00:00:13Z\na,up,2024-01-01T00:00:12Z\n";
+    let (sink, _) = collect_stdin(&phased(Some("s")), &by("id"), csv).unwrap();
+    let found: Vec<f64> = (0..3).map(|row| sink.tests[0].numbers(row)[0]).collect();
+    assert_eq!(found, [0.0, 3.0, 2.0]);
+}

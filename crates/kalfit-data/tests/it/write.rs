@@ -2,7 +2,7 @@
 
 use crate::support;
 
-use kalfit::{Labels, Layout, Model, Source, Test, TestKey};
+use kalfit::{Labels, Layout, PhasedModel, Source, Test, TestKey};
 use kalfit_data::{Format, Ids, Input, TestWriter, WriteError, added_id_column, read};
 use proptest::prelude::*;
 use support::{Collect, by, model};
@@ -28,7 +28,7 @@ fn tests(rows: &[(&str, Vec<Row>)], labels: &mut Labels) -> Vec<Test> {
 
 /// Writes tests in a format, and reads them.
 fn back(
-    model: &Model,
+    model: &PhasedModel,
     layout: &Layout,
     tests: &[Test],
     labels: &Labels,
@@ -36,7 +36,7 @@ fn back(
 ) -> (Vec<Test>, Labels) {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join(format!("t.{}", format.1));
-    let mut writer = TestWriter::new(model, layout, Ids::Same, format.0, Vec::new()).expect("a table");
+    let mut writer = TestWriter::new(model.shared(), layout, Ids::Same, format.0, Vec::new()).expect("a table");
     writer.write(tests, labels).expect("rows");
     std::fs::write(&path, writer.finish().expect("an end")).expect("a file");
     let mut sink = Collect::default();
@@ -75,7 +75,7 @@ fn awkward_cells_read_back_in_every_format() {
         ("a;b,c\td", vec![(1.0 / 3.0, -1e-7, some("two\nlines"), some("#"))]),
         ("é", vec![(f64::NAN, f64::NAN, None, None)]),
     ];
-    let mut labels = Labels::new(&model.literals);
+    let mut labels = Labels::new(&model.shared().literals);
     let tests = tests(&rows, &mut labels);
     for format in FORMATS {
         let (found, found_labels) = back(&model, &by("unit"), &tests, &labels, format);
@@ -115,13 +115,14 @@ fn many_rows_pass_from_batch_to_batch() {
 fn a_column_with_several_uses_is_written_once() {
     // `k` is a number and a text, `unit` the id and a text
     let model = model(&["k", "z"], &["k", "unit"], None);
-    let mut labels = Labels::new(&model.literals);
+    let mut labels = Labels::new(&model.shared().literals);
     let tests = tests(&[("u1", vec![(7.0, 1.0, some("007"), some("u1"))])], &mut labels);
     for format in FORMATS {
         let (found, found_labels) = back(&model, &by("unit"), &tests, &labels, format);
         assert_eq!(spelt(&found, &found_labels), spelt(&tests, &labels), "{}", format.1);
     }
-    let refusal = TestWriter::new(&model, &by("unit"), Ids::New, Format::Csv, Vec::new()).err().expect("refused");
+    let refusal =
+        TestWriter::new(model.shared(), &by("unit"), Ids::New, Format::Csv, Vec::new()).err().expect("refused");
     assert!(matches!(&refusal, WriteError::IdInUse { column, .. } if column == "unit"), "{refusal}");
 }
 
@@ -130,7 +131,7 @@ fn a_column_of_ids_is_added_where_the_layout_has_none() {
     let layout = |test: TestKey| Layout { test, missing: Vec::new() };
     let plain = model(&["z"], &[], None);
     let taken = model(&["z", "test"], &["test_2"], None);
-    let name = |model: &Model, test: TestKey, ids: Ids| added_id_column(model, &layout(test), ids);
+    let name = |model: &PhasedModel, test: TestKey, ids: Ids| added_id_column(model.shared(), &layout(test), ids);
     assert_eq!(name(&plain, TestKey::Single, Ids::Same), None);
     assert_eq!(name(&plain, TestKey::Single, Ids::New).as_deref(), Some("test"));
     assert_eq!(name(&taken, TestKey::File, Ids::Same).as_deref(), Some("test_3"));

@@ -22,16 +22,12 @@ pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
         rows.sort_by(|a, b| a.p_value.unwrap_or(2.0).total_cmp(&b.p_value.unwrap_or(2.0)));
         rows.truncate(MOST_ROWS);
     }
-    let name = |row: &ConstraintRecord| match record.phases.len() {
-        0 | 1 => row.element.clone(),
-        _ => format!("{}: {}", row.phase, row.element),
-    };
     let figures = |of: fn(&ConstraintRecord) -> Option<f64>, digits: usize| -> Vec<String> {
         rows.iter().map(|&row| of(row).map_or_else(|| "-".to_owned(), |x| plain(x, digits))).collect()
     };
     let p_values = rows.iter().map(|r| r.p_value.map_or_else(|| "-".to_owned(), probability)).collect();
     let columns = [
-        Column::new("element", Side::Left, rows.iter().map(|r| name(r)).collect()),
+        Column::new("element", Side::Left, rows.iter().map(|r| name(record, r)).collect()),
         Column::new("held at", Side::Right, figures(|r| Some(r.value), DIGITS)),
         Column::new("dℓ/dvalue", Side::Right, figures(|r| r.sensitivity, 3)),
         Column::new("p-value", Side::Right, p_values),
@@ -39,6 +35,14 @@ pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     ];
     let body = table(&columns, page.width()) + &page.items(&remarks(record, rows.len()));
     page.section("Constraints: what they cost (score test of each by itself)", &body)
+}
+
+/// The element, with its phase where there are several.
+fn name(record: &FitRecord, row: &ConstraintRecord) -> String {
+    match record.phases.len() {
+        0 | 1 => row.element.clone(),
+        _ => format!("{}: {}", row.phase, row.element),
+    }
 }
 
 fn remarks(record: &FitRecord, shown: usize) -> Vec<String> {
@@ -54,7 +58,7 @@ fn remarks(record: &FitRecord, shown: usize) -> Vec<String> {
         .constraints
         .iter()
         .filter(|c| c.p_value.is_some_and(|p| p * (tested as f64) < LEVEL))
-        .map(|c| clean(&c.element))
+        .map(|c| clean(&name(record, c)))
         .collect();
     let counted = if tested > 1 { format!(", counting that there are {tested}") } else { String::new() };
     if !against.is_empty() {

@@ -23,7 +23,8 @@ pub(super) fn section(phase: &PhaseRecord, tests: usize, title: &dyn Fn(&str) ->
     page.section(&title("Limits of what the data say"), &page.items(&sentences))
 }
 
-/// What the data say nothing about, one sentence for each reason. `kept`: start values stand in their place.
+/// What the data say nothing about, one sentence for each reason; directions that mix phases are left to the notes, which name
+/// them whole. `kept`: start values stand in their place.
 pub(crate) fn unidentified(found: &[UnidentifiedRecord], states: &[String], kept: bool) -> Vec<String> {
     let one_reason = |a: &UnidentifiedRecord, b: &UnidentifiedRecord| !a.reason.is_empty() && a.reason == b.reason;
     let sentence = |group: &[UnidentifiedRecord]| {
@@ -39,7 +40,8 @@ pub(crate) fn unidentified(found: &[UnidentifiedRecord], states: &[String], kept
             reason(&group[0])
         )
     };
-    found.chunk_by(one_reason).map(sentence).collect()
+    let own: Vec<UnidentifiedRecord> = found.iter().filter(|u| u.phases.is_empty()).cloned().collect();
+    own.chunk_by(one_reason).map(sentence).collect()
 }
 
 /// Why, as a sentence of its own with a space in front.

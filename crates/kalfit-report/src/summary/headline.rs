@@ -3,9 +3,13 @@
 use kalfit::FitRecord;
 use kalfit::record::DataRecord;
 
+use super::phases;
 use crate::number::{hundredths, plain};
 use crate::page::Page;
 use crate::words::{clean, count, list};
+
+/// What such a log-likelihood is good for.
+const OF_ESTIMATES: &str = "This is the log-likelihood of what the filters made of the measurements. It compares with                             fits to the same estimates only, not with fits to the measurements.";
 
 pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     let mut text = String::new();
@@ -20,7 +24,11 @@ pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     }
     text.push('\n');
     text.push_str(&page.paragraph(&data(&record.data)));
+    text.extend(phases::combined(record).iter().map(|sentence| page.paragraph(sentence)));
     text.push_str(&page.paragraph(&likelihood(record)));
+    if record.log_likelihood_kind == "estimates" {
+        text.push_str(&page.paragraph(OF_ESTIMATES));
+    }
     text
 }
 

@@ -10,6 +10,7 @@ mod intervals;
 pub(crate) mod observability;
 mod outliers;
 mod parameters;
+pub(crate) mod phases;
 mod states;
 
 use kalfit::FitRecord;
@@ -27,6 +28,9 @@ pub fn summary(record: &FitRecord, style: &Style) -> String {
     for phase in &record.phases {
         sections.extend(phase_sections(record, phase, &page));
     }
+    let observed: Vec<_> = record.phases.iter().map(|p| (p.name.as_str(), p.information.as_ref())).collect();
+    sections.push(phases::information(&observed, &page));
+    sections.push(phases::filters(record, &page));
     sections.push(parameters::section(record, &page));
     sections.push(parameters::methods(record, &page));
     sections.push(constraints::section(record, &page));
@@ -48,7 +52,7 @@ fn phase_sections(record: &FitRecord, phase: &PhaseRecord, page: &Page<'_>) -> V
         states::section(phase, &record.std_errors, &title, page),
         correlations::section(phase, &title, page),
         intervals::section(record, phase, &title, page),
-        doubts::section(phase, record.data.tests, &title, page),
+        doubts::section(phase, phase.tests.unwrap_or(record.data.tests), &title, page),
     ]
 }
 

@@ -50,7 +50,8 @@ pub(crate) fn overview(seen: &[ObservabilityRecord], tests: usize, page: &Page<'
     body + &page.items(&[legend])
 }
 
-fn of_all(n: usize, tests: usize) -> String {
+/// `all 18`, `7 of 18`, `none`.
+pub(crate) fn of_all(n: usize, tests: usize) -> String {
     match n {
         0 => "none".to_owned(),
         n if n == tests => format!("all {n}"),
@@ -58,11 +59,12 @@ fn of_all(n: usize, tests: usize) -> String {
     }
 }
 
-/// What a reader must know: states that hang on one test, and weakly determined directions of the mean.
+/// What a reader must know: states that hang on one test, and weakly determined directions of the mean, those that mix phases
+/// left to the notes.
 pub(crate) fn warnings(seen: &[ObservabilityRecord], weak: &[WeakRecord], tests: usize) -> Vec<String> {
     let mut sentences: Vec<String> = seen.iter().filter_map(|row| one_test(row, tests)).collect();
     let states: Vec<String> = seen.iter().map(|row| row.state.clone()).collect();
-    sentences.extend(weak.iter().map(|weak| weakly(weak, &states, tests)));
+    sentences.extend(weak.iter().filter(|weak| weak.phases.is_empty()).map(|weak| weakly(weak, &states, tests)));
     sentences
 }
 

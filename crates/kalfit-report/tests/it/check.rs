@@ -1,7 +1,7 @@
 //! What `kalfit check` prints.
 
 use kalfit::record::{DataRecord, ObservabilityRecord, UnidentifiedRecord};
-use kalfit_report::{CheckRecord, Checked, Style, check_summary};
+use kalfit_report::{CheckRecord, Checked, CheckedPhase, PhaseCounts, Style, check_summary};
 
 fn shown(checked: Checked) -> String {
     let record = CheckRecord {
@@ -10,7 +10,6 @@ fn shown(checked: Checked) -> String {
             "tests: one for each value of column `Subject`".into(),
             "measurement `reaction`: column `Reaction` = intercept + Days × slope; noise of variance 654.94103".into(),
         ],
-        states: vec!["intercept".into(), "slope".into()],
         parameters: vec![],
         checked,
     };
@@ -28,14 +27,15 @@ fn reduced(unidentified: Vec<UnidentifiedRecord>, at_start_of: Vec<String>) -> C
         leading_test: Some("308".into()),
         leading_share: Some(share),
     };
-    Checked::Reduced {
-        data,
+    let phase = CheckedPhase {
+        counts: PhaseCounts { name: "main".into(), tests: 18, rows: 180, without_rows: 0 },
+        states: vec!["intercept".into(), "slope".into()],
         observability: vec![state("intercept", 18, 18, 0.0612), state("slope", 17, 0, 0.93)],
         unidentified,
         weak: vec![],
-        notes: vec![],
-        at_start_of,
-    }
+        information: None,
+    };
+    Checked::Reduced { data, phases: vec![phase], notes: vec![], at_start_of }
 }
 
 #[test]
@@ -55,7 +55,7 @@ fn a_model_alone() {
 #[test]
 fn parameters_without_values_keep_the_filters_from_running() {
     let files = vec!["-".to_owned()];
-    insta::assert_snapshot!(shown(Checked::Read { tests: 1, rows: 180, files, free: vec!["tau".into(), "s".into()], notes: vec![] }), @"
+    insta::assert_snapshot!(shown(Checked::Read { tests: 1, rows: 180, files, free: vec!["tau".into(), "s".into()], notes: vec![], phases: vec![] }), @"
     Reaction time
 
     Model
@@ -109,6 +109,7 @@ fn unidentified_directions_are_named() {
         elements: elements.into_iter().map(String::from).collect(),
         tests: vec![],
         reason: "no test observes `slope`".into(),
+        phases: vec![],
     };
     let pairs = vec!["intercept, intercept", "intercept, slope", "slope, slope"];
     let unidentified = vec![

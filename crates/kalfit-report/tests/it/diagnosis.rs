@@ -15,6 +15,7 @@ fn innovations(nis: f64, nis_p: f64, white_p: f64) -> InnovationRecord {
         nis_p_value: Some(nis_p),
         mean: Some(0.1),
         whiteness: Some(whiteness),
+        parts: Vec::new(),
     }
 }
 
@@ -74,7 +75,14 @@ fn holms_correction_stops_at_the_first_that_is_probable() {
 #[test]
 fn records_without_innovations_say_nothing_and_broken_ones_do_no_harm() {
     assert_eq!(section(&record(&[])), "\n");
-    let broken = InnovationRecord { count: 0, nis: None, nis_p_value: Some(f64::NAN), mean: None, whiteness: None };
+    let broken = InnovationRecord {
+        count: 0,
+        nis: None,
+        nis_p_value: Some(f64::NAN),
+        mean: None,
+        whiteness: None,
+        parts: vec![],
+    };
     assert_eq!(section(&record(&[broken])), "\n");
     let text = section(&record(&[innovations(f64::INFINITY, 0.0, f64::NAN)]));
     assert!(!text.contains("NaN") && !text.contains("inf"), "{text}");
@@ -98,6 +106,7 @@ fn states_that_hang_on_one_test_and_weak_directions_are_warned_of() {
         condition: 45.3,
         leading_test: Some("335".into()),
         leading_share: Some(0.4),
+        phases: vec![],
     }];
     let text = summary(&record, &Style::default());
     let at = text.find("Limits").expect("a section");

@@ -5,6 +5,7 @@ mod choices;
 mod common;
 mod diagnosis;
 mod parameters;
+mod phases;
 mod plan;
 mod ratio;
 mod summary;

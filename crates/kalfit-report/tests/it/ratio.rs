@@ -8,6 +8,7 @@ fn side(log_likelihood: f64, free_parameters: usize) -> SideRecord {
         log_likelihood,
         free_parameters,
         converged: true,
+        states: vec!["bias".into()],
         mean: vec![0.0],
         covariance: vec![vec![1.0]],
         parameters: vec![],

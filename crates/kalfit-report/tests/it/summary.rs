@@ -367,6 +367,7 @@ fn phases_have_a_section_each() {
 
     Data: 18 tests, 180 steps, 180 observations from data.csv; all tests share one
     design.
+    Phases: align and coast; combined exactly, phase by phase (chain).
     Restricted log-likelihood -875.97, 6 free parameters, AIC 1763.94, BIC 1783.10.
 
     Phase align: initial state over the tests (± standard error)

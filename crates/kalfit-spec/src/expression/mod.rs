@@ -42,6 +42,11 @@ impl<'p> Scope<'p> {
         Scope { states: false, ..Scope::equation(place) }
     }
 
+    /// What a phase inherits.
+    pub(crate) fn carry(place: &'p str) -> Scope<'p> {
+        Scope { step: false, ..Scope::equation(place) }
+    }
+
     /// The start of a test.
     pub(crate) fn start(place: &'p str) -> Scope<'p> {
         Scope { step: false, ..Scope::row(place) }

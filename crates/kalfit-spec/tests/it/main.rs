@@ -1,10 +1,13 @@
 //! The tests of model files, one program.
 
 mod accepts;
+mod digest;
 mod give;
 mod hypothesis;
+mod hypothesis_phases;
 mod linear;
 mod never_panics;
+mod phases;
 mod refuses;
 mod set;
 

@@ -1,5 +1,6 @@
 //! Whatever a model file holds, reading it ends with a model or with an error whose place is in the file.
 
+use kalfit::model::{Filter, Initial};
 use kalfit_spec::{ExpressionProblem, Problem, Spec, SpecError};
 use proptest::prelude::*;
 
@@ -12,9 +13,37 @@ fn read(text: &str) -> Result<Spec, SpecError> {
         }
     }
     if let Ok(spec) = &result {
-        assert!(!spec.describe().is_empty());
+        assert!(!spec.describe().is_empty() && spec.reduction_digest().len() == "sha256:".len() + 64);
+        kept(spec);
     }
     result
+}
+
+/// What a model in phases promises whoever reads it.
+fn kept(spec: &Spec) {
+    let (shared, phases) = (spec.model.shared(), &spec.model.phases);
+    assert!(phases[0].carry.is_empty() && (phases.len() == 1 || spec.model.column.is_some()));
+    for (i, phase) in phases.iter().enumerate() {
+        let model = &phase.model;
+        assert_eq!((&model.columns, &model.text_columns), (&shared.columns, &shared.text_columns));
+        assert_eq!((&model.literals, &model.parameters), (&shared.literals, &shared.parameters));
+        assert_eq!(phase.label.map(|label| &model.literals[label]), spec.model.column.map(|_| &phase.name));
+        assert!(phases[..i].iter().all(|before| before.name != phase.name));
+        assert!(phase.carry.windows(2).all(|pair| pair[0].state < pair[1].state));
+        for carry in &phase.carry {
+            let before = &phases[i - 1].model.states;
+            assert!(carry.state < model.states.len() && model.states[carry.state].initial != Initial::Stationary);
+            assert!(carry.from.terms.iter().all(|(state, _)| *state < before.len()) && !carry.from.terms.is_empty());
+        }
+        let n = model.states.len();
+        let whole = |filter: &Filter| {
+            filter.mean.len() == n
+                && filter.covariance.shape() == (n, n)
+                && filter.consider.iter().all(|state| *state < n)
+        };
+        assert!(phase.filter.as_ref().is_none_or(whole));
+        let _ = phase.entry_model();
+    }
 }
 
 fn with_equation(quoted: &str) -> String {
@@ -30,7 +59,7 @@ const PIECES: [&str; 34] = [
 ];
 
 /// Lines that model files are made of, some of them wrong.
-const LINES: [&str; 40] = [
+const LINES: [&str; 62] = [
     "[data]",
     "time = 't'",
     "test = '@file'",
@@ -71,6 +100,28 @@ const LINES: [&str; 40] = [
     "known = [[1, 0], [0, 1]]",
     "order = ['b', 'a']",
     "[process_noise_covariance]",
+    "phase = 'leg'",
+    "[phases.one]",
+    "[phases.two.states]",
+    "[phases.two]",
+    "[phases.two.carry]",
+    "a = 'a'",
+    "c = '0.5 * c + b'",
+    "b = { initial = { mean = 0, sigma = 0 } }",
+    "[phases.two.measurements.y]",
+    "[phases.two.covariance]",
+    "[phases.one.mean]",
+    "[phases.'three é']",
+    "[filter]",
+    "[phases.two.filter]",
+    "kind = 'kalman-schmidt'",
+    "consider = ['a']",
+    "mean = { b = 1 }",
+    "covariance = [[1, 0], [0, 2]]",
+    "covariance = [[3]]",
+    "parameters = { tau = 5 }",
+    "matrix = [[1]]",
+    "phases = { one = {}, two = {} }",
 ];
 
 proptest! {
@@ -108,6 +159,48 @@ proptest! {
         .expect("the model is whole");
         let _ = spec.set(&assignment);
         let _ = spec.describe();
+    }
+}
+
+/// A model in phases with much that can go wrong.
+const PHASES: &str = "[data]\ntime = 't'\nphase = 'leg'\n[states.a]\nprocess = 'gauss-markov-2'\ntime_constant = 'tau'\n\
+    sigma = 1\n[states.b]\n[measurements.y]\ncolumn = 'y'\nequation = 'a + b'\nnoise = 1\n[filter]\n\
+    kind = 'kalman-schmidt'\nconsider = ['a']\nmean = { b = 1 }\ncovariance = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n\
+    parameters = { tau = 2 }\n[phases.one]\n[phases.'two é']\n[phases.'two é'.states]\na = { initial = 'estimated', \
+    process = 'gauss-markov-2', time_constant = 'tau', sigma = 1 }\nb = { initial = { mean = 0, sigma = 0 } }\n\
+    [phases.'two é'.carry]\na = '2 * a'\nb = 'b + tau'\n[phases.'two é'.covariance]\nstructure = 'fixed'\n\
+    matrix = [[2]]\n[parameters]\ntau = 3\n";
+
+/// The same with pieces cut out, from any place to any place.
+#[test]
+fn every_part_of_a_model_in_phases_may_be_missing() {
+    let whole = read(PHASES).expect("the model is whole");
+    assert_eq!(whole.model.phases.len(), 2);
+    let lines: Vec<&str> = PHASES.lines().collect();
+    for from in 0..lines.len() {
+        for to in from + 1..=lines.len() {
+            let _ = read(&[&lines[..from], &lines[to..]].concat().join("\n"));
+        }
+    }
+    for end in (0..PHASES.len()).filter(|end| PHASES.is_char_boundary(*end)) {
+        let _ = read(&PHASES[..end]);
+    }
+}
+
+/// Phases that take much from the top level are refused before they take memory or time.
+#[test]
+fn many_phases_of_one_large_table_are_refused() {
+    let many = |line: &dyn Fn(usize) -> String, n: usize| (0..n).map(line).collect::<String>();
+    let start = "[data]\nphase = 'leg'\n[states]\na = {}\n";
+    let measurement = |i: usize| format!("[measurements.m{i}]\ncolumn = 'y{i}'\nequation = 'a'\nnoise = 1\n");
+    let phases = many(&|i| format!("[phases.p{i}]\n"), 100);
+    let list = |i: usize| many(&|k| format!("'c{i}_{k}', "), 500);
+    let regressions = many(&|i| format!("[phases.p{i}.mean.regression]\na = [{}]\n", list(i)), 100);
+    for text in
+        [format!("{start}{}{phases}", many(&measurement, 500)), format!("{start}{}{regressions}", measurement(0))]
+    {
+        let problem = *read(&text).unwrap_err().problem;
+        assert!(matches!(problem, Problem::Count { .. }), "{problem:?}");
     }
 }
 

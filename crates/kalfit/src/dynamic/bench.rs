@@ -1,28 +1,29 @@
 //! ℓ(α): the reductions at α, the maximum over (μ, Σ) on them, and its gradient in α. The filters run when α moves, and only
 //! then.
 
+use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use nalgebra::DVector;
-use rayon::prelude::*;
 
+use crate::dynamic::indirect::Indirect;
 use crate::dynamic::matrices::{self, matrix_gradient};
 use crate::dynamic::{Coordinate, DynamicError, Settings};
-use crate::ensemble::Test;
 use crate::estimate::{self, Criterion, Estimate, InitialLaw, Silent, Structure};
-use crate::model::{Alpha, Model, Population};
-use crate::reduce::{ReduceError, Reducer, Reduction};
-use crate::score::{Complete, Gradient, Levels, Scorer, Slots, moments};
+use crate::model::{Alpha, PhasedModel, Population};
+use crate::reduce::{PhasedReducer, PhasedTest, ReduceError, Reduction};
+use crate::score::{Gradient, Levels, PhasedComplete, PhasedScorer, Slots, carried};
 
 /// The ensemble and the model, ready for any α.
 #[derive(Debug)]
 pub(crate) struct Bench<'a> {
-    pub(crate) model: &'a Model,
-    pub(crate) tests: &'a [Test],
+    pub(crate) model: &'a PhasedModel,
+    pub(crate) tests: &'a [PhasedTest],
     pub(crate) slots: &'a Slots,
     pub(crate) coordinates: Vec<Coordinate>,
     pub(crate) settings: &'a Settings,
     order: Vec<usize>,
+    indirect: Indirect,
     filter_passes: AtomicUsize,
     score_passes: AtomicUsize,
     passes: AtomicUsize,
@@ -62,7 +63,12 @@ pub(crate) struct Shifted {
 }
 
 impl<'a> Bench<'a> {
-    pub(crate) fn new(model: &'a Model, tests: &'a [Test], slots: &'a Slots, settings: &'a Settings) -> Bench<'a> {
+    pub(crate) fn new(
+        model: &'a PhasedModel,
+        tests: &'a [PhasedTest],
+        slots: &'a Slots,
+        settings: &'a Settings,
+    ) -> Bench<'a> {
         let zero = || AtomicUsize::new(0);
         let mut order: Vec<usize> = (0..tests.len()).collect();
         order.sort_by(|&a, &b| tests[a].id.cmp(&tests[b].id));
@@ -70,9 +76,10 @@ impl<'a> Bench<'a> {
             model,
             tests,
             slots,
-            coordinates: Coordinate::of(model, slots),
+            coordinates: Coordinate::of(model.shared(), slots),
             settings,
             order,
+            indirect: Indirect::of(model, tests, slots),
             filter_passes: zero(),
             score_passes: zero(),
             passes: zero(),
@@ -94,9 +101,14 @@ impl<'a> Bench<'a> {
         self.passes.load(Ordering::Relaxed)
     }
 
+    /// α with these free values.
+    pub(crate) fn alpha(&self, values: &[f64]) -> Alpha {
+        self.slots.alpha(self.model.shared(), values)
+    }
+
     /// The reductions at α.
-    pub(crate) fn reduce(&self, alpha: &Alpha) -> Result<(Reducer, Vec<Reduction>), ReduceError> {
-        let mut reducer = Reducer::scoring(self.model, alpha, self.slots)?;
+    pub(crate) fn reduce(&self, alpha: &Alpha) -> Result<(PhasedReducer, Vec<Reduction>), ReduceError> {
+        let mut reducer = PhasedReducer::scoring(self.model, alpha, self.slots)?;
         self.filter_passes.fetch_add(1, Ordering::Relaxed);
         let reductions = reducer.reduce(self.tests)?;
         Ok((reducer, reductions))
@@ -104,10 +116,10 @@ impl<'a> Bench<'a> {
 
     /// ℓ(α) and its gradient; `near` is a population near the best one.
     pub(crate) fn solve(&self, values: &[f64], near: Option<&Population>) -> Result<Solved, DynamicError> {
-        let alpha = self.slots.alpha(self.model, values);
+        let alpha = self.alpha(values);
         let (reducer, reductions) = self.reduce(&alpha).map_err(Box::new)?;
         let estimate = self.inner(&reductions, &alpha, near)?;
-        let scores = self.scores(&reducer, &reductions, &estimate.state.law())?;
+        let scores = self.scores(&reducer, values, &reductions, &estimate.state.law())?;
         let matrix =
             matrix_gradient(self.model, &alpha, self.slots, &estimate.covariance, &estimate.state.covariance_score());
         let gradient = self.gradient(values, &scores, &matrix);
@@ -116,7 +128,7 @@ impl<'a> Bench<'a> {
 
     /// ℓ(α) alone; `None` where it is not defined.
     pub(crate) fn value(&self, values: &[f64]) -> Option<f64> {
-        let alpha = self.slots.alpha(self.model, values);
+        let alpha = self.alpha(values);
         let (_, reductions) = self.reduce(&alpha).ok()?;
         let estimate = self.inner(&reductions, &alpha, None).ok()?;
         Some(estimate.log_likelihood).filter(|value| value.is_finite())
@@ -129,7 +141,7 @@ impl<'a> Bench<'a> {
         alpha: &Alpha,
         near: Option<&Population>,
     ) -> Result<Estimate, DynamicError> {
-        let structure = Structure::single(&self.model.mean, &self.model.covariance, alpha);
+        let structure = Structure::of(self.model, alpha);
         let settings = &self.settings.inner;
         let estimate = match near {
             Some(start) => estimate::fit_from(reductions, &structure, start, settings, &mut Silent)?,
@@ -141,11 +153,11 @@ impl<'a> Bench<'a> {
 
     /// ℓ and its gradient in α at other values but the (μ, Σ) of `home`; `None` where it is not defined.
     pub(crate) fn shift(&self, home: &Solved, values: &[f64]) -> Option<Shifted> {
-        let alpha = self.slots.alpha(self.model, values);
+        let alpha = self.alpha(values);
         let (reducer, reductions) = self.reduce(&alpha).ok()?;
         self.passes.fetch_add(1, Ordering::Relaxed);
         let at = home.estimate.state.elsewhere(&reductions, &alpha).ok()??;
-        let scores = self.scores(&reducer, &reductions, &at.law()).ok()?;
+        let scores = self.scores(&reducer, values, &reductions, &at.law()).ok()?;
         let matrix = matrix_gradient(self.model, &alpha, self.slots, &at.covariance(), &at.covariance_score());
         let inner = at.gradient(&home.estimate.state);
         Some(Shifted { values: values.to_vec(), reductions, inner, scores, matrix })
@@ -153,12 +165,12 @@ impl<'a> Bench<'a> {
 
     /// ℓ after a step in α and, along the tangent basis of home, in (μ, Σ); `None` where it is not defined.
     pub(crate) fn step(&self, home: &Solved, values: &[f64], inner: &DVector<f64>) -> Option<Solved> {
-        let alpha = self.slots.alpha(self.model, values);
+        let alpha = self.alpha(values);
         let (reducer, reductions) = self.reduce(&alpha).ok()?;
         self.passes.fetch_add(1, Ordering::Relaxed);
         let state = home.estimate.state.moved(&reductions, &alpha, inner)?;
         let estimate = Estimate::unfinished(state);
-        let scores = self.scores(&reducer, &reductions, &estimate.state.law()).ok()?;
+        let scores = self.scores(&reducer, values, &reductions, &estimate.state.law()).ok()?;
         let sigma = &estimate.covariance;
         let matrix = matrix_gradient(self.model, &alpha, self.slots, sigma, &estimate.state.covariance_score());
         let gradient = self.gradient(values, &scores, &matrix);
@@ -183,6 +195,13 @@ impl<'a> Bench<'a> {
         matrices::slots(self.model, self.slots)
     }
 
+    /// Values that the complete data of some phase do not show: of a carry, or of a phase that is known by a filter's estimates.
+    pub(crate) fn hidden_slots(&self) -> Vec<usize> {
+        let carried = self.model.phases.iter().flat_map(|phase| carried(phase, self.slots));
+        let hidden: BTreeSet<usize> = carried.chain(self.indirect.parameters(self.model, self.slots)).collect();
+        (0..self.slots.len()).filter(|&s| hidden.contains(&self.slots.slots()[s].parameter)).collect()
+    }
+
     /// The restricted likelihood is maximised.
     pub(crate) fn restricted(&self) -> bool {
         self.settings.inner.criterion == Criterion::Reml
@@ -193,36 +212,37 @@ impl<'a> Bench<'a> {
         &self.order
     }
 
-    /// dℓ_j/dvalue of each test.
+    /// dℓ_j/dvalue of each test at these values and this law.
     pub(crate) fn scores(
         &self,
-        reducer: &Reducer,
+        reducer: &PhasedReducer,
+        values: &[f64],
         reductions: &[Reduction],
         law: &InitialLaw,
     ) -> Result<Vec<Gradient>, DynamicError> {
         self.score_passes.fetch_add(1, Ordering::Relaxed);
-        let moments: Vec<_> = reductions.par_iter().map(|reduction| moments(reduction, law)).collect();
-        let scorer = Scorer::new(reducer, self.slots).map_err(Box::new)?;
-        Ok(scorer.scores(self.tests, &moments).map_err(Box::new)?)
+        let scorer = PhasedScorer::new(self.model, reducer, self.slots).map_err(Box::new)?;
+        let mut scores = scorer.scores(self.tests, reductions, law).map_err(Box::new)?;
+        self.indirect.add(self, (reducer, values), (reductions, law), &mut scores).map_err(Box::new)?;
+        Ok(scores)
     }
 
     /// Moments of the complete data of each test at a solved α.
-    pub(crate) fn complete(&self, home: &Solved) -> Result<Vec<Complete>, DynamicError> {
+    pub(crate) fn complete(&self, home: &Solved) -> Result<Vec<PhasedComplete>, DynamicError> {
         self.filter_passes.fetch_add(1, Ordering::Relaxed);
         self.score_passes.fetch_add(1, Ordering::Relaxed);
         let law = home.estimate.state.law();
-        let moments: Vec<_> = home.reductions.par_iter().map(|reduction| moments(reduction, &law)).collect();
-        let reducer = Reducer::scoring(self.model, &home.alpha, self.slots).map_err(Box::new)?;
-        let scorer = Scorer::new(&reducer, self.slots).map_err(Box::new)?;
-        Ok(scorer.all_complete(self.tests, &moments).map_err(Box::new)?)
+        let reducer = PhasedReducer::scoring(self.model, &home.alpha, self.slots).map_err(Box::new)?;
+        let scorer = PhasedScorer::new(self.model, &reducer, self.slots).map_err(Box::new)?;
+        Ok(scorer.all_complete(self.tests, &home.reductions, &law).map_err(Box::new)?)
     }
 
     /// The expected log-likelihood of the complete data at α and its gradient to the coordinates; `None` where it is not
     /// defined.
-    pub(crate) fn expected(&self, complete: &[Complete], values: &[f64]) -> Option<(f64, Vec<f64>)> {
-        let alpha = self.slots.alpha(self.model, values);
-        let reducer = Reducer::scoring(self.model, &alpha, self.slots).ok()?;
-        let scorer = Scorer::new(&reducer, self.slots).ok()?;
+    pub(crate) fn expected(&self, complete: &[PhasedComplete], values: &[f64]) -> Option<(f64, Vec<f64>)> {
+        let alpha = self.alpha(values);
+        let reducer = PhasedReducer::scoring(self.model, &alpha, self.slots).ok()?;
+        let scorer = PhasedScorer::new(self.model, &reducer, self.slots).ok()?;
         let (own, scores): (Vec<f64>, Vec<Gradient>) =
             scorer.all_expected(self.tests, complete).ok()??.into_iter().unzip();
         let value: f64 = self.order.iter().map(|&j| own[j]).sum();
@@ -232,8 +252,8 @@ impl<'a> Bench<'a> {
 
     /// Which free values are noise levels, at an α where none is zero.
     pub(crate) fn levels(&self, alpha: &Alpha) -> Result<Levels, DynamicError> {
-        let reducer = Reducer::scoring(self.model, alpha, self.slots).map_err(Box::new)?;
-        Ok(Levels::new(&reducer, self.slots, self.tests).map_err(Box::new)?)
+        let reducer = PhasedReducer::scoring(self.model, alpha, self.slots).map_err(Box::new)?;
+        Ok(Levels::new(self.model, &reducer, self.slots, self.tests).map_err(Box::new)?)
     }
 
     /// dℓ/dcoordinate from what tests and matrices give.

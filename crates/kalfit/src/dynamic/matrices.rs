@@ -1,24 +1,38 @@
 //! Parameters in the matrices of the covariance structure: dℓ/dα through Σ at fixed coordinates of Σ.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use nalgebra::DMatrix;
 
-use crate::model::{Alpha, CovarianceKind, Expression, Model, Scope, Tape};
+use crate::model::{Alpha, CovarianceKind, Expression, Model, PhasedModel, Scope, Tape};
 use crate::score::{Gradient, Slots};
 
-/// dℓ/dvalue through Σ = Σ* (fixed), βΣ* (proportional) or DRD (correlation), from G with dℓ = tr(G dΣ).
+/// dℓ/dvalue through Σ = Σ* (fixed), βΣ* (proportional) or DRD (correlation), from G with dℓ = tr(G dΣ), over all phases.
 pub(crate) fn matrix_gradient(
-    model: &Model,
+    model: &PhasedModel,
     alpha: &Alpha,
     slots: &Slots,
     sigma: &DMatrix<f64>,
     score: &DMatrix<f64>,
 ) -> Gradient {
+    let mut sum = BTreeMap::new();
+    for (phase, range) in model.phases.iter().zip(model.ranges()) {
+        let own =
+            |matrix: &DMatrix<f64>| matrix.view((range.start, range.start), (range.len(), range.len())).into_owned();
+        for (slot, bar) in phase_gradient(&phase.model, alpha, slots, &own(sigma), &own(score)) {
+            *sum.entry(slot).or_insert(0.0) += bar;
+        }
+    }
+    sum.into_iter().collect()
+}
+
+fn phase_gradient(model: &Model, alpha: &Alpha, slots: &Slots, sigma: &DMatrix<f64>, score: &DMatrix<f64>) -> Gradient {
     let (CovarianceKind::Fixed(entries) | CovarianceKind::Proportional(entries) | CovarianceKind::Correlation(entries)) =
         &model.covariance.kind
     else {
         return Gradient::new();
     };
-    let named = self::slots(model, slots);
+    let named = phase_slots(model, slots);
     if named.is_empty() {
         return Gradient::new();
     }
@@ -45,8 +59,13 @@ pub(crate) fn matrix_gradient(
     named.into_iter().map(|slot| (slot, gradient[slot])).collect()
 }
 
-/// Free values that matrices of the structure depend on.
-pub(crate) fn slots(model: &Model, slots: &Slots) -> Vec<usize> {
+/// Free values that matrices of the structures depend on.
+pub(crate) fn slots(model: &PhasedModel, slots: &Slots) -> Vec<usize> {
+    let all: BTreeSet<usize> = model.phases.iter().flat_map(|phase| phase_slots(&phase.model, slots)).collect();
+    all.into_iter().collect()
+}
+
+fn phase_slots(model: &Model, slots: &Slots) -> Vec<usize> {
     let (CovarianceKind::Fixed(entries) | CovarianceKind::Proportional(entries) | CovarianceKind::Correlation(entries)) =
         &model.covariance.kind
     else {

@@ -4,9 +4,12 @@
 mod bench;
 mod coordinates;
 mod em;
+mod indirect;
 mod interval;
 mod joint;
 mod matrices;
+#[cfg(test)]
+mod phased_tests;
 mod search;
 mod settings;
 mod start;
@@ -14,12 +17,12 @@ mod start;
 mod tests;
 mod worth;
 
-use crate::ensemble::{Labels, Test};
-use crate::estimate::{Estimate, FitError, Progress, Stop};
+use crate::ensemble::Labels;
+use crate::estimate::{Combination, Estimate, FitError, Progress, Stop};
 use crate::infer::{Choices, Inference, Interval, IntervalKind};
-use crate::model::{Alpha, Model};
-use crate::reduce::{ReduceError, Reduction};
-use crate::score::Slots;
+use crate::model::{Alpha, PhasedModel};
+use crate::reduce::{Evidence, PhasedTest, ReduceError, Reduction};
+use crate::score::{Slots, dependences};
 
 pub(crate) use bench::Bench;
 pub(crate) use coordinates::Coordinate;
@@ -34,6 +37,42 @@ pub enum DynamicError {
     /// μ and Σ cannot be estimated.
     #[error(transparent)]
     Fit(#[from] FitError),
+    /// Free parameters, and phases put together by their marginals: what would be maximised is no likelihood of α.
+    #[error("`{parameter}` is free, and `marginal` is for known parameters: found {free} free values, expected none")]
+    Marginal {
+        /// The first free parameter.
+        parameter: String,
+        /// Number of free values.
+        free: usize,
+    },
+    /// A reduction is for one value of each parameter; it cannot follow a free one.
+    #[error(
+        "test `{test}` comes as a reduction, made at known parameters, but `{parameter}` of phase `{phase}` is free"
+    )]
+    FixedReduction {
+        /// Id of the test.
+        test: String,
+        /// Name of the phase.
+        phase: String,
+        /// The first free parameter that the phase depends on.
+        parameter: String,
+    },
+}
+
+impl DynamicError {
+    /// What to do about it.
+    pub fn hint(&self) -> Option<&'static str> {
+        match self {
+            DynamicError::Reduce(error) => error.hint(),
+            DynamicError::Fit(_) => None,
+            DynamicError::Marginal { .. } => {
+                Some("give every parameter a value, or put the phases together by `chain`")
+            }
+            DynamicError::FixedReduction { .. } => {
+                Some("give the parameter the value that the reduction was made at, or give the data in its place")
+            }
+        }
+    }
 }
 
 /// μ, Σ and α at the end of a search.
@@ -110,15 +149,16 @@ pub enum Standing {
     Unidentified,
 }
 
-/// Estimates α, μ and Σ of tests. With no free values it is [`estimate::fit`](crate::estimate::fit) on the reductions.
+/// Estimates α, μ and Σ of tests, phases and all. With no free values it is [`estimate::fit`](crate::estimate::fit) on the reductions.
 pub fn fit(
-    model: &Model,
+    model: &PhasedModel,
     labels: &Labels,
-    tests: &[Test],
+    tests: &[PhasedTest],
     settings: &Settings,
     progress: &mut dyn Progress,
 ) -> Result<DynamicFit, DynamicError> {
-    let slots = Slots::new(model, labels, tests);
+    let slots = Slots::in_phases(model, labels, tests);
+    refuse(model, tests, &slots, settings)?;
     let bench = Bench::new(model, tests, &slots, settings);
     let mut ends = Vec::new();
     let mut first_error = None;
@@ -161,10 +201,29 @@ pub fn fit(
     })
 }
 
+/// What has no meaning while parameters are free.
+fn refuse(model: &PhasedModel, tests: &[PhasedTest], slots: &Slots, settings: &Settings) -> Result<(), DynamicError> {
+    let name = |parameter: usize| model.shared().parameters[parameter].name.clone();
+    if let (Some(slot), Combination::Marginal, false) =
+        (slots.slots().first(), settings.inner.phases, model.is_single())
+    {
+        return Err(DynamicError::Marginal { parameter: name(slot.parameter), free: slots.len() });
+    }
+    for (at, phase) in model.phases.iter().enumerate() {
+        let Some(&parameter) = dependences(phase, slots).first() else { continue };
+        let reduced = |test: &&PhasedTest| matches!(test.phases.get(at), Some(Evidence::Reduced(_)));
+        if let Some(test) = tests.iter().find(reduced) {
+            let (test, phase) = (test.id.clone(), phase.name.clone());
+            return Err(DynamicError::FixedReduction { test, phase, parameter: name(parameter) });
+        }
+    }
+    Ok(())
+}
+
 /// What each number is worth: of μ and Σ with the uncertainty of α in it, and of each free value of α.
 pub fn infer(
-    model: &Model,
-    tests: &[Test],
+    model: &PhasedModel,
+    tests: &[PhasedTest],
     fit: &DynamicFit,
     choices: Choices,
 ) -> Result<(Inference, Vec<ParameterInference>), DynamicError> {
@@ -174,7 +233,7 @@ pub fn infer(
     // with α free, those of μ and Σ are Wald's, the uncertainty of α in them
     let wald = Choices { intervals: IntervalKind::Wald, ..choices };
     let inference = crate::infer::infer(&estimate, &fit.reductions, wald);
-    let mut parameters = worth::parameters(model, fit, &covariances);
+    let mut parameters = worth::parameters(model.shared(), fit, &covariances);
     if choices.intervals == IntervalKind::Profile && fit.stop == Stop::Certified {
         let bench = Bench::new(model, tests, &fit.slots, &fit.settings);
         interval::profiles(&bench, fit, &covariances, &mut parameters)?;

@@ -12,7 +12,8 @@ use crate::dynamic::search::{End, search};
 use crate::dynamic::{Coordinate, DynamicError};
 use crate::ensemble::Test;
 use crate::estimate::Silent;
-use crate::model::{Expression, Linear, Model, Motion, Operator, Value};
+use crate::model::{Expression, Linear, Motion, Operator, PhasedModel, State, Value};
+use crate::reduce::{Evidence, PhasedTest};
 
 /// Ends on a part of the data whose ℓ is this close to the best one's are followed on all of it.
 const CLOSE: f64 = 5.0;
@@ -59,8 +60,13 @@ pub(crate) fn starts(bench: &Bench<'_>) -> Result<Vec<Vec<f64>>, DynamicError> {
     Ok(if total(&sample) < total(bench.tests) { promising(&small, all) } else { all })
 }
 
-fn total(tests: &[Test]) -> usize {
-    tests.iter().map(Test::rows).sum()
+fn total(tests: &[PhasedTest]) -> usize {
+    tests.iter().map(rows).sum()
+}
+
+/// Rows of all phases.
+fn rows(test: &PhasedTest) -> usize {
+    test.phases.iter().map(|evidence| if let Evidence::Rows(test) = evidence { test.rows() } else { 0 }).sum()
 }
 
 /// Of many starts, where the best ones end on a part of the data; all of them when they all fail there.
@@ -80,17 +86,21 @@ fn promising(small: &Bench<'_>, starts: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
     kept
 }
 
-/// Every test's first rows, as many tests as fit.
-fn sample(tests: &[Test]) -> Vec<Test> {
-    let mut order: Vec<&Test> = tests.iter().collect();
+/// The first rows of every phase of every test, as many tests as fit.
+fn sample(tests: &[PhasedTest]) -> Vec<PhasedTest> {
+    let mut order: Vec<&PhasedTest> = tests.iter().collect();
     order.sort_by(|a, b| a.id.cmp(&b.id));
-    let mut rows = 0;
+    let first = |evidence: &Evidence| match evidence {
+        Evidence::Rows(test) => Evidence::Rows(test.first(ROWS_OF_A_TEST)),
+        other => other.clone(),
+    };
+    let mut many = 0;
     let mut sample = Vec::new();
     for test in order {
-        let kept = test.rows().min(ROWS_OF_A_TEST);
-        sample.push(test.first(kept));
-        rows += kept;
-        if rows > ROWS {
+        let kept = PhasedTest { id: test.id.clone(), phases: test.phases.iter().map(first).collect() };
+        many += rows(&kept);
+        sample.push(kept);
+        if many > ROWS {
             break;
         }
     }
@@ -104,14 +114,14 @@ fn unknown(bench: &Bench<'_>) -> Vec<usize> {
         Value::Free { start: None } => false,
         Value::Fixed(_) => true,
     };
-    let parameters = bench.model.parameters.iter().enumerate();
+    let parameters = bench.model.shared().parameters.iter().enumerate();
     parameters.filter(|(p, what)| bench.slots.is_free(*p) && !told(what.value, what.positive)).map(|(p, _)| p).collect()
 }
 
 fn first_guess(bench: &Bench<'_>) -> Vec<f64> {
     let scales = Scales::of(bench);
     let one = |(s, slot): (usize, &crate::score::Slot)| {
-        let parameter = &bench.model.parameters[slot.parameter];
+        let parameter = &bench.model.shared().parameters[slot.parameter];
         let coordinate = bench.coordinates[s];
         let guess = match parameter.value {
             Value::Free { start: Some(start) } if !(coordinate.log && start == 0.0) => start,
@@ -139,20 +149,25 @@ fn inside(coordinate: Coordinate, value: f64) -> f64 {
 
 /// Sizes found in the data.
 pub(crate) struct Scales {
-    /// Of the differences of successive measured values, by measurement.
-    noise: Vec<f64>,
+    /// Of the differences of successive measured values, by phase and measurement.
+    noise: Vec<Vec<f64>>,
     /// Median length of a step.
     step: f64,
-    /// Median length of a test.
+    /// Median length of a phase of a test.
     span: f64,
 }
 
 impl Scales {
     pub(crate) fn of(bench: &Bench<'_>) -> Scales {
-        let noise = bench.model.measurements.iter().map(|m| differences(bench.tests, m.column)).collect();
+        let noise_of = |at: usize| -> Vec<f64> {
+            let columns = bench.model.phases[at].model.measurements.iter().map(|m| m.column);
+            columns.map(|column| differences(&phase_rows(bench.tests, at), column)).collect()
+        };
+        let noise = (0..bench.model.phases.len()).map(noise_of).collect();
         let (mut steps, mut spans) = (Vec::new(), Vec::new());
-        if let Some(time) = bench.model.clock.time {
-            for test in bench.tests {
+        for (at, phase) in bench.model.phases.iter().enumerate() {
+            let Some(time) = phase.model.clock.time else { continue };
+            for test in phase_rows(bench.tests, at) {
                 let times: Vec<f64> = (0..test.rows().min(ROWS_OF_A_TEST)).map(|row| test.numbers(row)[time]).collect();
                 steps.extend(times.windows(2).map(|pair| pair[1] - pair[0]).filter(|d| *d > 0.0));
                 let last = test.rows().checked_sub(1).map(|row| test.numbers(row)[time]);
@@ -169,31 +184,46 @@ impl Scales {
     }
 
     /// A value for a positive parameter.
-    fn guess(&self, model: &Model, parameter: usize) -> f64 {
+    fn guess(&self, model: &PhasedModel, parameter: usize) -> f64 {
         if time_constants(model).contains(&parameter) {
             return (self.step * self.span).sqrt();
         }
-        let own = model.measurements.iter().zip(&self.noise).find(|(m, _)| mentions(&m.noise_variance, parameter));
+        let measurements =
+            model.phases.iter().zip(&self.noise).flat_map(|(p, noise)| p.model.measurements.iter().zip(noise));
+        let own = measurements.into_iter().find(|(m, _)| mentions(&m.noise_variance, parameter));
         if let Some((measurement, &size)) = own {
             // the variance is the square of the parameter, or the parameter itself
             let as_variance = !is_square(&measurement.noise_variance);
             return if as_variance { size * size } else { size };
         }
-        let all = median(self.noise.iter().copied().filter(|size| *size > 0.0).collect()).unwrap_or(1.0);
+        let sizes = self.noise.iter().flatten().copied().filter(|size| *size > 0.0);
+        let all = median(sizes.collect()).unwrap_or(1.0);
         let variance = |motion: &Motion| match motion {
             Motion::Continuous { noise_variance, .. } | Motion::Discrete { noise_variance, .. } => {
                 *noise_variance == Expression::Parameter(parameter)
             }
             Motion::Constant => false,
         };
-        if model.states.iter().any(|state| variance(&state.motion)) { all * all } else { all }
+        if states(model).any(|state| variance(&state.motion)) { all * all } else { all }
     }
 }
 
+/// The states of all phases.
+fn states(model: &PhasedModel) -> impl Iterator<Item = &State> {
+    model.phases.iter().flat_map(|phase| &phase.model.states)
+}
+
+/// The rows of one phase, of the tests that have them.
+fn phase_rows(tests: &[PhasedTest], at: usize) -> Vec<&Test> {
+    let evidence = tests.iter().filter_map(|test| test.phases.get(at));
+    evidence.filter_map(|evidence| if let Evidence::Rows(rows) = evidence { Some(rows) } else { None }).collect()
+}
+
 /// Whether a parameter stands in the variance of a noise.
-fn is_noise(model: &Model, parameter: usize) -> bool {
-    model.measurements.iter().any(|m| mentions(&m.noise_variance, parameter))
-        || model.states.iter().any(|state| match &state.motion {
+fn is_noise(model: &PhasedModel, parameter: usize) -> bool {
+    let mut measurements = model.phases.iter().flat_map(|phase| &phase.model.measurements);
+    measurements.any(|m| mentions(&m.noise_variance, parameter))
+        || states(model).any(|state| match &state.motion {
             Motion::Constant => false,
             Motion::Continuous { noise_variance, .. } | Motion::Discrete { noise_variance, .. } => {
                 mentions(noise_variance, parameter)
@@ -207,7 +237,7 @@ fn is_square(variance: &Expression) -> bool {
 }
 
 /// Root mean square of the differences of successive values within tests, over √2.
-fn differences(tests: &[Test], column: usize) -> f64 {
+fn differences(tests: &[&Test], column: usize) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
     for test in tests {
         let mut last = f64::NAN;
@@ -236,16 +266,17 @@ fn mentions(expression: &Expression, parameter: usize) -> bool {
 }
 
 /// Positive parameters that the coefficients of a motion depend on.
-pub(crate) fn time_constants(model: &Model) -> Vec<usize> {
+pub(crate) fn time_constants(model: &PhasedModel) -> Vec<usize> {
     let motion = |linear: &Linear, parameter| linear.terms.iter().any(|(_, h)| mentions(h, parameter));
     let used = |parameter: usize| {
-        model.states.iter().any(|state| match &state.motion {
+        states(model).any(|state| match &state.motion {
             Motion::Constant => false,
             Motion::Continuous { derivative, .. } => motion(derivative, parameter),
             Motion::Discrete { next, .. } => motion(next, parameter),
         })
     };
-    (0..model.parameters.len()).filter(|&p| model.parameters[p].positive && used(p)).collect()
+    let parameters = &model.shared().parameters;
+    (0..parameters.len()).filter(|&p| parameters[p].positive && used(p)).collect()
 }
 
 /// All unknown noise levels by one factor: the data's units are not those of every state.
@@ -314,7 +345,8 @@ fn scattered(small: &Bench<'_>, unknown: &[usize], first: &[f64]) -> Vec<Vec<f64
     let mut found: Vec<(Vec<f64>, f64)> = Vec::new();
     for _ in 0..SCATTERED {
         // all levels of a parameter together
-        let draws: Vec<f64> = small.model.parameters.iter().map(|_| StandardNormal.sample(&mut random)).collect();
+        let draws: Vec<f64> =
+            small.model.shared().parameters.iter().map(|_| StandardNormal.sample(&mut random)).collect();
         let moved = |(s, value): (usize, &f64)| {
             let parameter = small.slots.slots()[s].parameter;
             let own = unknown.contains(&parameter) && small.coordinates[s].log;

@@ -10,8 +10,9 @@ use crate::estimate::{Criterion, Silent, Stop};
 use crate::infer::{Choices, IntervalKind};
 use crate::model::{
     Clock, Column, CovarianceStructure, Expression, Initial, Linear, MeanStructure, Measurement, Model, Motion,
-    Operator, Parameter, State, Value,
+    Operator, Parameter, PhasedModel, State, Value,
 };
+use crate::reduce::PhasedTest;
 use crate::score::Slots;
 
 const TAU: usize = 0;
@@ -49,7 +50,7 @@ fn state(name: &str, motion: Motion, initial: Initial) -> State {
 }
 
 /// z = bias + scale u + drift + slope u² + noise; the noise level is the sensor's. Columns: time, z, u; text column: sensor.
-fn model(per_test: bool) -> Model {
+fn model(per_test: bool) -> PhasedModel {
     let one = || Expression::Number(1.0);
     let rate = Expression::Negate(Box::new(binary(Operator::Divide, one(), of(TAU))));
     let driving =
@@ -63,7 +64,7 @@ fn model(per_test: bool) -> Model {
         constant: binary(Operator::Multiply, of(SLOPE), square(Expression::Column(2))),
     };
     let column = |name: &str| Column { name: name.to_owned(), used_in: String::new() };
-    Model {
+    let model = Model {
         title: String::new(),
         columns: vec![column("t"), column("z"), column("u")],
         text_columns: vec![column("sensor"), column("test")],
@@ -93,7 +94,8 @@ fn model(per_test: bool) -> Model {
         estimated: vec![0, 1],
         mean: MeanStructure::free(2),
         covariance: CovarianceStructure::full(),
-    }
+    };
+    model.into()
 }
 
 /// Uniform numbers in (-½, ½), the same on every machine.
@@ -110,8 +112,8 @@ impl Lcg {
     }
 }
 
-fn ensemble(model: &Model, tests: usize, rows: usize) -> (Labels, Vec<Test>) {
-    let (mut random, mut labels) = (Lcg(5), Labels::new(&model.literals));
+fn ensemble(model: &PhasedModel, tests: usize, rows: usize) -> (Labels, Vec<PhasedTest>) {
+    let (mut random, mut labels) = (Lcg(5), Labels::new(&model.shared().literals));
     let mut all = Vec::new();
     for j in 0..tests {
         let id = format!("u{j:02}");
@@ -129,7 +131,7 @@ fn ensemble(model: &Model, tests: usize, rows: usize) -> (Labels, Vec<Test>) {
             let z = bias + scale * u + drift + 0.2 * u * u + noise * random.normal();
             test.push(&[t, z, u], &[Label::literal(sensor), own], Source::default());
         }
-        all.push(test);
+        all.push(test.into());
     }
     (labels, all)
 }
@@ -144,7 +146,7 @@ fn settings(method: Method, criterion: Criterion) -> Settings {
 fn the_gradient_equals_differences_of_the_maximum_over_mean_and_covariance() {
     let model = model(false);
     let (labels, tests) = ensemble(&model, 8, 7);
-    let slots = Slots::new(&model, &labels, &tests);
+    let slots = Slots::in_phases(&model, &labels, &tests);
     assert_eq!(slots.len(), 5, "tau, sigma_drift, sigma of A and of B, slope");
     for criterion in [Criterion::Ml, Criterion::Reml] {
         let settings = settings(Method::Hybrid, criterion);
@@ -169,7 +171,7 @@ fn the_gradient_equals_differences_of_the_maximum_over_mean_and_covariance() {
 fn the_joint_information_is_that_of_the_gradient_at_the_best_mean_and_covariance() {
     let model = model(false);
     let (labels, tests) = ensemble(&model, 14, 9);
-    let slots = Slots::new(&model, &labels, &tests);
+    let slots = Slots::in_phases(&model, &labels, &tests);
     for criterion in [Criterion::Ml, Criterion::Reml] {
         let settings = settings(Method::Hybrid, criterion);
         let bench = Bench::new(&model, &tests, &slots, &settings);
@@ -220,7 +222,7 @@ fn the_methods_end_at_one_point() {
 fn a_fit_has_the_same_bits_whatever_the_order_of_the_tests() {
     let model = model(false);
     let (labels, tests) = ensemble(&model, 9, 6);
-    let run = |tests: &[Test]| {
+    let run = |tests: &[PhasedTest]| {
         fit(&model, &labels, tests, &settings(Method::Hybrid, Criterion::Ml), &mut Silent).expect("a fit")
     };
     let (forward, backward) = (run(&tests), run(&tests.iter().rev().cloned().collect::<Vec<_>>()));
@@ -233,7 +235,7 @@ fn a_fit_has_the_same_bits_whatever_the_order_of_the_tests() {
 fn values_of_single_tests_are_eliminated_exactly() {
     let model = model(true);
     let (labels, tests) = ensemble(&model, 30, 16);
-    let slots = Slots::new(&model, &labels, &tests);
+    let slots = Slots::in_phases(&model, &labels, &tests);
     assert_eq!(slots.len(), 33, "tau, sigma_drift, slope, and sigma of thirty tests");
     let settings = settings(Method::Hybrid, Criterion::Ml);
     let bench = Bench::new(&model, &tests, &slots, &settings);
@@ -287,7 +289,7 @@ fn profile_intervals_end_where_the_likelihood_has_fallen_by_the_quantile() {
     for (slot, parameter) in best.slots.slots().iter().zip(&parameters).filter(|(slot, _)| slot.level.is_none()) {
         for end in parameter.interval.expect("determined").into_iter().flatten().filter(|end| *end != 0.0) {
             let mut held = model.clone();
-            held.parameters[slot.parameter].value = Value::Fixed(end);
+            held.phases[0].model.parameters[slot.parameter].value = Value::Fixed(end);
             let there = fit(&held, &labels, &tests, &settings, &mut Silent).expect("a fit");
             let fallen = 2.0 * (best.estimate.log_likelihood - there.estimate.log_likelihood);
             assert!((fallen - 3.841_458_8).abs() < 2e-3, "{}: {end} has {fallen}", slot.parameter);

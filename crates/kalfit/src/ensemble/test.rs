@@ -50,6 +50,11 @@ impl Test {
         test
     }
 
+    /// Numeric and text cells of a row.
+    pub(crate) fn widths(&self) -> (usize, usize) {
+        (self.columns, self.text_columns)
+    }
+
     /// Number of rows.
     pub fn rows(&self) -> usize {
         self.rows

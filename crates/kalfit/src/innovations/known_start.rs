@@ -3,9 +3,10 @@
 use std::sync::Arc;
 
 use crate::ensemble::Test;
-use crate::innovations::series::{Innovation, Innovations};
+use crate::innovations::rows::{self, Figures};
+use crate::innovations::series::Innovations;
 use crate::model::{Alpha, Expression, Model, Operator, Population};
-use crate::reduce::{Frame, Gains, ReduceError, ReduceErrorKind, Reducer, Workspace, innovate};
+use crate::reduce::{Frame, Gains, ReduceError, ReduceErrorKind, Reducer, Workspace};
 
 /// The filter of a model from x_0 ~ N(a + Aμ_j, P0 + AΣA').
 #[derive(Debug)]
@@ -17,8 +18,8 @@ pub(crate) struct KnownStart {
 }
 
 impl KnownStart {
+    /// `initial` is of the shape of the model.
     pub(crate) fn new(model: &Model, alpha: &Alpha, initial: &Population) -> Result<KnownStart, ReduceError> {
-        check(model, initial)?;
         let reducer = Reducer::new(&known(model, initial), alpha)?;
         let frame = Arc::new(reducer.workspace().design.frame.without_unknowns());
         Ok(KnownStart { reducer, frame, time: model.clock.time })
@@ -32,44 +33,18 @@ impl KnownStart {
 
     /// The innovations of a test. `work` is of [`KnownStart::workspace`].
     pub(crate) fn innovations(&self, test: &Test, work: &mut Workspace) -> Result<Innovations, ReduceError> {
-        let series = self.reducer.with_gains(test, work, |gains, work| self.series(test, gains, work))?;
-        let sound = |one: &Innovation| one.standardised.is_finite() && one.variance.is_finite();
-        if !series.iter().all(sound) {
+        let known = |value: f64, weight: f64, _: &[f64]| {
+            let (variance, standardised) = (weight.recip(), value * weight.sqrt());
+            Figures { value, variance, standardised }
+        };
+        let look = |gains: &Gains, work: &mut Workspace| rows::series((0, test, self.time), gains, work, known);
+        let series = self.reducer.with_gains(test, work, look)?;
+        if !rows::are_finite(&series) {
             let kind = Box::new(ReduceErrorKind::NotFinite);
             return Err(ReduceError { test: Some(test.id.clone()), row: None, what: "innovations".to_owned(), kind });
         }
         Ok(Innovations::new(test.id.clone(), series))
     }
-
-    /// Runs the data pass of the test in the work space.
-    fn series(&self, test: &Test, gains: &Gains, work: &mut Workspace) -> Vec<Innovation> {
-        let Workspace { design, data, instances, pass, .. } = work;
-        innovate(design, gains, data, pass);
-        let mut series = Vec::with_capacity(instances.len());
-        let steps = design.each_step().enumerate().flat_map(|(step, rows)| rows.rows.map(move |row| (step, row)));
-        for ((step, row), instance) in steps.zip(instances.iter()) {
-            let (value, weight) = (pass.e[row], gains.row(row).0);
-            // a measurement that can only be one value says nothing; whether it was that value is the reduction's business
-            if weight > 0.0 {
-                let time = self.time.map(|column| test.numbers(instance.row)[column]);
-                let (measurement, variance, standardised) = (instance.meter, weight.recip(), value * weight.sqrt());
-                series.push(Innovation { step, time, measurement, value, variance, standardised });
-            }
-        }
-        series
-    }
-}
-
-/// The shapes of `initial` are those of the model.
-fn check(model: &Model, initial: &Population) -> Result<(), ReduceError> {
-    let (p, regressors) = (model.estimated.len(), model.mean.regression.len());
-    let shaped = |what: &str, found: (usize, usize), expected: (usize, usize)| {
-        let kind = Box::new(ReduceErrorKind::Shape { found, expected });
-        if found == expected { Ok(()) } else { Err(ReduceError { test: None, row: None, what: what.to_owned(), kind }) }
-    };
-    shaped("mean of the initial state", (initial.mean.len(), 1), (p, 1))?;
-    shaped("regression coefficients", (initial.coefficients.len(), 1), (regressors, 1))?;
-    shaped("covariance of the initial state", initial.covariance.shape(), (p, p))
 }
 
 /// The model with μ_j among the offsets and Σ added to the known covariance.

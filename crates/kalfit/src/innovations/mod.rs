@@ -11,52 +11,101 @@
 //! and Σ -½ (log 2πS + e²/S) is the log-likelihood of the test (theory §3), by another way. The figures take μ, Σ and α as
 //! known; that they were estimated from the same tests makes the tests of few and small ensembles milder, not stricter.
 //!
-//! There is one filter, that of [`reduce`](crate::reduce): the uncertain start becomes part of P0, and nothing is left of ξ.
+//! There is one filter, that of [`reduce`](crate::reduce). In a test of one phase the uncertain start becomes part of P0, and
+//! nothing is left of ξ; in a test of several, what Σ and earlier phases say of the start of each is added to what its filter
+//! finds (theory §7), and every innovation is from all that was measured before, in its phase and in earlier ones.
 
+mod chained;
 mod known_start;
+mod law;
+mod rows;
 mod series;
 mod whiteness;
 
 use rayon::prelude::*;
 
-pub use series::{Innovation, Innovations};
+pub use series::{Innovation, Innovations, Part};
 pub use whiteness::Whiteness;
 
-use crate::ensemble::Test;
+use crate::innovations::chained::Chained;
 use crate::innovations::known_start::KnownStart;
-use crate::model::{Alpha, Model, Population};
-use crate::reduce::ReduceError;
+use crate::model::{Alpha, PhasedModel, Population};
+use crate::reduce::{Evidence, PhasedTest, ReduceError, ReduceErrorKind};
 
-/// Innovations of all tests, in their order.
+/// Innovations of all tests, in their order; `None` of a test all of whose phases are given by estimates or reductions: what was
+/// measured is no longer known there. Neither is what was measured in a phase with a filter of its own, whose estimates are
+/// what counts.
 ///
 /// # Errors
-/// As [`Reducer::reduce`](crate::reduce::Reducer::reduce), the first test's; also when Σ with the model's known covariance
-/// is not positive semidefinite, or `initial` has not the shape of the model.
+/// As [`PhasedReducer::reduce`](crate::reduce::PhasedReducer::reduce), the first test's; also when Σ with the model's known
+/// covariance is not positive semidefinite, or `initial` has not the shape of the model.
 pub fn innovations(
-    model: &Model,
+    model: &PhasedModel,
     alpha: &Alpha,
     initial: &Population,
-    tests: &[Test],
-) -> Result<Vec<Innovations>, ReduceError> {
+    tests: &[PhasedTest],
+) -> Result<Vec<Option<Innovations>>, ReduceError> {
     InnovationFilter::new(model, alpha, initial)?.run(tests).into_iter().collect()
 }
 
 /// The filter behind [`innovations`], for ensembles that come in batches: it keeps design classes from batch to batch.
 #[derive(Debug)]
-pub struct InnovationFilter(KnownStart);
+pub struct InnovationFilter(Way);
+
+#[derive(Debug)]
+enum Way {
+    /// One phase, whose only filter's estimates are what counts.
+    Silent,
+    /// One phase.
+    Single(Box<KnownStart>),
+    /// Several.
+    Chained(Box<Chained>),
+}
 
 impl InnovationFilter {
-    /// A filter of a model at (α, μ, Σ).
+    /// A filter of a model at (α, μ, Σ), of all phases together.
     ///
     /// # Errors
     /// As [`innovations`], where no test is to blame.
-    pub fn new(model: &Model, alpha: &Alpha, initial: &Population) -> Result<InnovationFilter, ReduceError> {
-        KnownStart::new(model, alpha, initial).map(InnovationFilter)
+    pub fn new(model: &PhasedModel, alpha: &Alpha, initial: &Population) -> Result<InnovationFilter, ReduceError> {
+        check(model, initial)?;
+        Ok(InnovationFilter(match &model.phases[..] {
+            [only] if only.filter.is_some() => Way::Silent,
+            [only] => Way::Single(Box::new(KnownStart::new(&only.model, alpha, initial)?)),
+            _ => Way::Chained(Box::new(Chained::new(model, alpha, initial)?)),
+        }))
     }
 
     /// Innovations of each test, in their order, or why there are none. They depend neither on batches nor on threads.
-    pub fn run(&self, tests: &[Test]) -> Vec<Result<Innovations, ReduceError>> {
-        let start = || self.0.workspace();
-        tests.par_iter().map_init(start, |work, test| self.0.innovations(test, work)).collect()
+    pub fn run(&self, tests: &[PhasedTest]) -> Vec<Result<Option<Innovations>, ReduceError>> {
+        match &self.0 {
+            Way::Silent => tests.iter().map(|_| Ok(None)).collect(),
+            Way::Single(filter) => tests
+                .par_iter()
+                .map_init(
+                    || filter.workspace(),
+                    |work, test| match &test.phases[..] {
+                        [Evidence::Rows(rows)] => filter.innovations(rows, work).map(Some),
+                        _ => Ok(None),
+                    },
+                )
+                .collect(),
+            Way::Chained(filter) => {
+                tests.par_iter().map_init(|| filter.workspace(), |work, test| filter.innovations(test, work)).collect()
+            }
+        }
     }
+}
+
+/// The shapes of `initial` are those of the model.
+fn check(model: &PhasedModel, initial: &Population) -> Result<(), ReduceError> {
+    let (p, regressors) =
+        (model.dimension(), model.phases.iter().map(|phase| phase.model.mean.regression.len()).sum::<usize>());
+    let shaped = |what: &str, found: (usize, usize), expected: (usize, usize)| {
+        let kind = Box::new(ReduceErrorKind::Shape { found, expected });
+        if found == expected { Ok(()) } else { Err(ReduceError { test: None, row: None, what: what.to_owned(), kind }) }
+    };
+    shaped("mean of the initial state", (initial.mean.len(), 1), (p, 1))?;
+    shaped("regression coefficients", (initial.coefficients.len(), 1), (regressors, 1))?;
+    shaped("covariance of the initial state", initial.covariance.shape(), (p, p))
 }

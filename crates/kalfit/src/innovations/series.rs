@@ -1,5 +1,7 @@
 //! The innovations of one test and what they add up to.
 
+use std::collections::BTreeMap;
+
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::innovations::Whiteness;
@@ -7,11 +9,13 @@ use crate::innovations::Whiteness;
 /// One scalar innovation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Innovation {
-    /// Number of the step in the test, from 0.
+    /// Index of the phase.
+    pub phase: usize,
+    /// Number of the step in the phase, from 0.
     pub step: usize,
     /// Time of the step, where the model has times; in the model's time unit.
     pub time: Option<f64>,
-    /// Index of the measurement in the model. Of measurements with correlated noise, later ones of a step are here less
+    /// Index of the measurement in the phase's model. Of measurements with correlated noise, later ones of a step are here less
     /// what the noise of the earlier ones says of theirs.
     pub measurement: usize,
     /// e, in the measurement's unit.
@@ -41,12 +45,28 @@ pub struct Innovations {
     pub mean: Option<f64>,
     /// Whether they are uncorrelated in time; `None` when too short for that.
     pub whiteness: Option<Whiteness>,
-    /// Σ -½ (log 2πS + e²/S): the log-likelihood of the test.
+    /// Σ -½ (log 2πS + e²/S): the log-likelihood of the test. With it, that of phases that are given otherwise than by rows.
     pub log_likelihood: f64,
+}
+
+/// The innovations of one measurement of one phase.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Part {
+    /// Index of the phase.
+    pub phase: usize,
+    /// Index of the measurement in the phase's model.
+    pub measurement: usize,
+    /// They, as if they were a test.
+    pub innovations: Innovations,
 }
 
 impl Innovations {
     pub(crate) fn new(test: String, series: Vec<Innovation>) -> Innovations {
+        Innovations::of_phases(test, series, 0.0)
+    }
+
+    /// `rest`: log p of phases without innovations.
+    pub(crate) fn of_phases(test: String, series: Vec<Innovation>, rest: f64) -> Innovations {
         let count = series.len();
         let nis = series.iter().map(|one| one.standardised * one.standardised).sum::<f64>();
         let logs = series.iter().map(|one| (std::f64::consts::TAU * one.variance).ln()).sum::<f64>();
@@ -60,9 +80,22 @@ impl Innovations {
             upper_tail: chi.map(|chi| chi.sf(nis)),
             mean: (count > 0).then_some(mean),
             whiteness: Whiteness::of(&series),
-            log_likelihood: -0.5 * (logs + nis),
+            log_likelihood: rest - 0.5 * (logs + nis),
             series,
         }
+    }
+
+    /// The same of each measurement of each phase that has any, in the order of phases and measurements: which of them does not
+    /// behave as the model says.
+    pub fn parts(&self) -> Vec<Part> {
+        let mut parts: BTreeMap<(usize, usize), Vec<Innovation>> = BTreeMap::new();
+        self.series.iter().for_each(|one| parts.entry((one.phase, one.measurement)).or_default().push(*one));
+        let part = |((phase, measurement), series)| Part {
+            phase,
+            measurement,
+            innovations: Innovations::new(self.test.clone(), series),
+        };
+        parts.into_iter().map(part).collect()
     }
 
     /// Two-sided p-value of the NIS: twice the smaller tail. Innovations smaller than the model says speak against it too.
@@ -103,6 +136,6 @@ mod tests {
     }
 
     fn huge() -> Innovation {
-        Innovation { step: 0, time: None, measurement: 0, value: 1e150, variance: 1.0, standardised: 1e150 }
+        Innovation { phase: 0, step: 0, time: None, measurement: 0, value: 1e150, variance: 1.0, standardised: 1e150 }
     }
 }

@@ -1,5 +1,7 @@
 //! Are the innovations uncorrelated in time?
 
+use std::collections::BTreeMap;
+
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::innovations::Innovation;
@@ -9,7 +11,7 @@ const MOST_LAGS: usize = 10;
 /// One lag for each so many innovations.
 const PER_LAG: usize = 5;
 
-/// Ljung and Box's test (1978), of each measurement by itself, added up over the measurements:
+/// Ljung and Box's test (1978), of each measurement of each phase by itself, added up over them:
 ///
 /// ```text
 /// Q = Σ_measurements n (n + 2) Σ_k r_k² / (n - k)      r_k = Σ_t z_t z_{t+k} / Σ_t z_t²      k = 1 … min(10, n/5)
@@ -33,11 +35,10 @@ pub struct Whiteness {
 impl Whiteness {
     /// Of the innovations of a test in their order; `None` when no measurement has five, or all innovations are zero.
     pub(crate) fn of(series: &[Innovation]) -> Option<Whiteness> {
-        let measurements = series.iter().map(|one| one.measurement + 1).max().unwrap_or(0);
-        let mut channels: Vec<Vec<f64>> = vec![Vec::new(); measurements];
-        series.iter().for_each(|one| channels[one.measurement].push(one.standardised));
+        let mut channels: BTreeMap<(usize, usize), Vec<f64>> = BTreeMap::new();
+        series.iter().for_each(|one| channels.entry((one.phase, one.measurement)).or_default().push(one.standardised));
         let (mut statistic, mut lags, mut degrees_of_freedom) = (0.0, 0, 0);
-        for z in &channels {
+        for z in channels.values() {
             if let Some(q) = ljung_box(z) {
                 statistic += q;
                 lags = lags.max(most_lags(z.len()));
@@ -72,8 +73,15 @@ mod tests {
     use super::*;
 
     fn of(z: &[f64]) -> Option<Whiteness> {
-        let one =
-            |&x: &f64| Innovation { step: 0, time: None, measurement: 0, value: x, variance: 1.0, standardised: x };
+        let one = |&x: &f64| Innovation {
+            phase: 0,
+            step: 0,
+            time: None,
+            measurement: 0,
+            value: x,
+            variance: 1.0,
+            standardised: x,
+        };
         Whiteness::of(&z.iter().map(one).collect::<Vec<_>>())
     }
 

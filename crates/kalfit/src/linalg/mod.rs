@@ -9,4 +9,6 @@ mod posterior;
 pub mod real;
 pub(crate) mod rows;
 pub mod symmetric;
+mod whiten;
 pub(crate) use posterior::posterior_root;
+pub(crate) use whiten::{compressed, log_determinant, whitened, whitener};

@@ -8,6 +8,7 @@ mod expression;
 mod parameter;
 mod phased;
 mod population;
+mod stacked;
 mod structure;
 
 pub(crate) use derivative::Tape;

@@ -65,6 +65,11 @@ impl PhasedModel {
         &self.phases[0].model
     }
 
+    /// The models of all phases, to change what they have in common: whoever does so does it in each.
+    pub fn models_mut(&mut self) -> impl Iterator<Item = &mut Model> {
+        self.phases.iter_mut().map(|phase| &mut phase.model)
+    }
+
     /// Σ_i p_i: the number of estimated states of all phases together.
     pub fn dimension(&self) -> usize {
         self.phases.iter().map(|phase| phase.model.dimension()).sum()

@@ -11,9 +11,11 @@
 //! the design's information, so that all standard errors fall as 1/√N.
 
 mod error;
+mod lost;
 mod record;
 
 pub use error::PlanError;
+pub use lost::{InformationLost, StdErrorRatio, information_lost};
 pub use record::{PlanProvenance, PlanRecord, PlannedRecord};
 
 use crate::estimate::{ExpectedError, State, Structure, at_population};
@@ -22,7 +24,7 @@ use crate::linalg::elements::Elements;
 use crate::model::Population;
 use crate::reduce::Reduction;
 
-/// What is estimated. Indices are places in μ and Σ.
+/// What is estimated. Indices are places in μ and Σ of all phases together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Quantity {
     /// An element of μ.
@@ -66,7 +68,7 @@ pub struct Plan {
     pub design_tests: usize,
     /// The numbers of tests asked for.
     pub tests: Vec<usize>,
-    /// All quantities: μ, regression coefficients, standard deviations, correlations by rows, Σ by rows.
+    /// All quantities: μ, regression coefficients, standard deviations, correlations by rows, Σ by rows; pairs within a phase.
     pub quantities: Vec<Planned>,
 }
 
@@ -114,10 +116,7 @@ pub fn plan(
     if tests.contains(&0) {
         return Err(PlanError::ZeroTests);
     }
-    let state = at_population(reductions, structure, population).map_err(|error| match error {
-        ExpectedError::Fit(error) => PlanError::Design(error),
-        ExpectedError::Off { element, found, expected } => PlanError::OffStructure { element, found, expected },
-    })?;
+    let state = at_population(reductions, structure, population).map_err(off_structure)?;
     let unidentified = infer::directions(&state.problem, &state.place, &state.sums.expected_information());
     let uncertainty = infer::uncertainty_at(&state, &population.covariance, &unidentified);
     let found = Found { state: &state, population, unidentified: &unidentified, uncertainty: &uncertainty };
@@ -131,6 +130,13 @@ pub fn plan(
     let elements = &state.problem.covariance.elements;
     let quantities = quantities(elements, regressions).into_iter().map(one).collect();
     Ok(Plan { design_tests: n, tests: tests.to_vec(), quantities })
+}
+
+fn off_structure(error: ExpectedError) -> PlanError {
+    match error {
+        ExpectedError::Fit(error) => PlanError::Design(error),
+        ExpectedError::Off { element, found, expected } => PlanError::OffStructure { element, found, expected },
+    }
 }
 
 fn quantities(elements: &Elements, regressions: usize) -> Vec<Quantity> {

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::model::Model;
+use crate::model::{Model, Phase, PhasedModel};
 use crate::plan::{Plan, Planned, Quantity, Reason};
 use crate::record::DataRecord;
 
@@ -66,12 +66,12 @@ pub struct PlanProvenance {
 }
 
 impl PlanRecord {
-    /// The record of a plan.
-    pub fn new(model: &Model, plan: &Plan, provenance: PlanProvenance) -> PlanRecord {
+    /// The record of a plan. Panics when the plan is of a model with fewer states or regressions.
+    pub fn new(model: &PhasedModel, plan: &Plan, provenance: PlanProvenance) -> PlanRecord {
         PlanRecord {
             schema: "kalfit-plan/1".to_owned(),
             kalfit_version: env!("CARGO_PKG_VERSION").to_owned(),
-            title: model.title.clone(),
+            title: model.shared().title.clone(),
             model_digest: provenance.model_digest,
             from: provenance.from,
             design: provenance.design,
@@ -83,18 +83,39 @@ impl PlanRecord {
     }
 }
 
-fn record(model: &Model, planned: &Planned, many: usize) -> PlannedRecord {
+/// The phase that has this place among those of all phases, and the place in it.
+fn find(model: &PhasedModel, place: usize, many: fn(&Model) -> usize) -> (&Phase, usize) {
+    let mut left = place;
+    for phase in &model.phases {
+        match left.checked_sub(many(&phase.model)) {
+            None => return (phase, left),
+            Some(beyond) => left = beyond,
+        }
+    }
+    panic!("the plan is of another model: it has a quantity {place}, beyond all phases")
+}
+
+fn record(model: &PhasedModel, planned: &Planned, many: usize) -> PlannedRecord {
+    let regressions = |model: &Model| model.mean.regression.len();
+    let (phase, own) = match planned.quantity {
+        Quantity::Mean(i) | Quantity::StdDev(i) => find(model, i, Model::dimension),
+        Quantity::Correlation(i, _) | Quantity::Covariance(i, _) => find(model, i, Model::dimension),
+        Quantity::Coefficient(c) => find(model, c, regressions),
+    };
+    let model = &phase.model;
     let state = |element: usize| &model.states[model.estimated[element]];
     let name = |element: usize| state(element).name.clone();
+    // the other of a pair is of the same phase
+    let pair = |i: usize, j: usize| vec![name(own + j - i), name(own)];
     let (quantity, states, unit) = match planned.quantity {
-        Quantity::Mean(i) => ("mean", vec![name(i)], state(i).unit.clone()),
-        Quantity::Coefficient(c) => ("regression", vec![name(model.mean.regression[c].element)], None),
-        Quantity::StdDev(i) => ("std_dev", vec![name(i)], state(i).unit.clone()),
-        Quantity::Correlation(i, j) => ("correlation", vec![name(j), name(i)], None),
-        Quantity::Covariance(i, j) => ("covariance", vec![name(j), name(i)], None),
+        Quantity::Mean(_) => ("mean", vec![name(own)], state(own).unit.clone()),
+        Quantity::Coefficient(_) => ("regression", vec![name(model.mean.regression[own].element)], None),
+        Quantity::StdDev(_) => ("std_dev", vec![name(own)], state(own).unit.clone()),
+        Quantity::Correlation(i, j) => ("correlation", pair(i, j), None),
+        Quantity::Covariance(i, j) => ("covariance", pair(i, j), None),
     };
     let column = match planned.quantity {
-        Quantity::Coefficient(c) => Some(model.columns[model.mean.regression[c].column].name.clone()),
+        Quantity::Coefficient(_) => Some(model.columns[model.mean.regression[own].column].name.clone()),
         _ => None,
     };
     let reason = planned.std_errors.as_ref().err().map(|reason| match reason {
@@ -104,7 +125,7 @@ fn record(model: &Model, planned: &Planned, many: usize) -> PlannedRecord {
     });
     PlannedRecord {
         quantity: quantity.to_owned(),
-        phase: "main".to_owned(),
+        phase: phase.name.clone(),
         states,
         column,
         unit,

@@ -2,51 +2,19 @@
 
 use std::collections::HashMap;
 
-use crate::infer::{Direction, Explanation, Leading, Observability, Quantity, Reason};
-use crate::innovations::{Innovations, Whiteness};
-use crate::model::Model;
-use crate::record::{
-    FitRecord, InnovationRecord, ObservabilityRecord, UnidentifiedRecord, WeakRecord, WhitenessRecord,
-};
+use crate::infer::{Leading, Observability, Reason, StateObservability};
+use crate::innovations::{Innovations, Part, Whiteness};
+use crate::model::PhasedModel;
+use crate::record::cut::{Cut, regressions};
+use crate::record::{FitRecord, InnovationPartRecord, InnovationRecord, ObservabilityRecord, WhitenessRecord};
 
 /// No more names than this in a sentence.
 const MOST_NAMES: usize = 8;
 
-impl UnidentifiedRecord {
-    /// Directions with their elements named and their reasons in words.
-    pub fn all(model: &Model, directions: &[Direction], explanations: &[Explanation]) -> Vec<UnidentifiedRecord> {
-        let (what, states) = (|d: &Direction| d.quantity, model.estimated_names());
-        let record = |(direction, explanation): (&Direction, &Explanation)| UnidentifiedRecord {
-            what: match what(direction) {
-                Quantity::Mean => "mean".to_owned(),
-                Quantity::Covariance => "covariance".to_owned(),
-            },
-            direction: direction.direction.clone(),
-            elements: match what(direction) {
-                Quantity::Mean => mean_elements(model, &states),
-                Quantity::Covariance => {
-                    let pairs = (0..states.len()).flat_map(|i| (0..=i).map(move |j| (i, j)));
-                    pairs.map(|(i, j)| format!("{}, {}", states[j], states[i])).collect()
-                }
-            },
-            tests: explanation.tests.clone(),
-            reason: words(model, &states, &explanation.reason),
-        };
-        directions.iter().zip(explanations).map(record).collect()
-    }
-}
-
-/// States, then regression coefficients as `state per column`.
-fn mean_elements(model: &Model, states: &[String]) -> Vec<String> {
-    let coefficient =
-        |r: &crate::model::Regression| format!("{} per {}", states[r.element], model.columns[r.column].name);
-    states.iter().cloned().chain(model.mean.regression.iter().map(coefficient)).collect()
-}
-
 impl ObservabilityRecord {
-    /// One for each estimated state of a model.
-    pub fn all(model: &Model, seen: &Observability) -> Vec<ObservabilityRecord> {
-        let record = |(name, state): (String, &crate::infer::StateObservability)| {
+    /// One for each estimated state, by phase.
+    pub fn by_phase(model: &PhasedModel, seen: &Observability) -> Vec<Vec<ObservabilityRecord>> {
+        let record = |(name, state): (String, &StateObservability)| {
             let (leading_test, leading_share) = named(&state.leading);
             ObservabilityRecord {
                 state: name,
@@ -57,28 +25,33 @@ impl ObservabilityRecord {
                 leading_share,
             }
         };
-        model.estimated_names().into_iter().zip(&seen.states).map(record).collect()
+        let of = |cut: Cut<'_>| cut.states().into_iter().zip(&seen.states[cut.elements]).map(record).collect();
+        Cut::all(model).into_iter().map(of).collect()
     }
 }
 
-impl WeakRecord {
-    /// The weakly determined directions.
-    pub fn all(seen: &Observability) -> Vec<WeakRecord> {
-        let record = |weak: &crate::infer::WeakDirection| {
-            let (leading_test, leading_share) = named(&weak.leading);
-            WeakRecord { direction: weak.direction.clone(), condition: weak.condition, leading_test, leading_share }
-        };
-        seen.weak.iter().map(record).collect()
-    }
-}
-
-fn named(leading: &Option<Leading>) -> (Option<String>, Option<f64>) {
+/// The test that most rests on, and its share.
+pub(super) fn named(leading: &Option<Leading>) -> (Option<String>, Option<f64>) {
     (leading.as_ref().map(|l| l.test.clone()), leading.as_ref().map(|l| l.share))
 }
 
 impl InnovationRecord {
-    /// Figures of innovations at an estimate of p states.
-    pub fn new(found: &Innovations, p: usize) -> InnovationRecord {
+    /// Figures of innovations at an estimate of a model. Panics when they are of another model with more phases or measurements.
+    pub fn new(found: &Innovations, model: &PhasedModel) -> InnovationRecord {
+        let p = model.dimension();
+        let part = |part: Part| {
+            let phase = &model.phases[part.phase];
+            InnovationPartRecord {
+                phase: phase.name.clone(),
+                measurement: phase.model.measurements[part.measurement].name.clone(),
+                innovations: InnovationRecord::figures(&part.innovations, p),
+            }
+        };
+        let parts = if model.is_single() { Vec::new() } else { found.parts() };
+        InnovationRecord { parts: parts.into_iter().map(part).collect(), ..InnovationRecord::figures(found, p) }
+    }
+
+    fn figures(found: &Innovations, p: usize) -> InnovationRecord {
         let finite = |x: f64| Some(x).filter(|x| x.is_finite());
         let whiteness = |w: Whiteness| WhitenessRecord {
             statistic: w.statistic,
@@ -92,6 +65,7 @@ impl InnovationRecord {
             nis_p_value: found.p_value(p).and_then(finite),
             mean: found.mean.and_then(finite),
             whiteness: found.whiteness.filter(|w| w.statistic.is_finite() && w.p_value.is_finite()).map(whiteness),
+            parts: Vec::new(),
         }
     }
 }
@@ -107,7 +81,8 @@ impl FitRecord {
 }
 
 /// A reason in words, without a full stop.
-fn words(model: &Model, states: &[String], reason: &Reason) -> String {
+pub(super) fn words(model: &PhasedModel, reason: &Reason) -> String {
+    let states = &model.estimated_names();
     let names = |of: &[usize]| list(of.iter().map(|&i| states[i].as_str()), "and");
     match reason {
         Reason::Unseen { states: dark } => {
@@ -120,9 +95,10 @@ fn words(model: &Model, states: &[String], reason: &Reason) -> String {
         Reason::TooFewCombinations { states: few } => {
             format!("the tests see too few different combinations of {}", names(few))
         }
-        Reason::Confounded { regressions } => {
-            let of = regressions.iter().map(|&r| &model.mean.regression[r]);
-            let mut columns: Vec<&str> = of.map(|r| model.columns[r.column].name.as_str()).collect();
+        Reason::Confounded { regressions: confounded } => {
+            let all = regressions(model);
+            let name = |&r: &usize| model.shared().columns[all[r].column].name.as_str();
+            let mut columns: Vec<&str> = confounded.iter().map(name).collect();
             columns.dedup();
             let vary = if columns.len() == 1 {
                 "varies too little over the tests to tell its effect from the mean"
@@ -135,7 +111,7 @@ fn words(model: &Model, states: &[String], reason: &Reason) -> String {
 }
 
 /// What too few tests mean for Σ, in sentences without a full stop.
-pub fn shortage_notes(model: &Model, seen: &Observability) -> Vec<String> {
+pub fn shortage_notes(model: &PhasedModel, seen: &Observability) -> Vec<String> {
     let states = model.estimated_names();
     let sentence = |s: &crate::infer::Shortage| {
         let names = list(s.states.iter().map(|&i| states[i].as_str()), "and");

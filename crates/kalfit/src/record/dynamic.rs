@@ -4,7 +4,7 @@ use crate::dynamic::{DynamicFit, Method, ParameterInference, Standing};
 use crate::ensemble::Labels;
 use crate::estimate::{Criterion, Stop};
 use crate::infer::Inference;
-use crate::model::{Model, Parameter};
+use crate::model::{Model, Parameter, PhasedModel};
 use crate::record::build;
 use crate::record::diagnosis::list;
 use crate::record::parameters::{self, MethodRecord, StartRecord, meaning};
@@ -19,7 +19,7 @@ const SAME: f64 = 0.05;
 #[derive(Debug, Clone, Copy)]
 pub struct DynamicParts<'a> {
     /// The model.
-    pub model: &'a Model,
+    pub model: &'a PhasedModel,
     /// Texts of the data.
     pub labels: &'a Labels,
     /// Where the search ended.
@@ -34,7 +34,7 @@ impl FitRecord {
     /// The record of a fit of α, μ and Σ.
     pub fn dynamic(parts: &DynamicParts<'_>, provenance: Provenance) -> FitRecord {
         let &DynamicParts { model, labels, fit, inference, parameters: inferred } = parts;
-        let mut parameters = parameters::estimated(model, labels, fit, inferred);
+        let mut parameters = parameters::estimated(model.shared(), labels, fit, inferred);
         if !converged(fit) {
             // short of a maximum nothing is known of where the values lie
             parameters.iter_mut().for_each(|p| (p.standing, p.note) = (None, None));
@@ -42,8 +42,8 @@ impl FitRecord {
         let mut record = FitRecord::at(model, &fit.reductions, &fit.estimate, inference, parameters, provenance);
         let free = record.free_parameters + fit.slots.len();
         let penalty = |per: f64| free as f64 * per - 2.0 * record.log_likelihood;
-        record.aic = Some(penalty(2.0));
-        record.bic = (record.data.observations > 0).then(|| penalty((record.data.observations as f64).ln()));
+        record.aic = record.aic.map(|_| penalty(2.0));
+        record.bic = record.bic.map(|_| penalty((record.data.observations as f64).ln()));
         record.free_parameters = free;
         record.converged = converged(fit);
         record.reason = reason(fit);
@@ -139,7 +139,7 @@ fn reason(fit: &DynamicFit) -> String {
 /// What stands at a limit, one sentence for each parameter and limit.
 fn standing_notes(parts: &DynamicParts<'_>) -> Vec<String> {
     let mut notes = Vec::new();
-    for (index, parameter) in parts.model.parameters.iter().enumerate() {
+    for (index, parameter) in parts.model.shared().parameters.iter().enumerate() {
         let mut seen: Vec<(&'static str, Vec<String>)> = Vec::new();
         for ((slot, value), found) in parts.fit.slots.slots().iter().zip(&parts.fit.values).zip(parts.parameters) {
             let Some(meaning) = meaning(found.standing, *value).filter(|_| slot.parameter == index) else { continue };
@@ -150,7 +150,7 @@ fn standing_notes(parts: &DynamicParts<'_>) -> Vec<String> {
             }
         }
         let sentence = |(meaning, levels): &(&str, Vec<String>)| {
-            format!("{} is {}", whose(parts.model, parameter, levels), meaning)
+            format!("{} is {}", whose(parts.model.shared(), parameter, levels), meaning)
         };
         notes.extend(seen.iter().map(sentence));
     }

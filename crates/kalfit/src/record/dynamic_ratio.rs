@@ -41,11 +41,11 @@ impl PartRecord {
 }
 
 fn dynamic_side(parts: &DynamicParts<'_>) -> SideRecord {
-    let plain = side(&parts.fit.estimate);
+    let plain = side(parts.model, &parts.fit.estimate);
     SideRecord {
         free_parameters: plain.free_parameters + parts.fit.slots.len(),
         converged: converged(parts.fit),
-        parameters: parameters::estimated(parts.model, parts.labels, parts.fit, parts.parameters),
+        parameters: parameters::estimated(parts.model.shared(), parts.labels, parts.fit, parts.parameters),
         ..plain
     }
 }
@@ -113,7 +113,7 @@ fn without_effect(sides: &DynamicSides<'_>) -> Vec<String> {
         let mut own = parts.fit.slots.slots().iter().zip(parts.parameters).filter(|(s, _)| s.parameter == index);
         own.any(|(_, found)| found.standing == Standing::Unidentified)
     };
-    let names = sides.null.model.parameters.iter().enumerate();
+    let names = sides.null.model.shared().parameters.iter().enumerate();
     names
         .filter(|(index, _)| idle(&sides.null, *index) && !idle(&sides.alternative, *index))
         .map(|(_, parameter)| parameter.name.clone())

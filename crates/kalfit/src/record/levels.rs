@@ -2,9 +2,10 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use crate::ensemble::{Label, Labels, Test};
+use crate::ensemble::{Label, Labels};
 use crate::model::Model;
 use crate::record::diagnosis::list;
+use crate::reduce::{Evidence, PhasedTest};
 
 /// Levels of the column of a parameter, as the data have them.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -16,8 +17,9 @@ pub struct LevelCounts {
 }
 
 impl LevelCounts {
-    /// Of all parameters that have levels.
-    pub fn all(model: &Model, labels: &Labels, tests: &[Test]) -> Vec<LevelCounts> {
+    /// Of all parameters that have levels, over the phases of each test together; a phase that was reduced before has no rows to
+    /// look at.
+    pub fn all(model: &Model, labels: &Labels, tests: &[PhasedTest]) -> Vec<LevelCounts> {
         let mut of_column: BTreeMap<usize, Vec<(String, usize)>> = BTreeMap::new();
         let with_levels = model.parameters.iter().enumerate().filter_map(|(i, p)| Some((i, p.per?)));
         with_levels
@@ -29,10 +31,12 @@ impl LevelCounts {
     }
 }
 
-fn count(column: usize, labels: &Labels, tests: &[Test]) -> Vec<(String, usize)> {
+fn count(column: usize, labels: &Labels, tests: &[PhasedTest]) -> Vec<(String, usize)> {
     let mut counts: BTreeMap<Label, usize> = BTreeMap::new();
     for test in tests {
-        let own: BTreeSet<Label> = (0..test.rows()).map(|row| test.texts(row)[column]).collect();
+        let rows = test.phases.iter().filter_map(Evidence::cells);
+        let own: BTreeSet<Label> =
+            rows.flat_map(|rows| (0..rows.rows()).map(move |row| rows.texts(row)[column])).collect();
         own.into_iter().filter(|level| !level.is_missing()).for_each(|level| *counts.entry(level).or_default() += 1);
     }
     let mut named: Vec<(String, usize)> =

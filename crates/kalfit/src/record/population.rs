@@ -2,7 +2,8 @@
 
 use nalgebra::DMatrix;
 
-use crate::model::{Model, PhasedModel, Population, PopulationError};
+use crate::model::{PhasedModel, Population, PopulationError};
+use crate::record::cut::Cut;
 use crate::record::{FitRecord, PhaseRecord};
 
 /// Why a record has no population for a model.
@@ -16,17 +17,11 @@ pub enum RecordError {
         /// What can be read.
         expected: &'static str,
     },
-    /// More phases than one, or none.
-    #[error("found {found} phases, expected the one phase of the model")]
-    Phases {
-        /// Number of phases.
-        found: usize,
-    },
     /// Other names than the model's.
     #[error("{what} are {}, expected {} as in the model", shown(found), shown(expected))]
     Names {
-        /// What is named.
-        what: &'static str,
+        /// What is named, with its phase where there are several.
+        what: String,
         /// Names in the record.
         found: Vec<String>,
         /// Names in the model.
@@ -35,8 +30,8 @@ pub enum RecordError {
     /// A count that does not go with the number of states.
     #[error("found {found} {what}, expected {expected}, one for each state")]
     Count {
-        /// What was counted.
-        what: &'static str,
+        /// What was counted, with its phase where there are several.
+        what: String,
         /// How many there are.
         found: usize,
         /// How many there should be.
@@ -61,30 +56,45 @@ fn shown(names: &[String]) -> String {
 pub const FIT_SCHEMA: &str = "kalfit-fit/1";
 
 impl FitRecord {
-    /// The estimates of μ, the regression coefficients and Σ, in the order of a model with the same estimated states and
-    /// regressions; theirs in the record may differ.
+    /// The estimates of μ, the regression coefficients and Σ of all phases in a row, in the order of a model with the same
+    /// phases, estimated states and regressions; theirs in the record may differ. Σ is zero between phases.
     ///
     /// # Errors
-    /// Another schema, more than one phase, other states or regressions, figures that are no population.
-    pub fn population(&self, model: &Model) -> Result<Population, RecordError> {
+    /// Another schema, other phases, states or regressions, figures that are no population.
+    pub fn population(&self, model: &PhasedModel) -> Result<Population, RecordError> {
         if self.schema != FIT_SCHEMA {
             return Err(RecordError::Schema { found: self.schema.clone(), expected: FIT_SCHEMA });
         }
-        let [phase] = &self.phases[..] else { return Err(RecordError::Phases { found: self.phases.len() }) };
-        let place = places("the estimated states", &phase.states, &model.estimated_names())?;
-        let p = place.len();
-        refuse_ragged(phase, p)?;
-        let population = Population {
-            mean: place.iter().map(|&i| phase.mean.estimate[i]).collect(),
-            coefficients: coefficients(phase, model)?,
-            covariance: DMatrix::from_fn(p, p, |i, j| phase.covariance.estimate[place[i]][place[j]]),
-        };
-        population.check(&PhasedModel::from(model.clone()))?;
-        Ok(population)
+        let found: Vec<String> = self.phases.iter().map(|phase| phase.name.clone()).collect();
+        let expected: Vec<String> = model.phases.iter().map(|phase| phase.name.clone()).collect();
+        let place = places("the phases".to_owned(), &found, &expected)?;
+        let p = model.dimension();
+        let mut whole = Population { mean: Vec::new(), coefficients: Vec::new(), covariance: DMatrix::zeros(p, p) };
+        for (cut, &place) in Cut::all(model).iter().zip(&place) {
+            let of = if model.is_single() { String::new() } else { format!(" of phase `{}`", cut.phase.name) };
+            add(&mut whole, cut, &self.phases[place], &of)?;
+        }
+        whole.check(model)?;
+        Ok(whole)
     }
 }
 
-fn refuse_ragged(phase: &PhaseRecord, p: usize) -> Result<(), RecordError> {
+/// Adds one phase to the population of all; `of` is what messages say after the name of a thing.
+fn add(whole: &mut Population, cut: &Cut<'_>, phase: &PhaseRecord, of: &str) -> Result<(), RecordError> {
+    let place = places(format!("the estimated states{of}"), &phase.states, &cut.states())?;
+    refuse_ragged(phase, place.len(), of)?;
+    whole.mean.extend(place.iter().map(|&i| phase.mean.estimate[i]));
+    whole.coefficients.extend(coefficients(phase, cut, of)?);
+    for (i, &row) in place.iter().enumerate() {
+        for (k, &column) in place.iter().enumerate() {
+            let at = (cut.elements.start + i, cut.elements.start + k);
+            whole.covariance[at] = phase.covariance.estimate[row][column];
+        }
+    }
+    Ok(())
+}
+
+fn refuse_ragged(phase: &PhaseRecord, p: usize, of: &str) -> Result<(), RecordError> {
     let rows = &phase.covariance.estimate;
     let ragged = rows.iter().map(Vec::len).find(|&length| length != p);
     for (what, found) in [
@@ -93,25 +103,23 @@ fn refuse_ragged(phase: &PhaseRecord, p: usize) -> Result<(), RecordError> {
         ("columns of the covariance", ragged.unwrap_or(p)),
     ] {
         if found != p {
-            return Err(RecordError::Count { what, found, expected: p });
+            return Err(RecordError::Count { what: format!("{what}{of}"), found, expected: p });
         }
     }
     Ok(())
 }
 
-fn coefficients(phase: &PhaseRecord, model: &Model) -> Result<Vec<f64>, RecordError> {
+fn coefficients(phase: &PhaseRecord, cut: &Cut<'_>, of: &str) -> Result<Vec<f64>, RecordError> {
+    let (model, states) = (&cut.phase.model, cut.states());
     let found: Vec<String> = phase.mean.regression.iter().map(|r| format!("{} on {}", r.state, r.column)).collect();
-    let wanted = model
-        .mean
-        .regression
-        .iter()
-        .map(|r| format!("{} on {}", model.states[model.estimated[r.element]].name, model.columns[r.column].name));
-    let place = places("the regressions", &found, &wanted.collect::<Vec<_>>())?;
+    let structure = &model.mean.regression;
+    let wanted = structure.iter().map(|r| format!("{} on {}", states[r.element], model.columns[r.column].name));
+    let place = places(format!("the regressions{of}"), &found, &wanted.collect::<Vec<_>>())?;
     Ok(place.iter().map(|&r| phase.mean.regression[r].estimate).collect())
 }
 
 /// For each expected name its place among those found.
-fn places(what: &'static str, found: &[String], expected: &[String]) -> Result<Vec<usize>, RecordError> {
+fn places(what: String, found: &[String], expected: &[String]) -> Result<Vec<usize>, RecordError> {
     let place: Option<Vec<usize>> = expected.iter().map(|name| found.iter().position(|other| other == name)).collect();
     match place {
         Some(place) if found.len() == expected.len() => Ok(place),

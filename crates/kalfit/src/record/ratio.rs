@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::estimate::{Estimate, Stop};
 use crate::infer::{Bootstrap, BootstrapResult, Component, LikelihoodRatio};
+use crate::model::PhasedModel;
 use crate::record::{DataRecord, ParameterRecord};
 use crate::reduce::Reduction;
 
@@ -63,9 +64,12 @@ pub struct SideRecord {
     pub free_parameters: usize,
     /// The optimality certificate holds.
     pub converged: bool,
-    /// μ.
+    /// The estimated states, in the order of μ and Σ; `phase.state` where there are several phases.
+    #[serde(default)]
+    pub states: Vec<String>,
+    /// μ of all phases in a row.
     pub mean: Vec<f64>,
-    /// Σ.
+    /// Σ of all phases, zero between them.
     pub covariance: Vec<Vec<f64>>,
     /// Dynamic parameters, where some are free.
     #[serde(default)]
@@ -131,8 +135,9 @@ pub struct RatioProvenance {
 }
 
 impl RatioRecord {
-    /// The record of a test of `null` within `alternative`.
+    /// The record of a test of `null` within `alternative`, fits of a model and of a hypothesis within it: both have its states.
     pub fn new(
+        model: &PhasedModel,
         reductions: &[Reduction],
         (null, alternative): (&Estimate, &Estimate),
         ratio: &LikelihoodRatio,
@@ -140,7 +145,7 @@ impl RatioRecord {
         parts: Vec<PartRecord>,
         provenance: RatioProvenance,
     ) -> RatioRecord {
-        let sides = (side(null), side(alternative));
+        let sides = (side(model, null), side(model, alternative));
         let notes = notes(ratio, &sides.0, &sides.1, (reductions.len(), bootstrap.is_some()));
         RatioRecord::at(reductions, sides, ratio, bootstrap, (parts, notes), provenance)
     }
@@ -213,8 +218,9 @@ impl PartRecord {
     }
 }
 
-pub(super) fn side(estimate: &Estimate) -> SideRecord {
+pub(super) fn side(model: &PhasedModel, estimate: &Estimate) -> SideRecord {
     SideRecord {
+        states: model.estimated_names(),
         log_likelihood: estimate.log_likelihood,
         free_parameters: estimate.declared_mean() + estimate.declared_covariance(),
         converged: estimate.stop == Stop::Certified,

@@ -3,7 +3,7 @@
 
 use crate::linalg::real::Real;
 use crate::reduce::design::Design;
-use crate::reduce::gains::{Gains, Settle, Turns};
+use crate::reduce::gains::{Gains, Turns};
 use crate::reduce::kernel;
 use crate::reduce::scan::scan;
 
@@ -218,13 +218,7 @@ fn folded(design: &Design, gains: &Gains, turns: &Turns, work: &DataWork) -> (f6
         residual += left * left;
     }
     for &settle in &turns.settle {
-        match settle {
-            Settle::Turn { k, i, c, s } => (d[k], d[i]) = (c * d[k] + s * d[i], c * d[i] - s * d[k]),
-            Settle::Drop { i } => {
-                residual += d[i] * d[i];
-                d[i] = 0.0;
-            }
-        }
+        settle.apply(&mut d, &mut residual);
     }
     (residual, d)
 }

@@ -190,11 +190,52 @@ pub enum ReduceErrorKind {
         /// Measured minus only possible value.
         residual: f64,
     },
+    /// A phase whose estimates are wanted has no filter.
+    #[error("it has no filter, so nothing makes estimates of it")]
+    NoFilter,
+    /// The filter takes other measurements of a test than the model.
+    #[error(
+        "by its own parameters the filter takes {found} measurements, and other ones than the {expected} of the model"
+    )]
+    OtherMeasurements {
+        /// How many the filter takes.
+        found: usize,
+        /// How many the model has.
+        expected: usize,
+    },
+    /// What estimates say of a direction in which they are not random is not so.
+    #[error("where they are not random, the estimates are off by {residual:.3e}, expected {allowed:.1e} at most")]
+    Inconsistent {
+        /// Estimate minus its only possible value, in standard deviations where elements are random.
+        residual: f64,
+        /// What rounding allows.
+        allowed: f64,
+    },
     /// A free parameter decides something that jumps.
     #[error("it depends on the free parameter `{parameter}`, expected parameters that are fixed")]
     FreeParameter {
         /// Its name.
         parameter: String,
+    },
+    /// Something is missing of a phase that was reduced or estimated before.
+    #[error("the {what} is missing, and it is needed")]
+    Absent {
+        /// What.
+        what: &'static str,
+    },
+    /// A reduction made before has a row with a negative diagonal.
+    #[error("found {value} on the diagonal of the factor, expected 0 or more")]
+    NegativeDiagonal {
+        /// The entry.
+        value: f64,
+    },
+    /// The test has more phases than the model.
+    #[error("found {found} phases, expected {expected} at most")]
+    TooManyPhases {
+        /// Phases of the test.
+        found: usize,
+        /// Phases of the model.
+        expected: usize,
     },
     /// The test has no rows.
     #[error("the test has no rows")]

@@ -81,3 +81,43 @@ impl From<Test> for PhasedTest {
         PhasedTest { id: test.id.clone(), phases: vec![Evidence::Rows(test)] }
     }
 }
+
+impl PhasedTest {
+    /// The rows of its phases, of those that are given by rows.
+    pub fn rows(self) -> impl Iterator<Item = Test> {
+        self.phases.into_iter().filter_map(|evidence| match evidence {
+            Evidence::Rows(rows) => Some(rows),
+            Evidence::Estimates(_) | Evidence::Reduced(_) => None,
+        })
+    }
+
+    /// The rows of all phases as one test again, in the order in which they came from the data, those without a place of their own
+    /// phase after phase. Undoes [`PhasedModel::split`](crate::model::PhasedModel::split).
+    pub fn joined(self) -> Test {
+        let id = self.id.clone();
+        let mut phases: Vec<Test> = self.rows().collect();
+        if phases.len() == 1 {
+            return phases.remove(0);
+        }
+        let all = phases.iter().flat_map(|rows| (0..rows.rows()).map(move |row| (rows, row)));
+        let mut all: Vec<(&Test, usize)> = all.collect();
+        all.sort_by_key(|(rows, row)| {
+            let source = rows.source(*row);
+            (source.file, source.row)
+        });
+        let mut whole = phases.first().map_or_else(|| Test::new(id, 0, 0), |phase| phase.first(0));
+        all.into_iter().for_each(|(rows, row)| whole.push(rows.numbers(row), rows.texts(row), rows.source(row)));
+        whole
+    }
+}
+
+impl Evidence {
+    /// The rows with the model's columns, as far as there are any: those of the data, or the one of estimates.
+    pub(crate) fn cells(&self) -> Option<&Test> {
+        match self {
+            Evidence::Rows(test) => Some(test),
+            Evidence::Estimates(estimates) => Some(&estimates.constants),
+            Evidence::Reduced(_) => None,
+        }
+    }
+}

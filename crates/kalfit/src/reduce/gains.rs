@@ -1,6 +1,8 @@
 //! The gains of a design: everything that the data pass needs but the data.
 #![expect(non_snake_case, reason = "the letters of the theory: K, T, S, J")]
 
+use crate::reduce::end::End;
+
 /// A finished design pass: everything but the data.
 #[derive(Debug, Clone)]
 pub(crate) struct Gains {
@@ -22,6 +24,8 @@ pub(crate) struct Gains {
     pub(crate) active: usize,
     /// How the data are folded, when square-root arrays made it.
     pub(crate) turns: Option<Turns>,
+    /// The last state, where a phase follows.
+    pub(crate) end: Option<End>,
 }
 
 /// Rows of equal steps and what is kept of them: of the first steps each, and the last one kept stands for all that follow.
@@ -74,6 +78,20 @@ pub(crate) enum Settle {
     Drop { i: usize },
 }
 
+impl Settle {
+    /// Does it to d; what is left of a dropped entry joins the residual sum of squares.
+    #[inline]
+    pub(crate) fn apply(self, d: &mut [f64], residual: &mut f64) {
+        match self {
+            Settle::Turn { k, i, c, s } => (d[k], d[i]) = (c * d[k] + s * d[i], c * d[i] - s * d[k]),
+            Settle::Drop { i } => {
+                *residual += d[i] * d[i];
+                d[i] = 0.0;
+            }
+        }
+    }
+}
+
 impl Gains {
     /// (1/S, K, T) of a scalar measurement; 1/S = 0 for one that says nothing.
     #[inline]
@@ -114,7 +132,8 @@ impl Gains {
     /// Bytes it occupies.
     pub(crate) fn bytes(&self) -> usize {
         let turns = self.turns.as_ref().map_or(0, |turns| 2 * turns.folds.len() + 5 * turns.settle.len());
+        let end = self.end.as_ref().map_or(0, End::bytes);
         let kept = self.gains.len() + self.sensitivities.len() + 6 * self.pieces.len();
-        8 * (kept + self.factor.len() + turns) + 200
+        8 * (kept + self.factor.len() + turns) + end + 200
     }
 }

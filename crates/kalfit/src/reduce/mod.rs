@@ -10,14 +10,24 @@
 //! Gains + Data ── data ──> Reduction                     e, x̂, y: once per test
 //! ```
 //!
+//! A test in several phases is reduced phase by phase, each in what enters it, and then as a whole (theory §7):
+//!
+//! ```text
+//! rows ── PhasedModel::split ──> PhasedTest              rows, estimates or a reduction of each phase
+//! each phase ── Reducer (part, carry) ──> PhaseReduction its factor, its last state (end), what it inherits
+//! all phases ── stack ──> Reduction with its Chain       rotations once per design, then the data of each test
+//! ```
+//!
 //! Long uniform records cost little: equal steps are one run of the design, S, K, T are kept once from where they no longer
 //! change (settling), J then grows in closed form, and the data pass is a linear scan (scan).
 
+mod carry;
 mod chain;
 mod data;
 mod design;
 mod digest;
 mod dynamics;
+mod end;
 mod error;
 mod evidence;
 mod flops;
@@ -27,6 +37,8 @@ mod kernel;
 mod motion;
 mod observe;
 mod order;
+mod part;
+mod phased;
 mod plain;
 mod plain_order;
 mod prepare;
@@ -39,18 +51,25 @@ mod semidefinite;
 mod settling;
 mod shared;
 mod small;
+mod split;
+mod stack;
 mod start;
 mod steps;
 mod subject;
+mod suboptimal;
 
 pub use chain::{Chain, ChainPhase, Link};
 pub use error::{Cell, ReduceError, ReduceErrorKind};
 pub use evidence::{Estimates, Evidence, Inherited, PhaseReduction, PhasedTest};
 pub use flops::reduction_flops;
+pub use phased::PhasedReducer;
 pub use plain::{Plain, StepMatrices, Terminal};
 pub use reducer::{Reducer, Work};
 pub use reduction::{Path, Reduction};
+pub use split::SplitError;
+pub use suboptimal::{EstimateReducer, FilterRunner, Lost, LostError, lost};
 
+pub(crate) use carry::Inherits;
 pub(crate) use data::innovate;
 pub(crate) use design::{Design, Frame, Step, Stretch, Transition};
 pub(crate) use dynamics::Table;
@@ -59,9 +78,12 @@ pub(crate) use instances::Instance;
 pub(crate) use kernel::advance;
 pub(crate) use motion::Evaluated;
 pub(crate) use observe::Unwhitened;
+pub(crate) use part::PhaseReducer;
+pub(crate) use phased::PhasedWork;
 pub(crate) use prepare::{Preparer, Replay, Workspace};
 pub(crate) use semidefinite::{NotSemidefinite, ldl};
 pub(crate) use settling::{Frozen, Settling};
+pub(crate) use shared::Shared;
 pub(crate) use small::moving;
 pub(crate) use start::{LawAdjoint, StartAdjoint};
 pub(crate) use steps::Cells;
@@ -72,5 +94,6 @@ pub(crate) use {
     data::{Data, DataWork},
     design::{DENSE, Pattern},
     reducer::information_gains,
+    root::root_gains,
     schedule::GainsWork,
 };

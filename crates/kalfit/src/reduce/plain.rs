@@ -6,6 +6,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::reduce::data::{Data, DataWork, outcome};
 use crate::reduce::design::Design;
+use crate::reduce::end::End;
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
 use crate::reduce::gains::Gains;
 use crate::reduce::observe::whiten;
@@ -57,8 +58,15 @@ pub struct Terminal {
     pub mean: DVector<f64>,
     /// Ψ_K, n × p.
     pub sensitivity: DMatrix<f64>,
+    /// C with CC' = P_K, n × any number of columns.
+    pub root: DMatrix<f64>,
+}
+
+impl Terminal {
     /// P_K, n × n.
-    pub covariance: DMatrix<f64>,
+    pub fn covariance(&self) -> DMatrix<f64> {
+        &self.root * self.root.transpose()
+    }
 }
 
 impl StepMatrices {
@@ -108,29 +116,37 @@ impl Plain {
 
     /// Its reduction.
     pub fn reduce(&self) -> Result<Reduction, ReduceError> {
-        Ok(self.solve(false)?.0)
+        Ok(self.solve(false, false)?.0)
     }
 
     /// Its reduction, by square-root arrays whether called for or not.
     pub fn reduce_square_root(&self) -> Result<Reduction, ReduceError> {
-        Ok(self.solve(true)?.0)
+        Ok(self.solve(true, false)?.0)
     }
 
     /// Its reduction and the state after its last step.
     pub fn reduce_with_terminal(&self) -> Result<(Reduction, Terminal), ReduceError> {
-        self.solve(false)
+        let (reduction, terminal) = self.solve(false, true)?;
+        Ok((reduction, terminal.expect("it was wanted")))
     }
 
-    fn solve(&self, square_root: bool) -> Result<(Reduction, Terminal), ReduceError> {
+    /// `ends`: the state after the last step is wanted.
+    fn solve(&self, square_root: bool, ends: bool) -> Result<(Reduction, Option<Terminal>), ReduceError> {
         self.check()?;
         let order = PlainOrder::new(self);
         let (mut design, mut data, mut rows) = (Design::new(order.frame.clone()), Data::default(), Vec::new());
         self.fill(&order, &mut design, &mut data, &mut rows)?;
         let mut work = GainsWork::default();
-        let gains = if square_root { None } else { information_gains(&design, &mut work) };
-        let (gains, psi, covariance) = match gains {
-            Some(gains) => (gains, work.Psi, work.P),
-            None => self.root(&design, &rows)?,
+        let information = if square_root { None } else { information_gains(&design, &mut work) };
+        let information = information.and_then(|mut gains| {
+            if ends {
+                gains.end = Some(End::of_covariance(&order.states, &work.Psi, &work.P, design.frame.r)?);
+            }
+            Some(gains)
+        });
+        let gains = match information {
+            Some(gains) => gains,
+            None => self.root(&design, (&rows, &order))?,
         };
         let mut pass = DataWork::default();
         let outcome = outcome(&design, &gains, &data, &mut pass)
@@ -138,7 +154,7 @@ impl Plain {
         if !outcome.constant.is_finite() || outcome.data.iter().any(|d| !d.is_finite()) {
             return Err(self.refuse("the test".to_owned(), ReduceErrorKind::NotFinite));
         }
-        let terminal = order.terminal(&pass.x, &psi, &covariance);
+        let terminal = gains.end.as_ref().map(|end| end.terminal(&order.states, &pass.x));
         let Gains { factor, active, turns, .. } = gains;
         let reduction = Reduction {
             test: self.id.clone(),
@@ -155,19 +171,17 @@ impl Plain {
         Ok((reduction, terminal))
     }
 
-    /// (gains, Ψ_K, lower triangle of P_K) by square-root arrays.
-    fn root(&self, design: &Design, rows: &[usize]) -> Result<(Gains, Vec<f64>, Vec<f64>), ReduceError> {
-        let (gains, filter) = root_gains(design).map_err(|error| match error {
+    /// The gains by square-root arrays.
+    fn root(&self, design: &Design, (rows, order): (&[usize], &PlainOrder)) -> Result<Gains, ReduceError> {
+        let (mut gains, filter) = root_gains(design).map_err(|error| match error {
             RootError::Exact { row } => {
                 self.refuse(format!("step {}", rows[row] + 1), ReduceErrorKind::ExactMeasurement)
             }
             RootError::NotSemidefinite(bad) => self.refuse("process noise".to_owned(), not_semidefinite(bad)),
             RootError::NotFinite => self.refuse("the test".to_owned(), ReduceErrorKind::NotFinite),
         })?;
-        let r = design.frame.r;
-        let entry = |i: usize, j: usize| (0..r).map(|k| filter.U[k * r + i] * filter.U[k * r + j]).sum();
-        let covariance = (0..r * r).map(|at| entry(at / r, at % r)).collect();
-        Ok((gains, filter.Psi, covariance))
+        gains.end = Some(End::new(&order.states, &filter.Psi, &filter.U, design.frame.r));
+        Ok(gains)
     }
 
     fn fill(

@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 
 use crate::reduce::design::{DENSE, Frame, Pattern, Transition, ZERO};
-use crate::reduce::plain::{Plain, StepMatrices, Terminal};
+use crate::reduce::plain::{Plain, StepMatrices};
 
 /// Kernel order of a test's states.
 pub(crate) struct PlainOrder {
@@ -81,26 +81,6 @@ impl PlainOrder {
             }
         }
         Some(Transition::new(Arc::new(pattern.seal()), phi, q))
-    }
-
-    /// The terminal triple in the test's own order. `covariance`: lower triangle, r × r.
-    pub(crate) fn terminal(&self, x: &[f64], psi: &[f64], covariance: &[f64]) -> Terminal {
-        let (n, p, r) = (self.frame.n, self.frame.p, self.frame.r);
-        let mut out =
-            Terminal { mean: DVector::zeros(n), sensitivity: DMatrix::zeros(n, p), covariance: DMatrix::zeros(n, n) };
-        for (place, &state) in self.states.iter().enumerate() {
-            out.mean[state] = x[place];
-            for c in 0..p {
-                out.sensitivity[(state, c)] = psi[place * p + c];
-            }
-            for (other, &to) in self.states.iter().enumerate().take(r.min(place + 1)) {
-                if place < r {
-                    out.covariance[(state, to)] = covariance[place * r + other];
-                    out.covariance[(to, state)] = covariance[place * r + other];
-                }
-            }
-        }
-        out
     }
 }
 

@@ -21,6 +21,7 @@ use crate::reduce::start::{Law, Start};
 use crate::reduce::steps::{Cells, Span, spans};
 use crate::reduce::subject::{At, Fault, Subject, Uses};
 
+mod opening;
 mod replay;
 
 pub(crate) use replay::Replay;

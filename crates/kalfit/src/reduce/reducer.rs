@@ -9,6 +9,7 @@ use crate::ensemble::Test;
 use crate::model::{Alpha, Model};
 use crate::reduce::data::{Miss, outcome};
 use crate::reduce::design::Design;
+use crate::reduce::end::End;
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
 use crate::reduce::gains::Gains;
 use crate::reduce::instances::{Instance, Instances};
@@ -32,10 +33,18 @@ pub struct Reducer {
     preparer: Preparer,
     classes: Shared<Design, Result<Gains, RootError>>,
     unfrozen: bool,
+    /// The last states are wanted.
+    ends: bool,
     design_runs: AtomicU64,
     root_runs: AtomicU64,
     data_runs: AtomicU64,
 }
+
+type Made = Arc<Entry<Design, Result<Gains, RootError>>>;
+
+/// A design class.
+#[derive(Debug, Clone)]
+pub(crate) struct Class(Made);
 
 /// What a reducer has done.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -68,6 +77,7 @@ impl Reducer {
             preparer,
             classes: Shared::new(CLASS_BYTES),
             unfrozen: false,
+            ends: false,
             design_runs: AtomicU64::new(0),
             root_runs: AtomicU64::new(0),
             data_runs: AtomicU64::new(0),
@@ -87,6 +97,13 @@ impl Reducer {
         self
     }
 
+    /// With the state after the last step of every test.
+    #[must_use]
+    pub(crate) fn with_ends(mut self) -> Reducer {
+        self.ends = true;
+        self
+    }
+
     /// Nothing is frozen.
     pub(crate) fn is_unfrozen(&self) -> bool {
         self.unfrozen
@@ -96,7 +113,7 @@ impl Reducer {
     pub fn reduce(&mut self, tests: &[Test]) -> Result<Vec<Reduction>, ReduceError> {
         let this = &*self;
         let all: Vec<Result<Reduction, ReduceError>> =
-            tests.par_iter().map_init(|| this.workspace(), |work, test| this.one(test, work)).collect();
+            tests.par_iter().map_init(|| this.workspace(), |work, test| Ok(this.one(test, work)?.0)).collect();
         all.into_iter().collect()
     }
 
@@ -107,14 +124,17 @@ impl Reducer {
     /// Of several tests in error, the first one's error.
     pub fn reduce_designs(&mut self, tests: &[Test]) -> Result<Vec<Reduction>, ReduceError> {
         let this = &*self;
-        let one = |work: &mut Workspace, test: &Test| {
-            this.designed(test, work).map_err(|fault| fault.name(&this.preparer.model, Some(test)))
-        };
+        let one = |work: &mut Workspace, test: &Test| this.designed(test, work).map(|(reduction, _)| reduction);
         let all: Vec<Result<Reduction, ReduceError>> = tests.par_iter().map_init(|| this.workspace(), one).collect();
         all.into_iter().collect()
     }
 
-    fn designed(&self, test: &Test, work: &mut Workspace) -> Result<Reduction, Box<Fault>> {
+    /// The reduction of a design, as in [`Reducer::reduce_designs`], and its class.
+    pub(crate) fn designed(&self, test: &Test, work: &mut Workspace) -> Result<(Reduction, Class), ReduceError> {
+        self.design_only(test, work).map_err(|fault| fault.name(&self.preparer.model, Some(test)))
+    }
+
+    fn design_only(&self, test: &Test, work: &mut Workspace) -> Result<(Reduction, Class), Box<Fault>> {
         self.preparer.prepare(test, work)?;
         let digest = work.design.digest();
         let class = self.class(digest, work);
@@ -122,7 +142,7 @@ impl Reducer {
         if gains.factor.iter().any(|x| !x.is_finite()) {
             return Err(Fault::new(Subject::Test, ReduceErrorKind::NotFinite));
         }
-        Ok(Reduction {
+        let reduction = Reduction {
             test: test.id.clone(),
             constant: 0.0,
             data: vec![0.0; work.design.frame.p],
@@ -133,7 +153,8 @@ impl Reducer {
             path: if gains.turns.is_some() { Path::SquareRoot } else { Path::Information },
             design: digest,
             chain: None,
-        })
+        };
+        Ok((reduction, Class(class)))
     }
 
     /// What has been done so far.
@@ -168,11 +189,12 @@ impl Reducer {
         Ok(pass(gains, work))
     }
 
-    fn one(&self, test: &Test, work: &mut Workspace) -> Result<Reduction, ReduceError> {
+    /// The reduction of a test, and its class; x̂_K is left in the work space.
+    pub(crate) fn one(&self, test: &Test, work: &mut Workspace) -> Result<(Reduction, Class), ReduceError> {
         self.reduced(test, work).map_err(|fault| fault.name(&self.preparer.model, Some(test)))
     }
 
-    fn reduced(&self, test: &Test, work: &mut Workspace) -> Result<Reduction, Box<Fault>> {
+    fn reduced(&self, test: &Test, work: &mut Workspace) -> Result<(Reduction, Class), Box<Fault>> {
         self.preparer.prepare(test, work)?;
         let digest = work.design.digest();
         let class = self.class(digest, work);
@@ -185,7 +207,7 @@ impl Reducer {
         if !outcome.constant.is_finite() || outcome.data.iter().any(|d| !d.is_finite()) {
             return Err(Fault::new(Subject::Test, ReduceErrorKind::NotFinite));
         }
-        Ok(Reduction {
+        let reduction = Reduction {
             test: test.id.clone(),
             constant: outcome.constant,
             data: outcome.data,
@@ -196,11 +218,30 @@ impl Reducer {
             path: if gains.turns.is_some() { Path::SquareRoot } else { Path::Information },
             design: digest,
             chain: None,
-        })
+        };
+        Ok((reduction, Class(class)))
+    }
+
+    fn information(&self, design: &Design, work: &mut GainsWork) -> Option<Gains> {
+        let mut gains = information_gains(design, work)?;
+        if self.ends {
+            let states = &self.preparer.order.states;
+            gains.end = Some(End::of_covariance(states, &work.Psi, &work.P, design.frame.r)?);
+        }
+        Some(gains)
+    }
+
+    fn root(&self, design: &Design) -> Result<Gains, RootError> {
+        self.root_runs.fetch_add(1, Ordering::Relaxed);
+        let (mut gains, filter) = root_gains(design)?;
+        if self.ends {
+            gains.end = Some(End::new(&self.preparer.order.states, &filter.Psi, &filter.U, design.frame.r));
+        }
+        Ok(gains)
     }
 
     /// The design class of the test in the work space.
-    fn class(&self, digest: u128, work: &mut Workspace) -> Arc<Entry<Design, Result<Gains, RootError>>> {
+    fn class(&self, digest: u128, work: &mut Workspace) -> Made {
         let Workspace { design, gains, .. } = work;
         self.classes.get(
             digest,
@@ -208,16 +249,17 @@ impl Reducer {
             || design.clone(),
             |design| {
                 self.design_runs.fetch_add(1, Ordering::Relaxed);
-                information_gains(design, gains).map_or_else(
-                    || {
-                        self.root_runs.fetch_add(1, Ordering::Relaxed);
-                        root_gains(design).map(|(gains, _)| gains)
-                    },
-                    Ok,
-                )
+                self.information(design, gains).map_or_else(|| self.root(design), Ok)
             },
             |design, gains| design.bytes() + gains.as_ref().map_or(0, Gains::bytes),
         )
+    }
+}
+
+impl Class {
+    /// The last state, where it was wanted.
+    pub(crate) fn end(&self) -> Option<&End> {
+        self.0.value().as_ref().ok()?.end.as_ref()
     }
 }
 

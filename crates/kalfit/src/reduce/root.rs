@@ -58,6 +58,7 @@ pub(crate) fn root_gains<'a>(design: &'a Design) -> Result<(Gains, RootFilter<'a
         log_determinant: 0.0,
         active: 0,
         turns: None,
+        end: None,
     };
     let mut turns = Turns { folds: Vec::with_capacity(p * design.rows()), settle: Vec::new() };
     for step in design.each_step() {
@@ -68,7 +69,7 @@ pub(crate) fn root_gains<'a>(design: &'a Design) -> Result<(Gains, RootFilter<'a
             filter.update(design, (line, row), &mut gains, &mut turns.folds)?;
         }
     }
-    filter.settle(&mut turns.settle);
+    settle(&mut filter.R, p, &mut turns.settle);
     for k in 0..p {
         gains.factor.extend((0..=k).map(|i| filter.R[i * p + k]));
     }
@@ -195,28 +196,28 @@ impl<'a> RootFilter<'a> {
             T.abs() <= INSENSITIVE * terms
         })
     }
+}
 
-    /// Rounds directions without information to none: their rows of R go into the rows below, their data into the residual.
-    fn settle(&mut self, settle: &mut Vec<Settle>) {
-        let p = self.frame.p;
-        let norms: Vec<f64> = (0..p).map(|k| (0..=k).fold(0.0, |sum: f64, i| sum.hypot(self.R[i * p + k]))).collect();
-        for i in 0..p {
-            if self.R[i * p + i] > UNINFORMED * norms[i] {
+/// Rounds directions without information to none: their rows of R go into the rows below, their data into the residual.
+/// Shape: `R` p × p, row-major, upper triangular.
+pub(crate) fn settle(R: &mut [f64], p: usize, settle: &mut Vec<Settle>) {
+    let norms: Vec<f64> = (0..p).map(|k| (0..=k).fold(0.0, |sum: f64, i| sum.hypot(R[i * p + k]))).collect();
+    for i in 0..p {
+        if R[i * p + i] > UNINFORMED * norms[i] {
+            continue;
+        }
+        R[i * p + i] = 0.0;
+        for k in i + 1..p {
+            let turn = Rotation::of(R[k * p + k], R[i * p + k]);
+            if turn.s == 0.0 {
                 continue;
             }
-            self.R[i * p + i] = 0.0;
-            for k in i + 1..p {
-                let turn = Rotation::of(self.R[k * p + k], self.R[i * p + k]);
-                if turn.s == 0.0 {
-                    continue;
-                }
-                for c in k..p {
-                    (self.R[k * p + c], self.R[i * p + c]) = turn.turn(self.R[k * p + c], self.R[i * p + c]);
-                }
-                self.R[i * p + k] = 0.0;
-                settle.push(Settle::Turn { k, i, c: turn.c, s: turn.s });
+            for c in k..p {
+                (R[k * p + c], R[i * p + c]) = turn.turn(R[k * p + c], R[i * p + c]);
             }
-            settle.push(Settle::Drop { i });
+            R[i * p + k] = 0.0;
+            settle.push(Settle::Turn { k, i, c: turn.c, s: turn.s });
         }
+        settle.push(Settle::Drop { i });
     }
 }

@@ -35,7 +35,8 @@ pub(crate) struct Schedule<R = f64> {
     least: R,
 }
 
-/// Work space of the design pass; afterwards, if nothing was frozen, P and Ψ of the last step.
+/// Work space of the design pass; afterwards P and Ψ of the last step, those of
+/// steps that changed nothing any more included.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct GainsWork<R = f64> {
     pub(crate) P: Vec<R>,
@@ -220,6 +221,7 @@ impl Schedule<f64> {
             log_determinant,
             active,
             turns: None,
+            end: None,
         })
     }
 }

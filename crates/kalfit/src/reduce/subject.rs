@@ -6,6 +6,9 @@ use crate::ensemble::Test;
 use crate::model::{Alpha, EvaluationError, Expression, Level, Model, Scope};
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
 
+/// [`Subject::Test`] in words.
+pub(crate) const WHOLE: &str = "the test";
+
 /// What is being computed, for messages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Subject {
@@ -25,6 +28,7 @@ pub(crate) enum Subject {
     StationaryLaw(usize),
     Offset(usize),
     KnownCovariance,
+    Carry(usize),
     InitialTime,
     Time,
     Regression(usize),
@@ -56,13 +60,14 @@ impl Subject {
             Subject::StationaryLaw(i) => format!("stationary start of state `{}`", state(i)),
             Subject::Offset(i) => format!("offset of state `{}`", state(i)),
             Subject::KnownCovariance => "known covariance of the initial states".to_owned(),
+            Subject::Carry(i) => format!("carry of state `{}`", state(i)),
             Subject::InitialTime => "initial time".to_owned(),
             Subject::Time => "time of a row".to_owned(),
             Subject::Regression(r) => {
                 let element = model.mean.regression[r].element;
                 format!("regression of the mean of state `{}`", state(model.estimated[element]))
             }
-            Subject::Test => "the test".to_owned(),
+            Subject::Test => WHOLE.to_owned(),
         }
     }
 }

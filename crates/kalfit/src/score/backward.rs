@@ -13,7 +13,8 @@
 //! r ← φ'r        ρ ← φ'ρ        N ← φ'Nφ
 //! ```
 //!
-//! with r, ρ, N of later steps on the right, one scalar measurement after the other.
+//! with r, ρ, N of later steps on the right, one scalar measurement after the other. After the last step they are zero, or
+//! what later phases say of the state there ([`Ending`]).
 //!
 //! What the forward filter passes through is not remembered: its innovations are, and its state every so many steps, from which
 //! the steps between are run again when the way back comes to them. Many equal steps go through kernels of known size (`equal`),
@@ -141,7 +142,18 @@ pub(crate) struct Run<'a> {
     pub(crate) inputs: &'a [f64],
     pub(crate) values: &'a [f64],
     pub(crate) moments: &'a Moments,
+    /// Where later phases say something of the last state.
+    pub(crate) ending: Option<&'a Ending>,
     pub(crate) wanted: Wanted,
+}
+
+/// r (n), ρ (n × columns) and N (r × r) after the last step, in kernel order: adjoints of x_K from the phases that follow
+/// (theory §7).
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct Ending {
+    pub(crate) r: Vec<f64>,
+    pub(crate) rho: Vec<f64>,
+    pub(crate) N: Vec<f64>,
 }
 
 impl Run<'_> {

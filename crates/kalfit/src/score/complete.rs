@@ -5,7 +5,7 @@ use std::sync::Arc;
 use crate::ensemble::Test;
 use crate::reduce::{ReduceError, Transition, Workspace};
 use crate::score::Scorer;
-use crate::score::backward::{BackwardWork, Driven, Run, Smoothed, Smoothing, Wanted};
+use crate::score::backward::{BackwardWork, Driven, Ending, Run, Smoothed, Smoothing, Wanted};
 use crate::score::moments::Moments;
 
 /// Moments of the complete data of a test (states and noises), given all that was measured.
@@ -102,11 +102,12 @@ impl Complete {
 }
 
 impl Scorer<'_> {
-    /// Moments of the complete data of a test at the α of the reducer, `moments` being those of its ξ.
+    /// Moments of the complete data of a test at the α of the reducer, `moments` being those of its ξ, `ending` what later phases
+    /// say of its last state.
     pub(crate) fn complete(
         &self,
         test: &Test,
-        moments: &Moments,
+        (moments, ending): (&Moments, Option<&Ending>),
         (work, backward): (&mut Workspace, &mut BackwardWork),
     ) -> Result<Complete, ReduceError> {
         let wanted = Wanted { motion: true, equation: false };
@@ -118,6 +119,7 @@ impl Scorer<'_> {
                 inputs: &work.data.inputs,
                 values: &work.data.values,
                 moments,
+                ending,
                 wanted,
             };
             let mut complete = Complete::of(work);

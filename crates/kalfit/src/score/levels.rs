@@ -5,8 +5,10 @@
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
-use crate::model::{CovarianceKind, Expression, Function, Initial, Model, Motion, Operator};
-use crate::reduce::{Fault, ReduceError, Reducer, Workspace};
+use crate::model::{
+    CovarianceKind, Expression, Function, Initial, Linear, Model, Motion, Operator, Phase, PhasedModel,
+};
+use crate::reduce::{Evidence, Fault, PhasedReducer, PhasedTest, PhasedWork, ReduceError, Reducer, Workspace};
 use crate::score::Slots;
 
 /// Which free values are noise levels, and of how many noises.
@@ -20,15 +22,28 @@ pub(crate) struct Levels {
 
 impl Levels {
     /// `reducer` at an α where no level is zero.
-    pub(crate) fn new(reducer: &Reducer, slots: &Slots, tests: &[Test]) -> Result<Levels, ReduceError> {
-        let model = &reducer.preparer().model;
-        let free = |p: usize| slots.is_free(p);
+    pub(crate) fn new(
+        model: &PhasedModel,
+        reducer: &PhasedReducer,
+        slots: &Slots,
+        tests: &[PhasedTest],
+    ) -> Result<Levels, ReduceError> {
+        let parameters = 0..model.shared().parameters.len();
         let degree: Vec<Option<f64>> =
-            (0..model.parameters.len()).map(|p| if free(p) { degree(model, slots, p) } else { None }).collect();
+            parameters.map(|p| if slots.is_free(p) { common_degree(model, slots, p) } else { None }).collect();
         let mut count = vec![0.0; slots.len()];
         if degree.iter().any(Option::is_some) {
-            let one = |work: &mut Workspace, test: &Test| {
-                counted(reducer, slots, &degree, test, work).map_err(|fault| fault.name(model, Some(test)))
+            let one = |work: &mut PhasedWork, test: &PhasedTest| -> Result<Vec<usize>, ReduceError> {
+                let mut found = Vec::new();
+                for (at, evidence) in test.phases.iter().enumerate() {
+                    let (Evidence::Rows(rows), None) = (evidence, &model.phases[at].filter) else { continue };
+                    let phase = &reducer.phases()[at];
+                    let own = counted(&phase.reducer, slots, &degree, rows, &mut work.phases[at]);
+                    let named =
+                        |fault: Box<Fault>| phase.named(fault.name(&phase.reducer.preparer().model, Some(rows)));
+                    found.extend(own.map_err(named)?);
+                }
+                Ok(found)
             };
             let all: Vec<Result<Vec<usize>, ReduceError>> =
                 tests.par_iter().map_init(|| reducer.workspace(), one).collect();
@@ -43,6 +58,57 @@ impl Levels {
     pub(crate) fn of(&self, slots: &Slots, slot: usize) -> Option<(f64, f64)> {
         Some((self.degree[slots.slots()[slot].parameter]?, self.count[slot]))
     }
+}
+
+/// d when the parameter is a level with this d in every phase that mentions it, and stands in no carry and in no phase whose
+/// estimates a filter gives.
+fn common_degree(model: &PhasedModel, slots: &Slots, parameter: usize) -> Option<f64> {
+    let here = |expression: &Expression| mentions(expression, parameter);
+    let mut common = None;
+    for phase in &model.phases {
+        let carried = phase.carry.iter().any(|carry| mentions_linear(&carry.from, &here));
+        let own = match degree(&phase.model, slots, parameter) {
+            None if carried || mentioned(&phase.model, &here) => return None,
+            None => continue,
+            Some(_) if carried || phase.filter.is_some() => return None,
+            Some(own) => own,
+        };
+        if common.is_some_and(|common| common != own) {
+            return None;
+        }
+        common = Some(own);
+    }
+    common
+}
+
+/// The parameter stands anywhere in the model of a phase.
+fn mentioned(model: &Model, here: &dyn Fn(&Expression) -> bool) -> bool {
+    elsewhere(model, here)
+        || model.measurements.iter().any(|m| here(&m.noise_variance))
+        || (0..model.states.len()).any(|i| process_noise(model, i).is_some_and(here))
+}
+
+/// Free parameters that a phase or its carry depends on.
+pub(crate) fn dependences(phase: &Phase, slots: &Slots) -> Vec<usize> {
+    let depends = |&parameter: &usize| {
+        let here = |expression: &Expression| mentions(expression, parameter);
+        slots.is_free(parameter)
+            && (mentioned(&phase.model, &here) || phase.carry.iter().any(|carry| mentions_linear(&carry.from, &here)))
+    };
+    (0..phase.model.parameters.len()).filter(depends).collect()
+}
+
+/// Free parameters that the carry of a phase depends on.
+pub(crate) fn carried(phase: &Phase, slots: &Slots) -> Vec<usize> {
+    let depends = |&parameter: &usize| {
+        let here = |expression: &Expression| mentions(expression, parameter);
+        slots.is_free(parameter) && phase.carry.iter().any(|carry| mentions_linear(&carry.from, &here))
+    };
+    (0..phase.model.parameters.len()).filter(depends).collect()
+}
+
+fn mentions_linear(linear: &Linear, here: &dyn Fn(&Expression) -> bool) -> bool {
+    linear.terms.iter().any(|(_, h)| here(h)) || here(&linear.constant)
 }
 
 /// The slot of each noise of a test that has one.
@@ -119,7 +185,7 @@ fn degree(model: &Model, slots: &Slots, parameter: usize) -> Option<f64> {
 
 /// The parameter stands somewhere other than in variances of noises, or in the start through them.
 fn elsewhere(model: &Model, here: &dyn Fn(&Expression) -> bool) -> bool {
-    let linear = |linear: &crate::model::Linear| linear.terms.iter().any(|(_, h)| here(h)) || here(&linear.constant);
+    let linear = |linear: &Linear| mentions_linear(linear, here);
     let measured = model.measurements.iter().any(|m| linear(&m.equation) || m.filter.as_ref().is_some_and(here));
     let moved = model.states.iter().any(|state| match &state.motion {
         Motion::Constant => false,

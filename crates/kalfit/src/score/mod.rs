@@ -10,25 +10,33 @@ mod complete;
 mod expected;
 mod levels;
 mod moments;
+mod phased;
 mod slots;
+mod smoother;
 #[cfg(test)]
 mod tests;
 
 use std::ops::Range;
 
+#[cfg(test)]
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
 use crate::reduce::{Fault, ReduceError, Reducer, Workspace};
-use backward::{BackwardWork, MeasuredBar, MovedBar, Run, Sink, Wanted};
+use backward::{BackwardWork, Ending, MeasuredBar, MovedBar, Run, Sink, Wanted};
 use chain::{Adjoints, Chain, Measured, Moved};
+
+use smoother::Later;
 
 pub use slots::{Slot, Slots};
 
 pub(crate) use chain::Gradient;
-pub(crate) use complete::Complete;
-pub(crate) use levels::Levels;
-pub(crate) use moments::{Moments, moments};
+pub(crate) use levels::{Levels, carried, dependences};
+pub(crate) use moments::Moments;
+#[cfg(test)]
+pub(crate) use moments::moments;
+pub(crate) use phased::{PhasedComplete, PhasedScorer};
+pub(crate) use smoother::{PhaseLaws, Plan};
 
 /// Scores of tests at the α of a reducer.
 #[derive(Debug)]
@@ -46,51 +54,37 @@ impl<'a> Scorer<'a> {
     }
 
     /// dℓ_j/dα of each test, with the moments of its ξ.
+    #[cfg(test)]
     pub(crate) fn scores(&self, tests: &[Test], moments: &[Moments]) -> Result<Vec<Gradient>, ReduceError> {
         let room = || (self.reducer.workspace(), BackwardWork::default(), self.chain.adjoints());
         let one = |room: &mut (Workspace, BackwardWork, Adjoints<'_>), (test, moments): (&Test, &Moments)| {
             let (work, backward, adjoints) = room;
-            self.one(test, moments, work, backward, adjoints)
+            self.one(test, (moments, None), (work, backward, adjoints))
         };
-        let all: Vec<Result<Gradient, ReduceError>> =
-            tests.par_iter().zip(moments).map_init(room, |room, pair| one(room, pair)).collect();
-        all.into_iter().collect()
+        tests.par_iter().zip(moments).map_init(room, |room, pair| one(room, pair)).collect()
     }
 
-    /// Moments of the complete data of each test (the E-step), with the moments of its ξ.
-    pub(crate) fn all_complete(&self, tests: &[Test], moments: &[Moments]) -> Result<Vec<Complete>, ReduceError> {
-        let room = || (self.reducer.workspace(), BackwardWork::default());
-        let one = |(work, backward): &mut (Workspace, BackwardWork), (test, moments): (&Test, &Moments)| {
-            self.complete(test, moments, (work, backward))
-        };
-        let all: Vec<Result<Complete, ReduceError>> =
-            tests.par_iter().zip(moments).map_init(room, |room, pair| one(room, pair)).collect();
-        all.into_iter().collect()
+    /// What a phase's later ones say of its last state, in the order of the kernels.
+    fn ending(&self, later: &Later) -> Ending {
+        let order = &self.reducer.preparer().order;
+        let (n, r, c) = (order.frame.n, order.frame.r, later.rho.ncols());
+        let mut ending = Ending { r: vec![0.0; n], rho: vec![0.0; n * c], N: vec![0.0; r * r] };
+        for (i, &at) in order.place.iter().enumerate() {
+            ending.r[at] = later.r[i];
+            (0..c).for_each(|k| ending.rho[at * c + k] = later.rho[(i, k)]);
+            for (j, &to) in order.place.iter().enumerate().filter(|(_, to)| at.max(**to) < r) {
+                ending.N[at * r + to] = later.N[(i, j)];
+            }
+        }
+        ending
     }
 
-    /// The expected log-likelihood of the complete data of each test and its gradient, at the α of the reducer; `None` where
-    /// the complete data of some test could not have come about.
-    pub(crate) fn all_expected(
-        &self,
-        tests: &[Test],
-        complete: &[Complete],
-    ) -> Result<Option<Vec<(f64, Gradient)>>, ReduceError> {
-        let room = || (self.reducer.workspace(), self.chain.adjoints());
-        let one = |(work, adjoints): &mut (Workspace, Adjoints<'_>), (test, complete): (&Test, &Complete)| {
-            self.expected(test, complete, (work, adjoints))
-        };
-        let all: Vec<Result<Option<(f64, Gradient)>, ReduceError>> =
-            tests.par_iter().zip(complete).map_init(room, |room, pair| one(room, pair)).collect();
-        all.into_iter().collect()
-    }
-
+    /// dℓ_j/dα of a test, with the moments of its ξ, and what later phases say of its last state.
     fn one(
         &self,
         test: &Test,
-        moments: &Moments,
-        work: &mut Workspace,
-        backward: &mut BackwardWork,
-        adjoints: &mut Adjoints<'_>,
+        (moments, ending): (&Moments, Option<&Ending>),
+        (work, backward, adjoints): (&mut Workspace, &mut BackwardWork, &mut Adjoints<'_>),
     ) -> Result<Gradient, ReduceError> {
         let wanted = Wanted { motion: self.chain.needs_rates(), equation: self.chain.needs_equation() };
         backward.set_unfrozen(self.reducer.is_unfrozen());
@@ -102,6 +96,7 @@ impl<'a> Scorer<'a> {
                 inputs: &work.data.inputs,
                 values: &work.data.values,
                 moments,
+                ending,
                 wanted,
             };
             let mut onward = Onward { adjoints, test, work };

@@ -1,6 +1,6 @@
 //! Posterior moments of ξ as the backward pass wants them.
 
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::{InitialLaw, unpack};
 use crate::linalg::posterior_root;
@@ -14,6 +14,13 @@ pub(crate) struct Moments {
     /// C, p × columns, by rows.
     pub(crate) root: Vec<f64>,
     pub(crate) columns: usize,
+}
+
+impl Moments {
+    /// From x̂ and C.
+    pub(crate) fn of(mean: &DVector<f64>, root: &DMatrix<f64>) -> Moments {
+        Moments { mean: mean.as_slice().to_vec(), root: root.transpose().as_slice().to_vec(), columns: root.ncols() }
+    }
 }
 
 /// x̂ = μ + V(y - Jμ) and V = F(I + F'JF)⁻¹F' (10), (11).

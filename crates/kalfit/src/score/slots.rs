@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 
 use crate::ensemble::{Label, Labels, Test};
-use crate::model::{Alpha, Level, Model, Parameter, Value};
+use crate::model::{Alpha, Level, Model, Parameter, PhasedModel, Value};
+use crate::reduce::{Evidence, PhasedTest};
 
 /// One free value of α.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -32,6 +33,17 @@ enum Places {
 impl Slots {
     /// The free values of a model that these tests have levels for.
     pub fn new(model: &Model, labels: &Labels, tests: &[Test]) -> Slots {
+        Slots::of(model, labels, &tests.iter().collect::<Vec<_>>())
+    }
+
+    /// The free values of a model in phases: levels of a column are those of all phases' rows, and of the columns that estimates
+    /// come with.
+    pub fn in_phases(model: &PhasedModel, labels: &Labels, tests: &[PhasedTest]) -> Slots {
+        let all: Vec<&Test> = tests.iter().flat_map(|test| &test.phases).filter_map(Evidence::cells).collect();
+        Slots::of(model.shared(), labels, &all)
+    }
+
+    fn of(model: &Model, labels: &Labels, tests: &[&Test]) -> Slots {
         let mut slots = Slots::default();
         for (parameter, what) in model.parameters.iter().enumerate() {
             let places = match (what.value, what.per) {
@@ -109,7 +121,7 @@ impl Slots {
 }
 
 /// Levels of a text column that occur in the tests and have no fixed value.
-fn levels(parameter: &Parameter, column: usize, tests: &[Test]) -> Vec<Label> {
+fn levels(parameter: &Parameter, column: usize, tests: &[&Test]) -> Vec<Label> {
     let mut levels: Vec<Label> =
         tests.iter().flat_map(|test| (0..test.rows()).map(|row| test.texts(row)[column])).collect();
     levels.sort_unstable();

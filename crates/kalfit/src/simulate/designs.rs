@@ -2,13 +2,13 @@
 
 use std::collections::BTreeSet;
 
-use crate::ensemble::Test;
+use crate::reduce::PhasedTest;
 use crate::simulate::SimulateError;
 
 /// Tests to draw for, at least one, with ids of their own. Test j of an ensemble is drawn for test j mod n of the n tests here.
 #[derive(Debug, Clone)]
 pub struct Designs {
-    tests: Vec<Test>,
+    tests: Vec<PhasedTest>,
     mark: String,
 }
 
@@ -17,7 +17,7 @@ impl Designs {
     ///
     /// # Errors
     /// No tests, or two with one id.
-    pub fn new(tests: Vec<Test>) -> Result<Designs, SimulateError> {
+    pub fn new(tests: Vec<PhasedTest>) -> Result<Designs, SimulateError> {
         if tests.is_empty() {
             return Err(SimulateError::NoTests);
         }
@@ -33,12 +33,12 @@ impl Designs {
     }
 
     /// The tests of the design.
-    pub fn tests(&self) -> &[Test] {
+    pub fn tests(&self) -> &[PhasedTest] {
         &self.tests
     }
 
     /// The test that test `index` of an ensemble is drawn for.
-    pub fn design(&self, index: u64) -> &Test {
+    pub fn design(&self, index: u64) -> &PhasedTest {
         let n = self.tests.len() as u64;
         &self.tests[usize::try_from(index % n).expect("a remainder is below the number of tests")]
     }
@@ -57,9 +57,10 @@ impl Designs {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ensemble::Test;
 
     fn designs(ids: &[&str]) -> Result<Designs, SimulateError> {
-        Designs::new(ids.iter().map(|id| Test::new(*id, 0, 0)).collect())
+        Designs::new(ids.iter().map(|id| Test::new(*id, 0, 0).into()).collect())
     }
 
     #[test]

@@ -22,6 +22,28 @@ pub enum SimulateError {
         /// The id.
         id: String,
     },
+    /// A phase of a design is not given by its rows.
+    #[error(
+        "test `{test}`: phase `{phase}` is given by {found}, expected its rows: they tell times, inputs and missing values"
+    )]
+    NoRows {
+        /// Id of the test.
+        test: String,
+        /// Name of the phase.
+        phase: String,
+        /// `a reduction` or `estimates`.
+        found: &'static str,
+    },
+    /// A design has other phases than the model.
+    #[error("test `{test}` has {found} phases, expected between 1 and {expected}")]
+    Phases {
+        /// Id of the test.
+        test: String,
+        /// How many it has.
+        found: usize,
+        /// How many the model has.
+        expected: usize,
+    },
     /// A measured column is an input too.
     #[error(
         "column `{column}` holds measurements and is read as an input too: a drawn value would change the model that it is drawn from"

@@ -1,13 +1,17 @@
 //! Which columns a model reads as inputs.
 
-use crate::model::{CovarianceKind, Expression, Initial, Linear, Model, Motion};
+use crate::model::{CovarianceKind, Expression, Initial, Linear, Model, Motion, Phase};
 use crate::simulate::SimulateError;
 
-/// A drawn value must not change what the model does with other cells: a measured column that is an input too is refused.
-pub(super) fn refuse_measured_inputs(model: &Model) -> Result<(), SimulateError> {
+/// A drawn value must not change what the model does with other cells: a column that a phase measures and that is an input of
+/// it too is refused.
+pub(super) fn refuse_measured_inputs(phase: &Phase) -> Result<(), SimulateError> {
+    let model = &phase.model;
     let is_measured = |column: usize| model.measurements.iter().any(|m| m.column == column);
     let mut clash = None;
-    for expression in expressions(model) {
+    let mut all = expressions(model);
+    phase.carry.iter().for_each(|carry| linear(&carry.from, &mut all));
+    for expression in all {
         expression.any(&mut |part| {
             if let Expression::Column(column) = part {
                 clash = clash.or(Some(*column).filter(|&column| is_measured(column)));

@@ -7,12 +7,16 @@
 //! z_k = M_k x_k + d_k + v_k, v_k ~ N(0, R_k)
 //! ```
 //!
+//! and so phase after phase: each has a ξ of its own, and its x_0 inherits t + T x_K from the state that the phase before really
+//! ended in (theory §7).
+//!
 //! A test of the design gives times, inputs and which values are missing; its measured values themselves do not matter. The
-//! coefficients are those that the reducer filters with, evaluated by the same code. Σ, P0, Q and R may be singular.
+//! coefficients are those that the reducer filters with, evaluated by the same code. Σ, P0, Q and R may be singular. What a
+//! suboptimal filter would make of the measurements is not drawn: a phase with a filter draws its measurements as any other.
 //!
 //! # Seeds
 //!
-//! Test j of an ensemble draws from stream j of ChaCha8 seeded with the seed, in this order: ξ (p standard normals), ζ (one for
+//! Test j of an ensemble draws from stream j of ChaCha8 seeded with the seed, phase after phase in this order: ξ (p standard normals), ζ (one for
 //! each state that noise ever reaches), then step by step w (one for each state with process noise, where a transition leads to
 //! the step) and v (one for each measured value). So a draw depends on the seed, j, the design of test j, the model, α and the
 //! population, and on nothing else: not on threads, batches, other tests or the length of the ensemble. It is the same for the
@@ -25,7 +29,7 @@ mod path;
 
 use std::ops::Range;
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -35,16 +39,16 @@ pub use error::SimulateError;
 
 use crate::ensemble::Test;
 use crate::linalg::symmetric;
-use crate::model::{Alpha, Model, PhasedModel, Population};
-use crate::reduce::{Fault, Instance, Preparer, ReduceError};
+use crate::model::{Alpha, Phase, PhasedModel, Population};
+use crate::reduce::{Evidence, Fault, Inherited, Instance, PhaseReducer, PhasedReducer, PhasedTest, Preparer};
 use path::Path;
 
 /// A test that was drawn.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Drawn {
     /// The test: the design's cells, drawn values where the design has measured ones.
-    pub test: Test,
-    /// ξ, its initial state (p).
+    pub test: PhasedTest,
+    /// ξ, its initial states, of all phases that it has in a row.
     pub initial: Vec<f64>,
 }
 
@@ -55,8 +59,10 @@ pub struct Drawn {
 ///     Clock, Column, CovarianceStructure, Initial, Linear, MeanStructure, Measurement, Motion, State,
 /// };
 /// use kalfit::simulate::{Designs, Simulator};
+/// use kalfit::model::PhasedModel;
+/// use kalfit::reduce::Evidence;
 /// use kalfit::{Alpha, Expression, Model, Population, Source, Test};
-/// use nalgebra::DMatrix;
+/// use nalgebra::{DMatrix, DVector};
 ///
 /// // each unit has a level of its own, measured twice
 /// let number = Expression::Number;
@@ -84,34 +90,67 @@ pub struct Drawn {
 /// unit.push(&[f64::NAN], &[], Source::default()); // the second value is missing
 ///
 /// let population = Population { mean: vec![5.0], coefficients: vec![], covariance: DMatrix::from_element(1, 1, 4.0) };
-/// let simulator = Simulator::new(&model, &Alpha::default(), population, 1)?;
-/// let ensemble = simulator.draw(&Designs::new(vec![unit])?, 0..3)?;
+/// let simulator = Simulator::new(&PhasedModel::from(model), &Alpha::default(), population, 1)?;
+/// let ensemble = simulator.draw(&Designs::new(vec![unit.into()])?, 0..3)?;
 /// assert_eq!(ensemble.iter().map(|drawn| drawn.test.id.as_str()).collect::<Vec<_>>(), ["unit", "unit#2", "unit#3"]);
-/// assert!((ensemble[0].test.numbers(0)[0] - ensemble[0].initial[0]).abs() < 0.5);
-/// assert!(ensemble[0].test.numbers(1)[0].is_nan());
+/// let Evidence::Rows(first) = &ensemble[0].test.phases[0] else { panic!("rows are drawn") };
+/// assert!((first.numbers(0)[0] - ensemble[0].initial[0]).abs() < 0.5);
+/// assert!(first.numbers(1)[0].is_nan());
 /// # Ok::<(), kalfit::simulate::SimulateError>(())
 /// ```
 #[derive(Debug)]
 pub struct Simulator {
-    preparer: Preparer,
-    population: Population,
-    /// F with FF' = Σ.
-    root: DMatrix<f64>,
+    /// Whose phases evaluate tests, with all that enters a phase as its ξ.
+    reducer: PhasedReducer,
+    laws: Vec<PhaseLaw>,
     seed: u64,
 }
 
+/// What one phase adds of its own.
+#[derive(Debug)]
+struct PhaseLaw {
+    name: String,
+    population: Population,
+    /// F with FF' = Σ.
+    root: DMatrix<f64>,
+}
+
+/// What one phase is drawn with.
+#[derive(Debug, Clone, Copy)]
+struct PhaseDraw<'a> {
+    law: &'a PhaseLaw,
+    phase: &'a PhaseReducer,
+    preparer: &'a Preparer,
+}
+
 impl Simulator {
-    /// A simulator of a model at α.
+    /// A simulator of a model at α, of the population of all phases together.
     ///
     /// # Errors
     /// A population that does not fit the model or is no law; a coefficient without a value, whatever the data; a measured
-    /// column that the model reads as an input too.
-    pub fn new(model: &Model, alpha: &Alpha, population: Population, seed: u64) -> Result<Simulator, SimulateError> {
-        population.check(&PhasedModel::from(model.clone()))?;
-        inputs::refuse_measured_inputs(model)?;
-        let preparer = Preparer::new(model, alpha).map_err(|fault| fault.name(model, None))?;
-        let root = symmetric::square_root(&population.covariance);
-        Ok(Simulator { preparer, population, root, seed })
+    /// column that its phase reads as an input too.
+    pub fn new(
+        model: &PhasedModel,
+        alpha: &Alpha,
+        population: Population,
+        seed: u64,
+    ) -> Result<Simulator, SimulateError> {
+        population.check(model)?;
+        model.phases.iter().try_for_each(inputs::refuse_measured_inputs)?;
+        let reducer = PhasedReducer::new(model, alpha)?;
+        let law = |(phase, population): (&Phase, Population)| PhaseLaw {
+            name: phase.name.clone(),
+            root: symmetric::square_root(&population.covariance),
+            population,
+        };
+        let laws = model.phases.iter().zip(population.apart(model)).map(law).collect();
+        Ok(Simulator { reducer, laws, seed })
+    }
+
+    /// Its phases, in order.
+    fn phases(&self) -> impl Iterator<Item = PhaseDraw<'_>> {
+        let draw = |(phase, law)| PhaseDraw { law, phase, preparer: phase.reducer.preparer() };
+        self.reducer.phases().iter().zip(&self.laws).map(draw)
     }
 
     /// Draws the tests with these places in the ensemble, in their order.
@@ -119,38 +158,92 @@ impl Simulator {
     /// # Errors
     /// Of several tests in error, the first one's error.
     pub fn draw(&self, designs: &Designs, places: Range<u64>) -> Result<Vec<Drawn>, SimulateError> {
+        let paths = || -> Vec<Path> { self.phases().map(|phase| Path::new(phase.preparer)).collect() };
         let all: Vec<Result<Drawn, SimulateError>> =
-            places.into_par_iter().map_init(|| Path::new(self), |path, place| self.one(designs, place, path)).collect();
+            places.into_par_iter().map_init(paths, |paths, place| self.one(designs, place, paths)).collect();
         all.into_iter().collect()
     }
 
-    fn one(&self, designs: &Designs, place: u64, path: &mut Path) -> Result<Drawn, SimulateError> {
-        let model = &self.preparer.model;
-        let mut test = designs.design(place).clone();
-        test.id = designs.id(place);
-        for row in 0..test.rows() {
-            for measurement in &model.measurements {
-                if !test.numbers(row)[measurement.column].is_nan() {
-                    test.set_number(row, measurement.column, 0.0);
-                }
-            }
+    fn one(&self, designs: &Designs, place: u64, paths: &mut [Path]) -> Result<Drawn, SimulateError> {
+        let (design, id) = (designs.design(place), designs.id(place));
+        let (found, expected) = (design.phases.len(), self.laws.len());
+        if !(1..=expected).contains(&found) {
+            return Err(SimulateError::Phases { test: id, found, expected });
         }
-        let named = |fault: Box<Fault>, test: &Test| -> ReduceError { fault.name(model, Some(test)) };
-        self.preparer.prepare(&test, &mut path.work).map_err(|fault| named(fault, &test))?;
-        self.refuse_shared_cells(&test, path)?;
         let mut random = ChaCha8Rng::seed_from_u64(self.seed);
         random.set_stream(place);
-        let initial = path.draw_initial(model, &self.population, &self.root, &mut random);
-        path.draw_values(&initial, &mut random).map_err(|fault| named(fault, &test))?;
+        let (mut phases, mut initial, mut last) = (Vec::new(), Vec::new(), DVector::zeros(0));
+        for ((phase, evidence), path) in self.phases().zip(&design.phases).zip(paths) {
+            let mut rows = phase.rows(evidence, &id)?;
+            rows.id.clone_from(&id);
+            let xi = phase.draw(&mut rows, &last, path, &mut random)?;
+            last = phase.last(path);
+            initial.extend(xi);
+            phases.push(Evidence::Rows(rows));
+        }
+        Ok(Drawn { test: PhasedTest { id, phases }, initial })
+    }
+}
+
+impl PhaseDraw<'_> {
+    /// The rows of the design, with a zero for every value that may be measured.
+    fn rows(&self, evidence: &Evidence, test: &str) -> Result<Test, SimulateError> {
+        let found = match evidence {
+            Evidence::Rows(rows) => {
+                let mut rows = rows.clone();
+                for row in 0..rows.rows() {
+                    for measurement in &self.preparer.model.measurements {
+                        if !rows.numbers(row)[measurement.column].is_nan() {
+                            rows.set_number(row, measurement.column, 0.0);
+                        }
+                    }
+                }
+                return Ok(rows);
+            }
+            Evidence::Estimates(_) => "estimates",
+            Evidence::Reduced(_) => "a reduction",
+        };
+        Err(SimulateError::NoRows { test: test.to_owned(), phase: self.law.name.clone(), found })
+    }
+
+    /// Draws the phase into its rows, given the state that the phase before ended in; its ξ.
+    fn draw(
+        &self,
+        rows: &mut Test,
+        before: &DVector<f64>,
+        path: &mut Path,
+        random: &mut ChaCha8Rng,
+    ) -> Result<Vec<f64>, SimulateError> {
+        let model = &self.preparer.model;
+        let named = |fault: Box<Fault>, rows: &Test| self.phase.named(fault.name(model, Some(rows)));
+        self.preparer.prepare(rows, &mut path.work).map_err(|fault| named(fault, rows))?;
+        self.refuse_shared_cells(rows, path)?;
+        let xi = path.draw_initial(model, &self.law.population, &self.law.root, random);
+        let mut entering = xi.clone();
+        if let Some(inheritance) = &self.phase.inheritance {
+            let inherited = inheritance.of(&self.preparer.at(), rows, &mut path.cells);
+            let inherited = inherited.map_err(|error| self.phase.named(error))?;
+            let Inherited { transition, input } = inherited.as_ref();
+            entering.resize(model.estimated.len(), 0.0);
+            let inherited = transition * before + input;
+            entering.iter_mut().zip(&inherited).for_each(|(own, more)| *own += more);
+        }
+        path.draw_values(&entering, random).map_err(|fault| named(fault, rows))?;
         for (instance, &value) in path.work.instances.iter().zip(&path.values) {
             let (row, column) = (instance.row, model.measurements[instance.meter].column);
             if !value.is_finite() {
-                let (row, column) = (test.source(row), model.columns[column].name.clone());
-                return Err(SimulateError::NotFinite { test: test.id, row, column });
+                let (row, column) = (rows.source(row), model.columns[column].name.clone());
+                return Err(SimulateError::NotFinite { test: rows.id.clone(), row, column });
             }
-            test.set_number(row, column, value);
+            rows.set_number(row, column, value);
         }
-        Ok(Drawn { test, initial })
+        Ok(xi)
+    }
+
+    /// The state that the path ended in, in the order of the model.
+    fn last(&self, path: &Path) -> DVector<f64> {
+        let place = &self.preparer.order.place;
+        DVector::from_fn(place.len(), |state, _| path.last()[place[state]])
     }
 
     fn refuse_shared_cells(&self, test: &Test, path: &Path) -> Result<(), SimulateError> {

@@ -10,9 +10,9 @@ use rand_distr::{Distribution, StandardNormal};
 use crate::linalg::symmetric;
 use crate::model::{Model, Population};
 use crate::reduce::{
-    Design, Fault, NotSemidefinite, ReduceErrorKind, Step, Subject, Transition, Workspace, advance, ldl,
+    Cells, Design, Fault, NotSemidefinite, Preparer, ReduceErrorKind, Step, Subject, Transition, Workspace, advance,
+    ldl,
 };
-use crate::simulate::Simulator;
 
 /// Roots of Q that are kept.
 const MOST_ROOTS: usize = 1024;
@@ -24,10 +24,12 @@ struct Noise {
     F: DMatrix<f64>,
 }
 
-/// Work space of the draws of one thread; the evaluated test stands in `work`, its measurements not whitened.
+/// Work space of the draws of one thread for one phase; the evaluated rows stand in `work`, their measurements not whitened.
 #[derive(Debug)]
 pub(super) struct Path {
     pub(super) work: Workspace,
+    /// Room for what a carry is evaluated on.
+    pub(super) cells: Cells,
     /// Drawn values, one for each instance of `work`.
     pub(super) values: Vec<f64>,
     x: Vec<f64>,
@@ -38,11 +40,19 @@ pub(super) struct Path {
 }
 
 impl Path {
-    pub(super) fn new(simulator: &Simulator) -> Path {
-        let mut work = simulator.preparer.workspace();
+    pub(super) fn new(preparer: &Preparer) -> Path {
+        let mut work = preparer.workspace();
         work.covariances = Some(Vec::new());
         let start = (Vec::new(), DMatrix::zeros(0, 0));
-        Path { work, values: Vec::new(), x: Vec::new(), moved: Vec::new(), noises: HashMap::new(), start }
+        Path {
+            work,
+            cells: Cells::default(),
+            values: Vec::new(),
+            x: Vec::new(),
+            moved: Vec::new(),
+            noises: HashMap::new(),
+            start,
+        }
     }
 
     /// ξ ~ N(μ_j, Σ), with `root` a root of Σ.
@@ -62,9 +72,9 @@ impl Path {
         xi
     }
 
-    /// The measured values of the test, given ξ.
-    pub(super) fn draw_values(&mut self, initial: &[f64], random: &mut ChaCha8Rng) -> Result<(), Box<Fault>> {
-        self.start(initial, random);
+    /// The measured values of the phase, given what enters it.
+    pub(super) fn draw_values(&mut self, entering: &[f64], random: &mut ChaCha8Rng) -> Result<(), Box<Fault>> {
+        self.start(entering, random);
         self.values.clear();
         let (work, mut input) = (&self.work, 0);
         for step in work.design.each_step() {
@@ -82,13 +92,18 @@ impl Path {
         Ok(())
     }
 
-    /// x_0 = a + Aξ + ζ.
-    fn start(&mut self, initial: &[f64], random: &mut ChaCha8Rng) {
+    /// The state after the last step, by place in the kernels.
+    pub(super) fn last(&self) -> &[f64] {
+        &self.x
+    }
+
+    /// x_0 = a + Eσ + ζ.
+    fn start(&mut self, entering: &[f64], random: &mut ChaCha8Rng) {
         let Design { frame, variance, .. } = &self.work.design;
         let (p, r) = (frame.p, frame.r);
         self.x.clone_from(&self.work.data.start);
         for (state, x) in self.x.iter_mut().enumerate() {
-            *x += frame.sensitivity[state * p..][..p].iter().zip(initial).map(|(a, xi)| a * xi).sum::<f64>();
+            *x += frame.sensitivity[state * p..][..p].iter().zip(entering).map(|(a, xi)| a * xi).sum::<f64>();
         }
         if self.start.0 != *variance || self.start.1.nrows() != r {
             let P0 = DMatrix::from_fn(r, r, |i, j| variance[i.max(j) * r + i.min(j)]);

@@ -7,11 +7,13 @@ use std::collections::BTreeMap;
 use kalfit::dynamic::{self, DynamicFit, OtherEnd, ParameterInference, Settings, Standing};
 use kalfit::estimate::{Silent, Stop};
 use kalfit::infer::{Choices, Inference, restricted};
+use kalfit::model::PhasedModel;
 use kalfit::model::{
     Clock, Column, CovarianceStructure, Initial, Linear, MeanStructure, Measurement, Motion, Operator, Parameter,
     State, Value,
 };
 use kalfit::record::{DynamicParts, LevelCounts, MethodRecord, level_notes};
+use kalfit::reduce::PhasedTest;
 use kalfit::score::Slots;
 use kalfit::{Alpha, Expression, FitRecord, Label, Labels, Model, Provenance, Source, Test};
 
@@ -86,8 +88,10 @@ fn ensemble() -> (Labels, Vec<Test>) {
 
 fn fitted(model: &Model) -> (Labels, Vec<Test>, DynamicFit, Inference, Vec<ParameterInference>) {
     let (labels, tests) = ensemble();
-    let fit = dynamic::fit(model, &labels, &tests, &Settings::default(), &mut Silent).unwrap();
-    let (inference, parameters) = dynamic::infer(model, &tests, &fit, Choices::default()).unwrap();
+    let (model, phased) =
+        (PhasedModel::from(model.clone()), tests.iter().cloned().map(PhasedTest::from).collect::<Vec<_>>());
+    let fit = dynamic::fit(&model, &labels, &phased, &Settings::default(), &mut Silent).unwrap();
+    let (inference, parameters) = dynamic::infer(&model, &phased, &fit, Choices::default()).unwrap();
     (labels, tests, fit, inference, parameters)
 }
 

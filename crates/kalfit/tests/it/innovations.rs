@@ -8,7 +8,7 @@ use kalfit::model::Population;
 use kalfit::model::{
     Clock, Column, CovarianceStructure, Initial, Linear, MeanStructure, Measurement, Motion, Regression, State,
 };
-use kalfit::reduce::{Plain, ReduceErrorKind, Reducer, StepMatrices};
+use kalfit::reduce::{PhasedTest, Plain, ReduceErrorKind, Reducer, StepMatrices};
 use kalfit::{Alpha, Expression, Model, Source, Test, infer};
 use nalgebra::{DMatrix, DVector};
 use rand::{RngExt, SeedableRng};
@@ -146,7 +146,9 @@ fn truth() -> Population {
 }
 
 fn run(model: &Model, initial: &Population, tests: &[Test]) -> Vec<Innovations> {
-    innovations(model, &Alpha::default(), initial, tests).expect("sound")
+    let tests: Vec<PhasedTest> = tests.iter().cloned().map(Into::into).collect();
+    let found = innovations(&model.clone().into(), &Alpha::default(), initial, &tests).expect("sound");
+    found.into_iter().map(|one| one.expect("rows")).collect()
 }
 
 /// (residuals whitened by Cholesky of their joint covariance, residual given those before, its variance)
@@ -294,9 +296,9 @@ fn a_test_without_measurements_has_no_figures() {
 #[test]
 fn an_initial_state_of_another_shape_is_refused() {
     let wrong = Population { mean: vec![0.0], ..truth() };
-    let error = innovations(&model(), &Alpha::default(), &wrong, &[]).expect_err("refused");
+    let error = innovations(&model().into(), &Alpha::default(), &wrong, &[]).expect_err("refused");
     assert_eq!(*error.kind, ReduceErrorKind::Shape { found: (1, 1), expected: (2, 1) });
     let negative = Population { covariance: -truth().covariance, ..truth() };
-    let error = innovations(&model(), &Alpha::default(), &negative, &[]).expect_err("refused");
+    let error = innovations(&model().into(), &Alpha::default(), &negative, &[]).expect_err("refused");
     assert!(matches!(*error.kind, ReduceErrorKind::NotSemidefinite { .. }), "{error}");
 }

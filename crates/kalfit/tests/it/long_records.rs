@@ -190,14 +190,15 @@ fn innovations_of_a_long_record_have_the_likelihood_of_its_reduction() {
             coefficients: Vec::new(),
             covariance: DMatrix::from_diagonal_element(p, p, 0.0),
         };
-        let series = innovations(&model, &Alpha::default(), &population, &tests).expect("the test is sound");
+        let series = innovations(&model.clone().into(), &Alpha::default(), &population, &[tests[0].clone().into()]);
+        let series = series.expect("the test is sound").remove(0).expect("rows");
         let reduction = &Reducer::new(&model, &Alpha::default()).expect("sound").reduce(&tests).expect("sound")[0];
         let mut residual = reduction.data.clone();
         for k in 0..p {
             (0..=k).for_each(|i| residual[i] -= reduction.factor[k * (k + 1) / 2 + i] * 3.0);
         }
         let expected = reduction.constant - 0.5 * residual.iter().map(|x| x * x).sum::<f64>();
-        let (found, steps) = (series[0].log_likelihood, series[0].series.last().map(|one| (one.step, one.time)));
+        let (found, steps) = (series.log_likelihood, series.series.last().map(|one| (one.step, one.time)));
         assert!((found / expected - 1.0).abs() < 1e-10, "{name}: {found} against {expected}");
         let last = ROWS - if model.measurements.len() == 2 { 1 } else { 2 };
         assert_eq!(steps, Some((last, Some(last as f64 / 100.0))), "{name}");

@@ -7,7 +7,7 @@ use kalfit::model::{
     Clock, Column, CovarianceStructure, Initial, Linear, MeanStructure, Measurement, Motion, Operator, Regression,
     State,
 };
-use kalfit::reduce::{Plain, Reducer, StepMatrices};
+use kalfit::reduce::{Evidence, Plain, Reducer, StepMatrices};
 use kalfit::simulate::{Designs, Drawn, SimulateError, Simulator};
 use kalfit::{Alpha, Expression, Model, Population, Source, Test};
 use nalgebra::{DMatrix, DVector};
@@ -201,11 +201,17 @@ fn exponential(f: &DMatrix<f64>) -> DMatrix<f64> {
 }
 
 fn simulator(model: &Model, population: Population, seed: u64) -> Simulator {
-    Simulator::new(model, &Alpha::default(), population, seed).expect("a sound model and population")
+    Simulator::new(&model.clone().into(), &Alpha::default(), population, seed).expect("a sound model and population")
+}
+
+/// The rows of a test in one phase.
+fn rows(drawn: &Drawn) -> &Test {
+    let [Evidence::Rows(rows)] = &drawn.test.phases[..] else { panic!("{} phases", drawn.test.phases.len()) };
+    rows
 }
 
 fn draw(simulator: &Simulator, design: Test, count: u64) -> Vec<Drawn> {
-    let designs = Designs::new(vec![design]).expect("one test");
+    let designs = Designs::new(vec![design.into()]).expect("one test");
     simulator.draw(&designs, 0..count).expect("a sound design")
 }
 
@@ -217,7 +223,7 @@ fn values(test: &Test) -> DVector<f64> {
 
 /// Mean and covariance of a sample lie within 4 standard errors of those of a normal law.
 #[track_caller]
-fn assert_law(what: &str, sample: &[DVector<f64>], mean: &DVector<f64>, covariance: &DMatrix<f64>) {
+pub(crate) fn assert_law(what: &str, sample: &[DVector<f64>], mean: &DVector<f64>, covariance: &DMatrix<f64>) {
     let (n, count) = (mean.len(), sample.len() as f64);
     let found = sample.iter().fold(DVector::zeros(n), |sum, z| sum + z) / count;
     let spread = sample.iter().fold(DMatrix::zeros(n, n), |sum, z| sum + (z - mean) * (z - mean).transpose()) / count;
@@ -249,7 +255,7 @@ fn drawn_measurements_have_the_law_of_the_joint_gaussian() {
         let population = Population { mean, coefficients: vec![numbers.coefficient], covariance: covariance.clone() };
         let drawn = draw(&simulator(&numbers.model(), population, 100 + seed), test("a", &ROWS), 4000);
         let law = dense(&numbers.plain());
-        let z: Vec<DVector<f64>> = drawn.iter().map(|drawn| values(&drawn.test)).collect();
+        let z: Vec<DVector<f64>> = drawn.iter().map(|drawn| values(rows(drawn))).collect();
         let mu = DVector::from_vec(at);
         let total = &law.covariance + &law.sensitivity * &covariance * law.sensitivity.transpose();
         assert_law(&format!("seed {seed}, z"), &z, &(&law.mean + &law.sensitivity * &mu), &total);
@@ -267,12 +273,12 @@ fn the_model_that_is_drawn_is_the_one_that_is_reduced() {
     let numbers = Numbers::random(&mut ChaCha8Rng::seed_from_u64(11));
     let population = Population { mean: vec![1.0, 2.0], coefficients: vec![0.0], covariance: DMatrix::identity(2, 2) };
     let drawn = draw(&simulator(&numbers.model(), population, 5), test("a", &ROWS), 3);
-    let tests: Vec<Test> = drawn.iter().map(|drawn| drawn.test.clone()).collect();
+    let tests: Vec<Test> = drawn.iter().map(|drawn| rows(drawn).clone()).collect();
     let reductions = Reducer::new(&numbers.model(), &Alpha::default()).expect("sound").reduce(&tests).expect("sound");
     for (reduction, drawn) in reductions.iter().zip(&drawn) {
         let law = dense(&numbers.plain());
         let xi = DVector::from_row_slice(&drawn.initial);
-        let left = values(&drawn.test) - &law.mean - &law.sensitivity * &xi;
+        let left = values(rows(drawn)) - &law.mean - &law.sensitivity * &xi;
         let expected = dense::log_density(&left, &law.covariance);
         let r = &reduction.factor;
         let residual = [reduction.data[0] - r[0] * xi[0] - r[1] * xi[1], reduction.data[1] - r[2] * xi[1]];
@@ -286,7 +292,7 @@ fn draws_do_not_depend_on_threads_or_batches() {
     let numbers = Numbers::random(&mut ChaCha8Rng::seed_from_u64(3));
     let population = Population { mean: vec![0.0, 1.0], coefficients: vec![0.2], covariance: DMatrix::identity(2, 2) };
     let simulator = simulator(&numbers.model(), population, 9);
-    let designs = Designs::new(vec![test("a", &ROWS), test("b", &ROWS[..4])]).expect("two tests");
+    let designs = Designs::new(vec![test("a", &ROWS).into(), test("b", &ROWS[..4]).into()]).expect("two tests");
     let run = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
         pool.install(|| simulator.draw(&designs, 0..50)).expect("sound")
@@ -294,7 +300,7 @@ fn draws_do_not_depend_on_threads_or_batches() {
     let bits = |drawn: &[Drawn]| -> Vec<u64> {
         drawn
             .iter()
-            .flat_map(|d| values(&d.test).iter().chain(&d.initial).map(|x| x.to_bits()).collect::<Vec<_>>())
+            .flat_map(|d| values(rows(d)).iter().chain(&d.initial).map(|x| x.to_bits()).collect::<Vec<_>>())
             .collect()
     };
     let (one, two) = (run(1), run(2));
@@ -311,7 +317,7 @@ fn only_measured_cells_change() {
     let population = Population { mean: vec![0.0, 1.0], coefficients: vec![0.2], covariance: DMatrix::identity(2, 2) };
     let drawn = draw(&simulator(&numbers.model(), population, 9), test("a", &ROWS), 1);
     for (row, before) in ROWS.iter().enumerate() {
-        let after = drawn[0].test.numbers(row);
+        let after = rows(&drawn[0]).numbers(row);
         for column in 0..5 {
             let measured = (1..3).contains(&column) && !before[column].is_nan();
             let same = after[column].to_bits() == before[column].to_bits();
@@ -326,9 +332,9 @@ fn without_any_noise_the_path_is_exact() {
     let equation = linear(vec![(0, number(1.0))], number(0.5));
     let model = model(vec![state("x", motion, Initial::Estimated)], vec![meter("z", 1, equation, 0.0)]);
     let population = Population { mean: vec![3.0], coefficients: vec![], covariance: DMatrix::zeros(1, 1) };
-    let rows = [[0.0, 1.0, EMPTY, 0.0, 0.0], [1.0, 1.0, EMPTY, 0.0, 0.0], [2.0, 1.0, EMPTY, 0.0, 0.0]];
-    let drawn = draw(&simulator(&model, population, 1), test("a", &rows), 1);
-    assert_eq!(values(&drawn[0].test).as_slice(), [3.5, 7.5, 15.5]);
+    let steps = [[0.0, 1.0, EMPTY, 0.0, 0.0], [1.0, 1.0, EMPTY, 0.0, 0.0], [2.0, 1.0, EMPTY, 0.0, 0.0]];
+    let drawn = draw(&simulator(&model, population, 1), test("a", &steps), 1);
+    assert_eq!(values(rows(&drawn[0])).as_slice(), [3.5, 7.5, 15.5]);
 }
 
 #[test]
@@ -341,18 +347,18 @@ fn what_cannot_be_drawn_is_refused() {
         covariance: DMatrix::from_element(1, 1, variance),
     };
     let twice = model(level(), vec![meter("a", 1, one(), 1.0), meter("b", 1, one(), 1.0)]);
-    let designs = Designs::new(vec![test("t", &ROWS)]).expect("one test");
+    let designs = Designs::new(vec![test("t", &ROWS).into()]).expect("one test");
     let refusal = simulator(&twice, population(1.0), 1).draw(&designs, 0..1).expect_err("a cell for two");
     assert!(
         matches!(&refusal, SimulateError::SharedCell { first, second, .. } if first == "a" && second == "b"),
         "{refusal}"
     );
     let feeds = model(level(), vec![meter("a", 1, linear(vec![(0, Expression::Column(1))], number(0.0)), 1.0)]);
-    let refusal = Simulator::new(&feeds, &Alpha::default(), population(1.0), 1).expect_err("an input is drawn");
+    let refusal = Simulator::new(&feeds.into(), &Alpha::default(), population(1.0), 1).expect_err("an input is drawn");
     assert_eq!(refusal, SimulateError::MeasuredInput { column: "z1".to_owned() });
     let sound = model(level(), vec![meter("a", 1, one(), 1.0)]);
     for bad in [-1.0, f64::NAN, f64::INFINITY] {
-        let refusal = Simulator::new(&sound, &Alpha::default(), population(bad), 1);
+        let refusal = Simulator::new(&sound.clone().into(), &Alpha::default(), population(bad), 1);
         assert!(matches!(refusal, Err(SimulateError::Population(_))), "a variance of {bad}: {refusal:?}");
     }
     let mut joint = model(level(), vec![meter("a", 1, one(), 1.0), meter("b", 2, one(), 1.0)]);

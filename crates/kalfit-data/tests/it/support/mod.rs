@@ -10,20 +10,20 @@ use std::sync::Arc;
 use arrow::array::{ArrayRef, Float64Array, Int64Array, RecordBatch, StringArray};
 use arrow::ipc::writer::{FileWriter, IpcWriteOptions, StreamWriter};
 use kalfit::model::{Clock, Column, CovarianceStructure, MeanStructure};
-use kalfit::{Label, Labels, Layout, Model, Source, Test, TestKey};
+use kalfit::{Label, Labels, Layout, Model, PhasedModel, Source, Test, TestKey};
 use kalfit_data::{DataError, Input, ReadError, Reading, Sink, read_from};
 use parquet::arrow::ArrowWriter;
 use parquet::file::properties::WriterProperties;
 
 /// A model that reads these columns; the time column, when given, is one of them.
-pub(crate) fn model(columns: &[&str], text_columns: &[&str], time: Option<&str>) -> Model {
+pub(crate) fn model(columns: &[&str], text_columns: &[&str], time: Option<&str>) -> PhasedModel {
     let named = |names: &[&str]| -> Vec<Column> {
         names
             .iter()
             .map(|name| Column { name: (*name).to_owned(), used_in: format!("equation of measurement `m_{name}`") })
             .collect()
     };
-    Model {
+    let model = Model {
         title: String::new(),
         columns: named(columns),
         text_columns: named(text_columns),
@@ -38,11 +38,12 @@ pub(crate) fn model(columns: &[&str], text_columns: &[&str], time: Option<&str>)
         estimated: Vec::new(),
         mean: MeanStructure::free(0),
         covariance: CovarianceStructure::full(),
-    }
+    };
+    model.into()
 }
 
-pub(crate) fn with_unit(mut model: Model, unit: &str) -> Model {
-    model.clock.unit = Some(unit.into());
+pub(crate) fn with_unit(mut model: PhasedModel, unit: &str) -> PhasedModel {
+    model.phases[0].model.clock.unit = Some(unit.into());
     model
 }
 
@@ -91,7 +92,7 @@ pub(crate) fn data_error<E>(error: ReadError<E>) -> DataError {
 
 /// Reads inputs with a sink that keeps everything.
 pub(crate) fn collect(
-    model: &Model,
+    model: &PhasedModel,
     layout: &Layout,
     inputs: &[Input],
     stdin: &mut dyn Read,
@@ -102,7 +103,11 @@ pub(crate) fn collect(
 }
 
 /// Reads bytes from standard input.
-pub(crate) fn collect_stdin(model: &Model, layout: &Layout, bytes: &[u8]) -> Result<(Collect, Reading), DataError> {
+pub(crate) fn collect_stdin(
+    model: &PhasedModel,
+    layout: &Layout,
+    bytes: &[u8],
+) -> Result<(Collect, Reading), DataError> {
     collect(model, layout, &[Input::Stdin], &mut Cursor::new(bytes))
 }
 

@@ -36,6 +36,9 @@ pub(crate) fn phase(name: &str, states: &[&str]) -> PhaseRecord {
         unidentified: vec![],
         observability: vec![],
         weakly_determined: vec![],
+        tests: None,
+        information: None,
+        filter: None,
     }
 }
 
@@ -58,6 +61,7 @@ pub(crate) fn record(title: &str, phases: Vec<PhaseRecord>) -> FitRecord {
         intervals: "wald".into(),
         log_likelihood_kind: "measurements".into(),
         log_likelihood: -875.96967,
+        composite_log_likelihood: None,
         free_parameters: 6,
         aic: Some(1763.93934),
         bic: Some(1783.09712),
@@ -150,6 +154,7 @@ pub(crate) fn singular() -> FitRecord {
         elements: vec![],
         tests: vec![],
         reason: String::new(),
+        phases: vec![],
     });
     main.unidentified.push(UnidentifiedRecord {
         what: "covariance".into(),
@@ -157,6 +162,7 @@ pub(crate) fn singular() -> FitRecord {
         elements: vec!["bias, bias".into(), "bias, scale".into()],
         tests: vec![],
         reason: "`bias` and `scale` are never observed in one test".into(),
+        phases: vec![],
     });
     let mut record = record("Static IMU", vec![main]);
     record.data.square_root_tests = 3;

@@ -26,34 +26,12 @@ a = {}
 }
 
 #[test]
-fn phases() {
-    let text = r#"[phases.coast.states]
-a = {}
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    `[phases]` is not supported by this version
-    at   "phases"
-    "#);
-}
-
-#[test]
-fn filters() {
-    let text = r#"[filter]
-kind = "kalman-schmidt"
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    `[filter]` is not supported by this version
-    at   "filter"
-    "#);
-}
-
-#[test]
 fn a_phase_column() {
     let text = r#"[data]
 phase = "leg"
 "#;
     insta::assert_snapshot!(refusal(text), @r#"
-    `phase` in `[data]` is not supported by this version
+    `phase` has no effect without `[phases]`
     at   "phase"
     "#);
 }

@@ -3,9 +3,11 @@
 mod covariance;
 mod expressions;
 mod files_and_data;
+mod filter;
 mod mean;
 mod measurements;
 mod parameters;
+mod phases;
 mod states;
 
 use kalfit_spec::Spec;
@@ -19,7 +21,7 @@ const MEASUREMENTS: &str = "[measurements.y]\ncolumn = \"y\"\nequation = \"a\"\n
 fn refusal(text: &str) -> String {
     let mut text = text.to_owned();
     for (header, rest) in [("[states", STATES), ("[measurements", MEASUREMENTS)] {
-        if !text.contains(header) {
+        if !text.contains(header) && !text.contains("phases") {
             text.push_str(rest);
         }
     }

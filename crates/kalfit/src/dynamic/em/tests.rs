@@ -11,8 +11,9 @@ use crate::ensemble::{Labels, Source, Test};
 use crate::estimate::Silent;
 use crate::model::{
     Clock, Column, CovarianceStructure, Expression, Initial, Linear, MeanStructure, Measurement, Model, Motion,
-    Operator, Parameter, Population, State, Value,
+    Operator, Parameter, PhasedModel, Population, State, Value,
 };
+use crate::reduce::PhasedTest;
 use crate::score::Slots;
 use crate::simulate::{Designs, Simulator};
 
@@ -169,9 +170,10 @@ fn drawn(model: &Model, seed: u64) -> Vec<Test> {
     let p = model.dimension();
     let covariance = DMatrix::from_fn(p, p, |i, j| if i == j { 1.0 } else { 0.3 });
     let population = Population { mean: vec![2.0; p], coefficients: Vec::new(), covariance };
-    let simulator = Simulator::new(model, &slots.alpha(model, &starts(model)), population, seed).expect("a law");
-    let designs = Designs::new((0..14).map(design).collect()).expect("tests");
-    simulator.draw(&designs, 0..14).expect("drawn").into_iter().map(|drawn| drawn.test).collect()
+    let simulator =
+        Simulator::new(&model.clone().into(), &slots.alpha(model, &starts(model)), population, seed).expect("a law");
+    let designs = Designs::new((0..14).map(|j| design(j).into()).collect()).expect("tests");
+    simulator.draw(&designs, 0..14).expect("drawn").into_iter().flat_map(|drawn| drawn.test.rows()).collect()
 }
 
 fn starts(model: &Model) -> Vec<f64> {
@@ -188,10 +190,14 @@ fn off(model: &Model) -> Vec<f64> {
     starts(model).into_iter().enumerate().map(moved).collect()
 }
 
+fn phased(tests: Vec<Test>) -> Vec<PhasedTest> {
+    tests.into_iter().map(PhasedTest::from).collect()
+}
+
 fn with_bench<T>(model: &Model, seed: u64, go: impl FnOnce(&Bench<'_>) -> T) -> T {
-    let tests = drawn(model, seed);
-    let slots = Slots::new(model, &Labels::default(), &tests);
-    go(&Bench::new(model, &tests, &slots, &Settings::default()))
+    let (tests, model) = (phased(drawn(model, seed)), PhasedModel::from(model.clone()));
+    let slots = Slots::in_phases(&model, &Labels::default(), &tests);
+    go(&Bench::new(&model, &tests, &slots, &Settings::default()))
 }
 
 fn end(bench: &Bench<'_>, values: &[f64], method: Method) -> End {
@@ -310,7 +316,7 @@ fn a_level_that_should_be_zero_gets_there() {
     with_bench(&model, 21, |bench| {
         let mut noiseless = model.clone();
         noiseless.parameters[1].value = Value::Free { start: Some(1e-9) };
-        let tests = drawn(&noiseless, 22);
+        let (tests, model) = (phased(drawn(&noiseless, 22)), PhasedModel::from(model.clone()));
         let own = Bench::new(&model, &tests, bench.slots, bench.settings);
         let (em, hybrid) = (end(&own, &[0.4, 0.05, 0.3], Method::Em), end(&own, &[0.4, 0.05, 0.3], Method::Hybrid));
         assert_eq!(em.stop, Stop::Certified);

@@ -20,9 +20,10 @@ pub(super) enum Way {
 /// The way of every free value, by what the model says and, where it does not, by trying.
 pub(super) fn ways(bench: &Bench<'_>, home: &Solved) -> Result<Vec<Way>, DynamicError> {
     let levels = bench.levels(&home.alpha)?;
-    let matrix = bench.matrix_slots();
+    let mut direct = bench.matrix_slots();
+    direct.extend(bench.hidden_slots());
     let first = |s: usize| match levels.of(bench.slots, s) {
-        _ if matrix.contains(&s) => Way::Likelihood,
+        _ if direct.contains(&s) => Way::Likelihood,
         // a level at zero would stay there
         Some(_) if home.values[s] == 0.0 => Way::Likelihood,
         Some((degree, count)) => Way::Level { degree, count },
@@ -33,7 +34,7 @@ pub(super) fn ways(bench: &Bench<'_>, home: &Solved) -> Result<Vec<Way>, Dynamic
         return Ok(ways);
     }
     let complete = bench.complete(home)?;
-    for parameter in 0..bench.model.parameters.len() {
+    for parameter in 0..bench.model.shared().parameters.len() {
         let own = |s: &usize| bench.slots.slots()[*s].parameter == parameter && ways[*s] == Way::Expected;
         let own: Vec<usize> = (0..home.values.len()).filter(own).collect();
         let moves = |sign: f64| {

@@ -8,12 +8,13 @@
 use rayon::prelude::*;
 
 use crate::dynamic::{self, DynamicFit, Settings};
-use crate::ensemble::{Labels, Test};
+use crate::ensemble::Labels;
 use crate::estimate::{FitError, Silent, Stop, Structure};
 use crate::infer::ratio::restricted::{NotNestedParameter, Restricted, restricted};
 use crate::infer::ratio::{Bootstrap, BootstrapResult, Component, LikelihoodRatio, NotNested, ReferenceLaw};
 use crate::infer::ratio::{fit_null, likelihood_ratio};
-use crate::model::{Model, Population, Value};
+use crate::model::{PhasedModel, Population, Value};
+use crate::reduce::PhasedTest;
 use crate::simulate::{Designs, SimulateError, Simulator};
 
 /// Why a hypothesis cannot be tested.
@@ -35,9 +36,9 @@ pub enum DynamicRatioError {
 /// # Errors
 /// A hypothesis that is not within the model, or that restricts nothing.
 pub fn dynamic_ratio(
-    null: (&Model, &DynamicFit),
-    wide: (&Model, &DynamicFit),
-    tests: &[Test],
+    null: (&PhasedModel, &DynamicFit),
+    wide: (&PhasedModel, &DynamicFit),
+    tests: &[PhasedTest],
 ) -> Result<LikelihoodRatio, DynamicRatioError> {
     let taken = restricted((null.0, &null.1.slots), (wide.0, &wide.1.slots), tests)?;
     let of_population = population(null.0, wide)?;
@@ -55,10 +56,12 @@ pub fn dynamic_ratio(
 }
 
 /// What the hypothesis says of μ and Σ, at the model's α; `None` when it restricts nothing there.
-fn population(null: &Model, wide: (&Model, &DynamicFit)) -> Result<Option<LikelihoodRatio>, DynamicRatioError> {
+fn population(
+    null: &PhasedModel,
+    wide: (&PhasedModel, &DynamicFit),
+) -> Result<Option<LikelihoodRatio>, DynamicRatioError> {
     let (model, fit) = wide;
-    let structure = Structure::single(&null.mean, &null.covariance, &fit.alpha);
-    let within = Structure::single(&model.mean, &model.covariance, &fit.alpha);
+    let (structure, within) = (Structure::of(null, &fit.alpha), Structure::of(model, &fit.alpha));
     let settings = &fit.estimate.state.settings;
     let narrow = fit_null(&fit.reductions, &within, &structure, settings, &mut Silent).ok_or(NotNested::Mean)??;
     match likelihood_ratio(&narrow, &fit.estimate) {
@@ -98,9 +101,9 @@ fn is_half_space(law: &ReferenceLaw) -> bool {
 /// # Errors
 /// Data cannot be drawn for these tests.
 pub fn dynamic_bootstrap(
-    null: (&Model, &DynamicFit),
-    wide: &Model,
-    (labels, tests): (&Labels, &[Test]),
+    null: (&PhasedModel, &DynamicFit),
+    wide: &PhasedModel,
+    (labels, tests): (&Labels, &[PhasedTest]),
     settings: &Settings,
     (statistic, asked): (f64, Bootstrap),
 ) -> Result<BootstrapResult, SimulateError> {
@@ -111,7 +114,7 @@ pub fn dynamic_bootstrap(
     let n = tests.len() as u64;
     let one = |b: usize| -> Result<Option<f64>, SimulateError> {
         let drawn = simulator.draw(&designs, b as u64 * n..(b as u64 + 1) * n)?;
-        let drawn: Vec<Test> = drawn.into_iter().map(|one| one.test).collect();
+        let drawn: Vec<PhasedTest> = drawn.into_iter().map(|one| one.test).collect();
         let [narrow, full] = [(&starts[0], model), (&starts[1], wide)].map(|(near, plain)| {
             [near, plain].into_iter().find_map(|model| certified(model, labels, &drawn, settings))
         });
@@ -124,19 +127,19 @@ pub fn dynamic_bootstrap(
 }
 
 /// ℓ at a certified maximum.
-fn certified(model: &Model, labels: &Labels, tests: &[Test], settings: &Settings) -> Option<f64> {
+fn certified(model: &PhasedModel, labels: &Labels, tests: &[PhasedTest], settings: &Settings) -> Option<f64> {
     let fit = dynamic::fit(model, labels, tests, settings, &mut Silent).ok()?;
     (fit.stop == Stop::Certified && fit.estimate.stop == Stop::Certified).then_some(fit.estimate.log_likelihood)
 }
 
 /// The model with free parameters starting at their values in a fit: at the mean of their levels.
-pub fn started(model: &Model, (of, fit): (&Model, &DynamicFit)) -> Model {
-    let mut model = model.clone();
-    for (index, parameter) in model.parameters.iter_mut().enumerate() {
+pub fn started(model: &PhasedModel, (of, fit): (&PhasedModel, &DynamicFit)) -> PhasedModel {
+    let mut parameters = model.shared().parameters.clone();
+    for (index, parameter) in parameters.iter_mut().enumerate() {
         let Value::Free { start } = &mut parameter.value else { continue };
         let own = fit.slots.slots().iter().zip(&fit.values).filter(|(slot, _)| slot.parameter == index);
         let mut values: Vec<f64> = own.map(|(_, value)| *value).collect();
-        if let (true, Value::Fixed(value)) = (values.is_empty(), of.parameters[index].value) {
+        if let (true, Value::Fixed(value)) = (values.is_empty(), of.shared().parameters[index].value) {
             values.push(value);
         }
         let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
@@ -145,6 +148,8 @@ pub fn started(model: &Model, (of, fit): (&Model, &DynamicFit)) -> Model {
             *start = Some(mean);
         }
     }
+    let mut model = model.clone();
+    model.phases.iter_mut().for_each(|phase| phase.model.parameters.clone_from(&parameters));
     model
 }
 

@@ -1,7 +1,8 @@
 //! Whether a hypothesis on α lies within a model, and how much it takes away.
 
-use crate::ensemble::{Label, Test};
-use crate::model::{Alpha, Model, Parameter};
+use crate::ensemble::Label;
+use crate::model::{Alpha, Model, Parameter, PhasedModel};
+use crate::reduce::{Evidence, PhasedTest};
 use crate::score::Slots;
 
 /// Why a hypothesis on α cannot be tested within a model.
@@ -70,7 +71,8 @@ struct Side<'a> {
 }
 
 impl<'a> Side<'a> {
-    fn new((model, slots): (&'a Model, &'a Slots)) -> Side<'a> {
+    fn new((model, slots): (&'a PhasedModel, &'a Slots)) -> Side<'a> {
+        let model = model.shared();
         Side { model, slots, alpha: slots.alpha(model, &vec![0.0; slots.len()]) }
     }
 }
@@ -80,15 +82,16 @@ impl<'a> Side<'a> {
 /// # Errors
 /// The hypothesis is not within the model.
 pub fn restricted(
-    null: (&Model, &Slots),
-    wide: (&Model, &Slots),
-    tests: &[Test],
+    null: (&PhasedModel, &Slots),
+    wide: (&PhasedModel, &Slots),
+    tests: &[PhasedTest],
 ) -> Result<Restricted, NotNestedParameter> {
     let (null, wide) = (Side::new(null), Side::new(wide));
     let mut targets: Vec<Option<Target>> = vec![None; wide.slots.len()];
     for index in 0..wide.model.parameters.len() {
         let mut last: Option<&[Label]> = None;
-        for texts in tests.iter().flat_map(|test| (0..test.rows()).map(|row| test.texts(row))) {
+        let rows = tests.iter().flat_map(|test| &test.phases).filter_map(Evidence::cells);
+        for texts in rows.flat_map(|test| (0..test.rows()).map(|row| test.texts(row))) {
             // most rows are like the one before
             if last.replace(texts) != Some(texts) {
                 follow(index, texts, (&null, &wide), &mut targets)?;

@@ -39,6 +39,21 @@ impl Meters {
         }
         Ok(())
     }
+
+    /// Appends d of each instance.
+    pub(crate) fn constants(
+        &self,
+        at: &At<'_>,
+        test: &Test,
+        (instances, dt): (&[Instance], f64),
+        out: &mut Vec<f64>,
+    ) -> Result<(), Box<Fault>> {
+        for &Instance { meter, row } in instances {
+            let scope = Scope { numbers: test.numbers(row), texts: test.texts(row), step: dt, alpha: at.alpha };
+            out.push(at.value(&self.meters[meter].constant, &scope).map_err(|fault| fault.on(row))?);
+        }
+        Ok(())
+    }
 }
 
 /// Adjoints of the m scalar measurements of a step: of R (all of it, m × m), of z - d, of M (m × n, or empty when not wanted).

@@ -28,12 +28,17 @@ struct Scalar<'a> {
 }
 
 impl Adjoint {
-    /// Zero, as after the last step.
+    /// As after the last step: zero, or what later phases say of the state there.
     pub(super) fn begin(&mut self, run: &Run<'_>) {
         let (n, r, c) = (run.design.frame.n, run.design.frame.r, run.moments.columns);
         for (list, size) in [(&mut self.r, n), (&mut self.rho, n * c), (&mut self.N, r * r)] {
             list.clear();
             list.resize(size, 0.0);
+        }
+        if let Some(ending) = run.ending {
+            self.r.copy_from_slice(&ending.r);
+            self.rho.copy_from_slice(&ending.rho);
+            self.N.copy_from_slice(&ending.N);
         }
     }
 

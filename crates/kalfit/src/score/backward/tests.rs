@@ -6,9 +6,12 @@ use nalgebra::{DMatrix, DVector};
 
 use super::*;
 use crate::estimate::InitialLaw;
-use crate::reduce::Transition;
-use crate::reduce::{DENSE, Data, DataWork, Frame, GainsWork, Path, Pattern, Reduction, information_gains, outcome};
+use crate::reduce::{
+    DENSE, Data, DataWork, Frame, GainsWork, Path, Pattern, Reduction, information_gains, outcome, root_gains,
+};
+use crate::reduce::{Inherited, PhaseReduction, Terminal, Transition};
 use crate::score::moments::moments;
+use crate::score::smoother::{PhaseLaws, Plan};
 
 /// A test by hand: four states, the first two noisy, three unknowns; every number of it is its own.
 #[derive(Debug, Clone)]
@@ -26,20 +29,28 @@ struct Numbers {
 const STEPS: usize = 5;
 
 fn design(numbers: &Numbers) -> (Design, Data) {
+    let mut sensitivity = vec![0.0; 12];
+    sensitivity[0] = 1.0;
+    sensitivity[2 * 3 + 1] = 1.0;
+    sensitivity[3 * 3 + 2] = 1.0;
+    part(numbers, 0..STEPS, sensitivity)
+}
+
+/// Some steps by themselves, in unknowns with these sensitivities: what is known of the start belongs to step 0.
+fn part(numbers: &Numbers, steps: Range<usize>, sensitivity: Vec<f64>) -> (Design, Data) {
     let mut pattern = Pattern::default();
     pattern.push(0, 2, [0, 1, 3].into_iter());
     pattern.push(1, 2, [0, 1].into_iter());
     pattern.push(2, 2, [2, 3].into_iter());
     pattern.pairs = vec![(0, 0), (1, 0), (1, 1)];
     let pattern = Arc::new(pattern.seal());
-    let mut sensitivity = vec![0.0; 12];
-    sensitivity[0] = 1.0;
-    sensitivity[2 * 3 + 1] = 1.0;
-    sensitivity[3 * 3 + 2] = 1.0;
-    let frame = Frame { n: 4, p: 3, r: 2, rows: vec![DENSE; 4], sensitivity, driven: vec![0, 2], digest: 0 };
+    let p = sensitivity.len() / 4;
+    let frame = Frame { n: 4, p, r: 2, rows: vec![DENSE; 4], sensitivity, driven: vec![0, 2], digest: 0 };
     let mut design = Design::new(Arc::new(frame.seal()));
-    design.variance.copy_from_slice(&numbers.variance);
-    for k in 0..STEPS {
+    if steps.start == 0 {
+        design.variance.copy_from_slice(&numbers.variance);
+    }
+    for k in steps.clone() {
         let (phi, q) = (numbers.phi[k].clone(), numbers.q[k].clone());
         let transition = (k > 0).then(|| Arc::new(Transition::new(pattern.clone(), phi, q)));
         for row in 2 * k..2 * k + 2 {
@@ -48,23 +59,23 @@ fn design(numbers: &Numbers) -> (Design, Data) {
         }
         design.push_step(transition);
     }
-    design.h.clone_from(&numbers.h);
-    design.noise.clone_from(&numbers.noise);
-    let sizes = vec![1.0; numbers.values.len()];
-    (
-        design,
-        Data {
-            start: numbers.start.clone(),
-            inputs: numbers.inputs[2..].to_vec(),
-            values: numbers.values.clone(),
-            sizes,
-        },
-    )
+    let rows = 2 * steps.start..2 * steps.end;
+    design.h = numbers.h[5 * steps.start..5 * steps.end].to_vec();
+    design.noise = numbers.noise[rows.clone()].to_vec();
+    let start = if steps.start == 0 { numbers.start.clone() } else { vec![0.0; 4] };
+    let inputs = numbers.inputs[2 * steps.start.max(1)..2 * steps.end].to_vec();
+    let values = numbers.values[rows.clone()].to_vec();
+    (design, Data { start, inputs, values, sizes: vec![1.0; rows.len()] })
 }
 
 fn reduced(numbers: &Numbers) -> (Design, Data, Gains, Reduction) {
     let (design, data) = design(numbers);
-    let gains = information_gains(&design, &mut GainsWork::default()).expect("well conditioned");
+    reduction_of(design, data)
+}
+
+fn reduction_of(design: Design, data: Data) -> (Design, Data, Gains, Reduction) {
+    let plain = information_gains(&design, &mut GainsWork::default());
+    let gains = plain.unwrap_or_else(|| root_gains(&design).expect("semidefinite").0); // a part need not determine its unknowns
     let found = outcome(&design, &gains, &data, &mut DataWork::default()).expect("possible");
     let reduction = Reduction {
         test: String::new(),
@@ -72,8 +83,8 @@ fn reduced(numbers: &Numbers) -> (Design, Data, Gains, Reduction) {
         data: found.data,
         factor: gains.factor.clone(),
         covariates: Vec::new(),
-        steps: STEPS,
-        observations: 10,
+        steps: design.steps(),
+        observations: design.rows(),
         path: Path::Information,
         design: 0,
         chain: None,
@@ -164,6 +175,7 @@ fn adjoints_equal_differences_of_the_likelihood() {
         inputs: &data.inputs,
         values: &data.values,
         moments: &moments,
+        ending: None,
         wanted,
     };
     let mut kept = Kept::default();
@@ -208,6 +220,138 @@ fn adjoints_equal_differences_of_the_likelihood() {
     for (i, j) in [(0, 0), (1, 0), (1, 1)] {
         let both = if i == j { kept.variance[i * 2 + j] } else { 2.0 * kept.variance[i * 2 + j] };
         check(&format!("P0 {i} {j}"), both, &|n, x| n.variance[i * 2 + j] += x);
+    }
+}
+
+/// x̂_K, Ψ_K and P_K, by the textbook.
+fn terminal(design: &Design, data: &Data) -> Terminal {
+    let frame = &design.frame;
+    let (n, r) = (frame.n, frame.r);
+    let mut x = DVector::from_vec(data.start.clone());
+    let mut psi = DMatrix::from_row_slice(n, frame.p, &frame.sensitivity);
+    let mut P = DMatrix::zeros(n, n);
+    P.view_mut((0, 0), (r, r)).copy_from(&DMatrix::from_fn(r, r, |i, j| design.variance[i.max(j) * r + i.min(j)]));
+    let mut input = 0;
+    for step in design.each_step() {
+        if let Some(transition) = step.transition {
+            let (mut phi, mut Q) = (DMatrix::identity(n, n), DMatrix::zeros(n, n));
+            for row in &transition.pattern.moved {
+                phi.row_mut(row.state as usize).fill(0.0);
+                for k in row.start as usize..row.end as usize {
+                    phi[(row.state as usize, transition.pattern.columns[k] as usize)] = transition.phi[k];
+                }
+            }
+            for (&(i, j), &q) in transition.pattern.pairs.iter().zip(&transition.q) {
+                (Q[(i as usize, j as usize)], Q[(j as usize, i as usize)]) = (q, q);
+            }
+            (x, psi, P) = (&phi * x, &phi * psi, &phi * P * phi.transpose() + Q);
+            for &state in &frame.driven {
+                x[state as usize] += data.inputs[input];
+                input += 1;
+            }
+        }
+        for (line, row) in step.lines.zip(step.rows) {
+            let mut h = DVector::zeros(n);
+            let (states, values) = design.terms(line);
+            states.iter().zip(values).for_each(|(&state, &value)| h[state as usize] = value);
+            let S = h.dot(&(&P * &h)) + design.noise[line];
+            let K = &P * &h / S;
+            (x, psi) = (&x + &K * (data.values[row] - h.dot(&x)), &psi - &K * (h.transpose() * &psi));
+            P = &P - &K * K.transpose() * S;
+        }
+    }
+    Terminal { mean: x, sensitivity: psi, root: crate::linalg::symmetric::square_root(&P) }
+}
+
+/// Every adjoint, in the order of the numbers.
+fn adjoints(design: &Design, data: &Data, gains: &Gains, (moments, ending): (&Moments, Option<&Ending>)) -> Kept {
+    let wanted = Wanted { motion: true, equation: true };
+    let (start, inputs, values) = (&data.start, &data.inputs, &data.values);
+    let run = Run { design, gains, start, inputs, values, moments, ending, wanted };
+    let mut kept = Kept::default();
+    let Ok(()) = run.backward(&mut BackwardWork::default(), &mut kept);
+    kept
+}
+
+#[test]
+fn the_adjoints_of_two_parts_are_those_of_the_whole() {
+    let all = numbers();
+    let (mean, root) = prior();
+    let law = InitialLaw::known(mean, root);
+    let (design, data, gains, reduction) = reduced(&all);
+    let whole = adjoints(&design, &data, &gains, (&moments(&reduction, &law), None));
+    for at in 1..STEPS {
+        let sensitivity = design.frame.sensitivity.clone();
+        let (d1, n1) = part(&all, 0..at, sensitivity);
+        let last = terminal(&d1, &n1);
+        let (d1, n1, g1, r1) = reduction_of(d1, n1);
+        let (d2, n2) = part(&all, at..STEPS, DMatrix::<f64>::identity(4, 4).as_slice().to_vec());
+        let (d2, n2, g2, r2) = reduction_of(d2, n2);
+        let same = Inherited { transition: DMatrix::identity(4, 4), input: DVector::zeros(4) };
+        let pieces = [
+            PhaseReduction { reduction: r1, terminal: Some(last), inherited: None },
+            PhaseReduction { reduction: r2, terminal: None, inherited: Some(same) },
+        ];
+        let laws = PhaseLaws::new(&law, &[0..3, 3..3], &[]);
+        let plan = Plan::new(&pieces, &laws);
+        let (found, expected) = (plan.likelihood(&pieces, &laws), likelihood(&all));
+        assert!((found - expected).abs() < 1e-12, "ℓ split at {at}: {found} against {expected}");
+        let smooth = plan.smooth(&pieces, &laws);
+        let later = smooth[0].later.as_ref().expect("a phase follows");
+        let ending = Ending {
+            r: later.r.as_slice().to_vec(),
+            rho: later.rho.transpose().as_slice().to_vec(),
+            N: later.N.view((0, 0), (2, 2)).into_owned().as_slice().to_vec(),
+        };
+        let first = adjoints(&d1, &n1, &g1, (&smooth[0].moments, Some(&ending)));
+        let second = adjoints(&d2, &n2, &g2, (&smooth[1].moments, None));
+        let both = second.after(first, at);
+        both.check(&whole, at);
+    }
+}
+
+impl Kept {
+    /// Of steps from `at` on, after those of the steps before.
+    fn after(mut self, first: Kept, at: usize) -> Kept {
+        self.noise.iter_mut().chain(&mut self.value).for_each(|(row, _)| *row += 2 * at);
+        self.h.iter_mut().for_each(|(row, _)| *row += 2 * at);
+        self.moved.iter_mut().for_each(|(k, _)| *k += at);
+        self.noise.extend(first.noise);
+        self.value.extend(first.value);
+        self.h.extend(first.h);
+        self.moved.extend(first.moved);
+        (self.mean, self.variance) = (first.mean, first.variance);
+        self
+    }
+
+    fn check(&self, whole: &Kept, at: usize) {
+        let near = |what: &str, a: &[f64], b: &[f64]| {
+            assert_eq!(a.len(), b.len(), "{what}");
+            for (a, b) in a.iter().zip(b) {
+                assert!((a - b).abs() < 1e-11 * (1.0 + b.abs()), "split at {at}, {what}: {a} against {b}");
+            }
+        };
+        for (what, a, b) in [("R", &self.noise, &whole.noise), ("z", &self.value, &whole.value)] {
+            let (mut a, mut b) = (a.clone(), b.clone());
+            a.sort_by_key(|x| x.0);
+            b.sort_by_key(|x| x.0);
+            a.iter().zip(&b).for_each(|(a, b)| near(&format!("{what} of {}", b.0), &[a.1], &[b.1]));
+        }
+        let (mut a, mut b) = (self.h.clone(), whole.h.clone());
+        a.sort_by_key(|x| x.0);
+        b.sort_by_key(|x| x.0);
+        a.iter().zip(&b).for_each(|(a, b)| near(&format!("h of {}", b.0), &a.1, &b.1));
+        let (mut a, mut b) = (self.moved.clone(), whole.moved.clone());
+        a.sort_by_key(|x| x.0);
+        b.sort_by_key(|x| x.0);
+        for ((k, a), (l, b)) in a.iter().zip(&b) {
+            assert_eq!(k, l, "steps");
+            near(&format!("φ of step {k}"), &a.phi, &b.phi);
+            near(&format!("Q of step {k}"), &a.q, &b.q);
+            near(&format!("b of step {k}"), &a.input, &b.input);
+        }
+        near("a", &self.mean, &whole.mean);
+        near("P0", &self.variance, &whole.variance);
     }
 }
 
@@ -337,6 +481,7 @@ fn totals(cut: Cut, unfrozen: bool, wanted: Wanted, takes_sums: bool) -> Totals 
         inputs: &data.inputs,
         values: &data.values,
         moments: &moments,
+        ending: None,
         wanted,
     };
     let mut back = BackwardWork { cut, ..BackwardWork::default() };

@@ -1,0 +1,104 @@
+//! What is known of each test, from wherever it came.
+
+use std::collections::HashMap;
+
+use kalfit::{Evidence, PhasedModel, PhasedTest, Source};
+
+use super::Entry;
+use super::error::ExchangeError;
+use crate::error::{DataError, shown};
+
+/// Puts tests together whose phases come from several files.
+#[derive(Debug)]
+pub struct Assembly<'a> {
+    model: &'a PhasedModel,
+    /// By [`Source::file`].
+    files: &'a [String],
+    /// In order of first appearance.
+    tests: Vec<Parts>,
+    places: HashMap<String, usize>,
+}
+
+#[derive(Debug)]
+struct Parts {
+    id: String,
+    phases: Vec<Option<(Evidence, Source)>>,
+}
+
+impl<'a> Assembly<'a> {
+    /// No test yet. `files`: names of files by [`Source::file`], for messages.
+    pub fn new(model: &'a PhasedModel, files: &'a [String]) -> Assembly<'a> {
+        Assembly { model, files, tests: Vec::new(), places: HashMap::new() }
+    }
+
+    /// Adds what is known of one phase of a test.
+    ///
+    /// # Errors
+    /// The phase is known already.
+    pub fn add(&mut self, entry: Entry) -> Result<(), DataError> {
+        let Entry { test, phase, evidence, at } = entry;
+        let place = *self.places.entry(test).or_insert_with_key(|id| {
+            self.tests.push(Parts { id: id.clone(), phases: self.model.phases.iter().map(|_| None).collect() });
+            self.tests.len() - 1
+        });
+        let parts = &mut self.tests[place];
+        if let Some((_, first)) = &parts.phases[phase] {
+            let named = |at: Source| crate::reading::place(self.files, at);
+            return Err(DataError::from(ExchangeError::Twice {
+                test: shown(parts.id.as_bytes()),
+                phase: self.model.phases[phase].name.clone(),
+                first: named(*first),
+                second: named(at),
+            }));
+        }
+        parts.phases[phase] = Some((evidence, at));
+        Ok(())
+    }
+
+    /// True when something is known of a test.
+    pub fn has(&self, test: &str) -> bool {
+        self.places.contains_key(test)
+    }
+
+    /// All that was added, test by test, each phase by itself.
+    pub fn into_entries(self) -> Vec<Entry> {
+        let of = |Parts { id, phases }: Parts| {
+            let known = phases.into_iter().enumerate();
+            known.filter_map(move |(phase, part)| {
+                part.map(|(evidence, at)| Entry { test: id.clone(), phase, evidence, at })
+            })
+        };
+        self.tests.into_iter().flat_map(of).collect()
+    }
+
+    /// The tests, in order of first appearance.
+    ///
+    /// # Errors
+    /// A test with a phase, but not the one before it.
+    pub fn finish(self) -> Result<Vec<PhasedTest>, DataError> {
+        let (model, files) = (self.model, self.files);
+        self.tests.into_iter().map(|parts| whole(parts, model, files)).collect()
+    }
+}
+
+fn whole(parts: Parts, model: &PhasedModel, files: &[String]) -> Result<PhasedTest, DataError> {
+    let Parts { id, phases } = parts;
+    let mut known = Vec::new();
+    let mut lacking = None;
+    for (index, part) in phases.into_iter().enumerate() {
+        match (part, lacking) {
+            (Some((evidence, _)), None) => known.push(evidence),
+            (None, _) => lacking = lacking.or(Some(index)),
+            (Some((_, at)), Some(lacking)) => {
+                let name = |phase: usize| model.phases[phase].name.clone();
+                return Err(DataError::from(ExchangeError::Gap {
+                    at: crate::reading::place(files, at),
+                    test: shown(id.as_bytes()),
+                    phase: name(index),
+                    lacking: name(lacking),
+                }));
+            }
+        }
+    }
+    Ok(PhasedTest { id, phases: known })
+}

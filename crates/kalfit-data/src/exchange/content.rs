@@ -1,0 +1,167 @@
+//! What an input holds: rows, reductions or estimates.
+
+use std::fs::File;
+use std::io::{Cursor, Read};
+use std::path::PathBuf;
+
+use bytes::Bytes;
+use parquet::file::metadata::ParquetMetaData;
+
+use super::error::ExchangeError;
+use super::metadata::{Metadata, SCHEMA, value};
+use super::{ESTIMATES_SCHEMA, REDUCTIONS_SCHEMA};
+use crate::error::{DataError, shown};
+use crate::input::Input;
+use crate::kind::{HEAD, Kind, detect};
+
+/// What an input holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Content {
+    /// Rows of tests.
+    Rows,
+    /// Reductions.
+    Reductions,
+    /// Estimates.
+    Estimates,
+}
+
+/// An exchange file.
+#[derive(Debug, Clone)]
+pub struct Source {
+    /// What messages call it.
+    pub name: String,
+    /// Its number, for [`kalfit::Source`]: its place among all inputs.
+    pub number: u32,
+    pub(super) bytes: Contents,
+}
+
+/// Where the bytes are.
+#[derive(Debug, Clone)]
+pub(super) enum Contents {
+    Path(PathBuf),
+    Memory(Bytes),
+}
+
+/// Inputs told apart.
+pub struct Sorted<'a> {
+    /// What each input holds, in their order.
+    pub contents: Vec<Content>,
+    /// The inputs of rows, in their order.
+    pub rows: Vec<Input>,
+    /// Reductions files.
+    pub reductions: Vec<Source>,
+    /// Estimates files.
+    pub estimates: Vec<Source>,
+    /// Names of the inputs as [`kalfit::Source::file`] numbers them: those of rows first.
+    pub files: Vec<String>,
+    /// Standard input from its start, when rows are read from it.
+    pub stdin: Box<dyn Read + 'a>,
+}
+
+/// Runs an expression on the opened file, whatever its bytes are in.
+macro_rules! opened {
+    ($source:expr, |$builder:ident| $body:block) => {
+        match &$source.bytes {
+            $crate::exchange::content::Contents::Path(path) => {
+                let failed = |source| $crate::DataError::Io { file: $source.name.clone(), source };
+                let $builder =
+                    $crate::exchange::sheet::open(&$source.name, std::fs::File::open(path).map_err(failed)?)?;
+                $body
+            }
+            $crate::exchange::content::Contents::Memory(bytes) => {
+                let $builder = $crate::exchange::sheet::open(&$source.name, bytes.clone())?;
+                $body
+            }
+        }
+    };
+}
+pub(super) use opened;
+
+impl Source {
+    /// What the file says of itself; `None` when it is not kalfit's.
+    ///
+    /// # Errors
+    /// It cannot be read, or its metadata are wrong.
+    pub fn metadata(&self) -> Result<Option<Metadata>, DataError> {
+        opened!(self, |builder| { Ok(Metadata::read(&self.name, builder.metadata())?) })
+    }
+}
+
+/// Looks into the inputs: an exchange file is a Parquet file whose metadata say so, or which has columns `estimates` and
+/// `sensitivities` of lists. Standard input is read into memory when it is Parquet; other pipes are read as rows.
+///
+/// # Errors
+/// A Parquet file that cannot be opened, or of another version of the schema.
+pub fn sort<'a>(inputs: &[Input], mut stdin: Box<dyn Read + 'a>) -> Result<Sorted<'a>, DataError> {
+    let (mut contents, mut exchanged, mut rows) = (Vec::new(), Vec::new(), Vec::new());
+    for input in inputs {
+        let name = input.name();
+        let failed = |source| DataError::Io { file: name.clone(), source };
+        let mut head = Vec::with_capacity(HEAD);
+        let bytes = match input {
+            // What comes but once must not be looked into: a pipe is read as rows.
+            Input::Path(path) if !path.is_file() => Contents::Path(path.clone()),
+            Input::Path(path) => {
+                File::open(path).and_then(|file| file.take(HEAD as u64).read_to_end(&mut head)).map_err(failed)?;
+                Contents::Path(path.clone())
+            }
+            Input::Stdin => {
+                stdin.by_ref().take(HEAD as u64).read_to_end(&mut head).map_err(failed)?;
+                let mut all = head.clone();
+                if is_parquet(input, &head) {
+                    stdin.read_to_end(&mut all).map_err(failed)?;
+                }
+                let all = Bytes::from(all);
+                stdin = Box::new(Cursor::new(all.clone()).chain(stdin));
+                Contents::Memory(all)
+            }
+        };
+        let source = Source { name, number: 0, bytes };
+        let content = if is_parquet(input, &head) { source.content()? } else { Content::Rows };
+        contents.push(content);
+        match content {
+            Content::Rows => rows.push(input.clone()),
+            Content::Reductions | Content::Estimates => exchanged.push((content, source)),
+        }
+    }
+    let mut files: Vec<String> = rows.iter().map(Input::name).collect();
+    let (mut reductions, mut estimates) = (Vec::new(), Vec::new());
+    for (content, mut source) in exchanged {
+        source.number = u32::try_from(files.len()).expect("fewer than 2^32 files");
+        files.push(source.name.clone());
+        if content == Content::Reductions { reductions.push(source) } else { estimates.push(source) }
+    }
+    Ok(Sorted { contents, rows, reductions, estimates, files, stdin })
+}
+
+/// As the reader of rows sees it.
+fn is_parquet(input: &Input, head: &[u8]) -> bool {
+    !head.is_empty() && detect(input.extension().as_deref(), head) == Ok(Kind::Parquet)
+}
+
+impl Source {
+    fn content(&self) -> Result<Content, DataError> {
+        opened!(self, |builder| {
+            if let Some(content) = by_schema(&self.name, builder.metadata())? {
+                return Ok(content);
+            }
+            let is_list = |name: &str| {
+                let found = builder.schema().column_with_name(name);
+                found.is_some_and(|(_, field)| super::lists::is_numbers(field.data_type()))
+            };
+            Ok(if is_list("estimates") && is_list("sensitivities") { Content::Estimates } else { Content::Rows })
+        })
+    }
+}
+
+fn by_schema(file: &str, metadata: &ParquetMetaData) -> Result<Option<Content>, ExchangeError> {
+    match value(metadata, SCHEMA) {
+        None => Ok(None),
+        Some(REDUCTIONS_SCHEMA) => Ok(Some(Content::Reductions)),
+        Some(ESTIMATES_SCHEMA) => Ok(Some(Content::Estimates)),
+        Some(found) => {
+            let (file, found) = (file.to_owned(), shown(found.as_bytes()));
+            Err(ExchangeError::Schema { file, found })
+        }
+    }
+}

@@ -1,0 +1,61 @@
+//! Which test and which phase a row of an exchange file is of.
+
+use kalfit::{Layout, PhasedModel, TestKey};
+
+use super::error::ExchangeError;
+use super::sheet::Row;
+use crate::error::DataError;
+use crate::reading::SINGLE_TEST;
+
+pub(super) const TEST: &str = "test";
+pub(super) const PHASE: &str = "phase";
+
+/// Finds the id of a row's test: in `test`, else in the model's own column of ids.
+pub(super) struct Key {
+    own: Option<String>,
+    single: bool,
+}
+
+impl Key {
+    pub(super) fn new(layout: &Layout) -> Key {
+        let own = match &layout.test {
+            TestKey::Column(name) if name != TEST => Some(name.clone()),
+            _ => None,
+        };
+        Key { own, single: layout.test == TestKey::Single }
+    }
+
+    pub(super) fn id(&self, row: Row<'_>) -> Result<String, DataError> {
+        let own = self.own.as_deref().filter(|_| !row.has(TEST));
+        let column = own.filter(|own| row.has(own)).unwrap_or(TEST);
+        match row.text(column) {
+            Some(id) if !id.is_empty() => Ok(id),
+            _ if self.single && !row.has(column) => Ok(SINGLE_TEST.to_owned()),
+            _ => Err(DataError::MissingTest { at: row.place(column) }),
+        }
+    }
+}
+
+/// The phases of a model by name.
+pub(super) struct Phases<'a>(Vec<&'a str>);
+
+impl<'a> Phases<'a> {
+    pub(super) fn new(model: &'a PhasedModel) -> Phases<'a> {
+        Phases(model.phases.iter().map(|phase| phase.name.as_str()).collect())
+    }
+
+    /// The phase of a row: the only one where none is named.
+    pub(super) fn of(&self, row: Row<'_>) -> Result<usize, ExchangeError> {
+        let found = row.text(PHASE);
+        let place = match &found {
+            None if self.0.len() == 1 => Some(0),
+            None => None,
+            Some(found) => self.0.iter().position(|name| name == found),
+        };
+        place.ok_or_else(|| ExchangeError::Phase {
+            at: row.place(PHASE),
+            found: row.shown(PHASE),
+            phases: self.0.iter().map(|&name| name.to_owned()).collect(),
+        })
+    }
+}

@@ -1,0 +1,99 @@
+//! What an exchange file says of itself: key-value metadata of Parquet.
+
+use parquet::file::metadata::{KeyValue, ParquetMetaData};
+
+use super::alpha::ParameterValue;
+use super::error::ExchangeError;
+use super::{ESTIMATES_SCHEMA, REDUCTIONS_SCHEMA};
+
+pub(super) const SCHEMA: &str = "kalfit.schema";
+const VERSION: &str = "kalfit.version";
+const TITLE: &str = "kalfit.title";
+const MODEL: &str = "kalfit.model_digest";
+const REDUCTION: &str = "kalfit.reduction_digest";
+const PARAMETERS: &str = "kalfit.parameters";
+const FILES: &str = "kalfit.files";
+
+/// Where an exchange file comes from.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Metadata {
+    /// Version of kalfit that wrote it.
+    pub version: String,
+    /// Title of the model.
+    pub title: String,
+    /// Digest of the text of the model file.
+    pub model_digest: String,
+    /// Digest of what reductions depend on: they are of use to a model of this digest only.
+    pub reduction_digest: String,
+    /// α: the dynamic parameters at which the filters ran.
+    pub parameters: Vec<ParameterValue>,
+    /// The files whose data are behind it.
+    pub files: Vec<String>,
+}
+
+impl Metadata {
+    /// What is written.
+    pub(super) fn pairs(&self, schema: &str) -> Vec<KeyValue> {
+        let pair = |key: &str, value: String| KeyValue::new(key.to_owned(), value);
+        let parameters = serde_json::to_string(&self.parameters).expect("values of parameters are finite");
+        vec![
+            pair(SCHEMA, schema.to_owned()),
+            pair(VERSION, self.version.clone()),
+            pair(TITLE, self.title.clone()),
+            pair(MODEL, self.model_digest.clone()),
+            pair(REDUCTION, self.reduction_digest.clone()),
+            pair(PARAMETERS, parameters),
+            pair(FILES, serde_json::to_string(&self.files).expect("texts")),
+        ]
+    }
+
+    /// What a file says; `None` of one that is not kalfit's.
+    pub(super) fn read(file: &str, metadata: &ParquetMetaData) -> Result<Option<Metadata>, ExchangeError> {
+        let text = |key: &'static str| value(metadata, key);
+        let Some(schema) = text(SCHEMA) else { return Ok(None) };
+        if schema != REDUCTIONS_SCHEMA && schema != ESTIMATES_SCHEMA {
+            let (file, found) = (file.to_owned(), crate::error::shown(schema.as_bytes()));
+            return Err(ExchangeError::Schema { file, found });
+        }
+        let needed = |key: &'static str| {
+            text(key).ok_or_else(|| ExchangeError::Metadata {
+                file: file.to_owned(),
+                key,
+                reason: "it is missing".to_owned(),
+            })
+        };
+        let refused = |key: &'static str| {
+            move |error: serde_json::Error| ExchangeError::Metadata {
+                file: file.to_owned(),
+                key,
+                reason: error.to_string(),
+            }
+        };
+        Ok(Some(Metadata {
+            version: needed(VERSION)?.to_owned(),
+            title: text(TITLE).unwrap_or_default().to_owned(),
+            model_digest: needed(MODEL)?.to_owned(),
+            reduction_digest: needed(REDUCTION)?.to_owned(),
+            parameters: serde_json::from_str(needed(PARAMETERS)?).map_err(refused(PARAMETERS))?,
+            files: serde_json::from_str(needed(FILES)?).map_err(refused(FILES))?,
+        }))
+    }
+
+    /// Refuses reductions that were made with another model.
+    ///
+    /// # Errors
+    /// The digest is not the expected one; the message shows both.
+    pub fn check_digest(&self, file: &str, expected: &str) -> Result<(), ExchangeError> {
+        if self.reduction_digest == expected {
+            return Ok(());
+        }
+        let found = crate::error::shown(self.reduction_digest.as_bytes());
+        Err(ExchangeError::Digest { file: file.to_owned(), found, expected: expected.to_owned() })
+    }
+}
+
+/// The value of a key.
+pub(super) fn value<'a>(metadata: &'a ParquetMetaData, key: &str) -> Option<&'a str> {
+    let pairs = metadata.file_metadata().key_value_metadata()?;
+    pairs.iter().find(|pair| pair.key == key)?.value.as_deref()
+}

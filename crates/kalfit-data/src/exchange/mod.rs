@@ -1,0 +1,54 @@
+//! Exchange files: what filters made of each phase of a test, so that data need not travel.
+//!
+//! Both kinds are Parquet files with one row for each test and phase. `docs/exchange.md` has the schemas and a program that
+//! writes an estimates file by hand.
+//!
+//! * **Reductions** (`kalfit-reductions/1`) hold [`PhaseReduction`](kalfit::reduce::PhaseReduction)s: everything that the
+//!   data say of a model at one α, to the last bit. They are of use to that model and that α only, and carry digests of both.
+//! * **Estimates** (`kalfit-estimates/1`) hold [`Estimates`](kalfit::reduce::Estimates): what any filter made of a phase, with
+//!   the sensitivity and the covariance of its error. They may come from any program; metadata are not needed.
+//!
+//! [`sort`] tells such files from tables of rows, [`read_reductions`] and [`read_estimates`] read them a few hundred rows at a
+//! time, [`Assembly`] puts the phases of each test together, and [`ReductionWriter`] and [`EstimatesWriter`] write them.
+
+mod alpha;
+mod assembly;
+mod constants;
+mod content;
+mod error;
+mod estimates;
+mod keys;
+mod lists;
+mod metadata;
+mod reductions;
+mod sheet;
+mod write;
+
+use kalfit::{Evidence, Source as Row};
+
+pub use alpha::{Difference, ParameterValue, difference, merge};
+pub use assembly::Assembly;
+pub use content::{Content, Sorted, Source, sort};
+pub use error::ExchangeError;
+pub use estimates::read_estimates;
+pub use metadata::Metadata;
+pub use reductions::read_reductions;
+pub use write::{EstimatesWriter, ReductionWriter};
+
+/// Schema of reductions files.
+pub const REDUCTIONS_SCHEMA: &str = "kalfit-reductions/1";
+/// Schema of estimates files.
+pub const ESTIMATES_SCHEMA: &str = "kalfit-estimates/1";
+
+/// What one row of an exchange file says.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Entry {
+    /// Id of the test.
+    pub test: String,
+    /// Place of the phase in the model.
+    pub phase: usize,
+    /// What is known of it.
+    pub evidence: Evidence,
+    /// File and row.
+    pub at: Row,
+}

@@ -1,0 +1,363 @@
+//! An exchange file, row by row: named columns of numbers, texts and lists, none of which is trusted.
+
+use std::collections::BTreeMap;
+
+use arrow::array::RecordBatch;
+use arrow::datatypes::DataType;
+use arrow::error::ArrowError;
+use nalgebra::DMatrix;
+use parquet::arrow::ProjectionMask;
+use parquet::arrow::arrow_reader::{ParquetRecordBatchReader, ParquetRecordBatchReaderBuilder};
+use parquet::errors::ParquetError;
+use parquet::file::metadata::ParquetMetaData;
+use parquet::file::reader::ChunkReader;
+
+use super::error::ExchangeError;
+use super::lists::{Lists, Words, is_numbers, is_words};
+use crate::error::{Columns, DataError, Place, shown};
+use crate::table::arrays::{Numbers, Texts, is_numeric, misfit};
+use crate::table::guard::guarded;
+use crate::table::parquet::{FORMAT, ROWS_FREE, ROWS_PER_BYTE, refuse_codecs, refuse_oversized};
+use crate::wanted::nearest;
+
+/// Rows decoded at a time: they may hold matrices.
+const ROWS: usize = 256;
+
+/// What a column holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Shape {
+    Text,
+    /// A number; a count is one without a fraction.
+    Number,
+    Numbers,
+    Words,
+}
+
+/// A column that is looked for.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Column {
+    pub(super) name: &'static str,
+    pub(super) shape: Shape,
+    pub(super) needed: bool,
+}
+
+impl Column {
+    pub(super) const fn needed(name: &'static str, shape: Shape) -> Column {
+        Column { name, shape, needed: true }
+    }
+
+    pub(super) const fn optional(name: &'static str, shape: Shape) -> Column {
+        Column { name, shape, needed: false }
+    }
+}
+
+/// What is read of a file.
+pub(super) struct Wish<'a> {
+    /// What the file is, in words: "estimates".
+    pub(super) kind: &'static str,
+    /// The columns of its schema.
+    pub(super) columns: &'a [Column],
+    /// (name in the file, shape): further columns, which are there.
+    pub(super) further: Vec<(String, Shape)>,
+}
+
+/// An open file.
+pub(super) struct Sheet<'a> {
+    file: &'a str,
+    reader: ParquetRecordBatchReader,
+    /// Shapes by name.
+    shapes: BTreeMap<String, Shape>,
+    /// Rows before the next batch.
+    before: u64,
+}
+
+/// Some rows of a file.
+pub(super) struct Batch<'a> {
+    file: &'a str,
+    before: u64,
+    rows: usize,
+    cells: BTreeMap<String, Cells>,
+}
+
+enum Cells {
+    Texts(Texts),
+    Numbers(Numbers),
+    Lists(Lists),
+    Words(Words),
+}
+
+/// One row of a batch.
+#[derive(Clone, Copy)]
+pub(super) struct Row<'b> {
+    batch: &'b Batch<'b>,
+    index: usize,
+}
+
+/// Opens the metadata of a file.
+pub(super) fn open<R: ChunkReader + 'static>(
+    file: &str,
+    bytes: R,
+) -> Result<ParquetRecordBatchReaderBuilder<R>, DataError> {
+    let failed = |source: ParquetError| DataError::Parquet { file: file.to_owned(), source: Box::new(source) };
+    guarded(file, FORMAT, || {
+        let length = bytes.len();
+        let builder = ParquetRecordBatchReaderBuilder::try_new(bytes).map_err(failed)?;
+        refuse_oversized(file, builder.metadata(), length)?;
+        refuse_long_lists(file, builder.metadata(), length)?;
+        Ok(builder)
+    })
+}
+
+/// Lists can declare as many elements in a few bytes as rows can.
+fn refuse_long_lists(file: &str, metadata: &ParquetMetaData, bytes: u64) -> Result<(), DataError> {
+    let limit = bytes.saturating_mul(ROWS_PER_BYTE).saturating_add(ROWS_FREE);
+    for group in metadata.row_groups() {
+        for chunk in group.columns() {
+            let declared = u64::try_from(chunk.num_values()).unwrap_or(u64::MAX);
+            if declared > limit {
+                return Err(DataError::Oversized { file: file.to_owned(), what: "values", declared, bytes, limit });
+            }
+        }
+    }
+    Ok(())
+}
+
+impl<'a> Sheet<'a> {
+    /// Finds the columns of a wish in a file.
+    pub(super) fn new<R: ChunkReader + 'static>(
+        file: &'a str,
+        builder: ParquetRecordBatchReaderBuilder<R>,
+        wish: &Wish<'_>,
+    ) -> Result<Sheet<'a>, DataError> {
+        let failed = |source: ParquetError| DataError::Parquet { file: file.to_owned(), source: Box::new(source) };
+        let names: Vec<String> = builder.schema().fields().iter().map(|field| field.name().clone()).collect();
+        let (mut roots, mut shapes) = (Vec::new(), BTreeMap::new());
+        let own = wish.columns.iter().map(|column| (column.name, column.shape, column.needed.then_some(column.name)));
+        let further = wish.further.iter().map(|(name, shape)| (name.as_str(), *shape, None));
+        for (name, shape, needed) in own.chain(further) {
+            let Some(root) = position(file, &names, name)? else {
+                if let Some(column) = needed {
+                    return Err(missing(file, wish.kind, column, names).into());
+                }
+                continue;
+            };
+            let data_type = builder.schema().field(root).data_type();
+            if *data_type == DataType::Null {
+                continue; // nothing but nulls
+            }
+            fits(file, data_type, (name, shape), wish.kind)?;
+            roots.push(root);
+            shapes.insert(name.to_owned(), shape);
+        }
+        let found: Vec<&str> = roots.iter().map(|&root| names[root].as_str()).collect();
+        refuse_codecs(file, builder.metadata(), &roots, &found)?;
+        roots.sort_unstable();
+        let reader = guarded(file, FORMAT, || {
+            let mask = ProjectionMask::roots(builder.parquet_schema(), roots);
+            builder.with_projection(mask).with_batch_size(ROWS).build().map_err(failed)
+        })?;
+        Ok(Sheet { file, reader, shapes, before: 0 })
+    }
+
+    /// The next rows; `None` at the end.
+    pub(super) fn next(&mut self) -> Result<Option<Batch<'a>>, DataError> {
+        let file = self.file;
+        let failed = |source: ArrowError| DataError::Arrow { file: file.to_owned(), source: Box::new(source) };
+        let (reader, shapes) = (&mut self.reader, &self.shapes);
+        let batch = guarded(file, FORMAT, || {
+            let Some(batch) = reader.next().transpose().map_err(failed)? else { return Ok(None) };
+            let cells = decode(&batch, shapes).map_err(failed)?;
+            Ok(Some((batch.num_rows(), cells)))
+        })?;
+        Ok(batch.map(|(rows, cells)| {
+            let before = self.before;
+            self.before += rows as u64;
+            Batch { file, before, rows, cells }
+        }))
+    }
+}
+
+fn decode(batch: &RecordBatch, shapes: &BTreeMap<String, Shape>) -> Result<BTreeMap<String, Cells>, ArrowError> {
+    let schema = batch.schema();
+    let columns = schema.fields().iter().zip(batch.columns());
+    let cells = columns.filter_map(|(field, array)| {
+        let cells = match shapes.get(field.name())? {
+            Shape::Text => Texts::new(array).map(Cells::Texts),
+            Shape::Number => Numbers::new(array).map(Cells::Numbers),
+            Shape::Numbers => Lists::new(array).map(Cells::Lists),
+            Shape::Words => Words::new(array).map(Cells::Words),
+        };
+        Some(cells.map(|cells| (field.name().clone(), cells)))
+    });
+    cells.collect()
+}
+
+/// Place of a column; an error when there are two.
+fn position(file: &str, names: &[String], name: &str) -> Result<Option<usize>, DataError> {
+    let mut places = (0..names.len()).filter(|&at| names[at] == name);
+    match (places.next(), places.next()) {
+        (Some(first), Some(second)) => Err(DataError::DuplicateColumn {
+            file: file.to_owned(),
+            column: name.to_owned(),
+            first: first + 1,
+            second: second + 1,
+        }),
+        (first, _) => Ok(first),
+    }
+}
+
+fn missing(file: &str, kind: &'static str, column: &'static str, names: Vec<String>) -> ExchangeError {
+    let columns = Box::new(Columns { near: nearest(column, &names), names });
+    ExchangeError::MissingColumn { file: file.to_owned(), kind, column, columns }
+}
+
+fn fits(file: &str, data_type: &DataType, (name, shape): (&str, Shape), kind: &'static str) -> Result<(), DataError> {
+    let expected = match shape {
+        Shape::Text => misfit(data_type, false, false, true),
+        Shape::Number => (!is_numeric(data_type)).then_some("numbers"),
+        Shape::Numbers => (!is_numbers(data_type)).then_some("lists of numbers"),
+        Shape::Words => (!is_words(data_type)).then_some("lists of texts"),
+    };
+    let Some(expected) = expected else { return Ok(()) };
+    Err(DataError::ColumnType {
+        file: file.to_owned(),
+        column: name.to_owned(),
+        used_in: kind.to_owned(),
+        found: data_type.to_string().into(),
+        expected,
+    })
+}
+
+impl<'a> Batch<'a> {
+    pub(super) fn rows(&self) -> impl Iterator<Item = Row<'_>> {
+        (0..self.rows).map(|index| Row { batch: self, index })
+    }
+}
+
+impl<'b> Row<'b> {
+    /// Its number in the file, from 1.
+    pub(super) fn number(self) -> u64 {
+        self.batch.before + self.index as u64 + 1
+    }
+
+    /// One of its cells.
+    pub(super) fn place(self, column: &str) -> Box<Place> {
+        Box::new(Place { file: self.batch.file.to_owned(), row: self.number(), column: column.to_owned() })
+    }
+
+    /// True when the file has this column.
+    pub(super) fn has(self, column: &str) -> bool {
+        self.batch.cells.contains_key(column)
+    }
+
+    fn cells(self, column: &str) -> Option<&'b Cells> {
+        self.batch.cells.get(column)
+    }
+
+    /// A text; `None` when it is null or the file has no such column.
+    pub(super) fn text(self, column: &str) -> Option<String> {
+        let Some(Cells::Texts(texts)) = self.cells(column) else { return None };
+        let mut scratch = String::new();
+        texts.get(self.index, &mut scratch).map(str::to_owned)
+    }
+
+    /// A number; NaN when it is null or the file has no such column.
+    pub(super) fn number_or_nan(self, column: &str) -> f64 {
+        match self.cells(column) {
+            Some(Cells::Numbers(Numbers::Values(values))) => values[self.index],
+            _ => f64::NAN,
+        }
+    }
+
+    /// A count; `None` when it is null or the file has no such column.
+    pub(super) fn count(self, column: &str) -> Result<Option<usize>, ExchangeError> {
+        const MOST: f64 = 9_007_199_254_740_992.0; // 2^53: whole numbers are exact up to here
+        let value = self.number_or_nan(column);
+        if value.is_nan() {
+            return Ok(None);
+        }
+        if value < 0.0 || value > MOST || value.fract() != 0.0 {
+            let (at, found) = (self.place(column), value.to_string());
+            return Err(ExchangeError::Value { at, found, expected: "a count: 0, 1, 2 and so on" });
+        }
+        Ok(Some(value as usize))
+    }
+
+    /// A finite number.
+    pub(super) fn finite(self, column: &str) -> Result<f64, ExchangeError> {
+        let value = self.number_or_nan(column);
+        if value.is_nan() {
+            return Err(ExchangeError::Missing { at: self.place(column), expected: "a number" });
+        }
+        if value.is_infinite() {
+            let (at, found) = (self.place(column), value.to_string());
+            return Err(ExchangeError::Value { at, found, expected: "a finite number" });
+        }
+        Ok(value)
+    }
+
+    /// A list of finite numbers; `None` when it is null or the file has no such column.
+    pub(super) fn list(self, column: &str) -> Result<Option<&'b [f64]>, ExchangeError> {
+        let Some(Cells::Lists(lists)) = self.cells(column) else { return Ok(None) };
+        let Some(list) = lists.get(self.index) else { return Ok(None) };
+        match list.iter().position(|value| !value.is_finite()) {
+            None => Ok(Some(list)),
+            Some(at) => Err(ExchangeError::NotFinite { at: self.place(column), found: list[at], element: at + 1 }),
+        }
+    }
+
+    /// A list that must be there.
+    pub(super) fn needed(self, column: &str) -> Result<&'b [f64], ExchangeError> {
+        self.list(column)?
+            .ok_or_else(|| ExchangeError::Missing { at: self.place(column), expected: "a list of numbers" })
+    }
+
+    /// A list that must have this length; `rule` says why.
+    pub(super) fn exact(
+        self,
+        column: &str,
+        length: usize,
+        rule: impl FnOnce() -> String,
+    ) -> Result<&'b [f64], ExchangeError> {
+        let list = self.needed(column)?;
+        if list.len() == length {
+            return Ok(list);
+        }
+        let (at, found) = (self.place(column), list.len());
+        Err(ExchangeError::Length { at, found, expected: length.to_string(), rule: rule() })
+    }
+
+    /// A matrix of this many rows and any number of columns; `rule` says why.
+    pub(super) fn rows(
+        self,
+        column: &str,
+        rows: usize,
+        rule: impl FnOnce() -> String,
+    ) -> Result<DMatrix<f64>, ExchangeError> {
+        let list = self.needed(column)?;
+        let columns = list.len().checked_div(rows).unwrap_or(0);
+        if columns * rows == list.len() {
+            return Ok(DMatrix::from_row_slice(rows, columns, list));
+        }
+        let (at, found, expected) = (self.place(column), list.len(), format!("a multiple of {rows}"));
+        Err(ExchangeError::Length { at, found, expected, rule: rule() })
+    }
+
+    /// True when a list has the precision of single floats.
+    pub(super) fn is_single(self, column: &str) -> bool {
+        matches!(self.cells(column), Some(Cells::Lists(lists)) if lists.is_single())
+    }
+
+    /// A list of texts; `None` when it is null or the file has no such column.
+    pub(super) fn words(self, column: &str) -> Option<Vec<&'b str>> {
+        match self.cells(column) {
+            Some(Cells::Words(words)) => words.get(self.index),
+            _ => None,
+        }
+    }
+
+    /// A text for a message.
+    pub(super) fn shown(self, column: &str) -> Option<String> {
+        self.text(column).map(|text| shown(text.as_bytes()))
+    }
+}

@@ -1,0 +1,153 @@
+//! The tables of a hypothesis put into those of a model.
+
+use toml::Spanned;
+use toml::de::{DeString, DeTable, DeValue};
+
+use crate::error::{Problem, SpecError};
+use crate::suggest::suggest;
+
+/// The hypothesis in messages.
+pub(crate) const PLACE: &str = "the hypothesis";
+/// Keys of `[covariance]` that are no constraints on Σ: a hypothesis leaves them alone.
+pub(crate) const KEPT: [&str; 2] = ["order", "known"];
+/// Tables of a phase that a hypothesis may have.
+pub(crate) const OF_PHASE: [&str; 2] = ["mean", "covariance"];
+
+type Key<'i> = Spanned<DeString<'i>>;
+type Item<'i> = Spanned<DeValue<'i>>;
+
+/// Puts the keys of a hypothesis, which were checked, into the model's.
+pub(crate) fn merge<'i>(base: &mut DeTable<'i>, own: DeTable<'i>) -> Result<(), SpecError> {
+    let mut phases = DeTable::new();
+    refuse_idle(base, &own)?;
+    for (key, value) in own {
+        match (key.get_ref().as_ref(), value.get_ref()) {
+            ("title", _) => {}
+            ("parameters", DeValue::Table(_)) => parameters(base, key, value)?,
+            ("phases", DeValue::Table(_)) => phases = into_table(value),
+            _ => replace(base, key, value),
+        }
+    }
+    for (phase, tables) in phases {
+        for (key, value) in into_table(tables) {
+            in_phase(base, phase.get_ref(), key, value);
+        }
+    }
+    for key in OF_PHASE {
+        if idle(base, key) {
+            let found = base.keys().find(|k| k.get_ref() == key).cloned();
+            found.map(|key| base.remove(&key));
+        }
+    }
+    Ok(())
+}
+
+/// Refuses tables of the top level that no phase of the model takes.
+fn refuse_idle(base: &DeTable<'_>, own: &DeTable<'_>) -> Result<(), SpecError> {
+    let idle = |key: &&Key<'_>| OF_PHASE.contains(&key.get_ref().as_ref()) && idle(base, key.get_ref());
+    let Some(key) = own.keys().find(idle) else { return Ok(()) };
+    let (name, why) = (key.get_ref().to_string(), "when every phase of the model has its own".to_owned());
+    let hint = format!("write `[phases.NAME.{name}]`");
+    Err(SpecError::new(Problem::NoEffect { key: name, why }).at(key.span()).hint(hint))
+}
+
+/// Every phase has this table itself.
+fn idle(base: &DeTable<'_>, key: &str) -> bool {
+    let phases = base.iter().find(|(k, _)| k.get_ref() == "phases").and_then(|(_, phases)| phases.get_ref().as_table());
+    let has =
+        |phase: &Item<'_>| phase.get_ref().as_table().is_some_and(|tables| tables.keys().any(|k| k.get_ref() == key));
+    phases.is_some_and(|phases| phases.values().all(has))
+}
+
+/// Keys replace those of what a phase has: its own table, or else a copy of the top level's.
+fn in_phase<'i>(base: &mut DeTable<'i>, phase: &str, key: Key<'i>, value: Item<'i>) {
+    let top = base.get(&key).cloned();
+    let Some(phase) = table_in(base, "phases").and_then(|phases| table_in(phases, phase)) else { return };
+    if let (None, Some(top)) = (phase.get(&key), top) {
+        phase.insert(key.clone(), top);
+    }
+    replace(phase, key, value);
+}
+
+fn table_in<'t, 'i>(table: &'t mut DeTable<'i>, key: &str) -> Option<&'t mut DeTable<'i>> {
+    let (_, value) = table.iter_mut().find(|(k, _)| k.get_ref() == key)?;
+    match value.get_mut() {
+        DeValue::Table(table) => Some(table),
+        _ => None,
+    }
+}
+
+fn into_table(value: Item<'_>) -> DeTable<'_> {
+    match value.into_inner() {
+        DeValue::Table(table) => table,
+        _ => DeTable::new(),
+    }
+}
+
+/// Keys replace keys.
+fn replace<'i>(base: &mut DeTable<'i>, key: Key<'i>, value: Item<'i>) {
+    let DeValue::Table(own) = value.get_ref() else {
+        base.insert(key, value); // reading the model says what is wrong
+        return;
+    };
+    let anew = own.keys().any(|k| k.get_ref() == "structure");
+    let Some(DeValue::Table(table)) = base.get_mut(&key).map(Spanned::get_mut) else {
+        base.insert(key, value);
+        return;
+    };
+    let dropped = |k: &str| k == "start" || (anew && !KEPT.contains(&k));
+    let gone: Vec<_> = table.keys().filter(|k| dropped(k.get_ref())).cloned().collect();
+    for key in gone {
+        table.remove(&key);
+    }
+    for (key, value) in into_table(value) {
+        table.remove(&key); // the place of the key is the hypothesis' from now on
+        table.insert(key, value);
+    }
+}
+
+/// Parameters of the model only.
+fn parameters<'i>(base: &mut DeTable<'i>, key: Key<'i>, value: Item<'i>) -> Result<(), SpecError> {
+    let DeValue::Table(own) = value.get_ref() else { return Ok(()) };
+    let known: Vec<String> = match base.get(&key).map(Spanned::get_ref) {
+        Some(DeValue::Table(table)) => table.keys().map(|k| k.get_ref().to_string()).collect(),
+        _ => Vec::new(),
+    };
+    if let Some(strange) = own.keys().find(|k| !known.iter().any(|name| name == k.get_ref())) {
+        let name = strange.get_ref().to_string();
+        let hint = suggest(&name, known.iter().map(String::as_str));
+        let problem = Problem::UnknownName { what: "parameter", name, place: PLACE.to_owned() };
+        return Err(SpecError::new(problem).at(strange.span()).maybe_hint(hint));
+    }
+    let (Some(DeValue::Table(table)), DeValue::Table(own)) =
+        (base.get_mut(&key).map(Spanned::get_mut), value.into_inner())
+    else {
+        return Ok(());
+    };
+    for (key, value) in own {
+        if let Some(slot) = table.get_mut(&key) {
+            *slot = value; // the order of the parameters stays
+        }
+    }
+    Ok(())
+}
+
+/// The same table with all places moved.
+pub(crate) fn shifted_table(table: DeTable<'_>, by: usize) -> DeTable<'_> {
+    let mut moved = DeTable::new();
+    for (key, value) in table {
+        let span = key.span();
+        moved.insert(Spanned::new(span.start + by..span.end + by, key.into_inner()), shifted(value, by));
+    }
+    moved
+}
+
+fn shifted(value: Spanned<DeValue<'_>>, by: usize) -> Spanned<DeValue<'_>> {
+    let span = value.span();
+    let inner = match value.into_inner() {
+        DeValue::Table(table) => DeValue::Table(shifted_table(table, by)),
+        DeValue::Array(array) => DeValue::Array(array.into_iter().map(|entry| shifted(entry, by)).collect()),
+        plain => plain,
+    };
+    Spanned::new(span.start + by..span.end + by, inner)
+}

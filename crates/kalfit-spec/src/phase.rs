@@ -1,0 +1,148 @@
+//! One phase: from its tables to its model.
+
+use kalfit::Model;
+use kalfit::model::{Clock, CovarianceStructure, MeanStructure, Measurement, Parameter, Phase, State};
+
+use crate::carry::{Before, Inherited};
+use crate::data::{Data, Start};
+use crate::elements::Elements;
+use crate::error::{Result, SpecError};
+use crate::names::{Context, Index};
+use crate::noise::Covariances;
+use crate::phases::Source;
+use crate::{carry, covariance, filter, mean, measurements, noise, states};
+
+/// One phase as it was read.
+pub(crate) struct Read<'s> {
+    pub(crate) source: &'s Source<'s>,
+    label: Option<usize>,
+    /// Names and places of the states.
+    pub(crate) named: Index,
+    pub(crate) states: Vec<State>,
+    process_noise_covariance: Covariances,
+    pub(crate) measurements: Vec<Measurement>,
+    /// Names and places of the measurements.
+    pub(crate) measured: Index,
+    noise_covariance: Covariances,
+    clock: Clock,
+    pub(crate) start: Start,
+    pub(crate) inherited: Inherited,
+    estimated: Vec<usize>,
+    mean: MeanStructure,
+    covariance: CovarianceStructure,
+    pub(crate) filter: Option<filter::Declared>,
+}
+
+/// What all phases have in common, beside what their expressions named.
+pub(crate) struct Shared {
+    pub(crate) title: String,
+    pub(crate) parameters: Vec<Parameter>,
+    pub(crate) group: Option<usize>,
+}
+
+/// Reads the tables of one phase.
+pub(crate) fn phase<'s>(
+    context: &mut Context<'_>,
+    data: &mut Data,
+    source: &'s Source<'s>,
+    before: Option<&mut Read<'_>>,
+) -> Result<Read<'s>> {
+    context.phase = source.within();
+    context.states = Index::default();
+    let label = data.phase.map(|_| context.literals.add(source.name));
+    let (clock, start) = data.clock(context, source)?;
+    let mut states = source.read("states", |field| {
+        let named = states::declare(context, field.as_ref())?;
+        states::lower(context, named)
+    })?;
+    let inherited = inherited(context, source, &mut states, before)?;
+    let process_noise_covariance =
+        source.read("process_noise_covariance", |field| noise::between_states(context, field, &states))?;
+    let (measurements, measured) = source.read("measurements", |field| measurements::read(context, field.as_ref()))?;
+    let noise_covariance = source
+        .read("noise_covariance", |field| noise::between_measurements(context, field, &measurements, &measured))?;
+    let (estimated, mean, covariance) = population(context, source, &states)?;
+    let filter =
+        source.read("filter", |field| field.map(|field| filter::read(context, &field, &states)).transpose())?;
+    let named = std::mem::take(&mut context.states);
+    Ok(Read {
+        source,
+        label,
+        named,
+        states,
+        process_noise_covariance,
+        measurements,
+        measured,
+        noise_covariance,
+        clock,
+        start,
+        inherited,
+        estimated,
+        mean,
+        covariance,
+        filter,
+    })
+}
+
+fn inherited(
+    context: &mut Context<'_>,
+    source: &Source<'_>,
+    states: &mut [State],
+    before: Option<&mut Read<'_>>,
+) -> Result<Inherited> {
+    let (Some(field), Some(before)) = (source.own("carry"), before) else { return Ok(Inherited::default()) };
+    let before = Before { name: before.source.name, index: &mut before.named, states: &before.states };
+    carry::read(context, &field, states, before)
+}
+
+type Population = (Vec<usize>, MeanStructure, CovarianceStructure);
+
+/// The order of the estimated states, and the structures of their mean and covariance.
+fn population(context: &mut Context<'_>, source: &Source<'_>, states: &[State]) -> Result<Population> {
+    let field = source.table("covariance");
+    let (section, estimated) = source.read("covariance", |_| covariance::open(context, field.as_ref(), states))?;
+    let elements = Elements::new(states, &estimated);
+    let mean = source.read("mean", |field| mean::read(context, field.as_ref(), &estimated, &elements))?;
+    let covariance = source.read("covariance", |_| covariance::read(context, section, &elements))?;
+    Ok((estimated, mean, covariance))
+}
+
+impl Source<'_> {
+    /// Reads one of its tables.
+    fn read<T>(&self, key: &str, read: impl FnOnce(Option<crate::table::Field<'_>>) -> Result<T>) -> Result<T> {
+        read(self.table(key)).map_err(|error: SpecError| self.explain(key, error))
+    }
+}
+
+impl Read<'_> {
+    /// Its model, with all that phases have in common.
+    pub(crate) fn model(&self, context: &Context<'_>, shared: &Shared) -> Model {
+        Model {
+            title: shared.title.clone(),
+            columns: context.columns.clone(),
+            text_columns: context.text_columns.clone(),
+            literals: context.literals.texts.clone(),
+            parameters: shared.parameters.clone(),
+            states: self.states.clone(),
+            process_noise_covariance: self.process_noise_covariance.clone(),
+            measurements: self.measurements.clone(),
+            noise_covariance: self.noise_covariance.clone(),
+            clock: self.clock.clone(),
+            group: shared.group,
+            estimated: self.estimated.clone(),
+            mean: self.mean.clone(),
+            covariance: self.covariance.clone(),
+        }
+    }
+
+    /// The phase of this model.
+    pub(crate) fn finish(self, model: Model) -> Phase {
+        Phase {
+            name: self.source.name.to_owned(),
+            label: self.label,
+            model,
+            carry: self.inherited.carry,
+            filter: self.filter.map(|declared| declared.filter),
+        }
+    }
+}

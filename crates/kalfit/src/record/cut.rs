@@ -1,0 +1,69 @@
+//! What is known of all phases together, cut into phases.
+
+use std::ops::Range;
+
+use nalgebra::DMatrix;
+
+use crate::model::{Phase, PhasedModel, Regression};
+
+/// One phase of a model, and where what belongs to it stands among what belongs to all.
+#[derive(Debug, Clone)]
+pub(super) struct Cut<'a> {
+    /// The phase.
+    pub(super) phase: &'a Phase,
+    /// Its place among the phases.
+    pub(super) index: usize,
+    /// Its elements among those of all phases.
+    pub(super) elements: Range<usize>,
+    /// Its regressions among those of all phases.
+    pub(super) regressions: Range<usize>,
+}
+
+impl<'a> Cut<'a> {
+    /// All phases of a model, in order.
+    pub(super) fn all(model: &'a PhasedModel) -> Vec<Cut<'a>> {
+        let mut end = 0;
+        let cut = |(index, (phase, elements)): (usize, (&'a Phase, Range<usize>))| {
+            let start = end;
+            end += phase.model.mean.regression.len();
+            Cut { phase, index, elements, regressions: start..end }
+        };
+        model.phases.iter().zip(model.ranges()).enumerate().map(cut).collect()
+    }
+
+    /// Names of its states as they are in the phase.
+    pub(super) fn states(&self) -> Vec<String> {
+        self.phase.model.estimated_names()
+    }
+
+    /// Its part of a list with an entry for each element.
+    pub(super) fn list<T: Clone>(&self, all: &[T]) -> Vec<T> {
+        all[self.elements.clone()].to_vec()
+    }
+
+    /// Its block of a square of such lists.
+    pub(super) fn square<T: Clone>(&self, all: &[Vec<T>]) -> Vec<Vec<T>> {
+        all[self.elements.clone()].iter().map(|row| self.list(row)).collect()
+    }
+
+    /// Its block of a matrix, by rows.
+    pub(super) fn block(&self, all: &DMatrix<f64>) -> Vec<Vec<f64>> {
+        let of = |i: usize| self.elements.clone().map(|k| all[(i, k)]).collect();
+        self.elements.clone().map(of).collect()
+    }
+
+    /// Which of its elements this one of all is.
+    pub(super) fn element(&self, of_all: usize) -> Option<usize> {
+        self.elements.contains(&of_all).then(|| of_all - self.elements.start)
+    }
+}
+
+/// The regressions of all phases, their elements those of all phases.
+pub(super) fn regressions(model: &PhasedModel) -> Vec<Regression> {
+    let of = |cut: Cut<'_>| -> Vec<Regression> {
+        let start = cut.elements.start;
+        let moved = |r: &Regression| Regression { element: start + r.element, column: r.column };
+        cut.phase.model.mean.regression.iter().map(moved).collect()
+    };
+    Cut::all(model).into_iter().flat_map(of).collect()
+}

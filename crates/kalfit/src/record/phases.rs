@@ -1,0 +1,169 @@
+//! From the results of all phases to the record of each.
+
+use nalgebra::DMatrix;
+
+use crate::estimate::Estimate;
+use crate::infer::{Boundary, Element, Inference};
+use crate::model::{CovarianceKind, MeanElement, PhasedModel, Regression};
+use crate::record::build::phases_of;
+use crate::record::cut::Cut;
+use crate::record::{
+    BoundaryRecord, CovarianceRecord, FilterRecord, Interval, MatrixRecord, MeanRecord, ObservabilityRecord,
+    PhaseRecord, RegressionRecord, ScaleRecord, UnidentifiedRecord, VectorRecord, WeakRecord,
+};
+use crate::reduce::Reduction;
+
+/// The only kind of filter there is.
+const KALMAN_SCHMIDT: &str = "kalman-schmidt";
+
+/// What was found of each phase.
+pub(super) fn phases(
+    model: &PhasedModel,
+    estimate: &Estimate,
+    inference: &Inference,
+    reductions: &[Reduction],
+) -> Vec<PhaseRecord> {
+    let Inference { unidentified, explanations, observability, .. } = inference;
+    let mut unidentified = UnidentifiedRecord::by_phase(model, unidentified, explanations).into_iter();
+    let mut seen = ObservabilityRecord::by_phase(model, observability).into_iter();
+    let mut weak = WeakRecord::by_phase(model, observability).into_iter();
+    let record = |cut: Cut<'_>| PhaseRecord {
+        unidentified: unidentified.next().unwrap_or_default(),
+        observability: seen.next().unwrap_or_default(),
+        weakly_determined: weak.next().unwrap_or_default(),
+        tests: Some(reductions.iter().filter(|r| phases_of(r, model) > cut.index).count()),
+        ..phase(&cut, estimate, inference)
+    };
+    Cut::all(model).into_iter().map(record).collect()
+}
+
+fn phase(cut: &Cut<'_>, estimate: &Estimate, inference: &Inference) -> PhaseRecord {
+    let (model, states) = (&cut.phase.model, cut.states());
+    let (uncertainty, intervals) = (&inference.uncertainty, &inference.intervals);
+    let deviations = estimate.covariance.diagonal().map(|v| v.max(0.0).sqrt());
+    PhaseRecord {
+        name: cut.phase.name.clone(),
+        units: model.estimated.iter().map(|&s| model.states[s].unit.clone()).collect(),
+        mean: mean(cut, estimate, inference),
+        covariance: covariance(cut, estimate, inference),
+        std_dev: VectorRecord {
+            estimate: cut.list(deviations.as_slice()),
+            std_error: cut.list(&uncertainty.std_dev),
+            interval95: cut.list(&intervals.std_dev),
+        },
+        correlation: MatrixRecord {
+            estimate: cut.square(&correlations(&estimate.covariance)),
+            std_error: cut.square(&uncertainty.correlation),
+            interval95: cut.square(&intervals.correlation),
+        },
+        boundary: uncertainty.boundary.iter().filter_map(|b| boundary(cut, &states, b)).collect(),
+        unidentified: Vec::new(),
+        observability: Vec::new(),
+        weakly_determined: Vec::new(),
+        tests: None,
+        information: None,
+        filter: filter(cut),
+        states,
+    }
+}
+
+/// A singular block of Σ, when it is one of this phase.
+fn boundary(cut: &Cut<'_>, states: &[String], found: &Boundary) -> Option<BoundaryRecord> {
+    let names = |of: &[usize]| of.iter().filter_map(|&i| Some(states[cut.element(i)?].clone())).collect::<Vec<_>>();
+    let own = names(&found.states);
+    (!own.is_empty()).then(|| BoundaryRecord {
+        what: "covariance".to_owned(),
+        rank: found.rank,
+        of: found.states.len(),
+        states: own,
+        zero_variances: names(&found.zero_variances),
+    })
+}
+
+fn filter(cut: &Cut<'_>) -> Option<FilterRecord> {
+    cut.phase.filter.as_ref().map(|filter| FilterRecord {
+        kind: KALMAN_SCHMIDT.to_owned(),
+        consider: filter.consider.iter().map(|&state| cut.phase.model.states[state].name.clone()).collect(),
+        information_lost: None,
+    })
+}
+
+fn mean(cut: &Cut<'_>, estimate: &Estimate, inference: &Inference) -> MeanRecord {
+    let (model, structure) = (&cut.phase.model, &cut.phase.model.mean);
+    let estimates = cut.list(&estimate.mean);
+    let errors = cut.list(&inference.uncertainty.mean);
+    let intervals = cut.list(&inference.intervals.mean);
+    let proportional = structure.elements.iter().enumerate().find_map(|(i, e)| match e {
+        MeanElement::Proportional(weight) if *weight != 0.0 => Some((i, *weight)),
+        _ => None,
+    });
+    let regression = |(c, r): (usize, &Regression)| RegressionRecord {
+        state: model.states[model.estimated[r.element]].name.clone(),
+        column: model.columns[r.column].name.clone(),
+        estimate: estimate.coefficients[c],
+        std_error: inference.uncertainty.coefficients[c],
+        interval95: inference.intervals.coefficients[c],
+    };
+    MeanRecord {
+        fixed: structure.elements.iter().map(|e| matches!(e, MeanElement::Fixed(_))).collect(),
+        scale: proportional.map(|(i, weight)| ScaleRecord {
+            estimate: estimates[i] / weight,
+            std_error: errors[i].map(|e| e / weight.abs()),
+            interval95: intervals[i].map(|ends| scaled(ends, weight.recip())),
+        }),
+        regression: cut.regressions.clone().zip(&structure.regression).map(regression).collect(),
+        estimate: estimates,
+        std_error: errors,
+        interval95: intervals,
+    }
+}
+
+fn covariance(cut: &Cut<'_>, estimate: &Estimate, inference: &Inference) -> CovarianceRecord {
+    let p = cut.elements.len();
+    let mut fixed = vec![vec![false; p]; p];
+    for sensitivity in &inference.sensitivities {
+        if let Element::Covariance(i, j) = sensitivity.element
+            && let (Some(i), Some(j)) = (cut.element(i), cut.element(j))
+        {
+            fixed[i][j] = true;
+            fixed[j][i] = true;
+        }
+    }
+    let proportional = matches!(cut.phase.model.covariance.kind, CovarianceKind::Proportional(_));
+    let scale = proportional.then(|| estimate.covariance_scale(cut.index));
+    CovarianceRecord {
+        estimate: cut.block(&estimate.covariance),
+        std_error: cut.square(&inference.uncertainty.covariance),
+        interval95: cut.square(&inference.intervals.covariance),
+        fixed,
+        scale: scale.map(|beta| ScaleRecord {
+            estimate: beta,
+            std_error: inference.uncertainty.scale[cut.index].map(|relative| relative * beta),
+            interval95: scale_interval(cut, estimate, inference, beta),
+        }),
+    }
+}
+
+/// The interval of β from that of the largest variance, which is in proportion.
+fn scale_interval(cut: &Cut<'_>, estimate: &Estimate, inference: &Inference, beta: f64) -> Interval {
+    let variance = |i: usize| estimate.covariance[(i, i)];
+    let i = cut.elements.clone().max_by(|&a, &b| variance(a).total_cmp(&variance(b)))?;
+    let ends = inference.intervals.covariance[i][i]?;
+    (variance(i) > 0.0).then(|| scaled(ends, beta / variance(i)))
+}
+
+/// Both ends times a factor, the lower one first.
+fn scaled(ends: [Option<f64>; 2], factor: f64) -> [Option<f64>; 2] {
+    let [a, b] = ends.map(|end| end.map(|x| x * factor));
+    if factor < 0.0 { [b, a] } else { [a, b] }
+}
+
+fn correlations(sigma: &DMatrix<f64>) -> Vec<Vec<Option<f64>>> {
+    let p = sigma.nrows();
+    let entry = |i: usize, j: usize| {
+        let unit = (sigma[(i, i)] * sigma[(j, j)]).sqrt();
+        let inside = |r: f64| r.clamp(-1.0, 1.0);
+        (unit > 0.0).then(|| if i == j { 1.0 } else { inside(sigma[(i, j)] / unit) })
+    };
+    (0..p).map(|i| (0..p).map(|j| entry(i, j)).collect()).collect()
+}

@@ -1,0 +1,112 @@
+//! What one test says, as a record.
+
+use serde::{Deserialize, Serialize};
+
+/// What one test says.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TestRecord {
+    /// Its id.
+    pub id: String,
+    /// log p of its measurements.
+    pub log_likelihood: f64,
+    /// Scalar measurements used.
+    pub observations: usize,
+    /// Posterior of ξ, by phase.
+    pub phases: Vec<PosteriorRecord>,
+    /// Standardised squared distance of the test from the population.
+    pub distance: Option<f64>,
+    /// Its degrees of freedom: rank of J.
+    pub degrees_of_freedom: usize,
+    /// Its χ² p-value.
+    pub p_value: Option<f64>,
+    /// The fit without this test; null when it was not asked for or has no certified optimum.
+    #[serde(default)]
+    pub deletion: Option<DeletionRecord>,
+    /// Innovations of the filter at the estimate; null when they were not asked for or could not be had.
+    #[serde(default)]
+    pub innovations: Option<InnovationRecord>,
+}
+
+/// Innovations of one test at the estimate, as figures: e of variance S, in the order of the filter.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct InnovationRecord {
+    /// Their number, n.
+    pub count: usize,
+    /// Normalised innovation squared, Σ e²/S; its expectation is n. Null without innovations.
+    pub nis: Option<f64>,
+    /// Two-sided p-value of it: twice the smaller of the upper tail of χ²_n and the lower tail of χ² with n less the number of
+    /// estimated states, which the estimate may have absorbed.
+    pub nis_p_value: Option<f64>,
+    /// Mean of e/√S; its standard deviation is 1/√n.
+    pub mean: Option<f64>,
+    /// Ljung and Box's test; null when too short.
+    pub whiteness: Option<WhitenessRecord>,
+    /// The same of each measurement of each phase, where the model has several phases.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub parts: Vec<InnovationPartRecord>,
+}
+
+/// Innovations of one measurement of one phase of a test.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct InnovationPartRecord {
+    /// Name of the phase.
+    pub phase: String,
+    /// Name of the measurement.
+    pub measurement: String,
+    /// Their figures, as if they were a test.
+    #[serde(flatten)]
+    pub innovations: InnovationRecord,
+}
+
+/// Ljung and Box's test of the e/√S, each measurement by itself, added up.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct WhitenessRecord {
+    /// The statistic.
+    pub statistic: f64,
+    /// The longest lag: at most 10, and one for every five innovations of a measurement.
+    pub lags: usize,
+    /// Degrees of freedom: the lags of all measurements together.
+    pub degrees_of_freedom: usize,
+    /// Its χ² p-value.
+    pub p_value: f64,
+}
+
+/// The fit without one test.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DeletionRecord {
+    /// log p of the test's measurements at the fit without it: its predictive density.
+    pub log_density: f64,
+    /// Standardised squared distance from the population that the other tests describe.
+    pub distance: Option<f64>,
+    /// Its χ² p-value.
+    pub p_value: Option<f64>,
+    /// 2 (ℓ(θ̂) - ℓ(θ̂ without the test)) over all tests: how far the test pulls the estimate.
+    pub displacement: f64,
+    /// The answer without the test, by phase.
+    pub phases: Vec<DeletedRecord>,
+}
+
+/// μ and Σ of one phase without a test.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DeletedRecord {
+    /// Name of the phase.
+    pub name: String,
+    /// μ.
+    pub mean: Vec<f64>,
+    /// Regression coefficients.
+    #[serde(default)]
+    pub regression: Vec<f64>,
+    /// Σ.
+    pub covariance: Vec<Vec<f64>>,
+}
+
+/// Posterior of ξ in one phase.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PosteriorRecord {
+    /// Name of the phase.
+    pub name: String,
+    /// E[ξ | z].
+    pub mean: Vec<f64>,
+    /// Var[ξ | z].
+    pub covariance: Vec<Vec<f64>>,
+}

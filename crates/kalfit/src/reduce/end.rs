@@ -1,0 +1,66 @@
+//! Where a test ends: the state after the last step, as far as the design decides it.
+#![expect(non_snake_case, reason = "the letters of the theory: P, Psi, U with U'U = P")]
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::reduce::Terminal;
+use crate::reduce::semidefinite::information_root;
+
+/// A scaled pivot of P_K below this is too ill-conditioned for plain covariance arithmetic: the next phase may measure just
+/// the combination of states that it belongs to.
+const LEAST_PIVOT: f64 = 1e-8;
+
+/// Ψ_K and a root of P_K, states in the order of the model.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct End {
+    /// Ψ_K, n × p.
+    pub(crate) sensitivity: DMatrix<f64>,
+    /// C with CC' = P_K, n × any number of columns.
+    pub(crate) root: DMatrix<f64>,
+}
+
+impl End {
+    /// From Ψ (row-major) and U, r × r, row-major, with U'U = P, in the kernels' order; `states`: the state at each of its places.
+    pub(crate) fn new(states: &[usize], Psi: &[f64], U: &[f64], r: usize) -> End {
+        let (n, p) = (states.len(), Psi.len() / states.len().max(1));
+        let rows: Vec<&[f64]> = U.chunks_exact(r.max(1)).filter(|row| row.iter().any(|&x| x != 0.0)).collect();
+        let mut end = End { sensitivity: DMatrix::zeros(n, p), root: DMatrix::zeros(n, rows.len()) };
+        for (place, &state) in states.iter().enumerate() {
+            for c in 0..p {
+                end.sensitivity[(state, c)] = Psi[place * p + c];
+            }
+            for (c, row) in rows.iter().enumerate().filter(|_| place < r) {
+                end.root[(state, c)] = row[place];
+            }
+        }
+        end
+    }
+
+    /// From the lower triangle of P, r × r, row-major; `None` where its root calls for square-root arrays.
+    pub(crate) fn of_covariance(states: &[usize], Psi: &[f64], P: &[f64], r: usize) -> Option<End> {
+        let packed: Vec<f64> = (0..r).flat_map(|k| (0..=k).map(move |i| P[k * r + i])).collect();
+        let (root, least) = information_root(&packed, r, LEAST_PIVOT);
+        let mut U = vec![0.0; r * r];
+        for k in 0..r {
+            (0..=k).for_each(|i| U[i * r + k] = root[i + k * (k + 1) / 2]);
+        }
+        (least >= LEAST_PIVOT).then(|| End::new(states, Psi, &U, r))
+    }
+
+    /// With x̂_K, in the kernels' order.
+    pub(crate) fn terminal(&self, states: &[usize], x: &[f64]) -> Terminal {
+        Terminal { mean: placed(states, x), sensitivity: self.sensitivity.clone(), root: self.root.clone() }
+    }
+
+    /// Bytes it occupies.
+    pub(crate) fn bytes(&self) -> usize {
+        8 * (self.sensitivity.len() + self.root.len())
+    }
+}
+
+/// A state in the order of the model.
+pub(crate) fn placed(states: &[usize], x: &[f64]) -> DVector<f64> {
+    let mut out = DVector::zeros(states.len());
+    states.iter().zip(x).for_each(|(&state, &x)| out[state] = x);
+    out
+}

@@ -1,0 +1,276 @@
+//! One phase of a test by itself, from whatever is known of it.
+
+use std::borrow::Cow;
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::ensemble::Test;
+use crate::model::{Alpha, Model, Phase};
+use crate::reduce::carry::Inheritance;
+use crate::reduce::end::placed;
+use crate::reduce::error::{ReduceError, ReduceErrorKind};
+use crate::reduce::prepare::Workspace;
+use crate::reduce::reducer::{Class, Reducer};
+use crate::reduce::stack::StackData;
+use crate::reduce::steps::Cells;
+use crate::reduce::subject::WHOLE;
+use crate::reduce::{
+    EstimateReducer, Estimates, Evidence, FilterRunner, Inherited, PhaseReduction, Reduction, Terminal,
+};
+
+/// Where a phase stands among the others.
+#[derive(Debug, Clone)]
+pub(crate) struct Place {
+    /// Its name; `None` for the only phase.
+    pub(crate) name: Option<String>,
+    /// States of the phase before; `None` for the first phase.
+    pub(crate) before: Option<usize>,
+    /// The model has a phase after it.
+    pub(crate) followed: bool,
+}
+
+/// One phase: its filter in its entering coordinates, and what it inherits.
+#[derive(Debug)]
+pub(crate) struct PhaseReducer {
+    place: Place,
+    pub(crate) reducer: Reducer,
+    /// `None` for the first phase.
+    pub(crate) inheritance: Option<Inheritance>,
+    /// p: its own ξ, the first of its coordinates.
+    pub(crate) own: usize,
+    /// What makes reductions of estimates.
+    estimates: EstimateReducer,
+    /// Its suboptimal filter.
+    filter: Option<FilterRunner>,
+    sizes: Sizes,
+}
+
+/// What a reduction made before must be like.
+#[derive(Debug, Clone, Copy)]
+struct Sizes {
+    /// Entering coordinates.
+    q: usize,
+    /// States.
+    n: usize,
+    regressions: usize,
+}
+
+/// What is known of one phase, owned or not.
+pub(crate) struct Part<'a> {
+    pub(crate) reduction: Cow<'a, Reduction>,
+    pub(crate) ending: Ending<'a>,
+    /// `None` for the first phase.
+    pub(crate) inherited: Option<Cow<'a, Inherited>>,
+}
+
+/// x_K given σ.
+pub(crate) enum Ending<'a> {
+    /// No phase follows.
+    None,
+    /// x̂_K, and the design class with the rest.
+    Class(DVector<f64>, Class),
+    /// As it was given.
+    Known(Cow<'a, Terminal>),
+}
+
+impl PhaseReducer {
+    /// `make`: how the reducer of its entering coordinates is made.
+    pub(crate) fn new(
+        (phase, alpha): (&Phase, &Alpha),
+        place: Place,
+        make: &dyn Fn(&Model) -> Result<Reducer, ReduceError>,
+    ) -> Result<PhaseReducer, ReduceError> {
+        let named = |error| of_phase(place.name.as_deref(), error);
+        let reducer = make(&phase.entry_model()).map_err(named)?;
+        let reducer = if place.followed { reducer.with_ends() } else { reducer };
+        let at = reducer.preparer().at();
+        let inheritance = place.before.map(|before| Inheritance::new(phase, before, &at)).transpose();
+        let inheritance = inheritance.map_err(|fault| named(fault.name(&phase.model, None)))?;
+        let sizes = Sizes {
+            q: at.model.estimated.len(),
+            n: at.model.states.len(),
+            regressions: at.model.mean.regression.len(),
+        };
+        let own = phase.model.dimension();
+        let estimates = EstimateReducer::new(phase, alpha).map_err(named)?;
+        let filter = phase.filter.as_ref().map(|_| FilterRunner::new(phase, alpha)).transpose().map_err(named)?;
+        Ok(PhaseReducer { place, reducer, inheritance, own, estimates, filter, sizes })
+    }
+
+    /// Rows of it are reduced by the optimal filter.
+    pub(crate) fn is_optimal(&self) -> bool {
+        self.filter.is_none()
+    }
+
+    /// An error of this phase, saying so where there are others.
+    pub(crate) fn named(&self, error: ReduceError) -> ReduceError {
+        of_phase(self.place.name.as_deref(), error)
+    }
+
+    /// Every step of every record in full.
+    pub(crate) fn unfrozen(self) -> PhaseReducer {
+        PhaseReducer { reducer: self.reducer.unfrozen(), ..self }
+    }
+
+    /// The phase of a test. `designs`: nothing measured is wanted; `linked`: the test has a phase after it.
+    pub(crate) fn part<'a>(
+        &'a self,
+        (id, evidence): (&str, &'a Evidence),
+        (work, cells): (&mut Workspace, &mut Cells),
+        (designs, linked): (bool, bool),
+    ) -> Result<Part<'a>, ReduceError> {
+        let part = match (evidence, &self.filter) {
+            (Evidence::Rows(rows), None) => self.rows(rows, (work, cells), designs),
+            (Evidence::Rows(rows), Some(filter)) => {
+                filter.run(rows).and_then(|estimates| self.filtered(id, &estimates, cells))
+            }
+            (Evidence::Estimates(estimates), _) => self.filtered(id, estimates, cells),
+            (Evidence::Reduced(piece), _) => self.given(id, piece, linked),
+        };
+        part.map_err(|error| of_phase(self.place.name.as_deref(), error))
+    }
+
+    /// The phase by a filter that need not be optimal, run here or elsewhere.
+    fn filtered<'a>(&'a self, id: &str, estimates: &Estimates, cells: &mut Cells) -> Result<Part<'a>, ReduceError> {
+        let (reduction, terminal) = self.estimates.reduce(id, estimates)?;
+        let at = self.reducer.preparer().at();
+        let inherited = self.inheritance.as_ref();
+        let inherited = inherited.map(|inheritance| inheritance.of(&at, &estimates.constants, cells)).transpose()?;
+        let ending = if self.place.followed { Ending::Known(Cow::Owned(terminal)) } else { Ending::None };
+        Ok(Part { reduction: Cow::Owned(reduction), ending, inherited })
+    }
+
+    fn rows<'a>(
+        &'a self,
+        rows: &Test,
+        (work, cells): (&mut Workspace, &mut Cells),
+        designs: bool,
+    ) -> Result<Part<'a>, ReduceError> {
+        let (reduction, class) =
+            if designs { self.reducer.designed(rows, work)? } else { self.reducer.one(rows, work)? };
+        let ending = if class.end().is_none() {
+            Ending::None
+        } else if designs {
+            Ending::Class(DVector::zeros(self.sizes.n), class)
+        } else {
+            Ending::Class(placed(&self.reducer.preparer().order.states, &work.pass.x), class)
+        };
+        let at = self.reducer.preparer().at();
+        let inherited = self.inheritance.as_ref().map(|inheritance| inheritance.of(&at, rows, cells)).transpose()?;
+        Ok(Part { reduction: Cow::Owned(reduction), ending, inherited })
+    }
+
+    /// A reduction made before, if it is of this phase's shape.
+    fn given<'a>(&self, id: &str, piece: &'a PhaseReduction, linked: bool) -> Result<Part<'a>, ReduceError> {
+        let Sizes { q, n, regressions } = self.sizes;
+        let before = self.place.before;
+        let PhaseReduction { reduction, terminal, inherited } = piece;
+        let check = |what: &str, numbers: &[f64], found: (usize, usize), expected: (usize, usize)| {
+            if found != expected {
+                return Err(refuse(id, what, ReduceErrorKind::Shape { found, expected }));
+            }
+            let finite = numbers.iter().all(|x| x.is_finite());
+            if finite { Ok(()) } else { Err(refuse(id, what, ReduceErrorKind::NotFinite)) }
+        };
+        let row =
+            |what: &str, numbers: &[f64], expected: usize| check(what, numbers, (numbers.len(), 1), (expected, 1));
+        let matrix = |what: &str, found: &DMatrix<f64>, rows: usize, columns: usize| {
+            check(what, found.as_slice(), found.shape(), (rows, columns))
+        };
+        row("constant of the reduction", &[reduction.constant], 1)?;
+        row("data of the reduction", &reduction.data, q)?;
+        row("factor of the reduction", &reduction.factor, q * (q + 1) / 2)?;
+        row("covariates of the reduction", &reduction.covariates, regressions)?;
+        if let Some(value) = (0..q).map(|k| reduction.factor[k * (k + 3) / 2]).find(|diagonal| *diagonal < 0.0) {
+            return Err(refuse(id, "factor of the reduction", ReduceErrorKind::NegativeDiagonal { value }));
+        }
+        if let Some(terminal) = terminal {
+            row("mean of the last state", terminal.mean.as_slice(), n)?;
+            matrix("sensitivity of the last state", &terminal.sensitivity, n, q)?;
+            matrix("covariance root of the last state", &terminal.root, n, terminal.root.ncols())?;
+        } else if linked {
+            return Err(refuse(id, WHOLE, ReduceErrorKind::Absent { what: "last state" }));
+        }
+        match (inherited, before) {
+            (Some(inherited), Some(before)) => {
+                matrix("transition from the phase before", &inherited.transition, q, before)?;
+                row("input from the phase before", inherited.input.as_slice(), q)?;
+            }
+            (None, Some(_)) => {
+                let kind = ReduceErrorKind::Absent { what: "transition from the phase before" };
+                return Err(refuse(id, WHOLE, kind));
+            }
+            (Some(inherited), None) => {
+                matrix("transition from the phase before", &inherited.transition, 0, 0)?;
+            }
+            (None, None) => {}
+        }
+        Ok(Part {
+            reduction: Cow::Borrowed(reduction),
+            ending: terminal.as_ref().map_or(Ending::None, |terminal| Ending::Known(Cow::Borrowed(terminal))),
+            inherited: inherited.as_ref().filter(|_| before.is_some()).map(Cow::Borrowed),
+        })
+    }
+}
+
+impl Part<'_> {
+    /// The phase by itself.
+    pub(crate) fn into_piece(self) -> PhaseReduction {
+        let terminal = match self.ending {
+            Ending::None => None,
+            Ending::Class(mean, class) => {
+                let end = class.end().expect("it was looked at");
+                Some(Terminal { mean, sensitivity: end.sensitivity.clone(), root: end.root.clone() })
+            }
+            Ending::Known(terminal) => Some(terminal.into_owned()),
+        };
+        let inherited = self.inherited.map(Cow::into_owned);
+        PhaseReduction { reduction: self.reduction.into_owned(), terminal, inherited }
+    }
+
+    /// What a later phase inherits.
+    pub(crate) fn inherits(&self) -> &Inherited {
+        self.inherited.as_ref().expect("a later phase inherits")
+    }
+
+    /// With g of the link that leads here.
+    pub(crate) fn data<'b>(&'b self, mean: Option<&'b DVector<f64>>) -> StackData<'b> {
+        StackData { constant: self.reduction.constant, data: &self.reduction.data, mean }
+    }
+}
+
+impl Ending<'_> {
+    /// x̂_K of a phase that another follows.
+    pub(crate) fn mean(&self) -> &DVector<f64> {
+        match self {
+            Ending::None => unreachable!("a phase that another follows has an end"),
+            Ending::Class(mean, _) => mean,
+            Ending::Known(terminal) => &terminal.mean,
+        }
+    }
+
+    /// Ψ_K and a root of P_K of a phase that another follows.
+    pub(crate) fn design(&self) -> (&DMatrix<f64>, &DMatrix<f64>) {
+        match self {
+            Ending::None => unreachable!("a phase that another follows has an end"),
+            Ending::Class(_, class) => {
+                let end = class.end().expect("it was looked at");
+                (&end.sensitivity, &end.root)
+            }
+            Ending::Known(terminal) => (&terminal.sensitivity, &terminal.root),
+        }
+    }
+}
+
+/// Says of which phase an error is.
+fn of_phase(name: Option<&str>, error: ReduceError) -> ReduceError {
+    let Some(name) = name else { return error };
+    let what =
+        if error.what == WHOLE { format!("phase `{name}`") } else { format!("{} of phase `{name}`", error.what) };
+    ReduceError { what, ..error }
+}
+
+/// An error of a test.
+pub(crate) fn refuse(test: &str, what: &str, kind: ReduceErrorKind) -> ReduceError {
+    ReduceError { test: Some(test.to_owned()), row: None, what: what.to_owned(), kind: Box::new(kind) }
+}

@@ -1,0 +1,299 @@
+//! Tests in phases → reductions: each phase by its own filter, then all of them together (theory §7).
+
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+
+use crate::model::{Alpha, Model, PhasedModel};
+use crate::reduce::digest::Digest;
+use crate::reduce::error::{ReduceError, ReduceErrorKind};
+use crate::reduce::part::{Part, PhaseReducer, Place, refuse};
+use crate::reduce::prepare::Workspace;
+use crate::reduce::reducer::{Reducer, Work};
+use crate::reduce::shared::Shared;
+use crate::reduce::stack::{Stack, StackData, StackKey, StackPhase};
+use crate::reduce::steps::Cells;
+use crate::reduce::subject::WHOLE;
+use crate::reduce::{Chain, ChainPhase, Evidence, Inherited, Link, Path, PhaseReduction, PhasedTest, Reduction};
+use crate::score::Slots;
+
+/// Bytes of rotations that are kept: tests whose phases have one design each share them while they fit.
+const STACK_BYTES: usize = 128 << 20;
+
+/// Reduces the tests of a model in phases at α.
+///
+/// As a [`Reducer`], it keeps what tests share from call to call, and what it returns does not depend on that, nor on threads,
+/// batches or the order of the tests.
+#[derive(Debug)]
+pub struct PhasedReducer {
+    phases: Vec<PhaseReducer>,
+    stacks: Shared<StackKey, Stack>,
+    /// Σ p_i.
+    dimension: usize,
+    /// Regressions of all phases.
+    regressions: usize,
+}
+
+/// Work space for all passes over a test.
+#[derive(Debug)]
+pub(crate) struct PhasedWork {
+    /// That of each phase.
+    pub(crate) phases: Vec<Workspace>,
+    /// Room for what a carry is evaluated on.
+    pub(crate) cells: Cells,
+}
+
+impl PhasedReducer {
+    /// A reducer of a model at α. An error when some coefficient has no value, whatever the data.
+    pub fn new(model: &PhasedModel, alpha: &Alpha) -> Result<PhasedReducer, ReduceError> {
+        PhasedReducer::made(model, alpha, &|model| Reducer::new(model, alpha))
+    }
+
+    /// A reducer for scores: no coefficient that depends on free values is left out for being zero at this α.
+    pub(crate) fn scoring(model: &PhasedModel, alpha: &Alpha, slots: &Slots) -> Result<PhasedReducer, ReduceError> {
+        PhasedReducer::made(model, alpha, &|model| Reducer::scoring(model, alpha, slots))
+    }
+
+    fn made(
+        model: &PhasedModel,
+        alpha: &Alpha,
+        reducer: &dyn Fn(&Model) -> Result<Reducer, ReduceError>,
+    ) -> Result<PhasedReducer, ReduceError> {
+        let last = model.phases.len() - 1;
+        let phase = |at: usize| -> Result<PhaseReducer, ReduceError> {
+            let place = Place {
+                name: (!model.is_single()).then(|| model.phases[at].name.clone()),
+                before: at.checked_sub(1).map(|at| model.phases[at].model.states.len()),
+                followed: at < last,
+            };
+            PhaseReducer::new((&model.phases[at], alpha), place, reducer)
+        };
+        Ok(PhasedReducer {
+            phases: (0..=last).map(phase).collect::<Result<_, _>>()?,
+            stacks: Shared::new(STACK_BYTES),
+            dimension: model.dimension(),
+            regressions: model.phases.iter().map(|phase| phase.model.mean.regression.len()).sum(),
+        })
+    }
+
+    /// Every step of every record in full, gains that no longer change too: to compare with, in tests and benchmarks.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn unfrozen(mut self) -> PhasedReducer {
+        self.phases = self.phases.into_iter().map(PhaseReducer::unfrozen).collect();
+        self
+    }
+
+    /// The phases, in order.
+    pub(crate) fn phases(&self) -> &[PhaseReducer] {
+        &self.phases
+    }
+
+    /// Work space for all passes.
+    pub(crate) fn workspace(&self) -> PhasedWork {
+        let phases = self.phases.iter().map(|phase| phase.reducer.workspace()).collect();
+        PhasedWork { phases, cells: Cells::default() }
+    }
+
+    /// What has been done so far, over all phases.
+    pub fn work(&self) -> Work {
+        let add = |sum: Work, phase: &PhaseReducer| {
+            let one = phase.reducer.work();
+            Work {
+                design_runs: sum.design_runs + one.design_runs,
+                root_runs: sum.root_runs + one.root_runs,
+                data_runs: sum.data_runs + one.data_runs,
+                transitions: sum.transitions + one.transitions,
+            }
+        };
+        self.phases.iter().fold(Work::default(), add)
+    }
+
+    /// The reductions of tests, in their order: over (ξ_1, …, ξ_I), P = Σ p_i numbers, zero rows and columns for phases that a
+    /// test lacks, with the [`Chain`] where the model has several phases.
+    ///
+    /// # Errors
+    /// Of several tests in error, the first one's error; of several phases, the first one's.
+    pub fn reduce(&mut self, tests: &[PhasedTest]) -> Result<Vec<Reduction>, ReduceError> {
+        self.each(tests, &|test, work| self.one(test, work))
+    }
+
+    /// The phases of tests, each by itself in its entering coordinates.
+    ///
+    /// # Errors
+    /// As [`PhasedReducer::reduce`].
+    pub fn pieces(&mut self, tests: &[PhasedTest]) -> Result<Vec<Vec<PhaseReduction>>, ReduceError> {
+        self.each(tests, &|test, work| Ok(self.parts(test, work, false)?.into_iter().map(Part::into_piece).collect()))
+    }
+
+    /// The phases of one test, as [`PhasedReducer::pieces`].
+    pub(crate) fn pieces_of(
+        &self,
+        test: &PhasedTest,
+        work: &mut PhasedWork,
+    ) -> Result<Vec<PhaseReduction>, ReduceError> {
+        Ok(self.parts(test, work, false)?.into_iter().map(Part::into_piece).collect())
+    }
+
+    /// Phases of tests one by one, whether the phases before them are known or not: (id of the test, phase, what is known of it).
+    ///
+    /// # Errors
+    /// Of several in error, the first one's error.
+    pub fn each_piece(&mut self, phases: &[(&str, usize, &Evidence)]) -> Result<Vec<PhaseReduction>, ReduceError> {
+        let this = &*self;
+        let one = |work: &mut PhasedWork, &(id, at, evidence): &(&str, usize, &Evidence)| {
+            let room = (&mut work.phases[at], &mut work.cells);
+            this.phases[at].part((id, evidence), room, (false, false)).map(Part::into_piece)
+        };
+        let all: Vec<Result<PhaseReduction, ReduceError>> =
+            phases.par_iter().map_init(|| this.workspace(), one).collect();
+        all.into_iter().collect()
+    }
+
+    /// The reductions of designs: information and covariates as in [`PhasedReducer::reduce`], from times, inputs and which
+    /// values are missing. What was measured is not looked at; `data` and `constant` are zero, and there is no chain.
+    ///
+    /// # Errors
+    /// As [`PhasedReducer::reduce`].
+    pub fn reduce_designs(&mut self, tests: &[PhasedTest]) -> Result<Vec<Reduction>, ReduceError> {
+        self.each(tests, &|test, work| {
+            let mut reduction = self.whole(test, self.parts(test, work, true)?)?;
+            reduction.constant = 0.0;
+            reduction.data.fill(0.0);
+            reduction.chain = None;
+            Ok(reduction)
+        })
+    }
+
+    fn each<T: Send>(
+        &self,
+        tests: &[PhasedTest],
+        one: &(dyn Fn(&PhasedTest, &mut PhasedWork) -> Result<T, ReduceError> + Sync),
+    ) -> Result<Vec<T>, ReduceError> {
+        let all: Vec<Result<T, ReduceError>> =
+            tests.par_iter().map_init(|| self.workspace(), |work, test| one(test, work)).collect();
+        all.into_iter().collect()
+    }
+
+    /// The reduction of one test.
+    pub(crate) fn one(&self, test: &PhasedTest, work: &mut PhasedWork) -> Result<Reduction, ReduceError> {
+        if let ([phase], [Evidence::Rows(rows)]) = (&*self.phases, &*test.phases)
+            && phase.is_optimal()
+        {
+            return phase.reducer.one(rows, &mut work.phases[0]).map(|(reduction, _)| reduction);
+        }
+        self.whole(test, self.parts(test, work, false)?)
+    }
+
+    /// The phases of a test by themselves; of `designs`, nothing that was measured.
+    fn parts<'a>(
+        &'a self,
+        test: &'a PhasedTest,
+        work: &mut PhasedWork,
+        designs: bool,
+    ) -> Result<Vec<Part<'a>>, ReduceError> {
+        let (found, expected) = (test.phases.len(), self.phases.len());
+        if found == 0 {
+            return Err(refuse(&test.id, WHOLE, ReduceErrorKind::NoRows));
+        }
+        if found > expected {
+            return Err(refuse(&test.id, WHOLE, ReduceErrorKind::TooManyPhases { found, expected }));
+        }
+        let part = |(at, evidence): (usize, &'a Evidence)| {
+            let room = (&mut work.phases[at], &mut work.cells);
+            self.phases[at].part((&test.id, evidence), room, (designs, at + 1 < found))
+        };
+        test.phases.iter().enumerate().map(part).collect()
+    }
+
+    /// All phases of a test together.
+    fn whole(&self, test: &PhasedTest, parts: Vec<Part<'_>>) -> Result<Reduction, ReduceError> {
+        if self.phases.len() == 1 {
+            let only = parts.into_iter().next().expect("a test has a phase");
+            return Ok(Reduction { test: test.id.clone(), chain: None, ..only.reduction.into_owned() });
+        }
+        let keys: Vec<StackPhase<'_>> = parts.iter().enumerate().map(|(at, _)| self.key(&parts, at)).collect();
+        let design = digest(&parts);
+        let entry = self.stacks.get(
+            design,
+            |known| known.same(&keys),
+            || StackKey::new(&keys),
+            Stack::new,
+            |key, stack| key.bytes() + stack.bytes(),
+        );
+        let stack = entry.value();
+        let means: Vec<Option<DVector<f64>>> = (0..parts.len()).map(|at| link_mean(&parts, at)).collect();
+        let (constant, data) = {
+            let each = parts.iter().zip(&means);
+            let data: Vec<StackData<'_>> = each.map(|(part, mean)| part.data(mean.as_ref())).collect();
+            stack.data(&data)
+        };
+        let finite = |numbers: &[f64]| numbers.iter().all(|x| x.is_finite());
+        if !constant.is_finite() || !finite(&data) || !finite(&stack.factor) {
+            return Err(refuse(&test.id, WHOLE, ReduceErrorKind::NotFinite));
+        }
+        let mut reduction = Reduction {
+            test: test.id.clone(),
+            constant,
+            data,
+            factor: stack.factor.clone(),
+            covariates: parts.iter().flat_map(|part| part.reduction.covariates.iter().copied()).collect(),
+            steps: parts.iter().map(|part| part.reduction.steps).sum(),
+            observations: parts.iter().map(|part| part.reduction.observations).sum(),
+            path: path(&parts),
+            design,
+            chain: None,
+        };
+        // Phases that the test lacks come last: they say nothing.
+        reduction.data.resize(self.dimension, 0.0);
+        reduction.factor.resize(self.dimension * (self.dimension + 1) / 2, 0.0);
+        reduction.covariates.resize(self.regressions, 0.0);
+        reduction.chain = Some(Box::new(self.chain(parts, means, stack)));
+        Ok(reduction)
+    }
+
+    /// What stacking depends on of the phase with this number.
+    fn key<'a>(&self, parts: &'a [Part<'_>], at: usize) -> StackPhase<'a> {
+        let link = at.checked_sub(1).map(|before| {
+            let (sensitivity, root) = parts[before].ending.design();
+            [sensitivity, root, &parts[at].inherits().transition]
+        });
+        StackPhase { own: self.phases[at].own, factor: &parts[at].reduction.factor, link }
+    }
+
+    fn chain(&self, parts: Vec<Part<'_>>, means: Vec<Option<DVector<f64>>>, stack: &Stack) -> Chain {
+        let links = std::iter::once(None).chain(stack.links.iter().map(Some));
+        let phase = |(((part, mean), link), phase): (((Part<'_>, _), _), &PhaseReducer)| {
+            let link = Option::zip(mean, link).map(|(mean, link): (DVector<f64>, &(DMatrix<f64>, DMatrix<f64>))| {
+                Link { mean, sensitivity: link.0.clone(), root: link.1.clone() }
+            });
+            let Reduction { constant, data, factor, path, .. } = part.reduction.into_owned();
+            ChainPhase { own: phase.own, constant, data, factor, path, link }
+        };
+        Chain { phases: parts.into_iter().zip(means).zip(links).zip(&self.phases).map(phase).collect() }
+    }
+}
+
+/// g = T x̂_K + t of the link to the phase with this number.
+fn link_mean(parts: &[Part<'_>], at: usize) -> Option<DVector<f64>> {
+    let mean = parts[at.checked_sub(1)?].ending.mean();
+    let Inherited { transition, input } = parts[at].inherits();
+    Some(transition * mean + input)
+}
+
+/// Digest of all that the stacked design depends on.
+fn digest(parts: &[Part<'_>]) -> u128 {
+    let mut digest = Digest::new();
+    for part in parts {
+        digest.wide(part.reduction.design);
+        if let Some(inherited) = &part.inherited {
+            digest.count(inherited.transition.nrows());
+            digest.numbers(inherited.transition.as_slice());
+        }
+    }
+    digest.finish()
+}
+
+fn path(parts: &[Part<'_>]) -> Path {
+    let square_root = parts.iter().any(|part| part.reduction.path == Path::SquareRoot);
+    if square_root { Path::SquareRoot } else { Path::Information }
+}

@@ -1,0 +1,35 @@
+//! Parts of a test that suboptimal estimates need apart from the rest: how it starts, and the constants d of its measurements.
+
+use crate::ensemble::Test;
+use crate::reduce::error::ReduceErrorKind;
+use crate::reduce::prepare::{Preparer, Workspace};
+use crate::reduce::steps::Span;
+use crate::reduce::subject::{Fault, Subject};
+
+impl Preparer {
+    /// a, P0 and covariates of a test of which only the columns constant within it are known, in one row. They go to the work
+    /// space as [`Preparer::prepare`] puts them there; nothing else of it is of use then. The length of the first step is not known.
+    pub(crate) fn open(&self, constants: &Test, work: &mut Workspace) -> Result<(), Box<Fault>> {
+        let at = self.at();
+        if constants.rows() == 0 {
+            return Err(Fault::new(Subject::Test, ReduceErrorKind::NoRows));
+        }
+        work.design.clear();
+        work.data.clear();
+        work.whole.gather(&at, constants, 0..1, (&self.start.uses, true))?;
+        work.spans.clear();
+        work.spans.push(Span { rows: 0..1, count: 1, dt: f64::NAN, moves: true });
+        self.covariates(&at, work)?;
+        self.begin(&at, constants, work)
+    }
+
+    /// d of each scalar measurement of the test in the work space.
+    pub(crate) fn measured_constants(&self, test: &Test, work: &Workspace) -> Result<Vec<f64>, Box<Fault>> {
+        let mut constants = Vec::with_capacity(work.instances.len());
+        for (k, step) in work.design.each_step().enumerate() {
+            let instances = work.instances.of(step.rows);
+            self.meters.constants(&self.at(), test, (&instances, work.dt(k)), &mut constants)?;
+        }
+        Ok(constants)
+    }
+}

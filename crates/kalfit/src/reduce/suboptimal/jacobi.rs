@@ -1,0 +1,100 @@
+//! Singular values by plane rotations from one side (Hestenes 1958): small ones keep their digits.
+
+use nalgebra::DMatrix;
+
+/// Sweeps over all pairs after which it has converged, or never will.
+const SWEEPS: usize = 60;
+
+/// A = U Λ V'.
+#[derive(Debug, Clone)]
+pub(super) struct Singular {
+    /// U, m × m, orthogonal.
+    pub(super) left: DMatrix<f64>,
+    /// A'U = VΛ, c × m: its columns are orthogonal.
+    pub(super) image: DMatrix<f64>,
+    /// Λ, the lengths of these columns, in descending order.
+    pub(super) values: Vec<f64>,
+}
+
+impl Singular {
+    /// Of A, m × c.
+    pub(super) fn of(a: &DMatrix<f64>) -> Singular {
+        let m = a.nrows();
+        let (mut image, mut left) = (a.transpose(), DMatrix::identity(m, m));
+        for _ in 0..SWEEPS {
+            let mut turned = false;
+            for i in 0..m {
+                for j in i + 1..m {
+                    turned |= turn(&mut image, &mut left, (i, j));
+                }
+            }
+            if !turned {
+                break;
+            }
+        }
+        let length: Vec<f64> = (0..m).map(|k| image.column(k).norm()).collect();
+        let mut order: Vec<usize> = (0..m).collect();
+        order.sort_by(|&i, &j| length[j].total_cmp(&length[i]));
+        Singular {
+            left: left.select_columns(&order),
+            image: image.select_columns(&order),
+            values: order.iter().map(|&k| length[k]).collect(),
+        }
+    }
+
+    /// Number of values above this part of the largest.
+    pub(super) fn rank(&self, part: f64) -> usize {
+        let floor = self.values.first().map_or(0.0, |largest| part * largest);
+        self.values.iter().filter(|value| **value > floor).count()
+    }
+}
+
+/// Makes columns i and j orthogonal; false where they are.
+fn turn(image: &mut DMatrix<f64>, left: &mut DMatrix<f64>, (i, j): (usize, usize)) -> bool {
+    let (a, b) = (image.column(i).norm_squared(), image.column(j).norm_squared());
+    let product = image.column(i).dot(&image.column(j));
+    if product.abs() <= 2.0 * f64::EPSILON * a.sqrt() * b.sqrt() {
+        return false;
+    }
+    let zeta = (b - a) / (2.0 * product);
+    let t = zeta.signum() / (zeta.abs() + zeta.hypot(1.0));
+    let c = t.hypot(1.0).recip();
+    let s = c * t;
+    for matrix in [image, left] {
+        for row in 0..matrix.nrows() {
+            let (x, y) = (matrix[(row, i)], matrix[(row, j)]);
+            (matrix[(row, i)], matrix[(row, j)]) = (c * x - s * y, s * x + c * y);
+        }
+    }
+    true
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn singular_matrices_come_apart_into_orthogonal_directions() {
+        // rows: independent, their sum, a tiny one, none
+        let a = DMatrix::from_row_slice(
+            5,
+            3,
+            &[3.0, 1.0, 0.0, 1.0, -2.0, 0.0, 4.0, -1.0, 0.0, 0.0, 0.0, 1e-9, 0.0, 0.0, 0.0],
+        );
+        let found = Singular::of(&a);
+        let back = &found.left * found.image.transpose();
+        let (off, turned) =
+            ((&back - &a).amax(), (found.left.transpose() * &found.left - DMatrix::identity(5, 5)).amax());
+        assert!(off < 1e-15 * 10.0 && turned < 1e-14, "{off:e} {turned:e}");
+        assert_eq!((found.rank(1e-10), found.rank(1e-8)), (3, 2), "{:?}", found.values);
+        assert!((found.values[2] / 1e-9 - 1.0).abs() < 1e-14, "{:?}", found.values);
+    }
+
+    #[test]
+    fn nothing_has_no_directions() {
+        let found = Singular::of(&DMatrix::zeros(0, 0));
+        assert_eq!((found.values.len(), found.rank(1e-10)), (0, 0));
+        assert_eq!(Singular::of(&DMatrix::zeros(3, 2)).rank(1e-10), 0);
+        assert_eq!(Singular::of(&DMatrix::zeros(3, 0)).rank(1e-10), 0);
+    }
+}

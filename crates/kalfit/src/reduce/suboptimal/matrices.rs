@@ -1,0 +1,111 @@
+//! A prepared test as matrices, states in the order of the model.
+#![expect(non_snake_case, reason = "the letters of the theory: M, Q, R")]
+
+use nalgebra::DMatrix;
+
+use crate::reduce::design::{Step, Transition};
+use crate::reduce::error::ReduceErrorKind;
+use crate::reduce::prepare::{Preparer, Workspace};
+use crate::reduce::semidefinite::{NotSemidefinite, root};
+
+/// The test in a work space whose measurements are not whitened.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Matrices<'a> {
+    work: &'a Workspace,
+    /// State of the model at each place of the kernels.
+    states: &'a [usize],
+}
+
+impl<'a> Matrices<'a> {
+    pub(super) fn new(preparer: &'a Preparer, work: &'a Workspace) -> Matrices<'a> {
+        Matrices { work, states: &preparer.order.states }
+    }
+
+    /// φ and Q, n × n.
+    pub(super) fn motion(&self, transition: &Transition) -> (DMatrix<f64>, DMatrix<f64>) {
+        let n = self.states.len();
+        let (mut phi, mut Q) = (DMatrix::identity(n, n), DMatrix::zeros(n, n));
+        for row in &transition.pattern.moved {
+            let i = self.states[row.state as usize];
+            phi[(i, i)] = 0.0;
+            for at in row.start as usize..row.end as usize {
+                phi[(i, self.states[transition.pattern.columns[at] as usize])] = transition.phi[at];
+            }
+        }
+        for (&(i, j), &q) in transition.pattern.pairs.iter().zip(&transition.q) {
+            let (i, j) = (self.states[i as usize], self.states[j as usize]);
+            Q[(i, j)] += q;
+            if i != j {
+                Q[(j, i)] += q;
+            }
+        }
+        (phi, Q)
+    }
+
+    /// M of a step, m × n.
+    pub(super) fn measurement(&self, step: &Step<'_>) -> DMatrix<f64> {
+        let mut M = DMatrix::zeros(step.rows.len(), self.states.len());
+        for (i, line) in step.lines.clone().enumerate() {
+            let (states, h) = self.work.design.terms(line);
+            for (&state, &h) in states.iter().zip(h) {
+                M[(i, self.states[state as usize])] = h;
+            }
+        }
+        M
+    }
+
+    /// R of a step, m × m.
+    pub(super) fn noise(&self, step: &Step<'_>) -> DMatrix<f64> {
+        let m = step.rows.len();
+        let mut R = DMatrix::zeros(m, m);
+        for (i, line) in step.lines.clone().enumerate() {
+            R[(i, i)] = self.work.design.noise[line];
+        }
+        let covariances = self.work.covariances.as_deref().unwrap_or_default();
+        // those of one step stand together, step after step
+        let begin = covariances.partition_point(|&(i, ..)| i < step.rows.start);
+        for &(i, j, value) in covariances[begin..].iter().take_while(|(i, ..)| *i < step.rows.end) {
+            let (i, j) = (i - step.rows.start, j - step.rows.start);
+            R[(i, j)] += value;
+            R[(j, i)] += value;
+        }
+        R
+    }
+}
+
+/// F with FF' = `a`, positive semidefinite, m × m; its columns of zeros are left out.
+pub(super) fn root_of(a: &DMatrix<f64>) -> Result<DMatrix<f64>, NotSemidefinite> {
+    let m = a.nrows();
+    // symmetric, so rows and columns may change places
+    let U = root(a.as_slice(), m)?;
+    let kept: Vec<usize> = (0..m).filter(|k| U[k * m..][..m].iter().any(|x| *x != 0.0)).collect();
+    Ok(DMatrix::from_fn(m, kept.len(), |i, k| U[kept[k] * m + i]))
+}
+
+/// A root may have so many times its rows of columns before it is folded.
+const SPARE: usize = 3;
+
+/// Appends columns to a root, rows from `first` on: independent noise that is added.
+pub(super) fn append(root: &mut DMatrix<f64>, first: usize, noise: &DMatrix<f64>) {
+    if noise.ncols() == 0 {
+        return;
+    }
+    if root.ncols() + noise.ncols() > SPARE * root.nrows() {
+        fold(root);
+    }
+    let columns = root.ncols();
+    let old = std::mem::replace(root, DMatrix::zeros(0, 0));
+    *root = old.resize_horizontally(columns + noise.ncols(), 0.0);
+    root.view_mut((first, columns), noise.shape()).copy_from(noise);
+}
+
+/// A root with at most as many columns as rows, by an orthogonal transformation. Rows of zeros stay so.
+pub(super) fn fold(root: &mut DMatrix<f64>) {
+    if root.ncols() > root.nrows() && root.nrows() > 0 {
+        *root = root.transpose().qr().r().transpose();
+    }
+}
+
+pub(super) fn not_semidefinite(bad: NotSemidefinite) -> ReduceErrorKind {
+    ReduceErrorKind::NotSemidefinite { left: bad.left, variance: bad.variance }
+}

@@ -1,0 +1,252 @@
+//! Scores and complete data of tests in phases: each phase by its own passes, which begin from what all phases say.
+//!
+//! ```text
+//! phases of a test ── smoother ──> moments of σ_i, adjoints of x_K ── backward of phase i ──> dℓ/dα
+//!                             └──> ∂ℓ/∂T, ∂ℓ/∂t ── carry of phase i ──> dℓ/dα
+//! ```
+//!
+//! Phases that are known by estimates or by a reduction have no part in it.
+
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeMap;
+
+use rayon::prelude::*;
+
+use crate::ensemble::Test;
+use crate::estimate::InitialLaw;
+use crate::model::{EvaluationError, PhasedModel, Tape};
+use crate::reduce::{Evidence, Fault, Inherits, PhasedReducer, PhasedTest, PhasedWork, ReduceError, Reduction, Shared};
+use crate::score::backward::BackwardWork;
+use crate::score::chain::{Adjoints, Gradient};
+use crate::score::complete::Complete;
+use crate::score::moments::moments;
+use crate::score::smoother::{InheritedBar, PhaseLaws, Plan, PlanKey, Smooth};
+use crate::score::{Scorer, Slots};
+
+/// Bytes of smoothers that are kept: tests of one design share one while they fit.
+const PLAN_BYTES: usize = 64 << 20;
+
+/// Smoothers by design, under one law.
+type Plans = Shared<PlanKey, Plan>;
+
+/// Scores of tests in phases at the α of a reducer.
+#[derive(Debug)]
+pub(crate) struct PhasedScorer<'a> {
+    model: &'a PhasedModel,
+    reducer: &'a PhasedReducer,
+    slots: &'a Slots,
+    phases: Vec<Scorer<'a>>,
+    /// Coefficients of each phase's carry that depend on free values.
+    carries: Vec<Vec<&'a Inherits>>,
+}
+
+/// Moments of the complete data of a test, phase by phase; `None` for phases that have no rows to filter.
+pub(crate) type PhasedComplete = Vec<Option<Complete>>;
+
+/// What one thread works with.
+struct Room<'a> {
+    work: PhasedWork,
+    backward: BackwardWork,
+    adjoints: Vec<Adjoints<'a>>,
+    tape: Tape,
+}
+
+impl<'a> PhasedScorer<'a> {
+    /// `reducer` must know the slots ([`PhasedReducer::scoring`]).
+    pub(crate) fn new(
+        model: &'a PhasedModel,
+        reducer: &'a PhasedReducer,
+        slots: &'a Slots,
+    ) -> Result<PhasedScorer<'a>, ReduceError> {
+        let phases = reducer.phases().iter().map(|phase| Scorer::new(&phase.reducer, slots));
+        let free = |phase: &'a crate::reduce::PhaseReducer| -> Vec<&'a Inherits> {
+            let at = phase.reducer.preparer().at();
+            let depends = |term: &&Inherits| term.coefficient.source().is_some_and(|(e, _)| at.depends(e));
+            phase.inheritance.iter().flat_map(|inheritance| &inheritance.terms).filter(depends).collect()
+        };
+        let carries = reducer.phases().iter().map(free).collect();
+        Ok(PhasedScorer { model, reducer, slots, phases: phases.collect::<Result<_, _>>()?, carries })
+    }
+
+    /// dℓ_j/dα of each test through the phases that are filtered here. `reductions`: theirs; `law`: that of ξ.
+    pub(crate) fn scores(
+        &self,
+        tests: &[PhasedTest],
+        reductions: &[Reduction],
+        law: &InitialLaw,
+    ) -> Result<Vec<Gradient>, ReduceError> {
+        let plans = Shared::new(PLAN_BYTES);
+        self.each(tests, reductions, |room, (test, reduction)| self.one(test, reduction, (law, &plans), room))
+    }
+
+    /// Moments of the complete data of each test (the E-step).
+    pub(crate) fn all_complete(
+        &self,
+        tests: &[PhasedTest],
+        reductions: &[Reduction],
+        law: &InitialLaw,
+    ) -> Result<Vec<PhasedComplete>, ReduceError> {
+        let plans = Shared::new(PLAN_BYTES);
+        self.each(tests, reductions, |room, (test, reduction)| self.complete(test, reduction, (law, &plans), room))
+    }
+
+    /// The expected log-likelihood of the complete data of each test and its gradient, at the α of the reducer; `None` where
+    /// the complete data of some test could not have come about.
+    pub(crate) fn all_expected(
+        &self,
+        tests: &[PhasedTest],
+        complete: &[PhasedComplete],
+    ) -> Result<Option<Vec<(f64, Gradient)>>, ReduceError> {
+        let all = self.each(tests, complete, |room, (test, complete)| self.expected(test, complete, room))?;
+        Ok(all.into_iter().collect())
+    }
+
+    fn each<X: Sync, T: Send>(
+        &self,
+        tests: &[PhasedTest],
+        with: &[X],
+        one: impl Fn(&mut Room<'_>, (&PhasedTest, &X)) -> Result<T, ReduceError> + Sync,
+    ) -> Result<Vec<T>, ReduceError> {
+        let room = || Room {
+            work: self.reducer.workspace(),
+            backward: BackwardWork::default(),
+            adjoints: self.phases.iter().map(|phase| phase.chain.adjoints()).collect(),
+            tape: Tape::default(),
+        };
+        let all: Vec<Result<T, ReduceError>> =
+            tests.par_iter().zip(with).map_init(room, |room, pair| one(room, pair)).collect();
+        all.into_iter().collect()
+    }
+
+    /// The rows of a phase that is filtered here.
+    fn rows<'t>(&self, at: usize, evidence: &'t Evidence) -> Option<&'t Test> {
+        match evidence {
+            Evidence::Rows(test) if self.model.phases[at].filter.is_none() => Some(test),
+            _ => None,
+        }
+    }
+
+    /// What the passes through each phase of a test begin from.
+    fn begin(
+        &self,
+        test: &PhasedTest,
+        reduction: &Reduction,
+        (law, plans): (&InitialLaw, &Plans),
+        work: &mut PhasedWork,
+    ) -> Result<Vec<Smooth>, ReduceError> {
+        if self.model.is_single() {
+            return Ok(vec![Smooth { moments: moments(reduction, law), ..Smooth::default() }]);
+        }
+        let pieces = self.reducer.pieces_of(test, work)?;
+        let laws = PhaseLaws::new(law, &self.model.ranges(), &reduction.covariates);
+        let entry = plans.get(
+            reduction.design,
+            |known| known.same(&pieces, &laws),
+            || PlanKey::new(&pieces, &laws),
+            |_| Plan::new(&pieces, &laws),
+            |_, plan| 2 * plan.bytes(),
+        );
+        Ok(entry.value().smooth(&pieces, &laws))
+    }
+
+    fn one(
+        &self,
+        test: &PhasedTest,
+        reduction: &Reduction,
+        law: (&InitialLaw, &Plans),
+        room: &mut Room<'_>,
+    ) -> Result<Gradient, ReduceError> {
+        let phases = self.begin(test, reduction, law, &mut room.work)?;
+        let mut sum = BTreeMap::new();
+        for (at, (evidence, smooth)) in test.phases.iter().zip(&phases).enumerate() {
+            let Some(rows) = self.rows(at, evidence) else { continue };
+            let scorer = &self.phases[at];
+            let ending = smooth.later.as_ref().map(|later| scorer.ending(later));
+            let work = (&mut room.work.phases[at], &mut room.backward, &mut room.adjoints[at]);
+            let gradient = scorer.one(rows, (&smooth.moments, ending.as_ref()), work);
+            let gradient = gradient.map_err(|error| self.reducer.phases()[at].named(error))?;
+            if self.model.is_single() {
+                return Ok(gradient);
+            }
+            gradient.into_iter().for_each(|(slot, bar)| *sum.entry(slot).or_insert(0.0) += bar);
+            if let Some(bar) = &smooth.inherited {
+                self.carried((at, rows), bar, room, &mut sum)?;
+            }
+        }
+        Ok(sum.into_iter().collect())
+    }
+
+    /// Through the coefficients of the carry of a phase.
+    fn carried(
+        &self,
+        (at, rows): (usize, &Test),
+        bar: &InheritedBar,
+        room: &mut Room<'_>,
+        sum: &mut BTreeMap<usize, f64>,
+    ) -> Result<(), ReduceError> {
+        let phase = &self.reducer.phases()[at];
+        let (Some(inheritance), false) = (&phase.inheritance, self.carries[at].is_empty()) else { return Ok(()) };
+        let own = phase.reducer.preparer().at();
+        let named = |fault: Box<Fault>| phase.named(fault.name(own.model, Some(rows)));
+        let scope = inheritance.scope(&own, rows, &mut room.work.cells).map_err(named)?;
+        for term in &self.carries[at] {
+            let seed = match term.from {
+                Some(state) => bar.transition[(term.row, state)],
+                None => bar.input[term.row],
+            };
+            let (expression, subject) = term.coefficient.source().expect("it depends on free values");
+            let mut finite = true;
+            let sink = &mut |parameter: usize, x: f64| {
+                if let Some(slot) = self.slots.find(parameter, scope.texts) {
+                    finite &= x.is_finite();
+                    *sum.entry(slot).or_insert(0.0) += x;
+                }
+            };
+            let done = expression.differentiate(seed, &scope, &mut room.tape, sink);
+            let done = done.and(if finite { Ok(0.0) } else { Err(EvaluationError::NotFinite) });
+            own.finite(done, subject).map_err(|fault| named(fault.on(0)))?;
+        }
+        Ok(())
+    }
+
+    fn complete(
+        &self,
+        test: &PhasedTest,
+        reduction: &Reduction,
+        law: (&InitialLaw, &Plans),
+        room: &mut Room<'_>,
+    ) -> Result<PhasedComplete, ReduceError> {
+        let phases = self.begin(test, reduction, law, &mut room.work)?;
+        let one = |(at, (evidence, smooth)): (usize, (&Evidence, &Smooth))| {
+            let Some(rows) = self.rows(at, evidence) else { return Ok(None) };
+            let scorer = &self.phases[at];
+            let ending = smooth.later.as_ref().map(|later| scorer.ending(later));
+            let work = (&mut room.work.phases[at], &mut room.backward);
+            let complete = scorer.complete(rows, (&smooth.moments, ending.as_ref()), work);
+            complete.map(Some).map_err(|error| self.reducer.phases()[at].named(error))
+        };
+        test.phases.iter().zip(&phases).enumerate().map(one).collect()
+    }
+
+    fn expected(
+        &self,
+        test: &PhasedTest,
+        complete: &PhasedComplete,
+        room: &mut Room<'_>,
+    ) -> Result<Option<(f64, Gradient)>, ReduceError> {
+        let (mut value, mut sum) = (0.0, BTreeMap::new());
+        for (at, (evidence, complete)) in test.phases.iter().zip(complete).enumerate() {
+            let (Some(rows), Some(complete)) = (self.rows(at, evidence), complete) else { continue };
+            let work = (&mut room.work.phases[at], &mut room.adjoints[at]);
+            let expected = self.phases[at].expected(rows, complete, work);
+            let Some((own, gradient)) = expected.map_err(|error| self.reducer.phases()[at].named(error))? else {
+                return Ok(None);
+            };
+            value += own;
+            gradient.into_iter().for_each(|(slot, bar)| *sum.entry(slot).or_insert(0.0) += bar);
+        }
+        Ok(Some((value, sum.into_iter().collect())))
+    }
+}

@@ -1,0 +1,300 @@
+//! Scores of tests in phases against differences of the stacked ℓ.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{DMatrix, DVector};
+
+use super::*;
+use crate::ensemble::{Label, Labels, Source};
+use crate::estimate::unpack;
+use crate::model::{
+    Carry, Clock, Column, CovarianceStructure, Expression, Initial, Linear, MeanStructure, Measurement, Model, Motion,
+    Operator, Parameter, Phase, State, Value,
+};
+
+fn number(x: f64) -> Expression {
+    Expression::Number(x)
+}
+
+fn column(c: usize) -> Expression {
+    Expression::Column(c)
+}
+
+fn alpha(index: usize) -> Expression {
+    Expression::Parameter(index)
+}
+
+fn binary(operator: Operator, a: Expression, b: Expression) -> Expression {
+    Expression::Binary(operator, Box::new(a), Box::new(b))
+}
+
+fn times(a: Expression, b: Expression) -> Expression {
+    binary(Operator::Multiply, a, b)
+}
+
+fn square(a: Expression) -> Expression {
+    binary(Operator::Power, a, number(2.0))
+}
+
+fn over(a: Expression, b: Expression) -> Expression {
+    binary(Operator::Divide, a, b)
+}
+
+fn linear(terms: Vec<(usize, Expression)>, constant: Expression) -> Linear {
+    Linear { terms, constant }
+}
+
+fn state(name: &str, motion: Motion, initial: Initial) -> State {
+    State { name: name.to_owned(), unit: None, motion, initial, offset: None, random: true }
+}
+
+fn known(mean: Expression, variance: Expression) -> Initial {
+    Initial::Known { mean, variance }
+}
+
+const TAU: usize = 0;
+const DRIFT: usize = 1;
+const NOISE: usize = 2; // by sensor
+const KEEP: usize = 3;
+const STEP: usize = 4;
+const START: usize = 5;
+const OFFSET: usize = 6;
+const INPUT: usize = 7;
+const CARRY: usize = 8;
+const KICK: usize = 9; // by sensor, constant within the phases that are kicked
+const VALUES: [f64; 12] = [1.3, 0.6, 0.5, 0.9, 0.8, 0.4, 0.7, 0.3, 0.2, 1.1, 0.35, -0.6];
+
+const U: usize = 2;
+const W: usize = 3;
+
+/// Columns t, z, u, w (constant within a test); text columns phase, sensor, room (constant within a phase).
+fn model(states: Vec<State>, equation: Linear) -> Model {
+    let named = |name: &&str| Column { name: (*name).to_owned(), used_in: String::new() };
+    let parameter = |k: usize| Parameter {
+        name: format!("a{k}"),
+        unit: None,
+        value: Value::Free { start: None },
+        per: match k {
+            NOISE => Some(1),
+            KICK => Some(2),
+            _ => None,
+        },
+        fixed_levels: BTreeMap::new(),
+        lower: None,
+        upper: None,
+        positive: false,
+    };
+    let estimated: Vec<usize> = (0..states.len()).filter(|&i| states[i].initial == Initial::Estimated).collect();
+    let noise_variance = square(alpha(NOISE));
+    Model {
+        title: String::new(),
+        columns: ["t", "z", "u", "w"].iter().map(named).collect(),
+        text_columns: ["phase", "sensor", "room"].iter().map(named).collect(),
+        literals: ["align", "coast", "land", "A", "B"].map(str::to_owned).to_vec(),
+        parameters: (0..10).map(parameter).collect(),
+        process_noise_covariance: Vec::new(),
+        measurements: vec![Measurement { name: "z".to_owned(), column: 1, filter: None, equation, noise_variance }],
+        noise_covariance: Vec::new(),
+        clock: Clock { time: Some(0), ..Clock::default() },
+        group: None,
+        mean: MeanStructure::free(estimated.len()),
+        covariance: CovarianceStructure::full(),
+        estimated,
+        states,
+    }
+}
+
+/// A Gauss-Markov state.
+fn drift(index: usize) -> Motion {
+    let rate = over(number(-1.0), alpha(TAU));
+    let noise_variance = over(times(number(2.0), square(alpha(DRIFT))), alpha(TAU));
+    Motion::Continuous { derivative: linear(vec![(index, rate)], number(0.0)), noise_variance }
+}
+
+fn phase(at: usize, model: Model, carry: Vec<Carry>) -> Phase {
+    let name = model.literals[at].clone();
+    Phase { name, label: Some(at), model, carry, filter: None }
+}
+
+/// Three phases: states that start afresh, that inherit, that do both; a phase's own P0; free values in all of it.
+fn journey() -> PhasedModel {
+    let walk = |terms: Vec<(usize, Expression)>| Motion::Discrete {
+        next: linear(terms, times(alpha(INPUT), column(U))),
+        noise_variance: square(alpha(STEP)),
+    };
+    let align = model(
+        vec![
+            state("bias", Motion::Constant, Initial::Estimated),
+            state("drift", drift(1), Initial::Stationary),
+            state("walk", walk(vec![(0, number(0.2)), (2, alpha(KEEP))]), known(number(0.1), square(alpha(START)))),
+            state("slope", Motion::Constant, Initial::Estimated),
+        ],
+        linear(
+            vec![(0, number(1.0)), (1, number(0.8)), (2, number(1.0)), (3, column(U))],
+            times(alpha(OFFSET), column(U)),
+        ),
+    );
+    let coast = model(
+        vec![
+            state("tilt", walk(vec![(0, alpha(KEEP)), (1, number(0.3))]), known(alpha(OFFSET), square(alpha(START)))),
+            state("velocity", Motion::Constant, Initial::Estimated),
+            state("drift", drift(2), known(number(0.0), number(0.0))),
+        ],
+        linear(vec![(0, alpha(CARRY)), (1, column(U)), (2, number(1.0))], alpha(OFFSET)),
+    );
+    let land = model(
+        vec![
+            state("speed", Motion::Constant, Initial::Estimated),
+            state("height", Motion::Constant, known(number(0.0), square(times(number(0.5), alpha(START))))),
+            state("lag", walk(vec![(2, number(0.7))]), Initial::Estimated),
+        ],
+        linear(vec![(0, column(U)), (1, number(1.0)), (2, number(1.0))], number(0.0)),
+    );
+    let one = || number(1.0);
+    let to_coast = vec![
+        Carry { state: 0, from: linear(vec![(0, number(0.5)), (2, alpha(CARRY))], times(alpha(KICK), column(W))) },
+        Carry { state: 2, from: linear(vec![(1, one())], number(0.0)) },
+    ];
+    let to_land = vec![
+        Carry { state: 0, from: linear(vec![(1, over(one(), alpha(CARRY)))], number(0.0)) },
+        Carry { state: 1, from: linear(vec![(0, alpha(KICK)), (2, times(alpha(CARRY), column(W)))], number(0.2)) },
+    ];
+    let phases = vec![phase(0, align, Vec::new()), phase(1, coast, to_coast), phase(2, land, to_land)];
+    PhasedModel { phases, column: Some(0) }
+}
+
+/// Rows of one phase.
+fn rows(id: &str, at: usize, count: usize, random: &mut impl FnMut() -> f64) -> Test {
+    let mut test = Test::new(id, 4, 3);
+    let w = 1.0 + id.len() as f64 * 0.2;
+    for k in 0..count {
+        let z = if k % 5 == 3 { f64::NAN } else { 3.0 * random() };
+        let sensor = Label::literal(3 + usize::from(random() > 0.0));
+        let texts = [Label::literal(at), sensor, Label::literal(3 + (at + id.len()) % 2)];
+        test.push(&[k as f64 * 0.5 + 0.2 * random(), z, 1.0 + random(), w], &texts, Source::default());
+    }
+    test
+}
+
+fn tests(seed: u64) -> Vec<PhasedTest> {
+    let mut seed = seed;
+    let mut random = move || {
+        seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (seed >> 40) as f64 / f64::from(1 << 24) - 0.5
+    };
+    let test = |(id, phases): (&str, usize)| {
+        let evidence = (0..phases).map(|at| Evidence::Rows(rows(id, at, 6 - at, &mut random))).collect();
+        PhasedTest { id: id.to_owned(), phases: evidence }
+    };
+    [("a", 3), ("bb", 2), ("ccc", 1), ("dddd", 3)].into_iter().map(test).collect()
+}
+
+/// Σ of all phases: the second phase's is singular, that of the third has a zero.
+fn law() -> InitialLaw {
+    let mut root = DMatrix::zeros(5, 4);
+    root.view_mut((0, 0), (2, 2)).copy_from(&DMatrix::from_row_slice(2, 2, &[0.8, 0.1, -0.3, 0.9]));
+    root[(2, 2)] = 0.6;
+    root[(4, 3)] = 0.7;
+    InitialLaw::known(DVector::from_vec(vec![0.4, -0.3, 0.5, 0.9, -0.2]), root)
+}
+
+fn stacked(reduction: &Reduction, law: &InitialLaw) -> f64 {
+    let p = law.root.nrows();
+    let factor = unpack(&reduction.factor, p);
+    let residual = DVector::from_vec(reduction.data.clone()) - &factor * law.mean_of(&[]);
+    let rf = factor * &law.root;
+    let spread = DMatrix::identity(p, p) + &rf * rf.transpose();
+    let cholesky = spread.cholesky().expect("positive definite");
+    reduction.constant - 0.5 * cholesky.determinant().ln() - 0.5 * residual.dot(&cholesky.solve(&residual))
+}
+
+fn reduced(
+    model: &PhasedModel,
+    slots: &Slots,
+    values: &[f64],
+    tests: &[PhasedTest],
+) -> (PhasedReducer, Vec<Reduction>) {
+    let alpha = slots.alpha(model.shared(), values);
+    let mut reducer = PhasedReducer::scoring(model, &alpha, slots).expect("sound");
+    let reductions = reducer.reduce(tests).expect("sound");
+    (reducer, reductions)
+}
+
+/// The phases before `end` alone.
+fn cut(mut model: PhasedModel, end: usize, tests: &[PhasedTest]) -> (PhasedModel, Vec<PhasedTest>) {
+    model.phases.truncate(end);
+    let tests = tests
+        .iter()
+        .map(|test| PhasedTest { id: test.id.clone(), phases: test.phases.iter().take(end).cloned().collect() });
+    (model, tests.collect())
+}
+
+#[test]
+fn scores_equal_differences_of_the_stacked_likelihood() {
+    for (phases, seed) in [(2, 1), (3, 2), (3, 3)] {
+        let (model, tests) = cut(journey(), phases, &tests(seed));
+        let slots = Slots::in_phases(&model, &Labels::new(&model.shared().literals), &tests);
+        assert_eq!(slots.len(), VALUES.len(), "eight common values, and two parameters with two levels each");
+        let all = law();
+        let p = model.dimension();
+        let law = InitialLaw::known(all.mean_of(&[]).rows(0, p).into_owned(), all.root.rows(0, p).into_owned());
+        let (reducer, reductions) = reduced(&model, &slots, &VALUES, &tests);
+        let scorer = PhasedScorer::new(&model, &reducer, &slots).expect("differentiable");
+        let scores = scorer.scores(&tests, &reductions, &law).expect("sound");
+        for (j, score) in scores.iter().enumerate() {
+            let pieces = reducer.pieces_of(&tests[j], &mut reducer.workspace()).expect("sound");
+            let laws = PhaseLaws::new(&law, &model.ranges(), &[]);
+            let (chain, whole) = (Plan::new(&pieces, &laws).likelihood(&pieces, &laws), stacked(&reductions[j], &law));
+            assert!((chain - whole).abs() < 1e-11, "ℓ of test {j}: chain {chain}, stacked {whole}");
+            for slot in 0..VALUES.len() {
+                let at = |x: f64| {
+                    let mut moved = VALUES.to_vec();
+                    moved[slot] += x;
+                    stacked(&reduced(&model, &slots, &moved, &tests[j..=j]).1[0], &law)
+                };
+                let h = 1e-3;
+                let expected = (8.0 * (at(h) - at(-h)) - (at(2.0 * h) - at(-2.0 * h))) / (12.0 * h);
+                let found = score.iter().find(|(s, _)| *s == slot).map_or(0.0, |(_, bar)| *bar);
+                assert!(
+                    (found - expected).abs() < 1e-7 * (1.0 + expected.abs()),
+                    "{phases} phases, test {j}, value {slot}: {found} against {expected}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn the_expected_likelihood_of_phases_has_the_slope_of_the_likelihood() {
+    let (model, tests) = (journey(), tests(4));
+    let slots = Slots::in_phases(&model, &Labels::new(&model.shared().literals), &tests);
+    let law = law();
+    let (reducer, reductions) = reduced(&model, &slots, &VALUES, &tests);
+    let scorer = PhasedScorer::new(&model, &reducer, &slots).expect("differentiable");
+    let scores = scorer.scores(&tests, &reductions, &law).expect("sound");
+    let complete = scorer.all_complete(&tests, &reductions, &law).expect("sound");
+    let expected = scorer.all_expected(&tests, &complete).expect("sound").expect("it came about");
+    let carried: Vec<usize> = model.phases.iter().flat_map(|phase| crate::score::carried(phase, &slots)).collect();
+    for (j, (score, (_, gradient))) in scores.iter().zip(&expected).enumerate() {
+        for (slot, bar) in gradient.iter().filter(|(s, _)| !carried.contains(&slots.slots()[*s].parameter)) {
+            let wanted = score.iter().find(|(s, _)| s == slot).map_or(0.0, |(_, bar)| *bar);
+            assert!(
+                (bar - wanted).abs() < 1e-8 * (1.0 + wanted.abs()),
+                "test {j}, value {slot}: {bar} of Q, {wanted} of ℓ"
+            );
+        }
+    }
+}
+
+#[test]
+fn scores_have_the_same_bits_alone_and_together() {
+    let (model, tests) = (journey(), tests(5));
+    let slots = Slots::in_phases(&model, &Labels::new(&model.shared().literals), &tests);
+    let (reducer, reductions) = reduced(&model, &slots, &VALUES, &tests);
+    let scorer = PhasedScorer::new(&model, &reducer, &slots).expect("differentiable");
+    let together = scorer.scores(&tests, &reductions, &law()).expect("sound");
+    for j in 0..tests.len() {
+        let alone = scorer.scores(&tests[j..=j], &reductions[j..=j], &law()).expect("sound");
+        assert_eq!(alone[0], together[j], "test {j}");
+    }
+}
