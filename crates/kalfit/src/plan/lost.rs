@@ -3,7 +3,6 @@
 use nalgebra::DMatrix;
 
 use crate::estimate::{State, Structure, at_population};
-use crate::linalg::symmetric::{pair, pairs};
 use crate::model::Population;
 use crate::plan::{PlanError, Quantity, off_structure, plan};
 use crate::reduce::Reduction;
@@ -59,14 +58,11 @@ pub fn information_lost(
 fn log_determinant(state: &State) -> Option<f64> {
     let (problem, tangent) = (&state.problem, &state.place.tangent);
     let (scale, mean) = (&problem.classes.frame.scale, problem.mean.jacobian());
-    let (p, m) = (scale.len(), mean.nrows());
+    let m = mean.nrows();
     let mut units: Vec<f64> = scale.clone();
     units.extend(problem.mean.coefficient_scale.iter().map(|scale| scale.recip()));
-    units.resize(m + pairs(p), 0.0);
-    for i in 0..p {
-        (0..=i).for_each(|j| units[m + pair(i, j)] = scale[i] * scale[j]);
-    }
-    let mut jacobian = DMatrix::zeros(m + pairs(p), mean.ncols() + tangent.jacobian.ncols());
+    units.extend(problem.covariance.elements.all().map(|(i, j)| scale[i] * scale[j]));
+    let mut jacobian = DMatrix::zeros(units.len(), mean.ncols() + tangent.jacobian.ncols());
     jacobian.view_mut((0, 0), mean.shape()).copy_from(&mean);
     jacobian.view_mut((m, mean.ncols()), tangent.jacobian.shape()).copy_from(&tangent.jacobian);
     jacobian.row_iter_mut().zip(&units).for_each(|(mut row, unit)| row *= *unit);
