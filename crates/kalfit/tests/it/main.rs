@@ -1,5 +1,6 @@
 //! The tests of the core from outside, one program: they share the dense reference and drawn ensembles.
 
+mod chains;
 mod dense;
 mod dynamic_record;
 mod inference;
