@@ -282,6 +282,7 @@ fn nesting_hint(error: NotNested) -> &'static str {
             "keys of the hypothesis replace the model's whole, so repeat in them the constraints that the model has"
         }
         NotNested::Restricted => "compare likelihoods instead",
+        NotNested::Marginal => "use `--phases chain`",
         NotNested::Different => "give both the same states",
     }
 }
@@ -309,6 +310,7 @@ fn fit_hint(error: &FitError) -> Option<&'static str> {
         FitError::DuplicateTest { .. } => Some("give each test an id of its own"),
         FitError::NotFinite => Some("give start values in `[mean]` and `[covariance]` nearer to what is expected"),
         FitError::NotMonotone { .. } => Some("choose units in which the states are of comparable size"),
+        FitError::NoPhases { .. } | FitError::RestrictedMarginal => Some("use `--phases chain`"),
         FitError::NoTests | FitError::Structure(_) => None,
     }
 }

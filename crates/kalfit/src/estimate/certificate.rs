@@ -6,7 +6,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::covariance::{CovarianceMap, Form, place as place_block, sub};
+use crate::estimate::covariance::{Constraint, CovarianceMap, Form, Part, place as place_block, sub};
 use crate::estimate::local::natural_sizes;
 use crate::estimate::newton::Place;
 use crate::estimate::relaxed::{relax, undetermined};
@@ -88,12 +88,18 @@ fn decrement(information: &DMatrix<f64>, gradient: &DVector<f64>) -> f64 {
 
 /// The worst direction of the null space of Σ within the structure.
 fn escape(map: &CovarianceMap, place: &Place, tests: f64) -> Option<Escape> {
+    map.parts.iter().filter_map(|part| part_escape(map, part, place, tests)).max_by(|a, b| a.score.total_cmp(&b.score))
+}
+
+fn part_escape(map: &CovarianceMap, part: &Part, place: &Place, tests: f64) -> Option<Escape> {
     let residual = &place.tangent.residual_score;
     let weight = &place.local.weight;
-    match &map.form {
+    match &part.form {
         Form::Factor(blocks) => {
             let root = &place.point.root;
-            let free = undetermined(&map.constraints, root);
+            let own = |c: &&Constraint| c.terms.iter().all(|(i, _, _)| part.states.contains(i));
+            let constraints: Vec<Constraint> = map.constraints.iter().filter(own).cloned().collect();
+            let free = undetermined(&constraints, root);
             if !free.is_empty() {
                 return null_escape(blocks, root, (residual, &free), weight, tests); // constraints may tie blocks
             }
@@ -101,13 +107,16 @@ fn escape(map: &CovarianceMap, place: &Place, tests: f64) -> Option<Escape> {
                 |block: &Vec<usize>| null_escape(std::slice::from_ref(block), root, (residual, &[]), weight, tests);
             blocks.iter().filter_map(of_block).max_by(|a, b| a.score.total_cmp(&b.score))
         }
-        Form::Scale(star) if place.point.root.amax() <= 1e-9 * star.amax() => {
-            let direction = star * star.transpose();
+        Form::Scale(star) if part.of(&place.point.root).amax() <= 1e-9 * star.amax() => {
+            let direction = part.placed(&(star * star.transpose()), map.p);
             let slope = (residual * &direction).trace();
             let own = (weight * &direction / tests).norm();
             Some(along(direction, slope, own, tests))
         }
-        Form::StdDevs(correlation, states) => std_dev_escape(correlation, states, place, tests),
+        Form::StdDevs(correlation, states) => {
+            let r = part.placed(&(correlation * correlation.transpose()), map.p);
+            std_dev_escape(&r, states, place, tests)
+        }
         _ => None,
     }
 }
@@ -115,9 +124,8 @@ fn escape(map: &CovarianceMap, place: &Place, tests: f64) -> Option<Escape> {
 /// Σ = DRD where standard deviations are zero: ℓ is flat in them there to first order, unless others that are not zero are
 /// correlated with them, which the gradient sees. To second order ℓ rises by u'(G∘R)u when they grow to u ≥ 0; tried one by
 /// one and two by two.
-fn std_dev_escape(correlation: &DMatrix<f64>, states: &[usize], place: &Place, tests: f64) -> Option<Escape> {
+fn std_dev_escape(r: &DMatrix<f64>, states: &[usize], place: &Place, tests: f64) -> Option<Escape> {
     let (residual, weight) = (&place.tangent.residual_score, &place.local.weight);
-    let r = correlation * correlation.transpose();
     let sigma = place.point.covariance();
     let is_zero = |i: usize| sigma[(i, i)].sqrt() <= NO_STD_DEV;
     let others = |i: usize| states.iter().filter(move |&&j| !is_zero(j)).map(move |&j| (i, j));

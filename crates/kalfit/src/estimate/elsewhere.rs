@@ -7,9 +7,8 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::classes::Classes;
 use crate::estimate::covariance::{CovarianceMap, Form};
-use crate::estimate::local::packed_score;
 use crate::estimate::newton::{self, Place};
-use crate::estimate::pass::{Order, Sums, of_class};
+use crate::estimate::pass::{Order, Sums};
 use crate::estimate::problem::Problem;
 use crate::estimate::terms::Point;
 use crate::estimate::{State, Structure, StructureError};
@@ -96,9 +95,8 @@ impl State {
         reductions: &[Reduction],
         alpha: &Alpha,
     ) -> Result<Option<Elsewhere>, StructureError> {
-        let frame = &self.problem.classes.frame;
         let structure = self.assumed.at(alpha);
-        let problem = Problem::within(reductions, &structure, self.problem.criterion(), frame)?;
+        let problem = Problem::within(&self.evidence(reductions), &structure, &self.problem)?;
         let root = carried(&self.problem.covariance, &problem.covariance, &self.place.point.root);
         let point = Point { root, ..self.place.point.clone() };
         let sums = problem.sums(&point, Order::First, self.place.near());
@@ -109,8 +107,7 @@ impl State {
     /// is not defined.
     pub(crate) fn moved(&self, reductions: &[Reduction], alpha: &Alpha, step: &DVector<f64>) -> Option<State> {
         let structure = self.assumed.at(alpha);
-        let frame = &self.problem.classes.frame;
-        let problem = Problem::within(reductions, &structure, self.problem.criterion(), frame).ok()?;
+        let problem = Problem::within(&self.evidence(reductions), &structure, &self.problem).ok()?;
         let point = newton::moved(&*self.problem, &self.problem.covariance, &self.place, step)?;
         let root = carried(&self.problem.covariance, &problem.covariance, &point.root);
         let point = Point { root, ..point };
@@ -127,8 +124,9 @@ impl State {
 
     /// Gradient of one test's ℓ_j along the tangent basis of this place, under another reduction of it.
     pub(crate) fn gradient_of(&self, reduction: &Reduction) -> DVector<f64> {
-        let class = self.problem.classes.single(reduction);
-        let sums = of_class(&class, &self.problem.mean.regressors, &self.place.point, Order::First);
+        let own = self.evidence(std::slice::from_ref(reduction));
+        let class = self.problem.classes.single(&own[0]);
+        let sums = self.problem.of_class(&class, &self.place.point, Order::First);
         self.along(&sums, &self.problem, &self.place.point)
     }
 
@@ -138,7 +136,8 @@ impl State {
         let chart = problem.covariance.chart(&point.root);
         let mut gradient = DVector::zeros(tangent.basis.nrows());
         gradient.rows_mut(0, tangent.mean).copy_from(&(problem.mean.jacobian().transpose() * &sums.mean_score));
-        let of_sigma = chart.jacobian_at(&chart.root).transpose() * packed_score(&sums.score());
+        let of_sigma =
+            chart.jacobian_at(&chart.root).transpose() * self.problem.covariance.elements.pack_score(&sums.score());
         gradient.rows_mut(tangent.mean, of_sigma.len()).copy_from(&of_sigma);
         tangent.basis.transpose() * gradient
     }
@@ -173,7 +172,12 @@ fn out(problem: &Problem, score: &DMatrix<f64>) -> DMatrix<f64> {
 
 /// The root with the same coordinates ψ where matrices of the structure follow α.
 fn carried(from: &CovarianceMap, to: &CovarianceMap, root: &DMatrix<f64>) -> DMatrix<f64> {
-    match (&from.form, &to.form) {
+    let parts = from.parts.iter().zip(&to.parts);
+    to.assembled(parts.map(|(old, new)| carried_part(&old.form, &new.form, old.of(root))))
+}
+
+fn carried_part(from: &Form, to: &Form, root: DMatrix<f64>) -> DMatrix<f64> {
+    match (from, to) {
         (Form::Scale(old), Form::Scale(new)) => {
             let star = old.norm_squared();
             new * if star > 0.0 { (root.norm_squared() / star).sqrt() } else { 0.0 }
@@ -185,20 +189,18 @@ fn carried(from: &CovarianceMap, to: &CovarianceMap, root: &DMatrix<f64>) -> DMa
             };
             DMatrix::from_fn(new.nrows(), new.ncols(), |i, c| size(i) * new[(i, c)])
         }
-        (_, Form::Fixed) => to.root_of(&to.known),
-        _ => root.clone(),
+        (_, Form::Fixed(known)) => symmetric::square_root(known),
+        _ => root,
     }
 }
 
 impl Problem {
-    /// The problem in coordinates η that are given.
-    fn within(
+    /// The problem of other reductions of the same tests, in the coordinates η and with the criterion of another.
+    pub(crate) fn within(
         reductions: &[Reduction],
         structure: &Structure<'_>,
-        criterion: crate::estimate::Criterion,
-        frame: &crate::estimate::classes::Frame,
+        like: &Problem,
     ) -> Result<Problem, StructureError> {
-        let classes = Classes::within(reductions, frame.clone());
-        Problem::of(classes, structure, criterion)
+        Problem::of(Classes::within(reductions, &like.classes), structure, like.criterion())
     }
 }

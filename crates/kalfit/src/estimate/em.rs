@@ -6,10 +6,10 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::Criterion;
-use crate::estimate::covariance::{CovarianceMap, Form, place, sub};
+use crate::estimate::covariance::{CovarianceMap, Form, Part, place, sub};
 use crate::estimate::exact::maximise_exact;
 use crate::estimate::local::Objective;
-use crate::estimate::pass::Sums;
+use crate::estimate::pass::{Order, Sums};
 use crate::estimate::problem::Problem;
 use crate::estimate::terms::Point;
 use crate::linalg::symmetric;
@@ -21,15 +21,22 @@ pub(crate) enum Turn {
     Covariance,
 }
 
+/// What a pass must give EM: the information on the mean between phases only where the mean may need least squares.
+pub(crate) fn order(problem: &Problem) -> Order {
+    let (p, mean) = (problem.classes.dimension(), &problem.mean);
+    let closed = mean.basis.ncols() == p && mean.regressors.is_empty() && problem.covariance.random.len() == p;
+    if closed && problem.criterion() == Criterion::Ml { Order::First } else { Order::Mean }
+}
+
 /// One EM step from the sums at a point. Where μ has no closed form beside Σ (a singular Σ with a constrained mean,
 /// or a regression), μ and Σ take turns: generalised least squares for μ, EM for Σ (ECM). So they do under the restricted
 /// likelihood, where the mean is missing data too, with a flat prior: its uncertainty adds to the second moment.
 pub(crate) fn step(problem: &Problem, point: &Point, sums: &Sums, turn: &mut Turn) -> Point {
-    let n = problem.classes.tests as f64;
+    let tests = counts(problem);
     let sigma = point.covariance();
     let mu = DVector::from_column_slice(&point.mean);
     let p = mu.len();
-    let shift = &sigma * sums.mean_score.rows(0, p) / n; // mean x̂_j - μ
+    let shift = (&sigma * sums.mean_score.rows(0, p)).component_div(&tests); // mean x̂_j - μ
     let together = (problem.mean.regressors.is_empty() && problem.criterion() == Criterion::Ml)
         .then(|| problem.mean.maximise(&(&mu + &shift), &sigma))
         .flatten();
@@ -46,9 +53,19 @@ pub(crate) fn step(problem: &Problem, point: &Point, sums: &Sums, turn: &mut Tur
         }
     };
     let delta = &next_mean - &mu;
-    let second = second_moment(&sigma, sums, &shift, &delta, n);
-    let root = maximise(&problem.covariance, &second, point, n);
+    let second = second_moment(&sigma, sums, &shift, &delta, &tests);
+    let map = &problem.covariance;
+    let of = |(part, tests): (&Part, &f64)| {
+        maximise(&map.of_part(part), &part.of(&second), part.of(&point.root), tests.max(1.0))
+    };
+    let root = map.assembled(map.parts.iter().zip(&problem.classes.present).map(of));
     Point { mean: next_mean.as_slice().to_vec(), coefficients: point.coefficients.clone(), root }
+}
+
+/// For each element the number of tests that have its phase: an M-step averages over those.
+fn counts(problem: &Problem) -> DVector<f64> {
+    let (classes, p) = (&problem.classes, problem.classes.dimension());
+    DVector::from_fn(p, |i, _| classes.present[classes.elements.block_of(i)].max(1.0))
 }
 
 /// M̄ = mean (V_j + (x̂_j - μ)(x̂_j - μ)') with the new μ = old μ + delta.
@@ -57,27 +74,28 @@ fn second_moment(
     sums: &Sums,
     shift: &DVector<f64>,
     delta: &DVector<f64>,
-    n: f64,
+    tests: &DVector<f64>,
 ) -> DMatrix<f64> {
-    let spread = sigma - sigma * (&sums.weight - sums.moment()) * sigma / n;
+    let lost = sigma * (&sums.weight - sums.moment()) * sigma;
+    let spread = DMatrix::from_fn(lost.nrows(), lost.ncols(), |i, j| sigma[(i, j)] - lost[(i, j)] / tests[i]);
     spread - shift * delta.transpose() - delta * shift.transpose() + delta * delta.transpose()
 }
 
-/// The Σ of the structure that maximises -log|Σ| - tr(Σ⁻¹M̄), as a root.
-fn maximise(map: &CovarianceMap, second: &DMatrix<f64>, point: &Point, n: f64) -> DMatrix<f64> {
-    match &map.form {
-        Form::Fixed => point.root.clone(),
+/// The Σ of the structure of one phase that maximises -log|Σ| - tr(Σ⁻¹M̄), as a root.
+fn maximise(map: &CovarianceMap, second: &DMatrix<f64>, root: DMatrix<f64>, n: f64) -> DMatrix<f64> {
+    match &map.parts[0].form {
+        Form::Fixed(_) => root,
         Form::Factor(_) if map.constraints.is_empty() => map.root_of(&map.mask(second)),
         Form::Factor(blocks) => match regression_form(map, blocks, second) {
             Some(sigma) => map.root_of(&sigma),
-            None => maximise_exact(map, second, point, n),
+            None => maximise_exact(map, second, root, n),
         },
         Form::Scale(star) => {
             let inverse = symmetric::pseudo_inverse(&(star * star.transpose()));
             let rank = (&inverse * star * star.transpose()).trace();
             star * ((inverse * second).trace() / rank).max(0.0).sqrt()
         }
-        Form::StdDevs(root, states) => correlation_step(root, states, second),
+        Form::StdDevs(correlation, states) => correlation_step(correlation, states, second),
     }
 }
 

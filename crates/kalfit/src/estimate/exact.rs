@@ -52,9 +52,10 @@ impl Objective for Exact<'_> {
 }
 
 /// Newton steps from the current root; every step raises the objective, so a step that is cut short is still a GEM step.
-pub(crate) fn maximise_exact(map: &CovarianceMap, second: &DMatrix<f64>, point: &Point, n: f64) -> DMatrix<f64> {
+pub(crate) fn maximise_exact(map: &CovarianceMap, second: &DMatrix<f64>, root: DMatrix<f64>, n: f64) -> DMatrix<f64> {
     let objective = Exact { second, n, random: &map.random, jacobian: DMatrix::zeros(0, 0) };
-    let Some(mut place) = Place::new(&objective, map, point.clone(), None) else { return point.root.clone() };
+    let point = Point { mean: vec![0.0; map.p], coefficients: Vec::new(), root: root.clone() };
+    let Some(mut place) = Place::new(&objective, map, point, None) else { return root };
     let mut damping = Damping::default();
     for _ in 0..50 {
         if place.decrement() < 1e-10 * n.sqrt() {

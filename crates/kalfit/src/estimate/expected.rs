@@ -9,9 +9,8 @@ use crate::estimate::covariance::CovarianceMap;
 use crate::estimate::local::{Curvature, Local, Tangent};
 use crate::estimate::pass::{Order, Sums};
 use crate::estimate::terms::Point;
-use crate::estimate::{Criterion, FitError, Place, Problem, Settings, State, Structure};
+use crate::estimate::{FitError, Place, Problem, Settings, State, Structure};
 use crate::infer::Element;
-use crate::linalg::symmetric::pairs;
 use crate::model::Population;
 use crate::reduce::Reduction;
 
@@ -42,12 +41,17 @@ pub(crate) fn at_population(
     structure: &Structure<'_>,
     population: &Population,
 ) -> Result<State, ExpectedError> {
-    let blank = |r: &Reduction| Reduction { constant: 0.0, data: vec![0.0; r.data.len()], ..r.clone() };
+    let blank = |r: &Reduction| Reduction {
+        constant: 0.0,
+        data: vec![0.0; r.data.len()],
+        chain: r.chain.clone().map(|chain| Box::new(chain.blank())),
+        ..r.clone()
+    };
     let blanks: Vec<Reduction> = reductions.iter().map(blank).collect();
-    let problem = super::problem(&blanks, structure, Criterion::Ml)?;
+    let problem = super::problem(&blanks, structure, &Settings::default())?;
     let mut point = point(&problem, population)?;
     let sums = problem.likelihood(&point, Order::Expected);
-    let local = local(&sums, pairs(population.mean.len()));
+    let local = local(&sums);
     let tangent = Tangent::new(&local, &problem.mean.jacobian(), &problem.covariance, &point.root);
     if tangent.information.iter().any(|x| !x.is_finite()) {
         return Err(FitError::NotFinite.into());
@@ -60,14 +64,14 @@ pub(crate) fn at_population(
 
 /// At the truth the score is zero on average, the information of μ is Σ E'WE, that of Σ is ½ Σ tr(W D W E), and they are
 /// uncorrelated.
-fn local(sums: &Sums, pairs: usize) -> Local {
+fn local(sums: &Sums) -> Local {
     let (m, p) = (sums.mean_score.len(), sums.weight.nrows());
     Local {
         value: 0.0,
         mean_score: DVector::zeros(m),
         mean_information: sums.mean_information.clone(),
         score: DMatrix::zeros(p, p),
-        cross: DMatrix::zeros(m, pairs),
+        cross: DMatrix::zeros(m, sums.elements.count()),
         information: sums.expected_information(),
         weight: sums.weight.clone(),
         mean_covariance: None,

@@ -1,7 +1,10 @@
 //! ℓ(μ, Σ) on its own: value and derivatives anywhere, in the user's units, without a search.
 
+use std::ops::Range;
+
 use nalgebra::{DMatrix, DVector};
 
+use crate::estimate::Combination;
 use crate::estimate::classes::{Class, Classes};
 use crate::estimate::pass::{self, Order, Sums};
 use crate::estimate::terms::{Point, Terms};
@@ -31,20 +34,26 @@ pub struct Evaluation {
     pub log_likelihood: f64,
     /// ∂ℓ/∂μ (p), (4).
     pub mean_score: DVector<f64>,
-    /// G = ∂ℓ/∂Σ (p × p), (5): ℓ changes by tr(G dΣ).
+    /// G = ∂ℓ/∂Σ (p × p), (5): ℓ changes by tr(G dΣ). Zero between phases.
     pub covariance_score: DMatrix<f64>,
     /// Σ_j W_j = -∂²ℓ/∂μ∂μ' (p × p).
     pub mean_information: DMatrix<f64>,
-    /// -∂²ℓ/∂σ∂σ' over the pairs (0,0), (1,0), (1,1), …; an off-diagonal element moves both of its places.
+    /// -∂²ℓ/∂σ∂σ' over the elements (0,0), (1,0), (1,1), … of each phase; an off-diagonal element moves both of its places.
     pub covariance_information: Option<DMatrix<f64>>,
-    /// -∂²ℓ/∂μ∂σ' (p × pairs).
+    /// -∂²ℓ/∂μ∂σ' (p × elements).
     pub cross_information: Option<DMatrix<f64>>,
 }
 
 impl Likelihood {
     /// Gathers the reductions, all of dimension p and without regression.
     pub fn new(reductions: &[Reduction], p: usize) -> Likelihood {
-        Likelihood { classes: Classes::new(reductions, p, 0) }
+        Likelihood::of_phases(reductions, std::iter::once(0..p).collect(), Combination::Stacked)
+    }
+
+    /// Gathers reductions in phases, without regression; `ranges` says where the states of each phase stand. The likelihood is
+    /// the full one, phase by phase ([`Combination::Chain`]) or else stacked.
+    pub fn of_phases(reductions: &[Reduction], ranges: Vec<Range<usize>>, combination: Combination) -> Likelihood {
+        Likelihood { classes: Classes::new(reductions, ranges, 0, combination == Combination::Chain) }
     }
 
     /// Number of classes of tests with one information matrix.
@@ -59,20 +68,29 @@ impl Likelihood {
         let point = Point {
             mean: (0..p).map(|i| (mean[i] - frame.centre[i]) / frame.scale[i]).collect(),
             coefficients: Vec::new(),
-            root: symmetric::square_root(&frame.covariance_in(covariance)),
+            root: self.root(&frame.covariance_in(covariance)),
         };
         let order = match derivatives {
-            Derivatives::First => Order::First,
+            Derivatives::First => Order::Mean,
             Derivatives::Second => Order::Second,
         };
         self.evaluation(&pass::pass(&self.classes, &[], &point, order, None), order)
     }
 
+    /// A root of Σ, phase by phase.
+    fn root(&self, sigma: &DMatrix<f64>) -> DMatrix<f64> {
+        let mut root = DMatrix::zeros(sigma.nrows(), sigma.ncols());
+        for range in self.classes.elements.blocks() {
+            let at = ((range.start, range.start), (range.len(), range.len()));
+            root.view_mut(at.0, at.1).copy_from(&symmetric::square_root(&sigma.view(at.0, at.1).clone_owned()));
+        }
+        root
+    }
+
     fn evaluation(&self, sums: &Sums, order: Order) -> Evaluation {
         let scale = &self.classes.frame.scale;
         let p = scale.len();
-        let places: Vec<f64> =
-            (0..p).flat_map(|i| (0..=i).map(move |j| (i, j))).map(|(i, j)| scale[i] * scale[j]).collect();
+        let places: Vec<f64> = sums.elements.all().map(|(i, j)| scale[i] * scale[j]).collect();
         let score = sums.score();
         let second = order == Order::Second;
         let over = |m: DMatrix<f64>, rows: &[f64], columns: &[f64]| {
@@ -101,6 +119,7 @@ pub fn pass_flops(p: usize, derivatives: Derivatives) -> u64 {
         scatter: None,
         covariates: Vec::new(),
         square_root: false,
+        chain: None,
     };
     let point = Point { mean: vec![0.0; p], coefficients: Vec::new(), root: DMatrix::identity(p, p) };
     let mut terms = Terms::<Counted>::new(p);

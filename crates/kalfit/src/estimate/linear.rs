@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, DVector};
 use crate::estimate::classes::Frame;
 use crate::estimate::covariance::{Constraint, CovarianceMap, place, sub};
 use crate::linalg::echelon::echelon;
-use crate::linalg::symmetric::{self, pair, pairs};
+use crate::linalg::symmetric;
 use crate::model::{CovarianceStructure, StructureError};
 
 /// Least eigenvalue (of the correlations) of a comfortable start.
@@ -107,22 +107,19 @@ fn check(matrix: &DMatrix<f64>, p: usize, what: impl Fn() -> String) -> Result<(
     Ok(())
 }
 
-/// A positive semidefinite Σ that (nearly) meets the constraints, near a wanted one: projections onto the constraints and the
+/// A positive semidefinite Σ, of one phase, that (nearly) meets the constraints, near a wanted one: projections onto the constraints and the
 /// cone in turn, well inside the cone if that can be had.
 pub(crate) fn member(map: &CovarianceMap, wanted: &DMatrix<f64>) -> DMatrix<f64> {
-    let normals = crate::estimate::local::normals(&map.constraints, map.p);
+    let normals = crate::estimate::local::normals(&map.constraints, &map.elements);
     // in the metric tr(DD) an element off the diagonal counts twice
-    let metric = DVector::from_fn(pairs(map.p), |_, _| 0.5);
-    let metric = (0..map.p).fold(metric, |mut m, i| {
-        m[pair(i, i)] = 1.0;
-        m
-    });
+    let weight = |(i, j): (usize, usize)| if i == j { 1.0 } else { 0.5 };
+    let metric = DVector::from_iterator(map.elements.count(), map.elements.all().map(weight));
     let back = DMatrix::from_diagonal(&metric) * normals.transpose();
     let solve = symmetric::pseudo_inverse(&(&normals * &back));
     let mut sigma = wanted.clone();
     for round in 0..ROUNDS {
         let step = &back * (&solve * map.residual(&sigma));
-        sigma -= DMatrix::from_fn(map.p, map.p, |i, j| step[pair(i, j)]);
+        sigma -= map.elements.unpack(&step);
         let own = sub(&sigma, &map.random);
         let floor = if round < ROUNDS / 2 { INTERIOR } else { 0.0 };
         let size = symmetric::sizes(&own);

@@ -5,9 +5,10 @@ use nalgebra::{DMatrix, DVector};
 use crate::estimate::covariance::{Chart, Constraint, CovarianceMap};
 use crate::estimate::pass::Sums;
 use crate::estimate::terms::Point;
-use crate::linalg::symmetric::{self, pair, pairs};
+use crate::linalg::elements::Elements;
+use crate::linalg::symmetric;
 
-/// Value and derivatives at a point, in mean coordinates and the elements of Σ.
+/// Value and derivatives at a point, in mean coordinates and the elements of Σ ([`Elements`]).
 #[derive(Debug, Clone)]
 pub(crate) struct Local {
     pub(crate) value: f64,
@@ -76,7 +77,7 @@ pub(crate) struct Tangent {
     /// Free mean coordinates.
     pub(crate) mean: usize,
     pub(crate) chart: Chart,
-    /// dσ/dψ, pairs × ψ.
+    /// dσ/dψ, elements × ψ.
     pub(crate) jacobian: DMatrix<f64>,
     /// Columns span the directions in (mean, ψ) that keep the constraints.
     pub(crate) basis: DMatrix<f64>,
@@ -102,11 +103,12 @@ impl Tangent {
         let chart = map.chart(root);
         let jacobian = chart.jacobian_at(&chart.root);
         let q = mean_jacobian.ncols();
-        let sigma_gradient = jacobian.transpose() * packed_score(&local.score);
-        let in_sigma = normals(&map.constraints, map.p);
+        let packed = map.elements.pack_score(&local.score);
+        let sigma_gradient = jacobian.transpose() * &packed;
+        let in_sigma = normals(&map.constraints, &map.elements);
         let normals = &in_sigma * &jacobian;
-        let multipliers =
-            multipliers(&map.constraints, (&in_sigma, &normals), &packed_score(&local.score), &sigma_gradient);
+        let constraints = (&map.constraints[..], &map.elements);
+        let multipliers = multipliers(constraints, (&in_sigma, &normals), &packed, &sigma_gradient);
         let residual_score = &local.score - multiplier_matrix(&map.constraints, multipliers.as_slice(), map.p);
         let information = free_information(local, mean_jacobian, &chart, &jacobian, &residual_score);
         let held = held_coordinates(&chart, &sigma_gradient);
@@ -152,24 +154,12 @@ fn coordinate_sizes(mean_jacobian: &DMatrix<f64>, chart: &Chart, root: &DMatrix<
     mean.chain(psi).collect()
 }
 
-/// ∂/∂σ_pair of a function whose matrix score is G: off-diagonal elements count twice.
-pub(crate) fn packed_score(score: &DMatrix<f64>) -> DVector<f64> {
-    let p = score.nrows();
-    let mut packed = DVector::zeros(pairs(p));
-    for i in 0..p {
-        for j in 0..=i {
-            packed[pair(i, j)] = if i == j { score[(i, i)] } else { 2.0 * score[(i, j)] };
-        }
-    }
-    packed
-}
-
-/// Gradients of the constraints in σ_pair, constraints × pairs.
-pub(crate) fn normals(constraints: &[Constraint], p: usize) -> DMatrix<f64> {
-    let mut normals = DMatrix::zeros(constraints.len(), pairs(p));
+/// Gradients of the constraints in σ_pair, constraints × elements.
+pub(crate) fn normals(constraints: &[Constraint], elements: &Elements) -> DMatrix<f64> {
+    let mut normals = DMatrix::zeros(constraints.len(), elements.count());
     for (m, constraint) in constraints.iter().enumerate() {
         for &(i, j, x) in &constraint.terms {
-            normals[(m, pair(i, j))] += x;
+            normals[(m, elements.index(i, j))] += x;
         }
     }
     normals
@@ -178,7 +168,7 @@ pub(crate) fn normals(constraints: &[Constraint], p: usize) -> DMatrix<f64> {
 /// Lagrange multipliers. Where all elements of a constraint stand at zero variances, no step in ψ feels it (dσ/dψ = 0): then
 /// they share the score so that what is left of it lies along the constraint, as the certificate needs it.
 fn multipliers(
-    constraints: &[Constraint],
+    (constraints, elements): (&[Constraint], &Elements),
     (in_sigma, normals): (&DMatrix<f64>, &DMatrix<f64>),
     score: &DVector<f64>,
     gradient: &DVector<f64>,
@@ -193,7 +183,7 @@ fn multipliers(
         let mut size = DVector::from_element(score.len(), 1.0);
         for &m in &numb {
             if let [(i, j, x), (k, l, y)] = constraints[m].terms[..] {
-                size[pair(k, l)] = size[pair(i, j)] * (x / y).abs();
+                size[elements.index(k, l)] = size[elements.index(i, j)] * (x / y).abs();
             }
         }
         let own = in_sigma.select_rows(&numb) * DMatrix::from_diagonal(&size);
@@ -239,8 +229,8 @@ fn free_information(
 
 /// Bounded coordinates that stand at zero and would go below.
 fn held_coordinates(chart: &Chart, gradient: &DVector<f64>) -> Vec<usize> {
-    let at_zero = |(k, value): (usize, &f64)| (*value <= 0.0 && gradient[k] <= 0.0).then_some(k);
-    chart.bounded.iter().enumerate().filter_map(at_zero).collect()
+    let at_zero = |&k: &usize| chart.bounded[k].is_some_and(|value| value <= 0.0) && gradient[k] <= 0.0;
+    (0..chart.bounded.len()).filter(at_zero).collect()
 }
 
 /// Orthonormal columns that span (all of the mean) × (null space of the normals, held coordinates left out).

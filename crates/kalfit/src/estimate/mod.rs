@@ -4,6 +4,7 @@
 //! [`Certificate`]: an estimate without one cannot be written down.
 
 mod certificate;
+mod chained;
 mod classes;
 mod climb;
 mod covariance;
@@ -14,6 +15,7 @@ mod expected;
 mod likelihood;
 mod linear;
 mod local;
+mod marginal;
 mod mean;
 mod newton;
 mod pass;
@@ -29,6 +31,8 @@ mod structure;
 mod terms;
 mod unobserved;
 
+use std::borrow::Cow;
+
 use nalgebra::DMatrix;
 
 pub use certificate::Certificate;
@@ -36,18 +40,21 @@ pub use likelihood::{Derivatives, Evaluation, Likelihood, pass_flops};
 pub use settings::{Combination, Criterion, Progress, Settings, Silent, Solver, Step};
 pub use structure::{PhaseStructure, Structure};
 
+pub(crate) use chained::Chained;
 pub(crate) use classes::{Class, unpack};
 pub(crate) use climb::{Limits, climb};
-pub(crate) use covariance::{Constraint, CovarianceMap, Form};
+pub(crate) use covariance::{Constraint, CovarianceMap, Form, Part};
 pub(crate) use elsewhere::InitialLaw;
 pub(crate) use expected::{ExpectedError, at_population};
-pub(crate) use local::{Local, Objective, Tangent, harmonic, natural_sizes, packed_score};
+pub(crate) use local::{Local, Objective, Tangent, harmonic, natural_sizes};
 pub(crate) use newton::{Place, retract};
-pub(crate) use pass::{Order, Sums, of_class};
+pub(crate) use pass::{Order, Sums};
 pub(crate) use problem::Problem;
 pub(crate) use start::generic_root;
 pub(crate) use structure::Assumed;
 pub(crate) use terms::{Point, Terms};
+
+use rayon::prelude::*;
 
 use crate::model::{Population, StructureError};
 use crate::reduce::Reduction;
@@ -67,6 +74,15 @@ pub enum FitError {
         /// The id.
         id: String,
     },
+    /// A test that is not kept phase by phase, where each phase is to be taken by itself.
+    #[error("the reduction of test `{test}` does not hold its phases one by one, which `marginal` needs")]
+    NoPhases {
+        /// Its id.
+        test: String,
+    },
+    /// The restricted likelihood of phases taken by themselves.
+    #[error("there is no restricted likelihood of several phases that are each taken by themselves (`marginal`)")]
+    RestrictedMarginal,
     /// ℓ is not a finite number at the start.
     #[error("the log-likelihood is not finite at the start values")]
     NotFinite,
@@ -100,8 +116,12 @@ pub struct Estimate {
     pub coefficients: Vec<f64>,
     /// Σ (p × p). Fixed elements have exactly their values.
     pub covariance: DMatrix<f64>,
-    /// ℓ, or under [`Criterion::Reml`] the restricted ℓ_R; every constant included.
+    /// ℓ, or under [`Criterion::Reml`] the restricted ℓ_R; every constant included. It is that of all phases together, also where
+    /// something else was maximised.
     pub log_likelihood: f64,
+    /// What was maximised instead, under [`Combination::Marginal`] in several phases: the sum of the log-densities of the phases'
+    /// least-squares differences. Standard errors within a phase, the certificate and the trace are of it.
+    pub composite: Option<f64>,
     /// The optimality certificate.
     pub certificate: Certificate,
     /// Why the search stopped.
@@ -121,6 +141,17 @@ pub struct Estimate {
 }
 
 impl Estimate {
+    /// With the log-likelihood of all phases together, where something else was maximised.
+    fn of_all(mut self, reductions: &[Reduction]) -> Result<Estimate, FitError> {
+        if self.state.is_marginal() {
+            let (problem, point) = (&self.state.problem, &self.state.place.point);
+            let whole = Problem::within(reductions, &self.state.structure(), problem)?;
+            self.composite = Some(self.log_likelihood);
+            self.log_likelihood = whole.likelihood(point, Order::First).value;
+        }
+        Ok(self)
+    }
+
     /// Number of free mean quantities, as declared: elements of μ and regression coefficients.
     pub fn declared_mean(&self) -> usize {
         let mean = &self.state.problem.mean;
@@ -133,9 +164,11 @@ impl Estimate {
     }
 
     /// β of a phase's Σ = βΣ*; zero for other structures.
-    pub fn covariance_scale(&self, _phase: usize) -> f64 {
-        match &self.state.problem.covariance.form {
-            Form::Scale(star) => self.state.place.point.covariance().trace() / star.norm_squared(),
+    pub fn covariance_scale(&self, phase: usize) -> f64 {
+        let part = &self.state.problem.covariance.parts[phase];
+        let sigma = self.state.place.point.covariance();
+        match &part.form {
+            Form::Scale(star) => part.states.clone().map(|i| sigma[(i, i)]).sum::<f64>() / star.norm_squared(),
             _ => 0.0,
         }
     }
@@ -154,6 +187,18 @@ pub(crate) struct State {
 }
 
 impl State {
+    /// The reductions whose likelihood was maximised, from those that the estimate was made from.
+    pub(crate) fn evidence<'a>(&self, reductions: &'a [Reduction]) -> Cow<'a, [Reduction]> {
+        let elements = &self.problem.covariance.elements;
+        evidence(reductions, (elements.blocks().len(), elements.states()), &self.settings)
+            .expect("the estimate was made from such")
+    }
+
+    /// Each phase was taken by itself.
+    pub(crate) fn is_marginal(&self) -> bool {
+        self.settings.phases == Combination::Marginal && !self.problem.covariance.elements.is_single()
+    }
+
     /// The structure that was assumed.
     pub(crate) fn structure(&self) -> Structure<'_> {
         self.assumed.structure()
@@ -168,9 +213,10 @@ pub fn fit(
     settings: &Settings,
     progress: &mut dyn Progress,
 ) -> Result<Estimate, FitError> {
-    let problem = problem(reductions, structure, settings.criterion)?;
+    let evidence = evidence(reductions, (structure.phases.len(), structure.dimension()), settings)?;
+    let problem = problem(&evidence, structure, settings)?;
     let start = start::start(&problem, structure)?;
-    search::Search::new(problem, settings, progress).run(start, structure)
+    search::Search::new(problem, settings, progress).run(start, structure)?.of_all(reductions)
 }
 
 impl From<&Estimate> for Population {
@@ -192,9 +238,10 @@ pub fn fit_from(
     settings: &Settings,
     progress: &mut dyn Progress,
 ) -> Result<Estimate, FitError> {
-    let problem = problem(reductions, structure, settings.criterion)?;
+    let evidence = evidence(reductions, (structure.phases.len(), structure.dimension()), settings)?;
+    let problem = problem(&evidence, structure, settings)?;
     let start = start::near(&problem, start)?;
-    search::Search::new(problem, settings, progress).resume(start, structure)
+    search::Search::new(problem, settings, progress).resume(start, structure)?.of_all(reductions)
 }
 
 /// The place where a search would begin, with the expected information there.
@@ -202,14 +249,30 @@ pub(crate) fn at_start(
     reductions: &[Reduction],
     structure: &Structure<'_>,
 ) -> Result<(Problem, Place, Sums), FitError> {
-    let problem = problem(reductions, structure, Criterion::Ml)?;
+    let problem = problem(reductions, structure, &Settings::default())?;
     let start = start::start(&problem, structure)?;
     let place = Place::new(&problem, &problem.covariance, start, None).ok_or(FitError::NotFinite)?;
     let sums = problem.sums(&place.point, pass::Order::Expected, None).ok_or(FitError::NotFinite)?;
     Ok((problem, place, sums))
 }
 
-fn problem(reductions: &[Reduction], structure: &Structure<'_>, criterion: Criterion) -> Result<Problem, FitError> {
+/// The reductions whose likelihood is maximised: those given, or, phase by phase, what is left of each phase without the one before.
+fn evidence<'a>(
+    reductions: &'a [Reduction],
+    (phases, states): (usize, usize),
+    settings: &Settings,
+) -> Result<Cow<'a, [Reduction]>, FitError> {
+    if settings.phases != Combination::Marginal || phases < 2 {
+        return Ok(Cow::Borrowed(reductions));
+    }
+    if settings.criterion == Criterion::Reml {
+        return Err(FitError::RestrictedMarginal);
+    }
+    let one = |r: &Reduction| marginal::marginal(r, states).ok_or_else(|| FitError::NoPhases { test: r.test.clone() });
+    Ok(Cow::Owned(reductions.par_iter().map(one).collect::<Result<_, _>>()?))
+}
+
+fn problem(reductions: &[Reduction], structure: &Structure<'_>, settings: &Settings) -> Result<Problem, FitError> {
     if reductions.is_empty() {
         return Err(FitError::NoTests);
     }
@@ -218,5 +281,5 @@ fn problem(reductions: &[Reduction], structure: &Structure<'_>, criterion: Crite
     if let Some(twice) = ids.windows(2).find(|pair| pair[0] == pair[1]) {
         return Err(FitError::DuplicateTest { id: twice[0].to_owned() });
     }
-    Ok(Problem::new(reductions, structure, criterion)?)
+    Ok(Problem::new(reductions, structure, (settings.criterion, settings.phases))?)
 }

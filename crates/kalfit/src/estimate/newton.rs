@@ -131,7 +131,7 @@ pub(crate) fn retract(map: &CovarianceMap, chart: &Chart, mut step: DVector<f64>
     if map.constraints.is_empty() {
         return Some(root);
     }
-    let normals = crate::estimate::local::normals(&map.constraints, map.p);
+    let normals = crate::estimate::local::normals(&map.constraints, &map.elements);
     let mut previous = f64::INFINITY;
     for _ in 0..60 {
         let sigma = &root * root.transpose();

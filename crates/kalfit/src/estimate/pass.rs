@@ -1,5 +1,6 @@
 //! One pass over the classes: ℓ(μ, Σ) and its derivatives (theory §3), the sums that every solver lives on.
-#![expect(non_snake_case, reason = "W and M are the letters of the theory")]
+
+use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -7,7 +8,8 @@ use rayon::prelude::*;
 use crate::estimate::classes::{Class, Classes};
 use crate::estimate::reml::Restricted;
 use crate::estimate::terms::{Point, Regressors, Terms};
-use crate::linalg::symmetric::{over_pairs, pair, pairs};
+use crate::linalg::elements::Elements;
+use crate::linalg::symmetric::{pair, pairs};
 
 /// Classes summed by one task. Fixed, so that sums have the same bits for any number of threads.
 const CHUNK: usize = 128;
@@ -15,8 +17,10 @@ const CHUNK: usize = 128;
 /// Which derivatives a pass computes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Order {
-    /// ℓ and the first derivatives: all that EM needs.
+    /// ℓ and the first derivatives: all that EM needs. The information on the mean only within phases.
     First,
+    /// And all of the information on the mean.
+    Mean,
     /// And the observed information.
     Second,
     /// And the expected information of Σ.
@@ -32,26 +36,87 @@ pub(crate) struct Sums {
     pub(crate) mean_score: DVector<f64>,
     /// Σ E'WE.
     pub(crate) mean_information: DMatrix<f64>,
-    /// Σ r r'.
+    /// Σ r r', zero between phases.
     pub(crate) outer: DMatrix<f64>,
-    /// Σ W.
+    /// Σ W, zero between phases.
     pub(crate) weight: DMatrix<f64>,
     /// What the restricted likelihood adds, already part of `value`.
     pub(crate) restricted: Option<Restricted>,
-    /// Σ X'W ⊗ WX, pairs of free mean coordinates × pairs of elements; nothing under maximum likelihood.
+    /// Σ X'W ⊗ WX, pairs of free mean coordinates × elements; nothing under maximum likelihood.
     spread: DMatrix<f64>,
-    /// Σ W ⊗ (r r' - ½W), pairs × pairs; under the restricted likelihood Σ W ⊗ (r r' - ½W + W X V X'W).
-    curvature: DMatrix<f64>,
-    /// Σ W ⊗ r for each mean coordinate: entry (coordinate, k, l) of E'W_{·k} r_l at (coordinate, k p + l).
+    /// Σ W ⊗ (r r' - ½W); under the restricted likelihood Σ W ⊗ (r r' - ½W + W X V X'W).
+    curvature: Products,
+    /// Σ W ⊗ r for each mean coordinate: entry (coordinate, k, l) of E'W_{·k} r_l at (coordinate, place (k, l)).
     cross: DMatrix<f64>,
-    /// Σ W ⊗ W, pairs × pairs.
-    expected: DMatrix<f64>,
+    /// Σ W ⊗ W.
+    expected: Products,
+    /// The elements of Σ.
+    pub(crate) elements: Elements,
+}
+
+/// Sums of A ⊗ B over tests, A and B symmetric, as far as second derivatives by two elements of Σ need them: A_la B_bk with k, l
+/// of one phase and a, b of one phase. Within a phase entry (l a, b k) stands at a pair of pairs, between phases at a pair of places
+/// of the block.
+#[derive(Debug, Clone)]
+struct Products {
+    /// For phases f ≥ g at f(f+1)/2 + g; none where they are not wanted.
+    blocks: Vec<DMatrix<f64>>,
+}
+
+impl Products {
+    fn zero(elements: &Elements, wanted: bool) -> Products {
+        let size = |f: usize| elements.blocks()[f].len();
+        let between = |f: usize, g: usize| if f == g { pairs(size(f)) } else { size(f) * size(g) };
+        let count = if wanted { elements.blocks().len() } else { 0 };
+        let blocks = (0..count).flat_map(|f| (0..=f).map(move |g| (f, g)));
+        Products { blocks: blocks.map(|(f, g)| DMatrix::zeros(between(f, g), between(f, g))).collect() }
+    }
+
+    fn plus(&mut self, other: &Products) {
+        self.blocks.iter_mut().zip(&other.blocks).for_each(|(own, other)| *own += other);
+    }
+
+    /// Adds scale × A ⊗ B; both p × p by rows.
+    fn add(&mut self, elements: &Elements, (scale, a): (f64, &[f64]), b: &[f64]) {
+        let p = elements.states();
+        let of_block = |(rows, columns): (&Range<usize>, &Range<usize>), same: bool| -> Vec<usize> {
+            let row = |i: usize| columns.clone().filter(move |&k| !same || k <= i).map(move |k| i * p + k);
+            rows.clone().flat_map(row).collect()
+        };
+        let all = elements.blocks().iter().enumerate().flat_map(|(f, one)| {
+            elements.blocks()[..=f].iter().enumerate().map(move |(g, other)| (f == g, one, other))
+        });
+        let mut left: Vec<f64> = Vec::new();
+        for (block, (same, one, other)) in self.blocks.iter_mut().zip(all) {
+            let places = of_block((one, other), same);
+            left.clear();
+            left.extend(places.iter().map(|&at| scale * a[at]));
+            for (column, &at) in block.as_mut_slice().chunks_exact_mut(left.len().max(1)).zip(&places) {
+                let right = b[at];
+                column.iter_mut().zip(&left).for_each(|(sum, l)| *sum += l * right);
+            }
+        }
+    }
+
+    /// A_la B_bk, k and l of one phase, a and b of one phase.
+    fn get(&self, elements: &Elements, (l, a): (usize, usize), (b, k): (usize, usize)) -> f64 {
+        let (f, g) = (elements.block_of(l), elements.block_of(a));
+        let within = |i: usize| i - elements.blocks()[elements.block_of(i)].start;
+        let (l, a, b, k) = (within(l), within(a), within(b), within(k));
+        if f == g {
+            return self.blocks[pair(f, f)][(pair(l, a), pair(b, k))];
+        }
+        let (one, other) = if f > g { ((l, a), (k, b)) } else { ((a, l), (b, k)) };
+        let width = elements.blocks()[f.min(g)].len();
+        self.blocks[pair(f, g)][(one.0 * width + one.1, other.0 * width + other.1)]
+    }
 }
 
 impl Sums {
-    fn zero(p: usize, regressors: usize, order: Order, flat: Option<&FlatMean<'_>>) -> Sums {
+    fn zero(elements: &Elements, regressors: usize, order: Order, flat: Option<&FlatMean<'_>>) -> Sums {
         let size = |n: usize, from: Order| if order >= from { n } else { 0 };
-        let (m, s) = (p + regressors, pairs(p));
+        let p = elements.states();
+        let (m, s) = (p + regressors, elements.count());
         Sums {
             value: 0.0,
             mean_score: DVector::zeros(m),
@@ -60,9 +125,10 @@ impl Sums {
             weight: DMatrix::zeros(p, p),
             restricted: None,
             spread: flat.map_or_else(|| DMatrix::zeros(0, 0), |f| DMatrix::zeros(pairs(f.jacobian.ncols()), s)),
-            curvature: DMatrix::zeros(size(s, Order::Second), size(s, Order::Second)),
-            cross: DMatrix::zeros(size(m, Order::Second), size(p * p, Order::Second)),
-            expected: DMatrix::zeros(size(s, Order::Expected), size(s, Order::Expected)),
+            curvature: Products::zero(elements, order >= Order::Second),
+            cross: DMatrix::zeros(size(m, Order::Second), size(elements.places(), Order::Second)),
+            expected: Products::zero(elements, order >= Order::Expected),
+            elements: elements.clone(),
         }
     }
 
@@ -73,9 +139,9 @@ impl Sums {
         self.outer += &other.outer;
         self.weight += &other.weight;
         self.spread += &other.spread;
-        self.curvature += &other.curvature;
+        self.curvature.plus(&other.curvature);
         self.cross += &other.cross;
-        self.expected += &other.expected;
+        self.expected.plus(&other.expected);
         self
     }
 
@@ -109,11 +175,13 @@ impl Sums {
         (self.moment() - &self.weight) * 0.5
     }
 
-    /// G once the mean coordinates have moved by `shift`: r_j becomes r_j - W_j E_j shift. Exact, without regressors; with
-    /// them their part of the shift is left out. Needs [`Order::Expected`].
+    /// G once the mean coordinates have moved by `shift`: r_j becomes r_j - W_j E_j shift. Exact in one phase without regressors;
+    /// with them their part of the shift is left out. Needs [`Order::Expected`].
     pub(crate) fn score_after(&self, regressors: &Regressors, shift: &DVector<f64>) -> DMatrix<f64> {
         let p = self.outer.nrows();
+        debug_assert!(self.elements.is_single(), "between phases the sums do not tell");
         debug_assert_eq!(shift.len(), p + regressors.len(), "mean coordinates");
+        let expected = &self.expected.blocks[0];
         let mut outer = self.moment();
         for a in 0..p {
             for b in 0..p {
@@ -121,7 +189,7 @@ impl Sums {
                     // Σ W_ak r_b and its mirror
                     outer[(a, b)] -= shift[k] * (self.cross[(a, k * p + b)] + self.cross[(b, k * p + a)]);
                     for l in 0..p {
-                        outer[(a, b)] += shift[k] * shift[l] * self.expected[(pair(a, k), pair(b, l))];
+                        outer[(a, b)] += shift[k] * shift[l] * expected[(pair(a, k), pair(b, l))];
                     }
                 }
             }
@@ -129,32 +197,30 @@ impl Sums {
         (outer - &self.weight) * 0.5
     }
 
-    /// -∂²ℓ/∂σ_kl ∂σ_ab, pairs × pairs; an off-diagonal element moves both of its places.
+    /// -∂²ℓ/∂σ_kl ∂σ_ab, elements × elements; an off-diagonal element moves both of its places.
     pub(crate) fn observed_information(&self) -> DMatrix<f64> {
-        let p = self.outer.nrows();
-        let own = over_pairs(p, |k, l, a, b| self.curvature[(pair(l, a), pair(b, k))]);
+        let elements = &self.elements;
+        let own = elements.over(|k, l, a, b| self.curvature.get(elements, (l, a), (b, k)));
         match &self.restricted {
             Some(restricted) => own - &restricted.curvature,
             None => own,
         }
     }
 
-    /// ½ Σ tr(W D W E), pairs × pairs.
+    /// ½ Σ tr(W D W E), elements × elements.
     pub(crate) fn expected_information(&self) -> DMatrix<f64> {
-        let p = self.outer.nrows();
-        over_pairs(p, |k, l, a, b| 0.5 * self.expected[(pair(l, a), pair(b, k))])
+        let elements = &self.elements;
+        elements.over(|k, l, a, b| 0.5 * self.expected.get(elements, (l, a), (b, k)))
     }
 
-    /// -∂²ℓ/∂(mean coordinate) ∂σ_kl = Σ E'(W_{·k} r_l + W_{·l} r_k), mean coordinates × pairs.
+    /// -∂²ℓ/∂(mean coordinate) ∂σ_kl = Σ E'(W_{·k} r_l + W_{·l} r_k), mean coordinates × elements.
     pub(crate) fn cross_information(&self) -> DMatrix<f64> {
-        let p = self.outer.nrows();
-        let mut cross = DMatrix::zeros(self.mean_score.len(), pairs(p));
+        let elements = &self.elements;
+        let mut cross = DMatrix::zeros(self.mean_score.len(), elements.count());
         for m in 0..self.mean_score.len() {
-            for k in 0..p {
-                for l in 0..=k {
-                    let once = self.cross[(m, k * p + l)];
-                    cross[(m, pair(k, l))] = if k == l { once } else { once + self.cross[(m, l * p + k)] };
-                }
+            for (s, (k, l)) in elements.all().enumerate() {
+                let once = self.cross[(m, elements.place(k, l))];
+                cross[(m, s)] = if k == l { once } else { once + self.cross[(m, elements.place(l, k))] };
             }
         }
         cross
@@ -170,6 +236,26 @@ pub(crate) struct FlatMean<'a> {
     pub(crate) covariance: Option<&'a DMatrix<f64>>,
 }
 
+/// What a pass adds up.
+#[derive(Debug, Clone, Copy)]
+struct Wanted<'a> {
+    elements: &'a Elements,
+    regressors: &'a Regressors,
+    order: Order,
+    flat: Option<&'a FlatMean<'a>>,
+}
+
+impl Wanted<'_> {
+    fn zero(&self) -> Sums {
+        Sums::zero(self.elements, self.regressors.len(), self.order, self.flat)
+    }
+
+    /// W between phases is wanted.
+    fn between(&self) -> bool {
+        self.order >= Order::Mean
+    }
+}
+
 /// ℓ and its derivatives at a point.
 pub(crate) fn pass(
     classes: &Classes,
@@ -178,61 +264,75 @@ pub(crate) fn pass(
     order: Order,
     flat: Option<&FlatMean<'_>>,
 ) -> Sums {
-    let zero = || Sums::zero(classes.dimension(), regressors.len(), order, flat);
+    let wanted = wanted(&classes.elements, regressors, order, flat);
     let chunks: Vec<Sums> = classes
         .classes
         .par_chunks(CHUNK)
         .map(|chunk| {
-            let mut sums = zero();
+            let mut sums = wanted.zero();
             let mut terms = Terms::new(classes.dimension());
             for class in chunk {
-                terms.evaluate(class, regressors, point);
-                terms.add_to(&mut sums, class, regressors, order, flat);
+                terms.evaluate(class, regressors, point, wanted.between());
+                terms.add_to(&mut sums, class, wanted);
             }
             sums
         })
         .collect();
-    chunks.iter().fold(zero(), Sums::add)
+    chunks.iter().fold(wanted.zero(), Sums::add)
 }
 
 /// What one class says by itself.
-pub(crate) fn of_class(class: &Class, regressors: &Regressors, point: &Point, order: Order) -> Sums {
-    let p = point.mean.len();
-    let mut sums = Sums::zero(p, regressors.len(), order, None);
-    let mut terms = Terms::new(p);
-    terms.evaluate(class, regressors, point);
-    terms.add_to(&mut sums, class, regressors, order, None);
+pub(crate) fn of_class(classes: &Classes, class: &Class, regressors: &Regressors, point: &Point, order: Order) -> Sums {
+    let wanted = wanted(&classes.elements, regressors, order, None);
+    let mut sums = wanted.zero();
+    let mut terms = Terms::new(point.mean.len());
+    terms.evaluate(class, regressors, point, wanted.between());
+    terms.add_to(&mut sums, class, wanted);
     sums
 }
 
+/// Regressions and the restricted likelihood need all of the information on the mean.
+fn wanted<'a>(
+    elements: &'a Elements,
+    regressors: &'a Regressors,
+    order: Order,
+    flat: Option<&'a FlatMean<'a>>,
+) -> Wanted<'a> {
+    let least = if regressors.is_empty() && flat.is_none() { Order::First } else { Order::Mean };
+    Wanted { elements, regressors, order: order.max(least), flat }
+}
+
 impl Terms {
-    fn add_to(
-        &self,
-        sums: &mut Sums,
-        class: &Class,
-        regressors: &Regressors,
-        order: Order,
-        flat: Option<&FlatMean<'_>>,
-    ) {
+    fn add_to(&self, sums: &mut Sums, class: &Class, wanted: Wanted<'_>) {
         let (p, n) = (self.r.len(), class.count);
         sums.value += self.value(class);
         for a in 0..p {
             sums.mean_score[a] += n * self.r[a];
-            for b in 0..p {
-                sums.mean_information[(a, b)] += n * self.W[a * p + b];
-                sums.weight[(a, b)] += n * self.W[a * p + b];
-                sums.outer[(a, b)] += self.outer[a * p + b];
+        }
+        for block in wanted.elements.blocks() {
+            for a in block.clone() {
+                for b in block.clone() {
+                    sums.mean_information[(a, b)] += n * self.W[a * p + b];
+                    sums.weight[(a, b)] += n * self.W[a * p + b];
+                    sums.outer[(a, b)] += self.outer[a * p + b];
+                }
+                if wanted.between() {
+                    for b in (0..block.start).chain(block.end..p) {
+                        sums.mean_information[(a, b)] += n * self.W[a * p + b];
+                    }
+                }
             }
         }
+        let regressors = wanted.regressors;
         for (c, &element) in regressors.iter().enumerate() {
             self.add_regressor(sums, class, regressors, (c, element));
         }
-        let uncertainty = flat.and_then(|flat| self.add_flat(sums, class, regressors, flat));
-        if order >= Order::Second {
-            self.add_second(sums, class, regressors, uncertainty.as_ref());
+        let uncertainty = wanted.flat.and_then(|flat| self.add_flat(sums, class, wanted, flat));
+        if wanted.order >= Order::Second {
+            self.add_second(sums, class, wanted, uncertainty.as_ref());
         }
-        if order >= Order::Expected {
-            self.for_pairs(|s, t, w, u| sums.expected[(s, t)] += n * w * u, &self.W);
+        if wanted.order >= Order::Expected {
+            sums.expected.add(wanted.elements, (n, &self.W), &self.W);
         }
     }
 
@@ -255,7 +355,7 @@ impl Terms {
         &self,
         sums: &mut Sums,
         class: &Class,
-        regressors: &Regressors,
+        Wanted { elements, regressors, .. }: Wanted<'_>,
         flat: &FlatMean<'_>,
     ) -> Option<DMatrix<f64>> {
         let p = self.r.len();
@@ -265,47 +365,33 @@ impl Terms {
         let own = rows * flat.jacobian; // WX
         for c in 0..own.ncols() {
             for d in 0..=c {
-                for k in 0..p {
-                    for l in 0..=k {
-                        let both = own[(k, c)] * own[(l, d)] + own[(l, c)] * own[(k, d)];
-                        sums.spread[(pair(c, d), pair(k, l))] += 0.5 * class.count * both;
-                    }
+                for (s, (k, l)) in elements.all().enumerate() {
+                    let both = own[(k, c)] * own[(l, d)] + own[(l, c)] * own[(k, d)];
+                    sums.spread[(pair(c, d), s)] += 0.5 * class.count * both;
                 }
             }
         }
         flat.covariance.map(|covariance| &own * covariance * own.transpose())
     }
 
-    fn add_second(&self, sums: &mut Sums, class: &Class, regressors: &Regressors, uncertainty: Option<&DMatrix<f64>>) {
+    fn add_second(&self, sums: &mut Sums, class: &Class, wanted: Wanted<'_>, uncertainty: Option<&DMatrix<f64>>) {
+        let Wanted { elements, regressors, .. } = wanted;
         let (p, n) = (self.r.len(), class.count);
         let mut inner = self.outer.clone();
         inner.iter_mut().zip(&self.W).for_each(|(m, w)| *m -= 0.5 * n * w);
         if let Some(uncertainty) = uncertainty {
             inner.iter_mut().zip(uncertainty.iter()).for_each(|(m, u)| *m += n * u); // symmetric
         }
-        self.for_pairs(|s, t, w, m| sums.curvature[(s, t)] += w * m, &inner);
-        for k in 0..p {
-            for l in 0..p {
-                let column = k * p + l;
-                for a in 0..p {
-                    sums.cross[(a, column)] += n * self.W[a * p + k] * self.r[l];
-                }
-                for (c, &element) in regressors.iter().enumerate() {
-                    sums.cross[(p + c, column)] += n * class.covariates[c] * self.W[element * p + k] * self.r[l];
-                }
-            }
-        }
-    }
-
-    /// Calls `f(s, t, W_s, M_t)` for all pairs s, t of elements.
-    fn for_pairs(&self, mut f: impl FnMut(usize, usize, f64, f64), M: &[f64]) {
-        let p = self.r.len();
-        for i in 0..p {
-            for j in 0..=i {
-                let m = M[i * p + j];
-                for a in 0..p {
-                    for b in 0..=a {
-                        f(pair(a, b), pair(i, j), self.W[a * p + b], m);
+        sums.curvature.add(elements, (1.0, &self.W), &inner);
+        for block in elements.blocks() {
+            for k in block.clone() {
+                for l in block.clone() {
+                    let column = elements.place(k, l);
+                    for a in 0..p {
+                        sums.cross[(a, column)] += n * self.W[a * p + k] * self.r[l];
+                    }
+                    for (c, &element) in regressors.iter().enumerate() {
+                        sums.cross[(p + c, column)] += n * class.covariates[c] * self.W[element * p + k] * self.r[l];
                     }
                 }
             }

@@ -4,14 +4,14 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::classes::Classes;
+use crate::estimate::classes::{Class, Classes};
 use crate::estimate::covariance::CovarianceMap;
 use crate::estimate::local::{Local, Objective};
 use crate::estimate::mean::MeanMap;
-use crate::estimate::pass::{FlatMean, Order, Sums, pass};
+use crate::estimate::pass::{FlatMean, Order, Sums, of_class, pass};
 use crate::estimate::reml::Restriction;
 use crate::estimate::terms::Point;
-use crate::estimate::{Criterion, Structure};
+use crate::estimate::{Combination, Criterion, Structure};
 use crate::linalg::symmetric;
 use crate::model::{Population, StructureError};
 use crate::reduce::Reduction;
@@ -31,9 +31,10 @@ impl Problem {
     pub(crate) fn new(
         reductions: &[Reduction],
         structure: &Structure<'_>,
-        criterion: Criterion,
+        (criterion, combination): (Criterion, Combination),
     ) -> Result<Problem, StructureError> {
-        let classes = Classes::new(reductions, structure.dimension(), structure.regressions().len());
+        let chained = combination != Combination::Stacked;
+        let classes = Classes::new(reductions, structure.ranges(), structure.regressions().len(), chained);
         Problem::of(classes, structure, criterion)
     }
 
@@ -68,7 +69,7 @@ impl Problem {
         let flat = FlatMean { jacobian: &self.mean_jacobian, covariance: near };
         let sums = pass(&self.classes, &self.mean.regressors, point, order, Some(&flat));
         let information = self.mean_jacobian.transpose() * &sums.mean_information * &self.mean_jacobian;
-        let restricted = restriction.at(&information, sums.spread(), self.classes.dimension())?;
+        let restricted = restriction.at(&information, sums.spread(), &self.classes.elements)?;
         Some(sums.restrict(restricted))
     }
 
@@ -76,6 +77,11 @@ impl Problem {
     pub(crate) fn likelihood(&self, point: &Point, order: Order) -> Sums {
         self.count_pass();
         pass(&self.classes, &self.mean.regressors, point, order, None)
+    }
+
+    /// What one class says by itself.
+    pub(crate) fn of_class(&self, class: &Class, point: &Point, order: Order) -> Sums {
+        of_class(&self.classes, class, &self.mean.regressors, point, order)
     }
 
     /// What is maximised.

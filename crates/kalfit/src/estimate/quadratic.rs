@@ -9,10 +9,10 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::climb::{Limits, climb};
 use crate::estimate::covariance::{CovarianceMap, Form};
-use crate::estimate::local::{Local, Objective, packed_score};
+use crate::estimate::local::{Local, Objective};
 use crate::estimate::newton::{Place, retract};
 use crate::estimate::terms::Point;
-use crate::linalg::symmetric::{pair, pairs};
+use crate::linalg::elements::Elements;
 
 /// Steps on the model.
 const STEPS: usize = 25;
@@ -27,7 +27,7 @@ const ENOUGH: f64 = 0.05;
 
 /// The better place at the model's maximum; `None` where it is not better by what the model promised. One pass.
 pub(crate) fn step(objective: &dyn Objective, map: &CovarianceMap, tests: f64, place: &Place) -> Option<Place> {
-    let model = Quadratic::new(objective, place);
+    let model = Quadratic::new(objective, place, &map.elements);
     let start = Place::new(&model, map, place.point.clone(), None)?;
     let limits = Limits { tolerance: 1e-4 * place.decrement().min(1.0), steps: STEPS };
     let (end, _) = climb(&model, map, tests, start, limits);
@@ -67,10 +67,12 @@ fn flattened(
 
 /// F with the smallest column that is small, but not zero, set to zero.
 fn without_least_column(map: &CovarianceMap, root: &DMatrix<f64>) -> Option<DMatrix<f64>> {
-    let Form::Factor(_) = &map.form else { return None };
+    let is_factor = |c: &usize| matches!(map.form_of(*c), Form::Factor(_));
     let small = |c: &usize| (0.0..SMALL).contains(&root.column(*c).amax()) && root.column(*c).amax() > 0.0;
-    let least =
-        (0..root.ncols()).filter(small).min_by(|&a, &b| root.column(a).amax().total_cmp(&root.column(b).amax()))?;
+    let least = (0..root.ncols())
+        .filter(is_factor)
+        .filter(small)
+        .min_by(|&a, &b| root.column(a).amax().total_cmp(&root.column(b).amax()))?;
     let mut root = root.clone();
     root.column_mut(least).fill(0.0);
     Some(root)
@@ -80,38 +82,37 @@ fn without_least_column(map: &CovarianceMap, root: &DMatrix<f64>) -> Option<DMat
 struct Quadratic<'a> {
     objective: &'a dyn Objective,
     place: &'a Place,
+    elements: &'a Elements,
     sigma: DMatrix<f64>,
-    /// In mean coordinates, then pairs.
+    /// In mean coordinates, then elements of Σ.
     gradient: DVector<f64>,
     information: DMatrix<f64>,
 }
 
 impl<'a> Quadratic<'a> {
-    fn new(objective: &'a dyn Objective, place: &'a Place) -> Quadratic<'a> {
+    fn new(objective: &'a dyn Objective, place: &'a Place, elements: &'a Elements) -> Quadratic<'a> {
         let local = &place.local;
         let (m, s) = (local.mean_score.len(), local.information.nrows());
         let mut gradient = DVector::zeros(m + s);
         gradient.rows_mut(0, m).copy_from(&local.mean_score);
-        gradient.rows_mut(m, s).copy_from(&packed_score(&local.score));
+        gradient.rows_mut(m, s).copy_from(&elements.pack_score(&local.score));
         let mut information = DMatrix::zeros(m + s, m + s);
         information.view_mut((0, 0), (m, m)).copy_from(&local.mean_information);
         information.view_mut((0, m), (m, s)).copy_from(&local.cross);
         information.view_mut((m, 0), (s, m)).copy_from(&local.cross.transpose());
         information.view_mut((m, m), (s, s)).copy_from(&local.information);
-        Quadratic { objective, sigma: place.point.covariance(), place, gradient, information }
+        Quadratic { objective, elements, sigma: place.point.covariance(), place, gradient, information }
     }
 
     fn away(&self, point: &Point) -> DVector<f64> {
         let at = &self.place.point;
         let (p, m) = (at.mean.len(), self.place.local.mean_score.len());
         let moved = point.covariance() - &self.sigma;
-        let mut away = DVector::zeros(m + pairs(p));
+        let mut away = DVector::zeros(m + self.elements.count());
         for i in 0..p {
             away[i] = point.mean[i] - at.mean[i];
-            for j in 0..=i {
-                away[m + pair(i, j)] = moved[(i, j)];
-            }
         }
+        self.elements.all().enumerate().for_each(|(k, at)| away[m + k] = moved[at]);
         for (c, (now, then)) in point.coefficients.iter().zip(&at.coefficients).enumerate() {
             away[p + c] = now - then;
         }
@@ -128,12 +129,12 @@ fn is_near(point: &Point, from: &Point) -> bool {
 impl Objective for Quadratic<'_> {
     fn local(&self, point: &Point, _: Option<&DMatrix<f64>>) -> Option<Local> {
         let (p, m) = (point.mean.len(), self.place.local.mean_score.len());
-        let s = pairs(p);
+        let s = self.elements.count();
         let away = self.away(point);
         let pull = &self.information * &away;
         let gradient = &self.gradient - &pull;
-        let packed = |k: usize| gradient[m + k];
-        let score = |i: usize, j: usize| packed(pair(i, j)) * if i == j { 1.0 } else { 0.5 };
+        let packed = |i: usize, j: usize| self.elements.get(i, j).map_or(0.0, |k| gradient[m + k]);
+        let score = |i: usize, j: usize| packed(i, j) * if i == j { 1.0 } else { 0.5 };
         Some(Local {
             value: self.place.local.value + away.dot(&(&self.gradient - pull * 0.5)),
             mean_score: gradient.rows(0, m).clone_owned(),

@@ -16,6 +16,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::linalg::echelon::echelon;
+use crate::linalg::elements::Elements;
 use crate::linalg::symmetric::{self, pair, pairs};
 
 /// Scaled eigenvalues of the information on β below this are zero: no test informs that direction.
@@ -39,7 +40,7 @@ pub(crate) struct Restricted {
     pub(crate) covariance: DMatrix<f64>,
     /// A = ½ Σ W X V X'W: a changes by tr(A dΣ).
     pub(crate) score: DMatrix<f64>,
-    /// ½ tr(V Ċ[D] V Ċ[E]), pairs × pairs.
+    /// ½ tr(V Ċ[D] V Ċ[E]), elements × elements.
     pub(crate) curvature: DMatrix<f64>,
 }
 
@@ -65,26 +66,31 @@ impl Restriction {
         Restriction { informed, constant }
     }
 
-    /// a and its derivatives from C (q × q) and Σ_j (X'W ⊗ WX) (pairs of β × pairs of elements). `None` where C is not
+    /// a and its derivatives from C (q × q) and Σ_j (X'W ⊗ WX) (pairs of β × elements). `None` where C is not
     /// positive definite on the informed directions.
-    pub(crate) fn at(&self, information: &DMatrix<f64>, spread: &DMatrix<f64>, p: usize) -> Option<Restricted> {
+    pub(crate) fn at(
+        &self,
+        information: &DMatrix<f64>,
+        spread: &DMatrix<f64>,
+        elements: &Elements,
+    ) -> Option<Restricted> {
         let own = self.informed.transpose() * information * &self.informed;
         let factor = own.cholesky()?.l();
         let half = factor.solve_lower_triangular(&self.informed.transpose())?.transpose(); // V = half half'
         let covariance = &half * half.transpose();
         let value = self.constant - factor.diagonal().iter().map(|x| x.ln()).sum::<f64>();
-        let score = score(&covariance, spread, p);
-        let curvature = curvature(&half, spread, p);
+        let score = score(&covariance, spread, elements);
+        let curvature = curvature(&half, spread, elements);
         Some(Restricted { value, covariance, score, curvature })
     }
 }
 
 /// ½ Σ_cd V_cd × (the part of the spread of β_c and β_d).
-fn score(covariance: &DMatrix<f64>, spread: &DMatrix<f64>, p: usize) -> DMatrix<f64> {
+fn score(covariance: &DMatrix<f64>, spread: &DMatrix<f64>, elements: &Elements) -> DMatrix<f64> {
     let q = covariance.nrows();
     let weights = packed_weights(covariance);
     let packed = spread.transpose() * DVector::from_fn(pairs(q), |k, _| 0.5 * weights[k]);
-    DMatrix::from_fn(p, p, |i, j| packed[pair(i, j)])
+    elements.unpack(&packed)
 }
 
 /// The elements of a symmetric matrix, those off the diagonal counted twice.
@@ -100,17 +106,14 @@ fn packed_weights(matrix: &DMatrix<f64>) -> DVector<f64> {
 }
 
 /// ½ tr(Y_s Y_t) with Y_s = half' Ċ[σ_s] half.
-fn curvature(half: &DMatrix<f64>, spread: &DMatrix<f64>, p: usize) -> DMatrix<f64> {
+fn curvature(half: &DMatrix<f64>, spread: &DMatrix<f64>, elements: &Elements) -> DMatrix<f64> {
     let (q, rank) = half.shape();
-    let mut y = DMatrix::zeros(rank * rank, pairs(p));
-    for k in 0..p {
-        for l in 0..=k {
-            let s = pair(k, l);
-            let places = if k == l { 1.0 } else { 2.0 };
-            let slope = DMatrix::from_fn(q, q, |c, d| places * spread[(pair(c, d), s)]);
-            let along = half.transpose() * slope * half;
-            y.column_mut(s).copy_from_slice(along.as_slice());
-        }
+    let mut y = DMatrix::zeros(rank * rank, elements.count());
+    for (s, (k, l)) in elements.all().enumerate() {
+        let places = if k == l { 1.0 } else { 2.0 };
+        let slope = DMatrix::from_fn(q, q, |c, d| places * spread[(pair(c, d), s)]);
+        let along = half.transpose() * slope * half;
+        y.column_mut(s).copy_from_slice(along.as_slice());
     }
     y.transpose() * y * 0.5
 }

@@ -1,49 +1,67 @@
 //! Fisher scoring: the start of the Newton solver.
 //!
 //! One pass gives the mean by generalised least squares at the present Σ, the score of Σ at *that* mean, and the expected
-//! information; the scoring step in Σ is exact when all tests are alike. No direction of Σ shrinks more than tenfold.
+//! information; the scoring step in Σ is exact when all tests are alike. No direction of Σ shrinks more than tenfold. With
+//! several phases the sums do not tell the score at another mean, so a pass of first order moves the mean beforehand.
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::covariance::Form;
-use crate::estimate::local::{Objective, packed_score};
-use crate::estimate::pass::Sums;
+use crate::estimate::covariance::{Form, Part};
+use crate::estimate::local::Objective;
+use crate::estimate::pass::{Order, Sums};
 use crate::estimate::problem::Problem;
 use crate::estimate::terms::Point;
-use crate::linalg::symmetric::{self, pair};
+use crate::linalg::elements::Elements;
+use crate::linalg::symmetric;
 
 /// The largest part of Σ that one step may take away in any direction.
 const LARGEST_LOSS: f64 = 0.9;
 
+/// The point with the mean of generalised least squares, in several phases; else the point itself.
+pub(crate) fn prepared(problem: &Problem, point: Point) -> Option<Point> {
+    if problem.covariance.elements.is_single() {
+        return Some(point);
+    }
+    let sums = problem.sums(&point, Order::Mean, None)?;
+    Some(problem.move_mean(&point, problem.least_squares_step(&sums).as_slice()))
+}
+
 /// The next point, and the gain in ℓ that the step promises, from the sums of order [`Expected`](crate::estimate::pass::Order::Expected) at a point.
 pub(crate) fn step(problem: &Problem, point: &Point, sums: &Sums) -> (Point, f64) {
+    let map = &problem.covariance;
     let move_mean = problem.least_squares_step(sums);
     let shift = problem.mean.jacobian() * &move_mean;
     let mut next = problem.move_mean(point, move_mean.as_slice());
-    let map = &problem.covariance;
     let chart = map.chart(&point.root);
     let free = map.free_directions(&chart);
-    let score = sums.score_after(&problem.mean.regressors, &shift);
-    let information = free.transpose() * sums.expected_information() * &free;
-    let score = free.transpose() * packed_score(&score);
-    let along = relative_solve(&information, &score, &metric(&chart.root, &free));
-    let promised = 0.5 * (along.dot(&score) + shift.dot(&sums.mean_score));
-    let change = unpack(&(free * along), map.p);
-    next.root = match &map.form {
-        Form::Fixed => point.root.clone(),
-        _ => grown(&chart.root, &change, map.constraints.is_empty())
-            .map_or_else(|| point.root.clone(), |sigma| map.root_of(&sigma)),
+    let score = match map.elements.is_single() {
+        true => sums.score_after(&problem.mean.regressors, &shift),
+        false => sums.score(), // the mean has moved already
     };
+    let information = free.transpose() * sums.expected_information() * &free;
+    let score = free.transpose() * map.elements.pack_score(&score);
+    let along = relative_solve(&information, &score, &metric(&chart.root, &free, &map.elements));
+    let promised = 0.5 * (along.dot(&score) + shift.dot(&sums.mean_score));
+    let change = map.elements.unpack(&(free * along));
+    let of = |part: &Part| {
+        let (own, before) = (map.of_part(part), part.of(&point.root));
+        match &part.form {
+            Form::Fixed(_) => before,
+            _ => grown(&part.of(&chart.root), &part.of(&change), own.constraints.is_empty())
+                .map_or(before, |sigma| own.root_of(&sigma)),
+        }
+    };
+    next.root = map.assembled(map.parts.iter().map(of));
     (next, promised)
 }
 
 /// tr(Σ⁺D Σ⁺E) over the free directions: the size of a change relative to Σ = FF'.
-fn metric(root: &DMatrix<f64>, free: &DMatrix<f64>) -> DMatrix<f64> {
+fn metric(root: &DMatrix<f64>, free: &DMatrix<f64>, elements: &Elements) -> DMatrix<f64> {
     let sigma = root * root.transpose();
     let (p, size) = (root.nrows(), symmetric::sizes(&sigma));
     let inverse = symmetric::pseudo_inverse(&DMatrix::from_fn(p, p, |i, j| sigma[(i, j)] / size[i] / size[j]));
     let inverse = DMatrix::from_fn(p, p, |i, j| inverse[(i, j)] / size[i] / size[j]);
-    let full = symmetric::over_pairs(p, |k, l, a, b| inverse[(l, a)] * inverse[(b, k)]);
+    let full = elements.over(|k, l, a, b| inverse[(l, a)] * inverse[(b, k)]);
     free.transpose() * full * free
 }
 
@@ -58,10 +76,6 @@ fn relative_solve(information: &DMatrix<f64>, score: &DVector<f64>, metric: &DMa
     let relative = half.transpose() * information * &half;
     let right = half.transpose() * score;
     half * symmetric::pseudo_solve(&relative, &right)
-}
-
-fn unpack(packed: &DVector<f64>, p: usize) -> DMatrix<f64> {
-    DMatrix::from_fn(p, p, |i, j| packed[pair(i, j)])
 }
 
 /// Σ + change, with the change cut where it would leave less than a tenth of Σ = FF': direction by direction, or, so as to

@@ -6,7 +6,6 @@ use nalgebra::DMatrix;
 
 use crate::estimate::certificate::{Certificate, certificate};
 use crate::estimate::climb::escaped;
-use crate::estimate::covariance::Form;
 use crate::estimate::em::{self, Turn};
 use crate::estimate::local::{Local, Objective};
 use crate::estimate::newton::{Attempt, Damping, Place, retract};
@@ -146,6 +145,7 @@ impl<'a> Search<'a> {
         let mut expected = 0.0;
         for _ in 0..SCORING_STEPS {
             let near = best.as_ref().and_then(|(sums, _)| sums.near());
+            point = scoring::prepared(&self.problem, point).ok_or(FitError::NotFinite)?;
             let sums = self.problem.sums(&point, Order::Expected, near).ok_or(FitError::NotFinite)?;
             let before = best.as_ref().map(|(sums, _)| sums.value);
             if let Some((kept, at)) = best.take_if(|(kept, _)| sums.value.is_nan() || sums.value < kept.value) {
@@ -176,7 +176,7 @@ impl<'a> Search<'a> {
 
     /// An EM step, where it raises ℓ.
     fn safeguard(&mut self, place: &Place) -> Result<Option<Place>, FitError> {
-        let sums = self.sums(&place.point, Order::First)?;
+        let sums = self.sums(&place.point, Order::Mean)?;
         let next = em::step(&self.problem, &place.point, &sums, &mut Turn::Covariance);
         let next = self.place(next, place.near())?;
         Ok((next.local.value > place.local.value).then_some(next))
@@ -187,8 +187,9 @@ impl<'a> Search<'a> {
         let mut turn = Turn::Mean;
         let mut before = f64::NEG_INFINITY;
         let mut steps = 0_usize;
+        let order = em::order(&self.problem);
         loop {
-            let sums = self.sums(&point, Order::First)?;
+            let sums = self.sums(&point, order)?;
             if self.problem.criterion() == Criterion::Reml && turn == Turn::Mean {
                 // the restricted likelihood is that at the mean of least squares, which comes first
                 point = em::step(&self.problem, &point, &sums, &mut turn);
@@ -247,10 +248,9 @@ impl<'a> Search<'a> {
 
     /// Trailing columns of the factor that are all but zero, set to zero when ℓ does not mind.
     fn snapped(&mut self, place: Place) -> Result<Place, FitError> {
-        let Form::Factor(blocks) = &self.problem.covariance.form else { return Ok(place) };
         let mut root = place.point.root.clone();
         let mut changed = false;
-        for block in blocks {
+        for block in self.problem.covariance.blocks() {
             for &c in block {
                 let largest = block.iter().map(|&i| root[(i, c)].abs()).fold(0.0, f64::max);
                 if largest > 0.0 && largest < SNAP {
@@ -289,6 +289,7 @@ fn leave(state: State, certificate: Certificate, stop: Stop, trace: Vec<f64>, so
         coefficients,
         covariance,
         log_likelihood: state.sums.value,
+        composite: None,
         certificate,
         stop,
         trace,

@@ -2,13 +2,13 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::covariance::{Chart, CovarianceMap, sub};
+use crate::estimate::covariance::{Chart, CovarianceMap, Part, sub};
 use crate::estimate::newton::retract;
 use crate::estimate::problem::{Problem, scaled_solve};
 use crate::estimate::terms::Point;
 use crate::estimate::{FitError, Structure, linear};
 use crate::linalg::symmetric;
-use crate::model::{CovarianceKind, Population, StructureError};
+use crate::model::{Population, StructureError};
 
 /// Smallest start variance, in units of what one average test tells of the state.
 const LEAST: f64 = 0.05;
@@ -17,30 +17,42 @@ const LEAST: f64 = 0.05;
 pub(crate) fn start(problem: &Problem, structure: &Structure<'_>) -> Result<Point, FitError> {
     let map = &problem.covariance;
     let (mean, coefficients) = mean(problem, structure);
-    let sigma = match &map.start {
-        Some(start) => start.clone(),
-        None => DMatrix::from_diagonal(&variances(problem, &mean)),
+    let from_data = match map.parts.iter().all(|part| part.start.is_some()) {
+        true => DMatrix::zeros(map.p, map.p),
+        false => DMatrix::from_diagonal(&variances(problem, &mean)),
     };
-    let root = map.root_of(&map.mask(&sigma));
-    let root = match &structure.phases[0].covariance.kind {
-        _ if map.constraints.is_empty() => root,
-        CovarianceKind::Linear { .. } => {
-            let root = map.root_of(&linear::member(map, &map.mask(&sigma)));
-            onto(map, &root).ok_or(StructureError::NoMember)?
-        }
-        _ => feasible(map, &sigma)?,
+    let of = |part: &Part| {
+        let sigma = part.start.clone().unwrap_or_else(|| part.of(&from_data));
+        part_root(&map.of_part(part), part.linear, &sigma)
     };
-    Ok(Point { mean: mean.as_slice().to_vec(), coefficients, root })
+    let parts: Vec<DMatrix<f64>> = map.parts.iter().map(of).collect::<Result<_, FitError>>()?;
+    Ok(Point { mean: mean.as_slice().to_vec(), coefficients, root: map.assembled(parts) })
+}
+
+/// A root for one phase near a wanted Σ.
+fn part_root(map: &CovarianceMap, linear: bool, sigma: &DMatrix<f64>) -> Result<DMatrix<f64>, FitError> {
+    if map.constraints.is_empty() {
+        return Ok(map.root_of(&map.mask(sigma)));
+    }
+    if linear {
+        let root = map.root_of(&linear::member(map, &map.mask(sigma)));
+        return Ok(onto(map, &root).ok_or(StructureError::NoMember)?);
+    }
+    feasible(map, sigma)
 }
 
 /// A root of the highest rank that the structure has: that of a start from nothing but the structure.
 pub(crate) fn generic_root(problem: &Problem) -> DMatrix<f64> {
     let map = &problem.covariance;
-    let sigma = DMatrix::identity(map.p, map.p);
-    if map.constraints.is_empty() {
-        return map.root_of(&map.mask(&sigma));
-    }
-    feasible(map, &sigma).unwrap_or_else(|_| map.root_of(&map.mask(&sigma)))
+    let of = |part: &Part| {
+        let own = map.of_part(part);
+        let sigma = DMatrix::identity(own.p, own.p);
+        if own.constraints.is_empty() {
+            return own.root_of(&own.mask(&sigma));
+        }
+        feasible(&own, &sigma).unwrap_or_else(|_| own.root_of(&own.mask(&sigma)))
+    };
+    map.assembled(map.parts.iter().map(of))
 }
 
 /// Σ is singular for [`near`] when a scaled eigenvalue is below this.
@@ -54,11 +66,16 @@ pub(crate) fn near(problem: &Problem, values: &Population) -> Result<Point, FitE
     let wanted = DVector::from_fn(p, |i, _| (values.mean[i] - frame.centre[i]) / frame.scale[i]);
     let b = mean.basis.transpose() * (wanted - &mean.offset);
     let coefficient = |(c, scale): (usize, &f64)| values.coefficients.get(c).map_or(0.0, |value| value * scale);
-    let mut sigma = map.mask(&frame.covariance_in(&values.covariance));
-    if symmetric::scaled_range(&sub(&sigma, &map.random)).0 < SINGULAR {
-        map.random.iter().for_each(|&i| sigma[(i, i)] += LEAST.max(0.01 * sigma[(i, i)]));
-    }
-    let root = if map.constraints.is_empty() { map.root_of(&sigma) } else { feasible(map, &sigma)? };
+    let sigma = map.mask(&frame.covariance_in(&values.covariance));
+    let of = |part: &Part| {
+        let (own, mut sigma) = (map.of_part(part), part.of(&sigma));
+        if symmetric::scaled_range(&sub(&sigma, &own.random)).0 < SINGULAR {
+            own.random.iter().for_each(|&i| sigma[(i, i)] += LEAST.max(0.01 * sigma[(i, i)]));
+        }
+        if own.constraints.is_empty() { Ok(own.root_of(&sigma)) } else { feasible(&own, &sigma) }
+    };
+    let parts: Vec<DMatrix<f64>> = map.parts.iter().map(of).collect::<Result<_, FitError>>()?;
+    let root = map.assembled(parts);
     Ok(Point {
         mean: (&mean.offset + &mean.basis * b).as_slice().to_vec(),
         coefficients: mean.coefficient_scale.iter().enumerate().map(coefficient).collect(),
@@ -89,15 +106,10 @@ fn variances(problem: &Problem, mean: &DVector<f64>) -> DVector<f64> {
     let p = mean.len();
     let mut excess = DVector::<f64>::zeros(p);
     let mut weight = DVector::<f64>::zeros(p);
-    for class in &problem.classes.classes {
-        let factor = DMatrix::from_row_slice(p, p, &class.factor);
-        let residual = factor.transpose() * (DVector::from_column_slice(&class.mean) - &factor * mean);
-        let scatter = class.scatter.as_ref().map(|s| factor.transpose() * DMatrix::from_row_slice(p, p, s) * &factor);
-        for i in 0..p {
-            let own = factor.column(i).norm_squared();
-            let spread = scatter.as_ref().map_or(0.0, |s| s[(i, i)]);
-            excess[i] += class.count * (residual[i] * residual[i] - own) + spread;
-            weight[i] += class.count * own * own;
+    for (count, each) in problem.classes.excesses(mean) {
+        for (i, (own_excess, own)) in each.into_iter().enumerate() {
+            excess[i] += own_excess;
+            weight[i] += count * own * own;
         }
     }
     DVector::from_fn(p, |i, _| if weight[i] > 0.0 { (excess[i] / weight[i]).max(LEAST) } else { 1.0 })

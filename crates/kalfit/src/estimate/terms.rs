@@ -9,6 +9,7 @@
 
 use nalgebra::DMatrix;
 
+use crate::estimate::chained::Chained;
 use crate::estimate::classes::Class;
 use crate::linalg::fold::fold;
 use crate::linalg::real::Real;
@@ -227,8 +228,12 @@ impl<T: Real> Terms<T> {
 }
 
 impl Terms<f64> {
-    /// All that the class says at a point.
-    pub(crate) fn evaluate(&mut self, class: &Class, regressors: &Regressors, point: &Point) {
+    /// All that the class says at a point. Of tests kept phase by phase, W between phases is left at zero where it is not wanted
+    /// (`between`), and so is Σ r r'.
+    pub(crate) fn evaluate(&mut self, class: &Class, regressors: &Regressors, point: &Point, between: bool) {
+        if let Some(chain) = &class.chain {
+            return self.evaluate_chain(chain, class, (regressors, point), between);
+        }
         if class.square_root {
             self.factorise_by_qr(class, &point.root);
         } else {
@@ -241,6 +246,43 @@ impl Terms<f64> {
     pub(crate) fn value(&self, class: &Class) -> f64 {
         let log_det = self.mantissa.ln() + self.exponent * std::f64::consts::LN_2;
         class.constant - 0.5 * (class.count * log_det + self.quadratic)
+    }
+
+    fn evaluate_chain(
+        &mut self,
+        chain: &Chained,
+        class: &Class,
+        (regressors, point): (&Regressors, &Point),
+        between: bool,
+    ) {
+        let p = self.p;
+        let mut mean = point.mean.clone();
+        for (c, &element) in regressors.iter().enumerate() {
+            mean[element] += class.covariates[c] * point.coefficients[c];
+        }
+        let said = chain.at(&mean, &point.root, between);
+        (self.mantissa, self.exponent) = (1.0, said.log_det / std::f64::consts::LN_2);
+        self.quadratic = said.quadratic;
+        [&mut self.r, &mut self.W, &mut self.outer].into_iter().for_each(|all| all.fill(0.0));
+        let weight = |c: usize| if c == 0 { class.count } else { 1.0 };
+        let own: Vec<_> = chain.ranges().collect();
+        let mut blocks = said.W.iter();
+        for (k, one) in own.iter().enumerate() {
+            (0..one.len()).for_each(|a| self.r[one.start + a] = said.r[k][(a, 0)]);
+            for (i, other) in own[..=k].iter().enumerate() {
+                let Some(block) = blocks.next().and_then(Option::as_ref) else { continue };
+                for a in 0..one.len() {
+                    for b in 0..other.len() {
+                        let both = said.r[k].row(a).iter().zip(said.r[i].row(b)).enumerate();
+                        let outer = both.map(|(c, (x, y))| weight(c) * x * y).sum();
+                        let (at, mirror) =
+                            ((one.start + a) * p + other.start + b, (other.start + b) * p + one.start + a);
+                        (self.W[at], self.W[mirror]) = (block[(a, b)], block[(a, b)]);
+                        (self.outer[at], self.outer[mirror]) = (outer, outer);
+                    }
+                }
+            }
+        }
     }
 
     /// The same L and D without forming RΣR': the rows of (RF)' folded into I by QR.

@@ -9,7 +9,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::covariance::{CovarianceMap, Form, sub};
+use crate::estimate::covariance::{CovarianceMap, Form, Part, sub};
 use crate::linalg::symmetric;
 
 /// Scaled information below this is none.
@@ -23,10 +23,11 @@ pub(crate) fn restored(
     start: &DMatrix<f64>,
     root: &DMatrix<f64>,
 ) -> Option<DMatrix<f64>> {
-    let Form::Factor(blocks) = &map.form else { return None };
-    if !map.constraints.is_empty() {
-        return None;
-    }
+    let loose = |part: &&Part| map.of_part(part).constraints.is_empty();
+    let blocks = map.parts.iter().filter(loose).flat_map(|part| match &part.form {
+        Form::Factor(blocks) => blocks.as_slice(),
+        _ => &[],
+    });
     let mut found = root.clone();
     let mut changed = false;
     for block in blocks {

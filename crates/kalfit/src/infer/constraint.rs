@@ -13,7 +13,7 @@ use crate::model::MeanElement;
 pub enum Element {
     /// Of μ.
     Mean(usize),
-    /// Of Σ.
+    /// Of Σ; both states are of one phase.
     Covariance(usize, usize),
 }
 
@@ -34,7 +34,8 @@ pub struct Sensitivity {
     pub expected_change: Option<f64>,
 }
 
-/// Sensitivities of all constrained elements: the mean first, then Σ by rows.
+/// Sensitivities of all constrained elements: the mean first, then Σ by rows. That states of different phases are uncorrelated is no
+/// constraint.
 pub fn sensitivities(estimate: &Estimate) -> Vec<Sensitivity> {
     let state = &estimate.state;
     let law = Law::new(state);
@@ -45,12 +46,9 @@ pub fn sensitivities(estimate: &Estimate) -> Vec<Sensitivity> {
             found.push(of_mean(state, &law, &elements, (i, *value)));
         }
     }
-    let p = estimate.mean.len();
-    for i in 0..p {
-        for j in 0..=i {
-            if let Some(multiplier) = held(state, i, j) {
-                found.push(of_covariance(estimate, &law, (i, j), multiplier));
-            }
+    for (i, j) in state.problem.covariance.elements.all() {
+        if let Some(multiplier) = held(state, i, j) {
+            found.push(of_covariance(estimate, &law, (i, j), multiplier));
         }
     }
     found
@@ -76,8 +74,8 @@ fn held(state: &State, i: usize, j: usize) -> Option<Held> {
     if let Some(k) = constrained {
         return Some(Held::Multiplier(state.place.tangent.multipliers[k]));
     }
-    match &map.form {
-        Form::Fixed => Some(Held::Form),
+    match map.form_of(i) {
+        Form::Fixed(_) => Some(Held::Form),
         _ => map.is_structural_zero(i, j).then_some(Held::Form),
     }
 }
@@ -113,7 +111,7 @@ fn of_covariance(estimate: &Estimate, law: &Law<'_>, (i, j): (usize, usize), hel
             Held::Multiplier(multiplier) => multiplier,
             Held::Form => places * local.score[(i, j)],
         };
-    let k = pair(i, j);
+    let k = state.problem.covariance.elements.index(i, j);
     let mean = local.cross.column(k) * unit;
     let sigma = local.information.column(k) * unit;
     let own = local.information[(k, k)] * unit * unit;
@@ -122,7 +120,11 @@ fn of_covariance(estimate: &Estimate, law: &Law<'_>, (i, j): (usize, usize), hel
     let alone = i == j || !(zero(i) || zero(j)); // a covariance beside a zero variance cannot be freed alone
     let one_sided = i == j && value == 0.0;
     let test = score_test(score, own, &tangent_cross(state, &mean, &sigma), law, one_sided);
-    let test = if alone && !matches!(state.problem.covariance.form, Form::Fixed) { test } else { without_test(score) };
+    let test = if alone && !matches!(state.problem.covariance.form_of(i), Form::Fixed(_)) {
+        test
+    } else {
+        without_test(score)
+    };
     Sensitivity { element: Element::Covariance(i, j), value, sensitivity: score, ..test }
 }
 

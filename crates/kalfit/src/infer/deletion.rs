@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use crate::estimate::{
     Class, CovarianceMap, Criterion, Estimate, Limits, Local, Objective, Order, Place, Point, Problem, Silent, Stop,
-    climb, fit_from, of_class,
+    climb, fit_from,
 };
 use crate::infer::posterior::{Distance, distance};
 use crate::model::Population;
@@ -36,6 +36,7 @@ pub fn deletions(estimate: &Estimate, reductions: &[Reduction]) -> Vec<Option<De
     if reductions.len() < 2 {
         return vec![None; reductions.len()];
     }
+    let reductions = &*estimate.state.evidence(reductions);
     let without = |j: usize| {
         let near = climbed(estimate, &reductions[j]);
         let point = match near {
@@ -61,7 +62,7 @@ struct Without<'a> {
 
 impl Without<'_> {
     fn own(&self, point: &Point) -> Local {
-        Local::from(&of_class(&self.test, &self.problem.mean.regressors, point, Order::Second))
+        Local::from(&self.problem.of_class(&self.test, point, Order::Second))
     }
 }
 

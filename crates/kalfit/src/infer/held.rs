@@ -173,8 +173,8 @@ impl<'a> Holder<'a> {
 /// keeps the correlations. From a variance of zero no step along F would lead away.
 fn begin(map: &CovarianceMap, constraints: &[Constraint], near: &Point) -> DMatrix<f64> {
     let Some(Constraint { terms, value }) = constraints.last() else { return near.root.clone() };
-    let (&[(i, k, _)], Form::Factor(_)) = (&terms[..], &map.form) else { return near.root.clone() };
-    if i != k {
+    let &[(i, k, _)] = &terms[..] else { return near.root.clone() };
+    if i != k || !matches!(map.form_of(i), Form::Factor(_)) {
         return near.root.clone();
     }
     let mut sigma = near.covariance();

@@ -7,8 +7,9 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::{Estimate, FitError, Place, Problem, Structure, Sums, Tangent, harmonic, natural_sizes};
 use crate::infer::observability::{Observability, observability};
+use crate::infer::phases::{PhaseObservability, phases};
 use crate::infer::reason::{Explanation, explain};
-use crate::linalg::symmetric::{self, pairs};
+use crate::linalg::symmetric;
 use crate::reduce::Reduction;
 
 /// Scaled information below this is none.
@@ -19,7 +20,7 @@ pub(crate) const NONE: f64 = 1e-10;
 pub enum Quantity {
     /// Of μ; entries by element, then by regression coefficient where there are any.
     Mean,
-    /// Of Σ; entries by pair (0,0), (1,0), (1,1), (2,0), …
+    /// Of Σ; entries by element (0,0), (1,0), (1,1), (2,0), … of each phase ([`Elements`](crate::linalg::elements::Elements)).
     Covariance,
 }
 
@@ -28,7 +29,7 @@ pub enum Quantity {
 pub struct Direction {
     /// Of what.
     pub quantity: Quantity,
-    /// p entries for the mean and one for each regression coefficient; p(p+1)/2 for the covariance.
+    /// p entries for the mean and one for each regression coefficient; one for each element of the covariance.
     pub direction: Vec<f64>,
 }
 
@@ -41,23 +42,33 @@ pub struct Examination {
     pub explanations: Vec<Explanation>,
     /// Which tests say what of each state.
     pub observability: Observability,
+    /// Which directions enter at which phase; empty where the reductions do not hold their phases one by one.
+    pub phases: Vec<PhaseObservability>,
 }
 
 /// All of it before any fit: at the start values.
 pub fn examine_at_start(reductions: &[Reduction], structure: &Structure<'_>) -> Result<Examination, FitError> {
     let (problem, place, sums) = crate::estimate::at_start(reductions, structure)?;
-    Ok(examination(&problem, &place, &sums, reductions))
+    Ok(examination((&problem, &place, &sums), reductions, phases(&problem, reductions, true)))
 }
 
-pub(crate) fn examine(estimate: &Estimate, reductions: &[Reduction]) -> Examination {
+/// `evidence`: what the estimate was made from, where that is not the reductions.
+pub(crate) fn examine(estimate: &Estimate, evidence: &[Reduction], reductions: &[Reduction]) -> Examination {
     let state = &estimate.state;
-    examination(&state.problem, &state.place, &state.sums, reductions)
+    let phases = phases(&state.problem, reductions, !state.is_marginal());
+    examination((&state.problem, &state.place, &state.sums), evidence, phases)
 }
 
-fn examination(problem: &Problem, place: &Place, sums: &Sums, reductions: &[Reduction]) -> Examination {
+fn examination(
+    (problem, place, sums): (&Problem, &Place, &Sums),
+    reductions: &[Reduction],
+    phases: Vec<PhaseObservability>,
+) -> Examination {
     let unidentified = directions(problem, place, &sums.expected_information());
-    let observability = observability(problem, place, &sums.weight, reductions);
-    Examination { explanations: explain(problem, &unidentified, &observability), unidentified, observability }
+    let p = problem.classes.dimension();
+    let weight = sums.mean_information.view((0, 0), (p, p)).clone_owned();
+    let observability = observability(problem, place, &weight, reductions);
+    Examination { explanations: explain(problem, &unidentified, &observability), unidentified, observability, phases }
 }
 
 /// Unidentified directions at an estimate.
@@ -109,6 +120,9 @@ fn mean_information(problem: &Problem) -> DMatrix<f64> {
     if regressors.is_empty() {
         return information;
     }
+    if !problem.covariance.elements.is_single() {
+        return problem.classes.mean_information(regressors);
+    }
     for class in &problem.classes.classes {
         let factor = DMatrix::from_row_slice(p, p, &class.factor);
         let own = factor.transpose() * &factor * class.count;
@@ -133,9 +147,8 @@ fn covariance_directions(problem: &Problem, tangent: &Tangent, expected: &DMatri
     let free = problem.covariance.free_directions(&tangent.chart);
     let information = free.transpose() * expected * &free;
     let scale = &problem.classes.frame.scale;
-    let p = scale.len();
-    let units: Vec<f64> = (0..p).flat_map(|i| (0..=i).map(move |j| (i, j))).map(|(i, j)| scale[i] * scale[j]).collect();
-    debug_assert_eq!(units.len(), pairs(p));
+    let elements = &problem.covariance.elements;
+    let units: Vec<f64> = elements.all().map(|(i, j)| scale[i] * scale[j]).collect();
     let out = |v: DVector<f64>| {
         let direction = &free * v;
         Direction {
@@ -144,7 +157,7 @@ fn covariance_directions(problem: &Problem, tangent: &Tangent, expected: &DMatri
         }
     };
     let sizes = natural_sizes(&tangent.chart.root);
-    let sizes: Vec<f64> = (0..p).flat_map(|i| (0..=i).map(move |j| (i, j))).map(|(i, j)| sizes[i] * sizes[j]).collect();
+    let sizes: Vec<f64> = elements.all().map(|(i, j)| sizes[i] * sizes[j]).collect();
     let own = free.column_iter().map(|c| harmonic(c.iter().copied().zip(sizes.iter().copied()))).collect::<Vec<_>>();
     null_space(&information, &own, 0.0).into_iter().map(out).collect()
 }
@@ -173,7 +186,7 @@ fn null_space(information: &DMatrix<f64>, sizes: &[f64], elsewhere: f64) -> Vec<
 
 /// A basis of the same span with many zeros: Gauss-Jordan elimination with complete pivoting. Several directions that nothing
 /// was observed of come in any mixture otherwise, and say little to a reader.
-fn simplest(mut basis: DMatrix<f64>) -> DMatrix<f64> {
+pub(super) fn simplest(mut basis: DMatrix<f64>) -> DMatrix<f64> {
     for c in 0..basis.ncols() {
         let (mut at, mut largest) = ((0, c), 0.0);
         for k in c..basis.ncols() {

@@ -2,9 +2,10 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::{CovarianceMap, Estimate, Form, Order, State, of_class, packed_score};
+use crate::estimate::{CovarianceMap, Estimate, Form, Order, Part, State};
 use crate::infer::{Direction, Quantity};
-use crate::linalg::symmetric::{self, pair, pairs};
+use crate::linalg::elements::Elements;
+use crate::linalg::symmetric;
 use crate::reduce::Reduction;
 
 /// What standard errors are made of.
@@ -60,6 +61,11 @@ fn takes_part(unidentified: &[Direction], quantity: Quantity, k: usize) -> bool 
     of.map(|d| d.direction[k].abs()).fold(0.0, f64::max) > PART
 }
 
+/// Whether an element of Σ does; those between phases do not.
+fn element_takes_part(unidentified: &[Direction], elements: &Elements, i: usize, j: usize) -> bool {
+    elements.get(i, j).is_some_and(|k| takes_part(unidentified, Quantity::Covariance, k))
+}
+
 /// Quantities that are neither fixed nor unidentified.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Free {
@@ -77,17 +83,19 @@ pub fn free(estimate: &Estimate, unidentified: &[Direction]) -> Free {
     let p = estimate.mean.len();
     let mean = |i: usize| problem.mean.basis.row(i).amax() > 0.0 && !takes_part(unidentified, Quantity::Mean, i);
     let directions = problem.covariance.free_directions(&estimate.state.place.tangent.chart);
+    let map = &problem.covariance;
     let moves = |i: usize, j: usize| {
-        directions.row(pair(i, j)).iter().any(|x| x.abs() > 1e-12)
-            && !takes_part(unidentified, Quantity::Covariance, pair(i, j))
+        map.elements.get(i, j).is_some_and(|k| {
+            directions.row(k).iter().any(|x| x.abs() > 1e-12) && !takes_part(unidentified, Quantity::Covariance, k)
+        })
     };
     let bends = |i: usize, j: usize| {
-        matches!(problem.covariance.form, Form::Factor(_))
+        matches!(map.form_of(i), Form::Factor(_))
             && i != j
             && (moves(i, j)
                 || (estimate.covariance[(i, j)] != 0.0
                     && (moves(i, i) || moves(j, j))
-                    && !takes_part(unidentified, Quantity::Covariance, pair(i, j))))
+                    && !element_takes_part(unidentified, &map.elements, i, j)))
     };
     let matrix = |of: &dyn Fn(usize, usize) -> bool| (0..p).map(|i| (0..p).map(|j| of(i, j)).collect()).collect();
     Free { mean: (0..p).map(mean).collect(), covariance: matrix(&moves), correlation: matrix(&bends) }
@@ -100,7 +108,17 @@ pub fn uncertainty(
     unidentified: &[Direction],
     kind: StdErrors,
 ) -> Uncertainty {
-    uncertainty_by(&Law::of(&estimate.state, reductions, kind), &estimate.covariance, unidentified)
+    uncertainty_of(estimate, &estimate.state.evidence(reductions), unidentified, kind)
+}
+
+/// The same from the reductions whose likelihood was maximised.
+pub(super) fn uncertainty_of(
+    estimate: &Estimate,
+    evidence: &[Reduction],
+    unidentified: &[Direction],
+    kind: StdErrors,
+) -> Uncertainty {
+    uncertainty_by(&Law::of(&estimate.state, evidence, kind), &estimate.covariance, unidentified)
 }
 
 /// Standard errors from the information in a state of the estimator, at the end of a search or anywhere else; `sigma` is Σ
@@ -116,42 +134,49 @@ fn uncertainty_by(law: &Law<'_>, sigma: &DMatrix<f64>, unidentified: &[Direction
     let p = sigma.nrows();
     let parts = |quantity: Quantity, k: usize| takes_part(unidentified, quantity, k);
     let on_boundary = |i: usize| boundary.iter().any(|b| b.states.contains(&i));
-    let known = |i: usize, j: usize| !(on_boundary(i) || on_boundary(j) || parts(Quantity::Covariance, pair(i, j)));
+    let elements = &map.elements;
+    let known =
+        |i: usize, j: usize| !(on_boundary(i) || on_boundary(j) || element_takes_part(unidentified, elements, i, j));
     let mut covariance = vec![vec![None; p]; p];
     let mut correlation = vec![vec![None; p]; p];
     let mut std_dev = vec![None; p];
-    for i in 0..p {
-        for j in 0..=i {
-            let error = known(i, j).then(|| law.sigma_error(i, j)).flatten();
-            covariance[i][j] = error;
-            covariance[j][i] = error;
-        }
-        std_dev[i] = covariance[i][i].filter(|_| sigma[(i, i)] > 0.0).map(|e| e / (2.0 * sigma[(i, i)].sqrt()));
+    for (i, j) in elements.all() {
+        let error = known(i, j).then(|| law.sigma_error(i, j)).flatten();
+        covariance[i][j] = error;
+        covariance[j][i] = error;
     }
     for i in 0..p {
-        for j in 0..i {
-            let error =
-                (known(i, j) && known(i, i) && known(j, j)).then(|| law.correlation_error(sigma, i, j)).flatten();
-            correlation[i][j] = error;
-            correlation[j][i] = error;
-        }
+        std_dev[i] = covariance[i][i].filter(|_| sigma[(i, i)] > 0.0).map(|e| e / (2.0 * sigma[(i, i)].sqrt()));
+    }
+    for (i, j) in elements.all().filter(|(i, j)| i != j) {
+        let error = (known(i, j) && known(i, i) && known(j, j)).then(|| law.correlation_error(sigma, i, j)).flatten();
+        correlation[i][j] = error;
+        correlation[j][i] = error;
     }
     let mean = (0..p).map(|i| if parts(Quantity::Mean, i) { None } else { law.mean_error(i) }).collect();
     let coefficients = (0..state.problem.mean.regressors.len())
         .map(|c| if parts(Quantity::Mean, p + c) { None } else { law.coefficient_error(c) })
         .collect();
-    let scale = vec![matches!(map.form, Form::Scale(_)).then(|| law.scale_error(sigma)).flatten()];
+    let of_part = |part: &Part| matches!(part.form, Form::Scale(_)).then(|| law.scale_error(sigma, part)).flatten();
+    let scale = map.parts.iter().map(of_part).collect();
     Uncertainty { mean, coefficients, covariance, std_dev, correlation, scale, boundary }
 }
 
 /// Blocks of Σ that are singular.
 fn boundary(map: &CovarianceMap, root: &DMatrix<f64>) -> Vec<Boundary> {
-    let blocks: Vec<Vec<usize>> = match &map.form {
-        Form::Factor(blocks) => blocks.clone(),
-        Form::StdDevs(_, states) => states.iter().filter(|&&i| root.row(i).norm() == 0.0).map(|&i| vec![i]).collect(),
-        Form::Scale(_) if root.amax() == 0.0 => vec![map.random.clone()],
-        _ => Vec::new(),
+    let of_part = |part: &Part| -> Vec<Vec<usize>> {
+        match &part.form {
+            Form::Factor(blocks) => blocks.clone(),
+            Form::StdDevs(_, states) => {
+                states.iter().filter(|&&i| root.row(i).norm() == 0.0).map(|&i| vec![i]).collect()
+            }
+            Form::Scale(_) if part.of(root).amax() == 0.0 => {
+                vec![map.random.iter().copied().filter(|i| part.states.contains(i)).collect()]
+            }
+            _ => Vec::new(),
+        }
     };
+    let blocks: Vec<Vec<usize>> = map.parts.iter().flat_map(of_part).collect();
     let rank = |block: &[usize]| {
         let own = DMatrix::from_fn(block.len(), root.ncols(), |i, c| root[(block[i], c)]);
         let norms: Vec<f64> = (0..block.len()).map(|i| own.row(i).norm()).collect();
@@ -195,7 +220,7 @@ impl<'a> Law<'a> {
     fn of(state: &'a State, reductions: &[Reduction], kind: StdErrors) -> Law<'a> {
         let tangent = &state.place.tangent;
         let mean = state.problem.mean.jacobian();
-        let (m, s) = (mean.nrows(), pairs(state.place.point.mean.len()));
+        let (m, s) = (mean.nrows(), state.problem.covariance.elements.count());
         let mut jacobian = DMatrix::zeros(m + s, tangent.mean + tangent.jacobian.ncols());
         jacobian.view_mut((0, 0), mean.shape()).copy_from(&mean);
         jacobian.view_mut((m, tangent.mean), tangent.jacobian.shape()).copy_from(&tangent.jacobian);
@@ -257,7 +282,7 @@ impl<'a> Law<'a> {
     fn sigma(&self, i: usize, j: usize, weight: f64) -> (usize, f64) {
         let p = self.scale().len();
         let rows = p + self.state.problem.mean.regressors.len();
-        (rows + pair(i, j), weight * self.scale()[i] * self.scale()[j])
+        (rows + self.state.problem.covariance.elements.index(i, j), weight * self.scale()[i] * self.scale()[j])
     }
 
     fn mean_error(&self, i: usize) -> Option<f64> {
@@ -287,9 +312,9 @@ impl<'a> Law<'a> {
         self.sigma_part(&self.weights(&entries))
     }
 
-    /// Relative standard error of a common factor on Σ, read off its largest variance.
-    fn scale_error(&self, sigma: &DMatrix<f64>) -> Option<f64> {
-        let i = (0..sigma.nrows()).max_by(|&a, &b| sigma[(a, a)].total_cmp(&sigma[(b, b)]))?;
+    /// Relative standard error of a common factor on the Σ of a phase, read off its largest variance.
+    fn scale_error(&self, sigma: &DMatrix<f64>, part: &Part) -> Option<f64> {
+        let i = part.states.clone().max_by(|&a, &b| sigma[(a, a)].total_cmp(&sigma[(b, b)]))?;
         (sigma[(i, i)] > 0.0).then(|| self.sigma_error(i, i).map(|e| e / sigma[(i, i)])).flatten()
     }
 }
@@ -309,10 +334,10 @@ fn outer_scores(state: &State, reductions: &[Reduction], m: usize, s: usize) -> 
     let mut order: Vec<&Reduction> = reductions.iter().collect();
     order.sort_by(|a, b| a.test.cmp(&b.test)); // the same bits whatever the order of the tests
     for reduction in order {
-        let own = of_class(&problem.classes.single(reduction), &problem.mean.regressors, point, Order::First);
+        let own = problem.of_class(&problem.classes.single(reduction), point, Order::First);
         let mut score = DVector::zeros(m + s);
         score.rows_mut(0, m).copy_from(&own.mean_score);
-        score.rows_mut(m, s).copy_from(&packed_score(&own.score()));
+        score.rows_mut(m, s).copy_from(&problem.covariance.elements.pack_score(&own.score()));
         sum.ger(1.0, &score, &score, 1.0);
     }
     sum

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use crate::estimate::{Criterion, Estimate, Point};
 use crate::infer::held::{HeldMaximum, Holdable, Holder};
 use crate::infer::information::{Free, Uncertainty};
-use crate::linalg::symmetric::pairs;
+use crate::linalg::elements::Elements;
 
 /// Normal quantile of 97.5 %: an interval holds the values whose ℓ_max is within half its square of the maximum.
 const QUANTILE: f64 = 1.959_963_984_540_054;
@@ -78,7 +78,8 @@ impl Intervals {
 pub fn wald(estimate: &Estimate, uncertainty: &Uncertainty) -> Intervals {
     let p = estimate.mean.len();
     let mut found = Intervals::none(IntervalKind::Wald, p, estimate.coefficients.len());
-    for what in quantities(p, estimate.coefficients.len()) {
+    let elements = &estimate.state.problem.covariance.elements;
+    for what in quantities(elements, estimate.coefficients.len()) {
         let value = value(estimate, what);
         let interval = error(uncertainty, what).zip(value).and_then(|(e, x)| {
             let around = |centre: f64, e: f64| [centre - QUANTILE * e, centre + QUANTILE * e];
@@ -108,7 +109,8 @@ pub fn profile(estimate: &Estimate, uncertainty: &Uncertainty, free: &Free) -> I
         found.coefficients = wald.coefficients;
     }
     let holder = Holder::new(&estimate.state);
-    let wanted: Vec<Holdable> = quantities(p, estimate.coefficients.len())
+    let elements = &estimate.state.problem.covariance.elements;
+    let wanted: Vec<Holdable> = quantities(elements, estimate.coefficients.len())
         .into_iter()
         .filter(|what| is_free(free, estimate, *what) && has_profile(what))
         .collect();
@@ -126,9 +128,10 @@ pub fn profile(estimate: &Estimate, uncertainty: &Uncertainty, free: &Free) -> I
     found
 }
 
-fn quantities(p: usize, coefficients: usize) -> Vec<Holdable> {
-    let below = || (0..p).flat_map(|i| (0..i).map(move |j| (i, j)));
-    let mut all = Vec::with_capacity(2 * p + coefficients + 2 * pairs(p));
+fn quantities(elements: &Elements, coefficients: usize) -> Vec<Holdable> {
+    let p = elements.states();
+    let below = || elements.all().filter(|(i, j)| i != j);
+    let mut all = Vec::with_capacity(2 * p + coefficients + 2 * elements.count());
     all.extend((0..p).map(Holdable::Mean));
     all.extend((0..coefficients).map(Holdable::Coefficient));
     all.extend((0..p).map(Holdable::StdDev));

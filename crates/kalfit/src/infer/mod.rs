@@ -7,6 +7,7 @@ mod identifiability;
 mod information;
 mod interval;
 mod observability;
+mod phases;
 mod posterior;
 mod ratio;
 mod reason;
@@ -19,6 +20,7 @@ pub use identifiability::{
 pub use information::{Boundary, Free, StdErrors, Uncertainty, free, uncertainty};
 pub use interval::{Interval, IntervalKind, Intervals, profile, wald};
 pub use observability::{Leading, MOST_TESTS, Observability, Shortage, StateObservability, WEAK, WeakDirection};
+pub use phases::PhaseObservability;
 pub use posterior::{Distance, Posterior, posteriors};
 pub use ratio::{
     Bootstrap, BootstrapResult, Component, DynamicRatioError, LikelihoodRatio, NotNested, NotNestedParameter,
@@ -75,6 +77,8 @@ pub struct Inference {
     pub explanations: Vec<Explanation>,
     /// Which tests say what of each state.
     pub observability: Observability,
+    /// Which directions enter at which phase; empty where the reductions do not hold their phases one by one.
+    pub phases: Vec<PhaseObservability>,
     /// What each constraint costs.
     pub sensitivities: Vec<Sensitivity>,
     /// What each test says, in the order of the reductions.
@@ -85,12 +89,14 @@ pub struct Inference {
 
 /// Infers all of it, from the reductions that the estimate was made from.
 pub fn infer(estimate: &Estimate, reductions: &[Reduction], choices: Choices) -> Inference {
-    let Examination { unidentified, explanations, observability } = identifiability::examine(estimate, reductions);
+    let evidence = estimate.state.evidence(reductions);
+    let Examination { unidentified, explanations, observability, phases } =
+        identifiability::examine(estimate, &evidence, reductions);
     let std_errors = match estimate.criterion {
         Criterion::Ml => choices.std_errors,
         Criterion::Reml => StdErrors::Observed, // what it adds to ℓ is no sum over tests
     };
-    let uncertainty = uncertainty(estimate, reductions, &unidentified, std_errors);
+    let uncertainty = information::uncertainty_of(estimate, &evidence, &unidentified, std_errors);
     let intervals = match choices.intervals {
         IntervalKind::Wald => wald(estimate, &uncertainty),
         IntervalKind::Profile => profile(estimate, &uncertainty, &free(estimate, &unidentified)),
@@ -102,6 +108,7 @@ pub fn infer(estimate: &Estimate, reductions: &[Reduction], choices: Choices) ->
     };
     Inference {
         std_errors,
+        phases,
         intervals,
         uncertainty,
         sensitivities: sensitivities(estimate),

@@ -17,7 +17,7 @@ use std::cmp::Ordering;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use crate::estimate::{Form, Place, Problem, Terms};
+use crate::estimate::{Form, Part, Place, Problem, Terms};
 use crate::infer::identifiability::{NONE, unit};
 use crate::linalg::symmetric;
 use crate::reduce::Reduction;
@@ -273,7 +273,7 @@ impl Shares<'_> {
         for design in designs {
             let first = design.tests[0];
             let class = self.problem.classes.single(first);
-            terms.evaluate(&class, &self.problem.mean.regressors, &self.place.point);
+            terms.evaluate(&class, &self.problem.mean.regressors, &self.place.point, true);
             let W = DMatrix::from_row_slice(p, p, &terms.W);
             for (c, u) in directions.iter().enumerate() {
                 let own = u.dot(&(&W * u));
@@ -316,10 +316,12 @@ impl<'a> Parts<'a> {
 
 /// Blocks of a Σ without fixed or equal elements that fewer tests inform than a regular estimate takes.
 fn shortages(problem: &Problem, designs: &[Design<'_>]) -> Vec<Shortage> {
-    let Form::Factor(blocks) = &problem.covariance.form else { return Vec::new() };
-    if !problem.covariance.constraints.is_empty() {
-        return Vec::new();
-    }
+    let map = &problem.covariance;
+    let loose = |part: &&Part| map.of_part(part).constraints.is_empty();
+    let blocks = map.parts.iter().filter(loose).flat_map(|part| match &part.form {
+        Form::Factor(blocks) => blocks.as_slice(),
+        _ => &[],
+    });
     let shortage = |block: &Vec<usize>| {
         let seen = |i: &usize| count(designs, |d| d.informs[*i]) > 0;
         let states: Vec<usize> = block.iter().copied().filter(seen).collect();
@@ -327,5 +329,5 @@ fn shortages(problem: &Problem, designs: &[Design<'_>]) -> Vec<Shortage> {
         let free = states.iter().any(|&i| problem.mean.basis.row(i).norm() > 0.0);
         Shortage { states, tests, rank: tests.saturating_sub(usize::from(free)) }
     };
-    blocks.iter().map(shortage).filter(|s| s.tests > 0 && s.rank < s.states.len()).collect()
+    blocks.map(shortage).filter(|s| s.tests > 0 && s.rank < s.states.len()).collect()
 }

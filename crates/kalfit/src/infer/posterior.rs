@@ -15,7 +15,7 @@ pub struct Posterior {
     pub log_likelihood: f64,
     /// E[ξ | z] (p).
     pub mean: Vec<f64>,
-    /// Var[ξ | z] (p × p).
+    /// Var[ξ | z] (p × p). Of a test kept phase by phase, without the covariances between phases.
     pub covariance: DMatrix<f64>,
     /// How far the test is from the population.
     pub distance: Distance,
@@ -51,8 +51,8 @@ fn posterior(estimate: &Estimate, reduction: &Reduction) -> Posterior {
     Posterior {
         log_likelihood: terms.value(&class),
         mean: frame.mean_out(mean.as_slice()),
-        covariance: frame.covariance_out(&posterior_covariance(&class.factor, &point.root)),
-        distance: Distance::new(terms.quadratic, &class),
+        covariance: frame.covariance_out(&covariance(problem, &class, &point.root)),
+        distance: Distance::of(&terms, &class, reduction),
     }
 }
 
@@ -60,22 +60,39 @@ fn posterior(estimate: &Estimate, reduction: &Reduction) -> Posterior {
 pub(crate) fn distance(problem: &Problem, point: &Point, reduction: &Reduction) -> (f64, Distance) {
     let class = problem.classes.single(reduction);
     let terms = terms(problem, point, &class);
-    (terms.value(&class), Distance::new(terms.quadratic, &class))
+    (terms.value(&class), Distance::of(&terms, &class, reduction))
 }
 
 fn terms(problem: &Problem, point: &Point, class: &Class) -> Terms {
     let mut terms = Terms::new(point.mean.len());
-    terms.evaluate(class, &problem.mean.regressors, point);
+    terms.evaluate(class, &problem.mean.regressors, point, false);
     terms
 }
 
 impl Distance {
-    fn new(squared: f64, class: &Class) -> Distance {
-        let p = class.mean.len();
-        let rank = (0..p).filter(|&i| (i..p).any(|k| class.factor[i * p + k] != 0.0)).count();
+    fn of(terms: &Terms, class: &Class, reduction: &Reduction) -> Distance {
+        let p = terms.r.len();
+        let rank = (0..p).filter(|&i| (i..p).any(|k| reduction.factor[i + k * (k + 1) / 2] != 0.0)).count();
+        // of tests kept phase by phase the quadratic form holds what their phases disagree on at any ξ as well: the stacked constant
+        // is what is left of those of the phases after that and after the noise between them
+        let disagreement = class
+            .chain
+            .as_ref()
+            .map_or(0.0, |chain| 2.0 * (class.constant - reduction.constant) - chain.link_log_det(p));
+        let squared = (terms.quadratic - disagreement).max(0.0);
         let p_value = ChiSquared::new(rank as f64).ok().map(|chi| chi.sf(squared));
         Distance { squared, degrees_of_freedom: rank, p_value }
     }
+}
+
+/// Var[ξ | z] in η. Of tests kept phase by phase, zero between phases; of phases that a test lacks, Σ.
+fn covariance(problem: &Problem, class: &Class, root: &DMatrix<f64>) -> DMatrix<f64> {
+    let Some(chain) = &class.chain else { return posterior_covariance(&class.factor, root) };
+    let mut covariance = root * root.transpose();
+    for (own, states) in chain.posterior_covariances(root).iter().zip(problem.covariance.elements.blocks()) {
+        covariance.view_mut((states.start, states.start), own.shape()).copy_from(own);
+    }
+    covariance
 }
 
 /// F (I + F'JF)⁻¹ F'; `factor` is R with J = R'R, by rows.

@@ -2,7 +2,7 @@
 
 use crate::estimate::Problem;
 use crate::infer::{Direction, Observability, Quantity};
-use crate::linalg::symmetric::pairs;
+use crate::linalg::elements::Elements;
 
 /// A weight of a unit direction below this is none.
 const NEGLIGIBLE: f64 = 1e-6;
@@ -50,7 +50,7 @@ pub struct Explanation {
 pub(crate) fn explain(problem: &Problem, directions: &[Direction], seen: &Observability) -> Vec<Explanation> {
     let one = |direction: &Direction| match direction.quantity {
         Quantity::Mean => mean(problem, direction, seen),
-        Quantity::Covariance => covariance(direction, seen),
+        Quantity::Covariance => covariance(&problem.covariance.elements, direction, seen),
     };
     directions.iter().map(one).collect()
 }
@@ -77,10 +77,9 @@ fn mean(problem: &Problem, direction: &Direction, seen: &Observability) -> Expla
     Explanation { reason, tests }
 }
 
-fn covariance(direction: &Direction, seen: &Observability) -> Explanation {
-    let p = seen.states.len();
-    debug_assert_eq!(direction.direction.len(), pairs(p), "one weight for each element");
-    let all: Vec<(usize, usize)> = (0..p).flat_map(|i| (0..=i).map(move |k| (i, k))).collect();
+fn covariance(elements: &Elements, direction: &Direction, seen: &Observability) -> Explanation {
+    debug_assert_eq!(direction.direction.len(), elements.count(), "one weight for each element");
+    let all: Vec<(usize, usize)> = elements.all().collect();
     let elements: Vec<(usize, usize)> = support(&direction.direction).into_iter().map(|at| all[at]).collect();
     let mut states: Vec<usize> = elements.iter().flat_map(|&(i, k)| [i, k]).collect();
     states.sort_unstable();

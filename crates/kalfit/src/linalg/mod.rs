@@ -1,10 +1,12 @@
 //! Small dense linear algebra. Own kernels on slices for inner loops; nalgebra for everything else.
 
 pub mod echelon;
+pub mod elements;
 pub mod exponential;
 pub mod fold;
 mod posterior;
 pub mod real;
+pub(crate) mod rows;
 pub mod symmetric;
 mod whiten;
 pub(crate) use posterior::posterior_root;

@@ -18,11 +18,9 @@ pub use error::PlanError;
 pub use lost::{InformationLost, StdErrorRatio, information_lost};
 pub use record::{PlanProvenance, PlanRecord, PlannedRecord};
 
-use std::ops::Range;
-
 use crate::estimate::{ExpectedError, State, Structure, at_population};
 use crate::infer::{self, Direction, Uncertainty};
-use crate::linalg::symmetric::pair;
+use crate::linalg::elements::Elements;
 use crate::model::Population;
 use crate::reduce::Reduction;
 
@@ -129,7 +127,8 @@ pub fn plan(
         value: found.value(quantity),
         std_errors: found.error(quantity).map(at_each).ok_or_else(|| found.reason(quantity)),
     };
-    let quantities = quantities(&structure.ranges(), regressions).into_iter().map(one).collect();
+    let elements = &state.problem.covariance.elements;
+    let quantities = quantities(elements, regressions).into_iter().map(one).collect();
     Ok(Plan { design_tests: n, tests: tests.to_vec(), quantities })
 }
 
@@ -141,18 +140,12 @@ fn off_structure(error: ExpectedError) -> PlanError {
 }
 
 /// Those of all phases; of pairs, those within a phase: states of different phases are independent.
-fn quantities(phases: &[Range<usize>], regressions: usize) -> Vec<Quantity> {
-    let all = || phases.iter().flat_map(Clone::clone);
-    let lower = |least: usize| {
-        let of = move |range: &Range<usize>| {
-            let first = range.start;
-            range.clone().flat_map(move |i| (first..(i + 1).saturating_sub(least).max(first)).map(move |j| (i, j)))
-        };
-        phases.iter().flat_map(of)
-    };
-    let means = all().map(Quantity::Mean).chain((0..regressions).map(Quantity::Coefficient));
-    let spreads = all().map(Quantity::StdDev).chain(lower(1).map(|(i, j)| Quantity::Correlation(i, j)));
-    means.chain(spreads).chain(lower(0).map(|(i, j)| Quantity::Covariance(i, j))).collect()
+fn quantities(elements: &Elements, regressions: usize) -> Vec<Quantity> {
+    let p = elements.states();
+    let below = || elements.all().filter(|(i, j)| i != j);
+    let means = (0..p).map(Quantity::Mean).chain((0..regressions).map(Quantity::Coefficient));
+    let spreads = (0..p).map(Quantity::StdDev).chain(below().map(|(i, j)| Quantity::Correlation(i, j)));
+    means.chain(spreads).chain(elements.all().map(|(i, j)| Quantity::Covariance(i, j))).collect()
 }
 
 /// What was found at the population.
@@ -190,6 +183,11 @@ impl Found<'_> {
         error.filter(|error| error.is_finite())
     }
 
+    /// The number of an element of Σ.
+    fn element(&self, i: usize, j: usize) -> usize {
+        self.state.problem.covariance.elements.index(i, j)
+    }
+
     /// Why a quantity has no standard error.
     fn reason(&self, quantity: Quantity) -> Reason {
         let takes_part = |what: infer::Quantity, k: usize| {
@@ -210,7 +208,7 @@ impl Found<'_> {
             Reason::Fixed
         } else if is_singular(i) || is_singular(j) {
             Reason::Boundary
-        } else if elements.iter().any(|&(i, j)| takes_part(infer::Quantity::Covariance, pair(i, j))) {
+        } else if elements.iter().any(|&(i, j)| takes_part(infer::Quantity::Covariance, self.element(i, j))) {
             Reason::Unidentified
         } else {
             Reason::Fixed

@@ -19,6 +19,21 @@ pub struct Chain {
     pub phases: Vec<ChainPhase>,
 }
 
+impl Chain {
+    /// The same matrices without data.
+    pub(crate) fn blank(&self) -> Chain {
+        let mut chain = self.clone();
+        for phase in &mut chain.phases {
+            phase.constant = 0.0;
+            phase.data.fill(0.0);
+            if let Some(link) = &mut phase.link {
+                link.mean.fill(0.0);
+            }
+        }
+        chain
+    }
+}
+
 /// One phase of a [`Chain`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct ChainPhase {

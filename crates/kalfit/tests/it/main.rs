@@ -1,5 +1,6 @@
 //! The tests of the core from outside, one program: they share the dense reference and drawn ensembles.
 
+mod chains;
 mod dense;
 mod dynamic_record;
 mod inference;
@@ -11,8 +12,8 @@ mod meta_analysis;
 mod observability;
 mod passes;
 mod phased;
-mod phased_record;
 mod phased_innovations;
+mod phased_record;
 mod phased_simulate;
 mod plan;
 mod random_ensembles;
@@ -23,6 +24,6 @@ mod same_point;
 mod sensitivities;
 mod simulate;
 mod simulated;
-mod three_phases;
 mod suboptimal;
+mod three_phases;
 mod unobservable;

@@ -36,8 +36,7 @@ fn phase(name: &str, label: usize, states: &[&str], equation: Linear, carry: Vec
         random: true,
     };
     let column = |name: &&str| Column { name: (*name).into(), used_in: "measurement `m`".into() };
-    let measurement =
-        Measurement { name: "m".into(), column: 0, filter: None, equation, noise_variance: number(0.01) };
+    let measurement = Measurement { name: "m".into(), column: 0, filter: None, equation, noise_variance: number(0.01) };
     let model = Model {
         title: "two phases".into(),
         columns: COLUMNS.iter().map(column).collect(),
@@ -157,8 +156,7 @@ fn constraints_regressions_and_scales_are_of_their_phase() {
     let star = vec![vec![number(1.0), number(0.0)], vec![number(0.0), number(0.25)]];
     flight.model.covariance.kind = CovarianceKind::Proportional(star);
     let (record, estimate, _) = fitted(&model);
-    let found: Vec<(&str, &str)> =
-        record.constraints.iter().map(|c| (c.phase.as_str(), c.element.as_str())).collect();
+    let found: Vec<(&str, &str)> = record.constraints.iter().map(|c| (c.phase.as_str(), c.element.as_str())).collect();
     assert!(found.contains(&("bench", "covariance[bias, slope]")), "{found:?}");
     assert!(found.contains(&("flight", "mean[trend]")), "{found:?}");
     assert!(found.iter().all(|(phase, element)| *phase == "bench" || !element.contains("slope")), "{found:?}");

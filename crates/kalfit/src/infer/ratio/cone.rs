@@ -10,10 +10,11 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use crate::estimate::{CovarianceMap, Estimate, Form, Order, Problem, generic_root};
+use crate::estimate::{CovarianceMap, Estimate, Form, Order, Part, Problem, generic_root};
 use crate::infer::ratio::law::{Component, ReferenceLaw};
 use crate::infer::ratio::nested::regressions;
-use crate::linalg::symmetric::{self, pair, pairs};
+use crate::linalg::elements::Elements;
+use crate::linalg::symmetric;
 
 /// Scaled eigenvalues below this count as none.
 const NONE: f64 = 1e-10;
@@ -58,7 +59,7 @@ fn information(null: &Estimate, outer: &Problem, places: &[usize]) -> DMatrix<f6
     places.iter().zip(&point.coefficients).for_each(|(&at, value)| coefficients[at] = *value);
     point.coefficients = coefficients;
     let sums = outer.likelihood(&point, Order::Expected);
-    let (m, s) = (sums.mean_score.len(), pairs(point.mean.len()));
+    let (m, s) = (sums.mean_score.len(), sums.elements.count());
     let mut information = DMatrix::zeros(m + s, m + s);
     information.view_mut((0, 0), (m, m)).copy_from(&sums.mean_information);
     information.view_mut((m, m), (s, s)).copy_from(&sums.expected_information());
@@ -78,22 +79,12 @@ fn narrow_mean(jacobian: &DMatrix<f64>, rows: usize, places: &[usize]) -> DMatri
 
 /// Directions of the free quantities in mean coordinates of the model and elements of Σ.
 fn directions(problem: &Problem, mean: DMatrix<f64>, root: &DMatrix<f64>) -> DMatrix<f64> {
-    let sigma = match &problem.covariance.form {
-        // dΣ/dψ vanishes at Σ = 0, and yet β > 0 is a direction
-        Form::Scale(star) => {
-            let star = star * star.transpose();
-            DMatrix::from_fn(pairs(star.nrows()), 1, |k, _| unpair(k).map_or(0.0, |(i, j)| star[(i, j)]))
-        }
-        _ => problem.covariance.free_directions(&problem.covariance.chart(root)),
-    };
+    let map = &problem.covariance;
+    let sigma = map.cone_directions(&map.chart(root));
     let mut all = DMatrix::zeros(mean.nrows() + sigma.nrows(), mean.ncols() + sigma.ncols());
     all.view_mut((0, 0), mean.shape()).copy_from(&mean);
     all.view_mut(mean.shape(), sigma.shape()).copy_from(&sigma);
     all
-}
-
-fn unpair(k: usize) -> Option<(usize, usize)> {
-    (0..=k).flat_map(|i| (0..=i).map(move |j| (i, j))).find(|&(i, j)| pair(i, j) == k)
 }
 
 /// Number of identified directions.
@@ -118,32 +109,36 @@ enum Sides {
 }
 
 fn sides(inner: &Problem, outer: &Problem) -> Sides {
-    let narrow = generic_root(inner);
+    let (narrow, wide) = (generic_root(inner), generic_root(outer));
+    let elements = &outer.covariance.elements;
     let mut lines = Vec::new();
-    match &outer.covariance.form {
-        Form::Factor(blocks) => {
-            let wide = generic_root(outer);
-            for block in blocks {
-                let null = null_space(&narrow, block);
-                let own = null_space(&wide, block).ncols();
-                match null.ncols() {
-                    n if n == own => {}
-                    1 => lines.push(line(&null.column(0).into_owned(), block, outer.covariance.p)),
-                    _ => return Sides::Unknown,
+    for part in &outer.covariance.parts {
+        match &part.form {
+            Form::Factor(blocks) => {
+                for block in blocks {
+                    let null = null_space(&narrow, block);
+                    let own = null_space(&wide, block).ncols();
+                    match null.ncols() {
+                        n if n == own => {}
+                        1 => lines.push(line(&null.column(0).into_owned(), block, elements)),
+                        _ => return Sides::Unknown,
+                    }
                 }
             }
+            Form::Scale(star) if part.of(&narrow).amax() == 0.0 => lines.push(along_scale(part, star, elements)),
+            Form::StdDevs(_, states) if states.iter().any(|&i| narrow.row(i).norm() == 0.0) => return Sides::Unknown,
+            _ => {}
         }
-        Form::Scale(star) if narrow.amax() == 0.0 => {
-            let star = star * star.transpose();
-            let size = star.norm_squared();
-            lines.push(DVector::from_fn(pairs(star.nrows()), |k, _| {
-                unpair(k).map_or(0.0, |(i, j)| star[(i, j)] / size * if i == j { 1.0 } else { 2.0 })
-            }));
-        }
-        Form::StdDevs(_, states) if states.iter().any(|&i| narrow.row(i).norm() == 0.0) => return Sides::Unknown,
-        _ => {}
     }
     if lines.is_empty() { Sides::None } else { Sides::Lines(lines) }
+}
+
+/// D ↦ β over the elements of D = βΣ*.
+fn along_scale(part: &Part, star: &DMatrix<f64>, elements: &Elements) -> DVector<f64> {
+    let star = part.placed(&(star * star.transpose()), elements.states());
+    let size = star.norm_squared();
+    let weight = |(i, j): (usize, usize)| star[(i, j)] / size * if i == j { 1.0 } else { 2.0 };
+    DVector::from_iterator(elements.count(), elements.all().map(weight))
 }
 
 /// Null space of (FF') on a block, in units of its standard deviations.
@@ -159,11 +154,11 @@ fn null_space(root: &DMatrix<f64>, block: &[usize]) -> DMatrix<f64> {
 }
 
 /// D ↦ n'Dn over the elements of D.
-fn line(n: &DVector<f64>, block: &[usize], p: usize) -> DVector<f64> {
-    let mut weights = DVector::zeros(pairs(p));
+fn line(n: &DVector<f64>, block: &[usize], elements: &Elements) -> DVector<f64> {
+    let mut weights = DVector::zeros(elements.count());
     for a in 0..block.len() {
         for b in 0..=a {
-            weights[pair(block[a], block[b])] = n[a] * n[b] * if a == b { 1.0 } else { 2.0 };
+            weights[elements.index(block[a], block[b])] = n[a] * n[b] * if a == b { 1.0 } else { 2.0 };
         }
     }
     weights

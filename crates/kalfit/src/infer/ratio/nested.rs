@@ -23,6 +23,9 @@ pub enum NotNested {
     /// Restricted likelihoods of different means.
     #[error("restricted likelihoods of different means cannot be compared")]
     Restricted,
+    /// Phases that were each taken by themselves.
+    #[error("no likelihood was maximised: `marginal` takes each phase by itself")]
+    Marginal,
     /// Nothing is restricted.
     #[error("the hypothesis restricts nothing that the model leaves free")]
     Same,
@@ -30,6 +33,9 @@ pub enum NotNested {
 
 /// Refuses a hypothesis that is not within the model.
 pub(super) fn check(null: &Estimate, alternative: &Estimate) -> Result<(), NotNested> {
+    if null.state.is_marginal() || alternative.state.is_marginal() {
+        return Err(NotNested::Marginal);
+    }
     let (inner, outer) = (&*null.state.problem, &*alternative.state.problem);
     let (a, b) = (&inner.classes.frame, &outer.classes.frame);
     // the order of the tests follows their covariates too, so a hypothesis with fewer may differ in rounding
@@ -84,9 +90,7 @@ fn covariance(null: &Estimate, inner: &Problem, outer: &Problem) -> Result<(), N
     let inside = inner.covariance.free_directions(&inner.covariance.chart(root));
     let around = map.free_directions(&map.chart(&copy));
     let scaled = |m: DMatrix<f64>| {
-        let p = size.len();
-        let units: Vec<f64> =
-            (0..p).flat_map(|i| (0..=i).map(move |j| (i, j))).map(|(i, j)| size[i] * size[j]).collect();
+        let units: Vec<f64> = map.elements.all().map(|(i, j)| size[i] * size[j]).collect();
         DMatrix::from_fn(m.nrows(), m.ncols(), |k, c| m[(k, c)] / units[k])
     };
     let (inside, around) = (scaled(inside), scaled(around));
