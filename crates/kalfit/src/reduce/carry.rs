@@ -1,5 +1,7 @@
 //! What a phase inherits: σ = [ξ; 0] + T x_K + t with x_K the last state of the phase before (theory §7).
 
+use std::borrow::Cow;
+
 use nalgebra::{DMatrix, DVector};
 
 use crate::ensemble::Test;
@@ -18,6 +20,8 @@ pub(crate) struct Inheritance {
     pub(crate) terms: Vec<Inherits>,
     /// Columns that must be constant within the phase.
     uses: Uses,
+    /// T and t, when no test changes them.
+    fixed: Option<Inherited>,
 }
 
 /// One coefficient of the carry.
@@ -46,7 +50,12 @@ impl Inheritance {
                 }
             }
         }
-        Ok(Inheritance { shape: (entering.len(), before), terms, uses })
+        let mut inheritance = Inheritance { shape: (entering.len(), before), terms, uses, fixed: None };
+        if inheritance.terms.iter().all(|term| term.coefficient.constant().is_some()) {
+            let scope = Scope { numbers: &[], texts: &[], step: f64::NAN, alpha: at.alpha };
+            inheritance.fixed = Some(inheritance.at(at, &scope)?);
+        }
+        Ok(inheritance)
     }
 
     /// What the coefficients of a test are evaluated on; a column that varies within the phase is an error.
@@ -57,16 +66,20 @@ impl Inheritance {
     }
 
     /// T and t of a test. `test`: the rows of this phase.
-    pub(crate) fn of(&self, at: &At<'_>, test: &Test, cells: &mut Cells) -> Result<Inherited, ReduceError> {
-        self.evaluate(at, test, cells).map_err(|fault| fault.name(at.model, Some(test)))
+    pub(crate) fn of(&self, at: &At<'_>, test: &Test, cells: &mut Cells) -> Result<Cow<'_, Inherited>, ReduceError> {
+        if let Some(fixed) = &self.fixed {
+            return Ok(Cow::Borrowed(fixed));
+        }
+        let named = |fault: Box<Fault>| fault.name(at.model, Some(test));
+        let scope = self.scope(at, test, cells).map_err(named)?;
+        self.at(at, &scope).map(Cow::Owned).map_err(|fault| named(fault.on(0)))
     }
 
-    fn evaluate(&self, at: &At<'_>, test: &Test, cells: &mut Cells) -> Result<Inherited, Box<Fault>> {
+    fn at(&self, at: &At<'_>, scope: &Scope<'_>) -> Result<Inherited, Box<Fault>> {
         let mut inherited =
             Inherited { transition: DMatrix::zeros(self.shape.0, self.shape.1), input: DVector::zeros(self.shape.0) };
-        let scope = self.scope(at, test, cells)?;
         for term in &self.terms {
-            let value = at.value(&term.coefficient, &scope).map_err(|fault| fault.on(0))?;
+            let value = at.value(&term.coefficient, scope)?;
             match term.from {
                 Some(state) => inherited.transition[(term.row, state)] = value,
                 None => inherited.input[term.row] = value,

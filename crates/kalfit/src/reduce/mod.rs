@@ -10,6 +10,14 @@
 //! Gains + Data ── data ──> Reduction                     e, x̂, y: once per test
 //! ```
 //!
+//! A test in several phases is reduced phase by phase, each in what enters it, and then as a whole (theory §7):
+//!
+//! ```text
+//! rows ── PhasedModel::split ──> PhasedTest              rows, estimates or a reduction of each phase
+//! each phase ── Reducer (part, carry) ──> PhaseReduction its factor, its last state (end), what it inherits
+//! all phases ── stack ──> Reduction with its Chain       rotations once per design, then the data of each test
+//! ```
+//!
 //! Long uniform records cost little: equal steps are one run of the design, S, K, T are kept once from where they no longer
 //! change (settling), J then grows in closed form, and the data pass is a linear scan (scan).
 

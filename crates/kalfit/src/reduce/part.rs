@@ -114,7 +114,7 @@ impl PhaseReducer {
 
     /// The phase of a test. `designs`: nothing measured is wanted; `linked`: the test has a phase after it.
     pub(crate) fn part<'a>(
-        &self,
+        &'a self,
         (id, evidence): (&str, &'a Evidence),
         (work, cells): (&mut Workspace, &mut Cells),
         (designs, linked): (bool, bool),
@@ -141,7 +141,7 @@ impl PhaseReducer {
     }
 
     fn rows<'a>(
-        &self,
+        &'a self,
         rows: &Test,
         (work, cells): (&mut Workspace, &mut Cells),
         designs: bool,
@@ -157,7 +157,7 @@ impl PhaseReducer {
         };
         let at = self.reducer.preparer().at();
         let inherited = self.inheritance.as_ref().map(|inheritance| inheritance.of(&at, rows, cells)).transpose()?;
-        Ok(Part { reduction: Cow::Owned(reduction), ending, inherited: inherited.map(Cow::Owned) })
+        Ok(Part { reduction: Cow::Owned(reduction), ending, inherited })
     }
 
     /// A reduction made before, if it is of this phase's shape.
@@ -189,7 +189,7 @@ impl PhaseReducer {
             matrix("sensitivity of the last state", &terminal.sensitivity, n, q)?;
             matrix("covariance root of the last state", &terminal.root, n, terminal.root.ncols())?;
         } else if linked {
-            return Err(refuse(id, "the reduction", ReduceErrorKind::Absent { what: "last state" }));
+            return Err(refuse(id, WHOLE, ReduceErrorKind::Absent { what: "last state" }));
         }
         match (inherited, before) {
             (Some(inherited), Some(before)) => {
@@ -198,7 +198,7 @@ impl PhaseReducer {
             }
             (None, Some(_)) => {
                 let kind = ReduceErrorKind::Absent { what: "transition from the phase before" };
-                return Err(refuse(id, "the reduction", kind));
+                return Err(refuse(id, WHOLE, kind));
             }
             (Some(inherited), None) => {
                 matrix("transition from the phase before", &inherited.transition, 0, 0)?;

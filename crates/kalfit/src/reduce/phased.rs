@@ -186,7 +186,7 @@ impl PhasedReducer {
 
     /// The phases of a test by themselves; of `designs`, nothing that was measured.
     fn parts<'a>(
-        &self,
+        &'a self,
         test: &'a PhasedTest,
         work: &mut PhasedWork,
         designs: bool,

@@ -238,7 +238,8 @@ impl Stage {
     /// d of the phase before and all after it; `later`: d of those.
     fn join(&self, before: &[f64], g: &DVector<f64>, later: &[f64], residual: &mut f64) -> Vec<f64> {
         let (q, own, u) = self.sizes;
-        let mut d = vec![0.0; u];
+        let mut d = Vec::with_capacity(u + before.len() + own + later.len() - q);
+        d.resize(u, 0.0);
         d.extend_from_slice(before);
         d.resize(u + before.len() + own, 0.0);
         d.extend_from_slice(&later[q..]);

@@ -15,6 +15,7 @@ mod phased;
 mod phased_innovations;
 mod phased_record;
 mod phased_simulate;
+mod phases_single;
 mod plan;
 mod random_ensembles;
 mod reduction;

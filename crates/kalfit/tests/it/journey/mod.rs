@@ -189,7 +189,7 @@ impl PhaseMatrices {
             title: String::new(),
             columns: ["z0", "z1", "z2", "u", "w", "c"].iter().map(named).collect(),
             text_columns: ["phase"].iter().map(named).collect(),
-            literals: (0..4).map(|i| format!("leg{i}")).collect(),
+            literals: (0..5).map(|i| format!("leg{i}")).collect(),
             parameters: Vec::new(),
             states: (0..self.n()).map(state).collect(),
             process_noise_covariance: Vec::new(),
@@ -217,7 +217,7 @@ impl PhaseMatrices {
         Phase {
             name: format!("leg{at}"),
             label: Some(at),
-            model: self.model(["a", "b", "c", "d"][at]),
+            model: self.model(["a", "b", "c", "d", "e"][at]),
             carry: self.inheriting.iter().map(carry).collect(),
             filter: None,
         }
@@ -362,10 +362,10 @@ pub(crate) fn marginal(reduction: &Reduction, mu: &DVector<f64>, sigma: &DMatrix
     reduction.constant - factor.l().diagonal().map(f64::ln).sum() - 0.5 * e.dot(&factor.solve(&e))
 }
 
-/// A random (μ, Σ) of all phases; Σ is zero, of rank 1, of full rank, or huge.
-pub(crate) fn law(rng: &mut impl Rng, p: usize) -> (DVector<f64>, DMatrix<f64>) {
+/// A random (μ, Σ); Σ is zero, of rank 1, of full rank, or `huge`.
+pub(crate) fn law(rng: &mut impl Rng, p: usize, huge: bool) -> (DVector<f64>, DMatrix<f64>) {
     let mu = DVector::from_fn(p, |_, _| normal(rng));
-    let kind = rng.random_range(0..4);
+    let kind = rng.random_range(0..if huge { 4 } else { 3 });
     let rank = [0, 1, p, p][kind].min(p);
     let root = DMatrix::from_fn(p, rank, |_, _| if kind == 3 { 30.0 * normal(rng) } else { normal(rng) });
     (mu, &root * root.transpose())
