@@ -94,9 +94,8 @@ impl Conditioned {
         rows.view_mut((0, k), (r, q)).copy_from(&T);
         rows.view_mut((r, k), T_B.shape()).copy_from(&T_B);
         let logs: f64 = whole.values[..r].iter().map(|x| x.ln()).sum();
-        let random = DMatrix::from_fn(m, r + basis.ncols(), |i, j| {
-            if j < r { U[(i, j)] } else { whole.left.row(i).columns(r, m - r).tr_dot(&basis.column(j - r).transpose()) }
-        });
+        let mut random = U.clone().resize_horizontally(r + basis.ncols(), 0.0);
+        random.columns_mut(r, basis.ncols()).copy_from(&(whole.left.columns(r, m - r) * basis));
         let from_white = D_1 * &V;
         Ok(Conditioned {
             log_volume: logs + log_spread(&U, &size),

@@ -101,7 +101,7 @@ pub(super) fn append(root: &mut DMatrix<f64>, first: usize, noise: &DMatrix<f64>
 
 /// A root with at most as many columns as rows, by an orthogonal transformation. Rows of zeros stay so.
 pub(super) fn fold(root: &mut DMatrix<f64>) {
-    if root.ncols() > root.nrows() {
+    if root.ncols() > root.nrows() && root.nrows() > 0 {
         *root = root.transpose().qr().r().transpose();
     }
 }

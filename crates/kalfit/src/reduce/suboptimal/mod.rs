@@ -9,6 +9,7 @@
 
 mod believed;
 mod conditioned;
+mod folded;
 mod jacobi;
 mod joint;
 mod known;

@@ -6,7 +6,6 @@ use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::linalg::fold::{Rotation, fold};
 use crate::model::{Alpha, Phase};
 use crate::reduce::digest::Digest;
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
@@ -15,13 +14,12 @@ use crate::reduce::semidefinite::root;
 use crate::reduce::shared::{Entry as Known, Shared};
 use crate::reduce::subject::{Fault, Subject};
 use crate::reduce::suboptimal::conditioned::{Conditioned, Entry, Exact};
+use crate::reduce::suboptimal::folded::Folded;
 use crate::reduce::suboptimal::matrices::not_semidefinite;
 use crate::reduce::{Estimates, Path, Reduction, Terminal};
 
 /// Bytes of conditioned designs that are kept.
 const CLASS_BYTES: usize = 64 << 20;
-/// A diagonal of R below this part of its column is zero information.
-const UNINFORMED: f64 = 1e-12;
 /// A deviation that is this part of an estimate is lost in its rounding.
 const DROWNED: f64 = 1e-12;
 
@@ -234,95 +232,4 @@ fn check(estimates: &Estimates, n: usize, widths: (usize, usize)) -> Result<(), 
         }
     }
     Ok(())
-}
-
-/// [I 0 0; G T y; 0 T_B y_B] folded: R of (η', σ) with its data, and what is left.
-struct Folded {
-    /// (k + q + 1)², row-major.
-    info: Vec<f64>,
-    k: usize,
-    q: usize,
-    /// y_B and y.
-    taken: DVector<f64>,
-    white: DVector<f64>,
-}
-
-impl Folded {
-    fn new(conditioned: &Conditioned, u: &DVector<f64>) -> Folded {
-        let (k, rows) = (conditioned.free, &conditioned.rows);
-        let q = rows.ncols() - k;
-        let taken = &conditioned.B * u;
-        let white = &conditioned.W * u - &conditioned.C * &taken;
-        let width = k + q + 1;
-        let mut info = vec![0.0; width * width];
-        (0..k).for_each(|i| info[i * (width + 1)] = 1.0);
-        let mut all = Vec::with_capacity(rows.nrows() * width);
-        for (row, y) in rows.row_iter().zip(white.iter().chain(&taken)) {
-            all.extend(row.iter().chain([y]));
-        }
-        fold(&mut info, &mut all, width);
-        Folded { info, k, q, taken, white }
-    }
-
-    fn at(&self, i: usize, j: usize) -> f64 {
-        self.info[i * (self.k + self.q + 1) + j]
-    }
-
-    /// x̂_K, Ψ_K, P_K; `known` is φa + s̄_1.
-    fn terminal(&self, conditioned: &Conditioned, known: DVector<f64>) -> Terminal {
-        let (k, q, r) = (self.k, self.q, self.white.len());
-        let rows = &conditioned.rows;
-        let (G, T) = (rows.view((0, 0), (r, k)), rows.view((0, k), (r, q)));
-        let T_B = rows.view((r, k), (rows.nrows() - r, q));
-        // η' at σ: mean R⁻¹(d - R_σ σ), root of the covariance R⁻¹
-        let R = DMatrix::from_fn(k, k, |i, j| self.at(i, j));
-        let through = &conditioned.from_free - &conditioned.from_white * G;
-        let through =
-            R.transpose().solve_lower_triangular(&through.transpose()).expect("1 or more on the diagonal").transpose();
-        let d = DVector::from_fn(k, |i, _| self.at(i, k + q));
-        let R_sigma = DMatrix::from_fn(k, q, |i, j| self.at(i, k + j));
-        let mean = known + &conditioned.from_taken * &self.taken + &conditioned.from_white * &self.white + &through * d;
-        let sensitivity =
-            &conditioned.phi_E - &conditioned.from_taken * T_B - &conditioned.from_white * T - &through * R_sigma;
-        let (n, more) = (mean.len(), conditioned.rest.ncols());
-        let mut root = DMatrix::zeros(n, k + more);
-        root.columns_mut(0, k).copy_from(&through);
-        root.columns_mut(k, more).copy_from(&conditioned.rest);
-        Terminal { mean, sensitivity, root }
-    }
-
-    /// (constant, d, R packed) of σ.
-    fn reduction(self, conditioned: &Conditioned) -> (f64, Vec<f64>, Vec<f64>) {
-        let (k, q) = (self.k, self.q);
-        let logs: f64 = (0..k).map(|i| self.at(i, i).ln()).sum();
-        let random = self.white.len() + self.taken.len();
-        let mut own: Vec<f64> = (0..(q + 1) * (q + 1)).map(|at| self.at(k + at / (q + 1), k + at % (q + 1))).collect();
-        settle(&mut own, q + 1);
-        let residual = own[(q + 1) * (q + 1) - 1];
-        let constant =
-            -0.5 * (random as f64 * std::f64::consts::TAU.ln() + residual * residual) - conditioned.log_spread - logs;
-        let data = (0..q).map(|i| own[i * (q + 1) + q]).collect();
-        let factor = (0..q).flat_map(|j| (0..=j).map(move |i| (i, j))).map(|(i, j)| own[i * (q + 1) + j]).collect();
-        (constant, data, factor)
-    }
-}
-
-/// Rounds directions without information to none: their rows of [R | d] go into the rows below, and into the residual.
-fn settle(info: &mut [f64], width: usize) {
-    let p = width - 1;
-    let norm = |info: &[f64], k: usize| (0..=k).fold(0.0, |sum: f64, i| sum.hypot(info[i * width + k]));
-    let norms: Vec<f64> = (0..p).map(|k| norm(info, k)).collect();
-    for i in 0..p {
-        if info[i * width + i] > UNINFORMED * norms[i] {
-            continue;
-        }
-        info[i * width + i] = 0.0;
-        for k in i + 1..width {
-            let turn = Rotation::of(info[k * width + k], info[i * width + k]);
-            for c in k..width {
-                (info[k * width + c], info[i * width + c]) = turn.turn(info[k * width + c], info[i * width + c]);
-            }
-            info[i * width + k] = 0.0;
-        }
-    }
 }

@@ -203,7 +203,7 @@ fn what_the_schmidt_filter_loses_of_the_information_is_that_of_the_public_case()
         coefficients: vec![],
         covariance: covariance(13.01967194, 8.212585765, 6.1258288233),
     };
-    let structure = Structure { mean: &mean, covariance: &structure, alpha: &alpha };
+    let structure = Structure::single(&mean, &structure, &alpha);
     let found = information_lost(&raw, &own, &structure, &population).expect("sound");
     let expected = [
         (Quantity::Mean(0), 1.045168),

@@ -112,7 +112,7 @@ fn check(seed: u64) -> Option<()> {
     let (j_2, z_2, _) = reduce(&two, &second);
     let (p_1, inverse_2) = (invertible(&j_1)?, invertible(&j_2)?);
     let last = &terminal.mean + &terminal.sensitivity * (&p_1 * z_1);
-    let of_last = &terminal.covariance + &terminal.sensitivity * p_1 * terminal.sensitivity.transpose();
+    let of_last = terminal.covariance() + &terminal.sensitivity * p_1 * terminal.sensitivity.transpose();
     assert_close("ŷ² of reductions", seed, &column(&(&inverse_2 * z_2 - &t * last)), &y_2);
     assert_close("its covariance", seed, &(inverse_2 + &t * of_last * t.transpose()), &p_2);
     Some(())
