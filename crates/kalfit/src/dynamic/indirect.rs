@@ -9,7 +9,7 @@ use crate::dynamic::bench::Bench;
 use crate::estimate::InitialLaw;
 use crate::model::PhasedModel;
 use crate::reduce::{Evidence, PhaseReduction, PhasedReducer, PhasedTest, ReduceError, Reduction};
-use crate::score::{Gradient, PhaseLaws, Slots, dependences, likelihood};
+use crate::score::{Gradient, PhaseLaws, Plan, Slots, dependences};
 
 /// Step of a logarithm, and of other values in units of their size. Differences of fourth order are good to about 1e-11 of ℓ.
 const STEP: f64 = 2e-3;
@@ -81,7 +81,7 @@ impl Indirect {
                 let mut sum = 0.0;
                 for (there, (_, weight)) in moved.iter().zip(WEIGHTS) {
                     let mixed = mixed(bench.model, &bench.tests[j], &home[k], &there[k]);
-                    sum += weight * likelihood(&mixed, &laws);
+                    sum += weight * Plan::new(&mixed, &laws).likelihood(&mixed, &laws);
                 }
                 merge(&mut scores[j], slot, sum / steps[&slot]);
             }

@@ -281,13 +281,13 @@ fn marginal_phases_and_fixed_reductions_do_not_go_with_free_parameters() {
     let refused = |tests: &[PhasedTest], settings: &Settings| {
         fit(&model, &labels, tests, settings, &mut Silent).expect_err("refused").to_string()
     };
-    insta::assert_snapshot!(refused(&tests, &marginal), @"");
+    insta::assert_snapshot!(refused(&tests, &marginal), @"`a0` is free, and `marginal` is for known parameters: found 6 free values, expected none");
     let slots = Slots::in_phases(&model, &labels, &tests);
     let alpha = slots.alpha(model.shared(), &TRUE.map(|(_, value)| value));
     let mut pieces = PhasedReducer::new(&model, &alpha).expect("sound").pieces(&tests).expect("sound");
     let mut reduced = tests.clone();
     reduced[2].phases[1] = Evidence::Reduced(Box::new(pieces.remove(2).remove(1)));
-    insta::assert_snapshot!(refused(&reduced, &Settings::default()), @"");
+    insta::assert_snapshot!(refused(&reduced, &Settings::default()), @"test `u02` comes as a reduction, made at known parameters, but `a3` of phase `second` is free");
     assert!(matches!(
         fit(&model, &labels, &reduced, &Settings::default(), &mut Silent),
         Err(DynamicError::FixedReduction { .. })

@@ -83,6 +83,7 @@ pub(crate) use phased::PhasedWork;
 pub(crate) use prepare::{Preparer, Replay, Workspace};
 pub(crate) use semidefinite::{NotSemidefinite, ldl};
 pub(crate) use settling::{Frozen, Settling};
+pub(crate) use shared::Shared;
 pub(crate) use small::moving;
 pub(crate) use start::{LawAdjoint, StartAdjoint};
 pub(crate) use steps::Cells;

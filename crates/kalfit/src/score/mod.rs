@@ -36,7 +36,7 @@ pub(crate) use moments::Moments;
 #[cfg(test)]
 pub(crate) use moments::moments;
 pub(crate) use phased::{PhasedComplete, PhasedScorer};
-pub(crate) use smoother::{PhaseLaws, likelihood};
+pub(crate) use smoother::{PhaseLaws, Plan};
 
 /// Scores of tests at the α of a reducer.
 #[derive(Debug)]

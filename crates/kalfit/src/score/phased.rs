@@ -17,13 +17,19 @@ use rayon::prelude::*;
 use crate::ensemble::Test;
 use crate::estimate::InitialLaw;
 use crate::model::{EvaluationError, PhasedModel, Tape};
-use crate::reduce::{Evidence, Fault, Inherits, PhasedReducer, PhasedTest, PhasedWork, ReduceError, Reduction};
+use crate::reduce::{Evidence, Fault, Inherits, PhasedReducer, PhasedTest, PhasedWork, ReduceError, Reduction, Shared};
 use crate::score::backward::BackwardWork;
 use crate::score::chain::{Adjoints, Gradient};
 use crate::score::complete::Complete;
 use crate::score::moments::moments;
-use crate::score::smoother::{InheritedBar, PhaseLaws, Smooth, smooth};
+use crate::score::smoother::{InheritedBar, PhaseLaws, Plan, PlanKey, Smooth};
 use crate::score::{Scorer, Slots};
+
+/// Bytes of smoothers that are kept: tests of one design share one while they fit.
+const PLAN_BYTES: usize = 64 << 20;
+
+/// Smoothers by design, under one law.
+type Plans = Shared<PlanKey, Plan>;
 
 /// Scores of tests in phases at the α of a reducer.
 #[derive(Debug)]
@@ -71,7 +77,8 @@ impl<'a> PhasedScorer<'a> {
         reductions: &[Reduction],
         law: &InitialLaw,
     ) -> Result<Vec<Gradient>, ReduceError> {
-        self.each(tests, reductions, |room, (test, reduction)| self.one(test, reduction, law, room))
+        let plans = Shared::new(PLAN_BYTES);
+        self.each(tests, reductions, |room, (test, reduction)| self.one(test, reduction, (law, &plans), room))
     }
 
     /// Moments of the complete data of each test (the E-step).
@@ -81,7 +88,8 @@ impl<'a> PhasedScorer<'a> {
         reductions: &[Reduction],
         law: &InitialLaw,
     ) -> Result<Vec<PhasedComplete>, ReduceError> {
-        self.each(tests, reductions, |room, (test, reduction)| self.complete(test, reduction, law, room))
+        let plans = Shared::new(PLAN_BYTES);
+        self.each(tests, reductions, |room, (test, reduction)| self.complete(test, reduction, (law, &plans), room))
     }
 
     /// The expected log-likelihood of the complete data of each test and its gradient, at the α of the reducer; `None` where
@@ -125,21 +133,29 @@ impl<'a> PhasedScorer<'a> {
         &self,
         test: &PhasedTest,
         reduction: &Reduction,
-        law: &InitialLaw,
+        (law, plans): (&InitialLaw, &Plans),
         work: &mut PhasedWork,
     ) -> Result<Vec<Smooth>, ReduceError> {
         if self.model.is_single() {
             return Ok(vec![Smooth { moments: moments(reduction, law), ..Smooth::default() }]);
         }
         let pieces = self.reducer.pieces_of(test, work)?;
-        Ok(smooth(&pieces, &PhaseLaws::new(law, &self.model.ranges(), &reduction.covariates)))
+        let laws = PhaseLaws::new(law, &self.model.ranges(), &reduction.covariates);
+        let entry = plans.get(
+            reduction.design,
+            |known| known.same(&pieces, &laws),
+            || PlanKey::new(&pieces, &laws),
+            |_| Plan::new(&pieces, &laws),
+            |_, plan| 2 * plan.bytes(),
+        );
+        Ok(entry.value().smooth(&pieces, &laws))
     }
 
     fn one(
         &self,
         test: &PhasedTest,
         reduction: &Reduction,
-        law: &InitialLaw,
+        law: (&InitialLaw, &Plans),
         room: &mut Room<'_>,
     ) -> Result<Gradient, ReduceError> {
         let phases = self.begin(test, reduction, law, &mut room.work)?;
@@ -199,7 +215,7 @@ impl<'a> PhasedScorer<'a> {
         &self,
         test: &PhasedTest,
         reduction: &Reduction,
-        law: &InitialLaw,
+        law: (&InitialLaw, &Plans),
         room: &mut Room<'_>,
     ) -> Result<PhasedComplete, ReduceError> {
         let phases = self.begin(test, reduction, law, &mut room.work)?;

@@ -11,7 +11,7 @@ use crate::reduce::{
 };
 use crate::reduce::{Inherited, PhaseReduction, Terminal, Transition};
 use crate::score::moments::moments;
-use crate::score::smoother::{PhaseLaws, likelihood as likelihood_in_phases, smooth};
+use crate::score::smoother::{PhaseLaws, Plan};
 
 /// A test by hand: four states, the first two noisy, three unknowns; every number of it is its own.
 #[derive(Debug, Clone)]
@@ -293,9 +293,10 @@ fn the_adjoints_of_two_parts_are_those_of_the_whole() {
             PhaseReduction { reduction: r2, terminal: None, inherited: Some(same) },
         ];
         let laws = PhaseLaws::new(&law, &[0..3, 3..3], &[]);
-        let (found, expected) = (likelihood_in_phases(&pieces, &laws), likelihood(&all));
+        let plan = Plan::new(&pieces, &laws);
+        let (found, expected) = (plan.likelihood(&pieces, &laws), likelihood(&all));
         assert!((found - expected).abs() < 1e-12, "ℓ split at {at}: {found} against {expected}");
-        let smooth = smooth(&pieces, &laws);
+        let smooth = plan.smooth(&pieces, &laws);
         let later = smooth[0].later.as_ref().expect("a phase follows");
         let ending = Ending {
             r: later.r.as_slice().to_vec(),

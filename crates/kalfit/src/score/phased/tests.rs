@@ -244,7 +244,7 @@ fn scores_equal_differences_of_the_stacked_likelihood() {
         for (j, score) in scores.iter().enumerate() {
             let pieces = reducer.pieces_of(&tests[j], &mut reducer.workspace()).expect("sound");
             let laws = PhaseLaws::new(&law, &model.ranges(), &[]);
-            let (chain, whole) = (crate::score::likelihood(&pieces, &laws), stacked(&reductions[j], &law));
+            let (chain, whole) = (Plan::new(&pieces, &laws).likelihood(&pieces, &laws), stacked(&reductions[j], &law));
             assert!((chain - whole).abs() < 1e-11, "ℓ of test {j}: chain {chain}, stacked {whole}");
             for slot in 0..VALUES.len() {
                 let at = |x: f64| {
