@@ -21,6 +21,10 @@ pub(crate) struct Args {
 pub(crate) enum Command {
     /// Fit a model to data: a summary to standard output, all results to a file
     Fit(FitArgs),
+    /// Run the filters once, at known parameters, and write what they make of the data: all that a fit needs
+    Reduce(ExchangeArgs),
+    /// Run the `[filter]` of each phase, optimal or not, and write its estimates with the errors they make
+    Estimates(ExchangeArgs),
     /// Test a hypothesis within a model by the ratio of the likelihoods
     Test(TestArgs),
     /// Read a model, and data if given, and fit nothing: the model in words, counts, what the data identify
@@ -152,6 +156,28 @@ pub(crate) struct TestArgs {
     /// Stop a fit after this many passes over the reduced data [default: 200]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) max_iterations: Option<u32>,
+
+    /// Print nothing but errors
+    #[arg(long)]
+    pub(crate) quiet: bool,
+}
+
+#[derive(Debug, Group)]
+pub(crate) struct ExchangeArgs {
+    #[command(flatten)]
+    pub(crate) model: ModelArgs,
+
+    /// Data: CSV, Parquet or Arrow files, patterns such as `runs/*.csv`, `-` for standard input
+    #[arg(required = true)]
+    pub(crate) data: Vec<String>,
+
+    /// Results of `kalfit fit`: free parameters of the model get their values from there
+    #[arg(long, value_name = "FIT.json")]
+    pub(crate) at: Option<PathBuf>,
+
+    /// File to write: `.parquet`
+    #[arg(long, value_name = "FILE")]
+    pub(crate) out: PathBuf,
 
     /// Print nothing but errors
     #[arg(long)]

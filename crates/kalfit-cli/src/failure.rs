@@ -90,6 +90,15 @@ pub(crate) enum Failure {
     /// A way to put phases together, of which there is but one.
     #[error("`--phases {found}` has no effect: the model has one phase")]
     OnePhase { found: &'static str },
+    /// An exchange file of another kind.
+    #[error("the output `{path}` is no name of a Parquet file, expected one that ends in `.parquet`")]
+    NotParquet { path: String },
+    /// Rows of a phase of which there are no estimates.
+    #[error("{at}: found rows of phase `{phase}`, which has no `[filter]`, expected rows of phases with one")]
+    NoFilter { phase: String, at: String },
+    /// A reduction among what estimates are to be made of.
+    #[error("{at}: found a reduction, of which no estimates can be made, expected rows or estimates")]
+    NotEstimates { at: String },
     /// Threads.
     #[error("cannot start {threads} threads: {reason}")]
     Threads { threads: usize, reason: String },
@@ -176,6 +185,12 @@ impl Failure {
                 Some("leave it out, or free a parameter in `[parameters]`: `{}` or `{ start = 1 }`".to_owned())
             }
             Failure::OnePhase { .. } => Some("leave it out".to_owned()),
+            Failure::NotParquet { .. } => None,
+            Failure::NoFilter { .. } => Some(
+                "leave these rows out, they may stand beside the estimates as they are; or use `kalfit reduce`, which takes any phase"
+                    .to_owned(),
+            ),
+            Failure::NotEstimates { .. } => Some("leave the file out: it may stand beside the estimates".to_owned()),
             Failure::Threads { .. } => Some("ask for fewer with `--threads`".to_owned()),
         }
     }

@@ -263,12 +263,7 @@ impl Sink for Looking<'_> {
 /// Tests looked at together: their series of innovations are in memory at the same time.
 const BATCH: usize = 1024;
 
-fn all(
-    mut looking: Looking<'_>,
-    kept: Kept,
-    spec: &Spec,
-    inputs: &[Input],
-) -> Result<Seen, Unavailable> {
+fn all(mut looking: Looking<'_>, kept: Kept, spec: &Spec, inputs: &[Input]) -> Result<Seen, Unavailable> {
     if kept.tests.overflowed {
         again(&mut looking, kept, spec, inputs)?;
     } else {

@@ -8,16 +8,20 @@ use kalfit::estimate::{Combination, Criterion, Settings, Solver};
 use kalfit::infer::{Bootstrap, Choices, DeletionChoice, IntervalKind, StdErrors};
 
 use crate::args::{
-    Args, CheckArgs, Command, CriterionArg, DeletionArg, FitArgs, InnovationsArg, IntervalsArg, MethodArg, ModelArgs,
-    PhasesArg, PlanArgs, SimulateArgs, SolverArg, StdErrorsArg, TestArgs,
+    Args, CheckArgs, Command, CriterionArg, DeletionArg, ExchangeArgs, FitArgs, InnovationsArg, IntervalsArg,
+    MethodArg, ModelArgs, PhasesArg, PlanArgs, SimulateArgs, SolverArg, StdErrorsArg, TestArgs,
 };
+use crate::estimates::Filters;
 use crate::failure::Failure;
-use crate::{check, fit, plan, simulate, test};
+use crate::reduce::Reductions;
+use crate::{check, exchange, fit, plan, simulate, test};
 
 /// One command with all that it needs to know.
 #[derive(Debug)]
 pub(crate) enum Job {
     Fit(FitJob),
+    Reduce(ExchangeJob),
+    Estimates(ExchangeJob),
     Test(TestJob),
     Check(CheckJob),
     Simulate(SimulateJob),
@@ -47,6 +51,16 @@ pub(crate) struct FitJob {
     pub(crate) choices: Choices,
     /// Look at the data once more after the fit.
     pub(crate) innovations: bool,
+    pub(crate) quiet: bool,
+}
+
+#[derive(Debug)]
+pub(crate) struct ExchangeJob {
+    pub(crate) model: ModelJob,
+    pub(crate) data: Vec<String>,
+    /// Results of a fit, for the parameters.
+    pub(crate) at: Option<PathBuf>,
+    pub(crate) out: PathBuf,
     pub(crate) quiet: bool,
 }
 
@@ -114,6 +128,7 @@ impl Job {
     pub(crate) fn run(&self) -> Result<Outcome, Failure> {
         let threads = match self {
             Job::Fit(job) => job.model.threads,
+            Job::Reduce(job) | Job::Estimates(job) => job.model.threads,
             Job::Test(job) => job.model.threads,
             Job::Check(job) => job.model.threads,
             Job::Simulate(job) => job.model.threads,
@@ -125,6 +140,8 @@ impl Job {
         }
         match self {
             Job::Fit(job) => fit::run(job),
+            Job::Reduce(job) => exchange::run::<Reductions>(job),
+            Job::Estimates(job) => exchange::run::<Filters>(job),
             Job::Test(job) => test::run(job),
             Job::Check(job) => check::run(job),
             Job::Simulate(job) => simulate::run(job),
@@ -137,6 +154,8 @@ impl From<Args> for Job {
     fn from(args: Args) -> Job {
         match args.command {
             Command::Fit(args) => Job::Fit(args.into()),
+            Command::Reduce(args) => Job::Reduce(args.into()),
+            Command::Estimates(args) => Job::Estimates(args.into()),
             Command::Test(args) => Job::Test(args.into()),
             Command::Check(args) => Job::Check(args.into()),
             Command::Simulate(args) => Job::Simulate(args.into()),
@@ -227,6 +246,13 @@ impl From<FitArgs> for FitJob {
             innovations: args.innovations == InnovationsArg::On,
             quiet: args.quiet,
         }
+    }
+}
+
+impl From<ExchangeArgs> for ExchangeJob {
+    fn from(args: ExchangeArgs) -> ExchangeJob {
+        let ExchangeArgs { model, data, at, out, quiet } = args;
+        ExchangeJob { model: model.into(), data, at, out, quiet }
     }
 }
 

@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use kalfit::estimate::Structure;
+use kalfit::model::PhasedModel;
 use kalfit::plan::{PlanProvenance, PlanRecord, plan};
 use kalfit::record::DataRecord;
-use kalfit::model::PhasedModel;
 use kalfit::reduce::{PhasedReducer, ReduceError, SplitError};
 use kalfit::{Alpha, Labels, Reduction, Test};
 use kalfit_data::{Input, ReadError, Sink};

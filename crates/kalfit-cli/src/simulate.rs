@@ -117,7 +117,8 @@ impl Task<'_> {
         let mut rows = 0;
         let mut many = 0;
         while many < BATCH_TESTS && rows < BATCH_ROWS {
-            let rows_of = |evidence: &Evidence| if let Evidence::Rows(rows) = evidence { rows.rows() as u64 } else { 0 };
+            let rows_of =
+                |evidence: &Evidence| if let Evidence::Rows(rows) = evidence { rows.rows() as u64 } else { 0 };
             rows += self.designs.design(from + many).phases.iter().map(rows_of).sum::<u64>();
             many += 1;
         }

@@ -112,6 +112,16 @@ pub(crate) fn load(spec: &mut Spec, from: &Path, set: &[String]) -> Result<Truth
     Ok(Truth { population, alpha, taken, warnings })
 }
 
+/// Gives the model's free parameters the values of a fit; what the user should know.
+pub(crate) fn parameters(spec: &mut Spec, from: &Path) -> Result<Vec<String>, Failure> {
+    let path = from.display().to_string();
+    let record = read_record(from)?;
+    let known = of_record(spec, &record, &path)?;
+    let mut warnings = Vec::new();
+    give(spec, &known, &path, &mut warnings)?;
+    Ok(warnings)
+}
+
 /// Name of the parameter of an assignment such as `tau=90` or `sigma[A]=0.7`.
 fn assigned(assignment: &str) -> &str {
     assignment.split(['=', '[']).next().unwrap_or_default().trim()

@@ -210,14 +210,16 @@ fn design(setup: &Setup, model: &Model) -> Vec<Test> {
 
 fn tally(setup: &Setup, model: &Model, ensembles: u64) -> Vec<Tally> {
     let alpha = Alpha::fixed(&model.parameters).expect("a set-up has no free parameters");
-    let designs = Designs::new(design(setup, model).into_iter().map(Into::into).collect()).expect("tests of a set-up have ids of their own");
+    let designs = Designs::new(design(setup, model).into_iter().map(Into::into).collect())
+        .expect("tests of a set-up have ids of their own");
     let truths = truths(setup);
     let each: Vec<Vec<Option<bool>>> = (0..ensembles)
         .into_par_iter()
         .map_init(
             || Reducer::new(model, &alpha).expect("a set-up is sound"),
             |reducer, k| {
-                let simulator = Simulator::new(&model.clone().into(), &alpha, population(setup), SEED + k).expect("a set-up is sound");
+                let simulator = Simulator::new(&model.clone().into(), &alpha, population(setup), SEED + k)
+                    .expect("a set-up is sound");
                 let drawn = simulator.draw(&designs, 0..setup.tests as u64).expect("a set-up is sound");
                 let tests: Vec<Test> = drawn.into_iter().flat_map(|drawn| drawn.test.rows()).collect();
                 held(reducer, model, &alpha, &tests, &truths)

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use kalfit::model::Level;
+use kalfit::model::{Level, Value};
 use kalfit::{Alpha, Labels, Model};
 use serde::{Deserialize, Serialize};
 
@@ -50,6 +50,23 @@ impl ParameterValue {
             ParameterValue { name: parameter.name.clone(), per, levels, value }
         };
         model.parameters.iter().zip(&alpha.values).map(of).collect()
+    }
+
+    /// The values that a model gives, in its order; free parameters have none.
+    pub fn known(model: &Model) -> Vec<ParameterValue> {
+        let of = |parameter: &kalfit::model::Parameter| {
+            let levels = parameter.fixed_levels.iter();
+            ParameterValue {
+                name: parameter.name.clone(),
+                per: parameter.per.map(|column| model.text_columns[column].name.clone()),
+                levels: levels.map(|(&literal, &value)| (model.literals[literal].clone(), value)).collect(),
+                value: match parameter.value {
+                    Value::Fixed(value) => Some(value),
+                    Value::Free { .. } => None,
+                },
+            }
+        };
+        model.parameters.iter().map(of).collect()
     }
 
     fn at(&self, level: Option<&String>) -> Option<f64> {

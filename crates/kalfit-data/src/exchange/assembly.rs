@@ -60,6 +60,17 @@ impl<'a> Assembly<'a> {
         self.places.contains_key(test)
     }
 
+    /// All that was added, test by test, each phase by itself.
+    pub fn into_entries(self) -> Vec<Entry> {
+        let of = |Parts { id, phases }: Parts| {
+            let known = phases.into_iter().enumerate();
+            known.filter_map(move |(phase, part)| {
+                part.map(|(evidence, at)| Entry { test: id.clone(), phase, evidence, at })
+            })
+        };
+        self.tests.into_iter().flat_map(of).collect()
+    }
+
     /// The tests, in order of first appearance.
     ///
     /// # Errors

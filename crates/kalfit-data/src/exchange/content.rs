@@ -92,8 +92,7 @@ impl Source {
 ///
 /// # Errors
 /// A Parquet file that cannot be opened, or of another version of the schema.
-pub fn sort<'a>(inputs: &[Input], stdin: &'a mut dyn Read) -> Result<Sorted<'a>, DataError> {
-    let mut stdin: Box<dyn Read + 'a> = Box::new(stdin);
+pub fn sort<'a>(inputs: &[Input], mut stdin: Box<dyn Read + 'a>) -> Result<Sorted<'a>, DataError> {
     let (mut contents, mut exchanged, mut rows) = (Vec::new(), Vec::new(), Vec::new());
     for input in inputs {
         let name = input.name();

@@ -136,9 +136,7 @@ fn metadata() -> Metadata {
 }
 
 fn sorted(bytes: &[u8]) -> Sorted<'_> {
-    // the slice is its own reader, which must live as long
-    let reader: &mut &[u8] = Box::leak(Box::new(bytes));
-    sort(&[Input::Stdin], reader).unwrap()
+    sort(&[Input::Stdin], Box::new(bytes)).unwrap()
 }
 
 fn entries_of(
@@ -147,8 +145,7 @@ fn entries_of(
     layout: &Layout,
     labels: &mut Labels,
 ) -> Result<Vec<Entry>, DataError> {
-    let reader: &mut &[u8] = Box::leak(Box::new(bytes));
-    let sorted = sort(&[Input::Stdin], reader)?;
+    let sorted = sort(&[Input::Stdin], Box::new(bytes))?;
     let mut entries = Vec::new();
     for source in &sorted.reductions {
         read_reductions(source, model, &mut |entry| {
@@ -275,8 +272,7 @@ fn files_by_other_programs_are_read() {
         ["estimates_pyarrow.parquet", "estimates_large.parquet", "estimates_polars.parquet", "estimates_single.parquet"]
     {
         let inputs = [Input::Path(data(name))];
-        let mut stdin = std::io::empty();
-        let sorted = sort(&inputs, &mut stdin).unwrap();
+        let sorted = sort(&inputs, Box::new(std::io::empty())).unwrap();
         assert_eq!(sorted.contents, [Content::Estimates], "{name}");
         let mut labels = Labels::new(&model.shared().literals);
         let mut entries = Vec::new();

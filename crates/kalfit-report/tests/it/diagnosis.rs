@@ -74,7 +74,14 @@ fn holms_correction_stops_at_the_first_that_is_probable() {
 #[test]
 fn records_without_innovations_say_nothing_and_broken_ones_do_no_harm() {
     assert_eq!(section(&record(&[])), "\n");
-    let broken = InnovationRecord { count: 0, nis: None, nis_p_value: Some(f64::NAN), mean: None, whiteness: None, parts: vec![] };
+    let broken = InnovationRecord {
+        count: 0,
+        nis: None,
+        nis_p_value: Some(f64::NAN),
+        mean: None,
+        whiteness: None,
+        parts: vec![],
+    };
     assert_eq!(section(&record(&[broken])), "\n");
     let text = section(&record(&[innovations(f64::INFINITY, 0.0, f64::NAN)]));
     assert!(!text.contains("NaN") && !text.contains("inf"), "{text}");

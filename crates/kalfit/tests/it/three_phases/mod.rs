@@ -194,8 +194,14 @@ fn diagonal(x: &[f64]) -> DMatrix<f64> {
     DMatrix::from_diagonal(&DVector::from_row_slice(x))
 }
 
-/// Mean and covariance of [`values`], and of ξ of all phases behind them, as they come about in a test with these rows.
+/// Mean and covariance of [`values`] of a test with these rows.
 pub(crate) fn law(rows: &[Vec<Row>; 3], population: &Population) -> (DVector<f64>, DMatrix<f64>) {
+    let (mean, root) = law_root(rows, population);
+    (mean, &root * root.transpose())
+}
+
+/// The same with a root of the covariance, as the values come about.
+pub(crate) fn law_root(rows: &[Vec<Row>; 3], population: &Population) -> (DVector<f64>, DMatrix<f64>) {
     let (mu, sigma) = (&population.mean, &population.covariance);
     let part = |at: usize, p: usize| square_root(&sigma.view((at, at), (p, p)).into_owned());
     let mut z: Vec<(f64, DVector<f64>)> = Vec::new();
@@ -254,7 +260,7 @@ pub(crate) fn law(rows: &[Vec<Row>; 3], population: &Population) -> (DVector<f64
     }
     let columns = x.root.ncols();
     let root = DMatrix::from_fn(z.len(), columns, |i, c| z[i].1.get(c).copied().unwrap_or(0.0));
-    (DVector::from_fn(z.len(), |i, _| z[i].0), &root * root.transpose())
+    (DVector::from_fn(z.len(), |i, _| z[i].0), root)
 }
 
 /// Roots of Σ: full, of rank one, zero, and huge.
