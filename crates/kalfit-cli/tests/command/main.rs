@@ -7,6 +7,7 @@ mod folder;
 mod hypotheses;
 mod inference;
 mod innovations;
+mod phases;
 mod plan;
 mod scales;
 mod simulate;
