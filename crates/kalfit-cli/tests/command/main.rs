@@ -3,6 +3,7 @@
 mod broken;
 mod dynamic;
 mod em;
+mod ensembles;
 mod folder;
 mod hypotheses;
 mod inference;

@@ -137,7 +137,11 @@ impl PhaseReducer {
         let inherited = self.inheritance.as_ref();
         let inherited = inherited.map(|inheritance| inheritance.of(&at, &estimates.constants, cells)).transpose()?;
         let ending = if self.place.followed { Ending::Known(Cow::Owned(terminal)) } else { Ending::None };
-        Ok(Part { reduction: Cow::Owned(reduction), ending, inherited: inherited.map(|own| Cow::Owned(own.into_owned())) })
+        Ok(Part {
+            reduction: Cow::Owned(reduction),
+            ending,
+            inherited: inherited.map(|own| Cow::Owned(own.into_owned())),
+        })
     }
 
     fn rows<'a>(
