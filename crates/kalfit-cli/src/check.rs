@@ -1,10 +1,10 @@
 //! `kalfit check`: everything but the fit.
 
 use kalfit::estimate::Structure;
-use kalfit::model::Value;
+use kalfit::model::{Phase, Value};
 use kalfit::record::{
-    DataRecord, LevelCounts, ObservabilityRecord, UnidentifiedRecord, WeakRecord, crossing_notes, level_notes,
-    shortage_notes,
+    DataRecord, InformationRecord, LevelCounts, ObservabilityRecord, UnidentifiedRecord, WeakRecord, crossing_notes,
+    level_notes, shortage_notes,
 };
 use kalfit::score::Slots;
 use kalfit::{Alpha, Evidence, Model, PhasedModel, PhasedTest, Reduction, infer};
@@ -101,25 +101,23 @@ fn examined(
     (mut notes, at_start_of): (Vec<String>, Vec<String>),
 ) -> Result<Checked, Failure> {
     let found = infer::examine_at_start(reductions, &Structure::of(model, alpha)).map_err(Failure::Fit)?;
-    let infer::Examination { unidentified, explanations, observability } = &found;
+    let infer::Examination { unidentified, explanations, observability, phases } = &found;
     let mut said = crossing_notes(model, unidentified, explanations, observability);
     said.extend(shortage_notes(model, observability));
     notes.splice(0..0, said);
-    let by_phase = (
-        ObservabilityRecord::by_phase(model, observability),
-        UnidentifiedRecord::by_phase(model, unidentified, explanations),
-        WeakRecord::by_phase(model, observability),
-    );
-    let all = by_phase.0.into_iter().zip(by_phase.1).zip(by_phase.2).zip(counts).zip(&model.phases);
-    let phases = all.map(|((((observability, unidentified), weak), counts), phase)| CheckedPhase {
+    let mut seen = ObservabilityRecord::by_phase(model, observability).into_iter();
+    let mut blind = UnidentifiedRecord::by_phase(model, unidentified, explanations).into_iter();
+    let mut weak = WeakRecord::by_phase(model, observability).into_iter();
+    let mut information = InformationRecord::by_phase(model, phases).into_iter();
+    let phase = |(counts, phase): (PhaseCounts, &Phase)| CheckedPhase {
         counts,
         states: phase.model.estimated_names(),
-        observability,
-        unidentified,
-        weak,
-        information: None,
-    });
-    let phases = phases.collect();
+        observability: seen.next().unwrap_or_default(),
+        unidentified: blind.next().unwrap_or_default(),
+        weak: weak.next().unwrap_or_default(),
+        information: information.next().flatten(),
+    };
+    let phases = counts.into_iter().zip(&model.phases).map(phase).collect();
     Ok(Checked::Reduced { data: DataRecord::of(reductions, files), phases, notes, at_start_of })
 }
 

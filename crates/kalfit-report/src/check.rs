@@ -164,7 +164,7 @@ fn reduced(record: &CheckRecord, (data, phases): (&DataRecord, &[CheckedPhase]),
             }
             let information: Vec<_> =
                 several.iter().map(|p| (p.counts.name.as_str(), p.information.as_ref())).collect();
-            sections.push(phases::information(&information, page));
+            sections.push(phases::information(&information, true, page));
             sections.push(page.section("All phases", &page.items(&said)));
         }
     }

@@ -47,7 +47,13 @@ fn table(record: &PlanRecord, rows: &[&PlannedRecord], width: usize) -> String {
     }
     let smallest = |q: &PlannedRecord| q.std_error.iter().flatten().copied().reduce(f64::min);
     let value = |q: &PlannedRecord| q.value.map_or("-".to_owned(), |v| Precision::of(v, smallest(q)).show(v));
-    let names = rows.iter().map(|q| q.states.join(", ")).collect();
+    // of a pair, the phase is said once
+    let several = record.quantities.iter().any(|q| q.phase != record.quantities[0].phase);
+    let name = |q: &PlannedRecord| {
+        let states = q.states.join(", ");
+        if several { format!("{}.{states}", q.phase) } else { states }
+    };
+    let names = rows.iter().map(|q| name(q)).collect();
     let mut columns = vec![
         Column::new("per unit of", Side::Left, rows.iter().map(|q| q.column.clone().unwrap_or_default()).collect()),
         Column::new("unit", Side::Left, rows.iter().map(|q| q.unit.clone().unwrap_or_default()).collect()),

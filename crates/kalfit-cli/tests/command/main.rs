@@ -3,11 +3,13 @@
 mod broken;
 mod dynamic;
 mod em;
+mod ensembles;
 mod exchange;
 mod folder;
 mod hypotheses;
 mod inference;
 mod innovations;
+mod phases;
 mod plan;
 mod scales;
 mod simulate;

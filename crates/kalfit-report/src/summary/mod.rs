@@ -29,7 +29,7 @@ pub fn summary(record: &FitRecord, style: &Style) -> String {
         sections.extend(phase_sections(record, phase, &page));
     }
     let observed: Vec<_> = record.phases.iter().map(|p| (p.name.as_str(), p.information.as_ref())).collect();
-    sections.push(phases::information(&observed, &page));
+    sections.push(phases::information(&observed, false, &page));
     sections.push(phases::filters(record, &page));
     sections.push(parameters::section(record, &page));
     sections.push(parameters::methods(record, &page));

@@ -1,8 +1,9 @@
 //! What there is to say of several phases together, and of phases that a filter worked on first.
 
 use kalfit::FitRecord;
-use kalfit::record::{FilterRecord, InformationLostRecord, InformationRecord, PhaseRecord};
+use kalfit::record::{EnteredRecord, FilterRecord, InformationLostRecord, InformationRecord, PhaseRecord};
 
+use super::doubts::{combination_of, weighted};
 use crate::number::{hundredths, plain};
 use crate::page::Page;
 use crate::table::{Column, Side, table};
@@ -10,6 +11,11 @@ use crate::words::{clean, count, list};
 
 /// No more names than this in a sentence.
 const MOST_NAMES: usize = 12;
+/// No more directions than this of a phase; all are in fit.json.
+const MOST_DIRECTIONS: usize = 6;
+/// What the columns of ranks mean.
+const LEGEND: &str = "Directions that the tests together observe: by itself, of all that enters the phase (its own states and \
+                      those that inherit); so far, of the estimated states of this and all earlier phases.";
 /// Below this part a standard error that grew is not worth a word.
 const SLIGHT: f64 = 5e-4;
 
@@ -47,31 +53,32 @@ fn marginal(record: &FitRecord) -> String {
     )
 }
 
-/// What each phase adds to what is observable.
-pub(crate) fn information(phases: &[(&str, Option<&InformationRecord>)], page: &Page<'_>) -> String {
+/// What each phase adds to what is observable, of several phases; `always`: also where everything is observable in each phase.
+pub(crate) fn information(phases: &[(&str, Option<&InformationRecord>)], always: bool, page: &Page<'_>) -> String {
     let known: Vec<(&str, &InformationRecord)> = phases.iter().filter_map(|(name, i)| Some((*name, (*i)?))).collect();
-    if phases.len() < 2 || known.is_empty() {
+    let full = |i: &InformationRecord| i.own_rank >= i.entering && i.rank_so_far >= i.of;
+    if known.len() < 2 || (!always && known.iter().all(|(_, i)| full(i))) {
         return String::new();
     }
-    let mut before = 0;
-    let mut own = |information: &InformationRecord| {
-        let own = information.of.saturating_sub(before);
-        before = information.of;
-        own
-    };
-    let alone = known.iter().map(|(_, i)| format!("{} of {}", i.own_rank, own(i))).collect();
+    let column = |of: &dyn Fn(&InformationRecord) -> String| known.iter().map(|(_, i)| of(i)).collect();
     let columns = [
         Column::new("phase", Side::Left, known.iter().map(|(name, _)| clean(name)).collect()),
-        Column::new("observed by itself", Side::Left, alone),
-        Column::new(
-            "observed so far",
-            Side::Left,
-            known.iter().map(|(_, i)| format!("{} of {}", i.rank_so_far, i.of)).collect(),
-        ),
+        Column::new("observed by itself", Side::Left, column(&|i| format!("{} of {}", i.own_rank, i.entering))),
+        Column::new("observed so far", Side::Left, column(&|i| format!("{} of {}", i.rank_so_far, i.of))),
     ];
-    let legend = "Directions of the initial states that the tests together observe: of the phase's own states, from its \
-                  own measurements alone; of the states of all phases so far, from all measurements so far.";
-    page.section("What the phases observe", &(table(&columns, page.width()) + &page.items(&[legend.to_owned()])))
+    let mut remarks = vec![LEGEND.to_owned()];
+    remarks.extend(known.iter().filter_map(|(name, i)| entered(name, i)));
+    page.section("What the phases observe", &(table(&columns, page.width()) + &page.items(&remarks)))
+}
+
+/// What a phase makes known.
+fn entered(phase: &str, information: &InformationRecord) -> Option<String> {
+    let combination = |new: &EnteredRecord| match &new.elements[..] {
+        [only] => clean(only),
+        _ => combination_of(&weighted(&new.direction, &new.elements)),
+    };
+    let all: Vec<String> = information.entered.iter().map(combination).collect();
+    (!all.is_empty()).then(|| format!("From phase {} on: {}.", clean(phase), list(&all, MOST_DIRECTIONS)))
 }
 
 /// Phases of which a filter's estimates were taken, and what that cost.

@@ -2,8 +2,8 @@
 
 use kalfit::FitRecord;
 use kalfit::record::{
-    ConstraintRecord, DataRecord, FilterRecord, InformationLostRecord, InformationRecord, ObservabilityRecord,
-    UnidentifiedRecord, WeakRecord,
+    ConstraintRecord, DataRecord, EnteredRecord, FilterRecord, InformationLostRecord, InformationRecord,
+    ObservabilityRecord, UnidentifiedRecord, WeakRecord,
 };
 use kalfit_report::{CheckRecord, Checked, CheckedPhase, PhaseCounts, Style, check_summary, summary};
 
@@ -20,7 +20,10 @@ fn two() -> FitRecord {
 }
 
 fn information(own_rank: usize, rank_so_far: usize, of: usize) -> Option<InformationRecord> {
-    Some(InformationRecord { own_rank, rank_so_far, of })
+    let entered =
+        vec![EnteredRecord { direction: vec![0.6, 0.8], elements: vec!["align.tilt".into(), "flight.tilt".into()] }];
+    let entered = if own_rank == 0 { entered } else { vec![] };
+    Some(InformationRecord { own_rank, entering: 2, rank_so_far, of, entered })
 }
 
 #[test]
@@ -168,7 +171,7 @@ fn what_enters_at_each_phase_is_a_table() {
     fit.phases[1].information = information(0, 3, 3);
     let text = summary(&fit, &Style::default());
     let at = text.find("What the phases observe").expect("it is there");
-    insta::assert_snapshot!(text[at..].lines().take(7).collect::<Vec<_>>().join("\n"), @"
+    insta::assert_snapshot!(text[at..].lines().take(8).collect::<Vec<_>>().join("\n"), @"
     What the phases observe
       phase   observed by itself  observed so far
       align   2 of 2              2 of 2
@@ -178,6 +181,9 @@ fn what_enters_at_each_phase_is_a_table() {
         phases so far, from all measurements so far.
     ");
     assert!(!summary(&two(), &Style::default()).contains("What the phases observe"), "nothing is known of it");
+    fit.phases[1].information = information(2, 3, 3);
+    let text = summary(&fit, &Style::default());
+    assert!(!text.contains("What the phases observe"), "each phase observes all that enters it:\n{text}");
 }
 
 fn checked(phases: Vec<CheckedPhase>, notes: Vec<String>) -> String {

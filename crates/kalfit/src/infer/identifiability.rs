@@ -7,6 +7,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::{Estimate, FitError, Place, Problem, Structure, Sums, Tangent, harmonic, natural_sizes};
 use crate::infer::observability::{Observability, observability};
+use crate::infer::phases::{PhaseObservability, phases};
 use crate::infer::reason::{Explanation, explain};
 use crate::linalg::symmetric;
 use crate::reduce::Reduction;
@@ -41,25 +42,33 @@ pub struct Examination {
     pub explanations: Vec<Explanation>,
     /// Which tests say what of each state.
     pub observability: Observability,
+    /// Which directions enter at which phase; empty where the reductions do not hold their phases one by one.
+    pub phases: Vec<PhaseObservability>,
 }
 
 /// All of it before any fit: at the start values.
 pub fn examine_at_start(reductions: &[Reduction], structure: &Structure<'_>) -> Result<Examination, FitError> {
     let (problem, place, sums) = crate::estimate::at_start(reductions, structure)?;
-    Ok(examination(&problem, &place, &sums, reductions))
+    Ok(examination((&problem, &place, &sums), reductions, phases(&problem, reductions, true)))
 }
 
-pub(crate) fn examine(estimate: &Estimate, reductions: &[Reduction]) -> Examination {
+/// `evidence`: what the estimate was made from, where that is not the reductions.
+pub(crate) fn examine(estimate: &Estimate, evidence: &[Reduction], reductions: &[Reduction]) -> Examination {
     let state = &estimate.state;
-    examination(&state.problem, &state.place, &state.sums, reductions)
+    let phases = phases(&state.problem, reductions, !state.is_marginal());
+    examination((&state.problem, &state.place, &state.sums), evidence, phases)
 }
 
-fn examination(problem: &Problem, place: &Place, sums: &Sums, reductions: &[Reduction]) -> Examination {
+fn examination(
+    (problem, place, sums): (&Problem, &Place, &Sums),
+    reductions: &[Reduction],
+    phases: Vec<PhaseObservability>,
+) -> Examination {
     let unidentified = directions(problem, place, &sums.expected_information());
     let p = problem.classes.dimension();
     let weight = sums.mean_information.view((0, 0), (p, p)).clone_owned();
     let observability = observability(problem, place, &weight, reductions);
-    Examination { explanations: explain(problem, &unidentified, &observability), unidentified, observability }
+    Examination { explanations: explain(problem, &unidentified, &observability), unidentified, observability, phases }
 }
 
 /// Unidentified directions at an estimate.

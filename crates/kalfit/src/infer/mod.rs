@@ -90,7 +90,8 @@ pub struct Inference {
 /// Infers all of it, from the reductions that the estimate was made from.
 pub fn infer(estimate: &Estimate, reductions: &[Reduction], choices: Choices) -> Inference {
     let evidence = estimate.state.evidence(reductions);
-    let Examination { unidentified, explanations, observability } = identifiability::examine(estimate, &evidence);
+    let Examination { unidentified, explanations, observability, phases } =
+        identifiability::examine(estimate, &evidence, reductions);
     let std_errors = match estimate.criterion {
         Criterion::Ml => choices.std_errors,
         Criterion::Reml => StdErrors::Observed, // what it adds to ℓ is no sum over tests
@@ -107,7 +108,7 @@ pub fn infer(estimate: &Estimate, reductions: &[Reduction], choices: Choices) ->
     };
     Inference {
         std_errors,
-        phases: phases::phases(&estimate.state.problem, reductions, !estimate.state.is_marginal()),
+        phases,
         intervals,
         uncertainty,
         sensitivities: sensitivities(estimate),

@@ -139,6 +139,7 @@ fn off_structure(error: ExpectedError) -> PlanError {
     }
 }
 
+/// Those of all phases; of pairs, those within a phase: states of different phases are independent.
 fn quantities(elements: &Elements, regressions: usize) -> Vec<Quantity> {
     let p = elements.states();
     let below = || elements.all().filter(|(i, j)| i != j);

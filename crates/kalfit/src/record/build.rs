@@ -53,8 +53,7 @@ impl FitRecord {
         let free = estimate.declared_mean() + estimate.declared_covariance(); // as lme4 counts them
         let log_likelihood = estimate.log_likelihood;
         let of_estimates = provenance.of_estimates || filtered(model, reductions);
-        let exact = estimate.state.settings.phases != Combination::Marginal || model.is_single();
-        let comparable = !of_estimates && exact;
+        let comparable = !of_estimates && estimate.composite.is_none();
         let penalty = |per: f64| comparable.then_some(free as f64 * per - 2.0 * log_likelihood);
         FitRecord {
             schema: "kalfit-fit/1".to_owned(),
@@ -67,7 +66,7 @@ impl FitRecord {
             },
             log_likelihood_kind: if of_estimates { "estimates" } else { "measurements" }.to_owned(),
             log_likelihood,
-            composite_log_likelihood: None,
+            composite_log_likelihood: estimate.composite.filter(|x| x.is_finite()),
             free_parameters: free,
             aic: penalty(2.0),
             bic: if data.observations > 0 { penalty((data.observations as f64).ln()) } else { None },

@@ -1,10 +1,10 @@
 //! Directions of all that is estimated, cut into phases, each with its elements named.
 
-use crate::infer::{Direction, Explanation, Observability, Quantity, WeakDirection};
+use crate::infer::{Direction, Explanation, Observability, PhaseObservability, Quantity, WeakDirection};
 use crate::model::PhasedModel;
 use crate::record::cut::Cut;
 use crate::record::diagnosis::{named, words};
-use crate::record::{UnidentifiedRecord, WeakRecord};
+use crate::record::{EnteredRecord, InformationRecord, UnidentifiedRecord, WeakRecord};
 
 /// Smaller weights of a unit direction do not count, as in the summaries.
 const NEGLIGIBLE: f64 = 1e-6;
@@ -167,6 +167,31 @@ impl WeakRecord {
         }
         records
     }
+}
+
+impl InformationRecord {
+    /// What each phase adds; nothing where there is one phase only, or it is not known.
+    pub fn by_phase(model: &PhasedModel, seen: &[PhaseObservability]) -> Vec<Option<InformationRecord>> {
+        if model.is_single() || seen.len() != model.phases.len() {
+            return vec![None; model.phases.len()];
+        }
+        let names = model.estimated_names();
+        let record = |(cut, found): (Cut<'_>, &PhaseObservability)| InformationRecord {
+            own_rank: found.own_rank,
+            entering: cut.phase.entering().len(),
+            rank_so_far: found.rank_so_far,
+            of: cut.elements.end,
+            entered: found.entered.iter().map(|weights| entered(&names, weights)).collect(),
+        };
+        Cut::all(model).into_iter().zip(seen).map(|pair| Some(record(pair))).collect()
+    }
+}
+
+/// A combination without its zeros.
+fn entered(names: &[String], weights: &[f64]) -> EnteredRecord {
+    let counts = weights.iter().zip(names).filter(|(weight, _)| weight.abs() > NEGLIGIBLE);
+    let (direction, elements) = counts.map(|(weight, name)| (*weight, name.clone())).unzip();
+    EnteredRecord { direction, elements }
 }
 
 /// Directions that mix phases, each in a sentence without a full stop.

@@ -26,8 +26,9 @@ pub use dynamic_ratio::DynamicSides;
 pub use levels::{LevelCounts, level_notes};
 pub use parameters::{MethodRecord, ParameterRecord, StartRecord};
 pub use phase::{
-    BoundaryRecord, CovarianceRecord, FilterRecord, InformationLostRecord, InformationRecord, MatrixRecord, MeanRecord,
-    ObservabilityRecord, PhaseRecord, RegressionRecord, ScaleRecord, UnidentifiedRecord, VectorRecord, WeakRecord,
+    BoundaryRecord, CovarianceRecord, EnteredRecord, FilterRecord, InformationLostRecord, InformationRecord,
+    MatrixRecord, MeanRecord, ObservabilityRecord, PhaseRecord, RegressionRecord, ScaleRecord, UnidentifiedRecord,
+    VectorRecord, WeakRecord,
 };
 pub use population::{FIT_SCHEMA, RecordError};
 pub use ratio::{BootstrapRecord, ComponentRecord, PartRecord, RatioProvenance, RatioRecord, SideRecord};

@@ -43,15 +43,29 @@ pub struct PhaseRecord {
     pub filter: Option<FilterRecord>,
 }
 
-/// What the ensemble observes of the estimated states, phase by phase: ranks of the information.
+/// What the ensemble observes of the states, phase by phase: ranks of the information, and what is new.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct InformationRecord {
-    /// Rank of what this phase by itself says of its own estimated states.
+    /// Rank of what this phase by itself says of all that enters it: its estimated states and those that inherit.
     pub own_rank: usize,
-    /// Rank of what the phases up to this one say of all their estimated states together.
+    /// Number of states that enter it.
+    pub entering: usize,
+    /// Rank of what the phases up to this one together say of all their estimated states.
     pub rank_so_far: usize,
-    /// Number of those states: `rank_so_far` cannot be more.
+    /// Number of those states.
     pub of: usize,
+    /// Combinations of those states that are known from this phase on, and were not before: `rank_so_far` less that of the phase
+    /// before.
+    pub entered: Vec<EnteredRecord>,
+}
+
+/// A combination of states that is known from some phase on.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct EnteredRecord {
+    /// Unit vector.
+    pub direction: Vec<f64>,
+    /// The states that its entries stand for, as `phase.state`.
+    pub elements: Vec<String>,
 }
 
 /// A filter that need not be the optimal one.

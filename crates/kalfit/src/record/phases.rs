@@ -8,8 +8,8 @@ use crate::model::{CovarianceKind, MeanElement, PhasedModel, Regression};
 use crate::record::build::phases_of;
 use crate::record::cut::Cut;
 use crate::record::{
-    BoundaryRecord, CovarianceRecord, FilterRecord, Interval, MatrixRecord, MeanRecord, ObservabilityRecord,
-    PhaseRecord, RegressionRecord, ScaleRecord, UnidentifiedRecord, VectorRecord, WeakRecord,
+    BoundaryRecord, CovarianceRecord, FilterRecord, InformationRecord, Interval, MatrixRecord, MeanRecord,
+    ObservabilityRecord, PhaseRecord, RegressionRecord, ScaleRecord, UnidentifiedRecord, VectorRecord, WeakRecord,
 };
 use crate::reduce::Reduction;
 
@@ -27,10 +27,12 @@ pub(super) fn phases(
     let mut unidentified = UnidentifiedRecord::by_phase(model, unidentified, explanations).into_iter();
     let mut seen = ObservabilityRecord::by_phase(model, observability).into_iter();
     let mut weak = WeakRecord::by_phase(model, observability).into_iter();
+    let mut information = InformationRecord::by_phase(model, &inference.phases).into_iter();
     let record = |cut: Cut<'_>| PhaseRecord {
         unidentified: unidentified.next().unwrap_or_default(),
         observability: seen.next().unwrap_or_default(),
         weakly_determined: weak.next().unwrap_or_default(),
+        information: information.next().flatten(),
         tests: Some(reductions.iter().filter(|r| phases_of(r, model) > cut.index).count()),
         ..phase(&cut, estimate, inference)
     };

@@ -40,7 +40,7 @@ pub use error::SimulateError;
 use crate::ensemble::Test;
 use crate::linalg::symmetric;
 use crate::model::{Alpha, Phase, PhasedModel, Population};
-use crate::reduce::{Evidence, Fault, Inherited, Instance, PhaseReducer, PhasedReducer, PhasedTest, Preparer};
+use crate::reduce::{Evidence, Fault, Instance, PhaseReducer, PhasedReducer, PhasedTest, Preparer};
 use path::Path;
 
 /// A test that was drawn.
@@ -225,7 +225,7 @@ impl PhaseDraw<'_> {
             let inherited = inherited.map_err(|error| self.phase.named(error))?;
             let Inherited { transition, input } = inherited.as_ref();
             entering.resize(model.estimated.len(), 0.0);
-            let inherited = transition * before + input;
+            let inherited = &inherited.transition * before + &inherited.input;
             entering.iter_mut().zip(&inherited).for_each(|(own, more)| *own += more);
         }
         path.draw_values(&entering, random).map_err(|fault| named(fault, rows))?;
