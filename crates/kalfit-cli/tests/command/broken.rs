@@ -124,14 +124,16 @@ fn wrong_keys_and_values_in_models() {
                      | ^^^
     ");
     assert_snapshot!(refused_model("[data]", "[phases.one.states.a]\n[data]"), @"
-    error: `[phases]` is not supported by this version
-      --> m.toml:1:2 | [phases.one.states.a]
+    error: `states` has no effect when every phase has its own
+      --> m.toml:5:2 | [states.level]
                      |  ^^^^^^
     ");
     assert_snapshot!(refused_model("[data]", "[filter]\nkind = \"kalman-schmidt\"\n[data]"), @"
-    error: `[filter]` is not supported by this version
-      --> m.toml:1:2 | [filter]
-                     |  ^^^^^^
+    error: `[filter]` has no `covariance`
+      --> m.toml:1:1 | [filter]
+                     | ^^^^^^^^
+
+    hint: the filter's own prior: a row and a column for every state, in the order level, slope
     ");
 }
 
