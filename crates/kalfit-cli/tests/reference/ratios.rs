@@ -4,7 +4,7 @@
 //! ones, and a test that holds it at one value is another test.
 
 use super::compare::{list, text};
-use super::{fit, folder};
+use super::{fit_by, folder};
 use serde_json::Value;
 use std::process::{Command, Stdio};
 
@@ -103,7 +103,8 @@ fn both_sides_of_a_test_are_fits_of_two_models() {
             let model = format!("{}.toml", text(&want["null"]));
             for (side, model) in [("null", model.as_str()), ("alternative", text(&want["alternative"]))] {
                 let alone = serde_json::json!({"model": model, "data": want["data"], "set": []});
-                let alone = fit(case, &alone, super::DEFAULT_SOLVER).unwrap_or_else(|said| panic!("{case}: {said}"));
+                let alone =
+                    fit_by(case, &alone, super::DEFAULT_SOLVER, &[]).unwrap_or_else(|said| panic!("{case}: {said}"));
                 let (x, y) = (number(&found[side]["log_likelihood"]), number(&alone["log_likelihood"]));
                 if (x - y).abs() > 1e-8 * y.abs().max(1.0) {
                     failures.push(format!("{case}/{model} as {side}: found ℓ {x}, expected {y}"));

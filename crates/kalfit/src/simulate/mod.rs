@@ -223,7 +223,6 @@ impl PhaseDraw<'_> {
         if let Some(inheritance) = &self.phase.inheritance {
             let inherited = inheritance.of(&self.preparer.at(), rows, &mut path.cells);
             let inherited = inherited.map_err(|error| self.phase.named(error))?;
-            let Inherited { transition, input } = inherited.as_ref();
             entering.resize(model.estimated.len(), 0.0);
             let inherited = &inherited.transition * before + &inherited.input;
             entering.iter_mut().zip(&inherited).for_each(|(own, more)| *own += more);
