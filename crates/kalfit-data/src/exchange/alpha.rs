@@ -144,7 +144,7 @@ mod tests {
     #[test]
     fn numbers_survive_json_bit_for_bit() {
         let all: Vec<ParameterValue> =
-            [0.1, -0.0, 5e-324, f64::MAX, 1.0 / 3.0].iter().map(|&x| value("p", &[], Some(x))).collect();
+            [0.1, -0.0, 5e-324, f64::MAX, 1.0 / 3.0].iter().map(|&x| value(&format!("p{x:e}"), &[], Some(x))).collect();
         let text = serde_json::to_string(&all).expect("plain numbers");
         let back: Vec<ParameterValue> = serde_json::from_str(&text).expect("what was written");
         assert_eq!(difference(&all, &back), None);

@@ -175,10 +175,11 @@ fn what_enters_at_each_phase_is_a_table() {
     What the phases observe
       phase   observed by itself  observed so far
       align   2 of 2              2 of 2
-      flight  0 of 1              3 of 3
-      Directions of the initial states that the tests together observe: of the
-        phase's own states, from its own measurements alone; of the states of all
-        phases so far, from all measurements so far.
+      flight  0 of 2              3 of 3
+      Directions that the tests together observe: by itself, of all that enters the
+        phase (its own states and those that inherit); so far, of the estimated
+        states of this and all earlier phases.
+      From phase flight on: 0.8 flight.tilt + 0.6 align.tilt.
     ");
     assert!(!summary(&two(), &Style::default()).contains("What the phases observe"), "nothing is known of it");
     fit.phases[1].information = information(2, 3, 3);
@@ -261,10 +262,11 @@ fn a_check_looks_at_each_phase() {
     What the phases observe
       phase   observed by itself  observed so far
       align   2 of 2              2 of 2
-      flight  0 of 1              3 of 3
-      Directions of the initial states that the tests together observe: of the
-        phase's own states, from its own measurements alone; of the states of all
-        phases so far, from all measurements so far.
+      flight  0 of 2              3 of 3
+      Directions that the tests together observe: by itself, of all that enters the
+        phase (its own states and those that inherit); so far, of the estimated
+        states of this and all earlier phases.
+      From phase flight on: 0.8 flight.tilt + 0.6 align.tilt.
 
     All phases
       All is not well.
