@@ -100,6 +100,7 @@ fn record(change: impl FnOnce(&mut DynamicFit, &mut Vec<ParameterInference>)) ->
     let model = model();
     let (labels, _, mut fit, inference, mut parameters) = fitted(&model);
     change(&mut fit, &mut parameters);
+    let model = PhasedModel::from(model);
     let parts =
         DynamicParts { model: &model, labels: &labels, fit: &fit, inference: &inference, parameters: &parameters };
     FitRecord::dynamic(&parts, Provenance::default())
@@ -243,6 +244,7 @@ fn methods_that_end_at_different_maxima_are_said_in_words() {
 fn fixed_levels_that_the_data_do_not_have_are_named() {
     let (labels, tests) = ensemble();
     let mut model = model();
+    let tests: Vec<PhasedTest> = tests.into_iter().map(PhasedTest::from).collect();
     let counts = LevelCounts::all(&model, &labels, &tests);
     let three = ["A", "B", "C"].map(|level| (level.to_owned(), 3));
     assert_eq!(counts, [LevelCounts { parameter: 0, tests: three.to_vec() }]);
@@ -256,9 +258,11 @@ fn fixed_levels_that_the_data_do_not_have_are_named() {
 fn what_a_hypothesis_takes_away_is_counted_in_the_values_that_the_data_have() {
     let (labels, tests) = ensemble();
     let wide = model();
-    let slots = |model: &Model| Slots::new(model, &labels, &tests);
-    let taken = |null: &Model| restricted((null, &slots(null)), (&wide, &slots(&wide)), &tests);
-    let counts = |null: &Model| taken(null).map(|t| (t.count, t.at_bound));
+    let tests: Vec<PhasedTest> = tests.into_iter().map(PhasedTest::from).collect();
+    let slots = |model: &PhasedModel| Slots::in_phases(model, &labels, &tests);
+    let whole = PhasedModel::from(wide.clone());
+    let taken = |null: &PhasedModel| restricted((null, &slots(null)), (&whole, &slots(&whole)), &tests);
+    let counts = |null: &Model| taken(&null.clone().into()).map(|t| (t.count, t.at_bound));
     assert_eq!(counts(&wide), Ok((0, 0)));
     let held = |levels: &[(usize, f64)]| {
         let mut null = wide.clone();
