@@ -13,7 +13,7 @@ use crate::failure::Failure;
 use crate::innovations;
 use crate::job::FitJob;
 use crate::progress::Line;
-use crate::{fit, reductions, tests};
+use crate::{fit, lost, reductions, tests};
 
 /// Every method, the one that the results are of first.
 const ALL: [Method; 3] = [Method::Hybrid, Method::Innovations, Method::Em];
@@ -55,11 +55,13 @@ pub(crate) fn fit(job: &FitJob, spec: &Spec, given: &Given) -> Result<FitRecord,
     };
     let mut record = FitRecord::dynamic(&parts, provenance);
     record.notes.extend(notes);
+    let population = Population::from(&fit.estimate);
+    lost::add(&mut record, (model, &fit.alpha, &population), &fit.reductions, (&tests, &reading));
     if ends.len() > 1 {
         record.add_methods(ends);
     }
     if job.innovations {
-        let at = (model, &fit.alpha, &Population::from(&fit.estimate));
+        let at = (model, &fit.alpha, &population);
         innovations::add_of(&mut record, at, &tests, &mut line);
         record.solver.seconds = line.seconds();
     }
@@ -77,6 +79,7 @@ pub(crate) fn known(
     fit::refuse_idle(job)?;
     let reductions = reductions::of(&spec.model, alpha, tests, reading)?;
     let (mut record, population) = fit::record(job, spec, given, (alpha, &reductions), line)?;
+    lost::add(&mut record, (&spec.model, alpha, &population), &reductions, (tests, reading));
     if job.innovations {
         innovations::add_of(&mut record, (&spec.model, alpha, &population), tests, line);
         record.solver.seconds = line.seconds();

@@ -17,7 +17,7 @@ use crate::innovations::{self, Kept};
 use crate::job::{FitJob, Outcome};
 use crate::output::Output;
 use crate::progress::Line;
-use crate::{dynamic, model, reductions, terminal, tests};
+use crate::{dynamic, lost, model, reductions, terminal, tests};
 
 pub(crate) fn run(job: &FitJob) -> Result<Outcome, Failure> {
     if job.settings.criterion == Criterion::Reml && job.choices.std_errors != StdErrors::Observed {
@@ -65,7 +65,7 @@ fn refuse_one_phase(job: &FitJob, spec: &Spec) -> Result<(), Failure> {
 fn fit(job: &FitJob, spec: &Spec, given: &Given) -> Result<FitRecord, Failure> {
     let mut line = Line::new(job.quiet);
     let alpha = model::alpha(spec);
-    if !given.is_rows() {
+    if !given.is_rows() || lost::filters_rows(&spec.model) {
         let (tests, reading) = tests::read(spec, given, &mut line)?;
         return dynamic::known(job, spec, given, (&alpha, &tests, &reading), &mut line);
     }

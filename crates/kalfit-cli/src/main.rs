@@ -11,6 +11,7 @@ mod failure;
 mod fit;
 mod innovations;
 mod job;
+mod lost;
 mod model;
 mod output;
 mod plan;

@@ -255,9 +255,9 @@ fn wrong_arguments() {
     For more information, try '--help'.
     ");
     assert_snapshot!(refused("fit m.toml d.csv --phases marginal", &[]), @"
-    error: invalid value 'marginal' for '--phases <PHASES>': this version has only `chain`
+    error: `--phases marginal` has no effect: the model has one phase
 
-    For more information, try '--help'.
+    hint: leave it out
     ");
     assert_snapshot!(refused("fit m.toml d.csv --solver bfgs", &[]), @"
     error: invalid value 'bfgs' for '--solver <SOLVER>'

@@ -212,7 +212,12 @@ fn a_population_of_other_phases_is_refused() {
     let folder = folder();
     let other = format!("{PHASES}{ALIGN}{FLIGHT}").replace("flight", "cruise");
     folder.write("other.toml", other.as_bytes());
-    assert_snapshot!(shown(&folder.run("simulate p.toml --from other.toml --design design.csv --seed 1 --out s.csv")), @"");
+    assert_snapshot!(shown(&folder.run("simulate p.toml --from other.toml --design design.csv --seed 1 --out s.csv")), @"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: `other.toml`: the estimated states are `align.velocity_error`, `align.tilt`, `align.bias`, `cruise.velocity_error`, `cruise.tilt`, `cruise.bias`, expected `align.velocity_error`, `align.tilt`, `align.bias`, `flight.velocity_error`, `flight.tilt`, `flight.bias` as in the model
+    ");
     let half = format!("{PHASES}{ALIGN}");
     folder.write("half.toml", half.as_bytes());
     assert_snapshot!(shown(&folder.run("plan p.toml --from half.toml --design design.csv --tests 5")), @"");
@@ -224,7 +229,14 @@ fn a_design_with_wrong_phases_is_refused() {
     let folder = folder();
     let rows = "phase,test,t,vel,doppler,star\nalign,a,0,1,,\nclimb,a,1,1,,\n";
     folder.write("wrong.csv", rows.as_bytes());
-    assert_snapshot!(shown(&folder.run("simulate p.toml --from t.toml --design wrong.csv --seed 1 --out s.csv")), @"");
+    assert_snapshot!(shown(&folder.run("simulate p.toml --from t.toml --design wrong.csv --seed 1 --out s.csv")), @"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: wrong.csv, row 3 (test `a`): found phase `climb` in column `phase`, expected `align`, `flight`
+
+    hint: add the phase to the model, or leave its rows out
+    ");
     let rows = "phase,test,t,vel,doppler,star\nalign,a,0,1,,\nflight,b,1,,1,\n";
     folder.write("early.csv", rows.as_bytes());
     assert_snapshot!(shown(&folder.run("plan p.toml --from t.toml --design early.csv --tests 5")), @"");

@@ -208,7 +208,7 @@ fn results_are_written_with_the_keys_of_the_schema() {
     assert_eq!(found["law"], serde_json::json!([{"df": 0, "weight": 0.5}, {"df": 1, "weight": 0.5}]));
     let keys = |of: &Value| of.as_object().expect("an object").keys().cloned().collect::<Vec<_>>().join(" ");
     assert_snapshot!(keys(&found["bootstrap"]), @"failed p_value quantile95 replicates seed std_error");
-    assert_snapshot!(keys(&found["null"]), @"converged covariance free_parameters log_likelihood mean parameters");
+    assert_snapshot!(keys(&found["null"]), @"converged covariance free_parameters log_likelihood mean parameters states");
     assert_eq!(found["null"]["covariance"], serde_json::json!([[0.0]]));
     let record: RatioRecord = serde_json::from_value(found.clone()).expect("it is a record: no number in it is null");
     let by_hand = 2.0 * (record.alternative.log_likelihood - record.null.log_likelihood);
@@ -376,7 +376,7 @@ fn files_that_are_no_hypotheses_are_refused() {
       --> vaccine.toml:3:2 | [data]
                            |  ^^^^
 
-    hint: its keys are `title`, `mean`, `covariance` or `parameters`
+    hint: its keys are `title`, `mean`, `covariance`, `parameters` or `phases`
     ");
     assert_snapshot!(refused_hypothesis(""), @"
     exit 2

@@ -54,13 +54,17 @@ fn version_and_help() {
     Usage: kalfit <COMMAND>
 
     Commands:
-      fit       Fit a model to data: a summary to standard output, all results to a file
-      test      Test a hypothesis within a model by the ratio of the likelihoods
-      check     Read a model, and data if given, and fit nothing: the model in words, counts, what the
-                data identify
-      simulate  Draw an ensemble of tests from a fit, or from the values of a model
-      plan      Expected standard errors against the number of tests, before any is run
-      help      Print this message or the help of the given subcommand(s)
+      fit        Fit a model to data: a summary to standard output, all results to a file
+      reduce     Run the filters once, at known parameters, and write what they make of the data: all
+                 that a fit needs
+      estimates  Run the `[filter]` of each phase, optimal or not, and write its estimates with the
+                 errors they make
+      test       Test a hypothesis within a model by the ratio of the likelihoods
+      check      Read a model, and data if given, and fit nothing: the model in words, counts, what the
+                 data identify
+      simulate   Draw an ensemble of tests from a fit, or from the values of a model
+      plan       Expected standard errors against the number of tests, before any is run
+      help       Print this message or the help of the given subcommand(s)
 
     Options:
       -h, --help     Print help

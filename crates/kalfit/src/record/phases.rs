@@ -5,11 +5,13 @@ use nalgebra::DMatrix;
 use crate::estimate::Estimate;
 use crate::infer::{Boundary, Element, Inference};
 use crate::model::{CovarianceKind, MeanElement, PhasedModel, Regression};
+use crate::plan::{InformationLost, Quantity, StdErrorRatio};
 use crate::record::build::phases_of;
 use crate::record::cut::Cut;
 use crate::record::{
-    BoundaryRecord, CovarianceRecord, FilterRecord, InformationRecord, Interval, MatrixRecord, MeanRecord,
-    ObservabilityRecord, PhaseRecord, RegressionRecord, ScaleRecord, UnidentifiedRecord, VectorRecord, WeakRecord,
+    BoundaryRecord, CovarianceRecord, FilterRecord, FitRecord, InformationLostRecord, InformationRecord, Interval,
+    MatrixRecord, MeanRecord, ObservabilityRecord, PhaseRecord, RegressionRecord, ScaleRecord, UnidentifiedRecord,
+    VectorRecord, WeakRecord,
 };
 use crate::reduce::Reduction;
 
@@ -88,6 +90,42 @@ fn filter(cut: &Cut<'_>) -> Option<FilterRecord> {
         consider: filter.consider.iter().map(|&state| cut.phase.model.states[state].name.clone()).collect(),
         information_lost: None,
     })
+}
+
+impl InformationLostRecord {
+    /// What was lost of the quantities of one phase; the determinant is that of all phases together.
+    pub fn new(model: &PhasedModel, phase: usize, lost: &InformationLost) -> InformationLostRecord {
+        let range = &model.ranges()[phase];
+        let p = range.len();
+        let mut record = InformationLostRecord {
+            mean_std_error_ratio: vec![None; p],
+            covariance_std_error_ratio: vec![vec![None; p]; p],
+            log_det_ratio: lost.log_determinant,
+        };
+        for StdErrorRatio { quantity, ratio } in &lost.std_errors {
+            match quantity {
+                Quantity::Mean(i) if range.contains(i) => {
+                    record.mean_std_error_ratio[i - range.start] = Some(*ratio);
+                }
+                Quantity::Covariance(i, j) if range.contains(i) && range.contains(j) => {
+                    let (i, j) = (i - range.start, j - range.start);
+                    record.covariance_std_error_ratio[i][j] = Some(*ratio);
+                    record.covariance_std_error_ratio[j][i] = Some(*ratio);
+                }
+                _ => {}
+            }
+        }
+        record
+    }
+}
+
+impl FitRecord {
+    /// Says what the filter of a phase lost; nothing where the phase has no filter.
+    pub fn add_information_lost(&mut self, phase: usize, lost: InformationLostRecord) {
+        if let Some(filter) = self.phases.get_mut(phase).and_then(|phase| phase.filter.as_mut()) {
+            filter.information_lost = Some(lost);
+        }
+    }
 }
 
 fn mean(cut: &Cut<'_>, estimate: &Estimate, inference: &Inference) -> MeanRecord {

@@ -238,17 +238,3 @@ fn reductions_made_before_must_have_the_shape_of_their_phase() {
     };
     insta::assert_snapshot!(refused(2, &other), @"test `S1`: transition from the phase before of phase `use`: found 2 x 3, expected 2 x 2");
 }
-
-/// Rows under a filter of their own, and estimates, wait for a reducer that reads them.
-#[test]
-fn estimates_of_other_filters_are_refused_by_name() {
-    let mut model = model();
-    let n = 2;
-    model.phases[1].filter = Some(kalfit::model::Filter {
-        consider: vec![1],
-        mean: vec![0.0; n],
-        covariance: DMatrix::identity(n, n),
-        parameters: Vec::new(),
-    });
-    insta::assert_snapshot!(refusal(&model, split(&model, &ROWS)), @"test `S1`: estimates of phase `transfer`: estimates of a filter are not read here");
-}
