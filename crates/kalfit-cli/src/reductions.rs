@@ -10,12 +10,15 @@ use crate::failure::Failure;
 use crate::innovations::{Kept, KeptTests};
 use crate::progress::Line;
 
+/// Sees every test, and nothing when all are to be forgotten.
+type Counted<'a> = &'a mut dyn FnMut(Option<&PhasedTest>);
+
 struct Reducing<'a> {
     model: &'a PhasedModel,
     reducer: PhasedReducer,
     reductions: Vec<Reduction>,
     kept: &'a mut KeptTests,
-    counted: &'a mut dyn FnMut(Option<&PhasedTest>),
+    counted: Counted<'a>,
     line: &'a mut Line,
 }
 
@@ -56,7 +59,7 @@ pub(crate) fn reduce(
     alpha: &Alpha,
     given: &Given,
     line: &mut Line,
-    counted: &mut dyn FnMut(Option<&PhasedTest>),
+    counted: Counted<'_>,
 ) -> Result<Vec<Reduction>, Failure> {
     read(spec, alpha, given, (line, counted), &mut Kept::nothing())
 }
@@ -76,7 +79,7 @@ fn read(
     spec: &Spec,
     alpha: &Alpha,
     given: &Given,
-    (line, counted): (&mut Line, &mut dyn FnMut(Option<&PhasedTest>)),
+    (line, counted): (&mut Line, Counted<'_>),
     kept: &mut Kept,
 ) -> Result<Vec<Reduction>, Failure> {
     let model = &spec.model;

@@ -45,8 +45,11 @@ pub(super) fn is_words(data_type: &DataType) -> bool {
     element(data_type).is_some_and(|element| is_text(element) || *element == DataType::Null)
 }
 
+/// Where the list of each row stands among the values of all; `None` for a missing one.
+type Parts = (Vec<Option<Range<usize>>>, ArrayRef);
+
 /// Elements of each row, and all elements.
-fn parts(array: &dyn Array) -> Result<(Vec<Option<Range<usize>>>, ArrayRef), ArrowError> {
+fn parts(array: &dyn Array) -> Result<Parts, ArrowError> {
     let rows = |ranges: &dyn Fn(usize) -> Range<usize>| -> Vec<Option<Range<usize>>> {
         (0..array.len()).map(|row| array.is_valid(row).then(|| ranges(row))).collect()
     };
@@ -58,7 +61,7 @@ fn parts(array: &dyn Array) -> Result<(Vec<Option<Range<usize>>>, ArrayRef), Arr
         Ok((rows(&at), list.values().clone()))
     } else if let Some(list) = array.as_fixed_size_list_opt() {
         let size = list.value_length().max(0) as usize;
-        let first = if list.is_empty() { 0 } else { list.value_offset_at(0).max(0) as usize };
+        let first = if list.is_empty() { 0 } else { list.value_offset_at(0) };
         Ok((rows(&|row| first + row * size..first + (row + 1) * size), list.values().clone()))
     } else {
         Err(ArrowError::CastError(format!("{} is no list", array.data_type())))

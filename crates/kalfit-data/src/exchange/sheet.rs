@@ -276,7 +276,7 @@ impl<'b> Row<'b> {
         if value.is_nan() {
             return Ok(None);
         }
-        if value < 0.0 || value > MOST || value.fract() != 0.0 {
+        if !(0.0..=MOST).contains(&value) || value.fract() != 0.0 {
             let (at, found) = (self.place(column), value.to_string());
             return Err(ExchangeError::Value { at, found, expected: "a count: 0, 1, 2 and so on" });
         }

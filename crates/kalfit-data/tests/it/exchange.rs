@@ -81,7 +81,7 @@ fn reduction(test: &str, q: usize, salt: usize) -> Reduction {
         covariates: Vec::new(),
         steps: 7 + salt,
         observations: 11,
-        path: if salt % 2 == 0 { Arithmetic::Information } else { Arithmetic::SquareRoot },
+        path: if salt.is_multiple_of(2) { Arithmetic::Information } else { Arithmetic::SquareRoot },
         design: u128::MAX / 3 + salt as u128,
         chain: None,
     }
