@@ -220,7 +220,14 @@ fn a_population_of_other_phases_is_refused() {
     ");
     let half = format!("{PHASES}{ALIGN}");
     folder.write("half.toml", half.as_bytes());
-    assert_snapshot!(shown(&folder.run("plan p.toml --from half.toml --design design.csv --tests 5")), @"");
+    assert_snapshot!(shown(&folder.run("plan p.toml --from half.toml --design design.csv --tests 5")), @"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: `half.toml`: no value is given for mean[flight.velocity_error], mean[flight.tilt], mean[flight.bias], covariance[flight.velocity_error, flight.velocity_error], covariance[flight.velocity_error, flight.tilt], covariance[flight.tilt, flight.tilt], covariance[flight.velocity_error, flight.bias], covariance[flight.tilt, flight.bias], covariance[flight.bias, flight.bias]
+
+    hint: fix it or give it a start value in `[mean]` and `[covariance]`, or take a fit
+    ");
     assert!(!folder.path("s.csv").exists());
 }
 
@@ -239,5 +246,12 @@ fn a_design_with_wrong_phases_is_refused() {
     ");
     let rows = "phase,test,t,vel,doppler,star\nalign,a,0,1,,\nflight,b,1,,1,\n";
     folder.write("early.csv", rows.as_bytes());
-    assert_snapshot!(shown(&folder.run("plan p.toml --from t.toml --design early.csv --tests 5")), @"");
+    assert_snapshot!(shown(&folder.run("plan p.toml --from t.toml --design early.csv --tests 5")), @"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: early.csv, row 3 (test `b`): phase `flight` follows phase `align`, of which the test has no row
+
+    hint: later phases may be missing, earlier ones not: a row with empty cells is a phase in which nothing was measured
+    ");
 }

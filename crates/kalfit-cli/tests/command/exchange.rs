@@ -183,7 +183,14 @@ fn what_does_not_go_together_is_refused() {
 
     hint: leave one of them out: it would count twice
     ");
-    insta::assert_snapshot!(said("fit two.toml move.parquet"), @"");
+    insta::assert_snapshot!(said("fit two.toml move.parquet"), @"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: move.parquet, row 1: found phase `move` of test `a`, expected phase `rest` too, which comes before it
+
+    hint: a test may end early, but it must begin with the first phase
+    ");
     insta::assert_snapshot!(said("fit two.toml move.parquet other.parquet"), @"");
     insta::assert_snapshot!(said("fit two.toml all.parquet --set sigma=0.2"), @"");
     insta::assert_snapshot!(said("estimates filter.toml all.csv --out e.parquet"), @"");

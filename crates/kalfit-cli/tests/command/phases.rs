@@ -130,7 +130,14 @@ fn one_phase_cannot_be_put_together_with_others() {
 
     hint: leave it out
     ");
-    assert_snapshot!(shown(&folder.run("fit m.toml d.csv --phases marginal")), @"");
+    assert_snapshot!(shown(&folder.run("fit m.toml d.csv --phases marginal")), @"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: `--phases marginal` has no effect: the model has one phase
+
+    hint: leave it out
+    ");
     assert!(folder.run("fit m.toml d.csv --phases chain --quiet").status.success());
 }
 
@@ -155,7 +162,14 @@ fn rows_of_no_phase_are_refused() {
 
     hint: add the phase to the model, or leave its rows out
     ");
-    assert_snapshot!(changed("r02,flight,0", "r02,,0"), @"");
+    assert_snapshot!(changed("r02,flight,0", "r02,,0"), @"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: phases.csv, row 15 (test `r02`): the cell of phase column `phase` is empty, expected `bench`, `flight`
+
+    hint: every row belongs to one phase: write its name
+    ");
     assert_snapshot!(changed("id,phase", "id,leg"), @"");
 }
 

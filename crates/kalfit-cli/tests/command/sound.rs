@@ -136,6 +136,17 @@ fn version_and_help() {
               
               [default: ml]
 
+          --phases <PHASES>
+              How tests in several phases are put together
+
+              Possible values:
+              - chain:    Phase by phase: exact, at a cost that is linear in the number of phases
+              - marginal: Each phase by itself: the correlation between phases is ignored, and
+                information with it
+              - stacked:  As one large test: exact, the reference
+              
+              [default: chain]
+
           --tolerance <T>
               Stop within this many standard errors of the optimum [default: 1e-8]
 
