@@ -8,7 +8,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::linalg::fold::fold_row;
+use crate::linalg::fold::{fold, fold_row};
 use crate::reduce::gains::Settle;
 use crate::reduce::root::settle;
 
@@ -146,6 +146,17 @@ fn same_bits(a: &[f64], b: &[f64]) -> bool {
     a.len() == b.len() && a.iter().zip(b).all(|(x, y)| x.to_bits() == y.to_bits())
 }
 
+/// A root with no more columns than rows.
+fn narrow(C: DMatrix<f64>) -> DMatrix<f64> {
+    let (q, u) = C.shape();
+    if u <= q || q == 0 {
+        return C.resize_horizontally(u.min(q), 0.0);
+    }
+    let (mut U, mut rows) = (vec![0.0; q * q], C.as_slice().to_vec()); // C' by rows is C by columns
+    fold(&mut U, &mut rows, q);
+    DMatrix::from_column_slice(q, q, &U) // U' of U by rows
+}
+
 /// Size of a packed triangle with so many entries.
 pub(crate) fn packed_size(entries: usize) -> usize {
     (0..).find(|&size| size * (size + 1) / 2 >= entries).expect("sizes have no end")
@@ -179,7 +190,7 @@ impl Stack {
     /// Joins a phase and what is known of all after it: the rows on (σ_i, ξ_{i+1}, …).
     fn join(&mut self, before: &KeyPhase, after: &KeyPhase, later: &Square) -> Square {
         let [sensitivity, root, transition] = after.link.as_ref().expect("a later phase has a link");
-        let (G, C) = (transition * sensitivity, transition * root);
+        let (G, C) = (transition * sensitivity, narrow(transition * root));
         let (u, from, q, own) = (C.ncols(), G.ncols(), G.nrows(), after.own);
         let mut array = Square::zeros(u + from + own + later.width - q);
         for k in 0..u {

@@ -537,6 +537,30 @@ fn a_combination_that_is_known_far_better_than_its_parts_is_handed_on() {
     }
 }
 
+/// Roots of P_K may have any number of columns: these are as many as the phase that inherits has coordinates at most.
+#[test]
+fn wide_roots_are_narrowed() {
+    let mut rng = ChaCha8Rng::seed_from_u64(2);
+    for seed in 0..50 {
+        let journey = Journey::random(seed);
+        let expected = reduce(&journey);
+        let mut parts = pieces(&journey);
+        for terminal in parts.iter_mut().filter_map(|piece| piece.terminal.as_mut()) {
+            let (root, columns) = (terminal.root.clone(), terminal.root.ncols());
+            let twice = |i, c: usize| 0.5 * root[(i, c % columns)];
+            terminal.root = DMatrix::from_fn(root.nrows(), 4 * columns, twice);
+        }
+        let phases = parts.into_iter().map(|piece| Evidence::Reduced(Box::new(piece))).collect();
+        let found = reduce_all(&journey.model, &[PhasedTest { id: "t".to_owned(), phases }]).remove(0);
+        let xi = DVector::from_fn(journey.dimension(), |_, _| normal(&mut rng));
+        assert_near(log_likelihood(&found, &xi), log_likelihood(&expected, &xi), 1e-11, "given ξ");
+        for phase in &found.chain.expect("several phases have a chain").phases {
+            let Some(link) = &phase.link else { continue };
+            assert!(link.root.ncols() <= link.root.nrows(), "{:?}", link.root.shape());
+        }
+    }
+}
+
 /// Covariates of all phases stand in a row, those of phases that a test lacks are zero.
 #[test]
 fn covariates_of_the_phases_follow_each_other() {

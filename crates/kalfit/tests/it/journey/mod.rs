@@ -88,7 +88,7 @@ impl PhaseMatrices {
         let inheriting = if before.is_some() { choose(0.7) } else { Vec::new() };
         let start = DVector::from_fn(n, |i, _| if estimated.contains(&i) { 0.0 } else { normal(rng) });
         let variance = DVector::from_fn(n, |i, _| {
-            let known = !estimated.contains(&i) && rng.random_bool(0.6);
+            let known = rng.random_bool(if estimated.contains(&i) { 0.2 } else { 0.6 });
             if known { rng.random_range(0.1..3.0) } else { 0.0 }
         });
         let transition = DMatrix::from_fn(n, before.unwrap_or(0), |i, j| {
@@ -184,6 +184,9 @@ impl PhaseMatrices {
             noise_variance: number(self.variances[k]),
         };
         let p = self.estimated.len();
+        let entry = |i: usize, j: usize| number(if i == j { self.variance[self.estimated[i]] } else { 0.0 });
+        let known: Vec<Vec<Expression>> = (0..p).map(|i| (0..p).map(|j| entry(i, j)).collect()).collect();
+        let added = self.estimated.iter().any(|&i| self.variance[i] > 0.0);
         let named = |name: &&str| Column { name: (*name).to_owned(), used_in: String::new() };
         Model {
             title: String::new(),
@@ -199,7 +202,7 @@ impl PhaseMatrices {
             group: None,
             estimated: self.estimated.clone(),
             mean: MeanStructure::free(p),
-            covariance: CovarianceStructure::full(),
+            covariance: CovarianceStructure { known: added.then_some(known), ..CovarianceStructure::full() },
         }
     }
 
