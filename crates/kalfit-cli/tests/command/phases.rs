@@ -170,7 +170,16 @@ fn rows_of_no_phase_are_refused() {
 
     hint: every row belongs to one phase: write its name
     ");
-    assert_snapshot!(changed("id,phase", "id,leg"), @"");
+    assert_snapshot!(changed("id,phase", "id,leg"), @r#"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: phases.csv has no column `phase`, which is used in `phase` in `[data]`
+      --> phases.toml:5:9 | phase = "phase"
+                          |         ^^^^^^^ this column is not in the data
+
+    hint: its columns are `id`, `leg`, `x`, `y`
+    "#);
 }
 
 #[test]
