@@ -14,6 +14,7 @@ pub(crate) struct Filters(Vec<Result<FilterRunner, String>>);
 impl Maker for Filters {
     type Writer = EstimatesWriter<Sunk>;
     const ROW: &'static str = "estimate";
+    const OF_ESTIMATES: bool = true;
 
     fn new(setting: &Setting) -> Result<Filters, Failure> {
         let runner = |phase: &kalfit::model::Phase| match &phase.filter {

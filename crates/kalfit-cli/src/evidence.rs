@@ -27,6 +27,8 @@ pub(crate) struct Given {
     /// Names of the inputs, those of rows first.
     files: Vec<String>,
     stdin: RefCell<Option<Box<dyn Read>>>,
+    /// Some reductions are of estimates.
+    of_estimates: bool,
     /// What the user should know.
     pub(crate) notes: Vec<String>,
 }
@@ -41,7 +43,8 @@ impl Given {
         let sorted = sort(&inputs, Box::new(std::io::stdin().lock())).map_err(|error| Failure::data(error, spec))?;
         let Sorted { rows, reductions, estimates, files, stdin, .. } = sorted;
         let stdin = RefCell::new(Some(stdin));
-        let mut given = Given { inputs, rows, reductions, estimates, files, stdin, notes: Vec::new() };
+        let mut given =
+            Given { inputs, rows, reductions, estimates, files, stdin, of_estimates: false, notes: Vec::new() };
         given.hold(spec)?;
         Ok(given)
     }
@@ -51,7 +54,16 @@ impl Given {
         let (rows, files) = (inputs.clone(), inputs.iter().map(Input::name).collect());
         let stdin: Box<dyn Read> = Box::new(std::io::stdin().lock());
         let (reductions, estimates, notes) = (Vec::new(), Vec::new(), Vec::new());
-        Given { inputs, rows, reductions, estimates, files, stdin: RefCell::new(Some(stdin)), notes }
+        Given {
+            inputs,
+            rows,
+            reductions,
+            estimates,
+            files,
+            stdin: RefCell::new(Some(stdin)),
+            of_estimates: false,
+            notes,
+        }
     }
 
     /// Names of the inputs, as they were given.
@@ -66,7 +78,9 @@ impl Given {
 
     /// The likelihood of a fit is that of estimates.
     pub(crate) fn is_of_estimates(&self, model: &PhasedModel) -> bool {
-        !self.estimates.is_empty() || (!self.rows.is_empty() && model.phases.iter().any(|phase| phase.filter.is_some()))
+        self.of_estimates
+            || !self.estimates.is_empty()
+            || (!self.rows.is_empty() && model.phases.iter().any(|phase| phase.filter.is_some()))
     }
 
     /// Standard input, from its start; it comes once.
@@ -98,6 +112,7 @@ impl Given {
                 }
             }
             merge(&mut held, &metadata.parameters);
+            self.of_estimates |= metadata.of_estimates;
             seen.push((&source.name, metadata));
         }
         if let Some((first, _)) = seen.first() {

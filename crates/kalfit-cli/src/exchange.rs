@@ -29,6 +29,8 @@ pub(crate) trait Maker: Sized {
     type Writer;
     /// What one row is, in words.
     const ROW: &'static str;
+    /// They are estimates, whatever they are made of.
+    const OF_ESTIMATES: bool;
 
     fn new(setting: &Setting) -> Result<Self, Failure>;
 
@@ -88,7 +90,7 @@ pub(crate) fn run<M: Maker>(job: &ExchangeJob) -> Result<Outcome, Failure> {
     let output = Output::prepare(&job.out, &used(job, &given))?;
     let alpha = Alpha::fixed(&spec.model.shared().parameters)
         .map_err(|ParameterError::Free { names }| Failure::from(TruthError::NoParameter { names }))?;
-    let metadata = metadata(&spec, &alpha, given.names());
+    let metadata = metadata(&spec, &alpha, &given, M::OF_ESTIMATES);
     let setting = Setting { spec, alpha, metadata };
     let mut line = Line::new(job.quiet);
     let maker = M::new(&setting)?;
@@ -116,7 +118,7 @@ pub(crate) fn run<M: Maker>(job: &ExchangeJob) -> Result<Outcome, Failure> {
     Ok(Outcome::Done)
 }
 
-fn metadata(spec: &Spec, alpha: &Alpha, files: Vec<String>) -> Metadata {
+fn metadata(spec: &Spec, alpha: &Alpha, given: &Given, of_estimates: bool) -> Metadata {
     let model = spec.model.shared();
     Metadata {
         version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -124,7 +126,8 @@ fn metadata(spec: &Spec, alpha: &Alpha, files: Vec<String>) -> Metadata {
         model_digest: spec.digest.clone(),
         reduction_digest: spec.reduction_digest(),
         parameters: ParameterValue::all(model, alpha, &Labels::new(&model.literals)),
-        files,
+        files: given.names(),
+        of_estimates: of_estimates || given.is_of_estimates(&spec.model),
     }
 }
 

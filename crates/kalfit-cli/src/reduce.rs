@@ -14,6 +14,7 @@ pub(crate) struct Reductions(PhasedReducer);
 impl Maker for Reductions {
     type Writer = ReductionWriter<Sunk>;
     const ROW: &'static str = "reduction";
+    const OF_ESTIMATES: bool = false;
 
     fn new(setting: &Setting) -> Result<Reductions, Failure> {
         let reducer = PhasedReducer::new(&setting.spec.model, &setting.alpha);

@@ -13,6 +13,9 @@ const MODEL: &str = "kalfit.model_digest";
 const REDUCTION: &str = "kalfit.reduction_digest";
 const PARAMETERS: &str = "kalfit.parameters";
 const FILES: &str = "kalfit.files";
+const LIKELIHOOD: &str = "kalfit.log_likelihood_kind";
+const OF_ESTIMATES: &str = "estimates";
+const OF_MEASUREMENTS: &str = "measurements";
 
 /// Where an exchange file comes from.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -29,6 +32,8 @@ pub struct Metadata {
     pub parameters: Vec<ParameterValue>,
     /// The files whose data are behind it.
     pub files: Vec<String>,
+    /// The likelihood is that of estimates, not of measurements.
+    pub of_estimates: bool,
 }
 
 impl Metadata {
@@ -43,6 +48,7 @@ impl Metadata {
             pair(MODEL, self.model_digest.clone()),
             pair(REDUCTION, self.reduction_digest.clone()),
             pair(PARAMETERS, parameters),
+            pair(LIKELIHOOD, if self.of_estimates { OF_ESTIMATES } else { OF_MEASUREMENTS }.to_owned()),
             pair(FILES, serde_json::to_string(&self.files).expect("texts")),
         ]
     }
@@ -69,7 +75,17 @@ impl Metadata {
                 reason: error.to_string(),
             }
         };
+        let of_estimates = match needed(LIKELIHOOD)? {
+            OF_ESTIMATES => true,
+            OF_MEASUREMENTS => false,
+            other => {
+                let found = crate::error::shown(other.as_bytes());
+                let reason = format!("found `{found}`, expected `{OF_ESTIMATES}` or `{OF_MEASUREMENTS}`");
+                return Err(ExchangeError::Metadata { file: file.to_owned(), key: LIKELIHOOD, reason });
+            }
+        };
         Ok(Some(Metadata {
+            of_estimates,
             version: needed(VERSION)?.to_owned(),
             title: text(TITLE).unwrap_or_default().to_owned(),
             model_digest: needed(MODEL)?.to_owned(),
@@ -87,7 +103,12 @@ impl Metadata {
         if self.reduction_digest == expected {
             return Ok(());
         }
-        let found = crate::error::shown(self.reduction_digest.as_bytes());
+        let digits = self.reduction_digest.strip_prefix("sha256:").unwrap_or_default();
+        let found = if digits.len() == 64 && digits.bytes().all(|b| b.is_ascii_hexdigit()) {
+            self.reduction_digest.clone() // longer than what messages show of other texts
+        } else {
+            crate::error::shown(self.reduction_digest.as_bytes())
+        };
         Err(ExchangeError::Digest { file: file.to_owned(), found, expected: expected.to_owned() })
     }
 }

@@ -132,6 +132,7 @@ fn metadata() -> Metadata {
         reduction_digest: "sha256:2".into(),
         parameters: vec![value("tau", 0.1), value("sigma", 1.0 / 3.0)],
         files: vec!["a \"b\".csv".into()],
+        of_estimates: true,
     }
 }
 
@@ -546,6 +547,7 @@ fn another_version_of_the_schema_is_refused() {
         ("kalfit.version", "0"),
         ("kalfit.model_digest", "?"),
         ("kalfit.reduction_digest", "?"),
+        ("kalfit.log_likelihood_kind", "estimates"),
         ("kalfit.parameters", "[{\"name\":1}]"),
     ];
     assert_snapshot!(said(&written(&pairs), &one_phase()), @"
