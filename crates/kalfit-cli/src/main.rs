@@ -29,6 +29,10 @@ use std::process::ExitCode;
 
 use clap::Parser;
 
+/// Tests are many and what each leaves is small (docs/decisions/0010-lanes.md).
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 fn main() -> ExitCode {
     match job::Job::from(args::Args::parse()).run() {
         Ok(outcome) => outcome.exit_code(),

@@ -9,11 +9,14 @@ use std::borrow::Cow;
 use std::cmp::Ordering;
 use std::ops::Range;
 
+use kalfit_lanes::Isa;
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::chained::{Chained, Detail};
+use crate::estimate::chained::{Chained, Detail, Packed};
+use crate::estimate::lanes::Blocks;
 use crate::estimate::pass::{Order, pass};
-use crate::estimate::terms::{Point, Terms};
+use crate::estimate::terms::Point;
+use crate::estimate::together::{each, packed};
 use crate::linalg::elements::Elements;
 use crate::linalg::symmetric;
 use crate::reduce::{Chain, ChainPhase, Path, Reduction};
@@ -44,6 +47,12 @@ pub(crate) struct Class<T = f64> {
 pub(crate) struct Classes {
     /// In an order that does not depend on the order of the tests.
     pub(crate) classes: Vec<Class>,
+    /// Those of them that are worked on side by side.
+    pub(crate) blocks: Blocks,
+    /// Numbers of those that are worked on one by one.
+    pub(crate) beside: Vec<usize>,
+    /// Those in phases that are worked on side by side.
+    pub(crate) chains: Vec<Packed>,
     pub(crate) frame: Frame,
     pub(crate) tests: usize,
     /// Σ_j R_j'R_j, in η.
@@ -118,6 +127,7 @@ impl Classes {
         let p = frame.scale.len();
         let chained = chained && !elements.is_single();
         let mut classes: Vec<Class> = Vec::new();
+        let (mut blocks, mut beside) = (Blocks::new(p, Isa::best()), Vec::new());
         let mut information = DMatrix::zeros(p, p);
         let mut start = 0;
         while start < order.len() {
@@ -130,11 +140,28 @@ impl Classes {
                 let factor = DMatrix::from_row_slice(p, p, &class.factor);
                 information += factor.transpose() * &factor * class.count;
             }
+            if blocks.takes(&class) {
+                blocks.push(&class);
+            } else if class.chain.as_ref().is_none_or(|chain| chain.is_careful()) {
+                beside.push(classes.len());
+            }
             classes.push(class);
             start = end;
         }
         let present = present(reductions, &elements);
-        Classes { classes, frame, tests: reductions.len(), information, elements, present, chained }
+        let chains = packed(classes.iter().map(|class| class.chain.as_deref()).enumerate(), blocks.isa().lanes());
+        Classes {
+            classes,
+            blocks,
+            beside,
+            chains,
+            frame,
+            tests: reductions.len(),
+            information,
+            elements,
+            present,
+            chained,
+        }
     }
 
     /// The classes of reductions that are kept phase by phase, whatever these classes are. `own`: they are those of the reductions.
@@ -179,28 +206,26 @@ impl Classes {
     /// Σ (JΣJ)_ii, and J_ii of one of them.
     pub(crate) fn excesses(&self, mean: &DVector<f64>) -> Vec<(f64, Vec<(f64, f64)>)> {
         let p = mean.len();
-        let mut terms = Terms::new(p);
-        let at = |class: &Class| match &class.chain {
-            None => {
-                let factor = DMatrix::from_row_slice(p, p, &class.factor);
-                let residual = factor.transpose() * (DVector::from_column_slice(&class.mean) - &factor * mean);
-                let scatter =
-                    class.scatter.as_ref().map(|s| factor.transpose() * DMatrix::from_row_slice(p, p, s) * &factor);
-                let one = |i: usize| {
-                    let spread = scatter.as_ref().map_or(0.0, |s| s[(i, i)]);
-                    let own = factor.column(i).norm_squared();
-                    (class.count * (residual[i] * residual[i] - own) + spread, own)
-                };
-                (class.count, (0..p).map(one).collect())
-            }
-            Some(_) => {
-                let point = Point { mean: mean.as_slice().to_vec(), ..self.origin(0) };
-                terms.evaluate(class, &[], &point, Detail::Phases);
-                let one = |at: usize| (terms.outer[at] - class.count * terms.W[at], terms.W[at]);
-                (class.count, (0..p).map(|i| one(i * p + i)).collect())
-            }
+        let alone = |class: &Class| {
+            let factor = DMatrix::from_row_slice(p, p, &class.factor);
+            let residual = factor.transpose() * (DVector::from_column_slice(&class.mean) - &factor * mean);
+            let scatter =
+                class.scatter.as_ref().map(|s| factor.transpose() * DMatrix::from_row_slice(p, p, s) * &factor);
+            let one = |i: usize| {
+                let spread = scatter.as_ref().map_or(0.0, |s| s[(i, i)]);
+                let own = factor.column(i).norm_squared();
+                (class.count * (residual[i] * residual[i] - own) + spread, own)
+            };
+            (class.count, (0..p).map(one).collect())
         };
-        self.classes.iter().map(at).collect()
+        let in_phases: Vec<&Class> = self.classes.iter().filter(|class| class.chain.is_some()).collect();
+        let point = Point { mean: mean.as_slice().to_vec(), ..self.origin(0) };
+        let mut told: Vec<(f64, Vec<(f64, f64)>)> = vec![(0.0, Vec::new()); in_phases.len()];
+        each(&in_phases, &[], &point, Detail::Phases, &mut |k, terms| {
+            let one = |at: usize| (terms.outer[at] - in_phases[k].count * terms.W[at], terms.W[at]);
+            told[k] = (in_phases[k].count, (0..p).map(|i| one(i * p + i)).collect());
+        });
+        self.classes.iter().filter(|class| class.chain.is_none()).map(alone).chain(told).collect()
     }
 
     /// p.

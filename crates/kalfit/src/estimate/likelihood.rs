@@ -8,9 +8,9 @@ use crate::estimate::Combination;
 use crate::estimate::classes::{Class, Classes};
 use crate::estimate::pass::{self, Order, Sums};
 use crate::estimate::terms::{Point, Terms};
-use crate::linalg::real::{Counted, Real};
 use crate::linalg::symmetric::{self, pairs};
 use crate::reduce::Reduction;
+use kalfit_lanes::{Counted, Real};
 
 /// Which derivatives are computed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -14,6 +14,7 @@ mod em;
 mod exact;
 mod expected;
 mod form;
+mod lanes;
 mod likelihood;
 mod linear;
 mod local;

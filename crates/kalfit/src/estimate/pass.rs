@@ -6,8 +6,9 @@ use std::ops::Range;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use crate::estimate::chained::Detail;
+use crate::estimate::chained::{Detail, Packed};
 use crate::estimate::classes::{Class, Classes};
+use crate::estimate::lanes::{ChainPass, ChainTotals, Totals};
 use crate::estimate::products::{Crosses, Products};
 use crate::estimate::reml::Restricted;
 use crate::estimate::terms::{Point, Regressors, Terms};
@@ -17,6 +18,9 @@ use crate::linalg::symmetric::{pair, pairs};
 
 /// Classes summed by one task. Fixed, so that sums have the same bits for any number of threads.
 const CHUNK: usize = 128;
+
+/// Most tasks that tests in phases are summed by: each needs much room for second derivatives.
+const CHAIN_TASKS: usize = 16;
 
 /// Which derivatives a pass computes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -96,6 +100,63 @@ impl Sums {
         self.cross.plus(&other.cross);
         self.expected.plus(&other.expected);
         self
+    }
+
+    /// Adds what tests say that are worked on side by side, their constants apart.
+    fn take(&mut self, totals: &Totals) {
+        self.value -= 0.5 * (totals.log_det + totals.quadratic);
+        self.mean_score.iter_mut().zip(&totals.r).for_each(|(sum, r)| *sum += r);
+        for (at, (a, b)) in self.elements.all().enumerate() {
+            for (a, b) in if a == b { vec![(a, b)] } else { vec![(a, b), (b, a)] } {
+                self.weight[(a, b)] += totals.W[at];
+                self.mean_information[(a, b)] += totals.W[at];
+                self.outer[(a, b)] += totals.outer[at];
+            }
+        }
+        self.curvature.take(&totals.curvature);
+        self.cross.take(&totals.cross);
+        self.expected.take(&totals.expected);
+    }
+
+    /// Adds what tests in phases say that are worked on side by side; classes that need more care are left, and returned.
+    fn take_chains<'a>(&mut self, classes: &'a Classes, point: &Point, order: Order) -> Vec<&'a Class> {
+        let isa = classes.blocks.isa();
+        let of = |blocks: &[Packed]| {
+            let elements = &classes.elements;
+            isa.run(ChainPass { blocks, classes: &classes.classes, point, regressors: &[], elements, order, isa })
+        };
+        let each = classes.chains.len().div_ceil(CHAIN_TASKS).max(CHUNK / isa.lanes());
+        let all: Vec<ChainTotals> = classes.chains.par_chunks(each).map(of).collect();
+        all.iter().for_each(|totals| self.take_chain(totals));
+        all.iter().flat_map(|totals| &totals.refused).map(|&k| &classes.classes[k]).collect()
+    }
+
+    fn take_chain(&mut self, totals: &ChainTotals) {
+        self.value += totals.value;
+        self.mean_score.iter_mut().zip(&totals.r).for_each(|(sum, r)| *sum += r);
+        let ranges = self.elements.blocks();
+        for (k, own) in ranges.iter().enumerate() {
+            for (i, other) in ranges[..=k].iter().enumerate() {
+                let places = own.clone().flat_map(|a| other.clone().map(move |b| (a, b)));
+                for ((a, b), w) in places.zip(&totals.W[pair(k, i)]) {
+                    self.mean_information[(a, b)] += w;
+                    if k == i {
+                        self.weight[(a, b)] += w;
+                    } else {
+                        self.mean_information[(b, a)] += w;
+                    }
+                }
+            }
+            for a in 0..own.len() {
+                for b in 0..own.len() {
+                    let (row, column) = (a.max(b), a.min(b));
+                    self.outer[(own.start + a, own.start + b)] += totals.outer[k][row * own.len() + column];
+                }
+            }
+        }
+        self.curvature.take_pairs(&totals.curvature);
+        self.cross.take_phases(&totals.cross);
+        self.expected.take_pairs(&totals.expected);
     }
 
     /// Σ X'W ⊗ WX.
@@ -221,13 +282,31 @@ pub(crate) fn pass(
     flat: Option<&FlatMean<'_>>,
 ) -> Sums {
     let wanted = wanted(&classes.elements, regressors, order, flat);
-    let of_chunk = |chunk: &[Class]| {
+    // what the restricted likelihood and regressions add is summed test by test
+    let side_by_side = flat.is_none() && regressors.is_empty();
+    let others: Vec<&Class> = match side_by_side {
+        true => classes.beside.iter().map(|&k| &classes.classes[k]).collect(),
+        false => classes.classes.iter().collect(),
+    };
+    let of_chunk = |chunk: &[&Class]| {
         let mut sums = wanted.zero();
-        each(chunk, regressors, point, wanted.detail(), &mut |k, terms| terms.add_to(&mut sums, &chunk[k], wanted));
+        each(chunk, regressors, point, wanted.detail(), &mut |k, terms| terms.add_to(&mut sums, chunk[k], wanted));
         sums.settled()
     };
-    let chunks: Vec<Sums> = classes.classes.par_chunks(CHUNK).map(of_chunk).collect();
-    chunks.iter().fold(wanted.zero(), Sums::add)
+    let one_by_one = |others: &[&Class]| {
+        let chunks: Vec<Sums> = others.par_chunks(CHUNK).map(of_chunk).collect();
+        chunks.iter().fold(wanted.zero(), Sums::add)
+    };
+    let mut sums = one_by_one(&others);
+    if side_by_side {
+        sums.value += classes.blocks.constant();
+        classes.blocks.totals(point, order).iter().for_each(|totals| sums.take(totals));
+        let refused = sums.take_chains(classes, point, order);
+        if !refused.is_empty() {
+            sums = sums.add(&one_by_one(&refused));
+        }
+    }
+    sums
 }
 
 /// What one class says by itself.

@@ -38,6 +38,14 @@ impl Outer {
         }
     }
 
+    /// Adds sums that are given by rows.
+    fn take(&mut self, sums: &[f64]) {
+        let columns = self.sum.ncols().max(1);
+        for (row, sums) in sums.chunks_exact(columns).enumerate() {
+            self.sum.row_mut(row).iter_mut().zip(sums).for_each(|(sum, x)| *sum += x);
+        }
+    }
+
     /// Adds what is gathered.
     fn settle(&mut self) {
         let n = std::mem::take(&mut self.filled);
@@ -81,6 +89,16 @@ impl Products {
 
     pub(crate) fn plus(&mut self, other: &Products) {
         self.blocks.iter_mut().zip(&other.blocks).for_each(|(own, other)| own.sum += &other.sum);
+    }
+
+    /// Adds sums of a single phase, pairs × pairs by rows; none where they are not wanted.
+    pub(crate) fn take(&mut self, sums: &[f64]) {
+        self.blocks.iter_mut().for_each(|block| block.take(sums));
+    }
+
+    /// Adds sums by pairs of phases, places × places by rows; none where they are not wanted.
+    pub(crate) fn take_pairs(&mut self, sums: &[Vec<f64>]) {
+        self.blocks.iter_mut().zip(sums).for_each(|(block, sums)| block.take(sums));
     }
 
     /// Adds scale × A ⊗ B; both p × p by rows.
@@ -131,6 +149,26 @@ impl Crosses {
 
     pub(crate) fn plus(&mut self, other: &Crosses) {
         self.blocks.iter_mut().zip(&other.blocks).for_each(|(own, other)| own.sum += &other.sum);
+    }
+
+    /// Adds sums by phases, in the order in which they are kept here; none where they are not wanted.
+    pub(crate) fn take_phases(&mut self, sums: &[Vec<f64>]) {
+        self.blocks.iter_mut().zip(sums).for_each(|(block, sums)| block.take(sums));
+    }
+
+    /// Adds sums of A ⊗ r of a single phase without regression, pairs × p by rows; none where they are not wanted.
+    pub(crate) fn take(&mut self, sums: &[f64]) {
+        let coordinates = self.coordinates;
+        for block in &mut self.blocks {
+            let p = block.sum.ncols();
+            let places = (0..p).flat_map(|i| (0..=i).map(move |k| (i, k)));
+            for ((i, k), sums) in places.zip(sums.chunks_exact(p)) {
+                for (m, k) in if i == k { vec![(i, k)] } else { vec![(i, k), (k, i)] } {
+                    let mut row = block.sum.row_mut(k * coordinates + m);
+                    row.iter_mut().zip(sums).for_each(|(sum, x)| *sum += x);
+                }
+            }
+        }
     }
 
     /// Adds A ⊗ r, A_mk given by `weight(m, k)`.

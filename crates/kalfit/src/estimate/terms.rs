@@ -12,8 +12,8 @@ use nalgebra::DMatrix;
 use crate::estimate::chained::{Chained, Detail, Said};
 use crate::estimate::classes::Class;
 use crate::linalg::fold::fold;
-use crate::linalg::real::Real;
 use crate::linalg::rows::Rows;
+use kalfit_lanes::Real;
 
 /// Where ℓ is evaluated, in η: the mean (without regression), scaled regression coefficients, and F with Σ = FF'.
 #[derive(Debug, Clone, PartialEq)]

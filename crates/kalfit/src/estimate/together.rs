@@ -1,60 +1,77 @@
-//! What classes say at a point, one after the other; those in phases, four of one shape at a time.
+//! What classes say at a point, one after the other; those in phases side by side.
 
-use crate::estimate::chained::{Chained, Detail};
+use kalfit_lanes::{Isa, Kernel, Lanes};
+
+use crate::estimate::chained::{Chained, Detail, Packed};
 use crate::estimate::classes::Class;
 use crate::estimate::terms::{Point, Regressors, Terms};
 
 /// Calls `of` with each class and what it says, in an order that depends on nothing but the classes.
 pub(crate) fn each(
-    classes: &[Class],
+    classes: &[&Class],
     regressors: &Regressors,
     point: &Point,
     detail: Detail,
     of: &mut dyn FnMut(usize, &Terms),
 ) {
     let mut terms = Terms::new(point.mean.len());
-    let mut waiting: Vec<usize> = Vec::new();
     for (k, class) in classes.iter().enumerate() {
-        if class.chain.is_some() {
-            waiting.push(k);
-        } else {
+        if class.chain.as_ref().is_none_or(|chain| chain.is_careful()) {
             terms.evaluate(class, regressors, point, detail);
             of(k, &terms);
         }
     }
-    let chain = |k: usize| classes[k].chain.as_deref().expect("only such wait");
-    while let Some(&first) = waiting.first() {
-        let (alike, others): (Vec<usize>, Vec<usize>) =
-            waiting.into_iter().partition(|&k| chain(k).is_alike(chain(first)));
-        waiting = others;
-        for group in alike.chunks(4) {
-            four(classes, group, (regressors, point), detail, &mut terms, of);
-        }
+    let isa = Isa::best();
+    for packed in packed(classes.iter().map(|class| class.chain.as_deref()).enumerate(), isa.lanes()) {
+        isa.run(Tell { packed: &packed, classes, regressors, point, detail, terms: &mut terms, of });
     }
 }
 
-/// Up to four classes of one shape.
-fn four(
-    classes: &[Class],
-    group: &[usize],
-    (regressors, point): (&Regressors, &Point),
-    detail: Detail,
-    terms: &mut Terms,
-    of: &mut dyn FnMut(usize, &Terms),
-) {
-    let class = |lane: usize| &classes[group[lane.min(group.len() - 1)]];
-    let lanes = [0, 1, 2, 3].map(class);
-    let means = lanes.map(|class| point.mean_of(class, regressors));
-    let chains = lanes.map(|class| class.chain.as_deref().expect("only such are given"));
-    let together = match group.len() {
-        1 => None,
-        _ => Chained::at_four(chains, means.each_ref().map(Vec::as_slice), &point.root, detail),
-    };
-    for (lane, &k) in group.iter().enumerate() {
-        match &together {
-            Some(said) => terms.take(chains[lane], &classes[k], said, |four| four.0[lane]),
-            None => terms.evaluate(&classes[k], regressors, point, detail),
+/// Packs what can be: classes in phases that need no special care, those of one shape together, in their order.
+pub(crate) fn packed<'a>(chains: impl Iterator<Item = (usize, Option<&'a Chained>)>, lanes: usize) -> Vec<Packed> {
+    let mut waiting: Vec<Vec<(usize, &Chained)>> = Vec::new();
+    let mut packed = Vec::new();
+    for (number, chain) in chains {
+        let Some(chain) = chain.filter(|chain| !chain.is_careful()) else { continue };
+        let place = waiting.iter().position(|alike| alike[0].1.is_alike(chain));
+        let place = place.unwrap_or_else(|| {
+            waiting.push(Vec::new());
+            waiting.len() - 1
+        });
+        waiting[place].push((number, chain));
+        if waiting[place].len() == lanes {
+            packed.push(Packed::new(&waiting.swap_remove(place), lanes));
         }
-        of(k, terms);
+    }
+    packed.extend(waiting.iter().map(|alike| Packed::new(alike, lanes)));
+    packed
+}
+
+struct Tell<'a, 'b> {
+    packed: &'a Packed,
+    classes: &'a [&'a Class],
+    regressors: &'a Regressors,
+    point: &'a Point,
+    detail: Detail,
+    terms: &'a mut Terms,
+    of: &'b mut dyn FnMut(usize, &Terms),
+}
+
+impl Kernel for Tell<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<T: Lanes>(self) {
+        let Tell { packed, classes, regressors, point, detail, terms, of } = self;
+        let mean = packed.means::<T>(classes, point, regressors);
+        let said = packed.unpack::<T>().side_by_side(&mean, &point.root, detail);
+        for (lane, &k) in packed.members().iter().enumerate() {
+            let class = classes[k];
+            match (&said, &class.chain) {
+                (Some(said), Some(chain)) => terms.take(chain, class, said, |x| x.lane(lane)),
+                _ => terms.evaluate(class, regressors, point, detail),
+            }
+            of(k, terms);
+        }
     }
 }

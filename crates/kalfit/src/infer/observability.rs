@@ -292,18 +292,24 @@ impl Shares<'_> {
         let several = !self.problem.covariance.elements.is_single();
         let classes: Vec<_> = designs.iter().map(|design| self.problem.classes.single(design.tests[0])).collect();
         let all = DMatrix::from_fn(p, directions.len(), |i, c| directions[c][i]);
-        each(&classes, &self.problem.mean.regressors, &self.place.point, Detail::Between, &mut |k, terms| {
-            let W = DMatrix::from_row_slice(p, p, &terms.W);
-            let products = if several { Some(&W * &all) } else { None }; // at once, where there are many
-            for (c, u) in directions.iter().enumerate() {
-                let own = match &products {
-                    Some(products) => u.dot(&products.column(c)),
-                    None => u.dot(&(&W * u)),
-                };
-                parts.totals[c] += own * designs[k].tests.len() as f64;
-                parts.offer(c, own, &designs[k].tests[0].test);
-            }
-        });
+        each(
+            &classes.iter().collect::<Vec<_>>(),
+            &self.problem.mean.regressors,
+            &self.place.point,
+            Detail::Between,
+            &mut |k, terms| {
+                let W = DMatrix::from_row_slice(p, p, &terms.W);
+                let products = if several { Some(&W * &all) } else { None }; // at once, where there are many
+                for (c, u) in directions.iter().enumerate() {
+                    let own = match &products {
+                        Some(products) => u.dot(&products.column(c)),
+                        None => u.dot(&(&W * u)),
+                    };
+                    parts.totals[c] += own * designs[k].tests.len() as f64;
+                    parts.offer(c, own, &designs[k].tests[0].test);
+                }
+            },
+        );
         parts
     }
 }

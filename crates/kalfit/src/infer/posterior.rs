@@ -45,7 +45,7 @@ fn chunk(estimate: &Estimate, reductions: &[Reduction]) -> Vec<Posterior> {
     let classes: Vec<Class> = reductions.iter().map(|reduction| problem.classes.single(reduction)).collect();
     let mut found: Vec<Option<Posterior>> = vec![None; classes.len()];
     let (point, sigma) = (&estimate.state.place.point, estimate.state.place.point.covariance());
-    each(&classes, &problem.mean.regressors, point, Detail::Posterior, &mut |k, terms| {
+    each(&classes.iter().collect::<Vec<_>>(), &problem.mean.regressors, point, Detail::Posterior, &mut |k, terms| {
         found[k] = Some(posterior((problem, point, &sigma), terms, &classes[k], &reductions[k]));
     });
     found.into_iter().map(|one| one.expect("every class has its turn")).collect()

@@ -6,8 +6,9 @@ use std::ops::{Index, IndexMut};
 
 use nalgebra::DMatrix;
 
+use kalfit_lanes::Real;
+
 use crate::linalg::fold::Rotation;
-use crate::linalg::real::Real;
 
 /// A matrix by rows.
 #[derive(Debug, Clone, PartialEq)]
@@ -19,12 +20,14 @@ pub(crate) struct Rows<T = f64> {
 
 impl<T> Index<(usize, usize)> for Rows<T> {
     type Output = T;
+    #[inline(always)]
     fn index(&self, (i, k): (usize, usize)) -> &T {
         &self.data[i * self.columns + k]
     }
 }
 
 impl<T> IndexMut<(usize, usize)> for Rows<T> {
+    #[inline(always)]
     fn index_mut(&mut self, (i, k): (usize, usize)) -> &mut T {
         &mut self.data[i * self.columns + k]
     }
@@ -37,43 +40,67 @@ impl From<&DMatrix<f64>> for Rows {
 }
 
 impl<T: Real> Rows<T> {
+    #[inline(always)]
     pub(crate) fn zeros(rows: usize, columns: usize) -> Rows<T> {
         Rows { rows, columns, data: vec![T::splat(0.0); rows * columns] }
     }
 
+    #[inline(always)]
     pub(crate) fn from_fn(rows: usize, columns: usize, entry: impl Fn(usize, usize) -> T) -> Rows<T> {
         let mut all = Rows::zeros(rows, columns);
         if columns > 0 {
             for (i, row) in all.data.chunks_exact_mut(columns).enumerate() {
-                row.iter_mut().enumerate().for_each(|(k, x)| *x = entry(i, k));
+                for (k, x) in row.iter_mut().enumerate() {
+                    *x = entry(i, k);
+                }
             }
         }
         all
     }
 
+    #[inline(always)]
     pub(crate) fn identity(size: usize) -> Rows<T> {
         let mut identity = Rows::zeros(size, size);
-        (0..size).for_each(|i| identity[(i, i)] = T::splat(1.0));
+        for i in 0..size {
+            identity[(i, i)] = T::splat(1.0);
+        }
         identity
     }
 
+    #[inline(always)]
     pub(crate) fn nrows(&self) -> usize {
         self.rows
     }
 
+    #[inline(always)]
     pub(crate) fn ncols(&self) -> usize {
         self.columns
     }
 
+    #[inline(always)]
+    pub(crate) fn as_slice(&self) -> &[T] {
+        &self.data
+    }
+
+    /// A matrix of these numbers, by rows.
+    #[inline(always)]
+    pub(crate) fn from_vec(rows: usize, columns: usize, data: Vec<T>) -> Rows<T> {
+        debug_assert_eq!(data.len(), rows * columns, "numbers of a matrix");
+        Rows { rows, columns, data }
+    }
+
+    #[inline(always)]
     pub(crate) fn row(&self, i: usize) -> &[T] {
         &self.data[i * self.columns..][..self.columns]
     }
 
+    #[inline(always)]
     pub(crate) fn row_mut(&mut self, i: usize) -> &mut [T] {
         &mut self.data[i * self.columns..][..self.columns]
     }
 
     /// Puts rows below.
+    #[inline(always)]
     pub(crate) fn append(&mut self, below: &Rows<T>) {
         debug_assert_eq!(self.columns, below.columns, "one width");
         self.rows += below.rows;
@@ -81,15 +108,18 @@ impl<T: Real> Rows<T> {
     }
 
     /// The first columns of it.
+    #[inline(always)]
     pub(crate) fn first_columns(&self, columns: usize) -> Rows<T> {
         self.some_columns(0, columns)
     }
 
     /// The last columns of it.
+    #[inline(always)]
     pub(crate) fn last_columns(&self, columns: usize) -> Rows<T> {
         self.some_columns(self.columns - columns, columns)
     }
 
+    #[inline(always)]
     fn some_columns(&self, from: usize, columns: usize) -> Rows<T> {
         let mut some = Rows::zeros(self.rows, columns);
         for i in 0..self.rows {
@@ -99,11 +129,13 @@ impl<T: Real> Rows<T> {
     }
 
     /// The first rows of it.
+    #[inline(always)]
     pub(crate) fn first_rows(&self, rows: usize) -> Rows<T> {
         Rows { rows, columns: self.columns, data: self.data[..rows * self.columns].to_vec() }
     }
 
     /// [A B].
+    #[inline(always)]
     pub(crate) fn beside(&self, other: &Rows<T>) -> Rows<T> {
         let own = self.columns;
         let mut both = Rows::zeros(self.rows, own + other.columns);
@@ -116,6 +148,7 @@ impl<T: Real> Rows<T> {
     }
 
     /// AB.
+    #[inline(always)]
     pub(crate) fn times(&self, other: &Rows<T>) -> Rows<T> {
         let mut product = Rows::zeros(self.rows, other.columns);
         for i in 0..self.rows {
@@ -127,6 +160,7 @@ impl<T: Real> Rows<T> {
     }
 
     /// A'B.
+    #[inline(always)]
     pub(crate) fn transpose_times(&self, other: &Rows<T>) -> Rows<T> {
         let mut product = Rows::zeros(self.columns, other.columns);
         for k in 0..self.rows {
@@ -138,36 +172,52 @@ impl<T: Real> Rows<T> {
     }
 
     /// AB'.
+    #[inline(always)]
     pub(crate) fn times_transpose(&self, other: &Rows<T>) -> Rows<T> {
         let mut product = Rows::zeros(self.rows, other.rows);
         for i in 0..self.rows {
             let own = self.row(i);
             for (k, x) in product.row_mut(i).iter_mut().enumerate() {
-                *x = own.iter().zip(other.row(k)).fold(T::splat(0.0), |sum, (&a, &b)| sum + a * b);
+                let mut sum = T::splat(0.0);
+                for (&a, &b) in own.iter().zip(other.row(k)) {
+                    sum = a.fma(b, sum);
+                }
+                *x = sum;
             }
         }
         product
     }
 
     /// A - B.
+    #[inline(always)]
     pub(crate) fn less(mut self, other: &Rows<T>) -> Rows<T> {
-        self.data.iter_mut().zip(&other.data).for_each(|(a, &b)| *a = *a - b);
+        for (a, &b) in self.data.iter_mut().zip(&other.data) {
+            *a = *a - b;
+        }
         self
     }
 
     /// A + B.
+    #[inline(always)]
     pub(crate) fn plus(mut self, other: &Rows<T>) -> Rows<T> {
-        self.data.iter_mut().zip(&other.data).for_each(|(a, &b)| *a = *a + b);
+        for (a, &b) in self.data.iter_mut().zip(&other.data) {
+            *a = *a + b;
+        }
         self
     }
 
     /// No entry is larger than this, or not a number.
+    #[inline(always)]
     pub(crate) fn is_within(&self, bound: f64) -> bool {
-        let most = self.data.iter().fold(T::splat(0.0), |most, x| most.maximum(x.magnitude()));
+        let mut most = T::splat(0.0);
+        for x in &self.data {
+            most = most.maximum(x.magnitude());
+        }
         most.at_most(T::splat(bound))
     }
 
     /// U⁻ᵀB, U upper triangular.
+    #[inline(always)]
     pub(crate) fn solved_below(upper: &Rows<T>, mut b: Rows<T>) -> Rows<T> {
         for i in 0..b.rows {
             let (done, rest) = b.data.split_at_mut(i * b.columns);
@@ -176,7 +226,9 @@ impl<T: Real> Rows<T> {
                 add(row, -upper[(k, i)], &done[k * b.columns..][..b.columns]);
             }
             let inverse = T::splat(1.0) / upper[(i, i)];
-            row.iter_mut().for_each(|x| *x = *x * inverse);
+            for x in row.iter_mut() {
+                *x = *x * inverse;
+            }
         }
         b
     }
@@ -185,7 +237,9 @@ impl<T: Real> Rows<T> {
 /// y ← y + a x.
 #[inline(always)]
 fn add<T: Real>(y: &mut [T], a: T, x: &[T]) {
-    y.iter_mut().zip(x).for_each(|(y, &x)| *y = *y + a * x);
+    for (y, &x) in y.iter_mut().zip(x) {
+        *y = a.fma(x, *y);
+    }
 }
 
 /// How triangular factors are made.
@@ -215,6 +269,7 @@ impl<T: Real> Factors for Plain<T> {
     type Number = T;
     const CAREFUL: bool = false;
 
+    #[inline(always)]
     fn identity_plus(rows: &Rows<T>) -> Rows<T> {
         let w = rows.columns;
         let mut upper = Rows::identity(w);
@@ -232,33 +287,46 @@ impl<T: Real> Factors for Plain<T> {
             let pivot = own[i].maximum(T::splat(1.0)).root(); // rounding must not make it less than one
             let inverse = T::splat(1.0) / pivot;
             own[i] = pivot;
-            own[i + 1..].iter_mut().for_each(|x| *x = *x * inverse);
+            for x in &mut own[i + 1..] {
+                *x = *x * inverse;
+            }
         }
         upper
     }
 
+    #[inline(always)]
     fn absorb(upper: &mut Rows<T>, mut rows: Rows<T>, width: usize) -> Rows<T> {
         let mut along = vec![T::splat(0.0); upper.columns];
-        (0..width).for_each(|k| reflect(upper, &mut rows, k, &mut along));
+        for k in 0..width {
+            reflect(upper, &mut rows, k, &mut along);
+        }
         rows
     }
 }
 
 /// One reflection, which takes column k of the rows into row k of the triangle.
+#[inline(always)]
 fn reflect<T: Real>(upper: &mut Rows<T>, rows: &mut Rows<T>, k: usize, along: &mut [T]) {
     let head = upper[(k, k)];
-    let square = (0..rows.rows).fold(head * head, |sum, i| sum + rows[(i, k)] * rows[(i, k)]);
+    let mut square = head * head;
+    for i in 0..rows.rows {
+        square = rows[(i, k)].fma(rows[(i, k)], square);
+    }
     let length = square.root();
     // head ≥ 0: the reflection to -length cancels nothing; the row's sign is turned afterwards
     let first = head + length;
     let scale = (length * first).recip_or_zero();
     let along = &mut along[k..];
-    along.iter_mut().zip(&upper.row(k)[k..]).for_each(|(s, &x)| *s = x * first);
+    for (s, &x) in along.iter_mut().zip(&upper.row(k)[k..]) {
+        *s = x * first;
+    }
     for i in 0..rows.rows {
         let a = rows[(i, k)];
         add(along, a, &rows.row(i)[k..]);
     }
-    along.iter_mut().for_each(|x| *x = *x * scale);
+    for x in along.iter_mut() {
+        *x = *x * scale;
+    }
     for (x, &s) in upper.row_mut(k)[k..].iter_mut().zip(along.iter()) {
         *x = first * s - *x;
     }

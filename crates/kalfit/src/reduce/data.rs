@@ -1,11 +1,11 @@
 //! The data pass: innovations of a test under the schedule of its design, and what they add up to.
 #![expect(non_snake_case, reason = "the letters of the theory: K, T, J")]
 
-use crate::linalg::real::Real;
 use crate::reduce::design::Design;
 use crate::reduce::gains::{Gains, Turns};
 use crate::reduce::kernel;
 use crate::reduce::scan::scan;
+use kalfit_lanes::Real;
 
 /// e'S⁻¹e beyond which c + ½d'd would lose digits, so that the innovations are taken again from the best ξ.
 const REFINE: f64 = 1e3;

@@ -6,8 +6,8 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use crate::linalg::real::Real;
 use crate::reduce::digest::Digest;
+use kalfit_lanes::Real;
 
 /// Row of Ψ that is dense.
 pub(crate) const DENSE: u32 = u32::MAX;

@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
-use crate::linalg::real::{Counted, Flops};
 use crate::reduce::design::{DENSE, Design, Frame, Pattern, Transition};
 use crate::reduce::schedule::{GainsWork, schedule};
+use kalfit_lanes::{Counted, Flops};
 
 /// Floating-point operations of (the design pass, the data pass) for a test of n states, r of them noisy, p uncertain and
 /// the others constant, whose every row measures all states.

@@ -1,8 +1,8 @@
 //! The steps of the filter on flat arrays, one source for every kind of [`Real`]. (theory §2)
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, G = P h, K, T, S, J")]
 
-use crate::linalg::real::Real;
 use crate::reduce::design::{DENSE, Frame, Transition, ZERO};
+use kalfit_lanes::Real;
 
 /// X ← φX. Shape: `x` n × width, row-major.
 #[inline(always)]

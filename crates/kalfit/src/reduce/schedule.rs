@@ -3,13 +3,13 @@
 
 use std::ops::Range;
 
-use crate::linalg::real::Real;
 use crate::reduce::design::{Design, Frame, Stretch};
 use crate::reduce::gains::{Gains, Piece};
 use crate::reduce::kernel;
 use crate::reduce::semidefinite::information_root;
 use crate::reduce::settling::{Frozen, Settling};
 use crate::reduce::small;
+use kalfit_lanes::Real;
 
 /// A scaled pivot of J below this is too ill-conditioned for sums of T'S⁻¹T.
 const LEAST_PIVOT: f64 = 1e-9;
@@ -230,7 +230,7 @@ impl Schedule<f64> {
 mod tests {
     use crate::reduce::flops::design_pass;
 
-    fn line(flops: crate::linalg::real::Flops) -> String {
+    fn line(flops: kalfit_lanes::Flops) -> String {
         format!("add {} mul {} fma {} div {}", flops.add, flops.mul, flops.fma, flops.div)
     }
 

@@ -1,7 +1,7 @@
 //! When P and Ψ of equal steps have stopped changing.
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi")]
 
-use crate::linalg::real::Real;
+use kalfit_lanes::Real;
 
 /// Nothing is looked at before so many steps, and looks are at least so many steps apart.
 const WINDOW: usize = 32;

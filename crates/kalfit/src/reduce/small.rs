@@ -2,10 +2,10 @@
 //! arrays of known size, which stay in registers.
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, Q, G = P h, K, T, S")]
 
-use crate::linalg::real::Real;
 use crate::reduce::design::{Design, Stretch};
 use crate::reduce::kernel::{KEPT, inform};
 use crate::reduce::schedule::{GainsWork, Schedule};
+use kalfit_lanes::Real;
 
 /// Steps of one measurement on the N states that move; p columns of Ψ. Those of states that rest are constants.
 struct Small<R, const N: usize, const W: usize> {

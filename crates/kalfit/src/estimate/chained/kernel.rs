@@ -24,8 +24,8 @@
 use nalgebra::DMatrix;
 
 use crate::estimate::chained::{Chained, Link, Phase};
-use crate::linalg::real::Real;
 use crate::linalg::rows::{Factors, Rows};
+use kalfit_lanes::Real;
 
 /// Where phases meet a point: F with Σ = FF', and μ, both of all phases.
 pub(super) struct Prior<'a, T> {
@@ -74,6 +74,7 @@ const LARGE: f64 = 1e10;
 
 impl<T: Real> Chained<T> {
     /// All that the class says; `None` where the arithmetic would lose digits.
+    #[inline(always)]
     pub(super) fn said<A: Factors<Number = T>>(&self, prior: &Prior<'_, T>, detail: Detail) -> Option<Said<T>> {
         let mut root_det = RootDet::new();
         let (known, mut quadratic) = self.backward::<A>(prior, &mut root_det)?;
@@ -115,6 +116,7 @@ impl<T: Real> Chained<T> {
     }
 
     /// |S| of the links alone.
+    #[inline(always)]
     fn link_root_det<A: Factors<Number = T>>(&self) -> Option<RootDet<T>> {
         let states = self.phases.iter().map(|phase| phase.own.end).max().unwrap_or(0);
         let (root, mean) = (DMatrix::zeros(states, states), vec![T::splat(0.0); states]);
@@ -124,6 +126,7 @@ impl<T: Real> Chained<T> {
     }
 
     /// R̃_i and d̃_i of each phase, and what ℓ loses to residuals.
+    #[inline(always)]
     fn backward<A: Factors<Number = T>>(
         &self,
         prior: &Prior<'_, T>,
@@ -154,6 +157,7 @@ impl<T: Real> Chained<T> {
     }
 
     /// Eμ for the mean of the tests; the columns of the scatter have none.
+    #[inline(always)]
     fn prior_mean(&self, prior: &Prior<'_, T>, phase: &Phase<T>) -> Rows<T> {
         let mut mean = Rows::zeros(phase.factor.nrows(), self.columns);
         for (i, own) in phase.own.clone().enumerate() {
@@ -163,17 +167,19 @@ impl<T: Real> Chained<T> {
     }
 
     /// Sum of squares over the tests.
+    #[inline(always)]
     fn squares(&self, u: &Rows<T>) -> T {
         let mut sum = T::splat(0.0);
         for i in 0..u.nrows() {
             for (k, &x) in u.row(i).iter().enumerate() {
-                sum = sum + if k == 0 { self.count * x * x } else { x * x };
+                sum = if k == 0 { (self.count * x).fma(x, sum) } else { x.fma(x, sum) };
             }
         }
         sum
     }
 
     /// W_ki = E'N_k F_{k-1}…F_i E.
+    #[inline(always)]
     fn blocks(&self, N: &[Rows<T>], carried: &[Rows<T>], between: bool) -> Vec<Option<Rows<T>>> {
         let mut blocks = Vec::new();
         for k in 0..self.phases.len() {
@@ -181,10 +187,12 @@ impl<T: Real> Chained<T> {
             let mut row = N[k].first_rows(p);
             let mut own = vec![Some(row.first_columns(p))];
             for i in (0..k).rev() {
-                own.push(between.then(|| {
+                if between {
                     row = row.times(&carried[i]);
-                    row.first_columns(self.phases[i].own.len())
-                }));
+                    own.push(Some(row.first_columns(self.phases[i].own.len())));
+                } else {
+                    own.push(None);
+                }
             }
             blocks.extend(own.into_iter().rev());
         }
@@ -194,6 +202,7 @@ impl<T: Real> Chained<T> {
 
 impl<T: Real> Link<T> {
     /// A root, by rows, of the covariance of what the next phase inherits.
+    #[inline(always)]
     fn carried(&self, step: &Update<T>) -> Rows<T> {
         let mut rows = step.root.times_transpose(&self.sensitivity);
         rows.append(&self.root);
@@ -203,10 +212,16 @@ impl<T: Real> Link<T> {
 
 impl<T: Real> Prior<'_, T> {
     /// (EF)' of a phase: p × q.
+    #[inline(always)]
     fn root_of(&self, phase: &Phase<T>) -> Rows<T> {
         let (start, p) = (phase.own.start, phase.own.len());
-        let entry = |c: usize, i: usize| if i < p { self.root[(start + i, start + c)] } else { 0.0 };
-        Rows::from_fn(p, phase.factor.nrows(), |c, i| T::splat(entry(c, i)))
+        let mut rows = Rows::zeros(p, phase.factor.nrows());
+        for c in 0..p {
+            for i in 0..p {
+                rows[(c, i)] = T::splat(self.root[(start + i, start + c)]);
+            }
+        }
+        rows
     }
 }
 
@@ -219,6 +234,7 @@ struct Update<T> {
 }
 
 impl<T: Real> Update<T> {
+    #[inline(always)]
     fn new<A: Factors<Number = T>>(phase: &Phase<T>, B: &Rows<T>) -> Option<Update<T>> {
         let root = posterior_root::<A>(B, &phase.factor)?;
         let seen = root.times_transpose(&phase.factor);
@@ -226,12 +242,14 @@ impl<T: Real> Update<T> {
     }
 
     /// m = m⁻ + CC'R'(d - Rm⁻).
+    #[inline(always)]
     fn mean(&self, phase: &Phase<T>, prior: Rows<T>) -> Rows<T> {
         let residual = phase.data.clone().less(&phase.factor.times(&prior));
         prior.plus(&self.root.transpose_times(&self.seen.times(&residual)))
     }
 
     /// I - CC'J.
+    #[inline(always)]
     fn left(&self, phase: &Phase<T>) -> Rows<T> {
         let taken = self.root.transpose_times(&self.seen.times(&phase.factor));
         Rows::identity(phase.factor.nrows()).less(&taken)
@@ -240,6 +258,7 @@ impl<T: Real> Update<T> {
 
 /// Var[ξ_i | z]: with N° the information that all else gives on ξ_i, F(I + F'N°F)⁻¹F'. `rest` is a root of the prior of σ_i but for
 /// its own ξ_i, by rows.
+#[inline(always)]
 fn posterior_covariance<A: Factors>(
     prior: &Prior<'_, A::Number>,
     phase: &Phase<A::Number>,
@@ -253,22 +272,26 @@ fn posterior_covariance<A: Factors>(
 }
 
 /// U with U'U = I + R BB' R', B' given by rows.
+#[inline(always)]
 fn spread<A: Factors>(root: &Rows<A::Number>, factor: &Rows<A::Number>) -> Option<Rows<A::Number>> {
     borne::<A>(&root.times_transpose(factor))
 }
 
 /// C' with CC' = B(I + B'JB)⁻¹B', J = R'R; B' by rows.
+#[inline(always)]
 fn posterior_root<A: Factors>(B: &Rows<A::Number>, factor: &Rows<A::Number>) -> Option<Rows<A::Number>> {
     let upper = borne::<A>(&factor.times_transpose(B))?;
     Some(Rows::solved_below(&upper, B.clone()))
 }
 
 /// U with U'U = I + rows'rows; `None` where cross products would lose digits.
+#[inline(always)]
 fn borne<A: Factors>(rows: &Rows<A::Number>) -> Option<Rows<A::Number>> {
-    (A::CAREFUL || rows.is_within(LARGE.sqrt())).then(|| A::identity_plus(rows))
+    if A::CAREFUL || rows.is_within(LARGE.sqrt()) { Some(A::identity_plus(rows)) } else { None }
 }
 
 /// Upper triangular R with R'R = rows'rows; no more rows than columns.
+#[inline(always)]
 pub(super) fn compressed<A: Factors>(rows: Rows<A::Number>) -> Rows<A::Number> {
     let q = rows.ncols();
     let mut upper = Rows::zeros(q, q);
@@ -283,14 +306,17 @@ struct RootDet<T> {
 }
 
 impl<T: Real> RootDet<T> {
+    #[inline(always)]
     fn new() -> RootDet<T> {
         RootDet { mantissa: T::splat(1.0), exponent: T::splat(0.0) }
     }
 
+    #[inline(always)]
     fn parts(&self) -> (T, T) {
         (self.mantissa, self.exponent)
     }
 
+    #[inline(always)]
     fn add(&mut self, upper: &Rows<T>) {
         for i in 0..upper.nrows() {
             let (mantissa, exponent) = (self.mantissa * upper[(i, i)]).split();

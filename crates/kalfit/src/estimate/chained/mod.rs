@@ -4,18 +4,20 @@
 //! add up to the scatter about it, no more of them than numbers in d.
 
 mod kernel;
+mod packed;
 
 use std::ops::Range;
 
+use kalfit_lanes::Real;
 use nalgebra::DMatrix;
 
 use crate::estimate::chained::kernel::{Prior, compressed};
 use crate::estimate::classes::Frame;
-use crate::linalg::four::Four;
 use crate::linalg::rows::{Plain, Rotations, Rows};
 use crate::reduce::{Chain, ChainPhase, Path, Reduction};
 
 pub(crate) use kernel::{Detail, Said};
+pub(crate) use packed::Packed;
 
 /// Tests whose chains share all matrices, in η: σ in units of the frame where it is a phase's own, centred.
 #[derive(Debug, Clone)]
@@ -119,20 +121,6 @@ impl Chained {
         plain.unwrap_or_else(|| self.said::<Rotations>(&prior, detail).expect(BEARS))
     }
 
-    /// The same of four classes of one shape; `None` where one of them needs more care.
-    pub(crate) fn at_four(
-        four: [&Chained; 4],
-        means: [&[f64]; 4],
-        root: &DMatrix<f64>,
-        detail: Detail,
-    ) -> Option<Said<Four>> {
-        if four.iter().any(|one| one.careful) {
-            return None;
-        }
-        let mean: Vec<Four> = (0..means[0].len()).map(|i| Four(means.map(|mean| mean[i]))).collect();
-        Chained::side_by_side(four).said::<Plain<Four>>(&Prior { root, mean: &mean }, detail)
-    }
-
     /// Whether another has matrices of the same sizes.
     pub(crate) fn is_alike(&self, other: &Chained) -> bool {
         let shape = |phase: &Phase<f64>| {
@@ -143,38 +131,48 @@ impl Chained {
             && self.phases.iter().zip(&other.phases).all(|(a, b)| shape(a) == shape(b))
     }
 
-    /// Four of one shape as one.
-    fn side_by_side(four: [&Chained; 4]) -> Chained<Four> {
-        let rows = |of: &dyn Fn(&Chained) -> &Rows| -> Rows<Four> {
-            let each = four.map(of);
-            Rows::from_fn(each[0].nrows(), each[0].ncols(), |i, k| Four(each.map(|one| one[(i, k)])))
+    /// All its numbers in the order in which they are packed.
+    fn numbers(&self) -> impl Iterator<Item = f64> + '_ {
+        let of = |phase: &'_ Phase<f64>| {
+            let link = phase.link.iter().flat_map(|link| [&link.sensitivity, &link.root]);
+            [&phase.factor, &phase.data]
+                .into_iter()
+                .chain(link)
+                .flat_map(|m| m.as_slice().to_vec())
+                .collect::<Vec<f64>>()
         };
-        let phase = |f: usize| {
-            let link = |chained: &Chained| chained.phases[f].link.is_some();
-            fn linked(chained: &Chained, f: usize) -> &Link<f64> {
-                chained.phases[f].link.as_ref().expect("of one shape")
-            }
-            Phase {
-                own: four[0].phases[f].own.clone(),
-                factor: rows(&|chained| &chained.phases[f].factor),
-                data: rows(&|chained| &chained.phases[f].data),
-                link: link(four[0]).then(|| Link {
-                    sensitivity: rows(&|chained| &linked(chained, f).sensitivity),
-                    root: rows(&|chained| &linked(chained, f).root),
-                }),
-            }
-        };
-        Chained {
-            phases: (0..four[0].phases.len()).map(phase).collect(),
-            columns: four[0].columns,
-            count: Four(four.map(|one| one.count)),
-            careful: false,
-        }
+        self.phases.iter().flat_map(of)
+    }
+
+    /// Data apart, which a lane without a test has none of.
+    fn without_data(&self) -> Chained {
+        let without =
+            |phase: &Phase<f64>| Phase { data: Rows::zeros(phase.data.nrows(), self.columns), ..phase.clone() };
+        Chained { phases: self.phases.iter().map(without).collect(), count: 0.0, ..self.clone() }
+    }
+
+    /// Some phase needs square-root arithmetic.
+    pub(crate) fn is_careful(&self) -> bool {
+        self.careful
     }
 
     /// Where the states of its phases stand.
     pub(crate) fn ranges(&self) -> impl Iterator<Item = &Range<usize>> {
         self.phases.iter().map(|phase| &phase.own)
+    }
+}
+
+impl<T: Real> Chained<T> {
+    /// [`Chained::at`] side by side; `None` where one of the tests needs more care.
+    #[inline(always)]
+    pub(crate) fn side_by_side(&self, mean: &[T], root: &DMatrix<f64>, detail: Detail) -> Option<Said<T>> {
+        self.said::<Plain<T>>(&Prior { root, mean }, detail)
+    }
+
+    /// n.
+    #[inline(always)]
+    pub(crate) fn count(&self) -> T {
+        self.count
     }
 }
 
@@ -235,7 +233,7 @@ mod tests {
     use nalgebra::DVector;
 
     use super::*;
-    use crate::linalg::real::{Counted, Real};
+    use kalfit_lanes::{Counted, Isa, Kernel, Lanes};
 
     /// Phases of three states, the last two of which are inherited.
     fn chain(phases: usize) -> (Chained, Frame) {
@@ -308,7 +306,7 @@ mod tests {
     }
 
     #[test]
-    fn rotations_and_four_at_a_time_give_what_reflections_give() {
+    fn rotations_and_tests_side_by_side_give_what_reflections_give() {
         let (chained, _) = chain(4);
         let (root, mean) = (DMatrix::identity(12, 12), vec![0.1; 12]);
         let plain = chained.at(&mean, &root, Detail::Between);
@@ -323,10 +321,28 @@ mod tests {
         for (a, b) in plain.W.iter().flatten().zip(careful.W.iter().flatten()) {
             (0..3).flat_map(|i| (0..3).map(move |k| (i, k))).for_each(|at| close("W", a[at], b[at]));
         }
-        let four = Chained::at_four([&chained; 4], [&mean; 4], &root, Detail::Between).expect("of common size");
-        assert_eq!(four.quadratic.0, [plain.quadratic; 4], "the same bits in every lane");
-        for (a, b) in four.W.iter().flatten().zip(plain.W.iter().flatten()) {
-            (0..3).flat_map(|i| (0..3).map(move |k| (i, k))).for_each(|at| assert_eq!(a[at].0, [b[at]; 4]));
+        for isa in Isa::all() {
+            let packed = Packed::new(&[(0, &chained), (1, &chained)], isa.lanes());
+            let found = isa.run(Blocks(&packed, &mean, &root));
+            for (a, b) in found.iter().zip(plain.W.iter().flatten()) {
+                for (at, found) in a.iter().enumerate() {
+                    close(isa.name(), *found, b[(at / 3, at % 3)]);
+                }
+            }
+        }
+    }
+
+    /// The blocks of W in the first lane.
+    struct Blocks<'a>(&'a Packed, &'a [f64], &'a DMatrix<f64>);
+
+    impl Kernel for Blocks<'_> {
+        type Output = Vec<Vec<f64>>;
+
+        #[inline(always)]
+        fn run<T: Lanes>(self) -> Vec<Vec<f64>> {
+            let mean: Vec<T> = self.1.iter().map(|x| T::splat(*x)).collect();
+            let said = self.0.unpack::<T>().side_by_side(&mean, self.2, Detail::Between).expect("of common size");
+            said.W.iter().flatten().map(|block| block.as_slice().iter().map(|x| x.lane(0)).collect()).collect()
         }
     }
 }

@@ -1,12 +1,12 @@
-//! Four numbers side by side: kernels over [`Real`] then work on four tests at once.
+//! Four numbers side by side by plain arrays, for machines whose registers are not known here.
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use crate::linalg::real::Real;
+use crate::{Lanes, Real};
 
 /// Four numbers.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Four(pub(crate) [f64; 4]);
+pub struct Four(pub [f64; 4]);
 
 impl Four {
     #[inline(always)]
@@ -118,6 +118,20 @@ impl Real for Four {
     fn split(self) -> (Four, Four) {
         let parts = self.0.map(Real::split);
         (Four(parts.map(|(mantissa, _)| mantissa)), Four(parts.map(|(_, exponent)| exponent)))
+    }
+}
+
+impl Lanes for Four {
+    const COUNT: usize = 4;
+
+    #[inline(always)]
+    fn load(from: &[f64]) -> Four {
+        Four([from[0], from[1], from[2], from[3]])
+    }
+
+    #[inline(always)]
+    fn store(self, to: &mut [f64]) {
+        to[..4].copy_from_slice(&self.0);
     }
 }
 

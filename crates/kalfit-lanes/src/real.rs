@@ -1,4 +1,4 @@
-//! The arithmetic that kernels are written in: one source for plain numbers, for counting and, later, for lanes.
+//! The arithmetic that kernels are written in: one source for plain numbers, for counting and for lanes.
 
 use std::cell::Cell;
 use std::ops::{Add, Div, Mul, Neg, Sub};
@@ -21,6 +21,11 @@ pub trait Real:
     fn magnitude(self) -> Self;
     /// True when it is at most `bound`, in every lane; false, if either is not a number.
     fn at_most(self, bound: Self) -> bool;
+    /// 1/x to a rounding or two, of a normal x whose reciprocal is normal.
+    #[inline(always)]
+    fn recip(self) -> Self {
+        Self::splat(1.0) / self
+    }
     /// 1/x where x > 0, else 0.
     fn recip_or_zero(self) -> Self;
     /// x where x > 0, else 1.

@@ -1,0 +1,163 @@
+//! Eight numbers in a register of AVX-512.
+//!
+//! # Why the `unsafe` here is sound
+//!
+//! Every intrinsic needs AVX-512F. Numbers of this kind are reached only by the generic code of a kernel, which [`crate::Isa::run`]
+//! instantiates with them once the machine is known to have it; the type is not public. Loads and stores check the length of their
+//! slice and need no alignment.
+#![expect(unsafe_code, reason = "intrinsics of instructions found at run time")]
+
+use std::arch::x86_64::*;
+use std::ops::{Add, Div, Mul, Neg, Sub};
+
+use crate::{Lanes, Real};
+
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Avx512(__m512d);
+
+macro_rules! by {
+    ($trait:ident, $method:ident, $intrinsic:ident) => {
+        impl $trait for Avx512 {
+            type Output = Avx512;
+            #[inline(always)]
+            fn $method(self, other: Avx512) -> Avx512 {
+                // SAFETY: see the module
+                Avx512(unsafe { $intrinsic(self.0, other.0) })
+            }
+        }
+    };
+}
+
+by!(Add, add, _mm512_add_pd);
+by!(Sub, sub, _mm512_sub_pd);
+by!(Mul, mul, _mm512_mul_pd);
+by!(Div, div, _mm512_div_pd);
+
+impl Neg for Avx512 {
+    type Output = Avx512;
+    #[inline(always)]
+    fn neg(self) -> Avx512 {
+        Avx512::splat(-0.0) - self
+    }
+}
+
+impl Real for Avx512 {
+    #[inline(always)]
+    fn splat(x: f64) -> Avx512 {
+        // SAFETY: see the module
+        Avx512(unsafe { _mm512_set1_pd(x) })
+    }
+
+    #[inline(always)]
+    fn fma(self, factor: Avx512, addend: Avx512) -> Avx512 {
+        // SAFETY: see the module
+        Avx512(unsafe { _mm512_fmadd_pd(self.0, factor.0, addend.0) })
+    }
+
+    #[inline(always)]
+    fn fnma(self, factor: Avx512, addend: Avx512) -> Avx512 {
+        // SAFETY: see the module
+        Avx512(unsafe { _mm512_fnmadd_pd(self.0, factor.0, addend.0) })
+    }
+
+    #[inline(always)]
+    fn minimum(self, other: Avx512) -> Avx512 {
+        // SAFETY: see the module
+        let least = Avx512(unsafe { _mm512_min_pd(other.0, self.0) });
+        least.unless_unknown(self).unless_unknown(other)
+    }
+
+    #[inline(always)]
+    fn maximum(self, other: Avx512) -> Avx512 {
+        // SAFETY: see the module
+        let most = Avx512(unsafe { _mm512_max_pd(other.0, self.0) });
+        most.unless_unknown(self).unless_unknown(other)
+    }
+
+    #[inline(always)]
+    fn magnitude(self) -> Avx512 {
+        // SAFETY: see the module
+        Avx512(unsafe { _mm512_abs_pd(self.0) })
+    }
+
+    #[inline(always)]
+    fn at_most(self, bound: Avx512) -> bool {
+        // SAFETY: see the module
+        unsafe { _mm512_cmp_pd_mask::<_CMP_LE_OQ>(self.0, bound.0) == 0xff }
+    }
+
+    /// Newton's method from an estimate: a division would take as long as 32 products.
+    #[inline(always)]
+    fn recip(self) -> Avx512 {
+        // SAFETY: see the module
+        let mut x = Avx512(unsafe { _mm512_rcp14_pd(self.0) });
+        let one = Avx512::splat(1.0);
+        for _ in 0..2 {
+            x = x.fma(self.fnma(x, one), x);
+        }
+        x
+    }
+
+    #[inline(always)]
+    fn recip_or_zero(self) -> Avx512 {
+        // SAFETY: see the module
+        unsafe {
+            let positive = _mm512_cmp_pd_mask::<_CMP_GT_OQ>(self.0, _mm512_setzero_pd());
+            Avx512(_mm512_maskz_div_pd(positive, _mm512_set1_pd(1.0), self.0))
+        }
+    }
+
+    #[inline(always)]
+    fn or_one(self) -> Avx512 {
+        // SAFETY: see the module
+        unsafe {
+            let positive = _mm512_cmp_pd_mask::<_CMP_GT_OQ>(self.0, _mm512_setzero_pd());
+            Avx512(_mm512_mask_mov_pd(_mm512_set1_pd(1.0), positive, self.0))
+        }
+    }
+
+    #[inline(always)]
+    fn root(self) -> Avx512 {
+        // SAFETY: see the module
+        Avx512(unsafe { _mm512_sqrt_pd(self.0) })
+    }
+
+    #[inline(always)]
+    fn split(self) -> (Avx512, Avx512) {
+        // SAFETY: see the module
+        unsafe {
+            let mantissa = _mm512_getmant_pd::<_MM_MANT_NORM_1_2, _MM_MANT_SIGN_ZERO>(self.0);
+            (Avx512(mantissa), Avx512(_mm512_getexp_pd(self.0)))
+        }
+    }
+}
+
+impl Avx512 {
+    /// Not a number where the other is not.
+    #[inline(always)]
+    fn unless_unknown(self, other: Avx512) -> Avx512 {
+        // SAFETY: see the module
+        unsafe {
+            let unknown = _mm512_cmp_pd_mask::<_CMP_UNORD_Q>(other.0, other.0);
+            Avx512(_mm512_mask_mov_pd(self.0, unknown, other.0))
+        }
+    }
+}
+
+impl Lanes for Avx512 {
+    const COUNT: usize = 8;
+
+    #[inline(always)]
+    fn load(from: &[f64]) -> Avx512 {
+        let from = &from[..8];
+        // SAFETY: see the module; the slice has eight numbers
+        Avx512(unsafe { _mm512_loadu_pd(from.as_ptr()) })
+    }
+
+    #[inline(always)]
+    fn store(self, to: &mut [f64]) {
+        let to = &mut to[..8];
+        // SAFETY: see the module; the slice has room for eight numbers
+        unsafe { _mm512_storeu_pd(to.as_mut_ptr(), self.0) }
+    }
+}

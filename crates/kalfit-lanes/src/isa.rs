@@ -1,0 +1,110 @@
+//! Which registers a kernel is run with.
+//!
+//! # Why the `unsafe` here is sound
+//!
+//! A function compiled for instructions that the machine lacks must not be called. An [`Isa`] for such instructions can be had only
+//! from [`Isa::all`], which asks the machine first, so each call below is of instructions that are there.
+#![cfg_attr(
+    target_arch = "x86_64",
+    expect(unsafe_code, reason = "calls of functions for instructions found at run time")
+)]
+
+use crate::{Four, Lanes};
+
+/// Work that is written once for all kinds of numbers. `run` must be `#[inline(always)]`.
+pub trait Kernel {
+    /// What it gives.
+    type Output;
+
+    /// Does the work with this kind of numbers.
+    fn run<T: Lanes>(self) -> Self::Output;
+}
+
+/// A set of instructions that this machine has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Isa(Kind);
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Portable,
+    #[cfg(target_arch = "x86_64")]
+    Avx2,
+    #[cfg(target_arch = "x86_64")]
+    Avx512,
+}
+
+impl Isa {
+    /// Four at a time by plain arrays, which a compiler may or may not put into registers.
+    pub const PORTABLE: Isa = Isa(Kind::Portable);
+
+    /// The best one.
+    pub fn best() -> Isa {
+        Isa::all().last().copied().unwrap_or(Isa::PORTABLE)
+    }
+
+    /// All that this machine has, the best one last.
+    pub fn all() -> &'static [Isa] {
+        static ALL: std::sync::OnceLock<Vec<Isa>> = std::sync::OnceLock::new();
+        ALL.get_or_init(found)
+    }
+
+    /// How many numbers it works on at once.
+    pub fn lanes(self) -> usize {
+        match self.0 {
+            Kind::Portable => 4,
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx2 => 4,
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx512 => 8,
+        }
+    }
+
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self.0 {
+            Kind::Portable => "four numbers at a time",
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx2 => "AVX2 and FMA, four numbers at a time",
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx512 => "AVX-512, eight numbers at a time",
+        }
+    }
+
+    /// Runs a kernel.
+    pub fn run<K: Kernel>(self, kernel: K) -> K::Output {
+        match self.0 {
+            Kind::Portable => kernel.run::<Four>(),
+            // SAFETY: `found` made this value, so the machine has AVX2 and FMA.
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx2 => unsafe { in_avx2(kernel) },
+            // SAFETY: `found` made this value, so the machine has AVX-512F, AVX2 and FMA.
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx512 => unsafe { in_avx512(kernel) },
+        }
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+fn found() -> Vec<Isa> {
+    let avx2 = std::is_x86_feature_detected!("avx2") && std::is_x86_feature_detected!("fma");
+    let avx512 = avx2 && std::is_x86_feature_detected!("avx512f");
+    let some = [(true, Kind::Portable), (avx2, Kind::Avx2), (avx512, Kind::Avx512)];
+    some.into_iter().filter(|(has, _)| *has).map(|(_, kind)| Isa(kind)).collect()
+}
+
+#[cfg(not(target_arch = "x86_64"))]
+fn found() -> Vec<Isa> {
+    vec![Isa::PORTABLE]
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+fn in_avx2<K: Kernel>(kernel: K) -> K::Output {
+    kernel.run::<crate::avx2::Avx2>()
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx2,fma")]
+fn in_avx512<K: Kernel>(kernel: K) -> K::Output {
+    kernel.run::<crate::avx512::Avx512>()
+}

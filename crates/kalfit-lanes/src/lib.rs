@@ -1,0 +1,200 @@
+//! Numbers side by side: kernels written once over [`Real`] work on one test, on four or on eight at a time.
+//!
+//! [`Isa::run`] runs a [`Kernel`] with the widest registers that the machine has. What a kernel calls must be
+//! `#[inline(always)]`, down to the arithmetic: only code that becomes part of the kernel is compiled for those registers.
+
+#[cfg(target_arch = "x86_64")]
+mod avx2;
+#[cfg(target_arch = "x86_64")]
+mod avx512;
+mod isa;
+mod portable;
+mod real;
+
+pub use isa::{Isa, Kernel};
+pub use portable::Four;
+pub use real::{Counted, Flops, Real};
+
+/// Several numbers side by side, which are read from and written to memory together.
+pub trait Lanes: Real {
+    /// How many.
+    const COUNT: usize;
+
+    /// The first [`Self::COUNT`] numbers of a slice that has as many.
+    fn load(from: &[f64]) -> Self;
+
+    /// Writes them to the start of a slice that has room for as many.
+    fn store(self, to: &mut [f64]);
+
+    /// The number in one lane.
+    #[inline(always)]
+    fn lane(self, lane: usize) -> f64 {
+        let mut all = [0.0; MOST];
+        self.store(&mut all);
+        all[lane]
+    }
+
+    /// Their sum, in an order that is always the same.
+    #[inline(always)]
+    fn sum(self) -> f64 {
+        let mut all = [0.0; MOST];
+        self.store(&mut all);
+        let mut width = Self::COUNT;
+        while width > 1 {
+            width /= 2;
+            for k in 0..width {
+                all[k] += all[k + width];
+            }
+        }
+        all[0]
+    }
+}
+
+/// The most lanes of any kind.
+pub const MOST: usize = 8;
+
+impl Lanes for f64 {
+    const COUNT: usize = 1;
+
+    #[inline(always)]
+    fn load(from: &[f64]) -> f64 {
+        from[0]
+    }
+
+    #[inline(always)]
+    fn store(self, to: &mut [f64]) {
+        to[0] = self;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// All that a kernel may do, with one number in each lane.
+    struct Everything([f64; MOST], [f64; MOST]);
+
+    impl Kernel for Everything {
+        type Output = Vec<Vec<f64>>;
+
+        #[inline(always)]
+        fn run<T: Lanes>(self) -> Vec<Vec<f64>> {
+            let all = |x: [f64; MOST], y: [f64; MOST]| {
+                let (x, y) = (T::load(&x), T::load(&y));
+                let (mantissa, exponent) = y.or_one().split();
+                [
+                    x + y,
+                    x - y,
+                    x * y,
+                    x / y,
+                    -x,
+                    x.minimum(y),
+                    x.maximum(y),
+                    x.magnitude(),
+                    x.recip_or_zero(),
+                    x.or_one(),
+                    x.magnitude().root(),
+                    mantissa,
+                    exponent,
+                ]
+            };
+            let mut found = vec![Vec::new(); MOST];
+            for start in (0..MOST).step_by(T::COUNT) {
+                let part = |of: &[f64; MOST]| {
+                    let mut part = [0.0; MOST];
+                    part[..T::COUNT].copy_from_slice(&of[start..start + T::COUNT]);
+                    part
+                };
+                for number in all(part(&self.0), part(&self.1)) {
+                    (0..T::COUNT).for_each(|lane| found[start + lane].push(number.lane(lane)));
+                }
+            }
+            found
+        }
+    }
+
+    #[test]
+    fn every_machine_works_on_each_lane_as_on_one_number() {
+        let x = [1.5, -2.25, 0.0, 1e100, -0.0, f64::NAN, 5e-324, f64::INFINITY];
+        let y = [3.0, 7.5, 1e-3, -4.0, f64::NAN, 1.0, 3e-310, -2.0];
+        let expected = Everything(x, y).run::<f64>();
+        for isa in Isa::all() {
+            let found = isa.run(Everything(x, y));
+            for (lane, (found, expected)) in found.iter().zip(&expected).enumerate() {
+                for (at, (found, expected)) in found.iter().zip(expected).enumerate() {
+                    let same = found.to_bits() == expected.to_bits() || (found.is_nan() && expected.is_nan());
+                    assert!(same, "{isa:?}: operation {at} of lane {lane}: {found} {expected}");
+                }
+            }
+        }
+    }
+
+    struct Fused;
+
+    impl Kernel for Fused {
+        type Output = [f64; 3];
+
+        #[inline(always)]
+        fn run<T: Lanes>(self) -> [f64; 3] {
+            let (a, b) = (T::splat(1.0 + 2f64.powi(-30)), T::splat(1.0 - 2f64.powi(-30)));
+            let sum = T::load(&[1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0]).sum();
+            [a.fma(b, T::splat(-1.0)).lane(0), a.fnma(b, T::splat(1.0)).lane(0), sum]
+        }
+    }
+
+    #[test]
+    fn products_are_added_with_one_rounding_where_the_machine_can() {
+        for isa in Isa::all() {
+            let [fma, fnma, sum] = isa.run(Fused);
+            let one_rounding = -(2f64.powi(-60));
+            assert!(fma == one_rounding || fma == 0.0, "{isa:?}: {fma:e}");
+            assert_eq!(fma, -fnma, "{isa:?}");
+            assert_eq!(sum, f64::from((1 << isa.lanes()) - 1), "{isa:?}");
+        }
+    }
+
+    struct Reciprocals(Vec<f64>);
+
+    impl Kernel for Reciprocals {
+        type Output = Vec<f64>;
+
+        #[inline(always)]
+        fn run<T: Lanes>(self) -> Vec<f64> {
+            self.0.iter().map(|x| T::splat(*x).recip().lane(0)).collect()
+        }
+    }
+
+    #[test]
+    fn reciprocals_are_off_by_two_roundings_at_most() {
+        let numbers: Vec<f64> =
+            (0..2000).map(|k| 1.0 + (f64::from(k) * 0.7).sin().abs() * 1.5f64.powi(k % 1500)).collect();
+        for isa in Isa::all() {
+            for (x, found) in numbers.iter().zip(isa.run(Reciprocals(numbers.clone()))) {
+                assert!((found * x - 1.0).abs() <= 3.0 * f64::EPSILON, "{isa:?}: 1/{x}: {found} {}", 1.0 / x);
+            }
+        }
+    }
+
+    struct Bounded;
+
+    impl Kernel for Bounded {
+        type Output = [bool; 3];
+
+        #[inline(always)]
+        fn run<T: Lanes>(self) -> [bool; 3] {
+            let mut one_large = [1.0; MOST];
+            one_large[T::COUNT - 1] = 3.0;
+            let mut one_unknown = [1.0; MOST];
+            one_unknown[T::COUNT - 1] = f64::NAN;
+            let at_most = |of: [f64; MOST]| T::load(&of).at_most(T::splat(2.0));
+            [at_most([1.0; MOST]), at_most(one_large), at_most(one_unknown)]
+        }
+    }
+
+    #[test]
+    fn a_bound_holds_when_it_holds_in_every_lane() {
+        for isa in Isa::all() {
+            assert_eq!(isa.run(Bounded), [true, false, false], "{isa:?}");
+        }
+    }
+}

@@ -1,0 +1,134 @@
+//! What tests with one J each say at a point, a block of them side by side: the pass of the theory with sizes that the compiler
+//! knows (theory §3). The same formulas for any size and any class stand in [`crate::estimate::terms`].
+//!
+//! ```text
+//! S = I + RΣR' = LDL'      U = L⁻¹R      u = L⁻¹(d - Rμ)      W = U'D⁻¹U      r = U'D⁻¹u
+//! ```
+#![expect(non_snake_case, reason = "R, S, L, D, U, W, F are the letters of the theory")]
+
+use kalfit_lanes::Lanes;
+
+/// Where ℓ is evaluated: μ and F with Σ = FF', lower triangular.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Law<const P: usize> {
+    pub(super) mean: [f64; P],
+    pub(super) root: [[f64; P]; P],
+}
+
+/// What a block says.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Told<T, const P: usize> {
+    /// |S| = mantissa × 2^exponent.
+    pub(super) mantissa: T,
+    pub(super) exponent: T,
+    /// u'D⁻¹u.
+    pub(super) quadratic: T,
+    pub(super) r: [T; P],
+    /// The lower triangle.
+    pub(super) W: [[T; P]; P],
+}
+
+/// Numbers of one block, in lanes: R by columns, then d.
+pub(super) const fn entries(p: usize) -> usize {
+    p * (p + 1) / 2 + p
+}
+
+/// Evaluates a block.
+#[inline(always)]
+pub(super) fn told<T: Lanes, const P: usize>(block: &[f64], law: &Law<P>) -> Told<T, P> {
+    let zero = T::splat(0.0);
+    let mut R = [[zero; P]; P];
+    let block = &block[..entries(P) * T::COUNT];
+    let mut at = 0;
+    for k in 0..P {
+        for i in 0..=k {
+            R[i][k] = T::load(&block[at * T::COUNT..]);
+            at += 1;
+        }
+    }
+    let mut u = [zero; P];
+    for i in 0..P {
+        u[i] = T::load(&block[(at + i) * T::COUNT..]);
+        for k in i..P {
+            u[i] = R[i][k].fnma(T::splat(law.mean[k]), u[i]);
+        }
+    }
+    let mut S = covariance::<T, P>(&R, law);
+    let (inverse, mantissa, exponent) = factorise::<T, P>(&mut S);
+    forward::<T, P>(&S, &mut R, &mut u);
+    let (mut W, mut r, mut quadratic) = ([[zero; P]; P], [zero; P], zero);
+    for i in 0..P {
+        let weighed = u[i] * inverse[i];
+        quadratic = weighed.fma(u[i], quadratic);
+        for a in 0..P {
+            r[a] = R[i][a].fma(weighed, r[a]);
+            let scaled = R[i][a] * inverse[i];
+            for b in 0..=a {
+                W[a][b] = scaled.fma(R[i][b], W[a][b]);
+            }
+        }
+    }
+    Told { mantissa, exponent, quadratic, r, W }
+}
+
+/// The lower triangle of I + RF(RF)'.
+#[inline(always)]
+fn covariance<T: Lanes, const P: usize>(R: &[[T; P]; P], law: &Law<P>) -> [[T; P]; P] {
+    let mut S = [[T::splat(0.0); P]; P];
+    for i in 0..P {
+        S[i][i] = T::splat(1.0);
+    }
+    for c in 0..P {
+        // column c of RF
+        let mut X = [T::splat(0.0); P];
+        for i in 0..P {
+            for k in if i > c { i } else { c }..P {
+                X[i] = R[i][k].fma(T::splat(law.root[k][c]), X[i]);
+            }
+        }
+        for i in 0..P {
+            for k in 0..=i {
+                S[i][k] = X[i].fma(X[k], S[i][k]);
+            }
+        }
+    }
+    S
+}
+
+/// S = LDL', L below the diagonal in its place: D⁻¹ and |D| as mantissa and exponent.
+#[inline(always)]
+fn factorise<T: Lanes, const P: usize>(S: &mut [[T; P]; P]) -> ([T; P], T, T) {
+    let one = T::splat(1.0);
+    let (mut inverse, mut mantissa, mut exponent) = ([one; P], one, T::splat(0.0));
+    for k in 0..P {
+        // S ⪰ I, so no pivot is below one; rounding must not make it so
+        let pivot = S[k][k].maximum(one);
+        inverse[k] = pivot.recip();
+        let (m, e) = (mantissa * pivot).split();
+        (mantissa, exponent) = (m, exponent + e);
+        for i in k + 1..P {
+            let l = S[i][k] * inverse[k];
+            for j in k + 1..=i {
+                S[i][j] = l.fnma(S[j][k], S[i][j]);
+            }
+        }
+        for i in k + 1..P {
+            S[i][k] = S[i][k] * inverse[k];
+        }
+    }
+    (inverse, mantissa, exponent)
+}
+
+/// U = L⁻¹R and u = L⁻¹u.
+#[inline(always)]
+fn forward<T: Lanes, const P: usize>(L: &[[T; P]; P], R: &mut [[T; P]; P], u: &mut [T; P]) {
+    for k in 0..P {
+        for i in k + 1..P {
+            let l = L[i][k];
+            u[i] = l.fnma(u[k], u[i]);
+            for a in 0..P {
+                R[i][a] = l.fnma(R[k][a], R[i][a]);
+            }
+        }
+    }
+}

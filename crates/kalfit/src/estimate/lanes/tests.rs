@@ -1,0 +1,95 @@
+//! Blocks against the formulas for any class, one test at a time.
+
+use kalfit_lanes::Isa;
+use nalgebra::DMatrix;
+
+use super::*;
+use crate::estimate::terms::Terms;
+
+fn class(p: usize, j: usize) -> Class {
+    let wave = |seed: usize| ((7 * j + 3 * seed) as f64).sin();
+    let factor = |at: usize| match (at / p, at % p) {
+        (i, k) if i < k => wave(at),
+        (i, k) if i == k => 1.5 + wave(at),
+        _ => 0.0,
+    };
+    Class {
+        count: 1.0,
+        constant: wave(99),
+        factor: (0..p * p).map(factor).collect(),
+        mean: (0..p).map(|i| wave(1000 + i)).collect(),
+        scatter: None,
+        covariates: Vec::new(),
+        square_root: false,
+        chain: None,
+    }
+}
+
+fn point(p: usize) -> Point {
+    Point {
+        mean: (0..p).map(|i| 0.1 * i as f64 - 0.2).collect(),
+        coefficients: Vec::new(),
+        root: DMatrix::from_fn(p, p, |i, k| ((i * 5 + k * 3) as f64).cos()),
+    }
+}
+
+/// All sums in one row: of the blocks, and test by test.
+fn both(p: usize, isa: Isa, tests: usize) -> (Vec<f64>, Vec<f64>) {
+    let point = point(p);
+    let classes: Vec<Class> = (0..tests).map(|j| class(p, j)).collect();
+    let mut blocks = Blocks::new(p, isa);
+    for class in &classes {
+        assert!(blocks.takes(class));
+        blocks.push(class);
+    }
+    let mut found: Vec<f64> = Vec::new();
+    for totals in blocks.totals(&point, Order::Expected) {
+        let parts = [&totals.r, &totals.W, &totals.outer, &totals.curvature, &totals.cross, &totals.expected];
+        let row = [totals.log_det, totals.quadratic].into_iter().chain(parts.into_iter().flatten().copied());
+        let row: Vec<f64> = row.collect();
+        found.resize(row.len(), 0.0);
+        found.iter_mut().zip(&row).for_each(|(sum, x)| *sum += x);
+    }
+    let mut expected = vec![0.0; found.len()];
+    let mut terms = Terms::new(p);
+    for class in &classes {
+        terms.factorise(class, &point.root);
+        terms.finish(class, &[], &point);
+        let log_det = -2.0 * (terms.value(class) - class.constant) - terms.quadratic;
+        let places: Vec<usize> = (0..p).flat_map(|i| (0..=i).map(move |k| i * p + k)).collect();
+        let inner = |at: usize| terms.outer[at] - 0.5 * terms.W[at];
+        let mut row = vec![log_det, terms.quadratic];
+        row.extend(&terms.r);
+        row.extend(places.iter().map(|&at| terms.W[at]));
+        row.extend(places.iter().map(|&at| terms.outer[at]));
+        row.extend(
+            places.iter().flat_map(|&a| places.iter().map(move |&b| (a, b))).map(|(a, b)| terms.W[a] * inner(b)),
+        );
+        row.extend(places.iter().flat_map(|&a| (0..p).map(move |l| (a, l))).map(|(a, l)| terms.W[a] * terms.r[l]));
+        row.extend(
+            places.iter().flat_map(|&a| places.iter().map(move |&b| (a, b))).map(|(a, b)| terms.W[a] * terms.W[b]),
+        );
+        expected.iter_mut().zip(&row).for_each(|(sum, x)| *sum += x);
+    }
+    (found, expected)
+}
+
+#[test]
+fn blocks_say_what_their_tests_say_one_by_one() {
+    for isa in Isa::all() {
+        for p in (1..=10).chain([13, 20]) {
+            // also blocks that are not full, and more than one task
+            for tests in [1, isa.lanes(), 3 * isa.lanes() + 1, FEWEST * isa.lanes() + 3] {
+                let (found, expected) = both(p, *isa, tests);
+                let largest = expected.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
+                for (at, (found, expected)) in found.iter().zip(&expected).enumerate() {
+                    let allowed = 1e-12 * (1.0 + largest) + 1e-11 * expected.abs();
+                    assert!(
+                        (found - expected).abs() < allowed,
+                        "{isa:?}, p = {p}, {tests} tests, {at}: {found} {expected}"
+                    );
+                }
+            }
+        }
+    }
+}
