@@ -5,8 +5,18 @@ use kalfit::{Evidence, Labels};
 use kalfit_data::WriteError;
 use kalfit_data::exchange::{Entry, ReductionWriter};
 
-use crate::exchange::{Maker, Refused, Setting, Sunk};
+use crate::exchange::{self, Maker, Refused, Setting, Sunk};
 use crate::failure::Failure;
+use crate::job::{Done, ExchangeJob, Exchanged};
+use crate::work::Watch;
+
+/// Runs the filters once, at known parameters, and writes what they make of the data: all that a fit needs.
+///
+/// # Errors
+/// Bad input, or [`Failure::Interrupted`].
+pub fn reduce(job: &ExchangeJob, watch: &mut dyn Watch) -> Result<Done<Exchanged>, Failure> {
+    exchange::run::<Reductions>(job, watch)
+}
 
 /// Makes reductions.
 pub(crate) struct Reductions(PhasedReducer);

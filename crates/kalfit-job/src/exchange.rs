@@ -1,24 +1,26 @@
 //! What `kalfit reduce` and `kalfit estimates` share: evidence in, one file out, whole or not at all.
 
 use std::collections::BTreeSet;
+use std::ffi::OsStr;
 use std::fs::File;
 use std::io::{BufWriter, Seek, Write};
-use std::path::Path;
+use std::path::PathBuf;
 
 use kalfit::model::ParameterError;
 use kalfit::reduce::{ReduceError, SplitError};
 use kalfit::{Alpha, Labels, Source, Test};
 use kalfit_data::exchange::{Entry, Metadata, ParameterValue};
-use kalfit_data::{Input, ReadError, Reading, Sink, WriteError};
+use kalfit_data::{ReadError, Reading, Sink, WriteError};
 use kalfit_spec::Spec;
 
+use crate::document::Document;
 use crate::evidence::{Given, entries};
 use crate::failure::Failure;
-use crate::job::{ExchangeJob, Outcome};
-use crate::output::{Output, Pending};
-use crate::progress::Line;
+use crate::job::{Done, ExchangeJob, Exchanged, files};
+use crate::output::{Pending, Target};
 use crate::truth::TruthError;
-use crate::{model, terminal, truth};
+use crate::work::{Watch, Work};
+use crate::{model, truth};
 
 /// Phases of tests handled at a time.
 const BATCH: usize = 1024;
@@ -61,6 +63,8 @@ pub(crate) enum Refused {
     Split(SplitError),
     Reduce(ReduceError),
     Write(WriteError),
+    /// Nobody waits any longer.
+    Interrupted,
     /// Rows of a phase without a filter.
     NoFilter {
         phase: String,
@@ -72,25 +76,27 @@ pub(crate) enum Refused {
     },
 }
 
-/// Runs a command.
-pub(crate) fn run<M: Maker>(job: &ExchangeJob) -> Result<Outcome, Failure> {
-    let mut spec = model::read(&job.model.path)?;
-    let mut notes = job.at.as_deref().map_or(Ok(Vec::new()), |path| truth::parameters(&mut spec, path))?;
+/// Makes an exchange file.
+pub(crate) fn run<M: Maker>(job: &ExchangeJob, watch: &mut dyn Watch) -> Result<Done<Exchanged>, Failure> {
+    let mut spec = model::read(&job.model.document)?;
+    let mut notes = job.at.as_ref().map_or(Ok(Vec::new()), |at| truth::parameters(&mut spec, at))?;
     model::set(&mut spec, &job.model.set)?;
     let given = Given::open(&mut spec, &job.data)?;
     notes.extend(given.notes.iter().cloned());
-    let parquet = job.out.extension().is_some_and(|extension| {
-        ["parquet", "pq"].iter().any(|known| extension.eq_ignore_ascii_case(known)) // as it will be read
-    });
-    if !parquet {
-        return Err(Failure::NotParquet { path: job.out.display().to_string() });
+    let is_parquet = |path: &PathBuf| {
+        let known = |extension: &OsStr| ["parquet", "pq"].iter().any(|known| extension.eq_ignore_ascii_case(known));
+        path.extension().is_some_and(known) // as it will be read
+    };
+    if let Some(path) = job.out.as_ref().filter(|path| !is_parquet(path)) {
+        return Err(Failure::NotParquet { path: path.display().to_string() });
     }
-    let output = Output::prepare(&job.out, &used(job, &given))?;
+    let read: Vec<&Document> = std::iter::once(&job.model.document).chain(&job.at).collect();
+    let output = Target::prepare(job.out.as_deref(), &files(&read, &given.inputs))?;
     let alpha = Alpha::fixed(&spec.model.shared().parameters)
         .map_err(|ParameterError::Free { names }| Failure::from(TruthError::NoParameter { names }))?;
     let metadata = metadata(&spec, &alpha, given.names());
     let setting = Setting { spec, alpha, metadata };
-    let mut line = Line::new(job.quiet);
+    let mut work = Work::new(watch);
     let maker = M::new(&setting)?;
     let pending = output.begin()?;
     let mut filing = Filing {
@@ -100,20 +106,14 @@ pub(crate) fn run<M: Maker>(job: &ExchangeJob) -> Result<Outcome, Failure> {
         pending: &pending,
         tests: BTreeSet::new(),
         rows: 0,
-        line: &mut line,
+        work: &mut work,
     };
     filing.fill(&given)?;
+    filing.work.go_on()?;
     let (tests, rows) = (filing.tests.len(), filing.rows);
     filing.close()?;
-    pending.finish()?;
-    line.clear();
-    if !job.quiet {
-        terminal::warn(&notes);
-        let plural = |n: usize, what: &str| if n == 1 { format!("1 {what}") } else { format!("{n} {what}s") };
-        let (rows, tests) = (plural(rows, M::ROW), plural(tests, "test"));
-        terminal::complain(&format!("Wrote {}: {rows} of {tests}\n", output.name()));
-    }
-    Ok(Outcome::Done)
+    let record = Exchanged { rows, row: M::ROW, tests, table: pending.finish()? };
+    Ok(Done { record, notes, written: output.name() })
 }
 
 fn metadata(spec: &Spec, alpha: &Alpha, files: Vec<String>) -> Metadata {
@@ -128,17 +128,8 @@ fn metadata(spec: &Spec, alpha: &Alpha, files: Vec<String>) -> Metadata {
     }
 }
 
-/// Files that are read, which the output must not replace.
-fn used<'a>(job: &'a ExchangeJob, given: &'a Given) -> Vec<&'a Path> {
-    let data = given.inputs.iter().filter_map(|input| match input {
-        Input::Path(path) => Some(path.as_path()),
-        Input::Stdin => None,
-    });
-    std::iter::once(job.model.path.as_path()).chain(job.at.as_deref()).chain(data).collect()
-}
-
 /// A file that is being filled.
-struct Filing<'a, M: Maker> {
+struct Filing<'a, 'w, M: Maker> {
     setting: &'a Setting,
     maker: M,
     /// Nothing is written yet when none.
@@ -146,13 +137,13 @@ struct Filing<'a, M: Maker> {
     pending: &'a Pending<'a>,
     tests: BTreeSet<String>,
     rows: usize,
-    line: &'a mut Line,
+    work: &'a mut Work<'w>,
 }
 
-impl<M: Maker> Filing<'_, M> {
+impl<M: Maker> Filing<'_, '_, M> {
     /// Rows as they are read; where there is more than rows, all at once.
     fn fill(&mut self, given: &Given) -> Result<(), Failure> {
-        let (spec, path) = (&self.setting.spec, self.pending.path().display().to_string());
+        let (spec, path) = (&self.setting.spec, self.pending.name());
         let failed = |refused: Refused, reading: &Reading| failure(refused, reading, &path);
         if given.is_rows() {
             let (inputs, layout) = (&given.inputs, &spec.layout);
@@ -162,7 +153,7 @@ impl<M: Maker> Filing<'_, M> {
                 ReadError::Sink { error, reading } => failed(error, &reading),
             });
         }
-        let (mut entries, reading) = given.parts(spec, &spec.model, self.line)?;
+        let (mut entries, reading) = given.parts(spec, &spec.model, self.work)?;
         while !entries.is_empty() {
             let rest = entries.split_off(entries.len().min(BATCH));
             self.take(entries, &reading.labels).map_err(|refused| failed(refused, &reading))?;
@@ -172,6 +163,9 @@ impl<M: Maker> Filing<'_, M> {
     }
 
     fn take(&mut self, entries: Vec<Entry>, labels: &Labels) -> Result<(), Refused> {
+        if self.work.is_stopped() {
+            return Err(Refused::Interrupted);
+        }
         if self.writer.is_none() {
             let begun = self.begin().map_err(|error| Refused::Write(error.into()))?;
             self.writer = Some(M::open(self.setting, begun).map_err(Refused::Write)?);
@@ -185,7 +179,7 @@ impl<M: Maker> Filing<'_, M> {
         let writer = self.writer.as_mut().expect("it was opened");
         self.maker.make(entries, labels, writer)?;
         let done = self.rows;
-        self.line.say(|| format!("filtering: {done} phases of tests"));
+        self.work.say(|| format!("filtering: {done} phases of tests"));
         Ok(())
     }
 
@@ -198,14 +192,14 @@ impl<M: Maker> Filing<'_, M> {
     }
 
     fn close(self) -> Result<(), Failure> {
-        let path = self.pending.path().display().to_string();
+        let path = self.pending.name();
         let failed = |error: WriteError| Failure::Write { error: Box::new(error), path: path.clone() };
         let Some(writer) = self.writer else { return Ok(()) };
         M::close(writer).map_err(failed)?.flush().map_err(|error| failed(error.into()))
     }
 }
 
-impl<M: Maker> Sink for Filing<'_, M> {
+impl<M: Maker> Sink for Filing<'_, '_, M> {
     type Error = Refused;
 
     fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), Refused> {
@@ -224,6 +218,7 @@ fn failure(refused: Refused, reading: &Reading, path: &str) -> Failure {
         Refused::Split(error) => Failure::Split { error, reading: Box::new(reading.clone()) },
         Refused::Reduce(error) => Failure::Reduce { error, reading: Some(Box::new(reading.clone())) },
         Refused::Write(error) => Failure::Write { error: Box::new(error), path: path.to_owned() },
+        Refused::Interrupted => Failure::Interrupted,
         Refused::NoFilter { phase, at } => Failure::NoFilter { phase, at: reading.place(at) },
         Refused::Reduced { at } => Failure::NotEstimates { at: reading.place(at) },
     }

@@ -1,7 +1,6 @@
 //! Why a command ended: what a library said, and where the user should look.
 
 use std::ops::Range;
-use std::path::Path;
 
 use kalfit::dynamic::DynamicError;
 use kalfit::estimate::FitError;
@@ -17,30 +16,46 @@ use crate::truth::TruthError;
 
 /// Bad input, or a world that does not let us write. Exit status 2.
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum Failure {
+#[non_exhaustive]
+pub enum Failure {
     /// The model file.
     #[error("{error}")]
     Model {
+        /// What is wrong.
         error: Box<SpecError>,
         /// The file and its text, when it could be read.
         file: Option<Source>,
     },
     /// An assignment of `--set`.
     #[error("{error}")]
-    Set { error: Box<SpecError> },
+    Set {
+        /// What is wrong.
+        error: Box<SpecError>,
+    },
     /// The data.
     #[error("{error}")]
     Data {
+        /// What is wrong.
         error: Box<DataError>,
         /// Where the model uses what the data lack.
         place: Option<Box<Place>>,
     },
     /// Rows that are not of the model's phases.
     #[error("{}", split_message(error, reading))]
-    Split { error: SplitError, reading: Box<Reading> },
+    Split {
+        /// What is wrong.
+        error: SplitError,
+        /// What was read so far.
+        reading: Box<Reading>,
+    },
     /// The model does not work on the data.
     #[error("{}", reduce_message(error, reading.as_deref()))]
-    Reduce { error: ReduceError, reading: Option<Box<Reading>> },
+    Reduce {
+        /// What is wrong.
+        error: ReduceError,
+        /// What was read so far.
+        reading: Option<Box<Reading>>,
+    },
     /// The estimator.
     #[error("{0}")]
     Fit(FitError),
@@ -55,29 +70,40 @@ pub(crate) enum Failure {
     DynamicRatio(DynamicRatioError),
     /// A hypothesis that does not leave a parameter as the model has it.
     #[error("parameter `{name}` is not the same in the hypothesis as in the model, which has it fixed")]
-    HypothesisParameter { name: String },
+    HypothesisParameter {
+        /// Name of the parameter.
+        name: String,
+    },
     /// The population to draw from or to plan for.
     #[error("{0}")]
     Truth(Box<TruthError>),
     /// The ensemble cannot be drawn.
     #[error("{}", simulate_message(error, reading.as_deref()))]
-    Simulate { error: Box<SimulateError>, reading: Option<Box<Reading>> },
+    Simulate {
+        /// What is wrong.
+        error: Box<SimulateError>,
+        /// What was read so far.
+        reading: Option<Box<Reading>>,
+    },
     /// There is no plan.
     #[error("{}", plan_message(error, states))]
     Plan {
+        /// What is wrong.
         error: Box<PlanError>,
         /// Names of the estimated states.
         states: Vec<String>,
     },
     /// The table to write.
     #[error("{}", write_message(error, path))]
-    Write { error: Box<WriteError>, path: String },
+    Write {
+        /// What is wrong.
+        error: Box<WriteError>,
+        /// The file.
+        path: String,
+    },
     /// The output file.
     #[error(transparent)]
     Output(#[from] OutputError),
-    /// Standard output.
-    #[error("cannot write to standard output: {0}")]
-    Stdout(std::io::Error),
     /// Standard errors that a criterion does not have.
     #[error("`--std-errors expected` and `--std-errors sandwich` go with `--criterion ml` only")]
     RestrictedErrors,
@@ -86,37 +112,67 @@ pub(crate) enum Failure {
     FreeErrors,
     /// An option of the search for dynamic parameters, none of which is free.
     #[error("`{option}` has no effect: the model has no free parameters")]
-    NoFreeParameter { option: &'static str },
+    NoFreeParameter {
+        /// The option.
+        option: &'static str,
+    },
     /// A way to put phases together, of which there is but one.
     #[error("`--phases {found}` has no effect: the model has one phase")]
-    OnePhase { found: &'static str },
+    OnePhase {
+        /// What was asked for.
+        found: &'static str,
+    },
     /// An exchange file of another kind.
     #[error("the output `{path}` is no name of a Parquet file, expected one that ends in `.parquet`")]
-    NotParquet { path: String },
+    NotParquet {
+        /// The file.
+        path: String,
+    },
     /// Rows of a phase of which there are no estimates.
     #[error("{at}: found rows of phase `{phase}`, which has no `[filter]`, expected rows of phases with one")]
-    NoFilter { phase: String, at: String },
+    NoFilter {
+        /// Name of the phase.
+        phase: String,
+        /// File and row.
+        at: String,
+    },
     /// A reduction among what estimates are to be made of.
     #[error("{at}: found a reduction, of which no estimates can be made, expected rows or estimates")]
-    NotEstimates { at: String },
+    NotEstimates {
+        /// File and row.
+        at: String,
+    },
+    /// Nobody waits any longer.
+    #[error("the work was interrupted")]
+    Interrupted,
     /// Threads.
     #[error("cannot start {threads} threads: {reason}")]
-    Threads { threads: usize, reason: String },
+    Threads {
+        /// How many.
+        threads: usize,
+        /// What the system said.
+        reason: String,
+    },
 }
 
 /// A text file, for showing places in it.
 #[derive(Debug, Clone)]
-pub(crate) struct Source {
-    pub(crate) name: String,
-    pub(crate) text: String,
+pub struct Source {
+    /// What messages call it.
+    pub name: String,
+    /// All of it.
+    pub text: String,
 }
 
 /// Bytes of a text file.
 #[derive(Debug, Clone)]
-pub(crate) struct Place {
-    pub(crate) source: Source,
-    pub(crate) span: Range<usize>,
-    pub(crate) label: Option<String>,
+pub struct Place {
+    /// The file.
+    pub source: Source,
+    /// The bytes.
+    pub span: Range<usize>,
+    /// What is said of them.
+    pub label: Option<String>,
 }
 
 impl Place {
@@ -140,13 +196,13 @@ impl Failure {
     }
 
     /// A model that cannot be read from this path.
-    pub(crate) fn model(error: SpecError, path: &Path, text: Option<String>) -> Failure {
-        let file = text.map(|text| Source { name: path.display().to_string(), text });
+    pub(crate) fn model(error: SpecError, name: &str, text: Option<String>) -> Failure {
+        let file = text.map(|text| Source { name: name.to_owned(), text });
         Failure::Model { error: Box::new(error), file }
     }
 
     /// Where to look.
-    pub(crate) fn place(&self) -> Option<Place> {
+    pub fn place(&self) -> Option<Place> {
         match self {
             Failure::Model { error, file } => {
                 Some(Place { source: file.clone()?, span: error.span.clone()?, label: error.label.clone() })
@@ -157,7 +213,7 @@ impl Failure {
     }
 
     /// What to do about it.
-    pub(crate) fn hint(&self) -> Option<String> {
+    pub fn hint(&self) -> Option<String> {
         match self {
             Failure::Model { error, .. } | Failure::Set { error } => error.hint.clone(),
             Failure::Data { error, .. } => error.hint(),
@@ -173,7 +229,6 @@ impl Failure {
             Failure::Plan { error, .. } => plan_hint(error).map(str::to_owned),
             Failure::Write { error, .. } => write_hint(error).map(str::to_owned),
             Failure::Output(error) => error.hint().map(str::to_owned),
-            Failure::Stdout(_) => None,
             Failure::RestrictedErrors => {
                 Some("leave `--std-errors` out: the restricted likelihood has those of its own curvature".to_owned())
             }
@@ -185,7 +240,7 @@ impl Failure {
                 Some("leave it out, or free a parameter in `[parameters]`: `{}` or `{ start = 1 }`".to_owned())
             }
             Failure::OnePhase { .. } => Some("leave it out".to_owned()),
-            Failure::NotParquet { .. } => None,
+            Failure::NotParquet { .. } | Failure::Interrupted => None,
             Failure::NoFilter { .. } => Some(
                 "leave these rows out, they may stand beside the estimates as they are; or use `kalfit reduce`, which takes any phase"
                     .to_owned(),

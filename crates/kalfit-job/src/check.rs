@@ -9,40 +9,41 @@ use kalfit::record::{
 use kalfit::score::Slots;
 use kalfit::{Alpha, Evidence, Model, PhasedModel, PhasedTest, Reduction, infer};
 use kalfit_data::Reading;
-use kalfit_report::{CheckRecord, Checked, CheckedPhase, ParameterCounts, PhaseCounts, check_summary};
+use kalfit_report::{CheckRecord, Checked, CheckedPhase, ParameterCounts, PhaseCounts};
 use kalfit_spec::Spec;
 
 use crate::evidence::Given;
 use crate::failure::Failure;
-use crate::job::{CheckJob, Outcome};
-use crate::progress::Line;
-use crate::{model, reductions, terminal, tests};
+use crate::job::{CheckJob, Done};
+use crate::work::{Watch, Work};
+use crate::{model, reductions, tests};
 
-pub(crate) fn run(job: &CheckJob) -> Result<Outcome, Failure> {
+/// Reads all and fits nothing.
+///
+/// # Errors
+/// Bad input.
+pub fn check(job: &CheckJob, watch: &mut dyn Watch) -> Result<Done<CheckRecord>, Failure> {
+    let mut work = Work::new(watch);
     let mut spec = model::load(&job.model)?;
     let given = if job.data.is_empty() { None } else { Some(Given::open(&mut spec, &job.data)?) };
     let free = model::has_free(spec.model.shared());
     let (parameters, checked) = match (&given, free) {
         (None, _) => (Vec::new(), Checked::Model),
-        (Some(given), false) => (Vec::new(), known(&spec, given)?),
-        (Some(given), true) => started(&spec, given)?,
+        (Some(given), false) => (Vec::new(), known(&spec, given, &mut work)?),
+        (Some(given), true) => started(&spec, given, &mut work)?,
     };
-    terminal::warn(given.as_ref().map_or(&[], |given| &given.notes));
     let record = CheckRecord { title: spec.model.shared().title.clone(), model: spec.describe(), parameters, checked };
-    terminal::print(&check_summary(&record, &terminal::style())).map_err(Failure::Stdout)?;
-    Ok(Outcome::Done)
+    Ok(Done { record, notes: given.map_or(Vec::new(), |given| given.notes), written: None })
 }
 
 /// Reads the data and runs the filters: all parameters are known.
-fn known(spec: &Spec, given: &Given) -> Result<Checked, Failure> {
-    let mut line = Line::new(false);
+fn known(spec: &Spec, given: &Given, work: &mut Work<'_>) -> Result<Checked, Failure> {
     let alpha = model::alpha(spec);
     let mut counts = no_counts(&spec.model);
-    let reductions = reductions::reduce(spec, &alpha, given, &mut line, &mut |test| match test {
+    let reductions = reductions::reduce(spec, &alpha, given, work, &mut |test| match test {
         Some(test) => add(&mut counts, test),
         None => counts = no_counts(&spec.model),
     })?;
-    line.clear();
     examined((&spec.model, counts), &alpha, &reductions, given.names(), (Vec::new(), Vec::new()))
 }
 
@@ -62,9 +63,9 @@ fn add(counts: &mut [PhaseCounts], test: &PhasedTest) {
 }
 
 /// Reads the data, counts the free values that they have use for, and runs the filters at start values if all are given.
-fn started(spec: &Spec, given: &Given) -> Result<(Vec<ParameterCounts>, Checked), Failure> {
-    let (model, mut line) = (spec.model.shared(), Line::new(false));
-    let (tests, reading) = tests::read(spec, given, &mut line)?;
+fn started(spec: &Spec, given: &Given, work: &mut Work<'_>) -> Result<(Vec<ParameterCounts>, Checked), Failure> {
+    let model = spec.model.shared();
+    let (tests, reading) = tests::read(spec, given, work)?;
     let mut phases = no_counts(&spec.model);
     tests.iter().for_each(|test| add(&mut phases, test));
     let slots = Slots::in_phases(&spec.model, &reading.labels, &tests);
@@ -77,7 +78,6 @@ fn started(spec: &Spec, given: &Given) -> Result<(Vec<ParameterCounts>, Checked)
     };
     let starts: Option<Vec<f64>> = slots.slots().iter().map(start).collect();
     let Some(starts) = starts else {
-        line.clear();
         let without = |p: &&ParameterCounts| p.free > 0 && p.start.is_none();
         let free = parameters.iter().filter(without).map(|p| p.name.clone()).collect();
         let Reading { tests, rows, .. } = reading;
@@ -85,7 +85,6 @@ fn started(spec: &Spec, given: &Given) -> Result<(Vec<ParameterCounts>, Checked)
     };
     let alpha = slots.alpha(model, &starts);
     let reductions = reductions::of(&spec.model, &alpha, &tests, &reading)?;
-    line.clear();
     let at_start_of = parameters.iter().filter(|p| p.free > 0).map(|p| p.name.clone()).collect();
     let said = (notes, at_start_of);
     let checked = examined((&spec.model, phases), &alpha, &reductions, given.names(), said)?;

@@ -1,37 +1,33 @@
 //! Data → reductions: tests are reduced as they are read, and forgotten.
 
-use kalfit::reduce::{PhasedReducer, ReduceError, SplitError};
+use kalfit::reduce::PhasedReducer;
 use kalfit::{Alpha, Labels, PhasedModel, PhasedTest, Reduction, Test};
-use kalfit_data::{ReadError, Reading, Sink};
+use kalfit_data::{Reading, Sink};
 use kalfit_spec::Spec;
 
 use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::innovations::{Kept, KeptTests};
-use crate::progress::Line;
+use crate::refused::{self, Refused};
+use crate::work::Work;
 
 /// Sees every test, and nothing when all are to be forgotten.
 type Counted<'a> = &'a mut dyn FnMut(Option<&PhasedTest>);
 
-struct Reducing<'a> {
+struct Reducing<'a, 'w> {
     model: &'a PhasedModel,
     reducer: PhasedReducer,
     reductions: Vec<Reduction>,
     kept: &'a mut KeptTests,
     counted: Counted<'a>,
-    line: &'a mut Line,
+    work: &'a mut Work<'w>,
 }
 
-/// Why tests were refused.
-enum Refused {
-    Split(SplitError),
-    Reduce(ReduceError),
-}
-
-impl Sink for Reducing<'_> {
+impl Sink for Reducing<'_, '_> {
     type Error = Refused;
 
     fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), Refused> {
+        Refused::unless_stopped(self.work)?;
         let tests: Vec<PhasedTest> = tests
             .into_iter()
             .map(|test| self.model.split(test, labels))
@@ -41,7 +37,7 @@ impl Sink for Reducing<'_> {
         tests.iter().for_each(|test| (self.counted)(Some(test)));
         self.kept.take(tests);
         let done = self.reductions.len();
-        self.line.say(|| format!("reading: {done} tests"));
+        self.work.say(|| format!("reading: {done} tests"));
         Ok(())
     }
 
@@ -58,10 +54,10 @@ pub(crate) fn reduce(
     spec: &Spec,
     alpha: &Alpha,
     given: &Given,
-    line: &mut Line,
+    work: &mut Work<'_>,
     counted: Counted<'_>,
 ) -> Result<Vec<Reduction>, Failure> {
-    read(spec, alpha, given, (line, counted), &mut Kept::nothing())
+    read(spec, alpha, given, (work, counted), &mut Kept::nothing())
 }
 
 /// [`reduce`], keeping what a second look at the data takes.
@@ -69,35 +65,32 @@ pub(crate) fn reduce_keeping(
     spec: &Spec,
     alpha: &Alpha,
     given: &Given,
-    line: &mut Line,
+    work: &mut Work<'_>,
     kept: &mut Kept,
 ) -> Result<Vec<Reduction>, Failure> {
-    read(spec, alpha, given, (line, &mut |_| ()), kept)
+    read(spec, alpha, given, (work, &mut |_| ()), kept)
 }
 
 fn read(
     spec: &Spec,
     alpha: &Alpha,
     given: &Given,
-    (line, counted): (&mut Line, Counted<'_>),
+    (work, counted): (&mut Work<'_>, Counted<'_>),
     kept: &mut Kept,
 ) -> Result<Vec<Reduction>, Failure> {
     let model = &spec.model;
     if !given.is_rows() {
-        let (tests, reading) = given.tests(spec, model, line)?;
+        let (tests, reading) = given.tests(spec, model, work)?;
         tests.iter().for_each(|test| counted(Some(test)));
         return of(model, alpha, &tests, &reading);
     }
     let reducer = PhasedReducer::new(model, alpha).map_err(|error| Failure::Reduce { error, reading: None })?;
     let mut stdin = given.stdin();
     let Kept { tests, copy } = kept;
-    let mut sink = Reducing { model, reducer, reductions: Vec::new(), kept: tests, counted, line };
+    let mut sink = Reducing { model, reducer, reductions: Vec::new(), kept: tests, counted, work };
     let mut stdin = copy.copying(&mut stdin);
-    kalfit_data::read_from(model, &spec.layout, &given.inputs, &mut sink, &mut stdin).map_err(|error| match error {
-        ReadError::Data(error) => Failure::data(error, spec),
-        ReadError::Sink { error: Refused::Split(error), reading } => Failure::Split { error, reading },
-        ReadError::Sink { error: Refused::Reduce(error), reading } => Failure::Reduce { error, reading: Some(reading) },
-    })?;
+    kalfit_data::read_from(model, &spec.layout, &given.inputs, &mut sink, &mut stdin)
+        .map_err(|error| refused::failure(error, spec))?;
     Ok(sink.reductions)
 }
 

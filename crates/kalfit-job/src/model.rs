@@ -1,26 +1,35 @@
 //! The model file, read, with what `--set` says.
 
-use std::path::Path;
-
 use kalfit::model::Parameter;
 use kalfit::{Alpha, Model};
 use kalfit_spec::Spec;
 
+use crate::document::Document;
 use crate::failure::Failure;
 use crate::job::ModelJob;
 
 /// Reads the model.
 pub(crate) fn load(job: &ModelJob) -> Result<Spec, Failure> {
-    let mut spec = read(&job.path)?;
+    let mut spec = read(&job.document)?;
     set(&mut spec, &job.set)?;
     Ok(spec)
 }
 
-/// Reads a model file as it stands.
-pub(crate) fn read(path: &Path) -> Result<Spec, Failure> {
-    let text = Spec::read_text(path).map_err(|error| Failure::model(error, path, None))?;
-    let name = path.display().to_string();
-    Spec::parse(&name, &text).map_err(|error| Failure::model(error, path, Some(text)))
+/// Reads a model as it stands.
+///
+/// # Errors
+/// [`Failure::Model`], with the place in the text.
+pub fn read(document: &Document) -> Result<Spec, Failure> {
+    let (name, text) = (document.name(), text(document)?);
+    Spec::parse(&name, &text).map_err(|error| Failure::model(error, &name, Some(text)))
+}
+
+/// The text of a model or of a hypothesis.
+pub(crate) fn text(document: &Document) -> Result<String, Failure> {
+    match document {
+        Document::File(path) => Spec::read_text(path).map_err(|error| Failure::model(error, &document.name(), None)),
+        Document::Text { text, .. } => Ok(text.clone()),
+    }
 }
 
 /// Does what `--set` says.

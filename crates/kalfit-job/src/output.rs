@@ -5,17 +5,50 @@ use std::path::{Path, PathBuf};
 
 /// Why a result file cannot be written.
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum OutputError {
+#[non_exhaustive]
+pub enum OutputError {
+    /// There is no such folder.
     #[error("the folder `{}` for the output {found}", folder.display())]
-    NoFolder { folder: PathBuf, found: &'static str },
+    NoFolder {
+        /// The folder.
+        folder: PathBuf,
+        /// What it is.
+        found: &'static str,
+    },
+    /// It cannot be a file.
     #[error("the output `{}` is {found}, expected the name of a file", path.display())]
-    NotAFile { path: PathBuf, found: &'static str },
+    NotAFile {
+        /// The file.
+        path: PathBuf,
+        /// What it is.
+        found: &'static str,
+    },
+    /// It is read, too.
     #[error("the output `{}` is one of the inputs", path.display())]
-    IsInput { path: PathBuf },
+    IsInput {
+        /// The file.
+        path: PathBuf,
+    },
+    /// Two outputs would be one file.
     #[error("both outputs are `{}`, expected two files", path.display())]
-    Twice { path: PathBuf },
+    Twice {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The system could not write.
     #[error("cannot write `{}`: {source}", path.display())]
-    Io { path: PathBuf, source: std::io::Error },
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The system could not write a file without a name.
+    #[error("cannot write a temporary file: {source}")]
+    Temporary {
+        /// What the system said.
+        source: std::io::Error,
+    },
 }
 
 impl OutputError {
@@ -25,6 +58,7 @@ impl OutputError {
             OutputError::NotAFile { .. } => Some("`--out` takes a file such as `fit.json`"),
             OutputError::IsInput { .. } | OutputError::Twice { .. } => Some("give the output a name of its own"),
             OutputError::Io { .. } => None,
+            OutputError::Temporary { .. } => Some("name a file for the table"),
         }
     }
 }
@@ -89,12 +123,12 @@ impl Output {
         let written = written.and_then(|()| writer.write_all(b"\n")).and_then(|()| writer.flush());
         drop(writer);
         written.map_err(|source| self.io(source))?;
-        pending.finish()
+        pending.finish().map(|_| ())
     }
 
     /// A file beside the target, to be moved into place when it is whole.
     pub(crate) fn begin(&self) -> Result<Pending<'_>, OutputError> {
-        Ok(Pending { output: self, file: self.temporary()? })
+        Ok(Pending(Place::Beside(self, self.temporary()?)))
     }
 
     /// True when both would be one file.
@@ -120,32 +154,87 @@ impl Output {
     }
 }
 
-/// A result file that is being written; it is gone again unless it is finished.
+/// Where a table goes.
 #[derive(Debug)]
-pub(crate) struct Pending<'a> {
-    output: &'a Output,
-    file: tempfile::NamedTempFile,
+pub(crate) enum Target {
+    /// Into a file with a name.
+    Named(Output),
+    /// Into a file without one, to be handed back.
+    Nameless,
+}
+
+impl Target {
+    /// As [`Output::prepare`], where there is a name.
+    pub(crate) fn prepare(path: Option<&Path>, inputs: &[&Path]) -> Result<Target, OutputError> {
+        path.map_or(Ok(Target::Nameless), |path| Ok(Target::Named(Output::prepare(path, inputs)?)))
+    }
+
+    /// Refuses two outputs in one place.
+    pub(crate) fn refuse_same(&self, other: Option<&Output>) -> Result<(), OutputError> {
+        match self {
+            Target::Named(output) => output.refuse_same(other),
+            Target::Nameless => Ok(()),
+        }
+    }
+
+    /// Its name as the user gave it.
+    pub(crate) fn name(&self) -> Option<String> {
+        match self {
+            Target::Named(output) => Some(output.name()),
+            Target::Nameless => None,
+        }
+    }
+
+    /// A file to write to.
+    pub(crate) fn begin(&self) -> Result<Pending<'_>, OutputError> {
+        match self {
+            Target::Named(output) => output.begin(),
+            Target::Nameless => {
+                let file = tempfile::tempfile().map_err(|source| OutputError::Temporary { source })?;
+                Ok(Pending(Place::Nameless(file)))
+            }
+        }
+    }
+}
+
+/// A file that is being written; it is gone again unless it is finished.
+#[derive(Debug)]
+pub(crate) struct Pending<'a>(Place<'a>);
+
+#[derive(Debug)]
+enum Place<'a> {
+    Beside(&'a Output, tempfile::NamedTempFile),
+    Nameless(std::fs::File),
 }
 
 impl Pending<'_> {
     /// What the user named.
-    pub(crate) fn path(&self) -> &Path {
-        &self.output.named
+    pub(crate) fn name(&self) -> String {
+        match &self.0 {
+            Place::Beside(output, _) => output.name(),
+            Place::Nameless(_) => "a temporary file".to_owned(),
+        }
     }
 
     /// Where to write.
     pub(crate) fn file(&self) -> &std::fs::File {
-        self.file.as_file()
+        match &self.0 {
+            Place::Beside(_, file) => file.as_file(),
+            Place::Nameless(file) => file,
+        }
     }
 
-    /// Moves it into place.
-    pub(crate) fn finish(self) -> Result<(), OutputError> {
-        let Pending { output, file } = self;
+    /// Moves it into place; the file itself when it has none.
+    pub(crate) fn finish(self) -> Result<Option<std::fs::File>, OutputError> {
+        let (output, file) = match self.0 {
+            Place::Beside(output, file) => (output, file),
+            Place::Nameless(file) => return Ok(Some(file)),
+        };
         file.as_file().sync_all().map_err(|source| output.io(source))?;
         if let Ok(old) = std::fs::metadata(&output.target) {
             std::fs::set_permissions(file.path(), old.permissions()).map_err(|source| output.io(source))?;
         }
         file.persist(&output.target).map_err(|error| output.io(error.error))?;
-        Ok(())
+        Ok(None)
     }
 }

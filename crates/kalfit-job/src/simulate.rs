@@ -1,8 +1,7 @@
-//! `kalfit simulate`.
+//! Drawing an ensemble: `kalfit simulate`.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
-use std::path::{Path, PathBuf};
 
 use kalfit::Test;
 use kalfit::reduce::Evidence;
@@ -12,41 +11,53 @@ use kalfit_spec::Spec;
 
 use crate::evidence::Given;
 use crate::failure::Failure;
-use crate::job::{Outcome, SimulateJob};
-use crate::output::{Output, Pending};
-use crate::progress::Line;
-use crate::{model, terminal, tests, truth};
+use crate::job::{Done, SimulateJob, Simulated, files};
+use crate::output::{Output, Pending, Target};
+use crate::work::{Watch, Work};
+use crate::{model, tests, truth};
 
 /// Tests are drawn this many at a time, or fewer if they have many rows.
 const BATCH_TESTS: u64 = 1024;
 const BATCH_ROWS: u64 = 200_000;
 
-pub(crate) fn run(job: &SimulateJob) -> Result<Outcome, Failure> {
-    let mut spec = model::read(&job.model.path)?;
+/// Draws an ensemble of tests.
+///
+/// # Errors
+/// Bad input, or [`Failure::Interrupted`].
+pub fn simulate(job: &SimulateJob, watch: &mut dyn Watch) -> Result<Done<Simulated>, Failure> {
+    let mut spec = model::read(&job.model.document)?;
     let truth = truth::load(&mut spec, &job.from, &job.model.set)?;
     let inputs = Input::expand(&job.design).map_err(|error| Failure::data(error, &spec))?;
-    let format = Format::of(&job.out).map_err(|error| failed(error, &job.out))?;
-    let used = used(&job.model.path, &job.from, &inputs);
-    let used: Vec<&Path> = used.iter().map(PathBuf::as_path).collect();
-    let output = Output::prepare(&job.out, &used)?;
+    let format = match &job.out {
+        Some(path) => Format::of(path).map_err(|error| failed(error, path.display().to_string()))?,
+        None => Format::Arrow,
+    };
+    let used = files(&[&job.model.document, &job.from], &inputs);
+    let output = Target::prepare(job.out.as_deref(), &used)?;
     let states = job.states.as_deref().map(|path| Output::prepare(path, &used)).transpose()?;
     output.refuse_same(states.as_ref())?;
-    let mut line = Line::new(job.quiet);
+    let mut work = Work::new(watch);
     let refused = |error, reading| Failure::Simulate { error: Box::new(error), reading };
     let simulator = Simulator::new(&spec.model, &truth.alpha, truth.population.clone(), job.seed)
         .map_err(|error| refused(error, None))?;
-    let (tests, reading) = tests::read(&spec, &Given::rows_of(inputs), &mut line)?;
+    let (tests, reading) = tests::read(&spec, &Given::rows_of(inputs), &mut work)?;
     let designs = Designs::new(tests).map_err(|error| refused(error, None))?;
     let count = job.tests.unwrap_or(designs.tests().len() as u64);
     let ids = if count > designs.tests().len() as u64 { Ids::New } else { Ids::Same };
     let task = Task { spec: &spec, simulator: &simulator, designs: &designs, reading: &reading, count, ids };
-    let rows = task.write((&output, format), states.as_ref(), &mut line)?;
-    line.clear();
-    if !job.quiet {
-        terminal::warn(&truth.warnings);
-        terminal::complain(&task.words(job.seed, rows, &output, states.as_ref()));
-    }
-    Ok(Outcome::Done)
+    let Written { rows, table, initial } = task.write((&output, format), states.as_ref(), &mut work)?;
+    let added = added_id_column(spec.model.shared(), &spec.layout, ids);
+    let states = states.map(|states| states.name());
+    let state_names = spec.model.estimated_names();
+    let record = Simulated { tests: count, rows, states, added, table, initial, state_names };
+    Ok(Done { record, notes: truth.warnings, written: output.name() })
+}
+
+/// What was written.
+struct Written {
+    rows: u64,
+    table: Option<File>,
+    initial: Vec<(String, Vec<f64>)>,
 }
 
 /// All that a drawn file depends on.
@@ -64,26 +75,28 @@ impl Task<'_> {
     /// Draws and writes; nothing is in place before all is written. The number of rows.
     fn write(
         &self,
-        (output, format): (&Output, Format),
+        (output, format): (&Target, Format),
         states: Option<&Output>,
-        line: &mut Line,
-    ) -> Result<u64, Failure> {
+        work: &mut Work<'_>,
+    ) -> Result<Written, Failure> {
         let data_file = output.begin()?;
         let states_file = states.map(Output::begin).transpose()?;
-        let rows = self.fill((&data_file, format), states_file.as_ref(), line)?;
-        data_file.finish()?;
-        states_file.map_or(Ok(()), Pending::finish)?;
-        Ok(rows)
+        let mut initial = Vec::new();
+        let keep = matches!(output, Target::Nameless).then_some(&mut initial);
+        let rows = self.fill((&data_file, format), (states_file.as_ref(), keep), work)?;
+        let table = data_file.finish()?;
+        states_file.map(Pending::finish).transpose()?;
+        Ok(Written { rows, table, initial })
     }
 
     fn fill(
         &self,
         (data, format): (&Pending<'_>, Format),
-        states: Option<&Pending<'_>>,
-        line: &mut Line,
+        (states, mut keep): (Option<&Pending<'_>>, Option<&mut Vec<(String, Vec<f64>)>>),
+        work: &mut Work<'_>,
     ) -> Result<u64, Failure> {
         let spec = self.spec;
-        let in_data = |error: WriteError| failed(error, data.path());
+        let in_data = |error: WriteError| failed(error, data.name());
         let sink = BufWriter::new(data.file());
         let mut table = TestWriter::new(spec.model.shared(), &spec.layout, self.ids, format, sink).map_err(in_data)?;
         let names = spec.model.estimated_names();
@@ -92,16 +105,20 @@ impl Task<'_> {
         let (mut rows, mut done) = (0, 0);
         while done < self.count {
             let next = self.count.min(done + self.batch(done));
+            work.go_on()?;
             let drawn = self.draw(done..next)?;
             truths.as_mut().map_or(Ok(()), |truths| truths.write(&drawn))?;
+            if let Some(keep) = &mut keep {
+                keep.extend(drawn.iter().map(|drawn| (drawn.test.id.clone(), drawn.initial.clone())));
+            }
             let tests: Vec<Test> = drawn.into_iter().map(|drawn| drawn.test.joined()).collect();
             rows += tests.iter().map(|test| test.rows() as u64).sum::<u64>();
             table.write(tests.iter(), &self.reading.labels).map_err(in_data)?;
             done = next;
-            line.say(|| format!("drawing: {done} of {} tests", self.count));
+            work.say(|| format!("drawing: {done} of {} tests", self.count));
         }
         let mut sink = table.finish().map_err(in_data)?;
-        sink.flush().map_err(|error| failed(error.into(), data.path()))?;
+        sink.flush().map_err(|error| failed(error.into(), data.name()))?;
         truths.map_or(Ok(()), StateTable::finish)?;
         Ok(rows)
     }
@@ -125,36 +142,21 @@ impl Task<'_> {
         }
         many
     }
-
-    /// What was done, and what the reader of the file must know.
-    fn words(&self, seed: u64, rows: u64, output: &Output, states: Option<&Output>) -> String {
-        let plural = |n: u64, what: &str| if n == 1 { format!("1 {what}") } else { format!("{n} {what}s") };
-        let (tests, rows) = (plural(self.count, "test"), plural(rows, "row"));
-        let mut text = format!("Wrote {}: {tests}, {rows}, drawn with seed {seed}\n", output.name());
-        if let Some(states) = states {
-            text.push_str(&format!("Wrote {}: the initial states that were drawn\n", states.name()));
-        }
-        if let Some(column) = added_id_column(self.spec.model.shared(), &self.spec.layout, self.ids) {
-            text.push_str(&format!(
-                "The tests are told apart by column `{column}`: to fit this file, set `test = \"{column}\"` in `[data]`\n"
-            ));
-        }
-        text
-    }
 }
 
 /// The file of true initial states.
 struct StateTable<'a> {
     writer: StateWriter<BufWriter<&'a File>>,
-    path: &'a Path,
+    path: String,
     /// Columns of states.
     width: usize,
 }
 
 impl<'a> StateTable<'a> {
     fn new(pending: &'a Pending<'_>, states: &[String]) -> Result<StateTable<'a>, Failure> {
-        let path = pending.path();
-        let writer = StateWriter::new(BufWriter::new(pending.file()), states).map_err(|error| failed(error, path))?;
+        let path = pending.name();
+        let writer = StateWriter::new(BufWriter::new(pending.file()), states);
+        let writer = writer.map_err(|error| failed(error, path.clone()))?;
         Ok(StateTable { writer, path, width: states.len() })
     }
 
@@ -165,24 +167,17 @@ impl<'a> StateTable<'a> {
             initial.resize(width, f64::NAN); // empty cells for phases that the test lacks
             self.writer.write(&drawn.test.id, &initial)
         };
-        drawn.iter().try_for_each(&mut write).map_err(|error| failed(error, self.path))
+        let written = drawn.iter().try_for_each(&mut write);
+        written.map_err(|error| failed(error, self.path.clone()))
     }
 
     fn finish(self) -> Result<(), Failure> {
-        let mut sink = self.writer.finish().map_err(|error| failed(error, self.path))?;
-        sink.flush().map_err(|error| failed(error.into(), self.path))
+        let path = &self.path;
+        let mut sink = self.writer.finish().map_err(|error| failed(error, path.clone()))?;
+        sink.flush().map_err(|error| failed(error.into(), path.clone()))
     }
 }
 
-fn failed(error: WriteError, path: &Path) -> Failure {
-    Failure::Write { error: Box::new(error), path: path.display().to_string() }
-}
-
-/// Files that are read, which no output may replace.
-pub(crate) fn used(model: &Path, from: &Path, inputs: &[Input]) -> Vec<PathBuf> {
-    let data = inputs.iter().filter_map(|input| match input {
-        Input::Path(path) => Some(path.clone()),
-        Input::Stdin => None,
-    });
-    [model.to_owned(), from.to_owned()].into_iter().chain(data).collect()
+fn failed(error: WriteError, path: String) -> Failure {
+    Failure::Write { error: Box::new(error), path }
 }

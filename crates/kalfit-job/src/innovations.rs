@@ -12,7 +12,7 @@ use kalfit_data::{DataError, Input, ReadError, Sink};
 use kalfit_spec::Spec;
 use tempfile::SpooledTempFile;
 
-use crate::progress::Line;
+use crate::work::Work;
 
 /// Bytes of tests that are kept, and of standard input that is kept in memory.
 const MOST_BYTES: usize = 64 << 20;
@@ -32,6 +32,8 @@ enum Unavailable {
     Split(SplitError),
     #[error("{0}")]
     Filter(ReduceError),
+    #[error("the fit was interrupted")]
+    Interrupted,
 }
 
 /// What a reading leaves for a second look at the data.
@@ -136,9 +138,9 @@ pub(crate) fn add(
     kept: Kept,
     (spec, alpha, inputs): (&Spec, &Alpha, &[Input]),
     initial: &Population,
-    line: &mut Line,
+    work: &mut Work<'_>,
 ) {
-    let found = Looking::new(&spec.model, alpha, initial, line)
+    let found = Looking::new(&spec.model, alpha, initial, work)
         .map_err(Unavailable::Filter)
         .and_then(|looking| all(looking, kept, spec, inputs));
     match found {
@@ -152,13 +154,13 @@ pub(crate) fn add_of(
     record: &mut FitRecord,
     (model, alpha, initial): (&PhasedModel, &Alpha, &Population),
     tests: &[PhasedTest],
-    line: &mut Line,
+    work: &mut Work<'_>,
 ) {
-    match Looking::new(model, alpha, initial, line) {
-        Ok(mut looking) => {
-            tests.chunks(BATCH).for_each(|tests| looking.look(tests));
-            finish(record, looking.seen);
-        }
+    match Looking::new(model, alpha, initial, work) {
+        Ok(mut looking) => match looking.look_at(tests) {
+            Ok(()) => finish(record, looking.seen),
+            Err(why) => record.notes.push(format!("innovations were not computed: {why}")),
+        },
         Err(error) => record.notes.push(format!("innovations were not computed: {error}")),
     }
 }
@@ -210,21 +212,32 @@ fn attach(record: &mut FitRecord, mut found: Vec<Found>) {
 }
 
 /// Takes tests in and keeps figures only.
-struct Looking<'a> {
+struct Looking<'a, 'w> {
     filter: InnovationFilter,
     model: &'a PhasedModel,
     seen: Seen,
-    line: &'a mut Line,
+    work: &'a mut Work<'w>,
 }
 
-impl<'a> Looking<'a> {
+impl<'a, 'w> Looking<'a, 'w> {
     fn new(
         model: &'a PhasedModel,
         alpha: &Alpha,
         initial: &Population,
-        line: &'a mut Line,
-    ) -> Result<Looking<'a>, ReduceError> {
-        Ok(Looking { filter: InnovationFilter::new(model, alpha, initial)?, model, seen: Seen::default(), line })
+        work: &'a mut Work<'w>,
+    ) -> Result<Looking<'a, 'w>, ReduceError> {
+        Ok(Looking { filter: InnovationFilter::new(model, alpha, initial)?, model, seen: Seen::default(), work })
+    }
+
+    /// At all of them, as long as somebody waits.
+    fn look_at(&mut self, tests: &[PhasedTest]) -> Result<(), Unavailable> {
+        for tests in tests.chunks(BATCH) {
+            if self.work.is_stopped() {
+                return Err(Unavailable::Interrupted);
+            }
+            self.look(tests);
+        }
+        Ok(())
     }
 
     fn look(&mut self, tests: &[PhasedTest]) {
@@ -241,16 +254,19 @@ impl<'a> Looking<'a> {
             }
         }
         let done = seen.found.len() + seen.silent;
-        self.line.say(|| format!("innovations: {done} tests"));
+        self.work.say(|| format!("innovations: {done} tests"));
     }
 }
 
-impl Sink for Looking<'_> {
-    type Error = SplitError;
+impl Sink for Looking<'_, '_> {
+    type Error = Unavailable;
 
-    fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), SplitError> {
+    fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), Unavailable> {
+        if self.work.is_stopped() {
+            return Err(Unavailable::Interrupted);
+        }
         let split = tests.into_iter().map(|test| self.model.split(test, labels));
-        let tests: Vec<PhasedTest> = split.collect::<Result<_, _>>()?;
+        let tests: Vec<PhasedTest> = split.collect::<Result<_, _>>().map_err(Unavailable::Split)?;
         self.look(&tests);
         Ok(())
     }
@@ -263,20 +279,20 @@ impl Sink for Looking<'_> {
 /// Tests looked at together: their series of innovations are in memory at the same time.
 const BATCH: usize = 1024;
 
-fn all(mut looking: Looking<'_>, kept: Kept, spec: &Spec, inputs: &[Input]) -> Result<Seen, Unavailable> {
+fn all(mut looking: Looking<'_, '_>, kept: Kept, spec: &Spec, inputs: &[Input]) -> Result<Seen, Unavailable> {
     if kept.tests.overflowed {
         again(&mut looking, kept, spec, inputs)?;
     } else {
-        kept.tests.tests.chunks(BATCH).for_each(|tests| looking.look(tests));
+        looking.look_at(&kept.tests.tests)?;
     }
     Ok(looking.seen)
 }
 
 /// Reads the data a second time.
-fn again(looking: &mut Looking<'_>, kept: Kept, spec: &Spec, inputs: &[Input]) -> Result<(), Unavailable> {
+fn again(looking: &mut Looking<'_, '_>, kept: Kept, spec: &Spec, inputs: &[Input]) -> Result<(), Unavailable> {
     let once = inputs.iter().find(|input| match input {
         Input::Path(path) => !std::fs::metadata(path).is_ok_and(|found| found.is_file()),
-        Input::Stdin => false,
+        Input::Stdin | Input::Table(_) => false,
     });
     if let Some(input) = once {
         return Err(Unavailable::OnlyOnce { name: input.name() });
@@ -292,7 +308,7 @@ fn again(looking: &mut Looking<'_>, kept: Kept, spec: &Spec, inputs: &[Input]) -
     match kalfit_data::read_from(&spec.model, &spec.layout, inputs, looking, &mut copy) {
         Ok(_) => Ok(()),
         Err(ReadError::Data(error)) => Err(Unavailable::Unreadable(error)),
-        Err(ReadError::Sink { error, .. }) => Err(Unavailable::Split(error)),
+        Err(ReadError::Sink { error, .. }) => Err(error),
     }
 }
 
@@ -301,6 +317,7 @@ mod tests {
     use kalfit::Source;
 
     use super::*;
+    use crate::work::Unwatched;
 
     fn test(rows: usize) -> PhasedTest {
         let mut test = Test::new("a", 2, 0);
@@ -353,8 +370,9 @@ noise = 1
         let spec = Spec::parse("m.toml", MODEL).unwrap();
         let mut initial = Population { mean: vec![1.0], coefficients: vec![], covariance: Default::default() };
         initial.covariance.resize_mut(1, 1, 1.0);
-        let mut line = Line::new(true);
-        let looking = Looking::new(&spec.model, &Alpha::default(), &initial, &mut line).unwrap();
+        let mut watch = Unwatched;
+        let mut work = Work::new(&mut watch);
+        let looking = Looking::new(&spec.model, &Alpha::default(), &initial, &mut work).unwrap();
         let seen = all(looking, kept, &spec, inputs)?;
         assert_eq!((seen.failed, seen.silent), (None, 0));
         Ok(seen.found.into_iter().map(|one| (one.test, one.log_likelihood)).collect())

@@ -16,8 +16,8 @@ use crate::dynamic::{Data, failure};
 use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::job::TestJob;
-use crate::progress::Line;
 use crate::test as known;
+use crate::work::Work;
 use crate::{reductions, tests};
 
 /// A search that ended below the hypothesis is made again with so many random starts.
@@ -26,12 +26,11 @@ const STARTS: usize = 8;
 /// The method in one place: read, fit both, compare.
 pub(crate) fn test(
     job: &TestJob,
-    spec: &Spec,
-    hypothesis: &Hypothesis,
+    (spec, hypothesis): (&Spec, &Hypothesis),
     given: &Given,
     provenance: RatioProvenance,
+    work: &mut Work<'_>,
 ) -> Result<RatioRecord, Failure> {
-    let mut line = Line::new(job.quiet);
     let null = &hypothesis.model;
     // labels are numbered by the texts that both name
     let (literals, text_columns) = (&null.shared().literals, &null.shared().text_columns);
@@ -39,7 +38,7 @@ pub(crate) fn test(
         let (literals, text_columns) = (literals.clone(), text_columns.clone());
         Model { literals, text_columns, ..model }
     });
-    let (tests, reading) = tests::read_for(spec, null, given, &mut line)?;
+    let (tests, reading) = tests::read_for(spec, null, given, work)?;
     let slots = [Slots::in_phases(null, &reading.labels, &tests), Slots::in_phases(&wide, &reading.labels, &tests)];
     restricted((null, &slots[0]), (&wide, &slots[1]), &tests)
         .map_err(|error| Failure::DynamicRatio(DynamicRatioError::Parameter(error)))?;
@@ -47,18 +46,19 @@ pub(crate) fn test(
         // every level of the data has a value after all
         let alpha = slots[1].alpha(wide.shared(), &[]);
         let reductions = reductions::of(&wide, &alpha, &tests, &reading)?;
-        return known::test(job, (spec, hypothesis), (&alpha, &reductions), provenance, &mut line);
+        return known::known(job, (spec, hypothesis), (&alpha, &reductions), provenance, work);
     }
     let settings = Settings { method: Method::Hybrid, inner: job.settings.clone(), starts: 0, seed: 1 };
     let bench = Bench { wide: &wide, null, tests: &tests, reading: &reading, settings };
-    let narrow = bench.fit(null, &mut line)?;
-    let full = bench.at_least(bench.fit(&wide, &mut line)?, &narrow, &mut line)?;
+    let narrow = bench.fit(null, work)?;
+    let full = bench.at_least(bench.fit(&wide, work)?, &narrow, work)?;
     let ratio = bench.ratio((null, &narrow), &full)?;
-    let parts = bench.parts(&full, &mut line)?;
+    let parts = bench.parts(&full, work)?;
+    work.go_on()?;
     let drawn = match job.bootstrap {
         None => None,
         Some(asked) => {
-            line.say(|| "drawing ensembles from the hypothesis".to_owned());
+            work.say(|| "drawing ensembles from the hypothesis".to_owned());
             let data = (&reading.labels, &tests[..]);
             let asked_of = (ratio.statistic, asked);
             let found =
@@ -96,12 +96,13 @@ struct Bench<'a> {
 }
 
 impl Bench<'_> {
-    fn fit_with(&self, model: &PhasedModel, settings: &Settings, line: &mut Line) -> Result<DynamicFit, Failure> {
-        Data { model, tests: self.tests, reading: self.reading }.fit(settings, line)
+    fn fit_with(&self, model: &PhasedModel, settings: &Settings, work: &mut Work<'_>) -> Result<DynamicFit, Failure> {
+        work.go_on()?;
+        Data { model, tests: self.tests, reading: self.reading }.fit(settings, work)
     }
 
-    fn fit(&self, model: &PhasedModel, line: &mut Line) -> Result<DynamicFit, Failure> {
-        self.fit_with(model, &self.settings, line)
+    fn fit(&self, model: &PhasedModel, work: &mut Work<'_>) -> Result<DynamicFit, Failure> {
+        self.fit_with(model, &self.settings, work)
     }
 
     fn infer(&self, model: &PhasedModel, fit: &DynamicFit) -> Result<(Inference, Vec<ParameterInference>), Failure> {
@@ -110,13 +111,13 @@ impl Bench<'_> {
     }
 
     /// The model fitted again, from the hypothesis and from elsewhere, when the hypothesis has the higher likelihood.
-    fn at_least(&self, full: DynamicFit, narrow: &DynamicFit, line: &mut Line) -> Result<DynamicFit, Failure> {
+    fn at_least(&self, full: DynamicFit, narrow: &DynamicFit, work: &mut Work<'_>) -> Result<DynamicFit, Failure> {
         let (found, least) = (full.estimate.log_likelihood, narrow.estimate.log_likelihood);
         if found >= least - 1e-9 * least.abs().max(1.0) {
             return Ok(full);
         }
         let settings = Settings { starts: STARTS, ..self.settings.clone() };
-        let again = self.fit_with(&started(self.wide, (self.null, narrow)), &settings, line)?;
+        let again = self.fit_with(&started(self.wide, (self.null, narrow)), &settings, work)?;
         Ok(if again.estimate.log_likelihood > found { again } else { full })
     }
 
@@ -125,7 +126,7 @@ impl Bench<'_> {
     }
 
     /// A hypothesis on more than one of μ, Σ and α, each by itself.
-    fn parts(&self, full: &DynamicFit, line: &mut Line) -> Result<Vec<PartRecord>, Failure> {
+    fn parts(&self, full: &DynamicFit, work: &mut Work<'_>) -> Result<Vec<PartRecord>, Failure> {
         let (wide, null) = (self.wide, self.null);
         let parts = [
             ("mean", with_mean(wide, null)),
@@ -139,7 +140,7 @@ impl Bench<'_> {
         }
         let mut parts = Vec::new();
         for (what, model) in alone {
-            let fit = self.fit(&model, line)?;
+            let fit = self.fit(&model, work)?;
             match self.ratio((&model, &fit), full) {
                 Ok(ratio) => parts.push(PartRecord::dynamic(what, &fit, &ratio)),
                 Err(Failure::DynamicRatio(DynamicRatioError::Structure(NotNested::Same))) => {}

@@ -5,8 +5,18 @@ use kalfit::{Evidence, Labels, Test};
 use kalfit_data::WriteError;
 use kalfit_data::exchange::{Entry, EstimatesWriter};
 
-use crate::exchange::{Maker, Refused, Setting, Sunk};
+use crate::exchange::{self, Maker, Refused, Setting, Sunk};
 use crate::failure::Failure;
+use crate::job::{Done, ExchangeJob, Exchanged};
+use crate::work::Watch;
+
+/// Runs the `[filter]` of each phase and writes its estimates with the errors they make.
+///
+/// # Errors
+/// Bad input, or [`Failure::Interrupted`].
+pub fn estimates(job: &ExchangeJob, watch: &mut dyn Watch) -> Result<Done<Exchanged>, Failure> {
+    exchange::run::<Filters>(job, watch)
+}
 
 /// Makes estimates: the runner of each phase that has a filter.
 pub(crate) struct Filters(Vec<Result<FilterRunner, String>>);

@@ -10,24 +10,24 @@ use kalfit_spec::Spec;
 
 use crate::evidence::Given;
 use crate::failure::Failure;
+use crate::fit::{patience, record, refuse_idle};
 use crate::innovations;
 use crate::job::FitJob;
-use crate::progress::Line;
-use crate::{fit, lost, reductions, tests};
+use crate::work::Work;
+use crate::{lost, reductions, tests};
 
 /// Every method, the one that the results are of first.
 const ALL: [Method; 3] = [Method::Hybrid, Method::Innovations, Method::Em];
 
 /// The method in one place: read, fit, infer, record.
-pub(crate) fn fit(job: &FitJob, spec: &Spec, given: &Given) -> Result<FitRecord, Failure> {
-    let mut line = Line::new(job.quiet);
+pub(crate) fn fit(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>) -> Result<FitRecord, Failure> {
     let (model, shared) = (&spec.model, spec.model.shared());
-    let (tests, reading) = tests::read(spec, given, &mut line)?;
+    let (tests, reading) = tests::read(spec, given, work)?;
     let slots = Slots::in_phases(model, &reading.labels, &tests);
     let notes = level_notes(shared, &LevelCounts::all(shared, &reading.labels, &tests));
     if slots.is_empty() {
         let alpha = slots.alpha(shared, &[]);
-        let mut record = known(job, spec, given, (&alpha, &tests, &reading), &mut line)?;
+        let mut record = known(job, spec, given, (&alpha, &tests, &reading), work)?;
         record.notes.extend(notes);
         return Ok(record);
     }
@@ -36,21 +36,24 @@ pub(crate) fn fit(job: &FitJob, spec: &Spec, given: &Given) -> Result<FitRecord,
     let mut ends = Vec::new();
     let mut first = None;
     for method in methods {
-        let began = line.seconds();
-        let fit = data.fit(&Settings { method, ..job.search.clone() }, &mut line)?;
-        ends.push(MethodRecord::new(&fit, line.seconds() - began));
+        if work.is_stopped() && first.is_some() {
+            break;
+        }
+        let began = work.seconds();
+        let fit = data.fit(&Settings { method, ..job.search.clone() }, work)?;
+        ends.push(MethodRecord::new(&fit, work.seconds() - began));
         first = first.or(Some(fit));
     }
     let fit = first.expect("there is at least one method");
-    line.say(|| "standard errors and intervals".to_owned());
+    work.say(|| "standard errors and intervals".to_owned());
     let (inference, parameters) =
-        dynamic::infer(model, &tests, &fit, job.choices).map_err(|error| failure(error, &reading))?;
+        dynamic::infer(model, &tests, &fit, patience(job.choices, work)).map_err(|error| failure(error, &reading))?;
     let parts =
         DynamicParts { model, labels: &reading.labels, fit: &fit, inference: &inference, parameters: &parameters };
     let provenance = Provenance {
         model_digest: Some(spec.digest.clone()),
         files: given.names(),
-        seconds: line.seconds(),
+        seconds: work.seconds(),
         of_estimates: given.is_of_estimates(model),
     };
     let mut record = FitRecord::dynamic(&parts, provenance);
@@ -62,8 +65,8 @@ pub(crate) fn fit(job: &FitJob, spec: &Spec, given: &Given) -> Result<FitRecord,
     }
     if job.innovations {
         let at = (model, &fit.alpha, &population);
-        innovations::add_of(&mut record, at, &tests, &mut line);
-        record.solver.seconds = line.seconds();
+        innovations::add_of(&mut record, at, &tests, work);
+        record.solver.seconds = work.seconds();
     }
     Ok(record)
 }
@@ -74,15 +77,15 @@ pub(crate) fn known(
     spec: &Spec,
     given: &Given,
     (alpha, tests, reading): (&Alpha, &[PhasedTest], &Reading),
-    line: &mut Line,
+    work: &mut Work<'_>,
 ) -> Result<FitRecord, Failure> {
-    fit::refuse_idle(job)?;
+    refuse_idle(job)?;
     let reductions = reductions::of(&spec.model, alpha, tests, reading)?;
-    let (mut record, population) = fit::record(job, spec, given, (alpha, &reductions), line)?;
+    let (mut record, population) = record(job, spec, given, (alpha, &reductions), work)?;
     lost::add(&mut record, (&spec.model, alpha, &population), &reductions, (tests, reading));
     if job.innovations {
-        innovations::add_of(&mut record, (&spec.model, alpha, &population), tests, line);
-        record.solver.seconds = line.seconds();
+        innovations::add_of(&mut record, (&spec.model, alpha, &population), tests, work);
+        record.solver.seconds = work.seconds();
     }
     Ok(record)
 }
@@ -99,8 +102,8 @@ impl Data<'_> {
         &self.reading.labels
     }
 
-    pub(crate) fn fit(&self, settings: &Settings, line: &mut Line) -> Result<DynamicFit, Failure> {
-        dynamic::fit(self.model, self.labels(), self.tests, settings, line)
+    pub(crate) fn fit(&self, settings: &Settings, work: &mut Work<'_>) -> Result<DynamicFit, Failure> {
+        dynamic::fit(self.model, self.labels(), self.tests, settings, work)
             .map_err(|error| failure(error, self.reading))
     }
 }

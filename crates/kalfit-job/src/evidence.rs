@@ -10,12 +10,13 @@ use kalfit_data::exchange::{
     Assembly, Entry, ExchangeError, Metadata, ParameterValue, Sorted, Source, difference, merge, read_estimates,
     read_reductions, sort,
 };
-use kalfit_data::{DataError, Input, ReadError, Reading, Sink};
+use kalfit_data::{DataError, Datum, Input, Reading, Sink};
 use kalfit_spec::Spec;
 
 use crate::failure::Failure;
-use crate::progress::Line;
+use crate::refused::{self, Refused};
 use crate::truth::TruthError;
+use crate::work::Work;
 
 /// The inputs of a command, told apart.
 pub(crate) struct Given {
@@ -36,9 +37,9 @@ impl Given {
     ///
     /// # Errors
     /// Inputs that cannot be opened, reductions of another model, other values of parameters than the model's.
-    pub(crate) fn open(spec: &mut Spec, args: &[String]) -> Result<Given, Failure> {
-        let inputs = Input::expand(args).map_err(|error| Failure::data(error, spec))?;
-        let sorted = sort(&inputs, Box::new(std::io::stdin().lock())).map_err(|error| Failure::data(error, spec))?;
+    pub(crate) fn open(spec: &mut Spec, data: &[Datum]) -> Result<Given, Failure> {
+        let inputs = Input::expand(data).map_err(|error| Failure::data(error, spec))?;
+        let sorted = sort(&inputs, stdin(&inputs)).map_err(|error| Failure::data(error, spec))?;
         let Sorted { rows, reductions, estimates, files, stdin, .. } = sorted;
         let stdin = RefCell::new(Some(stdin));
         let mut given = Given { inputs, rows, reductions, estimates, files, stdin, notes: Vec::new() };
@@ -49,7 +50,7 @@ impl Given {
     /// Inputs that are read as rows, whatever they hold.
     pub(crate) fn rows_of(inputs: Vec<Input>) -> Given {
         let (rows, files) = (inputs.clone(), inputs.iter().map(Input::name).collect());
-        let stdin: Box<dyn Read> = Box::new(std::io::stdin().lock());
+        let stdin = stdin(&inputs);
         let (reductions, estimates, notes) = (Vec::new(), Vec::new(), Vec::new());
         Given { inputs, rows, reductions, estimates, files, stdin: RefCell::new(Some(stdin)), notes }
     }
@@ -113,9 +114,9 @@ impl Given {
         &self,
         spec: &Spec,
         model: &PhasedModel,
-        line: &mut Line,
+        work: &mut Work<'_>,
     ) -> Result<(Vec<Entry>, Reading), Failure> {
-        let (assembly, reading) = self.assembly(spec, model, line)?;
+        let (assembly, reading) = self.assembly(spec, model, work)?;
         Ok((assembly.into_entries(), reading))
     }
 
@@ -124,9 +125,9 @@ impl Given {
         &self,
         spec: &Spec,
         model: &PhasedModel,
-        line: &mut Line,
+        work: &mut Work<'_>,
     ) -> Result<(Vec<PhasedTest>, Reading), Failure> {
-        let (assembly, mut reading) = self.assembly(spec, model, line)?;
+        let (assembly, mut reading) = self.assembly(spec, model, work)?;
         let tests = assembly.finish().map_err(|error| Failure::data(error, spec))?;
         reading.tests = tests.len();
         Ok((tests, reading))
@@ -136,17 +137,17 @@ impl Given {
         &'a self,
         spec: &Spec,
         model: &'a PhasedModel,
-        line: &mut Line,
+        work: &mut Work<'_>,
     ) -> Result<(Assembly<'a>, Reading), Failure> {
         let refused = |error: DataError| Failure::data(error, spec);
-        let (rows, mut reading) = self.rows(spec, model, line)?;
+        let (rows, mut reading) = self.rows(spec, model, work)?;
         reading.files = self.files.clone();
         let mut assembly = Assembly::new(model, &self.files);
         rows.into_iter().try_for_each(|entry| assembly.add(entry)).map_err(refused)?;
         let mut done = 0;
         let mut add = |entry: Entry| {
             done += 1;
-            line.say(|| format!("reading: {done} phases of tests"));
+            work.say(|| format!("reading: {done} phases of tests"));
             assembly.add(entry)
         };
         for source in &self.reductions {
@@ -158,19 +159,21 @@ impl Given {
         Ok((assembly, reading))
     }
 
-    fn rows(&self, spec: &Spec, model: &PhasedModel, line: &mut Line) -> Result<(Vec<Entry>, Reading), Failure> {
+    fn rows(&self, spec: &Spec, model: &PhasedModel, work: &mut Work<'_>) -> Result<(Vec<Entry>, Reading), Failure> {
         if self.rows.is_empty() {
             let labels = Labels::new(&model.shared().literals);
             return Ok((Vec::new(), Reading { labels, ..Reading::default() }));
         }
-        let mut sink = Rows { model, entries: Vec::new(), line };
+        let mut sink = Rows { model, entries: Vec::new(), work };
         let reading = kalfit_data::read_from(model, &spec.layout, &self.rows, &mut sink, &mut self.stdin());
-        let reading = reading.map_err(|error| match error {
-            ReadError::Data(error) => Failure::data(error, spec),
-            ReadError::Sink { error, reading } => Failure::Split { error, reading },
-        })?;
+        let reading = reading.map_err(|error| refused::failure(error, spec))?;
         Ok((sink.entries, reading))
     }
+}
+
+/// Standard input where it is read, and nothing elsewhere: others may be reading it.
+pub(crate) fn stdin(inputs: &[Input]) -> Box<dyn Read> {
+    if inputs.contains(&Input::Stdin) { Box::new(std::io::stdin().lock()) } else { Box::new(std::io::empty()) }
 }
 
 /// Rows by phase.
@@ -187,19 +190,20 @@ pub(crate) fn entries(model: &PhasedModel, tests: Vec<Test>, labels: &Labels) ->
     Ok(entries)
 }
 
-struct Rows<'a> {
+struct Rows<'a, 'w> {
     model: &'a PhasedModel,
     entries: Vec<Entry>,
-    line: &'a mut Line,
+    work: &'a mut Work<'w>,
 }
 
-impl Sink for Rows<'_> {
-    type Error = SplitError;
+impl Sink for Rows<'_, '_> {
+    type Error = Refused;
 
-    fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), SplitError> {
-        self.entries.extend(entries(self.model, tests, labels)?);
+    fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), Refused> {
+        Refused::unless_stopped(self.work)?;
+        self.entries.extend(entries(self.model, tests, labels).map_err(Refused::Split)?);
         let done = self.entries.len();
-        self.line.say(|| format!("reading: {done} phases of tests"));
+        self.work.say(|| format!("reading: {done} phases of tests"));
         Ok(())
     }
 

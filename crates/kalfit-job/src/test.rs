@@ -1,86 +1,92 @@
 //! `kalfit test`: a hypothesis within a model.
 
-use std::path::Path;
-
 use kalfit::estimate::{Estimate, Progress, Structure};
 use kalfit::infer::{NotNested, at_least, bootstrap, fit_null, likelihood_ratio};
 use kalfit::model::{Level, Parameter};
 use kalfit::record::{PartRecord, RatioProvenance, RatioRecord};
 use kalfit::{Alpha, PhasedModel, Reduction, estimate};
-use kalfit_data::Input;
-use kalfit_report::ratio_summary;
 use kalfit_spec::{Hypothesis, HypothesisError, Spec};
 
 use crate::evidence::Given;
 use crate::failure::Failure;
-use crate::job::{Outcome, TestJob};
+use crate::job::{Done, TestJob, files};
 use crate::output::Output;
-use crate::progress::Line;
 use crate::ratio::{self, with_covariance, with_mean};
-use crate::{model, reductions, terminal};
+use crate::work::{Watch, Work};
+use crate::{model, reductions};
 
-pub(crate) fn run(job: &TestJob) -> Result<Outcome, Failure> {
+/// Tests a hypothesis within a model.
+///
+/// # Errors
+/// Bad input, or [`Failure::Interrupted`].
+pub fn test(job: &TestJob, watch: &mut dyn Watch) -> Result<Done<RatioRecord>, Failure> {
+    let mut work = Work::new(watch);
     let mut spec = model::load(&job.model)?;
     let given = Given::open(&mut spec, &job.data)?;
     let hypothesis = hypothesis(&spec, job)?;
-    let output = job.out.as_deref().map(|path| Output::prepare(path, &files(job, &given.inputs))).transpose()?;
-    let record = read_and_test(job, &spec, &hypothesis, &given)?;
+    let output = job
+        .out
+        .as_deref()
+        .map(|path| Output::prepare(path, &files(&[&job.model.document, &job.null], &given.inputs)))
+        .transpose()?;
+    let record = read_and_test(job, &spec, &hypothesis, &given, &mut work)?;
+    work.go_on()?;
     if let Some(output) = &output {
         output.write(&record)?;
     }
-    if !job.quiet {
-        terminal::warn(&given.notes);
-        terminal::print(&ratio_summary(&record, &terminal::style())).map_err(Failure::Stdout)?;
-        if let Some(output) = &output {
-            terminal::complain(&format!("Wrote {}\n", output.name()));
-        }
-    }
-    Ok(if record.converged { Outcome::Done } else { Outcome::NotCertified })
+    Ok(Done { record, notes: given.notes, written: output.map(|output| output.name()) })
 }
 
 fn hypothesis(spec: &Spec, job: &TestJob) -> Result<Hypothesis, Failure> {
-    let text = Spec::read_text(&job.null).map_err(|error| Failure::model(error, &job.null, None))?;
+    let text = model::text(&job.null)?;
     spec.under(&text).map_err(|error| match error {
-        HypothesisError::Hypothesis(error) => Failure::model(error, &job.null, Some(text)),
-        HypothesisError::Model(error) => Failure::model(error, &job.model.path, Some(spec.text.clone())),
+        HypothesisError::Hypothesis(error) => Failure::model(error, &job.null.name(), Some(text)),
+        HypothesisError::Model(error) => Failure::model(error, &spec.name, Some(spec.text.clone())),
     })
 }
 
 /// Which way it goes: with known parameters tests are forgotten once they are reduced.
-fn read_and_test(job: &TestJob, spec: &Spec, hypothesis: &Hypothesis, given: &Given) -> Result<RatioRecord, Failure> {
+fn read_and_test(
+    job: &TestJob,
+    spec: &Spec,
+    hypothesis: &Hypothesis,
+    given: &Given,
+    work: &mut Work<'_>,
+) -> Result<RatioRecord, Failure> {
     let provenance = RatioProvenance {
         title: spec.model.shared().title.clone(),
-        hypothesis: hypothesis.title.clone().unwrap_or_else(|| job.null.display().to_string()),
+        hypothesis: hypothesis.title.clone().unwrap_or_else(|| job.null.name()),
         model_digest: Some(spec.digest.clone()),
         null_digest: Some(hypothesis.digest.clone()),
         files: given.names(),
     };
     if model::has_free(spec.model.shared()) {
-        return ratio::test(job, spec, hypothesis, given, provenance);
+        return ratio::test(job, (spec, hypothesis), given, provenance, work);
     }
-    let mut line = Line::new(job.quiet);
     let alpha = model::alpha(spec);
     same_parameters(hypothesis, &alpha)?;
-    let reductions = reductions::reduce(spec, &alpha, given, &mut line, &mut |_| ())?;
-    test(job, (spec, hypothesis), (&alpha, &reductions), provenance, &mut line)
+    let reductions = reductions::reduce(spec, &alpha, given, work, &mut |_| ())?;
+    known(job, (spec, hypothesis), (&alpha, &reductions), provenance, work)
 }
 
 /// The method in one place: fit both, compare.
-pub(crate) fn test(
+pub(crate) fn known(
     job: &TestJob,
     (spec, hypothesis): (&Spec, &Hypothesis),
     (alpha, reductions): (&Alpha, &[Reduction]),
     provenance: RatioProvenance,
-    line: &mut Line,
+    work: &mut Work<'_>,
 ) -> Result<RatioRecord, Failure> {
     let bench = Bench { job, model: &spec.model, null: &hypothesis.model, alpha, reductions };
     let wide =
-        estimate::fit(reductions, &Structure::of(&spec.model, alpha), &job.settings, line).map_err(Failure::Fit)?;
-    let null = bench.fit(&hypothesis.model, line)?;
+        estimate::fit(reductions, &Structure::of(&spec.model, alpha), &job.settings, work).map_err(Failure::Fit)?;
+    let null = bench.fit(&hypothesis.model, work)?;
     let wide = at_least(wide, &null, reductions).map_err(Failure::Fit)?;
     let ratio = likelihood_ratio(&null, &wide).map_err(Failure::NotNested)?;
-    let parts = bench.parts(&wide, line)?;
-    line.say(|| "drawing ensembles from the hypothesis".to_owned());
+    work.go_on()?;
+    let parts = bench.parts(&wide, work)?;
+    work.go_on()?;
+    work.say(|| "drawing ensembles from the hypothesis".to_owned());
     let drawn = job.bootstrap.map(|b| (b, bootstrap(&null, &wide, reductions, ratio.statistic, b)));
     let drawn = drawn.as_ref().map(|(b, found)| (*b, found));
     Ok(RatioRecord::new(&spec.model, reductions, (&null, &wide), &ratio, drawn, parts, provenance))
@@ -134,12 +140,4 @@ fn same_parameters(hypothesis: &Hypothesis, alpha: &Alpha) -> Result<(), Failure
         None => Ok(()),
         Some((parameter, _)) => Err(Failure::HypothesisParameter { name: parameter.name.clone() }),
     }
-}
-
-fn files<'a>(job: &'a TestJob, inputs: &'a [Input]) -> Vec<&'a Path> {
-    let data = inputs.iter().filter_map(|input| match input {
-        Input::Path(path) => Some(path.as_path()),
-        Input::Stdin => None,
-    });
-    [job.model.path.as_path(), job.null.as_path()].into_iter().chain(data).collect()
 }

@@ -1,7 +1,6 @@
 //! `--from`: the population and the parameters that are taken as true, from a fit or from a model file.
 
 use std::collections::{BTreeSet, HashMap};
-use std::io::Read;
 use std::path::Path;
 
 use kalfit::model::{Level, ParameterError, PopulationError, Value};
@@ -10,6 +9,7 @@ use kalfit::{Alpha, FitRecord, Population};
 use kalfit_spec::{Spec, SpecError};
 use serde::Deserialize;
 
+use crate::document::Document;
 use crate::failure::Failure;
 use crate::model;
 
@@ -29,29 +29,88 @@ pub(crate) struct Truth {
 
 /// Why nothing can be taken as true.
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum TruthError {
+#[non_exhaustive]
+pub enum TruthError {
+    /// It cannot be read.
     #[error("cannot read `{path}`: {reason}")]
-    Unreadable { path: String, reason: String },
+    Unreadable {
+        /// The file.
+        path: String,
+        /// What is wrong.
+        reason: String,
+    },
+    /// It is too large to be read.
     #[error("`{path}` has {found} bytes, expected at most {limit}")]
-    TooLarge { path: String, found: u64, limit: u64 },
+    TooLarge {
+        /// The file.
+        path: String,
+        /// What is there.
+        found: u64,
+        /// The most that is read.
+        limit: u64,
+    },
+    /// It is no result of a fit.
     #[error("`{path}` is not a result of `kalfit fit`: {reason}")]
-    NotARecord { path: String, reason: String },
+    NotARecord {
+        /// The file.
+        path: String,
+        /// What is wrong.
+        reason: String,
+    },
+    /// A result of a fit that does not go with the model.
     #[error("`{path}`: {error}")]
-    Record { path: String, error: RecordError },
+    Record {
+        /// The file.
+        path: String,
+        /// What is wrong.
+        error: RecordError,
+    },
+    /// Its population is not one of the model.
     #[error("`{path}`: {error}")]
-    Population { path: String, error: PopulationError },
+    Population {
+        /// The file.
+        path: String,
+        /// What is wrong.
+        error: PopulationError,
+    },
+    /// It has a parameter that the model lacks.
     #[error("`{path}` has the parameter `{name}`, which the model does not have")]
-    UnknownParameter { path: String, name: String },
+    UnknownParameter {
+        /// The file.
+        path: String,
+        /// Name of the parameter.
+        name: String,
+    },
+    /// A parameter has levels of another column.
     #[error(
         "`{path}` has parameter `{name}` {}, expected it {} as in the model",
         per_words(found),
         per_words(expected)
     )]
-    Per { path: String, name: String, found: Option<String>, expected: Option<String> },
+    Per {
+        /// The file.
+        path: String,
+        /// Name of the parameter.
+        name: String,
+        /// What is there.
+        found: Option<String>,
+        /// What the model has.
+        expected: Option<String>,
+    },
+    /// A value that a parameter cannot have.
     #[error("`{path}`: {error}")]
-    Value { path: String, error: Box<SpecError> },
+    Value {
+        /// The file.
+        path: String,
+        /// What is wrong.
+        error: Box<SpecError>,
+    },
+    /// Parameters without a value.
     #[error("no value is given for {}", names.iter().map(|n| format!("parameter `{n}`")).collect::<Vec<_>>().join(", "))]
-    NoParameter { names: Vec<String> },
+    NoParameter {
+        /// Their names.
+        names: Vec<String>,
+    },
 }
 
 fn per_words(per: &Option<String>) -> String {
@@ -89,8 +148,8 @@ struct Known {
 }
 
 /// Takes the truth from a file. Free parameters of the model get its values; then `set` is done.
-pub(crate) fn load(spec: &mut Spec, from: &Path, set: &[String]) -> Result<Truth, Failure> {
-    let path = from.display().to_string();
+pub(crate) fn load(spec: &mut Spec, from: &Document, set: &[String]) -> Result<Truth, Failure> {
+    let path = from.name();
     let mut warnings = Vec::new();
     let (population, known) = if is_model(from)? {
         of_model(spec, from, set)?
@@ -112,9 +171,17 @@ pub(crate) fn load(spec: &mut Spec, from: &Path, set: &[String]) -> Result<Truth
     Ok(Truth { population, alpha, taken, warnings })
 }
 
+/// The results of a fit, from their JSON.
+///
+/// # Errors
+/// [`Failure::Truth`] for anything else.
+pub fn fit_record(name: &str, json: &str) -> Result<FitRecord, Failure> {
+    Ok(of_bytes(name.to_owned(), json.as_bytes())?)
+}
+
 /// Gives the model's free parameters the values of a fit; what the user should know.
-pub(crate) fn parameters(spec: &mut Spec, from: &Path) -> Result<Vec<String>, Failure> {
-    let path = from.display().to_string();
+pub(crate) fn parameters(spec: &mut Spec, from: &Document) -> Result<Vec<String>, Failure> {
+    let path = from.name();
     let record = read_record(from)?;
     let known = of_record(spec, &record, &path)?;
     let mut warnings = Vec::new();
@@ -128,42 +195,44 @@ fn assigned(assignment: &str) -> &str {
 }
 
 /// True for a model file: by its extension, else by its first character.
-fn is_model(path: &Path) -> Result<bool, TruthError> {
-    match path.extension().and_then(|extension| extension.to_str()).map(str::to_ascii_lowercase).as_deref() {
+fn is_model(from: &Document) -> Result<bool, TruthError> {
+    match from
+        .path()
+        .and_then(Path::extension)
+        .and_then(|extension| extension.to_str())
+        .map(str::to_ascii_lowercase)
+        .as_deref()
+    {
         Some("toml") => return Ok(true),
         Some("json") => return Ok(false),
         _ => {}
     }
-    let mut start = Vec::new();
-    let unreadable = |error: std::io::Error| unreadable(path, &error);
-    std::fs::File::open(path).map_err(unreadable)?.take(64).read_to_end(&mut start).map_err(unreadable)?;
+    let (start, _) = from.bytes(64).map_err(|error| unreadable(from, &error))?;
     Ok(!start.trim_ascii_start().starts_with(b"{"))
 }
 
-fn unreadable(path: &Path, error: &std::io::Error) -> TruthError {
-    TruthError::Unreadable { path: path.display().to_string(), reason: error.to_string() }
+fn unreadable(from: &Document, error: &std::io::Error) -> TruthError {
+    TruthError::Unreadable { path: from.name(), reason: error.to_string() }
 }
 
-fn read_record(path: &Path) -> Result<FitRecord, TruthError> {
+fn read_record(from: &Document) -> Result<FitRecord, TruthError> {
+    let (bytes, found) = from.bytes(MAX_BYTES + 1).map_err(|error| unreadable(from, &error))?;
+    if found > MAX_BYTES {
+        return Err(TruthError::TooLarge { path: from.name(), found, limit: MAX_BYTES });
+    }
+    of_bytes(from.name(), &bytes)
+}
+
+/// The results of a fit, of any version that is known.
+fn of_bytes(name: String, bytes: &[u8]) -> Result<FitRecord, TruthError> {
     #[derive(Deserialize)]
     struct Head {
         schema: Option<String>,
     }
-    let unreadable = |error: std::io::Error| unreadable(path, &error);
-    let name = path.display().to_string();
-    let file = std::fs::File::open(path).map_err(unreadable)?;
-    let size = file.metadata().map_err(unreadable)?.len();
-    let mut bytes = Vec::new();
-    // The size of a pipe is not known before it is read.
-    file.take(MAX_BYTES + 1).read_to_end(&mut bytes).map_err(unreadable)?;
-    let found = size.max(bytes.len() as u64);
-    if found > MAX_BYTES {
-        return Err(TruthError::TooLarge { path: name, found, limit: MAX_BYTES });
-    }
     let refused = |error: serde_json::Error| TruthError::NotARecord { path: name.clone(), reason: error.to_string() };
-    let head: Head = serde_json::from_slice(&bytes).map_err(refused)?;
+    let head: Head = serde_json::from_slice(bytes).map_err(refused)?;
     match head.schema {
-        Some(schema) if schema == FIT_SCHEMA => serde_json::from_slice(&bytes).map_err(refused),
+        Some(schema) if schema == FIT_SCHEMA => serde_json::from_slice(bytes).map_err(refused),
         Some(found) => {
             Err(TruthError::Record { path: name, error: RecordError::Schema { found, expected: FIT_SCHEMA } })
         }
@@ -172,8 +241,8 @@ fn read_record(path: &Path) -> Result<FitRecord, TruthError> {
 }
 
 /// The population of a model file, in the order of the model, and the values of its parameters.
-fn of_model(spec: &Spec, from: &Path, set: &[String]) -> Result<(Population, Vec<Known>), Failure> {
-    let path = from.display().to_string();
+fn of_model(spec: &Spec, from: &Document, set: &[String]) -> Result<(Population, Vec<Known>), Failure> {
+    let path = from.name();
     let mut truth = model::read(from)?;
     for parameter in truth.model.shared().parameters.clone() {
         if let Value::Free { start: Some(start) } = parameter.value {

@@ -1,25 +1,26 @@
 //! `kalfit fit`.
 
-use std::path::Path;
-
 use kalfit::estimate::{Combination, Criterion, Structure};
-use kalfit::infer::StdErrors;
+use kalfit::infer::{Choices, DeletionChoice, IntervalKind, StdErrors};
 use kalfit::model::Population;
 use kalfit::record::Provenance;
 use kalfit::{Alpha, FitRecord, Reduction, estimate, infer};
-use kalfit_data::Input;
-use kalfit_report::summary;
 use kalfit_spec::Spec;
 
 use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::innovations::{self, Kept};
-use crate::job::{FitJob, Outcome};
+use crate::job::{Done, FitJob, files};
 use crate::output::Output;
-use crate::progress::Line;
-use crate::{dynamic, lost, model, reductions, terminal, tests};
+use crate::work::{Watch, Work};
+use crate::{dynamic, lost, model, reductions, tests};
 
-pub(crate) fn run(job: &FitJob) -> Result<Outcome, Failure> {
+/// Fits a model to data. A search that is [stopped](Watch::stops) ends with the best that it found, and a record that says so,
+/// and writes no file.
+///
+/// # Errors
+/// Bad input, or [`Failure::Interrupted`] before the search began.
+pub fn fit(job: &FitJob, watch: &mut dyn Watch) -> Result<Done<FitRecord>, Failure> {
     if job.settings.criterion == Criterion::Reml && job.choices.std_errors != StdErrors::Observed {
         return Err(Failure::RestrictedErrors); // log|ΣB'WB| is no sum over tests
     }
@@ -32,19 +33,20 @@ pub(crate) fn run(job: &FitJob) -> Result<Outcome, Failure> {
     } else if job.choices.std_errors != StdErrors::Observed {
         return Err(Failure::FreeErrors);
     }
-    let output = job.out.as_deref().map(|path| Output::prepare(path, &files(job, &given.inputs))).transpose()?;
-    let mut record = if free { dynamic::fit(job, &spec, &given)? } else { fit(job, &spec, &given)? };
+    let output = job
+        .out
+        .as_deref()
+        .map(|path| Output::prepare(path, &files(&[&job.model.document], &given.inputs)))
+        .transpose()?;
+    let mut work = Work::new(watch);
+    let mut record =
+        if free { dynamic::fit(job, &spec, &given, &mut work)? } else { known(job, &spec, &given, &mut work)? };
     record.notes.splice(0..0, given.notes);
+    let output = output.filter(|_| !work.is_stopped()); // nobody waits for the file either
     if let Some(output) = &output {
         output.write(&record)?;
     }
-    if !job.quiet {
-        terminal::print(&summary(&record, &terminal::style())).map_err(Failure::Stdout)?;
-        if let Some(output) = &output {
-            terminal::complain(&format!("Wrote {}\n", output.name()));
-        }
-    }
-    Ok(if record.converged { Outcome::Done } else { Outcome::NotCertified })
+    Ok(Done { record, notes: Vec::new(), written: output.map(|output| output.name()) })
 }
 
 /// Other starts of α have no effect when nothing of it is free. The methods are then one and the same, and any may be named.
@@ -62,19 +64,18 @@ fn refuse_one_phase(job: &FitJob, spec: &Spec) -> Result<(), Failure> {
 }
 
 /// The method in one place, with known parameters: reduce, estimate, infer, record.
-fn fit(job: &FitJob, spec: &Spec, given: &Given) -> Result<FitRecord, Failure> {
-    let mut line = Line::new(job.quiet);
+fn known(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>) -> Result<FitRecord, Failure> {
     let alpha = model::alpha(spec);
     if !given.is_rows() || lost::filters_rows(&spec.model) {
-        let (tests, reading) = tests::read(spec, given, &mut line)?;
-        return dynamic::known(job, spec, given, (&alpha, &tests, &reading), &mut line);
+        let (tests, reading) = tests::read(spec, given, work)?;
+        return dynamic::known(job, spec, given, (&alpha, &tests, &reading), work);
     }
     let mut kept = if job.innovations { Kept::of(&given.inputs) } else { Kept::nothing() };
-    let reductions = reductions::reduce_keeping(spec, &alpha, given, &mut line, &mut kept)?;
-    let (mut record, population) = record(job, spec, given, (&alpha, &reductions), &mut line)?;
+    let reductions = reductions::reduce_keeping(spec, &alpha, given, work, &mut kept)?;
+    let (mut record, population) = record(job, spec, given, (&alpha, &reductions), work)?;
     if job.innovations {
-        innovations::add(&mut record, kept, (spec, &alpha, &given.inputs), &population, &mut line);
-        record.solver.seconds = line.seconds();
+        innovations::add(&mut record, kept, (spec, &alpha, &given.inputs), &population, work);
+        record.solver.seconds = work.seconds();
     }
     Ok(record)
 }
@@ -85,25 +86,25 @@ pub(crate) fn record(
     spec: &Spec,
     given: &Given,
     (alpha, reductions): (&Alpha, &[Reduction]),
-    line: &mut Line,
+    work: &mut Work<'_>,
 ) -> Result<(FitRecord, Population), Failure> {
     let structure = Structure::of(&spec.model, alpha);
-    let estimate = estimate::fit(reductions, &structure, &job.settings, line).map_err(Failure::Fit)?;
-    let inference = infer::infer(&estimate, reductions, job.choices);
+    let estimate = estimate::fit(reductions, &structure, &job.settings, work).map_err(Failure::Fit)?;
+    let inference = infer::infer(&estimate, reductions, patience(job.choices, work));
     let provenance = Provenance {
         model_digest: Some(spec.digest.clone()),
         files: given.names(),
-        seconds: line.seconds(),
+        seconds: work.seconds(),
         of_estimates: given.is_of_estimates(&spec.model),
     };
     let record = FitRecord::new(&spec.model, alpha, reductions, &estimate, &inference, provenance);
     Ok((record, Population::from(&estimate)))
 }
 
-fn files<'a>(job: &'a FitJob, inputs: &'a [Input]) -> Vec<&'a Path> {
-    let data = inputs.iter().filter_map(|input| match input {
-        Input::Path(path) => Some(path.as_path()),
-        Input::Stdin => None,
-    });
-    std::iter::once(job.model.path.as_path()).chain(data).collect()
+/// What is asked of the inference: the least of it once nobody waits.
+pub(crate) fn patience(choices: Choices, work: &Work<'_>) -> Choices {
+    if work.is_stopped() {
+        return Choices { intervals: IntervalKind::Wald, deletion: DeletionChoice::None, ..choices };
+    }
+    choices
 }

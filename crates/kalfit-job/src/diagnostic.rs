@@ -5,10 +5,10 @@ use crate::failure::{Failure, Place};
 /// Characters of a source line that are shown, around the place.
 const WIDEST: usize = 100;
 
-/// The whole message, with its line feeds.
-pub(crate) fn render(failure: &Failure, color: bool) -> String {
-    let paint = |code: &str, text: &str| if color { format!("\u{1b}[{code}m{text}\u{1b}[0m") } else { text.to_owned() };
-    let mut text = format!("{}: {}\n", paint("1;31", "error"), clean(&failure.to_string()));
+/// A failure in words, with its line feeds: what is wrong, the line of the file, and a hint. Colours are ANSI escape sequences.
+pub fn render(failure: &Failure, color: bool) -> String {
+    let paint = |code: &str, text: &str| paint(color, code, text);
+    let mut text = render_message(&failure.to_string(), color);
     if let Some(place) = failure.place() {
         let shown = excerpt(&place);
         text.push_str(&format!("  {} {} | {}\n", paint("34", "-->"), shown.at, shown.line));
@@ -18,6 +18,15 @@ pub(crate) fn render(failure: &Failure, color: bool) -> String {
         text.push_str(&format!("\n{}: {}\n", paint("36", "hint"), clean(&hint)));
     }
     text
+}
+
+/// As [`render`], for a message that stands alone.
+pub fn render_message(message: &str, color: bool) -> String {
+    format!("{}: {}\n", paint(color, "1;31", "error"), clean(message))
+}
+
+fn paint(color: bool, code: &str, text: &str) -> String {
+    if color { format!("\u{1b}[{code}m{text}\u{1b}[0m") } else { text.to_owned() }
 }
 
 /// One line of a file with a part of it underlined.
