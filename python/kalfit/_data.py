@@ -50,8 +50,8 @@ def _one(datum: Any, name: str) -> str | tuple[str, Any]:
 class Table:
     """A table that kalfit made, for any library that knows Arrow.
 
-    ``polars.from_arrow(table)``, ``pyarrow.table(table)`` and ``duckdb`` take it as it is, without a copy, and so does any
-    function of kalfit that takes data.
+    ``polars.DataFrame(table)``, ``pyarrow.table(table)`` and DuckDB take it as it is, and so does any function of kalfit that
+    takes data.
     """
 
     __slots__ = ("_table",)
@@ -90,7 +90,7 @@ class Table:
         """The table as a ``polars.DataFrame``."""
         import polars
 
-        return polars.from_arrow(self)
+        return polars.DataFrame(self)
 
     def to_pandas(self) -> Any:
         """The table as a ``pandas.DataFrame``; this takes pyarrow too."""

@@ -244,7 +244,7 @@ def plan(
     >>> import kalfit
     >>> model, data = "examples/gyro-bench/bench.toml", "examples/gyro-bench/bench.csv"
     >>> plan = kalfit.plan(model, kalfit.fit(model, data), data, tests=[10, 20])
-    >>> [entry["tests"] for entry in plan.to_dict()["plans"]]
+    >>> plan.to_dict()["tests"]
     [10, 20]
     """
     counts = [int(count) for count in tests]

@@ -46,8 +46,10 @@ class RatioTest(_Record):
         super().__init__(json_text, notes)
         record = self.to_dict()
         #: Twice the log-likelihood that the hypothesis costs.
-        self.statistic: float = record["statistic"]
-        #: By the large-sample law; None where there is none.
+        self.statistic: float = float(record["lr"])
+        #: Number of constraints.
+        self.degrees_of_freedom: int = record["df"]
+        #: By the large-sample law; None where there is none. That of a bootstrap is in :meth:`to_dict`.
         self.p_value: float | None = record["p_value"]
         #: Whether both fits are certified.
         self.converged: bool = record["converged"]

@@ -1,5 +1,7 @@
 """Fits are those of the command, whatever the data come in."""
 
+from pathlib import Path
+
 import json
 import pickle
 
@@ -65,7 +67,7 @@ def test_tables_of_every_kind_and_files_give_the_same_bits(model, path, tmp_path
 
 
 def test_tests_may_be_split_over_tables_and_files(tmp_path):
-    whole = polars.read_csv(BENCH[1])
+    whole = polars.read_csv(BENCH[1], infer_schema_length=None)
     first, rest = whole.filter(polars.col("unit") <= "g10"), whole.filter(polars.col("unit") > "g10")
     rest.write_csv(tmp_path / "rest.csv")
     fit = kalfit.fit(BENCH[0], [first, tmp_path / "rest.csv"])
@@ -109,7 +111,7 @@ def test_a_fit_of_phases_says_which_to_ask():
 
 
 def test_a_model_is_the_same_from_a_file_a_text_and_a_dictionary():
-    text = open(SLEEP[0], encoding="utf-8").read()
+    text = Path(SLEEP[0]).read_text(encoding="utf-8")
     table = {
         "data": {"test": "Subject"},
         "states": {"intercept": {"unit": "ms"}, "slope": {"unit": "ms/day"}},

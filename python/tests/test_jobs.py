@@ -1,5 +1,7 @@
 """The other commands."""
 
+from pathlib import Path
+
 import json
 
 import pandas
@@ -49,11 +51,11 @@ def test_an_ensemble_is_drawn_as_the_command_draws_it(command, tmp_path):
     fit = kalfit.fit(*BENCH, out=tmp_path / "fit.json")
     arguments = ("simulate", BENCH[0], "--from", str(tmp_path / "fit.json"), "--design", BENCH[1], "--seed", "7")
     path = command(*arguments, "--tests", "40", "--truth", str(tmp_path / "truth.csv"), out="drawn.csv")
-    drawn = kalfit.simulate(BENCH[0], fit, polars.read_csv(BENCH[1]), seed=7, tests=40)
+    drawn = kalfit.simulate(BENCH[0], fit, polars.read_csv(BENCH[1], infer_schema_length=None), seed=7, tests=40)
     assert (drawn.tests, len(drawn.data), len(drawn.states)) == (40, drawn.rows, 40)
     assert drawn.data.to_pandas().equals(pandas.read_csv(path))
     assert drawn.states.to_pandas().equals(pandas.read_csv(tmp_path / "truth.csv"))
-    assert polars.from_arrow(drawn.data).columns == drawn.data.columns
+    assert drawn.data.to_polars().columns == drawn.data.columns
     assert kalfit.fit(BENCH[0], drawn.data).log_likelihood == kalfit.fit(BENCH[0], path).log_likelihood
     written = kalfit.simulate(BENCH[0], fit, BENCH[1], seed=7, out=tmp_path / "w.csv", truth=tmp_path / "t.csv", tests=40)
     assert written.data is None and (tmp_path / "w.csv").read_text() == path.read_text()
@@ -78,7 +80,7 @@ def test_reductions_stand_in_for_data_in_memory_and_in_files(example, command, t
 
 
 def test_reductions_of_another_model_are_refused():
-    other = open(BENCH[0], encoding="utf-8").read().replace("time_constant = ", "time_constant = 2 * ")
+    other = Path(BENCH[0]).read_text(encoding="utf-8").replace("time_constant = ", "time_constant = 2 * ")
     with pytest.raises(kalfit.DataError, match="made with another model|digest"):
         kalfit.fit(kalfit.Model.from_text(other.replace('2 * "tau"', '"2 * tau"')), kalfit.reduce(*BENCH))
 

@@ -1,5 +1,7 @@
 """The part of `kalfit.spark` that runs on executors, without Spark; and a frame that stands in for Spark's."""
 
+from pathlib import Path
+
 import pandas
 import pytest
 
@@ -57,7 +59,7 @@ def test_what_spark_cannot_know_is_asked_for():
 def test_reductions_of_different_models_do_not_mix():
     rows = pandas.read_csv(BENCH[1])
     one = kalfit.spark.reduce(BENCH[0], Frame(rows[rows.unit == "g01"])).toPandas()
-    text = open(BENCH[0], encoding="utf-8").read() + "\n# another\n"
+    text = Path(BENCH[0]).read_text(encoding="utf-8") + "\n# another\n"
     other = kalfit.spark.reduce(kalfit.Model.from_text(text), Frame(rows[rows.unit == "g02"])).toPandas()
     with pytest.raises(kalfit.DataError, match="differ in kalfit.model_digest"):
         kalfit.spark.fit(BENCH[0], Frame(pandas.concat([one, other])))
