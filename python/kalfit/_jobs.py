@@ -181,9 +181,8 @@ def test(
         _model(model, set),
         as_data(data),
         hypothesis,
-        None if bootstrap is None else (bootstrap, seed),
+        (None if bootstrap is None else (bootstrap, seed), tolerance, max_iterations),
         _file(out),
-        (tolerance, max_iterations),
         _how(threads, progress),
     )
     return RatioTest(made, notes)

@@ -42,9 +42,8 @@ def test(
     model: _Model,
     given: _Data,
     null: _Text,
-    bootstrap: tuple[int, int] | None,
+    options: tuple[tuple[int, int] | None, float | None, int | None],
     out: _Path | None,
-    search: tuple[float | None, int | None],
     how: _How,
 ) -> tuple[str, list[str]]: ...
 def plan(

@@ -53,11 +53,14 @@ pub fn simulate(job: &SimulateJob, watch: &mut dyn Watch) -> Result<Done<Simulat
     Ok(Done { record, notes: truth.warnings, written: output.name() })
 }
 
+/// Ids of tests and their true initial states.
+type Initial = Vec<(String, Vec<f64>)>;
+
 /// What was written.
 struct Written {
     rows: u64,
     table: Option<File>,
-    initial: Vec<(String, Vec<f64>)>,
+    initial: Initial,
 }
 
 /// All that a drawn file depends on.
@@ -92,7 +95,7 @@ impl Task<'_> {
     fn fill(
         &self,
         (data, format): (&Pending<'_>, Format),
-        (states, mut keep): (Option<&Pending<'_>>, Option<&mut Vec<(String, Vec<f64>)>>),
+        (states, mut keep): (Option<&Pending<'_>>, Option<&mut Initial>),
         work: &mut Work<'_>,
     ) -> Result<u64, Failure> {
         let spec = self.spec;

@@ -48,6 +48,9 @@ pub(crate) fn check(
     Ok((written(&done.record)?, summary, done.notes))
 }
 
+/// (replicates and seed of a bootstrap, tolerance, most passes).
+type TestOptions = (Option<(u32, u64)>, Option<f64>, Option<u32>);
+
 /// (JSON of the test, notes).
 #[pyfunction]
 pub(crate) fn test(
@@ -55,18 +58,18 @@ pub(crate) fn test(
     model: Asked,
     given: Vec<Given<'_>>,
     null: Text,
-    bootstrap: Option<(u32, u64)>,
+    options: TestOptions,
     out: Option<PathBuf>,
-    search: (Option<f64>, Option<u32>),
     how: How<'_>,
 ) -> PyResult<(String, Vec<String>)> {
+    let (bootstrap, tolerance, passes) = options;
     let job = TestJob {
         model: model.into(),
         data: data(given)?,
         null: null.into(),
         bootstrap: bootstrap.map(|(replicates, seed)| Bootstrap { replicates: replicates as usize, seed }),
         out,
-        settings: settings(Solver::Newton, search.0, search.1)?,
+        settings: settings(Solver::Newton, tolerance, passes)?,
     };
     let done = whole(run(py, how, move |watch| kalfit_job::test(&job, watch))?)?;
     Ok((written(&done.record)?, done.notes))

@@ -18,11 +18,11 @@ fn schema() -> SchemaRef {
 fn batch(ids: &[&str], values: &[Option<f64>]) -> RecordBatch {
     let columns: [ArrayRef; 2] =
         [Arc::new(StringArray::from(ids.to_vec())), Arc::new(Float64Array::from(values.to_vec()))];
-    RecordBatch::try_new(schema(), columns.to_vec()).unwrap()
+    RecordBatch::try_new(schema(), columns.to_vec()).expect("the columns are those of the schema")
 }
 
 fn table(name: &str, batches: Vec<RecordBatch>) -> MemoryTable {
-    MemoryTable::new(name.to_owned(), schema(), batches).unwrap()
+    MemoryTable::new(name.to_owned(), schema(), batches).expect("the batches have the schema")
 }
 
 fn by(column: &str) -> Layout {
