@@ -1,5 +1,7 @@
 //! Texts in the place of files, and tables that are handed back.
 
+#![expect(clippy::unwrap_used, reason = "a test that cannot be set up must fail")]
+
 use std::io::{Read, Seek, SeekFrom};
 
 use kalfit_job::{Document, ExchangeJob, FitJob, ModelJob, SimulateJob, Unwatched, fit_record};
