@@ -1,24 +1,31 @@
 //! What is meant by what was typed.
 
-use std::path::PathBuf;
 use std::process::ExitCode;
 
 use kalfit::dynamic::{self, Method};
 use kalfit::estimate::{Combination, Criterion, Settings, Solver};
 use kalfit::infer::{Bootstrap, Choices, DeletionChoice, IntervalKind, StdErrors};
+use kalfit_data::Datum;
+use kalfit_job::{CheckJob, ExchangeJob, Failure, FitJob, ModelJob, PlanJob, SimulateJob, TestJob};
 
 use crate::args::{
     Args, CheckArgs, Command, CriterionArg, DeletionArg, ExchangeArgs, FitArgs, InnovationsArg, IntervalsArg,
     MethodArg, ModelArgs, PhasesArg, PlanArgs, SimulateArgs, SolverArg, StdErrorsArg, TestArgs,
 };
-use crate::estimates::Filters;
-use crate::failure::Failure;
-use crate::reduce::Reductions;
-use crate::{check, exchange, fit, plan, simulate, test};
+use crate::show::{self, Ended};
 
 /// One command with all that it needs to know.
 #[derive(Debug)]
-pub(crate) enum Job {
+pub(crate) struct Order {
+    job: Job,
+    /// Threads; all processors when none.
+    threads: Option<usize>,
+    /// Print nothing but errors.
+    quiet: bool,
+}
+
+#[derive(Debug)]
+enum Job {
     Fit(FitJob),
     Reduce(ExchangeJob),
     Estimates(ExchangeJob),
@@ -26,86 +33,6 @@ pub(crate) enum Job {
     Check(CheckJob),
     Simulate(SimulateJob),
     Plan(PlanJob),
-}
-
-/// Which model, on how many threads.
-#[derive(Debug)]
-pub(crate) struct ModelJob {
-    pub(crate) path: PathBuf,
-    /// `name=value`.
-    pub(crate) set: Vec<String>,
-    /// All processors when none.
-    pub(crate) threads: Option<usize>,
-}
-
-#[derive(Debug)]
-pub(crate) struct FitJob {
-    pub(crate) model: ModelJob,
-    pub(crate) data: Vec<String>,
-    pub(crate) out: Option<PathBuf>,
-    pub(crate) settings: Settings,
-    /// Of free dynamic parameters.
-    pub(crate) search: dynamic::Settings,
-    /// How they are sought; in every way when none.
-    pub(crate) method: Option<Method>,
-    pub(crate) choices: Choices,
-    /// Look at the data once more after the fit.
-    pub(crate) innovations: bool,
-    pub(crate) quiet: bool,
-}
-
-#[derive(Debug)]
-pub(crate) struct ExchangeJob {
-    pub(crate) model: ModelJob,
-    pub(crate) data: Vec<String>,
-    /// Results of a fit, for the parameters.
-    pub(crate) at: Option<PathBuf>,
-    pub(crate) out: PathBuf,
-    pub(crate) quiet: bool,
-}
-
-#[derive(Debug)]
-pub(crate) struct TestJob {
-    pub(crate) model: ModelJob,
-    pub(crate) data: Vec<String>,
-    pub(crate) null: PathBuf,
-    pub(crate) bootstrap: Option<Bootstrap>,
-    pub(crate) out: Option<PathBuf>,
-    pub(crate) settings: Settings,
-    pub(crate) quiet: bool,
-}
-
-#[derive(Debug)]
-pub(crate) struct CheckJob {
-    pub(crate) model: ModelJob,
-    /// Nothing but the model is checked when empty.
-    pub(crate) data: Vec<String>,
-}
-
-#[derive(Debug)]
-pub(crate) struct SimulateJob {
-    pub(crate) model: ModelJob,
-    /// Where the population comes from.
-    pub(crate) from: PathBuf,
-    pub(crate) design: Vec<String>,
-    /// As many as the design when none.
-    pub(crate) tests: Option<u64>,
-    pub(crate) seed: u64,
-    pub(crate) out: PathBuf,
-    /// File for the true initial states.
-    pub(crate) states: Option<PathBuf>,
-    pub(crate) quiet: bool,
-}
-
-#[derive(Debug)]
-pub(crate) struct PlanJob {
-    pub(crate) model: ModelJob,
-    /// Where the population comes from.
-    pub(crate) from: PathBuf,
-    pub(crate) design: Vec<String>,
-    pub(crate) tests: Vec<usize>,
-    pub(crate) out: Option<PathBuf>,
-    pub(crate) quiet: bool,
 }
 
 /// How a command ended that had good input.
@@ -116,6 +43,11 @@ pub(crate) enum Outcome {
 }
 
 impl Outcome {
+    /// Of a fit, or of what is made of fits.
+    pub(crate) fn of(converged: bool) -> Outcome {
+        if converged { Outcome::Done } else { Outcome::NotCertified }
+    }
+
     pub(crate) fn exit_code(self) -> ExitCode {
         match self {
             Outcome::Done => ExitCode::SUCCESS,
@@ -124,35 +56,36 @@ impl Outcome {
     }
 }
 
-impl Job {
-    pub(crate) fn run(&self) -> Result<Outcome, Failure> {
-        let threads = match self {
-            Job::Fit(job) => job.model.threads,
-            Job::Reduce(job) | Job::Estimates(job) => job.model.threads,
-            Job::Test(job) => job.model.threads,
-            Job::Check(job) => job.model.threads,
-            Job::Simulate(job) => job.model.threads,
-            Job::Plan(job) => job.model.threads,
-        };
-        if let Some(threads) = threads {
+impl Order {
+    pub(crate) fn run(&self) -> Result<Outcome, Ended> {
+        if let Some(threads) = self.threads {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
             pool.map_err(|error| Failure::Threads { threads, reason: error.to_string() })?;
         }
-        match self {
-            Job::Fit(job) => fit::run(job),
-            Job::Reduce(job) => exchange::run::<Reductions>(job),
-            Job::Estimates(job) => exchange::run::<Filters>(job),
-            Job::Test(job) => test::run(job),
-            Job::Check(job) => check::run(job),
-            Job::Simulate(job) => simulate::run(job),
-            Job::Plan(job) => plan::run(job),
+        match &self.job {
+            Job::Fit(job) => show::fit(job, self.quiet),
+            Job::Reduce(job) => show::exchange(job, kalfit_job::reduce, self.quiet),
+            Job::Estimates(job) => show::exchange(job, kalfit_job::estimates, self.quiet),
+            Job::Test(job) => show::test(job, self.quiet),
+            Job::Check(job) => show::check(job),
+            Job::Simulate(job) => show::simulate(job, self.quiet),
+            Job::Plan(job) => show::plan(job, self.quiet),
         }
     }
 }
 
-impl From<Args> for Job {
-    fn from(args: Args) -> Job {
-        match args.command {
+impl From<Args> for Order {
+    fn from(args: Args) -> Order {
+        let (model, quiet) = match &args.command {
+            Command::Fit(args) => (&args.model, args.quiet),
+            Command::Reduce(args) | Command::Estimates(args) => (&args.model, args.quiet),
+            Command::Test(args) => (&args.model, args.quiet),
+            Command::Check(args) => (&args.model, false),
+            Command::Simulate(args) => (&args.model, args.quiet),
+            Command::Plan(args) => (&args.model, args.quiet),
+        };
+        let threads = model.threads.map(usize::from);
+        let job = match args.command {
             Command::Fit(args) => Job::Fit(args.into()),
             Command::Reduce(args) => Job::Reduce(args.into()),
             Command::Estimates(args) => Job::Estimates(args.into()),
@@ -160,13 +93,19 @@ impl From<Args> for Job {
             Command::Check(args) => Job::Check(args.into()),
             Command::Simulate(args) => Job::Simulate(args.into()),
             Command::Plan(args) => Job::Plan(args.into()),
-        }
+        };
+        Order { job, threads, quiet }
     }
+}
+
+/// The data that were named.
+fn data(names: Vec<String>) -> Vec<Datum> {
+    names.into_iter().map(Datum::Named).collect()
 }
 
 impl From<ModelArgs> for ModelJob {
     fn from(args: ModelArgs) -> ModelJob {
-        ModelJob { path: args.model, set: args.set, threads: args.threads.map(usize::from) }
+        ModelJob { document: args.model.into(), set: args.set }
     }
 }
 
@@ -186,12 +125,11 @@ impl From<TestArgs> for TestJob {
         let seed = args.seed.unwrap_or(1);
         TestJob {
             model: args.model.into(),
-            data: args.data,
-            null: args.null,
+            data: data(args.data),
+            null: args.null.into(),
             bootstrap: args.bootstrap.map(|n| Bootstrap { replicates: n as usize, seed }),
             out: args.out,
             settings: settings(SolverArg::Newton, args.tolerance, args.max_iterations),
-            quiet: args.quiet,
         }
     }
 }
@@ -232,7 +170,7 @@ impl From<FitArgs> for FitJob {
         };
         FitJob {
             model: args.model.into(),
-            data: args.data,
+            data: data(args.data),
             out: args.out,
             settings,
             search,
@@ -244,21 +182,24 @@ impl From<FitArgs> for FitJob {
             },
             choices,
             innovations: args.innovations == InnovationsArg::On,
-            quiet: args.quiet,
         }
     }
 }
 
 impl From<ExchangeArgs> for ExchangeJob {
     fn from(args: ExchangeArgs) -> ExchangeJob {
-        let ExchangeArgs { model, data, at, out, quiet } = args;
-        ExchangeJob { model: model.into(), data, at, out, quiet }
+        ExchangeJob {
+            model: args.model.into(),
+            data: data(args.data),
+            at: args.at.map(Into::into),
+            out: Some(args.out),
+        }
     }
 }
 
 impl From<CheckArgs> for CheckJob {
     fn from(args: CheckArgs) -> CheckJob {
-        CheckJob { model: args.model.into(), data: args.data }
+        CheckJob { model: args.model.into(), data: data(args.data) }
     }
 }
 
@@ -266,13 +207,12 @@ impl From<SimulateArgs> for SimulateJob {
     fn from(args: SimulateArgs) -> SimulateJob {
         SimulateJob {
             model: args.model.into(),
-            from: args.truth.from,
-            design: args.truth.design,
+            from: args.truth.from.into(),
+            design: data(args.truth.design),
             tests: args.tests,
             seed: args.seed,
-            out: args.out,
+            out: Some(args.out),
             states: args.states,
-            quiet: args.quiet,
         }
     }
 }
@@ -281,11 +221,10 @@ impl From<PlanArgs> for PlanJob {
     fn from(args: PlanArgs) -> PlanJob {
         PlanJob {
             model: args.model.into(),
-            from: args.truth.from,
-            design: args.truth.design,
+            from: args.truth.from.into(),
+            design: data(args.truth.design),
             tests: args.tests.into_iter().map(|n| n as usize).collect(),
             out: args.out,
-            quiet: args.quiet,
         }
     }
 }

@@ -1,29 +1,10 @@
-//! The command `kalfit`: what was typed → what is meant → one call → exit status.
+//! The command `kalfit`: what was typed → what is meant → one job → what is shown, and the exit status.
 
 mod args;
-mod check;
-mod diagnostic;
-mod dynamic;
-mod estimates;
-mod evidence;
-mod exchange;
-mod failure;
-mod fit;
-mod innovations;
 mod job;
-mod lost;
-mod model;
-mod output;
-mod plan;
 mod progress;
-mod ratio;
-mod reduce;
-mod reductions;
-mod simulate;
+mod show;
 mod terminal;
-mod test;
-mod tests;
-mod truth;
 
 use std::process::ExitCode;
 
@@ -34,10 +15,10 @@ use clap::Parser;
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 fn main() -> ExitCode {
-    match job::Job::from(args::Args::parse()).run() {
+    match job::Order::from(args::Args::parse()).run() {
         Ok(outcome) => outcome.exit_code(),
-        Err(failure) => {
-            terminal::complain(&diagnostic::render(&failure, terminal::color_on_stderr()));
+        Err(ended) => {
+            terminal::complain(&ended.words());
             ExitCode::from(2)
         }
     }

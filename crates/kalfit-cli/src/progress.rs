@@ -4,7 +4,7 @@ use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use kalfit::estimate::{Progress, Step};
+use kalfit_job::Watch;
 
 const PATIENCE: Duration = Duration::from_secs(1);
 
@@ -20,28 +20,8 @@ impl Line {
         Line { began: Instant::now(), wanted: !quiet && std::io::stderr().is_terminal(), bar: None }
     }
 
-    /// Time since the work began.
-    pub(crate) fn seconds(&self) -> f64 {
-        self.began.elapsed().as_secs_f64()
-    }
-
-    /// Says what is being done now.
-    pub(crate) fn say(&mut self, what: impl FnOnce() -> String) {
-        if !self.wanted || self.began.elapsed() < PATIENCE {
-            return;
-        }
-        let bar = self.bar.get_or_insert_with(|| {
-            let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr());
-            let style = ProgressStyle::with_template("{spinner} {elapsed} {msg}").expect("the template is sound");
-            bar.set_style(style);
-            bar
-        });
-        bar.set_message(what());
-        bar.tick();
-    }
-
     /// Takes the line away.
-    pub(crate) fn clear(&mut self) {
+    fn clear(&mut self) {
         if let Some(bar) = self.bar.take() {
             bar.finish_and_clear();
         }
@@ -54,11 +34,18 @@ impl Drop for Line {
     }
 }
 
-impl Progress for Line {
-    fn step(&mut self, step: Step) {
-        self.say(|| {
-            let far = step.decrement.map_or(String::new(), |d| format!(", about {d:.1e} standard errors to go"));
-            format!("fitting: pass {}, log-likelihood {:.4}{far}", step.passes, step.log_likelihood)
+impl Watch for Line {
+    fn say(&mut self, what: &dyn Fn() -> String) {
+        if !self.wanted || self.began.elapsed() < PATIENCE {
+            return;
+        }
+        let bar = self.bar.get_or_insert_with(|| {
+            let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr());
+            let style = ProgressStyle::with_template("{spinner} {elapsed} {msg}").expect("the template is sound");
+            bar.set_style(style);
+            bar
         });
+        bar.set_message(what());
+        bar.tick();
     }
 }

@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use crate::error::DataError;
+use crate::memory::MemoryTable;
 
 /// One source of rows.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -12,23 +13,47 @@ pub enum Input {
     Path(PathBuf),
     /// Standard input.
     Stdin,
+    /// A table in memory.
+    Table(MemoryTable),
+}
+
+/// Data as they are asked for.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Datum {
+    /// A file, a pattern of file names, or `-` for standard input.
+    Named(String),
+    /// A table in memory.
+    Table(MemoryTable),
+}
+
+impl From<String> for Datum {
+    fn from(name: String) -> Datum {
+        Datum::Named(name)
+    }
 }
 
 impl Input {
-    /// The inputs that arguments of a command mean, in their order: `-` is standard input, an existing path is itself,
+    /// The inputs that are meant, in their order: a table is itself, `-` is standard input, an existing path is itself,
     /// anything else with `*`, `?` or `[` is a pattern whose files come in alphabetical order (directories it matches
     /// are left out).
     ///
     /// # Errors
     /// No argument; a path that does not exist or is a directory; a pattern that matches no file; the same file twice,
     /// by whatever names.
-    pub fn expand(args: &[String]) -> Result<Vec<Input>, DataError> {
+    pub fn expand<D: Clone + Into<Datum>>(data: &[D]) -> Result<Vec<Input>, DataError> {
         let mut inputs = Vec::new();
-        for arg in args {
+        for datum in data {
+            let arg = match datum.clone().into() {
+                Datum::Named(arg) => arg,
+                Datum::Table(table) => {
+                    inputs.push(Input::Table(table));
+                    continue;
+                }
+            };
             if arg == "-" {
                 inputs.push(Input::Stdin);
-            } else if !Path::new(arg).exists() && arg.contains(['*', '?', '[']) {
-                inputs.extend(matches(arg)?.into_iter().map(Input::Path));
+            } else if !Path::new(&arg).exists() && arg.contains(['*', '?', '[']) {
+                inputs.extend(matches(&arg)?.into_iter().map(Input::Path));
             } else {
                 inputs.push(Input::Path(PathBuf::from(arg)));
             }
@@ -45,6 +70,7 @@ impl Input {
         match self {
             Input::Path(path) => path.display().to_string(),
             Input::Stdin => "standard input".to_owned(),
+            Input::Table(table) => table.name().to_owned(),
         }
     }
 
@@ -53,6 +79,7 @@ impl Input {
         match self {
             Input::Path(path) => path.file_stem().unwrap_or(path.as_os_str()).to_string_lossy().into_owned(),
             Input::Stdin => "stdin".to_owned(),
+            Input::Table(table) => table.name().to_owned(),
         }
     }
 
@@ -60,7 +87,15 @@ impl Input {
     pub(crate) fn extension(&self) -> Option<String> {
         match self {
             Input::Path(path) => Some(path.extension()?.to_str()?.to_ascii_lowercase()),
-            Input::Stdin => None,
+            Input::Stdin | Input::Table(_) => None,
+        }
+    }
+
+    /// The file, when it is one.
+    pub fn path(&self) -> Option<&Path> {
+        match self {
+            Input::Path(path) => Some(path),
+            Input::Stdin | Input::Table(_) => None,
         }
     }
 }
@@ -75,7 +110,7 @@ pub(crate) fn test_ids(inputs: &[Input]) -> Result<Vec<String>, DataError> {
     let mut first: HashMap<String, usize> = HashMap::new();
     let mut ids = Vec::with_capacity(inputs.len());
     for (index, (input, stem)) in inputs.iter().zip(&stems).enumerate() {
-        let shared = count[stem.as_str()] > 1 && *input != Input::Stdin;
+        let shared = count[stem.as_str()] > 1 && input.path().is_some();
         let id = if shared { input.name() } else { stem.clone() };
         if let Some(&other) = first.get(&id) {
             return Err(DataError::SameTest { id, first: inputs[other].name(), second: input.name() });
@@ -107,9 +142,13 @@ fn matches(pattern: &str) -> Result<Vec<PathBuf>, DataError> {
 
 fn refuse_repeats(inputs: &[Input]) -> Result<(), DataError> {
     let mut seen: HashMap<Option<PathBuf>, &Input> = HashMap::new();
-    for input in inputs {
+    for (index, input) in inputs.iter().enumerate() {
         let identity = match input {
             Input::Stdin => None,
+            Input::Table(table) => match inputs[..index].contains(input) {
+                true => return Err(DataError::SameFile { first: input.name(), second: table.name().to_owned() }),
+                false => continue,
+            },
             Input::Path(path) => {
                 Some(path.canonicalize().map_err(|source| DataError::Io { file: input.name(), source })?)
             }

@@ -43,6 +43,7 @@ mod gather;
 mod hint;
 mod input;
 mod kind;
+mod memory;
 mod moment;
 mod pass;
 mod reading;
@@ -53,6 +54,7 @@ mod wanted;
 mod write;
 
 pub use error::{DataError, Place, ReadError};
-pub use input::Input;
+pub use input::{Datum, Input};
+pub use memory::MemoryTable;
 pub use reading::{Reading, SINGLE_TEST, Sink, read, read_from};
 pub use write::{Format, Ids, StateWriter, TestWriter, WriteError, added_id_column};

@@ -4,6 +4,7 @@
 mod bench;
 mod coverage;
 mod peak;
+mod python;
 mod test;
 
 use std::process::ExitCode;
@@ -20,7 +21,7 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Task {
-    /// Everything a change must pass: format, lints, tests, documentation, dependencies.
+    /// Everything a change must pass: format, lints, tests, documentation, dependencies, the Python package.
     Test {
         /// Only the steps whose name contains this.
         #[arg(long)]

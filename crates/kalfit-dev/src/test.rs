@@ -4,6 +4,8 @@ use std::path::Path;
 use std::process::{Command, ExitCode};
 use std::time::Instant;
 
+use crate::python;
+
 /// One thing that must hold.
 struct Step {
     name: &'static str,
@@ -67,6 +69,17 @@ pub(crate) fn run(only: Option<&str>) -> ExitCode {
             Outcome::LeftOut(why) => println!("== {} left out: {why}\n", step.name),
             Outcome::Failed(why) => {
                 eprintln!("== {} failed: {why}", step.name);
+                return ExitCode::FAILURE;
+            }
+        }
+    }
+    if only.is_none_or(|word| "python".contains(word)) {
+        let started = Instant::now();
+        println!("== python: the wheel in a fresh environment, and its tests");
+        match python::run() {
+            Ok(()) => println!("== python passed in {:.0} s\n", started.elapsed().as_secs_f64()),
+            Err(why) => {
+                eprintln!("== python failed: {why}");
                 return ExitCode::FAILURE;
             }
         }

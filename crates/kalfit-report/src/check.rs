@@ -2,6 +2,8 @@
 
 use kalfit::record::{DataRecord, InformationRecord, ObservabilityRecord, UnidentifiedRecord, WeakRecord};
 
+use serde::Serialize;
+
 use crate::Style;
 use crate::number::plain;
 use crate::page::Page;
@@ -18,7 +20,7 @@ const MOST_PARAMETERS: usize = 40;
 const MOST_LEVELS: usize = 6;
 
 /// A model and its data, looked at without a fit.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CheckRecord {
     /// Title of the model.
     pub title: String,
@@ -31,7 +33,7 @@ pub struct CheckRecord {
 }
 
 /// The values of one dynamic parameter that the data have use for.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ParameterCounts {
     /// Its name.
     pub name: String,
@@ -48,7 +50,8 @@ pub struct ParameterCounts {
 }
 
 /// How far a check went.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(tag = "kind", rename_all = "lowercase")]
 pub enum Checked {
     /// There were no data.
     Model,
@@ -81,7 +84,7 @@ pub enum Checked {
 }
 
 /// How much there is of a phase.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct PhaseCounts {
     /// Its name.
     pub name: String,
@@ -94,7 +97,7 @@ pub struct PhaseCounts {
 }
 
 /// What the data say of one phase.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CheckedPhase {
     /// How much there is of it.
     pub counts: PhaseCounts,

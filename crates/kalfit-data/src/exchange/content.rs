@@ -13,6 +13,7 @@ use super::{ESTIMATES_SCHEMA, REDUCTIONS_SCHEMA};
 use crate::error::{DataError, shown};
 use crate::input::Input;
 use crate::kind::{HEAD, Kind, detect};
+use crate::memory::MemoryTable;
 
 /// What an input holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -96,6 +97,17 @@ pub fn sort<'a>(inputs: &[Input], mut stdin: Box<dyn Read + 'a>) -> Result<Sorte
     let (mut contents, mut exchanged, mut rows) = (Vec::new(), Vec::new(), Vec::new());
     for input in inputs {
         let name = input.name();
+        if let Input::Table(table) = input {
+            let content = of_table(table)?;
+            contents.push(content);
+            match content {
+                Content::Rows => rows.push(input.clone()),
+                _ => {
+                    exchanged.push((content, Source { name, number: 0, bytes: Contents::Memory(table.to_parquet()?) }))
+                }
+            }
+            continue;
+        }
         let failed = |source| DataError::Io { file: name.clone(), source };
         let mut head = Vec::with_capacity(HEAD);
         let bytes = match input {
@@ -105,7 +117,7 @@ pub fn sort<'a>(inputs: &[Input], mut stdin: Box<dyn Read + 'a>) -> Result<Sorte
                 File::open(path).and_then(|file| file.take(HEAD as u64).read_to_end(&mut head)).map_err(failed)?;
                 Contents::Path(path.clone())
             }
-            Input::Stdin => {
+            Input::Stdin | Input::Table(_) => {
                 stdin.by_ref().take(HEAD as u64).read_to_end(&mut head).map_err(failed)?;
                 let mut all = head.clone();
                 if is_parquet(input, &head) {
@@ -154,8 +166,21 @@ impl Source {
     }
 }
 
+/// What a table in memory holds.
+fn of_table(table: &MemoryTable) -> Result<Content, ExchangeError> {
+    if let Some(content) = of_schema(table.name(), table.metadata(SCHEMA))? {
+        return Ok(content);
+    }
+    let is_list = |name: &str| table.has(name, super::lists::is_numbers);
+    Ok(if is_list("estimates") && is_list("sensitivities") { Content::Estimates } else { Content::Rows })
+}
+
 fn by_schema(file: &str, metadata: &ParquetMetaData) -> Result<Option<Content>, ExchangeError> {
-    match value(metadata, SCHEMA) {
+    of_schema(file, value(metadata, SCHEMA))
+}
+
+fn of_schema(file: &str, schema: Option<&str>) -> Result<Option<Content>, ExchangeError> {
+    match schema {
         None => Ok(None),
         Some(REDUCTIONS_SCHEMA) => Ok(Some(Content::Reductions)),
         Some(ESTIMATES_SCHEMA) => Ok(Some(Content::Estimates)),

@@ -19,6 +19,7 @@ use self::csv::CsvTable;
 use crate::error::DataError;
 use crate::input::Input;
 use crate::kind::{HEAD, Kind, detect};
+use crate::memory::MemoryTable;
 use crate::row::Row;
 use crate::spool::Spool;
 use crate::wanted::Wanted;
@@ -40,9 +41,12 @@ impl<'a> Table<'a> {
         spool: &'a mut Spool<'_>,
     ) -> Result<Table<'a>, DataError> {
         let failed = |source: io::Error| DataError::Io { file: file.to_owned(), source };
+        if let Input::Table(table) = input {
+            return Ok(Table::batches(memory(table, file, wanted)?));
+        }
         let mut bytes: Box<dyn Read + 'a> = match input {
             Input::Path(path) => Box::new(File::open(path).map_err(failed)?),
-            Input::Stdin => Box::new(spool.rewound()),
+            Input::Stdin | Input::Table(_) => Box::new(spool.rewound()),
         };
         let mut head = Vec::with_capacity(HEAD);
         bytes.by_ref().take(HEAD as u64).read_to_end(&mut head).map_err(failed)?;
@@ -55,15 +59,15 @@ impl<'a> Table<'a> {
         // Formats with a footer are read here and there: from a path opened again, or else from memory.
         let again = |path| File::open(path).map_err(failed);
         let mut all = Vec::new();
-        if matches!(kind, Kind::Parquet | Kind::ArrowFile) && *input == Input::Stdin {
+        if matches!(kind, Kind::Parquet | Kind::ArrowFile) && input.path().is_none() {
             bytes.read_to_end(&mut all).map_err(failed)?;
         }
-        Ok(match (kind, input) {
+        Ok(match (kind, input.path()) {
             (Kind::Csv { tab }, _) => Table::Csv(Box::new(CsvTable::open(file, bytes, tab, wanted)?)),
-            (Kind::Parquet, Input::Path(path)) => Table::batches(parquet::open(file, again(path)?, wanted)?),
-            (Kind::Parquet, Input::Stdin) => Table::batches(parquet::open(file, Bytes::from(all), wanted)?),
-            (Kind::ArrowFile, Input::Path(path)) => Table::batches(ipc::open_file(file, again(path)?, wanted)?),
-            (Kind::ArrowFile, Input::Stdin) => Table::batches(ipc::open_file(file, Cursor::new(all), wanted)?),
+            (Kind::Parquet, Some(path)) => Table::batches(parquet::open(file, again(path)?, wanted)?),
+            (Kind::Parquet, None) => Table::batches(parquet::open(file, Bytes::from(all), wanted)?),
+            (Kind::ArrowFile, Some(path)) => Table::batches(ipc::open_file(file, again(path)?, wanted)?),
+            (Kind::ArrowFile, None) => Table::batches(ipc::open_file(file, Cursor::new(all), wanted)?),
             (Kind::ArrowStream, _) => Table::batches(ipc::open_stream(file, Box::new(bytes), wanted)?),
         })
     }
@@ -79,6 +83,16 @@ impl<'a> Table<'a> {
             Table::Batches(table) => table.next(row, labels),
         }
     }
+}
+
+/// A table in memory: its batches one after the other.
+fn memory<'a>(table: &MemoryTable, file: &'a str, wanted: &'a Wanted) -> Result<BatchTable<'a>, DataError> {
+    let (whole, mut next) = (table.clone(), 0);
+    let next = move || {
+        next += 1;
+        Ok(whole.batches().get(next - 1).cloned())
+    };
+    BatchTable::new(file, "Arrow", wanted, table.schema(), Box::new(next))
 }
 
 /// The label of the text last seen in a column: texts are looked up only when they change.

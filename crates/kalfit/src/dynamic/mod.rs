@@ -164,6 +164,9 @@ pub fn fit(
     let mut first_error = None;
     let mut floor = None;
     for start in start::starts(&bench)? {
+        if progress.stops() && !ends.is_empty() {
+            break;
+        }
         match search::search(&bench, &start, floor, progress) {
             Ok(end) => {
                 floor = Some(floor.map_or(end.home.value(), |floor: f64| floor.max(end.home.value())));

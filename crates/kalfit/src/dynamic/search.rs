@@ -155,7 +155,7 @@ impl<'b, 'a> Search<'b, 'a> {
             }
         }
         let (joint, certificate) = last.expect("there is at least one step");
-        if self.home.estimate.stop != Stop::Certified {
+        if self.home.estimate.stop != Stop::Certified && stop != Stop::Interrupted {
             stop = self.home.estimate.stop;
         }
         let (home, standing, before_zero) = (self.home, self.standing, self.before_zero);
@@ -164,6 +164,9 @@ impl<'b, 'a> Search<'b, 'a> {
 
     /// What to do where this is known; `fine` when it is by differences to both sides.
     fn turn(&mut self, joint: &Joint, step: &joint::Step, fine: bool) -> Turn {
+        if self.progress.stops() {
+            return Turn::End(Stop::Interrupted);
+        }
         if self.leap(joint) || self.drifted(joint, step) {
             self.place();
             return Turn::On { closer: false };
@@ -193,6 +196,11 @@ impl<'b, 'a> Search<'b, 'a> {
         }
         let enough = step.decrement <= NEAR_ENOUGH * self.tolerance() && step.concave;
         Turn::End(if enough { Stop::Certified } else { Stop::Stalled })
+    }
+
+    /// Somebody asks the search to end where it is.
+    pub(super) fn stops(&self) -> bool {
+        self.progress.stops()
     }
 
     fn tell(&mut self, decrement: f64) {

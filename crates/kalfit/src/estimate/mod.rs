@@ -109,6 +109,8 @@ pub enum Stop {
     Certified,
     /// The passes ran out first.
     PassLimit,
+    /// [`Progress::stops`] asked for it.
+    Interrupted,
     /// No step raises ℓ, yet the certificate does not hold.
     Stalled,
 }

@@ -76,8 +76,12 @@ impl<'a> Search<'a> {
         self.progress.step(Step { passes: self.problem.passes(), log_likelihood: value, decrement });
     }
 
-    fn out_of_passes(&self) -> bool {
-        self.problem.passes() >= self.settings.max_passes
+    /// Why the search must end here, wherever it is.
+    fn ends(&self) -> Option<Stop> {
+        if self.progress.stops() {
+            return Some(Stop::Interrupted);
+        }
+        (self.problem.passes() >= self.settings.max_passes).then_some(Stop::PassLimit)
     }
 
     fn place(&self, point: Point, near: Option<&DMatrix<f64>>) -> Result<Place, FitError> {
@@ -108,8 +112,8 @@ impl<'a> Search<'a> {
                     None => return Ok((place, Stop::Certified)),
                 }
             }
-            if self.out_of_passes() {
-                return Ok((place, Stop::PassLimit));
+            if let Some(stop) = self.ends() {
+                return Ok((place, stop));
             }
             let fast = place.decrement() < FAST * before;
             before = place.decrement();
@@ -158,7 +162,7 @@ impl<'a> Search<'a> {
             expected = promised;
             best = Some((sums, point));
             point = next;
-            if promised < ENOUGH || gained < ENOUGH || !kept_its_word {
+            if promised < ENOUGH || gained < ENOUGH || !kept_its_word || self.progress.stops() {
                 break;
             }
         }
@@ -203,13 +207,13 @@ impl<'a> Search<'a> {
             }
             before = sums.value;
             self.accept(sums.value, None);
-            if steps.is_multiple_of(EM_LOOK) || self.out_of_passes() {
+            if steps.is_multiple_of(EM_LOOK) || self.ends().is_some() {
                 let place = self.place(point.clone(), sums.near())?;
                 if place.decrement() <= self.settings.tolerance {
                     return Ok((place, Stop::Certified));
                 }
-                if self.out_of_passes() {
-                    return Ok((place, Stop::PassLimit));
+                if let Some(stop) = self.ends() {
+                    return Ok((place, stop));
                 }
             }
             point = em::step(&self.problem, &point, &sums, &mut turn);

@@ -88,6 +88,12 @@ pub struct Step {
 pub trait Progress {
     /// Called after each accepted step.
     fn step(&mut self, step: Step);
+
+    /// True once the search is to end where it is, with [`Stop::Interrupted`](crate::estimate::Stop::Interrupted). It is asked
+    /// between steps.
+    fn stops(&self) -> bool {
+        false
+    }
 }
 
 /// Listens to nothing.

@@ -122,6 +122,10 @@ pub(super) fn reason(estimate: &Estimate) -> String {
             "the search ran out of passes ({}) about {far:.1e} standard errors from the optimum",
             estimate.passes
         ),
+        Stop::Interrupted => format!(
+            "the search was interrupted after {} passes, about {far:.1e} standard errors from the optimum",
+            estimate.passes
+        ),
         Stop::Stalled => format!(
             "no step raises the log-likelihood, but the optimality certificate does not hold ({far:.1e} standard errors away)"
         ),

@@ -130,6 +130,10 @@ fn reason(fit: &DynamicFit) -> String {
             "the search for {what} ran out of passes ({}) with a score of {far:.1e} standard errors",
             fit.passes
         ),
+        (Stop::Interrupted, _) => format!(
+            "the search for {what} was interrupted after {} filter runs, with a score of {far:.1e} standard errors",
+            fit.filter_passes
+        ),
         (Stop::Stalled, _) => format!(
             "no step of {what} raises the log-likelihood, but the optimality certificate does not hold (score of {far:.1e} standard errors)"
         ),

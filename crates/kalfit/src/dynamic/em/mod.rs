@@ -72,6 +72,10 @@ impl<'b, 'a> Em<'b, 'a> {
         let mut ended = None;
         for pass in 0..PASSES {
             let near = self.pass()?;
+            if self.search.stops() {
+                ended = Some((self.look(false), Stop::Interrupted));
+                break;
+            }
             if !near && pass < next {
                 continue;
             }
@@ -101,7 +105,7 @@ impl<'b, 'a> Em<'b, 'a> {
         }
         let (last, mut stop) = ended.unwrap_or_else(|| (self.look(true), Stop::PassLimit));
         let Search { home, standing, trace, before_zero, .. } = self.search;
-        if home.estimate.stop != Stop::Certified {
+        if home.estimate.stop != Stop::Certified && stop != Stop::Interrupted {
             stop = home.estimate.stop;
         }
         Ok(End { home, standing, joint: last.joint, certificate: last.decrement, stop, trace, before_zero })

@@ -1,0 +1,114 @@
+//! Jobs done and their results shown: results on standard output, everything else on standard error.
+
+use kalfit_job::{CheckJob, Done, ExchangeJob, Exchanged, Failure, FitJob, PlanJob, SimulateJob, TestJob, Watch};
+use kalfit_report::{check_summary, plan_summary, ratio_summary, summary};
+
+use crate::job::Outcome;
+use crate::progress::Line;
+use crate::terminal;
+
+/// Why a command ended without results that were seen.
+#[derive(Debug)]
+pub(crate) enum Ended {
+    /// The job could not be done.
+    Failed(Box<Failure>),
+    /// Standard output could not be written.
+    Unheard(std::io::Error),
+}
+
+impl From<Failure> for Ended {
+    fn from(failure: Failure) -> Ended {
+        Ended::Failed(Box::new(failure))
+    }
+}
+
+impl Ended {
+    /// The whole message.
+    pub(crate) fn words(&self) -> String {
+        let color = terminal::color_on_stderr();
+        match self {
+            Ended::Failed(failure) => kalfit_job::render(failure, color),
+            Ended::Unheard(error) => {
+                kalfit_job::render_message(&format!("cannot write to standard output: {error}"), color)
+            }
+        }
+    }
+}
+
+pub(crate) fn fit(job: &FitJob, quiet: bool) -> Result<Outcome, Ended> {
+    let Done { record, notes, written } = watched(quiet, |line| kalfit_job::fit(job, line))?;
+    tell(quiet, &notes, || summary(&record, &terminal::style()), written)?;
+    Ok(Outcome::of(record.converged))
+}
+
+pub(crate) fn test(job: &TestJob, quiet: bool) -> Result<Outcome, Ended> {
+    let Done { record, notes, written } = watched(quiet, |line| kalfit_job::test(job, line))?;
+    tell(quiet, &notes, || ratio_summary(&record, &terminal::style()), written)?;
+    Ok(Outcome::of(record.converged))
+}
+
+pub(crate) fn plan(job: &PlanJob, quiet: bool) -> Result<Outcome, Ended> {
+    let Done { record, notes, written } = watched(quiet, |line| kalfit_job::plan(job, line))?;
+    tell(quiet, &notes, || plan_summary(&record, &terminal::style()), written)?;
+    Ok(Outcome::Done)
+}
+
+pub(crate) fn check(job: &CheckJob) -> Result<Outcome, Ended> {
+    let Done { record, notes, written } = watched(false, |line| kalfit_job::check(job, line))?;
+    tell(false, &notes, || check_summary(&record, &terminal::style()), written)?;
+    Ok(Outcome::Done)
+}
+
+/// A job that writes an exchange file.
+type Exchange = fn(&ExchangeJob, &mut dyn Watch) -> Result<Done<Exchanged>, Failure>;
+
+pub(crate) fn exchange(job: &ExchangeJob, run: Exchange, quiet: bool) -> Result<Outcome, Ended> {
+    let Done { record, notes, written } = watched(quiet, |line| run(job, line))?;
+    if let (false, Some(name)) = (quiet, written) {
+        terminal::warn(&notes);
+        let (rows, tests) = (plural(record.rows as u64, record.row), plural(record.tests as u64, "test"));
+        terminal::complain(&format!("Wrote {name}: {rows} of {tests}\n"));
+    }
+    Ok(Outcome::Done)
+}
+
+pub(crate) fn simulate(job: &SimulateJob, quiet: bool) -> Result<Outcome, Ended> {
+    let Done { record, notes, written } = watched(quiet, |line| kalfit_job::simulate(job, line))?;
+    if let (false, Some(name)) = (quiet, written) {
+        terminal::warn(&notes);
+        let (tests, rows, seed) = (plural(record.tests, "test"), plural(record.rows, "row"), job.seed);
+        let mut text = format!("Wrote {name}: {tests}, {rows}, drawn with seed {seed}\n");
+        if let Some(states) = &record.states {
+            text.push_str(&format!("Wrote {states}: the initial states that were drawn\n"));
+        }
+        if let Some(column) = &record.added {
+            text.push_str(&format!(
+                "The tests are told apart by column `{column}`: to fit this file, set `test = \"{column}\"` in `[data]`\n"
+            ));
+        }
+        terminal::complain(&text);
+    }
+    Ok(Outcome::Done)
+}
+
+/// Does a job under the line of progress, which is gone again before anything is shown.
+fn watched<R>(quiet: bool, job: impl FnOnce(&mut Line) -> Result<R, Failure>) -> Result<R, Ended> {
+    Ok(job(&mut Line::new(quiet))?)
+}
+
+/// Warnings, the text, and the file that was written.
+fn tell(quiet: bool, notes: &[String], text: impl FnOnce() -> String, written: Option<String>) -> Result<(), Ended> {
+    if quiet {
+        return Ok(());
+    }
+    terminal::warn(notes);
+    terminal::print(&text()).map_err(Ended::Unheard)?;
+    if let Some(name) = written {
+        terminal::complain(&format!("Wrote {name}\n"));
+    }
+    Ok(())
+}
+
+fn plural(n: u64, what: &str) -> String {
+    if n == 1 { format!("1 {what}") } else { format!("{n} {what}s") }
+}

@@ -1,0 +1,139 @@
+//! `kalfit check`: everything but the fit.
+
+use kalfit::estimate::Structure;
+use kalfit::model::{Phase, Value};
+use kalfit::record::{
+    DataRecord, InformationRecord, LevelCounts, ObservabilityRecord, UnidentifiedRecord, WeakRecord, crossing_notes,
+    level_notes, shortage_notes,
+};
+use kalfit::score::Slots;
+use kalfit::{Alpha, Evidence, Model, PhasedModel, PhasedTest, Reduction, infer};
+use kalfit_data::Reading;
+use kalfit_report::{CheckRecord, Checked, CheckedPhase, ParameterCounts, PhaseCounts};
+use kalfit_spec::Spec;
+
+use crate::evidence::Given;
+use crate::failure::Failure;
+use crate::job::{CheckJob, Done};
+use crate::work::{Watch, Work};
+use crate::{model, reductions, tests};
+
+/// Reads all and fits nothing.
+///
+/// # Errors
+/// Bad input.
+pub fn check(job: &CheckJob, watch: &mut dyn Watch) -> Result<Done<CheckRecord>, Failure> {
+    let mut work = Work::new(watch);
+    let mut spec = model::load(&job.model)?;
+    let given = if job.data.is_empty() { None } else { Some(Given::open(&mut spec, &job.data)?) };
+    let free = model::has_free(spec.model.shared());
+    let (parameters, checked) = match (&given, free) {
+        (None, _) => (Vec::new(), Checked::Model),
+        (Some(given), false) => (Vec::new(), known(&spec, given, &mut work)?),
+        (Some(given), true) => started(&spec, given, &mut work)?,
+    };
+    let record = CheckRecord { title: spec.model.shared().title.clone(), model: spec.describe(), parameters, checked };
+    Ok(Done { record, notes: given.map_or(Vec::new(), |given| given.notes), written: None })
+}
+
+/// Reads the data and runs the filters: all parameters are known.
+fn known(spec: &Spec, given: &Given, work: &mut Work<'_>) -> Result<Checked, Failure> {
+    let alpha = model::alpha(spec);
+    let mut counts = no_counts(&spec.model);
+    let reductions = reductions::reduce(spec, &alpha, given, work, &mut |test| match test {
+        Some(test) => add(&mut counts, test),
+        None => counts = no_counts(&spec.model),
+    })?;
+    examined((&spec.model, counts), &alpha, &reductions, given.names(), (Vec::new(), Vec::new()))
+}
+
+fn no_counts(model: &PhasedModel) -> Vec<PhaseCounts> {
+    let none = |name: &String| PhaseCounts { name: name.clone(), tests: 0, rows: 0, without_rows: 0 };
+    model.phases.iter().map(|phase| none(&phase.name)).collect()
+}
+
+fn add(counts: &mut [PhaseCounts], test: &PhasedTest) {
+    for (count, evidence) in counts.iter_mut().zip(&test.phases) {
+        count.tests += 1;
+        match evidence {
+            Evidence::Rows(rows) => count.rows += rows.rows(),
+            Evidence::Estimates(_) | Evidence::Reduced(_) => count.without_rows += 1,
+        }
+    }
+}
+
+/// Reads the data, counts the free values that they have use for, and runs the filters at start values if all are given.
+fn started(spec: &Spec, given: &Given, work: &mut Work<'_>) -> Result<(Vec<ParameterCounts>, Checked), Failure> {
+    let model = spec.model.shared();
+    let (tests, reading) = tests::read(spec, given, work)?;
+    let mut phases = no_counts(&spec.model);
+    tests.iter().for_each(|test| add(&mut phases, test));
+    let slots = Slots::in_phases(&spec.model, &reading.labels, &tests);
+    let counts = LevelCounts::all(model, &reading.labels, &tests);
+    let notes = level_notes(model, &counts);
+    let parameters = parameters(model, &slots, &counts);
+    let start = |slot: &kalfit::score::Slot| match model.parameters[slot.parameter].value {
+        Value::Free { start } => start,
+        Value::Fixed(value) => Some(value),
+    };
+    let starts: Option<Vec<f64>> = slots.slots().iter().map(start).collect();
+    let Some(starts) = starts else {
+        let without = |p: &&ParameterCounts| p.free > 0 && p.start.is_none();
+        let free = parameters.iter().filter(without).map(|p| p.name.clone()).collect();
+        let Reading { tests, rows, .. } = reading;
+        return Ok((parameters, Checked::Read { tests, rows, files: given.names(), free, notes, phases }));
+    };
+    let alpha = slots.alpha(model, &starts);
+    let reductions = reductions::of(&spec.model, &alpha, &tests, &reading)?;
+    let at_start_of = parameters.iter().filter(|p| p.free > 0).map(|p| p.name.clone()).collect();
+    let said = (notes, at_start_of);
+    let checked = examined((&spec.model, phases), &alpha, &reductions, given.names(), said)?;
+    Ok((parameters, checked))
+}
+
+/// What the reductions say.
+fn examined(
+    (model, counts): (&PhasedModel, Vec<PhaseCounts>),
+    alpha: &Alpha,
+    reductions: &[Reduction],
+    files: Vec<String>,
+    (mut notes, at_start_of): (Vec<String>, Vec<String>),
+) -> Result<Checked, Failure> {
+    let found = infer::examine_at_start(reductions, &Structure::of(model, alpha)).map_err(Failure::Fit)?;
+    let infer::Examination { unidentified, explanations, observability, phases } = &found;
+    let mut said = crossing_notes(model, unidentified, explanations, observability);
+    said.extend(shortage_notes(model, observability));
+    notes.splice(0..0, said);
+    let mut seen = ObservabilityRecord::by_phase(model, observability).into_iter();
+    let mut blind = UnidentifiedRecord::by_phase(model, unidentified, explanations).into_iter();
+    let mut weak = WeakRecord::by_phase(model, observability).into_iter();
+    let mut information = InformationRecord::by_phase(model, phases).into_iter();
+    let phase = |(counts, phase): (PhaseCounts, &Phase)| CheckedPhase {
+        counts,
+        states: phase.model.estimated_names(),
+        observability: seen.next().unwrap_or_default(),
+        unidentified: blind.next().unwrap_or_default(),
+        weak: weak.next().unwrap_or_default(),
+        information: information.next().flatten(),
+    };
+    let phases = counts.into_iter().zip(&model.phases).map(phase).collect();
+    Ok(Checked::Reduced { data: DataRecord::of(reductions, files), phases, notes, at_start_of })
+}
+
+/// The parameters that have free values, or would have with other data.
+fn parameters(model: &Model, slots: &Slots, counts: &[LevelCounts]) -> Vec<ParameterCounts> {
+    let of = |(index, parameter): (usize, &kalfit::model::Parameter)| {
+        let Value::Free { start } = parameter.value else { return None };
+        let levels = counts.iter().find(|c| c.parameter == index).map_or(Vec::new(), |c| c.tests.clone());
+        let free = slots.slots().iter().filter(|slot| slot.parameter == index).count();
+        Some(ParameterCounts {
+            name: parameter.name.clone(),
+            per: parameter.per.map(|column| model.text_columns[column].name.clone()),
+            free,
+            fixed: levels.len().saturating_sub(free),
+            start,
+            levels,
+        })
+    };
+    model.parameters.iter().enumerate().filter_map(of).collect()
+}

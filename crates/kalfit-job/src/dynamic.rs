@@ -1,0 +1,120 @@
+//! `kalfit fit` where dynamic parameters are free: the tests are kept, since the filters run again whenever α moves.
+
+use kalfit::dynamic::{self, DynamicError, DynamicFit, Method, Settings};
+use kalfit::model::Population;
+use kalfit::record::{DynamicParts, LevelCounts, MethodRecord, level_notes};
+use kalfit::score::Slots;
+use kalfit::{Alpha, FitRecord, Labels, PhasedModel, PhasedTest, Provenance};
+use kalfit_data::Reading;
+use kalfit_spec::Spec;
+
+use crate::evidence::Given;
+use crate::failure::Failure;
+use crate::fit::{patience, record, refuse_idle};
+use crate::innovations;
+use crate::job::FitJob;
+use crate::work::Work;
+use crate::{lost, reductions, tests};
+
+/// Every method, the one that the results are of first.
+const ALL: [Method; 3] = [Method::Hybrid, Method::Innovations, Method::Em];
+
+/// The method in one place: read, fit, infer, record.
+pub(crate) fn fit(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>) -> Result<FitRecord, Failure> {
+    let (model, shared) = (&spec.model, spec.model.shared());
+    let (tests, reading) = tests::read(spec, given, work)?;
+    let slots = Slots::in_phases(model, &reading.labels, &tests);
+    let notes = level_notes(shared, &LevelCounts::all(shared, &reading.labels, &tests));
+    if slots.is_empty() {
+        let alpha = slots.alpha(shared, &[]);
+        let mut record = known(job, spec, given, (&alpha, &tests, &reading), work)?;
+        record.notes.extend(notes);
+        return Ok(record);
+    }
+    let data = Data { model, tests: &tests, reading: &reading };
+    let methods = job.method.map_or(ALL.to_vec(), |method| vec![method]);
+    let mut ends = Vec::new();
+    let mut first = None;
+    for method in methods {
+        if work.is_stopped() && first.is_some() {
+            break;
+        }
+        let began = work.seconds();
+        let fit = data.fit(&Settings { method, ..job.search.clone() }, work)?;
+        ends.push(MethodRecord::new(&fit, work.seconds() - began));
+        first = first.or(Some(fit));
+    }
+    let fit = first.expect("there is at least one method");
+    work.say(|| "standard errors and intervals".to_owned());
+    let (inference, parameters) =
+        dynamic::infer(model, &tests, &fit, patience(job.choices, work)).map_err(|error| failure(error, &reading))?;
+    let parts =
+        DynamicParts { model, labels: &reading.labels, fit: &fit, inference: &inference, parameters: &parameters };
+    let provenance = Provenance {
+        model_digest: Some(spec.digest.clone()),
+        files: given.names(),
+        seconds: work.seconds(),
+        of_estimates: given.is_of_estimates(model),
+    };
+    let mut record = FitRecord::dynamic(&parts, provenance);
+    record.notes.extend(notes);
+    let population = Population::from(&fit.estimate);
+    lost::add(&mut record, (model, &fit.alpha, &population), &fit.reductions, (&tests, &reading));
+    if ends.len() > 1 {
+        record.add_methods(ends);
+    }
+    if job.innovations {
+        let at = (model, &fit.alpha, &population);
+        innovations::add_of(&mut record, at, &tests, work);
+        record.solver.seconds = work.seconds();
+    }
+    Ok(record)
+}
+
+/// With known parameters, of tests that are kept.
+pub(crate) fn known(
+    job: &FitJob,
+    spec: &Spec,
+    given: &Given,
+    (alpha, tests, reading): (&Alpha, &[PhasedTest], &Reading),
+    work: &mut Work<'_>,
+) -> Result<FitRecord, Failure> {
+    refuse_idle(job)?;
+    let reductions = reductions::of(&spec.model, alpha, tests, reading)?;
+    let (mut record, population) = record(job, spec, given, (alpha, &reductions), work)?;
+    lost::add(&mut record, (&spec.model, alpha, &population), &reductions, (tests, reading));
+    if job.innovations {
+        innovations::add_of(&mut record, (&spec.model, alpha, &population), tests, work);
+        record.solver.seconds = work.seconds();
+    }
+    Ok(record)
+}
+
+/// What a search for α is made in.
+pub(crate) struct Data<'a> {
+    pub(crate) model: &'a PhasedModel,
+    pub(crate) tests: &'a [PhasedTest],
+    pub(crate) reading: &'a Reading,
+}
+
+impl Data<'_> {
+    pub(crate) fn labels(&self) -> &Labels {
+        &self.reading.labels
+    }
+
+    pub(crate) fn fit(&self, settings: &Settings, work: &mut Work<'_>) -> Result<DynamicFit, Failure> {
+        dynamic::fit(self.model, self.labels(), self.tests, settings, work)
+            .map_err(|error| failure(error, self.reading))
+    }
+}
+
+/// What the core says, with the files and texts of the data.
+pub(crate) fn failure(error: DynamicError, reading: &Reading) -> Failure {
+    match error {
+        DynamicError::Reduce(error) => Failure::Reduce { error: *error, reading: Some(Box::new(reading.clone())) },
+        DynamicError::Fit(error) => Failure::Fit(error),
+        error @ (DynamicError::Marginal { .. } | DynamicError::FixedReduction { .. }) => {
+            Failure::Dynamic(Box::new(error))
+        }
+    }
+}

@@ -1,0 +1,67 @@
+//! `kalfit estimates`: the filters of the model as they are, optimal or not, and what they make of each phase.
+
+use kalfit::reduce::{Estimates, FilterRunner};
+use kalfit::{Evidence, Labels, Test};
+use kalfit_data::WriteError;
+use kalfit_data::exchange::{Entry, EstimatesWriter};
+
+use crate::exchange::{self, Maker, Refused, Setting, Sunk};
+use crate::failure::Failure;
+use crate::job::{Done, ExchangeJob, Exchanged};
+use crate::work::Watch;
+
+/// Runs the `[filter]` of each phase and writes its estimates with the errors they make.
+///
+/// # Errors
+/// Bad input, or [`Failure::Interrupted`].
+pub fn estimates(job: &ExchangeJob, watch: &mut dyn Watch) -> Result<Done<Exchanged>, Failure> {
+    exchange::run::<Filters>(job, watch)
+}
+
+/// Makes estimates: the runner of each phase that has a filter.
+pub(crate) struct Filters(Vec<Result<FilterRunner, String>>);
+
+impl Maker for Filters {
+    type Writer = EstimatesWriter<Sunk>;
+    const ROW: &'static str = "estimate";
+    const OF_ESTIMATES: bool = true;
+
+    fn new(setting: &Setting) -> Result<Filters, Failure> {
+        let runner = |phase: &kalfit::model::Phase| match &phase.filter {
+            None => Ok(Err(phase.name.clone())),
+            Some(_) => FilterRunner::new(phase, &setting.alpha).map(Ok),
+        };
+        let runners: Result<_, _> = setting.spec.model.phases.iter().map(runner).collect();
+        Ok(Filters(runners.map_err(|error| Failure::Reduce { error, reading: None })?))
+    }
+
+    fn open(setting: &Setting, sink: Sunk) -> Result<Self::Writer, WriteError> {
+        EstimatesWriter::new(&setting.spec.model, setting.metadata(), sink)
+    }
+
+    fn make(&mut self, entries: Vec<Entry>, labels: &Labels, writer: &mut Self::Writer) -> Result<(), Refused> {
+        let mut rows: Vec<Vec<Test>> = self.0.iter().map(|_| Vec::new()).collect();
+        for Entry { test, phase, evidence, at } in entries {
+            match (evidence, &self.0[phase]) {
+                (Evidence::Rows(test), Ok(_)) => rows[phase].push(test),
+                (Evidence::Rows(_), Err(name)) => return Err(Refused::NoFilter { phase: name.clone(), at }),
+                (Evidence::Estimates(known), _) => {
+                    writer.write(&test, phase, &known, labels).map_err(Refused::Write)?;
+                }
+                (Evidence::Reduced(_), _) => return Err(Refused::Reduced { at }),
+            }
+        }
+        for (phase, (tests, runner)) in rows.iter().zip(&self.0).enumerate() {
+            let Ok(runner) = runner else { continue };
+            let made: Vec<Estimates> = runner.run_all(tests).map_err(Refused::Reduce)?;
+            for (test, estimates) in tests.iter().zip(&made) {
+                writer.write(&test.id, phase, estimates, labels).map_err(Refused::Write)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn close(writer: Self::Writer) -> Result<Sunk, WriteError> {
+        writer.finish()
+    }
+}

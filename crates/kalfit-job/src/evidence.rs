@@ -1,0 +1,249 @@
+//! What is given of the tests: rows, reductions and estimates, in any mixture.
+
+use std::cell::RefCell;
+use std::io::Read;
+
+use kalfit::model::Parameter;
+use kalfit::reduce::SplitError;
+use kalfit::{Evidence, Labels, PhasedModel, PhasedTest, Test};
+use kalfit_data::exchange::{
+    Assembly, Entry, ExchangeError, Metadata, ParameterValue, Sorted, Source, difference, merge, read_estimates,
+    read_reductions, sort,
+};
+use kalfit_data::{DataError, Datum, Input, Reading, Sink};
+use kalfit_spec::Spec;
+
+use crate::failure::Failure;
+use crate::refused::{self, Refused};
+use crate::truth::TruthError;
+use crate::work::Work;
+
+/// The inputs of a command, told apart.
+pub(crate) struct Given {
+    /// All of them, as they were given.
+    pub(crate) inputs: Vec<Input>,
+    rows: Vec<Input>,
+    reductions: Vec<Source>,
+    estimates: Vec<Source>,
+    /// Names of the inputs, those of rows first.
+    files: Vec<String>,
+    stdin: RefCell<Option<Box<dyn Read>>>,
+    /// Some reductions are of estimates.
+    of_estimates: bool,
+    /// What the user should know.
+    pub(crate) notes: Vec<String>,
+}
+
+impl Given {
+    /// Looks into the inputs. Where some were made by filters at known parameters, free parameters of the model are held there.
+    ///
+    /// # Errors
+    /// Inputs that cannot be opened, reductions of another model, other values of parameters than the model's.
+    pub(crate) fn open(spec: &mut Spec, data: &[Datum]) -> Result<Given, Failure> {
+        let inputs = Input::expand(data).map_err(|error| Failure::data(error, spec))?;
+        let sorted = sort(&inputs, stdin(&inputs)).map_err(|error| Failure::data(error, spec))?;
+        let Sorted { rows, reductions, estimates, files, stdin, .. } = sorted;
+        let stdin = RefCell::new(Some(stdin));
+        let mut given =
+            Given { inputs, rows, reductions, estimates, files, stdin, of_estimates: false, notes: Vec::new() };
+        given.hold(spec)?;
+        Ok(given)
+    }
+
+    /// Inputs that are read as rows, whatever they hold.
+    pub(crate) fn rows_of(inputs: Vec<Input>) -> Given {
+        let (rows, files) = (inputs.clone(), inputs.iter().map(Input::name).collect());
+        let stdin = stdin(&inputs);
+        let (reductions, estimates, notes) = (Vec::new(), Vec::new(), Vec::new());
+        Given {
+            inputs,
+            rows,
+            reductions,
+            estimates,
+            files,
+            stdin: RefCell::new(Some(stdin)),
+            of_estimates: false,
+            notes,
+        }
+    }
+
+    /// Names of the inputs, as they were given.
+    pub(crate) fn names(&self) -> Vec<String> {
+        self.inputs.iter().map(Input::name).collect()
+    }
+
+    /// Nothing but rows is given.
+    pub(crate) fn is_rows(&self) -> bool {
+        self.reductions.is_empty() && self.estimates.is_empty()
+    }
+
+    /// The likelihood of a fit is that of estimates.
+    pub(crate) fn is_of_estimates(&self, model: &PhasedModel) -> bool {
+        self.of_estimates
+            || !self.estimates.is_empty()
+            || (!self.rows.is_empty() && model.phases.iter().any(|phase| phase.filter.is_some()))
+    }
+
+    /// Standard input, from its start; it comes once.
+    pub(crate) fn stdin(&self) -> Box<dyn Read> {
+        self.stdin.borrow_mut().take().unwrap_or_else(|| Box::new(std::io::empty()))
+    }
+
+    /// Checks what the files say of themselves, and fixes free parameters at their α.
+    fn hold(&mut self, spec: &mut Spec) -> Result<(), Failure> {
+        let digest = spec.reduction_digest();
+        let own = ParameterValue::known(spec.model.shared());
+        let mut held: Vec<ParameterValue> = Vec::new();
+        let mut seen: Vec<(&str, Metadata)> = Vec::new();
+        for (source, is_reduction) in
+            self.reductions.iter().map(|source| (source, true)).chain(self.estimates.iter().map(|s| (s, false)))
+        {
+            let Some(metadata) = source.metadata().map_err(|error| Failure::data(error, spec))? else { continue };
+            if is_reduction {
+                metadata.check_digest(&source.name, &digest).map_err(|error| Failure::data(error.into(), spec))?;
+            } else if metadata.reduction_digest != digest {
+                self.notes.push(format!("{} was made with another version of `{}`", source.name, spec.name));
+            }
+            let known = seen.iter().map(|(name, other)| (*name, other.parameters.as_slice()));
+            let others = std::iter::once((spec.name.as_str(), own.as_slice())).chain(known);
+            for (other, parameters) in others {
+                if let Some(found) = difference(parameters, &metadata.parameters) {
+                    let (file, difference, other) = (source.name.clone(), Box::new(found), other.to_owned());
+                    return Err(Failure::data(ExchangeError::Parameter { file, difference, other }.into(), spec));
+                }
+            }
+            merge(&mut held, &metadata.parameters);
+            self.of_estimates |= metadata.of_estimates;
+            seen.push((&source.name, metadata));
+        }
+        if let Some((first, _)) = seen.first() {
+            let name = (*first).to_owned();
+            let note = fix(spec, &held, &name)?;
+            self.notes.extend(note);
+        }
+        Ok(())
+    }
+
+    /// All that is known of each phase of each test, whether the phases before it are known or not.
+    pub(crate) fn parts(
+        &self,
+        spec: &Spec,
+        model: &PhasedModel,
+        work: &mut Work<'_>,
+    ) -> Result<(Vec<Entry>, Reading), Failure> {
+        let (assembly, reading) = self.assembly(spec, model, work)?;
+        Ok((assembly.into_entries(), reading))
+    }
+
+    /// All tests.
+    pub(crate) fn tests(
+        &self,
+        spec: &Spec,
+        model: &PhasedModel,
+        work: &mut Work<'_>,
+    ) -> Result<(Vec<PhasedTest>, Reading), Failure> {
+        let (assembly, mut reading) = self.assembly(spec, model, work)?;
+        let tests = assembly.finish().map_err(|error| Failure::data(error, spec))?;
+        reading.tests = tests.len();
+        Ok((tests, reading))
+    }
+
+    fn assembly<'a>(
+        &'a self,
+        spec: &Spec,
+        model: &'a PhasedModel,
+        work: &mut Work<'_>,
+    ) -> Result<(Assembly<'a>, Reading), Failure> {
+        let refused = |error: DataError| Failure::data(error, spec);
+        let (rows, mut reading) = self.rows(spec, model, work)?;
+        reading.files = self.files.clone();
+        let mut assembly = Assembly::new(model, &self.files);
+        rows.into_iter().try_for_each(|entry| assembly.add(entry)).map_err(refused)?;
+        let mut done = 0;
+        let mut add = |entry: Entry| {
+            done += 1;
+            work.say(|| format!("reading: {done} phases of tests"));
+            assembly.add(entry)
+        };
+        for source in &self.reductions {
+            read_reductions(source, model, &mut add).map_err(refused)?;
+        }
+        for source in &self.estimates {
+            read_estimates(source, (model, &spec.layout), &mut reading.labels, &mut add).map_err(refused)?;
+        }
+        Ok((assembly, reading))
+    }
+
+    fn rows(&self, spec: &Spec, model: &PhasedModel, work: &mut Work<'_>) -> Result<(Vec<Entry>, Reading), Failure> {
+        if self.rows.is_empty() {
+            let labels = Labels::new(&model.shared().literals);
+            return Ok((Vec::new(), Reading { labels, ..Reading::default() }));
+        }
+        let mut sink = Rows { model, entries: Vec::new(), work };
+        let reading = kalfit_data::read_from(model, &spec.layout, &self.rows, &mut sink, &mut self.stdin());
+        let reading = reading.map_err(|error| refused::failure(error, spec))?;
+        Ok((sink.entries, reading))
+    }
+}
+
+/// Standard input where it is read, and nothing elsewhere: others may be reading it.
+pub(crate) fn stdin(inputs: &[Input]) -> Box<dyn Read> {
+    if inputs.contains(&Input::Stdin) { Box::new(std::io::stdin().lock()) } else { Box::new(std::io::empty()) }
+}
+
+/// Rows by phase.
+pub(crate) fn entries(model: &PhasedModel, tests: Vec<Test>, labels: &Labels) -> Result<Vec<Entry>, SplitError> {
+    let mut entries = Vec::new();
+    for test in tests {
+        for (phase, rows) in model.rows_by_phase(test, labels)?.into_iter().enumerate() {
+            if rows.rows() > 0 {
+                let (test, at) = (rows.id.clone(), rows.source(0));
+                entries.push(Entry { test, phase, evidence: Evidence::Rows(rows), at });
+            }
+        }
+    }
+    Ok(entries)
+}
+
+struct Rows<'a, 'w> {
+    model: &'a PhasedModel,
+    entries: Vec<Entry>,
+    work: &'a mut Work<'w>,
+}
+
+impl Sink for Rows<'_, '_> {
+    type Error = Refused;
+
+    fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), Refused> {
+        Refused::unless_stopped(self.work)?;
+        self.entries.extend(entries(self.model, tests, labels).map_err(Refused::Split)?);
+        let done = self.entries.len();
+        self.work.say(|| format!("reading: {done} phases of tests"));
+        Ok(())
+    }
+
+    fn restart(&mut self) {
+        self.entries.clear();
+    }
+}
+
+/// Gives the model's free parameters the values of a file; a note that says so.
+fn fix(spec: &mut Spec, held: &[ParameterValue], file: &str) -> Result<Option<String>, Failure> {
+    let free: Vec<Parameter> = spec.model.shared().parameters.iter().filter(|p| p.is_free()).cloned().collect();
+    let mut names = Vec::new();
+    for parameter in free {
+        let Some(known) = held.iter().find(|known| known.name == parameter.name) else { continue };
+        let levels = known.levels.iter().map(|(level, value)| (Some(level.as_str()), *value));
+        let values: Vec<(Option<&str>, f64)> = levels.chain(known.value.map(|value| (None, value))).collect();
+        if values.is_empty() {
+            continue;
+        }
+        spec.give(&parameter.name, &values)
+            .map_err(|error| Failure::from(TruthError::Value { path: file.to_owned(), error: Box::new(error) }))?;
+        names.push(format!("`{}`", parameter.name));
+    }
+    Ok((!names.is_empty()).then(|| {
+        let (is, it) = if names.len() == 1 { ("is", "the value") } else { ("are", "the values") };
+        format!("{} {is} held at {it} at which filters made `{file}`", names.join(", "))
+    }))
+}

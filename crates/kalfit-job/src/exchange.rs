@@ -1,0 +1,228 @@
+//! What `kalfit reduce` and `kalfit estimates` share: evidence in, one file out, whole or not at all.
+
+use std::collections::BTreeSet;
+use std::ffi::OsStr;
+use std::fs::File;
+use std::io::{BufWriter, Seek, Write};
+use std::path::PathBuf;
+
+use kalfit::model::ParameterError;
+use kalfit::reduce::{ReduceError, SplitError};
+use kalfit::{Alpha, Labels, Source, Test};
+use kalfit_data::exchange::{Entry, Metadata, ParameterValue};
+use kalfit_data::{ReadError, Reading, Sink, WriteError};
+use kalfit_spec::Spec;
+
+use crate::document::Document;
+use crate::evidence::{Given, entries};
+use crate::failure::Failure;
+use crate::job::{Done, ExchangeJob, Exchanged, files};
+use crate::output::{Pending, Target};
+use crate::truth::TruthError;
+use crate::work::{Watch, Work};
+use crate::{model, truth};
+
+/// Phases of tests handled at a time.
+const BATCH: usize = 1024;
+
+/// Makes the rows of an exchange file.
+pub(crate) trait Maker: Sized {
+    /// What writes them.
+    type Writer;
+    /// What one row is, in words.
+    const ROW: &'static str;
+    /// They are estimates, whatever they are made of.
+    const OF_ESTIMATES: bool;
+
+    fn new(setting: &Setting) -> Result<Self, Failure>;
+
+    fn open(setting: &Setting, sink: Sunk) -> Result<Self::Writer, WriteError>;
+
+    /// Makes rows of entries and writes them.
+    fn make(&mut self, entries: Vec<Entry>, labels: &Labels, writer: &mut Self::Writer) -> Result<(), Refused>;
+
+    fn close(writer: Self::Writer) -> Result<Sunk, WriteError>;
+}
+
+/// Where a file goes.
+pub(crate) type Sunk = BufWriter<File>;
+
+/// What rows are made at.
+pub(crate) struct Setting {
+    pub(crate) spec: Spec,
+    pub(crate) alpha: Alpha,
+    metadata: Metadata,
+}
+
+impl Setting {
+    pub(crate) fn metadata(&self) -> &Metadata {
+        &self.metadata
+    }
+}
+
+/// Why no row was made.
+pub(crate) enum Refused {
+    Split(SplitError),
+    Reduce(ReduceError),
+    Write(WriteError),
+    /// Nobody waits any longer.
+    Interrupted,
+    /// Rows of a phase without a filter.
+    NoFilter {
+        phase: String,
+        at: Source,
+    },
+    /// A reduction, of which no estimates can be made.
+    Reduced {
+        at: Source,
+    },
+}
+
+/// Makes an exchange file.
+pub(crate) fn run<M: Maker>(job: &ExchangeJob, watch: &mut dyn Watch) -> Result<Done<Exchanged>, Failure> {
+    let mut spec = model::read(&job.model.document)?;
+    let mut notes = job.at.as_ref().map_or(Ok(Vec::new()), |at| truth::parameters(&mut spec, at))?;
+    model::set(&mut spec, &job.model.set)?;
+    let given = Given::open(&mut spec, &job.data)?;
+    notes.extend(given.notes.iter().cloned());
+    let is_parquet = |path: &PathBuf| {
+        let known = |extension: &OsStr| ["parquet", "pq"].iter().any(|known| extension.eq_ignore_ascii_case(known));
+        path.extension().is_some_and(known) // as it will be read
+    };
+    if let Some(path) = job.out.as_ref().filter(|path| !is_parquet(path)) {
+        return Err(Failure::NotParquet { path: path.display().to_string() });
+    }
+    let read: Vec<&Document> = std::iter::once(&job.model.document).chain(&job.at).collect();
+    let output = Target::prepare(job.out.as_deref(), &files(&read, &given.inputs))?;
+    let alpha = Alpha::fixed(&spec.model.shared().parameters)
+        .map_err(|ParameterError::Free { names }| Failure::from(TruthError::NoParameter { names }))?;
+    let metadata = metadata(&spec, &alpha, &given, M::OF_ESTIMATES);
+    let setting = Setting { spec, alpha, metadata };
+    let mut work = Work::new(watch);
+    let maker = M::new(&setting)?;
+    let pending = output.begin()?;
+    let mut filing = Filing {
+        setting: &setting,
+        maker,
+        writer: None,
+        pending: &pending,
+        tests: BTreeSet::new(),
+        rows: 0,
+        work: &mut work,
+    };
+    filing.fill(&given)?;
+    filing.work.go_on()?;
+    let (tests, rows) = (filing.tests.len(), filing.rows);
+    filing.close()?;
+    let record = Exchanged { rows, row: M::ROW, tests, table: pending.finish()? };
+    Ok(Done { record, notes, written: output.name() })
+}
+
+fn metadata(spec: &Spec, alpha: &Alpha, given: &Given, of_estimates: bool) -> Metadata {
+    let model = spec.model.shared();
+    Metadata {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        title: model.title.clone(),
+        model_digest: spec.digest.clone(),
+        reduction_digest: spec.reduction_digest(),
+        parameters: ParameterValue::all(model, alpha, &Labels::new(&model.literals)),
+        files: given.names(),
+        of_estimates: of_estimates || given.is_of_estimates(&spec.model),
+    }
+}
+
+/// A file that is being filled.
+struct Filing<'a, 'w, M: Maker> {
+    setting: &'a Setting,
+    maker: M,
+    /// Nothing is written yet when none.
+    writer: Option<M::Writer>,
+    pending: &'a Pending<'a>,
+    tests: BTreeSet<String>,
+    rows: usize,
+    work: &'a mut Work<'w>,
+}
+
+impl<M: Maker> Filing<'_, '_, M> {
+    /// Rows as they are read; where there is more than rows, all at once.
+    fn fill(&mut self, given: &Given) -> Result<(), Failure> {
+        let (spec, path) = (&self.setting.spec, self.pending.name());
+        let failed = |refused: Refused, reading: &Reading| failure(refused, reading, &path);
+        if given.is_rows() {
+            let (inputs, layout) = (&given.inputs, &spec.layout);
+            let read = kalfit_data::read_from(&spec.model, layout, inputs, self, &mut given.stdin());
+            return read.map(|_| ()).map_err(|error| match error {
+                ReadError::Data(error) => Failure::data(error, spec),
+                ReadError::Sink { error, reading } => failed(error, &reading),
+            });
+        }
+        let (mut entries, reading) = given.parts(spec, &spec.model, self.work)?;
+        while !entries.is_empty() {
+            let rest = entries.split_off(entries.len().min(BATCH));
+            self.take(entries, &reading.labels).map_err(|refused| failed(refused, &reading))?;
+            entries = rest;
+        }
+        Ok(())
+    }
+
+    fn take(&mut self, entries: Vec<Entry>, labels: &Labels) -> Result<(), Refused> {
+        if self.work.is_stopped() {
+            return Err(Refused::Interrupted);
+        }
+        if self.writer.is_none() {
+            let begun = self.begin().map_err(|error| Refused::Write(error.into()))?;
+            self.writer = Some(M::open(self.setting, begun).map_err(Refused::Write)?);
+        }
+        for entry in &entries {
+            if !self.tests.contains(&entry.test) {
+                self.tests.insert(entry.test.clone());
+            }
+        }
+        self.rows += entries.len();
+        let writer = self.writer.as_mut().expect("it was opened");
+        self.maker.make(entries, labels, writer)?;
+        let done = self.rows;
+        self.work.say(|| format!("filtering: {done} phases of tests"));
+        Ok(())
+    }
+
+    /// The file, empty.
+    fn begin(&self) -> std::io::Result<Sunk> {
+        let mut file = self.pending.file().try_clone()?;
+        file.set_len(0)?;
+        file.rewind()?;
+        Ok(BufWriter::new(file))
+    }
+
+    fn close(self) -> Result<(), Failure> {
+        let path = self.pending.name();
+        let failed = |error: WriteError| Failure::Write { error: Box::new(error), path: path.clone() };
+        let Some(writer) = self.writer else { return Ok(()) };
+        M::close(writer).map_err(failed)?.flush().map_err(|error| failed(error.into()))
+    }
+}
+
+impl<M: Maker> Sink for Filing<'_, '_, M> {
+    type Error = Refused;
+
+    fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), Refused> {
+        let entries = entries(&self.setting.spec.model, tests, labels).map_err(Refused::Split)?;
+        self.take(entries, labels)
+    }
+
+    fn restart(&mut self) {
+        (self.writer, self.rows) = (None, 0);
+        self.tests.clear();
+    }
+}
+
+fn failure(refused: Refused, reading: &Reading, path: &str) -> Failure {
+    match refused {
+        Refused::Split(error) => Failure::Split { error, reading: Box::new(reading.clone()) },
+        Refused::Reduce(error) => Failure::Reduce { error, reading: Some(Box::new(reading.clone())) },
+        Refused::Write(error) => Failure::Write { error: Box::new(error), path: path.to_owned() },
+        Refused::Interrupted => Failure::Interrupted,
+        Refused::NoFilter { phase, at } => Failure::NoFilter { phase, at: reading.place(at) },
+        Refused::Reduced { at } => Failure::NotEstimates { at: reading.place(at) },
+    }
+}

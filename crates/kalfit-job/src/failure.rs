@@ -1,0 +1,386 @@
+//! Why a command ended: what a library said, and where the user should look.
+
+use std::ops::Range;
+
+use kalfit::dynamic::DynamicError;
+use kalfit::estimate::FitError;
+use kalfit::infer::{DynamicRatioError, Element, NotNested};
+use kalfit::plan::PlanError;
+use kalfit::reduce::{ReduceError, SplitError};
+use kalfit::simulate::SimulateError;
+use kalfit_data::{DataError, Reading, WriteError};
+use kalfit_spec::{Spec, SpecError};
+
+use crate::output::OutputError;
+use crate::truth::TruthError;
+
+/// Bad input, or a world that does not let us write. Exit status 2.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Failure {
+    /// The model file.
+    #[error("{error}")]
+    Model {
+        /// What is wrong.
+        error: Box<SpecError>,
+        /// The file and its text, when it could be read.
+        file: Option<Source>,
+    },
+    /// An assignment of `--set`.
+    #[error("{error}")]
+    Set {
+        /// What is wrong.
+        error: Box<SpecError>,
+    },
+    /// The data.
+    #[error("{error}")]
+    Data {
+        /// What is wrong.
+        error: Box<DataError>,
+        /// Where the model uses what the data lack.
+        place: Option<Box<Place>>,
+    },
+    /// Rows that are not of the model's phases.
+    #[error("{}", split_message(error, reading))]
+    Split {
+        /// What is wrong.
+        error: SplitError,
+        /// What was read so far.
+        reading: Box<Reading>,
+    },
+    /// The model does not work on the data.
+    #[error("{}", reduce_message(error, reading.as_deref()))]
+    Reduce {
+        /// What is wrong.
+        error: ReduceError,
+        /// What was read so far.
+        reading: Option<Box<Reading>>,
+    },
+    /// The estimator.
+    #[error("{0}")]
+    Fit(FitError),
+    /// The search for dynamic parameters.
+    #[error("{0}")]
+    Dynamic(Box<DynamicError>),
+    /// A hypothesis that cannot be tested within the model.
+    #[error("cannot test this hypothesis: {0}")]
+    NotNested(NotNested),
+    /// The same, where dynamic parameters are estimated.
+    #[error("cannot test this hypothesis: {0}")]
+    DynamicRatio(DynamicRatioError),
+    /// A hypothesis that does not leave a parameter as the model has it.
+    #[error("parameter `{name}` is not the same in the hypothesis as in the model, which has it fixed")]
+    HypothesisParameter {
+        /// Name of the parameter.
+        name: String,
+    },
+    /// The population to draw from or to plan for.
+    #[error("{0}")]
+    Truth(Box<TruthError>),
+    /// The ensemble cannot be drawn.
+    #[error("{}", simulate_message(error, reading.as_deref()))]
+    Simulate {
+        /// What is wrong.
+        error: Box<SimulateError>,
+        /// What was read so far.
+        reading: Option<Box<Reading>>,
+    },
+    /// There is no plan.
+    #[error("{}", plan_message(error, states))]
+    Plan {
+        /// What is wrong.
+        error: Box<PlanError>,
+        /// Names of the estimated states.
+        states: Vec<String>,
+    },
+    /// The table to write.
+    #[error("{}", write_message(error, path))]
+    Write {
+        /// What is wrong.
+        error: Box<WriteError>,
+        /// The file.
+        path: String,
+    },
+    /// The output file.
+    #[error(transparent)]
+    Output(#[from] OutputError),
+    /// Standard errors that a criterion does not have.
+    #[error("`--std-errors expected` and `--std-errors sandwich` go with `--criterion ml` only")]
+    RestrictedErrors,
+    /// Standard errors that are not known of free dynamic parameters.
+    #[error("`--std-errors expected` and `--std-errors sandwich` are for models whose parameters are all known")]
+    FreeErrors,
+    /// An option of the search for dynamic parameters, none of which is free.
+    #[error("`{option}` has no effect: the model has no free parameters")]
+    NoFreeParameter {
+        /// The option.
+        option: &'static str,
+    },
+    /// A way to put phases together, of which there is but one.
+    #[error("`--phases {found}` has no effect: the model has one phase")]
+    OnePhase {
+        /// What was asked for.
+        found: &'static str,
+    },
+    /// An exchange file of another kind.
+    #[error("the output `{path}` is no name of a Parquet file, expected one that ends in `.parquet`")]
+    NotParquet {
+        /// The file.
+        path: String,
+    },
+    /// Rows of a phase of which there are no estimates.
+    #[error("{at}: found rows of phase `{phase}`, which has no `[filter]`, expected rows of phases with one")]
+    NoFilter {
+        /// Name of the phase.
+        phase: String,
+        /// File and row.
+        at: String,
+    },
+    /// A reduction among what estimates are to be made of.
+    #[error("{at}: found a reduction, of which no estimates can be made, expected rows or estimates")]
+    NotEstimates {
+        /// File and row.
+        at: String,
+    },
+    /// Nobody waits any longer.
+    #[error("the work was interrupted")]
+    Interrupted,
+    /// Threads.
+    #[error("cannot start {threads} threads: {reason}")]
+    Threads {
+        /// How many.
+        threads: usize,
+        /// What the system said.
+        reason: String,
+    },
+}
+
+/// A text file, for showing places in it.
+#[derive(Debug, Clone)]
+pub struct Source {
+    /// What messages call it.
+    pub name: String,
+    /// All of it.
+    pub text: String,
+}
+
+/// Bytes of a text file.
+#[derive(Debug, Clone)]
+pub struct Place {
+    /// The file.
+    pub source: Source,
+    /// The bytes.
+    pub span: Range<usize>,
+    /// What is said of them.
+    pub label: Option<String>,
+}
+
+impl Place {
+    /// A place in a model file.
+    pub(crate) fn in_model(spec: &Spec, span: Option<Range<usize>>, label: &str) -> Option<Box<Place>> {
+        let source = Source { name: spec.name.clone(), text: spec.text.clone() };
+        Some(Box::new(Place { source, span: span?, label: Some(label.to_owned()) }))
+    }
+}
+
+impl Failure {
+    /// Wrong data, pointing into the model when that names a column they do not have.
+    pub(crate) fn data(error: DataError, spec: &Spec) -> Failure {
+        let place = match &error {
+            DataError::MissingColumn { column, .. } => {
+                Place::in_model(spec, spec.column_span(column), "this column is not in the data")
+            }
+            _ => None,
+        };
+        Failure::Data { error: Box::new(error), place }
+    }
+
+    /// A model that cannot be read from this path.
+    pub(crate) fn model(error: SpecError, name: &str, text: Option<String>) -> Failure {
+        let file = text.map(|text| Source { name: name.to_owned(), text });
+        Failure::Model { error: Box::new(error), file }
+    }
+
+    /// Where to look.
+    pub fn place(&self) -> Option<Place> {
+        match self {
+            Failure::Model { error, file } => {
+                Some(Place { source: file.clone()?, span: error.span.clone()?, label: error.label.clone() })
+            }
+            Failure::Data { place, .. } => place.as_deref().cloned(),
+            _ => None,
+        }
+    }
+
+    /// What to do about it.
+    pub fn hint(&self) -> Option<String> {
+        match self {
+            Failure::Model { error, .. } | Failure::Set { error } => error.hint.clone(),
+            Failure::Data { error, .. } => error.hint(),
+            Failure::Split { error, .. } => Some(error.hint().to_owned()),
+            Failure::Reduce { error, .. } => error.hint().map(str::to_owned),
+            Failure::Fit(error) => fit_hint(error).map(str::to_owned),
+            Failure::Dynamic(error) => error.hint().map(str::to_owned),
+            Failure::NotNested(error) => Some(nesting_hint(*error).to_owned()),
+            Failure::DynamicRatio(error) => dynamic_ratio_hint(error).map(str::to_owned),
+            Failure::HypothesisParameter { .. } => Some("a hypothesis restricts what the model leaves free".to_owned()),
+            Failure::Truth(error) => error.hint(),
+            Failure::Simulate { error, .. } => error.hint().map(str::to_owned),
+            Failure::Plan { error, .. } => plan_hint(error).map(str::to_owned),
+            Failure::Write { error, .. } => write_hint(error).map(str::to_owned),
+            Failure::Output(error) => error.hint().map(str::to_owned),
+            Failure::RestrictedErrors => {
+                Some("leave `--std-errors` out: the restricted likelihood has those of its own curvature".to_owned())
+            }
+            Failure::FreeErrors => Some(
+                "leave `--std-errors` out, or fix the parameters with `--set` (their uncertainty is then left out)"
+                    .to_owned(),
+            ),
+            Failure::NoFreeParameter { .. } => {
+                Some("leave it out, or free a parameter in `[parameters]`: `{}` or `{ start = 1 }`".to_owned())
+            }
+            Failure::OnePhase { .. } => Some("leave it out".to_owned()),
+            Failure::NotParquet { .. } | Failure::Interrupted => None,
+            Failure::NoFilter { .. } => Some(
+                "leave these rows out, they may stand beside the estimates as they are; or use `kalfit reduce`, which takes any phase"
+                    .to_owned(),
+            ),
+            Failure::NotEstimates { .. } => Some("leave the file out: it may stand beside the estimates".to_owned()),
+            Failure::Threads { .. } => Some("ask for fewer with `--threads`".to_owned()),
+        }
+    }
+}
+
+/// As [`reduce_message`], for what is drawn.
+fn simulate_message(error: &SimulateError, reading: Option<&Reading>) -> String {
+    match (error, reading) {
+        (SimulateError::Reduce(error), reading) => reduce_message(error, reading),
+        (SimulateError::SharedCell { row, .. } | SimulateError::NotFinite { row, .. }, Some(reading)) => {
+            format!("{}: {error}", reading.place(*row))
+        }
+        _ => error.to_string(),
+    }
+}
+
+/// The core knows states by their places only.
+fn plan_message(error: &PlanError, states: &[String]) -> String {
+    let name = |i: usize| states.get(i).map_or("?", String::as_str);
+    match error {
+        PlanError::OffStructure { element, found, expected } => {
+            let element = match *element {
+                Element::Mean(i) => format!("mean[{}]", name(i)),
+                Element::Covariance(i, j) => format!("covariance[{}, {}]", name(j), name(i)),
+            };
+            format!("{element} is {found} in the population, and the model makes it {expected}")
+        }
+        _ => error.to_string(),
+    }
+}
+
+fn plan_hint(error: &PlanError) -> Option<&'static str> {
+    match error {
+        PlanError::OffStructure { .. } => {
+            Some("plan with values that obey the model, such as a fit of this very model")
+        }
+        PlanError::Design(error) => fit_hint(error),
+        _ => None,
+    }
+}
+
+/// What the libraries say of a write does not name the file.
+fn write_message(error: &WriteError, path: &str) -> String {
+    match error {
+        WriteError::Format { .. } | WriteError::IdInUse { .. } => error.to_string(),
+        _ => format!("cannot write `{path}`: {error}"),
+    }
+}
+
+fn write_hint(error: &WriteError) -> Option<&'static str> {
+    match error {
+        WriteError::IdInUse { .. } => Some("ask for no more tests than the design has"),
+        _ => None,
+    }
+}
+
+/// The core knows rows by number only.
+fn split_message(error: &SplitError, reading: &Reading) -> String {
+    let place = format!("{} (test `{}`)", reading.place(error.at()), error.test());
+    match error {
+        SplitError::MissingCell { column, phases, .. } => {
+            format!("{place}: the cell of phase column `{column}` is empty, expected {}", phases.join(", "))
+        }
+        SplitError::UnknownPhase { column, found, phases, .. } => {
+            format!("{place}: found phase `{found}` in column `{column}`, expected {}", phases.join(", "))
+        }
+        SplitError::MissingPhase { missing, later, .. } => {
+            format!("{place}: phase `{later}` follows phase `{missing}`, of which the test has no row")
+        }
+    }
+}
+
+/// The core knows rows by number only; the reading knows their files, and the texts behind labels.
+fn reduce_message(error: &ReduceError, reading: Option<&Reading>) -> String {
+    let (Some(reading), Some(row)) = (reading, error.row) else { return error.to_string() };
+    let test = error.test.as_ref().map_or(String::new(), |test| format!(" (test `{test}`)"));
+    format!("{}{test}: {}: {}", reading.place(row), error.what, kind_message(error, reading))
+}
+
+fn kind_message(error: &ReduceError, reading: &Reading) -> String {
+    use kalfit::reduce::{Cell, ReduceErrorKind as Kind};
+    let text = |cell: &Cell| match cell {
+        Cell::Text(label) => format!("`{}`", reading.labels.text(*label)),
+        Cell::Number(_) => cell.to_string(),
+    };
+    match &*error.kind {
+        Kind::NoLevel { parameter, level } => {
+            format!("parameter `{parameter}` has no value for level `{}`", reading.labels.text(*level))
+        }
+        Kind::Varies { column, first, second } => {
+            format!("column `{column}` varies within the test: {} and {}", text(first), text(second))
+        }
+        Kind::StepConflict { column, first, second } => {
+            format!("rows of one step disagree in column `{column}`: {} and {}", text(first), text(second))
+        }
+        kind => kind.to_string(),
+    }
+}
+
+fn nesting_hint(error: NotNested) -> &'static str {
+    match error {
+        NotNested::Same => "a hypothesis adds constraints to the model's",
+        NotNested::Mean | NotNested::Covariance => {
+            "keys of the hypothesis replace the model's whole, so repeat in them the constraints that the model has"
+        }
+        NotNested::Restricted => "compare likelihoods instead",
+        NotNested::Marginal => "use `--phases chain`",
+        NotNested::Different => "give both the same states",
+    }
+}
+
+fn dynamic_ratio_hint(error: &DynamicRatioError) -> Option<&'static str> {
+    use kalfit::infer::NotNestedParameter as Parameter;
+    match error {
+        DynamicRatioError::Structure(error) => Some(nesting_hint(*error)),
+        DynamicRatioError::Parameter(Parameter::Fixed { .. }) => {
+            Some("a hypothesis restricts what the model leaves free")
+        }
+        DynamicRatioError::Parameter(Parameter::Levels { .. }) => {
+            Some("a hypothesis has as many values as the model, or fewer")
+        }
+        DynamicRatioError::Parameter(Parameter::OutOfBounds { .. }) => Some("widen the bounds in the model"),
+        DynamicRatioError::Parameter(Parameter::Bounds { .. }) => Some(
+            "a parameter of the hypothesis replaces the model's whole, so repeat in it the bounds that the model has",
+        ),
+        DynamicRatioError::Fit(error) => fit_hint(error),
+    }
+}
+
+fn fit_hint(error: &FitError) -> Option<&'static str> {
+    match error {
+        FitError::DuplicateTest { .. } => Some("give each test an id of its own"),
+        FitError::NotFinite => Some("give start values in `[mean]` and `[covariance]` nearer to what is expected"),
+        FitError::NotMonotone { .. } => Some("choose units in which the states are of comparable size"),
+        FitError::NoPhases { .. } | FitError::RestrictedMarginal => Some("use `--phases chain`"),
+        FitError::NoTests | FitError::Structure(_) => None,
+    }
+}

@@ -1,0 +1,110 @@
+//! `kalfit fit`.
+
+use kalfit::estimate::{Combination, Criterion, Structure};
+use kalfit::infer::{Choices, DeletionChoice, IntervalKind, StdErrors};
+use kalfit::model::Population;
+use kalfit::record::Provenance;
+use kalfit::{Alpha, FitRecord, Reduction, estimate, infer};
+use kalfit_spec::Spec;
+
+use crate::evidence::Given;
+use crate::failure::Failure;
+use crate::innovations::{self, Kept};
+use crate::job::{Done, FitJob, files};
+use crate::output::Output;
+use crate::work::{Watch, Work};
+use crate::{dynamic, lost, model, reductions, tests};
+
+/// Fits a model to data. A search that is [stopped](Watch::stops) ends with the best that it found, and a record that says so,
+/// and writes no file.
+///
+/// # Errors
+/// Bad input, or [`Failure::Interrupted`] before the search began.
+pub fn fit(job: &FitJob, watch: &mut dyn Watch) -> Result<Done<FitRecord>, Failure> {
+    if job.settings.criterion == Criterion::Reml && job.choices.std_errors != StdErrors::Observed {
+        return Err(Failure::RestrictedErrors); // log|ΣB'WB| is no sum over tests
+    }
+    let mut spec = model::load(&job.model)?;
+    refuse_one_phase(job, &spec)?;
+    let given = Given::open(&mut spec, &job.data)?;
+    let free = model::has_free(spec.model.shared());
+    if !free {
+        refuse_idle(job)?;
+    } else if job.choices.std_errors != StdErrors::Observed {
+        return Err(Failure::FreeErrors);
+    }
+    let output = job
+        .out
+        .as_deref()
+        .map(|path| Output::prepare(path, &files(&[&job.model.document], &given.inputs)))
+        .transpose()?;
+    let mut work = Work::new(watch);
+    let mut record =
+        if free { dynamic::fit(job, &spec, &given, &mut work)? } else { known(job, &spec, &given, &mut work)? };
+    record.notes.splice(0..0, given.notes);
+    let output = output.filter(|_| !work.is_stopped()); // nobody waits for the file either
+    if let Some(output) = &output {
+        output.write(&record)?;
+    }
+    Ok(Done { record, notes: Vec::new(), written: output.map(|output| output.name()) })
+}
+
+/// Other starts of α have no effect when nothing of it is free. The methods are then one and the same, and any may be named.
+pub(crate) fn refuse_idle(job: &FitJob) -> Result<(), Failure> {
+    if job.search.starts > 0 { Err(Failure::NoFreeParameter { option: "--starts" }) } else { Ok(()) }
+}
+
+/// One phase cannot be put together with others; to name the default is no harm.
+fn refuse_one_phase(job: &FitJob, spec: &Spec) -> Result<(), Failure> {
+    match (spec.model.is_single(), job.settings.phases) {
+        (false, _) | (true, Combination::Chain) => Ok(()),
+        (true, Combination::Marginal) => Err(Failure::OnePhase { found: "marginal" }),
+        (true, Combination::Stacked) => Err(Failure::OnePhase { found: "stacked" }),
+    }
+}
+
+/// The method in one place, with known parameters: reduce, estimate, infer, record.
+fn known(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>) -> Result<FitRecord, Failure> {
+    let alpha = model::alpha(spec);
+    if !given.is_rows() || lost::filters_rows(&spec.model) {
+        let (tests, reading) = tests::read(spec, given, work)?;
+        return dynamic::known(job, spec, given, (&alpha, &tests, &reading), work);
+    }
+    let mut kept = if job.innovations { Kept::of(&given.inputs) } else { Kept::nothing() };
+    let reductions = reductions::reduce_keeping(spec, &alpha, given, work, &mut kept)?;
+    let (mut record, population) = record(job, spec, given, (&alpha, &reductions), work)?;
+    if job.innovations {
+        innovations::add(&mut record, kept, (spec, &alpha, &given.inputs), &population, work);
+        record.solver.seconds = work.seconds();
+    }
+    Ok(record)
+}
+
+/// Estimate, infer, record; the population too.
+pub(crate) fn record(
+    job: &FitJob,
+    spec: &Spec,
+    given: &Given,
+    (alpha, reductions): (&Alpha, &[Reduction]),
+    work: &mut Work<'_>,
+) -> Result<(FitRecord, Population), Failure> {
+    let structure = Structure::of(&spec.model, alpha);
+    let estimate = estimate::fit(reductions, &structure, &job.settings, work).map_err(Failure::Fit)?;
+    let inference = infer::infer(&estimate, reductions, patience(job.choices, work));
+    let provenance = Provenance {
+        model_digest: Some(spec.digest.clone()),
+        files: given.names(),
+        seconds: work.seconds(),
+        of_estimates: given.is_of_estimates(&spec.model),
+    };
+    let record = FitRecord::new(&spec.model, alpha, reductions, &estimate, &inference, provenance);
+    Ok((record, Population::from(&estimate)))
+}
+
+/// What is asked of the inference: the least of it once nobody waits.
+pub(crate) fn patience(choices: Choices, work: &Work<'_>) -> Choices {
+    if work.is_stopped() {
+        return Choices { intervals: IntervalKind::Wald, deletion: DeletionChoice::None, ..choices };
+    }
+    choices
+}

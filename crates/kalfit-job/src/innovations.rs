@@ -1,0 +1,404 @@
+//! Innovations after the fit. They need the data once more: small data are kept while they are read, larger ones are read a
+//! second time, standard input from a copy in memory or, when large, in a temporary file.
+
+use std::io::{Read, Seek, SeekFrom, Write};
+
+use kalfit::innovations::InnovationFilter;
+use kalfit::model::Population;
+use kalfit::record::InnovationRecord;
+use kalfit::reduce::{Evidence, ReduceError, SplitError};
+use kalfit::{Alpha, FitRecord, Labels, PhasedModel, PhasedTest, Test};
+use kalfit_data::{DataError, Input, ReadError, Sink};
+use kalfit_spec::Spec;
+use tempfile::SpooledTempFile;
+
+use crate::work::Work;
+
+/// Bytes of tests that are kept, and of standard input that is kept in memory.
+const MOST_BYTES: usize = 64 << 20;
+/// The log-likelihood of a test by its innovations and by the fit may differ by this part of itself.
+const AGREEMENT: f64 = 1e-6;
+
+/// Why there are no innovations, or not of all tests. The fit itself does not depend on them.
+#[derive(Debug, thiserror::Error)]
+enum Unavailable {
+    #[error("the data are too large to be kept, and `{name}` cannot be read a second time")]
+    OnlyOnce { name: String },
+    #[error("standard input is too large to be kept, and no temporary file could be written")]
+    NoCopy,
+    #[error("the data could not be read a second time: {0}")]
+    Unreadable(DataError),
+    #[error("the data changed while they were read: {0}")]
+    Split(SplitError),
+    #[error("{0}")]
+    Filter(ReduceError),
+    #[error("the fit was interrupted")]
+    Interrupted,
+}
+
+/// What a reading leaves for a second look at the data.
+pub(crate) struct Kept {
+    pub(crate) tests: KeptTests,
+    pub(crate) copy: Copy,
+}
+
+/// Tests, as long as they are not too many.
+#[derive(Default)]
+pub(crate) struct KeptTests {
+    wanted: bool,
+    tests: Vec<PhasedTest>,
+    bytes: usize,
+    /// `tests` are not all.
+    overflowed: bool,
+}
+
+/// A copy of standard input.
+pub(crate) enum Copy {
+    None,
+    Whole(Box<SpooledTempFile>),
+    Failed,
+}
+
+impl Kept {
+    /// Keeps what a second look at these inputs takes.
+    pub(crate) fn of(inputs: &[Input]) -> Kept {
+        let copy = if inputs.contains(&Input::Stdin) {
+            Copy::Whole(Box::new(SpooledTempFile::new(MOST_BYTES)))
+        } else {
+            Copy::None
+        };
+        Kept { copy, tests: KeptTests { wanted: true, ..KeptTests::default() } }
+    }
+
+    /// Keeps nothing.
+    pub(crate) fn nothing() -> Kept {
+        Kept { copy: Copy::None, tests: KeptTests::default() }
+    }
+}
+
+impl KeptTests {
+    /// Takes complete tests.
+    pub(crate) fn take(&mut self, tests: Vec<PhasedTest>) {
+        if !self.wanted || self.overflowed {
+            return;
+        }
+        self.bytes += tests.iter().map(bytes).sum::<usize>();
+        self.tests.extend(tests);
+        if self.bytes > MOST_BYTES {
+            (self.tests, self.overflowed) = (Vec::new(), true);
+        }
+    }
+
+    /// Forgets them.
+    pub(crate) fn restart(&mut self) {
+        *self = KeptTests { wanted: self.wanted, ..KeptTests::default() };
+    }
+}
+
+impl Copy {
+    /// `source`, with a copy of what passes where one is needed.
+    pub(crate) fn copying<'a>(&'a mut self, source: &'a mut dyn Read) -> impl Read + use<'a> {
+        Copying { source, copy: self }
+    }
+}
+
+fn bytes(test: &PhasedTest) -> usize {
+    let of = |evidence: &Evidence| match evidence {
+        Evidence::Rows(rows) if rows.rows() > 0 => {
+            rows.rows() * (16 + 8 * rows.numbers(0).len() + 4 * rows.texts(0).len())
+        }
+        // nobody looks at these again, but they are kept with the others
+        Evidence::Rows(_) => 0,
+        Evidence::Estimates(found) => 8 * (found.sensitivities.len() + found.transition.len() + found.root.len()),
+        Evidence::Reduced(found) => 8 * (found.reduction.factor.len() + 3 * found.reduction.data.len()),
+    };
+    test.phases.iter().map(|evidence| 128 + test.id.len() + of(evidence)).sum()
+}
+
+struct Copying<'a> {
+    source: &'a mut dyn Read,
+    copy: &'a mut Copy,
+}
+
+impl Read for Copying<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        let fresh = self.source.read(buffer)?;
+        if let Copy::Whole(file) = self.copy
+            && file.write_all(&buffer[..fresh]).is_err()
+        {
+            *self.copy = Copy::Failed;
+        }
+        Ok(fresh)
+    }
+}
+
+/// Adds innovations to the record, or a note that says why there are none.
+pub(crate) fn add(
+    record: &mut FitRecord,
+    kept: Kept,
+    (spec, alpha, inputs): (&Spec, &Alpha, &[Input]),
+    initial: &Population,
+    work: &mut Work<'_>,
+) {
+    let found = Looking::new(&spec.model, alpha, initial, work)
+        .map_err(Unavailable::Filter)
+        .and_then(|looking| all(looking, kept, spec, inputs));
+    match found {
+        Ok(found) => finish(record, found),
+        Err(why) => record.notes.push(format!("innovations were not computed: {why}")),
+    }
+}
+
+/// As [`add`], of tests that were all kept.
+pub(crate) fn add_of(
+    record: &mut FitRecord,
+    (model, alpha, initial): (&PhasedModel, &Alpha, &Population),
+    tests: &[PhasedTest],
+    work: &mut Work<'_>,
+) {
+    match Looking::new(model, alpha, initial, work) {
+        Ok(mut looking) => match looking.look_at(tests) {
+            Ok(()) => finish(record, looking.seen),
+            Err(why) => record.notes.push(format!("innovations were not computed: {why}")),
+        },
+        Err(error) => record.notes.push(format!("innovations were not computed: {error}")),
+    }
+}
+
+fn finish(record: &mut FitRecord, seen: Seen) {
+    if let Some(error) = seen.failed {
+        record.notes.push(format!("the innovations of some tests could not be computed: {error}"));
+    }
+    if seen.silent > 0 {
+        let tests = if seen.silent == 1 { "1 test has".to_owned() } else { format!("{} tests have", seen.silent) };
+        record.notes.push(format!(
+            "{tests} no innovations: they are given by estimates or reductions, which no longer tell what was measured when"
+        ));
+    }
+    attach(record, seen.found);
+}
+
+/// What the filter saw of all tests.
+#[derive(Default)]
+struct Seen {
+    found: Vec<Found>,
+    /// Tests that cannot have any.
+    silent: usize,
+    failed: Option<ReduceError>,
+}
+
+/// One test's innovations in figures.
+struct Found {
+    test: String,
+    log_likelihood: f64,
+    record: InnovationRecord,
+}
+
+/// Two ways to one likelihood must agree; where they do not, the data changed between two readings, or digits were lost.
+fn attach(record: &mut FitRecord, mut found: Vec<Found>) {
+    let of: std::collections::HashMap<&str, f64> =
+        record.tests.iter().map(|test| (test.id.as_str(), test.log_likelihood)).collect();
+    let all = found.len();
+    found.retain(|one| {
+        of.get(one.test.as_str()).is_some_and(|l| (l - one.log_likelihood).abs() <= AGREEMENT * (1.0 + l.abs()))
+    });
+    if found.len() < all {
+        record.notes.push(format!(
+            "the innovations of {} of {all} tests are left out: they do not give the likelihood of the fit, because the data changed while they were read, or because the test is too ill-conditioned",
+            all - found.len()
+        ));
+    }
+    record.add_innovations(found.into_iter().map(|one| (one.test, one.record)).collect());
+}
+
+/// Takes tests in and keeps figures only.
+struct Looking<'a, 'w> {
+    filter: InnovationFilter,
+    model: &'a PhasedModel,
+    seen: Seen,
+    work: &'a mut Work<'w>,
+}
+
+impl<'a, 'w> Looking<'a, 'w> {
+    fn new(
+        model: &'a PhasedModel,
+        alpha: &Alpha,
+        initial: &Population,
+        work: &'a mut Work<'w>,
+    ) -> Result<Looking<'a, 'w>, ReduceError> {
+        Ok(Looking { filter: InnovationFilter::new(model, alpha, initial)?, model, seen: Seen::default(), work })
+    }
+
+    /// At all of them, as long as somebody waits.
+    fn look_at(&mut self, tests: &[PhasedTest]) -> Result<(), Unavailable> {
+        for tests in tests.chunks(BATCH) {
+            if self.work.is_stopped() {
+                return Err(Unavailable::Interrupted);
+            }
+            self.look(tests);
+        }
+        Ok(())
+    }
+
+    fn look(&mut self, tests: &[PhasedTest]) {
+        let seen = &mut self.seen;
+        for result in self.filter.run(tests) {
+            match result {
+                Ok(Some(one)) => seen.found.push(Found {
+                    log_likelihood: one.log_likelihood,
+                    record: InnovationRecord::new(&one, self.model),
+                    test: one.test,
+                }),
+                Ok(None) => seen.silent += 1,
+                Err(error) => seen.failed = seen.failed.take().or(Some(error)),
+            }
+        }
+        let done = seen.found.len() + seen.silent;
+        self.work.say(|| format!("innovations: {done} tests"));
+    }
+}
+
+impl Sink for Looking<'_, '_> {
+    type Error = Unavailable;
+
+    fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), Unavailable> {
+        if self.work.is_stopped() {
+            return Err(Unavailable::Interrupted);
+        }
+        let split = tests.into_iter().map(|test| self.model.split(test, labels));
+        let tests: Vec<PhasedTest> = split.collect::<Result<_, _>>().map_err(Unavailable::Split)?;
+        self.look(&tests);
+        Ok(())
+    }
+
+    fn restart(&mut self) {
+        self.seen = Seen::default();
+    }
+}
+
+/// Tests looked at together: their series of innovations are in memory at the same time.
+const BATCH: usize = 1024;
+
+fn all(mut looking: Looking<'_, '_>, kept: Kept, spec: &Spec, inputs: &[Input]) -> Result<Seen, Unavailable> {
+    if kept.tests.overflowed {
+        again(&mut looking, kept, spec, inputs)?;
+    } else {
+        looking.look_at(&kept.tests.tests)?;
+    }
+    Ok(looking.seen)
+}
+
+/// Reads the data a second time.
+fn again(looking: &mut Looking<'_, '_>, kept: Kept, spec: &Spec, inputs: &[Input]) -> Result<(), Unavailable> {
+    let once = inputs.iter().find(|input| match input {
+        Input::Path(path) => !std::fs::metadata(path).is_ok_and(|found| found.is_file()),
+        Input::Stdin | Input::Table(_) => false,
+    });
+    if let Some(input) = once {
+        return Err(Unavailable::OnlyOnce { name: input.name() });
+    }
+    let mut copy: Box<dyn Read> = match kept.copy {
+        Copy::None => Box::new(std::io::empty()),
+        Copy::Whole(mut file) => {
+            file.seek(SeekFrom::Start(0)).map_err(|_| Unavailable::NoCopy)?;
+            Box::new(std::io::BufReader::new(file))
+        }
+        Copy::Failed => return Err(Unavailable::NoCopy),
+    };
+    match kalfit_data::read_from(&spec.model, &spec.layout, inputs, looking, &mut copy) {
+        Ok(_) => Ok(()),
+        Err(ReadError::Data(error)) => Err(Unavailable::Unreadable(error)),
+        Err(ReadError::Sink { error, .. }) => Err(error),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use kalfit::Source;
+
+    use super::*;
+    use crate::work::Unwatched;
+
+    fn test(rows: usize) -> PhasedTest {
+        let mut test = Test::new("a", 2, 0);
+        (0..rows).for_each(|_| test.push(&[1.0, 2.0], &[], Source::default()));
+        test.into()
+    }
+
+    #[test]
+    fn tests_are_kept_up_to_a_limit_and_from_a_restart_on() {
+        let mut kept = Kept::of(&[]).tests;
+        kept.take(vec![test(10), test(20)]);
+        assert_eq!((kept.tests.len(), kept.overflowed), (2, false));
+        let large = 1 + MOST_BYTES / (8 * 32);
+        (0..8).for_each(|_| kept.take(vec![test(large)]));
+        assert_eq!((kept.tests.len(), kept.overflowed), (0, true), "{} bytes", kept.bytes);
+        kept.restart();
+        kept.take(vec![test(10)]);
+        assert_eq!((kept.tests.len(), kept.overflowed), (1, false));
+        let mut nothing = Kept::nothing().tests;
+        nothing.take(vec![test(10)]);
+        assert_eq!(nothing.tests.len(), 0);
+    }
+
+    #[test]
+    fn standard_input_can_be_read_again_from_its_copy() {
+        let mut kept = Kept::of(&[Input::Stdin]);
+        let mut source: &[u8] = b"some text";
+        let mut first = String::new();
+        kept.copy.copying(&mut source).read_to_string(&mut first).unwrap();
+        let Copy::Whole(mut file) = kept.copy else { panic!("there is no copy") };
+        let mut second = String::new();
+        file.seek(SeekFrom::Start(0)).unwrap();
+        file.read_to_string(&mut second).unwrap();
+        assert_eq!((first.as_str(), second.as_str()), ("some text", "some text"));
+    }
+
+    const MODEL: &str = r#"
+[data]
+test = "id"
+[states.level]
+[measurements.y]
+column = "y"
+equation = "level"
+noise = 1
+"#;
+    /// `b` comes back after `a`, so that the second reading starts again too.
+    const DATA: &str = "id,y\nb,1\na,2\na,3\nb,-1\nb,4\n";
+
+    fn figures(kept: Kept, inputs: &[Input]) -> Result<Vec<(String, f64)>, Unavailable> {
+        let spec = Spec::parse("m.toml", MODEL).unwrap();
+        let mut initial = Population { mean: vec![1.0], coefficients: vec![], covariance: Default::default() };
+        initial.covariance.resize_mut(1, 1, 1.0);
+        let mut watch = Unwatched;
+        let mut work = Work::new(&mut watch);
+        let looking = Looking::new(&spec.model, &Alpha::default(), &initial, &mut work).unwrap();
+        let seen = all(looking, kept, &spec, inputs)?;
+        assert_eq!((seen.failed, seen.silent), (None, 0));
+        Ok(seen.found.into_iter().map(|one| (one.test, one.log_likelihood)).collect())
+    }
+
+    fn overflowed(copy: Copy) -> Kept {
+        Kept { tests: KeptTests { wanted: true, overflowed: true, ..KeptTests::default() }, copy }
+    }
+
+    #[test]
+    fn data_too_large_to_keep_are_read_a_second_time_to_the_same_figures() {
+        let mut file = tempfile::Builder::new().suffix(".csv").tempfile().unwrap();
+        file.write_all(DATA.as_bytes()).unwrap();
+        let inputs = [Input::Path(file.path().to_owned())];
+        let from_file = figures(overflowed(Copy::None), &inputs).unwrap();
+        // by hand: y of test b is N((1, 1, 1), I + 11'), with inverse I - 11'/4 and determinant 4
+        let (z, tau) = ([0.0, -2.0, 3.0], std::f64::consts::TAU);
+        let square: f64 = z.iter().map(|z| z * z).sum::<f64>() - z.iter().sum::<f64>().powi(2) / 4.0;
+        let expected = -0.5 * (3.0 * tau.ln() + 4f64.ln() + square);
+        assert_eq!((from_file[0].0.as_str(), from_file.len()), ("b", 2));
+        assert!((from_file[0].1 - expected).abs() < 1e-12, "{} {expected}", from_file[0].1);
+        let mut copy = Box::new(SpooledTempFile::new(8)); // rolls over to a file
+        copy.write_all(DATA.as_bytes()).unwrap();
+        assert_eq!(figures(overflowed(Copy::Whole(copy)), &[Input::Stdin]).unwrap(), from_file);
+        assert!(matches!(figures(overflowed(Copy::Failed), &[Input::Stdin]), Err(Unavailable::NoCopy)));
+        let gone = [Input::Path("no/such/pipe".into())];
+        assert!(matches!(figures(overflowed(Copy::None), &gone), Err(Unavailable::OnlyOnce { .. })));
+    }
+}

@@ -1,0 +1,173 @@
+//! What a job is asked for, and what it ends with.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+use kalfit::dynamic::{self, Method};
+use kalfit::estimate::Settings;
+use kalfit::infer::{Bootstrap, Choices};
+use kalfit_data::{Datum, Input};
+
+use crate::document::Document;
+
+/// Which model.
+#[derive(Debug, Clone)]
+pub struct ModelJob {
+    /// A model file, or its text.
+    pub document: Document,
+    /// Values of parameters, each as `name=value` or `name[level]=value`.
+    pub set: Vec<String>,
+}
+
+/// Fit a model to data.
+#[derive(Debug, Clone)]
+pub struct FitJob {
+    /// The model.
+    pub model: ModelJob,
+    /// The data.
+    pub data: Vec<Datum>,
+    /// File for the results.
+    pub out: Option<PathBuf>,
+    /// Of the search for the mean and the covariance.
+    pub settings: Settings,
+    /// Of the search for free dynamic parameters.
+    pub search: dynamic::Settings,
+    /// How they are sought; in every way when none.
+    pub method: Option<Method>,
+    /// What is inferred, and how.
+    pub choices: Choices,
+    /// Look at the data once more after the fit.
+    pub innovations: bool,
+}
+
+impl FitJob {
+    /// As the command does it when no option is given.
+    pub fn new(model: ModelJob, data: Vec<Datum>) -> FitJob {
+        let settings = Settings::default();
+        let search = dynamic::Settings { inner: settings.clone(), seed: 1, ..dynamic::Settings::default() };
+        let (method, choices) = (Some(Method::Hybrid), Choices::default());
+        FitJob { model, data, out: None, settings, search, method, choices, innovations: true }
+    }
+}
+
+/// Run filters and write what they make of the data.
+#[derive(Debug, Clone)]
+pub struct ExchangeJob {
+    /// The model.
+    pub model: ModelJob,
+    /// The data.
+    pub data: Vec<Datum>,
+    /// Results of a fit, for the parameters.
+    pub at: Option<Document>,
+    /// File for the table, which is handed back when none.
+    pub out: Option<PathBuf>,
+}
+
+/// Test a hypothesis.
+#[derive(Debug, Clone)]
+pub struct TestJob {
+    /// The model.
+    pub model: ModelJob,
+    /// The data.
+    pub data: Vec<Datum>,
+    /// The hypothesis.
+    pub null: Document,
+    /// Ensembles to draw from it.
+    pub bootstrap: Option<Bootstrap>,
+    /// File for the results.
+    pub out: Option<PathBuf>,
+    /// Of the searches.
+    pub settings: Settings,
+}
+
+/// Read all and fit nothing.
+#[derive(Debug, Clone)]
+pub struct CheckJob {
+    /// The model.
+    pub model: ModelJob,
+    /// The data; nothing but the model is checked when there are none.
+    pub data: Vec<Datum>,
+}
+
+/// Draw an ensemble.
+#[derive(Debug, Clone)]
+pub struct SimulateJob {
+    /// The model.
+    pub model: ModelJob,
+    /// Where the population comes from: results of a fit, or a model.
+    pub from: Document,
+    /// Data that give times, inputs and missingness.
+    pub design: Vec<Datum>,
+    /// Number of tests; as many as the design has when none.
+    pub tests: Option<u64>,
+    /// The same seed draws the same ensemble.
+    pub seed: u64,
+    /// File for the data, which are handed back as an Arrow IPC file when none.
+    pub out: Option<PathBuf>,
+    /// File for the true initial states.
+    pub states: Option<PathBuf>,
+}
+
+/// Expect standard errors.
+#[derive(Debug, Clone)]
+pub struct PlanJob {
+    /// The model.
+    pub model: ModelJob,
+    /// Where the population comes from: results of a fit, or a model.
+    pub from: Document,
+    /// Data that give times, inputs and missingness.
+    pub design: Vec<Datum>,
+    /// Numbers of tests.
+    pub tests: Vec<usize>,
+    /// File for the plan.
+    pub out: Option<PathBuf>,
+}
+
+/// What a job ends with that had good input.
+#[derive(Debug)]
+pub struct Done<R> {
+    /// Its results.
+    pub record: R,
+    /// What the user should know, and the results do not say.
+    pub notes: Vec<String>,
+    /// The file of the results, as the user named it.
+    pub written: Option<String>,
+}
+
+/// A table that was made.
+#[derive(Debug)]
+pub struct Exchanged {
+    /// Number of its rows.
+    pub rows: usize,
+    /// What a row is, in words.
+    pub row: &'static str,
+    /// Number of tests in it.
+    pub tests: usize,
+    /// The Parquet file, when none was asked for: it has no name.
+    pub table: Option<File>,
+}
+
+/// An ensemble that was drawn.
+#[derive(Debug)]
+pub struct Simulated {
+    /// Number of tests.
+    pub tests: u64,
+    /// Number of rows.
+    pub rows: u64,
+    /// The file of the true initial states, as the user named it.
+    pub states: Option<String>,
+    /// Name of the column that tells tests apart, where the model names none.
+    pub added: Option<String>,
+    /// The Arrow IPC file, when none was asked for: it has no name.
+    pub table: Option<File>,
+    /// (test, true initial state), when no file was asked for: the states of phases that a test lacks are left out at the end.
+    pub initial: Vec<(String, Vec<f64>)>,
+    /// Names of those states.
+    pub state_names: Vec<String>,
+}
+
+/// Files that are read, which no output may replace.
+pub(crate) fn files<'a>(documents: &[&'a Document], inputs: &'a [Input]) -> Vec<&'a Path> {
+    let data = inputs.iter().filter_map(Input::path);
+    documents.iter().filter_map(|document| document.path()).chain(data).collect()
+}

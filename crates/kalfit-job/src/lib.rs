@@ -1,0 +1,56 @@
+//! Jobs: a model and data in, a record out, without a terminal.
+//!
+//! Each command of `kalfit` and each function of the Python package is one job: a struct that says what is wanted
+//! ([`FitJob`] and its sisters), one function that does it ([`fit`] …), and a record that anybody can show. A [`Watch`] hears how
+//! it goes, and may ask it to stop. Whatever is wrong with the input is a [`Failure`], which [`render`] puts into words.
+//!
+//! ```
+//! use kalfit_job::{Document, FitJob, ModelJob, Unwatched, fit};
+//!
+//! let text = "[data]\ntest = \"unit\"\n[states.bias]\n[measurements.y]\ncolumn = \"y\"\nequation = \"bias\"\nnoise = 0.1\n";
+//! let model = Document::Text { name: "bias".to_owned(), text: text.to_owned(), file: None };
+//! let job = FitJob::new(ModelJob { document: model, set: Vec::new() }, vec!["no-such.csv".to_owned().into()]);
+//! let failure = fit(&job, &mut Unwatched).unwrap_err();
+//! assert!(failure.to_string().starts_with("cannot read no-such.csv"));
+//! ```
+
+mod check;
+mod diagnostic;
+mod document;
+mod dynamic;
+mod estimates;
+mod evidence;
+mod exchange;
+mod failure;
+mod fit;
+mod innovations;
+mod job;
+mod lost;
+mod model;
+mod output;
+mod plan;
+mod ratio;
+mod reduce;
+mod reductions;
+mod refused;
+mod simulate;
+mod test;
+mod tests;
+mod truth;
+mod work;
+
+pub use check::check;
+pub use diagnostic::{render, render_message};
+pub use document::Document;
+pub use estimates::estimates;
+pub use failure::{Failure, Place, Source};
+pub use fit::fit;
+pub use job::{CheckJob, Done, ExchangeJob, Exchanged, FitJob, ModelJob, PlanJob, SimulateJob, Simulated, TestJob};
+pub use model::read as read_model;
+pub use output::OutputError;
+pub use plan::plan;
+pub use reduce::reduce;
+pub use simulate::simulate;
+pub use test::test;
+pub use truth::{TruthError, fit_record};
+pub use work::{Unwatched, Watch};

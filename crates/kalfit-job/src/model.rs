@@ -1,0 +1,50 @@
+//! The model file, read, with what `--set` says.
+
+use kalfit::model::Parameter;
+use kalfit::{Alpha, Model};
+use kalfit_spec::Spec;
+
+use crate::document::Document;
+use crate::failure::Failure;
+use crate::job::ModelJob;
+
+/// Reads the model.
+pub(crate) fn load(job: &ModelJob) -> Result<Spec, Failure> {
+    let mut spec = read(&job.document)?;
+    set(&mut spec, &job.set)?;
+    Ok(spec)
+}
+
+/// Reads a model as it stands.
+///
+/// # Errors
+/// [`Failure::Model`], with the place in the text.
+pub fn read(document: &Document) -> Result<Spec, Failure> {
+    let (name, text) = (document.name(), text(document)?);
+    Spec::parse(&name, &text).map_err(|error| Failure::model(error, &name, Some(text)))
+}
+
+/// The text of a model or of a hypothesis.
+pub(crate) fn text(document: &Document) -> Result<String, Failure> {
+    match document {
+        Document::File(path) => Spec::read_text(path).map_err(|error| Failure::model(error, &document.name(), None)),
+        Document::Text { text, .. } => Ok(text.clone()),
+    }
+}
+
+/// Does what `--set` says.
+pub(crate) fn set(spec: &mut Spec, assignments: &[String]) -> Result<(), Failure> {
+    assignments
+        .iter()
+        .try_for_each(|assignment| spec.set(assignment).map_err(|error| Failure::Set { error: Box::new(error) }))
+}
+
+/// The values of all parameters of a model without free ones.
+pub(crate) fn alpha(spec: &Spec) -> Alpha {
+    Alpha::fixed(&spec.model.shared().parameters).expect("no parameter is free")
+}
+
+/// True when some parameter has no value, or may have levels without one.
+pub(crate) fn has_free(model: &Model) -> bool {
+    model.parameters.iter().any(Parameter::is_free)
+}

@@ -1,0 +1,240 @@
+//! A result file: whole or not at all. What stood there before survives every failure.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// Why a result file cannot be written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum OutputError {
+    /// There is no such folder.
+    #[error("the folder `{}` for the output {found}", folder.display())]
+    NoFolder {
+        /// The folder.
+        folder: PathBuf,
+        /// What it is.
+        found: &'static str,
+    },
+    /// It cannot be a file.
+    #[error("the output `{}` is {found}, expected the name of a file", path.display())]
+    NotAFile {
+        /// The file.
+        path: PathBuf,
+        /// What it is.
+        found: &'static str,
+    },
+    /// It is read, too.
+    #[error("the output `{}` is one of the inputs", path.display())]
+    IsInput {
+        /// The file.
+        path: PathBuf,
+    },
+    /// Two outputs would be one file.
+    #[error("both outputs are `{}`, expected two files", path.display())]
+    Twice {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The system could not write.
+    #[error("cannot write `{}`: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The system could not write a file without a name.
+    #[error("cannot write a temporary file: {source}")]
+    Temporary {
+        /// What the system said.
+        source: std::io::Error,
+    },
+}
+
+impl OutputError {
+    pub(crate) fn hint(&self) -> Option<&'static str> {
+        match self {
+            OutputError::NoFolder { .. } => Some("name a folder that exists"),
+            OutputError::NotAFile { .. } => Some("`--out` takes a file such as `fit.json`"),
+            OutputError::IsInput { .. } | OutputError::Twice { .. } => Some("give the output a name of its own"),
+            OutputError::Io { .. } => None,
+            OutputError::Temporary { .. } => Some("name a file for the table"),
+        }
+    }
+}
+
+/// A place to write to that was found sound before the work began.
+#[derive(Debug)]
+pub(crate) struct Output {
+    /// As the user named it.
+    named: PathBuf,
+    /// With links followed, so that a link stays a link.
+    target: PathBuf,
+    folder: PathBuf,
+}
+
+impl Output {
+    /// Checks that a file of this name can be written and is not among the inputs.
+    pub(crate) fn prepare(path: &Path, inputs: &[&Path]) -> Result<Output, OutputError> {
+        let not_a_file = |found| OutputError::NotAFile { path: path.to_owned(), found };
+        if path.as_os_str().is_empty() || path == Path::new("-") || path.file_name().is_none() {
+            return Err(not_a_file("not a file name"));
+        }
+        let target = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+        match std::fs::metadata(&target) {
+            Ok(found) if found.is_dir() => return Err(not_a_file("a folder")),
+            Ok(found) if !found.is_file() => return Err(not_a_file("a device or a pipe")),
+            _ => {}
+        }
+        if inputs.iter().any(|input| input.canonicalize().is_ok_and(|input| input == target)) {
+            return Err(OutputError::IsInput { path: path.to_owned() });
+        }
+        let folder = match target.parent() {
+            Some(parent) if parent != Path::new("") => parent.to_owned(),
+            _ => PathBuf::from("."),
+        };
+        if !folder.is_dir() {
+            let found = if folder.exists() { "is not a folder" } else { "does not exist" };
+            return Err(OutputError::NoFolder { folder, found });
+        }
+        let output = Output { named: path.to_owned(), target, folder };
+        output.temporary()?; // gone again at once: better to fail before hours of work than after
+        Ok(output)
+    }
+
+    /// Refuses two outputs in one place.
+    pub(crate) fn refuse_same(&self, other: Option<&Output>) -> Result<(), OutputError> {
+        match other {
+            Some(other) if self.is_same(other) => Err(OutputError::Twice { path: other.named.clone() }),
+            _ => Ok(()),
+        }
+    }
+
+    /// Its name as the user gave it.
+    pub(crate) fn name(&self) -> String {
+        self.named.display().to_string()
+    }
+
+    /// Writes the record beside the target and moves it into place.
+    pub(crate) fn write(&self, record: &impl serde::Serialize) -> Result<(), OutputError> {
+        let pending = self.begin()?;
+        let mut writer = std::io::BufWriter::new(pending.file());
+        let written = serde_json::to_writer_pretty(&mut writer, record).map_err(std::io::Error::from);
+        let written = written.and_then(|()| writer.write_all(b"\n")).and_then(|()| writer.flush());
+        drop(writer);
+        written.map_err(|source| self.io(source))?;
+        pending.finish().map(|_| ())
+    }
+
+    /// A file beside the target, to be moved into place when it is whole.
+    pub(crate) fn begin(&self) -> Result<Pending<'_>, OutputError> {
+        Ok(Pending(Place::Beside(self, self.temporary()?)))
+    }
+
+    /// True when both would be one file.
+    fn is_same(&self, other: &Output) -> bool {
+        let place = |output: &Output| Some((output.folder.canonicalize().ok()?, output.target.file_name()?.to_owned()));
+        place(self) == place(other)
+    }
+
+    fn temporary(&self) -> Result<tempfile::NamedTempFile, OutputError> {
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(".kalfit-").suffix(".tmp");
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::PermissionsExt;
+            // What any new file gets, less the umask; by default only the owner could read it.
+            builder.permissions(std::fs::Permissions::from_mode(0o666));
+        }
+        builder.tempfile_in(&self.folder).map_err(|source| self.io(source))
+    }
+
+    fn io(&self, source: std::io::Error) -> OutputError {
+        OutputError::Io { path: self.named.clone(), source }
+    }
+}
+
+/// Where a table goes.
+#[derive(Debug)]
+pub(crate) enum Target {
+    /// Into a file with a name.
+    Named(Output),
+    /// Into a file without one, to be handed back.
+    Nameless,
+}
+
+impl Target {
+    /// As [`Output::prepare`], where there is a name.
+    pub(crate) fn prepare(path: Option<&Path>, inputs: &[&Path]) -> Result<Target, OutputError> {
+        path.map_or(Ok(Target::Nameless), |path| Ok(Target::Named(Output::prepare(path, inputs)?)))
+    }
+
+    /// Refuses two outputs in one place.
+    pub(crate) fn refuse_same(&self, other: Option<&Output>) -> Result<(), OutputError> {
+        match self {
+            Target::Named(output) => output.refuse_same(other),
+            Target::Nameless => Ok(()),
+        }
+    }
+
+    /// Its name as the user gave it.
+    pub(crate) fn name(&self) -> Option<String> {
+        match self {
+            Target::Named(output) => Some(output.name()),
+            Target::Nameless => None,
+        }
+    }
+
+    /// A file to write to.
+    pub(crate) fn begin(&self) -> Result<Pending<'_>, OutputError> {
+        match self {
+            Target::Named(output) => output.begin(),
+            Target::Nameless => {
+                let file = tempfile::tempfile().map_err(|source| OutputError::Temporary { source })?;
+                Ok(Pending(Place::Nameless(file)))
+            }
+        }
+    }
+}
+
+/// A file that is being written; it is gone again unless it is finished.
+#[derive(Debug)]
+pub(crate) struct Pending<'a>(Place<'a>);
+
+#[derive(Debug)]
+enum Place<'a> {
+    Beside(&'a Output, tempfile::NamedTempFile),
+    Nameless(std::fs::File),
+}
+
+impl Pending<'_> {
+    /// What the user named.
+    pub(crate) fn name(&self) -> String {
+        match &self.0 {
+            Place::Beside(output, _) => output.name(),
+            Place::Nameless(_) => "a temporary file".to_owned(),
+        }
+    }
+
+    /// Where to write.
+    pub(crate) fn file(&self) -> &std::fs::File {
+        match &self.0 {
+            Place::Beside(_, file) => file.as_file(),
+            Place::Nameless(file) => file,
+        }
+    }
+
+    /// Moves it into place; the file itself when it has none.
+    pub(crate) fn finish(self) -> Result<Option<std::fs::File>, OutputError> {
+        let (output, file) = match self.0 {
+            Place::Beside(output, file) => (output, file),
+            Place::Nameless(file) => return Ok(Some(file)),
+        };
+        file.as_file().sync_all().map_err(|source| output.io(source))?;
+        if let Ok(old) = std::fs::metadata(&output.target) {
+            std::fs::set_permissions(file.path(), old.permissions()).map_err(|source| output.io(source))?;
+        }
+        file.persist(&output.target).map_err(|error| output.io(error.error))?;
+        Ok(None)
+    }
+}

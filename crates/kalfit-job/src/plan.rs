@@ -1,0 +1,81 @@
+//! `kalfit plan`.
+
+use kalfit::estimate::Structure;
+use kalfit::model::PhasedModel;
+use kalfit::plan::{self, PlanProvenance, PlanRecord};
+use kalfit::record::DataRecord;
+use kalfit::reduce::PhasedReducer;
+use kalfit::{Alpha, Labels, Reduction, Test};
+use kalfit_data::{Input, Sink};
+use kalfit_spec::Spec;
+
+use crate::evidence::stdin;
+use crate::failure::Failure;
+use crate::job::{Done, PlanJob, files};
+use crate::output::Output;
+use crate::refused::{self, Refused};
+use crate::work::{Watch, Work};
+use crate::{model, truth};
+
+/// Expects standard errors against the number of tests.
+///
+/// # Errors
+/// Bad input, or [`Failure::Interrupted`].
+pub fn plan(job: &PlanJob, watch: &mut dyn Watch) -> Result<Done<PlanRecord>, Failure> {
+    let mut spec = model::read(&job.model.document)?;
+    let truth = truth::load(&mut spec, &job.from, &job.model.set)?;
+    let inputs = Input::expand(&job.design).map_err(|error| Failure::data(error, &spec))?;
+    let used = files(&[&job.model.document, &job.from], &inputs);
+    let output = job.out.as_deref().map(|path| Output::prepare(path, &used)).transpose()?;
+    let mut work = Work::new(watch);
+    let reductions = designs(&spec, &truth.alpha, &inputs, &mut work)?;
+    let structure = Structure::of(&spec.model, &truth.alpha);
+    let states = spec.model.estimated_names();
+    work.go_on()?;
+    let found = plan::plan(&reductions, &structure, &truth.population, &job.tests)
+        .map_err(|error| Failure::Plan { error: Box::new(error), states })?;
+    let provenance = PlanProvenance {
+        model_digest: Some(spec.digest.clone()),
+        from: job.from.name(),
+        design: DataRecord::of(&reductions, inputs.iter().map(Input::name).collect()),
+        parameters_taken_as_known: truth.taken.clone(),
+    };
+    let record = PlanRecord::new(&spec.model, &found, provenance);
+    work.go_on()?;
+    if let Some(output) = &output {
+        output.write(&record)?;
+    }
+    Ok(Done { record, notes: truth.warnings, written: output.map(|output| output.name()) })
+}
+
+/// Reads the design and runs the covariance filters over it: what was measured is not looked at.
+fn designs(spec: &Spec, alpha: &Alpha, inputs: &[Input], work: &mut Work<'_>) -> Result<Vec<Reduction>, Failure> {
+    struct Designing<'a, 'w> {
+        model: &'a PhasedModel,
+        reducer: PhasedReducer,
+        reductions: Vec<Reduction>,
+        work: &'a mut Work<'w>,
+    }
+    impl Sink for Designing<'_, '_> {
+        type Error = Refused;
+
+        fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), Refused> {
+            Refused::unless_stopped(self.work)?;
+            let split = |test| self.model.split(test, labels).map_err(Refused::Split);
+            let tests = tests.into_iter().map(split).collect::<Result<Vec<_>, _>>()?;
+            self.reductions.extend(self.reducer.reduce_designs(&tests).map_err(Refused::Reduce)?);
+            let done = self.reductions.len();
+            self.work.say(|| format!("reading: {done} tests"));
+            Ok(())
+        }
+
+        fn restart(&mut self) {
+            self.reductions.clear();
+        }
+    }
+    let reducer = PhasedReducer::new(&spec.model, alpha).map_err(|error| Failure::Reduce { error, reading: None })?;
+    let mut sink = Designing { model: &spec.model, reducer, reductions: Vec::new(), work };
+    kalfit_data::read_from(&spec.model, &spec.layout, inputs, &mut sink, &mut stdin(inputs))
+        .map_err(|error| refused::failure(error, spec))?;
+    Ok(sink.reductions)
+}

@@ -1,0 +1,202 @@
+//! `kalfit test` where dynamic parameters are free: both sides are fitted with α, to tests that are kept.
+
+use kalfit::dynamic::{self, DynamicFit, Method, ParameterInference, Settings};
+use kalfit::infer::{
+    Choices, DeletionChoice, DynamicRatioError, Inference, LikelihoodRatio, NotNested, dynamic_bootstrap,
+    dynamic_ratio, restricted, started,
+};
+use kalfit::model::{CovarianceStructure, MeanStructure, Parameter, Phase, Value};
+use kalfit::record::{DynamicParts, DynamicSides, PartRecord, RatioProvenance, RatioRecord};
+use kalfit::score::Slots;
+use kalfit::{Labels, Model, PhasedModel, PhasedTest};
+use kalfit_data::Reading;
+use kalfit_spec::{Hypothesis, Spec};
+
+use crate::dynamic::{Data, failure};
+use crate::evidence::Given;
+use crate::failure::Failure;
+use crate::job::TestJob;
+use crate::test as known;
+use crate::work::Work;
+use crate::{reductions, tests};
+
+/// A search that ended below the hypothesis is made again with so many random starts.
+const STARTS: usize = 8;
+
+/// The method in one place: read, fit both, compare.
+pub(crate) fn test(
+    job: &TestJob,
+    (spec, hypothesis): (&Spec, &Hypothesis),
+    given: &Given,
+    provenance: RatioProvenance,
+    work: &mut Work<'_>,
+) -> Result<RatioRecord, Failure> {
+    let null = &hypothesis.model;
+    // labels are numbered by the texts that both name
+    let (literals, text_columns) = (&null.shared().literals, &null.shared().text_columns);
+    let wide = each(&spec.model, &|_, model| {
+        let (literals, text_columns) = (literals.clone(), text_columns.clone());
+        Model { literals, text_columns, ..model }
+    });
+    let (tests, reading) = tests::read_for(spec, null, given, work)?;
+    let slots = [Slots::in_phases(null, &reading.labels, &tests), Slots::in_phases(&wide, &reading.labels, &tests)];
+    restricted((null, &slots[0]), (&wide, &slots[1]), &tests)
+        .map_err(|error| Failure::DynamicRatio(DynamicRatioError::Parameter(error)))?;
+    if slots[1].is_empty() {
+        // every level of the data has a value after all
+        let alpha = slots[1].alpha(wide.shared(), &[]);
+        let reductions = reductions::of(&wide, &alpha, &tests, &reading)?;
+        return known::known(job, (spec, hypothesis), (&alpha, &reductions), provenance, work);
+    }
+    let settings = Settings { method: Method::Hybrid, inner: job.settings.clone(), starts: 0, seed: 1 };
+    let bench = Bench { wide: &wide, null, tests: &tests, reading: &reading, settings };
+    let narrow = bench.fit(null, work)?;
+    let full = bench.at_least(bench.fit(&wide, work)?, &narrow, work)?;
+    let ratio = bench.ratio((null, &narrow), &full)?;
+    let parts = bench.parts(&full, work)?;
+    work.go_on()?;
+    let drawn = match job.bootstrap {
+        None => None,
+        Some(asked) => {
+            work.say(|| "drawing ensembles from the hypothesis".to_owned());
+            let data = (&reading.labels, &tests[..]);
+            let asked_of = (ratio.statistic, asked);
+            let found =
+                dynamic_bootstrap((null, &narrow), &wide, data, &bench.settings, asked_of).map_err(|error| {
+                    Failure::Simulate { error: Box::new(error), reading: Some(Box::new(reading.clone())) }
+                })?;
+            Some((asked, found))
+        }
+    };
+    let inferred = [bench.infer(null, &narrow)?, bench.infer(&wide, &full)?];
+    let sides = DynamicSides {
+        null: parts_of(null, &reading.labels, &narrow, &inferred[0]),
+        alternative: parts_of(&wide, &reading.labels, &full, &inferred[1]),
+    };
+    let drawn = drawn.as_ref().map(|(asked, found)| (*asked, found));
+    Ok(RatioRecord::dynamic(&sides, &ratio, drawn, parts, provenance))
+}
+
+fn parts_of<'a>(
+    model: &'a PhasedModel,
+    labels: &'a Labels,
+    fit: &'a DynamicFit,
+    (inference, parameters): &'a (Inference, Vec<ParameterInference>),
+) -> DynamicParts<'a> {
+    DynamicParts { model, labels, fit, inference, parameters }
+}
+
+/// What all fits of a test share.
+struct Bench<'a> {
+    wide: &'a PhasedModel,
+    null: &'a PhasedModel,
+    tests: &'a [PhasedTest],
+    reading: &'a Reading,
+    settings: Settings,
+}
+
+impl Bench<'_> {
+    fn fit_with(&self, model: &PhasedModel, settings: &Settings, work: &mut Work<'_>) -> Result<DynamicFit, Failure> {
+        work.go_on()?;
+        Data { model, tests: self.tests, reading: self.reading }.fit(settings, work)
+    }
+
+    fn fit(&self, model: &PhasedModel, work: &mut Work<'_>) -> Result<DynamicFit, Failure> {
+        self.fit_with(model, &self.settings, work)
+    }
+
+    fn infer(&self, model: &PhasedModel, fit: &DynamicFit) -> Result<(Inference, Vec<ParameterInference>), Failure> {
+        let choices = Choices { deletion: DeletionChoice::None, ..Choices::default() };
+        dynamic::infer(model, self.tests, fit, choices).map_err(|error| failure(error, self.reading))
+    }
+
+    /// The model fitted again, from the hypothesis and from elsewhere, when the hypothesis has the higher likelihood.
+    fn at_least(&self, full: DynamicFit, narrow: &DynamicFit, work: &mut Work<'_>) -> Result<DynamicFit, Failure> {
+        let (found, least) = (full.estimate.log_likelihood, narrow.estimate.log_likelihood);
+        if found >= least - 1e-9 * least.abs().max(1.0) {
+            return Ok(full);
+        }
+        let settings = Settings { starts: STARTS, ..self.settings.clone() };
+        let again = self.fit_with(&started(self.wide, (self.null, narrow)), &settings, work)?;
+        Ok(if again.estimate.log_likelihood > found { again } else { full })
+    }
+
+    fn ratio(&self, null: (&PhasedModel, &DynamicFit), full: &DynamicFit) -> Result<LikelihoodRatio, Failure> {
+        dynamic_ratio(null, (self.wide, full), self.tests).map_err(Failure::DynamicRatio)
+    }
+
+    /// A hypothesis on more than one of μ, Σ and α, each by itself.
+    fn parts(&self, full: &DynamicFit, work: &mut Work<'_>) -> Result<Vec<PartRecord>, Failure> {
+        let (wide, null) = (self.wide, self.null);
+        let parts = [
+            ("mean", with_mean(wide, null)),
+            ("covariance", with_covariance(wide, null)),
+            ("parameters", with_parameters(wide, null)),
+        ];
+        let alone: Vec<(&str, PhasedModel)> =
+            parts.into_iter().filter_map(|(what, model)| Some((what, model?))).collect();
+        if alone.len() < 2 {
+            return Ok(Vec::new());
+        }
+        let mut parts = Vec::new();
+        for (what, model) in alone {
+            let fit = self.fit(&model, work)?;
+            match self.ratio((&model, &fit), full) {
+                Ok(ratio) => parts.push(PartRecord::dynamic(what, &fit, &ratio)),
+                Err(Failure::DynamicRatio(DynamicRatioError::Structure(NotNested::Same))) => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(parts)
+    }
+}
+
+/// A model with each phase's changed.
+fn each(model: &PhasedModel, change: &dyn Fn(usize, Model) -> Model) -> PhasedModel {
+    let of = |(i, phase): (usize, &Phase)| Phase { model: change(i, phase.model.clone()), ..phase.clone() };
+    PhasedModel { phases: model.phases.iter().enumerate().map(of).collect(), column: model.column }
+}
+
+/// The model under what the hypothesis says of the mean alone; `None` when that is nothing.
+pub(crate) fn with_mean(model: &PhasedModel, null: &PhasedModel) -> Option<PhasedModel> {
+    let of = |model: &PhasedModel| -> Vec<MeanStructure> {
+        model.phases.iter().map(|phase| unstarted(&phase.model.mean)).collect()
+    };
+    let said = |i: usize, model: Model| Model { mean: null.phases[i].model.mean.clone(), ..model };
+    (of(model) != of(null)).then(|| each(model, &said))
+}
+
+/// The model under what the hypothesis says of the covariance alone; `None` when that is nothing.
+pub(crate) fn with_covariance(model: &PhasedModel, null: &PhasedModel) -> Option<PhasedModel> {
+    let of = |model: &PhasedModel| -> Vec<CovarianceStructure> {
+        model.phases.iter().map(|phase| unstarted_sigma(&phase.model)).collect()
+    };
+    let said = |i: usize, model: Model| Model { covariance: null.phases[i].model.covariance.clone(), ..model };
+    (of(model) != of(null)).then(|| each(model, &said))
+}
+
+/// The model under what the hypothesis says of the parameters alone; `None` when that is nothing.
+fn with_parameters(model: &PhasedModel, null: &PhasedModel) -> Option<PhasedModel> {
+    let said = |_: usize, model: Model| Model { parameters: null.shared().parameters.clone(), ..model };
+    (unstarted_parameters(model.shared()) != unstarted_parameters(null.shared())).then(|| each(model, &said))
+}
+
+/// A structure without start values, which constrain nothing.
+fn unstarted(mean: &MeanStructure) -> MeanStructure {
+    MeanStructure { start: vec![None; mean.start.len()], ..mean.clone() }
+}
+
+fn unstarted_sigma(model: &Model) -> CovarianceStructure {
+    CovarianceStructure { start: None, ..model.covariance.clone() }
+}
+
+fn unstarted_parameters(model: &Model) -> Vec<Parameter> {
+    let one = |parameter: &Parameter| {
+        let value = match parameter.value {
+            Value::Free { .. } => Value::Free { start: None },
+            fixed => fixed,
+        };
+        Parameter { value, unit: None, ..parameter.clone() }
+    };
+    model.parameters.iter().map(one).collect()
+}

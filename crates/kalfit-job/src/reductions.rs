@@ -1,0 +1,107 @@
+//! Data → reductions: tests are reduced as they are read, and forgotten.
+
+use kalfit::reduce::PhasedReducer;
+use kalfit::{Alpha, Labels, PhasedModel, PhasedTest, Reduction, Test};
+use kalfit_data::{Reading, Sink};
+use kalfit_spec::Spec;
+
+use crate::evidence::Given;
+use crate::failure::Failure;
+use crate::innovations::{Kept, KeptTests};
+use crate::refused::{self, Refused};
+use crate::work::Work;
+
+/// Sees every test, and nothing when all are to be forgotten.
+type Counted<'a> = &'a mut dyn FnMut(Option<&PhasedTest>);
+
+struct Reducing<'a, 'w> {
+    model: &'a PhasedModel,
+    reducer: PhasedReducer,
+    reductions: Vec<Reduction>,
+    kept: &'a mut KeptTests,
+    counted: Counted<'a>,
+    work: &'a mut Work<'w>,
+}
+
+impl Sink for Reducing<'_, '_> {
+    type Error = Refused;
+
+    fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), Refused> {
+        Refused::unless_stopped(self.work)?;
+        let tests: Vec<PhasedTest> = tests
+            .into_iter()
+            .map(|test| self.model.split(test, labels))
+            .collect::<Result<_, _>>()
+            .map_err(Refused::Split)?;
+        self.reductions.extend(self.reducer.reduce(&tests).map_err(Refused::Reduce)?);
+        tests.iter().for_each(|test| (self.counted)(Some(test)));
+        self.kept.take(tests);
+        let done = self.reductions.len();
+        self.work.say(|| format!("reading: {done} tests"));
+        Ok(())
+    }
+
+    fn restart(&mut self) {
+        self.reductions.clear();
+        (self.counted)(None);
+        self.kept.restart();
+    }
+}
+
+/// Reads the data and runs the filters over them at α. `counted` sees every test, and nothing when all are to be forgotten and
+/// read again.
+pub(crate) fn reduce(
+    spec: &Spec,
+    alpha: &Alpha,
+    given: &Given,
+    work: &mut Work<'_>,
+    counted: Counted<'_>,
+) -> Result<Vec<Reduction>, Failure> {
+    read(spec, alpha, given, (work, counted), &mut Kept::nothing())
+}
+
+/// [`reduce`], keeping what a second look at the data takes.
+pub(crate) fn reduce_keeping(
+    spec: &Spec,
+    alpha: &Alpha,
+    given: &Given,
+    work: &mut Work<'_>,
+    kept: &mut Kept,
+) -> Result<Vec<Reduction>, Failure> {
+    read(spec, alpha, given, (work, &mut |_| ()), kept)
+}
+
+fn read(
+    spec: &Spec,
+    alpha: &Alpha,
+    given: &Given,
+    (work, counted): (&mut Work<'_>, Counted<'_>),
+    kept: &mut Kept,
+) -> Result<Vec<Reduction>, Failure> {
+    let model = &spec.model;
+    if !given.is_rows() {
+        let (tests, reading) = given.tests(spec, model, work)?;
+        tests.iter().for_each(|test| counted(Some(test)));
+        return of(model, alpha, &tests, &reading);
+    }
+    let reducer = PhasedReducer::new(model, alpha).map_err(|error| Failure::Reduce { error, reading: None })?;
+    let mut stdin = given.stdin();
+    let Kept { tests, copy } = kept;
+    let mut sink = Reducing { model, reducer, reductions: Vec::new(), kept: tests, counted, work };
+    let mut stdin = copy.copying(&mut stdin);
+    kalfit_data::read_from(model, &spec.layout, &given.inputs, &mut sink, &mut stdin)
+        .map_err(|error| refused::failure(error, spec))?;
+    Ok(sink.reductions)
+}
+
+/// Runs the filters over tests that were kept.
+pub(crate) fn of(
+    model: &PhasedModel,
+    alpha: &Alpha,
+    tests: &[PhasedTest],
+    reading: &Reading,
+) -> Result<Vec<Reduction>, Failure> {
+    PhasedReducer::new(model, alpha)
+        .and_then(|mut reducer| reducer.reduce(tests))
+        .map_err(|error| Failure::Reduce { error, reading: Some(Box::new(reading.clone())) })
+}

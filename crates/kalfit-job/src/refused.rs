@@ -1,0 +1,33 @@
+//! Why tests were not taken in as they were read.
+
+use kalfit::reduce::{ReduceError, SplitError};
+use kalfit_data::ReadError;
+use kalfit_spec::Spec;
+
+use crate::failure::Failure;
+use crate::work::Work;
+
+/// Why what takes tests in refused them.
+pub(crate) enum Refused {
+    Split(SplitError),
+    Reduce(ReduceError),
+    /// Nobody waits for them any longer.
+    Interrupted,
+}
+
+impl Refused {
+    /// Goes on reading, if somebody still waits.
+    pub(crate) fn unless_stopped(work: &Work<'_>) -> Result<(), Refused> {
+        if work.is_stopped() { Err(Refused::Interrupted) } else { Ok(()) }
+    }
+}
+
+/// A reading that ended early.
+pub(crate) fn failure(error: ReadError<Refused>, spec: &Spec) -> Failure {
+    match error {
+        ReadError::Data(error) => Failure::data(error, spec),
+        ReadError::Sink { error: Refused::Split(error), reading } => Failure::Split { error, reading },
+        ReadError::Sink { error: Refused::Reduce(error), reading } => Failure::Reduce { error, reading: Some(reading) },
+        ReadError::Sink { error: Refused::Interrupted, .. } => Failure::Interrupted,
+    }
+}

@@ -1,0 +1,186 @@
+//! Drawing an ensemble: `kalfit simulate`.
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+
+use kalfit::Test;
+use kalfit::reduce::Evidence;
+use kalfit::simulate::{Designs, Drawn, Simulator};
+use kalfit_data::{Format, Ids, Input, Reading, StateWriter, TestWriter, WriteError, added_id_column};
+use kalfit_spec::Spec;
+
+use crate::evidence::Given;
+use crate::failure::Failure;
+use crate::job::{Done, SimulateJob, Simulated, files};
+use crate::output::{Output, Pending, Target};
+use crate::work::{Watch, Work};
+use crate::{model, tests, truth};
+
+/// Tests are drawn this many at a time, or fewer if they have many rows.
+const BATCH_TESTS: u64 = 1024;
+const BATCH_ROWS: u64 = 200_000;
+
+/// Draws an ensemble of tests.
+///
+/// # Errors
+/// Bad input, or [`Failure::Interrupted`].
+pub fn simulate(job: &SimulateJob, watch: &mut dyn Watch) -> Result<Done<Simulated>, Failure> {
+    let mut spec = model::read(&job.model.document)?;
+    let truth = truth::load(&mut spec, &job.from, &job.model.set)?;
+    let inputs = Input::expand(&job.design).map_err(|error| Failure::data(error, &spec))?;
+    let format = match &job.out {
+        Some(path) => Format::of(path).map_err(|error| failed(error, path.display().to_string()))?,
+        None => Format::Arrow,
+    };
+    let used = files(&[&job.model.document, &job.from], &inputs);
+    let output = Target::prepare(job.out.as_deref(), &used)?;
+    let states = job.states.as_deref().map(|path| Output::prepare(path, &used)).transpose()?;
+    output.refuse_same(states.as_ref())?;
+    let mut work = Work::new(watch);
+    let refused = |error, reading| Failure::Simulate { error: Box::new(error), reading };
+    let simulator = Simulator::new(&spec.model, &truth.alpha, truth.population.clone(), job.seed)
+        .map_err(|error| refused(error, None))?;
+    let (tests, reading) = tests::read(&spec, &Given::rows_of(inputs), &mut work)?;
+    let designs = Designs::new(tests).map_err(|error| refused(error, None))?;
+    let count = job.tests.unwrap_or(designs.tests().len() as u64);
+    let ids = if count > designs.tests().len() as u64 { Ids::New } else { Ids::Same };
+    let task = Task { spec: &spec, simulator: &simulator, designs: &designs, reading: &reading, count, ids };
+    let Written { rows, table, initial } = task.write((&output, format), states.as_ref(), &mut work)?;
+    let added = added_id_column(spec.model.shared(), &spec.layout, ids);
+    let states = states.map(|states| states.name());
+    let state_names = spec.model.estimated_names();
+    let record = Simulated { tests: count, rows, states, added, table, initial, state_names };
+    Ok(Done { record, notes: truth.warnings, written: output.name() })
+}
+
+/// Ids of tests and their true initial states.
+type Initial = Vec<(String, Vec<f64>)>;
+
+/// What was written.
+struct Written {
+    rows: u64,
+    table: Option<File>,
+    initial: Initial,
+}
+
+/// All that a drawn file depends on.
+struct Task<'a> {
+    spec: &'a Spec,
+    simulator: &'a Simulator,
+    designs: &'a Designs,
+    reading: &'a Reading,
+    /// Number of tests.
+    count: u64,
+    ids: Ids,
+}
+
+impl Task<'_> {
+    /// Draws and writes; nothing is in place before all is written. The number of rows.
+    fn write(
+        &self,
+        (output, format): (&Target, Format),
+        states: Option<&Output>,
+        work: &mut Work<'_>,
+    ) -> Result<Written, Failure> {
+        let data_file = output.begin()?;
+        let states_file = states.map(Output::begin).transpose()?;
+        let mut initial = Vec::new();
+        let keep = matches!(output, Target::Nameless).then_some(&mut initial);
+        let rows = self.fill((&data_file, format), (states_file.as_ref(), keep), work)?;
+        let table = data_file.finish()?;
+        states_file.map(Pending::finish).transpose()?;
+        Ok(Written { rows, table, initial })
+    }
+
+    fn fill(
+        &self,
+        (data, format): (&Pending<'_>, Format),
+        (states, mut keep): (Option<&Pending<'_>>, Option<&mut Initial>),
+        work: &mut Work<'_>,
+    ) -> Result<u64, Failure> {
+        let spec = self.spec;
+        let in_data = |error: WriteError| failed(error, data.name());
+        let sink = BufWriter::new(data.file());
+        let mut table = TestWriter::new(spec.model.shared(), &spec.layout, self.ids, format, sink).map_err(in_data)?;
+        let names = spec.model.estimated_names();
+        let begin = |pending| StateTable::new(pending, &names);
+        let mut truths = states.map(begin).transpose()?;
+        let (mut rows, mut done) = (0, 0);
+        while done < self.count {
+            let next = self.count.min(done + self.batch(done));
+            work.go_on()?;
+            let drawn = self.draw(done..next)?;
+            truths.as_mut().map_or(Ok(()), |truths| truths.write(&drawn))?;
+            if let Some(keep) = &mut keep {
+                keep.extend(drawn.iter().map(|drawn| (drawn.test.id.clone(), drawn.initial.clone())));
+            }
+            let tests: Vec<Test> = drawn.into_iter().map(|drawn| drawn.test.joined()).collect();
+            rows += tests.iter().map(|test| test.rows() as u64).sum::<u64>();
+            table.write(tests.iter(), &self.reading.labels).map_err(in_data)?;
+            done = next;
+            work.say(|| format!("drawing: {done} of {} tests", self.count));
+        }
+        let mut sink = table.finish().map_err(in_data)?;
+        sink.flush().map_err(|error| failed(error.into(), data.name()))?;
+        truths.map_or(Ok(()), StateTable::finish)?;
+        Ok(rows)
+    }
+
+    fn draw(&self, places: std::ops::Range<u64>) -> Result<Vec<Drawn>, Failure> {
+        self.simulator.draw(self.designs, places).map_err(|error| Failure::Simulate {
+            error: Box::new(error),
+            reading: Some(Box::new(self.reading.clone())),
+        })
+    }
+
+    /// How many tests to draw at once, from this one on.
+    fn batch(&self, from: u64) -> u64 {
+        let mut rows = 0;
+        let mut many = 0;
+        while many < BATCH_TESTS && rows < BATCH_ROWS {
+            let rows_of =
+                |evidence: &Evidence| if let Evidence::Rows(rows) = evidence { rows.rows() as u64 } else { 0 };
+            rows += self.designs.design(from + many).phases.iter().map(rows_of).sum::<u64>();
+            many += 1;
+        }
+        many
+    }
+}
+
+/// The file of true initial states.
+struct StateTable<'a> {
+    writer: StateWriter<BufWriter<&'a File>>,
+    path: String,
+    /// Columns of states.
+    width: usize,
+}
+
+impl<'a> StateTable<'a> {
+    fn new(pending: &'a Pending<'_>, states: &[String]) -> Result<StateTable<'a>, Failure> {
+        let path = pending.name();
+        let writer = StateWriter::new(BufWriter::new(pending.file()), states);
+        let writer = writer.map_err(|error| failed(error, path.clone()))?;
+        Ok(StateTable { writer, path, width: states.len() })
+    }
+
+    fn write(&mut self, drawn: &[Drawn]) -> Result<(), Failure> {
+        let width = self.width;
+        let mut write = |drawn: &Drawn| {
+            let mut initial = drawn.initial.clone();
+            initial.resize(width, f64::NAN); // empty cells for phases that the test lacks
+            self.writer.write(&drawn.test.id, &initial)
+        };
+        let written = drawn.iter().try_for_each(&mut write);
+        written.map_err(|error| failed(error, self.path.clone()))
+    }
+
+    fn finish(self) -> Result<(), Failure> {
+        let path = &self.path;
+        let mut sink = self.writer.finish().map_err(|error| failed(error, path.clone()))?;
+        sink.flush().map_err(|error| failed(error.into(), path.clone()))
+    }
+}
+
+fn failed(error: WriteError, path: String) -> Failure {
+    Failure::Write { error: Box::new(error), path }
+}

@@ -1,0 +1,55 @@
+//! Data that are kept whole: what the filters run over again and again, or what others are drawn like.
+
+use kalfit::{Labels, PhasedModel, PhasedTest, Test};
+use kalfit_data::{Reading, Sink};
+use kalfit_spec::Spec;
+
+use crate::evidence::Given;
+use crate::failure::Failure;
+use crate::refused::{self, Refused};
+use crate::work::Work;
+
+struct Keep<'a, 'w> {
+    model: &'a PhasedModel,
+    tests: Vec<PhasedTest>,
+    work: &'a mut Work<'w>,
+}
+
+impl Sink for Keep<'_, '_> {
+    type Error = Refused;
+
+    fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), Refused> {
+        Refused::unless_stopped(self.work)?;
+        for test in tests {
+            self.tests.push(self.model.split(test, labels).map_err(Refused::Split)?);
+        }
+        let done = self.tests.len();
+        self.work.say(|| format!("reading: {done} tests"));
+        Ok(())
+    }
+
+    fn restart(&mut self) {
+        self.tests.clear();
+    }
+}
+
+/// Reads all tests.
+pub(crate) fn read(spec: &Spec, given: &Given, work: &mut Work<'_>) -> Result<(Vec<PhasedTest>, Reading), Failure> {
+    read_for(spec, &spec.model, given, work)
+}
+
+/// Reads all tests for a model that has the columns of the file's, and perhaps more texts.
+pub(crate) fn read_for(
+    spec: &Spec,
+    model: &PhasedModel,
+    given: &Given,
+    work: &mut Work<'_>,
+) -> Result<(Vec<PhasedTest>, Reading), Failure> {
+    if !given.is_rows() {
+        return given.tests(spec, model, work);
+    }
+    let mut keep = Keep { model, tests: Vec::new(), work };
+    let reading = kalfit_data::read_from(model, &spec.layout, &given.inputs, &mut keep, &mut given.stdin());
+    let reading = reading.map_err(|error| refused::failure(error, spec))?;
+    Ok((keep.tests, reading))
+}

@@ -1,0 +1,344 @@
+//! `--from`: the population and the parameters that are taken as true, from a fit or from a model file.
+
+use std::collections::{BTreeSet, HashMap};
+use std::path::Path;
+
+use kalfit::model::{Level, ParameterError, PopulationError, Value};
+use kalfit::record::{FIT_SCHEMA, RecordError};
+use kalfit::{Alpha, FitRecord, Population};
+use kalfit_spec::{Spec, SpecError};
+use serde::Deserialize;
+
+use crate::document::Document;
+use crate::failure::Failure;
+use crate::model;
+
+/// Larger result files are not read.
+const MAX_BYTES: u64 = 1 << 30;
+
+/// What is taken as true.
+#[derive(Debug)]
+pub(crate) struct Truth {
+    pub(crate) population: Population,
+    pub(crate) alpha: Alpha,
+    /// Free parameters of the model that got their values from `--from`.
+    pub(crate) taken: Vec<String>,
+    /// What the user should know.
+    pub(crate) warnings: Vec<String>,
+}
+
+/// Why nothing can be taken as true.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum TruthError {
+    /// It cannot be read.
+    #[error("cannot read `{path}`: {reason}")]
+    Unreadable {
+        /// The file.
+        path: String,
+        /// What is wrong.
+        reason: String,
+    },
+    /// It is too large to be read.
+    #[error("`{path}` has {found} bytes, expected at most {limit}")]
+    TooLarge {
+        /// The file.
+        path: String,
+        /// What is there.
+        found: u64,
+        /// The most that is read.
+        limit: u64,
+    },
+    /// It is no result of a fit.
+    #[error("`{path}` is not a result of `kalfit fit`: {reason}")]
+    NotARecord {
+        /// The file.
+        path: String,
+        /// What is wrong.
+        reason: String,
+    },
+    /// A result of a fit that does not go with the model.
+    #[error("`{path}`: {error}")]
+    Record {
+        /// The file.
+        path: String,
+        /// What is wrong.
+        error: RecordError,
+    },
+    /// Its population is not one of the model.
+    #[error("`{path}`: {error}")]
+    Population {
+        /// The file.
+        path: String,
+        /// What is wrong.
+        error: PopulationError,
+    },
+    /// It has a parameter that the model lacks.
+    #[error("`{path}` has the parameter `{name}`, which the model does not have")]
+    UnknownParameter {
+        /// The file.
+        path: String,
+        /// Name of the parameter.
+        name: String,
+    },
+    /// A parameter has levels of another column.
+    #[error(
+        "`{path}` has parameter `{name}` {}, expected it {} as in the model",
+        per_words(found),
+        per_words(expected)
+    )]
+    Per {
+        /// The file.
+        path: String,
+        /// Name of the parameter.
+        name: String,
+        /// What is there.
+        found: Option<String>,
+        /// What the model has.
+        expected: Option<String>,
+    },
+    /// A value that a parameter cannot have.
+    #[error("`{path}`: {error}")]
+    Value {
+        /// The file.
+        path: String,
+        /// What is wrong.
+        error: Box<SpecError>,
+    },
+    /// Parameters without a value.
+    #[error("no value is given for {}", names.iter().map(|n| format!("parameter `{n}`")).collect::<Vec<_>>().join(", "))]
+    NoParameter {
+        /// Their names.
+        names: Vec<String>,
+    },
+}
+
+fn per_words(per: &Option<String>) -> String {
+    per.as_ref().map_or("common to all tests".to_owned(), |per| format!("per `{per}`"))
+}
+
+impl TruthError {
+    pub(crate) fn hint(&self) -> Option<String> {
+        match self {
+            TruthError::NotARecord { .. } | TruthError::Record { error: RecordError::Schema { .. }, .. } => {
+                Some("`--from` takes what `kalfit fit --out` writes, or a model file that ends in `.toml`".to_owned())
+            }
+            TruthError::Population { error: PopulationError::NoValue { .. }, .. } => {
+                Some("fix it or give it a start value in `[mean]` and `[covariance]`, or take a fit".to_owned())
+            }
+            TruthError::NoParameter { names } => Some(format!("give it: `--set {}=VALUE`", names.first()?)),
+            TruthError::Value { error, .. } => error.hint.clone(),
+            _ => None,
+        }
+    }
+}
+
+impl From<TruthError> for Failure {
+    fn from(error: TruthError) -> Failure {
+        Failure::Truth(Box::new(error))
+    }
+}
+
+/// The value of one parameter, at one level or common to all.
+struct Known {
+    name: String,
+    per: Option<String>,
+    level: Option<String>,
+    value: f64,
+}
+
+/// Takes the truth from a file. Free parameters of the model get its values; then `set` is done.
+pub(crate) fn load(spec: &mut Spec, from: &Document, set: &[String]) -> Result<Truth, Failure> {
+    let path = from.name();
+    let mut warnings = Vec::new();
+    let (population, known) = if is_model(from)? {
+        of_model(spec, from, set)?
+    } else {
+        let record = read_record(from)?;
+        let population =
+            record.population(&spec.model).map_err(|error| TruthError::Record { path: path.clone(), error })?;
+        if record.model_digest.as_ref().is_some_and(|digest| *digest != spec.digest) {
+            warnings.push(format!("`{path}` was made with another version of `{}`", spec.name));
+        }
+        let known = of_record(spec, &record, &path)?;
+        (population, known)
+    };
+    let mut taken = give(spec, &known, &path, &mut warnings)?;
+    model::set(spec, set)?;
+    taken.retain(|name| !set.iter().any(|assignment| assigned(assignment) == name));
+    let alpha = Alpha::fixed(&spec.model.shared().parameters)
+        .map_err(|ParameterError::Free { names }| Failure::from(TruthError::NoParameter { names }))?;
+    Ok(Truth { population, alpha, taken, warnings })
+}
+
+/// The results of a fit, from their JSON.
+///
+/// # Errors
+/// [`Failure::Truth`] for anything else.
+pub fn fit_record(name: &str, json: &str) -> Result<FitRecord, Failure> {
+    Ok(of_bytes(name.to_owned(), json.as_bytes())?)
+}
+
+/// Gives the model's free parameters the values of a fit; what the user should know.
+pub(crate) fn parameters(spec: &mut Spec, from: &Document) -> Result<Vec<String>, Failure> {
+    let path = from.name();
+    let record = read_record(from)?;
+    let known = of_record(spec, &record, &path)?;
+    let mut warnings = Vec::new();
+    give(spec, &known, &path, &mut warnings)?;
+    Ok(warnings)
+}
+
+/// Name of the parameter of an assignment such as `tau=90` or `sigma[A]=0.7`.
+fn assigned(assignment: &str) -> &str {
+    assignment.split(['=', '[']).next().unwrap_or_default().trim()
+}
+
+/// True for a model file: by its extension, else by its first character.
+fn is_model(from: &Document) -> Result<bool, TruthError> {
+    match from
+        .path()
+        .and_then(Path::extension)
+        .and_then(|extension| extension.to_str())
+        .map(str::to_ascii_lowercase)
+        .as_deref()
+    {
+        Some("toml") => return Ok(true),
+        Some("json") => return Ok(false),
+        _ => {}
+    }
+    let (start, _) = from.bytes(64).map_err(|error| unreadable(from, &error))?;
+    Ok(!start.trim_ascii_start().starts_with(b"{"))
+}
+
+fn unreadable(from: &Document, error: &std::io::Error) -> TruthError {
+    TruthError::Unreadable { path: from.name(), reason: error.to_string() }
+}
+
+fn read_record(from: &Document) -> Result<FitRecord, TruthError> {
+    let (bytes, found) = from.bytes(MAX_BYTES + 1).map_err(|error| unreadable(from, &error))?;
+    if found > MAX_BYTES {
+        return Err(TruthError::TooLarge { path: from.name(), found, limit: MAX_BYTES });
+    }
+    of_bytes(from.name(), &bytes)
+}
+
+/// The results of a fit, of any version that is known.
+fn of_bytes(name: String, bytes: &[u8]) -> Result<FitRecord, TruthError> {
+    #[derive(Deserialize)]
+    struct Head {
+        schema: Option<String>,
+    }
+    let refused = |error: serde_json::Error| TruthError::NotARecord { path: name.clone(), reason: error.to_string() };
+    let head: Head = serde_json::from_slice(bytes).map_err(refused)?;
+    match head.schema {
+        Some(schema) if schema == FIT_SCHEMA => serde_json::from_slice(bytes).map_err(refused),
+        Some(found) => {
+            Err(TruthError::Record { path: name, error: RecordError::Schema { found, expected: FIT_SCHEMA } })
+        }
+        None => Err(TruthError::NotARecord { path: name, reason: "it has no `schema`".to_owned() }),
+    }
+}
+
+/// The population of a model file, in the order of the model, and the values of its parameters.
+fn of_model(spec: &Spec, from: &Document, set: &[String]) -> Result<(Population, Vec<Known>), Failure> {
+    let path = from.name();
+    let mut truth = model::read(from)?;
+    for parameter in truth.model.shared().parameters.clone() {
+        if let Value::Free { start: Some(start) } = parameter.value {
+            truth
+                .give(&parameter.name, &[(None, start)])
+                .map_err(|error| Failure::from(TruthError::Value { path: path.clone(), error: Box::new(error) }))?;
+        }
+    }
+    let is_there = |name: &str| truth.model.shared().parameters.iter().any(|p| p.name == name);
+    let own: Vec<String> = set.iter().filter(|assignment| is_there(assigned(assignment))).cloned().collect();
+    model::set(&mut truth, &own)?;
+    let alpha = Alpha::fixed(&truth.model.shared().parameters)
+        .map_err(|ParameterError::Free { names }| Failure::from(TruthError::NoParameter { names }))?;
+    let (found, expected) = (truth.model.estimated_names(), spec.model.estimated_names());
+    let place: Option<Vec<usize>> = expected.iter().map(|name| found.iter().position(|other| other == name)).collect();
+    let Some(place) = place.filter(|place| place.len() == found.len()) else {
+        let error = RecordError::Names { what: "the estimated states".to_owned(), found, expected };
+        return Err(TruthError::Record { path, error }.into());
+    };
+    let refused = |error| Failure::from(TruthError::Population { path: path.clone(), error });
+    let mut population = Population::of_model(&truth.model, &alpha).map_err(refused)?;
+    population.mean = place.iter().map(|&i| population.mean[i]).collect();
+    population.covariance = population.covariance.select_rows(&place).select_columns(&place);
+    population.check(&spec.model).map_err(refused)?;
+    Ok((population, levels(&truth, &alpha)))
+}
+
+/// All values of a model's parameters.
+fn levels(spec: &Spec, alpha: &Alpha) -> Vec<Known> {
+    let mut known = Vec::new();
+    for (parameter, level) in spec.model.shared().parameters.iter().zip(&alpha.values) {
+        let per = parameter.per.map(|column| spec.model.shared().text_columns[column].name.clone());
+        let mut add = |level: Option<&String>, value: f64| {
+            known.push(Known { name: parameter.name.clone(), per: per.clone(), level: level.cloned(), value });
+        };
+        match level {
+            Level::Common(value) => add(None, *value),
+            Level::Each { values, other, .. } => {
+                other.iter().for_each(|value| add(None, *value));
+                values.iter().for_each(|(label, value)| add(spec.model.shared().literals.get(label.index()), *value));
+            }
+        }
+    }
+    known
+}
+
+/// The parameters of a fit, all of which the model must have.
+fn of_record(spec: &Spec, record: &FitRecord, path: &str) -> Result<Vec<Known>, TruthError> {
+    let names: BTreeSet<&str> = spec.model.shared().parameters.iter().map(|own| own.name.as_str()).collect();
+    let known = |p: &kalfit::record::ParameterRecord| {
+        if !names.contains(p.name.as_str()) {
+            return Err(TruthError::UnknownParameter { path: path.to_owned(), name: p.name.clone() });
+        }
+        Ok(Known { name: p.name.clone(), per: p.per.clone(), level: p.level.clone(), value: p.estimate })
+    };
+    record.parameters.iter().map(known).collect()
+}
+
+/// Gives the model's free parameters the values that are known; the names of those that got one.
+fn give(spec: &mut Spec, known: &[Known], path: &str, warnings: &mut Vec<String>) -> Result<Vec<String>, Failure> {
+    let literals: HashMap<String, usize> =
+        spec.model.shared().literals.iter().enumerate().map(|(literal, text)| (text.clone(), literal)).collect();
+    let mut taken = Vec::new();
+    for parameter in spec.model.shared().parameters.clone() {
+        let mut values = Vec::new();
+        for Known { per, level, value, .. } in known.iter().filter(|known| known.name == parameter.name) {
+            let literal = level.as_ref().and_then(|level| literals.get(level));
+            let at_level = literal.and_then(|literal| parameter.fixed_levels.get(literal).copied());
+            let own = match parameter.value {
+                Value::Fixed(own) => Some(at_level.unwrap_or(own)),
+                Value::Free { .. } => at_level,
+            };
+            if let Some(own) = own {
+                if own != *value {
+                    warnings.push(difference(spec, &parameter.name, level.as_deref(), (own, *value), path));
+                }
+                continue;
+            }
+            let expected = parameter.per.map(|column| spec.model.shared().text_columns[column].name.clone());
+            if *per != expected {
+                let (path, name, found) = (path.to_owned(), parameter.name.clone(), per.clone());
+                return Err(TruthError::Per { path, name, found, expected }.into());
+            }
+            values.push((level.as_deref(), *value));
+        }
+        if values.is_empty() {
+            continue;
+        }
+        spec.give(&parameter.name, &values)
+            .map_err(|error| Failure::from(TruthError::Value { path: path.to_owned(), error: Box::new(error) }))?;
+        taken.push(parameter.name.clone());
+    }
+    Ok(taken)
+}
+
+fn difference(spec: &Spec, name: &str, level: Option<&str>, (own, other): (f64, f64), path: &str) -> String {
+    let at = level.map_or(String::new(), |level| format!("[{level}]"));
+    format!("`{name}{at}` is {own} in `{}` and {other} in `{path}`: {own} is used", spec.name)
+}

@@ -1,0 +1,75 @@
+//! Work that takes time: what is going on, for whoever waits, and whether they still do.
+
+use std::time::Instant;
+
+use kalfit::estimate::{Progress, Step};
+
+use crate::failure::Failure;
+
+/// Somebody who waits for a job.
+pub trait Watch {
+    /// Hears what is being done now. The words are made only when they are asked for.
+    fn say(&mut self, what: &dyn Fn() -> String);
+
+    /// True once the job is to end as soon as it can. A search for a fit ends where it is, with a result that says so; whatever
+    /// else is under way ends with [`Failure::Interrupted`].
+    fn stops(&self) -> bool {
+        false
+    }
+}
+
+/// Waits in silence.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Unwatched;
+
+impl Watch for Unwatched {
+    fn say(&mut self, _: &dyn Fn() -> String) {}
+}
+
+/// A job under way.
+pub(crate) struct Work<'a> {
+    began: Instant,
+    watch: &'a mut dyn Watch,
+}
+
+impl<'a> Work<'a> {
+    pub(crate) fn new(watch: &'a mut dyn Watch) -> Work<'a> {
+        Work { began: Instant::now(), watch }
+    }
+
+    /// Time since the work began.
+    pub(crate) fn seconds(&self) -> f64 {
+        self.began.elapsed().as_secs_f64()
+    }
+
+    /// Says what is being done now.
+    pub(crate) fn say(&mut self, what: impl Fn() -> String) {
+        self.watch.say(&what);
+    }
+
+    /// True when nobody waits any longer.
+    pub(crate) fn is_stopped(&self) -> bool {
+        self.watch.stops()
+    }
+
+    /// Goes on, if somebody still waits.
+    ///
+    /// # Errors
+    /// Nobody does.
+    pub(crate) fn go_on(&self) -> Result<(), Failure> {
+        if self.is_stopped() { Err(Failure::Interrupted) } else { Ok(()) }
+    }
+}
+
+impl Progress for Work<'_> {
+    fn step(&mut self, step: Step) {
+        self.say(|| {
+            let far = step.decrement.map_or(String::new(), |d| format!(", about {d:.1e} standard errors to go"));
+            format!("fitting: pass {}, log-likelihood {:.4}{far}", step.passes, step.log_likelihood)
+        });
+    }
+
+    fn stops(&self) -> bool {
+        self.is_stopped()
+    }
+}

@@ -1,0 +1,86 @@
+//! A job that somebody stops.
+
+use std::path::PathBuf;
+
+use kalfit::dynamic::Method;
+use kalfit::estimate::Solver;
+use kalfit_job::{Document, ExchangeJob, Failure, FitJob, ModelJob, Watch};
+
+/// Stops a job once it has heard these words so many times.
+struct Impatient {
+    words: &'static str,
+    times: usize,
+}
+
+impl Watch for Impatient {
+    fn say(&mut self, what: &dyn Fn() -> String) {
+        if what().contains(self.words) {
+            self.times = self.times.saturating_sub(1);
+        }
+    }
+
+    fn stops(&self) -> bool {
+        self.times == 0
+    }
+}
+
+fn example(name: &str) -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../examples").join(name)
+}
+
+fn job(model: &str, data: &str) -> FitJob {
+    let document = Document::File(example(model));
+    FitJob::new(ModelJob { document, set: Vec::new() }, vec![example(data).display().to_string().into()])
+}
+
+fn bench() -> FitJob {
+    job("gyro-bench/bench.toml", "gyro-bench/bench.csv")
+}
+
+fn sleep() -> FitJob {
+    job("random-coefficients/sleepstudy.toml", "random-coefficients/sleepstudy.csv")
+}
+
+#[test]
+fn a_search_that_is_stopped_ends_with_its_best_so_far_and_says_so() {
+    let whole = kalfit_job::fit(&bench(), &mut Impatient { words: "nothing says this", times: 1 }).unwrap().record;
+    assert!(whole.converged);
+    for solver in [Solver::Newton, Solver::Em] {
+        let folder = tempfile::tempdir().unwrap();
+        let mut job = bench();
+        job.settings = kalfit::estimate::Settings::of(solver);
+        job.out = Some(folder.path().join("fit.json"));
+        let done = kalfit_job::fit(&job, &mut Impatient { words: "fitting: pass", times: 2 }).unwrap();
+        assert!(!done.record.converged, "{}", done.record.reason);
+        assert!(done.record.reason.contains("interrupted"), "{}", done.record.reason);
+        assert!(done.record.log_likelihood < whole.log_likelihood);
+        assert_eq!(done.written, None);
+        assert!(!folder.path().join("fit.json").exists(), "nobody waits for the file");
+    }
+}
+
+#[test]
+fn a_search_for_parameters_stops_by_every_method() {
+    for method in [Method::Hybrid, Method::Innovations, Method::Em] {
+        let mut job = sleep();
+        job.method = Some(method);
+        job.search.starts = 3;
+        let record = kalfit_job::fit(&job, &mut Impatient { words: "fitting: pass", times: 1 }).unwrap().record;
+        assert!(!record.converged, "{method:?}: {}", record.reason);
+        assert!(record.reason.contains("interrupted"), "{method:?}: {}", record.reason);
+        assert!(record.starts.is_empty(), "{method:?}: no other start was tried");
+    }
+}
+
+#[test]
+fn whatever_is_no_search_ends_without_a_result() {
+    let interrupted = |result: Result<(), Failure>| assert!(matches!(result, Err(Failure::Interrupted)), "{result:?}");
+    interrupted(kalfit_job::fit(&bench(), &mut Impatient { words: "", times: 0 }).map(|_| ()));
+    let FitJob { model, data, .. } = bench();
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("reductions.parquet");
+    let job = ExchangeJob { model, data, at: None, out: Some(out.clone()) };
+    interrupted(kalfit_job::reduce(&job, &mut Impatient { words: "", times: 0 }).map(|_| ()));
+    assert!(!out.exists());
+    assert_eq!(folder.path().read_dir().unwrap().count(), 0, "no temporary file stays behind");
+}

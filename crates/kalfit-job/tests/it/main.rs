@@ -1,0 +1,4 @@
+//! Jobs, done without a terminal.
+
+mod interruption;
+mod memory;

@@ -1,0 +1,163 @@
+//! The jobs of the command, one function each. Notes are what the user should know beside the results.
+
+use std::path::PathBuf;
+
+use kalfit::estimate::Solver;
+use kalfit::infer::Bootstrap;
+use kalfit_job::{
+    CheckJob, Done, ExchangeJob, Exchanged, Failure, FitJob, PlanJob, SimulateJob, Simulated, TestJob, Watch,
+};
+use kalfit_report::{Style, check_summary};
+use pyo3::exceptions::PyKeyboardInterrupt;
+use pyo3::prelude::*;
+
+use crate::data::{Given, data};
+use crate::options::{Asked, FitOptions, Text, settings};
+use crate::run::{Ended, How, run};
+use crate::table::Table;
+use crate::text::written;
+
+/// (JSON of the fit, whether it was interrupted).
+#[pyfunction]
+pub(crate) fn fit(
+    py: Python<'_>,
+    model: Asked,
+    given: Vec<Given<'_>>,
+    out: Option<PathBuf>,
+    options: FitOptions,
+    how: How<'_>,
+) -> PyResult<(String, bool)> {
+    let mut job = FitJob::new(model.into(), data(given)?);
+    job.out = out;
+    options.apply(&mut job)?;
+    let Ended { result, interrupted } = run(py, how, move |watch| kalfit_job::fit(&job, watch))?;
+    Ok((written(&result.record)?, interrupted))
+}
+
+/// (JSON of the check, its summary, notes).
+#[pyfunction]
+pub(crate) fn check(
+    py: Python<'_>,
+    model: Asked,
+    given: Vec<Given<'_>>,
+    how: How<'_>,
+) -> PyResult<(String, String, Vec<String>)> {
+    let job = CheckJob { model: model.into(), data: data(given)? };
+    let done = whole(run(py, how, move |watch| kalfit_job::check(&job, watch))?)?;
+    let summary = check_summary(&done.record, &Style::default());
+    Ok((written(&done.record)?, summary, done.notes))
+}
+
+/// (replicates and seed of a bootstrap, tolerance, most passes).
+type TestOptions = (Option<(u32, u64)>, Option<f64>, Option<u32>);
+
+/// (JSON of the test, notes).
+#[pyfunction]
+pub(crate) fn test(
+    py: Python<'_>,
+    model: Asked,
+    given: Vec<Given<'_>>,
+    null: Text,
+    options: TestOptions,
+    out: Option<PathBuf>,
+    how: How<'_>,
+) -> PyResult<(String, Vec<String>)> {
+    let (bootstrap, tolerance, passes) = options;
+    let job = TestJob {
+        model: model.into(),
+        data: data(given)?,
+        null: null.into(),
+        bootstrap: bootstrap.map(|(replicates, seed)| Bootstrap { replicates: replicates as usize, seed }),
+        out,
+        settings: settings(Solver::Newton, tolerance, passes)?,
+    };
+    let done = whole(run(py, how, move |watch| kalfit_job::test(&job, watch))?)?;
+    Ok((written(&done.record)?, done.notes))
+}
+
+/// (JSON of the plan, notes).
+#[pyfunction]
+pub(crate) fn plan(
+    py: Python<'_>,
+    model: Asked,
+    from: Text,
+    design: Vec<Given<'_>>,
+    tests: Vec<usize>,
+    out: Option<PathBuf>,
+    how: How<'_>,
+) -> PyResult<(String, Vec<String>)> {
+    let job = PlanJob { model: model.into(), from: from.into(), design: data(design)?, tests, out };
+    let done = whole(run(py, how, move |watch| kalfit_job::plan(&job, watch))?)?;
+    Ok((written(&done.record)?, done.notes))
+}
+
+/// (the table unless it went to a file, number of tests, of rows, the true initial states unless the table went to a file, the
+/// column that was added to tell tests apart, notes).
+type Drawn = (Option<Table>, u64, u64, Option<Table>, Option<String>, Vec<String>);
+
+/// Draws an ensemble.
+#[pyfunction]
+pub(crate) fn simulate(
+    py: Python<'_>,
+    model: Asked,
+    from: Text,
+    design: Vec<Given<'_>>,
+    draw: (Option<u64>, u64),
+    files: (Option<PathBuf>, Option<PathBuf>),
+    how: How<'_>,
+) -> PyResult<Drawn> {
+    let (model, from, design) = (model.into(), from.into(), data(design)?);
+    let ((tests, seed), (out, states)) = (draw, files);
+    let job = SimulateJob { model, from, design, tests, seed, out, states };
+    let done = whole(run(py, how, move |watch| kalfit_job::simulate(&job, watch))?)?;
+    let Simulated { tests, rows, added, table, initial, state_names, .. } = done.record;
+    let states = table.is_some().then(|| Table::of_rows(&state_names, &initial)).transpose()?;
+    Ok((table.map(Table::ipc).transpose()?, tests, rows, states, added, done.notes))
+}
+
+/// (the table unless it went to a file, number of rows, of tests, notes).
+type Made = (Option<Table>, usize, usize, Vec<String>);
+
+/// Runs the filters once.
+#[pyfunction]
+pub(crate) fn reduce(
+    py: Python<'_>,
+    model: Asked,
+    given: Vec<Given<'_>>,
+    at: Option<Text>,
+    out: Option<PathBuf>,
+    how: How<'_>,
+) -> PyResult<Made> {
+    exchange(py, kalfit_job::reduce, (model, given, at, out), how)
+}
+
+/// Runs the model's filters as they are.
+#[pyfunction]
+pub(crate) fn estimates(
+    py: Python<'_>,
+    model: Asked,
+    given: Vec<Given<'_>>,
+    at: Option<Text>,
+    out: Option<PathBuf>,
+    how: How<'_>,
+) -> PyResult<Made> {
+    exchange(py, kalfit_job::estimates, (model, given, at, out), how)
+}
+
+/// A job that makes an exchange file.
+type Exchange = fn(&ExchangeJob, &mut dyn Watch) -> Result<Done<Exchanged>, Failure>;
+
+/// What it is asked for.
+type Wanted<'py> = (Asked, Vec<Given<'py>>, Option<Text>, Option<PathBuf>);
+
+fn exchange(py: Python<'_>, make: Exchange, (model, given, at, out): Wanted<'_>, how: How<'_>) -> PyResult<Made> {
+    let job = ExchangeJob { model: model.into(), data: data(given)?, at: at.map(Into::into), out };
+    let done = whole(run(py, how, move |watch| make(&job, watch))?)?;
+    let Exchanged { rows, tests, table, .. } = done.record;
+    Ok((table.map(Table::parquet).transpose()?, rows, tests, done.notes))
+}
+
+/// Nothing but a fit has a use for less than the whole.
+fn whole<R>(Ended { result, interrupted }: Ended<R>) -> PyResult<R> {
+    if interrupted { Err(PyKeyboardInterrupt::new_err(())) } else { Ok(result) }
+}

@@ -1,0 +1,24 @@
+//! `kalfit._kalfit`: the compiled part of the Python package, thin. Texts, numbers and Arrow tables go in, JSON and Arrow tables
+//! come out; everything that people see is made of these in `python/kalfit`.
+
+mod data;
+mod errors;
+mod jobs;
+mod options;
+mod run;
+mod table;
+mod text;
+
+use pyo3::prelude::*;
+
+#[pymodule]
+mod _kalfit {
+    #[pymodule_export]
+    use crate::errors::{DataError, Error, FitError, ModelError};
+    #[pymodule_export]
+    use crate::jobs::{check, estimates, fit, plan, reduce, simulate, test};
+    #[pymodule_export]
+    use crate::table::Table;
+    #[pymodule_export]
+    use crate::text::{describe, fit_summary, plan_summary, ratio_summary, read_fit, read_model, version};
+}

@@ -1,0 +1,157 @@
+//! A job runs on a thread of its own, without Python's lock; the thread that asked for it listens, and sees to Ctrl-C.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use kalfit_job::{Failure, Watch};
+use pyo3::exceptions::{PyKeyboardInterrupt, PyRuntimeError};
+use pyo3::prelude::*;
+
+use crate::errors::exception;
+
+/// How often Python is asked whether a signal has come.
+const LISTEN: Duration = Duration::from_millis(50);
+/// How long an interrupted job may take to end with what it has.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// No more often than this is anybody told how it goes.
+const TELL: Duration = Duration::from_millis(100);
+
+/// On how many threads, all when none; and who is told how it goes.
+#[derive(FromPyObject)]
+pub(crate) struct How<'py>(Option<usize>, Option<Bound<'py, PyAny>>);
+
+/// How a job ended.
+pub(crate) struct Ended<R> {
+    pub(crate) result: R,
+    /// It was interrupted, and ended with what it had.
+    pub(crate) interrupted: bool,
+}
+
+enum Heard<R> {
+    Words(String),
+    Done(Box<Result<R, Failure>>),
+}
+
+/// The job's side.
+struct Teller<R> {
+    sender: Sender<Heard<R>>,
+    stop: Arc<AtomicBool>,
+    /// Somebody wants to hear how it goes.
+    wanted: bool,
+    last: Option<Instant>,
+}
+
+impl<R> Watch for Teller<R> {
+    fn say(&mut self, what: &dyn Fn() -> String) {
+        if self.wanted && self.last.is_none_or(|last| last.elapsed() >= TELL) {
+            self.last = Some(Instant::now());
+            let _ = self.sender.send(Heard::Words(what())); // nobody listens any longer when it fails
+        }
+    }
+
+    fn stops(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+}
+
+/// Runs a job. After Ctrl-C it is asked to stop: one that ends soon with a result gives that, any other is left to wind down by
+/// itself, which writes nothing, and the exception of the signal is raised.
+pub(crate) fn run<R: Send + 'static>(
+    py: Python<'_>,
+    How(threads, progress): How<'_>,
+    job: impl FnOnce(&mut dyn Watch) -> Result<R, Failure> + Send + 'static,
+) -> PyResult<Ended<R>> {
+    let pool = threads.map(pool).transpose()?;
+    let (sender, receiver) = channel();
+    let stop = Arc::new(AtomicBool::new(false));
+    let mut teller = Teller { sender, stop: stop.clone(), wanted: progress.is_some(), last: None };
+    let work = move || {
+        let result = match pool {
+            Some(pool) => pool.install(|| job(&mut teller)),
+            None => job(&mut teller),
+        };
+        let _ = teller.sender.send(Heard::Done(Box::new(result)));
+    };
+    let thread = std::thread::Builder::new().name("kalfit".to_owned()).spawn(work);
+    thread.map_err(|error| exception(&Failure::Threads { threads: 1, reason: error.to_string() }))?;
+    let listener = Listener { receiver: Mutex::new(receiver), stop, progress };
+    listener.wait(py)
+}
+
+fn pool(threads: usize) -> PyResult<rayon::ThreadPool> {
+    let built = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+    built.map_err(|error| exception(&Failure::Threads { threads, reason: error.to_string() }))
+}
+
+/// Python's side.
+struct Listener<'py, R> {
+    receiver: Mutex<Receiver<Heard<R>>>,
+    stop: Arc<AtomicBool>,
+    progress: Option<Bound<'py, PyAny>>,
+}
+
+/// What a while of listening brought.
+enum While<R> {
+    Heard(Heard<R>),
+    Nothing,
+    /// The job is gone without a word.
+    Gone,
+}
+
+impl<R: Send> Listener<'_, R> {
+    fn wait(self, py: Python<'_>) -> PyResult<Ended<R>> {
+        let mut raised: Option<(PyErr, Instant)> = None;
+        loop {
+            match self.listen(py) {
+                While::Heard(Heard::Words(words)) => {
+                    let told = self.progress.as_ref().map_or(Ok(()), |progress| progress.call1((words,)).map(|_| ()));
+                    self.note(&mut raised, told);
+                }
+                While::Heard(Heard::Done(result)) => return ended(py, *result, raised.map(|(error, _)| error)),
+                While::Gone => {
+                    let words =
+                        "kalfit came to a halt by a fault of its own: please report it with the model and the data";
+                    return Err(raised.map_or_else(|| PyRuntimeError::new_err(words), |(error, _)| error));
+                }
+                While::Nothing => {}
+            }
+            self.note(&mut raised, py.check_signals());
+            if raised.as_ref().is_some_and(|(_, since)| since.elapsed() > PATIENCE) {
+                break;
+            }
+        }
+        Err(raised.expect("the loop ends only after an exception").0)
+    }
+
+    fn listen(&self, py: Python<'_>) -> While<R> {
+        let receiver = &self.receiver;
+        let heard = py.detach(|| receiver.lock().expect("there is one listener").recv_timeout(LISTEN));
+        match heard {
+            Ok(heard) => While::Heard(heard),
+            Err(RecvTimeoutError::Timeout) => While::Nothing,
+            Err(RecvTimeoutError::Disconnected) => While::Gone,
+        }
+    }
+
+    /// After the first exception the job is asked to stop.
+    fn note(&self, raised: &mut Option<(PyErr, Instant)>, outcome: PyResult<()>) {
+        if let (Err(error), None) = (outcome, &raised) {
+            self.stop.store(true, Ordering::Relaxed);
+            *raised = Some((error, Instant::now()));
+        }
+    }
+}
+
+/// What comes of a job that ended: an exception of Python's own goes before the job's, and Ctrl-C leaves a result that there is.
+fn ended<R>(py: Python<'_>, result: Result<R, Failure>, raised: Option<PyErr>) -> PyResult<Ended<R>> {
+    match (result, raised) {
+        (Ok(result), None) => Ok(Ended { result, interrupted: false }),
+        (Ok(result), Some(error)) if error.is_instance_of::<PyKeyboardInterrupt>(py) => {
+            Ok(Ended { result, interrupted: true })
+        }
+        (_, Some(error)) => Err(error),
+        (Err(failure), None) => Err(exception(&failure)),
+    }
+}

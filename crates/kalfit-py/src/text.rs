@@ -1,0 +1,80 @@
+//! Models and results as texts: read, checked, summed up.
+
+use kalfit::TestKey;
+use kalfit::plan::PlanRecord;
+use kalfit::record::RatioRecord;
+use kalfit_job::Document;
+use kalfit_report::{Style, summary};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use serde::de::DeserializeOwned;
+
+use crate::errors::exception;
+use crate::options::Text;
+
+/// Version of the package.
+#[pyfunction]
+pub(crate) fn version() -> &'static str {
+    env!("CARGO_PKG_VERSION")
+}
+
+/// The text of a model file, which is sound.
+#[pyfunction]
+pub(crate) fn read_model(path: std::path::PathBuf) -> PyResult<String> {
+    let spec = kalfit_job::read_model(&Document::File(path)).map_err(|failure| exception(&failure))?;
+    Ok(spec.text)
+}
+
+/// (title, digest, the model in words, the names of its parameters, the column that tells tests apart, the column of time) of a
+/// model's text, which is sound.
+type Description = (String, String, Vec<String>, Vec<String>, Option<String>, Option<String>);
+
+/// What a model's text says.
+#[pyfunction]
+pub(crate) fn describe(model: Text) -> PyResult<Description> {
+    let spec = kalfit_job::read_model(&model.into()).map_err(|failure| exception(&failure))?;
+    let shared = spec.model.shared();
+    let names = shared.parameters.iter().map(|parameter| parameter.name.clone()).collect();
+    let test = match &spec.layout.test {
+        TestKey::Column(name) => Some(name.clone()),
+        TestKey::Single | TestKey::File => None,
+    };
+    let time = shared.clock.time.map(|column| shared.columns[column].name.clone());
+    Ok((shared.title.clone(), spec.digest.clone(), spec.describe(), names, test, time))
+}
+
+/// The JSON of a fit as kalfit writes it.
+#[pyfunction]
+pub(crate) fn read_fit(name: &str, json: &str) -> PyResult<String> {
+    let record = kalfit_job::fit_record(name, json).map_err(|failure| exception(&failure))?;
+    written(&record)
+}
+
+/// Summary of the JSON of a fit.
+#[pyfunction]
+pub(crate) fn fit_summary(json: &str, width: usize, color: bool) -> PyResult<String> {
+    let record = kalfit_job::fit_record("the results", json).map_err(|failure| exception(&failure))?;
+    Ok(summary(&record, &Style { width, color }))
+}
+
+/// Summary of the JSON of a likelihood-ratio test.
+#[pyfunction]
+pub(crate) fn ratio_summary(json: &str, width: usize, color: bool) -> PyResult<String> {
+    Ok(kalfit_report::ratio_summary(&read::<RatioRecord>(json)?, &Style { width, color }))
+}
+
+/// Summary of the JSON of a plan.
+#[pyfunction]
+pub(crate) fn plan_summary(json: &str, width: usize, color: bool) -> PyResult<String> {
+    Ok(kalfit_report::plan_summary(&read::<PlanRecord>(json)?, &Style { width, color }))
+}
+
+fn read<T: DeserializeOwned>(json: &str) -> PyResult<T> {
+    serde_json::from_str(json).map_err(|error| PyValueError::new_err(format!("these are no such results: {error}")))
+}
+
+/// A record as the command writes it to a file.
+pub(crate) fn written(record: &impl serde::Serialize) -> PyResult<String> {
+    let text = serde_json::to_string_pretty(record);
+    text.map(|text| text + "\n").map_err(|error| PyValueError::new_err(error.to_string()))
+}

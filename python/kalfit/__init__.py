@@ -1,0 +1,50 @@
+"""Error models from ensembles of tests that are not alike: maximum likelihood for the mean and covariance of the initial state of
+a Kalman filter model.
+
+>>> import kalfit
+>>> fit = kalfit.fit("examples/gyro-bench/bench.toml", "examples/gyro-bench/bench.csv")
+>>> print(fit)
+Gyros on two bench stations
+...
+"""
+
+from kalfit._arrays import Ensemble
+from kalfit._data import Data, Table, TableLike
+from kalfit._fit import Fit, Interrupted, Parameter, Parameters, Phase, TestFit
+from kalfit._jobs import check, estimates, fit, plan, reduce, simulate, test
+from kalfit._kalfit import DataError, Error, FitError, ModelError, version
+from kalfit._model import Model, ModelLike
+from kalfit._results import Check, Plan, RatioTest, Simulation
+
+__version__ = version()
+
+__all__ = [
+    "Check",
+    "Data",
+    "DataError",
+    "Ensemble",
+    "Error",
+    "Fit",
+    "FitError",
+    "Interrupted",
+    "Model",
+    "ModelError",
+    "ModelLike",
+    "Parameter",
+    "Parameters",
+    "Phase",
+    "Plan",
+    "RatioTest",
+    "Simulation",
+    "Table",
+    "TableLike",
+    "TestFit",
+    "__version__",
+    "check",
+    "estimates",
+    "fit",
+    "plan",
+    "reduce",
+    "simulate",
+    "test",
+]

@@ -1,0 +1,364 @@
+"""Results of a fit."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Union, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kalfit import _display, _kalfit
+
+__all__ = ["Fit", "Interrupted", "Parameter", "Parameters", "Phase", "TestFit"]
+
+Array = NDArray[np.float64]
+
+
+def _array(values: Any) -> Array:
+    """Numbers as an array; what is unknown is NaN, as numpy has nothing else for it."""
+    return np.array(values, dtype=np.float64)  # None becomes NaN
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A dynamic parameter, at one level or common to all tests."""
+
+    name: str
+    #: Column of levels, if the parameter has any.
+    per: str | None
+    #: The level.
+    level: str | None
+    estimate: float
+    #: None where it is fixed, at a bound, or not determined by the data.
+    std_error: float | None
+    interval95: tuple[float, float] | None
+    fixed: bool
+    at_bound: bool
+    unit: str | None
+
+
+class Parameters(Sequence[Parameter]):
+    """The dynamic parameters, by place, by name, or by name and level: ``parameters["sigma", "A"]``."""
+
+    def __init__(self, parameters: Sequence[Parameter]) -> None:
+        self._all = list(parameters)
+
+    def __len__(self) -> int:
+        return len(self._all)
+
+    def __iter__(self) -> Iterator[Parameter]:
+        return iter(self._all)
+
+    @overload
+    def __getitem__(self, key: Union[int, str, tuple[str, str]]) -> Parameter: ...
+    @overload
+    def __getitem__(self, key: slice) -> list[Parameter]: ...
+    def __getitem__(self, key: Union[int, str, tuple[str, str], slice]) -> Union[Parameter, list[Parameter]]:
+        if isinstance(key, (int, slice)):
+            return self._all[key]
+        name, level = key if isinstance(key, tuple) else (key, None)
+        found = [p for p in self._all if p.name == name and (level is None or p.level == level)]
+        if len(found) == 1:
+            return found[0]
+        if found:
+            levels = ", ".join(repr(p.level) for p in found)
+            raise KeyError(f"{name!r} has a value for each of the levels {levels}: ask for parameters[{name!r}, level]")
+        raise KeyError(f"there is no parameter {key!r}, there are {', '.join(sorted({p.name for p in self._all})) or 'none'}")
+
+    def __repr__(self) -> str:
+        return f"Parameters({self._all!r})"
+
+
+class Phase:
+    """The initial state of one phase, over the population. Arrays are in the order of :attr:`states`; what is unknown, such as
+    the standard error of a fixed element, is NaN."""
+
+    def __init__(self, record: dict[str, Any]) -> None:
+        self._record = record
+        #: Name of the phase; ``main`` in a model without phases.
+        self.name: str = record["name"]
+        #: Names of the estimated states.
+        self.states: list[str] = list(record["states"])
+        #: Their units; None where the model has none.
+        self.units: list[str | None] = list(record.get("units") or [None] * len(self.states))
+
+    @property
+    def mean(self) -> Array:
+        """Mean, shape (p,)."""
+        return _array(self._record["mean"]["estimate"])
+
+    @property
+    def mean_std_error(self) -> Array:
+        """Standard errors of the mean, shape (p,)."""
+        return _array(self._record["mean"]["std_error"])
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance, shape (p, p)."""
+        return _square(self._record["covariance"]["estimate"], len(self.states))
+
+    @property
+    def covariance_std_error(self) -> Array:
+        """Standard errors of the covariance, shape (p, p)."""
+        return _square(self._record["covariance"]["std_error"], len(self.states))
+
+    @property
+    def std_dev(self) -> Array:
+        """Standard deviations, shape (p,)."""
+        return _array(self._record["std_dev"]["estimate"])
+
+    @property
+    def std_dev_std_error(self) -> Array:
+        """Standard errors of the standard deviations, shape (p,)."""
+        return _array(self._record["std_dev"]["std_error"])
+
+    @property
+    def correlation(self) -> Array:
+        """Correlations, shape (p, p)."""
+        return _square(self._record["correlation"]["estimate"], len(self.states))
+
+    @property
+    def correlation_std_error(self) -> Array:
+        """Standard errors of the correlations, shape (p, p)."""
+        return _square(self._record["correlation"]["std_error"], len(self.states))
+
+    def __repr__(self) -> str:
+        return f"<kalfit.Phase {self.name!r}: {', '.join(self.states)}>"
+
+
+def _square(values: Any, p: int) -> Array:
+    return _array(values).reshape(p, p)
+
+
+@dataclass(frozen=True)
+class TestFit:
+    """What one test says: the law of its own initial state, given its data and the fit."""
+
+    __test__ = False  # it is no test of pytest's
+
+    id: str
+    log_likelihood: float
+    observations: int
+    #: How far the test lies from the population: chi-square under the model.
+    distance: float | None
+    degrees_of_freedom: int | None
+    p_value: float | None
+    #: Mean by phase, each of shape (p,).
+    means: dict[str, Array]
+    #: Covariance by phase, each of shape (p, p).
+    covariances: dict[str, Array]
+
+
+class Fit:
+    """Results of a fit. Made by :func:`kalfit.fit`, or from a file of the command by :meth:`load` and :meth:`from_json`.
+
+    The properties :attr:`mean`, :attr:`covariance`, :attr:`std_dev`, :attr:`correlation` and :attr:`states` are those of the
+    one phase there is; a fit of several phases has them in :attr:`phases`.
+    """
+
+    def __init__(self, json_text: str, name: str = "the results") -> None:
+        self._json = _kalfit.read_fit(name, json_text)
+
+    @classmethod
+    def from_json(cls, text: str) -> Fit:
+        """Reads the JSON of a fit, of this package or of the command."""
+        return cls(text)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Fit:
+        """Reads a file that ``kalfit fit --out`` or :meth:`save` wrote."""
+        with open(path, encoding="utf-8") as file:
+            return cls(file.read(), os.fspath(path))
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes all results, as ``kalfit fit --out`` does."""
+        with open(path, "w", encoding="utf-8", newline="\n") as file:
+            file.write(self._json)
+
+    def to_json(self) -> str:
+        """All results as JSON, as ``kalfit fit --out`` writes it."""
+        return self._json
+
+    def to_dict(self) -> dict[str, Any]:
+        """All results, as the JSON has them. Each call makes a new dictionary."""
+        result: dict[str, Any] = json.loads(self._json)
+        return result
+
+    @cached_property
+    def _record(self) -> dict[str, Any]:
+        return self.to_dict()
+
+    @cached_property
+    def phases(self) -> tuple[Phase, ...]:
+        """Each phase of the model; one, named ``main``, in a model without phases."""
+        return tuple(Phase(phase) for phase in self._record["phases"])
+
+    def phase(self, name: str) -> Phase:
+        """The phase of this name."""
+        for phase in self.phases:
+            if phase.name == name:
+                return phase
+        raise KeyError(f"there is no phase {name!r}, there are {', '.join(phase.name for phase in self.phases)}")
+
+    @property
+    def _only(self) -> Phase:
+        if len(self.phases) == 1:
+            return self.phases[0]
+        names = ", ".join(repr(phase.name) for phase in self.phases)
+        raise ValueError(f"the fit has phases {names}: ask one of them, as in fit.phase({self.phases[0].name!r}).mean")
+
+    @property
+    def states(self) -> list[str]:
+        """Names of the estimated states, in the order of every array."""
+        return self._only.states
+
+    @property
+    def mean(self) -> Array:
+        """Mean of the initial state over the population, shape (p,)."""
+        return self._only.mean
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the initial state over the population, shape (p, p)."""
+        return self._only.covariance
+
+    @property
+    def std_dev(self) -> Array:
+        """Standard deviations, shape (p,)."""
+        return self._only.std_dev
+
+    @property
+    def correlation(self) -> Array:
+        """Correlations, shape (p, p)."""
+        return self._only.correlation
+
+    @cached_property
+    def parameters(self) -> Parameters:
+        """Dynamic parameters: ``fit.parameters["tau"].estimate``."""
+        return Parameters([_parameter(record) for record in self._record["parameters"]])
+
+    @cached_property
+    def tests(self) -> list[TestFit]:
+        """What each test says."""
+        return [_test(record) for record in self._record["tests"]]
+
+    @property
+    def constraints(self) -> list[dict[str, Any]]:
+        """Each constrained element and what the constraint costs."""
+        result: list[dict[str, Any]] = self.to_dict()["constraints"]
+        return result
+
+    @property
+    def title(self) -> str:
+        """Title of the model."""
+        return str(self._record["title"])
+
+    @property
+    def log_likelihood(self) -> float:
+        """Log-likelihood, every constant included."""
+        return float(self._record["log_likelihood"])
+
+    @property
+    def aic(self) -> float | None:
+        """Akaike's criterion; None where it has no meaning."""
+        return _number(self._record["aic"])
+
+    @property
+    def bic(self) -> float | None:
+        """Schwarz's criterion; None where it has no meaning."""
+        return _number(self._record["bic"])
+
+    @property
+    def free_parameters(self) -> int:
+        """Declared free quantities."""
+        return int(self._record["free_parameters"])
+
+    @property
+    def converged(self) -> bool:
+        """Whether the optimality certificate holds."""
+        return bool(self._record["converged"])
+
+    @property
+    def reason(self) -> str:
+        """Why the search ended, in words."""
+        return str(self._record["reason"])
+
+    @property
+    def certificate(self) -> dict[str, float]:
+        """How far the optimality conditions are from being met, part by part."""
+        return dict(self._record["certificate"])
+
+    @property
+    def notes(self) -> list[str]:
+        """Findings in plain words."""
+        return list(self._record.get("notes", []))
+
+    def summary(self, width: int = 80, color: bool = False) -> str:
+        """The results in words and tables, as the command prints them."""
+        return _kalfit.fit_summary(self._json, width, color)
+
+    def __repr__(self) -> str:
+        state = "converged" if self.converged else "NOT converged"
+        title = f" {self.title!r}" if self.title else ""
+        return f"<kalfit.Fit{title}: {state}, log-likelihood {self.log_likelihood:.2f}, {len(self._record['tests'])} tests>"
+
+    def __str__(self) -> str:
+        return self.summary()
+
+    def _repr_html_(self) -> str:
+        return _display.html(self)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Fit) and self._json == other._json
+
+    def __hash__(self) -> int:
+        return hash(self._json)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (Fit, (self._json,))
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C during a fit that had something to show: :attr:`fit` is the best so far, not converged."""
+
+    def __init__(self, fit: Fit) -> None:
+        super().__init__("the fit was interrupted; the best so far is in the attribute `fit` of this exception")
+        self.fit = fit
+
+
+def _number(value: Any) -> float | None:
+    return None if value is None else float(value)
+
+
+def _parameter(record: dict[str, Any]) -> Parameter:
+    interval = record["interval95"]
+    return Parameter(
+        name=record["name"],
+        per=record["per"],
+        level=record["level"],
+        estimate=float(record["estimate"]),
+        std_error=_number(record["std_error"]),
+        interval95=None if interval is None else (float(interval[0]), float(interval[1])),
+        fixed=bool(record["fixed"]),
+        at_bound=bool(record["at_bound"]),
+        unit=record.get("unit"),
+    )
+
+
+def _test(record: dict[str, Any]) -> TestFit:
+    phases = [phase for phase in record["phases"] if phase.get("mean") is not None]
+    return TestFit(
+        id=record["id"],
+        log_likelihood=float(record["log_likelihood"]),
+        observations=int(record["observations"]),
+        distance=_number(record["distance"]),
+        degrees_of_freedom=record["degrees_of_freedom"],
+        p_value=_number(record["p_value"]),
+        means={phase["name"]: _array(phase["mean"]) for phase in phases},
+        covariances={phase["name"]: _square(phase["covariance"], len(phase["mean"])) for phase in phases},
+    )

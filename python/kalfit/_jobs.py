@@ -1,0 +1,302 @@
+"""The functions, one for each command."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from typing import Literal, Union
+
+from kalfit import _kalfit
+from kalfit._arrays import Ensemble
+from kalfit._data import Data, Table, as_data
+from kalfit._fit import Fit, Interrupted
+from kalfit._model import Model, ModelLike, Path, as_model, assignments
+from kalfit._results import Check, Plan, RatioTest, Simulation
+
+__all__ = ["check", "estimates", "fit", "plan", "reduce", "simulate", "test"]
+
+Set = Union[Mapping[str, float], Sequence[str], None]
+Progress = Union[bool, Callable[[str], object]]
+_Text = tuple[str, str, Union[str, None]]
+
+
+def _said(line: str) -> None:
+    sys.stderr.write(f"\r{line[:110]:<110}")
+    sys.stderr.flush()
+
+
+def _how(threads: int | None, progress: Progress) -> tuple[int | None, Callable[[str], object] | None]:
+    if threads is not None and not 1 <= threads <= 1024:
+        raise ValueError(f"threads is {threads}, expected a number from 1 to 1024, or None for all processors")
+    if progress is True:
+        return (threads, _said)
+    return (threads, progress or None)
+
+
+def _file(path: Path | None) -> str | None:
+    return None if path is None else os.fspath(path)
+
+
+def _table(made: _kalfit.Table | None) -> Table | None:
+    return None if made is None else Table(made)
+
+
+def _model(model: ModelLike, set: Set) -> tuple[_Text, list[str]]:
+    return (as_model(model)._document(), assignments(set))
+
+
+def _source(source: Fit | ModelLike) -> _Text:
+    """Results of a fit, or a model: as themselves, or in a file."""
+    if isinstance(source, Fit):
+        return ("the fit", source.to_json(), None)
+    if isinstance(source, (str, os.PathLike)):
+        path = os.fspath(source)
+        if not path.lower().endswith(".toml"):
+            with open(path, encoding="utf-8") as file:
+                return (path, file.read(), path)
+    return as_model(source)._document()
+
+
+def fit(
+    model: ModelLike | Ensemble,
+    data: Data | None = None,
+    *,
+    set: Set = None,
+    method: Literal["hybrid", "innovations", "em", "all"] = "hybrid",
+    solver: Literal["newton", "em"] = "newton",
+    criterion: Literal["ml", "reml"] = "ml",
+    phases: Literal["chain", "marginal", "stacked"] = "chain",
+    intervals: Literal["wald", "profile"] = "wald",
+    std_errors: Literal["observed", "expected", "sandwich"] = "observed",
+    deletion: Literal["auto", "all", "none"] = "auto",
+    innovations: bool = True,
+    starts: int | None = None,
+    seed: int | None = None,
+    tolerance: float | None = None,
+    max_iterations: int | None = None,
+    threads: int | None = None,
+    out: Path | None = None,
+    progress: Progress = False,
+) -> Fit:
+    """Fits a model to data by maximum likelihood.
+
+    ``model`` is a :class:`kalfit.Model`, the path of a model file, or a dictionary; ``data`` a table of polars, pandas or
+    pyarrow, a path or a pattern of paths, or a list of these. The options are those of ``kalfit fit``, under the same names:
+    ``set={"tau": 90}`` fixes a parameter, ``out`` names a file for the results.
+
+    The work is done without Python's lock. Ctrl-C ends it at once; if there is something to show by then, the exception is
+    :class:`kalfit.Interrupted`, with the best fit so far.
+
+    >>> import kalfit
+    >>> fit = kalfit.fit("examples/gyro-bench/bench.toml", "examples/gyro-bench/bench.csv")
+    >>> fit.converged, round(fit.log_likelihood, 4)
+    (True, 377.115)
+    >>> fit.states
+    ['bias', 'scale', 'g_sensitivity']
+    >>> fit.mean.round(3).tolist()
+    [0.618, 47.533, 0.271]
+    """
+    if isinstance(model, Ensemble):
+        if data is not None:
+            raise TypeError("an ensemble of arrays has its data in itself: leave `data` out")
+        data = model
+        model = model.model()
+    if data is None:
+        raise TypeError("there are no data: give a table, a path, or a list of these")
+    options: dict[str, object] = {
+        "method": method,
+        "solver": solver,
+        "criterion": criterion,
+        "phases": phases,
+        "intervals": intervals,
+        "std_errors": std_errors,
+        "deletion": deletion,
+        "innovations": innovations,
+        "starts": starts,
+        "seed": seed,
+        "tolerance": tolerance,
+        "max_iterations": max_iterations,
+    }
+    found, interrupted = _kalfit.fit(
+        _model(model, set), as_data(data), _file(out), options, _how(threads, progress)
+    )
+    result = Fit(found)
+    if interrupted:
+        raise Interrupted(result)
+    return result
+
+
+def check(
+    model: ModelLike, data: Data | None = None, *, set: Set = None, threads: int | None = None, progress: Progress = False
+) -> Check:
+    """Reads a model, and data if given, and fits nothing: the model in words, counts, what the data identify.
+
+    >>> import kalfit
+    >>> found = kalfit.check("examples/gyro-bench/bench.toml")
+    >>> print(found.summary().splitlines()[0])
+    Gyros on two bench stations
+    """
+    made, words, notes = _kalfit.check(_model(model, set), as_data(data), _how(threads, progress))
+    return Check(made, notes, words)
+
+
+def test(
+    model: ModelLike,
+    data: Data,
+    null: Path | Mapping[str, object],
+    *,
+    set: Set = None,
+    bootstrap: int | None = None,
+    seed: int = 1,
+    tolerance: float | None = None,
+    max_iterations: int | None = None,
+    threads: int | None = None,
+    out: Path | None = None,
+    progress: Progress = False,
+) -> RatioTest:
+    """Tests a hypothesis within a model by the ratio of the likelihoods.
+
+    ``null`` is a file with ``[mean]``, ``[covariance]`` or ``[parameters]``, or a dictionary of these: its keys replace the
+    model's. ``bootstrap`` draws that many ensembles from the hypothesis, with ``seed``.
+
+    >>> import kalfit
+    >>> found = kalfit.test(
+    ...     "examples/gyro-bench/bench.toml", "examples/gyro-bench/bench.csv", {"mean": {"fixed": {"bias": 0}}}
+    ... )
+    >>> 0 < found.p_value < 0.01
+    True
+    """
+    if isinstance(null, Mapping):
+        from kalfit import _toml
+
+        hypothesis: _Text = ("the hypothesis", _toml.dumps(null), None)
+    else:
+        path = os.fspath(null)
+        with open(path, encoding="utf-8") as file:
+            hypothesis = (path, file.read(), path)
+    if bootstrap is not None and not 1 <= bootstrap <= 1_000_000:
+        raise ValueError(f"bootstrap is {bootstrap}, expected a number from 1 to 1000000, or None")
+    made, notes = _kalfit.test(
+        _model(model, set),
+        as_data(data),
+        hypothesis,
+        (None if bootstrap is None else (bootstrap, seed), tolerance, max_iterations),
+        _file(out),
+        _how(threads, progress),
+    )
+    return RatioTest(made, notes)
+
+
+test.__test__ = False  # type: ignore[attr-defined]  # it is no test of pytest's
+
+
+def simulate(
+    model: ModelLike,
+    source: Fit | ModelLike,
+    design: Data,
+    *,
+    seed: int,
+    tests: int | None = None,
+    set: Set = None,
+    out: Path | None = None,
+    truth: Path | None = None,
+    threads: int | None = None,
+    progress: Progress = False,
+) -> Simulation:
+    """Draws an ensemble from ``source``: a fit, its file, or a model with values.
+
+    ``design`` gives times, inputs and which values are missing. The data are in ``.data`` of the result, and the initial states
+    that were drawn in ``.states``, unless ``out`` names a file for the data (``truth`` one for the states).
+
+    >>> import kalfit
+    >>> model, data = "examples/gyro-bench/bench.toml", "examples/gyro-bench/bench.csv"
+    >>> kalfit.simulate(model, kalfit.fit(model, data), data, seed=7)
+    <kalfit.Simulation: 28 tests, 614 rows>
+    """
+    if tests is not None and not 1 <= tests <= 1_000_000_000:
+        raise ValueError(f"tests is {tests}, expected a number from 1 to 1000000000, or None")
+    data, count, rows, states, column, notes = _kalfit.simulate(
+        _model(model, set),
+        _source(source),
+        as_data(design, "design"),
+        (tests, seed),
+        (_file(out), _file(truth)),
+        _how(threads, progress),
+    )
+    return Simulation(_table(data), _table(states), (count, rows), column, notes)
+
+
+def plan(
+    model: ModelLike,
+    source: Fit | ModelLike,
+    design: Data,
+    tests: Sequence[int],
+    *,
+    set: Set = None,
+    out: Path | None = None,
+    threads: int | None = None,
+    progress: Progress = False,
+) -> Plan:
+    """Expects standard errors against the number of tests, before any is run.
+
+    >>> import kalfit
+    >>> model, data = "examples/gyro-bench/bench.toml", "examples/gyro-bench/bench.csv"
+    >>> plan = kalfit.plan(model, kalfit.fit(model, data), data, tests=[10, 20])
+    >>> plan.to_dict()["tests"]
+    [10, 20]
+    """
+    counts = [int(count) for count in tests]
+    if not counts or not all(1 <= count <= 1_000_000_000 for count in counts):
+        raise ValueError(f"tests is {list(tests)}, expected numbers from 1 to 1000000000")
+    made, notes = _kalfit.plan(
+        _model(model, set), _source(source), as_data(design, "design"), counts, _file(out), _how(threads, progress)
+    )
+    return Plan(made, notes)
+
+
+def reduce(
+    model: ModelLike,
+    data: Data,
+    *,
+    at: Fit | Path | None = None,
+    set: Set = None,
+    out: Path | None = None,
+    threads: int | None = None,
+    progress: Progress = False,
+) -> Table | None:
+    """Runs the filters once, at known parameters: all that a fit needs of the data, a row for each test and phase.
+
+    Free parameters take their values from ``at``, a fit or its file, or from ``set``. The table goes to the Parquet file
+    ``out``, or is handed back; it may stand wherever data stand.
+
+    >>> import kalfit
+    >>> model, data = "examples/gyro-bench/bench.toml", "examples/gyro-bench/bench.csv"
+    >>> reductions = kalfit.reduce(model, data)
+    >>> len(reductions)
+    28
+    >>> kalfit.fit(model, reductions).log_likelihood == kalfit.fit(model, data).log_likelihood
+    True
+    """
+    source = None if at is None else _source(at)
+    table, *_ = _kalfit.reduce(_model(model, set), as_data(data), source, _file(out), _how(threads, progress))
+    return _table(table)
+
+
+def estimates(
+    model: ModelLike,
+    data: Data,
+    *,
+    at: Fit | Path | None = None,
+    set: Set = None,
+    out: Path | None = None,
+    threads: int | None = None,
+    progress: Progress = False,
+) -> Table | None:
+    """Runs the ``[filter]`` of each phase, optimal or not: its estimates with the errors they make.
+
+    As :func:`reduce`, in the form that any filter's estimates can be given in.
+    """
+    source = None if at is None else _source(at)
+    table, *_ = _kalfit.estimates(_model(model, set), as_data(data), source, _file(out), _how(threads, progress))
+    return _table(table)

@@ -1,0 +1,109 @@
+"""Results of everything but a fit."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from kalfit import _kalfit
+from kalfit._data import Table
+
+__all__ = ["Check", "Plan", "RatioTest", "Simulation"]
+
+
+class _Record:
+    """Results that were made, as JSON and in words."""
+
+    def __init__(self, json_text: str, notes: list[str]) -> None:
+        self._json = json_text
+        #: What one should know beside the results.
+        self.notes = notes
+
+    def to_json(self) -> str:
+        """All results as JSON."""
+        return self._json
+
+    def to_dict(self) -> dict[str, Any]:
+        """All results, as the JSON has them."""
+        result: dict[str, Any] = json.loads(self._json)
+        return result
+
+    def summary(self, width: int = 80, color: bool = False) -> str:
+        """The results in words and tables."""
+        raise NotImplementedError
+
+    def __str__(self) -> str:
+        return self.summary()
+
+    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
+        printer.text(self.summary())
+
+
+class RatioTest(_Record):
+    """A hypothesis, tested within a model by the ratio of the likelihoods."""
+
+    def __init__(self, json_text: str, notes: list[str]) -> None:
+        super().__init__(json_text, notes)
+        record = self.to_dict()
+        #: Twice the log-likelihood that the hypothesis costs.
+        self.statistic: float = float(record["lr"])
+        #: Number of constraints.
+        self.degrees_of_freedom: int = record["df"]
+        #: By the large-sample law; None where there is none. That of a bootstrap is in :meth:`to_dict`.
+        self.p_value: float | None = record["p_value"]
+        #: Whether both fits are certified.
+        self.converged: bool = record["converged"]
+
+    def summary(self, width: int = 80, color: bool = False) -> str:
+        """The test in words and tables, as ``kalfit test`` prints it."""
+        return _kalfit.ratio_summary(self._json, width, color)
+
+    def __repr__(self) -> str:
+        return f"<kalfit.RatioTest: statistic {self.statistic:.4g}, p-value {self.p_value}>"
+
+
+class Plan(_Record):
+    """Expected standard errors against the number of tests."""
+
+    def summary(self, width: int = 80, color: bool = False) -> str:
+        """The plan in words and tables, as ``kalfit plan`` prints it."""
+        return _kalfit.plan_summary(self._json, width, color)
+
+    def __repr__(self) -> str:
+        return "<kalfit.Plan>"
+
+
+class Check(_Record):
+    """A model and its data, looked at without a fit."""
+
+    def __init__(self, json_text: str, notes: list[str], words: str) -> None:
+        super().__init__(json_text, notes)
+        self._words = words
+
+    def summary(self, width: int = 80, color: bool = False) -> str:
+        """What was found, in words and tables of 80 characters, as ``kalfit check`` prints it."""
+        return self._words
+
+    def __repr__(self) -> str:
+        return "<kalfit.Check>"
+
+
+class Simulation:
+    """An ensemble that was drawn."""
+
+    def __init__(
+        self, data: Table | None, states: Table | None, counts: tuple[int, int], column: str | None, notes: list[str]
+    ) -> None:
+        #: The data; None when they went to a file.
+        self.data = data
+        #: The true initial state of each test; None when the data went to a file.
+        self.states = states
+        #: Number of tests, and of rows.
+        self.tests, self.rows = counts
+        #: The column that was added to tell tests apart, where the model names none.
+        self.added_column = column
+        #: What one should know.
+        self.notes = notes
+
+    def __repr__(self) -> str:
+        return f"<kalfit.Simulation: {self.tests} tests, {self.rows} rows>"

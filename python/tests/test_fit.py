@@ -1,0 +1,140 @@
+"""Fits are those of the command, whatever the data come in."""
+
+from pathlib import Path
+
+import json
+import pickle
+
+import numpy as np
+import pandas
+import polars
+import pyarrow
+import pyarrow.parquet
+import pytest
+
+import kalfit
+from conftest import BENCH, META, PHASES, SLEEP, steady
+
+
+@pytest.mark.parametrize("example", [BENCH, SLEEP, META, PHASES])
+def test_a_fit_is_the_command_s_to_the_bit(example, command):
+    assert steady(kalfit.fit(*example).to_dict()) == command("fit", *example)
+
+
+def test_options_are_the_command_s(command):
+    found = kalfit.fit(
+        *SLEEP, set={"sigma": 25}, criterion="reml", solver="em", tolerance=1e-6, deletion="none", innovations=False
+    )
+    options = "--set sigma=25 --criterion reml --solver em --tolerance 1e-6 --deletion none --innovations off"
+    assert steady(found.to_dict()) == command("fit", *SLEEP, *options.split())
+    found = kalfit.fit(*SLEEP, method="innovations", intervals="profile", starts=2, seed=5, max_iterations=300)
+    options = "--method innovations --intervals profile --starts 2 --seed 5 --max-iterations 300"
+    assert steady(found.to_dict()) == command("fit", *SLEEP, *options.split())
+
+
+def test_the_file_is_the_json(tmp_path):
+    fit = kalfit.fit(*BENCH, out=tmp_path / "fit.json")
+    text = (tmp_path / "fit.json").read_text()
+    assert text == fit.to_json()
+    assert kalfit.Fit.load(tmp_path / "fit.json") == fit == kalfit.Fit.from_json(text)
+    fit.save(tmp_path / "again.json")
+    assert (tmp_path / "again.json").read_text() == text
+    assert pickle.loads(pickle.dumps(fit)) == fit
+
+
+@pytest.mark.parametrize("model, path", [BENCH, PHASES])
+def test_tables_of_every_kind_and_files_give_the_same_bits(model, path, tmp_path):
+    expected = steady(kalfit.fit(model, path).to_dict(), files=False)
+    polars_table = polars.read_csv(path, infer_schema_length=None)
+    pandas_table = pandas.read_csv(path)
+    arrow_table = pyarrow.Table.from_pandas(pandas_table)
+    chunks = pyarrow.concat_tables([arrow_table.slice(start, 50) for start in range(0, len(arrow_table), 50)])
+    pyarrow.parquet.write_table(arrow_table, tmp_path / "data.parquet")
+    polars_table.write_ipc(tmp_path / "data.arrow")
+    given = {
+        "polars": polars_table,
+        "polars, texts as categories": polars_table.with_columns(polars.col(polars.String).cast(polars.Categorical)),
+        "pandas": pandas_table,
+        "pyarrow": arrow_table,
+        "pyarrow in chunks": chunks,
+        "a reader of batches": arrow_table.to_reader(),
+        "parquet": tmp_path / "data.parquet",
+        "arrow": [tmp_path / "data.arrow"],
+        "a pattern": str(tmp_path / "*.parquet"),
+    }
+    for name, data in given.items():
+        assert steady(kalfit.fit(model, data).to_dict(), files=False) == expected, name
+
+
+def test_tests_may_be_split_over_tables_and_files(tmp_path):
+    whole = polars.read_csv(BENCH[1], infer_schema_length=None)
+    first, rest = whole.filter(polars.col("unit") <= "g10"), whole.filter(polars.col("unit") > "g10")
+    rest.write_csv(tmp_path / "rest.csv")
+    fit = kalfit.fit(BENCH[0], [first, tmp_path / "rest.csv"])
+    assert steady(fit.to_dict(), files=False) == steady(kalfit.fit(*BENCH).to_dict(), files=False)
+    assert fit.to_dict()["data"]["files"] == ["data[0]", str(tmp_path / "rest.csv")]
+
+
+def test_the_number_of_threads_changes_no_bit():
+    assert steady(kalfit.fit(*SLEEP, threads=1).to_dict()) == steady(kalfit.fit(*SLEEP, threads=2).to_dict())
+
+
+def test_figures_of_a_fit_are_those_of_its_json():
+    fit = kalfit.fit(*SLEEP)
+    record = json.loads(fit.to_json())
+    phase = record["phases"][0]
+    assert fit.states == ["intercept", "slope"] and fit.phases[0].units == ["ms", "ms/day"]
+    assert fit.mean.tolist() == phase["mean"]["estimate"] and fit.mean.shape == (2,)
+    assert fit.covariance.tolist() == phase["covariance"]["estimate"] and fit.covariance.dtype == np.float64
+    assert fit.std_dev.tolist() == phase["std_dev"]["estimate"]
+    assert fit.correlation.tolist() == phase["correlation"]["estimate"]
+    assert np.isnan(fit.phases[0].correlation_std_error[0, 0])
+    assert (fit.log_likelihood, fit.aic, fit.bic) == (record["log_likelihood"], record["aic"], record["bic"])
+    assert (fit.converged, fit.reason, fit.certificate) == (True, record["reason"], record["certificate"])
+    assert fit.free_parameters == 6 and fit.constraints == record["constraints"]
+    sigma = fit.parameters["sigma"]
+    assert (sigma.estimate, sigma.unit, sigma.fixed, len(fit.parameters)) == (record["parameters"][0]["estimate"], "ms", False, 1)
+    assert [test.id for test in fit.tests] == [test["id"] for test in record["tests"]]
+    assert fit.tests[0].means["main"].tolist() == record["tests"][0]["phases"][0]["mean"]
+    assert repr(fit).startswith("<kalfit.Fit 'Reaction time under sleep deprivation': converged, log-likelihood")
+    assert fit.summary(width=60) != fit.summary() == str(fit)
+
+
+def test_a_fit_of_phases_says_which_to_ask():
+    fit = kalfit.fit(*PHASES)
+    assert [phase.name for phase in fit.phases] == ["align", "flight"]
+    assert fit.phase("flight").mean.shape == (3,)
+    with pytest.raises(ValueError, match=r"phases 'align', 'flight'.*fit\.phase\('align'\)\.mean"):
+        fit.mean
+    with pytest.raises(KeyError, match="there are align, flight"):
+        fit.phase("landing")
+
+
+def test_a_model_is_the_same_from_a_file_a_text_and_a_dictionary():
+    text = Path(SLEEP[0]).read_text(encoding="utf-8")
+    table = {
+        "data": {"test": "Subject"},
+        "states": {"intercept": {"unit": "ms"}, "slope": {"unit": "ms/day"}},
+        "measurements": {"reaction": {"column": "Reaction", "equation": "intercept + slope * Days", "noise": "sigma"}},
+        "parameters": {"sigma": {"start": np.float64(20), "unit": "ms"}},
+    }
+    fits = [kalfit.fit(model, SLEEP[1]) for model in (SLEEP[0], kalfit.Model.from_text(text), table)]
+    assert len({fit.log_likelihood for fit in fits}) == 1
+    model = kalfit.Model.load(SLEEP[0])
+    assert model.text == text and model.parameters == ["sigma"] and model.test == "Subject" and model.time is None
+    assert pickle.loads(pickle.dumps(model)) == model
+    assert "Reaction" in model.describe()
+
+
+def test_texts_that_need_quotes_survive_the_way_through_a_dictionary():
+    hostile = 'a "quoted" \\ name\n\t\x7f\N{LATIN SMALL LETTER E WITH ACUTE}'
+    model = {
+        "title": hostile,
+        "data": {"test": hostile, "missing": ["."]},
+        "states": {"level": {}},
+        "measurements": {"y": {"column": "y", "equation": "level", "noise": 1}},
+        "covariance": {"fixed": {"level, level": 2.5}},
+    }
+    assert kalfit.Model(model).title == hostile
+    fit = kalfit.fit(model, polars.DataFrame({hostile: ["a", "b", "c"], "y": [1.0, None, 4.0]}))
+    assert fit.title == hostile and fit.covariance.tolist() == [[2.5]]

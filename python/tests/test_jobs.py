@@ -1,0 +1,105 @@
+"""The other commands."""
+
+from pathlib import Path
+
+import json
+
+import pandas
+import polars
+import pyarrow.parquet
+import pytest
+
+import kalfit
+from conftest import BENCH, PHASES, SLEEP, steady
+
+NULL = {"mean": {"fixed": {"bias": 0}}, "covariance": {"fixed": {"bias, scale": 0}}}
+NULL_TEXT = '[mean]\nfixed = { bias = 0 }\n[covariance]\nfixed = { "bias, scale" = 0 }\n'
+
+
+def test_a_hypothesis_is_tested_as_the_command_does_it(command, tmp_path):
+    null = tmp_path / "null.toml"
+    null.write_text(NULL_TEXT)
+    expected = command("test", *BENCH, "--null", str(null), "--bootstrap", "20", "--seed", "3")
+    found = kalfit.test(*BENCH, null, bootstrap=20, seed=3)
+    assert steady(found.to_dict()) == expected
+    assert found.p_value == expected["p_value"] and found.converged
+    assert "hypothesis" in found.summary().lower()
+    assert kalfit.test(*BENCH, NULL).statistic == found.statistic
+
+
+def test_a_check_says_what_the_command_says():
+    assert "scale" in kalfit.check(BENCH[0]).summary()
+    found = kalfit.check(*BENCH)
+    record = found.to_dict()
+    assert record["checked"]["kind"] == "reduced" and record["checked"]["data"]["tests"] == 28
+    assert "28 tests" in str(found)
+    assert kalfit.check(*SLEEP).to_dict()["parameters"][0]["name"] == "sigma"
+
+
+def test_a_plan_is_the_command_s(command, tmp_path):
+    fit = kalfit.fit(*BENCH, out=tmp_path / "fit.json")
+    expected = command("plan", BENCH[0], "--from", str(tmp_path / "fit.json"), "--design", BENCH[1], "--tests", "5,50")
+    found = kalfit.plan(BENCH[0], tmp_path / "fit.json", BENCH[1], [5, 50])
+    assert found.to_dict() == expected
+    assert {**kalfit.plan(BENCH[0], fit, BENCH[1], [5, 50]).to_dict(), "from": None} == {**expected, "from": None}
+    assert "50" in found.summary()
+    with pytest.raises(ValueError, match="tests is"):
+        kalfit.plan(BENCH[0], fit, BENCH[1], [])
+
+
+def test_an_ensemble_is_drawn_as_the_command_draws_it(command, tmp_path):
+    fit = kalfit.fit(*BENCH, out=tmp_path / "fit.json")
+    arguments = ("simulate", BENCH[0], "--from", str(tmp_path / "fit.json"), "--design", BENCH[1], "--seed", "7")
+    path = command(*arguments, "--tests", "40", "--truth", str(tmp_path / "truth.csv"), out="drawn.csv")
+    drawn = kalfit.simulate(BENCH[0], fit, polars.read_csv(BENCH[1], infer_schema_length=None), seed=7, tests=40)
+    assert (drawn.tests, len(drawn.data), len(drawn.states)) == (40, drawn.rows, 40)
+    assert drawn.data.to_pandas().equals(pandas.read_csv(path))
+    assert drawn.states.to_pandas().equals(pandas.read_csv(tmp_path / "truth.csv"))
+    assert drawn.data.to_polars().columns == drawn.data.columns
+    assert kalfit.fit(BENCH[0], drawn.data).log_likelihood == kalfit.fit(BENCH[0], path).log_likelihood
+    written = kalfit.simulate(BENCH[0], fit, BENCH[1], seed=7, out=tmp_path / "w.csv", truth=tmp_path / "t.csv", tests=40)
+    assert written.data is None and (tmp_path / "w.csv").read_text() == path.read_text()
+
+
+@pytest.mark.parametrize("example", [BENCH, PHASES])
+def test_reductions_stand_in_for_data_in_memory_and_in_files(example, command, tmp_path):
+    model, data = example
+    expected = kalfit.fit(model, data, innovations=False)
+    table = kalfit.reduce(model, data)
+    path = command("reduce", model, data, out="reductions.parquet")
+    assert table.to_pyarrow().to_pylist() == pyarrow.parquet.read_table(path).to_pylist()
+    assert table.metadata["kalfit.schema"] == "kalfit-reductions/1"
+    for given in (table, table.to_pyarrow(), path):
+        found = kalfit.fit(model, given)
+        assert found.log_likelihood == expected.log_likelihood
+        assert [phase.mean.tolist() for phase in found.phases] == [phase.mean.tolist() for phase in expected.phases]
+    assert kalfit.reduce(model, data, out=tmp_path / "again.parquet") is None
+    assert (tmp_path / "again.parquet").read_bytes() == path.read_bytes()
+    with pytest.raises(kalfit.Error, match="expected one that ends in `.parquet`"):
+        kalfit.reduce(model, data, out=tmp_path / "r.csv")
+
+
+def test_reductions_of_another_model_are_refused():
+    other = Path(BENCH[0]).read_text(encoding="utf-8").replace("time_constant = ", "time_constant = 2 * ")
+    with pytest.raises(kalfit.DataError, match="made with another model|digest"):
+        kalfit.fit(kalfit.Model.from_text(other.replace('2 * "tau"', '"2 * tau"')), kalfit.reduce(*BENCH))
+
+
+def test_parameters_come_from_a_fit():
+    fit = kalfit.fit(*SLEEP)
+    held = kalfit.fit(SLEEP[0], kalfit.reduce(*SLEEP, at=fit))
+    assert held.parameters["sigma"].estimate == fit.parameters["sigma"].estimate
+    assert abs(held.log_likelihood - fit.log_likelihood) < 1e-9 * abs(fit.log_likelihood)
+
+
+def test_estimates_of_filters_are_made_and_fitted():
+    model = json.loads(json.dumps({
+        "data": {"test": "id"},
+        "states": {"level": {}},
+        "measurements": {"y": {"column": "y", "equation": "level", "noise": 0.5}},
+        "filter": {"kind": "kalman-schmidt", "mean": {"level": 0}, "covariance": [[4]]},
+    }))
+    rows = polars.DataFrame({"id": list("aabbcc"), "y": [1.0, 1.2, 3.0, 2.5, -1.0, -0.6]})
+    estimates = kalfit.estimates(model, rows)
+    assert len(estimates) == 3 and estimates.metadata["kalfit.schema"] == "kalfit-estimates/1"
+    assert abs(kalfit.fit(model, estimates).mean[0] - kalfit.fit(model, rows).mean[0]) < 1e-9

@@ -1,0 +1,32 @@
+"""A program that a strict type checker takes as it stands; it is checked, not run."""
+
+from pathlib import Path
+
+import numpy as np
+import polars
+
+import kalfit
+import kalfit.spark
+
+model: kalfit.Model = kalfit.Model.load(Path("gyro.toml"))
+other = kalfit.Model({"states": {"bias": {}}, "measurements": {"y": {"column": "y", "equation": "bias", "noise": 1}}})
+table = polars.DataFrame({"unit": ["a"], "y": [1.0]})
+fit: kalfit.Fit = kalfit.fit(model, table, method="em", set={"tau": 90}, starts=3, progress=print)
+kalfit.fit("gyro.toml", ["a.csv", Path("b.parquet"), table, fit_table := kalfit.reduce(model, table, out="r.parquet") or table])
+mean: float = float(fit.mean[0]) + fit.covariance.sum()
+estimate: float = fit.parameters["tau"].estimate
+level: kalfit.Parameter = fit.parameters["sigma", "A"]
+first: str = fit.tests[0].id
+p_value: float | None = kalfit.test(model, table, {"mean": {"fixed": {"bias": 0}}}).p_value
+words: str = kalfit.check(model, table).summary(width=100)
+drawn = kalfit.simulate(model, fit, table, seed=1, tests=5)
+rows: int = drawn.rows
+kalfit.plan(model, fit, table, [10, 20]).to_dict()
+ensemble = kalfit.Ensemble.from_arrays(np.zeros((3, 2, 1)), observation=[[1.0]], noise=[[0.1]])
+kalfit.fit(ensemble).save("fit.json")
+try:
+    kalfit.fit(model, table)
+except kalfit.Interrupted as interrupted:
+    interrupted.fit.summary()
+except (kalfit.ModelError, kalfit.DataError, kalfit.FitError) as error:
+    print(error)
