@@ -49,6 +49,7 @@ pub(crate) fn fit(job: &FitJob, spec: &Spec, given: &Given) -> Result<FitRecord,
         DynamicParts { model, labels: &reading.labels, fit: &fit, inference: &inference, parameters: &parameters };
     let provenance = Provenance {
         model_digest: Some(spec.digest.clone()),
+        model: spec.describe(),
         files: given.names(),
         seconds: line.seconds(),
         of_estimates: given.is_of_estimates(model),

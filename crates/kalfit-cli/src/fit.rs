@@ -17,7 +17,7 @@ use crate::innovations::{self, Kept};
 use crate::job::{FitJob, Outcome};
 use crate::output::Output;
 use crate::progress::Line;
-use crate::{dynamic, lost, model, reductions, terminal, tests};
+use crate::{dynamic, lost, model, reductions, report, terminal, tests};
 
 pub(crate) fn run(job: &FitJob) -> Result<Outcome, Failure> {
     if job.settings.criterion == Criterion::Reml && job.choices.std_errors != StdErrors::Observed {
@@ -33,14 +33,19 @@ pub(crate) fn run(job: &FitJob) -> Result<Outcome, Failure> {
         return Err(Failure::FreeErrors);
     }
     let output = job.out.as_deref().map(|path| Output::prepare(path, &files(job, &given.inputs))).transpose()?;
+    let report = job.report.as_deref().map(|path| Output::prepare(path, &files(job, &given.inputs))).transpose()?;
+    report.as_ref().map_or(Ok(()), |report| report.refuse_same(output.as_ref()))?;
     let mut record = if free { dynamic::fit(job, &spec, &given)? } else { fit(job, &spec, &given)? };
     record.notes.splice(0..0, given.notes);
     if let Some(output) = &output {
         output.write(&record)?;
     }
+    if let Some(report) = &report {
+        report::write(report, &kalfit_report::html(&record))?;
+    }
     if !job.quiet {
         terminal::print(&summary(&record, &terminal::style())).map_err(Failure::Stdout)?;
-        if let Some(output) = &output {
+        for output in [&output, &report].into_iter().flatten() {
             terminal::complain(&format!("Wrote {}\n", output.name()));
         }
     }
@@ -92,6 +97,7 @@ pub(crate) fn record(
     let inference = infer::infer(&estimate, reductions, job.choices);
     let provenance = Provenance {
         model_digest: Some(spec.digest.clone()),
+        model: spec.describe(),
         files: given.names(),
         seconds: line.seconds(),
         of_estimates: given.is_of_estimates(&spec.model),

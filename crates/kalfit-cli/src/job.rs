@@ -9,12 +9,13 @@ use kalfit::infer::{Bootstrap, Choices, DeletionChoice, IntervalKind, StdErrors}
 
 use crate::args::{
     Args, CheckArgs, Command, CriterionArg, DeletionArg, ExchangeArgs, FitArgs, InnovationsArg, IntervalsArg,
-    MethodArg, ModelArgs, PhasesArg, PlanArgs, SimulateArgs, SolverArg, StdErrorsArg, TestArgs,
+    MethodArg, ModelArgs, PhasesArg, PlanArgs, ReportArgs, SimulateArgs, SolverArg, StdErrorsArg, TestArgs,
 };
 use crate::estimates::Filters;
 use crate::failure::Failure;
 use crate::reduce::Reductions;
-use crate::{check, exchange, fit, plan, simulate, test};
+use crate::report::ReportJob;
+use crate::{check, exchange, fit, plan, report, simulate, test};
 
 /// One command with all that it needs to know.
 #[derive(Debug)]
@@ -26,6 +27,7 @@ pub(crate) enum Job {
     Check(CheckJob),
     Simulate(SimulateJob),
     Plan(PlanJob),
+    Report(ReportJob),
 }
 
 /// Which model, on how many threads.
@@ -43,6 +45,8 @@ pub(crate) struct FitJob {
     pub(crate) model: ModelJob,
     pub(crate) data: Vec<String>,
     pub(crate) out: Option<PathBuf>,
+    /// File for the HTML report.
+    pub(crate) report: Option<PathBuf>,
     pub(crate) settings: Settings,
     /// Of free dynamic parameters.
     pub(crate) search: dynamic::Settings,
@@ -133,6 +137,7 @@ impl Job {
             Job::Check(job) => job.model.threads,
             Job::Simulate(job) => job.model.threads,
             Job::Plan(job) => job.model.threads,
+            Job::Report(_) => None,
         };
         if let Some(threads) = threads {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
@@ -146,6 +151,7 @@ impl Job {
             Job::Check(job) => check::run(job),
             Job::Simulate(job) => simulate::run(job),
             Job::Plan(job) => plan::run(job),
+            Job::Report(job) => report::run(job),
         }
     }
 }
@@ -160,6 +166,7 @@ impl From<Args> for Job {
             Command::Check(args) => Job::Check(args.into()),
             Command::Simulate(args) => Job::Simulate(args.into()),
             Command::Plan(args) => Job::Plan(args.into()),
+            Command::Report(args) => Job::Report(args.into()),
         }
     }
 }
@@ -234,6 +241,7 @@ impl From<FitArgs> for FitJob {
             model: args.model.into(),
             data: args.data,
             out: args.out,
+            report: args.report,
             settings,
             search,
             method: match args.method {
@@ -287,5 +295,12 @@ impl From<PlanArgs> for PlanJob {
             out: args.out,
             quiet: args.quiet,
         }
+    }
+}
+
+impl From<ReportArgs> for ReportJob {
+    fn from(args: ReportArgs) -> ReportJob {
+        let ReportArgs { fit, out, test, quiet } = args;
+        ReportJob { fit, test, out, quiet }
     }
 }

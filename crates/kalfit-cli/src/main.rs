@@ -19,6 +19,7 @@ mod progress;
 mod ratio;
 mod reduce;
 mod reductions;
+mod report;
 mod simulate;
 mod terminal;
 mod test;

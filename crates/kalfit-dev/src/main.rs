@@ -2,6 +2,7 @@
 #![expect(clippy::print_stdout, clippy::print_stderr, reason = "a developer's tool talks on the terminal")]
 
 mod bench;
+mod browser;
 mod coverage;
 mod peak;
 mod test;
@@ -20,7 +21,7 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Task {
-    /// Everything a change must pass: format, lints, tests, documentation, dependencies.
+    /// Everything a change must pass: format, lints, tests, the report in a browser, documentation, dependencies.
     Test {
         /// Only the steps whose name contains this.
         #[arg(long)]

@@ -71,6 +71,13 @@ pub(crate) fn run(only: Option<&str>) -> ExitCode {
             }
         }
     }
+    if only.is_none_or(|word| "browser".contains(word)) {
+        println!("== browser: the report in Chromium");
+        if let Err(why) = crate::browser::run() {
+            eprintln!("== browser failed: {why}");
+            return ExitCode::FAILURE;
+        }
+    }
     println!("everything holds, in {:.0} s", begun.elapsed().as_secs_f64());
     ExitCode::SUCCESS
 }
