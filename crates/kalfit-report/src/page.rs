@@ -81,7 +81,7 @@ impl<'a> Page<'a> {
     pub(crate) fn table(&self, columns: &[Column]) -> String {
         match self.medium {
             Medium::Text => table::table(columns, self.width()),
-            Medium::Html => table::html(columns),
+            Medium::Html => table::html(columns, true),
         }
     }
 
@@ -91,7 +91,7 @@ impl<'a> Page<'a> {
             Medium::Text => table::wide_table(first, others, self.width()),
             Medium::Html => {
                 let all: Vec<Column> = std::iter::once(first).chain(others).cloned().collect();
-                table::html(&all)
+                table::html(&all, false) // a triangle
             }
         }
     }

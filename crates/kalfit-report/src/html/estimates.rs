@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use crate::html::chart::{Chart, Charts, figure};
 use crate::html::forest::{self, Group, Row};
 use crate::html::math::{self, equation, hat, op, row};
-use crate::html::{Section, phase, posteriors};
+use crate::html::{Section, across, phase, posteriors};
 use crate::number::plain;
 use crate::page::Page;
 use crate::summary::{correlations, intervals, phases, states};
@@ -27,14 +27,18 @@ pub(super) fn section(record: &FitRecord, charts: &mut Charts) -> Option<Section
     for one in &record.phases {
         parts.push(phase_part(record, one, charts, &page));
     }
+    parts.extend(across::section(record, charts));
     parts.push(html! { (PreEscaped(phases::filters(record, &page))) });
     Section::new("estimates", "Initial state", html! { @for part in &parts { (part) } })
 }
 
 fn phase_part(record: &FitRecord, one: &PhaseRecord, charts: &mut Charts, page: &Page<'_>) -> Markup {
     let several = record.phases.len() > 1;
-    let title = |what: &str| what.to_owned();
     let name = if several { format!("Phase {}: ", clean(&one.name)) } else { String::new() };
+    let title = |what: &str| match several {
+        true => format!("{name}{}{}", what[..1].to_lowercase(), &what[1..]),
+        false => what.to_owned(),
+    };
     if one.states.is_empty() {
         return html! { h3 { (name) "nothing of the initial state is estimated" } };
     }
@@ -92,7 +96,7 @@ fn forest_plot(one: &PhaseRecord, name: &str, charts: &mut Charts) -> Option<Mar
     forest::forest(&title, caption, groups, charts)
 }
 
-fn forest_row(one: &PhaseRecord, kind: phase::Kind, i: usize) -> Option<Row> {
+pub(super) fn forest_row(one: &PhaseRecord, kind: phase::Kind, i: usize) -> Option<Row> {
     let estimate = kind.estimate(one, i)?;
     let (shown, beside) = kind.cells(one, i);
     let interval = kind.interval(one, i);

@@ -4,6 +4,7 @@
 //! tables of all that is bounded, and charts. Names come from files that nobody vouched for: they reach the page through
 //! maud's escaping or as JSON data, never as markup.
 
+mod across;
 mod chart;
 mod compare;
 mod constraints;

@@ -24,7 +24,6 @@ pub(super) fn section(record: &FitRecord) -> Option<Section> {
         p class=(class) { (headline::verdict(record)) }
         @if !record.converged { p { (headline::shortfall(record)) } }
         dl.cards { @for (name, value) in &cards { div { dt { (name) } dd { (value) } } } }
-        p { (headline::data(&record.data)) }
         @for sentence in phases::combined(record) { p { (sentence) } }
         p { (headline::likelihood(record)) }
         @if record.log_likelihood_kind == "estimates" { p { (headline::OF_ESTIMATES) } }

@@ -25,7 +25,7 @@ const shorten = (text, letters) => {
 const looks = (width) => {
   const style = getComputedStyle(document.documentElement);
   const of = (name) => style.getPropertyValue("--" + name).trim();
-  const names = ["paper", "sheet", "ink", "soft", "rule", "mark", "band", "out", "grid", "cool", "even", "warm"];
+  const names = ["paper", "sheet", "ink", "soft", "rule", "mark", "band", "out", "grid", "cool", "even", "warm", "deep"];
   const look = Object.fromEntries(names.map((name) => [name, of(name)]));
   look.pale = of("mark-pale");
   look.series = [1, 2, 3, 4, 5, 6].map((k) => of("series-" + k));
@@ -37,7 +37,7 @@ const looks = (width) => {
 const axis = (look, more = {}) => {
   const { axisLabel = {}, ...rest } = more;
   return {
-    axisLine: { lineStyle: { color: look.soft } }, axisTick: { lineStyle: { color: look.soft } },
+    axisLine: { onZero: false, lineStyle: { color: look.soft } }, axisTick: { lineStyle: { color: look.soft } },
     splitLine: { lineStyle: { color: look.grid } }, nameTextStyle: { color: look.soft, fontSize: 12 },
     axisLabel: { color: look.soft, fontSize: 12, hideOverlap: true, ...axisLabel }, ...rest,
   };

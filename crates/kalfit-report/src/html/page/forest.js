@@ -62,17 +62,17 @@ const barOption = (look, { names, values, unit, axis: of, limit, limitName, tips
   const lying = names.length <= 60 && names.some((name) => name.length > 6) && (look.narrow || names.length <= 30 || names.some((name) => name.length > 14));
   const room = lying ? margin(names, look) : 56;
   const largest = Math.max(...values.filter(known), known(limit) ? limit : 0);
-  const quantity = numbers(look, unit, { scale: false, max: known(limit) && limit >= largest ? limit * 1.15 : undefined, nameGap: lying ? 28 : 42 });
-  const category = axis(look, lying
+  const quantity = numbers(look, unit, { scale: false, max: known(limit) && limit >= largest ? limit * 1.15 : undefined, axisLabel: { showMaxLabel: !(known(limit) && limit >= largest) }, nameGap: lying ? 28 : 42 });
+  const category = axis(look, { axisLine: { onZero: true, lineStyle: { color: look.soft } }, ...(lying
     ? { type: "category", inverse: true, data: names, axisTick: { show: false }, axisLabel: { color: look.ink, ...fitted(room) } }
-    : { type: "category", data: names, name: of, nameLocation: "middle", nameGap: 44,
-        axisLabel: { formatter: (name) => shorten(name, 10), rotate: names.length > (look.narrow ? 8 : 20) ? 60 : 0 } });
+    : { type: "category", data: names, name: of, nameLocation: "middle", nameGap: names.length > (look.narrow ? 8 : 20) ? 70 : 30,
+        axisLabel: { formatter: (name) => shorten(name, 10), rotate: names.length > (look.narrow ? 8 : 20) ? 60 : 0 } }) });
   const height = lying ? ABOVE + Math.max(names.length * 22, 60) + BELOW : 300;
   return {
     height,
     option: {
       ...common(look, lying ? { xAxisIndex: "none" } : { yAxisIndex: "none" }),
-      grid: lying ? { left: room, right: 30, top: ABOVE, height: height - ABOVE - BELOW, outerBoundsMode: "none" } : { left: 60, right: 16, top: ABOVE, bottom: 66, outerBoundsMode: "none" },
+      grid: lying ? { left: room, right: 30, top: ABOVE, height: height - ABOVE - BELOW, outerBoundsMode: "none" } : { left: 60, right: 16, top: ABOVE, bottom: names.length > (look.narrow ? 8 : 20) ? 94 : 54, outerBoundsMode: "none" },
       xAxis: lying ? quantity : category, yAxis: lying ? category : quantity,
       dataZoom: [wheel(lying ? { yAxisIndex: 0 } : { xAxisIndex: 0 })],
       series: [{

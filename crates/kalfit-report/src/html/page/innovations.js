@@ -7,7 +7,7 @@ kinds.sizes = {
     const floor = log ? Math.min(least, 0.1) / 2 : 0;
     const items = data.tests.map((test) => ({ at: log ? Math.max(test.ratio, floor) : test.ratio, low: log && known(test.low) ? Math.max(test.low, floor) : test.low, high: test.high, thick: 6, out: known(test.low) && (test.ratio < test.low || test.ratio > test.high) }));
     return {
-      height: 340,
+      height: 360,
       option: {
         ...common(look, {}), grid: testGrid, xAxis: testAxis(look, data.tests.map((test) => test.id)),
         yAxis: numbers(look, "mean square", { nameGap: 44, type: log ? "log" : "value", scale: false, min: log ? floor : 0 }),
@@ -30,7 +30,9 @@ kinds.innovations = {
     const [first, second, third] = rows ? [36, 276, 476] : [0, 36, 236];
     const left = look.narrow ? 52 : 64;
     const ends = [Math.min(...test.windows.map((w) => w.from)), Math.max(...test.windows.map((w) => w.to))];
-    const span = { min: ends[0], max: ends[1] > ends[0] ? ends[1] : ends[0] + 1 };
+    const room = 0.01 * (ends[1] - ends[0]) || 0.5;
+    const span = { min: ends[0] - room, max: ends[1] + room, axisLabel: { showMinLabel: false, showMaxLabel: false } };
+    const strongest = Math.max(0.5, Math.ceil(10 * Math.max(0, ...test.autocorrelation.flatMap((a) => a.lags.map(Math.abs)))) / 10);
     const grid = (top, height) => ({ left, right: 16, top, height, outerBoundsMode: "none" });
     const across = (name, k) => numbers(look, name, { gridIndex: k, ...span, splitNumber: look.narrow ? 4 : 8 });
     const up = (name, k, more) => numbers(look, name, { gridIndex: k, nameGap: left - 22, ...more });
@@ -38,8 +40,8 @@ kinds.innovations = {
       ...common(look, { yAxisIndex: "none" }),
       legend: { show: names.length > 1, top: 0, left: 0, right: 90, type: names.length > 3 || look.narrow ? "scroll" : "plain", textStyle: { color: look.ink }, data: rows ? names : [], pageTextStyle: { color: look.soft } },
       grid: [grid(second, 140), grid(third, 120), ...(rows ? [grid(first, 180)] : [])],
-      xAxis: [across(when, 0), axis(look, { gridIndex: 1, type: "category", data: lagNames(test), name: "lag", nameLocation: "middle", nameGap: 28 }), ...(rows ? [across(when, 2)] : [])],
-      yAxis: [up("mean square", 0, { scale: false, min: 0 }), up("autocorrelation", 1, { min: (r) => Math.min(-0.5, r.min), max: (r) => Math.max(0.5, r.max) }), ...(rows ? [up("innovation / σ", 2)] : [])],
+      xAxis: [across(when, 0), axis(look, { gridIndex: 1, axisLine: { onZero: true, lineStyle: { color: look.soft } }, type: "category", data: lagNames(test), name: "lag", nameLocation: "middle", nameGap: 28 }), ...(rows ? [across(when, 2)] : [])],
+      yAxis: [up("mean square", 0, { scale: false, min: 0 }), up("autocorrelation", 1, { min: -strongest, max: strongest, interval: strongest / 2 }), ...(rows ? [up("innovation / σ", 2, { min: (r) => Math.min(-2.5, Math.floor(r.min)), max: (r) => Math.max(2.5, Math.ceil(r.max)), axisLabel: { showMinLabel: false, showMaxLabel: false } })] : [])],
       dataZoom: [wheel({ xAxisIndex: rows ? [0, 2] : [0] })],
       series: [windowSeries(test, look), ...lagSeries(test, look, color), ...(rows ? names.map((name, k) => pointSeries(test, name, k, look, color(k))) : [])],
       tooltip: { ...common(look).tooltip, formatter: (hit) => {

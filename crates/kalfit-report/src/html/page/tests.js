@@ -43,10 +43,10 @@ kinds.ellipses = {
       const all = marks.map((p) => p[d]), low = Math.min(...all), high = Math.max(...all), pad = 0.06 * (high - low || Math.abs(high) || 1);
       return { min: low - pad, max: high + pad };
     };
-    const contour = (points, name, type) => ({ type: "line", name, data: points, symbol: "none", silent: true, lineStyle: { color: look.mark, width: 1.5, type }, areaStyle: undefined });
+    const contour = (points, name, type) => ({ type: "line", name, data: points, symbol: "none", silent: true, lineStyle: { color: look.mark, width: 1.5, type }, itemStyle: { color: look.mark } });
     const edge = (name, d) => numbers(look, name, { ...range(d), nameGap: d ? 54 : 28, splitNumber: look.narrow ? 4 : 6, axisLabel: { showMinLabel: false, showMaxLabel: false } });
     const bare = data.tests.length - own.length - beyond;
-    const note = [beyond ? `${beyond} own estimates lie beyond the picture.` : "", bare && own.length + beyond ? `${bare} tests do not determine both states alone.` : "", !own.length && !beyond ? "No test determines both states alone." : ""].filter(Boolean).join(" ");
+    const note = [beyond ? `${beyond} of the tests' own estimates ${beyond === 1 ? "lies" : "lie"} beyond the picture.` : "", bare && own.length + beyond ? `${bare === 1 ? "1 test does" : `${bare} tests do`} not determine both states alone.` : "", !own.length && !beyond ? "No test determines both states alone." : ""].filter(Boolean).join(" ");
     return {
       height: Math.min(540, Math.max(340, look.width * 0.7)), note,
       hover: { series: ["alone", "given"], mark: "error", points: (j) => { const t = data.tests[j]; return ellipse([t.own[i], t.own[k]], pick(t.ownCovariance, i, k), CHI2_95); } },
@@ -60,7 +60,7 @@ kinds.ellipses = {
         series: [
           contour(ellipse(centre, pick(data.covariance, i, k), CHI2_50), "50 %", "dashed"), contour(wide, "95 %", "solid"),
           { type: "custom", name: "threads", silent: true, data: threads, encode: { x: [0, 2], y: [1, 3] }, clip: true,
-            renderItem: (params, api) => { const p = api.coord([api.value(0), api.value(1)]), q = api.coord([api.value(2), api.value(3)]); return line(p[0], p[1], q[0], q[1], look.rule, 1); } },
+            renderItem: (params, api) => { const p = api.coord([api.value(0), api.value(1)]), q = api.coord([api.value(2), api.value(3)]); return line(p[0], p[1], q[0], q[1], look.soft, 0.7); } },
           { id: "error", type: "line", name: "error", data: [], symbol: "none", silent: true, lineStyle: { color: look.out, width: 1, type: "dotted" } },
           { type: "scatter", name: "alone", data: own, symbol: "circle", symbolSize: 8, itemStyle: { color: look.paper, borderColor: look.series[1], borderWidth: 1.5 } },
           { type: "scatter", name: "given", data: posterior, itemStyle: { color: look.mark } },
@@ -88,10 +88,10 @@ const whiskers = (look, items, more = {}) => ({
   ...more,
 });
 const testAxis = (look, names) => axis(look, {
-  type: "category", data: names, name: "test", nameLocation: "middle", nameGap: 58, splitLine: { show: false },
+  type: "category", data: names, name: "test", nameLocation: "middle", nameGap: 74, splitLine: { show: false },
   axisLabel: { formatter: (name) => shorten(name, 10), rotate: names.length > (look.narrow ? 6 : 14) ? 60 : 0 },
 });
-const testGrid = { left: 64, right: 16, top: ABOVE, bottom: 78, outerBoundsMode: "none" };
+const testGrid = { left: 64, right: 16, top: ABOVE, bottom: 98, outerBoundsMode: "none" };
 
 kinds.posteriors = {
   controls: (data) => (data.states.length > 1 ? [{ key: "state", label: "State", options: data.states, initial: 0 }] : []),
@@ -101,13 +101,14 @@ kinds.posteriors = {
     const items = tests.map((test) => ({ at: test.mean[s], low: test.mean[s] - 1.96 * test.sd[s], high: test.mean[s] + 1.96 * test.sd[s], out: test.out }));
     const [mean, half] = [data.mean[s], 1.96 * data.sd[s]];
     const drawn = known(mean) && known(half);
+    const ends = items.flatMap((item) => [item.low, item.high]).concat(drawn ? [mean - half, mean + half] : []).filter(known);
+    const [low, high] = [Math.min(...ends), Math.max(...ends)], pad = 0.05 * (high - low || Math.abs(high) || 1);
     return {
-      height: 360,
+      height: 380,
       option: {
         ...common(look, {}), grid: testGrid,
         xAxis: testAxis(look, tests.map((test) => test.id)),
-        yAxis: numbers(look, withUnit(data.states[s], data.units[s]), { nameGap: 50,
-          min: (range) => (drawn ? Math.min(range.min, mean - 1.1 * half) : range.min), max: (range) => (drawn ? Math.max(range.max, mean + 1.1 * half) : range.max),
+        yAxis: numbers(look, withUnit(data.states[s], data.units[s]), { nameGap: 50, min: low - pad, max: high + pad,
           axisLabel: { showMinLabel: false, showMaxLabel: false } }),
         dataZoom: [wheel({ xAxisIndex: 0 })],
         series: [whiskers(look, items, {
@@ -145,7 +146,7 @@ kinds.quantiles = {
 };
 
 kinds.influence = {
-  controls: (data) => (data.means.length ? [{ key: "what", label: "Of", options: ["all estimates together", ...data.means.map((name) => `mean of ${name}`)], initial: 0 }] : []),
+  controls: (data) => (data.means.length ? [{ key: "what", label: "Show", options: ["all estimates together", ...data.means.map((name) => `mean of ${name}`)], initial: 0 }] : []),
   option(data, state, look) {
     const which = (state.what || 0) - 1;
     const values = data.tests.map((test) => (which < 0 ? test.displacement : test.shifts[which]));
