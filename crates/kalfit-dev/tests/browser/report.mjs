@@ -15,7 +15,13 @@ if (screenshots) mkdirSync(screenshots, { recursive: true });
 const WIDTHS = [390, 1280];
 const SCHEMES = ["light", "dark"];
 const FLAGS = [
-  "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync",
+  "--no-sandbox",
+  "--disable-gpu",
+  "--disable-quic",
+  "--no-first-run",
+  "--disable-background-networking",
+  "--disable-component-update",
+  "--disable-sync",
 ];
 let passed = 0;
 const failures = [];
@@ -32,10 +38,17 @@ const open = async (browser, file, options) => {
   const url = pathToFileURL(path.resolve(file)).href;
   page.on("console", (message) => noted.push(`console ${message.type()}: ${message.text()}`));
   page.on("pageerror", (error) => noted.push(`error: ${error.message}`));
-  page.on("dialog", (dialog) => { noted.push(`dialog: ${dialog.message()}`); dialog.dismiss(); });
-  page.on("request", (request) => { if (request.url() !== url && !/^(data|blob):/.test(request.url())) noted.push(`request: ${request.url()}`); });
+  page.on("dialog", (dialog) => {
+    noted.push(`dialog: ${dialog.message()}`);
+    dialog.dismiss();
+  });
+  page.on("request", (request) => {
+    if (request.url() !== url && !/^(data|blob):/.test(request.url())) noted.push(`request: ${request.url()}`);
+  });
   await page.goto(url);
-  await page.waitForSelector("html[data-ready]", { state: "attached", timeout: 20000 }).catch(() => noted.push("the script did not come to its end"));
+  await page
+    .waitForSelector("html[data-ready]", { state: "attached", timeout: 20000 })
+    .catch(() => noted.push("the script did not come to its end"));
   return { context, page, noted };
 };
 
@@ -59,9 +72,20 @@ const expectedMarks = () => {
     const svg = figure.querySelector(".plot svg");
     const shapes = svg ? Array.from(svg.querySelectorAll("path, circle, rect, line, polygon, polyline, ellipse")) : [];
     const box = svg ? svg.getBoundingClientRect() : { width: 0, height: 0 };
-    const seen = shapes.filter((shape) => { const own = shape.getBBox(); return own.width + own.height > 0; }).length;
-    return { kind: spec.kind, title: spec.title, width: box.width, height: box.height, seen, expected: marks[spec.kind](spec.data),
-      label: figure.querySelector(".plot").getAttribute("aria-label") || "", caption: figure.querySelector("figcaption").textContent.trim() };
+    const seen = shapes.filter((shape) => {
+      const own = shape.getBBox();
+      return own.width + own.height > 0;
+    }).length;
+    return {
+      kind: spec.kind,
+      title: spec.title,
+      width: box.width,
+      height: box.height,
+      seen,
+      expected: marks[spec.kind](spec.data),
+      label: figure.querySelector(".plot").getAttribute("aria-label") || "",
+      caption: figure.querySelector("figcaption").textContent.trim(),
+    };
   });
 };
 
@@ -76,33 +100,52 @@ const charts = async (page, where) => {
 };
 
 const layout = async (page, where) => {
-  const wide = await page.evaluate(() => ({ scroll: document.documentElement.scrollWidth, window: window.innerWidth,
-    out: Array.from(document.querySelectorAll("main *")).filter((e) => !e.closest(".scroll, .equations, svg, .plot")).filter((e) => e.getBoundingClientRect().right > window.innerWidth + 1).map((e) => e.tagName).slice(0, 5) }));
+  const wide = await page.evaluate(() => ({
+    scroll: document.documentElement.scrollWidth,
+    window: window.innerWidth,
+    out: Array.from(document.querySelectorAll("main *"))
+      .filter((e) => !e.closest(".scroll, .equations, svg, .plot"))
+      .filter((e) => e.getBoundingClientRect().right > window.innerWidth + 1)
+      .map((e) => e.tagName)
+      .slice(0, 5),
+  }));
   check(where, "does not scroll sideways", wide.scroll <= wide.window && wide.out.length === 0, JSON.stringify(wide));
 };
 
 const accessible = async (page, where) => {
   await page.evaluate(axeSource);
-  const found = await page.evaluate(() => axe.run(document, { runOnly: ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"], resultTypes: ["violations"] }));
-  const said = found.violations.map((v) => `${v.id} (${v.nodes.length}): ${v.nodes[0].target.join(" ")} ${v.nodes[0].failureSummary}`);
+  const found = await page.evaluate(() =>
+    axe.run(document, { runOnly: ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"], resultTypes: ["violations"] }),
+  );
+  const said = found.violations.map(
+    (v) => `${v.id} (${v.nodes.length}): ${v.nodes[0].target.join(" ")} ${v.nodes[0].failureSummary}`,
+  );
   check(where, "axe finds nothing", said.length === 0, said.join("\n    "));
 };
 
 const sorting = async (page, where) => {
-  await page.evaluate(() => document.querySelectorAll("details").forEach((one) => { one.open = true; }));
+  await page.evaluate(() =>
+    document.querySelectorAll("details").forEach((one) => {
+      one.open = true;
+    }),
+  );
   const tables = await page.locator("table[data-sortable]").count();
   check(where, "has tables to sort", tables > 0 || (await page.locator("tbody tr").count()) < 12);
   for (let k = 0; k < tables; k += 1) {
     const table = page.locator("table[data-sortable]").nth(k);
     const heading = table.locator("thead th:has(button)").last();
     await heading.locator("button").focus();
-    const column = async () => table.evaluate((t) => {
-      let own = 0;
-      const headings = Array.from(t.tHead.rows[0].cells);
-      const last = headings.filter((h) => h.querySelector("button")).pop();
-      for (const h of headings) { if (h === last) break; own += h.colSpan; }
-      return Array.from(t.tBodies[0].rows, (row) => row.cells[own].textContent.trim());
-    });
+    const column = async () =>
+      table.evaluate((t) => {
+        let own = 0;
+        const headings = Array.from(t.tHead.rows[0].cells);
+        const last = headings.filter((h) => h.querySelector("button")).pop();
+        for (const h of headings) {
+          if (h === last) break;
+          own += h.colSpan;
+        }
+        return Array.from(t.tBodies[0].rows, (row) => row.cells[own].textContent.trim());
+      });
     const before = await column();
     await page.keyboard.press("Enter");
     const up = await column();
@@ -132,8 +175,18 @@ const choosing = async (page, where) => {
 
 /// All that can be operated is reached by Tab, and shows it.
 const keyboard = async (page, where) => {
-  await page.evaluate(() => { document.activeElement?.blur(); window.scrollTo(0, 0); window.reached = new Set(); window.dark = []; });
-  const all = await page.evaluate(() => Array.from(document.querySelectorAll("a[href], button:not([hidden]), select, summary, [tabindex='0']")).filter((e) => e.checkVisibility()).length);
+  await page.evaluate(() => {
+    document.activeElement?.blur();
+    window.scrollTo(0, 0);
+    window.reached = new Set();
+    window.dark = [];
+  });
+  const all = await page.evaluate(
+    () =>
+      Array.from(document.querySelectorAll("a[href], button:not([hidden]), select, summary, [tabindex='0']")).filter((e) =>
+        e.checkVisibility(),
+      ).length,
+  );
   for (let k = 0; k < all + 5; k += 1) {
     await page.keyboard.press("Tab");
     await page.evaluate(() => {
@@ -142,7 +195,10 @@ const keyboard = async (page, where) => {
       if (at !== document.body && getComputedStyle(at).outlineStyle === "none") window.dark.push(at.outerHTML.slice(0, 80));
     });
   }
-  const { reached, dark } = await page.evaluate(() => ({ reached: Array.from(window.reached).filter((e) => e !== document.body).length, dark: window.dark }));
+  const { reached, dark } = await page.evaluate(() => ({
+    reached: Array.from(window.reached).filter((e) => e !== document.body).length,
+    dark: window.dark,
+  }));
   check(where, "Tab reaches all that can be operated", reached >= all, `${reached} of ${all}`);
   check(where, "focus can be seen", dark.length === 0, dark[0]);
 };
@@ -156,10 +212,21 @@ const hovering = async (page, where) => {
     for (let step = 1; step < 12; step += 1) {
       await page.mouse.move(box.x + (box.width * step) / 12, box.y + box.height * (0.25 + 0.04 * step));
     }
-    tips += await plots.nth(k).evaluate((plot) => Array.from(plot.children).filter((e) => e.tagName === "DIV" && e.textContent && getComputedStyle(e).position === "absolute").length);
+    tips += await plots
+      .nth(k)
+      .evaluate(
+        (plot) =>
+          Array.from(plot.children).filter(
+            (e) => e.tagName === "DIV" && e.textContent && getComputedStyle(e).position === "absolute",
+          ).length,
+      );
   }
   check(where, "pointing at charts shows figures", (await plots.count()) === 0 || tips > 0);
-  check(where, "nothing from a name became an element", (await page.evaluate(() => document.querySelectorAll("img, iframe, main script, .plot script").length)) === 0);
+  check(
+    where,
+    "nothing from a name became an element",
+    (await page.evaluate(() => document.querySelectorAll("img, iframe, main script, .plot script").length)) === 0,
+  );
 };
 
 const themes = async (page, where) => {
@@ -172,7 +239,11 @@ const themes = async (page, where) => {
 };
 
 const paper = async (page, where, name) => {
-  const pdf = await page.pdf({ format: "A4", printBackground: true, path: screenshots ? path.join(screenshots, `${name}.pdf`) : undefined });
+  const pdf = await page.pdf({
+    format: "A4",
+    printBackground: true,
+    path: screenshots ? path.join(screenshots, `${name}.pdf`) : undefined,
+  });
   check(where, "prints", pdf.length > 10000, pdf.length);
 };
 
@@ -186,7 +257,8 @@ try {
         const { context, page, noted } = await open(browser, file, { colorScheme, viewport: { width, height: 900 } });
         await charts(page, where);
         await layout(page, where);
-        if (screenshots) await page.screenshot({ path: path.join(screenshots, `${name}-${colorScheme}-${width}.png`), fullPage: true });
+        if (screenshots)
+          await page.screenshot({ path: path.join(screenshots, `${name}-${colorScheme}-${width}.png`), fullPage: true });
         await accessible(page, where);
         if (colorScheme === "light") {
           await sorting(page, where);

@@ -117,7 +117,8 @@ fn one_test(record: &FitRecord, found: &[Found<'_>], charts: &mut Charts) -> Opt
 /// Lists that go together do.
 fn sound(series: &SeriesRecord) -> bool {
     let n = series.at.len();
-    n == series.measurement.len()
+    !series.windows.is_empty()
+        && n == series.measurement.len()
         && n == series.standardised.len()
         && series.measurement.iter().all(|&m| m < series.measurements.len())
 }

@@ -18,6 +18,7 @@ const SCRIPTS: &[&str] = &[
     include_str!("page/base.js"),
     include_str!("page/forest.js"),
     include_str!("page/matrix.js"),
+    include_str!("page/ellipses.js"),
     include_str!("page/tests.js"),
     include_str!("page/innovations.js"),
     include_str!("page/solver.js"),

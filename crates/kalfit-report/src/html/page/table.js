@@ -35,13 +35,14 @@ const sortable = (table) => {
 };
 
 // What scrolls can be reached by the keyboard.
-const reachable = () => document.querySelectorAll(".scroll, .equations").forEach((box) => {
-  const scrolls = box.scrollWidth > box.clientWidth + 1 || box.scrollHeight > box.clientHeight + 1;
-  if (scrolls) {
-    box.tabIndex = 0;
-    box.setAttribute("role", "group");
-    box.setAttribute("aria-label", "Scrolls");
-  } else {
-    ["tabindex", "role", "aria-label"].forEach((name) => box.removeAttribute(name));
-  }
-});
+const reachable = () =>
+  document.querySelectorAll(".scroll, .equations").forEach((box) => {
+    const scrolls = box.scrollWidth > box.clientWidth + 1 || box.scrollHeight > box.clientHeight + 1;
+    if (scrolls) {
+      box.tabIndex = 0;
+      box.setAttribute("role", "group");
+      box.setAttribute("aria-label", "Scrolls");
+    } else {
+      ["tabindex", "role", "aria-label"].forEach((name) => box.removeAttribute(name));
+    }
+  });
