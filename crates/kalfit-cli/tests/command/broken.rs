@@ -236,10 +236,10 @@ fn wrong_arguments() {
 
     For more information, try '--help'.
     ");
-    assert_snapshot!(refused("fit m.toml d.csv --report fit.html", &[]), @"
-    error: unexpected argument '--report' found
+    assert_snapshot!(refused("fit m.toml d.csv --plots fit.html", &[]), @"
+    error: unexpected argument '--plots' found
 
-      tip: to pass '--report' as a value, use '-- --report'
+      tip: to pass '--plots' as a value, use '-- --plots'
 
     Usage: kalfit fit <MODEL> <DATA>...
 

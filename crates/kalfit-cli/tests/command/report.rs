@@ -89,14 +89,42 @@ fn refused(args: &str, files: &[(&str, &str)]) -> String {
 
 #[test]
 fn what_is_no_result_is_refused() {
-    assert_snapshot!(refused("report no.json --out new.html", &[]), @"");
-    assert_snapshot!(refused("report d.csv --out new.html", &[]), @"");
-    assert_snapshot!(refused("report half.json --out new.html", &[("half.json", r#"{"schema": "kalfit-fit/1"}"#)]), @"");
-    assert_snapshot!(refused("report test.json --out new.html", &[]), @"");
-    assert_snapshot!(refused("report fit.json --test fit.json --out new.html", &[]), @"");
-    assert_snapshot!(refused("report fit.json --out fit.json", &[]), @"");
-    assert_snapshot!(refused("fit m.toml d.csv --out x --report x", &[]), @"");
-    assert_snapshot!(refused("fit m.toml d.csv --report no/such/folder.html", &[]), @"");
+    assert_snapshot!(refused("report no.json --out new.html", &[]), @"error: cannot read `no.json`: No such file or directory (os error 2)");
+    assert_snapshot!(refused("report d.csv --out new.html", &[]), @"
+    error: `d.csv` is not a result of `kalfit fit`: expected value at line 1 column 1
+
+    hint: `kalfit report` takes what `kalfit fit --out` writes
+    ");
+    assert_snapshot!(refused("report half.json --out new.html", &[("half.json", r#"{"schema": "kalfit-fit/1"}"#)]), @"
+    error: `half.json` is not a result of `kalfit fit`: missing field `kalfit_version` at line 1 column 26
+
+    hint: `kalfit report` takes what `kalfit fit --out` writes
+    ");
+    assert_snapshot!(refused("report test.json --out new.html", &[]), @"
+    error: `test.json`: the schema is `kalfit-test/1`, expected `kalfit-fit/1`
+
+    hint: `kalfit report` takes what `kalfit fit --out` writes
+    ");
+    assert_snapshot!(refused("report fit.json --test fit.json --out new.html", &[]), @"
+    error: `fit.json`: the schema is `kalfit-fit/1`, expected `kalfit-test/1`
+
+    hint: `--test` takes what `kalfit test --out` writes
+    ");
+    assert_snapshot!(refused("report fit.json --out fit.json", &[]), @"
+    error: the output `fit.json` is one of the inputs
+
+    hint: give the output a name of its own
+    ");
+    assert_snapshot!(refused("fit m.toml d.csv --out x --report x", &[]), @"
+    error: both outputs are `x`, expected two files
+
+    hint: give the output a name of its own
+    ");
+    assert_snapshot!(refused("fit m.toml d.csv --report no/such/folder.html", &[]), @"
+    error: the folder `no/such` for the output does not exist
+
+    hint: name a folder that exists
+    ");
 }
 
 #[test]

@@ -64,8 +64,8 @@ pub(super) fn sum(index: Math) -> Math {
 pub(super) fn matrix(rows: &[Vec<f64>], digits: usize) -> Math {
     let cell = |x: &f64| element("mtd", &number(&minus(&plain(*x, digits))).0).0;
     let line = |row: &Vec<f64>| element("mtr", &row.iter().map(cell).collect::<String>()).0;
-    let table = element("mtable", &rows.iter().map(line).collect::<String>());
-    table // the style sheet draws its brackets: few fonts have brackets that grow
+    // the style sheet draws its brackets: few fonts have brackets that grow
+    element("mtable", &rows.iter().map(line).collect::<String>())
 }
 
 /// A minus as it is printed.
