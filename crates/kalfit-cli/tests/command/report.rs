@@ -84,7 +84,7 @@ fn refused(args: &str, files: &[(&str, &str)]) -> String {
     let said = shown(&output);
     assert_eq!(output.status.code(), Some(2), "{said}");
     assert_eq!(before, folder.contents(), "`kalfit {args}` left the folder as it was");
-    String::from_utf8(output.stderr).unwrap()
+    String::from_utf8(output.stderr).expect("messages are UTF-8")
 }
 
 #[test]
