@@ -38,6 +38,11 @@ impl Column {
         widest.max(self.heading.chars().count()).min(usize::from(WIDEST_NAME)).max(1) + usize::from(GAP)
     }
 
+    /// Its heading needs no second line.
+    fn is_brief(&self) -> bool {
+        self.heading.chars().count() <= 12
+    }
+
     fn is_empty(&self) -> bool {
         self.cells.iter().all(String::is_empty)
     }
@@ -112,7 +117,8 @@ pub(crate) fn html(columns: &[Column], sorted: bool) -> String {
             thead { tr {
                 @for group in &groups {
                     @if group[0].heading.is_empty() { td {} } @else {
-                        th scope="col" class=(class(group[0], &group[0].heading)) colspan=[(group.len() > 1).then_some(group.len())] { (group[0].heading) }
+                        th scope="col" class=(class(group[0], &group[0].heading)) data-brief[group[0].is_brief()]
+                            colspan=[(group.len() > 1).then_some(group.len())] { (group[0].heading) }
                     }
                 }
             } }

@@ -236,10 +236,10 @@ fn wrong_arguments() {
 
     For more information, try '--help'.
     ");
-    assert_snapshot!(refused("fit m.toml d.csv --plots fit.html", &[]), @"
-    error: unexpected argument '--plots' found
+    assert_snapshot!(refused("fit m.toml d.csv --xyz fit.html", &[]), @"
+    error: unexpected argument '--xyz' found
 
-      tip: to pass '--plots' as a value, use '-- --plots'
+      tip: to pass '--xyz' as a value, use '-- --xyz'
 
     Usage: kalfit fit <MODEL> <DATA>...
 
