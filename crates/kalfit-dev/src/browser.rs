@@ -45,11 +45,12 @@ const MANY: &str = "2500";
 pub(crate) fn run() -> Result<(), String> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).ok_or("the crate lies in crates/")?;
     let scripts = root.join("crates/kalfit-dev/tests/browser");
-    let work = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), PathBuf::from).join("browser");
+    let target = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), |path| root.join(path));
+    let work = target.join("browser");
     std::fs::create_dir_all(&work).map_err(|error| format!("cannot make {}: {error}", work.display()))?;
     let browser = browser()?;
     modules(&scripts, &work)?;
-    let reports = reports(root, &work)?;
+    let reports = reports(&Kalfit { program: program(root, &target)?, root }, &work)?;
     let mut node = Command::new("node");
     node.arg(scripts.join("report.mjs")).arg(browser).arg(&work).args(reports);
     done(&mut node, "the browser test")
@@ -103,14 +104,14 @@ fn modules(scripts: &Path, work: &Path) -> Result<(), String> {
 }
 
 /// Fits all pages, and an ensemble too large to be shown test by test.
-fn reports(root: &Path, work: &Path) -> Result<Vec<PathBuf>, String> {
+fn reports(kalfit: &Kalfit<'_>, work: &Path) -> Result<Vec<PathBuf>, String> {
     let mut pages = Vec::new();
     for page in PAGES {
         let report = work.join(format!("{}.html", page.name));
         let mut arguments = words(&["fit", page.model, page.data, "--quiet", "--report"]);
         arguments.push(report.clone().into());
         arguments.extend(words(page.options));
-        kalfit(root, arguments)?;
+        kalfit.run(arguments)?;
         pages.push(report);
     }
     let small = PAGES.iter().find(|page| page.name == "random-coefficients").ok_or("there is no small ensemble")?;
@@ -118,15 +119,15 @@ fn reports(root: &Path, work: &Path) -> Result<Vec<PathBuf>, String> {
     let from = work.join("small.json");
     let mut first = words(&["fit", small.model, small.data, "--quiet", "--out"]);
     first.push(from.clone().into());
-    kalfit(root, first)?;
+    kalfit.run(first)?;
     let mut simulate =
         words(&["simulate", small.model, "--design", small.data, "--tests", MANY, "--seed", "1", "--quiet"]);
     simulate.extend(["--from".into(), from.into(), "--out".into(), drawn.clone().into()]);
-    kalfit(root, simulate)?;
+    kalfit.run(simulate)?;
     let mut fit = words(&["fit", small.model]);
     fit.extend([drawn.into(), "--quiet".into(), "--out".into(), results.clone().into()]);
-    kalfit(root, fit)?;
-    kalfit(root, vec!["report".into(), results.into(), "--quiet".into(), "--out".into(), report.clone().into()])?;
+    kalfit.run(fit)?;
+    kalfit.run(vec!["report".into(), results.into(), "--quiet".into(), "--out".into(), report.clone().into()])?;
     pages.push(report);
     Ok(pages)
 }
@@ -135,11 +136,25 @@ fn words(words: &[&str]) -> Vec<OsString> {
     words.iter().map(OsString::from).collect()
 }
 
-fn kalfit(root: &Path, arguments: Vec<OsString>) -> Result<(), String> {
+/// The program as the tests have built it: of the whole workspace, so that nothing is built twice.
+fn program(root: &Path, target: &Path) -> Result<PathBuf, String> {
     let mut cargo = Command::new("cargo");
-    cargo.args(["run", "--quiet", "--locked", "--package", "kalfit-cli", "--"]).args(arguments).current_dir(root);
-    cargo.env("CARGO_INCREMENTAL", "0"); // as the other steps, so that nothing is built twice
-    done(&mut cargo, "kalfit")
+    cargo.args(["build", "--quiet", "--locked", "--workspace", "--bins"]).current_dir(root);
+    cargo.env("CARGO_INCREMENTAL", "0"); // as the other steps
+    done(&mut cargo, "cargo build")?;
+    Ok(target.join("debug").join(format!("kalfit{}", std::env::consts::EXE_SUFFIX)))
+}
+
+/// The program in the root of the repository.
+struct Kalfit<'a> {
+    program: PathBuf,
+    root: &'a Path,
+}
+
+impl Kalfit<'_> {
+    fn run(&self, arguments: Vec<OsString>) -> Result<(), String> {
+        done(Command::new(&self.program).args(arguments).current_dir(self.root), "kalfit")
+    }
 }
 
 fn done(command: &mut Command, what: &str) -> Result<(), String> {
