@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,6 +23,22 @@ Array = NDArray[np.float64]
 def _array(values: Any) -> Array:
     """Numbers as an array; what is unknown is NaN, as numpy has nothing else for it."""
     return np.array(values, dtype=np.float64)  # None becomes NaN
+
+
+def _write(path: str | os.PathLike[str], text: str) -> None:
+    """Writes a file, whole or not at all."""
+    target = os.path.realpath(path)
+    with open(target, "ab"):  # a file that may be written; made by the rules of any new file
+        mode = os.stat(target).st_mode
+    handle, beside = tempfile.mkstemp(prefix=".kalfit-", suffix=".tmp", dir=os.path.dirname(target))
+    try:
+        with open(handle, "w", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+        os.chmod(beside, mode)
+        os.replace(beside, target)
+    except BaseException:
+        os.unlink(beside)
+        raise
 
 
 @dataclass(frozen=True)
@@ -177,8 +194,7 @@ class Fit:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes all results, as ``kalfit fit --out`` does."""
-        with open(path, "w", encoding="utf-8", newline="\n") as file:
-            file.write(self._json)
+        _write(path, self._json)
 
     def to_json(self) -> str:
         """All results as JSON, as ``kalfit fit --out`` writes it."""
@@ -301,6 +317,10 @@ class Fit:
     def summary(self, width: int = 80, color: bool = False) -> str:
         """The results in words and tables, as the command prints them."""
         return _kalfit.fit_summary(self._json, width, color)
+
+    def report(self, path: str | os.PathLike[str]) -> None:
+        """Writes the HTML report: one page that needs nothing else, as ``kalfit report`` makes it."""
+        _write(path, _kalfit.fit_page(self._json))
 
     def __repr__(self) -> str:
         state = "converged" if self.converged else "NOT converged"

@@ -33,6 +33,8 @@ pub(crate) enum Command {
     Simulate(SimulateArgs),
     /// Expected standard errors against the number of tests, before any is run
     Plan(PlanArgs),
+    /// The report of a fit, one HTML page, from its results alone
+    Report(ReportArgs),
 }
 
 /// Options that say what the model and the data are.
@@ -62,6 +64,10 @@ pub(crate) struct FitArgs {
     /// File for all results, as JSON
     #[arg(long, value_name = "FILE")]
     pub(crate) out: Option<PathBuf>,
+
+    /// File for a report, one HTML page that needs nothing else
+    #[arg(long, value_name = "FILE.html")]
+    pub(crate) report: Option<PathBuf>,
 
     /// How free dynamic parameters are sought
     #[arg(long, value_enum, default_value_t = MethodArg::Hybrid)]
@@ -252,6 +258,25 @@ pub(crate) struct PlanArgs {
     /// File for the plan, as JSON
     #[arg(long, value_name = "FILE")]
     pub(crate) out: Option<PathBuf>,
+
+    /// Print nothing but errors
+    #[arg(long)]
+    pub(crate) quiet: bool,
+}
+
+#[derive(Debug, Group)]
+pub(crate) struct ReportArgs {
+    /// Results of `kalfit fit --out`
+    #[arg(value_name = "FIT.json")]
+    pub(crate) fit: PathBuf,
+
+    /// File for the report
+    #[arg(long, value_name = "FILE.html")]
+    pub(crate) out: PathBuf,
+
+    /// Results of `kalfit test --out`: the fit beside the hypothesis that was tested within its model
+    #[arg(long, value_name = "TEST.json")]
+    pub(crate) test: Option<PathBuf>,
 
     /// Print nothing but errors
     #[arg(long)]

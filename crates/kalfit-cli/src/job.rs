@@ -6,11 +6,11 @@ use kalfit::dynamic::{self, Method};
 use kalfit::estimate::{Combination, Criterion, Settings, Solver};
 use kalfit::infer::{Bootstrap, Choices, DeletionChoice, IntervalKind, StdErrors};
 use kalfit_data::Datum;
-use kalfit_job::{CheckJob, ExchangeJob, Failure, FitJob, ModelJob, PlanJob, SimulateJob, TestJob};
+use kalfit_job::{CheckJob, ExchangeJob, Failure, FitJob, ModelJob, PlanJob, ReportJob, SimulateJob, TestJob};
 
 use crate::args::{
     Args, CheckArgs, Command, CriterionArg, DeletionArg, ExchangeArgs, FitArgs, InnovationsArg, IntervalsArg,
-    MethodArg, ModelArgs, PhasesArg, PlanArgs, SimulateArgs, SolverArg, StdErrorsArg, TestArgs,
+    MethodArg, ModelArgs, PhasesArg, PlanArgs, ReportArgs, SimulateArgs, SolverArg, StdErrorsArg, TestArgs,
 };
 use crate::show::{self, Ended};
 
@@ -33,6 +33,7 @@ enum Job {
     Check(CheckJob),
     Simulate(SimulateJob),
     Plan(PlanJob),
+    Report(ReportJob),
 }
 
 /// How a command ended that had good input.
@@ -70,21 +71,23 @@ impl Order {
             Job::Check(job) => show::check(job),
             Job::Simulate(job) => show::simulate(job, self.quiet),
             Job::Plan(job) => show::plan(job, self.quiet),
+            Job::Report(job) => show::report(job, self.quiet),
         }
     }
 }
 
 impl From<Args> for Order {
     fn from(args: Args) -> Order {
-        let (model, quiet) = match &args.command {
-            Command::Fit(args) => (&args.model, args.quiet),
-            Command::Reduce(args) | Command::Estimates(args) => (&args.model, args.quiet),
-            Command::Test(args) => (&args.model, args.quiet),
-            Command::Check(args) => (&args.model, false),
-            Command::Simulate(args) => (&args.model, args.quiet),
-            Command::Plan(args) => (&args.model, args.quiet),
+        let (threads, quiet) = match &args.command {
+            Command::Fit(args) => (args.model.threads, args.quiet),
+            Command::Reduce(args) | Command::Estimates(args) => (args.model.threads, args.quiet),
+            Command::Test(args) => (args.model.threads, args.quiet),
+            Command::Check(args) => (args.model.threads, false),
+            Command::Report(args) => (None, args.quiet),
+            Command::Simulate(args) => (args.model.threads, args.quiet),
+            Command::Plan(args) => (args.model.threads, args.quiet),
         };
-        let threads = model.threads.map(usize::from);
+        let threads = threads.map(usize::from);
         let job = match args.command {
             Command::Fit(args) => Job::Fit(args.into()),
             Command::Reduce(args) => Job::Reduce(args.into()),
@@ -93,6 +96,7 @@ impl From<Args> for Order {
             Command::Check(args) => Job::Check(args.into()),
             Command::Simulate(args) => Job::Simulate(args.into()),
             Command::Plan(args) => Job::Plan(args.into()),
+            Command::Report(args) => Job::Report(args.into()),
         };
         Order { job, threads, quiet }
     }
@@ -172,6 +176,7 @@ impl From<FitArgs> for FitJob {
             model: args.model.into(),
             data: data(args.data),
             out: args.out,
+            report: args.report,
             settings,
             search,
             method: match args.method {
@@ -226,5 +231,12 @@ impl From<PlanArgs> for PlanJob {
             tests: args.tests.into_iter().map(|n| n as usize).collect(),
             out: args.out,
         }
+    }
+}
+
+impl From<ReportArgs> for ReportJob {
+    fn from(args: ReportArgs) -> ReportJob {
+        let ReportArgs { fit, out, test, quiet: _ } = args;
+        ReportJob { fit: fit.into(), test: test.map(Into::into), out: Some(out) }
     }
 }

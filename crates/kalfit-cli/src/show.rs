@@ -1,6 +1,8 @@
 //! Jobs done and their results shown: results on standard output, everything else on standard error.
 
-use kalfit_job::{CheckJob, Done, ExchangeJob, Exchanged, Failure, FitJob, PlanJob, SimulateJob, TestJob, Watch};
+use kalfit_job::{
+    CheckJob, Done, ExchangeJob, Exchanged, Failure, FitJob, PlanJob, ReportJob, SimulateJob, TestJob, Watch,
+};
 use kalfit_report::{check_summary, plan_summary, ratio_summary, summary};
 
 use crate::job::Outcome;
@@ -59,12 +61,21 @@ pub(crate) fn check(job: &CheckJob) -> Result<Outcome, Ended> {
     Ok(Outcome::Done)
 }
 
+/// Exit status 0 says that the report was made; what it says of the fit is in it.
+pub(crate) fn report(job: &ReportJob, quiet: bool) -> Result<Outcome, Ended> {
+    let Done { written, .. } = kalfit_job::report(job)?;
+    if !quiet {
+        written.iter().for_each(|name| terminal::complain(&format!("Wrote {name}\n")));
+    }
+    Ok(Outcome::Done)
+}
+
 /// A job that writes an exchange file.
 type Exchange = fn(&ExchangeJob, &mut dyn Watch) -> Result<Done<Exchanged>, Failure>;
 
 pub(crate) fn exchange(job: &ExchangeJob, run: Exchange, quiet: bool) -> Result<Outcome, Ended> {
     let Done { record, notes, written } = watched(quiet, |line| run(job, line))?;
-    if let (false, Some(name)) = (quiet, written) {
+    if let (false, Some(name)) = (quiet, written.first()) {
         terminal::warn(&notes);
         let (rows, tests) = (plural(record.rows as u64, record.row), plural(record.tests as u64, "test"));
         terminal::complain(&format!("Wrote {name}: {rows} of {tests}\n"));
@@ -74,7 +85,7 @@ pub(crate) fn exchange(job: &ExchangeJob, run: Exchange, quiet: bool) -> Result<
 
 pub(crate) fn simulate(job: &SimulateJob, quiet: bool) -> Result<Outcome, Ended> {
     let Done { record, notes, written } = watched(quiet, |line| kalfit_job::simulate(job, line))?;
-    if let (false, Some(name)) = (quiet, written) {
+    if let (false, Some(name)) = (quiet, written.first()) {
         terminal::warn(&notes);
         let (tests, rows, seed) = (plural(record.tests, "test"), plural(record.rows, "row"), job.seed);
         let mut text = format!("Wrote {name}: {tests}, {rows}, drawn with seed {seed}\n");
@@ -96,14 +107,14 @@ fn watched<R>(quiet: bool, job: impl FnOnce(&mut Line) -> Result<R, Failure>) ->
     Ok(job(&mut Line::new(quiet))?)
 }
 
-/// Warnings, the text, and the file that was written.
-fn tell(quiet: bool, notes: &[String], text: impl FnOnce() -> String, written: Option<String>) -> Result<(), Ended> {
+/// Warnings, the text, and the files that were written.
+fn tell(quiet: bool, notes: &[String], text: impl FnOnce() -> String, written: Vec<String>) -> Result<(), Ended> {
     if quiet {
         return Ok(());
     }
     terminal::warn(notes);
     terminal::print(&text()).map_err(Ended::Unheard)?;
-    if let Some(name) = written {
+    for name in written {
         terminal::complain(&format!("Wrote {name}\n"));
     }
     Ok(())

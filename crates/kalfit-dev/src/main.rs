@@ -2,6 +2,7 @@
 #![expect(clippy::print_stdout, clippy::print_stderr, reason = "a developer's tool talks on the terminal")]
 
 mod bench;
+mod browser;
 mod coverage;
 mod peak;
 mod python;
@@ -21,7 +22,7 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Task {
-    /// Everything a change must pass: format, lints, tests, documentation, dependencies, the Python package.
+    /// Everything a change must pass: format, lints, tests, documentation, dependencies, the Python package, the report in a browser.
     Test {
         /// Only the steps whose name contains this.
         #[arg(long)]

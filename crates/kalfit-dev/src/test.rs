@@ -4,7 +4,7 @@ use std::path::Path;
 use std::process::{Command, ExitCode};
 use std::time::Instant;
 
-use crate::python;
+use crate::{browser, python};
 
 /// One thing that must hold.
 struct Step {
@@ -54,6 +54,14 @@ const STEPS: &[Step] = &[
     },
 ];
 
+/// What is more than one command: its name, what it does, and how.
+type Other = (&'static str, &'static str, fn() -> Result<(), String>);
+
+const OTHERS: &[Other] = &[
+    ("python", "the wheel in a fresh environment, and its tests", python::run),
+    ("browser", "the report in Chromium", browser::run),
+];
+
 /// Runs the steps in order and stops at the first that fails.
 pub(crate) fn run(only: Option<&str>) -> ExitCode {
     if let Err(message) = minimum_toolchain() {
@@ -73,13 +81,13 @@ pub(crate) fn run(only: Option<&str>) -> ExitCode {
             }
         }
     }
-    if only.is_none_or(|word| "python".contains(word)) {
+    for (name, what, run) in OTHERS.iter().filter(|(name, ..)| only.is_none_or(|word| name.contains(word))) {
         let started = Instant::now();
-        println!("== python: the wheel in a fresh environment, and its tests");
-        match python::run() {
-            Ok(()) => println!("== python passed in {:.0} s\n", started.elapsed().as_secs_f64()),
+        println!("== {name}: {what}");
+        match run() {
+            Ok(()) => println!("== {name} passed in {:.0} s\n", started.elapsed().as_secs_f64()),
             Err(why) => {
-                eprintln!("== python failed: {why}");
+                eprintln!("== {name} failed: {why}");
                 return ExitCode::FAILURE;
             }
         }

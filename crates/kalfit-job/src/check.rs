@@ -33,7 +33,7 @@ pub fn check(job: &CheckJob, watch: &mut dyn Watch) -> Result<Done<CheckRecord>,
         (Some(given), true) => started(&spec, given, &mut work)?,
     };
     let record = CheckRecord { title: spec.model.shared().title.clone(), model: spec.describe(), parameters, checked };
-    Ok(Done { record, notes: given.map_or(Vec::new(), |given| given.notes), written: None })
+    Ok(Done { record, notes: given.map_or(Vec::new(), |given| given.notes), written: Vec::new() })
 }
 
 /// Reads the data and runs the filters: all parameters are known.

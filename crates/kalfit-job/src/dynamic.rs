@@ -52,6 +52,7 @@ pub(crate) fn fit(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>)
         DynamicParts { model, labels: &reading.labels, fit: &fit, inference: &inference, parameters: &parameters };
     let provenance = Provenance {
         model_digest: Some(spec.digest.clone()),
+        model: spec.describe(),
         files: given.names(),
         seconds: work.seconds(),
         of_estimates: given.is_of_estimates(model),

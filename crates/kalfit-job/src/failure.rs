@@ -12,6 +12,7 @@ use kalfit_data::{DataError, Reading, WriteError};
 use kalfit_spec::{Spec, SpecError};
 
 use crate::output::OutputError;
+use crate::report::ReportError;
 use crate::truth::TruthError;
 
 /// Bad input, or a world that does not let us write. Exit status 2.
@@ -104,6 +105,9 @@ pub enum Failure {
     /// The output file.
     #[error(transparent)]
     Output(#[from] OutputError),
+    /// Results to report.
+    #[error("{0}")]
+    Report(Box<ReportError>),
     /// Standard errors that a criterion does not have.
     #[error("`--std-errors expected` and `--std-errors sandwich` go with `--criterion ml` only")]
     RestrictedErrors,
@@ -229,6 +233,7 @@ impl Failure {
             Failure::Plan { error, .. } => plan_hint(error).map(str::to_owned),
             Failure::Write { error, .. } => write_hint(error).map(str::to_owned),
             Failure::Output(error) => error.hint().map(str::to_owned),
+            Failure::Report(error) => error.hint().map(str::to_owned),
             Failure::RestrictedErrors => {
                 Some("leave `--std-errors` out: the restricted likelihood has those of its own curvature".to_owned())
             }

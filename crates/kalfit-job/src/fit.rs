@@ -13,7 +13,7 @@ use crate::innovations::{self, Kept};
 use crate::job::{Done, FitJob, files};
 use crate::output::Output;
 use crate::work::{Watch, Work};
-use crate::{dynamic, lost, model, reductions, tests};
+use crate::{dynamic, lost, model, reductions, report, tests};
 
 /// Fits a model to data. A search that is [stopped](Watch::stops) ends with the best that it found, and a record that says so,
 /// and writes no file.
@@ -33,11 +33,10 @@ pub fn fit(job: &FitJob, watch: &mut dyn Watch) -> Result<Done<FitRecord>, Failu
     } else if job.choices.std_errors != StdErrors::Observed {
         return Err(Failure::FreeErrors);
     }
-    let output = job
-        .out
-        .as_deref()
-        .map(|path| Output::prepare(path, &files(&[&job.model.document], &given.inputs)))
-        .transpose()?;
+    let read = files(&[&job.model.document], &given.inputs);
+    let output = job.out.as_deref().map(|path| Output::prepare(path, &read)).transpose()?;
+    let page = job.report.as_deref().map(|path| Output::prepare(path, &read)).transpose()?;
+    page.as_ref().map_or(Ok(()), |page| page.refuse_same(output.as_ref()))?;
     let mut work = Work::new(watch);
     let mut record =
         if free { dynamic::fit(job, &spec, &given, &mut work)? } else { known(job, &spec, &given, &mut work)? };
@@ -46,7 +45,12 @@ pub fn fit(job: &FitJob, watch: &mut dyn Watch) -> Result<Done<FitRecord>, Failu
     if let Some(output) = &output {
         output.write(&record)?;
     }
-    Ok(Done { record, notes: Vec::new(), written: output.map(|output| output.name()) })
+    let page = page.filter(|_| !work.is_stopped());
+    if let Some(page) = &page {
+        report::write(page, &kalfit_report::html(&record))?;
+    }
+    let written = [&output, &page].into_iter().flatten().map(Output::name).collect();
+    Ok(Done { record, notes: Vec::new(), written })
 }
 
 /// Other starts of α have no effect when nothing of it is free. The methods are then one and the same, and any may be named.
@@ -93,6 +97,7 @@ pub(crate) fn record(
     let inference = infer::infer(&estimate, reductions, patience(job.choices, work));
     let provenance = Provenance {
         model_digest: Some(spec.digest.clone()),
+        model: spec.describe(),
         files: given.names(),
         seconds: work.seconds(),
         of_estimates: given.is_of_estimates(&spec.model),

@@ -5,7 +5,7 @@ use std::io::{Read, Seek, SeekFrom, Write};
 
 use kalfit::innovations::InnovationFilter;
 use kalfit::model::Population;
-use kalfit::record::InnovationRecord;
+use kalfit::record::{InnovationRecord, SeriesKeeper};
 use kalfit::reduce::{Evidence, ReduceError, SplitError};
 use kalfit::{Alpha, FitRecord, Labels, PhasedModel, PhasedTest, Test};
 use kalfit_data::{DataError, Input, ReadError, Sink};
@@ -176,12 +176,15 @@ fn finish(record: &mut FitRecord, seen: Seen) {
         ));
     }
     attach(record, seen.found);
+    record.add_series(seen.series);
 }
 
 /// What the filter saw of all tests.
 #[derive(Default)]
 struct Seen {
     found: Vec<Found>,
+    /// For charts.
+    series: SeriesKeeper,
     /// Tests that cannot have any.
     silent: usize,
     failed: Option<ReduceError>,
@@ -244,11 +247,11 @@ impl<'a, 'w> Looking<'a, 'w> {
         let seen = &mut self.seen;
         for result in self.filter.run(tests) {
             match result {
-                Ok(Some(one)) => seen.found.push(Found {
-                    log_likelihood: one.log_likelihood,
-                    record: InnovationRecord::new(&one, self.model),
-                    test: one.test,
-                }),
+                Ok(Some(one)) => {
+                    let record = InnovationRecord::new(&one, self.model);
+                    seen.series.offer(&one, &record, self.model);
+                    seen.found.push(Found { log_likelihood: one.log_likelihood, record, test: one.test });
+                }
                 Ok(None) => seen.silent += 1,
                 Err(error) => seen.failed = seen.failed.take().or(Some(error)),
             }

@@ -28,6 +28,8 @@ pub struct FitJob {
     pub data: Vec<Datum>,
     /// File for the results.
     pub out: Option<PathBuf>,
+    /// File for the HTML report.
+    pub report: Option<PathBuf>,
     /// Of the search for the mean and the covariance.
     pub settings: Settings,
     /// Of the search for free dynamic parameters.
@@ -46,7 +48,7 @@ impl FitJob {
         let settings = Settings::default();
         let search = dynamic::Settings { inner: settings.clone(), seed: 1, ..dynamic::Settings::default() };
         let (method, choices) = (Some(Method::Hybrid), Choices::default());
-        FitJob { model, data, out: None, settings, search, method, choices, innovations: true }
+        FitJob { model, data, out: None, report: None, settings, search, method, choices, innovations: true }
     }
 }
 
@@ -123,6 +125,17 @@ pub struct PlanJob {
     pub out: Option<PathBuf>,
 }
 
+/// Make the report of a fit from its results.
+#[derive(Debug, Clone)]
+pub struct ReportJob {
+    /// Results of a fit.
+    pub fit: Document,
+    /// Results of a test of a hypothesis within the same model.
+    pub test: Option<Document>,
+    /// File for the page, which is handed back when none.
+    pub out: Option<PathBuf>,
+}
+
 /// What a job ends with that had good input.
 #[derive(Debug)]
 pub struct Done<R> {
@@ -130,8 +143,8 @@ pub struct Done<R> {
     pub record: R,
     /// What the user should know, and the results do not say.
     pub notes: Vec<String>,
-    /// The file of the results, as the user named it.
-    pub written: Option<String>,
+    /// The files of the results, as the user named them.
+    pub written: Vec<String>,
 }
 
 /// A table that was made.

@@ -33,6 +33,7 @@ mod ratio;
 mod reduce;
 mod reductions;
 mod refused;
+mod report;
 mod simulate;
 mod test;
 mod tests;
@@ -45,11 +46,14 @@ pub use document::Document;
 pub use estimates::estimates;
 pub use failure::{Failure, Place, Source};
 pub use fit::fit;
-pub use job::{CheckJob, Done, ExchangeJob, Exchanged, FitJob, ModelJob, PlanJob, SimulateJob, Simulated, TestJob};
+pub use job::{
+    CheckJob, Done, ExchangeJob, Exchanged, FitJob, ModelJob, PlanJob, ReportJob, SimulateJob, Simulated, TestJob,
+};
 pub use model::read as read_model;
 pub use output::OutputError;
 pub use plan::plan;
 pub use reduce::reduce;
+pub use report::{ReportError, report};
 pub use simulate::simulate;
 pub use test::test;
 pub use truth::{TruthError, fit_record};

@@ -126,6 +126,13 @@ impl Output {
         pending.finish().map(|_| ())
     }
 
+    /// Writes bytes beside the target and moves them into place.
+    pub(crate) fn write_bytes(&self, bytes: &[u8]) -> Result<(), OutputError> {
+        let pending = self.begin()?;
+        pending.file().write_all(bytes).map_err(|source| self.io(source))?;
+        pending.finish().map(|_| ())
+    }
+
     /// A file beside the target, to be moved into place when it is whole.
     pub(crate) fn begin(&self) -> Result<Pending<'_>, OutputError> {
         Ok(Pending(Place::Beside(self, self.temporary()?)))

@@ -45,7 +45,7 @@ pub fn plan(job: &PlanJob, watch: &mut dyn Watch) -> Result<Done<PlanRecord>, Fa
     if let Some(output) = &output {
         output.write(&record)?;
     }
-    Ok(Done { record, notes: truth.warnings, written: output.map(|output| output.name()) })
+    Ok(Done { record, notes: truth.warnings, written: output.iter().map(Output::name).collect() })
 }
 
 /// Reads the design and runs the covariance filters over it: what was measured is not looked at.

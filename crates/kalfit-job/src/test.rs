@@ -34,7 +34,7 @@ pub fn test(job: &TestJob, watch: &mut dyn Watch) -> Result<Done<RatioRecord>, F
     if let Some(output) = &output {
         output.write(&record)?;
     }
-    Ok(Done { record, notes: given.notes, written: output.map(|output| output.name()) })
+    Ok(Done { record, notes: given.notes, written: output.iter().map(Output::name).collect() })
 }
 
 fn hypothesis(spec: &Spec, job: &TestJob) -> Result<Hypothesis, Failure> {

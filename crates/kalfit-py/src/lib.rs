@@ -20,5 +20,5 @@ mod _kalfit {
     #[pymodule_export]
     use crate::table::Table;
     #[pymodule_export]
-    use crate::text::{describe, fit_summary, plan_summary, ratio_summary, read_fit, read_model, version};
+    use crate::text::{describe, fit_page, fit_summary, plan_summary, ratio_summary, read_fit, read_model, version};
 }

@@ -57,6 +57,13 @@ pub(crate) fn fit_summary(json: &str, width: usize, color: bool) -> PyResult<Str
     Ok(summary(&record, &Style { width, color }))
 }
 
+/// The HTML report of the JSON of a fit.
+#[pyfunction]
+pub(crate) fn fit_page(json: &str) -> PyResult<String> {
+    let record = kalfit_job::fit_record("the results", json).map_err(|failure| exception(&failure))?;
+    Ok(kalfit_report::html(&record))
+}
+
 /// Summary of the JSON of a likelihood-ratio test.
 #[pyfunction]
 pub(crate) fn ratio_summary(json: &str, width: usize, color: bool) -> PyResult<String> {

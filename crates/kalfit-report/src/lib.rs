@@ -4,6 +4,7 @@
 //! `kalfit fit` prints. [`check_summary`] does the same for `kalfit check`, from a [`CheckRecord`].
 
 mod check;
+mod html;
 mod number;
 mod page;
 mod plan;
@@ -13,6 +14,7 @@ mod table;
 mod words;
 
 pub use check::{CheckRecord, Checked, CheckedPhase, ParameterCounts, PhaseCounts, check_summary};
+pub use html::{html, html_with_test};
 pub use plan::plan_summary;
 pub use ratio::ratio_summary;
 pub use summary::summary;

@@ -5,7 +5,7 @@ use kalfit::record::{BootstrapRecord, ParameterRecord, RatioRecord, SideRecord};
 use crate::Style;
 use crate::number::{hundredths, plain, probability};
 use crate::page::Page;
-use crate::table::{Column, Side, table};
+use crate::table::{Column, Side};
 use crate::words::{clean, count, sentence};
 
 /// Rows of the table of parameters.
@@ -23,14 +23,31 @@ pub fn ratio_summary(record: &RatioRecord, style: &Style) -> String {
     sections.join("\n")
 }
 
+/// The same as parts of a larger page.
+pub(crate) fn sections(record: &RatioRecord, page: &Page<'_>) -> String {
+    let notes: Vec<String> = record.notes.iter().map(|note| sentence(&clean(note))).collect();
+    let verdict =
+        page.paragraph(&format!("Hypothesis: {}", clean(&record.hypothesis))) + &page.paragraph(&verdict(record));
+    let parts = [fits(record, page), laws(record, page), parameters(record, page), parts(record, page)];
+    verdict + &parts.concat() + &page.section("Notes on the test", &page.items(&notes))
+}
+
 fn headline(record: &RatioRecord, page: &Page<'_>) -> String {
     let title = if record.title.is_empty() { "Test of a hypothesis" } else { record.title.as_str() };
     let mut text = page.heading(&clean(title)) + "\n\n";
     text += &page.paragraph(&format!("Hypothesis: {}", clean(&record.hypothesis)));
+    let verdict = page.paragraph(&verdict(record));
+    match record.converged {
+        true => text += &verdict,
+        false => text.extend(verdict.lines().map(|line| page.style.bad(line) + "\n")),
+    }
+    text
+}
+
+/// What the test says, in one sentence.
+fn verdict(record: &RatioRecord) -> String {
     if !record.converged {
-        let verdict = "Not certified: a fit did not end at a certified optimum, so this test means little.";
-        text.extend(page.paragraph(verdict).lines().map(|line| page.style.bad(line) + "\n"));
-        return text;
+        return "Not certified: a fit did not end at a certified optimum, so this test means little.".to_owned();
     }
     let (p, how) = match record.bootstrap.as_ref().and_then(|b| b.p_value) {
         Some(p) => (p, "by the bootstrap"),
@@ -42,8 +59,7 @@ fn headline(record: &RatioRecord, page: &Page<'_>) -> String {
         p if p < 0.05 => "the data speak against it",
         _ => "the data do not speak against it",
     };
-    text += &page.paragraph(&format!("{}: {} {how}.", capital(verdict), p_value(p)));
-    text
+    format!("{}: {} {how}.", capital(verdict), p_value(p))
 }
 
 /// `p = 0.03`, `p < 1e-10`.
@@ -70,7 +86,7 @@ fn fits(record: &RatioRecord, page: &Page<'_>) -> String {
         ),
         Column::new("certified", Side::Right, column(&|s| if s.converged { "yes" } else { "no" }.to_owned())),
     ];
-    page.section(&format!("Fits to {}", count(record.data.tests, "test")), &table(&columns, page.width()))
+    page.section(&format!("Fits to {}", count(record.data.tests, "test")), &page.table(&columns))
 }
 
 fn laws(record: &RatioRecord, page: &Page<'_>) -> String {
@@ -98,7 +114,7 @@ fn laws(record: &RatioRecord, page: &Page<'_>) -> String {
         Column::new("p-value", Side::Right, rows.iter().map(|r| probability(r.1)).collect()),
     ];
     let heading = format!("-2 log λ = {}", plain(record.lr, 6));
-    let mut body = table(&columns, page.width());
+    let mut body = page.table(&columns);
     body += &page.items(&record.bootstrap.as_ref().map_or_else(Vec::new, remarks));
     page.section(&heading, &body)
 }
@@ -158,7 +174,7 @@ fn parameters(record: &RatioRecord, page: &Page<'_>) -> String {
     ];
     let more = record.alternative.parameters.len() - rows.len();
     let more = if more > 0 { vec![format!("… and {more} more.")] } else { Vec::new() };
-    page.section("Dynamic parameters", &(table(&columns, page.width()) + &page.items(&more)))
+    page.section("Dynamic parameters", &(page.table(&columns) + &page.items(&more)))
 }
 
 fn parts(record: &RatioRecord, page: &Page<'_>) -> String {
@@ -185,5 +201,5 @@ fn parts(record: &RatioRecord, page: &Page<'_>) -> String {
         Column::new("df", Side::Right, rows.iter().map(|r| r.2.to_string()).collect()),
         Column::new("p-value", Side::Right, rows.iter().map(|r| probability(r.3)).collect()),
     ];
-    page.section(heading, &table(&columns, page.width()))
+    page.section(heading, &page.table(&columns))
 }

@@ -4,6 +4,8 @@
 use comfy_table::presets::NOTHING;
 use comfy_table::{CellAlignment, ColumnConstraint, ContentArrangement, Table, Width};
 
+use maud::html;
+
 use crate::words::clean;
 
 const INDENT: usize = 2;
@@ -34,6 +36,11 @@ impl Column {
     fn width(&self) -> usize {
         let widest = self.cells.iter().map(|c| c.chars().count()).max().unwrap_or(0);
         widest.max(self.heading.chars().count()).min(usize::from(WIDEST_NAME)).max(1) + usize::from(GAP)
+    }
+
+    /// Its heading needs no second line.
+    fn is_brief(&self) -> bool {
+        self.heading.chars().count() <= 12
     }
 
     fn is_empty(&self) -> bool {
@@ -91,6 +98,46 @@ pub(crate) fn wide_table(first: &Column, others: &[Column], width: usize) -> Str
     };
     parts.iter().map(part).collect::<Vec<_>>().join("\n")
 }
+
+/// The columns as an HTML table that can be sorted by each: one heading for a column and those without a heading after it.
+pub(crate) fn html(columns: &[Column], sorted: bool) -> String {
+    let columns: Vec<&Column> =
+        columns.iter().enumerate().filter(|(i, c)| *i == 0 || !c.is_empty()).map(|(_, c)| c).collect();
+    let rows = columns.iter().map(|c| c.cells.len()).max().unwrap_or(0);
+    let groups: Vec<&[&Column]> = columns.chunk_by(|_, next| next.heading.is_empty()).collect();
+    let side = |column: &Column| if column.side == Side::Right { "figure" } else { "word" };
+    let class = |column: &Column, cell: &str| {
+        let long = if cell.chars().count() > LONG { " long" } else { "" };
+        let beside = if column.heading.is_empty() { " beside" } else { "" };
+        format!("{}{long}{beside}", side(column))
+    };
+    let sortable = sorted && rows >= LEAST_SORTED;
+    html! {
+        div.scroll { table data-sortable[sortable] {
+            thead { tr {
+                @for group in &groups {
+                    @if group[0].heading.is_empty() { td {} } @else {
+                        th scope="col" class=(class(group[0], &group[0].heading)) data-brief[group[0].is_brief()]
+                            colspan=[(group.len() > 1).then_some(group.len())] { (group[0].heading) }
+                    }
+                }
+            } }
+            tbody { @for row in 0..rows { tr {
+                @for (i, column) in columns.iter().enumerate() {
+                    @let cell = column.cells.get(row).map_or("", String::as_str);
+                    @if i == 0 { th scope="row" class=(class(column, cell)) { (cell) } }
+                    @else { td class=(class(column, cell)) { (cell) } }
+                }
+            } } }
+        } }
+    }
+    .into_string()
+}
+
+/// Longer texts are broken into lines.
+const LONG: usize = 36;
+/// Shorter tables need no sorting.
+const LEAST_SORTED: usize = 3;
 
 #[cfg(test)]
 mod tests {

@@ -236,10 +236,10 @@ fn wrong_arguments() {
 
     For more information, try '--help'.
     ");
-    assert_snapshot!(refused("fit m.toml d.csv --report fit.html", &[]), @"
-    error: unexpected argument '--report' found
+    assert_snapshot!(refused("fit m.toml d.csv --xyz fit.html", &[]), @"
+    error: unexpected argument '--xyz' found
 
-      tip: to pass '--report' as a value, use '-- --report'
+      tip: to pass '--xyz' as a value, use '-- --xyz'
 
     Usage: kalfit fit <MODEL> <DATA>...
 

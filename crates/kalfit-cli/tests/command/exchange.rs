@@ -87,6 +87,7 @@ fn results(folder: &Folder, name: &str) -> Value {
     record["solver"]["seconds"] = Value::Null;
     record["data"]["files"] = Value::Null;
     record["model_digest"] = Value::Null;
+    record["model"] = Value::Null;
     record["notes"] = Value::Null;
     // a model without `[filter]` has none to name, and without measurements there is nothing to say what it lost
     let phases = record["phases"].as_array_mut();

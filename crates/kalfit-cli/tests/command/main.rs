@@ -11,6 +11,7 @@ mod inference;
 mod innovations;
 mod phases;
 mod plan;
+mod report;
 mod scales;
 mod simulate;
 mod sound;

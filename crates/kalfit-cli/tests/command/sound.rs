@@ -64,6 +64,7 @@ fn version_and_help() {
                  data identify
       simulate   Draw an ensemble of tests from a fit, or from the values of a model
       plan       Expected standard errors against the number of tests, before any is run
+      report     The report of a fit, one HTML page, from its results alone
       help       Print this message or the help of the given subcommand(s)
 
     Options:
@@ -97,6 +98,9 @@ fn version_and_help() {
 
           --out <FILE>
               File for all results, as JSON
+
+          --report <FILE.html>
+              File for a report, one HTML page that needs nothing else
 
           --method <METHOD>
               How free dynamic parameters are sought

@@ -57,7 +57,7 @@ fn tables_without_a_name_are_handed_back_with_the_bytes_of_those_with_one() {
         kalfit_job::reduce(&job, &mut Unwatched).unwrap()
     };
     let (named, nameless) = (of(Some(out.clone())), of(None));
-    assert!(named.record.table.is_none() && nameless.written.is_none());
+    assert!(named.record.table.is_none() && nameless.written.is_empty());
     assert_eq!(bytes(nameless.record.table), std::fs::read(out).unwrap());
     assert_eq!((nameless.record.rows, nameless.record.tests), (3, 3));
 }

@@ -5,7 +5,7 @@ use kalfit::record::ConstraintRecord;
 
 use crate::number::{DIGITS, plain, probability};
 use crate::page::Page;
-use crate::table::{Column, Side, table};
+use crate::table::{Column, Side};
 use crate::words::{clean, list};
 
 /// A diagonal Σ of many states has very many; the others are in fit.json.
@@ -13,14 +13,14 @@ const MOST_ROWS: usize = 20;
 /// Level at which the data are said to speak against a constraint.
 const LEVEL: f64 = 0.05;
 
-pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
+pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     if record.constraints.is_empty() {
         return String::new();
     }
     let mut rows: Vec<&ConstraintRecord> = record.constraints.iter().collect();
-    if rows.len() > MOST_ROWS {
+    if rows.len() > page.rows(MOST_ROWS) {
         rows.sort_by(|a, b| a.p_value.unwrap_or(2.0).total_cmp(&b.p_value.unwrap_or(2.0)));
-        rows.truncate(MOST_ROWS);
+        rows.truncate(page.rows(MOST_ROWS));
     }
     let figures = |of: fn(&ConstraintRecord) -> Option<f64>, digits: usize| -> Vec<String> {
         rows.iter().map(|&row| of(row).map_or_else(|| "-".to_owned(), |x| plain(x, digits))).collect()
@@ -33,7 +33,7 @@ pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
         Column::new("p-value", Side::Right, p_values),
         Column::new("if freed", Side::Right, figures(|r| r.expected_change.map(|c| r.value + c), 3)),
     ];
-    let body = table(&columns, page.width()) + &page.items(&remarks(record, rows.len()));
+    let body = page.table(&columns) + &page.items(&remarks(record, rows.len()));
     page.section("Constraints: what they cost (score test of each by itself)", &body)
 }
 

@@ -4,12 +4,12 @@ use kalfit::record::PhaseRecord;
 
 use crate::number::Precision;
 use crate::page::Page;
-use crate::table::{Column, Side, wide_table};
+use crate::table::{Column, Side};
 
 /// What is shown for a correlation with a state that does not vary.
 const UNDEFINED: &str = "-";
 
-pub(super) fn section(phase: &PhaseRecord, title: &dyn Fn(&str) -> String, page: &Page<'_>) -> String {
+pub(crate) fn section(phase: &PhaseRecord, title: &dyn Fn(&str) -> String, page: &Page<'_>) -> String {
     let random: Vec<usize> = (0..phase.states.len()).filter(|&i| !held_at_zero(phase, i)).collect();
     if random.len() < 2 {
         return String::new();
@@ -28,7 +28,7 @@ pub(super) fn section(phase: &PhaseRecord, title: &dyn Fn(&str) -> String, page:
             Column::new(&phase.states[k], Side::Right, cells.collect())
         })
         .collect();
-    let mut body = wide_table(&names, &columns, page.width());
+    let mut body = page.wide_table(&names, &columns);
     if pairs().any(|(i, k)| cell(phase, i, k) == UNDEFINED) {
         body += &page.items(&[format!("{UNDEFINED} not defined: a standard deviation is zero.")]);
     }

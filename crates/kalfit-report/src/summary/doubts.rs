@@ -8,7 +8,7 @@ use crate::page::Page;
 use crate::words::{clean, list, sentence};
 
 /// Smaller weights of a unit direction are left out. Weights are in the states' own units, so small ones may matter.
-pub(super) const NEGLIGIBLE: f64 = 1e-6;
+pub(crate) const NEGLIGIBLE: f64 = 1e-6;
 /// No more terms than this of a direction are written out.
 const MOST_TERMS: usize = 6;
 /// No more directions than this in a sentence; all are in fit.json.
@@ -16,7 +16,7 @@ const MOST_DIRECTIONS: usize = 8;
 /// No more names than this in a list.
 const MOST_NAMES: usize = 12;
 
-pub(super) fn section(phase: &PhaseRecord, tests: usize, title: &dyn Fn(&str) -> String, page: &Page<'_>) -> String {
+pub(crate) fn section(phase: &PhaseRecord, tests: usize, title: &dyn Fn(&str) -> String, page: &Page<'_>) -> String {
     let mut sentences: Vec<String> = phase.boundary.iter().map(|b| singular(b, phase.states.len())).collect();
     sentences.extend(unidentified(&phase.unidentified, &phase.states, true));
     sentences.extend(observability::warnings(&phase.observability, &phase.weakly_determined, tests));
@@ -93,7 +93,7 @@ pub(crate) fn direction(found: &UnidentifiedRecord, states: &[String]) -> String
 }
 
 /// The two states of `a, b` or `covariance[a, b]`.
-pub(super) fn covariance_of(element: &str) -> Option<(&str, &str)> {
+pub(crate) fn covariance_of(element: &str) -> Option<(&str, &str)> {
     element.strip_prefix("covariance[").and_then(|e| e.strip_suffix(']')).unwrap_or(element).split_once(", ")
 }
 

@@ -9,9 +9,9 @@ use crate::page::Page;
 use crate::words::{clean, count, list};
 
 /// What such a log-likelihood is good for.
-const OF_ESTIMATES: &str = "This is the log-likelihood of what the filters made of the measurements. It compares with                             fits to the same estimates only, not with fits to the measurements.";
+pub(crate) const OF_ESTIMATES: &str = "This is the log-likelihood of what the filters made of the measurements. It compares with                             fits to the same estimates only, not with fits to the measurements.";
 
-pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
+pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     let mut text = String::new();
     if !record.title.trim().is_empty() {
         text.push_str(&format!("{}\n\n", page.heading(&clean(&record.title))));
@@ -33,7 +33,7 @@ pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
 }
 
 /// One sentence on whether the result can be trusted.
-fn verdict(record: &FitRecord) -> String {
+pub(crate) fn verdict(record: &FitRecord) -> String {
     if !record.converged {
         let reason = clean(&record.reason);
         let reason = reason.trim().trim_end_matches('.');
@@ -56,7 +56,7 @@ fn verdict(record: &FitRecord) -> String {
 }
 
 /// What the certificate lacks.
-fn shortfall(record: &FitRecord) -> String {
+pub(crate) fn shortfall(record: &FitRecord) -> String {
     let c = &record.certificate;
     let figures = [
         ("mean", c.mean),
@@ -92,7 +92,7 @@ pub(crate) fn from(files: &[String]) -> String {
     if files.is_empty() { String::new() } else { format!(" from {}", list(&files, 3)) }
 }
 
-fn likelihood(record: &FitRecord) -> String {
+pub(crate) fn likelihood(record: &FitRecord) -> String {
     let name = match (record.log_likelihood_kind.as_str(), record.criterion.as_str()) {
         ("estimates", _) => "Log-likelihood of the estimates",
         (_, "reml") => "Restricted log-likelihood",

@@ -5,12 +5,12 @@ use kalfit::record::{DeletionRecord, TestRecord};
 
 use crate::number::{plain, probability};
 use crate::page::Page;
-use crate::table::{Column, Side, table};
+use crate::table::{Column, Side};
 use crate::words::clean;
 
 const MOST_ROWS: usize = 5;
 
-pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
+pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     let mut deleted: Vec<(&TestRecord, &DeletionRecord)> =
         record.tests.iter().filter_map(|t| t.deletion.as_ref().map(|d| (t, d))).collect();
     deleted.retain(|(_, d)| d.displacement.is_finite());
@@ -27,7 +27,7 @@ pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
         );
         return page.section(heading, &page.items(&[sentence]));
     }
-    let rows = &influential[..influential.len().min(MOST_ROWS)];
+    let rows = &influential[..influential.len().min(page.rows(MOST_ROWS))];
     let columns = [
         Column::new("test", Side::Left, rows.iter().map(|(t, _)| t.id.clone()).collect()),
         Column::new("displacement", Side::Right, rows.iter().map(|(_, d)| plain(d.displacement, 3)).collect()),
@@ -42,7 +42,7 @@ pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
         format!("Without {which} the estimates lie outside the 50 % confidence region of all tests."),
         "Displacement: twice the log-likelihood of all tests that the estimates without this one lose.".to_owned(),
     ];
-    page.section(heading, &(table(&columns, page.width()) + &page.items(&sentences)))
+    page.section(heading, &(page.table(&columns) + &page.items(&sentences)))
 }
 
 fn p_value(deletion: &DeletionRecord) -> String {
@@ -50,7 +50,7 @@ fn p_value(deletion: &DeletionRecord) -> String {
 }
 
 /// Median of χ² with k degrees of freedom, by Wilson and Hilferty: the edge of the 50 % confidence region.
-fn limit(k: usize) -> f64 {
+pub(crate) fn limit(k: usize) -> f64 {
     let k = k.max(1) as f64;
     k * (1.0 - 2.0 / (9.0 * k)).powi(3)
 }

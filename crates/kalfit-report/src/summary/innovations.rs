@@ -5,7 +5,7 @@ use kalfit::record::InnovationRecord;
 
 use crate::number::{Precision, plain, probability};
 use crate::page::Page;
-use crate::table::{Column, Side, table};
+use crate::table::{Column, Side};
 use crate::words::{clean, count};
 
 /// Level of the whole search, not of each test.
@@ -30,7 +30,7 @@ enum Of<'a> {
     Whiteness(&'a InnovationRecord),
 }
 
-pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
+pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     let all: Vec<(&str, &InnovationRecord)> =
         record.tests.iter().filter_map(|t| Some((t.id.as_str(), t.innovations.as_ref()?))).collect();
     let findings = findings(&all);
@@ -40,7 +40,7 @@ pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
         0 => page.items(&[overall(&all, record.free_parameters), probable(least, findings.len())]),
         n => {
             shown(&findings[..n], page)
-                + &page.items(&[meaning(&findings[..n], findings.len()), overall(&all, record.free_parameters)])
+                + &page.items(&[meaning(&findings[..n], findings.len(), page), overall(&all, record.free_parameters)])
         }
     };
     page.section("Innovations (what the filter did not expect)", &body)
@@ -102,7 +102,7 @@ fn probable(least: &Finding<'_>, all: usize) -> String {
 }
 
 fn shown(improbable: &[Finding<'_>], page: &Page<'_>) -> String {
-    let rows = &improbable[..improbable.len().min(MOST_ROWS)];
+    let rows = &improbable[..improbable.len().min(page.rows(MOST_ROWS))];
     let figures = |of: fn(&Of<'_>) -> String| -> Vec<String> { rows.iter().map(|f| of(&f.of)).collect() };
     let columns = [
         Column::new("test", Side::Left, rows.iter().map(|f| f.test.to_owned()).collect()),
@@ -112,7 +112,7 @@ fn shown(improbable: &[Finding<'_>], page: &Page<'_>) -> String {
         Column::new("p-value", Side::Right, rows.iter().map(|f| probability(f.p_value)).collect()),
         Column::new("Holm", Side::Right, rows.iter().map(|f| probability(f.adjusted)).collect()),
     ];
-    table(&columns, page.width())
+    page.table(&columns)
 }
 
 impl Of<'_> {
@@ -142,8 +142,8 @@ impl Of<'_> {
 }
 
 /// What to make of it.
-fn meaning(improbable: &[Finding<'_>], all: usize) -> String {
-    let more = match improbable.len().saturating_sub(MOST_ROWS) {
+fn meaning(improbable: &[Finding<'_>], all: usize, page: &Page<'_>) -> String {
+    let more = match improbable.len().saturating_sub(page.rows(MOST_ROWS)) {
         0 => String::new(),
         n => format!(" (and {n} more)"),
     };

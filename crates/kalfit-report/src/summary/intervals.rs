@@ -4,7 +4,7 @@ use kalfit::record::{FitRecord, Interval, PhaseRecord};
 
 use crate::number::Precision;
 use crate::page::Page;
-use crate::table::{Column, Side, table};
+use crate::table::{Column, Side};
 
 /// What stands for an end that the data do not set.
 const OPEN: &str = "-";
@@ -15,7 +15,7 @@ struct Row {
     ends: [String; 2],
 }
 
-pub(super) fn section(
+pub(crate) fn section(
     record: &FitRecord,
     phase: &PhaseRecord,
     title: &dyn Fn(&str) -> String,
@@ -35,7 +35,7 @@ pub(super) fn section(
         Column::new("from", Side::Right, column(&|r| &r.ends[0])),
         Column::new("to", Side::Right, column(&|r| &r.ends[1])),
     ];
-    let mut body = table(&columns, page.width());
+    let mut body = page.table(&columns);
     if rows.iter().any(|row| row.ends.iter().any(|end| end == OPEN)) {
         body += &page.items(&[format!("{OPEN} no limit was found on this side.")]);
     }

@@ -1,17 +1,17 @@
 //! The summary of a fit, in the order in which a test engineer asks: can it be trusted, what is it, what is doubtful.
 
-mod constraints;
-mod correlations;
+pub(crate) mod constraints;
+pub(crate) mod correlations;
 pub(crate) mod doubts;
 pub(crate) mod headline;
-mod influence;
-mod innovations;
-mod intervals;
+pub(crate) mod influence;
+pub(crate) mod innovations;
+pub(crate) mod intervals;
 pub(crate) mod observability;
-mod outliers;
-mod parameters;
+pub(crate) mod outliers;
+pub(crate) mod parameters;
 pub(crate) mod phases;
-mod states;
+pub(crate) mod states;
 
 use kalfit::FitRecord;
 use kalfit::record::PhaseRecord;
@@ -56,12 +56,12 @@ fn phase_sections(record: &FitRecord, phase: &PhaseRecord, page: &Page<'_>) -> V
     ]
 }
 
-fn notes(record: &FitRecord, page: &Page<'_>) -> String {
+pub(crate) fn notes(record: &FitRecord, page: &Page<'_>) -> String {
     let lines: Vec<String> = record.notes.iter().map(|note| sentence(&clean(note))).collect();
     page.section("Notes", &page.items(&lines))
 }
 
-fn work(record: &FitRecord, page: &Page<'_>) -> String {
+pub(crate) fn work(record: &FitRecord, page: &Page<'_>) -> String {
     let solver = &record.solver;
     let (method, backward) = match solver.score_passes {
         0 => ("Solver ".to_owned(), String::new()),

@@ -5,7 +5,7 @@ use kalfit::record::{ObservabilityRecord, WeakRecord};
 use super::doubts::{combination_of, weighted};
 use crate::number::plain;
 use crate::page::Page;
-use crate::table::{Column, Side, table};
+use crate::table::{Column, Side};
 use crate::words::{clean, count, list};
 
 /// One test with more than this share of what is known of a mean is named.
@@ -22,7 +22,7 @@ pub(crate) fn overview(seen: &[ObservabilityRecord], tests: usize, page: &Page<'
     if seen.is_empty() {
         return String::new();
     }
-    let rows = &seen[..seen.len().min(MOST_ROWS)];
+    let rows = &seen[..seen.len().min(page.rows(MOST_ROWS))];
     let counted = |of: fn(&ObservabilityRecord) -> usize| -> Vec<String> {
         rows.iter().map(|row| of_all(of(row), tests)).collect()
     };
@@ -37,7 +37,7 @@ pub(crate) fn overview(seen: &[ObservabilityRecord], tests: usize, page: &Page<'
         Column::new("determined by", Side::Right, counted(|row| row.observed_by)),
         Column::new("largest share", Side::Left, rows.iter().map(largest).collect()),
     ];
-    let mut body = table(&columns, page.width());
+    let mut body = page.table(&columns);
     if seen.len() > rows.len() {
         body += &page.items(&[format!("… and {} more states.", seen.len() - rows.len())]);
     }

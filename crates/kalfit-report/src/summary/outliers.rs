@@ -5,14 +5,14 @@ use kalfit::record::TestRecord;
 
 use crate::number::{plain, probability};
 use crate::page::Page;
-use crate::table::{Column, Side, table};
+use crate::table::{Column, Side};
 use crate::words::clean;
 
 /// Level of the whole search, not of each test.
 const LEVEL: f64 = 0.05;
 const MOST_ROWS: usize = 5;
 
-pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
+pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     let mut tested: Vec<(f64, &TestRecord)> =
         record.tests.iter().filter_map(|t| t.p_value.filter(|p| p.is_finite()).map(|p| (p, t))).collect();
     tested.sort_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.id.cmp(&b.1.id)));
@@ -30,7 +30,7 @@ pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
             format!("No test stands out: {which} is {} (test {}){then}.", probability(least), clean(&nearest.id));
         return page.section("Outlying tests", &page.items(&[sentence]));
     }
-    let rows = &outliers[..outliers.len().min(MOST_ROWS)];
+    let rows = &outliers[..outliers.len().min(page.rows(MOST_ROWS))];
     let columns = [
         Column::new("test", Side::Left, rows.iter().map(|(_, t)| t.id.clone()).collect()),
         Column::new("distance²", Side::Right, rows.iter().map(|(_, t)| distance(t)).collect()),
@@ -48,7 +48,7 @@ pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     };
     let stands = if outliers.len() == 1 { "This test stands out" } else { "These tests stand out" };
     let sentence = format!("{stands}{more} even though the search went over {all} tests (Bonferroni, 5 % level).");
-    page.section("Outlying tests", &(table(&columns, page.width()) + &page.items(&[sentence])))
+    page.section("Outlying tests", &(page.table(&columns) + &page.items(&[sentence])))
 }
 
 fn distance(test: &TestRecord) -> String {

@@ -6,7 +6,7 @@ use kalfit::record::ParameterRecord;
 use super::states::{Cells, cells, std_error};
 use crate::number::{DIGITS, Precision, plain};
 use crate::page::Page;
-use crate::table::{Column, Side, table};
+use crate::table::{Column, Side};
 use crate::words::{clean, count};
 
 /// Rows of the table; a model can have very many parameters.
@@ -17,14 +17,14 @@ const FIRST_LEVELS: usize = 6;
 /// Digits of the end of an interval that no standard error stands behind.
 const END_DIGITS: usize = 3;
 
-pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
+pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     if record.parameters.is_empty() {
         return String::new();
     }
     let mut rows: Vec<&ParameterRecord> = Vec::new();
     let mut remarks = Vec::new();
     for of_one in record.parameters.chunk_by(|a, b| a.name == b.name) {
-        if of_one.len() <= MOST_LEVELS {
+        if of_one.len() <= page.rows(MOST_LEVELS) {
             rows.extend(of_one);
         } else {
             let chosen = first_and_extremes(of_one);
@@ -32,9 +32,9 @@ pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
             rows.extend(chosen);
         }
     }
-    if rows.len() > MOST_ROWS {
-        remarks.push(format!("… and {} more rows; all are in the results file.", rows.len() - MOST_ROWS));
-        rows.truncate(MOST_ROWS);
+    if rows.len() > page.rows(MOST_ROWS) {
+        remarks.push(format!("… and {} more rows; all are in the results file.", rows.len() - page.rows(MOST_ROWS)));
+        rows.truncate(page.rows(MOST_ROWS));
     }
     let (values, errors): (Vec<_>, Vec<_>) = rows.iter().map(|row| value(row)).unzip();
     let columns = [
@@ -45,7 +45,7 @@ pub(super) fn section(record: &FitRecord, page: &Page<'_>) -> String {
         Column::new("", Side::Left, errors),
         Column::new("95 % interval", Side::Left, rows.iter().map(|r| interval(r)).collect()),
     ];
-    let body = table(&columns, page.width()) + &page.items(&remarks);
+    let body = page.table(&columns) + &page.items(&remarks);
     page.section(&format!("Dynamic parameters (± {})", std_error(&record.std_errors)), &body)
 }
 
@@ -94,7 +94,7 @@ fn value(row: &ParameterRecord) -> Cells {
     }
 }
 
-fn level(row: &ParameterRecord) -> String {
+pub(crate) fn level(row: &ParameterRecord) -> String {
     match (&row.per, &row.level) {
         (Some(column), Some(level)) => format!("{column} {level}"),
         (Some(column), None) => format!("other {column}"),
@@ -103,10 +103,16 @@ fn level(row: &ParameterRecord) -> String {
 }
 
 fn interval(row: &ParameterRecord) -> String {
-    let Some(ends) = row.interval95.filter(|_| !row.fixed) else { return String::new() };
+    row.interval95
+        .filter(|_| !row.fixed)
+        .map_or_else(String::new, |ends| ends_in_words(row.estimate, row.std_error, ends))
+}
+
+/// `1.2 to 3.4`, or the one end that is known.
+pub(crate) fn ends_in_words(estimate: f64, std_error: Option<f64>, ends: [Option<f64>; 2]) -> String {
     // without a standard error each end stands for itself
-    let precision = match row.std_error {
-        Some(error) => Precision::of(row.estimate, Some(error)),
+    let precision = match std_error {
+        Some(error) => Precision::of(estimate, Some(error)),
         None => Precision::Significant(END_DIGITS),
     };
     match ends {
@@ -118,7 +124,7 @@ fn interval(row: &ParameterRecord) -> String {
 }
 
 /// Several methods side by side.
-pub(super) fn methods(record: &FitRecord, page: &Page<'_>) -> String {
+pub(crate) fn methods(record: &FitRecord, page: &Page<'_>) -> String {
     let methods = &record.methods;
     if methods.is_empty() {
         return String::new();
@@ -141,7 +147,7 @@ pub(super) fn methods(record: &FitRecord, page: &Page<'_>) -> String {
         let cell = |i: usize| method.values.get(i).map_or(String::new(), |x| plain(*x, 7));
         columns.push(Column::new(&method.method, Side::Right, (0..shown).map(cell).collect()));
     }
-    let mut body = table(&work, page.width()) + "\n" + &table(&columns, page.width());
+    let mut body = page.table(&work) + "\n" + &page.table(&columns);
     let mut remarks: Vec<String> = methods
         .iter()
         .filter(|m| !m.converged)

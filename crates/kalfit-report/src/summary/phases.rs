@@ -6,7 +6,7 @@ use kalfit::record::{EnteredRecord, FilterRecord, InformationLostRecord, Informa
 use super::doubts::{combination_of, weighted};
 use crate::number::{hundredths, plain};
 use crate::page::Page;
-use crate::table::{Column, Side, table};
+use crate::table::{Column, Side};
 use crate::words::{clean, count, list};
 
 /// No more names than this in a sentence.
@@ -20,7 +20,7 @@ const LEGEND: &str = "Directions that the tests together observe: by itself, of 
 const SLIGHT: f64 = 5e-4;
 
 /// The phases, how many tests have them, and how they were put together: for the first lines.
-pub(super) fn combined(record: &FitRecord) -> Vec<String> {
+pub(crate) fn combined(record: &FitRecord) -> Vec<String> {
     if record.phases.len() < 2 {
         return Vec::new();
     }
@@ -68,7 +68,7 @@ pub(crate) fn information(phases: &[(&str, Option<&InformationRecord>)], always:
     ];
     let mut remarks = vec![LEGEND.to_owned()];
     remarks.extend(known.iter().filter_map(|(name, i)| entered(name, i)));
-    page.section("What the phases observe", &(table(&columns, page.width()) + &page.items(&remarks)))
+    page.section("What the phases observe", &(page.table(&columns) + &page.items(&remarks)))
 }
 
 /// What a phase makes known.
@@ -82,7 +82,7 @@ fn entered(phase: &str, information: &InformationRecord) -> Option<String> {
 }
 
 /// Phases of which a filter's estimates were taken, and what that cost.
-pub(super) fn filters(record: &FitRecord, page: &Page<'_>) -> String {
+pub(crate) fn filters(record: &FitRecord, page: &Page<'_>) -> String {
     let several = record.phases.len() > 1;
     let of = |phase: &PhaseRecord| {
         let filter = phase.filter.as_ref()?;

@@ -5,21 +5,21 @@ use kalfit::record::{PhaseRecord, RegressionRecord, ScaleRecord, UnidentifiedRec
 use super::doubts::{NEGLIGIBLE, covariance_of};
 use crate::number::Precision;
 use crate::page::Page;
-use crate::table::{Column, Side, table};
+use crate::table::{Column, Side};
 use crate::words::clean;
 
 /// A figure and what is known of its error, in two cells.
-pub(super) type Cells = (String, String);
+pub(crate) type Cells = (String, String);
 
 /// The standard error by its name, where it is not the usual one.
-pub(super) fn std_error(kind: &str) -> String {
+pub(crate) fn std_error(kind: &str) -> String {
     match kind {
         "expected" | "sandwich" => format!("{kind} standard error"),
         _ => "standard error".to_owned(),
     }
 }
 
-pub(super) fn section(phase: &PhaseRecord, kind: &str, title: &dyn Fn(&str) -> String, page: &Page<'_>) -> String {
+pub(crate) fn section(phase: &PhaseRecord, kind: &str, title: &dyn Fn(&str) -> String, page: &Page<'_>) -> String {
     if phase.states.is_empty() {
         return page.paragraph(&title("Initial state: nothing of it is estimated."));
     }
@@ -36,10 +36,10 @@ pub(super) fn section(phase: &PhaseRecord, kind: &str, title: &dyn Fn(&str) -> S
         Column::new("", Side::Left, std_dev_error),
     ];
     let heading = title(&format!("Initial state over the tests (± {})", std_error(kind)));
-    page.section(&heading, &table(&columns, page.width())) + &scales(phase, page) + &regression(phase, page)
+    page.section(&heading, &page.table(&columns)) + &scales(phase, page) + &regression(phase, page)
 }
 
-fn mean(phase: &PhaseRecord, i: usize) -> Cells {
+pub(crate) fn mean(phase: &PhaseRecord, i: usize) -> Cells {
     let Some(&estimate) = phase.mean.estimate.get(i) else { return Default::default() };
     let fixed = phase.mean.fixed.get(i).copied().unwrap_or(false);
     let error = phase.mean.std_error.get(i).copied().flatten();
@@ -48,7 +48,7 @@ fn mean(phase: &PhaseRecord, i: usize) -> Cells {
     })
 }
 
-fn std_dev(phase: &PhaseRecord, i: usize) -> Cells {
+pub(crate) fn std_dev(phase: &PhaseRecord, i: usize) -> Cells {
     let Some(&estimate) = phase.std_dev.estimate.get(i) else { return Default::default() };
     let name = &phase.states[i];
     if phase.boundary.iter().any(|b| b.zero_variances.contains(name)) {
@@ -67,7 +67,7 @@ fn std_dev(phase: &PhaseRecord, i: usize) -> Cells {
 }
 
 /// The figure with `± error`, or with the reason why there is none.
-pub(super) fn cells(estimate: f64, error: Option<f64>, fixed: bool, why: &dyn Fn() -> Option<&'static str>) -> Cells {
+pub(crate) fn cells(estimate: f64, error: Option<f64>, fixed: bool, why: &dyn Fn() -> Option<&'static str>) -> Cells {
     let precision = Precision::of(estimate, error.filter(|_| !fixed));
     let beside = match error.filter(|e| e.is_finite()) {
         _ if fixed => "fixed".to_owned(),
@@ -86,7 +86,7 @@ fn touches(directions: &[UnidentifiedRecord], what: &str, names: &[String], want
     })
 }
 
-fn scales(phase: &PhaseRecord, page: &Page<'_>) -> String {
+pub(crate) fn scales(phase: &PhaseRecord, page: &Page<'_>) -> String {
     let line = |scale: &Option<ScaleRecord>, what: &str| {
         scale.as_ref().map_or(String::new(), |s| {
             let (value, error) = cells(s.estimate, s.std_error, false, &|| None);
@@ -103,7 +103,7 @@ fn coefficient(phase: &PhaseRecord, row: &RegressionRecord) -> Option<&'static s
     touches(&phase.unidentified, "mean", &[], &|element| element == own).then_some("not identified")
 }
 
-fn regression(phase: &PhaseRecord, page: &Page<'_>) -> String {
+pub(crate) fn regression(phase: &PhaseRecord, page: &Page<'_>) -> String {
     let rows = &phase.mean.regression;
     let (values, errors): (Vec<_>, Vec<_>) =
         rows.iter().map(|r| cells(r.estimate, r.std_error, false, &|| coefficient(phase, r))).unzip();
@@ -116,5 +116,5 @@ fn regression(phase: &PhaseRecord, page: &Page<'_>) -> String {
         Column::new("coefficient", Side::Right, values),
         Column::new("", Side::Left, errors),
     ];
-    format!("\n{}", table(&columns, page.width()))
+    format!("\n{}", page.table(&columns))
 }

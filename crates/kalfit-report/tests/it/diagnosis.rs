@@ -16,6 +16,7 @@ fn innovations(nis: f64, nis_p: f64, white_p: f64) -> InnovationRecord {
         mean: Some(0.1),
         whiteness: Some(whiteness),
         parts: Vec::new(),
+        series: None,
     }
 }
 
@@ -82,6 +83,7 @@ fn records_without_innovations_say_nothing_and_broken_ones_do_no_harm() {
         mean: None,
         whiteness: None,
         parts: vec![],
+        series: None,
     };
     assert_eq!(section(&record(&[broken])), "\n");
     let text = section(&record(&[innovations(f64::INFINITY, 0.0, f64::NAN)]));

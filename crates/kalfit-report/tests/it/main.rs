@@ -4,6 +4,7 @@ mod check;
 mod choices;
 mod common;
 mod diagnosis;
+mod html;
 mod parameters;
 mod phases;
 mod plan;

@@ -1,11 +1,14 @@
 //! From an estimate and its inference to the record.
 
+use std::collections::BTreeMap;
+
 use crate::estimate::{Combination, Criterion, Estimate, Solver, Stop};
 use crate::infer::{Deletion, Element, Inference, IntervalKind, Posterior, Sensitivity, StdErrors};
 use crate::model::{Alpha, PhasedModel};
 use crate::record::cut::Cut;
 use crate::record::diagnosis::shortage_notes;
 use crate::record::directions::crossing_notes;
+use crate::record::own::{MOST_OWN, Own};
 use crate::record::phases::phases;
 use crate::record::{
     CertificateRecord, ConstraintRecord, DataRecord, DeletedRecord, DeletionRecord, FitRecord, ParameterRecord,
@@ -18,6 +21,8 @@ use crate::reduce::{Path, Reduction};
 pub struct Provenance {
     /// SHA-256 of the model file, `sha256:…`.
     pub model_digest: Option<String>,
+    /// The model in words and equations, one fact a line.
+    pub model: Vec<String>,
     /// Data files, as named by the user.
     pub files: Vec<String>,
     /// Wall time.
@@ -60,6 +65,7 @@ impl FitRecord {
             kalfit_version: env!("CARGO_PKG_VERSION").to_owned(),
             title: model.shared().title.clone(),
             model_digest: provenance.model_digest,
+            model: provenance.model,
             criterion: match estimate.criterion {
                 Criterion::Ml => "ml".to_owned(),
                 Criterion::Reml => "reml".to_owned(),
@@ -198,14 +204,18 @@ fn tests(model: &PhasedModel, reductions: &[Reduction], inference: &Inference) -
     let cuts = Cut::all(model);
     let mut order: Vec<usize> = (0..reductions.len()).collect();
     order.sort_by(|&a, &b| reductions[a].test.cmp(&reductions[b].test));
+    let classes = design_classes(reductions, &order);
     let record = |j: usize| {
         let (reduction, posterior) = (&reductions[j], &inference.posteriors[j]);
         let distance = posterior.distance;
+        let own = (reductions.len() <= MOST_OWN).then(|| Own::of(reduction));
         TestRecord {
             id: reduction.test.clone(),
             log_likelihood: posterior.log_likelihood,
             observations: reduction.observations,
-            phases: cuts[..phases_of(reduction, model)].iter().map(|cut| part(cut, posterior)).collect(),
+            steps: Some(reduction.steps),
+            design_class: classes.get(&reduction.design).copied(),
+            phases: cuts[..phases_of(reduction, model)].iter().map(|cut| part(cut, posterior, own.as_ref())).collect(),
             distance: (distance.degrees_of_freedom > 0).then_some(distance.squared),
             degrees_of_freedom: distance.degrees_of_freedom,
             p_value: distance.p_value,
@@ -228,11 +238,22 @@ pub(super) fn phases_of(reduction: &Reduction, model: &PhasedModel) -> usize {
     reduction.chain.as_ref().map_or(all, |chain| chain.phases.len().min(all))
 }
 
-fn part(cut: &Cut<'_>, posterior: &Posterior) -> PosteriorRecord {
+/// Numbers of the design classes, in the order of the tests.
+fn design_classes(reductions: &[Reduction], order: &[usize]) -> BTreeMap<u128, usize> {
+    let mut classes = BTreeMap::new();
+    for &j in order {
+        let next = classes.len() + 1;
+        classes.entry(reductions[j].design).or_insert(next);
+    }
+    classes
+}
+
+fn part(cut: &Cut<'_>, posterior: &Posterior, own: Option<&Own>) -> PosteriorRecord {
     PosteriorRecord {
         name: cut.phase.name.clone(),
         mean: cut.list(&posterior.mean),
         covariance: cut.block(&posterior.covariance),
+        own: own.and_then(|own| own.part(cut)),
     }
 }
 

@@ -66,6 +66,7 @@ impl InnovationRecord {
             mean: found.mean.and_then(finite),
             whiteness: found.whiteness.filter(|w| w.statistic.is_finite() && w.p_value.is_finite()).map(whiteness),
             parts: Vec::new(),
+            series: None,
         }
     }
 }

@@ -7,11 +7,13 @@ mod directions;
 mod dynamic;
 mod dynamic_ratio;
 mod levels;
+mod own;
 mod parameters;
 mod phase;
 mod phases;
 mod population;
 mod ratio;
+mod series;
 mod test;
 
 use serde::{Deserialize, Serialize};
@@ -24,6 +26,7 @@ pub use directions::crossing_notes;
 pub use dynamic::DynamicParts;
 pub use dynamic_ratio::DynamicSides;
 pub use levels::{LevelCounts, level_notes};
+pub use own::{MOST_OWN, OwnRecord};
 pub use parameters::{MethodRecord, ParameterRecord, StartRecord};
 pub use phase::{
     BoundaryRecord, CovarianceRecord, EnteredRecord, FilterRecord, InformationLostRecord, InformationRecord,
@@ -32,6 +35,7 @@ pub use phase::{
 };
 pub use population::{FIT_SCHEMA, RecordError};
 pub use ratio::{BootstrapRecord, ComponentRecord, PartRecord, RatioProvenance, RatioRecord, SideRecord};
+pub use series::{AutocorrelationRecord, SeriesKeeper, SeriesRecord, WindowRecord};
 pub use test::{
     DeletedRecord, DeletionRecord, InnovationPartRecord, InnovationRecord, PosteriorRecord, TestRecord, WhitenessRecord,
 };
@@ -47,6 +51,9 @@ pub struct FitRecord {
     pub title: String,
     /// SHA-256 of the model file, `sha256:…`.
     pub model_digest: Option<String>,
+    /// The model in words and equations, one fact a line.
+    #[serde(default)]
+    pub model: Vec<String>,
     /// Counts.
     pub data: DataRecord,
     /// `ml` or `reml`.

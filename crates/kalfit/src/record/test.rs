@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::record::{OwnRecord, SeriesRecord};
+
 /// What one test says.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TestRecord {
@@ -11,6 +13,12 @@ pub struct TestRecord {
     pub log_likelihood: f64,
     /// Scalar measurements used.
     pub observations: usize,
+    /// Steps; null in records that do not say.
+    #[serde(default)]
+    pub steps: Option<usize>,
+    /// Number of its design class, from 1 in the order of the tests; null in records that do not say.
+    #[serde(default)]
+    pub design_class: Option<usize>,
     /// Posterior of ξ, by phase.
     pub phases: Vec<PosteriorRecord>,
     /// Standardised squared distance of the test from the population.
@@ -44,6 +52,9 @@ pub struct InnovationRecord {
     /// The same of each measurement of each phase, where the model has several phases.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub parts: Vec<InnovationPartRecord>,
+    /// The innovations in order; null but for the least probable tests.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub series: Option<SeriesRecord>,
 }
 
 /// Innovations of one measurement of one phase of a test.
@@ -109,4 +120,7 @@ pub struct PosteriorRecord {
     pub mean: Vec<f64>,
     /// Var[ξ | z].
     pub covariance: Vec<Vec<f64>>,
+    /// What the test says by itself; null where it determines no state alone, and in very large ensembles.
+    #[serde(default)]
+    pub own: Option<OwnRecord>,
 }

@@ -48,6 +48,7 @@ pub(crate) fn record(title: &str, phases: Vec<PhaseRecord>) -> FitRecord {
         kalfit_version: "0.1.0".into(),
         title: title.into(),
         model_digest: None,
+        model: vec![],
         data: DataRecord {
             tests: 18,
             steps: 180,
@@ -93,6 +94,8 @@ pub(crate) fn tests(p_values: &[f64]) -> Vec<TestRecord> {
         id: format!("{}", 308 + i),
         log_likelihood: -48.0,
         observations: 10,
+        steps: Some(10),
+        design_class: Some(1),
         phases: vec![],
         distance: Some(-2.0 * p.ln()),
         degrees_of_freedom: 2,

@@ -1,0 +1,141 @@
+//! μ and Σ, phase by phase: tables with intervals, forest plot, correlations, ellipses.
+
+use kalfit::FitRecord;
+use kalfit::record::PhaseRecord;
+use maud::{Markup, PreEscaped, html};
+use serde_json::{Value, json};
+
+use crate::html::chart::{Chart, Charts, figure};
+use crate::html::forest::{self, Group, Row};
+use crate::html::math::{self, equation, hat, op, row};
+use crate::html::{Section, across, phase, posteriors};
+use crate::number::plain;
+use crate::page::Page;
+use crate::summary::{correlations, intervals, phases, states};
+use crate::words::clean;
+
+/// A larger Σ is not written as a matrix.
+const MOST_IN_MATRIX: usize = 6;
+/// States of a heat map.
+const MOST_IN_MAP: usize = 40;
+/// Digits of an element of a matrix.
+const DIGITS: usize = 5;
+
+pub(super) fn section(record: &FitRecord, charts: &mut Charts) -> Option<Section> {
+    let page = Page::html();
+    let mut parts: Vec<Markup> = Vec::new();
+    for one in &record.phases {
+        parts.push(phase_part(record, one, charts, &page));
+    }
+    parts.extend(across::section(record, charts));
+    parts.push(html! { (PreEscaped(phases::filters(record, &page))) });
+    Section::new("estimates", "Initial state", html! { @for part in &parts { (part) } })
+}
+
+fn phase_part(record: &FitRecord, one: &PhaseRecord, charts: &mut Charts, page: &Page<'_>) -> Markup {
+    let several = record.phases.len() > 1;
+    let name = if several { format!("Phase {}: ", clean(&one.name)) } else { String::new() };
+    let title = |what: &str| match several {
+        true => format!("{name}{}{}", what[..1].to_lowercase(), &what[1..]),
+        false => what.to_owned(),
+    };
+    if one.states.is_empty() {
+        return html! { h3 { (name) "nothing of the initial state is estimated" } };
+    }
+    let rest = states::scales(one, page) + &states::regression(one, page);
+    html! {
+        h3 { (name) (if several { "mean" } else { "Mean" }) " and spread over the tests" }
+        (PreEscaped(page.table(&phase::columns(one))))
+        (PreEscaped(rest))
+        p.hint { "± " (states::std_error(&record.std_errors)) "; intervals are 95 %, "
+            (if record.intervals == "profile" { "by profile likelihood" } else { "by standard errors" }) "." }
+        (matrices(one))
+        (phase::elements(one, page))
+        (forest_plot(one, &name, charts).unwrap_or_default())
+        (PreEscaped(correlations::section(one, &title, page)))
+        (heat_map(one, &name, charts).unwrap_or_default())
+        (PreEscaped(intervals::section(record, one, &title, page)))
+        (posteriors::ellipses(record, one, &name, charts).unwrap_or_default())
+    }
+}
+
+fn matrices(one: &PhaseRecord) -> Markup {
+    let (mean, covariance) = (&one.mean.estimate, &one.covariance.estimate);
+    if mean.is_empty() || mean.len() > MOST_IN_MATRIX || covariance.len() > MOST_IN_MATRIX {
+        return html! {};
+    }
+    let column: Vec<Vec<f64>> = mean.iter().map(|x| vec![*x]).collect();
+    html! { div.equations.matrices {
+        (equation(row([hat("μ"), op("="), math::matrix(&column, DIGITS)])))
+        (equation(row([hat("Σ"), op("="), math::matrix(covariance, DIGITS)])))
+    } }
+}
+
+fn forest_plot(one: &PhaseRecord, name: &str, charts: &mut Charts) -> Option<Markup> {
+    let mut groups: Vec<Group> = Vec::new();
+    for kind in [phase::Kind::Mean, phase::Kind::StdDev] {
+        let mut units: Vec<String> = Vec::new();
+        for i in 0..one.states.len() {
+            let unit = one.units.get(i).cloned().flatten().unwrap_or_default();
+            if !units.contains(&unit) {
+                units.push(unit);
+            }
+        }
+        for unit in units {
+            let of_unit = |i: &usize| one.units.get(*i).cloned().flatten().unwrap_or_default() == unit;
+            let rows = (0..one.states.len()).filter(of_unit).filter_map(|i| forest_row(one, kind, i)).collect();
+            let label =
+                if unit.is_empty() { kind.name().to_owned() } else { format!("{} [{}]", kind.name(), clean(&unit)) };
+            groups.push(Group { label, rows });
+        }
+    }
+    let title = format!("{name}Estimates with 95 % intervals");
+    let caption = "Top: the mean over all tests. Below: how much tests differ (standard deviation). A mean whose interval \
+                   holds zero may be zero; a long interval asks for more tests. Open marks have no interval: fixed, on the \
+                   boundary or not identified.";
+    forest::forest(&title, caption, groups, charts)
+}
+
+pub(super) fn forest_row(one: &PhaseRecord, kind: phase::Kind, i: usize) -> Option<Row> {
+    let estimate = kind.estimate(one, i)?;
+    let (shown, beside) = kind.cells(one, i);
+    let interval = kind.interval(one, i);
+    Some(Row {
+        name: clean(&one.states[i]),
+        estimate,
+        ends: if kind.fixed(one, i) { None } else { kind.ends(one, i) },
+        words: forest::words(&shown, &beside, &interval),
+        reference: None,
+    })
+}
+
+fn heat_map(one: &PhaseRecord, name: &str, charts: &mut Charts) -> Option<Markup> {
+    let p = one.states.len().min(MOST_IN_MAP);
+    let of = |i: usize, k: usize| one.correlation.estimate.get(i).and_then(|row| row.get(k)).copied().flatten();
+    let random: Vec<usize> = (0..p).filter(|&i| of(i, i).is_some()).collect();
+    if random.len() < 2 {
+        return None;
+    }
+    let cells: Vec<Vec<Value>> =
+        random.iter().map(|&i| random.iter().map(|&k| of(i, k).map_or(Value::Null, figure)).collect()).collect();
+    let mut pairs: Vec<(f64, usize, usize)> = Vec::new();
+    for (a, &i) in random.iter().enumerate() {
+        pairs.extend(random[..a].iter().filter_map(|&k| Some((of(i, k).filter(|r| r.is_finite())?, k, i))));
+    }
+    pairs.sort_by(|a, b| b.0.abs().total_cmp(&a.0.abs()));
+    let said = pairs
+        .iter()
+        .take(12)
+        .map(|(r, k, i)| format!("{} and {}: {}", clean(&one.states[*k]), clean(&one.states[*i]), plain(*r, 2)));
+    let alternative = said.collect::<Vec<_>>().join("; ");
+    let names: Vec<String> = random.iter().map(|&i| clean(&one.states[i])).collect();
+    let cut =
+        if one.states.len() > p { format!(" The first {p} of {} states.", one.states.len()) } else { String::new() };
+    let caption = format!(
+        "Correlations of the initial states over the tests. Deep colour, near 1 or −1: what one of the two does tells the other; \
+         pale: they vary apart.{cut}"
+    );
+    let data = json!({ "names": names, "cells": cells });
+    let title = format!("{name}Correlations");
+    Some(charts.figure(Chart { kind: "heat", title: &title, caption: &caption, alternative: &alternative, data }))
+}

@@ -1,0 +1,34 @@
+//! What the data tell and what they leave open.
+
+use kalfit::FitRecord;
+use maud::{PreEscaped, html};
+
+use crate::html::Section;
+use crate::page::Page;
+use crate::summary::{doubts, observability, phases};
+use crate::words::clean;
+
+pub(super) fn section(record: &FitRecord) -> Option<Section> {
+    let page = Page::html();
+    let several = record.phases.len() > 1;
+    let observed: Vec<_> = record.phases.iter().map(|p| (p.name.as_str(), p.information.as_ref())).collect();
+    let mut parts: Vec<String> = Vec::new();
+    for phase in &record.phases {
+        let tests = phase.tests.unwrap_or(record.data.tests);
+        let title = |what: &str| match several {
+            true => format!("Phase {}: {}{}", clean(&phase.name), what[..1].to_lowercase(), &what[1..]),
+            false => what.to_owned(),
+        };
+        parts.push(match doubts::section(phase, tests, &title, &page) {
+            none if none.is_empty() && !phase.states.is_empty() => page.section(
+                &title("Limits of what the data say"),
+                &page.items(&["The data identify all that is free here, and the covariance is regular.".to_owned()]),
+            ),
+            some => some,
+        });
+        let seen = observability::overview(&phase.observability, tests, &page);
+        parts.push(page.section(&title("Which tests say what"), &seen));
+    }
+    parts.push(phases::information(&observed, true, &page));
+    Section::new("identifiability", "Identifiability", html! { (PreEscaped(parts.concat())) })
+}

@@ -1,0 +1,80 @@
+//! The report of a fit: one HTML page that needs nothing but itself, on screen and on paper.
+//!
+//! Everything in it comes from the record. What the summary says in words is said in the same words here; around them stand
+//! tables of all that is bounded, and charts. Names come from files that nobody vouched for: they reach the page through
+//! maud's escaping or as JSON data, never as markup.
+
+mod across;
+mod chart;
+mod compare;
+mod constraints;
+mod data;
+mod estimates;
+mod forest;
+mod identifiability;
+mod influence;
+mod innovations;
+mod math;
+mod model;
+mod overview;
+mod parameters;
+mod phase;
+mod posteriors;
+mod provenance;
+mod shell;
+mod solver;
+mod tests;
+
+use kalfit::FitRecord;
+use kalfit::record::RatioRecord;
+use maud::Markup;
+
+use crate::html::chart::Charts;
+
+/// Tests that are listed and drawn one by one; of more, these are the ones that stand out most.
+const MOST_TESTS: usize = 200;
+
+/// One part of the page.
+struct Section {
+    /// Its anchor.
+    id: &'static str,
+    title: &'static str,
+    body: Markup,
+}
+
+impl Section {
+    fn new(id: &'static str, title: &'static str, body: Markup) -> Option<Section> {
+        (!body.0.is_empty()).then_some(Section { id, title, body })
+    }
+}
+
+/// The report of a fit, a whole HTML document. It depends on the record alone and copes with any record.
+pub fn html(record: &FitRecord) -> String {
+    page(record, None)
+}
+
+/// The same with a comparison with a hypothesis that was tested within the model.
+pub fn html_with_test(record: &FitRecord, test: &RatioRecord) -> String {
+    page(record, Some(test))
+}
+
+fn page(record: &FitRecord, test: Option<&RatioRecord>) -> String {
+    let mut charts = Charts::default();
+    let sections = [
+        overview::section(record),
+        model::section(record),
+        data::section(record, &mut charts),
+        estimates::section(record, &mut charts),
+        parameters::section(record, &mut charts),
+        identifiability::section(record),
+        tests::section(record, &mut charts),
+        influence::section(record, &mut charts),
+        innovations::section(record, &mut charts),
+        constraints::section(record, &mut charts),
+        test.and_then(|test| compare::section(record, test, &mut charts)),
+        solver::section(record, &mut charts),
+        provenance::section(record),
+    ];
+    let sections: Vec<Section> = sections.into_iter().flatten().collect();
+    shell::document(record, &sections, &charts)
+}

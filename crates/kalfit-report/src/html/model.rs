@@ -1,0 +1,75 @@
+//! The model: what is common to all, in equations, and this one in words.
+
+use kalfit::FitRecord;
+use maud::{Markup, html};
+
+use crate::html::math::{self, Math};
+use crate::html::{Section, math::equation};
+use crate::words::{clean, sentence};
+
+/// No more facts than this; the model file has them all.
+const MOST_FACTS: usize = 400;
+
+pub(super) fn section(record: &FitRecord) -> Option<Section> {
+    let facts = &record.model[..record.model.len().min(MOST_FACTS)];
+    let left = record.model.len() - facts.len();
+    let body = html! {
+        (equations(record))
+        @if facts.is_empty() { p { "This record does not say what the model is; it was made by an earlier version." } }
+        @else {
+            h3 { "This model" }
+            ul.facts { @for fact in facts { li { (coded(fact)) } } }
+            @if left > 0 { p { "… and " (left) " more facts." } }
+        }
+    };
+    Section::new("model", "Model", body)
+}
+
+/// What every model is.
+fn equations(record: &FitRecord) -> Markup {
+    use math::{hat, letter, op, row, sub};
+    let phased = record.phases.len() > 1;
+    let regression = record.phases.iter().any(|phase| !phase.mean.regression.is_empty());
+    let x = |k: Math| sub(letter("x"), k);
+    let j = || letter("j");
+    let normal = |mean: Math, variance: Math| row([letter("N"), op("("), mean, op(","), variance, op(")")]);
+    let mean =
+        if regression { row([letter("μ"), op("+"), sub(letter("D"), j()), letter("β")]) } else { letter("μ") };
+    let step = || row([letter("k"), op("−"), math::number("1")]);
+    html! {
+        p {
+            "Each test " (equation(j())) " starts from its own draw of the uncertain initial state; from there it moves and is \
+             measured as a Kalman filter models it. The fit finds the mean " (equation(letter("μ"))) " and the covariance "
+            (equation(letter("Σ"))) " of the draws"
+            @if record.parameters.iter().any(|p| !p.fixed) { ", and the dynamic parameters " (equation(letter("α"))) }
+            ", that make all measurements of all tests together most likely"
+            @if record.criterion == "reml" { " (restricted: of what is left when the mean is fitted)" }
+            "."
+        }
+        div.equations {
+            (equation(row([x(row([math::number("0"), op(","), j()])), op("~"), normal(mean, letter("Σ"))])))
+            (equation(row([x(letter("k")), op("="), letter("Φ"), x(step()), op("+"), sub(letter("w"), letter("k")), op(","),
+                math::space(), sub(letter("w"), letter("k")), op("~"), normal(math::number("0"), letter("Q"))])))
+            (equation(row([sub(letter("z"), letter("k")), op("="), letter("H"), x(letter("k")), op("+"),
+                sub(letter("v"), letter("k")), op(","), math::space(), sub(letter("v"), letter("k")), op("~"),
+                normal(math::number("0"), letter("R"))])))
+            (equation(row([op("("), hat("μ"), op(","), hat("Σ"), op(","), hat("α"), op(")"), op("="), math::text("arg max"),
+                math::sum(j()), math::text("log"), letter("p"), op("("), sub(letter("z"), j()), op("∣"),
+                letter("μ"), op(","), letter("Σ"), op(","), letter("α"), op(")")])))
+        }
+        @if phased {
+            p { "A test has several phases, each with its own uncertain start; a later phase inherits from the end of the one \
+                 before it as the model says." }
+        }
+    }
+}
+
+/// A fact with its names set as code: they stand between backticks.
+pub(super) fn coded(fact: &str) -> Markup {
+    let fact = clean(fact);
+    let parts: Vec<&str> = fact.split('`').collect();
+    if parts.len().is_multiple_of(2) {
+        return html! { (sentence(&fact)) };
+    }
+    html! { @for (i, part) in parts.iter().enumerate() { @if i % 2 == 1 { code { (part) } } @else { (part) } } }
+}

@@ -1,0 +1,118 @@
+//! The figures of one phase as rows of tables.
+
+use kalfit::record::{Interval, PhaseRecord};
+use maud::{Markup, PreEscaped, html};
+
+use crate::page::Page;
+use crate::summary::parameters::ends_in_words;
+use crate::summary::states::{self, Cells, cells};
+use crate::table::{Column, Side};
+use crate::words::clean;
+
+/// Elements of Σ in the table.
+const MOST_ELEMENTS: usize = 210;
+
+/// What is known of a state over the tests.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Kind {
+    Mean,
+    StdDev,
+}
+
+impl Kind {
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Kind::Mean => "mean",
+            Kind::StdDev => "standard deviation",
+        }
+    }
+
+    pub(super) fn estimate(self, phase: &PhaseRecord, i: usize) -> Option<f64> {
+        match self {
+            Kind::Mean => phase.mean.estimate.get(i).copied(),
+            Kind::StdDev => phase.std_dev.estimate.get(i).copied(),
+        }
+    }
+
+    pub(super) fn std_error(self, phase: &PhaseRecord, i: usize) -> Option<f64> {
+        match self {
+            Kind::Mean => phase.mean.std_error.get(i).copied().flatten(),
+            Kind::StdDev => phase.std_dev.std_error.get(i).copied().flatten(),
+        }
+    }
+
+    pub(super) fn ends(self, phase: &PhaseRecord, i: usize) -> Interval {
+        match self {
+            Kind::Mean => phase.mean.interval95.get(i).copied().flatten(),
+            Kind::StdDev => phase.std_dev.interval95.get(i).copied().flatten(),
+        }
+    }
+
+    pub(super) fn fixed(self, phase: &PhaseRecord, i: usize) -> bool {
+        match self {
+            Kind::Mean => phase.mean.fixed.get(i).copied().unwrap_or(false),
+            Kind::StdDev => phase.covariance.fixed.get(i).and_then(|row| row.get(i)).copied().unwrap_or(false),
+        }
+    }
+
+    /// The estimate and what is said beside it.
+    pub(super) fn cells(self, phase: &PhaseRecord, i: usize) -> Cells {
+        match self {
+            Kind::Mean => states::mean(phase, i),
+            Kind::StdDev => states::std_dev(phase, i),
+        }
+    }
+
+    /// The interval in words; empty where there is none.
+    pub(super) fn interval(self, phase: &PhaseRecord, i: usize) -> String {
+        match (self.estimate(phase, i), self.ends(phase, i).filter(|_| !self.fixed(phase, i))) {
+            (Some(estimate), Some(ends)) => ends_in_words(estimate, self.std_error(phase, i), ends),
+            _ => String::new(),
+        }
+    }
+}
+
+/// State by state: mean and standard deviation with intervals.
+pub(super) fn columns(phase: &PhaseRecord) -> Vec<Column> {
+    let p = phase.states.len();
+    let units = (0..p).map(|i| phase.units.get(i).cloned().flatten().unwrap_or_default()).collect();
+    let mut columns =
+        vec![Column::new("state", Side::Left, phase.states.clone()), Column::new("unit", Side::Left, units)];
+    for (kind, name) in [(Kind::Mean, "mean"), (Kind::StdDev, "std dev")] {
+        let (values, beside): (Vec<_>, Vec<_>) = (0..p).map(|i| kind.cells(phase, i)).unzip();
+        columns.push(Column::new(name, Side::Right, values));
+        columns.push(Column::new("", Side::Left, beside));
+        let intervals = (0..p).map(|i| kind.interval(phase, i)).collect();
+        columns.push(Column::new(&format!("95 % interval of the {name}"), Side::Left, intervals));
+    }
+    columns
+}
+
+/// The elements of Σ, folded away.
+pub(super) fn elements(phase: &PhaseRecord, page: &Page<'_>) -> Markup {
+    let covariance = &phase.covariance;
+    let p = phase.states.len().min(covariance.estimate.len());
+    let (mut names, mut rows, mut intervals) = (Vec::new(), Vec::new(), Vec::new());
+    for (i, k) in (0..p).flat_map(|i| (0..=i).map(move |k| (i, k))).take(MOST_ELEMENTS) {
+        let Some(&estimate) = covariance.estimate[i].get(k) else { continue };
+        let error = covariance.std_error.get(i).and_then(|row| row.get(k)).copied().flatten();
+        let fixed = covariance.fixed.get(i).and_then(|row| row.get(k)).copied().unwrap_or(false);
+        let ends = covariance.interval95.get(i).and_then(|row| row.get(k)).copied().flatten();
+        names.push(match i == k {
+            true => format!("variance of {}", clean(&phase.states[i])),
+            false => format!("covariance of {} and {}", clean(&phase.states[k]), clean(&phase.states[i])),
+        });
+        rows.push(cells(estimate, error, fixed, &|| Some("")));
+        intervals.push(ends.filter(|_| !fixed).map_or_else(String::new, |ends| ends_in_words(estimate, error, ends)));
+    }
+    let (values, beside): (Vec<_>, Vec<_>) = rows.into_iter().unzip();
+    let columns = [
+        Column::new("element", Side::Left, names),
+        Column::new("estimate", Side::Right, values),
+        Column::new("", Side::Left, beside),
+        Column::new("95 % interval", Side::Left, intervals),
+    ];
+    let all = p * (p + 1) / 2;
+    html! { details { summary { "Elements of the covariance" } (PreEscaped(page.table(&columns)))
+    @if all > MOST_ELEMENTS { p { "The first " (MOST_ELEMENTS) " of " (all) " elements; all are in fit.json." } } } }
+}

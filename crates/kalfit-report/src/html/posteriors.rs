@@ -1,0 +1,130 @@
+//! Tests among the others: ellipses of the population with what each test says, and each test's posterior.
+
+use kalfit::FitRecord;
+use kalfit::record::{PhaseRecord, PosteriorRecord, TestRecord};
+use maud::Markup;
+use serde_json::{Value, json};
+
+use crate::html::MOST_TESTS;
+use crate::html::chart::{Chart, Charts, figure, figures};
+use crate::html::tests::{outlying, stands_out};
+use crate::number::plain;
+use crate::words::{clean, count};
+
+/// States that can be chosen for a chart of pairs.
+const MOST_IN_PAIRS: usize = 12;
+/// States that can be chosen for a chart of posteriors.
+const MOST_STATES: usize = 40;
+
+/// What a test has of a phase.
+fn part<'a>(test: &'a TestRecord, phase: &PhaseRecord) -> Option<&'a PosteriorRecord> {
+    let p = phase.states.len();
+    let sound = |part: &&PosteriorRecord| {
+        part.mean.len() == p && part.covariance.len() == p && part.covariance.iter().all(|row| row.len() == p)
+    };
+    test.phases.iter().find(|part| part.name == phase.name).filter(sound)
+}
+
+/// Tests that are drawn, and how that is said.
+fn chosen<'a>(record: &'a FitRecord, phase: &PhaseRecord) -> (Vec<&'a TestRecord>, String) {
+    let having: Vec<&TestRecord> = outlying(record).into_iter().filter(|test| part(test, phase).is_some()).collect();
+    let all = having.len();
+    let mut shown: Vec<&TestRecord> = having.into_iter().take(MOST_TESTS).collect();
+    shown.sort_by(|a, b| a.id.cmp(&b.id));
+    let said = match all - shown.len() {
+        0 => String::new(),
+        _ => format!(" Of {}, the {} most outlying are drawn.", count(all, "test"), shown.len()),
+    };
+    (shown, said)
+}
+
+pub(super) fn ellipses(record: &FitRecord, phase: &PhaseRecord, name: &str, charts: &mut Charts) -> Option<Markup> {
+    let p = phase.states.len().min(phase.mean.estimate.len()).min(phase.covariance.estimate.len());
+    let varies = |i: &usize| phase.covariance.estimate[*i].get(*i).is_some_and(|v| *v > 0.0 && v.is_finite());
+    let states: Vec<usize> = (0..p).filter(varies).take(MOST_IN_PAIRS).collect();
+    let sound = phase.covariance.estimate.iter().all(|row| row.len() >= p);
+    if states.len() < 2 || !sound {
+        return None;
+    }
+    let (tests, said) = chosen(record, phase);
+    let all = record.data.tests;
+    let test = |test: &&TestRecord| {
+        let part = part(test, phase).expect("tests were chosen for having it");
+        let own = part.own.as_ref().filter(|own| {
+            own.mean.len() == phase.states.len() && own.covariance.iter().all(|row| row.len() == phase.states.len())
+        });
+        let own_mean = |i: &usize| own.and_then(|own| own.mean[*i]).map_or(Value::Null, figure);
+        let own_covariance = |i: &usize| -> Vec<Value> {
+            states.iter().map(|k| own.and_then(|o| o.covariance.get(*i)?[*k]).map_or(Value::Null, figure)).collect()
+        };
+        json!({
+            "id": clean(&test.id), "out": stands_out(test, all),
+            "mean": figures(states.iter().map(|&i| part.mean[i])),
+            "own": states.iter().map(own_mean).collect::<Vec<Value>>(),
+            "ownCovariance": states.iter().map(own_covariance).collect::<Vec<_>>(),
+        })
+    };
+    let data = json!({
+        "states": states.iter().map(|&i| clean(&phase.states[i])).collect::<Vec<_>>(),
+        "units": units(phase, &states),
+        "mean": figures(states.iter().map(|&i| phase.mean.estimate[i])),
+        "covariance": states.iter().map(|&i| figures(states.iter().map(|&k| phase.covariance.estimate[i][k]))).collect::<Vec<_>>(),
+        "tests": tests.iter().map(test).collect::<Vec<Value>>(),
+    });
+    let shifted =
+        if phase.mean.regression.is_empty() { "" } else { " The ellipses are for regression columns at zero." };
+    let caption = format!(
+        "Ellipses hold 50 % and 95 % of the tests that the fitted population would make. Open circles: what each test says by \
+         itself; dots: what it says given the population, drawn towards it by a thin line the more, the less the test knows. \
+         Point at a test for its own error ellipse. About one test in twenty should lie outside.{said}{shifted}"
+    );
+    let alternative =
+        format!("{} against {}, for {}.", "Any two estimated states", "each other", count(tests.len(), "test"));
+    let title = format!("{name}Population and tests");
+    Some(charts.figure(Chart { kind: "ellipses", title: &title, caption: &caption, alternative: &alternative, data }))
+}
+
+fn units(phase: &PhaseRecord, states: &[usize]) -> Vec<String> {
+    states
+        .iter()
+        .map(|&i| phase.units.get(i).cloned().flatten().map_or_else(String::new, |unit| clean(&unit)))
+        .collect()
+}
+
+/// What each test says of each state, given the population.
+pub(super) fn posteriors(record: &FitRecord, phase: &PhaseRecord, name: &str, charts: &mut Charts) -> Option<Markup> {
+    let p = phase.states.len().min(phase.mean.estimate.len()).min(phase.std_dev.estimate.len());
+    let states: Vec<usize> = (0..p).take(MOST_STATES).collect();
+    let (tests, said) = chosen(record, phase);
+    if states.is_empty() || tests.is_empty() {
+        return None;
+    }
+    let all = record.data.tests;
+    let test = |test: &&TestRecord| {
+        let part = part(test, phase).expect("tests were chosen for having it");
+        json!({
+            "id": clean(&test.id), "out": stands_out(test, all),
+            "mean": figures(states.iter().map(|&i| part.mean[i])),
+            "sd": figures(states.iter().map(|&i| part.covariance[i][i].max(0.0).sqrt())),
+        })
+    };
+    let data = json!({
+        "states": states.iter().map(|&i| clean(&phase.states[i])).collect::<Vec<_>>(),
+        "units": units(phase, &states),
+        "mean": figures(states.iter().map(|&i| phase.mean.estimate[i])),
+        "sd": figures(states.iter().map(|&i| phase.std_dev.estimate[i])),
+        "tests": tests.iter().map(test).collect::<Vec<Value>>(),
+    });
+    let caption = format!(
+        "Each test's estimate given the population, with its 95 % interval, in order of size; the band is mean ± 1.96 standard \
+         deviations of the population. Filled diamonds stand out from the others.{said}"
+    );
+    let first = phase.states.first().map_or_else(String::new, |s| clean(s));
+    let alternative = format!(
+        "{}; population mean of {first}: {}.",
+        count(tests.len(), "test"),
+        phase.mean.estimate.first().map_or_else(String::new, |x| plain(*x, 4))
+    );
+    let title = format!("{name}What each test says");
+    Some(charts.figure(Chart { kind: "posteriors", title: &title, caption: &caption, alternative: &alternative, data }))
+}

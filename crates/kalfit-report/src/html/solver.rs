@@ -1,0 +1,90 @@
+//! How the optimum was found, and the certificate that it is one.
+
+use kalfit::FitRecord;
+use maud::{Markup, PreEscaped, html};
+use serde_json::json;
+
+use crate::html::Section;
+use crate::html::chart::{Chart, Charts, figures};
+use crate::number::{hundredths, plain};
+use crate::page::Page;
+use crate::summary;
+use crate::table::{Column, Side};
+use crate::words::{clean, count, sentence};
+
+/// Steps that are drawn.
+const MOST_STEPS: usize = 1000;
+/// Other starts in the table.
+const MOST_STARTS: usize = 50;
+
+pub(super) fn section(record: &FitRecord, charts: &mut Charts) -> Option<Section> {
+    let page = Page::html();
+    let body = html! {
+        p { (sentence(&clean(&record.reason))) }
+        (PreEscaped(certificate(record, &page)))
+        (chart(record, charts).unwrap_or_default())
+        (PreEscaped(starts(record, &page)))
+        (PreEscaped(summary::work(record, &page)))
+    };
+    Section::new("solver", "Solver and certificate", body)
+}
+
+fn certificate(record: &FitRecord, page: &Page<'_>) -> String {
+    let c = &record.certificate;
+    let rows = [
+        ("mean", "largest score of the mean", c.mean),
+        ("covariance", "largest entry of GΣ on the free elements", c.covariance),
+        ("null space of Σ", "largest gain from a direction that Σ does not have", c.null_space),
+        ("dynamic parameters", "largest score of a dynamic parameter", c.parameters),
+    ];
+    let columns = [
+        Column::new("condition", Side::Left, rows.iter().map(|r| r.0.to_owned()).collect()),
+        Column::new("what must vanish", Side::Left, rows.iter().map(|r| r.1.to_owned()).collect()),
+        Column::new("found, in standard errors", Side::Right, rows.iter().map(|r| plain(r.2, 2)).collect()),
+    ];
+    page.section("Optimality certificate", &page.table(&columns))
+}
+
+fn chart(record: &FitRecord, charts: &mut Charts) -> Option<Markup> {
+    let trace = &record.solver.trace;
+    let best = trace.iter().copied().filter(|x| x.is_finite()).fold(f64::NEG_INFINITY, f64::max);
+    if trace.len() < 2 || !best.is_finite() {
+        return None;
+    }
+    let thin = trace.len().div_ceil(MOST_STEPS);
+    let steps: Vec<usize> = (0..trace.len()).filter(|i| i.is_multiple_of(thin) || i + 1 == trace.len()).collect();
+    let data = json!({
+        "steps": steps, "gap": figures(steps.iter().map(|&i| best - trace[i])), "value": figures(steps.iter().map(|&i| trace[i])),
+    });
+    let caption = "How far each step's log-likelihood was below the best, on a logarithmic scale: a line that drops faster and \
+                   faster has found the optimum; one that creeps has not. Steps at the best itself are not drawn.";
+    let alternative = format!(
+        "{}, from {} to {}.",
+        count(trace.len(), "step"),
+        hundredths(trace[0]),
+        hundredths(trace[trace.len() - 1])
+    );
+    Some(charts.figure(Chart { kind: "trace", title: "Path of the solver", caption, alternative: &alternative, data }))
+}
+
+fn starts(record: &FitRecord, page: &Page<'_>) -> String {
+    let starts = &record.starts[..record.starts.len().min(MOST_STARTS)];
+    if starts.is_empty() {
+        return String::new();
+    }
+    let best = record.log_likelihood;
+    let columns = [
+        Column::new("log-likelihood", Side::Right, starts.iter().map(|s| hundredths(s.log_likelihood)).collect()),
+        Column::new(
+            "below the result",
+            Side::Right,
+            starts.iter().map(|s| plain(best - s.log_likelihood, 3)).collect(),
+        ),
+        Column::new(
+            "certified",
+            Side::Left,
+            starts.iter().map(|s| if s.converged { "yes" } else { "no" }.into()).collect(),
+        ),
+    ];
+    page.section("Where other starts ended", &page.table(&columns))
+}

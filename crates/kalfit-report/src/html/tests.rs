@@ -1,0 +1,133 @@
+//! The tests one by one: posteriors, distances, and a table of them all or of the most outlying.
+
+use kalfit::FitRecord;
+use kalfit::record::TestRecord;
+use maud::{Markup, PreEscaped, html};
+use serde_json::{Value, json};
+
+use crate::html::chart::{Chart, Charts, figure};
+use crate::html::{MOST_TESTS, Section, posteriors};
+use crate::number::{Precision, hundredths, plain, probability};
+use crate::page::Page;
+use crate::summary::outliers;
+use crate::table::{Column, Side};
+use crate::words::{clean, count};
+
+/// Level of the search over all tests.
+const LEVEL: f64 = 0.05;
+/// States whose posteriors are in the table.
+const MOST_STATES: usize = 8;
+/// Points of the chart of p-values.
+const MOST_POINTS: usize = 600;
+
+pub(super) fn section(record: &FitRecord, charts: &mut Charts) -> Option<Section> {
+    if record.tests.is_empty() {
+        return None;
+    }
+    let page = Page::html();
+    let several = record.phases.len() > 1;
+    let mut drawn: Vec<Markup> = Vec::new();
+    for phase in &record.phases {
+        let name = if several { format!("Phase {}: ", clean(&phase.name)) } else { String::new() };
+        drawn.extend(posteriors::posteriors(record, phase, &name, charts));
+    }
+    let body = html! {
+        @for one in &drawn { (one) }
+        (PreEscaped(outliers::section(record, &page)))
+        (p_values(record, charts).unwrap_or_default())
+        (table(record, &page))
+    };
+    Section::new("tests", "Tests", body)
+}
+
+/// Tests, the most outlying first; those without a p-value last.
+pub(super) fn outlying(record: &FitRecord) -> Vec<&TestRecord> {
+    let key = |test: &TestRecord| test.p_value.filter(|p| p.is_finite()).unwrap_or(2.0);
+    let mut tests: Vec<&TestRecord> = record.tests.iter().collect();
+    tests.sort_by(|a, b| key(a).total_cmp(&key(b)).then_with(|| a.id.cmp(&b.id)));
+    tests
+}
+
+/// Even though the search went over so many tests.
+pub(super) fn stands_out(test: &TestRecord, all: usize) -> bool {
+    test.p_value.is_some_and(|p| p * (all as f64) < LEVEL)
+}
+
+/// p-values against what they should be: evenly spread.
+fn p_values(record: &FitRecord, charts: &mut Charts) -> Option<Markup> {
+    let tested: Vec<(&TestRecord, f64)> =
+        outlying(record).into_iter().filter_map(|test| Some((test, test.p_value.filter(|p| p.is_finite())?))).collect();
+    let n = tested.len();
+    if n < 3 {
+        return None;
+    }
+    let thin = n.saturating_sub(MOST_TESTS).div_ceil(MOST_POINTS - MOST_TESTS).max(1);
+    let points = tested.iter().enumerate().filter(|(i, _)| *i < MOST_TESTS || (i - MOST_TESTS).is_multiple_of(thin));
+    let points: Vec<Value> = points
+        .map(|(i, (test, p))| {
+            let expected = -((i as f64 + 0.5) / n as f64).log10();
+            json!({ "id": clean(&test.id), "x": figure(expected), "y": figure(-p.max(1e-300).log10()), "p": probability(*p),
+                    "out": stands_out(test, n) })
+        })
+        .collect();
+    let data = json!({ "points": points, "limit": figure(-(LEVEL / n as f64).log10()) });
+    let out = tested.iter().filter(|(test, _)| stands_out(test, n)).count();
+    let alternative =
+        format!("{} above the line, of {n}; the smallest p-value is {}.", count(out, "test"), probability(tested[0].1));
+    let caption = "How far each test is from the population, as minus the logarithm of its p-value, against what chance gives. \
+                   Points near the diagonal: the population describes the tests. Points above the dashed line stand out even \
+                   though the search went over all tests.";
+    Some(charts.figure(Chart {
+        kind: "quantiles",
+        title: "Distances from the population",
+        caption,
+        alternative: &alternative,
+        data,
+    }))
+}
+
+fn table(record: &FitRecord, page: &Page<'_>) -> Markup {
+    let all = record.tests.len();
+    let mut tests: Vec<&TestRecord> = outlying(record).into_iter().take(MOST_TESTS).collect();
+    if all <= MOST_TESTS {
+        tests.sort_by(|a, b| a.id.cmp(&b.id));
+    }
+    let column = |of: &dyn Fn(&TestRecord) -> String| -> Vec<String> { tests.iter().map(|test| of(test)).collect() };
+    let or_dash = |x: Option<String>| x.unwrap_or_else(|| "-".to_owned());
+    let mut columns = vec![
+        Column::new("test", Side::Left, column(&|t| t.id.clone())),
+        Column::new("observations", Side::Right, column(&|t| t.observations.to_string())),
+        Column::new("log-likelihood", Side::Right, column(&|t| hundredths(t.log_likelihood))),
+        Column::new("distance²", Side::Right, column(&|t| or_dash(t.distance.map(|d| plain(d, 3))))),
+        Column::new("expected", Side::Right, column(&|t| t.degrees_of_freedom.to_string())),
+        Column::new("p-value", Side::Right, column(&|t| or_dash(t.p_value.map(probability)))),
+        Column::new("", Side::Left, column(&|t| if stands_out(t, all) { "stands out".into() } else { String::new() })),
+    ];
+    columns.extend(states(record, &tests));
+    let rows = page.table(&columns);
+    let said = if all > tests.len() {
+        format!("The {} most outlying of {all} tests; all are in fit.json.", tests.len())
+    } else {
+        format!("{}. States: estimate given the population ± its standard deviation.", count(all, "test"))
+    };
+    html! { h3 { "Test by test" } (PreEscaped(rows)) p.hint { (said) } }
+}
+
+/// What each test says of each state, given the population.
+fn states(record: &FitRecord, tests: &[&TestRecord]) -> Vec<Column> {
+    let several = record.phases.len() > 1;
+    let places = record.phases.iter().flat_map(|phase| (0..phase.states.len()).map(move |i| (phase, i)));
+    let column = |(phase, i): (&kalfit::record::PhaseRecord, usize)| {
+        let cell = |test: &&TestRecord| {
+            let part = test.phases.iter().find(|part| part.name == phase.name)?;
+            let (mean, variance) = (*part.mean.get(i)?, *part.covariance.get(i)?.get(i)?);
+            let sd = Some(variance.max(0.0).sqrt()).filter(|s| *s > 0.0 && s.is_finite());
+            let precision = Precision::of(mean, sd);
+            let sd = sd.map_or_else(String::new, |sd| format!(" ± {}", precision.show_error(sd)));
+            Some(format!("{}{sd}", precision.show(mean)))
+        };
+        let name = if several { format!("{}: {}", phase.name, phase.states[i]) } else { phase.states[i].clone() };
+        Column::new(&name, Side::Right, tests.iter().map(|test| cell(test).unwrap_or_default()).collect())
+    };
+    places.take(MOST_STATES).map(column).collect()
+}
