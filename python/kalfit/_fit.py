@@ -28,8 +28,8 @@ def _array(values: Any) -> Array:
 def _write(path: str | os.PathLike[str], text: str) -> None:
     """Writes a file, whole or not at all."""
     target = os.path.realpath(path)
-    with open(target, "ab"):  # a file that may be written; made by the rules of any new file
-        mode = os.stat(target).st_mode
+    os.umask(umask := os.umask(0))
+    mode = os.stat(target).st_mode if os.path.exists(target) else 0o666 & ~umask
     handle, beside = tempfile.mkstemp(prefix=".kalfit-", suffix=".tmp", dir=os.path.dirname(target))
     try:
         with open(handle, "w", encoding="utf-8", newline="\n") as file:

@@ -42,6 +42,17 @@ def test_the_file_is_the_json(tmp_path):
     assert pickle.loads(pickle.dumps(fit)) == fit
 
 
+def test_the_report_is_that_of_the_command(tmp_path):
+    fit = kalfit.fit(*BENCH)
+    fit.save(tmp_path / "fit.json")
+    fit.report(tmp_path / "fit.html")
+    page = (tmp_path / "fit.html").read_text()
+    assert page.startswith("<!DOCTYPE html>") and "g_sensitivity" in page
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["fit.html", "fit.json"]
+    with pytest.raises(OSError):
+        fit.report(tmp_path / "no-such-folder" / "fit.html")
+
+
 @pytest.mark.parametrize("model, path", [BENCH, PHASES])
 def test_tables_of_every_kind_and_files_give_the_same_bits(model, path, tmp_path):
     expected = steady(kalfit.fit(model, path).to_dict(), files=False)
