@@ -48,7 +48,8 @@ pub(crate) fn run() -> Result<(), String> {
     environment(&places)?;
     let python = places.python();
     places.run(&python, &["-m", "pip", "install", "--quiet", "--requirement", "python/tests/requirements.txt"])?;
-    places.run(Path::new("cargo"), &["build", "--quiet", "--locked", "--package", "kalfit-cli"])?;
+    // the program as the tests have built it, with all that they need, so that nothing is built twice
+    places.run(Path::new("cargo"), &["test", "--quiet", "--locked", "--workspace", "--no-run"])?;
     let wheels = places.environment.join("wheels");
     let folder = wheels.to_str().ok_or("the target folder has no name in UTF-8")?;
     // the profile of the other tests: what they have built of it is used again

@@ -136,6 +136,7 @@ impl Avx2 {
 
 impl Lanes for Avx2 {
     const COUNT: usize = 4;
+    const OWN_SIZES: usize = 6;
 
     #[inline(always)]
     fn load(from: &[f64]) -> Avx2 {

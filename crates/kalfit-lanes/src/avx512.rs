@@ -146,6 +146,7 @@ impl Avx512 {
 
 impl Lanes for Avx512 {
     const COUNT: usize = 8;
+    const OWN_SIZES: usize = 10;
 
     #[inline(always)]
     fn load(from: &[f64]) -> Avx512 {

@@ -20,6 +20,10 @@ pub trait Lanes: Real {
     /// How many.
     const COUNT: usize;
 
+    /// Up to this size matrices are worth a kernel of their own, which keeps them in registers: none where registers are not known,
+    /// few where there are few.
+    const OWN_SIZES: usize;
+
     /// The first [`Self::COUNT`] numbers of a slice that has as many.
     fn load(from: &[f64]) -> Self;
 
@@ -55,6 +59,7 @@ pub const MOST: usize = 8;
 
 impl Lanes for f64 {
     const COUNT: usize = 1;
+    const OWN_SIZES: usize = 0;
 
     #[inline(always)]
     fn load(from: &[f64]) -> f64 {

@@ -16,7 +16,7 @@ use crate::estimate::chained::{Chained, Detail, Packed};
 use crate::estimate::lanes::Blocks;
 use crate::estimate::pass::{Order, pass};
 use crate::estimate::terms::Point;
-use crate::estimate::together::{each, packed};
+use crate::estimate::together::{each_packed, packed};
 use crate::linalg::elements::Elements;
 use crate::linalg::symmetric;
 use crate::reduce::{Chain, ChainPhase, Path, Reduction};
@@ -218,14 +218,18 @@ impl Classes {
             };
             (class.count, (0..p).map(one).collect())
         };
-        let in_phases: Vec<&Class> = self.classes.iter().filter(|class| class.chain.is_some()).collect();
+        if self.chains.is_empty() && self.classes.iter().all(|class| class.chain.is_none()) {
+            return self.classes.iter().map(alone).collect();
+        }
+        let classes: Vec<&Class> = self.classes.iter().collect();
         let point = Point { mean: mean.as_slice().to_vec(), ..self.origin(0) };
-        let mut told: Vec<(f64, Vec<(f64, f64)>)> = vec![(0.0, Vec::new()); in_phases.len()];
-        each(&in_phases, &[], &point, Detail::Phases, &mut |k, terms| {
-            let one = |at: usize| (terms.outer[at] - in_phases[k].count * terms.W[at], terms.W[at]);
-            told[k] = (in_phases[k].count, (0..p).map(|i| one(i * p + i)).collect());
+        let mut told: Vec<(f64, Vec<(f64, f64)>)> = vec![(0.0, Vec::new()); classes.len()];
+        let packed = (self.blocks.isa(), &self.chains[..]);
+        each_packed(&classes, packed, &[], &point, Detail::Phases, &mut |k, terms| {
+            let one = |at: usize| (terms.outer[at] - classes[k].count * terms.W[at], terms.W[at]);
+            told[k] = (classes[k].count, (0..p).map(|i| one(i * p + i)).collect());
         });
-        self.classes.iter().filter(|class| class.chain.is_none()).map(alone).chain(told).collect()
+        told
     }
 
     /// p.

@@ -14,6 +14,20 @@ pub(crate) fn each(
     detail: Detail,
     of: &mut dyn FnMut(usize, &Terms),
 ) {
+    let isa = Isa::best();
+    let packed = packed(classes.iter().map(|class| class.chain.as_deref()).enumerate(), isa.lanes());
+    each_packed(classes, (isa, &packed), regressors, point, detail, of);
+}
+
+/// The same of classes those of which that can be are packed already.
+pub(crate) fn each_packed(
+    classes: &[&Class],
+    (isa, packed): (Isa, &[Packed]),
+    regressors: &Regressors,
+    point: &Point,
+    detail: Detail,
+    of: &mut dyn FnMut(usize, &Terms),
+) {
     let mut terms = Terms::new(point.mean.len());
     for (k, class) in classes.iter().enumerate() {
         if class.chain.as_ref().is_none_or(|chain| chain.is_careful()) {
@@ -21,9 +35,8 @@ pub(crate) fn each(
             of(k, &terms);
         }
     }
-    let isa = Isa::best();
-    for packed in packed(classes.iter().map(|class| class.chain.as_deref()).enumerate(), isa.lanes()) {
-        isa.run(Tell { packed: &packed, classes, regressors, point, detail, terms: &mut terms, of });
+    for packed in packed {
+        isa.run(Tell { packed, classes, regressors, point, detail, terms: &mut terms, of });
     }
 }
 

@@ -69,10 +69,9 @@ impl Chained {
         whole: &PhasedTest,
         work: &mut PhasedWork,
     ) -> Result<Option<Innovations>, ReduceError> {
-        let reduction = self.reducer.one(whole, work)?;
-        let chain = reduction.chain.as_deref().expect("a model of several phases has a chain");
+        let (covariates, chain) = self.reducer.chain_of(whole, work)?;
         let (mut series, mut rest) = (Vec::new(), 0.0);
-        let (mut covariates, mut before) = (&*reduction.covariates, None);
+        let (mut covariates, mut before) = (&*covariates, None);
         let mut seen = false;
         for (at, (start, phase)) in self.phases.iter().zip(&chain.phases).enumerate() {
             let (own, others) = covariates.split_at(start.regressions.len());

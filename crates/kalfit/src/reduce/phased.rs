@@ -10,7 +10,7 @@ use crate::reduce::part::{Part, PhaseReducer, Place, refuse};
 use crate::reduce::prepare::Workspace;
 use crate::reduce::reducer::{Reducer, Work};
 use crate::reduce::shared::Shared;
-use crate::reduce::stack::{Stack, StackData, StackKey, StackPhase};
+use crate::reduce::stack::{Stack, StackData, StackKey, StackPhase, link_matrices};
 use crate::reduce::steps::Cells;
 use crate::reduce::subject::WHOLE;
 use crate::reduce::{Chain, ChainPhase, Evidence, Inherited, Link, Path, PhaseReduction, PhasedTest, Reduction};
@@ -69,7 +69,7 @@ impl PhasedReducer {
         };
         Ok(PhasedReducer {
             phases: (0..=last).map(phase).collect::<Result<_, _>>()?,
-            stacks: Shared::new(STACK_BYTES),
+            stacks: Shared::patient(STACK_BYTES),
             dimension: model.dimension(),
             regressions: model.phases.iter().map(|phase| phase.model.mean.regression.len()).sum(),
         })
@@ -184,6 +184,16 @@ impl PhasedReducer {
         self.whole(test, self.parts(test, work, false)?)
     }
 
+    /// The covariates and the chain of one test of several phases, which is not stacked.
+    pub(crate) fn chain_of(&self, test: &PhasedTest, work: &mut PhasedWork) -> Result<(Vec<f64>, Chain), ReduceError> {
+        let parts = self.parts(test, work, false)?;
+        let covariates = parts.iter().flat_map(|part| part.reduction.covariates.iter().copied()).collect();
+        let means = (0..parts.len()).map(|at| link_mean(&parts, at)).collect();
+        let link = |at: usize| self.key(&parts, at).link.map(link_matrices);
+        let links: Vec<(DMatrix<f64>, DMatrix<f64>)> = (1..parts.len()).filter_map(link).collect();
+        Ok((covariates, self.chain(parts, means, &links)))
+    }
+
     /// The phases of a test by themselves; of `designs`, nothing that was measured.
     fn parts<'a>(
         &'a self,
@@ -247,7 +257,7 @@ impl PhasedReducer {
         reduction.data.resize(self.dimension, 0.0);
         reduction.factor.resize(self.dimension * (self.dimension + 1) / 2, 0.0);
         reduction.covariates.resize(self.regressions, 0.0);
-        reduction.chain = Some(Box::new(self.chain(parts, means, stack)));
+        reduction.chain = Some(Box::new(self.chain(parts, means, &stack.links)));
         Ok(reduction)
     }
 
@@ -260,8 +270,13 @@ impl PhasedReducer {
         StackPhase { own: self.phases[at].own, factor: &parts[at].reduction.factor, link }
     }
 
-    fn chain(&self, parts: Vec<Part<'_>>, means: Vec<Option<DVector<f64>>>, stack: &Stack) -> Chain {
-        let links = std::iter::once(None).chain(stack.links.iter().map(Some));
+    fn chain(
+        &self,
+        parts: Vec<Part<'_>>,
+        means: Vec<Option<DVector<f64>>>,
+        links: &[(DMatrix<f64>, DMatrix<f64>)],
+    ) -> Chain {
+        let links = std::iter::once(None).chain(links.iter().map(Some));
         let phase = |(((part, mean), link), phase): (((Part<'_>, _), _), &PhaseReducer)| {
             let link = Option::zip(mean, link).map(|(mean, link): (DVector<f64>, &(DMatrix<f64>, DMatrix<f64>))| {
                 Link { mean, sensitivity: link.0.clone(), root: link.1.clone() }

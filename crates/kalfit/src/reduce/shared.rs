@@ -1,6 +1,6 @@
 //! Results that threads share: each is made once, however many ask for it at the same time.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
@@ -10,9 +10,35 @@ pub(crate) struct Shared<K, V> {
     shards: Vec<Mutex<Shard<K, V>>>,
     bytes: AtomicUsize,
     limit: usize,
+    /// Only what is asked for a second time is kept.
+    patient: bool,
 }
 
-type Shard<K, V> = HashMap<u128, Arc<Entry<K, V>>>;
+#[derive(Debug)]
+struct Shard<K, V> {
+    entries: HashMap<u128, Arc<Entry<K, V>>>,
+    /// Asked for once.
+    noted: HashSet<u128>,
+}
+
+impl<K, V> Default for Shard<K, V> {
+    fn default() -> Shard<K, V> {
+        Shard { entries: HashMap::new(), noted: HashSet::new() }
+    }
+}
+
+/// Most digests that a shard remembers of what was asked for once.
+const NOTED: usize = 1 << 16;
+
+impl<K, V> Shard<K, V> {
+    /// Whether this was asked for before; it is from now on.
+    fn is_known(&mut self, digest: u128) -> bool {
+        if self.noted.len() >= NOTED {
+            self.noted.clear();
+        }
+        !self.noted.insert(digest)
+    }
+}
 
 /// A key and its value.
 #[derive(Debug)]
@@ -29,7 +55,18 @@ impl<K, V> Entry<K, V> {
 
 impl<K, V> Shared<K, V> {
     pub(crate) fn new(limit: usize) -> Shared<K, V> {
-        Shared { shards: (0..16).map(|_| Mutex::default()).collect(), bytes: AtomicUsize::new(0), limit }
+        Shared {
+            shards: (0..16).map(|_| Mutex::default()).collect(),
+            bytes: AtomicUsize::new(0),
+            limit,
+            patient: false,
+        }
+    }
+
+    /// A store that keeps only what is asked for a second time: values that are large beside what it takes to make them, and mostly
+    /// wanted once.
+    pub(crate) fn patient(limit: usize) -> Shared<K, V> {
+        Shared { patient: true, ..Shared::new(limit) }
     }
 
     /// The entry of a key, made if need be. `same` tells the key from others of the same digest, `size` is for the key and
@@ -44,12 +81,13 @@ impl<K, V> Shared<K, V> {
     ) -> Arc<Entry<K, V>> {
         let entry = {
             let mut shard = self.shards[digest as usize % 16].lock().unwrap_or_else(PoisonError::into_inner);
-            match shard.get(&digest) {
+            match shard.entries.get(&digest) {
                 Some(entry) if same(&entry.key) => entry.clone(),
                 found => {
                     let entry = Arc::new(Entry { key: key(), value: OnceLock::new() });
-                    if found.is_none() && self.bytes.load(Ordering::Relaxed) < self.limit {
-                        shard.insert(digest, entry.clone());
+                    let room = found.is_none() && self.bytes.load(Ordering::Relaxed) < self.limit;
+                    if room && (!self.patient || shard.is_known(digest)) {
+                        shard.entries.insert(digest, entry.clone());
                     }
                     entry
                 }

@@ -146,6 +146,11 @@ fn same_bits(a: &[f64], b: &[f64]) -> bool {
     a.len() == b.len() && a.iter().zip(b).all(|(x, y)| x.to_bits() == y.to_bits())
 }
 
+/// G = TΨ_K and C of a link, a root of T P_K T', from Ψ_K, a root of P_K and T.
+pub(crate) fn link_matrices([sensitivity, root, transition]: [&DMatrix<f64>; 3]) -> (DMatrix<f64>, DMatrix<f64>) {
+    (transition * sensitivity, narrow(transition * root))
+}
+
 /// A root with no more columns than rows.
 fn narrow(C: DMatrix<f64>) -> DMatrix<f64> {
     let (q, u) = C.shape();
@@ -189,8 +194,8 @@ impl Stack {
 
     /// Joins a phase and what is known of all after it: the rows on (σ_i, ξ_{i+1}, …).
     fn join(&mut self, before: &KeyPhase, after: &KeyPhase, later: &Square) -> Square {
-        let [sensitivity, root, transition] = after.link.as_ref().expect("a later phase has a link");
-        let (G, C) = (transition * sensitivity, narrow(transition * root));
+        let link = after.link.as_ref().expect("a later phase has a link");
+        let (G, C) = link_matrices(link.each_ref());
         let (u, from, q, own) = (C.ncols(), G.ncols(), G.nrows(), after.own);
         let mut array = Square::zeros(u + from + own + later.width - q);
         for k in 0..u {

@@ -49,16 +49,16 @@ impl Kernel for Pass<'_> {
     #[inline(always)]
     fn run<T: Lanes>(self) -> Totals {
         match self.mean.len() {
-            1 => self.sized::<T, 1>(),
-            2 => self.sized::<T, 2>(),
-            3 => self.sized::<T, 3>(),
-            4 => self.sized::<T, 4>(),
-            5 => self.sized::<T, 5>(),
-            6 => self.sized::<T, 6>(),
-            7 => self.sized::<T, 7>(),
-            8 => self.sized::<T, 8>(),
-            9 => self.sized::<T, 9>(),
-            10 => self.sized::<T, 10>(),
+            1 if T::OWN_SIZES >= 1 => self.sized::<T, 1>(),
+            2 if T::OWN_SIZES >= 2 => self.sized::<T, 2>(),
+            3 if T::OWN_SIZES >= 3 => self.sized::<T, 3>(),
+            4 if T::OWN_SIZES >= 4 => self.sized::<T, 4>(),
+            5 if T::OWN_SIZES >= 5 => self.sized::<T, 5>(),
+            6 if T::OWN_SIZES >= 6 => self.sized::<T, 6>(),
+            7 if T::OWN_SIZES >= 7 => self.sized::<T, 7>(),
+            8 if T::OWN_SIZES >= 8 => self.sized::<T, 8>(),
+            9 if T::OWN_SIZES >= 9 => self.sized::<T, 9>(),
+            10 if T::OWN_SIZES >= 10 => self.sized::<T, 10>(),
             _ => self.any::<T>(),
         }
     }
