@@ -140,7 +140,7 @@ impl Classes {
                 let factor = DMatrix::from_row_slice(p, p, &class.factor);
                 information += factor.transpose() * &factor * class.count;
             }
-            if blocks.takes(&class) {
+            if elements.is_single() && blocks.takes(&class) {
                 blocks.push(&class);
             } else if class.chain.as_ref().is_none_or(|chain| chain.is_careful()) {
                 beside.push(classes.len());
