@@ -3,6 +3,10 @@
 use std::path::PathBuf;
 
 use clap::{Args as Group, Parser, Subcommand, ValueEnum};
+use clap_complete::Shell;
+
+use crate::examples;
+use crate::templates::Template;
 
 /// Error models from ensembles of non-identical tests, by maximum likelihood.
 #[derive(Debug, Parser)]
@@ -10,7 +14,7 @@ use clap::{Args as Group, Parser, Subcommand, ValueEnum};
     name = "kalfit",
     version,
     max_term_width = 100,
-    after_help = "Exit status: 0 done and certified; 1 finished without a certified optimum; 2 bad input, nothing is written."
+    after_help = examples::PROGRAM
 )]
 pub(crate) struct Args {
     #[command(subcommand)]
@@ -19,11 +23,15 @@ pub(crate) struct Args {
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
+    /// Write a starter model, with comments, and a small data set: both run as they are
+    Init(InitArgs),
     /// Fit a model to data: a summary to standard output, all results to a file
     Fit(FitArgs),
     /// Run the filters once, at known parameters, and write what they make of the data: all that a fit needs
+    #[command(after_help = examples::REDUCE)]
     Reduce(ExchangeArgs),
     /// Run the `[filter]` of each phase, optimal or not, and write its estimates with the errors they make
+    #[command(after_help = examples::ESTIMATES)]
     Estimates(ExchangeArgs),
     /// Test a hypothesis within a model by the ratio of the likelihoods
     Test(TestArgs),
@@ -35,6 +43,40 @@ pub(crate) enum Command {
     Plan(PlanArgs),
     /// The report of a fit, one HTML page, from its results alone
     Report(ReportArgs),
+    /// The script that completes commands and options in a shell, to standard output
+    Completions(CompletionsArgs),
+    /// The manual page, to standard output, or the pages of all commands, to a folder
+    Man(ManArgs),
+}
+
+#[derive(Debug, Group)]
+#[command(after_help = examples::INIT)]
+pub(crate) struct InitArgs {
+    /// What to start from
+    #[arg(value_enum)]
+    pub(crate) template: Template,
+
+    /// Folder for the files, made if it does not exist [default: this folder]
+    pub(crate) dir: Option<PathBuf>,
+
+    /// Print nothing but errors
+    #[arg(long)]
+    pub(crate) quiet: bool,
+}
+
+#[derive(Debug, Group)]
+#[command(after_help = examples::COMPLETIONS)]
+pub(crate) struct CompletionsArgs {
+    /// The shell
+    #[arg(value_enum)]
+    pub(crate) shell: Shell,
+}
+
+#[derive(Debug, Group)]
+#[command(after_help = examples::MAN)]
+pub(crate) struct ManArgs {
+    /// Folder for the pages, made if it does not exist; pages that are there are replaced
+    pub(crate) dir: Option<PathBuf>,
 }
 
 /// Options that say what the model and the data are.
@@ -53,6 +95,7 @@ pub(crate) struct ModelArgs {
 }
 
 #[derive(Debug, Group)]
+#[command(after_help = examples::FIT)]
 pub(crate) struct FitArgs {
     #[command(flatten)]
     pub(crate) model: ModelArgs,
@@ -123,14 +166,7 @@ pub(crate) struct FitArgs {
 }
 
 #[derive(Debug, Group)]
-#[command(after_help = "\
-The hypothesis is a TOML file with `[mean]`, `[covariance]` or `[parameters]`. Its keys replace the model's; \
-`structure` drops the model's other keys of `[covariance]`. For example, no spread of the slope, whose mean is 10:
-
-  [mean]
-  fixed = { slope = 10 }
-  [covariance]
-  fixed = { \"slope, slope\" = 0 }")]
+#[command(after_help = examples::TEST)]
 pub(crate) struct TestArgs {
     #[command(flatten)]
     pub(crate) model: ModelArgs,
@@ -191,6 +227,7 @@ pub(crate) struct ExchangeArgs {
 }
 
 #[derive(Debug, Group)]
+#[command(after_help = examples::CHECK)]
 pub(crate) struct CheckArgs {
     #[command(flatten)]
     pub(crate) model: ModelArgs,
@@ -213,6 +250,7 @@ pub(crate) struct TruthArgs {
 }
 
 #[derive(Debug, Group)]
+#[command(after_help = examples::SIMULATE)]
 pub(crate) struct SimulateArgs {
     #[command(flatten)]
     pub(crate) model: ModelArgs,
@@ -243,6 +281,7 @@ pub(crate) struct SimulateArgs {
 }
 
 #[derive(Debug, Group)]
+#[command(after_help = examples::PLAN)]
 pub(crate) struct PlanArgs {
     #[command(flatten)]
     pub(crate) model: ModelArgs,
@@ -265,6 +304,7 @@ pub(crate) struct PlanArgs {
 }
 
 #[derive(Debug, Group)]
+#[command(after_help = examples::REPORT)]
 pub(crate) struct ReportArgs {
     /// Results of `kalfit fit --out`
     #[arg(value_name = "FIT.json")]

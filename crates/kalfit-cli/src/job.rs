@@ -1,7 +1,9 @@
 //! What is meant by what was typed.
 
+use std::path::PathBuf;
 use std::process::ExitCode;
 
+use clap_complete::Shell;
 use kalfit::dynamic::{self, Method};
 use kalfit::estimate::{Combination, Criterion, Settings, Solver};
 use kalfit::infer::{Bootstrap, Choices, DeletionChoice, IntervalKind, StdErrors};
@@ -12,6 +14,8 @@ use crate::args::{
     Args, CheckArgs, Command, CriterionArg, DeletionArg, ExchangeArgs, FitArgs, InnovationsArg, IntervalsArg,
     MethodArg, ModelArgs, PhasesArg, PlanArgs, ReportArgs, SimulateArgs, SolverArg, StdErrorsArg, TestArgs,
 };
+use crate::init::InitJob;
+use crate::interrupt;
 use crate::show::{self, Ended};
 
 /// One command with all that it needs to know.
@@ -26,6 +30,7 @@ pub(crate) struct Order {
 
 #[derive(Debug)]
 enum Job {
+    Init(InitJob),
     Fit(FitJob),
     Reduce(ExchangeJob),
     Estimates(ExchangeJob),
@@ -34,6 +39,8 @@ enum Job {
     Simulate(SimulateJob),
     Plan(PlanJob),
     Report(ReportJob),
+    Completions(Shell),
+    Man(Option<PathBuf>),
 }
 
 /// How a command ended that had good input.
@@ -41,6 +48,8 @@ enum Job {
 pub(crate) enum Outcome {
     Done,
     NotCertified,
+    /// By Ctrl-C, with what there was.
+    Interrupted,
 }
 
 impl Outcome {
@@ -53,6 +62,7 @@ impl Outcome {
         match self {
             Outcome::Done => ExitCode::SUCCESS,
             Outcome::NotCertified => ExitCode::FAILURE,
+            Outcome::Interrupted => ExitCode::from(interrupt::STATUS),
         }
     }
 }
@@ -63,7 +73,9 @@ impl Order {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
             pool.map_err(|error| Failure::Threads { threads, reason: error.to_string() })?;
         }
+        interrupt::listen(matches!(self.job, Job::Fit(_)), self.quiet);
         match &self.job {
+            Job::Init(job) => show::init(job, self.quiet),
             Job::Fit(job) => show::fit(job, self.quiet),
             Job::Reduce(job) => show::exchange(job, kalfit_job::reduce, self.quiet),
             Job::Estimates(job) => show::exchange(job, kalfit_job::estimates, self.quiet),
@@ -72,6 +84,8 @@ impl Order {
             Job::Simulate(job) => show::simulate(job, self.quiet),
             Job::Plan(job) => show::plan(job, self.quiet),
             Job::Report(job) => show::report(job, self.quiet),
+            Job::Completions(shell) => show::completions(*shell),
+            Job::Man(folder) => show::man(folder.as_deref()),
         }
     }
 }
@@ -84,6 +98,8 @@ impl From<Args> for Order {
             Command::Test(args) => (args.model.threads, args.quiet),
             Command::Check(args) => (args.model.threads, false),
             Command::Report(args) => (None, args.quiet),
+            Command::Init(args) => (None, args.quiet),
+            Command::Completions(_) | Command::Man(_) => (None, false),
             Command::Simulate(args) => (args.model.threads, args.quiet),
             Command::Plan(args) => (args.model.threads, args.quiet),
         };
@@ -97,6 +113,9 @@ impl From<Args> for Order {
             Command::Simulate(args) => Job::Simulate(args.into()),
             Command::Plan(args) => Job::Plan(args.into()),
             Command::Report(args) => Job::Report(args.into()),
+            Command::Init(args) => Job::Init(InitJob { template: args.template, folder: args.dir.unwrap_or_default() }),
+            Command::Completions(args) => Job::Completions(args.shell),
+            Command::Man(args) => Job::Man(args.dir),
         };
         Order { job, threads, quiet }
     }
@@ -187,6 +206,7 @@ impl From<FitArgs> for FitJob {
             },
             choices,
             innovations: args.innovations == InnovationsArg::On,
+            keeps_stopped: true,
         }
     }
 }

@@ -1,9 +1,14 @@
 //! The command `kalfit`: what was typed → what is meant → one job → what is shown, and the exit status.
 
 mod args;
+mod examples;
+mod generate;
+mod init;
+mod interrupt;
 mod job;
 mod progress;
 mod show;
+mod templates;
 mod terminal;
 
 use std::process::ExitCode;
@@ -19,7 +24,7 @@ fn main() -> ExitCode {
         Ok(outcome) => outcome.exit_code(),
         Err(ended) => {
             terminal::complain(&ended.words());
-            ExitCode::from(2)
+            ended.exit_code()
         }
     }
 }

@@ -1,10 +1,17 @@
 //! Jobs done and their results shown: results on standard output, everything else on standard error.
 
+use std::path::Path;
+use std::process::ExitCode;
+
+use clap_complete::Shell;
 use kalfit_job::{
     CheckJob, Done, ExchangeJob, Exchanged, Failure, FitJob, PlanJob, ReportJob, SimulateJob, TestJob, Watch,
 };
 use kalfit_report::{check_summary, plan_summary, ratio_summary, summary};
 
+use crate::generate::{self, ManError};
+use crate::init::{self, InitError, InitJob};
+use crate::interrupt;
 use crate::job::Outcome;
 use crate::progress::Line;
 use crate::terminal;
@@ -14,6 +21,10 @@ use crate::terminal;
 pub(crate) enum Ended {
     /// The job could not be done.
     Failed(Box<Failure>),
+    /// No starter model was written.
+    NotBegun(InitError),
+    /// No manual pages were written.
+    NoPages(ManError),
     /// Standard output could not be written.
     Unheard(std::io::Error),
 }
@@ -25,11 +36,21 @@ impl From<Failure> for Ended {
 }
 
 impl Ended {
+    /// Bad input, unless it was the user who ended it.
+    pub(crate) fn exit_code(&self) -> ExitCode {
+        match self {
+            Ended::Failed(failure) if matches!(**failure, Failure::Interrupted) => ExitCode::from(interrupt::STATUS),
+            _ => ExitCode::from(2),
+        }
+    }
+
     /// The whole message.
     pub(crate) fn words(&self) -> String {
         let color = terminal::color_on_stderr();
         match self {
             Ended::Failed(failure) => kalfit_job::render(failure, color),
+            Ended::NotBegun(error) => kalfit_job::render_hinted(&error.to_string(), error.hint(), color),
+            Ended::NoPages(error) => kalfit_job::render_message(&error.to_string(), color),
             Ended::Unheard(error) => {
                 kalfit_job::render_message(&format!("cannot write to standard output: {error}"), color)
             }
@@ -40,7 +61,7 @@ impl Ended {
 pub(crate) fn fit(job: &FitJob, quiet: bool) -> Result<Outcome, Ended> {
     let Done { record, notes, written } = watched(quiet, |line| kalfit_job::fit(job, line))?;
     tell(quiet, &notes, || summary(&record, &terminal::style()), written)?;
-    Ok(Outcome::of(record.converged))
+    Ok(if interrupt::asked() { Outcome::Interrupted } else { Outcome::of(record.converged) })
 }
 
 pub(crate) fn test(job: &TestJob, quiet: bool) -> Result<Outcome, Ended> {
@@ -66,6 +87,31 @@ pub(crate) fn report(job: &ReportJob, quiet: bool) -> Result<Outcome, Ended> {
     let Done { written, .. } = kalfit_job::report(job)?;
     if !quiet {
         written.iter().for_each(|name| terminal::complain(&format!("Wrote {name}\n")));
+    }
+    Ok(Outcome::Done)
+}
+
+pub(crate) fn init(job: &InitJob, quiet: bool) -> Result<Outcome, Ended> {
+    let told = init::init(job).map_err(Ended::NotBegun)?;
+    if !quiet {
+        terminal::complain(&told);
+    }
+    Ok(Outcome::Done)
+}
+
+pub(crate) fn completions(shell: Shell) -> Result<Outcome, Ended> {
+    terminal::print(&generate::completions(shell)).map_err(Ended::Unheard)?;
+    Ok(Outcome::Done)
+}
+
+/// The page of the program to standard output, or all pages to a folder.
+pub(crate) fn man(folder: Option<&Path>) -> Result<Outcome, Ended> {
+    match folder {
+        None => generate::man().and_then(|page| terminal::print(&page)).map_err(Ended::Unheard)?,
+        Some(folder) => {
+            let pages = generate::man_pages(folder).map_err(Ended::NoPages)?;
+            terminal::complain(&format!("Wrote {pages} pages to {}\n", folder.display()));
+        }
     }
     Ok(Outcome::Done)
 }

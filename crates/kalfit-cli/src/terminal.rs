@@ -2,6 +2,8 @@
 
 use std::io::{IsTerminal, Write};
 
+use anstream::stream::RawStream;
+use anstream::{AutoStream, ColorChoice};
 use kalfit_report::Style;
 
 /// Wider lines are hard to read.
@@ -14,20 +16,20 @@ pub(crate) fn style() -> Style {
         if let Some((terminal_size::Width(width), _)) = terminal_size::terminal_size() {
             style.width = usize::from(width).min(WIDEST);
         }
-        style.color = wants_color();
     }
+    style.color = wants_color(&std::io::stdout());
     style
 }
 
 /// Whether messages to standard error may be coloured.
 pub(crate) fn color_on_stderr() -> bool {
-    std::io::stderr().is_terminal() && wants_color()
+    wants_color(&std::io::stderr())
 }
 
-/// <https://no-color.org>, and terminals that know nothing of colours.
-fn wants_color() -> bool {
-    let set = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty());
-    set("NO_COLOR").is_none() && set("TERM").is_none_or(|term| term != "dumb")
+/// As the help goes by, too: on terminals that know colours, unless `NO_COLOR` is set or `CLICOLOR` is 0; with `CLICOLOR_FORCE`
+/// everywhere.
+fn wants_color(stream: &impl RawStream) -> bool {
+    AutoStream::choice(stream) != ColorChoice::Never
 }
 
 /// Writes to standard output. A reader that has gone away (`kalfit fit … | head`) is no error.

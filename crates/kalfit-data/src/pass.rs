@@ -45,6 +45,31 @@ impl<'a> Job<'a> {
     }
 }
 
+/// The sink hears of the bytes read once in so many rows.
+const TELL_ROWS: u64 = 4096;
+
+/// Bytes of the inputs, for whoever waits.
+struct Sizes {
+    /// Of each input; none of what is no file.
+    each: Vec<Option<u64>>,
+    all: Option<u64>,
+}
+
+impl Sizes {
+    fn of(inputs: &[Input]) -> Sizes {
+        let size = |input: &Input| std::fs::metadata(input.path()?).ok().filter(|found| found.is_file());
+        let each: Vec<Option<u64>> = inputs.iter().map(|input| size(input).map(|found| found.len())).collect();
+        let all = each.iter().copied().collect::<Option<Vec<u64>>>().map(|sizes| sizes.iter().sum());
+        Sizes { each, all }
+    }
+
+    /// Bytes read, once so much of an input is.
+    fn read(&self, input: usize, table: &Table<'_>) -> u64 {
+        let before: u64 = self.each[..input].iter().flatten().sum();
+        before + self.each[input].map_or(0, |size| table.read(size).min(size))
+    }
+}
+
 /// Reads every input once.
 pub(crate) fn run<S: Sink>(
     job: &Job<'_>,
@@ -54,6 +79,7 @@ pub(crate) fn run<S: Sink>(
     spool: &mut Spool<'_>,
 ) -> Result<Ended, ReadError<S::Error>> {
     let mut row = Row::new(job.wanted.numbers, job.wanted.texts);
+    let sizes = Sizes::of(job.inputs);
     let clock = &job.model.shared().clock;
     let mut times = Times { wanted: job.wanted, time_unit: clock.unit.as_deref(), first: None, unit: 1 };
     for (index, input) in job.inputs.iter().enumerate() {
@@ -74,6 +100,9 @@ pub(crate) fn run<S: Sink>(
                     return Err(times.decrease(&row, &file, phase, previous).into());
                 }
             }
+            if reading.rows % TELL_ROWS == 0 {
+                tell(sink, (sizes.read(index, &table), sizes.all), reading)?;
+            }
             if let Some(batch) = gather.batch() {
                 hand_over(sink, batch, reading)?;
             }
@@ -93,6 +122,14 @@ pub(crate) fn run<S: Sink>(
 fn phase(model: &PhasedModel, row: &Row, labels: &Labels) -> Option<String> {
     let label = row.texts[model.column?];
     (!label.is_missing()).then(|| shown(labels.text(label).as_bytes()))
+}
+
+fn tell<S: Sink>(
+    sink: &mut S,
+    (done, of): (u64, Option<u64>),
+    reading: &mut Reading,
+) -> Result<(), ReadError<S::Error>> {
+    sink.bytes(done, of).map_err(|error| ReadError::Sink { error, reading: Box::new(std::mem::take(reading)) })
 }
 
 fn hand_over<S: Sink>(sink: &mut S, batch: Vec<Test>, reading: &mut Reading) -> Result<(), ReadError<S::Error>> {

@@ -25,6 +25,14 @@ pub trait Sink {
     /// Whatever it cannot take; the reading then ends with [`ReadError::Sink`].
     fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), Self::Error>;
 
+    /// Hears now and then how many bytes are read, and of how many, when all inputs are files.
+    ///
+    /// # Errors
+    /// The reading ends with [`ReadError::Sink`].
+    fn bytes(&mut self, _done: u64, _of: Option<u64>) -> Result<(), Self::Error> {
+        Ok(())
+    }
+
     /// Forget all tests taken so far: rows of one of them came later, and everything is read again from the start.
     fn restart(&mut self);
 }

@@ -15,9 +15,18 @@ pub fn render(failure: &Failure, color: bool) -> String {
         text.push_str(&format!("{}| {}\n", " ".repeat(shown.indent), paint("31", &shown.underline)));
     }
     if let Some(hint) = failure.hint() {
-        text.push_str(&format!("\n{}: {}\n", paint("36", "hint"), clean(&hint)));
+        text.push_str(&hinted(&hint, color));
     }
     text
+}
+
+/// As [`render`], for a message and a hint that stand alone.
+pub fn render_hinted(message: &str, hint: Option<&str>, color: bool) -> String {
+    render_message(message, color) + &hint.map_or(String::new(), |hint| hinted(hint, color))
+}
+
+fn hinted(hint: &str, color: bool) -> String {
+    format!("\n{}: {}\n", paint(color, "36", "hint"), clean(hint))
 }
 
 /// As [`render`], for a message that stands alone.

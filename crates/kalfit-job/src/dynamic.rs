@@ -81,7 +81,7 @@ pub(crate) fn known(
     work: &mut Work<'_>,
 ) -> Result<FitRecord, Failure> {
     refuse_idle(job)?;
-    let reductions = reductions::of(&spec.model, alpha, tests, reading)?;
+    let reductions = reductions::of_all(&spec.model, alpha, (tests, reading), work)?;
     let (mut record, population) = record(job, spec, given, (alpha, &reductions), work)?;
     lost::add(&mut record, (&spec.model, alpha, &population), &reductions, (tests, reading));
     if job.innovations {

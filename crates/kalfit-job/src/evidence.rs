@@ -222,6 +222,10 @@ impl Sink for Rows<'_, '_> {
         Ok(())
     }
 
+    fn bytes(&mut self, done: u64, of: Option<u64>) -> Result<(), Refused> {
+        Refused::unless_stopped_at(self.work, done, of)
+    }
+
     fn restart(&mut self) {
         self.entries.clear();
     }

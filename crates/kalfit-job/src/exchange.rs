@@ -210,6 +210,11 @@ impl<M: Maker> Sink for Filing<'_, '_, M> {
         self.take(entries, labels)
     }
 
+    fn bytes(&mut self, done: u64, of: Option<u64>) -> Result<(), Refused> {
+        of.into_iter().for_each(|of| self.work.share("filtering", done, of));
+        if self.work.is_stopped() { Err(Refused::Interrupted) } else { Ok(()) }
+    }
+
     fn restart(&mut self) {
         (self.writer, self.rows) = (None, 0);
         self.tests.clear();

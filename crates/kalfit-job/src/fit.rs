@@ -16,7 +16,7 @@ use crate::work::{Watch, Work};
 use crate::{dynamic, lost, model, reductions, report, tests};
 
 /// Fits a model to data. A search that is [stopped](Watch::stops) ends with the best that it found, and a record that says so,
-/// and writes no file.
+/// and writes no file unless the job [keeps](FitJob::keeps_stopped) it.
 ///
 /// # Errors
 /// Bad input, or [`Failure::Interrupted`] before the search began.
@@ -41,11 +41,13 @@ pub fn fit(job: &FitJob, watch: &mut dyn Watch) -> Result<Done<FitRecord>, Failu
     let mut record =
         if free { dynamic::fit(job, &spec, &given, &mut work)? } else { known(job, &spec, &given, &mut work)? };
     record.notes.splice(0..0, given.notes);
-    let output = output.filter(|_| !work.is_stopped()); // nobody waits for the file either
+    // asked for each file: whoever does not want what was stopped does not wait for files either
+    let wanted = |work: &Work<'_>| job.keeps_stopped || !work.is_stopped();
+    let output = output.filter(|_| wanted(&work));
     if let Some(output) = &output {
         output.write(&record)?;
     }
-    let page = page.filter(|_| !work.is_stopped());
+    let page = page.filter(|_| wanted(&work));
     if let Some(page) = &page {
         report::write(page, &kalfit_report::html(&record))?;
     }

@@ -234,11 +234,12 @@ impl<'a, 'w> Looking<'a, 'w> {
 
     /// At all of them, as long as somebody waits.
     fn look_at(&mut self, tests: &[PhasedTest]) -> Result<(), Unavailable> {
-        for tests in tests.chunks(BATCH) {
+        for (i, batch) in tests.chunks(BATCH).enumerate() {
             if self.work.is_stopped() {
                 return Err(Unavailable::Interrupted);
             }
-            self.look(tests);
+            self.work.share("innovations", (i * BATCH) as u64, tests.len() as u64);
+            self.look(batch);
         }
         Ok(())
     }
@@ -272,6 +273,11 @@ impl Sink for Looking<'_, '_> {
         let tests: Vec<PhasedTest> = split.collect::<Result<_, _>>().map_err(Unavailable::Split)?;
         self.look(&tests);
         Ok(())
+    }
+
+    fn bytes(&mut self, done: u64, of: Option<u64>) -> Result<(), Unavailable> {
+        of.into_iter().for_each(|of| self.work.share("innovations", done, of));
+        if self.work.is_stopped() { Err(Unavailable::Interrupted) } else { Ok(()) }
     }
 
     fn restart(&mut self) {

@@ -40,6 +40,8 @@ pub struct FitJob {
     pub choices: Choices,
     /// Look at the data once more after the fit.
     pub innovations: bool,
+    /// Write the files of a search that was [stopped](crate::Watch::stops), too: what it has, as not converged.
+    pub keeps_stopped: bool,
 }
 
 impl FitJob {
@@ -48,7 +50,18 @@ impl FitJob {
         let settings = Settings::default();
         let search = dynamic::Settings { inner: settings.clone(), seed: 1, ..dynamic::Settings::default() };
         let (method, choices) = (Some(Method::Hybrid), Choices::default());
-        FitJob { model, data, out: None, report: None, settings, search, method, choices, innovations: true }
+        FitJob {
+            model,
+            data,
+            out: None,
+            report: None,
+            settings,
+            search,
+            method,
+            choices,
+            innovations: true,
+            keeps_stopped: false,
+        }
     }
 }
 

@@ -41,7 +41,7 @@ mod truth;
 mod work;
 
 pub use check::check;
-pub use diagnostic::{render, render_message};
+pub use diagnostic::{render, render_hinted, render_message};
 pub use document::Document;
 pub use estimates::estimates;
 pub use failure::{Failure, Place, Source};
@@ -50,11 +50,11 @@ pub use job::{
     CheckJob, Done, ExchangeJob, Exchanged, FitJob, ModelJob, PlanJob, ReportJob, SimulateJob, Simulated, TestJob,
 };
 pub use model::read as read_model;
-pub use output::OutputError;
+pub use output::{OutputError, abandon};
 pub use plan::plan;
 pub use reduce::reduce;
 pub use report::{ReportError, report};
 pub use simulate::simulate;
 pub use test::test;
 pub use truth::{TruthError, fit_record};
-pub use work::{Unwatched, Watch};
+pub use work::{Share, Unwatched, Watch};

@@ -1,7 +1,9 @@
 //! A result file: whole or not at all. What stood there before survives every failure.
 
+use std::collections::BTreeSet;
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 /// Why a result file cannot be written.
 #[derive(Debug, thiserror::Error)]
@@ -144,7 +146,7 @@ impl Output {
         place(self) == place(other)
     }
 
-    fn temporary(&self) -> Result<tempfile::NamedTempFile, OutputError> {
+    fn temporary(&self) -> Result<Temporary, OutputError> {
         let mut builder = tempfile::Builder::new();
         builder.prefix(".kalfit-").suffix(".tmp");
         #[cfg(unix)]
@@ -153,11 +155,51 @@ impl Output {
             // What any new file gets, less the umask; by default only the owner could read it.
             builder.permissions(std::fs::Permissions::from_mode(0o666));
         }
-        builder.tempfile_in(&self.folder).map_err(|source| self.io(source))
+        let mut known = TEMPORARY.lock().unwrap_or_else(PoisonError::into_inner); // before there is a file
+        let file = builder.tempfile_in(&self.folder).map_err(|source| self.io(source))?;
+        known.insert(file.path().to_owned());
+        Ok(Temporary { path: file.path().to_owned(), file: Some(file) })
     }
 
     fn io(&self, source: std::io::Error) -> OutputError {
         OutputError::Io { path: self.named.clone(), source }
+    }
+}
+
+/// The temporary files that there are.
+static TEMPORARY: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
+
+/// Removes the temporary files of all jobs, and keeps jobs from making any more: for a process that ends at once, while jobs
+/// run. Files that are whole stay.
+pub fn abandon() {
+    let known = TEMPORARY.lock().unwrap_or_else(PoisonError::into_inner);
+    known.iter().for_each(|path| drop(std::fs::remove_file(path)));
+    std::mem::forget(known); // whoever wants another one waits for the end
+}
+
+/// A temporary file that is known until it is gone or in its place.
+#[derive(Debug)]
+struct Temporary {
+    path: PathBuf,
+    /// None once it is in its place.
+    file: Option<tempfile::NamedTempFile>,
+}
+
+impl Temporary {
+    fn file(&self) -> &std::fs::File {
+        self.file.as_ref().expect("it is not in its place yet").as_file()
+    }
+
+    fn persist(mut self, target: &Path) -> std::io::Result<()> {
+        let file = self.file.take().expect("it is not in its place yet");
+        file.persist(target).map(drop).map_err(|error| error.error)
+    }
+}
+
+impl Drop for Temporary {
+    fn drop(&mut self) {
+        self.file = None;
+        TEMPORARY.lock().unwrap_or_else(PoisonError::into_inner).remove(&self.path);
     }
 }
 
@@ -210,7 +252,7 @@ pub(crate) struct Pending<'a>(Place<'a>);
 
 #[derive(Debug)]
 enum Place<'a> {
-    Beside(&'a Output, tempfile::NamedTempFile),
+    Beside(&'a Output, Temporary),
     Nameless(std::fs::File),
 }
 
@@ -226,7 +268,7 @@ impl Pending<'_> {
     /// Where to write.
     pub(crate) fn file(&self) -> &std::fs::File {
         match &self.0 {
-            Place::Beside(_, file) => file.as_file(),
+            Place::Beside(_, temporary) => temporary.file(),
             Place::Nameless(file) => file,
         }
     }
@@ -237,11 +279,11 @@ impl Pending<'_> {
             Place::Beside(output, file) => (output, file),
             Place::Nameless(file) => return Ok(Some(file)),
         };
-        file.as_file().sync_all().map_err(|source| output.io(source))?;
+        file.file().sync_all().map_err(|source| output.io(source))?;
         if let Ok(old) = std::fs::metadata(&output.target) {
-            std::fs::set_permissions(file.path(), old.permissions()).map_err(|source| output.io(source))?;
+            std::fs::set_permissions(&file.path, old.permissions()).map_err(|source| output.io(source))?;
         }
-        file.persist(&output.target).map_err(|error| output.io(error.error))?;
+        file.persist(&output.target).map_err(|source| output.io(source))?;
         Ok(None)
     }
 }

@@ -2,7 +2,7 @@
 
 use kalfit::dynamic::{self, DynamicFit, Method, ParameterInference, Settings};
 use kalfit::infer::{
-    Choices, DeletionChoice, DynamicRatioError, Inference, LikelihoodRatio, NotNested, dynamic_bootstrap,
+    Choices, DeletionChoice, DynamicRatioError, Inference, LikelihoodRatio, NotNested, dynamic_bootstrap_while,
     dynamic_ratio, restricted, started,
 };
 use kalfit::model::{CovarianceStructure, MeanStructure, Parameter, Phase, Value};
@@ -45,7 +45,7 @@ pub(crate) fn test(
     if slots[1].is_empty() {
         // every level of the data has a value after all
         let alpha = slots[1].alpha(wide.shared(), &[]);
-        let reductions = reductions::of(&wide, &alpha, &tests, &reading)?;
+        let reductions = reductions::of_all(&wide, &alpha, (&tests, &reading), work)?;
         return known::known(job, (spec, hypothesis), (&alpha, &reductions), provenance, work);
     }
     let settings = Settings { method: Method::Hybrid, inner: job.settings.clone(), starts: 0, seed: 1 };
@@ -58,14 +58,15 @@ pub(crate) fn test(
     let drawn = match job.bootstrap {
         None => None,
         Some(asked) => {
-            work.say(|| "drawing ensembles from the hypothesis".to_owned());
             let data = (&reading.labels, &tests[..]);
             let asked_of = (ratio.statistic, asked);
-            let found =
-                dynamic_bootstrap((null, &narrow), &wide, data, &bench.settings, asked_of).map_err(|error| {
-                    Failure::Simulate { error: Box::new(error), reading: Some(Box::new(reading.clone())) }
-                })?;
-            Some((asked, found))
+            let mut goes_on = |done| known::drawing(work, done, asked);
+            let found = dynamic_bootstrap_while((null, &narrow), &wide, data, &bench.settings, asked_of, &mut goes_on);
+            let found = found.map_err(|error| Failure::Simulate {
+                error: Box::new(error),
+                reading: Some(Box::new(reading.clone())),
+            })?;
+            Some((asked, found.ok_or(Failure::Interrupted)?))
         }
     };
     let inferred = [bench.infer(null, &narrow)?, bench.infer(&wide, &full)?];

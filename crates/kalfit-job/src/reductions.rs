@@ -41,6 +41,10 @@ impl Sink for Reducing<'_, '_> {
         Ok(())
     }
 
+    fn bytes(&mut self, done: u64, of: Option<u64>) -> Result<(), Refused> {
+        Refused::unless_stopped_at(self.work, done, of)
+    }
+
     fn restart(&mut self) {
         self.reductions.clear();
         (self.counted)(None);
@@ -82,7 +86,7 @@ fn read(
     if !given.is_rows() {
         let (tests, reading) = given.tests(spec, model, work)?;
         tests.iter().for_each(|test| counted(Some(test)));
-        return of(model, alpha, &tests, &reading);
+        return of_all(model, alpha, (&tests, &reading), work);
     }
     let reducer = PhasedReducer::new(model, alpha).map_err(|error| Failure::Reduce { error, reading: None })?;
     let mut stdin = given.stdin();
@@ -92,6 +96,28 @@ fn read(
     kalfit_data::read_from(model, &spec.layout, &given.inputs, &mut sink, &mut stdin)
         .map_err(|error| refused::failure(error, spec))?;
     Ok(sink.reductions)
+}
+
+/// Kept tests are reduced so many at a time, so that somebody may hear of it.
+const BATCH: usize = 1024;
+
+/// [`of`], as long as somebody waits.
+pub(crate) fn of_all(
+    model: &PhasedModel,
+    alpha: &Alpha,
+    (tests, reading): (&[PhasedTest], &Reading),
+    work: &mut Work<'_>,
+) -> Result<Vec<Reduction>, Failure> {
+    let failed = |error| Failure::Reduce { error, reading: Some(Box::new(reading.clone())) };
+    let mut reducer = PhasedReducer::new(model, alpha).map_err(failed)?;
+    let mut reductions = Vec::with_capacity(tests.len());
+    for batch in tests.chunks(BATCH) {
+        work.go_on()?;
+        work.share("reducing", reductions.len() as u64, tests.len() as u64);
+        work.say(|| format!("reducing: {} tests", tests.len()));
+        reductions.extend(reducer.reduce(batch).map_err(failed)?);
+    }
+    Ok(reductions)
 }
 
 /// Runs the filters over tests that were kept.

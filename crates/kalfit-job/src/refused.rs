@@ -20,6 +20,12 @@ impl Refused {
     pub(crate) fn unless_stopped(work: &Work<'_>) -> Result<(), Refused> {
         if work.is_stopped() { Err(Refused::Interrupted) } else { Ok(()) }
     }
+
+    /// As [`Refused::unless_stopped`], saying how far the reading is.
+    pub(crate) fn unless_stopped_at(work: &mut Work<'_>, done: u64, of: Option<u64>) -> Result<(), Refused> {
+        of.into_iter().for_each(|of| work.share("reading", done, of));
+        Refused::unless_stopped(work)
+    }
 }
 
 /// A reading that ended early.

@@ -118,6 +118,7 @@ impl Task<'_> {
             rows += tests.iter().map(|test| test.rows() as u64).sum::<u64>();
             table.write(tests.iter(), &self.reading.labels).map_err(in_data)?;
             done = next;
+            work.share("drawing", done, self.count);
             work.say(|| format!("drawing: {done} of {} tests", self.count));
         }
         let mut sink = table.finish().map_err(in_data)?;

@@ -1,7 +1,7 @@
 //! `kalfit test`: a hypothesis within a model.
 
 use kalfit::estimate::{Estimate, Progress, Structure};
-use kalfit::infer::{NotNested, at_least, bootstrap, fit_null, likelihood_ratio};
+use kalfit::infer::{Bootstrap, NotNested, at_least, bootstrap_while, fit_null, likelihood_ratio};
 use kalfit::model::{Level, Parameter};
 use kalfit::record::{PartRecord, RatioProvenance, RatioRecord};
 use kalfit::{Alpha, PhasedModel, Reduction, estimate};
@@ -86,10 +86,24 @@ pub(crate) fn known(
     work.go_on()?;
     let parts = bench.parts(&wide, work)?;
     work.go_on()?;
-    work.say(|| "drawing ensembles from the hypothesis".to_owned());
-    let drawn = job.bootstrap.map(|b| (b, bootstrap(&null, &wide, reductions, ratio.statistic, b)));
-    let drawn = drawn.as_ref().map(|(b, found)| (*b, found));
+    let drawn = match job.bootstrap {
+        None => None,
+        Some(asked) => {
+            let mut goes_on = |done| drawing(work, done, asked);
+            let found = bootstrap_while(&null, &wide, reductions, (ratio.statistic, asked), &mut goes_on);
+            Some((asked, found.ok_or(Failure::Interrupted)?))
+        }
+    };
+    let drawn = drawn.as_ref().map(|(asked, found)| (*asked, found));
     Ok(RatioRecord::new(&spec.model, reductions, (&null, &wide), &ratio, drawn, parts, provenance))
+}
+
+/// Says how many ensembles are done; true if somebody waits for more.
+pub(crate) fn drawing(work: &mut Work<'_>, done: usize, asked: Bootstrap) -> bool {
+    let all = asked.replicates;
+    work.share("drawing ensembles", done as u64, all as u64);
+    work.say(|| format!("drawing ensembles from the hypothesis: {done} of {all}"));
+    !work.is_stopped()
 }
 
 /// What all fits of a test share.

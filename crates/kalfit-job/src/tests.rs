@@ -28,6 +28,10 @@ impl Sink for Keep<'_, '_> {
         Ok(())
     }
 
+    fn bytes(&mut self, done: u64, of: Option<u64>) -> Result<(), Refused> {
+        Refused::unless_stopped_at(self.work, done, of)
+    }
+
     fn restart(&mut self) {
         self.tests.clear();
     }

@@ -6,10 +6,24 @@ use kalfit::estimate::{Progress, Step};
 
 use crate::failure::Failure;
 
+/// How far something has come whose end is known.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Share {
+    /// What is being done: the words of [`Watch::say`] begin with it.
+    pub what: &'static str,
+    /// So much of it is done.
+    pub done: u64,
+    /// Of so much.
+    pub of: u64,
+}
+
 /// Somebody who waits for a job.
 pub trait Watch {
     /// Hears what is being done now. The words are made only when they are asked for.
     fn say(&mut self, what: &dyn Fn() -> String);
+
+    /// Hears how far it is, where the end is known.
+    fn share(&mut self, _: Share) {}
 
     /// True once the job is to end as soon as it can. A search for a fit ends where it is, with a result that says so; whatever
     /// else is under way ends with [`Failure::Interrupted`].
@@ -45,6 +59,11 @@ impl<'a> Work<'a> {
     /// Says what is being done now.
     pub(crate) fn say(&mut self, what: impl Fn() -> String) {
         self.watch.say(&what);
+    }
+
+    /// Says how far it is.
+    pub(crate) fn share(&mut self, what: &'static str, done: u64, of: u64) {
+        self.watch.share(Share { what, done, of });
     }
 
     /// True when nobody waits any longer.

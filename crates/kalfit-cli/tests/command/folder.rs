@@ -62,7 +62,12 @@ impl Folder {
     /// The command, to be run in the folder.
     pub(crate) fn command(&self, args: &str) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_kalfit"));
-        command.args(args.split_whitespace()).current_dir(self.0.path()).env_remove("NO_COLOR").env("COLUMNS", "100");
+        command
+            .args(args.split_whitespace())
+            .current_dir(self.0.path())
+            .env_remove("NO_COLOR")
+            .env_remove("CLICOLOR_FORCE")
+            .env("COLUMNS", "100");
         command
     }
 

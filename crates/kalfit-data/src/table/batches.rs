@@ -36,6 +36,8 @@ pub(crate) struct BatchTable<'a> {
     done: usize,
     /// Rows before the decoded ones.
     before: u64,
+    /// All rows of the table, if that is known.
+    all: Option<u64>,
     last: Vec<LastLabel>,
     scratch: String,
 }
@@ -72,8 +74,33 @@ impl<'a> BatchTable<'a> {
         }
         let last = wanted.columns.iter().map(|_| LastLabel::default()).collect();
         let (rest, decoded, scratch) = (None, Vec::new(), String::new());
-        let (rows, done, before) = (0, 0, 0);
-        Ok(BatchTable { file, format, wanted, next_batch, positions, rest, decoded, rows, done, before, last, scratch })
+        let (rows, done, before, all) = (0, 0, 0, None);
+        Ok(BatchTable {
+            file,
+            format,
+            wanted,
+            next_batch,
+            positions,
+            rest,
+            decoded,
+            rows,
+            done,
+            before,
+            all,
+            last,
+            scratch,
+        })
+    }
+
+    /// The table, known to have so many rows.
+    pub(super) fn of_rows(self, rows: u64) -> BatchTable<'a> {
+        BatchTable { all: Some(rows), ..self }
+    }
+
+    /// The part of its rows that was read, from 0 to 1; 0 when their number is not known.
+    pub(crate) fn share(&self) -> f64 {
+        let read = self.before + self.done as u64;
+        self.all.map_or(0.0, |all| read as f64 / all.max(1) as f64).min(1.0)
     }
 
     /// Reads the next row; false at the end.

@@ -65,6 +65,11 @@ impl<'a> CsvTable<'a> {
         Ok(table)
     }
 
+    /// Bytes of the rows so far.
+    pub(crate) fn read(&self) -> u64 {
+        self.reader.position().byte()
+    }
+
     fn read_header(&mut self) -> Result<(), DataError> {
         let Some((row, _)) = self.advance()? else {
             return Err(DataError::Empty { file: self.file.to_owned() });

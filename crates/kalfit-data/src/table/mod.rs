@@ -76,6 +76,14 @@ impl<'a> Table<'a> {
         Table::Batches(Box::new(table))
     }
 
+    /// How many of its so many bytes are read, as far as it is known.
+    pub(crate) fn read(&self, bytes: u64) -> u64 {
+        match self {
+            Table::Csv(table) => table.read(),
+            Table::Batches(table) => (table.share() * bytes as f64) as u64,
+        }
+    }
+
     /// Reads the next row; false at the end.
     pub(crate) fn next(&mut self, row: &mut Row, labels: &mut Labels) -> Result<bool, DataError> {
         match self {

@@ -26,7 +26,7 @@ pub(super) fn open<'a>(
     wanted: &'a Wanted,
 ) -> Result<BatchTable<'a>, DataError> {
     let failed = move |source: ParquetError| DataError::Parquet { file: file.to_owned(), source: Box::new(source) };
-    let (schema, mut reader) = guarded(file, FORMAT, || {
+    let (schema, rows, mut reader) = guarded(file, FORMAT, || {
         let length = bytes.len();
         let builder = ParquetRecordBatchReaderBuilder::try_new(bytes).map_err(failed)?;
         refuse_oversized(file, builder.metadata(), length)?;
@@ -36,11 +36,13 @@ pub(super) fn open<'a>(
         refuse_codecs(file, builder.metadata(), &roots, &columns)?;
         roots.sort_unstable();
         let mask = ProjectionMask::roots(builder.parquet_schema(), roots);
+        let rows = u64::try_from(builder.metadata().file_metadata().num_rows()).unwrap_or(0);
         let reader = builder.with_projection(mask).with_batch_size(ROWS).build().map_err(failed)?;
-        Ok((arrow::array::RecordBatchReader::schema(&reader), reader))
+        Ok((arrow::array::RecordBatchReader::schema(&reader), rows, reader))
     })?;
     let next = move || guarded(file, FORMAT, || next_batch(&mut reader, file));
-    BatchTable::new(file, FORMAT, wanted, &schema, Box::new(next))
+    let table = BatchTable::new(file, FORMAT, wanted, &schema, Box::new(next))?;
+    Ok(table.of_rows(rows))
 }
 
 fn next_batch(

@@ -23,9 +23,9 @@ pub use observability::{Leading, MOST_TESTS, Observability, Shortage, StateObser
 pub use phases::PhaseObservability;
 pub use posterior::{Distance, Posterior, posteriors};
 pub use ratio::{
-    Bootstrap, BootstrapResult, Component, DynamicRatioError, LikelihoodRatio, NotNested, NotNestedParameter,
-    ReferenceLaw, Restricted, at_least, bootstrap, dynamic_bootstrap, dynamic_ratio, fit_null, likelihood_ratio,
-    restricted, started,
+    Bootstrap, BootstrapResult, Component, DynamicRatioError, GoesOn, LikelihoodRatio, NotNested, NotNestedParameter,
+    ReferenceLaw, Restricted, at_least, bootstrap, bootstrap_while, dynamic_bootstrap, dynamic_bootstrap_while,
+    dynamic_ratio, fit_null, likelihood_ratio, restricted, started,
 };
 pub use reason::{Explanation, Reason};
 

@@ -46,17 +46,47 @@ pub fn bootstrap(
     statistic: f64,
     bootstrap: Bootstrap,
 ) -> BootstrapResult {
+    bootstrap_while(null, alternative, reductions, (statistic, bootstrap), &mut |_| true).expect("nobody stops it")
+}
+
+/// Hears, every few replicates, how many are done, and says whether to go on.
+pub type GoesOn<'a> = &'a mut dyn FnMut(usize) -> bool;
+
+/// As [`bootstrap`], as long as somebody wants it; `None` when they no longer do.
+pub fn bootstrap_while(
+    null: &Estimate,
+    alternative: &Estimate,
+    reductions: &[Reduction],
+    (statistic, bootstrap): (f64, Bootstrap),
+    goes_on: GoesOn<'_>,
+) -> Option<BootstrapResult> {
     let places = regressions(&null.state.structure(), &alternative.state.structure()).expect("nesting was checked");
     let draw = Draw::new(null, reductions, &places);
-    let found: Vec<Option<f64>> = (0..bootstrap.replicates)
-        .into_par_iter()
-        .map(|b| {
-            let mut random = ChaCha8Rng::seed_from_u64(bootstrap.seed);
-            random.set_stream(b as u64);
-            ratio(null, alternative, &draw.ensemble(&mut random), &places)
-        })
-        .collect();
-    BootstrapResult::of(&found, statistic)
+    let one = |b: usize| {
+        let mut random = ChaCha8Rng::seed_from_u64(bootstrap.seed);
+        random.set_stream(b as u64);
+        ratio(null, alternative, &draw.ensemble(&mut random), &places)
+    };
+    let found = replicates(bootstrap.replicates, one, goes_on)?;
+    Some(BootstrapResult::of(&found, statistic))
+}
+
+/// Replicates side by side, some at a time. Each depends on its number alone, so how many go together changes nothing.
+pub(super) fn replicates<T: Send>(
+    count: usize,
+    one: impl Fn(usize) -> T + Sync + Send,
+    goes_on: GoesOn<'_>,
+) -> Option<Vec<T>> {
+    let together = 8 * rayon::current_num_threads();
+    let mut found = Vec::new();
+    while found.len() < count {
+        if !goes_on(found.len()) {
+            return None;
+        }
+        let next = found.len()..count.min(found.len() + together);
+        found.par_extend(next.into_par_iter().map(&one));
+    }
+    Some(found)
 }
 
 impl BootstrapResult {

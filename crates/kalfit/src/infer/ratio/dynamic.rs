@@ -5,11 +5,10 @@
 //! ½χ²_{r-1} + ½χ²_r, whatever else is estimated. Any narrower cone lies within a half space, and the projection onto a part is
 //! no longer than that onto the whole, so the same mixture bounds the law from above when several are on their boundaries.
 
-use rayon::prelude::*;
-
 use crate::dynamic::{self, DynamicFit, Settings};
 use crate::ensemble::Labels;
 use crate::estimate::{FitError, Silent, Stop, Structure};
+use crate::infer::ratio::bootstrap::{GoesOn, replicates};
 use crate::infer::ratio::restricted::{NotNestedParameter, Restricted, restricted};
 use crate::infer::ratio::{Bootstrap, BootstrapResult, Component, LikelihoodRatio, NotNested, ReferenceLaw};
 use crate::infer::ratio::{fit_null, likelihood_ratio};
@@ -103,10 +102,26 @@ fn is_half_space(law: &ReferenceLaw) -> bool {
 pub fn dynamic_bootstrap(
     null: (&PhasedModel, &DynamicFit),
     wide: &PhasedModel,
+    data: (&Labels, &[PhasedTest]),
+    settings: &Settings,
+    asked_of: (f64, Bootstrap),
+) -> Result<BootstrapResult, SimulateError> {
+    let found = dynamic_bootstrap_while(null, wide, data, settings, asked_of, &mut |_| true)?;
+    Ok(found.expect("nobody stops it"))
+}
+
+/// As [`dynamic_bootstrap`], as long as somebody wants it; `None` when they no longer do.
+///
+/// # Errors
+/// As [`dynamic_bootstrap`].
+pub fn dynamic_bootstrap_while(
+    null: (&PhasedModel, &DynamicFit),
+    wide: &PhasedModel,
     (labels, tests): (&Labels, &[PhasedTest]),
     settings: &Settings,
     (statistic, asked): (f64, Bootstrap),
-) -> Result<BootstrapResult, SimulateError> {
+    goes_on: GoesOn<'_>,
+) -> Result<Option<BootstrapResult>, SimulateError> {
     let (model, fit) = null;
     let simulator = Simulator::new(model, &fit.alpha, Population::from(&fit.estimate), asked.seed)?;
     let designs = Designs::new(tests.to_vec())?;
@@ -121,9 +136,9 @@ pub fn dynamic_bootstrap(
         let gap = narrow.zip(full).map(|(narrow, full)| 2.0 * (full - narrow));
         Ok(gap.filter(|gap| *gap >= -1e-6).map(|gap| gap.max(0.0)))
     };
-    let found: Vec<Result<Option<f64>, SimulateError>> = (0..asked.replicates).into_par_iter().map(one).collect();
+    let Some(found) = replicates(asked.replicates, one, goes_on) else { return Ok(None) };
     let found: Vec<Option<f64>> = found.into_iter().collect::<Result<_, _>>()?;
-    Ok(BootstrapResult::of(&found, statistic))
+    Ok(Some(BootstrapResult::of(&found, statistic)))
 }
 
 /// ℓ at a certified maximum.

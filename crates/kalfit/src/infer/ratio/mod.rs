@@ -7,8 +7,8 @@ mod law;
 mod nested;
 mod restricted;
 
-pub use bootstrap::{Bootstrap, BootstrapResult, bootstrap};
-pub use dynamic::{DynamicRatioError, dynamic_bootstrap, dynamic_ratio, started};
+pub use bootstrap::{Bootstrap, BootstrapResult, GoesOn, bootstrap, bootstrap_while};
+pub use dynamic::{DynamicRatioError, dynamic_bootstrap, dynamic_bootstrap_while, dynamic_ratio, started};
 pub use law::{Component, ReferenceLaw};
 pub use nested::NotNested;
 pub use restricted::{NotNestedParameter, Restricted, restricted};

@@ -1,0 +1,114 @@
+//! Examples at the end of each `--help`. A test reads every one of them as if it had been typed.
+
+pub(crate) const PROGRAM: &str = "\
+Examples:
+  kalfit init gyro-bench bench            a model to start from, and its data, in the folder `bench`
+  kalfit fit bench/gyro-bench.toml bench/gyro-bench.csv --out fit.json --report fit.html
+  kalfit check model.toml data.csv        before a fit: how the model is understood, what the data say
+
+Exit status: 0 done and certified; 1 finished without a certified optimum; 2 bad input, nothing is written; \
+130 interrupted: a fit shows and writes the best so far, other commands write nothing.
+Colours: on terminals, unless NO_COLOR is set; CLICOLOR_FORCE=1 asks for them everywhere.";
+
+pub(crate) const INIT: &str = "\
+Examples:
+  kalfit init gyro-bench                  gyro-bench.toml and gyro-bench.csv in this folder
+  kalfit init random-coefficients sleep   in the folder `sleep`, which is made if need be
+
+Files that exist are never replaced.";
+
+pub(crate) const FIT: &str = "\
+Examples:
+  kalfit fit model.toml data.csv
+  kalfit fit model.toml 'runs/*.csv' --out fit.json --report fit.html
+  kalfit fit model.toml data.parquet --set tau=90 --intervals profile --starts 5
+
+Ctrl-C ends the search: the best so far is shown, and written to `--out` and `--report`, marked as not converged, with \
+exit status 130. A second Ctrl-C ends at once, and writes nothing.";
+
+pub(crate) const REDUCE: &str = "\
+Examples:
+  kalfit reduce model.toml data.csv --out reductions.parquet
+  kalfit reduce model.toml 'runs/*.csv' --at fit.json --out reductions.parquet
+  kalfit fit model.toml reductions.parquet";
+
+pub(crate) const ESTIMATES: &str = "\
+Examples:
+  kalfit estimates model.toml data.csv --out estimates.parquet
+  kalfit fit model.toml estimates.parquet";
+
+pub(crate) const TEST: &str = "\
+Examples:
+  kalfit test model.toml data.csv --null null.toml
+  kalfit test model.toml data.csv --null null.toml --bootstrap 1000 --out test.json
+
+The hypothesis is a TOML file with `[mean]`, `[covariance]` or `[parameters]`. Its keys replace the model's; \
+`structure` drops the model's other keys of `[covariance]`. For example, no spread of the slope, whose mean is 10:
+
+  [mean]
+  fixed = { slope = 10 }
+  [covariance]
+  fixed = { \"slope, slope\" = 0 }";
+
+pub(crate) const CHECK: &str = "\
+Examples:
+  kalfit check model.toml                 is the model file sound, and how is it understood
+  kalfit check model.toml data.csv        what the data identify, too";
+
+pub(crate) const SIMULATE: &str = "\
+Examples:
+  kalfit simulate model.toml --from fit.json --design data.csv --seed 7 --out drawn.csv
+  kalfit simulate model.toml --from truth.toml --design data.csv --tests 100 --seed 7 --out drawn.parquet --truth states.csv";
+
+pub(crate) const PLAN: &str = "\
+Examples:
+  kalfit plan model.toml --from fit.json --design data.csv --tests 5,10,20,50
+  kalfit plan model.toml --from guess.toml --design planned.csv --tests 20 --out plan.json";
+
+pub(crate) const REPORT: &str = "\
+Examples:
+  kalfit report fit.json --out fit.html
+  kalfit report fit.json --test test.json --out compared.html";
+
+pub(crate) const COMPLETIONS: &str = "\
+Examples:
+  kalfit completions bash > ~/.local/share/bash-completion/completions/kalfit
+  kalfit completions zsh > ~/.zfunc/_kalfit
+  kalfit completions fish > ~/.config/fish/completions/kalfit.fish";
+
+pub(crate) const MAN: &str = "\
+Examples:
+  kalfit man | man -l -                   the page of the program
+  kalfit man ~/.local/share/man/man1      the pages of all commands, for `man kalfit` and `man kalfit-fit`";
+
+#[cfg(test)]
+mod tests {
+    use clap::{CommandFactory, Parser};
+
+    use crate::args::Args;
+
+    /// What would be typed: up to the explanation, a pipe or a redirection.
+    fn typed(line: &str) -> Option<Vec<String>> {
+        let line = line.strip_prefix("  kalfit ")?;
+        let end = ["  ", " | ", " > "].iter().filter_map(|stop| line.find(stop)).min().unwrap_or(line.len());
+        Some(std::iter::once("kalfit").chain(line[..end].split(' ')).map(|word| word.replace('\'', "")).collect())
+    }
+
+    #[test]
+    fn every_command_has_examples_that_can_be_typed() {
+        let program = Args::command();
+        for command in program.get_subcommands().chain([&program]) {
+            let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+            let examples: Vec<_> = help.lines().filter_map(typed).collect();
+            assert!(examples.len() > 1, "{} has {} examples", command.get_name(), examples.len());
+            for example in examples {
+                assert!(Args::try_parse_from(&example).is_ok(), "{example:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_definition_of_the_commands_is_sound() {
+        Args::command().debug_assert();
+    }
+}
