@@ -96,7 +96,8 @@ fn run(folder: &Path, words: &[String]) -> (Vec<String>, i32) {
     (text.lines().map(|line| line.trim_end().to_owned()).collect(), output.status.code().unwrap_or(-1))
 }
 
-/// What a page leaves out stays out: each stretch of it is sought by its first words, and takes as many lines as before.
+/// What a page leaves out stays out: each stretch of it is sought by its first words, and takes as many lines as before. A
+/// single line stands for all of its paragraph.
 fn shorten(shown: &[String], printed: Vec<String>) -> Vec<String> {
     if !shown.iter().any(|line| line == LEFT_OUT) {
         return printed;
@@ -109,8 +110,10 @@ fn shorten(shown: &[String], printed: Vec<String>) -> Vec<String> {
             kept.push(LEFT_OUT.to_owned());
         }
         let Some(first) = stretch.first() else { continue };
-        let found = (at..printed.len()).find(|&line| beginning(&printed[line]) == beginning(first)).unwrap_or(at);
-        at = (found + stretch.len()).min(printed.len());
+        let begins = |line: &String| line.starts_with(first.as_str()) || beginning(line) == beginning(first);
+        let found = (at..printed.len()).find(|&line| begins(&printed[line])).unwrap_or(at);
+        let paragraph = printed[found..].iter().take_while(|line| !line.is_empty()).count();
+        at = (found + if stretch.len() == 1 { paragraph } else { stretch.len() }).min(printed.len());
         kept.extend_from_slice(&printed[found.min(at)..at]);
     }
     kept
