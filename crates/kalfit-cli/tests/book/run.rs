@@ -97,7 +97,7 @@ fn run(folder: &Path, words: &[String]) -> (Vec<String>, i32) {
 }
 
 /// What a page leaves out stays out: each stretch of it is sought by its first words, and takes as many lines as before. A
-/// single line stands for all of its paragraph.
+/// single line `words *` asks for the paragraph that begins with the words.
 fn shorten(shown: &[String], printed: Vec<String>) -> Vec<String> {
     if !shown.iter().any(|line| line == LEFT_OUT) {
         return printed;
@@ -110,10 +110,11 @@ fn shorten(shown: &[String], printed: Vec<String>) -> Vec<String> {
             kept.push(LEFT_OUT.to_owned());
         }
         let Some(first) = stretch.first() else { continue };
-        let begins = |line: &String| line.starts_with(first.as_str()) || beginning(line) == beginning(first);
+        let asked = first.strip_suffix(" *");
+        let begins = |line: &String| asked.map_or(beginning(line) == beginning(first), |words| line.starts_with(words));
         let found = (at..printed.len()).find(|&line| begins(&printed[line])).unwrap_or(at);
         let paragraph = printed[found..].iter().take_while(|line| !line.is_empty()).count();
-        at = (found + if stretch.len() == 1 { paragraph } else { stretch.len() }).min(printed.len());
+        at = (found + if asked.is_some() { paragraph } else { stretch.len() }).min(printed.len());
         kept.extend_from_slice(&printed[found.min(at)..at]);
     }
     kept
