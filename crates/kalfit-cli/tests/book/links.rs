@@ -18,19 +18,35 @@ fn plain(path: &Path) -> PathBuf {
     })
 }
 
+/// What mdBook makes of a heading.
+fn slug(heading: &str) -> String {
+    let kept = heading.trim().to_lowercase();
+    let kept = kept.chars().filter(|c| c.is_alphanumeric() || matches!(c, ' ' | '-' | '_'));
+    kept.map(|c| if c == ' ' { '-' } else { c }).collect()
+}
+
+/// The headings of a page, outside its blocks.
+fn headings(page: &Page) -> BTreeSet<String> {
+    let whole = page.whole();
+    let text = whole.split("```").step_by(2).collect::<Vec<_>>().join("\n");
+    text.lines().filter(|line| line.starts_with('#')).map(|line| slug(line.trim_start_matches('#'))).collect()
+}
+
 #[test]
-fn links_lead_to_pages_of_the_book() {
+fn links_lead_to_pages_and_headings_of_the_book() {
     let pages = Page::all();
-    let known: BTreeSet<PathBuf> = pages.iter().map(|page| PathBuf::from(&page.path)).collect();
     let mut wrong = Vec::new();
     for page in &pages {
         let whole = page.whole();
         let text = whole.split("```").step_by(2); // what is not a block
         for target in text.flat_map(|text| text.split("](").skip(1)).filter_map(|rest| rest.split_once(')')) {
-            let target = target.0.split('#').next().unwrap_or_default();
-            let place = plain(&Path::new(&page.path).parent().unwrap().join(target));
-            if !target.is_empty() && !target.contains("://") && !known.contains(&place) {
-                wrong.push(format!("{}: {target}", page.path));
+            let (file, heading) = target.0.split_once('#').unwrap_or((target.0, ""));
+            let beside = plain(&Path::new(&page.path).parent().unwrap().join(file));
+            let place = if file.is_empty() { PathBuf::from(&page.path) } else { beside };
+            let leads = pages.iter().find(|other| Path::new(&other.path) == place);
+            let found = leads.is_some_and(|other| heading.is_empty() || headings(other).contains(heading));
+            if !file.contains("://") && !found {
+                wrong.push(format!("{}: {}", page.path, target.0));
             }
         }
     }

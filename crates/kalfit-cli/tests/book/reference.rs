@@ -108,6 +108,11 @@ fn kind(rust: &str) -> String {
     }
 }
 
+/// Words of the documentation without its links to code.
+fn plain(words: &str) -> String {
+    words.replace("[`", "`").replace("`]", "`").replace('|', "\\|")
+}
+
 /// The records that are reached from this one, in the order of their fields.
 fn reached<'a>(name: &str, all: &'a BTreeMap<String, Structure>, found: &mut Vec<&'a Structure>) {
     let Some(structure) = all.get(name) else { return };
@@ -142,7 +147,7 @@ fn records(title: &str, intro: &str, top: &str) -> String {
             } else {
                 format!("`{}`", field.name)
             };
-            writeln!(page, "| {name} | {} | {} |", kind(&field.kind), field.words.replace('|', "\\|")).unwrap();
+            writeln!(page, "| {name} | {} | {} |", kind(&field.kind), plain(&field.words)).unwrap();
         }
     }
     page
@@ -154,6 +159,8 @@ fn the_reference_of_results_has_every_field_of_the_code() {
     fresh("reference/fit-json.md", &records("fit.json", fit, "FitRecord"));
     let test = "What `kalfit test --out test.json` writes, from `RatioRecord` down.";
     fresh("reference/test-json.md", &records("test.json", test, "RatioRecord"));
+    let plan = "What `kalfit plan --out plan.json` writes, from `PlanRecord` down.";
+    fresh("reference/plan-json.md", &records("plan.json", plan, "PlanRecord"));
 }
 
 #[test]
