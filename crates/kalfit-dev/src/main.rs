@@ -2,6 +2,7 @@
 #![expect(clippy::print_stdout, clippy::print_stderr, reason = "a developer's tool talks on the terminal")]
 
 mod bench;
+mod book;
 mod browser;
 mod coverage;
 mod peak;
@@ -34,6 +35,8 @@ enum Task {
         #[arg(long, default_value_t = 20_000, value_parser = clap::value_parser!(u64).range(1..))]
         ensembles: u64,
     },
+    /// Writes into the pages of the book what its commands print, and its reference anew from the code. Read the difference.
+    Book,
     /// Times the reduction and the solver's passes against the machine's measured peak.
     Bench {
         /// Run in this process; without it the benchmark is first built for this machine's own instructions.
@@ -46,6 +49,7 @@ fn main() -> ExitCode {
     match Arguments::parse().task {
         Task::Test { only } => test::run(only.as_deref()),
         Task::Coverage { ensembles } => coverage::run(ensembles),
+        Task::Book => book::write(),
         Task::Bench { here: true } => bench::run(),
         Task::Bench { here: false } => bench::build_and_run(),
     }

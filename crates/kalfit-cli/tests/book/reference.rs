@@ -1,0 +1,183 @@
+//! The reference pages, made from the code: help of the commands, keys of the model file, fields of fit.json.
+
+use std::collections::BTreeMap;
+use std::fmt::Write;
+use std::process::Command;
+
+use crate::source::{Structure, files, structures};
+use crate::{fresh, root};
+
+const MADE: &str = "<!-- Made from the code by `cargo dev book`. -->\n\n";
+
+fn help(words: &[&str]) -> String {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_kalfit"));
+    let output = command.args(words).arg("--help").env_remove("COLUMNS").env("NO_COLOR", "1").output().unwrap();
+    let text = String::from_utf8(output.stdout).unwrap();
+    text.lines().map(|line| format!("{}\n", line.trim_end())).collect()
+}
+
+/// Names of the commands, as the help lists them.
+fn commands(help: &str) -> Vec<String> {
+    let list = help.split("Commands:\n").nth(1).unwrap().split("\n\n").next().unwrap();
+    let name = |line: &str| {
+        line.strip_prefix("  ")?.split_whitespace().next().filter(|_| !line.starts_with("   ")).map(str::to_owned)
+    };
+    list.lines().filter_map(name).filter(|name| name != "help").collect()
+}
+
+#[test]
+fn the_reference_of_commands_is_their_help() {
+    let all = help(&[]);
+    let mut page = format!("{MADE}# Commands\n\n```text\n{}```\n", all);
+    for name in commands(&all) {
+        write!(page, "\n## kalfit {name}\n\n```text\n{}```\n", help(&[&name])).unwrap();
+    }
+    fresh("reference/commands.md", &page);
+}
+
+/// The keys that a file of kalfit-spec knows, by the name of the list.
+fn keys(file: &str, list: &str) -> Vec<String> {
+    let text = std::fs::read_to_string(root().join("crates/kalfit-spec/src").join(file)).unwrap();
+    let body = text.split(&format!("const {list}: [&str; ")).nth(1).unwrap_or_else(|| panic!("{file} has no {list}"));
+    let body = body.split("];").next().unwrap().split('=').nth(1).unwrap();
+    body.split('"').skip(1).step_by(2).map(str::to_owned).collect()
+}
+
+/// The names of processes that kalfit-spec knows.
+fn processes() -> Vec<String> {
+    let text = std::fs::read_to_string(root().join("crates/kalfit-spec/src/motion.rs")).unwrap();
+    let list = text.split("const PROCESSES: ").nth(1).unwrap().split("];").next().unwrap();
+    list.split('"').skip(1).step_by(2).map(str::to_owned).collect()
+}
+
+/// What `keys.txt` says of each key, table by table; every key of the code is in it, and no other.
+#[test]
+fn the_reference_of_the_model_file_has_every_key_of_the_code() {
+    let words = std::fs::read_to_string(root().join("crates/kalfit-cli/tests/book/keys.txt")).unwrap();
+    let mut page = format!("{MADE}# Model file\n");
+    for section in words.split("\n== ").skip(1) {
+        let (title, rest) = section.split_once('\n').unwrap();
+        let (source, rest) = rest.split_once('\n').unwrap();
+        let (intro, table) = rest.split_once("\n\n").unwrap();
+        let said: Vec<(&str, &str)> = table.lines().filter_map(|line| line.split_once(": ")).collect();
+        let known = match source.split_once(' ').unwrap() {
+            ("processes", _) => processes(),
+            (file, lists) => lists.split(' ').flat_map(|list| keys(file, list)).collect(),
+        };
+        let names: Vec<&str> = said.iter().map(|(name, _)| *name).collect();
+        let sorted = |mut names: Vec<String>| {
+            names.sort();
+            names
+        };
+        let described = sorted(names.iter().map(|name| (*name).to_owned()).collect());
+        assert_eq!(described, sorted(known), "keys.txt, {title}: left, what it describes; right, what the code knows");
+        write!(page, "\n## {title}\n\n{intro}\n\n| key | meaning |\n|---|---|\n").unwrap();
+        for (name, meaning) in said {
+            writeln!(page, "| `{name}` | {} |", meaning.replace('|', "\\|")).unwrap();
+        }
+    }
+    page.push_str("\n## Expressions\n\n");
+    page.push_str(&expressions());
+    fresh("reference/model-file.md", &page);
+}
+
+/// What the documentation of kalfit-spec says of the expression language.
+fn expressions() -> String {
+    let text = std::fs::read_to_string(root().join("crates/kalfit-spec/src/lib.rs")).unwrap();
+    let part = text.split("//! # The expression language\n").nth(1).unwrap();
+    let lines = part.lines().skip(1).take_while(|line| line.starts_with("//!"));
+    lines.map(|line| format!("{}\n", line.trim_start_matches("//!").strip_prefix(' ').unwrap_or_default())).collect()
+}
+
+/// Rust's types in the words of JSON.
+fn kind(rust: &str) -> String {
+    let inside = |prefix: &str| rust.strip_prefix(prefix).and_then(|rest| rest.strip_suffix('>'));
+    if let Some(inner) = inside("Option<") {
+        return format!("{} or null", kind(inner));
+    }
+    if let Some(inner) = inside("Vec<") {
+        return format!("list of {}", kind(inner));
+    }
+    match rust {
+        "String" | "Label" => "text".to_owned(),
+        "f64" => "number".to_owned(),
+        "usize" | "u64" | "u32" => "count".to_owned(),
+        "bool" => "true or false".to_owned(),
+        "Interval" => "two ends, each a number or null".to_owned(),
+        other => format!("[{other}](#{})", other.to_lowercase()),
+    }
+}
+
+/// Words of the documentation without its links to code.
+fn plain(words: &str) -> String {
+    words.replace("[`", "`").replace("`]", "`").replace('|', "\\|")
+}
+
+/// The records that are reached from this one, in the order of their fields.
+fn reached<'a>(name: &str, all: &'a BTreeMap<String, Structure>, found: &mut Vec<&'a Structure>) {
+    let Some(structure) = all.get(name) else { return };
+    if found.iter().any(|other| other.item.name == name) {
+        return;
+    }
+    found.push(structure);
+    for field in &structure.fields {
+        let inner = field.kind.rsplit('<').next().unwrap().trim_end_matches('>');
+        reached(inner, all, found);
+    }
+}
+
+fn records(title: &str, intro: &str, top: &str) -> String {
+    let found = files("crates/kalfit/src").into_iter().flat_map(|file| structures(&file));
+    let all: BTreeMap<String, Structure> =
+        found.filter(|s| s.item.attributes.contains("Serialize")).map(|s| (s.item.name.clone(), s)).collect();
+    let mut order = Vec::new();
+    reached(top, &all, &mut order);
+    assert!(order.len() > 1, "{top} leads nowhere");
+    let mut page = format!("{MADE}# {title}\n\n{intro}\n");
+    for structure in order {
+        write!(
+            page,
+            "\n## {}\n\n{}\n\n| field | type | meaning |\n|---|---|---|\n",
+            structure.item.name, structure.item.words
+        )
+        .unwrap();
+        for field in &structure.fields {
+            let name = if field.attributes.contains("flatten") {
+                "(its fields)".to_owned()
+            } else {
+                format!("`{}`", field.name)
+            };
+            writeln!(page, "| {name} | {} | {} |", kind(&field.kind), plain(&field.words)).unwrap();
+        }
+    }
+    page
+}
+
+#[test]
+fn the_reference_of_results_has_every_field_of_the_code() {
+    let fit = "What `kalfit fit --out fit.json` writes, from `FitRecord` down. Unknown figures are null. Fields may be added, none is renamed.";
+    fresh("reference/fit-json.md", &records("fit.json", fit, "FitRecord"));
+    let test = "What `kalfit test --out test.json` writes, from `RatioRecord` down.";
+    fresh("reference/test-json.md", &records("test.json", test, "RatioRecord"));
+    let plan = "What `kalfit plan --out plan.json` writes, from `PlanRecord` down.";
+    fresh("reference/plan-json.md", &records("plan.json", plan, "PlanRecord"));
+}
+
+#[test]
+fn the_reference_names_fields_that_a_fit_writes() {
+    let folder = tempfile::tempdir().unwrap();
+    let examples = root().join("examples/random-coefficients");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_kalfit"));
+    command.arg("fit").args(["sleepstudy.toml", "sleepstudy.csv"].map(|name| examples.join(name)));
+    let output = command.arg("--out").arg(folder.path().join("fit.json")).output().unwrap();
+    assert!(output.status.success());
+    let text = std::fs::read_to_string(folder.path().join("fit.json")).unwrap();
+    let fit: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let page = records("fit.json", "", "FitRecord");
+    for (key, value) in fit.as_object().unwrap() {
+        assert!(page.contains(&format!("| `{key}` |")), "{key} is not in the reference");
+        for inner in value.as_array().and_then(|list| list.first()).unwrap_or(value).as_object().into_iter().flatten() {
+            assert!(page.contains(&format!("| `{}` |", inner.0)), "{key}.{} is not in the reference", inner.0);
+        }
+    }
+}
