@@ -4,7 +4,7 @@ use std::process::{Command, ExitCode};
 
 /// Runs the book's tests so that they write instead of compare.
 pub(crate) fn write() -> ExitCode {
-    let arguments = ["test", "--quiet", "--locked", "-p", "kalfit-cli", "--test", "book"];
+    let arguments = ["test", "--quiet", "--locked", "-p", "kalfit-cli", "--test", "book", "--", "--test-threads", "1"];
     match Command::new("cargo").args(arguments).env("KALFIT_BOOK", "write").status() {
         Ok(status) if status.success() => ExitCode::SUCCESS,
         Ok(_) => ExitCode::FAILURE,

@@ -1,7 +1,7 @@
 //! The book: what its pages show is what the command prints, its models are models, its links lead somewhere.
 //!
 //! `KALFIT_BOOK=write cargo test -p kalfit-cli --test book` (or `cargo dev book`) writes what the commands print into the pages,
-//! and the reference anew.
+//! and the reference anew. `KALFIT_BOOK_PAGE=tutorial` looks at the pages whose path contains this only.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot be set up must fail")]
 
