@@ -4,7 +4,7 @@ pub(crate) const PROGRAM: &str = "\
 Examples:
   kalfit init gyro-bench bench            a model to start from, and its data, in the folder `bench`
   kalfit fit bench/gyro-bench.toml bench/gyro-bench.csv --out fit.json --report fit.html
-  kalfit check model.toml data.csv        before a fit: how the model is understood, what the data say
+  kalfit check model.toml data.csv        before a fit: is all understood as it was meant
 
 Exit status: 0 done and certified; 1 finished without a certified optimum; 2 bad input, nothing is written; \
 130 interrupted: a fit shows and writes the best so far, other commands write nothing.

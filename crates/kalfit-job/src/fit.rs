@@ -15,6 +15,10 @@ use crate::output::Output;
 use crate::work::{Watch, Work};
 use crate::{dynamic, lost, model, reductions, report, tests};
 
+/// Said of a search that had converged when nobody waited any longer.
+const CUT_SHORT: &str =
+    "it was interrupted after it had converged: other starts, methods and intervals that were asked for may be missing";
+
 /// Fits a model to data. A search that is [stopped](Watch::stops) ends with the best that it found, and a record that says so,
 /// and writes no file unless the job [keeps](FitJob::keeps_stopped) it.
 ///
@@ -41,6 +45,9 @@ pub fn fit(job: &FitJob, watch: &mut dyn Watch) -> Result<Done<FitRecord>, Failu
     let mut record =
         if free { dynamic::fit(job, &spec, &given, &mut work)? } else { known(job, &spec, &given, &mut work)? };
     record.notes.splice(0..0, given.notes);
+    if work.is_stopped() && record.converged {
+        record.notes.push(CUT_SHORT.to_owned());
+    }
     // asked for each file: whoever does not want what was stopped does not wait for files either
     let wanted = |work: &Work<'_>| job.keeps_stopped || !work.is_stopped();
     let output = output.filter(|_| wanted(&work));

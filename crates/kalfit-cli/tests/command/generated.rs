@@ -14,7 +14,7 @@ fn the_shell_takes_its_completions() {
         let output = folder.run(&format!("completions {shell}"));
         let script = shown(&output);
         assert!(output.status.success() && output.stderr.is_empty(), "{script}");
-        for word in COMMANDS.iter().chain(&["max-iterations", "gyro-bench"]) {
+        for word in COMMANDS.iter().chain(&["max-iterations"]) {
             assert!(script.contains(word), "{shell} does not know `{word}`");
         }
     }

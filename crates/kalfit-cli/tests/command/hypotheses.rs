@@ -563,6 +563,10 @@ fn help_shows_an_example() {
           --quiet               Print nothing but errors
       -h, --help                Print help
 
+    Examples:
+      kalfit test model.toml data.csv --null null.toml
+      kalfit test model.toml data.csv --null null.toml --bootstrap 1000 --out test.json
+
     The hypothesis is a TOML file with `[mean]`, `[covariance]` or `[parameters]`. Its keys replace the
     model's; `structure` drops the model's other keys of `[covariance]`. For example, no spread of the
     slope, whose mean is 10:

@@ -41,9 +41,31 @@ fn the_command_that_is_shown_works_word_for_word_and_converges() {
 #[test]
 fn what_was_written_is_said_and_what_to_type_next() {
     let folder = Folder::new(&[]);
-    assert_snapshot!(shown(&folder.run("init gyro-bench")), @"");
-    assert_snapshot!(shown(&folder.run("init static-imu bench/static")), @"");
-    assert_snapshot!(shown(&folder.run("init two-phase --quiet")), @"");
+    assert_snapshot!(shown(&folder.run("init gyro-bench")), @"
+    exit 0
+    ----- stdout
+    ----- stderr
+    Wrote gyro-bench.toml: the model, with comments
+    Wrote gyro-bench.csv: 28 gyros on two stations, drawn
+
+    Next:
+      kalfit fit gyro-bench.toml gyro-bench.csv
+    ");
+    assert_snapshot!(shown(&folder.run("init static-imu bench/static")), @"
+    exit 0
+    ----- stdout
+    ----- stderr
+    Wrote bench/static/static-imu.toml: the model, with comments
+    Wrote bench/static/static-imu.csv: 24 gyros in six positions, drawn
+
+    Next:
+      kalfit fit bench/static/static-imu.toml bench/static/static-imu.csv
+    ");
+    assert_snapshot!(shown(&folder.run("init two-phase --quiet")), @"
+    exit 0
+    ----- stdout
+    ----- stderr
+    ");
     let mut names: Vec<String> = folder.contents().into_iter().map(|(path, _)| path).collect();
     names.iter_mut().for_each(|path| *path = path.rsplit('/').next().expect("it has a name").to_owned());
     assert_eq!(
@@ -66,7 +88,9 @@ fn files_that_exist_are_left_alone_and_then_nothing_is_written() {
         let before = folder.contents();
         let output = folder.run("init gyro-bench");
         assert_eq!(folder.contents(), before, "{name}");
-        assert_snapshot!(shown(&output).replace(name, "[file]"), @"");
+        let expected = "exit 2\n----- stdout\n----- stderr\nerror: `[file]` exists, and would be replaced\n\n\
+            hint: name another folder, `kalfit init TEMPLATE DIR`, or move the file away\n";
+        assert_eq!(shown(&output).replace(name, "[file]"), expected);
     }
 }
 
@@ -74,7 +98,14 @@ fn files_that_exist_are_left_alone_and_then_nothing_is_written() {
 fn a_folder_that_cannot_be_is_refused() {
     let folder = Folder::new(&[]);
     let before = folder.contents();
-    assert_snapshot!(shown(&folder.run("init gyro-bench d.csv")), @"");
+    assert_snapshot!(shown(&folder.run("init gyro-bench d.csv")), @"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: `d.csv` is not a folder
+
+    hint: name a folder, which is made if need be
+    ");
     let under = shown(&folder.run("init gyro-bench d.csv/under"));
     assert!(under.starts_with("exit 2") && under.contains("error: cannot make the folder `d.csv/under`"), "{under}");
     assert_eq!(folder.contents(), before);
@@ -83,8 +114,28 @@ fn a_folder_that_cannot_be_is_refused() {
 #[test]
 fn templates_that_are_not_known_are_refused_with_the_list_and_the_nearest() {
     let folder = Folder::new(&[]);
-    assert_snapshot!(shown(&folder.run("init gyro-bnech")), @"");
-    assert_snapshot!(shown(&folder.run("init")), @"");
+    assert_snapshot!(shown(&folder.run("init gyro-bnech")), @"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: invalid value 'gyro-bnech' for '<TEMPLATE>'
+      [possible values: random-coefficients, meta-analysis, gyro-bench, static-imu, two-phase]
+
+      tip: a similar value exists: 'gyro-bench'
+
+    For more information, try '--help'.
+    ");
+    assert_snapshot!(shown(&folder.run("init")), @"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: the following required arguments were not provided:
+      <TEMPLATE>
+
+    Usage: kalfit init <TEMPLATE> [DIR]
+
+    For more information, try '--help'.
+    ");
 }
 
 #[test]

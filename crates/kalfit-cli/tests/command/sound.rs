@@ -54,25 +54,34 @@ fn version_and_help() {
     Usage: kalfit <COMMAND>
 
     Commands:
-      fit        Fit a model to data: a summary to standard output, all results to a file
-      reduce     Run the filters once, at known parameters, and write what they make of the data: all
-                 that a fit needs
-      estimates  Run the `[filter]` of each phase, optimal or not, and write its estimates with the
-                 errors they make
-      test       Test a hypothesis within a model by the ratio of the likelihoods
-      check      Read a model, and data if given, and fit nothing: the model in words, counts, what the
-                 data identify
-      simulate   Draw an ensemble of tests from a fit, or from the values of a model
-      plan       Expected standard errors against the number of tests, before any is run
-      report     The report of a fit, one HTML page, from its results alone
-      help       Print this message or the help of the given subcommand(s)
+      init         Write a starter model, with comments, and a small data set: both run as they are
+      fit          Fit a model to data: a summary to standard output, all results to a file
+      reduce       Run the filters once, at known parameters, and write what they make of the data: all
+                   that a fit needs
+      estimates    Run the `[filter]` of each phase, optimal or not, and write its estimates with the
+                   errors they make
+      test         Test a hypothesis within a model by the ratio of the likelihoods
+      check        Read a model, and data if given, and fit nothing: the model in words, counts, what
+                   the data identify
+      simulate     Draw an ensemble of tests from a fit, or from the values of a model
+      plan         Expected standard errors against the number of tests, before any is run
+      report       The report of a fit, one HTML page, from its results alone
+      completions  The script that completes commands and options in a shell, to standard output
+      man          The manual page, to standard output, or the pages of all commands, to a folder
+      help         Print this message or the help of the given subcommand(s)
 
     Options:
       -h, --help     Print help
       -V, --version  Print version
 
+    Examples:
+      kalfit init gyro-bench bench            a model to start from, and its data, in the folder `bench`
+      kalfit fit bench/gyro-bench.toml bench/gyro-bench.csv --out fit.json --report fit.html
+      kalfit check model.toml data.csv        before a fit: is all understood as it was meant
+
     Exit status: 0 done and certified; 1 finished without a certified optimum; 2 bad input, nothing is
-    written.
+    written; 130 interrupted: a fit shows and writes the best so far, other commands write nothing.
+    Colours: on terminals, unless NO_COLOR is set; CLICOLOR_FORCE=1 asks for them everywhere.
     ----- stderr
     ");
     assert_snapshot!(shown(&folder.run("fit --help")), @"
@@ -202,6 +211,14 @@ fn version_and_help() {
 
       -h, --help
               Print help (see a summary with '-h')
+
+    Examples:
+      kalfit fit model.toml data.csv
+      kalfit fit model.toml 'runs/*.csv' --out fit.json --report fit.html
+      kalfit fit model.toml data.parquet --set tau=90 --intervals profile --starts 5
+
+    Ctrl-C ends the search: the best so far is shown, and written to `--out` and `--report`, marked as
+    not converged, with exit status 130. A second Ctrl-C ends at once, and writes nothing.
     ----- stderr
     ");
     assert_snapshot!(shown(&folder.run("check --help")), @"
@@ -221,6 +238,10 @@ fn version_and_help() {
                               many times
           --threads <N>       Threads to use; the results do not depend on it [default: all processors]
       -h, --help              Print help
+
+    Examples:
+      kalfit check model.toml                 is the model file sound, and how is it understood
+      kalfit check model.toml data.csv        what the data identify, too
     ----- stderr
     ");
 }
