@@ -12,10 +12,10 @@ const WIDEST: usize = 120;
 /// How to lay out what goes to standard output.
 pub(crate) fn style() -> Style {
     let mut style = Style::default();
-    if std::io::stdout().is_terminal() {
-        if let Some((terminal_size::Width(width), _)) = terminal_size::terminal_size() {
-            style.width = usize::from(width).min(WIDEST);
-        }
+    if std::io::stdout().is_terminal()
+        && let Some((terminal_size::Width(width), _)) = terminal_size::terminal_size()
+    {
+        style.width = usize::from(width).min(WIDEST);
     }
     style.color = wants_color(&std::io::stdout());
     style

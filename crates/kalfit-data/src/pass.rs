@@ -100,7 +100,7 @@ pub(crate) fn run<S: Sink>(
                     return Err(times.decrease(&row, &file, phase, previous).into());
                 }
             }
-            if reading.rows % TELL_ROWS == 0 {
+            if reading.rows.is_multiple_of(TELL_ROWS) {
                 tell(sink, (sizes.read(index, &table), sizes.all), reading)?;
             }
             if let Some(batch) = gather.batch() {
