@@ -217,7 +217,7 @@ fn what_does_not_go_together_is_refused() {
     exit 2
     ----- stdout
     ----- stderr
-    error: all.parquet holds reductions of another model: found reduction digest sha256:e60b3a001ec48c5712948516680314b85c2e434244532a2dc5e72…, expected sha256:297448c6c5536f8e794dab69af17b284342e339608ed6a47d46e01704098f98a
+    error: all.parquet holds reductions of another model: found reduction digest sha256:e60b3a001ec48c5712948516680314b85c2e434244532a2dc5e729a886beb662, expected sha256:297448c6c5536f8e794dab69af17b284342e339608ed6a47d46e01704098f98a
 
     hint: reduce the data again with this model; only `[mean]`, `[covariance]` and labels may change after `kalfit reduce`
     ");

@@ -75,6 +75,7 @@ impl Metadata {
                 reason: error.to_string(),
             }
         };
+        let [version, model_digest, reduction_digest] = [needed(VERSION)?, needed(MODEL)?, needed(REDUCTION)?];
         let of_estimates = match needed(LIKELIHOOD)? {
             OF_ESTIMATES => true,
             OF_MEASUREMENTS => false,
@@ -86,10 +87,10 @@ impl Metadata {
         };
         Ok(Some(Metadata {
             of_estimates,
-            version: needed(VERSION)?.to_owned(),
+            version: version.to_owned(),
             title: text(TITLE).unwrap_or_default().to_owned(),
-            model_digest: needed(MODEL)?.to_owned(),
-            reduction_digest: needed(REDUCTION)?.to_owned(),
+            model_digest: model_digest.to_owned(),
+            reduction_digest: reduction_digest.to_owned(),
             parameters: serde_json::from_str(needed(PARAMETERS)?).map_err(refused(PARAMETERS))?,
             files: serde_json::from_str(needed(FILES)?).map_err(refused(FILES))?,
         }))
