@@ -71,7 +71,7 @@ fn clear_cut(gamma: &DMatrix<f64>) -> bool {
 
 proptest! {
     // one seed: about one drawn filter in some thousands has estimates whose relation is told from rounding error
-    #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(1980), ..ProptestConfig::with_cases(300) })]
+    #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(7), ..ProptestConfig::with_cases(300) })]
 
     #[test]
     fn the_filter_and_what_its_estimates_depend_on_are_those_of_the_stacked_noises(seed: u64) {
