@@ -132,16 +132,13 @@ impl Chained {
     }
 
     /// All its numbers in the order in which they are packed.
-    fn numbers(&self) -> impl Iterator<Item = f64> + '_ {
-        let of = |phase: &'_ Phase<f64>| {
+    fn numbers(&self) -> Vec<f64> {
+        let mut all = Vec::new();
+        for phase in &self.phases {
             let link = phase.link.iter().flat_map(|link| [&link.sensitivity, &link.root]);
-            [&phase.factor, &phase.data]
-                .into_iter()
-                .chain(link)
-                .flat_map(|m| m.as_slice().to_vec())
-                .collect::<Vec<f64>>()
-        };
-        self.phases.iter().flat_map(of)
+            [&phase.factor, &phase.data].into_iter().chain(link).for_each(|m| all.extend_from_slice(m.as_slice()));
+        }
+        all
     }
 
     /// Data apart, which a lane without a test has none of.

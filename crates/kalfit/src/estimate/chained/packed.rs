@@ -22,7 +22,7 @@ impl Packed {
     /// Of classes and their numbers, at least one and at most as many as there are lanes.
     pub(crate) fn new(members: &[(usize, &Chained)], lanes: usize) -> Packed {
         let like = members[0].1.without_data();
-        let size = 1 + like.numbers().count();
+        let size = 1 + like.numbers().len();
         let mut numbers = vec![0.0; size * lanes];
         for lane in 0..lanes {
             let chained = members.get(lane).map_or(&like, |(_, chained)| *chained);

@@ -74,9 +74,10 @@ impl Pass<'_> {
             let told = told::<T, P>(block, &law);
             sums.add(&told);
             if self.order >= Order::Second {
-                let (weights, inner, r) = products.next();
-                told.write(weights, inner, r);
-                products.copy();
+                products.take(
+                    #[inline(always)]
+                    |weights, inner, r| told.write(weights, inner, r),
+                );
             }
         }
         products.into(sums.totals())
@@ -92,9 +93,10 @@ impl Pass<'_> {
             let root_det = room.evaluate::<T>(block);
             sums.add(&room, root_det);
             if self.order >= Order::Second {
-                let (weights, inner, r) = products.next();
-                write_any::<T>(&room, p, weights, inner, r);
-                products.copy();
+                products.take(
+                    #[inline(always)]
+                    |weights, inner, r| write_any::<T>(&room, p, weights, inner, r),
+                );
             }
         }
         products.into(sums.totals())
@@ -114,53 +116,44 @@ impl Pass<'_> {
 
 /// What second derivatives add up.
 struct Products {
-    order: Order,
-    curvature: Gather,
-    cross: Gather,
-    expected: Gather,
-    /// W, r r' - ½W and r of the block at hand.
-    weights: Vec<f64>,
-    inner: Vec<f64>,
-    r: Vec<f64>,
+    p: usize,
+    lanes: usize,
+    /// W ⊗ [r r' - ½W, r].
+    observed: Gather,
+    /// W ⊗ W, if it is wanted.
+    expected: Option<Gather>,
 }
 
 impl Products {
     fn new(isa: Isa, p: usize, order: Order) -> Products {
         let s = p * (p + 1) / 2;
-        let zeros = |size: usize| vec![0.0; size * isa.lanes()];
-        Products {
-            order,
-            curvature: Gather::new(isa, (s, s), order >= Order::Second),
-            cross: Gather::new(isa, (s, p), order >= Order::Second),
-            expected: Gather::new(isa, (s, s), order >= Order::Expected),
-            weights: zeros(s),
-            inner: zeros(s),
-            r: zeros(p),
-        }
+        let observed = Gather::new(isa, (s, s + p), order >= Order::Second);
+        let expected = (order >= Order::Expected).then(|| Gather::new(isa, (s, s), true));
+        Products { p, lanes: isa.lanes(), observed, expected }
     }
 
-    /// Room for W, r r' - ½W and r of a block.
-    fn next(&mut self) -> (&mut [f64], &mut [f64], &mut [f64]) {
-        (&mut self.weights, &mut self.inner, &mut self.r)
-    }
-
-    /// Takes in what was written there.
-    fn copy(&mut self) {
-        let put = |gather: &mut Gather, a: &[f64], b: &[f64]| {
-            let (left, right) = gather.next();
-            left.copy_from_slice(a);
-            right.copy_from_slice(b);
-        };
-        put(&mut self.curvature, &self.weights, &self.inner);
-        put(&mut self.cross, &self.weights, &self.r);
-        if self.order >= Order::Expected {
-            put(&mut self.expected, &self.weights, &self.weights);
+    /// Takes in W, r r' - ½W and r of a block, which `write` puts there.
+    #[inline(always)]
+    fn take(&mut self, write: impl FnOnce(&mut [f64], &mut [f64], &mut [f64])) {
+        let (weights, right) = self.observed.next();
+        let (inner, r) = right.split_at_mut(right.len() - self.p * self.lanes);
+        write(weights, inner, r);
+        if let Some(expected) = &mut self.expected {
+            let (left, right) = expected.next();
+            left.copy_from_slice(weights);
+            right.copy_from_slice(weights);
         }
     }
 
     fn into(self, totals: Totals) -> Totals {
-        let (curvature, cross) = (self.curvature.total(), self.cross.total());
-        Totals { curvature, cross, expected: self.expected.total(), ..totals }
+        let s = self.p * (self.p + 1) / 2;
+        let (mut curvature, mut cross) = (Vec::new(), Vec::new());
+        for row in self.observed.total().chunks_exact(s + self.p) {
+            let (inner, r) = row.split_at(s);
+            curvature.extend_from_slice(inner);
+            cross.extend_from_slice(r);
+        }
+        Totals { curvature, cross, expected: self.expected.map(Gather::total).unwrap_or_default(), ..totals }
     }
 }
 
