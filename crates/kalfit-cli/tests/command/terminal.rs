@@ -22,7 +22,8 @@ fn on_a_terminal(folder: &Folder, args: &str, variables: &[(&str, &str)]) -> Str
         .args(["-q", "-e", "-c", &line, "/dev/null"])
         .current_dir(folder.path(""))
         .stdin(std::process::Stdio::null());
-    for name in ["NO_COLOR", "CLICOLOR", "CLICOLOR_FORCE"] {
+    // with `CI` set, colours are asked for whatever `TERM` says
+    for name in ["NO_COLOR", "CLICOLOR", "CLICOLOR_FORCE", "CI"] {
         command.env_remove(name);
     }
     let Output { stdout, .. } =
