@@ -8,6 +8,7 @@ use nalgebra::DVector;
 
 use crate::dynamic::indirect::Indirect;
 use crate::dynamic::matrices::{self, matrix_gradient};
+use crate::dynamic::scale::Scale;
 use crate::dynamic::{Coordinate, DynamicError, Settings};
 use crate::estimate::{self, Criterion, Estimate, InitialLaw, Silent, Structure};
 use crate::model::{Alpha, PhasedModel, Population};
@@ -24,9 +25,17 @@ pub(crate) struct Bench<'a> {
     pub(crate) settings: &'a Settings,
     order: Vec<usize>,
     indirect: Indirect,
+    scale: Option<Scale>,
     filter_passes: AtomicUsize,
     score_passes: AtomicUsize,
     passes: AtomicUsize,
+}
+
+/// The ensemble at an α.
+struct Reduced {
+    /// What made the reductions; `None` where they were scaled from another α.
+    reducer: Option<PhasedReducer>,
+    reductions: Vec<Reduction>,
 }
 
 /// ℓ at α with its gradient, at the best (μ, Σ).
@@ -80,10 +89,17 @@ impl<'a> Bench<'a> {
             settings,
             order,
             indirect: Indirect::of(model, tests, slots),
+            scale: Scale::of(model, tests, slots),
             filter_passes: zero(),
             score_passes: zero(),
             passes: zero(),
         }
+    }
+
+    /// The same by the filters and their backward runs alone.
+    #[cfg(test)]
+    pub(crate) fn unscaled(self) -> Bench<'a> {
+        Bench { scale: None, ..self }
     }
 
     /// Runs of the filters over all tests, forward.
@@ -107,8 +123,19 @@ impl<'a> Bench<'a> {
     }
 
     /// The reductions at α.
-    pub(crate) fn reduce(&self, alpha: &Alpha) -> Result<(PhasedReducer, Vec<Reduction>), ReduceError> {
-        let mut reducer = PhasedReducer::scoring(self.model, alpha, self.slots)?;
+    fn reduce(&self, values: &[f64]) -> Result<Reduced, ReduceError> {
+        if let Some(scale) = &self.scale
+            && let Some(reductions) = scale.reductions(values[0], |value| Ok(self.filter(&[value])?.1))?
+        {
+            return Ok(Reduced { reducer: None, reductions });
+        }
+        let (reducer, reductions) = self.filter(values)?;
+        Ok(Reduced { reducer: Some(reducer), reductions })
+    }
+
+    /// Runs the filters.
+    fn filter(&self, values: &[f64]) -> Result<(PhasedReducer, Vec<Reduction>), ReduceError> {
+        let mut reducer = PhasedReducer::scoring(self.model, &self.alpha(values), self.slots)?;
         self.filter_passes.fetch_add(1, Ordering::Relaxed);
         let reductions = reducer.reduce(self.tests)?;
         Ok((reducer, reductions))
@@ -117,20 +144,21 @@ impl<'a> Bench<'a> {
     /// ℓ(α) and its gradient; `near` is a population near the best one.
     pub(crate) fn solve(&self, values: &[f64], near: Option<&Population>) -> Result<Solved, DynamicError> {
         let alpha = self.alpha(values);
-        let (reducer, reductions) = self.reduce(&alpha).map_err(Box::new)?;
-        let estimate = self.inner(&reductions, &alpha, near)?;
-        let scores = self.scores(&reducer, values, &reductions, &estimate.state.law())?;
+        let reduced = self.reduce(values).map_err(Box::new)?;
+        let estimate = self.inner(&reduced.reductions, &alpha, near)?;
+        let scores = self.scores(values, &reduced, &estimate.state.law())?;
         let matrix =
             matrix_gradient(self.model, &alpha, self.slots, &estimate.covariance, &estimate.state.covariance_score());
         let gradient = self.gradient(values, &scores, &matrix);
+        let reductions = reduced.reductions;
         Ok(Solved { values: values.to_vec(), alpha, reductions, estimate, scores, gradient })
     }
 
     /// ℓ(α) alone; `None` where it is not defined.
     pub(crate) fn value(&self, values: &[f64]) -> Option<f64> {
         let alpha = self.alpha(values);
-        let (_, reductions) = self.reduce(&alpha).ok()?;
-        let estimate = self.inner(&reductions, &alpha, None).ok()?;
+        let reduced = self.reduce(values).ok()?;
+        let estimate = self.inner(&reduced.reductions, &alpha, None).ok()?;
         Some(estimate.log_likelihood).filter(|value| value.is_finite())
     }
 
@@ -154,26 +182,27 @@ impl<'a> Bench<'a> {
     /// ℓ and its gradient in α at other values but the (μ, Σ) of `home`; `None` where it is not defined.
     pub(crate) fn shift(&self, home: &Solved, values: &[f64]) -> Option<Shifted> {
         let alpha = self.alpha(values);
-        let (reducer, reductions) = self.reduce(&alpha).ok()?;
+        let reduced = self.reduce(values).ok()?;
         self.passes.fetch_add(1, Ordering::Relaxed);
-        let at = home.estimate.state.elsewhere(&reductions, &alpha).ok()??;
-        let scores = self.scores(&reducer, values, &reductions, &at.law()).ok()?;
+        let at = home.estimate.state.elsewhere(&reduced.reductions, &alpha).ok()??;
+        let scores = self.scores(values, &reduced, &at.law()).ok()?;
         let matrix = matrix_gradient(self.model, &alpha, self.slots, &at.covariance(), &at.covariance_score());
         let inner = at.gradient(&home.estimate.state);
-        Some(Shifted { values: values.to_vec(), reductions, inner, scores, matrix })
+        Some(Shifted { values: values.to_vec(), reductions: reduced.reductions, inner, scores, matrix })
     }
 
     /// ℓ after a step in α and, along the tangent basis of home, in (μ, Σ); `None` where it is not defined.
     pub(crate) fn step(&self, home: &Solved, values: &[f64], inner: &DVector<f64>) -> Option<Solved> {
         let alpha = self.alpha(values);
-        let (reducer, reductions) = self.reduce(&alpha).ok()?;
+        let reduced = self.reduce(values).ok()?;
         self.passes.fetch_add(1, Ordering::Relaxed);
-        let state = home.estimate.state.moved(&reductions, &alpha, inner)?;
+        let state = home.estimate.state.moved(&reduced.reductions, &alpha, inner)?;
         let estimate = Estimate::unfinished(state);
-        let scores = self.scores(&reducer, values, &reductions, &estimate.state.law()).ok()?;
+        let scores = self.scores(values, &reduced, &estimate.state.law()).ok()?;
         let sigma = &estimate.covariance;
         let matrix = matrix_gradient(self.model, &alpha, self.slots, sigma, &estimate.state.covariance_score());
         let gradient = self.gradient(values, &scores, &matrix);
+        let reductions = reduced.reductions;
         Some(Solved { values: values.to_vec(), alpha, reductions, estimate, scores, gradient })
     }
 
@@ -213,13 +242,16 @@ impl<'a> Bench<'a> {
     }
 
     /// dℓ_j/dvalue of each test at these values and this law.
-    pub(crate) fn scores(
-        &self,
-        reducer: &PhasedReducer,
-        values: &[f64],
-        reductions: &[Reduction],
-        law: &InitialLaw,
-    ) -> Result<Vec<Gradient>, DynamicError> {
+    fn scores(&self, values: &[f64], reduced: &Reduced, law: &InitialLaw) -> Result<Vec<Gradient>, DynamicError> {
+        let Reduced { reducer, reductions } = reduced;
+        let fresh = match (reducer, &self.scale) {
+            (Some(_), _) => None,
+            (None, scale) => match scale.as_ref().and_then(|scale| scale.scores(values[0], reductions, law)) {
+                Some(scores) => return Ok(scores),
+                None => Some(PhasedReducer::scoring(self.model, &self.alpha(values), self.slots).map_err(Box::new)?),
+            },
+        };
+        let reducer = reducer.as_ref().or(fresh.as_ref()).expect("one of them is there");
         self.score_passes.fetch_add(1, Ordering::Relaxed);
         let scorer = PhasedScorer::new(self.model, reducer, self.slots).map_err(Box::new)?;
         let mut scores = scorer.scores(self.tests, reductions, law).map_err(Box::new)?;

@@ -10,6 +10,7 @@ mod joint;
 mod matrices;
 #[cfg(test)]
 mod phased_tests;
+mod scale;
 mod search;
 mod settings;
 mod start;

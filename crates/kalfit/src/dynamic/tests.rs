@@ -167,6 +167,70 @@ fn the_gradient_equals_differences_of_the_maximum_over_mean_and_covariance() {
     }
 }
 
+/// [`model`] with one free value: all noise, drift and measurement, is so many times it.
+fn scaled_model() -> PhasedModel {
+    let mut model = model(false);
+    let only = &mut model.phases[0].model;
+    for fixed in [TAU, DRIFT, SLOPE] {
+        only.parameters[fixed].value = Value::Fixed(if fixed == TAU { 1.5 } else { 0.2 });
+    }
+    only.parameters[NOISE].per = None;
+    let driving =
+        binary(Operator::Divide, binary(Operator::Multiply, Expression::Number(3.0), square(of(NOISE))), of(TAU));
+    if let Motion::Continuous { noise_variance, .. } = &mut only.states[2].motion {
+        *noise_variance = driving;
+    }
+    model
+}
+
+#[test]
+fn a_scale_of_all_noise_moves_without_the_filters() {
+    let model = scaled_model();
+    let (labels, tests) = ensemble(&model, 9, 7);
+    let slots = Slots::in_phases(&model, &labels, &tests);
+    for criterion in [Criterion::Ml, Criterion::Reml] {
+        let settings = settings(Method::Hybrid, criterion);
+        let bench = Bench::new(&model, &tests, &slots, &settings);
+        let filtered = Bench::new(&model, &tests, &slots, &settings).unscaled();
+        for value in [0.4, 0.05, 3.0] {
+            let (found, expected) = (bench.solve(&[value], None), filtered.solve(&[value], None));
+            let (found, expected) = (found.expect("defined"), expected.expect("defined"));
+            let (a, b) = (found.value(), expected.value());
+            assert!((a - b).abs() < 1e-10 * b.abs(), "{criterion:?} {value}: {a} {b}");
+            for (one, other) in found.scores.iter().zip(&expected.scores) {
+                let (a, b) = (one[0].1, other[0].1);
+                assert_eq!(one[0].0, other[0].0);
+                assert!((a - b).abs() < 1e-9 * (1.0 + b.abs()), "{criterion:?} {value}: {a} {b}");
+            }
+        }
+        assert_eq!(
+            (bench.filter_passes(), bench.score_passes()),
+            (2, 0),
+            "the filters ran at two values, and never back"
+        );
+        assert_eq!((filtered.filter_passes(), filtered.score_passes()), (3, 3));
+    }
+}
+
+#[test]
+fn what_scales_but_a_part_of_the_noise_runs_the_filters() {
+    let mut model = scaled_model();
+    model.phases[0].model.parameters[NOISE].lower = Some(0.0);
+    if let Motion::Continuous { noise_variance, .. } = &mut model.phases[0].model.states[2].motion {
+        *noise_variance = Expression::Number(0.1);
+    }
+    let (labels, tests) = ensemble(&model, 4, 5);
+    let slots = Slots::in_phases(&model, &labels, &tests);
+    let settings = settings(Method::Hybrid, Criterion::Ml);
+    let bench = Bench::new(&model, &tests, &slots, &settings);
+    let filtered = Bench::new(&model, &tests, &slots, &settings).unscaled();
+    for value in [0.4, 0.8] {
+        let (found, expected) = (bench.value(&[value]), filtered.value(&[value]));
+        assert_eq!(found, expected);
+    }
+    assert_eq!(bench.filter_passes(), 2);
+}
+
 #[test]
 fn the_joint_information_is_that_of_the_gradient_at_the_best_mean_and_covariance() {
     let model = model(false);

@@ -8,6 +8,7 @@ mod expression;
 mod parameter;
 mod phased;
 mod population;
+mod power;
 mod stacked;
 mod structure;
 

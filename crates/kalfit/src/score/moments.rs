@@ -21,6 +21,19 @@ impl Moments {
     pub(crate) fn of(mean: &DVector<f64>, root: &DMatrix<f64>) -> Moments {
         Moments { mean: mean.as_slice().to_vec(), root: root.transpose().as_slice().to_vec(), columns: root.ncols() }
     }
+
+    /// E‖d - Rξ‖² of a reduction: ‖d - Rx̂‖² + ‖RC‖².
+    pub(crate) fn expected_square(&self, reduction: &Reduction) -> f64 {
+        let line = |k: usize, x: &dyn Fn(usize) -> f64| -> f64 {
+            (k..self.mean.len()).map(|i| reduction.factor[k + i * (i + 1) / 2] * x(i)).sum()
+        };
+        let of_row = |k: usize| {
+            let left = reduction.data[k] - line(k, &|i| self.mean[i]);
+            let spread = (0..self.columns).map(|c| line(k, &|i| self.root[i * self.columns + c]).powi(2));
+            left * left + spread.sum::<f64>()
+        };
+        (0..self.mean.len()).map(of_row).sum()
+    }
 }
 
 /// x̂ = μ + V(y - Jμ) and V = F(I + F'JF)⁻¹F' (10), (11).
