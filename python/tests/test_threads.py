@@ -50,6 +50,15 @@ def test_fits_run_side_by_side_to_the_same_answers():
     assert found == [expected] * 4
 
 
+@pytest.fixture
+def ctrl_c():
+    """Ctrl-C raises, also where whoever started the tests ignores it, as a shell does for what runs in the background."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("ctrl_c")
 def test_ctrl_c_ends_a_fit_and_leaves_the_best_so_far(tmp_path):
     timer = threading.Timer(1.0, _thread.interrupt_main)
     began = time.monotonic()
@@ -65,7 +74,9 @@ def test_ctrl_c_ends_a_fit_and_leaves_the_best_so_far(tmp_path):
 def test_ctrl_c_from_outside_ends_the_program():
     script = textwrap.dedent(
         f"""
+        import signal
         import kalfit
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         print("begun", flush=True)
         try:
             kalfit.fit(*{SLEEP!r}, method="em", starts=10_000)

@@ -127,7 +127,6 @@ impl Classes {
         let p = frame.scale.len();
         let chained = chained && !elements.is_single();
         let mut classes: Vec<Class> = Vec::new();
-        let (mut blocks, mut beside) = (Blocks::new(p, Isa::best()), Vec::new());
         let mut information = DMatrix::zeros(p, p);
         let mut start = 0;
         while start < order.len() {
@@ -140,28 +139,40 @@ impl Classes {
                 let factor = DMatrix::from_row_slice(p, p, &class.factor);
                 information += factor.transpose() * &factor * class.count;
             }
-            if elements.is_single() && blocks.takes(&class) {
-                blocks.push(&class);
-            } else if class.chain.as_ref().is_none_or(|chain| chain.is_careful()) {
-                beside.push(classes.len());
-            }
             classes.push(class);
             start = end;
         }
         let present = present(reductions, &elements);
-        let chains = packed(classes.iter().map(|class| class.chain.as_deref()).enumerate(), blocks.isa().lanes());
-        Classes {
-            classes,
-            blocks,
-            beside,
-            chains,
-            frame,
-            tests: reductions.len(),
-            information,
-            elements,
-            present,
-            chained,
+        Classes::arranged(classes, frame, (elements, chained), (reductions.len(), information, present))
+    }
+
+    /// The classes, and who is worked on side by side with whom.
+    fn arranged(
+        classes: Vec<Class>,
+        frame: Frame,
+        (elements, chained): (Elements, bool),
+        (tests, information, present): (usize, DMatrix<f64>, Vec<f64>),
+    ) -> Classes {
+        let (mut blocks, mut beside) = (Blocks::new(frame.scale.len(), Isa::best()), Vec::new());
+        for (number, class) in classes.iter().enumerate() {
+            if elements.is_single() && blocks.takes(class) {
+                blocks.push(class);
+            } else if class.chain.as_ref().is_none_or(|chain| chain.is_careful()) {
+                beside.push(number);
+            }
         }
+        let chains = packed(classes.iter().map(|class| class.chain.as_deref()).enumerate(), blocks.isa().lanes());
+        Classes { classes, blocks, beside, chains, frame, tests, information, elements, present, chained }
+    }
+
+    /// Every so-many-th class in their order, in the same η. The pooled information is the share that goes with the tests.
+    pub(crate) fn thinned(&self, every: usize) -> Classes {
+        let classes: Vec<Class> = self.classes.iter().skip(every / 2).step_by(every).cloned().collect();
+        let tests = classes.iter().map(|class| class.count).sum::<f64>();
+        let share = tests / self.tests as f64;
+        let present = self.present.iter().map(|tests| tests * share).collect();
+        let how = (self.elements.clone(), self.chained);
+        Classes::arranged(classes, self.frame.clone(), how, (tests as usize, &self.information * share, present))
     }
 
     /// The classes of reductions that are kept phase by phase, whatever these classes are. `own`: they are those of the reductions.

@@ -22,6 +22,7 @@ mod marginal;
 mod mean;
 mod newton;
 mod pass;
+mod pilot;
 mod problem;
 mod products;
 mod quadratic;

@@ -11,9 +11,9 @@ use crate::estimate::local::{Local, Objective};
 use crate::estimate::newton::{Attempt, Damping, Place, retract};
 use crate::estimate::pass::{Order, Sums};
 use crate::estimate::problem::Problem;
-use crate::estimate::settings::{Progress, Settings, Solver, Step};
+use crate::estimate::settings::{Progress, Settings, Silent, Solver, Step};
 use crate::estimate::terms::Point;
-use crate::estimate::{Criterion, Estimate, FitError, State, Stop, Structure, quadratic, scoring, unobserved};
+use crate::estimate::{Criterion, Estimate, FitError, State, Stop, Structure, pilot, quadratic, scoring, unobserved};
 use crate::model::Population;
 
 /// Most scoring steps before Newton's method takes over.
@@ -26,6 +26,8 @@ const KEPT: f64 = 0.7;
 /// so many mean coordinates and elements of Σ.
 const FAST: f64 = 0.1;
 const CHEAP: usize = 120;
+/// Decrement that ends a search on a part of the tests: far below the sampling error that it has from all.
+const ROUGH: f64 = 1e-2;
 /// EM passes between two looks at the certificate.
 const EM_LOOK: usize = 16;
 /// A trailing column of the factor this small (in η) is tried at exactly zero.
@@ -48,8 +50,11 @@ impl<'a> Search<'a> {
         let (place, stop) = match self.settings.solver {
             Solver::Newton => {
                 let began = start.root.clone();
-                let scored = self.scored_start(start)?;
-                let (place, stop) = self.newton(scored)?;
+                let near = match self.piloted(&start, structure)? {
+                    Some(place) => place,
+                    None => self.scored_start(start)?,
+                };
+                let (place, stop) = self.newton(near)?;
                 (self.restored(place, &began)?, stop)
             }
             Solver::Em => self.em(start)?,
@@ -139,6 +144,18 @@ impl<'a> Search<'a> {
             }
             self.accept(place.local.value, Some(place.decrement()));
         }
+    }
+
+    /// The best place of a part of the tests, where they are very many; `None` where it is no better than the start may be.
+    fn piloted(&self, start: &Point, structure: &Structure<'_>) -> Result<Option<Place>, FitError> {
+        let Some(problem) = pilot::problem(&self.problem, structure)? else { return Ok(None) };
+        let settings = Settings { tolerance: ROUGH.max(self.settings.tolerance), ..self.settings.clone() };
+        let mut silent = Silent;
+        let mut search = Search::new(problem, &settings, &mut silent);
+        let ended = search.scored_start(start.clone()).and_then(|scored| search.newton(scored));
+        let Ok((end, Stop::Certified)) = ended else { return Ok(None) };
+        let point = pilot::onward(&self.problem, &search.problem, &end.point)?;
+        Ok(self.place(point, None).ok())
     }
 
     /// The start, moved on by Fisher scoring while that promises much; ℓ need not rise on the way, and where it falls the

@@ -19,6 +19,7 @@ use rayon::prelude::*;
 
 use crate::estimate::{Detail, Form, Part, Place, Problem, each};
 use crate::infer::identifiability::{NONE, unit};
+use crate::linalg::fold::norm;
 use crate::linalg::symmetric;
 use crate::reduce::Reduction;
 
@@ -156,7 +157,7 @@ fn designs(reductions: &[Reduction], p: usize) -> Vec<Design<'_>> {
     };
     let mut order: Vec<&Reduction> = reductions.iter().collect();
     order.sort_by(|a, b| by_factor(a, b).then_with(|| a.test.cmp(&b.test)));
-    let norm = |r: &Reduction, k: usize| r.factor[k * (k + 1) / 2..][..=k].iter().fold(0.0, |n: f64, x| n.hypot(*x));
+    let norm = |r: &Reduction, k: usize| norm(&r.factor[k * (k + 1) / 2..][..=k]);
     let largest: Vec<f64> = (0..p).map(|k| order.iter().map(|r| norm(r, k)).fold(0.0, f64::max)).collect();
     let gather = |tests: &[&'_ Reduction]| {
         let informs: Vec<bool> = (0..p).map(|k| norm(tests[0], k) > TRACE * largest[k]).collect();
@@ -177,8 +178,7 @@ fn observed(factor: &[f64], informs: &[bool]) -> Vec<bool> {
     let p = informs.len();
     let states: Vec<usize> = (0..p).filter(|&i| informs[i]).collect();
     let entry = |i: usize, k: usize| if i <= k { factor[i + k * (k + 1) / 2] } else { 0.0 };
-    let norm = |k: usize| (0..=k).fold(0.0, |n: f64, i| n.hypot(entry(i, k)));
-    let norms: Vec<f64> = states.iter().map(|&k| norm(k)).collect();
+    let norms: Vec<f64> = states.iter().map(|&k| norm(&factor[k * (k + 1) / 2..][..=k])).collect();
     // Of J scaled to unit diagonal the least eigenvalue is at least a third of the determinant, and that at least Π R_kk²:
     // eigenvalues need not be sought where it is plain that none is near zero.
     let determinant: f64 = states.iter().zip(&norms).map(|(&k, norm)| (entry(k, k) / norm).powi(2)).product();

@@ -7,13 +7,15 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use crate::ensemble::Test;
 use crate::innovations::law::Law;
 use crate::innovations::rows::{self, Figures};
-use crate::innovations::series::Innovations;
+use crate::innovations::series::{Innovation, Innovations};
 use crate::linalg::symmetric;
 use crate::model::{Alpha, Phase, PhasedModel, Population};
 use crate::reduce::{
-    ChainPhase, Evidence, Gains, Link, PhasedReducer, PhasedTest, PhasedWork, ReduceError, ReduceErrorKind, Workspace,
+    Cells, Evidence, Inherited, PhasedReducer, PhasedTest, PhasedWork, ReduceError, ReduceErrorKind, Reduction,
+    Terminal, Workspace,
 };
 
 /// The filter of tests in phases at (α, μ, Σ).
@@ -69,30 +71,20 @@ impl Chained {
         whole: &PhasedTest,
         work: &mut PhasedWork,
     ) -> Result<Option<Innovations>, ReduceError> {
-        let (covariates, chain) = self.reducer.chain_of(whole, work)?;
-        let (mut series, mut rest) = (Vec::new(), 0.0);
-        let (mut covariates, mut before) = (&*covariates, None);
-        let mut seen = false;
-        for (at, (start, phase)) in self.phases.iter().zip(&chain.phases).enumerate() {
-            let (own, others) = covariates.split_at(start.regressions.len());
-            covariates = others;
-            let mut law = start.law(own, phase, before.take());
-            match &whole.phases[at] {
-                Evidence::Rows(test) if !start.filtered => {
-                    let reducer = &self.reducer.phases()[at].reducer;
-                    let take = |e: f64, weight: f64, sensitivity: &[f64]| {
-                        let (value, variance) = law.take(e, sensitivity, weight);
-                        Figures { value, variance, standardised: value / variance.sqrt() }
-                    };
-                    let look =
-                        |gains: &Gains, work: &mut Workspace| rows::series((at, test, start.time), gains, work, take);
-                    let found = reducer.with_gains(test, &mut work.phases[at], look);
-                    series.extend(found.map_err(|error| self.reducer.phases()[at].named(error))?);
+        self.reducer.check(whole)?;
+        let (mut series, mut rest, mut seen) = (Vec::new(), 0.0, false);
+        let mut before: Option<After> = None;
+        for (at, evidence) in whole.phases.iter().enumerate() {
+            let room = (&mut work.phases[at], &mut work.cells);
+            let linked = at + 1 < whole.phases.len();
+            let after = match evidence {
+                Evidence::Rows(rows) if !self.phases[at].filtered => {
                     seen = true;
+                    self.filtered(at, rows, room, before.as_ref(), &mut series)?
                 }
-                _ => rest += absorb(phase, &mut law),
-            }
-            before = Some(law.posterior());
+                _ => self.given(at, (whole, linked), room, before.as_ref(), &mut rest)?,
+            };
+            before = Some(after);
         }
         if !rows::are_finite(&series) {
             let kind = Box::new(ReduceErrorKind::NotFinite);
@@ -100,32 +92,93 @@ impl Chained {
         }
         Ok(seen.then(|| Innovations::of_phases(whole.id.clone(), series, rest)))
     }
+
+    /// A phase whose rows are filtered here.
+    fn filtered(
+        &self,
+        at: usize,
+        rows: &Test,
+        (work, cells): (&mut Workspace, &mut Cells),
+        before: Option<&After>,
+        series: &mut Vec<Innovation>,
+    ) -> Result<After, ReduceError> {
+        let (start, phase) = (&self.phases[at], &self.reducer.phases()[at]);
+        let link = before.map(|before| Ok((before, phase.inherited(rows, cells)?))).transpose()?;
+        let found = phase.reducer.with_gains(rows, work, |gains, work| {
+            let q = work.design.frame.p;
+            let mut law =
+                start.law(&work.covariates, q, link.as_ref().map(|(before, inherited)| before.link(inherited)));
+            let take = |e: f64, weight: f64, sensitivity: &[f64]| {
+                let (value, variance) = law.take(e, sensitivity, weight);
+                Figures { value, variance, standardised: value / variance.sqrt() }
+            };
+            series.extend(rows::series((at, rows, start.time), gains, work, take));
+            let states = &phase.reducer.preparer().order.states;
+            After { law: law.posterior(), terminal: gains.end.as_ref().map(|end| end.terminal(states, &work.pass.x)) }
+        });
+        found.map_err(|error| phase.named(error))
+    }
+
+    /// A phase that is known otherwise than by rows; adds its log p given all earlier phases.
+    fn given(
+        &self,
+        at: usize,
+        (whole, linked): (&PhasedTest, bool),
+        room: (&mut Workspace, &mut Cells),
+        before: Option<&After>,
+        log_density: &mut f64,
+    ) -> Result<After, ReduceError> {
+        let part = self.reducer.phases()[at].part((&whole.id, &whole.phases[at]), room, (false, linked))?;
+        let reduction = &part.reduction;
+        let link = before.map(|before| before.link(part.inherits()));
+        let mut law = self.phases[at].law(&reduction.covariates, reduction.data.len(), link);
+        *log_density += absorb(reduction, &mut law);
+        Ok(After { law: law.posterior(), terminal: part.into_piece().terminal })
+    }
+}
+
+/// A phase when its measurements have come in.
+struct After {
+    /// Mean and root of σ.
+    law: (DVector<f64>, DMatrix<f64>),
+    /// x_K given σ.
+    terminal: Option<Terminal>,
+}
+
+impl After {
+    /// What it hands on: mean and root of what the next phase inherits.
+    fn link(&self, inherited: &Inherited) -> (DVector<f64>, DMatrix<f64>) {
+        let Inherited { transition, input } = inherited;
+        let Terminal { mean, sensitivity, root } = self.terminal.as_ref().expect("another phase follows");
+        let (m, f) = &self.law;
+        let state = mean + sensitivity * m;
+        let (carried, own) = (sensitivity * f, root.ncols());
+        let mut all = carried.resize_horizontally(f.ncols() + own, 0.0);
+        all.columns_mut(f.ncols(), own).copy_from(root);
+        (transition * state + input, transition * all)
+    }
 }
 
 impl Start {
-    /// The law of σ of a phase given all earlier ones; `before`: mean and root of σ of the phase before.
-    fn law(&self, covariates: &[f64], phase: &ChainPhase, before: Option<(DVector<f64>, DMatrix<f64>)>) -> Law {
-        let (p, q) = (self.mean.len(), phase.data.len());
+    /// The law of σ of a phase, q numbers, given all earlier ones; `inherited`: mean and root of what comes from the phase before.
+    fn law(&self, covariates: &[f64], q: usize, inherited: Option<(DVector<f64>, DMatrix<f64>)>) -> Law {
+        let p = self.mean.len();
         let mut mean = DVector::from_fn(q, |i, _| self.mean.get(i).copied().unwrap_or(0.0));
         for (&(element, coefficient), covariate) in self.regressions.iter().zip(covariates) {
             mean[element] += coefficient * covariate;
         }
         let own = self.root.clone().resize_vertically(q, 0.0);
-        let Some(((m, f), Link { mean: g, sensitivity, root })) = before.zip(phase.link.as_ref()) else {
-            return Law::new(mean, &own);
-        };
-        mean += g + sensitivity * m;
-        let carried = sensitivity * f;
-        let mut all = DMatrix::zeros(q, p + carried.ncols() + root.ncols());
+        let Some((more, carried)) = inherited else { return Law::new(mean, &own) };
+        mean += more;
+        let mut all = DMatrix::zeros(q, p + carried.ncols());
         all.columns_mut(0, p).copy_from(&own);
         all.columns_mut(p, carried.ncols()).copy_from(&carried);
-        all.columns_mut(p + carried.ncols(), root.ncols()).copy_from(root);
         Law::new(mean, &all)
     }
 }
 
 /// Takes in what is known of a phase otherwise than by rows; its log p given all earlier phases.
-fn absorb(phase: &ChainPhase, law: &mut Law) -> f64 {
+fn absorb(phase: &Reduction, law: &mut Law) -> f64 {
     let q = phase.data.len();
     let mut log_density = phase.constant;
     let mut line = vec![0.0; q];

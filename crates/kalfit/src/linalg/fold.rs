@@ -17,7 +17,7 @@ impl Rotation {
         if b == 0.0 && a >= 0.0 {
             return Rotation { c: 1.0, s: 0.0, length: a };
         }
-        let length = a.hypot(b);
+        let length = length(a, b);
         Rotation { c: a / length, s: b / length, length }
     }
 
@@ -26,6 +26,22 @@ impl Rotation {
     pub fn turn(&self, a: f64, b: f64) -> (f64, f64) {
         (self.c * a + self.s * b, self.c * b - self.s * a)
     }
+}
+
+/// Squares in between neither overflow nor lose digits.
+const SQUARES: std::ops::Range<f64> = 1e-280..1e280;
+
+/// √(a² + b²), without overflow.
+#[inline]
+fn length(a: f64, b: f64) -> f64 {
+    let square = a * a + b * b;
+    if SQUARES.contains(&square) { square.sqrt() } else { a.hypot(b) }
+}
+
+/// √Σ x², without overflow.
+pub fn norm(numbers: &[f64]) -> f64 {
+    let square: f64 = numbers.iter().map(|x| x * x).sum();
+    if SQUARES.contains(&square) { square.sqrt() } else { numbers.iter().fold(0.0, |n: f64, x| n.hypot(*x)) }
 }
 
 /// Folds rows into R: afterwards R'R has grown by rows'rows. With a last column of data, [T | e] into [R_J | d], the
@@ -75,6 +91,15 @@ mod tests {
         for k in 0..3 {
             assert!(info[k * 4] >= 0.0, "diagonal {k}: {}", info[k * 4]);
         }
+    }
+
+    #[test]
+    fn lengths_of_any_size_are_found() {
+        for size in [1.0, 1e-200, 1e200, 1e-310] {
+            let found = [norm(&[3.0 * size, 0.0, -4.0 * size]), Rotation::of(3.0 * size, 4.0 * size).length];
+            found.iter().for_each(|found| assert!((found / (5.0 * size) - 1.0).abs() < 1e-9, "{size}: {found}"));
+        }
+        assert_eq!(norm(&[]), 0.0);
     }
 
     #[test]

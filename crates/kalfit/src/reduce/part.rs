@@ -155,9 +155,18 @@ impl PhaseReducer {
         } else {
             Ending::Class(placed(&self.reducer.preparer().order.states, &work.pass.x), class)
         };
-        let at = self.reducer.preparer().at();
-        let inherited = self.inheritance.as_ref().map(|inheritance| inheritance.of(&at, rows, cells)).transpose()?;
+        let inherited = self.inheritance.is_some().then(|| self.of_carry(rows, cells)).transpose()?;
         Ok(Part { reduction: Cow::Owned(reduction), ending, inherited })
+    }
+
+    /// What a later phase with these rows inherits.
+    pub(crate) fn inherited(&self, rows: &Test, cells: &mut Cells) -> Result<Cow<'_, Inherited>, ReduceError> {
+        self.of_carry(rows, cells).map_err(|error| self.named(error))
+    }
+
+    fn of_carry(&self, rows: &Test, cells: &mut Cells) -> Result<Cow<'_, Inherited>, ReduceError> {
+        let inheritance = self.inheritance.as_ref().expect("a later phase inherits");
+        inheritance.of(&self.reducer.preparer().at(), rows, cells)
     }
 
     /// A reduction made before, if it is of this phase's shape.

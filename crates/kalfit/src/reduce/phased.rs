@@ -10,7 +10,7 @@ use crate::reduce::part::{Part, PhaseReducer, Place, refuse};
 use crate::reduce::prepare::Workspace;
 use crate::reduce::reducer::{Reducer, Work};
 use crate::reduce::shared::Shared;
-use crate::reduce::stack::{Stack, StackData, StackKey, StackPhase, link_matrices};
+use crate::reduce::stack::{Stack, StackData, StackKey, StackPhase};
 use crate::reduce::steps::Cells;
 use crate::reduce::subject::WHOLE;
 use crate::reduce::{Chain, ChainPhase, Evidence, Inherited, Link, Path, PhaseReduction, PhasedTest, Reduction};
@@ -69,7 +69,7 @@ impl PhasedReducer {
         };
         Ok(PhasedReducer {
             phases: (0..=last).map(phase).collect::<Result<_, _>>()?,
-            stacks: Shared::patient(STACK_BYTES),
+            stacks: Shared::patient(STACK_BYTES, 0),
             dimension: model.dimension(),
             regressions: model.phases.iter().map(|phase| phase.model.mean.regression.len()).sum(),
         })
@@ -184,14 +184,15 @@ impl PhasedReducer {
         self.whole(test, self.parts(test, work, false)?)
     }
 
-    /// The covariates and the chain of one test of several phases, which is not stacked.
-    pub(crate) fn chain_of(&self, test: &PhasedTest, work: &mut PhasedWork) -> Result<(Vec<f64>, Chain), ReduceError> {
-        let parts = self.parts(test, work, false)?;
-        let covariates = parts.iter().flat_map(|part| part.reduction.covariates.iter().copied()).collect();
-        let means = (0..parts.len()).map(|at| link_mean(&parts, at)).collect();
-        let link = |at: usize| self.key(&parts, at).link.map(link_matrices);
-        let links: Vec<(DMatrix<f64>, DMatrix<f64>)> = (1..parts.len()).filter_map(link).collect();
-        Ok((covariates, self.chain(parts, means, &links)))
+    /// A test has no more phases than the model, and one at least.
+    pub(crate) fn check(&self, test: &PhasedTest) -> Result<(), ReduceError> {
+        match (test.phases.len(), self.phases.len()) {
+            (0, _) => Err(refuse(&test.id, WHOLE, ReduceErrorKind::NoRows)),
+            (found, expected) if found > expected => {
+                Err(refuse(&test.id, WHOLE, ReduceErrorKind::TooManyPhases { found, expected }))
+            }
+            _ => Ok(()),
+        }
     }
 
     /// The phases of a test by themselves; of `designs`, nothing that was measured.
@@ -201,13 +202,8 @@ impl PhasedReducer {
         work: &mut PhasedWork,
         designs: bool,
     ) -> Result<Vec<Part<'a>>, ReduceError> {
-        let (found, expected) = (test.phases.len(), self.phases.len());
-        if found == 0 {
-            return Err(refuse(&test.id, WHOLE, ReduceErrorKind::NoRows));
-        }
-        if found > expected {
-            return Err(refuse(&test.id, WHOLE, ReduceErrorKind::TooManyPhases { found, expected }));
-        }
+        self.check(test)?;
+        let found = test.phases.len();
         let part = |(at, evidence): (usize, &'a Evidence)| {
             let room = (&mut work.phases[at], &mut work.cells);
             self.phases[at].part((&test.id, evidence), room, (designs, at + 1 < found))

@@ -23,6 +23,8 @@ use crate::score::Slots;
 
 /// Bytes of design classes that are kept: tests of one design share its covariance run while they fit.
 const CLASS_BYTES: usize = 256 << 20;
+/// Beyond so many bytes, only those of them that a second test has.
+const EAGER_BYTES: usize = 4 << 20;
 
 /// Reduces the tests of a model at α.
 ///
@@ -63,19 +65,20 @@ impl Reducer {
     /// A reducer of a model at α. An error when some coefficient has no value, whatever the data.
     pub fn new(model: &Model, alpha: &Alpha) -> Result<Reducer, ReduceError> {
         let preparer = Preparer::new(model, alpha).map_err(|fault| fault.name(model, None))?;
-        Ok(Reducer::of(preparer))
+        Ok(Reducer::of(preparer, Shared::patient(CLASS_BYTES, EAGER_BYTES)))
     }
 
-    /// A reducer for scores: no coefficient that depends on free values is left out for being zero at this α.
+    /// A reducer for scores: no coefficient that depends on free values is left out for being zero at this α, and every class is
+    /// wanted again by the backward pass.
     pub(crate) fn scoring(model: &Model, alpha: &Alpha, slots: &Slots) -> Result<Reducer, ReduceError> {
         let preparer = Preparer::with_free(model, alpha, slots.free()).map_err(|fault| fault.name(model, None))?;
-        Ok(Reducer::of(preparer))
+        Ok(Reducer::of(preparer, Shared::new(CLASS_BYTES)))
     }
 
-    fn of(preparer: Preparer) -> Reducer {
+    fn of(preparer: Preparer, classes: Shared<Design, Result<Gains, RootError>>) -> Reducer {
         Reducer {
             preparer,
-            classes: Shared::new(CLASS_BYTES),
+            classes,
             unfrozen: false,
             ends: false,
             design_runs: AtomicU64::new(0),

@@ -10,8 +10,8 @@ pub(crate) struct Shared<K, V> {
     shards: Vec<Mutex<Shard<K, V>>>,
     bytes: AtomicUsize,
     limit: usize,
-    /// Only what is asked for a second time is kept.
-    patient: bool,
+    /// Beyond so many bytes only what is asked for a second time is kept.
+    eager: usize,
 }
 
 #[derive(Debug)]
@@ -54,19 +54,15 @@ impl<K, V> Entry<K, V> {
 }
 
 impl<K, V> Shared<K, V> {
+    /// A store that keeps all it can.
     pub(crate) fn new(limit: usize) -> Shared<K, V> {
-        Shared {
-            shards: (0..16).map(|_| Mutex::default()).collect(),
-            bytes: AtomicUsize::new(0),
-            limit,
-            patient: false,
-        }
+        Shared::patient(limit, limit)
     }
 
-    /// A store that keeps only what is asked for a second time: values that are large beside what it takes to make them, and mostly
-    /// wanted once.
-    pub(crate) fn patient(limit: usize) -> Shared<K, V> {
-        Shared { patient: true, ..Shared::new(limit) }
+    /// A store that, beyond `eager` bytes, keeps only what is asked for a second time: of values that are mostly wanted once it
+    /// keeps those that are not, and does not fill memory with the others.
+    pub(crate) fn patient(limit: usize, eager: usize) -> Shared<K, V> {
+        Shared { shards: (0..16).map(|_| Mutex::default()).collect(), bytes: AtomicUsize::new(0), limit, eager }
     }
 
     /// The entry of a key, made if need be. `same` tells the key from others of the same digest, `size` is for the key and
@@ -79,14 +75,16 @@ impl<K, V> Shared<K, V> {
         make: impl FnOnce(&K) -> V,
         size: impl FnOnce(&K, &V) -> usize,
     ) -> Arc<Entry<K, V>> {
+        let mut kept = false;
         let entry = {
             let mut shard = self.shards[digest as usize % 16].lock().unwrap_or_else(PoisonError::into_inner);
             match shard.entries.get(&digest) {
                 Some(entry) if same(&entry.key) => entry.clone(),
                 found => {
                     let entry = Arc::new(Entry { key: key(), value: OnceLock::new() });
-                    let room = found.is_none() && self.bytes.load(Ordering::Relaxed) < self.limit;
-                    if room && (!self.patient || shard.is_known(digest)) {
+                    let bytes = self.bytes.load(Ordering::Relaxed);
+                    kept = found.is_none() && bytes < self.limit && (bytes < self.eager || shard.is_known(digest));
+                    if kept {
                         shard.entries.insert(digest, entry.clone());
                     }
                     entry
@@ -95,7 +93,9 @@ impl<K, V> Shared<K, V> {
         };
         entry.value.get_or_init(|| {
             let value = make(&entry.key);
-            self.bytes.fetch_add(size(&entry.key, &value), Ordering::Relaxed);
+            if kept {
+                self.bytes.fetch_add(size(&entry.key, &value), Ordering::Relaxed);
+            }
             value
         });
         entry

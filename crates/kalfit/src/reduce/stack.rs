@@ -147,7 +147,7 @@ fn same_bits(a: &[f64], b: &[f64]) -> bool {
 }
 
 /// G = TΨ_K and C of a link, a root of T P_K T', from Ψ_K, a root of P_K and T.
-pub(crate) fn link_matrices([sensitivity, root, transition]: [&DMatrix<f64>; 3]) -> (DMatrix<f64>, DMatrix<f64>) {
+fn link_matrices([sensitivity, root, transition]: [&DMatrix<f64>; 3]) -> (DMatrix<f64>, DMatrix<f64>) {
     (transition * sensitivity, narrow(transition * root))
 }
 

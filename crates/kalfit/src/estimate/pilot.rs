@@ -1,0 +1,30 @@
+//! A start from a part of the tests.
+//!
+//! Of very many designs every so-many-th, in an order that goes by what they tell, stand for all. The best (μ, Σ) of those few
+//! costs little to find and lies within their sampling error of that of all, where Newton's method needs but a few passes.
+
+use crate::estimate::problem::Problem;
+use crate::estimate::terms::Point;
+use crate::estimate::{FitError, Structure};
+
+/// Fewest classes of a pilot, and fewest for each free coordinate of (μ, Σ).
+const CLASSES: usize = 512;
+const EACH: usize = 6;
+/// A pilot is of no more than this part of all classes.
+const PART: usize = 8;
+
+/// The problem of a part of the classes, in the same coordinates; `None` where there are too few to be worth it.
+pub(crate) fn problem(whole: &Problem, structure: &Structure<'_>) -> Result<Option<Problem>, FitError> {
+    let coordinates = whole.mean.basis.ncols() + whole.mean.regressors.len() + whole.covariance.elements.count();
+    let wanted = CLASSES.max(EACH * coordinates);
+    let every = whole.classes.classes.len() / wanted;
+    if every < PART {
+        return Ok(None);
+    }
+    Ok(Some(Problem::of(whole.classes.thinned(every), structure, whole.criterion())?))
+}
+
+/// A pilot's end as a start for all tests: an end on the boundary a little inside, where the others may want to go.
+pub(crate) fn onward(whole: &Problem, pilot: &Problem, end: &Point) -> Result<Point, FitError> {
+    super::start::near(whole, &pilot.values_of(end))
+}
