@@ -1,6 +1,7 @@
 //! Dynamic parameters α (time constants, noise levels, coefficients) together with μ and Σ: ℓ(α) = maximum over (μ, Σ) of the
 //! reductions at α, and the filters run again only when α moves (the paper's section 2.4, theory §6).
 
+mod balance;
 mod bench;
 mod coordinates;
 mod em;

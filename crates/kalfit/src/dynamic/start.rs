@@ -7,6 +7,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
+use crate::dynamic::balance::balance;
 use crate::dynamic::bench::Bench;
 use crate::dynamic::search::{End, search};
 use crate::dynamic::{Coordinate, DynamicError};
@@ -21,7 +22,7 @@ const CLOSE: f64 = 5.0;
 const ROWS: usize = 100_000;
 const ROWS_OF_A_TEST: usize = 20_000;
 /// Powers of this factor are tried, so many to each side.
-const FACTOR: f64 = 4.0;
+pub(super) const FACTOR: f64 = 4.0;
 const EACH_SIDE: i32 = 6;
 /// Points scattered about the first guess, and their spread: standard deviation of a logarithm.
 const SCATTERED: usize = 40;
@@ -40,8 +41,9 @@ pub(crate) fn starts(bench: &Bench<'_>) -> Result<Vec<Vec<f64>>, DynamicError> {
     let small = Bench::new(bench.model, &sample, bench.slots, bench.settings);
     let mut first = first_guess(bench);
     let unknown = unknown(bench);
+    let mut peaks = Vec::new();
     if !unknown.is_empty() {
-        scale_together(&small, &unknown, &mut first);
+        peaks = balance(&small, &unknown, &mut first);
         for _ in 0..unknown.len().min(2) {
             unknown.iter().for_each(|&parameter| scan(&small, parameter, &mut first));
         }
@@ -51,6 +53,7 @@ pub(crate) fn starts(bench: &Bench<'_>) -> Result<Vec<Vec<f64>>, DynamicError> {
     }
     let mut all = vec![first.clone()];
     if !unknown.is_empty() {
+        all.extend(peaks.into_iter().take(1));
         all.extend(scattered(&small, &unknown, &first));
     }
     for parameter in time_constants(bench.model).into_iter().filter(|&p| bench.slots.is_free(p)) {
@@ -261,7 +264,7 @@ fn median(mut list: Vec<f64>) -> Option<f64> {
     list.get(list.len() / 2).copied()
 }
 
-fn mentions(expression: &Expression, parameter: usize) -> bool {
+pub(super) fn mentions(expression: &Expression, parameter: usize) -> bool {
     expression.any(&mut |part| matches!(part, Expression::Parameter(index) if *index == parameter))
 }
 
@@ -277,23 +280,6 @@ pub(crate) fn time_constants(model: &PhasedModel) -> Vec<usize> {
     };
     let parameters = &model.shared().parameters;
     (0..parameters.len()).filter(|&p| parameters[p].positive && used(p)).collect()
-}
-
-/// All unknown noise levels by one factor: the data's units are not those of every state.
-fn scale_together(small: &Bench<'_>, unknown: &[usize], values: &mut Vec<f64>) {
-    let constants = time_constants(small.model);
-    let levels: Vec<usize> = unknown.iter().copied().filter(|p| !constants.contains(p)).collect();
-    let logs = |values: &[f64], k: i32| -> Vec<f64> {
-        let moved = |(s, value): (usize, &f64)| {
-            let own = levels.contains(&small.slots.slots()[s].parameter) && small.coordinates[s].log;
-            if own { small.coordinates[s].moved(*value, f64::from(k) * FACTOR.ln()) } else { *value }
-        };
-        values.iter().enumerate().map(moved).collect()
-    };
-    let tries = (-3..=3).map(|k| logs(values, k));
-    if let Some((best, _)) = best(small, tries) {
-        *values = best;
-    }
 }
 
 /// All levels of one parameter over many powers of a factor.

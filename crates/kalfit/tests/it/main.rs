@@ -25,6 +25,7 @@ mod same_point;
 mod sensitivities;
 mod simulate;
 mod simulated;
+mod start_values;
 mod suboptimal;
 mod three_phases;
 mod unobservable;

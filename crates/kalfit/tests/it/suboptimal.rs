@@ -1,5 +1,6 @@
 //! Estimates of suboptimal filters: golden numbers of the public case, and laws against dense constructions.
 
+mod beside;
 mod drawn;
 mod edges;
 mod random;

@@ -11,6 +11,8 @@ use crate::reduce::suboptimal::jacobi::Singular;
 const CERTAIN: f64 = 1e-10;
 /// A sum this part of its terms is zero.
 const CANCELLED: f64 = 1e-9;
+/// Rounding of a relation is at most so many times what is seen of it.
+const DOUBT: f64 = 1e4;
 /// Values that are certain may miss by this part of their terms, and by this many standard deviations of their elements: files
 /// keep so many digits.
 const ROUNDING: f64 = 1e-9;
@@ -81,8 +83,9 @@ impl Conditioned {
         let V = DMatrix::from_fn(D_h.ncols(), r, |i, k| whole.image[(i, k)] / whole.values[k]);
         let W = scaled(&DMatrix::from_fn(r, m, |k, i| U[(i, k)] / whole.values[k]));
         let certain = scaled(&whole.left.columns(r, m - r).transpose());
-        let Taken { V_B, V_0, T_B, B, left, log_values, basis } = taken(&certain, S, entry)?;
         let (WS, SP) = (&W * S, S * &entry.root);
+        let relations = Relations { rows: &certain, grain: grain(&whole, r, &deviation), WS: &WS };
+        let Taken { V_B, V_0, T_B, B, left, log_values, basis } = relations.taken(S, entry)?;
         let C = &W * &SP * &V_B;
         let G = &W * &SP * &V_0;
         let T = WS.select_columns(entry.entering) - &C * &T_B;
@@ -150,32 +153,65 @@ struct Taken {
     basis: DMatrix<f64>,
 }
 
-/// `certain`: rows whose products with u - S(x_0 - a) are zero.
-fn taken(certain: &DMatrix<f64>, S: &DMatrix<f64>, entry: &Entry<'_>) -> Result<Taken, Exact> {
-    let (NS, E) = (clean(certain, S), entry.entering);
-    let NP = clean(&NS, &entry.root);
-    let (k, l) = NP.shape();
-    let known = Singular::of(&NP);
-    let b = known.rank(CERTAIN);
-    let V_B = DMatrix::from_fn(l, b, |i, j| known.image[(i, j)] / known.values[j]);
-    let basis = known.left.columns(0, b).into_owned();
-    let pick = DMatrix::from_fn(b, k, |j, i| basis[(i, j)] / known.values[j]);
-    let left = known.left.columns(b, k - b).transpose();
-    let NE = NS.select_columns(E);
-    if clean(&left, &NE).iter().any(|x| *x != 0.0) {
-        return Err(Exact);
-    }
-    // the complement of V_B: directions that VV' leaves alone
-    let rest = Singular::of(&(DMatrix::identity(l, l) - &V_B * V_B.transpose()));
-    let V_0 = rest.left.columns(0, l - b).into_owned();
-    let log_values = known.values[..b].iter().map(|x| x.ln()).sum();
-    Ok(Taken { T_B: &pick * NE, B: pick * certain, V_B, V_0, left, log_values, basis })
+/// Combinations of ŝ that are not random given x_0, as far as rounding lets them be told.
+///
+/// N is a null space of D_h but for ε: N u stands within so many deviations of NS(x_0 - a), and N leans on the range of D_h by
+/// ε/λ for each of its singular values λ, which leaves ε × WS in a sensitivity that is zero. Both say the same: taken as a
+/// measurement with deviation ε, the relation must tell more of a state than all else does. What tells less is rounding error,
+/// however it compares with the terms it was summed from: N itself has entries that are rounding error.
+struct Relations<'a> {
+    /// N.
+    rows: &'a DMatrix<f64>,
+    /// ε of each row.
+    grain: DVector<f64>,
+    /// WS: the whitened sensitivities of all else.
+    WS: &'a DMatrix<f64>,
 }
 
-/// AB, entries that are rounding error set to zero.
-fn clean(a: &DMatrix<f64>, b: &DMatrix<f64>) -> DMatrix<f64> {
+impl Relations<'_> {
+    fn taken(&self, S: &DMatrix<f64>, entry: &Entry<'_>) -> Result<Taken, Exact> {
+        let rounding = |told: &[f64]| DMatrix::from_fn(self.grain.len(), told.len(), |i, j| self.grain[i] * told[j]);
+        let told = |a: &DMatrix<f64>| a.column_iter().map(|column| column.norm()).collect::<Vec<f64>>();
+        let (NS, E) = (clean(self.rows, S, &rounding(&told(self.WS))), entry.entering);
+        // of η, white, its law tells too
+        let told: Vec<f64> = told(&(self.WS * &entry.root)).iter().map(|told| told.hypot(1.0)).collect();
+        let NP = clean(&NS, &entry.root, &rounding(&told));
+        let (k, l) = NP.shape();
+        let known = Singular::of(&NP);
+        let b = known.rank(CERTAIN);
+        let V_B = DMatrix::from_fn(l, b, |i, j| known.image[(i, j)] / known.values[j]);
+        let basis = known.left.columns(0, b).into_owned();
+        let pick = DMatrix::from_fn(b, k, |j, i| basis[(i, j)] / known.values[j]);
+        let left = known.left.columns(b, k - b).transpose();
+        let NE = NS.select_columns(E);
+        if clean(&left, &NE, &DMatrix::zeros(k - b, E.len())).iter().any(|x| *x != 0.0) {
+            return Err(Exact);
+        }
+        // the complement of V_B: directions that VV' leaves alone
+        let rest = Singular::of(&(DMatrix::identity(l, l) - &V_B * V_B.transpose()));
+        let V_0 = rest.left.columns(0, l - b).into_owned();
+        let log_values = known.values[..b].iter().map(|x| x.ln()).sum();
+        Ok(Taken { T_B: &pick * NE, B: pick * self.rows, V_B, V_0, left, log_values, basis })
+    }
+}
+
+/// ε of each relation, in deviations: its own, zero but for rounding, or what the largest one leaves. Elements that are no sums of
+/// noises at all have none.
+fn grain(whole: &Singular, r: usize, deviation: &[f64]) -> DVector<f64> {
+    let m = deviation.len();
+    let least = whole.values.first().map_or(0.0, |largest| m as f64 * f64::EPSILON * largest);
+    let random = |i: usize| (0..m).any(|row| deviation[row] > 0.0 && whole.left[(row, i)] != 0.0);
+    DVector::from_fn(m - r, |i, _| if random(r + i) { DOUBT * whole.values[r + i].max(least) } else { 0.0 })
+}
+
+/// AB, entries that are rounding error set to zero: of the sum, or this much of its terms.
+fn clean(a: &DMatrix<f64>, b: &DMatrix<f64>, rounding: &DMatrix<f64>) -> DMatrix<f64> {
     let (product, size) = (a * b, a.map(f64::abs) * b.map(f64::abs));
-    product.zip_map(&size, |x, size| if x.abs() <= CANCELLED * size { 0.0 } else { x })
+    product.zip_zip_map(
+        &size,
+        rounding,
+        |x, size, rounding| if x.abs() <= CANCELLED * size + rounding { 0.0 } else { x },
+    )
 }
 
 /// ½ log |Q'S²Q| for Q with orthonormal columns and S = diag(size).
