@@ -19,7 +19,8 @@ GUIDE = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "python.md").read_te
 
 
 def test_the_wheel_is_what_is_tested():
-    assert ROOT not in Path(kalfit.__file__).resolve().parents, "the tests must run on the installed package"
+    found = Path(kalfit.__file__).resolve().parent
+    assert found != ROOT / "python" / "kalfit", "the tests must run on the installed package"
     assert importlib.metadata.version("kalfit") == kalfit.__version__
     assert (Path(kalfit.__file__).parent / "py.typed").exists()
     assert (Path(kalfit.__file__).parent / "_kalfit.pyi").exists()

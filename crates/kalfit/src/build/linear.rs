@@ -1,6 +1,6 @@
 //! Formulas taken apart: exact linear forms in the states, and expressions without them.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use crate::build::BuildError;
 use crate::build::formula::{Formula, Node};
@@ -147,13 +147,12 @@ impl Form {
 
     /// Coefficient by coefficient; a state that one of them lacks has a zero there.
     fn merge(mut self, mut other: Form, f: impl Fn(Expression, Expression) -> Expression) -> Form {
-        let mut terms = BTreeMap::new();
-        for state in self.terms.keys().chain(other.terms.keys()).copied().collect::<Vec<_>>() {
-            if !terms.contains_key(&state) {
-                let (a, b) = (self.terms.remove(&state), other.terms.remove(&state));
-                terms.insert(state, f(a.unwrap_or(ZERO), b.unwrap_or(ZERO)));
-            }
-        }
+        let states: BTreeSet<usize> = self.terms.keys().chain(other.terms.keys()).copied().collect();
+        let mut coefficient = |state| {
+            let (a, b) = (self.terms.remove(&state), other.terms.remove(&state));
+            (state, f(a.unwrap_or(ZERO), b.unwrap_or(ZERO)))
+        };
+        let terms = states.into_iter().map(&mut coefficient).collect();
         Form { terms, constant: f(self.constant, other.constant) }
     }
 }
