@@ -2,7 +2,7 @@
 
 use kalfit::build::{
     Columns, ModelBuilder, constant, dt, fixed, free, gauss_markov, gauss_markov_2, integral, measurement, moving,
-    name, phase, random_walk, random_walk_by_step, stepping, text_is, variance, when,
+    name, phase, random_walk, stepping, text_is, variance, when,
 };
 use kalfit::{Ensemble, Model, PhasedModel};
 use kalfit_spec::Spec;
@@ -52,7 +52,7 @@ fn processes_in_continuous_time() {
         [data]
         test = "id"
         time = "t"
-        initial_time = "0 - 1"
+        initial_time = -1.0
         [states.bias]
         [states.slow]
         process = "gauss-markov"
@@ -139,7 +139,7 @@ fn processes_from_step_to_step_with_levels_to_be_found() {
         step_noise = 0.2
         initial = "stationary"
         [states.walk]
-        process = "random-walk"
+        next = "walk + 0.1 * u"
         step_noise = 0.05
         [measurements.y]
         column = "y"
@@ -161,7 +161,7 @@ fn processes_from_step_to_step_with_levels_to_be_found() {
         .previous_inputs()
         .state(constant("common").common())
         .state(stepping("x", 0.8 * name("x"), 0.2).stationary())
-        .state(random_walk_by_step("walk", 0.05))
+        .state(stepping("walk", name("walk") + 0.1 * name("u"), 0.05))
         .measurement(measurement("y", name("bias") + "x", "sigma"))
         .measurement(measurement("z", name("walk") + name("common") * "u", 0.3).only_where(name("u").less_than(0.5)))
         .parameter(free("sigma").start(0.5).per("lot").fixed_at("B", 0.6))
