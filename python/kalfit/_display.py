@@ -60,8 +60,8 @@ def _table(heads: list[str], rows: list[list[str]]) -> str:
 
 
 def _phase_table(phase: Phase, named: bool) -> str:
-    means = zip(phase.mean, phase.mean_std_error)
-    spreads = zip(phase.std_dev, phase.std_dev_std_error)
+    means = zip(phase.mean, phase.mean_std_error.tolist())
+    spreads = zip(phase.std_dev, phase.std_dev_std_error.tolist())
     rows = [
         [state, unit or "", _with_error(*mean), _with_error(*spread)]
         for state, unit, mean, spread in zip(phase.states, phase.units, means, spreads)

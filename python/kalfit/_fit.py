@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Union, overload
+from typing import Any, Literal, TypeAlias, Union, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +18,20 @@ from kalfit import _display, _kalfit
 __all__ = ["Fit", "Interrupted", "Parameter", "Parameters", "Phase", "TestFit"]
 
 Array = NDArray[np.float64]
+#: Numbers of which some may be unknown: those are masked, print as ``--`` and become None in ``tolist()``.
+MaskedArray: TypeAlias = "np.ma.MaskedArray[Any, np.dtype[np.float64]]"
 
 
 def _array(values: Any) -> Array:
-    """Numbers as an array; what is unknown is NaN, as numpy has nothing else for it."""
-    return np.array(values, dtype=np.float64)  # None becomes NaN
+    """Numbers that are all known."""
+    return np.array(values, dtype=np.float64)
+
+
+def _masked(values: Any) -> MaskedArray:
+    """Numbers of which some may be unknown."""
+    numbers = np.array(values, dtype=np.float64)  # None becomes NaN, for the mask to cover
+    unknown = np.isnan(numbers)
+    return np.ma.array(np.where(unknown, 0.0, numbers), mask=unknown, fill_value=np.nan)
 
 
 def _write(path: str | os.PathLike[str], text: str) -> None:
@@ -53,7 +62,8 @@ class Parameter:
     estimate: float
     #: None where it is fixed, at a bound, or not determined by the data.
     std_error: float | None
-    interval95: tuple[float, float] | None
+    #: Lower and upper end; an end is None where no limit was found.
+    interval95: tuple[float | None, float | None] | None
     fixed: bool
     at_bound: bool
     unit: str | None
@@ -92,8 +102,11 @@ class Parameters(Sequence[Parameter]):
 
 
 class Phase:
-    """The initial state of one phase, over the population. Arrays are in the order of :attr:`states`; what is unknown, such as
-    the standard error of a fixed element, is NaN."""
+    """The initial state of one phase, over the population. Arrays are in the order of :attr:`states`.
+
+    What may be unknown, such as the standard error of a fixed element, comes in masked arrays: an unknown number is masked, and so
+    is whatever is calculated from it. :meth:`why_unknown` says why. Whoever wants NaN asks for it: ``filled()``.
+    """
 
     def __init__(self, record: dict[str, Any]) -> None:
         self._record = record
@@ -110,9 +123,9 @@ class Phase:
         return _array(self._record["mean"]["estimate"])
 
     @property
-    def mean_std_error(self) -> Array:
+    def mean_std_error(self) -> MaskedArray:
         """Standard errors of the mean, shape (p,)."""
-        return _array(self._record["mean"]["std_error"])
+        return _masked(self._record["mean"]["std_error"])
 
     @property
     def covariance(self) -> Array:
@@ -120,9 +133,9 @@ class Phase:
         return _square(self._record["covariance"]["estimate"], len(self.states))
 
     @property
-    def covariance_std_error(self) -> Array:
+    def covariance_std_error(self) -> MaskedArray:
         """Standard errors of the covariance, shape (p, p)."""
-        return _square(self._record["covariance"]["std_error"], len(self.states))
+        return _masked(self._record["covariance"]["std_error"]).reshape(len(self.states), len(self.states))
 
     @property
     def std_dev(self) -> Array:
@@ -130,22 +143,71 @@ class Phase:
         return _array(self._record["std_dev"]["estimate"])
 
     @property
-    def std_dev_std_error(self) -> Array:
+    def std_dev_std_error(self) -> MaskedArray:
         """Standard errors of the standard deviations, shape (p,)."""
-        return _array(self._record["std_dev"]["std_error"])
+        return _masked(self._record["std_dev"]["std_error"])
 
     @property
-    def correlation(self) -> Array:
-        """Correlations, shape (p, p)."""
-        return _square(self._record["correlation"]["estimate"], len(self.states))
+    def correlation(self) -> MaskedArray:
+        """Correlations, shape (p, p); masked beside a variance of zero."""
+        return _masked(self._record["correlation"]["estimate"]).reshape(len(self.states), len(self.states))
 
     @property
-    def correlation_std_error(self) -> Array:
+    def correlation_std_error(self) -> MaskedArray:
         """Standard errors of the correlations, shape (p, p)."""
-        return _square(self._record["correlation"]["std_error"], len(self.states))
+        return _masked(self._record["correlation"]["std_error"]).reshape(len(self.states), len(self.states))
+
+    def why_unknown(
+        self, what: Literal["mean", "std_dev", "covariance", "correlation"], state: str, other: str | None = None
+    ) -> str | None:
+        """Why a figure has no standard error, in words; None when it has one.
+
+        ``what`` is the figure, ``state`` its state, and ``other`` the second one of a covariance or a correlation.
+        """
+        return _why_unknown(self._record, self.states, what, state, other)
 
     def __repr__(self) -> str:
         return f"<kalfit.Phase {self.name!r}: {', '.join(self.states)}>"
+
+
+def _why_unknown(
+    record: dict[str, Any], states: list[str], what: str, state: str, other: str | None
+) -> str | None:
+    if what not in ("mean", "std_dev", "covariance", "correlation"):
+        raise ValueError(f"what is {what!r}, expected 'mean', 'std_dev', 'covariance' or 'correlation'")
+    for name in (state, other):
+        if name is not None and name not in states:
+            raise KeyError(f"there is no state {name!r}, there are {', '.join(states)}")
+    i = states.index(state)
+    j = i if other is None else states.index(other)
+    single = what in ("mean", "std_dev")
+    error = record[what]["std_error"]
+    if (error[i] if single else error[i][j]) is not None:
+        return None
+    if what == "correlation" and i == j:
+        return "it is 1 by definition"
+    if what == "correlation" and record[what]["estimate"][i][j] is None:
+        return "a state that does not vary has no correlations"
+    fixed = record["mean"]["fixed"][i] if what == "mean" else record["covariance"]["fixed"][i][j]
+    if fixed:
+        return "it is fixed"
+    named = (states[i],) if what == "mean" else (states[i], states[j])
+    kind = "mean" if what == "mean" else "covariance"
+    for direction in record["unidentified"]:
+        if direction["what"] == kind and _takes_part(direction, named):
+            return direction.get("reason") or "the data do not determine it"
+    for boundary in record["boundary"] if kind == "covariance" else []:
+        if not boundary.get("states") or {*named} & {*boundary["states"]}:
+            return f"it is on the boundary: the covariance is singular, of rank {boundary['rank']} of {boundary['of']}"
+    return "it is not known"
+
+
+def _takes_part(direction: dict[str, Any], named: tuple[str, ...]) -> bool:
+    """Whether an unidentified direction moves a mean, or a covariance of these states."""
+    elements = direction.get("elements", [])
+    moved = [element for element, size in zip(elements, direction["direction"]) if abs(size) > 1e-6]
+    texts = {named[0]} if len(named) == 1 else {f"{a}, {b}" for a, b in (named, named[::-1])}
+    return not texts.isdisjoint(moved)
 
 
 def _square(values: Any, p: int) -> Array:
@@ -249,8 +311,8 @@ class Fit:
         return self._only.std_dev
 
     @property
-    def correlation(self) -> Array:
-        """Correlations, shape (p, p)."""
+    def correlation(self) -> MaskedArray:
+        """Correlations, shape (p, p); masked beside a variance of zero."""
         return self._only.correlation
 
     @cached_property
@@ -363,7 +425,7 @@ def _parameter(record: dict[str, Any]) -> Parameter:
         level=record["level"],
         estimate=float(record["estimate"]),
         std_error=_number(record["std_error"]),
-        interval95=None if interval is None else (float(interval[0]), float(interval[1])),
+        interval95=None if interval is None else (_number(interval[0]), _number(interval[1])),
         fixed=bool(record["fixed"]),
         at_bound=bool(record["at_bound"]),
         unit=record.get("unit"),

@@ -19,6 +19,7 @@ __all__ = ["check", "estimates", "fit", "plan", "reduce", "simulate", "test"]
 Set = Union[Mapping[str, float], Sequence[str], None]
 Progress = Union[bool, Callable[[str], object]]
 _Text = tuple[str, str, Union[str, None]]
+_How = tuple[Union[int, None], Union[Callable[[str], object], None]]
 
 
 def _said(line: str) -> None:
@@ -26,7 +27,7 @@ def _said(line: str) -> None:
     sys.stderr.flush()
 
 
-def _how(threads: int | None, progress: Progress) -> tuple[int | None, Callable[[str], object] | None]:
+def _how(threads: int | None, progress: Progress) -> _How:
     if threads is not None and not 1 <= threads <= 1024:
         raise ValueError(f"threads is {threads}, expected a number from 1 to 1024, or None for all processors")
     if progress is True:
@@ -278,9 +279,7 @@ def reduce(
     >>> kalfit.fit(model, reductions).log_likelihood == kalfit.fit(model, data).log_likelihood
     True
     """
-    source = None if at is None else _source(at)
-    table, *_ = _kalfit.reduce(_model(model, set), as_data(data), source, _file(out), _how(threads, progress))
-    return _table(table)
+    return _exchange("reductions", (model, set), data, at, out, _how(threads, progress))
 
 
 def estimates(
@@ -297,6 +296,17 @@ def estimates(
 
     As :func:`reduce`, in the form that any filter's estimates can be given in.
     """
+    return _exchange("estimates", (model, set), data, at, out, _how(threads, progress))
+
+
+def _exchange(
+    what: Literal["reductions", "estimates"],
+    model: tuple[ModelLike, Set],
+    data: Data,
+    at: Fit | Path | None,
+    out: Path | None,
+    how: _How,
+) -> Table | None:
     source = None if at is None else _source(at)
-    table, *_ = _kalfit.estimates(_model(model, set), as_data(data), source, _file(out), _how(threads, progress))
+    table, *_ = _kalfit.exchange(what, _model(*model), as_data(data), source, _file(out), how)
     return _table(table)

@@ -58,9 +58,6 @@ def simulate(
     files: tuple[_Path | None, _Path | None],
     how: _How,
 ) -> tuple[Table | None, int, int, Table | None, str | None, list[str]]: ...
-def reduce(
-    model: _Model, given: _Data, at: _Text | None, out: _Path | None, how: _How
-) -> tuple[Table | None, int, int, list[str]]: ...
-def estimates(
-    model: _Model, given: _Data, at: _Text | None, out: _Path | None, how: _How
+def exchange(
+    what: str, model: _Model, given: _Data, at: _Text | None, out: _Path | None, how: _How
 ) -> tuple[Table | None, int, int, list[str]]: ...

@@ -57,7 +57,8 @@ class GroupReducer:
 
     def __call__(self, rows: Any) -> Any:
         rows = rows.sort_values(self._order, kind="stable") if self._order else rows
-        table, *_ = _kalfit.reduce((self._model._document(), self._set), [("data", rows)], self._at, None, (1, None))
+        model = (self._model._document(), self._set)
+        table, *_ = _kalfit.exchange("reductions", model, [("data", rows)], self._at, None, (1, None))
         assert table is not None, "no file was named"
         made = Table(table)
         reductions = made.to_pandas()
@@ -85,9 +86,16 @@ def reduce(
     if not order and known.time is None:
         raise ValueError("the model names no column of time, and Spark keeps no order of rows: name the columns of `order_by`")
     order = order or [str(known.time)]
+    for column in (known.test, *order):
+        if column not in frame.columns:
+            raise _kalfit.DataError(f"the frame has no column {column!r}, it has {', '.join(frame.columns)}")
     reducer = GroupReducer(known, assignments(set), None if at is None else _source(at), order)
     schema = ", ".join(f"{name} {kind}" for name, kind in {**_COLUMNS, _METADATA: "string"}.items())
-    return frame.groupBy(known.test).applyInPandas(reducer, schema)
+
+    def of_group(rows: Any) -> Any:  # Spark counts the arguments of a function, and takes `self` for one
+        return reducer(rows)
+
+    return frame.groupBy(known.test).applyInPandas(of_group, schema)
 
 
 def fit(model: ModelLike, reductions: Any, **options: Any) -> Fit:

@@ -58,7 +58,7 @@ def test_wrong_data_are_named_by_table_row_and_column():
 
 
 def test_what_does_not_go_together_is_a_fit_error_or_a_model_error():
-    with pytest.raises(kalfit.FitError, match="`--starts` has no effect"):
+    with pytest.raises(kalfit.FitError, match="^`starts` has no effect"):
         kalfit.fit(*BENCH, starts=3)
     with pytest.raises(kalfit.ModelError, match="zigma"):
         kalfit.fit(*SLEEP, set={"zigma": 3})
@@ -66,6 +66,23 @@ def test_what_does_not_go_together_is_a_fit_error_or_a_model_error():
         kalfit.test(*BENCH, {"covariance": {"structure": "full"}})
     with pytest.raises(kalfit.ModelError, match="no value is given for parameter `sigma`"):
         kalfit.reduce({**MODEL, "parameters": {"sigma": {}}, "measurements": {"y": {"column": "y", "equation": "level", "noise": "sigma"}}}, polars.DataFrame({"id": ["a"], "y": [1.0]}))
+
+
+def test_messages_name_arguments_as_python_does():
+    free = {**MODEL, "parameters": {"sigma": {}}, "measurements": {"y": {"column": "y", "equation": "level", "noise": "sigma"}}}
+    rows = polars.DataFrame({"id": ["a", "b"], "y": [1.0, 2.0]})
+    cases = [
+        (lambda: kalfit.reduce(free, rows), 'hint: give it: `set={"sigma": VALUE}`'),
+        (lambda: kalfit.fit(*SLEEP, std_errors="sandwich"), "or fix the parameters with `set`"),
+        (lambda: kalfit.fit(*BENCH, criterion="reml", std_errors="sandwich"), '`std_errors="sandwich"` go with `criterion="ml"` only'),
+        (lambda: kalfit.fit(*BENCH, phases="stacked"), '^`phases="stacked"` has no effect'),
+    ]
+    for call, words in cases:
+        with pytest.raises(kalfit.Error) as caught:
+            call()
+        message = str(caught.value)
+        assert message.startswith(words[1:]) if words.startswith("^") else words in message, message
+        assert "--" not in message, message
 
 
 def test_outputs_do_not_replace_inputs(tmp_path):

@@ -99,7 +99,7 @@ def test_figures_of_a_fit_are_those_of_its_json():
     assert fit.covariance.tolist() == phase["covariance"]["estimate"] and fit.covariance.dtype == np.float64
     assert fit.std_dev.tolist() == phase["std_dev"]["estimate"]
     assert fit.correlation.tolist() == phase["correlation"]["estimate"]
-    assert np.isnan(fit.phases[0].correlation_std_error[0, 0])
+    assert fit.phases[0].correlation_std_error[0, 0] is np.ma.masked
     assert (fit.log_likelihood, fit.aic, fit.bic) == (record["log_likelihood"], record["aic"], record["bic"])
     assert (fit.converged, fit.reason, fit.certificate) == (True, record["reason"], record["certificate"])
     assert fit.free_parameters == 6 and fit.constraints == record["constraints"]
@@ -109,6 +109,48 @@ def test_figures_of_a_fit_are_those_of_its_json():
     assert fit.tests[0].means["main"].tolist() == record["tests"][0]["phases"][0]["mean"]
     assert repr(fit).startswith("<kalfit.Fit 'Reaction time under sleep deprivation': converged, log-likelihood")
     assert fit.summary(width=60) != fit.summary() == str(fit)
+
+
+def test_what_is_unknown_is_masked_and_says_why():
+    rows = polars.read_csv(SLEEP[1])
+    model = {
+        "data": {"test": "Subject"},
+        "states": {"intercept": {}, "slope": {}, "dark": {}},
+        "measurements": {"y": {"column": "Reaction", "equation": "intercept + slope * Days + 0 * dark", "noise": 25}},
+        "mean": {"fixed": {"intercept": 250}},
+        "covariance": {"fixed": {"intercept, slope": 0}},
+    }
+    phase = kalfit.fit(model, rows).phases[0]
+    error = phase.mean_std_error
+    assert error.mask.tolist() == [True, False, True] and error.tolist()[0] is None
+    assert not np.isnan(error.data).any(), "no NaN lies under the mask"
+    assert (phase.mean / error).mask.tolist() == [True, False, True], "what is calculated from the unknown is unknown"
+    assert np.isnan(error.filled()).tolist() == [True, False, True], "NaN only for who asks for it"
+    assert str(error).startswith("[-- ")
+    assert phase.why_unknown("mean", "intercept") == "it is fixed"
+    assert phase.why_unknown("mean", "slope") is None
+    assert phase.why_unknown("mean", "dark") == "no test observes `dark`"
+    assert phase.why_unknown("covariance", "intercept", "slope") == "it is fixed"
+    assert phase.why_unknown("correlation", "slope", "slope") == "it is 1 by definition"
+    assert "observes `dark`" in phase.why_unknown("std_dev", "dark")
+    assert phase.covariance_std_error.mask[0, 1] and not phase.covariance_std_error.mask[0, 0]
+    with pytest.raises(KeyError, match="there are intercept, slope, dark"):
+        phase.why_unknown("mean", "light")
+    with pytest.raises(ValueError, match="what is 'median'"):
+        phase.why_unknown("median", "slope")
+
+
+def test_a_singular_covariance_says_so_in_place_of_standard_errors():
+    fit = kalfit.fit("examples/mimu4444/gyro_x.toml", "examples/mimu4444/gyro_x.csv", innovations=False, deletion="none")
+    phase = fit.phases[0]
+    assert phase.std_dev_std_error.mask.all() and not phase.mean_std_error.mask.any()
+    assert phase.why_unknown("std_dev", "bias") == "it is on the boundary: the covariance is singular, of rank 2 of 4"
+
+
+def test_an_interval_without_an_end_has_none_there():
+    record = kalfit.fit(*SLEEP).to_dict()
+    record["parameters"][0]["interval95"] = [20.0, None]
+    assert kalfit.Fit.from_json(json.dumps(record)).parameters["sigma"].interval95 == (20.0, None)
 
 
 def test_a_fit_of_phases_says_which_to_ask():

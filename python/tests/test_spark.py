@@ -1,5 +1,10 @@
-"""The part of `kalfit.spark` that runs on executors, without Spark; and a frame that stands in for Spark's."""
+"""The part of `kalfit.spark` that runs on executors, without Spark, over a frame that stands in for Spark's; and, where pyspark and
+Java are installed, Spark itself."""
 
+import inspect
+import os
+import shutil
+import sys
 from pathlib import Path
 
 import pandas
@@ -16,6 +21,10 @@ class Frame:
     def __init__(self, rows):
         self._rows = rows
 
+    @property
+    def columns(self):
+        return list(self._rows.columns)
+
     def groupBy(self, column):
         return Groups(self._rows, column)
 
@@ -30,6 +39,8 @@ class Groups:
     def applyInPandas(self, function, schema):
         names = [part.split()[0] for part in schema.split(", ")]
         shuffled = self._rows.sample(frac=1, random_state=3)
+        # Spark hands over the key too when a function has two arguments, and takes `self` of an object for one
+        assert len(inspect.getfullargspec(function).args) == 1
         parts = [function(rows) for _, rows in shuffled.groupby(self._column, sort=False)]
         assert all(list(part.columns) == names for part in parts)
         return Frame(pandas.concat(parts, ignore_index=True))
@@ -43,6 +54,30 @@ def test_reductions_by_group_fit_to_the_same_bits(model, path):
     assert abs(found.log_likelihood - expected.log_likelihood) <= 1e-12 * abs(expected.log_likelihood)
     for one, other in zip(found.phases, expected.phases):
         assert abs(one.mean - other.mean).max() <= 1e-9 * abs(other.mean).max()
+
+
+@pytest.mark.skipif(shutil.which("java") is None and "JAVA_HOME" not in os.environ, reason="Spark needs Java")
+@pytest.mark.filterwarnings("ignore")
+def test_spark_itself_gives_the_same_fit(tmp_path, monkeypatch):
+    sql = pytest.importorskip("pyspark.sql")
+    monkeypatch.setenv("PYSPARK_PYTHON", sys.executable)
+    session = sql.SparkSession.builder.master("local[2]").config("spark.ui.enabled", "false").getOrCreate()
+    try:
+        for model, path in (BENCH, PHASES):
+            expected = kalfit.fit(model, path).log_likelihood
+            reductions = kalfit.spark.reduce(model, session.read.csv(str(path), header=True, inferSchema=True))
+            assert abs(kalfit.spark.fit(model, reductions).log_likelihood - expected) <= 1e-12 * abs(expected)
+            reductions.write.parquet(str(tmp_path / Path(path).stem))
+            stored = session.read.parquet(str(tmp_path / Path(path).stem))
+            assert abs(kalfit.spark.fit(model, stored).log_likelihood - expected) <= 1e-12 * abs(expected)
+    finally:
+        session.stop()
+
+
+def test_a_frame_without_the_columns_of_the_model_is_refused_before_anything_runs():
+    frame = Frame(pandas.read_csv(BENCH[1]).drop(columns="hours"))
+    with pytest.raises(kalfit.DataError, match="the frame has no column 'hours', it has unit, station"):
+        kalfit.spark.reduce(BENCH[0], frame)
 
 
 def test_what_spark_cannot_know_is_asked_for():

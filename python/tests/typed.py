@@ -16,6 +16,8 @@ kalfit.fit("gyro.toml", ["a.csv", Path("b.parquet"), table, fit_table := kalfit.
 mean: float = float(fit.mean[0]) + fit.covariance.sum()
 estimate: float = fit.parameters["tau"].estimate
 level: kalfit.Parameter = fit.parameters["sigma", "A"]
+errors: list[float | None] = fit.phases[0].mean_std_error.tolist()
+reason: str | None = fit.phases[0].why_unknown("mean", "bias")
 first: str = fit.tests[0].id
 p_value: float | None = kalfit.test(model, table, {"mean": {"fixed": {"bias": 0}}}).p_value
 words: str = kalfit.check(model, table).summary(width=100)

@@ -117,14 +117,23 @@ fn per_words(per: &Option<String>) -> String {
     per.as_ref().map_or("common to all tests".to_owned(), |per| format!("per `{per}`"))
 }
 
+/// The tables of a model file that give values to elements; those of a model in phases are named `mean[phase.state]`.
+fn tables(elements: &[String]) -> String {
+    let phase = elements.iter().find_map(|element| element.split_once('[')?.1.split_once('.').map(|(phase, _)| phase));
+    match phase {
+        None => "`[mean]` and `[covariance]`".to_owned(),
+        Some(phase) => format!("`[phases.{phase}.mean]` and `[phases.{phase}.covariance]`"),
+    }
+}
+
 impl TruthError {
     pub(crate) fn hint(&self) -> Option<String> {
         match self {
             TruthError::NotARecord { .. } | TruthError::Record { error: RecordError::Schema { .. }, .. } => {
                 Some("`--from` takes what `kalfit fit --out` writes, or a model file that ends in `.toml`".to_owned())
             }
-            TruthError::Population { error: PopulationError::NoValue { .. }, .. } => {
-                Some("fix it or give it a start value in `[mean]` and `[covariance]`, or take a fit".to_owned())
+            TruthError::Population { error: PopulationError::NoValue { elements }, .. } => {
+                Some(format!("fix it or give it a start value in {}, or take a fit", tables(elements)))
             }
             TruthError::NoParameter { names } => Some(format!("give it: `--set {}=VALUE`", names.first()?)),
             TruthError::Value { error, .. } => error.hint.clone(),

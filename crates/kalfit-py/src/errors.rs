@@ -14,7 +14,7 @@ create_exception!(kalfit, FitError, Error, "The model does not work on the data,
 /// A failure as an exception.
 pub(crate) fn exception(failure: &Failure) -> PyErr {
     let text = kalfit_job::render(failure, false);
-    let text = text.strip_prefix("error: ").unwrap_or(&text).trim_end().to_owned();
+    let text = in_python(text.strip_prefix("error: ").unwrap_or(&text).trim_end());
     match failure {
         Failure::Interrupted => PyKeyboardInterrupt::new_err(()),
         Failure::Model { .. }
@@ -36,6 +36,50 @@ pub(crate) fn exception(failure: &Failure) -> PyErr {
         }
         _ => FitError::new_err(text),
     }
+}
+
+/// Options that messages name as on the command line, and their names in Python.
+const OPTIONS: [(&str, &str); 9] = [
+    ("criterion", "criterion"),
+    ("from", "source"),
+    ("out", "out"),
+    ("phases", "phases"),
+    ("set", "set"),
+    ("starts", "starts"),
+    ("std-errors", "std_errors"),
+    ("test", "test"),
+    ("threads", "threads"),
+];
+
+/// A message with the options of the command line, which stand in backticks, in Python's words: `--phases chain` is
+/// `phases="chain"`, `--set tau=VALUE` is `set={"tau": VALUE}`.
+fn in_python(message: &str) -> String {
+    let mut text = String::new();
+    let mut rest = message;
+    while let Some(start) = rest.find("`--") {
+        let (before, quoted) = (&rest[..start], &rest[start + 1..]);
+        text.push_str(before);
+        let Some(end) = quoted.find('`') else { break };
+        match argument(&quoted[2..end]) {
+            Some(words) => text.push_str(&format!("`{words}`")),
+            None => text.push_str(&rest[start..start + end + 2]),
+        }
+        rest = &quoted[end + 1..];
+    }
+    text + rest
+}
+
+/// An option with its value, if it has one, as an argument.
+fn argument(option: &str) -> Option<String> {
+    let (name, value) = option.split_once(' ').map_or((option, None), |(name, value)| (name, Some(value)));
+    let name = OPTIONS.iter().find(|(known, _)| *known == name)?.1;
+    Some(match value {
+        None => name.to_owned(),
+        Some(value) => match value.split_once('=') {
+            Some((key, value)) => format!("{name}={{\"{key}\": {value}}}"),
+            None => format!("{name}=\"{value}\""),
+        },
+    })
 }
 
 /// Wrong data that are in memory.

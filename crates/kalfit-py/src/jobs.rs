@@ -12,7 +12,7 @@ use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::prelude::*;
 
 use crate::data::{Given, data};
-use crate::options::{Asked, FitOptions, Text, settings};
+use crate::options::{Asked, FitOptions, Text, pick, settings};
 use crate::run::{Ended, How, run};
 use crate::table::Table;
 use crate::text::written;
@@ -118,39 +118,22 @@ pub(crate) fn simulate(
 /// (the table unless it went to a file, number of rows, of tests, notes).
 type Made = (Option<Table>, usize, usize, Vec<String>);
 
-/// Runs the filters once.
-#[pyfunction]
-pub(crate) fn reduce(
-    py: Python<'_>,
-    model: Asked,
-    given: Vec<Given<'_>>,
-    at: Option<Text>,
-    out: Option<PathBuf>,
-    how: How<'_>,
-) -> PyResult<Made> {
-    exchange(py, kalfit_job::reduce, (model, given, at, out), how)
-}
-
-/// Runs the model's filters as they are.
-#[pyfunction]
-pub(crate) fn estimates(
-    py: Python<'_>,
-    model: Asked,
-    given: Vec<Given<'_>>,
-    at: Option<Text>,
-    out: Option<PathBuf>,
-    how: How<'_>,
-) -> PyResult<Made> {
-    exchange(py, kalfit_job::estimates, (model, given, at, out), how)
-}
-
 /// A job that makes an exchange file.
 type Exchange = fn(&ExchangeJob, &mut dyn Watch) -> Result<Done<Exchanged>, Failure>;
 
-/// What it is asked for.
-type Wanted<'py> = (Asked, Vec<Given<'py>>, Option<Text>, Option<PathBuf>);
-
-fn exchange(py: Python<'_>, make: Exchange, (model, given, at, out): Wanted<'_>, how: How<'_>) -> PyResult<Made> {
+/// Runs filters once and makes a table of what they leave: `reductions`, or `estimates` of the model's filters as they are.
+#[pyfunction]
+pub(crate) fn exchange(
+    py: Python<'_>,
+    what: &str,
+    model: Asked,
+    given: Vec<Given<'_>>,
+    at: Option<Text>,
+    out: Option<PathBuf>,
+    how: How<'_>,
+) -> PyResult<Made> {
+    let jobs: [(&str, Exchange); 2] = [("reductions", kalfit_job::reduce), ("estimates", kalfit_job::estimates)];
+    let make = pick("what", what, &jobs)?;
     let job = ExchangeJob { model: model.into(), data: data(given)?, at: at.map(Into::into), out };
     let done = whole(run(py, how, move |watch| make(&job, watch))?)?;
     let Exchanged { rows, tests, table, .. } = done.record;

@@ -16,7 +16,7 @@ mod _kalfit {
     #[pymodule_export]
     use crate::errors::{DataError, Error, FitError, ModelError};
     #[pymodule_export]
-    use crate::jobs::{check, estimates, fit, plan, reduce, simulate, test};
+    use crate::jobs::{check, exchange, fit, plan, simulate, test};
     #[pymodule_export]
     use crate::table::Table;
     #[pymodule_export]

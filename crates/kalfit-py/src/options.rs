@@ -116,7 +116,7 @@ pub(crate) fn settings(solver: Solver, tolerance: Option<f64>, passes: Option<u3
 }
 
 /// The meaning of a word.
-fn pick<T: Clone>(option: &str, word: &str, meanings: &[(&str, T)]) -> PyResult<T> {
+pub(crate) fn pick<T: Clone>(option: &str, word: &str, meanings: &[(&str, T)]) -> PyResult<T> {
     let found = meanings.iter().find(|(name, _)| *name == word);
     found.map(|(_, meaning)| meaning.clone()).ok_or_else(|| {
         let names: Vec<String> = meanings.iter().map(|(name, _)| format!("`{name}`")).collect();

@@ -10,9 +10,12 @@
 //!
 //! The crate is pure: it knows nothing of files, model-file syntax, tables, clocks or the terminal.
 
+pub mod build;
 pub mod dynamic;
 pub mod ensemble;
 pub mod estimate;
+mod face;
+pub mod guide;
 pub mod infer;
 pub mod innovations;
 pub mod linalg;
@@ -24,6 +27,7 @@ pub mod score;
 pub mod simulate;
 
 pub use ensemble::{Label, Labels, Layout, Source, Test, TestKey};
+pub use face::{Ensemble, EnsembleError, Figure, Fit, Options, UnknownName, fit, fit_matrices, fit_reductions};
 pub use model::{Alpha, Expression, Model, PhasedModel, Population};
 pub use record::{FitRecord, Provenance};
 pub use reduce::{Evidence, PhasedTest, Reduction};

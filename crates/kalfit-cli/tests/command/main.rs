@@ -1,12 +1,14 @@
 //! The built command, run as a user runs it.
 
 mod broken;
+mod check;
 mod dynamic;
 mod em;
 mod ensembles;
 mod exchange;
 mod folder;
 mod generated;
+mod help;
 mod hypotheses;
 mod inference;
 mod init;

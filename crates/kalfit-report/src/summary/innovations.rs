@@ -36,11 +36,13 @@ pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     let findings = findings(&all);
     let Some(least) = findings.first() else { return String::new() };
     let improbable = findings.iter().take_while(|f| f.adjusted < LEVEL).count();
+    let phases: Vec<&str> = record.phases.iter().map(|phase| phase.name.as_str()).collect();
+    let overall = overall(&all, record.free_parameters) + &by_phase(&all, &phases);
     let body = match improbable {
-        0 => page.items(&[overall(&all, record.free_parameters), probable(least, findings.len())]),
+        0 => page.items(&[overall, probable(least, findings.len())]),
         n => {
-            shown(&findings[..n], page)
-                + &page.items(&[meaning(&findings[..n], findings.len(), page), overall(&all, record.free_parameters)])
+            let (found, all) = (&findings[..n], findings.len());
+            shown(found, phases.len() > 1, page) + &page.items(&[meaning(found, all, page), overall])
         }
     };
     page.section("Innovations (what the filter did not expect)", &body)
@@ -87,6 +89,24 @@ fn overall(all: &[(&str, &InnovationRecord)], free: usize) -> String {
     )
 }
 
+/// The same of each phase that has any, where there are several.
+fn by_phase(all: &[(&str, &InnovationRecord)], phases: &[&str]) -> String {
+    let of = |name: &str| -> (usize, f64) {
+        let parts = all.iter().flat_map(|(_, found)| &found.parts).filter(|part| part.phase == name);
+        parts.fold((0, 0.0), |(n, nis), part| {
+            (n + part.innovations.count, nis + part.innovations.nis.unwrap_or_default())
+        })
+    };
+    let seen = phases.iter().map(|name| (name, of(name))).filter(|(_, (n, _))| *n > 0);
+    let shown = |(name, (n, nis)): (&&str, (usize, f64))| {
+        let (mean, spread) = (nis / n as f64, (2.0 / n as f64).sqrt());
+        let shown = Precision::of(mean, Some(spread)).show(mean);
+        format!("{shown} in {} ({n}, 1 ± {})", clean(name), plain(spread, 2))
+    };
+    let each: Vec<String> = seen.map(shown).collect();
+    if phases.len() > 1 && !each.is_empty() { format!(" By phase: {}.", each.join(", ")) } else { String::new() }
+}
+
 fn probable(least: &Finding<'_>, all: usize) -> String {
     let what = match least.of {
         Of::Size(_) => "size",
@@ -101,10 +121,10 @@ fn probable(least: &Finding<'_>, all: usize) -> String {
     )
 }
 
-fn shown(improbable: &[Finding<'_>], page: &Page<'_>) -> String {
+fn shown(improbable: &[Finding<'_>], phased: bool, page: &Page<'_>) -> String {
     let rows = &improbable[..improbable.len().min(page.rows(MOST_ROWS))];
     let figures = |of: fn(&Of<'_>) -> String| -> Vec<String> { rows.iter().map(|f| of(&f.of)).collect() };
-    let columns = [
+    let mut columns = vec![
         Column::new("test", Side::Left, rows.iter().map(|f| f.test.to_owned()).collect()),
         Column::new("what", Side::Left, figures(|of| of.words().to_owned())),
         Column::new("found", Side::Right, figures(|of| of.found())),
@@ -112,10 +132,24 @@ fn shown(improbable: &[Finding<'_>], page: &Page<'_>) -> String {
         Column::new("p-value", Side::Right, rows.iter().map(|f| probability(f.p_value)).collect()),
         Column::new("Holm", Side::Right, rows.iter().map(|f| probability(f.adjusted)).collect()),
     ];
+    if phased {
+        columns.insert(1, Column::new("most in", Side::Left, figures(|of| clean(of.phase().unwrap_or("-")))));
+    }
     page.table(&columns)
 }
 
 impl Of<'_> {
+    /// The phase in which it is least probable.
+    fn phase(&self) -> Option<&str> {
+        let p = |found: &InnovationRecord| match self {
+            Of::Size(_) => found.nis_p_value,
+            Of::Whiteness(_) => found.whiteness.as_ref().map(|w| w.p_value),
+        };
+        let (Of::Size(found) | Of::Whiteness(found)) = self;
+        let known = found.parts.iter().filter_map(|part| Some((p(&part.innovations)?, part.phase.as_str())));
+        known.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, phase)| phase)
+    }
+
     fn words(&self) -> &'static str {
         match self {
             Of::Size(found) if found.nis.is_some_and(|nis| nis < found.count as f64) => "smaller than modelled",

@@ -4,7 +4,7 @@
 use crate::common;
 
 use kalfit::FitRecord;
-use kalfit::record::{InnovationRecord, ObservabilityRecord, WeakRecord, WhitenessRecord};
+use kalfit::record::{InnovationPartRecord, InnovationRecord, ObservabilityRecord, WeakRecord, WhitenessRecord};
 use kalfit_report::{Style, summary};
 
 fn innovations(nis: f64, nis_p: f64, white_p: f64) -> InnovationRecord {
@@ -120,4 +120,27 @@ fn states_that_hang_on_one_test_and_weak_directions_are_warned_of() {
         known 45 times less precisely than the best known combination, in comparable
         units.
     ");
+}
+
+#[test]
+fn innovations_of_phases_are_told_apart() {
+    let part = |phase: &str, nis: f64, p: f64| InnovationPartRecord {
+        phase: phase.to_owned(),
+        measurement: "y".to_owned(),
+        innovations: innovations(nis, p, 0.5),
+    };
+    let mut both = InnovationRecord { count: 20, ..innovations(51.0, 1e-6, 0.5) };
+    both.parts = vec![part("align", 9.0, 0.8), part("flight", 42.0, 1e-7)];
+    let mut record = record(&[both]);
+    let mut flight = record.phases[0].clone();
+    record.phases[0].name = "align".to_owned();
+    flight.name = "flight".to_owned();
+    record.phases.push(flight);
+    let text = section(&record);
+    let words = text.split_whitespace().collect::<Vec<_>>().join(" ");
+    let expected = "By phase: 0.90 in align (10, 1 ± 0.45), 4.20 in flight (10, 1 ± 0.45).";
+    assert!(words.contains(expected), "{text}");
+    let rows: Vec<Vec<&str>> = text.lines().map(|line| line.split_whitespace().collect()).collect();
+    assert_eq!(rows[1][..3], ["test", "most", "in"], "{text}");
+    assert_eq!(rows[2][1], "flight", "{text}");
 }

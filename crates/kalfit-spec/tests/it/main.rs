@@ -5,6 +5,7 @@ mod digest;
 mod give;
 mod hypothesis;
 mod hypothesis_phases;
+mod in_code;
 mod linear;
 mod never_panics;
 mod phases;

@@ -1,5 +1,18 @@
 //! Maximum likelihood for (μ, Σ) on the reductions: the paper's DL algorithm, and a faster way to the same point.
 //!
+//! With Σ = LL', A = I + L'JL, b = L'(y - Jμ), W = (I + JΣ)⁻¹J and r = (I + JΣ)⁻¹(y - Jμ), summed over tests:
+//!
+//! ```text
+//! ℓ = c - ½ log|A| + ½ b'A⁻¹b + y'μ - ½ μ'Jμ                    the log-likelihood of all measurements          (3), (12)
+//! ∂ℓ/∂μ = Σ r                                                                                                   (4)
+//! ∂ℓ/∂Σ = G = ½ Σ (rr' - W)                                                                                     (5)
+//! μ ← mean of x̂_j,  Σ ← mean of V_j + (x̂_j - μ)(x̂_j - μ)'       one DL step, x̂_j and V_j by (10), (11)           (8), (9)
+//! ∂ℓ/∂μ = 0,  GΣ = 0,  -G ≥ 0 on the null space of Σ            the certificate of a maximum
+//! ```
+//!
+//! Constraints are the paper's (13) to (37): [`MeanStructure`](crate::model::MeanStructure),
+//! [`CovarianceStructure`](crate::model::CovarianceStructure).
+//!
 //! The estimator sees reductions, never data. [`fit`] returns an [`Estimate`], which always carries the optimality
 //! [`Certificate`]: an estimate without one cannot be written down.
 

@@ -1,4 +1,11 @@
 //! How far each number can be trusted: standard errors, sensitivities, identifiability, and what each test says.
+//!
+//! ```text
+//! Var θ̂ = H⁻¹, H = -∂²ℓ/∂θ²                                     standard errors, from the observed information
+//! V_j = Σ(I + J_jΣ)⁻¹,  x̂_j = μ + V_j(y_j - J_jμ)               what test j says of its own ξ                   (10), (11)
+//! λ = dℓ_max / d(value)                                         the price of a constraint                       (17)-(19)
+//! -2 log λ = 2 (ℓ of the model - ℓ of the hypothesis)           χ², or a mixture of χ² on the boundary
+//! ```
 
 mod constraint;
 mod deletion;

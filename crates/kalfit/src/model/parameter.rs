@@ -83,6 +83,11 @@ impl Alpha {
         Ok(Alpha { values: parameters.iter().map(Parameter::level).collect() })
     }
 
+    /// One value for each parameter, in the order of the model, at all levels.
+    pub fn common(values: impl IntoIterator<Item = f64>) -> Alpha {
+        Alpha { values: values.into_iter().map(Level::Common).collect() }
+    }
+
     /// Value of parameter `index` on a row with these text cells.
     pub fn value(&self, index: usize, texts: &[Label]) -> Result<f64, EvaluationError> {
         match &self.values[index] {

@@ -3,6 +3,16 @@
 //! The filter runs once per test with ξ = 0 and carries the sensitivity Ψ of the filtered state to ξ. What it leaves
 //! is a [`Reduction`]: all that the test says about ξ.
 //!
+//! With x_0 = a + Aξ + ζ the filter's prediction at step k is x̂ + Ψξ, its innovation e - Tξ of variance S:
+//!
+//! ```text
+//! e = z - d - M x̂,  T = MΨ,  S = MPM' + R,  K = PM'S⁻¹          innovations of any ξ are e - Tξ                 (38)
+//! log p(z | ξ) = c + y'ξ - ½ ξ'Jξ                               the likelihood, the paper's (39)
+//! J = Σ T'S⁻¹T,  y = Σ T'S⁻¹e,  c = -½ Σ (log|2πS| + e'S⁻¹e)    sums over the steps
+//! ```
+//!
+//! J is the inverse of the paper's P(j) and may be singular; it is kept as a triangular root, and never inverted.
+//!
 //! ```text
 //! Model at α ── Reducer::new ──> Preparer                dynamics, start, motion, observe: coefficients at α
 //! Test ── prepare ──> Design + Data                      steps; transitions are made once per length and coefficients

@@ -114,6 +114,14 @@ impl Plain {
         Plain { id: id.into(), offset, sensitivity, covariance, steps: Vec::new() }
     }
 
+    /// A test whose states are the unknown numbers themselves: x_0 = ξ. Of steps that do not move, these are random constants.
+    pub fn constants(id: impl Into<String>, steps: impl IntoIterator<Item = StepMatrices>) -> Plain {
+        let steps: Vec<StepMatrices> = steps.into_iter().collect();
+        let n = steps.first().map_or(0, |step| step.measurement.ncols());
+        let (zero, identity) = (DMatrix::zeros(n, n), DMatrix::identity(n, n));
+        Plain { id: id.into(), offset: DVector::zeros(n), sensitivity: identity, covariance: zero, steps }
+    }
+
     /// Its reduction.
     pub fn reduce(&self) -> Result<Reduction, ReduceError> {
         Ok(self.solve(false, false)?.0)

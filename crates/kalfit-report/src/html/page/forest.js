@@ -14,7 +14,7 @@ kinds.forest = {
     data.panels.forEach((panel, k) => {
       const height = Math.max(panel.rows.length * ROW, ROW * 1.5);
       option.grid.push({ left: room, right: 24, top, height, outerBoundsMode: "none" });
-      option.xAxis.push(numbers(look, panel.label, { gridIndex: k, splitNumber: look.narrow ? 3 : 6 }));
+      option.xAxis.push(numbers(look, panel.label, { gridIndex: k, splitNumber: look.narrow ? 3 : 6, boundaryGap: ["3%", "3%"] }));
       option.yAxis.push(
         axis(look, {
           gridIndex: k,

@@ -1,0 +1,110 @@
+//! From names to indices: what equations have used so far.
+
+use crate::build::BuildError;
+use crate::build::parameter::ParameterBuilder;
+use crate::model::{Column, Expression};
+
+/// What a parameter does, as far as its sign is concerned; the strictest use counts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Role {
+    Unused,
+    /// Any number.
+    Coefficient,
+    /// A noise variance or a standard deviation: not negative.
+    Spread,
+    /// Positive.
+    TimeConstant,
+}
+
+/// What all phases have in common.
+#[derive(Debug, Default)]
+pub(super) struct Names {
+    pub(super) columns: Vec<Column>,
+    pub(super) text_columns: Vec<Column>,
+    pub(super) literals: Vec<String>,
+    pub(super) parameters: Vec<(ParameterBuilder, Role)>,
+    /// Of the phase that is being built.
+    pub(super) states: Vec<String>,
+    /// Whether it has times.
+    pub(super) time: bool,
+}
+
+impl Names {
+    /// Takes a parameter in, unless a phase before brought the same.
+    pub(super) fn parameter(&mut self, parameter: &ParameterBuilder, phase: Option<&str>) -> Result<(), BuildError> {
+        match self.parameters.iter().find(|(known, _)| known.name == parameter.name) {
+            None => self.parameters.push((parameter.clone(), Role::Unused)),
+            Some((known, _)) if phase.is_some() && known == parameter => {}
+            Some(_) => {
+                let name = parameter.name.clone();
+                return Err(match phase {
+                    None => BuildError::Twice { what: "two parameters", name },
+                    Some(phase) => {
+                        BuildError::PhasesDiffer { phase: phase.to_owned(), what: format!("parameter `{name}`") }
+                    }
+                });
+            }
+        }
+        Ok(())
+    }
+
+    pub(super) fn state(&self, name: &str) -> Option<usize> {
+        self.states.iter().position(|known| known == name)
+    }
+
+    /// The state that a place names.
+    pub(super) fn need_state(&self, name: &str, place: &str) -> Result<usize, BuildError> {
+        self.state(name).ok_or_else(|| unknown("state", name, place, &self.states))
+    }
+
+    pub(super) fn column(&mut self, name: &str, place: &str) -> usize {
+        index(&mut self.columns, name, place)
+    }
+
+    pub(super) fn text_column(&mut self, name: &str, place: &str) -> usize {
+        index(&mut self.text_columns, name, place)
+    }
+
+    pub(super) fn literal(&mut self, text: &str) -> usize {
+        self.literals.iter().position(|known| known == text).unwrap_or_else(|| {
+            self.literals.push(text.to_owned());
+            self.literals.len() - 1
+        })
+    }
+
+    /// A name that is no state: a parameter, else a column.
+    pub(super) fn scalar(&mut self, name: &str, place: &str) -> Expression {
+        match self.parameters.iter_mut().enumerate().find(|(_, (known, _))| known.name == name) {
+            Some((index, (_, role))) => {
+                *role = (*role).max(Role::Coefficient);
+                Expression::Parameter(index)
+            }
+            None => Expression::Column(self.column(name, place)),
+        }
+    }
+
+    /// Parameters that are factors of an expression in this role, so that their sign is that of the whole.
+    pub(super) fn mark(&mut self, value: &Expression, role: Role) {
+        use crate::model::Operator::{Divide, Multiply};
+        match value {
+            Expression::Parameter(index) => self.parameters[*index].1 = self.parameters[*index].1.max(role),
+            Expression::Binary(Multiply, a, b) if role != Role::TimeConstant => {
+                self.mark(a, role);
+                self.mark(b, role);
+            }
+            Expression::Binary(Divide, a, _) if role != Role::TimeConstant => self.mark(a, role),
+            _ => {}
+        }
+    }
+}
+
+pub(super) fn unknown(what: &'static str, name: &str, place: &str, known: &[String]) -> BuildError {
+    BuildError::Unknown { what, name: name.to_owned(), place: place.to_owned(), known: known.to_vec() }
+}
+
+fn index(columns: &mut Vec<Column>, name: &str, place: &str) -> usize {
+    columns.iter().position(|column| column.name == name).unwrap_or_else(|| {
+        columns.push(Column { name: name.to_owned(), used_in: place.to_owned() });
+        columns.len() - 1
+    })
+}

@@ -1,0 +1,116 @@
+//! Figures of a fit, by name.
+
+use crate::face::Fit;
+use crate::infer::{Interval, Posterior};
+use crate::record::{ParameterRecord, PhaseRecord, VectorRecord};
+
+/// A number with what it is worth.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Figure {
+    /// The number.
+    pub estimate: f64,
+    /// Its standard error; `None` where it is fixed, not identified, or on the boundary.
+    pub std_error: Option<f64>,
+    /// Its 95 % interval; `None` where it is fixed or not identified.
+    pub interval95: Interval,
+}
+
+/// Nothing in the fit has this name.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("the fit has no {what} `{name}`; it has {}", known.join(", "))]
+pub struct UnknownName {
+    /// What was asked for.
+    pub what: &'static str,
+    /// The name.
+    pub name: String,
+    /// The names that there are.
+    pub known: Vec<String>,
+}
+
+impl Fit {
+    /// The mean of a state over the tests. States of models in phases are named `phase.state`.
+    ///
+    /// # Errors
+    /// No such estimated state.
+    pub fn mean(&self, state: &str) -> Result<Figure, UnknownName> {
+        let (phase, i) = self.find(state)?;
+        let (estimate, mean) = (phase.mean.estimate[i], &phase.mean);
+        Ok(Figure { estimate, std_error: mean.std_error[i], interval95: mean.interval95[i] })
+    }
+
+    /// The standard deviation of a state from test to test.
+    ///
+    /// # Errors
+    /// No such estimated state.
+    pub fn std_dev(&self, state: &str) -> Result<Figure, UnknownName> {
+        let (phase, i) = self.find(state)?;
+        let VectorRecord { estimate, std_error, interval95 } = &phase.std_dev;
+        Ok(Figure { estimate: estimate[i], std_error: std_error[i], interval95: interval95[i] })
+    }
+
+    /// The correlation of two states of one phase; `None` where one of them does not vary, and between phases.
+    ///
+    /// # Errors
+    /// No such estimated states.
+    pub fn correlation(&self, first: &str, second: &str) -> Result<Option<Figure>, UnknownName> {
+        let ((phase, i), (other, j)) = (self.find(first)?, self.find(second)?);
+        let matrix = &phase.correlation;
+        let figure =
+            |estimate| Figure { estimate, std_error: matrix.std_error[i][j], interval95: matrix.interval95[i][j] };
+        Ok(matrix.estimate[i][j].filter(|_| phase.name == other.name).map(figure))
+    }
+
+    /// A dynamic parameter, common to all tests.
+    ///
+    /// # Errors
+    /// No such parameter, or one with levels.
+    pub fn parameter(&self, name: &str) -> Result<Figure, UnknownName> {
+        self.one_parameter(name, None)
+    }
+
+    /// A dynamic parameter at a level.
+    ///
+    /// # Errors
+    /// No such parameter, or no such level of it.
+    pub fn parameter_at(&self, name: &str, level: &str) -> Result<Figure, UnknownName> {
+        self.one_parameter(name, Some(level))
+    }
+
+    fn one_parameter(&self, name: &str, level: Option<&str>) -> Result<Figure, UnknownName> {
+        let shown = |name: &str, level: Option<&str>| level.map_or(name.to_owned(), |level| format!("{name}[{level}]"));
+        let all = &self.record.parameters;
+        let found = all.iter().find(|p| p.name == name && p.level.as_deref() == level);
+        let unknown = || UnknownName {
+            what: "parameter",
+            name: shown(name, level),
+            known: all.iter().map(|p| shown(&p.name, p.level.as_deref())).collect(),
+        };
+        let ParameterRecord { estimate, std_error, interval95, .. } = found.ok_or_else(unknown)?;
+        Ok(Figure { estimate: *estimate, std_error: *std_error, interval95: *interval95 })
+    }
+
+    /// What one test says of its own initial states, given the population.
+    ///
+    /// # Errors
+    /// No such test.
+    pub fn posterior(&self, test: &str) -> Result<&Posterior, UnknownName> {
+        let index = self.reductions.iter().position(|reduction| reduction.test == test);
+        index.map(|i| &self.inference.posteriors[i]).ok_or_else(|| UnknownName {
+            what: "test",
+            name: test.to_owned(),
+            known: self.reductions.iter().map(|reduction| reduction.test.clone()).collect(),
+        })
+    }
+
+    fn find(&self, state: &str) -> Result<(&PhaseRecord, usize), UnknownName> {
+        let known = self.model.estimated_names();
+        match known.iter().position(|name| name == state) {
+            Some(place) => {
+                let ranges = self.model.ranges();
+                let phase = ranges.iter().position(|range| range.contains(&place)).expect("a state is of some phase");
+                Ok((&self.record.phases[phase], place - ranges[phase].start))
+            }
+            None => Err(UnknownName { what: "estimated state", name: state.to_owned(), known }),
+        }
+    }
+}

@@ -1,0 +1,71 @@
+//! Tests given by matrices step by step, or by their reductions.
+
+use rayon::prelude::*;
+
+use crate::build::{BuildError, constant};
+use crate::estimate::Silent;
+use crate::face::ensemble::EnsembleError;
+use crate::face::fit::{Fit, Options, of_reductions};
+use crate::model::{Alpha, Model, PhasedModel};
+use crate::reduce::{Plain, Reduction};
+
+impl Model {
+    /// A model of nothing but the unknown numbers ξ, by name: for tests that come as matrices or as reductions. Constraints on μ and
+    /// Σ go into the fields `mean` and `covariance` of its only phase.
+    ///
+    /// # Errors
+    /// No names, or one twice.
+    pub fn unknowns<N: Into<String>>(names: impl IntoIterator<Item = N>) -> Result<PhasedModel, BuildError> {
+        names.into_iter().fold(Model::builder(""), |builder, name| builder.state(constant(name))).build()
+    }
+}
+
+/// Fits μ and Σ to tests given by matrices step by step; [`Model::unknowns`] names what is unknown of each.
+///
+/// ```
+/// use kalfit::reduce::{Plain, StepMatrices};
+/// use nalgebra::{DMatrix, DVector};
+///
+/// // two random constants, start and slope, seen through a line with noise of standard deviation 0.1, in six tests
+/// let ends = [(1.0, 2.1), (0.2, 0.3), (1.9, 4.2), (0.8, 0.9), (1.1, 3.0), (0.4, 1.2)];
+/// let test = |(j, &(start, end)): (usize, &(f64, f64))| {
+///     let steps = [(0.0, start), (5.0, 0.5 * (start + end)), (10.0, end)];
+///     let step = |(t, z)| StepMatrices::new(
+///         DMatrix::from_row_slice(1, 2, &[1.0, t]), // M, 1 × 2
+///         DMatrix::from_element(1, 1, 0.01),        // R, 1 × 1
+///         DVector::from_element(1, z),              // z
+///     );
+///     Plain::constants(format!("test {j}"), steps.map(step))
+/// };
+/// let tests: Vec<Plain> = ends.iter().enumerate().map(test).collect();
+///
+/// let fit = kalfit::fit_matrices(&kalfit::Model::unknowns(["start", "slope"])?, &tests)?;
+/// assert!(fit.converged());
+/// assert!((fit.mean("start")?.estimate - 0.9).abs() < 1e-9);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// Matrices that do not fit together or are no covariances; tests with another number of unknowns than the model; no tests.
+pub fn fit_matrices(model: &PhasedModel, tests: &[Plain]) -> Result<Fit, EnsembleError> {
+    let reductions: Vec<_> = tests.par_iter().map(Plain::reduce).collect();
+    fit_reductions(model, reductions.into_iter().collect::<Result<_, _>>()?, &Options::default())
+}
+
+/// Fits μ and Σ to reductions made before, here or elsewhere, at known parameters.
+///
+/// # Errors
+/// Free parameters; reductions with another number of unknowns than the model; no reductions.
+pub fn fit_reductions(
+    model: &PhasedModel,
+    reductions: Vec<Reduction>,
+    options: &Options,
+) -> Result<Fit, EnsembleError> {
+    let alpha = Alpha::fixed(&model.shared().parameters)?;
+    let expected = model.dimension();
+    if let Some(other) = reductions.iter().find(|reduction| reduction.data.len() != expected) {
+        let (test, found) = (other.test.clone(), other.data.len());
+        return Err(EnsembleError::Dimension { test, found, expected, names: model.estimated_names() });
+    }
+    of_reductions((model, &alpha), reductions, options, &mut Silent)
+}

@@ -1,0 +1,15 @@
+//! From a model and tests to a fit in one call; see [`fit`](crate::fit) and [`fit_matrices`](crate::fit_matrices).
+
+mod ensemble;
+mod figure;
+mod fit;
+mod matrices;
+mod second_look;
+
+pub use ensemble::{Ensemble, EnsembleError, fit};
+pub use figure::{Figure, UnknownName};
+pub use fit::{Fit, Options};
+pub use matrices::{fit_matrices, fit_reductions};
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,27 @@
+//! The data once more, at the fit.
+
+use crate::face::Fit;
+use crate::innovations::innovations;
+use crate::record::{InnovationRecord, SeriesKeeper};
+use crate::reduce::PhasedTest;
+
+/// Adds innovations to the record, or a note that says why there are none: the fit itself does not depend on them.
+pub(super) fn add_innovations(fit: &mut Fit, tests: &[PhasedTest]) {
+    let model = &fit.model;
+    let found = match innovations(model, &fit.alpha, &fit.population(), tests) {
+        Ok(found) => found,
+        Err(error) => {
+            fit.record.notes.push(format!("innovations were not computed: {error}"));
+            return;
+        }
+    };
+    let mut series = SeriesKeeper::default();
+    let mut records = Vec::new();
+    for one in found.into_iter().flatten() {
+        let record = InnovationRecord::new(&one, model);
+        series.offer(&one, &record, model);
+        records.push((one.test, record));
+    }
+    fit.record.add_innovations(records);
+    fit.record.add_series(series);
+}
