@@ -1,6 +1,6 @@
 //! Whole commands on sound input.
 
-use crate::folder::{DATA, Folder, MODEL, shown, steady};
+use crate::folder::{DATA, Folder, shown, steady};
 use insta::assert_snapshot;
 use kalfit::FitRecord;
 

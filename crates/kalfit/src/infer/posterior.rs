@@ -1,5 +1,7 @@
 //! What each test says: its likelihood, the posterior of its ξ (10), (11), and its distance from the population.
 
+use std::ops::Range;
+
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
@@ -15,8 +17,8 @@ pub struct Posterior {
     pub log_likelihood: f64,
     /// E[ξ | z] (p).
     pub mean: Vec<f64>,
-    /// Var[ξ | z] (p × p). Of a test kept phase by phase, without the covariances between phases.
-    pub covariance: DMatrix<f64>,
+    /// Var[ξ_i | z] of each phase of the model (p_i × p_i).
+    pub covariances: Vec<DMatrix<f64>>,
     /// How far the test is from the population.
     pub distance: Distance,
 }
@@ -66,7 +68,7 @@ fn posterior(
     Posterior {
         log_likelihood: terms.value(class),
         mean: frame.mean_out(mean.as_slice()),
-        covariance: frame.covariance_out(&covariance(problem, class, terms, point)),
+        covariances: covariances(problem, class, terms, (point, sigma)),
         distance: Distance::of(terms, class, reduction),
     }
 }
@@ -100,18 +102,23 @@ impl Distance {
     }
 }
 
-/// Var[ξ | z] in η. Of tests kept phase by phase, zero between phases; of phases that a test lacks, Σ.
-fn covariance(problem: &Problem, class: &Class, terms: &Terms, point: &Point) -> DMatrix<f64> {
-    if class.chain.is_none() {
-        return posterior_covariance(&class.factor, &point.root);
-    }
-    let mut covariance = point.covariance();
-    for (own, states) in terms.covariances.iter().zip(problem.covariance.elements.blocks()) {
-        for (a, i) in states.clone().enumerate() {
-            states.clone().enumerate().for_each(|(b, k)| covariance[(i, k)] = own[(a, b)]);
-        }
-    }
-    covariance
+/// Var[ξ_i | z] of each phase, in the user's units. Of phases that a test kept phase by phase lacks, Σ.
+fn covariances(
+    problem: &Problem,
+    class: &Class,
+    terms: &Terms,
+    (point, sigma): (&Point, &DMatrix<f64>),
+) -> Vec<DMatrix<f64>> {
+    let whole = class.chain.is_none().then(|| posterior_covariance(&class.factor, &point.root));
+    let all = whole.as_ref().unwrap_or(sigma);
+    let scale = &problem.classes.frame.scale;
+    let of = |(f, states): (usize, &Range<usize>)| {
+        let (size, start) = (states.len(), states.start);
+        let own = terms.covariances.get(f).filter(|_| whole.is_none());
+        let entry = |a: usize, b: usize| own.map_or_else(|| all[(start + a, start + b)], |own| own[(a, b)]);
+        DMatrix::from_fn(size, size, |a, b| scale[start + a] * entry(a, b) * scale[start + b])
+    };
+    problem.covariance.elements.blocks().iter().enumerate().map(of).collect()
 }
 
 /// F (I + F'JF)⁻¹ F'; `factor` is R with J = R'R, by rows.

@@ -9,6 +9,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::ensemble::Test;
 use crate::innovations::law::Law;
+use crate::innovations::plain::Plain;
 use crate::innovations::rows::{self, Figures};
 use crate::innovations::series::{Innovation, Innovations};
 use crate::linalg::symmetric;
@@ -23,17 +24,25 @@ use crate::reduce::{
 pub(crate) struct Chained {
     reducer: PhasedReducer,
     phases: Vec<Start>,
+    plain: Plain,
+}
+
+/// Work space for a test.
+pub(crate) struct Room {
+    phases: PhasedWork,
+    plain: Vec<Workspace>,
 }
 
 /// What a phase adds of its own.
 #[derive(Debug)]
-struct Start {
+pub(super) struct Start {
     mean: Vec<f64>,
     /// (element of μ, coefficient), in the order of the covariates.
     regressions: Vec<(usize, f64)>,
     /// L with LL' = Σ, p × p.
     root: DMatrix<f64>,
-    time: Option<usize>,
+    pub(super) covariance: DMatrix<f64>,
+    pub(super) time: Option<usize>,
     /// The phase has a filter of its own: its measurements are not evidence.
     filtered: bool,
 }
@@ -52,26 +61,46 @@ impl Chained {
             Ok(Start {
                 regressions: phase.model.mean.regression.iter().map(|r| r.element).zip(own.coefficients).collect(),
                 root: symmetric::square_root(&own.covariance),
+                covariance: own.covariance,
                 time: phase.model.clock.time,
                 filtered: phase.filter.is_some(),
                 mean: own.mean,
             })
         };
         let phases = model.phases.iter().zip(initial.apart(model)).map(start).collect::<Result<_, _>>()?;
-        Ok(Chained { reducer, phases })
+        Ok(Chained { reducer, phases, plain: Plain::new(model, alpha)? })
     }
 
-    pub(crate) fn workspace(&self) -> PhasedWork {
-        self.reducer.workspace()
+    pub(crate) fn workspace(&self) -> Room {
+        Room { phases: self.reducer.workspace(), plain: self.plain.workspace() }
     }
 
     /// The innovations of a test; `None` where no phase is given by rows alone.
-    pub(crate) fn innovations(
-        &self,
-        whole: &PhasedTest,
-        work: &mut PhasedWork,
-    ) -> Result<Option<Innovations>, ReduceError> {
+    pub(crate) fn innovations(&self, whole: &PhasedTest, room: &mut Room) -> Result<Option<Innovations>, ReduceError> {
         self.reducer.check(whole)?;
+        let rows = |(evidence, start): (&Evidence, &Start)| matches!(evidence, Evidence::Rows(_)) && !start.filtered;
+        let found = if whole.phases.iter().zip(&self.phases).all(rows) {
+            self.plain.series(
+                whole,
+                (&self.phases, self.reducer.phases()),
+                (&mut room.plain, &mut room.phases.cells),
+            )?
+        } else {
+            None
+        };
+        let (series, rest, seen) = match found {
+            Some(series) => (series, 0.0, true),
+            None => self.careful(whole, &mut room.phases)?,
+        };
+        if !rows::are_finite(&series) {
+            let kind = Box::new(ReduceErrorKind::NotFinite);
+            return Err(ReduceError { test: Some(whole.id.clone()), row: None, what: "innovations".to_owned(), kind });
+        }
+        Ok(seen.then(|| Innovations::of_phases(whole.id.clone(), series, rest)))
+    }
+
+    /// In square roots: the innovations, log p of phases without any, and whether there are phases with some.
+    fn careful(&self, whole: &PhasedTest, work: &mut PhasedWork) -> Result<(Vec<Innovation>, f64, bool), ReduceError> {
         let (mut series, mut rest, mut seen) = (Vec::new(), 0.0, false);
         let mut before: Option<After> = None;
         for (at, evidence) in whole.phases.iter().enumerate() {
@@ -86,11 +115,7 @@ impl Chained {
             };
             before = Some(after);
         }
-        if !rows::are_finite(&series) {
-            let kind = Box::new(ReduceErrorKind::NotFinite);
-            return Err(ReduceError { test: Some(whole.id.clone()), row: None, what: "innovations".to_owned(), kind });
-        }
-        Ok(seen.then(|| Innovations::of_phases(whole.id.clone(), series, rest)))
+        Ok((series, rest, seen))
     }
 
     /// A phase whose rows are filtered here.
@@ -160,13 +185,19 @@ impl After {
 }
 
 impl Start {
-    /// The law of σ of a phase, q numbers, given all earlier ones; `inherited`: mean and root of what comes from the phase before.
-    fn law(&self, covariates: &[f64], q: usize, inherited: Option<(DVector<f64>, DMatrix<f64>)>) -> Law {
-        let p = self.mean.len();
+    /// What the phase adds to the mean of σ, q numbers.
+    pub(super) fn mean_of(&self, covariates: &[f64], q: usize) -> DVector<f64> {
         let mut mean = DVector::from_fn(q, |i, _| self.mean.get(i).copied().unwrap_or(0.0));
         for (&(element, coefficient), covariate) in self.regressions.iter().zip(covariates) {
             mean[element] += coefficient * covariate;
         }
+        mean
+    }
+
+    /// The law of σ of a phase, q numbers, given all earlier ones; `inherited`: mean and root of what comes from the phase before.
+    fn law(&self, covariates: &[f64], q: usize, inherited: Option<(DVector<f64>, DMatrix<f64>)>) -> Law {
+        let p = self.mean.len();
+        let mut mean = self.mean_of(covariates, q);
         let own = self.root.clone().resize_vertically(q, 0.0);
         let Some((more, carried)) = inherited else { return Law::new(mean, &own) };
         mean += more;

@@ -18,6 +18,7 @@
 mod chained;
 mod known_start;
 mod law;
+mod plain;
 mod rows;
 mod series;
 mod whiteness;

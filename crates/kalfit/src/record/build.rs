@@ -215,7 +215,11 @@ fn tests(model: &PhasedModel, reductions: &[Reduction], inference: &Inference) -
             observations: reduction.observations,
             steps: Some(reduction.steps),
             design_class: classes.get(&reduction.design).copied(),
-            phases: cuts[..phases_of(reduction, model)].iter().map(|cut| part(cut, posterior, own.as_ref())).collect(),
+            phases: cuts[..phases_of(reduction, model)]
+                .iter()
+                .zip(&posterior.covariances)
+                .map(|(cut, covariance)| part(cut, (posterior, covariance), own.as_ref()))
+                .collect(),
             distance: (distance.degrees_of_freedom > 0).then_some(distance.squared),
             degrees_of_freedom: distance.degrees_of_freedom,
             p_value: distance.p_value,
@@ -248,11 +252,15 @@ fn design_classes(reductions: &[Reduction], order: &[usize]) -> BTreeMap<u128, u
     classes
 }
 
-fn part(cut: &Cut<'_>, posterior: &Posterior, own: Option<&Own>) -> PosteriorRecord {
+fn part(
+    cut: &Cut<'_>,
+    (posterior, covariance): (&Posterior, &nalgebra::DMatrix<f64>),
+    own: Option<&Own>,
+) -> PosteriorRecord {
     PosteriorRecord {
         name: cut.phase.name.clone(),
         mean: cut.list(&posterior.mean),
-        covariance: cut.block(&posterior.covariance),
+        covariance: covariance.row_iter().map(|row| row.iter().copied().collect()).collect(),
         own: own.and_then(|own| own.part(cut)),
     }
 }

@@ -99,9 +99,19 @@ impl Preparer {
     /// With derivatives in mind: no coefficient that depends on a free parameter is left out for being zero at this α.
     /// `free`: one for each parameter.
     pub(crate) fn with_free(model: &Model, alpha: &Alpha, free: Vec<bool>) -> Result<Preparer, Box<Fault>> {
+        Preparer::made(model, alpha, free, false)
+    }
+
+    /// For tests that bring the law of their estimated states with them, as part of a and P0.
+    pub(crate) fn of_known_starts(model: &Model, alpha: &Alpha) -> Result<Preparer, Box<Fault>> {
+        Preparer::made(model, alpha, Vec::new(), true)
+    }
+
+    fn made(model: &Model, alpha: &Alpha, free: Vec<bool>, brought: bool) -> Result<Preparer, Box<Fault>> {
         let at = At { model, alpha, free: &free };
         let dynamics = Dynamics::new(&at)?;
-        let start = Start::new(&at, &dynamics)?;
+        let mut start = Start::new(&at, &dynamics)?;
+        start.brought = brought;
         let order = Order::new(&at, &dynamics, &start);
         let meters = Meters::new(&at, &order.place)?;
         let settled = !dynamics.table.varying.iter().any(|(slot, ..)| start.needs(*slot))

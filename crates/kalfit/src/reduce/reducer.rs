@@ -75,6 +75,12 @@ impl Reducer {
         Ok(Reducer::of(preparer, Shared::new(CLASS_BYTES)))
     }
 
+    /// A reducer of tests that bring the law of their estimated states with them ([`Reducer::with_start`]): nothing is unknown.
+    pub(crate) fn of_known_starts(model: &Model, alpha: &Alpha) -> Result<Reducer, ReduceError> {
+        let preparer = Preparer::of_known_starts(model, alpha).map_err(|fault| fault.name(model, None))?;
+        Ok(Reducer::of(preparer, Shared::patient(CLASS_BYTES, EAGER_BYTES)))
+    }
+
     fn of(preparer: Preparer, classes: Shared<Design, Result<Gains, RootError>>) -> Reducer {
         Reducer {
             preparer,
@@ -185,8 +191,20 @@ impl Reducer {
         work: &mut Workspace,
         pass: impl FnOnce(&Gains, &mut Workspace) -> T,
     ) -> Result<T, ReduceError> {
+        self.with_start(test, work, |_| {}, pass)
+    }
+
+    /// The same, with a and P0 of the test as `begin` leaves them.
+    pub(crate) fn with_start<T>(
+        &self,
+        test: &Test,
+        work: &mut Workspace,
+        begin: impl FnOnce(&mut Workspace),
+        pass: impl FnOnce(&Gains, &mut Workspace) -> T,
+    ) -> Result<T, ReduceError> {
         let named = |fault: Box<Fault>| fault.name(&self.preparer.model, Some(test));
         self.preparer.prepare(test, work).map_err(named)?;
+        begin(work);
         let class = self.class(work.design.digest(), work);
         let gains = class.value().as_ref().map_err(|&error| named(root_fault(error, &work.instances)))?;
         Ok(pass(gains, work))

@@ -23,6 +23,8 @@ pub(crate) struct Start {
     /// (i, j, covariance): known covariance of elements i ≥ j of ξ.
     covariance: Vec<(usize, usize, Coefficient)>,
     groups: Vec<Group>,
+    /// The estimated states have a law too, which each test brings with it.
+    pub(crate) brought: bool,
     /// Time of x_0.
     pub(crate) initial_time: Option<Coefficient>,
     /// Columns that must be constant within a test.
@@ -106,7 +108,12 @@ impl Start {
     pub(crate) fn noisy(&self, estimated: &[usize]) -> Vec<usize> {
         let known = self.known.iter().filter(|(.., variance)| !variance.is_zero()).map(|&(state, ..)| state);
         let added = self.covariance.iter().flat_map(|&(i, j, _)| [estimated[i], estimated[j]]);
-        known.chain(added).chain(self.groups.iter().flat_map(|group| group.states.iter().copied())).collect()
+        let brought = estimated.iter().copied().filter(|_| self.brought);
+        known
+            .chain(added)
+            .chain(brought)
+            .chain(self.groups.iter().flat_map(|group| group.states.iter().copied()))
+            .collect()
     }
 
     /// True when the law needs the dynamics' coefficients.
