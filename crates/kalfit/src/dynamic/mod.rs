@@ -182,8 +182,9 @@ pub fn fit(
             Err(error) => first_error = first_error.or(Some(error)),
         }
     }
-    // the best certified one; of equals the first
-    ends.sort_by(|a, b| b.home.value().total_cmp(&a.home.value()));
+    // the best certified one; of equals the first. What is not certified may be on its way to where ℓ has no bound.
+    let certified = |end: &search::End| end.stop == Stop::Certified;
+    ends.sort_by(|a, b| certified(b).cmp(&certified(a)).then(b.home.value().total_cmp(&a.home.value())));
     let mut ends = ends.into_iter();
     let Some(best) = ends.next() else {
         return Err(first_error.unwrap_or(DynamicError::Fit(FitError::NoTests)));

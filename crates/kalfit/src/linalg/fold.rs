@@ -17,7 +17,7 @@ impl Rotation {
         if b == 0.0 && a >= 0.0 {
             return Rotation { c: 1.0, s: 0.0, length: a };
         }
-        let length = length(a, b);
+        let length = a.hypot(b);
         Rotation { c: a / length, s: b / length, length }
     }
 
@@ -30,13 +30,6 @@ impl Rotation {
 
 /// Squares in between neither overflow nor lose digits.
 const SQUARES: std::ops::Range<f64> = 1e-280..1e280;
-
-/// √(a² + b²), without overflow.
-#[inline]
-fn length(a: f64, b: f64) -> f64 {
-    let square = a * a + b * b;
-    if SQUARES.contains(&square) { square.sqrt() } else { a.hypot(b) }
-}
 
 /// √Σ x², without overflow.
 pub fn norm(numbers: &[f64]) -> f64 {
