@@ -19,15 +19,16 @@ fn tests() -> Vec<Columns> {
             .numbers("y", at(&|k| if k == 3.0 { f64::NAN } else { (1.3 * k + j as f64 * 0.7).sin() + 0.2 * j as f64 }))
             .numbers("z", at(&|k| (0.4 * k - j as f64).cos()))
             .every_number("temperature", 20.0 + j as f64)
-            .every_text("lot", if j % 3 == 0 { "A" } else { "B" })
+            .every_text("lot", if j.is_multiple_of(3) { "A" } else { "B" })
             .texts("phase", (0..steps).map(phase))
     };
     (0..9).map(one).collect()
 }
 
 fn compare(file: &str, built: &PhasedModel) {
-    let spec = Spec::parse("m.toml", file).unwrap();
-    let [from_file, in_code] = [&spec.model, built].map(|model| Ensemble::new(model, &tests()).unwrap().fit().unwrap());
+    let spec = Spec::parse("m.toml", file).expect("a sound file");
+    let [from_file, in_code] =
+        [&spec.model, built].map(|model| Ensemble::new(model, &tests()).expect("sound tests").fit().expect("a fit"));
     assert_eq!(spec.model.estimated_names(), built.estimated_names());
     let (expected, found) = (from_file.log_likelihood(), in_code.log_likelihood());
     assert!((expected - found).abs() < 1e-8 * expected.abs(), "{expected} from the file, {found} in code");
