@@ -109,7 +109,7 @@ fn random_reductions(p: usize, tests: usize) -> Vec<Reduction> {
 }
 
 /// A drift of one Gauss-Markov state and n - 1 random constants seen through known inputs.
-fn bench_model(states: usize) -> Model {
+pub(crate) fn bench_model(states: usize) -> Model {
     let number = Expression::Number;
     let zero = || Linear { terms: Vec::new(), constant: number(0.0) };
     let constant = |i: usize| State {
