@@ -9,16 +9,15 @@ data$row <- ave(data$x, data$test, FUN = seq_along)
 wide <- reshape(data, idvar = "test", timevar = "row", direction = "wide", sep = "")
 y <- paste0("y", seq_len(rows))
 x <- paste0("x", seq_len(rows))
-free <- TRUE
 model <- mxModel("regression",
   type = "RAM", manifestVars = y, latentVars = c("intercept", "slope"),
   mxPath("intercept", y, free = FALSE, values = 1),
   mxPath("slope", y, free = FALSE, labels = paste0("data.", x)),
-  mxPath("one", c("intercept", "slope"), free = free, values = c(mean(data$y), 0), labels = c("m1", "m2")),
+  mxPath("one", c("intercept", "slope"), free = TRUE, values = c(mean(data$y), 0), labels = c("m1", "m2")),
   mxPath(c("intercept", "slope"),
-    arrows = 2, connect = "unique.pairs", free = free, values = c(0.5, 0, 0.5), labels = c("c11", "c21", "c22")
+    arrows = 2, connect = "unique.pairs", free = TRUE, values = c(0.5, 0, 0.5), labels = c("c11", "c21", "c22")
   ),
-  mxPath(y, arrows = 2, free = free, values = 0.5 * var(data$y), lbound = 1e-6, labels = "r"),
+  mxPath(y, arrows = 2, free = TRUE, values = 0.5 * var(data$y), lbound = 1e-6, labels = "r"),
   mxData(wide, type = "raw")
 )
 run <- timed(function() mxRun(model, silent = TRUE))

@@ -18,6 +18,7 @@ use std::process::{Command, ExitCode};
 
 use agreement::{Agreement, Ours};
 use answer::Answer;
+use clap::ValueEnum;
 use ensemble::Study;
 use peer::{Interpreters, Outcome, Peer};
 use space::Space;
@@ -59,9 +60,27 @@ pub(crate) struct Options {
     /// R's program for scripts.
     #[arg(long, value_name = "RSCRIPT", default_value = "Rscript")]
     rscript: String,
-    /// Only the parts whose name contains this: `fits`, `values`, `stages`.
-    #[arg(long)]
-    only: Option<String>,
+    /// Only this part.
+    #[arg(long, value_name = "PART")]
+    only: Option<Part>,
+}
+
+/// A part of the task, with tables of its own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Part {
+    /// Whole fits, from a file of data to a file of results.
+    Fits,
+    /// Values of a likelihood at known parameters.
+    Values,
+    /// Where kalfit's time goes, a second thread, and the start of the program.
+    Stages,
+}
+
+/// What could not be compared.
+#[derive(Debug, Default)]
+struct Open {
+    missing: Vec<Peer>,
+    problems: Vec<String>,
 }
 
 /// Where the models and the peers' scripts are.
@@ -101,13 +120,25 @@ fn build_and_run(options: &Options) -> Result<(), String> {
             target.join("release").join(format!("kalfit{}", std::env::consts::EXE_SUFFIX))
         }
     };
+    let (python, rscript) = (program(&options.python)?, program(&options.rscript)?);
     let command = whole::path(&command)?;
     let mut arguments = [&["run"], &build[..], &["kalfit-dev", "--", "peers", "--here"]].concat();
-    arguments.extend(["--command", command, "--python", &options.python, "--rscript", &options.rscript]);
-    if let Some(only) = &options.only {
+    arguments.extend(["--command", command, "--python", &python, "--rscript", &rscript]);
+    let only = options.only.and_then(|part| Some(part.to_possible_value()?.get_name().to_owned()));
+    if let Some(only) = &only {
         arguments.extend(["--only", only]);
     }
     cargo(&arguments)
+}
+
+/// A program that is looked for in the path, or the absolute form of one named by its own: scripts run in another folder. Links
+/// stay as they are, for an environment's Python is one.
+fn program(name: &str) -> Result<String, String> {
+    if Path::new(name).components().count() < 2 {
+        return Ok(name.to_owned());
+    }
+    let absolute = std::path::absolute(name).map_err(|error| format!("{name}: {error}"))?;
+    whole::path(&absolute).map(str::to_owned)
 }
 
 fn here(options: &Options) -> Result<(), String> {
@@ -118,123 +149,163 @@ fn here(options: &Options) -> Result<(), String> {
     let folder = std::env::temp_dir().join(format!("kalfit-peers-{}", std::process::id()));
     std::fs::create_dir_all(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
     let kalfit = Kalfit { command, folder };
-    let interpreters = Interpreters { rscript: options.rscript.clone(), python: options.python.clone() };
-    let done = parts(&kalfit, &interpreters, options.only.as_deref().unwrap_or_default());
+    let interpreters = Interpreters { rscript: program(&options.rscript)?, python: program(&options.python)? };
+    let done = parts(&kalfit, &interpreters, options.only);
     let removed = std::fs::remove_dir_all(&kalfit.folder);
     done?;
     removed.map_err(|error| format!("{}: {error}", kalfit.folder.display()))
 }
 
-fn parts(kalfit: &Kalfit, interpreters: &Interpreters, only: &str) -> Result<(), String> {
-    let mut missing = Vec::new();
-    if "fits".contains(only) {
-        head(
-            2,
-            &[
-                "peer",
-                "model",
-                "tests",
-                "rows",
-                "its fit alone",
-                "kalfit, CSV to fit.json",
-                "ratio",
-                "kalfit, from Parquet",
-                "ratio",
-                "Δ log-likelihood",
-                "Δ estimates, s.e.",
-            ],
-        );
+fn parts(kalfit: &Kalfit, interpreters: &Interpreters, only: Option<Part>) -> Result<(), String> {
+    let wanted = |part: Part| only.is_none_or(|only| only == part);
+    let mut open = Open::default();
+    if wanted(Part::Fits) {
+        head(2, FITS_HEAD);
         for (study, tests, peers) in FITS {
-            missing.extend(fits(kalfit, interpreters, *study, *tests, peers)?);
+            fits(kalfit, interpreters, (*study, *tests, peers), &mut open)?;
         }
         println!();
     }
-    if "values".contains(only) {
-        head(2, &["peer", "designs", "tests", "rows", "its value", "kalfit", "ratio", "Δ log-likelihood"]);
+    if wanted(Part::Values) {
+        head(2, VALUES_HEAD);
         for (peer, tests, shared) in VALUES {
-            missing.extend(value(kalfit, interpreters, peer, *tests, *shared)?);
+            value(kalfit, interpreters, (peer, *tests, *shared), &mut open)?;
         }
         println!();
     }
-    if "stages".contains(only) {
+    if wanted(Part::Stages) {
         stages::print(kalfit)?;
     }
-    missing.dedup();
-    for peer in missing {
-        println!("{} is missing: {}", peer.name, peer.install);
-    }
-    Ok(())
+    open.tell()
 }
 
-/// Prints a row for each peer; the peers that are missing.
+impl Open {
+    /// Prints which peers are missing; an error where answers differ or a peer failed.
+    fn tell(&self) -> Result<(), String> {
+        for peer in &self.missing {
+            println!("{} is missing: {}", peer.name, peer.install);
+        }
+        if self.problems.is_empty() { Ok(()) } else { Err(self.problems.join("\n")) }
+    }
+
+    /// What a peer found, once it is known to agree; nothing when the peer is missing, failed or differs.
+    fn compared(
+        &mut self,
+        peer: &Peer,
+        interpreters: &Interpreters,
+        data: &Path,
+        ours: &Ours,
+    ) -> Option<(Answer, Agreement)> {
+        match peer.answer(interpreters, data) {
+            Ok(Outcome::Answered(answer)) => match ours.against(&answer) {
+                Ok(agreement) => return Some((answer, agreement)),
+                Err(why) => self.problems.push(format!("{}: the answers differ: {why}", peer.name)),
+            },
+            Ok(Outcome::Missing) if self.missing.contains(peer) => {}
+            Ok(Outcome::Missing) => self.missing.push(*peer),
+            Err(why) => self.problems.push(why),
+        }
+        None
+    }
+}
+
+const FITS_HEAD: &[&str] = &[
+    "peer",
+    "model",
+    "tests",
+    "rows",
+    "its fit alone",
+    "kalfit, CSV to fit.json",
+    "ratio",
+    "kalfit, from Parquet",
+    "ratio",
+    "Δ log-likelihood",
+    "Δ estimates, s.e.",
+];
+
+const VALUES_HEAD: &[&str] = &["peer", "designs", "tests", "rows", "its value", "kalfit", "ratio", "Δ log-likelihood"];
+
+/// Prints a row for each peer that agrees.
 fn fits(
     kalfit: &Kalfit,
     interpreters: &Interpreters,
-    study: Study,
-    tests: usize,
-    peers: &[Peer],
-) -> Result<Vec<Peer>, String> {
+    (study, tests, peers): (Study, usize, &[Peer]),
+    open: &mut Open,
+) -> Result<(), String> {
     let [csv, parquet] = study.draw(tests, kalfit)?;
     let model = study.model();
     let model = whole::path(&model)?;
     let from_parquet = kalfit.fit(model, &parquet)?;
     let from_csv = kalfit.fit(model, &csv)?;
     let ours = Ours::of(&kalfit.record()?)?;
-    let mut missing = Vec::new();
     for peer in peers {
-        let Some((answer, agreement)) = compared(peer, interpreters, &csv, &ours)? else {
-            missing.push(*peer);
-            continue;
-        };
-        let words = [peer_name(peer, &answer), study.name().to_owned(), tests.to_string()];
+        let Some((answer, agreement)) = open.compared(peer, interpreters, &csv, &ours) else { continue };
         let theirs = answer.taken.processor;
+        let words = [peer_name(peer, &answer), study.name().to_owned(), tests.to_string()];
         let times =
             [from_csv, from_parquet].map(|taken| [seconds(taken.processor), figure(theirs / taken.processor)]).concat();
         let rows = (tests * study.rows()).to_string();
         let apart = [figure(agreement.log_likelihood), figure(agreement.estimates)];
         row(&[&words[..], &[rows, seconds(theirs)], &times, &apart].concat());
     }
-    Ok(missing)
+    Ok(())
 }
 
-/// Prints a row; the peer, if it is missing.
+/// Prints a row, if the peer agrees.
 fn value(
     kalfit: &Kalfit,
     interpreters: &Interpreters,
-    peer: &Peer,
-    tests: usize,
-    shared: bool,
-) -> Result<Option<Peer>, String> {
+    (peer, tests, shared): (&Peer, usize, bool),
+    open: &mut Open,
+) -> Result<(), String> {
     let space = Space::draw(tests, shared);
     let file = space.write(&kalfit.folder)?;
     let (ours, taken) = space.ours()?;
-    let Some((answer, agreement)) = compared(peer, interpreters, &file, &ours)? else { return Ok(Some(*peer)) };
-    row(&[
-        peer_name(peer, &answer),
-        if shared { "one for all" } else { "own" }.to_owned(),
-        tests.to_string(),
-        (tests * space::ROWS).to_string(),
-        seconds(answer.taken.processor),
-        seconds(taken.processor),
-        figure(answer.taken.processor / taken.processor),
-        figure(agreement.log_likelihood),
-    ]);
-    Ok(None)
+    if let Some((answer, agreement)) = open.compared(peer, interpreters, &file, &ours) {
+        let theirs = answer.taken.processor;
+        row(&[
+            peer_name(peer, &answer),
+            if shared { "one for all" } else { "own" }.to_owned(),
+            tests.to_string(),
+            (tests * space::ROWS).to_string(),
+            seconds(theirs),
+            seconds(taken.processor),
+            figure(theirs / taken.processor),
+            figure(agreement.log_likelihood),
+        ]);
+    }
+    Ok(())
 }
 
-/// What a peer found, once it is known to agree; nothing when the peer is missing.
-fn compared(
-    peer: &Peer,
-    interpreters: &Interpreters,
-    data: &Path,
-    ours: &Ours,
-) -> Result<Option<(Answer, Agreement)>, String> {
-    let Outcome::Answered(answer) = peer.answer(interpreters, data)? else { return Ok(None) };
-    let agreement = ours.against(&answer).map_err(|why| format!("{}: the answers differ: {why}", peer.name))?;
-    Ok(Some((answer, agreement)))
-}
-
-/// The peer and the version of what answered.
+/// The peer, with the version of what answered.
 fn peer_name(peer: &Peer, answer: &Answer) -> String {
-    format!("{} ({})", peer.name, answer.program)
+    let version = answer.program.split_whitespace().next_back().unwrap_or_default();
+    format!("{} {version}", peer.name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_missing_peer_is_named_once_and_is_no_error() {
+        let none = "no-such-interpreter".to_owned();
+        let interpreters = Interpreters { rscript: none.clone(), python: none };
+        let ours = Ours { log_likelihood: 0.0, estimates: Vec::new() };
+        let mut open = Open::default();
+        for peer in [peer::LME4, peer::DYNAMAX, peer::LME4] {
+            assert!(open.compared(&peer, &interpreters, Path::new("data.csv"), &ours).is_none());
+        }
+        assert_eq!(open.missing, [peer::LME4, peer::DYNAMAX]);
+        assert_eq!(open.tell(), Ok(()));
+        open.problems.push("lme4: the answers differ".to_owned());
+        assert_eq!(open.tell(), Err("lme4: the answers differ".to_owned()));
+    }
+
+    #[test]
+    fn a_program_given_by_its_path_is_found_from_any_folder() {
+        assert_eq!(program("python3"), Ok("python3".to_owned()));
+        let path = program("venv/bin/python").unwrap();
+        assert!(Path::new(&path).is_absolute() && path.contains("python"), "{path}");
+    }
 }
