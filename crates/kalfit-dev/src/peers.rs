@@ -201,7 +201,7 @@ impl Open {
                 Ok(agreement) => return Some((answer, agreement)),
                 Err(why) => self.problems.push(format!("{}: the answers differ: {why}", peer.name)),
             },
-            Ok(Outcome::Missing) if self.missing.contains(peer) => {}
+            Ok(Outcome::Missing) if self.missing.iter().any(|missing| missing.name == peer.name) => {}
             Ok(Outcome::Missing) => self.missing.push(*peer),
             Err(why) => self.problems.push(why),
         }
@@ -277,10 +277,9 @@ fn value(
     Ok(())
 }
 
-/// The peer, with the version of what answered.
+/// The program that answered, with its version, and what of it was run.
 fn peer_name(peer: &Peer, answer: &Answer) -> String {
-    let version = answer.program.split_whitespace().next_back().unwrap_or_default();
-    format!("{} {version}", peer.name)
+    format!("{}, {}", answer.program, peer.what)
 }
 
 #[cfg(test)]
@@ -293,10 +292,10 @@ mod tests {
         let interpreters = Interpreters { rscript: none.clone(), python: none };
         let ours = Ours { log_likelihood: 0.0, estimates: Vec::new() };
         let mut open = Open::default();
-        for peer in [peer::LME4, peer::DYNAMAX, peer::LME4] {
+        for peer in [peer::METAFOR_DENSE, peer::DYNAMAX, peer::METAFOR_SPARSE] {
             assert!(open.compared(&peer, &interpreters, Path::new("data.csv"), &ours).is_none());
         }
-        assert_eq!(open.missing, [peer::LME4, peer::DYNAMAX]);
+        assert_eq!(open.missing, [peer::METAFOR_DENSE, peer::DYNAMAX]);
         assert_eq!(open.tell(), Ok(()));
         open.problems.push("lme4: the answers differ".to_owned());
         assert_eq!(open.tell(), Err("lme4: the answers differ".to_owned()));

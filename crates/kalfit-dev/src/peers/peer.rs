@@ -18,8 +18,10 @@ pub(crate) enum Language {
 /// A script that fits with a peer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Peer {
-    /// What the table calls it.
+    /// Its package.
     pub(crate) name: &'static str,
+    /// What of it is run.
+    pub(crate) what: &'static str,
     pub(crate) language: Language,
     /// The script and what follows the data file.
     pub(crate) script: &'static str,
@@ -28,24 +30,25 @@ pub(crate) struct Peer {
     pub(crate) install: &'static str,
 }
 
-const fn r(name: &'static str, script: &'static str, install: &'static str) -> Peer {
-    Peer { name, language: Language::R, script, arguments: &[], install }
+const fn r(name: &'static str, what: &'static str, script: &'static str, install: &'static str) -> Peer {
+    Peer { name, what, language: Language::R, script, arguments: &[], install }
 }
 
-const fn python(name: &'static str, script: &'static str, install: &'static str) -> Peer {
-    Peer { name, language: Language::Python, script, arguments: &[], install }
+const fn python(name: &'static str, what: &'static str, script: &'static str, install: &'static str) -> Peer {
+    Peer { name, what, language: Language::Python, script, arguments: &[], install }
 }
 
-const METAFOR: Peer = r("metafor `rma.mv`", "metafor.R", "apt install r-cran-metafor");
+const METAFOR: Peer = r("metafor", "`rma.mv`", "metafor.R", "apt install r-cran-metafor");
 
-pub(super) const LME4: Peer = r("lme4 `lmer`", "lme4.R", "apt install r-cran-lme4");
-pub(super) const NLME: Peer = r("nlme `lme`", "nlme.R", "apt install r-cran-nlme");
-pub(super) const OPENMX: Peer = r("OpenMx", "openmx.R", "apt install r-cran-openmx");
+pub(super) const LME4: Peer = r("lme4", "`lmer`", "lme4.R", "apt install r-cran-lme4");
+pub(super) const NLME: Peer = r("nlme", "`lme`", "nlme.R", "apt install r-cran-nlme");
+pub(super) const OPENMX: Peer = r("OpenMx", "RAM", "openmx.R", "apt install r-cran-openmx");
 pub(super) const METAFOR_DENSE: Peer = Peer { arguments: &["dense"], ..METAFOR };
-pub(super) const METAFOR_SPARSE: Peer = Peer { name: "metafor `rma.mv`, sparse", arguments: &["sparse"], ..METAFOR };
-pub(super) const STATSMODELS: Peer = python("statsmodels `MixedLM`", "mixedlm.py", "pip install statsmodels");
-pub(super) const DYNAMAX: Peer = python("dynamax, jit and vmap", "dynamax_filter.py", "pip install dynamax 'jax[cpu]'");
-pub(super) const PYKALMAN: Peer = python("pykalman", "pykalman_filter.py", "pip install pykalman");
+pub(super) const METAFOR_SPARSE: Peer = Peer { what: "`rma.mv`, sparse", arguments: &["sparse"], ..METAFOR };
+pub(super) const STATSMODELS: Peer = python("statsmodels", "`MixedLM`", "mixedlm.py", "pip install statsmodels");
+pub(super) const DYNAMAX: Peer =
+    python("dynamax", "jit and vmap", "dynamax_filter.py", "pip install dynamax 'jax[cpu]'");
+pub(super) const PYKALMAN: Peer = python("pykalman", "`loglikelihood`", "pykalman_filter.py", "pip install pykalman");
 
 /// What came of a peer.
 #[derive(Debug)]
