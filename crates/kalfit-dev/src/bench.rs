@@ -44,7 +44,7 @@ pub(crate) fn run() -> ExitCode {
         return ExitCode::FAILURE;
     }
     let peak = peak::flops_per_second();
-    println!("peak of one core, multiply-adds in registers: {:.1} Gflop/s\n", peak / 1e9);
+    println!("peak of one core, multiply-adds in registers ({}): {:.1} Gflop/s\n", peak::registers(), peak / 1e9);
     println!("solver passes                     p   tests/s   flops/test   Gflop/s   of peak");
     for p in [1, 3, 6, 10, 20] {
         pass(p, Derivatives::First, "EM pass, own designs", peak);
@@ -109,7 +109,7 @@ fn random_reductions(p: usize, tests: usize) -> Vec<Reduction> {
 }
 
 /// A drift of one Gauss-Markov state and n - 1 random constants seen through known inputs.
-fn bench_model(states: usize) -> Model {
+pub(crate) fn bench_model(states: usize) -> Model {
     let number = Expression::Number;
     let zero = || Linear { terms: Vec::new(), constant: number(0.0) };
     let constant = |i: usize| State {

@@ -6,6 +6,7 @@ mod book;
 mod browser;
 mod coverage;
 mod peak;
+mod peers;
 mod python;
 mod test;
 
@@ -43,6 +44,8 @@ enum Task {
         #[arg(long)]
         here: bool,
     },
+    /// Times whole fits against other programs, where they are installed, after comparing the answers: the tables of the book's "How fast it is".
+    Peers(peers::Options),
 }
 
 fn main() -> ExitCode {
@@ -52,5 +55,6 @@ fn main() -> ExitCode {
         Task::Book => book::write(),
         Task::Bench { here: true } => bench::run(),
         Task::Bench { here: false } => bench::build_and_run(),
+        Task::Peers(options) => peers::run(&options),
     }
 }

@@ -1,0 +1,310 @@
+//! Whole fits against other programs: the answers are compared first, then the times, all in one run.
+//!
+//! Times are processor times, kalfit by one thread and the peers by one, so that other work on the machine changes them little. A
+//! peer's time is that of its fit alone, kalfit's that of the whole process from the data file to the file of results. Nothing is installed.
+
+mod agreement;
+mod answer;
+mod clock;
+mod ensemble;
+mod peer;
+mod space;
+mod stages;
+mod table;
+mod whole;
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode};
+
+use agreement::{Agreement, Ours};
+use answer::Answer;
+use clap::ValueEnum;
+use ensemble::Study;
+use peer::{Interpreters, Outcome, Peer};
+use space::Space;
+use table::{figure, head, row, seconds};
+use whole::Kalfit;
+
+const SEED: u64 = 1980;
+
+/// Fits of one ensemble by several peers. What a peer cannot do in about a minute it is not asked.
+const FITS: &[(Study, usize, &[Peer])] = &[
+    (Study::Regression, 1_000, &[peer::LME4, peer::NLME, peer::STATSMODELS, peer::OPENMX]),
+    (Study::Regression, 10_000, &[peer::LME4, peer::NLME, peer::STATSMODELS, peer::OPENMX]),
+    (Study::Regression, 100_000, &[peer::LME4]),
+    (Study::Meta, 200, &[peer::METAFOR_DENSE, peer::METAFOR_SPARSE]),
+    (Study::Meta, 400, &[peer::METAFOR_DENSE]),
+    (Study::Meta, 1_000, &[peer::METAFOR_SPARSE]),
+];
+
+/// Values of the likelihood of ensembles, with one design for all tests or not.
+const VALUES: &[(Peer, usize, bool)] = &[
+    (peer::DYNAMAX, 2_000, false),
+    (peer::DYNAMAX, 2_000, true),
+    (peer::PYKALMAN, 50, false),
+    (peer::PYKALMAN, 50, true),
+];
+
+/// What the task is told.
+#[derive(Debug, Clone, clap::Args)]
+pub(crate) struct Options {
+    /// Run in this process; without it the task is first built as it is released.
+    #[arg(long)]
+    here: bool,
+    /// kalfit's command; without it, it is built as it is released.
+    #[arg(long, value_name = "KALFIT")]
+    command: Option<PathBuf>,
+    /// Python in whose environment the peers are.
+    #[arg(long, value_name = "PYTHON", default_value = "python3")]
+    python: String,
+    /// R's program for scripts.
+    #[arg(long, value_name = "RSCRIPT", default_value = "Rscript")]
+    rscript: String,
+    /// Only this part.
+    #[arg(long, value_name = "PART")]
+    only: Option<Part>,
+}
+
+/// A part of the task, with tables of its own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Part {
+    /// Whole fits, from a file of data to a file of results.
+    Fits,
+    /// Values of a likelihood at known parameters.
+    Values,
+    /// Where kalfit's time goes, a second thread, and the start of the program.
+    Stages,
+}
+
+/// What could not be compared.
+#[derive(Debug, Default)]
+struct Open {
+    missing: Vec<Peer>,
+    problems: Vec<String>,
+}
+
+/// Where the models and the peers' scripts are.
+fn scripts() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("peers")
+}
+
+/// Runs the task, in a released build.
+pub(crate) fn run(options: &Options) -> ExitCode {
+    let done = if options.here { here(options) } else { build_and_run(options) };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(why) => {
+            eprintln!("{why}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn cargo(arguments: &[&str]) -> Result<(), String> {
+    match Command::new("cargo").args(arguments).status() {
+        Ok(status) if status.success() => Ok(()),
+        Ok(status) => Err(format!("cargo {}: {status}", arguments.join(" "))),
+        Err(error) => Err(format!("cargo: {error}")),
+    }
+}
+
+fn build_and_run(options: &Options) -> Result<(), String> {
+    let build = ["--quiet", "--release", "--locked", "--package"];
+    let command = match &options.command {
+        Some(command) => command.clone(),
+        None => {
+            cargo(&[&["build"], &build[..], &["kalfit-cli"]].concat())?;
+            // this program lies in `target/debug`, wherever that is
+            let program = std::env::current_exe().map_err(|error| error.to_string())?;
+            let target = program.ancestors().nth(2).ok_or("the program has no folder")?;
+            target.join("release").join(format!("kalfit{}", std::env::consts::EXE_SUFFIX))
+        }
+    };
+    let (python, rscript) = (program(&options.python)?, program(&options.rscript)?);
+    let command = whole::path(&command)?;
+    let mut arguments = [&["run"], &build[..], &["kalfit-dev", "--", "peers", "--here"]].concat();
+    arguments.extend(["--command", command, "--python", &python, "--rscript", &rscript]);
+    let only = options.only.and_then(|part| Some(part.to_possible_value()?.get_name().to_owned()));
+    if let Some(only) = &only {
+        arguments.extend(["--only", only]);
+    }
+    cargo(&arguments)
+}
+
+/// A program that is looked for in the path, or the absolute form of one named by its own: scripts run in another folder. Links
+/// stay as they are, for an environment's Python is one.
+fn program(name: &str) -> Result<String, String> {
+    if Path::new(name).components().count() < 2 {
+        return Ok(name.to_owned());
+    }
+    let absolute = std::path::absolute(name).map_err(|error| format!("{name}: {error}"))?;
+    whole::path(&absolute).map(str::to_owned)
+}
+
+fn here(options: &Options) -> Result<(), String> {
+    // one core against one core
+    rayon::ThreadPoolBuilder::new().num_threads(1).build_global().map_err(|error| error.to_string())?;
+    let command = options.command.clone().ok_or("`--here` takes kalfit's command from `--command`")?;
+    let command = command.canonicalize().map_err(|error| format!("{}: {error}", command.display()))?;
+    let folder = std::env::temp_dir().join(format!("kalfit-peers-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
+    let kalfit = Kalfit { command, folder };
+    let interpreters = Interpreters { rscript: program(&options.rscript)?, python: program(&options.python)? };
+    let done = parts(&kalfit, &interpreters, options.only);
+    let removed = std::fs::remove_dir_all(&kalfit.folder);
+    done?;
+    removed.map_err(|error| format!("{}: {error}", kalfit.folder.display()))
+}
+
+fn parts(kalfit: &Kalfit, interpreters: &Interpreters, only: Option<Part>) -> Result<(), String> {
+    let wanted = |part: Part| only.is_none_or(|only| only == part);
+    let mut open = Open::default();
+    if wanted(Part::Fits) {
+        head(2, FITS_HEAD);
+        for (study, tests, peers) in FITS {
+            fits(kalfit, interpreters, (*study, *tests, peers), &mut open)?;
+        }
+        println!();
+    }
+    if wanted(Part::Values) {
+        head(2, VALUES_HEAD);
+        for (peer, tests, shared) in VALUES {
+            value(kalfit, interpreters, (peer, *tests, *shared), &mut open)?;
+        }
+        println!();
+    }
+    if wanted(Part::Stages) {
+        stages::print(kalfit)?;
+    }
+    open.tell()
+}
+
+impl Open {
+    /// Prints which peers are missing; an error where answers differ or a peer failed.
+    fn tell(&self) -> Result<(), String> {
+        for peer in &self.missing {
+            println!("{} is missing: {}", peer.name, peer.install);
+        }
+        if self.problems.is_empty() { Ok(()) } else { Err(self.problems.join("\n")) }
+    }
+
+    /// What a peer found, once it is known to agree; nothing when the peer is missing, failed or differs.
+    fn compared(
+        &mut self,
+        peer: &Peer,
+        interpreters: &Interpreters,
+        data: &Path,
+        ours: &Ours,
+    ) -> Option<(Answer, Agreement)> {
+        match peer.answer(interpreters, data) {
+            Ok(Outcome::Answered(answer)) => match ours.against(&answer) {
+                Ok(agreement) => return Some((answer, agreement)),
+                Err(why) => self.problems.push(format!("{}: the answers differ: {why}", peer.name)),
+            },
+            Ok(Outcome::Missing) if self.missing.iter().any(|missing| missing.name == peer.name) => {}
+            Ok(Outcome::Missing) => self.missing.push(*peer),
+            Err(why) => self.problems.push(why),
+        }
+        None
+    }
+}
+
+const FITS_HEAD: &[&str] = &[
+    "peer",
+    "model",
+    "tests",
+    "rows",
+    "its fit alone",
+    "kalfit, CSV to fit.json",
+    "ratio",
+    "kalfit, from Parquet",
+    "ratio",
+    "Δ log-likelihood",
+    "Δ estimates, s.e.",
+];
+
+const VALUES_HEAD: &[&str] = &["peer", "designs", "tests", "rows", "its value", "kalfit", "ratio", "Δ log-likelihood"];
+
+/// Prints a row for each peer that agrees.
+fn fits(
+    kalfit: &Kalfit,
+    interpreters: &Interpreters,
+    (study, tests, peers): (Study, usize, &[Peer]),
+    open: &mut Open,
+) -> Result<(), String> {
+    let [csv, parquet] = study.draw(tests, kalfit)?;
+    let model = study.model();
+    let model = whole::path(&model)?;
+    let from_parquet = kalfit.fit(model, &parquet)?;
+    let from_csv = kalfit.fit(model, &csv)?;
+    let ours = Ours::of(&kalfit.record()?)?;
+    for peer in peers {
+        let Some((answer, agreement)) = open.compared(peer, interpreters, &csv, &ours) else { continue };
+        let theirs = answer.taken.processor;
+        let words = [peer_name(peer, &answer), study.name().to_owned(), tests.to_string()];
+        let times =
+            [from_csv, from_parquet].map(|taken| [seconds(taken.processor), figure(theirs / taken.processor)]).concat();
+        let rows = (tests * study.rows()).to_string();
+        let apart = [figure(agreement.log_likelihood), figure(agreement.estimates)];
+        row(&[&words[..], &[rows, seconds(theirs)], &times, &apart].concat());
+    }
+    Ok(())
+}
+
+/// Prints a row, if the peer agrees.
+fn value(
+    kalfit: &Kalfit,
+    interpreters: &Interpreters,
+    (peer, tests, shared): (&Peer, usize, bool),
+    open: &mut Open,
+) -> Result<(), String> {
+    let space = Space::draw(tests, shared);
+    let file = space.write(&kalfit.folder)?;
+    let (ours, taken) = space.ours()?;
+    if let Some((answer, agreement)) = open.compared(peer, interpreters, &file, &ours) {
+        let theirs = answer.taken.processor;
+        row(&[
+            peer_name(peer, &answer),
+            if shared { "one for all" } else { "own" }.to_owned(),
+            tests.to_string(),
+            (tests * space::ROWS).to_string(),
+            seconds(theirs),
+            seconds(taken.processor),
+            figure(theirs / taken.processor),
+            figure(agreement.log_likelihood),
+        ]);
+    }
+    Ok(())
+}
+
+/// The program that answered, with its version, and what of it was run.
+fn peer_name(peer: &Peer, answer: &Answer) -> String {
+    format!("{}, {}", answer.program, peer.what)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_missing_peer_is_named_once_and_is_no_error() {
+        let none = "no-such-interpreter".to_owned();
+        let interpreters = Interpreters { rscript: none.clone(), python: none };
+        let ours = Ours { log_likelihood: 0.0, estimates: Vec::new() };
+        let mut open = Open::default();
+        for peer in [peer::METAFOR_DENSE, peer::DYNAMAX, peer::METAFOR_SPARSE] {
+            assert!(open.compared(&peer, &interpreters, Path::new("data.csv"), &ours).is_none());
+        }
+        assert_eq!(open.missing, [peer::METAFOR_DENSE, peer::DYNAMAX]);
+        assert_eq!(open.tell(), Ok(()));
+        open.problems.push("lme4: the answers differ".to_owned());
+        assert_eq!(open.tell(), Err("lme4: the answers differ".to_owned()));
+    }
+
+    #[test]
+    fn a_program_given_by_its_path_is_found_from_any_folder() {
+        assert_eq!(program("python3"), Ok("python3".to_owned()));
+        let path = program("venv/bin/python").unwrap();
+        assert!(Path::new(&path).is_absolute() && path.contains("python"), "{path}");
+    }
+}

@@ -1,0 +1,113 @@
+//! Ensembles drawn with fixed seeds, the same in every run on every machine.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::whole::{Kalfit, path};
+use super::{SEED, scripts};
+
+/// What is fitted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Study {
+    /// Intercept and slope of each test, ten rows at inputs of its own, noise of unknown level.
+    Regression,
+    /// Two effects of each test, one row with sampling variances and covariance of its own.
+    Meta,
+}
+
+/// Rows of a test of the regression.
+pub(super) const ROWS: usize = 10;
+
+impl Study {
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Study::Regression => "regression",
+            Study::Meta => "meta",
+        }
+    }
+
+    /// The model file that kalfit fits.
+    pub(super) fn model(self) -> PathBuf {
+        scripts().join(format!("{}.toml", self.name()))
+    }
+
+    pub(super) fn rows(self) -> usize {
+        match self {
+            Study::Regression => ROWS,
+            Study::Meta => 1,
+        }
+    }
+
+    /// Inputs and variances; what is measured is drawn from the truth.
+    fn design(self, tests: usize) -> String {
+        let mut rng = ChaCha8Rng::seed_from_u64(SEED);
+        let mut text = match self {
+            Study::Regression => "test,x,y\n",
+            Study::Meta => "test,y_a,y_b,v_a,v_b,c_ab\n",
+        }
+        .to_owned();
+        for test in 1..=tests {
+            match self {
+                Study::Regression => {
+                    for _ in 0..ROWS {
+                        let x: f64 = rng.random_range(0.0..1.0);
+                        writeln!(text, "{test},{x:.4},0").expect("a string takes all");
+                    }
+                }
+                Study::Meta => {
+                    let [a, b] = [(); 2].map(|()| rng.random_range(0.005..0.03_f64));
+                    let covariance = rng.random_range(0.2..0.7) * (a * b).sqrt();
+                    writeln!(text, "{test},0,0,{a:.6},{b:.6},{covariance:.6}").expect("a string takes all");
+                }
+            }
+        }
+        text
+    }
+
+    /// The data as a CSV and as a Parquet file, the same numbers in both.
+    pub(super) fn draw(self, tests: usize, kalfit: &Kalfit) -> Result<[PathBuf; 2], String> {
+        let file = |end: &str| kalfit.folder.join(format!("{}-{tests}.{end}", self.name()));
+        let design = kalfit.folder.join("design.csv");
+        write(&design, &self.design(tests))?;
+        let truth = scripts().join(format!("{}-truth.toml", self.name()));
+        let [csv, parquet] = ["csv", "parquet"].map(file);
+        for out in [&csv, &parquet] {
+            let (model, truth, design, out) = (self.model(), path(&truth)?, path(&design)?, path(out)?);
+            let seed = SEED.to_string();
+            let model = path(&model)?;
+            kalfit.run(&["simulate", model, "--from", truth, "--design", design, "--seed", &seed, "--out", out])?;
+        }
+        Ok([csv, parquet])
+    }
+}
+
+/// Writes a file.
+pub(super) fn write(file: &Path, text: &str) -> Result<(), String> {
+    std::fs::write(file, text).map_err(|error| format!("{}: {error}", file.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_design_has_every_row_of_every_test_and_is_the_same_again() {
+        for study in [Study::Regression, Study::Meta] {
+            let text = study.design(30);
+            assert_eq!(text.lines().count(), 1 + 30 * study.rows(), "{study:?}");
+            assert_eq!(text, study.design(30), "{study:?}");
+        }
+    }
+
+    #[test]
+    fn the_models_and_the_truths_are_sound_and_of_one_form() {
+        for study in [Study::Regression, Study::Meta] {
+            let fitted = kalfit_spec::Spec::load(&study.model()).unwrap();
+            let truth = kalfit_spec::Spec::load(&scripts().join(format!("{}-truth.toml", study.name()))).unwrap();
+            assert_eq!(fitted.layout, truth.layout, "{study:?}");
+        }
+    }
+}
