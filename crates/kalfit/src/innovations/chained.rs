@@ -3,7 +3,8 @@
 //! The filter of a phase runs with σ = 0, as for its reduction, and leaves e, S and T of each measurement: given σ, its innovation
 //! is e - Tσ, of variance S. σ itself is known in law from all that came before, in the phase and in earlier ones ([`Law`]), so
 //! that the innovation of the test is e - Tσ̂, of variance S + T Var(σ) T'. After the last step the law of σ becomes that of the
-//! next phase's, by the link between them. What Σ adds is carried in square roots: it may be singular, zero or huge.
+//! next phase's, by the link between them. What Σ adds is carried in square roots: it may be singular, zero or huge. Where nothing
+//! of a test is like that, [`Plain`] is the faster way.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -41,6 +42,7 @@ pub(super) struct Start {
     regressions: Vec<(usize, f64)>,
     /// L with LL' = Σ, p × p.
     root: DMatrix<f64>,
+    /// Σ, p × p.
     pub(super) covariance: DMatrix<f64>,
     pub(super) time: Option<usize>,
     /// The phase has a filter of its own: its measurements are not evidence.
@@ -79,18 +81,14 @@ impl Chained {
     pub(crate) fn innovations(&self, whole: &PhasedTest, room: &mut Room) -> Result<Option<Innovations>, ReduceError> {
         self.reducer.check(whole)?;
         let rows = |(evidence, start): (&Evidence, &Start)| matches!(evidence, Evidence::Rows(_)) && !start.filtered;
-        let found = if whole.phases.iter().zip(&self.phases).all(rows) {
-            self.plain.series(
-                whole,
-                (&self.phases, self.reducer.phases()),
-                (&mut room.plain, &mut room.phases.cells),
-            )?
-        } else {
-            None
-        };
-        let (series, rest, seen) = match found {
-            Some(series) => (series, 0.0, true),
-            None => self.careful(whole, &mut room.phases)?,
+        let plain = whole.phases.iter().zip(&self.phases).all(rows).then(|| {
+            let carries = self.reducer.phases();
+            self.plain.series(whole, (&self.phases, carries), (&mut room.plain, &mut room.phases.cells))
+        });
+        let (series, rest, seen) = match plain {
+            Some(Ok(Some(series))) => (series, 0.0, true),
+            // covariances that are not sound may be only rounding; what else is wrong is said by the careful way
+            Some(Ok(None) | Err(_)) | None => self.careful(whole, &mut room.phases)?,
         };
         if !rows::are_finite(&series) {
             let kind = Box::new(ReduceErrorKind::NotFinite);

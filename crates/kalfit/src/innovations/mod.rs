@@ -12,8 +12,9 @@
 //! known; that they were estimated from the same tests makes the tests of few and small ensembles milder, not stricter.
 //!
 //! There is one filter, that of [`reduce`](crate::reduce). In a test of one phase the uncertain start becomes part of P0, and
-//! nothing is left of ξ; in a test of several, what Σ and earlier phases say of the start of each is added to what its filter
-//! finds (theory §7), and every innovation is from all that was measured before, in its phase and in earlier ones.
+//! nothing is left of ξ; in a test of several, so does what Σ and earlier phases say of the start of each, or, where that calls for
+//! square roots, it is added to what the filter finds (theory §7). Every innovation is from all that was measured before, in its
+//! phase and in earlier ones.
 
 mod chained;
 mod known_start;

@@ -51,7 +51,7 @@ pub(crate) struct Class(Made);
 /// What a reducer has done.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Work {
-    /// Covariance filters run: one for each design class.
+    /// Covariance filters run: one for each design class; of classes that many others came before, one for each of the first two tests.
     pub design_runs: u64,
     /// Those of them that were run again in square-root arrays.
     pub root_runs: u64,
