@@ -23,17 +23,66 @@ pub fn eigen(a: &DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
         return (Vec::new(), DMatrix::zeros(0, 0));
     }
     let symmetric = (a + a.transpose()) * 0.5;
-    let decomposition = SymmetricEigen::new(symmetric);
+    let (eigenvalues, eigenvectors) = decomposed(symmetric);
     let mut order: Vec<usize> = (0..n).collect();
-    order.sort_by(|&i, &j| decomposition.eigenvalues[i].total_cmp(&decomposition.eigenvalues[j]));
-    let values = order.iter().map(|&i| decomposition.eigenvalues[i]).collect();
+    order.sort_by(|&i, &j| eigenvalues[i].total_cmp(&eigenvalues[j]));
+    let values = order.iter().map(|&i| eigenvalues[i]).collect();
     let mut vectors = DMatrix::zeros(n, n);
     for (c, &i) in order.iter().enumerate() {
-        let column = decomposition.eigenvectors.column(i);
+        let column = eigenvectors.column(i);
         let largest = column[column.icamax()];
         vectors.set_column(c, &(column * if largest < 0.0 { -1.0 } else { 1.0 }));
     }
     (values, vectors)
+}
+
+/// Eigenvalues and eigenvectors in any order. The tridiagonal way of the library now and then ends in no numbers for a sparse singular
+/// matrix; plane rotations never do.
+fn decomposed(symmetric: DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
+    let known = symmetric.iter().all(|x| x.is_finite());
+    let found = SymmetricEigen::new(symmetric.clone());
+    let told = found.eigenvalues.iter().chain(found.eigenvectors.iter()).all(|x| x.is_finite());
+    if told || !known { (found.eigenvalues.as_slice().to_vec(), found.eigenvectors) } else { rotated(symmetric) }
+}
+
+/// Sweeps of rotations: they converge quadratically, after some six to ten.
+const SWEEPS: usize = 60;
+
+/// Jacobi's method: each off-diagonal element in turn is rotated to zero (Golub and Van Loan, section 8.5).
+fn rotated(mut a: DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
+    let n = a.nrows();
+    let size = a.amax();
+    let mut vectors = DMatrix::identity(n, n);
+    if size > 0.0 {
+        a /= size;
+        for _ in 0..SWEEPS {
+            let off: f64 = (0..n).flat_map(|i| (0..i).map(move |k| (i, k))).map(|at| a[at].abs()).fold(0.0, f64::max);
+            if off <= f64::EPSILON * f64::EPSILON {
+                break;
+            }
+            (0..n).flat_map(|i| (0..i).map(move |k| (k, i))).for_each(|(k, i)| rotate(&mut a, &mut vectors, k, i));
+        }
+    }
+    (a.diagonal().iter().map(|x| x * size).collect(), vectors)
+}
+
+/// Rotates element (k, i) to zero.
+fn rotate(a: &mut DMatrix<f64>, vectors: &mut DMatrix<f64>, k: usize, i: usize) {
+    if a[(k, i)] == 0.0 {
+        return;
+    }
+    let tau = (a[(i, i)] - a[(k, k)]) / (2.0 * a[(k, i)]);
+    let t = tau.signum() / (tau.abs() + tau.hypot(1.0));
+    let c = t.hypot(1.0).recip();
+    let turn = |x: f64, y: f64| (c * x - t * c * y, t * c * x + c * y);
+    let n = a.nrows();
+    for m in 0..n {
+        (a[(m, k)], a[(m, i)]) = turn(a[(m, k)], a[(m, i)]);
+        (vectors[(m, k)], vectors[(m, i)]) = turn(vectors[(m, k)], vectors[(m, i)]);
+    }
+    for m in 0..n {
+        (a[(k, m)], a[(i, m)]) = turn(a[(k, m)], a[(i, m)]);
+    }
 }
 
 /// Minimum-norm solution of a x = b for positive semidefinite a.
@@ -105,6 +154,58 @@ mod tests {
         let product = &root * root.transpose();
         for (found, expected) in product.iter().zip(&a) {
             assert!((found - expected).abs() <= 1e-14 * expected.abs(), "{found} {expected}");
+        }
+    }
+
+    #[test]
+    fn a_sparse_singular_matrix_has_eigenvalues() {
+        // one that the library's way finds none of
+        let places = [3, 4, 5, 36, 37, 38];
+        let rows = [
+            vec![1.7594237517537539],
+            vec![1.5670157131225884, 1.3956491395125643],
+            vec![0.5794209558922123, 0.5160563175815781, 0.1908173876772996],
+            vec![0.07396617788410087, 0.06587734357256113, 0.024358858092361033, 0.0031095382595176906],
+            vec![
+                -0.3033057773350621,
+                -0.2701366958875882,
+                -0.0998859559875424,
+                -0.01275097545845827,
+                0.05228666173974764,
+            ],
+            vec![
+                2.6891571650958435,
+                2.395074824107046,
+                0.8856047405243294,
+                0.11305217235672638,
+                -0.4635818423631818,
+                4.1101901979998,
+            ],
+        ];
+        let mut a = DMatrix::zeros(55, 55);
+        for (i, row) in rows.iter().enumerate() {
+            for (k, &x) in row.iter().enumerate() {
+                a[(places[i], places[k])] = x;
+                a[(places[k], places[i])] = x;
+            }
+        }
+        let (values, vectors) = eigen(&a);
+        assert!(values.iter().all(|x| x.is_finite()), "{values:?}");
+        let again = &vectors * DMatrix::from_diagonal(&DVector::from_vec(values)) * vectors.transpose();
+        assert!((&again - &a).amax() < 1e-14, "{}", (again - &a).amax());
+        assert!((vectors.transpose() * &vectors - DMatrix::identity(55, 55)).amax() < 1e-14);
+    }
+
+    #[test]
+    fn rotations_find_what_the_library_finds() {
+        let half = DMatrix::from_fn(6, 6, |i, k| ((3 * i + 5 * k * k) as f64).sin() * 10f64.powi(i as i32 - 3));
+        let a = &half * half.transpose();
+        let (mut found, vectors) = rotated(a.clone());
+        let again = &vectors * DMatrix::from_diagonal(&DVector::from_vec(found.clone())) * vectors.transpose();
+        assert!((&again - &a).amax() < 1e-14 * a.amax(), "{again}{a}");
+        found.sort_by(f64::total_cmp);
+        for (found, expected) in found.iter().zip(eigen(&a).0) {
+            assert!((found - expected).abs() < 1e-14 * a.amax(), "{found} {expected}");
         }
     }
 }
