@@ -10,7 +10,7 @@
 use std::arch::x86_64::*;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use crate::{Lanes, Real};
+use crate::{Lanes, Part, Real};
 
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Avx2(__m256d);
@@ -41,7 +41,19 @@ impl Neg for Avx2 {
     }
 }
 
+#[target_feature(enable = "avx2,fma")]
+#[inline(never)]
+fn apart<P: Part>(part: P) -> P::Output {
+    part.run()
+}
+
 impl Real for Avx2 {
+    #[inline(always)]
+    fn apart<P: Part>(part: P) -> P::Output {
+        // SAFETY: see the module
+        unsafe { apart(part) }
+    }
+
     #[inline(always)]
     fn splat(x: f64) -> Avx2 {
         // SAFETY: see the module

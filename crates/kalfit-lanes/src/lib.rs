@@ -13,7 +13,7 @@ mod real;
 
 pub use isa::{Isa, Kernel};
 pub use portable::Four;
-pub use real::{Counted, Flops, Real};
+pub use real::{Counted, Flops, Part, Real};
 
 /// Several numbers side by side, which are read from and written to memory together.
 pub trait Lanes: Real {

@@ -34,6 +34,21 @@ pub trait Real:
     fn root(self) -> Self;
     /// Of a positive finite x, (m, e) with x = m 2^e, 1 ≤ m < 2, e a whole number.
     fn split(self) -> (Self, Self);
+    /// Does a part of a kernel as a function of its own, compiled for the registers of these numbers: what is wanted in many places
+    /// need not become part of each.
+    #[inline(never)]
+    fn apart<P: Part>(part: P) -> P::Output {
+        part.run()
+    }
+}
+
+/// A part of a kernel. `run` must be `#[inline(always)]`.
+pub trait Part {
+    /// What it gives.
+    type Output;
+
+    /// Does it.
+    fn run(self) -> Self::Output;
 }
 
 impl Real for f64 {

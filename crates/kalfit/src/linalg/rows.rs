@@ -9,6 +9,7 @@ use nalgebra::DMatrix;
 use kalfit_lanes::Real;
 
 use crate::linalg::fold::Rotation;
+use crate::linalg::products::{Absorb, Combine, IdentityPlus, SolveBelow, TimesTranspose};
 
 /// A matrix by rows.
 #[derive(Debug, Clone, PartialEq)]
@@ -99,6 +100,13 @@ impl<T: Real> Rows<T> {
         &mut self.data[i * self.columns..][..self.columns]
     }
 
+    /// The rows above one, and this one.
+    #[inline(always)]
+    pub(crate) fn rows_above_and(&mut self, i: usize) -> (&[T], &mut [T]) {
+        let (above, rest) = self.data.split_at_mut(i * self.columns);
+        (above, &mut rest[..self.columns])
+    }
+
     /// Puts rows below.
     #[inline(always)]
     pub(crate) fn append(&mut self, below: &Rows<T>) {
@@ -150,23 +158,21 @@ impl<T: Real> Rows<T> {
     /// AB.
     #[inline(always)]
     pub(crate) fn times(&self, other: &Rows<T>) -> Rows<T> {
-        let mut product = Rows::zeros(self.rows, other.columns);
-        for i in 0..self.rows {
-            for (k, &a) in self.row(i).iter().enumerate() {
-                add(product.row_mut(i), a, other.row(k));
-            }
-        }
-        product
+        self.combined(other, (self.rows, self.columns, 1))
     }
 
     /// A'B.
     #[inline(always)]
     pub(crate) fn transpose_times(&self, other: &Rows<T>) -> Rows<T> {
-        let mut product = Rows::zeros(self.columns, other.columns);
-        for k in 0..self.rows {
-            for (i, &a) in self.row(k).iter().enumerate() {
-                add(product.row_mut(i), a, other.row(k));
-            }
+        self.combined(other, (self.columns, 1, self.columns))
+    }
+
+    /// Σ_k a_ik × row k of the other for so many i; how far it is from an a to that of the next i and of the next k.
+    #[inline(always)]
+    fn combined(&self, other: &Rows<T>, (rows, down, along): (usize, usize, usize)) -> Rows<T> {
+        let mut product = Rows::zeros(rows, other.columns);
+        if other.rows > 0 {
+            T::apart(Combine { a: &self.data, down, along, other, product: &mut product });
         }
         product
     }
@@ -175,16 +181,7 @@ impl<T: Real> Rows<T> {
     #[inline(always)]
     pub(crate) fn times_transpose(&self, other: &Rows<T>) -> Rows<T> {
         let mut product = Rows::zeros(self.rows, other.rows);
-        for i in 0..self.rows {
-            let own = self.row(i);
-            for (k, x) in product.row_mut(i).iter_mut().enumerate() {
-                let mut sum = T::splat(0.0);
-                for (&a, &b) in own.iter().zip(other.row(k)) {
-                    sum = a.fma(b, sum);
-                }
-                *x = sum;
-            }
-        }
+        T::apart(TimesTranspose { a: self, b: other, product: &mut product });
         product
     }
 
@@ -209,36 +206,19 @@ impl<T: Real> Rows<T> {
     /// No entry is larger than this, or not a number.
     #[inline(always)]
     pub(crate) fn is_within(&self, bound: f64) -> bool {
-        let mut most = T::splat(0.0);
+        let bound = T::splat(bound);
+        let mut within = true;
         for x in &self.data {
-            most = most.maximum(x.magnitude());
+            within &= x.magnitude().at_most(bound);
         }
-        most.at_most(T::splat(bound))
+        within
     }
 
     /// U⁻ᵀB, U upper triangular.
     #[inline(always)]
     pub(crate) fn solved_below(upper: &Rows<T>, mut b: Rows<T>) -> Rows<T> {
-        for i in 0..b.rows {
-            let (done, rest) = b.data.split_at_mut(i * b.columns);
-            let row = &mut rest[..b.columns];
-            for k in 0..i {
-                add(row, -upper[(k, i)], &done[k * b.columns..][..b.columns]);
-            }
-            let inverse = T::splat(1.0) / upper[(i, i)];
-            for x in row.iter_mut() {
-                *x = *x * inverse;
-            }
-        }
+        T::apart(SolveBelow { upper, b: &mut b });
         b
-    }
-}
-
-/// y ← y + a x.
-#[inline(always)]
-fn add<T: Real>(y: &mut [T], a: T, x: &[T]) {
-    for (y, &x) in y.iter_mut().zip(x) {
-        *y = a.fma(x, *y);
     }
 }
 
@@ -271,71 +251,16 @@ impl<T: Real> Factors for Plain<T> {
 
     #[inline(always)]
     fn identity_plus(rows: &Rows<T>) -> Rows<T> {
-        let w = rows.columns;
-        let mut upper = Rows::identity(w);
-        for row in rows.data.chunks_exact(w.max(1)) {
-            for i in 0..w {
-                add(&mut upper.row_mut(i)[i..], row[i], &row[i..]);
-            }
-        }
-        for i in 0..w {
-            let (done, rest) = upper.data.split_at_mut(i * w);
-            let own = &mut rest[..w];
-            for above in done.chunks_exact(w) {
-                add(&mut own[i..], -above[i], &above[i..]);
-            }
-            let pivot = own[i].maximum(T::splat(1.0)).root(); // rounding must not make it less than one
-            let inverse = T::splat(1.0) / pivot;
-            own[i] = pivot;
-            for x in &mut own[i + 1..] {
-                *x = *x * inverse;
-            }
-        }
+        let mut upper = Rows::identity(rows.columns);
+        T::apart(IdentityPlus { rows, upper: &mut upper });
         upper
     }
 
     #[inline(always)]
     fn absorb(upper: &mut Rows<T>, mut rows: Rows<T>, width: usize) -> Rows<T> {
-        let mut along = vec![T::splat(0.0); upper.columns];
-        for k in 0..width {
-            reflect(upper, &mut rows, k, &mut along);
-        }
+        T::apart(Absorb { upper, rows: &mut rows, width });
         rows
     }
-}
-
-/// One reflection, which takes column k of the rows into row k of the triangle.
-#[inline(always)]
-fn reflect<T: Real>(upper: &mut Rows<T>, rows: &mut Rows<T>, k: usize, along: &mut [T]) {
-    let head = upper[(k, k)];
-    let mut square = head * head;
-    for i in 0..rows.rows {
-        square = rows[(i, k)].fma(rows[(i, k)], square);
-    }
-    let length = square.root();
-    // head ≥ 0: the reflection to -length cancels nothing; the row's sign is turned afterwards
-    let first = head + length;
-    let scale = (length * first).recip_or_zero();
-    let along = &mut along[k..];
-    for (s, &x) in along.iter_mut().zip(&upper.row(k)[k..]) {
-        *s = x * first;
-    }
-    for i in 0..rows.rows {
-        let a = rows[(i, k)];
-        add(along, a, &rows.row(i)[k..]);
-    }
-    for x in along.iter_mut() {
-        *x = *x * scale;
-    }
-    for (x, &s) in upper.row_mut(k)[k..].iter_mut().zip(along.iter()) {
-        *x = first * s - *x;
-    }
-    for i in 0..rows.rows {
-        let a = rows[(i, k)];
-        add(&mut rows.row_mut(i)[k..], -a, along);
-        rows[(i, k)] = T::splat(0.0);
-    }
-    upper[(k, k)] = length;
 }
 
 impl Factors for Rotations {

@@ -3,7 +3,7 @@
 use kalfit_lanes::Lanes;
 
 /// Rows that are added at once: each number of y is then read and written once for four products.
-pub(super) const TOGETHER: usize = 4;
+const TOGETHER: usize = 4;
 
 /// y ← y + a x.
 #[inline(always)]
@@ -15,7 +15,7 @@ pub(super) fn add_one<T: Lanes>(y: &mut [f64], a: T, x: &[f64]) {
 
 /// y ← y + a_0 x_0 + a_1 x_1 + a_2 x_2 + a_3 x_3.
 #[inline(always)]
-pub(super) fn add_four<T: Lanes>(y: &mut [f64], a: [T; TOGETHER], x: [&[f64]; TOGETHER]) {
+fn add_four<T: Lanes>(y: &mut [f64], a: [T; TOGETHER], x: [&[f64]; TOGETHER]) {
     let [x0, x1, x2, x3] = x.map(|x| x.chunks_exact(T::COUNT));
     for ((((y, x0), x1), x2), x3) in y.chunks_exact_mut(T::COUNT).zip(x0).zip(x1).zip(x2).zip(x3) {
         let first = a[1].fma(T::load(x1), a[0].fma(T::load(x0), T::load(y)));
