@@ -21,6 +21,9 @@ const CLOSE: f64 = 5.0;
 /// Rows that start values are worked out from, and rows of one test among them.
 const ROWS: usize = 100_000;
 const ROWS_OF_A_TEST: usize = 20_000;
+/// Where values are common to all tests, these rows are enough if they are of so many tests.
+const ROWS_OF_MANY: usize = 20_000;
+const MANY: usize = 256;
 /// Powers of this factor are tried, so many to each side.
 pub(super) const FACTOR: f64 = 4.0;
 const EACH_SIDE: i32 = 6;
@@ -37,7 +40,8 @@ const TRIED: [f64; 5] = [0.0, 0.5, 0.9, -0.5, 1.0];
 /// Start values, the likeliest first: the one worked out from the data, others where the likelihood looks to have other maxima
 /// in a time constant, and as many random ones as the settings say.
 pub(crate) fn starts(bench: &Bench<'_>) -> Result<Vec<Vec<f64>>, DynamicError> {
-    let sample = sample(bench.tests);
+    let common = bench.slots.slots().iter().all(|slot| slot.level.is_none());
+    let sample = sample(bench.tests, common);
     let small = Bench::new(bench.model, &sample, bench.slots, bench.settings);
     let mut first = first_guess(bench);
     let unknown = unknown(bench);
@@ -54,7 +58,9 @@ pub(crate) fn starts(bench: &Bench<'_>) -> Result<Vec<Vec<f64>>, DynamicError> {
     let mut all = vec![first.clone()];
     if !unknown.is_empty() {
         all.extend(peaks.into_iter().take(1));
-        all.extend(scattered(&small, &unknown, &first));
+    }
+    if unknown.len() > 1 {
+        all.extend(scattered(&small, &unknown, &first)); // of one alone the scan has seen all
     }
     for parameter in time_constants(bench.model).into_iter().filter(|&p| bench.slots.is_free(p)) {
         all.extend(other_maxima(&small, parameter, &first));
@@ -89,8 +95,8 @@ fn promising(small: &Bench<'_>, starts: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
     kept
 }
 
-/// The first rows of every phase of every test, as many tests as fit.
-fn sample(tests: &[PhasedTest]) -> Vec<PhasedTest> {
+/// The first rows of every phase of every test, as many tests as fit; `common`: values are common to all tests.
+fn sample(tests: &[PhasedTest], common: bool) -> Vec<PhasedTest> {
     let mut order: Vec<&PhasedTest> = tests.iter().collect();
     order.sort_by(|a, b| a.id.cmp(&b.id));
     let first = |evidence: &Evidence| match evidence {
@@ -103,7 +109,7 @@ fn sample(tests: &[PhasedTest]) -> Vec<PhasedTest> {
         let kept = PhasedTest { id: test.id.clone(), phases: test.phases.iter().map(first).collect() };
         many += rows(&kept);
         sample.push(kept);
-        if many > ROWS {
+        if many > ROWS || (common && many > ROWS_OF_MANY && sample.len() >= MANY) {
             break;
         }
     }

@@ -6,20 +6,22 @@
 //! phase by phase ([`Chained`]).
 
 use std::borrow::Cow;
-use std::cmp::Ordering;
 use std::ops::Range;
 
 use kalfit_lanes::Isa;
 use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
 
+use crate::estimate::canonical::{ordered, spans};
 use crate::estimate::chained::{Chained, Detail, Packed};
+use crate::estimate::frame::Frame;
 use crate::estimate::lanes::Blocks;
 use crate::estimate::pass::{Order, pass};
 use crate::estimate::terms::Point;
 use crate::estimate::together::{each_packed, packed};
 use crate::linalg::elements::Elements;
-use crate::linalg::symmetric;
-use crate::reduce::{Chain, ChainPhase, Path, Reduction};
+use crate::linalg::symmetric::pair;
+use crate::reduce::{Path, Reduction};
 
 /// Tests that share R and covariates, in η: log p(z_j | η) = constant_j - ½ ‖d_j - R η‖².
 #[derive(Debug, Clone)]
@@ -63,39 +65,14 @@ pub(crate) struct Classes {
     pub(crate) present: Vec<f64>,
     /// Tests are kept phase by phase where that can be.
     chained: bool,
+    /// Numbers of the tests of each class; empty where the classes are a part of others.
+    members: Vec<Vec<usize>>,
+    /// Of each test, to know the reductions by.
+    marks: Vec<u64>,
 }
 
-/// The coordinates η: ξ = centre + scale ∘ η.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Frame {
-    pub(crate) centre: Vec<f64>,
-    pub(crate) scale: Vec<f64>,
-    /// Scale of each covariate.
-    pub(crate) covariate_scale: Vec<f64>,
-}
-
-impl Frame {
-    /// Σ in the user's units from Σ in η.
-    pub(crate) fn covariance_out(&self, sigma: &DMatrix<f64>) -> DMatrix<f64> {
-        DMatrix::from_fn(sigma.nrows(), sigma.ncols(), |i, j| self.scale[i] * sigma[(i, j)] * self.scale[j])
-    }
-
-    /// Σ in η from Σ in the user's units.
-    pub(crate) fn covariance_in(&self, sigma: &DMatrix<f64>) -> DMatrix<f64> {
-        DMatrix::from_fn(sigma.nrows(), sigma.ncols(), |i, j| sigma[(i, j)] / (self.scale[i] * self.scale[j]))
-    }
-
-    /// The frame of some of the states.
-    pub(crate) fn part(&self, states: &Range<usize>) -> Frame {
-        let of = |all: &[f64]| all[states.clone()].to_vec();
-        Frame { centre: of(&self.centre), scale: of(&self.scale), covariate_scale: self.covariate_scale.clone() }
-    }
-
-    /// μ in the user's units from μ in η.
-    pub(crate) fn mean_out(&self, mu: &[f64]) -> Vec<f64> {
-        mu.iter().zip(&self.centre).zip(&self.scale).map(|((m, c), s)| c + s * m).collect()
-    }
-}
+/// Classes that are made by themselves, by whatever thread.
+const CHUNK: usize = 64;
 
 impl Classes {
     /// Gathers reductions with the states of each phase at these places and `regressors` covariates each. `chained`: keep tests
@@ -108,7 +85,7 @@ impl Classes {
     ) -> Classes {
         let elements = Elements::new(ranges);
         let order = ordered(reductions);
-        let frame = frame(reductions, &order, &elements, regressors);
+        let frame = Frame::of(reductions, &order, &elements, regressors);
         Classes::gathered(reductions, &order, frame, (elements, chained))
     }
 
@@ -126,24 +103,28 @@ impl Classes {
     ) -> Classes {
         let p = frame.scale.len();
         let chained = chained && !elements.is_single();
-        let mut classes: Vec<Class> = Vec::new();
+        let spans = spans(reductions, order, chained);
+        let of = |spans: &[Range<usize>]| {
+            let mut information = DMatrix::zeros(p, p);
+            let class = |span: &Range<usize>| {
+                let members = &order[span.clone()];
+                add_gram(&mut information, &reductions[members[0]].factor, &frame.scale, members.len() as f64);
+                gather(reductions, members, &frame, (&elements, chained))
+            };
+            let classes: Vec<Class> = spans.iter().map(class).collect();
+            (classes, information)
+        };
+        let parts: Vec<(Vec<Class>, DMatrix<f64>)> = spans.par_chunks(CHUNK).map(of).collect();
         let mut information = DMatrix::zeros(p, p);
-        let mut start = 0;
-        while start < order.len() {
-            let same = |k: &&usize| same_class(&reductions[order[start]], &reductions[**k], chained);
-            let end = start + order[start..].iter().take_while(same).count();
-            let class = gather(reductions, &order[start..end], &frame, (&elements, chained));
-            if class.chain.is_some() {
-                information += scaled_gram(&reductions[order[start]].factor, &frame.scale) * class.count;
-            } else {
-                let factor = DMatrix::from_row_slice(p, p, &class.factor);
-                information += factor.transpose() * &factor * class.count;
-            }
-            classes.push(class);
-            start = end;
-        }
+        parts.iter().for_each(|(_, part)| information += part);
+        information.fill_upper_triangle_with_lower_triangle();
+        let classes = parts.into_iter().flat_map(|(classes, _)| classes).collect();
         let present = present(reductions, &elements);
-        Classes::arranged(classes, frame, (elements, chained), (reductions.len(), information, present))
+        let found = (reductions.len(), information, present);
+        let mut classes = Classes::arranged(classes, frame, (elements, chained), found);
+        classes.members = spans.into_iter().map(|span| order[span].to_vec()).collect();
+        classes.marks = reductions.par_iter().map(mark).collect();
+        classes
     }
 
     /// The classes, and who is worked on side by side with whom.
@@ -162,7 +143,38 @@ impl Classes {
             }
         }
         let chains = packed(classes.iter().map(|class| class.chain.as_deref()).enumerate(), blocks.isa().lanes());
-        Classes { classes, blocks, beside, chains, frame, tests, information, elements, present, chained }
+        let (members, marks) = (Vec::new(), Vec::new());
+        Classes {
+            classes,
+            blocks,
+            beside,
+            chains,
+            frame,
+            tests,
+            information,
+            elements,
+            present,
+            chained,
+            members,
+            marks,
+        }
+    }
+
+    /// These classes, if they are those of the reductions, or the classes of the reductions in the same coordinates.
+    pub(crate) fn of<'a>(&'a self, reductions: &[Reduction]) -> Cow<'a, Classes> {
+        let marked = |(mark_of, reduction): (&u64, &Reduction)| *mark_of == mark(reduction);
+        let own = self.marks.len() == reductions.len() && self.marks.par_iter().zip(reductions).all(marked);
+        if own { Cow::Borrowed(self) } else { Cow::Owned(Classes::within(reductions, self)) }
+    }
+
+    /// Numbers of the tests of each class, of the reductions that these are the classes of.
+    pub(crate) fn members(&self) -> &[Vec<usize>] {
+        &self.members
+    }
+
+    /// Every test has a class to itself.
+    pub(crate) fn are_single(&self) -> bool {
+        self.classes.len() == self.marks.len()
     }
 
     /// Every so-many-th class in their order, in the same η. The pooled information is the share that goes with the tests.
@@ -175,13 +187,13 @@ impl Classes {
         Classes::arranged(classes, self.frame.clone(), how, (tests as usize, &self.information * share, present))
     }
 
-    /// The classes of reductions that are kept phase by phase, whatever these classes are. `own`: they are those of the reductions.
-    pub(crate) fn by_phase(&self, reductions: &[Reduction], own: bool) -> Cow<'_, [Class]> {
-        if own && self.classes.iter().all(|class| class.chain.is_some()) {
-            return Cow::Borrowed(&self.classes);
+    /// The classes of the reductions, kept phase by phase, whatever these classes are.
+    pub(crate) fn by_phase(&self, reductions: &[Reduction]) -> Cow<'_, Classes> {
+        if self.chained {
+            return self.of(reductions);
         }
         let how = (self.elements.clone(), true);
-        Cow::Owned(Classes::gathered(reductions, &ordered(reductions), self.frame.clone(), how).classes)
+        Cow::Owned(Classes::gathered(reductions, &ordered(reductions), self.frame.clone(), how))
     }
 
     /// One test as a class of its own, in the same η.
@@ -249,46 +261,6 @@ impl Classes {
     }
 }
 
-fn ordered(reductions: &[Reduction]) -> Vec<usize> {
-    let mut order: Vec<usize> = (0..reductions.len()).collect();
-    order.sort_by(|&a, &b| canonical(&reductions[a], &reductions[b]));
-    order
-}
-
-/// Order by R, covariates, then id: a total order that gathers classes and does not see the order of the tests.
-fn canonical(a: &Reduction, b: &Reduction) -> Ordering {
-    compare(&a.factor, &b.factor)
-        .then_with(|| compare(&a.covariates, &b.covariates))
-        .then_with(|| compare_chains(a.chain.as_deref(), b.chain.as_deref()))
-        .then_with(|| a.test.cmp(&b.test))
-}
-
-/// By all matrices of the phases, and where the links come from.
-fn compare_chains(a: Option<&Chain>, b: Option<&Chain>) -> Ordering {
-    let (Some(a), Some(b)) = (a, b) else { return a.is_some().cmp(&b.is_some()) };
-    let of_phases = |(a, b): (&ChainPhase, &ChainPhase)| {
-        let links = match (&a.link, &b.link) {
-            (Some(a), Some(b)) => compare(a.sensitivity.as_slice(), b.sensitivity.as_slice())
-                .then_with(|| compare(a.root.as_slice(), b.root.as_slice())),
-            (a, b) => a.is_some().cmp(&b.is_some()),
-        };
-        compare(&a.factor, &b.factor).then(links)
-    };
-    let different = a.phases.iter().zip(&b.phases).map(of_phases).find(|o| o.is_ne());
-    different.unwrap_or_else(|| a.phases.len().cmp(&b.phases.len()))
-}
-
-fn compare(a: &[f64], b: &[f64]) -> Ordering {
-    let different = a.iter().zip(b).map(|(x, y)| x.total_cmp(y)).find(|o| o.is_ne());
-    different.unwrap_or_else(|| a.len().cmp(&b.len()))
-}
-
-fn same_class(a: &Reduction, b: &Reduction, chained: bool) -> bool {
-    compare(&a.factor, &b.factor).is_eq()
-        && compare(&a.covariates, &b.covariates).is_eq()
-        && (!chained || compare_chains(a.chain.as_deref(), b.chain.as_deref()).is_eq())
-}
-
 /// How many tests have each phase: all have the first one; of tests that are not kept phase by phase, those that say something
 /// of its states.
 fn present(reductions: &[Reduction], elements: &Elements) -> Vec<f64> {
@@ -301,52 +273,25 @@ fn present(reductions: &[Reduction], elements: &Elements) -> Vec<f64> {
     elements.blocks().iter().enumerate().map(count).collect()
 }
 
-/// R'R with the columns of a packed upper triangle in units of the frame.
-fn scaled_gram(factor: &[f64], scale: &[f64]) -> DMatrix<f64> {
-    let p = scale.len();
-    let column = |k: usize| &factor[k * (k + 1) / 2..][..=k];
-    let mut gram = DMatrix::zeros(p, p);
-    for k in 0..p {
-        for i in 0..=k {
+/// Adds n R'R with the columns of a packed upper triangle in units of the frame, to the lower triangle.
+fn add_gram(to: &mut DMatrix<f64>, factor: &[f64], scale: &[f64], n: f64) {
+    let column = |k: usize| &factor[pair(k, 0)..][..=k];
+    for i in 0..scale.len() {
+        for k in i..scale.len() {
             let own: f64 = column(i).iter().zip(column(k)).map(|(a, b)| a * b).sum();
-            gram[(i, k)] = own * scale[i] * scale[k];
-            gram[(k, i)] = gram[(i, k)];
+            to[(k, i)] += n * own * scale[i] * scale[k];
         }
     }
-    gram
 }
 
-/// Centre: pooled least squares. Scale: the average informed test has unit information on each state.
-fn frame(reductions: &[Reduction], order: &[usize], elements: &Elements, regressors: usize) -> Frame {
-    let p = elements.states();
-    let unit = vec![1.0; p];
-    let mut information = DMatrix::zeros(p, p);
-    let mut informed = vec![0.0; p];
-    let mut y = DVector::zeros(p);
-    let mut squares = vec![0.0; regressors];
-    for &j in order {
-        let factor = unpack(&reductions[j].factor, p);
-        let own = match elements.is_single() {
-            true => factor.transpose() * &factor,
-            false => scaled_gram(&reductions[j].factor, &unit),
-        };
-        for i in 0..p {
-            informed[i] += f64::from(u8::from(own[(i, i)] > 0.0));
-        }
-        y += factor.transpose() * DVector::from_column_slice(&reductions[j].data);
-        information += own;
-        squares.iter_mut().zip(&reductions[j].covariates).for_each(|(s, x)| *s += x * x);
-    }
-    let scale: Vec<f64> = (0..p)
-        .map(|i| if information[(i, i)] > 0.0 { (informed[i] / information[(i, i)]).sqrt() } else { 1.0 })
-        .collect();
-    let scaled = DMatrix::from_fn(p, p, |i, j| scale[i] * information[(i, j)] * scale[j]);
-    let right = DVector::from_fn(p, |i, _| scale[i] * y[i]);
-    let solution = symmetric::pseudo_solve(&scaled, &right);
-    let centre = (0..p).map(|i| scale[i] * solution[i]).collect();
-    let n = order.len().max(1) as f64;
-    let covariate_scale = squares.iter().map(|&s| if s > 0.0 { (s / n).sqrt() } else { 1.0 }).collect();
-    Frame { centre, scale, covariate_scale }
+/// A number that other reductions of a test do not have, but by an accident of one in 2^64.
+fn mark(reduction: &Reduction) -> u64 {
+    const ODD: u64 = 0x9e37_79b9_7f4a_7c15; // 2^64 over the golden ratio
+    let mix = |mark: u64, word: u64| (mark ^ word).wrapping_mul(ODD).rotate_left(29);
+    let of_test = reduction.test.bytes().fold(ODD, |mark, byte| mix(mark, u64::from(byte)));
+    let designed = mix(mix(of_test, reduction.design as u64), reduction.constant.to_bits());
+    let numbers = reduction.data.iter().chain(&reduction.factor).chain(&reduction.covariates);
+    numbers.fold(designed, |mark, x| mix(mark, x.to_bits()))
 }
 
 fn gather(reductions: &[Reduction], members: &[usize], frame: &Frame, (elements, chained): (&Elements, bool)) -> Class {
@@ -354,28 +299,35 @@ fn gather(reductions: &[Reduction], members: &[usize], frame: &Frame, (elements,
     if chained && first.chain.is_some() {
         return gather_chains(reductions, members, frame, elements);
     }
-    let user = unpack(&first.factor, p);
-    let offset = &user * DVector::from_column_slice(&frame.centre);
-    let count = members.len() as f64;
-    let centred = |j: usize| DVector::from_column_slice(&reductions[j].data) - &offset;
-    let mut mean = DVector::zeros(p);
-    for &j in members {
-        mean += centred(j);
-    }
-    mean /= count;
-    let scatter = (members.len() > 1).then(|| {
-        let mut scatter = DMatrix::zeros(p, p);
-        for &j in members {
-            let away = centred(j) - &mean;
-            scatter += &away * away.transpose();
+    let mut factor = vec![0.0; p * p];
+    let mut offset = vec![0.0; p]; // R × the centre
+    for k in 0..p {
+        for (i, &x) in first.factor[pair(k, 0)..][..=k].iter().enumerate() {
+            factor[i * p + k] = x * frame.scale[k];
+            offset[i] += x * frame.centre[k];
         }
-        rows(&scatter)
+    }
+    let count = members.len() as f64;
+    let mut mean = vec![0.0; p];
+    for data in members.iter().map(|&j| &reductions[j].data) {
+        (0..p).for_each(|i| mean[i] += data[i] - offset[i]);
+    }
+    mean.iter_mut().for_each(|m| *m /= count);
+    let scatter = (members.len() > 1).then(|| {
+        let mut scatter = vec![0.0; p * p];
+        for data in members.iter().map(|&j| &reductions[j].data) {
+            let away: Vec<f64> = (0..p).map(|i| data[i] - offset[i] - mean[i]).collect();
+            for (row, a) in scatter.chunks_exact_mut(p.max(1)).zip(&away) {
+                row.iter_mut().zip(&away).for_each(|(s, b)| *s += a * b);
+            }
+        }
+        scatter
     });
     Class {
         count,
         constant: members.iter().map(|&j| reductions[j].constant).sum(),
-        factor: rows(&DMatrix::from_fn(p, p, |i, k| user[(i, k)] * frame.scale[k])),
-        mean: mean.as_slice().to_vec(),
+        factor,
+        mean,
         scatter,
         covariates: covariates(first, frame),
         square_root: members.iter().any(|&j| reductions[j].path == Path::SquareRoot),
@@ -402,13 +354,4 @@ fn gather_chains(reductions: &[Reduction], members: &[usize], frame: &Frame, ele
 /// Covariates in units of the frame.
 fn covariates(reduction: &Reduction, frame: &Frame) -> Vec<f64> {
     reduction.covariates.iter().zip(&frame.covariate_scale).map(|(x, s)| x / s).collect()
-}
-
-/// The packed R of a reduction as a matrix.
-pub(crate) fn unpack(factor: &[f64], p: usize) -> DMatrix<f64> {
-    DMatrix::from_fn(p, p, |i, k| if i <= k { factor[i + k * (k + 1) / 2] } else { 0.0 })
-}
-
-fn rows(matrix: &DMatrix<f64>) -> Vec<f64> {
-    matrix.transpose().as_slice().to_vec()
 }

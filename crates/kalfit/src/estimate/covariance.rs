@@ -10,7 +10,7 @@ use std::ops::Range;
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::chart::Chart;
-use crate::estimate::classes::Frame;
+use crate::estimate::frame::Frame;
 use crate::estimate::structure::Structure;
 use crate::linalg::elements::Elements;
 use crate::linalg::symmetric::{self, pairs};

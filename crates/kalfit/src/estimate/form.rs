@@ -2,8 +2,8 @@
 
 use nalgebra::DMatrix;
 
-use crate::estimate::classes::Frame;
 use crate::estimate::covariance::{Constraint, CovarianceMap, Form, Part};
+use crate::estimate::frame::Frame;
 use crate::estimate::linear::Linear;
 use crate::linalg::elements::Elements;
 use crate::linalg::symmetric;

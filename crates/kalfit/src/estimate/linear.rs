@@ -5,8 +5,8 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::classes::Frame;
 use crate::estimate::covariance::{Constraint, CovarianceMap, place, sub};
+use crate::estimate::frame::Frame;
 use crate::linalg::echelon::echelon;
 use crate::linalg::symmetric;
 use crate::model::{CovarianceStructure, StructureError};

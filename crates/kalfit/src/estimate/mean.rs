@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::classes::Frame;
+use crate::estimate::frame::Frame;
 use crate::estimate::structure::Structure;
 use crate::linalg::symmetric;
 use crate::model::MeanElement;

@@ -16,6 +16,7 @@
 //! The estimator sees reductions, never data. [`fit`] returns an [`Estimate`], which always carries the optimality
 //! [`Certificate`]: an estimate without one cannot be written down.
 
+mod canonical;
 mod certificate;
 mod chained;
 mod chart;
@@ -27,6 +28,7 @@ mod em;
 mod exact;
 mod expected;
 mod form;
+mod frame;
 mod lanes;
 mod likelihood;
 mod linear;
@@ -51,6 +53,7 @@ mod together;
 mod unobserved;
 
 use std::borrow::Cow;
+use std::collections::HashSet;
 
 use nalgebra::DMatrix;
 
@@ -60,7 +63,7 @@ pub use settings::{Combination, Criterion, Progress, Settings, Silent, Solver, S
 pub use structure::{PhaseStructure, Structure};
 
 pub(crate) use chained::{Chained, Detail};
-pub(crate) use classes::{Class, unpack};
+pub(crate) use classes::{Class, Classes};
 pub(crate) use climb::{Limits, climb};
 pub(crate) use covariance::{Constraint, CovarianceMap, Form, Part};
 pub(crate) use elsewhere::InitialLaw;
@@ -72,7 +75,7 @@ pub(crate) use problem::Problem;
 pub(crate) use start::generic_root;
 pub(crate) use structure::Assumed;
 pub(crate) use terms::{Point, Terms};
-pub(crate) use together::each;
+pub(crate) use together::{each, in_parts};
 
 use rayon::prelude::*;
 
@@ -294,14 +297,19 @@ fn evidence<'a>(
     Ok(Cow::Owned(reductions.par_iter().map(one).collect::<Result<_, _>>()?))
 }
 
+/// Of ids that two tests have, the first by order.
+fn twice(reductions: &[Reduction]) -> Option<&str> {
+    let mut seen = HashSet::with_capacity(reductions.len());
+    let again = reductions.iter().map(|r| r.test.as_str()).filter(|id| !seen.insert(*id));
+    again.min()
+}
+
 fn problem(reductions: &[Reduction], structure: &Structure<'_>, settings: &Settings) -> Result<Problem, FitError> {
     if reductions.is_empty() {
         return Err(FitError::NoTests);
     }
-    let mut ids: Vec<&str> = reductions.iter().map(|r| r.test.as_str()).collect();
-    ids.sort_unstable();
-    if let Some(twice) = ids.windows(2).find(|pair| pair[0] == pair[1]) {
-        return Err(FitError::DuplicateTest { id: twice[0].to_owned() });
+    if let Some(id) = twice(reductions) {
+        return Err(FitError::DuplicateTest { id: id.to_owned() });
     }
     Ok(Problem::new(reductions, structure, (settings.criterion, settings.phases))?)
 }

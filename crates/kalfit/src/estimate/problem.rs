@@ -1,6 +1,7 @@
 //! The problem as a whole: classes, the structure of μ and Σ, and a count of the passes.
 
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 use nalgebra::{DMatrix, DVector};
 
@@ -8,6 +9,7 @@ use crate::estimate::classes::{Class, Classes};
 use crate::estimate::covariance::CovarianceMap;
 use crate::estimate::local::{Local, Objective};
 use crate::estimate::mean::MeanMap;
+use crate::estimate::newton::Place;
 use crate::estimate::pass::{FlatMean, Order, Sums, of_class, pass};
 use crate::estimate::reml::Restriction;
 use crate::estimate::terms::Point;
@@ -25,6 +27,10 @@ pub(crate) struct Problem {
     mean_jacobian: DMatrix<f64>,
     restriction: Option<Restriction>,
     passes: AtomicUsize,
+    /// The search looks for its end: what it finds of a place may be the last.
+    ending: AtomicBool,
+    /// The last place that it looked at since, with all that is known there.
+    last: Mutex<Option<(Point, Sums)>>,
 }
 
 impl Problem {
@@ -54,7 +60,16 @@ impl Problem {
                 &mean.by_user(structure, &classes.frame),
             )
         });
-        Ok(Problem { classes, mean, covariance, mean_jacobian, restriction, passes: AtomicUsize::new(0) })
+        Ok(Problem {
+            classes,
+            mean,
+            covariance,
+            mean_jacobian,
+            restriction,
+            passes: AtomicUsize::new(0),
+            ending: AtomicBool::new(false),
+            last: Mutex::new(None),
+        })
     }
 
     /// What is maximised and its derivatives: one pass over the classes. The restricted likelihood's second derivatives hold
@@ -71,6 +86,20 @@ impl Problem {
         let information = self.mean_jacobian.transpose() * &sums.mean_information * &self.mean_jacobian;
         let restricted = restriction.at(&information, sums.spread(), &self.classes.elements)?;
         Some(sums.restrict(restricted))
+    }
+
+    /// Whether the next place may be the last one, of which the expected information is wanted too: it is then found in the same pass.
+    pub(crate) fn ends_soon(&self, soon: bool) {
+        self.ending.store(soon && self.restriction.is_none(), Ordering::Relaxed);
+    }
+
+    /// All that is known of a place where the search ends: one pass, if the search did not do it.
+    pub(crate) fn at_end(&self, place: &Place) -> Option<Sums> {
+        let last = self.last.lock().unwrap_or_else(PoisonError::into_inner).take();
+        match last {
+            Some((point, sums)) if point == place.point => Some(sums),
+            _ => self.sums(&place.point, Order::Expected, None),
+        }
     }
 
     /// ℓ and its derivatives, whatever is maximised: one pass.
@@ -147,7 +176,13 @@ pub(crate) fn scaled_solve(a: &DMatrix<f64>, b: &DVector<f64>) -> DVector<f64> {
 
 impl Objective for Problem {
     fn local(&self, point: &Point, near: Option<&DMatrix<f64>>) -> Option<Local> {
-        Some(Local::from(&self.sums(point, Order::Second, near)?))
+        if !self.ending.load(Ordering::Relaxed) {
+            return Some(Local::from(&self.sums(point, Order::Second, near)?));
+        }
+        let sums = self.sums(point, Order::Expected, near)?;
+        let local = Local::from(&sums);
+        *self.last.lock().unwrap_or_else(PoisonError::into_inner) = Some((point.clone(), sums));
+        Some(local)
     }
 
     fn mean_jacobian(&self) -> &DMatrix<f64> {

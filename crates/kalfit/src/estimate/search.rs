@@ -26,6 +26,10 @@ const KEPT: f64 = 0.7;
 /// so many mean coordinates and elements of Σ.
 const FAST: f64 = 0.1;
 const CHEAP: usize = 120;
+/// Where no step raises ℓ any more, for rounding, so many tolerances are near enough: a millionth of a standard error.
+const NEAR_ENOUGH: f64 = 1e2;
+/// From a place with a decrement below this the next step is likely to be the last: Newton's method squares it, more or less.
+const NEAR_END: f64 = 1e-3;
 /// Decrement that ends a search on a part of the tests: far below the sampling error that it has from all.
 const ROUGH: f64 = 1e-2;
 /// EM passes between two looks at the certificate.
@@ -120,6 +124,7 @@ impl<'a> Search<'a> {
             if let Some(stop) = self.ends() {
                 return Ok((place, stop));
             }
+            self.problem.ends_soon(place.decrement() < NEAR_END);
             let fast = place.decrement() < FAST * before;
             before = place.decrement();
             if (!fast || place.local.gradient_size() <= CHEAP)
@@ -138,6 +143,9 @@ impl<'a> Search<'a> {
                     failures += 1;
                     match self.safeguard(&place)? {
                         Some(next) if failures <= 3 => place = next,
+                        _ if place.decrement() <= NEAR_ENOUGH * self.settings.tolerance => {
+                            return Ok((place, Stop::Certified));
+                        }
                         _ => return Ok((place, Stop::Stalled)),
                     }
                 }
@@ -246,10 +254,11 @@ impl<'a> Search<'a> {
             place = self.place(place.point.clone(), place.near())?;
         }
         let passes = self.problem.passes();
-        let sums = self.sums(&place.point, Order::Expected)?;
+        self.problem.ends_soon(false);
+        let sums = self.problem.at_end(&place).ok_or(FitError::NotFinite)?;
         let tests = self.problem.classes.tests as f64;
         let (certificate, _) = certificate(&self.problem.covariance, &place, tests);
-        if stop == Stop::Certified && !certificate.holds(self.settings.tolerance) {
+        if stop == Stop::Certified && !certificate.holds(NEAR_ENOUGH * self.settings.tolerance) {
             stop = Stop::Stalled;
         }
         let settings = self.settings.clone();

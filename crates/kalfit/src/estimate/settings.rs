@@ -44,7 +44,8 @@ pub struct Settings {
     pub criterion: Criterion,
     /// How phases are put together.
     pub phases: Combination,
-    /// Stop when the Newton decrement is at most this: the distance to the optimum in standard errors.
+    /// Stop when the Newton decrement is at most this: the distance to the optimum in standard errors. Where rounding keeps every step
+    /// from raising ℓ, a hundred times as much is near enough.
     pub tolerance: f64,
     /// Largest number of passes over the reductions.
     pub max_passes: usize,

@@ -49,13 +49,13 @@ pub struct Examination {
 /// All of it before any fit: at the start values.
 pub fn examine_at_start(reductions: &[Reduction], structure: &Structure<'_>) -> Result<Examination, FitError> {
     let (problem, place, sums) = crate::estimate::at_start(reductions, structure)?;
-    Ok(examination((&problem, &place, &sums), reductions, phases(&problem, reductions, true)))
+    Ok(examination((&problem, &place, &sums), reductions, phases(&problem, reductions)))
 }
 
 /// `evidence`: what the estimate was made from, where that is not the reductions.
 pub(crate) fn examine(estimate: &Estimate, evidence: &[Reduction], reductions: &[Reduction]) -> Examination {
     let state = &estimate.state;
-    let phases = phases(&state.problem, reductions, !state.is_marginal());
+    let phases = phases(&state.problem, reductions);
     examination((&state.problem, &state.place, &state.sums), evidence, phases)
 }
 

@@ -10,14 +10,11 @@
 //! on the free directions of μ: test j's part of that sum is its share of what is known of the mean. A direction of the mean
 //! is weakly determined when it is nearly one that nothing was observed of: its condition index (Belsley, Kuh, Welsch 1980),
 //! √(λ_max / λ) of I scaled to unit diagonal, exceeds [`WEAK`]. None of these figures depends on units.
-#![expect(non_snake_case, reason = "W is the letter of the theory")]
 
-use std::cmp::Ordering;
-
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DMatrixView, DVector};
 use rayon::prelude::*;
 
-use crate::estimate::{Detail, Form, Part, Place, Problem, each};
+use crate::estimate::{Classes, Detail, Form, Part, Place, Problem, in_parts};
 use crate::infer::identifiability::{NONE, unit};
 use crate::linalg::fold::norm;
 use crate::linalg::symmetric;
@@ -25,8 +22,6 @@ use crate::reduce::Reduction;
 
 /// Condition index beyond which a direction of the mean is weakly determined; 30 is Belsley, Kuh and Welsch's "strong".
 pub const WEAK: f64 = 30.0;
-/// Designs that one thread takes at a time; sums are over these, then over all.
-const CHUNK: usize = 256;
 /// No more ids of tests than this are listed.
 pub const MOST_TESTS: usize = 20;
 /// A column of R below this part of that of the test with the largest is rounding error.
@@ -92,7 +87,7 @@ pub struct Shortage {
     pub rank: usize,
 }
 
-/// Tests with one R.
+/// Tests of one class.
 struct Design<'a> {
     /// In order of their ids.
     tests: Vec<&'a Reduction>,
@@ -107,8 +102,9 @@ pub(crate) fn observability(
     reductions: &[Reduction],
 ) -> Observability {
     let p = problem.classes.dimension();
-    let designs = designs(reductions, p);
-    let shares = Shares { problem, place, designs: &designs };
+    let classes = problem.classes.of(reductions);
+    let designs = designs(&classes, reductions);
+    let shares = Shares { problem, place, classes: &classes, designs: &designs };
     let (known, weak) = known_and_weak(problem, weight);
     let mut directions: Vec<DVector<f64>> = known.iter().flatten().cloned().collect();
     directions.extend(weak.iter().map(|(direction, _)| direction.clone()));
@@ -149,28 +145,20 @@ impl Observability {
     }
 }
 
-/// Gathers tests by R, in an order that does not see theirs.
-fn designs(reductions: &[Reduction], p: usize) -> Vec<Design<'_>> {
-    let by_factor = |a: &Reduction, b: &Reduction| {
-        let different = a.factor.iter().zip(&b.factor).map(|(x, y)| x.total_cmp(y)).find(|o| o.is_ne());
-        different.unwrap_or(Ordering::Equal)
-    };
-    let mut order: Vec<&Reduction> = reductions.iter().collect();
-    order.sort_by(|a, b| by_factor(a, b).then_with(|| a.test.cmp(&b.test)));
+/// The tests of each class.
+fn designs<'a>(classes: &Classes, reductions: &'a [Reduction]) -> Vec<Design<'a>> {
+    let p = classes.dimension();
     let norm = |r: &Reduction, k: usize| norm(&r.factor[k * (k + 1) / 2..][..=k]);
-    let largest: Vec<f64> = (0..p).map(|k| order.iter().map(|r| norm(r, k)).fold(0.0, f64::max)).collect();
-    let gather = |tests: &[&'_ Reduction]| {
-        let informs: Vec<bool> = (0..p).map(|k| norm(tests[0], k) > TRACE * largest[k]).collect();
-        let observes = observed(&tests[0].factor, &informs);
-        (informs, observes)
+    let first = |members: &Vec<usize>| &reductions[members[0]];
+    let norms = |members: &Vec<usize>| -> Vec<f64> { (0..p).map(|k| norm(first(members), k)).collect() };
+    let all: Vec<Vec<f64>> = classes.members().par_iter().map(norms).collect();
+    let largest: Vec<f64> = (0..p).map(|k| all.iter().map(|norms| norms[k]).fold(0.0, f64::max)).collect();
+    let of = |(members, norms): (&Vec<usize>, &Vec<f64>)| {
+        let informs: Vec<bool> = (0..p).map(|k| norms[k] > TRACE * largest[k]).collect();
+        let observes = observed(&first(members).factor, &informs);
+        Design { tests: members.iter().map(|&j| &reductions[j]).collect(), informs, observes }
     };
-    let same: Vec<&[&Reduction]> = order.chunk_by(|a, b| by_factor(a, b).is_eq()).collect();
-    same.into_par_iter()
-        .map(|tests| {
-            let (informs, observes) = gather(tests);
-            Design { tests: tests.to_vec(), informs, observes }
-        })
-        .collect()
+    classes.members().par_iter().zip(&all).map(of).collect()
 }
 
 /// For each state whether its unit vector is in the range of J = R'R, on the states it informs.
@@ -269,48 +257,32 @@ fn known_and_weak(problem: &Problem, weight: &DMatrix<f64>) -> (Vec<Option<DVect
 struct Shares<'a> {
     problem: &'a Problem,
     place: &'a Place,
+    classes: &'a Classes,
     designs: &'a [Design<'a>],
 }
 
 impl Shares<'_> {
     /// For each direction u the test with the largest u'W_ju, and its share of their sum.
     fn leading(&self, directions: &[DVector<f64>]) -> Vec<Option<Leading>> {
+        let p = self.classes.dimension();
         let mut all = Parts::none(directions.len());
-        let chunks: Vec<Parts<'_>> =
-            self.designs.par_chunks(CHUNK).map(|designs| self.parts(designs, directions)).collect();
-        chunks.into_iter().for_each(|parts| all.add(parts));
+        let directions = DMatrix::from_fn(p, directions.len(), |i, c| directions[c][i]);
+        let (regressors, point) = (&self.problem.mean.regressors, &self.place.point);
+        let none = || Parts::none(directions.ncols());
+        let parts = in_parts(self.classes, regressors, point, Detail::Between, &none, &|parts, k, terms| {
+            let products = DMatrixView::from_slice(&terms.W, p, p) * &directions; // W is symmetric
+            for (c, u) in directions.column_iter().enumerate() {
+                let (own, tests) = (u.dot(&products.column(c)), &self.designs[k].tests);
+                parts.totals[c] += own * tests.len() as f64;
+                parts.offer(c, own, &tests[0].test);
+            }
+        });
+        parts.into_iter().for_each(|parts| all.add(parts));
         let Parts { totals, best } = all;
         let share = |(best, total): (Option<(f64, &str)>, f64)| {
             best.map(|(own, id)| Leading { test: id.to_owned(), share: (own / total).min(1.0) })
         };
         best.into_iter().zip(totals).map(share).collect()
-    }
-
-    fn parts<'b>(&self, designs: &'b [Design<'_>], directions: &[DVector<f64>]) -> Parts<'b> {
-        let p = self.problem.classes.dimension();
-        let mut parts = Parts::none(directions.len());
-        let several = !self.problem.covariance.elements.is_single();
-        let classes: Vec<_> = designs.iter().map(|design| self.problem.classes.single(design.tests[0])).collect();
-        let all = DMatrix::from_fn(p, directions.len(), |i, c| directions[c][i]);
-        each(
-            &classes.iter().collect::<Vec<_>>(),
-            &self.problem.mean.regressors,
-            &self.place.point,
-            Detail::Between,
-            &mut |k, terms| {
-                let W = DMatrix::from_row_slice(p, p, &terms.W);
-                let products = if several { Some(&W * &all) } else { None }; // at once, where there are many
-                for (c, u) in directions.iter().enumerate() {
-                    let own = match &products {
-                        Some(products) => u.dot(&products.column(c)),
-                        None => u.dot(&(&W * u)),
-                    };
-                    parts.totals[c] += own * designs[k].tests.len() as f64;
-                    parts.offer(c, own, &designs[k].tests[0].test);
-                }
-            },
-        );
-        parts
     }
 }
 

@@ -22,15 +22,15 @@ pub struct PhaseObservability {
     pub entered: Vec<Vec<f64>>,
 }
 
-/// By phase; empty where tests are not kept phase by phase. `own`: the problem is about these reductions. Looks only at as many tests as it takes to find every rank full.
-pub(crate) fn phases(problem: &Problem, reductions: &[Reduction], own: bool) -> Vec<PhaseObservability> {
+/// By phase; empty where tests are not kept phase by phase. Looks only at as many tests as it takes to find every rank full.
+pub(crate) fn phases(problem: &Problem, reductions: &[Reduction]) -> Vec<PhaseObservability> {
     let elements = &problem.covariance.elements;
     let count = elements.blocks().len();
     if elements.is_single() {
         return vec![single(problem)];
     }
-    let classes = problem.classes.by_phase(reductions, own);
-    let chains: Option<Vec<&Chained>> = classes.iter().map(|class| class.chain.as_deref()).collect();
+    let classes = problem.classes.by_phase(reductions);
+    let chains: Option<Vec<&Chained>> = classes.classes.iter().map(|class| class.chain.as_deref()).collect();
     let Some(chains) = chains else { return Vec::new() };
     let mut found: Vec<PhaseObservability> = Vec::with_capacity(count);
     let mut before = DMatrix::zeros(elements.states(), 0);

@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-use crate::estimate::{Class, Detail, Estimate, Point, Problem, Terms, each};
+use crate::estimate::{Class, Classes, Detail, Estimate, Point, Problem, Terms, each, in_parts};
 use crate::linalg::posterior_root;
 use crate::reduce::Reduction;
 
@@ -39,7 +39,25 @@ const CHUNK: usize = 64;
 
 /// Posteriors of all tests, in their order.
 pub fn posteriors(estimate: &Estimate, reductions: &[Reduction]) -> Vec<Posterior> {
+    let problem = &estimate.state.problem;
+    let classes = problem.classes.of(reductions);
+    if classes.are_single() {
+        return of_classes((problem, &classes), &estimate.state.place.point, reductions);
+    }
     reductions.par_chunks(CHUNK).flat_map_iter(|reductions| chunk(estimate, reductions)).collect()
+}
+
+/// Of tests that are classes to themselves.
+fn of_classes((problem, classes): (&Problem, &Classes), point: &Point, reductions: &[Reduction]) -> Vec<Posterior> {
+    let sigma = point.covariance();
+    let told = |found: &mut Vec<(usize, Posterior)>, k: usize, terms: &Terms| {
+        let test = classes.members()[k][0];
+        found.push((test, posterior((problem, point, &sigma), terms, &classes.classes[k], &reductions[test])));
+    };
+    let parts = in_parts(classes, &problem.mean.regressors, point, Detail::Posterior, &Vec::new, &told);
+    let mut found: Vec<Option<Posterior>> = vec![None; reductions.len()];
+    parts.into_iter().flatten().for_each(|(test, posterior)| found[test] = Some(posterior));
+    found.into_iter().map(|one| one.expect("every test has a class")).collect()
 }
 
 fn chunk(estimate: &Estimate, reductions: &[Reduction]) -> Vec<Posterior> {

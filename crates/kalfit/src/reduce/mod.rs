@@ -75,6 +75,7 @@ pub use flops::reduction_flops;
 pub use phased::PhasedReducer;
 pub use plain::{Plain, StepMatrices, Terminal};
 pub use reducer::{Reducer, Work};
+pub(crate) use reduction::unpack;
 pub use reduction::{Path, Reduction};
 pub use split::SplitError;
 pub use suboptimal::{EstimateReducer, FilterRunner, Lost, LostError, lost};

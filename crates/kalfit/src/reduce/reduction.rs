@@ -1,5 +1,7 @@
 //! The reduction of a test.
 
+use nalgebra::DMatrix;
+
 use crate::reduce::Chain;
 
 /// log p(z | ξ) = constant - ½ ‖d - R ξ‖², exactly, for every ξ: the square-root information form of (c, y, J), with
@@ -36,4 +38,9 @@ pub enum Path {
     Information,
     /// Square-root arrays folded by QR: for tests too ill-conditioned for the fast path.
     SquareRoot,
+}
+
+/// The packed R of a reduction as a matrix.
+pub(crate) fn unpack(factor: &[f64], p: usize) -> DMatrix<f64> {
+    DMatrix::from_fn(p, p, |i, k| if i <= k { factor[i + k * (k + 1) / 2] } else { 0.0 })
 }

@@ -2,9 +2,9 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::{InitialLaw, unpack};
+use crate::estimate::InitialLaw;
 use crate::linalg::posterior_root;
-use crate::reduce::Reduction;
+use crate::reduce::{Reduction, unpack};
 
 /// E[ξ | z] and a root C of Var[ξ | z] = CC'.
 #[derive(Debug, Clone, PartialEq, Default)]

@@ -7,12 +7,13 @@ use rand_distr::StandardNormal;
 
 use super::*;
 use crate::ensemble::{Labels, Source};
-use crate::estimate::{InitialLaw, unpack};
+use crate::estimate::InitialLaw;
 use crate::model::{
     Clock, Column, CovarianceStructure, Expression, Initial, Linear, MeanStructure, Measurement, Model, Motion,
     Operator, Parameter, State, Value,
 };
 use crate::reduce::Reduction;
+use crate::reduce::unpack;
 
 fn number(x: f64) -> Expression {
     Expression::Number(x)

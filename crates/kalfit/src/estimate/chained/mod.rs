@@ -12,7 +12,7 @@ use kalfit_lanes::Real;
 use nalgebra::DMatrix;
 
 use crate::estimate::chained::kernel::{Prior, compressed};
-use crate::estimate::classes::Frame;
+use crate::estimate::frame::Frame;
 use crate::linalg::rows::{Plain, Rotations, Rows};
 use crate::reduce::{Chain, ChainPhase, Path, Reduction};
 
@@ -205,6 +205,10 @@ fn centred(chain: &Chain, ranges: &[Range<usize>], frame: &Frame) -> Vec<Vec<f64
 /// The mean of the data of the tests, then columns whose outer products add up to the scatter about it: one for each test, or, if
 /// that is less, one for each number of data.
 fn columns(data: &[Vec<Vec<f64>>]) -> Rows {
+    if let [alone] = data {
+        let all = alone.concat();
+        return Rows::from_vec(all.len(), 1, all);
+    }
     let all: Vec<Vec<f64>> = data.iter().map(|test| test.concat()).collect();
     let (n, size) = (all.len(), all[0].len());
     let mut mean = vec![0.0; size];
@@ -212,7 +216,6 @@ fn columns(data: &[Vec<Vec<f64>>]) -> Rows {
     mean.iter_mut().for_each(|m| *m /= n as f64);
     let away = |j: usize, i: usize| all[j][i] - mean[i];
     let scatter = match n {
-        1 => Rows::zeros(0, size),
         n if n <= size => Rows::from_fn(n, size, away),
         n => compressed::<Plain<f64>>(Rows::from_fn(n, size, away)),
     };

@@ -9,11 +9,11 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
-use crate::estimate::{Estimate, Silent, State, Stop, fit, fit_from, unpack};
+use crate::estimate::{Estimate, Silent, State, Stop, fit, fit_from};
 use crate::infer::ratio::nested::regressions;
 use crate::linalg::symmetric;
 use crate::model::Population;
-use crate::reduce::Reduction;
+use crate::reduce::{Reduction, unpack};
 
 /// How many ensembles to draw, and the seed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -101,7 +101,7 @@ fn prior() -> (DVector<f64>, DMatrix<f64>) {
 fn likelihood(numbers: &Numbers) -> f64 {
     let (_, _, _, reduction) = reduced(numbers);
     let (mean, root) = prior();
-    let factor = crate::estimate::unpack(&reduction.factor, 3);
+    let factor = crate::reduce::unpack(&reduction.factor, 3);
     let residual = DVector::from_vec(reduction.data) - &factor * mean;
     let rf = factor * root;
     let spread = DMatrix::identity(3, 3) + &rf * rf.transpose();

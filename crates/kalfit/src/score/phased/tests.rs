@@ -6,11 +6,11 @@ use nalgebra::{DMatrix, DVector};
 
 use super::*;
 use crate::ensemble::{Label, Labels, Source};
-use crate::estimate::unpack;
 use crate::model::{
     Carry, Clock, Column, CovarianceStructure, Expression, Initial, Linear, MeanStructure, Measurement, Model, Motion,
     Operator, Parameter, Phase, State, Value,
 };
+use crate::reduce::unpack;
 
 fn number(x: f64) -> Expression {
     Expression::Number(x)

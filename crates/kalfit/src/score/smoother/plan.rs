@@ -2,9 +2,8 @@
 
 use nalgebra::DMatrix;
 
-use crate::estimate::unpack;
 use crate::linalg::{compressed, log_determinant, posterior_root, whitened, whitener};
-use crate::reduce::PhaseReduction;
+use crate::reduce::{PhaseReduction, unpack};
 use crate::score::smoother::{PhaseLaw, PhaseLaws, beside, inherited, terminal};
 
 /// The smoother of the tests of one design under one law.
