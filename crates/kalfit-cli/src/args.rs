@@ -160,6 +160,11 @@ pub(crate) struct FitArgs {
     #[arg(long, value_enum, value_name = "WHEN", default_value_t = InnovationsArg::On)]
     pub(crate) innovations: InnovationsArg,
 
+    /// Leave out what each test says, its innovations and the fits without it: `tests` of the results is empty. For millions of
+    /// tests, of which that would take more time, memory and disk than the fit
+    #[arg(long, conflicts_with_all = ["deletion", "innovations"])]
+    pub(crate) no_tests: bool,
+
     /// Print nothing but errors
     #[arg(long)]
     pub(crate) quiet: bool,

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use clap_complete::Shell;
 use kalfit::dynamic::{self, Method};
 use kalfit::estimate::{Combination, Criterion, Settings, Solver};
-use kalfit::infer::{Bootstrap, Choices, DeletionChoice, IntervalKind, StdErrors};
+use kalfit::infer::{Bootstrap, Choices, DeletionChoice, IntervalKind, StdErrors, TestsChoice};
 use kalfit_data::Datum;
 use kalfit_job::{CheckJob, ExchangeJob, Failure, FitJob, ModelJob, PlanJob, ReportJob, SimulateJob, TestJob};
 
@@ -184,6 +184,7 @@ impl From<FitArgs> for FitJob {
                 DeletionArg::All => DeletionChoice::All,
                 DeletionArg::None => DeletionChoice::None,
             },
+            tests: if args.no_tests { TestsChoice::None } else { TestsChoice::Each },
         };
         let search = dynamic::Settings {
             method: Method::Hybrid,
@@ -205,7 +206,7 @@ impl From<FitArgs> for FitJob {
                 MethodArg::All => None,
             },
             choices,
-            innovations: args.innovations == InnovationsArg::On,
+            innovations: args.innovations == InnovationsArg::On && !args.no_tests,
             keeps_stopped: true,
         }
     }

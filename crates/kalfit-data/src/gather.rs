@@ -1,11 +1,12 @@
 //! Rows into tests.
 
 use std::collections::{BTreeMap, HashMap};
+use std::ops::Range;
 
 use kalfit::{Label, Source, Test};
 
+use crate::block::Block;
 use crate::moment::Moment;
-use crate::row::Row;
 
 /// Gathers rows by test. Streaming, a test is complete when the next one begins; holding, when all is read.
 pub(crate) struct Gather {
@@ -60,15 +61,15 @@ impl Times {
     }
 }
 
-/// What became of a row.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Outcome {
-    /// It stands in its test.
-    Gathered,
-    /// Its test was complete already (streaming only): everything must be read again, holding.
+/// Whose turn it is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Turn {
+    /// A test that was not seen before.
+    New,
+    /// One that was.
+    Known,
+    /// One that was complete already (streaming only): everything must be read again, holding.
     Returned,
-    /// Its time is before this one, of the row before it in its test and phase.
-    Before(Moment),
 }
 
 /// A batch is handed over when it has this many tests or cells.
@@ -96,29 +97,59 @@ impl Gather {
         }
     }
 
-    /// Puts a row into its test. `unit`: nanoseconds in the unit that date-times are read in.
-    pub(crate) fn push(&mut self, row: &mut Row, source: Source, unit: i128) -> Outcome {
-        if self.open.get(self.current).is_none_or(|open| open.test.id != row.id) {
-            match self.seen.get(&row.id) {
-                Some(_) if !self.holds => return Outcome::Returned,
-                Some(&known) => self.current = known,
-                None => self.begin(&row.id),
+    /// Turns to the test of the next rows.
+    pub(crate) fn turn(&mut self, id: &str) -> Turn {
+        if self.open.get(self.current).is_some_and(|open| open.test.id == id) {
+            return Turn::Known;
+        }
+        match self.seen.get(id) {
+            Some(_) if !self.holds => Turn::Returned,
+            Some(&known) => {
+                self.current = known;
+                Turn::Known
+            }
+            None => {
+                self.begin(id);
+                Turn::New
             }
         }
-        let open = &mut self.open[self.current];
-        if let Some(now) = row.time {
-            let phase = self.phase_cell.map_or(Label::MISSING, |cell| row.texts[cell]);
-            let new = || Times { first: now, phase, last: now, others: BTreeMap::new() };
-            let times = open.times.get_or_insert_with(new);
-            if let Err(last) = times.advance(phase, now) {
-                return Outcome::Before(last);
-            }
-            for &cell in &self.time_cells {
-                row.numbers[cell] = now.value(times.first, unit);
+    }
+
+    /// Id of the test whose turn it is.
+    pub(crate) fn current(&self) -> &str {
+        self.open.get(self.current).map_or("", |open| &open.test.id)
+    }
+
+    /// Puts rows of a block into the test whose turn it is. `unit`: nanoseconds in the unit that date-times are read in.
+    ///
+    /// # Errors
+    /// A row whose time is before this one, of the row before it in its test and phase.
+    pub(crate) fn take(
+        &mut self,
+        block: &mut Block,
+        rows: Range<usize>,
+        file: u32,
+        unit: i128,
+    ) -> Result<(), (usize, Moment)> {
+        let Open { test, times } = &mut self.open[self.current];
+        if !block.times.is_empty() {
+            for row in rows.clone() {
+                let now = block.times[row];
+                let phase = self.phase_cell.map_or(Label::MISSING, |cell| block.texts[row * self.texts + cell]);
+                let new = || Times { first: now, phase, last: now, others: BTreeMap::new() };
+                let times = times.get_or_insert_with(new);
+                times.advance(phase, now).map_err(|last| (row, last))?;
+                for &cell in &self.time_cells {
+                    block.numbers[row * self.numbers + cell] = now.value(times.first, unit);
+                }
             }
         }
-        open.test.push(&row.numbers, &row.texts, source);
-        Outcome::Gathered
+        for (part, row) in block.numbered(rows) {
+            let numbers = &block.numbers[part.start * self.numbers..part.end * self.numbers];
+            let texts = &block.texts[part.start * self.texts..part.end * self.texts];
+            test.push_rows(part.len(), numbers, texts, Source { file, row });
+        }
+        Ok(())
     }
 
     fn begin(&mut self, id: &str) {

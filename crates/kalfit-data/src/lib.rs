@@ -36,6 +36,7 @@
 //! panic of the Parquet or Arrow libraries on broken bytes is caught and becomes [`DataError::Crashed`] (the panic hook
 //! still runs). This needs unwinding: do not build with `panic = "abort"`.
 
+mod block;
 mod cell;
 mod error;
 pub mod exchange;
@@ -47,7 +48,6 @@ mod memory;
 mod moment;
 mod pass;
 mod reading;
-mod row;
 mod spool;
 mod table;
 mod wanted;

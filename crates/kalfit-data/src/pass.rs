@@ -1,15 +1,18 @@
 //! One pass over all inputs.
 
-use kalfit::{Labels, PhasedModel, Source, Test};
+use std::ops::Range;
 
+use kalfit::{Labels, PhasedModel, Test};
+
+use crate::block::Block;
 use crate::error::{DataError, Place, ReadError, shown};
-use crate::gather::{Gather, Outcome};
+use crate::gather::{Gather, Turn};
 use crate::input::Input;
 use crate::moment::{Moment, unit_nanoseconds};
 use crate::reading::{Reading, Sink};
-use crate::row::Row;
 use crate::spool::Spool;
-use crate::table::Table;
+use crate::table;
+use crate::table::ahead::{Done, Goes, each};
 use crate::wanted::Wanted;
 
 /// What a pass must know, the same for every pass.
@@ -45,9 +48,6 @@ impl<'a> Job<'a> {
     }
 }
 
-/// The sink hears of the bytes read once in so many rows.
-const TELL_ROWS: u64 = 4096;
-
 /// Bytes of the inputs, for whoever waits.
 struct Sizes {
     /// Of each input; none of what is no file.
@@ -64,9 +64,13 @@ impl Sizes {
     }
 
     /// Bytes read, once so much of an input is.
-    fn read(&self, input: usize, table: &Table<'_>) -> u64 {
+    fn read(&self, input: usize, done: Done) -> u64 {
         let before: u64 = self.each[..input].iter().flatten().sum();
-        before + self.each[input].map_or(0, |size| table.read(size).min(size))
+        let own = |size: u64| match done {
+            Done::Bytes(bytes) => bytes.min(size),
+            Done::Share(share) => (share * size as f64) as u64,
+        };
+        before + self.each[input].map_or(0, own)
     }
 }
 
@@ -78,34 +82,23 @@ pub(crate) fn run<S: Sink>(
     sink: &mut S,
     spool: &mut Spool<'_>,
 ) -> Result<Ended, ReadError<S::Error>> {
-    let mut row = Row::new(job.wanted.numbers, job.wanted.texts);
     let sizes = Sizes::of(job.inputs);
     let clock = &job.model.shared().clock;
     let mut times = Times { wanted: job.wanted, time_unit: clock.unit.as_deref(), first: None, unit: 1 };
     for (index, input) in job.inputs.iter().enumerate() {
         let file = input.name();
-        let mut table = Table::open(input, &file, job.wanted, spool)?;
-        if let Some(id) = job.ids.get(index) {
-            row.set_id(id);
-        }
+        let mut table = table::open(input, &file, job.wanted, spool)?;
         let before = reading.rows;
-        while table.next(&mut row, &mut reading.labels)? {
-            times.check(&row, &file)?;
-            let source = Source { file: u32::try_from(index).expect("fewer than 2^32 files"), row: row.number };
-            match gather.push(&mut row, source, times.unit) {
-                Outcome::Gathered => reading.rows += 1,
-                Outcome::Returned => return Ok(Ended::MustHold),
-                Outcome::Before(previous) => {
-                    let phase = phase(job.model, &row, &reading.labels);
-                    return Err(times.decrease(&row, &file, phase, previous).into());
-                }
-            }
-            if reading.rows.is_multiple_of(TELL_ROWS) {
-                tell(sink, (sizes.read(index, &table), sizes.all), reading)?;
-            }
-            if let Some(batch) = gather.batch() {
-                hand_over(sink, batch, reading)?;
-            }
+        let number = u32::try_from(index).expect("fewer than 2^32 files");
+        let mut taker = Taker { job, file: (&file, number), gather: &mut gather, times: &mut times };
+        let goes = each::<Block, ReadError<S::Error>>(&mut *table, &mut |mut block, done| {
+            block.relabel(&mut reading.labels);
+            let goes = taker.take(&mut block, reading, sink)?;
+            tell(sink, (sizes.read(index, done), sizes.all), reading)?;
+            block.end.take().map_or(Ok(goes), |error| Err(error.into()))
+        })?;
+        if goes == Goes::NoFurther {
+            return Ok(Ended::MustHold);
         }
         if reading.rows == before {
             return Err(DataError::NoRows { file: file.clone() }.into());
@@ -118,10 +111,71 @@ pub(crate) fn run<S: Sink>(
     Ok(Ended::Complete)
 }
 
-/// The phase of a row, by the text of its cell: that it is none of the model's is for others to say.
-fn phase(model: &PhasedModel, row: &Row, labels: &Labels) -> Option<String> {
-    let label = row.texts[model.column?];
-    (!label.is_missing()).then(|| shown(labels.text(label).as_bytes()))
+/// Takes in the blocks of one file.
+struct Taker<'t, 'a> {
+    job: &'t Job<'a>,
+    /// Its name and number.
+    file: (&'t str, u32),
+    gather: &'t mut Gather,
+    times: &'t mut Times<'a>,
+}
+
+impl Taker<'_, '_> {
+    fn take<S: Sink>(
+        &mut self,
+        block: &mut Block,
+        reading: &mut Reading,
+        sink: &mut S,
+    ) -> Result<Goes, ReadError<S::Error>> {
+        for run in 0..block.runs() {
+            let (mut rows, id) = block.run(run);
+            self.times.check(block, rows.start, self.file.0)?; // before anything else is said of the row
+            let id = id.unwrap_or_else(|| self.job.ids.get(self.file.1 as usize).map_or("", String::as_str));
+            match self.gather.turn(id) {
+                Turn::Returned => return Ok(Goes::NoFurther),
+                Turn::Known => {}
+                Turn::New => {
+                    // the tests before it go before what may be wrong with its further rows
+                    let first = rows.start..rows.start + 1;
+                    self.rows(block, first, reading)?;
+                    rows.start += 1;
+                    if let Some(batch) = self.gather.batch() {
+                        hand_over(sink, batch, reading)?;
+                    }
+                }
+            }
+            self.rows(block, rows, reading)?;
+        }
+        Ok(Goes::On)
+    }
+
+    /// Puts rows into the test whose turn it is.
+    fn rows(&mut self, block: &mut Block, rows: Range<usize>, reading: &mut Reading) -> Result<(), DataError> {
+        let file = self.file.0;
+        // times are checked row by row, each against the first of all and then against the one before it
+        let mut sound = rows.clone();
+        let mut failed = None;
+        if !block.times.is_empty() {
+            for row in rows {
+                if let Err(error) = self.times.check(block, row, file) {
+                    (sound.end, failed) = (row, Some(error));
+                    break;
+                }
+            }
+        }
+        reading.rows += sound.len() as u64;
+        if let Err((row, previous)) = self.gather.take(block, sound, self.file.1, self.times.unit) {
+            let phase = self.phase(block, row, &reading.labels);
+            return Err(self.times.decrease(block, row, (file, self.gather.current()), phase, previous));
+        }
+        failed.map_or(Ok(()), Err)
+    }
+
+    /// The phase of a row, by the text of its cell: that it is none of the model's is for others to say.
+    fn phase(&self, block: &Block, row: usize, labels: &Labels) -> Option<String> {
+        let label = block.texts[row * self.job.wanted.texts + self.job.model.column?];
+        (!label.is_missing()).then(|| shown(labels.text(label).as_bytes()))
+    }
 }
 
 fn tell<S: Sink>(
@@ -139,18 +193,18 @@ fn hand_over<S: Sink>(sink: &mut S, batch: Vec<Test>, reading: &mut Reading) -> 
 
 impl Times<'_> {
     /// Refuses a time of another kind than the first, and date-times without a unit.
-    fn check(&mut self, row: &Row, file: &str) -> Result<(), DataError> {
-        let Some(now) = row.time else { return Ok(()) };
+    fn check(&mut self, block: &Block, row: usize, file: &str) -> Result<(), DataError> {
+        let Some(&now) = block.times.get(row) else { return Ok(()) };
         match &self.first {
             Some((first, _)) if first.same_kind(now) => Ok(()),
             Some((first, place)) => Err(DataError::MixedTimes {
-                at: self.place(row, file),
+                at: self.place(block, row, file),
                 found: now.kind(),
                 expected: first.kind(),
                 first: place.clone(),
             }),
             None => {
-                let at = self.place(row, file);
+                let at = self.place(block, row, file);
                 if !matches!(now, Moment::Number(_)) {
                     let Some(unit) = self.time_unit.and_then(unit_nanoseconds) else {
                         return Err(DataError::TimeUnit { at, found: self.time_unit.map(str::to_owned) });
@@ -163,17 +217,24 @@ impl Times<'_> {
         }
     }
 
-    fn decrease(&self, row: &Row, file: &str, phase: Option<String>, previous: Moment) -> DataError {
+    fn decrease(
+        &self,
+        block: &Block,
+        row: usize,
+        (file, test): (&str, &str),
+        phase: Option<String>,
+        previous: Moment,
+    ) -> DataError {
         DataError::TimeDecreases {
-            at: self.place(row, file),
-            test: shown(row.id.as_bytes()),
+            at: self.place(block, row, file),
+            test: shown(test.as_bytes()),
             phase: phase.map(String::into_boxed_str),
-            found: row.time.map(|time| time.to_string()).unwrap_or_default().into(),
+            found: block.times.get(row).map(|time| time.to_string()).unwrap_or_default().into(),
             previous: previous.to_string().into(),
         }
     }
 
-    fn place(&self, row: &Row, file: &str) -> Box<Place> {
-        self.wanted.time().expect("a row has a time only with a time column").place(file, row.number)
+    fn place(&self, block: &Block, row: usize, file: &str) -> Box<Place> {
+        self.wanted.time().expect("a row has a time only with a time column").place(file, block.number(row))
     }
 }

@@ -1,17 +1,19 @@
 //! What is given of the tests: rows, reductions and estimates, in any mixture.
 
 use std::cell::RefCell;
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::io::Read;
 
 use kalfit::model::Parameter;
 use kalfit::reduce::SplitError;
-use kalfit::{Evidence, Labels, PhasedModel, PhasedTest, Test};
+use kalfit::{Evidence, Labels, PhasedModel, PhasedTest, Reduction, Test};
 use kalfit_data::exchange::{
     Assembly, Entry, ExchangeError, Metadata, ParameterValue, Sorted, Source, difference, merge, read_estimates,
-    read_reductions, sort,
+    read_reductions, sort, twice,
 };
 use kalfit_data::{DataError, Datum, Input, Reading, Sink};
 use kalfit_spec::Spec;
+use rayon::prelude::*;
 
 use crate::failure::Failure;
 use crate::refused::{self, Refused};
@@ -75,6 +77,43 @@ impl Given {
     /// Nothing but rows is given.
     pub(crate) fn is_rows(&self) -> bool {
         self.reductions.is_empty() && self.estimates.is_empty()
+    }
+
+    /// Nothing but reductions is given.
+    pub(crate) fn is_reductions(&self) -> bool {
+        self.rows.is_empty() && self.estimates.is_empty() && !self.reductions.is_empty()
+    }
+
+    /// The reductions of all tests, of a model of one phase, as they stand in the files: nothing else is kept of a test.
+    ///
+    /// # Errors
+    /// Files that are wrong, a test given twice, or nobody who waits.
+    pub(crate) fn reduced(&self, spec: &Spec, work: &mut Work<'_>) -> Result<Vec<Reduction>, Failure> {
+        let mut tests = Reduced { reductions: Vec::new(), places: Vec::new() };
+        let mut stopped = false;
+        tests.reductions.reserve_exact(self.reductions.iter().map(Source::rows_hint).sum());
+        for source in &self.reductions {
+            let read = read_reductions(source, &spec.model, &mut |entry| {
+                let done = tests.reductions.len();
+                if done.is_multiple_of(ASK) && work.is_stopped() {
+                    stopped = true;
+                    return Err(DataError::NoInput); // whatever ends the reading
+                }
+                work.say(|| format!("reading: {done} tests"));
+                tests.take(entry);
+                Ok(())
+            });
+            if stopped {
+                return Err(Failure::Interrupted);
+            }
+            if let Err(error) = read {
+                // of two things that are wrong the first is said
+                let error = tests.refuse_twice(&spec.model, &self.files).err().unwrap_or(error);
+                return Err(Failure::data(error, spec));
+            }
+        }
+        tests.refuse_twice(&spec.model, &self.files).map_err(|error| Failure::data(error, spec))?;
+        Ok(tests.reductions)
     }
 
     /// The likelihood of a fit is that of estimates.
@@ -183,6 +222,49 @@ impl Given {
         let reading = kalfit_data::read_from(model, &spec.layout, &self.rows, &mut sink, &mut self.stdin());
         let reading = reading.map_err(|error| refused::failure(error, spec))?;
         Ok((sink.entries, reading))
+    }
+}
+
+/// So many tests are read before it is asked again whether somebody waits.
+const ASK: usize = 1 << 14;
+
+/// Reductions of tests in one phase, and where each stands.
+struct Reduced {
+    reductions: Vec<Reduction>,
+    places: Vec<kalfit::Source>,
+}
+
+impl Reduced {
+    fn take(&mut self, entry: Entry) {
+        if let Evidence::Reduced(piece) = entry.evidence {
+            self.reductions.push(piece.reduction);
+            self.places.push(entry.at);
+        }
+    }
+
+    /// Refuses the first test that was there before. Ids of equal hash are looked at, in their order.
+    fn refuse_twice(&self, model: &PhasedModel, files: &[String]) -> Result<(), DataError> {
+        let id = |j: usize| self.reductions[j].test.as_str();
+        let hashed = |j: usize| {
+            let mut hasher = DefaultHasher::new();
+            id(j).hash(&mut hasher);
+            (hasher.finish(), j)
+        };
+        let mut order: Vec<(u64, usize)> = (0..self.reductions.len()).into_par_iter().map(hashed).collect();
+        order.par_sort_unstable();
+        let of_group = |group: &[(u64, usize)]| {
+            (1..group.len()).find_map(|at| {
+                let (_, second) = group[at];
+                let first = group[..at].iter().map(|(_, first)| *first).find(|&first| id(first) == id(second))?;
+                Some((second, first))
+            })
+        };
+        match order.chunk_by(|a, b| a.0 == b.0).filter_map(of_group).min() {
+            Some((second, first)) => {
+                Err(twice(model, files, (id(second), 0), [self.places[first], self.places[second]]))
+            }
+            None => Ok(()),
+        }
     }
 }
 

@@ -1,7 +1,7 @@
 //! `kalfit fit`.
 
 use kalfit::estimate::{Combination, Criterion, Structure};
-use kalfit::infer::{Choices, DeletionChoice, IntervalKind, StdErrors};
+use kalfit::infer::{Choices, DeletionChoice, IntervalKind, StdErrors, TestsChoice};
 use kalfit::model::Population;
 use kalfit::record::Provenance;
 use kalfit::{Alpha, FitRecord, Reduction, estimate, infer};
@@ -13,11 +13,14 @@ use crate::innovations::{self, Kept};
 use crate::job::{Done, FitJob, files};
 use crate::output::Output;
 use crate::work::{Watch, Work};
-use crate::{dynamic, lost, model, reductions, report, tests};
+use crate::{dynamic, lost, model, reductions, report, tests, write};
 
 /// Said of a search that had converged when nobody waited any longer.
 const CUT_SHORT: &str =
     "it was interrupted after it had converged: other starts, methods and intervals that were asked for may be missing";
+
+/// Said where the list of tests is empty.
+const NO_TESTS: &str = "what each test says was not asked for";
 
 /// Fits a model to data. A search that is [stopped](Watch::stops) ends with the best that it found, and a record that says so,
 /// and writes no file unless the job [keeps](FitJob::keeps_stopped) it.
@@ -45,6 +48,9 @@ pub fn fit(job: &FitJob, watch: &mut dyn Watch) -> Result<Done<FitRecord>, Failu
     let mut record =
         if free { dynamic::fit(job, &spec, &given, &mut work)? } else { known(job, &spec, &given, &mut work)? };
     record.notes.splice(0..0, given.notes);
+    if job.choices.tests == TestsChoice::None {
+        record.notes.push(NO_TESTS.to_owned());
+    }
     if work.is_stopped() && record.converged {
         record.notes.push(CUT_SHORT.to_owned());
     }
@@ -52,7 +58,7 @@ pub fn fit(job: &FitJob, watch: &mut dyn Watch) -> Result<Done<FitRecord>, Failu
     let wanted = |work: &Work<'_>| job.keeps_stopped || !work.is_stopped();
     let output = output.filter(|_| wanted(&work));
     if let Some(output) = &output {
-        output.write(&record)?;
+        write::record(output, &mut record)?;
     }
     let page = page.filter(|_| wanted(&work));
     if let Some(page) = &page {
@@ -79,6 +85,9 @@ fn refuse_one_phase(job: &FitJob, spec: &Spec) -> Result<(), Failure> {
 /// The method in one place, with known parameters: reduce, estimate, infer, record.
 fn known(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>) -> Result<FitRecord, Failure> {
     let alpha = model::alpha(spec);
+    if given.is_reductions() && spec.model.is_single() {
+        return reduced(job, spec, given, &alpha, work);
+    }
     if !given.is_rows() || lost::filters_rows(&spec.model) {
         let (tests, reading) = tests::read(spec, given, work)?;
         return dynamic::known(job, spec, given, (&alpha, &tests, &reading), work);
@@ -90,7 +99,26 @@ fn known(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>) -> Resul
         innovations::add(&mut record, kept, (spec, &alpha, &given.inputs), &population, work);
         record.solver.seconds = work.seconds();
     }
+    beside(reductions);
     Ok(record)
+}
+
+/// The filters have run: estimate, infer, record.
+fn reduced(job: &FitJob, spec: &Spec, given: &Given, alpha: &Alpha, work: &mut Work<'_>) -> Result<FitRecord, Failure> {
+    refuse_idle(job)?;
+    let reductions = given.reduced(spec, work)?;
+    let (mut record, population) = record(job, spec, given, (alpha, &reductions), work)?;
+    if job.innovations {
+        innovations::add_none(&mut record, (&spec.model, alpha, &population), reductions.len(), work);
+        record.solver.seconds = work.seconds();
+    }
+    beside(reductions);
+    Ok(record)
+}
+
+/// Frees what takes long to free while other work goes on.
+pub(crate) fn beside<T: Send + 'static>(done: T) {
+    rayon::spawn(move || drop(done));
 }
 
 /// Estimate, infer, record; the population too.
@@ -112,7 +140,10 @@ pub(crate) fn record(
         of_estimates: given.is_of_estimates(&spec.model),
     };
     let record = FitRecord::new(&spec.model, alpha, reductions, &estimate, &inference, provenance);
-    Ok((record, Population::from(&estimate)))
+    beside(inference);
+    let population = Population::from(&estimate);
+    beside(estimate);
+    Ok((record, population))
 }
 
 /// What is asked of the inference: the least of it once nobody waits.

@@ -165,6 +165,22 @@ pub(crate) fn add_of(
     }
 }
 
+/// As [`add_of`], of so many tests of which only reductions are given.
+pub(crate) fn add_none(
+    record: &mut FitRecord,
+    (model, alpha, initial): (&PhasedModel, &Alpha, &Population),
+    tests: usize,
+    work: &mut Work<'_>,
+) {
+    match Looking::new(model, alpha, initial, work) {
+        Ok(looking) if looking.work.is_stopped() => {
+            record.notes.push(format!("innovations were not computed: {}", Unavailable::Interrupted));
+        }
+        Ok(looking) => finish(record, Seen { silent: tests, ..looking.seen }),
+        Err(error) => record.notes.push(format!("innovations were not computed: {error}")),
+    }
+}
+
 fn finish(record: &mut FitRecord, seen: Seen) {
     if let Some(error) = seen.failed {
         record.notes.push(format!("the innovations of some tests could not be computed: {error}"));
@@ -199,6 +215,9 @@ struct Found {
 
 /// Two ways to one likelihood must agree; where they do not, the data changed between two readings, or digits were lost.
 fn attach(record: &mut FitRecord, mut found: Vec<Found>) {
+    if found.is_empty() {
+        return;
+    }
     let of: std::collections::HashMap<&str, f64> =
         record.tests.iter().map(|test| (test.id.as_str(), test.log_likelihood)).collect();
     let all = found.len();

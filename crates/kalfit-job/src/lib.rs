@@ -39,6 +39,7 @@ mod test;
 mod tests;
 mod truth;
 mod work;
+mod write;
 
 pub use check::check;
 pub use diagnostic::{render, render_hinted, render_message};

@@ -119,12 +119,21 @@ impl Output {
 
     /// Writes the record beside the target and moves it into place.
     pub(crate) fn write(&self, record: &impl serde::Serialize) -> Result<(), OutputError> {
+        self.write_by(|file| {
+            let mut writer = std::io::BufWriter::new(file);
+            serde_json::to_writer_pretty(&mut writer, record)?;
+            writer.write_all(b"\n")?;
+            writer.flush()
+        })
+    }
+
+    /// Writes beside the target and moves what was written into place.
+    pub(crate) fn write_by(
+        &self,
+        write: impl FnOnce(&std::fs::File) -> std::io::Result<()>,
+    ) -> Result<(), OutputError> {
         let pending = self.begin()?;
-        let mut writer = std::io::BufWriter::new(pending.file());
-        let written = serde_json::to_writer_pretty(&mut writer, record).map_err(std::io::Error::from);
-        let written = written.and_then(|()| writer.write_all(b"\n")).and_then(|()| writer.flush());
-        drop(writer);
-        written.map_err(|source| self.io(source))?;
+        write(pending.file()).map_err(|source| self.io(source))?;
         pending.finish().map(|_| ())
     }
 

@@ -93,6 +93,7 @@ impl FitOptions {
                 &[("wald", IntervalKind::Wald), ("profile", IntervalKind::Profile)],
             )?,
             deletion: pick("deletion", &self.deletion, &deletions)?,
+            ..Choices::default()
         })
     }
 }

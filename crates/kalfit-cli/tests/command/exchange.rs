@@ -302,6 +302,35 @@ fn scattered_rows_and_any_number_of_threads_write_the_same_rows() {
     same_bits(&fit(&folder, "two.toml", "s.parquet", "s.json"), &expected);
 }
 
+#[test]
+fn without_the_single_tests_the_fit_is_the_same() {
+    let folder = folder();
+    ends_well(&folder, "reduce m.toml d.csv --out r.parquet");
+    let mut expected = fit(&folder, "m.toml", "d.csv", "d.json");
+    assert!(!expected["tests"].as_array().unwrap().is_empty());
+    expected["tests"] = Value::Array(Vec::new());
+    for data in ["d.csv", "r.parquet"] {
+        ends_well(&folder, &format!("fit m.toml {data} --out n.json --report n.html --no-tests"));
+        let text = std::fs::read_to_string(folder.path("n.json")).unwrap();
+        assert!(text.contains("what each test says was not asked for"), "{text}");
+        same_bits(&results(&folder, "n.json"), &expected);
+    }
+    let refused = shown(&folder.run("fit m.toml d.csv --no-tests --deletion all"));
+    assert!(refused.contains("--no-tests") && refused.contains("--deletion"), "{refused}");
+}
+
+#[test]
+fn a_test_that_two_reductions_files_have_is_refused_with_both_places() {
+    let folder = folder();
+    ends_well(&folder, "reduce m.toml d.csv --out r.parquet");
+    std::fs::copy(folder.path("r.parquet"), folder.path("again.parquet")).unwrap();
+    let output = folder.run("fit m.toml r.parquet again.parquet --out n.json");
+    let text = shown(&output);
+    assert_eq!(output.status.code(), Some(2), "{text}");
+    assert!(text.contains("r.parquet, row 1") && text.contains("again.parquet, row 1"), "{text}");
+    assert!(!folder.path("n.json").exists(), "nothing is written");
+}
+
 /// `by_hand.parquet` is what the program in docs/exchange.md writes. Least squares loses nothing of what was measured.
 #[test]
 fn a_file_made_by_hand_says_what_the_measurements_say() {

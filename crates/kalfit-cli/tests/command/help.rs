@@ -172,6 +172,11 @@ fn version_and_help() {
               
               [default: on]
 
+          --no-tests
+              Leave out what each test says, its innovations and the fits without it: `tests` of the
+              results is empty. For millions of tests, of which that would take more time, memory and
+              disk than the fit
+
           --quiet
               Print nothing but errors
 

@@ -43,13 +43,7 @@ impl<'a> Assembly<'a> {
         });
         let parts = &mut self.tests[place];
         if let Some((_, first)) = &parts.phases[phase] {
-            let named = |at: Source| crate::reading::place(self.files, at);
-            return Err(DataError::from(ExchangeError::Twice {
-                test: shown(parts.id.as_bytes()),
-                phase: self.model.phases[phase].name.clone(),
-                first: named(*first),
-                second: named(at),
-            }));
+            return Err(twice(self.model, self.files, (&parts.id, phase), [*first, at]));
         }
         parts.phases[phase] = Some((evidence, at));
         Ok(())
@@ -79,6 +73,13 @@ impl<'a> Assembly<'a> {
         let (model, files) = (self.model, self.files);
         self.tests.into_iter().map(|parts| whole(parts, model, files)).collect()
     }
+}
+
+/// The error of a phase of a test that is known from two places, the first one first. `files`: names by [`Source::file`].
+pub fn twice(model: &PhasedModel, files: &[String], (test, phase): (&str, usize), at: [Source; 2]) -> DataError {
+    let [first, second] = at.map(|at| crate::reading::place(files, at));
+    let (test, phase) = (shown(test.as_bytes()), model.phases[phase].name.clone());
+    ExchangeError::Twice { test, phase, first, second }.into()
 }
 
 fn whole(parts: Parts, model: &PhasedModel, files: &[String]) -> Result<PhasedTest, DataError> {

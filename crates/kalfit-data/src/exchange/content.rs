@@ -86,6 +86,20 @@ impl Source {
     pub fn metadata(&self) -> Result<Option<Metadata>, DataError> {
         opened!(self, |builder| { Ok(Metadata::read(&self.name, builder.metadata())?) })
     }
+
+    /// About how many rows it has, for whoever makes room for them: never more than its bytes could fill.
+    pub fn rows_hint(&self) -> usize {
+        const LEAST_BYTES: u64 = 8; // of a row
+        let bytes = match &self.bytes {
+            Contents::Path(path) => std::fs::metadata(path).map_or(0, |found| found.len()),
+            Contents::Memory(bytes) => bytes.len() as u64,
+        };
+        let rows = || -> Result<i64, DataError> {
+            opened!(self, |builder| { Ok(builder.metadata().file_metadata().num_rows()) })
+        };
+        let rows = rows().ok().and_then(|rows| u64::try_from(rows).ok()).unwrap_or(0);
+        usize::try_from(rows.min(bytes / LEAST_BYTES)).unwrap_or(0)
+    }
 }
 
 /// Looks into the inputs: an exchange file is a Parquet file whose metadata say so, or which has columns `estimates` and

@@ -46,11 +46,9 @@ impl<'a> Phases<'a> {
 
     /// The phase of a row: the only one where none is named.
     pub(super) fn of(&self, row: Row<'_>) -> Result<usize, ExchangeError> {
-        let found = row.text(PHASE);
-        let place = match &found {
+        let place = match row.with_text(PHASE, |found| self.0.iter().position(|name| *name == found)) {
             None if self.0.len() == 1 => Some(0),
-            None => None,
-            Some(found) => self.0.iter().position(|name| name == found),
+            place => place.flatten(),
         };
         place.ok_or_else(|| ExchangeError::Phase {
             at: row.place(PHASE),

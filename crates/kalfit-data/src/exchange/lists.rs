@@ -96,6 +96,13 @@ impl Words {
         Ok(Words { rows, texts: Strings::new(&values) })
     }
 
+    /// True when the list in a row is this one and has no null element.
+    pub(super) fn are(&self, row: usize, expected: &[String]) -> bool {
+        let Some(range) = self.rows[row].clone() else { return false };
+        let found = |at: usize| self.texts.as_ref().and_then(|texts| texts.get(at));
+        range.len() == expected.len() && range.zip(expected).all(|(at, name)| found(at) == Some(name))
+    }
+
     /// The list in a row, without its null elements; `None` when it is null.
     pub(super) fn get(&self, row: usize) -> Option<Vec<&str>> {
         let range = self.rows[row].clone()?;

@@ -27,7 +27,7 @@ mod write;
 use kalfit::{Evidence, Source as Row};
 
 pub use alpha::{Difference, ParameterValue, difference, merge};
-pub use assembly::Assembly;
+pub use assembly::{Assembly, twice};
 pub use content::{Content, Sorted, Source, sort};
 pub use error::ExchangeError;
 pub use estimates::read_estimates;

@@ -1,16 +1,25 @@
 //! Reductions files: what the filters made of each phase, to the last bit.
 
+use std::fs::File;
+use std::io;
+
+use kalfit::model::Phase;
 use kalfit::reduce::{Inherited, Path, PhaseReduction, Terminal};
 use kalfit::{Evidence, PhasedModel, Reduction};
 use nalgebra::{DMatrix, DVector};
+use parquet::arrow::arrow_reader::{ArrowReaderMetadata, ArrowReaderOptions};
+use parquet::file::metadata::RowGroupMetaData;
+use parquet::file::reader::ChunkReader;
 
 use super::Entry;
-use super::content::{Source, opened};
+use super::content::{Contents, Source};
 use super::error::ExchangeError;
 use super::keys::{PHASE, Phases, TEST};
 use super::metadata::Metadata;
-use super::sheet::{Column, Row, Shape, Sheet, Wish};
+use super::sheet::{Column, Part, Plan, Row, Shape, Sheet, Wish};
 use crate::error::DataError;
+use crate::table::ahead::{Done, Goes, Make, Task, Tasks, each};
+use crate::table::parquet::FORMAT;
 
 pub(super) const KIND: &str = "reductions";
 pub(super) const INFORMATION: &str = "information";
@@ -47,49 +56,157 @@ pub fn read_reductions(
     model: &PhasedModel,
     take: &mut dyn FnMut(Entry) -> Result<(), DataError>,
 ) -> Result<Metadata, DataError> {
-    opened!(source, |builder| {
-        let metadata = Metadata::read(&source.name, builder.metadata())?.ok_or_else(|| ExchangeError::Metadata {
-            file: source.name.clone(),
-            key: super::metadata::SCHEMA,
-            reason: "it is missing".to_owned(),
-        })?;
-        let wish = Wish { kind: KIND, columns: &COLUMNS, further: Vec::new() };
-        let mut sheet = Sheet::new(&source.name, builder, &wish)?;
-        let phases = Phases::new(model);
-        let mut rows = 0;
+    match &source.bytes {
+        Contents::Path(path) => read(source, model, || File::open(path), take),
+        Contents::Memory(bytes) => read(source, model, || Ok(bytes.clone()), take),
+    }
+}
+
+fn read<R: ChunkReader + 'static>(
+    source: &Source,
+    model: &PhasedModel,
+    again: impl Fn() -> io::Result<R> + Sync,
+    take: &mut dyn FnMut(Entry) -> Result<(), DataError>,
+) -> Result<Metadata, DataError> {
+    let reader = Reader { source, phases: Phases::new(model), known: known(model) };
+    let open = || again().map_err(|error| DataError::Io { file: source.name.clone(), source: error });
+    let builder = super::sheet::open(&source.name, open()?)?;
+    let metadata = Metadata::read(&source.name, builder.metadata())?.ok_or_else(|| ExchangeError::Metadata {
+        file: source.name.clone(),
+        key: super::metadata::SCHEMA,
+        reason: "it is missing".to_owned(),
+    })?;
+    let wish = Wish { kind: KIND, columns: &COLUMNS, further: Vec::new() };
+    let plan = Plan::new(&source.name, &builder, &wish)?;
+    let loaded = ArrowReaderMetadata::try_new(builder.metadata().clone(), ArrowReaderOptions::new());
+    let loaded = loaded.map_err(|error| DataError::Parquet { file: source.name.clone(), source: Box::new(error) })?;
+    let make = |part: Part| -> Make<'_, Rows> {
+        let (reader, open, plan, loaded) = (&reader, &open, plan.clone(), loaded.clone());
+        Box::new(move || {
+            let mut rows = Vec::new();
+            let end = open().and_then(|bytes| reader.rows(plan.part(bytes, loaded, part)?, part, &mut rows)).err();
+            (rows, end)
+        })
+    };
+    let mut parts = Parts { groups: builder.metadata().row_groups(), group: 0, within: 0, before: 0, make };
+    let mut rows = 0_usize;
+    each::<Rows, DataError>(&mut parts, &mut |(entries, end), _| {
+        rows += entries.len();
+        entries.into_iter().try_for_each(&mut *take)?;
+        end.map_or(Ok(Goes::On), Err)
+    })?;
+    if rows == 0 { Err(DataError::NoRows { file: source.name.clone() }) } else { Ok(metadata) }
+}
+
+/// Rows, and what is wrong with the row after them.
+type Rows = (Vec<Entry>, Option<DataError>);
+
+/// Most rows that are read at a time, and about how many bytes they may have: rows may hold matrices.
+const PART_ROWS: usize = 1 << 16;
+const PART_BYTES: u64 = 32 << 20;
+
+/// How many rows of a group are read at a time, by what it declares of its size.
+fn part_rows(group: &RowGroupMetaData) -> usize {
+    let count = |number: i64| u64::try_from(number).unwrap_or(0);
+    let numbers: u64 = group.columns().iter().map(|column| count(column.num_values())).fold(0, u64::saturating_add);
+    let bytes = count(group.total_byte_size()).max(numbers.saturating_mul(8));
+    let of_row = bytes / count(group.num_rows()).max(1);
+    usize::try_from(PART_BYTES / of_row.max(1)).unwrap_or(PART_ROWS).clamp(1, PART_ROWS)
+}
+
+/// A file in parts of row groups.
+struct Parts<'a, F> {
+    groups: &'a [RowGroupMetaData],
+    /// The next row group, and its rows that are handed out.
+    group: usize,
+    within: usize,
+    /// Rows handed out.
+    before: u64,
+    make: F,
+}
+
+impl<'a, F: Fn(Part) -> Make<'a, Rows>> Tasks<'a, Rows> for Parts<'a, F> {
+    fn next(&mut self) -> Result<Option<Task<'a, Rows>>, DataError> {
+        let rows = |group: &RowGroupMetaData| usize::try_from(group.num_rows()).unwrap_or(0);
+        while self.groups.get(self.group).is_some_and(|group| rows(group) <= self.within) {
+            (self.group, self.within) = (self.group + 1, 0);
+        }
+        let Some(group) = self.groups.get(self.group) else { return Ok(None) };
+        let rows = part_rows(group).min(rows(group) - self.within);
+        let part = Part { group: self.group, skip: self.within, rows, before: self.before };
+        self.within += rows;
+        self.before += rows as u64;
+        Ok(Some(Task { make: (self.make)(part), done: Done::Share(0.0) }))
+    }
+
+    fn alone(&self) -> usize {
+        usize::from(self.groups.len() <= 1 && self.groups.iter().all(|group| group.num_rows() <= 1024))
+    }
+}
+
+/// What rows are compared with.
+struct Reader<'a> {
+    source: &'a Source,
+    phases: Phases<'a>,
+    known: Vec<Known<'a>>,
+}
+
+/// What is known of a phase.
+struct Known<'a> {
+    phase: &'a Phase,
+    /// Names of its entering states.
+    entering: Vec<String>,
+    /// Names of all its states, where a phase follows.
+    terminal: Option<Vec<String>>,
+    /// Number of states of the phase before.
+    before: Option<usize>,
+}
+
+fn known(model: &PhasedModel) -> Vec<Known<'_>> {
+    let phases = &model.phases;
+    let named = |phase: &Phase, states: &mut dyn Iterator<Item = usize>| -> Vec<String> {
+        states.map(|state| phase.model.states[state].name.clone()).collect()
+    };
+    let all = phases.iter().enumerate().map(|(index, phase)| Known {
+        phase,
+        entering: named(phase, &mut phase.entering().into_iter()),
+        terminal: (index + 1 < phases.len()).then(|| named(phase, &mut (0..phase.model.states.len()))),
+        before: index.checked_sub(1).map(|before| phases[before].model.states.len()),
+    });
+    all.collect()
+}
+
+impl Reader<'_> {
+    fn rows(&self, mut sheet: Sheet<'_>, part: Part, rows: &mut Vec<Entry>) -> Result<(), DataError> {
         while let Some(batch) = sheet.next()? {
             for row in batch.rows() {
                 let test = row.text(TEST).ok_or_else(|| DataError::MissingTest { at: row.place(TEST) })?;
-                let phase = phases.of(row)?;
-                let at = kalfit::Source { file: source.number, row: row.number() };
-                let evidence = Evidence::Reduced(Box::new(piece(row, model, phase, &test)?));
-                take(Entry { test, phase, evidence, at })?;
-                rows += 1;
+                let phase = self.phases.of(row)?;
+                let at = kalfit::Source { file: self.source.number, row: row.number() };
+                let evidence = Evidence::Reduced(Box::new(piece(row, &self.known[phase], &test)?));
+                rows.push(Entry { test, phase, evidence, at });
             }
         }
-        if rows == 0 { Err(DataError::NoRows { file: source.name.clone() }) } else { Ok(metadata) }
-    })
+        // to go on would take a declared row group of any length in vain
+        let whole = rows.len() == part.rows;
+        whole.then_some(()).ok_or_else(|| DataError::Crashed { file: self.source.name.clone(), format: FORMAT })
+    }
 }
 
 /// One row. q entering coordinates, n states.
-fn piece(row: Row<'_>, model: &PhasedModel, phase: usize, test: &str) -> Result<PhaseReduction, ExchangeError> {
-    let own = &model.phases[phase];
-    let named = |states: &[usize], of: &kalfit::Model| -> Vec<String> {
-        states.iter().map(|&state| of.states[state].name.clone()).collect()
-    };
-    let entering = named(&own.entering(), &own.model);
-    same_names(row, "states", &entering, &own.name)?;
-    let q = entering.len();
+fn piece(row: Row<'_>, known: &Known<'_>, test: &str) -> Result<PhaseReduction, ExchangeError> {
+    let own = known.phase;
+    same_names(row, "states", &known.entering, &own.name)?;
+    let q = known.entering.len();
     let reduction = reduction(row, q, own.model.mean.regression.len(), test)?;
-    let follows = phase + 1 < model.phases.len();
-    let terminal = if follows {
-        let all: Vec<usize> = (0..own.model.states.len()).collect();
-        same_names(row, "terminal_states", &named(&all, &own.model), &own.name)?;
-        Some(terminal(row, all.len(), q)?)
-    } else {
-        None
+    let terminal = match &known.terminal {
+        Some(all) => {
+            same_names(row, "terminal_states", all, &own.name)?;
+            Some(terminal(row, all.len(), q)?)
+        }
+        None => None,
     };
-    let inherited = match phase.checked_sub(1).map(|before| model.phases[before].model.states.len()) {
+    let inherited = match known.before {
         None => None,
         Some(before) => {
             let rule = || format!("q × n with q = {q} entering states and n = {before} states of the phase before");
@@ -130,17 +247,23 @@ fn reduction(row: Row<'_>, q: usize, covariates: usize, test: &str) -> Result<Re
 }
 
 fn path(row: Row<'_>) -> Result<Path, ExchangeError> {
-    match row.text("path").as_deref() {
-        Some(INFORMATION) => Ok(Path::Information),
-        Some(SQUARE_ROOT) => Ok(Path::SquareRoot),
-        _ => Err(unfit(row, "path", "`information` or `square-root`")),
+    let path = row.with_text("path", |text| match text {
+        INFORMATION => Some(Path::Information),
+        SQUARE_ROOT => Some(Path::SquareRoot),
+        _ => None,
+    });
+    match path.flatten() {
+        Some(path) => Ok(path),
+        None => Err(unfit(row, "path", "`information` or `square-root`")),
     }
 }
 
 fn design(row: Row<'_>) -> Result<u128, ExchangeError> {
-    let text = row.text("design").filter(|text| text.len() == 32 && text.bytes().all(|b| b.is_ascii_hexdigit()));
-    let digest = text.and_then(|text| u128::from_str_radix(&text, 16).ok());
-    digest.ok_or_else(|| unfit(row, "design", "32 hexadecimal digits"))
+    let digest = |text: &str| {
+        let sound = text.len() == 32 && text.bytes().all(|b| b.is_ascii_hexdigit());
+        if sound { u128::from_str_radix(text, 16).ok() } else { None }
+    };
+    row.with_text("design", digest).flatten().ok_or_else(|| unfit(row, "design", "32 hexadecimal digits"))
 }
 
 fn unfit(row: Row<'_>, column: &str, expected: &'static str) -> ExchangeError {
@@ -163,6 +286,9 @@ fn terminal(row: Row<'_>, n: usize, q: usize) -> Result<Terminal, ExchangeError>
 }
 
 fn same_names(row: Row<'_>, column: &str, expected: &[String], phase: &str) -> Result<(), ExchangeError> {
+    if row.has_words(column, expected) {
+        return Ok(());
+    }
     let Some(found) = row.words(column) else {
         return Err(ExchangeError::Missing { at: row.place(column), expected: "the names of the states" });
     };

@@ -7,7 +7,7 @@ use arrow::datatypes::DataType;
 use arrow::error::ArrowError;
 use nalgebra::DMatrix;
 use parquet::arrow::ProjectionMask;
-use parquet::arrow::arrow_reader::{ParquetRecordBatchReader, ParquetRecordBatchReaderBuilder};
+use parquet::arrow::arrow_reader::{ArrowReaderMetadata, ParquetRecordBatchReader, ParquetRecordBatchReaderBuilder};
 use parquet::errors::ParquetError;
 use parquet::file::metadata::ParquetMetaData;
 use parquet::file::reader::ChunkReader;
@@ -61,12 +61,28 @@ pub(super) struct Wish<'a> {
     pub(super) further: Vec<(String, Shape)>,
 }
 
-/// An open file.
-pub(super) struct Sheet<'a> {
+/// Where the columns of a wish are in a file.
+#[derive(Clone)]
+pub(super) struct Plan<'a> {
     file: &'a str,
-    reader: ParquetRecordBatchReader,
+    mask: ProjectionMask,
     /// Shapes by name.
     shapes: BTreeMap<String, Shape>,
+}
+
+/// Rows of one row group: `rows` of them, after `skip` of the group and `before` of the file.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Part {
+    pub(super) group: usize,
+    pub(super) skip: usize,
+    pub(super) rows: usize,
+    pub(super) before: u64,
+}
+
+/// An open file.
+pub(super) struct Sheet<'a> {
+    plan: Plan<'a>,
+    reader: ParquetRecordBatchReader,
     /// Rows before the next batch.
     before: u64,
 }
@@ -76,7 +92,8 @@ pub(super) struct Batch<'a> {
     file: &'a str,
     before: u64,
     rows: usize,
-    cells: BTreeMap<String, Cells>,
+    /// By name; there are so few that looking through all is quickest.
+    cells: Vec<(String, Cells)>,
 }
 
 enum Cells {
@@ -123,13 +140,40 @@ fn refuse_long_lists(file: &str, metadata: &ParquetMetaData, bytes: u64) -> Resu
 }
 
 impl<'a> Sheet<'a> {
-    /// Finds the columns of a wish in a file.
+    /// All rows of a file with the columns of a wish.
     pub(super) fn new<R: ChunkReader + 'static>(
         file: &'a str,
         builder: ParquetRecordBatchReaderBuilder<R>,
         wish: &Wish<'_>,
     ) -> Result<Sheet<'a>, DataError> {
-        let failed = |source: ParquetError| DataError::Parquet { file: file.to_owned(), source: Box::new(source) };
+        Plan::new(file, &builder, wish)?.sheet(builder, 0)
+    }
+
+    /// The next rows; `None` at the end.
+    pub(super) fn next(&mut self) -> Result<Option<Batch<'a>>, DataError> {
+        let file = self.plan.file;
+        let failed = |source: ArrowError| DataError::Arrow { file: file.to_owned(), source: Box::new(source) };
+        let (reader, shapes) = (&mut self.reader, &self.plan.shapes);
+        let batch = guarded(file, FORMAT, || {
+            let Some(batch) = reader.next().transpose().map_err(failed)? else { return Ok(None) };
+            let cells = decode(&batch, shapes).map_err(failed)?;
+            Ok(Some((batch.num_rows(), cells)))
+        })?;
+        Ok(batch.map(|(rows, cells)| {
+            let before = self.before;
+            self.before += rows as u64;
+            Batch { file, before, rows, cells }
+        }))
+    }
+}
+
+impl<'a> Plan<'a> {
+    /// Finds the columns of a wish in a file.
+    pub(super) fn new<R: ChunkReader + 'static>(
+        file: &'a str,
+        builder: &ParquetRecordBatchReaderBuilder<R>,
+        wish: &Wish<'_>,
+    ) -> Result<Plan<'a>, DataError> {
         let names: Vec<String> = builder.schema().fields().iter().map(|field| field.name().clone()).collect();
         let (mut roots, mut shapes) = (Vec::new(), BTreeMap::new());
         let own = wish.columns.iter().map(|column| (column.name, column.shape, column.needed.then_some(column.name)));
@@ -152,32 +196,38 @@ impl<'a> Sheet<'a> {
         let found: Vec<&str> = roots.iter().map(|&root| names[root].as_str()).collect();
         refuse_codecs(file, builder.metadata(), &roots, &found)?;
         roots.sort_unstable();
-        let reader = guarded(file, FORMAT, || {
-            let mask = ProjectionMask::roots(builder.parquet_schema(), roots);
-            builder.with_projection(mask).with_batch_size(ROWS).build().map_err(failed)
-        })?;
-        Ok(Sheet { file, reader, shapes, before: 0 })
+        let mask = ProjectionMask::roots(builder.parquet_schema(), roots);
+        Ok(Plan { file, mask, shapes })
     }
 
-    /// The next rows; `None` at the end.
-    pub(super) fn next(&mut self) -> Result<Option<Batch<'a>>, DataError> {
+    /// The rows that a builder gives, which are those after `before`.
+    fn sheet<R: ChunkReader + 'static>(
+        self,
+        builder: ParquetRecordBatchReaderBuilder<R>,
+        before: u64,
+    ) -> Result<Sheet<'a>, DataError> {
         let file = self.file;
-        let failed = |source: ArrowError| DataError::Arrow { file: file.to_owned(), source: Box::new(source) };
-        let (reader, shapes) = (&mut self.reader, &self.shapes);
-        let batch = guarded(file, FORMAT, || {
-            let Some(batch) = reader.next().transpose().map_err(failed)? else { return Ok(None) };
-            let cells = decode(&batch, shapes).map_err(failed)?;
-            Ok(Some((batch.num_rows(), cells)))
+        let failed = |source: ParquetError| DataError::Parquet { file: file.to_owned(), source: Box::new(source) };
+        let reader = guarded(file, FORMAT, || {
+            builder.with_projection(self.mask.clone()).with_batch_size(ROWS).build().map_err(failed)
         })?;
-        Ok(batch.map(|(rows, cells)| {
-            let before = self.before;
-            self.before += rows as u64;
-            Batch { file, before, rows, cells }
-        }))
+        Ok(Sheet { plan: self, reader, before })
+    }
+
+    /// A part of the rows.
+    pub(super) fn part<R: ChunkReader + 'static>(
+        self,
+        bytes: R,
+        metadata: ArrowReaderMetadata,
+        part: Part,
+    ) -> Result<Sheet<'a>, DataError> {
+        let Part { group, skip, rows, before } = part;
+        let builder = ParquetRecordBatchReaderBuilder::new_with_metadata(bytes, metadata);
+        self.sheet(builder.with_row_groups(vec![group]).with_offset(skip).with_limit(rows), before)
     }
 }
 
-fn decode(batch: &RecordBatch, shapes: &BTreeMap<String, Shape>) -> Result<BTreeMap<String, Cells>, ArrowError> {
+fn decode(batch: &RecordBatch, shapes: &BTreeMap<String, Shape>) -> Result<Vec<(String, Cells)>, ArrowError> {
     let schema = batch.schema();
     let columns = schema.fields().iter().zip(batch.columns());
     let cells = columns.filter_map(|(field, array)| {
@@ -247,18 +297,23 @@ impl<'b> Row<'b> {
 
     /// True when the file has this column.
     pub(super) fn has(self, column: &str) -> bool {
-        self.batch.cells.contains_key(column)
+        self.cells(column).is_some()
     }
 
     fn cells(self, column: &str) -> Option<&'b Cells> {
-        self.batch.cells.get(column)
+        self.batch.cells.iter().find(|(name, _)| name == column).map(|(_, cells)| cells)
+    }
+
+    /// What is made of a text; `None` when it is null or the file has no such column.
+    pub(super) fn with_text<T>(self, column: &str, make: impl FnOnce(&str) -> T) -> Option<T> {
+        let Some(Cells::Texts(texts)) = self.cells(column) else { return None };
+        let mut scratch = String::new();
+        texts.get(self.index, &mut scratch).map(make)
     }
 
     /// A text; `None` when it is null or the file has no such column.
     pub(super) fn text(self, column: &str) -> Option<String> {
-        let Some(Cells::Texts(texts)) = self.cells(column) else { return None };
-        let mut scratch = String::new();
-        texts.get(self.index, &mut scratch).map(str::to_owned)
+        self.with_text(column, str::to_owned)
     }
 
     /// A number; NaN when it is null or the file has no such column.
@@ -354,6 +409,11 @@ impl<'b> Row<'b> {
             Some(Cells::Words(words)) => words.get(self.index),
             _ => None,
         }
+    }
+
+    /// True for a list of these texts.
+    pub(super) fn has_words(self, column: &str, expected: &[String]) -> bool {
+        matches!(self.cells(column), Some(Cells::Words(words)) if words.are(self.index, expected))
     }
 
     /// A text for a message.

@@ -112,6 +112,17 @@ impl Texts {
         })
     }
 
+    /// True when a row, not the first, has the text of the row before it for sure.
+    pub(crate) fn repeats(&self, row: usize) -> bool {
+        match self {
+            Texts::Strings(strings) => strings.get(row) == strings.get(row - 1),
+            Texts::Signed(array) => same(array, row, |row| array.value(row)),
+            Texts::Unsigned(array) => same(array, row, |row| array.value(row)),
+            Texts::Nothing => true,
+            _ => false,
+        }
+    }
+
     /// The text in a row, written to `scratch` unless it is one already; None when it is null or not a number.
     pub(crate) fn get<'a>(&'a self, row: usize, scratch: &'a mut String) -> Option<&'a str> {
         scratch.clear();
@@ -134,6 +145,11 @@ impl Texts {
         written.expect("writing to a String cannot fail");
         Some(scratch)
     }
+}
+
+/// True when neither a row nor the row before it is null and both have one value.
+fn same<T: PartialEq>(array: &dyn Array, row: usize, value: impl Fn(usize) -> T) -> bool {
+    array.is_valid(row) && array.is_valid(row - 1) && value(row) == value(row - 1)
 }
 
 /// Dates and timestamps as moments; None for other types.

@@ -1,45 +1,44 @@
-//! Record batches of Parquet and Arrow IPC, row by row.
+//! Record batches of Parquet and Arrow IPC into blocks.
 
-use arrow::array::RecordBatch;
+use arrow::array::{Array, RecordBatch};
 use arrow::datatypes::Schema;
 use arrow::error::ArrowError;
-use kalfit::{Label, Labels};
 
-use super::LastLabel;
+use super::ahead::{Done, Task, Tasks};
 use super::arrays::{Numbers, Texts, Times, misfit};
 use super::guard::guarded;
+use crate::block::Filler;
 use crate::cell::Tokens;
 use crate::error::DataError;
 use crate::moment::Moment;
-use crate::row::Row;
 use crate::wanted::{Wanted, WantedColumn};
 
 /// Rows decoded at a time.
 pub(super) const ROWS: usize = 8192;
+/// Rows of a block.
+const BLOCK_ROWS: usize = 8 * ROWS;
 
 /// Gives the next batch; None at the end.
 type NextBatch<'a> = Box<dyn FnMut() -> Result<Option<RecordBatch>, DataError> + 'a>;
 
-/// A table of record batches, row by row.
+/// What must be known of a table to read its batches.
+#[derive(Clone, Copy)]
+pub(super) struct Form<'a> {
+    pub(super) file: &'a str,
+    pub(super) format: &'static str,
+    pub(super) wanted: &'a Wanted,
+}
+
+/// A table of record batches that come one after the other.
 pub(crate) struct BatchTable<'a> {
-    file: &'a str,
-    format: &'static str,
-    wanted: &'a Wanted,
+    form: Form<'a>,
     next_batch: NextBatch<'a>,
     /// Position of each wanted column in a batch.
     positions: Vec<usize>,
-    /// What is left of the batch, after the rows decoded.
+    /// What is left of the batch.
     rest: Option<RecordBatch>,
-    decoded: Vec<Decoded>,
-    /// Rows decoded, and how many of them are done.
-    rows: usize,
-    done: usize,
-    /// Rows before the decoded ones.
+    /// Rows handed out.
     before: u64,
-    /// All rows of the table, if that is known.
-    all: Option<u64>,
-    last: Vec<LastLabel>,
-    scratch: String,
 }
 
 /// A wanted column, as far as it is used.
@@ -47,6 +46,88 @@ struct Decoded {
     numbers: Option<Numbers>,
     times: Option<Times>,
     texts: Option<Texts>,
+}
+
+impl<'a> Form<'a> {
+    /// Positions of the wanted columns in a schema, which must have them in usable types.
+    pub(super) fn positions(self, schema: &Schema) -> Result<Vec<usize>, DataError> {
+        let names: Vec<&str> = schema.fields().iter().map(|field| field.name().as_str()).collect();
+        let positions = self.wanted.positions(self.file, &names)?;
+        for (column, &position) in self.wanted.columns.iter().zip(&positions) {
+            let data_type = schema.field(position).data_type();
+            if let Some(expected) = misfit(data_type, column.is_number(), column.is_time, column.is_text()) {
+                return Err(DataError::ColumnType {
+                    file: self.file.to_owned(),
+                    column: column.name.clone(),
+                    used_in: column.used_in.clone(),
+                    found: data_type.to_string().into(),
+                    expected,
+                });
+            }
+        }
+        Ok(positions)
+    }
+
+    /// A block of about so many rows, none yet.
+    pub(super) fn filler(self, rows: usize) -> Filler {
+        Filler::new((self.wanted.numbers, self.wanted.texts), self.wanted.columns.len(), rows)
+    }
+
+    /// Appends the rows of a batch, of which the first is the one after `before` rows.
+    pub(super) fn fill(
+        self,
+        filler: &mut Filler,
+        positions: &[usize],
+        (batch, mut before): (&RecordBatch, u64),
+    ) -> Result<(), DataError> {
+        for first in (0..batch.num_rows()).step_by(ROWS) {
+            let batch = batch.slice(first, ROWS.min(batch.num_rows() - first));
+            let decoded = self.decoded(positions, &batch)?;
+            for index in 0..batch.num_rows() {
+                before += 1;
+                self.row(filler, &decoded, (index, before))?;
+            }
+        }
+        Ok(())
+    }
+
+    fn decoded(self, positions: &[usize], batch: &RecordBatch) -> Result<Vec<Decoded>, DataError> {
+        guarded(self.file, self.format, || {
+            let columns = self.wanted.columns.iter().zip(positions);
+            let decoded = columns.map(|(column, &position)| Decoded::new(column, batch.column(position)));
+            decoded
+                .collect::<Result<_, _>>()
+                .map_err(|source| DataError::Arrow { file: self.file.to_owned(), source: Box::new(source) })
+        })
+    }
+
+    fn row(self, filler: &mut Filler, decoded: &[Decoded], (index, row): (usize, u64)) -> Result<(), DataError> {
+        let (file, tokens) = (self.file, &self.wanted.tokens);
+        for (at, (column, decoded)) in self.wanted.columns.iter().zip(decoded).enumerate() {
+            let cell = Cell { column, file, tokens, row, index };
+            if let Some(numbers) = &decoded.numbers {
+                let value = cell.number(numbers)?;
+                column.numbers.iter().for_each(|&number| filler.number(number, value));
+            }
+            if let Some(times) = &decoded.times {
+                filler.time(cell.time(times)?);
+            }
+            if let Some(texts) = &decoded.texts {
+                if index > 0 && texts.repeats(index) {
+                    continue; // id and labels stay
+                }
+                let mut scratch = String::new();
+                let text = texts.get(index, &mut scratch).filter(|text| !tokens.is_missing(text.as_bytes()));
+                if column.is_test {
+                    let id = text.ok_or_else(|| DataError::MissingTest { at: column.place(file, row) })?;
+                    filler.id(id);
+                }
+                filler.text(at, &column.texts, text);
+            }
+        }
+        filler.end_row(row);
+        Ok(())
+    }
 }
 
 impl<'a> BatchTable<'a> {
@@ -58,115 +139,42 @@ impl<'a> BatchTable<'a> {
         schema: &Schema,
         next_batch: NextBatch<'a>,
     ) -> Result<BatchTable<'a>, DataError> {
-        let names: Vec<&str> = schema.fields().iter().map(|field| field.name().as_str()).collect();
-        let positions = wanted.positions(file, &names)?;
-        for (column, &position) in wanted.columns.iter().zip(&positions) {
-            let data_type = schema.field(position).data_type();
-            if let Some(expected) = misfit(data_type, column.is_number(), column.is_time, column.is_text()) {
-                return Err(DataError::ColumnType {
-                    file: file.to_owned(),
-                    column: column.name.clone(),
-                    used_in: column.used_in.clone(),
-                    found: data_type.to_string().into(),
-                    expected,
-                });
-            }
-        }
-        let last = wanted.columns.iter().map(|_| LastLabel::default()).collect();
-        let (rest, decoded, scratch) = (None, Vec::new(), String::new());
-        let (rows, done, before, all) = (0, 0, 0, None);
-        Ok(BatchTable {
-            file,
-            format,
-            wanted,
-            next_batch,
-            positions,
-            rest,
-            decoded,
-            rows,
-            done,
-            before,
-            all,
-            last,
-            scratch,
-        })
+        let form = Form { file, format, wanted };
+        Ok(BatchTable { form, next_batch, positions: form.positions(schema)?, rest: None, before: 0 })
     }
+}
 
-    /// The table, known to have so many rows.
-    pub(super) fn of_rows(self, rows: u64) -> BatchTable<'a> {
-        BatchTable { all: Some(rows), ..self }
-    }
-
-    /// The part of its rows that was read, from 0 to 1; 0 when their number is not known.
-    pub(crate) fn share(&self) -> f64 {
-        let read = self.before + self.done as u64;
-        self.all.map_or(0.0, |all| read as f64 / all.max(1) as f64).min(1.0)
-    }
-
-    /// Reads the next row; false at the end.
-    pub(super) fn next(&mut self, row: &mut Row, labels: &mut Labels) -> Result<bool, DataError> {
-        while self.done == self.rows {
-            if !self.decode()? {
-                return Ok(false);
-            }
-        }
-        let index = self.done;
-        self.done += 1;
-        row.number = self.before + self.done as u64;
-        let (file, tokens) = (self.file, &self.wanted.tokens);
-        for ((column, decoded), last) in self.wanted.columns.iter().zip(&self.decoded).zip(&mut self.last) {
-            let at = Cell { column, file, tokens, row: row.number, index };
-            if let Some(numbers) = &decoded.numbers {
-                let value = at.number(numbers)?;
-                column.numbers.iter().for_each(|&number| row.numbers[number] = value);
-            }
-            if let Some(times) = &decoded.times {
-                row.time = Some(at.time(times)?);
-            }
-            if let Some(texts) = &decoded.texts {
-                let text = texts.get(index, &mut self.scratch).filter(|text| !tokens.is_missing(text.as_bytes()));
-                if column.is_test {
-                    let id = text.ok_or_else(|| DataError::MissingTest { at: column.place(file, at.row) })?;
-                    row.set_id(id);
-                }
-                if !column.texts.is_empty() {
-                    let label = text.map_or(Label::MISSING, |text| last.label(text, labels));
-                    column.texts.iter().for_each(|&index| row.texts[index] = label);
-                }
-            }
-        }
-        Ok(true)
-    }
-
-    /// Decodes the next rows; false at the end.
-    fn decode(&mut self) -> Result<bool, DataError> {
+impl<'a> Tasks<'a> for BatchTable<'a> {
+    fn next(&mut self) -> Result<Option<Task<'a>>, DataError> {
         let batch = match self.rest.take() {
             Some(rest) => rest,
             None => match (self.next_batch)()? {
                 Some(batch) => batch,
-                None => return Ok(false),
+                None => return Ok(None),
             },
         };
-        let now = batch.num_rows().min(ROWS);
+        let now = batch.num_rows().min(BLOCK_ROWS);
         if now < batch.num_rows() {
             self.rest = Some(batch.slice(now, batch.num_rows() - now));
         }
+        let (form, positions, before) = (self.form, self.positions.clone(), self.before);
+        self.before += now as u64;
         let batch = batch.slice(0, now);
-        self.before += self.rows as u64;
-        (self.rows, self.done) = (now, 0);
-        self.decoded = guarded(self.file, self.format, || {
-            let columns = self.wanted.columns.iter().zip(&self.positions);
-            let decoded = columns.map(|(column, &position)| Decoded::new(column, batch.column(position)));
-            decoded
-                .collect::<Result<_, _>>()
-                .map_err(|source| DataError::Arrow { file: self.file.to_owned(), source: Box::new(source) })
-        })?;
-        Ok(true)
+        let make = move || {
+            let mut filler = form.filler(batch.num_rows());
+            let filled = form.fill(&mut filler, &positions, (&batch, before));
+            filler.finish(filled.err())
+        };
+        Ok(Some(Task { make: Box::new(make), done: Done::Share(0.0) }))
+    }
+
+    fn alone(&self) -> usize {
+        1
     }
 }
 
 impl Decoded {
-    fn new(column: &WantedColumn, array: &dyn arrow::array::Array) -> Result<Decoded, ArrowError> {
+    fn new(column: &WantedColumn, array: &dyn Array) -> Result<Decoded, ArrowError> {
         Ok(Decoded {
             numbers: column.is_number().then(|| Numbers::new(array)).transpose()?,
             times: column.is_time.then(|| Times::new(array)).transpose()?,

@@ -1,14 +1,20 @@
 //! Parquet files.
 
+use std::io;
+
 use parquet::arrow::ProjectionMask;
-use parquet::arrow::arrow_reader::{ParquetRecordBatchReader, ParquetRecordBatchReaderBuilder};
+use parquet::arrow::arrow_reader::{
+    ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReader, ParquetRecordBatchReaderBuilder,
+};
 use parquet::basic::Compression;
 use parquet::errors::ParquetError;
 use parquet::file::metadata::ParquetMetaData;
 use parquet::file::reader::ChunkReader;
 
-use super::batches::{BatchTable, ROWS};
+use super::ahead::{Done, Task, Tasks};
+use super::batches::{Form, ROWS};
 use super::guard::guarded;
+use crate::block::Block;
 use crate::error::DataError;
 use crate::wanted::Wanted;
 
@@ -19,30 +25,133 @@ pub(crate) const FORMAT: &str = "Parquet";
 pub(crate) const ROWS_FREE: u64 = 1_000_000;
 pub(crate) const ROWS_PER_BYTE: u64 = 1_000;
 
-/// Opens a file: only the wanted columns are read, a few thousand rows at a time.
-pub(super) fn open<'a>(
+/// Cells of a block, and the fewest and most rows of one.
+const BLOCK_CELLS: usize = 1 << 19;
+const BLOCK_ROWS: (usize, usize) = (ROWS, 1 << 17);
+
+/// A Parquet file in blocks of rows of one row group, each of which is read by itself.
+struct ParquetTable<'a, B> {
+    form: Form<'a>,
+    /// Opens the file once more: every reader moves its own place in it.
+    open: B,
+    metadata: ArrowReaderMetadata,
+    mask: ProjectionMask,
+    /// Position of each wanted column in a batch.
+    positions: Vec<usize>,
+    /// Rows of a block.
+    block: usize,
+    /// The next row group, and its rows that are handed out.
+    group: usize,
+    within: usize,
+    /// Rows handed out.
+    before: u64,
+}
+
+/// Opens a file: only the wanted columns are read, some rows at a time.
+pub(super) fn open<'a, R: ChunkReader + 'static, B: Fn() -> io::Result<R> + Clone + Send + 'a>(
     file: &'a str,
-    bytes: impl ChunkReader + 'static,
+    open: B,
     wanted: &'a Wanted,
-) -> Result<BatchTable<'a>, DataError> {
-    let failed = move |source: ParquetError| DataError::Parquet { file: file.to_owned(), source: Box::new(source) };
-    let (schema, rows, mut reader) = guarded(file, FORMAT, || {
+) -> Result<Box<dyn Tasks<'a> + 'a>, DataError> {
+    let failed = |source: ParquetError| DataError::Parquet { file: file.to_owned(), source: Box::new(source) };
+    let bytes = open().map_err(|source| DataError::Io { file: file.to_owned(), source })?;
+    guarded(file, FORMAT, || {
         let length = bytes.len();
-        let builder = ParquetRecordBatchReaderBuilder::try_new(bytes).map_err(failed)?;
-        refuse_oversized(file, builder.metadata(), length)?;
-        let names: Vec<&str> = builder.schema().fields().iter().map(|field| field.name().as_str()).collect();
+        let metadata = ArrowReaderMetadata::load(&bytes, ArrowReaderOptions::new()).map_err(failed)?;
+        refuse_oversized(file, metadata.metadata(), length)?;
+        let names: Vec<&str> = metadata.schema().fields().iter().map(|field| field.name().as_str()).collect();
         let mut roots = wanted.positions(file, &names)?;
         let columns: Vec<&str> = wanted.columns.iter().map(|column| column.name.as_str()).collect();
-        refuse_codecs(file, builder.metadata(), &roots, &columns)?;
+        refuse_codecs(file, metadata.metadata(), &roots, &columns)?;
+        let form = Form { file, format: FORMAT, wanted };
         roots.sort_unstable();
-        let mask = ProjectionMask::roots(builder.parquet_schema(), roots);
-        let rows = u64::try_from(builder.metadata().file_metadata().num_rows()).unwrap_or(0);
-        let reader = builder.with_projection(mask).with_batch_size(ROWS).build().map_err(failed)?;
-        Ok((arrow::array::RecordBatchReader::schema(&reader), rows, reader))
-    })?;
-    let next = move || guarded(file, FORMAT, || next_batch(&mut reader, file));
-    let table = BatchTable::new(file, FORMAT, wanted, &schema, Box::new(next))?;
-    Ok(table.of_rows(rows))
+        let positions = form.positions(&metadata.schema().project(&roots).map_err(|error| failed(error.into()))?)?;
+        let mask = ProjectionMask::roots(metadata.parquet_schema(), roots);
+        let block = (BLOCK_CELLS / wanted.columns.len().max(1)).clamp(BLOCK_ROWS.0, BLOCK_ROWS.1);
+        let table = ParquetTable { form, open, metadata, mask, positions, block, group: 0, within: 0, before: 0 };
+        Ok(Box::new(table) as Box<dyn Tasks<'a> + 'a>)
+    })
+}
+
+impl<'a, R: ChunkReader + 'static, B: Fn() -> io::Result<R> + Clone + Send + 'a> Tasks<'a> for ParquetTable<'a, B> {
+    fn next(&mut self) -> Result<Option<Task<'a>>, DataError> {
+        let groups = self.metadata.metadata().row_groups();
+        let rows = |group: usize| groups.get(group).map(|group| usize::try_from(group.num_rows()).unwrap_or(0));
+        while rows(self.group).is_some_and(|rows| rows <= self.within) {
+            (self.group, self.within) = (self.group + 1, 0);
+        }
+        let Some(all) = rows(self.group) else { return Ok(None) };
+        let piece = Piece {
+            form: self.form,
+            metadata: self.metadata.clone(),
+            mask: self.mask.clone(),
+            positions: self.positions.clone(),
+            group: self.group,
+            skip: self.within,
+            rows: self.block.min(all - self.within),
+            before: self.before,
+        };
+        self.within += piece.rows;
+        self.before += piece.rows as u64;
+        let declared = self.metadata.metadata().file_metadata().num_rows().max(1);
+        let done = Done::Share((self.before as f64 / declared as f64).min(1.0));
+        let open = self.open.clone();
+        Ok(Some(Task { make: Box::new(move || piece.block(open())), done }))
+    }
+
+    fn alone(&self) -> usize {
+        usize::from(self.metadata.metadata().file_metadata().num_rows() <= ROWS as i64)
+    }
+}
+
+/// Rows of one row group.
+struct Piece<'a> {
+    form: Form<'a>,
+    metadata: ArrowReaderMetadata,
+    mask: ProjectionMask,
+    positions: Vec<usize>,
+    group: usize,
+    /// Rows of the group before these.
+    skip: usize,
+    rows: usize,
+    /// Rows of the file before these.
+    before: u64,
+}
+
+impl Piece<'_> {
+    fn block<R: ChunkReader + 'static>(self, bytes: io::Result<R>) -> Block {
+        let file = self.form.file.to_owned();
+        match bytes {
+            Ok(bytes) => self.read(bytes),
+            Err(source) => Block::failed(DataError::Io { file, source }),
+        }
+    }
+
+    fn read<R: ChunkReader + 'static>(self, bytes: R) -> Block {
+        let Piece { form, metadata, mask, positions, group, skip, rows, mut before } = self;
+        let (mut filler, last) = (form.filler(rows), before + rows as u64);
+        let read = || -> Result<(), DataError> {
+            let mut reader = guarded(form.file, FORMAT, || {
+                let builder = ParquetRecordBatchReaderBuilder::new_with_metadata(bytes, metadata)
+                    .with_projection(mask)
+                    .with_row_groups(vec![group])
+                    .with_offset(skip)
+                    .with_limit(rows)
+                    .with_batch_size(ROWS);
+                let failed = |source| DataError::Parquet { file: form.file.to_owned(), source: Box::new(source) };
+                builder.build().map_err(failed)
+            })?;
+            while let Some(batch) = guarded(form.file, FORMAT, || next_batch(&mut reader, form.file))? {
+                form.fill(&mut filler, &positions, (&batch, before))?;
+                before += batch.num_rows() as u64;
+            }
+            // to go on would take a declared row group of any length in vain
+            let whole = before == last;
+            whole.then_some(()).ok_or_else(|| DataError::Crashed { file: form.file.to_owned(), format: FORMAT })
+        };
+        let end = read().err();
+        filler.finish(end)
+    }
 }
 
 fn next_batch(

@@ -7,5 +7,6 @@ mod hostile;
 mod memory;
 mod streaming;
 mod support;
+mod threads;
 mod times;
 mod write;

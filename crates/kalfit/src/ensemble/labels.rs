@@ -54,6 +54,11 @@ impl Labels {
         label
     }
 
+    /// All texts, in the order of their labels.
+    pub fn texts(&self) -> &[String] {
+        &self.texts
+    }
+
     /// The text of a label; empty for [`Label::MISSING`].
     pub fn text(&self, label: Label) -> &str {
         self.texts.get(label.index()).map_or("", String::as_str)

@@ -43,6 +43,31 @@ impl Test {
         self.rows += 1;
     }
 
+    /// Appends rows, the k-th of them from row `source.row + k` of its file. Panics when the number of cells is not that of so
+    /// many rows of the test.
+    pub fn push_rows(&mut self, rows: usize, numbers: &[f64], texts: &[Label], source: Source) {
+        assert_eq!(
+            (numbers.len(), texts.len()),
+            (rows * self.columns, rows * self.text_columns),
+            "cells of {rows} rows"
+        );
+        if rows == 0 {
+            return;
+        }
+        if self.rows == 0 {
+            // most tests come whole: no more memory than they need
+            self.numbers.reserve_exact(numbers.len());
+            self.texts.reserve_exact(texts.len());
+            self.sources.reserve_exact(1);
+        }
+        self.numbers.extend_from_slice(numbers);
+        self.texts.extend_from_slice(texts);
+        if self.rows == 0 || self.next_source() != Some(source) {
+            self.sources.push((self.rows, source));
+        }
+        self.rows += rows;
+    }
+
     /// The first rows, at most as many as there are.
     pub(crate) fn first(&self, rows: usize) -> Test {
         let mut test = Test::new(self.id.clone(), self.columns, self.text_columns);
@@ -104,5 +129,20 @@ mod tests {
             assert_eq!(test.source(k), Source { file, row }, "row {k}");
         }
         assert_eq!((test.rows(), test.sources.len()), (10, 7));
+    }
+
+    #[test]
+    fn rows_appended_together_are_the_rows_one_by_one() {
+        let runs = [(0, 2, 3), (0, 5, 2), (1, 7, 1), (1, 8, 0), (1, 8, 4), (0, 1, 1)];
+        let (mut one_by_one, mut together) = (Test::new("t", 2, 1), Test::new("t", 2, 1));
+        for (file, first, rows) in runs {
+            let source = |k: u64| Source { file, row: first + k };
+            let numbers: Vec<f64> = (0..2 * rows).map(|k| (first * 10 + k) as f64).collect();
+            let texts: Vec<Label> = (0..rows).map(|k| Label::literal((first + k) as usize)).collect();
+            together.push_rows(rows as usize, &numbers, &texts, source(0));
+            let rows = numbers.chunks(2).zip(texts.chunks(1)).zip(0..);
+            rows.for_each(|((numbers, texts), k)| one_by_one.push(numbers, texts, source(k)));
+        }
+        assert_eq!(together, one_by_one);
     }
 }

@@ -52,6 +52,18 @@ pub struct Choices {
     pub intervals: IntervalKind,
     /// Whether each test is left out in turn.
     pub deletion: DeletionChoice,
+    /// Whether to say what each test says.
+    pub tests: TestsChoice,
+}
+
+/// Whether to say what each test says: of very many tests that takes more memory than the fit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum TestsChoice {
+    /// Every test.
+    #[default]
+    Each,
+    /// None: no posteriors, and no fits without each test.
+    None,
 }
 
 /// Whether each test is left out in turn.
@@ -88,7 +100,7 @@ pub struct Inference {
     pub phases: Vec<PhaseObservability>,
     /// What each constraint costs.
     pub sensitivities: Vec<Sensitivity>,
-    /// What each test says, in the order of the reductions.
+    /// What each test says, in the order of the reductions; empty when that was not asked for.
     pub posteriors: Vec<Posterior>,
     /// The fit without each test, in the order of the reductions; `None` when that was not asked for.
     pub deletions: Option<Vec<Option<Deletion>>>,
@@ -108,7 +120,9 @@ pub fn infer(estimate: &Estimate, reductions: &[Reduction], choices: Choices) ->
         IntervalKind::Wald => wald(estimate, &uncertainty),
         IntervalKind::Profile => profile(estimate, &uncertainty, &free(estimate, &unidentified)),
     };
+    let each = choices.tests == TestsChoice::Each;
     let wanted = match choices.deletion {
+        _ if !each => false,
         DeletionChoice::Cheap => deletion_work(estimate, reductions.len()) <= CHEAP,
         DeletionChoice::All => true,
         DeletionChoice::None => false,
@@ -119,7 +133,7 @@ pub fn infer(estimate: &Estimate, reductions: &[Reduction], choices: Choices) ->
         intervals,
         uncertainty,
         sensitivities: sensitivities(estimate),
-        posteriors: posteriors(estimate, reductions),
+        posteriors: if each { posteriors(estimate, reductions) } else { Vec::new() },
         deletions: wanted.then(|| deletions(estimate, reductions)),
         unidentified,
         explanations,

@@ -1,6 +1,6 @@
 //! From an estimate and its inference to the record.
 
-use std::collections::BTreeMap;
+use rayon::prelude::*;
 
 use crate::estimate::{Combination, Criterion, Estimate, Solver, Stop};
 use crate::infer::{Deletion, Element, Inference, IntervalKind, Posterior, Sensitivity, StdErrors};
@@ -108,7 +108,7 @@ impl DataRecord {
 
 fn data(reductions: &[Reduction], files: Vec<String>) -> DataRecord {
     let mut designs: Vec<u128> = reductions.iter().map(|r| r.design).collect();
-    designs.sort_unstable();
+    designs.par_sort_unstable();
     designs.dedup();
     DataRecord {
         tests: reductions.len(),
@@ -201,10 +201,13 @@ fn constraint(cut: &Cut<'_>, sensitivity: &Sensitivity) -> ConstraintRecord {
 }
 
 fn tests(model: &PhasedModel, reductions: &[Reduction], inference: &Inference) -> Vec<TestRecord> {
+    if inference.posteriors.is_empty() {
+        return Vec::new(); // not asked for
+    }
     let cuts = Cut::all(model);
     let mut order: Vec<usize> = (0..reductions.len()).collect();
-    order.sort_by(|&a, &b| reductions[a].test.cmp(&reductions[b].test));
-    let classes = design_classes(reductions, &order);
+    order.par_sort_by(|&a, &b| reductions[a].test.cmp(&reductions[b].test));
+    let classes = DesignClasses::new(reductions, &order);
     let record = |j: usize| {
         let (reduction, posterior) = (&reductions[j], &inference.posteriors[j]);
         let distance = posterior.distance;
@@ -214,7 +217,7 @@ fn tests(model: &PhasedModel, reductions: &[Reduction], inference: &Inference) -
             log_likelihood: posterior.log_likelihood,
             observations: reduction.observations,
             steps: Some(reduction.steps),
-            design_class: classes.get(&reduction.design).copied(),
+            design_class: classes.number(reduction.design),
             phases: cuts[..phases_of(reduction, model)]
                 .iter()
                 .zip(&posterior.covariances)
@@ -227,7 +230,7 @@ fn tests(model: &PhasedModel, reductions: &[Reduction], inference: &Inference) -
             innovations: None,
         }
     };
-    order.into_iter().map(record).collect()
+    order.into_par_iter().map(record).collect()
 }
 
 /// Some test has a phase whose filter's estimates stand for its measurements.
@@ -242,14 +245,25 @@ pub(super) fn phases_of(reduction: &Reduction, model: &PhasedModel) -> usize {
     reduction.chain.as_ref().map_or(all, |chain| chain.phases.len().min(all))
 }
 
-/// Numbers of the design classes, in the order of the tests.
-fn design_classes(reductions: &[Reduction], order: &[usize]) -> BTreeMap<u128, usize> {
-    let mut classes = BTreeMap::new();
-    for &j in order {
-        let next = classes.len() + 1;
-        classes.entry(reductions[j].design).or_insert(next);
+/// Numbers of the design classes, from 1 in the order of the tests: (digest, number), by digest.
+struct DesignClasses(Vec<(u128, usize)>);
+
+impl DesignClasses {
+    fn new(reductions: &[Reduction], order: &[usize]) -> DesignClasses {
+        let mut first: Vec<(u128, usize)> =
+            order.par_iter().map(|&j| reductions[j].design).zip(0..order.len()).collect();
+        first.par_sort_unstable();
+        first.dedup_by_key(|(design, _)| *design); // the first test of each class is left
+        let mut places: Vec<usize> = first.iter().map(|(_, place)| *place).collect();
+        places.par_sort_unstable();
+        let number = |place: usize| places.partition_point(|other| *other < place) + 1;
+        DesignClasses(first.into_par_iter().map(|(design, place)| (design, number(place))).collect())
     }
-    classes
+
+    fn number(&self, design: u128) -> Option<usize> {
+        let at = self.0.binary_search_by_key(&design, |(known, _)| *known).ok()?;
+        Some(self.0[at].1)
+    }
 }
 
 fn part(

@@ -1,0 +1,114 @@
+//! fit.json: the tests are most of it, and are put into words by many threads.
+
+use std::io::Write;
+
+use kalfit::FitRecord;
+use kalfit::record::TestRecord;
+use rayon::prelude::*;
+
+use crate::output::{Output, OutputError};
+
+/// Tests that one thread puts into words at a time.
+const CHUNK: usize = 256;
+/// Chunks of each thread that are in memory at the same time.
+const CHUNKS: usize = 4;
+
+/// The tests of a record that has none, where they stand.
+const NO_TESTS: &[u8] = b"\n  \"tests\": []";
+
+/// Writes a record, byte for byte as it would be written in one piece.
+pub(crate) fn record(output: &Output, record: &mut FitRecord) -> Result<(), OutputError> {
+    let tests = std::mem::take(&mut record.tests);
+    let head = serde_json::to_vec_pretty(record);
+    record.tests = tests;
+    output.write_by(|mut file| {
+        let head = head?;
+        // line ends in texts are escaped, so that this stands but once at the start of a line
+        let at = head.windows(NO_TESTS.len()).position(|bytes| bytes == NO_TESTS).expect("a record has its tests");
+        let (before, after) = head.split_at(at + NO_TESTS.len() - 1);
+        file.write_all(before)?;
+        write_tests(&record.tests, file)?;
+        file.write_all(after)?;
+        file.write_all(b"\n")
+    })
+}
+
+/// The elements of the list of tests. While some are written, the next ones are put into words.
+fn write_tests(tests: &[TestRecord], mut file: impl Write) -> std::io::Result<()> {
+    let round =
+        |tests: &[TestRecord]| -> Vec<serde_json::Result<Vec<u8>>> { tests.par_chunks(CHUNK).map(words).collect() };
+    let mut ready = Vec::new();
+    let mut first = true;
+    let mut write = |ready: Vec<serde_json::Result<Vec<u8>>>| -> std::io::Result<()> {
+        for chunk in ready {
+            if !std::mem::take(&mut first) {
+                file.write_all(b",")?;
+            }
+            file.write_all(&chunk?)?;
+        }
+        Ok(())
+    };
+    for some in tests.chunks(CHUNK * CHUNKS * rayon::current_num_threads()) {
+        let mut next = Vec::new();
+        let written = rayon::in_place_scope(|scope| {
+            scope.spawn(|_| next = round(some));
+            write(std::mem::take(&mut ready))
+        });
+        written?;
+        ready = next;
+    }
+    write(ready)?;
+    if tests.is_empty() { Ok(()) } else { file.write_all(b"\n  ") }
+}
+
+/// Some elements of the list, at its depth in the record: without the comma before the first.
+fn words(tests: &[TestRecord]) -> serde_json::Result<Vec<u8>> {
+    let mut bytes = serde_json::to_vec_pretty(&[tests])?;
+    let (before, after) = ("[\n  [".len(), "\n  ]\n]".len());
+    bytes.truncate(bytes.len() - after);
+    bytes.drain(..before);
+    Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn with_tests(count: usize) -> FitRecord {
+        let test = |j: usize| {
+            serde_json::json!({ "id": format!("unit \"{j}\",\n  \"tests\": []"), "log_likelihood": j as f64 * 0.1, "observations": j,
+                "phases": [{ "name": "main", "mean": [j as f64 / 3.0], "covariance": [[1e-300]] }],
+                "distance": null, "degrees_of_freedom": 1, "p_value": 0.5 })
+        };
+        let tests: Vec<_> = (0..count).map(test).collect();
+        serde_json::from_value(serde_json::json!({
+            "schema": "kalfit-fit/1", "kalfit_version": "0", "title": "a title\n  \"tests\": []", "model_digest": null,
+            "data": { "tests": count, "steps": 0, "observations": 0, "design_classes": 1 },
+            "criterion": "ml", "log_likelihood_kind": "measurements", "log_likelihood": -1.5, "free_parameters": 1,
+            "aic": null, "bic": null, "converged": true, "reason": "",
+            "certificate": { "mean": 0.0, "covariance": 0.0, "null_space": 0.0, "parameters": 0.0 },
+            "solver": { "method": "hybrid", "solver": "newton", "phases": "chain", "iterations": 0, "filter_passes": 0,
+                "trace": [], "seconds": 0.5 },
+            "phases": [], "parameters": [], "constraints": [], "tests": tests, "notes": ["\n  \"tests\": []"]
+        }))
+        .unwrap()
+    }
+
+    #[test]
+    fn a_record_is_written_as_in_one_piece_by_any_number_of_threads() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("fit.json");
+        for count in [0, 1, 2, CHUNK, CHUNK + 1, 5 * CHUNK * CHUNKS + 7] {
+            let mut record = with_tests(count);
+            let expected = serde_json::to_string_pretty(&record).unwrap() + "\n";
+            for threads in [1, 2, 3] {
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+                let output = Output::prepare(&path, &[]).unwrap();
+                pool.install(|| super::record(&output, &mut record)).unwrap();
+                let written = std::fs::read_to_string(&path).unwrap();
+                assert!(written == expected, "{count} tests, {threads} threads");
+            }
+            assert_eq!(record.tests.len(), count, "the record keeps its tests");
+        }
+    }
+}
