@@ -90,6 +90,11 @@ impl Test {
         &self.numbers[row * self.columns..][..self.columns]
     }
 
+    /// Numeric cells of all rows.
+    pub(crate) fn all_numbers(&self) -> &[f64] {
+        &self.numbers
+    }
+
     /// Sets a numeric cell. Panics when there is no such cell.
     pub fn set_number(&mut self, row: usize, column: usize, value: f64) {
         assert!(column < self.columns, "column {column} of {}", self.columns);

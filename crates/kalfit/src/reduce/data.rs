@@ -8,9 +8,9 @@ use crate::reduce::scan::scan;
 use kalfit_lanes::Real;
 
 /// e'S⁻¹e beyond which c + ½d'd would lose digits, so that the innovations are taken again from the best ξ.
-const REFINE: f64 = 1e3;
+pub(crate) const REFINE: f64 = 1e3;
 /// So many equal steps are not worth a scan.
-const FEW: usize = 64;
+pub(crate) const FEW: usize = 64;
 /// A measurement that can only be one value may miss it by this part of the size of its terms.
 const ROUNDING: f64 = 1e-10;
 
@@ -52,6 +52,12 @@ pub(crate) struct Outcome {
     pub(crate) constant: f64,
     /// d, p numbers.
     pub(crate) data: Vec<f64>,
+}
+
+impl Outcome {
+    pub(crate) fn is_finite(&self) -> bool {
+        self.constant.is_finite() && self.data.iter().all(|d| d.is_finite())
+    }
 }
 
 /// Measurement `row` missed its only possible value.

@@ -302,9 +302,9 @@ impl Design<f64> {
         lines.len() == fresh.len()
             && shared(last.transition, transition)
             && old.len() == new.len()
+            && same_bits(&self.h[old.clone()], &self.h[new.clone()])
             && same_shape()
-            && self.states[old.clone()] == self.states[new.clone()]
-            && same_bits(&self.h[old], &self.h[new])
+            && self.states[old] == self.states[new]
             && same_bits(&self.noise[lines], &self.noise[fresh])
     }
 
@@ -314,17 +314,14 @@ impl Design<f64> {
         digest.numbers(&self.variance);
         digest.count(self.runs.len());
         for run in &self.runs {
-            digest.count(run.lines);
-            digest.count(run.count);
+            digest.word((run.lines as u64) << 32 ^ run.count as u64);
             if let Some(transition) = &run.transition {
                 digest.wide(transition.digest);
             }
         }
-        for line in 0..self.ends.len() {
-            let (states, h) = self.terms(line);
-            states.iter().for_each(|&state| digest.word(u64::from(state)));
-            digest.numbers(h);
-        }
+        digest.counts(&self.ends);
+        digest.indices(&self.states);
+        digest.numbers(&self.h);
         digest.numbers(&self.noise);
         digest.finish()
     }

@@ -1,29 +1,41 @@
-//! A 128-bit digest of numbers: SipHash-1-3 with fixed keys (Aumasson, Bernstein 2012), the same on every machine and release.
+//! A 128-bit digest of numbers, the same on every machine and release: words are mixed in four places by turns, each in two ways;
+//! what is there at last goes through SipHash-1-3 with fixed keys (Aumasson, Bernstein 2012).
+
+/// Places side by side.
+const PLACES: usize = 4;
 
 /// The state of the hash.
 #[derive(Debug, Clone)]
 pub(crate) struct Digest {
-    v: [u64; 4],
+    places: [Place; PLACES],
     words: u64,
+}
+
+/// Words mixed in two ways: by wide products, and so that no word is ever lost.
+#[derive(Debug, Clone, Copy)]
+struct Place {
+    wide: u64,
+    whole: u64,
+}
+
+impl Place {
+    #[inline(always)]
+    fn take(&mut self, word: u64) {
+        let product = u128::from(self.wide ^ word) * 0x9e37_79b9_7f4a_7c15;
+        self.wide = product as u64 ^ (product >> 64) as u64;
+        self.whole = (self.whole ^ word).wrapping_mul(0xd6e8_feb8_6659_fd93).rotate_left(29);
+    }
 }
 
 impl Digest {
     pub(crate) fn new() -> Digest {
-        let (k0, k1) = (0x6b61_6c66_6974_2d31u64, 0x6465_7369_676e_2d31u64);
-        let v = [
-            k0 ^ 0x736f_6d65_7073_6575,
-            k1 ^ 0x646f_7261_6e64_6f6d ^ 0xee,
-            k0 ^ 0x6c79_6765_6e65_7261,
-            k1 ^ 0x7465_6462_7974_6573,
-        ];
-        Digest { v, words: 0 }
+        let place = |k: u64| Place { wide: 0x6b61_6c66_6974_2d31 ^ k, whole: 0x6465_7369_676e_2d31 ^ k };
+        Digest { places: [place(0), place(1), place(2), place(3)], words: 0 }
     }
 
     #[inline]
     pub(crate) fn word(&mut self, word: u64) {
-        self.v[3] ^= word;
-        self.round();
-        self.v[0] ^= word;
+        self.places[self.words as usize % PLACES].take(word);
         self.words += 1;
     }
 
@@ -32,10 +44,32 @@ impl Digest {
     }
 
     pub(crate) fn numbers(&mut self, numbers: &[f64]) {
-        self.count(numbers.len());
-        for x in numbers {
-            self.word(x.to_bits());
+        self.all(numbers, |x| x.to_bits());
+    }
+
+    pub(crate) fn counts(&mut self, counts: &[usize]) {
+        self.all(counts, |&count| count as u64);
+    }
+
+    pub(crate) fn indices(&mut self, indices: &[u32]) {
+        self.count(indices.len());
+        let pair = |pair: &[u32]| pair.iter().fold(0, |word, &index| word << 32 | u64::from(index));
+        indices.chunks(2).for_each(|two| self.word(pair(two)));
+    }
+
+    /// How many there are, then a word for each, the first one in the first place.
+    #[inline(always)]
+    fn all<T>(&mut self, all: &[T], word: impl Fn(&T) -> u64) {
+        self.count(all.len());
+        let mut places = self.places;
+        let fours = all.chunks_exact(PLACES);
+        let rest = fours.remainder();
+        for four in fours {
+            places.iter_mut().zip(four).for_each(|(place, x)| place.take(word(x)));
         }
+        places.iter_mut().zip(rest).for_each(|(place, x)| place.take(word(x)));
+        self.places = places;
+        self.words += all.len() as u64;
     }
 
     pub(crate) fn wide(&mut self, digest: u128) {
@@ -43,9 +77,39 @@ impl Digest {
         self.word((digest >> 64) as u64);
     }
 
-    pub(crate) fn finish(mut self) -> u128 {
-        let words = self.words;
-        self.word(words << 56);
+    pub(crate) fn finish(self) -> u128 {
+        let mut sip = Sip::new();
+        self.places.iter().flat_map(|place| [place.wide, place.whole]).for_each(|word| sip.word(word));
+        sip.finish(self.words)
+    }
+}
+
+/// SipHash-1-3.
+#[derive(Debug)]
+struct Sip {
+    v: [u64; 4],
+}
+
+impl Sip {
+    fn new() -> Sip {
+        let (k0, k1) = (0x6b61_6c66_6974_2d31u64, 0x6465_7369_676e_2d31u64);
+        let v = [
+            k0 ^ 0x736f_6d65_7073_6575,
+            k1 ^ 0x646f_7261_6e64_6f6d ^ 0xee,
+            k0 ^ 0x6c79_6765_6e65_7261,
+            k1 ^ 0x7465_6462_7974_6573,
+        ];
+        Sip { v }
+    }
+
+    fn word(&mut self, word: u64) {
+        self.v[3] ^= word;
+        self.round();
+        self.v[0] ^= word;
+    }
+
+    fn finish(mut self, words: u64) -> u128 {
+        self.word(words);
         self.v[2] ^= 0xee;
         let low = self.squeeze();
         self.v[1] ^= 0xdd;

@@ -28,6 +28,10 @@
 //! all phases ── stack ──> Reduction with its Chain       rotations once per design, then the data of each test
 //! ```
 //!
+//! Many tests are reduced side by side (batch, [`kalfit_lanes`]). A test whose cells are those of one before it, measured values
+//! apart, is not evaluated (recognise), and tests of one design have one data pass (lanes); tests of designs of their own have one
+//! design pass and one data pass, if their designs have one shape (queue, lanes). No bit depends on the company.
+//!
 //! Long uniform records cost little: equal steps are one run of the design, S, K, T are kept once from where they no longer
 //! change (settling), J then grows in closed form, and the data pass is a linear scan (scan).
 
@@ -44,6 +48,7 @@ mod flops;
 mod gains;
 mod instances;
 mod kernel;
+mod lanes;
 mod motion;
 mod observe;
 mod order;
@@ -52,6 +57,7 @@ mod phased;
 mod plain;
 mod plain_order;
 mod prepare;
+mod recognise;
 mod reducer;
 mod reduction;
 mod root;

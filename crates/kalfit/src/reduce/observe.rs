@@ -132,6 +132,16 @@ impl Meters {
         (lines, constants)
     }
 
+    /// The column of a measurement.
+    pub(crate) fn column(&self, meter: usize) -> usize {
+        self.meters[meter].column
+    }
+
+    /// The columns of all measurements.
+    pub(crate) fn columns(&self) -> impl Iterator<Item = usize> {
+        self.meters.iter().map(|meter| meter.column)
+    }
+
     /// True when the measurements of a step whose cells repeat are those of the step before but for their values.
     pub(crate) fn can_repeat(&self) -> bool {
         self.pairs.is_empty() // whitening mixes values

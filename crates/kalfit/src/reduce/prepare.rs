@@ -2,28 +2,34 @@
 
 use std::ops::Range;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::AtomicU64;
+
+use kalfit_lanes::Isa;
 
 use crate::ensemble::Test;
 use crate::model::{Alpha, Model, Scope};
 use crate::reduce::data::{Data, DataWork};
 use crate::reduce::design::Design;
-use crate::reduce::digest::Digest;
 use crate::reduce::dynamics::Dynamics;
 use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::instances::Instances;
+use crate::reduce::lanes::{Block, Gained, Room};
 use crate::reduce::motion::{Moves, Plan};
 use crate::reduce::observe::{Meters, Observed};
 use crate::reduce::order::Order;
+use crate::reduce::recognise::Looks;
 use crate::reduce::schedule::GainsWork;
 use crate::reduce::shared::{Entry, Shared};
 use crate::reduce::start::{Law, Start};
 use crate::reduce::steps::{Cells, Span, spans};
-use crate::reduce::subject::{At, Fault, Subject, Uses};
+use crate::reduce::subject::{At, Fault, Reads, Subject};
 
+mod alike;
 mod opening;
 mod replay;
+mod transition;
 
+use alike::looks;
 pub(crate) use replay::Replay;
 
 /// Bytes of transitions that are kept.
@@ -44,13 +50,17 @@ pub(crate) struct Preparer {
     pub(crate) plan: Plan,
     pub(crate) meters: Meters,
     /// Columns that φ, Q, h, R or which values count depend on: where their cells repeat, so do these.
-    shape: Uses,
+    shape: Reads,
     /// Columns that only known inputs and constants depend on.
-    drive: Uses,
+    drive: Reads,
     /// Nothing is read from the data but measured values and times.
     plain: bool,
+    /// The dynamics depend on the length of a step alone.
+    steady: bool,
     /// The law of x_0, when no test changes it.
     law: Option<Law>,
+    /// How tests of one design are recognised; `None` where they cannot be, as values are mixed.
+    pub(crate) looks: Option<Looks>,
     transitions: Shared<Vec<u64>, Result<Moves, Box<Fault>>>,
     /// Transitions computed.
     pub(crate) computed: AtomicU64,
@@ -78,6 +88,10 @@ pub(crate) struct Workspace {
     pub(crate) covariances: Option<Vec<(usize, usize, f64)>>,
     pub(crate) gains: GainsWork,
     pub(crate) pass: DataWork,
+    /// For one test by itself.
+    pub(crate) block: Block,
+    pub(crate) room: Room,
+    pub(crate) gained: Gained,
     spans: Vec<Span>,
     /// Number of the first step of each span.
     firsts: Vec<usize>,
@@ -125,10 +139,12 @@ impl Preparer {
         let (mut shape, mut drive) = meters.uses(alpha);
         dynamics.table.varying.iter().for_each(|(_, coefficient, _)| shape.add(coefficient, alpha));
         dynamics.inputs.varying.iter().for_each(|(_, coefficient, _)| drive.add(coefficient, alpha));
+        let looks = looks(&at, (&shape, &drive), (&dynamics, &start, &meters));
         Ok(Preparer {
             plain: shape.is_empty() && drive.is_empty() && meters.can_repeat(),
-            shape,
-            drive,
+            shape: Reads::new(&shape),
+            drive: Reads::new(&drive),
+            steady: dynamics.table.varying.is_empty() && dynamics.inputs.varying.is_empty(),
             model: model.clone(),
             alpha: alpha.clone(),
             free,
@@ -138,6 +154,7 @@ impl Preparer {
             order,
             meters,
             law,
+            looks,
             transitions: Shared::new(TRANSITION_BYTES),
             computed: AtomicU64::new(0),
         })
@@ -158,6 +175,9 @@ impl Preparer {
             covariances: None,
             gains: GainsWork::default(),
             pass: DataWork::default(),
+            block: Block::new(Isa::best()),
+            room: Room::default(),
+            gained: Gained::default(),
             spans: Vec::new(),
             whole: Cells::default(),
             step: Cells::default(),
@@ -377,52 +397,5 @@ impl Preparer {
             (&*cells.numbers, &*cells.texts)
         };
         Ok(Scope { numbers, texts, step: moment.dt, alpha: &self.alpha })
-    }
-
-    /// The transition that leads to a step; its inputs go to the data.
-    fn transition(
-        &self,
-        at: &At<'_>,
-        test: &Test,
-        moment: &Moment,
-        work: &mut Workspace,
-    ) -> Result<Arc<crate::reduce::design::Transition>, Box<Fault>> {
-        let (row, dt) = (moment.rows.start, moment.dt);
-        let continuous = !self.dynamics.components.is_empty();
-        if continuous && dt.is_nan() {
-            return Err(Fault::new(Subject::Transition, ReduceErrorKind::UnknownFirstStep).on(row));
-        }
-        self.evaluate(at, test, moment, work, false)?;
-        work.key.clear();
-        work.key.push(if continuous { dt.to_bits() } else { 0 });
-        work.key.extend(self.dynamics.table.varying.iter().map(|(slot, ..)| work.values[*slot].to_bits()));
-        let entry = match &work.last {
-            Some(entry) if entry.key == work.key => entry.clone(),
-            _ => self.shared_moves(work, dt),
-        };
-        let moves = entry.value().as_ref().map_err(|fault| fault.clone().on(row))?;
-        self.plan.inputs(moves, &work.inputs, &mut work.data.inputs);
-        let transition = moves.transition.clone();
-        work.last = Some(entry);
-        Ok(transition)
-    }
-
-    fn shared_moves(&self, work: &mut Workspace, dt: f64) -> Arc<Moved> {
-        let mut digest = Digest::new();
-        work.key.iter().for_each(|&word| digest.word(word));
-        let Workspace { key, values, flows, .. } = work;
-        self.transitions.get(
-            digest.finish(),
-            |known| known == key,
-            || key.clone(),
-            |_| {
-                self.computed.fetch_add(1, Ordering::Relaxed);
-                self.plan.moves(&self.dynamics, values, dt, flows)
-            },
-            |key, moves| {
-                let numbers = moves.as_ref().map_or(0, |m| m.transition.phi.len() + m.transition.q.len());
-                8 * (key.len() + numbers) + 300
-            },
-        )
     }
 }

@@ -1,5 +1,8 @@
 //! Tests → reductions.
 
+mod batch;
+mod queue;
+
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -7,25 +10,30 @@ use rayon::prelude::*;
 
 use crate::ensemble::Test;
 use crate::model::{Alpha, Model};
-use crate::reduce::data::{Miss, outcome};
+use crate::reduce::data::{Miss, Outcome, outcome};
 use crate::reduce::design::Design;
 use crate::reduce::end::End;
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
 use crate::reduce::gains::Gains;
 use crate::reduce::instances::{Instance, Instances};
+use crate::reduce::lanes::{Block, Gained, Room, fits, is_short};
 use crate::reduce::prepare::{Preparer, Workspace};
+use crate::reduce::recognise::Memory;
 use crate::reduce::root::{RootError, root_gains};
 use crate::reduce::schedule::{GainsWork, schedule};
 use crate::reduce::shared::{Entry, Shared};
 use crate::reduce::subject::{Fault, Subject};
 use crate::reduce::{Path, Reduction};
 use crate::score::Slots;
+use batch::Known;
 
 /// Bytes of design classes that are kept: tests of one design share its covariance run while they fit.
 const CLASS_BYTES: usize = 256 << 20;
 /// Beyond so many bytes, only those of them that a second test has.
-const EAGER_BYTES: usize = 4 << 20;
+const EAGER_BYTES: usize = 256 << 10;
 
+/// Bytes of tests that others are recognised by.
+const KNOWN_BYTES: usize = 64 << 20;
 /// Reduces the tests of a model at α.
 ///
 /// It keeps transitions and design classes from call to call, so one reducer should serve all batches of an ensemble.
@@ -34,6 +42,8 @@ const EAGER_BYTES: usize = 4 << 20;
 pub struct Reducer {
     preparer: Preparer,
     classes: Shared<Design, Result<Gains, RootError>>,
+    /// Tests of designs that were seen more than once.
+    known: Memory<Known>,
     unfrozen: bool,
     /// The last states are wanted.
     ends: bool,
@@ -42,11 +52,27 @@ pub struct Reducer {
     data_runs: AtomicU64,
 }
 
+/// What design passes work in.
+struct GainsRoom<'a> {
+    gains: &'a mut GainsWork,
+    block: &'a Block,
+    room: &'a mut Room,
+    gained: &'a mut Gained,
+}
+
 type Made = Arc<Entry<Design, Result<Gains, RootError>>>;
 
 /// A design class.
 #[derive(Debug, Clone)]
 pub(crate) struct Class(Made);
+
+/// What a reduction has from its test beside the data.
+#[derive(Debug)]
+pub(crate) struct About {
+    pub(crate) covariates: Vec<f64>,
+    pub(crate) steps: usize,
+    pub(crate) digest: u128,
+}
 
 /// What a reducer has done.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -85,6 +111,7 @@ impl Reducer {
         Reducer {
             preparer,
             classes,
+            known: Memory::new(KNOWN_BYTES),
             unfrozen: false,
             ends: false,
             design_runs: AtomicU64::new(0),
@@ -120,10 +147,7 @@ impl Reducer {
 
     /// The reductions of tests, in their order; of several tests in error, the first one's error.
     pub fn reduce(&mut self, tests: &[Test]) -> Result<Vec<Reduction>, ReduceError> {
-        let this = &*self;
-        let all: Vec<Result<Reduction, ReduceError>> =
-            tests.par_iter().map_init(|| this.workspace(), |work, test| Ok(this.one(test, work)?.0)).collect();
-        all.into_iter().collect()
+        self.reduce_all(&tests.iter().collect::<Vec<_>>())
     }
 
     /// The reductions of designs: information and covariates as in [`Reducer::reduce`], from times, inputs and which values are
@@ -217,37 +241,68 @@ impl Reducer {
 
     fn reduced(&self, test: &Test, work: &mut Workspace) -> Result<(Reduction, Class), Box<Fault>> {
         self.preparer.prepare(test, work)?;
-        let digest = work.design.digest();
+        self.prepared(test, work.design.digest(), work)
+    }
+
+    /// The same of the test in the work space.
+    pub(crate) fn prepared(
+        &self,
+        test: &Test,
+        digest: u128,
+        work: &mut Workspace,
+    ) -> Result<(Reduction, Class), Box<Fault>> {
         let class = self.class(digest, work);
         let gains = class.value().as_ref().map_err(|&error| root_fault(error, &work.instances))?;
-        self.data_runs.fetch_add(1, Ordering::Relaxed);
-        let outcome = outcome(&work.design, gains, &work.data, &mut work.pass).map_err(|miss| {
+        let outcome = own_outcome(gains, work).map_err(|miss| {
             let Instance { meter, row } = work.instances.get(miss.row);
             Fault::new(Subject::Value(meter), impossible(miss)).on(row)
         })?;
-        if !outcome.constant.is_finite() || outcome.data.iter().any(|d| !d.is_finite()) {
+        if !outcome.is_finite() {
             return Err(Fault::new(Subject::Test, ReduceErrorKind::NotFinite));
         }
-        let reduction = Reduction {
-            test: test.id.clone(),
-            constant: outcome.constant,
-            data: outcome.data,
-            factor: gains.factor.clone(),
-            covariates: work.covariates.clone(),
-            steps: work.design.steps(),
-            observations: gains.active,
-            path: if gains.turns.is_some() { Path::SquareRoot } else { Path::Information },
-            design: digest,
-            chain: None,
-        };
+        let about = About { covariates: work.covariates.clone(), steps: work.design.steps(), digest };
+        let reduction = self.reduction(test, outcome, gains, about);
         Ok((reduction, Class(class)))
     }
 
-    fn information(&self, design: &Design, work: &mut GainsWork) -> Option<Gains> {
-        let mut gains = information_gains(design, work)?;
+    /// A test's reduction under the gains of its class.
+    pub(crate) fn reduction(&self, test: &Test, outcome: Outcome, gains: &Gains, about: About) -> Reduction {
+        let path = if gains.turns.is_some() { Path::SquareRoot } else { Path::Information };
+        Reduction { path, ..self.informed(test, outcome, (gains.factor.clone(), gains.active), about) }
+    }
+
+    /// A test's reduction under R, with so many measurements that say something.
+    pub(crate) fn informed(
+        &self,
+        test: &Test,
+        outcome: Outcome,
+        (factor, observations): (Vec<f64>, usize),
+        about: About,
+    ) -> Reduction {
+        self.data_runs.fetch_add(1, Ordering::Relaxed);
+        Reduction {
+            test: test.id.clone(),
+            constant: outcome.constant,
+            data: outcome.data,
+            factor,
+            covariates: about.covariates,
+            steps: about.steps,
+            observations,
+            path: Path::Information,
+            design: about.digest,
+            chain: None,
+        }
+    }
+
+    /// The design pass in plain covariance and information arithmetic; `None` where that would lose too much.
+    fn information(&self, design: &Design, work: &mut GainsRoom<'_>) -> Option<Gains> {
+        if !self.ends && is_short(design) {
+            return work.block.gains(design, work.gained, work.room);
+        }
+        let mut gains = information_gains(design, work.gains)?;
         if self.ends {
             let states = &self.preparer.order.states;
-            gains.end = Some(End::of_covariance(states, &work.Psi, &work.P, design.frame.r)?);
+            gains.end = Some(End::of_covariance(states, &work.gains.Psi, &work.gains.P, design.frame.r)?);
         }
         Some(gains)
     }
@@ -263,21 +318,45 @@ impl Reducer {
 
     /// The design class of the test in the work space.
     fn class(&self, digest: u128, work: &mut Workspace) -> Made {
-        let Workspace { design, gains, .. } = work;
+        let Workspace { design, gains, block, room, gained, .. } = work;
+        let mut work = GainsRoom { gains, block, room, gained };
         self.classes.get(
             digest,
             |known| known.same(design),
             || design.clone(),
             |design| {
                 self.design_runs.fetch_add(1, Ordering::Relaxed);
-                self.information(design, gains).map_or_else(|| self.root(design), Ok)
+                self.information(design, &mut work).map_or_else(|| self.root(design), Ok)
             },
-            |design, gains| design.bytes() + gains.as_ref().map_or(0, Gains::bytes),
+            class_bytes,
         )
     }
 }
 
+fn class_bytes(design: &Design, gains: &Result<Gains, RootError>) -> usize {
+    design.bytes() + gains.as_ref().map_or(0, Gains::bytes)
+}
+
+/// The outcome of the test in the work space; x̂_K is left there.
+fn own_outcome(gains: &Gains, work: &mut Workspace) -> Result<Outcome, Miss> {
+    let Workspace { design, data, block, room, pass, .. } = work;
+    if fits(design, gains) {
+        return Ok(block.alone((design, gains), data, room, &mut pass.x));
+    }
+    outcome(design, gains, data, pass)
+}
+
 impl Class {
+    /// The design that all tests of it have.
+    pub(crate) fn design(&self) -> &Design {
+        &self.0.key
+    }
+
+    /// Its gains.
+    pub(crate) fn gains(&self) -> &Result<Gains, RootError> {
+        self.0.value()
+    }
+
     /// The last state, where it was wanted.
     pub(crate) fn end(&self) -> Option<&End> {
         self.0.value().as_ref().ok()?.end.as_ref()

@@ -9,7 +9,7 @@ use crate::reduce::gains::{Gains, Piece};
 use crate::reduce::small::moving;
 
 /// Terms that are added up before they join the sum: rounding grows with the number of blocks, not of rows.
-const BLOCK: usize = 512;
+pub(crate) const BLOCK: usize = 512;
 /// Sums side by side.
 const LANES: usize = 8;
 

@@ -9,7 +9,7 @@ use crate::reduce::kernel;
 use crate::reduce::semidefinite::information_root;
 use crate::reduce::settling::{Frozen, Settling};
 use crate::reduce::small;
-use kalfit_lanes::Real;
+use kalfit_lanes::{Lanes, Real};
 
 /// A scaled pivot of J below this is too ill-conditioned for sums of T'S⁻¹T.
 const LEAST_PIVOT: f64 = 1e-9;
@@ -23,16 +23,92 @@ pub(crate) struct Schedule<R = f64> {
     pub(crate) gains: Vec<R>,
     pub(crate) sensitivities: Vec<R>,
     pieces: Vec<Piece>,
+    pub(crate) sums: Sums<R>,
+    /// Rows that Π S lacks: (S, how many).
+    many: Vec<(R, usize)>,
+}
+
+/// What a design pass adds up.
+#[derive(Debug, Clone)]
+pub(crate) struct Sums<R = f64> {
     /// J, packed by columns.
     pub(crate) J: Vec<R>,
-    /// Π S = mantissa × 2^exponent of all rows but these: (S, how many).
+    /// Π S = mantissa × 2^exponent.
     mantissa: R,
     exponent: R,
-    many: Vec<(R, usize)>,
     /// Below zero where an update cancelled too many digits.
     kept: R,
     /// Smallest S.
     least: R,
+}
+
+/// Entries of a packed triangle.
+pub(crate) fn packed(p: usize) -> usize {
+    p * (p + 1) / 2
+}
+
+impl<R: Real> Sums<R> {
+    #[inline(always)]
+    pub(crate) fn new(p: usize) -> Sums<R> {
+        let (zero, one) = (R::splat(0.0), R::splat(1.0));
+        Sums { J: vec![zero; packed(p)], mantissa: one, exponent: zero, kept: one, least: one }
+    }
+
+    /// Takes S of a row into account.
+    #[inline(always)]
+    pub(crate) fn count(&mut self, S: R, kept: R) {
+        self.kept = self.kept.minimum(kept);
+        self.least = self.least.minimum(S);
+        self.scale(S);
+    }
+
+    #[inline(always)]
+    fn scale(&mut self, S: R) {
+        let (mantissa, exponent) = (self.mantissa * S.or_one()).split();
+        (self.mantissa, self.exponent) = (mantissa, self.exponent + exponent);
+    }
+}
+
+impl<R: Lanes> Sums<R> {
+    /// Those of each lane, one beside the other. `all`: room.
+    #[inline(always)]
+    pub(crate) fn lanes(&self, all: &mut Vec<f64>) {
+        all.clear();
+        all.resize((self.J.len() + 4) * R::COUNT, 0.0);
+        let last = [self.mantissa, self.exponent, self.kept, self.least];
+        for (k, to) in all.chunks_exact_mut(R::COUNT).enumerate() {
+            let x = if k < self.J.len() { self.J[k] } else { last[k - self.J.len()] };
+            x.store(to);
+        }
+    }
+}
+
+impl Sums {
+    /// Those of one lane, from [`Sums::lanes`].
+    pub(crate) fn of_lane(all: &[f64], lane: usize, lanes: usize) -> Sums {
+        let entries = all.len() / lanes - 4;
+        let at = |k: usize| all[k * lanes + lane];
+        Sums {
+            J: (0..entries).map(at).collect(),
+            mantissa: at(entries),
+            exponent: at(entries + 1),
+            kept: at(entries + 2),
+            least: at(entries + 3),
+        }
+    }
+
+    /// (R, Σ log S), or `None` where square-root arrays are called for. `many`: more rows, (S, how many).
+    pub(crate) fn root(&self, many: &[(f64, usize)]) -> Option<(Vec<f64>, f64)> {
+        let sound = self.kept >= 0.0 && self.least > 0.0 && self.J.iter().all(|x| x.is_finite());
+        if !sound || !self.mantissa.is_finite() {
+            return None;
+        }
+        let p = (0..).find(|&p| packed(p) == self.J.len()).expect("J is a packed triangle");
+        let (factor, least) = information_root(&self.J, p, LEAST_PIVOT);
+        let repeated: f64 = many.iter().map(|&(S, many)| many as f64 * S.ln()).sum();
+        let log_determinant = self.mantissa.ln() + self.exponent * std::f64::consts::LN_2 + repeated;
+        (least >= LEAST_PIVOT).then_some((factor, log_determinant))
+    }
 }
 
 /// Work space of the design pass; afterwards P and Ψ of the last step, those of
@@ -48,7 +124,7 @@ pub(crate) struct GainsWork<R = f64> {
 
 /// Runs the covariance filter of a design.
 pub(crate) fn schedule<R: Real>(design: &Design<R>, work: &mut GainsWork<R>) -> Schedule<R> {
-    let (frame, zero, one) = (&*design.frame, R::splat(0.0), R::splat(1.0));
+    let (frame, zero) = (&*design.frame, R::splat(0.0));
     let (p, r) = (frame.p, frame.r);
     work.P.clone_from(&design.variance);
     work.Psi.clear();
@@ -60,12 +136,8 @@ pub(crate) fn schedule<R: Real>(design: &Design<R>, work: &mut GainsWork<R>) -> 
         gains: Vec::with_capacity((1 + r) * design.ends.len()),
         sensitivities: Vec::with_capacity(p * design.ends.len()),
         pieces: vec![Piece::all(0)],
-        J: vec![zero; p * (p + 1) / 2],
-        mantissa: one,
-        exponent: zero,
+        sums: Sums::new(p),
         many: Vec::new(),
-        kept: one,
-        least: one,
     };
     for stretch in design.stretches() {
         out.stretch(design, &stretch, work);
@@ -123,19 +195,10 @@ impl<R: Real> Schedule<R> {
             kernel::sensitivity(frame, states, h, &work.Psi, T);
             let update = kernel::update(r, states, h, design.noise[line], &mut work.P, &mut work.G, K);
             kernel::correct(p, K, T, &mut work.Psi);
-            kernel::inform(T, update.weight, &mut self.J);
+            kernel::inform(T, update.weight, &mut self.sums.J);
             *weight = update.weight;
-            self.count(update.S, update.kept);
+            self.sums.count(update.S, update.kept);
         }
-    }
-
-    /// Takes S of a row into account.
-    #[inline(always)]
-    pub(crate) fn count(&mut self, S: R, kept: R) {
-        self.kept = self.kept.minimum(kept);
-        self.least = self.least.minimum(S);
-        let (mantissa, exponent) = (self.mantissa * S.or_one()).split();
-        (self.mantissa, self.exponent) = (mantissa, self.exponent + exponent);
     }
 
     /// A step under the gains of the last one.
@@ -151,10 +214,8 @@ impl<R: Real> Schedule<R> {
             let T = append(&mut self.sensitivities, p);
             kernel::sensitivity(frame, states, h, &work.Psi, T);
             kernel::correct(p, &gain[1..], T, &mut work.Psi);
-            kernel::inform(T, gain[0], &mut self.J);
-            let S = gain[0].recip_or_zero();
-            let (mantissa, exponent) = (self.mantissa * S.or_one()).split();
-            (self.mantissa, self.exponent) = (mantissa, self.exponent + exponent);
+            kernel::inform(T, gain[0], &mut self.sums.J);
+            self.sums.scale(gain[0].recip_or_zero());
         }
     }
 
@@ -167,7 +228,7 @@ impl<R: Real> Schedule<R> {
         for back in (1..=lines).rev() {
             let weight = self.gains[self.gains.len() - back * stride];
             let T = &self.sensitivities[self.sensitivities.len() - back * p..][..p];
-            kernel::inform(T, weight * R::splat(many as f64), &mut self.J);
+            kernel::inform(T, weight * R::splat(many as f64), &mut self.sums.J);
             self.many.push((weight.recip_or_zero().or_one(), many));
         }
     }
@@ -204,14 +265,8 @@ fn append<R: Real>(numbers: &mut Vec<R>, many: usize) -> &mut [R] {
 impl Schedule<f64> {
     /// The finished information form, or `None` where square-root arrays are called for.
     pub(crate) fn finish(self, (r, p): (usize, usize), active: usize) -> Option<Gains> {
-        let sound = self.kept >= 0.0 && self.least > 0.0 && self.J.iter().all(|x| x.is_finite());
-        if !sound || !self.mantissa.is_finite() {
-            return None;
-        }
-        let (factor, least) = information_root(&self.J, p, LEAST_PIVOT);
-        let repeated: f64 = self.many.iter().map(|&(S, many)| many as f64 * S.ln()).sum();
-        let log_determinant = self.mantissa.ln() + self.exponent * std::f64::consts::LN_2 + repeated;
-        (least >= LEAST_PIVOT).then_some(Gains {
+        let (factor, log_determinant) = self.sums.root(&self.many)?;
+        Some(Gains {
             r,
             p,
             gains: self.gains,

@@ -2,7 +2,7 @@
 
 use std::collections::{HashMap, HashSet};
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 /// A store of values by key, bounded in bytes. A full store keeps what it has; what it returns never depends on that.
 #[derive(Debug)]
@@ -65,6 +65,27 @@ impl<K, V> Shared<K, V> {
         Shared { shards: (0..16).map(|_| Mutex::default()).collect(), bytes: AtomicUsize::new(0), limit, eager }
     }
 
+    /// True when a key is kept.
+    pub(crate) fn has(&self, digest: u128, same: impl Fn(&K) -> bool) -> bool {
+        self.shard(digest).entries.get(&digest).is_some_and(|entry| same(&entry.key))
+    }
+
+    /// Keeps what was made elsewhere, where [`Shared::get`] would have kept it; it is put together only then.
+    pub(crate) fn offer(&self, digest: u128, made: impl FnOnce() -> (K, V), size: impl FnOnce(&K, &V) -> usize) {
+        let (found, bytes) = (self.shard(digest).entries.contains_key(&digest), self.bytes.load(Ordering::Relaxed));
+        let wanted = bytes < self.limit && (bytes < self.eager || self.shard(digest).is_known(digest));
+        if found || !wanted {
+            return;
+        }
+        let (key, value) = made();
+        self.bytes.fetch_add(size(&key, &value), Ordering::Relaxed);
+        self.shard(digest).entries.entry(digest).or_insert_with(|| Arc::new(Entry { key, value: value.into() }));
+    }
+
+    fn shard(&self, digest: u128) -> MutexGuard<'_, Shard<K, V>> {
+        self.shards[digest as usize % 16].lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// The entry of a key, made if need be. `same` tells the key from others of the same digest, `size` is for the key and
     /// its value together.
     pub(crate) fn get(
@@ -77,7 +98,7 @@ impl<K, V> Shared<K, V> {
     ) -> Arc<Entry<K, V>> {
         let mut kept = false;
         let entry = {
-            let mut shard = self.shards[digest as usize % 16].lock().unwrap_or_else(PoisonError::into_inner);
+            let mut shard = self.shard(digest);
             match shard.entries.get(&digest) {
                 Some(entry) if same(&entry.key) => entry.clone(),
                 found => {

@@ -74,11 +74,11 @@ fn run<R: Real, const N: usize, const W: usize>(
     }
     out.gains.reserve((1 + r) * many);
     out.sensitivities.reserve(W * many);
-    let mut J = vec![zero; out.J.len()];
+    let mut J = vec![zero; out.sums.J.len()];
     for _ in 0..many {
         step.take(&mut P, &mut Psi, r, &mut J, out);
     }
-    for (sum, part) in out.J.iter_mut().zip(&J) {
+    for (sum, part) in out.sums.J.iter_mut().zip(&J) {
         *sum = *sum + *part;
     }
     for i in 0..r {
@@ -180,7 +180,7 @@ impl<R: Real, const N: usize, const W: usize> Small<R, N, W> {
         out.gains.push(weight);
         out.gains.extend_from_slice(&K[..r]);
         out.sensitivities.extend_from_slice(&T);
-        out.count(S, kept);
+        out.sums.count(S, kept);
     }
 }
 

@@ -182,18 +182,25 @@ impl At<'_> {
     }
 
     /// Value of a coefficient on a row.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn value(&self, coefficient: &Coefficient, scope: &Scope<'_>) -> Result<f64, Box<Fault>> {
         match coefficient {
             Coefficient::Fixed(value) | Coefficient::Free(value, ..) => Ok(*value),
-            Coefficient::Varying(expression, subject) => match expression.evaluate(scope) {
-                Ok(value) if value.is_finite() => Ok(value),
-                // An unknown first step is not a number, and so is whatever depends on it.
-                Err(EvaluationError::NotFinite) if scope.step.is_nan() && mentions_step(expression) => {
-                    Err(Fault::new(*subject, ReduceErrorKind::UnknownFirstStep))
-                }
-                other => self.finite(other, *subject),
-            },
+            Coefficient::Varying(Expression::Column(column), _) if scope.numbers[*column].is_finite() => {
+                Ok(scope.numbers[*column])
+            }
+            Coefficient::Varying(expression, subject) => self.evaluated(expression, *subject, scope),
+        }
+    }
+
+    fn evaluated(&self, expression: &Expression, subject: Subject, scope: &Scope<'_>) -> Result<f64, Box<Fault>> {
+        match expression.evaluate(scope) {
+            Ok(value) if value.is_finite() => Ok(value),
+            // An unknown first step is not a number, and so is whatever depends on it.
+            Err(EvaluationError::NotFinite) if scope.step.is_nan() && mentions_step(expression) => {
+                Err(Fault::new(subject, ReduceErrorKind::UnknownFirstStep))
+            }
+            other => self.finite(other, subject),
         }
     }
 
@@ -271,18 +278,6 @@ impl Uses {
         self.numbers.is_empty() && self.texts.is_empty()
     }
 
-    /// True when the cells in `rows` are, bit for bit, those of as many rows before them.
-    #[inline]
-    pub(crate) fn repeat(&self, test: &Test, rows: &std::ops::Range<usize>) -> bool {
-        self.is_empty()
-            || rows.clone().all(|row| {
-                let (now, before) = (test.numbers(row), test.numbers(row - rows.len()));
-                let (texts, texts_before) = (test.texts(row), test.texts(row - rows.len()));
-                self.numbers.iter().all(|&column| now[column].to_bits() == before[column].to_bits())
-                    && self.texts.iter().all(|&column| texts[column] == texts_before[column])
-            })
-    }
-
     pub(crate) fn expression(&mut self, expression: &Expression, alpha: &Alpha) {
         expression.any(&mut |part| {
             match part {
@@ -301,6 +296,36 @@ impl Uses {
             }
             false
         });
+    }
+}
+
+/// The same columns, to be gone through quickly.
+#[derive(Debug, Clone)]
+pub(crate) struct Reads {
+    numbers: Vec<usize>,
+    texts: Vec<usize>,
+}
+
+impl Reads {
+    pub(crate) fn new(uses: &Uses) -> Reads {
+        Reads { numbers: uses.numbers.iter().copied().collect(), texts: uses.texts.iter().copied().collect() }
+    }
+
+    /// True when there are none.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.numbers.is_empty() && self.texts.is_empty()
+    }
+
+    /// True when the cells in `rows` are, bit for bit, those of as many rows before them.
+    #[inline]
+    pub(crate) fn repeat(&self, test: &Test, rows: &std::ops::Range<usize>) -> bool {
+        self.is_empty()
+            || rows.clone().all(|row| {
+                let (now, before) = (test.numbers(row), test.numbers(row - rows.len()));
+                let (texts, texts_before) = (test.texts(row), test.texts(row - rows.len()));
+                self.numbers.iter().all(|&column| now[column].to_bits() == before[column].to_bits())
+                    && self.texts.iter().all(|&column| texts[column] == texts_before[column])
+            })
     }
 }
 

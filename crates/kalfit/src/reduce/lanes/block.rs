@@ -1,0 +1,127 @@
+//! The data of tests of one design, a test in each lane, and what their pass finds.
+use kalfit_lanes::Isa;
+
+use crate::reduce::data::{Data, Outcome};
+use crate::reduce::design::Design;
+use crate::reduce::gains::Gains;
+use crate::reduce::lanes::designs::{Filters, Gained};
+use crate::reduce::lanes::pass::{Pass, Side};
+
+/// Start, inputs and values of as many tests as there are lanes, each number of one test beside the same of the others.
+/// Lanes that no test has taken hold zeros.
+#[derive(Debug, Clone)]
+pub(crate) struct Block {
+    isa: Isa,
+    numbers: Vec<f64>,
+    /// Where inputs and values begin, a number of each test counted once.
+    inputs: usize,
+    values: usize,
+}
+
+/// Work space of a pass over a block, and what it finds. All in lanes.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Room {
+    /// x̂, afterwards of the last step.
+    pub(super) x: Vec<f64>,
+    pub(super) moved: Vec<f64>,
+    /// The innovations, in order.
+    pub(super) e: Vec<f64>,
+    /// y, then d.
+    pub(super) d: Vec<f64>,
+    /// The best ξ.
+    pub(super) best: Vec<f64>,
+    /// Sums of a few rows.
+    pub(super) part: Vec<f64>,
+    /// d by way of the best ξ.
+    pub(super) refined: Vec<f64>,
+    /// Residual sums of squares, and where d was refined.
+    pub(super) residual: Vec<f64>,
+    pub(super) is_refined: Vec<bool>,
+}
+
+impl Block {
+    /// An empty block.
+    pub(crate) fn new(isa: Isa) -> Block {
+        Block { isa, numbers: Vec::new(), inputs: 0, values: 0 }
+    }
+
+    /// How many tests it has room for.
+    pub(crate) fn lanes(&self) -> usize {
+        self.isa.lanes()
+    }
+
+    /// Empties it, for tests with so many numbers of each kind.
+    pub(crate) fn clear(&mut self, start: usize, inputs: usize, values: usize) {
+        (self.inputs, self.values) = (start, start + inputs);
+        self.numbers.clear();
+        self.numbers.resize((start + inputs + values) * self.isa.lanes(), 0.0);
+    }
+
+    /// Puts a test into a lane, all but its values.
+    pub(crate) fn begin(&mut self, lane: usize, start: &[f64], inputs: &[f64]) {
+        let lanes = self.isa.lanes();
+        self.numbers.chunks_exact_mut(lanes).zip(start).for_each(|(all, x)| all[lane] = *x);
+        self.numbers[self.inputs * lanes..].chunks_exact_mut(lanes).zip(inputs).for_each(|(all, x)| all[lane] = *x);
+    }
+
+    /// Puts values into a lane; false where one is not finite.
+    #[inline]
+    pub(crate) fn values(&mut self, lane: usize, values: impl Iterator<Item = f64>) -> bool {
+        let lanes = self.isa.lanes();
+        let mut finite = true;
+        for (all, z) in self.numbers[self.values * lanes..].chunks_exact_mut(lanes).zip(values) {
+            all[lane] = z;
+            finite &= z.is_finite();
+        }
+        finite
+    }
+
+    /// Runs the data pass of a class.
+    pub(crate) fn run(&self, design: &Design, gains: &Gains, room: &mut Room) {
+        self.isa.run(Pass { design, gains, data: self.side(), room });
+    }
+
+    /// Runs the filters of designs of one shape, one for each lane, and their data passes.
+    pub(crate) fn filter(&self, (designs, longest): (&[&Design], &Design), gained: &mut Gained, room: &mut Room) {
+        self.isa.run(Filters { designs, longest, data: Some(self.side()), gained, room });
+    }
+
+    /// The gains of one design; `None` where square-root arrays are called for.
+    pub(crate) fn gains(&self, design: &Design, gained: &mut Gained, room: &mut Room) -> Option<Gains> {
+        self.isa.run(Filters { designs: &[design], longest: design, data: None, gained, room });
+        gained.gains((0, self.isa.lanes()), design.rows())
+    }
+
+    fn side(&self) -> Side<'_> {
+        let (start, rest) = self.numbers.split_at(self.inputs * self.isa.lanes());
+        let (inputs, values) = rest.split_at((self.values - self.inputs) * self.isa.lanes());
+        Side { start, inputs, values }
+    }
+
+    /// What a pass found in a lane, for `active` measurements with this Σ log S.
+    pub(crate) fn outcome(&self, lane: usize, (active, log_determinant): (usize, f64), room: &Room) -> Outcome {
+        let from = if room.is_refined[lane] { &room.refined } else { &room.d };
+        let log_density = -0.5 * (active as f64 * std::f64::consts::TAU.ln() + log_determinant);
+        Outcome {
+            constant: log_density - 0.5 * room.residual[lane],
+            data: from.iter().skip(lane).step_by(self.isa.lanes()).copied().collect(),
+        }
+    }
+
+    /// The outcome of one test by itself, and x̂ of its last step to `x`.
+    pub(crate) fn alone(
+        &mut self,
+        (design, gains): (&Design, &Gains),
+        data: &Data,
+        room: &mut Room,
+        x: &mut Vec<f64>,
+    ) -> Outcome {
+        self.clear(data.start.len(), data.inputs.len(), data.values.len());
+        self.begin(0, &data.start, &data.inputs);
+        self.values(0, data.values.iter().copied());
+        self.run(design, gains, room);
+        x.clear();
+        x.extend(room.x.iter().step_by(self.isa.lanes()));
+        self.outcome(0, (gains.active, gains.log_determinant), room)
+    }
+}

@@ -1,0 +1,323 @@
+//! The design pass over designs of one shape side by side: the steps of [`schedule`](crate::reduce::schedule), a design in each
+//! lane.
+#![expect(non_snake_case, reason = "the letters of the theory: P, Psi, G = P h, K, T, S, J, R")]
+
+use std::sync::Arc;
+
+use kalfit_lanes::{Kernel, Lanes, MOST};
+
+use crate::reduce::design::{Design, Pattern, Run, Transition};
+use crate::reduce::gains::{Gains, Piece};
+use crate::reduce::kernel;
+use crate::reduce::lanes::block::Room;
+use crate::reduce::lanes::pass::{Numbers, Side, at, innovate, put};
+use crate::reduce::schedule::{Sums, packed};
+
+/// Designs of one shape and all that their pass leaves, in lanes.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Gained {
+    variance: Vec<f64>,
+    h: Vec<f64>,
+    noise: Vec<f64>,
+    /// φ of each run, `terms` numbers; Q likewise.
+    phi: Vec<f64>,
+    q: Vec<f64>,
+    terms: usize,
+    /// 1/S and K, T of each row.
+    gains: Vec<f64>,
+    sensitivities: Vec<f64>,
+    /// 1 + r, p.
+    stride: usize,
+    p: usize,
+    factor: Vec<f64>,
+    /// R and Σ log S of each design; none where square-root arrays are called for.
+    pub(crate) found: Vec<Option<(Vec<f64>, f64)>>,
+    /// What was added up.
+    sums: Vec<f64>,
+}
+
+/// Whether two designs go side by side: as far as both reach, they differ in their numbers alone.
+pub(crate) fn same_shape(a: &Design, b: &Design) -> bool {
+    let same_transition = |a: &Option<Arc<Transition>>, b: &Option<Arc<Transition>>| match (a, b) {
+        (Some(a), Some(b)) => Arc::ptr_eq(&a.pattern, &b.pattern),
+        (None, None) => true,
+        _ => false,
+    };
+    let same_run = |(a, b): (&Run, &Run)| {
+        (a.lines, a.count) == (b.lines, b.count) && same_transition(&a.transition, &b.transition)
+    };
+    let (lines, terms) = (a.ends.len().min(b.ends.len()), a.states.len().min(b.states.len()));
+    Arc::ptr_eq(&a.frame, &b.frame)
+        && a.runs.iter().zip(&b.runs).all(same_run)
+        && a.ends[..lines] == b.ends[..lines]
+        && a.states[..terms] == b.states[..terms]
+}
+
+/// The design pass, then the data pass, if there are data.
+pub(crate) struct Filters<'a> {
+    /// One for each lane, and no fewer than one. Shorter ones are filled up with measurements that say nothing, which changes
+    /// no bit: h = 0, R = 1.
+    pub(super) designs: &'a [&'a Design],
+    /// The longest of them.
+    pub(super) longest: &'a Design,
+    pub(super) data: Option<Side<'a>>,
+    pub(super) gained: &'a mut Gained,
+    pub(super) room: &'a mut Room,
+}
+
+impl Kernel for Filters<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<T: Lanes>(self) {
+        let Filters { designs, longest, data, gained, room } = self;
+        gained.load::<T>(designs, longest);
+        let sums = gained.filter::<T>(longest);
+        gained.finish(&sums, designs.len());
+        if let Some(data) = data {
+            innovate::<T, _>(longest, gained, data, room);
+        }
+    }
+}
+
+impl Gained {
+    /// The numbers of the designs, side by side.
+    #[inline(always)]
+    fn load<T: Lanes>(&mut self, designs: &[&Design], longest: &Design) {
+        let of = |get: fn(&Design) -> &[f64]| {
+            let mut all: [&[f64]; MOST] = [&[]; MOST];
+            all.iter_mut().zip(designs).for_each(|(own, design)| *own = get(design));
+            all
+        };
+        weave::<T>(&of(|design| &design.variance), (longest.variance.len(), 0.0), &mut self.variance);
+        weave::<T>(&of(|design| &design.h), (longest.h.len(), 0.0), &mut self.h);
+        weave::<T>(&of(|design| &design.noise), (longest.noise.len(), 1.0), &mut self.noise);
+        self.phi.clear();
+        self.q.clear();
+        self.terms = pattern(longest).map_or(0, |pattern| pattern.columns.len());
+        let pairs = pattern(longest).map_or(0, |pattern| pattern.pairs.len());
+        let mut last: [Option<&Arc<Transition>>; MOST] = [None; MOST];
+        for run in 0..longest.runs.len() {
+            let mut repeats = run > 0;
+            for (last, design) in last.iter_mut().zip(designs) {
+                let transition = design.runs.get(run).and_then(|run| run.transition.as_ref());
+                repeats &= match (transition, &last) {
+                    (Some(a), Some(b)) => Arc::ptr_eq(a, b),
+                    (None, None) => true,
+                    _ => false,
+                };
+                *last = transition;
+            }
+            let (phi, q) = (self.phi.len(), self.q.len());
+            if repeats {
+                self.phi.extend_from_within(phi - self.terms * T::COUNT..);
+                self.q.extend_from_within(q - pairs * T::COUNT..);
+                continue;
+            }
+            self.phi.resize(phi + self.terms * T::COUNT, 0.0);
+            self.q.resize(q + pairs * T::COUNT, 0.0);
+            for (lane, transition) in last.iter().enumerate() {
+                let Some(transition) = transition else { continue };
+                transition.phi.iter().enumerate().for_each(|(k, &x)| self.phi[phi + k * T::COUNT + lane] = x);
+                transition.q.iter().enumerate().for_each(|(k, &x)| self.q[q + k * T::COUNT + lane] = x);
+            }
+        }
+    }
+
+    /// The covariance filter.
+    #[inline(always)]
+    fn filter<T: Lanes>(&mut self, design: &Design) -> Sums<T> {
+        let frame = &*design.frame;
+        (self.p, self.stride) = (frame.p, 1 + frame.r);
+        self.gains.resize(design.rows() * self.stride * T::COUNT, 0.0);
+        self.sensitivities.resize(design.rows() * self.p * T::COUNT, 0.0);
+        let mut state = State::<T>::new(self, design);
+        let (mut first, mut row) = (0, 0);
+        for (at_run, run) in design.runs.iter().enumerate() {
+            state.next_run(self, at_run);
+            for _ in 0..run.count {
+                if run.transition.is_some() {
+                    kernel::predict(&mut state.P, frame.r, &state.transition, &mut state.rows);
+                    kernel::advance(&mut state.Psi, frame.p, &state.transition, &mut state.rows);
+                }
+                for line in first..run.lines {
+                    state.measure(self, design, (line, row));
+                    row += 1;
+                }
+            }
+            first = run.lines;
+        }
+        state.sums
+    }
+
+    /// R and Σ log S of each design.
+    #[inline(always)]
+    fn finish<T: Lanes>(&mut self, sums: &Sums<T>, designs: usize) {
+        sums.lanes(&mut self.sums);
+        self.found.clear();
+        self.factor.clear();
+        self.factor.resize(packed(self.p) * T::COUNT, 0.0);
+        for lane in 0..designs {
+            let found = Sums::of_lane(&self.sums, lane, T::COUNT).root(&[]);
+            if let Some((factor, _)) = &found {
+                factor.iter().enumerate().for_each(|(k, &x)| self.factor[k * T::COUNT + lane] = x);
+            }
+            self.found.push(found);
+        }
+    }
+
+    /// The gains of one design by themselves; `None` where square-root arrays are called for.
+    pub(crate) fn gains(&self, (lane, lanes): (usize, usize), rows: usize) -> Option<Gains> {
+        let (factor, log_determinant) = self.found[lane].clone()?;
+        let own = |all: &[f64], numbers: usize| -> Vec<f64> {
+            all.iter().skip(lane).step_by(lanes).take(numbers).copied().collect()
+        };
+        Some(Gains {
+            r: self.stride - 1,
+            p: self.p,
+            gains: own(&self.gains, rows * self.stride),
+            sensitivities: own(&self.sensitivities, rows * self.p),
+            pieces: vec![Piece::all(rows)],
+            factor,
+            log_determinant,
+            active: rows,
+            turns: None,
+            end: None,
+        })
+    }
+}
+
+/// The covariance filter of several designs on its way.
+struct State<T> {
+    P: Vec<T>,
+    Psi: Vec<T>,
+    G: Vec<T>,
+    K: Vec<T>,
+    T: Vec<T>,
+    h: Vec<T>,
+    transition: Transition<T>,
+    /// Work space of the kernels.
+    rows: Vec<T>,
+    sums: Sums<T>,
+}
+
+impl<T: Lanes> State<T> {
+    #[inline(always)]
+    fn new(gained: &Gained, design: &Design) -> State<T> {
+        let (frame, zero) = (&*design.frame, T::splat(0.0));
+        let (mut P, mut Psi) = (vec![zero; frame.r * frame.r], vec![zero; frame.sensitivity.len()]);
+        for k in 0..P.len() {
+            P[k] = at(&gained.variance, k);
+        }
+        for k in 0..Psi.len() {
+            Psi[k] = T::splat(frame.sensitivity[k]);
+        }
+        let pattern = pattern(design).cloned().unwrap_or_default();
+        let (phi, q) = (vec![zero; pattern.columns.len()], vec![zero; pattern.pairs.len()]);
+        State {
+            P,
+            Psi,
+            G: vec![zero; frame.r],
+            K: vec![zero; frame.r],
+            T: vec![zero; frame.p],
+            h: Vec::new(),
+            transition: Transition { pattern, phi, q, digest: 0 },
+            rows: Vec::new(),
+            sums: Sums::new(frame.p),
+        }
+    }
+
+    /// Takes the transition of a run.
+    #[inline(always)]
+    fn next_run(&mut self, gained: &Gained, run: usize) {
+        let Transition { phi, q, .. } = &mut self.transition;
+        for k in 0..phi.len() {
+            phi[k] = at(&gained.phi, run * phi.len() + k);
+        }
+        for k in 0..q.len() {
+            q[k] = at(&gained.q, run * q.len() + k);
+        }
+    }
+
+    /// A scalar measurement; what it leaves is kept.
+    #[inline(always)]
+    fn measure(&mut self, gained: &mut Gained, design: &Design, (line, row): (usize, usize)) {
+        let (frame, start) = (&*design.frame, if line == 0 { 0 } else { design.ends[line - 1] });
+        self.h.clear();
+        for term in start..design.ends[line] {
+            self.h.push(at(&gained.h, term));
+        }
+        let (states, noise) = (&design.states[start..design.ends[line]], at(&gained.noise, line));
+        kernel::sensitivity(frame, states, &self.h, &self.Psi, &mut self.T);
+        let update = kernel::update(frame.r, states, &self.h, noise, &mut self.P, &mut self.G, &mut self.K);
+        kernel::correct(frame.p, &self.K, &self.T, &mut self.Psi);
+        kernel::inform(&self.T, update.weight, &mut self.sums.J);
+        self.sums.count(update.S, update.kept);
+        let stride = 1 + frame.r;
+        put(&mut gained.gains, row * stride, update.weight);
+        for i in 0..frame.r {
+            put(&mut gained.gains, row * stride + 1 + i, self.K[i]);
+        }
+        for k in 0..frame.p {
+            put(&mut gained.sensitivities, row * frame.p + k, self.T[k]);
+        }
+    }
+}
+
+impl<T: Lanes> Numbers<T> for Gained {
+    #[inline(always)]
+    fn phi(&self, run: usize, term: usize) -> T {
+        at(&self.phi, run * self.terms + term)
+    }
+
+    #[inline(always)]
+    fn h(&self, term: usize) -> T {
+        at(&self.h, term)
+    }
+
+    #[inline(always)]
+    fn weight(&self, row: usize) -> T {
+        at(&self.gains, row * self.stride)
+    }
+
+    #[inline(always)]
+    fn K(&self, row: usize, i: usize) -> T {
+        at(&self.gains, row * self.stride + 1 + i)
+    }
+
+    #[inline(always)]
+    fn T(&self, row: usize, k: usize) -> T {
+        at(&self.sensitivities, row * self.p + k)
+    }
+
+    #[inline(always)]
+    fn R(&self, at_: usize) -> T {
+        at(&self.factor, at_)
+    }
+}
+
+/// The pattern of the transitions of a design: all have one.
+#[inline(always)]
+fn pattern(design: &Design) -> Option<&Arc<Pattern>> {
+    design.runs.iter().find_map(|run| run.transition.as_ref()).map(|transition| &transition.pattern)
+}
+
+/// Numbers of several designs side by side, `len` of each: what is missing is `rest`.
+#[inline(always)]
+fn weave<T: Lanes>(all: &[&[f64]; MOST], (len, rest): (usize, f64), out: &mut Vec<f64>) {
+    out.resize(len * T::COUNT, 0.0);
+    if all[..T::COUNT].iter().all(|own| own.len() == len) {
+        let mut own = [&[] as &[f64]; MOST];
+        (0..T::COUNT).for_each(|lane| own[lane] = &all[lane][..len]);
+        for (k, side) in out.chunks_exact_mut(T::COUNT).enumerate() {
+            for lane in 0..T::COUNT {
+                side[lane] = own[lane][k];
+            }
+        }
+        return;
+    }
+    out.fill(rest);
+    for (lane, own) in all[..T::COUNT].iter().enumerate() {
+        own.iter().enumerate().for_each(|(k, &x)| out[k * T::COUNT + lane] = x);
+    }
+}

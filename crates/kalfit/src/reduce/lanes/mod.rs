@@ -1,0 +1,30 @@
+//! Tests side by side, one in each lane: of one design, whose data passes are one; or of designs of one shape, whose design passes
+//! are one too.
+//!
+//! What a lane holds never depends on the others, and a test by itself goes the same way with the other lanes empty: it is
+//! reduced to the same bits in any company. Which way a test goes depends on its design alone ([`is_short`], [`fits`]).
+
+mod block;
+mod designs;
+mod pass;
+mod squares;
+
+pub(crate) use block::{Block, Room};
+pub(crate) use designs::{Gained, same_shape};
+
+use crate::reduce::data::FEW;
+use crate::reduce::design::Design;
+use crate::reduce::gains::Gains;
+
+/// Whether the design pass is one for lanes: long uniform records have passes of their own.
+pub(crate) fn is_short(design: &Design) -> bool {
+    design.rows() > 0 && design.runs.iter().all(|run| run.count <= FEW)
+}
+
+/// Whether the data pass of a class is one for lanes: square-root arrays have another.
+pub(crate) fn fits(design: &Design, gains: &Gains) -> bool {
+    gains.turns.is_none() && is_short(design)
+}
+
+#[cfg(test)]
+mod tests;

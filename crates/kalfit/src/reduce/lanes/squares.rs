@@ -1,0 +1,113 @@
+//! d and the residual sum of squares of each test of a block, from y and e'S⁻¹e: see [`data`](crate::reduce::data).
+
+use kalfit_lanes::Lanes;
+
+use crate::reduce::data::REFINE;
+use crate::reduce::lanes::block::Room;
+use crate::reduce::lanes::pass::{Numbers, at, put};
+use crate::reduce::scan::BLOCK;
+
+/// y → d. Where a test's squares are large, by way of its best ξ.
+#[inline(always)]
+pub(super) fn solve<T: Lanes, N: Numbers<T>>(numbers: &N, p: usize, square: T, room: &mut Room) {
+    forward::<T, N>(numbers, p, &mut room.d);
+    room.residual.resize(T::COUNT, 0.0);
+    (square - squares::<T>(&room.d, p)).store(&mut room.residual);
+    room.is_refined.clear();
+    room.is_refined.resize(T::COUNT, false);
+    if square.at_most(T::splat(REFINE)) || p == 0 {
+        return;
+    }
+    let residual = refine::<T, N>(numbers, p, room);
+    for lane in 0..T::COUNT {
+        let small = square.lane(lane) <= REFINE; // not so where it is not a number
+        if !small {
+            room.is_refined[lane] = true;
+            room.residual[lane] = residual.lane(lane);
+        }
+    }
+}
+
+/// d by way of the best ξ; the residual sum of squares.
+#[inline(always)]
+fn refine<T: Lanes, N: Numbers<T>>(numbers: &N, p: usize, room: &mut Room) -> T {
+    room.best.clone_from(&room.d);
+    backward::<T, N>(numbers, p, &mut room.best);
+    room.refined.clear();
+    room.refined.resize(p * T::COUNT, 0.0);
+    let (mut total, rows) = (T::splat(0.0), room.e.len() / T::COUNT);
+    for start in (0..rows).step_by(BLOCK) {
+        room.part.clear();
+        room.part.resize(p * T::COUNT, 0.0);
+        let mut square = T::splat(0.0);
+        for row in start..rows.min(start + BLOCK) {
+            let mut left = at::<T>(&room.e, row);
+            for k in 0..p {
+                left = numbers.T(row, k).fnma(at::<T>(&room.best, k), left);
+            }
+            let weighted = left * numbers.weight(row);
+            square = left.fma(weighted, square);
+            add(numbers, row, weighted, &mut room.part);
+        }
+        total = total + square;
+        for k in 0..p {
+            let sum = at::<T>(&room.refined, k) + at::<T>(&room.part, k);
+            put(&mut room.refined, k, sum);
+        }
+    }
+    forward::<T, N>(numbers, p, &mut room.refined);
+    let residual = total - squares::<T>(&room.refined, p);
+    for k in 0..p {
+        let best = at::<T>(&room.best, k);
+        for i in 0..=k {
+            // d = R ξ + what is left
+            let d = numbers.R(k * (k + 1) / 2 + i).fma(best, at::<T>(&room.refined, i));
+            put(&mut room.refined, i, d);
+        }
+    }
+    residual
+}
+
+/// sum ← sum + T'x of a row.
+#[inline(always)]
+pub(super) fn add<T: Lanes, N: Numbers<T>>(numbers: &N, row: usize, x: T, sum: &mut [f64]) {
+    for k in 0..sum.len() / T::COUNT {
+        let next = numbers.T(row, k).fma(x, at::<T>(sum, k));
+        put(sum, k, next);
+    }
+}
+
+/// Σ x².
+#[inline(always)]
+fn squares<T: Lanes>(x: &[f64], p: usize) -> T {
+    let mut sum = T::splat(0.0);
+    for k in 0..p {
+        sum = at::<T>(x, k).fma(at::<T>(x, k), sum);
+    }
+    sum
+}
+
+/// d ← R'⁻¹ d, zero for zero rows of R.
+#[inline(always)]
+fn forward<T: Lanes, N: Numbers<T>>(numbers: &N, p: usize, d: &mut [f64]) {
+    for k in 0..p {
+        let mut sum = at::<T>(d, k);
+        for i in 0..k {
+            sum = numbers.R(k * (k + 1) / 2 + i).fnma(at::<T>(d, i), sum);
+        }
+        put(d, k, sum * numbers.R(k * (k + 3) / 2).recip_or_zero());
+    }
+}
+
+/// ξ ← R⁻¹ ξ, zero for zero rows of R.
+#[inline(always)]
+fn backward<T: Lanes, N: Numbers<T>>(numbers: &N, p: usize, x: &mut [f64]) {
+    for k in (0..p).rev() {
+        let best = at::<T>(x, k) * numbers.R(k * (k + 3) / 2).recip_or_zero();
+        put(x, k, best);
+        for i in 0..k {
+            let left = numbers.R(k * (k + 1) / 2 + i).fnma(best, at::<T>(x, i));
+            put(x, i, left);
+        }
+    }
+}

@@ -1,0 +1,223 @@
+use kalfit_lanes::Isa;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+
+use super::*;
+use crate::ensemble::{Source, Test};
+use crate::model::{
+    Alpha, Clock, Column, CovarianceStructure, Expression, Initial, Linear, MeanStructure, Measurement, Model, Motion,
+    State,
+};
+use crate::reduce::data::{DataWork, Outcome, outcome};
+use crate::reduce::reducer::{Reducer, information_gains};
+use crate::reduce::schedule::GainsWork;
+use crate::reduce::{Reduction, Work};
+
+/// z, w, an input of z, an input of the drift, the variance of z.
+const COLUMNS: usize = 5;
+
+/// A bias and a scale factor; a drift that is driven, seen by both measurements.
+fn model() -> Model {
+    let (number, column) = (Expression::Number, Expression::Column);
+    let linear = |terms: Vec<(usize, Expression)>, constant| Linear { terms, constant };
+    let state = |name: &str, motion: Motion, initial: Initial| State {
+        name: name.to_owned(),
+        unit: None,
+        motion,
+        initial,
+        offset: None,
+        random: true,
+    };
+    let drift = Motion::Discrete {
+        next: linear(vec![(2, number(0.9)), (0, number(0.05))], column(3)),
+        noise_variance: number(0.2),
+    };
+    let meter = |name: &str, column: usize, equation: Linear, noise_variance| Measurement {
+        name: name.to_owned(),
+        column,
+        filter: None,
+        equation,
+        noise_variance,
+    };
+    let z = linear(vec![(0, number(1.0)), (1, column(2)), (2, number(1.0))], number(0.3));
+    let w = linear(vec![(1, number(0.5)), (2, number(2.0))], number(0.0));
+    Model {
+        title: String::new(),
+        columns: (0..COLUMNS).map(|k| Column { name: format!("c{k}"), used_in: "the tests".to_owned() }).collect(),
+        text_columns: Vec::new(),
+        literals: Vec::new(),
+        parameters: Vec::new(),
+        states: vec![
+            state("bias", Motion::Constant, Initial::Estimated),
+            state("scale", Motion::Constant, Initial::Estimated),
+            state("drift", drift, Initial::Known { mean: number(0.1), variance: number(1.0) }),
+        ],
+        process_noise_covariance: Vec::new(),
+        measurements: vec![meter("z", 0, z, column(4)), meter("w", 1, w, number(0.5))],
+        noise_covariance: Vec::new(),
+        clock: Clock::default(),
+        group: None,
+        estimated: vec![0, 1],
+        mean: MeanStructure::free(2),
+        covariance: CovarianceStructure::full(),
+    }
+}
+
+/// Tests of several lengths, with missing values; those with the same number in `designs` have the same inputs.
+fn tests(designs: &[u64], size: f64) -> Vec<Test> {
+    let mut values = ChaCha8Rng::seed_from_u64(1);
+    let mut tests = Vec::new();
+    for (number, &seed) in designs.iter().enumerate() {
+        let mut inputs = ChaCha8Rng::seed_from_u64(100 + seed);
+        let mut test = Test::new(format!("{number}"), COLUMNS, 0);
+        for row in 0..6 + 3 * (seed % 4) {
+            let z: f64 = values.sample(StandardNormal);
+            let w: f64 = values.sample(StandardNormal);
+            let lost = seed % 3 == 1 && row % 4 == 2;
+            let cells = [
+                if lost { f64::NAN } else { size * z },
+                if row % 2 == 1 { f64::NAN } else { size * w },
+                inputs.sample(StandardNormal),
+                inputs.sample(StandardNormal),
+                inputs.random_range(0.1..2.0),
+            ];
+            test.push(&cells, &[], Source::default());
+        }
+        tests.push(test);
+    }
+    tests
+}
+
+fn reducer() -> Reducer {
+    Reducer::new(&model(), &Alpha::default()).expect("sound")
+}
+
+fn close(found: &Outcome, expected: &Outcome, what: &str) {
+    let pairs = found.data.iter().zip(&expected.data).chain([(&found.constant, &expected.constant)]);
+    for (found, expected) in pairs {
+        assert!((found - expected).abs() <= 1e-11 * expected.abs().max(1.0), "{what}: {found} against {expected}");
+    }
+}
+
+/// Designs of one shape but for their lengths, and data.
+fn prepared(reducer: &Reducer, tests: &[Test]) -> Vec<(Design, crate::reduce::data::Data)> {
+    let mut work = reducer.workspace();
+    let mut one = |test: &Test| {
+        reducer.preparer().prepare(test, &mut work).expect("sound");
+        (work.design.clone(), work.data.clone())
+    };
+    tests.iter().map(&mut one).collect()
+}
+
+#[test]
+fn lanes_agree_with_one_test_at_a_time() {
+    let reducer = reducer();
+    for (isa, size) in Isa::all().iter().flat_map(|&isa| [(isa, 1.0), (isa, 1e3)]) {
+        // all have 3 | seed or seed % 3 = 2: no value of z is missing, so that one is the beginning of the other
+        let designs = [0, 2, 3, 5, 6, 8, 9, 11];
+        let all = prepared(&reducer, &tests(&designs[..isa.lanes().min(7)], size));
+        let longest = &all.iter().max_by_key(|(design, _)| design.rows()).expect("some").clone();
+        assert!(all.iter().all(|(design, _)| same_shape(design, &longest.0)), "ragged, but of one shape");
+        let (mut block, mut room, mut gained) = (Block::new(isa), Room::default(), Gained::default());
+        block.clear(longest.1.start.len(), longest.1.inputs.len(), longest.1.values.len());
+        for (lane, (_, data)) in all.iter().enumerate() {
+            block.begin(lane, &data.start, &data.inputs);
+            assert!(block.values(lane, data.values.iter().copied()));
+        }
+        let designs: Vec<&Design> = all.iter().map(|(design, _)| design).collect();
+        block.filter((&designs, &longest.0), &mut gained, &mut room);
+        for (lane, (design, data)) in all.iter().enumerate() {
+            let gains = information_gains(design, &mut GainsWork::default()).expect("well conditioned");
+            let expected = outcome(design, &gains, data, &mut DataWork::default()).expect("possible");
+            let (factor, log_determinant) = gained.found[lane].as_ref().expect("well conditioned");
+            let found = block.outcome(lane, (design.rows(), *log_determinant), &room);
+            close(&found, &expected, &format!("{isa:?}, size {size}, lane {lane}"));
+            for (found, expected) in factor.iter().zip(&gains.factor) {
+                assert!((found - expected).abs() <= 1e-12 * expected.abs().max(1.0), "{found} against {expected}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_test_in_a_lane_has_the_bits_it_has_by_itself() {
+    let reducer = reducer();
+    let all = prepared(&reducer, &tests(&[0, 2, 3, 5], 30.0));
+    let isa = Isa::best();
+    let (mut block, mut room, mut gained) = (Block::new(isa), Room::default(), Gained::default());
+    let designs: Vec<&Design> = all.iter().map(|(design, _)| design).collect();
+    let longest = &all.iter().max_by_key(|(design, _)| design.rows()).expect("some").clone();
+    block.clear(longest.1.start.len(), longest.1.inputs.len(), longest.1.values.len());
+    for (lane, (_, data)) in all.iter().enumerate() {
+        block.begin(lane, &data.start, &data.inputs);
+        block.values(lane, data.values.iter().copied());
+    }
+    block.filter((&designs, &longest.0), &mut gained, &mut room);
+    for (lane, (design, data)) in all.iter().enumerate() {
+        let (mut own, mut own_room, mut own_gained) = (Block::new(isa), Room::default(), Gained::default());
+        let gains = own.gains(design, &mut own_gained, &mut own_room).expect("well conditioned");
+        let kept = gained.gains((lane, isa.lanes()), design.rows()).expect("well conditioned");
+        assert_eq!((&kept.gains, &kept.sensitivities), (&gains.gains, &gains.sensitivities), "lane {lane}");
+        let alone = own.alone((design, &gains), data, &mut own_room, &mut Vec::new());
+        let (_, log_determinant) = gained.found[lane].as_ref().expect("well conditioned");
+        assert_eq!(block.outcome(lane, (design.rows(), *log_determinant), &room), alone, "lane {lane}");
+    }
+}
+
+/// Own designs and shared ones, in turn.
+fn mixed() -> Vec<Test> {
+    let designs: Vec<u64> = (0..120).map(|k| if k % 3 == 0 { 1000 + k } else { k * 7919 % 11 }).collect();
+    tests(&designs, 5.0)
+}
+
+fn each_by_itself(tests: &[Test]) -> Vec<Reduction> {
+    tests.iter().flat_map(|test| reducer().reduce(std::slice::from_ref(test)).expect("sound")).collect()
+}
+
+#[test]
+fn company_order_threads_and_what_is_known_change_no_bit() {
+    let all = mixed();
+    let alone = each_by_itself(&all);
+    let mut one = reducer();
+    assert_eq!(one.reduce(&all).expect("sound"), alone);
+    assert_eq!(one.reduce(&all).expect("sound"), alone, "all known by now");
+    let backwards: Vec<Test> = all.iter().rev().cloned().collect();
+    for threads in [1, 2, 5] {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+        let mut found = pool.install(|| reducer().reduce(&backwards)).expect("sound");
+        found.reverse();
+        assert_eq!(found, alone, "{threads} threads");
+    }
+}
+
+#[test]
+fn tests_that_look_alike_are_not_evaluated_again() {
+    let all = tests(&[4; 100], 1.0);
+    let mut reducer = reducer();
+    let found = reducer.reduce(&all).expect("sound");
+    assert_eq!(reducer.work(), Work { design_runs: 1, root_runs: 0, data_runs: 100, transitions: 1 });
+    assert_eq!(found, each_by_itself(&all));
+    let mut other = all[99].clone();
+    other.set_number(3, 2, other.numbers(3)[2] + 1e-9);
+    let mut missing = all[98].clone();
+    missing.set_number(0, 0, f64::NAN);
+    let mut there = all[97].clone();
+    there.set_number(2, 0, 0.5); // was missing
+    let odd = [other, missing, there];
+    assert_eq!(reducer.reduce(&odd).expect("sound"), each_by_itself(&odd));
+    assert_eq!(reducer.work().design_runs, 4, "each is a design of its own");
+}
+
+#[test]
+fn a_test_in_error_says_so_in_company_as_by_itself() {
+    let mut all = tests(&[4; 40], 1.0);
+    all[30].set_number(4, 0, f64::INFINITY);
+    all[35].set_number(0, 0, f64::INFINITY);
+    let by_itself = reducer().reduce(&all[30..31]).expect_err("not finite");
+    let together = reducer().reduce(&all).expect_err("not finite");
+    assert_eq!(format!("{together:?}"), format!("{by_itself:?}"));
+    all[30].set_number(4, 0, 1e300);
+    let overflow = reducer().reduce(&all[30..31]).expect_err("too large");
+    assert_eq!(format!("{:?}", reducer().reduce(&all).expect_err("too large")), format!("{overflow:?}"));
+}

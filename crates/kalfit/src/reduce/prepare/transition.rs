@@ -1,0 +1,68 @@
+//! The transition that leads to a step of a test: made once for each length of step and set of coefficients.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use crate::ensemble::Test;
+use crate::reduce::design::Transition;
+use crate::reduce::digest::Digest;
+use crate::reduce::error::ReduceErrorKind;
+use crate::reduce::prepare::{Moment, Moved, Preparer, Workspace};
+use crate::reduce::subject::{At, Fault, Subject};
+
+impl Preparer {
+    /// The transition that leads to a step; its inputs go to the data.
+    pub(super) fn transition(
+        &self,
+        at: &At<'_>,
+        test: &Test,
+        moment: &Moment,
+        work: &mut Workspace,
+    ) -> Result<Arc<Transition>, Box<Fault>> {
+        let (row, dt) = (moment.rows.start, moment.dt);
+        let continuous = !self.dynamics.components.is_empty();
+        if continuous && dt.is_nan() {
+            return Err(Fault::new(Subject::Transition, ReduceErrorKind::UnknownFirstStep).on(row));
+        }
+        if self.steady
+            && let Some(last) = &work.last
+            && last.key[0] == if continuous { dt.to_bits() } else { 0 }
+            && let Ok(moves) = last.value()
+        {
+            self.plan.inputs(moves, &work.inputs, &mut work.data.inputs);
+            return Ok(moves.transition.clone());
+        }
+        self.evaluate(at, test, moment, work, false)?;
+        work.key.clear();
+        work.key.push(if continuous { dt.to_bits() } else { 0 });
+        work.key.extend(self.dynamics.table.varying.iter().map(|(slot, ..)| work.values[*slot].to_bits()));
+        let entry = match &work.last {
+            Some(entry) if entry.key == work.key => entry.clone(),
+            _ => self.shared_moves(work, dt),
+        };
+        let moves = entry.value().as_ref().map_err(|fault| fault.clone().on(row))?;
+        self.plan.inputs(moves, &work.inputs, &mut work.data.inputs);
+        let transition = moves.transition.clone();
+        work.last = Some(entry);
+        Ok(transition)
+    }
+
+    fn shared_moves(&self, work: &mut Workspace, dt: f64) -> Arc<Moved> {
+        let mut digest = Digest::new();
+        work.key.iter().for_each(|&word| digest.word(word));
+        let Workspace { key, values, flows, .. } = work;
+        self.transitions.get(
+            digest.finish(),
+            |known| known == key,
+            || key.clone(),
+            |_| {
+                self.computed.fetch_add(1, Ordering::Relaxed);
+                self.plan.moves(&self.dynamics, values, dt, flows)
+            },
+            |key, moves| {
+                let numbers = moves.as_ref().map_or(0, |m| m.transition.phi.len() + m.transition.q.len());
+                8 * (key.len() + numbers) + 300
+            },
+        )
+    }
+}

@@ -1,0 +1,199 @@
+//! Tests of a design that was seen before, known by their cells: where all that is read but measured values is the same bit for
+//! bit, so is all that is made of it, and nothing needs to be evaluated.
+
+use std::collections::{HashMap, HashSet};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use kalfit_lanes::{Isa, Kernel, Lanes};
+
+use crate::ensemble::{Label, Test};
+use crate::reduce::subject::Uses;
+
+/// Rows whose cells are looked at together.
+const TOGETHER: usize = 8;
+/// Most hashes that a shard remembers of what was seen once.
+const NOTED: usize = 1 << 16;
+
+/// Where to look: which cells of a test decide all but its measured values.
+#[derive(Debug, Clone)]
+pub(crate) struct Looks {
+    isa: Isa,
+    /// All bits of a numeric column that is read, else none; for several rows.
+    mask: Vec<u64>,
+    /// Text columns that are read.
+    texts: Vec<usize>,
+    /// Measured columns: which of their cells are missing.
+    measured: Vec<usize>,
+}
+
+/// Cells of a test that others are compared with.
+#[derive(Debug)]
+pub(crate) struct Likeness {
+    rows: usize,
+    /// Bits of all numeric cells, those that are not read left out.
+    numbers: Vec<u64>,
+    texts: Vec<Label>,
+    /// Measured cells that are missing.
+    missing: Vec<usize>,
+}
+
+impl Looks {
+    /// `columns`: how many numeric ones there are; `uses`: those that coefficients and times are read from.
+    pub(crate) fn new(columns: usize, uses: &Uses, measured: impl Iterator<Item = usize>) -> Looks {
+        let row: Vec<u64> = (0..columns).map(|c| if uses.numbers.contains(&c) { u64::MAX } else { 0 }).collect();
+        let mut measured: Vec<usize> = measured.collect();
+        measured.sort_unstable();
+        measured.dedup();
+        Looks { isa: Isa::best(), mask: row.repeat(TOGETHER), texts: uses.texts.iter().copied().collect(), measured }
+    }
+
+    /// A hash of what counts: of the first rows alone, or of all.
+    pub(crate) fn hash(&self, test: &Test, all: bool) -> u64 {
+        let rows = if all { test.rows() } else { test.rows().min(TOGETHER) };
+        let mut hash = mix(mixed(&test.all_numbers()[..rows * test.widths().0], &self.mask), test.rows() as u64);
+        for row in 0..rows {
+            let (numbers, texts) = (test.numbers(row), test.texts(row));
+            let missing = self.measured.iter().fold(0u64, |bits, &c| bits << 1 ^ u64::from(numbers[c].is_nan()));
+            hash = mix(hash, missing);
+            self.texts.iter().for_each(|&c| hash = mix(hash, texts[c].index() as u64));
+        }
+        hash
+    }
+
+    /// What others are compared with.
+    pub(crate) fn likeness(&self, test: &Test) -> Likeness {
+        let missing = |row: usize| {
+            let numbers = test.numbers(row);
+            self.measured.iter().filter(|&&c| numbers[c].is_nan()).map(move |c| row * numbers.len() + c)
+        };
+        Likeness {
+            rows: test.rows(),
+            numbers: test.all_numbers().iter().zip(self.mask.iter().cycle()).map(|(x, m)| x.to_bits() & m).collect(),
+            texts: (0..test.rows()).flat_map(|row| self.texts.iter().map(move |&c| test.texts(row)[c])).collect(),
+            missing: (0..test.rows()).flat_map(missing).collect(),
+        }
+    }
+
+    /// True when all that counts is the same bit for bit. (Whether measured values are there where they were is to be seen yet.)
+    pub(crate) fn alike(&self, test: &Test, known: &Likeness) -> bool {
+        let cells = test.all_numbers();
+        if test.rows() != known.rows || cells.len() != known.numbers.len() {
+            return false;
+        }
+        let texts = || (0..test.rows()).flat_map(|row| self.texts.iter().map(move |&c| test.texts(row)[c]));
+        self.isa.run(Alike { cells, known: &known.numbers, mask: &self.mask })
+            && known.missing.iter().all(|&cell| cells[cell].is_nan())
+            && (self.texts.is_empty() || texts().eq(known.texts.iter().copied()))
+    }
+}
+
+impl Likeness {
+    /// Bytes it occupies.
+    pub(crate) fn bytes(&self) -> usize {
+        8 * (self.numbers.len() + self.missing.len()) + 4 * self.texts.len() + 200
+    }
+}
+
+/// Compares masked cells.
+struct Alike<'a> {
+    cells: &'a [f64],
+    known: &'a [u64],
+    mask: &'a [u64],
+}
+
+impl Kernel for Alike<'_> {
+    type Output = bool;
+
+    #[inline(always)]
+    fn run<T: Lanes>(self) -> bool {
+        let width = self.mask.len().max(1);
+        for (cells, known) in self.cells.chunks(width).zip(self.known.chunks(width)) {
+            let mut differ = 0;
+            for k in 0..cells.len() {
+                differ |= (cells[k].to_bits() & self.mask[k]) ^ known[k];
+            }
+            if differ != 0 {
+                return false;
+            }
+        }
+        true
+    }
+}
+
+/// A hash of masked cells, four side by side.
+fn mixed(cells: &[f64], mask: &[u64]) -> u64 {
+    let mut hashes = [1u64, 2, 3, 4];
+    for cells in cells.chunks(mask.len().max(1)) {
+        // there are masks for eight rows, so for whole fours
+        for (four, mask) in cells.chunks(4).zip(mask.chunks(4)) {
+            for ((hash, x), mask) in hashes.iter_mut().zip(four).zip(mask) {
+                *hash = mix(*hash, x.to_bits() & mask);
+            }
+        }
+    }
+    hashes.into_iter().fold(0, mix)
+}
+
+#[inline(always)]
+fn mix(hash: u64, word: u64) -> u64 {
+    let product = (hash ^ word).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    product ^ (product >> 29)
+}
+
+/// What threads know again, bounded in bytes. What comes of it never depends on what is known.
+#[derive(Debug)]
+pub(crate) struct Memory<V> {
+    shards: Vec<Mutex<Shard<V>>>,
+    bytes: AtomicUsize,
+    limit: usize,
+}
+
+#[derive(Debug)]
+struct Shard<V> {
+    known: HashMap<u64, Arc<V>>,
+    /// Seen once.
+    noted: HashSet<u64>,
+}
+
+impl<V> Shard<V> {
+    /// Whether a hash was asked for before; it is from now on.
+    fn note(&mut self, hash: u64) -> bool {
+        if self.noted.len() >= NOTED {
+            self.noted.clear();
+        }
+        !self.noted.insert(hash)
+    }
+}
+
+impl<V> Memory<V> {
+    pub(crate) fn new(limit: usize) -> Memory<V> {
+        let shard = || Mutex::new(Shard { known: HashMap::new(), noted: HashSet::new() });
+        Memory { shards: (0..16).map(|_| shard()).collect(), bytes: AtomicUsize::new(0), limit }
+    }
+
+    /// What is known by a hash, or else whether it was asked for before.
+    pub(crate) fn find(&self, hash: u64) -> Result<Arc<V>, bool> {
+        let mut shard = self.shard(hash);
+        if let Some(known) = shard.known.get(&hash) {
+            return Ok(known.clone());
+        }
+        Err(shard.note(hash))
+    }
+
+    /// Whether a hash was asked for before.
+    pub(crate) fn is_noted(&self, hash: u64) -> bool {
+        self.shard(hash).note(hash)
+    }
+
+    /// Keeps a value, if there is room.
+    pub(crate) fn keep(&self, hash: u64, value: Arc<V>, bytes: usize) {
+        if self.bytes.fetch_add(bytes, Ordering::Relaxed) < self.limit {
+            self.shard(hash).known.insert(hash, value);
+        }
+    }
+
+    fn shard(&self, hash: u64) -> std::sync::MutexGuard<'_, Shard<V>> {
+        self.shards[(hash >> 60) as usize].lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}

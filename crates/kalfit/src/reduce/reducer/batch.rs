@@ -1,0 +1,306 @@
+//! Tests → reductions, many at a time: tests of a design that is known are recognised, and their data passes are one.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use kalfit_lanes::Isa;
+use rayon::prelude::*;
+
+use crate::ensemble::Test;
+use crate::reduce::Reduction;
+use crate::reduce::design::Design;
+use crate::reduce::error::ReduceError;
+use crate::reduce::gains::Gains;
+use crate::reduce::instances::Instance;
+use crate::reduce::lanes::{Block, fits, is_short};
+use crate::reduce::prepare::{Preparer, Workspace};
+use crate::reduce::recognise::Likeness;
+use crate::reduce::reducer::queue::{Own, Queue, longest};
+use crate::reduce::reducer::{About, Class, Reducer, class_bytes};
+use crate::reduce::subject::Fault;
+
+/// Most classes whose blocks are filled at the same time.
+const OPEN: usize = 32;
+
+/// Tests that are looked at together: so many shares for each thread, but neither fewer nor more tests than these.
+const SHARES: usize = 4;
+const FEWEST: usize = 32;
+const MOST: usize = 512;
+
+/// A test that others of its design are recognised by, and what they share with it.
+#[derive(Debug)]
+pub(crate) struct Known {
+    likeness: Likeness,
+    class: Class,
+    digest: u128,
+    steps: usize,
+    /// Cell and d of each scalar measurement.
+    cells: Vec<(usize, f64)>,
+    start: Vec<f64>,
+    inputs: Vec<f64>,
+}
+
+/// Reduces batches of tests.
+#[derive(Debug)]
+pub(crate) struct Batch<'a> {
+    reducer: &'a Reducer,
+    work: Workspace,
+    groups: Vec<Group>,
+    /// The group that took the last test.
+    latest: usize,
+    /// The group that makes room for another, when there are as many as there may be.
+    oldest: usize,
+    queue: Queue,
+    /// Tests that something is wrong with, or that call for square-root arrays: their turn comes last, each by itself.
+    odd: Vec<usize>,
+    out: Vec<Option<Result<Reduction, ReduceError>>>,
+}
+
+/// Tests of a known design, gathered in a block.
+#[derive(Debug)]
+struct Group {
+    known: Arc<Known>,
+    block: Block,
+    /// Number and covariates of the test in each lane.
+    seats: Vec<(usize, Vec<f64>)>,
+}
+
+impl Reducer {
+    /// [`Reducer::reduce`], of tests that stand anywhere.
+    pub(crate) fn reduce_all(&self, tests: &[&Test]) -> Result<Vec<Reduction>, ReduceError> {
+        let each = (tests.len() / (SHARES * rayon::current_num_threads())).clamp(FEWEST, MOST);
+        let batches: Vec<Vec<Result<Reduction, ReduceError>>> =
+            tests.par_chunks(each).map_init(|| Batch::new(self), |batch, tests| batch.reduce(tests)).collect();
+        batches.into_iter().flatten().collect()
+    }
+
+    /// A fault of a test, with names.
+    pub(crate) fn named(&self, fault: Fault, test: &Test) -> ReduceError {
+        fault.name(&self.preparer.model, Some(test))
+    }
+
+    /// True when the filter of this design, which nobody has run yet, is one for lanes.
+    pub(crate) fn goes_aside(&self, digest: u128, design: &Design) -> bool {
+        !self.ends && is_short(design) && !self.classes.has(digest, |known| known.same(design))
+    }
+
+    /// Takes note of a design whose filter was run elsewhere. `gains` puts together what it left, if it is wanted.
+    pub(crate) fn ran(&self, digest: u128, design: &Design, gains: impl FnOnce() -> Option<Gains>) {
+        self.design_runs.fetch_add(1, Ordering::Relaxed);
+        let made = || (design.clone(), Ok(gains().expect("only sound filters are noted")));
+        self.classes.offer(digest, made, class_bytes);
+    }
+
+    /// Recognises others by a test, as it is in the work space.
+    pub(crate) fn learn(&self, test: &Test, class: &Class, hash: u64, work: &Workspace) {
+        if let Some(known) = Known::new(&self.preparer, test, class, work) {
+            let bytes = known.bytes();
+            self.known.keep(hash, Arc::new(known), bytes);
+        }
+    }
+}
+
+impl<'a> Batch<'a> {
+    pub(crate) fn new(reducer: &'a Reducer) -> Batch<'a> {
+        let work = reducer.workspace();
+        Batch {
+            reducer,
+            work,
+            groups: Vec::new(),
+            latest: 0,
+            oldest: 0,
+            queue: Queue::new(Isa::best().lanes()),
+            odd: Vec::new(),
+            out: Vec::new(),
+        }
+    }
+
+    /// The reductions of tests, in their order.
+    pub(crate) fn reduce(&mut self, tests: &[&Test]) -> Vec<Result<Reduction, ReduceError>> {
+        self.out.clear();
+        self.out.resize_with(tests.len(), || None);
+        for (number, test) in tests.iter().enumerate() {
+            let hash = match self.recognise(tests, test) {
+                Ok(()) if self.seat(tests, number) => continue,
+                Ok(()) => None,
+                Err(hash) => hash,
+            };
+            self.evaluate(tests, number, hash);
+        }
+        (0..self.groups.len()).for_each(|group| self.flush(tests, group));
+        while let Some(line) = self.queue.any() {
+            self.filter(tests, line);
+        }
+        for number in std::mem::take(&mut self.odd) {
+            let found = self.reducer.one(tests[number], &mut self.work);
+            self.out[number] = Some(found.map(|(reduction, _)| reduction));
+        }
+        self.out.drain(..).map(|found| found.expect("every test was looked at")).collect()
+    }
+
+    /// Makes the group of the test's design the latest one; else the hash that it is to be known by, if any.
+    fn recognise(&mut self, tests: &[&Test], test: &Test) -> Result<(), Option<u64>> {
+        let looks = self.reducer.preparer().looks.as_ref().ok_or(None)?;
+        if self.groups.get(self.latest).is_some_and(|group| looks.alike(test, &group.known.likeness)) {
+            return Ok(());
+        }
+        // tests with designs of their own mostly differ from the first rows on
+        if !self.reducer.known.is_noted(looks.hash(test, false)) {
+            return Err(None);
+        }
+        let hash = looks.hash(test, true);
+        let known = self.reducer.known.find(hash).map_err(|seen| seen.then_some(hash))?;
+        if !looks.alike(test, &known.likeness) {
+            return Err(None);
+        }
+        let open = self.groups.iter().position(|group| Arc::ptr_eq(&group.known, &known));
+        self.latest = open.unwrap_or_else(|| self.open(tests, known));
+        Ok(())
+    }
+
+    /// A new group.
+    fn open(&mut self, tests: &[&Test], known: Arc<Known>) -> usize {
+        let group = Group::new(known);
+        if self.groups.len() < OPEN {
+            self.groups.push(group);
+            return self.groups.len() - 1;
+        }
+        let at = self.oldest;
+        self.oldest = (at + 1) % OPEN;
+        self.flush(tests, at);
+        self.groups[at] = group;
+        at
+    }
+
+    /// Gives a test the next lane of the latest group; false where it must be looked at by itself.
+    fn seat(&mut self, tests: &[&Test], number: usize) -> bool {
+        let (test, group) = (tests[number], &mut self.groups[self.latest]);
+        let covariates = self.reducer.preparer().covariates_of(test, &mut self.work);
+        if covariates.is_err() || !group.take(test) {
+            return false;
+        }
+        group.seats.push((number, self.work.covariates.clone()));
+        if group.seats.len() == group.block.lanes() {
+            self.flush(tests, self.latest);
+        }
+        true
+    }
+
+    /// Reduces the tests of a group.
+    fn flush(&mut self, tests: &[&Test], group: usize) {
+        let Group { known, block, seats } = &mut self.groups[group];
+        if seats.is_empty() {
+            return;
+        }
+        let gains = known.class.gains().as_ref().expect("known designs have gains");
+        block.run(known.class.design(), gains, &mut self.work.room);
+        for (lane, (number, covariates)) in seats.drain(..).enumerate() {
+            let outcome = block.outcome(lane, (gains.active, gains.log_determinant), &self.work.room);
+            if outcome.is_finite() {
+                let about = About { covariates, steps: known.steps, digest: known.digest };
+                self.out[number] = Some(Ok(self.reducer.reduction(tests[number], outcome, gains, about)));
+            } else {
+                self.odd.push(number);
+            }
+        }
+    }
+
+    /// Evaluates a test. Others are recognised by it, if it has a hash.
+    fn evaluate(&mut self, tests: &[&Test], number: usize, hash: Option<u64>) {
+        let (test, reducer) = (tests[number], self.reducer);
+        if let Err(fault) = reducer.preparer().prepare(test, &mut self.work) {
+            self.out[number] = Some(Err(reducer.named(*fault, test)));
+            return;
+        }
+        let digest = self.work.design.digest();
+        if let Some(line) = self.queue.line_with(digest) {
+            self.filter(tests, line);
+        }
+        if hash.is_none() && reducer.goes_aside(digest, &self.work.design) {
+            if let Some(full) = self.queue.push(number, digest, &mut self.work) {
+                self.filter(tests, full);
+            }
+            return;
+        }
+        let found = reducer.prepared(test, digest, &mut self.work);
+        if let (Some(hash), Ok((_, class))) = (hash, &found) {
+            reducer.learn(test, class, hash, &self.work);
+        }
+        self.out[number] = Some(found.map(|(reduction, _)| reduction).map_err(|fault| reducer.named(*fault, test)));
+    }
+
+    /// Runs the filters of tests with designs of their own.
+    fn filter(&mut self, tests: &[&Test], line: usize) {
+        let (reducer, Workspace { block, room, gained, .. }) = (self.reducer, &mut self.work);
+        let waiting = self.queue.take(line);
+        let longest = longest(&waiting).expect("no line is empty");
+        block.clear(longest.data.start.len(), longest.data.inputs.len(), longest.data.values.len());
+        for (lane, Own { data, .. }) in waiting.iter().enumerate() {
+            block.begin(lane, &data.start, &data.inputs);
+            block.values(lane, data.values.iter().copied());
+        }
+        let designs: Vec<&Design> = waiting.iter().map(|own| &own.design).collect();
+        block.filter((&designs, &longest.design), gained, room);
+        for (lane, own) in waiting.iter().enumerate() {
+            let rows = own.design.rows();
+            let found = gained.found[lane]
+                .as_ref()
+                .map(|(factor, log_determinant)| (block.outcome(lane, (rows, *log_determinant), room), factor.clone()));
+            match found {
+                Some((outcome, factor)) if outcome.is_finite() => {
+                    reducer.ran(own.digest, &own.design, || gained.gains((lane, block.lanes()), rows));
+                    let about =
+                        About { covariates: own.covariates.clone(), steps: own.design.steps(), digest: own.digest };
+                    let reduction = reducer.informed(tests[own.number], outcome, (factor, rows), about);
+                    self.out[own.number] = Some(Ok(reduction));
+                }
+                _ => self.odd.push(own.number),
+            }
+        }
+        self.queue.give_back(waiting);
+    }
+}
+
+impl Group {
+    fn new(known: Arc<Known>) -> Group {
+        let mut block = Block::new(Isa::best());
+        block.clear(known.start.len(), known.inputs.len(), known.cells.len());
+        (0..block.lanes()).for_each(|lane| block.begin(lane, &known.start, &known.inputs));
+        Group { known, block, seats: Vec::new() }
+    }
+
+    /// Puts the values of a test into the next lane; false where one is missing or infinite.
+    fn take(&mut self, test: &Test) -> bool {
+        let cells = test.all_numbers();
+        self.block.values(self.seats.len(), self.known.cells.iter().map(|&(cell, d)| cells[cell] - d))
+    }
+}
+
+impl Known {
+    /// What tests of a design are recognised by, from one of them as it was evaluated. `None` where there is nothing to gain.
+    pub(crate) fn new(preparer: &Preparer, test: &Test, class: &Class, work: &Workspace) -> Option<Known> {
+        let looks = preparer.looks.as_ref()?;
+        let gains = class.gains().as_ref().ok()?;
+        if !fits(class.design(), gains) {
+            return None;
+        }
+        let width = test.widths().0;
+        let cell = |instance: Instance| instance.row * width + preparer.meters.column(instance.meter);
+        let constants = preparer.measured_constants(test, work).ok()?;
+        Some(Known {
+            likeness: looks.likeness(test),
+            class: class.clone(),
+            digest: work.design.digest(),
+            steps: work.design.steps(),
+            cells: work.instances.iter().map(cell).zip(constants).collect(),
+            start: work.data.start.clone(),
+            inputs: work.data.inputs.clone(),
+        })
+    }
+
+    /// Bytes it occupies with its class.
+    pub(crate) fn bytes(&self) -> usize {
+        let class = class_bytes(self.class.design(), self.class.gains());
+        self.likeness.bytes() + class + 8 * (2 * self.cells.len() + self.start.len() + self.inputs.len()) + 200
+    }
+}
