@@ -3,6 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
+use crate::ensemble::Test;
 use crate::model::{Alpha, Model, PhasedModel};
 use crate::reduce::digest::Digest;
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
@@ -114,7 +115,21 @@ impl PhasedReducer {
     /// # Errors
     /// Of several tests in error, the first one's error; of several phases, the first one's.
     pub fn reduce(&mut self, tests: &[PhasedTest]) -> Result<Vec<Reduction>, ReduceError> {
+        if let Some((phase, rows)) = self.plain(tests) {
+            return phase.reducer.reduce_all(&rows);
+        }
         self.each(tests, &|test, work| self.one(test, work))
+    }
+
+    /// The only phase and the rows of all tests, where that is all there is: they are reduced many at a time.
+    fn plain<'a>(&'a self, tests: &'a [PhasedTest]) -> Option<(&'a PhaseReducer, Vec<&'a Test>)> {
+        let [phase] = &*self.phases else { return None };
+        let rows = |test: &'a PhasedTest| match &*test.phases {
+            [Evidence::Rows(rows)] => Some(rows),
+            _ => None,
+        };
+        let rows = phase.is_optimal().then(|| tests.iter().map(rows).collect::<Option<Vec<_>>>())??;
+        Some((phase, rows))
     }
 
     /// The phases of tests, each by itself in its entering coordinates.
