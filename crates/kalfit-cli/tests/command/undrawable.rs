@@ -24,7 +24,21 @@ fn refused(args: &str, files: &[(&str, &str)]) -> String {
     assert_eq!(String::from_utf8_lossy(&output.stdout), "", "standard output of `kalfit {args}`");
     assert!(!message.contains("panicked"), "`kalfit {args}` panicked:\n{message}");
     assert_eq!(before, folder.contents(), "`kalfit {args}` left the folder as it was");
-    message
+    without_last_digits(&message)
+}
+
+/// Numbers to nine decimals: the last ones are rounding, which depends on the instructions that a machine has.
+fn without_last_digits(text: &str) -> String {
+    let mut decimals = None; // since a point
+    let kept = |c: &char| {
+        decimals = match (*c, decimals) {
+            ('.', _) => Some(0),
+            ('0'..='9', Some(count)) => Some(count + 1),
+            _ => None,
+        };
+        decimals.is_none_or(|count| count <= 9)
+    };
+    text.chars().filter(kept).collect()
 }
 
 /// `simulate` with its options.
@@ -219,7 +233,7 @@ noise = 0.1
 [covariance]
 structure = "diagonal"
 "##)]), @"
-    error: covariance[level, slope] is -0.08685185185185174 in the population, and the model makes it 0
+    error: covariance[level, slope] is -0.086851851 in the population, and the model makes it 0
 
     hint: plan with values that obey the model, such as a fit of this very model
     ");
@@ -236,7 +250,7 @@ noise = 0.1
 [mean]
 fixed = { slope = 0 }
 "##)]), @"
-    error: mean[slope] is 0.5333333333333332 in the population, and the model makes it 0
+    error: mean[slope] is 0.533333333 in the population, and the model makes it 0
 
     hint: plan with values that obey the model, such as a fit of this very model
     ");

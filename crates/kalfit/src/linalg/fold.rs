@@ -1,5 +1,8 @@
 //! Folding rows into an upper-triangular square-root array by plane rotations.
 
+/// Squares in between neither overflow nor lose digits.
+const SQUARES: std::ops::Range<f64> = 1e-280..1e280;
+
 /// A rotation (c, s) and the length it leaves: c a + s b = length ≥ 0, c b - s a = 0, for a ≥ 0.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rotation {
@@ -17,7 +20,8 @@ impl Rotation {
         if b == 0.0 && a >= 0.0 {
             return Rotation { c: 1.0, s: 0.0, length: a };
         }
-        let length = a.hypot(b);
+        let square = a * a + b * b;
+        let length = if SQUARES.contains(&square) { square.sqrt() } else { a.hypot(b) };
         Rotation { c: a / length, s: b / length, length }
     }
 
@@ -27,9 +31,6 @@ impl Rotation {
         (self.c * a + self.s * b, self.c * b - self.s * a)
     }
 }
-
-/// Squares in between neither overflow nor lose digits.
-const SQUARES: std::ops::Range<f64> = 1e-280..1e280;
 
 /// √Σ x², without overflow.
 pub fn norm(numbers: &[f64]) -> f64 {
