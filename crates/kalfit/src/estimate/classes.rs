@@ -14,7 +14,7 @@ use rayon::prelude::*;
 
 use crate::estimate::canonical::{ordered, spans};
 use crate::estimate::chained::{Chained, Detail, Packed};
-use crate::estimate::frame::Frame;
+use crate::estimate::frame::{Frame, Pooled};
 use crate::estimate::lanes::Blocks;
 use crate::estimate::pass::{Order, pass};
 use crate::estimate::terms::Point;
@@ -85,43 +85,38 @@ impl Classes {
     ) -> Classes {
         let elements = Elements::new(ranges);
         let order = ordered(reductions);
-        let frame = Frame::of(reductions, &order, &elements, regressors);
-        Classes::gathered(reductions, &order, frame, (elements, chained))
+        let pooled = Pooled::all(reductions, &order, (elements.states(), regressors));
+        let frame = Frame::of(&pooled);
+        let information = pooled.information(&frame);
+        Classes::gathered((reductions, &order), (frame, information), (elements, chained))
     }
 
     /// The same in coordinates that are given.
     pub(crate) fn within(reductions: &[Reduction], like: &Classes) -> Classes {
-        let how = (like.elements.clone(), like.chained);
-        Classes::gathered(reductions, &ordered(reductions), like.frame.clone(), how)
+        like.again(reductions, like.chained)
+    }
+
+    /// Other reductions, or in other ways, in the same coordinates.
+    fn again(&self, reductions: &[Reduction], chained: bool) -> Classes {
+        let (order, elements) = (ordered(reductions), self.elements.clone());
+        let pooled = Pooled::all(reductions, &order, (elements.states(), self.frame.covariate_scale.len()));
+        let frame = self.frame.clone();
+        let information = pooled.information(&frame);
+        Classes::gathered((reductions, &order), (frame, information), (elements, chained))
     }
 
     fn gathered(
-        reductions: &[Reduction],
-        order: &[usize],
-        frame: Frame,
+        (reductions, order): (&[Reduction], &[usize]),
+        (frame, information): (Frame, DMatrix<f64>),
         (elements, chained): (Elements, bool),
     ) -> Classes {
-        let p = frame.scale.len();
         let chained = chained && !elements.is_single();
         let spans = spans(reductions, order, chained);
-        let of = |spans: &[Range<usize>]| {
-            let mut information = DMatrix::zeros(p, p);
-            let class = |span: &Range<usize>| {
-                let members = &order[span.clone()];
-                add_gram(&mut information, &reductions[members[0]].factor, &frame.scale, members.len() as f64);
-                gather(reductions, members, &frame, (&elements, chained))
-            };
-            let classes: Vec<Class> = spans.iter().map(class).collect();
-            (classes, information)
-        };
-        let parts: Vec<(Vec<Class>, DMatrix<f64>)> = spans.par_chunks(CHUNK).map(of).collect();
-        let mut information = DMatrix::zeros(p, p);
-        parts.iter().for_each(|(_, part)| information += part);
-        information.fill_upper_triangle_with_lower_triangle();
-        let classes = parts.into_iter().flat_map(|(classes, _)| classes).collect();
+        let class = |span: &Range<usize>| gather(reductions, &order[span.clone()], &frame, (&elements, chained));
+        let classes = spans.par_iter().with_min_len(CHUNK).map(class).collect();
         let present = present(reductions, &elements);
         let found = (reductions.len(), information, present);
-        let mut classes = Classes::arranged(classes, frame, (elements, chained), found);
+        let mut classes = Classes::arranged(classes, frame.clone(), (elements.clone(), chained), found);
         classes.members = spans.into_iter().map(|span| order[span].to_vec()).collect();
         classes.marks = reductions.par_iter().map(mark).collect();
         classes
@@ -192,8 +187,7 @@ impl Classes {
         if self.chained {
             return self.of(reductions);
         }
-        let how = (self.elements.clone(), true);
-        Cow::Owned(Classes::gathered(reductions, &ordered(reductions), self.frame.clone(), how))
+        Cow::Owned(self.again(reductions, true))
     }
 
     /// One test as a class of its own, in the same η.
@@ -273,24 +267,14 @@ fn present(reductions: &[Reduction], elements: &Elements) -> Vec<f64> {
     elements.blocks().iter().enumerate().map(count).collect()
 }
 
-/// Adds n R'R with the columns of a packed upper triangle in units of the frame, to the lower triangle.
-fn add_gram(to: &mut DMatrix<f64>, factor: &[f64], scale: &[f64], n: f64) {
-    let column = |k: usize| &factor[pair(k, 0)..][..=k];
-    for i in 0..scale.len() {
-        for k in i..scale.len() {
-            let own: f64 = column(i).iter().zip(column(k)).map(|(a, b)| a * b).sum();
-            to[(k, i)] += n * own * scale[i] * scale[k];
-        }
-    }
-}
-
 /// A number that other reductions of a test do not have, but by an accident of one in 2^64.
 fn mark(reduction: &Reduction) -> u64 {
     const ODD: u64 = 0x9e37_79b9_7f4a_7c15; // 2^64 over the golden ratio
     let mix = |mark: u64, word: u64| (mark ^ word).wrapping_mul(ODD).rotate_left(29);
     let of_test = reduction.test.bytes().fold(ODD, |mark, byte| mix(mark, u64::from(byte)));
     let designed = mix(mix(of_test, reduction.design as u64), reduction.constant.to_bits());
-    let numbers = reduction.data.iter().chain(&reduction.factor).chain(&reduction.covariates);
+    let diagonal = (0..reduction.data.len()).filter_map(|k| reduction.factor.get(pair(k, k)));
+    let numbers = reduction.data.iter().chain(diagonal).chain(&reduction.covariates);
     numbers.fold(designed, |mark, x| mix(mark, x.to_bits()))
 }
 

@@ -5,7 +5,6 @@ use std::ops::Range;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use crate::linalg::elements::Elements;
 use crate::linalg::symmetric::{self, pair, pairs};
 use crate::reduce::Reduction;
 
@@ -22,14 +21,10 @@ pub(crate) struct Frame {
 }
 
 impl Frame {
-    /// Centre: pooled least squares. Scale: the average informed test has unit information on each state. `order` is one that does
-    /// not depend on that of the reductions.
-    pub(super) fn of(reductions: &[Reduction], order: &[usize], elements: &Elements, regressors: usize) -> Frame {
-        let p = elements.states();
-        let parts: Vec<Pooled> =
-            order.par_chunks(CHUNK).map(|part| Pooled::of(reductions, part, (p, regressors))).collect();
-        let Pooled { information, informed, y, squares } =
-            parts.iter().fold(Pooled::none((p, regressors)), |sum, part| sum.and(part));
+    /// Centre: pooled least squares. Scale: the average informed test has unit information on each state.
+    pub(super) fn of(pooled: &Pooled) -> Frame {
+        let Pooled { information, informed, y, squares, tests } = pooled;
+        let p = y.len();
         let entry = |i: usize, k: usize| information[pair(i.max(k), i.min(k))];
         let unit = |i: usize| if entry(i, i) > 0.0 { (informed[i] / entry(i, i)).sqrt() } else { 1.0 };
         let scale: Vec<f64> = (0..p).map(unit).collect();
@@ -37,7 +32,7 @@ impl Frame {
         let right = DVector::from_fn(p, |i, _| scale[i] * y[i]);
         let solution = symmetric::pseudo_solve(&scaled, &right);
         let centre = (0..p).map(|i| scale[i] * solution[i]).collect();
-        let n = order.len().max(1) as f64;
+        let n = tests.max(1.0);
         let covariate_scale = squares.iter().map(|&s| if s > 0.0 { (s / n).sqrt() } else { 1.0 }).collect();
         Frame { centre, scale, covariate_scale }
     }
@@ -65,7 +60,7 @@ impl Frame {
 }
 
 /// What tests say together.
-struct Pooled {
+pub(super) struct Pooled {
     /// Σ R'R, packed.
     information: Vec<f64>,
     /// Tests that inform each state.
@@ -74,6 +69,7 @@ struct Pooled {
     y: Vec<f64>,
     /// Σ of the squares of each covariate.
     squares: Vec<f64>,
+    tests: f64,
 }
 
 impl Pooled {
@@ -83,11 +79,25 @@ impl Pooled {
             informed: vec![0.0; p],
             y: vec![0.0; p],
             squares: vec![0.0; regressors],
+            tests: 0.0,
         }
     }
 
+    /// All of the reductions; `order` is one that does not depend on theirs.
+    pub(super) fn all(reductions: &[Reduction], order: &[usize], (p, regressors): (usize, usize)) -> Pooled {
+        let parts: Vec<Pooled> =
+            order.par_chunks(CHUNK).map(|part| Pooled::of(reductions, part, (p, regressors))).collect();
+        parts.iter().fold(Pooled::none((p, regressors)), |sum, part| sum.and(part))
+    }
+
+    /// Σ R'R in units of the frame.
+    pub(super) fn information(&self, frame: &Frame) -> DMatrix<f64> {
+        let (p, scale) = (self.y.len(), &frame.scale);
+        DMatrix::from_fn(p, p, |i, k| scale[i] * self.information[pair(i, k)] * scale[k])
+    }
+
     fn of(reductions: &[Reduction], tests: &[usize], (p, regressors): (usize, usize)) -> Pooled {
-        let mut sum = Pooled::none((p, regressors));
+        let mut sum = Pooled { tests: tests.len() as f64, ..Pooled::none((p, regressors)) };
         for one in tests.iter().map(|&j| &reductions[j]) {
             for k in 0..p {
                 let column = &one.factor[pair(k, 0)..][..=k];
@@ -108,11 +118,19 @@ impl Pooled {
         add(&mut self.informed, &other.informed);
         add(&mut self.y, &other.y);
         add(&mut self.squares, &other.squares);
+        self.tests += other.tests;
         self
     }
 }
 
-/// Of the first numbers, as many as both have.
+/// Of the first numbers, as many as both have: four sums side by side.
 fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
+    let size = a.len().min(b.len());
+    let (a, b) = (a[..size].chunks_exact(4), b[..size].chunks_exact(4));
+    let rest: f64 = a.remainder().iter().zip(b.remainder()).map(|(a, b)| a * b).sum();
+    let mut sums = [0.0; 4];
+    for (a, b) in a.zip(b) {
+        (0..4).for_each(|k| sums[k] += a[k] * b[k]);
+    }
+    (sums[0] + sums[2]) + (sums[1] + sums[3]) + rest
 }
