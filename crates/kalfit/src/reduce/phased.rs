@@ -54,6 +54,11 @@ impl PhasedReducer {
         PhasedReducer::made(model, alpha, &|model| Reducer::scoring(model, alpha, slots))
     }
 
+    /// The same where no backward pass is to come.
+    pub(crate) fn passing(model: &PhasedModel, alpha: &Alpha, slots: &Slots) -> Result<PhasedReducer, ReduceError> {
+        PhasedReducer::made(model, alpha, &|model| Reducer::passing(model, alpha, slots))
+    }
+
     fn made(
         model: &PhasedModel,
         alpha: &Alpha,

@@ -101,6 +101,12 @@ impl Reducer {
         Ok(Reducer::of(preparer, Shared::new(CLASS_BYTES)))
     }
 
+    /// The same where no backward pass is to come: what one test alone wants is not kept.
+    pub(crate) fn passing(model: &Model, alpha: &Alpha, slots: &Slots) -> Result<Reducer, ReduceError> {
+        let preparer = Preparer::with_free(model, alpha, slots.free()).map_err(|fault| fault.name(model, None))?;
+        Ok(Reducer::of(preparer, Shared::patient(CLASS_BYTES, EAGER_BYTES)))
+    }
+
     /// A reducer of tests that bring the law of their estimated states with them ([`Reducer::with_start`]): nothing is unknown.
     pub(crate) fn of_known_starts(model: &Model, alpha: &Alpha) -> Result<Reducer, ReduceError> {
         let preparer = Preparer::of_known_starts(model, alpha).map_err(|fault| fault.name(model, None))?;
