@@ -155,9 +155,12 @@ impl Rows<'_> {
     }
 }
 
+/// Bytes with something before and after them.
+type Enclosed<'b> = Chain<Chain<&'static [u8], &'b [u8]>, &'static [u8]>;
+
 /// Records of bytes, by the csv library.
 pub(super) struct Records<'b> {
-    reader: csv::Reader<Chain<Chain<&'static [u8], &'b [u8]>, &'static [u8]>>,
+    reader: csv::Reader<Enclosed<'b>>,
     pub(super) record: ByteRecord,
     /// Line of the first byte, and the library's number of it.
     line: u64,

@@ -82,9 +82,9 @@ impl Kernel for Settle<'_> {
 fn some_rows<T: Lanes, const M: usize>(gather: &mut Gather, row: usize) -> usize {
     let Gather { rows, columns, left, right, filled, sum, .. } = gather;
     let sum = &mut sum[row * *columns..][..M * *columns];
-    let (left, count) = (&left[row * T::COUNT..], *filled);
+    let (left, blocks) = (&left[row * T::COUNT..], *filled);
     let rows = *rows * T::COUNT;
-    in_parts(0, &mut Tile::<T, M> { left, rows, count, right, columns: *columns, sum, zero: T::splat(0.0) });
+    in_parts(0, &mut Tile::<T, M> { left, rows, blocks, right, columns: *columns, sum, zero: T::splat(0.0) });
     M
 }
 
@@ -93,8 +93,7 @@ struct Tile<'a, T, const M: usize> {
     /// M numbers in lanes of each block, so far apart.
     left: &'a [f64],
     rows: usize,
-    /// Blocks.
-    count: usize,
+    blocks: usize,
     right: &'a [f64],
     columns: usize,
     sum: &'a mut [f64],
@@ -110,7 +109,7 @@ impl<T: Lanes, const M: usize> Columns for Tile<'_, T, M> {
     #[inline(always)]
     fn part<const N: usize>(&mut self, from: usize) {
         let mut sums = [[self.zero; N]; M];
-        for k in 0..self.count {
+        for k in 0..self.blocks {
             let a = &self.left[k * self.rows..][..M * T::COUNT];
             let right = &self.right[(k * self.columns + from) * T::COUNT..][..N * T::COUNT];
             let mut b = [self.zero; N];
