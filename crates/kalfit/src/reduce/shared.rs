@@ -1,5 +1,6 @@
 //! Results that threads share: each is made once, however many ask for it at the same time.
 
+use std::collections::hash_map::Entry as Slot;
 use std::collections::{HashMap, HashSet};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
@@ -70,16 +71,32 @@ impl<K, V> Shared<K, V> {
         self.shard(digest).entries.get(&digest).is_some_and(|entry| same(&entry.key))
     }
 
-    /// Keeps what was made elsewhere, where [`Shared::get`] would have kept it; it is put together only then.
-    pub(crate) fn offer(&self, digest: u128, made: impl FnOnce() -> (K, V), size: impl FnOnce(&K, &V) -> usize) {
+    /// Keeps what was made elsewhere, where [`Shared::get`] would have kept it; it is put together only then. False where another was
+    /// quicker.
+    pub(crate) fn offer(
+        &self,
+        digest: u128,
+        made: impl FnOnce() -> (K, V),
+        size: impl FnOnce(&K, &V) -> usize,
+    ) -> bool {
         let (found, bytes) = (self.shard(digest).entries.contains_key(&digest), self.bytes.load(Ordering::Relaxed));
         let wanted = bytes < self.limit && (bytes < self.eager || self.shard(digest).is_known(digest));
         if found || !wanted {
-            return;
+            return !found;
         }
         let (key, value) = made();
-        self.bytes.fetch_add(size(&key, &value), Ordering::Relaxed);
-        self.shard(digest).entries.entry(digest).or_insert_with(|| Arc::new(Entry { key, value: value.into() }));
+        let bytes = size(&key, &value);
+        let first = match self.shard(digest).entries.entry(digest) {
+            Slot::Occupied(_) => false,
+            Slot::Vacant(slot) => {
+                slot.insert(Arc::new(Entry { key, value: value.into() }));
+                true
+            }
+        };
+        if first {
+            self.bytes.fetch_add(bytes, Ordering::Relaxed);
+        }
+        first
     }
 
     fn shard(&self, digest: u128) -> MutexGuard<'_, Shard<K, V>> {

@@ -86,9 +86,10 @@ impl Reducer {
 
     /// Takes note of a design whose filter was run elsewhere. `gains` puts together what it left, if it is wanted.
     pub(crate) fn ran(&self, digest: u128, design: &Design, gains: impl FnOnce() -> Option<Gains>) {
-        self.design_runs.fetch_add(1, Ordering::Relaxed);
         let made = || (design.clone(), Ok(gains().expect("only sound filters are noted")));
-        self.classes.offer(digest, made, class_bytes);
+        // threads that meet one design at the same time count once: the work told of does not depend on threads
+        let first = self.classes.offer(digest, made, class_bytes);
+        self.design_runs.fetch_add(u64::from(first), Ordering::Relaxed);
     }
 
     /// Recognises others by a test, as it is in the work space.
