@@ -42,6 +42,7 @@ mod design;
 mod digest;
 mod dynamics;
 mod end;
+mod ending;
 mod error;
 mod evidence;
 mod flops;

@@ -7,10 +7,10 @@ use nalgebra::{DMatrix, DVector};
 use crate::ensemble::Test;
 use crate::model::{Alpha, Model, Phase};
 use crate::reduce::carry::Inheritance;
-use crate::reduce::end::placed;
+use crate::reduce::ending::Ending;
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
 use crate::reduce::prepare::Workspace;
-use crate::reduce::reducer::{Class, Reducer};
+use crate::reduce::reducer::Reducer;
 use crate::reduce::stack::StackData;
 use crate::reduce::steps::Cells;
 use crate::reduce::subject::WHOLE;
@@ -61,16 +61,6 @@ pub(crate) struct Part<'a> {
     pub(crate) ending: Ending<'a>,
     /// `None` for the first phase.
     pub(crate) inherited: Option<Cow<'a, Inherited>>,
-}
-
-/// x_K given σ.
-pub(crate) enum Ending<'a> {
-    /// No phase follows.
-    None,
-    /// x̂_K, and the design class with the rest.
-    Class(DVector<f64>, Class),
-    /// As it was given.
-    Known(Cow<'a, Terminal>),
 }
 
 impl PhaseReducer {
@@ -148,15 +138,28 @@ impl PhaseReducer {
     ) -> Result<Part<'a>, ReduceError> {
         let (reduction, class) =
             if designs { self.reducer.designed(rows, work)? } else { self.reducer.one(rows, work)? };
-        let ending = if class.end().is_none() {
-            Ending::None
-        } else if designs {
-            Ending::Class(DVector::zeros(self.sizes.n), class)
+        let ending = if designs {
+            class.end().map_or(Ending::None, |_| Ending::Class(DVector::zeros(self.sizes.n), class.clone()))
         } else {
-            Ending::Class(placed(&self.reducer.preparer().order.states, &work.pass.x), class)
+            self.reducer.ending(&class, work.pass.x.iter().copied())
         };
         let inherited = self.inheritance.is_some().then(|| self.of_carry(rows, cells)).transpose()?;
         Ok(Part { reduction: Cow::Owned(reduction), ending, inherited })
+    }
+
+    /// The phase of a test whose rows were reduced by themselves.
+    pub(crate) fn joined<'a>(
+        &'a self,
+        rows: &Test,
+        found: Result<(Reduction, Ending<'static>), ReduceError>,
+        cells: &mut Cells,
+    ) -> Result<Part<'a>, ReduceError> {
+        let part = || {
+            let (reduction, ending) = found?;
+            let inherited = self.inheritance.is_some().then(|| self.of_carry(rows, cells)).transpose()?;
+            Ok(Part { reduction: Cow::Owned(reduction), ending, inherited })
+        };
+        part().map_err(|error| self.named(error))
     }
 
     /// What a later phase with these rows inherits.
@@ -245,29 +248,6 @@ impl Part<'_> {
     /// With g of the link that leads here.
     pub(crate) fn data<'b>(&'b self, mean: Option<&'b DVector<f64>>) -> StackData<'b> {
         StackData { constant: self.reduction.constant, data: &self.reduction.data, mean }
-    }
-}
-
-impl Ending<'_> {
-    /// x̂_K of a phase that another follows.
-    pub(crate) fn mean(&self) -> &DVector<f64> {
-        match self {
-            Ending::None => unreachable!("a phase that another follows has an end"),
-            Ending::Class(mean, _) => mean,
-            Ending::Known(terminal) => &terminal.mean,
-        }
-    }
-
-    /// Ψ_K and a root of P_K of a phase that another follows.
-    pub(crate) fn design(&self) -> (&DMatrix<f64>, &DMatrix<f64>) {
-        match self {
-            Ending::None => unreachable!("a phase that another follows has an end"),
-            Ending::Class(_, class) => {
-                let end = class.end().expect("it was looked at");
-                (&end.sensitivity, &end.root)
-            }
-            Ending::Known(terminal) => (&terminal.sensitivity, &terminal.root),
-        }
     }
 }
 

@@ -1,5 +1,7 @@
 //! Tests in phases → reductions: each phase by its own filter, then all of them together (theory §7).
 
+mod batch;
+
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
@@ -9,13 +11,14 @@ use crate::reduce::digest::Digest;
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
 use crate::reduce::part::{Part, PhaseReducer, Place, refuse};
 use crate::reduce::prepare::Workspace;
-use crate::reduce::reducer::{Reducer, Work};
+use crate::reduce::reducer::{Reducer, Work, share};
 use crate::reduce::shared::Shared;
 use crate::reduce::stack::{Stack, StackData, StackKey, StackPhase};
 use crate::reduce::steps::Cells;
 use crate::reduce::subject::WHOLE;
 use crate::reduce::{Chain, ChainPhase, Evidence, Inherited, Link, Path, PhaseReduction, PhasedTest, Reduction};
 use crate::score::Slots;
+use batch::PhasedBatch;
 
 /// Bytes of rotations that are kept: tests whose phases have one design each share them while they fit.
 const STACK_BYTES: usize = 128 << 20;
@@ -123,7 +126,11 @@ impl PhasedReducer {
         if let Some((phase, rows)) = self.plain(tests) {
             return phase.reducer.reduce_all(&rows);
         }
-        self.each(tests, &|test, work| self.one(test, work))
+        let batches: Vec<Vec<Result<Reduction, ReduceError>>> = tests
+            .par_chunks(share(tests.len()))
+            .map_init(|| PhasedBatch::new(self), |batch, tests| batch.reduce(tests))
+            .collect();
+        batches.into_iter().flatten().collect()
     }
 
     /// The only phase and the rows of all tests, where that is all there is: they are reduced many at a time.
@@ -192,16 +199,6 @@ impl PhasedReducer {
         let all: Vec<Result<T, ReduceError>> =
             tests.par_iter().map_init(|| self.workspace(), |work, test| one(test, work)).collect();
         all.into_iter().collect()
-    }
-
-    /// The reduction of one test.
-    pub(crate) fn one(&self, test: &PhasedTest, work: &mut PhasedWork) -> Result<Reduction, ReduceError> {
-        if let ([phase], [Evidence::Rows(rows)]) = (&*self.phases, &*test.phases)
-            && phase.is_optimal()
-        {
-            return phase.reducer.one(rows, &mut work.phases[0]).map(|(reduction, _)| reduction);
-        }
-        self.whole(test, self.parts(test, work, false)?)
     }
 
     /// A test has no more phases than the model, and one at least.

@@ -12,7 +12,8 @@ use crate::ensemble::Test;
 use crate::model::{Alpha, Model};
 use crate::reduce::data::{Miss, Outcome, outcome};
 use crate::reduce::design::Design;
-use crate::reduce::end::End;
+use crate::reduce::end::{End, placed};
+use crate::reduce::ending::Ending;
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
 use crate::reduce::gains::Gains;
 use crate::reduce::instances::{Instance, Instances};
@@ -26,6 +27,7 @@ use crate::reduce::subject::{Fault, Subject};
 use crate::reduce::{Path, Reduction};
 use crate::score::Slots;
 use batch::Known;
+pub(crate) use batch::{Batch, share};
 
 /// Bytes of design classes that are kept: tests of one design share its covariance run while they fit.
 const CLASS_BYTES: usize = 256 << 20;
@@ -146,6 +148,12 @@ impl Reducer {
         self
     }
 
+    /// Where a test of a class ends, with x̂ of its last step, in the order of the kernels.
+    pub(crate) fn ending(&self, class: &Class, x: impl Iterator<Item = f64>) -> Ending<'static> {
+        let states = &self.preparer.order.states;
+        class.end().map_or(Ending::None, |_| Ending::Class(placed(states, x), class.clone()))
+    }
+
     /// Nothing is frozen.
     pub(crate) fn is_unfrozen(&self) -> bool {
         self.unfrozen
@@ -211,6 +219,7 @@ impl Reducer {
     pub(crate) fn workspace(&self) -> Workspace {
         let mut work = self.preparer.workspace();
         work.gains.settling.off = self.unfrozen;
+        work.gained.with_ends = self.ends;
         work
     }
 
@@ -302,12 +311,16 @@ impl Reducer {
 
     /// The design pass in plain covariance and information arithmetic; `None` where that would lose too much.
     fn information(&self, design: &Design, work: &mut GainsRoom<'_>) -> Option<Gains> {
-        if !self.ends && is_short(design) {
-            return work.block.gains(design, work.gained, work.room);
+        let states = &self.preparer.order.states;
+        if is_short(design) {
+            let mut gains = work.block.gains(design, work.gained, work.room)?;
+            if self.ends {
+                gains.end = Some(work.gained.end((0, work.block.lanes()), states)?);
+            }
+            return Some(gains);
         }
         let mut gains = information_gains(design, work.gains)?;
         if self.ends {
-            let states = &self.preparer.order.states;
             gains.end = Some(End::of_covariance(states, &work.gains.Psi, &work.gains.P, design.frame.r)?);
         }
         Some(gains)

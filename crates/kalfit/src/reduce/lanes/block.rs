@@ -21,8 +21,9 @@ pub(crate) struct Block {
 /// Work space of a pass over a block, and what it finds. All in lanes.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Room {
-    /// x̂, afterwards of the last step.
     pub(super) x: Vec<f64>,
+    /// x̂ of the last step of each test.
+    pub(super) last: Vec<f64>,
     pub(super) moved: Vec<f64>,
     /// The innovations, in order.
     pub(super) e: Vec<f64>,
@@ -108,6 +109,11 @@ impl Block {
         }
     }
 
+    /// x̂ of the last step of the test in a lane.
+    pub(crate) fn last<'a>(&self, lane: usize, room: &'a Room) -> impl Iterator<Item = f64> + use<'a> {
+        room.last.iter().skip(lane).step_by(self.isa.lanes()).copied()
+    }
+
     /// The outcome of one test by itself, and x̂ of its last step to `x`.
     pub(crate) fn alone(
         &mut self,
@@ -121,7 +127,7 @@ impl Block {
         self.values(0, data.values.iter().copied());
         self.run(design, gains, room);
         x.clear();
-        x.extend(room.x.iter().step_by(self.isa.lanes()));
+        x.extend(self.last(0, room));
         self.outcome(0, (gains.active, gains.log_determinant), room)
     }
 }

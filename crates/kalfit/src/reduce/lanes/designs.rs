@@ -7,6 +7,7 @@ use std::sync::Arc;
 use kalfit_lanes::{Kernel, Lanes, MOST};
 
 use crate::reduce::design::{Design, Pattern, Run, Transition};
+use crate::reduce::end::End;
 use crate::reduce::gains::{Gains, Piece};
 use crate::reduce::kernel;
 use crate::reduce::lanes::block::Room;
@@ -34,6 +35,12 @@ pub(crate) struct Gained {
     pub(crate) found: Vec<Option<(Vec<f64>, f64)>>,
     /// What was added up.
     sums: Vec<f64>,
+    /// Runs of each design.
+    runs: [usize; MOST],
+    /// Where the designs end is wanted too.
+    pub(crate) with_ends: bool,
+    /// P and Ψ after the last step of each design, if they are wanted.
+    last: (Vec<f64>, Vec<f64>),
 }
 
 /// Whether two designs go side by side: as far as both reach, they differ in their numbers alone.
@@ -96,6 +103,8 @@ impl Gained {
         self.q.clear();
         self.terms = pattern(longest).map_or(0, |pattern| pattern.columns.len());
         let pairs = pattern(longest).map_or(0, |pattern| pattern.pairs.len());
+        self.runs = [longest.runs.len(); MOST];
+        self.runs.iter_mut().zip(designs).for_each(|(runs, design)| *runs = design.runs.len());
         let mut last: [Option<&Arc<Transition>>; MOST] = [None; MOST];
         for run in 0..longest.runs.len() {
             let mut repeats = run > 0;
@@ -131,6 +140,10 @@ impl Gained {
         (self.p, self.stride) = (frame.p, 1 + frame.r);
         self.gains.resize(design.rows() * self.stride * T::COUNT, 0.0);
         self.sensitivities.resize(design.rows() * self.p * T::COUNT, 0.0);
+        if self.with_ends {
+            self.last.0.resize(frame.r * frame.r * T::COUNT, 0.0);
+            self.last.1.resize(frame.sensitivity.len() * T::COUNT, 0.0);
+        }
         let mut state = State::<T>::new(self, design);
         let (mut first, mut row) = (0, 0);
         for (at_run, run) in design.runs.iter().enumerate() {
@@ -146,8 +159,23 @@ impl Gained {
                 }
             }
             first = run.lines;
+            if self.with_ends {
+                self.end_run(&state, at_run);
+            }
         }
         state.sums
+    }
+
+    /// Keeps P and Ψ of designs that end with a run.
+    #[inline(always)]
+    fn end_run<T: Lanes>(&mut self, state: &State<T>, run: usize) {
+        for lane in (0..T::COUNT).filter(|&lane| self.runs[lane] == run + 1) {
+            for (from, to) in [(&state.P, &mut self.last.0), (&state.Psi, &mut self.last.1)] {
+                for (x, to) in from.iter().zip(to.chunks_exact_mut(T::COUNT)) {
+                    to[lane] = x.lane(lane);
+                }
+            }
+        }
     }
 
     /// R and Σ log S of each design.
@@ -164,6 +192,12 @@ impl Gained {
             }
             self.found.push(found);
         }
+    }
+
+    /// Where one design ends, its states these; `None` where that calls for square-root arrays.
+    pub(crate) fn end(&self, (lane, lanes): (usize, usize), states: &[usize]) -> Option<End> {
+        let own = |all: &[f64]| -> Vec<f64> { all.iter().skip(lane).step_by(lanes).copied().collect() };
+        End::of_covariance(states, &own(&self.last.1), &own(&self.last.0), self.stride - 1)
     }
 
     /// The gains of one design by themselves; `None` where square-root arrays are called for.
@@ -293,6 +327,11 @@ impl<T: Lanes> Numbers<T> for Gained {
     #[inline(always)]
     fn R(&self, at_: usize) -> T {
         at(&self.factor, at_)
+    }
+
+    #[inline(always)]
+    fn ends(&self, run: usize, lane: usize) -> bool {
+        self.runs[lane] == run + 1
     }
 }
 

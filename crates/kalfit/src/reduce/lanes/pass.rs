@@ -22,6 +22,8 @@ pub(super) trait Numbers<T> {
     fn T(&self, row: usize, k: usize) -> T;
     /// An entry of R, packed.
     fn R(&self, at: usize) -> T;
+    /// Whether the test in a lane ends with a run.
+    fn ends(&self, run: usize, lane: usize) -> bool;
 }
 
 /// Tests of one design.
@@ -60,6 +62,11 @@ impl<T: Lanes> Numbers<T> for Shared<'_> {
     fn R(&self, at: usize) -> T {
         T::splat(self.gains.factor[at])
     }
+
+    #[inline(always)]
+    fn ends(&self, run: usize, _: usize) -> bool {
+        run + 1 == self.design.runs.len()
+    }
 }
 
 /// The data of tests, in lanes.
@@ -97,6 +104,7 @@ pub(super) fn innovate<T: Lanes, N: Numbers<T>>(design: &Design, numbers: &N, da
     room.e.resize(data.values.len(), 0.0);
     room.d.clear();
     room.d.resize(frame.p * T::COUNT, 0.0);
+    room.last.resize(frame.n * T::COUNT, 0.0);
     let (mut square, mut line, mut row, mut input) = (T::splat(0.0), 0, 0, 0);
     for (at_run, run) in design.runs.iter().enumerate() {
         for _ in 0..run.count {
@@ -114,6 +122,11 @@ pub(super) fn innovate<T: Lanes, N: Numbers<T>>(design: &Design, numbers: &N, da
             }
         }
         line = run.lines;
+        for lane in (0..T::COUNT).filter(|&lane| numbers.ends(at_run, lane)) {
+            for state in 0..frame.n {
+                room.last[state * T::COUNT + lane] = room.x[state * T::COUNT + lane];
+            }
+        }
     }
     squares::solve::<T, _>(numbers, frame.p, square, room);
 }

@@ -1,5 +1,6 @@
 //! Tests → reductions, many at a time: tests of a design that is known are recognised, and their data passes are one.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
@@ -7,8 +8,9 @@ use kalfit_lanes::Isa;
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
-use crate::reduce::Reduction;
 use crate::reduce::design::Design;
+use crate::reduce::end::{End, placed};
+use crate::reduce::ending::Ending;
 use crate::reduce::error::ReduceError;
 use crate::reduce::gains::Gains;
 use crate::reduce::instances::Instance;
@@ -18,6 +20,7 @@ use crate::reduce::recognise::Likeness;
 use crate::reduce::reducer::queue::{Own, Queue, longest};
 use crate::reduce::reducer::{About, Class, Reducer, class_bytes};
 use crate::reduce::subject::Fault;
+use crate::reduce::{Reduction, Terminal};
 
 /// Most classes whose blocks are filled at the same time.
 const OPEN: usize = 32;
@@ -26,6 +29,11 @@ const OPEN: usize = 32;
 const SHARES: usize = 4;
 const FEWEST: usize = 32;
 const MOST: usize = 512;
+
+/// How many of so many tests are looked at together.
+pub(crate) fn share(tests: usize) -> usize {
+    (tests / (SHARES * rayon::current_num_threads())).clamp(FEWEST, MOST)
+}
 
 /// A test that others of its design are recognised by, and what they share with it.
 #[derive(Debug)]
@@ -54,6 +62,8 @@ pub(crate) struct Batch<'a> {
     /// Tests that something is wrong with, or that call for square-root arrays: their turn comes last, each by itself.
     odd: Vec<usize>,
     out: Vec<Option<Result<Reduction, ReduceError>>>,
+    /// Where the tests end; empty where that is not wanted.
+    endings: Vec<Ending<'static>>,
 }
 
 /// Tests of a known design, gathered in a block.
@@ -68,10 +78,17 @@ struct Group {
 impl Reducer {
     /// [`Reducer::reduce`], of tests that stand anywhere.
     pub(crate) fn reduce_all(&self, tests: &[&Test]) -> Result<Vec<Reduction>, ReduceError> {
-        let each = (tests.len() / (SHARES * rayon::current_num_threads())).clamp(FEWEST, MOST);
-        let batches: Vec<Vec<Result<Reduction, ReduceError>>> =
-            tests.par_chunks(each).map_init(|| Batch::new(self), |batch, tests| batch.reduce(tests)).collect();
+        let batches: Vec<Vec<Result<Reduction, ReduceError>>> = tests
+            .par_chunks(share(tests.len()))
+            .map_init(|| Batch::new(self), |batch, tests| batch.reduce(tests))
+            .collect();
         batches.into_iter().flatten().collect()
+    }
+
+    /// Where a test of a design of its own ends.
+    fn own_ending(&self, End { sensitivity, root }: End, x: impl Iterator<Item = f64>) -> Ending<'static> {
+        let mean = placed(&self.preparer.order.states, x);
+        Ending::Known(Cow::Owned(Terminal { mean, sensitivity, root }))
     }
 
     /// A fault of a test, with names.
@@ -81,7 +98,7 @@ impl Reducer {
 
     /// True when the filter of this design, which nobody has run yet, is one for lanes.
     pub(crate) fn goes_aside(&self, digest: u128, design: &Design) -> bool {
-        !self.ends && is_short(design) && !self.classes.has(digest, |known| known.same(design))
+        is_short(design) && !self.classes.has(digest, |known| known.same(design))
     }
 
     /// Takes note of a design whose filter was run elsewhere. `gains` puts together what it left, if it is wanted.
@@ -113,6 +130,7 @@ impl<'a> Batch<'a> {
             queue: Queue::new(Isa::best().lanes()),
             odd: Vec::new(),
             out: Vec::new(),
+            endings: Vec::new(),
         }
     }
 
@@ -120,6 +138,8 @@ impl<'a> Batch<'a> {
     pub(crate) fn reduce(&mut self, tests: &[&Test]) -> Vec<Result<Reduction, ReduceError>> {
         self.out.clear();
         self.out.resize_with(tests.len(), || None);
+        self.endings.clear();
+        self.endings.resize_with(if self.reducer.ends { tests.len() } else { 0 }, || Ending::None);
         for (number, test) in tests.iter().enumerate() {
             let hash = match self.recognise(tests, test) {
                 Ok(()) if self.seat(tests, number) => continue,
@@ -134,9 +154,16 @@ impl<'a> Batch<'a> {
         }
         for number in std::mem::take(&mut self.odd) {
             let found = self.reducer.one(tests[number], &mut self.work);
-            self.out[number] = Some(found.map(|(reduction, _)| reduction));
+            self.note_alone(number, found);
         }
         self.out.drain(..).map(|found| found.expect("every test was looked at")).collect()
+    }
+
+    /// The same, and where the tests end.
+    pub(crate) fn reduce_to_end(&mut self, tests: &[&Test]) -> Vec<Result<(Reduction, Ending<'static>), ReduceError>> {
+        let found = self.reduce(tests);
+        let endings = self.endings.drain(..).chain(std::iter::repeat_with(|| Ending::None));
+        found.into_iter().zip(endings).map(|(found, ending)| found.map(|reduction| (reduction, ending))).collect()
     }
 
     /// Makes the group of the test's design the latest one; else the hash that it is to be known by, if any.
@@ -200,6 +227,9 @@ impl<'a> Batch<'a> {
             if outcome.is_finite() {
                 let about = About { covariates, steps: known.steps, digest: known.digest };
                 self.out[number] = Some(Ok(self.reducer.reduction(tests[number], outcome, gains, about)));
+                if let Some(ending) = self.endings.get_mut(number) {
+                    *ending = self.reducer.ending(&known.class, block.last(lane, &self.work.room));
+                }
             } else {
                 self.odd.push(number);
             }
@@ -227,7 +257,15 @@ impl<'a> Batch<'a> {
         if let (Some(hash), Ok((_, class))) = (hash, &found) {
             reducer.learn(test, class, hash, &self.work);
         }
-        self.out[number] = Some(found.map(|(reduction, _)| reduction).map_err(|fault| reducer.named(*fault, test)));
+        self.note_alone(number, found.map_err(|fault| reducer.named(*fault, test)));
+    }
+
+    /// Takes what was found of the test in the work space.
+    fn note_alone(&mut self, number: usize, found: Result<(Reduction, Class), ReduceError>) {
+        if let (Ok((_, class)), Some(ending)) = (&found, self.endings.get_mut(number)) {
+            *ending = self.reducer.ending(class, self.work.pass.x.iter().copied());
+        }
+        self.out[number] = Some(found.map(|(reduction, _)| reduction));
     }
 
     /// Runs the filters of tests with designs of their own.
@@ -247,9 +285,16 @@ impl<'a> Batch<'a> {
             let found = gained.found[lane]
                 .as_ref()
                 .map(|(factor, log_determinant)| (block.outcome(lane, (rows, *log_determinant), room), factor.clone()));
+            let place = (lane, block.lanes());
+            let end = if reducer.ends { gained.end(place, &reducer.preparer.order.states) } else { None };
             match found {
-                Some((outcome, factor)) if outcome.is_finite() => {
-                    reducer.ran(own.digest, &own.design, || gained.gains((lane, block.lanes()), rows));
+                Some((outcome, factor)) if outcome.is_finite() && end.is_some() == reducer.ends => {
+                    reducer.ran(own.digest, &own.design, || {
+                        Some(Gains { end: end.clone(), ..gained.gains(place, rows)? })
+                    });
+                    if let Some(end) = end {
+                        self.endings[own.number] = reducer.own_ending(end, block.last(lane, room));
+                    }
                     let about =
                         About { covariates: own.covariates.clone(), steps: own.design.steps(), digest: own.digest };
                     let reduction = reducer.informed(tests[own.number], outcome, (factor, rows), about);

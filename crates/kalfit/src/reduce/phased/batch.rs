@@ -1,0 +1,76 @@
+//! Tests in phases, many at a time: each phase of all of them, then each test as a whole.
+
+use crate::ensemble::Test;
+use crate::reduce::error::ReduceError;
+use crate::reduce::part::Part;
+use crate::reduce::phased::{PhasedReducer, PhasedWork};
+use crate::reduce::reducer::Batch;
+use crate::reduce::{Evidence, PhasedTest, Reduction};
+
+/// Reduces batches of tests in phases.
+#[derive(Debug)]
+pub(super) struct PhasedBatch<'a> {
+    reducer: &'a PhasedReducer,
+    /// One for each phase.
+    phases: Vec<Batch<'a>>,
+    /// For phases that go one by one.
+    work: PhasedWork,
+}
+
+impl<'a> PhasedBatch<'a> {
+    pub(super) fn new(reducer: &'a PhasedReducer) -> PhasedBatch<'a> {
+        let phases = reducer.phases.iter().map(|phase| Batch::new(&phase.reducer)).collect();
+        PhasedBatch { reducer, phases, work: reducer.workspace() }
+    }
+
+    /// The reductions of tests, in their order; of several phases of a test in error, the first one's error.
+    pub(super) fn reduce(&mut self, tests: &[PhasedTest]) -> Vec<Result<Reduction, ReduceError>> {
+        let mut parts: Vec<_> = tests.iter().map(|test| Ok(Vec::with_capacity(test.phases.len()))).collect();
+        for at in 0..self.phases.len() {
+            self.phase(at, tests, &mut parts);
+        }
+        let whole = |(test, parts): (&PhasedTest, Result<Vec<Part<'_>>, ReduceError>)| {
+            self.reducer.check(test)?;
+            self.reducer.whole(test, parts?)
+        };
+        tests.iter().zip(parts).map(whole).collect()
+    }
+
+    /// The phase with this number of the tests that have it and are sound so far.
+    fn phase<'t>(&mut self, at: usize, tests: &'t [PhasedTest], parts: &mut [Result<Vec<Part<'t>>, ReduceError>])
+    where
+        'a: 't,
+    {
+        let reducer = self.reducer;
+        let phase = &reducer.phases[at];
+        let mut numbers = Vec::with_capacity(tests.len());
+        let mut rows: Vec<&Test> = Vec::with_capacity(tests.len());
+        for (number, (test, parts)) in tests.iter().zip(&mut *parts).enumerate() {
+            match (test.phases.get(at), &mut *parts) {
+                (Some(Evidence::Rows(own)), Ok(_)) if phase.is_optimal() => {
+                    numbers.push(number);
+                    rows.push(own);
+                }
+                (Some(evidence), Ok(_)) => {
+                    let room = (&mut self.work.phases[at], &mut self.work.cells);
+                    let linked = at + 1 < test.phases.len();
+                    add(parts, phase.part((&test.id, evidence), room, (false, linked)));
+                }
+                _ => {}
+            }
+        }
+        let found = self.phases[at].reduce_to_end(&rows);
+        for ((number, rows), found) in numbers.into_iter().zip(rows).zip(found) {
+            add(&mut parts[number], phase.joined(rows, found, &mut self.work.cells));
+        }
+    }
+}
+
+/// Adds the next phase of a test, or what is wrong with it.
+fn add<'t>(parts: &mut Result<Vec<Part<'t>>, ReduceError>, next: Result<Part<'t>, ReduceError>) {
+    match (&mut *parts, next) {
+        (Ok(parts), Ok(next)) => parts.push(next),
+        (Ok(_), Err(error)) => *parts = Err(error),
+        (Err(_), _) => {}
+    }
+}
