@@ -10,6 +10,7 @@ use kalfit::reduce::{Evidence, ReduceError, SplitError};
 use kalfit::{Alpha, FitRecord, Labels, PhasedModel, PhasedTest, Test};
 use kalfit_data::{DataError, Input, ReadError, Sink};
 use kalfit_spec::Spec;
+use rayon::prelude::*;
 use tempfile::SpooledTempFile;
 
 use crate::work::Work;
@@ -264,11 +265,12 @@ impl<'a, 'w> Looking<'a, 'w> {
     }
 
     fn look(&mut self, tests: &[PhasedTest]) {
-        let seen = &mut self.seen;
-        for result in self.filter.run(tests) {
+        let (seen, model) = (&mut self.seen, self.model);
+        let found = self.filter.run(tests).into_par_iter();
+        let recorded = found.map(|result| result.map(|one| one.map(|one| (InnovationRecord::new(&one, model), one))));
+        for result in recorded.collect::<Vec<_>>() {
             match result {
-                Ok(Some(one)) => {
-                    let record = InnovationRecord::new(&one, self.model);
+                Ok(Some((record, one))) => {
                     seen.series.offer(&one, &record, self.model);
                     seen.found.push(Found { log_likelihood: one.log_likelihood, record, test: one.test });
                 }

@@ -10,7 +10,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::ensemble::Test;
 use crate::innovations::law::Law;
-use crate::innovations::plain::Plain;
+use crate::innovations::plain::{Plain, Waiting};
 use crate::innovations::rows::{self, Figures};
 use crate::innovations::series::{Innovation, Innovations};
 use crate::linalg::symmetric;
@@ -31,7 +31,7 @@ pub(crate) struct Chained {
 /// Work space for a test.
 pub(crate) struct Room {
     phases: PhasedWork,
-    plain: Vec<Workspace>,
+    plain: Vec<Waiting>,
 }
 
 /// What a phase adds of its own.
@@ -46,7 +46,7 @@ pub(super) struct Start {
     pub(super) covariance: DMatrix<f64>,
     pub(super) time: Option<usize>,
     /// The phase has a filter of its own: its measurements are not evidence.
-    filtered: bool,
+    pub(super) filtered: bool,
 }
 
 impl Chained {
@@ -77,18 +77,29 @@ impl Chained {
         Room { phases: self.reducer.workspace(), plain: self.plain.workspace() }
     }
 
-    /// The innovations of a test; `None` where no phase is given by rows alone.
-    pub(crate) fn innovations(&self, whole: &PhasedTest, room: &mut Room) -> Result<Option<Innovations>, ReduceError> {
+    /// The innovations of tests; `None` where no phase is given by rows alone.
+    pub(crate) fn innovations(
+        &self,
+        tests: &[PhasedTest],
+        room: &mut Room,
+    ) -> Vec<Result<Option<Innovations>, ReduceError>> {
+        let carries = self.reducer.phases();
+        let plain = self.plain.series(tests, (&self.phases, carries), (&mut room.plain, &mut room.phases.cells));
+        tests.iter().zip(plain).map(|(whole, series)| self.one(whole, series, &mut room.phases)).collect()
+    }
+
+    /// The innovations of a test; `plain`: where that was a way to have them. Covariances that are not sound may be only rounding;
+    /// what else is wrong is said by the careful way.
+    fn one(
+        &self,
+        whole: &PhasedTest,
+        plain: Option<Vec<Innovation>>,
+        work: &mut PhasedWork,
+    ) -> Result<Option<Innovations>, ReduceError> {
         self.reducer.check(whole)?;
-        let rows = |(evidence, start): (&Evidence, &Start)| matches!(evidence, Evidence::Rows(_)) && !start.filtered;
-        let plain = whole.phases.iter().zip(&self.phases).all(rows).then(|| {
-            let carries = self.reducer.phases();
-            self.plain.series(whole, (&self.phases, carries), (&mut room.plain, &mut room.phases.cells))
-        });
         let (series, rest, seen) = match plain {
-            Some(Ok(Some(series))) => (series, 0.0, true),
-            // covariances that are not sound may be only rounding; what else is wrong is said by the careful way
-            Some(Ok(None) | Err(_)) | None => self.careful(whole, &mut room.phases)?,
+            Some(series) => (series, 0.0, true),
+            None => self.careful(whole, work)?,
         };
         if !rows::are_finite(&series) {
             let kind = Box::new(ReduceErrorKind::NotFinite);

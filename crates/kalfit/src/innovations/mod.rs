@@ -11,13 +11,11 @@
 //! and Σ -½ (log 2πS + e²/S) is the log-likelihood of the test (theory §3), by another way. The figures take μ, Σ and α as
 //! known; that they were estimated from the same tests makes the tests of few and small ensembles milder, not stricter.
 //!
-//! There is one filter, that of [`reduce`](crate::reduce). In a test of one phase the uncertain start becomes part of P0, and
-//! nothing is left of ξ; in a test of several, so does what Σ and earlier phases say of the start of each, or, where that calls for
-//! square roots, it is added to what the filter finds (theory §7). Every innovation is from all that was measured before, in its
+//! There is one filter, that of [`reduce`](crate::reduce). What Σ and earlier phases say of the start of a phase becomes part of P0,
+//! and nothing is left of σ; or, where that calls for square roots, it is added to what the filter finds (theory §7). Every innovation is from all that was measured before, in its
 //! phase and in earlier ones.
 
 mod chained;
-mod known_start;
 mod law;
 mod plain;
 mod rows;
@@ -30,9 +28,8 @@ pub use series::{Innovation, Innovations, Part};
 pub use whiteness::Whiteness;
 
 use crate::innovations::chained::Chained;
-use crate::innovations::known_start::KnownStart;
 use crate::model::{Alpha, PhasedModel, Population};
-use crate::reduce::{Evidence, PhasedTest, ReduceError, ReduceErrorKind};
+use crate::reduce::{PhasedTest, ReduceError, ReduceErrorKind, share};
 
 /// Innovations of all tests, in their order; `None` of a test all of whose phases are given by estimates or reductions: what was
 /// measured is no longer known there. Neither is what was measured in a phase with a filter of its own, whose estimates are
@@ -50,19 +47,10 @@ pub fn innovations(
     InnovationFilter::new(model, alpha, initial)?.run(tests).into_iter().collect()
 }
 
-/// The filter behind [`innovations`], for ensembles that come in batches: it keeps design classes from batch to batch.
+/// The filter behind [`innovations`], for ensembles that come in batches: it keeps design classes from batch to batch. `None` of
+/// the only phase's filter, whose estimates are what counts.
 #[derive(Debug)]
-pub struct InnovationFilter(Way);
-
-#[derive(Debug)]
-enum Way {
-    /// One phase, whose only filter's estimates are what counts.
-    Silent,
-    /// One phase.
-    Single(Box<KnownStart>),
-    /// Several.
-    Chained(Box<Chained>),
-}
+pub struct InnovationFilter(Option<Box<Chained>>);
 
 impl InnovationFilter {
     /// A filter of a model at (α, μ, Σ), of all phases together.
@@ -71,31 +59,20 @@ impl InnovationFilter {
     /// As [`innovations`], where no test is to blame.
     pub fn new(model: &PhasedModel, alpha: &Alpha, initial: &Population) -> Result<InnovationFilter, ReduceError> {
         check(model, initial)?;
-        Ok(InnovationFilter(match &model.phases[..] {
-            [only] if only.filter.is_some() => Way::Silent,
-            [only] => Way::Single(Box::new(KnownStart::new(&only.model, alpha, initial)?)),
-            _ => Way::Chained(Box::new(Chained::new(model, alpha, initial)?)),
-        }))
+        let silent = matches!(&model.phases[..], [only] if only.filter.is_some());
+        let chained = (!silent).then(|| Chained::new(model, alpha, initial)).transpose()?;
+        Ok(InnovationFilter(chained.map(Box::new)))
     }
 
     /// Innovations of each test, in their order, or why there are none. They depend neither on batches nor on threads.
     pub fn run(&self, tests: &[PhasedTest]) -> Vec<Result<Option<Innovations>, ReduceError>> {
-        match &self.0 {
-            Way::Silent => tests.iter().map(|_| Ok(None)).collect(),
-            Way::Single(filter) => tests
-                .par_iter()
-                .map_init(
-                    || filter.workspace(),
-                    |work, test| match &test.phases[..] {
-                        [Evidence::Rows(rows)] => filter.innovations(rows, work).map(Some),
-                        _ => Ok(None),
-                    },
-                )
-                .collect(),
-            Way::Chained(filter) => {
-                tests.par_iter().map_init(|| filter.workspace(), |work, test| filter.innovations(test, work)).collect()
-            }
-        }
+        let Some(filter) = &self.0 else { return tests.iter().map(|_| Ok(None)).collect() };
+        let rows = tests.iter().map(PhasedTest::row_count).sum();
+        let batches: Vec<Vec<Result<Option<Innovations>, ReduceError>>> = tests
+            .par_chunks(share(tests.len(), rows))
+            .map_init(|| filter.workspace(), |room, tests| filter.innovations(tests, room))
+            .collect();
+        batches.into_iter().flatten().collect()
     }
 }
 

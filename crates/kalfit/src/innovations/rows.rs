@@ -2,7 +2,7 @@
 
 use crate::ensemble::Test;
 use crate::innovations::series::Innovation;
-use crate::reduce::{Gains, Workspace, innovate};
+use crate::reduce::{Design, Gains, Instances, Workspace, own_innovations};
 
 /// e, S and e/√S of one measurement.
 pub(crate) struct Figures {
@@ -15,20 +15,31 @@ pub(crate) struct Figures {
 /// innovation. A measurement that can only be one value says nothing and is left out; whether it was that value is the
 /// reduction's business.
 pub(crate) fn series(
-    (phase, rows, time): (usize, &Test, Option<usize>),
+    place: (usize, &Test, Option<usize>),
     gains: &Gains,
     work: &mut Workspace,
     mut figures: impl FnMut(f64, f64, &[f64]) -> Figures,
 ) -> Vec<Innovation> {
-    let Workspace { design, data, instances, pass, .. } = work;
-    innovate(design, gains, data, pass);
-    let mut series = Vec::with_capacity(instances.len());
-    let steps = design.each_step().enumerate().flat_map(|(step, rows)| rows.rows.map(move |row| (step, row)));
-    for ((step, row), instance) in steps.zip(instances.iter()) {
+    own_innovations(gains, work);
+    let Workspace { design, instances, pass, .. } = work;
+    let each = pass.e.iter().enumerate().map(|(row, &e)| {
         let (weight, _, sensitivity) = gains.row(row);
-        if weight > 0.0 {
+        (weight > 0.0).then(|| figures(e, weight, sensitivity))
+    });
+    listed(place, (design, instances), each)
+}
+
+/// Innovations, in the order of the measurements; those that there are none of are left out. (Phase, rows, column of times.)
+pub(crate) fn listed(
+    (phase, rows, time): (usize, &Test, Option<usize>),
+    (design, instances): (&Design, &Instances),
+    each: impl Iterator<Item = Option<Figures>>,
+) -> Vec<Innovation> {
+    let mut series = Vec::with_capacity(instances.len());
+    let steps = design.each_step().enumerate().flat_map(|(step, rows)| rows.rows.map(move |_| step));
+    for ((step, figures), instance) in steps.zip(each).zip(instances.iter()) {
+        if let Some(Figures { value, variance, standardised }) = figures {
             let time = time.map(|column| rows.numbers(instance.row)[column]);
-            let Figures { value, variance, standardised } = figures(pass.e[row], weight, sensitivity);
             series.push(Innovation { phase, step, time, measurement: instance.meter, value, variance, standardised });
         }
     }

@@ -70,14 +70,14 @@ impl Innovations {
         let count = series.len();
         let nis = series.iter().map(|one| one.standardised * one.standardised).sum::<f64>();
         let logs = series.iter().map(|one| (std::f64::consts::TAU * one.variance).ln()).sum::<f64>();
-        let chi = ChiSquared::new(count as f64).ok().filter(|_| count > 0);
+        let tails = tails(count, nis);
         let mean = series.iter().map(|one| one.standardised).sum::<f64>() / count.max(1) as f64;
         Innovations {
             test,
             count,
             nis,
-            lower_tail: chi.map(|chi| chi.cdf(nis)),
-            upper_tail: chi.map(|chi| chi.sf(nis)),
+            lower_tail: tails.map(|tails| tails.0),
+            upper_tail: tails.map(|tails| tails.1),
             mean: (count > 0).then_some(mean),
             whiteness: Whiteness::of(&series),
             log_likelihood: rest - 0.5 * (logs + nis),
@@ -112,6 +112,17 @@ impl Innovations {
         };
         Some((2.0 * lower.min(upper)).min(1.0))
     }
+}
+
+/// Probabilities of a χ² as small and as large as this, the smaller of them to its own precision; `None` without degrees of freedom.
+fn tails(degrees_of_freedom: usize, square: f64) -> Option<(f64, f64)> {
+    let chi = ChiSquared::new(degrees_of_freedom as f64).ok().filter(|_| degrees_of_freedom > 0)?;
+    if square > degrees_of_freedom as f64 {
+        let upper = chi.sf(square);
+        return Some((1.0 - upper, upper));
+    }
+    let lower = chi.cdf(square);
+    Some((lower, 1.0 - lower))
 }
 
 #[cfg(test)]

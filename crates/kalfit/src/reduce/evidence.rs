@@ -91,6 +91,15 @@ impl PhasedTest {
         })
     }
 
+    /// Number of its rows.
+    pub(crate) fn row_count(&self) -> usize {
+        let rows = |evidence: &Evidence| match evidence {
+            Evidence::Rows(rows) => rows.rows(),
+            Evidence::Estimates(_) | Evidence::Reduced(_) => 0,
+        };
+        self.phases.iter().map(rows).sum()
+    }
+
     /// The rows of all phases as one test again, in the order in which they came from the data, those without a place of their own
     /// phase after phase. Undoes [`PhasedModel::split`](crate::model::PhasedModel::split).
     pub fn joined(self) -> Test {

@@ -126,8 +126,9 @@ impl PhasedReducer {
         if let Some((phase, rows)) = self.plain(tests) {
             return phase.reducer.reduce_all(&rows);
         }
+        let rows = tests.iter().map(PhasedTest::row_count).sum();
         let batches: Vec<Vec<Result<Reduction, ReduceError>>> = tests
-            .par_chunks(share(tests.len()))
+            .par_chunks(share(tests.len(), rows))
             .map_init(|| PhasedBatch::new(self), |batch, tests| batch.reduce(tests))
             .collect();
         batches.into_iter().flatten().collect()

@@ -1,6 +1,7 @@
 //! Tests → reductions.
 
 mod batch;
+mod filtered;
 mod queue;
 
 use std::sync::Arc;
@@ -10,7 +11,7 @@ use rayon::prelude::*;
 
 use crate::ensemble::Test;
 use crate::model::{Alpha, Model};
-use crate::reduce::data::{Miss, Outcome, outcome};
+use crate::reduce::data::{Miss, Outcome, innovate, outcome};
 use crate::reduce::design::Design;
 use crate::reduce::end::{End, placed};
 use crate::reduce::ending::Ending;
@@ -28,6 +29,7 @@ use crate::reduce::{Path, Reduction};
 use crate::score::Slots;
 use batch::Known;
 pub(crate) use batch::{Batch, share};
+pub(crate) use queue::Queue;
 
 /// Bytes of design classes that are kept: tests of one design share its covariance run while they fit.
 const CLASS_BYTES: usize = 256 << 20;
@@ -241,10 +243,21 @@ impl Reducer {
         begin: impl FnOnce(&mut Workspace),
         pass: impl FnOnce(&Gains, &mut Workspace) -> T,
     ) -> Result<T, ReduceError> {
-        let named = |fault: Box<Fault>| fault.name(&self.preparer.model, Some(test));
-        self.preparer.prepare(test, work).map_err(named)?;
+        self.preparer.prepare(test, work).map_err(|fault| self.named(*fault, test))?;
         begin(work);
-        let class = self.class(work.design.digest(), work);
+        self.with_prepared(test, work.design.digest(), work, pass)
+    }
+
+    /// The same of the test in the work space.
+    pub(crate) fn with_prepared<T>(
+        &self,
+        test: &Test,
+        digest: u128,
+        work: &mut Workspace,
+        pass: impl FnOnce(&Gains, &mut Workspace) -> T,
+    ) -> Result<T, ReduceError> {
+        let named = |fault: Box<Fault>| fault.name(&self.preparer.model, Some(test));
+        let class = self.class(digest, work);
         let gains = class.value().as_ref().map_err(|&error| named(root_fault(error, &work.instances)))?;
         Ok(pass(gains, work))
     }
@@ -363,6 +376,18 @@ fn own_outcome(gains: &Gains, work: &mut Workspace) -> Result<Outcome, Miss> {
         return Ok(block.alone((design, gains), data, room, &mut pass.x));
     }
     outcome(design, gains, data, pass)
+}
+
+/// The innovations of the test in the work space, for σ = 0, to `pass.e`; x̂_K is left there too. The same bits as side by side.
+pub(crate) fn own_innovations(gains: &Gains, work: &mut Workspace) {
+    let Workspace { design, data, block, room, pass, .. } = work;
+    if fits(design, gains) {
+        block.alone((design, gains), data, room, &mut pass.x);
+        pass.e.clear();
+        pass.e.extend(block.innovations(0, room));
+    } else {
+        innovate(design, gains, data, pass);
+    }
 }
 
 impl Class {

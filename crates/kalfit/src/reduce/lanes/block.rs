@@ -109,6 +109,11 @@ impl Block {
         }
     }
 
+    /// The innovations of the test in a lane, of as many measurements as the longest test has.
+    pub(crate) fn innovations<'a>(&self, lane: usize, room: &'a Room) -> impl Iterator<Item = f64> + use<'a> {
+        room.e.iter().skip(lane).step_by(self.isa.lanes()).copied()
+    }
+
     /// x̂ of the last step of the test in a lane.
     pub(crate) fn last<'a>(&self, lane: usize, room: &'a Room) -> impl Iterator<Item = f64> + use<'a> {
         room.last.iter().skip(lane).step_by(self.isa.lanes()).copied()

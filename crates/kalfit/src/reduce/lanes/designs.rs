@@ -200,6 +200,11 @@ impl Gained {
         End::of_covariance(states, &own(&self.last.1), &own(&self.last.0), self.stride - 1)
     }
 
+    /// 1/S of so many measurements of one design.
+    pub(crate) fn weights(&self, (lane, lanes): (usize, usize), rows: usize) -> impl Iterator<Item = f64> + use<'_> {
+        self.gains.iter().skip(lane).step_by(lanes * self.stride).take(rows).copied()
+    }
+
     /// The gains of one design by themselves; `None` where square-root arrays are called for.
     pub(crate) fn gains(&self, (lane, lanes): (usize, usize), rows: usize) -> Option<Gains> {
         let (factor, log_determinant) = self.found[lane].clone()?;

@@ -8,8 +8,8 @@ use kalfit_lanes::Isa;
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
+use crate::reduce::Reduction;
 use crate::reduce::design::Design;
-use crate::reduce::end::{End, placed};
 use crate::reduce::ending::Ending;
 use crate::reduce::error::ReduceError;
 use crate::reduce::gains::Gains;
@@ -17,22 +17,25 @@ use crate::reduce::instances::Instance;
 use crate::reduce::lanes::{Block, fits, is_short};
 use crate::reduce::prepare::{Preparer, Workspace};
 use crate::reduce::recognise::Likeness;
-use crate::reduce::reducer::queue::{Own, Queue, longest};
+use crate::reduce::reducer::filtered::Filter;
+use crate::reduce::reducer::queue::Queue;
 use crate::reduce::reducer::{About, Class, Reducer, class_bytes};
 use crate::reduce::subject::Fault;
-use crate::reduce::{Reduction, Terminal};
 
 /// Most classes whose blocks are filled at the same time.
 const OPEN: usize = 32;
 
-/// Tests that are looked at together: so many shares for each thread, but neither fewer nor more tests than these.
+/// Tests that are looked at together: so many shares for each thread, but neither more tests than these, nor, while their rows are
+/// few, fewer.
 const SHARES: usize = 4;
-const FEWEST: usize = 32;
 const MOST: usize = 512;
+const FEWEST: usize = 32;
+const FEW_ROWS: usize = 8192;
 
-/// How many of so many tests are looked at together.
-pub(crate) fn share(tests: usize) -> usize {
-    (tests / (SHARES * rayon::current_num_threads())).clamp(FEWEST, MOST)
+/// How many of so many tests, with so many rows in all, are looked at together.
+pub(crate) fn share(tests: usize, rows: usize) -> usize {
+    let fewest = (FEW_ROWS * tests / rows.max(1)).clamp(1, FEWEST);
+    (tests / (SHARES * rayon::current_num_threads())).clamp(fewest, MOST)
 }
 
 /// A test that others of its design are recognised by, and what they share with it.
@@ -78,17 +81,12 @@ struct Group {
 impl Reducer {
     /// [`Reducer::reduce`], of tests that stand anywhere.
     pub(crate) fn reduce_all(&self, tests: &[&Test]) -> Result<Vec<Reduction>, ReduceError> {
+        let rows = tests.iter().map(|test| test.rows()).sum();
         let batches: Vec<Vec<Result<Reduction, ReduceError>>> = tests
-            .par_chunks(share(tests.len()))
+            .par_chunks(share(tests.len(), rows))
             .map_init(|| Batch::new(self), |batch, tests| batch.reduce(tests))
             .collect();
         batches.into_iter().flatten().collect()
-    }
-
-    /// Where a test of a design of its own ends.
-    fn own_ending(&self, End { sensitivity, root }: End, x: impl Iterator<Item = f64>) -> Ending<'static> {
-        let mean = placed(&self.preparer.order.states, x);
-        Ending::Known(Cow::Owned(Terminal { mean, sensitivity, root }))
     }
 
     /// A fault of a test, with names.
@@ -127,7 +125,7 @@ impl<'a> Batch<'a> {
             groups: Vec::new(),
             latest: 0,
             oldest: 0,
-            queue: Queue::new(Isa::best().lanes()),
+            queue: Queue::new(),
             odd: Vec::new(),
             out: Vec::new(),
             endings: Vec::new(),
@@ -270,38 +268,20 @@ impl<'a> Batch<'a> {
 
     /// Runs the filters of tests with designs of their own.
     fn filter(&mut self, tests: &[&Test], line: usize) {
-        let (reducer, Workspace { block, room, gained, .. }) = (self.reducer, &mut self.work);
+        let reducer = self.reducer;
         let waiting = self.queue.take(line);
-        let longest = longest(&waiting).expect("no line is empty");
-        block.clear(longest.data.start.len(), longest.data.inputs.len(), longest.data.values.len());
-        for (lane, Own { data, .. }) in waiting.iter().enumerate() {
-            block.begin(lane, &data.start, &data.inputs);
-            block.values(lane, data.values.iter().copied());
-        }
-        let designs: Vec<&Design> = waiting.iter().map(|own| &own.design).collect();
-        block.filter((&designs, &longest.design), gained, room);
+        let filtered = reducer.filter(&waiting, &mut self.work);
         for (lane, own) in waiting.iter().enumerate() {
-            let rows = own.design.rows();
-            let found = gained.found[lane]
-                .as_ref()
-                .map(|(factor, log_determinant)| (block.outcome(lane, (rows, *log_determinant), room), factor.clone()));
-            let place = (lane, block.lanes());
-            let end = if reducer.ends { gained.end(place, &reducer.preparer.order.states) } else { None };
-            match found {
-                Some((outcome, factor)) if outcome.is_finite() && end.is_some() == reducer.ends => {
-                    reducer.ran(own.digest, &own.design, || {
-                        Some(Gains { end: end.clone(), ..gained.gains(place, rows)? })
-                    });
-                    if let Some(end) = end {
-                        self.endings[own.number] = reducer.own_ending(end, block.last(lane, room));
-                    }
-                    let about =
-                        About { covariates: own.covariates.clone(), steps: own.design.steps(), digest: own.digest };
-                    let reduction = reducer.informed(tests[own.number], outcome, (factor, rows), about);
-                    self.out[own.number] = Some(Ok(reduction));
-                }
-                _ => self.odd.push(own.number),
+            let Some(Filter { outcome, factor, end }) = filtered.of(lane) else {
+                self.odd.push(own.number);
+                continue;
+            };
+            if let Some(end) = end {
+                self.endings[own.number] = Ending::Known(Cow::Owned(filtered.terminal(lane, end)));
             }
+            let about = About { covariates: own.covariates.clone(), steps: own.design.steps(), digest: own.digest };
+            let informed = reducer.informed(tests[own.number], outcome, (factor, own.design.rows()), about);
+            self.out[own.number] = Some(Ok(informed));
         }
         self.queue.give_back(waiting);
     }

@@ -1,7 +1,10 @@
 //! Tests with designs of their own that wait for others of the same shape, to be filtered side by side.
 
+use kalfit_lanes::Isa;
+
 use crate::reduce::data::Data;
 use crate::reduce::design::Design;
+use crate::reduce::instances::Instances;
 use crate::reduce::lanes::same_shape;
 use crate::reduce::prepare::Workspace;
 
@@ -16,6 +19,7 @@ pub(crate) struct Own {
     pub(crate) design: Design,
     pub(crate) data: Data,
     pub(crate) covariates: Vec<f64>,
+    pub(crate) instances: Instances,
 }
 
 /// Lines of tests whose designs have one shape each.
@@ -29,8 +33,8 @@ pub(crate) struct Queue {
 }
 
 impl Queue {
-    pub(crate) fn new(lanes: usize) -> Queue {
-        Queue { lanes, lines: Vec::new(), spare: Vec::new() }
+    pub(crate) fn new() -> Queue {
+        Queue { lanes: Isa::best().lanes(), lines: Vec::new(), spare: Vec::new() }
     }
 
     /// The line in which a test of this design waits.
@@ -58,11 +62,13 @@ impl Queue {
             design: Design::new(work.design.frame.clone()),
             data: Data::default(),
             covariates: Vec::new(),
+            instances: Instances::default(),
         });
         (own.number, own.digest) = (number, digest);
         std::mem::swap(&mut own.design, &mut work.design);
         std::mem::swap(&mut own.data, &mut work.data);
         std::mem::swap(&mut own.covariates, &mut work.covariates);
+        std::mem::swap(&mut own.instances, &mut work.instances);
         self.lines[line].push(own);
         if self.lines[line].len() == self.lanes {
             return Some(line);
