@@ -7,6 +7,7 @@
 
 use std::borrow::Cow;
 use std::ops::Range;
+use std::sync::Arc;
 
 use kalfit_lanes::Isa;
 use nalgebra::{DMatrix, DVector};
@@ -41,7 +42,7 @@ pub(crate) struct Class<T = f64> {
     /// Some test of it needs square-root arithmetic.
     pub(crate) square_root: bool,
     /// The same phase by phase; R, d and their scatter are then empty.
-    pub(crate) chain: Option<Box<Chained>>,
+    pub(crate) chain: Option<Arc<Chained>>,
 }
 
 /// All reductions of an ensemble, ready for passes.
@@ -137,7 +138,7 @@ impl Classes {
                 beside.push(number);
             }
         }
-        let chains = packed(classes.iter().map(|class| class.chain.as_deref()).enumerate(), blocks.isa().lanes());
+        let chains = packed(classes.iter().map(|class| class.chain.as_ref()).enumerate(), blocks.isa().lanes());
         let (members, marks) = (Vec::new(), Vec::new());
         Classes {
             classes,
@@ -331,7 +332,7 @@ fn gather_chains(reductions: &[Reduction], members: &[usize], frame: &Frame, ele
         scatter: None,
         covariates: covariates(members[0], frame),
         square_root: false,
-        chain: Some(Box::new(Chained::new(&members, elements.blocks(), frame))),
+        chain: Some(Arc::new(Chained::new(&members, elements.blocks(), frame))),
     }
 }
 

@@ -1,5 +1,7 @@
 //! What classes say at a point, one after the other; those in phases side by side.
 
+use std::sync::Arc;
+
 use kalfit_lanes::{Isa, Kernel, Lanes};
 use rayon::prelude::*;
 
@@ -19,7 +21,7 @@ pub(crate) fn each(
     of: &mut dyn FnMut(usize, &Terms),
 ) {
     let isa = Isa::best();
-    let packed = packed(classes.iter().map(|class| class.chain.as_deref()).enumerate(), isa.lanes());
+    let packed = packed(classes.iter().map(|class| class.chain.as_ref()).enumerate(), isa.lanes());
     each_packed(classes, (isa, &packed), regressors, point, detail, of);
 }
 
@@ -81,8 +83,8 @@ fn alone<'a>(classes: &'a [&Class]) -> impl Iterator<Item = usize> + 'a {
 }
 
 /// Packs what can be: classes in phases that need no special care, those of one shape together, in their order.
-pub(crate) fn packed<'a>(chains: impl Iterator<Item = (usize, Option<&'a Chained>)>, lanes: usize) -> Vec<Packed> {
-    let mut waiting: Vec<Vec<(usize, &Chained)>> = Vec::new();
+pub(crate) fn packed<'a>(chains: impl Iterator<Item = (usize, Option<&'a Arc<Chained>>)>, lanes: usize) -> Vec<Packed> {
+    let mut waiting: Vec<Vec<(usize, &Arc<Chained>)>> = Vec::new();
     let mut full = Vec::new();
     for (number, chain) in chains {
         let Some(chain) = chain.filter(|chain| !chain.is_careful()) else { continue };

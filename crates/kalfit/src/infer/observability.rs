@@ -190,15 +190,18 @@ fn observed(factor: &[f64], informs: &[bool]) -> Vec<bool> {
 /// zeros below.
 fn is_regular(upper: &DMatrix<f64>) -> bool {
     let n = upper.ncols();
-    let mut inverse = vec![0.0; n];
+    let mut column = vec![0.0; n];
     let mut squares = 0.0;
     for k in 0..n {
-        inverse[k] = upper[(k, k)].recip();
-        for i in (0..k).rev() {
-            let sum: f64 = (i + 1..=k).map(|m| upper[(i, m)] * inverse[m]).sum();
-            inverse[i] = -sum / upper[(i, i)];
+        column[..k].fill(0.0);
+        column[k] = 1.0;
+        for m in (0..=k).rev() {
+            let (above, rest) = column.split_at_mut(m);
+            let own = rest[0] / upper[(m, m)];
+            rest[0] = own;
+            above.iter_mut().zip(upper.column(m).as_slice()).for_each(|(x, u)| *x -= own * u);
+            squares += own * own;
         }
-        squares += inverse[..=k].iter().map(|x| x * x).sum::<f64>();
     }
     10.0 * NONE * squares < 1.0 // false for what is not a number
 }

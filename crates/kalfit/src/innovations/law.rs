@@ -50,7 +50,7 @@ impl Law {
         let value = row[width - 1] - expected;
         let unit = weight.sqrt();
         row.iter_mut().for_each(|x| *x *= unit);
-        fold_row(&mut self.information, row, &mut |_, _| {});
+        fold_row(&mut self.information, row, |_, _| {});
         (value, variance)
     }
 

@@ -16,6 +16,7 @@ pub struct Rotation {
 
 impl Rotation {
     /// The rotation that takes (a, b) to (length, 0).
+    #[inline(always)]
     pub fn of(a: f64, b: f64) -> Rotation {
         if b == 0.0 && a >= 0.0 {
             return Rotation { c: 1.0, s: 0.0, length: a };
@@ -45,12 +46,13 @@ pub fn norm(numbers: &[f64]) -> f64 {
 /// row-major, overwritten.
 pub fn fold(info: &mut [f64], rows: &mut [f64], width: usize) {
     for row in rows.chunks_exact_mut(width) {
-        fold_row(info, row, &mut |_, _| {});
+        fold_row(info, row, |_, _| {});
     }
 }
 
 /// Folds one row, calling `note(k, rotation)` for each rotation with row k of `info`.
-pub fn fold_row(info: &mut [f64], row: &mut [f64], note: &mut dyn FnMut(usize, Rotation)) {
+#[inline(always)]
+pub fn fold_row(info: &mut [f64], row: &mut [f64], mut note: impl FnMut(usize, Rotation)) {
     let width = row.len();
     for k in 0..width {
         let pivot = &mut info[k * width..][..width];

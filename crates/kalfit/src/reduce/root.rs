@@ -4,7 +4,7 @@
 //! are folded into R (Bierman 1977, ch. V), so no digits cancel however singular P or J are.
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, K, T, S, U with U'U = P, R with R'R = J")]
 
-use crate::linalg::fold::{Rotation, fold, fold_row};
+use crate::linalg::fold::{Rotation, fold, fold_row, norm};
 use crate::reduce::design::{Design, Frame, Transition};
 use crate::reduce::gains::{Gains, Piece, Settle, Turns};
 use crate::reduce::kernel;
@@ -161,7 +161,7 @@ impl<'a> RootFilter<'a> {
         kernel::correct(p, K, T, &mut self.Psi);
         self.work.clear();
         self.work.extend(T.iter().map(|T| T / deviation));
-        fold_row(&mut self.R, &mut self.work, &mut |_, turn| folds.push((turn.c, turn.s)));
+        fold_row(&mut self.R, &mut self.work, |_, turn| folds.push((turn.c, turn.s)));
         Ok(())
     }
 
@@ -201,7 +201,8 @@ impl<'a> RootFilter<'a> {
 /// Rounds directions without information to none: their rows of R go into the rows below, their data into the residual.
 /// Shape: `R` p × p, row-major, upper triangular.
 pub(crate) fn settle(R: &mut [f64], p: usize, settle: &mut Vec<Settle>) {
-    let norms: Vec<f64> = (0..p).map(|k| (0..=k).fold(0.0, |sum: f64, i| sum.hypot(R[i * p + k]))).collect();
+    let column = |k: usize| -> Vec<f64> { (0..=k).map(|i| R[i * p + k]).collect() };
+    let norms: Vec<f64> = (0..p).map(|k| norm(&column(k))).collect();
     for i in 0..p {
         if R[i * p + i] > UNINFORMED * norms[i] {
             continue;

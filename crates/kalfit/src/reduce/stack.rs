@@ -6,6 +6,7 @@
 //! else, and below them the rows on (σ_i, ξ_{i+1}, …). Nothing is inverted, and R, P_K and Σ may be singular.
 #![expect(non_snake_case, reason = "the letters of the theory: R, G, C, A the rows on σ")]
 
+use kalfit_lanes::{Isa, Kernel, Lanes};
 use nalgebra::{DMatrix, DVector};
 
 use crate::linalg::fold::{fold, fold_row};
@@ -48,6 +49,18 @@ pub(crate) struct Stack {
     /// From the last link to the first.
     stages: Vec<Stage>,
     settle: Vec<Settle>,
+}
+
+/// Stacks phases.
+struct Stacking<'a>(&'a StackKey);
+
+impl Kernel for Stacking<'_> {
+    type Output = Stack;
+
+    #[inline(always)]
+    fn run<T: Lanes>(self) -> Stack {
+        Stack::of(self.0)
+    }
 }
 
 /// What one link does to the data.
@@ -170,6 +183,12 @@ pub(crate) fn packed_size(entries: usize) -> usize {
 impl Stack {
     /// Stacks the phases of a key, at least one.
     pub(crate) fn new(key: &StackKey) -> Stack {
+        Isa::best().run(Stacking(key))
+    }
+
+    /// The same in any registers, to the same bits: rows of rotations are as wide as registers.
+    #[inline(always)]
+    fn of(key: &StackKey) -> Stack {
         let mut stack = Stack {
             factor: Vec::new(),
             links: Vec::new(),
@@ -193,6 +212,7 @@ impl Stack {
     }
 
     /// Joins a phase and what is known of all after it: the rows on (σ_i, ξ_{i+1}, …).
+    #[inline(always)]
     fn join(&mut self, before: &KeyPhase, after: &KeyPhase, later: &Square) -> Square {
         let link = after.link.as_ref().expect("a later phase has a link");
         let (G, C) = link_matrices(link.each_ref());
@@ -212,7 +232,7 @@ impl Stack {
             row.extend((0..from).map(|c| product(&G, c)));
             row.extend_from_slice(&A[..own]);
             row.extend_from_slice(B);
-            fold_row(&mut array.entries, &mut row, &mut |k, turn| {
+            fold_row(&mut array.entries, &mut row, |k, turn| {
                 if turn.s != 0.0 {
                     stage.turns.push((k as u32, turn.c, turn.s));
                 }

@@ -131,21 +131,12 @@ impl Chained {
             && self.phases.iter().zip(&other.phases).all(|(a, b)| shape(a) == shape(b))
     }
 
-    /// All its numbers in the order in which they are packed.
-    fn numbers(&self) -> Vec<f64> {
-        let mut all = Vec::new();
-        for phase in &self.phases {
-            let link = phase.link.iter().flat_map(|link| [&link.sensitivity, &link.root]);
-            [&phase.factor, &phase.data].into_iter().chain(link).for_each(|m| all.extend_from_slice(m.as_slice()));
-        }
-        all
-    }
-
-    /// Data apart, which a lane without a test has none of.
-    fn without_data(&self) -> Chained {
-        let without =
-            |phase: &Phase<f64>| Phase { data: Rows::zeros(phase.data.nrows(), self.columns), ..phase.clone() };
-        Chained { phases: self.phases.iter().map(without).collect(), count: 0.0, ..self.clone() }
+    /// All its matrices in the order in which they are packed; whether they are of the design, not the data.
+    fn matrices(&self) -> impl Iterator<Item = (&Rows, bool)> {
+        self.phases.iter().flat_map(|phase| {
+            let link = phase.link.iter().flat_map(|link| [(&link.sensitivity, true), (&link.root, true)]);
+            [(&phase.factor, true), (&phase.data, false)].into_iter().chain(link)
+        })
     }
 
     /// Some phase needs square-root arithmetic.
@@ -321,8 +312,9 @@ mod tests {
         for (a, b) in plain.W.iter().flatten().zip(careful.W.iter().flatten()) {
             (0..3).flat_map(|i| (0..3).map(move |k| (i, k))).for_each(|at| close("W", a[at], b[at]));
         }
+        let shared = std::sync::Arc::new(chained);
         for isa in Isa::all() {
-            let packed = Packed::new(&[(0, &chained), (1, &chained)], isa.lanes());
+            let packed = Packed::new(&[(0, &shared), (1, &shared)], isa.lanes());
             let found = isa.run(Blocks(&packed, &mean, &root));
             for (a, b) in found.iter().zip(plain.W.iter().flatten()) {
                 for (at, found) in a.iter().enumerate() {

@@ -1,5 +1,7 @@
 //! Classes in phases of one shape, side by side.
 
+use std::sync::Arc;
+
 use kalfit_lanes::Lanes;
 
 use crate::estimate::chained::{Chained, Link, Phase};
@@ -12,7 +14,7 @@ use crate::linalg::rows::Rows;
 pub(crate) struct Packed {
     members: Vec<usize>,
     /// One of them, for the shape.
-    like: Chained,
+    like: Arc<Chained>,
     lanes: usize,
     /// n of each, then all their numbers, entry by entry.
     numbers: Vec<f64>,
@@ -20,16 +22,23 @@ pub(crate) struct Packed {
 
 impl Packed {
     /// Of classes and their numbers, at least one and at most as many as there are lanes.
-    pub(crate) fn new(members: &[(usize, &Chained)], lanes: usize) -> Packed {
-        let like = members[0].1.without_data();
-        let size = 1 + like.numbers().len();
+    pub(crate) fn new(members: &[(usize, &Arc<Chained>)], lanes: usize) -> Packed {
+        let like = members[0].1;
+        let size = 1 + like.matrices().map(|(matrix, _)| matrix.as_slice().len()).sum::<usize>();
         let mut numbers = vec![0.0; size * lanes];
         for lane in 0..lanes {
-            let chained = members.get(lane).map_or(&like, |(_, chained)| *chained);
-            let own = std::iter::once(chained.count).chain(chained.numbers());
-            numbers.chunks_exact_mut(lanes).zip(own).for_each(|(entry, x)| entry[lane] = x);
+            let own = members.get(lane).map(|(_, chained)| *chained);
+            let (first, mut rest) = numbers.split_at_mut(lanes);
+            first[lane] = own.map_or(0.0, |chained| chained.count);
+            for (matrix, design) in own.unwrap_or(like).matrices() {
+                let (to, after) = rest.split_at_mut(matrix.as_slice().len() * lanes);
+                if design || own.is_some() {
+                    to.chunks_exact_mut(lanes).zip(matrix.as_slice()).for_each(|(to, x)| to[lane] = *x);
+                }
+                rest = after;
+            }
         }
-        Packed { members: members.iter().map(|(number, _)| *number).collect(), like, lanes, numbers }
+        Packed { members: members.iter().map(|(number, _)| *number).collect(), like: like.clone(), lanes, numbers }
     }
 
     /// Numbers of its classes.
