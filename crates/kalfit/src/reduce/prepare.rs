@@ -57,12 +57,14 @@ pub(crate) struct Preparer {
     plain: bool,
     /// The dynamics depend on the length of a step alone.
     steady: bool,
+    /// No transition calls for a matrix exponential.
+    quick: bool,
     /// The law of x_0, when no test changes it.
     law: Option<Law>,
     /// How tests of one design are recognised; `None` where they cannot be, as values are mixed.
     pub(crate) looks: Option<Looks>,
     transitions: Shared<Vec<u64>, Result<Moves, Box<Fault>>>,
-    /// Transitions computed.
+    /// Transitions computed for all tests.
     pub(crate) computed: AtomicU64,
 }
 
@@ -144,6 +146,7 @@ impl Preparer {
             plain: shape.is_empty() && drive.is_empty() && meters.can_repeat(),
             shape: Reads::new(&shape),
             drive: Reads::new(&drive),
+            quick: dynamics.components.iter().all(|component| component.states.len() == 1),
             steady: dynamics.table.varying.is_empty() && dynamics.inputs.varying.is_empty(),
             model: model.clone(),
             alpha: alpha.clone(),

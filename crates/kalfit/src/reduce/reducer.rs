@@ -87,7 +87,7 @@ pub struct Work {
     pub root_runs: u64,
     /// Data recursions run: one for each test.
     pub data_runs: u64,
-    /// Transitions computed: one for each length of step and set of coefficients.
+    /// Transitions computed by matrix exponentials: one for each length of step and set of coefficients.
     pub transitions: u64,
 }
 

@@ -2,6 +2,7 @@
 
 use std::collections::hash_map::Entry as Slot;
 use std::collections::{HashMap, HashSet};
+use std::hash::{BuildHasherDefault, Hasher};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
@@ -17,14 +18,35 @@ pub(crate) struct Shared<K, V> {
 
 #[derive(Debug)]
 struct Shard<K, V> {
-    entries: HashMap<u128, Arc<Entry<K, V>>>,
+    entries: HashMap<u128, Arc<Entry<K, V>>, Mixed>,
     /// Asked for once.
-    noted: HashSet<u128>,
+    noted: HashSet<u128, Mixed>,
 }
 
 impl<K, V> Default for Shard<K, V> {
     fn default() -> Shard<K, V> {
-        Shard { entries: HashMap::new(), noted: HashSet::new() }
+        Shard { entries: HashMap::default(), noted: HashSet::default() }
+    }
+}
+
+/// Digests are mixed already.
+type Mixed = BuildHasherDefault<Half>;
+
+/// The upper half of a digest: the lower one has told the shard.
+#[derive(Debug, Default)]
+struct Half(u64);
+
+impl Hasher for Half {
+    fn finish(&self) -> u64 {
+        self.0
+    }
+
+    fn write(&mut self, bytes: &[u8]) {
+        bytes.iter().for_each(|&byte| self.0 = self.0.rotate_left(8) ^ u64::from(byte));
+    }
+
+    fn write_u128(&mut self, digest: u128) {
+        self.0 = (digest >> 64) as u64;
     }
 }
 
@@ -49,6 +71,11 @@ pub(crate) struct Entry<K, V> {
 }
 
 impl<K, V> Entry<K, V> {
+    /// One that is not in a store.
+    pub(crate) fn new(key: K, value: V) -> Entry<K, V> {
+        Entry { key, value: value.into() }
+    }
+
     pub(crate) fn value(&self) -> &V {
         self.value.get().expect("entries leave the store with their value")
     }

@@ -450,16 +450,14 @@ fn many() -> Vec<Test> {
         .collect()
 }
 
-#[test]
-fn sharing_designs_threads_batches_and_order_change_no_bit() {
-    let model =
-        model(vec![constant("bias"), gauss_markov(1, 2.0, 0.8)], vec![meter("z", 1, &[(0, 1.0), (1, 1.0)], 0.01)]);
+/// `transitions`: how many there are to compute for all tests of [`many`].
+fn sharing_changes_no_bit(model: &Model, transitions: u64) {
     let (tests, alpha) = (many(), Alpha::default());
-    let mut reducer = Reducer::new(&model, &alpha).expect("sound");
+    let mut reducer = Reducer::new(model, &alpha).expect("sound");
     let together = reducer.reduce(&tests).expect("sound");
-    assert_eq!(reducer.work(), Work { design_runs: 2, root_runs: 0, data_runs: 200, transitions: 6 });
+    assert_eq!(reducer.work(), Work { design_runs: 2, root_runs: 0, data_runs: 200, transitions });
     for (test, shared) in tests.iter().zip(&together) {
-        assert_eq!(&reduce(&model, test), shared);
+        assert_eq!(&reduce(model, test), shared);
     }
     let mut turned: Vec<Test> = tests.iter().rev().cloned().collect();
     let mut backwards = Vec::new();
@@ -471,6 +469,17 @@ fn sharing_designs_threads_batches_and_order_change_no_bit() {
     assert_eq!(backwards, together);
     assert_eq!(together[1].design, together[2].design);
     assert_ne!(together[0].design, together[1].design);
+}
+
+#[test]
+fn sharing_designs_threads_batches_and_order_change_no_bit() {
+    let states = || vec![constant("bias"), gauss_markov(1, 2.0, 0.8)];
+    let quick = model(states(), vec![meter("z", 1, &[(0, 1.0), (1, 1.0)], 0.01)]);
+    sharing_changes_no_bit(&quick, 0);
+    // an angle that the drift adds up to calls for a matrix exponential
+    let angle = state("angle", continuous(&[(1, 1.0)], 0.0), known(0.0, 1.0));
+    let angle = model([states(), vec![angle]].concat(), vec![meter("z", 1, &[(0, 1.0), (2, 1.0)], 0.01)]);
+    sharing_changes_no_bit(&angle, 6);
 }
 
 #[test]
