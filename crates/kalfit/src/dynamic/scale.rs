@@ -17,7 +17,7 @@ use rayon::prelude::*;
 use crate::estimate::InitialLaw;
 use crate::model::PhasedModel;
 use crate::reduce::{Evidence, PhasedTest, Reduction};
-use crate::score::{Gradient, Slots, moments};
+use crate::score::{Gradient, Slots, expected_square};
 
 /// The only free value scales all noise.
 #[derive(Debug)]
@@ -82,7 +82,7 @@ impl Scale {
         let home = self.home.get().filter(|_| value > 0.0)?;
         let variance = (value / home.value).powf(self.power);
         let one = |(at, residual): (&Reduction, &f64)| {
-            let expected = moments(at, law).expected_square(at);
+            let expected = expected_square(at, law);
             let slope = 0.5 * (residual / variance + expected - at.observations as f64);
             vec![(0, self.power * slope / value)]
         };

@@ -7,11 +7,14 @@ use rayon::prelude::*;
 
 use crate::reduce::{Chain, ChainPhase, Reduction};
 
-/// The reductions in [`canonical`] order.
+/// The reductions by the first and the last number of R, then in [`canonical`] order.
 pub(super) fn ordered(reductions: &[Reduction]) -> Vec<usize> {
-    // most are told apart by their first number, which is looked at without a visit to each reduction
-    let first = |j: usize| reductions[j].factor.first().map_or(0, |x| ordinal(*x));
-    let mut order: Vec<(i64, usize)> = (0..reductions.len()).map(|j| (first(j), j)).collect();
+    // most are told apart by these numbers, which are looked at without a visit to each reduction
+    let ends = |reduction: &Reduction| {
+        let factor = &reduction.factor;
+        (factor.first().map_or(0, |x| ordinal(*x)), factor.last().map_or(0, |x| ordinal(*x)))
+    };
+    let mut order: Vec<_> = reductions.par_iter().map(ends).enumerate().map(|(j, ends)| (ends, j)).collect();
     order.par_sort_unstable_by(|a, b| {
         a.0.cmp(&b.0).then_with(|| canonical(&reductions[a.1], &reductions[b.1])).then_with(|| a.1.cmp(&b.1))
     });

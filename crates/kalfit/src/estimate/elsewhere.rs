@@ -66,6 +66,11 @@ impl InitialLaw {
         mean
     }
 
+    /// μ_j has a covariance of its own: the likelihood is the restricted one.
+    pub(crate) fn is_restricted(&self) -> bool {
+        self.mean_half.is_some()
+    }
+
     /// Root of the covariance of μ_j at a known Σ, under the restricted likelihood.
     pub(crate) fn mean_root_of(&self, covariates: &[f64]) -> Option<DMatrix<f64>> {
         let half = self.mean_half.as_ref()?;

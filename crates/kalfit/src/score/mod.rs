@@ -32,7 +32,7 @@ pub use slots::{Slot, Slots};
 
 pub(crate) use chain::Gradient;
 pub(crate) use levels::{Levels, carried, dependences};
-pub(crate) use moments::{Moments, moments};
+pub(crate) use moments::{Moments, expected_square};
 pub(crate) use phased::{PhasedComplete, PhasedScorer};
 pub(crate) use smoother::{PhaseLaws, Plan};
 

@@ -23,7 +23,7 @@ impl Moments {
     }
 
     /// E‖d - Rξ‖² of a reduction: ‖d - Rx̂‖² + ‖RC‖².
-    pub(crate) fn expected_square(&self, reduction: &Reduction) -> f64 {
+    fn expected_square(&self, reduction: &Reduction) -> f64 {
         let line = |k: usize, x: &dyn Fn(usize) -> f64| -> f64 {
             (k..self.mean.len()).map(|i| reduction.factor[k + i * (i + 1) / 2] * x(i)).sum()
         };
@@ -34,6 +34,49 @@ impl Moments {
         };
         (0..self.mean.len()).map(of_row).sum()
     }
+}
+
+/// Beyond this RF is too large for S without losing the 1 in it.
+const LARGE: f64 = 1e4;
+
+/// E‖d - Rξ‖² of a reduction given its test: ‖S⁻¹e‖² + tr(I - S⁻¹) with e = d - Rμ and S = I + RΣR', as d - Rx̂ = S⁻¹e and
+/// RVR' = I - S⁻¹. From the moments where S is large, and under the restricted likelihood.
+pub(crate) fn expected_square(reduction: &Reduction, law: &InitialLaw) -> f64 {
+    let own = if law.is_restricted() { None } else { plain_square(reduction, law) };
+    own.unwrap_or_else(|| moments(reduction, law).expected_square(reduction))
+}
+
+/// `None` where S is too large.
+fn plain_square(reduction: &Reduction, law: &InitialLaw) -> Option<f64> {
+    let (p, columns) = law.root.shape();
+    let line = |k: usize, x: &dyn Fn(usize) -> f64| -> f64 {
+        (k..p).map(|i| reduction.factor[k + i * (i + 1) / 2] * x(i)).sum()
+    };
+    let mean = law.mean_of(&reduction.covariates);
+    let spread: Vec<f64> = (0..p * columns).map(|at| line(at / columns, &|i| law.root[(i, at % columns)])).collect();
+    if !spread.iter().all(|x| x.abs() <= LARGE) {
+        return None;
+    }
+    // L with LL' = S by rows, then L⁻¹ beside L⁻¹e
+    let row = |k: usize| &spread[k * columns..][..columns];
+    let (mut lower, mut inverse, mut white) = (vec![0.0; p * p], vec![0.0; p * p], vec![0.0; p]);
+    for k in 0..p {
+        for i in 0..=k {
+            let own = f64::from(u8::from(i == k)) + row(k).iter().zip(row(i)).map(|(a, b)| a * b).sum::<f64>();
+            let left = own - (0..i).map(|m| lower[k * p + m] * lower[i * p + m]).sum::<f64>();
+            lower[k * p + i] = if i == k { left.max(1.0).sqrt() } else { left / lower[i * p + i] };
+        }
+        let pivot = lower[k * p + k];
+        for c in 0..=k {
+            let own = f64::from(u8::from(c == k)) - (c..k).map(|m| lower[k * p + m] * inverse[m * p + c]).sum::<f64>();
+            inverse[k * p + c] = own / pivot;
+        }
+        let e = reduction.data[k] - line(k, &|i| mean[i]);
+        white[k] = (e - (0..k).map(|m| lower[k * p + m] * white[m]).sum::<f64>()) / pivot;
+    }
+    let left = |c: usize| (c..p).map(|k| inverse[k * p + c] * white[k]).sum::<f64>();
+    let told = |c: usize| 1.0 - (c..p).map(|k| inverse[k * p + c].powi(2)).sum::<f64>();
+    Some((0..p).map(|c| left(c).powi(2) + told(c)).sum())
 }
 
 /// x̂ = μ + V(y - Jμ) and V = F(I + F'JF)⁻¹F' (10), (11).
@@ -57,4 +100,39 @@ pub(crate) fn moments(reduction: &Reduction, law: &InitialLaw) -> Moments {
     let entry = |i: usize, c: usize| columns[c][i];
     let root = (0..p).flat_map(|i| (0..columns.len()).map(move |c| (i, c))).map(|(i, c)| entry(i, c)).collect();
     Moments { mean: mean.as_slice().to_vec(), root, columns: columns.len() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::reduce::Path;
+
+    fn reduction(data: [f64; 3], factor: [f64; 6]) -> Reduction {
+        Reduction {
+            test: "a".to_owned(),
+            constant: 0.0,
+            data: data.to_vec(),
+            factor: factor.to_vec(),
+            covariates: Vec::new(),
+            steps: 1,
+            observations: 3,
+            path: Path::Information,
+            design: 0,
+            chain: None,
+        }
+    }
+
+    #[test]
+    fn squares_from_s_are_those_from_the_moments() {
+        let root = DMatrix::from_row_slice(3, 2, &[1.0, 0.2, -0.5, 2.0, 0.3, 0.1]);
+        for (size, plain) in [(1e-3, true), (1.0, true), (1e2, true), (1e6, false)] {
+            let law = InitialLaw::known(DVector::from_vec(vec![0.3, -1.0, 2.0]), &root * size);
+            // the last row says nothing
+            let of = reduction([1.0, -2.0, 0.0], [2.0, 0.5, 1.5, -1.0, 0.7, 0.0]);
+            let expected = moments(&of, &law).expected_square(&of);
+            assert_eq!(plain_square(&of, &law).is_some(), plain, "size {size}");
+            let found = expected_square(&of, &law);
+            assert!((found - expected).abs() <= 1e-9 * expected, "size {size}: {found} against {expected}");
+        }
+    }
 }

@@ -14,6 +14,7 @@ use crate::model::{
 };
 use crate::reduce::Reduction;
 use crate::reduce::unpack;
+use crate::score::moments::moments;
 
 fn number(x: f64) -> Expression {
     Expression::Number(x)

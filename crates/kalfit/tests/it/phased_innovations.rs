@@ -4,7 +4,7 @@ use kalfit::estimate::{Derivatives, Likelihood};
 use kalfit::innovations::{Innovations, innovations};
 use kalfit::reduce::{Evidence, PhasedReducer, PhasedTest};
 use kalfit::simulate::{Designs, Simulator};
-use kalfit::{Alpha, Population};
+use kalfit::{Alpha, Population, Source, Test};
 use nalgebra::DMatrix;
 
 use crate::three_phases::{law_root, model, population, roots, rows, test, values};
@@ -66,6 +66,58 @@ fn their_densities_add_up_to_the_likelihood_of_the_test() {
             let one = one.expect("rows");
             assert_near(&format!("seed {seed}"), one.log_likelihood, l, 1e-9);
         }
+    }
+}
+
+/// Tests of seven designs, which differ in the inputs of all phases; every fifth lacks the last phase.
+fn of_several_designs(count: u64) -> Vec<PhasedTest> {
+    let mut tests = drawn(0, count);
+    for (j, test) in tests.iter_mut().enumerate() {
+        let stretched = |rows: &Test| {
+            let mut own = Test::new(format!("t{j}"), 5, 1);
+            for row in 0..rows.rows() {
+                let mut cells = rows.numbers(row).to_vec();
+                cells[2] *= 1.0 + 0.1 * (j % 7) as f64;
+                own.push(&cells, rows.texts(row), Source::default());
+            }
+            own
+        };
+        let phases = test.phases.iter().take(if j % 5 == 4 { 2 } else { 3 }).map(|phase| match phase {
+            Evidence::Rows(rows) => Evidence::Rows(stretched(rows)),
+            other => other.clone(),
+        });
+        *test = PhasedTest { id: format!("t{j}"), phases: phases.collect() };
+    }
+    tests
+}
+
+#[test]
+fn company_order_and_threads_change_no_bit() {
+    let (tests, initial, model) = (of_several_designs(60), population(roots(0)), model());
+    let reduce = |tests: &[PhasedTest]| {
+        PhasedReducer::new(&model, &Alpha::default()).expect("sound").reduce(tests).expect("sound")
+    };
+    let (reduced, found) = (reduce(&tests), run(&initial, &tests));
+    let reversed: Vec<PhasedTest> = tests.iter().rev().cloned().collect();
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool");
+    let (mut back, mut found_back) = pool.install(|| (reduce(&reversed), run(&initial, &reversed)));
+    back.reverse();
+    found_back.reverse();
+    assert_eq!(reduced, back);
+    assert_eq!(found, found_back);
+    for (j, test) in tests.iter().enumerate() {
+        let alone = std::slice::from_ref(test);
+        assert_eq!(reduce(alone)[0], reduced[j], "test {j} by itself");
+        assert_eq!(run(&initial, alone)[0], found[j], "innovations of test {j} by itself");
+    }
+    let mut reducer = PhasedReducer::new(&model, &Alpha::default()).expect("sound");
+    let pieces = reducer.pieces(&tests).expect("sound");
+    let known = tests.iter().zip(pieces).map(|(test, pieces)| PhasedTest {
+        id: test.id.clone(),
+        phases: pieces.into_iter().map(|piece| Evidence::Reduced(Box::new(piece))).collect(),
+    });
+    for (from_pieces, reduced) in reduce(&known.collect::<Vec<_>>()).iter().zip(&reduced) {
+        assert_eq!((&from_pieces.factor, &from_pieces.data), (&reduced.factor, &reduced.data), "{}", reduced.test);
     }
 }
 
