@@ -150,8 +150,7 @@ impl Stage<'_> {
                 }
                 continue;
             }
-            let found = reducer.with_prepared(rows, digest, work, |gains, work| self.alone(rows, gains, work));
-            note(&mut tracks[number], found.ok().flatten());
+            note(&mut tracks[number], self.by_itself(rows, digest, work));
         }
         while let Some(line) = queue.any() {
             self.side_by_side(line, tracks, (work, queue), &mut odd);
@@ -160,15 +159,18 @@ impl Stage<'_> {
             let rows = self.rows[number].expect("it was filtered");
             let begun = self.known.begin(rows, (start, carry), None, (work, cells));
             let digest = work.design.digest();
-            let found = begun.and_then(|()| {
-                reducer.with_prepared(rows, digest, work, |gains, work| self.alone(rows, gains, work)).ok()
-            });
-            note(&mut tracks[number], found.flatten());
+            note(&mut tracks[number], begun.and_then(|()| self.by_itself(rows, digest, work)));
         }
     }
 
-    /// The phase of one test; `None` where it calls for square roots.
-    fn alone(&self, rows: &Test, gains: &Gains, work: &mut Workspace) -> Option<Left> {
+    /// The phase of the test in the work space; `None` where it calls for square roots or is in error.
+    fn by_itself(&self, rows: &Test, digest: u128, work: &mut Workspace) -> Option<Left> {
+        let look = |gains: &Gains, work: &mut Workspace| self.look(rows, gains, work);
+        self.known.reducer.with_prepared(rows, digest, work, look).ok()?
+    }
+
+    /// What its gains leave; `None` where they call for square roots.
+    fn look(&self, rows: &Test, gains: &Gains, work: &mut Workspace) -> Option<Left> {
         if gains.turns.is_some() && !self.known.alone {
             return None;
         }

@@ -15,7 +15,7 @@
 //!
 //! ```text
 //! Model at α ── Reducer::new ──> Preparer                dynamics, start, motion, observe: coefficients at α
-//! Test ── prepare ──> Design + Data                      steps; transitions are made once per length and coefficients
+//! Test ── prepare ──> Design + Data                      steps; matrix exponentials once per length and coefficients
 //! Design ── schedule (or root) ──> Gains                 S, K, T, P, J: once per design class
 //! Gains + Data ── data ──> Reduction                     e, x̂, y: once per test
 //! ```
