@@ -60,7 +60,7 @@ struct Track {
     before: Option<Terminal>,
 }
 
-/// A phase of a batch: (where it stands, its rows in each test that has them).
+/// A phase, and its rows in the tests of a batch that have it and are sound so far.
 struct Stage<'a> {
     at: usize,
     known: &'a Known,
