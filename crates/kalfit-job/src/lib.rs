@@ -25,6 +25,7 @@ mod failure;
 mod fit;
 mod innovations;
 mod job;
+pub mod json;
 mod lost;
 mod model;
 mod output;

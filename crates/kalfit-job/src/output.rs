@@ -121,7 +121,7 @@ impl Output {
     pub(crate) fn write(&self, record: &impl serde::Serialize) -> Result<(), OutputError> {
         self.write_by(|file| {
             let mut writer = std::io::BufWriter::new(file);
-            serde_json::to_writer_pretty(&mut writer, record)?;
+            crate::json::to_writer(&mut writer, record)?;
             writer.write_all(b"\n")?;
             writer.flush()
         })

@@ -6,6 +6,7 @@ use kalfit::FitRecord;
 use kalfit::record::TestRecord;
 use rayon::prelude::*;
 
+use crate::json;
 use crate::output::{Output, OutputError};
 
 /// Tests that one thread puts into words at a time.
@@ -19,7 +20,7 @@ const NO_TESTS: &[u8] = b"\n  \"tests\": []";
 /// Writes a record, byte for byte as it would be written in one piece.
 pub(crate) fn record(output: &Output, record: &mut FitRecord) -> Result<(), OutputError> {
     let tests = std::mem::take(&mut record.tests);
-    let head = serde_json::to_vec_pretty(record);
+    let head = json::to_vec(record);
     record.tests = tests;
     output.write_by(|mut file| {
         let head = head?;
@@ -63,7 +64,7 @@ fn write_tests(tests: &[TestRecord], mut file: impl Write) -> std::io::Result<()
 
 /// Some elements of the list, at its depth in the record: without the comma before the first.
 fn words(tests: &[TestRecord]) -> serde_json::Result<Vec<u8>> {
-    let mut bytes = serde_json::to_vec_pretty(&[tests])?;
+    let mut bytes = json::to_vec(&[tests])?;
     let (before, after) = ("[\n  [".len(), "\n  ]\n]".len());
     bytes.truncate(bytes.len() - after);
     bytes.drain(..before);
@@ -100,7 +101,7 @@ mod tests {
         let path = folder.path().join("fit.json");
         for count in [0, 1, 2, CHUNK, CHUNK + 1, 5 * CHUNK * CHUNKS + 7] {
             let mut record = with_tests(count);
-            let expected = serde_json::to_string_pretty(&record).unwrap() + "\n";
+            let expected = json::to_string(&record).unwrap() + "\n";
             for threads in [1, 2, 3] {
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
                 let output = Output::prepare(&path, &[]).unwrap();

@@ -82,6 +82,6 @@ fn read<T: DeserializeOwned>(json: &str) -> PyResult<T> {
 
 /// A record as the command writes it to a file.
 pub(crate) fn written(record: &impl serde::Serialize) -> PyResult<String> {
-    let text = serde_json::to_string_pretty(record);
+    let text = kalfit_job::json::to_string(record);
     text.map(|text| text + "\n").map_err(|error| PyValueError::new_err(error.to_string()))
 }
