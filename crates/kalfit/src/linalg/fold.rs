@@ -45,8 +45,54 @@ pub fn norm(numbers: &[f64]) -> f64 {
 /// Shapes: `info` width × width, row-major, upper triangular with a diagonal that is not negative; `rows` m × width,
 /// row-major, overwritten.
 pub fn fold(info: &mut [f64], rows: &mut [f64], width: usize) {
-    for row in rows.chunks_exact_mut(width) {
-        fold_row(info, row, |_, _| {});
+    fold_rows(info, rows, (width, width), |_, _, _| {});
+}
+
+/// Rows that are folded at a time.
+const ABREAST: usize = 8;
+
+/// Folds rows, calling `note(i, k, rotation)` for each rotation of row i with row k of `info`: those of one row in the order of k, of
+/// one k in that of the rows. To the same bits as one row after the other, but each row is only one rotation ahead of the next,
+/// so that what rotations wait for is waited for together. Rows of `info` and rows are `width` long, of which the first `pivots` are
+/// of the triangle: data that stand beyond them are turned too, and what is left of them stands in the rows.
+#[inline(always)]
+pub fn fold_rows(
+    info: &mut [f64],
+    rows: &mut [f64],
+    (pivots, width): (usize, usize),
+    mut note: impl FnMut(usize, usize, Rotation),
+) {
+    if pivots == 0 {
+        return;
+    }
+    for (number, rows) in rows.chunks_mut(ABREAST * width).enumerate() {
+        let count = rows.len() / width;
+        let mut turns = [Rotation { c: 1.0, s: 0.0, length: 0.0 }; ABREAST];
+        for ahead in 0..pivots + count - 1 {
+            // row i meets row k = ahead - i of `info`
+            let abreast = (ahead + 1).saturating_sub(pivots)..count.min(ahead + 1);
+            for i in abreast.clone() {
+                let k = ahead - i;
+                turns[i] = Rotation::of(info[k * width + k], rows[i * width + k]);
+            }
+            for i in abreast {
+                let (k, turn) = (ahead - i, turns[i]);
+                note(number * ABREAST + i, k, turn);
+                turn_row(&mut info[k * width..][..width], &mut rows[i * width..][..width], k, turn);
+            }
+        }
+    }
+}
+
+/// Takes element k of a row into that of another.
+#[inline(always)]
+fn turn_row(pivot: &mut [f64], row: &mut [f64], k: usize, turn: Rotation) {
+    if turn.s == 0.0 {
+        return;
+    }
+    (pivot[k], row[k]) = (turn.length, 0.0);
+    for (a, b) in pivot[k + 1..].iter_mut().zip(&mut row[k + 1..]) {
+        (*a, *b) = turn.turn(*a, *b);
     }
 }
 
@@ -58,13 +104,7 @@ pub fn fold_row(info: &mut [f64], row: &mut [f64], mut note: impl FnMut(usize, R
         let pivot = &mut info[k * width..][..width];
         let rotation = Rotation::of(pivot[k], row[k]);
         note(k, rotation);
-        if rotation.s == 0.0 {
-            continue;
-        }
-        (pivot[k], row[k]) = (rotation.length, 0.0);
-        for (a, b) in pivot[k + 1..].iter_mut().zip(&mut row[k + 1..]) {
-            (*a, *b) = rotation.turn(*a, *b);
-        }
+        turn_row(pivot, row, k, rotation);
     }
 }
 
@@ -86,6 +126,29 @@ mod tests {
         }
         for k in 0..3 {
             assert!(info[k * 4] >= 0.0, "diagonal {k}: {}", info[k * 4]);
+        }
+    }
+
+    #[test]
+    fn rows_abreast_are_folded_to_the_same_bits_as_one_by_one() {
+        for (width, count) in [(1, 1), (1, 12), (3, 2), (5, 8), (4, 9), (7, 20), (6, 0)] {
+            let wave = |seed: usize, size: usize| -> Vec<f64> {
+                (0..size).map(|k| if k % 5 == seed { 0.0 } else { ((seed + 7 * k) as f64).sin() }).collect()
+            };
+            let (mut info, mut rows) = (vec![0.0; width * width], wave(1, width * count));
+            for k in 0..width {
+                info[k * width..][k..width].copy_from_slice(&wave(2 * k, width)[k..]);
+                info[k * (width + 1)] = (k % 3) as f64;
+            }
+            let (mut one_by_one, mut others) = (info.clone(), rows.clone());
+            let (mut expected, mut found) = (vec![Vec::new(); count], vec![Vec::new(); count]);
+            for (row, expected) in others.chunks_exact_mut(width).zip(&mut expected) {
+                fold_row(&mut one_by_one, row, |k, turn| expected.push((k, turn)));
+            }
+            fold_rows(&mut info, &mut rows, (width, width), |i, k, turn| found[i].push((k, turn)));
+            let bits = |of: &[f64]| of.iter().map(|x| x.to_bits()).collect::<Vec<u64>>();
+            assert_eq!((bits(&info), bits(&rows)), (bits(&one_by_one), bits(&others)), "{width} {count}");
+            assert_eq!(found, expected, "{width} {count}");
         }
     }
 

@@ -13,7 +13,7 @@ use crate::reduce::part::{Part, PhaseReducer, Place, refuse};
 use crate::reduce::prepare::Workspace;
 use crate::reduce::reducer::{Reducer, Work, share};
 use crate::reduce::shared::Shared;
-use crate::reduce::stack::{Stack, StackData, StackKey, StackPhase};
+use crate::reduce::stack::{Stack, StackData, StackKey, StackPhase, Stacked};
 use crate::reduce::steps::Cells;
 use crate::reduce::subject::WHOLE;
 use crate::reduce::{Chain, ChainPhase, Evidence, Inherited, Link, Path, PhaseReduction, PhasedTest, Reduction};
@@ -237,29 +237,27 @@ impl PhasedReducer {
         }
         let keys: Vec<StackPhase<'_>> = parts.iter().enumerate().map(|(at, _)| self.key(&parts, at)).collect();
         let design = digest(&parts);
-        let entry = self.stacks.get(
-            design,
-            |known| known.same(&keys),
-            || StackKey::new(&keys),
-            Stack::new,
-            |key, stack| key.bytes() + stack.bytes(),
-        );
-        let stack = entry.value();
         let means: Vec<Option<DVector<f64>>> = (0..parts.len()).map(|at| link_mean(&parts, at)).collect();
-        let (constant, data) = {
-            let each = parts.iter().zip(&means);
-            let data: Vec<StackData<'_>> = each.map(|(part, mean)| part.data(mean.as_ref())).collect();
-            stack.data(&data)
+        let told: Vec<StackData<'_>> = parts.iter().zip(&means).map(|(part, mean)| part.data(mean.as_ref())).collect();
+        let Stacked { factor, links, constant, data } = if self.stacks.is_worth(design) {
+            let (same, key) = (|known: &StackKey| known.same(&keys), || StackKey::new(&keys));
+            let bytes = |key: &StackKey, stack: &Stack| key.bytes() + stack.bytes();
+            let entry = self.stacks.get(design, same, key, Stack::new, bytes);
+            let stack = entry.value();
+            let (constant, data) = stack.data(&told);
+            Stacked { factor: stack.factor.clone(), links: stack.links.clone(), constant, data }
+        } else {
+            Stack::once(&keys, &told)
         };
         let finite = |numbers: &[f64]| numbers.iter().all(|x| x.is_finite());
-        if !constant.is_finite() || !finite(&data) || !finite(&stack.factor) {
+        if !constant.is_finite() || !finite(&data) || !finite(&factor) {
             return Err(refuse(&test.id, WHOLE, ReduceErrorKind::NotFinite));
         }
         let mut reduction = Reduction {
             test: test.id.clone(),
             constant,
             data,
-            factor: stack.factor.clone(),
+            factor,
             covariates: parts.iter().flat_map(|part| part.reduction.covariates.iter().copied()).collect(),
             steps: parts.iter().map(|part| part.reduction.steps).sum(),
             observations: parts.iter().map(|part| part.reduction.observations).sum(),
@@ -271,7 +269,7 @@ impl PhasedReducer {
         reduction.data.resize(self.dimension, 0.0);
         reduction.factor.resize(self.dimension * (self.dimension + 1) / 2, 0.0);
         reduction.covariates.resize(self.regressions, 0.0);
-        reduction.chain = Some(Box::new(self.chain(parts, means, &stack.links)));
+        reduction.chain = Some(Box::new(self.chain(parts, means, links)));
         Ok(reduction)
     }
 
@@ -288,13 +286,12 @@ impl PhasedReducer {
         &self,
         parts: Vec<Part<'_>>,
         means: Vec<Option<DVector<f64>>>,
-        links: &[(DMatrix<f64>, DMatrix<f64>)],
+        links: Vec<(DMatrix<f64>, DMatrix<f64>)>,
     ) -> Chain {
-        let links = std::iter::once(None).chain(links.iter().map(Some));
+        let links = std::iter::once(None).chain(links.into_iter().map(Some));
         let phase = |(((part, mean), link), phase): (((Part<'_>, _), _), &PhaseReducer)| {
-            let link = Option::zip(mean, link).map(|(mean, link): (DVector<f64>, &(DMatrix<f64>, DMatrix<f64>))| {
-                Link { mean, sensitivity: link.0.clone(), root: link.1.clone() }
-            });
+            let link = Option::zip(mean, link);
+            let link = link.map(|(mean, (sensitivity, root))| Link { mean, sensitivity, root });
             let Reduction { constant, data, factor, path, .. } = part.reduction.into_owned();
             ChainPhase { own: phase.own, constant, data, factor, path, link }
         };

@@ -98,6 +98,20 @@ impl<K, V> Shared<K, V> {
         self.shard(digest).entries.get(&digest).is_some_and(|entry| same(&entry.key))
     }
 
+    /// The entry of a key that is kept or would be from now on: to be had by [`Shared::get`]; else it is noted as asked for.
+    pub(crate) fn is_worth(&self, digest: u128) -> bool {
+        let mut shard = self.shard(digest);
+        let bytes = self.bytes.load(Ordering::Relaxed);
+        if shard.entries.contains_key(&digest) || bytes < self.eager {
+            return true;
+        }
+        // what is noted already is left so, for the call that gets it
+        bytes < self.limit && shard.noted.contains(&digest) || {
+            shard.is_known(digest);
+            false
+        }
+    }
+
     /// Keeps what was made elsewhere, where [`Shared::get`] would have kept it; it is put together only then. False where another was
     /// quicker.
     pub(crate) fn offer(

@@ -52,6 +52,16 @@ fn another(journey: &Journey, id: usize, rng: &mut ChaCha8Rng) -> PhasedTest {
     test
 }
 
+/// Nothing is estimated, and nothing lies between the parts: stacking has no rotations, and no columns but those of the data.
+#[test]
+fn a_test_without_unknowns_cut_in_two_is_the_whole_test() {
+    let mut rng = ChaCha8Rng::seed_from_u64(2_328_247_911_063_894_935);
+    let (journey, whole) = cut(&mut rng, 2);
+    let (two, one) = (reduce(&journey), reduce_all(&whole.model, std::slice::from_ref(&whole.test)).remove(0));
+    assert_eq!((journey.dimension(), two.factor.len()), (0, 0), "the case that this is about");
+    assert_near(two.constant, one.constant, 1e-8, "likelihood");
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
 
