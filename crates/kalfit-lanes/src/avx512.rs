@@ -110,6 +110,19 @@ impl Real for Avx512 {
         x
     }
 
+    /// The same way.
+    #[inline(always)]
+    fn recip_root(self) -> Avx512 {
+        // SAFETY: see the module
+        let mut x = Avx512(unsafe { _mm512_rsqrt14_pd(self.0) });
+        let (half, one) = (Avx512::splat(0.5), Avx512::splat(1.0));
+        for _ in 0..2 {
+            let off = (self * x).fnma(x, one);
+            x = (half * off).fma(x, x);
+        }
+        x
+    }
+
     #[inline(always)]
     fn recip_or_zero(self) -> Avx512 {
         // SAFETY: see the module
@@ -172,5 +185,22 @@ impl Lanes for Avx512 {
         let to = &mut to[..8];
         // SAFETY: see the module; the slice has room for eight numbers
         unsafe { _mm512_storeu_pd(to.as_mut_ptr(), self.0) }
+    }
+
+    #[inline(always)]
+    fn lane(self, lane: usize) -> f64 {
+        assert!(lane < 8, "there are eight lanes");
+        // SAFETY: see the module
+        unsafe { _mm512_cvtsd_f64(_mm512_permutexvar_pd(_mm512_set1_epi64(lane as i64), self.0)) }
+    }
+
+    #[inline(always)]
+    fn sum(self) -> f64 {
+        // SAFETY: see the module
+        unsafe {
+            let four = _mm256_add_pd(_mm512_castpd512_pd256(self.0), _mm512_extractf64x4_pd::<1>(self.0));
+            let two = _mm_add_pd(_mm256_castpd256_pd128(four), _mm256_extractf128_pd::<1>(four));
+            _mm_cvtsd_f64(_mm_add_sd(two, _mm_unpackhi_pd(two, two)))
+        }
     }
 }

@@ -26,6 +26,11 @@ pub trait Real:
     fn recip(self) -> Self {
         Self::splat(1.0) / self
     }
+    /// 1/√x to a rounding or two, of a normal x.
+    #[inline(always)]
+    fn recip_root(self) -> Self {
+        Self::splat(1.0) / self.root()
+    }
     /// 1/x where x > 0, else 0.
     fn recip_or_zero(self) -> Self;
     /// x where x > 0, else 1.

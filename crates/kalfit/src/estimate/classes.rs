@@ -14,12 +14,12 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use crate::estimate::canonical::{ordered, spans};
-use crate::estimate::chained::{Chained, Detail, Packed};
+use crate::estimate::chained::{Chained, Detail, Kept, Packed, Shape, grouped};
 use crate::estimate::frame::{Frame, Pooled};
 use crate::estimate::lanes::Blocks;
 use crate::estimate::pass::{Order, pass};
 use crate::estimate::terms::Point;
-use crate::estimate::together::{each_packed, packed};
+use crate::estimate::together::each_packed;
 use crate::linalg::elements::Elements;
 use crate::linalg::symmetric::pair;
 use crate::reduce::{Path, Reduction};
@@ -42,7 +42,7 @@ pub(crate) struct Class<T = f64> {
     /// Some test of it needs square-root arithmetic.
     pub(crate) square_root: bool,
     /// The same phase by phase; R, d and their scatter are then empty.
-    pub(crate) chain: Option<Arc<Chained>>,
+    pub(crate) chain: Option<Kept>,
 }
 
 /// All reductions of an ensemble, ready for passes.
@@ -55,7 +55,7 @@ pub(crate) struct Classes {
     /// Numbers of those that are worked on one by one.
     pub(crate) beside: Vec<usize>,
     /// Those in phases that are worked on side by side.
-    pub(crate) chains: Vec<Packed>,
+    pub(crate) chains: Vec<Arc<Packed>>,
     pub(crate) frame: Frame,
     pub(crate) tests: usize,
     /// Σ_j R_j'R_j, in η.
@@ -113,11 +113,15 @@ impl Classes {
     ) -> Classes {
         let chained = chained && !elements.is_single();
         let spans = spans(reductions, order, chained);
-        let class = |span: &Range<usize>| gather(reductions, &order[span.clone()], &frame, (&elements, chained));
-        let classes = spans.par_iter().with_min_len(CHUNK).map(class).collect();
+        let chains = if chained { side_by_side(reductions, order, &spans, (&frame, &elements)) } else { Vec::new() };
+        let places = places(&chains, spans.len());
+        let class = |(span, place): (&Range<usize>, Option<Kept>)| {
+            gather(reductions, &order[span.clone()], &frame, (&elements, chained), place)
+        };
+        let classes = spans.par_iter().zip(places).with_min_len(CHUNK).map(class).collect();
         let present = present(reductions, &elements);
         let found = (reductions.len(), information, present);
-        let mut classes = Classes::arranged(classes, frame.clone(), (elements.clone(), chained), found);
+        let mut classes = Classes::arranged((classes, chains), frame.clone(), (elements.clone(), chained), found);
         classes.members = spans.into_iter().map(|span| order[span].to_vec()).collect();
         classes.marks = reductions.par_iter().map(mark).collect();
         classes
@@ -125,7 +129,7 @@ impl Classes {
 
     /// The classes, and who is worked on side by side with whom.
     fn arranged(
-        classes: Vec<Class>,
+        (classes, chains): (Vec<Class>, Vec<Arc<Packed>>),
         frame: Frame,
         (elements, chained): (Elements, bool),
         (tests, information, present): (usize, DMatrix<f64>, Vec<f64>),
@@ -134,11 +138,10 @@ impl Classes {
         for (number, class) in classes.iter().enumerate() {
             if elements.is_single() && blocks.takes(class) {
                 blocks.push(class);
-            } else if class.chain.as_ref().is_none_or(|chain| chain.is_careful()) {
+            } else if class.chain.as_ref().is_none_or(Kept::is_careful) {
                 beside.push(number);
             }
         }
-        let chains = packed(classes.iter().map(|class| class.chain.as_ref()).enumerate(), blocks.isa().lanes());
         let (members, marks) = (Vec::new(), Vec::new());
         Classes {
             classes,
@@ -175,12 +178,18 @@ impl Classes {
 
     /// Every so-many-th class in their order, in the same η. The pooled information is the share that goes with the tests.
     pub(crate) fn thinned(&self, every: usize) -> Classes {
-        let classes: Vec<Class> = self.classes.iter().skip(every / 2).step_by(every).cloned().collect();
+        let mut classes: Vec<Class> = self.classes.iter().skip(every / 2).step_by(every).cloned().collect();
+        let chains = repacked(&mut classes);
         let tests = classes.iter().map(|class| class.count).sum::<f64>();
         let share = tests / self.tests as f64;
         let present = self.present.iter().map(|tests| tests * share).collect();
         let how = (self.elements.clone(), self.chained);
-        Classes::arranged(classes, self.frame.clone(), how, (tests as usize, &self.information * share, present))
+        Classes::arranged(
+            (classes, chains),
+            self.frame.clone(),
+            how,
+            (tests as usize, &self.information * share, present),
+        )
     }
 
     /// The classes of the reductions, kept phase by phase, whatever these classes are.
@@ -193,7 +202,7 @@ impl Classes {
 
     /// One test as a class of its own, in the same η.
     pub(crate) fn single(&self, reduction: &Reduction) -> Class {
-        gather(std::slice::from_ref(reduction), &[0], &self.frame, (&self.elements, self.chained))
+        gather(std::slice::from_ref(reduction), &[0], &self.frame, (&self.elements, self.chained), None)
     }
 
     /// Σ_j E_j'J_jE_j: information on the p elements of μ and the scaled regression coefficients at Σ = 0.
@@ -279,10 +288,57 @@ fn mark(reduction: &Reduction) -> u64 {
     numbers.fold(designed, |mark, x| mix(mark, x.to_bits()))
 }
 
-fn gather(reductions: &[Reduction], members: &[usize], frame: &Frame, (elements, chained): (&Elements, bool)) -> Class {
+/// Classes of tests in phases that can be worked on side by side, by their numbers.
+fn side_by_side(
+    reductions: &[Reduction],
+    order: &[usize],
+    spans: &[Range<usize>],
+    (frame, elements): (&Frame, &Elements),
+) -> Vec<Arc<Packed>> {
+    let (ranges, lanes) = (elements.blocks(), Isa::best().lanes());
+    let members = |k: usize| -> Vec<&Reduction> { order[spans[k].clone()].iter().map(|&j| &reductions[j]).collect() };
+    let shapes: Vec<Option<Shape>> = (0..spans.len()).into_par_iter().map(|k| Shape::of(&members(k), ranges)).collect();
+    let groups = grouped(shapes.into_iter().map(|shape| shape.map(Cow::Owned)).enumerate(), lanes);
+    let of = |k: usize| Cow::Owned(Chained::new(&members(k), ranges, frame));
+    groups.into_par_iter().map(|(shape, numbers)| Arc::new(Packed::new(shape, numbers, lanes, of))).collect()
+}
+
+/// Where each of so many classes stands.
+fn places(chains: &[Arc<Packed>], classes: usize) -> Vec<Option<Kept>> {
+    let mut places = vec![None; classes];
+    for packed in chains {
+        for (lane, &number) in packed.members().iter().enumerate() {
+            places[number] = Some(Kept::Lane(packed.clone(), lane));
+        }
+    }
+    places
+}
+
+/// Puts those of some classes that can be side by side.
+fn repacked(classes: &mut [Class]) -> Vec<Arc<Packed>> {
+    let lanes = Isa::best().lanes();
+    let kept: Vec<Option<Kept>> = classes.iter().map(|class| class.chain.clone()).collect();
+    let groups = grouped(kept.iter().map(|kept| kept.as_ref().and_then(Kept::shape)).enumerate(), lanes);
+    let of = |k: usize| kept[k].as_ref().expect("it has a shape").chained();
+    let pack = |(shape, numbers)| Arc::new(Packed::new(shape, numbers, lanes, of));
+    let chains: Vec<Arc<Packed>> = groups.into_par_iter().map(pack).collect();
+    for (class, place) in classes.iter_mut().zip(places(&chains, kept.len())) {
+        class.chain = place.or(class.chain.take());
+    }
+    chains
+}
+
+/// One class; of tests in phases, where its chain stands if it is made.
+fn gather(
+    reductions: &[Reduction],
+    members: &[usize],
+    frame: &Frame,
+    (elements, chained): (&Elements, bool),
+    place: Option<Kept>,
+) -> Class {
     let (first, p) = (&reductions[members[0]], elements.states());
     if chained && first.chain.is_some() {
-        return gather_chains(reductions, members, frame, elements);
+        return gather_chains(reductions, members, frame, elements, place);
     }
     let mut factor = vec![0.0; p * p];
     let mut offset = vec![0.0; p]; // R × the centre
@@ -320,7 +376,13 @@ fn gather(reductions: &[Reduction], members: &[usize], frame: &Frame, (elements,
     }
 }
 
-fn gather_chains(reductions: &[Reduction], members: &[usize], frame: &Frame, elements: &Elements) -> Class {
+fn gather_chains(
+    reductions: &[Reduction],
+    members: &[usize],
+    frame: &Frame,
+    elements: &Elements,
+    place: Option<Kept>,
+) -> Class {
     let members: Vec<&Reduction> = members.iter().map(|&j| &reductions[j]).collect();
     let constant =
         |r: &&Reduction| r.chain.iter().flat_map(|chain| &chain.phases).map(|phase| phase.constant).sum::<f64>();
@@ -332,7 +394,7 @@ fn gather_chains(reductions: &[Reduction], members: &[usize], frame: &Frame, ele
         scatter: None,
         covariates: covariates(members[0], frame),
         square_root: false,
-        chain: Some(Arc::new(Chained::new(&members, elements.blocks(), frame))),
+        chain: Some(place.unwrap_or_else(|| Kept::Apart(Chained::new(&members, elements.blocks(), frame).into()))),
     }
 }
 

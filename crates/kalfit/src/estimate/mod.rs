@@ -62,7 +62,7 @@ pub use likelihood::{Derivatives, Evaluation, Likelihood, pass_flops};
 pub use settings::{Combination, Criterion, Progress, Settings, Silent, Solver, Step};
 pub use structure::{PhaseStructure, Structure};
 
-pub(crate) use chained::{Chained, Detail};
+pub(crate) use chained::{Chained, Detail, Kept};
 pub(crate) use classes::{Class, Classes};
 pub(crate) use climb::{Limits, climb};
 pub(crate) use covariance::{Constraint, CovarianceMap, Form, Part};
@@ -75,7 +75,7 @@ pub(crate) use problem::Problem;
 pub(crate) use start::generic_root;
 pub(crate) use structure::Assumed;
 pub(crate) use terms::{Point, Terms};
-pub(crate) use together::{each, in_parts};
+pub(crate) use together::{each, forms_in_parts, in_parts};
 
 use rayon::prelude::*;
 

@@ -2,6 +2,7 @@
 #![expect(non_snake_case, reason = "W is the letter of the theory")]
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -121,7 +122,7 @@ impl Sums {
     /// Adds what tests in phases say that are worked on side by side; classes that need more care are left, and returned.
     fn take_chains<'a>(&mut self, classes: &'a Classes, point: &Point, order: Order) -> Vec<&'a Class> {
         let isa = classes.blocks.isa();
-        let of = |blocks: &[Packed]| {
+        let of = |blocks: &[Arc<Packed>]| {
             let elements = &classes.elements;
             isa.run(ChainPass { blocks, classes: &classes.classes, point, regressors: &[], elements, order, isa })
         };

@@ -7,9 +7,11 @@
 //! ```
 #![expect(non_snake_case, reason = "R, S, L, D, U, W, F are the letters of the theory")]
 
+use std::ops::Range;
+
 use nalgebra::DMatrix;
 
-use crate::estimate::chained::{Chained, Detail, Said};
+use crate::estimate::chained::{Detail, Said};
 use crate::estimate::classes::Class;
 use crate::linalg::fold::fold;
 use crate::linalg::rows::Rows;
@@ -244,12 +246,12 @@ impl<T: Real> Terms<T> {
 }
 
 impl Terms<f64> {
-    /// All that the class says at a point; of tests kept phase by phase in as much detail as is wanted, with zeros between phases
-    /// where nothing is.
+    /// All that the class says at a point; of tests kept phase by phase in as much detail as is wanted, with zeros where nothing is:
+    /// between phases, or, for posteriors, in all of W and Σ r r'.
     pub(crate) fn evaluate(&mut self, class: &Class, regressors: &Regressors, point: &Point, detail: Detail) {
         if let Some(chain) = &class.chain {
-            let said = chain.at(&point.mean_of(class, regressors), &point.root, detail);
-            return self.take(chain, class, &said, |x| x);
+            let said = chain.chained().at(&point.mean_of(class, regressors), &point.root, detail);
+            return self.take((&chain.ranges(), class), &said, detail, |x| x);
         }
         if class.square_root {
             self.factorise_by_qr(class, &point.root);
@@ -265,30 +267,53 @@ impl Terms<f64> {
         class.constant - 0.5 * (class.count * log_det + self.quadratic)
     }
 
-    /// What a class in phases says, as far as it is wanted.
-    pub(crate) fn take<N: Real>(&mut self, chain: &Chained, class: &Class, said: &Said<N>, of: impl Fn(N) -> f64) {
-        let p = self.p;
+    /// What a class in phases says, as far as it is wanted; where the states of its phases stand.
+    #[inline(always)]
+    pub(crate) fn take<N: Real>(
+        &mut self,
+        (ranges, class): (&[Range<usize>], &Class),
+        said: &Said<N>,
+        detail: Detail,
+        of: impl Fn(N) -> f64,
+    ) {
         let (mantissa, exponent) = said.root_det;
         (self.mantissa, self.exponent) = (of(mantissa) * of(mantissa), 2.0 * of(exponent));
         self.quadratic = of(said.quadratic);
-        self.link_log_det = 2.0 * (of(said.link_root_det.0).ln() + of(said.link_root_det.1) * std::f64::consts::LN_2);
-        let lane = |m: &Rows<N>| Rows::from_fn(m.nrows(), m.ncols(), |i, k| of(m[(i, k)]));
-        self.covariances = said.covariances.iter().map(lane).collect();
         [&mut self.r, &mut self.W, &mut self.outer].into_iter().for_each(|all| all.fill(0.0));
-        let own: Vec<_> = chain.ranges().collect();
+        for (r, own) in said.r.iter().zip(ranges) {
+            for (a, to) in self.r[own.clone()].iter_mut().enumerate() {
+                *to = of(r[(a, 0)]);
+            }
+        }
+        if detail == Detail::Posterior {
+            let (mantissa, exponent) = said.link_root_det;
+            self.link_log_det = 2.0 * (of(mantissa).ln() + of(exponent) * std::f64::consts::LN_2);
+            let lane = |m: &Rows<N>| Rows::from_fn(m.nrows(), m.ncols(), |i, k| of(m[(i, k)]));
+            self.covariances = said.covariances.iter().map(lane).collect();
+        } else {
+            self.take_pairs((ranges, class), said, of);
+        }
+    }
+
+    /// W and Σ r r' of each pair of phases of which W is known.
+    #[inline(always)]
+    fn take_pairs<N: Real>(&mut self, (own, class): (&[Range<usize>], &Class), said: &Said<N>, of: impl Fn(N) -> f64) {
+        let p = self.p;
         let mut blocks = said.W.iter();
         for (k, one) in own.iter().enumerate() {
-            (0..one.len()).for_each(|a| self.r[one.start + a] = of(said.r[k][(a, 0)]));
             for (i, other) in own[..=k].iter().enumerate() {
                 let Some(block) = blocks.next().and_then(Option::as_ref) else { continue };
                 for a in 0..one.len() {
                     for b in 0..other.len() {
                         let (x, y) = (said.r[k].row(a), said.r[i].row(b));
-                        let others = x[1..].iter().zip(&y[1..]);
-                        let outer = others.fold(class.count * of(x[0]) * of(y[0]), |sum, (&x, &y)| sum + of(x) * of(y));
+                        let mut outer = class.count * self.r[one.start + a] * self.r[other.start + b];
+                        for (&x, &y) in x[1..].iter().zip(&y[1..]) {
+                            outer += of(x) * of(y);
+                        }
                         let at = (one.start + a) * p + other.start + b;
                         let mirror = (other.start + b) * p + one.start + a;
-                        (self.W[at], self.W[mirror]) = (of(block[(a, b)]), of(block[(a, b)]));
+                        let w = of(block[(a, b)]);
+                        (self.W[at], self.W[mirror]) = (w, w);
                         (self.outer[at], self.outer[mirror]) = (outer, outer);
                     }
                 }

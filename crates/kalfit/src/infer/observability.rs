@@ -11,10 +11,10 @@
 //! is weakly determined when it is nearly one that nothing was observed of: its condition index (Belsley, Kuh, Welsch 1980),
 //! √(λ_max / λ) of I scaled to unit diagonal, exceeds [`WEAK`]. None of these figures depends on units.
 
-use nalgebra::{DMatrix, DMatrixView, DVector};
+use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use crate::estimate::{Classes, Detail, Form, Part, Place, Problem, in_parts};
+use crate::estimate::{Classes, Form, Part, Place, Problem, forms_in_parts};
 use crate::infer::identifiability::{NONE, unit};
 use crate::linalg::fold::norm;
 use crate::linalg::symmetric;
@@ -272,10 +272,9 @@ impl Shares<'_> {
         let directions = DMatrix::from_fn(p, directions.len(), |i, c| directions[c][i]);
         let (regressors, point) = (&self.problem.mean.regressors, &self.place.point);
         let none = || Parts::none(directions.ncols());
-        let parts = in_parts(self.classes, regressors, point, Detail::Between, &none, &|parts, k, terms| {
-            let products = DMatrixView::from_slice(&terms.W, p, p) * &directions; // W is symmetric
-            for (c, u) in directions.column_iter().enumerate() {
-                let (own, tests) = (u.dot(&products.column(c)), &self.designs[k].tests);
+        let parts = forms_in_parts(self.classes, (regressors, point), &directions, &none, &|parts, k, forms| {
+            let tests = &self.designs[k].tests;
+            for (c, &own) in forms.iter().enumerate() {
                 parts.totals[c] += own * tests.len() as f64;
                 parts.offer(c, own, &tests[0].test);
             }

@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 
-use crate::estimate::{Chained, Problem};
+use crate::estimate::{Chained, Kept, Problem};
 use crate::infer::identifiability::{NONE, simplest, unit};
 use crate::linalg::symmetric;
 use crate::reduce::Reduction;
@@ -30,15 +30,17 @@ pub(crate) fn phases(problem: &Problem, reductions: &[Reduction]) -> Vec<PhaseOb
         return vec![single(problem)];
     }
     let classes = problem.classes.by_phase(reductions);
-    let chains: Option<Vec<&Chained>> = classes.classes.iter().map(|class| class.chain.as_deref()).collect();
+    let chains: Option<Vec<&Kept>> = classes.classes.iter().map(|class| class.chain.as_ref()).collect();
     let Some(chains) = chains else { return Vec::new() };
+    let chains: Vec<(&Kept, Vec<usize>)> = chains.into_iter().map(|kept| (kept, kept.entering())).collect();
     let mut found: Vec<PhaseObservability> = Vec::with_capacity(count);
     let mut before = DMatrix::zeros(elements.states(), 0);
     for f in 0..count {
-        let having: Vec<&Chained> = chains.iter().copied().filter(|chain| chain.phases() > f).collect();
+        let having = chains.iter().filter(|(_, entering)| entering.len() > f);
+        let entering = having.clone().next().map_or(0, |(_, entering)| entering[f]);
+        let having: Vec<&Kept> = having.map(|(kept, _)| *kept).collect();
         let states = elements.blocks()[f].end;
         let so_far = gathered(&having, states, elements.states(), &|chain| chain.information(f + 1, elements.states()));
-        let entering = having.first().map_or(0, |chain| chain.entering(f));
         let own = gathered(&having, entering, entering, &|chain| chain.own_information(f));
         let range = range(&so_far);
         found.push(PhaseObservability {
@@ -63,10 +65,10 @@ fn single(problem: &Problem) -> PhaseObservability {
 }
 
 /// Σ of what the chains say, until the rank is as high as it can be.
-fn gathered(chains: &[&Chained], highest: usize, size: usize, of: &dyn Fn(&Chained) -> DMatrix<f64>) -> DMatrix<f64> {
+fn gathered(chains: &[&Kept], highest: usize, size: usize, of: &dyn Fn(&Chained) -> DMatrix<f64>) -> DMatrix<f64> {
     let mut sum = DMatrix::zeros(size, size);
     for chunk in chains.chunks(CHUNK) {
-        chunk.iter().for_each(|chain| sum += of(chain));
+        chunk.iter().for_each(|chain| sum += of(&chain.chained()));
         if rank(&sum) >= highest {
             break;
         }

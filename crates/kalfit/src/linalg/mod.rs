@@ -1,8 +1,10 @@
 //! Small dense linear algebra. Own kernels on slices for inner loops; nalgebra for everything else.
 
+pub(crate) mod algebra;
 pub mod echelon;
 pub mod elements;
 pub mod exponential;
+pub(crate) mod fixed;
 pub mod fold;
 pub(crate) mod parts;
 mod posterior;

@@ -177,6 +177,18 @@ impl<T: Real> Rows<T> {
         product
     }
 
+    /// A'.
+    #[inline(always)]
+    pub(crate) fn transposed(&self) -> Rows<T> {
+        let mut turned = Rows::zeros(self.columns, self.rows);
+        for i in 0..self.rows {
+            for (k, &x) in self.row(i).iter().enumerate() {
+                turned[(k, i)] = x;
+            }
+        }
+        turned
+    }
+
     /// AB'.
     #[inline(always)]
     pub(crate) fn times_transpose(&self, other: &Rows<T>) -> Rows<T> {

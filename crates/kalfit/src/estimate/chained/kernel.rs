@@ -21,15 +21,39 @@
 //! the blocks of W between phases.
 #![expect(non_snake_case, reason = "B, C, R, F, N are the letters of the theory")]
 
+use std::borrow::Cow;
+
 use nalgebra::DMatrix;
 
-use crate::estimate::chained::{Chained, Link, Phase};
+use crate::estimate::chained::Phase;
+use crate::linalg::algebra::Algebra;
 use crate::linalg::rows::{Factors, Rows};
 use kalfit_lanes::Real;
 
-/// Where phases meet a point: F with Σ = FF', and μ, both of all phases.
+/// F with Σ = FF' of all phases, lower triangular, its diagonal not negative.
+#[derive(Debug, Clone)]
+pub(crate) struct Root<'a>(Cow<'a, DMatrix<f64>>);
+
+impl<'a> Root<'a> {
+    /// Of any F, with the same FF'.
+    pub(crate) fn of(root: &'a DMatrix<f64>) -> Self {
+        let p = root.nrows();
+        if (0..p).all(|i| root[(i, i)] >= 0.0 && (i + 1..p).all(|c| root[(i, c)] == 0.0)) {
+            return Root(Cow::Borrowed(root));
+        }
+        let mut upper = root.transpose().qr().r();
+        for (i, mut row) in upper.row_iter_mut().enumerate() {
+            if row[i] < 0.0 {
+                row.neg_mut();
+            }
+        }
+        Root(Cow::Owned(upper.transpose()))
+    }
+}
+
+/// Where phases meet a point: F and μ, both of all phases.
 pub(super) struct Prior<'a, T> {
-    pub(super) root: &'a DMatrix<f64>,
+    pub(super) root: &'a Root<'a>,
     pub(super) mean: &'a [T],
 }
 
@@ -61,241 +85,221 @@ pub(crate) struct Said<T = f64> {
     pub(crate) link_root_det: (T, T),
 }
 
-/// What the later phases and a phase itself know of its σ.
-struct Known<T> {
-    /// R̃.
-    factor: Rows<T>,
-    /// d̃.
-    data: Rows<T>,
+/// The phases of tests that share all matrices, and how many tests there are.
+pub(super) struct Phases<'a, A: Algebra> {
+    pub(super) phases: &'a [Phase<A::Matrix, A::Data>],
+    pub(super) count: A::Number,
 }
 
-/// Beyond this RΣR' is too large for cross products.
-const LARGE: f64 = 1e10;
+/// What the later phases and a phase itself know of its σ.
+struct Known<A: Algebra> {
+    /// R̃.
+    factor: A::Matrix,
+    /// d̃.
+    data: A::Data,
+}
 
-impl<T: Real> Chained<T> {
+impl<A: Algebra> Phases<'_, A> {
     /// All that the class says; `None` where the arithmetic would lose digits.
     #[inline(always)]
-    pub(super) fn said<A: Factors<Number = T>>(&self, prior: &Prior<'_, T>, detail: Detail) -> Option<Said<T>> {
-        let mut root_det = RootDet::new();
-        let (known, mut quadratic) = self.backward::<A>(prior, &mut root_det)?;
-        let (mut r, mut N, mut carried, mut covariances) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        let first = &self.phases[0];
-        let mut rest = Rows::zeros(0, first.factor.nrows());
-        let (mut B, mut m) = (prior.root_of(first), self.prior_mean(prior, first));
+    pub(super) fn said(&self, prior: &Prior<'_, A::Number>, detail: Detail) -> Option<Said<A::Number>> {
+        let (mut root_det, mut borne) = (RootDet::new(), true);
+        let (known, mut quadratic) = self.backward(prior, &mut root_det, &mut borne);
+        let phases = self.phases.len();
+        let (mut r, mut within) = (Vec::with_capacity(phases), Vec::with_capacity(phases));
+        let (mut N, mut carried, mut covariances) = (Vec::new(), Vec::new(), Vec::new());
+        let mut rest: Option<[A::Matrix; 2]> = None;
+        let (mut B, mut m) = (prior.root::<A>(&self.phases[0]), prior.mean::<A>(&self.phases[0]));
         for (i, (phase, known)) in self.phases.iter().zip(&known).enumerate() {
-            let upper = spread::<A>(&B, &known.factor)?;
-            let u = Rows::solved_below(&upper, known.data.clone().less(&known.factor.times(&m)));
-            let Y = Rows::solved_below(&upper, known.factor.clone());
+            let (own, next) = (phase.own.len(), self.phases.get(i + 1));
+            let upper = A::identity_plus(&[&A::times_upper_transpose(&B, &known.factor)], &mut borne);
+            let u = A::solved_data(&upper, A::less(known.data.clone(), &A::apply(&known.factor, &m)));
+            let Y = A::solved(&upper, known.factor.clone());
             if i == 0 {
-                root_det.add(&upper);
-                quadratic = quadratic + self.squares(&u);
+                root_det.add::<A>(&upper);
+                quadratic = quadratic + A::squares(self.count, &u);
             }
-            r.push(Y.transpose_times(&u).first_rows(phase.own.len()));
-            N.push(Y.transpose_times(&Y));
-            if detail == Detail::Posterior {
-                covariances.push(posterior_covariance::<A>(prior, phase, &rest, known)?);
-            }
-            let Some(next) = self.phases.get(i + 1) else { continue };
-            let link = next.link.as_ref().expect("later phases have links");
-            let step = Update::new::<A>(phase, &B)?;
-            m = link.sensitivity.times(&step.mean(phase, m)).plus(&self.prior_mean(prior, next));
+            r.push(A::head(&A::apply_transpose(&Y, &u), own));
+            let information = A::transpose_times(&Y, &Y);
+            within.push(A::corner(&information, own, own));
             if detail == Detail::Between {
-                carried.push(link.sensitivity.times(&step.left(phase)));
+                N.push(information);
             }
-            let mut rows = prior.root_of(next);
-            rest = link.carried(&step);
-            rows.append(&rest);
-            B = compressed::<A>(rows);
+            if detail == Detail::Posterior {
+                covariances.push(posterior_covariance::<A>(prior, phase, rest.as_ref(), known, &mut borne));
+            }
+            let Some(next) = next else { continue };
+            let link = next.link.as_ref().expect("later phases have links");
+            let step = Update::<A>::new(phase, &B, &mut borne);
+            m = A::plus(A::apply(&link.sensitivity, &step.mean(phase, m)), &prior.mean::<A>(next));
+            if detail == Detail::Between {
+                carried.push(A::times(&link.sensitivity, &step.left(phase)));
+            }
+            let inherited = A::times_transpose(&step.root, &link.sensitivity);
+            rest = (detail == Detail::Posterior).then(|| [inherited.clone(), link.root.clone()]);
+            B = prior.root::<A>(next);
+            A::absorb_rows(&mut B, inherited);
+            A::absorb_rows(&mut B, link.root.clone());
         }
-        let W = self.blocks(&N, &carried, detail == Detail::Between);
+        let W = if detail == Detail::Between { self.blocks(within, &N, &carried) } else { alone(within) };
         let link_root_det = match detail {
-            Detail::Posterior => self.link_root_det::<A>()?.parts(),
+            Detail::Posterior => self.link_root_det(&mut borne).parts(),
             _ => RootDet::new().parts(),
         };
-        Some(Said { quadratic, root_det: root_det.parts(), r, W, covariances, link_root_det })
+        borne.then_some(Said { quadratic, root_det: root_det.parts(), r, W, covariances, link_root_det })
     }
 
     /// |S| of the links alone.
     #[inline(always)]
-    fn link_root_det<A: Factors<Number = T>>(&self) -> Option<RootDet<T>> {
+    fn link_root_det(&self, borne: &mut bool) -> RootDet<A::Number> {
         let states = self.phases.iter().map(|phase| phase.own.end).max().unwrap_or(0);
-        let (root, mean) = (DMatrix::zeros(states, states), vec![T::splat(0.0); states]);
+        let (root, mean) = (Root(Cow::Owned(DMatrix::zeros(states, states))), vec![A::Number::splat(0.0); states]);
         let mut root_det = RootDet::new();
-        self.backward::<A>(&Prior { root: &root, mean: &mean }, &mut root_det)?;
-        Some(root_det)
+        self.backward(&Prior { root: &root, mean: &mean }, &mut root_det, borne);
+        root_det
     }
 
     /// R̃_i and d̃_i of each phase, and what ℓ loses to residuals.
     #[inline(always)]
-    fn backward<A: Factors<Number = T>>(
+    fn backward(
         &self,
-        prior: &Prior<'_, T>,
-        root_det: &mut RootDet<T>,
-    ) -> Option<(Vec<Known<T>>, T)> {
-        let mut lost = T::splat(0.0);
-        let mut all: Vec<Known<T>> = Vec::with_capacity(self.phases.len());
+        prior: &Prior<'_, A::Number>,
+        root_det: &mut RootDet<A::Number>,
+        borne: &mut bool,
+    ) -> (Vec<Known<A>>, A::Number) {
+        let mut lost = A::Number::splat(0.0);
+        let mut all: Vec<Known<A>> = Vec::with_capacity(self.phases.len());
         for (i, phase) in self.phases.iter().enumerate().rev() {
-            let q = phase.factor.nrows();
-            let (Some(later), Some(next)) = (all.last(), self.phases.get(i + 1)) else {
-                all.push(Known { factor: phase.factor.clone(), data: phase.data.clone() });
-                continue;
-            };
-            let link = next.link.as_ref().expect("later phases have links");
-            let mut root = prior.root_of(next);
-            root.append(&link.root);
-            let spread = spread::<A>(&root, &later.factor)?;
-            root_det.add(&spread);
-            let residual = later.data.clone().less(&later.factor.times(&self.prior_mean(prior, next)));
-            let told = later.factor.times(&link.sensitivity).beside(&residual);
-            let mut upper = phase.factor.beside(&phase.data);
-            let left = A::absorb(&mut upper, Rows::solved_below(&spread, told), q);
-            lost = lost + self.squares(&left.last_columns(self.columns));
-            all.push(Known { factor: upper.first_columns(q), data: upper.last_columns(self.columns) });
+            let (mut factor, mut data) = (phase.factor.clone(), phase.data.clone());
+            if let (Some(later), Some(next)) = (all.last(), self.phases.get(i + 1)) {
+                let link = next.link.as_ref().expect("later phases have links");
+                let own = A::times_upper_transpose(&prior.root::<A>(next), &later.factor);
+                let noise = A::times_upper_transpose(&link.root, &later.factor);
+                let spread = A::identity_plus(&[&own, &noise], borne);
+                root_det.add::<A>(&spread);
+                let residual = A::less(later.data.clone(), &A::apply(&later.factor, &prior.mean::<A>(next)));
+                let told = A::solved(&spread, A::times(&later.factor, &link.sensitivity));
+                let left = A::absorb(&mut factor, &mut data, told, A::solved_data(&spread, residual));
+                lost = lost + A::squares(self.count, &left);
+            }
+            all.push(Known { factor, data });
         }
         all.reverse();
-        Some((all, lost))
+        (all, lost)
     }
 
-    /// Eμ for the mean of the tests; the columns of the scatter have none.
+    /// W_ki = E'N_k F_{k-1}…F_i E; those within phases are given.
     #[inline(always)]
-    fn prior_mean(&self, prior: &Prior<'_, T>, phase: &Phase<T>) -> Rows<T> {
-        let mut mean = Rows::zeros(phase.factor.nrows(), self.columns);
-        for (i, own) in phase.own.clone().enumerate() {
-            mean[(i, 0)] = prior.mean[own];
-        }
-        mean
-    }
-
-    /// Sum of squares over the tests.
-    #[inline(always)]
-    fn squares(&self, u: &Rows<T>) -> T {
-        let mut sum = T::splat(0.0);
-        for i in 0..u.nrows() {
-            for (k, &x) in u.row(i).iter().enumerate() {
-                sum = if k == 0 { (self.count * x).fma(x, sum) } else { x.fma(x, sum) };
-            }
-        }
-        sum
-    }
-
-    /// W_ki = E'N_k F_{k-1}…F_i E.
-    #[inline(always)]
-    fn blocks(&self, N: &[Rows<T>], carried: &[Rows<T>], between: bool) -> Vec<Option<Rows<T>>> {
-        let mut blocks = Vec::new();
-        for k in 0..self.phases.len() {
-            let p = self.phases[k].own.len();
-            let mut row = N[k].first_rows(p);
-            let mut own = vec![Some(row.first_columns(p))];
-            for i in (0..k).rev() {
-                if between {
-                    row = row.times(&carried[i]);
-                    own.push(Some(row.first_columns(self.phases[i].own.len())));
-                } else {
-                    own.push(None);
+    fn blocks(
+        &self,
+        within: Vec<Rows<A::Number>>,
+        N: &[A::Matrix],
+        carried: &[A::Matrix],
+    ) -> Vec<Option<Rows<A::Number>>> {
+        let phases = self.phases.len();
+        let mut blocks = Vec::with_capacity(phases * (phases + 1) / 2);
+        for (k, own) in within.into_iter().enumerate() {
+            let (p, first) = (own.nrows(), blocks.len());
+            blocks.push(Some(own));
+            if k > 0 {
+                let mut row = A::times(&N[k], &carried[k - 1]);
+                blocks.push(Some(A::corner(&row, p, self.phases[k - 1].own.len())));
+                for i in (0..k - 1).rev() {
+                    row = A::times(&row, &carried[i]);
+                    blocks.push(Some(A::corner(&row, p, self.phases[i].own.len())));
                 }
             }
-            blocks.extend(own.into_iter().rev());
+            blocks[first..].reverse();
         }
         blocks
     }
 }
 
-impl<T: Real> Link<T> {
-    /// A root, by rows, of the covariance of what the next phase inherits.
-    #[inline(always)]
-    fn carried(&self, step: &Update<T>) -> Rows<T> {
-        let mut rows = step.root.times_transpose(&self.sensitivity);
-        rows.append(&self.root);
-        rows
+/// Blocks within phases, and none between them.
+fn alone<T>(within: Vec<Rows<T>>) -> Vec<Option<Rows<T>>> {
+    let mut blocks = Vec::with_capacity(within.len() * (within.len() + 1) / 2);
+    for (k, own) in within.into_iter().enumerate() {
+        blocks.extend((0..k).map(|_| None));
+        blocks.push(Some(own));
     }
+    blocks
 }
 
 impl<T: Real> Prior<'_, T> {
-    /// (EF)' of a phase: p × q.
+    /// (EF)' of a phase.
     #[inline(always)]
-    fn root_of(&self, phase: &Phase<T>) -> Rows<T> {
-        let (start, p) = (phase.own.start, phase.own.len());
-        let mut rows = Rows::zeros(p, phase.factor.nrows());
-        for c in 0..p {
-            for i in 0..p {
-                rows[(c, i)] = T::splat(self.root[(start + i, start + c)]);
-            }
-        }
-        rows
+    fn root<A: Algebra<Number = T>>(&self, phase: &Phase<A::Matrix, A::Data>) -> A::Matrix {
+        A::root_of(&self.root.0, &phase.own, &phase.factor)
+    }
+
+    /// Eμ for the mean of the tests; the columns of the scatter have none.
+    #[inline(always)]
+    fn mean<A: Algebra<Number = T>>(&self, phase: &Phase<A::Matrix, A::Data>) -> A::Data {
+        A::mean_of(self.mean, &phase.own, &phase.data)
     }
 }
 
 /// The posterior of σ_i given this phase and the earlier ones.
-struct Update<T> {
+struct Update<A: Algebra> {
     /// C', by rows.
-    root: Rows<T>,
+    root: A::Matrix,
     /// C'R'.
-    seen: Rows<T>,
+    seen: A::Matrix,
 }
 
-impl<T: Real> Update<T> {
+impl<A: Algebra> Update<A> {
     #[inline(always)]
-    fn new<A: Factors<Number = T>>(phase: &Phase<T>, B: &Rows<T>) -> Option<Update<T>> {
-        let root = posterior_root::<A>(B, &phase.factor)?;
-        let seen = root.times_transpose(&phase.factor);
-        Some(Update { root, seen })
+    fn new(phase: &Phase<A::Matrix, A::Data>, B: &A::Matrix, borne: &mut bool) -> Update<A> {
+        let rows = A::transposed(&A::times_upper_transpose(B, &phase.factor));
+        let root = A::solved(&A::identity_plus(&[&rows], borne), B.clone());
+        let seen = A::times_upper_transpose(&root, &phase.factor);
+        Update { root, seen }
     }
 
     /// m = m⁻ + CC'R'(d - Rm⁻).
     #[inline(always)]
-    fn mean(&self, phase: &Phase<T>, prior: Rows<T>) -> Rows<T> {
-        let residual = phase.data.clone().less(&phase.factor.times(&prior));
-        prior.plus(&self.root.transpose_times(&self.seen.times(&residual)))
+    fn mean(&self, phase: &Phase<A::Matrix, A::Data>, prior: A::Data) -> A::Data {
+        let residual = A::less(phase.data.clone(), &A::apply(&phase.factor, &prior));
+        A::plus(prior, &A::apply_transpose(&self.root, &A::apply(&self.seen, &residual)))
     }
 
     /// I - CC'J.
     #[inline(always)]
-    fn left(&self, phase: &Phase<T>) -> Rows<T> {
-        let taken = self.root.transpose_times(&self.seen.times(&phase.factor));
-        Rows::identity(phase.factor.nrows()).less(&taken)
+    fn left(&self, phase: &Phase<A::Matrix, A::Data>) -> A::Matrix {
+        A::identity_less(&A::transpose_times(&self.root, &A::times(&self.seen, &phase.factor)))
     }
 }
 
 /// Var[ξ_i | z]: with N° the information that all else gives on ξ_i, F(I + F'N°F)⁻¹F'. `rest` is a root of the prior of σ_i but for
 /// its own ξ_i, by rows.
 #[inline(always)]
-fn posterior_covariance<A: Factors>(
+fn posterior_covariance<A: Algebra>(
     prior: &Prior<'_, A::Number>,
-    phase: &Phase<A::Number>,
-    rest: &Rows<A::Number>,
-    known: &Known<A::Number>,
-) -> Option<Rows<A::Number>> {
+    phase: &Phase<A::Matrix, A::Data>,
+    rest: Option<&[A::Matrix; 2]>,
+    known: &Known<A>,
+    borne: &mut bool,
+) -> Rows<A::Number> {
     let p = phase.own.len();
-    let seen = Rows::solved_below(&spread::<A>(rest, &known.factor)?, known.factor.first_columns(p));
-    let half = posterior_root::<A>(&prior.root_of(phase).first_columns(p), &seen)?;
-    Some(half.transpose_times(&half))
-}
-
-/// U with U'U = I + R BB' R', B' given by rows.
-#[inline(always)]
-fn spread<A: Factors>(root: &Rows<A::Number>, factor: &Rows<A::Number>) -> Option<Rows<A::Number>> {
-    borne::<A>(&root.times_transpose(factor))
-}
-
-/// C' with CC' = B(I + B'JB)⁻¹B', J = R'R; B' by rows.
-#[inline(always)]
-fn posterior_root<A: Factors>(B: &Rows<A::Number>, factor: &Rows<A::Number>) -> Option<Rows<A::Number>> {
-    let upper = borne::<A>(&factor.times_transpose(B))?;
-    Some(Rows::solved_below(&upper, B.clone()))
-}
-
-/// U with U'U = I + rows'rows; `None` where cross products would lose digits.
-#[inline(always)]
-fn borne<A: Factors>(rows: &Rows<A::Number>) -> Option<Rows<A::Number>> {
-    if A::CAREFUL || rows.is_within(LARGE.sqrt()) { Some(A::identity_plus(rows)) } else { None }
+    let seen = match rest {
+        None => known.factor.clone(),
+        Some([inherited, noise]) => {
+            let inherited = A::times_upper_transpose(inherited, &known.factor);
+            let noise = A::times_upper_transpose(noise, &known.factor);
+            A::solved(&A::identity_plus(&[&inherited, &noise], borne), known.factor.clone())
+        }
+    };
+    let own = prior.root::<A>(phase);
+    let half = A::solved(&A::identity_plus(&[&A::times_transpose(&seen, &own)], borne), own);
+    A::corner(&A::transpose_times(&half, &half), p, p)
 }
 
 /// Upper triangular R with R'R = rows'rows; no more rows than columns.
 #[inline(always)]
-pub(super) fn compressed<A: Factors>(rows: Rows<A::Number>) -> Rows<A::Number> {
+pub(super) fn compressed<F: Factors>(rows: Rows<F::Number>) -> Rows<F::Number> {
     let q = rows.ncols();
     let mut upper = Rows::zeros(q, q);
-    A::absorb(&mut upper, rows, q);
+    <F as Factors>::absorb(&mut upper, rows, q);
     upper
 }
 
@@ -317,9 +321,9 @@ impl<T: Real> RootDet<T> {
     }
 
     #[inline(always)]
-    fn add(&mut self, upper: &Rows<T>) {
-        for i in 0..upper.nrows() {
-            let (mantissa, exponent) = (self.mantissa * upper[(i, i)]).split();
+    fn add<A: Algebra<Number = T>>(&mut self, factor: &A::Factor) {
+        for x in A::diagonal(factor) {
+            let (mantissa, exponent) = (self.mantissa * x).split();
             self.mantissa = mantissa;
             self.exponent = self.exponent + exponent;
         }

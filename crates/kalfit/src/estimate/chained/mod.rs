@@ -3,26 +3,31 @@
 //! Data of a class: everything is linear in d, so a class of n tests is the mean of its d and columns whose outer products
 //! add up to the scatter about it, no more of them than numbers in d.
 
+mod kept;
 mod kernel;
 mod packed;
+mod shape;
 
 use std::ops::Range;
 
 use kalfit_lanes::Real;
 use nalgebra::DMatrix;
 
-use crate::estimate::chained::kernel::{Prior, compressed};
+use crate::estimate::chained::kernel::{Phases, Prior, compressed};
+use crate::estimate::chained::shape::PhaseShape;
 use crate::estimate::frame::Frame;
-use crate::linalg::rows::{Plain, Rotations, Rows};
+use crate::linalg::rows::{Factors, Plain, Rotations, Rows};
 use crate::reduce::{Chain, ChainPhase, Path, Reduction};
 
-pub(crate) use kernel::{Detail, Said};
+pub(crate) use kept::{Kept, grouped};
+pub(crate) use kernel::{Detail, Root, Said};
 pub(crate) use packed::Packed;
+pub(crate) use shape::Shape;
 
 /// Tests whose chains share all matrices, in η: σ in units of the frame where it is a phase's own, centred.
 #[derive(Debug, Clone)]
 pub(crate) struct Chained<T = f64> {
-    phases: Vec<Phase<T>>,
+    phases: Vec<Phase<Rows<T>, Rows<T>>>,
     /// The mean of the data of the tests, then columns for the scatter about it.
     columns: usize,
     /// n.
@@ -31,23 +36,24 @@ pub(crate) struct Chained<T = f64> {
     careful: bool,
 }
 
+/// One phase, its matrices and data kept in whatever way.
 #[derive(Debug, Clone)]
-struct Phase<T> {
+struct Phase<M, D> {
     /// Its states among those of all phases.
     own: Range<usize>,
-    /// R, q × q.
-    factor: Rows<T>,
+    /// R, q × q, upper triangular.
+    factor: M,
     /// d of all columns, q × columns.
-    data: Rows<T>,
-    link: Option<Link<T>>,
+    data: D,
+    link: Option<Link<M>>,
 }
 
 #[derive(Debug, Clone)]
-struct Link<T> {
+struct Link<M> {
     /// G, q × q of the phase before.
-    sensitivity: Rows<T>,
+    sensitivity: M,
     /// C', any number × q.
-    root: Rows<T>,
+    root: M,
 }
 
 impl Chained {
@@ -72,18 +78,7 @@ impl Chained {
             before = Some(scale);
             Phase { own: own.clone(), factor, data: own_data, link }
         });
-        let phases: Vec<Phase<f64>> = phases.collect();
-        Chained { phases, columns: columns.ncols(), count: members.len() as f64, careful }
-    }
-
-    /// How many phases its tests have.
-    pub(crate) fn phases(&self) -> usize {
-        self.phases.len()
-    }
-
-    /// How many coordinates enter a phase.
-    pub(crate) fn entering(&self, phase: usize) -> usize {
-        self.phases[phase].factor.nrows()
+        Chained { phases: phases.collect(), columns: columns.ncols(), count: members.len() as f64, careful }
     }
 
     /// n J of a phase by itself, in what enters it.
@@ -116,32 +111,29 @@ impl Chained {
     /// All that the class says at a point: μ of its tests and F with Σ = FF', both of all phases, in as much
     /// detail as is wanted.
     pub(crate) fn at(&self, mean: &[f64], root: &DMatrix<f64>, detail: Detail) -> Said {
-        let prior = Prior { root, mean };
-        let plain = if self.careful { None } else { self.said::<Plain<f64>>(&prior, detail) };
-        plain.unwrap_or_else(|| self.said::<Rotations>(&prior, detail).expect(BEARS))
+        let prior = Prior { root: &Root::of(root), mean };
+        let plain = if self.careful { None } else { self.through::<Plain<f64>>().said(&prior, detail) };
+        plain.unwrap_or_else(|| self.through::<Rotations>().said(&prior, detail).expect(BEARS))
     }
 
-    /// Whether another has matrices of the same sizes.
-    pub(crate) fn is_alike(&self, other: &Chained) -> bool {
-        let shape = |phase: &Phase<f64>| {
-            (phase.own.clone(), phase.factor.nrows(), phase.link.as_ref().map(|link| link.root.nrows()))
+    /// The sizes of its matrices.
+    fn shape(&self) -> Shape {
+        let phase = |phase: &Phase<Rows, Rows>| PhaseShape {
+            own: phase.own.clone(),
+            size: phase.factor.nrows(),
+            noise: phase.link.as_ref().map(|link| link.root.nrows()),
         };
-        self.columns == other.columns
-            && self.phases.len() == other.phases.len()
-            && self.phases.iter().zip(&other.phases).all(|(a, b)| shape(a) == shape(b))
+        Shape { columns: self.columns, phases: self.phases.iter().map(phase).collect() }
     }
 
-    /// All its matrices in the order in which they are packed; whether they are of the design, not the data.
-    fn matrices(&self) -> impl Iterator<Item = (&Rows, bool)> {
-        self.phases.iter().flat_map(|phase| {
-            let link = phase.link.iter().flat_map(|link| [(&link.sensitivity, true), (&link.root, true)]);
-            [(&phase.factor, true), (&phase.data, false)].into_iter().chain(link)
-        })
-    }
-
-    /// Some phase needs square-root arithmetic.
-    pub(crate) fn is_careful(&self) -> bool {
-        self.careful
+    /// The same matrices of no tests, which say nothing.
+    fn without_tests(&self) -> Chained {
+        let mut none = self.clone();
+        none.count = 0.0;
+        for phase in &mut none.phases {
+            phase.data = Rows::zeros(phase.data.nrows(), phase.data.ncols());
+        }
+        none
     }
 
     /// Where the states of its phases stand.
@@ -151,16 +143,9 @@ impl Chained {
 }
 
 impl<T: Real> Chained<T> {
-    /// [`Chained::at`] side by side; `None` where one of the tests needs more care.
     #[inline(always)]
-    pub(crate) fn side_by_side(&self, mean: &[T], root: &DMatrix<f64>, detail: Detail) -> Option<Said<T>> {
-        self.said::<Plain<T>>(&Prior { root, mean }, detail)
-    }
-
-    /// n.
-    #[inline(always)]
-    pub(crate) fn count(&self) -> T {
-        self.count
+    fn through<F: Factors<Number = T>>(&self) -> Phases<'_, F> {
+        Phases { phases: &self.phases, count: self.count }
     }
 }
 
@@ -266,7 +251,7 @@ mod tests {
 
     fn counted(chained: &Chained) -> Chained<Counted> {
         let rows = |m: &Rows| Rows::from_fn(m.nrows(), m.ncols(), |i, k| Counted(m[(i, k)]));
-        let phase = |phase: &Phase<f64>| Phase {
+        let phase = |phase: &Phase<Rows, Rows>| Phase {
             own: phase.own.clone(),
             factor: rows(&phase.factor),
             data: rows(&phase.data),
@@ -285,9 +270,9 @@ mod tests {
         let flops = |phases: usize| {
             let chained = counted(&chain(phases).0);
             let (root, mean) = (DMatrix::identity(3 * phases, 3 * phases), vec![Counted::splat(0.1); 3 * phases]);
-            let prior = Prior { root: &root, mean: &mean };
+            let prior = Prior { root: &Root::of(&root), mean: &mean };
             let flops = Counted::count(|| {
-                chained.said::<Plain<Counted>>(&prior, Detail::Phases).expect("of common size");
+                chained.through::<Plain<Counted>>().said(&prior, Detail::Phases).expect("of common size");
             });
             flops.add + flops.mul + flops.div
         };
@@ -312,9 +297,10 @@ mod tests {
         for (a, b) in plain.W.iter().flatten().zip(careful.W.iter().flatten()) {
             (0..3).flat_map(|i| (0..3).map(move |k| (i, k))).for_each(|at| close("W", a[at], b[at]));
         }
-        let shared = std::sync::Arc::new(chained);
         for isa in Isa::all() {
-            let packed = Packed::new(&[(0, &shared), (1, &shared)], isa.lanes());
+            let of = |_| std::borrow::Cow::Borrowed(&chained);
+            let packed = Packed::new(chained.shape().into(), vec![0, 1], isa.lanes(), of);
+            assert_eq!(format!("{:?}", packed.chained(1)), format!("{chained:?}"), "a lane is what it was made from");
             let found = isa.run(Blocks(&packed, &mean, &root));
             for (a, b) in found.iter().zip(plain.W.iter().flatten()) {
                 for (at, found) in a.iter().enumerate() {
@@ -333,7 +319,7 @@ mod tests {
         #[inline(always)]
         fn run<T: Lanes>(self) -> Vec<Vec<f64>> {
             let mean: Vec<T> = self.1.iter().map(|x| T::splat(*x)).collect();
-            let said = self.0.unpack::<T>().side_by_side(&mean, self.2, Detail::Between).expect("of common size");
+            let said = self.0.said::<T>(&mean, &Root::of(self.2), Detail::Between).expect("of common size");
             said.W.iter().flatten().map(|block| block.as_slice().iter().map(|x| x.lane(0)).collect()).collect()
         }
     }

@@ -1,9 +1,11 @@
 //! Sums over blocks of classes in phases, worked on side by side.
 #![expect(non_snake_case, reason = "W is the letter of the theory")]
 
+use std::sync::Arc;
+
 use kalfit_lanes::{Isa, Kernel, Lanes};
 
-use crate::estimate::chained::{Detail, Packed, Said};
+use crate::estimate::chained::{Detail, Packed, Root, Said};
 use crate::estimate::classes::Class;
 use crate::estimate::lanes::gather::Gather;
 use crate::estimate::pass::Order;
@@ -14,7 +16,7 @@ use crate::linalg::symmetric::pair;
 
 /// One pass over some blocks.
 pub(crate) struct Pass<'a> {
-    pub(crate) blocks: &'a [Packed],
+    pub(crate) blocks: &'a [Arc<Packed>],
     pub(crate) classes: &'a [Class],
     pub(crate) point: &'a Point,
     pub(crate) regressors: &'a Regressors,
@@ -51,15 +53,15 @@ impl Kernel for Pass<'_> {
     fn run<T: Lanes>(self) -> Totals {
         let mut sums = Sums::<T>::new(&self);
         let detail = if self.order >= Order::Mean { Detail::Between } else { Detail::Phases };
+        let root = Root::of(&self.point.root);
         for block in self.blocks {
-            let chained = block.unpack::<T>();
             let mean = block.means::<T>(self.classes, self.point, self.regressors);
-            match chained.side_by_side(&mean, &self.point.root, detail) {
+            match block.said::<T>(&mean, &root, detail) {
                 Some(said) => {
                     for &member in block.members() {
                         sums.value += self.classes[member].constant;
                     }
-                    sums.add(chained.count(), &said);
+                    sums.add(block.count(), &said);
                 }
                 None => sums.refused.extend_from_slice(block.members()),
             }

@@ -1,0 +1,80 @@
+//! Where what a class in phases says is kept.
+
+use std::borrow::Cow;
+use std::ops::Range;
+use std::sync::Arc;
+
+use crate::estimate::chained::{Chained, Packed, Shape};
+
+/// A class in phases.
+#[derive(Debug, Clone)]
+pub(crate) enum Kept {
+    /// By itself.
+    Apart(Arc<Chained>),
+    /// In one lane of several.
+    Lane(Arc<Packed>, usize),
+}
+
+impl Kept {
+    /// The class.
+    pub(crate) fn chained(&self) -> Cow<'_, Chained> {
+        match self {
+            Kept::Apart(chained) => Cow::Borrowed(chained),
+            Kept::Lane(packed, lane) => Cow::Owned(packed.chained(*lane)),
+        }
+    }
+
+    /// Its shape; `None` where it needs square-root arithmetic, and so to be worked on by itself.
+    pub(crate) fn shape(&self) -> Option<Cow<'_, Shape>> {
+        match self {
+            Kept::Apart(chained) => (!chained.careful).then(|| Cow::Owned(chained.shape())),
+            Kept::Lane(packed, _) => Some(Cow::Borrowed(packed.shape())),
+        }
+    }
+
+    /// Needs square-root arithmetic.
+    pub(crate) fn is_careful(&self) -> bool {
+        matches!(self, Kept::Apart(chained) if chained.careful)
+    }
+
+    /// How many coordinates enter each phase that its tests have.
+    pub(crate) fn entering(&self) -> Vec<usize> {
+        let of = |shape: &Shape| shape.phases.iter().map(|phase| phase.size).collect();
+        match self {
+            Kept::Apart(chained) => of(&chained.shape()),
+            Kept::Lane(packed, _) => of(packed.shape()),
+        }
+    }
+
+    /// Where the states of its phases stand.
+    pub(crate) fn ranges(&self) -> Vec<Range<usize>> {
+        match self {
+            Kept::Apart(chained) => chained.phases.iter().map(|phase| phase.own.clone()).collect(),
+            Kept::Lane(packed, _) => packed.shape().ranges().cloned().collect(),
+        }
+    }
+}
+
+/// Numbers of classes by shape, as many together as there are lanes, or fewer, in their order; those without a shape are left out.
+pub(crate) fn grouped<'a>(
+    shapes: impl Iterator<Item = (usize, Option<Cow<'a, Shape>>)>,
+    lanes: usize,
+) -> Vec<(Arc<Shape>, Vec<usize>)> {
+    let mut waiting: Vec<(Arc<Shape>, Vec<usize>)> = Vec::new();
+    let mut full = Vec::new();
+    for (number, shape) in shapes {
+        let Some(shape) = shape else { continue };
+        let place = waiting.iter().position(|(alike, _)| **alike == *shape);
+        let place = place.unwrap_or_else(|| {
+            waiting.push((Arc::new(shape.into_owned()), Vec::new()));
+            waiting.len() - 1
+        });
+        let (alike, numbers) = &mut waiting[place];
+        numbers.push(number);
+        if numbers.len() == lanes {
+            full.push((alike.clone(), std::mem::take(numbers)));
+        }
+    }
+    full.extend(waiting.into_iter().filter(|(_, numbers)| !numbers.is_empty()));
+    full
+}

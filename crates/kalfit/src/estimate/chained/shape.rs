@@ -1,0 +1,73 @@
+//! The sizes of the matrices of a test in phases: tests of one shape can be worked on side by side.
+
+use std::ops::Range;
+
+use crate::reduce::{ChainPhase, Path, Reduction};
+
+/// Sizes of all matrices of a class.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Shape {
+    /// Of its data.
+    pub(super) columns: usize,
+    pub(super) phases: Vec<PhaseShape>,
+}
+
+/// Sizes of those of one phase.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct PhaseShape {
+    /// Its states among those of all phases.
+    pub(super) own: Range<usize>,
+    /// q.
+    pub(super) size: usize,
+    /// Rows of C' of the link that leads here.
+    pub(super) noise: Option<usize>,
+}
+
+impl Shape {
+    /// Of tests with equal matrices; `ranges` says where the states of each phase of the model stand. `None` where some phase needs
+    /// rotations: such a class is worked on by itself.
+    pub(crate) fn of(members: &[&Reduction], ranges: &[Range<usize>]) -> Option<Shape> {
+        let plain = |reduction: &&Reduction| {
+            reduction.chain.as_deref().is_some_and(|chain| chain.phases.iter().all(|p| p.path != Path::SquareRoot))
+        };
+        if !members.iter().all(plain) {
+            return None;
+        }
+        let chain = members.first()?.chain.as_deref()?;
+        let phase = |(phase, own): (&ChainPhase, &Range<usize>)| PhaseShape {
+            own: own.clone(),
+            size: phase.data.len(),
+            noise: phase.link.as_ref().map(|link| link.root.ncols()),
+        };
+        let phases: Vec<PhaseShape> = chain.phases.iter().zip(ranges).map(phase).collect();
+        let data = phases.iter().map(|phase| phase.size).sum();
+        Some(Shape { columns: columns(members.len(), data), phases })
+    }
+
+    /// How many numbers it takes.
+    pub(super) fn size(&self) -> usize {
+        let mut before = 0;
+        let of = |phase: &PhaseShape| {
+            let q = phase.size;
+            let link = phase.noise.map_or(0, |rows| q * before + rows * q);
+            before = q;
+            q * (q + 1) / 2 + q * self.columns + link
+        };
+        1 + self.phases.iter().map(of).sum::<usize>()
+    }
+
+    /// The most rows or columns of any matrix.
+    pub(super) fn widest(&self) -> usize {
+        self.phases.iter().map(|phase| phase.size.max(phase.noise.unwrap_or(0))).max().unwrap_or(0)
+    }
+
+    /// Where the states of its phases stand.
+    pub(crate) fn ranges(&self) -> impl Iterator<Item = &Range<usize>> {
+        self.phases.iter().map(|phase| &phase.own)
+    }
+}
+
+/// Columns of the data of so many tests with so many numbers each: their mean, and the scatter about it.
+pub(super) fn columns(tests: usize, data: usize) -> usize {
+    if tests == 1 { 1 } else { 1 + tests.min(data) }
+}
