@@ -299,8 +299,8 @@ fn side_by_side(
     let members = |k: usize| -> Vec<&Reduction> { order[spans[k].clone()].iter().map(|&j| &reductions[j]).collect() };
     let shapes: Vec<Option<Shape>> = (0..spans.len()).into_par_iter().map(|k| Shape::of(&members(k), ranges)).collect();
     let groups = grouped(shapes.into_iter().map(|shape| shape.map(Cow::Owned)).enumerate(), lanes);
-    let of = |k: usize| Cow::Owned(Chained::new(&members(k), ranges, frame));
-    groups.into_par_iter().map(|(shape, numbers)| Arc::new(Packed::new(shape, numbers, lanes, of))).collect()
+    let pack = |(shape, numbers)| Arc::new(Packed::of_tests(shape, numbers, lanes, (ranges, frame), members));
+    groups.into_par_iter().map(pack).collect()
 }
 
 /// Where each of so many classes stands.

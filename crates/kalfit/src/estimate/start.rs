@@ -7,7 +7,7 @@ use crate::estimate::covariance::{CovarianceMap, Part, sub};
 use crate::estimate::newton::retract;
 use crate::estimate::problem::{Problem, scaled_solve};
 use crate::estimate::terms::Point;
-use crate::estimate::{FitError, Structure, linear};
+use crate::estimate::{Classes, FitError, Structure, linear, pilot};
 use crate::linalg::symmetric;
 use crate::model::{Population, StructureError};
 
@@ -20,7 +20,12 @@ pub(crate) fn start(problem: &Problem, structure: &Structure<'_>) -> Result<Poin
     let (mean, coefficients) = mean(problem, structure);
     let from_data = match map.parts.iter().all(|part| part.start.is_some()) {
         true => DMatrix::zeros(map.p, map.p),
-        false => DMatrix::from_diagonal(&variances(problem, &mean)),
+        false => {
+            // of very many tests a part will do
+            let pilot = pilot::problem(problem, structure)?;
+            let classes = pilot.as_ref().map_or(&problem.classes, |pilot| &pilot.classes);
+            DMatrix::from_diagonal(&variances(classes, &mean))
+        }
     };
     let of = |part: &Part| {
         let sigma = part.start.clone().unwrap_or_else(|| part.of(&from_data));
@@ -103,11 +108,11 @@ fn mean(problem: &Problem, structure: &Structure<'_>) -> (DVector<f64>, Vec<f64>
 }
 
 /// A variance for each state by moments, as if the states were uncorrelated: Σ_j (y - Jμ)_i² has the mean Σ_j (J + JΣJ)_ii.
-fn variances(problem: &Problem, mean: &DVector<f64>) -> DVector<f64> {
+fn variances(classes: &Classes, mean: &DVector<f64>) -> DVector<f64> {
     let p = mean.len();
     let mut excess = DVector::<f64>::zeros(p);
     let mut weight = DVector::<f64>::zeros(p);
-    for (count, each) in problem.classes.excesses(mean) {
+    for (count, each) in classes.excesses(mean) {
         for (i, (own_excess, own)) in each.into_iter().enumerate() {
             excess[i] += own_excess;
             weight[i] += count * own * own;

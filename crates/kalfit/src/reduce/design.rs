@@ -101,16 +101,33 @@ pub(crate) struct Transition<R = f64> {
     pub(crate) pattern: Arc<Pattern>,
     pub(crate) phi: Vec<R>,
     pub(crate) q: Vec<R>,
-    pub(crate) digest: u128,
+    /// Of one that many steps share.
+    pub(crate) digest: Option<u128>,
 }
 
 impl Transition<f64> {
     pub(crate) fn new(pattern: Arc<Pattern>, phi: Vec<f64>, q: Vec<f64>) -> Transition {
-        let mut digest = Digest::new();
-        digest.wide(pattern.digest);
-        digest.numbers(&phi);
-        digest.numbers(&q);
-        Transition { digest: digest.finish(), pattern, phi, q }
+        Transition { pattern, phi, q, digest: None }
+    }
+
+    /// One that many steps share.
+    pub(crate) fn shared(self) -> Transition {
+        Transition { digest: Some(self.digest()), ..self }
+    }
+
+    /// Of the pattern and all numbers.
+    pub(crate) fn digest(&self) -> u128 {
+        self.digest.unwrap_or_else(|| {
+            let mut digest = Digest::new();
+            self.add_to(&mut digest);
+            digest.finish()
+        })
+    }
+
+    fn add_to(&self, digest: &mut Digest) {
+        digest.wide(self.pattern.digest);
+        digest.numbers(&self.phi);
+        digest.numbers(&self.q);
     }
 
     fn same(&self, other: &Transition) -> bool {
@@ -315,8 +332,10 @@ impl Design<f64> {
         digest.count(self.runs.len());
         for run in &self.runs {
             digest.word((run.lines as u64) << 32 ^ run.count as u64);
-            if let Some(transition) = &run.transition {
-                digest.wide(transition.digest);
+            match run.transition.as_deref() {
+                Some(Transition { digest: Some(shared), .. }) => digest.wide(*shared),
+                Some(transition) => transition.add_to(&mut digest),
+                None => {}
             }
         }
         digest.counts(&self.ends);

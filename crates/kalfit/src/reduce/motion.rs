@@ -102,12 +102,12 @@ impl Plan {
         Plan { pattern: Arc::new(pattern.seal()), phi, q, drives, offsets }
     }
 
-    /// φ, Q and Γ of a step of length `dt`. `values`: the dynamics' coefficients on the step; `flows`: work space.
+    /// φ, Q and Γ of a step of length `dt`, or of many. `values`: the dynamics' coefficients on the step; `flows`: work space.
     pub(crate) fn moves(
         &self,
         dynamics: &Dynamics,
         values: &[f64],
-        dt: f64,
+        (dt, many): (f64, bool),
         flows: &mut Vec<f64>,
     ) -> Result<Moves, Box<Fault>> {
         check_noise(dynamics, values)?;
@@ -127,8 +127,9 @@ impl Plan {
             return Err(Fault::new(Subject::Transition, ReduceErrorKind::NotFinite));
         }
         let kept = self.drives.iter().any(|drive| matches!(drive, Drive::Flow(_)));
+        let transition = Transition::new(self.pattern.clone(), phi, q);
         Ok(Moves {
-            transition: Arc::new(Transition::new(self.pattern.clone(), phi, q)),
+            transition: Arc::new(if many { transition.shared() } else { transition }),
             flows: if kept { flows.clone() } else { Vec::new() },
         })
     }

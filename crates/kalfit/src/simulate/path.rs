@@ -166,10 +166,10 @@ fn joint_noise(work: &Workspace, step: &Step<'_>) -> Result<Option<Vec<f64>>, Bo
 
 /// The root of a transition's Q, from memory where it is known.
 fn noise_of<'a>(noises: &'a mut HashMap<u128, Noise>, transition: &Transition) -> &'a Noise {
-    if noises.len() >= MOST_ROOTS && !noises.contains_key(&transition.digest) {
+    if noises.len() >= MOST_ROOTS && !noises.contains_key(&transition.digest()) {
         noises.clear();
     }
-    noises.entry(transition.digest).or_insert_with(|| {
+    noises.entry(transition.digest()).or_insert_with(|| {
         let pairs = &transition.pattern.pairs;
         let mut states: Vec<usize> = pairs.iter().flat_map(|&(i, j)| [i as usize, j as usize]).collect();
         states.sort_unstable();

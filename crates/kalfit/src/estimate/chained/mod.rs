@@ -66,8 +66,8 @@ impl Chained {
         let mut row = 0;
         let mut before: Option<Vec<f64>> = None;
         let phases = chains[0].phases.iter().zip(ranges).map(|(phase, own)| {
-            let scale = scales(phase, own, frame);
-            let q = phase.data.len();
+            let (q, mut scale) = (phase.data.len(), Vec::new());
+            scales(q, own, frame, &mut scale);
             let own_data = Rows::from_fn(q, columns.ncols(), |i, k| columns[(row + i, k)]);
             row += q;
             let link = phase.link.as_ref().zip(before.as_ref()).map(|(link, from)| Link {
@@ -152,28 +152,37 @@ impl<T: Real> Chained<T> {
 /// Why careful arithmetic has an answer.
 const BEARS: &str = "rotations bear any size";
 
-/// The unit of each coordinate of a phase's σ: that of the frame where it is its own.
-fn scales(phase: &ChainPhase, own: &Range<usize>, frame: &Frame) -> Vec<f64> {
-    let of = |i: usize| if i < own.len() { frame.scale[own.start + i] } else { 1.0 };
-    (0..phase.data.len()).map(of).collect()
+/// The unit of each of q coordinates of a phase's σ: that of the frame where it is its own.
+fn scales(q: usize, own: &Range<usize>, frame: &Frame, scale: &mut Vec<f64>) {
+    scale.clear();
+    scale.extend_from_slice(&frame.scale[own.clone()]);
+    scale.resize(q, 1.0);
+}
+
+/// σ of a phase at the centre of the frame without noise, from that of the phase before.
+fn centre(phase: &ChainPhase, own: &Range<usize>, frame: &Frame, before: &[f64], sigma: &mut Vec<f64>) {
+    sigma.clear();
+    sigma.extend_from_slice(&frame.centre[own.clone()]);
+    sigma.resize(phase.data.len(), 0.0);
+    if let Some(link) = &phase.link {
+        for (i, s) in sigma.iter_mut().enumerate() {
+            *s += link.mean[i] + before.iter().enumerate().map(|(k, x)| link.sensitivity[(i, k)] * x).sum::<f64>();
+        }
+    }
+}
+
+/// R_i σ of a phase.
+fn told(phase: &ChainPhase, i: usize, sigma: &[f64]) -> f64 {
+    (i..sigma.len()).map(|k| packed(&phase.factor, i, k) * sigma[k]).sum()
 }
 
 /// d_i - R_i × (σ_i at the centre of the frame without noise), by phase.
 fn centred(chain: &Chain, ranges: &[Range<usize>], frame: &Frame) -> Vec<Vec<f64>> {
-    let mut at: Vec<f64> = Vec::new();
+    let (mut sigma, mut before) = (Vec::new(), Vec::new());
     let one = |(phase, own): (&ChainPhase, &Range<usize>)| {
-        let q = phase.data.len();
-        let mut sigma: Vec<f64> =
-            (0..q).map(|i| if i < own.len() { frame.centre[own.start + i] } else { 0.0 }).collect();
-        if let Some(link) = &phase.link {
-            for (i, s) in sigma.iter_mut().enumerate() {
-                *s += link.mean[i] + at.iter().enumerate().map(|(k, x)| link.sensitivity[(i, k)] * x).sum::<f64>();
-            }
-        }
-        let told = |i: usize| (i..q).map(|k| packed(&phase.factor, i, k) * sigma[k]).sum::<f64>();
-        let data = (0..q).map(|i| phase.data[i] - told(i)).collect();
-        at = sigma;
-        data
+        centre(phase, own, frame, &before, &mut sigma);
+        std::mem::swap(&mut sigma, &mut before);
+        (0..phase.data.len()).map(|i| phase.data[i] - told(phase, i, &before)).collect()
     };
     chain.phases.iter().zip(ranges).map(one).collect()
 }

@@ -1,16 +1,19 @@
 //! Classes in phases of one shape, side by side.
 
 use std::borrow::Cow;
+use std::ops::Range;
 use std::sync::Arc;
 
 use kalfit_lanes::{Lanes, Part};
 
 use crate::estimate::chained::kernel::{Detail, Phases, Prior, Root, Said};
-use crate::estimate::chained::{Chained, Link, Phase, Shape};
+use crate::estimate::chained::{Chained, Link, Phase, Shape, centre, packed, scales, told};
 use crate::estimate::classes::Class;
+use crate::estimate::frame::Frame;
 use crate::estimate::terms::{Point, Regressors};
 use crate::linalg::fixed::Fixed;
 use crate::linalg::rows::{Plain, Rows};
+use crate::reduce::{Chain, Reduction};
 
 /// As many classes of one shape as there are lanes, or fewer: lanes that no class takes have a class without tests.
 #[derive(Debug, Clone)]
@@ -30,11 +33,32 @@ impl Packed {
         lanes: usize,
         of: impl Fn(usize) -> Cow<'a, Chained>,
     ) -> Packed {
+        Packed::filled(shape, members, lanes, |member, to| {
+            let chained = of(member);
+            debug_assert!(chained.columns > 0, "data of one test at least");
+            put(&chained, to, lanes);
+        })
+    }
+
+    /// Of classes as the estimator gathers them; `of` has the tests of each.
+    pub(crate) fn of_tests<'a>(
+        shape: Arc<Shape>,
+        members: Vec<usize>,
+        lanes: usize,
+        (ranges, frame): (&[Range<usize>], &Frame),
+        of: impl Fn(usize) -> Vec<&'a Reduction>,
+    ) -> Packed {
+        Packed::filled(shape, members, lanes, |member, to| match &of(member)[..] {
+            [Reduction { chain: Some(chain), .. }] => put_test(chain, (ranges, frame), to, lanes),
+            tests => put(&Chained::new(tests, ranges, frame), to, lanes),
+        })
+    }
+
+    /// Each class put by `put` where the first of every so many numbers stands.
+    fn filled(shape: Arc<Shape>, members: Vec<usize>, lanes: usize, put: impl Fn(usize, &mut [f64])) -> Packed {
         let mut numbers = vec![0.0; shape.size() * lanes];
         for (lane, &member) in members.iter().enumerate() {
-            let chained = of(member);
-            debug_assert!(chained.shape() == *shape, "classes of one shape");
-            put(&chained, &mut numbers[lane..], lanes);
+            put(member, &mut numbers[lane..]);
         }
         let mut packed = Packed { members, shape, lanes, numbers };
         packed.fill();
@@ -175,6 +199,34 @@ fn put(chained: &Chained, to: &mut [f64], every: usize) {
             write(link.sensitivity.as_slice());
             write(link.root.as_slice());
         }
+    }
+}
+
+/// The same of a test by itself, to the bits of [`Chained::new`].
+fn put_test(chain: &Chain, (ranges, frame): (&[Range<usize>], &Frame), to: &mut [f64], every: usize) {
+    let mut to = to.iter_mut().step_by(every);
+    let mut write = |x: f64| to.by_ref().take(1).for_each(|to| *to = x);
+    write(1.0);
+    let (mut sigma, mut before) = (Vec::new(), Vec::new());
+    let (mut scale, mut scale_before) = (Vec::new(), Vec::new());
+    for (phase, own) in chain.phases.iter().zip(ranges) {
+        let q = phase.data.len();
+        scales(q, own, frame, &mut scale);
+        centre(phase, own, frame, &before, &mut sigma);
+        for i in 0..q {
+            (i..q).for_each(|k| write(packed(&phase.factor, i, k) * scale[k]));
+        }
+        (0..q).for_each(|i| write(phase.data[i] - told(phase, i, &sigma)));
+        if let Some(link) = &phase.link {
+            for i in 0..q {
+                (0..before.len()).for_each(|k| write(link.sensitivity[(i, k)] * scale_before[k] / scale[i]));
+            }
+            for c in 0..link.root.ncols() {
+                (0..q).for_each(|i| write(link.root[(i, c)] / scale[i]));
+            }
+        }
+        std::mem::swap(&mut sigma, &mut before);
+        std::mem::swap(&mut scale, &mut scale_before);
     }
 }
 

@@ -260,7 +260,7 @@ impl<T: Lanes> State<T> {
             K: vec![zero; frame.r],
             T: vec![zero; frame.p],
             h: Vec::new(),
-            transition: Transition { pattern, phi, q, digest: 0 },
+            transition: Transition { pattern, phi, q, digest: None },
             rows: Vec::new(),
             sums: Sums::new(frame.p),
         }

@@ -51,7 +51,7 @@ impl Preparer {
 
     fn own_moves(&self, work: &mut Workspace, dt: f64) -> Moved {
         let Workspace { key, values, flows, .. } = work;
-        Moved::new(key.clone(), self.plan.moves(&self.dynamics, values, dt, flows))
+        Moved::new(key.clone(), self.plan.moves(&self.dynamics, values, (dt, false), flows))
     }
 
     fn shared_moves(&self, work: &mut Workspace, dt: f64) -> Arc<Moved> {
@@ -64,7 +64,7 @@ impl Preparer {
             || key.clone(),
             |_| {
                 self.computed.fetch_add(1, Ordering::Relaxed);
-                self.plan.moves(&self.dynamics, values, dt, flows)
+                self.plan.moves(&self.dynamics, values, (dt, true), flows)
             },
             |key, moves| {
                 let numbers = moves.as_ref().map_or(0, |m| m.transition.phi.len() + m.transition.q.len());
