@@ -96,7 +96,7 @@ fn sizes(found: &[Found<'_>], said: &str, charts: &mut Charts) -> Option<Markup>
 
 fn one_test(record: &FitRecord, found: &[Found<'_>], charts: &mut Charts) -> Option<Markup> {
     let mut kept: Vec<(&Found<'_>, &SeriesRecord)> =
-        found.iter().filter_map(|f| Some((f, f.1.series.as_ref()?))).filter(|(_, series)| sound(series)).collect();
+        found.iter().filter_map(|f| Some((f, f.1.series.as_deref()?))).filter(|(_, series)| sound(series)).collect();
     kept.sort_by(|a, b| least(a.0.1).total_cmp(&least(b.0.1)).then_with(|| a.0.0.id.cmp(&b.0.0.id)));
     let first = kept.first()?.0.0.id.clone();
     let tests: Vec<Value> = kept.iter().map(|((test, figures), series)| series_data(test, figures, series)).collect();

@@ -199,7 +199,7 @@ fn records_whose_lists_do_not_match_give_a_page() {
         mean: None,
         whiteness: None,
         parts: vec![],
-        series: Some(series),
+        series: Some(Box::new(series)),
     });
     let page = text(&html(&record));
     assert!(!page.contains("NaN"), "{page}");

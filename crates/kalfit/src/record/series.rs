@@ -105,7 +105,7 @@ impl FitRecord {
         }
         for test in &mut self.tests {
             if let Some(innovations) = &mut test.innovations {
-                innovations.series = kept.remove(&test.id);
+                innovations.series = kept.remove(&test.id).map(Box::new);
             }
         }
     }

@@ -54,7 +54,7 @@ pub struct InnovationRecord {
     pub parts: Vec<InnovationPartRecord>,
     /// The innovations in order; null but for the least probable tests.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub series: Option<SeriesRecord>,
+    pub series: Option<Box<SeriesRecord>>,
 }
 
 /// Innovations of one measurement of one phase of a test.
