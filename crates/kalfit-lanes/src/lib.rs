@@ -161,11 +161,11 @@ mod tests {
     struct Reciprocals(Vec<f64>);
 
     impl Kernel for Reciprocals {
-        type Output = Vec<f64>;
+        type Output = Vec<(f64, f64)>;
 
         #[inline(always)]
-        fn run<T: Lanes>(self) -> Vec<f64> {
-            self.0.iter().map(|x| T::splat(*x).recip().lane(0)).collect()
+        fn run<T: Lanes>(self) -> Vec<(f64, f64)> {
+            self.0.iter().map(|x| (T::splat(*x).recip().lane(0), T::splat(*x).recip_root().lane(0))).collect()
         }
     }
 
@@ -174,8 +174,10 @@ mod tests {
         let numbers: Vec<f64> =
             (0..2000).map(|k| 1.0 + (f64::from(k) * 0.7).sin().abs() * 1.5f64.powi(k % 1500)).collect();
         for isa in Isa::all() {
-            for (x, found) in numbers.iter().zip(isa.run(Reciprocals(numbers.clone()))) {
+            for (x, (found, root)) in numbers.iter().zip(isa.run(Reciprocals(numbers.clone()))) {
                 assert!((found * x - 1.0).abs() <= 3.0 * f64::EPSILON, "{isa:?}: 1/{x}: {found} {}", 1.0 / x);
+                let off = root * x.sqrt() - 1.0;
+                assert!(off.abs() <= 4.0 * f64::EPSILON, "{isa:?}: 1/√{x}: {root} {}", 1.0 / x.sqrt());
             }
         }
     }

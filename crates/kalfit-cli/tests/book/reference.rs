@@ -98,6 +98,9 @@ fn kind(rust: &str) -> String {
     if let Some(inner) = inside("Vec<") {
         return format!("list of {}", kind(inner));
     }
+    if let Some(inner) = inside("Box<") {
+        return kind(inner);
+    }
     match rust {
         "String" | "Label" => "text".to_owned(),
         "f64" => "number".to_owned(),

@@ -220,27 +220,36 @@ mod tests {
     use super::*;
     use kalfit_lanes::{Counted, Isa, Kernel, Lanes};
 
-    /// Phases of three states, the last two of which are inherited.
+    /// Phases of three states.
     fn chain(phases: usize) -> (Chained, Frame) {
+        let (reduction, ranges, _) = test(phases, (3, 3));
+        let frame = Frame { centre: vec![0.0; 3 * phases], scale: vec![1.0; 3 * phases], covariate_scale: Vec::new() };
+        (Chained::new(&[&reduction], &ranges, &frame), frame)
+    }
+
+    /// A test in phases of q states, the first p of which are their own; where they stand, and a frame.
+    fn test(phases: usize, (q, p): (usize, usize)) -> (Reduction, Vec<Range<usize>>, Frame) {
         let wave =
             |seed: usize, size: usize| -> Vec<f64> { (0..size).map(|k| ((seed + 3 * k) as f64).sin()).collect() };
+        let diagonal = |k: &usize| (0..q).any(|i| i * (i + 3) / 2 == *k);
         let phase = |f: usize| ChainPhase {
-            own: 3,
+            own: p,
             constant: 0.0,
-            data: wave(f, 3),
-            factor: wave(7 * f, 6)
+            data: wave(f, q),
+            factor: wave(7 * f, q * (q + 1) / 2)
                 .iter()
                 .enumerate()
-                .map(|(k, x)| if [0, 2, 5].contains(&k) { 2.0 + x } else { *x })
+                .map(|(k, x)| if diagonal(&k) { 2.0 + x } else { *x })
                 .collect(),
             path: Path::Information,
             link: (f > 0).then(|| crate::reduce::Link {
-                mean: DVector::from_vec(wave(f + 1, 3)),
-                sensitivity: DMatrix::from_vec(3, 3, wave(f + 2, 9)),
-                root: DMatrix::from_vec(3, 2, wave(f + 3, 6)),
+                mean: DVector::from_vec(wave(f + 1, q)),
+                sensitivity: DMatrix::from_vec(q, q, wave(f + 2, q * q)),
+                root: DMatrix::from_vec(q, q - 1, wave(f + 3, q * (q - 1))),
             }),
         };
-        let frame = Frame { centre: vec![0.0; 3 * phases], scale: vec![1.0; 3 * phases], covariate_scale: Vec::new() };
+        let scale = wave(5, p * phases).iter().map(|x| 1.5 + x).collect();
+        let frame = Frame { centre: wave(11, p * phases), scale, covariate_scale: Vec::new() };
         let chain = Chain { phases: (0..phases).map(phase).collect() };
         let reduction = Reduction {
             test: "a".to_owned(),
@@ -254,8 +263,7 @@ mod tests {
             design: 0,
             chain: Some(Box::new(chain)),
         };
-        let ranges: Vec<Range<usize>> = (0..phases).map(|f| 3 * f..3 * f + 3).collect();
-        (Chained::new(&[&reduction], &ranges, &frame), frame)
+        (reduction, (0..phases).map(|f| p * f..p * f + p).collect(), frame)
     }
 
     fn counted(chained: &Chained) -> Chained<Counted> {
@@ -291,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn rotations_and_tests_side_by_side_give_what_reflections_give() {
+    fn rotations_give_what_reflections_give() {
         let (chained, _) = chain(4);
         let (root, mean) = (DMatrix::identity(12, 12), vec![0.1; 12]);
         let plain = chained.at(&mean, &root, Detail::Between);
@@ -306,30 +314,63 @@ mod tests {
         for (a, b) in plain.W.iter().flatten().zip(careful.W.iter().flatten()) {
             (0..3).flat_map(|i| (0..3).map(move |k| (i, k))).for_each(|at| close("W", a[at], b[at]));
         }
-        for isa in Isa::all() {
-            let of = |_| std::borrow::Cow::Borrowed(&chained);
-            let packed = Packed::new(chained.shape().into(), vec![0, 1], isa.lanes(), of);
-            assert_eq!(format!("{:?}", packed.chained(1)), format!("{chained:?}"), "a lane is what it was made from");
-            let found = isa.run(Blocks(&packed, &mean, &root));
-            for (a, b) in found.iter().zip(plain.W.iter().flatten()) {
-                for (at, found) in a.iter().enumerate() {
-                    close(isa.name(), *found, b[(at / 3, at % 3)]);
+    }
+
+    #[test]
+    fn tests_side_by_side_say_what_they_say_alone_whatever_their_size() {
+        for (q, p) in [(1, 1), (2, 1), (3, 3), (4, 2), (5, 5), (6, 3), (7, 7), (8, 8), (9, 4)] {
+            let phases = 3;
+            let (reduction, ranges, frame) = test(phases, (q, p));
+            let chained = Chained::new(&[&reduction], &ranges, &frame);
+            let mean: Vec<f64> = (0..p * phases).map(|k| (k as f64).cos()).collect();
+            let root = DMatrix::from_fn(p * phases, p * phases, |i, k| match (i / p == k / p, i.cmp(&k)) {
+                (true, std::cmp::Ordering::Equal) => 0.5 + i as f64 / 10.0,
+                (true, std::cmp::Ordering::Greater) => ((i + 2 * k) as f64).sin(),
+                _ => 0.0,
+            });
+            for isa in Isa::all() {
+                let (shape, members) = (std::sync::Arc::new(chained.shape()), vec![0, 1, 2]);
+                let of = |_| std::borrow::Cow::Borrowed(&chained);
+                let packed = Packed::new(shape.clone(), members.clone(), isa.lanes(), of);
+                assert_eq!(
+                    format!("{:?}", packed.chained(1)),
+                    format!("{chained:?}"),
+                    "a lane is what it was made from"
+                );
+                let gathered = Packed::of_tests(shape, members, isa.lanes(), (&ranges, &frame), |_| vec![&reduction]);
+                assert_eq!(format!("{gathered:?}"), format!("{packed:?}"), "and so it is as gathered");
+                for detail in [Detail::Phases, Detail::Between, Detail::Posterior] {
+                    let alone = figures(&chained.at(&mean, &root, detail), |x| x);
+                    let found = isa.run(Told(&packed, &mean, &root, detail));
+                    assert_eq!(found.len(), alone.len());
+                    for (at, (found, alone)) in found.iter().zip(&alone).enumerate() {
+                        let off = (found - alone).abs() / (1.0 + alone.abs());
+                        assert!(off < 1e-11, "{q} states, {isa:?}, {detail:?}, figure {at}: {found} {alone}");
+                    }
                 }
             }
         }
     }
 
-    /// The blocks of W in the first lane.
-    struct Blocks<'a>(&'a Packed, &'a [f64], &'a DMatrix<f64>);
+    /// All that a class says, one lane of it.
+    fn figures<T: Real>(said: &Said<T>, lane: impl Fn(T) -> f64) -> Vec<f64> {
+        let root_det = |(mantissa, exponent): (T, T)| lane(mantissa).log2() + lane(exponent);
+        let matrices = said.r.iter().chain(said.W.iter().flatten()).chain(&said.covariances);
+        let mut all: Vec<f64> = matrices.flat_map(Rows::as_slice).map(|x| lane(*x)).collect();
+        all.extend([lane(said.quadratic), root_det(said.root_det), root_det(said.link_root_det)]);
+        all
+    }
 
-    impl Kernel for Blocks<'_> {
-        type Output = Vec<Vec<f64>>;
+    struct Told<'a>(&'a Packed, &'a [f64], &'a DMatrix<f64>, Detail);
+
+    impl Kernel for Told<'_> {
+        type Output = Vec<f64>;
 
         #[inline(always)]
-        fn run<T: Lanes>(self) -> Vec<Vec<f64>> {
+        fn run<T: Lanes>(self) -> Vec<f64> {
             let mean: Vec<T> = self.1.iter().map(|x| T::splat(*x)).collect();
-            let said = self.0.said::<T>(&mean, &Root::of(self.2), Detail::Between).expect("of common size");
-            said.W.iter().flatten().map(|block| block.as_slice().iter().map(|x| x.lane(0)).collect()).collect()
+            let said = self.0.said::<T>(&mean, &Root::of(self.2), self.3).expect("of common size");
+            figures(&said, |x| x.lane(2))
         }
     }
 }
