@@ -88,12 +88,12 @@ impl<T: Real, const N: usize> Algebra for Fixed<T, N> {
 
     #[inline(always)]
     fn times(a: &Square<T, N>, b: &Square<T, N>) -> Square<T, N> {
-        T::apart(Times(a, b))
+        T::apart(Product::<T, N, false, false>(a, b))
     }
 
     #[inline(always)]
     fn transpose_times(a: &Square<T, N>, b: &Square<T, N>) -> Square<T, N> {
-        T::apart(TransposeTimes(a, b))
+        T::apart(Product::<T, N, true, false>(a, b))
     }
 
     #[inline(always)]
@@ -103,7 +103,7 @@ impl<T: Real, const N: usize> Algebra for Fixed<T, N> {
 
     #[inline(always)]
     fn times_transpose(a: &Square<T, N>, b: &Square<T, N>) -> Square<T, N> {
-        T::apart(TimesTranspose(a, b))
+        T::apart(Product::<T, N, false, true>(a, b))
     }
 
     #[inline(always)]
@@ -390,40 +390,22 @@ impl<T: Real, const N: usize> Rank for Absorb<'_, T, N> {
     }
 }
 
-struct Times<'a, T, const N: usize>(&'a Square<T, N>, &'a Square<T, N>);
+/// AB, each of them turned or not.
+struct Product<'a, T, const N: usize, const TURN_A: bool, const TURN_B: bool>(&'a Square<T, N>, &'a Square<T, N>);
 
-impl<T: Real, const N: usize> Part for Times<'_, T, N> {
+impl<T: Real, const N: usize, const TURN_A: bool, const TURN_B: bool> Part for Product<'_, T, N, TURN_A, TURN_B> {
     type Output = Square<T, N>;
 
     #[inline(always)]
     fn run(self) -> Square<T, N> {
+        let Product(a, b) = self;
         let mut product = [[T::splat(0.0); N]; N];
         for i in 0..N {
             let mut row = [T::splat(0.0); N];
             for k in 0..N {
+                let a = if TURN_A { a[k][i] } else { a[i][k] };
                 for j in 0..N {
-                    row[j] = self.0[i][k].fma(self.1[k][j], row[j]);
-                }
-            }
-            product[i] = row;
-        }
-        product
-    }
-}
-
-struct TransposeTimes<'a, T, const N: usize>(&'a Square<T, N>, &'a Square<T, N>);
-
-impl<T: Real, const N: usize> Part for TransposeTimes<'_, T, N> {
-    type Output = Square<T, N>;
-
-    #[inline(always)]
-    fn run(self) -> Square<T, N> {
-        let mut product = [[T::splat(0.0); N]; N];
-        for i in 0..N {
-            let mut row = [T::splat(0.0); N];
-            for k in 0..N {
-                for j in 0..N {
-                    row[j] = self.0[k][i].fma(self.1[k][j], row[j]);
+                    row[j] = a.fma(if TURN_B { b[j][k] } else { b[k][j] }, row[j]);
                 }
             }
             product[i] = row;
@@ -464,26 +446,5 @@ impl<T: Real, const N: usize> Rank for UpperColumns<'_, T, N> {
         for i in 0..N {
             self.product[i][K] = column[i];
         }
-    }
-}
-
-struct TimesTranspose<'a, T, const N: usize>(&'a Square<T, N>, &'a Square<T, N>);
-
-impl<T: Real, const N: usize> Part for TimesTranspose<'_, T, N> {
-    type Output = Square<T, N>;
-
-    #[inline(always)]
-    fn run(self) -> Square<T, N> {
-        let mut product = [[T::splat(0.0); N]; N];
-        for i in 0..N {
-            let mut row = [T::splat(0.0); N];
-            for k in 0..N {
-                for j in 0..N {
-                    row[j] = self.0[i][k].fma(self.1[j][k], row[j]);
-                }
-            }
-            product[i] = row;
-        }
-        product
     }
 }

@@ -98,7 +98,7 @@ impl<K, V> Shared<K, V> {
         self.shard(digest).entries.get(&digest).is_some_and(|entry| same(&entry.key))
     }
 
-    /// The entry of a key that is kept or would be from now on: to be had by [`Shared::get`]; else it is noted as asked for.
+    /// Whether [`Shared::get`] has, or would keep, the value of this digest. If not, it is noted as asked for once.
     pub(crate) fn is_worth(&self, digest: u128) -> bool {
         let mut shard = self.shard(digest);
         let bytes = self.bytes.load(Ordering::Relaxed);
