@@ -1,17 +1,19 @@
 //! Folding rows into an upper-triangular square-root array by plane rotations.
 
+use kalfit_lanes::{Lanes, MOST, Part};
+
 /// Squares in between neither overflow nor lose digits.
-const SQUARES: std::ops::Range<f64> = 1e-280..1e280;
+const SQUARES: std::ops::RangeInclusive<f64> = 1e-280..=1e280;
 
 /// A rotation (c, s) and the length it leaves: c a + s b = length ≥ 0, c b - s a = 0, for a ≥ 0.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Rotation {
+pub struct Rotation<T = f64> {
     /// Cosine.
-    pub c: f64,
+    pub c: T,
     /// Sine.
-    pub s: f64,
+    pub s: T,
     /// √(a² + b²), without overflow.
-    pub length: f64,
+    pub length: T,
 }
 
 impl Rotation {
@@ -25,11 +27,59 @@ impl Rotation {
         let length = if SQUARES.contains(&square) { square.sqrt() } else { a.hypot(b) };
         Rotation { c: a / length, s: b / length, length }
     }
+}
 
+impl<T: Lanes> Rotation<T> {
     /// (c a + s b, c b - s a).
     #[inline(always)]
-    pub fn turn(&self, a: f64, b: f64) -> (f64, f64) {
+    pub fn turn(&self, a: T, b: T) -> (T, T) {
         (self.c * a + self.s * b, self.c * b - self.s * a)
+    }
+}
+
+/// What is to be done to two rows of tests side by side.
+#[derive(Debug, Clone, Copy)]
+enum Turn<T> {
+    /// Nothing: in no lane is there anything to take away.
+    None,
+    /// A rotation in every lane.
+    All(Rotation<T>),
+    /// A rotation where s is not zero, nothing elsewhere.
+    Some(Rotation<T>),
+}
+
+impl<T: Lanes> Turn<T> {
+    /// That which takes (a, b) to (length, 0) in each lane, to the bits of [`Rotation::of`] one by one.
+    #[inline(always)]
+    fn of(a: T, b: T) -> Turn<T> {
+        let square = a * a + b * b;
+        let sound = T::splat(*SQUARES.start()).at_most(square) && square.at_most(T::splat(*SQUARES.end()));
+        if sound && T::splat(LEAST).at_most(b.magnitude()) {
+            let length = square.root();
+            return Turn::All(Rotation { c: a / length, s: b / length, length });
+        }
+        let zero = T::splat(0.0);
+        if b.magnitude().at_most(zero) && zero.at_most(a) { Turn::None } else { Turn::Some(T::apart(OneByOne(a, b))) }
+    }
+}
+
+/// The least positive number.
+const LEAST: f64 = f64::from_bits(1);
+
+/// [`Rotation::of`] lane by lane.
+struct OneByOne<T>(T, T);
+
+impl<T: Lanes> Part for OneByOne<T> {
+    type Output = Rotation<T>;
+
+    #[inline(always)]
+    fn run(self) -> Rotation<T> {
+        let (mut c, mut s, mut length) = ([0.0; MOST], [0.0; MOST], [0.0; MOST]);
+        for lane in 0..T::COUNT {
+            let one = Rotation::of(self.0.lane(lane), self.1.lane(lane));
+            (c[lane], s[lane], length[lane]) = (one.c, one.s, one.length);
+        }
+        Rotation { c: T::load(&c), s: T::load(&s), length: T::load(&length) }
     }
 }
 
@@ -51,33 +101,36 @@ pub fn fold(info: &mut [f64], rows: &mut [f64], width: usize) {
 /// Rows that are folded at a time.
 const ABREAST: usize = 8;
 
-/// Folds rows, calling `note(i, k, rotation)` for each rotation of row i with row k of `info`: those of one row in the order of k, of
-/// one k in that of the rows. To the same bits as one row after the other, but each row is only one rotation ahead of the next,
-/// so that what rotations wait for is waited for together. Rows of `info` and rows are `width` long, of which the first `pivots` are
-/// of the triangle: data that stand beyond them are turned too, and what is left of them stands in the rows.
+/// Folds rows, calling `note(i, k, rotation)` for each rotation of row i with row k of `info` that turns anything: those of one row in
+/// the order of k, of one k in that of the rows. To the same bits as one row after the other, but each row is only one rotation
+/// ahead of the next, so that what rotations wait for is waited for together. Rows of `info` and rows are `width` long, of which the
+/// first `pivots` are of the triangle: data that stand beyond them are turned too, and what is left of them stands in the rows.
+/// Of tests side by side each lane has the bits it has by itself.
 #[inline(always)]
-pub fn fold_rows(
-    info: &mut [f64],
-    rows: &mut [f64],
+pub fn fold_rows<T: Lanes>(
+    info: &mut [T],
+    rows: &mut [T],
     (pivots, width): (usize, usize),
-    mut note: impl FnMut(usize, usize, Rotation),
+    mut note: impl FnMut(usize, usize, Rotation<T>),
 ) {
     if pivots == 0 {
         return;
     }
     for (number, rows) in rows.chunks_mut(ABREAST * width).enumerate() {
         let count = rows.len() / width;
-        let mut turns = [Rotation { c: 1.0, s: 0.0, length: 0.0 }; ABREAST];
+        let mut turns = [Turn::None; ABREAST];
         for ahead in 0..pivots + count - 1 {
             // row i meets row k = ahead - i of `info`
             let abreast = (ahead + 1).saturating_sub(pivots)..count.min(ahead + 1);
             for i in abreast.clone() {
                 let k = ahead - i;
-                turns[i] = Rotation::of(info[k * width + k], rows[i * width + k]);
+                turns[i] = Turn::of(info[k * width + k], rows[i * width + k]);
             }
             for i in abreast {
                 let (k, turn) = (ahead - i, turns[i]);
-                note(number * ABREAST + i, k, turn);
+                if let Turn::All(rotation) | Turn::Some(rotation) = turn {
+                    note(number * ABREAST + i, k, rotation);
+                }
                 turn_row(&mut info[k * width..][..width], &mut rows[i * width..][..width], k, turn);
             }
         }
@@ -86,13 +139,42 @@ pub fn fold_rows(
 
 /// Takes element k of a row into that of another.
 #[inline(always)]
-fn turn_row(pivot: &mut [f64], row: &mut [f64], k: usize, turn: Rotation) {
-    if turn.s == 0.0 {
-        return;
+fn turn_row<T: Lanes>(pivot: &mut [T], row: &mut [T], k: usize, turn: Turn<T>) {
+    match turn {
+        Turn::None => {}
+        Turn::All(rotation) => {
+            (pivot[k], row[k]) = (rotation.length, T::splat(0.0));
+            for (a, b) in pivot[k + 1..].iter_mut().zip(&mut row[k + 1..]) {
+                (*a, *b) = rotation.turn(*a, *b);
+            }
+        }
+        Turn::Some(rotation) => T::apart(TurnSome { pivot: &mut pivot[k..], row: &mut row[k..], rotation }),
     }
-    (pivot[k], row[k]) = (turn.length, 0.0);
-    for (a, b) in pivot[k + 1..].iter_mut().zip(&mut row[k + 1..]) {
-        (*a, *b) = turn.turn(*a, *b);
+}
+
+/// The same where lanes without a turn are to stay as they are, to the sign of their zeros.
+struct TurnSome<'a, T> {
+    pivot: &'a mut [T],
+    row: &'a mut [T],
+    rotation: Rotation<T>,
+}
+
+impl<T: Lanes> Part for TurnSome<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let [mut a, mut b] = [[0.0; MOST]; 2];
+        let Rotation { c, s, length } = self.rotation;
+        for (at, (pivot, row)) in self.pivot.iter_mut().zip(self.row).enumerate() {
+            pivot.store(&mut a);
+            row.store(&mut b);
+            for lane in (0..T::COUNT).filter(|&lane| s.lane(lane) != 0.0) {
+                let one = Rotation { c: c.lane(lane), s: s.lane(lane), length: length.lane(lane) };
+                (a[lane], b[lane]) = if at == 0 { (one.length, 0.0) } else { one.turn(a[lane], b[lane]) };
+            }
+            (*pivot, *row) = (T::load(&a), T::load(&b));
+        }
     }
 }
 
@@ -104,7 +186,7 @@ pub fn fold_row(info: &mut [f64], row: &mut [f64], mut note: impl FnMut(usize, R
         let pivot = &mut info[k * width..][..width];
         let rotation = Rotation::of(pivot[k], row[k]);
         note(k, rotation);
-        turn_row(pivot, row, k, rotation);
+        turn_row(pivot, row, k, if rotation.s == 0.0 { Turn::None } else { Turn::All(rotation) });
     }
 }
 
@@ -143,7 +225,12 @@ mod tests {
             let (mut one_by_one, mut others) = (info.clone(), rows.clone());
             let (mut expected, mut found) = (vec![Vec::new(); count], vec![Vec::new(); count]);
             for (row, expected) in others.chunks_exact_mut(width).zip(&mut expected) {
-                fold_row(&mut one_by_one, row, |k, turn| expected.push((k, turn)));
+                let mut note = |k, turn: Rotation| {
+                    if turn.s != 0.0 {
+                        expected.push((k, turn))
+                    }
+                };
+                fold_row(&mut one_by_one, row, &mut note);
             }
             fold_rows(&mut info, &mut rows, (width, width), |i, k, turn| found[i].push((k, turn)));
             let bits = |of: &[f64]| of.iter().map(|x| x.to_bits()).collect::<Vec<u64>>();

@@ -1,22 +1,21 @@
 //! Tests in phases → reductions: each phase by its own filter, then all of them together (theory §7).
 
 mod batch;
+mod whole;
 
-use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
 use crate::model::{Alpha, Model, PhasedModel};
-use crate::reduce::digest::Digest;
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
 use crate::reduce::part::{Part, PhaseReducer, Place, refuse};
 use crate::reduce::prepare::Workspace;
 use crate::reduce::reducer::{Reducer, Work, share};
 use crate::reduce::shared::Shared;
-use crate::reduce::stack::{Stack, StackData, StackKey, StackPhase, Stacked};
+use crate::reduce::stack::{Stack, StackKey};
 use crate::reduce::steps::Cells;
 use crate::reduce::subject::WHOLE;
-use crate::reduce::{Chain, ChainPhase, Evidence, Inherited, Link, Path, PhaseReduction, PhasedTest, Reduction};
+use crate::reduce::{Evidence, PhaseReduction, PhasedTest, Reduction};
 use crate::score::Slots;
 use batch::PhasedBatch;
 
@@ -184,7 +183,7 @@ impl PhasedReducer {
     /// As [`PhasedReducer::reduce`].
     pub fn reduce_designs(&mut self, tests: &[PhasedTest]) -> Result<Vec<Reduction>, ReduceError> {
         self.each(tests, &|test, work| {
-            let mut reduction = self.whole(test, self.parts(test, work, true)?)?;
+            let mut reduction = self.whole(test, self.parts(test, work, true))?;
             reduction.constant = 0.0;
             reduction.data.fill(0.0);
             reduction.chain = None;
@@ -228,98 +227,4 @@ impl PhasedReducer {
         };
         test.phases.iter().enumerate().map(part).collect()
     }
-
-    /// All phases of a test together.
-    fn whole(&self, test: &PhasedTest, parts: Vec<Part<'_>>) -> Result<Reduction, ReduceError> {
-        if self.phases.len() == 1 {
-            let only = parts.into_iter().next().expect("a test has a phase");
-            return Ok(Reduction { test: test.id.clone(), chain: None, ..only.reduction.into_owned() });
-        }
-        let keys: Vec<StackPhase<'_>> = parts.iter().enumerate().map(|(at, _)| self.key(&parts, at)).collect();
-        let design = digest(&parts);
-        let means: Vec<Option<DVector<f64>>> = (0..parts.len()).map(|at| link_mean(&parts, at)).collect();
-        let told: Vec<StackData<'_>> = parts.iter().zip(&means).map(|(part, mean)| part.data(mean.as_ref())).collect();
-        let Stacked { factor, links, constant, data } = if self.stacks.is_worth(design) {
-            let (same, key) = (|known: &StackKey| known.same(&keys), || StackKey::new(&keys));
-            let bytes = |key: &StackKey, stack: &Stack| key.bytes() + stack.bytes();
-            let entry = self.stacks.get(design, same, key, Stack::new, bytes);
-            let stack = entry.value();
-            let (constant, data) = stack.data(&told);
-            Stacked { factor: stack.factor.clone(), links: stack.links.clone(), constant, data }
-        } else {
-            Stack::once(&keys, &told)
-        };
-        let finite = |numbers: &[f64]| numbers.iter().all(|x| x.is_finite());
-        if !constant.is_finite() || !finite(&data) || !finite(&factor) {
-            return Err(refuse(&test.id, WHOLE, ReduceErrorKind::NotFinite));
-        }
-        let mut reduction = Reduction {
-            test: test.id.clone(),
-            constant,
-            data,
-            factor,
-            covariates: parts.iter().flat_map(|part| part.reduction.covariates.iter().copied()).collect(),
-            steps: parts.iter().map(|part| part.reduction.steps).sum(),
-            observations: parts.iter().map(|part| part.reduction.observations).sum(),
-            path: path(&parts),
-            design,
-            chain: None,
-        };
-        // Phases that the test lacks come last: they say nothing.
-        reduction.data.resize(self.dimension, 0.0);
-        reduction.factor.resize(self.dimension * (self.dimension + 1) / 2, 0.0);
-        reduction.covariates.resize(self.regressions, 0.0);
-        reduction.chain = Some(Box::new(self.chain(parts, means, links)));
-        Ok(reduction)
-    }
-
-    /// What stacking depends on of the phase with this number.
-    fn key<'a>(&self, parts: &'a [Part<'_>], at: usize) -> StackPhase<'a> {
-        let link = at.checked_sub(1).map(|before| {
-            let (sensitivity, root) = parts[before].ending.design();
-            [sensitivity, root, &parts[at].inherits().transition]
-        });
-        StackPhase { own: self.phases[at].own, factor: &parts[at].reduction.factor, link }
-    }
-
-    fn chain(
-        &self,
-        parts: Vec<Part<'_>>,
-        means: Vec<Option<DVector<f64>>>,
-        links: Vec<(DMatrix<f64>, DMatrix<f64>)>,
-    ) -> Chain {
-        let links = std::iter::once(None).chain(links.into_iter().map(Some));
-        let phase = |(((part, mean), link), phase): (((Part<'_>, _), _), &PhaseReducer)| {
-            let link = Option::zip(mean, link);
-            let link = link.map(|(mean, (sensitivity, root))| Link { mean, sensitivity, root });
-            let Reduction { constant, data, factor, path, .. } = part.reduction.into_owned();
-            ChainPhase { own: phase.own, constant, data, factor, path, link }
-        };
-        Chain { phases: parts.into_iter().zip(means).zip(links).zip(&self.phases).map(phase).collect() }
-    }
-}
-
-/// g = T x̂_K + t of the link to the phase with this number.
-fn link_mean(parts: &[Part<'_>], at: usize) -> Option<DVector<f64>> {
-    let mean = parts[at.checked_sub(1)?].ending.mean();
-    let Inherited { transition, input } = parts[at].inherits();
-    Some(transition * mean + input)
-}
-
-/// Digest of all that the stacked design depends on.
-fn digest(parts: &[Part<'_>]) -> u128 {
-    let mut digest = Digest::new();
-    for part in parts {
-        digest.wide(part.reduction.design);
-        if let Some(inherited) = &part.inherited {
-            digest.count(inherited.transition.nrows());
-            digest.numbers(inherited.transition.as_slice());
-        }
-    }
-    digest.finish()
-}
-
-fn path(parts: &[Part<'_>]) -> Path {
-    let square_root = parts.iter().any(|part| part.reduction.path == Path::SquareRoot);
-    if square_root { Path::SquareRoot } else { Path::Information }
 }

@@ -15,7 +15,7 @@ const KNOWN: f64 = 1e-12;
 /// Its sensitivity is zero when it is this part of its terms.
 const INSENSITIVE: f64 = 1e-11;
 /// A diagonal of R below this part of its column is zero information.
-const UNINFORMED: f64 = 1e-13;
+pub(crate) const UNINFORMED: f64 = 1e-13;
 
 /// Why there is no such pass.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -29,11 +29,8 @@ impl<'a> PhasedBatch<'a> {
         for at in 0..self.phases.len() {
             self.phase(at, tests, &mut parts);
         }
-        let whole = |(test, parts): (&PhasedTest, Result<Vec<Part<'_>>, ReduceError>)| {
-            self.reducer.check(test)?;
-            self.reducer.whole(test, parts?)
-        };
-        tests.iter().zip(parts).map(whole).collect()
+        let parts = tests.iter().zip(parts).map(|(test, parts)| self.reducer.check(test).and(parts)).collect();
+        self.reducer.wholes(tests, parts)
     }
 
     /// The phase with this number of the tests that have it and are sound so far.

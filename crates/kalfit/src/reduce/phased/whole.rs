@@ -1,0 +1,190 @@
+//! The phases of tests, each reduced by itself → all of them together.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::reduce::digest::Digest;
+use crate::reduce::error::{ReduceError, ReduceErrorKind};
+use crate::reduce::part::{Part, PhaseReducer, refuse};
+use crate::reduce::phased::PhasedReducer;
+use crate::reduce::stack::{Stack, StackData, StackKey, StackPhase, StackShape, Stacked, shape};
+use crate::reduce::subject::WHOLE;
+use crate::reduce::{Chain, ChainPhase, Inherited, Link, Path, PhasedTest, Reduction};
+
+/// The phases of a test and how they are linked.
+struct Linked<'a> {
+    parts: Vec<Part<'a>>,
+    /// g of the link that leads to each phase; `None` for the first one.
+    means: Vec<Option<DVector<f64>>>,
+    /// Digest of all that the stacked design depends on.
+    design: u128,
+}
+
+impl<'a> Linked<'a> {
+    fn new(parts: Vec<Part<'a>>) -> Linked<'a> {
+        let means = (0..parts.len()).map(|at| link_mean(&parts, at)).collect();
+        let design = digest(&parts);
+        Linked { parts, means, design }
+    }
+
+    /// What stacking depends on, the data apart.
+    fn design(&self, reducers: &[PhaseReducer]) -> Vec<StackPhase<'_>> {
+        let mut phases = Vec::with_capacity(self.parts.len());
+        let mut before: Option<&Part<'_>> = None;
+        for (part, reducer) in self.parts.iter().zip(reducers) {
+            let link = before.map(|before| {
+                let (sensitivity, root) = before.ending.design();
+                [sensitivity, root, &part.inherits().transition]
+            });
+            phases.push(StackPhase { own: reducer.own, factor: &part.reduction.factor, link });
+            before = Some(part);
+        }
+        phases
+    }
+
+    fn data(&self) -> Vec<StackData<'_>> {
+        self.parts.iter().zip(&self.means).map(|(part, mean)| part.data(mean.as_ref())).collect()
+    }
+}
+
+impl PhasedReducer {
+    /// All phases of a test together.
+    pub(super) fn whole(
+        &self,
+        test: &PhasedTest,
+        parts: Result<Vec<Part<'_>>, ReduceError>,
+    ) -> Result<Reduction, ReduceError> {
+        let all = self.wholes(std::slice::from_ref(test), vec![parts]);
+        all.into_iter().next().expect("one test, one reduction")
+    }
+
+    /// All phases of tests together, those with designs of their own side by side.
+    pub(super) fn wholes(
+        &self,
+        tests: &[PhasedTest],
+        parts: Vec<Result<Vec<Part<'_>>, ReduceError>>,
+    ) -> Vec<Result<Reduction, ReduceError>> {
+        if self.phases.len() == 1 {
+            let only = |(test, parts): (&PhasedTest, Result<Vec<Part<'_>>, ReduceError>)| {
+                let only = parts?.into_iter().next().expect("a test has a phase");
+                Ok(Reduction { test: test.id.clone(), chain: None, ..only.reduction.into_owned() })
+            };
+            return tests.iter().zip(parts).map(only).collect();
+        }
+        let linked: Vec<Result<Linked<'_>, ReduceError>> =
+            parts.into_iter().map(|parts| parts.map(Linked::new)).collect();
+        let stacked = self.stacked(&linked);
+        let whole = |((test, linked), stacked): ((&PhasedTest, Result<Linked<'_>, ReduceError>), Option<Stacked>)| {
+            self.together(test, linked?, stacked.expect("sound tests are stacked"))
+        };
+        tests.iter().zip(linked).zip(stacked).map(whole).collect()
+    }
+
+    /// The tests stacked; nothing of those in error.
+    fn stacked(&self, linked: &[Result<Linked<'_>, ReduceError>]) -> Vec<Option<Stacked>> {
+        let mut stacked: Vec<Option<Stacked>> = linked.iter().map(|_| None).collect();
+        let designs: Vec<Vec<StackPhase<'_>>> = linked
+            .iter()
+            .map(|linked| linked.as_ref().map_or(Vec::new(), |linked| linked.design(&self.phases)))
+            .collect();
+        let told: Vec<Vec<StackData<'_>>> =
+            linked.iter().map(|linked| linked.as_ref().map_or(Vec::new(), Linked::data)).collect();
+        let mut alike: BTreeMap<StackShape, Vec<usize>> = BTreeMap::new();
+        for (number, linked) in linked.iter().enumerate() {
+            let Ok(linked) = linked else { continue };
+            if self.stacks.is_worth(linked.design) {
+                stacked[number] = Some(self.shared(linked.design, &designs[number], &told[number]));
+            } else {
+                alike.entry(shape(&designs[number])).or_default().push(number);
+            }
+        }
+        for numbers in alike.values() {
+            let designs: Vec<&[StackPhase<'_>]> = numbers.iter().map(|&number| &*designs[number]).collect();
+            let told: Vec<&[StackData<'_>]> = numbers.iter().map(|&number| &*told[number]).collect();
+            for (&number, own) in numbers.iter().zip(Stacked::all(&designs, &told)) {
+                stacked[number] = Some(own);
+            }
+        }
+        stacked
+    }
+
+    /// A test whose design is stacked once for all that have it.
+    fn shared(&self, digest: u128, design: &[StackPhase<'_>], told: &[StackData<'_>]) -> Stacked {
+        let (same, key) = (|known: &StackKey| known.same(design), || StackKey::new(design));
+        let bytes = |key: &StackKey, stack: &Stack| key.bytes() + stack.bytes();
+        let entry = self.stacks.get(digest, same, key, Stack::new, bytes);
+        let stack = entry.value();
+        let (constant, data) = stack.data(told);
+        Stacked { factor: stack.factor.clone(), links: stack.links.clone(), constant, data }
+    }
+
+    /// What is left of a test.
+    fn together(&self, test: &PhasedTest, linked: Linked<'_>, stacked: Stacked) -> Result<Reduction, ReduceError> {
+        let Stacked { factor, links, constant, data } = stacked;
+        let Linked { parts, means, design } = linked;
+        let finite = |numbers: &[f64]| numbers.iter().all(|x| x.is_finite());
+        if !constant.is_finite() || !finite(&data) || !finite(&factor) {
+            return Err(refuse(&test.id, WHOLE, ReduceErrorKind::NotFinite));
+        }
+        let mut reduction = Reduction {
+            test: test.id.clone(),
+            constant,
+            data,
+            factor,
+            covariates: parts.iter().flat_map(|part| part.reduction.covariates.iter().copied()).collect(),
+            steps: parts.iter().map(|part| part.reduction.steps).sum(),
+            observations: parts.iter().map(|part| part.reduction.observations).sum(),
+            path: path(&parts),
+            design,
+            chain: None,
+        };
+        // Phases that the test lacks come last: they say nothing.
+        reduction.data.resize(self.dimension, 0.0);
+        reduction.factor.resize(self.dimension * (self.dimension + 1) / 2, 0.0);
+        reduction.covariates.resize(self.regressions, 0.0);
+        reduction.chain = Some(Box::new(self.chain(parts, means, links)));
+        Ok(reduction)
+    }
+
+    fn chain(
+        &self,
+        parts: Vec<Part<'_>>,
+        means: Vec<Option<DVector<f64>>>,
+        links: Vec<(DMatrix<f64>, DMatrix<f64>)>,
+    ) -> Chain {
+        let links = std::iter::once(None).chain(links.into_iter().map(Some));
+        let phase = |(((part, mean), link), phase): (((Part<'_>, _), _), &PhaseReducer)| {
+            let link = Option::zip(mean, link);
+            let link = link.map(|(mean, (sensitivity, root))| Link { mean, sensitivity, root });
+            let Reduction { constant, data, factor, path, .. } = part.reduction.into_owned();
+            ChainPhase { own: phase.own, constant, data, factor, path, link }
+        };
+        Chain { phases: parts.into_iter().zip(means).zip(links).zip(&self.phases).map(phase).collect() }
+    }
+}
+
+/// g = T x̂_K + t of the link to the phase with this number.
+fn link_mean(parts: &[Part<'_>], at: usize) -> Option<DVector<f64>> {
+    let mean = parts[at.checked_sub(1)?].ending.mean();
+    let Inherited { transition, input } = parts[at].inherits();
+    Some(transition * mean + input)
+}
+
+/// Digest of all that the stacked design depends on.
+fn digest(parts: &[Part<'_>]) -> u128 {
+    let mut digest = Digest::new();
+    for part in parts {
+        digest.wide(part.reduction.design);
+        if let Some(inherited) = &part.inherited {
+            digest.count(inherited.transition.nrows());
+            digest.numbers(inherited.transition.as_slice());
+        }
+    }
+    digest.finish()
+}
+
+fn path(parts: &[Part<'_>]) -> Path {
+    let square_root = parts.iter().any(|part| part.reduction.path == Path::SquareRoot);
+    if square_root { Path::SquareRoot } else { Path::Information }
+}

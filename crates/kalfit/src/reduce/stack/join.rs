@@ -1,0 +1,239 @@
+//! Joining a phase and what is known of all after it, for one test or for tests side by side.
+#![expect(non_snake_case, reason = "the letters of the theory: G, C, A the rows on σ")]
+
+use kalfit_lanes::{Lanes, MOST};
+use nalgebra::DMatrix;
+
+use crate::linalg::fold::{Rotation, fold_rows};
+use crate::reduce::stack::square::Square;
+use crate::reduce::stack::{StackData, StackPhase};
+
+/// One phase of tests whose phases have the same sizes, a test in each lane.
+pub(super) struct Given<T> {
+    /// p.
+    pub(super) own: usize,
+    /// q.
+    size: usize,
+    /// R, packed by columns.
+    factor: Vec<T>,
+    /// `None` for the first phase.
+    pub(super) link: Option<GivenLink<T>>,
+    /// d, and g of the link that leads here; `None` where tests are stacked without data.
+    told: Option<(Vec<T>, Vec<T>)>,
+}
+
+/// The link that leads to a phase, matrices by columns.
+pub(super) struct GivenLink<T> {
+    /// G, q × so many columns.
+    pub(super) G: Matrix<T>,
+    /// C, q × so many columns.
+    pub(super) C: Matrix<T>,
+}
+
+/// A matrix by columns.
+pub(super) struct Matrix<T> {
+    pub(super) rows: usize,
+    pub(super) columns: usize,
+    entries: Vec<T>,
+}
+
+/// Memory that one join leaves to the next.
+pub(super) struct Room<T> {
+    array: Vec<T>,
+    rows: Vec<T>,
+}
+
+impl<T> Default for Room<T> {
+    fn default() -> Room<T> {
+        Room { array: Vec::new(), rows: Vec::new() }
+    }
+}
+
+/// The same numbers of all tests, as many of each. Lanes beyond the last test are as the last one.
+#[inline(always)]
+fn abreast<'a, T: Lanes>(tests: usize, numbers: impl Fn(usize) -> &'a [f64]) -> Vec<T> {
+    let mut all: [&[f64]; MOST] = [&[]; MOST];
+    for (lane, slice) in all.iter_mut().enumerate() {
+        *slice = numbers(lane.min(tests - 1));
+    }
+    let size = all[0].len();
+    let mut lanes = Vec::with_capacity(size);
+    for i in 0..size {
+        let mut one = [0.0; MOST];
+        for lane in 0..T::COUNT {
+            one[lane] = all[lane][i];
+        }
+        lanes.push(T::load(&one));
+    }
+    lanes
+}
+
+/// Numbers of tests side by side, one test after the other.
+#[inline(always)]
+pub(super) fn apart<T: Lanes>(numbers: &[T], tests: usize) -> Vec<Vec<f64>> {
+    let mut all = Vec::with_capacity(tests);
+    for _ in 0..tests {
+        all.push(Vec::with_capacity(numbers.len()));
+    }
+    let mut one = [0.0; MOST];
+    for x in numbers {
+        x.store(&mut one);
+        for (own, x) in all.iter_mut().zip(one) {
+            own.push(x);
+        }
+    }
+    all
+}
+
+impl<T: Lanes> Given<T> {
+    /// The phase with this number of tests whose phases have the same sizes, at least one and no more than there are lanes, and their
+    /// data if these are wanted.
+    #[inline(always)]
+    pub(super) fn new(tests: &[&[StackPhase<'_>]], data: Option<&[&[StackData<'_>]]>, at: usize) -> Given<T> {
+        let (count, first) = (tests.len(), &tests[0][at]);
+        let mut link = None;
+        if let Some(like) = first.link {
+            let sensitivity = Matrix::new(like[0], count, |lane| link_of(&tests[lane][at])[0].as_slice());
+            let root = Matrix::new(like[1], count, |lane| link_of(&tests[lane][at])[1].as_slice());
+            let transition = Matrix::new(like[2], count, |lane| link_of(&tests[lane][at])[2].as_slice());
+            link = Some(GivenLink { G: transition.times(&sensitivity), C: transition.times(&root).narrowed() });
+        }
+        let mut told = None;
+        if let Some(data) = data {
+            let mean = |lane: usize| data[lane][at].mean.map_or(&[][..], |mean| mean.as_slice());
+            told = Some((abreast(count, |lane| data[lane][at].data), abreast(count, mean)));
+        }
+        let factor = abreast(count, |lane| tests[lane][at].factor);
+        Given { own: first.own, size: first.size(), factor, link, told }
+    }
+
+    /// What is known of the last phase.
+    #[inline(always)]
+    pub(super) fn last(&self, memory: Vec<T>) -> Square<T> {
+        let mut array = Square::zeros(self.size, self.told.is_some(), memory);
+        array.put_packed(0, &self.factor, self.size);
+        if let Some((data, _)) = &self.told {
+            array.put_data(0, data);
+        }
+        array
+    }
+
+    /// Joins it with what is known of all phases after it, `next` the first of these: the rows on (σ_i, ξ_{i+1}, …), and the diagonal
+    /// of u's own rows. What is left of the data joins the residual sum of squares.
+    #[inline(always)]
+    pub(super) fn join(
+        &self,
+        next: &Given<T>,
+        later: Square<T>,
+        residual: &mut T,
+        note: impl FnMut(usize, usize, Rotation<T>),
+        room: &mut Room<T>,
+    ) -> (Square<T>, Vec<T>) {
+        let GivenLink { G, C } = next.link.as_ref().expect("a later phase has a link");
+        let (u, from, q, own) = (C.columns, G.columns, next.size, next.own);
+        let size = u + from + own + later.width - q;
+        let mut array = Square::zeros(size, self.told.is_some(), std::mem::take(&mut room.array));
+        for k in 0..u {
+            array.entries[k * (array.stride + 1)] = T::splat(1.0);
+        }
+        array.put_packed(u, &self.factor, from);
+        if let Some((data, _)) = &self.told {
+            array.put_data(u, data);
+        }
+        later.copy_from(q, &mut array, u + from + own);
+        let rows = &mut room.rows;
+        rows.clear();
+        rows.resize(q * array.stride, T::splat(0.0));
+        for (i, row) in rows.chunks_exact_mut(array.stride.max(1)).enumerate() {
+            let (A, B) = later.row(i).split_at(q);
+            for c in 0..u {
+                row[c] = dot(&A[i..], &C.column(c)[i..]);
+            }
+            for c in 0..from {
+                row[u + c] = dot(&A[i..], &G.column(c)[i..]);
+            }
+            let rest = &mut row[u + from..];
+            rest[..own].copy_from_slice(&A[..own]);
+            rest[own..][..B.len()].copy_from_slice(B);
+            if let (Some(d), Some((_, mean))) = (later.data(i), &next.told) {
+                row[array.width] = d - dot(&A[i..], &mean[i..]);
+            }
+        }
+        fold_rows(&mut array.entries, rows, (array.width, array.stride), note);
+        if self.told.is_some() {
+            for row in rows.chunks_exact(array.stride) {
+                *residual = *residual + row[array.width] * row[array.width];
+            }
+        }
+        let mut diagonal = Vec::with_capacity(u);
+        for k in 0..u {
+            diagonal.push(array.row(k)[k]);
+        }
+        let mut rest = Square::zeros(array.width - u, self.told.is_some(), later.entries);
+        array.copy_from(u, &mut rest, 0);
+        room.array = array.entries;
+        (rest, diagonal)
+    }
+}
+
+fn link_of<'a>(phase: &StackPhase<'a>) -> [&'a DMatrix<f64>; 3] {
+    phase.link.expect("all tests have this link")
+}
+
+/// Σ ab.
+#[inline(always)]
+pub(super) fn dot<T: Lanes>(a: &[T], b: &[T]) -> T {
+    let mut sum = T::splat(0.0);
+    for (&a, &b) in a.iter().zip(b) {
+        sum = sum + a * b;
+    }
+    sum
+}
+
+impl<T: Lanes> Matrix<T> {
+    #[inline(always)]
+    fn new<'a>(like: &DMatrix<f64>, tests: usize, entries: impl Fn(usize) -> &'a [f64]) -> Matrix<T> {
+        Matrix { rows: like.nrows(), columns: like.ncols(), entries: abreast(tests, entries) }
+    }
+
+    #[inline(always)]
+    fn column(&self, c: usize) -> &[T] {
+        &self.entries[c * self.rows..][..self.rows]
+    }
+
+    #[inline(always)]
+    fn times(&self, other: &Matrix<T>) -> Matrix<T> {
+        let mut entries = vec![T::splat(0.0); self.rows * other.columns];
+        for c in 0..other.columns {
+            let to = &mut entries[c * self.rows..][..self.rows];
+            for (k, &x) in other.column(c).iter().enumerate() {
+                for (to, &own) in to.iter_mut().zip(self.column(k)) {
+                    *to = *to + own * x;
+                }
+            }
+        }
+        Matrix { rows: self.rows, columns: other.columns, entries }
+    }
+
+    /// A root of AA' with no more columns than rows.
+    #[inline(always)]
+    fn narrowed(self) -> Matrix<T> {
+        let q = self.rows;
+        if self.columns <= q {
+            return self;
+        }
+        let (mut U, mut rows) = (vec![T::splat(0.0); q * q], self.entries); // A' by rows is A by columns
+        fold_rows(&mut U, &mut rows, (q, q), |_, _, _| {});
+        Matrix { rows: q, columns: q, entries: U } // U' by columns is U by rows
+    }
+
+    /// The matrices of the tests.
+    #[inline(always)]
+    pub(super) fn apart(&self, tests: usize) -> Vec<DMatrix<f64>> {
+        let mut all = Vec::with_capacity(tests);
+        for entries in apart(&self.entries, tests) {
+            all.push(DMatrix::from_vec(self.rows, self.columns, entries));
+        }
+        all
+    }
+}

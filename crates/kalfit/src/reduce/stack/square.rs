@@ -1,0 +1,90 @@
+//! Square upper triangular arrays, of one test or of tests side by side.
+
+use kalfit_lanes::Lanes;
+
+/// A square upper triangular array, row-major, perhaps with a column of data beside it.
+pub(super) struct Square<T> {
+    pub(super) width: usize,
+    /// The width with the data.
+    pub(super) stride: usize,
+    pub(super) entries: Vec<T>,
+}
+
+impl<T: Lanes> Square<T> {
+    /// In memory that was used before.
+    #[inline(always)]
+    pub(super) fn zeros(width: usize, with_data: bool, mut memory: Vec<T>) -> Square<T> {
+        let stride = width + usize::from(with_data);
+        memory.clear();
+        memory.resize(width * stride, T::splat(0.0));
+        Square { width, stride, entries: memory }
+    }
+
+    /// Puts a packed factor at (at, at).
+    #[inline(always)]
+    pub(super) fn put_packed(&mut self, at: usize, factor: &[T], size: usize) {
+        for k in 0..size {
+            for i in 0..=k {
+                self.entries[(at + i) * self.stride + at + k] = factor[i + k * (k + 1) / 2];
+            }
+        }
+    }
+
+    /// Puts data beside the rows from one on.
+    #[inline(always)]
+    pub(super) fn put_data(&mut self, at: usize, data: &[T]) {
+        for (i, &x) in data.iter().enumerate() {
+            self.entries[(at + i) * self.stride + self.width] = x;
+        }
+    }
+
+    /// Its rows and columns from `first` on, put at (at, at) of another, whose last ones they are, and the data.
+    #[inline(always)]
+    pub(super) fn copy_from(&self, first: usize, to: &mut Square<T>, at: usize) {
+        let size = self.stride - first;
+        for i in 0..self.width - first {
+            let row = &self.entries[(first + i) * self.stride + first..][..size];
+            to.entries[(at + i) * to.stride + at..][..size].copy_from_slice(row);
+        }
+    }
+
+    #[inline(always)]
+    pub(super) fn row(&self, i: usize) -> &[T] {
+        &self.entries[i * self.stride..][..self.width]
+    }
+
+    /// What stands beside a row, if anything does.
+    #[inline(always)]
+    pub(super) fn data(&self, i: usize) -> Option<T> {
+        if self.stride > self.width { Some(self.entries[i * self.stride + self.width]) } else { None }
+    }
+
+    /// The upper triangle, packed by columns, and then the data.
+    #[inline(always)]
+    pub(super) fn packed(&self) -> Vec<T> {
+        let mut packed = Vec::with_capacity(self.width * (self.width + 3) / 2);
+        for k in 0..self.stride {
+            for i in 0..(k + 1).min(self.width) {
+                packed.push(self.entries[i * self.stride + k]);
+            }
+        }
+        packed
+    }
+
+    /// True when in every lane each diagonal entry is surely more than this part of the norm of its column.
+    #[inline(always)]
+    pub(super) fn is_regular(&self, part: f64) -> bool {
+        let (least, most, part) = (T::splat(1e-280), T::splat(1e280), T::splat(4.0 * part * part));
+        let mut is_regular = true;
+        for k in 0..self.width {
+            let mut square = T::splat(0.0);
+            for i in 0..=k {
+                let x = self.entries[i * self.stride + k];
+                square = x.fma(x, square);
+            }
+            let diagonal = self.entries[k * self.stride + k];
+            is_regular &= least.at_most(square) && square.at_most(most) && (part * square).at_most(diagonal * diagonal);
+        }
+        is_regular
+    }
+}
