@@ -106,6 +106,7 @@ fn kind(rust: &str) -> String {
         "f64" => "number".to_owned(),
         "usize" | "u64" | "u32" => "count".to_owned(),
         "bool" => "true or false".to_owned(),
+        "SquareRecord" => "list of list of number".to_owned(),
         "Interval" => "two ends, each a number or null".to_owned(),
         other => format!("[{other}](#{})", other.to_lowercase()),
     }

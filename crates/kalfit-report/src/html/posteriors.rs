@@ -19,9 +19,7 @@ const MOST_STATES: usize = 40;
 /// What a test has of a phase.
 fn part<'a>(test: &'a TestRecord, phase: &PhaseRecord) -> Option<&'a PosteriorRecord> {
     let p = phase.states.len();
-    let sound = |part: &&PosteriorRecord| {
-        part.mean.len() == p && part.covariance.len() == p && part.covariance.iter().all(|row| row.len() == p)
-    };
+    let sound = |part: &&PosteriorRecord| part.mean.len() == p && part.covariance.size() == p;
     test.phases.iter().find(|part| part.name == phase.name).filter(sound)
 }
 

@@ -120,7 +120,7 @@ fn states(record: &FitRecord, tests: &[&TestRecord]) -> Vec<Column> {
     let column = |(phase, i): (&kalfit::record::PhaseRecord, usize)| {
         let cell = |test: &&TestRecord| {
             let part = test.phases.iter().find(|part| part.name == phase.name)?;
-            let (mean, variance) = (*part.mean.get(i)?, *part.covariance.get(i)?.get(i)?);
+            let (mean, variance) = (*part.mean.get(i)?, *part.covariance.rows().nth(i)?.get(i)?);
             let sd = Some(variance.max(0.0).sqrt()).filter(|s| *s > 0.0 && s.is_finite());
             let precision = Precision::of(mean, sd);
             let sd = sd.map_or_else(String::new, |sd| format!(" ± {}", precision.show_error(sd)));

@@ -38,7 +38,7 @@ fn with_tests(n: usize) -> FitRecord {
     for (i, test) in record.tests.iter_mut().enumerate() {
         test.id = format!("T{i}");
         let mean = vec![250.0 + i as f64, 10.0];
-        let covariance = vec![vec![4.0, 0.0], vec![0.0, 1.0]];
+        let covariance = vec![vec![4.0, 0.0], vec![0.0, 1.0]].try_into().expect("it is square");
         test.phases = vec![PosteriorRecord { name: "main".into(), mean, covariance, own: None }];
     }
     record
@@ -182,7 +182,7 @@ fn records_whose_lists_do_not_match_give_a_page() {
     record.solver.trace = vec![f64::NAN, f64::INFINITY, 1.0];
     record.certificate.mean = f64::NAN;
     record.tests[0].phases =
-        vec![PosteriorRecord { name: "main".into(), mean: vec![1.0], covariance: vec![], own: None }];
+        vec![PosteriorRecord { name: "main".into(), mean: vec![1.0], covariance: SquareRecord::default(), own: None }];
     let series = SeriesRecord {
         measurements: vec![],
         at: vec![1.0, 2.0],

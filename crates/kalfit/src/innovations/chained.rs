@@ -105,7 +105,7 @@ impl Chained {
             let kind = Box::new(ReduceErrorKind::NotFinite);
             return Err(ReduceError { test: Some(whole.id.clone()), row: None, what: "innovations".to_owned(), kind });
         }
-        Ok(seen.then(|| Innovations::of_phases(whole.id.clone(), series, rest)))
+        Ok(seen.then(|| Innovations::new(whole.id.clone(), series, rest)))
     }
 
     /// In square roots: the innovations, log p of phases without any, and whether there are phases with some.

@@ -16,6 +16,7 @@
 //! phase and in earlier ones.
 
 mod chained;
+mod channels;
 mod law;
 mod plain;
 mod rows;
@@ -24,7 +25,7 @@ mod whiteness;
 
 use rayon::prelude::*;
 
-pub use series::{Innovation, Innovations, Part};
+pub use series::{Innovation, Innovations, Part, Summary};
 pub use whiteness::Whiteness;
 
 use crate::innovations::chained::Chained;

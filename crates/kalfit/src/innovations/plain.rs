@@ -233,20 +233,24 @@ impl Known {
         self.reducer.preparer().prepare(rows, work).ok()?;
         let q = self.entering.len();
         let mut mean: DVector<f64> = start.mean_of(&work.covariates, q);
-        let mut covariance: DMatrix<f64> = start.covariance.clone().resize(q, q, 0.0);
+        let mut carried = DMatrix::zeros(q, 0);
         if let Some((Terminal { mean: state, root, .. }, inherited)) = inherited {
             let Inherited { transition, input } = &*inherited;
             mean += transition * state + input;
-            let carried = transition * root;
-            covariance += &carried * carried.transpose();
+            carried = transition * root;
         }
+        let p = start.covariance.nrows();
+        let covariance = |i: usize, k: usize| {
+            let own = if i < p && k < p { start.covariance[(i, k)] } else { 0.0 };
+            own + (0..carried.ncols()).map(|c| carried[(i, c)] * carried[(k, c)]).sum::<f64>()
+        };
         let place = |row: usize| self.reducer.preparer().order.place[self.entering[row]];
         let r = work.design.frame.r;
         for i in 0..q {
             work.data.start[place(i)] += mean[i];
             for k in 0..=i {
                 let (a, b) = (place(i).max(place(k)), place(i).min(place(k)));
-                work.design.variance[a * r + b] += covariance[(i, k)];
+                work.design.variance[a * r + b] += covariance(i, k);
             }
         }
         Some(())

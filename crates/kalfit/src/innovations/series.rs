@@ -1,10 +1,9 @@
 //! The innovations of one test and what they add up to.
 
-use std::collections::BTreeMap;
-
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::innovations::Whiteness;
+use crate::innovations::channels::{Channel, Channels};
 
 /// One scalar innovation.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -31,8 +30,17 @@ pub struct Innovation {
 pub struct Innovations {
     /// Id of the test.
     pub test: String,
-    /// Each innovation.
+    /// Each innovation, phase after phase.
     pub series: Vec<Innovation>,
+    /// What they add up to.
+    pub summary: Summary,
+    /// Σ -½ (log 2πS + e²/S): the log-likelihood of the test. With it, that of phases that are given otherwise than by rows.
+    pub log_likelihood: f64,
+}
+
+/// What innovations add up to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Summary {
     /// n: their number. Measurements that can only be one value are not among them.
     pub count: usize,
     /// Normalised innovation squared, Σ e²/S; χ² with n degrees of freedom when the model is right.
@@ -45,57 +53,54 @@ pub struct Innovations {
     pub mean: Option<f64>,
     /// Whether they are uncorrelated in time; `None` when too short for that.
     pub whiteness: Option<Whiteness>,
-    /// Σ -½ (log 2πS + e²/S): the log-likelihood of the test. With it, that of phases that are given otherwise than by rows.
-    pub log_likelihood: f64,
 }
 
 /// The innovations of one measurement of one phase.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Part {
     /// Index of the phase.
     pub phase: usize,
     /// Index of the measurement in the phase's model.
     pub measurement: usize,
-    /// They, as if they were a test.
-    pub innovations: Innovations,
+    /// What they add up to.
+    pub summary: Summary,
 }
 
 impl Innovations {
-    pub(crate) fn new(test: String, series: Vec<Innovation>) -> Innovations {
-        Innovations::of_phases(test, series, 0.0)
-    }
-
     /// `rest`: log p of phases without innovations.
-    pub(crate) fn of_phases(test: String, series: Vec<Innovation>, rest: f64) -> Innovations {
-        let count = series.len();
-        let nis = series.iter().map(|one| one.standardised * one.standardised).sum::<f64>();
+    pub(crate) fn new(test: String, series: Vec<Innovation>, rest: f64) -> Innovations {
         let logs = series.iter().map(|one| (std::f64::consts::TAU * one.variance).ln()).sum::<f64>();
-        let tails = tails(count, nis);
-        let mean = series.iter().map(|one| one.standardised).sum::<f64>() / count.max(1) as f64;
-        Innovations {
-            test,
-            count,
-            nis,
-            lower_tail: tails.map(|tails| tails.0),
-            upper_tail: tails.map(|tails| tails.1),
-            mean: (count > 0).then_some(mean),
-            whiteness: Whiteness::of(&series),
-            log_likelihood: rest - 0.5 * (logs + nis),
-            series,
-        }
+        let all = series.iter().map(|one| one.standardised);
+        let summary = Summary::of(all, Whiteness::of(Channels::of(&series).each().map(|one| one.standardised)));
+        Innovations { test, log_likelihood: rest - 0.5 * (logs + summary.nis), summary, series }
     }
 
     /// The same of each measurement of each phase that has any, in the order of phases and measurements: which of them does not
     /// behave as the model says.
     pub fn parts(&self) -> Vec<Part> {
-        let mut parts: BTreeMap<(usize, usize), Vec<Innovation>> = BTreeMap::new();
-        self.series.iter().for_each(|one| parts.entry((one.phase, one.measurement)).or_default().push(*one));
-        let part = |((phase, measurement), series)| Part {
-            phase,
-            measurement,
-            innovations: Innovations::new(self.test.clone(), series),
+        let part = |Channel { phase, measurement, standardised }: Channel<'_>| {
+            let whiteness = Whiteness::of(std::iter::once(standardised));
+            Part { phase, measurement, summary: Summary::of(standardised.iter().copied(), whiteness) }
         };
-        parts.into_iter().map(part).collect()
+        Channels::of(&self.series).each().map(part).collect()
+    }
+}
+
+impl Summary {
+    /// Of these e/√S.
+    fn of(standardised: impl ExactSizeIterator<Item = f64> + Clone, whiteness: Option<Whiteness>) -> Summary {
+        let count = standardised.len();
+        let nis = standardised.clone().map(|z| z * z).sum::<f64>();
+        let mean = standardised.sum::<f64>() / count.max(1) as f64;
+        let tails = tails(count, nis);
+        Summary {
+            count,
+            nis,
+            lower_tail: tails.map(|tails| tails.0),
+            upper_tail: tails.map(|tails| tails.1),
+            mean: (count > 0).then_some(mean),
+            whiteness,
+        }
     }
 
     /// Two-sided p-value of the NIS: twice the smaller tail. Innovations smaller than the model says speak against it too.
@@ -142,7 +147,7 @@ mod tests {
                 assert!((upper + lower - 1.0).abs() < 1e-9, "n = {n}, z = {z}: {upper} + {lower}");
             }
         }
-        let far = Innovations::new("t".to_owned(), vec![huge(); 300]);
+        let far = Innovations::new("t".to_owned(), vec![huge(); 300], 0.0).summary;
         assert_eq!((far.upper_tail, far.lower_tail, far.p_value(2)), (Some(0.0), Some(1.0), Some(0.0)));
     }
 

@@ -1,10 +1,6 @@
 //! Are the innovations uncorrelated in time?
 
-use std::collections::BTreeMap;
-
 use statrs::distribution::{ChiSquared, ContinuousCDF};
-
-use crate::innovations::Innovation;
 
 /// No more lags than this.
 const MOST_LAGS: usize = 10;
@@ -33,12 +29,10 @@ pub struct Whiteness {
 }
 
 impl Whiteness {
-    /// Of the innovations of a test in their order; `None` when no measurement has five, or all innovations are zero.
-    pub(crate) fn of(series: &[Innovation]) -> Option<Whiteness> {
-        let mut channels: BTreeMap<(usize, usize), Vec<f64>> = BTreeMap::new();
-        series.iter().for_each(|one| channels.entry((one.phase, one.measurement)).or_default().push(one.standardised));
+    /// Of the e/√S of each measurement in their order; `None` when no measurement has five, or all innovations are zero.
+    pub(crate) fn of<'a>(channels: impl Iterator<Item = &'a [f64]>) -> Option<Whiteness> {
         let (mut statistic, mut lags, mut degrees_of_freedom) = (0.0, 0, 0);
-        for z in channels.values() {
+        for z in channels {
             if let Some(q) = ljung_box(z) {
                 statistic += q;
                 lags = lags.max(most_lags(z.len()));
@@ -73,16 +67,7 @@ mod tests {
     use super::*;
 
     fn of(z: &[f64]) -> Option<Whiteness> {
-        let one = |&x: &f64| Innovation {
-            phase: 0,
-            step: 0,
-            time: None,
-            measurement: 0,
-            value: x,
-            variance: 1.0,
-            standardised: x,
-        };
-        Whiteness::of(&z.iter().map(one).collect::<Vec<_>>())
+        Whiteness::of(std::iter::once(z))
     }
 
     #[test]

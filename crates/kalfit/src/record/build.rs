@@ -274,7 +274,7 @@ fn part(
     PosteriorRecord {
         name: cut.phase.name.clone(),
         mean: cut.list(&posterior.mean),
-        covariance: covariance.row_iter().map(|row| row.iter().copied().collect()).collect(),
+        covariance: covariance.into(),
         own: own.and_then(|own| own.part(cut)),
     }
 }

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use crate::infer::{Leading, Observability, Reason, StateObservability};
-use crate::innovations::{Innovations, Part, Whiteness};
+use crate::innovations::{Innovations, Part, Summary, Whiteness};
 use crate::model::PhasedModel;
 use crate::record::cut::{Cut, regressions};
 use crate::record::{FitRecord, InnovationPartRecord, InnovationRecord, ObservabilityRecord, WhitenessRecord};
@@ -44,14 +44,17 @@ impl InnovationRecord {
             InnovationPartRecord {
                 phase: phase.name.clone(),
                 measurement: phase.model.measurements[part.measurement].name.clone(),
-                innovations: InnovationRecord::figures(&part.innovations, p),
+                innovations: InnovationRecord::figures(&part.summary, p),
             }
         };
         let parts = if model.is_single() { Vec::new() } else { found.parts() };
-        InnovationRecord { parts: parts.into_iter().map(part).collect(), ..InnovationRecord::figures(found, p) }
+        InnovationRecord {
+            parts: parts.into_iter().map(part).collect(),
+            ..InnovationRecord::figures(&found.summary, p)
+        }
     }
 
-    fn figures(found: &Innovations, p: usize) -> InnovationRecord {
+    fn figures(found: &Summary, p: usize) -> InnovationRecord {
         let finite = |x: f64| Some(x).filter(|x| x.is_finite());
         let whiteness = |w: Whiteness| WhitenessRecord {
             statistic: w.statistic,

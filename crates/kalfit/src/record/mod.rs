@@ -14,6 +14,7 @@ mod phases;
 mod population;
 mod ratio;
 mod series;
+mod square;
 mod test;
 
 use serde::{Deserialize, Serialize};
@@ -36,6 +37,7 @@ pub use phase::{
 pub use population::{FIT_SCHEMA, RecordError};
 pub use ratio::{BootstrapRecord, ComponentRecord, PartRecord, RatioProvenance, RatioRecord, SideRecord};
 pub use series::{AutocorrelationRecord, SeriesKeeper, SeriesRecord, WindowRecord};
+pub use square::{NotSquare, SquareRecord};
 pub use test::{
     DeletedRecord, DeletionRecord, InnovationPartRecord, InnovationRecord, PosteriorRecord, TestRecord, WhitenessRecord,
 };

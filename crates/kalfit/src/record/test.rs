@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::record::{OwnRecord, SeriesRecord};
+use crate::record::{OwnRecord, SeriesRecord, SquareRecord};
 
 /// What one test says.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -119,7 +119,7 @@ pub struct PosteriorRecord {
     /// E[ξ | z].
     pub mean: Vec<f64>,
     /// Var[ξ | z].
-    pub covariance: Vec<Vec<f64>>,
+    pub covariance: SquareRecord,
     /// What the test says by itself; null where it determines no state alone, and in very large ensembles.
     #[serde(default)]
     pub own: Option<OwnRecord>,

@@ -172,7 +172,7 @@ fn innovations_are_the_residuals_whitened_by_cholesky_of_their_joint_covariance(
             let rows = simulated(seed, 3 + seed as usize, 1.0, 1.0, true);
             let expected = oracle(&rows, &initial);
             let found = run(&model(), &initial, &[test("t", &rows)]).remove(0);
-            assert_eq!(found.count, expected.len(), "seed {seed}");
+            assert_eq!(found.summary.count, expected.len(), "seed {seed}");
             for (k, (one, (z, s))) in found.series.iter().zip(&expected).enumerate() {
                 assert!((one.standardised - z).abs() < 1e-10, "seed {seed}, {k}: {} {z}", one.standardised);
                 assert!((one.variance / s - 1.0).abs() < 1e-10, "seed {seed}, {k}: {} {s}", one.variance);
@@ -181,7 +181,7 @@ fn innovations_are_the_residuals_whitened_by_cholesky_of_their_joint_covariance(
                 assert!(!rows[one.step][1 + one.measurement].is_nan(), "seed {seed}, {k}: it was measured");
             }
             let nis: f64 = expected.iter().map(|(z, _)| z * z).sum();
-            assert!((found.nis - nis).abs() < 1e-9 * (1.0 + nis), "seed {seed}: {} {nis}", found.nis);
+            assert!((found.summary.nis - nis).abs() < 1e-9 * (1.0 + nis), "seed {seed}: {} {nis}", found.summary.nis);
         }
     }
 }
@@ -212,7 +212,7 @@ fn innovations_add_up_to_the_likelihood_of_each_test_in_a_fit() {
         for ((one, posterior), reduction) in found.iter().zip(&posteriors).zip(&reductions) {
             let (a, b) = (one.log_likelihood, posterior.log_likelihood);
             assert!((a - b).abs() < 1e-9 * (1.0 + b.abs()), "scale {scale}, {}: {a} {b}", one.test);
-            assert_eq!((&one.test, one.count), (&reduction.test, reduction.observations));
+            assert_eq!((&one.test, one.summary.count), (&reduction.test, reduction.observations));
         }
     }
 }
@@ -240,18 +240,18 @@ fn tail_probabilities_are_uniform_when_the_model_is_right() {
     let part = |below: f64, p: &dyn Fn(&Innovations) -> f64| {
         found.iter().filter(|one| p(one) < below).count() as f64 / found.len() as f64
     };
-    let statistics: f64 = found.iter().filter_map(|one| one.whiteness).map(|w| w.statistic).sum();
-    let freedom: usize = found.iter().filter_map(|one| one.whiteness).map(|w| w.degrees_of_freedom).sum();
+    let statistics: f64 = found.iter().filter_map(|one| one.summary.whiteness).map(|w| w.statistic).sum();
+    let freedom: usize = found.iter().filter_map(|one| one.summary.whiteness).map(|w| w.degrees_of_freedom).sum();
     let mean = statistics / freedom as f64;
     assert!((mean - 1.0).abs() < 0.03, "Ljung-Box statistic per degree of freedom: {mean}");
     for level in [0.05, 0.2, 0.5] {
         let error = 4.0 * (level * (1.0 - level) / found.len() as f64).sqrt();
-        let nis = part(level, &|one| one.p_value(0).expect("measured"));
+        let nis = part(level, &|one| one.summary.p_value(0).expect("measured"));
         assert!((nis - level).abs() < error, "NIS below {level}: {nis}");
-        let white = part(level, &|one| one.whiteness.expect("long enough").p_value);
+        let white = part(level, &|one| one.summary.whiteness.expect("long enough").p_value);
         assert!((white - level).abs() < error + 0.02, "whiteness below {level}: {white}");
         let mean = part(level, &|one| {
-            let z = one.mean.expect("measured") * (one.count as f64).sqrt();
+            let z = one.summary.mean.expect("measured") * (one.summary.count as f64).sqrt();
             statrs::function::erf::erfc(z.abs() / std::f64::consts::SQRT_2)
         });
         assert!((mean - level).abs() < error, "mean below {level}: {mean}");
@@ -264,11 +264,11 @@ fn noise_that_is_larger_smaller_or_coloured_is_found_out() {
         run(&model(), &truth(), &[test("t", &simulated(7, 200, noise, drift, false))]).remove(0)
     };
     let (right, large, small, coloured) = (one(1.0, 1.0), one(1.5, 1.0), one(0.6, 1.0), one(1.0, 3.0));
-    assert!(right.p_value(0).expect("measured") > 0.01, "{:?}", right.p_value(0));
-    assert!(right.whiteness.expect("long").p_value > 0.01, "{:?}", right.whiteness);
-    assert!(large.upper_tail.expect("measured") < 1e-6, "{:?}", large.upper_tail);
-    assert!(small.lower_tail.expect("measured") < 1e-6, "{:?}", small.lower_tail);
-    assert!(coloured.whiteness.expect("long").p_value < 1e-3, "{:?}", coloured.whiteness);
+    assert!(right.summary.p_value(0).expect("measured") > 0.01, "{:?}", right.summary.p_value(0));
+    assert!(right.summary.whiteness.expect("long").p_value > 0.01, "{:?}", right.summary.whiteness);
+    assert!(large.summary.upper_tail.expect("measured") < 1e-6, "{:?}", large.summary.upper_tail);
+    assert!(small.summary.lower_tail.expect("measured") < 1e-6, "{:?}", small.summary.lower_tail);
+    assert!(coloured.summary.whiteness.expect("long").p_value < 1e-3, "{:?}", coloured.summary.whiteness);
 }
 
 /// One test that determines its own mean leaves small innovations, which is no finding.
@@ -282,15 +282,15 @@ fn innovations_that_the_estimate_absorbed_are_not_too_small() {
     let structure = Structure::single(&model.mean, &model.covariance, &alpha);
     let fit = estimate::fit(&reductions, &structure, &Settings::of(Solver::Newton), &mut Silent).expect("a fit");
     let found = run(&model, &Population::from(&fit), &tests).remove(0);
-    let (known, estimated) = (found.p_value(0).expect("measured"), found.p_value(2).expect("measured"));
-    assert!(found.count == 4 && estimated > known && estimated > 0.05, "{known} {estimated}");
+    let (known, estimated) = (found.summary.p_value(0).expect("measured"), found.summary.p_value(2).expect("measured"));
+    assert!(found.summary.count == 4 && estimated > known && estimated > 0.05, "{known} {estimated}");
 }
 
 #[test]
 fn a_test_without_measurements_has_no_figures() {
     let found = run(&model(), &truth(), &[test("t", &vec![[0.0, EMPTY, EMPTY, 0.0, 1.0]])]).remove(0);
-    assert_eq!((found.count, found.nis, found.log_likelihood), (0, 0.0, 0.0));
-    assert_eq!((found.p_value(0), found.mean, found.whiteness), (None, None, None));
+    assert_eq!((found.summary.count, found.summary.nis, found.log_likelihood), (0, 0.0, 0.0));
+    assert_eq!((found.summary.p_value(0), found.summary.mean, found.summary.whiteness), (None, None, None));
 }
 
 #[test]

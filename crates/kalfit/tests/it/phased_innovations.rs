@@ -37,7 +37,7 @@ fn innovations_are_what_earlier_phases_and_rows_did_not_say() {
             let z = values(&test);
             let white = root.solve_lower_triangular(&(&z - &mean)).expect("positive");
             let found = run(&initial, std::slice::from_ref(&test)).remove(0);
-            assert_eq!(found.count, z.len());
+            assert_eq!(found.summary.count, z.len());
             for (k, one) in found.series.iter().enumerate() {
                 let what = format!("seed {seed}, innovation {k}");
                 assert_near(&what, one.standardised, white[k], 1e-9);
@@ -159,11 +159,11 @@ fn a_phase_that_is_wrongly_modelled_shows_in_its_part() {
     let mut sizes = std::collections::BTreeMap::<(usize, usize), (f64, f64)>::new();
     for found in run(&initial, &tests) {
         let parts = found.parts();
-        let count: usize = parts.iter().map(|part| part.innovations.count).sum();
-        assert_eq!(count, found.count);
+        let count: usize = parts.iter().map(|part| part.summary.count).sum();
+        assert_eq!(count, found.summary.count);
         for part in parts {
             let size = sizes.entry((part.phase, part.measurement)).or_default();
-            *size = (size.0 + part.innovations.nis, size.1 + part.innovations.count as f64);
+            *size = (size.0 + part.summary.nis, size.1 + part.summary.count as f64);
         }
     }
     for (&(phase, measurement), (nis, count)) in &sizes {

@@ -136,7 +136,7 @@ fn tests_list_the_phases_that_they_have() {
         let expected: &[&str] = if j % 3 == 2 { &["bench"] } else { &["bench", "flight"] };
         let found: Vec<&str> = test.phases.iter().map(|phase| phase.name.as_str()).collect();
         assert_eq!(found, expected, "{}", test.id);
-        assert!(test.phases.iter().all(|phase| phase.mean.len() == 2 && phase.covariance.len() == 2));
+        assert!(test.phases.iter().all(|phase| phase.mean.len() == 2 && phase.covariance.size() == 2));
         let deletion = test.deletion.as_ref().unwrap();
         let phases: Vec<&str> = deletion.phases.iter().map(|phase| phase.name.as_str()).collect();
         assert_eq!(phases, ["bench", "flight"], "the answer without a test is of all phases");

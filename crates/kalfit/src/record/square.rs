@@ -1,0 +1,93 @@
+//! A square matrix in a record.
+
+use std::ops::Index;
+
+use nalgebra::DMatrix;
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+/// A square matrix, as the list of its rows: one piece of memory, for records have very many of them.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct SquareRecord {
+    size: usize,
+    entries: Vec<f64>,
+}
+
+impl SquareRecord {
+    /// How many rows and columns it has.
+    pub fn size(&self) -> usize {
+        self.size
+    }
+
+    /// Its rows.
+    pub fn rows(&self) -> impl ExactSizeIterator<Item = &[f64]> {
+        (0..self.size).map(|i| &self[i])
+    }
+}
+
+/// A row.
+impl Index<usize> for SquareRecord {
+    type Output = [f64];
+
+    fn index(&self, i: usize) -> &[f64] {
+        &self.entries[i * self.size..][..self.size]
+    }
+}
+
+/// Of a symmetric matrix.
+impl From<&DMatrix<f64>> for SquareRecord {
+    fn from(symmetric: &DMatrix<f64>) -> SquareRecord {
+        SquareRecord { size: symmetric.nrows(), entries: symmetric.as_slice().to_vec() }
+    }
+}
+
+impl Serialize for SquareRecord {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq(self.rows())
+    }
+}
+
+/// Rows that are not as long as there are rows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("a square matrix of {size} rows has {found} numbers in row {row}")]
+pub struct NotSquare {
+    /// How many rows there are.
+    pub size: usize,
+    /// The first row of another length, from 1.
+    pub row: usize,
+    /// Its length.
+    pub found: usize,
+}
+
+/// From its rows.
+impl TryFrom<Vec<Vec<f64>>> for SquareRecord {
+    type Error = NotSquare;
+
+    fn try_from(rows: Vec<Vec<f64>>) -> Result<SquareRecord, NotSquare> {
+        let size = rows.len();
+        match rows.iter().position(|row| row.len() != size) {
+            None => Ok(SquareRecord { size, entries: rows.concat() }),
+            Some(at) => Err(NotSquare { size, row: at + 1, found: rows[at].len() }),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for SquareRecord {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<SquareRecord, D::Error> {
+        Vec::<Vec<f64>>::deserialize(deserializer)?.try_into().map_err(D::Error::custom)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn it_is_made_of_rows_as_long_as_there_are_rows() {
+        let square = SquareRecord::from(&DMatrix::from_row_slice(2, 2, &[1.0, 0.5, 0.5, 2.0]));
+        assert_eq!(SquareRecord::try_from(vec![vec![1.0, 0.5], vec![0.5, 2.0]]), Ok(square.clone()));
+        assert_eq!((&square[1], square.size()), (&[0.5, 2.0][..], 2));
+        let ragged = SquareRecord::try_from(vec![vec![1.0, 2.0], vec![2.0, 3.0, 4.0]]).unwrap_err();
+        assert_eq!(ragged.to_string(), "a square matrix of 2 rows has 3 numbers in row 2");
+    }
+}
