@@ -95,11 +95,11 @@ fn known(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>) -> Resul
     let mut kept = if job.innovations { Kept::of(&given.inputs) } else { Kept::nothing() };
     let reductions = reductions::reduce_keeping(spec, &alpha, given, work, &mut kept)?;
     let (mut record, population) = record(job, spec, given, (&alpha, &reductions), work)?;
+    beside(reductions); // what comes next can have their memory
     if job.innovations {
         innovations::add(&mut record, kept, (spec, &alpha, &given.inputs), &population, work);
         record.solver.seconds = work.seconds();
     }
-    beside(reductions);
     Ok(record)
 }
 

@@ -5,7 +5,7 @@ use std::io::{Read, Seek, SeekFrom, Write};
 
 use kalfit::innovations::InnovationFilter;
 use kalfit::model::Population;
-use kalfit::record::{InnovationRecord, SeriesKeeper};
+use kalfit::record::{InnovationRecord, SeriesKeeper, TestRecord};
 use kalfit::reduce::{Evidence, ReduceError, SplitError};
 use kalfit::{Alpha, FitRecord, Labels, PhasedModel, PhasedTest, Test};
 use kalfit_data::{DataError, Input, ReadError, Sink};
@@ -219,11 +219,15 @@ fn attach(record: &mut FitRecord, mut found: Vec<Found>) {
     if found.is_empty() {
         return;
     }
-    let of: std::collections::HashMap<&str, f64> =
-        record.tests.iter().map(|test| (test.id.as_str(), test.log_likelihood)).collect();
+    found.par_sort_by(|a, b| a.test.cmp(&b.test));
+    let mut tests: Vec<&TestRecord> = record.tests.iter().collect();
+    tests.par_sort_by(|a, b| a.id.cmp(&b.id));
+    let mut tests = tests.into_iter().peekable();
     let all = found.len();
     found.retain(|one| {
-        of.get(one.test.as_str()).is_some_and(|l| (l - one.log_likelihood).abs() <= AGREEMENT * (1.0 + l.abs()))
+        while tests.next_if(|test| test.id < one.test).is_some() {}
+        let fitted = tests.peek().filter(|test| test.id == one.test).map(|test| test.log_likelihood);
+        fitted.is_some_and(|l| (l - one.log_likelihood).abs() <= AGREEMENT * (1.0 + l.abs()))
     });
     if found.len() < all {
         record.notes.push(format!(
@@ -254,6 +258,7 @@ impl<'a, 'w> Looking<'a, 'w> {
 
     /// At all of them, as long as somebody waits.
     fn look_at(&mut self, tests: &[PhasedTest]) -> Result<(), Unavailable> {
+        self.seen.found.reserve_exact(tests.len());
         for (i, batch) in tests.chunks(BATCH).enumerate() {
             if self.work.is_stopped() {
                 return Err(Unavailable::Interrupted);

@@ -10,9 +10,9 @@ use crate::json;
 use crate::output::{Output, OutputError};
 
 /// Tests that one thread puts into words at a time.
-const CHUNK: usize = 256;
+const CHUNK: usize = 32;
 /// Chunks of each thread that are in memory at the same time.
-const CHUNKS: usize = 4;
+const CHUNKS: usize = 8;
 
 /// The tests of a record that has none, where they stand.
 const NO_TESTS: &[u8] = b"\n  \"tests\": []";

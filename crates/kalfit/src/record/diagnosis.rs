@@ -1,12 +1,14 @@
 //! What the data identify and how well the model describes them, as records, with reasons in words.
 
-use std::collections::HashMap;
+use rayon::prelude::*;
 
 use crate::infer::{Leading, Observability, Reason, StateObservability};
 use crate::innovations::{Innovations, Part, Summary, Whiteness};
 use crate::model::PhasedModel;
 use crate::record::cut::{Cut, regressions};
-use crate::record::{FitRecord, InnovationPartRecord, InnovationRecord, ObservabilityRecord, WhitenessRecord};
+use crate::record::{
+    FitRecord, InnovationPartRecord, InnovationRecord, ObservabilityRecord, TestRecord, WhitenessRecord,
+};
 
 /// No more names than this in a sentence.
 const MOST_NAMES: usize = 8;
@@ -76,10 +78,14 @@ impl InnovationRecord {
 
 impl FitRecord {
     /// Adds innovations to the tests of these ids; those of other tests are dropped.
-    pub fn add_innovations(&mut self, found: Vec<(String, InnovationRecord)>) {
-        let mut found: HashMap<String, InnovationRecord> = found.into_iter().collect();
-        for test in &mut self.tests {
-            test.innovations = found.remove(&test.id);
+    pub fn add_innovations(&mut self, mut found: Vec<(String, InnovationRecord)>) {
+        found.par_sort_by(|a, b| a.0.cmp(&b.0));
+        let mut tests: Vec<&mut TestRecord> = self.tests.iter_mut().collect();
+        tests.par_sort_by(|a, b| a.id.cmp(&b.id));
+        let mut found = found.into_iter().peekable();
+        for test in tests {
+            while found.next_if(|(id, _)| *id < test.id).is_some() {}
+            test.innovations = found.next_if(|(id, _)| *id == test.id).map(|(_, record)| record);
         }
     }
 }
