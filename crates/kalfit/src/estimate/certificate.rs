@@ -82,7 +82,7 @@ fn decrement(information: &DMatrix<f64>, gradient: &DVector<f64>) -> f64 {
     let scaled = DMatrix::from_fn(gradient.len(), gradient.len(), |i, j| scale[i] * information[(i, j)] * scale[j]);
     let (values, vectors) = symmetric::eigen(&scaled);
     let along = vectors.transpose() * gradient.component_mul(&scale);
-    let term = |(v, g): (&f64, &f64)| if v.abs() > crate::estimate::local::FLAT { g * g / v.abs() } else { 0.0 };
+    let term = |(v, g): (&f64, &f64)| if v.abs() > crate::estimate::curvature::FLAT { g * g / v.abs() } else { 0.0 };
     values.iter().zip(along.iter()).map(term).fold(0.0, |a, b| a + b).sqrt()
 }
 

@@ -6,7 +6,8 @@ use std::sync::Arc;
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::covariance::CovarianceMap;
-use crate::estimate::local::{Curvature, Local, Tangent};
+use crate::estimate::curvature::Curvature;
+use crate::estimate::local::{Local, Tangent};
 use crate::estimate::pass::{Order, Sums};
 use crate::estimate::terms::Point;
 use crate::estimate::{FitError, Place, Problem, Settings, State, Structure};

@@ -23,6 +23,7 @@ mod chart;
 mod classes;
 mod climb;
 mod covariance;
+mod curvature;
 mod elsewhere;
 mod em;
 mod exact;

@@ -7,7 +7,8 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::chart::Chart;
 use crate::estimate::covariance::CovarianceMap;
-use crate::estimate::local::{Curvature, Local, Objective, Tangent};
+use crate::estimate::curvature::Curvature;
+use crate::estimate::local::{Local, Objective, Tangent};
 use crate::estimate::terms::Point;
 use crate::linalg::symmetric;
 
