@@ -1,5 +1,7 @@
 //! One test: its rows, in time order.
 
+use std::ops::Range;
+
 use crate::ensemble::Label;
 
 /// Where a row came from. The core only carries it, for messages.
@@ -68,10 +70,22 @@ impl Test {
         self.rows += rows;
     }
 
+    /// Appends rows of another test. Panics where it has no such rows, or other numbers of cells.
+    pub(crate) fn push_from(&mut self, other: &Test, rows: Range<usize>) {
+        let mut start = rows.start;
+        while start < rows.end {
+            let end = other.follow(start).min(rows.end);
+            let numbers = &other.numbers[start * other.columns..end * other.columns];
+            let texts = &other.texts[start * other.text_columns..end * other.text_columns];
+            self.push_rows(end - start, numbers, texts, other.source(start));
+            start = end;
+        }
+    }
+
     /// The first rows, at most as many as there are.
     pub(crate) fn first(&self, rows: usize) -> Test {
         let mut test = Test::new(self.id.clone(), self.columns, self.text_columns);
-        (0..rows.min(self.rows())).for_each(|row| test.push(self.numbers(row), self.texts(row), self.source(row)));
+        test.push_from(self, 0..rows.min(self.rows()));
         test
     }
 
@@ -114,6 +128,12 @@ impl Test {
         Source { row: source.row + (row - first) as u64, ..source }
     }
 
+    /// The end of the rows that follow this one in its file.
+    fn follow(&self, row: usize) -> usize {
+        let next = self.sources.partition_point(|(first, _)| *first <= row);
+        self.sources.get(next).map_or(self.rows, |(first, _)| *first)
+    }
+
     /// Where the next row comes from, if it follows the last one in its file.
     fn next_source(&self) -> Option<Source> {
         let (first, source) = self.sources.last()?;
@@ -149,5 +169,11 @@ mod tests {
             rows.for_each(|((numbers, texts), k)| one_by_one.push(numbers, texts, source(k)));
         }
         assert_eq!(together, one_by_one);
+        for rows in [0..10, 2..7, 4..5, 9..10, 3..3] {
+            let (mut parts, mut whole) = (Test::new("t", 2, 1), Test::new("t", 2, 1));
+            rows.clone().for_each(|row| parts.push(together.numbers(row), together.texts(row), together.source(row)));
+            whole.push_from(&together, rows.clone());
+            assert_eq!(whole, parts, "rows {rows:?}");
+        }
     }
 }

@@ -37,7 +37,7 @@ pub(crate) fn climb(
         }
         match damping.attempt(objective, map, &place) {
             Attempt::Better(next) => place = *next,
-            Attempt::Failed => return (place, Stop::Stalled),
+            Attempt::Failed | Attempt::Blind => return (place, Stop::Stalled),
         }
     }
     let certified = place.decrement() <= limits.tolerance && certificate(map, &place, tests).1.is_none();

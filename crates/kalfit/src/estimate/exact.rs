@@ -63,7 +63,7 @@ pub(crate) fn maximise_exact(map: &CovarianceMap, second: &DMatrix<f64>, root: D
         }
         match damping.attempt(&objective, map, &place) {
             Attempt::Better(next) => place = *next,
-            Attempt::Failed => break,
+            Attempt::Failed | Attempt::Blind => break,
         }
     }
     place.point.root

@@ -65,6 +65,8 @@ pub(crate) enum Attempt {
     Better(Box<Place>),
     /// No damping helped.
     Failed,
+    /// The step promised less than the rounding errors of the value, and the value fell: it cannot tell any step from another.
+    Blind,
 }
 
 /// Damping that is remembered from step to step.
@@ -88,6 +90,9 @@ impl Damping {
                 if gain >= -slack && (gain >= 0.05 * promised || promised <= slack) {
                     self.judge(gain / promised);
                     return Attempt::Better(Box::new(next));
+                }
+                if promised <= slack {
+                    return Attempt::Blind;
                 }
                 self.0 = place.curvature.shorter(self.0, gain);
             } else {

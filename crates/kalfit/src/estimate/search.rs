@@ -34,8 +34,11 @@ const NEAR_END: f64 = 1e-3;
 const ROUGH: f64 = 1e-2;
 /// EM passes between two looks at the certificate.
 const EM_LOOK: usize = 16;
-/// A trailing column of the factor this small (in η) is tried at exactly zero.
+/// A trailing column of the factor this small (in η) is tried at exactly zero when the search has ended.
 const SNAP: f64 = 1e-5;
+/// The same, once, of a column this small where the model in Σ finds no step: where only few matrices of a lower rank meet the
+/// constraints, the decrement is not to be trusted near them.
+const SMALL: f64 = 1e-3;
 
 pub(crate) struct Search<'a> {
     problem: Problem,
@@ -113,6 +116,7 @@ impl<'a> Search<'a> {
         let mut damping = Damping::default();
         let mut failures = 0;
         let mut before = f64::INFINITY;
+        let mut tried_at_zero = false;
         loop {
             if place.decrement() <= self.settings.tolerance {
                 let tests = self.problem.classes.tests as f64;
@@ -127,19 +131,27 @@ impl<'a> Search<'a> {
             self.problem.ends_soon(place.decrement() < NEAR_END);
             let fast = place.decrement() < FAST * before;
             before = place.decrement();
-            if (!fast || place.local.gradient_size() <= CHEAP)
-                && let Some(next) = self.on_the_cone(&place)
-            {
-                place = next;
-                self.accept(place.local.value, Some(place.decrement()));
-                continue;
+            if !fast || place.local.gradient_size() <= CHEAP {
+                let mut next = self.on_the_cone(&place);
+                if next.is_none() && place.decrement() < NEAR_END && !std::mem::replace(&mut tried_at_zero, true) {
+                    let closer = |next: &Place| next.decrement() < 0.5 * place.decrement();
+                    next = self.snapped(&place, SMALL)?.filter(closer);
+                }
+                if let Some(next) = next {
+                    place = next;
+                    self.accept(place.local.value, Some(place.decrement()));
+                    continue;
+                }
             }
             match damping.attempt(&self.problem, &self.problem.covariance, &place) {
                 Attempt::Better(next) => {
                     place = *next;
                     failures = 0;
                 }
-                Attempt::Failed => {
+                Attempt::Blind if place.decrement() <= NEAR_ENOUGH * self.settings.tolerance => {
+                    return Ok((place, Stop::Certified));
+                }
+                Attempt::Failed | Attempt::Blind => {
                     failures += 1;
                     match self.safeguard(&place)? {
                         Some(next) if failures <= 3 => place = next,
@@ -248,7 +260,9 @@ impl<'a> Search<'a> {
 
     /// Sets what is all but zero to zero, looks at everything once more, and leaves the estimator's coordinates.
     fn finish(mut self, place: Place, mut stop: Stop, structure: &Structure<'_>) -> Result<Estimate, FitError> {
-        let mut place = self.snapped(place)?;
+        let enough = place.decrement().max(self.settings.tolerance);
+        let snapped = self.snapped(&place, SNAP)?.filter(|next| next.decrement() <= enough);
+        let mut place = snapped.unwrap_or(place);
         if self.problem.criterion() == Criterion::Reml {
             // the second derivatives are exact once the covariance of the mean is that of this very place
             place = self.place(place.point.clone(), place.near())?;
@@ -276,28 +290,27 @@ impl<'a> Search<'a> {
         Ok(if fine && next.decrement() <= place.decrement().max(self.settings.tolerance) { next } else { place })
     }
 
-    /// Trailing columns of the factor that are all but zero, set to zero when ℓ does not mind.
-    fn snapped(&mut self, place: Place) -> Result<Place, FitError> {
+    /// The place with trailing columns of the factor up to this size set to zero; `None` where there are none, or where ℓ minds.
+    fn snapped(&mut self, place: &Place, size: f64) -> Result<Option<Place>, FitError> {
         let mut root = place.point.root.clone();
         let mut changed = false;
         for block in self.problem.covariance.blocks() {
             for &c in block {
                 let largest = block.iter().map(|&i| root[(i, c)].abs()).fold(0.0, f64::max);
-                if largest > 0.0 && largest < SNAP {
+                if largest > 0.0 && largest < size {
                     block.iter().for_each(|&i| root[(i, c)] = 0.0);
                     changed = true;
                 }
             }
         }
         if !changed {
-            return Ok(place);
+            return Ok(None);
         }
         let chart = self.problem.covariance.chart(&root);
         let still = nalgebra::DVector::zeros(chart.coordinates.len());
-        let Some(root) = retract(&self.problem.covariance, &chart, still) else { return Ok(place) };
+        let Some(root) = retract(&self.problem.covariance, &chart, still) else { return Ok(None) };
         let next = self.place(Point { root, ..place.point.clone() }, place.near())?;
-        let fine = next.local.value >= place.local.value - 1e-9;
-        Ok(if fine && next.decrement() <= place.decrement().max(self.settings.tolerance) { next } else { place })
+        Ok((next.local.value >= place.local.value - 1e-9).then_some(next))
     }
 }
 

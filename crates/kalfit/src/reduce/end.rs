@@ -22,29 +22,33 @@ pub(crate) struct End {
 impl End {
     /// From Ψ (row-major) and U, r × r, row-major, with U'U = P, in the kernels' order; `states`: the state at each of its places.
     pub(crate) fn new(states: &[usize], Psi: &[f64], U: &[f64], r: usize) -> End {
-        let (n, p) = (states.len(), Psi.len() / states.len().max(1));
-        let rows: Vec<&[f64]> = U.chunks_exact(r.max(1)).filter(|row| row.iter().any(|&x| x != 0.0)).collect();
-        let mut end = End { sensitivity: DMatrix::zeros(n, p), root: DMatrix::zeros(n, rows.len()) };
-        for (place, &state) in states.iter().enumerate() {
-            for c in 0..p {
-                end.sensitivity[(state, c)] = Psi[place * p + c];
-            }
-            for (c, row) in rows.iter().enumerate().filter(|_| place < r) {
-                end.root[(state, c)] = row[place];
-            }
-        }
-        end
+        End::of_root(states, Psi, r, |row, place| U[row * r + place])
     }
 
     /// From the lower triangle of P, r × r, row-major; `None` where its root calls for square-root arrays.
     pub(crate) fn of_covariance(states: &[usize], Psi: &[f64], P: &[f64], r: usize) -> Option<End> {
-        let packed: Vec<f64> = (0..r).flat_map(|k| (0..=k).map(move |i| P[k * r + i])).collect();
+        let mut packed = Vec::with_capacity(r * (r + 1) / 2);
+        (0..r).for_each(|k| packed.extend_from_slice(&P[k * r..=k * r + k]));
         let (root, least) = information_root(&packed, r, LEAST_PIVOT);
-        let mut U = vec![0.0; r * r];
-        for k in 0..r {
-            (0..=k).for_each(|i| U[i * r + k] = root[i + k * (k + 1) / 2]);
+        let U = |row: usize, place: usize| if row <= place { root[row + place * (place + 1) / 2] } else { 0.0 };
+        (least >= LEAST_PIVOT).then(|| End::of_root(states, Psi, r, U))
+    }
+
+    /// Rows of U that are zero are left out.
+    fn of_root(states: &[usize], Psi: &[f64], r: usize, U: impl Fn(usize, usize) -> f64) -> End {
+        let (n, p) = (states.len(), Psi.len() / states.len().max(1));
+        let is_kept = |row: &usize| (0..r).any(|place| U(*row, place) != 0.0);
+        let kept = || (0..r).filter(is_kept).enumerate();
+        let mut end = End { sensitivity: DMatrix::zeros(n, p), root: DMatrix::zeros(n, kept().count()) };
+        for (place, &state) in states.iter().enumerate() {
+            for c in 0..p {
+                end.sensitivity[(state, c)] = Psi[place * p + c];
+            }
         }
-        (least >= LEAST_PIVOT).then(|| End::new(states, Psi, &U, r))
+        for (c, row) in kept() {
+            states.iter().take(r).enumerate().for_each(|(place, &state)| end.root[(state, c)] = U(row, place));
+        }
+        end
     }
 
     /// With x̂_K, in the kernels' order.

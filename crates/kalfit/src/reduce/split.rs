@@ -1,5 +1,7 @@
 //! The rows of a test by phase.
 
+use std::ops::Range;
+
 use crate::ensemble::{Label, Labels, Source, Test};
 use crate::model::PhasedModel;
 use crate::reduce::{Evidence, PhasedTest};
@@ -113,18 +115,34 @@ impl PhasedModel {
             phases.insert(0, test);
             return Ok(phases);
         };
-        let numbers: Vec<usize> =
-            (0..test.rows()).map(|row| self.phase_of(&test, row, column, labels)).collect::<Result<_, _>>()?;
+        let runs = self.runs_of_phases(&test, column, labels)?;
         let mut phases = empty();
-        if numbers.iter().all(|&phase| phase == 0) {
+        if runs.iter().all(|&(phase, _)| phase == 0) {
             phases.insert(0, test);
             return Ok(phases);
         }
         phases.insert(0, test.first(0));
-        for (row, &phase) in numbers.iter().enumerate() {
-            phases[phase].push(test.numbers(row), test.texts(row), test.source(row));
+        for (phase, rows) in runs {
+            phases[phase].push_from(&test, rows);
         }
         Ok(phases)
+    }
+
+    /// (number of the phase, rows) of rows of one phase that follow each other.
+    fn runs_of_phases(
+        &self,
+        test: &Test,
+        column: usize,
+        labels: &Labels,
+    ) -> Result<Vec<(usize, Range<usize>)>, SplitError> {
+        let mut runs: Vec<(usize, Range<usize>)> = Vec::with_capacity(self.phases.len());
+        for row in 0..test.rows() {
+            match runs.last_mut() {
+                Some((_, run)) if test.texts(run.start)[column] == test.texts(row)[column] => run.end = row + 1,
+                _ => runs.push((self.phase_of(test, row, column, labels)?, row..row + 1)),
+            }
+        }
+        Ok(runs)
     }
 
     /// The number of the phase that a row is of.
