@@ -11,6 +11,9 @@
 //! is weakly determined when it is nearly one that nothing was observed of: its condition index (Belsley, Kuh, Welsch 1980),
 //! √(λ_max / λ) of I scaled to unit diagonal, exceeds [`WEAK`]. None of these figures depends on units.
 
+use std::collections::BTreeMap;
+
+use kalfit_lanes::{Isa, Kernel, Lanes};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
@@ -126,7 +129,7 @@ pub(crate) fn observability(
     Observability {
         states,
         weak: weak.collect(),
-        together: (0..p).map(|i| (0..p).map(|k| count(&designs, |d| d.informs[i] && d.informs[k])).collect()).collect(),
+        together: together(&designs, p),
         shortages: shortages(problem, &designs),
     }
 }
@@ -173,10 +176,10 @@ fn observed(factor: &[f64], informs: &[bool]) -> Vec<bool> {
     if determinant > 10.0 * NONE {
         return informs.to_vec();
     }
-    let scaled = DMatrix::from_fn(p, states.len(), |i, c| entry(i, states[c]) / norms[c]);
-    if states.iter().enumerate().all(|(c, &state)| c == state) && is_regular(&scaled) {
+    if states.iter().enumerate().all(|(c, &state)| c == state) && Isa::best().run(Regular { factor, norms: &norms }) {
         return informs.to_vec();
     }
+    let scaled = DMatrix::from_fn(p, states.len(), |i, c| entry(i, states[c]) / norms[c]);
     let (values, vectors) = symmetric::eigen(&(scaled.transpose() * &scaled));
     let mut observed = vec![false; p];
     for (c, &state) in states.iter().enumerate() {
@@ -186,24 +189,44 @@ fn observed(factor: &[f64], informs: &[bool]) -> Vec<bool> {
     observed
 }
 
-/// Whether no eigenvalue of R'R can be near zero: the least one is at least 1 / ‖R⁻¹‖². R is upper triangular, but for rows of
-/// zeros below.
-fn is_regular(upper: &DMatrix<f64>) -> bool {
-    let n = upper.ncols();
-    let mut column = vec![0.0; n];
-    let mut squares = 0.0;
-    for k in 0..n {
-        column[..k].fill(0.0);
-        column[k] = 1.0;
-        for m in (0..=k).rev() {
-            let (above, rest) = column.split_at_mut(m);
-            let own = rest[0] / upper[(m, m)];
-            rest[0] = own;
-            above.iter_mut().zip(upper.column(m).as_slice()).for_each(|(x, u)| *x -= own * u);
-            squares += own * own;
+/// Whether no eigenvalue of R'R, scaled to unit diagonal, can be near zero: the least one is at least 1 / ‖D R⁻¹‖², D the norms of the
+/// columns of R, which is packed by columns.
+struct Regular<'a> {
+    factor: &'a [f64],
+    norms: &'a [f64],
+}
+
+impl Kernel for Regular<'_> {
+    type Output = bool;
+
+    /// Columns are worked on by as many numbers as registers hold.
+    #[inline(always)]
+    fn run<T: Lanes>(self) -> bool {
+        let n = self.norms.len();
+        let mut column = vec![0.0; n];
+        let mut squares = 0.0;
+        for k in 0..n {
+            column[..k].fill(0.0);
+            column[k] = 1.0;
+            for m in (0..=k).rev() {
+                let (above, diagonal) = self.factor[m * (m + 1) / 2..][..=m].split_at(m);
+                let own = column[m] / diagonal[0];
+                for (x, u) in column[..m].iter_mut().zip(above) {
+                    *x -= own * u;
+                }
+                squares += (self.norms[m] * own) * (self.norms[m] * own);
+            }
         }
+        10.0 * NONE * squares < 1.0 // false for what is not a number
     }
-    10.0 * NONE * squares < 1.0 // false for what is not a number
+}
+
+/// How many tests inform both of two states.
+fn together(designs: &[Design<'_>], p: usize) -> Vec<Vec<usize>> {
+    let mut alike: BTreeMap<&[bool], usize> = BTreeMap::new();
+    designs.iter().for_each(|design| *alike.entry(&design.informs).or_default() += design.tests.len());
+    let both = |i: usize, k: usize| alike.iter().filter(|(informs, _)| informs[i] && informs[k]).map(|(_, n)| n).sum();
+    (0..p).map(|i| (0..p).map(|k| both(i, k)).collect()).collect()
 }
 
 /// Number of tests of designs that `of` picks.
@@ -333,4 +356,23 @@ fn shortages(problem: &Problem, designs: &[Design<'_>]) -> Vec<Shortage> {
         Shortage { states, tests, rank: tests.saturating_sub(usize::from(free)) }
     };
     blocks.map(shortage).filter(|s| s.tests > 0 && s.rank < s.states.len()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_surely_observed_is_what_eigenvalues_say() {
+        // the last column nears the one before it, in units a million times as large
+        for (off, expected) in [(1.0, true), (1e-2, true), (1e-3, true), (1e-9, false), (0.0, false)] {
+            let factor = [2.0, 0.5, 1.0, 1e6, 2e6, off * 1e6];
+            let norms: Vec<f64> = (0..3).map(|k| norm(&factor[k * (k + 1) / 2..][..=k])).collect();
+            for isa in Isa::all() {
+                assert_eq!(isa.run(Regular { factor: &factor, norms: &norms }), expected, "{isa:?}: {off}");
+            }
+            assert_eq!(observed(&factor, &[true; 3]), [true, expected, expected], "{off}");
+        }
+        assert_eq!(observed(&[2.0, 0.0, 0.0, 1.0, 0.0, 3.0], &[true, false, true]), [true, false, true]);
+    }
 }
