@@ -7,7 +7,7 @@ use std::sync::Arc;
 use kalfit_lanes::{Lanes, Part};
 
 use crate::estimate::chained::kernel::{Detail, Phases, Prior, Root, Said};
-use crate::estimate::chained::{Chained, Link, Phase, Shape, centre, packed, scales, told};
+use crate::estimate::chained::{Chained, Link, Phase, Shape, centre, scales, told};
 use crate::estimate::classes::Class;
 use crate::estimate::frame::Frame;
 use crate::estimate::terms::{Point, Regressors};
@@ -204,8 +204,11 @@ fn put(chained: &Chained, to: &mut [f64], every: usize) {
 
 /// The same of a test by itself, to the bits of [`Chained::new`].
 fn put_test(chain: &Chain, (ranges, frame): (&[Range<usize>], &Frame), to: &mut [f64], every: usize) {
-    let mut to = to.iter_mut().step_by(every);
-    let mut write = |x: f64| to.by_ref().take(1).for_each(|to| *to = x);
+    let mut at = 0;
+    let mut write = |x: f64| {
+        to[at] = x;
+        at += every;
+    };
     write(1.0);
     let (mut sigma, mut before) = (Vec::new(), Vec::new());
     let (mut scale, mut scale_before) = (Vec::new(), Vec::new());
@@ -214,15 +217,21 @@ fn put_test(chain: &Chain, (ranges, frame): (&[Range<usize>], &Frame), to: &mut 
         scales(q, own, frame, &mut scale);
         centre(phase, own, frame, &before, &mut sigma);
         for i in 0..q {
-            (i..q).for_each(|k| write(packed(&phase.factor, i, k) * scale[k]));
+            let mut place = i * (i + 3) / 2;
+            for (k, scale) in scale.iter().enumerate().skip(i) {
+                write(phase.factor[place] * scale);
+                place += k + 1;
+            }
         }
         (0..q).for_each(|i| write(phase.data[i] - told(phase, i, &sigma)));
         if let Some(link) = &phase.link {
-            for i in 0..q {
-                (0..before.len()).for_each(|k| write(link.sensitivity[(i, k)] * scale_before[k] / scale[i]));
+            let sensitivity = link.sensitivity.as_slice();
+            for (i, scale) in scale.iter().enumerate() {
+                let row = sensitivity.iter().skip(i).step_by(q);
+                row.zip(&scale_before).for_each(|(x, before)| write(x * before / scale));
             }
-            for c in 0..link.root.ncols() {
-                (0..q).for_each(|i| write(link.root[(i, c)] / scale[i]));
+            for column in link.root.as_slice().chunks_exact(q.max(1)) {
+                column.iter().zip(&scale).for_each(|(x, scale)| write(x / scale));
             }
         }
         std::mem::swap(&mut sigma, &mut before);
