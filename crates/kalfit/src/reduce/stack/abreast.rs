@@ -1,0 +1,87 @@
+//! Tests with designs of their own, stacked side by side with their data.
+
+use kalfit_lanes::{Isa, Kernel, Lanes, MOST};
+use nalgebra::DMatrix;
+
+use crate::reduce::root::UNINFORMED;
+use crate::reduce::stack::join::{Room, apart};
+use crate::reduce::stack::{StackData, StackPhase, constant, given, half_log_determinants, links, settle_packed};
+
+/// The phases of one test stacked, rotations forgotten.
+#[derive(Debug, Clone)]
+pub(crate) struct Stacked {
+    /// R of all phases together, packed by columns.
+    pub(crate) factor: Vec<f64>,
+    /// G and C of each link, from the first on.
+    pub(crate) links: Vec<(DMatrix<f64>, DMatrix<f64>)>,
+    pub(crate) constant: f64,
+    /// d of all phases together.
+    pub(crate) data: Vec<f64>,
+}
+
+/// Stacks phases of tests of one shape, each with its data.
+pub(super) struct Abreast<'a> {
+    pub(super) tests: &'a [&'a [StackPhase<'a>]],
+    pub(super) data: &'a [&'a [StackData<'a>]],
+}
+
+impl Kernel for Abreast<'_> {
+    type Output = Vec<Stacked>;
+
+    #[inline(always)]
+    fn run<T: Lanes>(self) -> Vec<Stacked> {
+        let mut all = Vec::with_capacity(self.tests.len());
+        let mut room = (Room::default(), Vec::new());
+        for (tests, data) in self.tests.chunks(T::COUNT).zip(self.data.chunks(T::COUNT)) {
+            if tests.len() == 1 {
+                stack_abreast::<f64>(tests, data, &mut Default::default(), &mut all);
+            } else {
+                stack_abreast::<T>(tests, data, &mut room, &mut all);
+            }
+        }
+        all
+    }
+}
+
+/// As many tests as there are lanes, or fewer.
+#[inline(always)]
+fn stack_abreast<T: Lanes>(
+    tests: &[&[StackPhase<'_>]],
+    data: &[&[StackData<'_>]],
+    (room, memory): &mut (Room<T>, Vec<T>),
+    all: &mut Vec<Stacked>,
+) {
+    let phases = given::<T>(tests, Some(data));
+    let mut array = phases[phases.len() - 1].last(std::mem::take(memory));
+    let (mut residual, mut diagonals) = (T::splat(0.0), Vec::new());
+    for pair in phases.windows(2).rev() {
+        let (rest, diagonal) = pair[0].join(&pair[1], array, &mut residual, |_, _, _| {}, room);
+        diagonals.push(diagonal);
+        array = rest;
+    }
+    let count = tests.len();
+    let mut left = [0.0; MOST];
+    residual.store(&mut left);
+    let is_regular = array.is_regular(UNINFORMED);
+    let factors = apart(&array.packed(), count);
+    let rest = links(&phases, count).into_iter().zip(half_log_determinants(&diagonals, count));
+    for (((mut factor, (links, half_log_determinant)), data), mut residual) in
+        factors.into_iter().zip(rest).zip(data).zip(left)
+    {
+        let mut d = factor.split_off(factor.len() - array.width);
+        if !is_regular {
+            let mut settled = Vec::new();
+            settle_packed(&mut factor, array.width, &mut settled);
+            settled.iter().for_each(|one| one.apply(&mut d, &mut residual));
+        }
+        all.push(Stacked { factor, links, constant: constant(data, half_log_determinant, residual), data: d });
+    }
+    *memory = array.entries;
+}
+
+impl Stacked {
+    /// Stacks the phases of tests of one shape, each with its data: to the bits of [`Stack::new`] and [`Stack::data`].
+    pub(crate) fn all(tests: &[&[StackPhase<'_>]], data: &[&[StackData<'_>]]) -> Vec<Stacked> {
+        Isa::best().run(Abreast { tests, data })
+    }
+}
