@@ -29,6 +29,7 @@ mod em;
 mod exact;
 mod expected;
 mod form;
+mod forms;
 mod frame;
 mod lanes;
 mod likelihood;
@@ -69,6 +70,7 @@ pub(crate) use climb::{Limits, climb};
 pub(crate) use covariance::{Constraint, CovarianceMap, Form, Part};
 pub(crate) use elsewhere::InitialLaw;
 pub(crate) use expected::{ExpectedError, at_population};
+pub(crate) use forms::forms_in_parts;
 pub(crate) use local::{Local, Objective, Tangent, harmonic, natural_sizes};
 pub(crate) use newton::{Place, retract};
 pub(crate) use pass::{Order, Sums};
@@ -76,7 +78,7 @@ pub(crate) use problem::Problem;
 pub(crate) use start::generic_root;
 pub(crate) use structure::Assumed;
 pub(crate) use terms::{Point, Terms};
-pub(crate) use together::{each, forms_in_parts, in_parts};
+pub(crate) use together::{each, in_parts};
 
 use rayon::prelude::*;
 

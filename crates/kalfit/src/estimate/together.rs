@@ -1,19 +1,14 @@
 //! What classes say at a point, one after the other; those in phases side by side.
 
-#![expect(non_snake_case, reason = "W is the letter of the theory")]
-
 use std::ops::Range;
 use std::sync::Arc;
 
 use kalfit_lanes::{Isa, Kernel, Lanes};
-use nalgebra::{DMatrix, DMatrixView};
 use rayon::prelude::*;
 
-use crate::estimate::chained::{Detail, Kept, Packed, Root, Said, grouped};
+use crate::estimate::chained::{Detail, Kept, Packed, Root, grouped};
 use crate::estimate::classes::{Class, Classes};
 use crate::estimate::terms::{Point, Regressors, Terms};
-use crate::linalg::parts::{Columns, in_parts as in_columns};
-use crate::linalg::rows::Rows;
 
 /// Classes that one thread takes at a time.
 const CHUNK: usize = 256;
@@ -65,65 +60,43 @@ pub(crate) fn in_parts<T: Send>(
     of: &(dyn Fn(&mut T, usize, &Terms) + Sync),
 ) -> Vec<T> {
     let (isa, all) = (classes.blocks.isa(), classes.classes.iter().collect::<Vec<&Class>>());
-    let alone: Vec<usize> = alone(&all).collect();
-    let one_by_one = |numbers: &[usize]| {
-        let (mut made, mut terms) = (start(), Terms::new(point.mean.len()));
-        for &k in numbers {
-            terms.evaluate(all[k], regressors, point, detail);
-            of(&mut made, k, &terms);
-        }
-        made
-    };
     let root = &Root::of(&point.root);
-    let side_by_side = |blocks: &[Arc<Packed>]| {
-        let (mut made, mut terms) = (start(), Terms::new(point.mean.len()));
-        for packed in blocks {
-            let of: &mut dyn FnMut(usize, &Terms) = &mut |k, terms| of(&mut made, k, terms);
-            isa.run(Tell { packed, classes: &all, regressors, point, root, detail, terms: &mut terms, of });
-        }
-        made
-    };
-    let mut parts: Vec<T> = alone.par_chunks(CHUNK).map(one_by_one).collect();
-    parts.par_extend(classes.chains.par_chunks(CHUNK / isa.lanes()).map(side_by_side));
-    parts
+    let parts = in_pieces(
+        classes,
+        &|| (start(), Terms::new(point.mean.len())),
+        &|(made, terms), k| {
+            terms.evaluate(all[k], regressors, point, detail);
+            of(made, k, terms);
+        },
+        &|(made, terms), packed| {
+            let of: &mut dyn FnMut(usize, &Terms) = &mut |k, terms| of(made, k, terms);
+            isa.run(Tell { packed, classes: &all, regressors, point, root, detail, terms, of });
+        },
+    );
+    parts.into_iter().map(|(made, _)| made).collect()
 }
 
-/// What `of` makes of each class and of its W: u'Wu for every column u of `directions`. Some classes by themselves, as [`in_parts`].
-pub(crate) fn forms_in_parts<T: Send>(
+/// Classes by themselves are given to `one`, by number, and those that are packed to `several`; what they make begins with `start`,
+/// whatever thread they are on.
+pub(super) fn in_pieces<T: Send>(
     classes: &Classes,
-    (regressors, point): (&Regressors, &Point),
-    directions: &DMatrix<f64>,
     start: &(dyn Fn() -> T + Sync),
-    of: &(dyn Fn(&mut T, usize, &[f64]) + Sync),
+    one: &(dyn Fn(&mut T, usize) + Sync),
+    several: &(dyn Fn(&mut T, &Packed) + Sync),
 ) -> Vec<T> {
-    let (isa, all) = (classes.blocks.isa(), classes.classes.iter().collect::<Vec<&Class>>());
-    let (alone, p): (Vec<usize>, usize) = (alone(&all).collect(), point.mean.len());
-    let one = |terms: &mut Terms, k: usize| {
-        terms.evaluate(all[k], regressors, point, Detail::Between);
-        let products = DMatrixView::from_slice(&terms.W, p, p) * directions; // W is symmetric
-        directions.column_iter().zip(products.column_iter()).map(|(u, Wu)| u.dot(&Wu)).collect::<Vec<f64>>()
-    };
+    let alone: Vec<usize> = alone(&classes.classes.iter().collect::<Vec<&Class>>()).collect();
     let one_by_one = |numbers: &[usize]| {
-        let (mut made, mut terms) = (start(), Terms::new(p));
-        numbers.iter().for_each(|&k| of(&mut made, k, &one(&mut terms, k)));
+        let mut made = start();
+        numbers.iter().for_each(|&k| one(&mut made, k));
         made
     };
-    let root = &Root::of(&point.root);
     let side_by_side = |blocks: &[Arc<Packed>]| {
-        let (mut made, mut terms) = (start(), Terms::new(p));
-        for packed in blocks {
-            let found = isa.run(Forms { packed, classes: &all, regressors, point, root, directions });
-            for (lane, &k) in packed.members().iter().enumerate() {
-                match &found {
-                    Some(found) => of(&mut made, k, &found[lane * directions.ncols()..][..directions.ncols()]),
-                    None => of(&mut made, k, &one(&mut terms, k)),
-                }
-            }
-        }
+        let mut made = start();
+        blocks.iter().for_each(|packed| several(&mut made, packed));
         made
     };
     let mut parts: Vec<T> = alone.par_chunks(CHUNK).map(one_by_one).collect();
-    parts.par_extend(classes.chains.par_chunks(CHUNK / isa.lanes()).map(side_by_side));
+    parts.par_extend(classes.chains.par_chunks(CHUNK / classes.blocks.isa().lanes()).map(side_by_side));
     parts
 }
 
@@ -160,92 +133,6 @@ impl Kernel for Tell<'_, '_> {
                 None => terms.evaluate(class, regressors, point, detail),
             }
             of(k, terms);
-        }
-    }
-}
-
-/// u'Wu of classes side by side, for every column u; one class after the other.
-struct Forms<'a> {
-    packed: &'a Packed,
-    classes: &'a [&'a Class],
-    regressors: &'a Regressors,
-    point: &'a Point,
-    root: &'a Root<'a>,
-    directions: &'a DMatrix<f64>,
-}
-
-impl Kernel for Forms<'_> {
-    type Output = Option<Vec<f64>>;
-
-    #[inline(always)]
-    fn run<T: Lanes>(self) -> Option<Vec<f64>> {
-        let mean = self.packed.means::<T>(self.classes, self.point, self.regressors);
-        let said = self.packed.said::<T>(&mean, self.root, Detail::Between)?;
-        let columns = self.directions.ncols();
-        let mut forms = vec![T::splat(0.0); columns];
-        let ranges: Vec<&Range<usize>> = self.packed.shape().ranges().collect();
-        in_columns(
-            0,
-            &mut OfDirections { said: &said, ranges: &ranges, directions: self.directions, forms: &mut forms },
-        );
-        let mut found = vec![0.0; columns * T::COUNT];
-        for (c, form) in forms.iter().enumerate() {
-            for lane in 0..T::COUNT {
-                found[lane * columns + c] = form.lane(lane);
-            }
-        }
-        Some(found)
-    }
-}
-
-/// A few directions at a time.
-struct OfDirections<'a, T> {
-    said: &'a Said<T>,
-    ranges: &'a [&'a Range<usize>],
-    directions: &'a DMatrix<f64>,
-    forms: &'a mut [T],
-}
-
-impl<T: Lanes> Columns for OfDirections<'_, T> {
-    #[inline(always)]
-    fn count(&self) -> usize {
-        self.forms.len()
-    }
-
-    #[inline(always)]
-    fn part<const N: usize>(&mut self, from: usize) {
-        let zero = T::splat(0.0);
-        let mut sums = [zero; N];
-        let mut blocks = self.said.W.iter();
-        for (k, one) in self.ranges.iter().enumerate() {
-            let (before, own) = blocks.as_slice().split_at(k);
-            blocks.nth(k);
-            for a in 0..one.len() {
-                // W is symmetric: what lies between phases counts twice
-                let (mut twice, mut once) = ([zero; N], [zero; N]);
-                for (W, other) in before.iter().zip(self.ranges) {
-                    self.row::<N>(W.as_ref(), (a, other.start), from, &mut twice);
-                }
-                self.row::<N>(own[0].as_ref(), (a, one.start), from, &mut once);
-                for c in 0..N {
-                    let own = T::splat(self.directions[(one.start + a, from + c)]);
-                    sums[c] = own.fma(twice[c] + twice[c] + once[c], sums[c]);
-                }
-            }
-        }
-        self.forms[from..from + N].copy_from_slice(&sums);
-    }
-}
-
-impl<T: Lanes> OfDirections<'_, T> {
-    /// Adds row a of a block of W times what some directions have there.
-    #[inline(always)]
-    fn row<const N: usize>(&self, W: Option<&Rows<T>>, (a, start): (usize, usize), from: usize, sums: &mut [T; N]) {
-        let Some(W) = W else { return };
-        for (b, &w) in W.row(a).iter().enumerate() {
-            for c in 0..N {
-                sums[c] = w.fma(T::splat(self.directions[(start + b, from + c)]), sums[c]);
-            }
         }
     }
 }
