@@ -117,7 +117,7 @@ impl PhasedReducer {
     }
 
     /// The reductions of tests, in their order: over (ξ_1, …, ξ_I), P = Σ p_i numbers, zero rows and columns for phases that a
-    /// test lacks, with the [`Chain`] where the model has several phases.
+    /// test lacks, with the [`Chain`](crate::reduce::Chain) where the model has several phases.
     ///
     /// # Errors
     /// Of several tests in error, the first one's error; of several phases, the first one's.
