@@ -2,6 +2,7 @@
 //! then.
 
 use std::collections::BTreeSet;
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use nalgebra::DVector;
@@ -13,7 +14,7 @@ use crate::dynamic::{Coordinate, DynamicError, Settings};
 use crate::estimate::{self, Criterion, Estimate, InitialLaw, Silent, Structure};
 use crate::model::{Alpha, PhasedModel, Population};
 use crate::reduce::{PhasedReducer, PhasedTest, ReduceError, Reduction};
-use crate::score::{Gradient, Levels, PhasedComplete, PhasedScorer, Slots, carried};
+use crate::score::{Companies, Gradient, Levels, PhasedComplete, PhasedScorer, Slots, carried};
 
 /// The ensemble and the model, ready for any α.
 #[derive(Debug)]
@@ -26,6 +27,7 @@ pub(crate) struct Bench<'a> {
     order: Vec<usize>,
     indirect: Indirect,
     scale: Option<Scale>,
+    companies: OnceLock<Companies>,
     filter_passes: AtomicUsize,
     score_passes: AtomicUsize,
     passes: AtomicUsize,
@@ -90,6 +92,7 @@ impl<'a> Bench<'a> {
             order,
             indirect: Indirect::of(model, tests, slots),
             scale: Scale::of(model, tests, slots),
+            companies: OnceLock::new(),
             filter_passes: zero(),
             score_passes: zero(),
             passes: zero(),
@@ -256,7 +259,9 @@ impl<'a> Bench<'a> {
         let reducer = reducer.as_ref().or(fresh.as_ref()).expect("one of them is there");
         self.score_passes.fetch_add(1, Ordering::Relaxed);
         let scorer = PhasedScorer::new(self.model, reducer, self.slots).map_err(Box::new)?;
-        let mut scores = scorer.scores(self.tests, reductions, law).map_err(Box::new)?;
+        // which tests are alike does not depend on α
+        let companies = self.companies.get_or_init(|| scorer.companies(self.tests));
+        let mut scores = scorer.scores(self.tests, reductions, law, companies).map_err(Box::new)?;
         self.indirect.add(self, (reducer, values), (reductions, law), &mut scores).map_err(Box::new)?;
         Ok(scores)
     }

@@ -28,7 +28,7 @@ pub(crate) struct Looks {
 }
 
 /// Cells of a test that others are compared with.
-#[derive(Debug)]
+#[derive(Debug, PartialEq)]
 pub(crate) struct Likeness {
     rows: usize,
     /// Bits of all numeric cells, those that are not read left out.

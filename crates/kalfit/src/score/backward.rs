@@ -27,6 +27,7 @@ mod equal;
 mod filtered;
 mod parts;
 mod smooth;
+mod spreads;
 mod steady;
 #[cfg(test)]
 mod tests;
@@ -40,6 +41,7 @@ use filtered::{Filtered, Seen};
 use parts::{Kind, Part};
 
 pub(crate) use smooth::{Driven, Smoothed, Smoothing};
+pub(crate) use spreads::Spreads;
 
 /// What the chain rule asks of a backward pass.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

@@ -12,6 +12,7 @@
 mod groups;
 mod measured;
 mod moved;
+mod response;
 mod taps;
 #[cfg(test)]
 mod tests;
@@ -29,10 +30,21 @@ pub(crate) use measured::Measured;
 use measured::Measuring;
 pub(crate) use moved::Moved;
 use moved::Moving;
+pub(crate) use response::{Entry, Response};
 use taps::{Context, Pending, Read, Taps};
 
 /// Gradient of one test: (slot, dℓ/dvalue), each slot at most once, ascending.
 pub(crate) type Gradient = Vec<(usize, f64)>;
+
+/// Adds one gradient to another.
+pub(crate) fn add(gradient: &mut Gradient, other: &Gradient) {
+    for &(slot, x) in other {
+        match gradient.binary_search_by_key(&slot, |&(slot, _)| slot) {
+            Ok(at) => gradient[at].1 += x,
+            Err(at) => gradient.insert(at, (slot, x)),
+        }
+    }
+}
 
 /// The way from the coefficients of a model at α to its free values. Threads share it.
 #[derive(Debug)]
@@ -285,8 +297,13 @@ impl Adjoints<'_> {
     /// The gradient of the test; the next one can begin.
     pub(crate) fn finish(&mut self, test: &Test, work: &Workspace) -> Result<Gradient, Box<Fault>> {
         let result = self.settle(test, work).and_then(|()| self.pending.finish(&self.chain.context()));
+        self.clear();
+        result
+    }
+
+    /// Forgets what was given so far.
+    fn clear(&mut self) {
         self.pending.clear();
         self.moving.groups.clear();
-        result
     }
 }

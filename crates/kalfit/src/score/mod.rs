@@ -6,6 +6,7 @@
 
 mod backward;
 mod chain;
+mod company;
 mod complete;
 mod expected;
 mod levels;
@@ -31,6 +32,7 @@ use smoother::Later;
 pub use slots::{Slot, Slots};
 
 pub(crate) use chain::Gradient;
+pub(crate) use company::Companies;
 pub(crate) use levels::{Levels, carried, dependences};
 pub(crate) use moments::{Moments, expected_square};
 pub(crate) use phased::{PhasedComplete, PhasedScorer};

@@ -102,6 +102,23 @@ pub(crate) fn moments(reduction: &Reduction, law: &InitialLaw) -> Moments {
     Moments { mean: mean.as_slice().to_vec(), root, columns: columns.len() }
 }
 
+impl Moments {
+    /// x̂ of another test with the same R under the same law, which must not be a restricted one: μ + CC'R'(d - Rμ).
+    pub(crate) fn mean_of(&self, reduction: &Reduction, law: &InitialLaw) -> Vec<f64> {
+        let (p, factor) = (self.mean.len(), |i: usize, k: usize| reduction.factor[i + k * (k + 1) / 2]);
+        let mut mean = law.mean_of(&reduction.covariates).as_slice().to_vec();
+        let left = |i: usize| reduction.data[i] - (i..p).map(|k| factor(i, k) * mean[k]).sum::<f64>();
+        let left: Vec<f64> = (0..p).map(left).collect();
+        let told: Vec<f64> = (0..p).map(|k| (0..=k).map(|i| factor(i, k) * left[i]).sum()).collect();
+        for c in 0..self.columns {
+            let column = || self.root.iter().skip(c).step_by(self.columns);
+            let along: f64 = column().zip(&told).map(|(root, told)| root * told).sum();
+            mean.iter_mut().zip(column()).for_each(|(mean, root)| *mean += root * along);
+        }
+        mean
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -119,6 +136,20 @@ mod tests {
             path: Path::Information,
             design: 0,
             chain: None,
+        }
+    }
+
+    #[test]
+    fn means_from_the_root_of_another_test_are_those_of_their_own() {
+        let law = InitialLaw::known(
+            DVector::from_vec(vec![0.3, -1.0, 2.0]),
+            DMatrix::from_row_slice(3, 2, &[1.0, 0.2, -0.5, 2.0, 0.3, 0.1]),
+        );
+        let factor = [2.0, 0.5, 1.5, -1.0, 0.7, 0.0];
+        let other = moments(&reduction([5.0, 1.0, 0.0], factor), &law);
+        let of = reduction([1.0, -2.0, 0.0], factor);
+        for (found, expected) in other.mean_of(&of, &law).iter().zip(moments(&of, &law).mean) {
+            assert!((found - expected).abs() < 1e-13, "{found} {expected}");
         }
     }
 

@@ -9,6 +9,7 @@
 
 #[cfg(test)]
 mod tests;
+mod together;
 
 use std::collections::BTreeMap;
 
@@ -23,7 +24,7 @@ use crate::score::chain::{Adjoints, Gradient};
 use crate::score::complete::Complete;
 use crate::score::moments::moments;
 use crate::score::smoother::{InheritedBar, PhaseLaws, Plan, PlanKey, Smooth};
-use crate::score::{Scorer, Slots};
+use crate::score::{Companies, Scorer, Slots};
 
 /// Bytes of smoothers that are kept: tests of one design share one while they fit.
 const PLAN_BYTES: usize = 64 << 20;
@@ -70,15 +71,20 @@ impl<'a> PhasedScorer<'a> {
         Ok(PhasedScorer { model, reducer, slots, phases: phases.collect::<Result<_, _>>()?, carries })
     }
 
-    /// dℓ_j/dα of each test through the phases that are filtered here. `reductions`: theirs; `law`: that of ξ.
+    /// dℓ_j/dα of each test through the phases that are filtered here. `reductions`: theirs; `law`: that of ξ; `companies`: which of
+    /// them are alike.
     pub(crate) fn scores(
         &self,
         tests: &[PhasedTest],
         reductions: &[Reduction],
         law: &InitialLaw,
+        companies: &Companies,
     ) -> Result<Vec<Gradient>, ReduceError> {
         let plans = Shared::new(PLAN_BYTES);
-        self.each(tests, reductions, |room, (test, reduction)| self.one(test, reduction, (law, &plans), room))
+        let mut scores: Vec<(usize, Result<Gradient, ReduceError>)> =
+            self.in_companies(tests, reductions, (law, &plans), companies);
+        scores.sort_unstable_by_key(|(number, _)| *number);
+        scores.into_iter().map(|(_, score)| score).collect()
     }
 
     /// Moments of the complete data of each test (the E-step).
@@ -109,15 +115,18 @@ impl<'a> PhasedScorer<'a> {
         with: &[X],
         one: impl Fn(&mut Room<'_>, (&PhasedTest, &X)) -> Result<T, ReduceError> + Sync,
     ) -> Result<Vec<T>, ReduceError> {
-        let room = || Room {
+        let all: Vec<Result<T, ReduceError>> =
+            tests.par_iter().zip(with).map_init(|| self.room(), |room, pair| one(room, pair)).collect();
+        all.into_iter().collect()
+    }
+
+    fn room(&self) -> Room<'_> {
+        Room {
             work: self.reducer.workspace(),
             backward: BackwardWork::default(),
             adjoints: self.phases.iter().map(|phase| phase.chain.adjoints()).collect(),
             tape: Tape::default(),
-        };
-        let all: Vec<Result<T, ReduceError>> =
-            tests.par_iter().zip(with).map_init(room, |room, pair| one(room, pair)).collect();
-        all.into_iter().collect()
+        }
     }
 
     /// The rows of a phase that is filtered here.

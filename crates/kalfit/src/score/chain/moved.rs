@@ -94,6 +94,16 @@ impl Adjoints<'_> {
         Ok(moving.groups.again(transition, &chain.reads, Some(&scope)))
     }
 
+    /// The cells that coefficients with free values read for the transition to step `k`.
+    pub(super) fn cells(&mut self, test: &Test, k: usize, work: &Workspace) -> Result<Vec<u64>, Box<Fault>> {
+        let Adjoints { chain, moving, .. } = self;
+        if chain.reads.is_empty() {
+            return Ok(Vec::new());
+        }
+        let scope = chain.preparer.moving(test, k, work, &mut moving.cells)?;
+        Ok(chain.reads.iter().map(|read| read.bits(&scope)).collect())
+    }
+
     /// The group of the step, new or known.
     fn enter(
         &mut self,

@@ -218,7 +218,51 @@ fn pass(chain: &Chain<'_>, adjoints: &mut Adjoints<'_>, work: &Workspace, test: 
     adjoints.finish(test, work).expect("finite")
 }
 
-/// Compares every slot with the difference quotient; `grows`: slots whose variance is zero, so that they can only grow.
+/// The same from the answers to each adjoint.
+fn answered(preparer: &Preparer, slots: &Slots, work: &Workspace, test: &Test) -> Vec<f64> {
+    let chain = Chain::new(preparer, slots).expect("differentiable");
+    let response = chain.adjoints().response(test, work).expect("finite");
+    let design = &work.design;
+    let (n, r, driven) = (design.frame.n, design.frame.r, &design.frame.driven);
+    let mut sums = vec![0.0; slots.len()];
+    let mut add = |span, bar: f64| {
+        response.factors(span).iter().for_each(|&(place, factor)| sums[response.slots[place as usize]] += factor * bar)
+    };
+    let mut moves = response.moves.iter().enumerate();
+    for (k, step) in design.each_step().enumerate() {
+        if let Some(transition) = step.transition {
+            let (number, own) = moves.next().expect("one for each transition");
+            let pattern = &transition.pattern;
+            for entry in response.entries(&own.phi) {
+                let row = pattern.moved[entry.i];
+                let at = (row.start as usize..row.end as usize).find(|&at| pattern.columns[at] as usize == entry.j);
+                add(entry.span, weight(5, k * 100 + at.expect("it is an entry of φ")));
+            }
+            for entry in response.entries(&own.q) {
+                let at = pattern.pairs.iter().position(|&(i, j)| (i as usize, j as usize) == (entry.i, entry.j));
+                add(entry.span, weight(6, k * 100 + at.expect("it is an entry of Q")));
+            }
+            for entry in response.entries(&own.input) {
+                let at = driven.iter().position(|&state| state as usize == entry.i).expect("it is driven");
+                add(entry.span, weight(1, number * driven.len() + at));
+            }
+        }
+        for row in step.rows {
+            let own = &response.rows[row];
+            add(own.noise, weight(3, row));
+            add(own.value, weight(2, row));
+            response.entries(&own.h).iter().for_each(|entry| add(entry.span, weight(7, row * n + entry.i)));
+        }
+    }
+    response.entries(&response.mean).iter().for_each(|entry| add(entry.span, weight(0, entry.i)));
+    for entry in response.entries(&response.variance) {
+        let half = if entry.i == entry.j { 1.0 } else { 0.5 };
+        add(entry.span, half * weight(4, entry.i * r + entry.j));
+    }
+    sums
+}
+
+/// Compares every slot with the difference quotient, and, where values are not mixed, with the answers to each adjoint; `grows`: slots whose variance is zero, so that they can only grow.
 #[track_caller]
 fn check(model: &Model, values: &[f64], test: &Test, grows: &[usize]) {
     let labels = Labels::new(&model.literals);
@@ -228,6 +272,13 @@ fn check(model: &Model, values: &[f64], test: &Test, grows: &[usize]) {
     let found = gradient(&preparer, &slots, &work, test);
     assert!(found.windows(2).all(|two| two[0].0 < two[1].0), "{found:?}");
     assert!(found.iter().any(|(_, x)| *x != 0.0), "{found:?}");
+    if preparer.meters.can_repeat() {
+        for (slot, answer) in answered(&preparer, &slots, &work, test).into_iter().enumerate() {
+            let found = found.iter().find(|(s, _)| *s == slot).map_or(0.0, |(_, x)| *x);
+            let bound = 1e-12 * (1.0 + found.abs());
+            assert!((found - answer).abs() <= bound, "slot {slot}: {found:.13e}, adjoint by adjoint {answer:.13e}");
+        }
+    }
     let ell = |slot: usize, x: f64| {
         let mut moved = values.to_vec();
         moved[slot] += x;

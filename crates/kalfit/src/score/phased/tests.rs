@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::{DMatrix, DVector};
 
+use super::together::Ensemble;
 use super::*;
 use crate::ensemble::{Label, Labels, Source};
 use crate::model::{
@@ -176,12 +177,15 @@ fn rows(id: &str, at: usize, count: usize, random: &mut impl FnMut() -> f64) -> 
     test
 }
 
-fn tests(seed: u64) -> Vec<PhasedTest> {
-    let mut seed = seed;
-    let mut random = move || {
+fn random(mut seed: u64) -> impl FnMut() -> f64 {
+    move || {
         seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (seed >> 40) as f64 / f64::from(1 << 24) - 0.5
-    };
+    }
+}
+
+fn tests(seed: u64) -> Vec<PhasedTest> {
+    let mut random = random(seed);
     let test = |(id, phases): (&str, usize)| {
         let evidence = (0..phases).map(|at| Evidence::Rows(rows(id, at, 6 - at, &mut random))).collect();
         PhasedTest { id: id.to_owned(), phases: evidence }
@@ -240,7 +244,7 @@ fn scores_equal_differences_of_the_stacked_likelihood() {
         let law = InitialLaw::known(all.mean_of(&[]).rows(0, p).into_owned(), all.root.rows(0, p).into_owned());
         let (reducer, reductions) = reduced(&model, &slots, &VALUES, &tests);
         let scorer = PhasedScorer::new(&model, &reducer, &slots).expect("differentiable");
-        let scores = scorer.scores(&tests, &reductions, &law).expect("sound");
+        let scores = scorer.scores(&tests, &reductions, &law, &Companies::none(tests.len())).expect("sound");
         for (j, score) in scores.iter().enumerate() {
             let pieces = reducer.pieces_of(&tests[j], &mut reducer.workspace()).expect("sound");
             let laws = PhaseLaws::new(&law, &model.ranges(), &[]);
@@ -271,7 +275,7 @@ fn the_expected_likelihood_of_phases_has_the_slope_of_the_likelihood() {
     let law = law();
     let (reducer, reductions) = reduced(&model, &slots, &VALUES, &tests);
     let scorer = PhasedScorer::new(&model, &reducer, &slots).expect("differentiable");
-    let scores = scorer.scores(&tests, &reductions, &law).expect("sound");
+    let scores = scorer.scores(&tests, &reductions, &law, &Companies::none(tests.len())).expect("sound");
     let complete = scorer.all_complete(&tests, &reductions, &law).expect("sound");
     let expected = scorer.all_expected(&tests, &complete).expect("sound").expect("it came about");
     let carried: Vec<usize> = model.phases.iter().flat_map(|phase| crate::score::carried(phase, &slots)).collect();
@@ -292,9 +296,71 @@ fn scores_have_the_same_bits_alone_and_together() {
     let slots = Slots::in_phases(&model, &Labels::new(&model.shared().literals), &tests);
     let (reducer, reductions) = reduced(&model, &slots, &VALUES, &tests);
     let scorer = PhasedScorer::new(&model, &reducer, &slots).expect("differentiable");
-    let together = scorer.scores(&tests, &reductions, &law()).expect("sound");
+    let together = scorer.scores(&tests, &reductions, &law(), &Companies::none(tests.len())).expect("sound");
     for j in 0..tests.len() {
-        let alone = scorer.scores(&tests[j..=j], &reductions[j..=j], &law()).expect("sound");
+        let alone = scorer.scores(&tests[j..=j], &reductions[j..=j], &law(), &Companies::none(1)).expect("sound");
         assert_eq!(alone[0], together[j], "test {j}");
+    }
+}
+
+/// As many tests as there are, each with the cells of one of `tests` but what was measured.
+fn alike(tests: &[PhasedTest], each: usize, seed: u64) -> Vec<PhasedTest> {
+    let mut random = random(seed);
+    let mut all = Vec::new();
+    for number in 0..each {
+        for test in tests {
+            let again = |evidence: &Evidence| {
+                let Evidence::Rows(rows) = evidence else { return evidence.clone() };
+                let mut own = Test::new(rows.id.clone(), 4, 3);
+                for row in 0..rows.rows() {
+                    let mut numbers = rows.numbers(row).to_vec();
+                    numbers[1] += random();
+                    own.push(&numbers, rows.texts(row), rows.source(row));
+                }
+                Evidence::Rows(own)
+            };
+            let id = format!("{}{number}", test.id);
+            all.push(PhasedTest { id, phases: test.phases.iter().map(again).collect() });
+        }
+    }
+    all
+}
+
+#[test]
+fn alike_tests_are_scored_as_one_by_one() {
+    for phases in 1..=3 {
+        let (model, few) = cut(journey(), phases, &tests(7));
+        let slots = Slots::in_phases(&model, &Labels::new(&model.shared().literals), &few);
+        let values: Vec<f64> = VALUES.iter().take(slots.len()).copied().collect();
+        let all = law();
+        let p = model.dimension();
+        let law = InitialLaw::known(all.mean_of(&[]).rows(0, p).into_owned(), all.root.rows(0, p).into_owned());
+        let mut many = alike(&few, 37, 8);
+        many.extend(tests(9).into_iter().map(|mut test| {
+            test.phases.truncate(phases);
+            test
+        }));
+        let (reducer, reductions) = reduced(&model, &slots, &values, &many);
+        let scorer = PhasedScorer::new(&model, &reducer, &slots).expect("differentiable");
+        let companies = scorer.companies(&many);
+        let sizes: Vec<usize> = companies.companies.iter().map(Vec::len).collect();
+        assert_eq!((sizes, companies.alone.len()), (vec![37; 4], 4));
+        let plans = Shared::new(PLAN_BYTES);
+        let ensemble = Ensemble { tests: &many, reductions: &reductions, law: &law, plans: &plans };
+        for company in &companies.companies {
+            let found = scorer.together(ensemble, company, &mut scorer.room()).expect("sound");
+            assert!(found.is_some(), "they go together");
+        }
+        let together = scorer.scores(&many, &reductions, &law, &companies).expect("sound");
+        let alone = scorer.scores(&many, &reductions, &law, &Companies::none(many.len())).expect("sound");
+        assert!(alone.iter().any(|score| score.len() > 7), "most values count");
+        for (number, (found, expected)) in together.iter().zip(&alone).enumerate() {
+            let of = |score: &Gradient, slot: usize| score.iter().find(|(s, _)| *s == slot).map(|(_, x)| *x);
+            for slot in 0..slots.len() {
+                let (found, expected) = (of(found, slot).unwrap_or(0.0), of(expected, slot).unwrap_or(0.0));
+                let off = (found - expected).abs() / (1.0 + expected.abs());
+                assert!(off < 1e-11, "{phases} phases, test {number}, value {slot}: {found}, alone {expected}");
+            }
+        }
     }
 }

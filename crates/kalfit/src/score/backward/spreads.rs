@@ -1,0 +1,41 @@
+//! P before each step, for passes that share it.
+
+use crate::score::backward::{BackwardWork, Run};
+
+/// P, r × r, as far as adjoints are wanted that need it: before each transition, and before each scalar measurement.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Spreads {
+    pub(crate) left: Vec<f64>,
+    pub(crate) before: Vec<f64>,
+}
+
+impl Run<'_> {
+    /// What the forward filter passes through, its state apart.
+    pub(crate) fn spreads(&self, work: &mut BackwardWork) -> Spreads {
+        let mut spreads = Spreads::default();
+        if !self.tracked() {
+            return spreads;
+        }
+        let BackwardWork { e, now, .. } = work;
+        let driven = self.design.frame.driven.len();
+        e.clear();
+        now.begin(self);
+        let mut input = 0;
+        for step in self.design.each_step() {
+            if let Some(transition) = step.transition {
+                if self.wanted.motion {
+                    spreads.left.extend_from_slice(&now.P);
+                }
+                now.advance(transition, &self.inputs[input..input + driven], self);
+                input += driven;
+            }
+            for (line, row) in step.lines.zip(step.rows) {
+                if self.wanted.equation {
+                    spreads.before.extend_from_slice(&now.P);
+                }
+                now.measure(self, (line, row), e);
+            }
+        }
+        spreads
+    }
+}

@@ -1,0 +1,146 @@
+//! Scores of tests that differ in nothing but what was measured.
+//!
+//! A score is quadratic in the data, and the chain rule is linear in the adjoints. So what no datum enters is gone through once for
+//! all of the tests, with data of zero, and the chain rule is put down as a list of factors, once too. What is left for each test
+//! is the pass of its data: x̄ forth, u and r back, tests side by side.
+//!
+//! ```text
+//! alike tests ─┬─ one of them, data zero ── backward ── chain ──> the design's part of dℓ/dα
+//!              ├─ one of them ── chain, adjoint by adjoint ──> factors
+//!              └─ their data, in lanes ── u, r ── factors ──> the data's part
+//! ```
+
+mod abreast;
+mod alike;
+use kalfit_lanes::Isa;
+use rayon::prelude::*;
+
+use crate::ensemble::Test;
+use crate::reduce::{Design, Fault, Gains, Instance, ReduceError, Step, Workspace};
+use crate::score::backward::{BackwardWork, Ending, Run, Wanted};
+use crate::score::chain::{Adjoints, Gradient, Response, add};
+use crate::score::moments::Moments;
+use crate::score::{Onward, Scorer};
+use abreast::{Abreast, Own, Shared};
+
+pub(crate) use alike::Companies;
+
+/// Numbers that one test passes through and that are remembered: no more than these.
+const MOST_NUMBERS: usize = 1 << 16;
+/// Numbers of all P that are remembered.
+const MOST_SPREADS: usize = 1 << 20;
+/// Tests that one thread passes through at a time.
+const SHARE: usize = 256;
+
+/// One test of a company: x̂ of its ξ, and r that its later phases begin with, in the order of the kernels (empty where none follow).
+#[derive(Debug, Clone)]
+pub(crate) struct Told<'a> {
+    pub(crate) test: &'a Test,
+    pub(crate) mean: Vec<f64>,
+    pub(crate) ending: Vec<f64>,
+}
+
+impl Scorer<'_> {
+    /// dℓ_j/dα of tests that are alike. `shared`: moments of ξ, and what later phases say of the last state; all but the means and
+    /// the r are those of every test. `None` where there is nothing to gain, or where the tests must be looked at one by one.
+    pub(crate) fn company(
+        &self,
+        tests: &[Told<'_>],
+        shared: (&Moments, Option<&Ending>),
+        (work, backward, adjoints): (&mut Workspace, &mut BackwardWork, &mut Adjoints<'_>),
+    ) -> Result<Option<Vec<Gradient>>, ReduceError> {
+        let wanted = Wanted { motion: self.chain.needs_rates(), equation: self.chain.needs_equation() };
+        backward.set_unfrozen(self.reducer.is_unfrozen());
+        let first = tests[0].test;
+        let found: Result<_, Box<Fault>> = self.reducer.with_gains(first, work, |gains, work| {
+            if adjoints.questions(work) > tests.len() || !is_small(&work.design, wanted) {
+                return Ok(None);
+            }
+            let cells = self.cells(first, work)?;
+            let response = adjoints.response(first, work)?;
+            let blank = Blank::new(work, shared);
+            let run = blank.run((&work.design, gains), wanted);
+            run.backward(backward, &mut Onward { adjoints, test: first, work })?;
+            let design = adjoints.finish(first, work)?;
+            let spreads = run.spreads(backward);
+            let steps: Vec<Step<'_>> = work.design.each_step().collect();
+            let shared = Shared {
+                design: &work.design,
+                gains,
+                start: &work.data.start,
+                inputs: &work.data.inputs,
+                cells: &cells,
+                spreads: &spreads,
+                response: &response,
+                steps: &steps,
+            };
+            Ok(scores(&shared, tests, &design))
+        })?;
+        // what is wrong with it will be said of the test that it is wrong with
+        Ok(found.unwrap_or(None))
+    }
+
+    /// Cell and d of each scalar measurement of the test in the work space.
+    fn cells(&self, test: &Test, work: &Workspace) -> Result<Vec<(usize, f64)>, Box<Fault>> {
+        let preparer = self.reducer.preparer();
+        let constants = preparer.measured_constants(test, work)?;
+        let width = test.widths().0;
+        let cell = |Instance { meter, row }: Instance| row * width + preparer.meters.column(meter);
+        Ok(work.instances.iter().map(cell).zip(constants).collect())
+    }
+}
+
+/// Whether what is remembered of the pass has room.
+fn is_small(design: &Design, wanted: Wanted) -> bool {
+    let many = usize::from(wanted.motion) * design.steps() + usize::from(wanted.equation) * design.rows();
+    let (n, r) = (design.frame.n, design.frame.r);
+    design.rows() + many * n <= MOST_NUMBERS && many * r * r <= MOST_SPREADS
+}
+
+/// Data of zero.
+struct Blank {
+    start: Vec<f64>,
+    inputs: Vec<f64>,
+    values: Vec<f64>,
+    moments: Moments,
+    ending: Option<Ending>,
+}
+
+impl Blank {
+    fn new(work: &Workspace, (moments, ending): (&Moments, Option<&Ending>)) -> Blank {
+        let zeros = |like: &[f64]| vec![0.0; like.len()];
+        Blank {
+            start: zeros(&work.data.start),
+            inputs: zeros(&work.data.inputs),
+            values: zeros(&work.data.values),
+            moments: Moments { mean: zeros(&moments.mean), ..moments.clone() },
+            ending: ending.map(|ending| Ending { r: zeros(&ending.r), ..ending.clone() }),
+        }
+    }
+
+    fn run<'a>(&'a self, (design, gains): (&'a Design, &'a Gains), wanted: Wanted) -> Run<'a> {
+        let Blank { start, inputs, values, moments, ending } = self;
+        Run { design, gains, start, inputs, values, moments, ending: ending.as_ref(), wanted }
+    }
+}
+
+/// The design's part and the data's part of each test; `None` where one is not finite.
+fn scores(shared: &Shared<'_>, tests: &[Told<'_>], design: &Gradient) -> Option<Vec<Gradient>> {
+    let response: &Response = shared.response;
+    let share = |tests: &[Told<'_>]| {
+        let tests: Vec<Own<'_>> =
+            tests.iter().map(|told| Own { test: told.test, mean: &told.mean, ending: &told.ending }).collect();
+        let found = Isa::best().run(Abreast { shared, tests: &tests });
+        let slots = response.slots.len();
+        let gradient = |number: usize| {
+            let own = response.slots.iter().copied().zip(found[number * slots..][..slots].iter().copied());
+            let mut gradient: Gradient = own.collect();
+            add(&mut gradient, design);
+            gradient
+        };
+        (0..tests.len()).map(gradient).collect::<Vec<Gradient>>()
+    };
+    let all: Vec<Gradient> =
+        if tests.len() <= SHARE { share(tests) } else { tests.par_chunks(SHARE).flat_map_iter(share).collect() };
+    all.iter().flatten().all(|(_, x)| x.is_finite()).then_some(all)
+}

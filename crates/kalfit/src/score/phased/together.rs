@@ -1,0 +1,180 @@
+//! Scores of tests that are alike, in the company of each other.
+
+use rayon::prelude::*;
+
+use crate::ensemble::Test;
+use crate::estimate::InitialLaw;
+use crate::reduce::{PhasedTest, ReduceError, Reduction};
+use crate::score::Companies;
+use crate::score::chain::{Gradient, add};
+use crate::score::company::Told;
+use crate::score::phased::{PhasedScorer, Plans, Room};
+use crate::score::smoother::Smooth;
+
+/// Tests that one thread begins at a time.
+const SHARE: usize = 64;
+
+/// (number of the test, its score).
+type Score = (usize, Result<Gradient, ReduceError>);
+
+/// An ensemble under a law of ξ.
+#[derive(Clone, Copy)]
+pub(super) struct Ensemble<'a> {
+    pub(super) tests: &'a [PhasedTest],
+    pub(super) reductions: &'a [Reduction],
+    pub(super) law: &'a InitialLaw,
+    pub(super) plans: &'a Plans,
+}
+
+/// What one test alone has of each of its phases: x̂ and r, and what goes through the carries.
+struct Begun {
+    phases: Vec<(Vec<f64>, Vec<f64>)>,
+    carried: Gradient,
+}
+
+impl PhasedScorer<'_> {
+    /// Which of these tests are alike.
+    pub(crate) fn companies(&self, tests: &[PhasedTest]) -> Companies {
+        Companies::of(self.reducer, tests, |at, test| self.rows_of(at, test))
+    }
+
+    fn rows_of<'t>(&self, at: usize, test: &'t PhasedTest) -> Option<&'t Test> {
+        test.phases.get(at).and_then(|evidence| self.rows(at, evidence))
+    }
+
+    /// The scores of tests, in any order.
+    pub(super) fn in_companies(
+        &self,
+        tests: &[PhasedTest],
+        reductions: &[Reduction],
+        (law, plans): (&InitialLaw, &Plans),
+        companies: &Companies,
+    ) -> Vec<Score> {
+        let ensemble = Ensemble { tests, reductions, law, plans };
+        // covariates move the uncertainty of the mean
+        let own = law.is_restricted() && reductions.iter().any(|reduction| !reduction.covariates.is_empty());
+        let none;
+        let companies = if own {
+            none = Companies::none(tests.len());
+            &none
+        } else {
+            companies
+        };
+        let one = |room: &mut Room<'_>, members: &Vec<usize>| self.company(ensemble, members, room);
+        let mut scores: Vec<Score> =
+            companies.companies.par_iter().map_init(|| self.room(), one).flatten_iter().collect();
+        scores.par_extend(self.one_by_one(ensemble, &companies.alone));
+        scores
+    }
+
+    fn one_by_one<'a>(
+        &'a self,
+        of: Ensemble<'a>,
+        numbers: &'a [usize],
+    ) -> impl IndexedParallelIterator<Item = Score> + 'a {
+        let one = move |room: &mut Room<'a>, &number: &usize| {
+            (number, self.one(&of.tests[number], &of.reductions[number], (of.law, of.plans), room))
+        };
+        numbers.par_iter().map_init(|| self.room(), one)
+    }
+
+    /// Alike tests; one by one where they turn out to be so in their rows alone.
+    fn company(&self, of: Ensemble<'_>, numbers: &[usize], room: &mut Room<'_>) -> Vec<Score> {
+        match self.together(of, numbers, room) {
+            Ok(Some(scores)) => numbers.iter().copied().zip(scores.into_iter().map(Ok)).collect(),
+            // what is wrong is said of the test that it is wrong with
+            Ok(None) | Err(_) => self.one_by_one(of, numbers).collect(),
+        }
+    }
+
+    /// `None` where there is nothing to gain, or where the tests must be looked at one by one.
+    pub(super) fn together(
+        &self,
+        of: Ensemble<'_>,
+        numbers: &[usize],
+        room: &mut Room<'_>,
+    ) -> Result<Option<Vec<Gradient>>, ReduceError> {
+        let first = numbers[0];
+        let like = self.begin(&of.tests[first], &of.reductions[first], (of.law, of.plans), &mut room.work)?;
+        let begin = |numbers: &[usize]| {
+            let mut room = self.room();
+            numbers.iter().map(|&number| self.begun(of, (first, number), &like, &mut room)).collect::<Vec<_>>()
+        };
+        let begun: Vec<Result<Option<Begun>, ReduceError>> = if numbers.len() <= SHARE {
+            begin(numbers)
+        } else {
+            numbers.par_chunks(SHARE).flat_map_iter(begin).collect()
+        };
+        let Some(mut begun) = begun.into_iter().collect::<Result<Option<Vec<Begun>>, ReduceError>>()? else {
+            return Ok(None);
+        };
+        let mut scores: Vec<Gradient> = begun.iter_mut().map(|begun| std::mem::take(&mut begun.carried)).collect();
+        for (at, smooth) in like.iter().enumerate() {
+            if self.rows_of(at, &of.tests[first]).is_none() {
+                continue;
+            }
+            let told = |(&number, begun): (&usize, &mut Begun)| {
+                let test = self.rows_of(at, &of.tests[number]).expect("alike tests have the same phases");
+                let (mean, ending) = std::mem::take(&mut begun.phases[at]);
+                Told { test, mean, ending }
+            };
+            let told: Vec<Told<'_>> = numbers.iter().zip(&mut begun).map(told).collect();
+            let scorer = &self.phases[at];
+            let ending = smooth.later.as_ref().map(|later| scorer.ending(later));
+            let work = (&mut room.work.phases[at], &mut room.backward, &mut room.adjoints[at]);
+            let Some(own) = scorer.company(&told, (&smooth.moments, ending.as_ref()), work)? else {
+                return Ok(None);
+            };
+            scores.iter_mut().zip(&own).for_each(|(score, own)| add(score, own));
+        }
+        Ok(Some(scores))
+    }
+
+    /// What a test begins with; `None` where more than that differs from the first one of its company.
+    fn begun(
+        &self,
+        of: Ensemble<'_>,
+        (first, number): (usize, usize),
+        like: &[Smooth],
+        room: &mut Room<'_>,
+    ) -> Result<Option<Begun>, ReduceError> {
+        let (test, reduction) = (&of.tests[number], &of.reductions[number]);
+        if let ([smooth], false) = (like, of.law.is_restricted()) {
+            let same = same_bits(&reduction.factor, &of.reductions[first].factor);
+            let phases = || vec![(smooth.moments.mean_of(reduction, of.law), Vec::new())];
+            return Ok(same.then(|| Begun { phases: phases(), carried: Gradient::new() }));
+        }
+        let own = self.begin(test, reduction, (of.law, of.plans), &mut room.work)?;
+        if own.len() != like.len() || !own.iter().zip(like).all(|(a, b)| a.same_design(b)) {
+            return Ok(None);
+        }
+        let mut carried = std::collections::BTreeMap::new();
+        let mut phases = Vec::with_capacity(own.len());
+        for (at, smooth) in own.into_iter().enumerate() {
+            if let (Some(bar), Some(rows)) = (&smooth.inherited, self.rows_of(at, test)) {
+                self.carried((at, rows), bar, room, &mut carried)?;
+            }
+            let ending = smooth.later.map_or(Vec::new(), |later| self.phases[at].ending(&later).r);
+            phases.push((smooth.moments.mean, ending));
+        }
+        Ok(Some(Begun { phases, carried: carried.into_iter().collect() }))
+    }
+}
+
+fn same_bits(a: &[f64], b: &[f64]) -> bool {
+    a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits())
+}
+
+impl Smooth {
+    /// All but what the data say is the same bit for bit.
+    fn same_design(&self, other: &Smooth) -> bool {
+        let later = match (&self.later, &other.later) {
+            (Some(a), Some(b)) => {
+                same_bits(a.rho.as_slice(), b.rho.as_slice()) && same_bits(a.N.as_slice(), b.N.as_slice())
+            }
+            (None, None) => true,
+            _ => false,
+        };
+        later && self.moments.columns == other.moments.columns && same_bits(&self.moments.root, &other.moments.root)
+    }
+}
