@@ -25,6 +25,7 @@ mod adjoint;
 mod bars;
 mod equal;
 mod filtered;
+mod line;
 mod parts;
 mod smooth;
 mod spreads;
@@ -34,9 +35,9 @@ mod tests;
 
 use std::ops::Range;
 
-use crate::reduce::{Design, Gains, Settling};
+use crate::reduce::{Design, Gains, Settling, Step};
 use crate::score::moments::Moments;
-use adjoint::Adjoint;
+use adjoint::{Adjoint, LineBar};
 use filtered::{Filtered, Seen};
 use parts::{Kind, Part};
 
@@ -64,14 +65,20 @@ pub(crate) struct MeasuredBar {
 }
 
 /// Adjoints of one transition.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub(crate) struct MovedBar {
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct MovedBar<T = f64> {
     /// ∂ℓ/∂φ, entry by entry of [`Transition::phi`](crate::reduce::Transition::phi); zero when not wanted.
-    pub(crate) phi: Vec<f64>,
+    pub(crate) phi: Vec<T>,
     /// ∂ℓ/∂Q, entry by entry of [`Transition::q`](crate::reduce::Transition::q): an entry off the diagonal stands for both places.
-    pub(crate) q: Vec<f64>,
+    pub(crate) q: Vec<T>,
     /// ∂ℓ/∂b of the driven states.
-    pub(crate) input: Vec<f64>,
+    pub(crate) input: Vec<T>,
+}
+
+impl<T> Default for MovedBar<T> {
+    fn default() -> MovedBar<T> {
+        MovedBar { phi: Vec::new(), q: Vec::new(), input: Vec::new() }
+    }
 }
 
 /// Takes adjoints from the last step to the first.
@@ -162,7 +169,7 @@ impl Run<'_> {
     /// The adjoints of the test, into the sink.
     pub(crate) fn backward<S: Sink>(&self, work: &mut BackwardWork, sink: &mut S) -> Result<(), S::Error> {
         self.forward(work, sink);
-        work.adjoint.begin(self);
+        work.adjoint.begin(&self.unknown(), self.after());
         for at in (0..work.parts.len()).rev() {
             let part = work.parts[at];
             match part.kind {
@@ -179,7 +186,7 @@ impl Run<'_> {
                 Kind::Steps => self.steps_back(&part, at + 1 < work.parts.len(), work, sink)?,
             }
         }
-        work.adjoint.variance(self, &mut work.variance);
+        work.adjoint.variance(&self.unknown(), &mut work.variance);
         sink.started(&work.adjoint.r, &work.variance)
     }
 
@@ -206,25 +213,51 @@ impl Run<'_> {
                 rows = rows.saturating_sub(step.rows.len());
                 let first = rows;
                 let before = |place: usize| Seen::new(&before[seen(before, first + place)], self.sizes());
-                adjoint.measured(self, &step, e, before, measured);
+                self.measured_back(&step, e, before, (adjoint, measured));
                 sink.measured(k, measured)?;
             }
             if let Some(transition) = step.transition {
                 transitions = transitions.saturating_sub(1);
                 let left = self.wanted.motion.then(|| Seen::new(&left[seen(left, transitions)], self.sizes()));
-                adjoint.moved(self, transition, left, moved);
+                adjoint.moved(&self.unknown(), transition, left, moved);
                 sink.moved(k, moved)?;
             }
         }
         Ok(())
     }
 
+    /// The measurements of one step, the last first. `before`: the filter before a measurement with this place in the step.
+    fn measured_back<'s>(
+        &self,
+        step: &Step<'_>,
+        e: &[f64],
+        before: impl Fn(usize) -> Seen<'s>,
+        (adjoint, bar): (&mut Adjoint, &mut MeasuredBar),
+    ) {
+        let (n, m) = (self.design.frame.n, step.rows.len());
+        let equations = if self.wanted.equation { m * n } else { 0 };
+        for (list, size) in [(&mut bar.noise, m), (&mut bar.value, m), (&mut bar.h, equations)] {
+            list.clear();
+            list.resize(size, 0.0);
+        }
+        for (place, (line, row)) in step.lines.clone().zip(step.rows.clone()).enumerate().rev() {
+            let line = self.line((line, row));
+            if line.weight == 0.0 {
+                continue; // it can only be what it is: K and T are zero
+            }
+            let h = if self.wanted.equation { Some((&mut bar.h[place * n..][..n], before(place))) } else { None };
+            let bar = LineBar { noise: &mut bar.noise[place], value: &mut bar.value[place], h };
+            adjoint.measured(&line, e[row], &self.unknown(), bar);
+        }
+    }
+
+    /// (r, ρ, N) after the last step, where that is not zero.
+    fn after(&self) -> Option<[&[f64]; 3]> {
+        self.ending.map(|ending| [&*ending.r, &*ending.rho, &*ending.N])
+    }
+
     /// Adjoints of φ or h are wanted, so that P and ΨC are needed.
     fn tracked(&self) -> bool {
-        self.wanted.motion || self.wanted.equation
+        self.unknown().tracked()
     }
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }

@@ -1,48 +1,71 @@
 //! The forward filter at ξ = x̂ under the gains of a design, step by step.
+#![expect(non_snake_case, reason = "the letters of the theory: P, Psi, G = P h, K, T, S")]
+
+use kalfit_lanes::Real;
 
 use crate::reduce::Transition;
-use crate::score::backward::{Run, dot};
+use crate::score::backward::Run;
+use crate::score::backward::line::{Line, Unknown, dot};
 
 /// x̄ (n); where adjoints of φ or h are wanted P (r × r, both triangles) and ΨC (n × c) too.
-#[derive(Debug, Clone, Default)]
-pub(super) struct Filtered {
-    pub(super) x: Vec<f64>,
-    pub(super) P: Vec<f64>,
-    pub(super) Psi: Vec<f64>,
-    rows: Vec<f64>,
-    G: Vec<f64>,
-    T: Vec<f64>,
+#[derive(Debug, Clone)]
+pub(super) struct Filtered<T = f64> {
+    pub(super) x: Vec<T>,
+    pub(super) P: Vec<T>,
+    pub(super) Psi: Vec<T>,
+    rows: Vec<T>,
+    G: Vec<T>,
+    T: Vec<T>,
+}
+
+impl<T> Default for Filtered<T> {
+    fn default() -> Filtered<T> {
+        Filtered { x: Vec::new(), P: Vec::new(), Psi: Vec::new(), rows: Vec::new(), G: Vec::new(), T: Vec::new() }
+    }
 }
 
 /// What [`Filtered::save`] has kept, to read.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Seen<'a> {
-    pub(super) x: &'a [f64],
-    pub(super) P: &'a [f64],
-    pub(super) Psi: &'a [f64],
+pub(super) struct Seen<'a, T = f64> {
+    pub(super) x: &'a [T],
+    pub(super) P: &'a [T],
+    pub(super) Psi: &'a [T],
 }
 
-impl<'a> Seen<'a> {
-    pub(super) fn new(kept: &'a [f64], (n, r): (usize, usize)) -> Seen<'a> {
+impl<'a, T> Seen<'a, T> {
+    /// Of n states, r of them noisy.
+    #[inline(always)]
+    pub(super) fn new(kept: &'a [T], (n, r): (usize, usize)) -> Seen<'a, T> {
         let (x, rest) = kept.split_at(n);
         let (P, Psi) = rest.split_at(r * r);
         Seen { x, P, Psi }
     }
 }
 
-impl Filtered {
+/// x_0 before ξ is known: a (n), and P0 (r × r, the lower triangle counts).
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Begin<'a, T = f64> {
+    pub(super) start: &'a [T],
+    pub(super) variance: &'a [T],
+    /// x̂.
+    pub(super) mean: &'a [T],
+}
+
+impl<T: Real> Filtered<T> {
     /// x_0 = a + Ax̂, P0 and AC.
-    pub(super) fn begin(&mut self, run: &Run<'_>) {
-        let frame = &run.design.frame;
-        let (n, p, r, c) = (frame.n, frame.p, frame.r, run.moments.columns);
+    #[inline(always)]
+    pub(super) fn begin(&mut self, begin: &Begin<'_, T>, unknown: &Unknown<'_, T>) {
+        let frame = unknown.frame;
+        let (n, p, r, c) = (frame.n, frame.p, frame.r, unknown.columns);
         self.x.clear();
-        self.x.extend_from_slice(run.start);
+        self.x.extend_from_slice(begin.start);
         self.P.clear();
         self.Psi.clear();
-        if run.tracked() {
-            let lower = &run.design.variance;
-            self.P.extend((0..r * r).map(|ij| lower[(ij / r).max(ij % r) * r + (ij / r).min(ij % r)]));
-            self.Psi.resize(n * c, 0.0);
+        if unknown.tracked() {
+            for ij in 0..r * r {
+                self.P.push(begin.variance[(ij / r).max(ij % r) * r + (ij / r).min(ij % r)]);
+            }
+            self.Psi.resize(n * c, T::splat(0.0));
         }
         for i in 0..n {
             for k in 0..p {
@@ -50,33 +73,31 @@ impl Filtered {
                 if a == 0.0 {
                     continue;
                 }
-                self.x[i] += a * run.moments.mean[k];
-                let root = &run.moments.root[k * c..][..c];
-                let row = self.Psi.iter_mut().skip(i * c);
-                row.zip(root).for_each(|(Psi, root)| *Psi += a * root);
+                let a = T::splat(a);
+                self.x[i] = a.fma(begin.mean[k], self.x[i]);
+                if unknown.tracked() {
+                    let Psi = &mut self.Psi[i * c..][..c];
+                    for (Psi, &root) in Psi.iter_mut().zip(&unknown.root[k * c..][..c]) {
+                        *Psi = a.fma(root, *Psi);
+                    }
+                }
             }
         }
     }
 
-    pub(super) fn save(&self, out: &mut Vec<f64>) {
+    #[inline(always)]
+    pub(super) fn save(&self, out: &mut Vec<T>) {
         out.extend_from_slice(&self.x);
         out.extend_from_slice(&self.P);
         out.extend_from_slice(&self.Psi);
     }
 
-    pub(super) fn load(&mut self, kept: &[f64], sizes: (usize, usize)) {
-        let seen = Seen::new(kept, sizes);
-        for (own, seen) in [(&mut self.x, seen.x), (&mut self.P, seen.P), (&mut self.Psi, seen.Psi)] {
-            own.clear();
-            own.extend_from_slice(seen);
-        }
-    }
-
-    pub(super) fn advance(&mut self, transition: &Transition, inputs: &[f64], run: &Run<'_>) {
-        let (r, c) = (run.design.frame.r, run.moments.columns);
+    #[inline(always)]
+    pub(super) fn advance(&mut self, transition: &Transition<T>, inputs: &[T], unknown: &Unknown<'_, T>) {
+        let (r, c) = (unknown.frame.r, unknown.columns);
         crate::reduce::advance(&mut self.x, 1, transition, &mut self.rows);
-        for (&state, input) in run.design.frame.driven.iter().zip(inputs) {
-            self.x[state as usize] += input;
+        for (&state, &input) in unknown.frame.driven.iter().zip(inputs) {
+            self.x[state as usize] = self.x[state as usize] + input;
         }
         if !self.Psi.is_empty() {
             crate::reduce::advance(&mut self.Psi, c, transition, &mut self.rows);
@@ -85,65 +106,94 @@ impl Filtered {
             forth(&mut self.P, r, transition, &mut self.rows);
             for (&(i, j), &q) in transition.pattern.pairs.iter().zip(&transition.q) {
                 let (i, j) = (i as usize, j as usize);
-                self.P[i * r + j] += q;
+                self.P[i * r + j] = self.P[i * r + j] + q;
                 if i != j {
-                    self.P[j * r + i] += q;
+                    self.P[j * r + i] = self.P[j * r + i] + q;
                 }
             }
         }
     }
 
-    /// The innovation of a row, which goes to the end of `e` unless it is there already; and the update by it.
-    pub(super) fn measure(&mut self, run: &Run<'_>, (line, row): (usize, usize), e: &mut Vec<f64>) {
-        let (r, c) = (run.design.frame.r, run.moments.columns);
-        let (states, h) = run.design.terms(line);
-        let (_, K, T) = run.gains.row(row);
-        if row == e.len() {
-            let terms = states.iter().zip(h);
-            e.push(terms.fold(run.values[row], |e, (&state, &h)| e - h * self.x[state as usize]));
+    /// ē of a measurement.
+    #[inline(always)]
+    pub(super) fn innovation(&self, line: &Line<'_, T>, z: T) -> T {
+        let mut e = z;
+        for (&state, &h) in line.states.iter().zip(line.h) {
+            e = h.fnma(self.x[state as usize], e);
         }
+        e
+    }
+
+    /// The update by a measurement.
+    #[inline(always)]
+    pub(super) fn measure(&mut self, line: &Line<'_, T>, e: T, unknown: &Unknown<'_, T>) {
+        let (r, c) = (unknown.frame.r, unknown.columns);
         for i in 0..r {
-            self.x[i] += K[i] * e[row];
+            self.x[i] = line.K[i].fma(e, self.x[i]);
         }
         if !self.Psi.is_empty() {
-            run.times_root(T, &mut self.T);
+            unknown.times_root(line.T, &mut self.T);
             for i in 0..r {
-                self.Psi[i * c..][..c].iter_mut().zip(&self.T).for_each(|(Psi, T)| *Psi -= K[i] * T);
+                for k in 0..c {
+                    self.Psi[i * c + k] = line.K[i].fnma(self.T[k], self.Psi[i * c + k]);
+                }
             }
         }
         if !self.P.is_empty() {
-            self.joseph(r, (states, h), K, run.design.noise[line]);
+            self.joseph(r, line);
         }
     }
 
     /// P ← (I-Kh')P(I-Kh')' + KRK'.
-    fn joseph(&mut self, r: usize, (states, h): (&[u32], &[f64]), K: &[f64], noise: f64) {
-        let reach = states.partition_point(|&state| (state as usize) < r);
-        let (states, h) = (&states[..reach], &h[..reach]);
+    #[inline(always)]
+    fn joseph(&mut self, r: usize, line: &Line<'_, T>) {
+        let reach = line.reach(r);
+        let (states, h, K) = (&line.states[..reach], &line.h[..reach], line.K);
         let Filtered { P, G, .. } = self;
         G.clear();
-        G.extend(P.chunks_exact(r).map(|row| states.iter().zip(h).map(|(&s, &h)| h * row[s as usize]).sum::<f64>()));
-        let S = noise + states.iter().zip(h).map(|(&s, &h)| h * G[s as usize]).sum::<f64>();
+        G.resize(r, T::splat(0.0));
+        for (row, G) in P.chunks_exact(r).zip(G.iter_mut()) {
+            for (&state, &h) in states.iter().zip(h) {
+                *G = h.fma(row[state as usize], *G);
+            }
+        }
+        let mut S = line.noise;
+        for (&state, &h) in states.iter().zip(h) {
+            S = h.fma(G[state as usize], S);
+        }
         for (i, row) in P.chunks_exact_mut(r).enumerate() {
             for j in 0..r {
-                row[j] += S * K[i] * K[j] - K[i] * G[j] - G[i] * K[j];
+                row[j] = row[j] + S * K[i] * K[j] - K[i] * G[j] - G[i] * K[j];
             }
         }
     }
 }
 
+impl Filtered {
+    pub(super) fn load(&mut self, kept: &[f64], sizes: (usize, usize)) {
+        let seen = Seen::new(kept, sizes);
+        for (own, seen) in [(&mut self.x, seen.x), (&mut self.P, seen.P), (&mut self.Psi, seen.Psi)] {
+            own.clear();
+            own.extend_from_slice(seen);
+        }
+    }
+}
+
 /// P ← φPφ' on the r noisy states, both triangles.
-fn forth(P: &mut [f64], r: usize, transition: &Transition, work: &mut Vec<f64>) {
+#[inline(always)]
+fn forth<T: Real>(P: &mut [T], r: usize, transition: &Transition<T>, work: &mut Vec<T>) {
     let moved = transition.pattern.moved.partition_point(|row| (row.state as usize) < r);
     let moved = &transition.pattern.moved[..moved];
     for side in 0..2 {
         work.clear();
         for row in moved {
-            let terms = row.start as usize..row.reach as usize;
-            let (phi, columns) = (&transition.phi[terms.clone()], &transition.pattern.columns[terms]);
             for j in 0..r {
-                let at = |column: usize| if side == 0 { P[column * r + j] } else { P[j * r + column] };
-                work.push(phi.iter().zip(columns).map(|(phi, &column)| phi * at(column as usize)).sum());
+                let mut sum = T::splat(0.0);
+                for k in row.start as usize..row.reach as usize {
+                    let column = transition.pattern.columns[k] as usize;
+                    sum = transition.phi[k].fma(if side == 0 { P[column * r + j] } else { P[j * r + column] }, sum);
+                }
+                work.push(sum);
             }
         }
         for (row, new) in moved.iter().zip(work.chunks_exact(r)) {
@@ -156,15 +206,19 @@ fn forth(P: &mut [f64], r: usize, transition: &Transition, work: &mut Vec<f64>) 
 }
 
 impl Run<'_> {
-    /// TC of a row.
-    #[inline]
-    pub(super) fn times_root(&self, T: &[f64], out: &mut Vec<f64>) {
-        let c = self.moments.columns;
-        out.clear();
-        out.resize(c, 0.0);
-        for (&T, root) in T.iter().zip(self.moments.root.chunks_exact(c.max(1))) {
-            out.iter_mut().zip(root).for_each(|(sum, root)| *sum += T * root);
+    /// The filter at the start of the test.
+    pub(super) fn begin(&self, now: &mut Filtered) {
+        let begin = Begin { start: self.start, variance: &self.design.variance, mean: &self.moments.mean };
+        now.begin(&begin, &self.unknown());
+    }
+
+    /// The innovation of a row, which goes to the end of `e` unless it is there already; and the update by it.
+    pub(super) fn measure(&self, now: &mut Filtered, (line, row): (usize, usize), e: &mut Vec<f64>) {
+        let line = self.line((line, row));
+        if row == e.len() {
+            e.push(now.innovation(&line, self.values[row]));
         }
+        now.measure(&line, e[row], &self.unknown());
     }
 
     /// x̄, P, ΨC of a state kept as [`Filtered::save`] does.
@@ -175,6 +229,7 @@ impl Run<'_> {
 }
 
 /// r_i r_j + (ρρ')_ij.
-pub(super) fn second(adjoint: &[f64], rho: &[f64], c: usize, i: usize, j: usize) -> f64 {
-    adjoint[i] * adjoint[j] + dot(&rho[i * c..][..c], &rho[j * c..][..c])
+#[inline(always)]
+pub(super) fn second<T: Real>(adjoint: &[T], rho: &[T], c: usize, i: usize, j: usize) -> T {
+    adjoint[i].fma(adjoint[j], dot(&rho[i * c..][..c], &rho[j * c..][..c]))
 }

@@ -55,7 +55,7 @@ impl Run<'_> {
         work.e.clear();
         work.e.reserve(self.values.len());
         work.marks.clear();
-        work.now.begin(self);
+        self.begin(&mut work.now);
         for at in 0..work.parts.len() {
             work.parts[at].mark = work.marks.len();
             if self.tracked() {
@@ -119,14 +119,14 @@ impl Run<'_> {
                 if self.wanted.motion {
                     now.save(left);
                 }
-                now.advance(transition, &self.inputs[input..input + driven], self);
+                now.advance(transition, &self.inputs[input..input + driven], &self.unknown());
                 input += driven;
             }
             for (line, row) in step.lines.zip(step.rows) {
                 if self.wanted.equation {
                     now.save(before);
                 }
-                now.measure(self, (line, row), e);
+                self.measure(now, (line, row), e);
             }
         }
     }

@@ -9,7 +9,8 @@
 use crate::reduce::Transition;
 use crate::score::backward::adjoint::columns;
 use crate::score::backward::filtered::{Seen, second};
-use crate::score::backward::{BackwardWork, Run, dot};
+use crate::score::backward::line::dot;
+use crate::score::backward::{BackwardWork, Run};
 
 /// Takes moments from the last step to the first.
 pub(crate) trait Smoothing {
@@ -140,7 +141,7 @@ impl Run<'_> {
         let (mut ends, mut left) = (Vec::new(), Vec::new());
         self.forward_all(work, &mut ends, &mut left);
         let BackwardWork { e, adjoint, measured, moved, variance, .. } = work;
-        adjoint.begin(self);
+        adjoint.begin(&self.unknown(), self.after());
         let seen = |kept: &'_ [f64], at: usize| at * stride..kept.len().min((at + 1) * stride);
         let (mut state, mut noise) = (Smoothed::default(), Driven::default());
         let (mut k, mut transitions) = (self.design.steps(), left.len() / stride.max(1));
@@ -149,7 +150,7 @@ impl Run<'_> {
             end.smooth(&adjoint.r, &adjoint.rho, (&adjoint.N, r, c), &mut state);
             sink.smoothed(k, &state);
             k -= 1;
-            adjoint.measured(self, &step, e, |_| end, measured);
+            self.measured_back(&step, e, |_| end, (adjoint, measured));
             let Some(transition) = step.transition else { continue };
             transitions -= 1;
             let before = Seen::new(&left[seen(&left, transitions)], self.sizes());
@@ -157,7 +158,7 @@ impl Run<'_> {
             let mut turned = adjoint.N.clone();
             columns(&mut turned, r, transition, &mut Vec::new());
             let rho = adjoint.rho.clone();
-            adjoint.moved(self, transition, None, moved);
+            adjoint.moved(&self.unknown(), transition, None, moved);
             noise.across(transition, before, (&adjoint.rho, &rho), (&turned, r, c));
             sink.driven(k, &noise);
         }
@@ -165,7 +166,7 @@ impl Run<'_> {
         start.smooth(&adjoint.r, &adjoint.rho, (&adjoint.N, r, c), &mut state);
         debug_assert_eq!(state.mean.len(), n, "a mean for each state");
         sink.smoothed(0, &state);
-        adjoint.variance(self, variance);
+        adjoint.variance(&self.unknown(), variance);
         sink.started(&adjoint.r, variance);
     }
 
@@ -174,16 +175,16 @@ impl Run<'_> {
         let BackwardWork { e, now, .. } = work;
         let (driven, mut input) = (self.design.frame.driven.len(), 0);
         e.clear();
-        now.begin(self);
+        self.begin(now);
         now.save(ends);
         for step in self.design.each_step() {
             if let Some(transition) = step.transition {
                 now.save(left);
-                now.advance(transition, &self.inputs[input..input + driven], self);
+                now.advance(transition, &self.inputs[input..input + driven], &self.unknown());
                 input += driven;
             }
             for (line, row) in step.lines.zip(step.rows) {
-                now.measure(self, (line, row), e);
+                self.measure(now, (line, row), e);
             }
             now.save(ends);
         }

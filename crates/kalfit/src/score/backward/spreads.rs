@@ -19,21 +19,21 @@ impl Run<'_> {
         let BackwardWork { e, now, .. } = work;
         let driven = self.design.frame.driven.len();
         e.clear();
-        now.begin(self);
+        self.begin(now);
         let mut input = 0;
         for step in self.design.each_step() {
             if let Some(transition) = step.transition {
                 if self.wanted.motion {
                     spreads.left.extend_from_slice(&now.P);
                 }
-                now.advance(transition, &self.inputs[input..input + driven], self);
+                now.advance(transition, &self.inputs[input..input + driven], &self.unknown());
                 input += driven;
             }
             for (line, row) in step.lines.zip(step.rows) {
                 if self.wanted.equation {
                     spreads.before.extend_from_slice(&now.P);
                 }
-                now.measure(self, (line, row), e);
+                self.measure(now, (line, row), e);
             }
         }
         spreads

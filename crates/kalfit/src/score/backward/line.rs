@@ -1,0 +1,81 @@
+//! What a step of the pass goes by: a scalar measurement under its gains, and what is unknown.
+#![expect(non_snake_case, reason = "the letters of the theory: K, T, C")]
+
+use kalfit_lanes::Real;
+
+use crate::reduce::Frame;
+use crate::score::backward::{Run, Wanted};
+
+/// A scalar measurement.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Line<'a, T = f64> {
+    pub(super) states: &'a [u32],
+    pub(super) h: &'a [T],
+    /// R.
+    pub(super) noise: T,
+    /// 1/S, 0 of one that says nothing: then K and T are zero too.
+    pub(super) weight: T,
+    pub(super) K: &'a [T],
+    pub(super) T: &'a [T],
+}
+
+/// The states, and the root C of what is not known of ξ (p × columns, by rows).
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Unknown<'a, T = f64> {
+    pub(super) frame: &'a Frame,
+    pub(super) root: &'a [T],
+    pub(super) columns: usize,
+    pub(super) wanted: Wanted,
+}
+
+impl<T: Real> Line<'_, T> {
+    /// How many of its states are noisy ones, of which there are so many; they come first.
+    #[inline(always)]
+    pub(super) fn reach(&self, r: usize) -> usize {
+        self.states.partition_point(|&state| (state as usize) < r)
+    }
+}
+
+impl<T: Real> Unknown<'_, T> {
+    /// Adjoints of φ or h are wanted, so that P and ΨC are needed.
+    #[inline(always)]
+    pub(super) fn tracked(&self) -> bool {
+        self.wanted.motion || self.wanted.equation
+    }
+
+    /// TC of a row.
+    #[inline(always)]
+    pub(super) fn times_root(&self, row: &[T], out: &mut Vec<T>) {
+        let c = self.columns;
+        out.clear();
+        out.resize(c, T::splat(0.0));
+        for (&t, root) in row.iter().zip(self.root.chunks_exact(c.max(1))) {
+            for k in 0..c {
+                out[k] = t.fma(root[k], out[k]);
+            }
+        }
+    }
+}
+
+impl Run<'_> {
+    /// A scalar measurement of the design.
+    pub(super) fn line(&self, (line, row): (usize, usize)) -> Line<'_> {
+        let ((states, h), (weight, K, T)) = (self.design.terms(line), self.gains.row(row));
+        Line { states, h, noise: self.design.noise[line], weight, K, T }
+    }
+
+    pub(super) fn unknown(&self) -> Unknown<'_> {
+        let Run { design, moments, wanted, .. } = *self;
+        Unknown { frame: &design.frame, root: &moments.root, columns: moments.columns, wanted }
+    }
+}
+
+/// Σ ab.
+#[inline(always)]
+pub(super) fn dot<T: Real>(a: &[T], b: &[T]) -> T {
+    let mut sum = T::splat(0.0);
+    for (&a, &b) in a.iter().zip(b) {
+        sum = a.fma(b, sum);
+    }
+    sum
+}
