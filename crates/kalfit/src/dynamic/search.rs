@@ -215,7 +215,7 @@ impl<'b, 'a> Search<'b, 'a> {
     }
 
     /// Off a stationary point that is no maximum, along the direction in which ℓ curves upward most.
-    fn off_saddle(&mut self, joint: &Joint) -> bool {
+    pub(super) fn off_saddle(&mut self, joint: &Joint) -> bool {
         let Some(direction) = joint.upward() else { return false };
         for length in [0.5, -0.5, 0.1, -0.1, 0.02, -0.02] {
             let moved = |(s, d): (usize, &f64)| self.bench.coordinates[s].moved(self.home.values[s], length * d);

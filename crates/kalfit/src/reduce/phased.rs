@@ -51,9 +51,10 @@ impl PhasedReducer {
         PhasedReducer::made(model, alpha, &|model| Reducer::new(model, alpha))
     }
 
-    /// A reducer for scores: no coefficient that depends on free values is left out for being zero at this α.
+    /// A reducer for scores: no coefficient that depends on free values is left out for being zero at this α. Of several phases all
+    /// classes are wanted again, for what the phases say of each other.
     pub(crate) fn scoring(model: &PhasedModel, alpha: &Alpha, slots: &Slots) -> Result<PhasedReducer, ReduceError> {
-        PhasedReducer::made(model, alpha, &|model| Reducer::scoring(model, alpha, slots))
+        PhasedReducer::made(model, alpha, &|one| Reducer::scoring(one, alpha, slots, !model.is_single()))
     }
 
     /// The same where no backward pass is to come.

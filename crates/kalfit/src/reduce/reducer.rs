@@ -29,6 +29,7 @@ use crate::reduce::{Path, Reduction};
 use crate::score::Slots;
 use batch::Known;
 pub(crate) use batch::{Batch, share};
+pub(crate) use filtered::filters;
 pub(crate) use queue::Queue;
 
 /// Bytes of design classes that are kept: tests of one design share its covariance run while they fit.
@@ -48,6 +49,8 @@ pub struct Reducer {
     classes: Shared<Design, Result<Gains, RootError>>,
     /// Tests of designs that were seen more than once.
     known: Memory<Known>,
+    /// Up to so many bytes every class is kept whose filter was run side by side with others.
+    eager: usize,
     unfrozen: bool,
     /// The last states are wanted.
     ends: bool,
@@ -99,10 +102,11 @@ impl Reducer {
     }
 
     /// A reducer for scores: no coefficient that depends on free values is left out for being zero at this α, and every class is
-    /// wanted again by the backward pass.
-    pub(crate) fn scoring(model: &Model, alpha: &Alpha, slots: &Slots) -> Result<Reducer, ReduceError> {
+    /// wanted again by the backward pass; `short`: those too whose filter is one for lanes.
+    pub(crate) fn scoring(model: &Model, alpha: &Alpha, slots: &Slots, short: bool) -> Result<Reducer, ReduceError> {
         let preparer = Preparer::with_free(model, alpha, slots.free()).map_err(|fault| fault.name(model, None))?;
-        Ok(Reducer::of(preparer, Shared::new(CLASS_BYTES)))
+        let reducer = Reducer::of(preparer, Shared::new(CLASS_BYTES));
+        Ok(if short { Reducer { eager: CLASS_BYTES, ..reducer } } else { reducer })
     }
 
     /// The same where no backward pass is to come: what one test alone wants is not kept.
@@ -122,6 +126,7 @@ impl Reducer {
             preparer,
             classes,
             known: Memory::new(KNOWN_BYTES),
+            eager: EAGER_BYTES,
             unfrozen: false,
             ends: false,
             design_runs: AtomicU64::new(0),

@@ -112,16 +112,16 @@ impl<K, V> Shared<K, V> {
         }
     }
 
-    /// Keeps what was made elsewhere, where [`Shared::get`] would have kept it; it is put together only then. False where another was
-    /// quicker.
+    /// Keeps what was made elsewhere, beyond `eager` bytes only what is offered or asked for a second time; it is put together only
+    /// then. False where another was quicker.
     pub(crate) fn offer(
         &self,
-        digest: u128,
+        (digest, eager): (u128, usize),
         made: impl FnOnce() -> (K, V),
         size: impl FnOnce(&K, &V) -> usize,
     ) -> bool {
         let (found, bytes) = (self.shard(digest).entries.contains_key(&digest), self.bytes.load(Ordering::Relaxed));
-        let wanted = bytes < self.limit && (bytes < self.eager || self.shard(digest).is_known(digest));
+        let wanted = bytes < self.limit && (bytes < eager || self.shard(digest).is_known(digest));
         if found || !wanted {
             return !found;
         }

@@ -21,6 +21,7 @@
 //! which sum their adjoints and stop renewing N and ρ where these no longer change.
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, N, K, T, S, D")]
 
+mod abreast;
 mod adjoint;
 mod bars;
 mod equal;
@@ -41,6 +42,7 @@ use adjoint::{Adjoint, LineBar};
 use filtered::{Filtered, Seen};
 use parts::{Kind, Part};
 
+pub(crate) use abreast::{Abreast, StepBars, fits};
 pub(crate) use smooth::{Driven, Smoothed, Smoothing};
 pub(crate) use spreads::Spreads;
 

@@ -10,6 +10,7 @@ mod company;
 mod complete;
 mod expected;
 mod levels;
+mod lines;
 mod moments;
 mod phased;
 mod slots;
@@ -79,16 +80,34 @@ impl<'a> Scorer<'a> {
         ending
     }
 
+    /// What the chain rule asks of a backward pass.
+    fn wanted(&self) -> Wanted {
+        Wanted { motion: self.chain.needs_rates(), equation: self.chain.needs_equation() }
+    }
+
     /// dℓ_j/dα of a test, with the moments of its ξ, and what later phases say of its last state.
+    #[cfg(test)]
     fn one(
         &self,
         test: &Test,
         (moments, ending): (&Moments, Option<&Ending>),
         (work, backward, adjoints): (&mut Workspace, &mut BackwardWork, &mut Adjoints<'_>),
     ) -> Result<Gradient, ReduceError> {
-        let wanted = Wanted { motion: self.chain.needs_rates(), equation: self.chain.needs_equation() };
+        let named = |fault: Box<Fault>| fault.name(&self.reducer.preparer().model, Some(test));
+        self.reducer.preparer().prepare(test, work).map_err(named)?;
+        self.prepared(test, (moments, ending), (work, backward, adjoints))
+    }
+
+    /// The same of the test in the work space.
+    fn prepared(
+        &self,
+        test: &Test,
+        (moments, ending): (&Moments, Option<&Ending>),
+        (work, backward, adjoints): (&mut Workspace, &mut BackwardWork, &mut Adjoints<'_>),
+    ) -> Result<Gradient, ReduceError> {
         backward.set_unfrozen(self.reducer.is_unfrozen());
-        let result = self.reducer.with_gains(test, work, |gains, work| {
+        let digest = work.design.digest();
+        let result = self.reducer.with_prepared(test, digest, work, |gains, work| {
             let run = Run {
                 design: &work.design,
                 gains,
@@ -97,7 +116,7 @@ impl<'a> Scorer<'a> {
                 values: &work.data.values,
                 moments,
                 ending,
-                wanted,
+                wanted: self.wanted(),
             };
             let mut onward = Onward { adjoints, test, work };
             run.backward(backward, &mut onward)?;

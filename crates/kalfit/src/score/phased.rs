@@ -7,6 +7,7 @@
 //!
 //! Phases that are known by estimates or by a reduction have no part in it.
 
+mod apart;
 #[cfg(test)]
 mod tests;
 mod together;
@@ -158,33 +159,6 @@ impl<'a> PhasedScorer<'a> {
             |_, plan| 2 * plan.bytes(),
         );
         Ok(entry.value().smooth(&pieces, &laws))
-    }
-
-    fn one(
-        &self,
-        test: &PhasedTest,
-        reduction: &Reduction,
-        law: (&InitialLaw, &Plans),
-        room: &mut Room<'_>,
-    ) -> Result<Gradient, ReduceError> {
-        let phases = self.begin(test, reduction, law, &mut room.work)?;
-        let mut sum = BTreeMap::new();
-        for (at, (evidence, smooth)) in test.phases.iter().zip(&phases).enumerate() {
-            let Some(rows) = self.rows(at, evidence) else { continue };
-            let scorer = &self.phases[at];
-            let ending = smooth.later.as_ref().map(|later| scorer.ending(later));
-            let work = (&mut room.work.phases[at], &mut room.backward, &mut room.adjoints[at]);
-            let gradient = scorer.one(rows, (&smooth.moments, ending.as_ref()), work);
-            let gradient = gradient.map_err(|error| self.reducer.phases()[at].named(error))?;
-            if self.model.is_single() {
-                return Ok(gradient);
-            }
-            gradient.into_iter().for_each(|(slot, bar)| *sum.entry(slot).or_insert(0.0) += bar);
-            if let Some(bar) = &smooth.inherited {
-                self.carried((at, rows), bar, room, &mut sum)?;
-            }
-        }
-        Ok(sum.into_iter().collect())
     }
 
     /// Through the coefficients of the carry of a phase.

@@ -27,6 +27,10 @@ use ways::{Way, ways};
 const PASSES: usize = 20_000;
 /// First look at the certificate.
 const FIRST: usize = 6;
+/// Most passes from one look to the next.
+const LONGEST_WAIT: usize = 128;
+/// So near a stationary point (in standard errors) that is no maximum EM would take very long to leave it.
+const SADDLE: f64 = 0.05;
 /// A longer step must raise ℓ by this part of the slope along that of EM, which itself raises it by half of that or more.
 const ENOUGH: f64 = 0.5;
 /// … and an extrapolation by this part.
@@ -79,11 +83,15 @@ impl<'b, 'a> Em<'b, 'a> {
             if !near && pass < next {
                 continue;
             }
-            next = pass + 4 + pass / 2;
+            next = pass + (4 + pass / 2).min(LONGEST_WAIT);
             let value = self.search.home.value();
             let rises = value > before + 1e-12 * value.abs();
             before = value;
             let coarse = self.look(false);
+            if !coarse.concave && coarse.decrement <= SADDLE && self.search.off_saddle(&coarse.joint) {
+                self.forget();
+                continue;
+            }
             if !(coarse.concave && coarse.decrement <= 10.0 * self.search.tolerance())
                 && (self.leap(&coarse.joint) || !near && rises)
             {

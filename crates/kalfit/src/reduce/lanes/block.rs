@@ -46,6 +46,11 @@ impl Block {
         Block { isa, numbers: Vec::new(), inputs: 0, values: 0 }
     }
 
+    /// What its lanes are.
+    pub(crate) fn isa(&self) -> Isa {
+        self.isa
+    }
+
     /// How many tests it has room for.
     pub(crate) fn lanes(&self) -> usize {
         self.isa.lanes()
@@ -93,7 +98,7 @@ impl Block {
         gained.gains((0, self.isa.lanes()), design.rows())
     }
 
-    fn side(&self) -> Side<'_> {
+    pub(super) fn side(&self) -> Side<'_> {
         let (start, rest) = self.numbers.split_at(self.inputs * self.isa.lanes());
         let (inputs, values) = rest.split_at((self.values - self.inputs) * self.isa.lanes());
         Side { start, inputs, values }

@@ -200,6 +200,23 @@ impl Gained {
         End::of_covariance(states, &own(&self.last.1), &own(&self.last.0), self.stride - 1)
     }
 
+    /// P0, h, R and Q of the designs, in lanes.
+    pub(super) fn variance(&self) -> &[f64] {
+        &self.variance
+    }
+
+    pub(super) fn coefficients(&self) -> &[f64] {
+        &self.h
+    }
+
+    pub(super) fn noise(&self) -> &[f64] {
+        &self.noise
+    }
+
+    pub(super) fn process_noise(&self) -> &[f64] {
+        &self.q
+    }
+
     /// 1/S of so many measurements of one design.
     pub(crate) fn weights(&self, (lane, lanes): (usize, usize), rows: usize) -> impl Iterator<Item = f64> + use<'_> {
         self.gains.iter().skip(lane).step_by(lanes * self.stride).take(rows).copied()

@@ -8,9 +8,11 @@ mod block;
 mod designs;
 mod pass;
 mod squares;
+mod woven;
 
 pub(crate) use block::{Block, Room};
 pub(crate) use designs::{Gained, same_shape};
+pub(crate) use woven::Woven;
 
 use crate::reduce::data::FEW;
 use crate::reduce::design::Design;

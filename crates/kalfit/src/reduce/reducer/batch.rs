@@ -103,7 +103,7 @@ impl Reducer {
     pub(crate) fn ran(&self, digest: u128, design: &Design, gains: impl FnOnce() -> Option<Gains>) {
         let made = || (design.clone(), Ok(gains().expect("only sound filters are noted")));
         // threads that meet one design at the same time count once: the work told of does not depend on threads
-        let first = self.classes.offer(digest, made, class_bytes);
+        let first = self.classes.offer((digest, self.eager), made, class_bytes);
         self.design_runs.fetch_add(u64::from(first), Ordering::Relaxed);
     }
 

@@ -1,14 +1,14 @@
 //! What the filters of tests with designs of their own leave, run side by side.
 
 use crate::reduce::Terminal;
-use crate::reduce::data::Outcome;
+use crate::reduce::data::{Data, Outcome};
 use crate::reduce::design::Design;
 use crate::reduce::end::{End, placed};
 use crate::reduce::gains::Gains;
 use crate::reduce::lanes::{Block, Gained, Room};
 use crate::reduce::prepare::Workspace;
 use crate::reduce::reducer::Reducer;
-use crate::reduce::reducer::queue::{Own, longest};
+use crate::reduce::reducer::queue::Own;
 
 /// Tests in lanes, after their filters and data passes.
 #[derive(Debug, Clone, Copy)]
@@ -34,17 +34,26 @@ impl Reducer {
     /// Runs the filters of tests whose designs have one shape, no more of them than there are lanes, and takes note of their
     /// designs.
     pub(crate) fn filter<'a>(&'a self, tests: &'a [Own], work: &'a mut Workspace) -> Filtered<'a> {
+        let all: Vec<(&Design, &Data)> = tests.iter().map(|own| (&own.design, &own.data)).collect();
+        filters(&all, work);
         let Workspace { block, room, gained, .. } = work;
-        let longest = longest(tests).expect("there is a test");
-        block.clear(longest.data.start.len(), longest.data.inputs.len(), longest.data.values.len());
-        for (lane, Own { data, .. }) in tests.iter().enumerate() {
-            block.begin(lane, &data.start, &data.inputs);
-            block.values(lane, data.values.iter().copied());
-        }
-        let designs: Vec<&Design> = tests.iter().map(|own| &own.design).collect();
-        block.filter((&designs, &longest.design), gained, room);
         Filtered { reducer: self, tests, block, gained, room }
     }
+}
+
+/// Runs the filters of tests whose designs have one shape, at least one and no more of them than there are lanes, in the work space;
+/// returns the longest design.
+pub(crate) fn filters<'d>(tests: &[(&'d Design, &Data)], work: &mut Workspace) -> &'d Design {
+    let Workspace { block, room, gained, .. } = work;
+    let (longest, data) = *tests.iter().max_by_key(|(design, _)| design.runs.len()).expect("there is a test");
+    block.clear(data.start.len(), data.inputs.len(), data.values.len());
+    for (lane, (_, data)) in tests.iter().enumerate() {
+        block.begin(lane, &data.start, &data.inputs);
+        block.values(lane, data.values.iter().copied());
+    }
+    let designs: Vec<&Design> = tests.iter().map(|(design, _)| *design).collect();
+    block.filter((&designs, longest), gained, room);
+    longest
 }
 
 impl<'a> Filtered<'a> {

@@ -90,6 +90,6 @@ impl Queue {
 }
 
 /// The test whose design is the longest.
-pub(crate) fn longest(tests: &[Own]) -> Option<&Own> {
+fn longest(tests: &[Own]) -> Option<&Own> {
     tests.iter().max_by_key(|own| own.design.runs.len())
 }

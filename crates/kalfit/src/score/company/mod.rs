@@ -49,7 +49,7 @@ impl Scorer<'_> {
         shared: (&Moments, Option<&Ending>),
         (work, backward, adjoints): (&mut Workspace, &mut BackwardWork, &mut Adjoints<'_>),
     ) -> Result<Option<Vec<Gradient>>, ReduceError> {
-        let wanted = Wanted { motion: self.chain.needs_rates(), equation: self.chain.needs_equation() };
+        let wanted = self.wanted();
         backward.set_unfrozen(self.reducer.is_unfrozen());
         let first = tests[0].test;
         let found: Result<_, Box<Fault>> = self.reducer.with_gains(first, work, |gains, work| {

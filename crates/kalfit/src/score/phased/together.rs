@@ -15,7 +15,7 @@ use crate::score::smoother::Smooth;
 const SHARE: usize = 64;
 
 /// (number of the test, its score).
-type Score = (usize, Result<Gradient, ReduceError>);
+pub(super) type Score = (usize, Result<Gradient, ReduceError>);
 
 /// An ensemble under a law of ξ.
 #[derive(Clone, Copy)]
@@ -38,7 +38,7 @@ impl PhasedScorer<'_> {
         Companies::of(self.reducer, tests, |at, test| self.rows_of(at, test))
     }
 
-    fn rows_of<'t>(&self, at: usize, test: &'t PhasedTest) -> Option<&'t Test> {
+    pub(super) fn rows_of<'t>(&self, at: usize, test: &'t PhasedTest) -> Option<&'t Test> {
         test.phases.get(at).and_then(|evidence| self.rows(at, evidence))
     }
 
@@ -63,19 +63,8 @@ impl PhasedScorer<'_> {
         let one = |room: &mut Room<'_>, members: &Vec<usize>| self.company(ensemble, members, room);
         let mut scores: Vec<Score> =
             companies.companies.par_iter().map_init(|| self.room(), one).flatten_iter().collect();
-        scores.par_extend(self.one_by_one(ensemble, &companies.alone));
+        scores.extend(self.apart(ensemble, &companies.alone));
         scores
-    }
-
-    fn one_by_one<'a>(
-        &'a self,
-        of: Ensemble<'a>,
-        numbers: &'a [usize],
-    ) -> impl IndexedParallelIterator<Item = Score> + 'a {
-        let one = move |room: &mut Room<'a>, &number: &usize| {
-            (number, self.one(&of.tests[number], &of.reductions[number], (of.law, of.plans), room))
-        };
-        numbers.par_iter().map_init(|| self.room(), one)
     }
 
     /// Alike tests; one by one where they turn out to be so in their rows alone.
@@ -83,7 +72,7 @@ impl PhasedScorer<'_> {
         match self.together(of, numbers, room) {
             Ok(Some(scores)) => numbers.iter().copied().zip(scores.into_iter().map(Ok)).collect(),
             // what is wrong is said of the test that it is wrong with
-            Ok(None) | Err(_) => self.one_by_one(of, numbers).collect(),
+            Ok(None) | Err(_) => self.apart(of, numbers),
         }
     }
 

@@ -1,0 +1,84 @@
+//! Designs of one shape, their gains and their data as numbers side by side, for passes that are not the reduction's own.
+
+use std::sync::Arc;
+
+use kalfit_lanes::Lanes;
+
+use crate::reduce::design::{Design, Run, Transition};
+use crate::reduce::lanes::Block;
+use crate::reduce::lanes::designs::Gained;
+use crate::reduce::lanes::pass::{Numbers, at};
+
+/// A test in each lane. Where one is shorter than the longest it goes on with measurements that say nothing, and transitions that
+/// forget everything.
+#[derive(Debug)]
+pub(crate) struct Woven<T> {
+    pub(crate) design: Design<T>,
+    pub(crate) start: Vec<T>,
+    pub(crate) inputs: Vec<T>,
+    pub(crate) values: Vec<T>,
+    /// 1/S, K and T of each row, r and p numbers of the latter.
+    gains: Vec<T>,
+    sizes: (usize, usize),
+}
+
+impl<T: Lanes> Woven<T> {
+    /// 1/S, K, T of a row.
+    #[inline(always)]
+    pub(crate) fn row(&self, row: usize) -> (T, &[T], &[T]) {
+        let (r, p) = self.sizes;
+        let own = &self.gains[row * (1 + r + p)..][..1 + r + p];
+        (own[0], &own[1..=r], &own[1 + r..])
+    }
+}
+
+impl Block {
+    /// The tests of the block, after [`Block::filter`] into `gained`; `longest` as there.
+    #[inline(always)]
+    pub(crate) fn woven<T: Lanes>(&self, longest: &Design, gained: &Gained) -> Woven<T> {
+        let frame = &longest.frame;
+        let side = self.side();
+        let (r, p) = (frame.r, frame.p);
+        let mut gains = Vec::with_capacity(longest.rows() * (1 + r + p));
+        for row in 0..longest.rows() {
+            gains.push(Numbers::<T>::weight(gained, row));
+            for i in 0..r {
+                gains.push(Numbers::<T>::K(gained, row, i));
+            }
+            for k in 0..p {
+                gains.push(Numbers::<T>::T(gained, row, k));
+            }
+        }
+        let mut design = Design::<T>::new(frame.clone());
+        (design.ends, design.states) = (longest.ends.clone(), longest.states.clone());
+        design.variance = all(gained.variance());
+        design.h = all(gained.coefficients());
+        design.noise = all(gained.noise());
+        for (number, run) in longest.runs.iter().enumerate() {
+            let mut transition = None;
+            if let Some(like) = &run.transition {
+                let (mut phi, mut q) = (Vec::with_capacity(like.phi.len()), Vec::with_capacity(like.q.len()));
+                for term in 0..like.phi.len() {
+                    phi.push(gained.phi(number, term));
+                }
+                for pair in 0..like.q.len() {
+                    q.push(at(gained.process_noise(), number * like.q.len() + pair));
+                }
+                transition = Some(Arc::new(Transition { pattern: like.pattern.clone(), phi, q, digest: None }));
+            }
+            design.runs.push(Run { transition, lines: run.lines, count: run.count, rows: run.rows, steps: run.steps });
+        }
+        let (start, inputs, values) = (all(side.start), all(side.inputs), all(side.values));
+        Woven { design, start, inputs, values, gains, sizes: (r, p) }
+    }
+}
+
+/// Numbers in lanes.
+#[inline(always)]
+fn all<T: Lanes>(numbers: &[f64]) -> Vec<T> {
+    let mut all = Vec::with_capacity(numbers.len() / T::COUNT);
+    for k in 0..numbers.len() / T::COUNT {
+        all.push(at(numbers, k));
+    }
+    all
+}

@@ -1,0 +1,302 @@
+//! The backward pass of tests with designs of one shape, a test in each lane.
+#![expect(non_snake_case, reason = "the letters of the theory: K, T, N")]
+
+use std::ops::Range;
+
+use kalfit_lanes::{Isa, Kernel, Lanes, MOST};
+
+use crate::reduce::{Block, Design, Gained, Woven, is_short};
+use crate::score::backward::adjoint::{Adjoint, LineBar};
+use crate::score::backward::filtered::{Begin, Filtered, Seen};
+use crate::score::backward::line::{Line, Unknown};
+use crate::score::backward::{Cut, Ending, MeasuredBar, MovedBar, Sink, Wanted};
+use crate::score::moments::Moments;
+
+/// Numbers of one test that the pass remembers: no more than these.
+const MOST_NUMBERS: usize = 1 << 16;
+
+/// Tests after their filters: [`Block::filter`].
+#[derive(Debug)]
+pub(crate) struct Abreast<'a> {
+    pub(crate) block: &'a Block,
+    pub(crate) gained: &'a Gained,
+    pub(crate) longest: &'a Design,
+    /// One for each test, with as many columns.
+    pub(crate) moments: &'a [&'a Moments],
+    /// One for each test, or none; the tests end together then.
+    pub(crate) endings: &'a [&'a Ending],
+    pub(crate) wanted: Wanted,
+}
+
+/// The adjoints of all of them, each number of one test beside the same of the others.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Bars {
+    isa: Option<Isa>,
+    /// ∂ℓ/∂R, ∂ℓ/∂(z - d) and, if it is wanted, ∂ℓ/∂h, of each measurement.
+    rows: Vec<f64>,
+    /// ∂ℓ/∂φ, ∂ℓ/∂Q and ∂ℓ/∂b of each transition.
+    moves: Vec<f64>,
+    mean: Vec<f64>,
+    variance: Vec<f64>,
+    /// Numbers of a measurement; of a transition of each kind.
+    sizes: (usize, [usize; 3]),
+}
+
+/// Whether a test is one for lanes, with so many columns of its moments.
+pub(crate) fn fits(design: &Design, columns: usize, wanted: Wanted) -> bool {
+    let (n, r) = (design.frame.n, design.frame.r);
+    let many = usize::from(wanted.motion) * design.steps() + usize::from(wanted.equation) * design.rows();
+    is_short(design) && many * (n + r * r + n * columns) + design.rows() * (r + n) <= MOST_NUMBERS
+}
+
+impl Abreast<'_> {
+    /// Runs the pass.
+    pub(crate) fn pass(self) -> Bars {
+        let isa = self.block.isa();
+        Bars { isa: Some(isa), ..isa.run(self) }
+    }
+}
+
+impl Kernel for Abreast<'_> {
+    type Output = Bars;
+
+    #[inline(always)]
+    fn run<T: Lanes>(self) -> Bars {
+        let woven = self.block.woven::<T>(self.longest, self.gained);
+        let root = weave::<T>(self.moments.len(), |lane| &self.moments[lane].root);
+        let mean = weave::<T>(self.moments.len(), |lane| &self.moments[lane].mean);
+        let columns = self.moments[0].columns;
+        let unknown = Unknown { frame: &woven.design.frame, root: &root, columns, wanted: self.wanted };
+        let forward = Forward::new(&woven, &mean, &unknown);
+        let mut ending = None;
+        if let Some(first) = self.endings.first() {
+            debug_assert!(first.r.len() == unknown.frame.n, "one for each state");
+            let many = self.endings.len();
+            ending = Some([
+                weave::<T>(many, |lane| &self.endings[lane].r),
+                weave::<T>(many, |lane| &self.endings[lane].rho),
+                weave::<T>(many, |lane| &self.endings[lane].N),
+            ]);
+        }
+        let ending = ending.as_ref().map(|[r, rho, N]| [&**r, &**rho, &**N]);
+        forward.back(&woven, &unknown, ending)
+    }
+}
+
+/// The same numbers of so many tests, at least one; lanes beyond the last test are as the last one.
+#[inline(always)]
+fn weave<'a, T: Lanes>(tests: usize, numbers: impl Fn(usize) -> &'a [f64]) -> Vec<T> {
+    let mut all: [&[f64]; MOST] = [&[]; MOST];
+    for (lane, slice) in all.iter_mut().enumerate() {
+        *slice = numbers(lane.min(tests - 1));
+    }
+    let mut lanes = Vec::with_capacity(all[0].len());
+    for i in 0..all[0].len() {
+        let mut one = [0.0; MOST];
+        for lane in 0..T::COUNT {
+            one[lane] = all[lane][i];
+        }
+        lanes.push(T::load(&one));
+    }
+    lanes
+}
+
+/// What the forward filter passed through.
+struct Forward<T> {
+    /// ē of each measurement.
+    e: Vec<T>,
+    /// Before each transition, and before each measurement, as [`Filtered::save`] keeps it.
+    left: Vec<T>,
+    before: Vec<T>,
+    stride: usize,
+}
+
+#[inline(always)]
+fn line<'a, T: Lanes>(woven: &'a Woven<T>, (line, row): (usize, usize)) -> Line<'a, T> {
+    let ((states, h), (weight, K, T)) = (woven.design.terms(line), woven.row(row));
+    Line { states, h, noise: woven.design.noise[line], weight, K, T }
+}
+
+impl<T: Lanes> Forward<T> {
+    #[inline(always)]
+    fn new(woven: &Woven<T>, mean: &[T], unknown: &Unknown<'_, T>) -> Forward<T> {
+        let (design, driven) = (&woven.design, unknown.frame.driven.len());
+        let (n, r) = (unknown.frame.n, unknown.frame.r);
+        let stride = n + r * r + n * unknown.columns;
+        let mut forward = Forward { e: Vec::with_capacity(design.rows()), left: vec![], before: vec![], stride };
+        let mut now = Filtered::<T>::default();
+        now.begin(&Begin { start: &woven.start, variance: &design.variance, mean }, unknown);
+        let (mut input, mut row, mut first) = (0, 0, 0);
+        for run in &design.runs {
+            for _ in 0..run.count {
+                if let Some(transition) = &run.transition {
+                    if unknown.wanted.motion {
+                        now.save(&mut forward.left);
+                    }
+                    now.advance(transition, &woven.inputs[input..input + driven], unknown);
+                    input += driven;
+                }
+                for number in first..run.lines {
+                    if unknown.wanted.equation {
+                        now.save(&mut forward.before);
+                    }
+                    let line = line(woven, (number, row));
+                    let e = now.innovation(&line, woven.values[row]);
+                    now.measure(&line, e, unknown);
+                    forward.e.push(e);
+                    row += 1;
+                }
+            }
+            first = run.lines;
+        }
+        forward
+    }
+
+    #[inline(always)]
+    fn back(self, woven: &Woven<T>, unknown: &Unknown<'_, T>, ending: Option<[&[T]; 3]>) -> Bars {
+        let (design, frame, wanted) = (&woven.design, unknown.frame, unknown.wanted);
+        let (n, zero) = (frame.n, T::splat(0.0));
+        let sizes = (n, frame.r);
+        let mut adjoint = Adjoint::<T>::default();
+        adjoint.begin(unknown, ending);
+        let width = 2 + if wanted.equation { n } else { 0 };
+        let mut rows = vec![0.0; design.rows() * width * T::COUNT];
+        let (mut moves, mut kinds) = (Vec::new(), [0; 3]);
+        let (mut bar, mut moved) = (vec![zero; width], MovedBar::<T>::default());
+        let (mut transitions, mut row) = (0, design.rows());
+        for run in &design.runs {
+            transitions += if run.transition.is_some() { run.count } else { 0 };
+        }
+        for at_run in (0..design.runs.len()).rev() {
+            let run = &design.runs[at_run];
+            let first = if at_run == 0 { 0 } else { design.runs[at_run - 1].lines };
+            for _ in 0..run.count {
+                for number in (first..run.lines).rev() {
+                    row -= 1;
+                    let (scalars, h) = bar.split_at_mut(2);
+                    let (noise, value) = scalars.split_at_mut(1);
+                    let mut equation = None;
+                    if wanted.equation {
+                        equation = Some((h, Seen::new(&self.before[row * self.stride..][..self.stride], sizes)));
+                    }
+                    let out = LineBar { noise: &mut noise[0], value: &mut value[0], h: equation };
+                    adjoint.measured(&line(woven, (number, row)), self.e[row], unknown, out);
+                    for k in 0..width {
+                        bar[k].store(&mut rows[(row * width + k) * T::COUNT..]);
+                    }
+                }
+                let Some(transition) = &run.transition else { continue };
+                if moves.is_empty() {
+                    kinds = [transition.phi.len(), transition.q.len(), frame.driven.len()];
+                    moves.resize(transitions * kinds.iter().sum::<usize>() * T::COUNT, 0.0);
+                }
+                transitions -= 1;
+                let mut left = None;
+                if wanted.motion {
+                    left = Some(Seen::new(&self.left[transitions * self.stride..][..self.stride], sizes));
+                }
+                adjoint.moved(unknown, transition, left, &mut moved);
+                let mut at = transitions * kinds.iter().sum::<usize>();
+                for list in [&moved.phi, &moved.q, &moved.input] {
+                    for x in list {
+                        x.store(&mut moves[at * T::COUNT..]);
+                        at += 1;
+                    }
+                }
+            }
+        }
+        let mut variance = Vec::new();
+        adjoint.variance(unknown, &mut variance);
+        let (mean, variance) = (apart(&adjoint.r), apart(&variance));
+        Bars { isa: None, rows, moves, mean, variance, sizes: (width, kinds) }
+    }
+}
+
+#[inline(always)]
+fn apart<T: Lanes>(numbers: &[T]) -> Vec<f64> {
+    let mut all = vec![0.0; numbers.len() * T::COUNT];
+    for (k, x) in numbers.iter().enumerate() {
+        x.store(&mut all[k * T::COUNT..]);
+    }
+    all
+}
+
+/// Room for the adjoints of one step.
+#[derive(Debug, Default)]
+pub(crate) struct StepBars {
+    measured: MeasuredBar,
+    moved: MovedBar,
+}
+
+impl Bars {
+    /// Those of the test in a lane, whose design this is, into the sink.
+    pub(crate) fn send<S: Sink>(
+        &self,
+        lane: usize,
+        design: &Design,
+        room: &mut StepBars,
+        sink: &mut S,
+    ) -> Result<(), S::Error> {
+        let mut step = design.steps();
+        let mut transitions: usize = design.stretches().filter(|s| s.transition.is_some()).map(|s| s.count).sum();
+        for stretch in design.stretches().rev() {
+            let (steps, lines) = (step - stretch.count..step, stretch.lines.len());
+            let summed = lines == 1 && stretch.count > Cut::default().few && sink.sums(steps.clone());
+            let many = if summed { stretch.count } else { 1 };
+            let mut row = stretch.rows.end;
+            while step > steps.start {
+                step -= many;
+                row -= many * lines;
+                if lines > 0 {
+                    self.measured(lane, row..row + many * lines, lines, room);
+                    sink.measured(step, &room.measured)?;
+                }
+                if stretch.transition.is_some() {
+                    transitions -= many;
+                    self.moved(lane, transitions..transitions + many, room);
+                    sink.moved(step, &room.moved)?;
+                }
+            }
+        }
+        let own = |all: &[f64]| -> Vec<f64> { all.iter().skip(lane).step_by(self.lanes()).copied().collect() };
+        sink.started(&own(&self.mean), &own(&self.variance))
+    }
+
+    fn lanes(&self) -> usize {
+        self.isa.map_or(1, Isa::lanes)
+    }
+
+    /// Sums the adjoints of steps of so many measurements each.
+    fn measured(&self, lane: usize, rows: Range<usize>, lines: usize, room: &mut StepBars) {
+        let (width, lanes) = (self.sizes.0, self.lanes());
+        let MeasuredBar { noise, value, h } = &mut room.measured;
+        for (list, size) in [(&mut *noise, lines), (&mut *value, lines), (&mut *h, lines * (width - 2))] {
+            list.clear();
+            list.resize(size, 0.0);
+        }
+        for (number, row) in rows.enumerate() {
+            let (place, own) = (number % lines, |k: usize| self.rows[(row * width + k) * lanes + lane]);
+            noise[place] += own(0);
+            value[place] += own(1);
+            (2..width).for_each(|k| h[place * (width - 2) + k - 2] += own(k));
+        }
+    }
+
+    /// Sums the adjoints of transitions.
+    fn moved(&self, lane: usize, transitions: Range<usize>, room: &mut StepBars) {
+        let (kinds, lanes) = (self.sizes.1, self.lanes());
+        let width: usize = kinds.iter().sum();
+        let MovedBar { phi, q, input } = &mut room.moved;
+        let mut first = 0;
+        for (list, size) in [phi, q, input].into_iter().zip(kinds) {
+            list.clear();
+            list.resize(size, 0.0);
+            for transition in transitions.clone() {
+                for (k, sum) in list.iter_mut().enumerate() {
+                    *sum += self.moves[(transition * width + first + k) * lanes + lane];
+                }
+            }
+            first += size;
+        }
+    }
+}
