@@ -20,9 +20,6 @@ mod tests;
 
 use std::ops::Range;
 
-#[cfg(test)]
-use rayon::prelude::*;
-
 use crate::ensemble::Test;
 use crate::reduce::{Fault, ReduceError, Reducer, Workspace};
 use backward::{BackwardWork, Ending, MeasuredBar, MovedBar, Run, Sink, Wanted};
@@ -54,17 +51,6 @@ impl<'a> Scorer<'a> {
         Ok(Scorer { reducer, chain })
     }
 
-    /// dℓ_j/dα of each test, with the moments of its ξ.
-    #[cfg(test)]
-    pub(crate) fn scores(&self, tests: &[Test], moments: &[Moments]) -> Result<Vec<Gradient>, ReduceError> {
-        let room = || (self.reducer.workspace(), BackwardWork::default(), self.chain.adjoints());
-        let one = |room: &mut (Workspace, BackwardWork, Adjoints<'_>), (test, moments): (&Test, &Moments)| {
-            let (work, backward, adjoints) = room;
-            self.one(test, (moments, None), (work, backward, adjoints))
-        };
-        tests.par_iter().zip(moments).map_init(room, |room, pair| one(room, pair)).collect()
-    }
-
     /// What a phase's later ones say of its last state, in the order of the kernels.
     fn ending(&self, later: &Later) -> Ending {
         let order = &self.reducer.preparer().order;
@@ -85,20 +71,7 @@ impl<'a> Scorer<'a> {
         Wanted { motion: self.chain.needs_rates(), equation: self.chain.needs_equation() }
     }
 
-    /// dℓ_j/dα of a test, with the moments of its ξ, and what later phases say of its last state.
-    #[cfg(test)]
-    fn one(
-        &self,
-        test: &Test,
-        (moments, ending): (&Moments, Option<&Ending>),
-        (work, backward, adjoints): (&mut Workspace, &mut BackwardWork, &mut Adjoints<'_>),
-    ) -> Result<Gradient, ReduceError> {
-        let named = |fault: Box<Fault>| fault.name(&self.reducer.preparer().model, Some(test));
-        self.reducer.preparer().prepare(test, work).map_err(named)?;
-        self.prepared(test, (moments, ending), (work, backward, adjoints))
-    }
-
-    /// The same of the test in the work space.
+    /// dℓ_j/dα of the test in the work space, with the moments of its ξ, and what later phases say of its last state.
     fn prepared(
         &self,
         test: &Test,

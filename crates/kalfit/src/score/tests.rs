@@ -4,6 +4,7 @@ use nalgebra::{DMatrix, DVector};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
+use rayon::prelude::*;
 
 use super::*;
 use crate::ensemble::{Labels, Source};
@@ -122,6 +123,19 @@ fn likelihood(reduction: &Reduction) -> f64 {
     let spread = DMatrix::identity(1, 1) + &rf * rf.transpose();
     let cholesky = spread.cholesky().expect("positive definite");
     reduction.constant - 0.5 * cholesky.determinant().ln() - 0.5 * residual.dot(&cholesky.solve(&residual))
+}
+
+impl Scorer<'_> {
+    /// dℓ_j/dα of each test, one by one, with the moments of its ξ.
+    fn scores(&self, tests: &[Test], moments: &[Moments]) -> Result<Vec<Gradient>, ReduceError> {
+        let room = || (self.reducer.workspace(), BackwardWork::default(), self.chain.adjoints());
+        let one = |room: &mut (Workspace, BackwardWork, Adjoints<'_>), (test, moments): (&Test, &Moments)| {
+            let (work, backward, adjoints) = room;
+            self.reducer.preparer().prepare(test, work).map_err(|fault| self.reducer.named(*fault, test))?;
+            self.prepared(test, (moments, None), (work, backward, adjoints))
+        };
+        tests.par_iter().zip(moments).map_init(room, |room, pair| one(room, pair)).collect()
+    }
 }
 
 fn at(model: &Model, slots: &Slots, values: &[f64], test: &Test, unfrozen: bool) -> (f64, Gradient) {

@@ -46,12 +46,18 @@ impl Companies {
         let mut found = Companies::default();
         for mut left in known.into_values() {
             // tests of one hash are alike, but for chance
-            while let Some(&first) = left.first() {
-                let own = likeness(first);
-                let (like, rest) = left.par_iter().partition(|&&number| likeness(number) == own);
-                found.take(like);
+            while left.len() >= FEWEST {
+                let own = likeness(left[0]);
+                let (like, rest): (Vec<usize>, Vec<usize>) =
+                    left.par_iter().partition(|&&number| likeness(number) == own);
+                if like.len() < FEWEST {
+                    found.alone.extend(like)
+                } else {
+                    found.companies.push(like)
+                }
                 left = rest;
             }
+            found.alone.extend(left);
         }
         found.alone.sort_unstable();
         found
@@ -60,9 +66,5 @@ impl Companies {
     /// All of so many tests by themselves.
     pub(crate) fn none(tests: usize) -> Companies {
         Companies { companies: Vec::new(), alone: (0..tests).collect() }
-    }
-
-    fn take(&mut self, like: Vec<usize>) {
-        if like.len() < FEWEST { self.alone.extend(like) } else { self.companies.push(like) }
     }
 }
