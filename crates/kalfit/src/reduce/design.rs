@@ -110,11 +110,6 @@ impl Transition<f64> {
         Transition { pattern, phi, q, digest: None }
     }
 
-    /// One that many steps share.
-    pub(crate) fn shared(self) -> Transition {
-        Transition { digest: Some(self.digest()), ..self }
-    }
-
     /// Of the pattern and all numbers.
     pub(crate) fn digest(&self) -> u128 {
         self.digest.unwrap_or_else(|| {

@@ -102,13 +102,14 @@ impl Plan {
         Plan { pattern: Arc::new(pattern.seal()), phi, q, drives, offsets }
     }
 
-    /// φ, Q and Γ of a step of length `dt`, or of many. `values`: the dynamics' coefficients on the step; `flows`: work space.
+    /// φ, Q and Γ of a step of length `dt`, or of many. `values`: the dynamics' coefficients on the step; `flows`: work space; `spare`:
+    /// a transition that nobody else has, whose memory can be had.
     pub(crate) fn moves(
         &self,
         dynamics: &Dynamics,
         values: &[f64],
         (dt, many): (f64, bool),
-        flows: &mut Vec<f64>,
+        (flows, spare): (&mut Vec<f64>, Option<Arc<Transition>>),
     ) -> Result<Moves, Box<Fault>> {
         check_noise(dynamics, values)?;
         flows.clear();
@@ -121,17 +122,20 @@ impl Plan {
             Entry::Flow(at) => flows[*at],
             Entry::Held(terms) => terms.iter().map(|&(at, slot)| flows[at] * values[slot]).sum(),
         };
-        let phi: Vec<f64> = self.phi.iter().map(entry).collect();
-        let q: Vec<f64> = self.q.iter().map(entry).collect();
-        if phi.iter().chain(&q).any(|x| !x.is_finite()) {
+        let fresh = || Arc::new(Transition::new(self.pattern.clone(), Vec::new(), Vec::new()));
+        let mut made = spare.unwrap_or_else(fresh);
+        let transition = Arc::get_mut(&mut made).expect("nobody else has it");
+        transition.phi.clear();
+        transition.phi.extend(self.phi.iter().map(entry));
+        transition.q.clear();
+        transition.q.extend(self.q.iter().map(entry));
+        if transition.phi.iter().chain(&transition.q).any(|x| !x.is_finite()) {
             return Err(Fault::new(Subject::Transition, ReduceErrorKind::NotFinite));
         }
+        transition.digest = None;
+        transition.digest = many.then(|| transition.digest());
         let kept = self.drives.iter().any(|drive| matches!(drive, Drive::Flow(_)));
-        let transition = Transition::new(self.pattern.clone(), phi, q);
-        Ok(Moves {
-            transition: Arc::new(if many { transition.shared() } else { transition }),
-            flows: if kept { flows.clone() } else { Vec::new() },
-        })
+        Ok(Moves { transition: made, flows: if kept { flows.clone() } else { Vec::new() } })
     }
 
     /// Appends b of the driven states. `inputs`: values of the dynamics' inputs.

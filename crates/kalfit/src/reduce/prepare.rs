@@ -9,7 +9,7 @@ use kalfit_lanes::Isa;
 use crate::ensemble::Test;
 use crate::model::{Alpha, Model, Scope};
 use crate::reduce::data::{Data, DataWork};
-use crate::reduce::design::Design;
+use crate::reduce::design::{Design, Transition};
 use crate::reduce::dynamics::Dynamics;
 use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::instances::Instances;
@@ -105,6 +105,8 @@ pub(crate) struct Workspace {
     flows: Vec<f64>,
     key: Vec<u64>,
     last: Option<Arc<Moved>>,
+    /// Transitions that nobody has.
+    spare: Vec<Arc<Transition>>,
 }
 
 impl Preparer {
@@ -189,6 +191,7 @@ impl Preparer {
             flows: Vec::new(),
             key: Vec::new(),
             last: None,
+            spare: Vec::new(),
         }
     }
 
@@ -198,7 +201,7 @@ impl Preparer {
         if test.rows() == 0 {
             return Err(Fault::new(Subject::Test, ReduceErrorKind::NoRows));
         }
-        work.design.clear();
+        work.clear_design();
         work.data.clear();
         work.instances.clear();
         work.covariances.iter_mut().for_each(Vec::clear);

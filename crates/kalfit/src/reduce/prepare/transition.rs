@@ -11,6 +11,26 @@ use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::prepare::{Moment, Moved, Preparer, Workspace};
 use crate::reduce::subject::{At, Fault, Subject};
 
+/// Transitions whose memory is kept for others.
+const SPARE: usize = 1 << 12;
+
+impl Workspace {
+    /// Empties the design; the memory of transitions that nobody else has is kept for those of the next test.
+    pub(super) fn clear_design(&mut self) {
+        let Workspace { design, spare, .. } = self;
+        let mut used = design.runs.drain(..).filter_map(|run| run.transition);
+        while spare.len() < SPARE
+            && let Some(mut transition) = used.next()
+        {
+            if Arc::get_mut(&mut transition).is_some() {
+                spare.push(transition);
+            }
+        }
+        drop(used);
+        design.clear();
+    }
+}
+
 impl Preparer {
     /// The transition that leads to a step; its inputs go to the data.
     pub(super) fn transition(
@@ -50,8 +70,8 @@ impl Preparer {
     }
 
     fn own_moves(&self, work: &mut Workspace, dt: f64) -> Moved {
-        let Workspace { key, values, flows, .. } = work;
-        Moved::new(key.clone(), self.plan.moves(&self.dynamics, values, (dt, false), flows))
+        let Workspace { key, values, flows, spare, .. } = work;
+        Moved::new(key.clone(), self.plan.moves(&self.dynamics, values, (dt, false), (flows, spare.pop())))
     }
 
     fn shared_moves(&self, work: &mut Workspace, dt: f64) -> Arc<Moved> {
@@ -64,7 +84,7 @@ impl Preparer {
             || key.clone(),
             |_| {
                 self.computed.fetch_add(1, Ordering::Relaxed);
-                self.plan.moves(&self.dynamics, values, (dt, true), flows)
+                self.plan.moves(&self.dynamics, values, (dt, true), (flows, None))
             },
             |key, moves| {
                 let numbers = moves.as_ref().map_or(0, |m| m.transition.phi.len() + m.transition.q.len());
