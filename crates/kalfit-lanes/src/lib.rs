@@ -57,6 +57,25 @@ pub trait Lanes: Real {
 /// The most lanes of any kind.
 pub const MOST: usize = 8;
 
+/// So many lists side by side, at least one, as long as the first: one in each lane. Lanes beyond the last list are as the last one.
+#[inline(always)]
+pub fn abreast<'a, T: Lanes>(lists: usize, list: impl Fn(usize) -> &'a [f64]) -> Vec<T> {
+    let mut all: [&[f64]; MOST] = [&[]; MOST];
+    for (lane, slice) in all.iter_mut().enumerate() {
+        *slice = list(lane.min(lists - 1));
+    }
+    let size = all[0].len();
+    let mut lanes = Vec::with_capacity(size);
+    for i in 0..size {
+        let mut one = [0.0; MOST];
+        for lane in 0..T::COUNT {
+            one[lane] = all[lane][i];
+        }
+        lanes.push(T::load(&one));
+    }
+    lanes
+}
+
 impl Lanes for f64 {
     const COUNT: usize = 1;
     const OWN_SIZES: usize = 0;
@@ -130,6 +149,29 @@ mod tests {
                     let same = found.to_bits() == expected.to_bits() || (found.is_nan() && expected.is_nan());
                     assert!(same, "{isa:?}: operation {at} of lane {lane}: {found} {expected}");
                 }
+            }
+        }
+    }
+
+    struct SideBySide;
+
+    impl Kernel for SideBySide {
+        type Output = Vec<Vec<f64>>;
+
+        #[inline(always)]
+        fn run<T: Lanes>(self) -> Vec<Vec<f64>> {
+            let lists = [[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]];
+            let all = abreast::<T>(3.min(T::COUNT), |at| &lists[at]);
+            (0..T::COUNT).map(|lane| all.iter().map(|x| x.lane(lane)).collect()).collect()
+        }
+    }
+
+    #[test]
+    fn lists_stand_side_by_side_and_the_last_one_fills_up() {
+        for isa in Isa::all() {
+            for (lane, found) in isa.run(SideBySide).into_iter().enumerate() {
+                let first = 1.0 + 2.0 * lane.min(2) as f64;
+                assert_eq!(found, [first, first + 1.0], "{isa:?}, lane {lane}");
             }
         }
     }

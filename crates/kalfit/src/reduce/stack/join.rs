@@ -1,7 +1,7 @@
 //! Joining a phase and what is known of all after it, for one test or for tests side by side.
 #![expect(non_snake_case, reason = "the letters of the theory: G, C, A the rows on σ")]
 
-use kalfit_lanes::{Lanes, MOST};
+use kalfit_lanes::{Lanes, MOST, abreast};
 use nalgebra::DMatrix;
 
 use crate::linalg::fold::{Rotation, fold_rows};
@@ -47,25 +47,6 @@ impl<T> Default for Room<T> {
     fn default() -> Room<T> {
         Room { array: Vec::new(), rows: Vec::new() }
     }
-}
-
-/// The same numbers of all tests, as many of each. Lanes beyond the last test are as the last one.
-#[inline(always)]
-fn abreast<'a, T: Lanes>(tests: usize, numbers: impl Fn(usize) -> &'a [f64]) -> Vec<T> {
-    let mut all: [&[f64]; MOST] = [&[]; MOST];
-    for (lane, slice) in all.iter_mut().enumerate() {
-        *slice = numbers(lane.min(tests - 1));
-    }
-    let size = all[0].len();
-    let mut lanes = Vec::with_capacity(size);
-    for i in 0..size {
-        let mut one = [0.0; MOST];
-        for lane in 0..T::COUNT {
-            one[lane] = all[lane][i];
-        }
-        lanes.push(T::load(&one));
-    }
-    lanes
 }
 
 /// Numbers of tests side by side, one test after the other.

@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use kalfit_lanes::{Isa, Kernel, Lanes, MOST};
+use kalfit_lanes::{Isa, Kernel, Lanes, abreast};
 
 use crate::reduce::{Block, Design, Gained, Woven, is_short};
 use crate::score::backward::adjoint::{Adjoint, LineBar};
@@ -63,8 +63,8 @@ impl Kernel for Abreast<'_> {
     #[inline(always)]
     fn run<T: Lanes>(self) -> Bars {
         let woven = self.block.woven::<T>(self.longest, self.gained);
-        let root = weave::<T>(self.moments.len(), |lane| &self.moments[lane].root);
-        let mean = weave::<T>(self.moments.len(), |lane| &self.moments[lane].mean);
+        let root = abreast::<T>(self.moments.len(), |lane| &self.moments[lane].root);
+        let mean = abreast::<T>(self.moments.len(), |lane| &self.moments[lane].mean);
         let columns = self.moments[0].columns;
         let unknown = Unknown { frame: &woven.design.frame, root: &root, columns, wanted: self.wanted };
         let forward = Forward::new(&woven, &mean, &unknown);
@@ -73,32 +73,14 @@ impl Kernel for Abreast<'_> {
             debug_assert!(first.r.len() == unknown.frame.n, "one for each state");
             let many = self.endings.len();
             ending = Some([
-                weave::<T>(many, |lane| &self.endings[lane].r),
-                weave::<T>(many, |lane| &self.endings[lane].rho),
-                weave::<T>(many, |lane| &self.endings[lane].N),
+                abreast::<T>(many, |lane| &self.endings[lane].r),
+                abreast::<T>(many, |lane| &self.endings[lane].rho),
+                abreast::<T>(many, |lane| &self.endings[lane].N),
             ]);
         }
         let ending = ending.as_ref().map(|[r, rho, N]| [&**r, &**rho, &**N]);
         forward.back(&woven, &unknown, ending)
     }
-}
-
-/// The same numbers of so many tests, at least one; lanes beyond the last test are as the last one.
-#[inline(always)]
-fn weave<'a, T: Lanes>(tests: usize, numbers: impl Fn(usize) -> &'a [f64]) -> Vec<T> {
-    let mut all: [&[f64]; MOST] = [&[]; MOST];
-    for (lane, slice) in all.iter_mut().enumerate() {
-        *slice = numbers(lane.min(tests - 1));
-    }
-    let mut lanes = Vec::with_capacity(all[0].len());
-    for i in 0..all[0].len() {
-        let mut one = [0.0; MOST];
-        for lane in 0..T::COUNT {
-            one[lane] = all[lane][i];
-        }
-        lanes.push(T::load(&one));
-    }
-    lanes
 }
 
 /// What the forward filter passed through.
