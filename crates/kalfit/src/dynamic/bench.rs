@@ -259,11 +259,18 @@ impl<'a> Bench<'a> {
         let reducer = reducer.as_ref().or(fresh.as_ref()).expect("one of them is there");
         self.score_passes.fetch_add(1, Ordering::Relaxed);
         let scorer = PhasedScorer::new(self.model, reducer, self.slots).map_err(Box::new)?;
-        // which tests are alike does not depend on α
-        let companies = self.companies.get_or_init(|| scorer.companies(self.tests));
-        let mut scores = scorer.scores(self.tests, reductions, law, companies).map_err(Box::new)?;
+        let mut scores = scorer.scores(self.tests, reductions, law, self.companies(&scorer)).map_err(Box::new)?;
         self.indirect.add(self, (reducer, values), (reductions, law), &mut scores).map_err(Box::new)?;
         Ok(scores)
+    }
+
+    /// Which tests are alike, which does not depend on α.
+    fn companies(&self, scorer: &PhasedScorer<'_>) -> &Companies {
+        if self.companies.get().is_none() {
+            // not within the lock: threads that find them may take up other work meanwhile
+            let _ = self.companies.set(scorer.companies(self.tests));
+        }
+        self.companies.get().expect("they were set")
     }
 
     /// Moments of the complete data of each test at a solved α.
