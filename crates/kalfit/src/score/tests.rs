@@ -214,8 +214,14 @@ fn own(number: u64) -> Test {
 #[test]
 fn tests_side_by_side_are_scored_as_alone() {
     let tests: Vec<Test> = (0..61).map(own).collect();
-    for free in [1, 4, 6] {
-        let model = model(free);
+    for (free, driven) in [(1, false), (4, false), (6, false), (6, true)] {
+        let mut model = model(free);
+        if let (State { motion: Motion::Continuous { derivative, .. }, initial, .. }, true) =
+            (&mut model.states[2], driven)
+        {
+            *initial = Initial::Known { mean: number(0.3), variance: number(0.5) };
+            derivative.constant = Expression::Column(0); // a known input, another one at each of equal steps
+        }
         let slots = Slots::new(&model, &Labels::default(), &tests);
         let alpha = slots.alpha(&model, &VALUES[..free]);
         let mut reducer = Reducer::scoring(&model, &alpha, &slots, false).expect("sound");
@@ -243,7 +249,10 @@ fn tests_side_by_side_are_scored_as_alone() {
             for ((slot, found), (other, expected)) in found.iter().zip(expected) {
                 assert_eq!(slot, other);
                 let off = (found - expected).abs() / (1.0 + expected.abs());
-                assert!(off < 1e-12, "{free} free, test {number}, value {slot}: {found}, alone {expected}");
+                assert!(
+                    off < 1e-12,
+                    "{free} free, driven {driven}, test {number}, value {slot}: {found}, alone {expected}"
+                );
             }
         }
     }

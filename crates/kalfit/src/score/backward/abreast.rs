@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use kalfit_lanes::{Isa, Kernel, Lanes, abreast};
+use kalfit_lanes::{Kernel, Lanes, abreast};
 
 use crate::reduce::{Block, Design, Gained, Woven, is_short};
 use crate::score::backward::adjoint::{Adjoint, LineBar};
@@ -29,9 +29,9 @@ pub(crate) struct Abreast<'a> {
 }
 
 /// The adjoints of all of them, each number of one test beside the same of the others.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub(crate) struct Bars {
-    isa: Option<Isa>,
+    lanes: usize,
     /// ∂ℓ/∂R, ∂ℓ/∂(z - d) and, if it is wanted, ∂ℓ/∂h, of each measurement.
     rows: Vec<f64>,
     /// ∂ℓ/∂φ, ∂ℓ/∂Q and ∂ℓ/∂b of each transition.
@@ -52,8 +52,7 @@ pub(crate) fn fits(design: &Design, columns: usize, wanted: Wanted) -> bool {
 impl Abreast<'_> {
     /// Runs the pass.
     pub(crate) fn pass(self) -> Bars {
-        let isa = self.block.isa();
-        Bars { isa: Some(isa), ..isa.run(self) }
+        self.block.isa().run(self)
     }
 }
 
@@ -190,7 +189,7 @@ impl<T: Lanes> Forward<T> {
         let mut variance = Vec::new();
         adjoint.variance(unknown, &mut variance);
         let (mean, variance) = (apart(&adjoint.r), apart(&variance));
-        Bars { isa: None, rows, moves, mean, variance, sizes: (width, kinds) }
+        Bars { lanes: T::COUNT, rows, moves, mean, variance, sizes: (width, kinds) }
     }
 }
 
@@ -223,7 +222,9 @@ impl Bars {
         let mut transitions: usize = design.stretches().filter(|s| s.transition.is_some()).map(|s| s.count).sum();
         for stretch in design.stretches().rev() {
             let (steps, lines) = (step - stretch.count..step, stretch.lines.len());
-            let summed = lines == 1 && stretch.count > Cut::default().few && sink.sums(steps.clone());
+            // known inputs may be others at each of equal steps
+            let can_sum = lines == 1 && design.frame.driven.is_empty() && stretch.count > Cut::default().few;
+            let summed = can_sum && sink.sums(steps.clone());
             let many = if summed { stretch.count } else { 1 };
             let mut row = stretch.rows.end;
             while step > steps.start {
@@ -240,17 +241,13 @@ impl Bars {
                 }
             }
         }
-        let own = |all: &[f64]| -> Vec<f64> { all.iter().skip(lane).step_by(self.lanes()).copied().collect() };
+        let own = |all: &[f64]| -> Vec<f64> { all.iter().skip(lane).step_by(self.lanes).copied().collect() };
         sink.started(&own(&self.mean), &own(&self.variance))
-    }
-
-    fn lanes(&self) -> usize {
-        self.isa.map_or(1, Isa::lanes)
     }
 
     /// Sums the adjoints of steps of so many measurements each.
     fn measured(&self, lane: usize, rows: Range<usize>, lines: usize, room: &mut StepBars) {
-        let (width, lanes) = (self.sizes.0, self.lanes());
+        let (width, lanes) = (self.sizes.0, self.lanes);
         let MeasuredBar { noise, value, h } = &mut room.measured;
         for (list, size) in [(&mut *noise, lines), (&mut *value, lines), (&mut *h, lines * (width - 2))] {
             list.clear();
@@ -266,7 +263,7 @@ impl Bars {
 
     /// Sums the adjoints of transitions.
     fn moved(&self, lane: usize, transitions: Range<usize>, room: &mut StepBars) {
-        let (kinds, lanes) = (self.sizes.1, self.lanes());
+        let (kinds, lanes) = (self.sizes.1, self.lanes);
         let width: usize = kinds.iter().sum();
         let MovedBar { phi, q, input } = &mut room.moved;
         let mut first = 0;
