@@ -21,7 +21,7 @@ use crate::estimate::pass::{Order, pass};
 use crate::estimate::terms::Point;
 use crate::estimate::together::each_packed;
 use crate::linalg::elements::Elements;
-use crate::linalg::symmetric::pair;
+use crate::linalg::symmetric::{self, pair};
 use crate::reduce::{Path, Reduction};
 
 /// Tests that share R and covariates, in η: log p(z_j | η) = constant_j - ½ ‖d_j - R η‖².
@@ -35,8 +35,9 @@ pub(crate) struct Class<T = f64> {
     pub(crate) factor: Vec<T>,
     /// Mean of d_j.
     pub(crate) mean: Vec<T>,
-    /// Σ_j (d_j - mean)(d_j - mean)', p × p by rows; `None` for a single test.
-    pub(crate) scatter: Option<Vec<T>>,
+    /// Vectors whose outer products add up to Σ_j (d_j - mean)(d_j - mean)', one after the other; no more of them than p, and none
+    /// for a single test.
+    pub(crate) scatter: Vec<T>,
     /// Scaled covariates of the regressions.
     pub(crate) covariates: Vec<T>,
     /// Some test of it needs square-root arithmetic.
@@ -50,8 +51,10 @@ pub(crate) struct Class<T = f64> {
 pub(crate) struct Classes {
     /// In an order that does not depend on the order of the tests.
     pub(crate) classes: Vec<Class>,
-    /// Those of them that are worked on side by side.
+    /// Those of a single test that are worked on side by side.
     pub(crate) blocks: Blocks,
+    /// The same of several tests each.
+    pub(crate) shared: Blocks,
     /// Numbers of those that are worked on one by one.
     pub(crate) beside: Vec<usize>,
     /// Those in phases that are worked on side by side.
@@ -134,10 +137,13 @@ impl Classes {
         (elements, chained): (Elements, bool),
         (tests, information, present): (usize, DMatrix<f64>, Vec<f64>),
     ) -> Classes {
-        let (mut blocks, mut beside) = (Blocks::new(frame.scale.len(), Isa::best()), Vec::new());
+        let none = |several| Blocks::new(frame.scale.len(), frame.covariate_scale.len(), several, Isa::best());
+        let (mut blocks, mut shared, mut beside) = (none(false), none(true), Vec::new());
         for (number, class) in classes.iter().enumerate() {
             if elements.is_single() && blocks.takes(class) {
                 blocks.push(class);
+            } else if elements.is_single() && shared.takes(class) {
+                shared.push(class);
             } else if class.chain.as_ref().is_none_or(Kept::is_careful) {
                 beside.push(number);
             }
@@ -146,6 +152,7 @@ impl Classes {
         Classes {
             classes,
             blocks,
+            shared,
             beside,
             chains,
             frame,
@@ -236,10 +243,9 @@ impl Classes {
         let alone = |class: &Class| {
             let factor = DMatrix::from_row_slice(p, p, &class.factor);
             let residual = factor.transpose() * (DVector::from_column_slice(&class.mean) - &factor * mean);
-            let scatter =
-                class.scatter.as_ref().map(|s| factor.transpose() * DMatrix::from_row_slice(p, p, s) * &factor);
+            let scatter = DMatrix::from_row_slice(class.scatter.len() / p.max(1), p, &class.scatter) * &factor;
             let one = |i: usize| {
-                let spread = scatter.as_ref().map_or(0.0, |s| s[(i, i)]);
+                let spread = scatter.column(i).norm_squared();
                 let own = factor.column(i).norm_squared();
                 (class.count * (residual[i] * residual[i] - own) + spread, own)
             };
@@ -354,16 +360,12 @@ fn gather(
         (0..p).for_each(|i| mean[i] += data[i] - offset[i]);
     }
     mean.iter_mut().for_each(|m| *m /= count);
-    let scatter = (members.len() > 1).then(|| {
-        let mut scatter = vec![0.0; p * p];
-        for data in members.iter().map(|&j| &reductions[j].data) {
-            let away: Vec<f64> = (0..p).map(|i| data[i] - offset[i] - mean[i]).collect();
-            for (row, a) in scatter.chunks_exact_mut(p.max(1)).zip(&away) {
-                row.iter_mut().zip(&away).for_each(|(s, b)| *s += a * b);
-            }
-        }
-        scatter
-    });
+    let away = |j: usize| -> Vec<f64> { (0..p).map(|i| reductions[j].data[i] - offset[i] - mean[i]).collect() };
+    let scatter = match members.len() {
+        1 => Vec::new(),
+        n if n <= p => members.iter().flat_map(|&j| away(j)).collect(),
+        _ => scatter(members.iter().map(|&j| away(j)), p),
+    };
     Class {
         count,
         constant: members.iter().map(|&j| reductions[j].constant).sum(),
@@ -374,6 +376,17 @@ fn gather(
         square_root: members.iter().any(|&j| reductions[j].path == Path::SquareRoot),
         chain: None,
     }
+}
+
+/// p vectors whose outer products add up to those of all vectors.
+fn scatter(vectors: impl Iterator<Item = Vec<f64>>, p: usize) -> Vec<f64> {
+    let mut sum = DMatrix::zeros(p, p);
+    for x in vectors {
+        for (k, column) in sum.as_mut_slice().chunks_exact_mut(p.max(1)).enumerate() {
+            column.iter_mut().zip(&x).for_each(|(s, a)| *s += a * x[k]);
+        }
+    }
+    symmetric::square_root(&sum).as_slice().to_vec()
 }
 
 fn gather_chains(
@@ -391,7 +404,7 @@ fn gather_chains(
         constant: members.iter().map(constant).sum(),
         factor: Vec::new(),
         mean: Vec::new(),
-        scatter: None,
+        scatter: Vec::new(),
         covariates: covariates(members[0], frame),
         square_root: false,
         chain: Some(place.unwrap_or_else(|| Kept::Apart(Chained::new(&members, elements.blocks(), frame).into()))),

@@ -9,8 +9,9 @@ use crate::estimate::Criterion;
 use crate::estimate::covariance::{CovarianceMap, Form, Part, place, sub};
 use crate::estimate::exact::maximise_exact;
 use crate::estimate::local::Objective;
-use crate::estimate::pass::{Order, Sums};
+use crate::estimate::pass::Order;
 use crate::estimate::problem::Problem;
+use crate::estimate::sums::Sums;
 use crate::estimate::terms::Point;
 use crate::linalg::symmetric;
 

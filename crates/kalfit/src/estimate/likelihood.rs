@@ -6,7 +6,8 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::Combination;
 use crate::estimate::classes::{Class, Classes};
-use crate::estimate::pass::{self, Order, Sums};
+use crate::estimate::pass::{self, Order};
+use crate::estimate::sums::Sums;
 use crate::estimate::terms::{Point, Terms};
 use crate::linalg::symmetric::{self, pairs};
 use crate::reduce::Reduction;
@@ -116,7 +117,7 @@ pub fn pass_flops(p: usize, derivatives: Derivatives) -> u64 {
         constant: zero,
         factor: vec![Counted::splat(1.0); p * p],
         mean: vec![zero; p],
-        scatter: None,
+        scatter: Vec::new(),
         covariates: Vec::new(),
         square_root: false,
         chain: None,

@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::chart::Chart;
 use crate::estimate::covariance::{Constraint, CovarianceMap};
-use crate::estimate::pass::Sums;
+use crate::estimate::sums::Sums;
 use crate::estimate::terms::Point;
 use crate::linalg::elements::Elements;
 use crate::linalg::symmetric;
@@ -46,18 +46,6 @@ impl Local {
     /// Number of mean coordinates and elements of Σ.
     pub(crate) fn gradient_size(&self) -> usize {
         self.mean_score.len() + self.information.nrows()
-    }
-
-    /// Without what some of the tests say.
-    pub(crate) fn less(mut self, other: &Local) -> Local {
-        self.value -= other.value;
-        self.mean_score -= &other.mean_score;
-        self.mean_information -= &other.mean_information;
-        self.score -= &other.score;
-        self.cross -= &other.cross;
-        self.information -= &other.information;
-        self.weight -= &other.weight;
-        self
     }
 }
 

@@ -40,7 +40,7 @@ impl MeanMap {
         MeanMap { offset, basis, regressors, coefficient_scale, fixed }
     }
 
-    /// d(mean coordinates of [`Sums`](super::pass::Sums)) / d(b, γ): block diagonal (Q, I).
+    /// d(mean coordinates of [`Sums`](super::sums::Sums)) / d(b, γ): block diagonal (Q, I).
     pub(crate) fn jacobian(&self) -> DMatrix<f64> {
         let (p, q) = self.basis.shape();
         let r = self.regressors.len();

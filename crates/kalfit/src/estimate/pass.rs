@@ -4,18 +4,17 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 use rayon::prelude::*;
 
 use crate::estimate::chained::{Detail, Packed};
 use crate::estimate::classes::{Class, Classes};
-use crate::estimate::lanes::{ChainPass, ChainTotals, Totals};
-use crate::estimate::products::{Crosses, Products};
-use crate::estimate::reml::Restricted;
+use crate::estimate::lanes::{ChainPass, ChainTotals};
+use crate::estimate::sums::Sums;
 use crate::estimate::terms::{Point, Regressors, Terms};
 use crate::estimate::together::each;
 use crate::linalg::elements::Elements;
-use crate::linalg::symmetric::{pair, pairs};
+use crate::linalg::symmetric::pair;
 
 /// Classes summed by one task. Fixed, so that sums have the same bits for any number of threads.
 const CHUNK: usize = 128;
@@ -36,211 +35,6 @@ pub(crate) enum Order {
     Expected,
 }
 
-/// Sums over tests. The mean coordinates are the p elements of μ, then the regression coefficients.
-#[derive(Debug, Clone)]
-pub(crate) struct Sums {
-    /// ℓ.
-    pub(crate) value: f64,
-    /// ∂ℓ/∂(mean coordinates): Σ E'r.
-    pub(crate) mean_score: DVector<f64>,
-    /// Σ E'WE.
-    pub(crate) mean_information: DMatrix<f64>,
-    /// Σ r r', zero between phases.
-    pub(crate) outer: DMatrix<f64>,
-    /// Σ W, zero between phases.
-    pub(crate) weight: DMatrix<f64>,
-    /// What the restricted likelihood adds, already part of `value`.
-    pub(crate) restricted: Option<Restricted>,
-    /// Σ X'W ⊗ WX, pairs of free mean coordinates × elements; nothing under maximum likelihood.
-    spread: DMatrix<f64>,
-    /// Σ W ⊗ (r r' - ½W); under the restricted likelihood Σ W ⊗ (r r' - ½W + W X V X'W).
-    curvature: Products,
-    /// Σ W ⊗ r for each mean coordinate.
-    cross: Crosses,
-    /// Σ W ⊗ W.
-    expected: Products,
-    /// The elements of Σ.
-    pub(crate) elements: Elements,
-}
-
-impl Sums {
-    fn zero(elements: &Elements, regressors: usize, order: Order, flat: Option<&FlatMean<'_>>) -> Sums {
-        let p = elements.states();
-        let (m, s) = (p + regressors, elements.count());
-        Sums {
-            value: 0.0,
-            mean_score: DVector::zeros(m),
-            mean_information: DMatrix::zeros(m, m),
-            outer: DMatrix::zeros(p, p),
-            weight: DMatrix::zeros(p, p),
-            restricted: None,
-            spread: flat.map_or_else(|| DMatrix::zeros(0, 0), |f| DMatrix::zeros(pairs(f.jacobian.ncols()), s)),
-            curvature: Products::zero(elements, order >= Order::Second),
-            cross: Crosses::zero(elements, m, order >= Order::Second),
-            expected: Products::zero(elements, order >= Order::Expected),
-            elements: elements.clone(),
-        }
-    }
-
-    /// Nothing is left to be added.
-    fn settled(mut self) -> Sums {
-        self.curvature.settle();
-        self.cross.settle();
-        self.expected.settle();
-        self
-    }
-
-    fn add(mut self, other: &Sums) -> Sums {
-        self.value += other.value;
-        self.mean_score += &other.mean_score;
-        self.mean_information += &other.mean_information;
-        self.outer += &other.outer;
-        self.weight += &other.weight;
-        self.spread += &other.spread;
-        self.curvature.plus(&other.curvature);
-        self.cross.plus(&other.cross);
-        self.expected.plus(&other.expected);
-        self
-    }
-
-    /// Adds what tests say that are worked on side by side, their constants apart.
-    fn take(&mut self, totals: &Totals) {
-        self.value -= 0.5 * (totals.log_det + totals.quadratic);
-        self.mean_score.iter_mut().zip(&totals.r).for_each(|(sum, r)| *sum += r);
-        for (at, (a, b)) in self.elements.all().enumerate() {
-            for (a, b) in if a == b { vec![(a, b)] } else { vec![(a, b), (b, a)] } {
-                self.weight[(a, b)] += totals.W[at];
-                self.mean_information[(a, b)] += totals.W[at];
-                self.outer[(a, b)] += totals.outer[at];
-            }
-        }
-        self.curvature.take(&totals.curvature);
-        self.cross.take(&totals.cross);
-        self.expected.take(&totals.expected);
-    }
-
-    /// Adds what tests in phases say that are worked on side by side; classes that need more care are left, and returned.
-    fn take_chains<'a>(&mut self, classes: &'a Classes, point: &Point, order: Order) -> Vec<&'a Class> {
-        let isa = classes.blocks.isa();
-        let of = |blocks: &[Arc<Packed>]| {
-            let elements = &classes.elements;
-            isa.run(ChainPass { blocks, classes: &classes.classes, point, regressors: &[], elements, order, isa })
-        };
-        let each = classes.chains.len().div_ceil(CHAIN_TASKS).max(CHUNK / isa.lanes());
-        let all: Vec<ChainTotals> = classes.chains.par_chunks(each).map(of).collect();
-        all.iter().for_each(|totals| self.take_chain(totals));
-        all.iter().flat_map(|totals| &totals.refused).map(|&k| &classes.classes[k]).collect()
-    }
-
-    fn take_chain(&mut self, totals: &ChainTotals) {
-        self.value += totals.value;
-        self.mean_score.iter_mut().zip(&totals.r).for_each(|(sum, r)| *sum += r);
-        let ranges = self.elements.blocks();
-        for (k, own) in ranges.iter().enumerate() {
-            for (i, other) in ranges[..=k].iter().enumerate() {
-                let places = own.clone().flat_map(|a| other.clone().map(move |b| (a, b)));
-                for ((a, b), w) in places.zip(&totals.W[pair(k, i)]) {
-                    self.mean_information[(a, b)] += w;
-                    if k == i {
-                        self.weight[(a, b)] += w;
-                    } else {
-                        self.mean_information[(b, a)] += w;
-                    }
-                }
-            }
-            for a in 0..own.len() {
-                for b in 0..own.len() {
-                    let (row, column) = (a.max(b), a.min(b));
-                    self.outer[(own.start + a, own.start + b)] += totals.outer[k][row * own.len() + column];
-                }
-            }
-        }
-        self.curvature.take_pairs(&totals.curvature);
-        self.cross.take_phases(&totals.cross);
-        self.expected.take_pairs(&totals.expected);
-    }
-
-    /// Σ X'W ⊗ WX.
-    pub(crate) fn spread(&self) -> &DMatrix<f64> {
-        &self.spread
-    }
-
-    /// With what the restricted likelihood adds.
-    pub(crate) fn restrict(mut self, restricted: Restricted) -> Sums {
-        self.value += restricted.value;
-        self.restricted = Some(restricted);
-        self
-    }
-
-    /// What places near by may take from this one.
-    pub(crate) fn near(&self) -> Option<&DMatrix<f64>> {
-        self.restricted.as_ref().map(|r| &r.covariance)
-    }
-
-    /// Σ r r', to which under the restricted likelihood the uncertainty of the mean adds Σ W X V X'W.
-    pub(crate) fn moment(&self) -> DMatrix<f64> {
-        match &self.restricted {
-            Some(restricted) => &self.outer + &restricted.score * 2.0,
-            None => self.outer.clone(),
-        }
-    }
-
-    /// G = ∂ℓ/∂Σ = ½ Σ (r r' - W), (5), with what the restricted likelihood adds: the value changes by tr(G dΣ).
-    pub(crate) fn score(&self) -> DMatrix<f64> {
-        (self.moment() - &self.weight) * 0.5
-    }
-
-    /// G once the mean coordinates have moved by `shift`: r_j becomes r_j - W_j E_j shift. Exact in one phase without regressors;
-    /// with them their part of the shift is left out. Needs [`Order::Expected`].
-    pub(crate) fn score_after(&self, regressors: &Regressors, shift: &DVector<f64>) -> DMatrix<f64> {
-        let p = self.outer.nrows();
-        debug_assert!(self.elements.is_single(), "between phases the sums do not tell");
-        debug_assert_eq!(shift.len(), p + regressors.len(), "mean coordinates");
-        let mut outer = self.moment();
-        for a in 0..p {
-            for b in 0..p {
-                for k in 0..p {
-                    // Σ W_ak r_b and its mirror
-                    outer[(a, b)] -= shift[k] * (self.cross.get(a, (k, b)) + self.cross.get(b, (k, a)));
-                    for l in 0..p {
-                        outer[(a, b)] += shift[k] * shift[l] * self.expected.get((a, k), (b, l));
-                    }
-                }
-            }
-        }
-        (outer - &self.weight) * 0.5
-    }
-
-    /// -∂²ℓ/∂σ_kl ∂σ_ab, elements × elements; an off-diagonal element moves both of its places.
-    pub(crate) fn observed_information(&self) -> DMatrix<f64> {
-        let elements = &self.elements;
-        let own = elements.over(|k, l, a, b| self.curvature.get((l, a), (b, k)));
-        match &self.restricted {
-            Some(restricted) => own - &restricted.curvature,
-            None => own,
-        }
-    }
-
-    /// ½ Σ tr(W D W E), elements × elements.
-    pub(crate) fn expected_information(&self) -> DMatrix<f64> {
-        let elements = &self.elements;
-        elements.over(|k, l, a, b| 0.5 * self.expected.get((l, a), (b, k)))
-    }
-
-    /// -∂²ℓ/∂(mean coordinate) ∂σ_kl = Σ E'(W_{·k} r_l + W_{·l} r_k), mean coordinates × elements.
-    pub(crate) fn cross_information(&self) -> DMatrix<f64> {
-        let elements = &self.elements;
-        let mut cross = DMatrix::zeros(self.mean_score.len(), elements.count());
-        for m in 0..self.mean_score.len() {
-            for (s, (k, l)) in elements.all().enumerate() {
-                let once = self.cross.get(m, (k, l));
-                cross[(m, s)] = if k == l { once } else { once + self.cross.get(m, (l, k)) };
-            }
-        }
-        cross
-    }
-}
-
 /// What the restricted likelihood needs of every class: X = E × jacobian, the mean by its free coordinates.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct FlatMean<'a> {
@@ -252,15 +46,15 @@ pub(crate) struct FlatMean<'a> {
 
 /// What a pass adds up.
 #[derive(Debug, Clone, Copy)]
-struct Wanted<'a> {
-    elements: &'a Elements,
-    regressors: &'a Regressors,
-    order: Order,
-    flat: Option<&'a FlatMean<'a>>,
+pub(crate) struct Wanted<'a> {
+    pub(crate) elements: &'a Elements,
+    pub(crate) regressors: &'a Regressors,
+    pub(crate) order: Order,
+    pub(crate) flat: Option<&'a FlatMean<'a>>,
 }
 
 impl Wanted<'_> {
-    fn zero(&self) -> Sums {
+    pub(super) fn zero(&self) -> Sums {
         Sums::zero(self.elements, self.regressors.len(), self.order, self.flat)
     }
 
@@ -283,36 +77,62 @@ pub(crate) fn pass(
     flat: Option<&FlatMean<'_>>,
 ) -> Sums {
     let wanted = wanted(&classes.elements, regressors, order, flat);
-    // what the restricted likelihood and regressions add is summed test by test
-    let side_by_side = flat.is_none() && regressors.is_empty();
-    let others: Vec<&Class> = match side_by_side {
-        true => classes.beside.iter().map(|&k| &classes.classes[k]).collect(),
-        false => classes.classes.iter().collect(),
-    };
-    let of_chunk = |chunk: &[&Class]| {
-        let mut sums = wanted.zero();
-        each(chunk, regressors, point, wanted.detail(), &mut |k, terms| terms.add_to(&mut sums, chunk[k], wanted));
-        sums.settled()
-    };
-    let one_by_one = |others: &[&Class]| {
-        let chunks: Vec<Sums> = others.par_chunks(CHUNK).map(of_chunk).collect();
-        chunks.iter().fold(wanted.zero(), Sums::add)
-    };
-    let mut sums = one_by_one(&others);
-    if side_by_side {
-        sums.value += classes.blocks.constant();
-        classes.blocks.totals(point, order).iter().for_each(|totals| sums.take(totals));
-        let refused = sums.take_chains(classes, point, order);
-        if !refused.is_empty() {
-            sums = sums.add(&one_by_one(&refused));
-        }
+    // tests in phases are added up one by one where there are regressions, and under the restricted likelihood
+    let simple = flat.is_none() && classes.frame.covariate_scale.is_empty();
+    let apart = |number: &usize| &classes.classes[*number];
+    let mut others: Vec<&Class> = classes.beside.iter().map(apart).collect();
+    if !simple {
+        others.extend(classes.chains.iter().flat_map(|packed| packed.members()).map(apart));
     }
+    let mut sums = one_by_one(&others, point, wanted);
+    sums.value += classes.blocks.constant() + classes.shared.constant();
+    if simple {
+        classes.blocks.totals(point, order).iter().for_each(|totals| sums.take(totals));
+        let refused = add_chains(&mut sums, classes, point, order);
+        if !refused.is_empty() {
+            sums = sums.add(&one_by_one(&refused, point, wanted));
+        }
+    } else {
+        classes.blocks.whole(point, wanted).iter().for_each(|totals| sums.take_whole(totals));
+    }
+    classes.shared.whole(point, wanted).iter().for_each(|totals| sums.take_whole(totals));
     sums
 }
 
+/// Adds what tests in phases say that are worked on side by side; classes that need more care are left, and returned.
+fn add_chains<'a>(sums: &mut Sums, classes: &'a Classes, point: &Point, order: Order) -> Vec<&'a Class> {
+    let isa = classes.blocks.isa();
+    let of = |blocks: &[Arc<Packed>]| {
+        let elements = &classes.elements;
+        isa.run(ChainPass { blocks, classes: &classes.classes, point, regressors: &[], elements, order, isa })
+    };
+    let each = classes.chains.len().div_ceil(CHAIN_TASKS).max(CHUNK / isa.lanes());
+    let all: Vec<ChainTotals> = classes.chains.par_chunks(each).map(of).collect();
+    all.iter().for_each(|totals| sums.take_chain(totals));
+    all.iter().flat_map(|totals| &totals.refused).map(|&k| &classes.classes[k]).collect()
+}
+
+/// Sums over classes one by one.
+pub(super) fn one_by_one(classes: &[&Class], point: &Point, wanted: Wanted<'_>) -> Sums {
+    let of_chunk = |chunk: &[&Class]| {
+        let mut sums = wanted.zero();
+        let add = &mut |k: usize, terms: &Terms| terms.add_to(&mut sums, chunk[k], wanted);
+        each(chunk, wanted.regressors, point, wanted.detail(), add);
+        sums.settled()
+    };
+    let chunks: Vec<Sums> = classes.par_chunks(CHUNK).map(of_chunk).collect();
+    chunks.iter().fold(wanted.zero(), Sums::add)
+}
+
 /// What one class says by itself.
-pub(crate) fn of_class(classes: &Classes, class: &Class, regressors: &Regressors, point: &Point, order: Order) -> Sums {
-    let wanted = wanted(&classes.elements, regressors, order, None);
+pub(crate) fn of_class(
+    classes: &Classes,
+    class: &Class,
+    (regressors, flat): (&Regressors, Option<&FlatMean<'_>>),
+    point: &Point,
+    order: Order,
+) -> Sums {
+    let wanted = wanted(&classes.elements, regressors, order, flat);
     let mut sums = wanted.zero();
     let mut terms = Terms::new(point.mean.len());
     terms.evaluate(class, regressors, point, wanted.detail());

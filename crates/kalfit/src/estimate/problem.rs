@@ -10,8 +10,9 @@ use crate::estimate::covariance::CovarianceMap;
 use crate::estimate::local::{Local, Objective};
 use crate::estimate::mean::MeanMap;
 use crate::estimate::newton::Place;
-use crate::estimate::pass::{FlatMean, Order, Sums, of_class, pass};
+use crate::estimate::pass::{FlatMean, Order, of_class, pass};
 use crate::estimate::reml::Restriction;
+use crate::estimate::sums::Sums;
 use crate::estimate::terms::Point;
 use crate::estimate::{Combination, Criterion, Structure};
 use crate::linalg::symmetric;
@@ -77,15 +78,44 @@ impl Problem {
     /// a place near by. They are exact when that place is this one, and nothing else depends on it.
     /// `None` where the restricted likelihood is not defined.
     pub(crate) fn sums(&self, point: &Point, order: Order, near: Option<&DMatrix<f64>>) -> Option<Sums> {
+        self.restricted(self.unrestricted(point, order, near))
+    }
+
+    /// The same before the restricted likelihood adds its own.
+    pub(crate) fn unrestricted(&self, point: &Point, order: Order, near: Option<&DMatrix<f64>>) -> Sums {
         self.count_pass();
-        let Some(restriction) = &self.restriction else {
-            return Some(pass(&self.classes, &self.mean.regressors, point, order, None));
-        };
-        let flat = FlatMean { jacobian: &self.mean_jacobian, covariance: near };
-        let sums = pass(&self.classes, &self.mean.regressors, point, order, Some(&flat));
+        pass(&self.classes, &self.mean.regressors, point, order, self.flat(near).as_ref())
+    }
+
+    /// With what the restricted likelihood adds, if that is maximised.
+    fn restricted(&self, sums: Sums) -> Option<Sums> {
+        let Some(restriction) = &self.restriction else { return Some(sums) };
         let information = self.mean_jacobian.transpose() * &sums.mean_information * &self.mean_jacobian;
         let restricted = restriction.at(&information, sums.spread(), &self.classes.elements)?;
         Some(sums.restrict(restricted))
+    }
+
+    /// What the restricted likelihood wants of every class.
+    fn flat<'a>(&'a self, near: Option<&'a DMatrix<f64>>) -> Option<FlatMean<'a>> {
+        self.restriction.as_ref().map(|_| FlatMean { jacobian: &self.mean_jacobian, covariance: near })
+    }
+
+    /// Whether without one class of tests the others inform the same directions of the mean, as far as that matters, from the
+    /// [`unrestricted`](Problem::unrestricted) sums over all at a point.
+    pub(crate) fn informed_without(&self, all: &Sums, class: &Class, point: &Point) -> bool {
+        let Some(restriction) = &self.restriction else { return true };
+        let free = |of: &DMatrix<f64>| self.mean_jacobian.transpose() * of * &self.mean_jacobian;
+        let own = self.of_class(class, point, Order::Mean);
+        restriction.informs(&free(&(&all.mean_information - &own.mean_information)), &free(&all.mean_information))
+    }
+
+    /// All that is maximised without one class of tests, from the [`unrestricted`](Problem::unrestricted) sums over all at the same
+    /// point and `near`: the restricted likelihood is that of the others by themselves, as long as they inform the same directions
+    /// of the mean, but for a constant.
+    pub(crate) fn without(&self, all: Sums, class: &Class, point: &Point, near: Option<&DMatrix<f64>>) -> Option<Sums> {
+        let flat = self.flat(near);
+        let own = of_class(&self.classes, class, (&self.mean.regressors, flat.as_ref()), point, Order::Second);
+        self.restricted(all.less(&own))
     }
 
     /// Whether the next place may be the last one, of which the expected information is wanted too: it is then found in the same pass.
@@ -110,7 +140,7 @@ impl Problem {
 
     /// What one class says by itself.
     pub(crate) fn of_class(&self, class: &Class, point: &Point, order: Order) -> Sums {
-        of_class(&self.classes, class, &self.mean.regressors, point, order)
+        of_class(&self.classes, class, (&self.mean.regressors, None), point, order)
     }
 
     /// What is maximised.

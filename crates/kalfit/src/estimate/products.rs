@@ -91,6 +91,10 @@ impl Products {
         self.blocks.iter_mut().zip(&other.blocks).for_each(|(own, other)| own.sum += &other.sum);
     }
 
+    pub(crate) fn minus(&mut self, other: &Products) {
+        self.blocks.iter_mut().zip(&other.blocks).for_each(|(own, other)| own.sum -= &other.sum);
+    }
+
     /// Adds sums of a single phase, pairs × pairs by rows; none where they are not wanted.
     pub(crate) fn take(&mut self, sums: &[f64]) {
         self.blocks.iter_mut().for_each(|block| block.take(sums));
@@ -151,6 +155,10 @@ impl Crosses {
         self.blocks.iter_mut().zip(&other.blocks).for_each(|(own, other)| own.sum += &other.sum);
     }
 
+    pub(crate) fn minus(&mut self, other: &Crosses) {
+        self.blocks.iter_mut().zip(&other.blocks).for_each(|(own, other)| own.sum -= &other.sum);
+    }
+
     /// Adds sums by phases, in the order in which they are kept here; none where they are not wanted.
     pub(crate) fn take_phases(&mut self, sums: &[Vec<f64>]) {
         self.blocks.iter_mut().zip(sums).for_each(|(block, sums)| block.take(sums));
@@ -199,6 +207,20 @@ impl Crosses {
 /// Products of one phase are few: they are added one by one.
 fn gathered(elements: &Elements) -> usize {
     if elements.is_single() { 1 } else { GATHERED }
+}
+
+#[cfg(test)]
+impl Products {
+    pub(super) fn numbers(&self) -> Vec<f64> {
+        self.blocks.iter().flat_map(|block| block.sum.iter().copied()).collect()
+    }
+}
+
+#[cfg(test)]
+impl Crosses {
+    pub(super) fn numbers(&self) -> Vec<f64> {
+        self.blocks.iter().flat_map(|block| block.sum.iter().copied()).collect()
+    }
 }
 
 #[cfg(test)]

@@ -66,6 +66,15 @@ impl Restriction {
         Restriction { informed, constant }
     }
 
+    /// Whether this C informs every direction that another one does, even if much less.
+    pub(crate) fn informs(&self, information: &DMatrix<f64>, whole: &DMatrix<f64>) -> bool {
+        let own = |of: &DMatrix<f64>| self.informed.transpose() * of * &self.informed;
+        let Some(unit) = own(whole).cholesky() else { return false };
+        let half = unit.l().solve_lower_triangular(&own(information));
+        let both = half.and_then(|half| unit.l().solve_lower_triangular(&half.transpose()));
+        both.is_some_and(|scaled| symmetric::eigen(&scaled).0.first().is_none_or(|least| *least > UNINFORMED))
+    }
+
     /// a and its derivatives from C (q × q) and Σ_j (X'W ⊗ WX) (pairs of β × elements). `None` where C is not
     /// positive definite on the informed directions.
     pub(crate) fn at(

@@ -8,8 +8,9 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::covariance::{Form, Part};
 use crate::estimate::local::Objective;
-use crate::estimate::pass::{Order, Sums};
+use crate::estimate::pass::Order;
 use crate::estimate::problem::Problem;
+use crate::estimate::sums::Sums;
 use crate::estimate::terms::Point;
 use crate::linalg::elements::Elements;
 use crate::linalg::symmetric;

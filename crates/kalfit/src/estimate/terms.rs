@@ -171,8 +171,8 @@ impl<T: Real> Terms<T> {
                 self.outer[a * p + b] = class.count * self.r[a] * self.r[b];
             }
         }
-        if let Some(scatter) = &class.scatter {
-            self.scatter(scatter);
+        for away in class.scatter.chunks_exact(p.max(1)) {
+            self.scatter(away);
         }
     }
 
@@ -212,34 +212,25 @@ impl<T: Real> Terms<T> {
         }
     }
 
-    /// Adds what the tests' scatter about their mean gives to Σ r r' and to Σ u'D⁻¹u.
-    fn scatter(&mut self, scatter: &[T]) {
+    /// Adds what a vector of the tests' scatter about their mean gives to Σ r r' and to Σ u'D⁻¹u.
+    fn scatter(&mut self, away: &[T]) {
         let p = self.p;
-        // T = L⁻¹ scatter L⁻ᵀ
-        self.work.copy_from_slice(scatter);
-        solve_unit_lower(&self.L, &mut self.work, p, p);
-        transpose(&mut self.work, p);
-        solve_unit_lower(&self.L, &mut self.work, p, p);
+        self.u.copy_from_slice(away);
+        solve_unit_lower(&self.L, &mut self.u, p, 1);
         for i in 0..p {
-            self.quadratic = self.work[i * p + i].fma(self.inverse[i], self.quadratic);
+            self.quadratic = (self.u[i] * self.u[i]).fma(self.inverse[i], self.quadratic);
         }
-        // D⁻¹U'(T)D⁻¹U, with D⁻¹U still in `other`
-        for i in 0..p {
-            for b in 0..p {
-                let mut sum = T::splat(0.0);
-                for k in 0..p {
-                    sum = self.work[i * p + k].fma(self.other[k * p + b], sum);
-                }
-                self.U[i * p + b] = sum;
+        let r = &mut self.work[..p];
+        for a in 0..p {
+            let mut sum = T::splat(0.0);
+            for i in 0..p {
+                sum = self.other[i * p + a].fma(self.u[i], sum); // D⁻¹U
             }
+            r[a] = sum;
         }
         for a in 0..p {
             for b in 0..p {
-                let mut sum = self.outer[a * p + b];
-                for i in 0..p {
-                    sum = self.other[i * p + a].fma(self.U[i * p + b], sum);
-                }
-                self.outer[a * p + b] = sum;
+                self.outer[a * p + b] = r[a].fma(r[b], self.outer[a * p + b]);
             }
         }
     }

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use crate::estimate::{
     Class, CovarianceMap, Criterion, Estimate, Limits, Local, Objective, Order, Place, Point, Problem, Silent, Stop,
-    climb, fit_from,
+    Sums, climb, fit_from,
 };
 use crate::infer::posterior::{Distance, distance};
 use crate::model::Population;
@@ -37,13 +37,14 @@ pub fn deletions(estimate: &Estimate, reductions: &[Reduction]) -> Vec<Option<De
         return vec![None; reductions.len()];
     }
     let reductions = &*estimate.state.evidence(reductions);
+    let all = &All::of(estimate);
     let without = |j: usize| {
-        let near = climbed(estimate, &reductions[j]);
-        let point = match near {
-            Some(point) => point,
+        let near = climbed(estimate, all, &reductions[j]);
+        let others = match near {
+            Some(others) => others,
             None => searched(estimate, reductions, j)?,
         };
-        Some(deletion(estimate, &reductions[j], &point))
+        Some(deletion(estimate, all, &reductions[j], &others))
     };
     (0..reductions.len()).into_par_iter().map(without).collect()
 }
@@ -54,6 +55,28 @@ pub fn deletion_work(estimate: &Estimate, tests: usize) -> f64 {
     3.0 * tests as f64 * (estimate.classes as f64 * (p + 1.0).powi(3) + 2.5 * free.powi(3))
 }
 
+/// All tests at their estimate.
+struct All {
+    sums: Sums,
+    /// ℓ.
+    log_likelihood: f64,
+}
+
+impl All {
+    fn of(estimate: &Estimate) -> All {
+        let (problem, place) = (&estimate.state.problem, &estimate.state.place);
+        let sums = problem.unrestricted(&place.point, Order::Second, place.near());
+        All { log_likelihood: sums.value, sums }
+    }
+}
+
+/// Where the others have their optimum.
+struct Others {
+    point: Point,
+    /// ℓ of them there, where it is known.
+    log_likelihood: Option<f64>,
+}
+
 /// All tests but one.
 struct Without<'a> {
     problem: &'a Problem,
@@ -61,14 +84,14 @@ struct Without<'a> {
 }
 
 impl Without<'_> {
-    fn own(&self, point: &Point) -> Local {
-        Local::from(&self.problem.of_class(&self.test, point, Order::Second))
+    fn from(&self, all: Sums, point: &Point, near: Option<&DMatrix<f64>>) -> Option<Local> {
+        Some(Local::from(&self.problem.without(all, &self.test, point, near)?))
     }
 }
 
 impl Objective for Without<'_> {
     fn local(&self, point: &Point, near: Option<&DMatrix<f64>>) -> Option<Local> {
-        Some(self.problem.local(point, near)?.less(&self.own(point)))
+        self.from(self.problem.unrestricted(point, Order::Second, near), point, near)
     }
 
     fn mean_jacobian(&self) -> &DMatrix<f64> {
@@ -81,38 +104,43 @@ impl Objective for Without<'_> {
 }
 
 /// Newton steps from the optimum of all tests, in its coordinates.
-fn climbed(estimate: &Estimate, reduction: &Reduction) -> Option<Point> {
+fn climbed(estimate: &Estimate, all: &All, reduction: &Reduction) -> Option<Others> {
     let state = &estimate.state;
-    if estimate.criterion == Criterion::Reml {
-        return None; // log|ΣB'WB| is no sum over tests
-    }
     let (problem, map): (&Problem, &CovarianceMap) = (&state.problem, &state.problem.covariance);
     let objective = Without { problem, test: problem.classes.single(reduction) };
-    let local = state.place.local.clone().less(&objective.own(&state.place.point));
+    if !problem.informed_without(&all.sums, &objective.test, &state.place.point) {
+        return None; // log|ΣX'WX| is over fewer directions
+    }
+    let local = objective.from(all.sums.clone(), &state.place.point, state.place.near())?;
     let start = Place::at(local, objective.mean_jacobian(), map, state.place.point.clone())?;
     let limits = Limits { tolerance: state.settings.tolerance, steps: STEPS };
     let (place, stop) = climb(&objective, map, problem.classes.tests as f64 - 1.0, start, limits);
-    (stop == Stop::Certified).then_some(place.point)
+    let log_likelihood = (estimate.criterion == Criterion::Ml).then_some(place.local.value);
+    (stop == Stop::Certified).then_some(Others { point: place.point, log_likelihood })
 }
 
 /// A search over the other tests, from the optimum of all; its end in the coordinates of the estimate of all.
-fn searched(estimate: &Estimate, reductions: &[Reduction], j: usize) -> Option<Point> {
+fn searched(estimate: &Estimate, reductions: &[Reduction], j: usize) -> Option<Others> {
     let mut others = reductions.to_vec();
     others.remove(j);
     let state = &estimate.state;
     let start = Population::from(estimate);
     let found = fit_from(&others, &state.structure(), &start, &state.settings, &mut Silent).ok()?;
-    (found.stop == Stop::Certified).then(|| state.problem.point_of(&Population::from(&found)))
+    let point = || state.problem.point_of(&Population::from(&found));
+    (found.stop == Stop::Certified).then(|| Others { point: point(), log_likelihood: None })
 }
 
-fn deletion(estimate: &Estimate, reduction: &Reduction, point: &Point) -> Deletion {
-    let problem = &estimate.state.problem;
+fn deletion(estimate: &Estimate, all: &All, reduction: &Reduction, others: &Others) -> Deletion {
+    let (problem, point) = (&estimate.state.problem, &others.point);
     let (log_density, distance) = distance(problem, point, reduction);
-    let likelihood = |point: &Point| problem.likelihood(point, Order::First).value;
+    let there = match others.log_likelihood {
+        Some(of_others) => of_others + log_density,
+        None => problem.likelihood(point, Order::First).value,
+    };
     Deletion {
         estimate: problem.values_of(point),
         log_density,
         distance,
-        displacement: (2.0 * (likelihood(&estimate.state.place.point) - likelihood(point))).max(0.0),
+        displacement: (2.0 * (all.log_likelihood - there)).max(0.0),
     }
 }

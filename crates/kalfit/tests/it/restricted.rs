@@ -165,6 +165,45 @@ fn standard_errors_of_the_covariance_are_those_of_difference_quotients() {
     }
 }
 
+/// The fit without each test is that of the others by themselves; also where a test alone says what a coefficient is.
+#[test]
+fn deletion_equals_refitting_the_others() {
+    let regression = MeanStructure { regression: vec![Regression { element: 1, column: 0 }], ..MeanStructure::free(3) };
+    for (seed, mean) in [(0, MeanStructure::free(3)), (1, means().remove(2)), (2, regression.clone()), (3, regression)]
+    {
+        let regressors = mean.regression.len();
+        let mut data = ensemble(Recipe { regressors, designs: 8, ..base() }, seed);
+        if seed == 3 {
+            data.iter_mut().enumerate().for_each(|(j, test)| test.covariates = vec![if j == 5 { 2.0 } else { 0.0 }]);
+        }
+        let assumed = Assumed::reml(mean, CovarianceStructure::full());
+        let all = fit(&data, &assumed, Solver::Newton);
+        certified(&all, "all");
+        let deletions = infer::deletions(&all, &data);
+        for (j, deletion) in deletions.iter().enumerate() {
+            let mut others = data.clone();
+            others.remove(j);
+            let again = fit(&others, &assumed, Solver::Newton);
+            let what = format!("seed {seed}, without test {j}");
+            certified(&again, &what);
+            let found = deletion.as_ref().expect("the others have an optimum");
+            let of = |mean: &[f64], covariance: &DMatrix<f64>| [mean, covariance.as_slice()].concat();
+            let (own, other) =
+                (of(&found.estimate.mean, &found.estimate.covariance), of(&again.mean, &again.covariance));
+            own.iter().zip(&other).for_each(|(x, y)| near(&what, *x, *y, 1e-5));
+            if seed != 3 {
+                found
+                    .estimate
+                    .coefficients
+                    .iter()
+                    .zip(&again.coefficients)
+                    .for_each(|(x, y)| near(&what, *x, *y, 1e-5));
+            }
+            assert!(found.displacement >= 0.0 && found.displacement.is_finite(), "{what}: {}", found.displacement);
+        }
+    }
+}
+
 /// EM never falls and ends where Newton's method ends.
 #[test]
 fn em_and_newton_end_at_the_same_point() {

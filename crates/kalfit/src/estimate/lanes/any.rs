@@ -4,6 +4,8 @@
 //! ```text
 //! [S R d-Rμ] → [DL' U u]      U = L⁻¹R, u = L⁻¹(d-Rμ)      [W r; r' u'D⁻¹u] = [U u]'D⁻¹[U u]
 //! ```
+//!
+//! Of classes of several tests u has further columns, of the vectors of their scatter.
 #![expect(non_snake_case, reason = "R, S, L, D, U, W, F are the letters of the theory")]
 
 use kalfit_lanes::Lanes;
@@ -15,38 +17,48 @@ use crate::estimate::lanes::rows::{add_one, add_weighed, at};
 #[derive(Debug)]
 pub(super) struct Room {
     p: usize,
-    mean: Vec<f64>,
+    /// Columns of u.
+    pub(super) columns: usize,
+    /// μ of each test.
+    pub(super) mean: Vec<f64>,
     /// F.
     F: DMatrix<f64>,
     /// (RF)', p × p.
     X: Vec<f64>,
-    /// [S R d-Rμ], then [DL' U u]: p × (2p + 1); S from its diagonal on.
+    /// [S R d-Rμ], then [DL' U u]: p × (2p + columns); S from its diagonal on.
     rows: Vec<f64>,
     /// D⁻¹.
     inverse: Vec<f64>,
     minus_inverse: Vec<f64>,
-    /// The lower triangle of [W r; r' u'D⁻¹u], (p + 1) × (p + 1).
+    /// The lower triangle of [W r; r' u'D⁻¹u], (p + columns) × (p + columns).
     pub(super) W: Vec<f64>,
 }
 
 impl Room {
-    /// For a point: μ and F, lower triangular.
-    pub(super) fn new(mean: &[f64], root: &DMatrix<f64>, lanes: usize) -> Room {
+    /// For a point: μ and F, lower triangular; and so many columns of u.
+    pub(super) fn new(mean: &[f64], root: &DMatrix<f64>, columns: usize, lanes: usize) -> Room {
         let p = mean.len();
         let zeros = |size: usize| vec![0.0; size * lanes];
         Room {
             p,
-            mean: mean.to_vec(),
+            columns,
+            mean: mean.iter().flat_map(|&x| std::iter::repeat_n(x, lanes)).collect(),
             F: root.clone(),
             X: zeros(p * p),
-            rows: zeros(p * (2 * p + 1)),
+            rows: zeros(p * (2 * p + columns)),
             inverse: zeros(p),
             minus_inverse: zeros(p),
-            W: zeros((p + 1) * (p + 1)),
+            W: zeros((p + columns) * (p + columns)),
         }
     }
 
-    /// Evaluates a block: R by columns, then d, in lanes. |S| as mantissa × 2^exponent.
+    /// Numbers of a row of [R d-Rμ].
+    fn width(&self) -> usize {
+        self.p + self.columns
+    }
+
+    /// Evaluates a block: R by columns, d, then vectors of the scatter for the other columns of u, in lanes. |S| as
+    /// mantissa × 2^exponent.
     #[inline(always)]
     pub(super) fn evaluate<T: Lanes>(&mut self, block: &[f64]) -> (T, T) {
         self.load::<T>(block);
@@ -60,7 +72,7 @@ impl Room {
     /// [0 R d-Rμ].
     #[inline(always)]
     fn load<T: Lanes>(&mut self, block: &[f64]) {
-        let (p, n, width) = (self.p, T::COUNT, (2 * self.p + 1) * T::COUNT);
+        let (p, n, width) = (self.p, T::COUNT, (self.p + self.width()) * T::COUNT);
         self.rows.fill(0.0);
         let mut next = block.chunks_exact(n);
         for k in 0..p {
@@ -70,12 +82,19 @@ impl Room {
                 }
             }
         }
-        for (row, d) in self.rows.chunks_exact_mut(width).zip(next) {
+        for row in self.rows.chunks_exact_mut(width) {
+            let Some(d) = next.next() else { break };
             let mut residual = T::load(d);
-            for (k, mean) in self.mean.iter().enumerate() {
-                residual = at::<T>(row, p + k).fnma(T::splat(*mean), residual);
+            for k in 0..p {
+                residual = at::<T>(row, p + k).fnma(at(&self.mean, k), residual);
             }
             residual.store(&mut row[2 * p * n..]);
+        }
+        for column in 1..self.columns {
+            for row in self.rows.chunks_exact_mut(width) {
+                let Some(x) = next.next() else { break };
+                row[(2 * p + column) * n..][..n].copy_from_slice(x);
+            }
         }
     }
 
@@ -95,7 +114,7 @@ impl Room {
     /// S = I + RF(RF)'.
     #[inline(always)]
     fn cover<T: Lanes>(&mut self) {
-        let (p, n, width) = (self.p, T::COUNT, (2 * self.p + 1) * T::COUNT);
+        let (p, n, width) = (self.p, T::COUNT, (self.p + self.width()) * T::COUNT);
         for i in 0..p {
             let row = &mut self.rows[i * width..][i * n..p * n];
             T::splat(1.0).store(row);
@@ -107,7 +126,7 @@ impl Room {
     /// [S R d-Rμ] → [DL' U u].
     #[inline(always)]
     fn eliminate<T: Lanes>(&mut self) -> (T, T) {
-        let (p, n, wide) = (self.p, T::COUNT, 2 * self.p + 1);
+        let (p, n, wide) = (self.p, T::COUNT, self.p + self.width());
         let one = T::splat(1.0);
         let (mut mantissa, mut exponent) = (one, T::splat(0.0));
         for i in 0..p {
@@ -130,10 +149,11 @@ impl Room {
     /// [W r; r' u'D⁻¹u].
     #[inline(always)]
     fn weigh<T: Lanes>(&mut self) {
-        let (p, n, wide) = (self.p, T::COUNT, 2 * self.p + 1);
+        let (p, n, width) = (self.p, T::COUNT, self.width());
+        let wide = p + width;
         self.W.fill(0.0);
-        for a in 0..=p {
-            let to = &mut self.W[a * (p + 1) * n..][..(a + 1) * n];
+        for a in 0..width {
+            let to = &mut self.W[a * width * n..][..(a + 1) * n];
             add_weighed::<T>(to, p, (&self.rows[p * n..], wide, a), Some(&self.inverse));
         }
     }
@@ -141,12 +161,24 @@ impl Room {
     /// r.
     #[inline(always)]
     pub(super) fn r<T: Lanes>(&self) -> &[f64] {
-        &self.W[self.p * (self.p + 1) * T::COUNT..][..self.p * T::COUNT]
+        self.r_of::<T>(0)
     }
 
-    /// Row a of the lower triangle of W.
+    /// r of a column of u.
+    #[inline(always)]
+    pub(super) fn r_of<T: Lanes>(&self, column: usize) -> &[f64] {
+        &self.row::<T>(self.p + column)[..self.p * T::COUNT]
+    }
+
+    /// u'D⁻¹u of a column.
+    #[inline(always)]
+    pub(super) fn quadratic<T: Lanes>(&self, column: usize) -> T {
+        at(self.row::<T>(self.p + column), self.p + column)
+    }
+
+    /// Row a of the lower triangle of [W r; r' u'D⁻¹u].
     #[inline(always)]
     pub(super) fn row<T: Lanes>(&self, a: usize) -> &[f64] {
-        &self.W[a * (self.p + 1) * T::COUNT..][..(a + 1) * T::COUNT]
+        &self.W[a * self.width() * T::COUNT..][..(a + 1) * T::COUNT]
     }
 }

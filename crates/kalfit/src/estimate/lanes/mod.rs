@@ -6,27 +6,61 @@ mod dense;
 mod gather;
 mod plain;
 mod rows;
+mod whole;
 
 use kalfit_lanes::Isa;
 use nalgebra::DMatrix;
 use rayon::prelude::*;
 
 use crate::estimate::classes::Class;
-use crate::estimate::pass::Order;
+use crate::estimate::pass::{Order, Wanted};
 use crate::estimate::terms::Point;
+use crate::linalg::symmetric::pairs;
 pub(crate) use chains::{Pass as ChainPass, Totals as ChainTotals};
 pub(crate) use plain::Totals;
+pub(crate) use whole::Totals as WholeTotals;
 
-/// Tests of p states with one J each, without covariates and not in phases, in blocks of as many as the machine has lanes.
-/// Places that no test takes hold zeros, which add nothing.
+/// Classes of p states that are not in phases, in blocks of as many as the machine has lanes: all of a single test, or all of several.
+/// Places that no class takes hold zeros, which add nothing.
 #[derive(Debug, Clone)]
 pub(crate) struct Blocks {
     isa: Isa,
-    p: usize,
+    layout: Layout,
     numbers: Vec<f64>,
-    tests: usize,
+    classes: usize,
     /// Σ constant.
     constant: f64,
+}
+
+/// What stands in a block, each number of all its classes side by side: R by columns, d, the vectors of the scatter of classes of
+/// several tests, the covariates, and n of classes of several tests.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Layout {
+    p: usize,
+    covariates: usize,
+    several: bool,
+}
+
+impl Layout {
+    /// Where the vectors of the scatter stand.
+    fn scatter(&self) -> usize {
+        pairs(self.p) + self.p
+    }
+
+    /// Where the covariates stand.
+    fn covariates(&self) -> usize {
+        self.scatter() + if self.several { self.p * self.p } else { 0 }
+    }
+
+    /// Where n stands, if it does.
+    fn count(&self) -> usize {
+        self.covariates() + self.covariates
+    }
+
+    /// Numbers of a class.
+    fn size(&self) -> usize {
+        self.count() + usize::from(self.several)
+    }
 }
 
 /// Fewest and most blocks that one task sums. How many it is depends on nothing but the number of blocks, so that sums have the same
@@ -37,30 +71,41 @@ const MOST: usize = 512;
 const TASKS: usize = 64;
 
 impl Blocks {
-    /// No blocks, to be filled with tests of p states.
-    pub(crate) fn new(p: usize, isa: Isa) -> Blocks {
-        Blocks { isa, p, numbers: Vec::new(), tests: 0, constant: 0.0 }
+    /// No blocks, to be filled with classes of p states and so many covariates, of several tests each or of one.
+    pub(crate) fn new(p: usize, covariates: usize, several: bool, isa: Isa) -> Blocks {
+        let layout = Layout { p, covariates, several };
+        Blocks { isa, layout, numbers: Vec::new(), classes: 0, constant: 0.0 }
     }
 
-    /// Whether a class can stand in a block: one test, with no need of rotations.
+    /// Whether a class can stand in one of these blocks: of as many tests, with no need of rotations.
     pub(crate) fn takes(&self, class: &Class) -> bool {
-        let alone = class.count == 1.0 && class.scatter.is_none() && class.covariates.is_empty();
-        alone && !class.square_root && class.chain.is_none() && self.p > 0
+        let Layout { p, covariates, several } = self.layout;
+        let same = several == (class.count > 1.0) && class.covariates.len() == covariates;
+        same && !class.square_root && class.chain.is_none() && p > 0
     }
 
     /// Puts a class that it takes into the next free lane.
     pub(crate) fn push(&mut self, class: &Class) {
-        let (lanes, p) = (self.isa.lanes(), self.p);
-        let lane = self.tests % lanes;
-        let size = dense::entries(p) * lanes;
+        let (lanes, layout) = (self.isa.lanes(), self.layout);
+        let lane = self.classes % lanes;
+        let size = layout.size() * lanes;
         if lane == 0 {
             self.numbers.resize(self.numbers.len() + size, 0.0);
         }
         let start = self.numbers.len() - size;
+        let p = layout.p;
         let triangle = (0..p).flat_map(|k| (0..=k).map(move |i| class.factor[i * p + k]));
-        let block = self.numbers[start..].chunks_exact_mut(lanes);
-        block.zip(triangle.chain(class.mean.iter().copied())).for_each(|(entry, x)| entry[lane] = x);
-        self.tests += 1;
+        let mut put = |from: usize, numbers: &mut dyn Iterator<Item = f64>| {
+            let entries = self.numbers[start + from * lanes..].chunks_exact_mut(lanes);
+            entries.zip(numbers).for_each(|(entry, x)| entry[lane] = x);
+        };
+        put(0, &mut triangle.chain(class.mean.iter().copied()));
+        put(layout.scatter(), &mut class.scatter.iter().copied());
+        put(layout.covariates(), &mut class.covariates.iter().copied());
+        if layout.several {
+            put(layout.count(), &mut std::iter::once(class.count));
+        }
+        self.classes += 1;
         self.constant += class.constant;
     }
 
@@ -74,17 +119,26 @@ impl Blocks {
         self.constant
     }
 
-    /// What all tests say at a point, one part after the other.
+    /// What all tests say at a point, one part after the other: of classes of one test, without regressions.
     pub(crate) fn totals(&self, point: &Point, order: Order) -> Vec<Totals> {
-        if self.tests == 0 {
+        debug_assert!(!self.layout.several && self.layout.covariates == 0, "they want more");
+        let root = &lower(&point.root);
+        self.parts(&|blocks| self.isa.run(plain::Pass { blocks, mean: &point.mean, root, order, isa: self.isa }))
+    }
+
+    /// What all classes say at a point, one part after the other: several tests each, regressions and the restricted likelihood too.
+    pub(crate) fn whole(&self, point: &Point, wanted: Wanted<'_>) -> Vec<WholeTotals> {
+        let (root, layout, isa) = (&lower(&point.root), self.layout, self.isa);
+        self.parts(&|blocks| isa.run(whole::Pass { blocks, layout, point, root, wanted, isa }))
+    }
+
+    /// What is made of each so many blocks.
+    fn parts<R: Send>(&self, of: &(dyn Fn(&[f64]) -> R + Sync)) -> Vec<R> {
+        if self.classes == 0 {
             return Vec::new();
         }
-        let size = dense::entries(self.p) * self.isa.lanes();
-        let blocks = self.numbers.len() / size;
-        let each = (blocks / TASKS).clamp(FEWEST, MOST);
-        let root = lower(&point.root);
-        let of =
-            |blocks: &[f64]| self.isa.run(plain::Pass { blocks, mean: &point.mean, root: &root, order, isa: self.isa });
+        let size = self.layout.size() * self.isa.lanes();
+        let each = (self.numbers.len() / size / TASKS).clamp(FEWEST, MOST);
         self.numbers.par_chunks(each * size).map(of).collect()
     }
 }

@@ -7,7 +7,7 @@ use nalgebra::DMatrix;
 use crate::estimate::lanes::any::Room;
 use crate::estimate::lanes::dense::{Law, Told, entries, told};
 use crate::estimate::lanes::gather::Gather;
-use crate::estimate::lanes::rows::{add_one, at};
+use crate::estimate::lanes::rows::{add_one, at, log_det, sums};
 use crate::estimate::pass::Order;
 
 /// One pass over some blocks.
@@ -86,7 +86,7 @@ impl Pass<'_> {
     #[inline(always)]
     fn any<T: Lanes>(self) -> Totals {
         let p = self.mean.len();
-        let mut room = Room::new(self.mean, self.root, T::COUNT);
+        let mut room = Room::new(self.mean, self.root, 1, T::COUNT);
         let mut products = Products::new(self.isa, p, self.order);
         let mut sums = AnySums::<T>::new(p);
         for block in self.blocks.chunks_exact(entries(p) * T::COUNT) {
@@ -238,26 +238,6 @@ impl<T: Lanes> AnySums<T> {
             ..Totals::default()
         }
     }
-}
-
-/// Σ log(mantissa 2^exponent) over the lanes.
-#[inline(always)]
-fn log_det<T: Lanes>(mantissa: T, exponent: T) -> f64 {
-    let mut sum = 0.0;
-    for lane in 0..T::COUNT {
-        sum += mantissa.lane(lane).ln() + exponent.lane(lane) * std::f64::consts::LN_2;
-    }
-    sum
-}
-
-/// Each number over all lanes.
-#[inline(always)]
-fn sums<T: Lanes>(numbers: &[f64]) -> Vec<f64> {
-    let mut all = Vec::with_capacity(numbers.len() / T::COUNT);
-    for x in numbers.chunks_exact(T::COUNT) {
-        all.push(T::load(x).sum());
-    }
-    all
 }
 
 /// Sums in lanes, of a number of states that the compiler knows.

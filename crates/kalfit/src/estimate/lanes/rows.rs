@@ -1,4 +1,4 @@
-//! What all work on rows in lanes is made of: y ← y + Σ a x.
+//! What all work on rows in lanes is made of: y ← y + Σ a x, and sums over the lanes at last.
 
 use kalfit_lanes::Lanes;
 
@@ -8,7 +8,9 @@ const TOGETHER: usize = 4;
 /// y ← y + a x.
 #[inline(always)]
 pub(super) fn add_one<T: Lanes>(y: &mut [f64], a: T, x: &[f64]) {
-    for (y, x) in y.chunks_exact_mut(T::COUNT).zip(x.chunks_exact(T::COUNT)) {
+    let mut x = x.chunks_exact(T::COUNT);
+    for y in y.chunks_exact_mut(T::COUNT) {
+        let Some(x) = x.next() else { return };
         a.fma(T::load(x), T::load(y)).store(y);
     }
 }
@@ -16,10 +18,11 @@ pub(super) fn add_one<T: Lanes>(y: &mut [f64], a: T, x: &[f64]) {
 /// y ← y + a_0 x_0 + a_1 x_1 + a_2 x_2 + a_3 x_3.
 #[inline(always)]
 fn add_four<T: Lanes>(y: &mut [f64], a: [T; TOGETHER], x: [&[f64]; TOGETHER]) {
-    let [x0, x1, x2, x3] = x.map(|x| x.chunks_exact(T::COUNT));
-    for ((((y, x0), x1), x2), x3) in y.chunks_exact_mut(T::COUNT).zip(x0).zip(x1).zip(x2).zip(x3) {
-        let first = a[1].fma(T::load(x1), a[0].fma(T::load(x0), T::load(y)));
-        a[3].fma(T::load(x3), a[2].fma(T::load(x2), first)).store(y);
+    let mut at = 0;
+    for y in y.chunks_exact_mut(T::COUNT) {
+        let first = a[1].fma(T::load(&x[1][at..]), a[0].fma(T::load(&x[0][at..]), T::load(y)));
+        a[3].fma(T::load(&x[3][at..]), a[2].fma(T::load(&x[2][at..]), first)).store(y);
+        at += T::COUNT;
     }
 }
 
@@ -64,4 +67,24 @@ pub(super) fn add_weighed<T: Lanes>(
 #[inline(always)]
 pub(super) fn at<T: Lanes>(numbers: &[f64], place: usize) -> T {
     T::load(&numbers[place * T::COUNT..])
+}
+
+/// Σ log(mantissa 2^exponent) over the lanes.
+#[inline(always)]
+pub(super) fn log_det<T: Lanes>(mantissa: T, exponent: T) -> f64 {
+    let mut sum = 0.0;
+    for lane in 0..T::COUNT {
+        sum += mantissa.lane(lane).ln() + exponent.lane(lane) * std::f64::consts::LN_2;
+    }
+    sum
+}
+
+/// Each number over all lanes.
+#[inline(always)]
+pub(super) fn sums<T: Lanes>(numbers: &[f64]) -> Vec<f64> {
+    let mut all = Vec::with_capacity(numbers.len() / T::COUNT);
+    for x in numbers.chunks_exact(T::COUNT) {
+        all.push(T::load(x).sum());
+    }
+    all
 }

@@ -4,7 +4,9 @@ use kalfit_lanes::Isa;
 use nalgebra::DMatrix;
 
 use super::*;
+use crate::estimate::pass::{FlatMean, one_by_one};
 use crate::estimate::terms::Terms;
+use crate::linalg::elements::Elements;
 
 fn class(p: usize, j: usize) -> Class {
     let wave = |seed: usize| ((7 * j + 3 * seed) as f64).sin();
@@ -18,7 +20,7 @@ fn class(p: usize, j: usize) -> Class {
         constant: wave(99),
         factor: (0..p * p).map(factor).collect(),
         mean: (0..p).map(|i| wave(1000 + i)).collect(),
-        scatter: None,
+        scatter: Vec::new(),
         covariates: Vec::new(),
         square_root: false,
         chain: None,
@@ -37,7 +39,7 @@ fn point(p: usize) -> Point {
 fn both(p: usize, isa: Isa, tests: usize) -> (Vec<f64>, Vec<f64>) {
     let point = point(p);
     let classes: Vec<Class> = (0..tests).map(|j| class(p, j)).collect();
-    let mut blocks = Blocks::new(p, isa);
+    let mut blocks = Blocks::new(p, 0, false, isa);
     for class in &classes {
         assert!(blocks.takes(class));
         blocks.push(class);
@@ -88,6 +90,65 @@ fn blocks_say_what_their_tests_say_one_by_one() {
                         (found - expected).abs() < allowed,
                         "{isa:?}, p = {p}, {tests} tests, {at}: {found} {expected}"
                     );
+                }
+            }
+        }
+    }
+}
+
+/// A class of one test, or of several, with covariates.
+fn any_class(p: usize, j: usize, (covariates, several): (usize, bool)) -> Class {
+    let wave = |seed: usize| ((5 * j + 2 * seed) as f64).cos();
+    let count = if several { 2 + j % 4 } else { 1 };
+    Class {
+        count: count as f64,
+        scatter: (0..p * (if several { p.min(count) } else { 0 })).map(|i| wave(300 + i)).collect(),
+        covariates: (0..covariates).map(|c| wave(600 + c)).collect(),
+        ..class(p, j)
+    }
+}
+
+#[test]
+fn several_tests_regressions_and_the_restricted_likelihood_are_summed_as_one_by_one() {
+    for isa in Isa::all() {
+        for (p, regressors, q, several) in [
+            (1, vec![], 1, true),
+            (2, vec![], 0, true),
+            (2, vec![1, 0, 1], 0, false),
+            (3, vec![2, 0], 4, true),
+            (5, vec![1, 4, 4], 6, false),
+            (12, vec![3], 13, true),
+        ] {
+            let m = p + regressors.len();
+            let jacobian = DMatrix::from_fn(m, q, |i, c| if i == c { 1.0 } else { 0.3 * ((i + 2 * c) as f64).sin() });
+            let half = DMatrix::from_fn(q, q, |i, c| ((3 * i + c) as f64).cos());
+            let covariance = &half * half.transpose() * 0.1;
+            let point = Point { coefficients: (0..m - p).map(|c| 0.4 - 0.3 * c as f64).collect(), ..point(p) };
+            let elements = Elements::single(p);
+            for known in [None, Some(&covariance)] {
+                let flat = FlatMean { jacobian: &jacobian, covariance: known };
+                let flat = (q > 0).then_some(&flat);
+                let wanted = Wanted { elements: &elements, regressors: &regressors, order: Order::Expected, flat };
+                for tests in [1, 2 * isa.lanes() + 1, FEWEST * isa.lanes() + 3] {
+                    let classes: Vec<Class> =
+                        (0..tests).map(|j| any_class(p, j, (regressors.len(), several))).collect();
+                    let mut blocks = Blocks::new(p, regressors.len(), several, *isa);
+                    for class in &classes {
+                        assert!(blocks.takes(class));
+                        blocks.push(class);
+                    }
+                    let mut found = wanted.zero();
+                    found.value += blocks.constant();
+                    blocks.whole(&point, wanted).iter().for_each(|totals| found.take_whole(totals));
+                    let expected = one_by_one(&classes.iter().collect::<Vec<&Class>>(), &point, wanted).numbers();
+                    let largest = expected.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
+                    for (at, (found, expected)) in found.numbers().iter().zip(&expected).enumerate() {
+                        let allowed = 1e-12 * (1.0 + largest) + 1e-11 * expected.abs();
+                        assert!(
+                            (found - expected).abs() < allowed,
+                            "{isa:?}, p = {p}, several {several}, {tests} tests, {at}: {found} {expected}"
+                        );
+                    }
                 }
             }
         }

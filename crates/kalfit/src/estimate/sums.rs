@@ -1,0 +1,265 @@
+//! What a pass adds up, and the derivatives of ℓ that are made of it (theory §3).
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::estimate::lanes::{ChainTotals, Totals, WholeTotals};
+use crate::estimate::pass::{FlatMean, Order};
+use crate::estimate::products::{Crosses, Products};
+use crate::estimate::reml::Restricted;
+use crate::estimate::terms::Regressors;
+use crate::linalg::elements::Elements;
+use crate::linalg::symmetric::{pair, pairs};
+
+/// Sums over tests. The mean coordinates are the p elements of μ, then the regression coefficients.
+#[derive(Debug, Clone)]
+pub(crate) struct Sums {
+    /// ℓ.
+    pub(crate) value: f64,
+    /// ∂ℓ/∂(mean coordinates): Σ E'r.
+    pub(crate) mean_score: DVector<f64>,
+    /// Σ E'WE.
+    pub(crate) mean_information: DMatrix<f64>,
+    /// Σ r r', zero between phases.
+    pub(crate) outer: DMatrix<f64>,
+    /// Σ W, zero between phases.
+    pub(crate) weight: DMatrix<f64>,
+    /// What the restricted likelihood adds, already part of `value`.
+    pub(crate) restricted: Option<Restricted>,
+    /// Σ X'W ⊗ WX, pairs of free mean coordinates × elements; nothing under maximum likelihood.
+    pub(super) spread: DMatrix<f64>,
+    /// Σ W ⊗ (r r' - ½W); under the restricted likelihood Σ W ⊗ (r r' - ½W + W X V X'W).
+    pub(super) curvature: Products,
+    /// Σ W ⊗ r for each mean coordinate.
+    pub(super) cross: Crosses,
+    /// Σ W ⊗ W.
+    pub(super) expected: Products,
+    /// The elements of Σ.
+    pub(crate) elements: Elements,
+}
+
+impl Sums {
+    pub(super) fn zero(elements: &Elements, regressors: usize, order: Order, flat: Option<&FlatMean<'_>>) -> Sums {
+        let p = elements.states();
+        let (m, s) = (p + regressors, elements.count());
+        Sums {
+            value: 0.0,
+            mean_score: DVector::zeros(m),
+            mean_information: DMatrix::zeros(m, m),
+            outer: DMatrix::zeros(p, p),
+            weight: DMatrix::zeros(p, p),
+            restricted: None,
+            spread: flat.map_or_else(|| DMatrix::zeros(0, 0), |f| DMatrix::zeros(pairs(f.jacobian.ncols()), s)),
+            curvature: Products::zero(elements, order >= Order::Second),
+            cross: Crosses::zero(elements, m, order >= Order::Second),
+            expected: Products::zero(elements, order >= Order::Expected),
+            elements: elements.clone(),
+        }
+    }
+
+    /// Nothing is left to be added.
+    pub(super) fn settled(mut self) -> Sums {
+        self.curvature.settle();
+        self.cross.settle();
+        self.expected.settle();
+        self
+    }
+
+    pub(super) fn add(mut self, other: &Sums) -> Sums {
+        self.value += other.value;
+        self.mean_score += &other.mean_score;
+        self.mean_information += &other.mean_information;
+        self.outer += &other.outer;
+        self.weight += &other.weight;
+        self.spread += &other.spread;
+        self.curvature.plus(&other.curvature);
+        self.cross.plus(&other.cross);
+        self.expected.plus(&other.expected);
+        self
+    }
+
+    /// Without what some of the tests say. What was added up of fewer derivatives of them is left as it is.
+    pub(super) fn less(mut self, other: &Sums) -> Sums {
+        self.value -= other.value;
+        self.mean_score -= &other.mean_score;
+        self.mean_information -= &other.mean_information;
+        self.outer -= &other.outer;
+        self.weight -= &other.weight;
+        self.spread -= &other.spread;
+        self.curvature.minus(&other.curvature);
+        self.cross.minus(&other.cross);
+        self.expected.minus(&other.expected);
+        self
+    }
+
+    /// Adds what tests say that are worked on side by side, their constants apart.
+    pub(super) fn take(&mut self, totals: &Totals) {
+        self.value -= 0.5 * (totals.log_det + totals.quadratic);
+        self.mean_score.iter_mut().zip(&totals.r).for_each(|(sum, r)| *sum += r);
+        for (at, (a, b)) in self.elements.all().enumerate() {
+            for (a, b) in if a == b { vec![(a, b)] } else { vec![(a, b), (b, a)] } {
+                self.weight[(a, b)] += totals.W[at];
+                self.mean_information[(a, b)] += totals.W[at];
+                self.outer[(a, b)] += totals.outer[at];
+            }
+        }
+        self.curvature.take(&totals.curvature);
+        self.cross.take(&totals.cross);
+        self.expected.take(&totals.expected);
+    }
+
+    /// The same of classes of several tests, with regressions, and with what the restricted likelihood wants.
+    pub(super) fn take_whole(&mut self, totals: &WholeTotals) {
+        self.value -= 0.5 * (totals.log_det + totals.quadratic);
+        self.mean_score.iter_mut().zip(&totals.score).for_each(|(sum, x)| *sum += x);
+        let (m, p) = (self.mean_score.len(), self.outer.nrows());
+        for a in 0..m {
+            for b in 0..m {
+                self.mean_information[(a, b)] += totals.information[a * m + b];
+            }
+        }
+        for a in 0..p {
+            for b in 0..p {
+                self.weight[(a, b)] += totals.information[a * m + b];
+                self.outer[(a, b)] += totals.outer[pair(a.max(b), a.min(b))];
+            }
+        }
+        self.curvature.take(&totals.curvature);
+        self.cross.take_phases(std::slice::from_ref(&totals.cross));
+        self.expected.take(&totals.expected);
+        self.take_spread(&totals.spread);
+    }
+
+    /// Σ X'W ⊗ WX of a single phase from Σ WX ⊗ WX, pq × pq by rows.
+    fn take_spread(&mut self, sums: &[f64]) {
+        let p = self.outer.nrows();
+        let q = if p > 0 { sums.len().isqrt() / p } else { 0 };
+        let both = |(k, c): (usize, usize), (l, d): (usize, usize)| sums[(k * q + c) * p * q + l * q + d];
+        for c in 0..q {
+            for d in 0..=c {
+                for (s, (k, l)) in self.elements.all().enumerate() {
+                    self.spread[(pair(c, d), s)] += 0.5 * (both((k, c), (l, d)) + both((l, c), (k, d)));
+                }
+            }
+        }
+    }
+
+    /// The same of tests in phases.
+    pub(super) fn take_chain(&mut self, totals: &ChainTotals) {
+        self.value += totals.value;
+        self.mean_score.iter_mut().zip(&totals.r).for_each(|(sum, r)| *sum += r);
+        let ranges = self.elements.blocks();
+        for (k, own) in ranges.iter().enumerate() {
+            for (i, other) in ranges[..=k].iter().enumerate() {
+                let places = own.clone().flat_map(|a| other.clone().map(move |b| (a, b)));
+                for ((a, b), w) in places.zip(&totals.W[pair(k, i)]) {
+                    self.mean_information[(a, b)] += w;
+                    if k == i {
+                        self.weight[(a, b)] += w;
+                    } else {
+                        self.mean_information[(b, a)] += w;
+                    }
+                }
+            }
+            for a in 0..own.len() {
+                for b in 0..own.len() {
+                    let (row, column) = (a.max(b), a.min(b));
+                    self.outer[(own.start + a, own.start + b)] += totals.outer[k][row * own.len() + column];
+                }
+            }
+        }
+        self.curvature.take_pairs(&totals.curvature);
+        self.cross.take_phases(&totals.cross);
+        self.expected.take_pairs(&totals.expected);
+    }
+
+    /// Σ X'W ⊗ WX.
+    pub(crate) fn spread(&self) -> &DMatrix<f64> {
+        &self.spread
+    }
+
+    /// With what the restricted likelihood adds.
+    pub(crate) fn restrict(mut self, restricted: Restricted) -> Sums {
+        self.value += restricted.value;
+        self.restricted = Some(restricted);
+        self
+    }
+
+    /// What places near by may take from this one.
+    pub(crate) fn near(&self) -> Option<&DMatrix<f64>> {
+        self.restricted.as_ref().map(|r| &r.covariance)
+    }
+
+    /// Σ r r', to which under the restricted likelihood the uncertainty of the mean adds Σ W X V X'W.
+    pub(crate) fn moment(&self) -> DMatrix<f64> {
+        match &self.restricted {
+            Some(restricted) => &self.outer + &restricted.score * 2.0,
+            None => self.outer.clone(),
+        }
+    }
+
+    /// G = ∂ℓ/∂Σ = ½ Σ (r r' - W), (5), with what the restricted likelihood adds: the value changes by tr(G dΣ).
+    pub(crate) fn score(&self) -> DMatrix<f64> {
+        (self.moment() - &self.weight) * 0.5
+    }
+
+    /// G once the mean coordinates have moved by `shift`: r_j becomes r_j - W_j E_j shift. Exact in one phase without regressors;
+    /// with them their part of the shift is left out. Needs [`Order::Expected`].
+    pub(crate) fn score_after(&self, regressors: &Regressors, shift: &DVector<f64>) -> DMatrix<f64> {
+        let p = self.outer.nrows();
+        debug_assert!(self.elements.is_single(), "between phases the sums do not tell");
+        debug_assert_eq!(shift.len(), p + regressors.len(), "mean coordinates");
+        let mut outer = self.moment();
+        for a in 0..p {
+            for b in 0..p {
+                for k in 0..p {
+                    // Σ W_ak r_b and its mirror
+                    outer[(a, b)] -= shift[k] * (self.cross.get(a, (k, b)) + self.cross.get(b, (k, a)));
+                    for l in 0..p {
+                        outer[(a, b)] += shift[k] * shift[l] * self.expected.get((a, k), (b, l));
+                    }
+                }
+            }
+        }
+        (outer - &self.weight) * 0.5
+    }
+
+    /// -∂²ℓ/∂σ_kl ∂σ_ab, elements × elements; an off-diagonal element moves both of its places.
+    pub(crate) fn observed_information(&self) -> DMatrix<f64> {
+        let elements = &self.elements;
+        let own = elements.over(|k, l, a, b| self.curvature.get((l, a), (b, k)));
+        match &self.restricted {
+            Some(restricted) => own - &restricted.curvature,
+            None => own,
+        }
+    }
+
+    /// ½ Σ tr(W D W E), elements × elements.
+    pub(crate) fn expected_information(&self) -> DMatrix<f64> {
+        let elements = &self.elements;
+        elements.over(|k, l, a, b| 0.5 * self.expected.get((l, a), (b, k)))
+    }
+
+    /// -∂²ℓ/∂(mean coordinate) ∂σ_kl = Σ E'(W_{·k} r_l + W_{·l} r_k), mean coordinates × elements.
+    pub(crate) fn cross_information(&self) -> DMatrix<f64> {
+        let elements = &self.elements;
+        let mut cross = DMatrix::zeros(self.mean_score.len(), elements.count());
+        for m in 0..self.mean_score.len() {
+            for (s, (k, l)) in elements.all().enumerate() {
+                let once = self.cross.get(m, (k, l));
+                cross[(m, s)] = if k == l { once } else { once + self.cross.get(m, (l, k)) };
+            }
+        }
+        cross
+    }
+}
+
+#[cfg(test)]
+impl Sums {
+    /// All that was added up.
+    pub(super) fn numbers(&self) -> Vec<f64> {
+        let matrices = [&self.mean_information, &self.outer, &self.weight, &self.spread];
+        let products = [self.curvature.numbers(), self.cross.numbers(), self.expected.numbers()];
+        let plain = std::iter::once(self.value).chain(self.mean_score.iter().copied());
+        plain.chain(matrices.into_iter().flatten().copied()).chain(products.into_iter().flatten()).collect()
+    }
+}
