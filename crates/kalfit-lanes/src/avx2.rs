@@ -76,14 +76,14 @@ impl Real for Avx2 {
     fn minimum(self, other: Avx2) -> Avx2 {
         // SAFETY: see the module
         let least = Avx2(unsafe { _mm256_min_pd(other.0, self.0) });
-        least.unless_unknown(self).unless_unknown(other)
+        least.unless_unknown(other) // of an unknown one and another the instruction takes its second
     }
 
     #[inline(always)]
     fn maximum(self, other: Avx2) -> Avx2 {
         // SAFETY: see the module
         let most = Avx2(unsafe { _mm256_max_pd(other.0, self.0) });
-        most.unless_unknown(self).unless_unknown(other)
+        most.unless_unknown(other) // as above
     }
 
     #[inline(always)]

@@ -76,14 +76,14 @@ impl Real for Avx512 {
     fn minimum(self, other: Avx512) -> Avx512 {
         // SAFETY: see the module
         let least = Avx512(unsafe { _mm512_min_pd(other.0, self.0) });
-        least.unless_unknown(self).unless_unknown(other)
+        least.unless_unknown(other) // of an unknown one and another the instruction takes its second
     }
 
     #[inline(always)]
     fn maximum(self, other: Avx512) -> Avx512 {
         // SAFETY: see the module
         let most = Avx512(unsafe { _mm512_max_pd(other.0, self.0) });
-        most.unless_unknown(self).unless_unknown(other)
+        most.unless_unknown(other) // as above
     }
 
     #[inline(always)]

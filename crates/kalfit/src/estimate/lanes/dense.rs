@@ -18,9 +18,6 @@ pub(super) struct Law<const P: usize> {
 /// What a block says.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Told<T, const P: usize> {
-    /// |S| = mantissa × 2^exponent.
-    pub(super) mantissa: T,
-    pub(super) exponent: T,
     /// u'D⁻¹u.
     pub(super) quadratic: T,
     pub(super) r: [T; P],
@@ -33,9 +30,9 @@ pub(super) const fn entries(p: usize) -> usize {
     p * (p + 1) / 2 + p
 }
 
-/// Evaluates a block.
+/// Evaluates a block, and multiplies a product, mantissa × 2^exponent, by |S|.
 #[inline(always)]
-pub(super) fn told<T: Lanes, const P: usize>(block: &[f64], law: &Law<P>) -> Told<T, P> {
+pub(super) fn told<T: Lanes, const P: usize>(block: &[f64], law: &Law<P>, det: &mut (T, T)) -> Told<T, P> {
     let zero = T::splat(0.0);
     let mut R = [[zero; P]; P];
     let block = &block[..entries(P) * T::COUNT];
@@ -54,7 +51,7 @@ pub(super) fn told<T: Lanes, const P: usize>(block: &[f64], law: &Law<P>) -> Tol
         }
     }
     let mut S = covariance::<T, P>(&R, law);
-    let (inverse, mantissa, exponent) = factorise::<T, P>(&mut S);
+    let inverse = factorise::<T, P>(&mut S, det);
     forward::<T, P>(&S, &mut R, &mut u);
     let (mut W, mut r, mut quadratic) = ([[zero; P]; P], [zero; P], zero);
     for i in 0..P {
@@ -68,7 +65,7 @@ pub(super) fn told<T: Lanes, const P: usize>(block: &[f64], law: &Law<P>) -> Tol
             }
         }
     }
-    Told { mantissa, exponent, quadratic, r, W }
+    Told { quadratic, r, W }
 }
 
 /// The lower triangle of I + RF(RF)'.
@@ -95,17 +92,17 @@ fn covariance<T: Lanes, const P: usize>(R: &[[T; P]; P], law: &Law<P>) -> [[T; P
     S
 }
 
-/// S = LDL', L below the diagonal in its place: D⁻¹ and |D| as mantissa and exponent.
+/// S = LDL', L below the diagonal in its place: D⁻¹; `det` is multiplied by |D|.
 #[inline(always)]
-fn factorise<T: Lanes, const P: usize>(S: &mut [[T; P]; P]) -> ([T; P], T, T) {
+fn factorise<T: Lanes, const P: usize>(S: &mut [[T; P]; P], det: &mut (T, T)) -> [T; P] {
     let one = T::splat(1.0);
-    let (mut inverse, mut mantissa, mut exponent) = ([one; P], one, T::splat(0.0));
+    let mut inverse = [one; P];
     for k in 0..P {
         // S ⪰ I, so no pivot is below one; rounding must not make it so
         let pivot = S[k][k].maximum(one);
         inverse[k] = pivot.recip();
-        let (m, e) = (mantissa * pivot).split();
-        (mantissa, exponent) = (m, exponent + e);
+        let (mantissa, exponent) = (det.0 * pivot).split();
+        *det = (mantissa, det.1 + exponent);
         for i in k + 1..P {
             let l = S[i][k] * inverse[k];
             for j in k + 1..=i {
@@ -116,7 +113,7 @@ fn factorise<T: Lanes, const P: usize>(S: &mut [[T; P]; P]) -> ([T; P], T, T) {
             S[i][k] = S[i][k] * inverse[k];
         }
     }
-    (inverse, mantissa, exponent)
+    inverse
 }
 
 /// U = L⁻¹R and u = L⁻¹u.

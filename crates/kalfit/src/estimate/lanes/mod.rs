@@ -63,10 +63,12 @@ impl Layout {
     }
 }
 
-/// Fewest and most blocks that one task sums. How many it is depends on nothing but the number of blocks, so that sums have the same
-/// bits for any number of threads.
+/// Fewest blocks that one task sums, of many states and of one: a task of few states takes no less time than one of many. How many it
+/// is depends on nothing but the blocks, so that sums have the same bits for any number of threads.
 const FEWEST: usize = 16;
-const MOST: usize = 512;
+const FEWEST_OF_ONE: usize = 512;
+/// The most are so many times as many.
+const MOST: usize = 32;
 /// Tasks there are at least, where blocks are many.
 const TASKS: usize = 64;
 
@@ -138,9 +140,15 @@ impl Blocks {
             return Vec::new();
         }
         let size = self.layout.size() * self.isa.lanes();
-        let each = (self.numbers.len() / size / TASKS).clamp(FEWEST, MOST);
+        let fewest = fewest(self.layout.p);
+        let each = (self.numbers.len() / size / TASKS).clamp(fewest, MOST * fewest);
         self.numbers.par_chunks(each * size).map(of).collect()
     }
+}
+
+/// Fewest blocks of p states that one task sums.
+fn fewest(p: usize) -> usize {
+    FEWEST.max(FEWEST_OF_ONE * 8 / (p + 1).pow(3))
 }
 
 /// The lower triangular root of FF'.

@@ -10,6 +10,9 @@ use crate::estimate::lanes::gather::Gather;
 use crate::estimate::lanes::rows::{add_one, at, log_det, sums};
 use crate::estimate::pass::Order;
 
+/// Most states whose sums of first derivatives are few enough for the registers.
+const IN_REGISTERS: usize = 3;
+
 /// One pass over some blocks.
 pub(super) struct Pass<'a> {
     /// [`entries`] numbers in lanes for each block.
@@ -68,10 +71,13 @@ impl Pass<'_> {
     #[inline(always)]
     fn sized<T: Lanes, const P: usize>(self) -> Totals {
         let law = self.law::<P>();
+        if P <= IN_REGISTERS && self.order < Order::Second {
+            return self.first::<T, P>(&law);
+        }
         let mut products = Products::new(self.isa, P, self.order);
         let mut sums = Sums::<T, P>::new();
         for block in self.blocks.chunks_exact(entries(P) * T::COUNT) {
-            let told = told::<T, P>(block, &law);
+            let told = told::<T, P>(block, &law, &mut sums.det);
             sums.add(&told);
             if self.order >= Order::Second {
                 products.take(
@@ -81,6 +87,17 @@ impl Pass<'_> {
             }
         }
         products.into(sums.totals())
+    }
+
+    /// First derivatives alone. Nothing else is in the loop, so that the sums of few states stay in registers.
+    #[inline(always)]
+    fn first<T: Lanes, const P: usize>(self, law: &Law<P>) -> Totals {
+        let mut sums = Sums::<T, P>::new();
+        for block in self.blocks.chunks_exact(entries(P) * T::COUNT) {
+            let told = told::<T, P>(block, law, &mut sums.det);
+            sums.add(&told);
+        }
+        sums.totals()
     }
 
     #[inline(always)]
@@ -243,8 +260,7 @@ impl<T: Lanes> AnySums<T> {
 /// Sums in lanes, of a number of states that the compiler knows.
 struct Sums<T, const P: usize> {
     /// Π |S| = mantissa × 2^exponent.
-    mantissa: T,
-    exponent: T,
+    det: (T, T),
     quadratic: T,
     r: [T; P],
     W: [[T; P]; P],
@@ -256,13 +272,11 @@ impl<T: Lanes, const P: usize> Sums<T, P> {
     fn new() -> Self {
         let zero = T::splat(0.0);
         let square = [[zero; P]; P];
-        Sums { mantissa: T::splat(1.0), exponent: zero, quadratic: zero, r: [zero; P], W: square, outer: square }
+        Sums { det: (T::splat(1.0), zero), quadratic: zero, r: [zero; P], W: square, outer: square }
     }
 
     #[inline(always)]
     fn add(&mut self, told: &Told<T, P>) {
-        let (mantissa, exponent) = (self.mantissa * told.mantissa).split();
-        (self.mantissa, self.exponent) = (mantissa, self.exponent + told.exponent + exponent);
         self.quadratic = self.quadratic + told.quadratic;
         for a in 0..P {
             self.r[a] = self.r[a] + told.r[a];
@@ -284,7 +298,7 @@ impl<T: Lanes, const P: usize> Sums<T, P> {
             }
         }
         Totals {
-            log_det: log_det(self.mantissa, self.exponent),
+            log_det: log_det(self.det.0, self.det.1),
             quadratic: self.quadratic.sum(),
             r,
             W,

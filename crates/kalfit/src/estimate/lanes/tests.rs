@@ -81,7 +81,7 @@ fn blocks_say_what_their_tests_say_one_by_one() {
     for isa in Isa::all() {
         for p in (1..=10).chain([13, 20]) {
             // also blocks that are not full, and more than one task
-            for tests in [1, isa.lanes(), 3 * isa.lanes() + 1, FEWEST * isa.lanes() + 3] {
+            for tests in [1, isa.lanes(), 3 * isa.lanes() + 1, fewest(p) * isa.lanes() + 3] {
                 let (found, expected) = both(p, *isa, tests);
                 let largest = expected.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
                 for (at, (found, expected)) in found.iter().zip(&expected).enumerate() {
@@ -129,7 +129,7 @@ fn several_tests_regressions_and_the_restricted_likelihood_are_summed_as_one_by_
                 let flat = FlatMean { jacobian: &jacobian, covariance: known };
                 let flat = (q > 0).then_some(&flat);
                 let wanted = Wanted { elements: &elements, regressors: &regressors, order: Order::Expected, flat };
-                for tests in [1, 2 * isa.lanes() + 1, FEWEST * isa.lanes() + 3] {
+                for tests in [1, 2 * isa.lanes() + 1, fewest(p) * isa.lanes() + 3] {
                     let classes: Vec<Class> =
                         (0..tests).map(|j| any_class(p, j, (regressors.len(), several))).collect();
                     let mut blocks = Blocks::new(p, regressors.len(), several, *isa);
