@@ -11,12 +11,17 @@ use crate::words::clean;
 /// Level of the whole search, not of each test.
 const LEVEL: f64 = 0.05;
 const MOST_ROWS: usize = 5;
+/// p-values that differ by less, as a part of themselves, are one.
+const ROUNDING: f64 = 1e-9;
 
 pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     let mut tested: Vec<(f64, &TestRecord)> =
         record.tests.iter().filter_map(|t| t.p_value.filter(|p| p.is_finite()).map(|p| (p, t))).collect();
     tested.sort_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.id.cmp(&b.1.id)));
-    let Some(&(least, nearest)) = tested.first() else { return String::new() };
+    let Some(&(least, _)) = tested.first() else { return String::new() };
+    // of those that rounding alone tells apart the first by name
+    let equal = tested.iter().filter(|(p, _)| *p <= least * (1.0 + ROUNDING));
+    let nearest = equal.map(|&(_, test)| test).min_by_key(|test| &test.id).expect("one is the least");
     let all = tested.len();
     let corrected = |p: f64| (p * all as f64).min(1.0);
     let outliers: Vec<(f64, &TestRecord)> = tested.into_iter().filter(|&(p, _)| corrected(p) < LEVEL).collect();

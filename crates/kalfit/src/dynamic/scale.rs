@@ -74,7 +74,7 @@ impl Scale {
         }
         let one = |(at, residual): (&Reduction, &f64)| scaled(at, *residual, (variance, unit));
         let all: Vec<Reduction> = home.reductions.par_iter().zip(&home.residuals).map(one).collect();
-        Ok(all.iter().all(is_finite).then_some(all))
+        Ok(all.par_iter().all(is_finite).then_some(all))
     }
 
     /// dℓ_j/dθ of each test at θ and this law; `None` where the reductions are not from here.

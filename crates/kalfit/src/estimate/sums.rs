@@ -132,7 +132,7 @@ impl Sums {
     /// Σ X'W ⊗ WX of a single phase from Σ WX ⊗ WX, pq × pq by rows.
     fn take_spread(&mut self, sums: &[f64]) {
         let p = self.outer.nrows();
-        let q = if p > 0 { sums.len().isqrt() / p } else { 0 };
+        let q = sums.len().isqrt().checked_div(p).unwrap_or(0);
         let both = |(k, c): (usize, usize), (l, d): (usize, usize)| sums[(k * q + c) * p * q + l * q + d];
         for c in 0..q {
             for d in 0..=c {

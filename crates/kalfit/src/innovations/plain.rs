@@ -84,7 +84,7 @@ impl Plain {
         let of = |known: &Known| {
             let mut work = known.reducer.workspace();
             work.design.frame = known.frame.clone();
-            Waiting { work, queue: Queue::new() }
+            Waiting { work, queue: Queue::default() }
         };
         self.phases.iter().map(of).collect()
     }

@@ -10,7 +10,7 @@ use crate::model::{Alpha, Model, PhasedModel};
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
 use crate::reduce::part::{Part, PhaseReducer, Place, refuse};
 use crate::reduce::prepare::Workspace;
-use crate::reduce::reducer::{Reducer, Work, share};
+use crate::reduce::reducer::{Reducer, Work, all_sound, share};
 use crate::reduce::shared::Shared;
 use crate::reduce::stack::{Stack, StackKey};
 use crate::reduce::steps::Cells;
@@ -127,11 +127,11 @@ impl PhasedReducer {
             return phase.reducer.reduce_all(&rows);
         }
         let rows = tests.iter().map(PhasedTest::row_count).sum();
-        let batches: Vec<Vec<Result<Reduction, ReduceError>>> = tests
+        let batches = tests
             .par_chunks(share(tests.len(), rows))
             .map_init(|| PhasedBatch::new(self), |batch, tests| batch.reduce(tests))
             .collect();
-        batches.into_iter().flatten().collect()
+        all_sound(batches)
     }
 
     /// The only phase and the rows of all tests, where that is all there is: they are reduced many at a time.
@@ -167,14 +167,13 @@ impl PhasedReducer {
     /// # Errors
     /// Of several in error, the first one's error.
     pub fn each_piece(&mut self, phases: &[(&str, usize, &Evidence)]) -> Result<Vec<PhaseReduction>, ReduceError> {
-        let this = &*self;
-        let one = |work: &mut PhasedWork, &(id, at, evidence): &(&str, usize, &Evidence)| {
-            let room = (&mut work.phases[at], &mut work.cells);
-            this.phases[at].part((id, evidence), room, (false, false)).map(Part::into_piece)
-        };
-        let all: Vec<Result<PhaseReduction, ReduceError>> =
-            phases.par_iter().map_init(|| this.workspace(), one).collect();
-        all.into_iter().collect()
+        let rows = |evidence: &Evidence| if let Evidence::Rows(rows) = evidence { rows.rows() } else { 0 };
+        let rows = phases.iter().map(|(_, _, evidence)| rows(evidence)).sum();
+        let batches = phases
+            .par_chunks(share(phases.len(), rows))
+            .map_init(|| PhasedBatch::new(self), |batch, phases| batch.pieces(phases))
+            .collect();
+        all_sound(batches)
     }
 
     /// The reductions of designs: information and covariates as in [`PhasedReducer::reduce`], from times, inputs and which

@@ -28,7 +28,7 @@ use crate::reduce::subject::{Fault, Subject};
 use crate::reduce::{Path, Reduction};
 use crate::score::Slots;
 use batch::Known;
-pub(crate) use batch::{Batch, share};
+pub(crate) use batch::{Batch, all_sound, share};
 pub(crate) use filtered::filters;
 pub(crate) use queue::Queue;
 

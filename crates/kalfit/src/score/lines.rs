@@ -1,14 +1,11 @@
 //! Tests with designs of their own that wait for others of the same shape, to be scored side by side.
 
 use crate::ensemble::Test;
-use crate::reduce::{Design, Fault, ReduceError, Workspace, filters, same_shape};
+use crate::reduce::{self, Design, Fault, ReduceError, Waits, Workspace, filters, same_shape};
 use crate::score::backward::{Abreast, BackwardWork, Ending, StepBars, fits};
 use crate::score::chain::{Adjoints, Gradient};
 use crate::score::moments::Moments;
 use crate::score::{Onward, Scorer};
-
-/// Most lines: one for each shape.
-const LINES: usize = 16;
 
 /// A test with the moments of its ξ and what later phases say of its last state.
 #[derive(Debug)]
@@ -30,7 +27,7 @@ struct Waiting<'t> {
 /// Lines of tests whose designs have one shape each.
 #[derive(Debug, Default)]
 pub(crate) struct Lines<'t> {
-    lines: Vec<Vec<Waiting<'t>>>,
+    lines: reduce::Lines<Waiting<'t>>,
     /// Room that was used before.
     spare: Vec<Workspace>,
     bars: StepBars,
@@ -42,9 +39,12 @@ pub(crate) type Answer = (usize, Result<Gradient, ReduceError>);
 /// What one thread works with.
 pub(crate) type Room<'r, 'a> = (&'r mut Workspace, &'r mut BackwardWork, &'r mut Adjoints<'a>);
 
-impl Waiting<'_> {
-    /// Whether two tests go side by side: what goes with the longest of a line goes with all.
-    fn goes_with(&self, other: &Waiting<'_>) -> bool {
+impl Waits for Waiting<'_> {
+    fn length(&self) -> usize {
+        self.work.design.runs.len()
+    }
+
+    fn goes_with(&self, other: &Self) -> bool {
         let (a, b) = (&self.work.design, &other.work.design);
         let together = match (&self.asked.ending, &other.asked.ending) {
             (None, None) => true,
@@ -77,38 +77,23 @@ impl Scorer<'_> {
             lines.spare.push(own.work);
             return;
         }
-        let longest = |line: &Vec<Waiting<'_>>| {
-            line.iter().max_by_key(|own| own.work.design.runs.len()).is_some_and(|longest| longest.goes_with(&own))
-        };
-        let found = lines.lines.iter().position(longest).or_else(|| lines.lines.iter().position(Vec::is_empty));
-        let line = found.unwrap_or_else(|| {
-            lines.lines.push(Vec::new());
-            lines.lines.len() - 1
-        });
-        lines.lines[line].push(own);
-        if lines.lines[line].len() == room.0.block.lanes() {
+        if let Some(line) = lines.lines.push(own) {
             self.answer(line, lines, room, answers);
-        } else if lines.lines.iter().filter(|line| !line.is_empty()).count() > LINES {
-            // the fullest line is the least loss
-            let fullest = (0..lines.lines.len()).max_by_key(|&at| lines.lines[at].len()).expect("there are lines");
-            self.answer(fullest, lines, room, answers);
         }
     }
 
     /// The scores of all that wait.
     pub(crate) fn answer_all(&self, lines: &mut Lines<'_>, room: Room<'_, '_>, answers: &mut Vec<Answer>) {
         let (work, backward, adjoints) = room;
-        for line in 0..lines.lines.len() {
-            if !lines.lines[line].is_empty() {
-                self.answer(line, lines, (work, backward, adjoints), answers);
-            }
+        while let Some(line) = lines.lines.find(|_| true) {
+            self.answer(line, lines, (work, backward, adjoints), answers);
         }
     }
 
     /// The scores of a line, which is empty then.
     fn answer(&self, line: usize, lines: &mut Lines<'_>, room: Room<'_, '_>, answers: &mut Vec<Answer>) {
         let (work, backward, adjoints) = room;
-        let mut waiting = std::mem::take(&mut lines.lines[line]);
+        let mut waiting = lines.lines.take(line);
         let bars = {
             let all: Vec<_> = waiting.iter().map(|own| (&own.work.design, &own.work.data)).collect();
             let longest: &Design = filters(&all, work);

@@ -5,7 +5,7 @@ use crate::reduce::error::ReduceError;
 use crate::reduce::part::Part;
 use crate::reduce::phased::{PhasedReducer, PhasedWork};
 use crate::reduce::reducer::Batch;
-use crate::reduce::{Evidence, PhasedTest, Reduction};
+use crate::reduce::{Evidence, PhaseReduction, PhasedTest, Reduction};
 
 /// Reduces batches of tests in phases.
 #[derive(Debug)]
@@ -31,6 +31,34 @@ impl<'a> PhasedBatch<'a> {
         }
         let parts = tests.iter().zip(parts).map(|(test, parts)| self.reducer.check(test).and(parts)).collect();
         self.reducer.wholes(tests, parts)
+    }
+
+    /// Phases of tests by themselves, in their order: (id of the test, phase, what is known of it).
+    pub(super) fn pieces(&mut self, phases: &[(&str, usize, &Evidence)]) -> Vec<Result<PhaseReduction, ReduceError>> {
+        let mut pieces: Vec<Option<Result<PhaseReduction, ReduceError>>> = Vec::new();
+        pieces.resize_with(phases.len(), || None);
+        let mut lines: Vec<(Vec<usize>, Vec<&Test>)> = self.phases.iter().map(|_| Default::default()).collect();
+        for (number, &(id, at, evidence)) in phases.iter().enumerate() {
+            let phase = &self.reducer.phases[at];
+            match evidence {
+                Evidence::Rows(rows) if phase.is_optimal() => {
+                    lines[at].0.push(number);
+                    lines[at].1.push(rows);
+                }
+                _ => {
+                    let room = (&mut self.work.phases[at], &mut self.work.cells);
+                    pieces[number] = Some(phase.part((id, evidence), room, (false, false)).map(Part::into_piece));
+                }
+            }
+        }
+        for (at, (numbers, rows)) in lines.into_iter().enumerate() {
+            let found = self.phases[at].reduce_to_end(&rows);
+            for ((number, rows), found) in numbers.into_iter().zip(rows).zip(found) {
+                let part = self.reducer.phases[at].joined(rows, found, &mut self.work.cells);
+                pieces[number] = Some(part.map(Part::into_piece));
+            }
+        }
+        pieces.into_iter().map(|piece| piece.expect("every phase was looked at")).collect()
     }
 
     /// The phase with this number of the tests that have it and are sound so far.

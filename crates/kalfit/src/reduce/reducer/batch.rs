@@ -38,6 +38,15 @@ pub(crate) fn share(tests: usize, rows: usize) -> usize {
     (tests / (SHARES * rayon::current_num_threads())).clamp(fewest, MOST)
 }
 
+/// What was found in all batches, in order, or the first error.
+pub(crate) fn all_sound<T>(batches: Vec<Vec<Result<T, ReduceError>>>) -> Result<Vec<T>, ReduceError> {
+    let mut all = Vec::with_capacity(batches.iter().map(Vec::len).sum());
+    for found in batches.into_iter().flatten() {
+        all.push(found?);
+    }
+    Ok(all)
+}
+
 /// A test that others of its design are recognised by, and what they share with it.
 #[derive(Debug)]
 pub(crate) struct Known {
@@ -82,11 +91,11 @@ impl Reducer {
     /// [`Reducer::reduce`], of tests that stand anywhere.
     pub(crate) fn reduce_all(&self, tests: &[&Test]) -> Result<Vec<Reduction>, ReduceError> {
         let rows = tests.iter().map(|test| test.rows()).sum();
-        let batches: Vec<Vec<Result<Reduction, ReduceError>>> = tests
+        let batches = tests
             .par_chunks(share(tests.len(), rows))
             .map_init(|| Batch::new(self), |batch, tests| batch.reduce(tests))
             .collect();
-        batches.into_iter().flatten().collect()
+        all_sound(batches)
     }
 
     /// A fault of a test, with names.
@@ -125,7 +134,7 @@ impl<'a> Batch<'a> {
             groups: Vec::new(),
             latest: 0,
             oldest: 0,
-            queue: Queue::new(),
+            queue: Queue::default(),
             odd: Vec::new(),
             out: Vec::new(),
             endings: Vec::new(),

@@ -1,15 +1,11 @@
-//! Tests with designs of their own that wait for others of the same shape, to be filtered side by side.
-
-use kalfit_lanes::Isa;
+//! Tests that were evaluated and wait to be filtered.
 
 use crate::reduce::data::Data;
 use crate::reduce::design::Design;
 use crate::reduce::instances::Instances;
 use crate::reduce::lanes::same_shape;
+use crate::reduce::lines::{Lines, Waits};
 use crate::reduce::prepare::Workspace;
-
-/// Most lines: one for each shape.
-const LINES: usize = 16;
 
 /// A test that was evaluated.
 #[derive(Debug)]
@@ -22,40 +18,37 @@ pub(crate) struct Own {
     pub(crate) instances: Instances,
 }
 
+impl Waits for Own {
+    fn length(&self) -> usize {
+        self.design.runs.len()
+    }
+
+    fn goes_with(&self, other: &Own) -> bool {
+        same_shape(&self.design, &other.design)
+    }
+}
+
 /// Lines of tests whose designs have one shape each.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Queue {
-    /// How many are filtered side by side.
-    lanes: usize,
-    lines: Vec<Vec<Own>>,
+    lines: Lines<Own>,
     /// Room that was used before.
     spare: Vec<Own>,
 }
 
 impl Queue {
-    pub(crate) fn new() -> Queue {
-        Queue { lanes: Isa::best().lanes(), lines: Vec::new(), spare: Vec::new() }
-    }
-
     /// The line in which a test of this design waits.
     pub(crate) fn line_with(&self, digest: u128) -> Option<usize> {
-        self.lines.iter().position(|line| line.iter().any(|own| own.digest == digest))
+        self.lines.find(|own| own.digest == digest)
     }
 
     /// A line that is not empty.
     pub(crate) fn any(&self) -> Option<usize> {
-        self.lines.iter().position(|line| !line.is_empty())
+        self.lines.find(|_| true)
     }
 
     /// Moves a test from the work space to the end of its line. Returns the number of a line that is to be taken now.
     pub(crate) fn push(&mut self, number: usize, digest: u128, work: &mut Workspace) -> Option<usize> {
-        // what goes with the longest goes with all
-        let fits = |line: &Vec<Own>| longest(line).is_some_and(|own| same_shape(&own.design, &work.design));
-        let found = self.lines.iter().position(fits).or_else(|| self.lines.iter().position(Vec::is_empty));
-        let line = found.unwrap_or_else(|| {
-            self.lines.push(Vec::new());
-            self.lines.len() - 1
-        });
         let mut own = self.spare.pop().unwrap_or_else(|| Own {
             number,
             digest,
@@ -69,27 +62,16 @@ impl Queue {
         std::mem::swap(&mut own.data, &mut work.data);
         std::mem::swap(&mut own.covariates, &mut work.covariates);
         std::mem::swap(&mut own.instances, &mut work.instances);
-        self.lines[line].push(own);
-        if self.lines[line].len() == self.lanes {
-            return Some(line);
-        }
-        // the fullest line is the least loss
-        let fullest = || (0..self.lines.len()).max_by_key(|&at| self.lines[at].len());
-        (self.lines.iter().filter(|line| !line.is_empty()).count() > LINES).then(fullest).flatten()
+        self.lines.push(own)
     }
 
     /// The tests of a line, which is empty then.
     pub(crate) fn take(&mut self, line: usize) -> Vec<Own> {
-        std::mem::take(&mut self.lines[line])
+        self.lines.take(line)
     }
 
     /// Room that is not needed any more.
     pub(crate) fn give_back(&mut self, own: Vec<Own>) {
         self.spare.extend(own);
     }
-}
-
-/// The test whose design is the longest.
-fn longest(tests: &[Own]) -> Option<&Own> {
-    tests.iter().max_by_key(|own| own.design.runs.len())
 }
