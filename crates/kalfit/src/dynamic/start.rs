@@ -170,13 +170,13 @@ impl Scales {
     pub(crate) fn of(bench: &Bench<'_>) -> Scales {
         let noise_of = |at: usize| -> Vec<f64> {
             let columns = bench.model.phases[at].model.measurements.iter().map(|m| m.column);
-            columns.map(|column| differences(&phase_rows(bench.tests, at), column)).collect()
+            columns.map(|column| differences(&phase_rows(bench, at), column)).collect()
         };
         let noise = (0..bench.model.phases.len()).map(noise_of).collect();
         let (mut steps, mut spans) = (Vec::new(), Vec::new());
         for (at, phase) in bench.model.phases.iter().enumerate() {
             let Some(time) = phase.model.clock.time else { continue };
-            for test in phase_rows(bench.tests, at) {
+            for test in phase_rows(bench, at) {
                 let times: Vec<f64> = (0..test.rows().min(ROWS_OF_A_TEST)).map(|row| test.numbers(row)[time]).collect();
                 steps.extend(times.windows(2).map(|pair| pair[1] - pair[0]).filter(|d| *d > 0.0));
                 let last = test.rows().checked_sub(1).map(|row| test.numbers(row)[time]);
@@ -222,9 +222,10 @@ fn states(model: &PhasedModel) -> impl Iterator<Item = &State> {
     model.phases.iter().flat_map(|phase| &phase.model.states)
 }
 
-/// The rows of one phase, of the tests that have them.
-fn phase_rows(tests: &[PhasedTest], at: usize) -> Vec<&Test> {
-    let evidence = tests.iter().filter_map(|test| test.phases.get(at));
+/// The rows of one phase, of the tests that have them, in an order that does not depend on theirs: sums over them begin the search.
+fn phase_rows<'a>(bench: &Bench<'a>, at: usize) -> Vec<&'a Test> {
+    let tests = bench.tests;
+    let evidence = bench.order().iter().filter_map(|&j| tests[j].phases.get(at));
     evidence.filter_map(|evidence| if let Evidence::Rows(rows) = evidence { Some(rows) } else { None }).collect()
 }
 

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use crate::dynamic::bench::Bench;
 use crate::dynamic::joint::Joint;
+use crate::dynamic::start::starts;
 use crate::dynamic::{Method, Settings, fit, infer};
 use crate::ensemble::{Label, Labels, Source, Test};
 use crate::estimate::{Criterion, Silent, Stop};
@@ -320,6 +321,24 @@ fn values_of_single_tests_are_eliminated_exactly() {
         assert!((a / b - 1.0).abs() < 1e-8, "{a} {b}");
     }
     assert!((&a.inner - &b.inner).amax() < 1e-8 * b.inner.amax(), "{} {}", a.inner, b.inner);
+}
+
+#[test]
+fn first_values_do_not_depend_on_the_order_of_the_tests() {
+    let mut model = model(false);
+    model.phases[0].model.parameters.iter_mut().for_each(|parameter| parameter.value = Value::Free { start: None });
+    let (labels, tests) = ensemble(&model, 30, 16);
+    // by thirds, each backwards
+    let shuffled: Vec<PhasedTest> = tests.chunks(10).rev().flat_map(|part| part.iter().rev().cloned()).collect();
+    let settings = settings(Method::Hybrid, Criterion::Ml);
+    let first = |tests: &[PhasedTest]| {
+        let slots = Slots::in_phases(&model, &labels, tests);
+        let starts = starts(&Bench::new(&model, tests, &slots, &settings)).expect("defined");
+        starts.into_iter().next().expect("one at least")
+    };
+    let (one, other) = (first(&tests), first(&shuffled));
+    let bits = |values: &[f64]| values.iter().map(|x| x.to_bits()).collect::<Vec<u64>>();
+    assert_eq!(bits(&one), bits(&other), "{one:?} {other:?}");
 }
 
 #[test]

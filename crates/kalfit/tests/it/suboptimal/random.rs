@@ -45,18 +45,23 @@ struct Whitened {
     basis: DMatrix<f64>,
     /// ½ log |Γ| over an orthonormal basis of its range.
     log_volume: f64,
+    /// Of all rows.
+    lengths: Vec<f64>,
+    /// The least part that is left of a row that says something.
+    least: f64,
 }
 
 impl Whitened {
     /// `None` where what is left of a row may be rounding error or not.
     fn new(root: &DMatrix<f64>) -> Option<Whitened> {
         let (mut rows, mut left, mut basis) = (Vec::new(), root.clone(), DMatrix::zeros(root.ncols(), 0));
+        let mut least = 1.0f64;
         let part = |left: &DMatrix<f64>, i: usize| left.row(i).norm() / root.row(i).norm().max(f64::MIN_POSITIVE);
         while let Some(next) =
             (0..root.nrows()).filter(|i| !rows.contains(i)).max_by(|&i, &j| part(&left, i).total_cmp(&part(&left, j)))
         {
             match part(&left, next) {
-                clear if clear > 1e-6 => {}
+                clear if clear > 1e-6 => least = least.min(clear),
                 nothing if nothing < 1e-12 => break,
                 _ => return None,
             }
@@ -72,11 +77,19 @@ impl Whitened {
         let all = root * &basis;
         let lower = DMatrix::from_fn(rows.len(), rows.len(), |i, k| if k <= i { all[(rows[i], k)] } else { 0.0 });
         let log_volume = all.qr().r().diagonal().iter().map(|x| x.abs().ln()).sum();
-        Some(Whitened { rows, lower, basis, log_volume })
+        let lengths = root.row_iter().map(|row| row.norm()).collect();
+        Some(Whitened { rows, lower, basis, log_volume, lengths, least })
     }
 
     fn rank(&self) -> usize {
         self.rows.len()
+    }
+
+    /// What rounding of a may do to an entry of L⁻¹a, whichever rows are taken: where little noise is left of one, its last digits are
+    /// many deviations.
+    fn rounding(&self, a: &DVector<f64>) -> f64 {
+        let of = |(&length, x): (&f64, &f64)| f64::EPSILON * x.abs() / (self.least * length);
+        self.lengths.iter().zip(a).filter(|row| *row.0 > 0.0).map(of).fold(0.0, f64::max)
     }
 
     /// L⁻¹a.
@@ -140,10 +153,12 @@ fn is_the_density(seed: u64) -> Verdict {
             return Err(TestCaseError::reject("what is certain is not clear"));
         };
         let left = white.of(&column(&(&dense.estimates - mean.rows(n, m))));
+        let rounding = white.rounding(&(dense.estimates.abs() + mean.rows(n, m).abs()));
         let expected =
             -0.5 * (white.rank() as f64 * std::f64::consts::TAU.ln() + left.norm_squared()) - white.log_volume;
         let found = log_likelihood(&reduction, &sigma);
-        prop_assert!((found - expected).abs() < 1e-7 * (1.0 + expected.abs()), "ℓ {} against {}", found, expected);
+        let allowed = 1e-7 * (1.0 + expected.abs()) + rounding * left.norm();
+        prop_assert!((found - expected).abs() < allowed, "ℓ {} against {}", found, expected);
         let cross = root.rows(0, n) * &white.basis;
         let last = column(&mean.rows(0, n).into_owned()) + &cross * left;
         let own = column(&(&terminal.mean + &terminal.sensitivity * &sigma));
@@ -160,8 +175,8 @@ fn is_sufficient(seed: u64) -> Verdict {
     let drawn = draw(seed, Kind::Optimal);
     let ((own, _), raw) = (reduce(&drawn, &run(&drawn)), raw(&drawn));
     let ((y, j), (raw_y, raw_j)) = (information(&own), information(&raw));
-    prop_assert!((&j - &raw_j).amax() <= 1e-9 * (1.0 + raw_j.amax()), "J {} against {}", j, raw_j);
-    prop_assert!((&y - &raw_y).amax() <= 1e-9 * (1.0 + raw_y.amax()), "y {} against {}", y, raw_y);
+    prop_assert!((&j - &raw_j).amax() <= 1e-7 * (1.0 + raw_j.amax()), "J {} against {}", j, raw_j);
+    prop_assert!((&y - &raw_y).amax() <= 1e-7 * (1.0 + raw_y.amax()), "y {} against {}", y, raw_y);
     Ok(())
 }
 
@@ -196,6 +211,7 @@ fn comes_apart(seed: u64) -> Verdict {
     // Bayesian least squares for (x_0, w_T), x_0 without prior, w_T with variance Q_T
     let sensitivity = whole.of(&dense.sensitivities);
     let residual = &dense.estimates - &dense.offsets;
+    let rounding = whole.rounding(&(dense.estimates.abs() + dense.offsets.abs()));
     let (information, y) =
         (sensitivity.transpose() * &sensitivity, sensitivity.transpose() * whole.of(&column(&residual)));
     let start = DVector::from_fn(n, |i, _| drawn.start.0[i] + 0.3 * (i as f64 + 1.0));
@@ -206,7 +222,8 @@ fn comes_apart(seed: u64) -> Verdict {
     let (own_y, own_j) = self::information(&reduction);
     prop_assert!(off(&own_j, &information) < 1e-7, "J {} against {}", own_j, information);
     let own_y = column(&own_y);
-    prop_assert!((&own_y - &y).amax() < 1e-7 * (1.0 + y.amax()), "y {} against {}", own_y, y);
+    let allowed = 1e-7 * (1.0 + y.amax()) + rounding * sensitivity.norm();
+    prop_assert!((&own_y - &y).amax() < allowed, "y {} against {}", own_y, y);
     let last = column(&(&dense.transition * &start + &dense.drift)) + w;
     let own_last = column(&(&terminal.mean + &terminal.sensitivity * &start));
     prop_assert!((&own_last - &last).amax() < 1e-7 * (1.0 + last.amax()), "x_K {} against {}", own_last, last);
@@ -244,10 +261,16 @@ proptest! {
 
 #[test]
 fn deviations_that_vanish_in_a_covariance_are_told_from_rounding_error() {
-    // 1e-8 of the largest and the like: in Γ they are 1e-16 of it
-    for seed in
-        [16_076_063_241_623_089_186, 7_049_267_381_478_920_932, 16_467_961_330_672_856_992, 2_086_736_855_257_546_651]
-    {
+    // 1e-8 of the largest and the like: in Γ they are 1e-16 of it; the last three leave few digits of the estimates
+    for seed in [
+        16_076_063_241_623_089_186,
+        7_049_267_381_478_920_932,
+        16_467_961_330_672_856_992,
+        2_086_736_855_257_546_651,
+        7_228_203_141_195_499_432,
+        4_606_121_045_255_419_652,
+        13_830_479_458_740_797_784,
+    ] {
         for law in [is_the_stacked_filter, is_the_density, knows_no_more, comes_apart] {
             match law(seed) {
                 Ok(()) | Err(TestCaseError::Reject(_)) => {}
