@@ -94,6 +94,7 @@ fn random_reductions(p: usize, tests: usize) -> Vec<Reduction> {
     let reduction = |j: usize| Reduction {
         test: format!("{j:08}"),
         constant: 0.0,
+        residual: None,
         data: (0..p).map(|_| normal()).collect(),
         factor: (0..p)
             .flat_map(|k| (0..=k).map(move |i| (i, k)))

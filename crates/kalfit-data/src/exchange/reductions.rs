@@ -235,6 +235,7 @@ fn reduction(row: Row<'_>, q: usize, covariates: usize, test: &str) -> Result<Re
     Ok(Reduction {
         test: test.to_owned(),
         constant: row.finite("constant")?,
+        residual: None,
         data: data.to_vec(),
         factor: factor.to_vec(),
         covariates: covariates.to_vec(),

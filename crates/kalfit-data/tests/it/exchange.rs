@@ -76,6 +76,7 @@ fn reduction(test: &str, q: usize, salt: usize) -> Reduction {
     Reduction {
         test: test.into(),
         constant: awkward(salt),
+        residual: None,
         data: vector(q, salt).as_slice().to_vec(),
         factor,
         covariates: Vec::new(),

@@ -1,6 +1,7 @@
 //! ℓ(α): the reductions at α, the maximum over (μ, Σ) on them, and its gradient in α. The filters run when α moves, and only
 //! then.
 
+use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -11,9 +12,9 @@ use crate::dynamic::indirect::Indirect;
 use crate::dynamic::matrices::{self, matrix_gradient};
 use crate::dynamic::scale::Scale;
 use crate::dynamic::{Coordinate, DynamicError, Settings};
-use crate::estimate::{self, Criterion, Estimate, InitialLaw, Silent, Structure};
+use crate::estimate::{self, Criterion, Estimate, FitError, InitialLaw, NoiseInformation, Silent, Structure};
 use crate::model::{Alpha, PhasedModel, Population};
-use crate::reduce::{PhasedReducer, PhasedTest, ReduceError, Reduction};
+use crate::reduce::{PhasedReducer, PhasedTest, Reduction};
 use crate::score::{Companies, Gradient, Levels, PhasedComplete, PhasedScorer, Slots, carried};
 
 /// The ensemble and the model, ready for any α.
@@ -46,12 +47,19 @@ pub(crate) struct Solved {
     /// The free values.
     pub(crate) values: Vec<f64>,
     pub(crate) alpha: Alpha,
-    pub(crate) reductions: Vec<Reduction>,
     pub(crate) estimate: Estimate,
-    /// dℓ_j/dvalue of each test.
-    pub(crate) scores: Vec<Gradient>,
     /// dℓ/dcoordinate.
     pub(crate) gradient: Vec<f64>,
+    /// What each test says; `None` where one value scales all noise, and nobody has asked.
+    pub(crate) tests: Option<OfTests>,
+}
+
+/// What each test says at an α.
+#[derive(Debug, Clone)]
+pub(crate) struct OfTests {
+    pub(crate) reductions: Vec<Reduction>,
+    /// dℓ_j/dvalue.
+    pub(crate) scores: Vec<Gradient>,
 }
 
 impl Solved {
@@ -64,11 +72,9 @@ impl Solved {
 #[derive(Debug)]
 pub(crate) struct Shifted {
     pub(crate) values: Vec<f64>,
-    pub(crate) reductions: Vec<Reduction>,
     /// Gradient along the tangent basis of (μ, Σ) of the solved place.
     pub(crate) inner: DVector<f64>,
-    /// dℓ_j/dvalue of each test.
-    pub(crate) scores: Vec<Gradient>,
+    pub(crate) tests: OfTests,
     /// dℓ/dvalue through matrices of the covariance structure.
     pub(crate) matrix: Gradient,
 }
@@ -126,9 +132,9 @@ impl<'a> Bench<'a> {
     }
 
     /// The reductions at α.
-    fn reduce(&self, values: &[f64]) -> Result<Reduced, ReduceError> {
+    fn reduce(&self, values: &[f64]) -> Result<Reduced, DynamicError> {
         if let Some(scale) = &self.scale
-            && let Some(reductions) = scale.reductions(values[0], |value| Ok(self.filter(&[value])?.1))?
+            && let Some(reductions) = scale.reductions(values[0], &|value| Ok(self.filter(&[value])?.1))?
         {
             return Ok(Reduced { reducer: None, reductions });
         }
@@ -137,33 +143,75 @@ impl<'a> Bench<'a> {
     }
 
     /// Runs the filters.
-    fn filter(&self, values: &[f64]) -> Result<(PhasedReducer, Vec<Reduction>), ReduceError> {
+    fn filter(&self, values: &[f64]) -> Result<(PhasedReducer, Vec<Reduction>), DynamicError> {
         // where one value scales all noise, scores are known without a backward pass
         let made = if self.scale.is_some() { PhasedReducer::passing } else { PhasedReducer::scoring };
-        let mut reducer = made(self.model, &self.alpha(values), self.slots)?;
+        let mut reducer = made(self.model, &self.alpha(values), self.slots).map_err(Box::new)?;
         self.filter_passes.fetch_add(1, Ordering::Relaxed);
-        let reductions = reducer.reduce(self.tests)?;
+        let reductions = reducer.reduce(self.tests).map_err(Box::new)?;
         Ok((reducer, reductions))
     }
 
     /// ℓ(α) and its gradient; `near` is a population near the best one.
     pub(crate) fn solve(&self, values: &[f64], near: Option<&Population>) -> Result<Solved, DynamicError> {
         let alpha = self.alpha(values);
-        let reduced = self.reduce(values).map_err(Box::new)?;
+        if let Some((estimate, slope)) = self.scaled(values, &alpha, near)? {
+            let gradient = vec![slope * self.coordinates[0].slope(values[0])];
+            return Ok(Solved { values: values.to_vec(), alpha, estimate, gradient, tests: None });
+        }
+        let reduced = self.reduce(values)?;
         let estimate = self.inner(&reduced.reductions, &alpha, near)?;
+        self.solved(values, alpha, reduced, estimate)
+    }
+
+    /// With the gradient at the best (μ, Σ).
+    fn solved(
+        &self,
+        values: &[f64],
+        alpha: Alpha,
+        reduced: Reduced,
+        estimate: Estimate,
+    ) -> Result<Solved, DynamicError> {
         let scores = self.scores(values, &reduced, &estimate.state.law())?;
         let matrix =
             matrix_gradient(self.model, &alpha, self.slots, &estimate.covariance, &estimate.state.covariance_score());
         let gradient = self.gradient(values, &scores, &matrix);
-        let reductions = reduced.reductions;
-        Ok(Solved { values: values.to_vec(), alpha, reductions, estimate, scores, gradient })
+        let tests = Some(OfTests { reductions: reduced.reductions, scores });
+        Ok(Solved { values: values.to_vec(), alpha, estimate, gradient, tests })
+    }
+
+    /// The best (μ, Σ) and the slope of ℓ where one value scales all noise.
+    fn scaled(
+        &self,
+        values: &[f64],
+        alpha: &Alpha,
+        near: Option<&Population>,
+    ) -> Result<Option<(Estimate, f64)>, DynamicError> {
+        let Some(scale) = &self.scale else { return Ok(None) };
+        let how = (&Structure::of(self.model, alpha), near, &self.settings.inner);
+        let found = scale.fit(values[0], &|value| Ok(self.filter(&[value])?.1), how)?;
+        let found = found.filter(|(_, slope)| slope.is_finite());
+        found.iter().for_each(|(estimate, _)| self.count_passes(estimate));
+        Ok(found)
+    }
+
+    /// What each test says at a solved α.
+    pub(crate) fn of_tests<'s>(&self, home: &'s Solved) -> Result<Cow<'s, OfTests>, DynamicError> {
+        if let Some(tests) = &home.tests {
+            return Ok(Cow::Borrowed(tests));
+        }
+        let reduced = self.reduce(&home.values)?;
+        let scores = self.scores(&home.values, &reduced, &home.estimate.state.law())?;
+        Ok(Cow::Owned(OfTests { reductions: reduced.reductions, scores }))
     }
 
     /// ℓ(α) alone; `None` where it is not defined.
     pub(crate) fn value(&self, values: &[f64]) -> Option<f64> {
         let alpha = self.alpha(values);
-        let reduced = self.reduce(values).ok()?;
-        let estimate = self.inner(&reduced.reductions, &alpha, None).ok()?;
+        let estimate = match self.scaled(values, &alpha, None).ok()? {
+            Some((estimate, _)) => estimate,
+            None => self.inner(&self.reduce(values).ok()?.reductions, &alpha, None).ok()?,
+        };
         Some(estimate.log_likelihood).filter(|value| value.is_finite())
     }
 
@@ -180,8 +228,12 @@ impl<'a> Bench<'a> {
             Some(start) => estimate::fit_from(reductions, &structure, start, settings, &mut Silent)?,
             None => estimate::fit(reductions, &structure, settings, &mut Silent)?,
         };
-        self.passes.fetch_add(estimate.passes, Ordering::Relaxed);
+        self.count_passes(&estimate);
         Ok(estimate)
+    }
+
+    fn count_passes(&self, estimate: &Estimate) {
+        self.passes.fetch_add(estimate.passes, Ordering::Relaxed);
     }
 
     /// ℓ and its gradient in α at other values but the (μ, Σ) of `home`; `None` where it is not defined.
@@ -193,7 +245,8 @@ impl<'a> Bench<'a> {
         let scores = self.scores(values, &reduced, &at.law()).ok()?;
         let matrix = matrix_gradient(self.model, &alpha, self.slots, &at.covariance(), &at.covariance_score());
         let inner = at.gradient(&home.estimate.state);
-        Some(Shifted { values: values.to_vec(), reductions: reduced.reductions, inner, scores, matrix })
+        let tests = OfTests { reductions: reduced.reductions, scores };
+        Some(Shifted { values: values.to_vec(), inner, tests, matrix })
     }
 
     /// ℓ after a step in α and, along the tangent basis of home, in (μ, Σ); `None` where it is not defined.
@@ -202,26 +255,35 @@ impl<'a> Bench<'a> {
         let reduced = self.reduce(values).ok()?;
         self.passes.fetch_add(1, Ordering::Relaxed);
         let state = home.estimate.state.moved(&reduced.reductions, &alpha, inner)?;
-        let estimate = Estimate::unfinished(state);
-        let scores = self.scores(values, &reduced, &estimate.state.law()).ok()?;
-        let sigma = &estimate.covariance;
-        let matrix = matrix_gradient(self.model, &alpha, self.slots, sigma, &estimate.state.covariance_score());
-        let gradient = self.gradient(values, &scores, &matrix);
-        let reductions = reduced.reductions;
-        Some(Solved { values: values.to_vec(), alpha, reductions, estimate, scores, gradient })
+        self.solved(values, alpha, reduced, Estimate::unfinished(state)).ok()
     }
 
     /// What [`Bench::shift`] gives at home.
-    pub(crate) fn at_home(&self, home: &Solved) -> Shifted {
+    pub(crate) fn at_home(&self, home: &Solved) -> Option<Shifted> {
         let state = &home.estimate.state;
         let sigma = &home.estimate.covariance;
-        Shifted {
+        Some(Shifted {
             values: home.values.clone(),
-            reductions: home.reductions.clone(),
             inner: state.place.tangent.gradient.clone(),
-            scores: home.scores.clone(),
+            tests: self.of_tests(home).ok()?.into_owned(),
             matrix: matrix_gradient(self.model, &home.alpha, self.slots, sigma, &state.covariance_score()),
+        })
+    }
+
+    /// The information in the only free value and with (μ, Σ) at a solved α, where that value scales all noise.
+    pub(crate) fn scale_information(&self, home: &Solved) -> Option<NoiseInformation> {
+        self.scale.as_ref()?.information(home, self.coordinates[0])
+    }
+
+    /// The reductions at a solved α, and the estimate on them.
+    pub(crate) fn grounded(&self, home: Solved) -> Result<(Vec<Reduction>, Estimate), DynamicError> {
+        let Solved { values, estimate, tests, .. } = home;
+        if let Some(tests) = tests {
+            return Ok((tests.reductions, estimate));
         }
+        let reductions = self.reduce(&values)?.reductions;
+        let state = estimate.state.grounded(&reductions).map_err(FitError::from)?;
+        Ok((reductions, Estimate { state, ..estimate }))
     }
 
     /// Values that stand in matrices of the covariance structure.
@@ -280,7 +342,7 @@ impl<'a> Bench<'a> {
         let law = home.estimate.state.law();
         let reducer = PhasedReducer::scoring(self.model, &home.alpha, self.slots).map_err(Box::new)?;
         let scorer = PhasedScorer::new(self.model, &reducer, self.slots).map_err(Box::new)?;
-        Ok(scorer.all_complete(self.tests, &home.reductions, &law).map_err(Box::new)?)
+        Ok(scorer.all_complete(self.tests, &self.of_tests(home)?.reductions, &law).map_err(Box::new)?)
     }
 
     /// The expected log-likelihood of the complete data at α and its gradient to the coordinates; `None` where it is not

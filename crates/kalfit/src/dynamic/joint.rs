@@ -1,4 +1,4 @@
-//! Observed information of (α, μ, Σ) together, from differences of exact gradients.
+//! Observed information of (α, μ, Σ) together, from differences of exact gradients; of a value that scales all noise, exact.
 //!
 //! At fixed (μ, Σ) a small change of α gives a column of -∂²ℓ/∂α∂(α, μ, Σ). Values that no test has in common change at the
 //! same time: thousands of levels cost as many runs of the filters as one test has values. Values of single tests are
@@ -8,7 +8,8 @@ use std::collections::BTreeMap;
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::dynamic::bench::{Bench, Shifted, Solved};
+use crate::dynamic::bench::{Bench, OfTests, Shifted, Solved};
+use crate::estimate::NoiseInformation;
 use crate::linalg::symmetric;
 
 /// Up to so many values none is eliminated by itself.
@@ -67,10 +68,14 @@ impl Joint {
     /// The information at a solved α among the values that are `active`. With differences to both sides it is good to
     /// about 1e-7.
     pub(crate) fn new(bench: &Bench<'_>, home: &Solved, active: &[bool], central: bool) -> Joint {
-        let touching = touching(bench, home);
         let n = home.values.len();
         let inner = home.estimate.state.place.tangent.information.clone();
         let list: Vec<usize> = (0..n).filter(|&s| active[s]).collect();
+        let Some(tests) = &home.tests else {
+            let exact = bench.scale_information(home).expect("it was solved where one value scales all noise");
+            return Joint::of_scale(exact, list, inner).without_flat(bench, home);
+        };
+        let touching = touching(bench, tests, n);
         let alone = |s: usize| list.len() > DENSE && touching.tests[s].len() == 1 && !touching.matrix[s];
         let mut by_test: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
         list.iter().filter(|&&s| alone(s)).for_each(|&s| by_test.entry(touching.tests[s][0]).or_default().push(s));
@@ -85,12 +90,18 @@ impl Joint {
         for colour in touching.colours(&joint.active, bench.restricted()) {
             joint.column(bench, home, &colour, &touching, central);
         }
-        joint.drop_flat(bench, home);
-        joint
+        joint.without_flat(bench, home)
+    }
+
+    /// Of a value that scales all noise, which needs no differences.
+    fn of_scale(exact: NoiseInformation, list: Vec<usize>, inner: DMatrix<f64>) -> Joint {
+        let own = list.iter().map(|&s| ((s, s), exact.own)).collect();
+        let cross = DMatrix::from_row_slice(1, inner.nrows(), exact.cross.as_slice());
+        Joint { shared: list.clone(), private: Vec::new(), active: list, own, cross, inner }
     }
 
     /// Logarithms that neither slope nor curve do not move: what differences show of them is rounding.
-    fn drop_flat(&mut self, bench: &Bench<'_>, home: &Solved) {
+    fn without_flat(mut self, bench: &Bench<'_>, home: &Solved) -> Joint {
         let flat = |s: usize| {
             bench.coordinates[s].log && self.entry(s, s).abs() < LEVEL_GROUND && home.gradient[s].abs() < LEVEL_GROUND
         };
@@ -99,6 +110,7 @@ impl Joint {
         self.shared.retain(|&s| kept[s]);
         self.private.iter_mut().for_each(|block| block.retain(|&s| kept[s]));
         self.private.retain(|block| !block.is_empty());
+        self
     }
 
     /// The columns of some values that no test has in common.
@@ -144,7 +156,7 @@ impl Joint {
         {
             let Some(&by) = by else { continue };
             for (side, sign) in sides.iter().zip([-1.0, 1.0]) {
-                for &(s, bar) in &side.scores[j] {
+                for &(s, bar) in &side.tests.scores[j] {
                     add(s, by, sign * bar * slope(side, s) / width[&by]);
                 }
             }
@@ -175,7 +187,8 @@ impl Joint {
         for &s in colour {
             let mut row = DVector::zeros(self.inner.nrows());
             for &j in &touching.tests[s] {
-                row += state.gradient_of(&sides[1].reductions[j]) - state.gradient_of(&sides[0].reductions[j]);
+                row +=
+                    state.gradient_of(&sides[1].tests.reductions[j]) - state.gradient_of(&sides[0].tests.reductions[j]);
             }
             self.cross.set_row(s, &(row / width[&s]).transpose());
         }
@@ -190,6 +203,13 @@ impl Joint {
     #[cfg(test)]
     pub(crate) fn undivided(&self) -> Joint {
         Joint { shared: self.active.clone(), private: Vec::new(), ..self.clone() }
+    }
+
+    /// All of it: the values, then the tangent basis.
+    #[cfg(test)]
+    pub(crate) fn undivided_matrix(&self) -> DMatrix<f64> {
+        let none = DVector::zeros(self.inner.nrows());
+        self.undivided().reduced(&vec![0.0; self.cross.nrows()], &none, 0.0).0
     }
 
     fn entry(&self, s: usize, t: usize) -> f64 {
@@ -335,11 +355,11 @@ fn sides(bench: &Bench<'_>, home: &Solved, colour: &[usize], steps: &[f64], cent
         bench.shift(home, &values)
     };
     let upper = moved(1.0);
-    let lower = if central || upper.is_none() { moved(-1.0) } else { Some(bench.at_home(home)) };
+    let lower = if central || upper.is_none() { moved(-1.0) } else { bench.at_home(home) };
     match (upper, lower) {
         (Some(upper), Some(lower)) => Some([upper, lower]),
-        (Some(upper), None) => Some([upper, bench.at_home(home)]),
-        (None, Some(lower)) => Some([bench.at_home(home), lower]),
+        (Some(upper), None) => Some([upper, bench.at_home(home)?]),
+        (None, Some(lower)) => Some([bench.at_home(home)?, lower]),
         (None, None) => None,
     }
 }
@@ -368,16 +388,15 @@ struct Touching {
     count: usize,
 }
 
-fn touching(bench: &Bench<'_>, home: &Solved) -> Touching {
-    let n = home.values.len();
+fn touching(bench: &Bench<'_>, all: &OfTests, n: usize) -> Touching {
     let mut tests = vec![Vec::new(); n];
-    let of_test: Vec<Vec<usize>> = home.scores.iter().map(|g| g.iter().map(|(s, _)| *s).collect()).collect();
+    let of_test: Vec<Vec<usize>> = all.scores.iter().map(|g| g.iter().map(|(s, _)| *s).collect()).collect();
     for (j, slots) in of_test.iter().enumerate() {
         slots.iter().for_each(|&s| tests[s].push(j));
     }
     let mut matrix = vec![false; n];
     bench.matrix_slots().into_iter().for_each(|s| matrix[s] = true);
-    Touching { tests, of_test, matrix, count: home.scores.len() }
+    Touching { tests, of_test, matrix, count: all.scores.len() }
 }
 
 impl Touching {

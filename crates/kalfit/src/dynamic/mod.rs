@@ -192,11 +192,13 @@ pub fn fit(
     let others = ends.map(|end| OtherEnd { log_likelihood: end.home.value(), values: end.home.values, stop: end.stop });
     let others = others.collect();
     let (filter_passes, score_passes, passes) = (bench.filter_passes(), bench.score_passes(), bench.passes());
+    let (alpha, values) = (best.home.alpha.clone(), best.home.values.clone());
+    let (reductions, estimate) = bench.grounded(best.home)?;
     Ok(DynamicFit {
-        alpha: best.home.alpha,
-        values: best.home.values,
-        reductions: best.home.reductions,
-        estimate: best.home.estimate,
+        alpha,
+        values,
+        reductions,
+        estimate,
         certificate: best.certificate,
         stop: best.stop,
         method: settings.method,

@@ -17,6 +17,7 @@ use crate::estimate::canonical::{ordered, spans};
 use crate::estimate::chained::{Chained, Detail, Kept, Packed, Shape, grouped};
 use crate::estimate::frame::{Frame, Pooled};
 use crate::estimate::lanes::Blocks;
+use crate::estimate::listed::{Listed, Noise, Residual};
 use crate::estimate::pass::{Order, pass};
 use crate::estimate::terms::Point;
 use crate::estimate::together::each_packed;
@@ -50,7 +51,7 @@ pub(crate) struct Class<T = f64> {
 #[derive(Debug, Clone)]
 pub(crate) struct Classes {
     /// In an order that does not depend on the order of the tests.
-    pub(crate) classes: Vec<Class>,
+    pub(crate) classes: Listed,
     /// Those of a single test that are worked on side by side.
     pub(crate) blocks: Blocks,
     /// The same of several tests each.
@@ -150,7 +151,7 @@ impl Classes {
         }
         let (members, marks) = (Vec::new(), Vec::new());
         Classes {
-            classes,
+            classes: Listed::new(classes),
             blocks,
             shared,
             beside,
@@ -178,9 +179,41 @@ impl Classes {
         &self.members
     }
 
-    /// Every test has a class to itself.
+    /// Every test has a class to itself, of those that these are the classes of.
     pub(crate) fn are_single(&self) -> bool {
         self.classes.len() == self.marks.len()
+    }
+
+    /// The same where all noise is λ times as large, from what each class says of it, in coordinates that are √λ times as large.
+    /// They are the classes of no reductions, and of tests in one phase.
+    pub(crate) fn with_noise(&self, variance: f64, told: &Arc<Vec<Residual>>) -> Classes {
+        debug_assert!(self.chains.is_empty(), "between phases noise has links of its own");
+        let noise = Noise { variance, told: told.clone() };
+        let mut changes = [Residual::default(); 2];
+        let mut beside = self.beside.iter().peekable();
+        for (k, class) in self.classes.gathered().iter().enumerate() {
+            if beside.next_if(|&&number| number == k).is_none() {
+                let change = &mut changes[usize::from(class.count > 1.0)];
+                *change = change.and(told[k]);
+            }
+        }
+        let [single, several] = changes.map(|change| change.change(variance));
+        let size = variance.sqrt();
+        let scale = self.frame.scale.iter().map(|s| s * size).collect();
+        Classes {
+            blocks: self.blocks.shrunk(noise.unit(), single),
+            shared: self.shared.shrunk(noise.unit(), several),
+            classes: self.classes.with(noise),
+            beside: self.beside.clone(),
+            chains: Vec::new(),
+            frame: Frame { scale, ..self.frame.clone() },
+            information: self.information.clone(),
+            elements: self.elements.clone(),
+            present: self.present.clone(),
+            members: Vec::new(),
+            marks: Vec::new(),
+            ..*self
+        }
     }
 
     /// Every so-many-th class in their order, in the same η. The pooled information is the share that goes with the tests.
@@ -219,7 +252,7 @@ impl Classes {
             return pass(self, regressors, &self.origin(regressors.len()), Order::Mean, None).mean_information;
         }
         let mut information = DMatrix::zeros(p + regressors.len(), p + regressors.len());
-        for class in &self.classes {
+        for class in self.classes.iter() {
             let column = |m: usize| if m < p { (m, 1.0) } else { (regressors[m - p], class.covariates[m - p]) };
             let rows = DMatrix::from_fn(p, p + regressors.len(), |i, m| {
                 let (k, x) = column(m);

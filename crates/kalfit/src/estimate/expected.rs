@@ -45,6 +45,7 @@ pub(crate) fn at_population(
 ) -> Result<State, ExpectedError> {
     let blank = |r: &Reduction| Reduction {
         constant: 0.0,
+        residual: None,
         data: vec![0.0; r.data.len()],
         chain: r.chain.clone().map(|chain| Box::new(chain.blank())),
         ..r.clone()

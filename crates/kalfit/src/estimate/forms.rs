@@ -168,6 +168,7 @@ mod tests {
         Reduction {
             test: format!("t{number}"),
             constant: 0.0,
+            residual: None,
             data: (0..6).map(|i| wave(number, i)).collect(),
             factor: packed(6, 100 + number),
             covariates: vec![],

@@ -33,7 +33,7 @@ pub(crate) fn marginal(reduction: &Reduction, states: usize) -> Option<Reduction
     let chain = Chain { phases: parts.collect() };
     let (data, factor) = side_by_side(&chain, states);
     let constant = chain.phases.iter().map(|phase| phase.constant).sum();
-    Some(Reduction { constant, data, factor, chain: Some(Box::new(chain)), ..reduction.clone() })
+    Some(Reduction { constant, residual: None, data, factor, chain: Some(Box::new(chain)), ..reduction.clone() })
 }
 
 /// What is known of the σ of a phase apart from the phase before: log density = constant - ½ ‖data - factor σ‖².

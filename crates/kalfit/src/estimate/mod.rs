@@ -34,10 +34,12 @@ mod frame;
 mod lanes;
 mod likelihood;
 mod linear;
+mod listed;
 mod local;
 mod marginal;
 mod mean;
 mod newton;
+mod noise;
 mod pass;
 mod pilot;
 mod problem;
@@ -74,6 +76,7 @@ pub(crate) use expected::{ExpectedError, at_population};
 pub(crate) use forms::forms_in_parts;
 pub(crate) use local::{Local, Objective, Tangent, harmonic, natural_sizes};
 pub(crate) use newton::{Place, retract};
+pub(crate) use noise::{NoiseInformation, Noisy};
 pub(crate) use pass::Order;
 pub(crate) use problem::Problem;
 pub(crate) use start::generic_root;
@@ -245,8 +248,7 @@ pub fn fit(
 ) -> Result<Estimate, FitError> {
     let evidence = evidence(reductions, (structure.phases.len(), structure.dimension()), settings)?;
     let problem = problem(&evidence, structure, settings)?;
-    let start = start::start(&problem, structure)?;
-    search::Search::new(problem, settings, progress).run(start, structure)?.of_all(reductions)
+    ended(problem, structure, None, settings, progress)?.of_all(reductions)
 }
 
 impl From<&Estimate> for Population {
@@ -270,8 +272,23 @@ pub fn fit_from(
 ) -> Result<Estimate, FitError> {
     let evidence = evidence(reductions, (structure.phases.len(), structure.dimension()), settings)?;
     let problem = problem(&evidence, structure, settings)?;
-    let start = start::near(&problem, start)?;
-    search::Search::new(problem, settings, progress).resume(start, structure)?.of_all(reductions)
+    ended(problem, structure, Some(start), settings, progress)?.of_all(reductions)
+}
+
+/// The end of a search, from values near the optimum if there are any.
+fn ended(
+    problem: Problem,
+    structure: &Structure<'_>,
+    near: Option<&Population>,
+    settings: &Settings,
+    progress: &mut dyn Progress,
+) -> Result<Estimate, FitError> {
+    let start = match near {
+        Some(values) => start::near(&problem, values)?,
+        None => start::start(&problem, structure)?,
+    };
+    let search = search::Search::new(problem, settings, progress);
+    if near.is_some() { search.resume(start, structure) } else { search.run(start, structure) }
 }
 
 /// The place where a search would begin, with the expected information there.

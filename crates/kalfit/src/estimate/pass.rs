@@ -160,6 +160,7 @@ impl Terms {
     fn add_to(&self, sums: &mut Sums, class: &Class, wanted: Wanted<'_>) {
         let (p, n) = (self.r.len(), class.count);
         sums.value += self.value(class);
+        sums.quadratic += self.quadratic;
         for a in 0..p {
             sums.mean_score[a] += n * self.r[a];
         }

@@ -148,6 +148,11 @@ impl Problem {
         if self.restriction.is_some() { Criterion::Reml } else { Criterion::Ml }
     }
 
+    /// Directions of the mean that the restricted likelihood has integrated out; none under maximum likelihood.
+    pub(crate) fn informed(&self) -> usize {
+        self.restriction.as_ref().map_or(0, Restriction::rank)
+    }
+
     /// Counts one pass over the classes.
     pub(crate) fn count_pass(&self) {
         self.passes.fetch_add(1, Ordering::Relaxed);

@@ -66,6 +66,11 @@ impl Restriction {
         Restriction { informed, constant }
     }
 
+    /// q, the number of informed directions.
+    pub(crate) fn rank(&self) -> usize {
+        self.informed.ncols()
+    }
+
     /// Whether this C informs every direction that another one does, even if much less.
     pub(crate) fn informs(&self, information: &DMatrix<f64>, whole: &DMatrix<f64>) -> bool {
         let own = |of: &DMatrix<f64>| self.informed.transpose() * of * &self.informed;

@@ -15,6 +15,8 @@ use crate::linalg::symmetric::{pair, pairs};
 pub(crate) struct Sums {
     /// ℓ.
     pub(crate) value: f64,
+    /// Σ (d - Rμ)'(I + RΣR')⁻¹(d - Rμ), of tests in one phase.
+    pub(crate) quadratic: f64,
     /// ∂ℓ/∂(mean coordinates): Σ E'r.
     pub(crate) mean_score: DVector<f64>,
     /// Σ E'WE.
@@ -43,6 +45,7 @@ impl Sums {
         let (m, s) = (p + regressors, elements.count());
         Sums {
             value: 0.0,
+            quadratic: 0.0,
             mean_score: DVector::zeros(m),
             mean_information: DMatrix::zeros(m, m),
             outer: DMatrix::zeros(p, p),
@@ -66,6 +69,7 @@ impl Sums {
 
     pub(super) fn add(mut self, other: &Sums) -> Sums {
         self.value += other.value;
+        self.quadratic += other.quadratic;
         self.mean_score += &other.mean_score;
         self.mean_information += &other.mean_information;
         self.outer += &other.outer;
@@ -80,6 +84,7 @@ impl Sums {
     /// Without what some of the tests say. What was added up of fewer derivatives of them is left as it is.
     pub(super) fn less(mut self, other: &Sums) -> Sums {
         self.value -= other.value;
+        self.quadratic -= other.quadratic;
         self.mean_score -= &other.mean_score;
         self.mean_information -= &other.mean_information;
         self.outer -= &other.outer;
@@ -94,6 +99,7 @@ impl Sums {
     /// Adds what tests say that are worked on side by side, their constants apart.
     pub(super) fn take(&mut self, totals: &Totals) {
         self.value -= 0.5 * (totals.log_det + totals.quadratic);
+        self.quadratic += totals.quadratic;
         self.mean_score.iter_mut().zip(&totals.r).for_each(|(sum, r)| *sum += r);
         for (at, (a, b)) in self.elements.all().enumerate() {
             for (a, b) in if a == b { vec![(a, b)] } else { vec![(a, b), (b, a)] } {
@@ -110,6 +116,7 @@ impl Sums {
     /// The same of classes of several tests, with regressions, and with what the restricted likelihood wants.
     pub(super) fn take_whole(&mut self, totals: &WholeTotals) {
         self.value -= 0.5 * (totals.log_det + totals.quadratic);
+        self.quadratic += totals.quadratic;
         self.mean_score.iter_mut().zip(&totals.score).for_each(|(sum, x)| *sum += x);
         let (m, p) = (self.mean_score.len(), self.outer.nrows());
         for a in 0..m {
@@ -259,7 +266,7 @@ impl Sums {
     pub(super) fn numbers(&self) -> Vec<f64> {
         let matrices = [&self.mean_information, &self.outer, &self.weight, &self.spread];
         let products = [self.curvature.numbers(), self.cross.numbers(), self.expected.numbers()];
-        let plain = std::iter::once(self.value).chain(self.mean_score.iter().copied());
+        let plain = [self.value, self.quadratic].into_iter().chain(self.mean_score.iter().copied());
         plain.chain(matrices.into_iter().flatten().copied()).chain(products.into_iter().flatten()).collect()
     }
 }

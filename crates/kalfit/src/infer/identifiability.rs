@@ -123,7 +123,7 @@ fn mean_information(problem: &Problem) -> DMatrix<f64> {
     if !problem.covariance.elements.is_single() {
         return problem.classes.mean_information(regressors);
     }
-    for class in &problem.classes.classes {
+    for class in problem.classes.classes.iter() {
         let factor = DMatrix::from_row_slice(p, p, &class.factor);
         let own = factor.transpose() * &factor * class.count;
         for (c, &i) in regressors.iter().enumerate() {

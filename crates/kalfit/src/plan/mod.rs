@@ -87,6 +87,7 @@ pub struct Plan {
 /// // one test measures a level with variance 1: log p(z | ξ) = c - ½ (d - ξ)²
 /// let test = Reduction {
 ///     test: "design".into(), constant: 0.0, data: vec![0.0], factor: vec![1.0], covariates: vec![],
+///     residual: None,
 ///     steps: 1, observations: 1, path: Path::Information, design: 0,
 ///     chain: None,
 /// };

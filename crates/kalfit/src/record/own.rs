@@ -71,6 +71,7 @@ mod tests {
         Reduction {
             test: "t".to_owned(),
             constant: 0.0,
+            residual: None,
             data: data.to_vec(),
             factor: factor.to_vec(),
             covariates: vec![],

@@ -50,6 +50,8 @@ pub(crate) struct DataWork<R = f64> {
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Outcome {
     pub(crate) constant: f64,
+    /// The sum of squares that is left.
+    pub(crate) residual: f64,
     /// d, p numbers.
     pub(crate) data: Vec<f64>,
 }
@@ -142,7 +144,7 @@ pub(crate) fn outcome(design: &Design, gains: &Gains, data: &Data, work: &mut Da
             folded(design, gains, turns, work)
         }
     };
-    Ok(Outcome { constant: log_density - 0.5 * residual, data })
+    Ok(Outcome { constant: log_density - 0.5 * residual, residual, data })
 }
 
 /// The data pass of a test with measurements that say nothing: each must be what it must be.

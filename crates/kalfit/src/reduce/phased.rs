@@ -185,6 +185,7 @@ impl PhasedReducer {
         self.each(tests, &|test, work| {
             let mut reduction = self.whole(test, self.parts(test, work, true))?;
             reduction.constant = 0.0;
+            reduction.residual = None;
             reduction.data.fill(0.0);
             reduction.chain = None;
             Ok(reduction)

@@ -167,6 +167,7 @@ impl Plain {
         let reduction = Reduction {
             test: self.id.clone(),
             constant: outcome.constant,
+            residual: Some(outcome.residual),
             data: outcome.data,
             factor,
             covariates: Vec::new(),

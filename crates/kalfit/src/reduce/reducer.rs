@@ -199,6 +199,7 @@ impl Reducer {
         let reduction = Reduction {
             test: test.id.clone(),
             constant: 0.0,
+            residual: None,
             data: vec![0.0; work.design.frame.p],
             factor: gains.factor.clone(),
             covariates: work.covariates.clone(),
@@ -316,6 +317,7 @@ impl Reducer {
         Reduction {
             test: test.id.clone(),
             constant: outcome.constant,
+            residual: Some(outcome.residual),
             data: outcome.data,
             factor,
             covariates: about.covariates,

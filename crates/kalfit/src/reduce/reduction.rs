@@ -12,6 +12,9 @@ pub struct Reduction {
     pub test: String,
     /// c' = c + ½ d'd: the log-likelihood at the best ξ of this test.
     pub constant: f64,
+    /// The sum of squares that is left at that ξ, each measurement in units of its innovation's variance: 2 × what of the constant
+    /// the data make. `None` where nothing but the constant is known.
+    pub residual: Option<f64>,
     /// d, p numbers.
     pub data: Vec<f64>,
     /// R, upper triangular p × p, stored by columns without the zeros: R_ik at i + k(k+1)/2, i ≤ k. Its diagonal is not negative.

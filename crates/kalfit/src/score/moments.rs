@@ -128,6 +128,7 @@ mod tests {
         Reduction {
             test: "a".to_owned(),
             constant: 0.0,
+            residual: None,
             data: data.to_vec(),
             factor: factor.to_vec(),
             covariates: Vec::new(),

@@ -33,6 +33,7 @@ fn ensemble(tests: usize, root: &DMatrix<f64>, covariates: usize, seed: u64) -> 
             Reduction {
                 test: format!("t{j:03}"),
                 constant: 0.0,
+                residual: None,
                 data: d.as_slice().to_vec(),
                 factor: (0..p).flat_map(|k| (0..=k).map(move |i| (i, k))).map(|(i, k)| r[(i, k)]).collect(),
                 covariates: x,

@@ -43,6 +43,7 @@ fn reduce(id: &str, design: &DMatrix<f64>, noise: &DMatrix<f64>, z: &DVector<f64
     Reduction {
         test: id.to_owned(),
         constant: -0.5 * (z.len() as f64 * (2.0 * std::f64::consts::PI).ln() + log_det + left),
+        residual: None,
         data: (0..p).map(|i| sign(i) * r[(i, p)]).collect(),
         factor: (0..p).flat_map(|k| (0..=k).map(move |i| (i, k))).map(|(i, k)| sign(i) * r[(i, k)]).collect(),
         covariates: Vec::new(),

@@ -17,6 +17,7 @@ fn reduction(id: usize, r: &DMatrix<f64>, d: &DVector<f64>, covariates: &[f64]) 
     Reduction {
         test: format!("t{id:04}"),
         constant: 0.0,
+        residual: None,
         data: d.as_slice().to_vec(),
         factor: (0..p).flat_map(|k| (0..=k).map(move |i| (i, k))).map(|(i, k)| r[(i, k)]).collect(),
         covariates: covariates.to_vec(),

@@ -254,6 +254,7 @@ mod tests {
         let reduction = Reduction {
             test: "a".to_owned(),
             constant: 0.0,
+            residual: None,
             data: Vec::new(),
             factor: Vec::new(),
             covariates: Vec::new(),

@@ -111,6 +111,16 @@ impl Blocks {
         self.constant += class.constant;
     }
 
+    /// The same with other noise: d and what classes scatter so many times as large, and this much more of Σ constant.
+    pub(crate) fn shrunk(&self, unit: f64, change: f64) -> Blocks {
+        let (lanes, layout) = (self.isa.lanes(), self.layout);
+        let data = pairs(layout.p) * lanes..layout.covariates() * lanes;
+        let mut numbers = self.numbers.clone();
+        let shrink = |block: &mut [f64]| block[data.clone()].iter_mut().for_each(|x| *x *= unit);
+        numbers.par_chunks_mut((layout.size() * lanes).max(1)).with_min_len(TASKS).for_each(shrink);
+        Blocks { numbers, constant: self.constant + change, ..*self }
+    }
+
     /// What it is worked on with.
     pub(crate) fn isa(&self) -> Isa {
         self.isa

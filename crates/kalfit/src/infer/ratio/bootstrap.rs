@@ -173,6 +173,6 @@ impl<'a> Draw<'a> {
         let noise = normal(p);
         let told = |i: usize| (i..p).any(|k| factor[(i, k)] != 0.0);
         let data = &factor * xi + DVector::from_fn(p, |i, _| if told(i) { noise[i] } else { 0.0 });
-        Reduction { data: data.as_slice().to_vec(), constant: 0.0, ..like.clone() }
+        Reduction { data: data.as_slice().to_vec(), constant: 0.0, residual: None, ..like.clone() }
     }
 }

@@ -110,6 +110,7 @@ impl Block {
         let log_density = -0.5 * (active as f64 * std::f64::consts::TAU.ln() + log_determinant);
         Outcome {
             constant: log_density - 0.5 * room.residual[lane],
+            residual: room.residual[lane],
             data: from.iter().skip(lane).step_by(self.isa.lanes()).copied().collect(),
         }
     }

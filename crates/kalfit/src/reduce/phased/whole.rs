@@ -130,6 +130,7 @@ impl PhasedReducer {
         let mut reduction = Reduction {
             test: test.id.clone(),
             constant,
+            residual: None,
             data,
             factor,
             covariates: parts.iter().flat_map(|part| part.reduction.covariates.iter().copied()).collect(),

@@ -122,6 +122,7 @@ impl EstimateReducer {
         let reduction = Reduction {
             test: id.to_owned(),
             constant,
+            residual: None,
             data,
             factor,
             covariates,

@@ -80,6 +80,7 @@ fn reduction_of(design: Design, data: Data) -> (Design, Data, Gains, Reduction) 
     let reduction = Reduction {
         test: String::new(),
         constant: found.constant,
+        residual: None,
         data: found.data,
         factor: gains.factor.clone(),
         covariates: Vec::new(),
@@ -464,6 +465,7 @@ fn totals(cut: Cut, unfrozen: bool, wanted: Wanted, takes_sums: bool) -> Totals 
     let reduction = Reduction {
         test: String::new(),
         constant: found.constant,
+        residual: None,
         data: found.data,
         factor: gains.factor.clone(),
         covariates: Vec::new(),

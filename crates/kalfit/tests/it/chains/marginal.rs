@@ -118,6 +118,7 @@ fn reduction(test: &str, x: &DVector<f64>, p: &DMatrix<f64>) -> Reduction {
     Reduction {
         test: test.to_owned(),
         constant: 0.0,
+        residual: None,
         data: data.as_slice().to_vec(),
         factor: vec![upper[(0, 0)], upper[(0, 1)], upper[(1, 1)]],
         covariates: Vec::new(),

@@ -264,6 +264,7 @@ pub(crate) fn stacked(chain: &Chain, own: &[usize]) -> Reduction {
     Reduction {
         test: String::new(),
         constant: joint.constant - 0.5 * (log_det + upper[(p, p)].powi(2)),
+        residual: None,
         data: (0..p).map(|i| upper[(i, p)]).collect(),
         factor: (0..p).flat_map(|k| (0..=k).map(move |i| (i, k))).map(|at| upper[at]).collect(),
         covariates: Vec::new(),

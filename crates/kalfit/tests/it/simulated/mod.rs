@@ -58,6 +58,7 @@ pub(crate) fn ensemble(recipe: Recipe, seed: u64) -> Vec<Reduction> {
             Reduction {
                 test: format!("t{j:05}"),
                 constant: normal(&mut rng),
+                residual: None,
                 data: (0..p).map(|i| sign(i) * d[i]).collect(),
                 factor: (0..p).flat_map(|k| (0..=k).map(move |i| (i, k))).map(|(i, k)| sign(i) * r[(i, k)]).collect(),
                 covariates: x,
