@@ -113,3 +113,99 @@ impl State {
         Ok(State { problem: Arc::new(problem), ..self })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimate::{Criterion, Order};
+    use crate::model::{Alpha, CovarianceStructure, MeanStructure, Regression};
+    use crate::reduce::Path;
+
+    fn wave(j: usize, at: usize) -> f64 {
+        ((7 * j + 3 * at) as f64).sin()
+    }
+
+    /// Each third test has a design of its own, two of three share theirs, and two want square roots.
+    fn test(j: usize) -> Reduction {
+        let design = if j.is_multiple_of(3) { j } else { 1 + j / 15 };
+        let factor = vec![2.0 + wave(design, 1), wave(design, 2), 1.5 + 0.5 * wave(design, 3)];
+        let [a, b] = [1.0 + 0.8 * wave(j, 4), 0.6 * wave(j, 5) - 0.4];
+        let residual = 8.0 * (1.0 + 0.3 * wave(j, 6));
+        Reduction {
+            test: format!("t{j:02}"),
+            constant: wave(j, 7) - 0.5 * residual,
+            residual: Some(residual),
+            data: vec![factor[0] * a + factor[1] * b + 0.5 * wave(j, 8), factor[2] * b + 0.5 * wave(j, 9)],
+            factor,
+            covariates: vec![wave(design, 10)],
+            steps: 10,
+            observations: 10,
+            path: if j == 4 || j == 9 { Path::SquareRoot } else { Path::Information },
+            design: design as u128,
+            chain: None,
+        }
+    }
+
+    /// The reductions where all noise is λ times as large.
+    fn noisier(test: &Reduction, variance: f64) -> Reduction {
+        let residual = test.residual.expect("it is known");
+        let shrunk = |numbers: &[f64]| numbers.iter().map(|x| x / variance.sqrt()).collect();
+        Reduction {
+            constant: test.constant
+                - 0.5 * (test.observations as f64 * variance.ln() + residual * (variance.recip() - 1.0)),
+            data: shrunk(&test.data),
+            factor: shrunk(&test.factor),
+            ..test.clone()
+        }
+    }
+
+    #[test]
+    fn fits_at_other_noise_are_those_of_the_reductions_there() {
+        let reductions: Vec<Reduction> = (0..40).map(test).collect();
+        let residuals: Vec<f64> = reductions.iter().map(|test| test.residual.expect("it is known")).collect();
+        let regression = vec![Regression { element: 0, column: 0 }];
+        let covariance = CovarianceStructure::full();
+        let alpha = Alpha { values: Vec::new() };
+        for mean in [MeanStructure::free(2), MeanStructure { regression, ..MeanStructure::free(2) }] {
+            let structure = Structure::single(&mean, &covariance, &alpha);
+            let reductions: Vec<Reduction> = reductions
+                .iter()
+                .map(|test| Reduction { covariates: test.covariates[..mean.regression.len()].to_vec(), ..test.clone() })
+                .collect();
+            for criterion in [Criterion::Ml, Criterion::Reml] {
+                let settings = Settings { criterion, ..Settings::default() };
+                let noisy = Noisy::new(&reductions, &residuals, &structure, &settings).expect("sound");
+                assert!(!noisy.classes.beside.is_empty() && noisy.classes.classes.len() < 40, "of all kinds");
+                let direct = |variance: f64, near: Option<&Population>| {
+                    let there: Vec<Reduction> = reductions.iter().map(|test| noisier(test, variance)).collect();
+                    let problem = problem(&there, &structure, &settings).expect("sound");
+                    ended(problem, &structure, near, &settings, &mut Silent).expect("a fit")
+                };
+                for variance in [0.3, 1.0, 5.0] {
+                    let found = noisy.fit(variance, &structure, None, &settings).expect("a fit");
+                    let expected = direct(variance, None);
+                    let near = |a: f64, b: f64| (a - b).abs() < 1e-9 * (1.0 + b.abs());
+                    let about =
+                        format!("{criterion:?} {variance}: {} {}", found.log_likelihood, expected.log_likelihood);
+                    assert!(near(found.log_likelihood, expected.log_likelihood), "{about}");
+                    let off = (&found.covariance - &expected.covariance).amax();
+                    assert!(
+                        off <= 1e-6 * expected.covariance.amax(),
+                        "{about}: {} {}",
+                        found.covariance,
+                        expected.covariance
+                    );
+                    let h: f64 = 1e-4;
+                    let at = |u: f64| direct(variance * u.exp(), Some(&Population::from(&expected))).log_likelihood;
+                    let by_differences = (at(h) - at(-h)) / (2.0 * h);
+                    let slope = noisy.slope(variance, &found.state);
+                    assert!((slope - by_differences).abs() < 1e-5 * (1.0 + slope.abs()), "{slope} {by_differences}");
+                    let all: Vec<Reduction> = reductions.iter().map(|test| noisier(test, variance)).collect();
+                    let grounded = found.state.clone().grounded(&all).expect("sound");
+                    let again = grounded.problem.sums(&grounded.place.point, Order::First, None).expect("defined");
+                    assert!(near(again.value, found.log_likelihood), "{} {}", again.value, found.log_likelihood);
+                }
+            }
+        }
+    }
+}
