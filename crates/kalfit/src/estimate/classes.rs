@@ -218,7 +218,7 @@ impl Classes {
 
     /// Every so-many-th class in their order, in the same η. The pooled information is the share that goes with the tests.
     pub(crate) fn thinned(&self, every: usize) -> Classes {
-        let mut classes: Vec<Class> = self.classes.iter().skip(every / 2).step_by(every).cloned().collect();
+        let mut classes = self.classes.thinned(every);
         let chains = repacked(&mut classes);
         let tests = classes.iter().map(|class| class.count).sum::<f64>();
         let share = tests / self.tests as f64;
@@ -273,19 +273,10 @@ impl Classes {
     /// Σ (JΣJ)_ii, and J_ii of one of them.
     pub(crate) fn excesses(&self, mean: &DVector<f64>) -> Vec<(f64, Vec<(f64, f64)>)> {
         let p = mean.len();
-        let alone = |class: &Class| {
-            let factor = DMatrix::from_row_slice(p, p, &class.factor);
-            let residual = factor.transpose() * (DVector::from_column_slice(&class.mean) - &factor * mean);
-            let scatter = DMatrix::from_row_slice(class.scatter.len() / p.max(1), p, &class.scatter) * &factor;
-            let one = |i: usize| {
-                let spread = scatter.column(i).norm_squared();
-                let own = factor.column(i).norm_squared();
-                (class.count * (residual[i] * residual[i] - own) + spread, own)
-            };
-            (class.count, (0..p).map(one).collect())
-        };
-        if self.chains.is_empty() && self.classes.iter().all(|class| class.chain.is_none()) {
-            return self.classes.iter().map(alone).collect();
+        let gathered = self.classes.gathered();
+        if self.chains.is_empty() && gathered.iter().all(|class| class.chain.is_none()) {
+            let unit = self.classes.unit();
+            return gathered.iter().map(|class| (class.count, class.excess(mean.as_slice(), unit))).collect();
         }
         let classes: Vec<&Class> = self.classes.iter().collect();
         let point = Point { mean: mean.as_slice().to_vec(), ..self.origin(0) };
@@ -301,6 +292,24 @@ impl Classes {
     /// p.
     pub(crate) fn dimension(&self) -> usize {
         self.frame.scale.len()
+    }
+}
+
+impl Class {
+    /// For each element i, Σ (y - Jμ)_i² - J_ii over the tests and J_ii of one of them, where d is so many times as large.
+    fn excess(&self, mean: &[f64], unit: f64) -> Vec<(f64, f64)> {
+        let p = mean.len();
+        let rows = || self.factor.chunks_exact(p.max(1));
+        let dot = |row: &[f64], x: &[f64]| row.iter().zip(x).map(|(r, x)| r * x).sum::<f64>();
+        let left: Vec<f64> = rows().zip(&self.mean).map(|(row, d)| d * unit - dot(row, mean)).collect();
+        // R'x at i
+        let at = |i: usize, x: &[f64]| rows().zip(x).map(|(row, x)| row[i] * x).sum::<f64>();
+        let one = |i: usize| {
+            let spread: f64 = self.scatter.chunks_exact(p).map(|x| (unit * at(i, x)).powi(2)).sum();
+            let own = rows().map(|row| row[i] * row[i]).sum::<f64>();
+            (self.count * (at(i, &left).powi(2) - own) + spread, own)
+        };
+        (0..p).map(one).collect()
     }
 }
 

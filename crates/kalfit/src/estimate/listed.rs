@@ -77,6 +77,21 @@ impl Listed {
         &self.gathered
     }
 
+    /// What d is now multiplied by.
+    pub(crate) fn unit(&self) -> f64 {
+        self.noise.as_ref().map_or(1.0, Noise::unit)
+    }
+
+    /// Every so-many-th of them.
+    pub(crate) fn thinned(&self, every: usize) -> Vec<Class> {
+        let numbers = (0..self.len()).skip(every / 2).step_by(every);
+        let one = |k: usize| match &self.noise {
+            Some(noise) => noise.of(&self.gathered[k], noise.told[k]),
+            None => self.gathered[k].clone(),
+        };
+        numbers.map(one).collect()
+    }
+
     /// How many they are.
     pub(crate) fn len(&self) -> usize {
         self.gathered.len()
