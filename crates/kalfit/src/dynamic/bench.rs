@@ -10,7 +10,7 @@ use nalgebra::DVector;
 
 use crate::dynamic::indirect::Indirect;
 use crate::dynamic::matrices::{self, matrix_gradient};
-use crate::dynamic::scale::Scale;
+use crate::dynamic::scale::{self, AtScale, Scale};
 use crate::dynamic::{Coordinate, DynamicError, Settings};
 use crate::estimate::{self, Criterion, Estimate, FitError, InitialLaw, NoiseInformation, Silent, Structure};
 use crate::model::{Alpha, PhasedModel, Population};
@@ -50,8 +50,17 @@ pub(crate) struct Solved {
     pub(crate) estimate: Estimate,
     /// dℓ/dcoordinate.
     pub(crate) gradient: Vec<f64>,
-    /// What each test says; `None` where one value scales all noise, and nobody has asked.
-    pub(crate) tests: Option<OfTests>,
+    pub(crate) told: Told,
+}
+
+/// What second derivatives are made of.
+#[derive(Debug, Clone)]
+pub(crate) enum Told {
+    /// What each test says.
+    Tests(OfTests),
+    /// The information in the only value, which scales all noise, and with (μ, Σ) along the tangent basis. What each test says is
+    /// worked out when it is asked for.
+    Scale(NoiseInformation),
 }
 
 /// What each test says at an α.
@@ -155,9 +164,9 @@ impl<'a> Bench<'a> {
     /// ℓ(α) and its gradient; `near` is a population near the best one.
     pub(crate) fn solve(&self, values: &[f64], near: Option<&Population>) -> Result<Solved, DynamicError> {
         let alpha = self.alpha(values);
-        if let Some((estimate, slope)) = self.scaled(values, &alpha, near)? {
-            let gradient = vec![slope * self.coordinates[0].slope(values[0])];
-            return Ok(Solved { values: values.to_vec(), alpha, estimate, gradient, tests: None });
+        if let Some(AtScale { estimate, gradient, information }) = self.scaled(values, &alpha, near, scale::EXACT)? {
+            let (gradient, told) = (vec![gradient], Told::Scale(information));
+            return Ok(Solved { values: values.to_vec(), alpha, estimate, gradient, told });
         }
         let reduced = self.reduce(values)?;
         let estimate = self.inner(&reduced.reductions, &alpha, near)?;
@@ -176,28 +185,38 @@ impl<'a> Bench<'a> {
         let matrix =
             matrix_gradient(self.model, &alpha, self.slots, &estimate.covariance, &estimate.state.covariance_score());
         let gradient = self.gradient(values, &scores, &matrix);
-        let tests = Some(OfTests { reductions: reduced.reductions, scores });
-        Ok(Solved { values: values.to_vec(), alpha, estimate, gradient, tests })
+        let told = Told::Tests(OfTests { reductions: reduced.reductions, scores });
+        Ok(Solved { values: values.to_vec(), alpha, estimate, gradient, told })
     }
 
-    /// The best (μ, Σ) and the slope of ℓ where one value scales all noise.
+    /// The same where one value scales all noise.
     fn scaled(
         &self,
         values: &[f64],
         alpha: &Alpha,
         near: Option<&Population>,
-    ) -> Result<Option<(Estimate, f64)>, DynamicError> {
+        far: f64,
+    ) -> Result<Option<AtScale>, DynamicError> {
         let Some(scale) = &self.scale else { return Ok(None) };
         let how = (&Structure::of(self.model, alpha), near, &self.settings.inner);
-        let found = scale.fit(values[0], &|value| Ok(self.filter(&[value])?.1), how)?;
-        let found = found.filter(|(_, slope)| slope.is_finite());
-        found.iter().for_each(|(estimate, _)| self.count_passes(estimate));
+        let run = |value| Ok(self.filter(&[value])?.1);
+        let found = scale.fit((values[0], self.coordinates[0]), (far, &run), how)?;
+        let found = found.filter(|at| at.gradient.is_finite());
+        found.iter().for_each(|at| self.count_passes(&at.estimate));
         Ok(found)
+    }
+
+    /// The reductions at a solved α.
+    fn reductions_at<'s>(&self, home: &'s Solved) -> Result<Cow<'s, [Reduction]>, DynamicError> {
+        match &home.told {
+            Told::Tests(tests) => Ok(Cow::Borrowed(&tests.reductions)),
+            Told::Scale(_) => Ok(Cow::Owned(self.reduce(&home.values)?.reductions)),
+        }
     }
 
     /// What each test says at a solved α.
     pub(crate) fn of_tests<'s>(&self, home: &'s Solved) -> Result<Cow<'s, OfTests>, DynamicError> {
-        if let Some(tests) = &home.tests {
+        if let Told::Tests(tests) = &home.told {
             return Ok(Cow::Borrowed(tests));
         }
         let reduced = self.reduce(&home.values)?;
@@ -208,8 +227,8 @@ impl<'a> Bench<'a> {
     /// ℓ(α) alone; `None` where it is not defined.
     pub(crate) fn value(&self, values: &[f64]) -> Option<f64> {
         let alpha = self.alpha(values);
-        let estimate = match self.scaled(values, &alpha, None).ok()? {
-            Some((estimate, _)) => estimate,
+        let estimate = match self.scaled(values, &alpha, None, scale::ROUGH).ok()? {
+            Some(at) => at.estimate,
             None => self.inner(&self.reduce(values).ok()?.reductions, &alpha, None).ok()?,
         };
         Some(estimate.log_likelihood).filter(|value| value.is_finite())
@@ -270,15 +289,10 @@ impl<'a> Bench<'a> {
         })
     }
 
-    /// The information in the only free value and with (μ, Σ) at a solved α, where that value scales all noise.
-    pub(crate) fn scale_information(&self, home: &Solved) -> Option<NoiseInformation> {
-        self.scale.as_ref()?.information(home, self.coordinates[0])
-    }
-
     /// The reductions at a solved α, and the estimate on them.
     pub(crate) fn grounded(&self, home: Solved) -> Result<(Vec<Reduction>, Estimate), DynamicError> {
-        let Solved { values, estimate, tests, .. } = home;
-        if let Some(tests) = tests {
+        let Solved { values, estimate, told, .. } = home;
+        if let Told::Tests(tests) = told {
             return Ok((tests.reductions, estimate));
         }
         let reductions = self.reduce(&values)?.reductions;
@@ -342,7 +356,7 @@ impl<'a> Bench<'a> {
         let law = home.estimate.state.law();
         let reducer = PhasedReducer::scoring(self.model, &home.alpha, self.slots).map_err(Box::new)?;
         let scorer = PhasedScorer::new(self.model, &reducer, self.slots).map_err(Box::new)?;
-        Ok(scorer.all_complete(self.tests, &self.of_tests(home)?.reductions, &law).map_err(Box::new)?)
+        Ok(scorer.all_complete(self.tests, &self.reductions_at(home)?, &law).map_err(Box::new)?)
     }
 
     /// The expected log-likelihood of the complete data at α and its gradient to the coordinates; `None` where it is not

@@ -8,8 +8,8 @@ use std::collections::BTreeMap;
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::dynamic::bench::{Bench, OfTests, Shifted, Solved};
-use crate::estimate::NoiseInformation;
+use crate::dynamic::bench::{Bench, OfTests, Shifted, Solved, Told};
+use crate::estimate::{NOTHING, NoiseInformation, Tangent};
 use crate::linalg::symmetric;
 
 /// Up to so many values none is eliminated by itself.
@@ -69,11 +69,11 @@ impl Joint {
     /// about 1e-7.
     pub(crate) fn new(bench: &Bench<'_>, home: &Solved, active: &[bool], central: bool) -> Joint {
         let n = home.values.len();
-        let inner = home.estimate.state.place.tangent.information.clone();
+        let inner = informed(&home.estimate.state.place.tangent);
         let list: Vec<usize> = (0..n).filter(|&s| active[s]).collect();
-        let Some(tests) = &home.tests else {
-            let exact = bench.scale_information(home).expect("it was solved where one value scales all noise");
-            return Joint::of_scale(exact, list, inner).without_flat(bench, home);
+        let tests = match &home.told {
+            Told::Tests(tests) => tests,
+            Told::Scale(exact) => return Joint::of_scale(exact, list, inner).without_flat(bench, home),
         };
         let touching = touching(bench, tests, n);
         let alone = |s: usize| list.len() > DENSE && touching.tests[s].len() == 1 && !touching.matrix[s];
@@ -94,7 +94,7 @@ impl Joint {
     }
 
     /// Of a value that scales all noise, which needs no differences.
-    fn of_scale(exact: NoiseInformation, list: Vec<usize>, inner: DMatrix<f64>) -> Joint {
+    fn of_scale(exact: &NoiseInformation, list: Vec<usize>, inner: DMatrix<f64>) -> Joint {
         let own = list.iter().map(|&s| ((s, s), exact.own)).collect();
         let cross = DMatrix::from_row_slice(1, inner.nrows(), exact.cross.as_slice());
         Joint { shared: list.clone(), private: Vec::new(), active: list, own, cross, inner }
@@ -345,6 +345,16 @@ fn scaled_eigen(matrix: &DMatrix<f64>) -> (Vec<f64>, Vec<f64>, DMatrix<f64>) {
     let scaled = DMatrix::from_fn(n, n, |i, k| scale[i] * 0.5 * (matrix[(i, k)] + matrix[(k, i)]) * scale[k]);
     let (values, vectors) = symmetric::eigen(&scaled);
     (scale, values, vectors)
+}
+
+/// The information along the tangent basis, without what rounding leaves of it where the tests say nothing.
+fn informed(tangent: &Tangent) -> DMatrix<f64> {
+    let own = |i: usize| tangent.information[(i, i)].abs() * tangent.sizes[i].powi(2);
+    let n = tangent.sizes.len();
+    let largest = (0..n).map(own).fold(0.0, f64::max);
+    let is_known: Vec<bool> = (0..n).map(|i| own(i) > NOTHING * largest).collect();
+    let entry = |i: usize, k: usize| if is_known[i] && is_known[k] { tangent.information[(i, k)] } else { 0.0 };
+    DMatrix::from_fn(n, n, entry)
 }
 
 /// ℓ on both sides of home, with the values of a colour moved; the lower side is home itself for differences to one side.

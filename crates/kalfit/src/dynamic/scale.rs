@@ -8,26 +8,32 @@
 //! ∂ℓ_j/∂log λ = ½ (r/λ + E‖d(θ) - R(θ)ξ‖² - n)      given z_j, under the law of ξ
 //! ```
 //!
-//! so that θ moves, and its score is known, without the filters: they run at one value of θ. Nor are reductions needed
+//! so that θ moves, and its score is known, without the filters: they run at one value of θ, and again far from it. Nor are reductions needed
 //! where (μ, Σ) is sought: the classes gathered once serve for every θ ([`Noisy`]).
 
-use std::sync::OnceLock;
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use rayon::prelude::*;
 
-use crate::dynamic::bench::Solved;
 use crate::dynamic::{Coordinate, DynamicError, matrices};
 use crate::estimate::{Estimate, InitialLaw, NoiseInformation, Noisy, Settings, Structure};
 use crate::model::{PhasedModel, Population};
 use crate::reduce::{Evidence, PhasedTest, Reduction};
 use crate::score::{Gradient, Slots, expected_square};
 
+/// Where variances are so many times as large as at θ_0, constants are small differences of large numbers; where they are so many
+/// times as small, sums of squares have grown with their rounding errors. So the filters run again where no digit may be lost, …
+pub(crate) const EXACT: f64 = 1e4;
+/// … and where a value is but compared with others far from it.
+pub(crate) const ROUGH: f64 = 1e8;
+
 /// The only free value scales all noise.
 #[derive(Debug)]
 pub(crate) struct Scale {
     /// k.
     power: f64,
-    home: OnceLock<Home>,
+    /// Where the filters ran last.
+    home: Mutex<Option<Arc<Home>>>,
 }
 
 /// The ensemble at θ_0.
@@ -38,6 +44,16 @@ struct Home {
     /// r of each test.
     residuals: Vec<f64>,
     noisy: OnceLock<Noisy>,
+}
+
+/// ℓ at a θ and the best (μ, Σ).
+#[derive(Debug)]
+pub(crate) struct AtScale {
+    pub(crate) estimate: Estimate,
+    /// By the coordinate of θ.
+    pub(crate) gradient: f64,
+    /// In that coordinate.
+    pub(crate) information: NoiseInformation,
 }
 
 /// Runs the filters at a value of θ.
@@ -53,25 +69,32 @@ impl Scale {
             return None;
         }
         let power = phase.model.noise_power(slot.parameter)?;
-        Some(Scale { power, home: OnceLock::new() })
+        Some(Scale { power, home: Mutex::new(None) })
     }
 
-    /// The ensemble at θ_0 and λ; `None` where θ is not one that others can be had from.
-    fn home(&self, value: f64, run: Run<'_>) -> Result<Option<(&Home, f64)>, DynamicError> {
+    /// The ensemble at a θ_0 from which θ is not further than this, and λ; `None` where θ is not one that others can be had from.
+    fn home(&self, value: f64, far: f64, run: Run<'_>) -> Result<Option<(Arc<Home>, f64)>, DynamicError> {
         if !(value > 0.0 && value.is_finite()) {
             return Ok(None);
         }
-        if self.home.get().is_none() {
-            let reductions = run(value)?;
-            let Some(residuals) = reductions.iter().map(|reduction| reduction.residual).collect() else {
-                return Ok(None);
-            };
-            // not within the lock: threads that run the filters may take up other work meanwhile
-            let _ = self.home.set(Home { value, reductions, residuals, noisy: OnceLock::new() });
-        }
-        let home = self.home.get().expect("it was set");
-        let variance = self.variance(home, value);
+        let near = |home: &Arc<Home>| (far.recip()..=far).contains(&self.variance(home, value));
+        let home = match self.last().filter(near) {
+            Some(home) => home,
+            None => {
+                let reductions = run(value)?;
+                let squares = |reduction: &Reduction| Some(reduction.residual?.max(0.0)); // rounding leaves less than nothing
+                let Some(residuals) = reductions.iter().map(squares).collect() else { return Ok(None) };
+                let home = Arc::new(Home { value, reductions, residuals, noisy: OnceLock::new() });
+                *self.home.lock().unwrap_or_else(PoisonError::into_inner) = Some(home.clone());
+                home
+            }
+        };
+        let variance = self.variance(&home, value);
         Ok((variance.is_normal() && variance.sqrt().recip().is_normal()).then_some((home, variance)))
+    }
+
+    fn last(&self) -> Option<Arc<Home>> {
+        self.home.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// λ.
@@ -81,7 +104,7 @@ impl Scale {
 
     /// The reductions at θ. `None` where θ is not one that others can be had from.
     pub(crate) fn reductions(&self, value: f64, run: Run<'_>) -> Result<Option<Vec<Reduction>>, DynamicError> {
-        let Some((home, variance)) = self.home(value, run)? else { return Ok(None) };
+        let Some((home, variance)) = self.home(value, EXACT, run)? else { return Ok(None) };
         let unit = variance.sqrt().recip();
         let one = |(at, residual): (&Reduction, &f64)| scaled(at, *residual, (variance, unit));
         let all: Vec<Reduction> = home.reductions.par_iter().zip(&home.residuals).map(one).collect();
@@ -90,8 +113,8 @@ impl Scale {
 
     /// dℓ_j/dθ of each test at θ and this law; `None` where the reductions are not from here.
     pub(crate) fn scores(&self, value: f64, reductions: &[Reduction], law: &InitialLaw) -> Option<Vec<Gradient>> {
-        let home = self.home.get().filter(|_| value > 0.0)?;
-        let variance = self.variance(home, value);
+        let home = self.last().filter(|_| value > 0.0)?;
+        let variance = self.variance(&home, value);
         let one = |(at, residual): (&Reduction, &f64)| {
             let expected = expected_square(at, law);
             let slope = 0.5 * (residual / variance + expected - at.observations as f64);
@@ -101,32 +124,27 @@ impl Scale {
         all.iter().all(|score| score[0].1.is_finite()).then_some(all)
     }
 
-    /// The best (μ, Σ) at θ and dℓ/dθ there. `None` where θ is not one that others can be had from.
+    /// The best (μ, Σ) at θ, and what ℓ does there in a coordinate of θ; [`EXACT`] or [`ROUGH`]. `None` where θ is not one that others can be had from.
     pub(crate) fn fit(
         &self,
-        value: f64,
-        run: Run<'_>,
+        (value, coordinate): (f64, Coordinate),
+        (far, run): (f64, Run<'_>),
         (structure, near, settings): (&Structure<'_>, Option<&Population>, &Settings),
-    ) -> Result<Option<(Estimate, f64)>, DynamicError> {
-        let Some((home, variance)) = self.home(value, run)? else { return Ok(None) };
+    ) -> Result<Option<AtScale>, DynamicError> {
+        let Some((home, variance)) = self.home(value, far, run)? else { return Ok(None) };
         if home.noisy.get().is_none() {
             let _ = home.noisy.set(Noisy::new(&home.reductions, &home.residuals, structure, settings)?);
         }
         let noisy = home.noisy.get().expect("it was set");
         let estimate = noisy.fit(variance, structure, near, settings)?;
-        let slope = noisy.slope(variance, &estimate.state) * self.power / value;
-        Ok(Some((estimate, slope)))
-    }
-
-    /// The information in a coordinate of θ at a solved θ: its own, and with (μ, Σ) along the tangent basis. `None` where it was not
-    /// solved here.
-    pub(crate) fn information(&self, solved: &Solved, coordinate: Coordinate) -> Option<NoiseInformation> {
-        let (value, home) = (solved.values[0], self.home.get()?);
-        let at = home.noisy.get()?.information(self.variance(home, value), &solved.estimate.state);
         // u = log λ = k log θ, and of a value itself ∂²u/∂θ² = -k/θ²
-        let slope = self.power * coordinate.slope(value) / value;
-        let bend = if coordinate.log { 0.0 } else { solved.gradient[0] / value };
-        Some(NoiseInformation { own: slope * slope * at.own + bend, cross: at.cross * slope })
+        let du = self.power * coordinate.slope(value) / value;
+        let slope = noisy.slope(variance, &estimate.state);
+        let gradient = slope * du;
+        let bend = if coordinate.log { 0.0 } else { gradient / value };
+        let NoiseInformation { own, cross } = noisy.information(slope, &estimate.state);
+        let information = NoiseInformation { own: du * du * own + bend, cross: cross * du };
+        Ok(Some(AtScale { estimate, gradient, information }))
     }
 }
 

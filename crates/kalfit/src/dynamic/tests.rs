@@ -217,6 +217,23 @@ fn a_scale_of_all_noise_moves_without_the_filters() {
 }
 
 #[test]
+fn a_scale_far_from_where_the_filters_ran_has_them_run_again() {
+    let model = scaled_model();
+    let (labels, tests) = ensemble(&model, 9, 7);
+    let slots = Slots::in_phases(&model, &labels, &tests);
+    let settings = settings(Method::Hybrid, Criterion::Ml);
+    let bench = Bench::new(&model, &tests, &slots, &settings);
+    let filtered = Bench::new(&model, &tests, &slots, &settings).unscaled();
+    // where all is 1e-8 of what it is, half the digits of a constant would be those of the sum of squares
+    for (value, runs) in [(5e-9, 1), (0.5, 2), (0.4, 2), (7e-3, 2), (4e-3, 3)] {
+        let found = bench.solve(&[value], None).expect("defined").value();
+        let expected = filtered.solve(&[value], None).expect("defined").value();
+        assert!((found - expected).abs() < 1e-11 * expected.abs(), "{value}: {found} {expected}");
+        assert_eq!(bench.filter_passes(), runs, "at {value}");
+    }
+}
+
+#[test]
 fn the_information_in_a_scale_of_all_noise_is_that_of_differences() {
     for positive in [true, false] {
         let mut model = scaled_model();

@@ -36,6 +36,8 @@ const FAR: f64 = 1.0;
 const SHORTEST: f64 = 0.25;
 const LONGEST: f64 = 0.5;
 
+/// Information in a coordinate, at its natural size, below this part of the largest is rounding.
+pub(crate) const NOTHING: f64 = 1e-14;
 /// Scaled eigenvalues below this are flat: the data say nothing there.
 pub(crate) const FLAT: f64 = 1e-10;
 /// Where all are surely above this the root takes the place of the eigenvectors, and loses no digits by it.
@@ -47,7 +49,7 @@ impl Curvature {
         let n = h.nrows();
         let own = |i: usize| h[(i, i)].abs() * tangent.sizes[i].powi(2);
         let largest = (0..n).map(own).fold(0.0, f64::max);
-        let unit = |i: usize| if own(i) > 1e-14 * largest { h[(i, i)].abs().sqrt().recip() } else { 0.0 };
+        let unit = |i: usize| if own(i) > NOTHING * largest { h[(i, i)].abs().sqrt().recip() } else { 0.0 };
         let scale = DVector::from_fn(n, |i, _| unit(i));
         let scaled = DMatrix::from_fn(n, n, |i, j| scale[i] * h[(i, j)] * scale[j]);
         let gradient = tangent.gradient.component_mul(&scale);

@@ -71,6 +71,7 @@ pub(crate) use chained::{Chained, Detail, Kept};
 pub(crate) use classes::{Class, Classes};
 pub(crate) use climb::{Limits, climb};
 pub(crate) use covariance::{Constraint, CovarianceMap, Form, Part};
+pub(crate) use curvature::NOTHING;
 pub(crate) use elsewhere::InitialLaw;
 pub(crate) use expected::{ExpectedError, at_population};
 pub(crate) use forms::forms_in_parts;

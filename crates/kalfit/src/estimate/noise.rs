@@ -73,9 +73,9 @@ impl Noisy {
         0.5 * (own + state.problem.informed() as f64) - restricted.unwrap_or(0.0)
     }
 
-    /// -∂²ℓ/∂u² and -∂²ℓ/∂u∂(μ, Σ) there.
-    pub(crate) fn information(&self, variance: f64, state: &State) -> NoiseInformation {
-        state.noise_information(self.all.measurements, self.slope(variance, state))
+    /// -∂²ℓ/∂u² and -∂²ℓ/∂u∂(μ, Σ) there, from ∂ℓ/∂u.
+    pub(crate) fn information(&self, slope: f64, state: &State) -> NoiseInformation {
+        state.noise_information(self.all.measurements, slope)
     }
 }
 
