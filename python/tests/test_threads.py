@@ -14,7 +14,7 @@ import pytest
 import kalfit
 from conftest import BENCH, SLEEP
 
-#: A fit that takes long enough to be interrupted: minutes.
+#: A fit that takes long enough to be interrupted: ten seconds or more.
 LONG = {"method": "em", "starts": 10_000}
 
 
@@ -29,7 +29,7 @@ def test_other_threads_run_during_a_fit():
     thread = threading.Thread(target=tick)
     thread.start()
     began = time.monotonic()
-    kalfit.fit(*SLEEP, method="em", starts=3)
+    kalfit.fit(*SLEEP, method="em", starts=500)
     ended = time.monotonic()
     done.set()
     thread.join()
@@ -86,7 +86,7 @@ def test_ctrl_c_from_outside_ends_the_program():
     )
     with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
         assert child.stdout is not None and child.stdout.readline() == "begun\n"
-        time.sleep(2.0)
+        time.sleep(1.0)
         child.send_signal(signal.SIGINT)
         out, err = child.communicate(timeout=60)
     assert out == "best so far True\n", (out, err)
