@@ -16,7 +16,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use rayon::prelude::*;
 
 use crate::dynamic::{Coordinate, DynamicError, matrices};
-use crate::estimate::{Estimate, InitialLaw, NoiseInformation, Noisy, Settings, Structure};
+use crate::estimate::{Estimate, InitialLaw, NoiseInformation, Noisy, Residual, Settings, Structure};
 use crate::model::{PhasedModel, Population};
 use crate::reduce::{Evidence, PhasedTest, Reduction};
 use crate::score::{Gradient, Slots, expected_square};
@@ -41,8 +41,8 @@ pub(crate) struct Scale {
 struct Home {
     value: f64,
     reductions: Vec<Reduction>,
-    /// r of each test.
-    residuals: Vec<f64>,
+    /// n and r of each test.
+    residuals: Vec<Residual>,
     noisy: OnceLock<Noisy>,
 }
 
@@ -82,8 +82,11 @@ impl Scale {
             Some(home) => home,
             None => {
                 let reductions = run(value)?;
-                let squares = |reduction: &Reduction| Some(reduction.residual?.max(0.0)); // rounding leaves less than nothing
-                let Some(residuals) = reductions.iter().map(squares).collect() else { return Ok(None) };
+                let residual = |reduction: &Reduction| {
+                    let squares = reduction.residual?.max(0.0); // rounding leaves less than nothing
+                    Some(Residual { measurements: reduction.observations as f64, squares })
+                };
+                let Some(residuals) = reductions.iter().map(residual).collect() else { return Ok(None) };
                 let home = Arc::new(Home { value, reductions, residuals, noisy: OnceLock::new() });
                 *self.home.lock().unwrap_or_else(PoisonError::into_inner) = Some(home.clone());
                 home
@@ -106,7 +109,7 @@ impl Scale {
     pub(crate) fn reductions(&self, value: f64, run: Run<'_>) -> Result<Option<Vec<Reduction>>, DynamicError> {
         let Some((home, variance)) = self.home(value, EXACT, run)? else { return Ok(None) };
         let unit = variance.sqrt().recip();
-        let one = |(at, residual): (&Reduction, &f64)| scaled(at, *residual, (variance, unit));
+        let one = |(at, residual): (&Reduction, &Residual)| scaled(at, *residual, (variance, unit));
         let all: Vec<Reduction> = home.reductions.par_iter().zip(&home.residuals).map(one).collect();
         Ok(all.par_iter().all(is_finite).then_some(all))
     }
@@ -115,9 +118,9 @@ impl Scale {
     pub(crate) fn scores(&self, value: f64, reductions: &[Reduction], law: &InitialLaw) -> Option<Vec<Gradient>> {
         let home = self.last().filter(|_| value > 0.0)?;
         let variance = self.variance(&home, value);
-        let one = |(at, residual): (&Reduction, &f64)| {
+        let one = |(at, residual): (&Reduction, &Residual)| {
             let expected = expected_square(at, law);
-            let slope = 0.5 * (residual / variance + expected - at.observations as f64);
+            let slope = 0.5 * (residual.squares / variance + expected - residual.measurements);
             vec![(0, self.power * slope / value)]
         };
         let all: Vec<Gradient> = reductions.par_iter().zip(&home.residuals).map(one).collect();
@@ -149,9 +152,9 @@ impl Scale {
 }
 
 /// The reduction where variances are so many times as large, and √ of the inverse of that.
-fn scaled(at: &Reduction, residual: f64, (variance, unit): (f64, f64)) -> Reduction {
-    let mut to = Reduction { residual: Some(residual / variance), ..at.clone() };
-    to.constant -= 0.5 * (at.observations as f64 * variance.ln() + residual * (variance.recip() - 1.0));
+fn scaled(at: &Reduction, residual: Residual, (variance, unit): (f64, f64)) -> Reduction {
+    let mut to = Reduction { residual: Some(residual.squares / variance), ..at.clone() };
+    to.constant += residual.change(variance);
     let shrink = |numbers: &mut [f64]| numbers.iter_mut().for_each(|x| *x *= unit);
     shrink(&mut to.data);
     shrink(&mut to.factor);

@@ -75,6 +75,7 @@ pub(crate) use curvature::NOTHING;
 pub(crate) use elsewhere::InitialLaw;
 pub(crate) use expected::{ExpectedError, at_population};
 pub(crate) use forms::forms_in_parts;
+pub(crate) use listed::Residual;
 pub(crate) use local::{Local, Objective, Tangent, harmonic, natural_sizes};
 pub(crate) use newton::{Place, retract};
 pub(crate) use noise::{NoiseInformation, Noisy};

@@ -36,17 +36,17 @@ pub(crate) struct Noisy {
 }
 
 impl Noisy {
-    /// From reductions at λ = 1 and the r of each.
+    /// From reductions at λ = 1 and what each says of the level of the noise.
     pub(crate) fn new(
         reductions: &[Reduction],
-        residuals: &[f64],
+        residuals: &[Residual],
         structure: &Structure<'_>,
         settings: &Settings,
     ) -> Result<Noisy, FitError> {
         let classes = problem(reductions, structure, settings)?.classes;
-        let of = |&j: &usize| Residual { measurements: reductions[j].observations as f64, squares: residuals[j] };
         let sum = |told: &mut dyn Iterator<Item = Residual>| told.fold(Residual::default(), Residual::and);
-        let told: Vec<Residual> = classes.members().iter().map(|members| sum(&mut members.iter().map(of))).collect();
+        let told: Vec<Residual> =
+            classes.members().iter().map(|members| sum(&mut members.iter().map(|&j| residuals[j]))).collect();
         let all = sum(&mut told.iter().copied());
         Ok(Noisy { classes, told: Arc::new(told), all })
     }
@@ -162,7 +162,11 @@ mod tests {
     #[test]
     fn fits_at_other_noise_are_those_of_the_reductions_there() {
         let reductions: Vec<Reduction> = (0..40).map(test).collect();
-        let residuals: Vec<f64> = reductions.iter().map(|test| test.residual.expect("it is known")).collect();
+        let residual = |test: &Reduction| Residual {
+            measurements: test.observations as f64,
+            squares: test.residual.expect("it is known"),
+        };
+        let residuals: Vec<Residual> = reductions.iter().map(residual).collect();
         let regression = vec![Regression { element: 0, column: 0 }];
         let covariance = CovarianceStructure::full();
         let alpha = Alpha { values: Vec::new() };
