@@ -19,15 +19,22 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-use crate::peak;
+use crate::{peak, places};
 
 const SEED: u64 = 1980;
 
 /// Builds this program for the machine's own instructions, in a folder of its own, and runs it.
 pub(crate) fn build_and_run() -> ExitCode {
+    let target = match places::target() {
+        Ok(target) => target.join("native"),
+        Err(why) => {
+            eprintln!("{why}");
+            return ExitCode::FAILURE;
+        }
+    };
     let status = Command::new("cargo")
-        .args(["run", "--quiet", "--release", "--package", "kalfit-dev", "--target-dir", "target/native", "--"])
-        .args(["bench", "--here"])
+        .args(["run", "--quiet", "--release", "--package", "kalfit-dev", "--", "bench", "--here"])
+        .env("CARGO_TARGET_DIR", target)
         .env("RUSTFLAGS", "-C target-cpu=native")
         .status();
     match status {

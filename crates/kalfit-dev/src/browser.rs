@@ -4,6 +4,8 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use crate::places;
+
 /// Names that Chromium goes by.
 const BROWSERS: &[&str] = &["chromium", "chromium-browser", "google-chrome"];
 
@@ -43,9 +45,8 @@ const MANY: &str = "2500";
 
 /// Makes the reports and runs the script over them.
 pub(crate) fn run() -> Result<(), String> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).ok_or("the crate lies in crates/")?;
+    let (root, target) = (places::root(), places::target()?);
     let scripts = root.join("crates/kalfit-dev/tests/browser");
-    let target = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), |path| root.join(path));
     let work = target.join("browser");
     std::fs::create_dir_all(&work).map_err(|error| format!("cannot make {}: {error}", work.display()))?;
     let browser = browser()?;
@@ -140,9 +141,9 @@ fn words(words: &[&str]) -> Vec<OsString> {
 fn program(root: &Path, target: &Path) -> Result<PathBuf, String> {
     let mut cargo = Command::new("cargo");
     cargo.args(["test", "--quiet", "--locked", "--workspace", "--no-run"]).current_dir(root);
-    cargo.env("CARGO_INCREMENTAL", "0"); // as the other steps
+    cargo.env("CARGO_TARGET_DIR", target).env("CARGO_INCREMENTAL", "0"); // as the other steps
     done(&mut cargo, "cargo build")?;
-    Ok(target.join("debug").join(format!("kalfit{}", std::env::consts::EXE_SUFFIX)))
+    Ok(places::kalfit(target, "debug"))
 }
 
 /// The program in the root of the repository.

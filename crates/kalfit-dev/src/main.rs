@@ -7,6 +7,7 @@ mod browser;
 mod coverage;
 mod peak;
 mod peers;
+mod places;
 mod python;
 mod test;
 

@@ -25,6 +25,8 @@ use space::Space;
 use table::{figure, head, row, seconds};
 use whole::Kalfit;
 
+use crate::places;
+
 const SEED: u64 = 1980;
 
 /// Fits of one ensemble by several peers. What a peer cannot do in about a minute it is not asked.
@@ -114,10 +116,7 @@ fn build_and_run(options: &Options) -> Result<(), String> {
         Some(command) => command.clone(),
         None => {
             cargo(&[&["build"], &build[..], &["kalfit-cli"]].concat())?;
-            // this program lies in `target/debug`, wherever that is
-            let program = std::env::current_exe().map_err(|error| error.to_string())?;
-            let target = program.ancestors().nth(2).ok_or("the program has no folder")?;
-            target.join("release").join(format!("kalfit{}", std::env::consts::EXE_SUFFIX))
+            places::kalfit(&places::target()?, "release")
         }
     };
     let (python, rscript) = (program(&options.python)?, program(&options.rscript)?);

@@ -3,10 +3,12 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use crate::places;
+
 /// Where things are.
 struct Places {
     /// The project.
-    root: PathBuf,
+    root: &'static Path,
     /// What cargo builds.
     target: PathBuf,
     /// The environment.
@@ -15,12 +17,8 @@ struct Places {
 
 impl Places {
     fn new() -> Result<Places, String> {
-        let root =
-            Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).expect("the crate lies in crates/").to_owned();
-        // this program lies in `target/debug`, wherever that is
-        let program = std::env::current_exe().map_err(|error| error.to_string())?;
-        let target = program.ancestors().nth(2).ok_or("the program has no folder")?.to_owned();
-        Ok(Places { environment: target.join("python-tests"), root, target })
+        let target = places::target()?;
+        Ok(Places { environment: target.join("python-tests"), root: places::root(), target })
     }
 
     fn python(&self) -> PathBuf {
@@ -29,8 +27,8 @@ impl Places {
 
     fn run(&self, program: &Path, arguments: &[&str]) -> Result<(), String> {
         let mut command = Command::new(program);
-        command.args(arguments).current_dir(&self.root).env("CARGO_TARGET_DIR", &self.target);
-        command.env("CARGO_INCREMENTAL", "0").env("KALFIT_COMMAND", self.target.join("debug/kalfit"));
+        command.args(arguments).current_dir(self.root).env("CARGO_TARGET_DIR", &self.target);
+        command.env("CARGO_INCREMENTAL", "0").env("KALFIT_COMMAND", places::kalfit(&self.target, "debug"));
         command.env("PIP_DISABLE_PIP_VERSION_CHECK", "1").env_remove("PYTHONPATH");
         let shown = format!("{} {}", program.display(), arguments.join(" "));
         println!("   {shown}");

@@ -1,10 +1,9 @@
 //! The test command: what the README names and CI runs.
 
-use std::path::Path;
 use std::process::{Command, ExitCode};
 use std::time::Instant;
 
-use crate::{browser, python};
+use crate::{browser, places, python};
 
 /// One thing that must hold.
 struct Step {
@@ -104,9 +103,8 @@ enum Outcome {
 
 impl Step {
     fn run(&self) -> Outcome {
-        let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).expect("the crate lies in crates/");
         let mut command = Command::new(self.program);
-        command.args(self.arguments).current_dir(root).envs(self.environment.iter().copied());
+        command.args(self.arguments).current_dir(places::root()).envs(self.environment.iter().copied());
         command.env("CARGO_INCREMENTAL", "0"); // a run from nothing to the end has no use for it, and it takes disk space
         match (command.status(), self.optional) {
             (Ok(status), _) if status.success() => Outcome::Passed,

@@ -8,8 +8,8 @@
 //! ∂ℓ_j/∂log λ = ½ (r/λ + E‖d(θ) - R(θ)ξ‖² - n)      given z_j, under the law of ξ
 //! ```
 //!
-//! so that θ moves, and its score is known, without the filters: they run at one value of θ, and again far from it. Nor are reductions needed
-//! where (μ, Σ) is sought: the classes gathered once serve for every θ ([`Noisy`]).
+//! so that θ moves, and its score is known, without the filters: they run at one value of θ, and again far from it. Nor are
+//! reductions needed where (μ, Σ) is sought: the classes gathered once serve for every θ near by ([`Noisy`]).
 
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
@@ -127,7 +127,8 @@ impl Scale {
         all.iter().all(|score| score[0].1.is_finite()).then_some(all)
     }
 
-    /// The best (μ, Σ) at θ, and what ℓ does there in a coordinate of θ; [`EXACT`] or [`ROUGH`]. `None` where θ is not one that others can be had from.
+    /// The best (μ, Σ) at θ, and what ℓ does there in a coordinate of θ; [`EXACT`] or [`ROUGH`]. `None` where θ is not one that others
+    /// can be had from.
     pub(crate) fn fit(
         &self,
         (value, coordinate): (f64, Coordinate),
