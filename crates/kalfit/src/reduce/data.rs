@@ -27,6 +27,15 @@ pub(crate) struct Data<R = f64> {
     pub(crate) sizes: Vec<R>,
 }
 
+impl Data {
+    /// Appends a measured value z, of which d is known.
+    #[inline(always)]
+    pub(crate) fn take(&mut self, z: f64, constant: f64) {
+        self.values.push(z - constant);
+        self.sizes.push(z.abs() + constant.abs());
+    }
+}
+
 impl<R> Data<R> {
     pub(crate) fn clear(&mut self) {
         self.start.clear();

@@ -134,9 +134,10 @@ impl Transition<f64> {
 }
 
 /// Equal steps that follow each other: a transition, then scalar measurements, so many times.
-#[derive(Debug, Clone)]
-pub(crate) struct Run<R = f64> {
-    pub(crate) transition: Option<Arc<Transition<R>>>,
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Run {
+    /// The transition's number, see [`Design::transition`].
+    pub(crate) transition: Option<u32>,
     /// End of the lines of one step; they begin where those of the run before end.
     pub(crate) lines: usize,
     /// Number of steps.
@@ -155,7 +156,9 @@ pub(crate) struct Design<R = f64> {
     pub(crate) frame: Arc<Frame>,
     /// P0 on the reachable states, r × r, row-major; the lower triangle counts.
     pub(crate) variance: Vec<R>,
-    pub(crate) runs: Vec<Run<R>>,
+    /// The transitions, each for as many runs on end as have it.
+    pub(crate) moves: Vec<Arc<Transition<R>>>,
+    pub(crate) runs: Vec<Run>,
     /// End of the terms of each line.
     pub(crate) ends: Vec<usize>,
     /// States of the terms, ascending within a line.
@@ -203,6 +206,7 @@ impl<R: Real> Design<R> {
         Design {
             frame,
             variance,
+            moves: Vec::new(),
             runs: Vec::new(),
             ends: Vec::new(),
             states: Vec::new(),
@@ -213,6 +217,7 @@ impl<R: Real> Design<R> {
 
     pub(crate) fn clear(&mut self) {
         self.variance.fill(R::splat(0.0));
+        self.moves.clear();
         self.runs.clear();
         self.ends.clear();
         self.states.clear();
@@ -225,6 +230,12 @@ impl<R: Real> Design<R> {
     pub(crate) fn terms(&self, line: usize) -> (&[u32], &[R]) {
         let start = if line == 0 { 0 } else { self.ends[line - 1] };
         (&self.states[start..self.ends[line]], &self.h[start..self.ends[line]])
+    }
+
+    /// The transition of a run.
+    #[inline(always)]
+    pub(crate) fn transition(&self, run: &Run) -> Option<&Arc<Transition<R>>> {
+        run.transition.map(|number| &self.moves[number as usize])
     }
 
     /// Number of scalar measurements.
@@ -244,7 +255,7 @@ impl<R: Real> Design<R> {
         let (line, row) = if at == 0 { (0, 0) } else { (self.runs[at - 1].lines, self.runs[at - 1].rows) };
         let first = row + (k + run.count - run.steps) * (run.lines - line);
         let rows = first..first + run.lines - line;
-        Step { transition: run.transition.as_ref(), lines: line..run.lines, rows }
+        Step { transition: self.transition(run), lines: line..run.lines, rows }
     }
 
     /// Its runs, in order.
@@ -256,7 +267,7 @@ impl<R: Real> Design<R> {
     pub(crate) fn stretch(&self, at: usize) -> Stretch<'_, R> {
         let run = &self.runs[at];
         let (line, row) = if at == 0 { (0, 0) } else { (self.runs[at - 1].lines, self.runs[at - 1].rows) };
-        Stretch { transition: run.transition.as_ref(), lines: line..run.lines, count: run.count, rows: row..run.rows }
+        Stretch { transition: self.transition(run), lines: line..run.lines, count: run.count, rows: row..run.rows }
     }
 
     /// All steps, in order.
@@ -265,10 +276,24 @@ impl<R: Real> Design<R> {
     }
 
     /// Appends a step whose lines were appended already: a run of its own.
-    pub(crate) fn push_step(&mut self, transition: Option<Arc<Transition<R>>>) {
+    pub(crate) fn push_step(&mut self, transition: Option<&Arc<Transition<R>>>) {
         let (line, row, step) = self.runs.last().map_or((0, 0, 0), |run| (run.lines, run.rows, run.steps));
         let lines = self.ends.len();
+        let transition = transition.map(|transition| {
+            if !self.is_latest(transition) {
+                self.moves.push(transition.clone());
+            }
+            self.moves.len() as u32 - 1
+        });
         self.runs.push(Run { transition, lines, count: 1, rows: row + lines - line, steps: step + 1 });
+    }
+
+    /// True for the very transition that came last.
+    ///
+    /// One made from other coefficients, or over another time, can be equal too, but its derivatives differ.
+    #[inline]
+    fn is_latest(&self, transition: &Arc<Transition<R>>) -> bool {
+        self.moves.last().is_some_and(|last| Arc::ptr_eq(last, transition))
     }
 
     /// So many more steps like the last one.
@@ -284,8 +309,9 @@ impl<R: Real> Design<R> {
 
 impl Design<f64> {
     /// [`Design::push_step`]; a step like the last one, with the very same transition, joins its run.
-    pub(crate) fn join_step(&mut self, transition: Option<Arc<Transition>>) {
-        if self.is_repeated(transition.as_ref()) {
+    #[inline]
+    pub(crate) fn join_step(&mut self, transition: Option<&Arc<Transition>>) {
+        if self.is_repeated(transition) {
             let line = self.runs[self.runs.len() - 1].lines;
             let term = if line == 0 { 0 } else { self.ends[line - 1] };
             self.ends.truncate(line);
@@ -298,10 +324,37 @@ impl Design<f64> {
         }
     }
 
+    /// So many steps more with the last step's transition and states, of so many lines and terms each, whose coefficients and noise were
+    /// appended already: each a run of its own.
+    pub(crate) fn follow(&mut self, many: usize, (width, terms): (usize, usize)) {
+        let Some(&Run { transition, lines, rows, steps, .. }) = self.runs.last() else { return };
+        let run =
+            |k: usize| Run { transition, lines: lines + k * width, count: 1, rows: rows + k * width, steps: steps + k };
+        self.runs.extend((1..=many).map(run));
+        let (line, term) = (self.ends.len() - width, self.states.len() - terms);
+        self.ends.reserve(many * width);
+        for k in line..line + many * width {
+            self.ends.push(self.ends[k] + terms);
+        }
+        self.states.reserve(many * terms);
+        let mut left = many * terms;
+        while left > 0 {
+            let most = left.min(self.states.len() - term);
+            self.states.extend_from_within(term..term + most);
+            left -= most;
+        }
+    }
+
     /// True when the lines that no run has yet, and this transition, are those of the last run.
+    #[inline]
     fn is_repeated(&self, transition: Option<&Arc<Transition>>) -> bool {
-        let Some(last) = self.stretches().next_back() else { return false };
-        let (lines, fresh) = (last.lines, self.runs[self.runs.len() - 1].lines..self.ends.len());
+        let Some(at) = self.runs.len().checked_sub(1) else { return false };
+        let (lines, fresh) = (self.stretch(at).lines, self.runs[at].lines..self.ends.len());
+        let moves_alike = match (self.runs[at].transition, transition) {
+            (Some(_), Some(transition)) => self.is_latest(transition),
+            (None, None) => true,
+            _ => false,
+        };
         let terms = |lines: &Range<usize>| {
             let start = |line: usize| if line == 0 { 0 } else { self.ends[line - 1] };
             start(lines.start)..start(lines.end)
@@ -312,7 +365,7 @@ impl Design<f64> {
             lines.clone().zip(fresh.clone()).all(|(a, b)| length(a) == length(b))
         };
         lines.len() == fresh.len()
-            && shared(last.transition, transition)
+            && moves_alike
             && old.len() == new.len()
             && same_bits(&self.h[old.clone()], &self.h[new.clone()])
             && same_shape()
@@ -320,61 +373,72 @@ impl Design<f64> {
             && same_bits(&self.noise[lines], &self.noise[fresh])
     }
 
+    /// Of all numbers.
     pub(crate) fn digest(&self) -> u128 {
         let mut digest = Digest::new();
         digest.wide(self.frame.digest);
         digest.numbers(&self.variance);
-        digest.count(self.runs.len());
-        for run in &self.runs {
-            digest.word((run.lines as u64) << 32 ^ run.count as u64);
-            match run.transition.as_deref() {
-                Some(Transition { digest: Some(shared), .. }) => digest.wide(*shared),
-                Some(transition) => transition.add_to(&mut digest),
-                None => {}
+        digest.count(self.moves.len());
+        for transition in &self.moves {
+            match transition.digest {
+                Some(shared) => digest.wide(shared),
+                None => transition.add_to(&mut digest),
             }
         }
-        digest.counts(&self.ends);
-        digest.indices(&self.states);
+        self.add_runs_to(&mut digest);
+        self.add_shape_to(&mut digest);
         digest.numbers(&self.h);
-        digest.numbers(&self.noise);
+        let one = self.noise.first().filter(|first| self.noise.iter().all(|noise| noise.to_bits() == first.to_bits()));
+        digest.numbers(one.map_or(&self.noise[..], std::slice::from_ref));
         digest.finish()
+    }
+
+    /// The runs; those on end that differ in nothing are told of once.
+    fn add_runs_to(&self, digest: &mut Digest) {
+        let kind = |at: usize| {
+            let (run, first) = (self.runs[at], if at == 0 { 0 } else { self.runs[at - 1].lines });
+            (run.lines - first, run.count, run.transition)
+        };
+        digest.count(self.runs.len());
+        let mut at = 0;
+        while at < self.runs.len() {
+            let alike = (at..self.runs.len()).take_while(|&other| kind(other) == kind(at)).count();
+            let (lines, count, transition) = kind(at);
+            digest.word((lines as u64) << 32 ^ count as u64);
+            digest.word((alike as u64) << 32 ^ transition.map_or(0, |number| u64::from(number) + 1));
+            at += alike;
+        }
+    }
+
+    /// How many terms each line has, and of which states; the lines of a step that all others repeat are told of once.
+    fn add_shape_to(&self, digest: &mut Digest) {
+        digest.count(self.ends.len());
+        let lines = self.runs.iter().map(|run| run.lines).find(|&lines| lines > 0).unwrap_or(0);
+        let terms = if lines == 0 { 0 } else { self.ends[lines - 1] };
+        let repeats = self.ends.iter().skip(lines).zip(&self.ends).all(|(later, sooner)| later - sooner == terms)
+            && self.states[terms..] == self.states[..self.states.len() - terms];
+        let (lines, terms) = if repeats { (lines, terms) } else { (self.ends.len(), self.states.len()) };
+        digest.counts(&self.ends[..lines]);
+        digest.indices(&self.states[..terms]);
     }
 
     /// Equal bit for bit.
     pub(crate) fn same(&self, other: &Design) -> bool {
-        let same_runs = |(a, b): (&Run, &Run)| {
-            (a.lines, a.count) == (b.lines, b.count) && same_transition(a.transition.as_ref(), b.transition.as_ref())
-        };
+        let same_moves = |(a, b): (&Arc<Transition>, &Arc<Transition>)| Arc::ptr_eq(a, b) || a.same(b);
         (Arc::ptr_eq(&self.frame, &other.frame) || self.frame == other.frame)
-            && self.runs.len() == other.runs.len()
-            && self.runs.iter().zip(&other.runs).all(same_runs)
+            && self.runs == other.runs
             && self.ends == other.ends
             && self.states == other.states
             && same_bits(&self.variance, &other.variance)
             && same_bits(&self.h, &other.h)
             && same_bits(&self.noise, &other.noise)
+            && self.moves.len() == other.moves.len()
+            && self.moves.iter().zip(&other.moves).all(same_moves)
     }
 
     /// Bytes it occupies, transitions apart.
     pub(crate) fn bytes(&self) -> usize {
         8 * (self.variance.len() + 6 * self.runs.len() + self.ends.len() + 2 * self.h.len() + self.noise.len()) + 200
-    }
-}
-
-/// Made from the same coefficients over the same time. (Those made from others can be equal too, but their derivatives differ.)
-fn shared(a: Option<&Arc<Transition>>, b: Option<&Arc<Transition>>) -> bool {
-    match (a, b) {
-        (Some(a), Some(b)) => Arc::ptr_eq(a, b),
-        (None, None) => true,
-        _ => false,
-    }
-}
-
-fn same_transition(a: Option<&Arc<Transition>>, b: Option<&Arc<Transition>>) -> bool {
-    match (a, b) {
-        (Some(a), Some(b)) => Arc::ptr_eq(a, b) || a.same(b),
-        (None, None) => true,
-        _ => false,
     }
 }
 

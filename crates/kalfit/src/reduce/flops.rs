@@ -32,7 +32,7 @@ pub(crate) fn design_pass(n: usize, r: usize, p: usize, steps: usize) -> Flops {
         design.h.extend(vec![Counted(1.0); n]);
         design.ends.push(design.states.len());
         design.noise.push(Counted(1.0));
-        design.push_step(Some(transition.clone()));
+        design.push_step(Some(&transition));
     }
     Counted::count(|| {
         schedule(&design, &mut GainsWork::default());

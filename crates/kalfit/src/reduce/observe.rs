@@ -1,6 +1,7 @@
 //! The measurements of a step: which there are, their equations and noise, whitened.
 
 mod backward;
+mod follow;
 
 use crate::ensemble::Test;
 use crate::model::{Alpha, Scope};
@@ -12,6 +13,7 @@ use crate::reduce::semidefinite::{NotSemidefinite, ldl};
 use crate::reduce::subject::{At, Coefficient, Fault, Subject, Uses};
 
 pub(crate) use backward::Unwhitened;
+pub(crate) use follow::Ahead;
 
 /// A measurement of the model at α.
 #[derive(Debug, Clone)]
@@ -174,8 +176,7 @@ impl Meters {
                 *constant = at.value(&meter.constant, &scope).map_err(|fault| fault.on(row))?;
             }
             let z = numbers[meter.column];
-            out.data.values.push(z - *constant);
-            out.data.sizes.push(z.abs() + constant.abs());
+            out.data.take(z, *constant);
         }
         out.instances.repeat(1, height);
         Ok(true)
@@ -283,18 +284,24 @@ impl Meter {
             let column = at.model.columns[self.column].name.clone();
             return Err(Fault::new(Subject::Value(m), ReduceErrorKind::InfiniteCell { column, value: z }));
         }
-        let noise = at.variance_value(&self.noise, scope)?;
-        let constant = at.value(&self.constant, scope)?;
-        for (state, h) in &self.terms {
-            out.design.states.push(*state);
-            out.design.h.push(at.value(h, scope)?);
-        }
+        let (noise, constant) = self.line(at, scope, &mut out.design.h)?;
+        out.design.states.extend(self.terms.iter().map(|(state, _)| *state));
         out.design.ends.push(out.design.states.len());
         out.design.noise.push(noise);
         out.constants.push(constant);
-        out.data.values.push(z - constant);
-        out.data.sizes.push(z.abs() + constant.abs());
+        out.data.take(z, constant);
         Ok(true)
+    }
+
+    /// Noise variance and constant; the coefficients of the terms are appended.
+    #[inline(always)]
+    fn line(&self, at: &At<'_>, scope: &Scope<'_>, h: &mut Vec<f64>) -> Result<(f64, f64), Box<Fault>> {
+        let noise = at.variance_value(&self.noise, scope)?;
+        let constant = at.value(&self.constant, scope)?;
+        for (_, coefficient) in &self.terms {
+            h.push(at.value(coefficient, scope)?);
+        }
+        Ok((noise, constant))
     }
 }
 

@@ -240,7 +240,7 @@ impl Plain {
                     .map_err(|bad| self.refuse(format!("noise of step {}", k + 1), not_semidefinite(bad)))?;
             }
             // never joined: nothing is frozen here
-            design.push_step(transition.map(Arc::new));
+            design.push_step(transition.map(Arc::new).as_ref());
         }
         Ok(())
     }

@@ -25,6 +25,7 @@ use crate::reduce::steps::{Cells, Span, spans};
 use crate::reduce::subject::{At, Fault, Reads, Subject};
 
 mod alike;
+mod follow;
 mod opening;
 mod replay;
 mod transition;
@@ -55,6 +56,8 @@ pub(crate) struct Preparer {
     drive: Reads,
     /// Nothing is read from the data but measured values and times.
     plain: bool,
+    /// Rows can follow each other with nothing to be looked at but their cells.
+    follows: bool,
     /// The dynamics depend on the length of a step alone.
     steady: bool,
     /// No transition calls for a matrix exponential.
@@ -148,6 +151,7 @@ impl Preparer {
             plain: shape.is_empty() && drive.is_empty() && meters.can_repeat(),
             shape: Reads::new(&shape),
             drive: Reads::new(&drive),
+            follows: dynamics.table.varying.is_empty() && meters.can_follow(),
             quick: dynamics.components.iter().all(|component| component.states.len() == 1),
             steady: dynamics.table.varying.is_empty() && dynamics.inputs.varying.is_empty(),
             model: model.clone(),
@@ -221,9 +225,10 @@ impl Preparer {
         let mut source = 0..0; // rows of the step before
         for at_span in 0..work.spans.len() {
             let span = work.spans[at_span].clone();
-            let (mut repeats, mut number) = (0, 0);
+            let (height, mut repeats, mut number) = (span.height(), 0, 0);
             while number < span.count {
-                let rows = span.step(number);
+                let first = span.rows.start + number * height;
+                let rows = first..first + height;
                 if source.is_empty() || !self.clock_previous() {
                     source = rows.clone();
                 }
@@ -237,8 +242,12 @@ impl Preparer {
                 }
                 source = rows;
                 number += 1;
-                if self.plain && span.height() == 1 {
-                    number += self.repeat_values(test, span.rows.start + number, span.count - number, work);
+                if height == 1 && self.plain {
+                    number += self.repeat_values(test, source.end, span.count - number, work);
+                } else if height == 1 && self.follows && !again {
+                    let many = self.follow(&at, test, (&moment, source.end..span.rows.end), work);
+                    source = source.start + many..source.end + many;
+                    number += many;
                 }
             }
         }
@@ -265,11 +274,14 @@ impl Preparer {
 
     /// Evaluates a step in full.
     fn step(&self, at: &At<'_>, test: &Test, moment: &Moment, work: &mut Workspace) -> Result<(), Box<Fault>> {
-        let transition = if moment.moves { Some(self.transition(at, test, moment, work)?) } else { None };
-        let Workspace { design, data, instances, covariances, constants, .. } = &mut *work;
+        if moment.moves {
+            self.transition(at, test, moment, work)?;
+        }
+        let Workspace { design, data, instances, covariances, constants, last, .. } = &mut *work;
         let mut observed = Observed { design, data, instances, covariances: covariances.as_mut(), constants };
         self.meters.observe(at, test, (moment.rows.clone(), moment.dt), &mut observed)?;
-        work.design.join_step(transition);
+        let transition = last.as_ref().filter(|_| moment.moves).map(|last| &last.sound().transition);
+        design.join_step(transition);
         Ok(())
     }
 
@@ -284,9 +296,8 @@ impl Preparer {
         if driven > 0 && moment.moves {
             if fresh_inputs {
                 self.evaluate_inputs(at, test, moment, work)?;
-                let last = work.last.clone().expect("a step that repeats has had a transition");
-                let moves = last.value().as_ref().expect("which was sound");
-                self.plan.inputs(moves, &work.inputs, &mut work.data.inputs);
+                let last = work.last.as_ref().expect("a step that repeats has had a transition");
+                self.plan.inputs(last.sound(), &work.inputs, &mut work.data.inputs);
             } else {
                 work.data.inputs.extend_from_within(inputs - driven..);
             }

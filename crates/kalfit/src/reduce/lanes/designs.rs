@@ -20,7 +20,8 @@ pub(crate) struct Gained {
     variance: Vec<f64>,
     h: Vec<f64>,
     noise: Vec<f64>,
-    /// φ of each run, `terms` numbers; Q likewise.
+    /// The transition of each run, any if it has none: φ is so many times `terms` numbers; Q likewise.
+    moves: Vec<usize>,
     phi: Vec<f64>,
     q: Vec<f64>,
     terms: usize,
@@ -45,16 +46,13 @@ pub(crate) struct Gained {
 
 /// Whether two designs go side by side: as far as both reach, they differ in their numbers alone.
 pub(crate) fn same_shape(a: &Design, b: &Design) -> bool {
-    let same_transition = |a: &Option<Arc<Transition>>, b: &Option<Arc<Transition>>| match (a, b) {
-        (Some(a), Some(b)) => Arc::ptr_eq(&a.pattern, &b.pattern),
-        (None, None) => true,
-        _ => false,
-    };
-    let same_run = |(a, b): (&Run, &Run)| {
-        (a.lines, a.count) == (b.lines, b.count) && same_transition(&a.transition, &b.transition)
-    };
+    let same_run =
+        |(a, b): (&Run, &Run)| (a.lines, a.count, a.transition.is_some()) == (b.lines, b.count, b.transition.is_some());
+    let mut patterns = a.moves.iter().chain(&b.moves).map(|transition| &transition.pattern);
+    let one_pattern = patterns.next().is_none_or(|first| patterns.all(|pattern| Arc::ptr_eq(first, pattern)));
     let (lines, terms) = (a.ends.len().min(b.ends.len()), a.states.len().min(b.states.len()));
     Arc::ptr_eq(&a.frame, &b.frame)
+        && one_pattern
         && a.runs.iter().zip(&b.runs).all(same_run)
         && a.ends[..lines] == b.ends[..lines]
         && a.states[..terms] == b.states[..terms]
@@ -99,37 +97,38 @@ impl Gained {
         weave::<T>(&of(|design| &design.variance), (longest.variance.len(), 0.0), &mut self.variance);
         weave::<T>(&of(|design| &design.h), (longest.h.len(), 0.0), &mut self.h);
         weave::<T>(&of(|design| &design.noise), (longest.noise.len(), 1.0), &mut self.noise);
+        self.runs = [longest.runs.len(); MOST];
+        self.runs.iter_mut().zip(designs).for_each(|(runs, design)| *runs = design.runs.len());
+        self.load_transitions::<T>(designs, longest);
+    }
+
+    /// The transitions: runs on end share one where all designs have theirs go on. Of a design that has ended φ and Q are zero.
+    #[inline(always)]
+    fn load_transitions<T: Lanes>(&mut self, designs: &[&Design], longest: &Design) {
+        self.moves.clear();
         self.phi.clear();
         self.q.clear();
         self.terms = pattern(longest).map_or(0, |pattern| pattern.columns.len());
         let pairs = pattern(longest).map_or(0, |pattern| pattern.pairs.len());
-        self.runs = [longest.runs.len(); MOST];
-        self.runs.iter_mut().zip(designs).for_each(|(runs, design)| *runs = design.runs.len());
-        let mut last: [Option<&Arc<Transition>>; MOST] = [None; MOST];
-        for run in 0..longest.runs.len() {
-            let mut repeats = run > 0;
-            for (last, design) in last.iter_mut().zip(designs) {
-                let transition = design.runs.get(run).and_then(|run| run.transition.as_ref());
-                repeats &= match (transition, &last) {
-                    (Some(a), Some(b)) => Arc::ptr_eq(a, b),
-                    (None, None) => true,
-                    _ => false,
-                };
-                *last = transition;
+        let mut last: [Option<u32>; MOST] = [None; MOST];
+        let mut number = 0;
+        for (run, longest_run) in longest.runs.iter().enumerate() {
+            let mut now = [None; MOST];
+            for (now, design) in now.iter_mut().zip(designs) {
+                *now = design.runs.get(run).and_then(|run| run.transition);
             }
-            let (phi, q) = (self.phi.len(), self.q.len());
-            if repeats {
-                self.phi.extend_from_within(phi - self.terms * T::COUNT..);
-                self.q.extend_from_within(q - pairs * T::COUNT..);
-                continue;
+            if longest_run.transition.is_some() && now != last {
+                let (phi, q) = (self.phi.len(), self.q.len());
+                self.phi.resize(phi + self.terms * T::COUNT, 0.0);
+                self.q.resize(q + pairs * T::COUNT, 0.0);
+                for (lane, (design, transition)) in designs.iter().zip(now).enumerate() {
+                    let Some(transition) = transition.map(|number| &design.moves[number as usize]) else { continue };
+                    transition.phi.iter().enumerate().for_each(|(k, &x)| self.phi[phi + k * T::COUNT + lane] = x);
+                    transition.q.iter().enumerate().for_each(|(k, &x)| self.q[q + k * T::COUNT + lane] = x);
+                }
+                (last, number) = (now, number + 1);
             }
-            self.phi.resize(phi + self.terms * T::COUNT, 0.0);
-            self.q.resize(q + pairs * T::COUNT, 0.0);
-            for (lane, transition) in last.iter().enumerate() {
-                let Some(transition) = transition else { continue };
-                transition.phi.iter().enumerate().for_each(|(k, &x)| self.phi[phi + k * T::COUNT + lane] = x);
-                transition.q.iter().enumerate().for_each(|(k, &x)| self.q[q + k * T::COUNT + lane] = x);
-            }
+            self.moves.push(number.max(1) - 1);
         }
     }
 
@@ -146,8 +145,11 @@ impl Gained {
         }
         let mut state = State::<T>::new(self, design);
         let (mut first, mut row) = (0, 0);
+        let mut now = None;
         for (at_run, run) in design.runs.iter().enumerate() {
-            state.next_run(self, at_run);
+            if run.transition.is_some() && now.replace(self.moves[at_run]) != Some(self.moves[at_run]) {
+                state.take(self, self.moves[at_run]);
+            }
             for _ in 0..run.count {
                 if run.transition.is_some() {
                     kernel::predict(&mut state.P, frame.r, &state.transition, &mut state.rows);
@@ -217,6 +219,11 @@ impl Gained {
         &self.q
     }
 
+    /// Number of the transition of a run that has one.
+    pub(super) fn transition(&self, run: usize) -> usize {
+        self.moves[run]
+    }
+
     /// 1/S of so many measurements of one design.
     pub(crate) fn weights(&self, (lane, lanes): (usize, usize), rows: usize) -> impl Iterator<Item = f64> + use<'_> {
         self.gains.iter().skip(lane).step_by(lanes * self.stride).take(rows).copied()
@@ -283,15 +290,15 @@ impl<T: Lanes> State<T> {
         }
     }
 
-    /// Takes the transition of a run.
+    /// Takes the transition with this number.
     #[inline(always)]
-    fn next_run(&mut self, gained: &Gained, run: usize) {
+    fn take(&mut self, gained: &Gained, number: usize) {
         let Transition { phi, q, .. } = &mut self.transition;
         for k in 0..phi.len() {
-            phi[k] = at(&gained.phi, run * phi.len() + k);
+            phi[k] = at(&gained.phi, number * phi.len() + k);
         }
         for k in 0..q.len() {
-            q[k] = at(&gained.q, run * q.len() + k);
+            q[k] = at(&gained.q, number * q.len() + k);
         }
     }
 
@@ -323,7 +330,7 @@ impl<T: Lanes> State<T> {
 impl<T: Lanes> Numbers<T> for Gained {
     #[inline(always)]
     fn phi(&self, run: usize, term: usize) -> T {
-        at(&self.phi, run * self.terms + term)
+        at(&self.phi, self.moves[run] * self.terms + term)
     }
 
     #[inline(always)]
@@ -360,7 +367,7 @@ impl<T: Lanes> Numbers<T> for Gained {
 /// The pattern of the transitions of a design: all have one.
 #[inline(always)]
 fn pattern(design: &Design) -> Option<&Arc<Pattern>> {
-    design.runs.iter().find_map(|run| run.transition.as_ref()).map(|transition| &transition.pattern)
+    design.moves.first().map(|transition| &transition.pattern)
 }
 
 /// Numbers of several designs side by side, `len` of each: what is missing is `rest`.

@@ -35,7 +35,9 @@ struct Shared<'a> {
 impl<T: Lanes> Numbers<T> for Shared<'_> {
     #[inline(always)]
     fn phi(&self, run: usize, term: usize) -> T {
-        self.design.runs[run].transition.as_ref().map_or(T::splat(0.0), |transition| T::splat(transition.phi[term]))
+        self.design
+            .transition(&self.design.runs[run])
+            .map_or(T::splat(0.0), |transition| T::splat(transition.phi[term]))
     }
 
     #[inline(always)]
@@ -108,7 +110,7 @@ pub(super) fn innovate<T: Lanes, N: Numbers<T>>(design: &Design, numbers: &N, da
     let (mut square, mut line, mut row, mut input) = (T::splat(0.0), 0, 0, 0);
     for (at_run, run) in design.runs.iter().enumerate() {
         for _ in 0..run.count {
-            if let Some(transition) = &run.transition {
+            if let Some(transition) = design.transition(run) {
                 advance::<T, _>(&mut room.x, (numbers, at_run), &transition.pattern, &mut room.moved);
                 for &state in &frame.driven {
                     let x = at::<T>(&room.x, state as usize) + at::<T>(data.inputs, input);

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use kalfit_lanes::Lanes;
 
-use crate::reduce::design::{Design, Run, Transition};
+use crate::reduce::design::{Design, Transition};
 use crate::reduce::lanes::Block;
 use crate::reduce::lanes::designs::Gained;
 use crate::reduce::lanes::pass::{Numbers, at};
@@ -54,19 +54,21 @@ impl Block {
         design.variance = all(gained.variance());
         design.h = all(gained.coefficients());
         design.noise = all(gained.noise());
-        for (number, run) in longest.runs.iter().enumerate() {
-            let mut transition = None;
-            if let Some(like) = &run.transition {
+        design.runs.clone_from(&longest.runs);
+        for (run, own) in design.runs.iter_mut().enumerate() {
+            let Some(like) = own.transition.map(|number| &longest.moves[number as usize]) else { continue };
+            let number = gained.transition(run);
+            if number == design.moves.len() {
                 let (mut phi, mut q) = (Vec::with_capacity(like.phi.len()), Vec::with_capacity(like.q.len()));
                 for term in 0..like.phi.len() {
-                    phi.push(gained.phi(number, term));
+                    phi.push(gained.phi(run, term));
                 }
                 for pair in 0..like.q.len() {
                     q.push(at(gained.process_noise(), number * like.q.len() + pair));
                 }
-                transition = Some(Arc::new(Transition { pattern: like.pattern.clone(), phi, q, digest: None }));
+                design.moves.push(Arc::new(Transition { pattern: like.pattern.clone(), phi, q, digest: None }));
             }
-            design.runs.push(Run { transition, lines: run.lines, count: run.count, rows: run.rows, steps: run.steps });
+            own.transition = Some(number as u32);
         }
         let (start, inputs, values) = (all(side.start), all(side.inputs), all(side.values));
         Woven { design, start, inputs, values, gains, sizes: (r, p) }

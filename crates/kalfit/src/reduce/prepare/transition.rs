@@ -5,9 +5,9 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use crate::ensemble::Test;
-use crate::reduce::design::Transition;
 use crate::reduce::digest::Digest;
 use crate::reduce::error::ReduceErrorKind;
+use crate::reduce::motion::Moves;
 use crate::reduce::prepare::{Moment, Moved, Preparer, Workspace};
 use crate::reduce::subject::{At, Fault, Subject};
 
@@ -18,7 +18,7 @@ impl Workspace {
     /// Empties the design; the memory of transitions that nobody else has is kept for those of the next test.
     pub(super) fn clear_design(&mut self) {
         let Workspace { design, spare, .. } = self;
-        let mut used = design.runs.drain(..).filter_map(|run| run.transition);
+        let mut used = design.moves.drain(..);
         while spare.len() < SPARE
             && let Some(mut transition) = used.next()
         {
@@ -31,15 +31,22 @@ impl Workspace {
     }
 }
 
+impl Moved {
+    /// What a step is led to by.
+    pub(super) fn sound(&self) -> &Moves {
+        self.value().as_ref().expect("the last one is sound")
+    }
+}
+
 impl Preparer {
-    /// The transition that leads to a step; its inputs go to the data.
+    /// Makes the transition that leads to a step the last one of the work space; its inputs go to the data.
     pub(super) fn transition(
         &self,
         at: &At<'_>,
         test: &Test,
         moment: &Moment,
         work: &mut Workspace,
-    ) -> Result<Arc<Transition>, Box<Fault>> {
+    ) -> Result<(), Box<Fault>> {
         let (row, dt) = (moment.rows.start, moment.dt);
         let continuous = !self.dynamics.components.is_empty();
         if continuous && dt.is_nan() {
@@ -48,25 +55,23 @@ impl Preparer {
         if self.steady
             && let Some(last) = &work.last
             && last.key[0] == if continuous { dt.to_bits() } else { 0 }
-            && let Ok(moves) = last.value()
         {
-            self.plan.inputs(moves, &work.inputs, &mut work.data.inputs);
-            return Ok(moves.transition.clone());
+            self.plan.inputs(last.sound(), &work.inputs, &mut work.data.inputs);
+            return Ok(());
         }
         self.evaluate(at, test, moment, work, false)?;
         work.key.clear();
         work.key.push(if continuous { dt.to_bits() } else { 0 });
         work.key.extend(self.dynamics.table.varying.iter().map(|(slot, ..)| work.values[*slot].to_bits()));
-        let entry = match &work.last {
-            Some(entry) if entry.key == work.key => entry.clone(),
-            _ if self.quick => Arc::new(self.own_moves(work, dt)),
-            _ => self.shared_moves(work, dt),
-        };
-        let moves = entry.value().as_ref().map_err(|fault| fault.clone().on(row))?;
-        self.plan.inputs(moves, &work.inputs, &mut work.data.inputs);
-        let transition = moves.transition.clone();
-        work.last = Some(entry);
-        Ok(transition)
+        if work.last.as_ref().is_none_or(|last| last.key != work.key) {
+            let made = if self.quick { Arc::new(self.own_moves(work, dt)) } else { self.shared_moves(work, dt) };
+            made.value().as_ref().map_err(|fault| fault.clone().on(row))?;
+            work.last = Some(made);
+        }
+        let Workspace { last, inputs, data, .. } = work;
+        let last = last.as_ref().expect("there is one");
+        self.plan.inputs(last.sound(), inputs, &mut data.inputs);
+        Ok(())
     }
 
     fn own_moves(&self, work: &mut Workspace, dt: f64) -> Moved {

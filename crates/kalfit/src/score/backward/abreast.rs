@@ -110,7 +110,7 @@ impl<T: Lanes> Forward<T> {
         let (mut input, mut row, mut first) = (0, 0, 0);
         for run in &design.runs {
             for _ in 0..run.count {
-                if let Some(transition) = &run.transition {
+                if let Some(transition) = design.transition(run) {
                     if unknown.wanted.motion {
                         now.save(&mut forward.left);
                     }
@@ -166,7 +166,7 @@ impl<T: Lanes> Forward<T> {
                         bar[k].store(&mut rows[(row * width + k) * T::COUNT..]);
                     }
                 }
-                let Some(transition) = &run.transition else { continue };
+                let Some(transition) = design.transition(run) else { continue };
                 if moves.is_empty() {
                     kinds = [transition.phi.len(), transition.q.len(), frame.driven.len()];
                     moves.resize(transitions * kinds.iter().sum::<usize>() * T::COUNT, 0.0);

@@ -57,7 +57,7 @@ fn part(numbers: &Numbers, steps: Range<usize>, sensitivity: Vec<f64>) -> (Desig
             design.states.extend(if row % 2 == 0 { vec![0, 1, 2] } else { vec![0, 3] });
             design.ends.push(design.states.len());
         }
-        design.push_step(transition);
+        design.push_step(transition.as_ref());
     }
     let rows = 2 * steps.start..2 * steps.end;
     design.h = numbers.h[5 * steps.start..5 * steps.end].to_vec();
@@ -440,7 +440,7 @@ fn long() -> (Design, Data) {
             design.ends.push(design.states.len());
             design.noise.push(0.7 + 0.1 * line as f64);
         }
-        design.push_step(transition);
+        design.push_step(transition.as_ref());
         design.repeat(count - 1);
     };
     step(None, 1, 1);
