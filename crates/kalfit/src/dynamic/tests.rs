@@ -386,6 +386,23 @@ fn first_values_do_not_depend_on_the_order_of_the_tests() {
 }
 
 #[test]
+fn of_one_test_the_restricted_likelihood_says_nothing_of_the_covariance() {
+    let model = scaled_model();
+    let settings = settings(Method::Hybrid, Criterion::Reml);
+    for rows in [8, 15, 30, 60] {
+        // the mean takes all that the test says of its initial state; what is left of the covariance is rounding
+        let (labels, tests) = ensemble(&model, 1, rows);
+        let fit = fit(&model, &labels, &tests, &settings, &mut Silent).expect("a fit");
+        assert_eq!(fit.stop, Stop::Certified, "{rows} rows");
+        let (inference, _) = infer(&model, &tests, &fit, Choices::default()).expect("inferred");
+        let found = inference.uncertainty;
+        assert!(found.mean.iter().all(Option::is_some), "{rows} rows: {found:?}");
+        assert!(found.covariance.iter().flatten().all(Option::is_none), "{rows} rows: {found:?}");
+        assert!(found.std_dev.iter().all(Option::is_none), "{rows} rows: {found:?}");
+    }
+}
+
+#[test]
 fn work_of_a_fit_is_as_recorded() {
     let small = model(false);
     let (labels, tests) = ensemble(&small, 12, 8);
