@@ -15,6 +15,10 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
+/// What is measured here allocates as the command does.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 /// Tasks of kalfit's developers.
 #[derive(Debug, Parser)]
 #[command(name = "cargo dev", version)]
