@@ -109,9 +109,11 @@ impl Kernel for Alike<'_> {
     fn run<T: Lanes>(self) -> bool {
         let width = self.mask.len().max(1);
         for (cells, known) in self.cells.chunks(width).zip(self.known.chunks(width)) {
+            // of one length for the compiler: then the words go into wide registers
+            let (known, mask) = (&known[..cells.len()], &self.mask[..cells.len()]);
             let mut differ = 0;
             for k in 0..cells.len() {
-                differ |= (cells[k].to_bits() & self.mask[k]) ^ known[k];
+                differ |= (cells[k].to_bits() & mask[k]) ^ known[k];
             }
             if differ != 0 {
                 return false;

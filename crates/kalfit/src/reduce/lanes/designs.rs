@@ -36,8 +36,9 @@ pub(crate) struct Gained {
     pub(crate) found: Vec<Option<(Vec<f64>, f64)>>,
     /// What was added up.
     sums: Vec<f64>,
-    /// Runs of each design.
+    /// Runs of each design, and of the shortest.
     runs: [usize; MOST],
+    shortest: usize,
     /// Where the designs end is wanted too.
     pub(crate) with_ends: bool,
     /// P and Ψ after the last step of each design, if they are wanted.
@@ -99,6 +100,7 @@ impl Gained {
         weave::<T>(&of(|design| &design.noise), (longest.noise.len(), 1.0), &mut self.noise);
         self.runs = [longest.runs.len(); MOST];
         self.runs.iter_mut().zip(designs).for_each(|(runs, design)| *runs = design.runs.len());
+        self.shortest = designs.iter().map(|design| design.runs.len()).min().unwrap_or(0);
         self.load_transitions::<T>(designs, longest);
     }
 
@@ -161,7 +163,7 @@ impl Gained {
                 }
             }
             first = run.lines;
-            if self.with_ends {
+            if self.with_ends && at_run + 1 >= self.shortest {
                 self.end_run(&state, at_run);
             }
         }
@@ -339,18 +341,20 @@ impl<T: Lanes> Numbers<T> for Gained {
     }
 
     #[inline(always)]
-    fn weight(&self, row: usize) -> T {
-        at(&self.gains, row * self.stride)
+    fn gains(&self, row: usize) -> &[f64] {
+        let stride = self.stride * T::COUNT;
+        &self.gains[row * stride..][..stride]
     }
 
     #[inline(always)]
-    fn K(&self, row: usize, i: usize) -> T {
-        at(&self.gains, row * self.stride + 1 + i)
+    fn sensitivities(&self, row: usize) -> &[f64] {
+        let stride = self.p * T::COUNT;
+        &self.sensitivities[row * stride..][..stride]
     }
 
     #[inline(always)]
-    fn T(&self, row: usize, k: usize) -> T {
-        at(&self.sensitivities, row * self.p + k)
+    fn of(row: &[f64], k: usize) -> T {
+        at(row, k)
     }
 
     #[inline(always)]
@@ -361,6 +365,11 @@ impl<T: Lanes> Numbers<T> for Gained {
     #[inline(always)]
     fn ends(&self, run: usize, lane: usize) -> bool {
         self.runs[lane] == run + 1
+    }
+
+    #[inline(always)]
+    fn some_end(&self, run: usize) -> bool {
+        run + 1 >= self.shortest
     }
 }
 

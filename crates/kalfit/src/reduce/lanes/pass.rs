@@ -3,7 +3,7 @@
 
 use kalfit_lanes::{Kernel, Lanes};
 
-use crate::reduce::design::{Design, Pattern};
+use crate::reduce::design::{Design, Moved, Pattern};
 use crate::reduce::gains::Gains;
 use crate::reduce::lanes::block::Room;
 use crate::reduce::lanes::squares;
@@ -14,16 +14,18 @@ pub(super) trait Numbers<T> {
     fn phi(&self, run: usize, term: usize) -> T;
     /// Coefficient `term` of the lines.
     fn h(&self, term: usize) -> T;
-    /// 1/S of a row.
-    fn weight(&self, row: usize) -> T;
-    /// Entry `i` of K of a row.
-    fn K(&self, row: usize, i: usize) -> T;
-    /// Entry `k` of T of a row.
-    fn T(&self, row: usize, k: usize) -> T;
+    /// 1/S and K of a row, for [`Numbers::of`].
+    fn gains(&self, row: usize) -> &[f64];
+    /// T of a row, for [`Numbers::of`].
+    fn sensitivities(&self, row: usize) -> &[f64];
+    /// Number `k` of a row.
+    fn of(row: &[f64], k: usize) -> T;
     /// An entry of R, packed.
     fn R(&self, at: usize) -> T;
     /// Whether the test in a lane ends with a run.
     fn ends(&self, run: usize, lane: usize) -> bool;
+    /// Whether that is so of any.
+    fn some_end(&self, run: usize) -> bool;
 }
 
 /// Tests of one design.
@@ -46,18 +48,18 @@ impl<T: Lanes> Numbers<T> for Shared<'_> {
     }
 
     #[inline(always)]
-    fn weight(&self, row: usize) -> T {
-        T::splat(self.gains.gains[row * (1 + self.gains.r)])
+    fn gains(&self, row: usize) -> &[f64] {
+        &self.gains.gains[row * (1 + self.gains.r)..][..1 + self.gains.r]
     }
 
     #[inline(always)]
-    fn K(&self, row: usize, i: usize) -> T {
-        T::splat(self.gains.gains[row * (1 + self.gains.r) + 1 + i])
+    fn sensitivities(&self, row: usize) -> &[f64] {
+        &self.gains.sensitivities[row * self.gains.p..][..self.gains.p]
     }
 
     #[inline(always)]
-    fn T(&self, row: usize, k: usize) -> T {
-        T::splat(self.gains.sensitivities[row * self.gains.p + k])
+    fn of(row: &[f64], k: usize) -> T {
+        T::splat(row[k])
     }
 
     #[inline(always)]
@@ -67,6 +69,11 @@ impl<T: Lanes> Numbers<T> for Shared<'_> {
 
     #[inline(always)]
     fn ends(&self, run: usize, _: usize) -> bool {
+        run + 1 == self.design.runs.len()
+    }
+
+    #[inline(always)]
+    fn some_end(&self, run: usize) -> bool {
         run + 1 == self.design.runs.len()
     }
 }
@@ -97,86 +104,109 @@ impl Kernel for Pass<'_> {
     }
 }
 
+/// What a pass carries from row to row.
+struct State<T> {
+    x: Vec<T>,
+    /// Work space of a transition.
+    moved: Vec<T>,
+    y: Vec<T>,
+    /// e'S⁻¹e.
+    square: T,
+}
+
 /// The pass over tests of designs of one shape, of which `design` is one.
 #[inline(always)]
 pub(super) fn innovate<T: Lanes, N: Numbers<T>>(design: &Design, numbers: &N, data: Side<'_>, room: &mut Room) {
-    let frame = &*design.frame;
-    room.x.clear();
-    room.x.extend_from_slice(data.start);
+    let (frame, zero) = (&*design.frame, T::splat(0.0));
     room.e.resize(data.values.len(), 0.0);
-    room.d.clear();
-    room.d.resize(frame.p * T::COUNT, 0.0);
     room.last.resize(frame.n * T::COUNT, 0.0);
-    let (mut square, mut line, mut row, mut input) = (T::splat(0.0), 0, 0, 0);
+    let mut state = State { x: vec![zero; frame.n], moved: Vec::new(), y: vec![zero; frame.p], square: zero };
+    for i in 0..frame.n {
+        state.x[i] = at(data.start, i);
+    }
+    let (mut line, mut row, mut input) = (0, 0, 0);
     for (at_run, run) in design.runs.iter().enumerate() {
         for _ in 0..run.count {
             if let Some(transition) = design.transition(run) {
-                advance::<T, _>(&mut room.x, (numbers, at_run), &transition.pattern, &mut room.moved);
-                for &state in &frame.driven {
-                    let x = at::<T>(&room.x, state as usize) + at::<T>(data.inputs, input);
-                    put(&mut room.x, state as usize, x);
+                state.advance((numbers, at_run), &transition.pattern);
+                for &driven in &frame.driven {
+                    state.x[driven as usize] = state.x[driven as usize] + at(data.inputs, input);
                     input += 1;
                 }
             }
             for line in line..run.lines {
-                square = measure::<T, _>((design, line), (numbers, row), data.values, room, square);
+                let e = state.measure((design, line), (numbers, row), at(data.values, row));
+                put(&mut room.e, row, e);
                 row += 1;
             }
         }
         line = run.lines;
-        for lane in (0..T::COUNT).filter(|&lane| numbers.ends(at_run, lane)) {
-            for state in 0..frame.n {
-                room.last[state * T::COUNT + lane] = room.x[state * T::COUNT + lane];
+        if numbers.some_end(at_run) {
+            state.end((numbers, at_run), &mut room.last);
+        }
+    }
+    room.d.resize(frame.p * T::COUNT, 0.0);
+    for k in 0..frame.p {
+        put(&mut room.d, k, state.y[k]);
+    }
+    squares::solve::<T, _>(numbers, frame.p, state.square, room);
+}
+
+impl<T: Lanes> State<T> {
+    /// x ← φx.
+    #[inline(always)]
+    fn advance<N: Numbers<T>>(&mut self, (numbers, run): (&N, usize), pattern: &Pattern) {
+        if let [only] = &pattern.moved[..] {
+            self.x[only.state as usize] = self.moved((numbers, run), (pattern, only));
+            return;
+        }
+        self.moved.clear();
+        for row in &pattern.moved {
+            self.moved.push(self.moved((numbers, run), (pattern, row)));
+        }
+        for (k, row) in pattern.moved.iter().enumerate() {
+            self.x[row.state as usize] = self.moved[k];
+        }
+    }
+
+    /// A row of φ, times x.
+    #[inline(always)]
+    fn moved<N: Numbers<T>>(&self, (numbers, run): (&N, usize), (pattern, row): (&Pattern, &Moved)) -> T {
+        let mut sum = T::splat(0.0);
+        for term in row.start as usize..row.end as usize {
+            sum = numbers.phi(run, term).fma(self.x[pattern.columns[term] as usize], sum);
+        }
+        sum
+    }
+
+    /// The innovation of a scalar measurement, after which x and the sums have it.
+    #[inline(always)]
+    fn measure<N: Numbers<T>>(&mut self, (design, line): (&Design, usize), (numbers, row): (&N, usize), value: T) -> T {
+        let (states, first) = (design.terms(line).0, if line == 0 { 0 } else { design.ends[line - 1] });
+        let mut e = value;
+        // states that move come last: what they add is waited for
+        for (k, &state) in states.iter().enumerate().rev() {
+            e = numbers.h(first + k).fnma(self.x[state as usize], e);
+        }
+        let gains = numbers.gains(row);
+        for (i, x) in self.x[..design.frame.r].iter_mut().enumerate() {
+            *x = N::of(gains, 1 + i).fma(e, *x);
+        }
+        let weighted = e * N::of(gains, 0);
+        squares::add::<T, N>(numbers.sensitivities(row), weighted, &mut self.y);
+        self.square = e.fma(weighted, self.square);
+        e
+    }
+
+    /// x of the tests that end with a run.
+    #[inline(always)]
+    fn end<N: Numbers<T>>(&self, (numbers, run): (&N, usize), last: &mut [f64]) {
+        for lane in (0..T::COUNT).filter(|&lane| numbers.ends(run, lane)) {
+            for (state, x) in self.x.iter().enumerate() {
+                last[state * T::COUNT + lane] = x.lane(lane);
             }
         }
     }
-    squares::solve::<T, _>(numbers, frame.p, square, room);
-}
-
-/// x ← φx.
-#[inline(always)]
-fn advance<T: Lanes, N: Numbers<T>>(
-    x: &mut [f64],
-    (numbers, run): (&N, usize),
-    pattern: &Pattern,
-    moved: &mut Vec<f64>,
-) {
-    moved.resize(pattern.moved.len() * T::COUNT, 0.0);
-    for (k, row) in pattern.moved.iter().enumerate() {
-        let mut sum = T::splat(0.0);
-        for term in row.start as usize..row.end as usize {
-            sum = numbers.phi(run, term).fma(at::<T>(x, pattern.columns[term] as usize), sum);
-        }
-        put(moved, k, sum);
-    }
-    for (k, row) in pattern.moved.iter().enumerate() {
-        put(x, row.state as usize, at::<T>(moved, k));
-    }
-}
-
-/// A scalar measurement; e'S⁻¹e with it.
-#[inline(always)]
-fn measure<T: Lanes, N: Numbers<T>>(
-    (design, line): (&Design, usize),
-    (numbers, row): (&N, usize),
-    values: &[f64],
-    room: &mut Room,
-    square: T,
-) -> T {
-    let (states, first) = (design.terms(line).0, if line == 0 { 0 } else { design.ends[line - 1] });
-    let mut e = at::<T>(values, row);
-    // states that move come last: what they add is waited for
-    for (k, &state) in states.iter().enumerate().rev() {
-        e = numbers.h(first + k).fnma(at::<T>(&room.x, state as usize), e);
-    }
-    for i in 0..design.frame.r {
-        let x = numbers.K(row, i).fma(e, at::<T>(&room.x, i));
-        put(&mut room.x, i, x);
-    }
-    put(&mut room.e, row, e);
-    let weighted = e * numbers.weight(row);
-    squares::add(numbers, row, weighted, &mut room.d);
-    e.fma(weighted, square)
 }
 
 /// Number `k` of each test.

@@ -35,23 +35,27 @@ fn refine<T: Lanes, N: Numbers<T>>(numbers: &N, p: usize, room: &mut Room) -> T 
     backward::<T, N>(numbers, p, &mut room.best);
     room.refined.clear();
     room.refined.resize(p * T::COUNT, 0.0);
-    let (mut total, rows) = (T::splat(0.0), room.e.len() / T::COUNT);
+    let (zero, rows) = (T::splat(0.0), room.e.len() / T::COUNT);
+    let (mut total, mut best, mut part) = (zero, vec![zero; p], vec![zero; p]);
+    for k in 0..p {
+        best[k] = at(&room.best, k);
+    }
     for start in (0..rows).step_by(BLOCK) {
-        room.part.clear();
-        room.part.resize(p * T::COUNT, 0.0);
-        let mut square = T::splat(0.0);
+        part.fill(zero);
+        let mut square = zero;
         for row in start..rows.min(start + BLOCK) {
+            let sensitivities = numbers.sensitivities(row);
             let mut left = at::<T>(&room.e, row);
-            for k in 0..p {
-                left = numbers.T(row, k).fnma(at::<T>(&room.best, k), left);
+            for (k, &best) in best.iter().enumerate() {
+                left = N::of(sensitivities, k).fnma(best, left);
             }
-            let weighted = left * numbers.weight(row);
+            let weighted = left * N::of(numbers.gains(row), 0);
             square = left.fma(weighted, square);
-            add(numbers, row, weighted, &mut room.part);
+            add::<T, N>(sensitivities, weighted, &mut part);
         }
         total = total + square;
-        for k in 0..p {
-            let sum = at::<T>(&room.refined, k) + at::<T>(&room.part, k);
+        for (k, &part) in part.iter().enumerate() {
+            let sum = at::<T>(&room.refined, k) + part;
             put(&mut room.refined, k, sum);
         }
     }
@@ -68,12 +72,11 @@ fn refine<T: Lanes, N: Numbers<T>>(numbers: &N, p: usize, room: &mut Room) -> T 
     residual
 }
 
-/// sum ← sum + T'x of a row.
+/// sum ← sum + T'x, with T of a row.
 #[inline(always)]
-pub(super) fn add<T: Lanes, N: Numbers<T>>(numbers: &N, row: usize, x: T, sum: &mut [f64]) {
-    for k in 0..sum.len() / T::COUNT {
-        let next = numbers.T(row, k).fma(x, at::<T>(sum, k));
-        put(sum, k, next);
+pub(super) fn add<T: Lanes, N: Numbers<T>>(sensitivities: &[f64], x: T, sum: &mut [T]) {
+    for (k, sum) in sum.iter_mut().enumerate() {
+        *sum = N::of(sensitivities, k).fma(x, *sum);
     }
 }
 

@@ -39,14 +39,13 @@ impl Block {
         let frame = &longest.frame;
         let side = self.side();
         let (r, p) = (frame.r, frame.p);
-        let mut gains = Vec::with_capacity(longest.rows() * (1 + r + p));
+        let mut gains: Vec<T> = Vec::with_capacity(longest.rows() * (1 + r + p));
         for row in 0..longest.rows() {
-            gains.push(Numbers::<T>::weight(gained, row));
-            for i in 0..r {
-                gains.push(Numbers::<T>::K(gained, row, i));
+            for k in 0..=r {
+                gains.push(at(Numbers::<T>::gains(gained, row), k));
             }
             for k in 0..p {
-                gains.push(Numbers::<T>::T(gained, row, k));
+                gains.push(at(Numbers::<T>::sensitivities(gained, row), k));
             }
         }
         let mut design = Design::<T>::new(frame.clone());
