@@ -250,7 +250,9 @@ impl<R: Real> Design<R> {
 
     /// The step with this number.
     pub(crate) fn step(&self, k: usize) -> Step<'_, R> {
-        let at = self.runs.partition_point(|run| run.steps <= k);
+        // where no steps are equal each is a run
+        let own = self.runs.get(k).is_some_and(|run| run.steps == k + 1);
+        let at = if own { k } else { self.runs.partition_point(|run| run.steps <= k) };
         let run = &self.runs[at];
         let (line, row) = if at == 0 { (0, 0) } else { (self.runs[at - 1].lines, self.runs[at - 1].rows) };
         let first = row + (k + run.count - run.steps) * (run.lines - line);

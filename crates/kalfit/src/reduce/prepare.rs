@@ -242,9 +242,12 @@ impl Preparer {
                 }
                 source = rows;
                 number += 1;
-                if height == 1 && self.plain {
+                if height > 1 || number == span.count {
+                    continue;
+                }
+                if self.plain {
                     number += self.repeat_values(test, source.end, span.count - number, work);
-                } else if height == 1 && self.follows && !again {
+                } else if self.follows && !again {
                     let many = self.follow(&at, test, (&moment, source.end..span.rows.end), work);
                     source = source.start + many..source.end + many;
                     number += many;

@@ -37,17 +37,22 @@ impl Workspace {
 
     /// The span of step `k`, and its number there.
     fn place(&self, k: usize) -> (&Span, usize) {
-        let at = self.firsts.partition_point(|&first| first <= k) - 1;
+        // where no steps are equally long each is a span
+        let own = self.firsts.get(k) == Some(&k);
+        let at = if own { k } else { self.firsts.partition_point(|&first| first <= k) - 1 };
         (&self.spans[at], k - self.firsts[at])
     }
 
     fn moment(&self, k: usize, previous: bool) -> Moment {
-        let rows = |k: usize| {
-            let (span, number) = self.place(k);
-            span.step(number)
+        let (span, number) = self.place(k);
+        let rows = span.step(number);
+        let source = if previous && k > 0 {
+            let (before, number) = self.place(k - 1);
+            before.step(number)
+        } else {
+            rows.clone()
         };
-        let (dt, moves) = (self.place(k).0.dt, self.place(k).0.moves);
-        Moment { rows: rows(k), source: rows(if previous && k > 0 { k - 1 } else { k }), dt, moves }
+        Moment { rows, source, dt: span.dt, moves: span.moves }
     }
 }
 

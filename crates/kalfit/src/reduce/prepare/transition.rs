@@ -64,9 +64,13 @@ impl Preparer {
         work.key.push(if continuous { dt.to_bits() } else { 0 });
         work.key.extend(self.dynamics.table.varying.iter().map(|(slot, ..)| work.values[*slot].to_bits()));
         if work.last.as_ref().is_none_or(|last| last.key != work.key) {
-            let made = if self.quick { Arc::new(self.own_moves(work, dt)) } else { self.shared_moves(work, dt) };
-            made.value().as_ref().map_err(|fault| fault.clone().on(row))?;
-            work.last = Some(made);
+            if self.quick {
+                self.own_moves(work, dt).map_err(|fault| fault.on(row))?;
+            } else {
+                let shared = self.shared_moves(work, dt);
+                shared.value().as_ref().map_err(|fault| fault.clone().on(row))?;
+                work.last = Some(shared);
+            }
         }
         let Workspace { last, inputs, data, .. } = work;
         let last = last.as_ref().expect("there is one");
@@ -74,9 +78,16 @@ impl Preparer {
         Ok(())
     }
 
-    fn own_moves(&self, work: &mut Workspace, dt: f64) -> Moved {
-        let Workspace { key, values, flows, spare, .. } = work;
-        Moved::new(key.clone(), self.plan.moves(&self.dynamics, values, (dt, false), (flows, spare.pop())))
+    /// Makes the moves of a step and puts them in the place of the last ones, whose memory is used again.
+    fn own_moves(&self, work: &mut Workspace, dt: f64) -> Result<(), Box<Fault>> {
+        let Workspace { key, values, flows, spare, last, .. } = work;
+        let moves = self.plan.moves(&self.dynamics, values, (dt, false), (flows, spare.pop()))?;
+        let made = Moved::new(std::mem::take(key), Ok(moves));
+        match last.as_mut().and_then(Arc::get_mut) {
+            Some(last) => *key = std::mem::replace(last, made).key,
+            None => *last = Some(Arc::new(made)),
+        }
+        Ok(())
     }
 
     fn shared_moves(&self, work: &mut Workspace, dt: f64) -> Arc<Moved> {
