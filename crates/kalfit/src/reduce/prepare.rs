@@ -32,10 +32,12 @@ mod transition;
 
 use alike::looks;
 pub(crate) use replay::Replay;
+use transition::Last;
 
 /// Bytes of transitions that are kept.
 const TRANSITION_BYTES: usize = 16 << 20;
 
+/// What leads to a step, in the store.
 type Moved = Entry<Vec<u64>, Result<Moves, Box<Fault>>>;
 
 /// A model at α, ready to evaluate tests.
@@ -107,7 +109,7 @@ pub(crate) struct Workspace {
     inputs: Vec<f64>,
     flows: Vec<f64>,
     key: Vec<u64>,
-    last: Option<Arc<Moved>>,
+    last: Option<Last>,
     /// Transitions that nobody has.
     spare: Vec<Arc<Transition>>,
 }
@@ -283,7 +285,7 @@ impl Preparer {
         let Workspace { design, data, instances, covariances, constants, last, .. } = &mut *work;
         let mut observed = Observed { design, data, instances, covariances: covariances.as_mut(), constants };
         self.meters.observe(at, test, (moment.rows.clone(), moment.dt), &mut observed)?;
-        let transition = last.as_ref().filter(|_| moment.moves).map(|last| &last.sound().transition);
+        let transition = last.as_ref().filter(|_| moment.moves).map(|last| &last.moves().transition);
         design.join_step(transition);
         Ok(())
     }
@@ -300,7 +302,7 @@ impl Preparer {
             if fresh_inputs {
                 self.evaluate_inputs(at, test, moment, work)?;
                 let last = work.last.as_ref().expect("a step that repeats has had a transition");
-                self.plan.inputs(last.sound(), &work.inputs, &mut work.data.inputs);
+                self.plan.inputs(last.moves(), &work.inputs, &mut work.data.inputs);
             } else {
                 work.data.inputs.extend_from_within(inputs - driven..);
             }

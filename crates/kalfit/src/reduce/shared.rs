@@ -71,11 +71,6 @@ pub(crate) struct Entry<K, V> {
 }
 
 impl<K, V> Entry<K, V> {
-    /// One that is not in a store.
-    pub(crate) fn new(key: K, value: V) -> Entry<K, V> {
-        Entry { key, value: value.into() }
-    }
-
     pub(crate) fn value(&self) -> &V {
         self.value.get().expect("entries leave the store with their value")
     }

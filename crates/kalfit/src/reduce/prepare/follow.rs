@@ -27,7 +27,7 @@ impl Preparer {
                 inputs.extend_from_within(inputs.len() - driven..);
                 return true;
             }
-            let moves = made.as_ref().expect("the last step has had a transition").sound();
+            let moves = made.as_ref().expect("the last step has had a transition").moves();
             let source = if self.clock_previous() { row - 1 } else { row };
             let moment = Moment { rows: row..row + 1, source: source..source + 1, ..last.clone() };
             let mut none = Cells::default(); // a row's own cells are in one place

@@ -31,10 +31,27 @@ impl Workspace {
     }
 }
 
-impl Moved {
-    /// What a step is led to by.
-    pub(super) fn sound(&self) -> &Moves {
-        self.value().as_ref().expect("the last one is sound")
+/// What led to the last step, with the key it is known again by: the step's length and coefficients.
+#[derive(Debug)]
+pub(super) enum Last {
+    Own(Vec<u64>, Moves),
+    /// A sound one.
+    Shared(Arc<Moved>),
+}
+
+impl Last {
+    fn key(&self) -> &[u64] {
+        match self {
+            Last::Own(key, _) => key,
+            Last::Shared(moved) => &moved.key,
+        }
+    }
+
+    pub(super) fn moves(&self) -> &Moves {
+        match self {
+            Last::Own(_, moves) => moves,
+            Last::Shared(moved) => moved.value().as_ref().expect("the last one is sound"),
+        }
     }
 }
 
@@ -54,38 +71,37 @@ impl Preparer {
         }
         if self.steady
             && let Some(last) = &work.last
-            && last.key[0] == if continuous { dt.to_bits() } else { 0 }
+            && last.key()[0] == if continuous { dt.to_bits() } else { 0 }
         {
-            self.plan.inputs(last.sound(), &work.inputs, &mut work.data.inputs);
+            self.plan.inputs(last.moves(), &work.inputs, &mut work.data.inputs);
             return Ok(());
         }
         self.evaluate(at, test, moment, work, false)?;
         work.key.clear();
         work.key.push(if continuous { dt.to_bits() } else { 0 });
         work.key.extend(self.dynamics.table.varying.iter().map(|(slot, ..)| work.values[*slot].to_bits()));
-        if work.last.as_ref().is_none_or(|last| last.key != work.key) {
+        if work.last.as_ref().is_none_or(|last| last.key() != work.key) {
             if self.quick {
                 self.own_moves(work, dt).map_err(|fault| fault.on(row))?;
             } else {
                 let shared = self.shared_moves(work, dt);
                 shared.value().as_ref().map_err(|fault| fault.clone().on(row))?;
-                work.last = Some(shared);
+                work.last = Some(Last::Shared(shared));
             }
         }
         let Workspace { last, inputs, data, .. } = work;
         let last = last.as_ref().expect("there is one");
-        self.plan.inputs(last.sound(), inputs, &mut data.inputs);
+        self.plan.inputs(last.moves(), inputs, &mut data.inputs);
         Ok(())
     }
 
-    /// Makes the moves of a step and puts them in the place of the last ones, whose memory is used again.
+    /// Makes the moves of a step, in place of the last ones.
     fn own_moves(&self, work: &mut Workspace, dt: f64) -> Result<(), Box<Fault>> {
         let Workspace { key, values, flows, spare, last, .. } = work;
         let moves = self.plan.moves(&self.dynamics, values, (dt, false), (flows, spare.pop()))?;
-        let made = Moved::new(std::mem::take(key), Ok(moves));
-        match last.as_mut().and_then(Arc::get_mut) {
-            Some(last) => *key = std::mem::replace(last, made).key,
-            None => *last = Some(Arc::new(made)),
+        // the memory of the key before is that of the next
+        if let Some(Last::Own(before, _)) = last.replace(Last::Own(std::mem::take(key), moves)) {
+            *key = before;
         }
         Ok(())
     }
