@@ -9,7 +9,8 @@ pub(crate) fn root() -> &'static Path {
 
 /// What cargo builds: this program lies in its `debug` or `release`.
 ///
-/// The folder is named by a variable, by an option or by a configuration file of cargo's, or is `target`; the program that cargo has built there knows.
+/// The folder is named by a variable, by an option or by a configuration file of cargo's, or is `target`; the program that cargo
+/// has built there knows.
 pub(crate) fn target() -> Result<PathBuf, String> {
     let program = std::env::current_exe().map_err(|error| error.to_string())?;
     Ok(program.ancestors().nth(2).ok_or("the program has no folder")?.to_owned())

@@ -326,8 +326,8 @@ impl Design<f64> {
         }
     }
 
-    /// So many steps more with the last step's transition and states, of so many lines and terms each, whose coefficients and noise were
-    /// appended already: each a run of its own.
+    /// So many steps more with the last step's transition and states, of so many lines and terms each, whose coefficients and noise
+    /// were appended already: each a run of its own.
     pub(crate) fn follow(&mut self, many: usize, (width, terms): (usize, usize)) {
         let Some(&Run { transition, lines, rows, steps, .. }) = self.runs.last() else { return };
         let run =

@@ -20,8 +20,8 @@ impl Meters {
     }
 
     /// Takes rows, a step each, that measure what the last step does, by other lines than the row before. Stops before a row that
-    /// is not like that, or that something is wrong with. `drive` appends the inputs of a step; where it cannot, it says false and appends none. Returns how
-    /// many.
+    /// is not like that, or that something is wrong with. `drive` appends the inputs of a step; where it cannot, it says false and
+    /// appends none. Returns how many.
     pub(crate) fn follow(
         &self,
         at: &At<'_>,
