@@ -3,79 +3,62 @@
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use crate::build::{Formula, constant, measurement, moving, name, stepping, variance};
 use crate::ensemble::{Source, Test};
-use crate::model::{
-    Alpha, Clock, Column, CovarianceStructure, Expression, Initial, Linear, MeanStructure, Measurement, Model, Motion,
-    Operator, State,
-};
+use crate::model::{Alpha, Model};
 use crate::reduce::prepare::{Preparer, Workspace};
 
-/// Time, z, w, an input of z, an input of the drift, the variance of z.
-const COLUMNS: usize = 6;
+/// When steps are, and which row their inputs stand in.
+#[derive(Debug, Clone, Copy)]
+enum Clock {
+    Rows,
+    Times,
+    TimesBefore,
+}
 
 /// A random constant and a drift, seen by two measurements; `input` drives the drift.
-fn model(clock: Clock, input: Expression) -> Model {
-    let (number, column) = (Expression::Number, Expression::Column);
-    let linear = |terms: Vec<(usize, Expression)>, constant| Linear { terms, constant };
-    let times = |a, b| Expression::Binary(Operator::Multiply, Box::new(a), Box::new(b));
-    let state = |name: &str, motion: Motion, initial: Initial| State {
-        name: name.to_owned(),
-        unit: None,
-        motion,
-        initial,
-        offset: None,
-        random: true,
+fn model(clock: Clock, input: Formula) -> Model {
+    let (drift, begun) = match clock {
+        Clock::Rows => (stepping("drift", 0.7 * name("drift") + input, 0.4), Model::builder("")),
+        Clock::Times => (moving("drift", input - 0.3 * name("drift"), 0.4), Model::builder("").time("t")),
+        Clock::TimesBefore => {
+            (moving("drift", input - 0.3 * name("drift"), 0.4), Model::builder("").time("t").previous_inputs())
+        }
     };
-    let drift = Motion::Continuous { derivative: linear(vec![(1, number(-0.3))], input), noise_variance: number(0.2) };
-    let meter = |name: &str, column: usize, equation: Linear, noise_variance| Measurement {
-        name: name.to_owned(),
-        column,
-        filter: None,
-        equation,
-        noise_variance,
-    };
-    let z = linear(vec![(0, column(3)), (1, number(1.0))], times(column(3), number(0.5)));
-    let w = linear(vec![(0, number(0.5)), (1, times(column(4), column(3)))], number(0.0));
-    Model {
-        title: String::new(),
-        columns: (0..COLUMNS).map(|k| Column { name: format!("c{k}"), used_in: "the tests".to_owned() }).collect(),
-        text_columns: Vec::new(),
-        literals: Vec::new(),
-        parameters: Vec::new(),
-        states: vec![
-            state("constant", Motion::Constant, Initial::Estimated),
-            state("drift", drift, Initial::Known { mean: number(0.1), variance: number(1.0) }),
-        ],
-        process_noise_covariance: Vec::new(),
-        measurements: vec![meter("z", 1, z, column(5)), meter("w", 2, w, number(0.5))],
-        noise_covariance: Vec::new(),
-        clock,
-        group: None,
-        estimated: vec![0],
-        mean: MeanStructure::free(1),
-        covariance: CovarianceStructure::full(),
-    }
+    let model = begun
+        .state(constant("constant"))
+        .state(drift.known(0.1, 1.0))
+        .measurement(measurement("z", name("u") * (name("constant") + 0.5) + name("drift"), variance(name("r"))))
+        .measurement(measurement("w", 0.5 * name("constant") + name("v") * name("u") * name("drift"), 0.7));
+    model.build().expect("a sound model").phases.remove(0).model
 }
 
 /// Rows that often repeat each other, some with measurements missing, some at the time of the one before; few have a cell that
 /// cannot be.
-fn test(rng: &mut ChaCha8Rng) -> Test {
-    let mut test = Test::new("t1", COLUMNS, 0);
-    let (mut cells, mut time) = ([1.0; COLUMNS], 0.0);
+fn test(model: &Model, rng: &mut ChaCha8Rng) -> Test {
+    let mut test = Test::new("t1", model.columns.len(), 0);
+    let (mut inputs, mut time) = ([1.0; 3], 0.0);
     for _ in 0..rng.random_range(1..40) {
         time += [0.0, 0.5, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0][rng.random_range(0..8)];
-        for cell in &mut cells[3..] {
+        for cell in &mut inputs {
             if rng.random_range(0..3) == 0 {
                 *cell = [1.0, 2.0, 0.0, 0.25][rng.random_range(0..4)];
             }
         }
-        let mut row = cells;
-        row[0] = time;
-        for measured in &mut row[1..3] {
-            *measured = if rng.random_range(0..8) == 0 { f64::NAN } else { rng.random_range(-1.0..1.0) };
+        let mut row: Vec<f64> = Vec::new();
+        for column in &model.columns {
+            row.push(match &*column.name {
+                "t" => time,
+                "u" => inputs[0],
+                "v" => inputs[1],
+                "r" => inputs[2],
+                _ if rng.random_range(0..8) == 0 => f64::NAN,
+                _ => rng.random_range(-1.0..1.0),
+            });
         }
         if rng.random_range(0..200) == 0 {
-            row[rng.random_range(1..COLUMNS)] = [f64::NAN, f64::INFINITY, -1.0][rng.random_range(0..3)];
+            let at = rng.random_range(0..row.len());
+            row[at] = [f64::NAN, f64::INFINITY, -1.0][rng.random_range(0..3)];
         }
         test.push(&row, &[], Source::default());
     }
@@ -96,18 +79,18 @@ fn left(preparer: &Preparer, test: &Test, work: &mut Workspace) -> Result<String
 
 #[test]
 fn steps_taken_together_are_those_taken_one_by_one() {
-    let timed = Clock { time: Some(0), ..Clock::default() };
-    let clocks = [Clock::default(), timed.clone(), Clock { previous_inputs: true, ..timed }];
-    let inputs = [Expression::Number(0.0), Expression::Number(0.3), Expression::Column(4)];
+    let clocks = [Clock::Rows, Clock::Times, Clock::TimesBefore];
+    let inputs = [Formula::from(0.3), 0.3 * name("v"), name("v") * name("u")];
     let mut rng = ChaCha8Rng::seed_from_u64(1980);
     let (mut sound, mut refused) = (0, 0);
     for (clock, input) in clocks.iter().flat_map(|clock| inputs.iter().map(move |input| (clock, input))) {
-        let together = Preparer::new(&model(clock.clone(), input.clone()), &Alpha::default()).expect("a sound model");
-        let mut one_by_one = Preparer::new(&together.model, &Alpha::default()).expect("a sound model");
+        let model = model(*clock, input.clone());
+        let together = Preparer::new(&model, &Alpha::default()).expect("a sound model");
+        let mut one_by_one = Preparer::new(&model, &Alpha::default()).expect("a sound model");
         assert!(std::mem::take(&mut one_by_one.follows), "rows of this model can follow each other");
         let (mut work, mut other_work) = (together.workspace(), one_by_one.workspace());
         for _ in 0..300 {
-            let test = test(&mut rng);
+            let test = test(&model, &mut rng);
             let found = left(&together, &test, &mut work);
             assert_eq!(found, left(&one_by_one, &test, &mut other_work), "{clock:?}, {input:?}: {test:?}");
             *(if found.is_ok() { &mut sound } else { &mut refused }) += 1;
