@@ -3,6 +3,8 @@
 //! Kernel order: noise-reachable states first (those that P0 or process noise ever reaches; P lives on them alone),
 //! then other states that move, then those that never move. Random constants of the last kind live only in Ψ.
 
+mod identity;
+
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -373,69 +375,6 @@ impl Design<f64> {
             && same_shape()
             && self.states[old] == self.states[new]
             && same_bits(&self.noise[lines], &self.noise[fresh])
-    }
-
-    /// Of all numbers.
-    pub(crate) fn digest(&self) -> u128 {
-        let mut digest = Digest::new();
-        digest.wide(self.frame.digest);
-        digest.numbers(&self.variance);
-        digest.count(self.moves.len());
-        for transition in &self.moves {
-            match transition.digest {
-                Some(shared) => digest.wide(shared),
-                None => transition.add_to(&mut digest),
-            }
-        }
-        self.add_runs_to(&mut digest);
-        self.add_shape_to(&mut digest);
-        digest.numbers(&self.h);
-        let one = self.noise.first().filter(|first| self.noise.iter().all(|noise| noise.to_bits() == first.to_bits()));
-        digest.numbers(one.map_or(&self.noise[..], std::slice::from_ref));
-        digest.finish()
-    }
-
-    /// The runs; those on end that differ in nothing are told of once.
-    fn add_runs_to(&self, digest: &mut Digest) {
-        let kind = |at: usize| {
-            let (run, first) = (self.runs[at], if at == 0 { 0 } else { self.runs[at - 1].lines });
-            (run.lines - first, run.count, run.transition)
-        };
-        digest.count(self.runs.len());
-        let mut at = 0;
-        while at < self.runs.len() {
-            let alike = (at..self.runs.len()).take_while(|&other| kind(other) == kind(at)).count();
-            let (lines, count, transition) = kind(at);
-            digest.word((lines as u64) << 32 ^ count as u64);
-            digest.word((alike as u64) << 32 ^ transition.map_or(0, |number| u64::from(number) + 1));
-            at += alike;
-        }
-    }
-
-    /// How many terms each line has, and of which states; the lines of a step that all others repeat are told of once.
-    fn add_shape_to(&self, digest: &mut Digest) {
-        digest.count(self.ends.len());
-        let lines = self.runs.iter().map(|run| run.lines).find(|&lines| lines > 0).unwrap_or(0);
-        let terms = if lines == 0 { 0 } else { self.ends[lines - 1] };
-        let repeats = self.ends.iter().skip(lines).zip(&self.ends).all(|(later, sooner)| later - sooner == terms)
-            && self.states[terms..] == self.states[..self.states.len() - terms];
-        let (lines, terms) = if repeats { (lines, terms) } else { (self.ends.len(), self.states.len()) };
-        digest.counts(&self.ends[..lines]);
-        digest.indices(&self.states[..terms]);
-    }
-
-    /// Equal bit for bit.
-    pub(crate) fn same(&self, other: &Design) -> bool {
-        let same_moves = |(a, b): (&Arc<Transition>, &Arc<Transition>)| Arc::ptr_eq(a, b) || a.same(b);
-        (Arc::ptr_eq(&self.frame, &other.frame) || self.frame == other.frame)
-            && self.runs == other.runs
-            && self.ends == other.ends
-            && self.states == other.states
-            && same_bits(&self.variance, &other.variance)
-            && same_bits(&self.h, &other.h)
-            && same_bits(&self.noise, &other.noise)
-            && self.moves.len() == other.moves.len()
-            && self.moves.iter().zip(&other.moves).all(same_moves)
     }
 
     /// Bytes it occupies, transitions apart.

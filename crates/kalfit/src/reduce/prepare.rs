@@ -227,36 +227,48 @@ impl Preparer {
         let mut source = 0..0; // rows of the step before
         for at_span in 0..work.spans.len() {
             let span = work.spans[at_span].clone();
-            let (height, mut repeats, mut number) = (span.height(), 0, 0);
-            while number < span.count {
-                let first = span.rows.start + number * height;
-                let rows = first..first + height;
-                if source.is_empty() || !self.clock_previous() {
-                    source = rows.clone();
-                }
-                let moment = Moment { rows: rows.clone(), source: source.clone(), dt: span.dt, moves: span.moves };
-                let again = number > 0 && self.shape.repeat(test, &rows);
-                repeats = if again { repeats + 1 } else { 0 };
-                // with inputs of the row before, that row must have repeated too
-                let enough = repeats > usize::from(self.clock_previous());
-                if !(enough && self.meters.can_repeat() && self.repeat(&at, test, &moment, work)?) {
-                    self.step(&at, test, &moment, work)?;
-                }
-                source = rows;
-                number += 1;
-                if height > 1 || number == span.count {
-                    continue;
-                }
-                if self.plain {
-                    number += self.repeat_values(test, source.end, span.count - number, work);
-                } else if self.follows && !again {
-                    let many = self.follow(&at, test, (&moment, source.end..span.rows.end), work);
-                    source = source.start + many..source.end + many;
-                    number += many;
-                }
-            }
+            source = self.span(&at, test, (&span, source), work)?;
         }
         Ok(())
+    }
+
+    /// Evaluates the steps of a span; `source`: rows of the step before. Returns those of the last one.
+    fn span(
+        &self,
+        at: &At<'_>,
+        test: &Test,
+        (span, mut source): (&Span, Range<usize>),
+        work: &mut Workspace,
+    ) -> Result<Range<usize>, Box<Fault>> {
+        let (height, mut repeats, mut number) = (span.height(), 0, 0);
+        while number < span.count {
+            let first = span.rows.start + number * height;
+            let rows = first..first + height;
+            if source.is_empty() || !self.clock_previous() {
+                source = rows.clone();
+            }
+            let moment = Moment { rows: rows.clone(), source, dt: span.dt, moves: span.moves };
+            let again = number > 0 && self.shape.repeat(test, &rows);
+            repeats = if again { repeats + 1 } else { 0 };
+            // with inputs of the row before, that row must have repeated too
+            let enough = repeats > usize::from(self.clock_previous());
+            if !(enough && self.meters.can_repeat() && self.repeat(at, test, &moment, work)?) {
+                self.step(at, test, &moment, work)?;
+            }
+            source = rows;
+            number += 1;
+            if height > 1 || number == span.count {
+                continue;
+            }
+            if self.plain {
+                number += self.repeat_values(test, source.end, span.count - number, work);
+            } else if self.follows && !again {
+                let many = self.follow(at, test, (&moment, source.end..span.rows.end), work);
+                source = source.start + many..source.end + many;
+                number += many;
+            }
+        }
+        Ok(source)
     }
 
     /// Takes as many steps as there are like the last one, of one row each, where only values are read from the data.

@@ -113,7 +113,7 @@ impl Gained {
         self.terms = pattern(longest).map_or(0, |pattern| pattern.columns.len());
         let pairs = pattern(longest).map_or(0, |pattern| pattern.pairs.len());
         let mut last: [Option<u32>; MOST] = [None; MOST];
-        let mut number = 0;
+        let mut number = 0_usize;
         for (run, longest_run) in longest.runs.iter().enumerate() {
             let mut now = [None; MOST];
             for (now, design) in now.iter_mut().zip(designs) {
@@ -130,7 +130,7 @@ impl Gained {
                 }
                 (last, number) = (now, number + 1);
             }
-            self.moves.push(number.max(1) - 1);
+            self.moves.push(number.saturating_sub(1));
         }
     }
 
@@ -149,8 +149,10 @@ impl Gained {
         let (mut first, mut row) = (0, 0);
         let mut now = None;
         for (at_run, run) in design.runs.iter().enumerate() {
-            if run.transition.is_some() && now.replace(self.moves[at_run]) != Some(self.moves[at_run]) {
-                state.take(self, self.moves[at_run]);
+            let number = self.moves[at_run];
+            if run.transition.is_some() && now != Some(number) {
+                state.take(self, number);
+                now = Some(number);
             }
             for _ in 0..run.count {
                 if run.transition.is_some() {
@@ -163,7 +165,7 @@ impl Gained {
                 }
             }
             first = run.lines;
-            if self.with_ends && at_run + 1 >= self.shortest {
+            if self.with_ends && Numbers::<T>::some_end(self, at_run) {
                 self.end_run(&state, at_run);
             }
         }
