@@ -1,5 +1,6 @@
 //! From the text of a model file to the model.
 
+use kalfit::model::roles;
 use kalfit::{Layout, Model, PhasedModel};
 use toml::de::DeTable;
 
@@ -57,13 +58,16 @@ pub(crate) fn model(text: &str, mut root: Section<'_>) -> Result<(PhasedModel, L
         source.count("measurements of all phases together", read.iter().map(|one| one.measurements.len()).sum())?;
     }
     check_shared(&context, &declared, &sources)?;
-    let shared = Shared { title, parameters: parameters::finish(&context, declared)?, group: data.group };
+    let as_given = declared.iter().map(|one| one.parameter.clone()).collect();
+    let shared = Shared { title, parameters: as_given, group: data.group };
     let models: Vec<Model> = read.iter().map(|phase| phase.model(&context, &shared)).collect();
-    data.check(models.iter().zip(read.iter().map(|phase| &phase.start)))?;
-    check_filters(&context, &read, &models)?;
-    let places = Places::of(&context, &read);
-    let phases = read.into_iter().zip(models).map(|(phase, model)| phase.finish(model)).collect();
-    Ok((PhasedModel { phases, column: data.phase }, data.layout, places))
+    let phases = read.iter().zip(models).map(|(phase, model)| phase.finish(model)).collect();
+    let mut model = PhasedModel { phases, column: data.phase };
+    let parameters = parameters::finish(&mut context, declared, &roles(&model))?;
+    model.models_mut().for_each(|phase| phase.parameters.clone_from(&parameters));
+    data.check(model.phases.iter().map(|phase| &phase.model).zip(read.iter().map(|phase| &phase.start)))?;
+    check_filters(&context, &read, &model)?;
+    Ok((model, data.layout, Places::of(&context, &read)))
 }
 
 /// Columns, texts and levels stand in every phase's model: refuses files of which that makes too much.
@@ -81,9 +85,10 @@ fn check_shared(context: &Context<'_>, declared: &[parameters::Declared], source
 }
 
 /// Filters can be checked when all uses of parameters are known; one table may serve several phases.
-fn check_filters(context: &Context<'_>, read: &[Read<'_>], models: &[Model]) -> Result<()> {
-    let used: Vec<Vec<bool>> = models.iter().map(filter::used).collect();
-    for (phase, (model, own)) in read.iter().zip(models.iter().zip(&used)) {
+fn check_filters(context: &Context<'_>, read: &[Read<'_>], model: &PhasedModel) -> Result<()> {
+    let models = || model.phases.iter().map(|phase| &phase.model);
+    let used: Vec<Vec<bool>> = models().map(filter::used).collect();
+    for (phase, (model, own)) in read.iter().zip(models().zip(&used)) {
         let Some(filter) = &phase.filter else { continue };
         let mut served = vec![false; model.parameters.len()];
         let same = |other: &Read<'_>| other.filter.as_ref().is_some_and(|other| other.span == filter.span);

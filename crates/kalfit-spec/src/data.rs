@@ -9,8 +9,8 @@ use crate::phases::Source;
 use crate::suggest::suggest;
 use crate::table::{Field, Section};
 
-const KEYS: [&str; 9] =
-    ["test", "time", "time_unit", "initial_time", "step_first", "inputs", "group", "missing", "phase"];
+const KEYS: [&str; 10] =
+    ["test", "time", "time_unit", "initial_time", "step_first", "inputs", "group", "missing", "comment", "phase"];
 const PLACE: &str = "`[data]`";
 
 /// What `[data]` says.
@@ -47,6 +47,9 @@ pub(crate) fn read(context: &mut Context<'_>, field: Option<Field<'_>>) -> Resul
     if let Some(missing) = section.take("missing") {
         data.layout.missing = missing.texts()?.into_iter().map(|(text, _)| text.to_owned()).collect();
     }
+    if let Some(comment) = section.take("comment") {
+        data.layout.comment = Some(comment_mark(&comment)?);
+    }
     if let Some(group) = section.take("group") {
         data.group = Some(context.text_column(group.text()?, group.span.clone(), "`group` in `[data]`"));
     }
@@ -75,6 +78,23 @@ fn test_key(context: &mut Context<'_>, field: &Field<'_>) -> Result<TestKey> {
     }
     context.see_column(text, field.span.clone());
     Ok(TestKey::Column(text.to_owned()))
+}
+
+/// What lines of comments begin with.
+fn comment_mark(field: &Field<'_>) -> Result<String> {
+    const LONGEST: usize = 20;
+    let text = field.text()?;
+    let begins_a_row = |c: char| c.is_control() || c.is_whitespace() || c.is_alphanumeric() || "\",;+-.".contains(c);
+    if text.len() > LONGEST || text.chars().next().is_none_or(begins_a_row) || text.contains(char::is_control) {
+        let problem = Problem::UnknownWord {
+            what: "comment".to_owned(),
+            place: PLACE.to_owned(),
+            found: text.to_owned(),
+            expected: "a mark that no row begins with, such as `#` or `//`".to_owned(),
+        };
+        return Err(SpecError::new(problem).at(field.span.clone()));
+    }
+    Ok(text.to_owned())
 }
 
 fn read_clock(context: &mut Context<'_>, section: &mut Section<'_>, data: &mut Data) -> Result<()> {

@@ -11,7 +11,7 @@ use crate::Spec;
 use crate::build::{self, MAX_BYTES};
 use crate::digest;
 use crate::error::{Problem, Span, SpecError};
-use crate::merge::{KEPT, OF_PHASE, PLACE, merge, shifted_table};
+use crate::merge::{OF_PHASE, PLACE, has_own, merge, reorder, shifted_table, table_in};
 use crate::names::phase_key;
 use crate::phases;
 use crate::places::Places;
@@ -42,6 +42,7 @@ pub enum HypothesisError {
 impl Spec {
     /// The model under a hypothesis, given as text: keys of its `[mean]`, `[covariance]` and `[parameters]` replace the
     /// model's; `structure` drops the model's other keys of `[covariance]` but `order` and `known`, which are no constraints.
+    /// An `order` of the hypothesis is that of its own matrices; Σ stays in the order of the model.
     /// Start values of the model are dropped where the hypothesis speaks of the same table. What `set` fixed stays fixed.
     /// `[phases.NAME.mean]` and `[phases.NAME.covariance]` replace keys of what that phase has, its own table or that of the
     /// top level; `[mean]` and `[covariance]` act on the phases that leave them out, as in the model.
@@ -63,15 +64,32 @@ impl Spec {
     fn merged(&self, text: &str, offset: usize) -> Result<(Option<String>, PhasedModel), SpecError> {
         let (first, second) = (&text[..offset - 1], &text[offset..]);
         let own = DeTable::parse(second).map_err(|error| moved(build::not_toml(&error, second), offset))?;
-        let own = shifted_table(own.into_inner(), offset);
+        let mut own = shifted_table(own.into_inner(), offset);
         let mut base = DeTable::parse(first).map_err(|error| build::not_toml(&error, first))?.into_inner();
         let title = self.check(&own, offset..text.len())?;
+        self.reorder(&base, &mut own);
         merge(&mut base, own)?;
         let root = Section::open("the model file", 0..text.len(), &base);
         let (read, _, places) = build::model(text, root)?;
         let mut model = self.adopt(read, &places)?;
         self.keep_set(&mut model);
         Ok((title, model))
+    }
+
+    /// Matrices of the hypothesis in the order of the model, where the hypothesis has an order of its own.
+    fn reorder(&self, base: &DeTable<'_>, own: &mut DeTable<'_>) {
+        for phase in &self.model.phases {
+            let states = phase.model.estimated_names();
+            if !has_own(base, &phase.name, "covariance")
+                && let Some(covariance) = table_in(own, "covariance")
+            {
+                reorder(covariance, &states);
+            }
+            let of_phase = table_in(own, "phases").and_then(|phases| table_in(phases, &phase.name));
+            if let Some(covariance) = of_phase.and_then(|tables| table_in(tables, "covariance")) {
+                reorder(covariance, &states);
+            }
+        }
     }
 
     /// What the hypothesis speaks of, with columns and texts numbered as in the model.
@@ -159,7 +177,7 @@ fn check_tables(section: &Section<'_>, prefix: &str) -> Result<(), SpecError> {
     for field in ["mean", "covariance", "parameters"].iter().filter_map(|key| section.peek(key)) {
         let section = field.section(format!("`[{prefix}{}]` of {PLACE}", field.key))?;
         if field.key == "covariance"
-            && let Some(kept) = KEPT.iter().find_map(|key| section.peek(key))
+            && let Some(kept) = section.peek("known")
         {
             return Err(kept.no_effect("in a hypothesis: it is no constraint, and the model's stays"));
         }

@@ -81,6 +81,7 @@ mod parameters;
 mod phase;
 mod phases;
 mod places;
+mod question;
 mod semidefinite;
 mod set;
 mod show;

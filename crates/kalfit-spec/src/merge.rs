@@ -8,8 +8,10 @@ use crate::suggest::suggest;
 
 /// The hypothesis in messages.
 pub(crate) const PLACE: &str = "the hypothesis";
-/// Keys of `[covariance]` that are no constraints on Σ: a hypothesis leaves them alone.
+/// Keys of `[covariance]` that are no constraints on Σ: those of the model stay.
 pub(crate) const KEPT: [&str; 2] = ["order", "known"];
+/// Keys of `[covariance]` with a row and a column for each estimated state.
+const MATRICES: [&str; 2] = ["matrix", "start"];
 /// Tables of a phase that a hypothesis may have.
 pub(crate) const OF_PHASE: [&str; 2] = ["mean", "covariance"];
 
@@ -59,6 +61,51 @@ fn idle(base: &DeTable<'_>, key: &str) -> bool {
     phases.is_some_and(|phases| phases.values().all(has))
 }
 
+/// Puts the matrices of a hypothesis' `[covariance]` from the order that it gives into that of the model. An order that does not
+/// name every state once stays, for the reading of the model to refuse.
+pub(crate) fn reorder(covariance: &mut DeTable<'_>, states: &[String]) {
+    let Some(key) = covariance.keys().find(|key| key.get_ref() == "order").cloned() else { return };
+    let Some(DeValue::Array(order)) = covariance.get(&key).map(Spanned::get_ref) else { return };
+    let place = |name: &String| order.iter().position(|item| item.get_ref().as_str() == Some(name.as_str()));
+    let Some(places) = states.iter().map(place).collect::<Option<Vec<usize>>>() else { return };
+    if order.len() != states.len() {
+        return;
+    }
+    for (key, value) in covariance.iter_mut() {
+        let DeValue::Array(rows) = value.get_mut() else { continue };
+        let square = |rows: &toml::de::DeArray<'_>| {
+            let fits = |row: &Item<'_>| row.get_ref().as_array().is_some_and(|row| row.len() == states.len());
+            rows.len() == states.len() && rows.iter().all(fits)
+        };
+        if !MATRICES.contains(&key.get_ref().as_ref()) || !square(rows) {
+            continue; // reading the model says what is wrong
+        }
+        permute(rows, &places);
+        rows.iter_mut().for_each(|row| {
+            if let DeValue::Array(row) = row.get_mut() {
+                permute(row, &places);
+            }
+        });
+    }
+    covariance.remove(&key);
+}
+
+fn permute(array: &mut toml::de::DeArray<'_>, places: &[usize]) {
+    let moved: Vec<Item<'_>> = places.iter().map(|&place| array[place].clone()).collect();
+    array.iter_mut().zip(moved).for_each(|(to, from)| *to = from);
+}
+
+/// A phase has this table itself.
+pub(crate) fn has_own(base: &DeTable<'_>, phase: &str, key: &str) -> bool {
+    let named = |table: &DeTable<'_>, key: &str| table.keys().any(|k| k.get_ref() == key);
+    base.iter().filter(|(k, _)| k.get_ref() == "phases").filter_map(|(_, phases)| phases.get_ref().as_table()).any(
+        |phases| {
+            let own = phases.iter().find(|(k, _)| k.get_ref() == phase);
+            own.and_then(|(_, tables)| tables.get_ref().as_table()).is_some_and(|tables| named(tables, key))
+        },
+    )
+}
+
 /// Keys replace those of what a phase has: its own table, or else a copy of the top level's.
 fn in_phase<'i>(base: &mut DeTable<'i>, phase: &str, key: Key<'i>, value: Item<'i>) {
     let top = base.get(&key).cloned();
@@ -69,7 +116,7 @@ fn in_phase<'i>(base: &mut DeTable<'i>, phase: &str, key: Key<'i>, value: Item<'
     replace(phase, key, value);
 }
 
-fn table_in<'t, 'i>(table: &'t mut DeTable<'i>, key: &str) -> Option<&'t mut DeTable<'i>> {
+pub(crate) fn table_in<'t, 'i>(table: &'t mut DeTable<'i>, key: &str) -> Option<&'t mut DeTable<'i>> {
     let (_, value) = table.iter_mut().find(|(k, _)| k.get_ref() == key)?;
     match value.get_mut() {
         DeValue::Table(table) => Some(table),

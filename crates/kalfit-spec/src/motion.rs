@@ -228,7 +228,8 @@ fn driving_noise(context: &mut Context<'_>, section: &mut Section<'_>, key: &str
     squared(context, deviation, &field.span)
 }
 
-/// A number that cannot be negative: a standard deviation, a variance or a time constant.
+/// A number that cannot be negative: a standard deviation, a variance or a time constant. A parameter that is the whole of it has
+/// that role whatever else it does; those that are parts of it get their role when the model is whole.
 pub(crate) fn deviation(
     context: &mut Context<'_>,
     field: &Field<'_>,
@@ -244,23 +245,9 @@ pub(crate) fn deviation(
                 return Err(SpecError::new(problem).at(field.span.clone()));
             }
         }
-        _ if role != Role::TimeConstant => factors(&value, &mut |index| context.use_parameter(index, role)),
         _ => {}
     }
     Ok(value)
-}
-
-/// Parameters that are factors of a product, so that their sign is that of the whole.
-fn factors(value: &Expression, found: &mut dyn FnMut(usize)) {
-    match value {
-        Expression::Parameter(index) => found(*index),
-        Expression::Binary(Operator::Multiply, a, b) => {
-            factors(a, found);
-            factors(b, found);
-        }
-        Expression::Binary(Operator::Divide, a, _) => factors(a, found),
-        _ => {}
-    }
 }
 
 /// The variance of a standard deviation.

@@ -108,6 +108,18 @@ pub(crate) enum Role {
     TimeConstant,
 }
 
+impl From<kalfit::model::Role> for Role {
+    fn from(role: kalfit::model::Role) -> Role {
+        use kalfit::model::Role as Served;
+        match role {
+            Served::Scale { power: 2 } => Role::StandardDeviation,
+            Served::Scale { .. } => Role::Variance,
+            Served::TimeConstant => Role::TimeConstant,
+            Served::Other => Role::Coefficient,
+        }
+    }
+}
+
 impl Role {
     pub(crate) fn words(self) -> &'static str {
         match self {

@@ -126,8 +126,17 @@ fn read_levels(
     Ok(())
 }
 
-/// Checks values and bounds now that all uses are known, and marks what is positive.
-pub(crate) fn finish(context: &Context<'_>, declared: Vec<Declared>) -> Result<Vec<Parameter>> {
+/// Checks values and bounds now that all uses are known, and marks what is positive; `serve`: what each does in the whole model.
+pub(crate) fn finish(
+    context: &mut Context<'_>,
+    declared: Vec<Declared>,
+    serve: &[kalfit::model::Role],
+) -> Result<Vec<Parameter>> {
+    for (used, served) in context.roles.iter_mut().zip(serve) {
+        if let Some(used) = used {
+            *used = (*used).max(Role::from(*served));
+        }
+    }
     declared.into_iter().enumerate().map(|(index, one)| checked(context, index, one)).collect()
 }
 

@@ -136,13 +136,13 @@ impl Read<'_> {
     }
 
     /// The phase of this model.
-    pub(crate) fn finish(self, model: Model) -> Phase {
+    pub(crate) fn finish(&self, model: Model) -> Phase {
         Phase {
             name: self.source.name.to_owned(),
             label: self.label,
             model,
-            carry: self.inherited.carry,
-            filter: self.filter.map(|declared| declared.filter),
+            carry: self.inherited.carry.clone(),
+            filter: self.filter.as_ref().map(|declared| declared.filter.clone()),
         }
     }
 }

@@ -249,11 +249,25 @@ fn keys_and_words_that_are_unknown_are_refused_where_they_stand() {
 }
 
 #[test]
-fn what_is_no_constraint_is_refused() {
-    insta::assert_snapshot!(refusal("[covariance]\norder = ['bias', 'scale', 'drift']\n"), @r#"
-    `order` has no effect in a hypothesis: it is no constraint, and the model's stays
-    in the hypothesis at "order"
+fn matrices_of_a_hypothesis_may_have_an_order_of_their_own() {
+    let under = |text: &str| model().under(text).map(|found| found.model);
+    let own = "[covariance]\norder = ['bias', 'drift', 'scale']\nstructure = 'fixed'\nmatrix = [[1, 2, 3], [2, 50, 6], [3, 6, 900]]\n";
+    let same = "[covariance]\nstructure = 'fixed'\nmatrix = [[900, 3, 6], [3, 1, 2], [6, 2, 50]]\n";
+    assert_eq!(under(own).unwrap(), under(same).unwrap());
+    assert_eq!(under(own).unwrap().estimated_names(), ["scale", "bias", "drift"], "the order of the model");
+    insta::assert_snapshot!(refusal("[covariance]\norder = ['bias', 'scale']\nstructure = 'diagonal'\n"), @r#"
+    `drift` is missing in `order` of `[covariance]`
+    in the hypothesis at "['bias', 'scale']"
+    hint the order names every estimated state once
     "#);
+    insta::assert_snapshot!(refusal("[covariance]\norder = ['bias', 'scale', 'bias']\nstructure = 'diagonal'\n"), @r#"
+    `bias` stands twice in `order` of `[covariance]`
+    in the hypothesis at "'bias'"
+    "#);
+}
+
+#[test]
+fn what_is_no_constraint_is_refused() {
     insta::assert_snapshot!(refusal("[covariance]\nknown = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n"), @r#"
     `known` has no effect in a hypothesis: it is no constraint, and the model's stays
     in the hypothesis at "known"

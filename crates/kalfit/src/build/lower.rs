@@ -6,7 +6,7 @@ use crate::build::constraint::{Elements, entries, finite};
 use crate::build::formula::Formula;
 use crate::build::linear::scalar;
 use crate::build::names::{Names, Role, unknown};
-use crate::model::{Clock, Expression, Initial, Model, Parameter, PhasedModel};
+use crate::model::{Clock, Expression, Initial, Model, Parameter, PhasedModel, roles_among};
 
 /// A covariance between the noises of two things, by their indices.
 type Covariances = Vec<(usize, usize, Expression)>;
@@ -14,17 +14,19 @@ type Covariances = Vec<(usize, usize, Expression)>;
 /// A model of one phase.
 pub(super) fn single(builder: &ModelBuilder) -> Result<PhasedModel, BuildError> {
     let mut names = Names::default();
-    let mut model = phase(builder, &mut names, None)?;
-    share(&mut names, &mut [&mut model])?;
-    Ok(PhasedModel::from(model))
+    let mut model = PhasedModel::from(phase(builder, &mut names, None)?);
+    share(&mut names, &mut model)?;
+    Ok(model)
 }
 
 /// Gives models what they have in common, now that all of it is known.
-pub(super) fn share(names: &mut Names, models: &mut [&mut Model]) -> Result<(), BuildError> {
+pub(super) fn share(names: &mut Names, model: &mut PhasedModel) -> Result<(), BuildError> {
+    let roles = roles_among(&model.phases, names.parameters.len());
+    roles.into_iter().enumerate().for_each(|(parameter, role)| names.serve(parameter, role.into()));
     let given = names.parameters.clone();
     let parameters: Vec<Parameter> =
         given.iter().map(|(parameter, role)| parameter.lower_into(names, *role)).collect::<Result<_, _>>()?;
-    for model in models {
+    for model in model.models_mut() {
         model.columns = names.columns.clone();
         model.text_columns = names.text_columns.clone();
         model.literals = names.literals.clone();

@@ -16,6 +16,17 @@ pub(super) enum Role {
     TimeConstant,
 }
 
+impl From<crate::model::Role> for Role {
+    fn from(role: crate::model::Role) -> Role {
+        use crate::model::Role as Served;
+        match role {
+            Served::Scale { .. } => Role::Spread,
+            Served::TimeConstant => Role::TimeConstant,
+            Served::Other => Role::Unused, // nothing beyond what its uses were noted as
+        }
+    }
+}
+
 /// What all phases have in common.
 #[derive(Debug, Default)]
 pub(super) struct Names {
@@ -83,18 +94,18 @@ impl Names {
         }
     }
 
-    /// Parameters that are factors of an expression in this role, so that their sign is that of the whole.
+    /// A parameter that is the whole of an expression in this role has it, whatever else it does; those that are parts of it get
+    /// theirs when the model is whole.
     pub(super) fn mark(&mut self, value: &Expression, role: Role) {
-        use crate::model::Operator::{Divide, Multiply};
-        match value {
-            Expression::Parameter(index) => self.parameters[*index].1 = self.parameters[*index].1.max(role),
-            Expression::Binary(Multiply, a, b) if role != Role::TimeConstant => {
-                self.mark(a, role);
-                self.mark(b, role);
-            }
-            Expression::Binary(Divide, a, _) if role != Role::TimeConstant => self.mark(a, role),
-            _ => {}
+        if let Expression::Parameter(index) = value {
+            self.serve(*index, role);
         }
+    }
+
+    /// What a parameter does, if that is stricter than what is known.
+    pub(super) fn serve(&mut self, parameter: usize, role: Role) {
+        let known = &mut self.parameters[parameter].1;
+        *known = (*known).max(role);
     }
 }
 

@@ -199,7 +199,8 @@ impl PhasedModelBuilder {
             phases.push(builder.lower(&mut names, before.as_deref())?);
             before = Some(names.states.clone());
         }
-        share(&mut names, &mut phases.iter_mut().map(|phase| &mut phase.model).collect::<Vec<_>>())?;
-        Ok(PhasedModel { phases, column: Some(column) })
+        let mut model = PhasedModel { phases, column: Some(column) };
+        share(&mut names, &mut model)?;
+        Ok(model)
     }
 }

@@ -9,6 +9,7 @@ mod parameter;
 mod phased;
 mod population;
 mod power;
+mod role;
 mod stacked;
 mod structure;
 
@@ -17,6 +18,8 @@ pub use expression::{EvaluationError, Expression, Function, Operator, Scope};
 pub use parameter::{Alpha, Level, Parameter, ParameterError, Value};
 pub use phased::{Carry, Filter, MAIN, Phase, PhasedModel};
 pub use population::{Population, PopulationError};
+pub(crate) use role::roles_among;
+pub use role::{Role, roles};
 pub use structure::{
     CovarianceKind, CovarianceStructure, FixedElement, MeanElement, MeanStructure, Regression, StructureError,
 };
@@ -162,6 +165,28 @@ impl Model {
     /// p: the number of estimated states.
     pub fn dimension(&self) -> usize {
         self.estimated.len()
+    }
+
+    /// Two parameters stand in the motion of one state, or in one covariance of noises.
+    pub(crate) fn stand_together(&self, a: usize, b: usize) -> bool {
+        let mentions = |expression: &Expression, parameter: usize| {
+            expression.any(&mut |part| matches!(part, Expression::Parameter(index) if *index == parameter))
+        };
+        let moved = |state: &State| match &state.motion {
+            Motion::Constant => false,
+            Motion::Continuous { derivative: motion, noise_variance }
+            | Motion::Discrete { next: motion, noise_variance } => {
+                let any = |p: usize| {
+                    mentions(noise_variance, p) || motion.terms.iter().any(|(_, coefficient)| mentions(coefficient, p))
+                };
+                any(a) && any(b)
+            }
+        };
+        let crossed =
+            |(.., covariance): &(usize, usize, Expression)| mentions(covariance, a) && mentions(covariance, b);
+        self.states.iter().any(moved)
+            || self.process_noise_covariance.iter().any(crossed)
+            || self.noise_covariance.iter().any(crossed)
     }
 
     /// Names of the estimated states, in the order of μ and Σ.

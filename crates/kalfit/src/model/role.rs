@@ -1,0 +1,195 @@
+//! What parameters are for, found from every place in which they stand.
+//!
+//! A parameter that does nothing but scale noise has no sign of its own: ℓ depends on the variances, and these are even in a
+//! standard deviation and at least zero where they are proportional to a variance. So such a parameter can be taken as positive
+//! without loss, and so can a time constant, which cannot pass through zero.
+
+use crate::model::{CovarianceKind, Expression, Initial, Linear, Model, Motion, Phase, PhasedModel};
+
+mod timely;
+mod variance;
+
+use timely::Decay;
+use variance::Use;
+
+/// What a parameter is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Role {
+    /// It stands in variances and covariances of noise only, as a scale: they depend on it through v = θ^power, and it can be taken
+    /// as positive.
+    Scale {
+        /// 2 for a standard deviation, 1 for a variance (and for what serves as both).
+        power: i32,
+    },
+    /// It stands in the motion of states as a time constant only (-1/τ times the state itself, or exp(-dt/τ)), and in variances: it
+    /// is positive.
+    TimeConstant,
+    /// Anything else, and what stands nowhere.
+    Other,
+}
+
+/// Where an expression stands.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Place {
+    /// A variance of noise, of a known start, or of a matrix of Σ.
+    Variance,
+    /// A covariance of these.
+    Covariance,
+    /// The derivative of a state; `own`: the coefficient of that state itself.
+    Derivative { own: bool },
+    /// The next value of a state.
+    Next { own: bool },
+    /// A coefficient, an input, a condition, a correlation.
+    Elsewhere,
+}
+
+/// The role of each parameter of a model.
+///
+/// A parameter is a [`Role::Scale`] when it stands nowhere but in variances and covariances, in one variance at least, and
+/// - every variance is even in it, built of products, quotients, powers, roots, sums and alternatives (`sigma`, `if(a, sd, 0)`,
+///   `sigma * (1 + b * T)` in sigma, `sqrt(a^2 + b^2 * x)` in a and b), or it is a factor of every variance (`variance = "v"`),
+///   or a variance added to what is known or even (`variance = "v + tau2"`);
+/// - where it stands in covariances, it is a factor of these and of the variances: `rho * sd0 * sd1`. What covariance two positive
+///   standard deviations can give is then for the others there to say, such as a rho that may take either sign. In
+///   `l1 * l2` beside the variances `l1^2 + u1` they are loadings, whose signs mean something: not scales.
+///
+/// Terms of a sum that may be negative (`a + b * T`) and functions such as exp make it [`Role::Other`].
+pub fn roles(model: &PhasedModel) -> Vec<Role> {
+    roles_among(&model.phases, model.shared().parameters.len())
+}
+
+/// As [`roles`], of phases that need not have their parameters yet.
+pub(crate) fn roles_among(phases: &[Phase], parameters: usize) -> Vec<Role> {
+    let mut occurrences = vec![Vec::new(); parameters];
+    for phase in phases {
+        each_expression(phase, &mut |place, expression| {
+            let mut inside = Vec::new();
+            expression.any(&mut |part| {
+                if let Expression::Parameter(index) = part {
+                    inside.push(*index);
+                }
+                false
+            });
+            inside.sort_unstable();
+            inside.dedup();
+            inside.into_iter().for_each(|parameter| occurrences[parameter].push((place, expression)));
+        });
+    }
+    occurrences.iter().enumerate().map(|(parameter, places)| role(parameter, places)).collect()
+}
+
+fn role(parameter: usize, occurrences: &[(Place, &Expression)]) -> Role {
+    match scale(parameter, occurrences) {
+        Some(power) => Role::Scale { power },
+        None if is_time_constant(parameter, occurrences) => Role::TimeConstant,
+        None => Role::Other,
+    }
+}
+
+/// k, where the parameter scales noise as v = θ^k.
+fn scale(parameter: usize, occurrences: &[(Place, &Expression)]) -> Option<i32> {
+    let paired = occurrences.iter().any(|(place, _)| *place == Place::Covariance);
+    let mut power = None;
+    for (place, expression) in occurrences {
+        if paired && expression.exponents(parameter).is_none() {
+            return None;
+        }
+        match (place, expression.use_as_variance(parameter)) {
+            (Place::Variance, Use::Deviation) => power = power.or(Some(2)),
+            (Place::Variance, Use::Variance) => power = Some(1),
+            (Place::Covariance, _) => {}
+            _ => return None,
+        }
+    }
+    power
+}
+
+/// Every motion that it stands in decays with it, one at least by itself.
+fn is_time_constant(parameter: usize, occurrences: &[(Place, &Expression)]) -> bool {
+    let mut decays = false;
+    for (place, expression) in occurrences {
+        let (found, own) = match place {
+            Place::Variance | Place::Covariance => {
+                let scaled = expression.exponents(parameter).is_some();
+                (if scaled { Decay::None } else { expression.decay(parameter) }, false)
+            }
+            Place::Derivative { own } => (expression.rate(parameter), *own),
+            Place::Next { own } => (expression.decay(parameter), *own),
+            Place::Elsewhere => return false,
+        };
+        match found {
+            Decay::Other => return false,
+            Decay::Falling => decays |= own,
+            Decay::None => {}
+        }
+    }
+    decays
+}
+
+/// Every expression of a phase and where it stands.
+fn each_expression<'m>(phase: &'m Phase, visit: &mut dyn FnMut(Place, &'m Expression)) {
+    let model = &phase.model;
+    for measurement in &model.measurements {
+        each_coefficient(&measurement.equation, &|_| Place::Elsewhere, visit);
+        measurement.filter.iter().for_each(|filter| visit(Place::Elsewhere, filter));
+        visit(Place::Variance, &measurement.noise_variance);
+    }
+    each_of_states(model, visit);
+    phase.carry.iter().for_each(|carry| each_coefficient(&carry.from, &|_| Place::Elsewhere, visit));
+    let between = model.noise_covariance.iter().chain(&model.process_noise_covariance);
+    between.for_each(|(.., covariance)| visit(Place::Covariance, covariance));
+    each_of_matrices(model, visit);
+    model.clock.initial_time.iter().for_each(|time| visit(Place::Elsewhere, time));
+}
+
+fn each_of_states<'m>(model: &'m Model, visit: &mut dyn FnMut(Place, &'m Expression)) {
+    for (i, state) in model.states.iter().enumerate() {
+        match &state.motion {
+            Motion::Constant => {}
+            Motion::Continuous { derivative, noise_variance } => {
+                each_coefficient(derivative, &|of| Place::Derivative { own: of == Some(i) }, visit);
+                visit(Place::Variance, noise_variance);
+            }
+            Motion::Discrete { next, noise_variance } => {
+                each_coefficient(next, &|of| Place::Next { own: of == Some(i) }, visit);
+                visit(Place::Variance, noise_variance);
+            }
+        }
+        if let Initial::Known { mean, variance } = &state.initial {
+            visit(Place::Elsewhere, mean);
+            visit(Place::Variance, variance);
+        }
+        state.offset.iter().for_each(|offset| visit(Place::Elsewhere, offset));
+    }
+}
+
+fn each_of_matrices<'m>(model: &'m Model, visit: &mut dyn FnMut(Place, &'m Expression)) {
+    let mut each = |matrix: &'m [Vec<Expression>], diagonal, beside| {
+        for (i, row) in matrix.iter().enumerate() {
+            row.iter().enumerate().for_each(|(j, entry)| visit(if i == j { diagonal } else { beside }, entry));
+        }
+    };
+    match &model.covariance.kind {
+        CovarianceKind::Fixed(matrix) | CovarianceKind::Proportional(matrix) => {
+            each(matrix, Place::Variance, Place::Covariance);
+        }
+        CovarianceKind::Correlation(matrix) => each(matrix, Place::Elsewhere, Place::Elsewhere),
+        _ => {}
+    }
+    if let Some(known) = &model.covariance.known {
+        each(known, Place::Variance, Place::Covariance);
+    }
+}
+
+/// The coefficients of a linear form; `place` of the state of each, `None` for the constant.
+fn each_coefficient<'m>(
+    linear: &'m Linear,
+    place: &dyn Fn(Option<usize>) -> Place,
+    visit: &mut dyn FnMut(Place, &'m Expression),
+) {
+    linear.terms.iter().for_each(|(state, coefficient)| visit(place(Some(*state)), coefficient));
+    visit(place(None), &linear.constant);
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,56 @@
+//! How a parameter stands in motion, where it may be a time constant τ.
+
+use crate::model::{Expression, Function, Operator};
+
+/// What a coefficient of motion does with τ.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Decay {
+    /// Nothing that tells its sign, or τ is not there.
+    None,
+    /// It falls with it: -c/τ as a rate, exp(-dt/τ) as a factor.
+    Falling,
+    /// Something that no time constant does.
+    Other,
+}
+
+impl Expression {
+    /// Of a coefficient of a derivative: c/τ^k.
+    pub(super) fn rate(&self, parameter: usize) -> Decay {
+        match self.exponents(parameter) {
+            Some(exponents) if exponents.iter().all(|k| *k == 0.0) => Decay::None,
+            Some(exponents) if exponents.iter().all(|k| *k <= 0.0) => {
+                if self.is_negative() {
+                    Decay::Falling
+                } else {
+                    Decay::None
+                }
+            }
+            _ => Decay::Other,
+        }
+    }
+
+    /// Of what happens in a step: τ stands in exp(-dt/τ) only.
+    pub(super) fn decay(&self, parameter: usize) -> Decay {
+        let of = |part: &Expression| part.decay(parameter);
+        match self {
+            Expression::Parameter(index) if *index == parameter => Decay::Other,
+            Expression::Call(Function::Exp, arguments) => match arguments[0].rate(parameter) {
+                Decay::Falling if arguments[0].any(&mut |part| *part == Expression::Step) => Decay::Falling,
+                Decay::None if of(&arguments[0]) == Decay::None => Decay::None,
+                _ => Decay::Other,
+            },
+            Expression::Negate(a) => of(a),
+            Expression::Binary(
+                Operator::Add | Operator::Subtract | Operator::Multiply | Operator::Divide | Operator::Power,
+                a,
+                b,
+            ) => of(a).max(of(b)),
+            Expression::Call(Function::Sqrt, arguments) => of(&arguments[0]),
+            Expression::If(condition, a, b) if of(condition) == Decay::None => of(a).max(of(b)),
+            _ => {
+                let inside = self.any(&mut |part| matches!(part, Expression::Parameter(index) if *index == parameter));
+                if inside { Decay::Other } else { Decay::None }
+            }
+        }
+    }
+}

@@ -1,0 +1,168 @@
+//! How a parameter stands in a variance.
+
+use crate::model::{Expression, Function, Operator};
+
+/// What a parameter θ is in an expression that is a variance.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Use {
+    /// It is not there.
+    Absent,
+    /// A standard deviation: the variance is even in θ.
+    Deviation,
+    /// A variance: a factor, or added to what cannot be negative.
+    Variance,
+    /// Something else.
+    Other,
+}
+
+impl Expression {
+    /// What θ is in this variance.
+    pub(super) fn use_as_variance(&self, parameter: usize) -> Use {
+        let of = |part: &Expression| part.use_as_variance(parameter);
+        let found = match self {
+            Expression::Parameter(index) if *index == parameter => Use::Variance,
+            Expression::Negate(a) => odd_is_other(of(a)),
+            Expression::Binary(Operator::Multiply, a, b) if a == b => a.use_as_deviation(parameter),
+            Expression::Binary(Operator::Multiply | Operator::Divide, a, b) => {
+                let both = of(a).max(of(b));
+                if a.is_negative() != b.is_negative() { odd_is_other(both) } else { both }
+            }
+            Expression::Binary(Operator::Power, a, n) => match n.as_number() {
+                Some(n) if n % 2.0 == 0.0 => a.use_as_deviation(parameter),
+                Some(_) => of(a),
+                None => self.flat(parameter),
+            },
+            Expression::Binary(Operator::Add, a, b) => {
+                let both = of(a).max(of(b));
+                if both == Use::Variance && !self.adds_variances() { Use::Other } else { both }
+            }
+            Expression::Binary(Operator::Subtract, a, b) => odd_is_other(of(a).max(of(b))),
+            Expression::Call(Function::Sqrt | Function::Abs, arguments) => of(&arguments[0]),
+            Expression::Call(Function::Min | Function::Max, arguments) => most(arguments.iter().map(of)),
+            Expression::If(condition, a, b) => condition.flat(parameter).max(of(a)).max(of(b)),
+            _ => self.flat(parameter),
+        };
+        if found == Use::Other && self.is_multiple(parameter) { Use::Variance } else { found }
+    }
+
+    /// What θ is in this standard deviation.
+    fn use_as_deviation(&self, parameter: usize) -> Use {
+        let of = |part: &Expression| part.use_as_deviation(parameter);
+        let found = match self {
+            Expression::Parameter(index) if *index == parameter => Use::Deviation,
+            Expression::Negate(a) => of(a),
+            Expression::Binary(Operator::Multiply | Operator::Divide, a, b) => of(a).max(of(b)),
+            Expression::Binary(Operator::Power, a, n) => match n.as_number() {
+                Some(n) if n.fract() == 0.0 => of(a),
+                Some(n) if (2.0 * n).fract() == 0.0 => a.use_as_variance(parameter),
+                _ => self.flat(parameter),
+            },
+            Expression::Binary(Operator::Add | Operator::Subtract, a, b) => {
+                odd_is_other(a.use_as_variance(parameter).max(b.use_as_variance(parameter)))
+            }
+            Expression::Call(Function::Sqrt, arguments) => arguments[0].use_as_variance(parameter),
+            Expression::Call(Function::Abs, arguments) => of(&arguments[0]),
+            Expression::Call(Function::Min | Function::Max, arguments) => most(arguments.iter().map(of)),
+            Expression::If(condition, a, b) => condition.flat(parameter).max(of(a)).max(of(b)),
+            _ => self.flat(parameter),
+        };
+        if found == Use::Other && self.is_multiple(parameter) { Use::Deviation } else { found }
+    }
+
+    /// Of an expression that holds no scales: θ is not there, or something else.
+    fn flat(&self, parameter: usize) -> Use {
+        if self.any(&mut |part| matches!(part, Expression::Parameter(index) if *index == parameter)) {
+            Use::Other
+        } else {
+            Use::Absent
+        }
+    }
+
+    /// θ times what does not hold it.
+    fn is_multiple(&self, parameter: usize) -> bool {
+        self.exponents(parameter).is_some_and(|exponents| exponents == [1.0]) && !self.is_negative()
+    }
+
+    /// Every term is one that holds no parameter, is even in all that it holds, or is a product of parameters alone.
+    fn adds_variances(&self) -> bool {
+        if let Expression::Binary(Operator::Add, a, b) = self {
+            return a.adds_variances() && b.adds_variances();
+        }
+        if let Expression::If(_, a, b) = self {
+            return a.adds_variances() && b.adds_variances();
+        }
+        let mut inside = Vec::new();
+        let mut bare = !self.is_negative();
+        self.any(&mut |part| {
+            match part {
+                Expression::Parameter(index) => inside.push(*index),
+                Expression::Number(_) | Expression::Binary(Operator::Multiply, ..) => {}
+                _ => bare = false,
+            }
+            false
+        });
+        bare || inside.into_iter().all(|parameter| self.use_as_variance(parameter) == Use::Deviation)
+    }
+
+    /// It has a minus sign before it.
+    pub(super) fn is_negative(&self) -> bool {
+        match self {
+            Expression::Number(x) => *x < 0.0,
+            Expression::Negate(a) => !a.is_negative(),
+            Expression::Binary(Operator::Multiply | Operator::Divide, a, b) => a.is_negative() != b.is_negative(),
+            Expression::If(_, a, b) => a.is_negative() && b.is_negative(),
+            _ => false,
+        }
+    }
+
+    /// The k where this is θ^k times what does not hold θ: one on each row, ascending, none where it is zero; `None` when it is not
+    /// of that form.
+    pub(super) fn exponents(&self, parameter: usize) -> Option<Vec<f64>> {
+        let of = |part: &Expression| part.exponents(parameter);
+        match self {
+            Expression::Number(0.0) => Some(Vec::new()),
+            Expression::Parameter(index) if *index == parameter => Some(vec![1.0]),
+            Expression::Negate(a) => of(a),
+            Expression::Binary(Operator::Multiply, a, b) => Some(pairs(&of(a)?, &of(b)?, |j, k| j + k)),
+            Expression::Binary(Operator::Divide, a, b) => Some(pairs(&of(a)?, &of(b)?, |j, k| j - k)),
+            Expression::Binary(Operator::Power, a, n) if n.as_number().is_some() => {
+                let n = n.as_number()?;
+                Some(ascending(of(a)?.into_iter().map(|k| k * n).collect()))
+            }
+            Expression::Binary(Operator::Add | Operator::Subtract, a, b) => match (&of(a)?[..], &of(b)?[..]) {
+                ([], other) | (other, []) => Some(other.to_vec()),
+                ([j], [k]) if j == k => Some(vec![*j]),
+                _ => None,
+            },
+            Expression::Call(Function::Sqrt, arguments) => {
+                Some(of(&arguments[0])?.into_iter().map(|k| 0.5 * k).collect())
+            }
+            Expression::Call(Function::Abs, arguments) => of(&arguments[0]),
+            Expression::If(condition, a, b) if condition.flat(parameter) == Use::Absent => {
+                let mut both = of(a)?;
+                both.extend(of(b)?);
+                Some(ascending(both))
+            }
+            _ => (self.flat(parameter) == Use::Absent).then(|| vec![0.0]),
+        }
+    }
+}
+
+fn pairs(a: &[f64], b: &[f64], of: fn(f64, f64) -> f64) -> Vec<f64> {
+    ascending(a.iter().flat_map(|&j| b.iter().map(move |&k| of(j, k))).collect())
+}
+
+fn ascending(mut exponents: Vec<f64>) -> Vec<f64> {
+    exponents.sort_by(f64::total_cmp);
+    exponents.dedup();
+    exponents
+}
+
+/// With a minus sign what is odd in θ is no variance.
+fn odd_is_other(found: Use) -> Use {
+    if found == Use::Variance { Use::Other } else { found }
+}
+
+fn most(uses: impl Iterator<Item = Use>) -> Use {
+    uses.fold(Use::Absent, Use::max)
+}
