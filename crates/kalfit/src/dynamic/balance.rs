@@ -4,7 +4,8 @@
 
 use crate::dynamic::Coordinate;
 use crate::dynamic::bench::Bench;
-use crate::dynamic::start::{FACTOR, mentions, time_constants};
+use crate::dynamic::start::{FACTOR, mentions, time_constants, tried};
+use crate::estimate::Progress;
 
 /// Powers of the factor tried for levels of one kind alone.
 const ALONE: [i32; 7] = [-3, -2, -1, 0, 1, 2, 3];
@@ -15,7 +16,12 @@ const MOVED: [i32; 9] = [-7, -5, -4, -3, -2, -1, 0, 1, 3];
 
 /// The unknown noise levels set to the likeliest of some points over both kinds. Returned: other points that are likelier than all
 /// beside them, the likeliest first.
-pub(super) fn balance(small: &Bench<'_>, unknown: &[usize], values: &mut Vec<f64>) -> Vec<Vec<f64>> {
+pub(super) fn balance(
+    small: &Bench<'_>,
+    unknown: &[usize],
+    values: &mut Vec<f64>,
+    progress: &mut dyn Progress,
+) -> Vec<Vec<f64>> {
     let (measured, moved) = kinds(small, unknown);
     let (rows, columns): (&[i32], &[i32]) = match (measured.is_empty(), moved.is_empty()) {
         (true, true) => return Vec::new(),
@@ -38,7 +44,8 @@ pub(super) fn balance(small: &Bench<'_>, unknown: &[usize], values: &mut Vec<f64
     };
     let points: Vec<Vec<f64>> =
         rows.iter().flat_map(|&a| columns.iter().map(move |&b| (a, b))).map(|(a, b)| at(a, b)).collect();
-    let heights: Vec<f64> = points.iter().map(|point| small.value(point).unwrap_or(f64::NEG_INFINITY)).collect();
+    let heights: Vec<f64> =
+        points.iter().map(|point| tried(small, point, progress).unwrap_or(f64::NEG_INFINITY)).collect();
     let mut peaks = peaks(&heights, columns.len());
     peaks.sort_by(|&a, &b| heights[b].total_cmp(&heights[a]));
     let mut peaks = peaks.into_iter();

@@ -8,13 +8,16 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use nalgebra::DVector;
 
+use crate::dynamic::edges::Edges;
 use crate::dynamic::indirect::Indirect;
 use crate::dynamic::matrices::{self, matrix_gradient};
 use crate::dynamic::scale::{self, AtScale, Scale};
+use crate::dynamic::start;
+use crate::dynamic::twins::Twins;
 use crate::dynamic::{Coordinate, DynamicError, Settings};
 use crate::estimate::{self, Criterion, Estimate, FitError, InitialLaw, NoiseInformation, Silent, Structure};
 use crate::model::{Alpha, PhasedModel, Population};
-use crate::reduce::{PhasedReducer, PhasedTest, Reduction};
+use crate::reduce::{Evidence, PhasedReducer, PhasedTest, Reduction};
 use crate::score::{Companies, Gradient, Levels, PhasedComplete, PhasedScorer, Slots, carried};
 
 /// The ensemble and the model, ready for any α.
@@ -25,6 +28,13 @@ pub(crate) struct Bench<'a> {
     pub(crate) slots: &'a Slots,
     pub(crate) coordinates: Vec<Coordinate>,
     pub(crate) settings: &'a Settings,
+    /// Covariances of noises, which are sought as parts of what they may be.
+    pub(crate) edges: Edges,
+    /// Levels that a known covariance bounds.
+    pub(crate) cone: BTreeSet<usize>,
+    /// Processes that may change places.
+    pub(crate) twins: Vec<Twins>,
+    units: OnceLock<Vec<f64>>,
     order: Vec<usize>,
     indirect: Indirect,
     scale: Option<Scale>,
@@ -96,14 +106,23 @@ impl<'a> Bench<'a> {
         settings: &'a Settings,
     ) -> Bench<'a> {
         let zero = || AtomicUsize::new(0);
+        let edges = Edges::of(model, slots, tests);
+        let mut coordinates = Coordinate::of(model, slots);
+        edges.bound(&mut coordinates);
+        let cone = Edges::least(model, slots, tests);
+        cone.iter().for_each(|&(s, least)| coordinates[s].lower = coordinates[s].lower.max(least));
         let mut order: Vec<usize> = (0..tests.len()).collect();
         order.sort_by(|&a, &b| tests[a].id.cmp(&tests[b].id));
         Bench {
             model,
             tests,
             slots,
-            coordinates: Coordinate::of(model.shared(), slots),
+            coordinates,
+            edges,
+            cone: cone.into_iter().map(|(s, _)| s).collect(),
             settings,
+            twins: Twins::of(model, slots),
+            units: OnceLock::new(),
             order,
             indirect: Indirect::of(model, tests, slots),
             scale: Scale::of(model, tests, slots),
@@ -112,6 +131,22 @@ impl<'a> Bench<'a> {
             score_passes: zero(),
             passes: zero(),
         }
+    }
+
+    /// What the data suggest for each value; 1 where they suggest nothing.
+    pub(crate) fn units(&self) -> &[f64] {
+        self.units.get_or_init(|| {
+            let scales = start::Scales::of(self);
+            let unit = |slot: &crate::score::Slot| scales.guess(self.model, slot.parameter);
+            let one = |(slot, coordinate): (_, &Coordinate)| if coordinate.log { unit(slot) } else { 1.0 };
+            self.slots.slots().iter().zip(&self.coordinates).map(one).collect()
+        })
+    }
+
+    /// Rows of all tests.
+    pub(crate) fn rows(&self) -> usize {
+        let rows = |evidence: &Evidence| if let Evidence::Rows(test) = evidence { test.rows() } else { 0 };
+        self.tests.iter().flat_map(|test| &test.phases).map(rows).sum()
     }
 
     /// The same by the filters and their backward runs alone.
@@ -130,14 +165,34 @@ impl<'a> Bench<'a> {
         self.score_passes.load(Ordering::Relaxed)
     }
 
+    /// Counts what another bench of the same ensemble has run.
+    pub(crate) fn absorb(&self, other: &Bench<'_>) {
+        let pairs = [
+            (&self.filter_passes, &other.filter_passes),
+            (&self.score_passes, &other.score_passes),
+            (&self.passes, &other.passes),
+        ];
+        pairs.iter().for_each(|(own, more)| _ = own.fetch_add(more.load(Ordering::Relaxed), Ordering::Relaxed));
+    }
+
     /// Passes over the reductions.
     pub(crate) fn passes(&self) -> usize {
         self.passes.load(Ordering::Relaxed)
     }
 
-    /// α with these free values.
-    pub(crate) fn alpha(&self, values: &[f64]) -> Alpha {
-        self.slots.alpha(self.model.shared(), values)
+    /// α where these values are sought.
+    pub(crate) fn alpha(&self, sought: &[f64]) -> Alpha {
+        self.slots.alpha(self.model.shared(), &self.values(sought))
+    }
+
+    /// The free values of α where these are sought: the same, but for covariances of noises.
+    pub(crate) fn values(&self, sought: &[f64]) -> Vec<f64> {
+        self.edges.values(sought, &self.slots.alpha(self.model.shared(), sought))
+    }
+
+    /// What is sought where α has these free values, as a start.
+    pub(crate) fn sought(&self, values: &[f64]) -> Vec<f64> {
+        self.edges.sought(values, &self.slots.alpha(self.model.shared(), values))
     }
 
     /// The reductions at α.
@@ -336,6 +391,7 @@ impl<'a> Bench<'a> {
         self.score_passes.fetch_add(1, Ordering::Relaxed);
         let scorer = PhasedScorer::new(self.model, reducer, self.slots).map_err(Box::new)?;
         let mut scores = scorer.scores(self.tests, reductions, law, self.companies(&scorer)).map_err(Box::new)?;
+        self.edges.pull(values, &self.alpha(values), self.slots, &mut scores);
         self.indirect.add(self, (reducer, values), (reductions, law), &mut scores).map_err(Box::new)?;
         Ok(scores)
     }
@@ -365,8 +421,9 @@ impl<'a> Bench<'a> {
         let alpha = self.alpha(values);
         let reducer = PhasedReducer::scoring(self.model, &alpha, self.slots).ok()?;
         let scorer = PhasedScorer::new(self.model, &reducer, self.slots).ok()?;
-        let (own, scores): (Vec<f64>, Vec<Gradient>) =
+        let (own, mut scores): (Vec<f64>, Vec<Gradient>) =
             scorer.all_expected(self.tests, complete).ok()??.into_iter().unzip();
+        self.edges.pull(values, &alpha, self.slots, &mut scores);
         let value: f64 = self.order.iter().map(|&j| own[j]).sum();
         let gradient = self.gradient(values, &scores, &Gradient::new());
         (value.is_finite() && gradient.iter().all(|g| g.is_finite())).then_some((value, gradient))

@@ -1,13 +1,19 @@
 //! The coordinates α is sought in: logarithms of what is positive, other values as they are; and their bounds.
+//!
+//! ℓ is analytic in a variance v ≥ 0, not in its standard deviation or its logarithm: near zero a noise level moves in its variance,
+//! where zero is a bound like any other (theory §13).
 
-use crate::model::Model;
-use crate::score::Slots;
+use crate::dynamic::start::time_constants;
+use crate::model::{Expression, Motion, PhasedModel};
+use crate::score::{Slots, power};
 
 /// How one free value is sought.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Coordinate {
     /// Its logarithm is sought.
     pub(crate) log: bool,
+    /// Of a noise level: near zero its power with this exponent is sought, the variance. `None` for anything else.
+    pub(crate) level: Option<f64>,
     /// Closed bounds of the value itself; a logarithm's lower bound is at least zero.
     pub(crate) lower: f64,
     pub(crate) upper: f64,
@@ -15,12 +21,15 @@ pub(crate) struct Coordinate {
 
 impl Coordinate {
     /// Of all free values of a model.
-    pub(crate) fn of(model: &Model, slots: &Slots) -> Vec<Coordinate> {
+    pub(crate) fn of(model: &PhasedModel, slots: &Slots) -> Vec<Coordinate> {
+        let constants = time_constants(model);
         let one = |slot: &crate::score::Slot| {
-            let parameter = &model.parameters[slot.parameter];
+            let parameter = &model.shared().parameters[slot.parameter];
             let least = if parameter.positive { 0.0 } else { f64::NEG_INFINITY };
+            let is_level = parameter.positive && !constants.contains(&slot.parameter);
             Coordinate {
                 log: parameter.positive,
+                level: is_level.then(|| exponent(model, slot.parameter)),
                 lower: parameter.lower.unwrap_or(least).max(least),
                 upper: parameter.upper.unwrap_or(f64::INFINITY),
             }
@@ -44,6 +53,24 @@ impl Coordinate {
         moved.clamp(self.lower, self.upper)
     }
 
+    /// The value of a noise level after a step z of its variance v: v (1 + kz), which near z = 0 is the same step of the logarithm.
+    pub(crate) fn moved_as_variance(&self, value: f64, step: f64) -> f64 {
+        let exponent = self.level.unwrap_or(1.0);
+        let moved = value * (1.0 + exponent * step).max(0.0).powf(exponent.recip());
+        moved.clamp(self.lower, self.upper)
+    }
+
+    /// A few values over the whole range, its ends among them.
+    pub(crate) fn spread(&self, value: f64) -> Vec<f64> {
+        let size = if value == 0.0 { 1.0 } else { value.abs() };
+        let end = |bound: f64, other: f64| if bound.is_finite() { bound } else { other };
+        let (low, high) = match self.log {
+            true => (end(self.lower.max(0.05 * size), 0.05 * size), end(self.upper, 20.0 * size)),
+            false => (end(self.lower, -3.0 * size), end(self.upper, 3.0 * size)),
+        };
+        [0.0, 0.25, 0.5, 0.75, 1.0].iter().map(|part| low + part * (high - low)).collect()
+    }
+
     /// Whether the value stands at its lower bound.
     pub(crate) fn at_lower(&self, value: f64) -> bool {
         value <= self.lower
@@ -53,4 +80,19 @@ impl Coordinate {
     pub(crate) fn at_upper(&self, value: f64) -> bool {
         value >= self.upper
     }
+}
+
+/// k where the variances that a level stands in go as its k-th power; 1 where they go otherwise.
+fn exponent(model: &PhasedModel, parameter: usize) -> f64 {
+    let models = || model.phases.iter().map(|phase| &phase.model);
+    let measured = models().flat_map(|model| model.measurements.iter().map(|m| &m.noise_variance));
+    let moved = models().flat_map(|model| &model.states).filter_map(|state| match &state.motion {
+        Motion::Constant => None,
+        Motion::Continuous { noise_variance, .. } | Motion::Discrete { noise_variance, .. } => Some(noise_variance),
+    });
+    let covariances = models().flat_map(|model| model.noise_covariance.iter().chain(&model.process_noise_covariance));
+    let crossed = covariances.map(|(.., covariance)| covariance);
+    let of = |expression: &Expression| power(expression, parameter).unwrap_or(1.0);
+    let powers = measured.chain(moved).chain(crossed).map(of).filter(|power| *power > 0.0);
+    powers.fold(f64::INFINITY, f64::min).clamp(1.0, 2.0)
 }

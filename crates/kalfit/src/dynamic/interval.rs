@@ -3,8 +3,9 @@
 use statrs::distribution::{ContinuousCDF, Normal};
 
 use crate::dynamic::bench::{Bench, Solved};
+use crate::dynamic::explore;
 use crate::dynamic::joint::Covariances;
-use crate::dynamic::search::Search;
+use crate::dynamic::search::{End, Search};
 use crate::dynamic::{DynamicError, DynamicFit, ParameterInference, Standing};
 use crate::estimate::Silent;
 use crate::infer::Interval;
@@ -35,9 +36,10 @@ pub(crate) fn profiles(
         return Ok(());
     }
     let near = Population::from(&fit.estimate);
-    let best = bench.solve(&fit.values, Some(&near))?;
+    let best = bench.solve(&fit.sought, Some(&near))?;
     for (slot, parameter) in parameters.iter_mut().enumerate() {
-        if matches!(parameter.standing, Standing::Inside | Standing::Lower | Standing::Upper) {
+        let is_open = matches!(parameter.standing, Standing::Inside | Standing::Lower | Standing::Upper);
+        if is_open && !bench.edges.has(slot) {
             parameter.interval = profile(bench, &best, slot, covariances.alpha[slot].map(f64::sqrt));
         }
     }
@@ -70,14 +72,15 @@ fn limit(bench: &Bench<'_>, best: &Solved, slot: usize, sign: f64, error: f64) -
         }
         let tried = coordinate.moved(value, sign * distance);
         let at_bound = tried == bound;
-        let root = match held(bench, &near, slot, tried) {
-            Some(solved) => {
-                let root = (2.0 * (best.value() - solved.value())).max(0.0).sqrt();
-                near = solved;
-                root
+        let root_at = |home: &Solved| (2.0 * (best.value() - home.value())).max(0.0).sqrt();
+        let mut root = f64::INFINITY;
+        if let Some(mut end) = held(bench, &near, slot, tried) {
+            if (root_at(&end.home) - wanted).abs() <= NEAR {
+                end = explore::around(bench, end, slot); // ℓ may be higher elsewhere
             }
-            None => f64::INFINITY,
-        };
+            root = root_at(&end.home);
+            near = end.home;
+        }
         if (root - wanted).abs() <= NEAR {
             return Some(tried);
         }
@@ -113,7 +116,7 @@ fn scale(best: &Solved) -> f64 {
 }
 
 /// The best ℓ with a value held.
-fn held(bench: &Bench<'_>, near: &Solved, slot: usize, value: f64) -> Option<Solved> {
+fn held(bench: &Bench<'_>, near: &Solved, slot: usize, value: f64) -> Option<End> {
     let mut values = near.values.clone();
     values[slot] = value;
     let population = Population::from(&near.estimate);
@@ -123,5 +126,5 @@ fn held(bench: &Bench<'_>, near: &Solved, slot: usize, value: f64) -> Option<Sol
     search.hold(slot);
     let end = search.run().ok()?;
     debug_assert!(end.home.values[slot] == value, "a held value stays");
-    Some(end.home)
+    Some(end)
 }

@@ -21,7 +21,11 @@ const SHORT: f64 = 1e-6;
 /// A step of a value that is not positive should be between these parts of its standard error.
 const PARTS: [f64; 2] = [1e-6, 3e-2];
 /// Slope and curvature of a logarithm below this are none.
-const LEVEL_GROUND: f64 = 1e-7;
+pub(crate) const LEVEL_GROUND: f64 = 1e-7;
+/// Curvature of ℓ in a variance below this part of its slope is none.
+const STRAIGHT: f64 = 1e-3;
+/// Along directions of less scaled information than this ℓ is looked at on both sides.
+const FAINT: f64 = 1e-5;
 /// Scaled eigenvalues of the information below this are flat.
 pub(crate) const FLAT: f64 = 1e-10;
 
@@ -60,8 +64,10 @@ pub(crate) struct Step {
 pub(crate) struct Covariances {
     /// Variance of each coordinate of α; `None` where it does not move or is flat.
     pub(crate) alpha: Vec<Option<f64>>,
-    /// Covariance along the tangent basis of (μ, Σ), the uncertainty of α in it.
-    pub(crate) inner: DMatrix<f64>,
+    /// Values that are not of single tests: the first rows and columns of `whole`.
+    pub(crate) shared: Vec<usize>,
+    /// Covariance of the coordinates of those, then along the tangent basis of (μ, Σ), the uncertainty of all α in it.
+    pub(crate) whole: DMatrix<f64>,
 }
 
 impl Joint {
@@ -90,6 +96,7 @@ impl Joint {
         for colour in touching.colours(&joint.active, bench.restricted()) {
             joint.column(bench, home, &colour, &touching, central);
         }
+        joint.mirror();
         joint.without_flat(bench, home)
     }
 
@@ -254,13 +261,46 @@ impl Joint {
         (matrix, right, concave)
     }
 
+    /// The same with these noise levels in their variances: a step z makes v (1 + kz) of v, so that -∂²ℓ/∂z² is -∂²ℓ/∂u² + k ∂ℓ/∂u,
+    /// u the logarithm. `levels`: (slot, k).
+    pub(crate) fn in_variances(&self, levels: &[(usize, f64)], gradient: &[f64]) -> Joint {
+        let mut joint = self.clone();
+        for &(s, exponent) in levels {
+            let bend = exponent * gradient[s];
+            let own = joint.own.entry((s, s)).or_insert(0.0);
+            *own = (*own + bend).max(STRAIGHT * bend.abs());
+        }
+        joint
+    }
+
     /// Newton's step with Levenberg's damping, in coordinates of unit curvature; where the curvature has the wrong sign its
     /// absolute value stands for it.
     pub(crate) fn step(&self, gradient: &[f64], inner: &DVector<f64>, damping: f64) -> Step {
-        let (matrix, right, mut concave) = self.reduced(gradient, inner, damping);
+        self.step_beside(gradient, inner, damping, &[])
+    }
+
+    /// The same while some shared values make steps of their own, (slot, step).
+    pub(crate) fn step_beside(
+        &self,
+        gradient: &[f64],
+        inner: &DVector<f64>,
+        damping: f64,
+        pinned: &[(usize, f64)],
+    ) -> Step {
+        let (mut matrix, mut right, mut concave) = self.reduced(gradient, inner, damping);
+        for &(s, step) in pinned {
+            let Some(at) = self.shared.iter().position(|&shared| shared == s) else { continue };
+            right -= matrix.column(at) * step;
+            matrix.row_mut(at).fill(0.0);
+            matrix.column_mut(at).fill(0.0);
+            right[at] = 0.0;
+        }
         let (inverse, positive) = positive_inverse(&matrix, damping);
         concave &= positive;
-        let x = inverse * &right;
+        let mut x = inverse * &right;
+        for &(s, step) in pinned {
+            self.shared.iter().position(|&shared| shared == s).into_iter().for_each(|at| x[at] = step);
+        }
         let k = self.shared.len();
         let mut alpha = vec![0.0; gradient.len()];
         self.shared.iter().enumerate().for_each(|(i, &s)| alpha[s] = x[i]);
@@ -287,12 +327,37 @@ impl Joint {
         (largest > 0.0).then(|| direction.iter().map(|d| d / largest).collect())
     }
 
+    /// Information in the shared values once (μ, Σ) follow them, as long as no value is of a single test.
+    pub(crate) fn followed(&self) -> Option<DMatrix<f64>> {
+        if !self.private.is_empty() {
+            return None;
+        }
+        let (k, m) = (self.shared.len(), self.inner.nrows());
+        let (matrix, _, _) = self.reduced(&vec![0.0; self.cross.nrows()], &DVector::zeros(m), 0.0);
+        let (inverse, _) = positive_inverse(&matrix.view((k, k), (m, m)).into_owned(), 0.0);
+        let cross = matrix.view((0, k), (k, m)).into_owned();
+        Some(matrix.view((0, 0), (k, k)) - &cross * inverse * cross.transpose())
+    }
+
+    /// Directions in shared values along which ℓ hardly curves, their largest entries one.
+    pub(crate) fn faint(&self) -> Vec<Vec<f64>> {
+        let n = self.cross.nrows();
+        let (matrix, _, _) = self.reduced(&vec![0.0; n], &DVector::zeros(self.inner.nrows()), 0.0);
+        let (scale, values, vectors) = scaled_eigen(&matrix);
+        let along = |k: usize| -> Option<Vec<f64>> {
+            let mut direction = vec![0.0; n];
+            self.shared.iter().enumerate().for_each(|(i, &s)| direction[s] = scale[i] * vectors[(i, k)]);
+            let largest = direction.iter().fold(0.0, |most: f64, d| most.max(d.abs()));
+            (largest > 0.0).then(|| direction.iter().map(|d| d / largest).collect())
+        };
+        (0..values.len()).filter(|&k| values[k].abs() < FAINT).filter_map(along).collect()
+    }
+
     /// Covariances of all coordinates: the inverse, flat directions left out.
     pub(crate) fn covariances(&self) -> Covariances {
         let n = self.cross.nrows();
         let (matrix, _, _) = self.reduced(&vec![0.0; n], &DVector::zeros(self.inner.nrows()), 0.0);
         let (law, flat) = inverse(&matrix);
-        let k = self.shared.len();
         let mut alpha = vec![None; n];
         for (i, &s) in self.shared.iter().enumerate() {
             alpha[s] = Some(law[(i, i)]).filter(|v| *v > 0.0 && !flat[i]);
@@ -305,14 +370,27 @@ impl Joint {
                 alpha[s] = Some(total[(i, i)]).filter(|v| *v > 0.0 && !flat[i]);
             }
         }
-        let m = self.inner.nrows();
-        Covariances { alpha, inner: law.view((k, k), (m, m)).into_owned() }
+        Covariances { alpha, shared: self.shared.clone(), whole: law }
+    }
+
+    /// Entries on both sides of the diagonal: where a value stands in matrices of the structures only, its column has none for
+    /// values of the tests, but theirs have one for it.
+    fn mirror(&mut self) {
+        for ((s, t), value) in self.own.clone() {
+            self.own.entry((t, s)).or_insert(value);
+        }
     }
 
     /// Information on one value when everything else follows it: the inverse of its variance.
     pub(crate) fn curvature(&self, s: usize) -> f64 {
         self.entry(s, s)
     }
+}
+
+/// The step that a matrix of information and a gradient ask for; `None` where the information is not positive.
+pub(crate) fn solved(matrix: &DMatrix<f64>, gradient: &DVector<f64>) -> Option<DVector<f64>> {
+    let (inverse, positive) = positive_inverse(matrix, 0.0);
+    positive.then(|| inverse * gradient)
 }
 
 /// The inverse with damped eigenvalues by absolute value, flat directions left out; whether none is negative.

@@ -26,15 +26,47 @@ pub(crate) fn matrix_gradient(
     sum.into_iter().collect()
 }
 
+/// dΣ/dvalue at fixed coordinates of Σ, for each value that a matrix of the structures depends on.
+pub(crate) fn matrix_derivatives(
+    model: &PhasedModel,
+    alpha: &Alpha,
+    slots: &Slots,
+    sigma: &DMatrix<f64>,
+) -> BTreeMap<usize, DMatrix<f64>> {
+    let mut all = BTreeMap::new();
+    for (phase, range) in model.phases.iter().zip(model.ranges()) {
+        let own = sigma.view((range.start, range.start), (range.len(), range.len())).into_owned();
+        each_derivative(&phase.model, alpha, slots, &own, &mut |slot, (i, j), slope| {
+            let whole = all.entry(slot).or_insert_with(|| DMatrix::zeros(sigma.nrows(), sigma.ncols()));
+            whole[(range.start + i, range.start + j)] += slope;
+        });
+    }
+    all
+}
+
 fn phase_gradient(model: &Model, alpha: &Alpha, slots: &Slots, sigma: &DMatrix<f64>, score: &DMatrix<f64>) -> Gradient {
+    let mut gradient: BTreeMap<usize, f64> = phase_slots(model, slots).into_iter().map(|slot| (slot, 0.0)).collect();
+    each_derivative(model, alpha, slots, sigma, &mut |slot, at, slope| {
+        *gradient.entry(slot).or_insert(0.0) += score[at] * slope;
+    });
+    gradient.into_iter().collect()
+}
+
+/// dσ_ij/dvalue of one phase, for every element and every value that it depends on.
+fn each_derivative(
+    model: &Model,
+    alpha: &Alpha,
+    slots: &Slots,
+    sigma: &DMatrix<f64>,
+    take: &mut dyn FnMut(usize, (usize, usize), f64),
+) {
     let (CovarianceKind::Fixed(entries) | CovarianceKind::Proportional(entries) | CovarianceKind::Correlation(entries)) =
         &model.covariance.kind
     else {
-        return Gradient::new();
+        return;
     };
-    let named = phase_slots(model, slots);
-    if named.is_empty() {
-        return Gradient::new();
+    if phase_slots(model, slots).is_empty() {
+        return;
     }
     let scope = Scope { numbers: &[], texts: &[], step: 0.0, alpha };
     let value = |i: usize, j: usize| entries[i][j].evaluate(&scope).unwrap_or(0.0); // it had a value when Σ was made
@@ -45,18 +77,16 @@ fn phase_gradient(model: &Model, alpha: &Alpha, slots: &Slots, sigma: &DMatrix<f
         CovarianceKind::Fixed(_) => 1.0,
         _ => 0.0,
     };
-    let (mut gradient, mut tape) = (vec![0.0; slots.len()], Tape::default());
+    let mut tape = Tape::default();
     for (i, row) in entries.iter().enumerate() {
         for (j, entry) in row.iter().enumerate() {
-            let seed = score[(i, j)] * weight(i, j);
-            let _ = entry.differentiate(seed, &scope, &mut tape, &mut |parameter, bar| {
+            let _ = entry.differentiate(weight(i, j), &scope, &mut tape, &mut |parameter, bar| {
                 if let Some(slot) = slots.find(parameter, &[]) {
-                    gradient[slot] += bar;
+                    take(slot, (i, j), bar);
                 }
             });
         }
     }
-    named.into_iter().map(|slot| (slot, gradient[slot])).collect()
 }
 
 /// Free values that matrices of the structures depend on.

@@ -9,24 +9,33 @@
 mod balance;
 mod bench;
 mod coordinates;
+mod edges;
 mod em;
+mod explore;
+mod glide;
 mod indirect;
 mod interval;
 mod joint;
+mod law;
 mod matrices;
 #[cfg(test)]
 mod phased_tests;
+mod profile;
+mod runs;
+mod sandwich;
 mod scale;
 mod search;
 mod settings;
 mod start;
 #[cfg(test)]
 mod tests;
+mod twins;
 mod worth;
+mod zero;
 
 use crate::ensemble::Labels;
-use crate::estimate::{Combination, Estimate, FitError, Progress, Stop};
-use crate::infer::{Choices, Inference, Interval, IntervalKind};
+use crate::estimate::{Combination, Criterion, Estimate, FitError, Progress, Stage, Stop};
+use crate::infer::{Choices, Inference, Interval, IntervalKind, StdErrors, sensitivities};
 use crate::model::{Alpha, PhasedModel};
 use crate::reduce::{Evidence, PhasedTest, ReduceError, Reduction};
 use crate::score::{Slots, dependences};
@@ -34,6 +43,9 @@ use crate::score::{Slots, dependences};
 pub(crate) use bench::Bench;
 pub(crate) use coordinates::Coordinate;
 pub use settings::{Method, Settings};
+
+/// Log-likelihoods that differ by this part are equal.
+const ROUNDING: f64 = 1e-11;
 
 /// Why there is no fit.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -51,6 +63,14 @@ pub enum DynamicError {
         parameter: String,
         /// Number of free values.
         free: usize,
+    },
+    /// Expected information of free parameters, which is not worked out.
+    #[error(
+        "standard errors from the expected information are for models whose parameters are all known, and `{parameter}` is free"
+    )]
+    Expected {
+        /// The first free parameter.
+        parameter: String,
     },
     /// A reduction is for one value of each parameter; it cannot follow a free one.
     #[error(
@@ -75,6 +95,9 @@ impl DynamicError {
             DynamicError::Marginal { .. } => {
                 Some("give every parameter a value, or put the phases together by `chain`")
             }
+            DynamicError::Expected { .. } => {
+                Some("take those from the observed information, or the sandwich, or give every parameter a value")
+            }
             DynamicError::FixedReduction { .. } => {
                 Some("give the parameter the value that the reduction was made at, or give the data in its place")
             }
@@ -91,6 +114,8 @@ pub struct DynamicFit {
     pub slots: Slots,
     /// Their values, in the order of the slots.
     pub values: Vec<f64>,
+    /// The same as they are sought.
+    pub(crate) sought: Vec<f64>,
     /// Reductions at α, in the order of the tests.
     pub reductions: Vec<Reduction>,
     /// μ and Σ at α, with their own certificate.
@@ -119,6 +144,13 @@ pub struct DynamicFit {
     pub(crate) settings: Settings,
 }
 
+impl DynamicFit {
+    /// Where each free value lies, in the order of the slots.
+    pub fn standing(&self) -> &[Standing] {
+        &self.standing
+    }
+}
+
 /// Where another start ended.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OtherEnd {
@@ -128,6 +160,8 @@ pub struct OtherEnd {
     pub values: Vec<f64>,
     /// Why the search stopped.
     pub stop: Stop,
+    /// It was given up where no higher end than the best was in sight.
+    pub given_up: bool,
 }
 
 /// What is known of one free value of α.
@@ -148,10 +182,16 @@ pub enum Standing {
     Inside,
     /// At its lower bound, or at zero.
     Lower,
+    /// A noise level that ℓ would have at zero, where a measurement would be exact: left a little above it.
+    Vanishing,
     /// At its upper bound.
     Upper,
+    /// A covariance of two noises that is as large as their variances allow.
+    Edge,
     /// ℓ still rises, ever more slowly, towards infinity: a time constant far longer than the records.
     Unbounded,
+    /// ℓ does not depend on it while some noise level is zero: its time constant, its correlation.
+    Idle,
     /// ℓ does not depend on it.
     Unidentified,
 }
@@ -170,10 +210,11 @@ pub fn fit(
     let mut ends = Vec::new();
     let mut first_error = None;
     let mut floor = None;
-    for start in start::starts(&bench)? {
+    for start in start::starts(&bench, progress)? {
         if progress.stops() && !ends.is_empty() {
             break;
         }
+        progress.stage(Stage::Filters { filter_runs: bench.filter_passes() });
         match search::search(&bench, &start, floor, progress) {
             Ok(end) => {
                 floor = Some(floor.map_or(end.home.value(), |floor: f64| floor.max(end.home.value())));
@@ -182,21 +223,30 @@ pub fn fit(
             Err(error) => first_error = first_error.or(Some(error)),
         }
     }
-    // the best certified one; of equals the first. What is not certified may be on its way to where ℓ has no bound.
-    let certified = |end: &search::End| end.stop == Stop::Certified;
-    ends.sort_by(|a, b| certified(b).cmp(&certified(a)).then(b.home.value().total_cmp(&a.home.value())));
-    let mut ends = ends.into_iter();
-    let Some(best) = ends.next() else {
+    let told = !ends.is_empty() && start::all_given(&bench);
+    if !progress.stops() {
+        explore::explore(&bench, &mut ends, told, progress)?;
+    }
+    let Some(at) = chosen(&ends) else {
         return Err(first_error.unwrap_or(DynamicError::Fit(FitError::NoTests)));
     };
-    let others = ends.map(|end| OtherEnd { log_likelihood: end.home.value(), values: end.home.values, stop: end.stop });
-    let others = others.collect();
+    let best = ends.remove(at);
+    ends.sort_by(|a, b| b.home.value().total_cmp(&a.home.value()));
+    let other = |end: search::End| OtherEnd {
+        log_likelihood: end.home.value(),
+        values: bench.values(&twins::aligned(&bench.twins, &end.home.values, &best.home.values)),
+        stop: end.stop,
+        given_up: end.given_up,
+    };
+    let others = ends.into_iter().map(other).collect();
     let (filter_passes, score_passes, passes) = (bench.filter_passes(), bench.score_passes(), bench.passes());
-    let (alpha, values) = (best.home.alpha.clone(), best.home.values.clone());
+    let (alpha, sought) = (best.home.alpha.clone(), best.home.values.clone());
+    let values = bench.values(&sought);
     let (reductions, estimate) = bench.grounded(best.home)?;
     Ok(DynamicFit {
         alpha,
         values,
+        sought,
         reductions,
         estimate,
         certificate: best.certificate,
@@ -208,10 +258,50 @@ pub fn fit(
         passes,
         others,
         joint: best.joint,
-        standing: best.standing,
+        standing: on_edges(&bench, best.standing),
         settings: settings.clone(),
         slots,
     })
+}
+
+/// Covariances of noises, and levels beside known ones, at a bound of what is sought are at the edge of what they may be.
+fn on_edges(bench: &Bench<'_>, standing: Vec<Standing>) -> Vec<Standing> {
+    let one = |(s, standing): (usize, Standing)| match standing {
+        Standing::Lower | Standing::Upper if bench.edges.has(s) => Standing::Edge,
+        Standing::Lower if bench.cone.contains(&s) => Standing::Edge,
+        other => other,
+    };
+    standing.into_iter().enumerate().map(one).collect()
+}
+
+/// The best certified end, of equals the first: what is not certified may be on its way to where ℓ has no bound. But no answer
+/// lies below the first start.
+fn chosen(ends: &[search::End]) -> Option<usize> {
+    let highest = |among: &dyn Fn(&search::End) -> bool| {
+        let ends = ends.iter().enumerate().filter(|(_, end)| among(end));
+        ends.reduce(|a, b| if b.1.home.value() > a.1.home.value() { b } else { a }).map(|(at, _)| at)
+    };
+    let begun = ends.first()?.trace.first().copied().unwrap_or(f64::NEG_INFINITY);
+    let above = |end: &search::End| end.stop == Stop::Certified && end.home.value() >= begun - ROUNDING * begun.abs();
+    highest(&above).or_else(|| highest(&|_| true))
+}
+
+/// Where [`fit`] begins: a start value of each free value, in the order of [`Slots`], given or worked out from the tests.
+///
+/// # Errors
+/// As [`fit`] has them before its first step.
+pub fn start_values(
+    model: &PhasedModel,
+    labels: &Labels,
+    tests: &[PhasedTest],
+    settings: &Settings,
+    progress: &mut dyn Progress,
+) -> Result<Vec<f64>, DynamicError> {
+    let slots = Slots::in_phases(model, labels, tests);
+    refuse(model, tests, &slots, settings)?;
+    let bench = Bench::new(model, tests, &slots, settings);
+    let starts = start::starts(&bench, progress)?;
+    starts.first().map(|first| bench.values(first)).ok_or(DynamicError::Fit(FitError::NoTests))
 }
 
 /// What has no meaning while parameters are free.
@@ -240,16 +330,45 @@ pub fn infer(
     fit: &DynamicFit,
     choices: Choices,
 ) -> Result<(Inference, Vec<ParameterInference>), DynamicError> {
-    let covariances = fit.joint.covariances();
+    let ml = fit.estimate.criterion == Criterion::Ml;
+    if let (StdErrors::Expected, true, Some(slot)) = (choices.std_errors, ml, fit.slots.slots().first()) {
+        let parameter = model.shared().parameters[slot.parameter].name.clone();
+        return Err(DynamicError::Expected { parameter });
+    }
+    let bench = Bench::new(model, tests, &fit.slots, &fit.settings);
+    let known = (&fit.slots, &bench.coordinates[..]);
+    let spread = |mut covariances: joint::Covariances| {
+        bench.edges.spread((&fit.sought, &fit.alpha), known, &fit.values, &mut covariances);
+        covariances
+    };
+    let observed = spread(fit.joint.covariances());
     let mut estimate = fit.estimate.clone();
-    estimate.state.joint = Some(covariances.inner.clone());
-    // with α free, those of μ and Σ are Wald's, the uncertainty of α in them
+    estimate.state.joint = Some(law::joint(model, fit, &observed));
+    // by profiles only once the maximum is certain
     let wald = Choices { intervals: IntervalKind::Wald, ..choices };
-    let inference = crate::infer::infer(&estimate, &fit.reductions, wald);
-    let mut parameters = worth::parameters(model.shared(), fit, &covariances);
+    let sandwich = match choices.std_errors {
+        StdErrors::Sandwich if ml => Some(spread(sandwich::sandwich(&bench, fit, &observed)?)),
+        _ => None,
+    };
+    let (mut inference, mut parameters) = match &sandwich {
+        Some(sandwich) => {
+            let mut robust = fit.estimate.clone();
+            robust.state.joint = Some(law::joint(model, fit, sandwich));
+            let inference = crate::infer::infer(&robust, &fit.reductions, wald);
+            // score tests stay those of the observed information
+            let inference = Inference { sensitivities: sensitivities(&estimate), ..inference };
+            (inference, worth::parameters(model, fit, sandwich))
+        }
+        None => {
+            let inference = crate::infer::infer(&estimate, &fit.reductions, wald);
+            (inference, worth::parameters(model, fit, &observed))
+        }
+    };
     if choices.intervals == IntervalKind::Profile && fit.stop == Stop::Certified {
-        let bench = Bench::new(model, tests, &fit.slots, &fit.settings);
-        interval::profiles(&bench, fit, &covariances, &mut parameters)?;
+        interval::profiles(&bench, fit, &observed, &mut parameters)?;
+        if fit.estimate.stop == Stop::Certified {
+            profile::profiles((&bench, fit), &estimate, &observed, (&mut inference, &parameters));
+        }
     }
     Ok((inference, parameters))
 }

@@ -5,29 +5,37 @@ use nalgebra::DVector;
 use crate::dynamic::bench::{Bench, Solved};
 use crate::dynamic::em::Em;
 use crate::dynamic::joint::{self, Joint};
-use crate::dynamic::{DynamicError, Method, Standing, start};
+use crate::dynamic::{DynamicError, Method, Standing};
 use crate::estimate::{Progress, Step, Stop};
 use crate::model::Population;
 
 /// Longest step of a logarithm.
 pub(super) const LONGEST: f64 = 2.0;
+/// A variance grows by no more than this factor at once.
+const HIGHEST: f64 = 20.0;
 /// With more damping than this a step goes nowhere.
 const STIFF: f64 = 1e6;
 /// Where rounding keeps the search from going on, so many tolerances are near enough.
 pub(super) const NEAR_ENOUGH: f64 = 1e2;
 /// Most outer steps.
 const STEPS: usize = 200;
-/// A logarithm whose curvature is no more than this many times its slope has no optimum in sight: ℓ runs level towards a bound,
-/// as 1/x, x² or the like.
-const LEVEL: f64 = 3.5;
-/// … and only a slope below this, and so little of ℓ to be had, makes a leap worth a try.
-const TAIL: f64 = 0.1;
 /// A step of a logarithm beyond this goes far.
-const DRIFT: f64 = 0.25;
-/// ℓ that may still be had beyond, where a value counts as infinite.
-const BEYOND: f64 = 1e-7;
+pub(super) const DRIFT: f64 = 0.25;
+/// So many steps on end need not raise ℓ, where rounding hides what they do.
+const LEVEL_STEPS: usize = 8;
+/// With a decrement below this, levels that are not felt are looked for.
+const HARDLY: f64 = 1e-3;
+/// A search that promises no more than this, as a decrement, has arrived.
+const ARRIVED: f64 = 1e-5;
+/// A level below this part of what the data suggest has no size of its own.
+const FAR_BELOW: f64 = 1e-3;
 /// A value that returns from zero does so at this part of what it was.
 const RETURN: f64 = 5e-2;
+/// ℓ rises when it rises by more than this.
+pub(super) const RISE: f64 = 1e-8;
+/// Steps along faint directions, in coordinates, and how often they are looked along.
+const LOOKS: [f64; 6] = [0.3, -0.3, 1.5, -1.5, 4.0, -4.0];
+const FAINT_LOOKS: usize = 3;
 
 /// Where a search is.
 pub(crate) struct Search<'b, 'a> {
@@ -38,13 +46,21 @@ pub(crate) struct Search<'b, 'a> {
     pub(crate) trace: Vec<f64>,
     /// The value of each coordinate before it was set to zero.
     pub(super) before_zero: Vec<f64>,
+    /// The least value of each level: its bound, or a little more where ℓ is not defined there.
+    pub(super) bottom: Vec<f64>,
     damping: f64,
     floor: Option<f64>,
-    held: Option<usize>,
+    pub(super) held: Option<usize>,
     /// Values left on their way to zero or to infinity.
-    drifted: Vec<bool>,
-    /// Values that have returned from zero once stay off it.
-    returned: Vec<bool>,
+    pub(super) drifted: Vec<bool>,
+    /// How often each value has returned from zero.
+    pub(super) returned: Vec<usize>,
+    faint_looks: usize,
+    /// What the last step without second derivatives promised, as a decrement.
+    pub(super) glided: Option<f64>,
+    given_up: bool,
+    /// Steps one after the other that did not raise ℓ.
+    level_steps: usize,
 }
 
 /// How a search goes on.
@@ -64,9 +80,16 @@ pub(crate) struct End {
     pub(crate) stop: Stop,
     pub(crate) trace: Vec<f64>,
     pub(super) before_zero: Vec<f64>,
+    /// Nothing higher than another end was in sight.
+    pub(crate) given_up: bool,
 }
 
 impl End {
+    /// A level at zero, or as near to it as ℓ is defined.
+    pub(crate) fn is_at_zero(&self, s: usize) -> bool {
+        self.home.values[s] == 0.0 || self.standing[s] == Standing::Vanishing
+    }
+
     /// The values as a start elsewhere: those at zero a little above it, where they can move.
     pub(crate) fn restart(&self) -> Vec<f64> {
         let zero = |(value, before): (&f64, &f64)| if *value == 0.0 { RETURN * before } else { *value };
@@ -78,7 +101,9 @@ impl<'b, 'a> Search<'b, 'a> {
     pub(crate) fn new(bench: &'b Bench<'a>, progress: &'b mut dyn Progress, home: Solved) -> Search<'b, 'a> {
         let n = home.values.len();
         let trace = vec![home.value()];
-        let (before_zero, returned) = (home.values.clone(), vec![false; n]);
+        let unit = |(value, unit): (&f64, &f64)| if *value > FAR_BELOW * unit { *value } else { *unit };
+        let before_zero = home.values.iter().zip(bench.units()).map(unit).collect();
+        let bottom = bench.coordinates.iter().map(|coordinate| coordinate.lower).collect();
         let mut search = Search {
             bench,
             progress,
@@ -86,11 +111,16 @@ impl<'b, 'a> Search<'b, 'a> {
             standing: vec![Standing::Inside; n],
             trace,
             before_zero,
+            bottom,
             damping: 0.0,
             floor: None,
             held: None,
             drifted: vec![false; n],
-            returned,
+            returned: vec![0; n],
+            faint_looks: 0,
+            glided: None,
+            given_up: false,
+            level_steps: 0,
         };
         search.place();
         search
@@ -103,6 +133,7 @@ impl<'b, 'a> Search<'b, 'a> {
             self.standing[s] = match self.standing[s] {
                 kept if self.drifted[s] => kept,
                 _ if coordinate.log && value == 0.0 => Standing::Lower,
+                _ if self.is_vanishing(s) => Standing::Vanishing,
                 _ if coordinate.at_lower(value) && slope <= 0.0 => Standing::Lower,
                 _ if coordinate.at_upper(value) && slope >= 0.0 => Standing::Upper,
                 _ => Standing::Inside,
@@ -123,8 +154,15 @@ impl<'b, 'a> Search<'b, 'a> {
 
     /// ℓ of another end is out of reach.
     fn hopeless(&self, decrement: f64) -> bool {
-        let promised = self.home.value() + 2.0 * decrement * decrement + 1.0;
+        let room = if decrement > ARRIVED { (3.0 * decrement).min(1.0) } else { 0.0 };
+        let promised = self.home.value() + 2.0 * decrement * decrement + room;
         self.trace.len() > 3 && self.floor.is_some_and(|floor| promised < floor)
+    }
+
+    /// The same without levels at zero, which could return.
+    fn is_lost(&self, decrement: f64) -> bool {
+        let zero = |s: usize| self.bench.coordinates[s].level.is_some() && self.home.values[s] <= self.bottom[s];
+        self.hopeless(decrement) && !(0..self.home.values.len()).any(zero)
     }
 
     pub(super) fn active(&self) -> Vec<bool> {
@@ -142,6 +180,10 @@ impl<'b, 'a> Search<'b, 'a> {
         let mut stop = Stop::PassLimit;
         let mut last = None;
         for _ in 0..STEPS {
+            if last.is_some() && self.glided.take().is_some_and(|decrement| self.is_lost(decrement)) {
+                self.given_up = true;
+                break;
+            }
             let joint = Joint::new(self.bench, &self.home, &self.active(), fine);
             let step = joint.step(&self.home.gradient, self.inner_gradient(), 0.0);
             let turn = self.turn(&joint, &step, fine);
@@ -155,11 +197,12 @@ impl<'b, 'a> Search<'b, 'a> {
             }
         }
         let (joint, certificate) = last.expect("there is at least one step");
+        self.name_idle(&joint);
         if self.home.estimate.stop != Stop::Certified && stop != Stop::Interrupted {
             stop = self.home.estimate.stop;
         }
-        let (home, standing, before_zero) = (self.home, self.standing, self.before_zero);
-        Ok(End { home, standing, joint, certificate, stop, trace: self.trace, before_zero })
+        let Search { home, standing, trace, before_zero, given_up, .. } = self;
+        Ok(End { home, standing, joint, certificate, stop, trace, before_zero, given_up })
     }
 
     /// What to do where this is known; `fine` when it is by differences to both sides.
@@ -167,7 +210,8 @@ impl<'b, 'a> Search<'b, 'a> {
         if self.progress.stops() {
             return Turn::End(Stop::Interrupted);
         }
-        if self.leap(joint) || self.drifted(joint, step) {
+        let sunk = step.decrement < HARDLY && self.sunk(joint);
+        if sunk || self.leap(joint) || self.drifted(joint, step) {
             self.place();
             return Turn::On { closer: false };
         }
@@ -176,13 +220,14 @@ impl<'b, 'a> Search<'b, 'a> {
             return Turn::On { closer: false };
         }
         if self.hopeless(step.decrement) {
-            return Turn::End(Stop::PassLimit);
+            self.given_up = !self.revived(joint);
+            return if self.given_up { Turn::End(Stop::PassLimit) } else { Turn::On { closer: false } };
         }
         if still && step.concave {
             return match fine {
                 false => Turn::On { closer: true },
                 true if self.settled() => Turn::On { closer: true },
-                true if self.released() => Turn::On { closer: false },
+                true if self.revived(joint) || self.beside(joint) => Turn::On { closer: false },
                 true => Turn::End(Stop::Certified),
             };
         }
@@ -203,7 +248,7 @@ impl<'b, 'a> Search<'b, 'a> {
         self.progress.stops()
     }
 
-    fn tell(&mut self, decrement: f64) {
+    pub(super) fn tell(&mut self, decrement: f64) {
         self.trace.push(self.home.value());
         let passes = self.bench.filter_passes();
         self.progress.step(Step { passes, log_likelihood: self.home.value(), decrement: Some(decrement) });
@@ -254,28 +299,54 @@ impl<'b, 'a> Search<'b, 'a> {
         solved.value().is_finite().then_some(solved)
     }
 
+    /// Off a certified point along directions in which ℓ hardly curves, where it rises further out.
+    fn beside(&mut self, joint: &Joint) -> bool {
+        if self.faint_looks >= FAINT_LOOKS {
+            return false;
+        }
+        self.faint_looks += 1;
+        for direction in joint.faint() {
+            for length in LOOKS {
+                let moved = |(s, d): (usize, &f64)| self.bench.coordinates[s].moved(self.home.values[s], length * d);
+                let values: Vec<f64> = direction.iter().enumerate().map(moved).collect();
+                if let Some(next) = self.at(&values).filter(|next| next.value() > self.home.value() + RISE) {
+                    self.arrive(next);
+                    return true;
+                }
+            }
+        }
+        false
+    }
+
     /// One step, damped until ℓ rises.
     fn advance(&mut self, joint: &Joint, decrement: f64) -> bool {
         let slack = 1e-12 * self.home.value().abs().max(1.0);
+        let levels = self.levels_near_zero(joint);
+        let joint = &joint.in_variances(&levels, &self.home.gradient);
         while self.damping < STIFF {
-            let step = self.within_reach(joint);
+            let step = self.within_reach(joint, &levels);
             let promised = 0.5 * step.decrement.powi(2);
-            let moved = |(s, d): (usize, &f64)| self.bench.coordinates[s].moved(self.home.values[s], *d);
-            let values: Vec<f64> = step.alpha.iter().enumerate().map(moved).collect();
+            let values = self.moved(&step.alpha, &levels);
             let next = match self.bench.settings.method {
                 Method::Innovations => self.bench.step(&self.home, &values, &step.inner),
                 Method::Hybrid | Method::Em => self.at(&values),
             };
+            let next = next.or_else(|| self.above_zero(&values));
             let Some(next) = next else {
                 self.damping = (8.0 * self.damping).max(0.1);
                 continue;
             };
             let gain = next.value() - self.home.value();
-            if gain >= 0.05 * promised || (promised <= slack && gain >= -slack && decrement < 1e-3) {
+            self.level_steps = if gain > 0.0 { 0 } else { self.level_steps + 1 };
+            let is_level = promised <= slack && gain >= -slack && decrement < 1e-3 && self.level_steps < LEVEL_STEPS;
+            if gain >= 0.05 * promised || is_level {
                 self.damping *= if gain > 0.5 * promised { 0.1 } else { 1.0 };
                 self.damping = if self.damping < 1e-4 { 0.0 } else { self.damping };
-                self.home = next;
-                self.stride(&step);
+                let before = self.home.clone();
+                self.arrive(next);
+                if levels.is_empty() && !self.stride(&step) && gain > 0.2 * promised {
+                    self.glide(joint, &before);
+                }
                 return true;
             }
             self.damping = (5.0 * self.damping).max(0.05);
@@ -284,14 +355,21 @@ impl<'b, 'a> Search<'b, 'a> {
         false
     }
 
-    /// The step with so much damping that no logarithm goes too far; values of single tests are cut off by themselves.
-    fn within_reach(&mut self, joint: &Joint) -> joint::Step {
+    /// The step with so much damping that no value goes too far; values of single tests are cut off by themselves. `levels` move
+    /// in their variances, to zero at most.
+    fn within_reach(&mut self, joint: &Joint, levels: &[(usize, f64)]) -> joint::Step {
+        let reach = |s: usize| match levels.iter().find(|(level, _)| *level == s) {
+            Some((_, exponent)) => Some((-exponent.recip(), HIGHEST / exponent)),
+            None => self.bench.coordinates[s].log.then_some((-LONGEST, LONGEST)),
+        };
         loop {
-            let mut step = joint.step(&self.home.gradient, self.inner_gradient(), self.damping);
-            let far = |&&s: &&usize| self.bench.coordinates[s].log && step.alpha[s].abs() > LONGEST;
+            let mut step = self.to_zero_at_most(joint, levels);
+            let far = |&&s: &&usize| reach(s).is_some_and(|(low, high)| !(low..=high).contains(&step.alpha[s]));
             if joint.shared().iter().find(far).is_none() || self.damping > STIFF {
-                for (_, d) in step.alpha.iter_mut().enumerate().filter(|(s, _)| self.bench.coordinates[*s].log) {
-                    *d = d.clamp(-LONGEST, LONGEST);
+                for (s, d) in step.alpha.iter_mut().enumerate() {
+                    if let Some((low, high)) = reach(s) {
+                        *d = d.clamp(low, high);
+                    }
                 }
                 return step;
             }
@@ -299,127 +377,62 @@ impl<'b, 'a> Search<'b, 'a> {
         }
     }
 
-    /// Logarithms along which ℓ runs level downwards are tried at their lower bound, at zero say: all at once, then a few of
-    /// them one by one.
-    pub(super) fn leap(&mut self, joint: &Joint) -> bool {
-        let sinking = |&s: &usize| {
-            let (slope, bend) = (self.home.gradient[s], joint.curvature(s));
-            let tail = (-TAIL..0.0).contains(&slope) && bend > 0.0 && bend <= LEVEL * slope.abs();
-            self.bench.coordinates[s].log && tail && !self.returned[s]
+    /// The step, what reaches zero going no further, and the rest beside it.
+    fn to_zero_at_most(&self, joint: &Joint, levels: &[(usize, f64)]) -> joint::Step {
+        let mut pinned: Vec<(usize, f64)> = Vec::new();
+        loop {
+            let step = joint.step_beside(&self.home.gradient, self.inner_gradient(), self.damping, &pinned);
+            let beyond = |&(s, exponent): &(usize, f64)| {
+                let known = pinned.iter().any(|(slot, _)| *slot == s);
+                (!known && step.alpha[s] < -exponent.recip()).then_some((s, -exponent.recip()))
+            };
+            let further: Vec<(usize, f64)> =
+                levels.iter().filter(|(s, _)| joint.shared().contains(s)).filter_map(beyond).collect();
+            if further.is_empty() {
+                return step;
+            }
+            pinned.extend(further);
+        }
+    }
+
+    /// The values after a step; `levels` move in their variances.
+    fn moved(&self, step: &[f64], levels: &[(usize, f64)]) -> Vec<f64> {
+        let one = |(s, d): (usize, &f64)| {
+            let (coordinate, value) = (&self.bench.coordinates[s], self.home.values[s]);
+            match levels.iter().any(|(level, _)| *level == s) {
+                true => coordinate.moved_as_variance(value, *d).max(self.bottom[s]),
+                false => coordinate.moved(value, *d),
+            }
         };
-        let sinking: Vec<usize> = joint.active.iter().copied().filter(sinking).collect();
-        let mut sets = vec![sinking.clone()];
-        if sinking.len() > 1 {
-            sets.extend(sinking.iter().take(8).map(|&s| vec![s]));
-        }
-        let mut leapt = false;
-        for set in sets.iter().filter(|set| !set.is_empty()) {
-            if set.iter().any(|&s| self.home.values[s] == 0.0) {
-                continue; // with all the others, a moment ago
-            }
-            let mut values = self.home.values.clone();
-            set.iter().for_each(|&s| values[s] = self.bench.coordinates[s].lower);
-            leapt |= self.jump(values, set);
-        }
-        leapt
+        step.iter().enumerate().map(one).collect()
     }
 
-    /// Logarithms that would still go far for next to nothing are left where they are: at zero, as far as the data can tell, or
-    /// at infinity.
-    fn drifted(&mut self, joint: &Joint, step: &joint::Step) -> bool {
-        if 0.5 * step.decrement.powi(2) > BEYOND {
-            return false;
-        }
-        let mut any = false;
-        for (s, d) in step.alpha.iter().enumerate() {
-            if self.bench.coordinates[s].log && d.abs() > DRIFT && self.standing[s] == Standing::Inside {
-                let (slope, bend) = (self.home.gradient[s], joint.curvature(s));
-                let level = bend > 0.0 && bend <= LEVEL * slope.abs();
-                self.standing[s] = match (level, slope > 0.0) {
-                    (true, true) => Standing::Unbounded,
-                    (true, false) => Standing::Lower,
-                    (false, _) => Standing::Unidentified,
-                };
-                self.drifted[s] = true;
-                any = true;
+    /// Takes up a place.
+    pub(super) fn arrive(&mut self, next: Solved) {
+        for s in 0..next.values.len() {
+            let (before, value) = (self.home.values[s], next.values[s]);
+            if value <= self.bottom[s] && before > self.bottom[s] && before > FAR_BELOW * self.before_zero[s] {
+                self.before_zero[s] = before;
             }
         }
-        any
+        self.home = next;
     }
 
-    /// The same step again and again, twice as long each time, while that raises ℓ: along a ridge that runs level.
-    fn stride(&mut self, step: &joint::Step) {
+    /// The same step again and again, twice as long each time, while that raises ℓ: along a ridge that runs level. Whether it did.
+    fn stride(&mut self, step: &joint::Step) -> bool {
         let far = step.alpha.iter().zip(&self.bench.coordinates).any(|(d, c)| c.log && d.abs() > DRIFT);
         if !far || step.decrement > 0.3 {
-            return;
+            return false;
         }
         let mut length = 1.0;
-        for _ in 0..4 {
+        for tried in 0..4 {
             length *= 2.0;
             let moved = |(s, d): (usize, &f64)| self.bench.coordinates[s].moved(self.home.values[s], length * d);
             let values: Vec<f64> = step.alpha.iter().enumerate().map(moved).collect();
-            let Some(next) = self.at(&values).filter(|next| next.value() > self.home.value()) else { return };
-            self.home = next;
+            let Some(next) = self.at(&values).filter(|next| next.value() > self.home.value()) else { return tried > 0 };
+            self.arrive(next);
         }
-    }
-
-    fn jump(&mut self, values: Vec<f64>, set: &[usize]) -> bool {
-        let slack = 1e-11 * self.home.value().abs().max(1.0);
-        let Some(next) = self.at(&values).filter(|next| next.value() >= self.home.value() - slack) else {
-            return false;
-        };
-        set.iter().for_each(|&s| self.before_zero[s] = self.home.values[s]);
-        self.home = next;
         true
-    }
-
-    /// Values at zero where ℓ rises with their square, or bounded ones whose slope points inward, are let go.
-    pub(super) fn released(&mut self) -> bool {
-        let zero: Vec<usize> = (0..self.standing.len())
-            .filter(|&s| self.bench.coordinates[s].log && self.home.values[s] == 0.0 && !self.returned[s])
-            .filter(|&s| self.held != Some(s))
-            .collect();
-        let mut released = false;
-        for &s in zero.iter().take(64) {
-            let rises = |next: &Solved| next.gradient[s] > 0.0 && next.value() > self.home.value();
-            let best = self.near_zero(s).into_iter().filter_map(|values| self.at(&values)).filter(rises);
-            if let Some(next) = best.max_by(|a, b| a.value().total_cmp(&b.value())) {
-                self.home = next;
-                self.standing.iter_mut().filter(|standing| **standing == Standing::Unidentified).for_each(|standing| {
-                    *standing = Standing::Inside; // a time constant whose noise has come back
-                });
-                self.drifted.fill(false);
-                self.returned[s] = true;
-                self.standing[s] = Standing::Inside;
-                released = true;
-            }
-        }
-        released
-    }
-}
-
-impl Search<'_, '_> {
-    /// Places a little way off zero: with the other values as they are, and with time constants that mean nothing at zero
-    /// between the length of a step and that of a record.
-    fn near_zero(&self, s: usize) -> Vec<Vec<f64>> {
-        let mut values = self.home.values.clone();
-        values[s] = RETURN * self.before_zero[s];
-        let flat = |t: usize| self.home.gradient[t].abs() < 1e-9 && self.home.values[t] > 0.0 && self.held != Some(t);
-        let constants = start::time_constants(self.bench.model);
-        let slots = self.bench.slots.slots();
-        let idle: Vec<usize> =
-            (0..slots.len()).filter(|&t| constants.contains(&slots[t].parameter) && flat(t)).collect();
-        let mut all = vec![values.clone()];
-        if !idle.is_empty() {
-            for time in start::Scales::of(self.bench).times() {
-                let mut values = values.clone();
-                idle.iter().for_each(|&t| {
-                    values[t] = time.clamp(self.bench.coordinates[t].lower, self.bench.coordinates[t].upper)
-                });
-                all.push(values);
-            }
-        }
-        all
     }
 }
 

@@ -10,14 +10,18 @@ use rand_distr::{Distribution, StandardNormal};
 use crate::dynamic::balance::balance;
 use crate::dynamic::bench::Bench;
 use crate::dynamic::search::{End, search};
+use crate::dynamic::twins::ordered;
 use crate::dynamic::{Coordinate, DynamicError};
 use crate::ensemble::Test;
-use crate::estimate::Silent;
+use crate::estimate::{Progress, Stage, Step};
 use crate::model::{Expression, Linear, Motion, Operator, PhasedModel, State, Value};
 use crate::reduce::{Evidence, PhasedTest};
 
 /// Ends on a part of the data whose ℓ is this close to the best one's are followed on all of it.
 const CLOSE: f64 = 5.0;
+/// … so many of them, none but those that differ by more than this part.
+const FOLLOWED: usize = 3;
+const ALIKE: f64 = 2e-2;
 /// Rows that start values are worked out from, and rows of one test among them.
 const ROWS: usize = 100_000;
 const ROWS_OF_A_TEST: usize = 20_000;
@@ -30,8 +34,6 @@ const EACH_SIDE: i32 = 6;
 /// Points scattered about the first guess, and their spread: standard deviation of a logarithm.
 const SCATTERED: usize = 40;
 const WIDE: f64 = 2.5;
-/// Time constants that are tried for a noise level at zero.
-const TIMES: i32 = 6;
 /// Spread of random starts: standard deviation of a logarithm.
 const SPREAD: f64 = 1.5;
 /// Values other than logarithms that are tried where none is given.
@@ -39,17 +41,17 @@ const TRIED: [f64; 5] = [0.0, 0.5, 0.9, -0.5, 1.0];
 
 /// Start values, the likeliest first: the one worked out from the data, others where the likelihood looks to have other maxima
 /// in a time constant, and as many random ones as the settings say.
-pub(crate) fn starts(bench: &Bench<'_>) -> Result<Vec<Vec<f64>>, DynamicError> {
+pub(crate) fn starts(bench: &Bench<'_>, progress: &mut dyn Progress) -> Result<Vec<Vec<f64>>, DynamicError> {
     let common = bench.slots.slots().iter().all(|slot| slot.level.is_none());
     let sample = sample(bench.tests, common);
     let small = Bench::new(bench.model, &sample, bench.slots, bench.settings);
-    let mut first = first_guess(bench);
+    let mut first = guess(bench, true);
     let unknown = unknown(bench);
     let mut peaks = Vec::new();
     if !unknown.is_empty() {
-        peaks = balance(&small, &unknown, &mut first);
+        peaks = balance(&small, &unknown, &mut first, progress);
         for _ in 0..unknown.len().min(2) {
-            unknown.iter().for_each(|&parameter| scan(&small, parameter, &mut first));
+            unknown.iter().for_each(|&parameter| scan(&small, parameter, &mut first, progress));
         }
     }
     if small.value(&first).is_none() {
@@ -60,13 +62,60 @@ pub(crate) fn starts(bench: &Bench<'_>) -> Result<Vec<Vec<f64>>, DynamicError> {
         all.extend(peaks.into_iter().take(1));
     }
     if unknown.len() > 1 {
-        all.extend(scattered(&small, &unknown, &first)); // of one alone the scan has seen all
+        all.extend(scattered(&small, &unknown, &first, progress)); // of one alone the scan has seen all
     }
     for parameter in time_constants(bench.model).into_iter().filter(|&p| bench.slots.is_free(p)) {
-        all.extend(other_maxima(&small, parameter, &first));
+        all.extend(other_maxima(&small, parameter, &first, progress));
     }
     all.extend((0..bench.settings.starts).map(|k| random(bench, &first, k)));
-    Ok(if total(&sample) < total(bench.tests) { promising(&small, all) } else { all })
+    if total(&sample) == total(bench.tests) {
+        return Ok(all);
+    }
+    // values that were given are one start, whatever a part of the data makes of them
+    let free = (0..bench.model.shared().parameters.len()).filter(|&p| bench.slots.is_free(p)).count();
+    let given = (unknown.len() < free).then(|| all.remove(0));
+    Ok(given.into_iter().chain(promising(&small, all, progress)).collect())
+}
+
+/// Starts from the data alone, whatever values were given.
+pub(crate) fn from_data(bench: &Bench<'_>, progress: &mut dyn Progress) -> Vec<Vec<f64>> {
+    let all: Vec<usize> = (0..bench.model.shared().parameters.len()).filter(|&p| bench.slots.is_free(p)).collect();
+    let common = bench.slots.slots().iter().all(|slot| slot.level.is_none());
+    let sample = sample(bench.tests, common);
+    let small = Bench::new(bench.model, &sample, bench.slots, bench.settings);
+    let mut first = guess(bench, false);
+    let peaks = balance(&small, &all, &mut first, progress);
+    all.iter().for_each(|&parameter| scan(&small, parameter, &mut first, progress));
+    let mut starts = vec![first.clone()];
+    starts.extend(peaks.into_iter().take(1));
+    starts.extend(scattered(&small, &all, &first, progress));
+    starts
+}
+
+/// ℓ at start values; whoever waits hears of it, and nothing more is tried once nobody does.
+pub(super) fn tried(small: &Bench<'_>, values: &[f64], progress: &mut dyn Progress) -> Option<f64> {
+    progress.stage(Stage::StartValues { filter_runs: small.filter_passes() });
+    if progress.stops() { None } else { small.value(values) }
+}
+
+/// Listens to a search on a part of the data: it is about start values still.
+struct Beside<'a, 'b> {
+    small: &'a Bench<'b>,
+    progress: &'a mut dyn Progress,
+}
+
+impl Progress for Beside<'_, '_> {
+    fn stage(&mut self, _: Stage) {
+        self.progress.stage(Stage::StartValues { filter_runs: self.small.filter_passes() });
+    }
+
+    fn step(&mut self, _: Step) {
+        self.progress.stage(Stage::StartValues { filter_runs: self.small.filter_passes() });
+    }
+
+    fn stops(&self) -> bool {
+        self.progress.stops()
+    }
 }
 
 fn total(tests: &[PhasedTest]) -> usize {
@@ -79,16 +128,17 @@ fn rows(test: &PhasedTest) -> usize {
 }
 
 /// Of many starts, where the best ones end on a part of the data; all of them when they all fail there.
-fn promising(small: &Bench<'_>, starts: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
-    let mut ends: Vec<End> = starts.iter().filter_map(|start| search(small, start, None, &mut Silent).ok()).collect();
+fn promising(small: &Bench<'_>, starts: Vec<Vec<f64>>, progress: &mut dyn Progress) -> Vec<Vec<f64>> {
+    let mut beside = Beside { small, progress };
+    let mut ends: Vec<End> = starts.iter().filter_map(|start| search(small, start, None, &mut beside).ok()).collect();
     ends.sort_by(|a, b| b.home.value().total_cmp(&a.home.value()));
     let Some(best) = ends.first().map(|end| end.home.value()) else { return starts };
     let mut kept: Vec<Vec<f64>> = Vec::new();
     for end in ends.into_iter().filter(|end| best - end.home.value() <= CLOSE) {
-        let values = end.restart();
+        let values = ordered(&small.twins, &end.restart());
         let same =
-            |other: &Vec<f64>| other.iter().zip(&values).all(|(a, b)| (a - b).abs() <= 1e-3 * a.abs().max(b.abs()));
-        if !kept.iter().any(same) {
+            |other: &Vec<f64>| other.iter().zip(&values).all(|(a, b)| (a - b).abs() <= ALIKE * a.abs().max(b.abs()));
+        if kept.len() < FOLLOWED && !kept.iter().any(same) {
             kept.push(values);
         }
     }
@@ -116,6 +166,11 @@ fn sample(tests: &[PhasedTest], common: bool) -> Vec<PhasedTest> {
     sample
 }
 
+/// Every free parameter has a start value.
+pub(crate) fn all_given(bench: &Bench<'_>) -> bool {
+    unknown(bench).is_empty()
+}
+
 /// Parameters without a start value, by index.
 fn unknown(bench: &Bench<'_>) -> Vec<usize> {
     let told = |value: Value, log: bool| match value {
@@ -127,19 +182,25 @@ fn unknown(bench: &Bench<'_>) -> Vec<usize> {
     parameters.filter(|(p, what)| bench.slots.is_free(*p) && !told(what.value, what.positive)).map(|(p, _)| p).collect()
 }
 
-fn first_guess(bench: &Bench<'_>) -> Vec<f64> {
+/// A first value for each slot: those that were given where they are to be heeded.
+fn guess(bench: &Bench<'_>, heeded: bool) -> Vec<f64> {
     let scales = Scales::of(bench);
     let one = |(s, slot): (usize, &crate::score::Slot)| {
         let parameter = &bench.model.shared().parameters[slot.parameter];
         let coordinate = bench.coordinates[s];
+        if bench.edges.has(s) {
+            // the value itself, which is no part of the edge yet
+            return if let Value::Free { start: Some(start) } = parameter.value { start } else { 0.0 };
+        }
         let guess = match parameter.value {
-            Value::Free { start: Some(start) } if !(coordinate.log && start == 0.0) => start,
+            Value::Free { start: Some(start) } if heeded && !(coordinate.log && start == 0.0) => start,
             _ if coordinate.log || is_noise(bench.model, slot.parameter) => scales.guess(bench.model, slot.parameter),
             _ => 0.0,
         };
         inside(coordinate, guess)
     };
-    bench.slots.slots().iter().enumerate().map(one).collect()
+    let values: Vec<f64> = bench.slots.slots().iter().enumerate().map(one).collect();
+    bench.sought(&values)
 }
 
 /// A start value strictly between the bounds where that is possible.
@@ -186,14 +247,14 @@ impl Scales {
         Scales { noise, step: median(steps).unwrap_or(1.0), span: median(spans).unwrap_or(1.0) }
     }
 
-    /// Time constants between the length of a step and that of a test.
-    pub(crate) fn times(&self) -> impl Iterator<Item = f64> {
-        let (step, ratio) = (self.step, (self.span / self.step).max(1.0));
-        (0..TIMES).map(move |k| step * ratio.powf((f64::from(k) + 0.5) / f64::from(TIMES)))
+    /// Times from a part of the length of a step to so many times that of a test, each `factor` times the one before.
+    pub(crate) fn range(&self, part: f64, spans: f64, factor: f64) -> impl Iterator<Item = f64> + use<> {
+        let (first, last) = (part * self.step, spans * self.span.max(self.step));
+        (0..).map(move |k| first * factor.powi(k)).take_while(move |time| *time <= last)
     }
 
     /// A value for a positive parameter.
-    fn guess(&self, model: &PhasedModel, parameter: usize) -> f64 {
+    pub(crate) fn guess(&self, model: &PhasedModel, parameter: usize) -> f64 {
         if time_constants(model).contains(&parameter) {
             return (self.step * self.span).sqrt();
         }
@@ -290,10 +351,10 @@ pub(crate) fn time_constants(model: &PhasedModel) -> Vec<usize> {
 }
 
 /// All levels of one parameter over many powers of a factor.
-fn scan(small: &Bench<'_>, parameter: usize, values: &mut Vec<f64>) {
+fn scan(small: &Bench<'_>, parameter: usize, values: &mut Vec<f64>, progress: &mut dyn Progress) {
     let mut tries = vec![values.clone()];
     tries.extend(grid(small, parameter, values));
-    if let Some((best, _)) = best(small, tries.into_iter()) {
+    if let Some((best, _)) = best(small, tries.into_iter(), progress) {
         *values = best;
     }
 }
@@ -312,8 +373,12 @@ fn grid(small: &Bench<'_>, parameter: usize, values: &[f64]) -> Vec<Vec<f64>> {
     }
 }
 
-fn best(small: &Bench<'_>, tries: impl Iterator<Item = Vec<f64>>) -> Option<(Vec<f64>, f64)> {
-    let valued = tries.filter_map(|values| small.value(&values).map(|value| (values, value)));
+fn best(
+    small: &Bench<'_>,
+    tries: impl Iterator<Item = Vec<f64>>,
+    progress: &mut dyn Progress,
+) -> Option<(Vec<f64>, f64)> {
+    let valued = tries.filter_map(|values| tried(small, &values, progress).map(|value| (values, value)));
     valued.fold(None, |best: Option<(Vec<f64>, f64)>, next| match best {
         Some(best) if best.1 >= next.1 => Some(best),
         _ => Some(next),
@@ -321,9 +386,9 @@ fn best(small: &Bench<'_>, tries: impl Iterator<Item = Vec<f64>>) -> Option<(Vec
 }
 
 /// Starts where ℓ over the powers of a time constant has other maxima than at the first start.
-fn other_maxima(small: &Bench<'_>, parameter: usize, first: &[f64]) -> Vec<Vec<f64>> {
+fn other_maxima(small: &Bench<'_>, parameter: usize, first: &[f64], progress: &mut dyn Progress) -> Vec<Vec<f64>> {
     let grid = grid(small, parameter, first);
-    let values: Vec<f64> = grid.iter().map(|v| small.value(v).unwrap_or(f64::NEG_INFINITY)).collect();
+    let values: Vec<f64> = grid.iter().map(|v| tried(small, v, progress).unwrap_or(f64::NEG_INFINITY)).collect();
     let at = |k: usize| values.get(k).copied().unwrap_or(f64::NEG_INFINITY);
     let peak = |&k: &usize| values[k].is_finite() && (k == 0 || at(k - 1) < values[k]) && at(k + 1) <= values[k];
     let middle = EACH_SIDE as usize;
@@ -333,7 +398,7 @@ fn other_maxima(small: &Bench<'_>, parameter: usize, first: &[f64]) -> Vec<Vec<f
 
 /// The best of some points scattered widely about the first guess: noise may lie in the measurements or in the motion, and
 /// a search that begins with one may end there.
-fn scattered(small: &Bench<'_>, unknown: &[usize], first: &[f64]) -> Vec<Vec<f64>> {
+fn scattered(small: &Bench<'_>, unknown: &[usize], first: &[f64], progress: &mut dyn Progress) -> Vec<Vec<f64>> {
     let mut random = ChaCha8Rng::seed_from_u64(0);
     let mut found: Vec<(Vec<f64>, f64)> = Vec::new();
     for _ in 0..SCATTERED {
@@ -346,7 +411,7 @@ fn scattered(small: &Bench<'_>, unknown: &[usize], first: &[f64]) -> Vec<Vec<f64
             if own { small.coordinates[s].moved(*value, WIDE * draws[parameter]) } else { *value }
         };
         let values: Vec<f64> = first.iter().enumerate().map(moved).collect();
-        if let Some(value) = small.value(&values) {
+        if let Some(value) = tried(small, &values, progress) {
             found.push((values, value));
         }
     }

@@ -4,13 +4,13 @@ use statrs::distribution::{ContinuousCDF, Normal};
 
 use crate::dynamic::joint::Covariances;
 use crate::dynamic::{Coordinate, DynamicFit, ParameterInference, Standing};
-use crate::model::Model;
+use crate::model::PhasedModel;
 
 /// A logarithm with a standard error beyond this is not determined by the data.
 const UNDETERMINED: f64 = 10.0;
 
 /// Standard errors by the delta method; intervals by Wald in the coordinate, so that those of positive values are positive.
-pub(crate) fn parameters(model: &Model, fit: &DynamicFit, covariances: &Covariances) -> Vec<ParameterInference> {
+pub(crate) fn parameters(model: &PhasedModel, fit: &DynamicFit, covariances: &Covariances) -> Vec<ParameterInference> {
     let coordinates = Coordinate::of(model, &fit.slots);
     let normal = Normal::standard().inverse_cdf(0.975);
     let one = |s: usize| {

@@ -123,7 +123,7 @@ fn reason(fit: &DynamicFit) -> String {
     match (fit.stop, fit.estimate.stop) {
         (Stop::Certified, Stop::Certified) => format!(
             "the optimality certificate holds: mean and covariance are within {:.1e} standard errors of the optimum, {what} within {far:.1e}",
-            fit.estimate.certificate.decrement
+            fit.estimate.certificate.distance()
         ),
         (Stop::Certified, _) => format!("at the values found for {what}: {inner}"),
         (Stop::PassLimit, _) => format!(
@@ -147,6 +147,9 @@ fn standing_notes(parts: &DynamicParts<'_>) -> Vec<String> {
         let mut seen: Vec<(&'static str, Vec<String>)> = Vec::new();
         for ((slot, value), found) in parts.fit.slots.slots().iter().zip(&parts.fit.values).zip(parts.parameters) {
             let Some(meaning) = meaning(found.standing, *value).filter(|_| slot.parameter == index) else { continue };
+            if found.standing == Standing::Idle {
+                continue; // a sentence of its own
+            }
             let level = slot.level.map_or(String::new(), |level| parts.labels.text(level).to_owned());
             match seen.iter_mut().find(|(known, _)| *known == meaning) {
                 Some((_, levels)) => levels.push(level),
@@ -157,8 +160,31 @@ fn standing_notes(parts: &DynamicParts<'_>) -> Vec<String> {
             format!("{} is {}", whose(parts.model.shared(), parameter, levels), meaning)
         };
         notes.extend(seen.iter().map(sentence));
+        notes.extend(idle_note(parts, index));
     }
     notes
+}
+
+/// What a parameter without effect waits for.
+fn idle_note(parts: &DynamicParts<'_>, index: usize) -> Option<String> {
+    let is = |parameter: usize, standing: &dyn Fn(Standing) -> bool| {
+        let slots = parts.fit.slots.slots().iter().zip(parts.parameters);
+        slots.filter(|(slot, _)| slot.parameter == parameter).any(|(_, found)| standing(found.standing))
+    };
+    if !is(index, &|standing| standing == Standing::Idle) {
+        return None;
+    }
+    let model = parts.model.shared();
+    let zero = |&p: &usize| is(p, &|standing| matches!(standing, Standing::Lower | Standing::Vanishing));
+    let beside = |&p: &usize| parts.model.phases.iter().any(|phase| phase.model.stand_together(index, p));
+    let zeros: Vec<usize> = (0..model.parameters.len()).filter(zero).collect();
+    let own: Vec<usize> = zeros.iter().copied().filter(beside).collect();
+    let named: Vec<String> = if own.is_empty() { zeros } else { own }
+        .into_iter()
+        .map(|p| format!("`{}`", model.parameters[p].name))
+        .collect();
+    let verb = if named.len() == 1 { "is" } else { "are" };
+    Some(format!("`{}` has no effect while {} {verb} zero", model.parameters[index].name, named.join(" and ")))
 }
 
 /// `tau`, or `sigma` at `lot` A, B and 7 more.
@@ -198,7 +224,20 @@ fn start_notes(parts: &DynamicParts<'_>) -> Vec<String> {
             "{flat} of {all} other starts ended as high at other values of the dynamic parameters: the maximum is not unique"
         ));
     }
-    let lost = all - certified.len();
+    let given_up = fit.others.iter().filter(|end| end.given_up).count();
+    if given_up > 0 {
+        notes.push(format!(
+            "{given_up} of {all} other starts were given up: they were not on the way to a higher {what}"
+        ));
+    }
+    let lost = fit.others.iter().filter(|end| end.stop != Stop::Certified && !end.given_up).count();
+    let higher = fit.others.iter().filter(|end| end.stop != Stop::Certified && end.log_likelihood > top + equal);
+    if let Some(most) = higher.map(|end| end.log_likelihood).reduce(f64::max) {
+        notes.push(format!(
+            "another start reached a {what} of {most:.4}, higher by {:.4}, at a point that is no certified maximum: ℓ may have no bound there, or the search was cut short",
+            most - top
+        ));
+    }
     if lost > 0 {
         notes.push(format!("{lost} of {all} other starts did not end at a certified optimum"));
     }

@@ -143,7 +143,7 @@ fn record(
         std_error: found.and_then(|f| f.std_error).filter(|e| e.is_finite()),
         interval95: found.and_then(|f| finite(f.interval)),
         fixed: found.is_none(),
-        at_bound: matches!(standing, Some(Standing::Lower | Standing::Upper)),
+        at_bound: matches!(standing, Some(Standing::Lower | Standing::Vanishing | Standing::Upper | Standing::Edge)),
         unit: parameter.unit.clone(),
         standing: standing.map(|s| standing_word(s).to_owned()),
         note: standing.and_then(|s| meaning(s, estimate)).map(str::to_owned),
@@ -159,9 +159,11 @@ fn finite(interval: Interval) -> Interval {
 fn standing_word(standing: Standing) -> &'static str {
     match standing {
         Standing::Inside => "inside",
-        Standing::Lower => "lower",
+        Standing::Lower | Standing::Vanishing => "lower",
         Standing::Upper => "upper",
+        Standing::Edge => "edge",
         Standing::Unbounded => "unbounded",
+        Standing::Idle => "without_effect",
         Standing::Unidentified => "unidentified",
     }
 }
@@ -172,10 +174,17 @@ pub(super) fn meaning(standing: Standing, value: f64) -> Option<&'static str> {
         Standing::Inside => None,
         Standing::Lower if value == 0.0 => Some("estimated as zero: the data show no sign of it"),
         Standing::Lower => Some("at its lower bound: the data would have it lower"),
+        Standing::Vanishing => Some(
+            "as good as zero: the data would have it at zero, where a measurement would be exact, so it was left a little above",
+        ),
         Standing::Upper => Some("at its upper bound: the data would have it higher"),
+        Standing::Edge => Some(
+            "at the edge of what a covariance may be: the two noises are perfectly correlated, as far as the data tell",
+        ),
         Standing::Unbounded => Some(
             "larger than the data can tell: the log-likelihood still rises, ever more slowly; a time constant so much longer than the records cannot be told from a random constant or a random walk",
         ),
+        Standing::Idle => Some("without effect while a noise level is zero"),
         Standing::Unidentified => {
             Some("not identified: the log-likelihood does not depend on it, so its start value was kept")
         }

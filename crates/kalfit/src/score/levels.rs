@@ -82,7 +82,7 @@ fn common_degree(model: &PhasedModel, slots: &Slots, parameter: usize) -> Option
 }
 
 /// The parameter stands anywhere in the model of a phase.
-fn mentioned(model: &Model, here: &dyn Fn(&Expression) -> bool) -> bool {
+pub(crate) fn mentioned(model: &Model, here: &dyn Fn(&Expression) -> bool) -> bool {
     elsewhere(model, here)
         || model.measurements.iter().any(|m| here(&m.noise_variance))
         || (0..model.states.len()).any(|i| process_noise(model, i).is_some_and(here))
@@ -241,7 +241,8 @@ fn scales(expression: &Expression, model: &Model, slots: &Slots, parameter: usiz
     power(expression, parameter)
 }
 
-fn power(expression: &Expression, parameter: usize) -> Option<f64> {
+/// d when the expression goes as the d-th power of the parameter; 0 where it does not mention it.
+pub(crate) fn power(expression: &Expression, parameter: usize) -> Option<f64> {
     if !mentions(expression, parameter) {
         return Some(0.0);
     }

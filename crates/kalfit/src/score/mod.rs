@@ -29,9 +29,9 @@ use smoother::Later;
 
 pub use slots::{Slot, Slots};
 
-pub(crate) use chain::Gradient;
+pub(crate) use chain::{Gradient, add};
 pub(crate) use company::Companies;
-pub(crate) use levels::{Levels, carried, dependences};
+pub(crate) use levels::{Levels, carried, dependences, mentioned, power};
 pub(crate) use moments::{Moments, expected_square};
 pub(crate) use phased::{PhasedComplete, PhasedScorer};
 pub(crate) use smoother::{PhaseLaws, Plan};

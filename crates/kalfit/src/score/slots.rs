@@ -95,6 +95,14 @@ impl Slots {
         (0..self.places.len()).map(|parameter| self.is_free(parameter)).collect()
     }
 
+    /// Slot of a parameter that is common to all rows.
+    pub(crate) fn common(&self, parameter: usize) -> Option<usize> {
+        match &self.places[parameter] {
+            Places::Common(slot) => Some(*slot),
+            Places::Fixed | Places::Each { .. } => None,
+        }
+    }
+
     /// Slot of a parameter on a row with these text cells; `None` where its value is fixed.
     pub fn find(&self, parameter: usize, texts: &[Label]) -> Option<usize> {
         match &self.places[parameter] {

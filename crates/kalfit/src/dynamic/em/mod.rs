@@ -99,7 +99,7 @@ impl<'b, 'a> Em<'b, 'a> {
             }
             let look = self.look(true);
             let good = look.concave && look.decrement <= self.search.tolerance();
-            if good && self.search.released() {
+            if good && self.search.revived(&look.joint) {
                 self.forget();
                 continue;
             }
@@ -112,11 +112,13 @@ impl<'b, 'a> Em<'b, 'a> {
             }
         }
         let (last, mut stop) = ended.unwrap_or_else(|| (self.look(true), Stop::PassLimit));
+        self.search.name_idle(&last.joint);
         let Search { home, standing, trace, before_zero, .. } = self.search;
         if home.estimate.stop != Stop::Certified && stop != Stop::Interrupted {
             stop = home.estimate.stop;
         }
-        Ok(End { home, standing, joint: last.joint, certificate: last.decrement, stop, trace, before_zero })
+        let (joint, certificate) = (last.joint, last.decrement);
+        Ok(End { home, standing, joint, certificate, stop, trace, before_zero, given_up: false })
     }
 
     fn look(&self, fine: bool) -> Look {

@@ -1,0 +1,92 @@
+//! Ensembles whose likelihood has several maxima, saddles or edges in the dynamic parameters: where a search ended once, and where
+//! the maximum is.
+
+#![expect(clippy::unwrap_used, reason = "a test that cannot be set up must fail")]
+
+use kalfit::FitRecord;
+use kalfit::record::ParameterRecord;
+
+use crate::folder::{Folder, shown};
+
+/// The fit of one of the models in `data/maxima` to its data; `changed`: parts of the model file in other words.
+fn fitted(model: &str, data: &str, changed: &[(&str, &str)]) -> FitRecord {
+    let folder = Folder::new(&[]);
+    folder.copy(&format!("tests/data/maxima/{model}.toml"));
+    folder.copy(&format!("tests/data/maxima/{data}.csv"));
+    let mut text = std::fs::read_to_string(folder.path(&format!("{model}.toml"))).unwrap();
+    for (from, to) in changed {
+        assert!(text.contains(from), "{model}: `{from}`");
+        text = text.replace(from, to);
+    }
+    folder.write("model.toml", text.as_bytes());
+    let output = folder.run(&format!("fit model.toml {data}.csv --no-tests --out fit.json"));
+    assert_eq!(output.status.code(), Some(0), "{model}: {}", shown(&output));
+    serde_json::from_slice(&std::fs::read(folder.path("fit.json")).unwrap()).unwrap()
+}
+
+fn parameter<'a>(record: &'a FitRecord, name: &str, level: Option<&str>) -> &'a ParameterRecord {
+    let named = |p: &&ParameterRecord| p.name == name && p.level.as_deref() == level;
+    record.parameters.iter().find(named).unwrap()
+}
+
+fn reaches(record: &FitRecord, what: &str, highest: f64) {
+    let found = record.log_likelihood;
+    assert!(record.converged, "{what}: {}", record.reason);
+    assert!((found - highest).abs() < 2e-6, "{what}: found {found:.6}, the maximum is {highest:.6}");
+}
+
+#[test]
+fn a_noise_level_is_not_lost_to_zero() {
+    // other starts of the same program, and of others, end here
+    let known = [
+        ("two-noises-2", -62.918080),
+        ("integral-10", -61.439531),
+        ("discrete2-0", -75.939069),
+        ("discrete2-4", -40.742504),
+    ];
+    for (name, highest) in known {
+        reaches(&fitted(name, name, &[]), name, highest);
+        reaches(&fitted(&format!("{name}-given"), name, &[]), &format!("{name} from given starts"), highest);
+    }
+}
+
+#[test]
+fn every_start_ends_at_the_same_maximum_of_a_coupled_stationary_process() {
+    let own = fitted("stationary-coupled", "stationary-coupled", &[]);
+    let given = fitted("stationary-coupled", "stationary-coupled", &[("s = {}", "s = { start = 0.3 }")]);
+    reaches(&own, "own start", given.log_likelihood);
+    assert!(parameter(&own, "s", None).estimate > 0.01, "{:?}", parameter(&own, "s", None));
+}
+
+#[test]
+fn a_standard_deviation_of_zero_is_left_where_its_correlation_lets_the_likelihood_rise() {
+    // lme4 (optimiser tightened) gives 132.103721 for sites within wafers
+    let found = fitted("wafer", "wafer", &[]);
+    reaches(&found, "wafers", 132.103721);
+    for name in ["sd0", "sd1"] {
+        assert!(parameter(&found, name, None).estimate > 0.0, "{:?}", parameter(&found, name, None));
+    }
+    assert_eq!(parameter(&found, "rho", None).standing.as_deref(), Some("upper"));
+}
+
+#[test]
+fn the_edge_of_what_a_noise_covariance_may_be_is_named() {
+    let found = fitted("covariance-boundary", "covariance-boundary", &[]);
+    assert!(found.converged, "{}", found.reason);
+    let edge = parameter(&found, "s", Some("B"));
+    assert_eq!((edge.standing.as_deref(), edge.at_bound, edge.std_error), (Some("edge"), true, None));
+    assert!(found.notes.iter().any(|note| note.contains("edge of what a covariance may be")), "{:?}", found.notes);
+}
+
+#[test]
+fn a_covariance_of_motion_is_sought_within_its_cone() {
+    let found = fitted("matrices-process", "matrices-process", &[]);
+    assert!(found.converged, "{}", found.reason);
+    let vanishing = parameter(&found, "s2", None);
+    assert_eq!((vanishing.standing.as_deref(), vanishing.at_bound), (Some("lower"), true));
+    let (qa, qab) = (parameter(&found, "qa", None).estimate, parameter(&found, "qab", None));
+    assert!(qab.estimate.abs() < 0.6 * qa && qab.std_error.is_some(), "{qab:?} beside {qa}");
+    // starts that would not be positive semidefinite are brought inside
+    let far = fitted("matrices-process", "matrices-process", &[("qab = { start = 0 }", "qab = { start = 5 }")]);
+    reaches(&far, "a start outside the cone", found.log_likelihood);
+}

@@ -1,0 +1,166 @@
+//! Other maxima, looked for from the best end.
+//!
+//! A certificate is about the neighbourhood of a point. ℓ of several noises often has more maxima than one, and they differ in what
+//! explains what: so each process is taken away and may come back in another shape, processes that coincide become one, levels at
+//! zero are tried at other sizes, and the search begins anew from the data where the start values were given.
+
+use crate::dynamic::bench::Bench;
+use crate::dynamic::search::{End, RISE, Search};
+use crate::dynamic::twins::ordered;
+use crate::dynamic::{DynamicError, Method, Settings, start};
+use crate::estimate::{Progress, Silent, Stop};
+use crate::model::Motion;
+
+/// Rows that may be filtered for it, all runs together.
+const ROWS: usize = 20_000_000;
+/// Most runs of the filters.
+const RUNS: usize = 600;
+/// With more values than this one search costs too much.
+const VALUES: usize = 24;
+/// Fewer runs than this are not begun with.
+const FEWEST: usize = 150;
+/// Most times that a better end is looked around from.
+const ROUNDS: usize = 4;
+/// Sizes of levels at zero that are tried, in units of what the data suggest.
+const SIZES: [f64; 5] = [2.0, 0.7, 0.25, 0.08, 0.025];
+
+/// Adds the ends that are found; `told`: all start values were given.
+pub(super) fn explore(
+    bench: &Bench<'_>,
+    ends: &mut Vec<End>,
+    told: bool,
+    progress: &mut dyn Progress,
+) -> Result<(), DynamicError> {
+    let settings = Settings { method: Method::Hybrid, ..bench.settings.clone() };
+    let hybrid = Bench::new(bench.model, bench.tests, bench.slots, &settings);
+    let done = look_around((bench, &hybrid), ends, told, progress);
+    bench.absorb(&hybrid);
+    done
+}
+
+/// The best end that is found around another while a value is held; the other where none is higher.
+pub(super) fn around(bench: &Bench<'_>, end: End, held: usize) -> End {
+    let most = bench.filter_passes() + most(bench);
+    let floor = end.home.value() + RISE;
+    let places = places(bench, &end, Some(held));
+    let mut found = places.into_iter().take_while(|_| bench.filter_passes() < most).filter_map(|place| {
+        let (home, mut silent) = (bench.solve(&place, None).ok()?, Silent);
+        let mut search = Search::new(bench, &mut silent, home).beyond(Some(floor));
+        search.hold(held);
+        search.run().ok().filter(|found| found.stop == Stop::Certified && found.home.value() > floor)
+    });
+    found.next().unwrap_or(end)
+}
+
+/// Runs of the filters that may be spent; none where they are too few for a search.
+fn most(bench: &Bench<'_>) -> usize {
+    let runs = (ROWS / bench.rows().max(1)).min(RUNS);
+    if runs < FEWEST || bench.slots.len() > VALUES { 0 } else { runs }
+}
+
+fn look_around(
+    (bench, hybrid): (&Bench<'_>, &Bench<'_>),
+    ends: &mut Vec<End>,
+    told: bool,
+    progress: &mut dyn Progress,
+) -> Result<(), DynamicError> {
+    let most = most(bench);
+    let mut tried: Vec<Vec<f64>> = ends.iter().map(|end| end.home.values.clone()).collect();
+    for round in 0..ROUNDS {
+        let Some(best) = best(ends) else { return Ok(()) };
+        let mut places = places(hybrid, best, None);
+        if round == 0 && told {
+            places.extend(start::from_data(bench, progress));
+        }
+        let floor = best.home.value() + RISE;
+        let mut higher = None;
+        for place in places {
+            if hybrid.filter_passes() >= most || progress.stops() {
+                return Ok(());
+            }
+            let place = ordered(&bench.twins, &place);
+            if tried.iter().any(|other| other == &place) {
+                continue;
+            }
+            tried.push(place.clone());
+            let Ok(home) = hybrid.solve(&place, None) else { continue };
+            let found = Search::new(hybrid, progress, home).beyond(Some(floor)).run()?;
+            if found.stop == Stop::Certified && found.home.value() > floor {
+                higher = Some(found);
+                break;
+            }
+        }
+        let Some(found) = higher else { return Ok(()) };
+        let found = match bench.settings.method {
+            Method::Hybrid => found,
+            _ => crate::dynamic::search::search(bench, &found.restart(), None, progress)?,
+        };
+        ends.push(found);
+    }
+    Ok(())
+}
+
+/// The best certified end.
+pub(super) fn best(ends: &[End]) -> Option<&End> {
+    let certified = ends.iter().filter(|end| end.stop == Stop::Certified);
+    certified.max_by(|a, b| a.home.value().total_cmp(&b.home.value()))
+}
+
+/// Where to look from an end: at common values but the one that is held.
+fn places(bench: &Bench<'_>, end: &End, held: Option<usize>) -> Vec<Vec<f64>> {
+    let values = &end.home.values;
+    let mut all: Vec<Vec<f64>> =
+        bench.twins.iter().filter_map(|twins| twins.merged(values, &bench.coordinates)).collect();
+    all.retain(|place| held.is_none_or(|s| place[s] == values[s]));
+    let is_level = |s: &usize| {
+        let coordinate = &bench.coordinates[*s];
+        let common = bench.slots.slots()[*s].level.is_none();
+        common && coordinate.level.is_some() && coordinate.lower == 0.0 && held != Some(*s)
+    };
+    let levels: Vec<usize> = (0..values.len()).filter(is_level).collect();
+    let timed = !start::time_constants(bench.model).is_empty();
+    for &s in levels.iter().filter(|&&s| values[s] > 0.0 && timed && drives(bench, s)) {
+        let mut without = values.clone();
+        without[s] = 0.0;
+        all.push(without);
+    }
+    for &s in &levels {
+        all.extend(sizes(bench, end, (s, bench.units()[s])));
+    }
+    all
+}
+
+/// A level of the motion of some state.
+fn drives(bench: &Bench<'_>, s: usize) -> bool {
+    let parameter = bench.slots.slots()[s].parameter;
+    bench.model.phases.iter().flat_map(|phase| &phase.model.states).any(|state| match &state.motion {
+        Motion::Constant => false,
+        Motion::Continuous { noise_variance, .. } | Motion::Discrete { noise_variance, .. } => {
+            start::mentions(noise_variance, parameter)
+        }
+    })
+}
+
+/// Other sizes of a level, the rest as it is, where ℓ is higher than at the sizes beside them.
+fn sizes(bench: &Bench<'_>, end: &End, (s, unit): (usize, f64)) -> Vec<Vec<f64>> {
+    let value = end.home.values[s];
+    if value > 0.0 && !end.is_at_zero(s) {
+        return Vec::new();
+    }
+    let at = |size: &f64| {
+        let mut values = end.home.values.clone();
+        values[s] = (size * unit).clamp(bench.coordinates[s].lower, bench.coordinates[s].upper);
+        values
+    };
+    let places: Vec<Vec<f64>> = SIZES.iter().map(at).collect();
+    let heights: Vec<f64> = places.iter().map(|place| bench.value(place).unwrap_or(f64::NEG_INFINITY)).collect();
+    let beside = |k: usize, other: Option<usize>| other.and_then(|o| heights.get(o)).is_none_or(|h| *h < heights[k]);
+    let peak = |k: &usize| heights[*k].is_finite() && beside(*k, k.checked_sub(1)) && beside(*k, Some(k + 1));
+    // the smallest size is beside zero
+    let last = SIZES.len() - 1;
+    (0..SIZES.len())
+        .filter(peak)
+        .filter(|k| *k < last || heights[last] > end.home.value())
+        .map(|k| places[k].clone())
+        .collect()
+}

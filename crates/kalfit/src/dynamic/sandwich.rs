@@ -1,0 +1,58 @@
+//! The sandwich where α is free: H⁻¹ (Σ_j s_j s_j') H⁻¹ with the scores s_j of the tests in α, μ and Σ together.
+//!
+//! A value of a single test has a score of zero there, at the maximum, and in every other test; so it adds nothing to the sum, and
+//! its own variance stays that of the observed information.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::dynamic::bench::Bench;
+use crate::dynamic::joint::Covariances;
+use crate::dynamic::matrices::matrix_gradient;
+use crate::dynamic::runs::Runs;
+use crate::dynamic::{DynamicError, DynamicFit};
+use crate::reduce::Reduction;
+use crate::score::Gradient;
+
+/// The covariances that the spread of the tests' scores gives, from those of the observed information.
+pub(crate) fn sandwich(
+    bench: &Bench<'_>,
+    fit: &DynamicFit,
+    observed: &Covariances,
+) -> Result<Covariances, DynamicError> {
+    let runs = Runs::new(bench);
+    let run = runs.at(&fit.sought).map_err(Box::new)?;
+    let scores = runs.scores(&run, &fit.sought, &fit.estimate.state.law()).map_err(Box::new)?;
+    let n = observed.whole.nrows();
+    let mut sum = DMatrix::zeros(n, n);
+    for &j in bench.order() {
+        let score = score(bench, fit, &observed.shared, (&run.reductions[j], &scores[j]));
+        sum.ger(1.0, &score, &score, 1.0);
+    }
+    let whole = &observed.whole * sum * &observed.whole;
+    let mut alpha = observed.alpha.clone();
+    for (place, &s) in observed.shared.iter().enumerate() {
+        alpha[s] = alpha[s].map(|_| whole[(place, place)]).filter(|v| *v > 0.0);
+    }
+    Ok(Covariances { alpha, shared: observed.shared.clone(), whole })
+}
+
+/// The score of a test in the coordinates of the shared values, then along the tangent basis.
+fn score(
+    bench: &Bench<'_>,
+    fit: &DynamicFit,
+    shared: &[usize],
+    (reduction, of_test): (&Reduction, &Gradient),
+) -> DVector<f64> {
+    let state = &fit.estimate.state;
+    let of_sigma = state.covariance_score_of(reduction);
+    let matrix = matrix_gradient(bench.model, &fit.alpha, bench.slots, &fit.estimate.covariance, &of_sigma);
+    let inner = state.gradient_of(reduction);
+    let mut score = DVector::zeros(shared.len() + inner.len());
+    for (slot, bar) in of_test.iter().chain(&matrix) {
+        if let Some(place) = shared.iter().position(|s| s == slot) {
+            score[place] += bar * bench.coordinates[*slot].slope(fit.sought[*slot]);
+        }
+    }
+    score.rows_mut(shared.len(), inner.len()).copy_from(&inner);
+    score
+}
