@@ -12,6 +12,10 @@ use crate::estimate::newton::Place;
 use crate::estimate::relaxed::{relax, undetermined};
 use crate::linalg::symmetric;
 
+/// Rounding errors above this many standard errors are told, those above the other one withhold the certificate.
+const NOTABLE: f64 = 1e-6;
+const IMPRECISE: f64 = 1e-3;
+
 /// Null-space scores below this many standard errors count as zero.
 const NULL_TOLERANCE: f64 = 1e-5;
 
@@ -20,6 +24,9 @@ const NEAR_NULL: f64 = 1e-10;
 
 /// Standard deviations (in η) below this count as zero.
 const NO_STD_DEV: f64 = 1e-9;
+
+/// Of two standard deviations that leave zero together, none is less than this part of the other, in natural units.
+const LEAST_PART: f64 = 1e-3;
 
 /// How far the conditions of a maximum are from holding, in standard errors.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -32,12 +39,34 @@ pub struct Certificate {
     pub null_space: f64,
     /// Newton decrement over all coordinates together.
     pub decrement: f64,
+    /// A bound of what rounding errors leave open: where large numbers are added up, scores vanish before the optimum is reached.
+    pub rounding: f64,
 }
 
 impl Certificate {
-    /// Whether the conditions hold to this tolerance.
+    /// Whether the conditions hold to this tolerance, and rounding errors leave no more open than a reader could notice.
     pub fn holds(&self, tolerance: f64) -> bool {
-        self.decrement <= tolerance && self.null_space <= NULL_TOLERANCE
+        self.decrement <= tolerance && self.null_space <= NULL_TOLERANCE && self.is_precise()
+    }
+
+    /// Whether rounding errors are below a thousandth of a standard error.
+    pub fn is_precise(&self) -> bool {
+        self.rounding <= IMPRECISE
+    }
+
+    /// Whether rounding errors are larger than the scores that a search ends with, so that they say how far the optimum may be.
+    pub fn is_limited_by_rounding(&self) -> bool {
+        self.rounding > NOTABLE
+    }
+
+    /// How far the optimum may be, in standard errors.
+    pub fn distance(&self) -> f64 {
+        self.decrement.max(self.rounding)
+    }
+
+    pub(super) fn with_rounding(self, parts: &[f64]) -> Certificate {
+        let rounding = parts.iter().sum::<f64>();
+        Certificate { rounding: if rounding.is_finite() { rounding } else { f64::MAX }, ..self }
     }
 }
 
@@ -57,7 +86,7 @@ pub(crate) fn certificate(map: &CovarianceMap, place: &Place, tests: f64) -> (Ce
     let (mean, covariance) = scores(place);
     let null_space = escape.as_ref().map_or(0.0, |e| e.score.max(0.0));
     (
-        Certificate { mean, covariance, null_space, decrement: place.decrement() },
+        Certificate { mean, covariance, null_space, decrement: place.decrement(), rounding: 0.0 },
         escape.filter(|e| e.score > NULL_TOLERANCE),
     )
 }
@@ -110,8 +139,7 @@ fn part_escape(map: &CovarianceMap, part: &Part, place: &Place, tests: f64) -> O
         Form::Scale(star) if part.of(&place.point.root).amax() <= 1e-9 * star.amax() => {
             let direction = part.placed(&(star * star.transpose()), map.p);
             let slope = (residual * &direction).trace();
-            let own = (weight * &direction / tests).norm();
-            Some(along(direction, slope, own, tests))
+            Some(along(direction, slope, weight, tests))
         }
         Form::StdDevs(correlation, states) => {
             let r = part.placed(&(correlation * correlation.transpose()), map.p);
@@ -135,13 +163,19 @@ fn std_dev_escape(r: &DMatrix<f64>, states: &[usize], place: &Place, tests: f64)
         let mut u = DVector::zeros(r.nrows());
         parts.iter().for_each(|&(i, x)| u[i] = x);
         let direction = r.component_mul(&(&u * u.transpose()));
-        let (slope, own) = ((residual * &direction).trace(), (weight * &direction).trace() / tests);
-        along(direction, slope, own, tests)
+        let slope = (residual * &direction).trace();
+        along(direction, slope, weight, tests)
     };
     let unit = |i: usize| if weight[(i, i)] > 0.0 { (tests / weight[(i, i)]).sqrt() } else { 0.0 };
+    // what ℓ loses by one of them alone: -a u² - b v² + 2cuv is largest, for its size, where u : v = √b : √a
+    let loss = |i: usize| (-residual[(i, i)] * r[(i, i)]).max(0.0).sqrt() * unit(i);
     let pairs = zero.iter().enumerate().flat_map(|(k, &i)| zero[..k].iter().map(move |&j| (i, j)));
     let singles = zero.iter().map(|&i| grown(&[(i, unit(i))]));
-    let both = pairs.map(|(i, j)| grown(&[(i, unit(i)), (j, unit(j))]));
+    let both = pairs.map(|(i, j)| {
+        let (a, b) = (loss(i), loss(j));
+        let (u, v) = if a.max(b) > 0.0 { (b / a.max(b), a / a.max(b)) } else { (1.0, 1.0) };
+        grown(&[(i, u.max(LEAST_PART) * unit(i)), (j, v.max(LEAST_PART) * unit(j))])
+    });
     singles.chain(both).max_by(|a, b| a.score.total_cmp(&b.score))
 }
 
@@ -172,12 +206,11 @@ fn null_escape(
         place_block(&mut direction, block, &own);
         from += n;
     }
-    let own = (weight * &direction).trace() / tests;
-    Some(along(direction, *scores.last()?, own, tests))
+    Some(along(direction, *scores.last()?, weight, tests))
 }
 
-/// The null space of FF' on each block, in the natural size of each element: a spread much larger than another must not make the
-/// other look like nothing.
+/// What the range of FF' leaves of each block, orthogonal to it in the natural size of each element: a spread much larger than another
+/// must not make the other look like nothing. Where GΣ = 0 it stands for the null space, as any complement of the range does.
 fn null_spaces(blocks: &[Vec<usize>], root: &DMatrix<f64>) -> Vec<DMatrix<f64>> {
     let sizes = natural_sizes(root);
     let of = |block: &Vec<usize>| {
@@ -202,9 +235,10 @@ fn block_diagonal(parts: &[DMatrix<f64>]) -> DMatrix<f64> {
     whole
 }
 
-/// In direction D with score s the expected information is about ½ N (tr W̄D)².
-fn along(direction: DMatrix<f64>, slope: f64, own: f64, tests: f64) -> Escape {
-    let information = 0.5 * tests * own * own;
+/// In direction D the expected information is about ½ N tr(W̄DW̄D).
+fn along(direction: DMatrix<f64>, slope: f64, weight: &DMatrix<f64>, tests: f64) -> Escape {
+    let each = weight * &direction; // N W̄D
+    let information = 0.5 * (&each * &each).trace() / tests;
     if information <= 0.0 {
         return Escape { direction, length: 0.0, score: 0.0 };
     }

@@ -57,6 +57,8 @@ pub(crate) struct CovarianceMap {
     pub(crate) constraints: Vec<Constraint>,
     /// States whose variance is not held at zero.
     pub(crate) random: Vec<usize>,
+    /// States whose means regression coefficients act on, in their order: their variances are what the coefficients are measured in.
+    pub(crate) regressors: Vec<usize>,
     pub(crate) elements: Elements,
 }
 
@@ -69,6 +71,7 @@ impl CovarianceMap {
             parts: Vec::new(),
             constraints: Vec::new(),
             random: Vec::new(),
+            regressors: structure.regressions().iter().map(|r| r.element).collect(),
             elements,
         };
         for (phase, range) in structure.phases.iter().zip(ranges) {
@@ -95,6 +98,7 @@ impl CovarianceMap {
             parts: vec![part.moved(back)],
             constraints: self.constraints.iter().filter(own).map(|c| c.moved(back)).collect(),
             random: self.random.iter().filter(|i| states.contains(i)).map(|i| i - states.start).collect(),
+            regressors: Vec::new(),
             elements: Elements::single(states.len()),
         }
     }

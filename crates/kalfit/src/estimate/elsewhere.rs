@@ -90,6 +90,16 @@ impl State {
         InitialLaw::of(&self.problem, &self.place.point, self.place.near())
     }
 
+    /// The same at a place of its own.
+    pub(crate) fn law_at(&self, place: &Place) -> InitialLaw {
+        InitialLaw::of(&self.problem, &place.point, place.near())
+    }
+
+    /// What is left of ∂ℓ/∂Σ at a place once constraints have taken their share, in the user's units.
+    pub(crate) fn residual_score_at(&self, place: &Place) -> DMatrix<f64> {
+        out(&self.problem, &place.tangent.residual_score)
+    }
+
     /// ∂ℓ/∂Σ in the user's units: the objective changes by tr(G dΣ).
     pub(crate) fn covariance_score(&self) -> DMatrix<f64> {
         out(&self.problem, &self.sums.score())
@@ -112,9 +122,13 @@ impl State {
     /// The state after a step along the tangent basis of this place, under other reductions of the same tests; `None` where it
     /// is not defined.
     pub(crate) fn moved(&self, reductions: &[Reduction], alpha: &Alpha, step: &DVector<f64>) -> Option<State> {
+        self.at(reductions, alpha, newton::moved(&*self.problem, &self.problem.covariance, &self.place, step)?)
+    }
+
+    /// The state at another point of this problem, under other reductions of the same tests; `None` where it is not defined.
+    pub(crate) fn at(&self, reductions: &[Reduction], alpha: &Alpha, point: Point) -> Option<State> {
         let structure = self.assumed.at(alpha);
         let problem = Problem::within(&self.evidence(reductions), &structure, &self.problem).ok()?;
-        let point = newton::moved(&*self.problem, &self.problem.covariance, &self.place, step)?;
         let root = carried(&self.problem.covariance, &problem.covariance, &point.root);
         let point = Point { root, ..point };
         let place = Place::new(&problem, &problem.covariance, point, self.place.near())?;
@@ -134,6 +148,13 @@ impl State {
         let class = self.problem.classes.single(&own[0]);
         let sums = self.problem.of_class(&class, &self.place.point, Order::First);
         self.along(&sums, &self.problem, &self.place.point)
+    }
+
+    /// ∂ℓ_j/∂Σ of one test at this place, in the user's units.
+    pub(crate) fn covariance_score_of(&self, reduction: &Reduction) -> DMatrix<f64> {
+        let own = self.evidence(std::slice::from_ref(reduction));
+        let class = self.problem.classes.single(&own[0]);
+        out(&self.problem, &self.problem.of_class(&class, &self.place.point, Order::First).score())
     }
 
     /// A gradient in mean coordinates and Σ along the tangent basis.

@@ -55,7 +55,8 @@ impl CovarianceMap {
         let start = structure.start.as_ref().map(|start| frame.covariance_in(start));
         let part = Part { states: 0..p, form, linear: linear.is_some(), start };
         let elements = Elements::single(p);
-        let mut map = CovarianceMap { p, parts: vec![part], constraints: Vec::new(), random, elements };
+        let mut map =
+            CovarianceMap { p, parts: vec![part], constraints: Vec::new(), random, regressors: Vec::new(), elements };
         map.constraints = match &linear {
             Some(linear) => linear.constraints(&map)?,
             None => constraints(structure, frame, &map),

@@ -37,9 +37,9 @@ impl Frame {
         Frame { centre, scale, covariate_scale }
     }
 
-    /// Σ in the user's units from Σ in η.
+    /// Σ in the user's units from Σ in η, symmetric to the last bit.
     pub(crate) fn covariance_out(&self, sigma: &DMatrix<f64>) -> DMatrix<f64> {
-        DMatrix::from_fn(sigma.nrows(), sigma.ncols(), |i, j| self.scale[i] * sigma[(i, j)] * self.scale[j])
+        symmetric::scaled(&self.scale, |i, j| sigma[(i, j)])
     }
 
     /// Σ in η from Σ in the user's units.

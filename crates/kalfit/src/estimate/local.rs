@@ -102,7 +102,7 @@ impl Tangent {
         let information = free_information(local, mean_jacobian, &chart, &jacobian, &residual_score);
         let held = held_coordinates(&chart, &sigma_gradient);
         let basis = tangent_basis(q, &normals, &held, jacobian.ncols());
-        let sizes = coordinate_sizes(mean_jacobian, &chart, root);
+        let sizes = coordinate_sizes(mean_jacobian, &map.regressors, &chart, root);
         let mut gradient = DVector::zeros(q + jacobian.ncols());
         gradient.rows_mut(0, q).copy_from(&(mean_jacobian.transpose() * &local.mean_score));
         gradient.rows_mut(q, jacobian.ncols()).copy_from(&sigma_gradient);
@@ -135,9 +135,15 @@ pub(crate) fn harmonic(parts: impl Iterator<Item = (f64, f64)>) -> f64 {
 }
 
 /// Natural sizes of the free coordinates (mean, then ψ).
-fn coordinate_sizes(mean_jacobian: &DMatrix<f64>, chart: &Chart, root: &DMatrix<f64>) -> Vec<f64> {
+fn coordinate_sizes(
+    mean_jacobian: &DMatrix<f64>,
+    regressors: &[usize],
+    chart: &Chart,
+    root: &DMatrix<f64>,
+) -> Vec<f64> {
     let sizes = natural_sizes(root);
-    let of = |i: usize| sizes.get(i).copied().unwrap_or(1.0); // regression coefficients: of the size of their covariates
+    // regression coefficients, whose covariates are of size one: that of the state that they move
+    let of = |i: usize| sizes[if i < sizes.len() { i } else { regressors[i - sizes.len()] }];
     let mean = mean_jacobian.column_iter().map(|c| harmonic(c.iter().enumerate().map(|(i, x)| (*x, of(i)))));
     let psi = chart.coordinates.iter().map(|entries| harmonic(entries.iter().map(|&(i, _, x)| (x, sizes[i]))));
     mean.chain(psi).collect()

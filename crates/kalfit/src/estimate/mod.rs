@@ -18,6 +18,8 @@
 
 mod canonical;
 mod certificate;
+#[cfg(test)]
+mod certificate_tests;
 mod chained;
 mod chart;
 mod classes;
@@ -31,6 +33,7 @@ mod expected;
 mod form;
 mod forms;
 mod frame;
+mod joint_law;
 mod lanes;
 mod likelihood;
 mod linear;
@@ -47,6 +50,7 @@ mod products;
 mod quadratic;
 mod relaxed;
 mod reml;
+mod rounding;
 mod scoring;
 mod search;
 mod settings;
@@ -64,7 +68,7 @@ use nalgebra::DMatrix;
 
 pub use certificate::Certificate;
 pub use likelihood::{Derivatives, Evaluation, Likelihood, pass_flops};
-pub use settings::{Combination, Criterion, Progress, Settings, Silent, Solver, Step};
+pub use settings::{Combination, Criterion, Progress, Settings, Silent, Solver, Stage, Step};
 pub use structure::{PhaseStructure, Structure};
 
 pub(crate) use chained::{Chained, Detail, Kept};
@@ -75,6 +79,7 @@ pub(crate) use curvature::NOTHING;
 pub(crate) use elsewhere::InitialLaw;
 pub(crate) use expected::{ExpectedError, at_population};
 pub(crate) use forms::forms_in_parts;
+pub(crate) use joint_law::JointLaw;
 pub(crate) use listed::Residual;
 pub(crate) use local::{Local, Objective, Tangent, harmonic, natural_sizes};
 pub(crate) use newton::{Place, retract};
@@ -217,8 +222,8 @@ pub(crate) struct State {
     pub(crate) sums: Sums,
     pub(crate) assumed: Assumed,
     pub(crate) settings: Settings,
-    /// Covariance along the tangent basis, where it is known with the uncertainty of dynamic parameters in it.
-    pub(crate) joint: Option<DMatrix<f64>>,
+    /// What standard errors are made of where dynamic parameters are estimated too, with their uncertainty in it.
+    pub(crate) joint: Option<JointLaw>,
 }
 
 impl State {
@@ -232,6 +237,11 @@ impl State {
     /// Each phase was taken by itself.
     pub(crate) fn is_marginal(&self) -> bool {
         self.settings.phases == Combination::Marginal && !self.problem.covariance.elements.is_single()
+    }
+
+    /// What rounding leaves open, by mean coordinate (elements of μ, then regression coefficients), in standard errors.
+    pub(crate) fn rounding(&self) -> Vec<f64> {
+        rounding::rounding(&self.problem.classes.frame, &self.place)
     }
 
     /// The structure that was assumed.

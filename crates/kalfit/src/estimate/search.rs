@@ -11,6 +11,7 @@ use crate::estimate::local::{Local, Objective};
 use crate::estimate::newton::{Attempt, Damping, Place, retract};
 use crate::estimate::pass::Order;
 use crate::estimate::problem::Problem;
+use crate::estimate::rounding::rounding;
 use crate::estimate::settings::{Progress, Settings, Silent, Solver, Step};
 use crate::estimate::sums::Sums;
 use crate::estimate::terms::Point;
@@ -271,8 +272,7 @@ impl<'a> Search<'a> {
         let passes = self.problem.passes();
         self.problem.ends_soon(false);
         let sums = self.problem.at_end(&place).ok_or(FitError::NotFinite)?;
-        let tests = self.problem.classes.tests as f64;
-        let (certificate, _) = certificate(&self.problem.covariance, &place, tests);
+        let certificate = certified(&self.problem, &place);
         if stop == Stop::Certified && !certificate.holds(NEAR_ENOUGH * self.settings.tolerance) {
             stop = Stop::Stalled;
         }
@@ -318,10 +318,15 @@ impl<'a> Search<'a> {
 impl Estimate {
     /// What is known at a place that no search has ended at.
     pub(crate) fn unfinished(state: State) -> Estimate {
-        let tests = state.problem.classes.tests as f64;
-        let (certificate, _) = certificate(&state.problem.covariance, &state.place, tests);
+        let certificate = certified(&state.problem, &state.place);
         leave(state, certificate, Stop::PassLimit, Vec::new(), Solver::Newton)
     }
+}
+
+/// The certificate of a place, with what rounding leaves open there.
+fn certified(problem: &Problem, place: &Place) -> Certificate {
+    let (certificate, _) = certificate(&problem.covariance, place, problem.classes.tests as f64);
+    certificate.with_rounding(&rounding(&problem.classes.frame, place))
 }
 
 /// The estimate in the user's units.

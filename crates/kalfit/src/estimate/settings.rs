@@ -85,8 +85,27 @@ pub struct Step {
     pub decrement: Option<f64>,
 }
 
+/// What is done beside the steps of a search.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Stage {
+    /// Start values of free parameters are sought.
+    StartValues {
+        /// Filter runs that it took so far.
+        filter_runs: usize,
+    },
+    /// The filters run over all data, at new values of free parameters.
+    Filters {
+        /// Filter runs that the search took so far.
+        filter_runs: usize,
+    },
+}
+
 /// Listens to the search.
 pub trait Progress {
+    /// Called when something begins that may take long, before the first step and between steps.
+    fn stage(&mut self, _: Stage) {}
+
     /// Called after each accepted step.
     fn step(&mut self, step: Step);
 

@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::estimate::{Estimate, Form, State};
-use crate::infer::information::Law;
+use crate::infer::law::Law;
 use crate::linalg::symmetric::pair;
 use crate::model::MeanElement;
 

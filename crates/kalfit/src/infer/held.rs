@@ -5,7 +5,7 @@ use nalgebra::{DMatrix, DVector};
 use crate::estimate::{
     Constraint, CovarianceMap, Form, Limits, Local, Objective, Place, Point, Problem, State, Stop, climb, retract,
 };
-use crate::infer::information::Law;
+use crate::infer::law::Law;
 use crate::linalg::symmetric;
 
 /// A quantity that can be held. Values are in the user's units.
@@ -26,7 +26,7 @@ pub(crate) enum Holdable {
 /// A point of the profile.
 #[derive(Debug, Clone)]
 pub(crate) struct HeldMaximum {
-    pub(crate) point: Point,
+    pub(crate) place: Place,
     /// ℓ_max with the quantity held.
     pub(crate) value: f64,
     /// dℓ_max / d(value held): the Lagrange multiplier.
@@ -122,7 +122,7 @@ impl<'a> Holder<'a> {
         let place = self.climb(&objective, &problem.covariance, moved)?;
         let score = problem.mean.jacobian().transpose() * &place.local.mean_score;
         let slope = score.dot(row) / size / unit;
-        Some(HeldMaximum { value: place.local.value, slope, point: place.point })
+        Some(HeldMaximum { value: place.local.value, slope, place })
     }
 
     /// Σ coefficient σ_pair held at a value, in η.
@@ -135,7 +135,7 @@ impl<'a> Holder<'a> {
         let root = retract(&map, &chart, still)?;
         let place = self.climb(problem, &map, Point { root, ..near.clone() })?;
         let slope = *place.tangent.multipliers.last().expect("the constraint has a multiplier");
-        Some(HeldMaximum { value: place.local.value, slope, point: place.point })
+        Some(HeldMaximum { value: place.local.value, slope, place })
     }
 
     /// σ_ij = ρ√(σ_ii σ_jj) through 2σ_ij = ρ(tσ_ii + σ_jj/t) with t² = σ_jj/σ_ii: there the two have the same value and the same
@@ -151,12 +151,12 @@ impl<'a> Holder<'a> {
         for _ in 0..TURNS {
             let terms = vec![(i, j, 2.0), (i, i, -rho * t), (j, j, -rho / t)];
             let found = self.covariance(terms, 0.0, &near)?;
-            let next = ratio(&found.point)?;
+            let next = ratio(&found.place.point)?;
             if (next / t).ln().abs() < 1e-7 {
-                let sigma = found.point.covariance();
+                let sigma = found.place.point.covariance();
                 return Some(HeldMaximum { slope: found.slope * (t * sigma[(i, i)] + sigma[(j, j)] / t), ..found });
             }
-            (t, near) = (next, found.point);
+            (t, near) = (next, found.place.point);
         }
         None
     }

@@ -1,8 +1,9 @@
 //! Standard errors at the optimum: from the observed information, the expected information, or the sandwich of both.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 
-use crate::estimate::{CovarianceMap, Estimate, Form, Order, Part, State};
+use crate::estimate::{CovarianceMap, Estimate, Form, Part, State};
+use crate::infer::law::Law;
 use crate::infer::{Direction, Quantity};
 use crate::linalg::elements::Elements;
 use crate::linalg::symmetric;
@@ -20,12 +21,14 @@ pub enum StdErrors {
     Sandwich,
 }
 
-/// Scaled eigenvalues of the information below this carry none.
-const FLAT: f64 = 1e-10;
 /// An element that takes part in an unidentified direction by more than this has no standard error.
 pub(crate) const PART: f64 = 1e-6;
 
-/// Standard errors, in the user's units. `None` where a quantity is fixed, not identified, or on the boundary.
+/// A squared correlation this near to one is one.
+const END: f64 = 1e-6;
+
+/// Standard errors, in the user's units. `None` where a quantity is fixed, not identified, a variance of zero or a correlation of
+/// one. Where Σ is singular, they are those of matrices of its rank.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Uncertainty {
     /// Of μ (p).
@@ -118,25 +121,42 @@ pub(super) fn uncertainty_of(
     unidentified: &[Direction],
     kind: StdErrors,
 ) -> Uncertainty {
-    uncertainty_by(&Law::of(&estimate.state, evidence, kind), &estimate.covariance, unidentified)
+    uncertainty_by(&Law::of(&estimate.state, evidence, kind), &estimate.covariance, unidentified, Singular::Face)
 }
 
 /// Standard errors from the information in a state of the estimator, at the end of a search or anywhere else; `sigma` is Σ
 /// there, in the user's units.
 pub(crate) fn uncertainty_at(state: &State, sigma: &DMatrix<f64>, unidentified: &[Direction]) -> Uncertainty {
-    uncertainty_by(&Law::new(state), sigma, unidentified)
+    uncertainty_by(&Law::new(state), sigma, unidentified, Singular::Nothing)
 }
 
-fn uncertainty_by(law: &Law<'_>, sigma: &DMatrix<f64>, unidentified: &[Direction]) -> Uncertainty {
+/// What is said of a block of Σ that is singular.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Singular {
+    /// Standard errors on the face of the cone that the estimate lies in, the matrices of its rank.
+    Face,
+    /// None: a value that is assumed, not estimated, will have estimates off the face.
+    Nothing,
+}
+
+fn uncertainty_by(law: &Law<'_>, sigma: &DMatrix<f64>, unidentified: &[Direction], singular: Singular) -> Uncertainty {
     let state = law.state;
     let map = &state.problem.covariance;
     let boundary = boundary(map, &state.place.point.root);
     let p = sigma.nrows();
     let parts = |quantity: Quantity, k: usize| takes_part(unidentified, quantity, k);
     let on_boundary = |i: usize| boundary.iter().any(|b| b.states.contains(&i));
+    let without = |i: usize| match singular {
+        Singular::Face => boundary.iter().any(|b| b.zero_variances.contains(&i)),
+        Singular::Nothing => on_boundary(i),
+    };
     let elements = &map.elements;
-    let known =
-        |i: usize, j: usize| !(on_boundary(i) || on_boundary(j) || element_takes_part(unidentified, elements, i, j));
+    let known = |i: usize, j: usize| !(without(i) || without(j) || element_takes_part(unidentified, elements, i, j));
+    // on the face a correlation of 1 does not move, and rounding is no error
+    let at_end = |i: usize, j: usize| {
+        let size = sigma[(i, i)] * sigma[(j, j)];
+        on_boundary(i) && on_boundary(j) && sigma[(i, j)].powi(2) >= (1.0 - END) * size
+    };
     let mut covariance = vec![vec![None; p]; p];
     let mut correlation = vec![vec![None; p]; p];
     let mut std_dev = vec![None; p];
@@ -149,7 +169,8 @@ fn uncertainty_by(law: &Law<'_>, sigma: &DMatrix<f64>, unidentified: &[Direction
         std_dev[i] = covariance[i][i].filter(|_| sigma[(i, i)] > 0.0).map(|e| e / (2.0 * sigma[(i, i)].sqrt()));
     }
     for (i, j) in elements.all().filter(|(i, j)| i != j) {
-        let error = (known(i, j) && known(i, i) && known(j, j)).then(|| law.correlation_error(sigma, i, j)).flatten();
+        let known = known(i, j) && known(i, i) && known(j, j) && !at_end(i, j);
+        let error = known.then(|| law.correlation_error(sigma, i, j)).flatten();
         correlation[i][j] = error;
         correlation[j][i] = error;
     }
@@ -198,159 +219,4 @@ fn boundary(map: &CovarianceMap, root: &DMatrix<f64>) -> Vec<Boundary> {
         })
         .filter(|b| b.rank < b.states.len())
         .collect()
-}
-
-/// The asymptotic normal law of the free coordinates, carried to mean coordinates and elements of Σ.
-pub(crate) struct Law<'a> {
-    state: &'a State,
-    /// Covariance of the coordinates along the tangent basis.
-    coordinates: DMatrix<f64>,
-    /// The same for the mean alone: under the restricted likelihood that of generalised least squares at the estimated Σ.
-    mean: Option<DMatrix<f64>>,
-    /// d(μ in η, γ; σ pairs) / d(tangent coordinates).
-    jacobian: DMatrix<f64>,
-}
-
-impl<'a> Law<'a> {
-    /// From the observed information.
-    pub(crate) fn new(state: &'a State) -> Law<'a> {
-        Law::of(state, &[], StdErrors::Observed)
-    }
-
-    fn of(state: &'a State, reductions: &[Reduction], kind: StdErrors) -> Law<'a> {
-        let tangent = &state.place.tangent;
-        let mean = state.problem.mean.jacobian();
-        let (m, s) = (mean.nrows(), state.problem.covariance.elements.count());
-        let mut jacobian = DMatrix::zeros(m + s, tangent.mean + tangent.jacobian.ncols());
-        jacobian.view_mut((0, 0), mean.shape()).copy_from(&mean);
-        jacobian.view_mut((m, tangent.mean), tangent.jacobian.shape()).copy_from(&tangent.jacobian);
-        let gls = state.place.near().map(|own| {
-            let mut mean = DMatrix::zeros(tangent.basis.ncols(), tangent.basis.ncols());
-            mean.view_mut((0, 0), own.shape()).copy_from(own); // the basis begins with the mean coordinates
-            mean
-        });
-        let jacobian = jacobian * &tangent.basis;
-        let coordinates = match kind {
-            StdErrors::Observed => match &state.joint {
-                Some(joint) => joint.clone(),
-                None => inverse(&tangent.information),
-            },
-            StdErrors::Expected => inverse(&(jacobian.transpose() * expected(state, m, s) * &jacobian)),
-            StdErrors::Sandwich => {
-                let bread = inverse(&tangent.information);
-                &bread * (jacobian.transpose() * outer_scores(state, reductions, m, s) * &jacobian) * &bread
-            }
-        };
-        // the sandwich is of the mean as well; the other two are generalised least squares for it
-        let mean = gls.filter(|_| kind != StdErrors::Sandwich);
-        Law { state, coordinates, mean, jacobian }
-    }
-
-    /// Inverse of the information along the tangent basis.
-    pub(crate) fn coordinates(&self) -> &DMatrix<f64> {
-        &self.coordinates
-    }
-
-    fn error(&self, law: &DMatrix<f64>, weights: &DVector<f64>) -> Option<f64> {
-        // in η, where sizes have a meaning whatever the user's units
-        let unit = Some(weights.amax()).filter(|unit| *unit > 0.0)?;
-        let along = self.jacobian.transpose() * (weights / unit);
-        let size = along.amax();
-        let variance = along.dot(&(law * &along)) * unit * unit;
-        (size > 1e-12 && variance.is_finite() && variance > 0.0).then(|| variance.sqrt())
-    }
-
-    fn sigma_part(&self, weights: &DVector<f64>) -> Option<f64> {
-        self.error(&self.coordinates, weights)
-    }
-
-    fn mean_part(&self, weights: &DVector<f64>) -> Option<f64> {
-        self.error(self.mean.as_ref().unwrap_or(&self.coordinates), weights)
-    }
-
-    fn weights(&self, entries: &[(usize, f64)]) -> DVector<f64> {
-        let mut weights = DVector::zeros(self.jacobian.nrows());
-        entries.iter().for_each(|&(k, w)| weights[k] += w);
-        weights
-    }
-
-    fn scale(&self) -> &[f64] {
-        &self.state.problem.classes.frame.scale
-    }
-
-    /// Place of σ_ij among the rows of the jacobian, with its unit.
-    fn sigma(&self, i: usize, j: usize, weight: f64) -> (usize, f64) {
-        let p = self.scale().len();
-        let rows = p + self.state.problem.mean.regressors.len();
-        (rows + self.state.problem.covariance.elements.index(i, j), weight * self.scale()[i] * self.scale()[j])
-    }
-
-    fn mean_error(&self, i: usize) -> Option<f64> {
-        self.mean_part(&self.weights(&[(i, self.scale()[i])]))
-    }
-
-    fn coefficient_error(&self, c: usize) -> Option<f64> {
-        let row = self.scale().len() + c;
-        let weights = self.weights(&[(row, self.state.problem.mean.coefficient_scale[c].recip())]);
-        self.mean_part(&weights)
-    }
-
-    fn sigma_error(&self, i: usize, j: usize) -> Option<f64> {
-        self.sigma_part(&self.weights(&[self.sigma(i, j, 1.0)]))
-    }
-
-    /// Delta method for ρ = σ_ij / √(σ_ii σ_jj).
-    fn correlation_error(&self, sigma: &DMatrix<f64>, i: usize, j: usize) -> Option<f64> {
-        let (vi, vj) = (sigma[(i, i)], sigma[(j, j)]);
-        if !(vi > 0.0 && vj > 0.0) {
-            return None;
-        }
-        let unit = (vi * vj).sqrt();
-        let rho = sigma[(i, j)] / unit;
-        let entries =
-            [self.sigma(i, j, 1.0 / unit), self.sigma(i, i, -0.5 * rho / vi), self.sigma(j, j, -0.5 * rho / vj)];
-        self.sigma_part(&self.weights(&entries))
-    }
-
-    /// Relative standard error of a common factor on the Σ of a phase, read off its largest variance.
-    fn scale_error(&self, sigma: &DMatrix<f64>, part: &Part) -> Option<f64> {
-        let i = part.states.clone().max_by(|&a, &b| sigma[(a, a)].total_cmp(&sigma[(b, b)]))?;
-        (sigma[(i, i)] > 0.0).then(|| self.sigma_error(i, i).map(|e| e / sigma[(i, i)])).flatten()
-    }
-}
-
-/// Expected information of mean coordinates and elements of Σ: no cross terms.
-fn expected(state: &State, m: usize, s: usize) -> DMatrix<f64> {
-    let mut information = DMatrix::zeros(m + s, m + s);
-    information.view_mut((0, 0), (m, m)).copy_from(&state.sums.mean_information);
-    information.view_mut((m, m), (s, s)).copy_from(&state.sums.expected_information());
-    information
-}
-
-/// Σ_j s_j s_j' over the tests, in mean coordinates and elements of Σ.
-fn outer_scores(state: &State, reductions: &[Reduction], m: usize, s: usize) -> DMatrix<f64> {
-    let (problem, point) = (&state.problem, &state.place.point);
-    let mut sum = DMatrix::zeros(m + s, m + s);
-    let mut order: Vec<&Reduction> = reductions.iter().collect();
-    order.sort_by(|a, b| a.test.cmp(&b.test)); // the same bits whatever the order of the tests
-    for reduction in order {
-        let own = problem.of_class(&problem.classes.single(reduction), point, Order::First);
-        let mut score = DVector::zeros(m + s);
-        score.rows_mut(0, m).copy_from(&own.mean_score);
-        score.rows_mut(m, s).copy_from(&problem.covariance.elements.pack_score(&own.score()));
-        sum.ger(1.0, &score, &score, 1.0);
-    }
-    sum
-}
-
-/// Inverse after scaling to unit diagonal; flat and negative directions count as no information and are left out.
-fn inverse(information: &DMatrix<f64>) -> DMatrix<f64> {
-    let n = information.nrows();
-    let unit = |i: usize| if information[(i, i)] > 0.0 { information[(i, i)].sqrt().recip() } else { 0.0 };
-    let scale = DVector::from_fn(n, |i, _| unit(i));
-    let scaled = DMatrix::from_fn(n, n, |i, j| scale[i] * information[(i, j)] * scale[j]);
-    let (values, vectors) = symmetric::eigen(&scaled);
-    let inverse = values.iter().map(|&v| if v > FLAT { v.recip() } else { 0.0 });
-    let inverse = &vectors * DMatrix::from_diagonal(&DVector::from_iterator(n, inverse)) * vectors.transpose();
-    DMatrix::from_fn(n, n, |i, j| scale[i] * inverse[(i, j)] * scale[j])
 }

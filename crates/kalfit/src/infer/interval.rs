@@ -3,14 +3,12 @@
 use rayon::prelude::*;
 
 use crate::estimate::{Criterion, Estimate, Point};
-use crate::infer::held::{HeldMaximum, Holdable, Holder};
+use crate::infer::held::{Holdable, Holder};
 use crate::infer::information::{Free, Uncertainty};
 use crate::linalg::elements::Elements;
 
 /// Normal quantile of 97.5 %: an interval holds the values whose ℓ_max is within half its square of the maximum.
 const QUANTILE: f64 = 1.959_963_984_540_054;
-/// The root of the deviance is found to this.
-const PRECISION: f64 = 1e-6;
 /// Evaluations for one end.
 const TRIES: usize = 40;
 
@@ -32,6 +30,8 @@ pub type Interval = Option<[Option<f64>; 2]>;
 pub struct Intervals {
     /// How they were made.
     pub kind: IntervalKind,
+    /// How many come from standard errors where profiles were asked for, those of means under the restricted likelihood apart.
+    pub unprofiled: usize,
     /// Of μ (p).
     pub mean: Vec<Interval>,
     /// Of the regression coefficients.
@@ -48,6 +48,7 @@ impl Intervals {
     fn none(kind: IntervalKind, p: usize, coefficients: usize) -> Intervals {
         Intervals {
             kind,
+            unprofiled: 0,
             mean: vec![None; p],
             coefficients: vec![None; coefficients],
             std_dev: vec![None; p],
@@ -56,7 +57,18 @@ impl Intervals {
         }
     }
 
-    fn set(&mut self, what: Holdable, interval: Interval) {
+    /// The interval of a quantity.
+    pub(crate) fn of(&self, what: Holdable) -> Interval {
+        match what {
+            Holdable::Mean(i) => self.mean[i],
+            Holdable::Coefficient(c) => self.coefficients[c],
+            Holdable::StdDev(i) => self.std_dev[i],
+            Holdable::Covariance(i, j) => self.covariance[i][j],
+            Holdable::Correlation(i, j) => self.correlation[i][j],
+        }
+    }
+
+    pub(crate) fn set(&mut self, what: Holdable, interval: Interval) {
         let mut both = |matrix: fn(&mut Intervals) -> &mut Vec<Vec<Interval>>, i: usize, j: usize| {
             matrix(self)[i][j] = interval;
             matrix(self)[j][i] = interval;
@@ -101,34 +113,49 @@ pub fn wald(estimate: &Estimate, uncertainty: &Uncertainty) -> Intervals {
 pub fn profile(estimate: &Estimate, uncertainty: &Uncertainty, free: &Free) -> Intervals {
     let p = estimate.mean.len();
     let mut found = Intervals::none(IntervalKind::Profile, p, estimate.coefficients.len());
-    let of_mean = |what: &Holdable| matches!(what, Holdable::Mean(_) | Holdable::Coefficient(_));
-    let has_profile = |what: &Holdable| estimate.criterion == Criterion::Ml || !of_mean(what);
     if estimate.criterion == Criterion::Reml {
         let wald = wald(estimate, uncertainty);
         found.mean = wald.mean;
         found.coefficients = wald.coefficients;
     }
+    let wanted = profiled(estimate, free);
     let holder = Holder::new(&estimate.state);
-    let elements = &estimate.state.problem.covariance.elements;
-    let wanted: Vec<Holdable> = quantities(elements, estimate.coefficients.len())
-        .into_iter()
-        .filter(|what| is_free(free, estimate, *what) && has_profile(what))
-        .collect();
-    let ends: Vec<Interval> = wanted
-        .par_iter()
-        .map(|&what| {
-            let centre = value(estimate, what)?;
-            let step = error(uncertainty, what).map_or_else(|| guess(estimate, what), |e| QUANTILE * e);
-            let profile = Profile { holder: &holder, what, centre, maximum: estimate.state.place.local.value };
-            let start = &estimate.state.place.point;
-            Some([profile.end(start, -step), profile.end(start, step)])
-        })
-        .collect();
-    wanted.iter().zip(ends).for_each(|(&what, interval)| found.set(what, interval));
+    found.follow((estimate, uncertainty), &wanted, &holder, &estimate.state.place.point);
     found
 }
 
-fn quantities(elements: &Elements, coefficients: usize) -> Vec<Holdable> {
+/// Free quantities that have a profile: under the restricted likelihood means have none.
+pub(crate) fn profiled(estimate: &Estimate, free: &Free) -> Vec<Holdable> {
+    let elements = &estimate.state.problem.covariance.elements;
+    let of_mean = |what: &Holdable| matches!(what, Holdable::Mean(_) | Holdable::Coefficient(_));
+    let has_profile = |what: &Holdable| estimate.criterion == Criterion::Ml || !of_mean(what);
+    let all = quantities(elements, estimate.coefficients.len()).into_iter();
+    all.filter(|what| is_free(free, estimate, *what) && has_profile(what)).collect()
+}
+
+impl Intervals {
+    /// Puts the profile intervals of some quantities in place; `start` is the maximum.
+    pub(crate) fn follow<H: Holds>(
+        &mut self,
+        (estimate, uncertainty): (&Estimate, &Uncertainty),
+        wanted: &[Holdable],
+        holder: &H,
+        start: &H::Near,
+    ) {
+        let ends: Vec<Interval> = wanted
+            .par_iter()
+            .map(|&what| {
+                let centre = value(estimate, what)?;
+                let step = error(uncertainty, what).map_or_else(|| guess(estimate, what), |e| QUANTILE * e);
+                let profile = Profile { holder, what, centre, maximum: estimate.state.place.local.value };
+                Some([profile.end(start, -step), profile.end(start, step)])
+            })
+            .collect();
+        wanted.iter().zip(ends).for_each(|(&what, interval)| self.set(what, interval));
+    }
+}
+
+pub(crate) fn quantities(elements: &Elements, coefficients: usize) -> Vec<Holdable> {
     let p = elements.states();
     let below = || elements.all().filter(|(i, j)| i != j);
     let mut all = Vec::with_capacity(2 * p + coefficients + 2 * elements.count());
@@ -150,7 +177,7 @@ fn is_free(free: &Free, estimate: &Estimate, what: Holdable) -> bool {
     }
 }
 
-fn value(estimate: &Estimate, what: Holdable) -> Option<f64> {
+pub(crate) fn value(estimate: &Estimate, what: Holdable) -> Option<f64> {
     let sigma = &estimate.covariance;
     match what {
         Holdable::Mean(i) => Some(estimate.mean[i]),
@@ -191,15 +218,44 @@ fn guess(estimate: &Estimate, what: Holdable) -> f64 {
     }
 }
 
+/// Finds maxima with one quantity held.
+pub(crate) trait Holds: Sync {
+    /// The root of the deviance is found to this.
+    const PRECISION: f64;
+    /// Where a search for a maximum begins: a maximum nearby.
+    type Near: Clone + Sync;
+    /// The maximum with `what` held at `value`. `None` where no certified one is found.
+    fn held(&self, what: Holdable, value: f64, near: &Self::Near) -> Option<Held<Self::Near>>;
+}
+
+/// A maximum with one quantity held.
+pub(crate) struct Held<N> {
+    pub(crate) near: N,
+    /// ℓ_max with the quantity held.
+    pub(crate) value: f64,
+    /// dℓ_max / d(value held).
+    pub(crate) slope: f64,
+}
+
+impl Holds for Holder<'_> {
+    const PRECISION: f64 = 1e-6;
+    type Near = Point;
+
+    fn held(&self, what: Holdable, value: f64, near: &Point) -> Option<Held<Point>> {
+        let found = self.maximum(what, value, near)?;
+        Some(Held { near: found.place.point, value: found.value, slope: found.slope })
+    }
+}
+
 /// The profile of one quantity.
-struct Profile<'a> {
-    holder: &'a Holder<'a>,
+struct Profile<'a, H> {
+    holder: &'a H,
     what: Holdable,
     centre: f64,
     maximum: f64,
 }
 
-impl Profile<'_> {
+impl<H: Holds> Profile<'_, H> {
     /// Values beyond which the quantity cannot go.
     fn limit(&self, sign: f64) -> Option<f64> {
         match self.what {
@@ -210,15 +266,15 @@ impl Profile<'_> {
     }
 
     /// ζ = √(2(ℓ_max - ℓ_max(x))) and its derivative away from the centre.
-    fn root(&self, x: f64, near: &Point, sign: f64) -> Option<(f64, f64, HeldMaximum)> {
-        let held = self.holder.maximum(self.what, x, near)?;
+    fn root(&self, x: f64, near: &H::Near, sign: f64) -> Option<(f64, f64, Held<H::Near>)> {
+        let held = self.holder.held(self.what, x, near)?;
         let zeta = (2.0 * (self.maximum - held.value)).max(0.0).sqrt();
         let slope = if zeta > 0.0 { -sign * held.slope / zeta } else { 0.0 };
         Some((zeta, slope, held))
     }
 
     /// Where ζ reaches the quantile: Newton's method with the exact slope, which the multiplier gives, inside a bracket.
-    fn end(&self, start: &Point, step: f64) -> Option<f64> {
+    fn end(&self, start: &H::Near, step: f64) -> Option<f64> {
         let sign = step.signum();
         let limit = self.limit(sign);
         if limit.is_some_and(|limit| sign * (limit - self.centre) <= 1e-12) {
@@ -233,12 +289,12 @@ impl Profile<'_> {
                 x = 0.5 * (below + x);
                 continue;
             };
-            if (zeta - QUANTILE).abs() < PRECISION {
+            if (zeta - QUANTILE).abs() < H::PRECISION {
                 return Some(x);
             }
             if zeta < QUANTILE {
                 below = x;
-                near = held.point;
+                near = held.near;
                 if limit.is_some_and(|l| (l - x).abs() <= 1e-4 * (l - self.centre).abs()) {
                     return limit;
                 }

@@ -13,6 +13,7 @@ mod held;
 mod identifiability;
 mod information;
 mod interval;
+mod law;
 mod observability;
 mod phases;
 mod posterior;
@@ -37,8 +38,11 @@ pub use ratio::{
 pub use reason::{Explanation, Reason};
 
 pub(crate) use constraint::is_held;
+pub(crate) use held::{Holdable, Holder};
 pub(crate) use identifiability::directions;
 pub(crate) use information::{PART, uncertainty_at};
+pub(crate) use interval::{Held, Holds, profiled, quantities, value};
+pub(crate) use law::Law;
 
 use crate::estimate::{Criterion, Estimate};
 use crate::reduce::Reduction;

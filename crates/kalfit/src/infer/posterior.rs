@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::estimate::{Class, Classes, Detail, Estimate, Point, Problem, Terms, each, in_parts};
-use crate::linalg::posterior_root;
+use crate::linalg::{posterior_root, symmetric};
 use crate::reduce::Reduction;
 
 /// What one test says, at an estimate.
@@ -131,10 +131,10 @@ fn covariances(
     let all = whole.as_ref().unwrap_or(sigma);
     let scale = &problem.classes.frame.scale;
     let of = |(f, states): (usize, &Range<usize>)| {
-        let (size, start) = (states.len(), states.start);
+        let start = states.start;
         let own = terms.covariances.get(f).filter(|_| whole.is_none());
         let entry = |a: usize, b: usize| own.map_or_else(|| all[(start + a, start + b)], |own| own[(a, b)]);
-        DMatrix::from_fn(size, size, |a, b| scale[start + a] * entry(a, b) * scale[start + b])
+        symmetric::scaled(&scale[states.clone()], entry)
     };
     problem.covariance.elements.blocks().iter().enumerate().map(of).collect()
 }

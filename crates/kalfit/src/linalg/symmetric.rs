@@ -121,6 +121,21 @@ pub fn scaled_range(a: &DMatrix<f64>) -> (f64, f64) {
     (values.first().copied().unwrap_or(0.0), values.last().copied().unwrap_or(0.0))
 }
 
+/// DAD, D = diag(scale), of a symmetric matrix given by its entries (i, j), i ≥ j. Both places of an element get the same bits:
+/// by itself (d_i a_ij) d_j is rounded otherwise than (d_j a_ji) d_i.
+pub fn scaled(scale: &[f64], entry: impl Fn(usize, usize) -> f64) -> DMatrix<f64> {
+    let p = scale.len();
+    let mut matrix = DMatrix::zeros(p, p);
+    for i in 0..p {
+        for j in 0..=i {
+            let value = scale[i] * entry(i, j) * scale[j];
+            matrix[(i, j)] = value;
+            matrix[(j, i)] = value;
+        }
+    }
+    matrix
+}
+
 /// True when no eigenvalue is negative beyond rounding.
 pub fn is_semidefinite(a: &DMatrix<f64>) -> bool {
     let (least, largest) = scaled_range(a);
@@ -154,6 +169,20 @@ mod tests {
         let product = &root * root.transpose();
         for (found, expected) in product.iter().zip(&a) {
             assert!((found - expected).abs() <= 1e-14 * expected.abs(), "{found} {expected}");
+        }
+    }
+
+    #[test]
+    fn a_scaled_matrix_is_symmetric_to_the_last_bit() {
+        let scale = [0.1, 0.7, 1.1e-7, 3.3e5];
+        let entry = |i: usize, j: usize| ((3 * i + 5 * j) as f64).sin() / 3.0;
+        let found = scaled(&scale, entry);
+        assert_eq!(found, found.transpose());
+        let plain = |i: usize, j: usize| scale[i] * entry(i.max(j), i.min(j)) * scale[j];
+        assert_ne!(plain(2, 1).to_bits(), plain(1, 2).to_bits(), "without care two places differ");
+        for (i, j) in [(0, 0), (2, 1), (1, 2), (3, 0)] {
+            let (found, expected) = (found[(i, j)], plain(i, j));
+            assert!((found - expected).abs() <= 1e-15 * expected.abs(), "{found} {expected}");
         }
     }
 

@@ -198,16 +198,18 @@ fn values_at_a_limit_are_said_in_words() {
 
 #[test]
 fn other_starts_that_ended_elsewhere_are_said_in_words() {
-    let with = |gap: f64, shift: f64, stop: Stop| {
+    let ended = |gap: f64, shift: f64, (stop, given_up): (Stop, bool)| {
         record(|fit, _| {
             let end = OtherEnd {
                 log_likelihood: fit.estimate.log_likelihood - gap,
                 values: fit.values.iter().map(|value| value * (1.0 + shift)).collect(),
                 stop,
+                given_up,
             };
             fit.others = vec![end];
         })
     };
+    let with = |gap: f64, shift: f64, stop: Stop| ended(gap, shift, (stop, false));
     let plain = record(|fit, _| fit.others.clear()).notes;
     let said = |record: FitRecord| {
         let new: Vec<String> = record.notes.into_iter().filter(|note| !plain.contains(note)).collect();
@@ -223,6 +225,10 @@ fn other_starts_that_ended_elsewhere_are_said_in_words() {
     let (notes, starts) = said(with(9.0, 0.3, Stop::Stalled));
     assert!(notes.len() == 1 && notes[0].contains("did not end at a certified optimum"), "{notes:?}");
     assert!(!starts[0].converged);
+    let (notes, _) = said(ended(9.0, 0.3, (Stop::PassLimit, true)));
+    assert!(notes.len() == 1 && notes[0].contains("1 of 1 other starts were given up"), "{notes:?}");
+    let (notes, _) = said(with(-9.0, 0.3, Stop::Stalled));
+    assert!(notes[0].contains("higher by 9.0000, at a point that is no certified maximum"), "{notes:?}");
 }
 
 #[test]

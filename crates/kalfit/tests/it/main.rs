@@ -1,10 +1,13 @@
 //! The tests of the core from outside, one program: they share the dense reference and drawn ensembles.
 
+mod boundary_laws;
+mod certified;
 mod chains;
 mod dense;
 mod dynamic_record;
 mod inference;
 mod innovations;
+mod joint_errors;
 mod journey;
 mod linear;
 mod long_records;

@@ -39,7 +39,7 @@ pub(super) fn tangent(null: &Estimate, alternative: &Estimate) -> Tangent {
     let narrow = directions(inner, mean, &null.state.place.point.root);
     let rank = |basis: &DMatrix<f64>| rank(&(basis.transpose() * &information * basis));
     let degrees_of_freedom = rank(&wide).saturating_sub(rank(&narrow));
-    let sides = sides(inner, outer);
+    let sides = sides(&null.state.place.point.root, inner, outer);
     let null_on_boundary = !null_is_generic(null, inner);
     let law = match sides {
         Sides::None => ReferenceLaw::chi_squared(degrees_of_freedom),
@@ -108,7 +108,7 @@ enum Sides {
     Unknown,
 }
 
-fn sides(inner: &Problem, outer: &Problem) -> Sides {
+fn sides(here: &DMatrix<f64>, inner: &Problem, outer: &Problem) -> Sides {
     let (narrow, wide) = (generic_root(inner), generic_root(outer));
     let elements = &outer.covariance.elements;
     let mut lines = Vec::new();
@@ -116,7 +116,7 @@ fn sides(inner: &Problem, outer: &Problem) -> Sides {
         match &part.form {
             Form::Factor(blocks) => {
                 for block in blocks {
-                    let null = null_space(&narrow, block);
+                    let null = null_space_at(here, &narrow, block);
                     let own = null_space(&wide, block).ncols();
                     match null.ncols() {
                         n if n == own => {}
@@ -139,6 +139,13 @@ fn along_scale(part: &Part, star: &DMatrix<f64>, elements: &Elements) -> DVector
     let size = star.norm_squared();
     let weight = |(i, j): (usize, usize)| star[(i, j)] / size * if i == j { 1.0 } else { 2.0 };
     DVector::from_iterator(elements.count(), elements.all().map(weight))
+}
+
+/// Null space that a hypothesis gives a block where it ended: the directions follow its estimates (as with DRD and a singular R);
+/// their number is that of a generic member, and where the end has more of them, so do the directions.
+fn null_space_at(here: &DMatrix<f64>, generic: &DMatrix<f64>, block: &[usize]) -> DMatrix<f64> {
+    let (own, of_any) = (null_space(here, block), null_space(generic, block));
+    if own.ncols() == of_any.ncols() { own } else { of_any }
 }
 
 /// Null space of (FF') on a block, in units of its standard deviations.

@@ -58,3 +58,30 @@ pub(crate) fn chi_squared_tail(degrees_of_freedom: usize, x: f64) -> f64 {
 fn tail(components: &[Component], x: f64) -> f64 {
     components.iter().map(|c| c.weight * chi_squared_tail(c.degrees_of_freedom, x)).sum::<f64>().min(1.0)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tails_are_those_of_tables() {
+        let half = |degrees_of_freedom: usize| Component { degrees_of_freedom, weight: 0.5 };
+        let halves = ReferenceLaw { components: vec![half(0), half(1)], ..ReferenceLaw::chi_squared(1) };
+        let (one, none) = (ReferenceLaw::chi_squared(1), ReferenceLaw::chi_squared(0));
+        let cases = [
+            (&one, 3.841_458_820_694_124, 0.05),
+            (&halves, 2.705_543_454_095_404, 0.05),
+            (&halves, 1e-30, 0.5),
+            (&none, 1e-30, 0.0),
+            (&one, 0.0, 1.0),
+            (&halves, 0.0, 1.0),
+            (&none, 0.0, 1.0),
+        ];
+        for (law, x, expected) in cases {
+            let found = law.tail(x);
+            assert!((found - expected).abs() < 1e-9, "{:?} beyond {x}: {found}, expected {expected}", law.components);
+        }
+        assert_eq!(halves.tail_if_independent(3.841_458_820_694_124), one.tail(3.841_458_820_694_124));
+        assert!(one.is_chi_squared() && !halves.is_chi_squared());
+    }
+}

@@ -1,0 +1,232 @@
+//! The asymptotic normal law of the estimates: the inverse of an information, or the sandwich, carried to what is reported.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::estimate::{JointLaw, Order, Part, State};
+use crate::infer::StdErrors;
+use crate::infer::held::Holdable;
+use crate::infer::information::PART;
+use crate::linalg::symmetric;
+use crate::reduce::Reduction;
+
+/// Scaled eigenvalues of the information below this carry none.
+const FLAT: f64 = 1e-10;
+
+/// The asymptotic normal law of the free coordinates, carried to mean coordinates and elements of Σ.
+pub(crate) struct Law<'a> {
+    pub(super) state: &'a State,
+    /// Covariance of the coordinates along the tangent basis.
+    coordinates: DMatrix<f64>,
+    /// The same for the mean alone: under the restricted likelihood that of generalised least squares at the estimated Σ.
+    mean: Option<DMatrix<f64>>,
+    /// d(μ in η, γ; σ pairs) / d(tangent coordinates).
+    jacobian: DMatrix<f64>,
+    /// The same with the parameters that move Σ by themselves, where there are any.
+    joint: Option<WithParameters>,
+}
+
+/// Coordinates along the tangent basis, then parameters in matrices of the structure of Σ.
+struct WithParameters {
+    covariance: DMatrix<f64>,
+    jacobian: DMatrix<f64>,
+    /// Of parameters that the data do not determine.
+    open: DMatrix<f64>,
+}
+
+impl<'a> Law<'a> {
+    /// From the observed information.
+    pub(crate) fn new(state: &'a State) -> Law<'a> {
+        Law::of(state, &[], StdErrors::Observed)
+    }
+
+    pub(super) fn of(state: &'a State, reductions: &[Reduction], kind: StdErrors) -> Law<'a> {
+        let tangent = &state.place.tangent;
+        let mean = state.problem.mean.jacobian();
+        let (m, s) = (mean.nrows(), state.problem.covariance.elements.count());
+        let mut jacobian = DMatrix::zeros(m + s, tangent.mean + tangent.jacobian.ncols());
+        jacobian.view_mut((0, 0), mean.shape()).copy_from(&mean);
+        jacobian.view_mut((m, tangent.mean), tangent.jacobian.shape()).copy_from(&tangent.jacobian);
+        let gls = state.place.near().map(|own| {
+            let mut mean = DMatrix::zeros(tangent.basis.ncols(), tangent.basis.ncols());
+            mean.view_mut((0, 0), own.shape()).copy_from(own); // the basis begins with the mean coordinates
+            mean
+        });
+        let jacobian = jacobian * &tangent.basis;
+        let coordinates = match kind {
+            // whatever the kind: with dynamic parameters it was made where they are known
+            _ if state.joint.is_some() => {
+                let joint = state.joint.as_ref().expect("there is one");
+                joint.covariance.view((0, 0), (jacobian.ncols(), jacobian.ncols())).into_owned()
+            }
+            StdErrors::Observed => inverse(&tangent.information),
+            StdErrors::Expected => inverse(&(jacobian.transpose() * expected(state, m, s) * &jacobian)),
+            StdErrors::Sandwich => {
+                let bread = inverse(&tangent.information);
+                &bread * (jacobian.transpose() * outer_scores(state, reductions, m, s) * &jacobian) * &bread
+            }
+        };
+        // the sandwich is of the mean as well; the other two are generalised least squares for it
+        let mean = gls.filter(|_| kind != StdErrors::Sandwich);
+        let joint = state.joint.as_ref().filter(|joint| joint.moves.ncols() + joint.open.ncols() > 0);
+        let joint = joint.map(|joint| WithParameters::of(joint, &jacobian));
+        Law { state, coordinates, mean, jacobian, joint }
+    }
+
+    /// Inverse of the information along the tangent basis.
+    pub(crate) fn coordinates(&self) -> &DMatrix<f64> {
+        &self.coordinates
+    }
+
+    fn sigma_part(&self, weights: &DVector<f64>) -> Option<f64> {
+        match &self.joint {
+            Some(joint) if !joint.is_known(weights) => None,
+            Some(joint) => error(&joint.jacobian, &joint.covariance, weights),
+            None => error(&self.jacobian, &self.coordinates, weights),
+        }
+    }
+
+    fn mean_part(&self, weights: &DVector<f64>) -> Option<f64> {
+        error(&self.jacobian, self.mean.as_ref().unwrap_or(&self.coordinates), weights)
+    }
+
+    fn weights(&self, entries: &[(usize, f64)]) -> DVector<f64> {
+        let mut weights = DVector::zeros(self.jacobian.nrows());
+        entries.iter().for_each(|&(k, w)| weights[k] += w);
+        weights
+    }
+
+    fn scale(&self) -> &[f64] {
+        &self.state.problem.classes.frame.scale
+    }
+
+    /// Place of σ_ij among the rows of the jacobian, with its unit.
+    fn sigma(&self, i: usize, j: usize, weight: f64) -> (usize, f64) {
+        let p = self.scale().len();
+        let rows = p + self.state.problem.mean.regressors.len();
+        (rows + self.state.problem.covariance.elements.index(i, j), weight * self.scale()[i] * self.scale()[j])
+    }
+
+    pub(super) fn mean_error(&self, i: usize) -> Option<f64> {
+        self.mean_part(&self.mean_weights(i))
+    }
+
+    fn mean_weights(&self, i: usize) -> DVector<f64> {
+        self.weights(&[(i, self.scale()[i])])
+    }
+
+    pub(super) fn coefficient_error(&self, c: usize) -> Option<f64> {
+        self.mean_part(&self.coefficient_weights(c))
+    }
+
+    fn coefficient_weights(&self, c: usize) -> DVector<f64> {
+        let row = self.scale().len() + c;
+        self.weights(&[(row, self.state.problem.mean.coefficient_scale[c].recip())])
+    }
+
+    pub(super) fn sigma_error(&self, i: usize, j: usize) -> Option<f64> {
+        self.sigma_part(&self.weights(&[self.sigma(i, j, 1.0)]))
+    }
+
+    pub(super) fn correlation_error(&self, sigma: &DMatrix<f64>, i: usize, j: usize) -> Option<f64> {
+        self.sigma_part(&self.correlation_weights(sigma, i, j)?)
+    }
+
+    /// Delta method for ρ = σ_ij / √(σ_ii σ_jj).
+    fn correlation_weights(&self, sigma: &DMatrix<f64>, i: usize, j: usize) -> Option<DVector<f64>> {
+        let (vi, vj) = (sigma[(i, i)], sigma[(j, j)]);
+        if !(vi > 0.0 && vj > 0.0) {
+            return None;
+        }
+        let unit = (vi * vj).sqrt();
+        let rho = sigma[(i, j)] / unit;
+        let entries =
+            [self.sigma(i, j, 1.0 / unit), self.sigma(i, i, -0.5 * rho / vi), self.sigma(j, j, -0.5 * rho / vj)];
+        Some(self.weights(&entries))
+    }
+
+    /// Derivative of a quantity along the tangent basis; zero where it has none. `sigma` is Σ in the user's units.
+    pub(crate) fn derivative(&self, sigma: &DMatrix<f64>, what: Holdable) -> DVector<f64> {
+        let weights = match what {
+            Holdable::Mean(i) => Some(self.mean_weights(i)),
+            Holdable::Coefficient(c) => Some(self.coefficient_weights(c)),
+            Holdable::StdDev(i) if sigma[(i, i)] > 0.0 => {
+                Some(self.weights(&[self.sigma(i, i, 0.5 / sigma[(i, i)].sqrt())]))
+            }
+            Holdable::StdDev(_) => None,
+            Holdable::Covariance(i, j) => Some(self.weights(&[self.sigma(i, j, 1.0)])),
+            Holdable::Correlation(i, j) => self.correlation_weights(sigma, i, j),
+        };
+        weights.map_or_else(|| DVector::zeros(self.jacobian.ncols()), |weights| self.jacobian.transpose() * weights)
+    }
+
+    /// Relative standard error of a common factor on the Σ of a phase, read off its largest variance.
+    pub(super) fn scale_error(&self, sigma: &DMatrix<f64>, part: &Part) -> Option<f64> {
+        let i = part.states.clone().max_by(|&a, &b| sigma[(a, a)].total_cmp(&sigma[(b, b)]))?;
+        (sigma[(i, i)] > 0.0).then(|| self.sigma_error(i, i).map(|e| e / sigma[(i, i)])).flatten()
+    }
+}
+
+impl WithParameters {
+    fn of(joint: &JointLaw, along: &DMatrix<f64>) -> WithParameters {
+        let rows = along.nrows();
+        let below = |moves: &DMatrix<f64>| {
+            let mut whole = DMatrix::zeros(rows, moves.ncols());
+            whole.view_mut((rows - moves.nrows(), 0), moves.shape()).copy_from(moves);
+            whole
+        };
+        let mut jacobian = along.clone().resize_horizontally(along.ncols() + joint.moves.ncols(), 0.0);
+        jacobian.columns_mut(along.ncols(), joint.moves.ncols()).copy_from(&below(&joint.moves));
+        WithParameters { covariance: joint.covariance.clone(), jacobian, open: below(&joint.open) }
+    }
+
+    /// Nothing that the data do not determine moves a quantity with these weights.
+    fn is_known(&self, weights: &DVector<f64>) -> bool {
+        (self.open.transpose() * weights).amax() <= PART * weights.amax()
+    }
+}
+
+/// Standard error of the quantity with these derivatives by mean coordinates and elements of Σ.
+fn error(jacobian: &DMatrix<f64>, law: &DMatrix<f64>, weights: &DVector<f64>) -> Option<f64> {
+    // in η, where sizes have a meaning whatever the user's units
+    let unit = Some(weights.amax()).filter(|unit| *unit > 0.0)?;
+    let along = jacobian.transpose() * (weights / unit);
+    let size = along.amax();
+    let variance = along.dot(&(law * &along)) * unit * unit;
+    (size > 1e-12 && variance.is_finite() && variance > 0.0).then(|| variance.sqrt())
+}
+
+/// Expected information of mean coordinates and elements of Σ: no cross terms.
+fn expected(state: &State, m: usize, s: usize) -> DMatrix<f64> {
+    let mut information = DMatrix::zeros(m + s, m + s);
+    information.view_mut((0, 0), (m, m)).copy_from(&state.sums.mean_information);
+    information.view_mut((m, m), (s, s)).copy_from(&state.sums.expected_information());
+    information
+}
+
+/// Σ_j s_j s_j' over the tests, in mean coordinates and elements of Σ.
+fn outer_scores(state: &State, reductions: &[Reduction], m: usize, s: usize) -> DMatrix<f64> {
+    let (problem, point) = (&state.problem, &state.place.point);
+    let mut sum = DMatrix::zeros(m + s, m + s);
+    let mut order: Vec<&Reduction> = reductions.iter().collect();
+    order.sort_by(|a, b| a.test.cmp(&b.test)); // the same bits whatever the order of the tests
+    for reduction in order {
+        let own = problem.of_class(&problem.classes.single(reduction), point, Order::First);
+        let mut score = DVector::zeros(m + s);
+        score.rows_mut(0, m).copy_from(&own.mean_score);
+        score.rows_mut(m, s).copy_from(&problem.covariance.elements.pack_score(&own.score()));
+        sum.ger(1.0, &score, &score, 1.0);
+    }
+    sum
+}
+
+/// Inverse after scaling to unit diagonal; flat and negative directions count as no information and are left out.
+fn inverse(information: &DMatrix<f64>) -> DMatrix<f64> {
+    let n = information.nrows();
+    let unit = |i: usize| if information[(i, i)] > 0.0 { information[(i, i)].sqrt().recip() } else { 0.0 };
+    let scale = DVector::from_fn(n, |i, _| unit(i));
+    let scaled = DMatrix::from_fn(n, n, |i, j| scale[i] * information[(i, j)] * scale[j]);
+    let (values, vectors) = symmetric::eigen(&scaled);
+    let inverse = values.iter().map(|&v| if v > FLAT { v.recip() } else { 0.0 });
+    let inverse = &vectors * DMatrix::from_diagonal(&DVector::from_iterator(n, inverse)) * vectors.transpose();
+    DMatrix::from_fn(n, n, |i, j| scale[i] * inverse[(i, j)] * scale[j])
+}
