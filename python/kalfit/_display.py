@@ -31,12 +31,21 @@ def html(fit: Fit) -> str:
         figures.append(f"AIC {_shown(fit.aic, 8)}")
     parts = [
         f"<div class='kalfit-fit'><p><b>{escape(fit.title or 'kalfit')}</b>: {state} ({escape(fit.reason)})<br>",
+        f"{_model_check(fit)}<br>",
         f"{', '.join(figures)}</p>",
     ]
     for phase in fit.phases:
         parts += [_phase_table(phase, len(fit.phases) > 1), _forest(fit, phase)]
     parts += [_parameter_table(fit), _notes(fit), "</div>"]
     return "".join(parts)
+
+
+def _model_check(fit: Fit) -> str:
+    checked = fit.model_check
+    if not checked["findings"]:
+        return f"model check: {escape(checked['verdict'])}"
+    found = "; ".join(escape(finding["text"]) for finding in checked["findings"])
+    return f"model check: <b>{escape(checked['verdict'])}</b> ({found})"
 
 
 def _shown(value: float | None, digits: int = 4) -> str:

@@ -231,6 +231,8 @@ class TestFit:
     means: dict[str, Array]
     #: Covariance by phase, each of shape (p, p).
     covariances: dict[str, Array]
+    #: Its text in the column of ``[data] group``.
+    group: str | None = None
 
 
 class Fit:
@@ -367,6 +369,24 @@ class Fit:
         return str(self._record["reason"])
 
     @property
+    def model_check(self) -> dict[str, Any]:
+        """Whether the model describes the data: ``verdict`` (passed, doubtful, not checked) and ``findings``, each with
+        ``kind`` and ``text``."""
+        return dict(self._record.get("model_check") or {"verdict": "not checked", "findings": []})
+
+    @property
+    def by_group(self) -> list[dict[str, Any]]:
+        """The tests of each group of ``[data] group`` together: ``group``, ``tests``, ``log_likelihood``,
+        ``innovations_mean_square``, ``distance`` and more."""
+        return [dict(group) for group in self._record.get("by_group") or []]
+
+    @property
+    def group_test(self) -> dict[str, Any] | None:
+        """Whether the groups differ, where ``group_test=True`` was asked for."""
+        found = self._record.get("group_test")
+        return None if found is None else dict(found)
+
+    @property
     def certificate(self) -> dict[str, float]:
         """How far the optimality conditions are from being met, part by part."""
         return dict(self._record["certificate"])
@@ -443,4 +463,5 @@ def _test(record: dict[str, Any]) -> TestFit:
         p_value=_number(record["p_value"]),
         means={phase["name"]: _array(phase["mean"]) for phase in phases},
         covariances={phase["name"]: _square(phase["covariance"], len(phase["mean"])) for phase in phases},
+        group=record.get("group"),
     )

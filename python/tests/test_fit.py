@@ -140,10 +140,14 @@ def test_what_is_unknown_is_masked_and_says_why():
         phase.why_unknown("median", "slope")
 
 
-def test_a_singular_covariance_says_so_in_place_of_standard_errors():
+def test_a_singular_covariance_keeps_the_standard_errors_of_its_rank():
     fit = kalfit.fit("examples/mimu4444/gyro_x.toml", "examples/mimu4444/gyro_x.csv", innovations=False, deletion="none")
     phase = fit.phases[0]
-    assert phase.std_dev_std_error.mask.all() and not phase.mean_std_error.mask.any()
+    assert not phase.std_dev_std_error.mask.any() and not phase.mean_std_error.mask.any()
+    assert phase.why_unknown("std_dev", "bias") is None
+    record = fit.to_dict()
+    record["phases"][0]["std_dev"]["std_error"][0] = None
+    phase = kalfit.Fit.from_json(json.dumps(record)).phases[0]
     assert phase.why_unknown("std_dev", "bias") == "it is on the boundary: the covariance is singular, of rank 2 of 4"
 
 
@@ -191,3 +195,15 @@ def test_texts_that_need_quotes_survive_the_way_through_a_dictionary():
     assert kalfit.Model(model).title == hostile
     fit = kalfit.fit(model, polars.DataFrame({hostile: ["a", "b", "c"], "y": [1.0, None, 4.0]}))
     assert fit.title == hostile and fit.covariance.tolist() == [[2.5]]
+
+
+def test_the_model_check_and_groups_are_those_of_the_command():
+    bench = "examples/gyro-bench/bench.toml", "examples/gyro-bench/bench.csv"
+    fit = kalfit.fit(*bench, group_test=True)
+    assert fit.model_check["verdict"] == "doubtful"
+    assert [finding["kind"] for finding in fit.model_check["findings"]] == ["influence"]
+    assert "model check: <b>doubtful</b> (test g07" in fit._repr_html_()
+    assert [(group["group"], group["tests"]) for group in fit.by_group] == [("A", 15), ("B", 13)]
+    assert {test.group for test in fit.tests} == {"A", "B"}
+    assert fit.group_test is not None and fit.group_test["degrees_of_freedom"] == 9
+    assert kalfit.fit(*bench, deletion="none").group_test is None

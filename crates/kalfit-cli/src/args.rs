@@ -160,6 +160,10 @@ pub(crate) struct FitArgs {
     #[arg(long, value_enum, value_name = "WHEN", default_value_t = InnovationsArg::On)]
     pub(crate) innovations: InnovationsArg,
 
+    /// Fit each group of `[data] group` by itself too, and say whether the groups differ
+    #[arg(long)]
+    pub(crate) group_test: bool,
+
     /// Leave out what each test says, its innovations and the fits without it: `tests` of the results is empty. For millions of
     /// tests, of which that would take more time, memory and disk than the fit
     #[arg(long, conflicts_with_all = ["deletion", "innovations"])]

@@ -1,4 +1,5 @@
-//! Ctrl-C. A search is asked to end with what it has, and everything else ends at once; so does a search that is asked again.
+//! Ctrl-C, and the signals by which a process is asked to end. A search is asked to end with what it has, and everything else ends
+//! at once; so does a search that is asked again.
 
 use std::io::IsTerminal;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -8,20 +9,24 @@ use crate::terminal;
 /// Exit status of whatever was interrupted: 128 and the number of the signal, as shells have it.
 pub(crate) const STATUS: u8 = 130;
 
-/// Somebody pressed Ctrl-C.
+/// Somebody asked for the end.
 static ASKED: AtomicBool = AtomicBool::new(false);
 
-/// True once somebody pressed Ctrl-C.
+/// True once somebody asked for the end.
 pub(crate) fn asked() -> bool {
     ASKED.load(Ordering::Relaxed)
 }
 
-/// Listens for Ctrl-C. `searches` says that the command can end with the best so far, `quiet` that nobody wants to hear of it.
-/// Where the signal is ignored, as in jobs that a shell runs in the background, it stays so.
+/// Listens for Ctrl-C, and for SIGTERM and SIGHUP where there are such. `searches` says that the command can end with the best so
+/// far, `quiet` that nobody wants to hear of it. A signal that is ignored, as by `nohup`, or in jobs that a script runs in the
+/// background, stays so.
 pub(crate) fn listen(searches: bool, quiet: bool) {
     let shows = !quiet && std::io::stderr().is_terminal();
-    let pressed = move || {
+    hear(move |again_ends| {
         let first = !ASKED.swap(true, Ordering::Relaxed);
+        if searches && !first && !again_ends {
+            return;
+        }
         if first && searches {
             if shows {
                 terminal::complain("\nStopping with the best so far; Ctrl-C again ends at once\n");
@@ -30,8 +35,36 @@ pub(crate) fn listen(searches: bool, quiet: bool) {
         }
         kalfit_job::abandon();
         end();
-    };
-    let _ = ctrlc::try_set_handler(pressed); // without it Ctrl-C does what it does to any program
+    });
+}
+
+/// Calls `asked` for every signal, in a thread of its own; with false for one that tells nothing new when it comes again. Where that
+/// cannot be, signals do what they do to any program.
+#[cfg(unix)]
+fn hear(asked: impl Fn(bool) + Send + 'static) {
+    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+    let ignored = ignored();
+    let heard = [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|signal| match ignored {
+        Some(ignored) => (ignored >> (signal - 1)) & 1 == 0,
+        None => *signal != SIGHUP, // `nohup` may have been there
+    });
+    let Ok(mut signals) = signal_hook::iterator::Signals::new(heard) else { return };
+    // a terminal that goes may say so twice, itself and by its shell
+    let listens = move || signals.forever().for_each(|signal| asked(signal != SIGHUP));
+    let _ = std::thread::Builder::new().name("signals".to_owned()).spawn(listens);
+}
+
+/// The signals that are ignored, a bit for each, where the system tells.
+#[cfg(unix)]
+fn ignored() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"))?;
+    u64::from_str_radix(mask.trim(), 16).ok()
+}
+
+#[cfg(not(unix))]
+fn hear(asked: impl Fn(bool) + Send + 'static) {
+    let _ = ctrlc::try_set_handler(move || asked(true));
 }
 
 /// Ends the process while others of its threads work.

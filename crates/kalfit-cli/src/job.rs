@@ -207,6 +207,7 @@ impl From<FitArgs> for FitJob {
             },
             choices,
             innovations: args.innovations == InnovationsArg::On && !args.no_tests,
+            group_test: args.group_test,
             keeps_stopped: true,
         }
     }

@@ -1,6 +1,9 @@
 //! What is going on, for people who wait: a line on a terminal after one second, nothing before and nothing elsewhere.
 
 use std::io::IsTerminal;
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -14,9 +17,8 @@ const TICK: Duration = Duration::from_millis(200);
 
 /// The line.
 pub(crate) struct Line {
-    began: Instant,
-    wanted: bool,
-    bar: Option<ProgressBar>,
+    /// `None` where nobody would see it.
+    shown: Option<Shown>,
     way: Option<Way>,
 }
 
@@ -53,61 +55,100 @@ fn outlook(share: Share, took: Duration) -> String {
 }
 
 impl Line {
+    /// The line of a command that begins now.
     pub(crate) fn new(quiet: bool) -> Line {
-        Line { began: Instant::now(), wanted: !quiet && std::io::stderr().is_terminal(), bar: None, way: None }
+        let wanted = !quiet && std::io::stderr().is_terminal();
+        Line { shown: wanted.then(Shown::new), way: None }
     }
 
     /// Shows these words, with the outlook when they are about the way.
     fn show(&mut self, words: &str) {
+        let Some(shown) = &self.shown else { return };
         let way = self.way.filter(|way| words.starts_with(way.share.what));
         let outlook = way.map_or(String::new(), |way| outlook(way.share, way.began.elapsed()));
-        let bar = self.bar.get_or_insert_with(|| {
-            let bar =
-                ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr()).with_elapsed(self.began.elapsed());
-            let style = ProgressStyle::with_template("{spinner} {elapsed} {msg}").expect("the template is sound");
-            bar.set_style(style);
-            bar.enable_steady_tick(TICK);
-            bar
-        });
-        bar.set_message(format!("{words}{outlook}"));
-    }
-
-    /// True once there is something to show.
-    fn is_due(&self) -> bool {
-        self.wanted && self.began.elapsed() >= PATIENCE
-    }
-
-    /// Takes the line away.
-    fn clear(&mut self) {
-        if let Some(bar) = self.bar.take() {
-            bar.finish_and_clear();
-        }
-    }
-}
-
-impl Drop for Line {
-    fn drop(&mut self) {
-        self.clear();
+        shown.say(format!("{words}{outlook}"));
     }
 }
 
 impl Watch for Line {
     fn say(&mut self, what: &dyn Fn() -> String) {
-        if self.is_due() {
+        if self.shown.is_some() {
             self.show(&what());
         }
     }
 
     fn share(&mut self, share: Share) {
         self.way = Some(Way::on(self.way, share));
-        if self.is_due() {
-            self.show(share.what);
-        }
+        self.show(share.what);
     }
 
     fn stops(&self) -> bool {
         interrupt::asked()
     }
+}
+
+/// A line on a terminal. A thread draws it once it is due, so that it is there in time whatever the work is at.
+#[derive(Debug)]
+struct Shown {
+    line: Arc<Mutex<Drawn>>,
+    /// Gone when the line is to go.
+    wanted: Option<Sender<()>>,
+    drawer: Option<JoinHandle<()>>,
+}
+
+/// What is drawn, or will be.
+#[derive(Debug)]
+struct Drawn {
+    words: String,
+    bar: Option<ProgressBar>,
+}
+
+impl Shown {
+    fn new() -> Shown {
+        let began = Instant::now();
+        let line = Arc::new(Mutex::new(Drawn { words: "starting".to_owned(), bar: None }));
+        let (wanted, waits) = channel();
+        let drawn = Arc::clone(&line);
+        let draw = move || {
+            if waits.recv_timeout(PATIENCE) == Err(RecvTimeoutError::Timeout) {
+                let mut line = drawn.lock().unwrap_or_else(PoisonError::into_inner);
+                let bar = bar(began);
+                bar.set_message(line.words.clone());
+                bar.enable_steady_tick(TICK);
+                line.bar = Some(bar);
+            }
+        };
+        let drawer = std::thread::Builder::new().name("progress".to_owned()).spawn(draw).ok();
+        Shown { line, wanted: Some(wanted), drawer }
+    }
+
+    fn say(&self, words: String) {
+        let mut line = self.line.lock().unwrap_or_else(PoisonError::into_inner);
+        match &line.bar {
+            Some(bar) => bar.set_message(words),
+            None => line.words = words,
+        }
+    }
+}
+
+/// Takes the line away.
+impl Drop for Shown {
+    fn drop(&mut self) {
+        drop(self.wanted.take());
+        if let Some(drawer) = self.drawer.take() {
+            let _ = drawer.join();
+        }
+        if let Some(bar) = self.line.lock().unwrap_or_else(PoisonError::into_inner).bar.take() {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+fn bar(began: Instant) -> ProgressBar {
+    let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr()).with_elapsed(began.elapsed());
+    let style = ProgressStyle::with_template("{spinner} {elapsed} {msg}").expect("the template is sound");
+    bar.set_style(style);
+    bar
 }
 
 #[cfg(test)]

@@ -168,6 +168,8 @@ pub enum DataError {
         expected: usize,
         /// Number of lines of the row; above 1 a quoted cell has line ends in it.
         lines: u64,
+        /// Its first character.
+        begins: Option<char>,
     },
     /// A CSV quote that is never closed.
     #[error("{file}, row {row}: found a quote that is still open at the end of the file, expected another `\"`")]
@@ -217,6 +219,16 @@ pub enum DataError {
         /// The cell.
         at: Box<Place>,
         /// Its text, shortened.
+        found: String,
+    },
+    /// The first row after the header holds texts only.
+    #[error("{file}, row {row}: found `{found}` and no number in the first row after the header, expected numbers")]
+    UnitsRow {
+        /// The file.
+        file: String,
+        /// Line of the row.
+        row: u64,
+        /// A cell that should be a number, shortened.
         found: String,
     },
     /// A cell that is not finite.

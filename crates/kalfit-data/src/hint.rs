@@ -18,7 +18,9 @@ impl DataError {
             DataError::MissingColumn { columns, .. } => columns_hint(columns),
             DataError::DuplicateColumn { .. } => "rename one of them: the model cannot tell which is meant".into(),
             DataError::ColumnType { found, .. } => type_hint(found)?,
+            DataError::RowLength { begins: Some(mark @ ('#' | '%')), .. } => comment_hint(*mark),
             DataError::RowLength { found, expected, lines, .. } => length_hint(*found, *expected, *lines),
+            DataError::UnitsRow { row, .. } => format!("row {row} looks like a row of units: remove it, and give units in the model file, as `unit = \"deg/h\"`"),
             DataError::OpenQuote { .. } => "a quote opens a cell that ends at the next quote; write `\"\"` for a quote inside it".into(),
             DataError::BlankRow { .. } => "write `NA` for a missing cell, or remove the line".into(),
             DataError::LongRow { .. } => "a quote that is not closed makes one row of many lines".into(),
@@ -60,6 +62,9 @@ pub(crate) fn columns_hint(columns: &Columns) -> String {
     if let Some(near) = &columns.near {
         return format!("there is a column `{near}`");
     }
+    if let Some(mark @ ('#' | '%')) = columns.names.first().and_then(|name| name.chars().next()) {
+        return comment_hint(mark);
+    }
     let shown: Vec<String> =
         columns.names.iter().take(MOST).map(|name| format!("`{}`", crate::error::shown(name.as_bytes()))).collect();
     let more = columns.names.len().saturating_sub(MOST);
@@ -77,6 +82,11 @@ fn type_hint(found: &str) -> Option<String> {
     }
 }
 
+/// Of lines that begin as comments do.
+fn comment_hint(mark: char) -> String {
+    format!("if lines that begin with `{mark}` are comments, set `comment = \"{mark}\"` in `[data]`")
+}
+
 fn length_hint(found: usize, expected: usize, lines: u64) -> String {
     if lines > 1 {
         format!("the row runs over {lines} lines: a quote may not be closed")
@@ -88,11 +98,28 @@ fn length_hint(found: usize, expected: usize, lines: u64) -> String {
 }
 
 fn time_hint(found: &str) -> String {
-    if found.contains('/') || found.contains('[') {
+    if let Some(iso) = european(found) {
+        format!("write date-times as in ISO 8601: `{found}` is `{iso}`")
+    } else if found.contains('/') || found.contains('[') {
         "write date-times as `2024-03-01T12:00:00` or `2024-03-01T12:00:00+01:00`".into()
     } else {
         number_hint(found)
     }
+}
+
+/// A date as most of Europe writes it, 13.02.2026 or 13.02.2026 14:05, in ISO 8601.
+fn european(found: &str) -> Option<String> {
+    let (date, time) = found.split_once([' ', 'T']).map_or((found, None), |(date, time)| (date, Some(time.trim())));
+    let parts: Vec<&str> = date.split('.').collect();
+    let [day, month, year] = parts[..] else { return None };
+    let number = |text: &str, most: usize| {
+        let digits = !text.is_empty() && text.len() <= most && text.bytes().all(|b| b.is_ascii_digit());
+        if digits { text.parse::<u16>().ok() } else { None }
+    };
+    let (day, month) = (number(day, 2)?, number(month, 2)?);
+    let year = number(year, 4).filter(|_| year.len() == 4)?;
+    let iso = format!("{year:04}-{month:02}-{day:02}{}", time.map_or(String::new(), |time| format!("T{time}")));
+    Moment::parse(&iso).map(|_| iso)
 }
 
 /// What a text in a numeric column may have meant.
@@ -113,10 +140,12 @@ fn number_hint(found: &str) -> String {
         "leave out the separators of thousands".into()
     } else if comma {
         "write the decimal comma as `.`".into()
-    } else if Moment::parse(found).is_some() {
+    } else if Moment::parse(found).is_some() || european(found).is_some() {
         "date-times are read in the column that `time` of `[data]` names, and nowhere else".into()
     } else if ["true", "false"].contains(&found.to_ascii_lowercase().as_str()) {
         "write 1 for true and 0 for false".into()
+    } else if let Some(mark @ ('#' | '%')) = found.chars().next() {
+        comment_hint(mark)
     } else if unsigned.starts_with(|c: char| c.is_ascii_digit()) {
         "a cell holds a number and nothing else; units go into the model file".into()
     } else {

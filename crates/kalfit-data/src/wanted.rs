@@ -17,6 +17,8 @@ pub(crate) struct Wanted {
     pub(crate) texts: usize,
     /// What stands for a missing cell.
     pub(crate) tokens: Tokens,
+    /// Lines of CSV that begin with this are comments.
+    pub(crate) comment: Option<String>,
 }
 
 /// One column and its uses.
@@ -39,7 +41,8 @@ pub(crate) struct WantedColumn {
 impl Wanted {
     pub(crate) fn new(model: &Model, layout: &Layout) -> Wanted {
         let (numbers, texts) = (model.columns.len(), model.text_columns.len());
-        let mut wanted = Wanted { columns: Vec::new(), numbers, texts, tokens: Tokens::new(&layout.missing) };
+        let (tokens, comment) = (Tokens::new(&layout.missing), layout.comment.clone().filter(|text| !text.is_empty()));
+        let mut wanted = Wanted { columns: Vec::new(), numbers, texts, tokens, comment };
         if let TestKey::Column(name) = &layout.test {
             wanted.column(name, "`test` of `[data]`").is_test = true;
         }

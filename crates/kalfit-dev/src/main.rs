@@ -5,11 +5,14 @@ mod bench;
 mod book;
 mod browser;
 mod coverage;
+mod false_alarms;
+mod maxima;
 mod peak;
 mod peers;
 mod places;
 mod python;
 mod test;
+mod whiteness;
 
 use std::process::ExitCode;
 
@@ -41,6 +44,20 @@ enum Task {
         #[arg(long, default_value_t = 20_000, value_parser = clap::value_parser!(u64).range(1..))]
         ensembles: u64,
     },
+    /// Fits random models from several starts and probes around every certified end: the table of `docs/coverage.md`. Best built with
+    /// `--release`.
+    Maxima(maxima::Options),
+    /// How often the checks of a fit accuse a model that is right: tables of `docs/coverage.md`. Best built with `--release`.
+    FalseAlarms {
+        /// Random numbers for each length of series.
+        #[arg(long, default_value_t = 1_000_000_000, value_parser = clap::value_parser!(u64).range(1_000_000..))]
+        numbers: u64,
+        /// Ensembles of 20 000 tests.
+        #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u64).range(1..))]
+        ensembles: u64,
+    },
+    /// Simulates the law of the whiteness statistic anew: the table from which p-values of innovations come. Best built with `--release`.
+    Whiteness,
     /// Writes into the pages of the book what its commands print, and its reference anew from the code. Read the difference.
     Book,
     /// Times the reduction and the solver's passes against the machine's measured peak.
@@ -57,6 +74,9 @@ fn main() -> ExitCode {
     match Arguments::parse().task {
         Task::Test { only } => test::run(only.as_deref()),
         Task::Coverage { ensembles } => coverage::run(ensembles),
+        Task::Maxima(options) => maxima::run(&options),
+        Task::FalseAlarms { numbers, ensembles } => false_alarms::run(numbers, ensembles),
+        Task::Whiteness => whiteness::run(),
         Task::Book => book::write(),
         Task::Bench { here: true } => bench::run(),
         Task::Bench { here: false } => bench::build_and_run(),

@@ -16,7 +16,7 @@ use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::job::{CheckJob, Done};
 use crate::work::{Watch, Work};
-use crate::{model, reductions, tests};
+use crate::{dynamic, model, reductions, tests};
 
 /// Reads all and fits nothing.
 ///
@@ -24,7 +24,7 @@ use crate::{model, reductions, tests};
 /// Bad input.
 pub fn check(job: &CheckJob, watch: &mut dyn Watch) -> Result<Done<CheckRecord>, Failure> {
     let mut work = Work::new(watch);
-    let mut spec = model::load(&job.model)?;
+    let mut spec = model::load(&job.model, &job.data)?;
     let given = if job.data.is_empty() { None } else { Some(Given::open(&mut spec, &job.data)?) };
     let free = model::has_free(spec.model.shared());
     let (parameters, checked) = match (&given, free) {
@@ -33,7 +33,9 @@ pub fn check(job: &CheckJob, watch: &mut dyn Watch) -> Result<Done<CheckRecord>,
         (Some(given), true) => started(&spec, given, &mut work)?,
     };
     let record = CheckRecord { title: spec.model.shared().title.clone(), model: spec.describe(), parameters, checked };
-    Ok(Done { record, notes: given.map_or(Vec::new(), |given| given.notes), written: Vec::new() })
+    let mut notes = spec.questions();
+    notes.extend(given.into_iter().flat_map(|given| given.notes));
+    Ok(Done { record, notes, written: Vec::new() })
 }
 
 /// Reads the data and runs the filters: all parameters are known.
@@ -62,7 +64,7 @@ fn add(counts: &mut [PhaseCounts], test: &PhasedTest) {
     }
 }
 
-/// Reads the data, counts the free values that they have use for, and runs the filters at start values if all are given.
+/// Reads the data, counts the free values that they have use for, and runs the filters where a fit would begin.
 fn started(spec: &Spec, given: &Given, work: &mut Work<'_>) -> Result<(Vec<ParameterCounts>, Checked), Failure> {
     let model = spec.model.shared();
     let (tests, reading) = tests::read(spec, given, work)?;
@@ -71,24 +73,39 @@ fn started(spec: &Spec, given: &Given, work: &mut Work<'_>) -> Result<(Vec<Param
     let slots = Slots::in_phases(&spec.model, &reading.labels, &tests);
     let counts = LevelCounts::all(model, &reading.labels, &tests);
     let notes = level_notes(model, &counts);
-    let parameters = parameters(model, &slots, &counts);
-    let start = |slot: &kalfit::score::Slot| match model.parameters[slot.parameter].value {
-        Value::Free { start } => start,
-        Value::Fixed(value) => Some(value),
-    };
-    let starts: Option<Vec<f64>> = slots.slots().iter().map(start).collect();
-    let Some(starts) = starts else {
-        let without = |p: &&ParameterCounts| p.free > 0 && p.start.is_none();
-        let free = parameters.iter().filter(without).map(|p| p.name.clone()).collect();
-        let Reading { tests, rows, .. } = reading;
-        return Ok((parameters, Checked::Read { tests, rows, files: given.names(), free, notes, phases }));
-    };
+    let mut parameters = parameters(model, &slots, &counts);
+    let starts = starts((&spec.model, &slots), &tests, &reading, work)?;
+    for (slot, &start) in slots.slots().iter().zip(&starts) {
+        let name = &model.parameters[slot.parameter].name;
+        let own = parameters.iter_mut().find(|counts| counts.name == *name && counts.start.is_none());
+        own.into_iter().for_each(|counts| counts.found.push(start));
+    }
     let alpha = slots.alpha(model, &starts);
     let reductions = reductions::of(&spec.model, &alpha, &tests, &reading)?;
     let at_start_of = parameters.iter().filter(|p| p.free > 0).map(|p| p.name.clone()).collect();
     let said = (notes, at_start_of);
     let checked = examined((&spec.model, phases), &alpha, &reductions, given.names(), said)?;
     Ok((parameters, checked))
+}
+
+/// Where a fit would begin: at the start values that are given, and those that it works out.
+fn starts(
+    (model, slots): (&PhasedModel, &Slots),
+    tests: &[PhasedTest],
+    reading: &Reading,
+    work: &mut Work<'_>,
+) -> Result<Vec<f64>, Failure> {
+    let given = |slot: &kalfit::score::Slot| match model.shared().parameters[slot.parameter].value {
+        Value::Free { start } => start,
+        Value::Fixed(value) => Some(value),
+    };
+    if let Some(starts) = slots.slots().iter().map(given).collect() {
+        return Ok(starts);
+    }
+    let settings = kalfit::dynamic::Settings::default();
+    let found = kalfit::dynamic::start_values(model, &reading.labels, tests, &settings, work);
+    work.go_on()?;
+    found.map_err(|error| dynamic::failure(error, reading))
 }
 
 /// What the reductions say.
@@ -132,6 +149,7 @@ fn parameters(model: &Model, slots: &Slots, counts: &[LevelCounts]) -> Vec<Param
             free,
             fixed: levels.len().saturating_sub(free),
             start,
+            found: Vec::new(),
             levels,
         })
     };

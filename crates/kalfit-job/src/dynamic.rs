@@ -14,7 +14,7 @@ use crate::fit::{patience, record, refuse_idle};
 use crate::innovations;
 use crate::job::FitJob;
 use crate::work::Work;
-use crate::{lost, reductions, tests};
+use crate::{groups, lost, reductions, tests};
 
 /// Every method, the one that the results are of first.
 const ALL: [Method; 3] = [Method::Hybrid, Method::Innovations, Method::Em];
@@ -31,6 +31,7 @@ pub(crate) fn fit(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>)
         record.notes.extend(notes);
         return Ok(record);
     }
+    let groups = groups::of(model, &tests, &reading.labels)?;
     let data = Data { model, tests: &tests, reading: &reading };
     let methods = job.method.map_or(ALL.to_vec(), |method| vec![method]);
     let mut ends = Vec::new();
@@ -59,6 +60,9 @@ pub(crate) fn fit(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>)
     };
     let mut record = FitRecord::dynamic(&parts, provenance);
     record.notes.extend(notes);
+    if let Some(groups) = groups {
+        groups::add(job, &mut record, &groups, (model, &fit.alpha, &fit.estimate, &fit.reductions), work)?;
+    }
     let population = Population::from(&fit.estimate);
     lost::add(&mut record, (model, &fit.alpha, &population), &fit.reductions, (&tests, &reading));
     if ends.len() > 1 {
@@ -81,8 +85,9 @@ pub(crate) fn known(
     work: &mut Work<'_>,
 ) -> Result<FitRecord, Failure> {
     refuse_idle(job)?;
+    let groups = groups::of(&spec.model, tests, &reading.labels)?;
     let reductions = reductions::of_all(&spec.model, alpha, (tests, reading), work)?;
-    let (mut record, population) = record(job, spec, given, (alpha, &reductions), work)?;
+    let (mut record, population) = record(job, spec, given, (alpha, &reductions, groups.as_ref()), work)?;
     lost::add(&mut record, (&spec.model, alpha, &population), &reductions, (tests, reading));
     if job.innovations {
         innovations::add_of(&mut record, (&spec.model, alpha, &population), tests, work);
@@ -114,8 +119,8 @@ pub(crate) fn failure(error: DynamicError, reading: &Reading) -> Failure {
     match error {
         DynamicError::Reduce(error) => Failure::Reduce { error: *error, reading: Some(Box::new(reading.clone())) },
         DynamicError::Fit(error) => Failure::Fit(error),
-        error @ (DynamicError::Marginal { .. } | DynamicError::FixedReduction { .. }) => {
-            Failure::Dynamic(Box::new(error))
-        }
+        error @ (DynamicError::Marginal { .. }
+        | DynamicError::Expected { .. }
+        | DynamicError::FixedReduction { .. }) => Failure::Dynamic(Box::new(error)),
     }
 }

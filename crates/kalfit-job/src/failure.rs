@@ -6,6 +6,7 @@ use kalfit::dynamic::DynamicError;
 use kalfit::estimate::FitError;
 use kalfit::infer::{DynamicRatioError, Element, NotNested};
 use kalfit::plan::PlanError;
+use kalfit::record::MixedGroup;
 use kalfit::reduce::{ReduceError, SplitError};
 use kalfit::simulate::SimulateError;
 use kalfit_data::{DataError, Reading, WriteError};
@@ -56,6 +57,17 @@ pub enum Failure {
         error: ReduceError,
         /// What was read so far.
         reading: Option<Box<Reading>>,
+    },
+    /// A test of several groups.
+    #[error("{0}")]
+    MixedGroup(MixedGroup),
+    /// Groups that cannot be compared.
+    #[error("cannot test whether groups differ: {problem}")]
+    GroupTest {
+        /// Why.
+        problem: &'static str,
+        /// What to do about it.
+        hint: &'static str,
     },
     /// The estimator.
     #[error("{0}")]
@@ -112,7 +124,7 @@ pub enum Failure {
     #[error("`--std-errors expected` and `--std-errors sandwich` go with `--criterion ml` only")]
     RestrictedErrors,
     /// Standard errors that are not known of free dynamic parameters.
-    #[error("`--std-errors expected` and `--std-errors sandwich` are for models whose parameters are all known")]
+    #[error("`--std-errors expected` is for models whose parameters are all known")]
     FreeErrors,
     /// An option of the search for dynamic parameters, none of which is free.
     #[error("`{option}` has no effect: the model has no free parameters")]
@@ -223,6 +235,10 @@ impl Failure {
             Failure::Data { error, .. } => error.hint(),
             Failure::Split { error, .. } => Some(error.hint().to_owned()),
             Failure::Reduce { error, .. } => error.hint().map(str::to_owned),
+            Failure::MixedGroup(_) => {
+                Some("group by a column that is constant within a test, or make each of its texts a test of its own".to_owned())
+            }
+            Failure::GroupTest { hint, .. } => Some((*hint).to_owned()),
             Failure::Fit(error) => fit_hint(error).map(str::to_owned),
             Failure::Dynamic(error) => error.hint().map(str::to_owned),
             Failure::NotNested(error) => Some(nesting_hint(*error).to_owned()),
@@ -238,7 +254,7 @@ impl Failure {
                 Some("leave `--std-errors` out: the restricted likelihood has those of its own curvature".to_owned())
             }
             Failure::FreeErrors => Some(
-                "leave `--std-errors` out, or fix the parameters with `--set` (their uncertainty is then left out)"
+                "leave `--std-errors` out, take `sandwich`, or fix the parameters with `--set` (their uncertainty is then left out)"
                     .to_owned(),
             ),
             Failure::NoFreeParameter { .. } => {

@@ -3,7 +3,7 @@
 use kalfit::estimate::{Combination, Criterion, Structure};
 use kalfit::infer::{Choices, DeletionChoice, IntervalKind, StdErrors, TestsChoice};
 use kalfit::model::Population;
-use kalfit::record::Provenance;
+use kalfit::record::{Provenance, TestGroups};
 use kalfit::{Alpha, FitRecord, Reduction, estimate, infer};
 use kalfit_spec::Spec;
 
@@ -11,9 +11,9 @@ use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::innovations::{self, Kept};
 use crate::job::{Done, FitJob, files};
-use crate::output::Output;
+use crate::output::{Contents, Output};
 use crate::work::{Watch, Work};
-use crate::{dynamic, lost, model, reductions, report, tests, write};
+use crate::{dynamic, groups, lost, model, reductions, report, tests, write};
 
 /// Said of a search that had converged when nobody waited any longer.
 const CUT_SHORT: &str =
@@ -31,23 +31,26 @@ pub fn fit(job: &FitJob, watch: &mut dyn Watch) -> Result<Done<FitRecord>, Failu
     if job.settings.criterion == Criterion::Reml && job.choices.std_errors != StdErrors::Observed {
         return Err(Failure::RestrictedErrors); // log|ΣB'WB| is no sum over tests
     }
-    let mut spec = model::load(&job.model)?;
+    let mut spec = model::load(&job.model, &job.data)?;
     refuse_one_phase(job, &spec)?;
     let given = Given::open(&mut spec, &job.data)?;
+    groups::refuse(job, &spec.model, &given)?;
     let free = model::has_free(spec.model.shared());
     if !free {
         refuse_idle(job)?;
-    } else if job.choices.std_errors != StdErrors::Observed {
+    } else if job.choices.std_errors == StdErrors::Expected {
         return Err(Failure::FreeErrors);
     }
     let read = files(&[&job.model.document], &given.inputs);
-    let output = job.out.as_deref().map(|path| Output::prepare(path, &read)).transpose()?;
-    let page = job.report.as_deref().map(|path| Output::prepare(path, &read)).transpose()?;
+    let output = Output::prepare_for(("--out", Contents::Json), job.out.as_deref(), &read)?;
+    let page = Output::prepare_for(("--report", Contents::Page), job.report.as_deref(), &read)?;
     page.as_ref().map_or(Ok(()), |page| page.refuse_same(output.as_ref()))?;
     let mut work = Work::new(watch);
     let mut record =
         if free { dynamic::fit(job, &spec, &given, &mut work)? } else { known(job, &spec, &given, &mut work)? };
-    record.notes.splice(0..0, given.notes);
+    record.add_by_group();
+    record.add_model_check();
+    record.notes.splice(0..0, spec.questions().into_iter().chain(given.notes));
     if job.choices.tests == TestsChoice::None {
         record.notes.push(NO_TESTS.to_owned());
     }
@@ -93,8 +96,9 @@ fn known(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>) -> Resul
         return dynamic::known(job, spec, given, (&alpha, &tests, &reading), work);
     }
     let mut kept = if job.innovations { Kept::of(&given.inputs) } else { Kept::nothing() };
+    kept.groups = TestGroups::new(spec.model.shared());
     let reductions = reductions::reduce_keeping(spec, &alpha, given, work, &mut kept)?;
-    let (mut record, population) = record(job, spec, given, (&alpha, &reductions), work)?;
+    let (mut record, population) = record(job, spec, given, (&alpha, &reductions, kept.groups.as_ref()), work)?;
     beside(reductions); // what comes next can have their memory
     if job.innovations {
         innovations::add(&mut record, kept, (spec, &alpha, &given.inputs), &population, work);
@@ -107,7 +111,7 @@ fn known(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>) -> Resul
 fn reduced(job: &FitJob, spec: &Spec, given: &Given, alpha: &Alpha, work: &mut Work<'_>) -> Result<FitRecord, Failure> {
     refuse_idle(job)?;
     let reductions = given.reduced(spec, work)?;
-    let (mut record, population) = record(job, spec, given, (alpha, &reductions), work)?;
+    let (mut record, population) = record(job, spec, given, (alpha, &reductions, None), work)?;
     if job.innovations {
         innovations::add_none(&mut record, (&spec.model, alpha, &population), reductions.len(), work);
         record.solver.seconds = work.seconds();
@@ -126,7 +130,7 @@ pub(crate) fn record(
     job: &FitJob,
     spec: &Spec,
     given: &Given,
-    (alpha, reductions): (&Alpha, &[Reduction]),
+    (alpha, reductions, groups): (&Alpha, &[Reduction], Option<&TestGroups>),
     work: &mut Work<'_>,
 ) -> Result<(FitRecord, Population), Failure> {
     let structure = Structure::of(&spec.model, alpha);
@@ -139,7 +143,10 @@ pub(crate) fn record(
         seconds: work.seconds(),
         of_estimates: given.is_of_estimates(&spec.model),
     };
-    let record = FitRecord::new(&spec.model, alpha, reductions, &estimate, &inference, provenance);
+    let mut record = FitRecord::new(&spec.model, alpha, reductions, &estimate, &inference, provenance);
+    if let Some(groups) = groups {
+        groups::add(job, &mut record, groups, (&spec.model, alpha, &estimate, reductions), work)?;
+    }
     beside(inference);
     let population = Population::from(&estimate);
     beside(estimate);

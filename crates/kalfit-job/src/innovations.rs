@@ -5,7 +5,7 @@ use std::io::{Read, Seek, SeekFrom, Write};
 
 use kalfit::innovations::InnovationFilter;
 use kalfit::model::Population;
-use kalfit::record::{InnovationRecord, SeriesKeeper, TestRecord};
+use kalfit::record::{InnovationRecord, SeriesKeeper, TestGroups, TestRecord};
 use kalfit::reduce::{Evidence, ReduceError, SplitError};
 use kalfit::{Alpha, FitRecord, Labels, PhasedModel, PhasedTest, Test};
 use kalfit_data::{DataError, Input, ReadError, Sink};
@@ -41,6 +41,8 @@ enum Unavailable {
 pub(crate) struct Kept {
     pub(crate) tests: KeptTests,
     pub(crate) copy: Copy,
+    /// Of which group each test is, where the model has groups.
+    pub(crate) groups: Option<TestGroups>,
 }
 
 /// Tests, as long as they are not too many.
@@ -68,12 +70,12 @@ impl Kept {
         } else {
             Copy::None
         };
-        Kept { copy, tests: KeptTests { wanted: true, ..KeptTests::default() } }
+        Kept { copy, tests: KeptTests { wanted: true, ..KeptTests::default() }, groups: None }
     }
 
     /// Keeps nothing.
     pub(crate) fn nothing() -> Kept {
-        Kept { copy: Copy::None, tests: KeptTests::default() }
+        Kept { copy: Copy::None, tests: KeptTests::default(), groups: None }
     }
 }
 
@@ -414,7 +416,7 @@ noise = 1
     }
 
     fn overflowed(copy: Copy) -> Kept {
-        Kept { tests: KeptTests { wanted: true, overflowed: true, ..KeptTests::default() }, copy }
+        Kept { tests: KeptTests { wanted: true, overflowed: true, ..KeptTests::default() }, copy, groups: None }
     }
 
     #[test]

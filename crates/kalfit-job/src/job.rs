@@ -40,6 +40,8 @@ pub struct FitJob {
     pub choices: Choices,
     /// Look at the data once more after the fit.
     pub innovations: bool,
+    /// Fit each group of tests by itself too: do they differ.
+    pub group_test: bool,
     /// Write the files of a search that was [stopped](crate::Watch::stops), too: what it has, as not converged.
     pub keeps_stopped: bool,
 }
@@ -60,6 +62,7 @@ impl FitJob {
             method,
             choices,
             innovations: true,
+            group_test: false,
             keeps_stopped: false,
         }
     }

@@ -23,6 +23,7 @@ mod evidence;
 mod exchange;
 mod failure;
 mod fit;
+mod groups;
 mod innovations;
 mod job;
 pub mod json;
@@ -52,7 +53,7 @@ pub use job::{
     CheckJob, Done, ExchangeJob, Exchanged, FitJob, ModelJob, PlanJob, ReportJob, SimulateJob, Simulated, TestJob,
 };
 pub use model::read as read_model;
-pub use output::{OutputError, abandon};
+pub use output::{Contents, OutputError, abandon};
 pub use plan::plan;
 pub use reduce::reduce;
 pub use report::{ReportError, report};

@@ -2,17 +2,33 @@
 
 use kalfit::model::Parameter;
 use kalfit::{Alpha, Model};
+use kalfit_data::Datum;
 use kalfit_spec::Spec;
 
 use crate::document::Document;
 use crate::failure::Failure;
 use crate::job::ModelJob;
 
-/// Reads the model.
-pub(crate) fn load(job: &ModelJob) -> Result<Spec, Failure> {
-    let mut spec = read(&job.document)?;
+/// Reads the model; `data` were named beside it.
+pub(crate) fn load(job: &ModelJob, data: &[Datum]) -> Result<Spec, Failure> {
+    let mut spec = read(&job.document).map_err(|failure| swapped(failure, &job.document, data))?;
     set(&mut spec, &job.set)?;
     Ok(spec)
+}
+
+/// Of a model that is none, where the model stands among the data: the one was named in the other's place.
+fn swapped(mut failure: Failure, document: &Document, data: &[Datum]) -> Failure {
+    const TABLES: [&str; 8] = [".csv", ".tsv", ".txt", ".parquet", ".arrow", ".ipc", ".feather", ".gz"];
+    let name = document.name();
+    let is_table = TABLES.iter().any(|ending| name.to_lowercase().ends_with(ending));
+    let model = data.iter().find_map(|datum| match datum {
+        Datum::Named(name) if name.ends_with(".toml") => Some(name),
+        _ => None,
+    });
+    if let (Failure::Model { error, .. }, Some(model), true) = (&mut failure, model, is_table) {
+        error.hint = Some(format!("the model comes first, then the data: `{model} {name}`"));
+    }
+    failure
 }
 
 /// Reads a model as it stands.

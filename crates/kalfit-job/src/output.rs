@@ -25,6 +25,16 @@ pub enum OutputError {
         /// What it is.
         found: &'static str,
     },
+    /// Its ending says that something else is in it.
+    #[error("the output `{}` would hold {contents}, which its ending does not say", path.display())]
+    Ending {
+        /// The file.
+        path: PathBuf,
+        /// What would be written.
+        contents: Contents,
+        /// The option that names it.
+        option: &'static str,
+    },
     /// It is read, too.
     #[error("the output `{}` is one of the inputs", path.display())]
     IsInput {
@@ -58,10 +68,48 @@ impl OutputError {
         match self {
             OutputError::NoFolder { .. } => Some("name a folder that exists"),
             OutputError::NotAFile { .. } => Some("`--out` takes a file such as `fit.json`"),
+            OutputError::Ending { option: "--report", .. } => {
+                Some("name it `.html`: `--report` takes a file for the page, `--out` one for the results, as JSON")
+            }
+            OutputError::Ending { contents: Contents::Page, .. } => Some("name it `.html`: it is a page for a browser"),
+            OutputError::Ending { .. } => {
+                Some("name it `.json`; a page for a browser is written by `--report fit.html` and by `kalfit report`")
+            }
             OutputError::IsInput { .. } | OutputError::Twice { .. } => Some("give the output a name of its own"),
             OutputError::Io { .. } => None,
             OutputError::Temporary { .. } => Some("name a file for the table"),
         }
+    }
+}
+
+/// What a file will hold.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Contents {
+    /// Results.
+    Json,
+    /// A report.
+    Page,
+}
+
+impl std::fmt::Display for Contents {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Contents::Json => "JSON",
+            Contents::Page => "a page of HTML",
+        })
+    }
+}
+
+impl Contents {
+    /// A name may have any ending but that of another kind of file which the program reads or writes.
+    fn suits(self, path: &Path) -> bool {
+        const KINDS: [&str; 9] = ["json", "html", "htm", "csv", "tsv", "parquet", "arrow", "toml", "md"];
+        let own: &[&str] = match self {
+            Contents::Json => &["json"],
+            Contents::Page => &["html", "htm"],
+        };
+        let ending = path.extension().map(|ending| ending.to_string_lossy().to_lowercase());
+        ending.is_none_or(|ending| own.contains(&ending.as_str()) || !KINDS.contains(&ending.as_str()))
     }
 }
 
@@ -102,6 +150,21 @@ impl Output {
         let output = Output { named: path.to_owned(), target, folder };
         output.temporary()?; // gone again at once: better to fail before hours of work than after
         Ok(output)
+    }
+
+    /// As [`Output::prepare`], for these contents under this option: a name that says otherwise is refused.
+    pub(crate) fn prepare_for(
+        (option, contents): (&'static str, Contents),
+        path: Option<&Path>,
+        inputs: &[&Path],
+    ) -> Result<Option<Output>, OutputError> {
+        let Some(path) = path else { return Ok(None) };
+        let output = Output::prepare(path, inputs)?;
+        if contents.suits(path) {
+            Ok(Some(output))
+        } else {
+            Err(OutputError::Ending { path: path.to_owned(), contents, option })
+        }
     }
 
     /// Refuses two outputs in one place.

@@ -12,7 +12,7 @@ use kalfit_spec::Spec;
 use crate::evidence::stdin;
 use crate::failure::Failure;
 use crate::job::{Done, PlanJob, files};
-use crate::output::Output;
+use crate::output::{Contents, Output};
 use crate::refused::{self, Refused};
 use crate::work::{Watch, Work};
 use crate::{model, truth};
@@ -26,7 +26,7 @@ pub fn plan(job: &PlanJob, watch: &mut dyn Watch) -> Result<Done<PlanRecord>, Fa
     let truth = truth::load(&mut spec, &job.from, &job.model.set)?;
     let inputs = Input::expand(&job.design).map_err(|error| Failure::data(error, &spec))?;
     let used = files(&[&job.model.document, &job.from], &inputs);
-    let output = job.out.as_deref().map(|path| Output::prepare(path, &used)).transpose()?;
+    let output = Output::prepare_for(("--out", Contents::Json), job.out.as_deref(), &used)?;
     let mut work = Work::new(watch);
     let reductions = designs(&spec, &truth.alpha, &inputs, &mut work)?;
     let structure = Structure::of(&spec.model, &truth.alpha);

@@ -1,5 +1,6 @@
 //! Data → reductions: tests are reduced as they are read, and forgotten.
 
+use kalfit::record::TestGroups;
 use kalfit::reduce::PhasedReducer;
 use kalfit::{Alpha, Labels, PhasedModel, PhasedTest, Reduction, Test};
 use kalfit_data::{Reading, Sink};
@@ -19,6 +20,7 @@ struct Reducing<'a, 'w> {
     reducer: PhasedReducer,
     reductions: Vec<Reduction>,
     kept: &'a mut KeptTests,
+    groups: Option<&'a mut TestGroups>,
     counted: Counted<'a>,
     work: &'a mut Work<'w>,
 }
@@ -35,6 +37,9 @@ impl Sink for Reducing<'_, '_> {
             .map_err(Refused::Split)?;
         self.reductions.extend(self.reducer.reduce(&tests).map_err(Refused::Reduce)?);
         tests.iter().for_each(|test| (self.counted)(Some(test)));
+        if let Some(groups) = &mut self.groups {
+            groups.take(&tests, labels).map_err(Refused::Group)?;
+        }
         self.kept.take(tests);
         let done = self.reductions.len();
         self.work.say(|| format!("reading: {done} tests"));
@@ -48,6 +53,9 @@ impl Sink for Reducing<'_, '_> {
     fn restart(&mut self) {
         self.reductions.clear();
         (self.counted)(None);
+        if let Some(groups) = &mut self.groups {
+            groups.clear();
+        }
         self.kept.restart();
     }
 }
@@ -90,8 +98,9 @@ fn read(
     }
     let reducer = PhasedReducer::new(model, alpha).map_err(|error| Failure::Reduce { error, reading: None })?;
     let mut stdin = given.stdin();
-    let Kept { tests, copy } = kept;
-    let mut sink = Reducing { model, reducer, reductions: Vec::new(), kept: tests, counted, work };
+    let Kept { tests, copy, groups } = kept;
+    let mut sink =
+        Reducing { model, reducer, reductions: Vec::new(), kept: tests, groups: groups.as_mut(), counted, work };
     let mut stdin = copy.copying(&mut stdin);
     kalfit_data::read_from(model, &spec.layout, &given.inputs, &mut sink, &mut stdin)
         .map_err(|error| refused::failure(error, spec))?;

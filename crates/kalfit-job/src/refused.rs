@@ -1,5 +1,6 @@
 //! Why tests were not taken in as they were read.
 
+use kalfit::record::MixedGroup;
 use kalfit::reduce::{ReduceError, SplitError};
 use kalfit_data::ReadError;
 use kalfit_spec::Spec;
@@ -11,6 +12,7 @@ use crate::work::Work;
 pub(crate) enum Refused {
     Split(SplitError),
     Reduce(ReduceError),
+    Group(MixedGroup),
     /// Nobody waits for them any longer.
     Interrupted,
 }
@@ -34,6 +36,7 @@ pub(crate) fn failure(error: ReadError<Refused>, spec: &Spec) -> Failure {
         ReadError::Data(error) => Failure::data(error, spec),
         ReadError::Sink { error: Refused::Split(error), reading } => Failure::Split { error, reading },
         ReadError::Sink { error: Refused::Reduce(error), reading } => Failure::Reduce { error, reading: Some(reading) },
+        ReadError::Sink { error: Refused::Group(error), .. } => Failure::MixedGroup(error),
         ReadError::Sink { error: Refused::Interrupted, .. } => Failure::Interrupted,
     }
 }

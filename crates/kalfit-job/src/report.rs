@@ -10,7 +10,7 @@ use serde::de::DeserializeOwned;
 use crate::document::Document;
 use crate::failure::Failure;
 use crate::job::{Done, ReportJob};
-use crate::output::{Output, OutputError};
+use crate::output::{Contents, Output, OutputError};
 
 /// Larger result files are not read.
 const MAX_BYTES: u64 = 1 << 30;
@@ -78,7 +78,7 @@ impl ReportError {
 /// Files that cannot be read, or have no such results in them, or cannot be written.
 pub fn report(job: &ReportJob) -> Result<Done<String>, Failure> {
     let read: Vec<&Path> = std::iter::once(&job.fit).chain(&job.test).filter_map(Document::path).collect();
-    let output = job.out.as_deref().map(|path| Output::prepare(path, &read)).transpose()?;
+    let output = Output::prepare_for(("--out", Contents::Page), job.out.as_deref(), &read)?;
     let record: FitRecord = results(&job.fit, FIT_SCHEMA, "fit")?;
     let page = match &job.test {
         None => kalfit_report::html(&record),

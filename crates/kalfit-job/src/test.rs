@@ -10,7 +10,7 @@ use kalfit_spec::{Hypothesis, HypothesisError, Spec};
 use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::job::{Done, TestJob, files};
-use crate::output::Output;
+use crate::output::{Contents, Output};
 use crate::ratio::{self, with_covariance, with_mean};
 use crate::work::{Watch, Work};
 use crate::{model, reductions};
@@ -21,14 +21,11 @@ use crate::{model, reductions};
 /// Bad input, or [`Failure::Interrupted`].
 pub fn test(job: &TestJob, watch: &mut dyn Watch) -> Result<Done<RatioRecord>, Failure> {
     let mut work = Work::new(watch);
-    let mut spec = model::load(&job.model)?;
+    let mut spec = model::load(&job.model, &job.data)?;
     let given = Given::open(&mut spec, &job.data)?;
     let hypothesis = hypothesis(&spec, job)?;
-    let output = job
-        .out
-        .as_deref()
-        .map(|path| Output::prepare(path, &files(&[&job.model.document, &job.null], &given.inputs)))
-        .transpose()?;
+    let read = files(&[&job.model.document, &job.null], &given.inputs);
+    let output = Output::prepare_for(("--out", Contents::Json), job.out.as_deref(), &read)?;
     let record = read_and_test(job, &spec, &hypothesis, &given, &mut work)?;
     work.go_on()?;
     if let Some(output) = &output {

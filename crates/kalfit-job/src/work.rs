@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use kalfit::estimate::{Progress, Step};
+use kalfit::estimate::{Progress, Stage, Step};
 
 use crate::failure::Failure;
 
@@ -83,12 +83,61 @@ impl<'a> Work<'a> {
 impl Progress for Work<'_> {
     fn step(&mut self, step: Step) {
         self.say(|| {
-            let far = step.decrement.map_or(String::new(), |d| format!(", about {d:.1e} standard errors to go"));
-            format!("fitting: pass {}, log-likelihood {:.4}{far}", step.passes, step.log_likelihood)
+            let far =
+                step.decrement.map_or(String::new(), |d| format!(", {} standard errors from the optimum", rough(d)));
+            format!("pass {}: log-likelihood {:.2}{far}", step.passes, step.log_likelihood)
+        });
+    }
+
+    fn stage(&mut self, stage: Stage) {
+        self.say(|| match stage {
+            Stage::StartValues { filter_runs } => format!("start values: filter run {}", filter_runs + 1),
+            Stage::Filters { filter_runs } => format!("search: filter run {}", filter_runs + 1),
+            _ => "fitting".to_owned(),
         });
     }
 
     fn stops(&self) -> bool {
         self.is_stopped()
+    }
+}
+
+/// Two digits of a distance.
+fn rough(distance: f64) -> String {
+    if (0.1..10.0).contains(&distance) {
+        format!("{distance:.1}")
+    } else if (10.0..1e6).contains(&distance) {
+        format!("{distance:.0}")
+    } else {
+        format!("{distance:.0e}")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    struct Last(String);
+
+    impl Watch for Last {
+        fn say(&mut self, what: &dyn Fn() -> String) {
+            self.0 = what();
+        }
+    }
+
+    #[test]
+    fn steps_and_stages_are_told_in_words() {
+        let mut last = Last(String::new());
+        let mut told = |tell: &dyn Fn(&mut Work<'_>)| {
+            tell(&mut Work::new(&mut last));
+            last.0.clone()
+        };
+        let step = |decrement| Step { passes: 4, log_likelihood: 926_723.209_2, decrement };
+        let far = told(&|work| work.step(step(Some(4.6))));
+        assert_eq!(far, "pass 4: log-likelihood 926723.21, 4.6 standard errors from the optimum");
+        assert_eq!(told(&|work| work.step(step(None))), "pass 4: log-likelihood 926723.21");
+        assert_eq!(told(&|work| work.stage(Stage::StartValues { filter_runs: 0 })), "start values: filter run 1");
+        assert_eq!(told(&|work| work.stage(Stage::Filters { filter_runs: 11 })), "search: filter run 12");
+        assert_eq!([0.04, 0.5, 12.3, 3e8].map(rough), ["4e-2", "0.5", "12", "3e8"]);
     }
 }

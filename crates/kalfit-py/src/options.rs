@@ -41,6 +41,7 @@ pub(crate) struct FitOptions {
     std_errors: String,
     deletion: String,
     innovations: bool,
+    group_test: bool,
     starts: Option<u32>,
     seed: Option<u64>,
     tolerance: Option<f64>,
@@ -59,6 +60,7 @@ impl FitOptions {
         job.settings.phases = pick("phases", &self.phases, &phases)?;
         job.choices = self.choices()?;
         job.innovations = self.innovations;
+        job.group_test = self.group_test;
         let methods = [
             ("hybrid", Some(Method::Hybrid)),
             ("innovations", Some(Method::Innovations)),

@@ -45,6 +45,8 @@ pub struct ParameterCounts {
     pub fixed: usize,
     /// Start value, if one is given.
     pub start: Option<f64>,
+    /// Start values that a fit works out from the data, one for each free value, where none is given.
+    pub found: Vec<f64>,
     /// Each level with the number of tests that have it; empty for a common parameter.
     pub levels: Vec<(String, usize)>,
 }
@@ -55,21 +57,6 @@ pub struct ParameterCounts {
 pub enum Checked {
     /// There were no data.
     Model,
-    /// The data could be read, but parameters without a value keep the filters from running.
-    Read {
-        /// Number of tests.
-        tests: usize,
-        /// Number of rows.
-        rows: u64,
-        /// Files, as named by the user.
-        files: Vec<String>,
-        /// Names of those parameters.
-        free: Vec<String>,
-        /// What else a fit will run into, in sentences.
-        notes: Vec<String>,
-        /// Counts by phase.
-        phases: Vec<PhaseCounts>,
-    },
     /// The filters ran over the data.
     Reduced {
         /// Counts.
@@ -125,15 +112,6 @@ pub fn check_summary(record: &CheckRecord, style: &Style) -> String {
     match &record.checked {
         Checked::Model => {
             sections.push(page.paragraph("The model is sound. Give data too, to see what they identify."))
-        }
-        Checked::Read { tests, rows, files, free, notes, phases } => {
-            let rows = count(usize::try_from(*rows).unwrap_or(usize::MAX), "row");
-            let facts = format!("{}, {rows}{}.", count(*tests, "test"), headline::from(files));
-            sections.push(page.section("Data", &(page.items(&[facts]) + &counted(phases, *tests, &page))));
-            sections.push(parameters(record, *tests, &page));
-            let mut said = vec![not_examined(free)];
-            said.extend(notes.iter().map(|note| sentence(&clean(note))));
-            sections.push(page.section("Identifiability", &page.items(&said)));
         }
         Checked::Reduced { data, phases, .. } => sections.extend(reduced(record, (data, phases), &page)),
     }
@@ -217,7 +195,7 @@ fn parameters(record: &CheckRecord, tests: usize, page: &Page<'_>) -> String {
     let start = |row: &ParameterCounts| match (row.free, row.start) {
         (0, _) => String::new(),
         (_, Some(start)) => plain(start, 6),
-        (_, None) => "not given".to_owned(),
+        (_, None) => worked_out(&row.found),
     };
     let columns = [
         Column::new("parameter", Side::Left, column(&|row| row.name.clone())),
@@ -247,14 +225,14 @@ fn tests_each(row: &ParameterCounts, tests: usize) -> String {
     }
 }
 
-fn not_examined(free: &[String]) -> String {
-    let first = free.first().map_or("NAME", String::as_str);
-    let (are, have) = if free.len() == 1 { ("is", "it has") } else { ("are", "they have") };
-    format!(
-        "Not examined: {} {are} free and {have} no start value; give one, as by `--set {}=VALUE`.",
-        list(&free.iter().map(|name| clean(name)).collect::<Vec<_>>(), MOST_NAMES),
-        clean(first)
-    )
+/// Start values that nobody gave.
+fn worked_out(found: &[f64]) -> String {
+    let least = found.iter().copied().reduce(f64::min);
+    match (least, found.iter().copied().reduce(f64::max)) {
+        (Some(least), Some(most)) if least == most => format!("{}, worked out", plain(least, 3)),
+        (Some(least), Some(most)) => format!("{} to {}, worked out", plain(least, 3), plain(most, 3)),
+        _ => "not given".to_owned(),
+    }
 }
 
 fn identified(phase: &CheckedPhase) -> Vec<String> {

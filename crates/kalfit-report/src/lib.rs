@@ -49,6 +49,11 @@ impl Style {
         self.paint("1;32", text)
     }
 
+    /// Yellow and bold: with doubts.
+    fn fair(&self, text: &str) -> String {
+        self.paint("1;33", text)
+    }
+
     /// Red and bold: cannot.
     fn bad(&self, text: &str) -> String {
         self.paint("1;31", text)

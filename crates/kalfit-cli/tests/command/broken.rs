@@ -528,3 +528,17 @@ fn data_that_do_not_fit_the_model() {
     hint: date-times are read as time since the test's first row: set `time_unit` in `[data]` to `s`, `ms`, `us`, `ns`, `min`, `h` or `d`
     ");
 }
+
+#[test]
+fn check_refuses_exact_measurements_of_estimated_states_as_fit_does() {
+    // a free parameter without a start, so that `check` has no values to run the filters at
+    let model = MODEL.replace("noise = 0.1", "noise = 0")
+        + "[measurements.w]\ncolumn = \"x\"\nequation = \"slope\"\nnoise = \"s\"\n[parameters]\ns = {}\n";
+    let by = |command: &str| refused(&format!("{command} exact.toml d.csv"), &[("exact.toml", &model)]);
+    assert_eq!(by("check"), by("fit"));
+    assert_snapshot!(by("check"), @"
+    error: d.csv, row 2 (test `a`): measurement `y`: a combination of estimated states is measured without any noise
+
+    hint: give the measurement some noise
+    ");
+}

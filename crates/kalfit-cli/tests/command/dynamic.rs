@@ -133,13 +133,21 @@ fn check_says_why_it_cannot_examine_the_data() {
     assert_snapshot!(from(&said(&folder, "check m.toml d.csv"), "Free parameters"), @"
     Free parameters
       parameter  free values  one for each  tests each  start
-      s          2            lot           2 to 3      not given
+      s          2            lot           2 to 3      0.129, worked out
       Levels of s: 1 in 3 tests and 2 in 2 tests.
 
+    Observability
+      state  seen by  determined by  largest share
+      level    all 4          all 4  all equal
+      slope    all 4          all 4  all equal
+      Seen by: tests whose measurements depend on the state. Determined by: tests
+        that could estimate it alone. Largest share: how much of what is known of
+        the mean comes from one test, and which.
+
     Identifiability
-      Not examined: s is free and it has no start value; give one, as by `--set
-        s=VALUE`.
+      The data identify all that is free in the mean and the covariance.
       `s` is fixed for lot `a`, which the data do not have: they have `1` and `2`.
+      Examined with s at its start value.
     ----- stderr
     ");
 }

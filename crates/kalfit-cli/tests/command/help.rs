@@ -172,6 +172,9 @@ fn version_and_help() {
               
               [default: on]
 
+          --group-test
+              Fit each group of `[data] group` by itself too, and say whether the groups differ
+
           --no-tests
               Leave out what each test says, its innovations and the fits without it: `tests` of the
               results is empty. For millions of tests, of which that would take more time, memory and

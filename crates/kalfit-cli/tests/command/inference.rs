@@ -1,6 +1,6 @@
 //! Choices of inference: `--intervals`, `--std-errors`, `--deletion`.
 
-use crate::folder::{Folder, shown};
+use crate::folder::{Folder, MODEL, shown};
 use insta::assert_snapshot;
 use serde_json::Value;
 
@@ -105,10 +105,10 @@ fn tests_are_deleted_when_asked() {
     The answer without each test
       test  displacement  p-value by the others
       6             13.3                   3e-5
-      Without this test the estimates lie outside the 50 % confidence region of all
-        tests.
-      Displacement: twice the log-likelihood of all tests that the estimates without
-        this one lose.
+      Leaving this test out moves the estimates outside the 50 % confidence region
+        of the full fit.
+      Displacement (Cook's): twice the drop in the log-likelihood of all tests when
+        the estimates from the other tests are used.
     ");
     let deletion = &found["tests"][5]["deletion"];
     let keys: Vec<&String> = deletion.as_object().expect("an object").keys().collect();
@@ -195,5 +195,19 @@ fn errors_that_the_restricted_likelihood_does_not_have_are_refused() {
     error: `--std-errors expected` and `--std-errors sandwich` go with `--criterion ml` only
 
     hint: leave `--std-errors` out: the restricted likelihood has those of its own curvature
+    ");
+}
+
+#[test]
+fn expected_standard_errors_of_free_parameters_are_refused() {
+    let free = MODEL.replace("noise = 0.1", "noise = \"s\"") + "[parameters]\ns = {}\n";
+    let folder = Folder::new(&[("free.toml", free.as_bytes())]);
+    assert_snapshot!(shown(&folder.run("fit free.toml d.csv --std-errors expected")), @"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: `--std-errors expected` is for models whose parameters are all known
+
+    hint: leave `--std-errors` out, take `sandwich`, or fix the parameters with `--set` (their uncertainty is then left out)
     ");
 }

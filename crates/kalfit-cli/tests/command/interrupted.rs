@@ -13,13 +13,17 @@ const ENDLESS: &str = "fit m.toml d.csv --solver em --tolerance 1e-300 --max-ite
 /// Starts the command with signals as they are by default: whoever runs the tests may ignore them.
 fn start(folder: &Folder, args: &str) -> Child {
     let mut command = Command::new("env");
-    command.args(["--default-signal=INT", env!("CARGO_BIN_EXE_kalfit")]).args(args.split_whitespace());
+    command.args(["--default-signal=INT,TERM,HUP", env!("CARGO_BIN_EXE_kalfit")]).args(args.split_whitespace());
     command.current_dir(folder.path("")).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
     command.spawn().expect("`env` is there")
 }
 
 fn interrupt(child: &Child) {
-    let status = Command::new("kill").args(["-INT", &child.id().to_string()]).status();
+    signal(child, "-INT");
+}
+
+fn signal(child: &Child, name: &str) {
+    let status = Command::new("kill").args([name, &child.id().to_string()]).status();
     assert!(status.expect("`kill` is there").success(), "the process has ended by itself");
 }
 
@@ -45,10 +49,17 @@ fn end(child: Child) -> Output {
 
 #[test]
 fn a_fit_ends_with_the_best_so_far_and_writes_it_as_not_converged() {
+    for name in ["-INT", "-TERM", "-HUP"] {
+        ends_with_the_best_so_far(name);
+    }
+}
+
+/// By one signal.
+fn ends_with_the_best_so_far(name: &str) {
     let folder = Folder::new(&[]);
     let child = start(&folder, &format!("{ENDLESS} --out fit.json --report fit.html"));
     until_it_searches(&child);
-    interrupt(&child);
+    signal(&child, name);
     let output = end(child);
     let seen = shown(&output);
     assert!(seen.starts_with("exit 130\n"), "{seen}");
@@ -79,6 +90,26 @@ fn a_second_signal_ends_a_fit_at_once() {
             return;
         }
     }
+}
+
+/// Under `nohup`, say: the one signal goes by, the other is heard.
+#[test]
+fn a_signal_that_was_ignored_at_the_start_stays_ignored() {
+    let folder = Folder::new(&[]);
+    let mut command = Command::new("env");
+    command.args(["--ignore-signal=HUP", "--default-signal=INT,TERM", env!("CARGO_BIN_EXE_kalfit")]);
+    command.args(format!("{ENDLESS} --out fit.json").split_whitespace()).current_dir(folder.path(""));
+    let child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("it starts");
+    until_it_searches(&child);
+    signal(&child, "-HUP");
+    let (before, began) = (ticks(&child), Instant::now());
+    while ticks(&child) < before + 20 {
+        assert!(began.elapsed() < Duration::from_secs(120), "it works on");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    signal(&child, "-TERM");
+    let seen = shown(&end(child));
+    assert!(seen.starts_with("exit 130\n") && seen.ends_with("Wrote fit.json\n"), "{seen}");
 }
 
 #[test]

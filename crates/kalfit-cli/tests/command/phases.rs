@@ -33,6 +33,7 @@ fn a_summary_of_two_phases() {
 
     Converged: the optimality certificate holds, so these are the maximum-likelihood
     estimates.
+    Model check doubtful: each of 2 tests by itself decides much of the answer.
 
     Data: 12 tests, 80 steps, 80 observations from phases.csv; 2 different designs.
     Phases: bench (12 tests) and flight (8 of 12 tests); combined exactly, phase by
@@ -73,10 +74,10 @@ fn a_summary_of_two_phases() {
       test  displacement  p-value by the others
       r05           18.8                   6e-7
       r07           14.2                   2e-6
-      Without any one of these tests the estimates lie outside the 50 % confidence
-        region of all tests.
-      Displacement: twice the log-likelihood of all tests that the estimates without
-        this one lose.
+      Leaving any one of these tests out moves the estimates outside the 50 %
+        confidence region of the full fit.
+      Displacement (Cook's): twice the drop in the log-likelihood of all tests when
+        the estimates from the other tests are used.
 
     Solver newton, [work].
     ----- stderr

@@ -55,6 +55,8 @@ fn sleep_study_has_the_figures_of_lme4() {
 
     Converged: the optimality certificate holds, so these are the maximum-likelihood
     estimates.
+    Model check doubtful: the innovations of 4 of 18 tests are improbable (size or
+    correlation in time).
 
     Data: 18 tests, 180 steps, 180 observations from sleepstudy.csv; all tests share
     one design.
@@ -84,12 +86,12 @@ fn sleep_study_has_the_figures_of_lme4() {
     Innovations (what the filter did not expect)
       test  what                  found  expected  p-value    Holm
       332   larger than modelled   45.5        10     4e-6  0.0001
-      309   correlated in time     15.7         2   0.0004    0.01
-      335   correlated in time     14.9         2   0.0006    0.02
+      309   correlated in time     15.7         2   0.0003   0.009
+      335   correlated in time     14.9         2   0.0004    0.01
       308   larger than modelled     31        10    0.001    0.04
       These are improbable among 36 p-values (Holm, 5 % level): a size other than
         modelled asks for other noise levels, or for a look at the test; correlation
-        in time asks for a motion that the model lacks, such as a drift.
+        in time suggests a missing process, such as a drift.
       Mean square of 180 innovations over all tests, each in units of its variance:
         1.00 (expected 1 ± 0.11).
 
@@ -118,6 +120,7 @@ fn meta_analysis_has_the_figures_of_metafor() {
 
     Converged: the optimality certificate holds, so these are the maximum-likelihood
     estimates.
+    Model check doubtful: test 2 by itself decides much of the answer.
 
     Data: 5 tests, 5 steps, 10 observations from berkey1998.csv; every test has a
     design of its own.
@@ -139,16 +142,16 @@ fn meta_analysis_has_the_figures_of_metafor() {
     The answer without each test
       test  displacement  p-value by the others
       2             10.3                 0.0002
-      Without this test the estimates lie outside the 50 % confidence region of all
-        tests.
-      Displacement: twice the log-likelihood of all tests that the estimates without
-        this one lose.
+      Leaving this test out moves the estimates outside the 50 % confidence region
+        of the full fit.
+      Displacement (Cook's): twice the drop in the log-likelihood of all tests when
+        the estimates from the other tests are used.
 
     Innovations (what the filter did not expect)
       Mean square of 10 innovations over all tests, each in units of its variance:
         1.08 (expected 1 ± 0.45).
-      No test's innovations are improbable: the smallest of 5 p-values is 0.41 (size
-        in test 5), or 1 with Holm's correction.
+      Residual checks passed for all tests (smallest p = 0.41, size in 5; 1 after
+        Holm correction for 5 tests).
 
     Notes
       The variance of `PD` is weakly determined: its standard error (9.050e-3) is no
@@ -169,6 +172,7 @@ fn gyro_bench_finds_the_error_model_behind_the_simulated_data() {
 
     Converged: the optimality certificate holds, so these are the maximum-likelihood
     estimates.
+    Model check doubtful: test g07 by itself decides much of the answer.
 
     Data: 28 tests, 614 steps, 614 observations from bench.csv; every test has a
     design of its own; 8 tests took the square-root path.
@@ -199,16 +203,25 @@ fn gyro_bench_finds_the_error_model_behind_the_simulated_data() {
     The answer without each test
       test  displacement  p-value by the others
       g07             23                   1e-7
-      Without this test the estimates lie outside the 50 % confidence region of all
-        tests.
-      Displacement: twice the log-likelihood of all tests that the estimates without
-        this one lose.
+      Leaving this test out moves the estimates outside the 50 % confidence region
+        of the full fit.
+      Displacement (Cook's): twice the drop in the log-likelihood of all tests when
+        the estimates from the other tests are used.
 
     Innovations (what the filter did not expect)
       Mean square of 614 innovations over all tests, each in units of its variance:
         1.106 (expected 1 ± 0.057).
-      No test's innovations are improbable: the smallest of 54 p-values is 0.005
-        (correlation in time in test g28), or 0.25 with Holm's correction.
+      Residual checks passed for all tests (smallest p = 0.006, time correlation in
+        g28; 0.33 after Holm correction for 54 tests).
+
+    Groups by station
+      station  tests  mean square  p-value  distance²  expected  p-value
+      A           15        1.162     0.05       30.3        28     0.35
+      B           13        1.048     0.55       30.3        32     0.55
+
+    Notes
+      State `scale` is in ppm, and the equation of measurement `rate` takes it times
+        a column without 1e-6: is `1e-6 * scale` meant?
 
     Solver newton, [work].
     ----- stderr
@@ -225,6 +238,7 @@ fn vaccine_trials_with_a_regression() {
 
     Converged: the optimality certificate holds, so these are the maximum-likelihood
     estimates.
+    Model check doubtful: test 6 by itself decides much of the answer.
 
     Data: 13 tests, 13 steps, 13 observations from vaccine.csv; every test has a
     design of its own.
@@ -244,16 +258,16 @@ fn vaccine_trials_with_a_regression() {
     The answer without each test
       test  displacement  p-value by the others
       6             13.3                   3e-5
-      Without this test the estimates lie outside the 50 % confidence region of all
-        tests.
-      Displacement: twice the log-likelihood of all tests that the estimates without
-        this one lose.
+      Leaving this test out moves the estimates outside the 50 % confidence region
+        of the full fit.
+      Displacement (Cook's): twice the drop in the log-likelihood of all tests when
+        the estimates from the other tests are used.
 
     Innovations (what the filter did not expect)
       Mean square of 13 innovations over all tests, each in units of its variance:
         1.42 (expected 1 ± 0.39).
-      No test's innovations are improbable: the smallest of 13 p-values is 0.02
-        (size in test 7), or 0.21 with Holm's correction.
+      Residual checks passed for all tests (smallest p = 0.02, size in 7; 0.21 after
+        Holm correction for 13 tests).
 
     Notes
       The variance of `effect` is weakly determined: its standard error (4.050e-2)
@@ -274,6 +288,7 @@ fn gyros_with_drift_and_constraints() {
 
     Converged: the optimality certificate holds, so these are the maximum-likelihood
     estimates.
+    Model check doubtful: test U03 by itself decides much of the answer.
 
     Data: 6 tests, 60 steps, 57 observations from gyro.csv; every test has a design
     of its own.
@@ -315,16 +330,21 @@ fn gyros_with_drift_and_constraints() {
     The answer without each test
       test  displacement  p-value by the others
       U03           5.32                  0.006
-      Without this test the estimates lie outside the 50 % confidence region of all
-        tests.
-      Displacement: twice the log-likelihood of all tests that the estimates without
-        this one lose.
+      Leaving this test out moves the estimates outside the 50 % confidence region
+        of the full fit.
+      Displacement (Cook's): twice the drop in the log-likelihood of all tests when
+        the estimates from the other tests are used.
 
     Innovations (what the filter did not expect)
       Mean square of 57 innovations over all tests, each in units of its variance:
         0.83 (expected 1 ± 0.19).
-      No test's innovations are improbable: the smallest of 12 p-values is 0.23
-        (correlation in time in test U06), or 1 with Holm's correction.
+      Residual checks passed for all tests (smallest p = 0.23, time correlation in
+        U06; 1 after Holm correction for 12 tests).
+
+    Groups by lot
+      lot  tests  mean square  p-value  distance²  expected  p-value
+      A        3         0.73     0.32        7.2         9     0.62
+      B        3         0.93     0.84       13.5         9     0.14
 
     Solver newton, [work].
     ----- stderr
@@ -341,6 +361,7 @@ fn two_sensors_in_long_data() {
 
     Converged: the optimality certificate holds, so these are the maximum-likelihood
     estimates.
+    Model check doubtful: each of 2 tests by itself decides much of the answer.
 
     Data: 5 tests, 39 steps, 71 observations from sensors.csv; every test has a
     design of its own.
@@ -369,16 +390,16 @@ fn two_sensors_in_long_data() {
       test  displacement  p-value by the others
       s0            27.9                   2e-9
       s4             9.8                 0.0002
-      Without any one of these tests the estimates lie outside the 50 % confidence
-        region of all tests.
-      Displacement: twice the log-likelihood of all tests that the estimates without
-        this one lose.
+      Leaving any one of these tests out moves the estimates outside the 50 %
+        confidence region of the full fit.
+      Displacement (Cook's): twice the drop in the log-likelihood of all tests when
+        the estimates from the other tests are used.
 
     Innovations (what the filter did not expect)
       Mean square of 71 innovations over all tests, each in units of its variance:
         1.29 (expected 1 ± 0.17).
-      No test's innovations are improbable: the smallest of 10 p-values is 0.04
-        (size in test s2), or 0.37 with Holm's correction.
+      Residual checks passed for all tests (smallest p = 0.04, size in s2; 0.37
+        after Holm correction for 10 tests).
 
     Notes
       The variance of `x2` is weakly determined: its standard error (7.601e-2) is no
@@ -402,6 +423,7 @@ fn without_an_output_the_summary_is_all() {
     ----- stdout
     Converged: the optimality certificate holds, so these are the maximum-likelihood
     estimates.
+    Model check doubtful: each of 3 tests by itself decides much of the answer.
 
     Data: 3 tests, 9 steps, 9 observations from d.csv; all tests share one design.
     Log-likelihood -3.72, 5 free parameters, AIC 17.45, BIC 18.43.
@@ -424,16 +446,16 @@ fn without_an_output_the_summary_is_all() {
       b              482                < 1e-10
       a              143                < 1e-10
       c              130                < 1e-10
-      Without any one of these tests the estimates lie outside the 50 % confidence
-        region of all tests.
-      Displacement: twice the log-likelihood of all tests that the estimates without
-        this one lose.
+      Leaving any one of these tests out moves the estimates outside the 50 %
+        confidence region of the full fit.
+      Displacement (Cook's): twice the drop in the log-likelihood of all tests when
+        the estimates from the other tests are used.
 
     Innovations (what the filter did not expect)
       Mean square of 9 innovations over all tests, each in units of its variance:
         0.93 (expected 1 ± 0.47).
-      No test's innovations are improbable: the smallest of 3 p-values is 0.64 (size
-        in test a), or 1 with Holm's correction.
+      Residual checks passed for all tests (smallest p = 0.64, size in a; 1 after
+        Holm correction for 3 tests).
 
     Solver newton, [work].
     ----- stderr

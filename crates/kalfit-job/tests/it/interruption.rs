@@ -50,7 +50,7 @@ fn a_search_that_is_stopped_ends_with_its_best_so_far_and_says_so() {
         let mut job = bench();
         job.settings = kalfit::estimate::Settings::of(solver);
         job.out = Some(folder.path().join("fit.json"));
-        let done = kalfit_job::fit(&job, &mut Impatient { words: "fitting: pass", times: 2 }).unwrap();
+        let done = kalfit_job::fit(&job, &mut Impatient { words: ": log-likelihood", times: 2 }).unwrap();
         assert!(!done.record.converged, "{}", done.record.reason);
         assert!(done.record.reason.contains("interrupted"), "{}", done.record.reason);
         assert!(done.record.log_likelihood < whole.log_likelihood);
@@ -65,7 +65,7 @@ fn a_search_for_parameters_stops_by_every_method() {
         let mut job = sleep();
         job.method = Some(method);
         job.search.starts = 3;
-        let record = kalfit_job::fit(&job, &mut Impatient { words: "fitting: pass", times: 1 }).unwrap().record;
+        let record = kalfit_job::fit(&job, &mut Impatient { words: ": log-likelihood", times: 1 }).unwrap().record;
         assert!(!record.converged, "{method:?}: {}", record.reason);
         assert!(record.reason.contains("interrupted"), "{method:?}: {}", record.reason);
         assert!(record.starts.is_empty(), "{method:?}: no other start was tried");
@@ -83,4 +83,33 @@ fn whatever_is_no_search_ends_without_a_result() {
     interrupted(kalfit_job::reduce(&job, &mut Impatient { words: "", times: 0 }).map(|_| ()));
     assert!(!out.exists());
     assert_eq!(folder.path().read_dir().unwrap().count(), 0, "no temporary file stays behind");
+}
+
+/// Remembers what was said.
+#[derive(Default)]
+struct Listener(Vec<String>);
+
+impl Watch for Listener {
+    fn say(&mut self, what: &dyn Fn() -> String) {
+        self.0.push(what());
+    }
+}
+
+#[test]
+fn a_fit_tells_what_it_is_at_before_the_first_step() {
+    let mut heard = Listener::default();
+    let folder = tempfile::tempdir().unwrap();
+    let model = std::fs::read_to_string(example("random-coefficients/sleepstudy.toml")).unwrap();
+    let path = folder.path().join("m.toml");
+    std::fs::write(&path, model.replace("{ start = 20,", "{")).unwrap();
+    let mut job = sleep();
+    job.model.document = Document::File(path);
+    kalfit_job::fit(&job, &mut heard).unwrap();
+    let first = |what: &str| {
+        heard.0.iter().position(|said| said.starts_with(what)).unwrap_or_else(|| panic!("{what}: {:?}", heard.0))
+    };
+    let (starts, search, step) = (first("start values: filter run 1"), first("search: filter run "), first("pass "));
+    assert!(starts < search && search < step, "{:?}", heard.0);
+    assert!(heard.0[step].contains(": log-likelihood -"), "{}", heard.0[step]);
+    assert!(heard.0.iter().any(|said| said.ends_with(" standard errors from the optimum")), "{:?}", heard.0);
 }

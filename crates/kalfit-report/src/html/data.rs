@@ -118,6 +118,7 @@ fn classes(record: &FitRecord, page: &Page<'_>) -> String {
 /// The longest pauses, where they are much longer than usual.
 fn gaps(record: &FitRecord) -> Vec<String> {
     let mut gaps: Vec<(f64, f64, &str)> = Vec::new();
+    let mut unit = "time units".to_owned();
     for test in &record.tests {
         let Some(series) = test.innovations.as_ref().and_then(|i| i.series.as_ref()).filter(|s| s.timed) else {
             continue;
@@ -128,6 +129,7 @@ fn gaps(record: &FitRecord) -> Vec<String> {
             && longest > GAP * usual
         {
             gaps.push((longest, usual, &test.id));
+            unit = series.time_unit.as_deref().map_or(unit, clean);
         }
     }
     gaps.sort_by(|a, b| b.0.total_cmp(&a.0).then_with(|| a.2.cmp(b.2)));
@@ -141,7 +143,7 @@ fn gaps(record: &FitRecord) -> Vec<String> {
     let among =
         if looked < record.tests.len() { format!(" among the {looked} tests looked at") } else { String::new() };
     vec![format!(
-        "The longest pause between measurements{among} is {} time units, in test {}, where {} is usual.{others}",
+        "The longest pause between measurements{among} is {} {unit}, in test {}, where {} is usual.{others}",
         plain(longest, 3),
         clean(id),
         plain(usual, 3)

@@ -1,7 +1,7 @@
 //! What the answer would be without each test.
 
 use kalfit::FitRecord;
-use kalfit::record::{DeletionRecord, TestRecord};
+use kalfit::record::{DeletionRecord, TestRecord, displacement_limit};
 use maud::{Markup, PreEscaped, html};
 use serde_json::{Value, json};
 
@@ -41,7 +41,7 @@ fn chart(record: &FitRecord, deleted: &[(&TestRecord, &DeletionRecord)], charts:
             "shifts": means.iter().map(shift).collect::<Vec<Value>>(),
         })
     };
-    let limit = influence::limit(record.free_parameters);
+    let limit = displacement_limit(record.free_parameters);
     let data = json!({
         "tests": shown.iter().map(test).collect::<Vec<Value>>(), "limit": figure(limit),
         "means": means.iter().map(|m| m.name.clone()).collect::<Vec<_>>(),

@@ -145,6 +145,7 @@ fn series_data(test: &TestRecord, figures_: &InnovationRecord, series: &SeriesRe
     );
     json!({
         "id": clean(&test.id), "said": said, "timed": series.timed,
+        "timeUnit": series.time_unit.as_deref().map_or_else(String::new, clean),
         "measurements": series.measurements.iter().map(|m| clean(m)).collect::<Vec<_>>(),
         "at": figures(series.at.iter().copied()), "measurement": series.measurement,
         "z": figures(series.standardised.iter().copied()),

@@ -11,6 +11,7 @@ mod constraints;
 mod data;
 mod estimates;
 mod forest;
+mod groups;
 mod identifiability;
 mod influence;
 mod innovations;
@@ -70,6 +71,7 @@ fn page(record: &FitRecord, test: Option<&RatioRecord>) -> String {
         tests::section(record, &mut charts),
         influence::section(record, &mut charts),
         innovations::section(record, &mut charts),
+        groups::section(record),
         constraints::section(record, &mut charts),
         test.and_then(|test| compare::section(record, test, &mut charts)),
         solver::section(record, &mut charts),

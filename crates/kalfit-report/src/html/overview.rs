@@ -1,6 +1,7 @@
 //! Can the result be trusted, and what is it in a few figures.
 
 use kalfit::FitRecord;
+use kalfit::record::ModelCheckRecord;
 use maud::{PreEscaped, html};
 
 use crate::html::Section;
@@ -19,9 +20,17 @@ pub(super) fn section(record: &FitRecord) -> Option<Section> {
     ];
     cards.extend(record.aic.map(|x| ("AIC", hundredths(x))));
     cards.extend(record.bic.map(|x| ("BIC", hundredths(x))));
-    let class = if record.converged { "verdict good" } else { "verdict bad" };
+    let checked = ModelCheckRecord::of(record);
+    let class = match (record.converged, checked.is_doubtful()) {
+        (true, false) => "verdict good",
+        (true, true) => "verdict fair",
+        (false, _) => "verdict bad",
+    };
     let body = html! {
-        p class=(class) { (headline::verdict(record)) }
+        div class=(class) {
+            p { (headline::verdict(record)) }
+            @if let Some(sentence) = headline::model_check(record, &checked) { p { (sentence) } }
+        }
         @if !record.converged { p { (headline::shortfall(record)) } }
         dl.cards { @for (name, value) in &cards { div { dt { (name) } dd { (value) } } } }
         @for sentence in phases::combined(record) { p { (sentence) } }

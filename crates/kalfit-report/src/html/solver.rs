@@ -36,6 +36,7 @@ fn certificate(record: &FitRecord, page: &Page<'_>) -> String {
         ("covariance", "largest entry of GΣ on the free elements", c.covariance),
         ("null space of Σ", "largest gain from a direction that Σ does not have", c.null_space),
         ("dynamic parameters", "largest score of a dynamic parameter", c.parameters),
+        ("rounding", "what rounding errors leave open of mean and covariance, at most", c.rounding),
     ];
     let columns = [
         Column::new("condition", Side::Left, rows.iter().map(|r| r.0.to_owned()).collect()),

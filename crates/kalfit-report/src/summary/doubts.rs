@@ -2,7 +2,7 @@
 
 use kalfit::record::{BoundaryRecord, PhaseRecord, UnidentifiedRecord};
 
-use super::observability;
+use super::{observability, pairs};
 use crate::number::plain;
 use crate::page::Page;
 use crate::words::{clean, list, sentence};
@@ -40,8 +40,9 @@ pub(crate) fn unidentified(found: &[UnidentifiedRecord], states: &[String], kept
             reason(&group[0])
         )
     };
-    let own: Vec<UnidentifiedRecord> = found.iter().filter(|u| u.phases.is_empty()).cloned().collect();
-    own.chunk_by(one_reason).map(sentence).collect()
+    let mut own: Vec<UnidentifiedRecord> = found.iter().filter(|u| u.phases.is_empty()).cloned().collect();
+    let joined = pairs::joined(&mut own, states, kept);
+    own.chunk_by(one_reason).map(sentence).chain(joined).collect()
 }
 
 /// Why, as a sentence of its own with a space in front.

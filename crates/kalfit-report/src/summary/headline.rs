@@ -1,7 +1,7 @@
 //! The first lines: can the result be trusted, and what was fitted to what.
 
 use kalfit::FitRecord;
-use kalfit::record::DataRecord;
+use kalfit::record::{DataRecord, ModelCheckRecord, TestRecord};
 
 use super::phases;
 use crate::number::{hundredths, plain};
@@ -11,14 +11,23 @@ use crate::words::{clean, count, list};
 /// What such a log-likelihood is good for.
 pub(crate) const OF_ESTIMATES: &str = "This is the log-likelihood of what the filters made of the measurements. It compares with                             fits to the same estimates only, not with fits to the measurements.";
 
+/// Rounding errors above this many standard errors are told.
+const NOTABLE: f64 = 1e-6;
+
 pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     let mut text = String::new();
     if !record.title.trim().is_empty() {
         text.push_str(&format!("{}\n\n", page.heading(&clean(&record.title))));
     }
-    let verdict = page.paragraph(&verdict(record));
-    let paint = |line: &str| if record.converged { page.style.good(line) } else { page.style.bad(line) };
-    text.extend(verdict.lines().map(|line| paint(line) + "\n"));
+    let checked = ModelCheckRecord::of(record);
+    let paint = |line: &str| match (record.converged, checked.is_doubtful()) {
+        (true, false) => page.style.good(line),
+        (true, true) => page.style.fair(line),
+        (false, _) => page.style.bad(line),
+    };
+    let mut verdicts = page.paragraph(&verdict(record));
+    verdicts.extend(model_check(record, &checked).map(|sentence| page.paragraph(&sentence)));
+    text.extend(verdicts.lines().map(|line| paint(line) + "\n"));
     if !record.converged {
         text.push_str(&page.paragraph(&shortfall(record)));
     }
@@ -52,7 +61,37 @@ pub(crate) fn verdict(record: &FitRecord) -> String {
         (false, true) => " of all that the data identify",
         (true, true) => " of all that the data identify, on the boundary of the possible covariances",
     };
-    format!("Converged: the optimality certificate holds, so these are the {what} estimates{where_}.")
+    let rounding = record.certificate.rounding;
+    let but = match rounding > NOTABLE {
+        true => format!(", but for rounding errors of up to {} standard errors", plain(rounding, 2)),
+        false => String::new(),
+    };
+    let local = match record.parameters.iter().any(|p| !p.fixed) {
+        true => " In the dynamic parameters this is a local maximum; no higher one was found.",
+        false => "",
+    };
+    format!("Converged: the optimality certificate holds, so these are the {what} estimates{where_}{but}.{local}")
+}
+
+/// What the figures of the fit say of the model, beside convergence; nothing where it did not converge.
+pub(crate) fn model_check(record: &FitRecord, checked: &ModelCheckRecord) -> Option<String> {
+    if !record.converged {
+        return None;
+    }
+    let findings: Vec<String> = checked.findings.iter().map(|finding| clean(&finding.text)).collect();
+    let looked_at = |innovations: bool| {
+        let has = |test: &TestRecord| if innovations { test.innovations.is_some() } else { test.p_value.is_some() };
+        record.tests.iter().any(has)
+    };
+    Some(match (checked.verdict.as_str(), looked_at(true), looked_at(false)) {
+        ("doubtful", ..) => format!("Model check doubtful: {}.", findings.join("; ")),
+        ("passed", true, true) => "Model check passed: innovations and tests agree with the model.".to_owned(),
+        ("passed", true, false) => "Model check passed: the innovations agree with the model.".to_owned(),
+        ("passed", false, _) => {
+            "Model check passed: the tests agree with the population; there are no innovations to look at.".to_owned()
+        }
+        _ => "Model check not made: this record has no figures of single tests.".to_owned(),
+    })
 }
 
 /// What the certificate lacks.
@@ -64,7 +103,10 @@ pub(crate) fn shortfall(record: &FitRecord) -> String {
         ("null space of Σ", c.null_space),
         ("parameters", c.parameters),
     ];
-    let figures = figures.map(|(name, x)| format!("{name} {}", plain(x, 2)));
+    let mut figures = figures.map(|(name, x)| format!("{name} {}", plain(x, 2))).to_vec();
+    if c.rounding >= c.mean && c.rounding > 0.0 {
+        figures.push(format!("rounding alone {}", plain(c.rounding, 2)));
+    }
     format!("Optimality conditions are missed, in standard errors, by: {}.", figures.join(", "))
 }
 

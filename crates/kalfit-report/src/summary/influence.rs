@@ -1,7 +1,7 @@
 //! Tests that decide the answer: what happens to it without them.
 
 use kalfit::FitRecord;
-use kalfit::record::{DeletionRecord, TestRecord};
+use kalfit::record::{DeletionRecord, TestRecord, displacement_limit};
 
 use crate::number::{plain, probability};
 use crate::page::Page;
@@ -17,7 +17,8 @@ pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     deleted.sort_by(|a, b| b.1.displacement.total_cmp(&a.1.displacement).then_with(|| a.0.id.cmp(&b.0.id)));
     let Some(&(first, most)) = deleted.first() else { return String::new() };
     let heading = "The answer without each test";
-    let influential: Vec<_> = deleted.iter().filter(|(_, d)| d.displacement > limit(record.free_parameters)).collect();
+    let influential: Vec<_> =
+        deleted.iter().filter(|(_, d)| d.displacement > displacement_limit(record.free_parameters)).collect();
     if influential.is_empty() {
         let sentence = format!(
             "No test decides it alone: the estimates move most without test {}, by a displacement of {} for {} free quantities.",
@@ -39,18 +40,12 @@ pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
         (_, n) => format!("any one of these tests (and of {n} more)"),
     };
     let sentences = [
-        format!("Without {which} the estimates lie outside the 50 % confidence region of all tests."),
-        "Displacement: twice the log-likelihood of all tests that the estimates without this one lose.".to_owned(),
+        format!("Leaving {which} out moves the estimates outside the 50 % confidence region of the full fit."),
+        "Displacement (Cook's): twice the drop in the log-likelihood of all tests when the estimates from the other tests are used.".to_owned(),
     ];
     page.section(heading, &(page.table(&columns) + &page.items(&sentences)))
 }
 
 fn p_value(deletion: &DeletionRecord) -> String {
     deletion.p_value.map_or_else(|| "-".to_owned(), probability)
-}
-
-/// Median of χ² with k degrees of freedom, by Wilson and Hilferty: the edge of the 50 % confidence region.
-pub(crate) fn limit(k: usize) -> f64 {
-    let k = k.max(1) as f64;
-    k * (1.0 - 2.0 / (9.0 * k)).powi(3)
 }

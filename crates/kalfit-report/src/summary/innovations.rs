@@ -1,18 +1,16 @@
 //! Are the innovations of the tests what the model says: independent, of the right size?
 
+use std::cmp::Ordering;
+
 use kalfit::FitRecord;
-use kalfit::record::InnovationRecord;
+use kalfit::record::{InnovationRecord, SEARCH_LEVEL, holm, overall_size};
 
 use crate::number::{Precision, plain, probability};
 use crate::page::Page;
 use crate::table::{Column, Side};
 use crate::words::{clean, count};
 
-/// Level of the whole search, not of each test.
-const LEVEL: f64 = 0.05;
 const MOST_ROWS: usize = 5;
-/// A mean square this many standard deviations from one is no chance.
-const FAR: f64 = 3.0;
 
 /// One figure of one test that has a probability.
 struct Finding<'a> {
@@ -35,7 +33,7 @@ pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
         record.tests.iter().filter_map(|t| Some((t.id.as_str(), t.innovations.as_ref()?))).collect();
     let findings = findings(&all);
     let Some(least) = findings.first() else { return String::new() };
-    let improbable = findings.iter().take_while(|f| f.adjusted < LEVEL).count();
+    let improbable = findings.iter().take_while(|f| f.adjusted < SEARCH_LEVEL).count();
     let phases: Vec<&str> = record.phases.iter().map(|phase| phase.name.as_str()).collect();
     let overall = overall(&all, record.free_parameters) + &by_phase(&all, &phases);
     let body = match improbable {
@@ -61,11 +59,8 @@ fn findings<'a>(all: &[(&'a str, &'a InnovationRecord)]) -> Vec<Finding<'a>> {
         add(Of::Whiteness(found), found.whiteness.as_ref().map(|w| w.p_value));
     }
     findings.sort_by(|a, b| a.p_value.total_cmp(&b.p_value).then_with(|| a.test.cmp(b.test)));
-    let (all, mut largest) = (findings.len(), 0.0_f64);
-    for (k, finding) in findings.iter_mut().enumerate() {
-        largest = largest.max(finding.p_value * (all - k) as f64).min(1.0);
-        finding.adjusted = largest;
-    }
+    let adjusted = holm(&findings.iter().map(|finding| finding.p_value).collect::<Vec<_>>());
+    findings.iter_mut().zip(adjusted).for_each(|(finding, adjusted)| finding.adjusted = adjusted);
     findings
 }
 
@@ -75,11 +70,10 @@ fn overall(all: &[(&str, &InnovationRecord)], free: usize) -> String {
     let nis: f64 = all.iter().filter_map(|(_, found)| found.nis).sum();
     let spread = (2.0 / n.max(1) as f64).sqrt();
     let mean = nis / n.max(1) as f64;
-    // what was estimated makes innovations smaller, which says nothing of the noise unless they are many
-    let verdict = match (mean - 1.0) / spread {
-        apart if apart > FAR => " That is more than chance allows: noise or a motion is missing from the model.",
-        apart if apart < -FAR && n > 10 * free => " That is less than chance allows: the model's noise is too large.",
-        _ => "",
+    let verdict = match overall_size(n, nis, free) {
+        Ordering::Greater => " That is more than chance allows: noise or a motion is missing from the model.",
+        Ordering::Less => " That is less than chance allows: the model's noise is too large.",
+        Ordering::Equal => "",
     };
     format!(
         "Mean square of {} over all tests, each in units of its variance: {} (expected 1 ± {}).{verdict}",
@@ -110,14 +104,16 @@ fn by_phase(all: &[(&str, &InnovationRecord)], phases: &[&str]) -> String {
 fn probable(least: &Finding<'_>, all: usize) -> String {
     let what = match least.of {
         Of::Size(_) => "size",
-        Of::Whiteness(_) => "correlation in time",
+        Of::Whiteness(_) => "time correlation",
+    };
+    let holm = match all {
+        1 => String::new(),
+        _ => format!("; {} after Holm correction for {all} tests", probability(least.adjusted)),
     };
     format!(
-        "No test's innovations are improbable: the smallest of {all} p-values is {} ({what} in test {}), or {} with \
-         Holm's correction.",
+        "Residual checks passed for all tests (smallest p = {}, {what} in {}{holm}).",
         probability(least.p_value),
-        clean(least.test),
-        probability(least.adjusted)
+        clean(least.test)
     )
 }
 
@@ -188,7 +184,7 @@ fn meaning(improbable: &[Finding<'_>], all: usize, page: &Page<'_>) -> String {
         because.push("a size other than modelled asks for other noise levels, or for a look at the test");
     }
     if any(|of| matches!(of, Of::Whiteness(_))) {
-        because.push("correlation in time asks for a motion that the model lacks, such as a drift");
+        because.push("correlation in time suggests a missing process, such as a drift");
     }
     format!("{these} improbable{more} among {} (Holm, 5 % level): {}.", count(all, "p-value"), because.join("; "))
 }

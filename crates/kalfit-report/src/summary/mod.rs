@@ -3,12 +3,14 @@
 pub(crate) mod constraints;
 pub(crate) mod correlations;
 pub(crate) mod doubts;
+pub(crate) mod groups;
 pub(crate) mod headline;
 pub(crate) mod influence;
 pub(crate) mod innovations;
 pub(crate) mod intervals;
 pub(crate) mod observability;
 pub(crate) mod outliers;
+mod pairs;
 pub(crate) mod parameters;
 pub(crate) mod phases;
 pub(crate) mod states;
@@ -37,6 +39,7 @@ pub fn summary(record: &FitRecord, style: &Style) -> String {
     sections.push(outliers::section(record, &page));
     sections.push(influence::section(record, &page));
     sections.push(innovations::section(record, &page));
+    sections.push(groups::section(record, &page));
     sections.push(notes(record, &page));
     sections.push(work(record, &page));
     sections.retain(|s| !s.is_empty());

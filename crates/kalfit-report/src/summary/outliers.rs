@@ -1,15 +1,13 @@
 //! Tests that do not look like the others.
 
 use kalfit::FitRecord;
-use kalfit::record::TestRecord;
+use kalfit::record::{SEARCH_LEVEL, TestRecord};
 
 use crate::number::{plain, probability};
 use crate::page::Page;
 use crate::table::{Column, Side};
 use crate::words::clean;
 
-/// Level of the whole search, not of each test.
-const LEVEL: f64 = 0.05;
 const MOST_ROWS: usize = 5;
 /// p-values that differ by less, as a part of themselves, are one.
 const ROUNDING: f64 = 1e-9;
@@ -24,7 +22,7 @@ pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     let nearest = equal.map(|&(_, test)| test).min_by_key(|test| &test.id).expect("one is the least");
     let all = tested.len();
     let corrected = |p: f64| (p * all as f64).min(1.0);
-    let outliers: Vec<(f64, &TestRecord)> = tested.into_iter().filter(|&(p, _)| corrected(p) < LEVEL).collect();
+    let outliers: Vec<(f64, &TestRecord)> = tested.into_iter().filter(|&(p, _)| corrected(p) < SEARCH_LEVEL).collect();
     if outliers.is_empty() {
         let which = if all == 1 { "its p-value".to_owned() } else { format!("the smallest of {all} p-values") };
         let then = match all {

@@ -80,9 +80,14 @@ fn others(levels: &[ParameterRecord], shown: usize) -> String {
 fn value(row: &ParameterRecord) -> Cells {
     let why = match row.standing.as_deref() {
         Some("lower") if row.estimate == 0.0 => "at zero",
+        Some("lower") if row.note.as_deref().is_some_and(|note| note.starts_with("as good as zero")) => {
+            "as good as zero"
+        }
         Some("lower") => "at its lower bound",
         Some("upper") => "at its upper bound",
         Some("unbounded") => "no upper limit found",
+        Some("edge") => "at the edge",
+        Some("without_effect") => "without effect",
         Some("unidentified") => "not identified",
         _ if row.at_bound => "at its bound",
         _ => return cells(row.estimate, row.std_error, row.fixed, &|| None),

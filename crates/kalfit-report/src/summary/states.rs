@@ -56,14 +56,16 @@ pub(crate) fn std_dev(phase: &PhaseRecord, i: usize) -> Cells {
     }
     let fixed = phase.covariance.fixed.get(i).and_then(|row| row.get(i)).copied().unwrap_or(false);
     let error = phase.std_dev.std_error.get(i).copied().flatten();
-    cells(estimate, error, fixed, &|| {
+    let singular = phase.boundary.iter().any(|b| b.states.contains(name));
+    let (figure, beside) = cells(estimate, error, fixed, &|| {
         let is_variance = |element: &str| covariance_of(element).is_some_and(|(a, b)| a == name && b == name);
-        let singular = phase.boundary.iter().any(|b| b.states.contains(name));
         match touches(&phase.unidentified, "covariance", &[], &is_variance) {
             true => Some("not identified"),
             false => singular.then_some("boundary"),
         }
-    })
+    });
+    let both = singular && error.is_some_and(|e| e.is_finite()) && !fixed;
+    (figure, if both { format!("{beside} boundary") } else { beside })
 }
 
 /// The figure with `± error`, or with the reason why there is none.

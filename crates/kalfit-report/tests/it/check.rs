@@ -53,26 +53,6 @@ fn a_model_alone() {
 }
 
 #[test]
-fn parameters_without_values_keep_the_filters_from_running() {
-    let files = vec!["-".to_owned()];
-    insta::assert_snapshot!(shown(Checked::Read { tests: 1, rows: 180, files, free: vec!["tau".into(), "s".into()], notes: vec![], phases: vec![] }), @"
-    Reaction time
-
-    Model
-      tests: one for each value of column `Subject`
-      measurement `reaction`: column `Reaction` = intercept + Days × slope; noise of
-        variance 654.94103
-
-    Data
-      1 test, 180 rows from -.
-
-    Identifiability
-      Not examined: tau and s are free and they have no start value; give one, as by
-        `--set tau=VALUE`.
-    ");
-}
-
-#[test]
 fn identified_quantities_are_all_there_is_to_say() {
     insta::assert_snapshot!(shown(reduced(vec![], vec!["sigma".into()])), @"
     Reaction time

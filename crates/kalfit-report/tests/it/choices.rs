@@ -169,10 +169,10 @@ fn tests_that_decide_are_a_table() {
       309           12.3                   0.01
       311              7                      -
       310            5.4                   0.01
-      Without any one of these tests the estimates lie outside the 50 % confidence
-        region of all tests.
-      Displacement: twice the log-likelihood of all tests that the estimates without
-        this one lose.
+      Leaving any one of these tests out moves the estimates outside the 50 %
+        confidence region of the full fit.
+      Displacement (Cook's): twice the drop in the log-likelihood of all tests when
+        the estimates from the other tests are used.
     ");
 }
 
@@ -186,17 +186,17 @@ fn the_most_influential_of_many_are_shown() {
       314             10                   0.01
       308              9                   0.01
       310              8                   0.01
-      Without any one of these tests (and of 3 more) the estimates lie outside the
-        50 % confidence region of all tests.
-      Displacement: twice the log-likelihood of all tests that the estimates without
-        this one lose.
+      Leaving any one of these tests (and of 3 more) out moves the estimates outside
+        the 50 % confidence region of the full fit.
+      Displacement (Cook's): twice the drop in the log-likelihood of all tests when
+        the estimates from the other tests are used.
     ");
 }
 
 /// The median of χ²(6) is 5.348.
 #[test]
 fn a_test_decides_beyond_half_of_the_confidence() {
-    let table = |displacement: f64| influence(&deleted(&[displacement])).contains("Displacement: ");
+    let table = |displacement: f64| influence(&deleted(&[displacement])).contains("Displacement (Cook's): ");
     assert!(!table(5.34), "{}", influence(&deleted(&[5.34])));
     assert!(table(5.36), "{}", influence(&deleted(&[5.36])));
 }

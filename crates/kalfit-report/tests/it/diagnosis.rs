@@ -41,8 +41,8 @@ fn probable_innovations_are_said_to_be_so() {
     Innovations (what the filter did not expect)
       Mean square of 20 innovations over all tests, each in units of its variance:
         1.15 (expected 1 ± 0.32).
-      No test's innovations are improbable: the smallest of 4 p-values is 0.03
-        (correlation in time in test 309), or 0.12 with Holm's correction.
+      Residual checks passed for all tests (smallest p = 0.03, time correlation in
+        309; 0.12 after Holm correction for 4 tests).
     ");
 }
 
@@ -57,7 +57,7 @@ fn improbable_innovations_are_named_by_test_and_kind() {
       310   smaller than modelled    0.3        10   0.0002  0.0008
       These are improbable among 6 p-values (Holm, 5 % level): a size other than
         modelled asks for other noise levels, or for a look at the test; correlation
-        in time asks for a motion that the model lacks, such as a drift.
+        in time suggests a missing process, such as a drift.
       Mean square of 30 innovations over all tests, each in units of its variance:
         2.31 (expected 1 ± 0.26). That is more than chance allows: noise or a motion
         is missing from the model.

@@ -189,6 +189,7 @@ fn records_whose_lists_do_not_match_give_a_page() {
         measurement: vec![7],
         standardised: vec![f64::NAN],
         timed: true,
+        time_unit: Some("s".into()),
         windows: vec![WindowRecord { from: f64::NAN, to: 1.0, count: 0, nis: f64::NAN }],
         autocorrelation: vec![],
     };

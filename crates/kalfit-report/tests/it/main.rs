@@ -5,6 +5,7 @@ mod choices;
 mod common;
 mod diagnosis;
 mod html;
+mod model_check;
 mod parameters;
 mod phases;
 mod plan;

@@ -16,7 +16,10 @@ fn a_healthy_fit_reads_from_verdict_to_figures() {
     Reaction time under sleep deprivation
 
     Converged: the optimality certificate holds, so these are the maximum-likelihood
-    estimates.
+    estimates. In the dynamic parameters this is a local maximum; no higher one was
+    found.
+    Model check passed: the tests agree with the population; there are no
+    innovations to look at.
 
     Data: 18 tests, 180 steps, 180 observations from data.csv; all tests share one
     design.
@@ -44,6 +47,16 @@ fn a_healthy_fit_reads_from_verdict_to_figures() {
 }
 
 #[test]
+fn a_singular_covariance_keeps_its_word_beside_a_standard_error() {
+    let mut record = singular();
+    record.phases[0].unidentified.clear();
+    record.phases[0].std_dev.estimate[1] = 0.512_345;
+    record.phases[0].std_dev.std_error[1] = Some(0.083);
+    let text = at_80(&record);
+    assert!(text.contains("0.512 ± 0.083 boundary"), "{text}");
+}
+
+#[test]
 fn singular_covariances_and_unidentified_directions_are_said_in_words() {
     insta::assert_snapshot!(at_80(&singular()), @"
     Static IMU
@@ -51,6 +64,7 @@ fn singular_covariances_and_unidentified_directions_are_said_in_words() {
     Converged: the optimality certificate holds, so these are the maximum-likelihood
     estimates of all that the data identify, on the boundary of the possible
     covariances.
+    Model check doubtful: Σ is singular.
 
     Data: 18 tests, 180 steps, 180 observations from data.csv; 4 different designs;
     3 tests took the square-root path.
@@ -92,7 +106,9 @@ fn constraints_show_what_they_cost() {
     Gyro bench
 
     Converged: the optimality certificate holds, so these are the maximum-likelihood
-    estimates.
+    estimates. In the dynamic parameters this is a local maximum; no higher one was
+    found.
+    Model check doubtful: 2 tests stand out of the population.
 
     Data: 18 tests, 180 steps, 180 observations from data.csv; all tests share one
     design.
@@ -147,6 +163,8 @@ fn without_random_states_the_means_remain() {
     insta::assert_snapshot!(at_80(&record("", vec![main])), @"
     Converged: the optimality certificate holds, so these are the maximum-likelihood
     estimates.
+    Model check passed: the tests agree with the population; there are no
+    innovations to look at.
 
     Data: 18 tests, 180 steps, 180 observations from data.csv; all tests share one
     design.
@@ -173,6 +191,7 @@ fn without_estimated_states_the_likelihood_remains() {
 
     Converged: the optimality certificate holds, so these are the maximum-likelihood
     estimates.
+    Model check not made: this record has no figures of single tests.
 
     Data: 18 tests, 180 steps, 180 observations from data.csv; all tests share one
     design.
@@ -205,6 +224,8 @@ fn wide_matrices_are_cut_into_parts_that_fit_80_columns() {
 
     Converged: the optimality certificate holds, so these are the maximum-likelihood
     estimates.
+    Model check passed: the tests agree with the population; there are no
+    innovations to look at.
 
     Data: 18 tests, 180 steps, 180 observations from data.csv; all tests share one
     design.
@@ -267,6 +288,7 @@ fn wide_matrices_use_120_columns_where_there_are() {
     Ten states
 
     Converged: the optimality certificate holds, so these are the maximum-likelihood estimates.
+    Model check passed: the tests agree with the population; there are no innovations to look at.
 
     Data: 18 tests, 180 steps, 180 observations from data.csv; all tests share one design.
     Log-likelihood -875.97, 6 free parameters, AIC 1763.94, BIC 1783.10.
@@ -364,6 +386,7 @@ fn phases_have_a_section_each() {
 
     Converged: the optimality certificate holds, so these are the restricted
     maximum-likelihood estimates on the boundary of the possible covariances.
+    Model check doubtful: Σ of phase coast is singular.
 
     Data: 18 tests, 180 steps, 180 observations from data.csv; all tests share one
     design.

@@ -7,6 +7,8 @@ pub struct Layout {
     pub test: TestKey,
     /// Texts that stand for a missing cell, beside the usual ones.
     pub missing: Vec<String>,
+    /// Lines of a CSV file that begin with this text are comments; none are without it.
+    pub comment: Option<String>,
 }
 
 /// What tells tests apart.

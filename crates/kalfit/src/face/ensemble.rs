@@ -6,6 +6,7 @@ use crate::ensemble::Labels;
 use crate::estimate::{FitError, Progress, Silent};
 use crate::face::fit::{self, Fit, Options};
 use crate::model::{Alpha, ParameterError, PhasedModel, Population};
+use crate::record::MixedGroup;
 use crate::reduce::{PhasedReducer, PhasedTest, ReduceError, Reduction};
 use crate::simulate::{Designs, SimulateError, Simulator};
 
@@ -35,6 +36,9 @@ pub enum EnsembleError {
     /// Free parameters where nothing estimates them.
     #[error(transparent)]
     Parameters(#[from] ParameterError),
+    /// A test of two groups.
+    #[error(transparent)]
+    Group(#[from] MixedGroup),
     /// A reduction of another model.
     #[error("test `{test}` has {found} unknown numbers, expected {expected}: {}", names.join(", "))]
     Dimension {

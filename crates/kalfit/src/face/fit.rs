@@ -7,7 +7,7 @@ use crate::face::ensemble::{Ensemble, EnsembleError};
 use crate::face::second_look;
 use crate::infer::{self, Choices, Inference};
 use crate::model::{Alpha, PhasedModel, Population};
-use crate::record::{DynamicParts, FitRecord, LevelCounts, Provenance, level_notes};
+use crate::record::{DynamicParts, FitRecord, LevelCounts, Provenance, TestGroups, level_notes};
 use crate::reduce::Reduction;
 use crate::score::Slots;
 
@@ -104,6 +104,12 @@ pub(super) fn of_tests(
     if options.innovations {
         second_look::add_innovations(&mut fit, tests);
     }
+    if let Some(mut groups) = TestGroups::new(model.shared()) {
+        groups.take(tests, labels)?;
+        fit.record.add_groups(&groups);
+        fit.record.add_by_group();
+    }
+    fit.record.add_model_check();
     Ok(fit)
 }
 

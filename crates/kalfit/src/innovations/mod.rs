@@ -5,7 +5,7 @@
 //! independent N(0, 1), if the model is right. From them, for each test:
 //!
 //! ```text
-//! NIS = Σ e²/S ~ χ²_n        mean of e/√S ~ N(0, 1/n)        whiteness: Ljung-Box, see Whiteness
+//! NIS = Σ e²/S ~ χ²_n        mean of e/√S ~ N(0, 1/n)        whiteness: Ljung and Box, see Whiteness
 //! ```
 //!
 //! and Σ -½ (log 2πS + e²/S) is the log-likelihood of the test (theory §3), by another way. The figures take μ, Σ and α as

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::estimate::{Combination, Criterion, Estimate, Solver, Stop};
+use crate::estimate::{Certificate, Combination, Criterion, Estimate, Solver, Stop};
 use crate::infer::{Deletion, Element, Inference, IntervalKind, Posterior, Sensitivity, StdErrors};
 use crate::model::{Alpha, PhasedModel};
 use crate::record::cut::Cut;
@@ -78,12 +78,8 @@ impl FitRecord {
             bic: if data.observations > 0 { penalty((data.observations as f64).ln()) } else { None },
             converged: estimate.stop == Stop::Certified,
             reason: reason(estimate),
-            certificate: CertificateRecord {
-                mean: estimate.certificate.mean,
-                covariance: estimate.certificate.covariance,
-                null_space: estimate.certificate.null_space,
-                parameters: 0.0,
-            },
+            certificate: certificate(estimate),
+            model_check: None,
             solver: solver(estimate, provenance.seconds),
             std_errors: std_errors(inference).to_owned(),
             intervals: intervals(inference).to_owned(),
@@ -93,6 +89,9 @@ impl FitRecord {
             methods: Vec::new(),
             constraints: constraints(model, &inference.sensitivities),
             tests: tests(model, reductions, inference),
+            group_column: None,
+            by_group: Vec::new(),
+            group_test: None,
             notes: notes(model, estimate, inference),
             data,
         }
@@ -120,8 +119,21 @@ fn data(reductions: &[Reduction], files: Vec<String>) -> DataRecord {
     }
 }
 
+/// Scores below rounding errors say nothing, so these stand in their place.
+fn certificate(estimate: &Estimate) -> CertificateRecord {
+    let Certificate { mean, covariance, null_space, rounding, .. } = estimate.certificate;
+    let least = |score: f64, free: usize| if free > 0 { score.max(rounding) } else { score };
+    CertificateRecord {
+        mean: least(mean, estimate.declared_mean()),
+        covariance: least(covariance, estimate.declared_covariance()),
+        null_space,
+        parameters: 0.0,
+        rounding,
+    }
+}
+
 pub(super) fn reason(estimate: &Estimate) -> String {
-    let far = estimate.certificate.decrement;
+    let far = estimate.certificate.distance();
     match estimate.stop {
         Stop::Certified => format!("the optimality certificate holds: within {far:.1e} standard errors of the optimum"),
         Stop::PassLimit => format!(
@@ -132,6 +144,12 @@ pub(super) fn reason(estimate: &Estimate) -> String {
             "the search was interrupted after {} passes, about {far:.1e} standard errors from the optimum",
             estimate.passes
         ),
+        Stop::Stalled if !estimate.certificate.is_precise() => {
+            format!(
+                "rounding errors leave the estimates open to about {:.1e} standard errors",
+                estimate.certificate.rounding
+            )
+        }
         Stop::Stalled => format!(
             "no step raises the log-likelihood, but the optimality certificate does not hold ({far:.1e} standard errors away)"
         ),
@@ -214,6 +232,7 @@ fn tests(model: &PhasedModel, reductions: &[Reduction], inference: &Inference) -
         let own = (reductions.len() <= MOST_OWN).then(|| Own::of(reduction));
         TestRecord {
             id: reduction.test.clone(),
+            group: None,
             log_likelihood: posterior.log_likelihood,
             observations: reduction.observations,
             steps: Some(reduction.steps),
@@ -299,7 +318,8 @@ fn deletion(cuts: &[Cut<'_>], deletion: &Deletion) -> DeletionRecord {
 /// What a reader should be told that no single figure shows.
 fn notes(model: &PhasedModel, estimate: &Estimate, inference: &Inference) -> Vec<String> {
     let Inference { unidentified, explanations, observability, uncertainty, .. } = inference;
-    let mut notes = crossing_notes(model, unidentified, explanations, observability);
+    let mut notes: Vec<String> = rounding_note(model, estimate).into_iter().collect();
+    notes.extend(crossing_notes(model, unidentified, explanations, observability));
     notes.extend(shortage_notes(model, observability));
     for (i, name) in model.estimated_names().iter().enumerate() {
         let variance = estimate.covariance[(i, i)];
@@ -309,5 +329,37 @@ fn notes(model: &PhasedModel, estimate: &Estimate, inference: &Inference) -> Vec
             ));
         }
     }
+    let without = inference.intervals.unprofiled;
+    if without > 0 {
+        let (are, they) = if without == 1 { ("interval is", "it comes") } else { ("intervals are", "they come") };
+        notes.push(format!(
+            "{without} {are} not by profile likelihood, {they} from standard errors: with free parameters profiles are made of at most 60 quantities of mean and covariance, beside at most 24 free values, and not of covariances that a parameter in the matrix of Σ moves"
+        ));
+    }
     notes
+}
+
+/// What rounding leaves open, where that is more than the search does.
+fn rounding_note(model: &PhasedModel, estimate: &Estimate) -> Option<String> {
+    let certificate = &estimate.certificate;
+    if !certificate.is_limited_by_rounding() {
+        return None;
+    }
+    let parts = estimate.state.rounding();
+    let worst = (0..parts.len()).max_by(|&a, &b| parts[a].total_cmp(&parts[b]).then(b.cmp(&a)))?;
+    let (names, p) = (model.estimated_names(), estimate.mean.len());
+    let cause = match worst.checked_sub(p) {
+        None => format!(
+            "the mean of `{}`, {:.1e}, is very large beside its standard error, and so are the numbers that cancel in it; subtract an offset from the column that measures it",
+            names[worst], estimate.mean[worst]
+        ),
+        Some(c) => format!(
+            "the regression of `{}` adds very large numbers that cancel; subtract an offset from its column",
+            names[estimate.state.problem.mean.regressors[c]]
+        ),
+    };
+    Some(format!(
+        "rounding errors leave mean and covariance open to about {:.1e} standard errors: {cause}",
+        certificate.rounding
+    ))
 }

@@ -1,12 +1,14 @@
 //! The result of a fit as others read it: fit.json. Field names are a contract; unknown figures are null, never NaN.
 
 mod build;
+mod by_group;
 mod cut;
 mod diagnosis;
 mod directions;
 mod dynamic;
 mod dynamic_ratio;
 mod levels;
+mod model_check;
 mod own;
 mod parameters;
 mod phase;
@@ -22,11 +24,13 @@ use serde::{Deserialize, Serialize};
 pub use crate::infer::Interval;
 
 pub use build::Provenance;
+pub use by_group::{GroupRecord, GroupTestRecord, MixedGroup, TestGroups};
 pub use diagnosis::shortage_notes;
 pub use directions::crossing_notes;
 pub use dynamic::DynamicParts;
 pub use dynamic_ratio::DynamicSides;
 pub use levels::{LevelCounts, level_notes};
+pub use model_check::{FindingRecord, ModelCheckRecord, SEARCH_LEVEL, displacement_limit, holm, overall_size};
 pub use own::{MOST_OWN, OwnRecord};
 pub use parameters::{MethodRecord, ParameterRecord, StartRecord};
 pub use phase::{
@@ -80,6 +84,9 @@ pub struct FitRecord {
     pub reason: String,
     /// The optimality certificate.
     pub certificate: CertificateRecord,
+    /// Whether the model describes the data, as far as the figures of this record tell; null in records that do not say.
+    #[serde(default)]
+    pub model_check: Option<ModelCheckRecord>,
     /// What was done.
     pub solver: SolverRecord,
     /// What standard errors are made of: `observed`, `expected` or `sandwich`.
@@ -102,6 +109,15 @@ pub struct FitRecord {
     pub constraints: Vec<ConstraintRecord>,
     /// What each test says.
     pub tests: Vec<TestRecord>,
+    /// The column that tests are grouped by; null where the model names none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub group_column: Option<String>,
+    /// The tests of each group together, in the order of the groups' texts.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub by_group: Vec<GroupRecord>,
+    /// Whether the groups differ; null when it was not asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub group_test: Option<GroupTestRecord>,
     /// Findings in plain words, most important first.
     #[serde(default)]
     pub notes: Vec<String>,
@@ -137,6 +153,9 @@ pub struct CertificateRecord {
     pub null_space: f64,
     /// Largest score of the dynamic parameters.
     pub parameters: f64,
+    /// A bound of what rounding errors leave open of mean and covariance, of which the first two figures are no less.
+    #[serde(default)]
+    pub rounding: f64,
 }
 
 /// What was done.

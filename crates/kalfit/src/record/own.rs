@@ -46,9 +46,9 @@ impl Own {
         let right = scaled.transpose() * DVector::from_column_slice(&reduction.data);
         let solution = &inverted * right;
         let known = |x: f64| Some(x).filter(|x| x.is_finite());
-        let entry = |i: usize, k: usize| {
-            if determined[i] && determined[k] { known(inverted[(i, k)] * inverse(i) * inverse(k)) } else { None }
-        };
+        let units: Vec<f64> = (0..p).map(inverse).collect();
+        let errors = symmetric::scaled(&units, |i, k| inverted[(i, k)]);
+        let entry = |i: usize, k: usize| if determined[i] && determined[k] { known(errors[(i, k)]) } else { None };
         Own {
             mean: (0..p).map(|i| if determined[i] { known(solution[i] * inverse(i)) } else { None }).collect(),
             covariance: (0..p).map(|i| (0..p).map(|k| entry(i, k)).collect()).collect(),

@@ -38,6 +38,9 @@ pub struct SeriesRecord {
     pub standardised: Vec<f64>,
     /// `at` is time, in the model's unit.
     pub timed: bool,
+    /// That unit, where the model gives it.
+    #[serde(default)]
+    pub time_unit: Option<String>,
     /// The same by windows of about as many innovations each.
     pub windows: Vec<WindowRecord>,
     /// Autocorrelation from lag 1 on, by measurement.
@@ -130,6 +133,7 @@ impl SeriesRecord {
             measurement: series.iter().filter(|_| few).map(|one| index[&(one.phase, one.measurement)]).collect(),
             standardised: rows(&|i| grained(series[i].standardised)),
             timed,
+            time_unit: model.shared().clock.unit.clone().filter(|_| timed),
             windows: windows(series, &at),
             autocorrelation: autocorrelations(series, model),
             at: rows(&|i| at[i]),

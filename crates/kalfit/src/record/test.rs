@@ -9,6 +9,9 @@ use crate::record::{OwnRecord, SeriesRecord, SquareRecord};
 pub struct TestRecord {
     /// Its id.
     pub id: String,
+    /// Its text in the column that tests are grouped by; null where there is none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub group: Option<String>,
     /// log p of its measurements.
     pub log_likelihood: f64,
     /// Scalar measurements used.
@@ -78,7 +81,7 @@ pub struct WhitenessRecord {
     pub lags: usize,
     /// Degrees of freedom: the lags of all measurements together.
     pub degrees_of_freedom: usize,
-    /// Its χ² p-value.
+    /// Probability of so large a statistic, by its own law for each length: in the tail it is far from χ².
     pub p_value: f64,
 }
 

@@ -1,10 +1,12 @@
 //! CSV files.
 
+mod comment;
 mod cut;
 mod rows;
 
 use std::io::{self, Cursor, Read};
 
+use self::comment::Uncommented;
 use self::cut::{Chunk, Cutter};
 use self::rows::{Form, Record, Records};
 use super::ahead::{Done, Task, Tasks};
@@ -35,18 +37,23 @@ impl<'a> CsvTable<'a> {
     /// Reads the header. With `tab` the delimiter is known to be the tab.
     pub(super) fn open(
         file: &'a str,
-        mut bytes: impl Read + 'a,
+        bytes: impl Read + 'a,
         tab: bool,
         wanted: &'a Wanted,
     ) -> Result<CsvTable<'a>, DataError> {
-        let start = header_line(&mut bytes).map_err(|source| DataError::Io { file: file.to_owned(), source })?;
+        let failed = |source| DataError::Io { file: file.to_owned(), source };
+        let mut bytes: Box<dyn Read + 'a> = match &wanted.comment {
+            None => Box::new(bytes),
+            Some(comment) => Box::new(Uncommented::new(unmarked(bytes).map_err(failed)?, comment)),
+        };
+        let start = header_line(&mut bytes).map_err(failed)?;
         if start.starts_with(b"\xff\xfe") || start.starts_with(b"\xfe\xff") {
             return Err(DataError::NotUtf8 { file: file.to_owned(), row: 1, column: None });
         }
         let start = start.strip_prefix(b"\xef\xbb\xbf").map(<[u8]>::to_vec).unwrap_or(start);
         let delimiter = if tab { b'\t' } else { sniff(&start) };
         let cutter = Cutter::new(file, Box::new(Cursor::new(start).chain(bytes)), delimiter);
-        let form = Form { file, wanted, delimiter, width: 0 };
+        let form = Form { file, wanted, delimiter, width: 0, first: 0 };
         let mut table = CsvTable { form, cutter, positions: Vec::new(), first: None, size: FIRST_CHUNK };
         table.read_header()?;
         Ok(table)
@@ -55,7 +62,7 @@ impl<'a> CsvTable<'a> {
     fn read_header(&mut self) -> Result<(), DataError> {
         let file = self.form.file;
         while let Some(mut chunk) = self.cutter.next(self.size)? {
-            let mut records = Records::new(&chunk.bytes, self.form.delimiter, chunk.line);
+            let mut records = Records::new(&chunk.bytes, self.form, chunk.line);
             let Some(Record { row, .. }) = records.next(file)? else { continue };
             let mut names = Vec::with_capacity(records.record.len());
             for position in 0..records.record.len() {
@@ -69,6 +76,7 @@ impl<'a> CsvTable<'a> {
             self.form.width = names.len();
             self.positions = self.form.wanted.positions(file, &names)?;
             let (read, line) = (records.read(), records.next_line());
+            self.form.first = line;
             chunk.bytes.drain(..read.min(chunk.bytes.len()));
             self.first = Some(Chunk { line, blank: None, ..chunk });
             return Ok(());
@@ -96,6 +104,16 @@ impl<'a> Tasks<'a> for CsvTable<'a> {
     fn alone(&self) -> usize {
         (LARGEST_CHUNK / FIRST_CHUNK).ilog2() as usize
     }
+}
+
+/// The bytes without a byte order mark, which is no part of the first line.
+fn unmarked<R: Read>(mut bytes: R) -> io::Result<impl Read> {
+    let mut start = Vec::new();
+    bytes.by_ref().take(3).read_to_end(&mut start)?;
+    if start == b"\xef\xbb\xbf" {
+        start.clear();
+    }
+    Ok(Cursor::new(start).chain(bytes))
 }
 
 /// The bytes up to the end of the first line that is not blank (or a little further).
@@ -192,7 +210,7 @@ mod tests {
             covariance: kalfit::model::CovarianceStructure::full(),
         };
         let test = kalfit::TestKey::Column("id".to_owned());
-        Wanted::new(&model, &kalfit::Layout { test, missing: Vec::new() })
+        Wanted::new(&model, &kalfit::Layout { test, missing: Vec::new(), comment: None })
     }
 
     /// What is read of a text in chunks of a size: every row with its place, and what is wrong with the next.

@@ -5,6 +5,7 @@ use std::io::{Chain, Read};
 use csv::{ByteRecord, ReaderBuilder, Terminator};
 use memchr::{memchr_iter, memchr2_iter};
 
+use super::comment::MARK;
 use super::cut::Chunk;
 use crate::block::{Block, Filler};
 use crate::error::DataError;
@@ -18,6 +19,8 @@ pub(super) struct Form<'a> {
     pub(super) delimiter: u8,
     /// Number of cells of the header.
     pub(super) width: usize,
+    /// The line after the header.
+    pub(super) first: u64,
 }
 
 /// The cells of a row.
@@ -67,8 +70,13 @@ pub(super) fn block(form: Form<'_>, positions: &[usize], chunk: &Chunk) -> Block
     // line ends in quotes are no rows, and a row has its delimiters at least
     let rows = memchr_iter(b'\n', &chunk.bytes).count().min(chunk.bytes.len() / form.width.max(1)) + 1;
     let Wanted { numbers, texts, columns, .. } = form.wanted;
-    let mut rows =
-        Rows { form, positions, filler: Filler::new((*numbers, *texts), columns.len(), rows), blank: chunk.blank };
+    let mut rows = Rows {
+        form,
+        positions,
+        filler: Filler::new((*numbers, *texts), columns.len(), rows),
+        blank: chunk.blank,
+        begins: chunk.line == form.first,
+    };
     let read = if chunk.quotes { rows.quoted(chunk) } else { rows.plain(chunk) };
     rows.filler.finish(read.err())
 }
@@ -79,6 +87,8 @@ struct Rows<'a> {
     filler: Filler,
     /// First of the blank lines right before the next row.
     blank: Option<u64>,
+    /// The next row is the first one after the header.
+    begins: bool,
 }
 
 impl Rows<'_> {
@@ -94,6 +104,7 @@ impl Rows<'_> {
             }
             match &bytes[start..at] {
                 b"" | b"\r" => self.blank = self.blank.or(Some(line)),
+                row if row == MARK && self.form.wanted.comment.is_some() => {}
                 _ => self.row(&Plain { bytes, ends: &ends, start }, line, 1)?,
             }
             ends.clear();
@@ -104,7 +115,7 @@ impl Rows<'_> {
 
     /// With quotes the csv library finds the cells.
     fn quoted(&mut self, chunk: &Chunk) -> Result<(), DataError> {
-        let mut records = Records::new(&chunk.bytes, self.form.delimiter, chunk.line);
+        let mut records = Records::new(&chunk.bytes, self.form, chunk.line);
         while let Some(Record { row, lines, blank }) = records.next(self.form.file)? {
             self.blank = self.blank.or(blank);
             self.row(&records.record, row, lines)?;
@@ -114,7 +125,7 @@ impl Rows<'_> {
 
     /// Takes a row that is not blank, from its first line.
     fn row(&mut self, cells: &impl Cells, line: u64, lines: u64) -> Result<(), DataError> {
-        let Form { file, wanted, width, .. } = self.form;
+        let Form { file, width, .. } = self.form;
         if let Some(row) = self.blank.take().filter(|_| width == 1) {
             return Err(DataError::BlankRow { file: file.to_owned(), row });
         }
@@ -125,8 +136,18 @@ impl Rows<'_> {
                 found: cells.len(),
                 expected: width,
                 lines,
+                begins: std::str::from_utf8(cells.cell(0)).ok().and_then(|text| text.trim_start().chars().next()),
             });
         }
+        self.cells(cells, line).map_err(|error| if self.begins { units(error, cells, file, line) } else { error })?;
+        self.begins = false;
+        self.filler.end_row(line);
+        Ok(())
+    }
+
+    /// The cells of a row into their columns.
+    fn cells(&mut self, cells: &impl Cells, line: u64) -> Result<(), DataError> {
+        let Form { file, wanted, .. } = self.form;
         let tokens = &wanted.tokens;
         for (index, (column, &position)) in wanted.columns.iter().zip(self.positions).enumerate() {
             let cell = cells.cell(position);
@@ -150,8 +171,28 @@ impl Rows<'_> {
             }
             self.filler.text(index, &column.texts, (!missing).then_some(text));
         }
-        self.filler.end_row(line);
         Ok(())
+    }
+}
+
+/// The first row holds no number at all: it tells units, most likely.
+fn units(error: DataError, cells: &impl Cells, file: &str, row: u64) -> DataError {
+    let text = |position: usize| std::str::from_utf8(cells.cell(position)).unwrap_or_default().trim().to_owned();
+    let found = match &error {
+        DataError::NotANumber { found, .. } | DataError::NotATime { found, .. } => found.clone(),
+        // units of columns, and none of the tests' ids
+        DataError::MissingTest { .. } => (0..cells.len()).map(text).find(|cell| !cell.is_empty()).unwrap_or_default(),
+        _ => return error,
+    };
+    let is_text = |position: usize| {
+        let text = text(position);
+        text.parse::<f64>().is_err() && !text.starts_with(|c: char| c.is_ascii_digit())
+    };
+    let names_a_unit = found.chars().any(|c| c.is_alphabetic() || "%°".contains(c));
+    if names_a_unit && (0..cells.len()).all(is_text) {
+        DataError::UnitsRow { file: file.to_owned(), row, found }
+    } else {
+        error
     }
 }
 
@@ -165,6 +206,8 @@ pub(super) struct Records<'b> {
     /// Line of the first byte, and the library's number of it.
     line: u64,
     own: u64,
+    /// Lines that are a mark are comments.
+    comments: bool,
 }
 
 /// Where a record stands: the line where it begins, the number of its lines, and the first of blank lines before it.
@@ -181,12 +224,12 @@ const AFTER: &[u8] = b"\n";
 
 impl<'b> Records<'b> {
     /// `line`: number of the first line.
-    pub(super) fn new(bytes: &'b [u8], delimiter: u8, line: u64) -> Records<'b> {
+    pub(super) fn new(bytes: &'b [u8], form: Form<'_>, line: u64) -> Records<'b> {
         // Rows end at LF only, so that lines are counted exactly; the CR of a CRLF is taken off the last cell.
         let mut reader = ReaderBuilder::new()
             .has_headers(false)
             .flexible(true)
-            .delimiter(delimiter)
+            .delimiter(form.delimiter)
             .terminator(Terminator::Any(b'\n'))
             .buffer_capacity(1 << 16)
             .from_reader(BEFORE.chain(bytes).chain(AFTER));
@@ -194,7 +237,7 @@ impl<'b> Records<'b> {
         let before = reader.read_byte_record(&mut record);
         debug_assert!(before.is_ok_and(|found| found), "bytes in memory are read");
         let own = reader.position().line();
-        Records { reader, record, line, own }
+        Records { reader, record, line, own, comments: form.wanted.comment.is_some() }
     }
 
     /// Bytes up to the end of the last record.
@@ -225,6 +268,9 @@ impl<'b> Records<'b> {
             }
             if self.record.len() == 1 && &self.record[0] == b"\r" {
                 blank = blank.or(Some(row));
+                continue;
+            }
+            if self.comments && self.record.len() == 1 && &self.record[0] == MARK {
                 continue;
             }
             return Ok(Some(Record { row, lines, blank }));

@@ -72,7 +72,7 @@ kinds.innovations = {
 };
 
 const lane = (look) => (look.narrow ? 52 : 64);
-const when = (test) => (test.timed ? "time" : "step");
+const when = (test) => (test.timed ? withUnit("time", test.timeUnit) : "step");
 
 const lanes = (test, look, rows) => {
   const ends = [Math.min(...test.windows.map((w) => w.from)), Math.max(...test.windows.map((w) => w.to))];
@@ -104,13 +104,13 @@ const lanes = (test, look, rows) => {
 const tip = (test, hit) => {
   if (hit.seriesType === "custom") {
     const w = test.windows[hit.dataIndex];
-    return `${when(test)} ${tick(w.from)} to ${tick(w.to)}<br>mean square ${number(w.ratio, 3)} of ${w.n}<br>` +
+    return `${safe(when(test))} ${tick(w.from)} to ${tick(w.to)}<br>mean square ${number(w.ratio, 3)} of ${w.n}<br>` +
       `95 % bounds ${number(w.low, 3)} to ${number(w.high, 3)}`;
   }
   if (hit.seriesType === "bar") {
     return `${safe(hit.seriesName.replace(/^lags of /, ""))}<br>lag ${hit.dataIndex + 1}: ${number(hit.value, 3)}`;
   }
-  return `${safe(hit.seriesName)}<br>${when(test)} ${tick(hit.value[0])}<br>${number(hit.value[1], 3)} standard deviations`;
+  return `${safe(hit.seriesName)}<br>${safe(when(test))} ${tick(hit.value[0])}<br>${number(hit.value[1], 3)} standard deviations`;
 };
 
 const lagNames = (test) =>

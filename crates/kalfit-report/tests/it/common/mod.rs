@@ -68,7 +68,14 @@ pub(crate) fn record(title: &str, phases: Vec<PhaseRecord>) -> FitRecord {
         bic: Some(1783.09712),
         converged: true,
         reason: "the optimality certificate holds".into(),
-        certificate: CertificateRecord { mean: 1e-9, covariance: 1e-9, null_space: 0.0, parameters: 0.0 },
+        certificate: CertificateRecord {
+            mean: 1e-9,
+            covariance: 1e-9,
+            null_space: 0.0,
+            parameters: 0.0,
+            rounding: 1e-13,
+        },
+        model_check: None,
         solver: SolverRecord {
             method: "hybrid".into(),
             solver: "newton".into(),
@@ -85,12 +92,16 @@ pub(crate) fn record(title: &str, phases: Vec<PhaseRecord>) -> FitRecord {
         methods: vec![],
         constraints: vec![],
         tests: tests(&[0.4, 0.7, 0.021, 0.9]),
+        group_column: None,
+        by_group: vec![],
+        group_test: None,
         notes: vec![],
     }
 }
 
 pub(crate) fn tests(p_values: &[f64]) -> Vec<TestRecord> {
     let test = |(i, &p): (usize, &f64)| TestRecord {
+        group: None,
         id: format!("{}", 308 + i),
         log_likelihood: -48.0,
         observations: 10,

@@ -1,0 +1,18 @@
+//! Groups of tests, as the summary has them.
+
+use kalfit::FitRecord;
+use maud::{PreEscaped, html};
+
+use crate::html::Section;
+use crate::page::Page;
+use crate::summary::groups;
+
+pub(super) fn section(record: &FitRecord) -> Option<Section> {
+    let body = groups::section(record, &Page::html());
+    if body.is_empty() {
+        return None;
+    }
+    let hint = "Mean square: of the group's innovations in units of their variance, expected 1. Distance²: of its tests \
+                from the population, together.";
+    Section::new("groups", "Groups", html! { (PreEscaped(body)) p.hint { (hint) } })
+}

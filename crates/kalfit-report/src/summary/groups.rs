@@ -1,0 +1,62 @@
+//! Groups of tests: are their innovations and their tests what the model says, and do they differ?
+
+use kalfit::FitRecord;
+use kalfit::record::{GroupRecord, GroupTestRecord};
+
+use crate::number::{Precision, plain, probability};
+use crate::page::Page;
+use crate::table::{Column, Side};
+use crate::words::{clean, count};
+
+const MOST_ROWS: usize = 20;
+
+pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
+    let column = record.group_column.as_deref().map(clean).unwrap_or_default();
+    let differ: Vec<String> = record.group_test.iter().map(differ).collect();
+    if record.by_group.is_empty() {
+        return page.section(&format!("Groups by {column}"), &page.items(&differ));
+    }
+    let rows = &record.by_group[..record.by_group.len().min(page.rows(MOST_ROWS))];
+    let mut sentences: Vec<String> = match record.by_group.len() - rows.len() {
+        0 => Vec::new(),
+        n => vec![format!("And {} more, in fit.json.", count(n, "group"))],
+    };
+    sentences.extend(differ);
+    page.section(&format!("Groups by {column}"), &(page.table(&columns(rows, &column)) + &page.items(&sentences)))
+}
+
+fn columns(rows: &[GroupRecord], column: &str) -> Vec<Column> {
+    let each = |of: &dyn Fn(&GroupRecord) -> Option<String>| -> Vec<String> {
+        rows.iter().map(|group| of(group).unwrap_or_else(|| "-".to_owned())).collect()
+    };
+    let mut columns = vec![
+        Column::new(column, Side::Left, each(&|g| Some(g.group.as_deref().map_or_else(|| "(none)".to_owned(), clean)))),
+        Column::new("tests", Side::Right, each(&|g| Some(g.tests.to_string()))),
+    ];
+    if rows.iter().any(|group| group.innovations > 0) {
+        let square = |g: &GroupRecord| {
+            let (square, spread) = (g.innovations_mean_square?, (2.0 / g.innovations.max(1) as f64).sqrt());
+            Some(Precision::of(square, Some(spread)).show(square))
+        };
+        columns.push(Column::new("mean square", Side::Right, each(&square)));
+        columns.push(Column::new("p-value", Side::Right, each(&|g| g.innovations_p_value.map(probability))));
+    }
+    columns.push(Column::new("distance²", Side::Right, each(&|g| g.distance.map(|d| plain(d, 3)))));
+    columns.push(Column::new("expected", Side::Right, each(&|g| Some(g.degrees_of_freedom.to_string()))));
+    columns.push(Column::new("p-value", Side::Right, each(&|g| g.p_value.map(probability))));
+    columns
+}
+
+/// Whether groups differ, in one sentence.
+fn differ(test: &GroupTestRecord) -> String {
+    let bound = if test.on_boundary { " at most" } else { "" };
+    let verdict = if test.p_value < 0.05 { "Groups differ" } else { "No difference between groups is found" };
+    format!(
+        "{verdict}: p = {}{bound} (mean and covariance of each of {} groups by itself against those of all tests; likelihood ratio {} \
+         with {} degrees of freedom).",
+        probability(test.p_value),
+        test.groups,
+        plain(test.statistic, 3),
+        test.degrees_of_freedom
+    )
+}

@@ -1,0 +1,140 @@
+//! Whether the model describes the data stands beside convergence, and groups of tests in a table.
+
+use kalfit::FitRecord;
+use kalfit::record::*;
+use kalfit_report::{Style, html, summary};
+
+use crate::common;
+
+/// The first paragraph after the title.
+fn verdicts(record: &FitRecord) -> String {
+    summary(record, &Style::default()).split("\n\n").nth(1).unwrap_or_default().to_owned() + "\n"
+}
+
+fn kinds(record: &FitRecord) -> (String, Vec<String>) {
+    let found = ModelCheckRecord::of(record);
+    (found.verdict, found.findings.into_iter().map(|finding| finding.kind).collect())
+}
+
+fn innovations(count: usize, nis: f64, nis_p: f64, white_p: f64) -> InnovationRecord {
+    let whiteness = WhitenessRecord { statistic: 4.5, lags: 2, degrees_of_freedom: 2, p_value: white_p };
+    InnovationRecord {
+        count,
+        nis: Some(nis),
+        nis_p_value: Some(nis_p),
+        mean: Some(0.1),
+        whiteness: Some(whiteness),
+        parts: Vec::new(),
+        series: None,
+    }
+}
+
+fn with(found: &[InnovationRecord]) -> FitRecord {
+    let mut record = common::sleepstudy();
+    record.tests = common::tests(&vec![0.5; found.len()]);
+    record.tests.iter_mut().zip(found).for_each(|(test, found)| test.innovations = Some(found.clone()));
+    record
+}
+
+#[test]
+fn a_sound_fit_passes_in_a_green_box() {
+    let record = with(&[innovations(10, 9.0, 0.9, 0.02), innovations(10, 11.0, 0.7, 0.5)]);
+    insta::assert_snapshot!(verdicts(&record), @"
+    Converged: the optimality certificate holds, so these are the maximum-likelihood
+    estimates. In the dynamic parameters this is a local maximum; no higher one was
+    found.
+    Model check passed: innovations and tests agree with the model.
+    ");
+    assert_eq!(kinds(&record), ("passed".to_owned(), vec![]));
+    assert!(html(&record).contains("class=\"verdict good\""));
+}
+
+#[test]
+fn no_green_box_stands_over_a_model_that_the_page_refutes() {
+    let mut record =
+        with(&[innovations(10, 60.0, 7e-9, 0.5), innovations(10, 9.0, 0.9, 1e-5), innovations(10, 9.0, 0.9, 0.9)]);
+    record.tests[2].p_value = Some(1e-9);
+    record.tests[0].deletion = Some(DeletionRecord {
+        log_density: -50.0,
+        distance: Some(9.0),
+        p_value: Some(0.011),
+        displacement: 12.0,
+        phases: vec![],
+    });
+    record.phases[0].boundary = common::singular().phases[0].boundary.clone();
+    insta::assert_snapshot!(verdicts(&record), @"
+    Converged: the optimality certificate holds, so these are the maximum-likelihood
+    estimates on the boundary of the possible covariances. In the dynamic parameters
+    this is a local maximum; no higher one was found.
+    Model check doubtful: the innovations of all tests together are larger than the
+    model allows; the innovations of 2 of 18 tests are improbable (size or
+    correlation in time); test 310 stands out of the population; test 308 by itself
+    decides much of the answer; Σ is singular.
+    ");
+    assert_eq!(kinds(&record).1, ["mean_square", "innovations", "distance", "influence", "singular"]);
+    let page = html(&record);
+    assert!(page.contains("class=\"verdict fair\"") && !page.contains("class=\"verdict good\""));
+    let painted = summary(&record, &Style { color: true, ..Style::default() });
+    assert!(painted.contains("\u{1b}[1;33mConverged") && !painted.contains("\u{1b}[1;32m"), "{painted}");
+}
+
+#[test]
+fn what_was_not_looked_at_has_not_passed() {
+    let mut record = common::sleepstudy();
+    record.tests.clear();
+    insta::assert_snapshot!(verdicts(&record), @"
+    Converged: the optimality certificate holds, so these are the maximum-likelihood
+    estimates. In the dynamic parameters this is a local maximum; no higher one was
+    found.
+    Model check not made: this record has no figures of single tests.
+    ");
+    assert_eq!(kinds(&record).0, "not checked");
+    let mut stuck = with(&[innovations(10, 60.0, 7e-9, 0.5)]);
+    stuck.converged = false;
+    assert_eq!(kinds(&stuck), ("not checked".to_owned(), vec![]));
+    assert!(!summary(&stuck, &Style::default()).contains("Model check"));
+}
+
+#[test]
+fn p_values_are_corrected_for_their_number() {
+    // 40 p-values: Holm's first is 0.0013 × 40 = 0.052, of which nothing follows
+    let mut found = vec![innovations(10, 10.0, 0.5, 0.5); 20];
+    found[3].nis_p_value = Some(0.0013);
+    assert_eq!(kinds(&with(&found)).0, "passed");
+    found[3].nis_p_value = Some(0.0012);
+    assert_eq!(kinds(&with(&found)), ("doubtful".to_owned(), vec!["innovations".to_owned()]));
+    // Holm (1979): p-values 0.01, 0.02, 0.03, 0.04 of four
+    let adjusted = holm(&[0.01, 0.02, 0.03, 0.04]);
+    adjusted.iter().zip([0.04, 0.06, 0.06, 0.06]).for_each(|(a, b)| assert!((a - b).abs() < 1e-15, "{a} {b}"));
+}
+
+#[test]
+fn groups_are_a_table_with_what_is_known_of_their_difference() {
+    let mut record = with(&vec![innovations(10, 9.0, 0.9, 0.5); 4]);
+    record.group_column = Some("lot".to_owned());
+    for (test, lot) in record.tests.iter_mut().zip(["A", "B", "A", "B"]) {
+        test.group = Some(lot.to_owned());
+    }
+    record.tests[1].innovations = Some(innovations(30, 90.0, 1e-7, 0.5));
+    record.add_by_group();
+    record.group_test = Some(GroupTestRecord {
+        groups: 2,
+        log_likelihood: -860.0,
+        statistic: 31.9,
+        degrees_of_freedom: 5,
+        p_value: 6e-6,
+        on_boundary: true,
+    });
+    let text = summary(&record, &Style::default());
+    let section = text.find("Groups by lot").map_or("", |at| &text[at..]).split("\n\n").next().unwrap_or_default();
+    insta::assert_snapshot!(section, @"
+    Groups by lot
+      lot  tests  mean square  p-value  distance²  expected  p-value
+      A        2         0.90     0.83       2.77         4     0.60
+      B        2         2.48     1e-6       2.77         4     0.60
+      Groups differ: p = 6e-6 at most (mean and covariance of each of 2 groups by
+        itself against those of all tests; likelihood ratio 31.9 with 5 degrees of
+        freedom).
+    ");
+    assert!(html(&record).contains("Groups by lot"));
+}
