@@ -13,6 +13,7 @@ mod edges;
 mod em;
 mod explore;
 mod glide;
+mod gradient_function;
 mod indirect;
 mod interval;
 mod joint;

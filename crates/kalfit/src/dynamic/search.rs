@@ -53,8 +53,6 @@ pub(crate) struct Search<'b, 'a> {
     pub(super) held: Option<usize>,
     /// Values left on their way to zero or to infinity.
     pub(super) drifted: Vec<bool>,
-    /// How often each value has returned from zero.
-    pub(super) returned: Vec<usize>,
     faint_looks: usize,
     /// What the last step without second derivatives promised, as a decrement.
     pub(super) glided: Option<f64>,
@@ -116,7 +114,6 @@ impl<'b, 'a> Search<'b, 'a> {
             floor: None,
             held: None,
             drifted: vec![false; n],
-            returned: vec![0; n],
             faint_looks: 0,
             glided: None,
             given_up: false,
@@ -161,8 +158,7 @@ impl<'b, 'a> Search<'b, 'a> {
 
     /// The same without levels at zero, which could return.
     fn is_lost(&self, decrement: f64) -> bool {
-        let zero = |s: usize| self.bench.coordinates[s].level.is_some() && self.home.values[s] <= self.bottom[s];
-        self.hopeless(decrement) && !(0..self.home.values.len()).any(zero)
+        self.hopeless(decrement) && self.zeros().is_empty()
     }
 
     pub(super) fn active(&self) -> Vec<bool> {

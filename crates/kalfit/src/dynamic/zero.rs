@@ -1,13 +1,9 @@
-//! Values on their way to zero and to infinity, and back.
-//!
-//! A noise level moves in its variance v, where zero is a bound like any other: v = 0 is a maximum in v when D = ∂ℓ/∂v ≤ 0 there,
-//! and ∂ℓ/∂σ = 2σD = 0 says nothing. What only shapes that noise (its time constant, its correlations) has no effect while it is
-//! zero, and D depends on it: D ≤ 0 must hold over its whole range, the *gradient function* of theory §13.
+//! Values on their way to zero and to infinity. A noise level moves in its variance, where zero is a bound like any other.
 
+use crate::dynamic::Standing;
 use crate::dynamic::bench::Solved;
-use crate::dynamic::joint::{self, Joint, LEVEL_GROUND};
-use crate::dynamic::search::{DRIFT, RISE, Search};
-use crate::dynamic::{Standing, start};
+use crate::dynamic::joint::{self, Joint};
+use crate::dynamic::search::{DRIFT, Search};
 
 /// A logarithm whose curvature is no more than this many times its slope has no optimum in sight: ℓ runs level towards a bound,
 /// as 1/x, x² or the like.
@@ -21,36 +17,24 @@ const BEYOND: f64 = 1e-7;
 /// Where ℓ is not defined at zero, this part of the size that the level had stands for it: its square is nothing to ℓ, and leaves
 /// scores their digits.
 const NEARLY_ZERO: f64 = 3e-4;
-/// Levels at zero are given this part of what they were, where a derivative at zero is wanted.
-const TRACE: f64 = 1e-7;
-/// … and this part where what they drive is to be felt.
-const FELT: f64 = 0.3;
-/// A derivative at zero counts when the variance that was would gain this by it.
-const GAIN: f64 = 1e-7;
-/// Sizes at which a level may return: powers of this part of the variance it had.
-const SMALLER: f64 = 0.125;
-const SIZES: i32 = 8;
-/// How often a level may return.
-const RETURNS: usize = 4;
 /// A level below this part of what it was, whose slope and curvature are below this, is not felt.
 const FEW_PARTS: f64 = 1e-2;
 const UNFELT: f64 = 1e-6;
-/// Slopes below this are none.
-const FLAT: f64 = 1e-9;
-/// Times that are tried for time constants without effect: by this factor, from this part of a step to as many spans.
-const FACTOR: f64 = 2.0;
-const PART: f64 = 0.05;
-const SPANS: f64 = 4.0;
-const MOST_TIMES: usize = 40;
-
-/// Values for some slots.
-type Change = Vec<(usize, f64)>;
 
 impl Search<'_, '_> {
+    /// Levels at zero, or as near to it as ℓ is defined.
+    pub(super) fn zeros(&self) -> Vec<usize> {
+        (0..self.home.values.len()).filter(|&s| self.is_at_zero(s)).collect()
+    }
+
+    /// A noise level at its least value.
+    pub(super) fn is_at_zero(&self, s: usize) -> bool {
+        self.bench.coordinates[s].level.is_some() && self.home.values[s] <= self.bottom[s]
+    }
+
     /// A level that ℓ would have at zero, where it is not defined.
     pub(super) fn is_vanishing(&self, s: usize) -> bool {
-        let (coordinate, value) = (&self.bench.coordinates[s], self.home.values[s]);
-        coordinate.level.is_some() && self.bottom[s] > coordinate.lower && value <= self.bottom[s]
+        self.is_at_zero(s) && self.bottom[s] > self.bench.coordinates[s].lower
     }
 
     /// Levels whose variance is nearer to ℓ's own coordinate than its logarithm, with their exponents: those that would reach zero,
@@ -169,119 +153,5 @@ impl Search<'_, '_> {
             self.drifted[s] = true;
         }
         any
-    }
-
-    /// A level at zero returns where ℓ rises with its variance, for some shape of what it drives.
-    pub(super) fn revived(&mut self, joint: &Joint) -> bool {
-        let is_zero = |&s: &usize| {
-            let level = self.bench.coordinates[s].level.is_some() && self.home.values[s] <= self.bottom[s];
-            level && self.bench.coordinates[s].lower == 0.0 && self.held != Some(s) && self.returned[s] < RETURNS
-        };
-        let zeros: Vec<usize> = (0..self.home.values.len()).filter(is_zero).collect();
-        if zeros.is_empty() {
-            return false;
-        }
-        let mut found: Vec<(f64, usize, Change)> = Vec::new();
-        for shape in self.shapes(joint) {
-            for (s, gain) in self.derivatives_at_zero(&zeros, &shape) {
-                found.push((gain, s, shape.clone()));
-            }
-        }
-        let best = |s: usize| found.iter().filter(|(_, level, _)| *level == s).max_by(|a, b| a.0.total_cmp(&b.0));
-        let mut promising: Vec<(f64, usize, Change)> = zeros.iter().filter_map(|&s| best(s).cloned()).collect();
-        promising.retain(|(gain, ..)| *gain > GAIN);
-        promising.sort_by(|a, b| b.0.total_cmp(&a.0));
-        promising.into_iter().any(|(_, s, shape)| self.returns(s, &shape))
-    }
-
-    /// Back from zero at the largest size at which ℓ is higher than at zero.
-    fn returns(&mut self, s: usize, shape: &Change) -> bool {
-        let exponent = self.bench.coordinates[s].level.unwrap_or(1.0);
-        for size in 0..SIZES {
-            let mut values = self.home.values.clone();
-            shape.iter().for_each(|&(t, value)| values[t] = value);
-            let value = self.before_zero[s] * SMALLER.powi(size).powf(exponent.recip());
-            values[s] = value.clamp(self.bottom[s], self.bench.coordinates[s].upper);
-            if let Some(next) = self.at(&values).filter(|next| next.value() > self.home.value() + RISE) {
-                self.home = next;
-                // time constants of a noise that has come back
-                let idle = |standing: &&mut Standing| **standing == Standing::Unidentified;
-                self.standing.iter_mut().filter(idle).for_each(|standing| *standing = Standing::Inside);
-                self.drifted.fill(false);
-                self.returned[s] += 1;
-                self.standing[s] = Standing::Inside;
-                self.place();
-                return true;
-            }
-        }
-        false
-    }
-
-    /// ∂ℓ/∂v at v = 0 for each of some levels, times the variance it had, with other shapes for what they drive.
-    fn derivatives_at_zero(&self, zeros: &[usize], shape: &Change) -> Vec<(usize, f64)> {
-        let mut values = self.home.values.clone();
-        shape.iter().for_each(|&(t, value)| values[t] = value);
-        zeros.iter().for_each(|&s| values[s] = values[s].max(TRACE * self.before_zero[s]));
-        let Some(at) = self.bench.shift(&self.home, &values) else { return Vec::new() };
-        let gradient = self.bench.gradient(&values, &at.tests.scores, &at.matrix);
-        let gain = |&s: &usize| {
-            let exponent = self.bench.coordinates[s].level.unwrap_or(1.0);
-            let gain = gradient[s] / exponent * (self.before_zero[s] / values[s]).powf(exponent);
-            gain.is_finite().then_some((s, gain))
-        };
-        zeros.iter().filter_map(gain).collect()
-    }
-
-    /// Shapes of what levels at zero drive: the present one, and values without effect over their ranges.
-    fn shapes(&self, joint: &Joint) -> Vec<Change> {
-        let mut all = vec![Change::new()];
-        let idle = self.idle(joint);
-        let constants = start::time_constants(self.bench.model);
-        let is_time = |t: &usize| constants.contains(&self.bench.slots.slots()[*t].parameter);
-        let (times, others): (Vec<usize>, Vec<usize>) = idle.into_iter().partition(is_time);
-        if !times.is_empty() {
-            let at = |time: f64| -> Change {
-                let within = |t: usize| time.clamp(self.bench.coordinates[t].lower, self.bench.coordinates[t].upper);
-                times.iter().map(|&t| (t, within(t))).collect()
-            };
-            all.extend(start::Scales::of(self.bench).range(PART, SPANS, FACTOR).take(MOST_TIMES).map(at));
-        }
-        let few: Vec<Change> = all.iter().step_by((all.len() / 4).max(1)).cloned().collect();
-        for t in others {
-            for value in self.bench.coordinates[t].spread(self.home.values[t]) {
-                all.extend(few.iter().map(|shape| {
-                    let mut shape = shape.clone();
-                    shape.push((t, value));
-                    shape
-                }));
-            }
-        }
-        all
-    }
-
-    /// Values along which ℓ does not move at all.
-    fn idle(&self, joint: &Joint) -> Vec<usize> {
-        let flat = |t: &usize| {
-            let at_zero = self.bench.coordinates[*t].level.is_some() && self.home.values[*t] <= self.bottom[*t];
-            let level_ground = self.home.gradient[*t].abs() < FLAT && joint.curvature(*t).abs() < LEVEL_GROUND;
-            level_ground && !at_zero && self.held != Some(*t)
-        };
-        (0..self.home.values.len()).filter(flat).collect()
-    }
-
-    /// Values without effect while levels are zero are told from those that ℓ never depends on.
-    pub(super) fn name_idle(&mut self, joint: &Joint) {
-        let zero = |s: &usize| self.bench.coordinates[*s].level.is_some() && self.home.values[*s] <= self.bottom[*s];
-        let zeros: Vec<usize> = (0..self.home.values.len()).filter(zero).collect();
-        let is_open = |t: &usize| matches!(self.standing[*t], Standing::Inside | Standing::Unidentified);
-        let idle: Vec<usize> = self.idle(joint).into_iter().filter(is_open).collect();
-        if zeros.is_empty() || idle.is_empty() {
-            return;
-        }
-        let mut values = self.home.values.clone();
-        zeros.iter().for_each(|&s| values[s] = values[s].max(FELT * self.before_zero[s]));
-        let Some(at) = self.bench.shift(&self.home, &values) else { return };
-        let gradient = self.bench.gradient(&values, &at.tests.scores, &at.matrix);
-        idle.into_iter().filter(|&t| gradient[t].abs() > FLAT).for_each(|t| self.standing[t] = Standing::Idle);
     }
 }

@@ -1,0 +1,138 @@
+//! Whether a noise level at zero is at a maximum: the *gradient function* (theory §13).
+//!
+//! v = 0 is a maximum in the variance v when D = ∂ℓ/∂v ≤ 0 there, and ∂ℓ/∂σ = 2σD = 0 says nothing. What only shapes that noise (its
+//! time constant, its correlations) has no effect while it is zero, and D depends on it: D ≤ 0 must hold over its whole range.
+
+use crate::dynamic::joint::{Joint, LEVEL_GROUND};
+use crate::dynamic::search::{RISE, Search};
+use crate::dynamic::{Standing, start};
+
+/// Levels at zero are given this part of what they were, where a derivative at zero is wanted.
+const TRACE: f64 = 1e-7;
+/// … and this part where what they drive is to be felt.
+const FELT: f64 = 0.3;
+/// A derivative at zero counts when the variance that was would gain this by it.
+const GAIN: f64 = 1e-7;
+/// Sizes at which a level may return: powers of this part of the variance it had.
+const SMALLER: f64 = 0.125;
+const SIZES: i32 = 8;
+/// Slopes below this are none.
+const FLAT: f64 = 1e-9;
+/// Times that are tried for time constants without effect: by this factor, from this part of a step to as many spans.
+const FACTOR: f64 = 2.0;
+const PART: f64 = 0.05;
+const SPANS: f64 = 4.0;
+const MOST_TIMES: usize = 40;
+
+/// Values for some slots.
+type Change = Vec<(usize, f64)>;
+
+impl Search<'_, '_> {
+    /// A level at zero returns where ℓ rises with its variance, for some shape of what it drives.
+    pub(super) fn revived(&mut self, joint: &Joint) -> bool {
+        let mut zeros = self.zeros();
+        zeros.retain(|&s| self.bench.coordinates[s].lower == 0.0 && self.held != Some(s));
+        if zeros.is_empty() {
+            return false;
+        }
+        let mut found: Vec<(f64, usize, Change)> = Vec::new();
+        for shape in self.shapes(joint) {
+            for (s, gain) in self.derivatives_at_zero(&zeros, &shape) {
+                found.push((gain, s, shape.clone()));
+            }
+        }
+        let best = |s: usize| found.iter().filter(|(_, level, _)| *level == s).max_by(|a, b| a.0.total_cmp(&b.0));
+        let mut promising: Vec<(f64, usize, Change)> = zeros.iter().filter_map(|&s| best(s).cloned()).collect();
+        promising.retain(|(gain, ..)| *gain > GAIN);
+        promising.sort_by(|a, b| b.0.total_cmp(&a.0));
+        promising.into_iter().any(|(_, s, shape)| self.returns(s, &shape))
+    }
+
+    /// Back from zero at the largest size at which ℓ is higher than at zero.
+    fn returns(&mut self, s: usize, shape: &Change) -> bool {
+        let exponent = self.bench.coordinates[s].level.unwrap_or(1.0);
+        for size in 0..SIZES {
+            let mut values = self.home.values.clone();
+            shape.iter().for_each(|&(t, value)| values[t] = value);
+            let value = self.before_zero[s] * SMALLER.powi(size).powf(exponent.recip());
+            values[s] = value.clamp(self.bottom[s], self.bench.coordinates[s].upper);
+            if let Some(next) = self.at(&values).filter(|next| next.value() > self.home.value() + RISE) {
+                self.home = next;
+                // time constants of a noise that has come back
+                let idle = |standing: &&mut Standing| **standing == Standing::Unidentified;
+                self.standing.iter_mut().filter(idle).for_each(|standing| *standing = Standing::Inside);
+                self.drifted.fill(false);
+                self.standing[s] = Standing::Inside;
+                self.place();
+                return true;
+            }
+        }
+        false
+    }
+
+    /// ∂ℓ/∂v at v = 0 for each of some levels, times the variance it had, with other shapes for what they drive.
+    fn derivatives_at_zero(&self, zeros: &[usize], shape: &Change) -> Vec<(usize, f64)> {
+        let mut values = self.home.values.clone();
+        shape.iter().for_each(|&(t, value)| values[t] = value);
+        zeros.iter().for_each(|&s| values[s] = values[s].max(TRACE * self.before_zero[s]));
+        let Some(at) = self.bench.shift(&self.home, &values) else { return Vec::new() };
+        let gradient = self.bench.gradient(&values, &at.tests.scores, &at.matrix);
+        let gain = |&s: &usize| {
+            let exponent = self.bench.coordinates[s].level.unwrap_or(1.0);
+            let gain = gradient[s] / exponent * (self.before_zero[s] / values[s]).powf(exponent);
+            gain.is_finite().then_some((s, gain))
+        };
+        zeros.iter().filter_map(gain).collect()
+    }
+
+    /// Shapes of what levels at zero drive: the present one, and values without effect over their ranges.
+    fn shapes(&self, joint: &Joint) -> Vec<Change> {
+        let mut all = vec![Change::new()];
+        let idle = self.idle(joint);
+        let constants = start::time_constants(self.bench.model);
+        let is_time = |t: &usize| constants.contains(&self.bench.slots.slots()[*t].parameter);
+        let (times, others): (Vec<usize>, Vec<usize>) = idle.into_iter().partition(is_time);
+        if !times.is_empty() {
+            let at = |time: f64| -> Change {
+                let within = |t: usize| time.clamp(self.bench.coordinates[t].lower, self.bench.coordinates[t].upper);
+                times.iter().map(|&t| (t, within(t))).collect()
+            };
+            all.extend(start::Scales::of(self.bench).range(PART, SPANS, FACTOR).take(MOST_TIMES).map(at));
+        }
+        let few: Vec<Change> = all.iter().step_by((all.len() / 4).max(1)).cloned().collect();
+        for t in others {
+            for value in self.bench.coordinates[t].spread(self.home.values[t]) {
+                all.extend(few.iter().map(|shape| {
+                    let mut shape = shape.clone();
+                    shape.push((t, value));
+                    shape
+                }));
+            }
+        }
+        all
+    }
+
+    /// Values along which ℓ does not move at all.
+    fn idle(&self, joint: &Joint) -> Vec<usize> {
+        let flat = |t: &usize| {
+            let level_ground = self.home.gradient[*t].abs() < FLAT && joint.curvature(*t).abs() < LEVEL_GROUND;
+            level_ground && !self.is_at_zero(*t) && self.held != Some(*t)
+        };
+        (0..self.home.values.len()).filter(flat).collect()
+    }
+
+    /// Values without effect while levels are zero are told from those that ℓ never depends on.
+    pub(super) fn name_idle(&mut self, joint: &Joint) {
+        let zeros = self.zeros();
+        let is_open = |t: &usize| matches!(self.standing[*t], Standing::Inside | Standing::Unidentified);
+        let idle: Vec<usize> = self.idle(joint).into_iter().filter(is_open).collect();
+        if zeros.is_empty() || idle.is_empty() {
+            return;
+        }
+        let mut values = self.home.values.clone();
+        zeros.iter().for_each(|&s| values[s] = values[s].max(FELT * self.before_zero[s]));
+        let Some(at) = self.bench.shift(&self.home, &values) else { return };
+        let gradient = self.bench.gradient(&values, &at.tests.scores, &at.matrix);
+        idle.into_iter().filter(|&t| gradient[t].abs() > FLAT).for_each(|t| self.standing[t] = Standing::Idle);
+    }
+}
