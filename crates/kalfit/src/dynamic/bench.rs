@@ -45,10 +45,10 @@ pub(crate) struct Bench<'a> {
 }
 
 /// The ensemble at an α.
-struct Reduced {
+pub(crate) struct Reduced {
     /// What made the reductions; `None` where they were scaled from another α.
     reducer: Option<PhasedReducer>,
-    reductions: Vec<Reduction>,
+    pub(crate) reductions: Vec<Reduction>,
 }
 
 /// ℓ at α with its gradient, at the best (μ, Σ).
@@ -196,7 +196,7 @@ impl<'a> Bench<'a> {
     }
 
     /// The reductions at α.
-    fn reduce(&self, values: &[f64]) -> Result<Reduced, DynamicError> {
+    pub(crate) fn reduce(&self, values: &[f64]) -> Result<Reduced, DynamicError> {
         if let Some(scale) = &self.scale
             && let Some(reductions) = scale.reductions(values[0], &|value| Ok(self.filter(&[value])?.1))?
         {
@@ -378,7 +378,12 @@ impl<'a> Bench<'a> {
     }
 
     /// dℓ_j/dvalue of each test at these values and this law.
-    fn scores(&self, values: &[f64], reduced: &Reduced, law: &InitialLaw) -> Result<Vec<Gradient>, DynamicError> {
+    pub(crate) fn scores(
+        &self,
+        values: &[f64],
+        reduced: &Reduced,
+        law: &InitialLaw,
+    ) -> Result<Vec<Gradient>, DynamicError> {
         let Reduced { reducer, reductions } = reduced;
         let fresh = match (reducer, &self.scale) {
             (Some(_), _) => None,

@@ -24,7 +24,7 @@ const ROUNDS: usize = 4;
 /// Sizes of levels at zero that are tried, in units of what the data suggest.
 const SIZES: [f64; 5] = [2.0, 0.7, 0.25, 0.08, 0.025];
 
-/// Adds the ends that are found; `told`: all start values were given.
+/// Adds the ends that are found, unless the ensemble is too large to look; `told`: all start values were given.
 pub(super) fn explore(
     bench: &Bench<'_>,
     ends: &mut Vec<End>,
@@ -50,6 +50,11 @@ pub(super) fn around(bench: &Bench<'_>, end: End, held: usize) -> End {
         search.run().ok().filter(|found| found.stop == Stop::Certified && found.home.value() > floor)
     });
     found.next().unwrap_or(end)
+}
+
+/// Other maxima are within reach of the runs that may be spent.
+pub(super) fn is_possible(bench: &Bench<'_>) -> bool {
+    most(bench) > 0
 }
 
 /// Runs of the filters that may be spent; none where they are too few for a search.

@@ -22,7 +22,6 @@ mod matrices;
 #[cfg(test)]
 mod phased_tests;
 mod profile;
-mod runs;
 mod sandwich;
 mod scale;
 mod search;
@@ -137,6 +136,8 @@ pub struct DynamicFit {
     pub passes: usize,
     /// Where other starts ended, best first.
     pub others: Vec<OtherEnd>,
+    /// Other maxima were looked for from the best end.
+    pub explored: bool,
     /// Observed information of (α, μ, Σ).
     pub(crate) joint: joint::Joint,
     /// Where each free value lies.
@@ -224,9 +225,9 @@ pub fn fit(
             Err(error) => first_error = first_error.or(Some(error)),
         }
     }
-    let told = !ends.is_empty() && start::all_given(&bench);
-    if !progress.stops() {
-        explore::explore(&bench, &mut ends, told, progress)?;
+    let explored = explore::is_possible(&bench) && !progress.stops();
+    if explored {
+        explore::explore(&bench, &mut ends, start::all_given(&bench), progress)?;
     }
     let Some(at) = chosen(&ends) else {
         return Err(first_error.unwrap_or(DynamicError::Fit(FitError::NoTests)));
@@ -258,6 +259,7 @@ pub fn fit(
         score_passes,
         passes,
         others,
+        explored,
         joint: best.joint,
         standing: on_edges(&bench, best.standing),
         settings: settings.clone(),

@@ -15,7 +15,6 @@ use nalgebra::{DMatrix, DVector};
 use crate::dynamic::bench::Bench;
 use crate::dynamic::joint::Covariances;
 use crate::dynamic::matrices::{matrix_derivatives, matrix_gradient};
-use crate::dynamic::runs::Runs;
 use crate::dynamic::{DynamicFit, ParameterInference, Standing};
 use crate::estimate::{Criterion, Estimate, Place, Point, State};
 use crate::infer::{Held, Holdable, Holder, Holds, Inference, IntervalKind, Law, free, profiled, quantities, value};
@@ -95,7 +94,6 @@ fn entries<'p>(bench: &Bench<'_>, parameters: &'p [ParameterInference]) -> Vec<(
 /// ℓ with a quantity held, over α.
 struct Outer<'b, 'a> {
     bench: &'b Bench<'a>,
-    runs: Runs<'b, 'a>,
     estimate: &'b Estimate,
     law: Law<'b>,
     /// Values that may move.
@@ -158,7 +156,7 @@ impl<'b, 'a> Outer<'b, 'a> {
         });
         let cross = DMatrix::from_fn(slots.len(), m, |i, c| places[i].map_or(0.0, |a| whole[(a, k + c)]));
         let inner = whole.view((k, k), (m, m)).into_owned();
-        Outer { bench, runs: Runs::new(bench), estimate, law: Law::new(&estimate.state), slots, alpha, cross, inner }
+        Outer { bench, estimate, law: Law::new(&estimate.state), slots, alpha, cross, inner }
     }
 
     /// Covariance of the values given a quantity, and how they follow it.
@@ -185,12 +183,13 @@ impl<'b, 'a> Outer<'b, 'a> {
 
     /// The best (μ, Σ) at these values, and which way ℓ rises from there.
     fn at(&self, (what, x): (Holdable, f64), values: Vec<f64>, near: &Near) -> Option<Here> {
-        let (bench, run) = (self.bench, self.runs.at(&values).ok()?);
+        let bench = self.bench;
+        let reduced = bench.reduce(&values).ok()?;
         let alpha = bench.alpha(&values);
         let point = near.point.as_ref().unwrap_or(&near.state.place.point);
-        let state = near.state.at(&run.reductions, &alpha, point.clone())?;
+        let state = near.state.at(&reduced.reductions, &alpha, point.clone())?;
         let found = Holder::new(&state).maximum(what, x, &state.place.point)?;
-        let scores = self.runs.scores(&run, &values, &state.law_at(&found.place)).ok()?;
+        let scores = bench.scores(&values, &reduced, &state.law_at(&found.place)).ok()?;
         let sigma = state.problem.values_of(&found.place.point).covariance;
         let score = state.residual_score_at(&found.place);
         let matrix = matrix_gradient(bench.model, &alpha, bench.slots, &sigma, &score);

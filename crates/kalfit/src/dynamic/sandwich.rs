@@ -8,7 +8,6 @@ use nalgebra::{DMatrix, DVector};
 use crate::dynamic::bench::Bench;
 use crate::dynamic::joint::Covariances;
 use crate::dynamic::matrices::matrix_gradient;
-use crate::dynamic::runs::Runs;
 use crate::dynamic::{DynamicError, DynamicFit};
 use crate::reduce::Reduction;
 use crate::score::Gradient;
@@ -19,13 +18,12 @@ pub(crate) fn sandwich(
     fit: &DynamicFit,
     observed: &Covariances,
 ) -> Result<Covariances, DynamicError> {
-    let runs = Runs::new(bench);
-    let run = runs.at(&fit.sought).map_err(Box::new)?;
-    let scores = runs.scores(&run, &fit.sought, &fit.estimate.state.law()).map_err(Box::new)?;
+    let reduced = bench.reduce(&fit.sought)?;
+    let scores = bench.scores(&fit.sought, &reduced, &fit.estimate.state.law())?;
     let n = observed.whole.nrows();
     let mut sum = DMatrix::zeros(n, n);
     for &j in bench.order() {
-        let score = score(bench, fit, &observed.shared, (&run.reductions[j], &scores[j]));
+        let score = score(bench, fit, &observed.shared, (&reduced.reductions[j], &scores[j]));
         sum.ger(1.0, &score, &score, 1.0);
     }
     let whole = &observed.whole * sum * &observed.whole;

@@ -15,6 +15,10 @@ const EQUAL: f64 = 1e-4;
 /// Values that differ by no more than this part of their standard error, or of themselves, are the same.
 const SAME: f64 = 0.05;
 
+/// Said of ensembles that are too large to look around in.
+const NOT_EXPLORED: &str =
+    "other maxima were not looked for beyond these starts, as one search takes long: `--starts` adds more";
+
 /// A fit of α, μ and Σ and what was inferred from it.
 #[derive(Debug, Clone, Copy)]
 pub struct DynamicParts<'a> {
@@ -56,6 +60,9 @@ impl FitRecord {
         record.starts = StartRecord::all(fit);
         let mut notes = if record.converged { standing_notes(parts) } else { Vec::new() };
         notes.extend(start_notes(parts));
+        if record.converged && !fit.explored && fit.slots.len() > 1 {
+            notes.push(NOT_EXPLORED.to_owned());
+        }
         notes.append(&mut record.notes);
         record.notes = notes;
         record
