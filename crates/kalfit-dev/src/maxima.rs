@@ -119,9 +119,11 @@ fn examine(seed: u64, directions: usize) -> Outcome {
     }
     ends.retain(|end| end.stop == Stop::Certified && end.estimate.stop == Stop::Certified);
     outcome.certified = ends.len();
-    let highest = ends.iter().map(|end| end.estimate.log_likelihood).fold(f64::NEG_INFINITY, f64::max);
+    let Some(best) = ends.iter().max_by(|a, b| a.estimate.log_likelihood.total_cmp(&b.estimate.log_likelihood)) else {
+        return outcome;
+    };
     for end in &ends {
-        let gap = highest - end.estimate.log_likelihood;
+        let gap = best.estimate.log_likelihood - end.estimate.log_likelihood;
         let rise = probe(&drawn, end, directions, &mut random);
         outcome.below += usize::from(gap > EQUAL);
         outcome.rising += usize::from(rise > RISES);
@@ -130,12 +132,8 @@ fn examine(seed: u64, directions: usize) -> Outcome {
         if gap > EQUAL || rise > RISES {
             let _ = writeln!(
                 outcome.words,
-                "seed {seed}, {}: ends {:.3e} below another, a probe rises by {rise:.3e}; values {:?}, {:?}\n{}",
-                drawn.kind,
-                gap,
-                end.values,
-                end.estimate.covariance.as_slice(),
-                drawn.text
+                "seed {seed}, {}: ends {gap:.3e} below another, a probe rises by {rise:.3e}; at {:?}, the other at {:?}\n{}",
+                drawn.kind, end.values, best.values, drawn.text
             );
         }
     }

@@ -20,7 +20,7 @@ use crate::score::{Gradient, Slots, add, mentioned, power};
 const MOST_ROWS: usize = 4096;
 /// A covariance stays below the edge by this part, which rounding asks for.
 const WITHIN: f64 = 1e-9;
-/// A start lies no nearer to the edge than this part.
+/// A start beyond the edge is brought to this part of it.
 const INSIDE: f64 = 0.95;
 
 /// All values that are sought in this way.
@@ -95,13 +95,13 @@ impl Edges {
         values
     }
 
-    /// What is sought where α has these values, at least as start.
+    /// What is sought where α has these values; a start beyond the edge is brought inside.
     pub(crate) fn sought(&self, values: &[f64], alpha: &Alpha) -> Vec<f64> {
         let mut sought = values.to_vec();
         for edge in &self.0 {
             let part =
                 edge.least(alpha).filter(|(least, _)| *least > 0.0).map_or(0.0, |(least, _)| values[edge.slot] / least);
-            sought[edge.slot] = part.clamp(-INSIDE, INSIDE);
+            sought[edge.slot] = if part.abs() > 1.0 { INSIDE * part.signum() } else { part };
         }
         sought
     }

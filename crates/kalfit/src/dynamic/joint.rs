@@ -8,7 +8,8 @@ use std::collections::BTreeMap;
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::dynamic::bench::{Bench, OfTests, Shifted, Solved, Told};
+use crate::dynamic::bench::{Bench, Shifted, Solved, Told};
+use crate::dynamic::touching::Touching;
 use crate::estimate::{NOTHING, NoiseInformation, Tangent};
 use crate::linalg::symmetric;
 
@@ -81,7 +82,7 @@ impl Joint {
             Told::Tests(tests) => tests,
             Told::Scale(exact) => return Joint::of_scale(exact, list, inner).without_flat(bench, home),
         };
-        let touching = touching(bench, tests, n);
+        let touching = Touching::of(bench, tests, n);
         let alone = |s: usize| list.len() > DENSE && touching.tests[s].len() == 1 && !touching.matrix[s];
         let mut by_test: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
         list.iter().filter(|&&s| alone(s)).for_each(|&s| by_test.entry(touching.tests[s][0]).or_default().push(s));
@@ -464,56 +465,4 @@ fn widths(bench: &Bench<'_>, colour: &[usize], sides: &[Shifted; 2]) -> BTreeMap
 fn first_step(bench: &Bench<'_>, home: &Solved, s: usize, central: bool) -> f64 {
     let h = if central { STEP } else { SHORT };
     if bench.coordinates[s].log { h } else { h * home.values[s].abs().max(1e-2) }
-}
-
-/// Which tests depend on which values.
-#[derive(Debug)]
-struct Touching {
-    tests: Vec<Vec<usize>>,
-    of_test: Vec<Vec<usize>>,
-    /// The value stands in a matrix of the covariance structure.
-    matrix: Vec<bool>,
-    count: usize,
-}
-
-fn touching(bench: &Bench<'_>, all: &OfTests, n: usize) -> Touching {
-    let mut tests = vec![Vec::new(); n];
-    let of_test: Vec<Vec<usize>> = all.scores.iter().map(|g| g.iter().map(|(s, _)| *s).collect()).collect();
-    for (j, slots) in of_test.iter().enumerate() {
-        slots.iter().for_each(|&s| tests[s].push(j));
-    }
-    let mut matrix = vec![false; n];
-    bench.matrix_slots().into_iter().for_each(|s| matrix[s] = true);
-    Touching { tests, of_test, matrix, count: all.scores.len() }
-}
-
-impl Touching {
-    fn everywhere(&self, s: usize) -> bool {
-        self.tests[s].len() == self.count
-    }
-
-    /// Sets of values that no test has in common; each value alone when `apart`.
-    fn colours(&self, active: &[usize], apart: bool) -> Vec<Vec<usize>> {
-        if apart {
-            return active.iter().map(|&s| vec![s]).collect();
-        }
-        let mut colours: Vec<(Vec<usize>, Vec<bool>)> = Vec::new();
-        for &s in active {
-            let whole = self.matrix[s] || self.everywhere(s);
-            let free = |taken: &[bool]| !whole && self.tests[s].iter().all(|&j| !taken[j]);
-            let place = colours.iter().position(|(_, taken)| free(taken));
-            let place = place.unwrap_or_else(|| {
-                colours.push((Vec::new(), vec![false; self.count]));
-                colours.len() - 1
-            });
-            let (colour, taken) = &mut colours[place];
-            colour.push(s);
-            if whole {
-                taken.fill(true);
-            } else {
-                self.tests[s].iter().for_each(|&j| taken[j] = true);
-            }
-        }
-        colours.into_iter().map(|(colour, _)| colour).collect()
-    }
 }

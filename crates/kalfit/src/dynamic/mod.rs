@@ -29,6 +29,7 @@ mod settings;
 mod start;
 #[cfg(test)]
 mod tests;
+mod touching;
 mod twins;
 mod worth;
 mod zero;

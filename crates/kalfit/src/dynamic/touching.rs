@@ -1,0 +1,59 @@
+//! Which tests depend on which values of α: what no test has in common can move in one run of the filters.
+
+use crate::dynamic::bench::{Bench, OfTests};
+
+/// Which tests depend on which values.
+#[derive(Debug)]
+pub(super) struct Touching {
+    /// Tests by value.
+    pub(super) tests: Vec<Vec<usize>>,
+    /// Values by test.
+    pub(super) of_test: Vec<Vec<usize>>,
+    /// The value stands in a matrix of the covariance structure.
+    pub(super) matrix: Vec<bool>,
+    count: usize,
+}
+
+impl Touching {
+    /// From the values that the scores of each test mention, of n.
+    pub(super) fn of(bench: &Bench<'_>, all: &OfTests, n: usize) -> Touching {
+        let mut tests = vec![Vec::new(); n];
+        let of_test: Vec<Vec<usize>> = all.scores.iter().map(|g| g.iter().map(|(s, _)| *s).collect()).collect();
+        for (j, slots) in of_test.iter().enumerate() {
+            slots.iter().for_each(|&s| tests[s].push(j));
+        }
+        let mut matrix = vec![false; n];
+        bench.matrix_slots().into_iter().for_each(|s| matrix[s] = true);
+        Touching { tests, of_test, matrix, count: all.scores.len() }
+    }
+
+    /// All tests depend on it.
+    pub(super) fn everywhere(&self, s: usize) -> bool {
+        self.tests[s].len() == self.count
+    }
+
+    /// Sets of values that no test has in common; each value alone when `apart`.
+    pub(super) fn colours(&self, active: &[usize], apart: bool) -> Vec<Vec<usize>> {
+        if apart {
+            return active.iter().map(|&s| vec![s]).collect();
+        }
+        let mut colours: Vec<(Vec<usize>, Vec<bool>)> = Vec::new();
+        for &s in active {
+            let whole = self.matrix[s] || self.everywhere(s);
+            let free = |taken: &[bool]| !whole && self.tests[s].iter().all(|&j| !taken[j]);
+            let place = colours.iter().position(|(_, taken)| free(taken));
+            let place = place.unwrap_or_else(|| {
+                colours.push((Vec::new(), vec![false; self.count]));
+                colours.len() - 1
+            });
+            let (colour, taken) = &mut colours[place];
+            colour.push(s);
+            if whole {
+                taken.fill(true);
+            } else {
+                self.tests[s].iter().for_each(|&j| taken[j] = true);
+            }
+        }
+        colours.into_iter().map(|(colour, _)| colour).collect()
+    }
+}
