@@ -44,11 +44,13 @@ impl Watch for Unwatched {
 pub(crate) struct Work<'a> {
     began: Instant,
     watch: &'a mut dyn Watch,
+    /// The search gains slowly by the method that was asked for.
+    slow: bool,
 }
 
 impl<'a> Work<'a> {
     pub(crate) fn new(watch: &'a mut dyn Watch) -> Work<'a> {
-        Work { began: Instant::now(), watch }
+        Work { began: Instant::now(), watch, slow: false }
     }
 
     /// Time since the work began.
@@ -82,17 +84,20 @@ impl<'a> Work<'a> {
 
 impl Progress for Work<'_> {
     fn step(&mut self, step: Step) {
+        let slow = if self.slow { "; EM is slow here, the hybrid method takes fewer runs" } else { "" };
         self.say(|| {
             let far =
                 step.decrement.map_or(String::new(), |d| format!(", {} standard errors from the optimum", rough(d)));
-            format!("pass {}: log-likelihood {:.2}{far}", step.passes, step.log_likelihood)
+            format!("pass {}: log-likelihood {:.2}{far}{slow}", step.passes, step.log_likelihood)
         });
     }
 
     fn stage(&mut self, stage: Stage) {
+        self.slow |= matches!(stage, Stage::Slow);
         self.say(|| match stage {
             Stage::StartValues { filter_runs } => format!("start values: filter run {}", filter_runs + 1),
             Stage::Filters { filter_runs } => format!("search: filter run {}", filter_runs + 1),
+            Stage::Slow => "search: EM is slow here, the hybrid method takes fewer runs".to_owned(),
             _ => "fitting".to_owned(),
         });
     }
@@ -138,6 +143,11 @@ mod tests {
         assert_eq!(told(&|work| work.step(step(None))), "pass 4: log-likelihood 926723.21");
         assert_eq!(told(&|work| work.stage(Stage::StartValues { filter_runs: 0 })), "start values: filter run 1");
         assert_eq!(told(&|work| work.stage(Stage::Filters { filter_runs: 11 })), "search: filter run 12");
+        let slowly = told(&|work| {
+            work.stage(Stage::Slow);
+            work.step(step(None));
+        });
+        assert_eq!(slowly, "pass 4: log-likelihood 926723.21; EM is slow here, the hybrid method takes fewer runs");
         assert_eq!([0.04, 0.5, 12.3, 3e8].map(rough), ["4e-2", "0.5", "12", "3e8"]);
     }
 }

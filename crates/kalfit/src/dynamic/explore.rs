@@ -42,7 +42,7 @@ pub(super) fn explore(
 pub(super) fn around(bench: &Bench<'_>, end: End, held: usize) -> End {
     let most = bench.filter_passes() + most(bench);
     let floor = end.home.value() + RISE;
-    let places = places(bench, &end, Some(held));
+    let places = places(bench, &end, Some(held), &mut Silent);
     let mut found = places.into_iter().take_while(|_| bench.filter_passes() < most).filter_map(|place| {
         let (home, mut silent) = (bench.solve(&place, None).ok()?, Silent);
         let mut search = Search::new(bench, &mut silent, home).beyond(Some(floor));
@@ -73,7 +73,7 @@ fn look_around(
     let mut tried: Vec<Vec<f64>> = ends.iter().map(|end| end.home.values.clone()).collect();
     for round in 0..ROUNDS {
         let Some(best) = best(ends) else { return Ok(()) };
-        let mut places = places(hybrid, best, None);
+        let mut places = places(hybrid, best, None, progress);
         if round == 0 && told {
             places.extend(start::from_data(bench, progress));
         }
@@ -98,7 +98,7 @@ fn look_around(
         let Some(found) = higher else { return Ok(()) };
         let found = match bench.settings.method {
             Method::Hybrid => found,
-            _ => crate::dynamic::search::search(bench, &found.restart(), None, progress)?,
+            _ => crate::dynamic::search::search(bench, found.restart().into(), None, progress)?,
         };
         ends.push(found);
     }
@@ -112,7 +112,7 @@ pub(super) fn best(ends: &[End]) -> Option<&End> {
 }
 
 /// Where to look from an end: at common values but the one that is held.
-fn places(bench: &Bench<'_>, end: &End, held: Option<usize>) -> Vec<Vec<f64>> {
+fn places(bench: &Bench<'_>, end: &End, held: Option<usize>, progress: &mut dyn Progress) -> Vec<Vec<f64>> {
     let values = &end.home.values;
     let mut all: Vec<Vec<f64>> =
         bench.twins.iter().filter_map(|twins| twins.merged(values, &bench.coordinates)).collect();
@@ -132,7 +132,41 @@ fn places(bench: &Bench<'_>, end: &End, held: Option<usize>) -> Vec<Vec<f64>> {
     for &s in &levels {
         all.extend(sizes(bench, end, (s, bench.units()[s])));
     }
+    let is_open = |parameter: usize| bench.slots.common(parameter).is_some_and(|s| held != Some(s));
+    for parameter in start::time_constants(bench.model).into_iter().filter(|&p| is_open(p)) {
+        all.extend(start::other_maxima(bench, parameter, values, progress));
+        all.extend(levels.iter().filter_map(|&s| taken_over(bench, values, s, parameter, progress)));
+    }
     all
+}
+
+/// Noise of a measurement, in the level `s`, taken over by a process with this time constant in the shape that suits it best.
+fn taken_over(
+    bench: &Bench<'_>,
+    values: &[f64],
+    s: usize,
+    time_constant: usize,
+    progress: &mut dyn Progress,
+) -> Option<Vec<f64>> {
+    let taker =
+        bench.model.phases.iter().flat_map(|phase| &phase.model.states).find_map(|state| match &state.motion {
+            Motion::Constant => None,
+            Motion::Continuous { derivative: motion, noise_variance }
+            | Motion::Discrete { next: motion, noise_variance } => {
+                let timed = motion.terms.iter().any(|(_, term)| start::mentions(term, time_constant));
+                let mentioned = |t: &usize| start::mentions(noise_variance, bench.slots.slots()[*t].parameter);
+                let level = |t: &usize| bench.coordinates[*t].level.is_some() && mentioned(t);
+                (0..values.len()).find(level).filter(|_| timed)
+            }
+        })?;
+    if values[s] == 0.0 || drives(bench, s) {
+        return None;
+    }
+    let (from, to) = (bench.coordinates[s].level?, bench.coordinates[taker].level?);
+    let mut over = values.to_vec();
+    over[taker] = values[s].powf(from / to).clamp(bench.coordinates[taker].lower, bench.coordinates[taker].upper);
+    over[s] = 0.0;
+    start::best_of(bench, time_constant, &over, progress)
 }
 
 /// A level of the motion of some state.

@@ -18,24 +18,53 @@ const KEPT: f64 = 0.2;
 /// Levels sink in their variances, which are not looked at here: a slope below and a curvature about it leave that to others.
 const SINKING: f64 = 2.5;
 
+/// Information in some values once (μ, Σ) follow them.
+#[derive(Debug, Clone)]
+pub(crate) struct Curvature {
+    slots: Vec<usize>,
+    information: DMatrix<f64>,
+}
+
+impl Curvature {
+    /// `None` where values of single tests stand between.
+    pub(crate) fn of(joint: &Joint) -> Option<Curvature> {
+        Some(Curvature { slots: joint.shared().to_vec(), information: joint.followed()? })
+    }
+
+    /// What so many times the data would say.
+    pub(crate) fn times(self, factor: f64) -> Curvature {
+        Curvature { information: self.information * factor, ..self }
+    }
+}
+
 impl Search<'_, '_> {
     /// Goes on from where a step led; `before`: where it began, `joint` the information there.
     pub(super) fn glide(&mut self, joint: &Joint, before: &Solved) {
+        if let Some(curvature) = Curvature::of(joint) {
+            self.glide_on(curvature, Some(before.clone()));
+        }
+    }
+
+    /// Goes on by a curvature at hand; `last`: where it was known, if that is not here.
+    pub(super) fn glide_on(&mut self, curvature: Curvature, mut last: Option<Solved>) {
         if self.bench.settings.method != Method::Hybrid {
             return;
         }
-        let Some(mut information) = joint.followed() else { return };
-        let slots = joint.shared().to_vec();
-        let mut last = before.clone();
+        let Curvature { slots, mut information } = curvature;
         for _ in 0..STEPS {
-            if !self.learn(&mut information, &slots, &last) || self.sinks(&information, &slots) {
+            let learnt = last.as_ref().is_none_or(|last| self.learn(&mut information, &slots, last));
+            if !learnt || self.sinks(&information, &slots) {
                 return;
             }
             let gradient = DVector::from_iterator(slots.len(), slots.iter().map(|&s| self.home.gradient[s]));
             let Some(step) = solved(&information, &gradient) else { return };
             let promised = 0.5 * step.dot(&gradient);
             let far = |(&s, d): (&usize, &f64)| self.bench.coordinates[s].log && d.abs() > LONGEST;
-            self.glided = Some((2.0 * promised.max(0.0)).sqrt());
+            let decrement = (2.0 * promised.max(0.0)).sqrt();
+            self.glided = Some(decrement);
+            if self.is_lost(decrement) {
+                return;
+            }
             if promised <= 0.05 * self.tolerance().powi(2) || slots.iter().zip(step.iter()).any(far) {
                 return;
             }
@@ -48,8 +77,8 @@ impl Search<'_, '_> {
             let rises = |next: &Solved| next.value() >= self.home.value() + KEPT * promised - slack;
             let Some(next) = self.at(&values).filter(rises) else { return };
             let kept = slots.iter().all(|&s| !self.bench.coordinates[s].at_lower(next.values[s]));
-            last = std::mem::replace(&mut self.home, next);
-            self.tell((2.0 * promised).sqrt());
+            last = Some(std::mem::replace(&mut self.home, next));
+            self.tell(decrement);
             if !kept || self.stops() {
                 return;
             }

@@ -218,7 +218,7 @@ pub fn fit(
             break;
         }
         progress.stage(Stage::Filters { filter_runs: bench.filter_passes() });
-        match search::search(&bench, &start, floor, progress) {
+        match search::search(&bench, start, floor, progress) {
             Ok(end) => {
                 floor = Some(floor.map_or(end.home.value(), |floor: f64| floor.max(end.home.value())));
                 ends.push(end);
@@ -305,7 +305,7 @@ pub fn start_values(
     refuse(model, tests, &slots, settings)?;
     let bench = Bench::new(model, tests, &slots, settings);
     let starts = start::starts(&bench, progress)?;
-    starts.first().map(|first| bench.values(first)).ok_or(DynamicError::Fit(FitError::NoTests))
+    starts.first().map(|first| bench.values(&first.values)).ok_or(DynamicError::Fit(FitError::NoTests))
 }
 
 /// What has no meaning while parameters are free.

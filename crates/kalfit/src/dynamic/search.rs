@@ -5,8 +5,9 @@ use nalgebra::DVector;
 use crate::dynamic::bench::{Bench, Solved};
 use crate::dynamic::em::Em;
 use crate::dynamic::joint::{self, Joint};
+use crate::dynamic::start::Start;
 use crate::dynamic::{DynamicError, Method, Standing};
-use crate::estimate::{Progress, Step, Stop};
+use crate::estimate::{Progress, Stage, Step, Stop};
 use crate::model::Population;
 
 /// Longest step of a logarithm.
@@ -157,7 +158,7 @@ impl<'b, 'a> Search<'b, 'a> {
     }
 
     /// The same without levels at zero, which could return.
-    fn is_lost(&self, decrement: f64) -> bool {
+    pub(super) fn is_lost(&self, decrement: f64) -> bool {
         self.hopeless(decrement) && self.zeros().is_empty()
     }
 
@@ -172,11 +173,11 @@ impl<'b, 'a> Search<'b, 'a> {
 
     /// To the optimum, certified by differences to both sides.
     pub(crate) fn run(mut self) -> Result<End, DynamicError> {
-        let mut fine = false; // differences to both sides
+        let mut fine = self.glided.is_some_and(|decrement| decrement <= self.tolerance()); // differences to both sides
         let mut stop = Stop::PassLimit;
         let mut last = None;
         for _ in 0..STEPS {
-            if last.is_some() && self.glided.take().is_some_and(|decrement| self.is_lost(decrement)) {
+            if self.glided.take().is_some_and(|decrement| self.is_lost(decrement)) {
                 self.given_up = true;
                 break;
             }
@@ -192,7 +193,8 @@ impl<'b, 'a> Search<'b, 'a> {
                 }
             }
         }
-        let (joint, certificate) = last.expect("there is at least one step");
+        let unseen = || (Joint::new(self.bench, &self.home, &vec![false; self.standing.len()], false), f64::NAN);
+        let (joint, certificate) = last.unwrap_or_else(unseen);
         self.name_idle(&joint);
         if self.home.estimate.stop != Stop::Certified && stop != Stop::Interrupted {
             stop = self.home.estimate.stop;
@@ -242,6 +244,11 @@ impl<'b, 'a> Search<'b, 'a> {
     /// Somebody asks the search to end where it is.
     pub(super) fn stops(&self) -> bool {
         self.progress.stops()
+    }
+
+    /// Says how it goes.
+    pub(super) fn say(&mut self, stage: Stage) {
+        self.progress.stage(stage);
     }
 
     pub(super) fn tell(&mut self, decrement: f64) {
@@ -432,15 +439,18 @@ impl<'b, 'a> Search<'b, 'a> {
     }
 }
 
-/// A search from given values, by the method that was asked for; it gives up where `floor` is out of reach.
+/// A search from a start, by the method that was asked for; it gives up where `floor` is out of reach.
 pub(crate) fn search(
     bench: &Bench<'_>,
-    values: &[f64],
+    start: Start,
     floor: Option<f64>,
     progress: &mut dyn Progress,
 ) -> Result<End, DynamicError> {
-    let home = bench.solve(values, None)?;
-    let search = Search::new(bench, progress, home).beyond(floor);
+    let home = bench.solve(&start.values, None)?;
+    let mut search = Search::new(bench, progress, home).beyond(floor);
+    if let Some(curvature) = start.curvature {
+        search.glide_on(curvature, None);
+    }
     match bench.settings.method {
         Method::Hybrid | Method::Innovations => search.run(),
         Method::Em => Em::new(search)?.run(),

@@ -9,6 +9,7 @@ use rand_distr::{Distribution, StandardNormal};
 
 use crate::dynamic::balance::balance;
 use crate::dynamic::bench::Bench;
+use crate::dynamic::glide::Curvature;
 use crate::dynamic::search::{End, search};
 use crate::dynamic::twins::ordered;
 use crate::dynamic::{Coordinate, DynamicError};
@@ -39,9 +40,23 @@ const SPREAD: f64 = 1.5;
 /// Values other than logarithms that are tried where none is given.
 const TRIED: [f64; 5] = [0.0, 0.5, 0.9, -0.5, 1.0];
 
+/// Where a search begins.
+#[derive(Debug, Clone)]
+pub(crate) struct Start {
+    pub(crate) values: Vec<f64>,
+    /// How ℓ curves about it, as far as a part of the data tells.
+    pub(crate) curvature: Option<Curvature>,
+}
+
+impl From<Vec<f64>> for Start {
+    fn from(values: Vec<f64>) -> Start {
+        Start { values, curvature: None }
+    }
+}
+
 /// Start values, the likeliest first: the one worked out from the data, others where the likelihood looks to have other maxima
 /// in a time constant, and as many random ones as the settings say.
-pub(crate) fn starts(bench: &Bench<'_>, progress: &mut dyn Progress) -> Result<Vec<Vec<f64>>, DynamicError> {
+pub(crate) fn starts(bench: &Bench<'_>, progress: &mut dyn Progress) -> Result<Vec<Start>, DynamicError> {
     let common = bench.slots.slots().iter().all(|slot| slot.level.is_none());
     let sample = sample(bench.tests, common);
     let small = Bench::new(bench.model, &sample, bench.slots, bench.settings);
@@ -69,12 +84,13 @@ pub(crate) fn starts(bench: &Bench<'_>, progress: &mut dyn Progress) -> Result<V
     }
     all.extend((0..bench.settings.starts).map(|k| random(bench, &first, k)));
     if total(&sample) == total(bench.tests) {
-        return Ok(all);
+        return Ok(all.into_iter().map(Start::from).collect());
     }
     // values that were given are one start, whatever a part of the data makes of them
     let free = (0..bench.model.shared().parameters.len()).filter(|&p| bench.slots.is_free(p)).count();
-    let given = (unknown.len() < free).then(|| all.remove(0));
-    Ok(given.into_iter().chain(promising(&small, all, progress)).collect())
+    let given = (unknown.len() < free).then(|| Start::from(all.remove(0)));
+    let more = bench.rows() as f64 / small.rows() as f64;
+    Ok(given.into_iter().chain(promising(&small, all, more, progress)).collect())
 }
 
 /// Starts from the data alone, whatever values were given.
@@ -127,19 +143,26 @@ fn rows(test: &PhasedTest) -> usize {
     test.phases.iter().map(|evidence| if let Evidence::Rows(test) = evidence { test.rows() } else { 0 }).sum()
 }
 
-/// Of many starts, where the best ones end on a part of the data; all of them when they all fail there.
-fn promising(small: &Bench<'_>, starts: Vec<Vec<f64>>, progress: &mut dyn Progress) -> Vec<Vec<f64>> {
+/// Of many starts, where the best ones end on a part of the data, and how ℓ curves there on `more` times as many; all of them when
+/// they all fail there.
+fn promising(small: &Bench<'_>, starts: Vec<Vec<f64>>, more: f64, progress: &mut dyn Progress) -> Vec<Start> {
     let mut beside = Beside { small, progress };
-    let mut ends: Vec<End> = starts.iter().filter_map(|start| search(small, start, None, &mut beside).ok()).collect();
+    let begun = starts.iter().map(|start| search(small, start.clone().into(), None, &mut beside));
+    let mut ends: Vec<End> = begun.flatten().collect();
     ends.sort_by(|a, b| b.home.value().total_cmp(&a.home.value()));
-    let Some(best) = ends.first().map(|end| end.home.value()) else { return starts };
-    let mut kept: Vec<Vec<f64>> = Vec::new();
+    let Some(best) = ends.first().map(|end| end.home.value()) else {
+        return starts.into_iter().map(Start::from).collect();
+    };
+    let (mut kept, mut seen): (Vec<Start>, Vec<Vec<f64>>) = Default::default();
     for end in ends.into_iter().filter(|end| best - end.home.value() <= CLOSE) {
-        let values = ordered(&small.twins, &end.restart());
+        let values = end.restart();
+        let place = ordered(&small.twins, &values);
         let same =
-            |other: &Vec<f64>| other.iter().zip(&values).all(|(a, b)| (a - b).abs() <= ALIKE * a.abs().max(b.abs()));
-        if kept.len() < FOLLOWED && !kept.iter().any(same) {
-            kept.push(values);
+            |other: &Vec<f64>| other.iter().zip(&place).all(|(a, b)| (a - b).abs() <= ALIKE * a.abs().max(b.abs()));
+        if kept.len() < FOLLOWED && !seen.iter().any(same) {
+            let curvature = Curvature::of(&end.joint).map(|curvature| curvature.times(more));
+            kept.push(Start { values, curvature });
+            seen.push(place);
         }
     }
     kept
@@ -352,11 +375,20 @@ pub(crate) fn time_constants(model: &PhasedModel) -> Vec<usize> {
 
 /// All levels of one parameter over many powers of a factor.
 fn scan(small: &Bench<'_>, parameter: usize, values: &mut Vec<f64>, progress: &mut dyn Progress) {
-    let mut tries = vec![values.clone()];
-    tries.extend(grid(small, parameter, values));
-    if let Some((best, _)) = best(small, tries.into_iter(), progress) {
+    let tries = std::iter::once(values.clone()).chain(grid(small, parameter, values));
+    if let Some((best, _)) = best(small, tries, progress) {
         *values = best;
     }
+}
+
+/// The best of the same with all levels of one parameter over many powers of a factor.
+pub(super) fn best_of(
+    bench: &Bench<'_>,
+    parameter: usize,
+    values: &[f64],
+    progress: &mut dyn Progress,
+) -> Option<Vec<f64>> {
+    best(bench, grid(bench, parameter, values).into_iter(), progress).map(|(values, _)| values)
 }
 
 fn grid(small: &Bench<'_>, parameter: usize, values: &[f64]) -> Vec<Vec<f64>> {
@@ -386,11 +418,16 @@ fn best(
 }
 
 /// Starts where ℓ over the powers of a time constant has other maxima than at the first start.
-fn other_maxima(small: &Bench<'_>, parameter: usize, first: &[f64], progress: &mut dyn Progress) -> Vec<Vec<f64>> {
+pub(super) fn other_maxima(
+    small: &Bench<'_>,
+    parameter: usize,
+    first: &[f64],
+    progress: &mut dyn Progress,
+) -> Vec<Vec<f64>> {
     let grid = grid(small, parameter, first);
     let values: Vec<f64> = grid.iter().map(|v| tried(small, v, progress).unwrap_or(f64::NEG_INFINITY)).collect();
     let at = |k: usize| values.get(k).copied().unwrap_or(f64::NEG_INFINITY);
-    let peak = |&k: &usize| values[k].is_finite() && (k == 0 || at(k - 1) < values[k]) && at(k + 1) <= values[k];
+    let peak = |&k: &usize| values[k].is_finite() && (k == 0 || at(k - 1) < values[k]) && at(k + 1) < values[k];
     let middle = EACH_SIDE as usize;
     let near = |k: usize| k.abs_diff(middle) <= 1;
     (0..values.len()).filter(peak).filter(|&k| !near(k)).take(3).map(|k| grid[k].clone()).collect()

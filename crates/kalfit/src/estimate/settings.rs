@@ -99,6 +99,8 @@ pub enum Stage {
         /// Filter runs that the search took so far.
         filter_runs: usize,
     },
+    /// EM over free parameters gains slowly here, and another method would take far fewer runs.
+    Slow,
 }
 
 /// Listens to the search.

@@ -15,6 +15,8 @@ const EQUAL: f64 = 1e-4;
 /// Values that differ by no more than this part of their standard error, or of themselves, are the same.
 const SAME: f64 = 0.05;
 
+/// More runs of the filters than this are worth a word about EM.
+const MANY_RUNS: usize = 300;
 /// Said of ensembles that are too large to look around in.
 const NOT_EXPLORED: &str =
     "other maxima were not looked for beyond these starts, as one search takes long: `--starts` adds more";
@@ -62,6 +64,10 @@ impl FitRecord {
         notes.extend(start_notes(parts));
         if record.converged && !fit.explored && fit.slots.len() > 1 {
             notes.push(NOT_EXPLORED.to_owned());
+        }
+        if fit.method == Method::Em && fit.filter_passes > MANY_RUNS {
+            let runs = fit.filter_passes;
+            notes.push(format!("EM took {runs} runs of the filters here; the hybrid method needs far fewer"));
         }
         notes.append(&mut record.notes);
         record.notes = notes;

@@ -18,7 +18,7 @@ use crate::dynamic::DynamicError;
 use crate::dynamic::bench::Solved;
 use crate::dynamic::joint::Joint;
 use crate::dynamic::search::{End, LONGEST, NEAR_ENOUGH, Search};
-use crate::estimate::Stop;
+use crate::estimate::{Stage, Stop};
 use anderson::Anderson;
 use ascent::Ascent;
 use ways::{Way, ways};
@@ -27,6 +27,8 @@ use ways::{Way, ways};
 const PASSES: usize = 20_000;
 /// First look at the certificate.
 const FIRST: usize = 6;
+/// By so many passes another method would have been there.
+const SLOW: usize = 30;
 /// Most passes from one look to the next.
 const LONGEST_WAIT: usize = 128;
 /// So near a stationary point (in standard errors) that is no maximum EM would take very long to leave it.
@@ -76,6 +78,9 @@ impl<'b, 'a> Em<'b, 'a> {
         let mut ended = None;
         for pass in 0..PASSES {
             let near = self.pass()?;
+            if pass == SLOW {
+                self.search.say(Stage::Slow);
+            }
             if self.search.stops() {
                 ended = Some((self.look(false), Stop::Interrupted));
                 break;

@@ -203,7 +203,7 @@ fn with_bench<T>(model: &Model, seed: u64, go: impl FnOnce(&Bench<'_>) -> T) -> 
 fn end(bench: &Bench<'_>, values: &[f64], method: Method) -> End {
     let settings = Settings { method, ..bench.settings.clone() };
     let own = Bench::new(bench.model, bench.tests, bench.slots, &settings);
-    crate::dynamic::search::search(&own, values, None, &mut Silent).expect("it ends")
+    crate::dynamic::search::search(&own, values.to_vec().into(), None, &mut Silent).expect("it ends")
 }
 
 #[test]
