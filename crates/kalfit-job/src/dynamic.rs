@@ -10,7 +10,8 @@ use kalfit_spec::Spec;
 
 use crate::evidence::Given;
 use crate::failure::Failure;
-use crate::fit::{patience, record, refuse_idle};
+use crate::idle::refuse_idle;
+use crate::inferred::{patience, record};
 use crate::innovations;
 use crate::job::FitJob;
 use crate::work::Work;
