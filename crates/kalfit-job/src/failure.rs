@@ -14,7 +14,7 @@ use kalfit_spec::{Spec, SpecError};
 
 use crate::output::OutputError;
 use crate::results::ResultError;
-use crate::truth::TruthError;
+use crate::truth::error::TruthError;
 
 /// Bad input, or a world that does not let us write. Exit status 2.
 #[derive(Debug, thiserror::Error)]

@@ -65,5 +65,6 @@ pub use report::report;
 pub use results::ResultError;
 pub use simulate::simulate;
 pub use test::test;
-pub use truth::{TruthError, fit_record};
+pub use truth::error::TruthError;
+pub use truth::fit_record;
 pub use work::{Share, Unwatched, Watch};

@@ -1,6 +1,6 @@
 //! `--from`: the population and the parameters that are taken as true, from a fit or from a model file.
 
-mod error;
+pub(crate) mod error;
 
 use std::collections::{BTreeSet, HashMap};
 use std::path::Path;
@@ -14,8 +14,7 @@ use crate::document::Document;
 use crate::failure::Failure;
 use crate::model;
 use crate::results::{self, FIT, ResultError};
-
-pub use self::error::TruthError;
+use crate::truth::error::TruthError;
 
 /// What is taken as true.
 #[derive(Debug)]
