@@ -1,9 +1,8 @@
 //! `kalfit fit` where dynamic parameters are free: the tests are kept, since the filters run again whenever α moves.
 
 use kalfit::dynamic::{self, DynamicError, DynamicFit, Method, Settings};
-use kalfit::model::Population;
+use kalfit::model::{Population, Slots};
 use kalfit::record::{DynamicParts, LevelCounts, MethodRecord, level_notes};
-use kalfit::score::Slots;
 use kalfit::{Alpha, FitRecord, Labels, PhasedModel, PhasedTest, Provenance};
 use kalfit_data::Reading;
 use kalfit_spec::Spec;

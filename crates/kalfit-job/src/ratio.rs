@@ -5,8 +5,8 @@ use kalfit::infer::{
     Choices, DeletionChoice, DynamicRatioError, Inference, LikelihoodRatio, NotNested, dynamic_bootstrap_while,
     dynamic_ratio, restricted, started,
 };
+use kalfit::model::Slots;
 use kalfit::record::{DynamicParts, DynamicSides, PartRecord, RatioProvenance, RatioRecord};
-use kalfit::score::Slots;
 use kalfit::{Labels, Model, PhasedModel, PhasedTest};
 use kalfit_data::Reading;
 use kalfit_spec::{Hypothesis, Spec};

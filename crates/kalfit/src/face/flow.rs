@@ -9,10 +9,9 @@ use crate::face::error::EnsembleError;
 use crate::face::fit::{Fit, Options};
 use crate::face::second_look;
 use crate::infer;
-use crate::model::{Alpha, PhasedModel};
+use crate::model::{Alpha, PhasedModel, Slots};
 use crate::record::{DynamicParts, FitRecord, LevelCounts, Provenance, TestGroups, level_notes};
 use crate::reduce::Reduction;
-use crate::score::Slots;
 
 /// Fits a model to tests: μ, Σ and free dynamic parameters by maximum likelihood, with all that is inferred from them. The tests'
 /// order does not change the answer, nor does the number of threads.

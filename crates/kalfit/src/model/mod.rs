@@ -11,6 +11,7 @@ mod phased;
 mod population;
 mod power;
 mod role;
+mod slots;
 mod stacked;
 mod structure;
 
@@ -22,6 +23,7 @@ pub use phased::{Carry, Filter, MAIN, Phase, PhasedModel};
 pub use population::{Population, PopulationError};
 pub(crate) use role::roles_among;
 pub use role::{Role, roles};
+pub use slots::{Slot, Slots};
 pub use structure::{
     CovarianceKind, CovarianceStructure, FixedElement, MeanElement, MeanStructure, Regression, StructureError,
 };
