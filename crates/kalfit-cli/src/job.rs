@@ -1,7 +1,6 @@
 //! What is meant by what was typed.
 
 use std::path::PathBuf;
-use std::process::ExitCode;
 
 use clap_complete::Shell;
 use kalfit::dynamic::{self, Method};
@@ -14,9 +13,10 @@ use crate::args::{
     Args, CheckArgs, Command, CriterionArg, DeletionArg, ExchangeArgs, FitArgs, InnovationsArg, IntervalsArg,
     MethodArg, ModelArgs, PhasesArg, PlanArgs, ReportArgs, SimulateArgs, SolverArg, StdErrorsArg, TestArgs,
 };
+use crate::ended::{Ended, Outcome};
 use crate::init::InitJob;
 use crate::interrupt;
-use crate::show::{self, Ended};
+use crate::show;
 
 /// One command with all that it needs to know.
 #[derive(Debug)]
@@ -41,30 +41,6 @@ enum Job {
     Report(ReportJob),
     Completions(Shell),
     Man(Option<PathBuf>),
-}
-
-/// How a command ended that had good input.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Outcome {
-    Done,
-    NotCertified,
-    /// By Ctrl-C, with what there was.
-    Interrupted,
-}
-
-impl Outcome {
-    /// Of a fit, or of what is made of fits.
-    pub(crate) fn of(converged: bool) -> Outcome {
-        if converged { Outcome::Done } else { Outcome::NotCertified }
-    }
-
-    pub(crate) fn exit_code(self) -> ExitCode {
-        match self {
-            Outcome::Done => ExitCode::SUCCESS,
-            Outcome::NotCertified => ExitCode::FAILURE,
-            Outcome::Interrupted => ExitCode::from(interrupt::STATUS),
-        }
-    }
 }
 
 impl Order {

@@ -1,6 +1,7 @@
 //! The command `kalfit`: what was typed → what is meant → one job → what is shown, and the exit status.
 
 mod args;
+mod ended;
 mod examples;
 mod generate;
 mod init;

@@ -1,7 +1,6 @@
 //! Jobs done and their results shown: results on standard output, everything else on standard error.
 
 use std::path::Path;
-use std::process::ExitCode;
 
 use clap_complete::Shell;
 use kalfit_job::{
@@ -9,54 +8,12 @@ use kalfit_job::{
 };
 use kalfit_report::{check_summary, plan_summary, ratio_summary, summary};
 
-use crate::generate::{self, ManError};
-use crate::init::{self, InitError, InitJob};
+use crate::ended::{Ended, Outcome};
+use crate::generate;
+use crate::init::{self, InitJob};
 use crate::interrupt;
-use crate::job::Outcome;
 use crate::progress::Line;
 use crate::terminal;
-
-/// Why a command ended without results that were seen.
-#[derive(Debug)]
-pub(crate) enum Ended {
-    /// The job could not be done.
-    Failed(Box<Failure>),
-    /// No starter model was written.
-    NotBegun(InitError),
-    /// No manual pages were written.
-    NoPages(ManError),
-    /// Standard output could not be written.
-    Unheard(std::io::Error),
-}
-
-impl From<Failure> for Ended {
-    fn from(failure: Failure) -> Ended {
-        Ended::Failed(Box::new(failure))
-    }
-}
-
-impl Ended {
-    /// Bad input, unless it was the user who ended it.
-    pub(crate) fn exit_code(&self) -> ExitCode {
-        match self {
-            Ended::Failed(failure) if matches!(**failure, Failure::Interrupted) => ExitCode::from(interrupt::STATUS),
-            _ => ExitCode::from(2),
-        }
-    }
-
-    /// The whole message.
-    pub(crate) fn words(&self) -> String {
-        let color = terminal::color_on_stderr();
-        match self {
-            Ended::Failed(failure) => kalfit_job::render(failure, color),
-            Ended::NotBegun(error) => kalfit_job::render_hinted(&error.to_string(), error.hint(), color),
-            Ended::NoPages(error) => kalfit_job::render_message(&error.to_string(), color),
-            Ended::Unheard(error) => {
-                kalfit_job::render_message(&format!("cannot write to standard output: {error}"), color)
-            }
-        }
-    }
-}
 
 pub(crate) fn fit(job: &FitJob, quiet: bool) -> Result<Outcome, Ended> {
     let Done { record, notes, written } = watched(quiet, |line| kalfit_job::fit(job, line))?;

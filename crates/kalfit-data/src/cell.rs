@@ -84,6 +84,26 @@ fn plain(cell: &[u8]) -> Option<f64> {
     Some(if negative { -value } else { value })
 }
 
+/// Text of a cell for a message: not too long, and without characters that could play tricks on a terminal.
+pub(crate) fn shown(cell: &[u8]) -> String {
+    const LONGEST: usize = 60;
+    let text = String::from_utf8_lossy(&cell[..cell.len().min(4 * LONGEST)]);
+    let mut short = String::new();
+    for character in text.chars().take(LONGEST) {
+        let directs_text =
+            matches!(character, '\u{200e}'..='\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+        if character.is_control() || directs_text {
+            short.extend(character.escape_default());
+        } else {
+            short.push(character);
+        }
+    }
+    if text.chars().count() > LONGEST || cell.len() > 4 * LONGEST {
+        short.push('…');
+    }
+    short
+}
+
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;

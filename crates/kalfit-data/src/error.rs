@@ -1,46 +1,13 @@
 //! What can be wrong with data.
 
-use std::fmt;
 use std::io;
 
 use arrow::error::ArrowError;
 use parquet::errors::ParquetError;
 
+use crate::columns::Columns;
 use crate::exchange::ExchangeError;
-use crate::reading::Reading;
-
-/// A cell of a file.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Place {
-    /// The file, as it was given.
-    pub file: String,
-    /// Its row: the line of a CSV file (the header is line 1), else the number of the row from 1.
-    pub row: u64,
-    /// Name of the column.
-    pub column: String,
-}
-
-impl fmt::Display for Place {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}, row {}, column `{}`", self.file, self.row, self.column)
-    }
-}
-
-/// Why reading ended early.
-#[derive(Debug, thiserror::Error)]
-pub enum ReadError<E> {
-    /// The data are wrong.
-    #[error(transparent)]
-    Data(#[from] DataError),
-    /// The sink refused a test.
-    #[error("{error}")]
-    Sink {
-        /// What it said.
-        error: E,
-        /// What was read so far: [`Reading::place`] turns the sources of the error into files and rows.
-        reading: Box<Reading>,
-    },
-}
+use crate::place::Place;
 
 /// What is wrong with the data. The message says where, what was found and what was expected; [`DataError::hint`] says
 /// what to do, where that is known.
@@ -353,33 +320,4 @@ impl From<ExchangeError> for DataError {
     fn from(error: ExchangeError) -> DataError {
         DataError::Exchange(Box::new(error))
     }
-}
-
-/// The columns a file has, and the one that was probably meant.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Columns {
-    /// The column whose name is close, if there is one.
-    pub near: Option<String>,
-    /// All names, in the order of the file.
-    pub names: Vec<String>,
-}
-
-/// Text of a cell for a message: not too long, and without characters that could play tricks on a terminal.
-pub(crate) fn shown(cell: &[u8]) -> String {
-    const LONGEST: usize = 60;
-    let text = String::from_utf8_lossy(&cell[..cell.len().min(4 * LONGEST)]);
-    let mut short = String::new();
-    for character in text.chars().take(LONGEST) {
-        let directs_text =
-            matches!(character, '\u{200e}'..='\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
-        if character.is_control() || directs_text {
-            short.extend(character.escape_default());
-        } else {
-            short.push(character);
-        }
-    }
-    if text.chars().count() > LONGEST || cell.len() > 4 * LONGEST {
-        short.push('…');
-    }
-    short
 }

@@ -1,6 +1,7 @@
 //! What to do about an error, where that is known.
 
-use crate::error::{Columns, DataError};
+use crate::columns::comment_hint;
+use crate::error::DataError;
 use crate::moment::Moment;
 
 impl DataError {
@@ -15,7 +16,7 @@ impl DataError {
             DataError::SameTest { .. } => "with `test = \"@file\"` each file needs a name of its own".into(),
             DataError::Directory { file } => format!("give its files: `{}/*.csv`", file.trim_end_matches('/')),
             DataError::Kind { found, .. } => kind_hint(found),
-            DataError::MissingColumn { columns, .. } => columns_hint(columns),
+            DataError::MissingColumn { columns, .. } => columns.hint(),
             DataError::DuplicateColumn { .. } => "rename one of them: the model cannot tell which is meant".into(),
             DataError::ColumnType { found, .. } => type_hint(found)?,
             DataError::RowLength { begins: Some(mark @ ('#' | '%')), .. } => comment_hint(*mark),
@@ -57,21 +58,6 @@ fn kind_hint(found: &str) -> String {
     }
 }
 
-pub(crate) fn columns_hint(columns: &Columns) -> String {
-    const MOST: usize = 12;
-    if let Some(near) = &columns.near {
-        return format!("there is a column `{near}`");
-    }
-    if let Some(mark @ ('#' | '%')) = columns.names.first().and_then(|name| name.chars().next()) {
-        return comment_hint(mark);
-    }
-    let shown: Vec<String> =
-        columns.names.iter().take(MOST).map(|name| format!("`{}`", crate::error::shown(name.as_bytes()))).collect();
-    let more = columns.names.len().saturating_sub(MOST);
-    let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-    format!("its columns are {}{more}", shown.join(", "))
-}
-
 fn type_hint(found: &str) -> Option<String> {
     if found.starts_with("Timestamp") || found.starts_with("Date") {
         Some("only the column that `time` of `[data]` names may hold date-times as times".into())
@@ -80,11 +66,6 @@ fn type_hint(found: &str) -> Option<String> {
     } else {
         None
     }
-}
-
-/// Of lines that begin as comments do.
-fn comment_hint(mark: char) -> String {
-    format!("if lines that begin with `{mark}` are comments, set `comment = \"{mark}\"` in `[data]`")
 }
 
 fn length_hint(found: usize, expected: usize, lines: u64) -> String {

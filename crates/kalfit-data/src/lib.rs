@@ -38,6 +38,7 @@
 
 mod block;
 mod cell;
+mod columns;
 mod error;
 pub mod exchange;
 mod gather;
@@ -47,14 +48,18 @@ mod kind;
 mod memory;
 mod moment;
 mod pass;
+mod place;
 mod reading;
+mod sink;
 mod spool;
 mod table;
 mod wanted;
 mod write;
 
-pub use error::{DataError, Place, ReadError};
+pub use error::DataError;
 pub use input::{Datum, Input};
 pub use memory::MemoryTable;
-pub use reading::{Reading, SINGLE_TEST, Sink, read, read_from};
+pub use place::Place;
+pub use reading::{SINGLE_TEST, read, read_from};
+pub use sink::{ReadError, Reading, Sink};
 pub use write::{Format, Ids, StateWriter, TestWriter, WriteError, added_id_column};

@@ -5,11 +5,13 @@ use std::ops::Range;
 use kalfit::{Labels, PhasedModel, Test};
 
 use crate::block::Block;
-use crate::error::{DataError, Place, ReadError, shown};
+use crate::cell::shown;
+use crate::error::DataError;
 use crate::gather::{Gather, Turn};
 use crate::input::Input;
 use crate::moment::{Moment, unit_nanoseconds};
-use crate::reading::{Reading, Sink};
+use crate::place::Place;
+use crate::sink::{ReadError, Reading, Sink};
 use crate::spool::Spool;
 use crate::table;
 use crate::table::ahead::{Done, Goes, each};

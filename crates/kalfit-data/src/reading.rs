@@ -2,66 +2,18 @@
 
 use std::io::Read;
 
-use kalfit::{Labels, Layout, PhasedModel, Source, Test, TestKey};
+use kalfit::{Labels, Layout, PhasedModel, TestKey};
 
-use crate::error::{DataError, ReadError};
+use crate::error::DataError;
 use crate::gather::Gather;
 use crate::input::{Input, test_ids};
 use crate::pass::{Ended, Job, run};
+use crate::sink::{ReadError, Reading, Sink};
 use crate::spool::Spool;
 use crate::wanted::Wanted;
 
 /// Id of the test when all rows are one.
 pub const SINGLE_TEST: &str = "all";
-
-/// What takes the tests as they are completed.
-pub trait Sink {
-    /// Why it may refuse one.
-    type Error;
-
-    /// Takes complete tests, in order of first appearance. `labels` has every text in them.
-    ///
-    /// # Errors
-    /// Whatever it cannot take; the reading then ends with [`ReadError::Sink`].
-    fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), Self::Error>;
-
-    /// Hears now and then how many bytes are read, and of how many, when all inputs are files.
-    ///
-    /// # Errors
-    /// The reading ends with [`ReadError::Sink`].
-    fn bytes(&mut self, _done: u64, _of: Option<u64>) -> Result<(), Self::Error> {
-        Ok(())
-    }
-
-    /// Forget all tests taken so far: rows of one of them came later, and everything is read again from the start.
-    fn restart(&mut self);
-}
-
-/// What was read, beside the tests.
-#[derive(Debug, Clone, Default)]
-pub struct Reading {
-    /// The texts of the data; those that the model names come first.
-    pub labels: Labels,
-    /// Names of the files, by [`Source::file`].
-    pub files: Vec<String>,
-    /// Number of rows.
-    pub rows: u64,
-    /// Number of tests.
-    pub tests: usize,
-}
-
-impl Reading {
-    /// Where a row came from, in words: "bench.csv, row 12".
-    pub fn place(&self, source: Source) -> String {
-        place(&self.files, source)
-    }
-}
-
-/// Where a row came from, in words.
-pub(crate) fn place(files: &[String], source: Source) -> String {
-    let file = files.get(source.file as usize).map_or("unknown file", String::as_str);
-    format!("{file}, row {}", source.row)
-}
 
 /// Reads the inputs and hands their tests to the sink, rows of all phases together; see the [crate's documentation](crate) for
 /// what is read how.

@@ -2,9 +2,12 @@
 
 use kalfit::{Layout, Model, TestKey};
 
+use crate::cell::shown;
 use crate::cell::{Fault, Tokens};
-use crate::error::{Columns, DataError, Place, shown};
+use crate::columns::{Columns, nearest};
+use crate::error::DataError;
 use crate::moment::Moment;
+use crate::place::Place;
 
 /// Every column that the model or the layout names, once, with its uses.
 #[derive(Debug)]
@@ -151,20 +154,4 @@ impl WantedColumn {
             Err(fault) => Err(self.fault(fault, file, row, cell)),
         }
     }
-}
-
-/// The name that was probably meant: the same but for case, else one within a third of its letters.
-pub(crate) fn nearest(name: &str, names: &[String]) -> Option<String> {
-    const LONGEST: usize = 128; // longer names are not compared: the cost grows with the product of the lengths
-    if name.len() > LONGEST {
-        return None;
-    }
-    let lower = name.to_lowercase();
-    names
-        .iter()
-        .filter(|found| found.len() <= LONGEST)
-        .map(|found| (strsim::osa_distance(&lower, &found.to_lowercase()), found))
-        .min_by_key(|(distance, _)| *distance)
-        .filter(|(distance, _)| *distance <= (name.chars().count() / 3).max(1) && *distance < name.chars().count())
-        .map(|(_, found)| found.clone())
 }

@@ -1,12 +1,11 @@
 //! `kalfit check`: everything but the fit.
 
 use kalfit::estimate::Structure;
-use kalfit::model::{Phase, Value};
+use kalfit::model::{Phase, Slots, Value};
 use kalfit::record::{
     DataRecord, InformationRecord, LevelCounts, ObservabilityRecord, UnidentifiedRecord, WeakRecord, crossing_notes,
     level_notes, shortage_notes,
 };
-use kalfit::score::Slots;
 use kalfit::{Alpha, Evidence, Model, PhasedModel, PhasedTest, Reduction, infer};
 use kalfit_data::Reading;
 use kalfit_report::{CheckRecord, Checked, CheckedPhase, ParameterCounts, PhaseCounts};
@@ -95,7 +94,7 @@ fn starts(
     reading: &Reading,
     work: &mut Work<'_>,
 ) -> Result<Vec<f64>, Failure> {
-    let given = |slot: &kalfit::score::Slot| match model.shared().parameters[slot.parameter].value {
+    let given = |slot: &kalfit::model::Slot| match model.shared().parameters[slot.parameter].value {
         Value::Free { start } => start,
         Value::Fixed(value) => Some(value),
     };

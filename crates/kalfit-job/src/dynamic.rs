@@ -1,16 +1,16 @@
 //! `kalfit fit` where dynamic parameters are free: the tests are kept, since the filters run again whenever α moves.
 
 use kalfit::dynamic::{self, DynamicError, DynamicFit, Method, Settings};
-use kalfit::model::Population;
+use kalfit::model::{Population, Slots};
 use kalfit::record::{DynamicParts, LevelCounts, MethodRecord, level_notes};
-use kalfit::score::Slots;
 use kalfit::{Alpha, FitRecord, Labels, PhasedModel, PhasedTest, Provenance};
 use kalfit_data::Reading;
 use kalfit_spec::Spec;
 
 use crate::evidence::Given;
 use crate::failure::Failure;
-use crate::fit::{patience, record, refuse_idle};
+use crate::idle::refuse_idle;
+use crate::inferred::{patience, record};
 use crate::innovations;
 use crate::job::FitJob;
 use crate::work::Work;

@@ -17,7 +17,7 @@ use rayon::prelude::*;
 
 use crate::failure::Failure;
 use crate::refused::{self, Refused};
-use crate::truth::TruthError;
+use crate::truth::error::TruthError;
 use crate::work::Work;
 
 /// The inputs of a command, told apart.

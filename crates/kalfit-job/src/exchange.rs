@@ -18,7 +18,7 @@ use crate::evidence::{Given, entries};
 use crate::failure::Failure;
 use crate::job::{Done, ExchangeJob, Exchanged, files};
 use crate::output::{Pending, Target};
-use crate::truth::TruthError;
+use crate::truth::error::TruthError;
 use crate::work::{Watch, Work};
 use crate::{model, truth};
 

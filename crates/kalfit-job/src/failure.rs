@@ -6,15 +6,15 @@ use kalfit::dynamic::DynamicError;
 use kalfit::estimate::FitError;
 use kalfit::infer::{DynamicRatioError, Element, NotNested};
 use kalfit::plan::PlanError;
-use kalfit::record::MixedGroup;
+use kalfit::record::{FIT_SCHEMA, MixedGroup};
 use kalfit::reduce::{ReduceError, SplitError};
 use kalfit::simulate::SimulateError;
 use kalfit_data::{DataError, Reading, WriteError};
 use kalfit_spec::{Spec, SpecError};
 
 use crate::output::OutputError;
-use crate::report::ReportError;
-use crate::truth::TruthError;
+use crate::results::ResultError;
+use crate::truth::error::TruthError;
 
 /// Bad input, or a world that does not let us write. Exit status 2.
 #[derive(Debug, thiserror::Error)]
@@ -119,7 +119,7 @@ pub enum Failure {
     Output(#[from] OutputError),
     /// Results to report.
     #[error("{0}")]
-    Report(Box<ReportError>),
+    Report(Box<ResultError>),
     /// Standard errors that a criterion does not have.
     #[error("`--std-errors expected` and `--std-errors sandwich` go with `--criterion ml` only")]
     RestrictedErrors,
@@ -249,7 +249,7 @@ impl Failure {
             Failure::Plan { error, .. } => plan_hint(error).map(str::to_owned),
             Failure::Write { error, .. } => write_hint(error).map(str::to_owned),
             Failure::Output(error) => error.hint().map(str::to_owned),
-            Failure::Report(error) => error.hint().map(str::to_owned),
+            Failure::Report(error) => report_hint(error).map(str::to_owned),
             Failure::RestrictedErrors => {
                 Some("leave `--std-errors` out: the restricted likelihood has those of its own curvature".to_owned())
             }
@@ -305,6 +305,18 @@ fn plan_hint(error: &PlanError) -> Option<&'static str> {
         }
         PlanError::Design(error) => fit_hint(error),
         _ => None,
+    }
+}
+
+fn report_hint(error: &ResultError) -> Option<&'static str> {
+    match error {
+        ResultError::NotARecord { command: "fit", .. } | ResultError::Schema { expected: FIT_SCHEMA, .. } => {
+            Some("`kalfit report` takes what `kalfit fit --out` writes")
+        }
+        ResultError::NotARecord { .. } | ResultError::Schema { .. } => {
+            Some("`--test` takes what `kalfit test --out` writes")
+        }
+        ResultError::Unreadable { .. } | ResultError::TooLarge { .. } => None,
     }
 }
 

@@ -1,14 +1,15 @@
 //! `kalfit fit`.
 
-use kalfit::estimate::{Combination, Criterion, Structure};
-use kalfit::infer::{Choices, DeletionChoice, IntervalKind, StdErrors, TestsChoice};
-use kalfit::model::Population;
-use kalfit::record::{Provenance, TestGroups};
-use kalfit::{Alpha, FitRecord, Reduction, estimate, infer};
+use kalfit::estimate::Criterion;
+use kalfit::infer::{StdErrors, TestsChoice};
+use kalfit::record::TestGroups;
+use kalfit::{Alpha, FitRecord};
 use kalfit_spec::Spec;
 
 use crate::evidence::Given;
 use crate::failure::Failure;
+use crate::idle::{refuse_idle, refuse_one_phase};
+use crate::inferred::{beside, record};
 use crate::innovations::{self, Kept};
 use crate::job::{Done, FitJob, files};
 use crate::output::{Contents, Output};
@@ -71,20 +72,6 @@ pub fn fit(job: &FitJob, watch: &mut dyn Watch) -> Result<Done<FitRecord>, Failu
     Ok(Done { record, notes: Vec::new(), written })
 }
 
-/// Other starts of α have no effect when nothing of it is free. The methods are then one and the same, and any may be named.
-pub(crate) fn refuse_idle(job: &FitJob) -> Result<(), Failure> {
-    if job.search.starts > 0 { Err(Failure::NoFreeParameter { option: "--starts" }) } else { Ok(()) }
-}
-
-/// One phase cannot be put together with others; to name the default is no harm.
-fn refuse_one_phase(job: &FitJob, spec: &Spec) -> Result<(), Failure> {
-    match (spec.model.is_single(), job.settings.phases) {
-        (false, _) | (true, Combination::Chain) => Ok(()),
-        (true, Combination::Marginal) => Err(Failure::OnePhase { found: "marginal" }),
-        (true, Combination::Stacked) => Err(Failure::OnePhase { found: "stacked" }),
-    }
-}
-
 /// The method in one place, with known parameters: reduce, estimate, infer, record.
 fn known(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>) -> Result<FitRecord, Failure> {
     let alpha = model::alpha(spec);
@@ -118,45 +105,4 @@ fn reduced(job: &FitJob, spec: &Spec, given: &Given, alpha: &Alpha, work: &mut W
     }
     beside(reductions);
     Ok(record)
-}
-
-/// Frees what takes long to free while other work goes on.
-pub(crate) fn beside<T: Send + 'static>(done: T) {
-    rayon::spawn(move || drop(done));
-}
-
-/// Estimate, infer, record; the population too.
-pub(crate) fn record(
-    job: &FitJob,
-    spec: &Spec,
-    given: &Given,
-    (alpha, reductions, groups): (&Alpha, &[Reduction], Option<&TestGroups>),
-    work: &mut Work<'_>,
-) -> Result<(FitRecord, Population), Failure> {
-    let structure = Structure::of(&spec.model, alpha);
-    let estimate = estimate::fit(reductions, &structure, &job.settings, work).map_err(Failure::Fit)?;
-    let inference = infer::infer(&estimate, reductions, patience(job.choices, work));
-    let provenance = Provenance {
-        model_digest: Some(spec.digest.clone()),
-        model: spec.describe(),
-        files: given.names(),
-        seconds: work.seconds(),
-        of_estimates: given.is_of_estimates(&spec.model),
-    };
-    let mut record = FitRecord::new(&spec.model, alpha, reductions, &estimate, &inference, provenance);
-    if let Some(groups) = groups {
-        groups::add(job, &mut record, groups, (&spec.model, alpha, &estimate, reductions), work)?;
-    }
-    beside(inference);
-    let population = Population::from(&estimate);
-    beside(estimate);
-    Ok((record, population))
-}
-
-/// What is asked of the inference: the least of it once nobody waits.
-pub(crate) fn patience(choices: Choices, work: &Work<'_>) -> Choices {
-    if work.is_stopped() {
-        return Choices { intervals: IntervalKind::Wald, deletion: DeletionChoice::None, ..choices };
-    }
-    choices
 }

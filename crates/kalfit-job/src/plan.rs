@@ -2,8 +2,9 @@
 
 use kalfit::estimate::Structure;
 use kalfit::model::PhasedModel;
-use kalfit::plan::{self, PlanProvenance, PlanRecord};
+use kalfit::plan;
 use kalfit::record::DataRecord;
+use kalfit::record::{PlanProvenance, PlanRecord};
 use kalfit::reduce::PhasedReducer;
 use kalfit::{Alpha, Labels, Reduction, Test};
 use kalfit_data::{Input, Sink};

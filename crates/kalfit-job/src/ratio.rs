@@ -5,9 +5,8 @@ use kalfit::infer::{
     Choices, DeletionChoice, DynamicRatioError, Inference, LikelihoodRatio, NotNested, dynamic_bootstrap_while,
     dynamic_ratio, restricted, started,
 };
-use kalfit::model::{CovarianceStructure, MeanStructure, Parameter, Phase, Value};
+use kalfit::model::Slots;
 use kalfit::record::{DynamicParts, DynamicSides, PartRecord, RatioProvenance, RatioRecord};
-use kalfit::score::Slots;
 use kalfit::{Labels, Model, PhasedModel, PhasedTest};
 use kalfit_data::Reading;
 use kalfit_spec::{Hypothesis, Spec};
@@ -15,10 +14,10 @@ use kalfit_spec::{Hypothesis, Spec};
 use crate::dynamic::{Data, failure};
 use crate::evidence::Given;
 use crate::failure::Failure;
+use crate::hypothesis::{each, with_covariance, with_mean, with_parameters};
 use crate::job::TestJob;
-use crate::test as known;
 use crate::work::Work;
-use crate::{reductions, tests};
+use crate::{known, reductions, tests};
 
 /// A search that ended below the hypothesis is made again with so many random starts.
 const STARTS: usize = 8;
@@ -46,7 +45,7 @@ pub(crate) fn test(
         // every level of the data has a value after all
         let alpha = slots[1].alpha(wide.shared(), &[]);
         let reductions = reductions::of_all(&wide, &alpha, (&tests, &reading), work)?;
-        return known::known(job, (spec, hypothesis), (&alpha, &reductions), provenance, work);
+        return known::test(job, (spec, hypothesis), (&alpha, &reductions), provenance, work);
     }
     let settings = Settings { method: Method::Hybrid, inner: job.settings.clone(), starts: 0, seed: 1 };
     let bench = Bench { wide: &wide, null, tests: &tests, reading: &reading, settings };
@@ -150,54 +149,4 @@ impl Bench<'_> {
         }
         Ok(parts)
     }
-}
-
-/// A model with each phase's changed.
-fn each(model: &PhasedModel, change: &dyn Fn(usize, Model) -> Model) -> PhasedModel {
-    let of = |(i, phase): (usize, &Phase)| Phase { model: change(i, phase.model.clone()), ..phase.clone() };
-    PhasedModel { phases: model.phases.iter().enumerate().map(of).collect(), column: model.column }
-}
-
-/// The model under what the hypothesis says of the mean alone; `None` when that is nothing.
-pub(crate) fn with_mean(model: &PhasedModel, null: &PhasedModel) -> Option<PhasedModel> {
-    let of = |model: &PhasedModel| -> Vec<MeanStructure> {
-        model.phases.iter().map(|phase| unstarted(&phase.model.mean)).collect()
-    };
-    let said = |i: usize, model: Model| Model { mean: null.phases[i].model.mean.clone(), ..model };
-    (of(model) != of(null)).then(|| each(model, &said))
-}
-
-/// The model under what the hypothesis says of the covariance alone; `None` when that is nothing.
-pub(crate) fn with_covariance(model: &PhasedModel, null: &PhasedModel) -> Option<PhasedModel> {
-    let of = |model: &PhasedModel| -> Vec<CovarianceStructure> {
-        model.phases.iter().map(|phase| unstarted_sigma(&phase.model)).collect()
-    };
-    let said = |i: usize, model: Model| Model { covariance: null.phases[i].model.covariance.clone(), ..model };
-    (of(model) != of(null)).then(|| each(model, &said))
-}
-
-/// The model under what the hypothesis says of the parameters alone; `None` when that is nothing.
-fn with_parameters(model: &PhasedModel, null: &PhasedModel) -> Option<PhasedModel> {
-    let said = |_: usize, model: Model| Model { parameters: null.shared().parameters.clone(), ..model };
-    (unstarted_parameters(model.shared()) != unstarted_parameters(null.shared())).then(|| each(model, &said))
-}
-
-/// A structure without start values, which constrain nothing.
-fn unstarted(mean: &MeanStructure) -> MeanStructure {
-    MeanStructure { start: vec![None; mean.start.len()], ..mean.clone() }
-}
-
-fn unstarted_sigma(model: &Model) -> CovarianceStructure {
-    CovarianceStructure { start: None, ..model.covariance.clone() }
-}
-
-fn unstarted_parameters(model: &Model) -> Vec<Parameter> {
-    let one = |parameter: &Parameter| {
-        let value = match parameter.value {
-            Value::Free { .. } => Value::Free { start: None },
-            fixed => fixed,
-        };
-        Parameter { value, unit: None, ..parameter.clone() }
-    };
-    model.parameters.iter().map(one).collect()
 }

@@ -1,19 +1,16 @@
 //! `kalfit test`: a hypothesis within a model.
 
-use kalfit::estimate::{Estimate, Progress, Structure};
-use kalfit::infer::{Bootstrap, NotNested, at_least, bootstrap_while, fit_null, likelihood_ratio};
+use kalfit::Alpha;
 use kalfit::model::{Level, Parameter};
-use kalfit::record::{PartRecord, RatioProvenance, RatioRecord};
-use kalfit::{Alpha, PhasedModel, Reduction, estimate};
+use kalfit::record::{RatioProvenance, RatioRecord};
 use kalfit_spec::{Hypothesis, HypothesisError, Spec};
 
 use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::job::{Done, TestJob, files};
 use crate::output::{Contents, Output};
-use crate::ratio::{self, with_covariance, with_mean};
 use crate::work::{Watch, Work};
-use crate::{model, reductions};
+use crate::{known, model, ratio, reductions};
 
 /// Tests a hypothesis within a model.
 ///
@@ -63,77 +60,7 @@ fn read_and_test(
     let alpha = model::alpha(spec);
     same_parameters(hypothesis, &alpha)?;
     let reductions = reductions::reduce(spec, &alpha, given, work, &mut |_| ())?;
-    known(job, (spec, hypothesis), (&alpha, &reductions), provenance, work)
-}
-
-/// The method in one place: fit both, compare.
-pub(crate) fn known(
-    job: &TestJob,
-    (spec, hypothesis): (&Spec, &Hypothesis),
-    (alpha, reductions): (&Alpha, &[Reduction]),
-    provenance: RatioProvenance,
-    work: &mut Work<'_>,
-) -> Result<RatioRecord, Failure> {
-    let bench = Bench { job, model: &spec.model, null: &hypothesis.model, alpha, reductions };
-    let wide =
-        estimate::fit(reductions, &Structure::of(&spec.model, alpha), &job.settings, work).map_err(Failure::Fit)?;
-    let null = bench.fit(&hypothesis.model, work)?;
-    let wide = at_least(wide, &null, reductions).map_err(Failure::Fit)?;
-    let ratio = likelihood_ratio(&null, &wide).map_err(Failure::NotNested)?;
-    work.go_on()?;
-    let parts = bench.parts(&wide, work)?;
-    work.go_on()?;
-    let drawn = match job.bootstrap {
-        None => None,
-        Some(asked) => {
-            let mut goes_on = |done| drawing(work, done, asked);
-            let found = bootstrap_while(&null, &wide, reductions, (ratio.statistic, asked), &mut goes_on);
-            Some((asked, found.ok_or(Failure::Interrupted)?))
-        }
-    };
-    let drawn = drawn.as_ref().map(|(asked, found)| (*asked, found));
-    Ok(RatioRecord::new(&spec.model, reductions, (&null, &wide), &ratio, drawn, parts, provenance))
-}
-
-/// Says how many ensembles are done; true if somebody waits for more.
-pub(crate) fn drawing(work: &mut Work<'_>, done: usize, asked: Bootstrap) -> bool {
-    let all = asked.replicates;
-    work.share("drawing ensembles", done as u64, all as u64);
-    work.say(|| format!("drawing ensembles from the hypothesis: {done} of {all}"));
-    !work.is_stopped()
-}
-
-/// What all fits of a test share.
-struct Bench<'a> {
-    job: &'a TestJob,
-    model: &'a PhasedModel,
-    null: &'a PhasedModel,
-    alpha: &'a Alpha,
-    reductions: &'a [Reduction],
-}
-
-impl Bench<'_> {
-    fn fit(&self, model: &PhasedModel, progress: &mut dyn Progress) -> Result<Estimate, Failure> {
-        let (within, structure) = (Structure::of(self.model, self.alpha), Structure::of(model, self.alpha));
-        fit_null(self.reductions, &within, &structure, &self.job.settings, progress)
-            .ok_or(Failure::NotNested(NotNested::Mean))?
-            .map_err(Failure::Fit)
-    }
-
-    /// A hypothesis on both μ and Σ, each by itself (Shumway, Olsen and Levy).
-    fn parts(&self, wide: &Estimate, progress: &mut dyn Progress) -> Result<Vec<PartRecord>, Failure> {
-        let (Some(mean), Some(covariance)) = (with_mean(self.model, self.null), with_covariance(self.model, self.null))
-        else {
-            return Ok(Vec::new());
-        };
-        let mut parts = Vec::new();
-        for (what, model) in [("mean", mean), ("covariance", covariance)] {
-            let estimate = self.fit(&model, progress)?;
-            let ratio = likelihood_ratio(&estimate, wide).map_err(Failure::NotNested)?;
-            parts.push(PartRecord::new(what, &estimate, &ratio));
-        }
-        Ok(parts)
-    }
+    known::test(job, (spec, hypothesis), (&alpha, &reductions), provenance, work)
 }
 
 /// Parameters of a model without free ones must be the same on both sides.

@@ -1,7 +1,7 @@
 //! Models and results as texts: read, checked, summed up.
 
 use kalfit::TestKey;
-use kalfit::plan::PlanRecord;
+use kalfit::record::PlanRecord;
 use kalfit::record::RatioRecord;
 use kalfit_job::Document;
 use kalfit_report::{Style, summary};

@@ -1,6 +1,6 @@
 //! What `kalfit plan` found.
 
-use kalfit::plan::{PlanRecord, PlannedRecord};
+use kalfit::record::{PlanRecord, PlannedRecord};
 
 use crate::Style;
 use crate::number::{Precision, plain};

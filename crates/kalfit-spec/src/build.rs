@@ -9,8 +9,9 @@ use crate::names::Context;
 use crate::phase::{Read, Shared, phase};
 use crate::phases::Source;
 use crate::places::Places;
+use crate::spec::Spec;
 use crate::table::Section;
-use crate::{Spec, data, digest, filter, parameters, phases};
+use crate::{data, digest, filter, parameters, phases};
 
 /// Largest model file, in bytes.
 pub(crate) const MAX_BYTES: u64 = 4 * 1024 * 1024;

@@ -10,6 +10,7 @@ use crate::names::{Context, Index};
 use crate::states::rate_of;
 use crate::suggest::{nearest, suggest};
 use crate::table::Field;
+use crate::token::is_name;
 
 /// The phase before, as far as its states are concerned.
 pub(crate) struct Before<'b> {
@@ -54,12 +55,12 @@ pub(crate) fn read(
 
 /// The state of a key; hidden ones cannot be named.
 fn visible(context: &Context<'_>, field: &Field<'_>, place: &str) -> Result<usize> {
-    context.states.get(field.key).filter(|_| expression::is_name(field.key)).ok_or_else(|| {
+    context.states.get(field.key).filter(|_| is_name(field.key)).ok_or_else(|| {
         let hidden = context.states.get(field.key).is_some();
         let hint = if hidden {
             Some("a hidden rate goes where its owner goes".to_owned())
         } else {
-            suggest(field.key, context.states.names().filter(|name| expression::is_name(name)))
+            suggest(field.key, context.states.names().filter(|name| is_name(name)))
         };
         let problem = Problem::UnknownName { what: "state", name: field.key.to_owned(), place: place.to_owned() };
         SpecError::new(problem).at(field.key_span.clone()).maybe_hint(hint)

@@ -3,8 +3,9 @@
 use kalfit::TestKey;
 use kalfit::model::{Filter, Model, Phase};
 
-use crate::Spec;
-use crate::show::{self, figure};
+use crate::figure::figure;
+use crate::show;
+use crate::spec::Spec;
 use crate::words::Words;
 
 impl Spec {

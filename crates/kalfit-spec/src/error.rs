@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use crate::show::figure;
+use crate::figure::figure;
 
 /// Bytes `start..end` of the model file.
 pub(crate) type Span = Range<usize>;

@@ -4,9 +4,9 @@ use std::collections::HashMap;
 
 use kalfit::model::Value;
 
-use crate::Spec;
 use crate::error::{Problem, SpecError};
 use crate::parameters::check_value;
+use crate::spec::Spec;
 use crate::suggest::suggest;
 
 impl Spec {

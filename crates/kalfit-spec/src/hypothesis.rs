@@ -7,7 +7,6 @@ use kalfit::model::{Column, Regression};
 use kalfit::{Model, PhasedModel};
 use toml::de::DeTable;
 
-use crate::Spec;
 use crate::build::{self, MAX_BYTES};
 use crate::digest;
 use crate::error::{Problem, Span, SpecError};
@@ -15,6 +14,7 @@ use crate::merge::{OF_PHASE, PLACE, has_own, merge, reorder, shifted_table, tabl
 use crate::names::phase_key;
 use crate::phases;
 use crate::places::Places;
+use crate::spec::Spec;
 use crate::table::Section;
 
 const KEYS: [&str; 5] = ["title", "mean", "covariance", "parameters", "phases"];

@@ -67,6 +67,7 @@ mod digest;
 mod elements;
 mod error;
 mod expression;
+mod figure;
 mod filter;
 mod give;
 mod hypothesis;
@@ -82,74 +83,17 @@ mod phase;
 mod phases;
 mod places;
 mod question;
+mod read;
 mod semidefinite;
 mod set;
 mod show;
+mod spec;
 mod states;
 mod suggest;
 mod table;
+mod token;
 mod words;
-
-use std::io::Read;
-use std::path::Path;
 
 pub use error::{ExpressionProblem, Problem, SpecError, StructureProblem};
 pub use hypothesis::{Hypothesis, HypothesisError};
-use kalfit::{Layout, PhasedModel};
-
-/// A model file that was read.
-#[derive(Debug, Clone)]
-pub struct Spec {
-    /// The model, of one phase or of several. Its invariants hold, whatever the file.
-    pub model: PhasedModel,
-    /// How rows of the data become tests.
-    pub layout: Layout,
-    /// `sha256:` and 64 hexadecimal digits: the digest of `text`.
-    pub digest: String,
-    /// Name of the file, for messages.
-    pub name: String,
-    /// The model file as it was read.
-    pub text: String,
-    places: places::Places,
-}
-
-impl Spec {
-    /// Reads a model from text; `name` is for messages.
-    ///
-    /// # Errors
-    /// Whatever is wrong with the text, one problem at a time.
-    pub fn parse(name: &str, text: &str) -> Result<Spec, SpecError> {
-        build::spec(name, text)
-    }
-
-    /// Reads a model file.
-    ///
-    /// # Errors
-    /// As [`Spec::read_text`] and [`Spec::parse`].
-    pub fn load(path: &Path) -> Result<Spec, SpecError> {
-        Spec::parse(&path.display().to_string(), &Spec::read_text(path)?)
-    }
-
-    /// The text of a model file, for [`Spec::parse`] and for showing the place of an error.
-    ///
-    /// # Errors
-    /// The file cannot be read, has more than 4 MiB, or is not UTF-8 text.
-    pub fn read_text(path: &Path) -> Result<String, SpecError> {
-        let unreadable = |error: std::io::Error| {
-            SpecError::new(Problem::Unreadable { path: path.display().to_string(), reason: error.to_string() })
-        };
-        let file = std::fs::File::open(path).map_err(unreadable)?;
-        let size = file.metadata().map_err(unreadable)?.len();
-        let mut bytes = Vec::new();
-        // The size of a pipe is not known before it is read, so the limit holds while reading too.
-        file.take(build::MAX_BYTES + 1).read_to_end(&mut bytes).map_err(unreadable)?;
-        let found = size.max(bytes.len() as u64);
-        if found > build::MAX_BYTES {
-            return Err(SpecError::new(Problem::TooLarge { found, limit: build::MAX_BYTES }));
-        }
-        String::from_utf8(bytes).map_err(|error| {
-            SpecError::new(Problem::NotText { offset: error.utf8_error().valid_up_to() })
-                .hint("save the file as UTF-8 text")
-        })
-    }
-}
+pub use spec::Spec;

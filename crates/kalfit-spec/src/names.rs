@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, HashMap};
 use kalfit::model::Column;
 
 use crate::error::{ExpressionProblem, Problem, Result, Span, SpecError};
-use crate::expression::is_name;
+use crate::token::is_name;
 
 /// Words of the expression language, which cannot name states or parameters.
 pub(crate) const RESERVED: [&str; 15] =

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use kalfit::model::{Parameter, Value};
 
 use crate::error::{Problem, Result, Span, SpecError};
+use crate::figure::figure;
 use crate::names::{Context, Role, check_name};
-use crate::show::figure;
 use crate::suggest::nearest;
 use crate::table::{Field, Section};
 

@@ -1,9 +1,7 @@
 //! Places in the model file that messages about data and results point to.
 
 use std::collections::BTreeMap;
-use std::ops::Range;
 
-use crate::Spec;
 use crate::error::Span;
 use crate::names::{Context, Role};
 use crate::phase::Read;
@@ -12,19 +10,19 @@ use crate::phase::Read;
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Places {
     pub(crate) columns: BTreeMap<String, Span>,
-    parameters: BTreeMap<String, Span>,
-    phases: Vec<PhasePlaces>,
+    pub(crate) parameters: BTreeMap<String, Span>,
+    pub(crate) phases: Vec<PhasePlaces>,
     pub(crate) roles: Vec<Role>,
 }
 
 #[derive(Debug, Clone)]
-struct PhasePlaces {
-    name: String,
-    key: Option<Span>,
-    states: BTreeMap<String, Span>,
-    measurements: BTreeMap<String, Span>,
-    carry: BTreeMap<String, Span>,
-    filter: Option<Span>,
+pub(crate) struct PhasePlaces {
+    pub(crate) name: String,
+    pub(crate) key: Option<Span>,
+    pub(crate) states: BTreeMap<String, Span>,
+    pub(crate) measurements: BTreeMap<String, Span>,
+    pub(crate) carry: BTreeMap<String, Span>,
+    pub(crate) filter: Option<Span>,
 }
 
 impl Places {
@@ -45,54 +43,7 @@ impl Places {
         }
     }
 
-    fn phase(&self, name: &str) -> Option<&PhasePlaces> {
+    pub(crate) fn phase(&self, name: &str) -> Option<&PhasePlaces> {
         self.phases.iter().find(|phase| phase.name == name)
-    }
-}
-
-impl Spec {
-    /// Bytes of the file where a column of the data is used first; `None` when the model does not use it.
-    pub fn column_span(&self, column: &str) -> Option<Range<usize>> {
-        self.places.columns.get(column).cloned()
-    }
-
-    /// Bytes of the file where a parameter is declared.
-    pub fn parameter_span(&self, parameter: &str) -> Option<Range<usize>> {
-        self.places.parameters.get(parameter).cloned()
-    }
-
-    /// Bytes of the file where a state is declared, in the first phase that has it; of its owner for a hidden state.
-    pub fn state_span(&self, state: &str) -> Option<Range<usize>> {
-        self.places.phases.iter().find_map(|phase| phase.states.get(state).cloned())
-    }
-
-    /// Bytes of the file where a measurement is declared, in the first phase that has it.
-    pub fn measurement_span(&self, measurement: &str) -> Option<Range<usize>> {
-        self.places.phases.iter().find_map(|phase| phase.measurements.get(measurement).cloned())
-    }
-
-    /// Bytes of the file where a phase is named; `None` in a file without phases.
-    pub fn phase_span(&self, phase: &str) -> Option<Range<usize>> {
-        self.places.phase(phase)?.key.clone()
-    }
-
-    /// Bytes of the file where a state of a phase is declared; of its owner for a hidden state.
-    pub fn state_span_in(&self, phase: &str, state: &str) -> Option<Range<usize>> {
-        self.places.phase(phase)?.states.get(state).cloned()
-    }
-
-    /// Bytes of the file where a measurement of a phase is declared.
-    pub fn measurement_span_in(&self, phase: &str, measurement: &str) -> Option<Range<usize>> {
-        self.places.phase(phase)?.measurements.get(measurement).cloned()
-    }
-
-    /// Bytes of the file where it is said what a state of a phase inherits.
-    pub fn carry_span(&self, phase: &str, state: &str) -> Option<Range<usize>> {
-        self.places.phase(phase)?.carry.get(state).cloned()
-    }
-
-    /// Bytes of the file where the filter of a phase is declared.
-    pub fn filter_span(&self, phase: &str) -> Option<Range<usize>> {
-        self.places.phase(phase)?.filter.clone()
     }
 }

@@ -2,7 +2,7 @@
 
 use kalfit::model::{Expression, Linear, Model, Motion};
 
-use crate::Spec;
+use crate::spec::Spec;
 
 /// Unit labels of states whose values are millionths of what equations take.
 const MILLIONTHS: [&str; 2] = ["ppm", "parts per million"];

@@ -3,9 +3,9 @@
 use kalfit::Model;
 use kalfit::model::Value;
 
-use crate::Spec;
 use crate::error::{Problem, Result, SpecError};
 use crate::parameters::check_value;
+use crate::spec::Spec;
 use crate::suggest::suggest;
 
 /// `name[level] = value`, taken apart.

@@ -3,7 +3,9 @@
 use kalfit::Model;
 use kalfit::model::{Expression, Function, Linear, Operator};
 
-use crate::expression::{ONE, is_name, is_zero, symbol};
+use crate::expression::{ONE, is_zero, symbol};
+use crate::figure::figure;
+use crate::token::is_name;
 
 /// How tightly a written expression holds together; larger is tighter.
 #[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
@@ -17,11 +19,6 @@ enum Grip {
     Minus,
     Power,
     Atom,
-}
-
-/// A number as a person would write it: very large and very small ones with an exponent.
-pub(crate) fn figure(x: f64) -> String {
-    if x != 0.0 && !(1e-4..1e15).contains(&x.abs()) { format!("{x:e}") } else { x.to_string() }
 }
 
 /// Noise by its standard deviation where that is what was written, else by its variance; true for a standard deviation.

@@ -6,7 +6,8 @@ use kalfit::model::{
 };
 
 use crate::expression::is_zero;
-use crate::show::{self, figure};
+use crate::figure::figure;
+use crate::show;
 
 /// Says what a model is, one fact a line.
 pub(crate) struct Words<'m> {

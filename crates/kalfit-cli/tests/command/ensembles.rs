@@ -4,7 +4,7 @@
 
 use insta::assert_snapshot;
 use kalfit::FitRecord;
-use kalfit::plan::PlanRecord;
+use kalfit::record::PlanRecord;
 use serde_json::Value;
 
 use crate::folder::{Folder, shown};

@@ -2,7 +2,7 @@
 
 use crate::folder::{Folder, shown};
 use insta::assert_snapshot;
-use kalfit::plan::PlanRecord;
+use kalfit::record::PlanRecord;
 
 fn example() -> Folder {
     let folder = Folder::new(&[]);

@@ -6,7 +6,8 @@ use kalfit::{Evidence, PhasedModel, PhasedTest, Source};
 
 use super::Entry;
 use super::error::ExchangeError;
-use crate::error::{DataError, shown};
+use crate::cell::shown;
+use crate::error::DataError;
 
 /// Puts tests together whose phases come from several files.
 #[derive(Debug)]
@@ -77,7 +78,7 @@ impl<'a> Assembly<'a> {
 
 /// The error of a phase of a test that is known from two places, the first one first. `files`: names by [`Source::file`].
 pub fn twice(model: &PhasedModel, files: &[String], (test, phase): (&str, usize), at: [Source; 2]) -> DataError {
-    let [first, second] = at.map(|at| crate::reading::place(files, at));
+    let [first, second] = at.map(|at| crate::place::place(files, at));
     let (test, phase) = (shown(test.as_bytes()), model.phases[phase].name.clone());
     ExchangeError::Twice { test, phase, first, second }.into()
 }
@@ -93,7 +94,7 @@ fn whole(parts: Parts, model: &PhasedModel, files: &[String]) -> Result<PhasedTe
             (Some((_, at)), Some(lacking)) => {
                 let name = |phase: usize| model.phases[phase].name.clone();
                 return Err(DataError::from(ExchangeError::Gap {
-                    at: crate::reading::place(files, at),
+                    at: crate::place::place(files, at),
                     test: shown(id.as_bytes()),
                     phase: name(index),
                     lacking: name(lacking),

@@ -3,11 +3,11 @@
 use arrow::datatypes::Schema;
 use kalfit::{Label, Labels, Layout, PhasedModel, Test, TestKey};
 
-use super::estimates::COLUMNS;
-use super::keys::TEST;
-use super::sheet::{Row, Shape};
+use super::schema::{ESTIMATES, Shape, TEST};
+use super::sheet::Row;
 use crate::cell::Tokens;
-use crate::error::{DataError, shown};
+use crate::cell::shown;
+use crate::error::DataError;
 
 /// In front of the name of a column that would otherwise be one of the schema.
 const PREFIX: &str = "constant.";
@@ -33,7 +33,7 @@ enum From {
 
 /// The name of a model's column in an estimates file.
 pub(super) fn name_in_file(name: &str) -> String {
-    if COLUMNS.iter().any(|column| column.name == name) { format!("{PREFIX}{name}") } else { name.to_owned() }
+    if ESTIMATES.iter().any(|column| column.name == name) { format!("{PREFIX}{name}") } else { name.to_owned() }
 }
 
 /// The numeric columns of a model that can be constants: all but the time.
@@ -82,7 +82,7 @@ impl Constants {
             _ => None,
         };
         for (name, shape) in id.into_iter().chain(numbers) {
-            if columns.iter().all(|(other, _)| *other != name) && COLUMNS.iter().all(|column| column.name != name) {
+            if columns.iter().all(|(other, _)| *other != name) && ESTIMATES.iter().all(|column| column.name != name) {
                 columns.push((name, shape));
             }
         }

@@ -9,8 +9,9 @@ use parquet::file::metadata::ParquetMetaData;
 
 use super::error::ExchangeError;
 use super::metadata::{Metadata, SCHEMA, value};
-use super::{ESTIMATES_SCHEMA, REDUCTIONS_SCHEMA};
-use crate::error::{DataError, shown};
+use super::schema::{ESTIMATES_SCHEMA, REDUCTIONS_SCHEMA};
+use crate::cell::shown;
+use crate::error::DataError;
 use crate::input::Input;
 use crate::kind::{HEAD, Kind, detect};
 use crate::memory::MemoryTable;

@@ -1,13 +1,15 @@
 //! What can be wrong with exchange files, and with several of them together.
 
-use crate::error::{Columns, Place};
+use crate::columns::Columns;
 use crate::exchange::alpha::Difference;
+use crate::exchange::schema::{ESTIMATES_SCHEMA, REDUCTIONS_SCHEMA};
+use crate::place::Place;
 
 /// What is wrong with an exchange file. The message says where, what was found and what was expected.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ExchangeError {
     /// A schema of another program or version.
-    #[error("{file} is of schema `{found}`, expected `{}` or `{}`", super::REDUCTIONS_SCHEMA, super::ESTIMATES_SCHEMA)]
+    #[error("{file} is of schema `{found}`, expected `{}` or `{}`", REDUCTIONS_SCHEMA, ESTIMATES_SCHEMA)]
     Schema {
         /// The file.
         file: String,
@@ -197,7 +199,7 @@ impl ExchangeError {
             ExchangeError::Metadata { .. } => {
                 "write the file again; metadata other than kalfit's own may be left out altogether".into()
             }
-            ExchangeError::MissingColumn { columns, .. } => crate::hint::columns_hint(columns),
+            ExchangeError::MissingColumn { columns, .. } => columns.hint(),
             ExchangeError::Length { .. } => "matrices are flat lists, row after row; docs/exchange.md has all lengths".into(),
             ExchangeError::Phase { .. } => "`phase` may be left out where the model has but one".into(),
             ExchangeError::States { ordered: false, .. } => {

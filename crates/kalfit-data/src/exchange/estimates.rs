@@ -11,26 +11,11 @@ use super::content::{Source, opened};
 use super::error::ExchangeError;
 use super::keys::{Key, Phases};
 use super::metadata::Metadata;
-use super::sheet::{Column, Row, Shape, Sheet, Wish};
+use super::schema::ESTIMATES;
+use super::sheet::{Row, Sheet, Wish};
 use crate::error::DataError;
 
-pub(super) const KIND: &str = "estimates";
-
-/// The schema `kalfit-estimates/1`.
-pub(super) const COLUMNS: [Column; 12] = [
-    Column::optional("test", Shape::Text),
-    Column::optional("phase", Shape::Text),
-    Column::needed("states", Shape::Words),
-    Column::needed("estimates", Shape::Numbers),
-    Column::needed("offsets", Shape::Numbers),
-    Column::needed("sensitivities", Shape::Numbers),
-    Column::optional("covariance_root", Shape::Numbers),
-    Column::optional("covariance", Shape::Numbers),
-    Column::needed("transition", Shape::Numbers),
-    Column::optional("drift", Shape::Numbers),
-    Column::optional("steps", Shape::Number),
-    Column::optional("observations", Shape::Number),
-];
+const KIND: &str = "estimates";
 
 /// Reads an estimates file, of any origin, and hands its rows on. Texts of constants are added to `labels`.
 ///
@@ -45,7 +30,7 @@ pub fn read_estimates(
     opened!(source, |builder| {
         let metadata = Metadata::read(&source.name, builder.metadata())?;
         let constants = Constants::new(model, layout, builder.schema());
-        let wish = Wish { kind: KIND, columns: &COLUMNS, further: constants.columns(layout) };
+        let wish = Wish { kind: KIND, columns: &ESTIMATES, further: constants.columns(layout) };
         let mut sheet = Sheet::new(&source.name, builder, &wish)?;
         let key = Key::new(layout);
         let phases = Phases::new(model);
@@ -108,7 +93,7 @@ fn order(row: Row<'_>, names: &[&str], phase: &str) -> Result<Vec<usize>, Exchan
     let place: Option<Vec<usize>> = names.iter().map(|name| found.iter().position(|other| other == name)).collect();
     place.filter(|_| found.len() == names.len()).ok_or_else(|| ExchangeError::States {
         at: row.place("states"),
-        found: found.iter().map(|name| crate::error::shown(name.as_bytes())).collect(),
+        found: found.iter().map(|name| crate::cell::shown(name.as_bytes())).collect(),
         phase: phase.to_owned(),
         expected: names.iter().map(|&name| name.to_owned()).collect(),
         ordered: false,

@@ -3,12 +3,10 @@
 use kalfit::{Layout, PhasedModel, TestKey};
 
 use super::error::ExchangeError;
+use super::schema::{PHASE, TEST};
 use super::sheet::Row;
 use crate::error::DataError;
 use crate::reading::SINGLE_TEST;
-
-pub(super) const TEST: &str = "test";
-pub(super) const PHASE: &str = "phase";
 
 /// Finds the id of a row's test: in `test`, else in the model's own column of ids.
 pub(super) struct Key {

@@ -4,7 +4,7 @@ use parquet::file::metadata::{KeyValue, ParquetMetaData};
 
 use super::alpha::ParameterValue;
 use super::error::ExchangeError;
-use super::{ESTIMATES_SCHEMA, REDUCTIONS_SCHEMA};
+use super::schema::{ESTIMATES_SCHEMA, REDUCTIONS_SCHEMA};
 
 pub(super) const SCHEMA: &str = "kalfit.schema";
 const VERSION: &str = "kalfit.version";
@@ -58,7 +58,7 @@ impl Metadata {
         let text = |key: &'static str| value(metadata, key);
         let Some(schema) = text(SCHEMA) else { return Ok(None) };
         if schema != REDUCTIONS_SCHEMA && schema != ESTIMATES_SCHEMA {
-            let (file, found) = (file.to_owned(), crate::error::shown(schema.as_bytes()));
+            let (file, found) = (file.to_owned(), crate::cell::shown(schema.as_bytes()));
             return Err(ExchangeError::Schema { file, found });
         }
         let needed = |key: &'static str| {
@@ -80,7 +80,7 @@ impl Metadata {
             OF_ESTIMATES => true,
             OF_MEASUREMENTS => false,
             other => {
-                let found = crate::error::shown(other.as_bytes());
+                let found = crate::cell::shown(other.as_bytes());
                 let reason = format!("found `{found}`, expected `{OF_ESTIMATES}` or `{OF_MEASUREMENTS}`");
                 return Err(ExchangeError::Metadata { file: file.to_owned(), key: LIKELIHOOD, reason });
             }
@@ -108,7 +108,7 @@ impl Metadata {
         let found = if digits.len() == 64 && digits.bytes().all(|b| b.is_ascii_hexdigit()) {
             self.reduction_digest.clone() // longer than what messages show of other texts
         } else {
-            crate::error::shown(self.reduction_digest.as_bytes())
+            crate::cell::shown(self.reduction_digest.as_bytes())
         };
         Err(ExchangeError::Digest { file: file.to_owned(), found, expected: expected.to_owned() })
     }

@@ -21,6 +21,7 @@ mod keys;
 mod lists;
 mod metadata;
 mod reductions;
+mod schema;
 mod sheet;
 mod write;
 
@@ -33,12 +34,8 @@ pub use error::ExchangeError;
 pub use estimates::read_estimates;
 pub use metadata::Metadata;
 pub use reductions::read_reductions;
+pub use schema::{ESTIMATES_SCHEMA, REDUCTIONS_SCHEMA};
 pub use write::{EstimatesWriter, ReductionWriter};
-
-/// Schema of reductions files.
-pub const REDUCTIONS_SCHEMA: &str = "kalfit-reductions/1";
-/// Schema of estimates files.
-pub const ESTIMATES_SCHEMA: &str = "kalfit-estimates/1";
 
 /// What one row of an exchange file says.
 #[derive(Debug, Clone, PartialEq)]

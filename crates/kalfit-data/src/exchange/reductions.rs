@@ -14,37 +14,17 @@ use parquet::file::reader::ChunkReader;
 use super::Entry;
 use super::content::{Contents, Source};
 use super::error::ExchangeError;
-use super::keys::{PHASE, Phases, TEST};
+use super::keys::Phases;
 use super::metadata::Metadata;
-use super::sheet::{Column, Part, Plan, Row, Shape, Sheet, Wish};
+use super::schema::{REDUCTIONS, TEST};
+use super::sheet::{Part, Plan, Row, Sheet, Wish};
 use crate::error::DataError;
 use crate::table::ahead::{Done, Goes, Make, Task, Tasks, each};
 use crate::table::parquet::FORMAT;
 
-pub(super) const KIND: &str = "reductions";
+const KIND: &str = "reductions";
 pub(super) const INFORMATION: &str = "information";
 pub(super) const SQUARE_ROOT: &str = "square-root";
-
-/// The schema `kalfit-reductions/1`.
-pub(super) const COLUMNS: [Column; 17] = [
-    Column::needed(TEST, Shape::Text),
-    Column::needed(PHASE, Shape::Text),
-    Column::needed("states", Shape::Words),
-    Column::needed("constant", Shape::Number),
-    Column::needed("data", Shape::Numbers),
-    Column::needed("factor", Shape::Numbers),
-    Column::needed("covariates", Shape::Numbers),
-    Column::needed("path", Shape::Text),
-    Column::needed("design", Shape::Text),
-    Column::needed("steps", Shape::Number),
-    Column::needed("observations", Shape::Number),
-    Column::optional("terminal_states", Shape::Words),
-    Column::optional("terminal_mean", Shape::Numbers),
-    Column::optional("terminal_sensitivity", Shape::Numbers),
-    Column::optional("terminal_root", Shape::Numbers),
-    Column::optional("inherited_transition", Shape::Numbers),
-    Column::optional("inherited_input", Shape::Numbers),
-];
 
 /// Reads a reductions file and hands its rows on. That it was made with this model and α is for
 /// [`Metadata::check_digest`] and [`difference`](super::difference) to say.
@@ -76,7 +56,7 @@ fn read<R: ChunkReader + 'static>(
         key: super::metadata::SCHEMA,
         reason: "it is missing".to_owned(),
     })?;
-    let wish = Wish { kind: KIND, columns: &COLUMNS, further: Vec::new() };
+    let wish = Wish { kind: KIND, columns: &REDUCTIONS, further: Vec::new() };
     let plan = Plan::new(&source.name, &builder, &wish)?;
     let loaded = ArrowReaderMetadata::try_new(builder.metadata().clone(), ArrowReaderOptions::new());
     let loaded = loaded.map_err(|error| DataError::Parquet { file: source.name.clone(), source: Box::new(error) })?;
@@ -298,7 +278,7 @@ fn same_names(row: Row<'_>, column: &str, expected: &[String], phase: &str) -> R
     }
     Err(ExchangeError::States {
         at: row.place(column),
-        found: found.iter().map(|name| crate::error::shown(name.as_bytes())).collect(),
+        found: found.iter().map(|name| crate::cell::shown(name.as_bytes())).collect(),
         phase: phase.to_owned(),
         expected: expected.to_vec(),
         ordered: true,

@@ -14,42 +14,17 @@ use parquet::file::reader::ChunkReader;
 
 use super::error::ExchangeError;
 use super::lists::{Lists, Words, is_numbers, is_words};
-use crate::error::{Columns, DataError, Place, shown};
+use super::schema::{Column, Shape};
+use crate::cell::shown;
+use crate::columns::{Columns, nearest};
+use crate::error::DataError;
+use crate::place::Place;
 use crate::table::arrays::{Numbers, Texts, is_numeric, misfit};
 use crate::table::guard::guarded;
 use crate::table::parquet::{FORMAT, ROWS_FREE, ROWS_PER_BYTE, refuse_codecs, refuse_oversized};
-use crate::wanted::nearest;
 
 /// Rows decoded at a time: they may hold matrices.
 const ROWS: usize = 256;
-
-/// What a column holds.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Shape {
-    Text,
-    /// A number; a count is one without a fraction.
-    Number,
-    Numbers,
-    Words,
-}
-
-/// A column that is looked for.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Column {
-    pub(super) name: &'static str,
-    pub(super) shape: Shape,
-    pub(super) needed: bool,
-}
-
-impl Column {
-    pub(super) const fn needed(name: &'static str, shape: Shape) -> Column {
-        Column { name, shape, needed: true }
-    }
-
-    pub(super) const fn optional(name: &'static str, shape: Shape) -> Column {
-        Column { name, shape, needed: false }
-    }
-}
 
 /// What is read of a file.
 pub(super) struct Wish<'a> {

@@ -15,7 +15,7 @@ use parquet::file::properties::WriterProperties;
 use super::constants::{name_in_file, numeric, textual};
 use super::metadata::Metadata;
 use super::reductions::{INFORMATION, SQUARE_ROOT};
-use super::{ESTIMATES_SCHEMA, REDUCTIONS_SCHEMA};
+use super::schema::{ESTIMATES_SCHEMA, REDUCTIONS_SCHEMA};
 use crate::write::WriteError;
 
 /// Numbers of a row group, which the writer holds in memory.

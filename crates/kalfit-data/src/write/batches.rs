@@ -11,8 +11,8 @@ use parquet::arrow::ArrowWriter;
 use parquet::basic::Compression;
 use parquet::file::properties::WriterProperties;
 
-use super::WriteError;
 use super::columns::{From, OutColumn, text};
+use super::error::WriteError;
 
 /// Rows of a batch.
 const ROWS: usize = 65_536;

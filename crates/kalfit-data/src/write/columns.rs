@@ -2,7 +2,7 @@
 
 use kalfit::{Labels, Layout, Model, Test, TestKey};
 
-use super::WriteError;
+use super::error::WriteError;
 
 /// A column and where its cells come from.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -4,8 +4,8 @@ use std::io::Write;
 
 use kalfit::{Labels, Test};
 
-use super::WriteError;
 use super::columns::{From, OutColumn, text};
+use super::error::WriteError;
 
 /// Writes CSV with a header. Numbers are in the shortest form that reads back the same; missing cells are empty.
 pub(super) struct CsvTests<W: Write> {

@@ -4,9 +4,8 @@ use kalfit::FitRecord;
 use maud::{Markup, html};
 
 use crate::html::chart::Charts;
-use crate::html::estimates::forest_row;
 use crate::html::forest::{self, Group, Row};
-use crate::html::phase::Kind;
+use crate::html::phase::{Kind, forest_row};
 use crate::words::clean;
 
 /// States that several phases have, side by side; nothing where there are none.

@@ -4,10 +4,10 @@ use kalfit::FitRecord;
 use kalfit::record::RatioRecord;
 use maud::{Markup, PreEscaped, html};
 
-use crate::html::Section;
 use crate::html::chart::Charts;
 use crate::html::forest::{self, Group, Row};
 use crate::html::phase::Kind;
+use crate::html::section::Section;
 use crate::number::{DIGITS, plain};
 use crate::page::Page;
 use crate::ratio;

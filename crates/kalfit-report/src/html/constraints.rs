@@ -5,8 +5,8 @@ use kalfit::record::ConstraintRecord;
 use maud::{Markup, PreEscaped, html};
 use serde_json::json;
 
-use crate::html::Section;
 use crate::html::chart::{Chart, Charts, figures};
+use crate::html::section::Section;
 use crate::number::plain;
 use crate::page::Page;
 use crate::summary::constraints;

@@ -8,7 +8,8 @@ use maud::{PreEscaped, html};
 use serde_json::json;
 
 use crate::html::chart::{Chart, Charts};
-use crate::html::{MOST_TESTS, Section};
+use crate::html::outlying::MOST_TESTS;
+use crate::html::section::Section;
 use crate::number::plain;
 use crate::page::Page;
 use crate::summary::{headline, observability};

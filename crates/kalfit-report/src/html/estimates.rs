@@ -6,9 +6,11 @@ use maud::{Markup, PreEscaped, html};
 use serde_json::{Value, json};
 
 use crate::html::chart::{Chart, Charts, figure};
-use crate::html::forest::{self, Group, Row};
+use crate::html::forest::{self, Group};
 use crate::html::math::{self, equation, hat, op, row};
-use crate::html::{Section, across, phase, posteriors};
+use crate::html::phase::forest_row;
+use crate::html::section::Section;
+use crate::html::{across, phase, posteriors};
 use crate::number::plain;
 use crate::page::Page;
 use crate::summary::{correlations, intervals, phases, states};
@@ -94,19 +96,6 @@ fn forest_plot(one: &PhaseRecord, name: &str, charts: &mut Charts) -> Option<Mar
                    holds zero may be zero; a long interval asks for more tests. Open marks have no interval: fixed, on the \
                    boundary or not identified.";
     forest::forest(&title, caption, groups, charts)
-}
-
-pub(super) fn forest_row(one: &PhaseRecord, kind: phase::Kind, i: usize) -> Option<Row> {
-    let estimate = kind.estimate(one, i)?;
-    let (shown, beside) = kind.cells(one, i);
-    let interval = kind.interval(one, i);
-    Some(Row {
-        name: clean(&one.states[i]),
-        estimate,
-        ends: if kind.fixed(one, i) { None } else { kind.ends(one, i) },
-        words: forest::words(&shown, &beside, &interval),
-        reference: None,
-    })
 }
 
 fn heat_map(one: &PhaseRecord, name: &str, charts: &mut Charts) -> Option<Markup> {

@@ -3,7 +3,7 @@
 use kalfit::FitRecord;
 use maud::{PreEscaped, html};
 
-use crate::html::Section;
+use crate::html::section::Section;
 use crate::page::Page;
 use crate::summary::groups;
 

@@ -5,8 +5,8 @@ use kalfit::record::{DeletionRecord, TestRecord, displacement_limit};
 use maud::{Markup, PreEscaped, html};
 use serde_json::{Value, json};
 
-use crate::html::Section;
 use crate::html::chart::{Chart, Charts, figure};
+use crate::html::section::Section;
 use crate::number::plain;
 use crate::page::Page;
 use crate::summary::influence;

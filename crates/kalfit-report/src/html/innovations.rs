@@ -7,7 +7,8 @@ use serde_json::{Value, json};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::html::chart::{Chart, Charts, figure, figures};
-use crate::html::{MOST_TESTS, Section};
+use crate::html::outlying::MOST_TESTS;
+use crate::html::section::Section;
 use crate::number::{plain, probability};
 use crate::page::Page;
 use crate::summary::innovations;

@@ -17,37 +17,22 @@ mod influence;
 mod innovations;
 mod math;
 mod model;
+mod outlying;
 mod overview;
 mod parameters;
 mod phase;
 mod posteriors;
 mod provenance;
+mod section;
 mod shell;
 mod solver;
 mod tests;
 
 use kalfit::FitRecord;
 use kalfit::record::RatioRecord;
-use maud::Markup;
 
 use crate::html::chart::Charts;
-
-/// Tests that are listed and drawn one by one; of more, these are the ones that stand out most.
-const MOST_TESTS: usize = 200;
-
-/// One part of the page.
-struct Section {
-    /// Its anchor.
-    id: &'static str,
-    title: &'static str,
-    body: Markup,
-}
-
-impl Section {
-    fn new(id: &'static str, title: &'static str, body: Markup) -> Option<Section> {
-        (!body.0.is_empty()).then_some(Section { id, title, body })
-    }
-}
+use crate::html::section::Section;
 
 /// The report of a fit, a whole HTML document. It depends on the record alone and copes with any record.
 pub fn html(record: &FitRecord) -> String {

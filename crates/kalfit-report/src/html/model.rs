@@ -3,8 +3,9 @@
 use kalfit::FitRecord;
 use maud::{Markup, html};
 
+use crate::html::math::equation;
 use crate::html::math::{self, Math};
-use crate::html::{Section, math::equation};
+use crate::html::section::Section;
 use crate::words::{clean, sentence};
 
 /// No more facts than this; the model file has them all.

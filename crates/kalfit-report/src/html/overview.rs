@@ -4,7 +4,7 @@ use kalfit::FitRecord;
 use kalfit::record::ModelCheckRecord;
 use maud::{PreEscaped, html};
 
-use crate::html::Section;
+use crate::html::section::Section;
 use crate::number::hundredths;
 use crate::page::Page;
 use crate::summary::{self, headline, phases};

@@ -4,9 +4,9 @@ use kalfit::FitRecord;
 use kalfit::record::ParameterRecord;
 use maud::{Markup, PreEscaped, html};
 
-use crate::html::Section;
 use crate::html::chart::Charts;
 use crate::html::forest::{self, Group, Row};
+use crate::html::section::Section;
 use crate::page::Page;
 use crate::summary::parameters::{self, ends_in_words, level};
 use crate::summary::states::cells;

@@ -1,8 +1,9 @@
-//! The figures of one phase as rows of tables.
+//! The figures of one phase as rows of tables and of forest plots.
 
 use kalfit::record::{Interval, PhaseRecord};
 use maud::{Markup, PreEscaped, html};
 
+use crate::html::forest::{self, Row};
 use crate::page::Page;
 use crate::summary::parameters::ends_in_words;
 use crate::summary::states::{self, Cells, cells};
@@ -115,4 +116,18 @@ pub(super) fn elements(phase: &PhaseRecord, page: &Page<'_>) -> Markup {
     let all = p * (p + 1) / 2;
     html! { details { summary { "Elements of the covariance" } (PreEscaped(page.table(&columns)))
     @if all > MOST_ELEMENTS { p { "The first " (MOST_ELEMENTS) " of " (all) " elements; all are in fit.json." } } } }
+}
+
+/// An estimate in a forest plot; nothing where there is none.
+pub(super) fn forest_row(one: &PhaseRecord, kind: Kind, i: usize) -> Option<Row> {
+    let estimate = kind.estimate(one, i)?;
+    let (shown, beside) = kind.cells(one, i);
+    let interval = kind.interval(one, i);
+    Some(Row {
+        name: clean(&one.states[i]),
+        estimate,
+        ends: if kind.fixed(one, i) { None } else { kind.ends(one, i) },
+        words: forest::words(&shown, &beside, &interval),
+        reference: None,
+    })
 }

@@ -5,9 +5,8 @@ use kalfit::record::{PhaseRecord, PosteriorRecord, TestRecord};
 use maud::Markup;
 use serde_json::{Value, json};
 
-use crate::html::MOST_TESTS;
 use crate::html::chart::{Chart, Charts, figure, figures};
-use crate::html::tests::{outlying, stands_out};
+use crate::html::outlying::{MOST_TESTS, outlying, stands_out};
 use crate::number::plain;
 use crate::words::{clean, count};
 

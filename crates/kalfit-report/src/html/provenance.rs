@@ -3,7 +3,7 @@
 use kalfit::FitRecord;
 use maud::html;
 
-use crate::html::Section;
+use crate::html::section::Section;
 use crate::number::seconds;
 use crate::words::{clean, list};
 

@@ -6,8 +6,8 @@ use kalfit::FitRecord;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use sha2::{Digest, Sha256};
 
-use crate::html::Section;
 use crate::html::chart::{Charts, cut};
+use crate::html::section::Section;
 use crate::words::clean;
 
 /// Apache ECharts, the parts that are used; see assets/README.md.

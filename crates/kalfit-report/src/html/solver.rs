@@ -4,8 +4,8 @@ use kalfit::FitRecord;
 use maud::{Markup, PreEscaped, html};
 use serde_json::json;
 
-use crate::html::Section;
 use crate::html::chart::{Chart, Charts, figures};
+use crate::html::section::Section;
 use crate::number::{hundredths, plain};
 use crate::page::Page;
 use crate::summary;

@@ -6,15 +6,15 @@ use maud::{Markup, PreEscaped, html};
 use serde_json::{Value, json};
 
 use crate::html::chart::{Chart, Charts, figure};
-use crate::html::{MOST_TESTS, Section, posteriors};
+use crate::html::outlying::{LEVEL, MOST_TESTS, outlying, stands_out};
+use crate::html::posteriors;
+use crate::html::section::Section;
 use crate::number::{Precision, hundredths, plain, probability};
 use crate::page::Page;
 use crate::summary::outliers;
 use crate::table::{Column, Side};
 use crate::words::{clean, count};
 
-/// Level of the search over all tests.
-const LEVEL: f64 = 0.05;
 /// States whose posteriors are in the table.
 const MOST_STATES: usize = 8;
 /// Points of the chart of p-values.
@@ -38,19 +38,6 @@ pub(super) fn section(record: &FitRecord, charts: &mut Charts) -> Option<Section
         (table(record, &page))
     };
     Section::new("tests", "Tests", body)
-}
-
-/// Tests, the most outlying first; those without a p-value last.
-pub(super) fn outlying(record: &FitRecord) -> Vec<&TestRecord> {
-    let key = |test: &TestRecord| test.p_value.filter(|p| p.is_finite()).unwrap_or(2.0);
-    let mut tests: Vec<&TestRecord> = record.tests.iter().collect();
-    tests.sort_by(|a, b| key(a).total_cmp(&key(b)).then_with(|| a.id.cmp(&b.id)));
-    tests
-}
-
-/// Even though the search went over so many tests.
-pub(super) fn stands_out(test: &TestRecord, all: usize) -> bool {
-    test.p_value.is_some_and(|p| p * (all as f64) < LEVEL)
 }
 
 /// p-values against what they should be: evenly spread.

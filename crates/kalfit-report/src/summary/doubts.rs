@@ -2,15 +2,11 @@
 
 use kalfit::record::{BoundaryRecord, PhaseRecord, UnidentifiedRecord};
 
+use super::combination::{combination, covariance_of, weighted};
 use super::{observability, pairs};
-use crate::number::plain;
 use crate::page::Page;
 use crate::words::{clean, list, sentence};
 
-/// Smaller weights of a unit direction are left out. Weights are in the states' own units, so small ones may matter.
-pub(crate) const NEGLIGIBLE: f64 = 1e-6;
-/// No more terms than this of a direction are written out.
-const MOST_TERMS: usize = 6;
 /// No more directions than this in a sentence; all are in fit.json.
 const MOST_DIRECTIONS: usize = 8;
 /// No more names than this in a list.
@@ -93,43 +89,10 @@ pub(crate) fn direction(found: &UnidentifiedRecord, states: &[String]) -> String
     }
 }
 
-/// The two states of `a, b` or `covariance[a, b]`.
-pub(crate) fn covariance_of(element: &str) -> Option<(&str, &str)> {
-    element.strip_prefix("covariance[").and_then(|e| e.strip_suffix(']')).unwrap_or(element).split_once(", ")
-}
-
 fn short(element: &str) -> String {
     match covariance_of(element) {
         Some((a, b)) if a == b => format!("var({})", clean(a)),
         Some((a, b)) => format!("cov({}, {})", clean(a), clean(b)),
         None => clean(element),
     }
-}
-
-/// The terms of a direction that count, the largest first.
-pub(crate) fn weighted<'a>(direction: &[f64], names: &'a [String]) -> Vec<(f64, &'a String)> {
-    let weights = direction.iter().zip(names).filter(|(w, _)| w.abs() > NEGLIGIBLE && w.is_finite());
-    let mut terms: Vec<(f64, &String)> = weights.map(|(&w, name)| (w, name)).collect();
-    terms.sort_by(|a, b| b.0.abs().total_cmp(&a.0.abs()));
-    terms
-}
-
-/// A combination of states in words.
-pub(crate) fn combination_of(terms: &[(f64, &String)]) -> String {
-    if terms.is_empty() { "of none".to_owned() } else { combination(terms, &|name| clean(name)) }
-}
-
-fn combination(terms: &[(f64, &String)], word: &dyn Fn(&str) -> String) -> String {
-    let sign = terms[0].0.signum();
-    let mut text = String::new();
-    for (i, (weight, name)) in terms.iter().take(MOST_TERMS).enumerate() {
-        let weight = weight * sign;
-        let joint = match (i, weight < 0.0) {
-            (0, _) => "",
-            (_, true) => " - ",
-            (_, false) => " + ",
-        };
-        text.push_str(&format!("{joint}{} {}", plain(weight.abs(), 2), word(name)));
-    }
-    if terms.len() > MOST_TERMS { text + " + …" } else { text }
 }

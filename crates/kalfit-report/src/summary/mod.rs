@@ -1,5 +1,6 @@
 //! The summary of a fit, in the order in which a test engineer asks: can it be trusted, what is it, what is doubtful.
 
+mod combination;
 pub(crate) mod constraints;
 pub(crate) mod correlations;
 pub(crate) mod doubts;

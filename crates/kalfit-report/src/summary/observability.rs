@@ -2,7 +2,7 @@
 
 use kalfit::record::{ObservabilityRecord, WeakRecord};
 
-use super::doubts::{combination_of, weighted};
+use super::combination::{combination_of, weighted};
 use crate::number::plain;
 use crate::page::Page;
 use crate::table::{Column, Side};

@@ -2,7 +2,7 @@
 
 use kalfit::record::UnidentifiedRecord;
 
-use super::doubts::{covariance_of, weighted};
+use super::combination::{covariance_of, weighted};
 use crate::number::plain;
 use crate::words::clean;
 

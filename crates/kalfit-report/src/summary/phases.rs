@@ -3,7 +3,7 @@
 use kalfit::FitRecord;
 use kalfit::record::{EnteredRecord, FilterRecord, InformationLostRecord, InformationRecord, PhaseRecord};
 
-use super::doubts::{combination_of, weighted};
+use super::combination::{combination_of, weighted};
 use crate::number::{hundredths, plain};
 use crate::page::Page;
 use crate::table::{Column, Side};

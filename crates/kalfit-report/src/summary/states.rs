@@ -2,7 +2,7 @@
 
 use kalfit::record::{PhaseRecord, RegressionRecord, ScaleRecord, UnidentifiedRecord};
 
-use super::doubts::{NEGLIGIBLE, covariance_of};
+use super::combination::{NEGLIGIBLE, covariance_of};
 use crate::number::Precision;
 use crate::page::Page;
 use crate::table::{Column, Side};

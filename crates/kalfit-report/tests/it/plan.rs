@@ -1,8 +1,8 @@
 //! The text of a plan.
 
 use insta::assert_snapshot;
-use kalfit::plan::{PlanRecord, PlannedRecord};
 use kalfit::record::DataRecord;
+use kalfit::record::{PlanRecord, PlannedRecord};
 use kalfit_report::{Style, plan_summary};
 
 fn quantity(kind: &str, states: &[&str], value: Option<f64>, errors: Result<[f64; 3], &str>) -> PlannedRecord {

@@ -7,8 +7,9 @@ use kalfit::model::{Expression, Function, Linear, Operator};
 use crate::error::{ExpressionProblem as Wrong, Result, Span, SpecError};
 use crate::expression::fold::{self, ONE, ZERO};
 use crate::expression::form::Form;
+use crate::expression::scope::Scope;
+use crate::expression::snippet::Snippet;
 use crate::expression::syntax::{Kind, Node};
-use crate::expression::{Scope, Snippet};
 use crate::names::{Context, RESERVED, Role};
 use crate::suggest::suggest;
 

@@ -5,7 +5,7 @@ use std::ops::Range;
 use kalfit::model::Operator;
 
 use crate::error::ExpressionProblem;
-use crate::expression::token::{Token, Word, tokenize};
+use crate::token::{Token, Word, tokenize};
 
 /// Longest expression that is read, in bytes.
 const MAX_LENGTH: usize = 16_384;

@@ -2,14 +2,12 @@
 
 use nalgebra::DMatrix;
 
-use crate::build::BuildError;
 use crate::build::constraint::{Constraints, Kind, MeanRule};
 use crate::build::formula::Formula;
-use crate::build::lower;
 use crate::build::measurement::MeasurementBuilder;
 use crate::build::parameter::ParameterBuilder;
 use crate::build::state::StateBuilder;
-use crate::model::{Model, PhasedModel};
+use crate::model::Model;
 
 /// Collects what a model says. It is a value: cloned, it is what several models or phases have in common.
 ///
@@ -217,15 +215,5 @@ impl ModelBuilder {
     pub fn known_covariance(mut self, known: DMatrix<f64>) -> Self {
         self.known = Some(known);
         self
-    }
-
-    /// The model, of one phase. What no method of the builder says can be said in the fields of the result, which are all public: see
-    /// [`CovarianceKind`](crate::model::CovarianceKind) for the structures of Σ.
-    ///
-    /// # Errors
-    /// Names that nothing has, equations that are not linear in the states, numbers that cannot be, constraints that contradict each
-    /// other.
-    pub fn build(&self) -> Result<PhasedModel, BuildError> {
-        lower::single(self)
     }
 }

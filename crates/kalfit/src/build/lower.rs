@@ -1,5 +1,7 @@
 //! From what was said to a model: names looked up, equations taken apart.
 
+mod parameter;
+
 use crate::build::BuildError;
 use crate::build::builder::ModelBuilder;
 use crate::build::constraint::{Elements, entries, finite};
@@ -11,12 +13,19 @@ use crate::model::{Clock, Expression, Initial, Model, Parameter, PhasedModel, ro
 /// A covariance between the noises of two things, by their indices.
 type Covariances = Vec<(usize, usize, Expression)>;
 
-/// A model of one phase.
-pub(super) fn single(builder: &ModelBuilder) -> Result<PhasedModel, BuildError> {
-    let mut names = Names::default();
-    let mut model = PhasedModel::from(phase(builder, &mut names, None)?);
-    share(&mut names, &mut model)?;
-    Ok(model)
+impl ModelBuilder {
+    /// The model, of one phase. What no method of the builder says can be said in the fields of the result, which are all public: see
+    /// [`CovarianceKind`](crate::model::CovarianceKind) for the structures of Σ.
+    ///
+    /// # Errors
+    /// Names that nothing has, equations that are not linear in the states, numbers that cannot be, constraints that contradict each
+    /// other.
+    pub fn build(&self) -> Result<PhasedModel, BuildError> {
+        let mut names = Names::default();
+        let mut model = PhasedModel::from(phase(self, &mut names, None)?);
+        share(&mut names, &mut model)?;
+        Ok(model)
+    }
 }
 
 /// Gives models what they have in common, now that all of it is known.

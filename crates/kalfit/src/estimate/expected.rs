@@ -12,7 +12,7 @@ use crate::estimate::pass::Order;
 use crate::estimate::sums::Sums;
 use crate::estimate::terms::Point;
 use crate::estimate::{FitError, Place, Problem, Settings, State, Structure};
-use crate::infer::Element;
+use crate::linalg::elements::Element;
 use crate::model::Population;
 use crate::reduce::Reduction;
 

@@ -1,6 +1,6 @@
 //! Figures of a fit, by name.
 
-use crate::face::Fit;
+use crate::face::fit::Fit;
 use crate::infer::{Interval, Posterior};
 use crate::record::{ParameterRecord, PhaseRecord, VectorRecord};
 

@@ -1,15 +1,11 @@
-//! A fit with all that came of it: the flow of the whole crate in one place.
+//! A fit with all that came of it, and what can be asked of one.
 
-use crate::dynamic::{self, DynamicFit, Method};
-use crate::ensemble::Labels;
-use crate::estimate::{self, Estimate, Progress, Structure};
-use crate::face::ensemble::{Ensemble, EnsembleError};
-use crate::face::second_look;
-use crate::infer::{self, Choices, Inference};
+use crate::dynamic::Method;
+use crate::estimate::{self, Estimate, Structure};
+use crate::infer::{Choices, Inference};
 use crate::model::{Alpha, PhasedModel, Population};
-use crate::record::{DynamicParts, FitRecord, LevelCounts, Provenance, TestGroups, level_notes};
+use crate::record::FitRecord;
 use crate::reduce::Reduction;
-use crate::score::Slots;
 
 /// What is asked of a fit.
 #[derive(Debug, Clone)]
@@ -72,61 +68,4 @@ impl Fit {
     pub fn structure(&self) -> Structure<'_> {
         Structure::of(&self.model, &self.alpha)
     }
-}
-
-/// Reduce, estimate, infer, record; with free parameters the search for them in place of the first two.
-pub(super) fn of_tests(
-    ensemble: &Ensemble,
-    options: &Options,
-    progress: &mut dyn Progress,
-) -> Result<Fit, EnsembleError> {
-    let (model, labels, tests) = (ensemble.model(), ensemble.labels(), ensemble.tests());
-    let slots = Slots::in_phases(model, labels, tests);
-    let mut fit = if slots.is_empty() {
-        let alpha = slots.alpha(model.shared(), &[]);
-        let reductions = ensemble.reduce(&alpha)?;
-        of_reductions((model, &alpha), reductions, options, progress)?
-    } else {
-        let search = dynamic::Settings {
-            method: options.method,
-            inner: options.settings.clone(),
-            starts: options.starts,
-            seed: options.seed,
-        };
-        let found = dynamic::fit(model, labels, tests, &search, progress)?;
-        let (inference, parameters) = dynamic::infer(model, tests, &found, options.choices)?;
-        let parts = DynamicParts { model, labels, fit: &found, inference: &inference, parameters: &parameters };
-        let record = FitRecord::dynamic(&parts, Provenance::default());
-        let DynamicFit { alpha, reductions, estimate, .. } = found;
-        Fit { model: model.clone(), alpha, reductions, estimate, inference, record }
-    };
-    fit.record.notes.extend(notes(model, labels, ensemble));
-    if options.innovations {
-        second_look::add_innovations(&mut fit, tests);
-    }
-    if let Some(mut groups) = TestGroups::new(model.shared()) {
-        groups.take(tests, labels)?;
-        fit.record.add_groups(&groups);
-        fit.record.add_by_group();
-    }
-    fit.record.add_model_check();
-    Ok(fit)
-}
-
-/// The same of reductions at a known α.
-pub(super) fn of_reductions(
-    (model, alpha): (&PhasedModel, &Alpha),
-    reductions: Vec<Reduction>,
-    options: &Options,
-    progress: &mut dyn Progress,
-) -> Result<Fit, EnsembleError> {
-    let estimate = estimate::fit(&reductions, &Structure::of(model, alpha), &options.settings, progress)?;
-    let inference = infer::infer(&estimate, &reductions, options.choices);
-    let record = FitRecord::new(model, alpha, &reductions, &estimate, &inference, Provenance::default());
-    Ok(Fit { model: model.clone(), alpha: alpha.clone(), reductions, estimate, inference, record })
-}
-
-fn notes(model: &PhasedModel, labels: &Labels, ensemble: &Ensemble) -> Vec<String> {
-    let shared = model.shared();
-    level_notes(shared, &LevelCounts::all(shared, labels, ensemble.tests()))
 }

@@ -4,8 +4,9 @@ use rayon::prelude::*;
 
 use crate::build::{BuildError, constant};
 use crate::estimate::Silent;
-use crate::face::ensemble::EnsembleError;
-use crate::face::fit::{Fit, Options, of_reductions};
+use crate::face::error::EnsembleError;
+use crate::face::fit::{Fit, Options};
+use crate::face::flow::of_reductions;
 use crate::model::{Alpha, Model, PhasedModel};
 use crate::reduce::{Plain, Reduction};
 

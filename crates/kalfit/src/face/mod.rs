@@ -1,14 +1,18 @@
 //! From a model and tests to a fit in one call; see [`fit`](crate::fit) and [`fit_matrices`](crate::fit_matrices).
 
 mod ensemble;
+mod error;
 mod figure;
 mod fit;
+mod flow;
 mod matrices;
 mod second_look;
 
-pub use ensemble::{Ensemble, EnsembleError, fit};
+pub use ensemble::Ensemble;
+pub use error::EnsembleError;
 pub use figure::{Figure, UnknownName};
 pub use fit::{Fit, Options};
+pub use flow::fit;
 pub use matrices::{fit_matrices, fit_reductions};
 
 #[cfg(test)]

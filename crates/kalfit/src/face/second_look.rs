@@ -1,6 +1,6 @@
 //! The data once more, at the fit.
 
-use crate::face::Fit;
+use crate::face::fit::Fit;
 use crate::innovations::innovations;
 use crate::record::{InnovationRecord, SeriesKeeper};
 use crate::reduce::PhasedTest;

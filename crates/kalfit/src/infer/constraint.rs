@@ -5,17 +5,9 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::estimate::{Estimate, Form, State};
 use crate::infer::law::Law;
+use crate::linalg::elements::Element;
 use crate::linalg::symmetric::pair;
 use crate::model::MeanElement;
-
-/// A constrained element.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Element {
-    /// Of μ.
-    Mean(usize),
-    /// Of Σ; both states are of one phase.
-    Covariance(usize, usize),
-}
 
 /// What holding one element costs. Beside the derivative stands the score (Lagrange multiplier) test of the constraint.
 #[derive(Debug, Clone, PartialEq)]

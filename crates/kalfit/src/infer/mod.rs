@@ -20,7 +20,8 @@ mod posterior;
 mod ratio;
 mod reason;
 
-pub use constraint::{Element, Sensitivity, sensitivities};
+pub use crate::linalg::elements::Element;
+pub use constraint::{Sensitivity, sensitivities};
 pub use deletion::{Deletion, deletion_work, deletions};
 pub use identifiability::{
     Direction, Examination, Quantity, examine_at_start, identifiability, identifiability_at_start,

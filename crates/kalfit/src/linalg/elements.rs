@@ -1,10 +1,19 @@
-//! Numbers of the elements of a block-diagonal symmetric matrix, such as the Σ of several phases.
+//! Elements of a mean and of a block-diagonal symmetric matrix, such as the μ and Σ of several phases, and their numbers.
 
 use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector};
 
 use crate::linalg::symmetric::{pair, pairs};
+
+/// An element of μ or Σ, by its place in all phases together.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Element {
+    /// Of μ.
+    Mean(usize),
+    /// Of Σ; both states are of one phase.
+    Covariance(usize, usize),
+}
 
 /// The elements (i ≥ j) of a symmetric matrix that is zero between its blocks, one block for each phase: those of the first block
 /// in the order (0,0), (1,0), (1,1), (2,0), …, then those of the second. With p_f states in block f there are Σ p_f(p_f+1)/2.

@@ -4,22 +4,26 @@
 //! data and the parameters. It refers to columns, states and parameters by index; names are kept for reports only.
 
 mod derivative;
+mod error;
 mod expression;
 mod parameter;
 mod phased;
 mod population;
 mod power;
 mod role;
+mod slots;
 mod stacked;
 mod structure;
 
 pub(crate) use derivative::Tape;
-pub use expression::{EvaluationError, Expression, Function, Operator, Scope};
+pub use error::EvaluationError;
+pub use expression::{Expression, Function, Operator, Scope};
 pub use parameter::{Alpha, Level, Parameter, ParameterError, Value};
 pub use phased::{Carry, Filter, MAIN, Phase, PhasedModel};
 pub use population::{Population, PopulationError};
 pub(crate) use role::roles_among;
 pub use role::{Role, roles};
+pub use slots::{Slot, Slots};
 pub use structure::{
     CovarianceKind, CovarianceStructure, FixedElement, MeanElement, MeanStructure, Regression, StructureError,
 };

@@ -105,7 +105,7 @@ impl Alpha {
 
 impl Parameter {
     /// True when values of it are to be estimated: its common value, or that of every level which is not fixed. Whether the
-    /// data have such levels is for [`Slots`](crate::score::Slots) to say.
+    /// data have such levels is for [`Slots`](crate::model::Slots) to say.
     pub fn is_free(&self) -> bool {
         matches!(self.value, Value::Free { .. })
     }

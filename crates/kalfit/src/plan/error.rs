@@ -1,7 +1,7 @@
 //! Why there is no plan.
 
 use crate::estimate::FitError;
-use crate::infer::Element;
+use crate::linalg::elements::Element;
 use crate::model::PopulationError;
 
 /// A refusal to plan.

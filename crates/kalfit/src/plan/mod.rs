@@ -12,11 +12,9 @@
 
 mod error;
 mod lost;
-mod record;
 
 pub use error::PlanError;
 pub use lost::{InformationLost, StdErrorRatio, information_lost};
-pub use record::{PlanProvenance, PlanRecord, PlannedRecord};
 
 use crate::estimate::{ExpectedError, State, Structure, at_population};
 use crate::infer::{self, Direction, Uncertainty};

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use crate::estimate::{Certificate, Combination, Criterion, Estimate, Solver, Stop};
 use crate::infer::{Deletion, Element, Inference, IntervalKind, Posterior, Sensitivity, StdErrors};
 use crate::model::{Alpha, PhasedModel};
-use crate::record::cut::Cut;
+use crate::record::cut::{Cut, phases_of};
 use crate::record::diagnosis::shortage_notes;
 use crate::record::directions::crossing_notes;
 use crate::record::own::{MOST_OWN, Own};
@@ -256,12 +256,6 @@ fn tests(model: &PhasedModel, reductions: &[Reduction], inference: &Inference) -
 fn filtered(model: &PhasedModel, reductions: &[Reduction]) -> bool {
     let has = |phase: usize| reductions.iter().any(|reduction| phases_of(reduction, model) > phase);
     model.phases.iter().enumerate().any(|(i, phase)| phase.filter.is_some() && has(i))
-}
-
-/// How many phases of a model a test has.
-pub(super) fn phases_of(reduction: &Reduction, model: &PhasedModel) -> usize {
-    let all = model.phases.len();
-    reduction.chain.as_ref().map_or(all, |chain| chain.phases.len().min(all))
 }
 
 /// Numbers of the design classes, from 1 in the order of the tests: (digest, number), by digest.

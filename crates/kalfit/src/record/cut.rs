@@ -5,6 +5,7 @@ use std::ops::Range;
 use nalgebra::DMatrix;
 
 use crate::model::{Phase, PhasedModel, Regression};
+use crate::reduce::Reduction;
 
 /// One phase of a model, and where what belongs to it stands among what belongs to all.
 #[derive(Debug, Clone)]
@@ -66,4 +67,10 @@ pub(super) fn regressions(model: &PhasedModel) -> Vec<Regression> {
         cut.phase.model.mean.regression.iter().map(moved).collect()
     };
     Cut::all(model).into_iter().flat_map(of).collect()
+}
+
+/// How many phases of a model a test has.
+pub(super) fn phases_of(reduction: &Reduction, model: &PhasedModel) -> usize {
+    let all = model.phases.len();
+    reduction.chain.as_ref().map_or(all, |chain| chain.phases.len().min(all))
 }

@@ -13,9 +13,11 @@ mod own;
 mod parameters;
 mod phase;
 mod phases;
+mod plan;
 mod population;
 mod ratio;
 mod series;
+mod series_keeper;
 mod square;
 mod test;
 
@@ -38,9 +40,11 @@ pub use phase::{
     MatrixRecord, MeanRecord, ObservabilityRecord, PhaseRecord, RegressionRecord, ScaleRecord, UnidentifiedRecord,
     VectorRecord, WeakRecord,
 };
+pub use plan::{PlanProvenance, PlanRecord, PlannedRecord};
 pub use population::{FIT_SCHEMA, RecordError};
 pub use ratio::{BootstrapRecord, ComponentRecord, PartRecord, RatioProvenance, RatioRecord, SideRecord};
-pub use series::{AutocorrelationRecord, SeriesKeeper, SeriesRecord, WindowRecord};
+pub use series::{AutocorrelationRecord, SeriesRecord, WindowRecord};
+pub use series_keeper::SeriesKeeper;
 pub use square::{NotSquare, SquareRecord};
 pub use test::{
     DeletedRecord, DeletionRecord, InnovationPartRecord, InnovationRecord, PosteriorRecord, TestRecord, WhitenessRecord,

@@ -5,9 +5,8 @@ use serde::{Deserialize, Serialize};
 use crate::dynamic::{DynamicFit, ParameterInference, Standing};
 use crate::ensemble::{Label, Labels};
 use crate::estimate::Stop;
-use crate::model::{Alpha, Level, Model, Parameter, Value};
+use crate::model::{Alpha, Level, Model, Parameter, Slot, Value};
 use crate::record::Interval;
-use crate::score::Slot;
 
 /// One dynamic parameter, at one level.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -6,8 +6,7 @@ use crate::estimate::Estimate;
 use crate::infer::{Boundary, Element, Inference};
 use crate::model::{CovarianceKind, MeanElement, PhasedModel, Regression};
 use crate::plan::{InformationLost, Quantity, StdErrorRatio};
-use crate::record::build::phases_of;
-use crate::record::cut::Cut;
+use crate::record::cut::{Cut, phases_of};
 use crate::record::{
     BoundaryRecord, CovarianceRecord, FilterRecord, FitRecord, InformationLostRecord, InformationRecord, Interval,
     MatrixRecord, MeanRecord, ObservabilityRecord, PhaseRecord, RegressionRecord, ScaleRecord, UnidentifiedRecord,

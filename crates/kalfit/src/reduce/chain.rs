@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::reduce::Path;
+use crate::reduce::path::Path;
 
 /// What a test in several phases says, phase by phase. With σ_i the entering coordinates of phase i
 /// ([`Phase::entering`](crate::model::Phase::entering)), q_i of them, the first p_i of which are its own ξ_i:

@@ -3,8 +3,8 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::reduce::Terminal;
 use crate::reduce::semidefinite::information_root;
+use crate::reduce::terminal::Terminal;
 
 /// A scaled pivot of P_K below this is too ill-conditioned for plain covariance arithmetic: the next phase may measure just
 /// the combination of states that it belongs to.

@@ -4,8 +4,8 @@ use std::borrow::Cow;
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::reduce::Terminal;
-use crate::reduce::reducer::Class;
+use crate::reduce::class::Class;
+use crate::reduce::terminal::Terminal;
 
 /// x_K given σ.
 #[derive(Debug)]

@@ -3,8 +3,10 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::ensemble::Test;
-use crate::reduce::{Reduction, Terminal};
+use crate::ensemble::{Labels, Test};
+use crate::model::{PhasedModel, Slots};
+use crate::reduce::reduction::Reduction;
+use crate::reduce::terminal::Terminal;
 
 /// One test through its phases. Later phases of the model may be missing; the first ones may not.
 #[derive(Debug, Clone, PartialEq)]
@@ -128,5 +130,14 @@ impl Evidence {
             Evidence::Estimates(estimates) => Some(&estimates.constants),
             Evidence::Reduced(_) => None,
         }
+    }
+}
+
+impl Slots {
+    /// The free values of a model in phases: levels of a column are those of all phases' rows, and of the columns that estimates
+    /// come with.
+    pub fn in_phases(model: &PhasedModel, labels: &Labels, tests: &[PhasedTest]) -> Slots {
+        let all: Vec<&Test> = tests.iter().flat_map(|test| &test.phases).filter_map(Evidence::cells).collect();
+        Slots::of(model.shared(), labels, &all)
     }
 }

@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use crate::reduce::design::{DENSE, Design, Frame, Pattern, Transition};
-use crate::reduce::schedule::{GainsWork, schedule};
+use crate::reduce::design_pass::schedule;
+use crate::reduce::schedule::GainsWork;
 use kalfit_lanes::{Counted, Flops};
 
 /// Floating-point operations of (the design pass, the data pass) for a test of n states, r of them noisy, p uncertain and

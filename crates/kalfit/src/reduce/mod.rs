@@ -37,8 +37,11 @@
 
 mod carry;
 mod chain;
+mod class;
 mod data;
+mod data_pass;
 mod design;
+mod design_pass;
 mod digest;
 mod dynamics;
 mod end;
@@ -55,9 +58,11 @@ mod motion;
 mod observe;
 mod order;
 mod part;
+mod path;
 mod phased;
 mod plain;
 mod plain_order;
+mod plain_reduction;
 mod prepare;
 mod recognise;
 mod reducer;
@@ -75,18 +80,22 @@ mod start;
 mod steps;
 mod subject;
 mod suboptimal;
+mod sums;
+mod terminal;
 
 pub use chain::{Chain, ChainPhase, Link};
 pub use error::{Cell, ReduceError, ReduceErrorKind};
 pub use evidence::{Estimates, Evidence, Inherited, PhaseReduction, PhasedTest};
 pub use flops::reduction_flops;
+pub use path::Path;
 pub use phased::PhasedReducer;
-pub use plain::{Plain, StepMatrices, Terminal};
+pub use plain::{Plain, StepMatrices};
 pub use reducer::{Reducer, Work};
+pub use reduction::Reduction;
 pub(crate) use reduction::unpack;
-pub use reduction::{Path, Reduction};
 pub use split::SplitError;
 pub use suboptimal::{EstimateReducer, FilterRunner, Lost, LostError, lost};
+pub use terminal::Terminal;
 
 pub(crate) use carry::Inherits;
 pub(crate) use design::{Design, Frame, Step, Stretch, Transition};
@@ -111,8 +120,8 @@ pub(crate) use steps::Cells;
 pub(crate) use subject::{At, Coefficient, Fault, Subject, Uses};
 #[cfg(test)]
 pub(crate) use {
-    data::outcome,
     data::{Data, DataWork},
+    data_pass::outcome,
     design::{DENSE, Pattern},
     reducer::information_gains,
     root::root_gains,

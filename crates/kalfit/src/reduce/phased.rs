@@ -6,18 +6,16 @@ mod whole;
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
-use crate::model::{Alpha, Model, PhasedModel};
+use crate::model::{Alpha, Model, PhasedModel, Slots};
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
 use crate::reduce::part::{Part, PhaseReducer, Place, refuse};
 use crate::reduce::prepare::Workspace;
-use crate::reduce::reducer::{Reducer, Work, all_sound, share};
+use crate::reduce::reducer::{Reducer, Work};
 use crate::reduce::shared::Shared;
 use crate::reduce::stack::{Stack, StackKey};
 use crate::reduce::steps::Cells;
 use crate::reduce::subject::WHOLE;
 use crate::reduce::{Evidence, PhaseReduction, PhasedTest, Reduction};
-use crate::score::Slots;
-use batch::PhasedBatch;
 
 /// Bytes of rotations that are kept: tests whose phases have one design each share them while they fit.
 const STACK_BYTES: usize = 128 << 20;
@@ -117,23 +115,6 @@ impl PhasedReducer {
         self.phases.iter().fold(Work::default(), add)
     }
 
-    /// The reductions of tests, in their order: over (ξ_1, …, ξ_I), P = Σ p_i numbers, zero rows and columns for phases that a
-    /// test lacks, with the [`Chain`](crate::reduce::Chain) where the model has several phases.
-    ///
-    /// # Errors
-    /// Of several tests in error, the first one's error; of several phases, the first one's.
-    pub fn reduce(&mut self, tests: &[PhasedTest]) -> Result<Vec<Reduction>, ReduceError> {
-        if let Some((phase, rows)) = self.plain(tests) {
-            return phase.reducer.reduce_all(&rows);
-        }
-        let rows = tests.iter().map(PhasedTest::row_count).sum();
-        let batches = tests
-            .par_chunks(share(tests.len(), rows))
-            .map_init(|| PhasedBatch::new(self), |batch, tests| batch.reduce(tests))
-            .collect();
-        all_sound(batches)
-    }
-
     /// The only phase and the rows of all tests, where that is all there is: they are reduced many at a time.
     fn plain<'a>(&'a self, tests: &'a [PhasedTest]) -> Option<(&'a PhaseReducer, Vec<&'a Test>)> {
         let [phase] = &*self.phases else { return None };
@@ -160,20 +141,6 @@ impl PhasedReducer {
         work: &mut PhasedWork,
     ) -> Result<Vec<PhaseReduction>, ReduceError> {
         Ok(self.parts(test, work, false)?.into_iter().map(Part::into_piece).collect())
-    }
-
-    /// Phases of tests one by one, whether the phases before them are known or not: (id of the test, phase, what is known of it).
-    ///
-    /// # Errors
-    /// Of several in error, the first one's error.
-    pub fn each_piece(&mut self, phases: &[(&str, usize, &Evidence)]) -> Result<Vec<PhaseReduction>, ReduceError> {
-        let rows = |evidence: &Evidence| if let Evidence::Rows(rows) = evidence { rows.rows() } else { 0 };
-        let rows = phases.iter().map(|(_, _, evidence)| rows(evidence)).sum();
-        let batches = phases
-            .par_chunks(share(phases.len(), rows))
-            .map_init(|| PhasedBatch::new(self), |batch, phases| batch.pieces(phases))
-            .collect();
-        all_sound(batches)
     }
 
     /// The reductions of designs: information and covariates as in [`PhasedReducer::reduce`], from times, inputs and which

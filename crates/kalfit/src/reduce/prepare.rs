@@ -19,26 +19,25 @@ use crate::reduce::observe::{Meters, Observed};
 use crate::reduce::order::Order;
 use crate::reduce::recognise::Looks;
 use crate::reduce::schedule::GainsWork;
-use crate::reduce::shared::{Entry, Shared};
+use crate::reduce::shared::Shared;
 use crate::reduce::start::{Law, Start};
 use crate::reduce::steps::{Cells, Span, spans};
 use crate::reduce::subject::{At, Fault, Reads, Subject};
 
 mod alike;
+mod covariates;
 mod follow;
+mod last;
 mod opening;
 mod replay;
 mod transition;
 
 use alike::looks;
+use last::Last;
 pub(crate) use replay::Replay;
-use transition::Last;
 
 /// Bytes of transitions that are kept.
 const TRANSITION_BYTES: usize = 16 << 20;
-
-/// What leads to a step, in the store.
-type Moved = Entry<Vec<u64>, Result<Moves, Box<Fault>>>;
 
 /// A model at α, ready to evaluate tests.
 #[derive(Debug)]
@@ -328,24 +327,6 @@ impl Preparer {
             work.data.inputs.truncate(inputs);
         }
         Ok(same)
-    }
-
-    fn covariates(&self, at: &At<'_>, work: &mut Workspace) -> Result<(), Box<Fault>> {
-        work.covariates.clear();
-        for (r, regression) in self.model.mean.regression.iter().enumerate() {
-            let cell = work.whole.numbers[regression.column];
-            if !cell.is_finite() {
-                let column = at.model.columns[regression.column].name.clone();
-                let kind = if cell.is_nan() {
-                    ReduceErrorKind::MissingCell { column }
-                } else {
-                    ReduceErrorKind::InfiniteCell { column, value: cell }
-                };
-                return Err(Fault::new(Subject::Regression(r), kind));
-            }
-            work.covariates.push(cell);
-        }
-        Ok(())
     }
 
     /// a and P0 of a test.

@@ -2,17 +2,20 @@
 
 mod batch;
 mod filtered;
+mod known;
 mod queue;
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
-use crate::model::{Alpha, Model};
-use crate::reduce::data::{Miss, Outcome, innovate, outcome};
+use crate::model::{Alpha, Model, Slots};
+use crate::reduce::class::{Class, Made, class_bytes};
+use crate::reduce::data::{Miss, Outcome};
+use crate::reduce::data_pass::{innovate, outcome};
 use crate::reduce::design::Design;
+use crate::reduce::design_pass::schedule;
 use crate::reduce::end::{End, placed};
 use crate::reduce::ending::Ending;
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
@@ -22,14 +25,13 @@ use crate::reduce::lanes::{Block, Gained, Room, fits, is_short};
 use crate::reduce::prepare::{Preparer, Workspace};
 use crate::reduce::recognise::Memory;
 use crate::reduce::root::{RootError, root_gains};
-use crate::reduce::schedule::{GainsWork, schedule};
-use crate::reduce::shared::{Entry, Shared};
+use crate::reduce::schedule::GainsWork;
+use crate::reduce::shared::Shared;
 use crate::reduce::subject::{Fault, Subject};
 use crate::reduce::{Path, Reduction};
-use crate::score::Slots;
-use batch::Known;
 pub(crate) use batch::{Batch, all_sound, share};
 pub(crate) use filtered::filters;
+use known::Known;
 pub(crate) use queue::Queue;
 
 /// Bytes of design classes that are kept: tests of one design share its covariance run while they fit.
@@ -66,12 +68,6 @@ struct GainsRoom<'a> {
     room: &'a mut Room,
     gained: &'a mut Gained,
 }
-
-type Made = Arc<Entry<Design, Result<Gains, RootError>>>;
-
-/// A design class.
-#[derive(Debug, Clone)]
-pub(crate) struct Class(Made);
 
 /// What a reduction has from its test beside the data.
 #[derive(Debug)]
@@ -372,10 +368,6 @@ impl Reducer {
     }
 }
 
-fn class_bytes(design: &Design, gains: &Result<Gains, RootError>) -> usize {
-    design.bytes() + gains.as_ref().map_or(0, Gains::bytes)
-}
-
 /// The outcome of the test in the work space; x̂_K is left there.
 fn own_outcome(gains: &Gains, work: &mut Workspace) -> Result<Outcome, Miss> {
     let Workspace { design, data, block, room, pass, .. } = work;
@@ -394,23 +386,6 @@ pub(crate) fn own_innovations(gains: &Gains, work: &mut Workspace) {
         pass.e.extend(block.innovations(0, room));
     } else {
         innovate(design, gains, data, pass);
-    }
-}
-
-impl Class {
-    /// The design that all tests of it have.
-    pub(crate) fn design(&self) -> &Design {
-        &self.0.key
-    }
-
-    /// Its gains.
-    pub(crate) fn gains(&self) -> &Result<Gains, RootError> {
-        self.0.value()
-    }
-
-    /// The last state, where it was wanted.
-    pub(crate) fn end(&self) -> Option<&End> {
-        self.0.value().as_ref().ok()?.end.as_ref()
     }
 }
 

@@ -2,7 +2,8 @@
 
 use nalgebra::DMatrix;
 
-use crate::reduce::Chain;
+use crate::reduce::chain::Chain;
+use crate::reduce::path::Path;
 
 /// log p(z | ξ) = constant - ½ ‖d - R ξ‖², exactly, for every ξ: the square-root information form of (c, y, J), with
 /// J = R'R, y = R'd, c = constant - ½ d'd. R may be singular; J is never inverted.
@@ -32,15 +33,6 @@ pub struct Reduction {
     /// The same phase by phase, for a test of a model with several phases. `data` and `factor` are then those of all phases
     /// together: of (ξ_1, …, ξ_I), with what lies between the phases integrated out; of phases that the test lacks, zero.
     pub chain: Option<Box<Chain>>,
-}
-
-/// The arithmetic that made a reduction.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Path {
-    /// Sums of T'S⁻¹T and T'S⁻¹e: the fast path.
-    Information,
-    /// Square-root arrays folded by QR: for tests too ill-conditioned for the fast path.
-    SquareRoot,
 }
 
 /// The packed R of a reduction as a matrix.

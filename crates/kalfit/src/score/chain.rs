@@ -21,10 +21,10 @@ use std::collections::BTreeSet;
 use std::ops::Range;
 
 use crate::ensemble::Test;
+use crate::model::Slots;
 use crate::reduce::{
     At, Coefficient, Fault, LawAdjoint, Preparer, ReduceErrorKind, Replay, StartAdjoint, Subject, Workspace,
 };
-use crate::score::Slots;
 
 pub(crate) use measured::Measured;
 use measured::Measuring;

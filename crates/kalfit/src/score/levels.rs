@@ -6,10 +6,9 @@ use rayon::prelude::*;
 
 use crate::ensemble::Test;
 use crate::model::{
-    CovarianceKind, Expression, Function, Initial, Linear, Model, Motion, Operator, Phase, PhasedModel,
+    CovarianceKind, Expression, Function, Initial, Linear, Model, Motion, Operator, Phase, PhasedModel, Slots,
 };
 use crate::reduce::{Evidence, Fault, PhasedReducer, PhasedTest, PhasedWork, ReduceError, Reducer, Workspace};
-use crate::score::Slots;
 
 /// Which free values are noise levels, and of how many noises.
 #[derive(Debug, Clone, PartialEq)]

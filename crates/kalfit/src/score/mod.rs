@@ -13,7 +13,6 @@ mod levels;
 mod lines;
 mod moments;
 mod phased;
-mod slots;
 mod smoother;
 #[cfg(test)]
 mod tests;
@@ -21,13 +20,12 @@ mod tests;
 use std::ops::Range;
 
 use crate::ensemble::Test;
+pub use crate::model::{Slot, Slots};
 use crate::reduce::{Fault, ReduceError, Reducer, Workspace};
 use backward::{BackwardWork, Ending, MeasuredBar, MovedBar, Run, Sink, Wanted};
 use chain::{Adjoints, Chain, Measured, Moved};
 
 use smoother::Later;
-
-pub use slots::{Slot, Slots};
 
 pub(crate) use chain::{Gradient, add};
 pub(crate) use company::Companies;

@@ -18,14 +18,14 @@ use rayon::prelude::*;
 
 use crate::ensemble::Test;
 use crate::estimate::InitialLaw;
-use crate::model::{EvaluationError, PhasedModel, Tape};
+use crate::model::{EvaluationError, PhasedModel, Slots, Tape};
 use crate::reduce::{Evidence, Fault, Inherits, PhasedReducer, PhasedTest, PhasedWork, ReduceError, Reduction, Shared};
 use crate::score::backward::BackwardWork;
 use crate::score::chain::{Adjoints, Gradient};
 use crate::score::complete::Complete;
 use crate::score::moments::moments;
 use crate::score::smoother::{InheritedBar, PhaseLaws, Plan, PlanKey, Smooth};
-use crate::score::{Companies, Scorer, Slots};
+use crate::score::{Companies, Scorer};
 
 /// Bytes of smoothers that are kept: tests of one design share one while they fit.
 const PLAN_BYTES: usize = 64 << 20;

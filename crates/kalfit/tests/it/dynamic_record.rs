@@ -10,11 +10,10 @@ use kalfit::infer::{Choices, Inference, restricted};
 use kalfit::model::PhasedModel;
 use kalfit::model::{
     Clock, Column, CovarianceStructure, Initial, Linear, MeanStructure, Measurement, Motion, Operator, Parameter,
-    State, Value,
+    Slots, State, Value,
 };
 use kalfit::record::{DynamicParts, LevelCounts, MethodRecord, level_notes};
 use kalfit::reduce::PhasedTest;
-use kalfit::score::Slots;
 use kalfit::{Alpha, Expression, FitRecord, Label, Labels, Model, Provenance, Source, Test};
 
 /// A level for each unit, measured with a variance for each lot; the variance of lot `B` is known.

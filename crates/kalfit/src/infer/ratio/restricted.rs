@@ -1,9 +1,8 @@
 //! Whether a hypothesis on α lies within a model, and how much it takes away.
 
 use crate::ensemble::Label;
-use crate::model::{Alpha, Model, Parameter, PhasedModel};
+use crate::model::{Alpha, Model, Parameter, PhasedModel, Slots};
 use crate::reduce::{Evidence, PhasedTest};
-use crate::score::Slots;
 
 /// Why a hypothesis on α cannot be tested within a model.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

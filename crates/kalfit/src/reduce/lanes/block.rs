@@ -5,7 +5,9 @@ use crate::reduce::data::{Data, Outcome};
 use crate::reduce::design::Design;
 use crate::reduce::gains::Gains;
 use crate::reduce::lanes::designs::{Filters, Gained};
-use crate::reduce::lanes::pass::{Pass, Side};
+use crate::reduce::lanes::numbers::Side;
+use crate::reduce::lanes::pass::Pass;
+use crate::reduce::lanes::room::Room;
 
 /// Start, inputs and values of as many tests as there are lanes, each number of one test beside the same of the others.
 /// Lanes that no test has taken hold zeros.
@@ -16,24 +18,6 @@ pub(crate) struct Block {
     /// Where inputs and values begin, a number of each test counted once.
     inputs: usize,
     values: usize,
-}
-
-/// Work space of a pass over a block, and what it finds. All in lanes.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct Room {
-    /// x̂ of the last step of each test.
-    pub(super) last: Vec<f64>,
-    /// The innovations, in order.
-    pub(super) e: Vec<f64>,
-    /// y, then d.
-    pub(super) d: Vec<f64>,
-    /// The best ξ.
-    pub(super) best: Vec<f64>,
-    /// d by way of the best ξ.
-    pub(super) refined: Vec<f64>,
-    /// Residual sums of squares, and where d was refined.
-    pub(super) residual: Vec<f64>,
-    pub(super) is_refined: Vec<bool>,
 }
 
 impl Block {

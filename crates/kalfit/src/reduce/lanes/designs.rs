@@ -1,4 +1,4 @@
-//! The design pass over designs of one shape side by side: the steps of [`schedule`](crate::reduce::schedule), a design in each
+//! The design pass over designs of one shape side by side: the steps of [`design_pass`](crate::reduce::design_pass), a design in each
 //! lane.
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, G = P h, K, T, S, J, R")]
 
@@ -10,9 +10,10 @@ use crate::reduce::design::{Design, Pattern, Run, Transition};
 use crate::reduce::end::End;
 use crate::reduce::gains::{Gains, Piece};
 use crate::reduce::kernel;
-use crate::reduce::lanes::block::Room;
-use crate::reduce::lanes::pass::{Numbers, Side, at, innovate, put};
-use crate::reduce::schedule::{Sums, packed};
+use crate::reduce::lanes::numbers::{Numbers, Side, at, put};
+use crate::reduce::lanes::pass::innovate;
+use crate::reduce::lanes::room::Room;
+use crate::reduce::sums::{Sums, packed};
 
 /// Designs of one shape and all that their pass leaves, in lanes.
 #[derive(Debug, Clone, Default)]

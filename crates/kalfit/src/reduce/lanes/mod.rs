@@ -6,12 +6,15 @@
 
 mod block;
 mod designs;
+mod numbers;
 mod pass;
+mod room;
 mod squares;
 mod woven;
 
-pub(crate) use block::{Block, Room};
+pub(crate) use block::Block;
 pub(crate) use designs::{Gained, same_shape};
+pub(crate) use room::Room;
 pub(crate) use woven::Woven;
 
 use crate::reduce::data::FEW;

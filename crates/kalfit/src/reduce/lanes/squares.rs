@@ -1,10 +1,10 @@
-//! d and the residual sum of squares of each test of a block, from y and e'S⁻¹e: see [`data`](crate::reduce::data).
+//! d and the residual sum of squares of each test of a block, from y and e'S⁻¹e: see [`data_pass`](crate::reduce::data_pass).
 
 use kalfit_lanes::Lanes;
 
 use crate::reduce::data::REFINE;
-use crate::reduce::lanes::block::Room;
-use crate::reduce::lanes::pass::{Numbers, at, put};
+use crate::reduce::lanes::numbers::{Numbers, at, put};
+use crate::reduce::lanes::room::Room;
 use crate::reduce::scan::BLOCK;
 
 /// y → d. Where a test's squares are large, by way of its best ξ.

@@ -9,7 +9,8 @@ use crate::model::{
     Alpha, Clock, Column, CovarianceStructure, Expression, Initial, Linear, MeanStructure, Measurement, Model, Motion,
     State,
 };
-use crate::reduce::data::{DataWork, Outcome, outcome};
+use crate::reduce::data::{DataWork, Outcome};
+use crate::reduce::data_pass::outcome;
 use crate::reduce::reducer::{Reducer, information_gains};
 use crate::reduce::schedule::GainsWork;
 use crate::reduce::{Reduction, Work};

@@ -7,7 +7,7 @@ use kalfit_lanes::Lanes;
 use crate::reduce::design::{Design, Transition};
 use crate::reduce::lanes::Block;
 use crate::reduce::lanes::designs::Gained;
-use crate::reduce::lanes::pass::{Numbers, at};
+use crate::reduce::lanes::numbers::{Numbers, at};
 
 /// A test in each lane. Where one is shorter than the longest it goes on with measurements that say nothing, and transitions that
 /// forget everything.

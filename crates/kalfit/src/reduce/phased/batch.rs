@@ -1,15 +1,17 @@
 //! Tests in phases, many at a time: each phase of all of them, then each test as a whole.
 
+use rayon::prelude::*;
+
 use crate::ensemble::Test;
 use crate::reduce::error::ReduceError;
 use crate::reduce::part::Part;
 use crate::reduce::phased::{PhasedReducer, PhasedWork};
-use crate::reduce::reducer::Batch;
+use crate::reduce::reducer::{Batch, all_sound, share};
 use crate::reduce::{Evidence, PhaseReduction, PhasedTest, Reduction};
 
 /// Reduces batches of tests in phases.
 #[derive(Debug)]
-pub(super) struct PhasedBatch<'a> {
+struct PhasedBatch<'a> {
     reducer: &'a PhasedReducer,
     /// One for each phase.
     phases: Vec<Batch<'a>>,
@@ -17,14 +19,47 @@ pub(super) struct PhasedBatch<'a> {
     work: PhasedWork,
 }
 
+impl PhasedReducer {
+    /// The reductions of tests, in their order: over (ξ_1, …, ξ_I), P = Σ p_i numbers, zero rows and columns for phases that a
+    /// test lacks, with the [`Chain`](crate::reduce::Chain) where the model has several phases.
+    ///
+    /// # Errors
+    /// Of several tests in error, the first one's error; of several phases, the first one's.
+    pub fn reduce(&mut self, tests: &[PhasedTest]) -> Result<Vec<Reduction>, ReduceError> {
+        if let Some((phase, rows)) = self.plain(tests) {
+            return phase.reducer.reduce_all(&rows);
+        }
+        let rows = tests.iter().map(PhasedTest::row_count).sum();
+        let batches = tests
+            .par_chunks(share(tests.len(), rows))
+            .map_init(|| PhasedBatch::new(self), |batch, tests| batch.reduce(tests))
+            .collect();
+        all_sound(batches)
+    }
+
+    /// Phases of tests one by one, whether the phases before them are known or not: (id of the test, phase, what is known of it).
+    ///
+    /// # Errors
+    /// Of several in error, the first one's error.
+    pub fn each_piece(&mut self, phases: &[(&str, usize, &Evidence)]) -> Result<Vec<PhaseReduction>, ReduceError> {
+        let rows = |evidence: &Evidence| if let Evidence::Rows(rows) = evidence { rows.rows() } else { 0 };
+        let rows = phases.iter().map(|(_, _, evidence)| rows(evidence)).sum();
+        let batches = phases
+            .par_chunks(share(phases.len(), rows))
+            .map_init(|| PhasedBatch::new(self), |batch, phases| batch.pieces(phases))
+            .collect();
+        all_sound(batches)
+    }
+}
+
 impl<'a> PhasedBatch<'a> {
-    pub(super) fn new(reducer: &'a PhasedReducer) -> PhasedBatch<'a> {
+    fn new(reducer: &'a PhasedReducer) -> PhasedBatch<'a> {
         let phases = reducer.phases.iter().map(|phase| Batch::new(&phase.reducer)).collect();
         PhasedBatch { reducer, phases, work: reducer.workspace() }
     }
 
     /// The reductions of tests, in their order; of several phases of a test in error, the first one's error.
-    pub(super) fn reduce(&mut self, tests: &[PhasedTest]) -> Vec<Result<Reduction, ReduceError>> {
+    fn reduce(&mut self, tests: &[PhasedTest]) -> Vec<Result<Reduction, ReduceError>> {
         let mut parts: Vec<_> = tests.iter().map(|test| Ok(Vec::with_capacity(test.phases.len()))).collect();
         for at in 0..self.phases.len() {
             self.phase(at, tests, &mut parts);
@@ -34,7 +69,7 @@ impl<'a> PhasedBatch<'a> {
     }
 
     /// Phases of tests by themselves, in their order: (id of the test, phase, what is known of it).
-    pub(super) fn pieces(&mut self, phases: &[(&str, usize, &Evidence)]) -> Vec<Result<PhaseReduction, ReduceError>> {
+    fn pieces(&mut self, phases: &[(&str, usize, &Evidence)]) -> Vec<Result<PhaseReduction, ReduceError>> {
         let mut pieces: Vec<Option<Result<PhaseReduction, ReduceError>>> = Vec::new();
         pieces.resize_with(phases.len(), || None);
         let mut lines: Vec<(Vec<usize>, Vec<&Test>)> = self.phases.iter().map(|_| Default::default()).collect();

@@ -1,12 +1,10 @@
-//! Tests that look alike: what they are recognised by, and what they differ in.
+//! What tests that look alike are recognised by.
 
-use crate::ensemble::Test;
 use crate::reduce::dynamics::Dynamics;
 use crate::reduce::observe::Meters;
-use crate::reduce::prepare::{Preparer, Workspace};
 use crate::reduce::recognise::Looks;
 use crate::reduce::start::Start;
-use crate::reduce::subject::{At, Fault, Uses};
+use crate::reduce::subject::{At, Uses};
 
 /// All that is read of a test but measured values and covariates; `None` where values are mixed. `shape` and `drive`: columns of
 /// the measurements and of the dynamics.
@@ -23,17 +21,4 @@ pub(super) fn looks(
     start.coefficients().chain(&start.initial_time).for_each(|coefficient| read.add(coefficient, at.alpha));
     read.numbers.extend(at.model.clock.time);
     meters.can_repeat().then(|| Looks::new(at.model.columns.len(), &read, meters.columns()))
-}
-
-impl Preparer {
-    /// The covariates of a test into the work space: of tests that look alike, they alone differ beside the measured values.
-    pub(crate) fn covariates_of(&self, test: &Test, work: &mut Workspace) -> Result<(), Box<Fault>> {
-        work.covariates.clear();
-        if self.start.uses.is_empty() {
-            return Ok(());
-        }
-        let at = self.at();
-        work.whole.gather(&at, test, 0..test.rows(), (&self.start.uses, true))?;
-        self.covariates(&at, work)
-    }
 }

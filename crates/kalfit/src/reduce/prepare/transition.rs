@@ -7,8 +7,8 @@ use std::sync::atomic::Ordering;
 use crate::ensemble::Test;
 use crate::reduce::digest::Digest;
 use crate::reduce::error::ReduceErrorKind;
-use crate::reduce::motion::Moves;
-use crate::reduce::prepare::{Moment, Moved, Preparer, Workspace};
+use crate::reduce::prepare::last::{Last, Moved};
+use crate::reduce::prepare::{Moment, Preparer, Workspace};
 use crate::reduce::subject::{At, Fault, Subject};
 
 /// Transitions whose memory is kept for others.
@@ -28,30 +28,6 @@ impl Workspace {
         }
         drop(used);
         design.clear();
-    }
-}
-
-/// What led to the last step, with the key it is known again by: the step's length and coefficients.
-#[derive(Debug)]
-pub(super) enum Last {
-    Own(Vec<u64>, Moves),
-    /// A sound one.
-    Shared(Arc<Moved>),
-}
-
-impl Last {
-    fn key(&self) -> &[u64] {
-        match self {
-            Last::Own(key, _) => key,
-            Last::Shared(moved) => &moved.key,
-        }
-    }
-
-    pub(super) fn moves(&self) -> &Moves {
-        match self {
-            Last::Own(_, moves) => moves,
-            Last::Shared(moved) => moved.value().as_ref().expect("the last one is sound"),
-        }
     }
 }
 

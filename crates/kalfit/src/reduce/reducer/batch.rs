@@ -9,17 +9,17 @@ use rayon::prelude::*;
 
 use crate::ensemble::Test;
 use crate::reduce::Reduction;
+use crate::reduce::class::{Class, class_bytes};
 use crate::reduce::design::Design;
 use crate::reduce::ending::Ending;
 use crate::reduce::error::ReduceError;
 use crate::reduce::gains::Gains;
-use crate::reduce::instances::Instance;
-use crate::reduce::lanes::{Block, fits, is_short};
-use crate::reduce::prepare::{Preparer, Workspace};
-use crate::reduce::recognise::Likeness;
+use crate::reduce::lanes::{Block, is_short};
+use crate::reduce::prepare::Workspace;
 use crate::reduce::reducer::filtered::Filter;
+use crate::reduce::reducer::known::Known;
 use crate::reduce::reducer::queue::Queue;
-use crate::reduce::reducer::{About, Class, Reducer, class_bytes};
+use crate::reduce::reducer::{About, Reducer};
 use crate::reduce::subject::Fault;
 
 /// Most classes whose blocks are filled at the same time.
@@ -45,19 +45,6 @@ pub(crate) fn all_sound<T>(batches: Vec<Vec<Result<T, ReduceError>>>) -> Result<
         all.push(found?);
     }
     Ok(all)
-}
-
-/// A test that others of its design are recognised by, and what they share with it.
-#[derive(Debug)]
-pub(crate) struct Known {
-    likeness: Likeness,
-    class: Class,
-    digest: u128,
-    steps: usize,
-    /// Cell and d of each scalar measurement.
-    cells: Vec<(usize, f64)>,
-    start: Vec<f64>,
-    inputs: Vec<f64>,
 }
 
 /// Reduces batches of tests.
@@ -308,34 +295,5 @@ impl Group {
     fn take(&mut self, test: &Test) -> bool {
         let cells = test.all_numbers();
         self.block.values(self.seats.len(), self.known.cells.iter().map(|&(cell, d)| cells[cell] - d))
-    }
-}
-
-impl Known {
-    /// What tests of a design are recognised by, from one of them as it was evaluated. `None` where there is nothing to gain.
-    pub(crate) fn new(preparer: &Preparer, test: &Test, class: &Class, work: &Workspace) -> Option<Known> {
-        let looks = preparer.looks.as_ref()?;
-        let gains = class.gains().as_ref().ok()?;
-        if !fits(class.design(), gains) {
-            return None;
-        }
-        let width = test.widths().0;
-        let cell = |instance: Instance| instance.row * width + preparer.meters.column(instance.meter);
-        let constants = preparer.measured_constants(test, work).ok()?;
-        Some(Known {
-            likeness: looks.likeness(test),
-            class: class.clone(),
-            digest: work.design.digest(),
-            steps: work.design.steps(),
-            cells: work.instances.iter().map(cell).zip(constants).collect(),
-            start: work.data.start.clone(),
-            inputs: work.data.inputs.clone(),
-        })
-    }
-
-    /// Bytes it occupies with its class.
-    pub(crate) fn bytes(&self) -> usize {
-        let class = class_bytes(self.class.design(), self.class.gains());
-        self.likeness.bytes() + class + 8 * (2 * self.cells.len() + self.start.len() + self.inputs.len()) + 200
     }
 }

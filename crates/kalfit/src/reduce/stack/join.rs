@@ -5,8 +5,8 @@ use kalfit_lanes::{Lanes, MOST, abreast};
 use nalgebra::DMatrix;
 
 use crate::linalg::fold::{Rotation, fold_rows};
+use crate::reduce::stack::phase::{StackData, StackPhase};
 use crate::reduce::stack::square::Square;
-use crate::reduce::stack::{StackData, StackPhase};
 
 /// One phase of tests whose phases have the same sizes, a test in each lane.
 pub(super) struct Given<T> {

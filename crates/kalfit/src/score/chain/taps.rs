@@ -1,9 +1,8 @@
 //! Coefficients that depend on free values of α, and the adjoints that have come to them.
 
 use crate::ensemble::Label;
-use crate::model::{Alpha, EvaluationError, Expression, Scope, Tape};
+use crate::model::{Alpha, EvaluationError, Expression, Scope, Slots, Tape};
 use crate::reduce::{At, Coefficient, Fault, ReduceErrorKind, Subject, Uses};
-use crate::score::Slots;
 use crate::score::chain::Gradient;
 
 /// A cell of the data that a coefficient reads.

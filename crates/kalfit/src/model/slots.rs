@@ -3,8 +3,7 @@
 use std::collections::BTreeMap;
 
 use crate::ensemble::{Label, Labels, Test};
-use crate::model::{Alpha, Level, Model, Parameter, PhasedModel, Value};
-use crate::reduce::{Evidence, PhasedTest};
+use crate::model::{Alpha, Level, Model, Parameter, Value};
 
 /// One free value of α.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -36,14 +35,8 @@ impl Slots {
         Slots::of(model, labels, &tests.iter().collect::<Vec<_>>())
     }
 
-    /// The free values of a model in phases: levels of a column are those of all phases' rows, and of the columns that estimates
-    /// come with.
-    pub fn in_phases(model: &PhasedModel, labels: &Labels, tests: &[PhasedTest]) -> Slots {
-        let all: Vec<&Test> = tests.iter().flat_map(|test| &test.phases).filter_map(Evidence::cells).collect();
-        Slots::of(model.shared(), labels, &all)
-    }
-
-    fn of(model: &Model, labels: &Labels, tests: &[&Test]) -> Slots {
+    /// The same of tests that stand anywhere.
+    pub(crate) fn of(model: &Model, labels: &Labels, tests: &[&Test]) -> Slots {
         let mut slots = Slots::default();
         for (parameter, what) in model.parameters.iter().enumerate() {
             let places = match (what.value, what.per) {

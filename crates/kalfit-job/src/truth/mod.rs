@@ -1,20 +1,20 @@
 //! `--from`: the population and the parameters that are taken as true, from a fit or from a model file.
 
+pub(crate) mod error;
+
 use std::collections::{BTreeSet, HashMap};
 use std::path::Path;
 
-use kalfit::model::{Level, ParameterError, PopulationError, Value};
-use kalfit::record::{FIT_SCHEMA, RecordError};
+use kalfit::model::{Level, ParameterError, Value};
+use kalfit::record::RecordError;
 use kalfit::{Alpha, FitRecord, Population};
-use kalfit_spec::{Spec, SpecError};
-use serde::Deserialize;
+use kalfit_spec::Spec;
 
 use crate::document::Document;
 use crate::failure::Failure;
 use crate::model;
-
-/// Larger result files are not read.
-const MAX_BYTES: u64 = 1 << 30;
+use crate::results::{self, FIT, ResultError};
+use crate::truth::error::TruthError;
 
 /// What is taken as true.
 #[derive(Debug)]
@@ -25,121 +25,6 @@ pub(crate) struct Truth {
     pub(crate) taken: Vec<String>,
     /// What the user should know.
     pub(crate) warnings: Vec<String>,
-}
-
-/// Why nothing can be taken as true.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum TruthError {
-    /// It cannot be read.
-    #[error("cannot read `{path}`: {reason}")]
-    Unreadable {
-        /// The file.
-        path: String,
-        /// What is wrong.
-        reason: String,
-    },
-    /// It is too large to be read.
-    #[error("`{path}` has {found} bytes, expected at most {limit}")]
-    TooLarge {
-        /// The file.
-        path: String,
-        /// What is there.
-        found: u64,
-        /// The most that is read.
-        limit: u64,
-    },
-    /// It is no result of a fit.
-    #[error("`{path}` is not a result of `kalfit fit`: {reason}")]
-    NotARecord {
-        /// The file.
-        path: String,
-        /// What is wrong.
-        reason: String,
-    },
-    /// A result of a fit that does not go with the model.
-    #[error("`{path}`: {error}")]
-    Record {
-        /// The file.
-        path: String,
-        /// What is wrong.
-        error: RecordError,
-    },
-    /// Its population is not one of the model.
-    #[error("`{path}`: {error}")]
-    Population {
-        /// The file.
-        path: String,
-        /// What is wrong.
-        error: PopulationError,
-    },
-    /// It has a parameter that the model lacks.
-    #[error("`{path}` has the parameter `{name}`, which the model does not have")]
-    UnknownParameter {
-        /// The file.
-        path: String,
-        /// Name of the parameter.
-        name: String,
-    },
-    /// A parameter has levels of another column.
-    #[error(
-        "`{path}` has parameter `{name}` {}, expected it {} as in the model",
-        per_words(found),
-        per_words(expected)
-    )]
-    Per {
-        /// The file.
-        path: String,
-        /// Name of the parameter.
-        name: String,
-        /// What is there.
-        found: Option<String>,
-        /// What the model has.
-        expected: Option<String>,
-    },
-    /// A value that a parameter cannot have.
-    #[error("`{path}`: {error}")]
-    Value {
-        /// The file.
-        path: String,
-        /// What is wrong.
-        error: Box<SpecError>,
-    },
-    /// Parameters without a value.
-    #[error("no value is given for {}", names.iter().map(|n| format!("parameter `{n}`")).collect::<Vec<_>>().join(", "))]
-    NoParameter {
-        /// Their names.
-        names: Vec<String>,
-    },
-}
-
-fn per_words(per: &Option<String>) -> String {
-    per.as_ref().map_or("common to all tests".to_owned(), |per| format!("per `{per}`"))
-}
-
-/// The tables of a model file that give values to elements; those of a model in phases are named `mean[phase.state]`.
-fn tables(elements: &[String]) -> String {
-    let phase = elements.iter().find_map(|element| element.split_once('[')?.1.split_once('.').map(|(phase, _)| phase));
-    match phase {
-        None => "`[mean]` and `[covariance]`".to_owned(),
-        Some(phase) => format!("`[phases.{phase}.mean]` and `[phases.{phase}.covariance]`"),
-    }
-}
-
-impl TruthError {
-    pub(crate) fn hint(&self) -> Option<String> {
-        match self {
-            TruthError::NotARecord { .. } | TruthError::Record { error: RecordError::Schema { .. }, .. } => {
-                Some("`--from` takes what `kalfit fit --out` writes, or a model file that ends in `.toml`".to_owned())
-            }
-            TruthError::Population { error: PopulationError::NoValue { elements }, .. } => {
-                Some(format!("fix it or give it a start value in {}, or take a fit", tables(elements)))
-            }
-            TruthError::NoParameter { names } => Some(format!("give it: `--set {}=VALUE`", names.first()?)),
-            TruthError::Value { error, .. } => error.hint.clone(),
-            _ => None,
-        }
-    }
 }
 
 impl From<TruthError> for Failure {
@@ -163,7 +48,7 @@ pub(crate) fn load(spec: &mut Spec, from: &Document, set: &[String]) -> Result<T
     let (population, known) = if is_model(from)? {
         of_model(spec, from, set)?
     } else {
-        let record = read_record(from)?;
+        let record: FitRecord = results::read(from, FIT).map_err(TruthError::from)?;
         let population =
             record.population(&spec.model).map_err(|error| TruthError::Record { path: path.clone(), error })?;
         if record.model_digest.as_ref().is_some_and(|digest| *digest != spec.digest) {
@@ -185,13 +70,13 @@ pub(crate) fn load(spec: &mut Spec, from: &Document, set: &[String]) -> Result<T
 /// # Errors
 /// [`Failure::Truth`] for anything else.
 pub fn fit_record(name: &str, json: &str) -> Result<FitRecord, Failure> {
-    Ok(of_bytes(name.to_owned(), json.as_bytes())?)
+    Ok(results::of_bytes(name.to_owned(), json.as_bytes(), FIT).map_err(TruthError::from)?)
 }
 
 /// Gives the model's free parameters the values of a fit; what the user should know.
 pub(crate) fn parameters(spec: &mut Spec, from: &Document) -> Result<Vec<String>, Failure> {
     let path = from.name();
-    let record = read_record(from)?;
+    let record: FitRecord = results::read(from, FIT).map_err(TruthError::from)?;
     let known = of_record(spec, &record, &path)?;
     let mut warnings = Vec::new();
     give(spec, &known, &path, &mut warnings)?;
@@ -216,37 +101,8 @@ fn is_model(from: &Document) -> Result<bool, TruthError> {
         Some("json") => return Ok(false),
         _ => {}
     }
-    let (start, _) = from.bytes(64).map_err(|error| unreadable(from, &error))?;
+    let (start, _) = from.bytes(64).map_err(|error| ResultError::unreadable(from, &error))?;
     Ok(!start.trim_ascii_start().starts_with(b"{"))
-}
-
-fn unreadable(from: &Document, error: &std::io::Error) -> TruthError {
-    TruthError::Unreadable { path: from.name(), reason: error.to_string() }
-}
-
-fn read_record(from: &Document) -> Result<FitRecord, TruthError> {
-    let (bytes, found) = from.bytes(MAX_BYTES + 1).map_err(|error| unreadable(from, &error))?;
-    if found > MAX_BYTES {
-        return Err(TruthError::TooLarge { path: from.name(), found, limit: MAX_BYTES });
-    }
-    of_bytes(from.name(), &bytes)
-}
-
-/// The results of a fit, of any version that is known.
-fn of_bytes(name: String, bytes: &[u8]) -> Result<FitRecord, TruthError> {
-    #[derive(Deserialize)]
-    struct Head {
-        schema: Option<String>,
-    }
-    let refused = |error: serde_json::Error| TruthError::NotARecord { path: name.clone(), reason: error.to_string() };
-    let head: Head = serde_json::from_slice(bytes).map_err(refused)?;
-    match head.schema {
-        Some(schema) if schema == FIT_SCHEMA => serde_json::from_slice(bytes).map_err(refused),
-        Some(found) => {
-            Err(TruthError::Record { path: name, error: RecordError::Schema { found, expected: FIT_SCHEMA } })
-        }
-        None => Err(TruthError::NotARecord { path: name, reason: "it has no `schema`".to_owned() }),
-    }
 }
 
 /// The population of a model file, in the order of the model, and the values of its parameters.

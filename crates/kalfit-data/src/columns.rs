@@ -1,0 +1,51 @@
+//! The columns of a file, and which of them was probably meant.
+
+use crate::cell::shown;
+
+/// The columns a file has, and the one that was probably meant.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Columns {
+    /// The column whose name is close, if there is one.
+    pub near: Option<String>,
+    /// All names, in the order of the file.
+    pub names: Vec<String>,
+}
+
+impl Columns {
+    /// What to do when the column that is needed is not there.
+    pub(crate) fn hint(&self) -> String {
+        const MOST: usize = 12;
+        if let Some(near) = &self.near {
+            return format!("there is a column `{near}`");
+        }
+        if let Some(mark @ ('#' | '%')) = self.names.first().and_then(|name| name.chars().next()) {
+            return comment_hint(mark);
+        }
+        let shown: Vec<String> =
+            self.names.iter().take(MOST).map(|name| format!("`{}`", shown(name.as_bytes()))).collect();
+        let more = self.names.len().saturating_sub(MOST);
+        let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+        format!("its columns are {}{more}", shown.join(", "))
+    }
+}
+
+/// The name that was probably meant: the same but for case, else one within a third of its letters.
+pub(crate) fn nearest(name: &str, names: &[String]) -> Option<String> {
+    const LONGEST: usize = 128; // longer names are not compared: the cost grows with the product of the lengths
+    if name.len() > LONGEST {
+        return None;
+    }
+    let lower = name.to_lowercase();
+    names
+        .iter()
+        .filter(|found| found.len() <= LONGEST)
+        .map(|found| (strsim::osa_distance(&lower, &found.to_lowercase()), found))
+        .min_by_key(|(distance, _)| *distance)
+        .filter(|(distance, _)| *distance <= (name.chars().count() / 3).max(1) && *distance < name.chars().count())
+        .map(|(_, found)| found.clone())
+}
+
+/// What to do about lines that begin as comments do.
+pub(crate) fn comment_hint(mark: char) -> String {
+    format!("if lines that begin with `{mark}` are comments, set `comment = \"{mark}\"` in `[data]`")
+}

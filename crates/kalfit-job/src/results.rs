@@ -1,0 +1,97 @@
+//! Files of results, read.
+
+use kalfit::record::FIT_SCHEMA;
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+
+use crate::document::Document;
+
+/// Larger result files are not read.
+const MAX_BYTES: u64 = 1 << 30;
+
+/// What the file of a command holds.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Kind {
+    pub(crate) schema: &'static str,
+    /// The command that makes such results.
+    pub(crate) command: &'static str,
+}
+
+/// What `kalfit fit --out` writes.
+pub(crate) const FIT: Kind = Kind { schema: FIT_SCHEMA, command: "fit" };
+/// What `kalfit test --out` writes.
+pub(crate) const TEST: Kind = Kind { schema: "kalfit-test/1", command: "test" };
+
+/// Why results cannot be read.
+#[derive(Debug, thiserror::Error)]
+pub enum ResultError {
+    /// The file cannot be read.
+    #[error("cannot read `{path}`: {reason}")]
+    Unreadable {
+        /// The file.
+        path: String,
+        /// What is wrong.
+        reason: String,
+    },
+    /// The file is too large to be read.
+    #[error("`{path}` has {found} bytes, expected at most {limit}")]
+    TooLarge {
+        /// The file.
+        path: String,
+        /// What is there.
+        found: u64,
+        /// The most that is read.
+        limit: u64,
+    },
+    /// The file has other things in it.
+    #[error("`{path}` is not a result of `kalfit {command}`: {reason}")]
+    NotARecord {
+        /// The file.
+        path: String,
+        /// The command that makes such results.
+        command: &'static str,
+        /// What is wrong.
+        reason: String,
+    },
+    /// The results are of another kind.
+    #[error("`{path}`: the schema is `{found}`, expected `{expected}`")]
+    Schema {
+        /// The file.
+        path: String,
+        /// The schema that was found.
+        found: String,
+        /// The schema that was expected.
+        expected: &'static str,
+    },
+}
+
+impl ResultError {
+    pub(crate) fn unreadable(from: &Document, error: &std::io::Error) -> ResultError {
+        ResultError::Unreadable { path: from.name(), reason: error.to_string() }
+    }
+}
+
+/// The results in a file.
+pub(crate) fn read<T: DeserializeOwned>(from: &Document, kind: Kind) -> Result<T, ResultError> {
+    let (bytes, found) = from.bytes(MAX_BYTES + 1).map_err(|error| ResultError::unreadable(from, &error))?;
+    if found > MAX_BYTES {
+        return Err(ResultError::TooLarge { path: from.name(), found, limit: MAX_BYTES });
+    }
+    of_bytes(from.name(), &bytes, kind)
+}
+
+/// The results in the bytes of a file.
+pub(crate) fn of_bytes<T: DeserializeOwned>(path: String, bytes: &[u8], kind: Kind) -> Result<T, ResultError> {
+    #[derive(Deserialize)]
+    struct Head {
+        schema: Option<String>,
+    }
+    let Kind { schema: expected, command } = kind;
+    let refused = |reason: String| ResultError::NotARecord { path: path.clone(), command, reason };
+    let head: Head = serde_json::from_slice(bytes).map_err(|error| refused(error.to_string()))?;
+    match head.schema {
+        None => Err(refused("it has no `schema`".to_owned())),
+        Some(found) if found != expected => Err(ResultError::Schema { path, found, expected }),
+        Some(_) => serde_json::from_slice(bytes).map_err(|error| refused(error.to_string())),
+    }
+}

@@ -1,0 +1,49 @@
+//! What an expression may hold.
+
+/// What may stand in an expression, and where the expression stands, in words.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Scope<'p> {
+    pub(crate) states: bool,
+    pub(crate) columns: bool,
+    pub(crate) parameters: bool,
+    /// `dt`.
+    pub(crate) step: bool,
+    pub(crate) place: &'p str,
+}
+
+impl<'p> Scope<'p> {
+    /// Equations of motion and measurement.
+    pub(crate) fn equation(place: &'p str) -> Scope<'p> {
+        Scope { states: true, columns: true, parameters: true, step: true, place }
+    }
+
+    /// Noise.
+    pub(crate) fn row(place: &'p str) -> Scope<'p> {
+        Scope { states: false, ..Scope::equation(place) }
+    }
+
+    /// What a phase inherits.
+    pub(crate) fn carry(place: &'p str) -> Scope<'p> {
+        Scope { step: false, ..Scope::equation(place) }
+    }
+
+    /// The start of a test.
+    pub(crate) fn start(place: &'p str) -> Scope<'p> {
+        Scope { step: false, ..Scope::row(place) }
+    }
+
+    /// Selection of rows.
+    pub(crate) fn rows(place: &'p str) -> Scope<'p> {
+        Scope { parameters: false, ..Scope::row(place) }
+    }
+
+    /// What is common to all tests.
+    pub(crate) fn common(place: &'p str) -> Scope<'p> {
+        Scope { columns: false, ..Scope::start(place) }
+    }
+
+    /// Ties between means.
+    pub(crate) fn means(place: &'p str) -> Scope<'p> {
+        Scope { states: true, columns: false, parameters: false, step: false, place }
+    }
+}

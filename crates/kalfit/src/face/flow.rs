@@ -1,0 +1,94 @@
+//! The flow of the whole crate in one place.
+
+use crate::build::Columns;
+use crate::dynamic::{self, DynamicFit};
+use crate::ensemble::Labels;
+use crate::estimate::{self, Progress, Silent, Structure};
+use crate::face::ensemble::Ensemble;
+use crate::face::error::EnsembleError;
+use crate::face::fit::{Fit, Options};
+use crate::face::second_look;
+use crate::infer;
+use crate::model::{Alpha, PhasedModel, Slots};
+use crate::record::{DynamicParts, FitRecord, LevelCounts, Provenance, TestGroups, level_notes};
+use crate::reduce::Reduction;
+
+/// Fits a model to tests: μ, Σ and free dynamic parameters by maximum likelihood, with all that is inferred from them. The tests'
+/// order does not change the answer, nor does the number of threads.
+///
+/// # Errors
+/// Columns that are not those of the model, numbers that the filter cannot work with, no tests.
+pub fn fit(model: &PhasedModel, tests: &[Columns]) -> Result<Fit, EnsembleError> {
+    Ensemble::new(model, tests)?.fit()
+}
+
+impl Ensemble {
+    /// As [`fit`](crate::fit).
+    ///
+    /// # Errors
+    /// As there.
+    pub fn fit(&self) -> Result<Fit, EnsembleError> {
+        self.fit_with(&Options::default(), &mut Silent)
+    }
+
+    /// Fits as it is asked to, and tells how far it is.
+    ///
+    /// # Errors
+    /// As [`fit`](crate::fit); also options that do not go together.
+    pub fn fit_with(&self, options: &Options, progress: &mut dyn Progress) -> Result<Fit, EnsembleError> {
+        of_tests(self, options, progress)
+    }
+}
+
+/// Reduce, estimate, infer, record; with free parameters the search for them in place of the first two.
+fn of_tests(ensemble: &Ensemble, options: &Options, progress: &mut dyn Progress) -> Result<Fit, EnsembleError> {
+    let (model, labels, tests) = (ensemble.model(), ensemble.labels(), ensemble.tests());
+    let slots = Slots::in_phases(model, labels, tests);
+    let mut fit = if slots.is_empty() {
+        let alpha = slots.alpha(model.shared(), &[]);
+        let reductions = ensemble.reduce(&alpha)?;
+        of_reductions((model, &alpha), reductions, options, progress)?
+    } else {
+        let search = dynamic::Settings {
+            method: options.method,
+            inner: options.settings.clone(),
+            starts: options.starts,
+            seed: options.seed,
+        };
+        let found = dynamic::fit(model, labels, tests, &search, progress)?;
+        let (inference, parameters) = dynamic::infer(model, tests, &found, options.choices)?;
+        let parts = DynamicParts { model, labels, fit: &found, inference: &inference, parameters: &parameters };
+        let record = FitRecord::dynamic(&parts, Provenance::default());
+        let DynamicFit { alpha, reductions, estimate, .. } = found;
+        Fit { model: model.clone(), alpha, reductions, estimate, inference, record }
+    };
+    fit.record.notes.extend(notes(model, labels, ensemble));
+    if options.innovations {
+        second_look::add_innovations(&mut fit, tests);
+    }
+    if let Some(mut groups) = TestGroups::new(model.shared()) {
+        groups.take(tests, labels)?;
+        fit.record.add_groups(&groups);
+        fit.record.add_by_group();
+    }
+    fit.record.add_model_check();
+    Ok(fit)
+}
+
+/// The same of reductions at a known α.
+pub(super) fn of_reductions(
+    (model, alpha): (&PhasedModel, &Alpha),
+    reductions: Vec<Reduction>,
+    options: &Options,
+    progress: &mut dyn Progress,
+) -> Result<Fit, EnsembleError> {
+    let estimate = estimate::fit(&reductions, &Structure::of(model, alpha), &options.settings, progress)?;
+    let inference = infer::infer(&estimate, &reductions, options.choices);
+    let record = FitRecord::new(model, alpha, &reductions, &estimate, &inference, Provenance::default());
+    Ok(Fit { model: model.clone(), alpha: alpha.clone(), reductions, estimate, inference, record })
+}
+
+fn notes(model: &PhasedModel, labels: &Labels, ensemble: &Ensemble) -> Vec<String> {
+    let shared = model.shared();
+    level_notes(shared, &LevelCounts::all(shared, labels, ensemble.tests()))
+}

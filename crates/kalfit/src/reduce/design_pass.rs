@@ -1,0 +1,150 @@
+//! The design pass: one covariance run per design class leaves a schedule of weights, gains and sensitivities.
+#![expect(non_snake_case, reason = "the letters of the theory: P, Psi, G = P h, K, T, S, J")]
+
+use crate::reduce::design::{Design, Frame, Stretch};
+use crate::reduce::gains::Piece;
+use crate::reduce::kernel;
+use crate::reduce::schedule::{GainsWork, Schedule};
+use crate::reduce::settling::Frozen;
+use crate::reduce::small;
+use crate::reduce::sums::Sums;
+use kalfit_lanes::Real;
+
+/// So many equal steps are not worth a kernel of their own.
+const FEW: usize = 64;
+
+/// Runs the covariance filter of a design.
+pub(crate) fn schedule<R: Real>(design: &Design<R>, work: &mut GainsWork<R>) -> Schedule<R> {
+    let (frame, zero) = (&*design.frame, R::splat(0.0));
+    let (p, r) = (frame.p, frame.r);
+    work.P.clone_from(&design.variance);
+    work.Psi.clear();
+    work.Psi.extend(frame.sensitivity.iter().map(|&x| R::splat(x)));
+    work.G.clear();
+    work.G.resize(r, zero);
+    work.settling.start(&work.Psi);
+    let mut out = Schedule {
+        gains: Vec::with_capacity((1 + r) * design.ends.len()),
+        sensitivities: Vec::with_capacity(p * design.ends.len()),
+        pieces: vec![Piece::all(0)],
+        sums: Sums::new(p),
+        many: Vec::new(),
+    };
+    for stretch in design.stretches() {
+        out.stretch(design, &stretch, work);
+    }
+    out
+}
+
+impl<R: Real> Schedule<R> {
+    /// Equal steps: in full until P no longer changes, then Ψ alone until it does not change either, then all others at once.
+    fn stretch(&mut self, design: &Design<R>, stretch: &Stretch<'_, R>, work: &mut GainsWork<R>) {
+        let frame = &*design.frame;
+        let (gain, sensitivity) = (self.gains.len() / (1 + frame.r), self.sensitivities.len() / frame.p.max(1));
+        let watched = work.settling.begin(stretch.count);
+        let (mut frozen, mut gain_steps, mut done) = (Frozen::Nothing, 0, 0);
+        let small = if stretch.count > FEW { small::steps(design, stretch) } else { None };
+        while done < stretch.count && frozen != Frozen::All {
+            let before = done;
+            done = if watched { work.settling.next_look().min(stretch.count) } else { stretch.count };
+            match (frozen, small) {
+                (Frozen::Nothing, Some(steps)) => steps(design, stretch, done - before, work, self),
+                (Frozen::Nothing, None) => (before..done).for_each(|_| self.step(design, stretch, work)),
+                _ => (before..done).for_each(|_| self.sensitivities(design, stretch, work)),
+            }
+            if frozen == Frozen::Nothing {
+                gain_steps = done;
+            }
+            if watched {
+                frozen = work.settling.look(done, (&work.P, frame.r), &work.Psi, frozen);
+            }
+        }
+        self.repeat(frame, stretch.lines.len(), stretch.count - done);
+        let piece = Piece {
+            row: stretch.rows.start,
+            width: stretch.lines.len(),
+            gain,
+            gain_steps,
+            sensitivity,
+            sensitivity_steps: done,
+        };
+        self.note(piece, stretch);
+    }
+
+    /// A step in full.
+    fn step(&mut self, design: &Design<R>, stretch: &Stretch<'_, R>, work: &mut GainsWork<R>) {
+        let frame = &*design.frame;
+        let (p, r) = (frame.p, frame.r);
+        if let Some(transition) = stretch.transition {
+            kernel::predict(&mut work.P, r, transition, &mut work.rows);
+            kernel::advance(&mut work.Psi, p, transition, &mut work.rows);
+        }
+        for line in stretch.lines.clone() {
+            let (states, h) = design.terms(line);
+            let (weight, K) = append(&mut self.gains, 1 + r).split_first_mut().expect("stride is positive");
+            let T = append(&mut self.sensitivities, p);
+            kernel::sensitivity(frame, states, h, &work.Psi, T);
+            let update = kernel::update(r, states, h, design.noise[line], &mut work.P, &mut work.G, K);
+            kernel::correct(p, K, T, &mut work.Psi);
+            kernel::inform(T, update.weight, &mut self.sums.J);
+            *weight = update.weight;
+            self.sums.count(update.S, update.kept);
+        }
+    }
+
+    /// A step under the gains of the last one.
+    fn sensitivities(&mut self, design: &Design<R>, stretch: &Stretch<'_, R>, work: &mut GainsWork<R>) {
+        let frame = &*design.frame;
+        let (p, stride) = (frame.p, 1 + frame.r);
+        if let Some(transition) = stretch.transition {
+            kernel::advance(&mut work.Psi, p, transition, &mut work.rows);
+        }
+        let last = self.gains.len() - stride * stretch.lines.len();
+        for (gain, line) in self.gains[last..].chunks_exact(stride).zip(stretch.lines.clone()) {
+            let (states, h) = design.terms(line);
+            let T = append(&mut self.sensitivities, p);
+            kernel::sensitivity(frame, states, h, &work.Psi, T);
+            kernel::correct(p, &gain[1..], T, &mut work.Psi);
+            kernel::inform(T, gain[0], &mut self.sums.J);
+            self.sums.scale(gain[0].recip_or_zero());
+        }
+    }
+
+    /// So many more steps of `lines` measurements under the gains and sensitivities of the last one: J += m TT'/S.
+    fn repeat(&mut self, frame: &Frame, lines: usize, many: usize) {
+        if many == 0 {
+            return;
+        }
+        let (p, stride) = (frame.p, 1 + frame.r);
+        for back in (1..=lines).rev() {
+            let weight = self.gains[self.gains.len() - back * stride];
+            let T = &self.sensitivities[self.sensitivities.len() - back * p..][..p];
+            kernel::inform(T, weight * R::splat(many as f64), &mut self.sums.J);
+            self.many.push((weight.recip_or_zero().or_one(), many));
+        }
+    }
+}
+
+/// Room for so many more numbers, and those.
+fn append<R: Real>(numbers: &mut Vec<R>, many: usize) -> &mut [R] {
+    let start = numbers.len();
+    numbers.resize(start + many, R::splat(0.0));
+    &mut numbers[start..]
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::reduce::flops::design_pass;
+
+    fn line(flops: kalfit_lanes::Flops) -> String {
+        format!("add {} mul {} fma {} div {}", flops.add, flops.mul, flops.fma, flops.div)
+    }
+
+    #[test]
+    fn the_design_pass_keeps_its_flop_budget() {
+        // n, r, p: random coefficients; an inertial instrument; all states noisy.
+        insta::assert_snapshot!(line(design_pass(2, 0, 2, 10)), @"add 30 mul 30 fma 40 div 10");
+        insta::assert_snapshot!(line(design_pass(15, 2, 13, 10)), @"add 160 mul 180 fma 2230 div 10");
+        insta::assert_snapshot!(line(design_pass(4, 4, 4, 10)), @"add 50 mul 130 fma 2490 div 10");
+    }
+}

@@ -1,0 +1,43 @@
+//! What a pass reads: numbers of the designs, data in lanes.
+#![expect(non_snake_case, reason = "the letters of the theory: R")]
+
+use kalfit_lanes::Lanes;
+
+/// What a pass takes from the designs of its tests: numbers that are the same in all lanes, or each lane's own.
+pub(super) trait Numbers<T> {
+    /// Entry `term` of φ in a run.
+    fn phi(&self, run: usize, term: usize) -> T;
+    /// Coefficient `term` of the lines.
+    fn h(&self, term: usize) -> T;
+    /// 1/S and K of a row, for [`Numbers::of`].
+    fn gains(&self, row: usize) -> &[f64];
+    /// T of a row, for [`Numbers::of`].
+    fn sensitivities(&self, row: usize) -> &[f64];
+    /// Number `k` of a row.
+    fn of(row: &[f64], k: usize) -> T;
+    /// An entry of R, packed.
+    fn R(&self, at: usize) -> T;
+    /// Whether the test in a lane ends with a run.
+    fn ends(&self, run: usize, lane: usize) -> bool;
+    /// Whether that is so of any.
+    fn some_end(&self, run: usize) -> bool;
+}
+
+/// The data of tests, in lanes.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Side<'a> {
+    pub(super) start: &'a [f64],
+    pub(super) inputs: &'a [f64],
+    pub(super) values: &'a [f64],
+}
+
+/// Number `k` of each test.
+#[inline(always)]
+pub(super) fn at<T: Lanes>(numbers: &[f64], k: usize) -> T {
+    T::load(&numbers[k * T::COUNT..][..T::COUNT])
+}
+
+#[inline(always)]
+pub(super) fn put<T: Lanes>(numbers: &mut [f64], k: usize, x: T) {
+    x.store(&mut numbers[k * T::COUNT..][..T::COUNT]);
+}

@@ -1,0 +1,50 @@
+//! Tests that others are recognised by.
+
+use crate::ensemble::Test;
+use crate::reduce::class::{Class, class_bytes};
+use crate::reduce::instances::Instance;
+use crate::reduce::lanes::fits;
+use crate::reduce::prepare::{Preparer, Workspace};
+use crate::reduce::recognise::Likeness;
+
+/// A test that others of its design are recognised by, and what they share with it.
+#[derive(Debug)]
+pub(crate) struct Known {
+    pub(super) likeness: Likeness,
+    pub(super) class: Class,
+    pub(super) digest: u128,
+    pub(super) steps: usize,
+    /// Cell and d of each scalar measurement.
+    pub(super) cells: Vec<(usize, f64)>,
+    pub(super) start: Vec<f64>,
+    pub(super) inputs: Vec<f64>,
+}
+
+impl Known {
+    /// What tests of a design are recognised by, from one of them as it was evaluated. `None` where there is nothing to gain.
+    pub(crate) fn new(preparer: &Preparer, test: &Test, class: &Class, work: &Workspace) -> Option<Known> {
+        let looks = preparer.looks.as_ref()?;
+        let gains = class.gains().as_ref().ok()?;
+        if !fits(class.design(), gains) {
+            return None;
+        }
+        let width = test.widths().0;
+        let cell = |instance: Instance| instance.row * width + preparer.meters.column(instance.meter);
+        let constants = preparer.measured_constants(test, work).ok()?;
+        Some(Known {
+            likeness: looks.likeness(test),
+            class: class.clone(),
+            digest: work.design.digest(),
+            steps: work.design.steps(),
+            cells: work.instances.iter().map(cell).zip(constants).collect(),
+            start: work.data.start.clone(),
+            inputs: work.data.inputs.clone(),
+        })
+    }
+
+    /// Bytes it occupies with its class.
+    pub(crate) fn bytes(&self) -> usize {
+        let class = class_bytes(self.class.design(), self.class.gains());
+        self.likeness.bytes() + class + 8 * (2 * self.cells.len() + self.start.len() + self.inputs.len()) + 200
+    }
+}

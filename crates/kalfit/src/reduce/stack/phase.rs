@@ -1,0 +1,47 @@
+//! One phase of a test, to be stacked.
+
+use nalgebra::{DMatrix, DVector};
+
+/// What stacking depends on, the data apart, of one phase of a test.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct StackPhase<'a> {
+    /// p_i.
+    pub(crate) own: usize,
+    /// R_i, packed by columns, q_i × q_i.
+    pub(crate) factor: &'a [f64],
+    /// Ψ_K and a root of P_K of the phase before, and T; `None` for the first phase.
+    pub(crate) link: Option<[&'a DMatrix<f64>; 3]>,
+}
+
+/// The data of a phase.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct StackData<'a> {
+    pub(crate) constant: f64,
+    /// d_i.
+    pub(crate) data: &'a [f64],
+    /// g of the link that leads here.
+    pub(crate) mean: Option<&'a DVector<f64>>,
+}
+
+/// The sizes of the matrices that stacking depends on: tests with the same ones can be stacked side by side.
+pub(crate) type StackShape = Vec<(usize, usize, Option<[(usize, usize); 3]>)>;
+
+/// The sizes of phases.
+pub(crate) fn shape(phases: &[StackPhase<'_>]) -> StackShape {
+    phases
+        .iter()
+        .map(|phase| (phase.own, phase.factor.len(), phase.link.map(|link| link.map(DMatrix::shape))))
+        .collect()
+}
+
+impl StackPhase<'_> {
+    /// q_i.
+    pub(super) fn size(&self) -> usize {
+        packed_size(self.factor.len())
+    }
+}
+
+/// Size of a packed triangle with so many entries.
+pub(crate) fn packed_size(entries: usize) -> usize {
+    (0..).find(|&size| size * (size + 1) / 2 >= entries).expect("sizes have no end")
+}
