@@ -1,12 +1,19 @@
+"""`MixedLM` of statsmodels, or of mixedlm-rs, which has the same interface: the second argument names the package."""
+
 import csv
 import sys
 import warnings
+from importlib import import_module
 
 import common
 
+PACKAGES = {"statsmodels": "statsmodels.regression.mixed_linear_model", "mixedlm-rs": "mixedlm_rs"}
+package = sys.argv[2]
+
 try:
     import numpy as np
-    from statsmodels.regression.mixed_linear_model import MixedLM
+
+    MixedLM = import_module(PACKAGES[package]).MixedLM
 except ImportError:
     common.missing()
 
@@ -26,7 +33,7 @@ def fit():
 result, run = common.timed(fit)
 covariance = np.asarray(result.cov_re)
 common.say(
-    "statsmodels",
+    package,
     run,
     result.llf,
     mean=result.fe_params,

@@ -8,6 +8,7 @@ mod answer;
 mod clock;
 mod ensemble;
 mod peer;
+mod record;
 mod space;
 mod stages;
 mod table;
@@ -21,6 +22,7 @@ use answer::Answer;
 use clap::ValueEnum;
 use ensemble::Study;
 use peer::{Interpreters, Outcome, Peer};
+use record::Record;
 use space::Space;
 use table::{figure, head, row, seconds};
 use whole::Kalfit;
@@ -31,9 +33,9 @@ const SEED: u64 = 1980;
 
 /// Fits of one ensemble by several peers. What a peer cannot do in about a minute it is not asked.
 const FITS: &[(Study, usize, &[Peer])] = &[
-    (Study::Regression, 1_000, &[peer::LME4, peer::NLME, peer::STATSMODELS, peer::OPENMX]),
-    (Study::Regression, 10_000, &[peer::LME4, peer::NLME, peer::STATSMODELS, peer::OPENMX]),
-    (Study::Regression, 100_000, &[peer::LME4]),
+    (Study::Regression, 1_000, &[peer::LME4, peer::NLME, peer::STATSMODELS, peer::MIXEDLM_RS, peer::OPENMX]),
+    (Study::Regression, 10_000, &[peer::LME4, peer::NLME, peer::STATSMODELS, peer::MIXEDLM_RS, peer::OPENMX]),
+    (Study::Regression, 100_000, &[peer::LME4, peer::MIXEDLM_RS]),
     (Study::Meta, 200, &[peer::METAFOR_DENSE, peer::METAFOR_SPARSE]),
     (Study::Meta, 400, &[peer::METAFOR_DENSE]),
     (Study::Meta, 1_000, &[peer::METAFOR_SPARSE]),
@@ -74,6 +76,8 @@ enum Part {
     Fits,
     /// Values of a likelihood at known parameters.
     Values,
+    /// Reading of a table and each test's sums, beside a whole fit.
+    Sums,
     /// Where kalfit's time goes, a second thread, and the start of the program.
     Stages,
 }
@@ -170,6 +174,14 @@ fn parts(kalfit: &Kalfit, interpreters: &Interpreters, only: Option<Part>) -> Re
         for (peer, tests, shared) in VALUES {
             value(kalfit, interpreters, (peer, *tests, *shared), &mut open)?;
         }
+        record(kalfit, interpreters, &mut open)?;
+        println!();
+    }
+    if wanted(Part::Sums) {
+        head(1, SUMS_HEAD);
+        for tests in [10_000, 100_000, 1_000_000] {
+            sums(kalfit, interpreters, tests, &mut open)?;
+        }
         println!();
     }
     if wanted(Part::Stages) {
@@ -246,6 +258,48 @@ fn fits(
         let rows = (tests * study.rows()).to_string();
         let apart = [figure(agreement.log_likelihood), figure(agreement.estimates)];
         row(&[&words[..], &[rows, seconds(theirs)], &times, &apart].concat());
+    }
+    Ok(())
+}
+
+const SUMS_HEAD: &[&str] = &["peer", "tests", "its reading and sums", "kalfit, from Parquet, `--no-tests`", "ratio"];
+
+/// Prints a row of what a peer needs to read and sum what kalfit fits.
+fn sums(kalfit: &Kalfit, interpreters: &Interpreters, tests: usize, open: &mut Open) -> Result<(), String> {
+    let [_, parquet] = Study::Regression.draw(tests, kalfit)?;
+    let model = Study::Regression.model();
+    let arguments = ["fit", whole::path(&model)?, whole::path(&parquet)?, "--threads", "1", "--no-tests"];
+    let ours = kalfit.median(5, &arguments)?.processor;
+    match peer::POLARS.answer(interpreters, &parquet) {
+        Ok(Outcome::Answered(answer)) => {
+            let theirs = answer.taken.processor;
+            let name = peer_name(&peer::POLARS, &answer);
+            row(&[name, tests.to_string(), seconds(theirs), seconds(ours), figure(theirs / ours)]);
+        }
+        Ok(Outcome::Missing) if open.missing.contains(&peer::POLARS) => {}
+        Ok(Outcome::Missing) => open.missing.push(peer::POLARS),
+        Err(why) => open.problems.push(why),
+    }
+    Ok(())
+}
+
+/// Prints the row of one long record, if the peer agrees.
+fn record(kalfit: &Kalfit, interpreters: &Interpreters, open: &mut Open) -> Result<(), String> {
+    let record = Record::draw();
+    let file = record.write(&kalfit.folder)?;
+    let (ours, taken) = record.ours()?;
+    if let Some((answer, agreement)) = open.compared(&peer::CELERITE, interpreters, &file, &ours) {
+        let theirs = answer.taken.processor;
+        row(&[
+            peer_name(&peer::CELERITE, &answer),
+            "one record, times of its own".to_owned(),
+            "1".to_owned(),
+            record::ROWS.to_string(),
+            seconds(theirs),
+            seconds(taken.processor),
+            figure(theirs / taken.processor),
+            figure(agreement.log_likelihood),
+        ]);
     }
     Ok(())
 }

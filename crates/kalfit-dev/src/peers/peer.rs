@@ -45,7 +45,12 @@ pub(super) const NLME: Peer = r("nlme", "`lme`", "nlme.R", "apt install r-cran-n
 pub(super) const OPENMX: Peer = r("OpenMx", "RAM", "openmx.R", "apt install r-cran-openmx");
 pub(super) const METAFOR_DENSE: Peer = Peer { arguments: &["dense"], ..METAFOR };
 pub(super) const METAFOR_SPARSE: Peer = Peer { what: "`rma.mv`, sparse", arguments: &["sparse"], ..METAFOR };
-pub(super) const STATSMODELS: Peer = python("statsmodels", "`MixedLM`", "mixedlm.py", "pip install statsmodels");
+pub(super) const STATSMODELS: Peer =
+    Peer { arguments: &["statsmodels"], ..python("statsmodels", "`MixedLM`", "mixedlm.py", "pip install statsmodels") };
+pub(super) const MIXEDLM_RS: Peer =
+    Peer { arguments: &["mixedlm-rs"], ..python("mixedlm-rs", "`MixedLM`", "mixedlm.py", "pip install mixedlm-rs") };
+pub(super) const CELERITE: Peer = python("celerite2", "`log_likelihood`", "celerite.py", "pip install celerite2");
+pub(super) const POLARS: Peer = python("polars", "`read_parquet`, `group_by`", "polars_sums.py", "pip install polars");
 pub(super) const DYNAMAX: Peer =
     python("dynamax", "jit and vmap", "dynamax_filter.py", "pip install dynamax 'jax[cpu]'");
 pub(super) const PYKALMAN: Peer = python("pykalman", "`loglikelihood`", "pykalman_filter.py", "pip install pykalman");
@@ -123,7 +128,19 @@ fn last_lines(text: &[u8]) -> String {
 mod tests {
     use super::*;
 
-    const ALL: [Peer; 8] = [LME4, NLME, OPENMX, METAFOR_DENSE, METAFOR_SPARSE, STATSMODELS, DYNAMAX, PYKALMAN];
+    const ALL: [Peer; 11] = [
+        LME4,
+        NLME,
+        OPENMX,
+        METAFOR_DENSE,
+        METAFOR_SPARSE,
+        STATSMODELS,
+        MIXEDLM_RS,
+        DYNAMAX,
+        PYKALMAN,
+        CELERITE,
+        POLARS,
+    ];
 
     #[test]
     fn every_peer_has_its_script_and_the_script_says_what_is_missing() {
