@@ -99,11 +99,10 @@ def _notes(fit: Fit) -> str:
 
 def _forest(fit: Fit, phase: Phase) -> str:
     """Each test's own state with its 95 % interval, beside the population's mean and the range of 95 % of its tests."""
-    tests = [test for test in fit.tests if phase.name in test.means]
-    if len(tests) < 2 or not phase.states:
+    step = max(1, -(-len(fit._results) // _MOST_TESTS))
+    shown = [test for test in fit._some_tests(step) if phase.name in test.means]
+    if len(shown) < 2 or not phase.states:
         return ""
-    step = -(-len(tests) // _MOST_TESTS)
-    shown = tests[::step]
     panels = "".join(_panel(phase, index, shown) for index in range(min(len(phase.states), _MOST_PANELS)))
     which = f"every {step}th test" if step > 1 else "each test"
     words = f"{which} by its own data and the fit, with 95 % intervals; line: mean, band: 95 % of the population"

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import os
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -32,22 +32,6 @@ def _masked(values: Any) -> MaskedArray:
     numbers = np.array(values, dtype=np.float64)  # None becomes NaN, for the mask to cover
     unknown = np.isnan(numbers)
     return np.ma.array(np.where(unknown, 0.0, numbers), mask=unknown, fill_value=np.nan)
-
-
-def _write(path: str | os.PathLike[str], text: str) -> None:
-    """Writes a file, whole or not at all."""
-    target = os.path.realpath(path)
-    os.umask(umask := os.umask(0))
-    mode = os.stat(target).st_mode if os.path.exists(target) else 0o666 & ~umask
-    handle, beside = tempfile.mkstemp(prefix=".kalfit-", suffix=".tmp", dir=os.path.dirname(target))
-    try:
-        with open(handle, "w", encoding="utf-8", newline="\n") as file:
-            file.write(text)
-        os.chmod(beside, mode)
-        os.replace(beside, target)
-    except BaseException:
-        os.unlink(beside)
-        raise
 
 
 @dataclass(frozen=True)
@@ -242,8 +226,8 @@ class Fit:
     one phase there is; a fit of several phases has them in :attr:`phases`.
     """
 
-    def __init__(self, json_text: str, name: str = "the results") -> None:
-        self._json = _kalfit.read_fit(name, json_text)
+    def __init__(self, results: str | _kalfit.Results, name: str = "the results") -> None:
+        self._results = _kalfit.Results(name, results) if isinstance(results, str) else results
 
     @classmethod
     def from_json(cls, text: str) -> Fit:
@@ -258,20 +242,22 @@ class Fit:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes all results, as ``kalfit fit --out`` does."""
-        _write(path, self._json)
+        self._results.save(path)
 
     def to_json(self) -> str:
         """All results as JSON, as ``kalfit fit --out`` writes it."""
-        return self._json
+        return self._results.json()
 
     def to_dict(self) -> dict[str, Any]:
         """All results, as the JSON has them. Each call makes a new dictionary."""
-        result: dict[str, Any] = json.loads(self._json)
+        result: dict[str, Any] = json.loads(self.to_json())
         return result
 
     @cached_property
     def _record(self) -> dict[str, Any]:
-        return self.to_dict()
+        """All but the tests, of which there may be very many."""
+        record: dict[str, Any] = json.loads(self._results.head())
+        return record
 
     @cached_property
     def phases(self) -> tuple[Phase, ...]:
@@ -325,12 +311,15 @@ class Fit:
     @cached_property
     def tests(self) -> list[TestFit]:
         """What each test says."""
-        return [_test(record) for record in self._record["tests"]]
+        return self._some_tests(1)
+
+    def _some_tests(self, every: int) -> list[TestFit]:
+        return [_test(record) for record in json.loads(self._results.tests(every))]
 
     @property
     def constraints(self) -> list[dict[str, Any]]:
         """Each constrained element and what the constraint costs."""
-        result: list[dict[str, Any]] = self.to_dict()["constraints"]
+        result: list[dict[str, Any]] = copy.deepcopy(self._record["constraints"])
         return result
 
     @property
@@ -398,16 +387,16 @@ class Fit:
 
     def summary(self, width: int = 80, color: bool = False) -> str:
         """The results in words and tables, as the command prints them."""
-        return _kalfit.fit_summary(self._json, width, color)
+        return self._results.summary(width, color)
 
     def report(self, path: str | os.PathLike[str]) -> None:
         """Writes the HTML report: one page that needs nothing else, as ``kalfit report`` makes it."""
-        _write(path, _kalfit.fit_page(self._json))
+        self._results.report(path)
 
     def __repr__(self) -> str:
         state = "converged" if self.converged else "NOT converged"
         title = f" {self.title!r}" if self.title else ""
-        return f"<kalfit.Fit{title}: {state}, log-likelihood {self.log_likelihood:.2f}, {len(self._record['tests'])} tests>"
+        return f"<kalfit.Fit{title}: {state}, log-likelihood {self.log_likelihood:.2f}, {len(self._results)} tests>"
 
     def __str__(self) -> str:
         return self.summary()
@@ -416,13 +405,13 @@ class Fit:
         return _display.html(self)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Fit) and self._json == other._json
+        return isinstance(other, Fit) and self.to_json() == other.to_json()
 
     def __hash__(self) -> int:
-        return hash(self._json)
+        return hash(self._results.head())
 
     def __reduce__(self) -> tuple[object, ...]:
-        return (Fit, (self._json,))
+        return (Fit, (self.to_json(),))
 
 
 class Interrupted(KeyboardInterrupt):

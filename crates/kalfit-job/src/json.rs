@@ -1,5 +1,5 @@
 //! Records as JSON for people and programs: one line for each member of an object and for each text or structure in a list, and
-//! numbers in a list side by side, so that a matrix has one line for each row.
+//! numbers in a list side by side, so that a matrix has one line for each row. Each test has one line.
 
 use std::io::{self, Write};
 
@@ -30,6 +30,14 @@ pub(crate) fn to_writer(writer: impl Write, record: &impl Serialize) -> serde_js
     record.serialize(&mut Serializer::with_formatter(writer, Lines::default()))
 }
 
+/// Writes a structure on one line, as it stands in a list of tests.
+pub(crate) fn line(writer: impl Write, record: &impl Serialize) -> serde_json::Result<()> {
+    record.serialize(&mut Serializer::with_formatter(writer, Lines { inline: 1, ..Lines::default() }))
+}
+
+/// A list of this name in a record has each element on one line: there may be a million of them.
+const ROWS: &[u8] = b"tests";
+
 /// Two spaces for each level, as far as levels go without a loop.
 const SPACES: &[u8] = b"                                ";
 
@@ -40,7 +48,15 @@ struct Lines {
     open: Vec<bool>,
     /// An element of a list is to come: whether it is the first.
     element: Option<bool>,
+    /// A member's name is being written; the last one was that of a list with one line for each element.
+    name: bool,
+    rows: bool,
+    /// So many are open inside such an element, itself among them, and stay on its line.
+    inline: usize,
 }
+
+/// Elements of a list of tests are in it and in the record.
+const ROW_DEPTH: usize = 2;
 
 impl Lines {
     fn line<W: ?Sized + Write>(writer: &mut W, depth: usize) -> io::Result<()> {
@@ -62,8 +78,11 @@ impl Lines {
         }
     }
 
-    /// Before an element that begins a line.
+    /// Before an element that begins a line, unless it is within one.
     fn below<W: ?Sized + Write>(&mut self, writer: &mut W) -> io::Result<()> {
+        if self.inline > 0 {
+            return self.beside(writer);
+        }
         let Some(first) = self.element.take() else { return Ok(()) };
         if !first {
             writer.write_all(b",")?;
@@ -76,6 +95,9 @@ impl Lines {
 
     fn begin<W: ?Sized + Write>(&mut self, writer: &mut W, bracket: &[u8]) -> io::Result<()> {
         self.below(writer)?;
+        if self.inline > 0 || (self.rows && self.open.len() == ROW_DEPTH) {
+            self.inline += 1;
+        }
         self.open.push(false);
         writer.write_all(bracket)
     }
@@ -84,6 +106,7 @@ impl Lines {
         if self.open.pop() == Some(true) {
             Lines::line(writer, self.open.len())?;
         }
+        self.inline = self.inline.saturating_sub(1);
         writer.write_all(bracket)
     }
 }
@@ -113,6 +136,13 @@ impl Formatter for Lines {
         writer.write_all(b"\"")
     }
 
+    fn write_string_fragment<W: ?Sized + Write>(&mut self, writer: &mut W, fragment: &str) -> io::Result<()> {
+        if self.name && self.open.len() == 1 {
+            self.rows = fragment.as_bytes() == ROWS;
+        }
+        writer.write_all(fragment.as_bytes())
+    }
+
     fn begin_array<W: ?Sized + Write>(&mut self, writer: &mut W) -> io::Result<()> {
         self.begin(writer, b"[")
     }
@@ -136,10 +166,12 @@ impl Formatter for Lines {
 
     fn begin_object_key<W: ?Sized + Write>(&mut self, writer: &mut W, first: bool) -> io::Result<()> {
         self.element = Some(first);
+        self.name = true;
         self.below(writer)
     }
 
     fn begin_object_value<W: ?Sized + Write>(&mut self, writer: &mut W) -> io::Result<()> {
+        self.name = false;
         writer.write_all(b": ")
     }
 }
@@ -149,10 +181,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_stand_side_by_side_and_all_else_on_lines_of_its_own() {
+    fn numbers_stand_side_by_side_tests_have_a_line_each_and_all_else_has_lines_of_its_own() {
         let record = serde_json::json!({
             "empty": {}, "none": [], "flag": true, "mean": [1.5, null, -2], "matrix": [[1, 2], [3, 4]],
-            "names": ["a \"b\"", "c"], "tests": [{ "id": "x", "p": [0.1] }, { "id": "y", "p": [] }]
+            "names": ["a \"b\"", "c"], "tests": [{ "id": "x", "phases": [{ "m": [0.1, 2] }] }, { "id": "y", "phases": [] }],
+            "ways": [{ "tests": [{ "id": 1 }] }]
         });
         let text = to_string(&record).unwrap();
         let expected = r#"{
@@ -169,13 +202,16 @@ mod tests {
   ],
   "none": [],
   "tests": [
+    {"id": "x", "phases": [{"m": [0.1, 2]}]},
+    {"id": "y", "phases": []}
+  ],
+  "ways": [
     {
-      "id": "x",
-      "p": [0.1]
-    },
-    {
-      "id": "y",
-      "p": []
+      "tests": [
+        {
+          "id": 1
+        }
+      ]
     }
   ]
 }"#;

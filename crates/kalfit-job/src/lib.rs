@@ -68,3 +68,4 @@ pub use test::test;
 pub use truth::error::TruthError;
 pub use truth::fit_record;
 pub use work::{Share, Unwatched, Watch};
+pub use write::{save, save_text};

@@ -1,6 +1,7 @@
 //! fit.json: the tests are most of it, and are put into words by many threads.
 
 use std::io::Write;
+use std::path::Path;
 
 use kalfit::FitRecord;
 use kalfit::record::TestRecord;
@@ -16,6 +17,22 @@ const CHUNKS: usize = 8;
 
 /// The tests of a record that has none, where they stand.
 const NO_TESTS: &[u8] = b"\n  \"tests\": []";
+
+/// Writes a record to a file, whole or not at all.
+///
+/// # Errors
+/// The file cannot be written.
+pub fn save(record: &mut FitRecord, path: &Path) -> Result<(), OutputError> {
+    self::record(&Output::prepare(path, &[])?, record)
+}
+
+/// Writes a text to a file, whole or not at all.
+///
+/// # Errors
+/// The file cannot be written.
+pub fn save_text(text: &str, path: &Path) -> Result<(), OutputError> {
+    Output::prepare(path, &[])?.write_bytes(text.as_bytes())
+}
 
 /// Writes a record, byte for byte as it would be written in one piece.
 pub(crate) fn record(output: &Output, record: &mut FitRecord) -> Result<(), OutputError> {
@@ -62,12 +79,13 @@ fn write_tests(tests: &[TestRecord], mut file: impl Write) -> std::io::Result<()
     if tests.is_empty() { Ok(()) } else { file.write_all(b"\n  ") }
 }
 
-/// Some elements of the list, at its depth in the record: without the comma before the first.
+/// Some elements of the list, a line each: without the comma before the first.
 fn words(tests: &[TestRecord]) -> serde_json::Result<Vec<u8>> {
-    let mut bytes = json::to_vec(&[tests])?;
-    let (before, after) = ("[\n  [".len(), "\n  ]\n]".len());
-    bytes.truncate(bytes.len() - after);
-    bytes.drain(..before);
+    let mut bytes = Vec::new();
+    for (k, test) in tests.iter().enumerate() {
+        bytes.extend_from_slice(if k > 0 { b",\n    " } else { b"\n    " });
+        json::line(&mut bytes, test)?;
+    }
     Ok(bytes)
 }
 

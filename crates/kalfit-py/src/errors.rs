@@ -1,10 +1,10 @@
 //! Exceptions, with the same words as the command's messages.
 
 use kalfit_data::DataError as Data;
-use kalfit_job::{Failure, TruthError};
+use kalfit_job::{Failure, OutputError, TruthError};
 use pyo3::PyErr;
 use pyo3::create_exception;
-use pyo3::exceptions::{PyException, PyKeyboardInterrupt};
+use pyo3::exceptions::{PyException, PyKeyboardInterrupt, PyOSError};
 
 create_exception!(kalfit, Error, PyException, "What kalfit refuses, or cannot do.");
 create_exception!(kalfit, ModelError, Error, "Something is wrong with a model or a hypothesis.");
@@ -36,6 +36,11 @@ pub(crate) fn exception(failure: &Failure) -> PyErr {
         }
         _ => FitError::new_err(text),
     }
+}
+
+/// A file that could not be written.
+pub(crate) fn not_written(error: &OutputError) -> PyErr {
+    PyOSError::new_err(error.to_string())
 }
 
 /// Options that messages name as on the command line, and their names in Python.

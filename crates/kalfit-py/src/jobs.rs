@@ -12,12 +12,13 @@ use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::prelude::*;
 
 use crate::data::{Given, data};
+use crate::fit::Results;
 use crate::options::{Asked, FitOptions, Text, pick, settings};
 use crate::run::{Ended, How, run};
 use crate::table::Table;
 use crate::text::written;
 
-/// (JSON of the fit, whether it was interrupted).
+/// (the fit, whether it was interrupted).
 #[pyfunction]
 pub(crate) fn fit(
     py: Python<'_>,
@@ -26,12 +27,12 @@ pub(crate) fn fit(
     out: Option<PathBuf>,
     options: FitOptions,
     how: How<'_>,
-) -> PyResult<(String, bool)> {
+) -> PyResult<(Results, bool)> {
     let mut job = FitJob::new(model.into(), data(given)?);
     job.out = out;
     options.apply(&mut job)?;
     let Ended { result, interrupted } = run(py, how, move |watch| kalfit_job::fit(&job, watch))?;
-    Ok((written(&result.record)?, interrupted))
+    Ok((Results::new(result.record), interrupted))
 }
 
 /// (JSON of the check, its summary, notes).

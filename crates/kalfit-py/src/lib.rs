@@ -3,6 +3,7 @@
 
 mod data;
 mod errors;
+mod fit;
 mod jobs;
 mod options;
 mod run;
@@ -16,9 +17,11 @@ mod _kalfit {
     #[pymodule_export]
     use crate::errors::{DataError, Error, FitError, ModelError};
     #[pymodule_export]
+    use crate::fit::Results;
+    #[pymodule_export]
     use crate::jobs::{check, exchange, fit, plan, simulate, test};
     #[pymodule_export]
     use crate::table::Table;
     #[pymodule_export]
-    use crate::text::{describe, fit_page, fit_summary, plan_summary, ratio_summary, read_fit, read_model, version};
+    use crate::text::{describe, plan_summary, ratio_summary, read_model, version};
 }

@@ -4,7 +4,7 @@ use kalfit::TestKey;
 use kalfit::record::PlanRecord;
 use kalfit::record::RatioRecord;
 use kalfit_job::Document;
-use kalfit_report::{Style, summary};
+use kalfit_report::Style;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use serde::de::DeserializeOwned;
@@ -43,27 +43,6 @@ pub(crate) fn describe(model: Text) -> PyResult<Description> {
     Ok((shared.title.clone(), spec.digest.clone(), spec.describe(), names, test, time))
 }
 
-/// The JSON of a fit as kalfit writes it.
-#[pyfunction]
-pub(crate) fn read_fit(name: &str, json: &str) -> PyResult<String> {
-    let record = kalfit_job::fit_record(name, json).map_err(|failure| exception(&failure))?;
-    written(&record)
-}
-
-/// Summary of the JSON of a fit.
-#[pyfunction]
-pub(crate) fn fit_summary(json: &str, width: usize, color: bool) -> PyResult<String> {
-    let record = kalfit_job::fit_record("the results", json).map_err(|failure| exception(&failure))?;
-    Ok(summary(&record, &Style { width, color }))
-}
-
-/// The HTML report of the JSON of a fit.
-#[pyfunction]
-pub(crate) fn fit_page(json: &str) -> PyResult<String> {
-    let record = kalfit_job::fit_record("the results", json).map_err(|failure| exception(&failure))?;
-    Ok(kalfit_report::html(&record))
-}
-
 /// Summary of the JSON of a likelihood-ratio test.
 #[pyfunction]
 pub(crate) fn ratio_summary(json: &str, width: usize, color: bool) -> PyResult<String> {
@@ -82,6 +61,10 @@ fn read<T: DeserializeOwned>(json: &str) -> PyResult<T> {
 
 /// A record as the command writes it to a file.
 pub(crate) fn written(record: &impl serde::Serialize) -> PyResult<String> {
-    let text = kalfit_job::json::to_string(record);
-    text.map(|text| text + "\n").map_err(|error| PyValueError::new_err(error.to_string()))
+    text(record).map(|text| text + "\n")
+}
+
+/// A record as JSON.
+pub(crate) fn text(record: &impl serde::Serialize) -> PyResult<String> {
+    kalfit_job::json::to_string(record).map_err(|error| PyValueError::new_err(error.to_string()))
 }
