@@ -2,11 +2,11 @@
 
 use nalgebra::DVector;
 
-use crate::estimate::Stop;
 use crate::estimate::certificate::{Escape, certificate};
 use crate::estimate::covariance::CovarianceMap;
 use crate::estimate::local::Objective;
 use crate::estimate::newton::{Attempt, Damping, Place, retract};
+use crate::estimate::stop::Stop;
 use crate::estimate::terms::Point;
 
 /// When a climb ends.

@@ -12,9 +12,9 @@ use crate::estimate::pass::Order;
 use crate::estimate::problem::Problem;
 use crate::estimate::sums::Sums;
 use crate::estimate::terms::Point;
-use crate::estimate::{State, Structure, StructureError};
+use crate::estimate::{State, Structure};
 use crate::linalg::symmetric;
-use crate::model::Alpha;
+use crate::model::{Alpha, StructureError};
 use crate::reduce::Reduction;
 
 /// The objective at one point under some reductions.

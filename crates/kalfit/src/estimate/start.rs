@@ -89,6 +89,11 @@ pub(crate) fn near(problem: &Problem, values: &Population) -> Result<Point, FitE
     })
 }
 
+/// A pilot's end as a start for all tests: an end on the boundary a little inside, where the others may want to go.
+pub(crate) fn onward(whole: &Problem, pilot: &Problem, end: &Point) -> Result<Point, FitError> {
+    near(whole, &pilot.values_of(end))
+}
+
 /// Pooled least squares on the structure, with the model's start values where the data say nothing or the model says so.
 fn mean(problem: &Problem, structure: &Structure<'_>) -> (DVector<f64>, Vec<f64>) {
     let (map, frame) = (&problem.mean, &problem.classes.frame);

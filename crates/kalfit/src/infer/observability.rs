@@ -18,7 +18,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use crate::estimate::{Classes, Form, Part, Place, Problem, forms_in_parts};
-use crate::infer::identifiability::{NONE, unit};
+use crate::infer::direction::{NONE, unit};
 use crate::linalg::fold::norm;
 use crate::linalg::symmetric;
 use crate::reduce::Reduction;

@@ -11,8 +11,9 @@ use crate::estimate::chained::{Chained, Link, Phase, Shape, centre, scales, told
 use crate::estimate::classes::Class;
 use crate::estimate::frame::Frame;
 use crate::estimate::terms::{Point, Regressors};
+use crate::linalg::factors::Plain;
 use crate::linalg::fixed::Fixed;
-use crate::linalg::rows::{Plain, Rows};
+use crate::linalg::rows::Rows;
 use crate::reduce::{Chain, Reduction};
 
 /// As many classes of one shape as there are lanes, or fewer: lanes that no class takes have a class without tests.
