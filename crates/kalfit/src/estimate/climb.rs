@@ -6,8 +6,8 @@ use crate::estimate::certificate::{Escape, certificate};
 use crate::estimate::covariance::CovarianceMap;
 use crate::estimate::local::Objective;
 use crate::estimate::newton::{Attempt, Damping, Place, retract};
+use crate::estimate::point::Point;
 use crate::estimate::stop::Stop;
-use crate::estimate::terms::Point;
 
 /// When a climb ends.
 #[derive(Debug, Clone, Copy)]

@@ -22,6 +22,7 @@ mod certificate;
 mod certificate_tests;
 mod chained;
 mod chart;
+mod class;
 mod classes;
 mod climb;
 mod covariance;
@@ -46,8 +47,11 @@ mod marginal;
 mod mean;
 mod newton;
 mod noise;
+mod order;
+mod origin;
 mod pass;
 mod pilot;
+mod point;
 mod problem;
 mod products;
 mod quadratic;
@@ -77,7 +81,8 @@ pub use stop::Stop;
 pub use structure::{PhaseStructure, Structure};
 
 pub(crate) use chained::{Chained, Detail, Kept};
-pub(crate) use classes::{Class, Classes};
+pub(crate) use class::Class;
+pub(crate) use classes::Classes;
 pub(crate) use climb::{Limits, climb};
 pub(crate) use covariance::{Constraint, CovarianceMap, Form, Part};
 pub(crate) use curvature::NOTHING;
@@ -89,12 +94,13 @@ pub(crate) use listed::Residual;
 pub(crate) use local::{Local, Objective, Tangent, harmonic, natural_sizes};
 pub(crate) use newton::{Place, retract};
 pub(crate) use noise::{NoiseInformation, Noisy};
-pub(crate) use pass::Order;
+pub(crate) use order::Order;
+pub(crate) use point::Point;
 pub(crate) use problem::Problem;
 pub(crate) use result::State;
 pub(crate) use start::generic_root;
 pub(crate) use sums::Sums;
-pub(crate) use terms::{Point, Terms};
+pub(crate) use terms::Terms;
 pub(crate) use together::{each, in_parts};
 
 use evidence::evidence;
@@ -153,7 +159,7 @@ pub(crate) fn at_start(
     let problem = problem(reductions, structure, &Settings::default())?;
     let start = start::start(&problem, structure)?;
     let place = Place::new(&problem, &problem.covariance, start, None).ok_or(FitError::NotFinite)?;
-    let sums = problem.sums(&place.point, pass::Order::Expected, None).ok_or(FitError::NotFinite)?;
+    let sums = problem.sums(&place.point, Order::Expected, None).ok_or(FitError::NotFinite)?;
     Ok((problem, place, sums))
 }
 

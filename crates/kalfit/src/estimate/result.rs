@@ -10,7 +10,7 @@ use crate::estimate::error::FitError;
 use crate::estimate::evidence::evidence;
 use crate::estimate::joint_law::JointLaw;
 use crate::estimate::newton::Place;
-use crate::estimate::pass::Order;
+use crate::estimate::order::Order;
 use crate::estimate::problem::Problem;
 use crate::estimate::rounding::rounding;
 use crate::estimate::settings::{Combination, Criterion, Settings, Solver};

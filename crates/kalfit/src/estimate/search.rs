@@ -10,14 +10,14 @@ use crate::estimate::em::{self, Turn};
 use crate::estimate::error::FitError;
 use crate::estimate::local::{Local, Objective};
 use crate::estimate::newton::{Attempt, Damping, Place, retract};
-use crate::estimate::pass::Order;
+use crate::estimate::order::Order;
+use crate::estimate::point::Point;
 use crate::estimate::problem::Problem;
 use crate::estimate::result::{Estimate, State};
 use crate::estimate::rounding::rounding;
 use crate::estimate::settings::{Progress, Settings, Silent, Solver, Step};
 use crate::estimate::stop::Stop;
 use crate::estimate::sums::Sums;
-use crate::estimate::terms::Point;
 use crate::estimate::{Criterion, Structure, pilot, quadratic, scoring, start, unobserved};
 use crate::model::Population;
 
