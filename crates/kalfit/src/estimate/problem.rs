@@ -156,7 +156,7 @@ impl Problem {
     }
 
     /// Counts one pass over the classes.
-    pub(crate) fn count_pass(&self) {
+    fn count_pass(&self) {
         self.passes.fetch_add(1, Ordering::Relaxed);
     }
 

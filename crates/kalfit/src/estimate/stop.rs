@@ -7,7 +7,7 @@ pub enum Stop {
     Certified,
     /// The passes ran out first.
     PassLimit,
-    /// [`Progress::stops`] asked for it.
+    /// [`Progress::stops`](crate::estimate::Progress::stops) asked for it.
     Interrupted,
     /// No step raises ℓ, yet the certificate does not hold.
     Stalled,

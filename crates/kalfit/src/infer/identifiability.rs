@@ -57,15 +57,6 @@ pub fn identifiability(estimate: &Estimate) -> Vec<Direction> {
     directions(&state.problem, &state.place, &state.sums.expected_information())
 }
 
-/// Unidentified directions before any fit: at the start values.
-pub fn identifiability_at_start(
-    reductions: &[Reduction],
-    structure: &Structure<'_>,
-) -> Result<Vec<Direction>, FitError> {
-    let (problem, place, sums) = crate::estimate::at_start(reductions, structure)?;
-    Ok(directions(&problem, &place, &sums.expected_information()))
-}
-
 pub(crate) fn directions(problem: &Problem, place: &Place, expected: &DMatrix<f64>) -> Vec<Direction> {
     let mut found = mean_directions(problem);
     found.extend(covariance_directions(problem, &place.tangent, expected));

@@ -25,9 +25,9 @@ mod std_errors;
 
 pub use crate::linalg::elements::Element;
 pub use constraint::{Sensitivity, sensitivities};
-pub use deletion::{Deletion, deletion_work, deletions};
+pub use deletion::{Deletion, deletions};
 pub use direction::{Direction, Quantity};
-pub use identifiability::{Examination, examine_at_start, identifiability, identifiability_at_start};
+pub use identifiability::{Examination, examine_at_start, identifiability};
 pub use information::{Boundary, Free, Uncertainty, free, uncertainty};
 pub use interval::{Interval, IntervalKind, Intervals, profile, wald};
 pub use observability::{Leading, MOST_TESTS, Observability, Shortage, StateObservability, WEAK, WeakDirection};
@@ -52,6 +52,7 @@ pub(crate) use std_errors::PART;
 
 use crate::estimate::{Criterion, Estimate};
 use crate::reduce::Reduction;
+use deletion::deletion_work;
 
 /// What to infer, and how.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

@@ -136,7 +136,7 @@ pub(crate) fn observability(
 
 impl Observability {
     /// Ids of the tests that inform any of these states, in order, when there are at most [`MOST_TESTS`]; else none.
-    pub fn tests_of(&self, states: &[usize]) -> Vec<String> {
+    pub(super) fn tests_of(&self, states: &[usize]) -> Vec<String> {
         let of = || states.iter().map(|&i| &self.states[i]);
         if of().any(|state| state.informed_by > MOST_TESTS) {
             return Vec::new();
