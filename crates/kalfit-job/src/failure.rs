@@ -193,7 +193,7 @@ pub struct Place {
 
 impl Place {
     /// A place in a model file.
-    pub(crate) fn in_model(spec: &Spec, span: Option<Range<usize>>, label: &str) -> Option<Box<Place>> {
+    fn in_model(spec: &Spec, span: Option<Range<usize>>, label: &str) -> Option<Box<Place>> {
         let source = Source { name: spec.name.clone(), text: spec.text.clone() };
         Some(Box::new(Place { source, span: span?, label: Some(label.to_owned()) }))
     }

@@ -1,7 +1,7 @@
 //! Numbers for people: as many digits as the standard error allows, never a NaN.
 
 /// What stands for a figure that is not known.
-pub(crate) const UNKNOWN: &str = "unknown";
+const UNKNOWN: &str = "unknown";
 
 /// Digits of a standard error that mean anything.
 const ERROR_DIGITS: usize = 2;

@@ -34,7 +34,6 @@ pub use error::ExchangeError;
 pub use estimates::read_estimates;
 pub use metadata::Metadata;
 pub use reductions::read_reductions;
-pub use schema::{ESTIMATES_SCHEMA, REDUCTIONS_SCHEMA};
 pub use write::{EstimatesWriter, ReductionWriter};
 
 /// What one row of an exchange file says.

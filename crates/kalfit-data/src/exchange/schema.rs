@@ -1,9 +1,9 @@
 //! The schemas of exchange files: their names and columns.
 
 /// Schema of reductions files.
-pub const REDUCTIONS_SCHEMA: &str = "kalfit-reductions/1";
+pub(super) const REDUCTIONS_SCHEMA: &str = "kalfit-reductions/1";
 /// Schema of estimates files.
-pub const ESTIMATES_SCHEMA: &str = "kalfit-estimates/1";
+pub(super) const ESTIMATES_SCHEMA: &str = "kalfit-estimates/1";
 
 /// The column of the test's id.
 pub(super) const TEST: &str = "test";

@@ -23,7 +23,7 @@ pub(crate) fn is_numeric(data_type: &DataType) -> bool {
 }
 
 /// True for types that hold dates and times of day.
-pub(crate) fn is_temporal(data_type: &DataType) -> bool {
+fn is_temporal(data_type: &DataType) -> bool {
     matches!(data_type, DataType::Timestamp(..) | DataType::Date32 | DataType::Date64)
 }
 

@@ -66,7 +66,7 @@ fn equations(record: &FitRecord) -> Markup {
 }
 
 /// A fact with its names set as code: they stand between backticks.
-pub(super) fn coded(fact: &str) -> Markup {
+fn coded(fact: &str) -> Markup {
     let fact = clean(fact);
     let parts: Vec<&str> = fact.split('`').collect();
     if parts.len().is_multiple_of(2) {

@@ -50,12 +50,12 @@ impl Certificate {
     }
 
     /// Whether rounding errors are below a thousandth of a standard error.
-    pub fn is_precise(&self) -> bool {
+    pub(crate) fn is_precise(&self) -> bool {
         self.rounding <= IMPRECISE
     }
 
     /// Whether rounding errors are larger than the scores that a search ends with, so that they say how far the optimum may be.
-    pub fn is_limited_by_rounding(&self) -> bool {
+    pub(crate) fn is_limited_by_rounding(&self) -> bool {
         self.rounding > NOTABLE
     }
 

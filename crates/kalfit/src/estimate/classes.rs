@@ -10,42 +10,18 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use kalfit_lanes::Isa;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 use rayon::prelude::*;
 
 use crate::estimate::canonical::{ordered, spans};
-use crate::estimate::chained::{Chained, Detail, Kept, Packed, Shape, grouped};
+use crate::estimate::chained::{Chained, Kept, Packed, Shape, grouped};
+use crate::estimate::class::Class;
 use crate::estimate::frame::{Frame, Pooled};
 use crate::estimate::lanes::Blocks;
 use crate::estimate::listed::{Listed, Noise, Residual};
-use crate::estimate::pass::{Order, pass};
-use crate::estimate::terms::Point;
-use crate::estimate::together::each_packed;
 use crate::linalg::elements::Elements;
 use crate::linalg::symmetric::{self, pair};
 use crate::reduce::{Path, Reduction};
-
-/// Tests that share R and covariates, in η: log p(z_j | η) = constant_j - ½ ‖d_j - R η‖².
-#[derive(Debug, Clone)]
-pub(crate) struct Class<T = f64> {
-    /// n, the number of tests.
-    pub(crate) count: T,
-    /// Σ_j constant_j.
-    pub(crate) constant: T,
-    /// R, p × p by rows, upper triangular.
-    pub(crate) factor: Vec<T>,
-    /// Mean of d_j.
-    pub(crate) mean: Vec<T>,
-    /// Vectors whose outer products add up to Σ_j (d_j - mean)(d_j - mean)', one after the other; no more of them than p, and none
-    /// for a single test.
-    pub(crate) scatter: Vec<T>,
-    /// Scaled covariates of the regressions.
-    pub(crate) covariates: Vec<T>,
-    /// Some test of it needs square-root arithmetic.
-    pub(crate) square_root: bool,
-    /// The same phase by phase; R, d and their scatter are then empty.
-    pub(crate) chain: Option<Kept>,
-}
 
 /// All reductions of an ensemble, ready for passes.
 #[derive(Debug, Clone)]
@@ -245,71 +221,9 @@ impl Classes {
         gather(std::slice::from_ref(reduction), &[0], &self.frame, (&self.elements, self.chained), None)
     }
 
-    /// Σ_j E_j'J_jE_j: information on the p elements of μ and the scaled regression coefficients at Σ = 0.
-    pub(crate) fn mean_information(&self, regressors: &[usize]) -> DMatrix<f64> {
-        let p = self.dimension();
-        if self.classes.iter().any(|class| class.chain.is_some()) {
-            return pass(self, regressors, &self.origin(regressors.len()), Order::Mean, None).mean_information;
-        }
-        let mut information = DMatrix::zeros(p + regressors.len(), p + regressors.len());
-        for class in self.classes.iter() {
-            let column = |m: usize| if m < p { (m, 1.0) } else { (regressors[m - p], class.covariates[m - p]) };
-            let rows = DMatrix::from_fn(p, p + regressors.len(), |i, m| {
-                let (k, x) = column(m);
-                x * class.factor[i * p + k]
-            });
-            information += rows.transpose() * &rows * class.count;
-        }
-        information
-    }
-
-    /// The centre, without spread.
-    fn origin(&self, regressors: usize) -> Point {
-        let p = self.dimension();
-        Point { mean: vec![0.0; p], coefficients: vec![0.0; regressors], root: DMatrix::zeros(p, p) }
-    }
-
-    /// For each class its number of tests and, for each element i, Σ (y - Jμ)_i² - J_ii over them, which has the mean
-    /// Σ (JΣJ)_ii, and J_ii of one of them.
-    pub(crate) fn excesses(&self, mean: &DVector<f64>) -> Vec<(f64, Vec<(f64, f64)>)> {
-        let p = mean.len();
-        let gathered = self.classes.gathered();
-        if self.chains.is_empty() && gathered.iter().all(|class| class.chain.is_none()) {
-            let unit = self.classes.unit();
-            return gathered.iter().map(|class| (class.count, class.excess(mean.as_slice(), unit))).collect();
-        }
-        let classes: Vec<&Class> = self.classes.iter().collect();
-        let point = Point { mean: mean.as_slice().to_vec(), ..self.origin(0) };
-        let mut told: Vec<(f64, Vec<(f64, f64)>)> = vec![(0.0, Vec::new()); classes.len()];
-        let packed = (self.blocks.isa(), &self.chains[..]);
-        each_packed(&classes, packed, &[], &point, Detail::Phases, &mut |k, terms| {
-            let one = |at: usize| (terms.outer[at] - classes[k].count * terms.W[at], terms.W[at]);
-            told[k] = (classes[k].count, (0..p).map(|i| one(i * p + i)).collect());
-        });
-        told
-    }
-
     /// p.
     pub(crate) fn dimension(&self) -> usize {
         self.frame.scale.len()
-    }
-}
-
-impl Class {
-    /// For each element i, Σ (y - Jμ)_i² - J_ii over the tests and J_ii of one of them, where d is so many times as large.
-    fn excess(&self, mean: &[f64], unit: f64) -> Vec<(f64, f64)> {
-        let p = mean.len();
-        let rows = || self.factor.chunks_exact(p.max(1));
-        let dot = |row: &[f64], x: &[f64]| row.iter().zip(x).map(|(r, x)| r * x).sum::<f64>();
-        let left: Vec<f64> = rows().zip(&self.mean).map(|(row, d)| d * unit - dot(row, mean)).collect();
-        // R'x at i
-        let at = |i: usize, x: &[f64]| rows().zip(x).map(|(row, x)| row[i] * x).sum::<f64>();
-        let one = |i: usize| {
-            let spread: f64 = self.scatter.chunks_exact(p).map(|x| (unit * at(i, x)).powi(2)).sum();
-            let own = rows().map(|row| row[i] * row[i]).sum::<f64>();
-            (self.count * (at(i, &left).powi(2) - own) + spread, own)
-        };
-        (0..p).map(one).collect()
     }
 }
 

@@ -2,12 +2,12 @@
 
 use nalgebra::DVector;
 
-use crate::estimate::Stop;
 use crate::estimate::certificate::{Escape, certificate};
 use crate::estimate::covariance::CovarianceMap;
 use crate::estimate::local::Objective;
 use crate::estimate::newton::{Attempt, Damping, Place, retract};
-use crate::estimate::terms::Point;
+use crate::estimate::point::Point;
+use crate::estimate::stop::Stop;
 
 /// When a climb ends.
 #[derive(Debug, Clone, Copy)]

@@ -8,13 +8,13 @@ use nalgebra::{DMatrix, DVector};
 use crate::estimate::classes::Classes;
 use crate::estimate::covariance::{CovarianceMap, Form};
 use crate::estimate::newton::{self, Place};
-use crate::estimate::pass::Order;
+use crate::estimate::order::Order;
+use crate::estimate::point::Point;
 use crate::estimate::problem::Problem;
 use crate::estimate::sums::Sums;
-use crate::estimate::terms::Point;
-use crate::estimate::{State, Structure, StructureError};
+use crate::estimate::{State, Structure};
 use crate::linalg::symmetric;
-use crate::model::Alpha;
+use crate::model::{Alpha, StructureError};
 use crate::reduce::Reduction;
 
 /// The objective at one point under some reductions.

@@ -9,10 +9,10 @@ use crate::estimate::Criterion;
 use crate::estimate::covariance::{CovarianceMap, Form, Part, place, sub};
 use crate::estimate::exact::maximise_exact;
 use crate::estimate::local::Objective;
-use crate::estimate::pass::Order;
+use crate::estimate::order::Order;
+use crate::estimate::point::Point;
 use crate::estimate::problem::Problem;
 use crate::estimate::sums::Sums;
-use crate::estimate::terms::Point;
 use crate::linalg::symmetric;
 
 /// Which conditional maximisation comes next, when μ and Σ cannot move together.

@@ -5,7 +5,7 @@ use nalgebra::{DMatrix, DVector};
 use crate::estimate::covariance::{CovarianceMap, place, sub};
 use crate::estimate::local::{Local, Objective};
 use crate::estimate::newton::{Attempt, Damping, Place};
-use crate::estimate::terms::Point;
+use crate::estimate::point::Point;
 use crate::linalg::symmetric::{over_pairs, pairs};
 
 /// n tests whose ξ is known exactly, with second moment M̄ about the mean.

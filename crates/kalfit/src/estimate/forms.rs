@@ -7,8 +7,10 @@ use kalfit_lanes::{Kernel, Lanes};
 use nalgebra::{DMatrix, DMatrixView};
 
 use crate::estimate::chained::{Detail, Packed, Root, Said};
-use crate::estimate::classes::{Class, Classes};
-use crate::estimate::terms::{Point, Regressors, Terms};
+use crate::estimate::class::Class;
+use crate::estimate::classes::Classes;
+use crate::estimate::point::{Point, Regressors};
+use crate::estimate::terms::Terms;
 use crate::estimate::together::in_pieces;
 use crate::linalg::parts::{Columns, in_parts};
 use crate::linalg::rows::Rows;

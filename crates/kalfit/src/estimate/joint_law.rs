@@ -2,8 +2,6 @@
 
 use nalgebra::DMatrix;
 
-use crate::estimate::State;
-
 /// Covariance along the tangent basis of (μ, Σ) and of the parameters that stand in matrices of the structure of Σ: those move Σ
 /// at fixed coordinates of it.
 #[derive(Debug, Clone)]
@@ -14,13 +12,4 @@ pub(crate) struct JointLaw {
     pub(crate) moves: DMatrix<f64>,
     /// The same of parameters that the data do not determine: what they move has no standard error.
     pub(crate) open: DMatrix<f64>,
-}
-
-impl State {
-    /// dΣ in the user's units as a column over the elements of Σ, in η.
-    pub(crate) fn elements_in(&self, derivative: &DMatrix<f64>) -> Vec<f64> {
-        let scale = &self.problem.classes.frame.scale;
-        let elements = &self.problem.covariance.elements;
-        elements.all().map(|(i, j)| derivative[(i, j)] / (scale[i] * scale[j])).collect()
-    }
 }

@@ -5,10 +5,13 @@ use std::ops::Range;
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::Combination;
-use crate::estimate::classes::{Class, Classes};
-use crate::estimate::pass::{self, Order};
+use crate::estimate::class::Class;
+use crate::estimate::classes::Classes;
+use crate::estimate::order::Order;
+use crate::estimate::pass;
+use crate::estimate::point::Point;
 use crate::estimate::sums::Sums;
-use crate::estimate::terms::{Point, Terms};
+use crate::estimate::terms::Terms;
 use crate::linalg::symmetric::{self, pairs};
 use crate::reduce::Reduction;
 use kalfit_lanes::{Counted, Real};

@@ -4,7 +4,7 @@
 use std::ops::Deref;
 use std::sync::{Arc, OnceLock};
 
-use crate::estimate::classes::Class;
+use crate::estimate::class::Class;
 
 /// Classes in an order that does not depend on the order of the tests.
 #[derive(Debug, Clone)]

@@ -4,8 +4,8 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::chart::Chart;
 use crate::estimate::covariance::{Constraint, CovarianceMap};
+use crate::estimate::point::Point;
 use crate::estimate::sums::Sums;
-use crate::estimate::terms::Point;
 use crate::linalg::elements::Elements;
 use crate::linalg::symmetric;
 

@@ -14,7 +14,8 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::linalg::rows::{Factors, Rotations, Rows};
+use crate::linalg::factors::{Factors, Rotations};
+use crate::linalg::rows::Rows;
 use crate::reduce::{Chain, ChainPhase, Link, Path, Reduction};
 
 /// Singular values below this part of what the columns were before anything was taken out of them are zero.

@@ -9,7 +9,7 @@ use crate::estimate::chart::Chart;
 use crate::estimate::covariance::CovarianceMap;
 use crate::estimate::curvature::Curvature;
 use crate::estimate::local::{Local, Objective, Tangent};
-use crate::estimate::terms::Point;
+use crate::estimate::point::Point;
 use crate::linalg::symmetric;
 
 /// A point with all that is known there.

@@ -8,10 +8,13 @@ use nalgebra::DMatrix;
 use rayon::prelude::*;
 
 use crate::estimate::chained::{Detail, Packed};
-use crate::estimate::classes::{Class, Classes};
+use crate::estimate::class::Class;
+use crate::estimate::classes::Classes;
 use crate::estimate::lanes::{ChainPass, ChainTotals};
+use crate::estimate::order::{FlatMean, Order, Wanted};
+use crate::estimate::point::{Point, Regressors};
 use crate::estimate::sums::Sums;
-use crate::estimate::terms::{Point, Regressors, Terms};
+use crate::estimate::terms::Terms;
 use crate::estimate::together::each;
 use crate::linalg::elements::Elements;
 use crate::linalg::symmetric::pair;
@@ -21,37 +24,6 @@ const CHUNK: usize = 128;
 
 /// Most tasks that tests in phases are summed by: each needs much room for second derivatives.
 const CHAIN_TASKS: usize = 16;
-
-/// Which derivatives a pass computes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum Order {
-    /// ℓ and the first derivatives: all that EM needs. The information on the mean only within phases.
-    First,
-    /// And all of the information on the mean.
-    Mean,
-    /// And the observed information.
-    Second,
-    /// And the expected information of Σ.
-    Expected,
-}
-
-/// What the restricted likelihood needs of every class: X = E × jacobian, the mean by its free coordinates.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct FlatMean<'a> {
-    /// d(mean coordinates) / d(free mean coordinates).
-    pub(crate) jacobian: &'a DMatrix<f64>,
-    /// V, the covariance of the free mean coordinates.
-    pub(crate) covariance: Option<&'a DMatrix<f64>>,
-}
-
-/// What a pass adds up.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Wanted<'a> {
-    pub(crate) elements: &'a Elements,
-    pub(crate) regressors: &'a Regressors,
-    pub(crate) order: Order,
-    pub(crate) flat: Option<&'a FlatMean<'a>>,
-}
 
 impl Wanted<'_> {
     pub(super) fn zero(&self) -> Sums {

@@ -4,7 +4,6 @@
 //! costs little to find and lies within their sampling error of that of all, where Newton's method needs but a few passes.
 
 use crate::estimate::problem::Problem;
-use crate::estimate::terms::Point;
 use crate::estimate::{FitError, Structure};
 
 /// Fewest classes of a pilot, and fewest for each free coordinate of (μ, Σ).
@@ -22,9 +21,4 @@ pub(crate) fn problem(whole: &Problem, structure: &Structure<'_>) -> Result<Opti
         return Ok(None);
     }
     Ok(Some(Problem::of(whole.classes.thinned(every), structure, whole.criterion())?))
-}
-
-/// A pilot's end as a start for all tests: an end on the boundary a little inside, where the others may want to go.
-pub(crate) fn onward(whole: &Problem, pilot: &Problem, end: &Point) -> Result<Point, FitError> {
-    super::start::near(whole, &pilot.values_of(end))
 }

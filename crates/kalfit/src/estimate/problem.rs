@@ -5,15 +5,17 @@ use std::sync::{Mutex, PoisonError};
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::classes::{Class, Classes};
+use crate::estimate::class::Class;
+use crate::estimate::classes::Classes;
 use crate::estimate::covariance::CovarianceMap;
 use crate::estimate::local::{Local, Objective};
 use crate::estimate::mean::MeanMap;
 use crate::estimate::newton::Place;
-use crate::estimate::pass::{FlatMean, Order, of_class, pass};
+use crate::estimate::order::{FlatMean, Order};
+use crate::estimate::pass::{of_class, pass};
+use crate::estimate::point::Point;
 use crate::estimate::reml::Restriction;
 use crate::estimate::sums::Sums;
-use crate::estimate::terms::Point;
 use crate::estimate::{Combination, Criterion, Structure};
 use crate::linalg::symmetric;
 use crate::model::{Population, StructureError};
@@ -154,7 +156,7 @@ impl Problem {
     }
 
     /// Counts one pass over the classes.
-    pub(crate) fn count_pass(&self) {
+    fn count_pass(&self) {
         self.passes.fetch_add(1, Ordering::Relaxed);
     }
 

@@ -11,7 +11,7 @@ use crate::estimate::climb::{Limits, climb};
 use crate::estimate::covariance::{CovarianceMap, Form};
 use crate::estimate::local::{Local, Objective};
 use crate::estimate::newton::{Place, retract};
-use crate::estimate::terms::Point;
+use crate::estimate::point::Point;
 use crate::linalg::elements::Elements;
 
 /// Steps on the model.

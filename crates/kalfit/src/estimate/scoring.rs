@@ -8,10 +8,10 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::covariance::{Form, Part};
 use crate::estimate::local::Objective;
-use crate::estimate::pass::Order;
+use crate::estimate::order::Order;
+use crate::estimate::point::Point;
 use crate::estimate::problem::Problem;
 use crate::estimate::sums::Sums;
-use crate::estimate::terms::Point;
 use crate::linalg::elements::Elements;
 use crate::linalg::symmetric;
 
@@ -27,7 +27,7 @@ pub(crate) fn prepared(problem: &Problem, point: Point) -> Option<Point> {
     Some(problem.move_mean(&point, problem.least_squares_step(&sums).as_slice()))
 }
 
-/// The next point, and the gain in ℓ that the step promises, from the sums of order [`Expected`](crate::estimate::pass::Order::Expected) at a point.
+/// The next point, and the gain in ℓ that the step promises, from the sums of order [`Expected`](crate::estimate::order::Order::Expected) at a point.
 pub(crate) fn step(problem: &Problem, point: &Point, sums: &Sums) -> (Point, f64) {
     let map = &problem.covariance;
     let move_mean = problem.least_squares_step(sums);

@@ -7,15 +7,18 @@ use nalgebra::DMatrix;
 use crate::estimate::certificate::{Certificate, certificate};
 use crate::estimate::climb::escaped;
 use crate::estimate::em::{self, Turn};
+use crate::estimate::error::FitError;
 use crate::estimate::local::{Local, Objective};
 use crate::estimate::newton::{Attempt, Damping, Place, retract};
-use crate::estimate::pass::Order;
+use crate::estimate::order::Order;
+use crate::estimate::point::Point;
 use crate::estimate::problem::Problem;
+use crate::estimate::result::{Estimate, State};
 use crate::estimate::rounding::rounding;
 use crate::estimate::settings::{Progress, Settings, Silent, Solver, Step};
+use crate::estimate::stop::Stop;
 use crate::estimate::sums::Sums;
-use crate::estimate::terms::Point;
-use crate::estimate::{Criterion, Estimate, FitError, State, Stop, Structure, pilot, quadratic, scoring, unobserved};
+use crate::estimate::{Criterion, Structure, pilot, quadratic, scoring, start, unobserved};
 use crate::model::Population;
 
 /// Most scoring steps before Newton's method takes over.
@@ -176,7 +179,7 @@ impl<'a> Search<'a> {
         let mut search = Search::new(problem, &settings, &mut silent);
         let ended = search.scored_start(start.clone()).and_then(|scored| search.newton(scored));
         let Ok((end, Stop::Certified)) = ended else { return Ok(None) };
-        let point = pilot::onward(&self.problem, &search.problem, &end.point)?;
+        let point = start::onward(&self.problem, &search.problem, &end.point)?;
         Ok(self.place(point, None).ok())
     }
 

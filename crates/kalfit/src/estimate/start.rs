@@ -5,8 +5,8 @@ use nalgebra::{DMatrix, DVector};
 use crate::estimate::chart::Chart;
 use crate::estimate::covariance::{CovarianceMap, Part, sub};
 use crate::estimate::newton::retract;
+use crate::estimate::point::Point;
 use crate::estimate::problem::{Problem, scaled_solve};
-use crate::estimate::terms::Point;
 use crate::estimate::{Classes, FitError, Structure, linear, pilot};
 use crate::linalg::symmetric;
 use crate::model::{Population, StructureError};
@@ -87,6 +87,11 @@ pub(crate) fn near(problem: &Problem, values: &Population) -> Result<Point, FitE
         coefficients: mean.coefficient_scale.iter().enumerate().map(coefficient).collect(),
         root,
     })
+}
+
+/// A pilot's end as a start for all tests: an end on the boundary a little inside, where the others may want to go.
+pub(crate) fn onward(whole: &Problem, pilot: &Problem, end: &Point) -> Result<Point, FitError> {
+    near(whole, &pilot.values_of(end))
 }
 
 /// Pooled least squares on the structure, with the model's start values where the data say nothing or the model says so.

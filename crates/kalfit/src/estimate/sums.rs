@@ -3,10 +3,10 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::lanes::{ChainTotals, Totals, WholeTotals};
-use crate::estimate::pass::{FlatMean, Order};
+use crate::estimate::order::{FlatMean, Order};
+use crate::estimate::point::Regressors;
 use crate::estimate::products::{Crosses, Products};
 use crate::estimate::reml::Restricted;
-use crate::estimate::terms::Regressors;
 use crate::linalg::elements::Elements;
 use crate::linalg::symmetric::{pair, pairs};
 

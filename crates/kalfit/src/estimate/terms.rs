@@ -12,37 +12,11 @@ use std::ops::Range;
 use nalgebra::DMatrix;
 
 use crate::estimate::chained::{Detail, Said};
-use crate::estimate::classes::Class;
+use crate::estimate::class::Class;
+use crate::estimate::point::{Point, Regressors};
 use crate::linalg::fold::fold;
 use crate::linalg::rows::Rows;
 use kalfit_lanes::Real;
-
-/// Where ℓ is evaluated, in η: the mean (without regression), scaled regression coefficients, and F with Σ = FF'.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Point {
-    pub(crate) mean: Vec<f64>,
-    pub(crate) coefficients: Vec<f64>,
-    pub(crate) root: DMatrix<f64>,
-}
-
-impl Point {
-    /// μ of the tests of a class.
-    pub(crate) fn mean_of(&self, class: &Class, regressors: &Regressors) -> Vec<f64> {
-        let mut mean = self.mean.clone();
-        for (c, &element) in regressors.iter().enumerate() {
-            mean[element] += class.covariates[c] * self.coefficients[c];
-        }
-        mean
-    }
-
-    /// Σ = FF'.
-    pub(crate) fn covariance(&self) -> DMatrix<f64> {
-        &self.root * self.root.transpose()
-    }
-}
-
-/// Elements of the mean that the regression coefficients act on.
-pub(crate) type Regressors = [usize];
 
 /// What one class says at a point, and the room to work it out. Matrices p × p by rows.
 #[derive(Debug, Clone)]

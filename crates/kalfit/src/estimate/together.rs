@@ -7,8 +7,10 @@ use kalfit_lanes::{Isa, Kernel, Lanes};
 use rayon::prelude::*;
 
 use crate::estimate::chained::{Detail, Kept, Packed, Root, grouped};
-use crate::estimate::classes::{Class, Classes};
-use crate::estimate::terms::{Point, Regressors, Terms};
+use crate::estimate::class::Class;
+use crate::estimate::classes::Classes;
+use crate::estimate::point::{Point, Regressors};
+use crate::estimate::terms::Terms;
 
 /// Classes that one thread takes at a time.
 const CHUNK: usize = 256;

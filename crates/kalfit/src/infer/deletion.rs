@@ -50,7 +50,7 @@ pub fn deletions(estimate: &Estimate, reductions: &[Reduction]) -> Vec<Option<De
 }
 
 /// Rough number of multiplications that [`deletions`] takes: of each step the pass, and what is done with its Hessian.
-pub fn deletion_work(estimate: &Estimate, tests: usize) -> f64 {
+pub(super) fn deletion_work(estimate: &Estimate, tests: usize) -> f64 {
     let (p, free) = (estimate.mean.len() as f64, estimate.state.place.tangent.basis.ncols() as f64);
     3.0 * tests as f64 * (estimate.classes as f64 * (p + 1.0).powi(3) + 2.5 * free.powi(3))
 }

@@ -5,23 +5,9 @@ use nalgebra::{DMatrix, DVector};
 use crate::estimate::{
     Constraint, CovarianceMap, Form, Limits, Local, Objective, Place, Point, Problem, State, Stop, climb, retract,
 };
+use crate::infer::holdable::Holdable;
 use crate::infer::law::Law;
 use crate::linalg::symmetric;
-
-/// A quantity that can be held. Values are in the user's units.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Holdable {
-    /// μ_i.
-    Mean(usize),
-    /// A regression coefficient.
-    Coefficient(usize),
-    /// √σ_ii.
-    StdDev(usize),
-    /// σ_ij, i ≠ j.
-    Covariance(usize, usize),
-    /// σ_ij / √(σ_ii σ_jj).
-    Correlation(usize, usize),
-}
 
 /// A point of the profile.
 #[derive(Debug, Clone)]

@@ -3,26 +3,12 @@
 use nalgebra::DMatrix;
 
 use crate::estimate::{CovarianceMap, Estimate, Form, Part, State};
+use crate::infer::direction::{Direction, Quantity};
 use crate::infer::law::Law;
-use crate::infer::{Direction, Quantity};
+use crate::infer::std_errors::{PART, StdErrors};
 use crate::linalg::elements::Elements;
 use crate::linalg::symmetric;
 use crate::reduce::Reduction;
-
-/// What standard errors are made of.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum StdErrors {
-    /// H⁻¹, H the negative Hessian of ℓ.
-    #[default]
-    Observed,
-    /// I⁻¹, I the expected information (theory §3).
-    Expected,
-    /// H⁻¹ (Σ_j s_j s_j') H⁻¹ with the scores s_j of the tests: right also when the model is not, given many tests.
-    Sandwich,
-}
-
-/// An element that takes part in an unidentified direction by more than this has no standard error.
-pub(crate) const PART: f64 = 1e-6;
 
 /// A squared correlation this near to one is one.
 const END: f64 = 1e-6;

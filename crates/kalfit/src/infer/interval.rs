@@ -3,7 +3,8 @@
 use rayon::prelude::*;
 
 use crate::estimate::{Criterion, Estimate, Point};
-use crate::infer::held::{Holdable, Holder};
+use crate::infer::held::Holder;
+use crate::infer::holdable::Holdable;
 use crate::infer::information::{Free, Uncertainty};
 use crate::linalg::elements::Elements;
 

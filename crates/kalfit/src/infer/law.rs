@@ -3,9 +3,8 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::{JointLaw, Order, Part, State};
-use crate::infer::StdErrors;
-use crate::infer::held::Holdable;
-use crate::infer::information::PART;
+use crate::infer::holdable::Holdable;
+use crate::infer::std_errors::{PART, StdErrors};
 use crate::linalg::symmetric;
 use crate::reduce::Reduction;
 

@@ -9,7 +9,9 @@
 
 mod constraint;
 mod deletion;
+mod direction;
 mod held;
+mod holdable;
 mod identifiability;
 mod information;
 mod interval;
@@ -19,14 +21,14 @@ mod phases;
 mod posterior;
 mod ratio;
 mod reason;
+mod std_errors;
 
 pub use crate::linalg::elements::Element;
 pub use constraint::{Sensitivity, sensitivities};
-pub use deletion::{Deletion, deletion_work, deletions};
-pub use identifiability::{
-    Direction, Examination, Quantity, examine_at_start, identifiability, identifiability_at_start,
-};
-pub use information::{Boundary, Free, StdErrors, Uncertainty, free, uncertainty};
+pub use deletion::{Deletion, deletions};
+pub use direction::{Direction, Quantity};
+pub use identifiability::{Examination, examine_at_start, identifiability};
+pub use information::{Boundary, Free, Uncertainty, free, uncertainty};
 pub use interval::{Interval, IntervalKind, Intervals, profile, wald};
 pub use observability::{Leading, MOST_TESTS, Observability, Shortage, StateObservability, WEAK, WeakDirection};
 pub use phases::PhaseObservability;
@@ -37,16 +39,20 @@ pub use ratio::{
     dynamic_ratio, fit_null, likelihood_ratio, restricted, started,
 };
 pub use reason::{Explanation, Reason};
+pub use std_errors::StdErrors;
 
 pub(crate) use constraint::is_held;
-pub(crate) use held::{Holdable, Holder};
+pub(crate) use held::Holder;
+pub(crate) use holdable::Holdable;
 pub(crate) use identifiability::directions;
-pub(crate) use information::{PART, uncertainty_at};
+pub(crate) use information::uncertainty_at;
 pub(crate) use interval::{Held, Holds, profiled, quantities, value};
 pub(crate) use law::Law;
+pub(crate) use std_errors::PART;
 
 use crate::estimate::{Criterion, Estimate};
 use crate::reduce::Reduction;
+use deletion::deletion_work;
 
 /// What to infer, and how.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

@@ -18,7 +18,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use crate::estimate::{Classes, Form, Part, Place, Problem, forms_in_parts};
-use crate::infer::identifiability::{NONE, unit};
+use crate::infer::direction::{NONE, unit};
 use crate::linalg::fold::norm;
 use crate::linalg::symmetric;
 use crate::reduce::Reduction;
@@ -136,7 +136,7 @@ pub(crate) fn observability(
 
 impl Observability {
     /// Ids of the tests that inform any of these states, in order, when there are at most [`MOST_TESTS`]; else none.
-    pub fn tests_of(&self, states: &[usize]) -> Vec<String> {
+    pub(super) fn tests_of(&self, states: &[usize]) -> Vec<String> {
         let of = || states.iter().map(|&i| &self.states[i]);
         if of().any(|state| state.informed_by > MOST_TESTS) {
             return Vec::new();

@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 
 use crate::estimate::{Chained, Kept, Problem};
-use crate::infer::identifiability::{NONE, simplest, unit};
+use crate::infer::direction::{NONE, simplest, unit};
 use crate::linalg::symmetric;
 use crate::reduce::Reduction;
 

@@ -1,7 +1,8 @@
 //! Why the data say nothing about a direction.
 
 use crate::estimate::Problem;
-use crate::infer::{Direction, Observability, Quantity};
+use crate::infer::direction::{Direction, Quantity};
+use crate::infer::observability::Observability;
 use crate::linalg::elements::Elements;
 
 /// A weight of a unit direction below this is none.

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use crate::innovations::Innovation;
+use crate::innovations::innovation::Innovation;
 
 /// e/√S of each measurement of each phase that has any, in the order of phases and measurements.
 #[derive(Debug)]

@@ -17,15 +17,18 @@
 
 mod chained;
 mod channels;
+mod innovation;
 mod law;
 mod plain;
 mod rows;
 mod series;
+mod start;
 mod whiteness;
 
 use rayon::prelude::*;
 
-pub use series::{Innovation, Innovations, Part, Summary};
+pub use innovation::Innovation;
+pub use series::{Innovations, Part, Summary};
 pub use whiteness::Whiteness;
 
 use crate::innovations::chained::Chained;

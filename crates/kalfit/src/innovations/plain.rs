@@ -15,9 +15,9 @@ use std::sync::Arc;
 use nalgebra::{DMatrix, DVector};
 
 use crate::ensemble::Test;
-use crate::innovations::chained::Start;
+use crate::innovations::innovation::Innovation;
 use crate::innovations::rows::{self, Figures};
-use crate::innovations::series::Innovation;
+use crate::innovations::start::Start;
 use crate::model::{Alpha, Phase, PhasedModel};
 use crate::reduce::{
     Cells, Evidence, Frame, Gains, Inherited, PhaseReducer, PhasedTest, Queue, ReduceError, Reducer, Terminal,

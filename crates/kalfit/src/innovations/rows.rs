@@ -1,7 +1,7 @@
 //! From a data pass over rows to their innovations.
 
 use crate::ensemble::Test;
-use crate::innovations::series::Innovation;
+use crate::innovations::innovation::Innovation;
 use crate::reduce::{Design, Gains, Instances, Workspace, own_innovations};
 
 /// e, S and e/√S of one measurement.

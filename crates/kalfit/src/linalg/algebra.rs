@@ -6,7 +6,8 @@ use std::ops::Range;
 use kalfit_lanes::Real;
 use nalgebra::DMatrix;
 
-use crate::linalg::rows::{Factors, Rows};
+use crate::linalg::factors::Factors;
+use crate::linalg::rows::Rows;
 
 /// Matrices q × q, and data of q rows. A matrix kept in more rows and columns than it has holds zeros there.
 pub(crate) trait Algebra {

@@ -45,7 +45,7 @@ pub fn flow(f: &[f64], q: &[f64], m: usize, step: f64) -> Result<Flow, FlowError
 }
 
 /// φ, Γ, Q of a single state: exp(fδ), expm1(fδ)/f, q expm1(2fδ)/(2f). Not finite where it overflows.
-pub fn scalar_flow(f: f64, q: f64, step: f64) -> [f64; 3] {
+pub(crate) fn scalar_flow(f: f64, q: f64, step: f64) -> [f64; 3] {
     let integral = |rate: f64| if rate == 0.0 { step } else { (rate * step).exp_m1() / rate };
     [(f * step).exp(), integral(f), if q == 0.0 { 0.0 } else { q * integral(2.0 * f) }]
 }

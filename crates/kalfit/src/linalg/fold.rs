@@ -107,7 +107,7 @@ const ABREAST: usize = 8;
 /// first `pivots` are of the triangle: data that stand beyond them are turned too, and what is left of them stands in the rows.
 /// Of tests side by side each lane has the bits it has by itself.
 #[inline(always)]
-pub fn fold_rows<T: Lanes>(
+pub(crate) fn fold_rows<T: Lanes>(
     info: &mut [T],
     rows: &mut [T],
     (pivots, width): (usize, usize),
@@ -180,7 +180,7 @@ impl<T: Lanes> Part for TurnSome<'_, T> {
 
 /// Folds one row, calling `note(k, rotation)` for each rotation with row k of `info`.
 #[inline(always)]
-pub fn fold_row(info: &mut [f64], row: &mut [f64], mut note: impl FnMut(usize, Rotation)) {
+pub(crate) fn fold_row(info: &mut [f64], row: &mut [f64], mut note: impl FnMut(usize, Rotation)) {
     let width = row.len();
     for k in 0..width {
         let pivot = &mut info[k * width..][..width];

@@ -4,6 +4,7 @@ pub(crate) mod algebra;
 pub mod echelon;
 pub mod elements;
 pub mod exponential;
+pub(crate) mod factors;
 pub(crate) mod fixed;
 pub mod fold;
 pub(crate) mod parts;

@@ -5,13 +5,52 @@ use kalfit_lanes::{Part, Real};
 use crate::linalg::parts::{Dots, Reflection, Sum, in_parts};
 use crate::linalg::rows::Rows;
 
+impl<T: Real> Rows<T> {
+    /// AB.
+    #[inline(always)]
+    pub(crate) fn times(&self, other: &Rows<T>) -> Rows<T> {
+        self.combined(other, (self.rows, self.columns, 1))
+    }
+
+    /// A'B.
+    #[inline(always)]
+    pub(crate) fn transpose_times(&self, other: &Rows<T>) -> Rows<T> {
+        self.combined(other, (self.columns, 1, self.columns))
+    }
+
+    /// Σ_k a_ik × row k of the other for so many i; how far it is from an a to that of the next i and of the next k.
+    #[inline(always)]
+    fn combined(&self, other: &Rows<T>, (rows, down, along): (usize, usize, usize)) -> Rows<T> {
+        let mut product = Rows::zeros(rows, other.columns);
+        if other.rows > 0 {
+            T::apart(Combine { a: &self.data, down, along, other, product: &mut product });
+        }
+        product
+    }
+
+    /// AB'.
+    #[inline(always)]
+    pub(crate) fn times_transpose(&self, other: &Rows<T>) -> Rows<T> {
+        let mut product = Rows::zeros(self.rows, other.rows);
+        T::apart(TimesTranspose { a: self, b: other, product: &mut product });
+        product
+    }
+
+    /// U⁻ᵀB, U upper triangular.
+    #[inline(always)]
+    pub(crate) fn solved_below(upper: &Rows<T>, mut b: Rows<T>) -> Rows<T> {
+        T::apart(SolveBelow { upper, b: &mut b });
+        b
+    }
+}
+
 /// Σ_k a_ik × row k of the other for each row i of the product; how far it is from an a to that of the next i and of the next k.
-pub(super) struct Combine<'a, T> {
-    pub(super) a: &'a [T],
-    pub(super) down: usize,
-    pub(super) along: usize,
-    pub(super) other: &'a Rows<T>,
-    pub(super) product: &'a mut Rows<T>,
+struct Combine<'a, T> {
+    a: &'a [T],
+    down: usize,
+    along: usize,
+    other: &'a Rows<T>,
+    product: &'a mut Rows<T>,
 }
 
 impl<T: Real> Part for Combine<'_, T> {
@@ -26,10 +65,10 @@ impl<T: Real> Part for Combine<'_, T> {
     }
 }
 
-pub(super) struct TimesTranspose<'a, T> {
-    pub(super) a: &'a Rows<T>,
-    pub(super) b: &'a Rows<T>,
-    pub(super) product: &'a mut Rows<T>,
+struct TimesTranspose<'a, T> {
+    a: &'a Rows<T>,
+    b: &'a Rows<T>,
+    product: &'a mut Rows<T>,
 }
 
 impl<T: Real> Part for TimesTranspose<'_, T> {
@@ -43,9 +82,9 @@ impl<T: Real> Part for TimesTranspose<'_, T> {
     }
 }
 
-pub(super) struct SolveBelow<'a, T> {
-    pub(super) upper: &'a Rows<T>,
-    pub(super) b: &'a mut Rows<T>,
+struct SolveBelow<'a, T> {
+    upper: &'a Rows<T>,
+    b: &'a mut Rows<T>,
 }
 
 impl<T: Real> Part for SolveBelow<'_, T> {

@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 /// Eigenvalues below this part of the largest count as zero in [`pseudo_solve`] and [`pseudo_inverse`].
-pub const RANK_TOLERANCE: f64 = 1e-11;
+const RANK_TOLERANCE: f64 = 1e-11;
 
 /// Number of pairs (i ≥ j): p(p+1)/2.
 pub fn pairs(p: usize) -> usize {
@@ -113,7 +113,7 @@ pub fn sizes(a: &DMatrix<f64>) -> Vec<f64> {
 }
 
 /// Smallest and largest eigenvalue after scaling to unit diagonal; zero diagonals are left as they are.
-pub fn scaled_range(a: &DMatrix<f64>) -> (f64, f64) {
+pub(crate) fn scaled_range(a: &DMatrix<f64>) -> (f64, f64) {
     let scale: Vec<f64> =
         (0..a.nrows()).map(|i| if a[(i, i)] > 0.0 { a[(i, i)].sqrt().recip() } else { 1.0 }).collect();
     let scaled = DMatrix::from_fn(a.nrows(), a.ncols(), |i, j| scale[i] * a[(i, j)] * scale[j]);
@@ -137,14 +137,14 @@ pub fn scaled(scale: &[f64], entry: impl Fn(usize, usize) -> f64) -> DMatrix<f64
 }
 
 /// True when no eigenvalue is negative beyond rounding.
-pub fn is_semidefinite(a: &DMatrix<f64>) -> bool {
+pub(crate) fn is_semidefinite(a: &DMatrix<f64>) -> bool {
     let (least, largest) = scaled_range(a);
     least >= -1e-10 * largest.abs().max(f64::MIN_POSITIVE)
 }
 
 /// Matrix over pairs of elements of symmetric matrices whose entry (σ_kl, σ_ab) sums `term(k, l, a, b)` over the places
 /// that the two elements stand in: one for a diagonal element, two for another.
-pub fn over_pairs(p: usize, term: impl Fn(usize, usize, usize, usize) -> f64) -> DMatrix<f64> {
+pub(crate) fn over_pairs(p: usize, term: impl Fn(usize, usize, usize, usize) -> f64) -> DMatrix<f64> {
     let mut result = DMatrix::zeros(pairs(p), pairs(p));
     for k in 0..p {
         for l in 0..p {

@@ -111,7 +111,7 @@ impl Parameter {
     }
 
     /// True when no value of it is known, at any level.
-    pub fn has_no_value(&self) -> bool {
+    fn has_no_value(&self) -> bool {
         self.is_free() && (self.per.is_none() || self.fixed_levels.is_empty())
     }
 

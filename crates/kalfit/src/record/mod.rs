@@ -33,7 +33,7 @@ pub use dynamic::DynamicParts;
 pub use dynamic_ratio::DynamicSides;
 pub use levels::{LevelCounts, level_notes};
 pub use model_check::{FindingRecord, ModelCheckRecord, SEARCH_LEVEL, displacement_limit, holm, overall_size};
-pub use own::{MOST_OWN, OwnRecord};
+pub use own::OwnRecord;
 pub use parameters::{MethodRecord, ParameterRecord, StartRecord};
 pub use phase::{
     BoundaryRecord, CovarianceRecord, EnteredRecord, FilterRecord, InformationLostRecord, InformationRecord,

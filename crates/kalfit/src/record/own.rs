@@ -7,7 +7,7 @@ use crate::linalg::symmetric;
 use crate::reduce::Reduction;
 
 /// More tests than this have no estimates of their own: they would double the size of the record.
-pub const MOST_OWN: usize = 2000;
+pub(super) const MOST_OWN: usize = 2000;
 /// An eigenvalue of J scaled to unit diagonal below this is none.
 const NONE: f64 = 1e-11;
 /// A state with more than this of a direction without information is not determined.

@@ -111,7 +111,7 @@ impl Reducer {
         Ok(Reducer::of(preparer, Shared::patient(CLASS_BYTES, EAGER_BYTES)))
     }
 
-    /// A reducer of tests that bring the law of their estimated states with them ([`Reducer::with_start`]): nothing is unknown.
+    /// A reducer of tests that bring the law of their estimated states with them: nothing is unknown.
     pub(crate) fn of_known_starts(model: &Model, alpha: &Alpha) -> Result<Reducer, ReduceError> {
         let preparer = Preparer::of_known_starts(model, alpha).map_err(|fault| fault.name(model, None))?;
         Ok(Reducer::of(preparer, Shared::patient(CLASS_BYTES, EAGER_BYTES)))
@@ -234,19 +234,7 @@ impl Reducer {
         work: &mut Workspace,
         pass: impl FnOnce(&Gains, &mut Workspace) -> T,
     ) -> Result<T, ReduceError> {
-        self.with_start(test, work, |_| {}, pass)
-    }
-
-    /// The same, with a and P0 of the test as `begin` leaves them.
-    pub(crate) fn with_start<T>(
-        &self,
-        test: &Test,
-        work: &mut Workspace,
-        begin: impl FnOnce(&mut Workspace),
-        pass: impl FnOnce(&Gains, &mut Workspace) -> T,
-    ) -> Result<T, ReduceError> {
         self.preparer.prepare(test, work).map_err(|fault| self.named(*fault, test))?;
-        begin(work);
         self.with_prepared(test, work.design.digest(), work, pass)
     }
 

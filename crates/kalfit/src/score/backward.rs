@@ -28,144 +28,26 @@ mod equal;
 mod filtered;
 mod line;
 mod parts;
+mod run;
+mod sink;
 mod smooth;
 mod spreads;
 mod steady;
 #[cfg(test)]
 mod tests;
+mod work;
 
-use std::ops::Range;
-
-use crate::reduce::{Design, Gains, Settling, Step};
-use crate::score::moments::Moments;
+use crate::reduce::Step;
 use adjoint::{Adjoint, LineBar};
-use filtered::{Filtered, Seen};
-use parts::{Kind, Part};
+use filtered::Seen;
+use work::{Kind, Part};
 
 pub(crate) use abreast::{Abreast, StepBars, fits};
+pub(crate) use run::{Ending, Run, Wanted};
+pub(crate) use sink::{MeasuredBar, MovedBar, Sink};
 pub(crate) use smooth::{Driven, Smoothed, Smoothing};
 pub(crate) use spreads::Spreads;
-
-/// What the chain rule asks of a backward pass.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(crate) struct Wanted {
-    /// ∂ℓ/∂φ.
-    pub(crate) motion: bool,
-    /// ∂ℓ/∂h.
-    pub(crate) equation: bool,
-}
-
-/// Adjoints of the scalar measurements of one step, as they stand in the design (whitened).
-#[derive(Debug, Clone, Default, PartialEq)]
-pub(crate) struct MeasuredBar {
-    /// ∂ℓ/∂R.
-    pub(crate) noise: Vec<f64>,
-    /// ∂ℓ/∂(z - d).
-    pub(crate) value: Vec<f64>,
-    /// ∂ℓ/∂h over all states, n numbers a measurement; empty when not wanted.
-    pub(crate) h: Vec<f64>,
-}
-
-/// Adjoints of one transition.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct MovedBar<T = f64> {
-    /// ∂ℓ/∂φ, entry by entry of [`Transition::phi`](crate::reduce::Transition::phi); zero when not wanted.
-    pub(crate) phi: Vec<T>,
-    /// ∂ℓ/∂Q, entry by entry of [`Transition::q`](crate::reduce::Transition::q): an entry off the diagonal stands for both places.
-    pub(crate) q: Vec<T>,
-    /// ∂ℓ/∂b of the driven states.
-    pub(crate) input: Vec<T>,
-}
-
-impl<T> Default for MovedBar<T> {
-    fn default() -> MovedBar<T> {
-        MovedBar { phi: Vec::new(), q: Vec::new(), input: Vec::new() }
-    }
-}
-
-/// Takes adjoints from the last step to the first.
-pub(crate) trait Sink {
-    /// Why it cannot go on.
-    type Error;
-    /// Whether the sums of the adjoints over these equal steps will do; they are then given as those of the first of them.
-    fn sums(&mut self, steps: Range<usize>) -> bool;
-    /// Of the measurements of step `k`.
-    fn measured(&mut self, k: usize, bar: &MeasuredBar) -> Result<(), Self::Error>;
-    /// Of the transition to step `k`.
-    fn moved(&mut self, k: usize, bar: &MovedBar) -> Result<(), Self::Error>;
-    /// Of a (n) and P0 (r × r, each place by itself).
-    fn started(&mut self, mean: &[f64], variance: &[f64]) -> Result<(), Self::Error>;
-}
-
-/// How long records are cut.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Cut {
-    /// Steps from one kept state of the forward filter to the next.
-    block: usize,
-    /// So many equal steps are not worth a kernel of their own,
-    few: usize,
-    /// nor so many after the first [`MOST`] times: the state of the filter is kept each time.
-    short: usize,
-}
-
-/// Short stretches that are gone back through by themselves.
-const MOST: usize = 64;
-
-impl Default for Cut {
-    fn default() -> Cut {
-        Cut { block: 256, few: 4, short: 64 }
-    }
-}
-
-/// What is remembered of the forward pass, and work space.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct BackwardWork {
-    cut: Cut,
-    /// ē of each scalar measurement.
-    e: Vec<f64>,
-    parts: Vec<Part>,
-    /// States of the forward filter, as [`Filtered::save`] keeps them, where parts begin and within long ones.
-    marks: Vec<f64>,
-    /// Those of one part, before each transition and before each measurement.
-    left: Vec<f64>,
-    before: Vec<f64>,
-    now: Filtered,
-    adjoint: Adjoint,
-    settling: Settling,
-    variance: Vec<f64>,
-    measured: MeasuredBar,
-    moved: MovedBar,
-}
-
-impl BackwardWork {
-    /// N and ρ are renewed at every step: to compare with.
-    pub(crate) fn set_unfrozen(&mut self, unfrozen: bool) {
-        self.settling.off = unfrozen;
-    }
-}
-
-/// One test as the pass sees it.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Run<'a> {
-    pub(crate) design: &'a Design,
-    pub(crate) gains: &'a Gains,
-    pub(crate) start: &'a [f64],
-    pub(crate) inputs: &'a [f64],
-    pub(crate) values: &'a [f64],
-    pub(crate) moments: &'a Moments,
-    /// Where later phases say something of the last state.
-    pub(crate) ending: Option<&'a Ending>,
-    pub(crate) wanted: Wanted,
-}
-
-/// r (n), ρ (n × columns) and N (r × r) after the last step, in kernel order: adjoints of x_K from the phases that follow
-/// (theory §7).
-#[derive(Debug, Clone, Default, PartialEq)]
-pub(crate) struct Ending {
-    pub(crate) r: Vec<f64>,
-    pub(crate) rho: Vec<f64>,
-    pub(crate) N: Vec<f64>,
-}
+pub(crate) use work::BackwardWork;
 
 impl Run<'_> {
     /// The adjoints of the test, into the sink.

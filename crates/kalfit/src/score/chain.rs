@@ -9,42 +9,29 @@
 //! Every coefficient that depends on a free value is a tap: adjoints gather at it and go through its expression once for each
 //! run of equal cells. The cost does not depend on the number of free values.
 
+mod adjoints;
+mod gradient;
 mod groups;
 mod measured;
+mod measuring;
 mod moved;
+mod moving;
 mod response;
 mod taps;
 #[cfg(test)]
 mod tests;
 
 use std::collections::BTreeSet;
-use std::ops::Range;
 
-use crate::ensemble::Test;
 use crate::model::Slots;
-use crate::reduce::{
-    At, Coefficient, Fault, LawAdjoint, Preparer, ReduceErrorKind, Replay, StartAdjoint, Subject, Workspace,
-};
+use crate::reduce::{At, Coefficient, Fault, Preparer, ReduceErrorKind, Subject};
 
+pub(crate) use adjoints::Adjoints;
+pub(crate) use gradient::{Gradient, add};
 pub(crate) use measured::Measured;
-use measured::Measuring;
 pub(crate) use moved::Moved;
-use moved::Moving;
 pub(crate) use response::{Entry, Response};
-use taps::{Context, Pending, Read, Taps};
-
-/// Gradient of one test: (slot, dℓ/dvalue), each slot at most once, ascending.
-pub(crate) type Gradient = Vec<(usize, f64)>;
-
-/// Adds one gradient to another.
-pub(crate) fn add(gradient: &mut Gradient, other: &Gradient) {
-    for &(slot, x) in other {
-        match gradient.binary_search_by_key(&slot, |&(slot, _)| slot) {
-            Ok(at) => gradient[at].1 += x,
-            Err(at) => gradient.insert(at, (slot, x)),
-        }
-    }
-}
+use taps::{Context, Read, Taps};
 
 /// The way from the coefficients of a model at α to its free values. Threads share it.
 #[derive(Debug)]
@@ -181,18 +168,6 @@ impl<'a> Chain<'a> {
         self.needs.start
     }
 
-    /// An accumulator, for one test after the other.
-    pub(crate) fn adjoints(&self) -> Adjoints<'_> {
-        Adjoints {
-            chain: self,
-            pending: Pending::new(&self.taps, &self.preparer.at(), self.slots),
-            moving: Moving::new(self),
-            measuring: Measuring::default(),
-            replay: Replay::default(),
-            start: StartAdjoint::default(),
-        }
-    }
-
     fn context(&self) -> Context<'_> {
         Context { at: self.preparer.at(), slots: self.slots, taps: &self.taps }
     }
@@ -220,90 +195,4 @@ fn refuse_jumps(at: &At<'_>, preparer: &Preparer) -> Result<(), Box<Fault>> {
     };
     preparer.meters.filters().try_for_each(|(m, filter)| refuse(filter, Subject::Filter(m)))?;
     preparer.start.initial_time.iter().try_for_each(|time| refuse(time, Subject::InitialTime))
-}
-
-/// The adjoints of one test, from its last step to its first, on their way to dℓ/dα.
-#[derive(Debug)]
-pub(crate) struct Adjoints<'a> {
-    chain: &'a Chain<'a>,
-    pending: Pending,
-    moving: Moving,
-    measuring: Measuring,
-    replay: Replay,
-    start: StartAdjoint,
-}
-
-impl Adjoints<'_> {
-    /// True when equal steps of one measurement each have coefficients that depend on the free values in the same way, so that
-    /// the sums of their adjoints, as those of the first of them, give the same gradient.
-    pub(crate) fn uniform(&self, test: &Test, steps: Range<usize>, work: &Workspace) -> bool {
-        let chain = self.chain;
-        let (first, last) = (work.design.step(steps.start).rows, work.design.step(steps.end - 1).rows);
-        if first.is_empty() || !work.instances.uniform(first.start..last.end) {
-            return false;
-        }
-        let Some(reads) = &chain.cells else { return true };
-        if !work.same_dt(&steps) {
-            return false;
-        }
-        let rows = work.rows_of(&steps, chain.preparer.reads_previous());
-        let (numbers, texts) = (test.numbers(rows.start), test.texts(rows.start));
-        reads.iter().all(|read| match *read {
-            Read::Step => true,
-            Read::Number(column) => {
-                rows.clone().all(|row| test.numbers(row)[column].to_bits() == numbers[column].to_bits())
-            }
-            Read::Text(column) => rows.clone().all(|row| test.texts(row)[column] == texts[column]),
-        })
-    }
-
-    /// The start of a test, after [`Preparer::prepare`] into `work`. `mean`: ∂ℓ/∂a, n numbers in kernel order; `variance`:
-    /// ∂ℓ/∂P0, r × r, symmetric, the derivative to each place by itself. Not read unless [`Chain::needs_start`].
-    pub(crate) fn started(
-        &mut self,
-        test: &Test,
-        work: &Workspace,
-        mean: &[f64],
-        variance: &[f64],
-    ) -> Result<(), Box<Fault>> {
-        let Adjoints { chain, pending, moving, replay, start: out, .. } = self;
-        if !chain.needs.start {
-            return Ok(());
-        }
-        let (preparer, context) = (chain.preparer, chain.context());
-        let law = LawAdjoint { place: &preparer.order.place, r: preparer.order.frame.r, mean, variance };
-        if !preparer.start.settles() {
-            preparer.start.backward(&context.at, (&[], &[]), &law, out)?;
-        } else {
-            let scope = preparer.settled(test, work, &mut moving.cells)?;
-            preparer.settling(&scope, replay)?;
-            preparer.start.backward(&context.at, (&replay.values, &replay.inputs), &law, out)?;
-            let slots = chain.values.iter().zip(&out.values).chain(chain.inputs.iter().zip(&out.inputs));
-            for (tap, &bar) in slots {
-                if let Some(tap) = *tap {
-                    pending.add(&context, tap, bar, &scope)?;
-                }
-            }
-        }
-        let scope = preparer.starting(work);
-        for (tap, &bar) in chain.start.iter().zip(&out.coefficients) {
-            if let Some(tap) = *tap {
-                pending.add(&context, tap, bar, &scope)?;
-            }
-        }
-        Ok(())
-    }
-
-    /// The gradient of the test; the next one can begin.
-    pub(crate) fn finish(&mut self, test: &Test, work: &Workspace) -> Result<Gradient, Box<Fault>> {
-        let result = self.settle(test, work).and_then(|()| self.pending.finish(&self.chain.context()));
-        self.clear();
-        result
-    }
-
-    /// Forgets what was given so far.
-    fn clear(&mut self) {
-        self.pending.clear();
-        self.moving.groups.clear();
-    }
 }

@@ -25,9 +25,10 @@ use std::borrow::Cow;
 
 use nalgebra::DMatrix;
 
-use crate::estimate::chained::Phase;
+use crate::estimate::chained::phase::Phase;
 use crate::linalg::algebra::Algebra;
-use crate::linalg::rows::{Factors, Rows};
+use crate::linalg::factors::Factors;
+use crate::linalg::rows::Rows;
 use kalfit_lanes::Real;
 
 /// F with Σ = FF' of all phases, lower triangular, its diagonal not negative.

@@ -6,6 +6,7 @@
 mod kept;
 mod kernel;
 mod packed;
+mod phase;
 mod shape;
 
 use std::ops::Range;
@@ -14,9 +15,11 @@ use kalfit_lanes::Real;
 use nalgebra::DMatrix;
 
 use crate::estimate::chained::kernel::{Phases, Prior, compressed};
+use crate::estimate::chained::phase::{Link, Phase};
 use crate::estimate::chained::shape::PhaseShape;
 use crate::estimate::frame::Frame;
-use crate::linalg::rows::{Factors, Plain, Rotations, Rows};
+use crate::linalg::factors::{Factors, Plain, Rotations};
+use crate::linalg::rows::Rows;
 use crate::reduce::{Chain, ChainPhase, Path, Reduction};
 
 pub(crate) use kept::{Kept, grouped};
@@ -34,26 +37,6 @@ pub(crate) struct Chained<T = f64> {
     count: T,
     /// Some phase needs square-root arithmetic.
     careful: bool,
-}
-
-/// One phase, its matrices and data kept in whatever way.
-#[derive(Debug, Clone)]
-struct Phase<M, D> {
-    /// Its states among those of all phases.
-    own: Range<usize>,
-    /// R, q × q, upper triangular.
-    factor: M,
-    /// d of all columns, q × columns.
-    data: D,
-    link: Option<Link<M>>,
-}
-
-#[derive(Debug, Clone)]
-struct Link<M> {
-    /// G, q × q of the phase before.
-    sensitivity: M,
-    /// C', any number × q.
-    root: M,
 }
 
 impl Chained {

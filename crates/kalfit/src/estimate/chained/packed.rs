@@ -8,17 +8,16 @@ use kalfit_lanes::{Lanes, Part};
 
 use crate::estimate::chained::kernel::{Detail, Phases, Prior, Root, Said};
 use crate::estimate::chained::{Chained, Link, Phase, Shape, centre, scales, told};
-use crate::estimate::classes::Class;
 use crate::estimate::frame::Frame;
-use crate::estimate::terms::{Point, Regressors};
+use crate::linalg::factors::Plain;
 use crate::linalg::fixed::Fixed;
-use crate::linalg::rows::{Plain, Rows};
+use crate::linalg::rows::Rows;
 use crate::reduce::{Chain, Reduction};
 
 /// As many classes of one shape as there are lanes, or fewer: lanes that no class takes have a class without tests.
 #[derive(Debug, Clone)]
 pub(crate) struct Packed {
-    members: Vec<usize>,
+    pub(in crate::estimate) members: Vec<usize>,
     shape: Arc<Shape>,
     lanes: usize,
     /// n of each, then all their numbers, entry by entry: of each phase the upper triangle of R by rows, d, G and C'.
@@ -160,28 +159,6 @@ impl Packed {
             before = q;
         }
         phases
-    }
-
-    /// μ of the tests of each class.
-    #[inline(always)]
-    pub(crate) fn means<T: Lanes>(
-        &self,
-        classes: &[impl std::borrow::Borrow<Class>],
-        point: &Point,
-        regressors: &Regressors,
-    ) -> Vec<T> {
-        let mut mean = Vec::with_capacity(point.mean.len());
-        for x in &point.mean {
-            mean.push(T::splat(*x));
-        }
-        for (c, &element) in regressors.iter().enumerate() {
-            let mut moved = [0.0; kalfit_lanes::MOST];
-            for (to, &member) in moved.iter_mut().zip(&self.members) {
-                *to = classes[member].borrow().covariates[c] * point.coefficients[c];
-            }
-            mean[element] = mean[element] + T::load(&moved);
-        }
-        mean
     }
 }
 

@@ -6,10 +6,10 @@ use std::sync::Arc;
 use kalfit_lanes::{Isa, Kernel, Lanes};
 
 use crate::estimate::chained::{Detail, Packed, Root, Said};
-use crate::estimate::classes::Class;
+use crate::estimate::class::Class;
 use crate::estimate::lanes::gather::Gather;
-use crate::estimate::pass::Order;
-use crate::estimate::terms::{Point, Regressors};
+use crate::estimate::order::Order;
+use crate::estimate::point::{Point, Regressors};
 use crate::linalg::elements::Elements;
 use crate::linalg::rows::Rows;
 use crate::linalg::symmetric::pair;

@@ -4,6 +4,7 @@ mod any;
 mod chains;
 mod dense;
 mod gather;
+mod layout;
 mod plain;
 mod rows;
 mod whole;
@@ -12,9 +13,10 @@ use kalfit_lanes::Isa;
 use nalgebra::DMatrix;
 use rayon::prelude::*;
 
-use crate::estimate::classes::Class;
-use crate::estimate::pass::{Order, Wanted};
-use crate::estimate::terms::Point;
+use crate::estimate::class::Class;
+use crate::estimate::lanes::layout::Layout;
+use crate::estimate::order::{Order, Wanted};
+use crate::estimate::point::Point;
 use crate::linalg::symmetric::pairs;
 pub(crate) use chains::{Pass as ChainPass, Totals as ChainTotals};
 pub(crate) use plain::Totals;
@@ -30,37 +32,6 @@ pub(crate) struct Blocks {
     classes: usize,
     /// Σ constant.
     constant: f64,
-}
-
-/// What stands in a block, each number of all its classes side by side: R by columns, d, the vectors of the scatter of classes of
-/// several tests, the covariates, and n of classes of several tests.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Layout {
-    p: usize,
-    covariates: usize,
-    several: bool,
-}
-
-impl Layout {
-    /// Where the vectors of the scatter stand.
-    fn scatter(&self) -> usize {
-        pairs(self.p) + self.p
-    }
-
-    /// Where the covariates stand.
-    fn covariates(&self) -> usize {
-        self.scatter() + if self.several { self.p * self.p } else { 0 }
-    }
-
-    /// Where n stands, if it does.
-    fn count(&self) -> usize {
-        self.covariates() + self.covariates
-    }
-
-    /// Numbers of a class.
-    fn size(&self) -> usize {
-        self.count() + usize::from(self.several)
-    }
 }
 
 /// Fewest blocks that one task sums, of many states and of one: a task of few states takes no less time than one of many. How many it

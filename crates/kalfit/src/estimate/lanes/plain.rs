@@ -8,7 +8,7 @@ use crate::estimate::lanes::any::Room;
 use crate::estimate::lanes::dense::{Law, Told, entries, told};
 use crate::estimate::lanes::gather::Gather;
 use crate::estimate::lanes::rows::{add_one, at, log_det, sums};
-use crate::estimate::pass::Order;
+use crate::estimate::order::Order;
 
 /// Most states whose sums of first derivatives are few enough for the registers.
 const IN_REGISTERS: usize = 3;

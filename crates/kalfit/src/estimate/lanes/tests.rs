@@ -4,7 +4,8 @@ use kalfit_lanes::Isa;
 use nalgebra::DMatrix;
 
 use super::*;
-use crate::estimate::pass::{FlatMean, one_by_one};
+use crate::estimate::order::FlatMean;
+use crate::estimate::pass::one_by_one;
 use crate::estimate::terms::Terms;
 use crate::linalg::elements::Elements;
 

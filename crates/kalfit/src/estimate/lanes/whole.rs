@@ -5,12 +5,12 @@
 use kalfit_lanes::{Isa, Kernel, Lanes};
 use nalgebra::DMatrix;
 
-use crate::estimate::lanes::Layout;
 use crate::estimate::lanes::any::Room;
 use crate::estimate::lanes::gather::Gather;
+use crate::estimate::lanes::layout::Layout;
 use crate::estimate::lanes::rows::{add_one, at, log_det, sums};
-use crate::estimate::pass::{Order, Wanted};
-use crate::estimate::terms::Point;
+use crate::estimate::order::{Order, Wanted};
+use crate::estimate::point::Point;
 use crate::linalg::symmetric::{pair, pairs};
 
 /// One pass over some blocks.

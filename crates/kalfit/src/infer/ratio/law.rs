@@ -31,7 +31,7 @@ impl ReferenceLaw {
     }
 
     /// Whether it is one χ².
-    pub fn is_chi_squared(&self) -> bool {
+    pub(crate) fn is_chi_squared(&self) -> bool {
         self.components.len() == 1
     }
 
@@ -41,7 +41,7 @@ impl ReferenceLaw {
     }
 
     /// The same with the weights of independent variances.
-    pub fn tail_if_independent(&self, x: f64) -> f64 {
+    pub(crate) fn tail_if_independent(&self, x: f64) -> f64 {
         tail(&self.independent, x)
     }
 }

@@ -36,7 +36,7 @@ impl LikelihoodRatio {
     }
 
     /// Tail probability under χ² with all the degrees of freedom.
-    pub fn chi_squared_p_value(&self) -> f64 {
+    pub(crate) fn chi_squared_p_value(&self) -> f64 {
         law::chi_squared_tail(self.degrees_of_freedom, self.statistic)
     }
 }

@@ -1,14 +1,11 @@
 //! Are the innovations uncorrelated in time?
 
+mod lags;
 mod null;
 mod table;
 
+use self::lags::most_lags;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
-
-/// No more lags than this.
-const MOST_LAGS: usize = 10;
-/// One lag for each so many innovations.
-const PER_LAG: usize = 5;
 
 /// Ljung and Box's test (1978), of each measurement of each phase by itself, added up over them:
 ///
@@ -48,10 +45,6 @@ impl Whiteness {
         let chi = ChiSquared::new(degrees_of_freedom as f64).ok().filter(|_| degrees_of_freedom > 0)?;
         Some(Whiteness { statistic, lags, degrees_of_freedom, p_value: chi.sf(value) })
     }
-}
-
-fn most_lags(n: usize) -> usize {
-    (n / PER_LAG).min(MOST_LAGS)
 }
 
 fn ljung_box(z: &[f64]) -> Option<f64> {

@@ -1,7 +1,7 @@
 //! The law of Ljung and Box's statistic when nothing is correlated.
 
+use super::lags::{MOST_LAGS, PER_LAG, most_lags};
 use super::table::{CHI_SQUARED, LENGTHS, QUANTILES};
-use super::{MOST_LAGS, PER_LAG, most_lags};
 
 /// Number of tail probabilities for which quantiles are known.
 const LEVELS: usize = CHI_SQUARED[0].len();

@@ -42,6 +42,6 @@ impl StackPhase<'_> {
 }
 
 /// Size of a packed triangle with so many entries.
-pub(crate) fn packed_size(entries: usize) -> usize {
+fn packed_size(entries: usize) -> usize {
     (0..).find(|&size| size * (size + 1) / 2 >= entries).expect("sizes have no end")
 }

@@ -9,7 +9,9 @@ use crate::reduce::{Block, Design, Gained, Woven, is_short};
 use crate::score::backward::adjoint::{Adjoint, LineBar};
 use crate::score::backward::filtered::{Begin, Filtered, Seen};
 use crate::score::backward::line::{Line, Unknown};
-use crate::score::backward::{Cut, Ending, MeasuredBar, MovedBar, Sink, Wanted};
+use crate::score::backward::run::{Ending, Wanted};
+use crate::score::backward::sink::{MeasuredBar, MovedBar, Sink};
+use crate::score::backward::work::Cut;
 use crate::score::moments::Moments;
 
 /// Numbers of one test that the pass remembers: no more than these.

@@ -4,9 +4,9 @@
 use kalfit_lanes::Real;
 
 use crate::reduce::Transition;
-use crate::score::backward::MovedBar;
 use crate::score::backward::filtered::{Seen, second};
 use crate::score::backward::line::{Line, Unknown, dot};
+use crate::score::backward::sink::MovedBar;
 
 /// Adjoints of the state: r (n), ρ (n × c), N (r × r).
 #[derive(Debug, Clone)]

@@ -4,18 +4,10 @@
 use crate::reduce::{Frozen, Piece, Stretch, moving};
 use crate::score::backward::bars::{Bars, Gain, Rest, Spread, Sums};
 use crate::score::backward::filtered::Filtered;
-use crate::score::backward::parts::Part;
+use crate::score::backward::run::Run;
 use crate::score::backward::steady::Steady;
-use crate::score::backward::{BackwardWork, Run};
-
-/// The way forth over a stretch, and back.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Kernel {
-    pub(super) forward: Pass,
-    pub(super) backward: Pass,
-}
-
-type Pass = fn(&Run<'_>, &Part, &mut BackwardWork);
+use crate::score::backward::work::Part;
+use crate::score::backward::work::{BackwardWork, Kernel};
 
 impl Kernel {
     fn new<const N: usize, const C: usize>() -> Kernel {

@@ -4,8 +4,8 @@
 use kalfit_lanes::Real;
 
 use crate::reduce::Transition;
-use crate::score::backward::Run;
 use crate::score::backward::line::{Line, Unknown, dot};
+use crate::score::backward::run::Run;
 
 /// x̄ (n); where adjoints of φ or h are wanted P (r × r, both triangles) and ΨC (n × c) too.
 #[derive(Debug, Clone)]

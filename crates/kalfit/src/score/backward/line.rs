@@ -4,7 +4,7 @@
 use kalfit_lanes::Real;
 
 use crate::reduce::Frame;
-use crate::score::backward::{Run, Wanted};
+use crate::score::backward::run::{Run, Wanted};
 
 /// A scalar measurement.
 #[derive(Debug, Clone, Copy)]

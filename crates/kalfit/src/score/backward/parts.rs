@@ -1,46 +1,9 @@
-//! The parts in which a record is gone back through, and the way forth over them.
+//! A record cut into parts, and the way forth over them.
 
-use crate::reduce::{Design, Step};
-use crate::score::backward::equal::{Kernel, kernel};
-use crate::score::backward::{BackwardWork, MOST, Run, Sink};
-
-/// Steps that are gone back through together.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Part {
-    pub(super) kind: Kind,
-    /// Numbers of the first step, and of the first one after.
-    pub(super) steps: (usize, usize),
-    /// The stretch that the first step is of, and its number there.
-    pub(super) stretch: usize,
-    skip: usize,
-    /// First known input.
-    input: usize,
-    /// Where the state of the forward filter before it is kept.
-    pub(super) mark: usize,
-}
-
-/// How.
-#[derive(Debug, Clone, Copy)]
-pub(super) enum Kind {
-    /// One by one.
-    Steps,
-    /// A whole stretch of equal ones, summed.
-    Equal(Kernel),
-}
-
-impl Part {
-    /// Its steps, in order.
-    pub(super) fn steps<'a>(&self, design: &'a Design) -> std::vec::IntoIter<Step<'a>> {
-        let (mut stretch, mut skip) = (self.stretch, self.skip);
-        let mut steps = Vec::with_capacity(self.steps.1 - self.steps.0);
-        while steps.len() < self.steps.1 - self.steps.0 {
-            let left = self.steps.1 - self.steps.0 - steps.len();
-            steps.extend(design.stretch(stretch).steps().skip(skip).take(left));
-            (stretch, skip) = (stretch + 1, 0);
-        }
-        steps.into_iter()
-    }
-}
+use crate::score::backward::equal::kernel;
+use crate::score::backward::run::Run;
+use crate::score::backward::sink::Sink;
+use crate::score::backward::work::{BackwardWork, Kind, MOST, Part};
 
 impl Run<'_> {
     /// Length of a kept state.

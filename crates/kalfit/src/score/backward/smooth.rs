@@ -10,7 +10,8 @@ use crate::reduce::Transition;
 use crate::score::backward::adjoint::columns;
 use crate::score::backward::filtered::{Seen, second};
 use crate::score::backward::line::dot;
-use crate::score::backward::{BackwardWork, Run};
+use crate::score::backward::run::Run;
+use crate::score::backward::work::BackwardWork;
 
 /// Takes moments from the last step to the first.
 pub(crate) trait Smoothing {

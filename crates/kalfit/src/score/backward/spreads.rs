@@ -1,6 +1,7 @@
 //! P before each step, for passes that share it.
 
-use crate::score::backward::{BackwardWork, Run};
+use crate::score::backward::run::Run;
+use crate::score::backward::work::BackwardWork;
 
 /// P, r × r, as far as adjoints are wanted that need it: before each transition, and before each scalar measurement.
 #[derive(Debug, Clone, Default)]

@@ -2,9 +2,9 @@
 //! states that move; those that rest are constants.
 
 use crate::reduce::Stretch;
-use crate::score::backward::Run;
 use crate::score::backward::bars::{Bars, Gain, Rest, Spread, Sums};
 use crate::score::backward::filtered::Filtered;
+use crate::score::backward::run::Run;
 
 /// The coefficients of a step. C: columns of ΨC.
 #[derive(Debug, Clone, Copy)]

@@ -1,5 +1,6 @@
 //! Adjoints against differences of the likelihood, and every way through a record against the plain one.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector};
@@ -7,10 +8,12 @@ use nalgebra::{DMatrix, DVector};
 use super::*;
 use crate::estimate::InitialLaw;
 use crate::reduce::{
-    DENSE, Data, DataWork, Frame, GainsWork, Path, Pattern, Reduction, information_gains, outcome, root_gains,
+    DENSE, Data, DataWork, Design, Frame, Gains, GainsWork, Path, Pattern, Reduction, information_gains, outcome,
+    root_gains,
 };
 use crate::reduce::{Inherited, PhaseReduction, Terminal, Transition};
-use crate::score::moments::moments;
+use crate::score::backward::work::Cut;
+use crate::score::moments::{Moments, moments};
 use crate::score::smoother::{PhaseLaws, Plan};
 
 /// A test by hand: four states, the first two noisy, three unknowns; every number of it is its own.

@@ -4,8 +4,9 @@ use std::ops::Range;
 
 use crate::ensemble::Test;
 use crate::model::Scope;
-use crate::reduce::{Fault, Unwhitened, Workspace};
-use crate::score::chain::Adjoints;
+use crate::reduce::{Fault, Workspace};
+use crate::score::chain::adjoints::Adjoints;
+use crate::score::chain::measuring::Measuring;
 
 /// Adjoints of one step's whitened scalar measurements.
 #[derive(Debug, Clone, Copy)]
@@ -17,14 +18,6 @@ pub(crate) struct Measured<'a> {
     /// ∂ℓ/∂h to all n kernel states, one row for each, when [`Chain::needs_equation`](super::Chain::needs_equation); else it may
     /// be empty.
     pub(crate) h: &'a [f64],
-}
-
-/// Room for measurements whose noises are correlated.
-#[derive(Debug, Clone, Default)]
-pub(super) struct Measuring {
-    raw: Vec<f64>,
-    back: Unwhitened,
-    diagonal: Vec<f64>,
 }
 
 impl Adjoints<'_> {

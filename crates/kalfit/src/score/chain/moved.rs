@@ -4,48 +4,19 @@ use std::sync::Arc;
 
 use crate::ensemble::Test;
 use crate::model::Scope;
-use crate::reduce::{Cells, Evaluated, Fault, Transition, Workspace};
-use crate::score::chain::groups::Groups;
-use crate::score::chain::{Adjoints, Chain};
+use crate::reduce::{Evaluated, Fault, Transition, Workspace};
+use crate::score::chain::adjoints::Adjoints;
+use crate::score::chain::moving::Moving;
 
 /// Adjoints of one step's transition. What no free value asks for is not read, and may be empty.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Moved<'a> {
-    /// ∂ℓ/∂φ, one for each entry of the transition, when [`Chain::needs_motion`].
+    /// ∂ℓ/∂φ, one for each entry of the transition, when [`Chain::needs_motion`](super::Chain::needs_motion).
     pub(crate) phi: &'a [f64],
-    /// ∂ℓ/∂Q, one for each of its pairs, when [`Chain::needs_noise`]; off the diagonal for both places together.
+    /// ∂ℓ/∂Q, one for each of its pairs, when [`Chain::needs_noise`](super::Chain::needs_noise); off the diagonal for both places together.
     pub(crate) q: &'a [f64],
-    /// ∂ℓ/∂b, one for each driven state, when [`Chain::needs_motion`].
+    /// ∂ℓ/∂b, one for each driven state, when [`Chain::needs_motion`](super::Chain::needs_motion).
     pub(crate) input: &'a [f64],
-}
-
-/// What has come of the steps of a test.
-#[derive(Debug, Clone)]
-pub(super) struct Moving {
-    pub(super) groups: Groups,
-    /// Entries of φ, of Q.
-    entries: (usize, usize),
-    pub(super) cells: Cells,
-    /// Sums of one group; adjoints of its coefficients.
-    sums: Vec<f64>,
-    bars: Vec<f64>,
-    flows: Vec<f64>,
-}
-
-impl Moving {
-    pub(super) fn new(chain: &Chain<'_>) -> Moving {
-        let preparer = chain.preparer;
-        let (phi, q) = preparer.plan.entries();
-        let flows = preparer.plan.flow_len(&preparer.dynamics);
-        Moving {
-            groups: Groups::new(phi + q + flows, if chain.needs.inputs { flows } else { 0 }),
-            entries: (phi, q),
-            cells: Cells::default(),
-            sums: Vec::new(),
-            bars: Vec::new(),
-            flows: Vec::new(),
-        }
-    }
 }
 
 impl Adjoints<'_> {

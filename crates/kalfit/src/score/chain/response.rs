@@ -11,7 +11,10 @@ use std::sync::Arc;
 
 use crate::ensemble::Test;
 use crate::reduce::{Fault, Workspace};
-use crate::score::chain::{Adjoints, Gradient, Measured, Moved};
+use crate::score::chain::adjoints::Adjoints;
+use crate::score::chain::gradient::Gradient;
+use crate::score::chain::measured::Measured;
+use crate::score::chain::moved::Moved;
 
 /// Where factors stand, from and to.
 pub(crate) type Span = (u32, u32);

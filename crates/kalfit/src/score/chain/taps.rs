@@ -3,7 +3,7 @@
 use crate::ensemble::Label;
 use crate::model::{Alpha, EvaluationError, Expression, Scope, Slots, Tape};
 use crate::reduce::{At, Coefficient, Fault, ReduceErrorKind, Subject, Uses};
-use crate::score::chain::Gradient;
+use crate::score::chain::gradient::Gradient;
 
 /// A cell of the data that a coefficient reads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]

@@ -4,11 +4,12 @@
 use std::collections::BTreeMap;
 
 use super::*;
-use crate::ensemble::{Label, Labels, Source};
+use crate::ensemble::{Label, Labels, Source, Test};
 use crate::model::{
     Clock, Column, CovarianceStructure, Expression, Function, Initial, Linear, MeanStructure, Measurement, Model,
     Motion, Operator, Parameter, State, Value,
 };
+use crate::reduce::Workspace;
 use crate::score::chain::measured::Measured;
 use crate::score::chain::moved::Moved;
 

@@ -1,0 +1,40 @@
+//! Why there is no estimate.
+
+use crate::model::StructureError;
+
+/// Why there is no estimate.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum FitError {
+    /// There are no tests.
+    #[error("there are no tests")]
+    NoTests,
+    /// The structure of Σ cannot be.
+    #[error(transparent)]
+    Structure(#[from] StructureError),
+    /// Two tests have the same id.
+    #[error("two tests have the id `{id}`")]
+    DuplicateTest {
+        /// The id.
+        id: String,
+    },
+    /// A test that is not kept phase by phase, where each phase is to be taken by itself.
+    #[error("the reduction of test `{test}` does not hold its phases one by one, which `marginal` needs")]
+    NoPhases {
+        /// Its id.
+        test: String,
+    },
+    /// The restricted likelihood of phases taken by themselves.
+    #[error("there is no restricted likelihood of several phases that are each taken by themselves (`marginal`)")]
+    RestrictedMarginal,
+    /// ℓ is not a finite number at the start.
+    #[error("the log-likelihood is not finite at the start values")]
+    NotFinite,
+    /// A step lowered the log-likelihood, which EM cannot do: the arithmetic has broken down.
+    #[error("an EM step lowered the log-likelihood from {before} to {after}; the problem is too ill-conditioned")]
+    NotMonotone {
+        /// ℓ before the step.
+        before: f64,
+        /// ℓ after it.
+        after: f64,
+    },
+}

@@ -1,0 +1,58 @@
+//! A point of (μ, Σ), in η.
+
+use kalfit_lanes::Lanes;
+use nalgebra::DMatrix;
+
+use crate::estimate::chained::Packed;
+use crate::estimate::class::Class;
+
+/// Where ℓ is evaluated, in η: the mean (without regression), scaled regression coefficients, and F with Σ = FF'.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Point {
+    pub(crate) mean: Vec<f64>,
+    pub(crate) coefficients: Vec<f64>,
+    pub(crate) root: DMatrix<f64>,
+}
+
+impl Point {
+    /// μ of the tests of a class.
+    pub(crate) fn mean_of(&self, class: &Class, regressors: &Regressors) -> Vec<f64> {
+        let mut mean = self.mean.clone();
+        for (c, &element) in regressors.iter().enumerate() {
+            mean[element] += class.covariates[c] * self.coefficients[c];
+        }
+        mean
+    }
+
+    /// Σ = FF'.
+    pub(crate) fn covariance(&self) -> DMatrix<f64> {
+        &self.root * self.root.transpose()
+    }
+}
+
+/// Elements of the mean that the regression coefficients act on.
+pub(crate) type Regressors = [usize];
+
+impl Packed {
+    /// μ of the tests of each class.
+    #[inline(always)]
+    pub(crate) fn means<T: Lanes>(
+        &self,
+        classes: &[impl std::borrow::Borrow<Class>],
+        point: &Point,
+        regressors: &Regressors,
+    ) -> Vec<T> {
+        let mut mean = Vec::with_capacity(point.mean.len());
+        for x in &point.mean {
+            mean.push(T::splat(*x));
+        }
+        for (c, &element) in regressors.iter().enumerate() {
+            let mut moved = [0.0; kalfit_lanes::MOST];
+            for (to, &member) in moved.iter_mut().zip(&self.members) {
+                *to = classes[member].borrow().covariates[c] * point.coefficients[c];
+            }
+            mean[element] = mean[element] + T::load(&moved);
+        }
+        mean
+    }
+}

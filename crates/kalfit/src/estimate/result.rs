@@ -1,0 +1,141 @@
+//! Where a search ended.
+
+use std::borrow::Cow;
+
+use nalgebra::DMatrix;
+
+use crate::estimate::certificate::Certificate;
+use crate::estimate::covariance::Form;
+use crate::estimate::error::FitError;
+use crate::estimate::evidence::evidence;
+use crate::estimate::joint_law::JointLaw;
+use crate::estimate::newton::Place;
+use crate::estimate::order::Order;
+use crate::estimate::problem::Problem;
+use crate::estimate::rounding::rounding;
+use crate::estimate::settings::{Combination, Criterion, Settings, Solver};
+use crate::estimate::stop::Stop;
+use crate::estimate::structure::{Assumed, Structure};
+use crate::estimate::sums::Sums;
+use crate::model::Population;
+use crate::reduce::Reduction;
+
+/// Where the search ended, in the user's units.
+#[derive(Debug, Clone)]
+pub struct Estimate {
+    /// μ (p).
+    pub mean: Vec<f64>,
+    /// Regression coefficients, in the order of [`Structure::regressions`].
+    pub coefficients: Vec<f64>,
+    /// Σ (p × p). Fixed elements have exactly their values.
+    pub covariance: DMatrix<f64>,
+    /// ℓ, or under [`Criterion::Reml`] the restricted ℓ_R; every constant included. It is that of all phases together, also where
+    /// something else was maximised.
+    pub log_likelihood: f64,
+    /// What was maximised instead, under [`Combination::Marginal`] in several phases: the sum of the log-densities of the phases'
+    /// least-squares differences. Standard errors within a phase, the certificate and the trace are of it.
+    pub composite: Option<f64>,
+    /// The optimality certificate.
+    pub certificate: Certificate,
+    /// Why the search stopped.
+    pub stop: Stop,
+    /// ℓ after each accepted step.
+    pub trace: Vec<f64>,
+    /// Passes over the reductions.
+    pub passes: usize,
+    /// Number of classes of tests with one information matrix.
+    pub classes: usize,
+    /// Solver that was used.
+    pub solver: Solver,
+    /// What was maximised.
+    pub criterion: Criterion,
+    /// What inference needs: the problem, the final point in its own coordinates, and the derivatives there.
+    pub(crate) state: State,
+}
+
+impl Estimate {
+    /// With the log-likelihood of all phases together, where something else was maximised.
+    pub(super) fn of_all(mut self, reductions: &[Reduction]) -> Result<Estimate, FitError> {
+        if self.state.is_marginal() {
+            let (problem, point) = (&self.state.problem, &self.state.place.point);
+            let whole = Problem::within(reductions, &self.state.structure(), problem)?;
+            self.composite = Some(self.log_likelihood);
+            self.log_likelihood = whole.likelihood(point, Order::First).value;
+        }
+        Ok(self)
+    }
+
+    /// Number of free mean quantities, as declared: elements of μ and regression coefficients.
+    pub fn declared_mean(&self) -> usize {
+        let mean = &self.state.problem.mean;
+        mean.basis.ncols() + mean.regressors.len()
+    }
+
+    /// Number of free covariance quantities, as declared.
+    pub fn declared_covariance(&self) -> usize {
+        self.state.problem.covariance.declared()
+    }
+
+    /// β of a phase's Σ = βΣ*; zero for other structures.
+    pub fn covariance_scale(&self, phase: usize) -> f64 {
+        let part = &self.state.problem.covariance.parts[phase];
+        let sigma = self.state.place.point.covariance();
+        match &part.form {
+            Form::Scale(star) => part.states.clone().map(|i| sigma[(i, i)]).sum::<f64>() / star.norm_squared(),
+            _ => 0.0,
+        }
+    }
+}
+
+impl From<&Estimate> for Population {
+    fn from(estimate: &Estimate) -> Population {
+        Population {
+            mean: estimate.mean.clone(),
+            coefficients: estimate.coefficients.clone(),
+            covariance: estimate.covariance.clone(),
+        }
+    }
+}
+
+/// The end of the search in the estimator's own coordinates.
+#[derive(Debug, Clone)]
+pub(crate) struct State {
+    pub(crate) problem: std::sync::Arc<Problem>,
+    pub(crate) place: Place,
+    pub(crate) sums: Sums,
+    pub(crate) assumed: Assumed,
+    pub(crate) settings: Settings,
+    /// What standard errors are made of where dynamic parameters are estimated too, with their uncertainty in it.
+    pub(crate) joint: Option<JointLaw>,
+}
+
+impl State {
+    /// The reductions whose likelihood was maximised, from those that the estimate was made from.
+    pub(crate) fn evidence<'a>(&self, reductions: &'a [Reduction]) -> Cow<'a, [Reduction]> {
+        let elements = &self.problem.covariance.elements;
+        evidence(reductions, (elements.blocks().len(), elements.states()), &self.settings)
+            .expect("the estimate was made from such")
+    }
+
+    /// Each phase was taken by itself.
+    pub(crate) fn is_marginal(&self) -> bool {
+        self.settings.phases == Combination::Marginal && !self.problem.covariance.elements.is_single()
+    }
+
+    /// What rounding leaves open, by mean coordinate (elements of μ, then regression coefficients), in standard errors.
+    pub(crate) fn rounding(&self) -> Vec<f64> {
+        rounding(&self.problem.classes.frame, &self.place)
+    }
+
+    /// The structure that was assumed.
+    pub(crate) fn structure(&self) -> Structure<'_> {
+        self.assumed.structure()
+    }
+
+    /// dΣ in the user's units as a column over the elements of Σ, in η.
+    pub(crate) fn elements_in(&self, derivative: &DMatrix<f64>) -> Vec<f64> {
+        let scale = &self.problem.classes.frame.scale;
+        let elements = &self.problem.covariance.elements;
+        elements.all().map(|(i, j)| derivative[(i, j)] / (scale[i] * scale[j])).collect()
+    }
+}

@@ -1,0 +1,21 @@
+//! One number that the filter did not foresee.
+
+/// One scalar innovation.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Innovation {
+    /// Index of the phase.
+    pub phase: usize,
+    /// Number of the step in the phase, from 0.
+    pub step: usize,
+    /// Time of the step, where the model has times; in the model's time unit.
+    pub time: Option<f64>,
+    /// Index of the measurement in the phase's model. Of measurements with correlated noise, later ones of a step are here less
+    /// what the noise of the earlier ones says of theirs.
+    pub measurement: usize,
+    /// e, in the measurement's unit.
+    pub value: f64,
+    /// S, its variance.
+    pub variance: f64,
+    /// e/√S, which is N(0, 1) when the model is right.
+    pub standardised: f64,
+}

@@ -1,0 +1,37 @@
+//! One test as the backward pass sees it.
+#![expect(non_snake_case, reason = "the letters of the theory: N")]
+
+use crate::reduce::{Design, Gains};
+use crate::score::moments::Moments;
+
+/// What the chain rule asks of a backward pass.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) struct Wanted {
+    /// ∂ℓ/∂φ.
+    pub(crate) motion: bool,
+    /// ∂ℓ/∂h.
+    pub(crate) equation: bool,
+}
+
+/// One test as the pass sees it.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Run<'a> {
+    pub(crate) design: &'a Design,
+    pub(crate) gains: &'a Gains,
+    pub(crate) start: &'a [f64],
+    pub(crate) inputs: &'a [f64],
+    pub(crate) values: &'a [f64],
+    pub(crate) moments: &'a Moments,
+    /// Where later phases say something of the last state.
+    pub(crate) ending: Option<&'a Ending>,
+    pub(crate) wanted: Wanted,
+}
+
+/// r (n), ρ (n × columns) and N (r × r) after the last step, in kernel order: adjoints of x_K from the phases that follow
+/// (theory §7).
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct Ending {
+    pub(crate) r: Vec<f64>,
+    pub(crate) rho: Vec<f64>,
+    pub(crate) N: Vec<f64>,
+}

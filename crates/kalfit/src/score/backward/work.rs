@@ -1,0 +1,102 @@
+//! What is remembered of the forward pass, and the parts in which it is gone back through.
+
+use crate::reduce::{Design, Settling, Step};
+use crate::score::backward::adjoint::Adjoint;
+use crate::score::backward::filtered::Filtered;
+use crate::score::backward::run::Run;
+use crate::score::backward::sink::{MeasuredBar, MovedBar};
+
+/// How long records are cut.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Cut {
+    /// Steps from one kept state of the forward filter to the next.
+    pub(super) block: usize,
+    /// So many equal steps are not worth a kernel of their own,
+    pub(super) few: usize,
+    /// nor so many after the first [`MOST`] times: the state of the filter is kept each time.
+    pub(super) short: usize,
+}
+
+/// Short stretches that are gone back through by themselves.
+pub(super) const MOST: usize = 64;
+
+impl Default for Cut {
+    fn default() -> Cut {
+        Cut { block: 256, few: 4, short: 64 }
+    }
+}
+
+/// What is remembered of the forward pass, and work space.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct BackwardWork {
+    pub(super) cut: Cut,
+    /// ē of each scalar measurement.
+    pub(super) e: Vec<f64>,
+    pub(super) parts: Vec<Part>,
+    /// States of the forward filter, as [`Filtered::save`] keeps them, where parts begin and within long ones.
+    pub(super) marks: Vec<f64>,
+    /// Those of one part, before each transition and before each measurement.
+    pub(super) left: Vec<f64>,
+    pub(super) before: Vec<f64>,
+    pub(super) now: Filtered,
+    pub(super) adjoint: Adjoint,
+    pub(super) settling: Settling,
+    pub(super) variance: Vec<f64>,
+    pub(super) measured: MeasuredBar,
+    pub(super) moved: MovedBar,
+}
+
+impl BackwardWork {
+    /// N and ρ are renewed at every step: to compare with.
+    pub(crate) fn set_unfrozen(&mut self, unfrozen: bool) {
+        self.settling.off = unfrozen;
+    }
+}
+
+/// Steps that are gone back through together.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Part {
+    pub(super) kind: Kind,
+    /// Numbers of the first step, and of the first one after.
+    pub(super) steps: (usize, usize),
+    /// The stretch that the first step is of, and its number there.
+    pub(super) stretch: usize,
+    pub(super) skip: usize,
+    /// First known input.
+    pub(super) input: usize,
+    /// Where the state of the forward filter before it is kept.
+    pub(super) mark: usize,
+}
+
+/// How.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Kind {
+    /// One by one.
+    Steps,
+    /// A whole stretch of equal ones, summed.
+    Equal(Kernel),
+}
+
+impl Part {
+    /// Its steps, in order.
+    pub(super) fn steps<'a>(&self, design: &'a Design) -> std::vec::IntoIter<Step<'a>> {
+        let (mut stretch, mut skip) = (self.stretch, self.skip);
+        let mut steps = Vec::with_capacity(self.steps.1 - self.steps.0);
+        while steps.len() < self.steps.1 - self.steps.0 {
+            let left = self.steps.1 - self.steps.0 - steps.len();
+            steps.extend(design.stretch(stretch).steps().skip(skip).take(left));
+            (stretch, skip) = (stretch + 1, 0);
+        }
+        steps.into_iter()
+    }
+}
+
+/// The way forth over a stretch, and back.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Kernel {
+    pub(super) forward: Pass,
+    pub(super) backward: Pass,
+}
+
+/// One way over a part.
+pub(super) type Pass = fn(&Run<'_>, &Part, &mut BackwardWork);

@@ -1,0 +1,111 @@
+//! The adjoints of one test on their way to dℓ/dα: where they begin, and where they end.
+
+use std::ops::Range;
+
+use crate::ensemble::Test;
+use crate::reduce::{Fault, LawAdjoint, Replay, StartAdjoint, Workspace};
+use crate::score::chain::Chain;
+use crate::score::chain::gradient::Gradient;
+use crate::score::chain::measuring::Measuring;
+use crate::score::chain::moving::Moving;
+use crate::score::chain::taps::{Pending, Read};
+
+/// The adjoints of one test, from its last step to its first, on their way to dℓ/dα.
+#[derive(Debug)]
+pub(crate) struct Adjoints<'a> {
+    pub(super) chain: &'a Chain<'a>,
+    pub(super) pending: Pending,
+    pub(super) moving: Moving,
+    pub(super) measuring: Measuring,
+    pub(super) replay: Replay,
+    pub(super) start: StartAdjoint,
+}
+
+impl Chain<'_> {
+    /// An accumulator, for one test after the other.
+    pub(crate) fn adjoints(&self) -> Adjoints<'_> {
+        Adjoints {
+            chain: self,
+            pending: Pending::new(&self.taps, &self.preparer.at(), self.slots),
+            moving: Moving::new(self),
+            measuring: Measuring::default(),
+            replay: Replay::default(),
+            start: StartAdjoint::default(),
+        }
+    }
+}
+
+impl Adjoints<'_> {
+    /// True when equal steps of one measurement each have coefficients that depend on the free values in the same way, so that
+    /// the sums of their adjoints, as those of the first of them, give the same gradient.
+    pub(crate) fn uniform(&self, test: &Test, steps: Range<usize>, work: &Workspace) -> bool {
+        let chain = self.chain;
+        let (first, last) = (work.design.step(steps.start).rows, work.design.step(steps.end - 1).rows);
+        if first.is_empty() || !work.instances.uniform(first.start..last.end) {
+            return false;
+        }
+        let Some(reads) = &chain.cells else { return true };
+        if !work.same_dt(&steps) {
+            return false;
+        }
+        let rows = work.rows_of(&steps, chain.preparer.reads_previous());
+        let (numbers, texts) = (test.numbers(rows.start), test.texts(rows.start));
+        reads.iter().all(|read| match *read {
+            Read::Step => true,
+            Read::Number(column) => {
+                rows.clone().all(|row| test.numbers(row)[column].to_bits() == numbers[column].to_bits())
+            }
+            Read::Text(column) => rows.clone().all(|row| test.texts(row)[column] == texts[column]),
+        })
+    }
+
+    /// The start of a test, after [`Preparer::prepare`](crate::reduce::Preparer::prepare) into `work`. `mean`: ∂ℓ/∂a, n numbers in kernel order; `variance`:
+    /// ∂ℓ/∂P0, r × r, symmetric, the derivative to each place by itself. Not read unless [`Chain::needs_start`].
+    pub(crate) fn started(
+        &mut self,
+        test: &Test,
+        work: &Workspace,
+        mean: &[f64],
+        variance: &[f64],
+    ) -> Result<(), Box<Fault>> {
+        let Adjoints { chain, pending, moving, replay, start: out, .. } = self;
+        if !chain.needs.start {
+            return Ok(());
+        }
+        let (preparer, context) = (chain.preparer, chain.context());
+        let law = LawAdjoint { place: &preparer.order.place, r: preparer.order.frame.r, mean, variance };
+        if !preparer.start.settles() {
+            preparer.start.backward(&context.at, (&[], &[]), &law, out)?;
+        } else {
+            let scope = preparer.settled(test, work, &mut moving.cells)?;
+            preparer.settling(&scope, replay)?;
+            preparer.start.backward(&context.at, (&replay.values, &replay.inputs), &law, out)?;
+            let slots = chain.values.iter().zip(&out.values).chain(chain.inputs.iter().zip(&out.inputs));
+            for (tap, &bar) in slots {
+                if let Some(tap) = *tap {
+                    pending.add(&context, tap, bar, &scope)?;
+                }
+            }
+        }
+        let scope = preparer.starting(work);
+        for (tap, &bar) in chain.start.iter().zip(&out.coefficients) {
+            if let Some(tap) = *tap {
+                pending.add(&context, tap, bar, &scope)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The gradient of the test; the next one can begin.
+    pub(crate) fn finish(&mut self, test: &Test, work: &Workspace) -> Result<Gradient, Box<Fault>> {
+        let result = self.settle(test, work).and_then(|()| self.pending.finish(&self.chain.context()));
+        self.clear();
+        result
+    }
+
+    /// Forgets what was given so far.
+    pub(super) fn clear(&mut self) {
+        self.pending.clear();
+        self.moving.groups.clear();
+    }
+}
