@@ -3,8 +3,9 @@
 use std::ops::Range;
 
 use kalfit::dynamic::DynamicError;
+use kalfit::dynamic::DynamicRatioError;
 use kalfit::estimate::FitError;
-use kalfit::infer::{DynamicRatioError, Element, NotNested};
+use kalfit::infer::{Element, NotNested};
 use kalfit::plan::PlanError;
 use kalfit::record::{FIT_SCHEMA, MixedGroup};
 use kalfit::reduce::{ReduceError, SplitError};

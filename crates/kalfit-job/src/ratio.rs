@@ -1,10 +1,10 @@
 //! `kalfit test` where dynamic parameters are free: both sides are fitted with α, to tests that are kept.
 
-use kalfit::dynamic::{self, DynamicFit, Method, ParameterInference, Settings};
-use kalfit::infer::{
-    Choices, DeletionChoice, DynamicRatioError, Inference, LikelihoodRatio, NotNested, dynamic_bootstrap_while,
-    dynamic_ratio, restricted, started,
+use kalfit::dynamic::{
+    self, DynamicFit, DynamicRatioError, Method, ParameterInference, Settings, dynamic_bootstrap_while, dynamic_ratio,
+    started,
 };
+use kalfit::infer::{Choices, DeletionChoice, Inference, LikelihoodRatio, NotNested, restricted};
 use kalfit::model::Slots;
 use kalfit::record::{DynamicParts, DynamicSides, PartRecord, RatioProvenance, RatioRecord};
 use kalfit::{Labels, Model, PhasedModel, PhasedTest};

@@ -4,7 +4,8 @@
 
 use crate::dynamic::Coordinate;
 use crate::dynamic::bench::Bench;
-use crate::dynamic::start::{FACTOR, mentions, time_constants, tried};
+use crate::dynamic::scales::{mentions, time_constants};
+use crate::dynamic::tries::{FACTOR, tried};
 use crate::estimate::Progress;
 
 /// Powers of the factor tried for levels of one kind alone.

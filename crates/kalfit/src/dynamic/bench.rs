@@ -9,16 +9,16 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use nalgebra::DVector;
 
 use crate::dynamic::edges::Edges;
-use crate::dynamic::indirect::Indirect;
+use crate::dynamic::indirect::{Around, Indirect};
 use crate::dynamic::matrices::{self, matrix_gradient};
 use crate::dynamic::scale::{self, AtScale, Scale};
-use crate::dynamic::start;
+use crate::dynamic::scales::Scales;
 use crate::dynamic::twins::Twins;
 use crate::dynamic::{Coordinate, DynamicError, Settings};
 use crate::estimate::{self, Criterion, Estimate, FitError, InitialLaw, NoiseInformation, Silent, Structure};
-use crate::model::{Alpha, PhasedModel, Population};
+use crate::model::{Alpha, PhasedModel, Population, Slots};
 use crate::reduce::{Evidence, PhasedReducer, PhasedTest, Reduction};
-use crate::score::{Companies, Gradient, Levels, PhasedComplete, PhasedScorer, Slots, carried};
+use crate::score::{Companies, Gradient, Levels, PhasedComplete, PhasedScorer, carried};
 
 /// The ensemble and the model, ready for any α.
 #[derive(Debug)]
@@ -136,8 +136,8 @@ impl<'a> Bench<'a> {
     /// What the data suggest for each value; 1 where they suggest nothing.
     pub(crate) fn units(&self) -> &[f64] {
         self.units.get_or_init(|| {
-            let scales = start::Scales::of(self);
-            let unit = |slot: &crate::score::Slot| scales.guess(self.model, slot.parameter);
+            let scales = Scales::of(self.model, self.tests, &self.order);
+            let unit = |slot: &crate::model::Slot| scales.guess(self.model, slot.parameter);
             let one = |(slot, coordinate): (_, &Coordinate)| if coordinate.log { unit(slot) } else { 1.0 };
             self.slots.slots().iter().zip(&self.coordinates).map(one).collect()
         })
@@ -397,7 +397,9 @@ impl<'a> Bench<'a> {
         let scorer = PhasedScorer::new(self.model, reducer, self.slots).map_err(Box::new)?;
         let mut scores = scorer.scores(self.tests, reductions, law, self.companies(&scorer)).map_err(Box::new)?;
         self.edges.pull(values, &self.alpha(values), self.slots, &mut scores);
-        self.indirect.add(self, (reducer, values), (reductions, law), &mut scores).map_err(Box::new)?;
+        let alpha = |values: &[f64]| self.alpha(values);
+        let around = Around { model: self.model, tests: self.tests, slots: self.slots, alpha: &alpha };
+        self.indirect.add(&around, (reducer, values), (reductions, law), &mut scores).map_err(Box::new)?;
         Ok(scores)
     }
 

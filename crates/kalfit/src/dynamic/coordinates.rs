@@ -3,9 +3,9 @@
 //! ℓ is analytic in a variance v ≥ 0, not in its standard deviation or its logarithm: near zero a noise level moves in its variance,
 //! where zero is a bound like any other (theory §13).
 
-use crate::dynamic::start::time_constants;
-use crate::model::{Expression, Motion, PhasedModel};
-use crate::score::{Slots, power};
+use crate::dynamic::scales::time_constants;
+use crate::model::{Expression, Motion, PhasedModel, Slots};
+use crate::score::power;
 
 /// How one free value is sought.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -23,7 +23,7 @@ impl Coordinate {
     /// Of all free values of a model.
     pub(crate) fn of(model: &PhasedModel, slots: &Slots) -> Vec<Coordinate> {
         let constants = time_constants(model);
-        let one = |slot: &crate::score::Slot| {
+        let one = |slot: &crate::model::Slot| {
             let parameter = &model.shared().parameters[slot.parameter];
             let least = if parameter.positive { 0.0 } else { f64::NEG_INFINITY };
             let is_level = parameter.positive && !constants.contains(&slot.parameter);
@@ -69,6 +69,20 @@ impl Coordinate {
             false => (end(self.lower, -3.0 * size), end(self.upper, 3.0 * size)),
         };
         [0.0, 0.25, 0.5, 0.75, 1.0].iter().map(|part| low + part * (high - low)).collect()
+    }
+
+    /// A start value strictly between the bounds where that is possible.
+    pub(crate) fn inside(&self, value: f64) -> f64 {
+        if value > self.lower && value < self.upper {
+            return value;
+        }
+        match (self.lower.is_finite(), self.upper.is_finite()) {
+            (true, true) => 0.5 * (self.lower + self.upper),
+            (true, false) if self.log => 2.0 * self.lower.max(0.5),
+            (true, false) => self.lower + 1.0,
+            (false, true) => self.upper - 1.0,
+            (false, false) => value,
+        }
     }
 
     /// Whether the value stands at its lower bound.

@@ -10,11 +10,11 @@
 //! ```
 
 use crate::dynamic::Coordinate;
-use crate::dynamic::joint::Covariances;
+use crate::dynamic::covariances::Covariances;
 use crate::ensemble::{Label, Test};
-use crate::model::{Alpha, Expression, Model, Motion, PhasedModel, Scope, Tape};
+use crate::model::{Alpha, Expression, Model, Motion, PhasedModel, Scope, Slots, Tape};
 use crate::reduce::{Evidence, PhasedTest};
-use crate::score::{Gradient, Slots, add, mentioned, power};
+use crate::score::{Gradient, add, mentioned, power};
 
 /// Rows with different cells that an edge is looked for over.
 const MOST_ROWS: usize = 4096;

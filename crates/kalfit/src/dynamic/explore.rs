@@ -5,7 +5,10 @@
 //! zero are tried at other sizes, and the search begins anew from the data where the start values were given.
 
 use crate::dynamic::bench::Bench;
-use crate::dynamic::search::{End, RISE, Search};
+use crate::dynamic::iterate::{End, RISE, Search};
+use crate::dynamic::scales::{mentions, time_constants};
+use crate::dynamic::search::search;
+use crate::dynamic::tries::{best_of, other_maxima};
 use crate::dynamic::twins::ordered;
 use crate::dynamic::{DynamicError, Method, Settings, start};
 use crate::estimate::{Progress, Silent, Stop};
@@ -98,7 +101,7 @@ fn look_around(
         let Some(found) = higher else { return Ok(()) };
         let found = match bench.settings.method {
             Method::Hybrid => found,
-            _ => crate::dynamic::search::search(bench, found.restart().into(), None, progress)?,
+            _ => search(bench, found.restart().into(), None, progress)?,
         };
         ends.push(found);
     }
@@ -123,7 +126,7 @@ fn places(bench: &Bench<'_>, end: &End, held: Option<usize>, progress: &mut dyn 
         common && coordinate.level.is_some() && coordinate.lower == 0.0 && held != Some(*s)
     };
     let levels: Vec<usize> = (0..values.len()).filter(is_level).collect();
-    let timed = !start::time_constants(bench.model).is_empty();
+    let timed = !time_constants(bench.model).is_empty();
     for &s in levels.iter().filter(|&&s| values[s] > 0.0 && timed && drives(bench, s)) {
         let mut without = values.clone();
         without[s] = 0.0;
@@ -133,8 +136,8 @@ fn places(bench: &Bench<'_>, end: &End, held: Option<usize>, progress: &mut dyn 
         all.extend(sizes(bench, end, (s, bench.units()[s])));
     }
     let is_open = |parameter: usize| bench.slots.common(parameter).is_some_and(|s| held != Some(s));
-    for parameter in start::time_constants(bench.model).into_iter().filter(|&p| is_open(p)) {
-        all.extend(start::other_maxima(bench, parameter, values, progress));
+    for parameter in time_constants(bench.model).into_iter().filter(|&p| is_open(p)) {
+        all.extend(other_maxima(bench, parameter, values, progress));
         all.extend(levels.iter().filter_map(|&s| taken_over(bench, values, s, parameter, progress)));
     }
     all
@@ -153,8 +156,8 @@ fn taken_over(
             Motion::Constant => None,
             Motion::Continuous { derivative: motion, noise_variance }
             | Motion::Discrete { next: motion, noise_variance } => {
-                let timed = motion.terms.iter().any(|(_, term)| start::mentions(term, time_constant));
-                let mentioned = |t: &usize| start::mentions(noise_variance, bench.slots.slots()[*t].parameter);
+                let timed = motion.terms.iter().any(|(_, term)| mentions(term, time_constant));
+                let mentioned = |t: &usize| mentions(noise_variance, bench.slots.slots()[*t].parameter);
                 let level = |t: &usize| bench.coordinates[*t].level.is_some() && mentioned(t);
                 (0..values.len()).find(level).filter(|_| timed)
             }
@@ -166,7 +169,7 @@ fn taken_over(
     let mut over = values.to_vec();
     over[taker] = values[s].powf(from / to).clamp(bench.coordinates[taker].lower, bench.coordinates[taker].upper);
     over[s] = 0.0;
-    start::best_of(bench, time_constant, &over, progress)
+    best_of(bench, time_constant, &over, progress)
 }
 
 /// A level of the motion of some state.
@@ -175,7 +178,7 @@ fn drives(bench: &Bench<'_>, s: usize) -> bool {
     bench.model.phases.iter().flat_map(|phase| &phase.model.states).any(|state| match &state.motion {
         Motion::Constant => false,
         Motion::Continuous { noise_variance, .. } | Motion::Discrete { noise_variance, .. } => {
-            start::mentions(noise_variance, parameter)
+            mentions(noise_variance, parameter)
         }
     })
 }

@@ -8,8 +8,9 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::dynamic::Method;
 use crate::dynamic::bench::Solved;
+use crate::dynamic::curvature::Curvature;
+use crate::dynamic::iterate::{LONGEST, Search};
 use crate::dynamic::joint::{Joint, solved};
-use crate::dynamic::search::{LONGEST, Search};
 
 /// Most steps before the next look.
 const STEPS: usize = 12;
@@ -17,25 +18,6 @@ const STEPS: usize = 12;
 const KEPT: f64 = 0.2;
 /// Levels sink in their variances, which are not looked at here: a slope below and a curvature about it leave that to others.
 const SINKING: f64 = 2.5;
-
-/// Information in some values once (μ, Σ) follow them.
-#[derive(Debug, Clone)]
-pub(crate) struct Curvature {
-    slots: Vec<usize>,
-    information: DMatrix<f64>,
-}
-
-impl Curvature {
-    /// `None` where values of single tests stand between.
-    pub(crate) fn of(joint: &Joint) -> Option<Curvature> {
-        Some(Curvature { slots: joint.shared().to_vec(), information: joint.followed()? })
-    }
-
-    /// What so many times the data would say.
-    pub(crate) fn times(self, factor: f64) -> Curvature {
-        Curvature { information: self.information * factor, ..self }
-    }
-}
 
 impl Search<'_, '_> {
     /// Goes on from where a step led; `before`: where it began, `joint` the information there.

@@ -3,9 +3,10 @@
 //! v = 0 is a maximum in the variance v when D = ∂ℓ/∂v ≤ 0 there, and ∂ℓ/∂σ = 2σD = 0 says nothing. What only shapes that noise (its
 //! time constant, its correlations) has no effect while it is zero, and D depends on it: D ≤ 0 must hold over its whole range.
 
+use crate::dynamic::Standing;
+use crate::dynamic::iterate::{RISE, Search};
 use crate::dynamic::joint::{Joint, LEVEL_GROUND};
-use crate::dynamic::search::{RISE, Search};
-use crate::dynamic::{Standing, start};
+use crate::dynamic::scales::{Scales, time_constants};
 
 /// Levels at zero are given this part of what they were, where a derivative at zero is wanted.
 const TRACE: f64 = 1e-7;
@@ -89,7 +90,7 @@ impl Search<'_, '_> {
     fn shapes(&self, joint: &Joint) -> Vec<Change> {
         let mut all = vec![Change::new()];
         let idle = self.idle(joint);
-        let constants = start::time_constants(self.bench.model);
+        let constants = time_constants(self.bench.model);
         let is_time = |t: &usize| constants.contains(&self.bench.slots.slots()[*t].parameter);
         let (times, others): (Vec<usize>, Vec<usize>) = idle.into_iter().partition(is_time);
         if !times.is_empty() {
@@ -97,7 +98,12 @@ impl Search<'_, '_> {
                 let within = |t: usize| time.clamp(self.bench.coordinates[t].lower, self.bench.coordinates[t].upper);
                 times.iter().map(|&t| (t, within(t))).collect()
             };
-            all.extend(start::Scales::of(self.bench).range(PART, SPANS, FACTOR).take(MOST_TIMES).map(at));
+            all.extend(
+                Scales::of(self.bench.model, self.bench.tests, self.bench.order())
+                    .range(PART, SPANS, FACTOR)
+                    .take(MOST_TIMES)
+                    .map(at),
+            );
         }
         let few: Vec<Change> = all.iter().step_by((all.len() / 4).max(1)).cloned().collect();
         for t in others {

@@ -5,11 +5,10 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use rayon::prelude::*;
 
-use crate::dynamic::bench::Bench;
 use crate::estimate::InitialLaw;
-use crate::model::PhasedModel;
+use crate::model::{Alpha, PhasedModel, Slots};
 use crate::reduce::{Evidence, PhaseReduction, PhasedReducer, PhasedTest, ReduceError, Reduction};
-use crate::score::{Gradient, PhaseLaws, Plan, Slots, dependences};
+use crate::score::{Gradient, PhaseLaws, Plan, dependences};
 
 /// Step of a logarithm, and of other values in units of their size. Differences of fourth order are good to about 1e-11 of ℓ.
 const STEP: f64 = 2e-3;
@@ -18,6 +17,14 @@ const TRIES: usize = 4;
 const SHORTER: f64 = 0.1;
 /// Weights of ℓ at -2, -1, 1 and 2 steps.
 const WEIGHTS: [(f64, f64); 4] = [(-2.0, 1.0 / 12.0), (-1.0, -8.0 / 12.0), (1.0, 8.0 / 12.0), (2.0, -1.0 / 12.0)];
+
+/// An ensemble, and α where some values are sought.
+pub(crate) struct Around<'a> {
+    pub(crate) model: &'a PhasedModel,
+    pub(crate) tests: &'a [PhasedTest],
+    pub(crate) slots: &'a Slots,
+    pub(crate) alpha: &'a dyn Fn(&[f64]) -> Alpha,
+}
 
 /// What of an ensemble is known by estimates.
 #[derive(Debug)]
@@ -57,7 +64,7 @@ impl Indirect {
     /// Adds what estimates add to the scores of their tests.
     pub(crate) fn add(
         &self,
-        bench: &Bench<'_>,
+        around: &Around<'_>,
         (reducer, values): (&PhasedReducer, &[f64]),
         (reductions, law): (&[Reduction], &InitialLaw),
         scores: &mut [Gradient],
@@ -65,9 +72,10 @@ impl Indirect {
         if self.tests.is_empty() {
             return Ok(());
         }
-        let pieces = |reducer: &PhasedReducer, tests: &[usize]| -> Result<Vec<Vec<PhaseReduction>>, ReduceError> {
-            let one = |&j: &usize| reducer.pieces_of(&bench.tests[j], &mut reducer.workspace());
-            let all: Vec<Result<Vec<PhaseReduction>, ReduceError>> = tests.par_iter().map(one).collect();
+        let tests = around.tests;
+        let pieces = |reducer: &PhasedReducer, list: &[usize]| -> Result<Vec<Vec<PhaseReduction>>, ReduceError> {
+            let one = |&j: &usize| reducer.pieces_of(&tests[j], &mut reducer.workspace());
+            let all: Vec<Result<Vec<PhaseReduction>, ReduceError>> = list.par_iter().map(one).collect();
             all.into_iter().collect()
         };
         for colour in self.colours(values.len()) {
@@ -75,12 +83,12 @@ impl Indirect {
             let touched: Vec<(usize, usize)> = self.tests.iter().filter_map(own).collect();
             let list: Vec<usize> = touched.iter().map(|(j, _)| *j).collect();
             let home = pieces(reducer, &list)?;
-            let (moved, steps) = self.moved(bench, values, &colour, |reducer| pieces(reducer, &list))?;
+            let (moved, steps) = self.moved(around, values, &colour, |reducer| pieces(reducer, &list))?;
             for (k, &(j, slot)) in touched.iter().enumerate() {
-                let laws = PhaseLaws::new(law, &bench.model.ranges(), &reductions[j].covariates);
+                let laws = PhaseLaws::new(law, &around.model.ranges(), &reductions[j].covariates);
                 let mut sum = 0.0;
                 for (there, (_, weight)) in moved.iter().zip(WEIGHTS) {
-                    let mixed = mixed(bench.model, &bench.tests[j], &home[k], &there[k]);
+                    let mixed = mixed(around.model, &tests[j], &home[k], &there[k]);
                     sum += weight * Plan::new(&mixed, &laws).likelihood(&mixed, &laws);
                 }
                 merge(&mut scores[j], slot, sum / steps[&slot]);
@@ -92,7 +100,7 @@ impl Indirect {
     /// What `at` gives at four places about the values of a colour, and the steps of the values between them.
     fn moved<T>(
         &self,
-        bench: &Bench<'_>,
+        around: &Around<'_>,
         values: &[f64],
         colour: &[usize],
         at: impl Fn(&PhasedReducer) -> Result<T, ReduceError>,
@@ -108,7 +116,7 @@ impl Indirect {
             let one = |&(sign, _): &(f64, f64)| {
                 let mut values = values.to_vec();
                 steps.iter().for_each(|(&s, h)| values[s] += sign * h);
-                at(&PhasedReducer::scoring(bench.model, &bench.alpha(&values), bench.slots)?)
+                at(&PhasedReducer::scoring(around.model, &(around.alpha)(&values), around.slots)?)
             };
             match WEIGHTS.iter().map(one).collect::<Result<Vec<T>, ReduceError>>() {
                 Ok(moved) => return Ok((moved, steps)),

@@ -3,9 +3,9 @@
 use statrs::distribution::{ContinuousCDF, Normal};
 
 use crate::dynamic::bench::{Bench, Solved};
+use crate::dynamic::covariances::Covariances;
 use crate::dynamic::explore;
-use crate::dynamic::joint::Covariances;
-use crate::dynamic::search::{End, Search};
+use crate::dynamic::iterate::{End, Search};
 use crate::dynamic::{DynamicError, DynamicFit, ParameterInference, Standing};
 use crate::estimate::Silent;
 use crate::infer::Interval;

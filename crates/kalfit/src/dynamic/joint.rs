@@ -9,6 +9,7 @@ use std::collections::BTreeMap;
 use nalgebra::{DMatrix, DVector};
 
 use crate::dynamic::bench::{Bench, Shifted, Solved, Told};
+use crate::dynamic::covariances::Covariances;
 use crate::dynamic::touching::Touching;
 use crate::estimate::{NOTHING, NoiseInformation, Tangent};
 use crate::linalg::symmetric;
@@ -58,17 +59,6 @@ pub(crate) struct Step {
     pub(crate) decrement: f64,
     /// The curvature is positive, flat directions apart.
     pub(crate) concave: bool,
-}
-
-/// Covariances from the inverse of the information.
-#[derive(Debug, Clone)]
-pub(crate) struct Covariances {
-    /// Variance of each coordinate of α; `None` where it does not move or is flat.
-    pub(crate) alpha: Vec<Option<f64>>,
-    /// Values that are not of single tests: the first rows and columns of `whole`.
-    pub(crate) shared: Vec<usize>,
-    /// Covariance of the coordinates of those, then along the tangent basis of (μ, Σ), the uncertainty of all α in it.
-    pub(crate) whole: DMatrix<f64>,
 }
 
 impl Joint {

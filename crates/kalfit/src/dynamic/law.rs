@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 
-use crate::dynamic::joint::Covariances;
+use crate::dynamic::covariances::Covariances;
 use crate::dynamic::matrices::matrix_derivatives;
 use crate::dynamic::{Coordinate, DynamicFit, Standing};
 use crate::estimate::JointLaw;

@@ -4,8 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::DMatrix;
 
-use crate::model::{Alpha, CovarianceKind, Expression, Model, PhasedModel, Scope, Tape};
-use crate::score::{Gradient, Slots};
+use crate::model::{Alpha, CovarianceKind, Expression, Model, PhasedModel, Scope, Slots, Tape};
+use crate::score::Gradient;
 
 /// dℓ/dvalue through Σ = Σ* (fixed), βΣ* (proportional) or DRD (correlation), from G with dℓ = tr(G dΣ), over all phases.
 pub(crate) fn matrix_gradient(

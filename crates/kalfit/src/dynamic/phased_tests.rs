@@ -8,10 +8,9 @@ use crate::ensemble::{Label, Labels, Source, Test};
 use crate::estimate::{Combination, Criterion, Silent, Stop};
 use crate::model::{
     Carry, Clock, Column, CovarianceKind, CovarianceStructure, Expression, Initial, Linear, MeanElement, MeanStructure,
-    Measurement, Model, Motion, Operator, Parameter, Phase, PhasedModel, State, Value,
+    Measurement, Model, Motion, Operator, Parameter, Phase, PhasedModel, Slots, State, Value,
 };
 use crate::reduce::{Evidence, PhasedReducer, PhasedTest};
-use crate::score::Slots;
 
 fn number(x: f64) -> Expression {
     Expression::Number(x)

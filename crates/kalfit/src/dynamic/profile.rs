@@ -13,7 +13,7 @@ use std::collections::BTreeSet;
 use nalgebra::{DMatrix, DVector};
 
 use crate::dynamic::bench::Bench;
-use crate::dynamic::joint::Covariances;
+use crate::dynamic::covariances::Covariances;
 use crate::dynamic::matrices::{matrix_derivatives, matrix_gradient};
 use crate::dynamic::{DynamicFit, ParameterInference, Standing};
 use crate::estimate::{Criterion, Estimate, Place, Point, State};

@@ -6,7 +6,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::dynamic::bench::Bench;
-use crate::dynamic::joint::Covariances;
+use crate::dynamic::covariances::Covariances;
 use crate::dynamic::matrices::matrix_gradient;
 use crate::dynamic::{DynamicError, DynamicFit};
 use crate::reduce::Reduction;

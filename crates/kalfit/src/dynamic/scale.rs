@@ -17,9 +17,9 @@ use rayon::prelude::*;
 
 use crate::dynamic::{Coordinate, DynamicError, matrices};
 use crate::estimate::{Estimate, InitialLaw, NoiseInformation, Noisy, Residual, Settings, Structure};
-use crate::model::{PhasedModel, Population};
+use crate::model::{PhasedModel, Population, Slots};
 use crate::reduce::{Evidence, PhasedTest, Reduction};
-use crate::score::{Gradient, Slots, expected_square};
+use crate::score::{Gradient, expected_square};
 
 /// Where variances are so many times as large as at θ_0, constants are small differences of large numbers; where they are so many
 /// times as small, sums of squares have grown with their rounding errors. So the filters run again where no digit may be lost, …

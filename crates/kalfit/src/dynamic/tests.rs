@@ -11,10 +11,9 @@ use crate::estimate::{Criterion, Silent, Stop};
 use crate::infer::{Choices, IntervalKind};
 use crate::model::{
     Clock, Column, CovarianceStructure, Expression, Initial, Linear, MeanStructure, Measurement, Model, Motion,
-    Operator, Parameter, PhasedModel, State, Value,
+    Operator, Parameter, PhasedModel, Slots, State, Value,
 };
 use crate::reduce::PhasedTest;
-use crate::score::Slots;
 
 const TAU: usize = 0;
 const DRIFT: usize = 1;

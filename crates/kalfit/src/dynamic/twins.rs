@@ -1,9 +1,9 @@
 //! Parts of a model that may change places: two processes of one kind that are measured alike. Exchanging their parameters changes
 //! nothing, so ends that differ by it are one end, and two that coincide are one process of their variances' sum.
 
-use crate::dynamic::{Coordinate, start};
-use crate::model::{Expression, Initial, Linear, Model, Motion, PhasedModel, State};
-use crate::score::Slots;
+use crate::dynamic::Coordinate;
+use crate::dynamic::scales::time_constants;
+use crate::model::{Expression, Initial, Linear, Model, Motion, PhasedModel, Slots, State};
 
 /// Two processes of one kind whose free values, place by place, may be exchanged.
 #[derive(Debug, Clone, PartialEq)]
@@ -20,7 +20,7 @@ impl Twins {
     pub(crate) fn of(model: &PhasedModel, slots: &Slots) -> Vec<Twins> {
         let [phase] = &model.phases[..] else { return Vec::new() };
         let (model, count) = (&phase.model, phase.model.states.len());
-        let constants = start::time_constants(&PhasedModel { phases: vec![phase.clone()], column: None });
+        let constants = time_constants(&PhasedModel { phases: vec![phase.clone()], column: None });
         let pairs = (0..count).flat_map(|i| (i + 1..count).map(move |j| (i, j)));
         let twins = pairs.filter_map(|(i, j)| {
             let mut pairs: Vec<(usize, usize)> = exchanged(model, i, j)?

@@ -2,7 +2,7 @@
 
 use statrs::distribution::{ContinuousCDF, Normal};
 
-use crate::dynamic::joint::Covariances;
+use crate::dynamic::covariances::Covariances;
 use crate::dynamic::{Coordinate, DynamicFit, ParameterInference, Standing};
 use crate::model::PhasedModel;
 

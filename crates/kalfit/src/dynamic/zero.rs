@@ -2,8 +2,8 @@
 
 use crate::dynamic::Standing;
 use crate::dynamic::bench::Solved;
+use crate::dynamic::iterate::{DRIFT, Search};
 use crate::dynamic::joint::{self, Joint};
-use crate::dynamic::search::{DRIFT, Search};
 
 /// A logarithm whose curvature is no more than this many times its slope has no optimum in sight: ℓ runs level towards a bound,
 /// as 1/x, x² or the like.

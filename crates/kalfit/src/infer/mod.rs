@@ -34,9 +34,8 @@ pub use observability::{Leading, MOST_TESTS, Observability, Shortage, StateObser
 pub use phases::PhaseObservability;
 pub use posterior::{Distance, Posterior, posteriors};
 pub use ratio::{
-    Bootstrap, BootstrapResult, Component, DynamicRatioError, GoesOn, LikelihoodRatio, NotNested, NotNestedParameter,
-    ReferenceLaw, Restricted, at_least, bootstrap, bootstrap_while, dynamic_bootstrap, dynamic_bootstrap_while,
-    dynamic_ratio, fit_null, likelihood_ratio, restricted, started,
+    Bootstrap, BootstrapResult, Component, GoesOn, LikelihoodRatio, NotNested, NotNestedParameter, ReferenceLaw,
+    Restricted, at_least, bootstrap, bootstrap_while, fit_null, likelihood_ratio, restricted,
 };
 pub use reason::{Explanation, Reason};
 pub use std_errors::StdErrors;
@@ -48,6 +47,7 @@ pub(crate) use identifiability::directions;
 pub(crate) use information::uncertainty_at;
 pub(crate) use interval::{Held, Holds, profiled, quantities, value};
 pub(crate) use law::Law;
+pub(crate) use ratio::replicates;
 pub(crate) use std_errors::PART;
 
 use crate::estimate::{Criterion, Estimate};

@@ -20,7 +20,7 @@ mod tests;
 use std::ops::Range;
 
 use crate::ensemble::Test;
-pub use crate::model::{Slot, Slots};
+use crate::model::Slots;
 use crate::reduce::{Fault, ReduceError, Reducer, Workspace};
 use backward::{BackwardWork, Ending, MeasuredBar, MovedBar, Run, Sink, Wanted};
 use chain::{Adjoints, Chain, Measured, Moved};

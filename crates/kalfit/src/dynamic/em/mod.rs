@@ -16,8 +16,8 @@ use nalgebra::DVector;
 
 use crate::dynamic::DynamicError;
 use crate::dynamic::bench::Solved;
+use crate::dynamic::iterate::{End, LONGEST, NEAR_ENOUGH, Search};
 use crate::dynamic::joint::Joint;
-use crate::dynamic::search::{End, LONGEST, NEAR_ENOUGH, Search};
 use crate::estimate::{Stage, Stop};
 use anderson::Anderson;
 use ascent::Ascent;

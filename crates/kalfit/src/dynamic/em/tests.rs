@@ -11,10 +11,9 @@ use crate::ensemble::{Labels, Source, Test};
 use crate::estimate::Silent;
 use crate::model::{
     Clock, Column, CovarianceStructure, Expression, Initial, Linear, MeanStructure, Measurement, Model, Motion,
-    Operator, Parameter, PhasedModel, Population, State, Value,
+    Operator, Parameter, PhasedModel, Population, Slots, State, Value,
 };
 use crate::reduce::PhasedTest;
-use crate::score::Slots;
 use crate::simulate::{Designs, Simulator};
 
 fn number(x: f64) -> Expression {

@@ -72,7 +72,7 @@ pub fn bootstrap_while(
 }
 
 /// Replicates side by side, some at a time. Each depends on its number alone, so how many go together changes nothing.
-pub(super) fn replicates<T: Send>(
+pub(crate) fn replicates<T: Send>(
     count: usize,
     one: impl Fn(usize) -> T + Sync + Send,
     goes_on: GoesOn<'_>,
@@ -91,7 +91,7 @@ pub(super) fn replicates<T: Send>(
 
 impl BootstrapResult {
     /// What the statistics of replicates, `None` where a fit failed, say of that of the data.
-    pub(super) fn of(found: &[Option<f64>], statistic: f64) -> BootstrapResult {
+    pub(crate) fn of(found: &[Option<f64>], statistic: f64) -> BootstrapResult {
         let statistics: Vec<f64> = found.iter().copied().flatten().collect();
         // within rounding of the statistic counts as at it: ties are common where both are zero
         let reached = statistics.iter().filter(|s| **s >= statistic - 1e-9 * statistic.max(1.0)).count();

@@ -2,13 +2,12 @@
 
 mod bootstrap;
 mod cone;
-mod dynamic;
 mod law;
 mod nested;
 mod restricted;
 
+pub(crate) use bootstrap::replicates;
 pub use bootstrap::{Bootstrap, BootstrapResult, GoesOn, bootstrap, bootstrap_while};
-pub use dynamic::{DynamicRatioError, dynamic_bootstrap, dynamic_bootstrap_while, dynamic_ratio, started};
 pub use law::{Component, ReferenceLaw};
 pub use nested::NotNested;
 pub use restricted::{NotNestedParameter, Restricted, restricted};

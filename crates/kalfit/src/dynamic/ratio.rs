@@ -5,13 +5,12 @@
 //! ½χ²_{r-1} + ½χ²_r, whatever else is estimated. Any narrower cone lies within a half space, and the projection onto a part is
 //! no longer than that onto the whole, so the same mixture bounds the law from above when several are on their boundaries.
 
-use crate::dynamic::{self, DynamicFit, Settings};
+use crate::dynamic::fit::fit;
+use crate::dynamic::{DynamicFit, Settings};
 use crate::ensemble::Labels;
 use crate::estimate::{FitError, Silent, Stop, Structure};
-use crate::infer::ratio::bootstrap::{GoesOn, replicates};
-use crate::infer::ratio::restricted::{NotNestedParameter, Restricted, restricted};
-use crate::infer::ratio::{Bootstrap, BootstrapResult, Component, LikelihoodRatio, NotNested, ReferenceLaw};
-use crate::infer::ratio::{fit_null, likelihood_ratio};
+use crate::infer::{Bootstrap, BootstrapResult, Component, LikelihoodRatio, NotNested, ReferenceLaw};
+use crate::infer::{GoesOn, NotNestedParameter, Restricted, fit_null, likelihood_ratio, replicates, restricted};
 use crate::model::{PhasedModel, Population, Value};
 use crate::reduce::PhasedTest;
 use crate::simulate::{Designs, SimulateError, Simulator};
@@ -143,7 +142,7 @@ pub fn dynamic_bootstrap_while(
 
 /// ℓ at a certified maximum.
 fn certified(model: &PhasedModel, labels: &Labels, tests: &[PhasedTest], settings: &Settings) -> Option<f64> {
-    let fit = dynamic::fit(model, labels, tests, settings, &mut Silent).ok()?;
+    let fit = fit(model, labels, tests, settings, &mut Silent).ok()?;
     (fit.stop == Stop::Certified && fit.estimate.stop == Stop::Certified).then_some(fit.estimate.log_likelihood)
 }
 

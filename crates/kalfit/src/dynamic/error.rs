@@ -1,0 +1,62 @@
+//! Why dynamic parameters cannot be estimated.
+
+use crate::estimate::FitError;
+use crate::reduce::ReduceError;
+
+/// Why there is no fit.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum DynamicError {
+    /// A test has no reduction, whatever α is tried.
+    #[error(transparent)]
+    Reduce(#[from] Box<ReduceError>),
+    /// μ and Σ cannot be estimated.
+    #[error(transparent)]
+    Fit(#[from] FitError),
+    /// Free parameters, and phases put together by their marginals: what would be maximised is no likelihood of α.
+    #[error("`{parameter}` is free, and `marginal` is for known parameters: found {free} free values, expected none")]
+    Marginal {
+        /// The first free parameter.
+        parameter: String,
+        /// Number of free values.
+        free: usize,
+    },
+    /// Expected information of free parameters, which is not worked out.
+    #[error(
+        "standard errors from the expected information are for models whose parameters are all known, and `{parameter}` is free"
+    )]
+    Expected {
+        /// The first free parameter.
+        parameter: String,
+    },
+    /// A reduction is for one value of each parameter; it cannot follow a free one.
+    #[error(
+        "test `{test}` comes as a reduction, made at known parameters, but `{parameter}` of phase `{phase}` is free"
+    )]
+    FixedReduction {
+        /// Id of the test.
+        test: String,
+        /// Name of the phase.
+        phase: String,
+        /// The first free parameter that the phase depends on.
+        parameter: String,
+    },
+}
+
+impl DynamicError {
+    /// What to do about it.
+    pub fn hint(&self) -> Option<&'static str> {
+        match self {
+            DynamicError::Reduce(error) => error.hint(),
+            DynamicError::Fit(_) => None,
+            DynamicError::Marginal { .. } => {
+                Some("give every parameter a value, or put the phases together by `chain`")
+            }
+            DynamicError::Expected { .. } => {
+                Some("take those from the observed information, or the sandwich, or give every parameter a value")
+            }
+            DynamicError::FixedReduction { .. } => {
+                Some("give the parameter the value that the reduction was made at, or give the data in its place")
+            }
+        }
+    }
+}

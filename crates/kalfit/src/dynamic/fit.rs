@@ -1,0 +1,141 @@
+//! The best (α, μ, Σ) that is found from all starts, and beyond them.
+
+use crate::dynamic::bench::Bench;
+use crate::dynamic::iterate::End;
+use crate::dynamic::{DynamicError, DynamicFit, OtherEnd, Settings, Standing, explore, search, start, twins};
+use crate::ensemble::Labels;
+use crate::estimate::{Combination, FitError, Progress, Stage, Stop};
+use crate::model::{PhasedModel, Slots};
+use crate::reduce::{Evidence, PhasedTest};
+use crate::score::dependences;
+
+/// Log-likelihoods that differ by this part are equal.
+const ROUNDING: f64 = 1e-11;
+
+/// Estimates α, μ and Σ of tests, phases and all. With no free values it is [`estimate::fit`](crate::estimate::fit) on the reductions.
+pub fn fit(
+    model: &PhasedModel,
+    labels: &Labels,
+    tests: &[PhasedTest],
+    settings: &Settings,
+    progress: &mut dyn Progress,
+) -> Result<DynamicFit, DynamicError> {
+    let slots = Slots::in_phases(model, labels, tests);
+    refuse(model, tests, &slots, settings)?;
+    let bench = Bench::new(model, tests, &slots, settings);
+    let mut ends = Vec::new();
+    let mut first_error = None;
+    let mut floor = None;
+    for start in start::starts(&bench, progress)? {
+        if progress.stops() && !ends.is_empty() {
+            break;
+        }
+        progress.stage(Stage::Filters { filter_runs: bench.filter_passes() });
+        match search::search(&bench, start, floor, progress) {
+            Ok(end) => {
+                floor = Some(floor.map_or(end.home.value(), |floor: f64| floor.max(end.home.value())));
+                ends.push(end);
+            }
+            Err(error) => first_error = first_error.or(Some(error)),
+        }
+    }
+    let explored = explore::is_possible(&bench) && !progress.stops();
+    if explored {
+        explore::explore(&bench, &mut ends, start::all_given(&bench), progress)?;
+    }
+    let Some(at) = chosen(&ends) else {
+        return Err(first_error.unwrap_or(DynamicError::Fit(FitError::NoTests)));
+    };
+    let best = ends.remove(at);
+    ends.sort_by(|a, b| b.home.value().total_cmp(&a.home.value()));
+    let other = |end: End| OtherEnd {
+        log_likelihood: end.home.value(),
+        values: bench.values(&twins::aligned(&bench.twins, &end.home.values, &best.home.values)),
+        stop: end.stop,
+        given_up: end.given_up,
+    };
+    let others = ends.into_iter().map(other).collect();
+    let (filter_passes, score_passes, passes) = (bench.filter_passes(), bench.score_passes(), bench.passes());
+    let (alpha, sought) = (best.home.alpha.clone(), best.home.values.clone());
+    let values = bench.values(&sought);
+    let (reductions, estimate) = bench.grounded(best.home)?;
+    Ok(DynamicFit {
+        alpha,
+        values,
+        sought,
+        reductions,
+        estimate,
+        certificate: best.certificate,
+        stop: best.stop,
+        method: settings.method,
+        trace: best.trace,
+        filter_passes,
+        score_passes,
+        passes,
+        others,
+        explored,
+        joint: best.joint,
+        standing: on_edges(&bench, best.standing),
+        settings: settings.clone(),
+        slots,
+    })
+}
+
+/// Covariances of noises, and levels beside known ones, at a bound of what is sought are at the edge of what they may be.
+fn on_edges(bench: &Bench<'_>, standing: Vec<Standing>) -> Vec<Standing> {
+    let one = |(s, standing): (usize, Standing)| match standing {
+        Standing::Lower | Standing::Upper if bench.edges.has(s) => Standing::Edge,
+        Standing::Lower if bench.cone.contains(&s) => Standing::Edge,
+        other => other,
+    };
+    standing.into_iter().enumerate().map(one).collect()
+}
+
+/// The best certified end, of equals the first: what is not certified may be on its way to where ℓ has no bound. But no answer
+/// lies below the first start.
+fn chosen(ends: &[End]) -> Option<usize> {
+    let highest = |among: &dyn Fn(&End) -> bool| {
+        let ends = ends.iter().enumerate().filter(|(_, end)| among(end));
+        ends.reduce(|a, b| if b.1.home.value() > a.1.home.value() { b } else { a }).map(|(at, _)| at)
+    };
+    let begun = ends.first()?.trace.first().copied().unwrap_or(f64::NEG_INFINITY);
+    let above = |end: &End| end.stop == Stop::Certified && end.home.value() >= begun - ROUNDING * begun.abs();
+    highest(&above).or_else(|| highest(&|_| true))
+}
+
+/// Where [`fit`] begins: a start value of each free value, in the order of [`Slots`], given or worked out from the tests.
+///
+/// # Errors
+/// As [`fit`] has them before its first step.
+pub fn start_values(
+    model: &PhasedModel,
+    labels: &Labels,
+    tests: &[PhasedTest],
+    settings: &Settings,
+    progress: &mut dyn Progress,
+) -> Result<Vec<f64>, DynamicError> {
+    let slots = Slots::in_phases(model, labels, tests);
+    refuse(model, tests, &slots, settings)?;
+    let bench = Bench::new(model, tests, &slots, settings);
+    let starts = start::starts(&bench, progress)?;
+    starts.first().map(|first| bench.values(&first.values)).ok_or(DynamicError::Fit(FitError::NoTests))
+}
+
+/// What has no meaning while parameters are free.
+fn refuse(model: &PhasedModel, tests: &[PhasedTest], slots: &Slots, settings: &Settings) -> Result<(), DynamicError> {
+    let name = |parameter: usize| model.shared().parameters[parameter].name.clone();
+    if let (Some(slot), Combination::Marginal, false) =
+        (slots.slots().first(), settings.inner.phases, model.is_single())
+    {
+        return Err(DynamicError::Marginal { parameter: name(slot.parameter), free: slots.len() });
+    }
+    for (at, phase) in model.phases.iter().enumerate() {
+        let Some(&parameter) = dependences(phase, slots).first() else { continue };
+        let reduced = |test: &&PhasedTest| matches!(test.phases.get(at), Some(Evidence::Reduced(_)));
+        if let Some(test) = tests.iter().find(reduced) {
+            let (test, phase) = (test.id.clone(), phase.name.clone());
+            return Err(DynamicError::FixedReduction { test, phase, parameter: name(parameter) });
+        }
+    }
+    Ok(())
+}

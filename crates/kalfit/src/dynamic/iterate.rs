@@ -1,0 +1,211 @@
+//! Where a search is, where it began and where it ended.
+
+use nalgebra::DVector;
+
+use crate::dynamic::Standing;
+use crate::dynamic::bench::{Bench, Solved};
+use crate::dynamic::curvature::Curvature;
+use crate::dynamic::joint::Joint;
+use crate::estimate::{Progress, Stage, Step, Stop};
+use crate::model::Population;
+
+/// Longest step of a logarithm.
+pub(super) const LONGEST: f64 = 2.0;
+/// Where rounding keeps the search from going on, so many tolerances are near enough.
+pub(super) const NEAR_ENOUGH: f64 = 1e2;
+/// A step of a logarithm beyond this goes far.
+pub(super) const DRIFT: f64 = 0.25;
+/// A search that promises no more than this, as a decrement, has arrived.
+const ARRIVED: f64 = 1e-5;
+/// A level below this part of what the data suggest has no size of its own.
+const FAR_BELOW: f64 = 1e-3;
+/// A value that returns from zero does so at this part of what it was.
+const RETURN: f64 = 5e-2;
+/// ℓ rises when it rises by more than this.
+pub(super) const RISE: f64 = 1e-8;
+
+/// Where a search begins.
+#[derive(Debug, Clone)]
+pub(crate) struct Start {
+    pub(crate) values: Vec<f64>,
+    /// How ℓ curves about it, as far as a part of the data tells.
+    pub(crate) curvature: Option<Curvature>,
+}
+
+impl From<Vec<f64>> for Start {
+    fn from(values: Vec<f64>) -> Start {
+        Start { values, curvature: None }
+    }
+}
+
+/// Where a search is.
+pub(crate) struct Search<'b, 'a> {
+    pub(super) bench: &'b Bench<'a>,
+    pub(super) progress: &'b mut dyn Progress,
+    pub(crate) home: Solved,
+    pub(crate) standing: Vec<Standing>,
+    pub(crate) trace: Vec<f64>,
+    /// The value of each coordinate before it was set to zero.
+    pub(super) before_zero: Vec<f64>,
+    /// The least value of each level: its bound, or a little more where ℓ is not defined there.
+    pub(super) bottom: Vec<f64>,
+    pub(super) damping: f64,
+    pub(super) floor: Option<f64>,
+    pub(super) held: Option<usize>,
+    /// Values left on their way to zero or to infinity.
+    pub(super) drifted: Vec<bool>,
+    pub(super) faint_looks: usize,
+    /// What the last step without second derivatives promised, as a decrement.
+    pub(super) glided: Option<f64>,
+    pub(super) given_up: bool,
+    /// Steps one after the other that did not raise ℓ.
+    pub(super) level_steps: usize,
+}
+
+/// Where it ended.
+pub(crate) struct End {
+    pub(crate) home: Solved,
+    pub(crate) standing: Vec<Standing>,
+    pub(crate) joint: Joint,
+    pub(crate) certificate: f64,
+    pub(crate) stop: Stop,
+    pub(crate) trace: Vec<f64>,
+    pub(super) before_zero: Vec<f64>,
+    /// Nothing higher than another end was in sight.
+    pub(crate) given_up: bool,
+}
+
+impl End {
+    /// A level at zero, or as near to it as ℓ is defined.
+    pub(crate) fn is_at_zero(&self, s: usize) -> bool {
+        self.home.values[s] == 0.0 || self.standing[s] == Standing::Vanishing
+    }
+
+    /// The values as a start elsewhere: those at zero a little above it, where they can move.
+    pub(crate) fn restart(&self) -> Vec<f64> {
+        let zero = |(value, before): (&f64, &f64)| if *value == 0.0 { RETURN * before } else { *value };
+        self.home.values.iter().zip(&self.before_zero).map(zero).collect()
+    }
+}
+
+impl<'b, 'a> Search<'b, 'a> {
+    pub(crate) fn new(bench: &'b Bench<'a>, progress: &'b mut dyn Progress, home: Solved) -> Search<'b, 'a> {
+        let n = home.values.len();
+        let trace = vec![home.value()];
+        let unit = |(value, unit): (&f64, &f64)| if *value > FAR_BELOW * unit { *value } else { *unit };
+        let before_zero = home.values.iter().zip(bench.units()).map(unit).collect();
+        let bottom = bench.coordinates.iter().map(|coordinate| coordinate.lower).collect();
+        let mut search = Search {
+            bench,
+            progress,
+            home,
+            standing: vec![Standing::Inside; n],
+            trace,
+            before_zero,
+            bottom,
+            damping: 0.0,
+            floor: None,
+            held: None,
+            drifted: vec![false; n],
+            faint_looks: 0,
+            glided: None,
+            given_up: false,
+            level_steps: 0,
+        };
+        search.place();
+        search
+    }
+
+    /// Values at bounds that want to go beyond are held there, others are let go.
+    pub(super) fn place(&mut self) {
+        for s in 0..self.standing.len() {
+            let (coordinate, value, slope) = (self.bench.coordinates[s], self.home.values[s], self.home.gradient[s]);
+            self.standing[s] = match self.standing[s] {
+                kept if self.drifted[s] => kept,
+                _ if coordinate.log && value == 0.0 => Standing::Lower,
+                _ if self.is_vanishing(s) => Standing::Vanishing,
+                _ if coordinate.at_lower(value) && slope <= 0.0 => Standing::Lower,
+                _ if coordinate.at_upper(value) && slope >= 0.0 => Standing::Upper,
+                _ => Standing::Inside,
+            };
+        }
+    }
+
+    /// Holds a value where it is.
+    pub(crate) fn hold(&mut self, slot: usize) {
+        self.held = Some(slot);
+    }
+
+    /// Gives up where no more than this ℓ is in sight.
+    pub(crate) fn beyond(mut self, floor: Option<f64>) -> Self {
+        self.floor = floor;
+        self
+    }
+
+    /// ℓ of another end is out of reach.
+    pub(super) fn hopeless(&self, decrement: f64) -> bool {
+        let room = if decrement > ARRIVED { (3.0 * decrement).min(1.0) } else { 0.0 };
+        let promised = self.home.value() + 2.0 * decrement * decrement + room;
+        self.trace.len() > 3 && self.floor.is_some_and(|floor| promised < floor)
+    }
+
+    /// The same without levels at zero, which could return.
+    pub(super) fn is_lost(&self, decrement: f64) -> bool {
+        self.hopeless(decrement) && self.zeros().is_empty()
+    }
+
+    pub(super) fn active(&self) -> Vec<bool> {
+        let moves = |(s, standing): (usize, &Standing)| *standing == Standing::Inside && self.held != Some(s);
+        self.standing.iter().enumerate().map(moves).collect()
+    }
+
+    pub(super) fn tolerance(&self) -> f64 {
+        self.bench.settings.inner.tolerance.max(1e-7)
+    }
+
+    /// Somebody asks the search to end where it is.
+    pub(super) fn stops(&self) -> bool {
+        self.progress.stops()
+    }
+
+    /// Says how it goes.
+    pub(super) fn say(&mut self, stage: Stage) {
+        self.progress.stage(stage);
+    }
+
+    pub(super) fn tell(&mut self, decrement: f64) {
+        self.trace.push(self.home.value());
+        let passes = self.bench.filter_passes();
+        self.progress.step(Step { passes, log_likelihood: self.home.value(), decrement: Some(decrement) });
+    }
+
+    /// Gradient along the coordinates of (μ, Σ): nothing where they have been solved for.
+    pub(super) fn inner_gradient(&self) -> &DVector<f64> {
+        &self.home.estimate.state.place.tangent.gradient
+    }
+
+    /// A step where the distance to the optimum is not known.
+    pub(super) fn passed(&mut self) {
+        self.trace.push(self.home.value());
+        let passes = self.bench.filter_passes();
+        self.progress.step(Step { passes, log_likelihood: self.home.value(), decrement: None });
+    }
+
+    /// ℓ at other values, from the (μ, Σ) at hand; `None` where it is not defined.
+    pub(super) fn at(&self, values: &[f64]) -> Option<Solved> {
+        let near = Population::from(&self.home.estimate);
+        let solved = self.bench.solve(values, Some(&near)).ok()?;
+        solved.value().is_finite().then_some(solved)
+    }
+
+    /// Takes up a place.
+    pub(super) fn arrive(&mut self, next: Solved) {
+        for s in 0..next.values.len() {
+            let (before, value) = (self.home.values[s], next.values[s]);
+            if value <= self.bottom[s] && before > self.bottom[s] && before > FAR_BELOW * self.before_zero[s] {
+                self.before_zero[s] = before;
+            }
+        }
+        self.home = next;
+    }
+}

@@ -1,0 +1,68 @@
+//! μ, Σ and α at the end of a search, and where other searches ended.
+
+use crate::dynamic::joint::Joint;
+use crate::dynamic::{Method, Settings, Standing};
+use crate::estimate::{Estimate, Stop};
+use crate::model::{Alpha, Slots};
+use crate::reduce::Reduction;
+
+/// μ, Σ and α at the end of a search.
+#[derive(Debug, Clone)]
+pub struct DynamicFit {
+    /// Every value of α.
+    pub alpha: Alpha,
+    /// Which of them are free.
+    pub slots: Slots,
+    /// Their values, in the order of the slots.
+    pub values: Vec<f64>,
+    /// The same as they are sought.
+    pub(crate) sought: Vec<f64>,
+    /// Reductions at α, in the order of the tests.
+    pub reductions: Vec<Reduction>,
+    /// μ and Σ at α, with their own certificate.
+    pub estimate: Estimate,
+    /// Largest score of α in units of its standard error.
+    pub certificate: f64,
+    /// Why the search for α stopped.
+    pub stop: Stop,
+    /// How α was found.
+    pub method: Method,
+    /// ℓ after each accepted step.
+    pub trace: Vec<f64>,
+    /// Forward runs of the filters over all tests.
+    pub filter_passes: usize,
+    /// Backward runs over all tests.
+    pub score_passes: usize,
+    /// Passes over reductions, all of them.
+    pub passes: usize,
+    /// Where other starts ended, best first.
+    pub others: Vec<OtherEnd>,
+    /// Other maxima were looked for from the best end.
+    pub explored: bool,
+    /// Observed information of (α, μ, Σ).
+    pub(crate) joint: Joint,
+    /// Where each free value lies.
+    pub(crate) standing: Vec<Standing>,
+    /// What was asked.
+    pub(crate) settings: Settings,
+}
+
+impl DynamicFit {
+    /// Where each free value lies, in the order of the slots.
+    pub fn standing(&self) -> &[Standing] {
+        &self.standing
+    }
+}
+
+/// Where another start ended.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OtherEnd {
+    /// ℓ there.
+    pub log_likelihood: f64,
+    /// The free values of α, in the order of the slots.
+    pub values: Vec<f64>,
+    /// Why the search stopped.
+    pub stop: Stop,
+    /// It was given up where no higher end than the best was in sight.
+    pub given_up: bool,
+}

@@ -1,0 +1,132 @@
+//! A part of the data, on which searches are cheap, and where the best of them end.
+
+use crate::dynamic::bench::Bench;
+use crate::dynamic::curvature::Curvature;
+use crate::dynamic::iterate::Start;
+use crate::dynamic::search::search;
+use crate::dynamic::twins::ordered;
+use crate::estimate::{Progress, Stage, Step};
+use crate::reduce::{Evidence, PhasedTest};
+
+/// Ends on a part of the data whose ℓ is this close to the best one's are followed on all of it.
+const CLOSE: f64 = 5.0;
+/// … so many of them, none but those that differ by more than this part.
+const FOLLOWED: usize = 3;
+const ALIKE: f64 = 2e-2;
+/// Rows of the part, and rows of one test in it.
+const ROWS: usize = 100_000;
+const ROWS_OF_A_TEST: usize = 20_000;
+/// Where values are common to all tests, these rows are enough if they are of so many tests.
+const ROWS_OF_MANY: usize = 20_000;
+const MANY: usize = 256;
+
+/// The first rows of every phase of every test, as many tests as fit; `common`: values are common to all tests.
+pub(super) fn sample(tests: &[PhasedTest], common: bool) -> Vec<PhasedTest> {
+    let mut order: Vec<&PhasedTest> = tests.iter().collect();
+    order.sort_by(|a, b| a.id.cmp(&b.id));
+    let first = |evidence: &Evidence| match evidence {
+        Evidence::Rows(test) => Evidence::Rows(test.first(ROWS_OF_A_TEST)),
+        other => other.clone(),
+    };
+    let mut many = 0;
+    let mut sample = Vec::new();
+    for test in order {
+        let kept = PhasedTest { id: test.id.clone(), phases: test.phases.iter().map(first).collect() };
+        many += rows(&kept);
+        sample.push(kept);
+        if many > ROWS || (common && many > ROWS_OF_MANY && sample.len() >= MANY) {
+            break;
+        }
+    }
+    sample
+}
+
+/// Starts on all of the data: the values that were given, or where they lead on a part of it if ℓ is higher there, and where the best
+/// of many others end on that part. Each with how ℓ curves about it, as far as the part tells. The others as they are when they all
+/// fail there.
+pub(super) fn promising(
+    (bench, small): (&Bench<'_>, &Bench<'_>),
+    given: Option<Vec<f64>>,
+    others: Vec<Vec<f64>>,
+    progress: &mut dyn Progress,
+) -> Vec<Start> {
+    let mut part = Part { small, more: bench.rows() as f64 / small.rows() as f64, progress };
+    let mut kept = Vec::from_iter(given.map(|given| part.told(bench, given)));
+    let mut ends: Vec<(f64, Start)> = others.iter().filter_map(|start| part.end(start)).collect();
+    ends.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let Some(&(best, _)) = ends.first() else {
+        kept.extend(others.into_iter().map(Start::from));
+        return kept;
+    };
+    let mut seen: Vec<Vec<f64>> = kept.iter().map(|start| ordered(&small.twins, &start.values)).collect();
+    let most = kept.len() + FOLLOWED;
+    for (_, start) in ends.into_iter().filter(|(value, _)| best - value <= CLOSE) {
+        let place = ordered(&small.twins, &start.values);
+        let same =
+            |other: &Vec<f64>| other.iter().zip(&place).all(|(a, b)| (a - b).abs() <= ALIKE * a.abs().max(b.abs()));
+        if kept.len() < most && !seen.iter().any(same) {
+            kept.push(start);
+            seen.push(place);
+        }
+    }
+    kept
+}
+
+/// A part of the data, of which all are `more` times as many.
+struct Part<'a, 'b> {
+    small: &'a Bench<'b>,
+    more: f64,
+    progress: &'a mut dyn Progress,
+}
+
+impl Part<'_, '_> {
+    /// Where a search ends, and ℓ there.
+    fn end(&mut self, start: &[f64]) -> Option<(f64, Start)> {
+        let mut beside = Beside { small: self.small, progress: &mut *self.progress };
+        let end = search(self.small, start.to_vec().into(), None, &mut beside).ok()?;
+        let curvature = Curvature::of(&end.joint).map(|curvature| curvature.times(self.more));
+        Some((end.home.value(), Start { values: end.restart(), curvature }))
+    }
+
+    /// Given values, or where they lead if ℓ of all data is no lower there.
+    fn told(&mut self, bench: &Bench<'_>, given: Vec<f64>) -> Start {
+        let here = bench.value(&given);
+        match self.end(&given) {
+            Some((_, start))
+                if here.is_none_or(|here| bench.value(&start.values).is_some_and(|there| there >= here)) =>
+            {
+                start
+            }
+            _ => given.into(),
+        }
+    }
+}
+
+/// Listens to a search on a part of the data: it is about start values still.
+struct Beside<'a, 'b> {
+    small: &'a Bench<'b>,
+    progress: &'a mut dyn Progress,
+}
+
+impl Progress for Beside<'_, '_> {
+    fn stage(&mut self, _: Stage) {
+        self.progress.stage(Stage::StartValues { filter_runs: self.small.filter_passes() });
+    }
+
+    fn step(&mut self, _: Step) {
+        self.progress.stage(Stage::StartValues { filter_runs: self.small.filter_passes() });
+    }
+
+    fn stops(&self) -> bool {
+        self.progress.stops()
+    }
+}
+
+pub(super) fn total(tests: &[PhasedTest]) -> usize {
+    tests.iter().map(rows).sum()
+}
+
+/// Rows of all phases.
+fn rows(test: &PhasedTest) -> usize {
+    test.phases.iter().map(|evidence| if let Evidence::Rows(test) = evidence { test.rows() } else { 0 }).sum()
+}

@@ -1,0 +1,141 @@
+//! Sizes found in the data, and which parameters they are sizes of.
+
+use crate::ensemble::Test;
+use crate::model::{Expression, Linear, Motion, Operator, PhasedModel, State};
+use crate::reduce::{Evidence, PhasedTest};
+
+/// Rows of one test that are looked at.
+const ROWS_OF_A_TEST: usize = 20_000;
+
+/// Sizes found in the data.
+pub(crate) struct Scales {
+    /// Of the differences of successive measured values, by phase and measurement.
+    noise: Vec<Vec<f64>>,
+    /// Median length of a step.
+    step: f64,
+    /// Median length of a phase of a test.
+    span: f64,
+}
+
+impl Scales {
+    /// Of the tests of a model, in an order that does not depend on theirs: sums over them begin the search.
+    pub(crate) fn of(model: &PhasedModel, tests: &[PhasedTest], order: &[usize]) -> Scales {
+        let noise_of = |at: usize| -> Vec<f64> {
+            let (columns, rows) = (model.phases[at].model.measurements.iter(), phase_rows(tests, order, at));
+            columns.map(|m| differences(&rows, m.column)).collect()
+        };
+        let noise = (0..model.phases.len()).map(noise_of).collect();
+        let (mut steps, mut spans) = (Vec::new(), Vec::new());
+        for (at, phase) in model.phases.iter().enumerate() {
+            let Some(time) = phase.model.clock.time else { continue };
+            for test in phase_rows(tests, order, at) {
+                let times: Vec<f64> = (0..test.rows().min(ROWS_OF_A_TEST)).map(|row| test.numbers(row)[time]).collect();
+                steps.extend(times.windows(2).map(|pair| pair[1] - pair[0]).filter(|d| *d > 0.0));
+                let last = test.rows().checked_sub(1).map(|row| test.numbers(row)[time]);
+                spans.extend(last.zip(times.first()).map(|(last, first)| last - first).filter(|d| *d > 0.0));
+            }
+        }
+        Scales { noise, step: median(steps).unwrap_or(1.0), span: median(spans).unwrap_or(1.0) }
+    }
+
+    /// Times from a part of the length of a step to so many times that of a test, each `factor` times the one before.
+    pub(crate) fn range(&self, part: f64, spans: f64, factor: f64) -> impl Iterator<Item = f64> + use<> {
+        let (first, last) = (part * self.step, spans * self.span.max(self.step));
+        (0..).map(move |k| first * factor.powi(k)).take_while(move |time| *time <= last)
+    }
+
+    /// A value for a positive parameter.
+    pub(crate) fn guess(&self, model: &PhasedModel, parameter: usize) -> f64 {
+        if time_constants(model).contains(&parameter) {
+            return (self.step * self.span).sqrt();
+        }
+        let measurements =
+            model.phases.iter().zip(&self.noise).flat_map(|(p, noise)| p.model.measurements.iter().zip(noise));
+        let own = measurements.into_iter().find(|(m, _)| mentions(&m.noise_variance, parameter));
+        if let Some((measurement, &size)) = own {
+            // the variance is the square of the parameter, or the parameter itself
+            let as_variance = !is_square(&measurement.noise_variance);
+            return if as_variance { size * size } else { size };
+        }
+        let sizes = self.noise.iter().flatten().copied().filter(|size| *size > 0.0);
+        let all = median(sizes.collect()).unwrap_or(1.0);
+        let variance = |motion: &Motion| match motion {
+            Motion::Continuous { noise_variance, .. } | Motion::Discrete { noise_variance, .. } => {
+                *noise_variance == Expression::Parameter(parameter)
+            }
+            Motion::Constant => false,
+        };
+        if states(model).any(|state| variance(&state.motion)) { all * all } else { all }
+    }
+}
+
+/// The states of all phases.
+fn states(model: &PhasedModel) -> impl Iterator<Item = &State> {
+    model.phases.iter().flat_map(|phase| &phase.model.states)
+}
+
+/// The rows of one phase, of the tests that have them.
+fn phase_rows<'a>(tests: &'a [PhasedTest], order: &[usize], at: usize) -> Vec<&'a Test> {
+    let evidence = order.iter().filter_map(|&j| tests[j].phases.get(at));
+    evidence.filter_map(|evidence| if let Evidence::Rows(rows) = evidence { Some(rows) } else { None }).collect()
+}
+
+/// Whether a parameter stands in the variance of a noise.
+pub(super) fn is_noise(model: &PhasedModel, parameter: usize) -> bool {
+    let mut measurements = model.phases.iter().flat_map(|phase| &phase.model.measurements);
+    measurements.any(|m| mentions(&m.noise_variance, parameter))
+        || states(model).any(|state| match &state.motion {
+            Motion::Constant => false,
+            Motion::Continuous { noise_variance, .. } | Motion::Discrete { noise_variance, .. } => {
+                mentions(noise_variance, parameter)
+            }
+        })
+}
+
+/// A variance that was given as a standard deviation.
+fn is_square(variance: &Expression) -> bool {
+    matches!(variance, Expression::Binary(Operator::Multiply, a, b) if a == b)
+}
+
+/// Root mean square of the differences of successive values within tests, over √2.
+fn differences(tests: &[&Test], column: usize) -> f64 {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for test in tests {
+        let mut last = f64::NAN;
+        for row in 0..test.rows().min(ROWS_OF_A_TEST) {
+            let value = test.numbers(row)[column];
+            if !value.is_nan() {
+                if !last.is_nan() {
+                    sum += (value - last).powi(2);
+                    count += 2.0;
+                }
+                last = value;
+            }
+        }
+    }
+    let size: f64 = if count > 0.0 { f64::sqrt(sum / count) } else { 0.0 };
+    if size > 0.0 && size.is_finite() { size } else { 1.0 }
+}
+
+fn median(mut list: Vec<f64>) -> Option<f64> {
+    list.sort_by(f64::total_cmp);
+    list.get(list.len() / 2).copied()
+}
+
+pub(super) fn mentions(expression: &Expression, parameter: usize) -> bool {
+    expression.any(&mut |part| matches!(part, Expression::Parameter(index) if *index == parameter))
+}
+
+/// Positive parameters that the coefficients of a motion depend on.
+pub(crate) fn time_constants(model: &PhasedModel) -> Vec<usize> {
+    let motion = |linear: &Linear, parameter| linear.terms.iter().any(|(_, h)| mentions(h, parameter));
+    let used = |parameter: usize| {
+        states(model).any(|state| match &state.motion {
+            Motion::Constant => false,
+            Motion::Continuous { derivative, .. } => motion(derivative, parameter),
+            Motion::Discrete { next, .. } => motion(next, parameter),
+        })
+    };
+    let parameters = &model.shared().parameters;
+    (0..parameters.len()).filter(|&p| parameters[p].positive && used(p)).collect()
+}

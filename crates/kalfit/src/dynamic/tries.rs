@@ -1,0 +1,76 @@
+//! ℓ at values that are tried, cheaply: over many powers of ten of one parameter.
+
+use crate::dynamic::bench::Bench;
+use crate::estimate::{Progress, Stage};
+
+/// Powers of this factor are tried, so many to each side.
+pub(super) const FACTOR: f64 = 4.0;
+const EACH_SIDE: i32 = 6;
+/// Values other than logarithms that are tried where none is given.
+const TRIED: [f64; 5] = [0.0, 0.5, 0.9, -0.5, 1.0];
+
+/// ℓ at start values; whoever waits hears of it, and nothing more is tried once nobody does.
+pub(super) fn tried(small: &Bench<'_>, values: &[f64], progress: &mut dyn Progress) -> Option<f64> {
+    progress.stage(Stage::StartValues { filter_runs: small.filter_passes() });
+    if progress.stops() { None } else { small.value(values) }
+}
+
+/// All levels of one parameter over many powers of a factor.
+pub(super) fn scan(small: &Bench<'_>, parameter: usize, values: &mut Vec<f64>, progress: &mut dyn Progress) {
+    let tries = std::iter::once(values.clone()).chain(grid(small, parameter, values));
+    if let Some((best, _)) = best(small, tries, progress) {
+        *values = best;
+    }
+}
+
+/// The best of the same with all levels of one parameter over many powers of a factor.
+pub(super) fn best_of(
+    bench: &Bench<'_>,
+    parameter: usize,
+    values: &[f64],
+    progress: &mut dyn Progress,
+) -> Option<Vec<f64>> {
+    best(bench, grid(bench, parameter, values).into_iter(), progress).map(|(values, _)| values)
+}
+
+fn grid(small: &Bench<'_>, parameter: usize, values: &[f64]) -> Vec<Vec<f64>> {
+    let own = |s: usize| small.slots.slots()[s].parameter == parameter;
+    let with = |change: &dyn Fn(usize, f64) -> f64| -> Vec<f64> {
+        values.iter().enumerate().map(|(s, &v)| if own(s) { change(s, v) } else { v }).collect()
+    };
+    if (0..values.len()).any(|s| own(s) && small.coordinates[s].log) {
+        (-EACH_SIDE..=EACH_SIDE)
+            .map(|k| with(&|s, v| small.coordinates[s].moved(v, f64::from(k) * FACTOR.ln())))
+            .collect()
+    } else {
+        TRIED.iter().map(|&x| with(&|s, _| small.coordinates[s].inside(x))).collect()
+    }
+}
+
+fn best(
+    small: &Bench<'_>,
+    tries: impl Iterator<Item = Vec<f64>>,
+    progress: &mut dyn Progress,
+) -> Option<(Vec<f64>, f64)> {
+    let valued = tries.filter_map(|values| tried(small, &values, progress).map(|value| (values, value)));
+    valued.fold(None, |best: Option<(Vec<f64>, f64)>, next| match best {
+        Some(best) if best.1 >= next.1 => Some(best),
+        _ => Some(next),
+    })
+}
+
+/// Starts where ℓ over the powers of a time constant has other maxima than at the first start.
+pub(super) fn other_maxima(
+    small: &Bench<'_>,
+    parameter: usize,
+    first: &[f64],
+    progress: &mut dyn Progress,
+) -> Vec<Vec<f64>> {
+    let grid = grid(small, parameter, first);
+    let values: Vec<f64> = grid.iter().map(|v| tried(small, v, progress).unwrap_or(f64::NEG_INFINITY)).collect();
+    let at = |k: usize| values.get(k).copied().unwrap_or(f64::NEG_INFINITY);
+    let peak = |&k: &usize| values[k].is_finite() && (k == 0 || at(k - 1) < values[k]) && at(k + 1) < values[k];
+    let middle = EACH_SIDE as usize;
+    let near = |k: usize| k.abs_diff(middle) <= 1;
+    (0..values.len()).filter(peak).filter(|&k| !near(k)).take(3).map(|k| grid[k].clone()).collect()
+}
