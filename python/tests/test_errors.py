@@ -73,7 +73,6 @@ def test_messages_name_arguments_as_python_does():
     rows = polars.DataFrame({"id": ["a", "b"], "y": [1.0, 2.0]})
     cases = [
         (lambda: kalfit.reduce(free, rows), 'hint: give it: `set={"sigma": VALUE}`'),
-        (lambda: kalfit.fit(*SLEEP, std_errors="expected"), "or fix the parameters with `set`"),
         (lambda: kalfit.fit(*BENCH, criterion="reml", std_errors="sandwich"), '`std_errors="sandwich"` go with `criterion="ml"` only'),
         (lambda: kalfit.fit(*BENCH, phases="stacked"), '^`phases="stacked"` has no effect'),
     ]

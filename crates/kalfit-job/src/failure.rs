@@ -124,9 +124,6 @@ pub enum Failure {
     /// Standard errors that a criterion does not have.
     #[error("`--std-errors expected` and `--std-errors sandwich` go with `--criterion ml` only")]
     RestrictedErrors,
-    /// Standard errors that are not known of free dynamic parameters.
-    #[error("`--std-errors expected` is for models whose parameters are all known")]
-    FreeErrors,
     /// An option of the search for dynamic parameters, none of which is free.
     #[error("`{option}` has no effect: the model has no free parameters")]
     NoFreeParameter {
@@ -254,10 +251,6 @@ impl Failure {
             Failure::RestrictedErrors => {
                 Some("leave `--std-errors` out: the restricted likelihood has those of its own curvature".to_owned())
             }
-            Failure::FreeErrors => Some(
-                "leave `--std-errors` out, take `sandwich`, or fix the parameters with `--set` (their uncertainty is then left out)"
-                    .to_owned(),
-            ),
             Failure::NoFreeParameter { .. } => {
                 Some("leave it out, or free a parameter in `[parameters]`: `{}` or `{ start = 1 }`".to_owned())
             }

@@ -20,9 +20,10 @@ pub enum DynamicError {
         /// Number of free values.
         free: usize,
     },
-    /// Expected information of free parameters, which is not worked out.
+    /// Expected information of free parameters where it is not worked out.
     #[error(
-        "standard errors from the expected information are for models whose parameters are all known, and `{parameter}` is free"
+        "standard errors from the expected information beside free parameters (`{parameter}`) are for rows of one phase, without \
+         noise covariances, and without values of single tests"
     )]
     Expected {
         /// The first free parameter.

@@ -2,7 +2,7 @@
 
 use crate::dynamic::bench::Bench;
 use crate::dynamic::covariances::Covariances;
-use crate::dynamic::{DynamicError, DynamicFit, ParameterInference, interval, law, profile, sandwich, worth};
+use crate::dynamic::{DynamicError, DynamicFit, ParameterInference, expected, interval, law, profile, sandwich, worth};
 use crate::estimate::{Criterion, Stop};
 use crate::infer::{Choices, Inference, IntervalKind, StdErrors, sensitivities};
 use crate::model::PhasedModel;
@@ -16,10 +16,6 @@ pub fn infer(
     choices: Choices,
 ) -> Result<(Inference, Vec<ParameterInference>), DynamicError> {
     let ml = fit.estimate.criterion == Criterion::Ml;
-    if let (StdErrors::Expected, true, Some(slot)) = (choices.std_errors, ml, fit.slots.slots().first()) {
-        let parameter = model.shared().parameters[slot.parameter].name.clone();
-        return Err(DynamicError::Expected { parameter });
-    }
     let bench = Bench::new(model, tests, &fit.slots, &fit.settings);
     let known = (&fit.slots, &bench.coordinates[..]);
     let spread = |mut covariances: Covariances| {
@@ -31,18 +27,19 @@ pub fn infer(
     estimate.state.joint = Some(law::joint(model, fit, &observed));
     // by profiles only once the maximum is certain
     let wald = Choices { intervals: IntervalKind::Wald, ..choices };
-    let sandwich = match choices.std_errors {
+    let asked = match choices.std_errors {
         StdErrors::Sandwich if ml => Some(spread(sandwich::sandwich(&bench, fit, &observed)?)),
+        StdErrors::Expected if ml => Some(spread(of_expectation(&bench, fit)?)),
         _ => None,
     };
-    let (mut inference, mut parameters) = match &sandwich {
-        Some(sandwich) => {
-            let mut robust = fit.estimate.clone();
-            robust.state.joint = Some(law::joint(model, fit, sandwich));
-            let inference = crate::infer::infer(&robust, &fit.reductions, wald);
+    let (mut inference, mut parameters) = match &asked {
+        Some(asked) => {
+            let mut other = fit.estimate.clone();
+            other.state.joint = Some(law::joint(model, fit, asked));
+            let inference = crate::infer::infer(&other, &fit.reductions, wald);
             // score tests stay those of the observed information
             let inference = Inference { sensitivities: sensitivities(&estimate), ..inference };
-            (inference, worth::parameters(model, fit, sandwich))
+            (inference, worth::parameters(model, fit, asked))
         }
         None => {
             let inference = crate::infer::infer(&estimate, &fit.reductions, wald);
@@ -56,4 +53,13 @@ pub fn infer(
         }
     }
     Ok((inference, parameters))
+}
+
+/// Covariances from the expected information, where it is worked out.
+fn of_expectation(bench: &Bench<'_>, fit: &DynamicFit) -> Result<Covariances, DynamicError> {
+    let found = if expected::is_possible(bench) { expected::expected(bench, fit)? } else { None };
+    found.ok_or_else(|| {
+        let parameter = fit.slots.slots().first().map_or(0, |slot| slot.parameter);
+        DynamicError::Expected { parameter: bench.model.shared().parameters[parameter].name.clone() }
+    })
 }

@@ -364,6 +364,20 @@ impl Joint {
         Covariances { alpha, shared: self.shared.clone(), whole: law }
     }
 
+    /// The same from another information in the shared values and along the tangent basis; `None` where values of single tests
+    /// are among those that move.
+    pub(crate) fn covariances_of(&self, information: &DMatrix<f64>) -> Option<Covariances> {
+        if !self.private.is_empty() {
+            return None;
+        }
+        let (whole, flat) = inverse(information);
+        let mut alpha = vec![None; self.cross.nrows()];
+        for (i, &s) in self.shared.iter().enumerate() {
+            alpha[s] = Some(whole[(i, i)]).filter(|v| *v > 0.0 && !flat[i]);
+        }
+        Some(Covariances { alpha, shared: self.shared.clone(), whole })
+    }
+
     /// Entries on both sides of the diagonal: where a value stands in matrices of the structures only, its column has none for
     /// values of the tests, but theirs have one for it.
     fn mirror(&mut self) {

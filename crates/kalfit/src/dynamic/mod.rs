@@ -14,6 +14,7 @@ mod curvature;
 mod edges;
 mod em;
 mod error;
+mod expected;
 mod explore;
 mod fit;
 mod glide;

@@ -98,6 +98,7 @@ pub use suboptimal::{EstimateReducer, FilterRunner, Lost, LostError, lost};
 pub use terminal::Terminal;
 
 pub(crate) use carry::Inherits;
+pub(crate) use data::Data;
 pub(crate) use design::{Design, Frame, Step, Stretch, Transition};
 pub(crate) use dynamics::Table;
 pub(crate) use gains::{Gains, Piece};
@@ -120,7 +121,7 @@ pub(crate) use steps::Cells;
 pub(crate) use subject::{At, Coefficient, Fault, Subject, Uses};
 #[cfg(test)]
 pub(crate) use {
-    data::{Data, DataWork},
+    data::DataWork,
     data_pass::outcome,
     design::{DENSE, Pattern},
     reducer::information_gains,

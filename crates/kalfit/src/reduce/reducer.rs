@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use crate::ensemble::Test;
 use crate::model::{Alpha, Model, Slots};
 use crate::reduce::class::{Class, Made, class_bytes};
-use crate::reduce::data::{Miss, Outcome};
+use crate::reduce::data::{Data, Miss, Outcome};
 use crate::reduce::data_pass::{innovate, outcome};
 use crate::reduce::design::Design;
 use crate::reduce::design_pass::schedule;
@@ -250,6 +250,12 @@ impl Reducer {
         let class = self.class(digest, work);
         let gains = class.value().as_ref().map_err(|&error| named(root_fault(error, &work.instances)))?;
         Ok(pass(gains, work))
+    }
+
+    /// Design, data and covariates of a test.
+    pub(crate) fn evaluated(&self, test: &Test, work: &mut Workspace) -> Result<(Design, Data, Vec<f64>), ReduceError> {
+        self.preparer.prepare(test, work).map_err(|fault| self.named(*fault, test))?;
+        Ok((work.design.clone(), work.data.clone(), work.covariates.clone()))
     }
 
     /// The reduction of a test, and its class; x̂_K is left in the work space.

@@ -180,16 +180,6 @@ fn errors_beside_a_parameter_in_the_matrix_of_the_covariance_are_joint() {
     }
 }
 
-#[test]
-fn the_expected_information_of_free_parameters_is_refused() {
-    let root = DMatrix::from_row_slice(2, 2, &[1.0, 0.0, 0.5, 0.6]);
-    let tests = drawn(12, &[1.0, -0.5], &root, 0.4, 12);
-    let ensemble = Ensemble::new(&lines(2).build().expect("a model"), &columns(&tests)).expect("columns");
-    let choices = Choices { std_errors: StdErrors::Expected, ..Choices::default() };
-    let error = ensemble.fit_with(&Options { choices, ..Options::default() }, &mut Silent).expect_err("refused");
-    assert!(error.to_string().contains("`s` is free"), "{error}");
-}
-
 /// Twice the fall of ℓ at the end of an interval, by a fit with the quantity held there, is χ²₁'s quantile.
 fn ends_where_a_held_fit_says(
     best: &Fit,

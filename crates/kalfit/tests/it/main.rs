@@ -5,6 +5,7 @@ mod certified;
 mod chains;
 mod dense;
 mod dynamic_record;
+mod expected_errors;
 mod inference;
 mod innovations;
 mod joint_errors;
