@@ -51,6 +51,27 @@ fn a_noise_level_is_not_lost_to_zero() {
 }
 
 #[test]
+fn a_noise_returns_together_with_its_covariance() {
+    // with s at zero c has no effect, and ℓ has a slope in s only beside the c that belongs to it
+    let highest = fitted("noises-crossed", "noises-crossed", &[]).log_likelihood;
+    let given = [
+        ("tau0 = {}", "tau0 = { start = 0.48 }"),
+        ("s0 = {}", "s0 = { start = 0.6 }"),
+        ("c = {}", "c = { start = 0 }"),
+    ];
+    for level in ["0.05", "0.00001"] {
+        let start = format!("s = {{ start = {level} }}");
+        let found = fitted(
+            "noises-crossed",
+            "noises-crossed",
+            &[&given[..], &[("\ns = {}", &format!("\n{start}")), ("r = {}", "r = { start = 0.05 }")]].concat(),
+        );
+        reaches(&found, &start, highest);
+        assert!(parameter(&found, "s", None).estimate > 0.01, "{:?}", parameter(&found, "s", None));
+    }
+}
+
+#[test]
 fn every_start_ends_at_the_same_maximum_of_a_coupled_stationary_process() {
     let own = fitted("stationary-coupled", "stationary-coupled", &[]);
     let given = fitted("stationary-coupled", "stationary-coupled", &[("s = {}", "s = { start = 0.3 }")]);

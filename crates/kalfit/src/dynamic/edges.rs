@@ -106,6 +106,12 @@ impl Edges {
         sought
     }
 
+    /// Slots of covariances beside the variances that a parameter stands in.
+    pub(crate) fn beside(&self, parameter: usize) -> Vec<usize> {
+        let of = |edge: &&Edge| edge.variances.iter().any(|variance| power(variance, parameter) != Some(0.0));
+        self.0.iter().filter(of).map(|edge| edge.slot).collect()
+    }
+
     /// Derivatives to α made derivatives to what is sought.
     pub(crate) fn pull(&self, sought: &[f64], alpha: &Alpha, slots: &Slots, scores: &mut [Gradient]) {
         for at in self.0.iter().map(|edge| edge.at(alpha, slots)) {

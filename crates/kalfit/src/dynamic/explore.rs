@@ -75,12 +75,12 @@ fn look_around(
     let most = most(bench);
     let mut tried: Vec<Vec<f64>> = ends.iter().map(|end| end.home.values.clone()).collect();
     for round in 0..ROUNDS {
-        let Some(best) = best(ends) else { return Ok(()) };
-        let mut places = places(hybrid, best, None, progress);
+        let best = best(ends);
+        let mut places = best.map_or_else(Vec::new, |best| places(hybrid, best, None, progress));
         if round == 0 && told {
             places.extend(start::from_data(bench, progress));
         }
-        let floor = best.home.value() + RISE;
+        let floor = best.map(|best| best.home.value() + RISE);
         let mut higher = None;
         for place in places {
             if hybrid.filter_passes() >= most || progress.stops() {
@@ -92,8 +92,8 @@ fn look_around(
             }
             tried.push(place.clone());
             let Ok(home) = hybrid.solve(&place, None) else { continue };
-            let found = Search::new(hybrid, progress, home).beyond(Some(floor)).run()?;
-            if found.stop == Stop::Certified && found.home.value() > floor {
+            let found = Search::new(hybrid, progress, home).beyond(floor).run()?;
+            if found.stop == Stop::Certified && floor.is_none_or(|floor| found.home.value() > floor) {
                 higher = Some(found);
                 break;
             }

@@ -17,6 +17,8 @@ const GAIN: f64 = 1e-7;
 /// Sizes at which a level may return: powers of this part of the variance it had.
 const SMALLER: f64 = 0.125;
 const SIZES: i32 = 8;
+/// Parts of what a covariance may be.
+const PARTS: [f64; 4] = [-1.0, 1.0, -0.4, 0.4];
 /// Slopes below this are none.
 const FLAT: f64 = 1e-9;
 /// Times that are tried for time constants without effect: by this factor, from this part of a step to as many spans.
@@ -46,7 +48,18 @@ impl Search<'_, '_> {
         let mut promising: Vec<(f64, usize, Change)> = zeros.iter().filter_map(|&s| best(s).cloned()).collect();
         promising.retain(|(gain, ..)| *gain > GAIN);
         promising.sort_by(|a, b| b.0.total_cmp(&a.0));
-        promising.into_iter().any(|(_, s, shape)| self.returns(s, &shape))
+        promising.into_iter().any(|(_, s, shape)| self.returns(s, &shape)) || self.crosses_back(&zeros)
+    }
+
+    /// A noise with a free covariance to another returns together with it: the covariance grows as the level itself, so that ℓ has a
+    /// slope in the level that no derivative in its variance shows.
+    fn crosses_back(&mut self, zeros: &[usize]) -> bool {
+        let crossed = |&s: &usize| {
+            let parameter = self.bench.slots.slots()[s].parameter;
+            self.bench.edges.beside(parameter).into_iter().flat_map(move |t| PARTS.map(|part| (s, vec![(t, part)])))
+        };
+        let ways: Vec<(usize, Change)> = zeros.iter().flat_map(crossed).collect();
+        ways.into_iter().any(|(s, shape)| self.returns(s, &shape))
     }
 
     /// Back from zero at the largest size at which ℓ is higher than at zero.
