@@ -3,6 +3,7 @@
 mod comment;
 mod cut;
 mod rows;
+mod scan;
 
 use std::io::{self, Cursor, Read};
 

@@ -3,10 +3,11 @@
 use std::io::{Chain, Read};
 
 use csv::{ByteRecord, ReaderBuilder, Terminator};
-use memchr::{memchr_iter, memchr2_iter};
+use memchr::memchr_iter;
 
 use super::comment::MARK;
 use super::cut::Chunk;
+use super::scan::{Cuts, cuts};
 use crate::block::{Block, Filler};
 use crate::error::DataError;
 use crate::wanted::Wanted;
@@ -37,21 +38,19 @@ trait Cells {
     }
 }
 
-/// Cells of a row without quotes: its bytes, and where each cell ends.
+/// Cells of a row without quotes: where each begins in some bytes, and where one after the last would.
 struct Plain<'c> {
     bytes: &'c [u8],
-    ends: &'c [usize],
-    start: usize,
+    starts: &'c [u32],
 }
 
 impl Cells for Plain<'_> {
     fn len(&self) -> usize {
-        self.ends.len()
+        self.starts.len() - 1
     }
 
     fn get(&self, position: usize) -> &[u8] {
-        let start = if position == 0 { self.start } else { self.ends[position - 1] + 1 };
-        &self.bytes[start..self.ends[position]]
+        &self.bytes[self.starts[position] as usize..self.starts[position + 1] as usize - 1]
     }
 }
 
@@ -94,21 +93,16 @@ struct Rows<'a> {
 impl Rows<'_> {
     /// Without quotes, every line feed ends a row and every delimiter a cell.
     fn plain(&mut self, chunk: &Chunk) -> Result<(), DataError> {
-        let bytes = &chunk.bytes[..];
-        let (mut ends, mut start, mut line) = (Vec::with_capacity(self.form.width), 0, chunk.line);
-        let last = (!bytes.ends_with(b"\n")).then_some(bytes.len()); // the file may end without a line end
-        for at in memchr2_iter(self.form.delimiter, b'\n', bytes).chain(last) {
-            ends.push(at);
-            if bytes.get(at) == Some(&self.form.delimiter) {
-                continue;
+        let Cuts { starts, rows } = cuts(&chunk.bytes, self.form.delimiter);
+        let mut first = 0;
+        for (line, next) in (chunk.line..).zip(rows) {
+            let row = Plain { bytes: &chunk.bytes, starts: &starts[first..=next as usize] };
+            match row.get(0) {
+                b"" | b"\r" if row.len() == 1 => self.blank = self.blank.or(Some(line)),
+                MARK if row.len() == 1 && self.form.wanted.comment.is_some() => {}
+                _ => self.row(&row, line, 1)?,
             }
-            match &bytes[start..at] {
-                b"" | b"\r" => self.blank = self.blank.or(Some(line)),
-                row if row == MARK && self.form.wanted.comment.is_some() => {}
-                _ => self.row(&Plain { bytes, ends: &ends, start }, line, 1)?,
-            }
-            ends.clear();
-            (start, line) = (at + 1, line + 1);
+            first = next as usize;
         }
         Ok(())
     }
