@@ -144,7 +144,7 @@ impl Gather {
                 }
             }
         }
-        for (part, row) in block.numbered(rows) {
+        for (part, row) in block.numbering.parts(rows) {
             let numbers = &block.numbers[part.start * self.numbers..part.end * self.numbers];
             let texts = &block.texts[part.start * self.texts..part.end * self.texts];
             test.push_rows(part.len(), numbers, texts, Source { file, row });

@@ -237,6 +237,6 @@ impl Times<'_> {
     }
 
     fn place(&self, block: &Block, row: usize, file: &str) -> Box<Place> {
-        self.wanted.time().expect("a row has a time only with a time column").place(file, block.number(row))
+        self.wanted.time().expect("a row has a time only with a time column").place(file, block.numbering.of(row))
     }
 }
