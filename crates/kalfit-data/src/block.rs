@@ -14,15 +14,17 @@ use crate::numbering::Numbering;
 pub(crate) struct Block {
     /// Number of rows.
     pub(crate) rows: usize,
-    /// Numeric cells, row after row, NaN where missing; those of the time column are filled in when the first row of their test
-    /// is known.
+    /// Numeric cells, row after row, NaN where missing; date-times are filled in when the first row of their test is known.
     pub(crate) numbers: Vec<f64>,
     /// Text cells, row after row: labels of `labels`, and of the whole reading after [`Block::relabel`].
     pub(crate) texts: Vec<Label>,
     /// Texts, in order of first appearance.
     pub(crate) labels: Labels,
-    /// Times, with a time column.
-    pub(crate) times: Vec<Moment>,
+    /// Number of numeric cells of a row, and those of them that are its time.
+    pub(crate) width: usize,
+    pub(crate) clock: Vec<usize>,
+    /// Times, where some are date-times.
+    pub(crate) moments: Vec<Moment>,
     pub(crate) ids: Ids,
     /// Numbers of the rows in the file.
     pub(crate) numbering: Numbering,
@@ -69,6 +71,30 @@ impl Block {
         let known: Vec<Label> = self.labels.texts().iter().map(|text| labels.intern(text)).collect();
         let of = |label: Label| if label.is_missing() { label } else { known[label.index()] };
         self.texts.iter_mut().for_each(|label| *label = of(*label));
+    }
+
+    /// The time of a row.
+    pub(crate) fn time(&self, row: usize) -> Option<Moment> {
+        let cell = self.clock.first()?;
+        let number = || Moment::Number(self.numbers[row * self.width + cell]);
+        Some(self.moments.get(row).copied().unwrap_or_else(number))
+    }
+
+    /// Sets the cells with the time of a row.
+    pub(crate) fn set_time(&mut self, row: usize, value: f64) {
+        self.clock.iter().for_each(|cell| self.numbers[row * self.width + cell] = value);
+    }
+
+    /// Says the time of a row after those before.
+    #[inline]
+    pub(crate) fn push_time(&mut self, row: usize, time: Moment) {
+        match time {
+            Moment::Number(value) if self.moments.is_empty() => self.set_time(row, value),
+            _ => {
+                let numbers: Vec<Moment> = (self.moments.len()..row).filter_map(|row| self.time(row)).collect();
+                self.moments.extend(numbers.into_iter().chain([time]));
+            }
+        }
     }
 
     /// Number of runs of rows of one test.

@@ -74,7 +74,8 @@ impl<'a> Filler<'a> {
     pub(crate) fn new(wanted: &'a Wanted, rows: usize) -> Filler<'a> {
         let numbers = Vec::with_capacity(wanted.numbers * rows);
         let texts = Vec::with_capacity(wanted.texts * rows);
-        Filler { wanted, block: Block { numbers, texts, ..Block::default() } }
+        let clock = wanted.time().map_or_else(Vec::new, |column| column.numbers.clone());
+        Filler { wanted, block: Block { numbers, texts, width: wanted.numbers, clock, ..Block::default() } }
     }
 
     /// Appends rows, up to the first that is wrong.
@@ -91,7 +92,12 @@ impl<'a> Filler<'a> {
                 first.note(at, self.numbers(columns, (at, column)));
             }
             if column.is_time {
-                first.note(at, columns.times(at, |time| self.block.times.push(time)));
+                let mut row = self.block.rows;
+                let put = |time| {
+                    self.block.push_time(row, time);
+                    row += 1;
+                };
+                first.note(at, columns.times(at, put));
             }
         }
         for (at, _) in wanted.columns.iter().enumerate().filter(|(_, column)| column.is_test) {
@@ -109,7 +115,7 @@ impl<'a> Filler<'a> {
         let mut block = Block { numbering, end, ..self.block };
         block.numbers.truncate(block.rows * self.wanted.numbers);
         block.texts.truncate(block.rows * self.wanted.texts);
-        block.times.truncate(block.rows);
+        block.moments.truncate(block.rows);
         block.ids.truncate(block.rows);
         block
     }
