@@ -29,16 +29,22 @@ impl Tokens {
     }
 
     /// The number in a cell, spaces around it apart; NaN when it is missing.
+    #[inline]
     pub(crate) fn number(&self, cell: &[u8]) -> Result<f64, Fault> {
-        if let Some(value) = plain(cell) {
-            return self.finite(value);
+        match plain(cell).or_else(|| finite(cell)) {
+            Some(value) => self.finite(value),
+            None => self.unusual(cell),
         }
+    }
+
+    /// The same of a cell that is no number as it stands.
+    fn unusual(&self, cell: &[u8]) -> Result<f64, Fault> {
         let cell = cell.trim_ascii();
         if self.is_missing(cell) {
             return Ok(f64::NAN);
         }
-        let text = std::str::from_utf8(cell).map_err(|_| Fault::NotUtf8)?;
-        self.finite(text.parse().map_err(|_| Fault::NotANumber)?)
+        let fault = |_| std::str::from_utf8(cell).map_or(Fault::NotUtf8, |_| Fault::NotANumber);
+        self.finite(lexical_core::parse(cell).map_err(fault)?)
     }
 
     /// A number that is already one: NaN when missing.
@@ -84,6 +90,11 @@ fn plain(cell: &[u8]) -> Option<f64> {
     Some(if negative { -value } else { value })
 }
 
+/// Any other finite number without spaces around it, of many digits or with an exponent.
+fn finite(cell: &[u8]) -> Option<f64> {
+    lexical_core::parse(cell).ok().filter(|value: &f64| value.is_finite())
+}
+
 /// Text of a cell for a message: not too long, and without characters that could play tricks on a terminal.
 pub(crate) fn shown(cell: &[u8]) -> String {
     const LONGEST: usize = 60;
@@ -112,10 +123,15 @@ mod tests {
 
     proptest! {
         #[test]
-        fn decimals_are_read_to_the_bit_as_by_the_standard_library(text in "-?[0-9]{0,17}[.]?[0-9]{0,17}", other in "[-+0-9.eEn ]{0,8}") {
-            for text in [text, other] {
+        fn numbers_are_read_to_the_bit_as_by_the_standard_library(
+            short in "-?[0-9]{0,17}[.]?[0-9]{0,17}", long in "[-+]?[0-9]{0,30}[.]?[0-9]{0,30}([eE][-+]?[0-9]{1,3})?",
+            other in "[-+0-9.eEinf_x ]{0,8}", any in any::<f64>()
+        ) {
+            for text in [short, long, other, any.to_string(), format!("{any:e}")] {
+                let expected = text.parse().ok().map(f64::to_bits);
+                prop_assert_eq!(lexical_core::parse(text.as_bytes()).ok().map(f64::to_bits), expected, "{}", text);
                 if let Some(value) = plain(text.as_bytes()) {
-                    prop_assert_eq!(text.parse::<f64>().map(f64::to_bits), Ok(value.to_bits()), "{}", text);
+                    prop_assert_eq!(Some(value.to_bits()), expected, "{}", text);
                 }
             }
         }

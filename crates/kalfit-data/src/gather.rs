@@ -1,8 +1,10 @@
 //! Rows into tests.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
+use std::hash::{BuildHasher, RandomState};
 use std::ops::Range;
 
+use hashbrown::HashTable;
 use kalfit::{Label, Source, Test};
 
 use crate::block::Block;
@@ -13,12 +15,11 @@ pub(crate) struct Gather {
     holds: bool,
     numbers: usize,
     texts: usize,
-    /// Numeric cells that the time fills.
-    time_cells: Vec<usize>,
     /// Text cell with the phase of the row.
     phase_cell: Option<usize>,
-    /// Ids seen, with their place in `open` (holding).
-    seen: HashMap<String, usize>,
+    /// Hashes of the ids seen, with the place of the test in `open` (holding).
+    seen: HashTable<(u64, usize)>,
+    hasher: RandomState,
     /// Tests that may still get rows, in order of first appearance: one while streaming.
     open: Vec<Open>,
     /// The test of the last row.
@@ -47,6 +48,10 @@ struct Times {
 }
 
 impl Times {
+    fn new(phase: Label, first: Moment) -> Times {
+        Times { first, phase, last: first, others: BTreeMap::new() }
+    }
+
     /// Takes the time of the next row; the time before it in its phase, when that is later.
     fn advance(&mut self, phase: Label, now: Moment) -> Result<(), Moment> {
         if phase != self.phase {
@@ -77,19 +82,14 @@ const BATCH_TESTS: usize = 1024;
 const BATCH_CELLS: usize = 1_000_000;
 
 impl Gather {
-    pub(crate) fn new(
-        holds: bool,
-        (numbers, texts): (usize, usize),
-        time_cells: Vec<usize>,
-        phase_cell: Option<usize>,
-    ) -> Gather {
+    pub(crate) fn new(holds: bool, (numbers, texts): (usize, usize), phase_cell: Option<usize>) -> Gather {
         Gather {
             holds,
             numbers,
             texts,
-            time_cells,
             phase_cell,
-            seen: HashMap::new(),
+            seen: HashTable::new(),
+            hasher: RandomState::new(),
             open: Vec::new(),
             current: 0,
             complete: Vec::new(),
@@ -102,14 +102,17 @@ impl Gather {
         if self.open.get(self.current).is_some_and(|open| open.test.id == id) {
             return Turn::Known;
         }
-        match self.seen.get(id) {
+        let hash = self.hasher.hash_one(id);
+        // while streaming, two ids with one hash are taken for one: all is read again then, and ids are compared
+        let same = |&(other, at): &(u64, usize)| other == hash && (!self.holds || self.open[at].test.id == id);
+        match self.seen.find(hash, same) {
             Some(_) if !self.holds => Turn::Returned,
-            Some(&known) => {
+            Some(&(_, known)) => {
                 self.current = known;
                 Turn::Known
             }
             None => {
-                self.begin(id);
+                self.begin(id, hash);
                 Turn::New
             }
         }
@@ -132,19 +135,16 @@ impl Gather {
         unit: i128,
     ) -> Result<(), (usize, Moment)> {
         let Open { test, times } = &mut self.open[self.current];
-        if !block.times.is_empty() {
-            for row in rows.clone() {
-                let now = block.times[row];
-                let phase = self.phase_cell.map_or(Label::MISSING, |cell| block.texts[row * self.texts + cell]);
-                let new = || Times { first: now, phase, last: now, others: BTreeMap::new() };
-                let times = times.get_or_insert_with(new);
-                times.advance(phase, now).map_err(|last| (row, last))?;
-                for &cell in &self.time_cells {
-                    block.numbers[row * self.numbers + cell] = now.value(times.first, unit);
-                }
+        for row in rows.clone() {
+            let Some(now) = block.time(row) else { break };
+            let phase = self.phase_cell.map_or(Label::MISSING, |cell| block.texts[row * self.texts + cell]);
+            let times = times.get_or_insert_with(|| Times::new(phase, now));
+            times.advance(phase, now).map_err(|last| (row, last))?;
+            if !block.moments.is_empty() {
+                block.set_time(row, now.value(times.first, unit));
             }
         }
-        for (part, row) in block.numbered(rows) {
+        for (part, row) in block.numbering.parts(rows) {
             let numbers = &block.numbers[part.start * self.numbers..part.end * self.numbers];
             let texts = &block.texts[part.start * self.texts..part.end * self.texts];
             test.push_rows(part.len(), numbers, texts, Source { file, row });
@@ -152,12 +152,12 @@ impl Gather {
         Ok(())
     }
 
-    fn begin(&mut self, id: &str) {
+    fn begin(&mut self, id: &str, hash: u64) {
         if !self.holds {
             self.close();
         }
         self.current = self.open.len();
-        self.seen.insert(id.to_owned(), self.current);
+        self.seen.insert_unique(hash, (hash, self.current), |(hash, _)| *hash);
         self.open.push(Open { test: Test::new(id, self.numbers, self.texts), times: None });
     }
 

@@ -130,21 +130,14 @@ impl Taker<'_, '_> {
         sink: &mut S,
     ) -> Result<Goes, ReadError<S::Error>> {
         for run in 0..block.runs() {
-            let (mut rows, id) = block.run(run);
+            let (rows, id) = block.run(run);
             self.times.check(block, rows.start, self.file.0)?; // before anything else is said of the row
             let id = id.unwrap_or_else(|| self.job.ids.get(self.file.1 as usize).map_or("", String::as_str));
             match self.gather.turn(id) {
                 Turn::Returned => return Ok(Goes::NoFurther),
                 Turn::Known => {}
-                Turn::New => {
-                    // the tests before it go before what may be wrong with its further rows
-                    let first = rows.start..rows.start + 1;
-                    self.rows(block, first, reading)?;
-                    rows.start += 1;
-                    if let Some(batch) = self.gather.batch() {
-                        hand_over(sink, batch, reading)?;
-                    }
-                }
+                // the tests before it go before what may be wrong with its rows
+                Turn::New => self.gather.batch().map_or(Ok(()), |batch| hand_over(sink, batch, reading))?,
             }
             self.rows(block, rows, reading)?;
         }
@@ -157,7 +150,7 @@ impl Taker<'_, '_> {
         // times are checked row by row, each against the first of all and then against the one before it
         let mut sound = rows.clone();
         let mut failed = None;
-        if !block.times.is_empty() {
+        if !block.moments.is_empty() {
             for row in rows {
                 if let Err(error) = self.times.check(block, row, file) {
                     (sound.end, failed) = (row, Some(error));
@@ -196,7 +189,7 @@ fn hand_over<S: Sink>(sink: &mut S, batch: Vec<Test>, reading: &mut Reading) -> 
 impl Times<'_> {
     /// Refuses a time of another kind than the first, and date-times without a unit.
     fn check(&mut self, block: &Block, row: usize, file: &str) -> Result<(), DataError> {
-        let Some(&now) = block.times.get(row) else { return Ok(()) };
+        let Some(now) = block.time(row) else { return Ok(()) };
         match &self.first {
             Some((first, _)) if first.same_kind(now) => Ok(()),
             Some((first, place)) => Err(DataError::MixedTimes {
@@ -231,12 +224,12 @@ impl Times<'_> {
             at: self.place(block, row, file),
             test: shown(test.as_bytes()),
             phase: phase.map(String::into_boxed_str),
-            found: block.times.get(row).map(|time| time.to_string()).unwrap_or_default().into(),
+            found: block.time(row).map(|time| time.to_string()).unwrap_or_default().into(),
             previous: previous.to_string().into(),
         }
     }
 
     fn place(&self, block: &Block, row: usize, file: &str) -> Box<Place> {
-        self.wanted.time().expect("a row has a time only with a time column").place(file, block.number(row))
+        self.wanted.time().expect("a row has a time only with a time column").place(file, block.numbering.of(row))
     }
 }

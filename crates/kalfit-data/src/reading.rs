@@ -67,6 +67,5 @@ fn names(inputs: &[Input]) -> Vec<String> {
 }
 
 fn gather(model: &PhasedModel, wanted: &Wanted, holds: bool) -> Gather {
-    let time_cells = wanted.time().map_or_else(Vec::new, |column| column.numbers.clone());
-    Gather::new(holds, (wanted.numbers, wanted.texts), time_cells, model.column)
+    Gather::new(holds, (wanted.numbers, wanted.texts), model.column)
 }

@@ -141,9 +141,14 @@ impl WantedColumn {
         DataError::NotUtf8 { file: file.to_owned(), row, column: Some(self.name.clone()) }
     }
 
-    /// The time in a cell of text.
-    pub(crate) fn moment(&self, tokens: &Tokens, file: &str, row: u64, cell: &[u8]) -> Result<Moment, DataError> {
-        match tokens.number(cell) {
+    /// The time in a cell of text, in a row of a file; `number`: the number in it.
+    pub(crate) fn moment(
+        &self,
+        number: Result<f64, Fault>,
+        (file, row): (&str, u64),
+        cell: &[u8],
+    ) -> Result<Moment, DataError> {
+        match number {
             Ok(value) if value.is_nan() => Err(DataError::MissingTime { at: self.place(file, row) }),
             Ok(value) => Ok(Moment::Number(value)),
             Err(Fault::NotANumber) => {

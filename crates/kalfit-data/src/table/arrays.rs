@@ -1,6 +1,7 @@
 //! Columns of record batches, read as numbers, times and texts.
 
 use std::fmt::Write;
+use std::ops::Range;
 
 use arrow::array::{Array, ArrayRef, AsArray, BooleanArray, Float32Array, Float64Array, Int64Array, UInt64Array};
 use arrow::compute::cast;
@@ -8,6 +9,7 @@ use arrow::datatypes::{DataType, Date32Type, Float32Type, Float64Type, Int64Type
 use arrow::error::ArrowError;
 
 use super::strings::{Strings, is_text};
+use crate::fill::change;
 use crate::moment::{Moment, date_text};
 
 const DAY: i128 = 86_400_000_000_000;
@@ -69,7 +71,10 @@ impl Numbers {
         }
         let array = cast(array, &DataType::Float64)?;
         let values = array.as_primitive::<Float64Type>();
-        Ok(Numbers::Values(values.iter().map(|value| value.unwrap_or(f64::NAN)).collect()))
+        Ok(Numbers::Values(match values.null_count() {
+            0 => values.values().to_vec(),
+            _ => values.iter().map(|value| value.unwrap_or(f64::NAN)).collect(),
+        }))
     }
 }
 
@@ -112,14 +117,14 @@ impl Texts {
         })
     }
 
-    /// True when a row, not the first, has the text of the row before it for sure.
-    pub(crate) fn repeats(&self, row: usize) -> bool {
+    /// The first row of a range that may have another text than its first one; the end when there is none.
+    pub(crate) fn change(&self, rows: Range<usize>) -> usize {
         match self {
-            Texts::Strings(strings) => strings.get(row) == strings.get(row - 1),
-            Texts::Signed(array) => same(array, row, |row| array.value(row)),
-            Texts::Unsigned(array) => same(array, row, |row| array.value(row)),
-            Texts::Nothing => true,
-            _ => false,
+            Texts::Strings(strings) => change(rows, |row| strings.get(row)),
+            Texts::Signed(array) => change(rows, |row| array.is_valid(row).then(|| array.value(row))),
+            Texts::Unsigned(array) => change(rows, |row| array.is_valid(row).then(|| array.value(row))),
+            Texts::Nothing => rows.end,
+            _ => rows.start + 1,
         }
     }
 
@@ -145,11 +150,6 @@ impl Texts {
         written.expect("writing to a String cannot fail");
         Some(scratch)
     }
-}
-
-/// True when neither a row nor the row before it is null and both have one value.
-fn same<T: PartialEq>(array: &dyn Array, row: usize, value: impl Fn(usize) -> T) -> bool {
-    array.is_valid(row) && array.is_valid(row - 1) && value(row) == value(row - 1)
 }
 
 /// Dates and timestamps as moments; None for other types.

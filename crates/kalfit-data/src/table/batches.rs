@@ -7,10 +7,11 @@ use arrow::error::ArrowError;
 use super::ahead::{Done, Task, Tasks};
 use super::arrays::{Numbers, Texts, Times, misfit};
 use super::guard::guarded;
-use crate::block::Filler;
-use crate::cell::Tokens;
+use crate::cell::Fault;
 use crate::error::DataError;
+use crate::fill::{Bad, Columns, Filler};
 use crate::moment::Moment;
+use crate::numbering::Numbering;
 use crate::wanted::{Wanted, WantedColumn};
 
 /// Rows decoded at a time.
@@ -68,25 +69,18 @@ impl<'a> Form<'a> {
         Ok(positions)
     }
 
-    /// A block of about so many rows, none yet.
-    pub(super) fn filler(self, rows: usize) -> Filler {
-        Filler::new((self.wanted.numbers, self.wanted.texts), self.wanted.columns.len(), rows)
-    }
-
     /// Appends the rows of a batch, of which the first is the one after `before` rows.
     pub(super) fn fill(
         self,
-        filler: &mut Filler,
+        filler: &mut Filler<'_>,
         positions: &[usize],
-        (batch, mut before): (&RecordBatch, u64),
+        (batch, before): (&RecordBatch, u64),
     ) -> Result<(), DataError> {
         for first in (0..batch.num_rows()).step_by(ROWS) {
-            let batch = batch.slice(first, ROWS.min(batch.num_rows() - first));
-            let decoded = self.decoded(positions, &batch)?;
-            for index in 0..batch.num_rows() {
-                before += 1;
-                self.row(filler, &decoded, (index, before))?;
-            }
+            let rows = ROWS.min(batch.num_rows() - first);
+            let columns = self.decoded(positions, &batch.slice(first, rows))?;
+            let decoded = DecodedRows { form: self, columns, rows, first: before + first as u64 + 1 };
+            filler.fill(&decoded).map_err(|(_, error)| error)?;
         }
         Ok(())
     }
@@ -99,34 +93,6 @@ impl<'a> Form<'a> {
                 .collect::<Result<_, _>>()
                 .map_err(|source| DataError::Arrow { file: self.file.to_owned(), source: Box::new(source) })
         })
-    }
-
-    fn row(self, filler: &mut Filler, decoded: &[Decoded], (index, row): (usize, u64)) -> Result<(), DataError> {
-        let (file, tokens) = (self.file, &self.wanted.tokens);
-        for (at, (column, decoded)) in self.wanted.columns.iter().zip(decoded).enumerate() {
-            let cell = Cell { column, file, tokens, row, index };
-            if let Some(numbers) = &decoded.numbers {
-                let value = cell.number(numbers)?;
-                column.numbers.iter().for_each(|&number| filler.number(number, value));
-            }
-            if let Some(times) = &decoded.times {
-                filler.time(cell.time(times)?);
-            }
-            if let Some(texts) = &decoded.texts {
-                if index > 0 && texts.repeats(index) {
-                    continue; // id and labels stay
-                }
-                let mut scratch = String::new();
-                let text = texts.get(index, &mut scratch).filter(|text| !tokens.is_missing(text.as_bytes()));
-                if column.is_test {
-                    let id = text.ok_or_else(|| DataError::MissingTest { at: column.place(file, row) })?;
-                    filler.id(id);
-                }
-                filler.text(at, &column.texts, text);
-            }
-        }
-        filler.end_row(row);
-        Ok(())
     }
 }
 
@@ -161,9 +127,9 @@ impl<'a> Tasks<'a> for BatchTable<'a> {
         self.before += now as u64;
         let batch = batch.slice(0, now);
         let make = move || {
-            let mut filler = form.filler(batch.num_rows());
+            let mut filler = Filler::new(form.wanted, batch.num_rows());
             let filled = form.fill(&mut filler, &positions, (&batch, before));
-            filler.finish(filled.err())
+            filler.finish(Numbering::from(before + 1), filled.err())
         };
         Ok(Some(Task { make: Box::new(make), done: Done::Share(0.0) }))
     }
@@ -183,42 +149,88 @@ impl Decoded {
     }
 }
 
-/// Where a value stands.
-struct Cell<'a> {
-    column: &'a WantedColumn,
-    file: &'a str,
-    tokens: &'a Tokens,
-    /// In the file.
-    row: u64,
-    /// Among the decoded rows.
-    index: usize,
+/// Rows of a batch.
+struct DecodedRows<'a> {
+    form: Form<'a>,
+    /// The wanted ones.
+    columns: Vec<Decoded>,
+    rows: usize,
+    /// Number of the first row in the file.
+    first: u64,
 }
 
-impl Cell<'_> {
-    fn number(&self, numbers: &Numbers) -> Result<f64, DataError> {
-        match numbers {
-            Numbers::Values(values) => {
-                let value = values[self.index];
-                self.tokens
-                    .finite(value)
-                    .map_err(|fault| self.column.fault(fault, self.file, self.row, value.to_string().as_bytes()))
-            }
-            Numbers::Texts(strings) => {
-                let text = strings.get(self.index).unwrap_or_default().as_bytes();
-                self.tokens.number(text).map_err(|fault| self.column.fault(fault, self.file, self.row, text))
-            }
-        }
+impl DecodedRows<'_> {
+    fn number(&self, row: usize) -> u64 {
+        self.first + row as u64
     }
 
-    fn time(&self, times: &Times) -> Result<Moment, DataError> {
-        let moment = match times {
-            Times::Moments(moments) => moments[self.index],
-            Times::Numbers(Numbers::Texts(strings)) => {
-                let text = strings.get(self.index).unwrap_or_default();
-                return self.column.moment(self.tokens, self.file, self.row, text.as_bytes());
+    fn bad(&self, (column, row): (usize, usize), fault: Fault, found: &[u8]) -> Bad {
+        let Form { file, wanted, .. } = self.form;
+        (row, wanted.columns[column].fault(fault, file, self.number(row), found))
+    }
+}
+
+impl Columns for DecodedRows<'_> {
+    fn rows(&self) -> usize {
+        self.rows
+    }
+
+    fn numbers(&self, column: usize, mut put: impl FnMut(f64)) -> Result<(), Bad> {
+        let tokens = &self.form.wanted.tokens;
+        match &self.columns[column].numbers {
+            Some(Numbers::Values(values)) => {
+                for (row, &value) in values.iter().enumerate() {
+                    let bad = |fault| self.bad((column, row), fault, value.to_string().as_bytes());
+                    put(tokens.finite(value).map_err(bad)?);
+                }
             }
-            Times::Numbers(numbers) => Some(self.number(numbers)?).filter(|t| !t.is_nan()).map(Moment::Number),
-        };
-        moment.ok_or_else(|| DataError::MissingTime { at: self.column.place(self.file, self.row) })
+            Some(Numbers::Texts(strings)) => {
+                for row in 0..self.rows {
+                    let text = strings.get(row).unwrap_or_default().as_bytes();
+                    put(tokens.number(text).map_err(|fault| self.bad((column, row), fault, text))?);
+                }
+            }
+            None => {}
+        }
+        Ok(())
+    }
+
+    fn times(&self, column: usize, mut put: impl FnMut(Moment)) -> Result<(), Bad> {
+        let Form { file, wanted: Wanted { columns, tokens, .. }, .. } = self.form;
+        for row in 0..self.rows {
+            let moment = match &self.columns[column].times {
+                Some(Times::Moments(moments)) => moments[row],
+                Some(Times::Numbers(Numbers::Values(values))) => {
+                    let bad = |fault| self.bad((column, row), fault, values[row].to_string().as_bytes());
+                    Some(tokens.finite(values[row]).map_err(bad)?).filter(|time| !time.is_nan()).map(Moment::Number)
+                }
+                Some(Times::Numbers(Numbers::Texts(strings))) => {
+                    let text = strings.get(row).unwrap_or_default().as_bytes();
+                    Some(
+                        columns[column]
+                            .moment(tokens.number(text), (file, self.number(row)), text)
+                            .map_err(|error| (row, error))?,
+                    )
+                }
+                None => return Ok(()),
+            };
+            put(moment
+                .ok_or_else(|| (row, DataError::MissingTime { at: columns[column].place(file, self.number(row)) }))?);
+        }
+        Ok(())
+    }
+
+    fn text<'t>(&'t self, column: usize, row: usize, scratch: &'t mut String) -> Result<Option<&'t str>, DataError> {
+        let text = self.columns[column].texts.as_ref().and_then(|texts| texts.get(row, scratch));
+        Ok(text.filter(|text| !self.form.wanted.tokens.is_missing(text.as_bytes())))
+    }
+
+    fn change(&self, column: usize, row: usize) -> usize {
+        self.columns[column].texts.as_ref().map_or(self.rows, |texts| texts.change(row..self.rows))
+    }
+
+    fn without_id(&self, column: usize, row: usize) -> DataError {
+        let Form { file, wanted, .. } = self.form;
+        DataError::MissingTest { at: wanted.columns[column].place(file, self.number(row)) }
     }
 }

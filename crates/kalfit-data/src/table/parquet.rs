@@ -16,6 +16,8 @@ use super::batches::{Form, ROWS};
 use super::guard::guarded;
 use crate::block::Block;
 use crate::error::DataError;
+use crate::fill::Filler;
+use crate::numbering::Numbering;
 use crate::wanted::Wanted;
 
 pub(crate) const FORMAT: &str = "Parquet";
@@ -129,7 +131,8 @@ impl Piece<'_> {
 
     fn read<R: ChunkReader + 'static>(self, bytes: R) -> Block {
         let Piece { form, metadata, mask, positions, group, skip, rows, mut before } = self;
-        let (mut filler, last) = (form.filler(rows), before + rows as u64);
+        let (mut filler, numbering) = (Filler::new(form.wanted, rows), Numbering::from(before + 1));
+        let last = before + rows as u64;
         let read = || -> Result<(), DataError> {
             let mut reader = guarded(form.file, FORMAT, || {
                 let builder = ParquetRecordBatchReaderBuilder::new_with_metadata(bytes, metadata)
@@ -150,7 +153,7 @@ impl Piece<'_> {
             whole.then_some(()).ok_or_else(|| DataError::Crashed { file: form.file.to_owned(), format: FORMAT })
         };
         let end = read().err();
-        filler.finish(end)
+        filler.finish(numbering, end)
     }
 }
 

@@ -3,6 +3,7 @@
 mod comment;
 mod cut;
 mod rows;
+mod scan;
 
 use std::io::{self, Cursor, Read};
 
@@ -65,8 +66,9 @@ impl<'a> CsvTable<'a> {
             let mut records = Records::new(&chunk.bytes, self.form, chunk.line);
             let Some(Record { row, .. }) = records.next(file)? else { continue };
             let mut names = Vec::with_capacity(records.record.len());
-            for position in 0..records.record.len() {
-                let name = std::str::from_utf8(rows::cell(&records.record, position))
+            for (position, cell) in records.record.iter().enumerate() {
+                let is_last = position + 1 == records.record.len();
+                let name = std::str::from_utf8(if is_last { rows::without_cr(cell) } else { cell })
                     .map_err(|_| DataError::NotUtf8 { file: file.to_owned(), row, column: None })?;
                 if name.contains('\r') {
                     return Err(DataError::CarriageReturns { file: file.to_owned() });
@@ -235,7 +237,7 @@ mod tests {
                 let (range, id) = block.run(run);
                 rows.extend(range.map(|row| {
                     let lot = labels.text(block.texts[row]);
-                    format!("line {}: {id:?} {:?} {lot:?}", block.number(row), block.numbers[row])
+                    format!("line {}: {id:?} {:?} {lot:?}", block.numbering.of(row), block.numbers[row])
                 }));
             }
             if let Some(error) = block.end {

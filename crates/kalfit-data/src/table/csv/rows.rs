@@ -1,14 +1,19 @@
 //! A chunk of a CSV file into a block.
 
+use std::borrow::Cow;
 use std::io::{Chain, Read};
 
 use csv::{ByteRecord, ReaderBuilder, Terminator};
-use memchr::{memchr_iter, memchr2_iter};
+use memchr::memchr_iter;
 
 use super::comment::MARK;
 use super::cut::Chunk;
-use crate::block::{Block, Filler};
+use super::scan::{Cuts, cuts};
+use crate::block::Block;
 use crate::error::DataError;
+use crate::fill::{Bad, Columns, Filler, change};
+use crate::moment::Moment;
+use crate::numbering::Numbering;
 use crate::wanted::Wanted;
 
 /// What must be known of a file to read its rows.
@@ -23,92 +28,49 @@ pub(super) struct Form<'a> {
     pub(super) first: u64,
 }
 
-/// The cells of a row.
-trait Cells {
-    fn len(&self) -> usize;
-
-    /// A cell; nothing where there is none.
-    fn get(&self, position: usize) -> &[u8];
-
-    /// A cell without the CR of the line's end.
-    fn cell(&self, position: usize) -> &[u8] {
-        let cell = self.get(position);
-        if position + 1 == self.len() { cell.strip_suffix(b"\r").unwrap_or(cell) } else { cell }
-    }
-}
-
-/// Cells of a row without quotes: its bytes, and where each cell ends.
-struct Plain<'c> {
-    bytes: &'c [u8],
-    ends: &'c [usize],
-    start: usize,
-}
-
-impl Cells for Plain<'_> {
-    fn len(&self) -> usize {
-        self.ends.len()
-    }
-
-    fn get(&self, position: usize) -> &[u8] {
-        let start = if position == 0 { self.start } else { self.ends[position - 1] + 1 };
-        &self.bytes[start..self.ends[position]]
-    }
-}
-
-impl Cells for ByteRecord {
-    fn len(&self) -> usize {
-        ByteRecord::len(self)
-    }
-
-    fn get(&self, position: usize) -> &[u8] {
-        ByteRecord::get(self, position).unwrap_or_default()
-    }
-}
-
 /// The rows of a chunk. `positions`: of each wanted column.
 pub(super) fn block(form: Form<'_>, positions: &[usize], chunk: &Chunk) -> Block {
-    // line ends in quotes are no rows, and a row has its delimiters at least
-    let rows = memchr_iter(b'\n', &chunk.bytes).count().min(chunk.bytes.len() / form.width.max(1)) + 1;
-    let Wanted { numbers, texts, columns, .. } = form.wanted;
-    let mut rows = Rows {
-        form,
-        positions,
-        filler: Filler::new((*numbers, *texts), columns.len(), rows),
-        blank: chunk.blank,
-        begins: chunk.line == form.first,
-    };
-    let read = if chunk.quotes { rows.quoted(chunk) } else { rows.plain(chunk) };
-    rows.filler.finish(read.err())
+    let (bytes, numbering) = (Cow::Borrowed(&[][..]), Numbering::default());
+    let mut grid = Grid { form, positions, bytes, starts: vec![0], rows: Vec::new(), numbering, blank: chunk.blank };
+    let mut end = if chunk.quotes { grid.quoted(chunk) } else { grid.plain(chunk) }.err();
+    let mut filler = Filler::new(form.wanted, grid.rows.len());
+    if let Err((row, error)) = filler.fill(&grid) {
+        end = Some(if row == 0 && chunk.line == form.first { grid.units(error) } else { error });
+    }
+    filler.finish(grid.numbering, end)
 }
 
-struct Rows<'a> {
+/// Cells of rows that have as many as the header.
+struct Grid<'a> {
     form: Form<'a>,
     positions: &'a [usize],
-    filler: Filler,
+    /// The cells, one byte between each and the next.
+    bytes: Cow<'a, [u8]>,
+    /// Where each cell begins, and where one after the last would.
+    starts: Vec<u32>,
+    /// The first cell of each row.
+    rows: Vec<u32>,
+    /// The first lines of the rows.
+    numbering: Numbering,
     /// First of the blank lines right before the next row.
     blank: Option<u64>,
-    /// The next row is the first one after the header.
-    begins: bool,
 }
 
-impl Rows<'_> {
-    /// Without quotes, every line feed ends a row and every delimiter a cell.
-    fn plain(&mut self, chunk: &Chunk) -> Result<(), DataError> {
-        let bytes = &chunk.bytes[..];
-        let (mut ends, mut start, mut line) = (Vec::with_capacity(self.form.width), 0, chunk.line);
-        let last = (!bytes.ends_with(b"\n")).then_some(bytes.len()); // the file may end without a line end
-        for at in memchr2_iter(self.form.delimiter, b'\n', bytes).chain(last) {
-            ends.push(at);
-            if bytes.get(at) == Some(&self.form.delimiter) {
-                continue;
+impl<'a> Grid<'a> {
+    /// Without quotes, every line is a row.
+    fn plain(&mut self, chunk: &'a Chunk) -> Result<(), DataError> {
+        let Cuts { starts, rows } = cuts(&chunk.bytes, self.form.delimiter);
+        (self.bytes, self.starts) = (Cow::Borrowed(&chunk.bytes[..]), starts);
+        self.rows.reserve(rows.len());
+        let (mut first, comments) = (0, self.form.wanted.comment.is_some());
+        for (line, next) in (chunk.line..).zip(rows) {
+            let cells = (next - first) as usize;
+            match self.bytes_of(first as usize) {
+                b"" | b"\r" if cells == 1 => self.blank = self.blank.or(Some(line)),
+                MARK if cells == 1 && comments => {}
+                _ => self.row(first, cells, (line, 1))?,
             }
-            match &bytes[start..at] {
-                b"" | b"\r" => self.blank = self.blank.or(Some(line)),
-                row if row == MARK && self.form.wanted.comment.is_some() => {}
-                _ => self.row(&Plain { bytes, ends: &ends, start }, line, 1)?,
-            }
-            ends.clear();
-            (start, line) = (at + 1, line + 1);
+            first = next;
         }
         Ok(())
     }
@@ -117,82 +79,122 @@ impl Rows<'_> {
     fn quoted(&mut self, chunk: &Chunk) -> Result<(), DataError> {
         let mut records = Records::new(&chunk.bytes, self.form, chunk.line);
         while let Some(Record { row, lines, blank }) = records.next(self.form.file)? {
+            let first = self.starts.len() as u32 - 1;
+            for cell in &records.record {
+                let bytes = self.bytes.to_mut();
+                bytes.extend_from_slice(cell);
+                bytes.push(b'\n');
+                self.starts.push(bytes.len() as u32);
+            }
             self.blank = self.blank.or(blank);
-            self.row(&records.record, row, lines)?;
+            self.row(first, records.record.len(), (row, lines))?;
         }
         Ok(())
     }
 
-    /// Takes a row that is not blank, from its first line.
-    fn row(&mut self, cells: &impl Cells, line: u64, lines: u64) -> Result<(), DataError> {
+    /// Takes a row that is not blank: its first cell, the number of its cells, its first line and the number of its lines.
+    fn row(&mut self, first: u32, cells: usize, (line, lines): (u64, u64)) -> Result<(), DataError> {
         let Form { file, width, .. } = self.form;
         if let Some(row) = self.blank.take().filter(|_| width == 1) {
             return Err(DataError::BlankRow { file: file.to_owned(), row });
         }
-        if cells.len() != width {
+        if cells != width {
+            let begins = std::str::from_utf8(self.bytes_of(first as usize)).ok();
             return Err(DataError::RowLength {
                 file: file.to_owned(),
                 row: line,
-                found: cells.len(),
+                found: cells,
                 expected: width,
                 lines,
-                begins: std::str::from_utf8(cells.cell(0)).ok().and_then(|text| text.trim_start().chars().next()),
+                begins: begins.and_then(|text| text.trim_start().chars().next()),
             });
         }
-        self.cells(cells, line).map_err(|error| if self.begins { units(error, cells, file, line) } else { error })?;
-        self.begins = false;
-        self.filler.end_row(line);
+        self.numbering.push(self.rows.len(), line);
+        self.rows.push(first);
         Ok(())
     }
 
-    /// The cells of a row into their columns.
-    fn cells(&mut self, cells: &impl Cells, line: u64) -> Result<(), DataError> {
-        let Form { file, wanted, .. } = self.form;
-        let tokens = &wanted.tokens;
-        for (index, (column, &position)) in wanted.columns.iter().zip(self.positions).enumerate() {
-            let cell = cells.cell(position);
-            if column.is_number() {
-                let value = tokens.number(cell).map_err(|fault| column.fault(fault, file, line, cell))?;
-                column.numbers.iter().for_each(|&number| self.filler.number(number, value));
-            }
-            if column.is_time {
-                self.filler.time(column.moment(tokens, file, line, cell)?);
-            }
-            if !column.is_text() || (column.texts.is_empty() && self.filler.is_id(cell)) {
-                continue; // nothing else, or the id of the row before
-            }
-            let missing = tokens.is_missing(cell);
-            let text = std::str::from_utf8(cell).map_err(|_| column.not_utf8(file, line))?;
-            if column.is_test {
-                if missing {
-                    return Err(DataError::MissingTest { at: column.place(file, line) });
-                }
-                self.filler.id(text);
-            }
-            self.filler.text(index, &column.texts, (!missing).then_some(text));
+    #[inline]
+    fn bytes_of(&self, cell: usize) -> &[u8] {
+        &self.bytes[self.starts[cell] as usize..self.starts[cell + 1] as usize - 1]
+    }
+
+    /// A cell of a row, without the CR of the line's end.
+    #[inline]
+    fn cell(&self, row: usize, position: usize) -> &[u8] {
+        let cell = self.bytes_of(self.rows[row] as usize + position);
+        if position + 1 == self.form.width { without_cr(cell) } else { cell }
+    }
+
+    /// The cells of a wanted column.
+    fn column(&self, column: usize) -> impl Iterator<Item = &[u8]> {
+        let position = self.positions[column];
+        (0..self.rows.len()).map(move |row| self.cell(row, position))
+    }
+
+    /// What is wrong with the first row: it holds no number at all and tells units, most likely.
+    fn units(&self, error: DataError) -> DataError {
+        let texts = (0..self.form.width).map(|cell| std::str::from_utf8(self.cell(0, cell)).unwrap_or_default().trim());
+        let found = match &error {
+            DataError::NotANumber { found, .. } | DataError::NotATime { found, .. } => found.clone(),
+            // units of columns, and none of the tests' ids
+            DataError::MissingTest { .. } => texts.clone().find(|cell| !cell.is_empty()).unwrap_or_default().to_owned(),
+            _ => return error,
+        };
+        let is_text = |text: &str| text.parse::<f64>().is_err() && !text.starts_with(|c: char| c.is_ascii_digit());
+        let names_a_unit = found.chars().any(|c| c.is_alphabetic() || "%°".contains(c));
+        if names_a_unit && texts.clone().all(is_text) {
+            DataError::UnitsRow { file: self.form.file.to_owned(), row: self.numbering.of(0), found }
+        } else {
+            error
         }
-        Ok(())
     }
 }
 
-/// The first row holds no number at all: it tells units, most likely.
-fn units(error: DataError, cells: &impl Cells, file: &str, row: u64) -> DataError {
-    let text = |position: usize| std::str::from_utf8(cells.cell(position)).unwrap_or_default().trim().to_owned();
-    let found = match &error {
-        DataError::NotANumber { found, .. } | DataError::NotATime { found, .. } => found.clone(),
-        // units of columns, and none of the tests' ids
-        DataError::MissingTest { .. } => (0..cells.len()).map(text).find(|cell| !cell.is_empty()).unwrap_or_default(),
-        _ => return error,
-    };
-    let is_text = |position: usize| {
-        let text = text(position);
-        text.parse::<f64>().is_err() && !text.starts_with(|c: char| c.is_ascii_digit())
-    };
-    let names_a_unit = found.chars().any(|c| c.is_alphabetic() || "%°".contains(c));
-    if names_a_unit && (0..cells.len()).all(is_text) {
-        DataError::UnitsRow { file: file.to_owned(), row, found }
-    } else {
-        error
+impl Columns for Grid<'_> {
+    fn rows(&self) -> usize {
+        self.rows.len()
+    }
+
+    fn numbers(&self, column: usize, mut put: impl FnMut(f64)) -> Result<(), Bad> {
+        let Form { file, wanted, .. } = self.form;
+        for (row, cell) in self.column(column).enumerate() {
+            let bad = |fault| (row, wanted.columns[column].fault(fault, file, self.numbering.of(row), cell));
+            put(wanted.tokens.number(cell).map_err(bad)?);
+        }
+        Ok(())
+    }
+
+    fn times(&self, column: usize, mut put: impl FnMut(Moment)) -> Result<(), Bad> {
+        let Form { file, wanted, .. } = self.form;
+        for (row, cell) in self.column(column).enumerate() {
+            match wanted.tokens.number(cell) {
+                Ok(time) if !time.is_nan() => put(Moment::Number(time)),
+                number => {
+                    let at = (file, self.numbering.of(row));
+                    put(wanted.columns[column].moment(number, at, cell).map_err(|error| (row, error))?);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn text<'t>(&'t self, column: usize, row: usize, _: &'t mut String) -> Result<Option<&'t str>, DataError> {
+        let Form { file, wanted, .. } = self.form;
+        let cell = self.cell(row, self.positions[column]);
+        let not_utf8 = |_| wanted.columns[column].not_utf8(file, self.numbering.of(row));
+        let text = std::str::from_utf8(cell).map_err(not_utf8)?;
+        Ok((!wanted.tokens.is_missing(cell)).then_some(text))
+    }
+
+    fn change(&self, column: usize, row: usize) -> usize {
+        let position = self.positions[column];
+        change(row..self.rows.len(), |row| self.cell(row, position))
+    }
+
+    fn without_id(&self, column: usize, row: usize) -> DataError {
+        let Form { file, wanted, .. } = self.form;
+        DataError::MissingTest { at: wanted.columns[column].place(file, self.numbering.of(row)) }
     }
 }
 
@@ -278,9 +280,9 @@ impl<'b> Records<'b> {
     }
 }
 
-/// A cell of a record, without the CR of the line's end.
-pub(super) fn cell(record: &ByteRecord, position: usize) -> &[u8] {
-    Cells::cell(record, position)
+/// The last cell of a row without the CR of the line's end.
+pub(super) fn without_cr(cell: &[u8]) -> &[u8] {
+    cell.strip_suffix(b"\r").unwrap_or(cell)
 }
 
 fn count_lf(bytes: &[u8]) -> u64 {

@@ -1,0 +1,271 @@
+//! Rows into blocks, column by column.
+
+use std::ops::Range;
+
+use kalfit::Label;
+
+use crate::block::Block;
+use crate::error::DataError;
+use crate::moment::Moment;
+use crate::numbering::Numbering;
+use crate::wanted::{Wanted, WantedColumn};
+
+/// A row that is wrong, and what is wrong with it.
+pub(crate) type Bad = (usize, DataError);
+
+/// Rows of which every wanted column, by its number, is read by itself.
+pub(crate) trait Columns {
+    /// Number of rows.
+    fn rows(&self) -> usize;
+
+    /// Puts the numbers of a column, row after row, NaN where missing.
+    fn numbers(&self, column: usize, put: impl FnMut(f64)) -> Result<(), Bad>;
+
+    /// Puts the times of a column, row after row.
+    fn times(&self, column: usize, put: impl FnMut(Moment)) -> Result<(), Bad>;
+
+    /// The text in a row, written to `scratch` unless it is one already; `None` when it is missing.
+    fn text<'t>(&'t self, column: usize, row: usize, scratch: &'t mut String) -> Result<Option<&'t str>, DataError>;
+
+    /// The first row after this one that may have another text.
+    fn change(&self, column: usize, row: usize) -> usize;
+
+    /// The error of a row without the id of its test.
+    fn without_id(&self, column: usize, row: usize) -> DataError;
+}
+
+/// The first row of a range with another value than its first one; the end when there is none.
+pub(crate) fn change<T: PartialEq>(rows: Range<usize>, value: impl Fn(usize) -> T) -> usize {
+    let first = value(rows.start);
+    (rows.start + 1..rows.end).find(|&row| value(row) != first).unwrap_or(rows.end)
+}
+
+/// Fills a block.
+pub(crate) struct Filler<'a> {
+    wanted: &'a Wanted,
+    block: Block,
+}
+
+/// The first of all errors: by its row, then by the column.
+#[derive(Default)]
+struct First(Option<((usize, usize), DataError)>);
+
+impl First {
+    fn note(&mut self, column: usize, read: Result<(), Bad>) {
+        let Err((row, error)) = read else { return };
+        if self.0.as_ref().is_none_or(|(first, _)| (row, column) < *first) {
+            self.0 = Some(((row, column), error));
+        }
+    }
+
+    /// The rows before the error.
+    fn sound(&self, rows: usize) -> usize {
+        self.0.as_ref().map_or(rows, |((row, _), _)| *row)
+    }
+
+    /// The rows that may still have an error before this one.
+    fn open(&self, rows: usize) -> usize {
+        rows.min(self.sound(rows) + 1)
+    }
+}
+
+impl<'a> Filler<'a> {
+    /// A block of about so many rows, none yet.
+    pub(crate) fn new(wanted: &'a Wanted, rows: usize) -> Filler<'a> {
+        let numbers = Vec::with_capacity(wanted.numbers * rows);
+        let texts = Vec::with_capacity(wanted.texts * rows);
+        let clock = wanted.time().map_or_else(Vec::new, |column| column.numbers.clone());
+        Filler { wanted, block: Block { numbers, texts, width: wanted.numbers, clock, ..Block::default() } }
+    }
+
+    /// Appends rows, up to the first that is wrong.
+    ///
+    /// # Errors
+    /// What is wrong with it, first by the order of the wanted columns.
+    pub(crate) fn fill(&mut self, columns: &impl Columns) -> Result<(), Bad> {
+        let (wanted, rows) = (self.wanted, columns.rows());
+        self.block.numbers.resize((self.block.rows + rows) * wanted.numbers, f64::NAN);
+        self.block.texts.resize((self.block.rows + rows) * wanted.texts, Label::MISSING);
+        let mut first = First::default();
+        for (at, column) in wanted.columns.iter().enumerate() {
+            if column.is_number() {
+                first.note(at, self.numbers(columns, (at, column)));
+            }
+            if column.is_time {
+                let mut row = self.block.rows;
+                let put = |time| {
+                    self.block.push_time(row, time);
+                    row += 1;
+                };
+                first.note(at, columns.times(at, put));
+            }
+        }
+        for (at, _) in wanted.columns.iter().enumerate().filter(|(_, column)| column.is_test) {
+            first.note(at, self.ids(columns, at, first.open(rows)));
+        }
+        if let Err((at, bad)) = self.labels(columns, first.open(rows)) {
+            first.note(at, Err(bad));
+        }
+        self.block.rows += first.sound(rows);
+        first.0.map_or(Ok(()), |((row, _), error)| Err((row, error)))
+    }
+
+    /// The block of the sound rows, which have these numbers in the file, and what is wrong with the row after them.
+    pub(crate) fn finish(self, numbering: Numbering, end: Option<DataError>) -> Block {
+        let mut block = Block { numbering, end, ..self.block };
+        block.numbers.truncate(block.rows * self.wanted.numbers);
+        block.texts.truncate(block.rows * self.wanted.texts);
+        block.moments.truncate(block.rows);
+        block.ids.truncate(block.rows);
+        block
+    }
+
+    fn numbers(&mut self, columns: &impl Columns, (at, column): (usize, &WantedColumn)) -> Result<(), Bad> {
+        let width = self.wanted.numbers;
+        let mut rows = self.block.numbers[self.block.rows * width..].chunks_exact_mut(width);
+        columns.numbers(at, |value| {
+            let Some(row) = rows.next() else { return };
+            column.numbers.iter().for_each(|&cell| row[cell] = value);
+        })
+    }
+
+    fn ids(&mut self, columns: &impl Columns, at: usize, rows: usize) -> Result<(), Bad> {
+        let (mut row, mut scratch) = (0, String::new());
+        while row < rows {
+            let id = columns.text(at, row, &mut scratch).map_err(|error| (row, error))?;
+            self.block.ids.push(self.block.rows + row, id.ok_or_else(|| (row, columns.without_id(at, row)))?);
+            row = columns.change(at, row);
+        }
+        Ok(())
+    }
+
+    /// Texts go row by row: labels are numbered in the order of their first appearance.
+    fn labels(&mut self, columns: &impl Columns, rows: usize) -> Result<(), (usize, Bad)> {
+        let texts = self.wanted.columns.iter().enumerate().filter(|(_, column)| !column.texts.is_empty());
+        // of each column: its label, and the row up to which it stands
+        let mut texts: Vec<_> = texts.map(|(at, column)| (at, &column.texts, Label::MISSING, 0)).collect();
+        let mut scratch = String::new();
+        let rows = if texts.is_empty() { 0 } else { rows };
+        for row in 0..rows {
+            let first = (self.block.rows + row) * self.wanted.texts;
+            for (at, cells, label, change) in &mut texts {
+                if row == *change {
+                    let text = columns.text(*at, row, &mut scratch).map_err(|error| (*at, (row, error)))?;
+                    *label = text.map_or(Label::MISSING, |text| self.label(text, *label));
+                    *change = columns.change(*at, row);
+                }
+                cells.iter().for_each(|&cell| self.block.texts[first + cell] = *label);
+            }
+        }
+        Ok(())
+    }
+
+    /// The label of a text, which is looked up only when it is not the last one's.
+    fn label(&mut self, text: &str, last: Label) -> Label {
+        let labels = &mut self.block.labels;
+        if labels.text(last) == text { last } else { labels.intern(text) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use kalfit::Labels;
+
+    use super::*;
+    use crate::cell::Tokens;
+
+    /// Cells of text, column by column: one of ids, one of numbers, two of labels. A cell `bad` is wrong.
+    struct Sheet([[&'static str; 5]; 4]);
+
+    impl Columns for Sheet {
+        fn rows(&self) -> usize {
+            5
+        }
+
+        fn numbers(&self, column: usize, put: impl FnMut(f64)) -> Result<(), Bad> {
+            let read = |(row, text): (usize, &&str)| text.parse().map_err(|_| (row, error(column, row)));
+            self.0[column].iter().enumerate().map(read).collect::<Result<Vec<f64>, _>>()?.into_iter().for_each(put);
+            Ok(())
+        }
+
+        fn times(&self, _: usize, _: impl FnMut(Moment)) -> Result<(), Bad> {
+            Ok(())
+        }
+
+        fn text<'t>(&'t self, column: usize, row: usize, _: &'t mut String) -> Result<Option<&'t str>, DataError> {
+            let text = self.0[column][row];
+            if text == "bad" { Err(error(column, row)) } else { Ok(Some(text).filter(|text| *text != "NA")) }
+        }
+
+        fn change(&self, column: usize, row: usize) -> usize {
+            change(row..5, |row| self.0[column][row])
+        }
+
+        fn without_id(&self, column: usize, row: usize) -> DataError {
+            error(column, row)
+        }
+    }
+
+    fn error(column: usize, row: usize) -> DataError {
+        DataError::Empty { file: format!("row {row}, column {column}") }
+    }
+
+    fn wanted() -> Wanted {
+        let column = |is_test, numbers: &[usize], texts: &[usize]| WantedColumn {
+            name: String::new(),
+            used_in: String::new(),
+            numbers: numbers.to_vec(),
+            texts: texts.to_vec(),
+            is_test,
+            is_time: false,
+        };
+        let columns =
+            vec![column(true, &[], &[]), column(false, &[0], &[]), column(false, &[], &[0]), column(false, &[], &[1])];
+        Wanted { columns, numbers: 1, texts: 2, tokens: Tokens::default(), comment: None }
+    }
+
+    const SOUND: [[&str; 5]; 4] = [
+        ["a", "a", "b", "", "b"],
+        ["2", "3", "7", "8", "9"],
+        ["same", "same", "same", "same", "same"],
+        ["x", "y", "x", "x", "NA"],
+    ];
+
+    #[test]
+    fn a_block_has_the_rows_that_were_filled() {
+        let wanted = wanted();
+        let mut filler = Filler::new(&wanted, 10);
+        assert!(filler.fill(&Sheet(SOUND)).is_ok() && filler.fill(&Sheet(SOUND)).is_ok());
+        let mut block = filler.finish(Numbering::from(2), None);
+        let runs: Vec<_> = (0..block.runs()).map(|run| block.run(run)).collect();
+        let (a, b, none) = (Some("a"), Some("b"), Some(""));
+        assert_eq!(runs[..4], [(0..2, a), (2..3, b), (3..4, none), (4..5, b)]);
+        assert_eq!(runs[4..], [(5..7, a), (7..8, b), (8..9, none), (9..10, b)]);
+        assert_eq!(block.numbers, [2.0, 3.0, 7.0, 8.0, 9.0, 2.0, 3.0, 7.0, 8.0, 9.0]);
+        let mut labels = Labels::new(&["y".to_owned()]);
+        block.relabel(&mut labels);
+        let texts: Vec<&str> = block.texts[10..].iter().map(|label| labels.text(*label)).collect();
+        assert_eq!(texts, ["same", "x", "same", "y", "same", "x", "same", "x", "same", ""]);
+        assert_eq!(labels.texts(), ["y", "same", "x"]);
+    }
+
+    #[test]
+    fn the_first_error_is_that_of_the_first_row_and_of_its_first_column() {
+        for (bad, expected) in [
+            (&[(4, 0), (3, 3), (3, 1)][..], (3, 1)),
+            (&[(2, 3), (2, 2), (3, 0)], (2, 2)),
+            (&[(1, 3), (2, 1)], (1, 3)),
+            (&[(0, 0), (0, 1)], (0, 0)),
+        ] {
+            let mut sheet = SOUND;
+            bad.iter().for_each(|&(row, column)| sheet[column][row] = "bad");
+            let wanted = wanted();
+            let mut filler = Filler::new(&wanted, 5);
+            let (row, found) = filler.fill(&Sheet(sheet)).expect_err("a cell is wrong");
+            assert_eq!((row, found.to_string()), (expected.0, error(expected.1, expected.0).to_string()));
+            let block = filler.finish(Numbering::from(1), None);
+            let rows = if block.runs() == 0 { 0 } else { block.run(block.runs() - 1).0.end };
+            assert_eq!((block.rows, block.numbers.len(), block.texts.len(), rows), (row, row, 2 * row, row));
+        }
+    }
+}
