@@ -199,9 +199,15 @@ fn errors_that_the_restricted_likelihood_does_not_have_are_refused() {
 }
 
 #[test]
-fn expected_standard_errors_beside_free_parameters_are_of_rows_of_one_phase() {
+fn expected_standard_errors_beside_free_parameters_are_said_and_are_others_than_observed_ones() {
     let free = MODEL.replace("noise = 0.1", "noise = \"s\"") + "[parameters]\ns = {}\n";
     let folder = Folder::new(&[("free.toml", free.as_bytes())]);
-    let shown = shown(&folder.run("fit free.toml d.csv --std-errors expected"));
-    assert!(shown.starts_with("exit 0"), "{shown}");
+    let [expected, observed] = ["expected", "observed"].map(|how| {
+        let output = folder.run(&format!("fit free.toml d.csv --std-errors {how} --out {how}.json"));
+        assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+        let text = std::fs::read(folder.path(&format!("{how}.json"))).unwrap();
+        let record: kalfit::FitRecord = serde_json::from_slice(&text).unwrap();
+        record.parameters[0].std_error.unwrap()
+    });
+    assert!((expected / observed - 1.0).abs() > 1e-9, "expected {expected}, observed {observed}");
 }

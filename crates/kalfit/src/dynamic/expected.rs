@@ -18,11 +18,11 @@ const STEP: f64 = 1e-4;
 /// A value that is not positive moves by this part of one at least.
 const LEAST: f64 = 1e-2;
 
-/// Covariances from the expected information; `None` where values of single tests are free.
+/// Covariances from the expected information; `None` where values of single tests are free, and where some side is not defined.
 pub(super) fn expected(bench: &Bench<'_>, fit: &DynamicFit) -> Result<Option<Covariances>, DynamicError> {
     let shared = fit.joint.shared();
     let model = &bench.model.phases[0].model;
-    let directions = Directions::of(bench, fit, shared)?;
+    let Some(directions) = Directions::of(bench, fit, shared)? else { return Ok(None) };
     let one = |&j: &usize| -> Result<DMatrix<f64>, DynamicError> {
         directions.information(model, rows(&bench.tests[j])).map_err(|error| DynamicError::Reduce(Box::new(error)))
     };
@@ -59,7 +59,8 @@ struct Directions {
 }
 
 impl Directions {
-    fn of(bench: &Bench<'_>, fit: &DynamicFit, shared: &[usize]) -> Result<Directions, DynamicError> {
+    /// `None` where (μ, Σ) have no law to some side.
+    fn of(bench: &Bench<'_>, fit: &DynamicFit, shared: &[usize]) -> Result<Option<Directions>, DynamicError> {
         let model = &bench.model.phases[0].model;
         let state = &fit.estimate.state;
         let place = |alpha: &Alpha, law: InitialLaw| -> Result<Place, DynamicError> {
@@ -69,29 +70,31 @@ impl Directions {
         for &s in shared {
             let coordinate = &bench.coordinates[s];
             let values = [1.0, -1.0].map(|sign| moved(coordinate, fit.sought[s], sign));
-            let at = |value: f64| -> Result<Place, DynamicError> {
+            let at = |value: f64| -> Result<Option<Place>, DynamicError> {
                 let mut sought = fit.sought.clone();
                 sought[s] = value;
                 let alpha = bench.alpha(&sought);
-                let law = state.elsewhere(&fit.reductions, &alpha).ok().flatten().map(|at| at.law());
-                place(&alpha, law.unwrap_or_else(|| state.law()))
+                let there = state.elsewhere(&fit.reductions, &alpha).ok().flatten();
+                there.map(|there| place(&alpha, there.law())).transpose()
             };
             let width = coordinate.of_value(values[0]) - coordinate.of_value(values[1]);
-            all.push(([at(values[0])?, at(values[1])?], width));
+            let (Some(up), Some(down)) = (at(values[0])?, at(values[1])?) else { return Ok(None) };
+            all.push(([up, down], width));
         }
         let tangent = &state.place.tangent;
         for i in 0..tangent.gradient.len() {
             let information = tangent.information[(i, i)];
             let step = STEP * if information > 0.0 { information.sqrt().recip() } else { tangent.sizes[i] };
-            let at = |sign: f64| -> Result<Place, DynamicError> {
+            let at = |sign: f64| -> Result<Option<Place>, DynamicError> {
                 let mut along = DVector::zeros(tangent.gradient.len());
                 along[i] = sign * step;
                 let there = state.moved(&fit.reductions, &fit.alpha, &along);
-                place(&fit.alpha, there.map_or_else(|| state.law(), |there| there.law()))
+                there.map(|there| place(&fit.alpha, there.law())).transpose()
             };
-            all.push(([at(1.0)?, at(-1.0)?], 2.0 * step));
+            let (Some(up), Some(down)) = (at(1.0)?, at(-1.0)?) else { return Ok(None) };
+            all.push(([up, down], 2.0 * step));
         }
-        Ok(Directions { home: place(&fit.alpha, state.law())?, all })
+        Ok(Some(Directions { home: place(&fit.alpha, state.law())?, all }))
     }
 
     /// What a test is expected to say.

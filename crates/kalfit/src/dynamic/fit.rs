@@ -23,22 +23,7 @@ pub fn fit(
     let slots = Slots::in_phases(model, labels, tests);
     refuse(model, tests, &slots, settings)?;
     let bench = Bench::new(model, tests, &slots, settings);
-    let mut ends = Vec::new();
-    let mut first_error = None;
-    let mut floor = None;
-    for start in start::starts(&bench, progress)? {
-        if progress.stops() && !ends.is_empty() {
-            break;
-        }
-        progress.stage(Stage::Filters { filter_runs: bench.filter_passes() });
-        match search::search(&bench, start, floor, progress) {
-            Ok(end) => {
-                floor = Some(floor.map_or(end.home.value(), |floor: f64| floor.max(end.home.value())));
-                ends.push(end);
-            }
-            Err(error) => first_error = first_error.or(Some(error)),
-        }
-    }
+    let (mut ends, first_error) = searched(&bench, progress)?;
     let explored = explore::is_possible(&bench) && !progress.stops();
     if explored {
         explore::explore(&bench, &mut ends, start::all_given(&bench), progress)?;
@@ -79,6 +64,25 @@ pub fn fit(
         settings: settings.clone(),
         slots,
     })
+}
+
+/// Where the searches from all starts end, and the first error of those that do not.
+fn searched(bench: &Bench<'_>, progress: &mut dyn Progress) -> Result<(Vec<End>, Option<DynamicError>), DynamicError> {
+    let (mut ends, mut first_error, mut floor) = (Vec::new(), None, None);
+    for start in start::starts(bench, progress)? {
+        if progress.stops() && !ends.is_empty() {
+            break;
+        }
+        progress.stage(Stage::Filters { filter_runs: bench.filter_passes() });
+        match search::search(bench, start, floor, progress) {
+            Ok(end) => {
+                floor = Some(floor.map_or(end.home.value(), |floor: f64| floor.max(end.home.value())));
+                ends.push(end);
+            }
+            Err(error) => first_error = first_error.or(Some(error)),
+        }
+    }
+    Ok((ends, first_error))
 }
 
 /// Covariances of noises, and levels beside known ones, at a bound of what is sought are at the edge of what they may be.

@@ -118,3 +118,23 @@ fn expected_errors_beside_a_time_constant_are_those_of_the_dense_law() {
         assert!((error / expected - 1.0).abs() < 1e-5, "figure {i}: found {error}, expected {expected}");
     }
 }
+
+#[test]
+fn expected_errors_beside_a_noise_covariance_are_refused() {
+    let model = Model::builder("two instruments")
+        .state(constant("level"))
+        .measurement(measurement("y", "level", "r"))
+        .measurement(measurement("z", "level", 0.4))
+        .noise_covariance("y", "z", 0.02)
+        .parameter(free("r"));
+    let columns: Vec<Columns> = (0..6)
+        .map(|j| {
+            let values = |shift: f64| (0..5).map(move |k| (f64::from(j) + shift * f64::from(k)).sin());
+            Columns::new(format!("t{j}")).numbers("y", values(1.3)).numbers("z", values(0.7))
+        })
+        .collect();
+    let ensemble = Ensemble::new(&model.build().expect("a model"), &columns).expect("columns of the model");
+    let choices = Choices { std_errors: StdErrors::Expected, ..Choices::default() };
+    let error = ensemble.fit_with(&Options { choices, ..Options::default() }, &mut Silent).expect_err("refused");
+    assert!(error.to_string().contains("(`r`)"), "{error}");
+}
