@@ -6,7 +6,7 @@ use kalfit::{Model, PhasedModel};
 /// A model with each phase's changed.
 pub(crate) fn each(model: &PhasedModel, change: &dyn Fn(usize, Model) -> Model) -> PhasedModel {
     let of = |(i, phase): (usize, &Phase)| Phase { model: change(i, phase.model.clone()), ..phase.clone() };
-    PhasedModel { phases: model.phases.iter().enumerate().map(of).collect(), column: model.column }
+    PhasedModel { phases: model.phases.iter().enumerate().map(of).collect(), ..model.clone() }
 }
 
 /// The model under what the hypothesis says of the mean alone; `None` when that is nothing.

@@ -63,7 +63,7 @@ pub(crate) fn model(text: &str, mut root: Section<'_>) -> Result<(PhasedModel, L
     let shared = Shared { title, parameters: as_given, group: data.group };
     let models: Vec<Model> = read.iter().map(|phase| phase.model(&context, &shared)).collect();
     let phases = read.iter().zip(models).map(|(phase, model)| phase.finish(model)).collect();
-    let mut model = PhasedModel { phases, column: data.phase };
+    let mut model = PhasedModel { phases, column: data.phase, levels: Vec::new() };
     let parameters = parameters::finish(&mut context, declared, &roles(&model))?;
     model.models_mut().for_each(|phase| phase.parameters.clone_from(&parameters));
     data.check(model.phases.iter().map(|phase| &phase.model).zip(read.iter().map(|phase| &phase.start)))?;

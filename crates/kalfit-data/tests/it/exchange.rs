@@ -49,7 +49,7 @@ fn two_phases() -> PhasedModel {
         filter: None,
     };
     let phases = vec![phase("align", 0, align, Vec::new()), phase("flight", 1, flight, carry)];
-    PhasedModel { phases, column: Some(0) }
+    PhasedModel { phases, column: Some(0), levels: Vec::new() }
 }
 
 fn one_phase() -> PhasedModel {

@@ -247,7 +247,7 @@ fn each_file_can_be_a_test() {
     }
     let pattern = folder.path().join("*").join("*.csv").display().to_string();
     let inputs = Input::expand(&[pattern, "-".into()]).unwrap();
-    let layout = Layout { test: kalfit::TestKey::File, missing: Vec::new(), comment: None };
+    let layout = Layout { test: kalfit::TestKey::File, levels: Vec::new(), missing: Vec::new(), comment: None };
     let (sink, reading) = collect(&model(&["y"], &[], None), &layout, &inputs, &mut &b"y\n3\n"[..]).unwrap();
     let ids: Vec<String> = sink.tests.iter().map(|t| t.id.replace(&folder.path().display().to_string(), "")).collect();
     assert_eq!(ids, ["/day1/a.csv", "/day2/a.csv", "b", "stdin"]);
@@ -264,7 +264,12 @@ fn without_a_test_column_all_rows_of_all_files_are_one_test() {
 
 #[test]
 fn missing_tokens_hold_in_numbers_texts_and_every_format() {
-    let layout = Layout { test: kalfit::TestKey::Single, missing: vec![".".into(), "-99".into()], comment: None };
+    let layout = Layout {
+        test: kalfit::TestKey::Single,
+        levels: Vec::new(),
+        missing: vec![".".into(), "-99".into()],
+        comment: None,
+    };
     let model = model(&["x"], &["x"], None);
     let csv = b"x,z\n.,1\n-99,1\n-99.0,1\nNULL,1\nnan,1\n\"NA\",1\n,1\n1,1\n";
     let (sink, reading) = collect_stdin(&model, &layout, csv).unwrap();

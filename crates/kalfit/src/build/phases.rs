@@ -199,7 +199,7 @@ impl PhasedModelBuilder {
             phases.push(builder.lower(&mut names, before.as_deref())?);
             before = Some(names.states.clone());
         }
-        let mut model = PhasedModel { phases, column: Some(column) };
+        let mut model = PhasedModel { phases, column: Some(column), levels: Vec::new() };
         share(&mut names, &mut model)?;
         Ok(model)
     }

@@ -87,7 +87,7 @@ fn phases(first: Model, second: Model, carry: Vec<Carry>) -> PhasedModel {
         Phase { name: name(0), label: Some(0), model: first.clone(), carry: Vec::new(), filter: None },
         Phase { name: name(1), label: Some(1), model: second, carry, filter: None },
     ];
-    PhasedModel { phases, column: Some(0) }
+    PhasedModel { phases, column: Some(0), levels: Vec::new() }
 }
 
 /// Uniform numbers in (-½, ½), the same on every machine.

@@ -19,10 +19,14 @@ impl Twins {
     /// All pairs of such processes in a model of one phase.
     pub(crate) fn of(model: &PhasedModel, slots: &Slots) -> Vec<Twins> {
         let [phase] = &model.phases[..] else { return Vec::new() };
+        let levels = !model.levels.is_empty();
+        let constants = time_constants(model);
         let (model, count) = (&phase.model, phase.model.states.len());
-        let constants = time_constants(&PhasedModel { phases: vec![phase.clone()], column: None });
         let pairs = (0..count).flat_map(|i| (i + 1..count).map(move |j| (i, j)));
-        let twins = pairs.filter_map(|(i, j)| {
+        // what groups add to a state is not looked at
+        let apart =
+            |&(i, j): &(usize, usize)| !(levels && (model.estimated.contains(&i) || model.estimated.contains(&j)));
+        let twins = pairs.filter(apart).filter_map(|(i, j)| {
             let mut pairs: Vec<(usize, usize)> = exchanged(model, i, j)?
                 .into_iter()
                 .map(|(p, q)| Some((slots.common(p)?, slots.common(q)?)))

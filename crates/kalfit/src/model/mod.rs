@@ -19,7 +19,7 @@ pub(crate) use derivative::Tape;
 pub use error::EvaluationError;
 pub use expression::{Expression, Function, Operator, Scope};
 pub use parameter::{Alpha, Level, Parameter, ParameterError, Value};
-pub use phased::{Carry, Filter, MAIN, Phase, PhasedModel};
+pub use phased::{Carry, Filter, GroupLevel, MAIN, Phase, PhasedModel};
 pub use population::{Population, PopulationError};
 pub(crate) use role::roles_among;
 pub use role::{Role, roles};

@@ -2,20 +2,34 @@
 
 use nalgebra::DMatrix;
 
-use crate::model::{Expression, Initial, Linear, Model};
+use crate::model::{CovarianceStructure, Expression, Initial, Linear, Model};
 
 /// The model of a whole test: its phases, in the order in which they happen.
 ///
 /// Invariants (kept by whoever builds one): there is at least one phase; all phases have the same `title`, `columns`,
 /// `text_columns`, `literals`, `parameters` and `group`, so that one [`Alpha`](crate::Alpha) and one
 /// [`Labels`](crate::Labels) serve them all; the first phase carries nothing; names of phases differ; `column` is given
-/// when there are several phases.
+/// when there are several phases; there are no levels then, nor beside a filter.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PhasedModel {
     /// The phases.
     pub phases: Vec<Phase>,
     /// Text column that tells the phase of a row; `None` where all rows are of the only phase.
     pub column: Option<usize>,
+    /// Levels of groups that tests stand in, the outermost first (theory §11); none where tests are independent of each other.
+    pub levels: Vec<GroupLevel>,
+}
+
+/// A level of groups of tests: ξ of a test is the sum of μ, of what each of its groups adds, and of what is the test's own. The
+/// model's own covariance is from test to test within a group of the innermost level.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GroupLevel {
+    /// Its name, that of its column.
+    pub name: String,
+    /// Text column with the name of the group, constant within a test. A group is told apart by it and by its groups above.
+    pub column: usize,
+    /// The covariance of what a group adds, p × p. It holds no `known`.
+    pub covariance: CovarianceStructure,
 }
 
 /// One phase.
@@ -104,7 +118,7 @@ impl PhasedModel {
 impl From<Model> for PhasedModel {
     fn from(model: Model) -> PhasedModel {
         let phase = Phase { name: MAIN.to_owned(), label: None, model, carry: Vec::new(), filter: None };
-        PhasedModel { phases: vec![phase], column: None }
+        PhasedModel { phases: vec![phase], column: None, levels: Vec::new() }
     }
 }
 

@@ -62,7 +62,7 @@ fn model() -> PhasedModel {
     let carry = vec![Carry { state: 0, from: linear(&[(0, number(1.0))]) }];
     let bench = phase("bench", 0, &["bias", "slope"], terms(), vec![]);
     let flight = phase("flight", 1, &["bias", "trend"], terms(), carry);
-    PhasedModel { phases: vec![bench, flight], column: Some(0) }
+    PhasedModel { phases: vec![bench, flight], column: Some(0), levels: Vec::new() }
 }
 
 fn test(j: usize) -> Test {

@@ -85,6 +85,7 @@ fn model() -> PhasedModel {
             phase(2, 2, 0.08, &[(0, 0.9), (1, 1.0)], known),
         ],
         column: Some(0),
+        levels: Vec::new(),
     }
 }
 

@@ -161,7 +161,7 @@ fn journey() -> PhasedModel {
         Carry { state: 1, from: linear(vec![(0, alpha(KICK)), (2, times(alpha(CARRY), column(W)))], number(0.2)) },
     ];
     let phases = vec![phase(0, align, Vec::new()), phase(1, coast, to_coast), phase(2, land, to_land)];
-    PhasedModel { phases, column: Some(0) }
+    PhasedModel { phases, column: Some(0), levels: Vec::new() }
 }
 
 /// Rows of one phase.

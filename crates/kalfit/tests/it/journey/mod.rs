@@ -289,6 +289,7 @@ impl Journey {
         let model = PhasedModel {
             phases: phases.iter().enumerate().map(|(at, phase)| phase.phase(at)).collect(),
             column: Some(0),
+            levels: Vec::new(),
         };
         let mut tests: Vec<Test> = (0..present).map(|_| Test::new("t", COLUMNS, 1)).collect();
         let mut left: Vec<(usize, usize)> = phases[..present].iter().map(|phase| (0, phase.rows.len())).collect();

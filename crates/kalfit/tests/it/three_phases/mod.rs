@@ -129,7 +129,7 @@ pub(crate) fn model() -> PhasedModel {
             Carry { state: 1, from: linear(&[(0, 1.0)], number(0.0)) },
         ],
     );
-    PhasedModel { phases: vec![first, second, third], column: Some(0) }
+    PhasedModel { phases: vec![first, second, third], column: Some(0), levels: Vec::new() }
 }
 
 /// The test with these rows, phases missing from the first empty one on.
