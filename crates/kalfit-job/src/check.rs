@@ -115,7 +115,7 @@ fn examined(
     files: Vec<String>,
     (mut notes, at_start_of): (Vec<String>, Vec<String>),
 ) -> Result<Checked, Failure> {
-    let found = infer::examine_at_start(reductions, &Structure::of(model, alpha)).map_err(Failure::Fit)?;
+    let found = infer::examine_at_start(reductions, &Structure::of(model, alpha, None)).map_err(Failure::Fit)?;
     let infer::Examination { unidentified, explanations, observability, phases } = &found;
     let mut said = crossing_notes(model, unidentified, explanations, observability);
     said.extend(shortage_notes(model, observability));

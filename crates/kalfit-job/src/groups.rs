@@ -57,7 +57,7 @@ pub(crate) fn add(
     }
     work.say(|| "fitting each group by itself".to_owned());
     let parts = parts(groups, reductions)?;
-    let structure = Structure::of(model, alpha);
+    let structure = Structure::of(model, alpha, None);
     let (mut log_likelihood, mut on_boundary) = (0.0, false);
     for (group, reductions) in &parts {
         let own = estimate::fit(reductions, &structure, &job.settings, work).map_err(Failure::Fit)?;

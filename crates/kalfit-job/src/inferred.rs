@@ -21,7 +21,7 @@ pub(crate) fn record(
     (alpha, reductions, groups): (&Alpha, &[Reduction], Option<&TestGroups>),
     work: &mut Work<'_>,
 ) -> Result<(FitRecord, Population), Failure> {
-    let structure = Structure::of(&spec.model, alpha);
+    let structure = Structure::of(&spec.model, alpha, None);
     let estimate = estimate::fit(reductions, &structure, &job.settings, work).map_err(Failure::Fit)?;
     let inference = infer::infer(&estimate, reductions, patience(job.choices, work));
     let provenance = Provenance {

@@ -20,8 +20,8 @@ pub(crate) fn test(
     work: &mut Work<'_>,
 ) -> Result<RatioRecord, Failure> {
     let bench = Bench { job, model: &spec.model, null: &hypothesis.model, alpha, reductions };
-    let wide =
-        estimate::fit(reductions, &Structure::of(&spec.model, alpha), &job.settings, work).map_err(Failure::Fit)?;
+    let wide = estimate::fit(reductions, &Structure::of(&spec.model, alpha, None), &job.settings, work)
+        .map_err(Failure::Fit)?;
     let null = bench.fit(&hypothesis.model, work)?;
     let wide = at_least(wide, &null, reductions).map_err(Failure::Fit)?;
     let ratio = likelihood_ratio(&null, &wide).map_err(Failure::NotNested)?;
@@ -59,7 +59,7 @@ struct Bench<'a> {
 
 impl Bench<'_> {
     fn fit(&self, model: &PhasedModel, progress: &mut dyn Progress) -> Result<Estimate, Failure> {
-        let (within, structure) = (Structure::of(self.model, self.alpha), Structure::of(model, self.alpha));
+        let (within, structure) = (Structure::of(self.model, self.alpha, None), Structure::of(model, self.alpha, None));
         fit_null(self.reductions, &within, &structure, &self.job.settings, progress)
             .ok_or(Failure::NotNested(NotNested::Mean))?
             .map_err(Failure::Fit)

@@ -37,7 +37,7 @@ pub(crate) fn add(
             ));
             continue;
         };
-        match information_lost(&raw, reductions, &Structure::of(model, alpha), population) {
+        match information_lost(&raw, reductions, &Structure::of(model, alpha, None), population) {
             Ok(lost) => record.add_information_lost(i, InformationLostRecord::new(model, i, &lost)),
             Err(error) => record.notes.push(format!("what a filter lost is not known: {error}")),
         }

@@ -30,7 +30,7 @@ pub fn plan(job: &PlanJob, watch: &mut dyn Watch) -> Result<Done<PlanRecord>, Fa
     let output = Output::prepare_for(("--out", Contents::Json), job.out.as_deref(), &used)?;
     let mut work = Work::new(watch);
     let reductions = designs(&spec, &truth.alpha, &inputs, &mut work)?;
-    let structure = Structure::of(&spec.model, &truth.alpha);
+    let structure = Structure::of(&spec.model, &truth.alpha, None);
     let states = spec.model.estimated_names();
     work.go_on()?;
     let found = plan::plan(&reductions, &structure, &truth.population, &job.tests)

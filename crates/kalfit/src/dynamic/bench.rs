@@ -3,8 +3,8 @@
 
 use std::borrow::Cow;
 use std::collections::BTreeSet;
-use std::sync::OnceLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, OnceLock};
 
 use nalgebra::DVector;
 
@@ -15,9 +15,10 @@ use crate::dynamic::scale::{self, AtScale, Scale};
 use crate::dynamic::scales::Scales;
 use crate::dynamic::twins::Twins;
 use crate::dynamic::{Coordinate, DynamicError, Settings};
+use crate::ensemble::Grouping;
 use crate::estimate::{self, Criterion, Estimate, FitError, InitialLaw, NoiseInformation, Silent, Structure};
 use crate::model::{Alpha, PhasedModel, Population, Slots};
-use crate::reduce::{Evidence, PhasedReducer, PhasedTest, Reduction};
+use crate::reduce::{Evidence, PhasedReducer, PhasedTest, Reduction, grouping};
 use crate::score::{Companies, Gradient, Levels, PhasedComplete, PhasedScorer, carried};
 
 /// The ensemble and the model, ready for any α.
@@ -34,6 +35,8 @@ pub(crate) struct Bench<'a> {
     pub(crate) cone: BTreeSet<usize>,
     /// Processes that may change places.
     pub(crate) twins: Vec<Twins>,
+    /// The groups that tests stand in, where the model has levels.
+    grouping: Option<Arc<Grouping>>,
     units: OnceLock<Vec<f64>>,
     order: Vec<usize>,
     indirect: Indirect,
@@ -122,6 +125,7 @@ impl<'a> Bench<'a> {
             cone: cone.into_iter().map(|(s, _)| s).collect(),
             settings,
             twins: Twins::of(model, slots),
+            grouping: grouping(model, tests).ok().flatten().map(Arc::new), // whether there is one is looked at before
             units: OnceLock::new(),
             order,
             indirect: Indirect::of(model, tests, slots),
@@ -253,7 +257,7 @@ impl<'a> Bench<'a> {
         far: f64,
     ) -> Result<Option<AtScale>, DynamicError> {
         let Some(scale) = &self.scale else { return Ok(None) };
-        let how = (&Structure::of(self.model, alpha), near, &self.settings.inner);
+        let how = (&self.structure(alpha), near, &self.settings.inner);
         let run = |value| Ok(self.filter(&[value])?.1);
         let found = scale.fit((values[0], self.coordinates[0]), (far, &run), how)?;
         let found = found.filter(|at| at.gradient.is_finite());
@@ -289,6 +293,11 @@ impl<'a> Bench<'a> {
         Some(estimate.log_likelihood).filter(|value| value.is_finite())
     }
 
+    /// What is assumed of μ and Σ at α.
+    fn structure<'s>(&'s self, alpha: &'s Alpha) -> Structure<'s> {
+        Structure::of(self.model, alpha, self.grouping.as_ref())
+    }
+
     /// The best (μ, Σ) on reductions.
     pub(crate) fn inner(
         &self,
@@ -296,7 +305,7 @@ impl<'a> Bench<'a> {
         alpha: &Alpha,
         near: Option<&Population>,
     ) -> Result<Estimate, DynamicError> {
-        let structure = Structure::of(self.model, alpha);
+        let structure = self.structure(alpha);
         let settings = &self.settings.inner;
         let estimate = match near {
             Some(start) => estimate::fit_from(reductions, &structure, start, settings, &mut Silent)?,

@@ -13,11 +13,13 @@ use kalfit_lanes::Isa;
 use nalgebra::DMatrix;
 use rayon::prelude::*;
 
+use crate::ensemble::Grouping;
 use crate::estimate::canonical::{ordered, spans};
 use crate::estimate::chained::{Chained, Kept, Packed, Shape, grouped};
 use crate::estimate::class::Class;
 use crate::estimate::frame::{Frame, Pooled};
 use crate::estimate::lanes::Blocks;
+use crate::estimate::levels::Units;
 use crate::estimate::listed::{Listed, Noise, Residual};
 use crate::linalg::elements::Elements;
 use crate::linalg::symmetric::{self, pair};
@@ -50,6 +52,8 @@ pub(crate) struct Classes {
     members: Vec<Vec<usize>>,
     /// Of each test, to know the reductions by.
     marks: Vec<u64>,
+    /// Where tests stand in groups: the groups of the outermost level with all that stands in them.
+    pub(crate) units: Option<Arc<Units>>,
 }
 
 /// Classes that are made by themselves, by whatever thread.
@@ -83,7 +87,11 @@ impl Classes {
         let pooled = Pooled::all(reductions, &order, (elements.states(), self.frame.covariate_scale.len()));
         let frame = self.frame.clone();
         let information = pooled.information(&frame);
-        Classes::gathered((reductions, &order), (frame, information), (elements, chained))
+        let classes = Classes::gathered((reductions, &order), (frame, information), (elements, chained));
+        match &self.units {
+            Some(units) => classes.in_groups(reductions, &units.grouping),
+            None => classes,
+        }
     }
 
     fn gathered(
@@ -140,7 +148,24 @@ impl Classes {
             chained,
             members,
             marks,
+            units: None,
         }
+    }
+
+    /// With the groups that the tests stand in. All tests of the reductions, which must be in what is a test's own and what each of its
+    /// groups adds, are in some. Then the centre is that of the sum.
+    pub(crate) fn in_groups(mut self, reductions: &[Reduction], grouping: &Arc<Grouping>) -> Classes {
+        let centre = self.frame.centred(grouping.depth() + 1);
+        if centre != self.frame {
+            let information = self.information.clone();
+            let order = ordered(reductions);
+            self = Classes::gathered((reductions, &order), (centre, information), (self.elements, false));
+        }
+        let found = Units::new(reductions, (self.classes.gathered(), &self.members), &self.frame, grouping);
+        let units = found.expect("every test is in a group");
+        self.present = units.counts();
+        self.units = Some(Arc::new(units));
+        self
     }
 
     /// These classes, if they are those of the reductions, or the classes of the reductions in the same coordinates.
@@ -188,6 +213,7 @@ impl Classes {
             present: self.present.clone(),
             members: Vec::new(),
             marks: Vec::new(),
+            units: None,
             ..*self
         }
     }

@@ -37,6 +37,14 @@ impl Frame {
         Frame { centre, scale, covariate_scale }
     }
 
+    /// The same with the whole centre at the first of so many levels, whose states add up.
+    pub(super) fn centred(&self, levels: usize) -> Frame {
+        let p = self.centre.len() / levels;
+        let sum = |i: usize| (0..levels).map(|l| self.centre[l * p + i]).sum();
+        let centre = (0..self.centre.len()).map(|k| if k < p { sum(k) } else { 0.0 }).collect();
+        Frame { centre, ..self.clone() }
+    }
+
     /// Σ in the user's units from Σ in η, symmetric to the last bit.
     pub(crate) fn covariance_out(&self, sigma: &DMatrix<f64>) -> DMatrix<f64> {
         symmetric::scaled(&self.scale, |i, j| sigma[(i, j)])

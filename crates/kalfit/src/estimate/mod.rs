@@ -39,6 +39,7 @@ mod forms;
 mod frame;
 mod joint_law;
 mod lanes;
+mod levels;
 mod likelihood;
 mod linear;
 mod listed;
@@ -116,7 +117,7 @@ pub fn fit(
     settings: &Settings,
     progress: &mut dyn Progress,
 ) -> Result<Estimate, FitError> {
-    let evidence = evidence(reductions, (structure.phases.len(), structure.dimension()), settings)?;
+    let evidence = evidence(reductions, structure, settings)?;
     let problem = problem(&evidence, structure, settings)?;
     ended(problem, structure, None, settings, progress)?.of_all(reductions)
 }
@@ -130,7 +131,7 @@ pub fn fit_from(
     settings: &Settings,
     progress: &mut dyn Progress,
 ) -> Result<Estimate, FitError> {
-    let evidence = evidence(reductions, (structure.phases.len(), structure.dimension()), settings)?;
+    let evidence = evidence(reductions, structure, settings)?;
     let problem = problem(&evidence, structure, settings)?;
     ended(problem, structure, Some(start), settings, progress)?.of_all(reductions)
 }
@@ -156,7 +157,8 @@ pub(crate) fn at_start(
     reductions: &[Reduction],
     structure: &Structure<'_>,
 ) -> Result<(Problem, Place, Sums), FitError> {
-    let problem = problem(reductions, structure, &Settings::default())?;
+    let settings = Settings::default();
+    let problem = problem(&evidence(reductions, structure, &settings)?, structure, &settings)?;
     let start = start::start(&problem, structure)?;
     let place = Place::new(&problem, &problem.covariance, start, None).ok_or(FitError::NotFinite)?;
     let sums = problem.sums(&place.point, Order::Expected, None).ok_or(FitError::NotFinite)?;
@@ -176,6 +178,11 @@ fn problem(reductions: &[Reduction], structure: &Structure<'_>, settings: &Setti
     }
     if let Some(id) = twice(reductions) {
         return Err(FitError::DuplicateTest { id: id.to_owned() });
+    }
+    if let Some(grouping) = &structure.grouping
+        && let Some(apart) = reductions.iter().find(|reduction| grouping.number(&reduction.test).is_none())
+    {
+        return Err(FitError::Ungrouped { test: apart.test.clone() });
     }
     Ok(Problem::new(reductions, structure, (settings.criterion, settings.phases))?)
 }

@@ -44,6 +44,10 @@ impl Problem {
     ) -> Result<Problem, StructureError> {
         let chained = combination != Combination::Stacked;
         let classes = Classes::new(reductions, structure.ranges(), structure.regressions().len(), chained);
+        let classes = match &structure.grouping {
+            Some(grouping) => classes.in_groups(reductions, grouping),
+            None => classes,
+        };
         Problem::of(classes, structure, criterion)
     }
 

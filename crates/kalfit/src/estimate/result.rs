@@ -1,9 +1,11 @@
 //! Where a search ended.
 
 use std::borrow::Cow;
+use std::sync::Arc;
 
 use nalgebra::DMatrix;
 
+use crate::ensemble::Grouping;
 use crate::estimate::certificate::Certificate;
 use crate::estimate::covariance::Form;
 use crate::estimate::error::FitError;
@@ -65,6 +67,11 @@ impl Estimate {
         Ok(self)
     }
 
+    /// The groups that the tests stand in, where the model has levels.
+    pub fn grouping(&self) -> Option<&Arc<Grouping>> {
+        self.state.problem.classes.units.as_ref().map(|units| &units.grouping)
+    }
+
     /// Number of free mean quantities, as declared: elements of μ and regression coefficients.
     pub fn declared_mean(&self) -> usize {
         let mean = &self.state.problem.mean;
@@ -100,7 +107,7 @@ impl From<&Estimate> for Population {
 /// The end of the search in the estimator's own coordinates.
 #[derive(Debug, Clone)]
 pub(crate) struct State {
-    pub(crate) problem: std::sync::Arc<Problem>,
+    pub(crate) problem: Arc<Problem>,
     pub(crate) place: Place,
     pub(crate) sums: Sums,
     pub(crate) assumed: Assumed,
@@ -112,14 +119,13 @@ pub(crate) struct State {
 impl State {
     /// The reductions whose likelihood was maximised, from those that the estimate was made from.
     pub(crate) fn evidence<'a>(&self, reductions: &'a [Reduction]) -> Cow<'a, [Reduction]> {
-        let elements = &self.problem.covariance.elements;
-        evidence(reductions, (elements.blocks().len(), elements.states()), &self.settings)
-            .expect("the estimate was made from such")
+        evidence(reductions, &self.structure(), &self.settings).expect("the estimate was made from such")
     }
 
     /// Each phase was taken by itself.
     pub(crate) fn is_marginal(&self) -> bool {
-        self.settings.phases == Combination::Marginal && !self.problem.covariance.elements.is_single()
+        let levels = self.problem.classes.units.is_some();
+        self.settings.phases == Combination::Marginal && !self.problem.covariance.elements.is_single() && !levels
     }
 
     /// What rounding leaves open, by mean coordinate (elements of μ, then regression coefficients), in standard errors.

@@ -66,6 +66,6 @@ impl Fit {
 
     /// What the model says of μ and Σ, for another fit to the same reductions.
     pub fn structure(&self) -> Structure<'_> {
-        Structure::of(&self.model, &self.alpha)
+        Structure::of(&self.model, &self.alpha, self.estimate.grouping())
     }
 }

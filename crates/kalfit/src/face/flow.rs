@@ -82,7 +82,7 @@ pub(super) fn of_reductions(
     options: &Options,
     progress: &mut dyn Progress,
 ) -> Result<Fit, EnsembleError> {
-    let estimate = estimate::fit(&reductions, &Structure::of(model, alpha), &options.settings, progress)?;
+    let estimate = estimate::fit(&reductions, &Structure::of(model, alpha, None), &options.settings, progress)?;
     let inference = infer::infer(&estimate, &reductions, options.choices);
     let record = FitRecord::new(model, alpha, &reductions, &estimate, &inference, Provenance::default());
     Ok(Fit { model: model.clone(), alpha: alpha.clone(), reductions, estimate, inference, record })

@@ -84,6 +84,9 @@ fn plain_square(reduction: &Reduction, law: &InitialLaw) -> Option<f64> {
 /// Under the restricted likelihood the covariance of μ_j at a known Σ adds to V, as (I+ΣJ)⁻¹ of it: ℓ_R changes by
 /// -½ tr((V + …) ∂J) where ℓ changes by -½ tr(V ∂J).
 pub(crate) fn moments(reduction: &Reduction, law: &InitialLaw) -> Moments {
+    if let Some((mean, root)) = law.given(&reduction.test) {
+        return Moments::of(mean, root);
+    }
     let p = law.root.nrows();
     let factor = unpack(&reduction.factor, p);
     let mean = law.mean_of(&reduction.covariates);

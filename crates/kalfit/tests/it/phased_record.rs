@@ -93,7 +93,7 @@ fn reduced(model: &PhasedModel) -> Vec<Reduction> {
 fn fitted(model: &PhasedModel) -> (FitRecord, Estimate, Inference) {
     let (alpha, reductions) = (Alpha::default(), reduced(model));
     let estimate =
-        estimate::fit(&reductions, &Structure::of(model, &alpha), &Settings::default(), &mut Silent).unwrap();
+        estimate::fit(&reductions, &Structure::of(model, &alpha, None), &Settings::default(), &mut Silent).unwrap();
     let choices = Choices { deletion: DeletionChoice::All, ..Choices::default() };
     let inference = infer::infer(&estimate, &reductions, choices);
     let record = FitRecord::new(model, &alpha, &reductions, &estimate, &inference, Provenance::default());
@@ -231,7 +231,7 @@ fn a_direction_that_mixes_phases_stands_in_each_with_its_part_and_whole_in_a_not
 fn a_likelihood_of_what_filters_made_of_the_data_has_no_aic() {
     let model = model();
     let (alpha, reductions) = (Alpha::default(), reduced(&model));
-    let structure = Structure::of(&model, &alpha);
+    let structure = Structure::of(&model, &alpha, None);
     let estimate = estimate::fit(&reductions, &structure, &Settings::default(), &mut Silent).unwrap();
     let inference = infer::infer(&estimate, &reductions, Choices::default());
     let provenance = Provenance { of_estimates: true, ..Provenance::default() };

@@ -128,7 +128,8 @@ impl PhasedScorer<'_> {
         room: &mut Room<'_>,
     ) -> Result<Option<Begun>, ReduceError> {
         let (test, reduction) = (&of.tests[number], &of.reductions[number]);
-        if let ([smooth], true) = (like, self.model.is_single() && !of.law.is_restricted()) {
+        let alike = self.model.is_single() && !of.law.is_restricted() && !of.law.is_of_each();
+        if let ([smooth], true) = (like, alike) {
             let same = same_bits(&reduction.factor, &of.reductions[first].factor);
             let phases = || vec![(smooth.moments.mean_of(reduction, of.law), Vec::new())];
             return Ok(same.then(|| Begun { phases: phases(), carried: Gradient::new() }));

@@ -17,8 +17,11 @@ use super::{Joint, Recipe, ensemble};
 pub(super) type Phases = Vec<(MeanStructure, CovarianceStructure)>;
 
 pub(super) fn structure<'a>(phases: &'a Phases, alpha: &'a Alpha) -> Structure<'a> {
-    let one = |(mean, covariance): &'a (MeanStructure, CovarianceStructure)| PhaseStructure { mean, covariance };
-    Structure { phases: phases.iter().map(one).collect(), alpha }
+    let one = |(mean, covariance): &'a (MeanStructure, CovarianceStructure)| PhaseStructure {
+        mean: std::borrow::Cow::Borrowed(mean),
+        covariance,
+    };
+    Structure { phases: phases.iter().map(one).collect(), alpha, grouping: None }
 }
 
 pub(super) fn fit(data: &[Reduction], phases: &Phases, settings: &Settings) -> Estimate {
