@@ -9,7 +9,7 @@ use crate::dynamic::bench::Bench;
 use crate::dynamic::covariances::Covariances;
 use crate::dynamic::matrices::matrix_gradient;
 use crate::dynamic::{DynamicError, DynamicFit};
-use crate::reduce::Reduction;
+use crate::reduce::ReductionRef;
 use crate::score::Gradient;
 
 /// The covariances that the spread of the tests' scores gives, from those of the observed information.
@@ -23,7 +23,7 @@ pub(crate) fn sandwich(
     let n = observed.whole.nrows();
     let mut sum = DMatrix::zeros(n, n);
     for &j in bench.order() {
-        let score = score(bench, fit, &observed.shared, (&reduced.reductions[j], &scores[j]));
+        let score = score(bench, fit, &observed.shared, (reduced.reductions.get(j), &scores[j]));
         sum.ger(1.0, &score, &score, 1.0);
     }
     let whole = &observed.whole * sum * &observed.whole;
@@ -39,7 +39,7 @@ fn score(
     bench: &Bench<'_>,
     fit: &DynamicFit,
     shared: &[usize],
-    (reduction, of_test): (&Reduction, &Gradient),
+    (reduction, of_test): (ReductionRef<'_>, &Gradient),
 ) -> DVector<f64> {
     let state = &fit.estimate.state;
     let of_sigma = state.covariance_score_of(reduction);

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector};
 
+use crate::estimate::class::Class;
 use crate::estimate::classes::Classes;
 use crate::estimate::covariance::{CovarianceMap, Form};
 use crate::estimate::newton::{self, Place};
@@ -15,7 +16,7 @@ use crate::estimate::sums::Sums;
 use crate::estimate::{State, Structure};
 use crate::linalg::symmetric;
 use crate::model::{Alpha, StructureError};
-use crate::reduce::Reduction;
+use crate::reduce::{ReductionRef, Reductions};
 
 /// The objective at one point under some reductions.
 #[derive(Debug)]
@@ -108,7 +109,7 @@ impl State {
     /// The objective at this point under other reductions of the same tests; `None` where it is not defined.
     pub(crate) fn elsewhere(
         &self,
-        reductions: &[Reduction],
+        reductions: &Reductions,
         alpha: &Alpha,
     ) -> Result<Option<Elsewhere>, StructureError> {
         let structure = self.assumed.at(alpha);
@@ -121,12 +122,12 @@ impl State {
 
     /// The state after a step along the tangent basis of this place, under other reductions of the same tests; `None` where it
     /// is not defined.
-    pub(crate) fn moved(&self, reductions: &[Reduction], alpha: &Alpha, step: &DVector<f64>) -> Option<State> {
+    pub(crate) fn moved(&self, reductions: &Reductions, alpha: &Alpha, step: &DVector<f64>) -> Option<State> {
         self.at(reductions, alpha, newton::moved(&*self.problem, &self.problem.covariance, &self.place, step)?)
     }
 
     /// The state at another point of this problem, under other reductions of the same tests; `None` where it is not defined.
-    pub(crate) fn at(&self, reductions: &[Reduction], alpha: &Alpha, point: Point) -> Option<State> {
+    pub(crate) fn at(&self, reductions: &Reductions, alpha: &Alpha, point: Point) -> Option<State> {
         let structure = self.assumed.at(alpha);
         let problem = Problem::within(&self.evidence(reductions), &structure, &self.problem).ok()?;
         let root = carried(&self.problem.covariance, &problem.covariance, &point.root);
@@ -143,18 +144,22 @@ impl State {
     }
 
     /// Gradient of one test's ℓ_j along the tangent basis of this place, under another reduction of it.
-    pub(crate) fn gradient_of(&self, reduction: &Reduction) -> DVector<f64> {
-        let own = self.evidence(std::slice::from_ref(reduction));
-        let class = self.problem.classes.single(&own[0]);
+    pub(crate) fn gradient_of(&self, reduction: ReductionRef<'_>) -> DVector<f64> {
+        let class = self.class_of(reduction);
         let sums = self.problem.of_class(&class, &self.place.point, Order::First);
         self.along(&sums, &self.problem, &self.place.point)
     }
 
     /// ∂ℓ_j/∂Σ of one test at this place, in the user's units.
-    pub(crate) fn covariance_score_of(&self, reduction: &Reduction) -> DMatrix<f64> {
-        let own = self.evidence(std::slice::from_ref(reduction));
-        let class = self.problem.classes.single(&own[0]);
+    pub(crate) fn covariance_score_of(&self, reduction: ReductionRef<'_>) -> DMatrix<f64> {
+        let class = self.class_of(reduction);
         out(&self.problem, &self.problem.of_class(&class, &self.place.point, Order::First).score())
+    }
+
+    /// One test as a class of its own.
+    fn class_of(&self, reduction: ReductionRef<'_>) -> Class {
+        let alone = std::iter::once(reduction).collect();
+        self.problem.classes.single(self.evidence(&alone).get(0))
     }
 
     /// A gradient in mean coordinates and Σ along the tangent basis.
@@ -224,7 +229,7 @@ fn carried_part(from: &Form, to: &Form, root: DMatrix<f64>) -> DMatrix<f64> {
 impl Problem {
     /// The problem of other reductions of the same tests, in the coordinates η and with the criterion of another.
     pub(crate) fn within(
-        reductions: &[Reduction],
+        reductions: &Reductions,
         structure: &Structure<'_>,
         like: &Problem,
     ) -> Result<Problem, StructureError> {

@@ -7,20 +7,23 @@ use rayon::prelude::*;
 use crate::estimate::error::FitError;
 use crate::estimate::marginal;
 use crate::estimate::settings::{Combination, Criterion, Settings};
-use crate::reduce::Reduction;
+use crate::reduce::{Reduction, ReductionRef, Reductions};
 
 /// The reductions whose likelihood is maximised: those given, or, phase by phase, what is left of each phase without the one before.
 pub(super) fn evidence<'a>(
-    reductions: &'a [Reduction],
+    reductions: &'a Reductions,
     (phases, states): (usize, usize),
     settings: &Settings,
-) -> Result<Cow<'a, [Reduction]>, FitError> {
+) -> Result<Cow<'a, Reductions>, FitError> {
     if settings.phases != Combination::Marginal || phases < 2 {
         return Ok(Cow::Borrowed(reductions));
     }
     if settings.criterion == Criterion::Reml {
         return Err(FitError::RestrictedMarginal);
     }
-    let one = |r: &Reduction| marginal::marginal(r, states).ok_or_else(|| FitError::NoPhases { test: r.test.clone() });
-    Ok(Cow::Owned(reductions.par_iter().map(one).collect::<Result<_, _>>()?))
+    let one = |r: ReductionRef<'_>| {
+        marginal::marginal(r, states).ok_or_else(|| FitError::NoPhases { test: r.test.to_owned() })
+    };
+    let all: Vec<Result<Reduction, FitError>> = reductions.par_iter().map(one).collect();
+    Ok(Cow::Owned(all.into_iter().collect::<Result<_, _>>()?))
 }

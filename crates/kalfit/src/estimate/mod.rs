@@ -106,12 +106,12 @@ pub(crate) use together::{each, in_parts};
 use evidence::evidence;
 
 use crate::model::Population;
-use crate::reduce::Reduction;
+use crate::reduce::Reductions;
 
 /// Maximises ℓ(μ, Σ) over the reductions under a structure, or the restricted likelihood of Σ with μ by generalised least
 /// squares, as the criterion of the settings says.
 pub fn fit(
-    reductions: &[Reduction],
+    reductions: &Reductions,
     structure: &Structure<'_>,
     settings: &Settings,
     progress: &mut dyn Progress,
@@ -124,7 +124,7 @@ pub fn fit(
 /// As [`fit`], from values that are near the optimum: those of a fit under another structure or to other tests. They
 /// need not meet the structure. Regression coefficients that are not given start at zero.
 pub fn fit_from(
-    reductions: &[Reduction],
+    reductions: &Reductions,
     structure: &Structure<'_>,
     start: &Population,
     settings: &Settings,
@@ -152,10 +152,7 @@ fn ended(
 }
 
 /// The place where a search would begin, with the expected information there.
-pub(crate) fn at_start(
-    reductions: &[Reduction],
-    structure: &Structure<'_>,
-) -> Result<(Problem, Place, Sums), FitError> {
+pub(crate) fn at_start(reductions: &Reductions, structure: &Structure<'_>) -> Result<(Problem, Place, Sums), FitError> {
     let problem = problem(reductions, structure, &Settings::default())?;
     let start = start::start(&problem, structure)?;
     let place = Place::new(&problem, &problem.covariance, start, None).ok_or(FitError::NotFinite)?;
@@ -164,13 +161,13 @@ pub(crate) fn at_start(
 }
 
 /// Of ids that two tests have, the first by order.
-fn twice(reductions: &[Reduction]) -> Option<&str> {
+fn twice(reductions: &Reductions) -> Option<&str> {
     let mut seen = HashSet::with_capacity(reductions.len());
-    let again = reductions.iter().map(|r| r.test.as_str()).filter(|id| !seen.insert(*id));
+    let again = reductions.iter().map(|r| r.test).filter(|id| !seen.insert(*id));
     again.min()
 }
 
-fn problem(reductions: &[Reduction], structure: &Structure<'_>, settings: &Settings) -> Result<Problem, FitError> {
+fn problem(reductions: &Reductions, structure: &Structure<'_>, settings: &Settings) -> Result<Problem, FitError> {
     if reductions.is_empty() {
         return Err(FitError::NoTests);
     }

@@ -28,7 +28,7 @@ use crate::reduce::root::{RootError, root_gains};
 use crate::reduce::schedule::GainsWork;
 use crate::reduce::shared::Shared;
 use crate::reduce::subject::{Fault, Subject};
-use crate::reduce::{Path, Reduction};
+use crate::reduce::{Path, Reduction, Reductions};
 pub(crate) use batch::{Batch, all_sound, share};
 pub(crate) use filtered::filters;
 use known::Known;
@@ -163,7 +163,7 @@ impl Reducer {
     }
 
     /// The reductions of tests, in their order; of several tests in error, the first one's error.
-    pub fn reduce(&mut self, tests: &[Test]) -> Result<Vec<Reduction>, ReduceError> {
+    pub fn reduce(&mut self, tests: &[Test]) -> Result<Reductions, ReduceError> {
         self.reduce_all(&tests.iter().collect::<Vec<_>>())
     }
 
@@ -172,7 +172,7 @@ impl Reducer {
     ///
     /// # Errors
     /// Of several tests in error, the first one's error.
-    pub fn reduce_designs(&mut self, tests: &[Test]) -> Result<Vec<Reduction>, ReduceError> {
+    pub fn reduce_designs(&mut self, tests: &[Test]) -> Result<Reductions, ReduceError> {
         let this = &*self;
         let one = |work: &mut Workspace, test: &Test| this.designed(test, work).map(|(reduction, _)| reduction);
         let all: Vec<Result<Reduction, ReduceError>> = tests.par_iter().map_init(|| this.workspace(), one).collect();

@@ -7,7 +7,7 @@ use crate::reduce::error::ReduceError;
 use crate::reduce::part::Part;
 use crate::reduce::phased::{PhasedReducer, PhasedWork};
 use crate::reduce::reducer::{Batch, all_sound, share};
-use crate::reduce::{Evidence, PhaseReduction, PhasedTest, Reduction};
+use crate::reduce::{Evidence, PhaseReduction, PhasedTest, Reduction, Reductions};
 
 /// Reduces batches of tests in phases.
 #[derive(Debug)]
@@ -25,7 +25,7 @@ impl PhasedReducer {
     ///
     /// # Errors
     /// Of several tests in error, the first one's error; of several phases, the first one's.
-    pub fn reduce(&mut self, tests: &[PhasedTest]) -> Result<Vec<Reduction>, ReduceError> {
+    pub fn reduce(&mut self, tests: &[PhasedTest]) -> Result<Reductions, ReduceError> {
         if let Some((phase, rows)) = self.plain(tests) {
             return phase.reducer.reduce_all(&rows);
         }
@@ -34,7 +34,7 @@ impl PhasedReducer {
             .par_chunks(share(tests.len(), rows))
             .map_init(|| PhasedBatch::new(self), |batch, tests| batch.reduce(tests))
             .collect();
-        all_sound(batches)
+        Ok(all_sound(batches)?.into())
     }
 
     /// Phases of tests one by one, whether the phases before them are known or not: (id of the test, phase, what is known of it).

@@ -8,7 +8,6 @@ use kalfit_lanes::Isa;
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
-use crate::reduce::Reduction;
 use crate::reduce::class::{Class, class_bytes};
 use crate::reduce::design::Design;
 use crate::reduce::ending::Ending;
@@ -21,6 +20,7 @@ use crate::reduce::reducer::known::Known;
 use crate::reduce::reducer::queue::Queue;
 use crate::reduce::reducer::{About, Reducer};
 use crate::reduce::subject::Fault;
+use crate::reduce::{Reduction, Reductions};
 
 /// Most classes whose blocks are filled at the same time.
 const OPEN: usize = 32;
@@ -76,13 +76,13 @@ struct Group {
 
 impl Reducer {
     /// [`Reducer::reduce`], of tests that stand anywhere.
-    pub(crate) fn reduce_all(&self, tests: &[&Test]) -> Result<Vec<Reduction>, ReduceError> {
+    pub(crate) fn reduce_all(&self, tests: &[&Test]) -> Result<Reductions, ReduceError> {
         let rows = tests.iter().map(|test| test.rows()).sum();
         let batches = tests
             .par_chunks(share(tests.len(), rows))
             .map_init(|| Batch::new(self), |batch, tests| batch.reduce(tests))
             .collect();
-        all_sound(batches)
+        Ok(all_sound(batches)?.into())
     }
 
     /// A fault of a test, with names.
