@@ -216,7 +216,7 @@ impl Reductions {
     }
 
     /// Adds a test, its chain apart.
-    fn put(&mut self, one: ReductionRef<'_>) {
+    pub(super) fn put(&mut self, one: ReductionRef<'_>) {
         self.stamp.take();
         let number = self.len();
         self.ids.push_str(one.test);

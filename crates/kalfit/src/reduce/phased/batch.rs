@@ -6,7 +6,7 @@ use crate::ensemble::Test;
 use crate::reduce::error::ReduceError;
 use crate::reduce::part::Part;
 use crate::reduce::phased::{PhasedReducer, PhasedWork};
-use crate::reduce::reducer::{Batch, all_sound, share};
+use crate::reduce::reducer::{Batch, all_sound, joined, share};
 use crate::reduce::{Evidence, PhaseReduction, PhasedTest, Reduction, Reductions};
 
 /// Reduces batches of tests in phases.
@@ -32,9 +32,9 @@ impl PhasedReducer {
         let rows = tests.iter().map(PhasedTest::row_count).sum();
         let batches = tests
             .par_chunks(share(tests.len(), rows))
-            .map_init(|| PhasedBatch::new(self), |batch, tests| batch.reduce(tests))
+            .map_init(|| PhasedBatch::new(self), |batch, tests| batch.reduce(tests).into_iter().collect())
             .collect();
-        Ok(all_sound(batches)?.into())
+        joined(batches)
     }
 
     /// Phases of tests one by one, whether the phases before them are known or not: (id of the test, phase, what is known of it).
