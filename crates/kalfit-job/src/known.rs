@@ -3,7 +3,7 @@
 use kalfit::estimate::{Estimate, Progress, Structure};
 use kalfit::infer::{Bootstrap, NotNested, at_least, bootstrap_while, fit_null, likelihood_ratio};
 use kalfit::record::{PartRecord, RatioProvenance, RatioRecord};
-use kalfit::{Alpha, PhasedModel, Reduction, estimate};
+use kalfit::{Alpha, PhasedModel, Reductions, estimate};
 use kalfit_spec::{Hypothesis, Spec};
 
 use crate::failure::Failure;
@@ -15,7 +15,7 @@ use crate::work::Work;
 pub(crate) fn test(
     job: &TestJob,
     (spec, hypothesis): (&Spec, &Hypothesis),
-    (alpha, reductions): (&Alpha, &[Reduction]),
+    (alpha, reductions): (&Alpha, &Reductions),
     provenance: RatioProvenance,
     work: &mut Work<'_>,
 ) -> Result<RatioRecord, Failure> {
@@ -54,7 +54,7 @@ struct Bench<'a> {
     model: &'a PhasedModel,
     null: &'a PhasedModel,
     alpha: &'a Alpha,
-    reductions: &'a [Reduction],
+    reductions: &'a Reductions,
 }
 
 impl Bench<'_> {

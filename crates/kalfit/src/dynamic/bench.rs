@@ -18,7 +18,7 @@ use crate::dynamic::{Coordinate, DynamicError, Settings};
 use crate::ensemble::Grouping;
 use crate::estimate::{self, Criterion, Estimate, FitError, InitialLaw, NoiseInformation, Silent, Structure};
 use crate::model::{Alpha, PhasedModel, Population, Slots};
-use crate::reduce::{Evidence, PhasedReducer, PhasedTest, Reduction, grouping};
+use crate::reduce::{Evidence, PhasedReducer, PhasedTest, Reductions, grouping};
 use crate::score::{Companies, Gradient, Levels, PhasedComplete, PhasedScorer, carried};
 
 /// The ensemble and the model, ready for any α.
@@ -51,7 +51,7 @@ pub(crate) struct Bench<'a> {
 pub(crate) struct Reduced {
     /// What made the reductions; `None` where they were scaled from another α.
     reducer: Option<PhasedReducer>,
-    pub(crate) reductions: Vec<Reduction>,
+    pub(crate) reductions: Reductions,
 }
 
 /// ℓ at α with its gradient, at the best (μ, Σ).
@@ -70,7 +70,7 @@ pub(crate) struct Solved {
 #[derive(Debug, Clone)]
 pub(crate) enum Told {
     /// What each test says.
-    Tests(OfTests),
+    Tests(Box<OfTests>),
     /// The information in the only value, which scales all noise, and with (μ, Σ) along the tangent basis. What each test says is
     /// worked out when it is asked for.
     Scale(NoiseInformation),
@@ -79,7 +79,7 @@ pub(crate) enum Told {
 /// What each test says at an α.
 #[derive(Debug, Clone)]
 pub(crate) struct OfTests {
-    pub(crate) reductions: Vec<Reduction>,
+    pub(crate) reductions: Reductions,
     /// dℓ_j/dvalue.
     pub(crate) scores: Vec<Gradient>,
 }
@@ -211,7 +211,7 @@ impl<'a> Bench<'a> {
     }
 
     /// Runs the filters.
-    fn filter(&self, values: &[f64]) -> Result<(PhasedReducer, Vec<Reduction>), DynamicError> {
+    fn filter(&self, values: &[f64]) -> Result<(PhasedReducer, Reductions), DynamicError> {
         // where one value scales all noise, scores are known without a backward pass
         let made = if self.scale.is_some() { PhasedReducer::passing } else { PhasedReducer::scoring };
         let mut reducer = made(self.model, &self.alpha(values), self.slots).map_err(Box::new)?;
@@ -244,7 +244,7 @@ impl<'a> Bench<'a> {
         let matrix =
             matrix_gradient(self.model, &alpha, self.slots, &estimate.covariance, &estimate.state.covariance_score());
         let gradient = self.gradient(values, &scores, &matrix);
-        let told = Told::Tests(OfTests { reductions: reduced.reductions, scores });
+        let told = Told::Tests(Box::new(OfTests { reductions: reduced.reductions, scores }));
         Ok(Solved { values: values.to_vec(), alpha, estimate, gradient, told })
     }
 
@@ -266,7 +266,7 @@ impl<'a> Bench<'a> {
     }
 
     /// The reductions at a solved α.
-    fn reductions_at<'s>(&self, home: &'s Solved) -> Result<Cow<'s, [Reduction]>, DynamicError> {
+    fn reductions_at<'s>(&self, home: &'s Solved) -> Result<Cow<'s, Reductions>, DynamicError> {
         match &home.told {
             Told::Tests(tests) => Ok(Cow::Borrowed(&tests.reductions)),
             Told::Scale(_) => Ok(Cow::Owned(self.reduce(&home.values)?.reductions)),
@@ -276,7 +276,7 @@ impl<'a> Bench<'a> {
     /// What each test says at a solved α.
     pub(crate) fn of_tests<'s>(&self, home: &'s Solved) -> Result<Cow<'s, OfTests>, DynamicError> {
         if let Told::Tests(tests) = &home.told {
-            return Ok(Cow::Borrowed(tests));
+            return Ok(Cow::Borrowed(&**tests));
         }
         let reduced = self.reduce(&home.values)?;
         let scores = self.scores(&home.values, &reduced, &home.estimate.state.law())?;
@@ -301,7 +301,7 @@ impl<'a> Bench<'a> {
     /// The best (μ, Σ) on reductions.
     pub(crate) fn inner(
         &self,
-        reductions: &[Reduction],
+        reductions: &Reductions,
         alpha: &Alpha,
         near: Option<&Population>,
     ) -> Result<Estimate, DynamicError> {
@@ -354,7 +354,7 @@ impl<'a> Bench<'a> {
     }
 
     /// The reductions at a solved α, and the estimate on them.
-    pub(crate) fn grounded(&self, home: Solved) -> Result<(Vec<Reduction>, Estimate), DynamicError> {
+    pub(crate) fn grounded(&self, home: Solved) -> Result<(Reductions, Estimate), DynamicError> {
         let Solved { values, estimate, told, .. } = home;
         if let Told::Tests(tests) = told {
             return Ok((tests.reductions, estimate));
@@ -428,7 +428,8 @@ impl<'a> Bench<'a> {
         let law = home.estimate.state.law();
         let reducer = PhasedReducer::scoring(self.model, &home.alpha, self.slots).map_err(Box::new)?;
         let scorer = PhasedScorer::new(self.model, &reducer, self.slots).map_err(Box::new)?;
-        Ok(scorer.all_complete(self.tests, &self.reductions_at(home)?, &law).map_err(Box::new)?)
+        let reductions = self.reductions_at(home)?;
+        Ok(scorer.all_complete(self.tests, &reductions, &law).map_err(Box::new)?)
     }
 
     /// The expected log-likelihood of the complete data at α and its gradient to the coordinates; `None` where it is not

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use nalgebra::{DMatrix, DVector};
 
 use crate::ensemble::Grouping;
+use crate::estimate::class::Class;
 use crate::estimate::classes::Classes;
 use crate::estimate::covariance::{CovarianceMap, Form};
 use crate::estimate::levels::{self, TestPosterior, Units};
@@ -17,7 +18,7 @@ use crate::estimate::sums::Sums;
 use crate::estimate::{State, Structure};
 use crate::linalg::symmetric;
 use crate::model::{Alpha, StructureError};
-use crate::reduce::Reduction;
+use crate::reduce::{ReductionRef, Reductions};
 use rayon::prelude::*;
 
 /// The objective at one point under some reductions.
@@ -177,7 +178,7 @@ impl State {
     /// The objective at this point under other reductions of the same tests; `None` where it is not defined.
     pub(crate) fn elsewhere(
         &self,
-        reductions: &[Reduction],
+        reductions: &Reductions,
         alpha: &Alpha,
     ) -> Result<Option<Elsewhere>, StructureError> {
         let structure = self.assumed.at(alpha);
@@ -190,12 +191,12 @@ impl State {
 
     /// The state after a step along the tangent basis of this place, under other reductions of the same tests; `None` where it
     /// is not defined.
-    pub(crate) fn moved(&self, reductions: &[Reduction], alpha: &Alpha, step: &DVector<f64>) -> Option<State> {
+    pub(crate) fn moved(&self, reductions: &Reductions, alpha: &Alpha, step: &DVector<f64>) -> Option<State> {
         self.at(reductions, alpha, newton::moved(&*self.problem, &self.problem.covariance, &self.place, step)?)
     }
 
     /// The state at another point of this problem, under other reductions of the same tests; `None` where it is not defined.
-    pub(crate) fn at(&self, reductions: &[Reduction], alpha: &Alpha, point: Point) -> Option<State> {
+    pub(crate) fn at(&self, reductions: &Reductions, alpha: &Alpha, point: Point) -> Option<State> {
         let structure = self.assumed.at(alpha);
         let problem = Problem::within(&self.evidence(reductions), &structure, &self.problem).ok()?;
         let root = carried(&self.problem.covariance, &problem.covariance, &point.root);
@@ -212,16 +213,15 @@ impl State {
     }
 
     /// Gradient of one test's ℓ_j along the tangent basis of this place, under another reduction of it.
-    pub(crate) fn gradient_of(&self, reduction: &Reduction) -> DVector<f64> {
-        let own = self.evidence(std::slice::from_ref(reduction));
-        let class = self.problem.classes.single(&own[0]);
+    pub(crate) fn gradient_of(&self, reduction: ReductionRef<'_>) -> DVector<f64> {
+        let class = self.class_of(reduction);
         let sums = self.problem.of_class(&class, &self.place.point, Order::First);
         self.along(&sums, &self.problem, &self.place.point)
     }
 
     /// Calls `of` with the numbers of the tests, and their sums of first order at this place, of each test, or of each unit where tests
     /// stand in groups: of what is independent of the others. The order depends on nothing but the ids.
-    pub(crate) fn each_independent(&self, evidence: &[Reduction], of: &mut dyn FnMut(&[usize], &Sums)) {
+    pub(crate) fn each_independent(&self, evidence: &Reductions, of: &mut dyn FnMut(&[usize], &Sums)) {
         let classes = self.problem.classes.of(evidence);
         let (point, regressors) = (&self.place.point, &self.problem.mean.regressors[..]);
         if let Some(units) = &classes.units {
@@ -230,9 +230,9 @@ impl State {
             return levels::each_unit(units, point, wanted, of);
         }
         let mut order: Vec<usize> = (0..evidence.len()).collect();
-        order.sort_by(|&a, &b| evidence[a].test.cmp(&evidence[b].test));
+        order.sort_by(|&a, &b| evidence.id(a).cmp(evidence.id(b)));
         for j in order {
-            of(&[j], &self.problem.of_class(&classes.single(&evidence[j]), point, Order::First));
+            of(&[j], &self.problem.of_class(&classes.single(evidence.get(j)), point, Order::First));
         }
     }
 
@@ -244,6 +244,12 @@ impl State {
     /// ∂ℓ/∂Σ of sums at this place, in the user's units.
     pub(crate) fn covariance_score_of(&self, sums: &Sums) -> DMatrix<f64> {
         out(&self.problem, &sums.score())
+    }
+
+    /// One test as a class of its own.
+    fn class_of(&self, reduction: ReductionRef<'_>) -> Class {
+        let alone = std::iter::once(reduction).collect();
+        self.problem.classes.single(self.evidence(&alone).get(0))
     }
 
     /// A gradient in mean coordinates and Σ along the tangent basis.
@@ -313,7 +319,7 @@ fn carried_part(from: &Form, to: &Form, root: DMatrix<f64>) -> DMatrix<f64> {
 impl Problem {
     /// The problem of other reductions of the same tests, in the coordinates η and with the criterion of another.
     pub(crate) fn within(
-        reductions: &[Reduction],
+        reductions: &Reductions,
         structure: &Structure<'_>,
         like: &Problem,
     ) -> Result<Problem, StructureError> {

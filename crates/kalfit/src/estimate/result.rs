@@ -20,7 +20,7 @@ use crate::estimate::stop::Stop;
 use crate::estimate::structure::{Assumed, Structure};
 use crate::estimate::sums::Sums;
 use crate::model::Population;
-use crate::reduce::Reduction;
+use crate::reduce::Reductions;
 
 /// Where the search ended, in the user's units.
 #[derive(Debug, Clone)]
@@ -57,7 +57,7 @@ pub struct Estimate {
 
 impl Estimate {
     /// With the log-likelihood of all phases together, where something else was maximised.
-    pub(super) fn of_all(mut self, reductions: &[Reduction]) -> Result<Estimate, FitError> {
+    pub(super) fn of_all(mut self, reductions: &Reductions) -> Result<Estimate, FitError> {
         if self.state.is_marginal() {
             let (problem, point) = (&self.state.problem, &self.state.place.point);
             let whole = Problem::within(reductions, &self.state.structure(), problem)?;
@@ -118,7 +118,7 @@ pub(crate) struct State {
 
 impl State {
     /// The reductions whose likelihood was maximised, from those that the estimate was made from.
-    pub(crate) fn evidence<'a>(&self, reductions: &'a [Reduction]) -> Cow<'a, [Reduction]> {
+    pub(crate) fn evidence<'a>(&self, reductions: &'a Reductions) -> Cow<'a, Reductions> {
         evidence(reductions, &self.structure(), &self.settings).expect("the estimate was made from such")
     }
 

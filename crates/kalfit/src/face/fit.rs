@@ -5,7 +5,7 @@ use crate::estimate::{self, Estimate, Structure};
 use crate::infer::{Choices, Inference};
 use crate::model::{Alpha, PhasedModel, Population};
 use crate::record::FitRecord;
-use crate::reduce::Reduction;
+use crate::reduce::Reductions;
 
 /// What is asked of a fit.
 #[derive(Debug, Clone)]
@@ -39,7 +39,7 @@ pub struct Fit {
     /// Every value of α.
     pub alpha: Alpha,
     /// The tests at α.
-    pub reductions: Vec<Reduction>,
+    pub reductions: Reductions,
     /// μ and Σ with their certificate.
     pub estimate: Estimate,
     /// What each number is worth, and what each test says.

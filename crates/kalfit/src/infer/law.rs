@@ -6,7 +6,7 @@ use crate::estimate::{JointLaw, Part, State};
 use crate::infer::holdable::Holdable;
 use crate::infer::std_errors::{PART, StdErrors};
 use crate::linalg::symmetric;
-use crate::reduce::Reduction;
+use crate::reduce::Reductions;
 
 /// Scaled eigenvalues of the information below this carry none.
 const FLAT: f64 = 1e-10;
@@ -35,10 +35,10 @@ struct WithParameters {
 impl<'a> Law<'a> {
     /// From the observed information.
     pub(crate) fn new(state: &'a State) -> Law<'a> {
-        Law::of(state, &[], StdErrors::Observed)
+        Law::of(state, &Reductions::new(), StdErrors::Observed)
     }
 
-    pub(super) fn of(state: &'a State, reductions: &[Reduction], kind: StdErrors) -> Law<'a> {
+    pub(super) fn of(state: &'a State, reductions: &Reductions, kind: StdErrors) -> Law<'a> {
         let tangent = &state.place.tangent;
         let mean = state.problem.mean.jacobian();
         let (m, s) = (mean.nrows(), state.problem.covariance.elements.count());
@@ -203,7 +203,7 @@ fn expected(state: &State, m: usize, s: usize) -> DMatrix<f64> {
 }
 
 /// Σ s s' over what is independent, in mean coordinates and elements of Σ.
-fn outer_scores(state: &State, reductions: &[Reduction], m: usize, s: usize) -> DMatrix<f64> {
+fn outer_scores(state: &State, reductions: &Reductions, m: usize, s: usize) -> DMatrix<f64> {
     let mut sum = DMatrix::zeros(m + s, m + s);
     state.each_independent(reductions, &mut |_, own| {
         let mut score = DVector::zeros(m + s);

@@ -10,7 +10,7 @@ use kalfit::model::{
 };
 use kalfit::record::RecordError;
 use kalfit::reduce::PhasedReducer;
-use kalfit::{Alpha, Expression, FitRecord, Label, Labels, Model, PhasedModel, PhasedTest, Provenance, Reduction};
+use kalfit::{Alpha, Expression, FitRecord, Label, Labels, Model, PhasedModel, PhasedTest, Provenance, Reductions};
 use kalfit::{Source, Test};
 
 /// Columns: what is measured, the slope's factor, and what means move with.
@@ -84,7 +84,7 @@ fn test(j: usize) -> Test {
     test
 }
 
-fn reduced(model: &PhasedModel) -> Vec<Reduction> {
+fn reduced(model: &PhasedModel) -> Reductions {
     let labels = Labels::new(&model.shared().literals);
     let tests: Vec<PhasedTest> = (0..TESTS).map(|j| model.split(test(j), &labels).unwrap()).collect();
     PhasedReducer::new(model, &Alpha::default()).unwrap().reduce(&tests).unwrap()

@@ -13,7 +13,7 @@ use crate::estimate::{
 };
 use crate::linalg::symmetric::pair;
 use crate::model::{Alpha, CovarianceStructure, MeanElement, MeanStructure, Regression};
-use crate::reduce::{Path, Reduction};
+use crate::reduce::{Path, Reduction, Reductions};
 
 /// Some numbers that look like noise.
 fn wave(seed: usize) -> f64 {
@@ -24,7 +24,7 @@ fn wave(seed: usize) -> f64 {
 /// An ensemble of p states in groups.
 struct Ensemble {
     p: usize,
-    reductions: Vec<Reduction>,
+    reductions: Reductions,
     grouping: Arc<Grouping>,
     mean: MeanStructure,
     covariances: Vec<CovarianceStructure>,
@@ -75,9 +75,9 @@ fn ensemble(p: usize, members: &[usize], (shared, regression): (usize, bool)) ->
             chain: None,
         }
     };
-    let reductions: Vec<Reduction> = paths.iter().enumerate().map(test).collect();
+    let reductions: Reductions = paths.iter().enumerate().map(test).collect();
     let label = |path: &Vec<usize>| path[..depth].iter().map(|&k| Label::literal(k)).collect();
-    let named = reductions.iter().zip(&paths).map(|(r, path)| (r.test.as_str(), label(path)));
+    let named = reductions.iter().zip(&paths).map(|(r, path)| (r.test, label(path)));
     let grouping = Arc::new(Grouping::from_paths(depth, named));
     let regression = if regression { vec![Regression { element: 0, column: 0 }] } else { Vec::new() };
     Ensemble {
@@ -114,7 +114,7 @@ impl Ensemble {
         let outermost = self.grouping.depth() - 1;
         let mut units = vec![Vec::new(); self.grouping.groups(outermost).len()];
         for (j, reduction) in self.reductions.iter().enumerate() {
-            let number = self.grouping.number(&reduction.test).expect("it was named");
+            let number = self.grouping.number(reduction.test).expect("it was named");
             units[self.grouping.group_of(number, outermost)].push(j);
         }
         units
@@ -122,20 +122,20 @@ impl Ensemble {
 
     /// Covariance of ξ of two tests.
     fn between(&self, a: usize, b: usize, sigmas: &[DMatrix<f64>]) -> DMatrix<f64> {
-        let number = |j: usize| self.grouping.number(&self.reductions[j].test).expect("it was named");
+        let number = |j: usize| self.grouping.number(self.reductions.id(j)).expect("it was named");
         let own = if a == b { sigmas[0].clone() } else { DMatrix::zeros(self.p, self.p) };
         let shared = |l: &usize| self.grouping.group_of(number(a), *l) == self.grouping.group_of(number(b), *l);
         (0..self.grouping.depth()).filter(shared).fold(own, |sum, l| sum + &sigmas[l + 1])
     }
 
     fn factor(&self, j: usize) -> DMatrix<f64> {
-        let r = &self.reductions[j];
+        let r = self.reductions.get(j);
         DMatrix::from_fn(self.p, self.p, |i, k| if i <= k { r.factor[pair(k, 0) + i] } else { 0.0 })
     }
 
     fn mean_of(&self, j: usize, mean: &[f64], coefficients: &[f64]) -> DVector<f64> {
         let mut mu = DVector::from_column_slice(mean);
-        for (r, x) in self.mean.regression.iter().zip(&self.reductions[j].covariates) {
+        for (r, x) in self.mean.regression.iter().zip(self.reductions.covariates(j)) {
             mu[r.element] += x * coefficients[0];
         }
         mu
@@ -164,14 +164,14 @@ impl Ensemble {
         let (prior, mut factor, mut e) = (self.prior(unit, sigmas), DMatrix::zeros(n, n), DVector::zeros(n));
         for (a, &i) in unit.iter().enumerate() {
             let r = self.factor(i);
-            let d = DVector::from_column_slice(&self.reductions[i].data);
+            let d = DVector::from_column_slice(self.reductions.get(i).data);
             e.rows_mut(a * p, p).copy_from(&(d - &r * self.mean_of(i, mean, coefficients)));
             factor.view_mut((a * p, a * p), (p, p)).copy_from(&r);
         }
         let s = DMatrix::identity(n, n) + &factor * &prior * factor.transpose();
         let cholesky = s.clone().cholesky().expect("positive");
         let log_det = 2.0 * cholesky.l().diagonal().map(f64::ln).sum();
-        let constant: f64 = unit.iter().map(|&j| self.reductions[j].constant).sum();
+        let constant: f64 = unit.iter().map(|&j| self.reductions.get(j).constant).sum();
         (constant - 0.5 * (log_det + e.dot(&cholesky.solve(&e))), prior, factor, e, s)
     }
 
@@ -335,7 +335,7 @@ fn posteriors_are_those_of_the_joint_gaussian() {
             let gain = &prior * factor.transpose() * s.cholesky().expect("positive").inverse();
             let (shift, covariance) = (&gain * e, &prior - &gain * &factor * &prior);
             for (a, &j) in unit.iter().enumerate() {
-                let own = &found.tests[ensemble.grouping.number(&ensemble.reductions[j].test).expect("it was named")];
+                let own = &found.tests[ensemble.grouping.number(ensemble.reductions.id(j)).expect("it was named")];
                 let mean = ensemble.mean_of(j, &here.0, &here.1);
                 for i in 0..p {
                     let got = frame.centre[i] + frame.scale[i] * own.mean[i];
@@ -348,7 +348,7 @@ fn posteriors_are_those_of_the_joint_gaussian() {
                     }
                 }
             }
-            let number = ensemble.grouping.number(&ensemble.reductions[unit[0]].test).expect("it was named");
+            let number = ensemble.grouping.number(ensemble.reductions.id(unit[0])).expect("it was named");
             let group = &found.groups[levels - 2][ensemble.grouping.group_of(number, levels - 2)];
             assert!((group.log_density - value).abs() < 1e-9, "{} {value}", group.log_density);
             log_density += group.log_density;
@@ -379,7 +379,7 @@ fn with_one_test_in_each_group_the_answer_is_that_of_one_level() {
         .map(|i| crate::model::FixedElement { i, j: i, value: 0.0 })
         .chain([crate::model::FixedElement { i: 1, j: 0, value: 0.0 }])
         .collect();
-    let alone: Vec<Reduction> = ensemble.reductions.clone();
+    let alone = ensemble.reductions.clone();
     let one = Structure::single(&ensemble.mean, &ensemble.covariances[0], &ensemble.alpha);
     for criterion in [Criterion::Ml, Criterion::Reml] {
         let settings = Settings { criterion, ..Settings::default() };

@@ -11,7 +11,7 @@ use crate::estimate::class::Class;
 use crate::estimate::frame::Frame;
 use crate::linalg::rows::Rows;
 use crate::linalg::symmetric::pair;
-use crate::reduce::Reduction;
+use crate::reduce::{Reduction, ReductionRef, Reductions};
 
 /// All tests of an ensemble, by the groups of the outermost level ("units") and these by their design.
 #[derive(Debug, Clone)]
@@ -93,8 +93,8 @@ struct Tree {
 impl Units {
     /// Of reductions with the classes they are of; `Err` with the id of a test that is in no group.
     pub(crate) fn new(
-        reductions: &[Reduction],
-        (classes, members): (&[Class], &[Vec<usize>]),
+        reductions: &Reductions,
+        (classes, members): (&[Class], &[&[usize]]),
         frame: &Frame,
         grouping: &Arc<Grouping>,
     ) -> Result<Units, String> {
@@ -111,7 +111,7 @@ impl Units {
         let mut units = Units {
             states,
             grouping: grouping.clone(),
-            numbers: reductions.iter().filter_map(|reduction| grouping.number(&reduction.test)).collect(),
+            numbers: reductions.iter().filter_map(|reduction| grouping.number(reduction.test)).collect(),
             constant: classes.iter().map(|class| class.constant).sum(),
             leaves: classes.iter().map(leaf).collect(),
             designs: Vec::new(),
@@ -186,12 +186,12 @@ fn solved(excess: &[Vec<f64>], squares: &[Vec<f64>], i: usize) -> Vec<Option<f64
 }
 
 /// The trees of all units, in the order of their first tests.
-fn trees(reductions: &[Reduction], leaf_of: &[usize], grouping: &Grouping) -> Result<Vec<Tree>, String> {
+fn trees(reductions: &Reductions, leaf_of: &[usize], grouping: &Grouping) -> Result<Vec<Tree>, String> {
     let mut by_id: Vec<usize> = (0..reductions.len()).collect();
-    by_id.sort_unstable_by(|&a, &b| reductions[a].test.cmp(&reductions[b].test));
+    by_id.sort_unstable_by(|&a, &b| reductions.id(a).cmp(reductions.id(b)));
     let mut groups: Vec<HashMap<usize, Tree>> = (0..grouping.depth()).map(|_| HashMap::new()).collect();
     for (place, &j) in by_id.iter().enumerate() {
-        let test = grouping.number(&reductions[j].test).ok_or_else(|| reductions[j].test.clone())?;
+        let test = grouping.number(reductions.id(j)).ok_or_else(|| reductions.id(j).to_owned())?;
         let group = grouping.group_of(test, 0);
         let tree = groups[0].entry(group).or_insert_with(|| Tree::empty(group, 1, place));
         tree.tests.push((leaf_of[j], place, j));
@@ -259,13 +259,13 @@ impl Laid {
 
 impl Design {
     /// Of units that are alike.
-    fn of(trees: &[Tree], reductions: &[Reduction], frame: &Frame, p: usize) -> Design {
+    fn of(trees: &[Tree], reductions: &Reductions, frame: &Frame, p: usize) -> Design {
         let laid: Vec<Laid> = trees.iter().map(Laid::of).collect();
         let tests: Vec<Member> = laid[0].tests.iter().map(|(member, _)| *member).collect();
         let of_test = |t: usize| {
             let mut data = Rows::zeros(p, laid.len());
             for (unit, one) in laid.iter().enumerate() {
-                let reduction = &reductions[one.tests[t].1];
+                let reduction = reductions.get(one.tests[t].1);
                 for i in 0..p {
                     data[(i, unit)] = from_centre(reduction, frame, i);
                 }
@@ -327,15 +327,15 @@ impl Design {
 }
 
 /// (d - R × the centre)_i of a test whose reduction is [`stacked`].
-fn from_centre(reduction: &Reduction, frame: &Frame, i: usize) -> f64 {
+fn from_centre(reduction: ReductionRef<'_>, frame: &Frame, i: usize) -> f64 {
     let moved = (i..reduction.data.len()).map(|k| reduction.factor[pair(k, 0) + i] * frame.centre[k]);
     reduction.data[i] - moved.sum::<f64>()
 }
 
 /// The reduction of a test in what is its own and what each of its groups adds: d - R(γ + β_1 + …).
-pub(crate) fn stacked(reduction: &Reduction, levels: usize) -> Reduction {
+pub(crate) fn stacked(reduction: ReductionRef<'_>, levels: usize) -> Reduction {
     let p = reduction.data.len();
-    let mut data = reduction.data.clone();
+    let mut data = reduction.data.to_vec();
     data.resize(p * levels, 0.0);
     let mut factor = Vec::with_capacity(pair(p * levels, 0));
     for column in 0..p * levels {
@@ -343,5 +343,5 @@ pub(crate) fn stacked(reduction: &Reduction, levels: usize) -> Reduction {
         factor.extend_from_slice(&reduction.factor[pair(k, 0)..][..=k]);
         factor.resize(pair(column + 1, 0), 0.0);
     }
-    Reduction { data, factor, ..reduction.clone() }
+    Reduction { data, factor, ..reduction.into() }
 }
