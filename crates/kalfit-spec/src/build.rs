@@ -11,13 +11,13 @@ use crate::phases::Source;
 use crate::places::Places;
 use crate::spec::Spec;
 use crate::table::Section;
-use crate::{data, digest, filter, parameters, phases};
+use crate::{data, digest, filter, levels, parameters, phases};
 
 /// Largest model file, in bytes.
 pub(crate) const MAX_BYTES: u64 = 4 * 1024 * 1024;
 /// Columns, texts and levels of a model, times its phases.
 const MAX_SHARED: usize = 1_000_000;
-const KEYS: [&str; 11] = [
+const KEYS: [&str; 12] = [
     "title",
     "data",
     "states",
@@ -27,6 +27,7 @@ const KEYS: [&str; 11] = [
     "parameters",
     "mean",
     "covariance",
+    "levels",
     "phases",
     "filter",
 ];
@@ -58,17 +59,19 @@ pub(crate) fn model(text: &str, mut root: Section<'_>) -> Result<(PhasedModel, L
         source.count("states of all phases together", read.iter().map(|phase| phase.states.len()).sum())?;
         source.count("measurements of all phases together", read.iter().map(|one| one.measurements.len()).sum())?;
     }
+    let population = (read[0].states.as_slice(), read[0].estimated.as_slice());
+    let levels = levels::read(&mut context, data.levels.as_ref(), root.take("levels"), population)?;
     check_shared(&context, &declared, &sources)?;
     let as_given = declared.iter().map(|one| one.parameter.clone()).collect();
     let shared = Shared { title, parameters: as_given, group: data.group };
     let models: Vec<Model> = read.iter().map(|phase| phase.model(&context, &shared)).collect();
     let phases = read.iter().zip(models).map(|(phase, model)| phase.finish(model)).collect();
-    let mut model = PhasedModel { phases, column: data.phase, levels: Vec::new() };
+    let mut model = PhasedModel { phases, column: data.phase, levels };
     let parameters = parameters::finish(&mut context, declared, &roles(&model))?;
     model.models_mut().for_each(|phase| phase.parameters.clone_from(&parameters));
     data.check(model.phases.iter().map(|phase| &phase.model).zip(read.iter().map(|phase| &phase.start)))?;
     check_filters(&context, &read, &model)?;
-    Ok((model, data.layout, Places::of(&context, &read)))
+    Ok((model, data.layout, Places::of(&context, &read, data.levels.as_ref())))
 }
 
 /// Columns, texts and levels stand in every phase's model: refuses files of which that makes too much.

@@ -39,10 +39,10 @@ pub(crate) struct Fixed {
 }
 
 impl Fixed {
-    /// The variances of states with one value common to all tests.
-    pub(crate) fn of_common(elements: &Elements) -> Fixed {
-        let common = (0..elements.len()).filter(|&i| !elements.random[i]);
-        Fixed { values: common.map(|i| ((i, i), (0.0, None))).collect() }
+    /// The variances of states that do not vary.
+    pub(crate) fn of_still(elements: &Elements) -> Fixed {
+        let still = (0..elements.len()).filter(|&i| !elements.varies[i]);
+        Fixed { values: still.map(|i| ((i, i), (0.0, None))).collect() }
     }
 
     /// The value of an element that is fixed, or zero because a variance is.
@@ -58,10 +58,10 @@ impl Fixed {
     }
 }
 
-/// Reads `fixed` and adds the zero variances of states that are not random.
+/// Reads `fixed` and adds the zero variances of states that do not vary.
 pub(crate) fn fixed_elements(structure: &Structure<'_>, field: Option<&Field<'_>>) -> Result<Fixed> {
     let elements = structure.elements;
-    let mut fixed = Fixed::of_common(elements);
+    let mut fixed = Fixed::of_still(elements);
     let Some(field) = field else { return Ok(fixed) };
     let place = field.what();
     for field in field.section(place.as_str())?.fields() {
@@ -76,9 +76,8 @@ pub(crate) fn fixed_elements(structure: &Structure<'_>, field: Option<&Field<'_>
             let place = place.clone();
             return wrong(StructureProblem::StructuralZero { element, place, found, structure: structure.word });
         }
-        if i == j && value != 0.0 && !elements.random[i] {
-            let (name, what, place) = (elements.name(i), "variance", place.clone());
-            return wrong(StructureProblem::NotRandom { name, what, place });
+        if i == j && value != 0.0 && !elements.varies[i] {
+            return wrong(elements.still(i, "variance", &place));
         }
         match fixed.values.get(&(i, j)) {
             Some((before, Some(_))) if *before != value => {

@@ -13,6 +13,11 @@ use crate::suggest::either;
 use crate::table::{Field, Section};
 
 const KEYS: [&str; 8] = ["structure", "order", "blocks", "matrix", "fixed", "equal", "known", "start"];
+/// The same where tests stand in groups: what varies from test to test can be less than what varies at all.
+const KEYS_IN_GROUPS: [&str; 9] =
+    ["structure", "order", "blocks", "matrix", "fixed", "equal", "known", "start", "states"];
+/// Those of a level of groups.
+const KEYS_OF_LEVEL: [&str; 7] = ["structure", "blocks", "matrix", "fixed", "equal", "start", "states"];
 const STRUCTURES: [&str; 6] = ["full", "diagonal", "blocks", "proportional", "correlation", "fixed"];
 /// Structures that other constraints combine with.
 const OPEN: [&str; 3] = ["full", "diagonal", "blocks"];
@@ -26,7 +31,12 @@ pub(crate) fn open<'d>(
 ) -> Result<(Option<Section<'d>>, Vec<usize>)> {
     let mut estimated = states::estimated(states);
     let Some(field) = field else { return Ok((None, estimated)) };
-    let mut section = field.section(context.phase.table("covariance"))?.only(&KEYS)?;
+    let section = field.section(context.phase.table("covariance"))?;
+    if let (false, Some(states)) = (context.grouped, section.peek("states")) {
+        let hint = "`random = false` of a state says that it has one value common to all tests";
+        return Err(states.no_effect("without `levels` in `[data]`").hint(hint));
+    }
+    let mut section = section.only(if context.grouped { &KEYS_IN_GROUPS } else { &KEYS })?;
     if let Some(order) = section.take("order") {
         let elements = Elements::new(states, &estimated);
         let place = &order.what();
@@ -49,7 +59,22 @@ pub(crate) fn open<'d>(
     Ok((Some(section), estimated))
 }
 
-/// Reads the rest of `[covariance]`.
+/// Opens the covariance of a level of groups.
+pub(crate) fn open_level<'d>(field: &Field<'d>, place: String) -> Result<Section<'d>> {
+    let section = field.section(place)?;
+    for (key, hint) in [
+        ("order", "at every level the states have the order of `[covariance]`"),
+        ("known", "known covariance is that of tests: it stands in `[covariance]`"),
+    ] {
+        if let Some(field) = section.peek(key) {
+            let problem = Problem::UnknownKey { key: key.to_owned(), place: section.place.clone() };
+            return Err(SpecError::new(problem).at(field.key_span).hint(hint));
+        }
+    }
+    section.only(&KEYS_OF_LEVEL)
+}
+
+/// Reads the rest of `[covariance]`, or the covariance of a level of groups.
 pub(crate) fn read(
     context: &mut Context<'_>,
     section: Option<Section<'_>>,
@@ -57,9 +82,11 @@ pub(crate) fn read(
 ) -> Result<CovarianceStructure> {
     let mut covariance = CovarianceStructure::full();
     let Some(mut section) = section else {
-        covariance.fixed = Fixed::of_common(elements).into_elements();
+        covariance.fixed = Fixed::of_still(elements).into_elements();
         return Ok(covariance);
     };
+    let listed = section.take("states").map(|list| elements.varying(&list)).transpose()?;
+    let elements = listed.as_ref().unwrap_or(elements);
     let named = section.take("structure");
     let word = named.as_ref().map_or(Ok(0), |field| field.word(&STRUCTURES))?;
     let word = STRUCTURES[word];
@@ -73,7 +100,7 @@ pub(crate) fn read(
         covariance.start = Some(start_matrix(&structure, &start, &fixed, &covariance.equal)?);
     }
     if WITH_MATRIX.contains(&word) {
-        fixed = Fixed::of_common(elements);
+        fixed = Fixed::of_still(elements);
     }
     covariance.fixed = fixed.into_elements();
     if let Some(known) = section.take("known") {
@@ -166,7 +193,7 @@ fn matrix(
         "proportional" => matrix.check_not_zero()?,
         _ => {}
     }
-    matrix.check_random(elements, word == "correlation")?;
+    matrix.check_still(elements, word == "correlation")?;
     Ok(Some(matrix.entries))
 }
 

@@ -4,13 +4,25 @@ use kalfit::model::{Clock, Expression, Model, Motion};
 use kalfit::{Layout, TestKey};
 
 use crate::error::{Problem, Result, Span, SpecError};
+use crate::levels::{self, GroupColumns};
 use crate::names::Context;
 use crate::phases::Source;
 use crate::suggest::suggest;
 use crate::table::{Field, Section};
 
-const KEYS: [&str; 10] =
-    ["test", "time", "time_unit", "initial_time", "step_first", "inputs", "group", "missing", "comment", "phase"];
+const KEYS: [&str; 11] = [
+    "test",
+    "levels",
+    "time",
+    "time_unit",
+    "initial_time",
+    "step_first",
+    "inputs",
+    "group",
+    "missing",
+    "comment",
+    "phase",
+];
 const PLACE: &str = "`[data]`";
 
 /// What `[data]` says.
@@ -19,6 +31,8 @@ pub(crate) struct Data {
     pub(crate) layout: Layout,
     pub(crate) clock: Clock,
     pub(crate) group: Option<usize>,
+    /// The columns of the groups that tests stand in.
+    pub(crate) levels: Option<GroupColumns>,
     /// The text column that tells the phase of a row.
     pub(crate) phase: Option<usize>,
     phase_key: Option<Span>,
@@ -43,6 +57,11 @@ pub(crate) fn read(context: &mut Context<'_>, field: Option<Field<'_>>) -> Resul
     let mut data = Data { span: section.span.clone(), ..Data::default() };
     if let Some(test) = section.take("test") {
         data.layout.test = test_key(context, &test)?;
+    }
+    if let Some(levels) = section.take("levels") {
+        let columns = levels::columns(context, &levels, &data.layout.test)?;
+        data.layout.levels = columns.names().map(str::to_owned).collect();
+        data.levels = Some(columns);
     }
     if let Some(missing) = section.take("missing") {
         data.layout.missing = missing.texts()?.into_iter().map(|(text, _)| text.to_owned()).collect();
@@ -171,8 +190,10 @@ impl Data {
         Ok((clock, start))
     }
 
-    /// Refuses a column of phases without phases, several phases without one, and a first step that belongs to phases.
+    /// Refuses a column of phases without phases, several phases without one, a first step that belongs to phases, and what does
+    /// not go with groups of tests.
     pub(crate) fn check_phases(&self, phases: &[Source<'_>]) -> Result<()> {
+        self.levels.as_ref().map_or(Ok(()), |levels| levels.refuse_beside(phases))?;
         let second = phases.get(1).and_then(|phase| phase.span.clone());
         if let (None, Some(second)) = (self.phase, second) {
             let problem = Problem::MissingKey { key: "phase".to_owned(), place: PLACE.to_owned() };

@@ -10,7 +10,7 @@ use crate::words::Words;
 
 impl Spec {
     /// The model in plain words, one fact a line: tests and steps, states with their motion and start, measurements,
-    /// parameters, the order of μ and Σ, the constraints on them, and the filter. Of a model in phases, what belongs to a phase
+    /// parameters, the order of μ and Σ, the constraints on them, the levels of groups, and the filter. Of a model in phases, what belongs to a phase
     /// follows a line that names it.
     pub fn describe(&self) -> Vec<String> {
         let words = Words { model: self.model.shared() };
@@ -30,7 +30,21 @@ impl Spec {
             lines.extend(measured(&phase.model));
             lines.extend(parameters);
             lines.extend(population(&phase.model));
+            lines.extend(self.levels());
             lines.extend(filter(phase));
+        }
+        lines
+    }
+
+    /// What varies from group to group, level by level.
+    fn levels(&self) -> Vec<String> {
+        let words = Words { model: self.model.shared() };
+        let mut lines = Vec::new();
+        for (depth, level) in self.model.levels.iter().enumerate() {
+            let groups = format!("one group for each value of {}", columns(&self.layout.levels[..=depth]));
+            lines.push(format!("level `{}`: {groups}", level.name));
+            let facts = words.structure("covariance Σ from group to group", &level.covariance);
+            lines.extend(facts.into_iter().map(|fact| format!("level `{}`: {fact}", level.name)));
         }
         lines
     }
@@ -41,7 +55,10 @@ impl Spec {
         });
         match &self.layout.test {
             TestKey::Single => format!("tests: all rows are one test{group}"),
-            TestKey::Column(name) => format!("tests: one for each value of column `{name}`{group}"),
+            TestKey::Column(name) => {
+                let names = [&self.layout.levels[..], std::slice::from_ref(name)].concat();
+                format!("tests: one for each value of {}{group}", columns(&names))
+            }
             TestKey::File => format!("tests: one for each file{group}"),
         }
     }
@@ -52,6 +69,16 @@ impl Spec {
             format!("; column `{}` tells the phase of a row", self.model.shared().text_columns[column].name)
         });
         format!("phases: {}{told}", names.join(", then "))
+    }
+}
+
+/// "column `lot`", or "columns `lot` and `serial` together".
+fn columns(names: &[String]) -> String {
+    let quoted: Vec<String> = names.iter().map(|name| format!("`{name}`")).collect();
+    match quoted.as_slice() {
+        [only] => format!("column {only}"),
+        [before @ .., last] => format!("columns {} and {last} together", before.join(", ")),
+        [] => String::new(),
     }
 }
 

@@ -25,7 +25,8 @@ impl Spec {
     ///
     /// In it are, by name, of each phase: states with motion, start and offset, measurements, noises, clock, the order of the
     /// estimated states, the `known` covariance, regression columns, `carry` and `filter`. Not in it are titles, units of
-    /// states, constraints on μ and Σ, values, start values and bounds of parameters, and how rows become tests.
+    /// states, constraints on μ and Σ, values, start values and bounds of parameters, how rows become tests, and the levels of
+    /// groups that these stand in: the reduction of a test is the same whatever group it is of.
     pub fn reduction_digest(&self) -> String {
         of_text(&canonical(&self.model))
     }

@@ -22,14 +22,19 @@ enum Kind {
 const LISTED: usize = 12;
 
 /// The estimated states in the order of μ and Σ, or all states in file order.
+#[derive(Clone)]
 pub(crate) struct Elements {
     index: Index,
     /// The other states, and how they start.
     others: HashMap<String, &'static str>,
     /// Which states these are, for messages about shapes.
     kind: Kind,
-    /// Whether the state is random; its variance is zero when not.
-    pub(crate) random: Vec<bool>,
+    /// Whether the state is random at all.
+    random: Vec<bool>,
+    /// Whether the state varies here; its variance is zero when not.
+    pub(crate) varies: Vec<bool>,
+    /// The list that says so, in words.
+    list: Option<String>,
 }
 
 impl Elements {
@@ -41,8 +46,8 @@ impl Elements {
         }
         let others = states.iter().filter(|state| state.initial != Initial::Estimated);
         let others = others.map(|state| (state.name.clone(), start_words(&state.initial))).collect();
-        let random = estimated.iter().map(|&state| states[state].random).collect();
-        Elements { index, others, kind: Kind::Estimated, random }
+        let random: Vec<bool> = estimated.iter().map(|&state| states[state].random).collect();
+        Elements { index, others, kind: Kind::Estimated, varies: random.clone(), random, list: None }
     }
 
     /// All states, hidden ones too.
@@ -51,7 +56,34 @@ impl Elements {
         for state in states {
             index.add(&state.name, 0..0);
         }
-        Elements { index, others: HashMap::new(), kind: Kind::All, random: vec![true; states.len()] }
+        let random = vec![true; states.len()];
+        Elements { index, others: HashMap::new(), kind: Kind::All, varies: random.clone(), random, list: None }
+    }
+
+    /// The same of which only those in a list vary, each random and named once.
+    pub(crate) fn varying(&self, list: &Field<'_>) -> Result<Elements> {
+        let place = list.what();
+        let mut varies = vec![false; self.len()];
+        for (name, span) in list.texts()? {
+            let i = self.find(name, &place, &span)?;
+            let name = name.to_owned();
+            if !self.random[i] {
+                return Err(SpecError::new(StructureProblem::Common { name, place }).at(span));
+            }
+            if std::mem::replace(&mut varies[i], true) {
+                return Err(SpecError::new(StructureProblem::ListedTwice { name, place }).at(span));
+            }
+        }
+        Ok(Elements { varies, list: Some(place), ..self.clone() })
+    }
+
+    /// The problem that a state which does not vary has a variance or covariance: `what`.
+    pub(crate) fn still(&self, i: usize, what: &'static str, place: &str) -> StructureProblem {
+        let (name, place) = (self.name(i), place.to_owned());
+        match &self.list {
+            Some(list) if self.random[i] => StructureProblem::NotVarying { name, list: list.clone(), what, place },
+            _ => StructureProblem::NotRandom { name, what, place },
+        }
     }
 
     /// What the rows and columns of a matrix are.
@@ -70,7 +102,7 @@ impl Elements {
 
     /// p.
     pub(crate) fn len(&self) -> usize {
-        self.random.len()
+        self.varies.len()
     }
 
     pub(crate) fn name(&self, i: usize) -> String {

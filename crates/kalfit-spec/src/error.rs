@@ -109,6 +109,12 @@ pub enum Problem {
     /// A name that stands for two things.
     #[error("`{name}` is the name of a state and of a parameter")]
     TakenName { name: String },
+    /// A column of groups that is the column of tests.
+    #[error("column `{name}` tells tests apart, so it cannot be a level of groups of them")]
+    LevelOfTests { name: String },
+    /// Groups of tests beside something that takes tests as independent of each other.
+    #[error("`levels` of `[data]` does not go with `[{beside}]`")]
+    LevelsBeside { beside: &'static str },
     /// A name that stands for nothing.
     #[error("unknown {what} `{name}` in {place}")]
     UnknownName { what: &'static str, name: String, place: String },
@@ -280,6 +286,12 @@ pub enum StructureProblem {
     /// A common value that varies.
     #[error("state `{name}` has `random = false`, but its {what} in {place} is not 0")]
     NotRandom { name: String, what: &'static str, place: String },
+    /// A common value among those that vary.
+    #[error("state `{name}` in {place} has `random = false`, so it does not vary")]
+    Common { name: String, place: String },
+    /// A state that is said not to vary, and varies.
+    #[error("state `{name}` is not among {list}, but its {what} in {place} is not 0")]
+    NotVarying { name: String, list: String, what: &'static str, place: String },
     /// An element that the structure makes zero, with another value.
     #[error("element `{element}` in {place} is {found}, but structure `{structure}` makes it 0")]
     StructuralZero { element: String, place: String, found: String, structure: &'static str },

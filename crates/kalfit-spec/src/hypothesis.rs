@@ -1,4 +1,4 @@
-//! A hypothesis: a file whose `[mean]`, `[covariance]`, those of phases and `[parameters]` replace keys of a model.
+//! A hypothesis: a file whose `[mean]`, `[covariance]`, those of phases and levels, and `[parameters]` replace keys of a model.
 //!
 //! The tables of the two files are merged and read again as one model. Places in the hypothesis are counted from the end of
 //! the model's text, so that every message still knows its file.
@@ -10,14 +10,15 @@ use toml::de::DeTable;
 use crate::build::{self, MAX_BYTES};
 use crate::digest;
 use crate::error::{Problem, Span, SpecError};
-use crate::merge::{OF_PHASE, PLACE, has_own, merge, reorder, shifted_table, table_in};
-use crate::names::phase_key;
+use crate::levels;
+use crate::merge::{OF_PHASE, PLACE, has_own, merge, reorder, reorder_levels, shifted_table, table_in};
+use crate::names::{phase_key, table_key};
 use crate::phases;
 use crate::places::Places;
 use crate::spec::Spec;
-use crate::table::Section;
+use crate::table::{Field, Section};
 
-const KEYS: [&str; 5] = ["title", "mean", "covariance", "parameters", "phases"];
+const KEYS: [&str; 6] = ["title", "mean", "covariance", "levels", "parameters", "phases"];
 
 /// A model under a hypothesis.
 #[derive(Debug, Clone)]
@@ -41,11 +42,13 @@ pub enum HypothesisError {
 
 impl Spec {
     /// The model under a hypothesis, given as text: keys of its `[mean]`, `[covariance]` and `[parameters]` replace the
-    /// model's; `structure` drops the model's other keys of `[covariance]` but `order` and `known`, which are no constraints.
+    /// model's; `structure` drops the model's other keys of `[covariance]` but `order` and `known`, which are no constraints, and
+    /// `states`, which says what varies; `states = []` drops the structure too, of which nothing is left.
     /// An `order` of the hypothesis is that of its own matrices; Σ stays in the order of the model.
     /// Start values of the model are dropped where the hypothesis speaks of the same table. What `set` fixed stays fixed.
     /// `[phases.NAME.mean]` and `[phases.NAME.covariance]` replace keys of what that phase has, its own table or that of the
-    /// top level; `[mean]` and `[covariance]` act on the phases that leave them out, as in the model.
+    /// top level; `[mean]` and `[covariance]` act on the phases that leave them out, as in the model. `[levels.NAME.covariance]`
+    /// replaces keys of that level, its matrices in the order of `[covariance]` of the same file.
     ///
     /// # Errors
     /// Whatever is wrong with the text, and with the two together.
@@ -78,6 +81,9 @@ impl Spec {
 
     /// Matrices of the hypothesis in the order of the model, where the hypothesis has an order of its own.
     fn reorder(&self, base: &DeTable<'_>, own: &mut DeTable<'_>) {
+        if !self.model.levels.is_empty() {
+            reorder_levels(own, &self.model.shared().estimated_names());
+        }
         for phase in &self.model.phases {
             let states = phase.model.estimated_names();
             if !has_own(base, &phase.name, "covariance")
@@ -97,6 +103,9 @@ impl Spec {
         let mut model = self.model.clone();
         for (phase, read) in model.phases.iter_mut().zip(&read.phases) {
             phase.model = self.adopt_phase(phase.model.clone(), &read.model, places)?;
+        }
+        for (level, read) in model.levels.iter_mut().zip(read.levels) {
+            level.covariance = read.covariance;
         }
         Ok(model)
     }
@@ -154,6 +163,7 @@ impl Spec {
             return Err(SpecError::new(problem).at(span).hint("say what to test, in `[mean]` or `[covariance]`"));
         }
         check_tables(&root, "")?;
+        root.peek("levels").map_or(Ok(()), |field| self.check_levels(&field))?;
         let Some(field) = root.peek("phases") else { return Ok(title) };
         if self.model.phases.iter().all(|phase| self.phase_span(&phase.name).is_none()) {
             return Err(field.no_effect("in a hypothesis about a model without phases"));
@@ -169,6 +179,27 @@ impl Spec {
             check_tables(&section, &format!("{prefix}."))?;
         }
         Ok(title)
+    }
+}
+
+impl Spec {
+    /// Levels of the model only, each with a covariance.
+    fn check_levels(&self, field: &Field<'_>) -> Result<(), SpecError> {
+        if self.model.levels.is_empty() {
+            return Err(field.no_effect("in a hypothesis about a model without levels"));
+        }
+        let place = format!("`[levels]` of {PLACE}");
+        for field in field.section(place.as_str())?.fields() {
+            let known = self.model.levels.iter().map(|level| level.name.as_str());
+            if known.clone().all(|name| name != field.key) {
+                return Err(levels::unknown(&field, known, &place));
+            }
+            let key = table_key("levels", field.key);
+            let section = field.section(format!("`[{key}]` of {PLACE}"))?.only(&levels::KEYS)?;
+            let Some(covariance) = section.peek("covariance") else { return Err(section.missing("covariance")) };
+            covariance.section("")?;
+        }
+        Ok(())
     }
 }
 

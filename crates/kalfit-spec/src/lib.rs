@@ -36,6 +36,14 @@
 //! its own start, which cannot be stationary. The hidden rate of a second-order Gauss-Markov state goes where its owner goes,
 //! by the same form, and adds nothing of its own. In a `[filter]` that considers such a state its rate is considered with it.
 //!
+//! # Levels
+//!
+//! `levels` of `[data]` names the columns of groups that tests stand in, the outermost first: they become text columns of the
+//! model, and each a [`GroupLevel`](kalfit::model::GroupLevel). `[levels.NAME.covariance]` says what varies from group to group,
+//! in the keys of `[covariance]` but `order` and `known`, which are the tests' own; `states` lists what varies there, and there
+//! alone. The other states have a variance fixed at zero, as those with `random = false` have at every level. Levels go neither
+//! with `[phases]` nor with `[filter]`.
+//!
 //! # The expression language
 //!
 //! ```text
@@ -71,6 +79,7 @@ mod figure;
 mod filter;
 mod give;
 mod hypothesis;
+mod levels;
 mod matrix;
 mod mean;
 mod measurements;

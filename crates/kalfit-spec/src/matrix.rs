@@ -79,14 +79,13 @@ impl Matrix {
         SpecError::new(problem).at(self.spans[i][j].clone())
     }
 
-    /// States that are not random must have no covariance, and no variance unless `unit` says that the diagonal is one.
-    pub(crate) fn check_random(&self, elements: &Elements, unit: bool) -> Result<()> {
-        for i in (0..elements.len()).filter(|&i| !elements.random[i]) {
+    /// States that do not vary must have no covariance, and no variance unless `unit` says that the diagonal is one.
+    pub(crate) fn check_still(&self, elements: &Elements, unit: bool) -> Result<()> {
+        for i in (0..elements.len()).filter(|&i| !elements.varies[i]) {
             for j in (0..elements.len()).filter(|&j| j != i || !unit) {
                 if !is_zero(&self.entries[i][j]) {
                     let what = if i == j { "variance" } else { "covariance" };
-                    let (name, place) = (elements.name(i), self.place.clone());
-                    return Err(self.at(i, j, StructureProblem::NotRandom { name, what, place }));
+                    return Err(self.at(i, j, elements.still(i, what, &self.place)));
                 }
             }
         }

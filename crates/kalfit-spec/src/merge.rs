@@ -9,7 +9,9 @@ use crate::suggest::suggest;
 /// The hypothesis in messages.
 pub(crate) const PLACE: &str = "the hypothesis";
 /// Keys of `[covariance]` that are no constraints on Σ: those of the model stay.
-pub(crate) const KEPT: [&str; 2] = ["order", "known"];
+const KEPT: [&str; 2] = ["order", "known"];
+/// The states that vary: a structure is one of these.
+const VARYING: &str = "states";
 /// Keys of `[covariance]` with a row and a column for each estimated state.
 const MATRICES: [&str; 2] = ["matrix", "start"];
 /// Tables of a phase that a hypothesis may have.
@@ -27,6 +29,7 @@ pub(crate) fn merge<'i>(base: &mut DeTable<'i>, own: DeTable<'i>) -> Result<(), 
             ("title", _) => {}
             ("parameters", DeValue::Table(_)) => parameters(base, key, value)?,
             ("phases", DeValue::Table(_)) => phases = into_table(value),
+            ("levels", DeValue::Table(_)) => levels(base, key, value),
             _ => replace(base, key, value),
         }
     }
@@ -64,30 +67,49 @@ fn idle(base: &DeTable<'_>, key: &str) -> bool {
 /// Puts the matrices of a hypothesis' `[covariance]` from the order that it gives into that of the model. An order that does not
 /// name every state once stays, for the reading of the model to refuse.
 pub(crate) fn reorder(covariance: &mut DeTable<'_>, states: &[String]) {
-    let Some(key) = covariance.keys().find(|key| key.get_ref() == "order").cloned() else { return };
-    let Some(DeValue::Array(order)) = covariance.get(&key).map(Spanned::get_ref) else { return };
-    let place = |name: &String| order.iter().position(|item| item.get_ref().as_str() == Some(name.as_str()));
-    let Some(places) = states.iter().map(place).collect::<Option<Vec<usize>>>() else { return };
-    if order.len() != states.len() {
-        return;
+    let Some(places) = places(covariance, states) else { return };
+    permute_matrices(covariance, &places);
+    remove(covariance, |key| key == "order");
+}
+
+/// The same of its `[levels.NAME.covariance]`, whose order is that of its `[covariance]`.
+pub(crate) fn reorder_levels(own: &mut DeTable<'_>, states: &[String]) {
+    let Some(places) = table_in(own, "covariance").and_then(|covariance| places(covariance, states)) else { return };
+    let Some(levels) = table_in(own, "levels") else { return };
+    for (_, level) in levels.iter_mut() {
+        let DeValue::Table(level) = level.get_mut() else { continue };
+        if let Some(covariance) = table_in(level, "covariance") {
+            permute_matrices(covariance, &places);
+        }
     }
+}
+
+/// Where each state stands in `order`, if that names every state once.
+fn places(covariance: &DeTable<'_>, states: &[String]) -> Option<Vec<usize>> {
+    let (_, order) = covariance.iter().find(|(key, _)| key.get_ref() == "order")?;
+    let order = order.get_ref().as_array()?;
+    let place = |name: &String| order.iter().position(|item| item.get_ref().as_str() == Some(name.as_str()));
+    let places: Option<Vec<usize>> = states.iter().map(place).collect();
+    places.filter(|_| order.len() == states.len())
+}
+
+fn permute_matrices(covariance: &mut DeTable<'_>, places: &[usize]) {
     for (key, value) in covariance.iter_mut() {
         let DeValue::Array(rows) = value.get_mut() else { continue };
         let square = |rows: &toml::de::DeArray<'_>| {
-            let fits = |row: &Item<'_>| row.get_ref().as_array().is_some_and(|row| row.len() == states.len());
-            rows.len() == states.len() && rows.iter().all(fits)
+            let fits = |row: &Item<'_>| row.get_ref().as_array().is_some_and(|row| row.len() == places.len());
+            rows.len() == places.len() && rows.iter().all(fits)
         };
         if !MATRICES.contains(&key.get_ref().as_ref()) || !square(rows) {
             continue; // reading the model says what is wrong
         }
-        permute(rows, &places);
+        permute(rows, places);
         rows.iter_mut().for_each(|row| {
             if let DeValue::Array(row) = row.get_mut() {
-                permute(row, &places);
+                permute(row, places);
             }
         });
     }
-    covariance.remove(&key);
 }
 
 fn permute(array: &mut toml::de::DeArray<'_>, places: &[usize]) {
@@ -131,22 +153,72 @@ fn into_table(value: Item<'_>) -> DeTable<'_> {
     }
 }
 
+/// Keys of the covariance of a level replace those of the level.
+fn levels<'i>(base: &mut DeTable<'i>, key: Key<'i>, value: Item<'i>) {
+    let Some(levels) = table_in(base, "levels") else {
+        base.insert(key, value);
+        return;
+    };
+    for (name, tables) in into_table(value) {
+        let Some(level) = table_in(levels, name.get_ref()) else {
+            levels.insert(name, tables);
+            continue;
+        };
+        into_table(tables).into_iter().for_each(|(key, value)| replace(level, key, value));
+    }
+}
+
+/// What `[covariance]` of a hypothesis leaves of the model's.
+#[derive(Clone, Copy, PartialEq)]
+enum Anew {
+    /// All but start values.
+    Nothing,
+    /// Another structure of the states that vary.
+    Structure,
+    /// Nothing varies.
+    Still,
+}
+
+impl Anew {
+    fn of(own: &DeTable<'_>) -> Anew {
+        let value = |key: &str| own.iter().find(|(k, _)| k.get_ref() == key).map(|(_, value)| value.get_ref());
+        let empty = value(VARYING).and_then(DeValue::as_array).is_some_and(|states| states.is_empty());
+        match value("structure") {
+            Some(_) => Anew::Structure,
+            None if empty => Anew::Still,
+            None => Anew::Nothing,
+        }
+    }
+
+    fn drops(self, key: &str) -> bool {
+        match self {
+            _ if key == "start" => true,
+            Anew::Nothing => false,
+            Anew::Structure => !KEPT.contains(&key) && key != VARYING,
+            Anew::Still => !KEPT.contains(&key),
+        }
+    }
+}
+
+fn remove(table: &mut DeTable<'_>, drops: impl Fn(&str) -> bool) {
+    let gone: Vec<Key<'_>> = table.keys().filter(|key| drops(key.get_ref())).cloned().collect();
+    gone.iter().for_each(|key| {
+        table.remove(key);
+    });
+}
+
 /// Keys replace keys.
 fn replace<'i>(base: &mut DeTable<'i>, key: Key<'i>, value: Item<'i>) {
     let DeValue::Table(own) = value.get_ref() else {
         base.insert(key, value); // reading the model says what is wrong
         return;
     };
-    let anew = own.keys().any(|k| k.get_ref() == "structure");
+    let anew = Anew::of(own);
     let Some(DeValue::Table(table)) = base.get_mut(&key).map(Spanned::get_mut) else {
         base.insert(key, value);
         return;
     };
-    let dropped = |k: &str| k == "start" || (anew && !KEPT.contains(&k));
-    let gone: Vec<_> = table.keys().filter(|k| dropped(k.get_ref())).cloned().collect();
-    for key in gone {
-        table.remove(&key);
-    }
+    remove(table, |key| anew.drops(key));
     for (key, value) in into_table(value) {
         table.remove(&key); // the place of the key is the hypothesis' from now on
         table.insert(key, value);

@@ -16,7 +16,7 @@ const MAX_NAME: usize = 100;
 const MAX_PARTS: usize = 1_000_000;
 
 /// Names with their indices.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Index {
     names: Vec<String>,
     by_name: HashMap<String, usize>,
@@ -91,8 +91,13 @@ impl Within {
 
 /// `phases.coast`, quoted where TOML wants it.
 pub(crate) fn phase_key(phase: &str) -> String {
-    let bare = phase.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-');
-    if bare { format!("phases.{phase}") } else { format!("phases.\"{phase}\"") }
+    table_key("phases", phase)
+}
+
+/// `table.name`, quoted where TOML wants it.
+pub(crate) fn table_key(table: &str, name: &str) -> String {
+    let bare = !name.is_empty() && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-');
+    if bare { format!("{table}.{name}") } else { format!("{table}.\"{name}\"") }
 }
 
 /// What a parameter does, as far as its sign is concerned; the strictest use counts.
@@ -156,6 +161,8 @@ pub(crate) struct Context<'t> {
     pub(crate) roles: Vec<Option<Role>>,
     /// The data have time.
     pub(crate) time: bool,
+    /// Tests stand in groups.
+    pub(crate) grouped: bool,
     pub(crate) columns: Vec<Column>,
     pub(crate) text_columns: Vec<Column>,
     columns_by_name: HashMap<String, usize>,
@@ -195,6 +202,7 @@ impl<'t> Context<'t> {
             levels: Vec::new(),
             roles: Vec::new(),
             time: false,
+            grouped: false,
             columns: Vec::new(),
             text_columns: Vec::new(),
             columns_by_name: HashMap::new(),

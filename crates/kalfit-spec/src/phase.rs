@@ -27,7 +27,8 @@ pub(crate) struct Read<'s> {
     clock: Clock,
     pub(crate) start: Start,
     pub(crate) inherited: Inherited,
-    estimated: Vec<usize>,
+    /// The estimated states in the order of μ and Σ.
+    pub(crate) estimated: Vec<usize>,
     mean: MeanStructure,
     covariance: CovarianceStructure,
     pub(crate) filter: Option<filter::Declared>,

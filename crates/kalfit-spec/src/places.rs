@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use crate::error::Span;
+use crate::levels::GroupColumns;
 use crate::names::{Context, Role};
 use crate::phase::Read;
 
@@ -11,6 +12,8 @@ use crate::phase::Read;
 pub(crate) struct Places {
     pub(crate) columns: BTreeMap<String, Span>,
     pub(crate) parameters: BTreeMap<String, Span>,
+    /// Columns of groups, where `[data]` names them.
+    pub(crate) levels: BTreeMap<String, Span>,
     pub(crate) phases: Vec<PhasePlaces>,
     pub(crate) roles: Vec<Role>,
 }
@@ -26,7 +29,7 @@ pub(crate) struct PhasePlaces {
 }
 
 impl Places {
-    pub(crate) fn of(context: &Context<'_>, read: &[Read<'_>]) -> Places {
+    pub(crate) fn of(context: &Context<'_>, read: &[Read<'_>], levels: Option<&GroupColumns>) -> Places {
         let phase = |phase: &Read<'_>| PhasePlaces {
             name: phase.source.name.to_owned(),
             key: phase.source.span.clone(),
@@ -38,6 +41,7 @@ impl Places {
         Places {
             columns: context.column_spans.clone(),
             parameters: context.parameters.spans(),
+            levels: levels.map_or_else(BTreeMap::new, GroupColumns::spans),
             phases: read.iter().map(phase).collect(),
             roles: context.roles.iter().map(|role| role.unwrap_or(Role::Coefficient)).collect(),
         }

@@ -28,6 +28,11 @@ impl Spec {
         self.places.columns.get(column).cloned()
     }
 
+    /// Bytes of the file where `[data]` names a level of groups.
+    pub fn level_span(&self, level: &str) -> Option<Range<usize>> {
+        self.places.levels.get(level).cloned()
+    }
+
     /// Bytes of the file where a parameter is declared.
     pub fn parameter_span(&self, parameter: &str) -> Option<Range<usize>> {
         self.places.parameters.get(parameter).cloned()

@@ -2,7 +2,8 @@
 
 use kalfit::Model;
 use kalfit::model::{
-    Clock, CovarianceKind, Expression, Initial, MeanElement, Measurement, Motion, Parameter, State, Value,
+    Clock, CovarianceKind, CovarianceStructure, Expression, Initial, MeanElement, Measurement, Motion, Parameter,
+    State, Value,
 };
 
 use crate::expression::is_zero;
@@ -159,7 +160,12 @@ impl Words<'_> {
     }
 
     pub(crate) fn covariance(&self) -> Vec<String> {
-        let (covariance, names) = (&self.model.covariance, self.model.estimated_names());
+        self.structure("covariance Σ", &self.model.covariance)
+    }
+
+    /// What is said of a covariance, which is called `title`.
+    pub(crate) fn structure(&self, title: &str, covariance: &CovarianceStructure) -> Vec<String> {
+        let names = self.model.estimated_names();
         if names.is_empty() {
             return Vec::new();
         }
@@ -178,7 +184,7 @@ impl Words<'_> {
                 format!("linear in {} free quantities", generators.len())
             }
         };
-        let mut lines = vec![format!("covariance Σ: {kind}")];
+        let mut lines = vec![format!("{title}: {kind}")];
         for fixed in &covariance.fixed {
             let element = match fixed.i == fixed.j {
                 true => format!("variance of `{}`", names[fixed.i]),
@@ -194,7 +200,7 @@ impl Words<'_> {
             lines.push(format!("known covariance added to Σ: {}", self.matrix(known)));
         }
         if covariance.start.is_some() {
-            lines.push("covariance Σ: starts at the given matrix".to_owned());
+            lines.push(format!("{title}: starts at the given matrix"));
         }
         lines
     }

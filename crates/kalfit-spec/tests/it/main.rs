@@ -6,6 +6,7 @@ mod give;
 mod hypothesis;
 mod hypothesis_phases;
 mod in_code;
+mod levels;
 mod linear;
 mod never_panics;
 mod phases;

@@ -22,6 +22,10 @@ fn read(text: &str) -> Result<Spec, SpecError> {
 /// What a model in phases promises whoever reads it.
 fn kept(spec: &Spec) {
     let (shared, phases) = (spec.model.shared(), &spec.model.phases);
+    let columns = spec.model.levels.iter().map(|level| shared.text_columns[level.column].name.as_str());
+    assert!(columns.eq(spec.layout.levels.iter().map(String::as_str)));
+    let alone = spec.model.levels.is_empty() || (phases.len() == 1 && phases[0].filter.is_none());
+    assert!(alone && spec.model.levels.iter().all(|level| level.covariance.known.is_none()));
     assert!(phases[0].carry.is_empty() && (phases.len() == 1 || spec.model.column.is_some()));
     for (i, phase) in phases.iter().enumerate() {
         let model = &phase.model;
@@ -59,7 +63,7 @@ const PIECES: [&str; 34] = [
 ];
 
 /// Lines that model files are made of, some of them wrong.
-const LINES: [&str; 62] = [
+const LINES: [&str; 69] = [
     "[data]",
     "time = 't'",
     "test = '@file'",
@@ -122,6 +126,13 @@ const LINES: [&str; 62] = [
     "parameters = { tau = 5 }",
     "matrix = [[1]]",
     "phases = { one = {}, two = {} }",
+    "test = 'run'",
+    "levels = ['lot', 'serial']",
+    "levels = ['lot']",
+    "states = ['a']",
+    "states = []",
+    "[levels.lot.covariance]",
+    "[levels.serial.covariance]",
 ];
 
 proptest! {

@@ -30,7 +30,7 @@ impl ModelBuilder {
 
 /// Gives models what they have in common, now that all of it is known.
 pub(super) fn share(names: &mut Names, model: &mut PhasedModel) -> Result<(), BuildError> {
-    let roles = roles_among(&model.phases, names.parameters.len());
+    let roles = roles_among(model, names.parameters.len());
     roles.into_iter().enumerate().for_each(|(parameter, role)| names.serve(parameter, role.into()));
     let given = names.parameters.clone();
     let parameters: Vec<Parameter> =

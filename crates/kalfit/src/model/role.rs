@@ -4,7 +4,9 @@
 //! standard deviation and at least zero where they are proportional to a variance. So such a parameter can be taken as positive
 //! without loss, and so can a time constant, which cannot pass through zero.
 
-use crate::model::{CovarianceKind, Expression, Initial, Linear, Model, Motion, Phase, PhasedModel};
+use crate::model::{
+    CovarianceKind, CovarianceStructure, Expression, Initial, Linear, Model, Motion, Phase, PhasedModel,
+};
 
 mod timely;
 mod variance;
@@ -55,26 +57,26 @@ enum Place {
 ///
 /// Terms of a sum that may be negative (`a + b * T`) and functions such as exp make it [`Role::Other`].
 pub fn roles(model: &PhasedModel) -> Vec<Role> {
-    roles_among(&model.phases, model.shared().parameters.len())
+    roles_among(model, model.shared().parameters.len())
 }
 
-/// As [`roles`], of phases that need not have their parameters yet.
-pub(crate) fn roles_among(phases: &[Phase], parameters: usize) -> Vec<Role> {
+/// As [`roles`], of a model that need not have its parameters yet.
+pub(crate) fn roles_among(model: &PhasedModel, parameters: usize) -> Vec<Role> {
     let mut occurrences = vec![Vec::new(); parameters];
-    for phase in phases {
-        each_expression(phase, &mut |place, expression| {
-            let mut inside = Vec::new();
-            expression.any(&mut |part| {
-                if let Expression::Parameter(index) = part {
-                    inside.push(*index);
-                }
-                false
-            });
-            inside.sort_unstable();
-            inside.dedup();
-            inside.into_iter().for_each(|parameter| occurrences[parameter].push((place, expression)));
+    let mut note = |place, expression| {
+        let mut inside = Vec::new();
+        Expression::any(expression, &mut |part| {
+            if let Expression::Parameter(index) = part {
+                inside.push(*index);
+            }
+            false
         });
-    }
+        inside.sort_unstable();
+        inside.dedup();
+        inside.into_iter().for_each(|parameter| occurrences[parameter].push((place, expression)));
+    };
+    model.phases.iter().for_each(|phase| each_expression(phase, &mut note));
+    model.levels.iter().for_each(|level| each_of_matrices(&level.covariance, &mut note));
     occurrences.iter().enumerate().map(|(parameter, places)| role(parameter, places)).collect()
 }
 
@@ -138,7 +140,7 @@ fn each_expression<'m>(phase: &'m Phase, visit: &mut dyn FnMut(Place, &'m Expres
     phase.carry.iter().for_each(|carry| each_coefficient(&carry.from, &|_| Place::Elsewhere, visit));
     let between = model.noise_covariance.iter().chain(&model.process_noise_covariance);
     between.for_each(|(.., covariance)| visit(Place::Covariance, covariance));
-    each_of_matrices(model, visit);
+    each_of_matrices(&model.covariance, visit);
     model.clock.initial_time.iter().for_each(|time| visit(Place::Elsewhere, time));
 }
 
@@ -163,20 +165,20 @@ fn each_of_states<'m>(model: &'m Model, visit: &mut dyn FnMut(Place, &'m Express
     }
 }
 
-fn each_of_matrices<'m>(model: &'m Model, visit: &mut dyn FnMut(Place, &'m Expression)) {
+fn each_of_matrices<'m>(covariance: &'m CovarianceStructure, visit: &mut dyn FnMut(Place, &'m Expression)) {
     let mut each = |matrix: &'m [Vec<Expression>], diagonal, beside| {
         for (i, row) in matrix.iter().enumerate() {
             row.iter().enumerate().for_each(|(j, entry)| visit(if i == j { diagonal } else { beside }, entry));
         }
     };
-    match &model.covariance.kind {
+    match &covariance.kind {
         CovarianceKind::Fixed(matrix) | CovarianceKind::Proportional(matrix) => {
             each(matrix, Place::Variance, Place::Covariance);
         }
         CovarianceKind::Correlation(matrix) => each(matrix, Place::Elsewhere, Place::Elsewhere),
         _ => {}
     }
-    if let Some(known) = &model.covariance.known {
+    if let Some(known) = &covariance.known {
         each(known, Place::Variance, Place::Covariance);
     }
 }

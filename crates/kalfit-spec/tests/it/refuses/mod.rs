@@ -4,6 +4,7 @@ mod covariance;
 mod expressions;
 mod files_and_data;
 mod filter;
+mod levels;
 mod mean;
 mod measurements;
 mod parameters;

@@ -4,6 +4,7 @@ use crate::build::{
     variance, when,
 };
 use crate::build::{ModelBuilder, Noise};
+use crate::model::GroupLevel;
 
 const STANDARD_DEVIATION: Role = Role::Scale { power: 2 };
 const VARIANCE: Role = Role::Scale { power: 1 };
@@ -129,4 +130,13 @@ fn time_constants_are_told_by_the_motion() {
     ] {
         assert_eq!(found(state(state_of), &["tau", "s"]), [Role::Other, STANDARD_DEVIATION], "{what}");
     }
+}
+
+#[test]
+fn a_parameter_may_stand_in_the_covariance_of_a_level_of_groups() {
+    let mut model = noise(n("s")).parameter(free("s")).build().unwrap();
+    let matrix = vec![vec![Expression::Parameter(0)]];
+    let covariance = CovarianceStructure { kind: CovarianceKind::Fixed(matrix), ..CovarianceStructure::full() };
+    model.levels.push(GroupLevel { name: "unit".to_owned(), column: 0, covariance });
+    assert_eq!(roles(&model), [VARIANCE], "a standard deviation there, and a variance here");
 }
