@@ -1,8 +1,11 @@
 //! `kalfit fit` where dynamic parameters are free: the tests are kept, since the filters run again whenever α moves.
 
+use std::sync::Arc;
+
 use kalfit::dynamic::{self, DynamicError, DynamicFit, Method, Settings};
 use kalfit::model::{Population, Slots};
 use kalfit::record::{DynamicParts, LevelCounts, MethodRecord, level_notes};
+use kalfit::reduce::grouping;
 use kalfit::{Alpha, FitRecord, Labels, PhasedModel, PhasedTest, Provenance};
 use kalfit_data::Reading;
 use kalfit_spec::Spec;
@@ -10,7 +13,7 @@ use kalfit_spec::Spec;
 use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::idle::refuse_idle;
-use crate::inferred::{patience, record};
+use crate::inferred::{Sorted, patience, record};
 use crate::innovations;
 use crate::job::FitJob;
 use crate::work::Work;
@@ -63,7 +66,8 @@ pub(crate) fn fit(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>)
     if let Some(groups) = groups {
         groups::add(job, &mut record, &groups, (model, &fit.alpha, &fit.estimate, &fit.reductions), work)?;
     }
-    let population = Population::from(&fit.estimate);
+    record.add_levels((model, &reading.labels), fit.estimate.grouping().map(|grouping| &**grouping), &inference);
+    let population = Population::from(&fit.estimate).together(model.dimension());
     lost::add(&mut record, (model, &fit.alpha, &population), &fit.reductions, (&tests, &reading));
     if ends.len() > 1 {
         record.add_methods(ends);
@@ -86,8 +90,10 @@ pub(crate) fn known(
 ) -> Result<FitRecord, Failure> {
     refuse_idle(job)?;
     let groups = groups::of(&spec.model, tests, &reading.labels)?;
+    let grouping = grouping(&spec.model, tests).map_err(|error| failure(error.into(), reading))?.map(Arc::new);
+    let sorted = Sorted { by: groups.as_ref(), levels: grouping.as_ref().map(|grouping| (grouping, &reading.labels)) };
     let reductions = reductions::of_all(&spec.model, alpha, (tests, reading), work)?;
-    let (mut record, population) = record(job, spec, given, (alpha, &reductions, groups.as_ref()), work)?;
+    let (mut record, population) = record(job, spec, given, (alpha, &reductions, sorted), work)?;
     lost::add(&mut record, (&spec.model, alpha, &population), &reductions, (tests, reading));
     if job.innovations {
         innovations::add_of(&mut record, (&spec.model, alpha, &population), tests, work);

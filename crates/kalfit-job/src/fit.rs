@@ -9,7 +9,7 @@ use kalfit_spec::Spec;
 use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::idle::{refuse_idle, refuse_one_phase};
-use crate::inferred::{beside, record};
+use crate::inferred::{Sorted, beside, record};
 use crate::innovations::{self, Kept};
 use crate::job::{Done, FitJob, files};
 use crate::output::{Contents, Output};
@@ -73,17 +73,23 @@ pub fn fit(job: &FitJob, watch: &mut dyn Watch) -> Result<Done<FitRecord>, Failu
 /// The method in one place, with known parameters: reduce, estimate, infer, record.
 fn known(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>) -> Result<FitRecord, Failure> {
     let alpha = model::alpha(spec);
-    if given.is_reductions() && spec.model.is_single() {
+    if given.is_reductions() && spec.model.is_single() && spec.model.levels.is_empty() {
         return reduced(job, spec, given, &alpha, work);
     }
-    if !given.is_rows() || lost::filters_rows(&spec.model) {
+    if !given.is_rows() || lost::filters_rows(&spec.model) || !spec.model.levels.is_empty() {
         let (tests, reading) = tests::read(spec, given, work)?;
         return dynamic::known(job, spec, given, (&alpha, &tests, &reading), work);
     }
     let mut kept = if job.innovations { Kept::of(&given.inputs) } else { Kept::nothing() };
     kept.groups = TestGroups::new(spec.model.shared());
     let reductions = reductions::reduce_keeping(spec, &alpha, given, work, &mut kept)?;
-    let (mut record, population) = record(job, spec, given, (&alpha, &reductions, kept.groups.as_ref()), work)?;
+    let (mut record, population) = record(
+        job,
+        spec,
+        given,
+        (&alpha, &reductions, Sorted { by: kept.groups.as_ref(), ..Sorted::default() }),
+        work,
+    )?;
     beside(reductions); // what comes next can have their memory
     if job.innovations {
         innovations::add(&mut record, kept, (spec, &alpha, &given.inputs), &population, work);
@@ -96,7 +102,7 @@ fn known(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>) -> Resul
 fn reduced(job: &FitJob, spec: &Spec, given: &Given, alpha: &Alpha, work: &mut Work<'_>) -> Result<FitRecord, Failure> {
     refuse_idle(job)?;
     let reductions = given.reduced(spec, work)?;
-    let (mut record, population) = record(job, spec, given, (alpha, &reductions, None), work)?;
+    let (mut record, population) = record(job, spec, given, (alpha, &reductions, Sorted::default()), work)?;
     if job.innovations {
         innovations::add_none(&mut record, (&spec.model, alpha, &population), reductions.len(), work);
         record.solver.seconds = work.seconds();

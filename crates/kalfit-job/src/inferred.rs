@@ -1,10 +1,12 @@
 //! From reductions to a record: estimate, infer, record.
 
+use std::sync::Arc;
+
 use kalfit::estimate::Structure;
 use kalfit::infer::{Choices, DeletionChoice, IntervalKind};
 use kalfit::model::Population;
 use kalfit::record::{Provenance, TestGroups};
-use kalfit::{Alpha, FitRecord, Reductions, estimate, infer};
+use kalfit::{Alpha, FitRecord, Grouping, Labels, Reductions, estimate, infer};
 use kalfit_spec::Spec;
 
 use crate::evidence::Given;
@@ -13,15 +15,24 @@ use crate::groups;
 use crate::job::FitJob;
 use crate::work::Work;
 
-/// Estimate, infer, record; the population too.
+/// How tests are sorted.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct Sorted<'a> {
+    /// By a column, for reports.
+    pub(crate) by: Option<&'a TestGroups>,
+    /// Into the groups of the model's levels, whose names are among the labels.
+    pub(crate) levels: Option<(&'a Arc<Grouping>, &'a Labels)>,
+}
+
+/// Estimate, infer, record; the population that a test is of by itself too.
 pub(crate) fn record(
     job: &FitJob,
     spec: &Spec,
     given: &Given,
-    (alpha, reductions, groups): (&Alpha, &Reductions, Option<&TestGroups>),
+    (alpha, reductions, sorted): (&Alpha, &Reductions, Sorted<'_>),
     work: &mut Work<'_>,
 ) -> Result<(FitRecord, Population), Failure> {
-    let structure = Structure::of(&spec.model, alpha, None);
+    let structure = Structure::of(&spec.model, alpha, sorted.levels.map(|(grouping, _)| grouping));
     let estimate = estimate::fit(reductions, &structure, &job.settings, work).map_err(Failure::Fit)?;
     let inference = infer::infer(&estimate, reductions, patience(job.choices, work));
     let provenance = Provenance {
@@ -32,11 +43,14 @@ pub(crate) fn record(
         of_estimates: given.is_of_estimates(&spec.model),
     };
     let mut record = FitRecord::new(&spec.model, alpha, reductions, &estimate, &inference, provenance);
-    if let Some(groups) = groups {
+    if let Some((grouping, labels)) = sorted.levels {
+        record.add_levels((&spec.model, labels), Some(grouping), &inference);
+    }
+    if let Some(groups) = sorted.by {
         groups::add(job, &mut record, groups, (&spec.model, alpha, &estimate, reductions), work)?;
     }
     beside(inference);
-    let population = Population::from(&estimate);
+    let population = Population::from(&estimate).together(spec.model.dimension());
     beside(estimate);
     Ok((record, population))
 }

@@ -30,6 +30,7 @@ fn information(own_rank: usize, rank_so_far: usize, of: usize) -> Option<Informa
 fn each_phase_has_sections_of_its_own() {
     let mut fit = two();
     let constraint = |element: &str, p: f64| ConstraintRecord {
+        level: None,
         element: element.into(),
         phase: "flight".into(),
         value: 0.0,

@@ -79,6 +79,28 @@ impl Problem {
         })
     }
 
+    /// A level of groups, by its block of Σ, has one group only.
+    pub(crate) fn is_one_group(&self, level: usize) -> bool {
+        level > 0 && self.classes.units.is_some() && self.classes.present[level] <= 1.0
+    }
+
+    /// The problem of tests in groups as if each stood alone, and the same point there: with the covariances of all levels together.
+    pub(crate) fn apart(
+        &self,
+        structure: &Structure<'_>,
+        point: &Point,
+        reductions: &Reductions,
+    ) -> Option<(Problem, Point)> {
+        let first = Structure { phases: structure.phases[..1].to_vec(), grouping: None, ..structure.clone() };
+        let alone = Problem::new(reductions, &first, (Criterion::Ml, Combination::Stacked)).ok()?;
+        let (p, frame) = (alone.classes.dimension(), &alone.classes.frame);
+        let Population { mean, covariance, .. } = self.values_of(point).together(p);
+        let root = symmetric::square_root(&frame.covariance_in(&covariance));
+        let mean = (0..p).map(|i| (mean[i] - frame.centre[i]) / frame.scale[i]).collect();
+        let point = Point { mean, coefficients: point.coefficients.clone(), root };
+        Some((alone, point))
+    }
+
     /// What is maximised and its derivatives: one pass over the classes. The restricted likelihood's second derivatives hold
     /// the covariance C⁻¹ of the mean under the sum over classes, and C is such a sum itself: there `near` stands for it, from
     /// a place near by. They are exact when that place is this one, and nothing else depends on it.

@@ -1,8 +1,10 @@
 //! The flow of the whole crate in one place.
 
+use std::sync::Arc;
+
 use crate::build::Columns;
-use crate::dynamic::{self, DynamicFit};
-use crate::ensemble::Labels;
+use crate::dynamic::{self, DynamicError, DynamicFit};
+use crate::ensemble::{Grouping, Labels};
 use crate::estimate::{self, Progress, Silent, Structure};
 use crate::face::ensemble::Ensemble;
 use crate::face::error::EnsembleError;
@@ -11,7 +13,7 @@ use crate::face::second_look;
 use crate::infer;
 use crate::model::{Alpha, PhasedModel, Slots};
 use crate::record::{DynamicParts, FitRecord, LevelCounts, Provenance, TestGroups, level_notes};
-use crate::reduce::Reductions;
+use crate::reduce::{Reductions, grouping};
 
 /// Fits a model to tests: μ, Σ and free dynamic parameters by maximum likelihood, with all that is inferred from them. The tests'
 /// order does not change the answer, nor does the number of threads.
@@ -47,7 +49,10 @@ fn of_tests(ensemble: &Ensemble, options: &Options, progress: &mut dyn Progress)
     let mut fit = if slots.is_empty() {
         let alpha = slots.alpha(model.shared(), &[]);
         let reductions = ensemble.reduce(&alpha)?;
-        of_reductions((model, &alpha), reductions, options, progress)?
+        let grouping = grouping(model, tests).map_err(DynamicError::from)?.map(Arc::new);
+        let mut fit = of_reductions((model, &alpha), (reductions, grouping.as_ref()), options, progress)?;
+        fit.record.add_levels((model, labels), grouping.as_deref(), &fit.inference);
+        fit
     } else {
         let search = dynamic::Settings {
             method: options.method,
@@ -58,7 +63,8 @@ fn of_tests(ensemble: &Ensemble, options: &Options, progress: &mut dyn Progress)
         let found = dynamic::fit(model, labels, tests, &search, progress)?;
         let (inference, parameters) = dynamic::infer(model, tests, &found, options.choices)?;
         let parts = DynamicParts { model, labels, fit: &found, inference: &inference, parameters: &parameters };
-        let record = FitRecord::dynamic(&parts, Provenance::default());
+        let mut record = FitRecord::dynamic(&parts, Provenance::default());
+        record.add_levels((model, labels), found.estimate.grouping().map(|grouping| &**grouping), &inference);
         let DynamicFit { alpha, reductions, estimate, .. } = found;
         Fit { model: model.clone(), alpha, reductions, estimate, inference, record }
     };
@@ -78,11 +84,11 @@ fn of_tests(ensemble: &Ensemble, options: &Options, progress: &mut dyn Progress)
 /// The same of reductions at a known α.
 pub(super) fn of_reductions(
     (model, alpha): (&PhasedModel, &Alpha),
-    reductions: Reductions,
+    (reductions, grouping): (Reductions, Option<&Arc<Grouping>>),
     options: &Options,
     progress: &mut dyn Progress,
 ) -> Result<Fit, EnsembleError> {
-    let estimate = estimate::fit(&reductions, &Structure::of(model, alpha, None), &options.settings, progress)?;
+    let estimate = estimate::fit(&reductions, &Structure::of(model, alpha, grouping), &options.settings, progress)?;
     let inference = infer::infer(&estimate, &reductions, options.choices);
     let record = FitRecord::new(model, alpha, &reductions, &estimate, &inference, Provenance::default());
     Ok(Fit { model: model.clone(), alpha: alpha.clone(), reductions, estimate, inference, record })

@@ -64,5 +64,5 @@ pub fn fit_reductions(model: &PhasedModel, reductions: Reductions, options: &Opt
         let (test, found) = (other.test.to_owned(), other.data.len());
         return Err(EnsembleError::Dimension { test, found, expected, names: model.estimated_names() });
     }
-    of_reductions((model, &alpha), reductions, options, &mut Silent)
+    of_reductions((model, &alpha), (reductions, None), options, &mut Silent)
 }

@@ -33,7 +33,8 @@ pub fn sensitivities(estimate: &Estimate) -> Vec<Sensitivity> {
     let law = Law::new(state);
     let mut found: Vec<Sensitivity> = Vec::new();
     let elements = state.structure().elements();
-    for (i, element) in elements.iter().enumerate() {
+    let own = state.structure().reduced_dimension(); // what groups add has no mean
+    for (i, element) in elements.iter().enumerate().take(own) {
         if let MeanElement::Fixed(value) = element {
             found.push(of_mean(state, &law, &elements, (i, *value)));
         }

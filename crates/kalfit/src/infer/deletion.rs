@@ -10,6 +10,7 @@ use crate::estimate::{
     Class, CovarianceMap, Criterion, Estimate, Limits, Local, Objective, Order, Place, Point, Problem, Silent, Stop,
     Sums, climb, fit_from,
 };
+use crate::infer::levels;
 use crate::infer::posterior::{Distance, distance};
 use crate::model::Population;
 use crate::reduce::{ReductionRef, Reductions};
@@ -37,6 +38,9 @@ pub fn deletions(estimate: &Estimate, reductions: &Reductions) -> Vec<Option<Del
         return vec![None; reductions.len()];
     }
     let reductions = &*estimate.state.evidence(reductions);
+    if estimate.grouping().is_some() {
+        return levels::deletions(estimate, reductions).map_or(Vec::new(), |found| found.0);
+    }
     let all = &All::of(estimate);
     let without = |j: usize| {
         let near = climbed(estimate, all, reductions.get(j));
@@ -52,7 +56,9 @@ pub fn deletions(estimate: &Estimate, reductions: &Reductions) -> Vec<Option<Del
 /// Rough number of multiplications that [`deletions`] takes: of each step the pass, and what is done with its Hessian.
 pub(super) fn deletion_work(estimate: &Estimate, tests: usize) -> f64 {
     let (p, free) = (estimate.mean.len() as f64, estimate.state.place.tangent.basis.ncols() as f64);
-    3.0 * tests as f64 * (estimate.classes as f64 * (p + 1.0).powi(3) + 2.5 * free.powi(3))
+    // without shortcuts where tests stand in groups: whole fits, from near their ends, of the tests and of groups
+    let each = if estimate.grouping().is_some() { 60.0 } else { 3.0 };
+    each * tests as f64 * (estimate.classes as f64 * (p + 1.0).powi(3) + 2.5 * free.powi(3))
 }
 
 /// All tests at their estimate.

@@ -29,25 +29,33 @@ pub struct Examination {
 /// All of it before any fit: at the start values.
 pub fn examine_at_start(reductions: &Reductions, structure: &Structure<'_>) -> Result<Examination, FitError> {
     let (problem, place, sums) = crate::estimate::at_start(reductions, structure)?;
-    Ok(examination((&problem, &place, &sums), reductions, phases(&problem, reductions)))
+    Ok(examination((&problem, &place, &sums), structure, (reductions, reductions), phases(&problem, reductions)))
 }
 
 /// `evidence`: what the estimate was made from, where that is not the reductions.
 pub(crate) fn examine(estimate: &Estimate, evidence: &Reductions, reductions: &Reductions) -> Examination {
     let state = &estimate.state;
     let phases = phases(&state.problem, reductions);
-    examination((&state.problem, &state.place, &state.sums), evidence, phases)
+    let at = (&*state.problem, &state.place, &state.sums);
+    examination(at, &state.structure(), (evidence, reductions), phases)
 }
 
 fn examination(
     (problem, place, sums): (&Problem, &Place, &Sums),
-    reductions: &Reductions,
+    structure: &Structure<'_>,
+    (evidence, reductions): (&Reductions, &Reductions),
     phases: Vec<PhaseObservability>,
 ) -> Examination {
     let unidentified = directions(problem, place, &sums.expected_information());
-    let p = problem.classes.dimension();
+    // what tests in groups say of their states they say by themselves
+    let alone = problem.classes.units.as_ref().and_then(|_| problem.apart(structure, &place.point, reductions));
+    let (of, point, seen) = match &alone {
+        Some((alone, point)) => (alone, point, reductions),
+        None => (problem, &place.point, evidence),
+    };
+    let p = of.classes.dimension();
     let weight = sums.mean_information.view((0, 0), (p, p)).clone_owned();
-    let observability = observability(problem, place, &weight, reductions);
+    let observability = observability(of, point, &weight, seen);
     Examination { explanations: explain(problem, &unidentified, &observability), unidentified, observability, phases }
 }
 
@@ -60,7 +68,22 @@ pub fn identifiability(estimate: &Estimate) -> Vec<Direction> {
 pub(crate) fn directions(problem: &Problem, place: &Place, expected: &DMatrix<f64>) -> Vec<Direction> {
     let mut found = mean_directions(problem);
     found.extend(covariance_directions(problem, &place.tangent, expected));
+    found.extend(of_single_groups(problem, &place.tangent));
     found
+}
+
+/// What the only group of a level adds, which is not told from the mean.
+fn of_single_groups(problem: &Problem, tangent: &Tangent) -> Vec<Direction> {
+    let (elements, free) = (&problem.covariance.elements, problem.covariance.free_directions(&tangent.chart));
+    let alone = |&e: &usize| {
+        let (i, _) = elements.at(e).expect("an element");
+        problem.is_one_group(elements.block_of(i)) && free.row(e).amax() > 0.0
+    };
+    let one = |e: usize| {
+        let direction = (0..elements.count()).map(|k| f64::from(u8::from(k == e))).collect();
+        Direction { quantity: Quantity::Covariance, direction }
+    };
+    (0..elements.count()).filter(alone).map(one).collect()
 }
 
 fn mean_directions(problem: &Problem) -> Vec<Direction> {

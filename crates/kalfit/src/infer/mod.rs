@@ -16,6 +16,7 @@ mod identifiability;
 mod information;
 mod interval;
 mod law;
+mod levels;
 mod observability;
 mod phases;
 mod posterior;
@@ -30,6 +31,7 @@ pub use direction::{Direction, Quantity};
 pub use identifiability::{Examination, examine_at_start, identifiability};
 pub use information::{Boundary, Free, Uncertainty, free, uncertainty};
 pub use interval::{Interval, IntervalKind, Intervals, profile, wald};
+pub use levels::GroupPosterior;
 pub use observability::{Leading, MOST_TESTS, Observability, Shortage, StateObservability, WEAK, WeakDirection};
 pub use phases::PhaseObservability;
 pub use posterior::{Distance, Posterior, posteriors};
@@ -115,6 +117,10 @@ pub struct Inference {
     pub posteriors: Vec<Posterior>,
     /// The fit without each test, in the order of the reductions; `None` when that was not asked for.
     pub deletions: Option<Vec<Option<Deletion>>>,
+    /// What is known of the groups of each level, the innermost first; empty where tests stand in no groups, or where it was not asked for.
+    pub groups: Vec<Vec<GroupPosterior>>,
+    /// The fit without each of them; `None` when that was not asked for.
+    pub group_deletions: Option<Vec<Vec<Option<Deletion>>>>,
 }
 
 /// Infers all of it, from the reductions that the estimate was made from.
@@ -138,14 +144,27 @@ pub fn infer(estimate: &Estimate, reductions: &Reductions, choices: Choices) -> 
         DeletionChoice::All => true,
         DeletionChoice::None => false,
     };
+    let grouped = estimate.grouping().is_some();
+    let (posteriors, groups) = match each {
+        true if grouped => levels::posteriors(estimate, &evidence).unwrap_or_default(),
+        true => (posteriors(estimate, reductions), Vec::new()),
+        false => (Vec::new(), Vec::new()),
+    };
+    let (deletions, group_deletions) = match wanted {
+        true if grouped => levels::deletions(estimate, &evidence).unzip(),
+        true => (Some(deletions(estimate, reductions)), None),
+        false => (None, None),
+    };
     Inference {
         std_errors,
         phases,
         intervals,
         uncertainty,
         sensitivities: sensitivities(estimate),
-        posteriors: if each { posteriors(estimate, reductions) } else { Vec::new() },
-        deletions: wanted.then(|| deletions(estimate, reductions)),
+        posteriors,
+        deletions,
+        groups,
+        group_deletions,
         unidentified,
         explanations,
         observability,

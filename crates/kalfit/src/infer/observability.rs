@@ -17,7 +17,7 @@ use kalfit_lanes::{Isa, Kernel, Lanes};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use crate::estimate::{Classes, Form, Part, Place, Problem, forms_in_parts};
+use crate::estimate::{Classes, Form, Part, Point, Problem, forms_in_parts};
 use crate::infer::direction::{NONE, unit};
 use crate::linalg::fold::norm;
 use crate::linalg::symmetric;
@@ -109,14 +109,14 @@ struct Design<'a> {
 
 pub(crate) fn observability(
     problem: &Problem,
-    place: &Place,
+    point: &Point,
     weight: &DMatrix<f64>,
     reductions: &Reductions,
 ) -> Observability {
     let p = problem.classes.dimension();
     let classes = problem.classes.of(reductions);
     let designs = Designs::new(&classes, reductions);
-    let shares = Shares { problem, place, designs: &designs };
+    let shares = Shares { problem, point, designs: &designs };
     let (known, weak) = known_and_weak(problem, weight);
     let mut directions: Vec<DVector<f64>> = known.iter().flatten().cloned().collect();
     directions.extend(weak.iter().map(|(direction, _)| direction.clone()));
@@ -312,7 +312,7 @@ fn known_and_weak(problem: &Problem, weight: &DMatrix<f64>) -> (Vec<Option<DVect
 /// The tests that directions of the mean rest on.
 struct Shares<'a> {
     problem: &'a Problem,
-    place: &'a Place,
+    point: &'a Point,
     designs: &'a Designs<'a>,
 }
 
@@ -323,7 +323,7 @@ impl Shares<'_> {
         let p = classes.dimension();
         let mut all = Parts::none(directions.len());
         let directions = DMatrix::from_fn(p, directions.len(), |i, c| directions[c][i]);
-        let (regressors, point) = (&self.problem.mean.regressors, &self.place.point);
+        let (regressors, point) = (&self.problem.mean.regressors, self.point);
         let none = || Parts::none(directions.ncols());
         let parts = forms_in_parts(classes, (regressors, point), &directions, &none, &|parts, k, forms| {
             let tests = classes.tests_of(k);

@@ -29,6 +29,9 @@ pub(crate) fn phases(problem: &Problem, reductions: &Reductions) -> Vec<PhaseObs
     if elements.is_single() {
         return vec![single(problem)];
     }
+    if problem.classes.units.is_some() {
+        return Vec::new(); // levels of groups, of one phase
+    }
     let classes = problem.classes.by_phase(reductions);
     let chains: Option<Vec<&Kept>> = classes.classes.iter().map(|class| class.chain.as_ref()).collect();
     let Some(chains) = chains else { return Vec::new() };

@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::estimate::{Class, Classes, Detail, Estimate, Point, Problem, Terms, each, in_parts};
+use crate::infer::levels;
 use crate::linalg::{posterior_root, symmetric};
 use crate::reduce::{ReductionRef, Reductions};
 
@@ -40,6 +41,9 @@ const CHUNK: usize = 64;
 /// Posteriors of all tests, in their order.
 pub fn posteriors(estimate: &Estimate, reductions: &Reductions) -> Vec<Posterior> {
     let problem = &estimate.state.problem;
+    if problem.classes.units.is_some() {
+        return levels::posteriors(estimate, &estimate.state.evidence(reductions)).map_or(Vec::new(), |found| found.0);
+    }
     let classes = problem.classes.of(reductions);
     if classes.are_single() {
         return of_classes((problem, &classes), &estimate.state.place.point, reductions);
@@ -106,6 +110,12 @@ fn terms(problem: &Problem, point: &Point, class: &Class) -> Terms {
 }
 
 impl Distance {
+    /// Of χ² with so many degrees of freedom.
+    pub(super) fn new(squared: f64, degrees_of_freedom: usize) -> Distance {
+        let p_value = ChiSquared::new(degrees_of_freedom as f64).ok().map(|chi| chi.sf(squared));
+        Distance { squared, degrees_of_freedom, p_value }
+    }
+
     fn of(terms: &Terms, class: &Class, reduction: ReductionRef<'_>) -> Distance {
         let p = terms.r.len();
         let rank = (0..p).filter(|&i| (i..p).any(|k| reduction.factor[i + k * (k + 1) / 2] != 0.0)).count();
@@ -116,8 +126,7 @@ impl Distance {
             None => 0.0,
         };
         let squared = (terms.quadratic - disagreement).max(0.0);
-        let p_value = ChiSquared::new(rank as f64).ok().map(|chi| chi.sf(squared));
-        Distance { squared, degrees_of_freedom: rank, p_value }
+        Distance::new(squared, rank)
     }
 }
 

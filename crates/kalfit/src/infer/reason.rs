@@ -1,9 +1,10 @@
 //! Why the data say nothing about a direction.
 
+use std::collections::BTreeSet;
+
 use crate::estimate::Problem;
 use crate::infer::direction::{Direction, Quantity};
 use crate::infer::observability::Observability;
-use crate::linalg::elements::Elements;
 
 /// A weight of a unit direction below this is none.
 const NEGLIGIBLE: f64 = 1e-6;
@@ -31,6 +32,17 @@ pub enum Reason {
         /// The states.
         states: Vec<usize>,
     },
+    /// Groups of some level have one member each, or too few have more: only the sum of what varies at two levels is known of these
+    /// states.
+    LevelsTogether {
+        /// The states.
+        states: Vec<usize>,
+    },
+    /// There is one group at a level: what it adds to these states is not told from the mean.
+    OneGroup {
+        /// The states.
+        states: Vec<usize>,
+    },
     /// Columns of these regressions vary too little, or together, over the tests that inform their states.
     Confounded {
         /// Indices of [`MeanStructure::regression`](crate::model::MeanStructure::regression).
@@ -51,7 +63,7 @@ pub struct Explanation {
 pub(crate) fn explain(problem: &Problem, directions: &[Direction], seen: &Observability) -> Vec<Explanation> {
     let one = |direction: &Direction| match direction.quantity {
         Quantity::Mean => mean(problem, direction, seen),
-        Quantity::Covariance => covariance(&problem.covariance.elements, direction, seen),
+        Quantity::Covariance => covariance(problem, direction, seen),
     };
     directions.iter().map(one).collect()
 }
@@ -62,9 +74,10 @@ fn support(direction: &[f64]) -> Vec<usize> {
 }
 
 fn mean(problem: &Problem, direction: &Direction, seen: &Observability) -> Explanation {
-    let p = seen.states.len();
-    let (mut states, coefficients): (Vec<usize>, Vec<usize>) =
+    let p = problem.classes.dimension();
+    let (states, coefficients): (Vec<usize>, Vec<usize>) =
         support(&direction.direction).into_iter().partition(|&k| k < p);
+    let mut states: Vec<usize> = states.into_iter().map(|i| i % seen.states.len()).collect();
     let regressions: Vec<usize> = coefficients.into_iter().map(|k| k - p).collect();
     states.extend(regressions.iter().map(|&c| problem.mean.regressors[c]));
     states.sort_unstable();
@@ -78,10 +91,15 @@ fn mean(problem: &Problem, direction: &Direction, seen: &Observability) -> Expla
     Explanation { reason, tests }
 }
 
-fn covariance(elements: &Elements, direction: &Direction, seen: &Observability) -> Explanation {
+fn covariance(problem: &Problem, direction: &Direction, seen: &Observability) -> Explanation {
+    let elements = &problem.covariance.elements;
     debug_assert_eq!(direction.direction.len(), elements.count(), "one weight for each element");
     let all: Vec<(usize, usize)> = elements.all().collect();
     let elements: Vec<(usize, usize)> = support(&direction.direction).into_iter().map(|at| all[at]).collect();
+    // states stand once in each level of groups
+    let p = seen.states.len();
+    let levels: BTreeSet<usize> = elements.iter().map(|(i, _)| i / p.max(1)).collect();
+    let elements: Vec<(usize, usize)> = elements.into_iter().map(|(i, k)| (i % p, k % p)).collect();
     let mut states: Vec<usize> = elements.iter().flat_map(|&(i, k)| [i, k]).collect();
     states.sort_unstable();
     states.dedup();
@@ -92,6 +110,8 @@ fn covariance(elements: &Elements, direction: &Direction, seen: &Observability) 
             Reason::Unseen { states: dark }
         }
         &[(i, k)] if i != k && seen.together[i][k] == 0 => Reason::NeverTogether { states: [k, i] },
+        _ if levels.len() > 1 => Reason::LevelsTogether { states },
+        _ if levels.iter().all(|level| problem.is_one_group(*level)) => Reason::OneGroup { states },
         _ if states.iter().all(|&i| seen.states[i].observed_by == 0) => Reason::NeverApart { states },
         _ => Reason::TooFewCombinations { states },
     };

@@ -73,6 +73,16 @@ pub enum PopulationError {
 }
 
 impl Population {
+    /// The law of a test with p states in groups, by itself: of what stands level by level the sum. Of a population in one level it is the
+    /// same.
+    #[must_use]
+    pub fn together(&self, p: usize) -> Population {
+        let levels = self.mean.len().checked_div(p).unwrap_or(1);
+        let mean = (0..p).map(|i| (0..levels).map(|l| self.mean[l * p + i]).sum()).collect();
+        let sum = |i: usize, k: usize| (0..levels).map(|l| self.covariance[(l * p + i, l * p + k)]).sum();
+        Population { mean, coefficients: self.coefficients.clone(), covariance: DMatrix::from_fn(p, p, sum) }
+    }
+
     /// The population a model file describes: what it fixes, else what it gives as start value.
     ///
     /// # Errors

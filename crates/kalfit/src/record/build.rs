@@ -5,11 +5,11 @@ use rayon::prelude::*;
 use crate::estimate::{Certificate, Combination, Criterion, Estimate, Solver, Stop};
 use crate::infer::{Deletion, Element, Inference, IntervalKind, Posterior, Sensitivity, StdErrors};
 use crate::model::{Alpha, PhasedModel};
-use crate::record::cut::{Cut, phases_of};
+use crate::record::cut::{Cut, names, phases_of};
 use crate::record::diagnosis::shortage_notes;
 use crate::record::directions::crossing_notes;
 use crate::record::own::{MOST_OWN, Own};
-use crate::record::phases::phases;
+use crate::record::phases::phases_and_levels;
 use crate::record::{
     CertificateRecord, ConstraintRecord, DataRecord, DeletedRecord, DeletionRecord, FitRecord, ParameterRecord,
     PosteriorRecord, SolverRecord, TestRecord, parameters,
@@ -60,6 +60,7 @@ impl FitRecord {
         let of_estimates = provenance.of_estimates || filtered(model, reductions);
         let comparable = !of_estimates && estimate.composite.is_none();
         let penalty = |per: f64| comparable.then_some(free as f64 * per - 2.0 * log_likelihood);
+        let (phases, levels) = phases_and_levels(model, estimate, inference, reductions);
         FitRecord {
             schema: "kalfit-fit/1".to_owned(),
             kalfit_version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -83,7 +84,9 @@ impl FitRecord {
             solver: solver(estimate, provenance.seconds),
             std_errors: std_errors(inference).to_owned(),
             intervals: intervals(inference).to_owned(),
-            phases: phases(model, estimate, inference, reductions),
+            phases,
+            levels,
+            groups: Vec::new(),
             parameters,
             starts: Vec::new(),
             methods: Vec::new(),
@@ -192,7 +195,7 @@ fn intervals(inference: &Inference) -> &'static str {
 }
 
 fn constraints(model: &PhasedModel, sensitivities: &[Sensitivity]) -> Vec<ConstraintRecord> {
-    let cuts = Cut::all(model);
+    let cuts = Cut::blocks(model);
     let of = |sensitivity: &Sensitivity| {
         let (Element::Mean(first) | Element::Covariance(first, _)) = sensitivity.element;
         let cut = cuts.iter().find(|cut| cut.element(first).is_some()).expect("an element is of some phase");
@@ -210,6 +213,7 @@ fn constraint(cut: &Cut<'_>, sensitivity: &Sensitivity) -> ConstraintRecord {
             Element::Covariance(i, j) => format!("covariance[{}, {}]", name(j), name(i)),
         },
         phase: cut.phase.name.clone(),
+        level: cut.level.map(|level| level.name.clone()),
         value: sensitivity.value,
         sensitivity: Some(sensitivity.sensitivity),
         score_statistic: sensitivity.statistic,
@@ -233,6 +237,7 @@ fn tests(model: &PhasedModel, reductions: &Reductions, inference: &Inference) ->
         TestRecord {
             id: reduction.test.to_owned(),
             group: None,
+            groups: Vec::new(),
             log_likelihood: posterior.log_likelihood,
             observations: reduction.observations,
             steps: Some(reduction.steps),
@@ -245,7 +250,11 @@ fn tests(model: &PhasedModel, reductions: &Reductions, inference: &Inference) ->
             distance: (distance.degrees_of_freedom > 0).then_some(distance.squared),
             degrees_of_freedom: distance.degrees_of_freedom,
             p_value: distance.p_value,
-            deletion: inference.deletions.as_ref().and_then(|all| all[j].as_ref()).map(|d| deletion(&cuts, d)),
+            deletion: inference
+                .deletions
+                .as_ref()
+                .and_then(|all| all[j].as_ref())
+                .map(|d| DeletionRecord::new(model, d)),
             innovations: None,
         }
     };
@@ -292,20 +301,23 @@ fn part(
     }
 }
 
-fn deletion(cuts: &[Cut<'_>], deletion: &Deletion) -> DeletionRecord {
-    let Deletion { estimate, log_density, distance, displacement } = deletion;
-    let of = |cut: &Cut<'_>| DeletedRecord {
-        name: cut.phase.name.clone(),
-        mean: cut.list(&estimate.mean),
-        regression: estimate.coefficients[cut.regressions.clone()].to_vec(),
-        covariance: cut.block(&estimate.covariance),
-    };
-    DeletionRecord {
-        log_density: *log_density,
-        distance: (distance.degrees_of_freedom > 0).then_some(distance.squared),
-        p_value: distance.p_value,
-        displacement: *displacement,
-        phases: cuts.iter().map(of).collect(),
+impl DeletionRecord {
+    /// The fit without a test or a group.
+    pub(super) fn new(model: &PhasedModel, deletion: &Deletion) -> DeletionRecord {
+        let Deletion { estimate, log_density, distance, displacement } = deletion;
+        let of = |cut: &Cut<'_>| DeletedRecord {
+            name: cut.name().to_owned(),
+            mean: if cut.level.is_none() { cut.list(&estimate.mean) } else { Vec::new() },
+            regression: estimate.coefficients[cut.regressions.clone()].to_vec(),
+            covariance: cut.block(&estimate.covariance),
+        };
+        DeletionRecord {
+            log_density: *log_density,
+            distance: (distance.degrees_of_freedom > 0).then_some(distance.squared),
+            p_value: distance.p_value,
+            displacement: *displacement,
+            phases: Cut::blocks(model).iter().map(of).collect(),
+        }
     }
 }
 
@@ -315,7 +327,7 @@ fn notes(model: &PhasedModel, estimate: &Estimate, inference: &Inference) -> Vec
     let mut notes: Vec<String> = rounding_note(model, estimate).into_iter().collect();
     notes.extend(crossing_notes(model, unidentified, explanations, observability));
     notes.extend(shortage_notes(model, observability));
-    for (i, name) in model.estimated_names().iter().enumerate() {
+    for (i, name) in names(model).iter().enumerate() {
         let variance = estimate.covariance[(i, i)];
         if let Some(error) = uncertainty.covariance[i][i].filter(|e| *e >= variance) {
             notes.push(format!(
@@ -341,7 +353,7 @@ fn rounding_note(model: &PhasedModel, estimate: &Estimate) -> Option<String> {
     }
     let parts = estimate.state.rounding();
     let worst = (0..parts.len()).max_by(|&a, &b| parts[a].total_cmp(&parts[b]).then(b.cmp(&a)))?;
-    let (names, p) = (model.estimated_names(), estimate.mean.len());
+    let (names, p) = (names(model), estimate.mean.len());
     let cause = match worst.checked_sub(p) {
         None => format!(
             "the mean of `{}`, {:.1e}, is very large beside its standard error, and so are the numbers that cancel in it; subtract an offset from the column that measures it",

@@ -1,18 +1,20 @@
-//! What is known of all phases together, cut into phases.
+//! What is known of all phases together, cut into phases; and of tests in groups, into levels.
 
 use std::ops::Range;
 
 use nalgebra::DMatrix;
 
-use crate::model::{Phase, PhasedModel, Regression};
+use crate::model::{CovarianceStructure, GroupLevel, Phase, PhasedModel, Regression};
 use crate::reduce::ReductionRef;
 
 /// One phase of a model, and where what belongs to it stands among what belongs to all.
 #[derive(Debug, Clone)]
 pub(super) struct Cut<'a> {
-    /// The phase.
+    /// The phase; of a level of groups the only one.
     pub(super) phase: &'a Phase,
-    /// Its place among the phases.
+    /// The level of groups whose part it is.
+    pub(super) level: Option<&'a GroupLevel>,
+    /// Its place among the blocks of Σ.
     pub(super) index: usize,
     /// Its elements among those of all phases.
     pub(super) elements: Range<usize>,
@@ -27,9 +29,34 @@ impl<'a> Cut<'a> {
         let cut = |(index, (phase, elements)): (usize, (&'a Phase, Range<usize>))| {
             let start = end;
             end += phase.model.mean.regression.len();
-            Cut { phase, index, elements, regressions: start..end }
+            Cut { phase, level: None, index, elements, regressions: start..end }
         };
         model.phases.iter().zip(model.ranges()).enumerate().map(cut).collect()
+    }
+
+    /// All phases, or the only one and then the levels of groups, the innermost first: what the blocks of Σ are of.
+    pub(super) fn blocks(model: &'a PhasedModel) -> Vec<Cut<'a>> {
+        let mut all = Cut::all(model);
+        let (p, end) = (model.dimension(), all.last().map_or(0, |cut| cut.regressions.end));
+        let level = |(l, level): (usize, &'a GroupLevel)| Cut {
+            phase: &model.phases[0],
+            level: Some(level),
+            index: l + 1,
+            elements: (l + 1) * p..(l + 2) * p,
+            regressions: end..end,
+        };
+        all.extend(model.levels.iter().rev().enumerate().map(level));
+        all
+    }
+
+    /// Its name.
+    pub(super) fn name(&self) -> &'a str {
+        self.level.map_or(&self.phase.name, |level| &level.name)
+    }
+
+    /// What is assumed of its Σ.
+    pub(super) fn structure(&self) -> &'a CovarianceStructure {
+        self.level.map_or(&self.phase.model.covariance, |level| &level.covariance)
     }
 
     /// Names of its states as they are in the phase.
@@ -57,6 +84,15 @@ impl<'a> Cut<'a> {
     pub(super) fn element(&self, of_all: usize) -> Option<usize> {
         self.elements.contains(&of_all).then(|| of_all - self.elements.start)
     }
+}
+
+/// Names of the elements of all blocks, `phase.state` where there are several phases, `level.state` of a level of groups.
+pub(super) fn names(model: &PhasedModel) -> Vec<String> {
+    let mut names = model.estimated_names();
+    let own = names.clone();
+    let of = |level: &GroupLevel| own.iter().map(|name| format!("{}.{name}", level.name)).collect::<Vec<_>>();
+    names.extend(model.levels.iter().rev().flat_map(of));
+    names
 }
 
 /// The regressions of all phases, their elements those of all phases.

@@ -105,6 +105,12 @@ pub(super) fn words(model: &PhasedModel, reason: &Reason) -> String {
         Reason::TooFewCombinations { states: few } => {
             format!("the tests see too few different combinations of {}", names(few))
         }
+        Reason::LevelsTogether { states: few } => {
+            format!("the groups have too few members to tell their levels apart in {}: only sums are known", names(few))
+        }
+        Reason::OneGroup { states: few } => {
+            format!("there is one group, and what it adds to {} is not told from the mean", names(few))
+        }
         Reason::Confounded { regressions: confounded } => {
             let all = regressions(model);
             let name = |&r: &usize| model.shared().columns[all[r].column].name.as_str();

@@ -2,7 +2,7 @@
 
 use crate::infer::{Direction, Explanation, Observability, PhaseObservability, Quantity, WeakDirection};
 use crate::model::PhasedModel;
-use crate::record::cut::Cut;
+use crate::record::cut::{Cut, names};
 use crate::record::diagnosis::{named, words};
 use crate::record::{EnteredRecord, InformationRecord, UnidentifiedRecord, WeakRecord};
 
@@ -40,13 +40,13 @@ impl Entries {
     /// Elements of μ, then regression coefficients as `state per column`.
     fn mean(model: &PhasedModel, coefficients: bool) -> Entries {
         let mut entries = Entries { phase: Vec::new(), own: Vec::new(), full: Vec::new() };
-        let (cuts, full) = (Cut::all(model), model.estimated_names());
+        let (cuts, full) = (Cut::blocks(model), names(model));
         for cut in &cuts {
             for (own, k) in cut.states().into_iter().zip(cut.elements.clone()) {
                 entries.add(cut, own, full[k].clone());
             }
         }
-        for cut in cuts.iter().filter(|_| coefficients) {
+        for cut in cuts.iter().filter(|cut| coefficients && cut.level.is_none()) {
             let states = cut.states();
             for r in &cut.phase.model.mean.regression {
                 let column = &cut.phase.model.columns[r.column].name;
@@ -60,8 +60,8 @@ impl Entries {
     /// Elements of Σ within a phase, as `first, second`.
     fn covariance(model: &PhasedModel) -> Entries {
         let mut entries = Entries { phase: Vec::new(), own: Vec::new(), full: Vec::new() };
-        let full = model.estimated_names();
-        for cut in Cut::all(model) {
+        let full = names(model);
+        for cut in Cut::blocks(model) {
             let (own, full) = (cut.states(), &full[cut.elements.clone()]);
             for (i, j) in (0..own.len()).flat_map(|i| (0..=i).map(move |j| (i, j))) {
                 let whole = match i == j {
@@ -88,12 +88,13 @@ impl Entries {
 
     /// The parts of a direction that count.
     fn parts(&self, model: &PhasedModel, direction: &[f64]) -> Vec<Part> {
+        let cuts = Cut::blocks(model);
         let counts = |phase: &usize| {
             let mut own = direction.iter().zip(&self.phase).filter(|(_, of)| *of == phase);
-            model.is_single() || own.any(|(weight, _)| weight.abs() > NEGLIGIBLE)
+            cuts.len() == 1 || own.any(|(weight, _)| weight.abs() > NEGLIGIBLE)
         };
-        let mixed: Vec<usize> = (0..model.phases.len()).filter(counts).collect();
-        let names: Vec<String> = mixed.iter().map(|&i| model.phases[i].name.clone()).collect();
+        let mixed: Vec<usize> = (0..cuts.len()).filter(counts).collect();
+        let names: Vec<String> = mixed.iter().map(|&i| cuts[i].name().to_owned()).collect();
         let part = |&phase: &usize| {
             let own = direction.iter().zip(&self.phase).filter(|(_, of)| **of == phase);
             let direction = own.map(|(weight, _)| *weight).collect();
@@ -131,7 +132,7 @@ impl UnidentifiedRecord {
         directions: &[Direction],
         explanations: &[Explanation],
     ) -> Vec<Vec<UnidentifiedRecord>> {
-        let mut records = vec![Vec::new(); model.phases.len()];
+        let mut records = vec![Vec::new(); Cut::blocks(model).len()];
         for (direction, explanation) in directions.iter().zip(explanations) {
             let entries = Entries::of(model, direction.quantity);
             for Part { phase, direction: part, phases } in entries.parts(model, &direction.direction) {
@@ -157,7 +158,7 @@ impl WeakRecord {
     /// [`crossing_notes`] has the whole.
     pub fn by_phase(model: &PhasedModel, seen: &Observability) -> Vec<Vec<WeakRecord>> {
         let entries = Entries::mean(model, false);
-        let mut records = vec![Vec::new(); model.phases.len()];
+        let mut records = vec![Vec::new(); Cut::blocks(model).len()];
         for weak in &seen.weak {
             for Part { phase, direction, phases } in entries.parts(model, &weak.direction) {
                 let (leading_test, leading_share) = named(&weak.leading);
@@ -206,8 +207,9 @@ pub fn crossing_notes(
         let entries = Entries::of(model, direction.quantity);
         if entries.parts(model, &direction.direction).len() > 1 {
             let of = if direction.quantity == Quantity::Mean { " of the means" } else { "" };
+            let of_what = if model.levels.is_empty() { "phases" } else { "tests" };
             notes.push(format!(
-                "the phases together say nothing about the combination {}{of}: {}",
+                "the {of_what} together say nothing about the combination {}{of}: {}",
                 entries.combination(&direction.direction),
                 words(model, &explanation.reason)
             ));

@@ -7,6 +7,7 @@ mod diagnosis;
 mod directions;
 mod dynamic;
 mod dynamic_ratio;
+mod group_levels;
 mod levels;
 mod model_check;
 mod own;
@@ -31,6 +32,7 @@ pub use diagnosis::shortage_notes;
 pub use directions::crossing_notes;
 pub use dynamic::DynamicParts;
 pub use dynamic_ratio::DynamicSides;
+pub use group_levels::{LevelRecord, UnitRecord};
 pub use levels::{LevelCounts, level_notes};
 pub use model_check::{FindingRecord, ModelCheckRecord, SEARCH_LEVEL, displacement_limit, holm, overall_size};
 pub use own::OwnRecord;
@@ -101,6 +103,13 @@ pub struct FitRecord {
     pub intervals: String,
     /// One entry per phase.
     pub phases: Vec<PhaseRecord>,
+    /// What varies from group to group of each level, the outermost first, and last from test to test; none where tests stand in no
+    /// groups.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub levels: Vec<LevelRecord>,
+    /// What is known of each group, level by level from the outermost on.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub groups: Vec<UnitRecord>,
     /// Dynamic parameters, one entry per level, in the order of the model and, within a parameter, of the texts of its levels.
     pub parameters: Vec<ParameterRecord>,
     /// Where searches for α from other starts ended, the best first.
@@ -191,6 +200,9 @@ pub struct ConstraintRecord {
     pub element: String,
     /// Its phase.
     pub phase: String,
+    /// The level of groups whose covariance it is of; null for a phase's own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub level: Option<String>,
     /// Value it is held at.
     pub value: f64,
     /// dℓ_max / d value.

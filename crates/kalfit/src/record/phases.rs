@@ -4,21 +4,43 @@ use nalgebra::DMatrix;
 
 use crate::estimate::Estimate;
 use crate::infer::{Boundary, Element, Inference};
-use crate::model::{CovarianceKind, MeanElement, PhasedModel, Regression};
+use crate::model::{CovarianceKind, MeanElement, MeanStructure, PhasedModel, Regression};
 use crate::plan::{InformationLost, Quantity, StdErrorRatio};
 use crate::record::cut::{Cut, phases_of};
 use crate::record::{
     BoundaryRecord, CovarianceRecord, FilterRecord, FitRecord, InformationLostRecord, InformationRecord, Interval,
-    MatrixRecord, MeanRecord, ObservabilityRecord, PhaseRecord, RegressionRecord, ScaleRecord, UnidentifiedRecord,
-    VectorRecord, WeakRecord,
+    LevelRecord, MatrixRecord, MeanRecord, ObservabilityRecord, PhaseRecord, RegressionRecord, ScaleRecord,
+    UnidentifiedRecord, VectorRecord, WeakRecord,
 };
 use crate::reduce::Reductions;
+
+/// Name of the tests' own level.
+const TESTS: &str = "tests";
 
 /// The only kind of filter there is.
 const KALMAN_SCHMIDT: &str = "kalman-schmidt";
 
-/// What was found of each phase.
-pub(super) fn phases(
+/// What was found of each phase, and of each level of groups, the outermost first, after which the tests' own stands.
+pub(super) fn phases_and_levels(
+    model: &PhasedModel,
+    estimate: &Estimate,
+    inference: &Inference,
+    reductions: &Reductions,
+) -> (Vec<PhaseRecord>, Vec<LevelRecord>) {
+    let mut blocks = blocks(model, estimate, inference, reductions);
+    let levels = blocks.split_off(model.phases.len());
+    let Some(grouping) = estimate.grouping() else { return (blocks, Vec::new()) };
+    let one = |(level, block): (usize, PhaseRecord)| {
+        let own = model.levels.iter().rev().nth(level).expect("a level for each block");
+        let column = Some(model.shared().text_columns[own.column].name.clone());
+        LevelRecord::new(own.name.clone(), column, grouping.groups(level).len(), &block)
+    };
+    let mut levels: Vec<LevelRecord> = levels.into_iter().enumerate().map(one).rev().collect();
+    levels.push(LevelRecord::new(TESTS.to_owned(), None, reductions.len(), &blocks[0]));
+    (blocks, levels)
+}
+
+fn blocks(
     model: &PhasedModel,
     estimate: &Estimate,
     inference: &Inference,
@@ -34,10 +56,18 @@ pub(super) fn phases(
         observability: seen.next().unwrap_or_default(),
         weakly_determined: weak.next().unwrap_or_default(),
         information: information.next().flatten(),
-        tests: Some(reductions.iter().filter(|r| phases_of(*r, model) > cut.index).count()),
+        tests: Some(tests_of(&cut, reductions, model)),
         ..phase(&cut, estimate, inference)
     };
-    Cut::all(model).into_iter().map(record).collect()
+    Cut::blocks(model).into_iter().map(record).collect()
+}
+
+/// Number of tests that have a phase.
+fn tests_of(cut: &Cut<'_>, reductions: &Reductions, model: &PhasedModel) -> usize {
+    match cut.level {
+        None => reductions.iter().filter(|r| phases_of(*r, model) > cut.index).count(),
+        Some(_) => reductions.len(),
+    }
 }
 
 fn phase(cut: &Cut<'_>, estimate: &Estimate, inference: &Inference) -> PhaseRecord {
@@ -45,7 +75,7 @@ fn phase(cut: &Cut<'_>, estimate: &Estimate, inference: &Inference) -> PhaseReco
     let (uncertainty, intervals) = (&inference.uncertainty, &inference.intervals);
     let deviations = estimate.covariance.diagonal().map(|v| v.max(0.0).sqrt());
     PhaseRecord {
-        name: cut.phase.name.clone(),
+        name: cut.name().to_owned(),
         units: model.estimated.iter().map(|&s| model.states[s].unit.clone()).collect(),
         mean: mean(cut, estimate, inference),
         covariance: covariance(cut, estimate, inference),
@@ -128,7 +158,8 @@ impl FitRecord {
 }
 
 fn mean(cut: &Cut<'_>, estimate: &Estimate, inference: &Inference) -> MeanRecord {
-    let (model, structure) = (&cut.phase.model, &cut.phase.model.mean);
+    let model = &cut.phase.model;
+    let structure = if cut.level.is_some() { &MeanStructure::zero(cut.elements.len()) } else { &model.mean };
     let estimates = cut.list(&estimate.mean);
     let errors = cut.list(&inference.uncertainty.mean);
     let intervals = cut.list(&inference.intervals.mean);
@@ -168,7 +199,7 @@ fn covariance(cut: &Cut<'_>, estimate: &Estimate, inference: &Inference) -> Cova
             fixed[j][i] = true;
         }
     }
-    let proportional = matches!(cut.phase.model.covariance.kind, CovarianceKind::Proportional(_));
+    let proportional = matches!(cut.structure().kind, CovarianceKind::Proportional(_));
     let scale = proportional.then(|| estimate.covariance_scale(cut.index));
     CovarianceRecord {
         estimate: cut.block(&estimate.covariance),

@@ -12,7 +12,10 @@ pub struct TestRecord {
     /// Its text in the column that tests are grouped by; null where there is none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub group: Option<String>,
-    /// log p of its measurements.
+    /// Names of its groups where the model has levels, the outermost first.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub groups: Vec<String>,
+    /// log p of its measurements; of a test in groups by itself.
     pub log_likelihood: f64,
     /// Scalar measurements used.
     pub observations: usize,

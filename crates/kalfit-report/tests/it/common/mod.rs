@@ -94,6 +94,8 @@ pub(crate) fn record(title: &str, phases: Vec<PhaseRecord>) -> FitRecord {
         tests: tests(&[0.4, 0.7, 0.021, 0.9]),
         group_column: None,
         by_group: vec![],
+        levels: vec![],
+        groups: vec![],
         group_test: None,
         notes: vec![],
     }
@@ -101,6 +103,7 @@ pub(crate) fn record(title: &str, phases: Vec<PhaseRecord>) -> FitRecord {
 
 pub(crate) fn tests(p_values: &[f64]) -> Vec<TestRecord> {
     let test = |(i, &p): (usize, &f64)| TestRecord {
+        groups: Vec::new(),
         group: None,
         id: format!("{}", 308 + i),
         log_likelihood: -48.0,
@@ -208,6 +211,7 @@ pub(crate) fn constrained() -> FitRecord {
     });
     let mut record = record("Gyro bench", vec![main]);
     let constraint = |element: &str, p: f64| ConstraintRecord {
+        level: None,
         element: element.into(),
         phase: "main".into(),
         value: 0.0,

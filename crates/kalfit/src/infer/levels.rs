@@ -1,0 +1,158 @@
+//! What tests say of themselves and of each other where they stand in groups (theory §11): posteriors and distances of tests and of
+//! groups, and the answer without each of them.
+
+use nalgebra::DMatrix;
+use rayon::prelude::*;
+
+use crate::estimate::{
+    Estimate, LevelPosteriors, Order, Point, Problem, Silent, Stop, TestPosterior, Units, fit_from, level_posteriors,
+};
+use crate::infer::deletion::Deletion;
+use crate::infer::posterior::{Distance, Posterior, distance};
+use crate::linalg::symmetric;
+use crate::model::Population;
+use crate::reduce::Reductions;
+
+/// What is known of one group.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GroupPosterior {
+    /// log p of all measurements of its tests, by themselves.
+    pub log_likelihood: f64,
+    /// E[m | z] of the mean m of its members, regressions apart (p).
+    pub mean: Vec<f64>,
+    /// Var[m | z] (p × p).
+    pub covariance: DMatrix<f64>,
+    /// How far the group is from the population.
+    pub distance: Distance,
+    /// Number of its tests.
+    pub tests: usize,
+}
+
+/// An estimate of tests in groups, with its reductions in what is a test's own and what each of its groups adds.
+struct Ensemble<'a> {
+    estimate: &'a Estimate,
+    evidence: &'a Reductions,
+    units: &'a Units,
+}
+
+impl Ensemble<'_> {
+    fn problem(&self) -> &Problem {
+        &self.estimate.state.problem
+    }
+
+    fn at(&self, point: &Point) -> LevelPosteriors {
+        let constants: Vec<f64> = self.evidence.iter().map(|reduction| reduction.constant).collect();
+        level_posteriors(self.units, (point, &self.problem().mean.regressors), Some(&constants), false)
+    }
+
+    /// In the user's units.
+    fn mean(&self, mean: &[f64]) -> Vec<f64> {
+        let frame = &self.problem().classes.frame;
+        mean.iter().zip(&frame.centre).zip(&frame.scale).map(|((x, centre), scale)| centre + scale * x).collect()
+    }
+
+    fn covariance(&self, numbers: &[f64]) -> DMatrix<f64> {
+        let (p, scale) = (self.units.states, &self.problem().classes.frame.scale);
+        symmetric::scaled(&scale[..p], |i, k| numbers[i * p + k])
+    }
+
+    fn group(&self, found: &crate::estimate::GroupPosterior, tests: usize) -> GroupPosterior {
+        GroupPosterior {
+            log_likelihood: found.log_density,
+            mean: self.mean(&found.mean),
+            covariance: self.covariance(&found.covariance),
+            distance: Distance::new(found.squared, found.degrees_of_freedom),
+            tests,
+        }
+    }
+}
+
+/// Posteriors of all tests, in their order, and of the groups of each level, the innermost first; `None` where there are no groups.
+/// A test's likelihood and distance are those of the test by itself.
+pub(super) fn posteriors(
+    estimate: &Estimate,
+    evidence: &Reductions,
+) -> Option<(Vec<Posterior>, Vec<Vec<GroupPosterior>>)> {
+    let problem = &estimate.state.problem;
+    let classes = problem.classes.of(evidence);
+    let ensemble = Ensemble { estimate, evidence, units: classes.units.as_ref()? };
+    let point = &estimate.state.place.point;
+    let found = ensemble.at(point);
+    let grouping = &ensemble.units.grouping;
+    let one = |j: usize| {
+        let number = grouping.number(evidence.id(j)).expect("it was grouped");
+        let TestPosterior { mean, covariance, .. } = &found.tests[number];
+        let (log_likelihood, distance) = distance(problem, point, evidence.get(j));
+        Posterior {
+            log_likelihood,
+            mean: ensemble.mean(mean),
+            covariances: vec![ensemble.covariance(covariance)],
+            distance,
+        }
+    };
+    let tests = (0..evidence.len()).into_par_iter().map(one).collect();
+    let of_level = |(level, groups): (usize, &Vec<crate::estimate::GroupPosterior>)| {
+        groups.iter().zip(grouping.groups(level)).map(|(one, group)| ensemble.group(one, group.tests)).collect()
+    };
+    Some((tests, found.groups.iter().enumerate().map(of_level).collect()))
+}
+
+/// The fit without each test, in their order, and without each group of each level, the innermost first. `None` where the others alone
+/// have no certified optimum, and where there are no others.
+pub(super) fn deletions(
+    estimate: &Estimate,
+    evidence: &Reductions,
+) -> Option<(Vec<Option<Deletion>>, Vec<Vec<Option<Deletion>>>)> {
+    let problem = &estimate.state.problem;
+    let classes = problem.classes.of(evidence);
+    let ensemble = Ensemble { estimate, evidence, units: classes.units.as_ref()? };
+    let whole = problem.likelihood(&estimate.state.place.point, Order::First).value;
+    let tests = (0..evidence.len()).into_par_iter().map(|j| {
+        let (point, found) = ensemble.without(&[j], whole)?;
+        let (_, distance) = distance(problem, &point, evidence.get(j));
+        Some(Deletion { distance, ..found })
+    });
+    let tests = tests.collect();
+    let grouping = &ensemble.units.grouping;
+    let of_level = |level: usize| -> Vec<Option<Deletion>> {
+        let mut members = vec![Vec::new(); grouping.groups(level).len()];
+        for j in 0..evidence.len() {
+            let number = grouping.number(evidence.id(j)).expect("it was grouped");
+            members[grouping.group_of(number, level)].push(j);
+        }
+        let without = |(group, members): (usize, &Vec<usize>)| {
+            let (point, found) = ensemble.without(members, whole)?;
+            let own = &ensemble.at(&point).groups[level][group];
+            Some(Deletion { distance: Distance::new(own.squared, own.degrees_of_freedom), ..found })
+        };
+        members.par_iter().enumerate().map(without).collect()
+    };
+    Some((tests, (0..grouping.depth()).map(of_level).collect()))
+}
+
+impl Ensemble<'_> {
+    /// The fit without some tests, and where it ends; its distance is not looked at.
+    fn without(&self, removed: &[usize], whole: f64) -> Option<(Point, Deletion)> {
+        let kept: Vec<usize> = (0..self.evidence.len()).filter(|j| !removed.contains(j)).collect();
+        if kept.is_empty() {
+            return None;
+        }
+        let (state, problem) = (&self.estimate.state, self.problem());
+        let (others, structure) = (self.evidence.select(&kept), state.structure());
+        let start = Population::from(self.estimate);
+        let found = fit_from(&others, &structure, &start, &state.settings, &mut Silent).ok()?;
+        if found.stop != Stop::Certified {
+            return None;
+        }
+        let point = problem.point_of(&Population::from(&found));
+        let there = problem.likelihood(&point, Order::First).value;
+        let of_others = Problem::within(&others, &structure, problem).ok()?.likelihood(&point, Order::First).value;
+        let deletion = Deletion {
+            estimate: problem.values_of(&point),
+            log_density: there - of_others,
+            distance: Distance::new(0.0, 0),
+            displacement: (2.0 * (whole - there)).max(0.0),
+        };
+        Some((point, deletion))
+    }
+}

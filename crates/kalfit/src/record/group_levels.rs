@@ -1,0 +1,116 @@
+//! Levels of groups, and the groups, as records.
+
+use serde::{Deserialize, Serialize};
+
+use crate::ensemble::{Grouping, Labels};
+use crate::infer::{GroupPosterior, Inference};
+use crate::model::PhasedModel;
+use crate::record::{
+    BoundaryRecord, CovarianceRecord, DeletionRecord, FitRecord, MatrixRecord, PhaseRecord, SquareRecord,
+    UnidentifiedRecord, VectorRecord,
+};
+
+/// What varies from group to group of a level, or from test to test within the groups.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LevelRecord {
+    /// Its name; `tests` for the tests' own.
+    pub name: String,
+    /// The column that names its groups; null for the tests' own.
+    pub column: Option<String>,
+    /// Number of groups; of tests for their own level.
+    pub groups: usize,
+    /// Estimated states, in the order of every matrix.
+    pub states: Vec<String>,
+    /// Σ of the level.
+    pub covariance: CovarianceRecord,
+    /// Square roots of its diagonal.
+    pub std_dev: VectorRecord,
+    /// Correlations.
+    pub correlation: MatrixRecord,
+    /// Where it is on the boundary of the positive semidefinite cone.
+    pub boundary: Vec<BoundaryRecord>,
+    /// Directions the data say nothing about.
+    pub unidentified: Vec<UnidentifiedRecord>,
+}
+
+/// What is known of one group.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct UnitRecord {
+    /// Name of its level.
+    pub level: String,
+    /// Its name after those of the groups that it stands in, the outermost first.
+    pub id: Vec<String>,
+    /// Number of its tests.
+    pub tests: usize,
+    /// log p of all measurements of its tests, by themselves.
+    pub log_likelihood: f64,
+    /// E of the mean of its members given all tests.
+    pub mean: Vec<f64>,
+    /// Its covariance.
+    pub covariance: SquareRecord,
+    /// Standardised squared distance of the group from the population.
+    pub distance: Option<f64>,
+    /// Its degrees of freedom: rank of what its tests inform.
+    pub degrees_of_freedom: usize,
+    /// Its χ² p-value.
+    pub p_value: Option<f64>,
+    /// The fit without the group; null when it was not asked for or has no certified optimum.
+    #[serde(default)]
+    pub deletion: Option<DeletionRecord>,
+}
+
+impl LevelRecord {
+    pub(super) fn new(name: String, column: Option<String>, groups: usize, block: &PhaseRecord) -> LevelRecord {
+        LevelRecord {
+            name,
+            column,
+            groups,
+            states: block.states.clone(),
+            covariance: block.covariance.clone(),
+            std_dev: block.std_dev.clone(),
+            correlation: block.correlation.clone(),
+            boundary: block.boundary.clone(),
+            unidentified: block.unidentified.clone(),
+        }
+    }
+}
+
+impl FitRecord {
+    /// Says which groups each test stands in, by name, and what is known of each group.
+    pub fn add_levels(
+        &mut self,
+        (model, labels): (&PhasedModel, &Labels),
+        grouping: Option<&Grouping>,
+        inference: &Inference,
+    ) {
+        let Some(grouping) = grouping else { return };
+        let names = |level: usize, group: usize| -> Vec<String> {
+            grouping.groups(level)[group].path.iter().map(|&name| labels.text(name).to_owned()).collect()
+        };
+        for test in &mut self.tests {
+            let Some(number) = grouping.number(&test.id) else { continue };
+            test.groups = names(0, grouping.group_of(number, 0));
+        }
+        let unit = |level: usize, name: &str, group: usize, found: &GroupPosterior| UnitRecord {
+            level: name.to_owned(),
+            id: names(level, group),
+            tests: found.tests,
+            log_likelihood: found.log_likelihood,
+            mean: found.mean.clone(),
+            covariance: (&found.covariance).into(),
+            distance: (found.distance.degrees_of_freedom > 0).then_some(found.distance.squared),
+            degrees_of_freedom: found.distance.degrees_of_freedom,
+            p_value: found.distance.p_value,
+            deletion: inference
+                .group_deletions
+                .as_ref()
+                .and_then(|all| all[level][group].as_ref())
+                .map(|found| DeletionRecord::new(model, found)),
+        };
+        for (at, level) in model.levels.iter().enumerate() {
+            let inner = model.levels.len() - 1 - at;
+            let Some(found) = inference.groups.get(inner) else { continue };
+            self.groups.extend(found.iter().enumerate().map(|(group, one)| unit(inner, &level.name, group, one)));
+        }
+    }
+}
