@@ -12,7 +12,7 @@ use kalfit::estimate::{Derivatives, Likelihood, pass_flops};
 use kalfit::model::{
     Alpha, Clock, Column, CovarianceStructure, Expression, Initial, Linear, MeanStructure, Measurement, Motion, State,
 };
-use kalfit::reduce::{Path, Reducer, Reduction, reduction_flops};
+use kalfit::reduce::{Path, Reducer, Reduction, Reductions, reduction_flops};
 use kalfit::{Model, Source, Test};
 use nalgebra::DMatrix;
 use rand::{RngExt, SeedableRng};
@@ -95,7 +95,7 @@ fn pass(p: usize, derivatives: Derivatives, name: &str, peak: f64) {
     );
 }
 
-fn random_reductions(p: usize, tests: usize) -> Vec<Reduction> {
+fn random_reductions(p: usize, tests: usize) -> Reductions {
     let mut rng = ChaCha8Rng::seed_from_u64(SEED);
     let mut normal = move || -> f64 { rng.sample(StandardNormal) };
     let reduction = |j: usize| Reduction {

@@ -168,7 +168,7 @@ fn probe(drawn: &Drawn, end: &DynamicFit, directions: usize, random: &mut ChaCha
         let alpha = Alpha { values: values.iter().map(|value| Level::Common(*value)).collect() };
         let mut reducer = PhasedReducer::new(&drawn.model, &alpha).ok()?;
         let reductions = reducer.reduce(&drawn.tests).ok()?;
-        let structure = Structure::of(&drawn.model, &alpha);
+        let structure = Structure::of(&drawn.model, &alpha, None);
         let fit = estimate::fit_from(&reductions, &structure, &near, &estimate::Settings::default(), &mut Silent);
         fit.ok().map(|fit| fit.log_likelihood).filter(|value| value.is_finite())
     };

@@ -6,7 +6,7 @@ use kalfit::record::{
     DataRecord, InformationRecord, LevelCounts, ObservabilityRecord, UnidentifiedRecord, WeakRecord, crossing_notes,
     level_notes, shortage_notes,
 };
-use kalfit::{Alpha, Evidence, Model, PhasedModel, PhasedTest, Reduction, infer};
+use kalfit::{Alpha, Evidence, Model, PhasedModel, PhasedTest, Reductions, infer};
 use kalfit_data::Reading;
 use kalfit_report::{CheckRecord, Checked, CheckedPhase, ParameterCounts, PhaseCounts};
 use kalfit_spec::Spec;
@@ -111,11 +111,11 @@ fn starts(
 fn examined(
     (model, counts): (&PhasedModel, Vec<PhaseCounts>),
     alpha: &Alpha,
-    reductions: &[Reduction],
+    reductions: &Reductions,
     files: Vec<String>,
     (mut notes, at_start_of): (Vec<String>, Vec<String>),
 ) -> Result<Checked, Failure> {
-    let found = infer::examine_at_start(reductions, &Structure::of(model, alpha)).map_err(Failure::Fit)?;
+    let found = infer::examine_at_start(reductions, &Structure::of(model, alpha, None)).map_err(Failure::Fit)?;
     let infer::Examination { unidentified, explanations, observability, phases } = &found;
     let mut said = crossing_notes(model, unidentified, explanations, observability);
     said.extend(shortage_notes(model, observability));

@@ -119,7 +119,8 @@ pub(crate) fn failure(error: DynamicError, reading: &Reading) -> Failure {
     match error {
         DynamicError::Reduce(error) => Failure::Reduce { error: *error, reading: Some(Box::new(reading.clone())) },
         DynamicError::Fit(error) => Failure::Fit(error),
-        error @ (DynamicError::Marginal { .. }
+        error @ (DynamicError::Grouping(_)
+        | DynamicError::Marginal { .. }
         | DynamicError::Expected { .. }
         | DynamicError::FixedReduction { .. }) => Failure::Dynamic(Box::new(error)),
     }

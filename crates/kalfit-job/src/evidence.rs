@@ -6,7 +6,7 @@ use std::io::Read;
 
 use kalfit::model::Parameter;
 use kalfit::reduce::SplitError;
-use kalfit::{Evidence, Labels, PhasedModel, PhasedTest, Reduction, Test};
+use kalfit::{Evidence, Labels, PhasedModel, PhasedTest, Reductions, Test};
 use kalfit_data::exchange::{
     Assembly, Entry, ExchangeError, Metadata, ParameterValue, Sorted, Source, difference, merge, read_estimates,
     read_reductions, sort, twice,
@@ -88,10 +88,9 @@ impl Given {
     ///
     /// # Errors
     /// Files that are wrong, a test given twice, or nobody who waits.
-    pub(crate) fn reduced(&self, spec: &Spec, work: &mut Work<'_>) -> Result<Vec<Reduction>, Failure> {
-        let mut tests = Reduced { reductions: Vec::new(), places: Vec::new() };
+    pub(crate) fn reduced(&self, spec: &Spec, work: &mut Work<'_>) -> Result<Reductions, Failure> {
+        let mut tests = Reduced { reductions: Reductions::new(), places: Vec::new() };
         let mut stopped = false;
-        tests.reductions.reserve_exact(self.reductions.iter().map(Source::rows_hint).sum());
         for source in &self.reductions {
             let read = read_reductions(source, &spec.model, &mut |entry| {
                 let done = tests.reductions.len();
@@ -230,7 +229,7 @@ const ASK: usize = 1 << 14;
 
 /// Reductions of tests in one phase, and where each stands.
 struct Reduced {
-    reductions: Vec<Reduction>,
+    reductions: Reductions,
     places: Vec<kalfit::Source>,
 }
 
@@ -244,7 +243,7 @@ impl Reduced {
 
     /// Refuses the first test that was there before. Ids of equal hash are looked at, in their order.
     fn refuse_twice(&self, model: &PhasedModel, files: &[String]) -> Result<(), DataError> {
-        let id = |j: usize| self.reductions[j].test.as_str();
+        let id = |j: usize| self.reductions.get(j).test;
         let hashed = |j: usize| {
             let mut hasher = DefaultHasher::new();
             id(j).hash(&mut hasher);

@@ -408,6 +408,7 @@ fn fit_hint(error: &FitError) -> Option<&'static str> {
         FitError::NotFinite => Some("give start values in `[mean]` and `[covariance]` nearer to what is expected"),
         FitError::NotMonotone { .. } => Some("choose units in which the states are of comparable size"),
         FitError::NoPhases { .. } | FitError::RestrictedMarginal => Some("use `--phases chain`"),
+        FitError::Ungrouped { .. } => Some("give the rows of the test, which name its groups"),
         FitError::NoTests | FitError::Structure(_) => None,
     }
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use kalfit::estimate::{self, Combination, Criterion, Estimate, Stop, Structure};
 use kalfit::record::{GroupTestRecord, TestGroups};
-use kalfit::{Alpha, FitRecord, Labels, PhasedModel, PhasedTest, Reduction};
+use kalfit::{Alpha, FitRecord, Labels, PhasedModel, PhasedTest, Reductions};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::evidence::Given;
@@ -48,7 +48,7 @@ pub(crate) fn add(
     job: &FitJob,
     record: &mut FitRecord,
     groups: &TestGroups,
-    (model, alpha, estimate, reductions): (&PhasedModel, &Alpha, &Estimate, &[Reduction]),
+    (model, alpha, estimate, reductions): (&PhasedModel, &Alpha, &Estimate, &Reductions),
     work: &mut Work<'_>,
 ) -> Result<(), Failure> {
     record.add_groups(groups);
@@ -57,7 +57,7 @@ pub(crate) fn add(
     }
     work.say(|| "fitting each group by itself".to_owned());
     let parts = parts(groups, reductions)?;
-    let structure = Structure::of(model, alpha);
+    let structure = Structure::of(model, alpha, None);
     let (mut log_likelihood, mut on_boundary) = (0.0, false);
     for (group, reductions) in &parts {
         let own = estimate::fit(reductions, &structure, &job.settings, work).map_err(Failure::Fit)?;
@@ -95,16 +95,16 @@ pub(crate) fn add(
 }
 
 /// The reductions of each group.
-fn parts(groups: &TestGroups, reductions: &[Reduction]) -> Result<BTreeMap<String, Vec<Reduction>>, Failure> {
+fn parts(groups: &TestGroups, reductions: &Reductions) -> Result<BTreeMap<String, Reductions>, Failure> {
     let of: BTreeMap<&str, Option<&str>> =
         groups.each().iter().map(|(id, group)| (id.as_str(), group.as_deref())).collect();
-    let mut parts: BTreeMap<String, Vec<Reduction>> = BTreeMap::new();
+    let mut parts: BTreeMap<String, Reductions> = BTreeMap::new();
     for reduction in reductions {
-        let Some(group) = of.get(reduction.test.as_str()).copied().flatten() else {
+        let Some(group) = of.get(reduction.test).copied().flatten() else {
             let problem = "some tests are of no group: their cells in the column of groups are empty";
             return Err(Failure::GroupTest { problem, hint: "fill the column in every test" });
         };
-        parts.entry(group.to_owned()).or_default().push(reduction.clone());
+        parts.entry(group.to_owned()).or_default().push(reduction.into());
     }
     if parts.len() < 2 {
         let problem = "all tests are of one group";

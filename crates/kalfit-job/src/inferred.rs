@@ -4,7 +4,7 @@ use kalfit::estimate::Structure;
 use kalfit::infer::{Choices, DeletionChoice, IntervalKind};
 use kalfit::model::Population;
 use kalfit::record::{Provenance, TestGroups};
-use kalfit::{Alpha, FitRecord, Reduction, estimate, infer};
+use kalfit::{Alpha, FitRecord, Reductions, estimate, infer};
 use kalfit_spec::Spec;
 
 use crate::evidence::Given;
@@ -18,10 +18,10 @@ pub(crate) fn record(
     job: &FitJob,
     spec: &Spec,
     given: &Given,
-    (alpha, reductions, groups): (&Alpha, &[Reduction], Option<&TestGroups>),
+    (alpha, reductions, groups): (&Alpha, &Reductions, Option<&TestGroups>),
     work: &mut Work<'_>,
 ) -> Result<(FitRecord, Population), Failure> {
-    let structure = Structure::of(&spec.model, alpha);
+    let structure = Structure::of(&spec.model, alpha, None);
     let estimate = estimate::fit(reductions, &structure, &job.settings, work).map_err(Failure::Fit)?;
     let inference = infer::infer(&estimate, reductions, patience(job.choices, work));
     let provenance = Provenance {

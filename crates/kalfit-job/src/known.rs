@@ -3,7 +3,7 @@
 use kalfit::estimate::{Estimate, Progress, Structure};
 use kalfit::infer::{Bootstrap, NotNested, at_least, bootstrap_while, fit_null, likelihood_ratio};
 use kalfit::record::{PartRecord, RatioProvenance, RatioRecord};
-use kalfit::{Alpha, PhasedModel, Reduction, estimate};
+use kalfit::{Alpha, PhasedModel, Reductions, estimate};
 use kalfit_spec::{Hypothesis, Spec};
 
 use crate::failure::Failure;
@@ -15,13 +15,13 @@ use crate::work::Work;
 pub(crate) fn test(
     job: &TestJob,
     (spec, hypothesis): (&Spec, &Hypothesis),
-    (alpha, reductions): (&Alpha, &[Reduction]),
+    (alpha, reductions): (&Alpha, &Reductions),
     provenance: RatioProvenance,
     work: &mut Work<'_>,
 ) -> Result<RatioRecord, Failure> {
     let bench = Bench { job, model: &spec.model, null: &hypothesis.model, alpha, reductions };
-    let wide =
-        estimate::fit(reductions, &Structure::of(&spec.model, alpha), &job.settings, work).map_err(Failure::Fit)?;
+    let wide = estimate::fit(reductions, &Structure::of(&spec.model, alpha, None), &job.settings, work)
+        .map_err(Failure::Fit)?;
     let null = bench.fit(&hypothesis.model, work)?;
     let wide = at_least(wide, &null, reductions).map_err(Failure::Fit)?;
     let ratio = likelihood_ratio(&null, &wide).map_err(Failure::NotNested)?;
@@ -54,12 +54,12 @@ struct Bench<'a> {
     model: &'a PhasedModel,
     null: &'a PhasedModel,
     alpha: &'a Alpha,
-    reductions: &'a [Reduction],
+    reductions: &'a Reductions,
 }
 
 impl Bench<'_> {
     fn fit(&self, model: &PhasedModel, progress: &mut dyn Progress) -> Result<Estimate, Failure> {
-        let (within, structure) = (Structure::of(self.model, self.alpha), Structure::of(model, self.alpha));
+        let (within, structure) = (Structure::of(self.model, self.alpha, None), Structure::of(model, self.alpha, None));
         fit_null(self.reductions, &within, &structure, &self.job.settings, progress)
             .ok_or(Failure::NotNested(NotNested::Mean))?
             .map_err(Failure::Fit)

@@ -4,7 +4,7 @@ use kalfit::estimate::Structure;
 use kalfit::model::{PhasedModel, Population};
 use kalfit::plan::information_lost;
 use kalfit::record::InformationLostRecord;
-use kalfit::{Alpha, Evidence, FitRecord, PhasedTest, Reduction};
+use kalfit::{Alpha, Evidence, FitRecord, PhasedTest, Reductions};
 use kalfit_data::Reading;
 
 use crate::reductions;
@@ -19,7 +19,7 @@ pub(crate) fn filters_rows(model: &PhasedModel) -> bool {
 pub(crate) fn add(
     record: &mut FitRecord,
     (model, alpha, population): (&PhasedModel, &Alpha, &Population),
-    reductions: &[Reduction],
+    reductions: &Reductions,
     (tests, reading): (&[PhasedTest], &Reading),
 ) {
     for i in 0..model.phases.len() {
@@ -37,7 +37,7 @@ pub(crate) fn add(
             ));
             continue;
         };
-        match information_lost(&raw, reductions, &Structure::of(model, alpha), population) {
+        match information_lost(&raw, reductions, &Structure::of(model, alpha, None), population) {
             Ok(lost) => record.add_information_lost(i, InformationLostRecord::new(model, i, &lost)),
             Err(error) => record.notes.push(format!("what a filter lost is not known: {error}")),
         }

@@ -6,7 +6,7 @@ use kalfit::plan;
 use kalfit::record::DataRecord;
 use kalfit::record::{PlanProvenance, PlanRecord};
 use kalfit::reduce::PhasedReducer;
-use kalfit::{Alpha, Labels, Reduction, Test};
+use kalfit::{Alpha, Labels, Reductions, Test};
 use kalfit_data::{Input, Sink};
 use kalfit_spec::Spec;
 
@@ -30,7 +30,7 @@ pub fn plan(job: &PlanJob, watch: &mut dyn Watch) -> Result<Done<PlanRecord>, Fa
     let output = Output::prepare_for(("--out", Contents::Json), job.out.as_deref(), &used)?;
     let mut work = Work::new(watch);
     let reductions = designs(&spec, &truth.alpha, &inputs, &mut work)?;
-    let structure = Structure::of(&spec.model, &truth.alpha);
+    let structure = Structure::of(&spec.model, &truth.alpha, None);
     let states = spec.model.estimated_names();
     work.go_on()?;
     let found = plan::plan(&reductions, &structure, &truth.population, &job.tests)
@@ -50,11 +50,11 @@ pub fn plan(job: &PlanJob, watch: &mut dyn Watch) -> Result<Done<PlanRecord>, Fa
 }
 
 /// Reads the design and runs the covariance filters over it: what was measured is not looked at.
-fn designs(spec: &Spec, alpha: &Alpha, inputs: &[Input], work: &mut Work<'_>) -> Result<Vec<Reduction>, Failure> {
+fn designs(spec: &Spec, alpha: &Alpha, inputs: &[Input], work: &mut Work<'_>) -> Result<Reductions, Failure> {
     struct Designing<'a, 'w> {
         model: &'a PhasedModel,
         reducer: PhasedReducer,
-        reductions: Vec<Reduction>,
+        reductions: Reductions,
         work: &'a mut Work<'w>,
     }
     impl Sink for Designing<'_, '_> {
@@ -64,18 +64,18 @@ fn designs(spec: &Spec, alpha: &Alpha, inputs: &[Input], work: &mut Work<'_>) ->
             Refused::unless_stopped(self.work)?;
             let split = |test| self.model.split(test, labels).map_err(Refused::Split);
             let tests = tests.into_iter().map(split).collect::<Result<Vec<_>, _>>()?;
-            self.reductions.extend(self.reducer.reduce_designs(&tests).map_err(Refused::Reduce)?);
+            self.reductions.append(self.reducer.reduce_designs(&tests).map_err(Refused::Reduce)?);
             let done = self.reductions.len();
             self.work.say(|| format!("reading: {done} tests"));
             Ok(())
         }
 
         fn restart(&mut self) {
-            self.reductions.clear();
+            self.reductions = Reductions::new();
         }
     }
     let reducer = PhasedReducer::new(&spec.model, alpha).map_err(|error| Failure::Reduce { error, reading: None })?;
-    let mut sink = Designing { model: &spec.model, reducer, reductions: Vec::new(), work };
+    let mut sink = Designing { model: &spec.model, reducer, reductions: Reductions::new(), work };
     kalfit_data::read_from(&spec.model, &spec.layout, inputs, &mut sink, &mut stdin(inputs))
         .map_err(|error| refused::failure(error, spec))?;
     Ok(sink.reductions)

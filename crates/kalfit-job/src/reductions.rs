@@ -2,7 +2,7 @@
 
 use kalfit::record::TestGroups;
 use kalfit::reduce::PhasedReducer;
-use kalfit::{Alpha, Labels, PhasedModel, PhasedTest, Reduction, Test};
+use kalfit::{Alpha, Labels, PhasedModel, PhasedTest, Reductions, Test};
 use kalfit_data::{Reading, Sink};
 use kalfit_spec::Spec;
 
@@ -18,7 +18,7 @@ type Counted<'a> = &'a mut dyn FnMut(Option<&PhasedTest>);
 struct Reducing<'a, 'w> {
     model: &'a PhasedModel,
     reducer: PhasedReducer,
-    reductions: Vec<Reduction>,
+    reductions: Reductions,
     kept: &'a mut KeptTests,
     groups: Option<&'a mut TestGroups>,
     counted: Counted<'a>,
@@ -35,7 +35,7 @@ impl Sink for Reducing<'_, '_> {
             .map(|test| self.model.split(test, labels))
             .collect::<Result<_, _>>()
             .map_err(Refused::Split)?;
-        self.reductions.extend(self.reducer.reduce(&tests).map_err(Refused::Reduce)?);
+        self.reductions.append(self.reducer.reduce(&tests).map_err(Refused::Reduce)?);
         tests.iter().for_each(|test| (self.counted)(Some(test)));
         if let Some(groups) = &mut self.groups {
             groups.take(&tests, labels).map_err(Refused::Group)?;
@@ -51,7 +51,7 @@ impl Sink for Reducing<'_, '_> {
     }
 
     fn restart(&mut self) {
-        self.reductions.clear();
+        self.reductions = Reductions::new();
         (self.counted)(None);
         if let Some(groups) = &mut self.groups {
             groups.clear();
@@ -68,7 +68,7 @@ pub(crate) fn reduce(
     given: &Given,
     work: &mut Work<'_>,
     counted: Counted<'_>,
-) -> Result<Vec<Reduction>, Failure> {
+) -> Result<Reductions, Failure> {
     read(spec, alpha, given, (work, counted), &mut Kept::nothing())
 }
 
@@ -79,7 +79,7 @@ pub(crate) fn reduce_keeping(
     given: &Given,
     work: &mut Work<'_>,
     kept: &mut Kept,
-) -> Result<Vec<Reduction>, Failure> {
+) -> Result<Reductions, Failure> {
     read(spec, alpha, given, (work, &mut |_| ()), kept)
 }
 
@@ -89,7 +89,7 @@ fn read(
     given: &Given,
     (work, counted): (&mut Work<'_>, Counted<'_>),
     kept: &mut Kept,
-) -> Result<Vec<Reduction>, Failure> {
+) -> Result<Reductions, Failure> {
     let model = &spec.model;
     if !given.is_rows() {
         let (tests, reading) = given.tests(spec, model, work)?;
@@ -100,7 +100,7 @@ fn read(
     let mut stdin = given.stdin();
     let Kept { tests, copy, groups } = kept;
     let mut sink =
-        Reducing { model, reducer, reductions: Vec::new(), kept: tests, groups: groups.as_mut(), counted, work };
+        Reducing { model, reducer, reductions: Reductions::new(), kept: tests, groups: groups.as_mut(), counted, work };
     let mut stdin = copy.copying(&mut stdin);
     kalfit_data::read_from(model, &spec.layout, &given.inputs, &mut sink, &mut stdin)
         .map_err(|error| refused::failure(error, spec))?;
@@ -116,15 +116,15 @@ pub(crate) fn of_all(
     alpha: &Alpha,
     (tests, reading): (&[PhasedTest], &Reading),
     work: &mut Work<'_>,
-) -> Result<Vec<Reduction>, Failure> {
+) -> Result<Reductions, Failure> {
     let failed = |error| Failure::Reduce { error, reading: Some(Box::new(reading.clone())) };
     let mut reducer = PhasedReducer::new(model, alpha).map_err(failed)?;
-    let mut reductions = Vec::with_capacity(tests.len());
+    let mut reductions = Reductions::new();
     for batch in tests.chunks(BATCH) {
         work.go_on()?;
         work.share("reducing", reductions.len() as u64, tests.len() as u64);
         work.say(|| format!("reducing: {} tests", tests.len()));
-        reductions.extend(reducer.reduce(batch).map_err(failed)?);
+        reductions.append(reducer.reduce(batch).map_err(failed)?);
     }
     Ok(reductions)
 }
@@ -135,7 +135,7 @@ pub(crate) fn of(
     alpha: &Alpha,
     tests: &[PhasedTest],
     reading: &Reading,
-) -> Result<Vec<Reduction>, Failure> {
+) -> Result<Reductions, Failure> {
     PhasedReducer::new(model, alpha)
         .and_then(|mut reducer| reducer.reduce(tests))
         .map_err(|error| Failure::Reduce { error, reading: Some(Box::new(reading.clone())) })

@@ -26,11 +26,11 @@ pub mod reduce;
 pub mod score;
 pub mod simulate;
 
-pub use ensemble::{Label, Labels, Layout, Source, Test, TestKey};
+pub use ensemble::{Group, Grouping, Label, Labels, Layout, Source, Test, TestKey};
 pub use face::{Ensemble, EnsembleError, Figure, Fit, Options, UnknownName, fit, fit_matrices, fit_reductions};
 pub use model::{Alpha, Expression, Model, PhasedModel, Population};
 pub use record::{FitRecord, Provenance};
-pub use reduce::{Evidence, PhasedTest, Reduction};
+pub use reduce::{Evidence, PhasedTest, Reduction, ReductionRef, Reductions};
 
 /// The README's example, compiled and run.
 #[cfg(doctest)]

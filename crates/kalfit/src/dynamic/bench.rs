@@ -3,8 +3,8 @@
 
 use std::borrow::Cow;
 use std::collections::BTreeSet;
-use std::sync::OnceLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, OnceLock};
 
 use nalgebra::DVector;
 
@@ -15,9 +15,10 @@ use crate::dynamic::scale::{self, AtScale, Scale};
 use crate::dynamic::scales::Scales;
 use crate::dynamic::twins::Twins;
 use crate::dynamic::{Coordinate, DynamicError, Settings};
+use crate::ensemble::Grouping;
 use crate::estimate::{self, Criterion, Estimate, FitError, InitialLaw, NoiseInformation, Silent, Structure};
 use crate::model::{Alpha, PhasedModel, Population, Slots};
-use crate::reduce::{Evidence, PhasedReducer, PhasedTest, Reduction};
+use crate::reduce::{Evidence, PhasedReducer, PhasedTest, Reductions, grouping};
 use crate::score::{Companies, Gradient, Levels, PhasedComplete, PhasedScorer, carried};
 
 /// The ensemble and the model, ready for any α.
@@ -34,6 +35,8 @@ pub(crate) struct Bench<'a> {
     pub(crate) cone: BTreeSet<usize>,
     /// Processes that may change places.
     pub(crate) twins: Vec<Twins>,
+    /// The groups that tests stand in, where the model has levels.
+    grouping: Option<Arc<Grouping>>,
     units: OnceLock<Vec<f64>>,
     order: Vec<usize>,
     indirect: Indirect,
@@ -48,7 +51,7 @@ pub(crate) struct Bench<'a> {
 pub(crate) struct Reduced {
     /// What made the reductions; `None` where they were scaled from another α.
     reducer: Option<PhasedReducer>,
-    pub(crate) reductions: Vec<Reduction>,
+    pub(crate) reductions: Reductions,
 }
 
 /// ℓ at α with its gradient, at the best (μ, Σ).
@@ -67,7 +70,7 @@ pub(crate) struct Solved {
 #[derive(Debug, Clone)]
 pub(crate) enum Told {
     /// What each test says.
-    Tests(OfTests),
+    Tests(Box<OfTests>),
     /// The information in the only value, which scales all noise, and with (μ, Σ) along the tangent basis. What each test says is
     /// worked out when it is asked for.
     Scale(NoiseInformation),
@@ -76,7 +79,7 @@ pub(crate) enum Told {
 /// What each test says at an α.
 #[derive(Debug, Clone)]
 pub(crate) struct OfTests {
-    pub(crate) reductions: Vec<Reduction>,
+    pub(crate) reductions: Reductions,
     /// dℓ_j/dvalue.
     pub(crate) scores: Vec<Gradient>,
 }
@@ -122,6 +125,7 @@ impl<'a> Bench<'a> {
             cone: cone.into_iter().map(|(s, _)| s).collect(),
             settings,
             twins: Twins::of(model, slots),
+            grouping: grouping(model, tests).ok().flatten().map(Arc::new), // whether there is one is looked at before
             units: OnceLock::new(),
             order,
             indirect: Indirect::of(model, tests, slots),
@@ -207,7 +211,7 @@ impl<'a> Bench<'a> {
     }
 
     /// Runs the filters.
-    fn filter(&self, values: &[f64]) -> Result<(PhasedReducer, Vec<Reduction>), DynamicError> {
+    fn filter(&self, values: &[f64]) -> Result<(PhasedReducer, Reductions), DynamicError> {
         // where one value scales all noise, scores are known without a backward pass
         let made = if self.scale.is_some() { PhasedReducer::passing } else { PhasedReducer::scoring };
         let mut reducer = made(self.model, &self.alpha(values), self.slots).map_err(Box::new)?;
@@ -240,7 +244,7 @@ impl<'a> Bench<'a> {
         let matrix =
             matrix_gradient(self.model, &alpha, self.slots, &estimate.covariance, &estimate.state.covariance_score());
         let gradient = self.gradient(values, &scores, &matrix);
-        let told = Told::Tests(OfTests { reductions: reduced.reductions, scores });
+        let told = Told::Tests(Box::new(OfTests { reductions: reduced.reductions, scores }));
         Ok(Solved { values: values.to_vec(), alpha, estimate, gradient, told })
     }
 
@@ -253,7 +257,7 @@ impl<'a> Bench<'a> {
         far: f64,
     ) -> Result<Option<AtScale>, DynamicError> {
         let Some(scale) = &self.scale else { return Ok(None) };
-        let how = (&Structure::of(self.model, alpha), near, &self.settings.inner);
+        let how = (&self.structure(alpha), near, &self.settings.inner);
         let run = |value| Ok(self.filter(&[value])?.1);
         let found = scale.fit((values[0], self.coordinates[0]), (far, &run), how)?;
         let found = found.filter(|at| at.gradient.is_finite());
@@ -262,7 +266,7 @@ impl<'a> Bench<'a> {
     }
 
     /// The reductions at a solved α.
-    fn reductions_at<'s>(&self, home: &'s Solved) -> Result<Cow<'s, [Reduction]>, DynamicError> {
+    fn reductions_at<'s>(&self, home: &'s Solved) -> Result<Cow<'s, Reductions>, DynamicError> {
         match &home.told {
             Told::Tests(tests) => Ok(Cow::Borrowed(&tests.reductions)),
             Told::Scale(_) => Ok(Cow::Owned(self.reduce(&home.values)?.reductions)),
@@ -272,7 +276,7 @@ impl<'a> Bench<'a> {
     /// What each test says at a solved α.
     pub(crate) fn of_tests<'s>(&self, home: &'s Solved) -> Result<Cow<'s, OfTests>, DynamicError> {
         if let Told::Tests(tests) = &home.told {
-            return Ok(Cow::Borrowed(tests));
+            return Ok(Cow::Borrowed(&**tests));
         }
         let reduced = self.reduce(&home.values)?;
         let scores = self.scores(&home.values, &reduced, &home.estimate.state.law())?;
@@ -289,14 +293,19 @@ impl<'a> Bench<'a> {
         Some(estimate.log_likelihood).filter(|value| value.is_finite())
     }
 
+    /// What is assumed of μ and Σ at α.
+    fn structure<'s>(&'s self, alpha: &'s Alpha) -> Structure<'s> {
+        Structure::of(self.model, alpha, self.grouping.as_ref())
+    }
+
     /// The best (μ, Σ) on reductions.
     pub(crate) fn inner(
         &self,
-        reductions: &[Reduction],
+        reductions: &Reductions,
         alpha: &Alpha,
         near: Option<&Population>,
     ) -> Result<Estimate, DynamicError> {
-        let structure = Structure::of(self.model, alpha);
+        let structure = self.structure(alpha);
         let settings = &self.settings.inner;
         let estimate = match near {
             Some(start) => estimate::fit_from(reductions, &structure, start, settings, &mut Silent)?,
@@ -345,7 +354,7 @@ impl<'a> Bench<'a> {
     }
 
     /// The reductions at a solved α, and the estimate on them.
-    pub(crate) fn grounded(&self, home: Solved) -> Result<(Vec<Reduction>, Estimate), DynamicError> {
+    pub(crate) fn grounded(&self, home: Solved) -> Result<(Reductions, Estimate), DynamicError> {
         let Solved { values, estimate, told, .. } = home;
         if let Told::Tests(tests) = told {
             return Ok((tests.reductions, estimate));
@@ -419,7 +428,8 @@ impl<'a> Bench<'a> {
         let law = home.estimate.state.law();
         let reducer = PhasedReducer::scoring(self.model, &home.alpha, self.slots).map_err(Box::new)?;
         let scorer = PhasedScorer::new(self.model, &reducer, self.slots).map_err(Box::new)?;
-        Ok(scorer.all_complete(self.tests, &self.reductions_at(home)?, &law).map_err(Box::new)?)
+        let reductions = self.reductions_at(home)?;
+        Ok(scorer.all_complete(self.tests, &reductions, &law).map_err(Box::new)?)
     }
 
     /// The expected log-likelihood of the complete data at α and its gradient to the coordinates; `None` where it is not

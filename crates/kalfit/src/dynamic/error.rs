@@ -1,7 +1,7 @@
 //! Why dynamic parameters cannot be estimated.
 
 use crate::estimate::FitError;
-use crate::reduce::ReduceError;
+use crate::reduce::{GroupingError, ReduceError};
 
 /// Why there is no fit.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -12,6 +12,9 @@ pub enum DynamicError {
     /// μ and Σ cannot be estimated.
     #[error(transparent)]
     Fit(#[from] FitError),
+    /// Tests cannot be grouped.
+    #[error(transparent)]
+    Grouping(#[from] GroupingError),
     /// Free parameters, and phases put together by their marginals: what would be maximised is no likelihood of α.
     #[error("`{parameter}` is free, and `marginal` is for known parameters: found {free} free values, expected none")]
     Marginal {
@@ -49,6 +52,13 @@ impl DynamicError {
         match self {
             DynamicError::Reduce(error) => error.hint(),
             DynamicError::Fit(_) => None,
+            DynamicError::Grouping(GroupingError::NoRows { .. }) => {
+                Some("give the rows of the test, which name its groups")
+            }
+            DynamicError::Grouping(GroupingError::NoName { .. }) => Some("give every row the names of its groups"),
+            DynamicError::Grouping(GroupingError::Varies { .. }) => {
+                Some("a column of `levels` is constant within a test; tests of other groups have other ids")
+            }
             DynamicError::Marginal { .. } => {
                 Some("give every parameter a value, or put the phases together by `chain`")
             }

@@ -6,7 +6,7 @@ use crate::dynamic::{DynamicError, DynamicFit, OtherEnd, Settings, Standing, exp
 use crate::ensemble::Labels;
 use crate::estimate::{Combination, FitError, Progress, Stage, Stop};
 use crate::model::{PhasedModel, Slots};
-use crate::reduce::{Evidence, PhasedTest};
+use crate::reduce::{Evidence, PhasedTest, grouping};
 use crate::score::dependences;
 
 /// Log-likelihoods that differ by this part are equal.
@@ -128,6 +128,7 @@ pub fn start_values(
 /// What has no meaning while parameters are free.
 fn refuse(model: &PhasedModel, tests: &[PhasedTest], slots: &Slots, settings: &Settings) -> Result<(), DynamicError> {
     let name = |parameter: usize| model.shared().parameters[parameter].name.clone();
+    grouping(model, tests)?;
     if let (Some(slot), Combination::Marginal, false) =
         (slots.slots().first(), settings.inner.phases, model.is_single())
     {

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use crate::estimate::InitialLaw;
 use crate::model::{Alpha, PhasedModel, Slots};
-use crate::reduce::{Evidence, PhaseReduction, PhasedReducer, PhasedTest, ReduceError, Reduction};
+use crate::reduce::{Evidence, PhaseReduction, PhasedReducer, PhasedTest, ReduceError, Reductions};
 use crate::score::{Gradient, PhaseLaws, Plan, dependences};
 
 /// Step of a logarithm, and of other values in units of their size. Differences of fourth order are good to about 1e-11 of ℓ.
@@ -66,7 +66,7 @@ impl Indirect {
         &self,
         around: &Around<'_>,
         (reducer, values): (&PhasedReducer, &[f64]),
-        (reductions, law): (&[Reduction], &InitialLaw),
+        (reductions, law): (&Reductions, &InitialLaw),
         scores: &mut [Gradient],
     ) -> Result<(), ReduceError> {
         if self.tests.is_empty() {
@@ -85,7 +85,7 @@ impl Indirect {
             let home = pieces(reducer, &list)?;
             let (moved, steps) = self.moved(around, values, &colour, |reducer| pieces(reducer, &list))?;
             for (k, &(j, slot)) in touched.iter().enumerate() {
-                let laws = PhaseLaws::new(law, &around.model.ranges(), &reductions[j].covariates);
+                let laws = PhaseLaws::new(law, &around.model.ranges(), reductions.get(j).covariates);
                 let mut sum = 0.0;
                 for (there, (_, weight)) in moved.iter().zip(WEIGHTS) {
                     let mixed = mixed(around.model, &tests[j], &home[k], &there[k]);

@@ -185,8 +185,8 @@ impl Joint {
         for &s in colour {
             let mut row = DVector::zeros(self.inner.nrows());
             for &j in &touching.tests[s] {
-                row +=
-                    state.gradient_of(&sides[1].tests.reductions[j]) - state.gradient_of(&sides[0].tests.reductions[j]);
+                let [before, after] = sides.each_ref().map(|side| state.gradient_of(side.tests.reductions.get(j)));
+                row += after - before;
             }
             self.cross.set_row(s, &(row / width[&s]).transpose());
         }

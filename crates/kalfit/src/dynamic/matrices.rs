@@ -1,10 +1,11 @@
 //! Parameters in the matrices of the covariance structure: dℓ/dα through Σ at fixed coordinates of Σ.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
 
 use nalgebra::DMatrix;
 
-use crate::model::{Alpha, CovarianceKind, Expression, Model, PhasedModel, Scope, Slots, Tape};
+use crate::model::{Alpha, CovarianceKind, CovarianceStructure, Expression, PhasedModel, Scope, Slots, Tape};
 use crate::score::Gradient;
 
 /// dℓ/dvalue through Σ = Σ* (fixed), βΣ* (proportional) or DRD (correlation), from G with dℓ = tr(G dΣ), over all phases.
@@ -16,10 +17,10 @@ pub(crate) fn matrix_gradient(
     score: &DMatrix<f64>,
 ) -> Gradient {
     let mut sum = BTreeMap::new();
-    for (phase, range) in model.phases.iter().zip(model.ranges()) {
+    for (structure, range) in blocks(model) {
         let own =
             |matrix: &DMatrix<f64>| matrix.view((range.start, range.start), (range.len(), range.len())).into_owned();
-        for (slot, bar) in phase_gradient(&phase.model, alpha, slots, &own(sigma), &own(score)) {
+        for (slot, bar) in block_gradient(structure, alpha, slots, &own(sigma), &own(score)) {
             *sum.entry(slot).or_insert(0.0) += bar;
         }
     }
@@ -34,9 +35,9 @@ pub(crate) fn matrix_derivatives(
     sigma: &DMatrix<f64>,
 ) -> BTreeMap<usize, DMatrix<f64>> {
     let mut all = BTreeMap::new();
-    for (phase, range) in model.phases.iter().zip(model.ranges()) {
+    for (structure, range) in blocks(model) {
         let own = sigma.view((range.start, range.start), (range.len(), range.len())).into_owned();
-        each_derivative(&phase.model, alpha, slots, &own, &mut |slot, (i, j), slope| {
+        each_derivative(structure, alpha, slots, &own, &mut |slot, (i, j), slope| {
             let whole = all.entry(slot).or_insert_with(|| DMatrix::zeros(sigma.nrows(), sigma.ncols()));
             whole[(range.start + i, range.start + j)] += slope;
         });
@@ -44,34 +45,49 @@ pub(crate) fn matrix_derivatives(
     all
 }
 
-fn phase_gradient(model: &Model, alpha: &Alpha, slots: &Slots, sigma: &DMatrix<f64>, score: &DMatrix<f64>) -> Gradient {
-    let mut gradient: BTreeMap<usize, f64> = phase_slots(model, slots).into_iter().map(|slot| (slot, 0.0)).collect();
-    each_derivative(model, alpha, slots, sigma, &mut |slot, at, slope| {
+/// The structure of each block of Σ, and the states it is of: of each phase, or of the tests and then of each level of groups.
+fn blocks(model: &PhasedModel) -> impl Iterator<Item = (&CovarianceStructure, Range<usize>)> {
+    let p = model.dimension();
+    let phases = model.phases.iter().map(|phase| &phase.model.covariance).zip(model.ranges());
+    let levels = model.levels.iter().rev().enumerate();
+    phases.chain(levels.map(move |(l, level)| (&level.covariance, (l + 1) * p..(l + 2) * p)))
+}
+
+fn block_gradient(
+    structure: &CovarianceStructure,
+    alpha: &Alpha,
+    slots: &Slots,
+    sigma: &DMatrix<f64>,
+    score: &DMatrix<f64>,
+) -> Gradient {
+    let mut gradient: BTreeMap<usize, f64> =
+        block_slots(structure, slots).into_iter().map(|slot| (slot, 0.0)).collect();
+    each_derivative(structure, alpha, slots, sigma, &mut |slot, at, slope| {
         *gradient.entry(slot).or_insert(0.0) += score[at] * slope;
     });
     gradient.into_iter().collect()
 }
 
-/// dσ_ij/dvalue of one phase, for every element and every value that it depends on.
+/// dσ_ij/dvalue of one block, for every element and every value that it depends on.
 fn each_derivative(
-    model: &Model,
+    structure: &CovarianceStructure,
     alpha: &Alpha,
     slots: &Slots,
     sigma: &DMatrix<f64>,
     take: &mut dyn FnMut(usize, (usize, usize), f64),
 ) {
     let (CovarianceKind::Fixed(entries) | CovarianceKind::Proportional(entries) | CovarianceKind::Correlation(entries)) =
-        &model.covariance.kind
+        &structure.kind
     else {
         return;
     };
-    if phase_slots(model, slots).is_empty() {
+    if block_slots(structure, slots).is_empty() {
         return;
     }
     let scope = Scope { numbers: &[], texts: &[], step: 0.0, alpha };
     let value = |i: usize, j: usize| entries[i][j].evaluate(&scope).unwrap_or(0.0); // it had a value when Σ was made
     let star: f64 = (0..sigma.nrows()).map(|i| value(i, i)).sum();
-    let weight = |i: usize, j: usize| match &model.covariance.kind {
+    let weight = |i: usize, j: usize| match &structure.kind {
         CovarianceKind::Proportional(_) if star > 0.0 => sigma.trace() / star,
         CovarianceKind::Correlation(_) => (sigma[(i, i)] * sigma[(j, j)]).sqrt(),
         CovarianceKind::Fixed(_) => 1.0,
@@ -91,13 +107,13 @@ fn each_derivative(
 
 /// Free values that matrices of the structures depend on.
 pub(crate) fn slots(model: &PhasedModel, slots: &Slots) -> Vec<usize> {
-    let all: BTreeSet<usize> = model.phases.iter().flat_map(|phase| phase_slots(&phase.model, slots)).collect();
+    let all: BTreeSet<usize> = blocks(model).flat_map(|(structure, _)| block_slots(structure, slots)).collect();
     all.into_iter().collect()
 }
 
-fn phase_slots(model: &Model, slots: &Slots) -> Vec<usize> {
+fn block_slots(structure: &CovarianceStructure, slots: &Slots) -> Vec<usize> {
     let (CovarianceKind::Fixed(entries) | CovarianceKind::Proportional(entries) | CovarianceKind::Correlation(entries)) =
-        &model.covariance.kind
+        &structure.kind
     else {
         return Vec::new();
     };

@@ -59,7 +59,8 @@ fn population(
     wide: (&PhasedModel, &DynamicFit),
 ) -> Result<Option<LikelihoodRatio>, DynamicRatioError> {
     let (model, fit) = wide;
-    let (structure, within) = (Structure::of(null, &fit.alpha), Structure::of(model, &fit.alpha));
+    let of = |model| Structure::of(model, &fit.alpha, fit.estimate.grouping());
+    let (structure, within) = (of(null), of(model));
     let settings = &fit.estimate.state.settings;
     let narrow = fit_null(&fit.reductions, &within, &structure, settings, &mut Silent).ok_or(NotNested::Mean)??;
     match likelihood_ratio(&narrow, &fit.estimate) {

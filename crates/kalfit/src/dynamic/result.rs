@@ -4,7 +4,7 @@ use crate::dynamic::joint::Joint;
 use crate::dynamic::{Method, Settings, Standing};
 use crate::estimate::{Estimate, Stop};
 use crate::model::{Alpha, Slots};
-use crate::reduce::Reduction;
+use crate::reduce::Reductions;
 
 /// μ, Σ and α at the end of a search.
 #[derive(Debug, Clone)]
@@ -18,7 +18,7 @@ pub struct DynamicFit {
     /// The same as they are sought.
     pub(crate) sought: Vec<f64>,
     /// Reductions at α, in the order of the tests.
-    pub reductions: Vec<Reduction>,
+    pub reductions: Reductions,
     /// μ and Σ at α, with their own certificate.
     pub estimate: Estimate,
     /// Largest score of α in units of its standard error.

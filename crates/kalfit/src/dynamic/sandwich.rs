@@ -9,8 +9,7 @@ use crate::dynamic::bench::Bench;
 use crate::dynamic::covariances::Covariances;
 use crate::dynamic::matrices::matrix_gradient;
 use crate::dynamic::{DynamicError, DynamicFit};
-use crate::reduce::Reduction;
-use crate::score::Gradient;
+use crate::estimate::Sums;
 
 /// The covariances that the spread of the tests' scores gives, from those of the observed information.
 pub(crate) fn sandwich(
@@ -22,10 +21,12 @@ pub(crate) fn sandwich(
     let scores = bench.scores(&fit.sought, &reduced, &fit.estimate.state.law())?;
     let n = observed.whole.nrows();
     let mut sum = DMatrix::zeros(n, n);
-    for &j in bench.order() {
-        let score = score(bench, fit, &observed.shared, (&reduced.reductions[j], &scores[j]));
+    let state = &fit.estimate.state;
+    state.each_independent(&state.evidence(&reduced.reductions), &mut |tests, own| {
+        let of_tests = tests.iter().flat_map(|&j| scores[j].iter().copied());
+        let score = score(bench, fit, &observed.shared, (own, of_tests));
         sum.ger(1.0, &score, &score, 1.0);
-    }
+    });
     let whole = &observed.whole * sum * &observed.whole;
     let mut alpha = observed.alpha.clone();
     for (place, &s) in observed.shared.iter().enumerate() {
@@ -34,21 +35,21 @@ pub(crate) fn sandwich(
     Ok(Covariances { alpha, shared: observed.shared.clone(), whole })
 }
 
-/// The score of a test in the coordinates of the shared values, then along the tangent basis.
+/// The score of a test, or of all of a unit, in the coordinates of the shared values, then along the tangent basis.
 fn score(
     bench: &Bench<'_>,
     fit: &DynamicFit,
     shared: &[usize],
-    (reduction, of_test): (&Reduction, &Gradient),
+    (own, of_tests): (&Sums, impl Iterator<Item = (usize, f64)>),
 ) -> DVector<f64> {
     let state = &fit.estimate.state;
-    let of_sigma = state.covariance_score_of(reduction);
+    let of_sigma = state.covariance_score_of(own);
     let matrix = matrix_gradient(bench.model, &fit.alpha, bench.slots, &fit.estimate.covariance, &of_sigma);
-    let inner = state.gradient_of(reduction);
+    let inner = state.gradient_along(own);
     let mut score = DVector::zeros(shared.len() + inner.len());
-    for (slot, bar) in of_test.iter().chain(&matrix) {
-        if let Some(place) = shared.iter().position(|s| s == slot) {
-            score[place] += bar * bench.coordinates[*slot].slope(fit.sought[*slot]);
+    for (slot, bar) in of_tests.chain(matrix) {
+        if let Some(place) = shared.iter().position(|s| *s == slot) {
+            score[place] += bar * bench.coordinates[slot].slope(fit.sought[slot]);
         }
     }
     score.rows_mut(shared.len(), inner.len()).copy_from(&inner);

@@ -18,7 +18,7 @@ use rayon::prelude::*;
 use crate::dynamic::{Coordinate, DynamicError, matrices};
 use crate::estimate::{Estimate, InitialLaw, NoiseInformation, Noisy, Residual, Settings, Structure};
 use crate::model::{PhasedModel, Population, Slots};
-use crate::reduce::{Evidence, PhasedTest, Reduction};
+use crate::reduce::{Evidence, PhasedTest, ReductionMut, ReductionRef, Reductions};
 use crate::score::{Gradient, expected_square};
 
 /// Where variances are so many times as large as at θ_0, constants are small differences of large numbers; where they are so many
@@ -40,7 +40,7 @@ pub(crate) struct Scale {
 #[derive(Debug)]
 struct Home {
     value: f64,
-    reductions: Vec<Reduction>,
+    reductions: Reductions,
     /// n and r of each test.
     residuals: Vec<Residual>,
     noisy: OnceLock<Noisy>,
@@ -57,14 +57,17 @@ pub(crate) struct AtScale {
 }
 
 /// Runs the filters at a value of θ.
-type Run<'a> = &'a dyn Fn(f64) -> Result<Vec<Reduction>, DynamicError>;
+type Run<'a> = &'a dyn Fn(f64) -> Result<Reductions, DynamicError>;
 
 impl Scale {
-    /// `None` where α is not of this kind, where there are several phases, and where something is known otherwise than by rows.
+    /// `None` where α is not of this kind, where there are several phases or levels, and where something is known otherwise than by rows.
     pub(crate) fn of(model: &PhasedModel, tests: &[PhasedTest], slots: &Slots) -> Option<Scale> {
         let ([slot], [phase]) = (slots.slots(), &model.phases[..]) else { return None };
         let rows = |test: &PhasedTest| matches!(test.phases[..], [Evidence::Rows(_)]);
-        let more = slot.level.is_some() || phase.filter.is_some() || !matrices::slots(model, slots).is_empty();
+        let more = slot.level.is_some()
+            || !model.levels.is_empty()
+            || phase.filter.is_some()
+            || !matrices::slots(model, slots).is_empty();
         if more || !tests.iter().all(rows) {
             return None;
         }
@@ -82,7 +85,7 @@ impl Scale {
             Some(home) => home,
             None => {
                 let reductions = run(value)?;
-                let residual = |reduction: &Reduction| {
+                let residual = |reduction: ReductionRef<'_>| {
                     let squares = reduction.residual?.max(0.0); // rounding leaves less than nothing
                     Some(Residual { measurements: reduction.observations as f64, squares })
                 };
@@ -106,19 +109,21 @@ impl Scale {
     }
 
     /// The reductions at θ. `None` where θ is not one that others can be had from.
-    pub(crate) fn reductions(&self, value: f64, run: Run<'_>) -> Result<Option<Vec<Reduction>>, DynamicError> {
+    pub(crate) fn reductions(&self, value: f64, run: Run<'_>) -> Result<Option<Reductions>, DynamicError> {
         let Some((home, variance)) = self.home(value, EXACT, run)? else { return Ok(None) };
         let unit = variance.sqrt().recip();
-        let one = |(at, residual): (&Reduction, &Residual)| scaled(at, *residual, (variance, unit));
-        let all: Vec<Reduction> = home.reductions.par_iter().zip(&home.residuals).map(one).collect();
+        let mut all = home.reductions.clone();
+        for (number, residual) in home.residuals.iter().enumerate() {
+            scale(all.get_mut(number), *residual, (variance, unit));
+        }
         Ok(all.par_iter().all(is_finite).then_some(all))
     }
 
     /// dℓ_j/dθ of each test at θ and this law; `None` where the reductions are not from here.
-    pub(crate) fn scores(&self, value: f64, reductions: &[Reduction], law: &InitialLaw) -> Option<Vec<Gradient>> {
+    pub(crate) fn scores(&self, value: f64, reductions: &Reductions, law: &InitialLaw) -> Option<Vec<Gradient>> {
         let home = self.last().filter(|_| value > 0.0)?;
         let variance = self.variance(&home, value);
-        let one = |(at, residual): (&Reduction, &Residual)| {
+        let one = |(at, residual): (ReductionRef<'_>, &Residual)| {
             let expected = expected_square(at, law);
             let slope = 0.5 * (residual.squares / variance + expected - residual.measurements);
             vec![(0, self.power * slope / value)]
@@ -152,17 +157,14 @@ impl Scale {
     }
 }
 
-/// The reduction where variances are so many times as large, and √ of the inverse of that.
-fn scaled(at: &Reduction, residual: Residual, (variance, unit): (f64, f64)) -> Reduction {
-    let mut to = Reduction { residual: Some(residual.squares / variance), ..at.clone() };
-    to.constant += residual.change(variance);
-    let shrink = |numbers: &mut [f64]| numbers.iter_mut().for_each(|x| *x *= unit);
-    shrink(&mut to.data);
-    shrink(&mut to.factor);
-    to
+/// To where variances are so many times as large, and √ of the inverse of that.
+fn scale(test: ReductionMut<'_>, residual: Residual, (variance, unit): (f64, f64)) {
+    *test.residual = Some(residual.squares / variance);
+    *test.constant += residual.change(variance);
+    test.data.iter_mut().chain(test.factor).for_each(|x| *x *= unit);
 }
 
-fn is_finite(reduction: &Reduction) -> bool {
+fn is_finite(reduction: ReductionRef<'_>) -> bool {
     let all = |numbers: &[f64]| numbers.iter().all(|x| x.is_finite());
-    reduction.constant.is_finite() && all(&reduction.data) && all(&reduction.factor)
+    reduction.constant.is_finite() && all(reduction.data) && all(reduction.factor)
 }

@@ -5,18 +5,18 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use crate::reduce::{Chain, ChainPhase, Reduction};
+use crate::reduce::{Chain, ChainPhase, ReductionRef, Reductions};
 
 /// The reductions by the first and the last number of R, then in [`canonical`] order.
-pub(super) fn ordered(reductions: &[Reduction]) -> Vec<usize> {
+pub(super) fn ordered(reductions: &Reductions) -> Vec<usize> {
     // most are told apart by these numbers, which are looked at without a visit to each reduction
-    let ends = |reduction: &Reduction| {
+    let ends = |reduction: ReductionRef<'_>| {
         let factor = &reduction.factor;
         (factor.first().map_or(0, |x| ordinal(*x)), factor.last().map_or(0, |x| ordinal(*x)))
     };
     let mut order: Vec<_> = reductions.par_iter().map(ends).enumerate().map(|(j, ends)| (ends, j)).collect();
     order.par_sort_unstable_by(|a, b| {
-        a.0.cmp(&b.0).then_with(|| canonical(&reductions[a.1], &reductions[b.1])).then_with(|| a.1.cmp(&b.1))
+        a.0.cmp(&b.0).then_with(|| canonical(reductions.get(a.1), reductions.get(b.1))).then_with(|| a.1.cmp(&b.1))
     });
     order.into_iter().map(|(_, j)| j).collect()
 }
@@ -28,11 +28,11 @@ fn ordinal(x: f64) -> i64 {
 }
 
 /// Order by R, covariates, then id: a total order that gathers classes and does not see the order of the tests.
-fn canonical(a: &Reduction, b: &Reduction) -> Ordering {
-    compare(&a.factor, &b.factor)
-        .then_with(|| compare(&a.covariates, &b.covariates))
-        .then_with(|| compare_chains(a.chain.as_deref(), b.chain.as_deref()))
-        .then_with(|| a.test.cmp(&b.test))
+fn canonical(a: ReductionRef<'_>, b: ReductionRef<'_>) -> Ordering {
+    compare(a.factor, b.factor)
+        .then_with(|| compare(a.covariates, b.covariates))
+        .then_with(|| compare_chains(a.chain, b.chain))
+        .then_with(|| a.test.cmp(b.test))
 }
 
 /// By all matrices of the phases, and where the links come from.
@@ -55,16 +55,16 @@ fn compare(a: &[f64], b: &[f64]) -> Ordering {
     different.unwrap_or_else(|| a.len().cmp(&b.len()))
 }
 
-fn same_class(a: &Reduction, b: &Reduction, chained: bool) -> bool {
-    compare(&a.factor, &b.factor).is_eq()
-        && compare(&a.covariates, &b.covariates).is_eq()
-        && (!chained || compare_chains(a.chain.as_deref(), b.chain.as_deref()).is_eq())
+fn same_class(a: ReductionRef<'_>, b: ReductionRef<'_>, chained: bool) -> bool {
+    compare(a.factor, b.factor).is_eq()
+        && compare(a.covariates, b.covariates).is_eq()
+        && (!chained || compare_chains(a.chain, b.chain).is_eq())
 }
 
 /// Where each class begins and ends in the order. `chained`: tests are one class only if they are in every phase.
-pub(super) fn spans(reductions: &[Reduction], order: &[usize], chained: bool) -> Vec<Range<usize>> {
+pub(super) fn spans(reductions: &Reductions, order: &[usize], chained: bool) -> Vec<Range<usize>> {
     let mut starts = vec![0];
-    let different = |at: &usize| !same_class(&reductions[order[at - 1]], &reductions[order[*at]], chained);
+    let different = |at: &usize| !same_class(reductions.get(order[at - 1]), reductions.get(order[*at]), chained);
     starts.extend((1..order.len()).filter(different));
     let ends = starts[1..].iter().copied().chain([order.len()]);
     starts.iter().copied().zip(ends).map(|(start, end)| start..end).filter(|span| !span.is_empty()).collect()

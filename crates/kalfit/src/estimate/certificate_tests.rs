@@ -9,7 +9,7 @@ use super::certificate::{Certificate, certificate};
 use super::climb::{Limits, climb, escaped};
 use super::{Place, Point, Problem, Settings, Stop, Structure};
 use crate::model::{Alpha, CovarianceKind, CovarianceStructure, Expression, FixedElement, MeanStructure};
-use crate::reduce::{Path, Reduction};
+use crate::reduce::{Path, Reduction, Reductions};
 
 /// Tests of one design.
 const TESTS: usize = 48;
@@ -64,7 +64,7 @@ impl Case {
     }
 
     /// Pairs ±√p C^½ e_k, as often as it takes.
-    fn data(&self) -> Vec<Reduction> {
+    fn data(&self) -> Reductions {
         let p = self.factor.nrows();
         assert_eq!(TESTS % (2 * p), 0, "the second moment needs whole pairs");
         let half = self.moment.clone().cholesky().expect("C is positive definite").l() * (p as f64).sqrt();
@@ -125,7 +125,7 @@ struct Spot {
 }
 
 impl Spot {
-    fn new(data: &[Reduction], covariance: &CovarianceStructure, mean: &[f64], root: &DMatrix<f64>) -> Spot {
+    fn new(data: &Reductions, covariance: &CovarianceStructure, mean: &[f64], root: &DMatrix<f64>) -> Spot {
         let (free, alpha) = (MeanStructure::free(mean.len()), Alpha::default());
         let structure = Structure::single(&free, covariance, &alpha);
         let problem = super::problem(data, &structure, &Settings::default()).expect("a legal problem");

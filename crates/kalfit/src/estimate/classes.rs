@@ -13,15 +13,17 @@ use kalfit_lanes::Isa;
 use nalgebra::DMatrix;
 use rayon::prelude::*;
 
+use crate::ensemble::Grouping;
 use crate::estimate::canonical::{ordered, spans};
 use crate::estimate::chained::{Chained, Kept, Packed, Shape, grouped};
 use crate::estimate::class::Class;
 use crate::estimate::frame::{Frame, Pooled};
 use crate::estimate::lanes::Blocks;
+use crate::estimate::levels::Units;
 use crate::estimate::listed::{Listed, Noise, Residual};
 use crate::linalg::elements::Elements;
 use crate::linalg::symmetric::{self, pair};
-use crate::reduce::{Path, Reduction};
+use crate::reduce::{Path, ReductionRef, Reductions};
 
 /// All reductions of an ensemble, ready for passes.
 #[derive(Debug, Clone)]
@@ -46,10 +48,14 @@ pub(crate) struct Classes {
     pub(crate) present: Vec<f64>,
     /// Tests are kept phase by phase where that can be.
     chained: bool,
-    /// Numbers of the tests of each class; empty where the classes are a part of others.
-    members: Vec<Vec<usize>>,
-    /// Of each test, to know the reductions by.
-    marks: Vec<u64>,
+    /// The tests of one class after the other, by number, and where those of each class stand; empty where the classes are a part of
+    /// others.
+    order: Vec<usize>,
+    spans: Vec<Range<usize>>,
+    /// The reductions that these are the classes of; `None` where they are a part of others.
+    stamp: Option<u64>,
+    /// Where tests stand in groups: the groups of the outermost level with all that stands in them.
+    pub(crate) units: Option<Arc<Units>>,
 }
 
 /// Classes that are made by themselves, by whatever thread.
@@ -58,52 +64,52 @@ const CHUNK: usize = 64;
 impl Classes {
     /// Gathers reductions with the states of each phase at these places and `regressors` covariates each. `chained`: keep tests
     /// phase by phase where their reductions are.
-    pub(crate) fn new(
-        reductions: &[Reduction],
-        ranges: Vec<Range<usize>>,
-        regressors: usize,
-        chained: bool,
-    ) -> Classes {
+    pub(crate) fn new(reductions: &Reductions, ranges: Vec<Range<usize>>, regressors: usize, chained: bool) -> Classes {
         let elements = Elements::new(ranges);
         let order = ordered(reductions);
         let pooled = Pooled::all(reductions, &order, (elements.states(), regressors));
         let frame = Frame::of(&pooled);
         let information = pooled.information(&frame);
-        Classes::gathered((reductions, &order), (frame, information), (elements, chained))
+        Classes::gathered((reductions, order), (frame, information), (elements, chained))
     }
 
     /// The same in coordinates that are given.
-    pub(crate) fn within(reductions: &[Reduction], like: &Classes) -> Classes {
+    pub(crate) fn within(reductions: &Reductions, like: &Classes) -> Classes {
         like.again(reductions, like.chained)
     }
 
     /// Other reductions, or in other ways, in the same coordinates.
-    fn again(&self, reductions: &[Reduction], chained: bool) -> Classes {
+    fn again(&self, reductions: &Reductions, chained: bool) -> Classes {
         let (order, elements) = (ordered(reductions), self.elements.clone());
         let pooled = Pooled::all(reductions, &order, (elements.states(), self.frame.covariate_scale.len()));
         let frame = self.frame.clone();
         let information = pooled.information(&frame);
-        Classes::gathered((reductions, &order), (frame, information), (elements, chained))
+        let classes = Classes::gathered((reductions, order), (frame, information), (elements, chained));
+        match &self.units {
+            Some(units) => classes.in_groups(reductions, &units.grouping),
+            None => classes,
+        }
     }
 
     fn gathered(
-        (reductions, order): (&[Reduction], &[usize]),
+        (reductions, order): (&Reductions, Vec<usize>),
         (frame, information): (Frame, DMatrix<f64>),
         (elements, chained): (Elements, bool),
     ) -> Classes {
         let chained = chained && !elements.is_single();
-        let spans = spans(reductions, order, chained);
-        let chains = if chained { side_by_side(reductions, order, &spans, (&frame, &elements)) } else { Vec::new() };
+        let spans = spans(reductions, &order, chained);
+        let chains = if chained { side_by_side(reductions, &order, &spans, (&frame, &elements)) } else { Vec::new() };
         let places = places(&chains, spans.len());
         let class = |(span, place): (&Range<usize>, Option<Kept>)| {
-            gather(reductions, &order[span.clone()], &frame, (&elements, chained), place)
+            let tests: Vec<ReductionRef<'_>> = order[span.clone()].iter().map(|&j| reductions.get(j)).collect();
+            gather(&tests, &frame, (&elements, chained), place)
         };
         let classes = spans.par_iter().zip(places).with_min_len(CHUNK).map(class).collect();
         let present = present(reductions, &elements);
         let found = (reductions.len(), information, present);
         let mut classes = Classes::arranged((classes, chains), frame.clone(), (elements.clone(), chained), found);
-        classes.members = spans.into_iter().map(|span| order[span].to_vec()).collect();
-        classes.marks = reductions.par_iter().map(mark).collect();
+        (classes.order, classes.spans) = (order, spans);
+        classes.stamp = Some(reductions.stamp());
         classes
     }
 
@@ -125,7 +131,7 @@ impl Classes {
                 beside.push(number);
             }
         }
-        let (members, marks) = (Vec::new(), Vec::new());
+        let (order, spans, stamp) = (Vec::new(), Vec::new(), None);
         Classes {
             classes: Listed::new(classes),
             blocks,
@@ -138,26 +144,52 @@ impl Classes {
             elements,
             present,
             chained,
-            members,
-            marks,
+            order,
+            spans,
+            stamp,
+            units: None,
         }
     }
 
-    /// These classes, if they are those of the reductions, or the classes of the reductions in the same coordinates.
-    pub(crate) fn of<'a>(&'a self, reductions: &[Reduction]) -> Cow<'a, Classes> {
-        let marked = |(mark_of, reduction): (&u64, &Reduction)| *mark_of == mark(reduction);
-        let own = self.marks.len() == reductions.len() && self.marks.par_iter().zip(reductions).all(marked);
-        if own { Cow::Borrowed(self) } else { Cow::Owned(Classes::within(reductions, self)) }
+    /// With the groups that the tests stand in. All tests of the reductions, which must be in what is a test's own and what each of its
+    /// groups adds, are in some. Then the centre is that of the sum.
+    pub(crate) fn in_groups(mut self, reductions: &Reductions, grouping: &Arc<Grouping>) -> Classes {
+        let centre = self.frame.centred(grouping.depth() + 1);
+        if centre != self.frame {
+            let information = self.information.clone();
+            let order = ordered(reductions);
+            self = Classes::gathered((reductions, order), (centre, information), (self.elements, false));
+        }
+        let tests: Vec<&[usize]> = (0..self.len()).map(|class| self.tests_of(class)).collect();
+        let found = Units::new(reductions, (self.classes.gathered(), &tests), &self.frame, grouping);
+        let units = found.expect("every test is in a group");
+        self.present = units.counts();
+        self.units = Some(Arc::new(units));
+        self
     }
 
-    /// Numbers of the tests of each class, of the reductions that these are the classes of.
-    pub(crate) fn members(&self) -> &[Vec<usize>] {
-        &self.members
+    /// These classes, if they are those of the reductions, or the classes of the reductions in the same coordinates.
+    pub(crate) fn of<'a>(&'a self, reductions: &Reductions) -> Cow<'a, Classes> {
+        if self.stamp == Some(reductions.stamp()) {
+            Cow::Borrowed(self)
+        } else {
+            Cow::Owned(Classes::within(reductions, self))
+        }
+    }
+
+    /// How many they are.
+    pub(crate) fn len(&self) -> usize {
+        self.classes.len()
+    }
+
+    /// Numbers of the tests of a class, by their ids, of the reductions that these are the classes of.
+    pub(crate) fn tests_of(&self, class: usize) -> &[usize] {
+        &self.order[self.spans[class].clone()]
     }
 
     /// Every test has a class to itself, of those that these are the classes of.
     pub(crate) fn are_single(&self) -> bool {
-        self.classes.len() == self.marks.len()
+        self.stamp.is_some() && self.classes.len() == self.tests
     }
 
     /// The same where all noise is λ times as large, from what each class says of it, in coordinates that are √λ times as large.
@@ -186,8 +218,10 @@ impl Classes {
             information: self.information.clone(),
             elements: self.elements.clone(),
             present: self.present.clone(),
-            members: Vec::new(),
-            marks: Vec::new(),
+            order: Vec::new(),
+            spans: Vec::new(),
+            stamp: None,
+            units: None,
             ..*self
         }
     }
@@ -209,7 +243,7 @@ impl Classes {
     }
 
     /// The classes of the reductions, kept phase by phase, whatever these classes are.
-    pub(crate) fn by_phase(&self, reductions: &[Reduction]) -> Cow<'_, Classes> {
+    pub(crate) fn by_phase(&self, reductions: &Reductions) -> Cow<'_, Classes> {
         if self.chained {
             return self.of(reductions);
         }
@@ -217,8 +251,8 @@ impl Classes {
     }
 
     /// One test as a class of its own, in the same η.
-    pub(crate) fn single(&self, reduction: &Reduction) -> Class {
-        gather(std::slice::from_ref(reduction), &[0], &self.frame, (&self.elements, self.chained), None)
+    pub(crate) fn single(&self, reduction: ReductionRef<'_>) -> Class {
+        gather(&[reduction], &self.frame, (&self.elements, self.chained), None)
     }
 
     /// p.
@@ -229,36 +263,26 @@ impl Classes {
 
 /// How many tests have each phase: all have the first one; of tests that are not kept phase by phase, those that say something
 /// of its states.
-fn present(reductions: &[Reduction], elements: &Elements) -> Vec<f64> {
-    let has = |r: &Reduction, f: usize, range: &Range<usize>| match &r.chain {
+fn present(reductions: &Reductions, elements: &Elements) -> Vec<f64> {
+    let has = |r: ReductionRef<'_>, f: usize, range: &Range<usize>| match r.chain {
         _ if f == 0 => true,
         Some(chain) => f < chain.phases.len(),
         None => range.clone().any(|k| r.factor[k * (k + 1) / 2..][..=k].iter().any(|x| *x != 0.0)),
     };
-    let count = |(f, range): (usize, &Range<usize>)| reductions.iter().filter(|r| has(r, f, range)).count() as f64;
+    let count = |(f, range): (usize, &Range<usize>)| reductions.iter().filter(|r| has(*r, f, range)).count() as f64;
     elements.blocks().iter().enumerate().map(count).collect()
-}
-
-/// A number that other reductions of a test do not have, but by an accident of one in 2^64.
-fn mark(reduction: &Reduction) -> u64 {
-    const ODD: u64 = 0x9e37_79b9_7f4a_7c15; // 2^64 over the golden ratio
-    let mix = |mark: u64, word: u64| (mark ^ word).wrapping_mul(ODD).rotate_left(29);
-    let of_test = reduction.test.bytes().fold(ODD, |mark, byte| mix(mark, u64::from(byte)));
-    let designed = mix(mix(of_test, reduction.design as u64), reduction.constant.to_bits());
-    let diagonal = (0..reduction.data.len()).filter_map(|k| reduction.factor.get(pair(k, k)));
-    let numbers = reduction.data.iter().chain(diagonal).chain(&reduction.covariates);
-    numbers.fold(designed, |mark, x| mix(mark, x.to_bits()))
 }
 
 /// Classes of tests in phases that can be worked on side by side, by their numbers.
 fn side_by_side(
-    reductions: &[Reduction],
+    reductions: &Reductions,
     order: &[usize],
     spans: &[Range<usize>],
     (frame, elements): (&Frame, &Elements),
 ) -> Vec<Arc<Packed>> {
     let (ranges, lanes) = (elements.blocks(), Isa::best().lanes());
-    let members = |k: usize| -> Vec<&Reduction> { order[spans[k].clone()].iter().map(|&j| &reductions[j]).collect() };
+    let members =
+        |k: usize| -> Vec<ReductionRef<'_>> { order[spans[k].clone()].iter().map(|&j| reductions.get(j)).collect() };
     let shapes: Vec<Option<Shape>> = (0..spans.len()).into_par_iter().map(|k| Shape::of(&members(k), ranges)).collect();
     let groups = grouped(shapes.into_iter().map(|shape| shape.map(Cow::Owned)).enumerate(), lanes);
     let pack = |(shape, numbers)| Arc::new(Packed::of_tests(shape, numbers, lanes, (ranges, frame), members));
@@ -292,15 +316,14 @@ fn repacked(classes: &mut [Class]) -> Vec<Arc<Packed>> {
 
 /// One class; of tests in phases, where its chain stands if it is made.
 fn gather(
-    reductions: &[Reduction],
-    members: &[usize],
+    tests: &[ReductionRef<'_>],
     frame: &Frame,
     (elements, chained): (&Elements, bool),
     place: Option<Kept>,
 ) -> Class {
-    let (first, p) = (&reductions[members[0]], elements.states());
+    let (first, p) = (tests[0], elements.states());
     if chained && first.chain.is_some() {
-        return gather_chains(reductions, members, frame, elements, place);
+        return gather_chains(tests, frame, elements, place);
     }
     let mut factor = vec![0.0; p * p];
     let mut offset = vec![0.0; p]; // R × the centre
@@ -310,26 +333,26 @@ fn gather(
             offset[i] += x * frame.centre[k];
         }
     }
-    let count = members.len() as f64;
+    let count = tests.len() as f64;
     let mut mean = vec![0.0; p];
-    for data in members.iter().map(|&j| &reductions[j].data) {
-        (0..p).for_each(|i| mean[i] += data[i] - offset[i]);
+    for test in tests {
+        (0..p).for_each(|i| mean[i] += test.data[i] - offset[i]);
     }
     mean.iter_mut().for_each(|m| *m /= count);
-    let away = |j: usize| -> Vec<f64> { (0..p).map(|i| reductions[j].data[i] - offset[i] - mean[i]).collect() };
-    let scatter = match members.len() {
+    let away = |test: &ReductionRef<'_>| -> Vec<f64> { (0..p).map(|i| test.data[i] - offset[i] - mean[i]).collect() };
+    let scatter = match tests.len() {
         1 => Vec::new(),
-        n if n <= p => members.iter().flat_map(|&j| away(j)).collect(),
-        _ => scatter(members.iter().map(|&j| away(j)), p),
+        n if n <= p => tests.iter().flat_map(away).collect(),
+        _ => scatter(tests.iter().map(away), p),
     };
     Class {
         count,
-        constant: members.iter().map(|&j| reductions[j].constant).sum(),
+        constant: tests.iter().map(|test| test.constant).sum(),
         factor,
         mean,
         scatter,
         covariates: covariates(first, frame),
-        square_root: members.iter().any(|&j| reductions[j].path == Path::SquareRoot),
+        square_root: tests.iter().any(|test| test.path == Path::SquareRoot),
         chain: None,
     }
 }
@@ -345,29 +368,22 @@ fn scatter(vectors: impl Iterator<Item = Vec<f64>>, p: usize) -> Vec<f64> {
     symmetric::square_root(&sum).as_slice().to_vec()
 }
 
-fn gather_chains(
-    reductions: &[Reduction],
-    members: &[usize],
-    frame: &Frame,
-    elements: &Elements,
-    place: Option<Kept>,
-) -> Class {
-    let members: Vec<&Reduction> = members.iter().map(|&j| &reductions[j]).collect();
+fn gather_chains(tests: &[ReductionRef<'_>], frame: &Frame, elements: &Elements, place: Option<Kept>) -> Class {
     let constant =
-        |r: &&Reduction| r.chain.iter().flat_map(|chain| &chain.phases).map(|phase| phase.constant).sum::<f64>();
+        |r: &ReductionRef<'_>| r.chain.iter().flat_map(|chain| &chain.phases).map(|phase| phase.constant).sum::<f64>();
     Class {
-        count: members.len() as f64,
-        constant: members.iter().map(constant).sum(),
+        count: tests.len() as f64,
+        constant: tests.iter().map(constant).sum(),
         factor: Vec::new(),
         mean: Vec::new(),
         scatter: Vec::new(),
-        covariates: covariates(members[0], frame),
+        covariates: covariates(tests[0], frame),
         square_root: false,
-        chain: Some(place.unwrap_or_else(|| Kept::Apart(Chained::new(&members, elements.blocks(), frame).into()))),
+        chain: Some(place.unwrap_or_else(|| Kept::Apart(Chained::new(tests, elements.blocks(), frame).into()))),
     }
 }
 
 /// Covariates in units of the frame.
-fn covariates(reduction: &Reduction, frame: &Frame) -> Vec<f64> {
+fn covariates(reduction: ReductionRef<'_>, frame: &Frame) -> Vec<f64> {
     reduction.covariates.iter().zip(&frame.covariate_scale).map(|(x, s)| x / s).collect()
 }

@@ -5,17 +5,21 @@ use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector};
 
+use crate::ensemble::Grouping;
+use crate::estimate::class::Class;
 use crate::estimate::classes::Classes;
 use crate::estimate::covariance::{CovarianceMap, Form};
+use crate::estimate::levels::{self, TestPosterior, Units};
 use crate::estimate::newton::{self, Place};
-use crate::estimate::order::Order;
+use crate::estimate::order::{Order, Wanted};
 use crate::estimate::point::Point;
 use crate::estimate::problem::Problem;
 use crate::estimate::sums::Sums;
 use crate::estimate::{State, Structure};
 use crate::linalg::symmetric;
 use crate::model::{Alpha, StructureError};
-use crate::reduce::Reduction;
+use crate::reduce::{ReductionRef, Reductions};
+use rayon::prelude::*;
 
 /// The objective at one point under some reductions.
 #[derive(Debug)]
@@ -34,28 +38,64 @@ pub(crate) struct InitialLaw {
     pub(crate) root: DMatrix<f64>,
     /// Root of the covariance of (μ, coefficients) at a known Σ, under the restricted likelihood.
     mean_half: Option<DMatrix<f64>>,
+    /// Where tests stand in groups: ξ of each given all tests of its unit.
+    given: Option<Arc<Given>>,
+}
+
+/// The posterior of ξ of every test, which depends on other tests too.
+#[derive(Debug)]
+struct Given {
+    grouping: Arc<Grouping>,
+    /// x̂ and a root of V of each test, by its number in the grouping; under the restricted likelihood with what the mean adds to V.
+    tests: Vec<(DVector<f64>, DMatrix<f64>)>,
 }
 
 impl InitialLaw {
     #[cfg(test)]
     pub(crate) fn known(mean: DVector<f64>, root: DMatrix<f64>) -> InitialLaw {
-        InitialLaw { mean, regression: Vec::new(), root, mean_half: None }
+        InitialLaw { mean, regression: Vec::new(), root, mean_half: None, given: None }
     }
 
     fn of(problem: &Problem, point: &Point, mean_covariance: Option<&DMatrix<f64>>) -> InitialLaw {
         let frame = &problem.classes.frame;
-        let p = frame.scale.len();
-        let unit = |k: usize| if k < p { frame.scale[k] } else { problem.mean.coefficient_scale[k - p].recip() };
+        let all = frame.scale.len();
+        let unit = |k: usize| if k < all { frame.scale[k] } else { problem.mean.coefficient_scale[k - all].recip() };
         let coefficients = point.coefficients.iter().zip(&problem.mean.coefficient_scale).map(|(c, s)| c / s);
+        // of a test in groups ξ is the sum over the levels
+        let levels = problem.classes.units.as_ref().map_or(1, |units| units.levels());
+        let p = all / levels;
+        let mean = frame.mean_out(&point.mean);
+        let mean_half = mean_covariance.map(|covariance| {
+            let half = problem.mean.jacobian() * symmetric::square_root(covariance);
+            let sum = |k: usize, c: usize| (0..levels).map(|l| half[(l * p + k, c)]).sum::<f64>();
+            let entry = |k: usize, c: usize| if k < p { sum(k, c) } else { half[(k - p + all, c)] };
+            DMatrix::from_fn(half.nrows() - all + p, half.ncols(), |k, c| {
+                unit(if k < p { k } else { k - p + all }) * entry(k, c)
+            })
+        });
+        let given = |units: &Arc<Units>| Arc::new(Given::new((problem, units), point, mean_covariance));
         InitialLaw {
-            mean: DVector::from_vec(frame.mean_out(&point.mean)),
+            mean: DVector::from_fn(p, |i, _| (0..levels).map(|l| mean[l * p + i]).sum()),
             regression: problem.mean.regressors.iter().copied().zip(coefficients).collect(),
-            root: DMatrix::from_fn(p, point.root.ncols(), |i, c| frame.scale[i] * point.root[(i, c)]),
-            mean_half: mean_covariance.map(|covariance| {
-                let half = problem.mean.jacobian() * symmetric::square_root(covariance);
-                DMatrix::from_fn(half.nrows(), half.ncols(), |k, c| unit(k) * half[(k, c)])
+            root: DMatrix::from_fn(p, levels * point.root.ncols(), |i, c| {
+                let (l, c) = (c / point.root.ncols(), c % point.root.ncols());
+                frame.scale[l * p + i] * point.root[(l * p + i, c)]
             }),
+            mean_half,
+            given: problem.classes.units.as_ref().map(given),
         }
+    }
+
+    /// ξ given the data is known of each test, other tests of its unit among them.
+    pub(crate) fn is_of_each(&self) -> bool {
+        self.given.is_some()
+    }
+
+    /// x̂ and a root of V of a test, where they depend on other tests too.
+    pub(crate) fn given(&self, test: &str) -> Option<(&DVector<f64>, &DMatrix<f64>)> {
+        let given = self.given.as_ref()?;
+        let (mean, root) = &given.tests[given.grouping.number(test)?];
+        Some((mean, root))
     }
 
     /// μ_j of a test with these covariates.
@@ -84,6 +124,36 @@ impl InitialLaw {
     }
 }
 
+impl Given {
+    fn new((problem, units): (&Problem, &Arc<Units>), point: &Point, mean_covariance: Option<&DMatrix<f64>>) -> Given {
+        let (frame, p, levels) = (&problem.classes.frame, units.states, units.levels());
+        let half = mean_covariance.map(|covariance| {
+            let half = problem.mean.jacobian() * symmetric::square_root(covariance);
+            let all = p * levels;
+            let sum = |k: usize, c: usize| (0..levels).map(|l| half[(l * p + k, c)]).sum::<f64>();
+            let rows = half.nrows() - all + p;
+            DMatrix::from_fn(rows, half.ncols(), |k, c| if k < p { sum(k, c) } else { half[(k - p + all, c)] })
+        });
+        let found = levels::posteriors(units, (point, &problem.mean.regressors), None, half.is_some());
+        let one = |test: &TestPosterior| {
+            if test.mean.is_empty() {
+                return (DVector::zeros(0), DMatrix::zeros(0, 0)); // a test that is not among the reductions
+            }
+            let own = symmetric::square_root(&DMatrix::from_row_slice(p, p, &test.covariance));
+            let extra = half.as_ref().map(|half| DMatrix::from_row_slice(p, half.nrows(), &test.moved) * half);
+            let columns = p + extra.as_ref().map_or(0, DMatrix::ncols);
+            let entry = |i: usize, c: usize| match (c.checked_sub(p), &extra) {
+                (Some(c), Some(extra)) => extra[(i, c)],
+                _ => own[(i, c)],
+            };
+            let mean = (0..p).map(|i| frame.centre[i] + frame.scale[i] * test.mean[i]);
+            let root = DMatrix::from_fn(p, columns, |i, c| frame.scale[i] * entry(i, c));
+            (DVector::from_iterator(p, mean), root)
+        };
+        Given { grouping: units.grouping.clone(), tests: found.tests.par_iter().map(one).collect() }
+    }
+}
+
 impl State {
     /// The law of ξ_j where the search ended.
     pub(crate) fn law(&self) -> InitialLaw {
@@ -108,7 +178,7 @@ impl State {
     /// The objective at this point under other reductions of the same tests; `None` where it is not defined.
     pub(crate) fn elsewhere(
         &self,
-        reductions: &[Reduction],
+        reductions: &Reductions,
         alpha: &Alpha,
     ) -> Result<Option<Elsewhere>, StructureError> {
         let structure = self.assumed.at(alpha);
@@ -121,12 +191,12 @@ impl State {
 
     /// The state after a step along the tangent basis of this place, under other reductions of the same tests; `None` where it
     /// is not defined.
-    pub(crate) fn moved(&self, reductions: &[Reduction], alpha: &Alpha, step: &DVector<f64>) -> Option<State> {
+    pub(crate) fn moved(&self, reductions: &Reductions, alpha: &Alpha, step: &DVector<f64>) -> Option<State> {
         self.at(reductions, alpha, newton::moved(&*self.problem, &self.problem.covariance, &self.place, step)?)
     }
 
     /// The state at another point of this problem, under other reductions of the same tests; `None` where it is not defined.
-    pub(crate) fn at(&self, reductions: &[Reduction], alpha: &Alpha, point: Point) -> Option<State> {
+    pub(crate) fn at(&self, reductions: &Reductions, alpha: &Alpha, point: Point) -> Option<State> {
         let structure = self.assumed.at(alpha);
         let problem = Problem::within(&self.evidence(reductions), &structure, &self.problem).ok()?;
         let root = carried(&self.problem.covariance, &problem.covariance, &point.root);
@@ -143,18 +213,43 @@ impl State {
     }
 
     /// Gradient of one test's ℓ_j along the tangent basis of this place, under another reduction of it.
-    pub(crate) fn gradient_of(&self, reduction: &Reduction) -> DVector<f64> {
-        let own = self.evidence(std::slice::from_ref(reduction));
-        let class = self.problem.classes.single(&own[0]);
+    pub(crate) fn gradient_of(&self, reduction: ReductionRef<'_>) -> DVector<f64> {
+        let class = self.class_of(reduction);
         let sums = self.problem.of_class(&class, &self.place.point, Order::First);
         self.along(&sums, &self.problem, &self.place.point)
     }
 
-    /// ∂ℓ_j/∂Σ of one test at this place, in the user's units.
-    pub(crate) fn covariance_score_of(&self, reduction: &Reduction) -> DMatrix<f64> {
-        let own = self.evidence(std::slice::from_ref(reduction));
-        let class = self.problem.classes.single(&own[0]);
-        out(&self.problem, &self.problem.of_class(&class, &self.place.point, Order::First).score())
+    /// Calls `of` with the numbers of the tests, and their sums of first order at this place, of each test, or of each unit where tests
+    /// stand in groups: of what is independent of the others. The order depends on nothing but the ids.
+    pub(crate) fn each_independent(&self, evidence: &Reductions, of: &mut dyn FnMut(&[usize], &Sums)) {
+        let classes = self.problem.classes.of(evidence);
+        let (point, regressors) = (&self.place.point, &self.problem.mean.regressors[..]);
+        if let Some(units) = &classes.units {
+            let elements = &classes.elements;
+            let wanted = Wanted { elements, regressors, order: Order::First, flat: None };
+            return levels::each_unit(units, point, wanted, of);
+        }
+        let mut order: Vec<usize> = (0..evidence.len()).collect();
+        order.sort_by(|&a, &b| evidence.id(a).cmp(evidence.id(b)));
+        for j in order {
+            of(&[j], &self.problem.of_class(&classes.single(evidence.get(j)), point, Order::First));
+        }
+    }
+
+    /// A gradient at this place along its tangent basis.
+    pub(crate) fn gradient_along(&self, sums: &Sums) -> DVector<f64> {
+        self.along(sums, &self.problem, &self.place.point)
+    }
+
+    /// ∂ℓ/∂Σ of sums at this place, in the user's units.
+    pub(crate) fn covariance_score_of(&self, sums: &Sums) -> DMatrix<f64> {
+        out(&self.problem, &sums.score())
+    }
+
+    /// One test as a class of its own.
+    fn class_of(&self, reduction: ReductionRef<'_>) -> Class {
+        let alone = std::iter::once(reduction).collect();
+        self.problem.classes.single(self.evidence(&alone).get(0))
     }
 
     /// A gradient in mean coordinates and Σ along the tangent basis.
@@ -224,7 +319,7 @@ fn carried_part(from: &Form, to: &Form, root: DMatrix<f64>) -> DMatrix<f64> {
 impl Problem {
     /// The problem of other reductions of the same tests, in the coordinates η and with the criterion of another.
     pub(crate) fn within(
-        reductions: &[Reduction],
+        reductions: &Reductions,
         structure: &Structure<'_>,
         like: &Problem,
     ) -> Result<Problem, StructureError> {

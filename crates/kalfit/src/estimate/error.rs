@@ -17,6 +17,12 @@ pub enum FitError {
         /// The id.
         id: String,
     },
+    /// A test of which is not known which groups it stands in, under a model with levels.
+    #[error("which groups test `{test}` stands in is not known, and the model has levels of groups")]
+    Ungrouped {
+        /// Its id.
+        test: String,
+    },
     /// A test that is not kept phase by phase, where each phase is to be taken by itself.
     #[error("the reduction of test `{test}` does not hold its phases one by one, which `marginal` needs")]
     NoPhases {

@@ -5,22 +5,35 @@ use std::borrow::Cow;
 use rayon::prelude::*;
 
 use crate::estimate::error::FitError;
-use crate::estimate::marginal;
 use crate::estimate::settings::{Combination, Criterion, Settings};
-use crate::reduce::Reduction;
+use crate::estimate::structure::Structure;
+use crate::estimate::{levels, marginal};
+use crate::reduce::{Reduction, ReductionRef, Reductions};
 
-/// The reductions whose likelihood is maximised: those given, or, phase by phase, what is left of each phase without the one before.
+/// The reductions whose likelihood is maximised: those given, or, phase by phase, what is left of each phase without the one before, or,
+/// where tests stand in groups, in what is a test's own and what each of its groups adds.
 pub(super) fn evidence<'a>(
-    reductions: &'a [Reduction],
-    (phases, states): (usize, usize),
+    reductions: &'a Reductions,
+    structure: &Structure<'_>,
     settings: &Settings,
-) -> Result<Cow<'a, [Reduction]>, FitError> {
+) -> Result<Cow<'a, Reductions>, FitError> {
+    let (phases, states) = (structure.phases.len(), structure.dimension());
+    if structure.grouping.is_some() {
+        let is_stacked = |r: ReductionRef<'_>| r.data.len() == states;
+        return Ok(match reductions.iter().all(is_stacked) {
+            true => Cow::Borrowed(reductions),
+            false => Cow::Owned(reductions.iter().map(|r| levels::stacked(r, phases)).collect()),
+        });
+    }
     if settings.phases != Combination::Marginal || phases < 2 {
         return Ok(Cow::Borrowed(reductions));
     }
     if settings.criterion == Criterion::Reml {
         return Err(FitError::RestrictedMarginal);
     }
-    let one = |r: &Reduction| marginal::marginal(r, states).ok_or_else(|| FitError::NoPhases { test: r.test.clone() });
-    Ok(Cow::Owned(reductions.par_iter().map(one).collect::<Result<_, _>>()?))
+    let one = |r: ReductionRef<'_>| {
+        marginal::marginal(r, states).ok_or_else(|| FitError::NoPhases { test: r.test.to_owned() })
+    };
+    let all: Vec<Result<Reduction, FitError>> = reductions.par_iter().map(one).collect();
+    Ok(Cow::Owned(all.into_iter().collect::<Result<_, _>>()?))
 }

@@ -14,7 +14,7 @@ use crate::estimate::sums::Sums;
 use crate::estimate::{FitError, Place, Problem, Settings, State, Structure};
 use crate::linalg::elements::Element;
 use crate::model::Population;
-use crate::reduce::Reduction;
+use crate::reduce::{Chain, Reductions};
 
 /// How far, in standard deviations, a population may be off the structure: it went through a file.
 const ROUNDING: f64 = 1e-6;
@@ -39,18 +39,17 @@ impl From<FitError> for ExpectedError {
 
 /// The state at a population that was checked. What the reductions say of the measurements is not read.
 pub(crate) fn at_population(
-    reductions: &[Reduction],
+    reductions: &Reductions,
     structure: &Structure<'_>,
     population: &Population,
 ) -> Result<State, ExpectedError> {
-    let blank = |r: &Reduction| Reduction {
-        constant: 0.0,
-        residual: None,
-        data: vec![0.0; r.data.len()],
-        chain: r.chain.clone().map(|chain| Box::new(chain.blank())),
-        ..r.clone()
-    };
-    let blanks: Vec<Reduction> = reductions.iter().map(blank).collect();
+    let mut blanks = reductions.clone();
+    for number in 0..blanks.len() {
+        let test = blanks.get_mut(number);
+        (*test.constant, *test.residual) = (0.0, None);
+        test.data.fill(0.0);
+        test.chain.into_iter().for_each(Chain::blank);
+    }
     let problem = super::problem(&blanks, structure, &Settings::default())?;
     let mut point = point(&problem, population)?;
     let sums = problem.likelihood(&point, Order::Expected);

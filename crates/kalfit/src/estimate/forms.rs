@@ -136,7 +136,7 @@ impl<T: Lanes> OfDirections<'_, T> {
 mod tests {
     use super::*;
     use crate::estimate::in_parts as tell_in_parts;
-    use crate::reduce::{Chain, ChainPhase, Link, Path, Reduction};
+    use crate::reduce::{Chain, ChainPhase, Link, Path, Reduction, Reductions};
     use nalgebra::DVector;
 
     fn wave(seed: usize, at: usize) -> f64 {
@@ -184,7 +184,7 @@ mod tests {
 
     #[test]
     fn forms_are_those_of_the_matrices() {
-        let reductions: Vec<Reduction> = (0..23).map(test).collect();
+        let reductions: Reductions = (0..23).map(test).collect();
         let classes = Classes::new(&reductions, vec![0..2, 2..4, 4..6], 0, true);
         assert!(!classes.chains.is_empty(), "some stand side by side");
         let point = Point {

@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use crate::linalg::symmetric::{self, pair, pairs};
-use crate::reduce::Reduction;
+use crate::reduce::Reductions;
 
 /// Tests that are added up by themselves.
 const CHUNK: usize = 1024;
@@ -35,6 +35,14 @@ impl Frame {
         let n = tests.max(1.0);
         let covariate_scale = squares.iter().map(|&s| if s > 0.0 { (s / n).sqrt() } else { 1.0 }).collect();
         Frame { centre, scale, covariate_scale }
+    }
+
+    /// The same with the whole centre at the first of so many levels, whose states add up.
+    pub(super) fn centred(&self, levels: usize) -> Frame {
+        let p = self.centre.len() / levels;
+        let sum = |i: usize| (0..levels).map(|l| self.centre[l * p + i]).sum();
+        let centre = (0..self.centre.len()).map(|k| if k < p { sum(k) } else { 0.0 }).collect();
+        Frame { centre, ..self.clone() }
     }
 
     /// Σ in the user's units from Σ in η, symmetric to the last bit.
@@ -84,7 +92,7 @@ impl Pooled {
     }
 
     /// All of the reductions; `order` is one that does not depend on theirs.
-    pub(super) fn all(reductions: &[Reduction], order: &[usize], (p, regressors): (usize, usize)) -> Pooled {
+    pub(super) fn all(reductions: &Reductions, order: &[usize], (p, regressors): (usize, usize)) -> Pooled {
         let parts: Vec<Pooled> =
             order.par_chunks(CHUNK).map(|part| Pooled::of(reductions, part, (p, regressors))).collect();
         parts.iter().fold(Pooled::none((p, regressors)), |sum, part| sum.and(part))
@@ -96,18 +104,18 @@ impl Pooled {
         DMatrix::from_fn(p, p, |i, k| scale[i] * self.information[pair(i, k)] * scale[k])
     }
 
-    fn of(reductions: &[Reduction], tests: &[usize], (p, regressors): (usize, usize)) -> Pooled {
+    fn of(reductions: &Reductions, tests: &[usize], (p, regressors): (usize, usize)) -> Pooled {
         let mut sum = Pooled { tests: tests.len() as f64, ..Pooled::none((p, regressors)) };
-        for one in tests.iter().map(|&j| &reductions[j]) {
+        for one in tests.iter().map(|&j| reductions.get(j)) {
             for k in 0..p {
                 let column = &one.factor[pair(k, 0)..][..=k];
                 for i in 0..=k {
                     sum.information[pair(k, i)] += dot(&one.factor[pair(i, 0)..][..=i], column);
                 }
                 sum.informed[k] += f64::from(u8::from(column.iter().any(|x| *x != 0.0)));
-                sum.y[k] += dot(column, &one.data);
+                sum.y[k] += dot(column, one.data);
             }
-            sum.squares.iter_mut().zip(&one.covariates).for_each(|(s, x)| *s += x * x);
+            sum.squares.iter_mut().zip(one.covariates).for_each(|(s, x)| *s += x * x);
         }
         sum
     }

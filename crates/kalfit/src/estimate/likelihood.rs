@@ -13,7 +13,7 @@ use crate::estimate::point::Point;
 use crate::estimate::sums::Sums;
 use crate::estimate::terms::Terms;
 use crate::linalg::symmetric::{self, pairs};
-use crate::reduce::Reduction;
+use crate::reduce::Reductions;
 use kalfit_lanes::{Counted, Real};
 
 /// Which derivatives are computed.
@@ -50,13 +50,13 @@ pub struct Evaluation {
 
 impl Likelihood {
     /// Gathers the reductions, all of dimension p and without regression.
-    pub fn new(reductions: &[Reduction], p: usize) -> Likelihood {
+    pub fn new(reductions: &Reductions, p: usize) -> Likelihood {
         Likelihood::of_phases(reductions, std::iter::once(0..p).collect(), Combination::Stacked)
     }
 
     /// Gathers reductions in phases, without regression; `ranges` says where the states of each phase stand. The likelihood is
     /// the full one, phase by phase ([`Combination::Chain`]) or else stacked.
-    pub fn of_phases(reductions: &[Reduction], ranges: Vec<Range<usize>>, combination: Combination) -> Likelihood {
+    pub fn of_phases(reductions: &Reductions, ranges: Vec<Range<usize>>, combination: Combination) -> Likelihood {
         Likelihood { classes: Classes::new(reductions, ranges, 0, combination == Combination::Chain) }
     }
 

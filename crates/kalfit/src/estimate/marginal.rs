@@ -16,15 +16,15 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::linalg::factors::{Factors, Rotations};
 use crate::linalg::rows::Rows;
-use crate::reduce::{Chain, ChainPhase, Link, Path, Reduction};
+use crate::reduce::{Chain, ChainPhase, Link, Path, Reduction, ReductionRef};
 
 /// Singular values below this part of what the columns were before anything was taken out of them are zero.
 const RANK_TOLERANCE: f64 = 1e-12;
 
 /// The reduction of a test whose phases know nothing of each other; `None` where it is not kept phase by phase. `states` are those
 /// of all phases of the model.
-pub(crate) fn marginal(reduction: &Reduction, states: usize) -> Option<Reduction> {
-    let chain = reduction.chain.as_deref()?;
+pub(crate) fn marginal(reduction: ReductionRef<'_>, states: usize) -> Option<Reduction> {
+    let chain = reduction.chain?;
     let mut before: Option<&ChainPhase> = None;
     let parts = chain.phases.iter().map(|phase| {
         let part = Difference::of(before, phase).phase(before.map(|phase| phase.own), phase);
@@ -34,7 +34,7 @@ pub(crate) fn marginal(reduction: &Reduction, states: usize) -> Option<Reduction
     let chain = Chain { phases: parts.collect() };
     let (data, factor) = side_by_side(&chain, states);
     let constant = chain.phases.iter().map(|phase| phase.constant).sum();
-    Some(Reduction { constant, residual: None, data, factor, chain: Some(Box::new(chain)), ..reduction.clone() })
+    Some(Reduction { constant, residual: None, data, factor, chain: Some(Box::new(chain)), ..reduction.into() })
 }
 
 /// What is known of the σ of a phase apart from the phase before: log density = constant - ½ ‖data - factor σ‖².

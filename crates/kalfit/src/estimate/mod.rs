@@ -39,6 +39,7 @@ mod forms;
 mod frame;
 mod joint_law;
 mod lanes;
+mod levels;
 mod likelihood;
 mod linear;
 mod listed;
@@ -106,17 +107,17 @@ pub(crate) use together::{each, in_parts};
 use evidence::evidence;
 
 use crate::model::Population;
-use crate::reduce::Reduction;
+use crate::reduce::Reductions;
 
 /// Maximises ℓ(μ, Σ) over the reductions under a structure, or the restricted likelihood of Σ with μ by generalised least
 /// squares, as the criterion of the settings says.
 pub fn fit(
-    reductions: &[Reduction],
+    reductions: &Reductions,
     structure: &Structure<'_>,
     settings: &Settings,
     progress: &mut dyn Progress,
 ) -> Result<Estimate, FitError> {
-    let evidence = evidence(reductions, (structure.phases.len(), structure.dimension()), settings)?;
+    let evidence = evidence(reductions, structure, settings)?;
     let problem = problem(&evidence, structure, settings)?;
     ended(problem, structure, None, settings, progress)?.of_all(reductions)
 }
@@ -124,13 +125,13 @@ pub fn fit(
 /// As [`fit`], from values that are near the optimum: those of a fit under another structure or to other tests. They
 /// need not meet the structure. Regression coefficients that are not given start at zero.
 pub fn fit_from(
-    reductions: &[Reduction],
+    reductions: &Reductions,
     structure: &Structure<'_>,
     start: &Population,
     settings: &Settings,
     progress: &mut dyn Progress,
 ) -> Result<Estimate, FitError> {
-    let evidence = evidence(reductions, (structure.phases.len(), structure.dimension()), settings)?;
+    let evidence = evidence(reductions, structure, settings)?;
     let problem = problem(&evidence, structure, settings)?;
     ended(problem, structure, Some(start), settings, progress)?.of_all(reductions)
 }
@@ -152,11 +153,10 @@ fn ended(
 }
 
 /// The place where a search would begin, with the expected information there.
-pub(crate) fn at_start(
-    reductions: &[Reduction],
-    structure: &Structure<'_>,
-) -> Result<(Problem, Place, Sums), FitError> {
-    let problem = problem(reductions, structure, &Settings::default())?;
+pub(crate) fn at_start(reductions: &Reductions, structure: &Structure<'_>) -> Result<(Problem, Place, Sums), FitError> {
+    let settings = Settings::default();
+    let evidence = evidence(reductions, structure, &settings)?;
+    let problem = problem(&evidence, structure, &settings)?;
     let start = start::start(&problem, structure)?;
     let place = Place::new(&problem, &problem.covariance, start, None).ok_or(FitError::NotFinite)?;
     let sums = problem.sums(&place.point, Order::Expected, None).ok_or(FitError::NotFinite)?;
@@ -164,18 +164,23 @@ pub(crate) fn at_start(
 }
 
 /// Of ids that two tests have, the first by order.
-fn twice(reductions: &[Reduction]) -> Option<&str> {
+fn twice(reductions: &Reductions) -> Option<&str> {
     let mut seen = HashSet::with_capacity(reductions.len());
-    let again = reductions.iter().map(|r| r.test.as_str()).filter(|id| !seen.insert(*id));
+    let again = reductions.iter().map(|r| r.test).filter(|id| !seen.insert(*id));
     again.min()
 }
 
-fn problem(reductions: &[Reduction], structure: &Structure<'_>, settings: &Settings) -> Result<Problem, FitError> {
+fn problem(reductions: &Reductions, structure: &Structure<'_>, settings: &Settings) -> Result<Problem, FitError> {
     if reductions.is_empty() {
         return Err(FitError::NoTests);
     }
     if let Some(id) = twice(reductions) {
         return Err(FitError::DuplicateTest { id: id.to_owned() });
+    }
+    if let Some(grouping) = &structure.grouping
+        && let Some(apart) = reductions.iter().find(|reduction| grouping.number(reduction.test).is_none())
+    {
+        return Err(FitError::Ungrouped { test: apart.test.to_owned() });
     }
     Ok(Problem::new(reductions, structure, (settings.criterion, settings.phases))?)
 }

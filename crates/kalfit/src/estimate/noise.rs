@@ -23,7 +23,7 @@ use crate::estimate::listed::Residual;
 use crate::estimate::problem::Problem;
 use crate::estimate::{Estimate, FitError, Settings, Silent, State, Structure, ended, problem};
 use crate::model::{Population, StructureError};
-use crate::reduce::Reduction;
+use crate::reduce::Reductions;
 
 /// Tests in one phase whose noise may be scaled.
 #[derive(Debug)]
@@ -38,7 +38,7 @@ pub(crate) struct Noisy {
 impl Noisy {
     /// From reductions at λ = 1 and what each says of the level of the noise.
     pub(crate) fn new(
-        reductions: &[Reduction],
+        reductions: &Reductions,
         residuals: &[Residual],
         structure: &Structure<'_>,
         settings: &Settings,
@@ -46,7 +46,7 @@ impl Noisy {
         let classes = problem(reductions, structure, settings)?.classes;
         let sum = |told: &mut dyn Iterator<Item = Residual>| told.fold(Residual::default(), Residual::and);
         let told: Vec<Residual> =
-            classes.members().iter().map(|members| sum(&mut members.iter().map(|&j| residuals[j]))).collect();
+            (0..classes.len()).map(|k| sum(&mut classes.tests_of(k).iter().map(|&j| residuals[j]))).collect();
         let all = sum(&mut told.iter().copied());
         Ok(Noisy { classes, told: Arc::new(told), all })
     }
@@ -108,7 +108,7 @@ impl State {
 
 impl State {
     /// The same, its classes gathered from reductions of the same tests.
-    pub(crate) fn grounded(self, reductions: &[Reduction]) -> Result<State, StructureError> {
+    pub(crate) fn grounded(self, reductions: &Reductions) -> Result<State, StructureError> {
         let problem = Problem::within(&self.evidence(reductions), &self.structure(), &self.problem)?;
         Ok(State { problem: Arc::new(problem), ..self })
     }
@@ -119,7 +119,7 @@ mod tests {
     use super::*;
     use crate::estimate::{Criterion, Order};
     use crate::model::{Alpha, CovarianceStructure, MeanStructure, Regression};
-    use crate::reduce::Path;
+    use crate::reduce::{Path, Reduction, ReductionRef};
 
     fn wave(j: usize, at: usize) -> f64 {
         ((7 * j + 3 * at) as f64).sin()
@@ -147,22 +147,22 @@ mod tests {
     }
 
     /// The reductions where all noise is λ times as large.
-    fn noisier(test: &Reduction, variance: f64) -> Reduction {
+    fn noisier(test: ReductionRef<'_>, variance: f64) -> Reduction {
         let residual = test.residual.expect("it is known");
         let shrunk = |numbers: &[f64]| numbers.iter().map(|x| x / variance.sqrt()).collect();
         Reduction {
             constant: test.constant
                 - 0.5 * (test.observations as f64 * variance.ln() + residual * (variance.recip() - 1.0)),
-            data: shrunk(&test.data),
-            factor: shrunk(&test.factor),
-            ..test.clone()
+            data: shrunk(test.data),
+            factor: shrunk(test.factor),
+            ..test.into()
         }
     }
 
     #[test]
     fn fits_at_other_noise_are_those_of_the_reductions_there() {
-        let reductions: Vec<Reduction> = (0..40).map(test).collect();
-        let residual = |test: &Reduction| Residual {
+        let reductions: Reductions = (0..40).map(test).collect();
+        let residual = |test: ReductionRef<'_>| Residual {
             measurements: test.observations as f64,
             squares: test.residual.expect("it is known"),
         };
@@ -172,16 +172,13 @@ mod tests {
         let alpha = Alpha { values: Vec::new() };
         for mean in [MeanStructure::free(2), MeanStructure { regression, ..MeanStructure::free(2) }] {
             let structure = Structure::single(&mean, &covariance, &alpha);
-            let reductions: Vec<Reduction> = reductions
-                .iter()
-                .map(|test| Reduction { covariates: test.covariates[..mean.regression.len()].to_vec(), ..test.clone() })
-                .collect();
+            let reductions = reductions.clone().with_covariates(&[0][..mean.regression.len()]);
             for criterion in [Criterion::Ml, Criterion::Reml] {
                 let settings = Settings { criterion, ..Settings::default() };
                 let noisy = Noisy::new(&reductions, &residuals, &structure, &settings).expect("sound");
                 assert!(!noisy.classes.beside.is_empty() && noisy.classes.classes.len() < 40, "of all kinds");
                 let direct = |variance: f64, near: Option<&Population>| {
-                    let there: Vec<Reduction> = reductions.iter().map(|test| noisier(test, variance)).collect();
+                    let there: Reductions = reductions.iter().map(|test| noisier(test, variance)).collect();
                     let problem = problem(&there, &structure, &settings).expect("sound");
                     ended(problem, &structure, near, &settings, &mut Silent).expect("a fit")
                 };
@@ -204,7 +201,7 @@ mod tests {
                     let by_differences = (at(h) - at(-h)) / (2.0 * h);
                     let slope = noisy.slope(variance, &found.state);
                     assert!((slope - by_differences).abs() < 1e-5 * (1.0 + slope.abs()), "{slope} {by_differences}");
-                    let all: Vec<Reduction> = reductions.iter().map(|test| noisier(test, variance)).collect();
+                    let all: Reductions = reductions.iter().map(|test| noisier(test, variance)).collect();
                     let grounded = found.state.clone().grounded(&all).expect("sound");
                     let again = grounded.problem.sums(&grounded.place.point, Order::First, None).expect("defined");
                     assert!(near(again.value, found.log_likelihood), "{} {}", again.value, found.log_likelihood);

@@ -11,6 +11,7 @@ use crate::estimate::chained::{Detail, Packed};
 use crate::estimate::class::Class;
 use crate::estimate::classes::Classes;
 use crate::estimate::lanes::{ChainPass, ChainTotals};
+use crate::estimate::levels;
 use crate::estimate::order::{FlatMean, Order, Wanted};
 use crate::estimate::point::{Point, Regressors};
 use crate::estimate::sums::Sums;
@@ -49,6 +50,9 @@ pub(crate) fn pass(
     flat: Option<&FlatMean<'_>>,
 ) -> Sums {
     let wanted = wanted(&classes.elements, regressors, order, flat);
+    if let Some(units) = &classes.units {
+        return levels::pass(units, point, wanted);
+    }
     // tests in phases are added up one by one where there are regressions, and under the restricted likelihood
     let simple = flat.is_none() && classes.frame.covariate_scale.is_empty();
     let apart = |number: &usize| &classes.classes[*number];

@@ -14,6 +14,9 @@ const PART: usize = 8;
 
 /// The problem of a part of the classes, in the same coordinates; `None` where there are too few to be worth it.
 pub(crate) fn problem(whole: &Problem, structure: &Structure<'_>) -> Result<Option<Problem>, FitError> {
+    if whole.classes.units.is_some() {
+        return Ok(None); // every so-many-th test would leave parts of groups
+    }
     let coordinates = whole.mean.basis.ncols() + whole.mean.regressors.len() + whole.covariance.elements.count();
     let wanted = CLASSES.max(EACH * coordinates);
     let every = whole.classes.classes.len() / wanted;

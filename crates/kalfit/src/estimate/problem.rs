@@ -19,7 +19,7 @@ use crate::estimate::sums::Sums;
 use crate::estimate::{Combination, Criterion, Structure};
 use crate::linalg::symmetric;
 use crate::model::{Population, StructureError};
-use crate::reduce::Reduction;
+use crate::reduce::Reductions;
 
 /// What is maximised: ℓ(μ, Σ) of the reductions under a structure, with what the restricted likelihood adds to it.
 #[derive(Debug)]
@@ -38,12 +38,16 @@ pub(crate) struct Problem {
 
 impl Problem {
     pub(crate) fn new(
-        reductions: &[Reduction],
+        reductions: &Reductions,
         structure: &Structure<'_>,
         (criterion, combination): (Criterion, Combination),
     ) -> Result<Problem, StructureError> {
         let chained = combination != Combination::Stacked;
         let classes = Classes::new(reductions, structure.ranges(), structure.regressions().len(), chained);
+        let classes = match &structure.grouping {
+            Some(grouping) => classes.in_groups(reductions, grouping),
+            None => classes,
+        };
         Problem::of(classes, structure, criterion)
     }
 

@@ -1,9 +1,11 @@
 //! Where a search ended.
 
 use std::borrow::Cow;
+use std::sync::Arc;
 
 use nalgebra::DMatrix;
 
+use crate::ensemble::Grouping;
 use crate::estimate::certificate::Certificate;
 use crate::estimate::covariance::Form;
 use crate::estimate::error::FitError;
@@ -18,7 +20,7 @@ use crate::estimate::stop::Stop;
 use crate::estimate::structure::{Assumed, Structure};
 use crate::estimate::sums::Sums;
 use crate::model::Population;
-use crate::reduce::Reduction;
+use crate::reduce::Reductions;
 
 /// Where the search ended, in the user's units.
 #[derive(Debug, Clone)]
@@ -55,7 +57,7 @@ pub struct Estimate {
 
 impl Estimate {
     /// With the log-likelihood of all phases together, where something else was maximised.
-    pub(super) fn of_all(mut self, reductions: &[Reduction]) -> Result<Estimate, FitError> {
+    pub(super) fn of_all(mut self, reductions: &Reductions) -> Result<Estimate, FitError> {
         if self.state.is_marginal() {
             let (problem, point) = (&self.state.problem, &self.state.place.point);
             let whole = Problem::within(reductions, &self.state.structure(), problem)?;
@@ -63,6 +65,11 @@ impl Estimate {
             self.log_likelihood = whole.likelihood(point, Order::First).value;
         }
         Ok(self)
+    }
+
+    /// The groups that the tests stand in, where the model has levels.
+    pub fn grouping(&self) -> Option<&Arc<Grouping>> {
+        self.state.problem.classes.units.as_ref().map(|units| &units.grouping)
     }
 
     /// Number of free mean quantities, as declared: elements of μ and regression coefficients.
@@ -100,7 +107,7 @@ impl From<&Estimate> for Population {
 /// The end of the search in the estimator's own coordinates.
 #[derive(Debug, Clone)]
 pub(crate) struct State {
-    pub(crate) problem: std::sync::Arc<Problem>,
+    pub(crate) problem: Arc<Problem>,
     pub(crate) place: Place,
     pub(crate) sums: Sums,
     pub(crate) assumed: Assumed,
@@ -111,15 +118,14 @@ pub(crate) struct State {
 
 impl State {
     /// The reductions whose likelihood was maximised, from those that the estimate was made from.
-    pub(crate) fn evidence<'a>(&self, reductions: &'a [Reduction]) -> Cow<'a, [Reduction]> {
-        let elements = &self.problem.covariance.elements;
-        evidence(reductions, (elements.blocks().len(), elements.states()), &self.settings)
-            .expect("the estimate was made from such")
+    pub(crate) fn evidence<'a>(&self, reductions: &'a Reductions) -> Cow<'a, Reductions> {
+        evidence(reductions, &self.structure(), &self.settings).expect("the estimate was made from such")
     }
 
     /// Each phase was taken by itself.
     pub(crate) fn is_marginal(&self) -> bool {
-        self.settings.phases == Combination::Marginal && !self.problem.covariance.elements.is_single()
+        let levels = self.problem.classes.units.is_some();
+        self.settings.phases == Combination::Marginal && !self.problem.covariance.elements.is_single() && !levels
     }
 
     /// What rounding leaves open, by mean coordinate (elements of μ, then regression coefficients), in standard errors.

@@ -1,43 +1,63 @@
 //! What is assumed of μ and Σ, phase by phase. Quantities of all phases stand in a row, first those of the first phase;
 //! states of different phases are independent (theory §7).
 
+use std::borrow::Cow;
 use std::ops::Range;
+use std::sync::Arc;
 
 use nalgebra::DMatrix;
 
-use crate::model::{Alpha, CovarianceStructure, MeanElement, MeanStructure, PhasedModel, Regression};
+use crate::ensemble::Grouping;
+use crate::model::{Alpha, CovarianceStructure, GroupLevel, MeanElement, MeanStructure, PhasedModel, Regression};
 
 /// What is assumed of μ and Σ.
 #[derive(Debug, Clone)]
 pub struct Structure<'a> {
-    /// Of each phase.
+    /// Of each phase. What groups of tests add to a test's ξ stands like further phases after the only one, level by level from the
+    /// innermost on: independent of it and of each other, with the mean zero.
     pub phases: Vec<PhaseStructure<'a>>,
     /// Parameters that matrices of the covariance structures refer to.
     pub alpha: &'a Alpha,
+    /// Which tests are of one group, where the model has levels.
+    pub grouping: Option<Arc<Grouping>>,
 }
 
-/// What is assumed of the μ and Σ of one phase.
-#[derive(Debug, Clone, Copy)]
+/// What is assumed of the μ and Σ of one phase, or of what the groups of a level add.
+#[derive(Debug, Clone)]
 pub struct PhaseStructure<'a> {
     /// Of μ.
-    pub mean: &'a MeanStructure,
+    pub mean: Cow<'a, MeanStructure>,
     /// Of Σ.
     pub covariance: &'a CovarianceStructure,
 }
 
 impl<'a> Structure<'a> {
-    /// The structure of a model, with its parameters at α.
-    pub fn of(model: &'a PhasedModel, alpha: &'a Alpha) -> Structure<'a> {
+    /// The structure of a model, with its parameters at α; of a model with levels, whose tests are in these groups.
+    pub fn of(model: &'a PhasedModel, alpha: &'a Alpha, grouping: Option<&Arc<Grouping>>) -> Structure<'a> {
         let of = |phase: &'a crate::model::Phase| PhaseStructure {
-            mean: &phase.model.mean,
+            mean: Cow::Borrowed(&phase.model.mean),
             covariance: &phase.model.covariance,
         };
-        Structure { phases: model.phases.iter().map(of).collect(), alpha }
+        let p = model.dimension();
+        let of_level = |level: &'a GroupLevel| PhaseStructure {
+            mean: Cow::Owned(MeanStructure::zero(p)),
+            covariance: &level.covariance,
+        };
+        let phases = model.phases.iter().map(of).chain(model.levels.iter().rev().map(of_level));
+        Structure { phases: phases.collect(), alpha, grouping: grouping.cloned() }
     }
 
     /// The structure of one phase.
     pub fn single(mean: &'a MeanStructure, covariance: &'a CovarianceStructure, alpha: &'a Alpha) -> Structure<'a> {
-        Structure { phases: vec![PhaseStructure { mean, covariance }], alpha }
+        Structure { phases: vec![PhaseStructure { mean: Cow::Borrowed(mean), covariance }], alpha, grouping: None }
+    }
+
+    /// p, the number of states that a test's reduction is in: of all phases, but of a level's groups not once more.
+    pub fn reduced_dimension(&self) -> usize {
+        match self.grouping {
+            Some(_) => self.phases[0].mean.elements.len(),
+            None => self.dimension(),
+        }
     }
 
     /// Σ_i p_i.
@@ -105,12 +125,14 @@ impl<'a> Structure<'a> {
 pub(crate) struct Assumed {
     phases: Vec<(MeanStructure, CovarianceStructure)>,
     pub(crate) alpha: Alpha,
+    grouping: Option<Arc<Grouping>>,
 }
 
 impl From<&Structure<'_>> for Assumed {
     fn from(structure: &Structure<'_>) -> Assumed {
-        let own = |phase: &PhaseStructure<'_>| (phase.mean.clone(), phase.covariance.clone());
-        Assumed { phases: structure.phases.iter().map(own).collect(), alpha: structure.alpha.clone() }
+        let own = |phase: &PhaseStructure<'_>| (phase.mean.clone().into_owned(), phase.covariance.clone());
+        let phases = structure.phases.iter().map(own).collect();
+        Assumed { phases, alpha: structure.alpha.clone(), grouping: structure.grouping.clone() }
     }
 }
 
@@ -122,7 +144,10 @@ impl Assumed {
 
     /// The same with other parameters.
     pub(crate) fn at<'a>(&'a self, alpha: &'a Alpha) -> Structure<'a> {
-        let of = |(mean, covariance): &'a (MeanStructure, CovarianceStructure)| PhaseStructure { mean, covariance };
-        Structure { phases: self.phases.iter().map(of).collect(), alpha }
+        let of = |(mean, covariance): &'a (MeanStructure, CovarianceStructure)| PhaseStructure {
+            mean: Cow::Borrowed(mean),
+            covariance,
+        };
+        Structure { phases: self.phases.iter().map(of).collect(), alpha, grouping: self.grouping.clone() }
     }
 }

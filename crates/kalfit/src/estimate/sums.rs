@@ -35,8 +35,21 @@ pub(crate) struct Sums {
     pub(super) cross: Crosses,
     /// Σ W ⊗ W.
     pub(super) expected: Products,
+    /// Second derivatives of tests in groups, which no sum over tests gives.
+    pub(super) of_levels: Option<OfLevels>,
     /// The elements of Σ.
     pub(crate) elements: Elements,
+}
+
+/// Second derivatives of tests in groups.
+#[derive(Debug, Clone)]
+pub(crate) struct OfLevels {
+    /// -∂²ℓ by two elements.
+    pub(super) observed: DMatrix<f64>,
+    /// -∂²ℓ by a mean coordinate and an element.
+    pub(super) cross: DMatrix<f64>,
+    /// What the first of them is on average.
+    pub(super) expected: DMatrix<f64>,
 }
 
 impl Sums {
@@ -55,6 +68,7 @@ impl Sums {
             curvature: Products::zero(elements, order >= Order::Second),
             cross: Crosses::zero(elements, m, order >= Order::Second),
             expected: Products::zero(elements, order >= Order::Expected),
+            of_levels: None,
             elements: elements.clone(),
         }
     }
@@ -233,7 +247,10 @@ impl Sums {
     /// -∂²ℓ/∂σ_kl ∂σ_ab, elements × elements; an off-diagonal element moves both of its places.
     pub(crate) fn observed_information(&self) -> DMatrix<f64> {
         let elements = &self.elements;
-        let own = elements.over(|k, l, a, b| self.curvature.get((l, a), (b, k)));
+        let own = match &self.of_levels {
+            Some(of_levels) => of_levels.observed.clone(),
+            None => elements.over(|k, l, a, b| self.curvature.get((l, a), (b, k))),
+        };
         match &self.restricted {
             Some(restricted) => own - &restricted.curvature,
             None => own,
@@ -242,12 +259,18 @@ impl Sums {
 
     /// ½ Σ tr(W D W E), elements × elements.
     pub(crate) fn expected_information(&self) -> DMatrix<f64> {
+        if let Some(of_levels) = &self.of_levels {
+            return of_levels.expected.clone();
+        }
         let elements = &self.elements;
         elements.over(|k, l, a, b| 0.5 * self.expected.get((l, a), (b, k)))
     }
 
     /// -∂²ℓ/∂(mean coordinate) ∂σ_kl = Σ E'(W_{·k} r_l + W_{·l} r_k), mean coordinates × elements.
     pub(crate) fn cross_information(&self) -> DMatrix<f64> {
+        if let Some(of_levels) = &self.of_levels {
+            return of_levels.cross.clone();
+        }
         let elements = &self.elements;
         let mut cross = DMatrix::zeros(self.mean_score.len(), elements.count());
         for m in 0..self.mean_score.len() {

@@ -3,7 +3,7 @@
 use crate::build::{Columns, ColumnsError};
 use crate::ensemble::Labels;
 use crate::model::{Alpha, PhasedModel, Population};
-use crate::reduce::{PhasedReducer, PhasedTest, ReduceError, Reduction};
+use crate::reduce::{PhasedReducer, PhasedTest, ReduceError, Reductions};
 use crate::simulate::{Designs, SimulateError, Simulator};
 
 /// A model with the tests that it is to be fitted to.
@@ -49,7 +49,7 @@ impl Ensemble {
     ///
     /// # Errors
     /// Numbers that the filter cannot work with.
-    pub fn reduce(&self, alpha: &Alpha) -> Result<Vec<Reduction>, ReduceError> {
+    pub fn reduce(&self, alpha: &Alpha) -> Result<Reductions, ReduceError> {
         PhasedReducer::new(&self.model, alpha)?.reduce(&self.tests)
     }
 

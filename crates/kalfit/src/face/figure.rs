@@ -98,7 +98,7 @@ impl Fit {
         index.map(|i| &self.inference.posteriors[i]).ok_or_else(|| UnknownName {
             what: "test",
             name: test.to_owned(),
-            known: self.reductions.iter().map(|reduction| reduction.test.clone()).collect(),
+            known: self.reductions.iter().map(|reduction| reduction.test.to_owned()).collect(),
         })
     }
 

@@ -5,7 +5,7 @@ use crate::estimate::{self, Estimate, Structure};
 use crate::infer::{Choices, Inference};
 use crate::model::{Alpha, PhasedModel, Population};
 use crate::record::FitRecord;
-use crate::reduce::Reduction;
+use crate::reduce::Reductions;
 
 /// What is asked of a fit.
 #[derive(Debug, Clone)]
@@ -39,7 +39,7 @@ pub struct Fit {
     /// Every value of α.
     pub alpha: Alpha,
     /// The tests at α.
-    pub reductions: Vec<Reduction>,
+    pub reductions: Reductions,
     /// μ and Σ with their certificate.
     pub estimate: Estimate,
     /// What each number is worth, and what each test says.
@@ -66,6 +66,6 @@ impl Fit {
 
     /// What the model says of μ and Σ, for another fit to the same reductions.
     pub fn structure(&self) -> Structure<'_> {
-        Structure::of(&self.model, &self.alpha)
+        Structure::of(&self.model, &self.alpha, self.estimate.grouping())
     }
 }

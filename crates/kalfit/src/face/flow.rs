@@ -11,7 +11,7 @@ use crate::face::second_look;
 use crate::infer;
 use crate::model::{Alpha, PhasedModel, Slots};
 use crate::record::{DynamicParts, FitRecord, LevelCounts, Provenance, TestGroups, level_notes};
-use crate::reduce::Reduction;
+use crate::reduce::Reductions;
 
 /// Fits a model to tests: μ, Σ and free dynamic parameters by maximum likelihood, with all that is inferred from them. The tests'
 /// order does not change the answer, nor does the number of threads.
@@ -78,11 +78,11 @@ fn of_tests(ensemble: &Ensemble, options: &Options, progress: &mut dyn Progress)
 /// The same of reductions at a known α.
 pub(super) fn of_reductions(
     (model, alpha): (&PhasedModel, &Alpha),
-    reductions: Vec<Reduction>,
+    reductions: Reductions,
     options: &Options,
     progress: &mut dyn Progress,
 ) -> Result<Fit, EnsembleError> {
-    let estimate = estimate::fit(&reductions, &Structure::of(model, alpha), &options.settings, progress)?;
+    let estimate = estimate::fit(&reductions, &Structure::of(model, alpha, None), &options.settings, progress)?;
     let inference = infer::infer(&estimate, &reductions, options.choices);
     let record = FitRecord::new(model, alpha, &reductions, &estimate, &inference, Provenance::default());
     Ok(Fit { model: model.clone(), alpha: alpha.clone(), reductions, estimate, inference, record })

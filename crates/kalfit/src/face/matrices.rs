@@ -8,7 +8,7 @@ use crate::face::error::EnsembleError;
 use crate::face::fit::{Fit, Options};
 use crate::face::flow::of_reductions;
 use crate::model::{Alpha, Model, PhasedModel};
-use crate::reduce::{Plain, Reduction};
+use crate::reduce::{Plain, Reductions};
 
 impl Model {
     /// A model of nothing but the unknown numbers ξ, by name: for tests that come as matrices or as reductions. Constraints on μ and
@@ -57,15 +57,11 @@ pub fn fit_matrices(model: &PhasedModel, tests: &[Plain]) -> Result<Fit, Ensembl
 ///
 /// # Errors
 /// Free parameters; reductions with another number of unknowns than the model; no reductions.
-pub fn fit_reductions(
-    model: &PhasedModel,
-    reductions: Vec<Reduction>,
-    options: &Options,
-) -> Result<Fit, EnsembleError> {
+pub fn fit_reductions(model: &PhasedModel, reductions: Reductions, options: &Options) -> Result<Fit, EnsembleError> {
     let alpha = Alpha::fixed(&model.shared().parameters)?;
     let expected = model.dimension();
     if let Some(other) = reductions.iter().find(|reduction| reduction.data.len() != expected) {
-        let (test, found) = (other.test.clone(), other.data.len());
+        let (test, found) = (other.test.to_owned(), other.data.len());
         return Err(EnsembleError::Dimension { test, found, expected, names: model.estimated_names() });
     }
     of_reductions((model, &alpha), reductions, options, &mut Silent)

@@ -12,7 +12,7 @@ use crate::estimate::{
 };
 use crate::infer::posterior::{Distance, distance};
 use crate::model::Population;
-use crate::reduce::Reduction;
+use crate::reduce::{ReductionRef, Reductions};
 
 /// The fit without one test.
 #[derive(Debug, Clone, PartialEq)]
@@ -32,19 +32,19 @@ const STEPS: usize = 12;
 
 /// The fit without each test, in the order of the reductions. `None` where the others alone have no certified optimum, and for
 /// the only test.
-pub fn deletions(estimate: &Estimate, reductions: &[Reduction]) -> Vec<Option<Deletion>> {
+pub fn deletions(estimate: &Estimate, reductions: &Reductions) -> Vec<Option<Deletion>> {
     if reductions.len() < 2 {
         return vec![None; reductions.len()];
     }
     let reductions = &*estimate.state.evidence(reductions);
     let all = &All::of(estimate);
     let without = |j: usize| {
-        let near = climbed(estimate, all, &reductions[j]);
+        let near = climbed(estimate, all, reductions.get(j));
         let others = match near {
             Some(others) => others,
             None => searched(estimate, reductions, j)?,
         };
-        Some(deletion(estimate, all, &reductions[j], &others))
+        Some(deletion(estimate, all, reductions.get(j), &others))
     };
     (0..reductions.len()).into_par_iter().map(without).collect()
 }
@@ -104,7 +104,7 @@ impl Objective for Without<'_> {
 }
 
 /// Newton steps from the optimum of all tests, in its coordinates.
-fn climbed(estimate: &Estimate, all: &All, reduction: &Reduction) -> Option<Others> {
+fn climbed(estimate: &Estimate, all: &All, reduction: ReductionRef<'_>) -> Option<Others> {
     let state = &estimate.state;
     let (problem, map): (&Problem, &CovarianceMap) = (&state.problem, &state.problem.covariance);
     let objective = Without { problem, test: problem.classes.single(reduction) };
@@ -120,9 +120,9 @@ fn climbed(estimate: &Estimate, all: &All, reduction: &Reduction) -> Option<Othe
 }
 
 /// A search over the other tests, from the optimum of all; its end in the coordinates of the estimate of all.
-fn searched(estimate: &Estimate, reductions: &[Reduction], j: usize) -> Option<Others> {
-    let mut others = reductions.to_vec();
-    others.remove(j);
+fn searched(estimate: &Estimate, reductions: &Reductions, j: usize) -> Option<Others> {
+    let others: Vec<usize> = (0..reductions.len()).filter(|other| *other != j).collect();
+    let others = reductions.select(&others);
     let state = &estimate.state;
     let start = Population::from(estimate);
     let found = fit_from(&others, &state.structure(), &start, &state.settings, &mut Silent).ok()?;
@@ -130,7 +130,7 @@ fn searched(estimate: &Estimate, reductions: &[Reduction], j: usize) -> Option<O
     (found.stop == Stop::Certified).then(|| Others { point: point(), log_likelihood: None })
 }
 
-fn deletion(estimate: &Estimate, all: &All, reduction: &Reduction, others: &Others) -> Deletion {
+fn deletion(estimate: &Estimate, all: &All, reduction: ReductionRef<'_>, others: &Others) -> Deletion {
     let (problem, point) = (&estimate.state.problem, &others.point);
     let (log_density, distance) = distance(problem, point, reduction);
     let there = match others.log_likelihood {

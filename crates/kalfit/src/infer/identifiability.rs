@@ -11,7 +11,7 @@ use crate::infer::observability::{Observability, observability};
 use crate::infer::phases::{PhaseObservability, phases};
 use crate::infer::reason::{Explanation, explain};
 use crate::linalg::symmetric;
-use crate::reduce::Reduction;
+use crate::reduce::Reductions;
 
 /// What the data identify, why not all, and from which tests.
 #[derive(Debug, Clone, PartialEq)]
@@ -27,13 +27,13 @@ pub struct Examination {
 }
 
 /// All of it before any fit: at the start values.
-pub fn examine_at_start(reductions: &[Reduction], structure: &Structure<'_>) -> Result<Examination, FitError> {
+pub fn examine_at_start(reductions: &Reductions, structure: &Structure<'_>) -> Result<Examination, FitError> {
     let (problem, place, sums) = crate::estimate::at_start(reductions, structure)?;
     Ok(examination((&problem, &place, &sums), reductions, phases(&problem, reductions)))
 }
 
 /// `evidence`: what the estimate was made from, where that is not the reductions.
-pub(crate) fn examine(estimate: &Estimate, evidence: &[Reduction], reductions: &[Reduction]) -> Examination {
+pub(crate) fn examine(estimate: &Estimate, evidence: &Reductions, reductions: &Reductions) -> Examination {
     let state = &estimate.state;
     let phases = phases(&state.problem, reductions);
     examination((&state.problem, &state.place, &state.sums), evidence, phases)
@@ -41,7 +41,7 @@ pub(crate) fn examine(estimate: &Estimate, evidence: &[Reduction], reductions: &
 
 fn examination(
     (problem, place, sums): (&Problem, &Place, &Sums),
-    reductions: &[Reduction],
+    reductions: &Reductions,
     phases: Vec<PhaseObservability>,
 ) -> Examination {
     let unidentified = directions(problem, place, &sums.expected_information());

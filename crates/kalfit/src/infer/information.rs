@@ -8,7 +8,7 @@ use crate::infer::law::Law;
 use crate::infer::std_errors::{PART, StdErrors};
 use crate::linalg::elements::Elements;
 use crate::linalg::symmetric;
-use crate::reduce::Reduction;
+use crate::reduce::Reductions;
 
 /// A squared correlation this near to one is one.
 const END: f64 = 1e-6;
@@ -93,7 +93,7 @@ pub fn free(estimate: &Estimate, unidentified: &[Direction]) -> Free {
 /// Standard errors at an estimate. The reductions are those it was made from; only the sandwich looks at them.
 pub fn uncertainty(
     estimate: &Estimate,
-    reductions: &[Reduction],
+    reductions: &Reductions,
     unidentified: &[Direction],
     kind: StdErrors,
 ) -> Uncertainty {
@@ -103,7 +103,7 @@ pub fn uncertainty(
 /// The same from the reductions whose likelihood was maximised.
 pub(super) fn uncertainty_of(
     estimate: &Estimate,
-    evidence: &[Reduction],
+    evidence: &Reductions,
     unidentified: &[Direction],
     kind: StdErrors,
 ) -> Uncertainty {

@@ -2,11 +2,11 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::{JointLaw, Order, Part, State};
+use crate::estimate::{JointLaw, Part, State};
 use crate::infer::holdable::Holdable;
 use crate::infer::std_errors::{PART, StdErrors};
 use crate::linalg::symmetric;
-use crate::reduce::Reduction;
+use crate::reduce::Reductions;
 
 /// Scaled eigenvalues of the information below this carry none.
 const FLAT: f64 = 1e-10;
@@ -35,10 +35,10 @@ struct WithParameters {
 impl<'a> Law<'a> {
     /// From the observed information.
     pub(crate) fn new(state: &'a State) -> Law<'a> {
-        Law::of(state, &[], StdErrors::Observed)
+        Law::of(state, &Reductions::new(), StdErrors::Observed)
     }
 
-    pub(super) fn of(state: &'a State, reductions: &[Reduction], kind: StdErrors) -> Law<'a> {
+    pub(super) fn of(state: &'a State, reductions: &Reductions, kind: StdErrors) -> Law<'a> {
         let tangent = &state.place.tangent;
         let mean = state.problem.mean.jacobian();
         let (m, s) = (mean.nrows(), state.problem.covariance.elements.count());
@@ -202,19 +202,15 @@ fn expected(state: &State, m: usize, s: usize) -> DMatrix<f64> {
     information
 }
 
-/// Σ_j s_j s_j' over the tests, in mean coordinates and elements of Σ.
-fn outer_scores(state: &State, reductions: &[Reduction], m: usize, s: usize) -> DMatrix<f64> {
-    let (problem, point) = (&state.problem, &state.place.point);
+/// Σ s s' over what is independent, in mean coordinates and elements of Σ.
+fn outer_scores(state: &State, reductions: &Reductions, m: usize, s: usize) -> DMatrix<f64> {
     let mut sum = DMatrix::zeros(m + s, m + s);
-    let mut order: Vec<&Reduction> = reductions.iter().collect();
-    order.sort_by(|a, b| a.test.cmp(&b.test)); // the same bits whatever the order of the tests
-    for reduction in order {
-        let own = problem.of_class(&problem.classes.single(reduction), point, Order::First);
+    state.each_independent(reductions, &mut |_, own| {
         let mut score = DVector::zeros(m + s);
         score.rows_mut(0, m).copy_from(&own.mean_score);
-        score.rows_mut(m, s).copy_from(&problem.covariance.elements.pack_score(&own.score()));
+        score.rows_mut(m, s).copy_from(&state.problem.covariance.elements.pack_score(&own.score()));
         sum.ger(1.0, &score, &score, 1.0);
-    }
+    });
     sum
 }
 

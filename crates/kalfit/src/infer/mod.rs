@@ -51,7 +51,7 @@ pub(crate) use ratio::replicates;
 pub(crate) use std_errors::PART;
 
 use crate::estimate::{Criterion, Estimate};
-use crate::reduce::Reduction;
+use crate::reduce::Reductions;
 use deletion::deletion_work;
 
 /// What to infer, and how.
@@ -118,7 +118,7 @@ pub struct Inference {
 }
 
 /// Infers all of it, from the reductions that the estimate was made from.
-pub fn infer(estimate: &Estimate, reductions: &[Reduction], choices: Choices) -> Inference {
+pub fn infer(estimate: &Estimate, reductions: &Reductions, choices: Choices) -> Inference {
     let evidence = estimate.state.evidence(reductions);
     let Examination { unidentified, explanations, observability, phases } =
         identifiability::examine(estimate, &evidence, reductions);

@@ -21,7 +21,7 @@ use crate::estimate::{Classes, Form, Part, Place, Problem, forms_in_parts};
 use crate::infer::direction::{NONE, unit};
 use crate::linalg::fold::norm;
 use crate::linalg::symmetric;
-use crate::reduce::Reduction;
+use crate::reduce::Reductions;
 
 /// Condition index beyond which a direction of the mean is weakly determined; 30 is Belsley, Kuh and Welsch's "strong".
 pub const WEAK: f64 = 30.0;
@@ -90,33 +90,42 @@ pub struct Shortage {
     pub rank: usize,
 }
 
-/// Tests of one class.
-struct Design<'a> {
-    /// In order of their ids.
-    tests: Vec<&'a Reduction>,
+/// The classes of the tests, and which states each of them informs and observes.
+struct Designs<'a> {
+    classes: &'a Classes,
+    reductions: &'a Reductions,
+    /// p of each class.
     informs: Vec<bool>,
     observes: Vec<bool>,
+}
+
+/// Tests of one class.
+struct Design<'a> {
+    /// Their numbers, in order of their ids.
+    tests: &'a [usize],
+    informs: &'a [bool],
+    observes: &'a [bool],
 }
 
 pub(crate) fn observability(
     problem: &Problem,
     place: &Place,
     weight: &DMatrix<f64>,
-    reductions: &[Reduction],
+    reductions: &Reductions,
 ) -> Observability {
     let p = problem.classes.dimension();
     let classes = problem.classes.of(reductions);
-    let designs = designs(&classes, reductions);
-    let shares = Shares { problem, place, classes: &classes, designs: &designs };
+    let designs = Designs::new(&classes, reductions);
+    let shares = Shares { problem, place, designs: &designs };
     let (known, weak) = known_and_weak(problem, weight);
     let mut directions: Vec<DVector<f64>> = known.iter().flatten().cloned().collect();
     directions.extend(weak.iter().map(|(direction, _)| direction.clone()));
     let mut leading = shares.leading(&directions).into_iter();
     let states = (0..p)
         .map(|i| StateObservability {
-            informed_by: count(&designs, |d| d.informs[i]),
-            observed_by: count(&designs, |d| d.observes[i]),
-            tests: listed(&designs, &|d| d.informs[i]),
+            informed_by: designs.count(|d| d.informs[i]),
+            observed_by: designs.count(|d| d.observes[i]),
+            tests: designs.listed(|d| d.informs[i]),
             leading: known[i].as_ref().and_then(|_| leading.next().expect("one for each direction")),
         })
         .collect();
@@ -129,7 +138,7 @@ pub(crate) fn observability(
     Observability {
         states,
         weak: weak.collect(),
-        together: together(&designs, p),
+        together: designs.together(p),
         shortages: shortages(problem, &designs),
     }
 }
@@ -148,45 +157,90 @@ impl Observability {
     }
 }
 
-/// The tests of each class.
-fn designs<'a>(classes: &Classes, reductions: &'a [Reduction]) -> Vec<Design<'a>> {
-    let p = classes.dimension();
-    let norm = |r: &Reduction, k: usize| norm(&r.factor[k * (k + 1) / 2..][..=k]);
-    let first = |members: &Vec<usize>| &reductions[members[0]];
-    let norms = |members: &Vec<usize>| -> Vec<f64> { (0..p).map(|k| norm(first(members), k)).collect() };
-    let all: Vec<Vec<f64>> = classes.members().par_iter().map(norms).collect();
-    let largest: Vec<f64> = (0..p).map(|k| all.iter().map(|norms| norms[k]).fold(0.0, f64::max)).collect();
-    let of = |(members, norms): (&Vec<usize>, &Vec<f64>)| {
-        let informs: Vec<bool> = (0..p).map(|k| norms[k] > TRACE * largest[k]).collect();
-        let observes = observed(&first(members).factor, &informs);
-        Design { tests: members.iter().map(|&j| &reductions[j]).collect(), informs, observes }
-    };
-    classes.members().par_iter().zip(&all).map(of).collect()
+impl<'a> Designs<'a> {
+    fn new(classes: &'a Classes, reductions: &'a Reductions) -> Designs<'a> {
+        let (p, count) = (classes.dimension(), classes.len());
+        let first = |class: usize| reductions.factor(classes.tests_of(class)[0]);
+        let mut norms = vec![0.0; count * p];
+        norms.par_chunks_mut(p.max(1)).enumerate().for_each(|(class, norms)| {
+            norms.iter_mut().enumerate().for_each(|(k, to)| *to = column_norm(first(class), k));
+        });
+        let mut largest = vec![0.0_f64; p];
+        for norms in norms.chunks_exact(p.max(1)) {
+            largest.iter_mut().zip(norms).for_each(|(most, norm)| *most = most.max(*norm));
+        }
+        let informs: Vec<bool> = norms.iter().enumerate().map(|(at, norm)| *norm > TRACE * largest[at % p]).collect();
+        let mut observes = informs.clone();
+        observes.par_chunks_mut(p.max(1)).enumerate().for_each(|(class, observes)| {
+            observe(first(class), &informs[class * p..][..p], observes);
+        });
+        Designs { classes, reductions, informs, observes }
+    }
+
+    /// Class by class.
+    fn iter(&self) -> impl Iterator<Item = Design<'_>> {
+        let p = self.classes.dimension();
+        (0..self.classes.len()).map(move |class| Design {
+            tests: self.classes.tests_of(class),
+            informs: &self.informs[class * p..][..p],
+            observes: &self.observes[class * p..][..p],
+        })
+    }
+
+    /// Number of tests of designs that `of` picks.
+    fn count(&self, of: impl Fn(&Design<'_>) -> bool) -> usize {
+        self.iter().filter(of).map(|design| design.tests.len()).sum()
+    }
+
+    /// Ids of the tests of designs that `of` picks, when they are few.
+    fn listed(&self, of: impl Fn(&Design<'_>) -> bool) -> Vec<String> {
+        let tests = self.iter().filter(of).flat_map(|design| design.tests).take(MOST_TESTS + 1);
+        let mut ids: Vec<String> = tests.map(|&test| self.reductions.id(test).to_owned()).collect();
+        if ids.len() > MOST_TESTS {
+            return Vec::new();
+        }
+        ids.sort();
+        ids
+    }
+
+    /// How many tests inform both of two states.
+    fn together(&self, p: usize) -> Vec<Vec<usize>> {
+        let mut alike: BTreeMap<&[bool], usize> = BTreeMap::new();
+        self.iter().for_each(|design| *alike.entry(design.informs).or_default() += design.tests.len());
+        let both = |i: usize, k: usize| {
+            alike.iter().filter(|(informs, _)| informs[i] && informs[k]).map(|(_, tests)| tests).sum()
+        };
+        (0..p).map(|i| (0..p).map(|k| both(i, k)).collect()).collect()
+    }
 }
 
-/// For each state whether its unit vector is in the range of J = R'R, on the states it informs.
-fn observed(factor: &[f64], informs: &[bool]) -> Vec<bool> {
+/// Norm of a column of R, packed.
+fn column_norm(factor: &[f64], k: usize) -> f64 {
+    norm(&factor[k * (k + 1) / 2..][..=k])
+}
+
+/// Leaves of the states that are informed those whose unit vector is in the range of J = R'R, on these.
+fn observe(factor: &[f64], informs: &[bool], observes: &mut [bool]) {
     let p = informs.len();
-    let states: Vec<usize> = (0..p).filter(|&i| informs[i]).collect();
+    let informed = || (0..p).filter(|&i| informs[i]);
     let entry = |i: usize, k: usize| if i <= k { factor[i + k * (k + 1) / 2] } else { 0.0 };
-    let norms: Vec<f64> = states.iter().map(|&k| norm(&factor[k * (k + 1) / 2..][..=k])).collect();
     // Of J scaled to unit diagonal the least eigenvalue is at least a third of the determinant, and that at least Π R_kk²:
     // eigenvalues need not be sought where it is plain that none is near zero.
-    let determinant: f64 = states.iter().zip(&norms).map(|(&k, norm)| (entry(k, k) / norm).powi(2)).product();
+    let determinant: f64 = informed().map(|k| (entry(k, k) / column_norm(factor, k)).powi(2)).product();
     if determinant > 10.0 * NONE {
-        return informs.to_vec();
+        return;
     }
+    let states: Vec<usize> = informed().collect();
+    let norms: Vec<f64> = states.iter().map(|&k| column_norm(factor, k)).collect();
     if states.iter().enumerate().all(|(c, &state)| c == state) && Isa::best().run(Regular { factor, norms: &norms }) {
-        return informs.to_vec();
+        return;
     }
     let scaled = DMatrix::from_fn(p, states.len(), |i, c| entry(i, states[c]) / norms[c]);
     let (values, vectors) = symmetric::eigen(&(scaled.transpose() * &scaled));
-    let mut observed = vec![false; p];
     for (c, &state) in states.iter().enumerate() {
         let blind = values.iter().enumerate().filter(|(_, v)| **v < NONE).map(|(k, _)| vectors[(c, k)]);
-        observed[state] = blind.fold(0.0, f64::hypot) <= PART;
+        observes[state] = blind.fold(0.0, f64::hypot) <= PART;
     }
-    observed
 }
 
 /// Whether no eigenvalue of R'R, scaled to unit diagonal, can be near zero: the least one is at least 1 / ‖D R⁻¹‖², D the norms of the
@@ -219,30 +273,6 @@ impl Kernel for Regular<'_> {
         }
         10.0 * NONE * squares < 1.0 // false for what is not a number
     }
-}
-
-/// How many tests inform both of two states.
-fn together(designs: &[Design<'_>], p: usize) -> Vec<Vec<usize>> {
-    let mut alike: BTreeMap<&[bool], usize> = BTreeMap::new();
-    designs.iter().for_each(|design| *alike.entry(&design.informs).or_default() += design.tests.len());
-    let both = |i: usize, k: usize| alike.iter().filter(|(informs, _)| informs[i] && informs[k]).map(|(_, n)| n).sum();
-    (0..p).map(|i| (0..p).map(|k| both(i, k)).collect()).collect()
-}
-
-/// Number of tests of designs that `of` picks.
-fn count(designs: &[Design<'_>], of: impl Fn(&Design<'_>) -> bool) -> usize {
-    designs.iter().filter(|design| of(design)).map(|design| design.tests.len()).sum()
-}
-
-/// Ids of the tests of designs that `of` picks, when they are few.
-fn listed(designs: &[Design<'_>], of: &dyn Fn(&Design<'_>) -> bool) -> Vec<String> {
-    let tests = designs.iter().filter(|d| of(d)).flat_map(|d| &d.tests).take(MOST_TESTS + 1);
-    let mut ids: Vec<String> = tests.map(|test| test.test.clone()).collect();
-    if ids.len() > MOST_TESTS {
-        return Vec::new();
-    }
-    ids.sort();
-    ids
 }
 
 /// A direction of the mean in η and its condition index.
@@ -283,23 +313,23 @@ fn known_and_weak(problem: &Problem, weight: &DMatrix<f64>) -> (Vec<Option<DVect
 struct Shares<'a> {
     problem: &'a Problem,
     place: &'a Place,
-    classes: &'a Classes,
-    designs: &'a [Design<'a>],
+    designs: &'a Designs<'a>,
 }
 
 impl Shares<'_> {
     /// For each direction u the test with the largest u'W_ju, and its share of their sum.
     fn leading(&self, directions: &[DVector<f64>]) -> Vec<Option<Leading>> {
-        let p = self.classes.dimension();
+        let Designs { classes, reductions, .. } = self.designs;
+        let p = classes.dimension();
         let mut all = Parts::none(directions.len());
         let directions = DMatrix::from_fn(p, directions.len(), |i, c| directions[c][i]);
         let (regressors, point) = (&self.problem.mean.regressors, &self.place.point);
         let none = || Parts::none(directions.ncols());
-        let parts = forms_in_parts(self.classes, (regressors, point), &directions, &none, &|parts, k, forms| {
-            let tests = &self.designs[k].tests;
+        let parts = forms_in_parts(classes, (regressors, point), &directions, &none, &|parts, k, forms| {
+            let tests = classes.tests_of(k);
             for (c, &own) in forms.iter().enumerate() {
                 parts.totals[c] += own * tests.len() as f64;
-                parts.offer(c, own, &tests[0].test);
+                parts.offer(c, own, reductions.id(tests[0]));
             }
         });
         parts.into_iter().for_each(|parts| all.add(parts));
@@ -341,7 +371,7 @@ impl<'a> Parts<'a> {
 }
 
 /// Blocks of a Σ without fixed or equal elements that fewer tests inform than a regular estimate takes.
-fn shortages(problem: &Problem, designs: &[Design<'_>]) -> Vec<Shortage> {
+fn shortages(problem: &Problem, designs: &Designs<'_>) -> Vec<Shortage> {
     let map = &problem.covariance;
     let loose = |part: &&Part| map.of_part(part).constraints.is_empty();
     let blocks = map.parts.iter().filter(loose).flat_map(|part| match &part.form {
@@ -349,9 +379,9 @@ fn shortages(problem: &Problem, designs: &[Design<'_>]) -> Vec<Shortage> {
         _ => &[],
     });
     let shortage = |block: &Vec<usize>| {
-        let seen = |i: &usize| count(designs, |d| d.informs[*i]) > 0;
+        let seen = |i: &usize| designs.count(|d| d.informs[*i]) > 0;
         let states: Vec<usize> = block.iter().copied().filter(seen).collect();
-        let tests = count(designs, |d| states.iter().any(|&i| d.informs[i]));
+        let tests = designs.count(|d| states.iter().any(|&i| d.informs[i]));
         let free = states.iter().any(|&i| problem.mean.basis.row(i).norm() > 0.0);
         Shortage { states, tests, rank: tests.saturating_sub(usize::from(free)) }
     };
@@ -362,6 +392,12 @@ fn shortages(problem: &Problem, designs: &[Design<'_>]) -> Vec<Shortage> {
 mod tests {
     use super::*;
 
+    fn observed(factor: &[f64], informs: [bool; 3]) -> [bool; 3] {
+        let mut observes = informs;
+        observe(factor, &informs, &mut observes);
+        observes
+    }
+
     #[test]
     fn what_is_surely_observed_is_what_eigenvalues_say() {
         // the last column nears the one before it, in units a million times as large
@@ -371,8 +407,8 @@ mod tests {
             for isa in Isa::all() {
                 assert_eq!(isa.run(Regular { factor: &factor, norms: &norms }), expected, "{isa:?}: {off}");
             }
-            assert_eq!(observed(&factor, &[true; 3]), [true, expected, expected], "{off}");
+            assert_eq!(observed(&factor, [true; 3]), [true, expected, expected], "{off}");
         }
-        assert_eq!(observed(&[2.0, 0.0, 0.0, 1.0, 0.0, 3.0], &[true, false, true]), [true, false, true]);
+        assert_eq!(observed(&[2.0, 0.0, 0.0, 1.0, 0.0, 3.0], [true, false, true]), [true, false, true]);
     }
 }

@@ -5,7 +5,7 @@ use nalgebra::DMatrix;
 use crate::estimate::{Chained, Kept, Problem};
 use crate::infer::direction::{NONE, simplest, unit};
 use crate::linalg::symmetric;
-use crate::reduce::Reduction;
+use crate::reduce::Reductions;
 
 /// Classes of tests that are looked at before the ranks are counted again.
 const CHUNK: usize = 64;
@@ -23,7 +23,7 @@ pub struct PhaseObservability {
 }
 
 /// By phase; empty where tests are not kept phase by phase. Looks only at as many tests as it takes to find every rank full.
-pub(crate) fn phases(problem: &Problem, reductions: &[Reduction]) -> Vec<PhaseObservability> {
+pub(crate) fn phases(problem: &Problem, reductions: &Reductions) -> Vec<PhaseObservability> {
     let elements = &problem.covariance.elements;
     let count = elements.blocks().len();
     if elements.is_single() {

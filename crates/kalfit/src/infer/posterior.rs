@@ -8,7 +8,7 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::estimate::{Class, Classes, Detail, Estimate, Point, Problem, Terms, each, in_parts};
 use crate::linalg::{posterior_root, symmetric};
-use crate::reduce::Reduction;
+use crate::reduce::{ReductionRef, Reductions};
 
 /// What one test says, at an estimate.
 #[derive(Debug, Clone, PartialEq)]
@@ -38,21 +38,22 @@ pub struct Distance {
 const CHUNK: usize = 64;
 
 /// Posteriors of all tests, in their order.
-pub fn posteriors(estimate: &Estimate, reductions: &[Reduction]) -> Vec<Posterior> {
+pub fn posteriors(estimate: &Estimate, reductions: &Reductions) -> Vec<Posterior> {
     let problem = &estimate.state.problem;
     let classes = problem.classes.of(reductions);
     if classes.are_single() {
         return of_classes((problem, &classes), &estimate.state.place.point, reductions);
     }
-    reductions.par_chunks(CHUNK).flat_map_iter(|reductions| chunk(estimate, reductions)).collect()
+    let all: Vec<usize> = (0..reductions.len()).collect();
+    all.par_chunks(CHUNK).flat_map_iter(|numbers| chunk(estimate, reductions, numbers)).collect()
 }
 
 /// Of tests that are classes to themselves.
-fn of_classes((problem, classes): (&Problem, &Classes), point: &Point, reductions: &[Reduction]) -> Vec<Posterior> {
+fn of_classes((problem, classes): (&Problem, &Classes), point: &Point, reductions: &Reductions) -> Vec<Posterior> {
     let sigma = point.covariance();
     let told = |found: &mut Vec<(usize, Posterior)>, k: usize, terms: &Terms| {
-        let test = classes.members()[k][0];
-        found.push((test, posterior((problem, point, &sigma), terms, &classes.classes[k], &reductions[test])));
+        let test = classes.tests_of(k)[0];
+        found.push((test, posterior((problem, point, &sigma), terms, &classes.classes[k], reductions.get(test))));
     };
     let parts = in_parts(classes, &problem.mean.regressors, point, Detail::Posterior, &Vec::new, &told);
     let mut found: Vec<Option<Posterior>> = vec![None; reductions.len()];
@@ -60,13 +61,13 @@ fn of_classes((problem, classes): (&Problem, &Classes), point: &Point, reduction
     found.into_iter().map(|one| one.expect("every test has a class")).collect()
 }
 
-fn chunk(estimate: &Estimate, reductions: &[Reduction]) -> Vec<Posterior> {
+fn chunk(estimate: &Estimate, reductions: &Reductions, numbers: &[usize]) -> Vec<Posterior> {
     let problem = &estimate.state.problem;
-    let classes: Vec<Class> = reductions.iter().map(|reduction| problem.classes.single(reduction)).collect();
+    let classes: Vec<Class> = numbers.iter().map(|&j| problem.classes.single(reductions.get(j))).collect();
     let mut found: Vec<Option<Posterior>> = vec![None; classes.len()];
     let (point, sigma) = (&estimate.state.place.point, estimate.state.place.point.covariance());
     each(&classes.iter().collect::<Vec<_>>(), &problem.mean.regressors, point, Detail::Posterior, &mut |k, terms| {
-        found[k] = Some(posterior((problem, point, &sigma), terms, &classes[k], &reductions[k]));
+        found[k] = Some(posterior((problem, point, &sigma), terms, &classes[k], reductions.get(numbers[k])));
     });
     found.into_iter().map(|one| one.expect("every class has its turn")).collect()
 }
@@ -75,7 +76,7 @@ fn posterior(
     (problem, point, sigma): (&Problem, &Point, &DMatrix<f64>),
     terms: &Terms,
     class: &Class,
-    reduction: &Reduction,
+    reduction: ReductionRef<'_>,
 ) -> Posterior {
     let mut mean = DVector::from_column_slice(&point.mean);
     for (c, &element) in problem.mean.regressors.iter().enumerate() {
@@ -92,7 +93,7 @@ fn posterior(
 }
 
 /// log p of a test's measurements and its distance from the population, at any point.
-pub(crate) fn distance(problem: &Problem, point: &Point, reduction: &Reduction) -> (f64, Distance) {
+pub(crate) fn distance(problem: &Problem, point: &Point, reduction: ReductionRef<'_>) -> (f64, Distance) {
     let class = problem.classes.single(reduction);
     let terms = terms(problem, point, &class);
     (terms.value(&class), Distance::of(&terms, &class, reduction))
@@ -105,7 +106,7 @@ fn terms(problem: &Problem, point: &Point, class: &Class) -> Terms {
 }
 
 impl Distance {
-    fn of(terms: &Terms, class: &Class, reduction: &Reduction) -> Distance {
+    fn of(terms: &Terms, class: &Class, reduction: ReductionRef<'_>) -> Distance {
         let p = terms.r.len();
         let rank = (0..p).filter(|&i| (i..p).any(|k| reduction.factor[i + k * (k + 1) / 2] != 0.0)).count();
         // of tests kept phase by phase the quadratic form holds what their phases disagree on at any ξ as well: the stacked constant

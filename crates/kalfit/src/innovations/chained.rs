@@ -18,7 +18,7 @@ use crate::innovations::start::Start;
 use crate::linalg::symmetric;
 use crate::model::{Alpha, Phase, PhasedModel, Population};
 use crate::reduce::{
-    Cells, Evidence, Inherited, PhasedReducer, PhasedTest, PhasedWork, ReduceError, ReduceErrorKind, Reduction,
+    Cells, Evidence, Inherited, PhasedReducer, PhasedTest, PhasedWork, ReduceError, ReduceErrorKind, ReductionRef,
     Terminal, Workspace,
 };
 
@@ -153,7 +153,7 @@ impl Chained {
         let reduction = &part.reduction;
         let link = before.map(|before| before.link(part.inherits()));
         let mut law = self.phases[at].law(&reduction.covariates, reduction.data.len(), link);
-        *log_density += absorb(reduction, &mut law);
+        *log_density += absorb(reduction.view(), &mut law);
         Ok(After { law: law.posterior(), terminal: part.into_piece().terminal })
     }
 }
@@ -181,7 +181,7 @@ impl After {
 }
 
 /// Takes in what is known of a phase otherwise than by rows; its log p given all earlier phases.
-fn absorb(phase: &Reduction, law: &mut Law) -> f64 {
+fn absorb(phase: ReductionRef<'_>, law: &mut Law) -> f64 {
     let q = phase.data.len();
     let mut log_density = phase.constant;
     let mut line = vec![0.0; q];

@@ -50,6 +50,11 @@ impl MeanStructure {
         MeanStructure { elements: vec![MeanElement::Free; p], start: vec![None; p], regression: Vec::new() }
     }
 
+    /// All p elements zero.
+    pub fn zero(p: usize) -> MeanStructure {
+        MeanStructure { elements: vec![MeanElement::Fixed(0.0); p], ..MeanStructure::free(p) }
+    }
+
     /// (m0, B): μ = m0 + Bβ, without the regression. Shapes p and p × q.
     pub fn basis(&self) -> (Vec<f64>, DMatrix<f64>) {
         let p = self.elements.len();

@@ -5,7 +5,7 @@ use nalgebra::DMatrix;
 use crate::estimate::{State, Structure, at_population};
 use crate::model::Population;
 use crate::plan::{PlanError, Quantity, off_structure, plan};
-use crate::reduce::Reduction;
+use crate::reduce::Reductions;
 
 /// Scaled information below this is none.
 const FLAT: f64 = 1e-10;
@@ -35,19 +35,19 @@ pub struct StdErrorRatio {
 /// # Errors
 /// As [`plan`].
 pub fn information_lost(
-    raw: &[Reduction],
-    suboptimal: &[Reduction],
+    raw: &Reductions,
+    suboptimal: &Reductions,
     structure: &Structure<'_>,
     population: &Population,
 ) -> Result<InformationLost, PlanError> {
-    let one = |reductions: &[Reduction]| plan(reductions, structure, population, &[reductions.len().max(1)]);
+    let one = |reductions: &Reductions| plan(reductions, structure, population, &[reductions.len().max(1)]);
     let (best, own) = (one(raw)?, one(suboptimal)?);
     let ratio = |(best, own): (&crate::plan::Planned, &crate::plan::Planned)| {
         let (Ok(best_error), Ok(own_error)) = (&best.std_errors, &own.std_errors) else { return None };
         Some(StdErrorRatio { quantity: best.quantity, ratio: own_error[0] / best_error[0] })
     };
     let std_errors = best.quantities.iter().zip(&own.quantities).filter_map(ratio).collect();
-    let volume = |reductions: &[Reduction]| {
+    let volume = |reductions: &Reductions| {
         at_population(reductions, structure, population).map(|state| log_determinant(&state)).map_err(off_structure)
     };
     let log_determinant = volume(raw)?.zip(volume(suboptimal)?).map(|(best, own)| own - best);

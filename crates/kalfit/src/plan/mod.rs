@@ -20,7 +20,7 @@ use crate::estimate::{ExpectedError, State, Structure, at_population};
 use crate::infer::{self, Direction, Uncertainty};
 use crate::linalg::elements::Elements;
 use crate::model::Population;
-use crate::reduce::Reduction;
+use crate::reduce::Reductions;
 
 /// What is estimated. Indices are places in μ and Σ of all phases together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -105,7 +105,7 @@ pub struct Plan {
 /// # Errors
 /// No tests or numbers of tests of zero; a population that does not fit the structure; a structure that cannot be.
 pub fn plan(
-    reductions: &[Reduction],
+    reductions: &Reductions,
     structure: &Structure<'_>,
     population: &Population,
     tests: &[usize],

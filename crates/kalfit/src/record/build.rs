@@ -14,7 +14,7 @@ use crate::record::{
     CertificateRecord, ConstraintRecord, DataRecord, DeletedRecord, DeletionRecord, FitRecord, ParameterRecord,
     PosteriorRecord, SolverRecord, TestRecord, parameters,
 };
-use crate::reduce::{Path, Reduction};
+use crate::reduce::{Path, Reductions};
 
 /// What the core does not know about a fit.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -36,7 +36,7 @@ impl FitRecord {
     pub fn new(
         model: &PhasedModel,
         alpha: &Alpha,
-        reductions: &[Reduction],
+        reductions: &Reductions,
         estimate: &Estimate,
         inference: &Inference,
         provenance: Provenance,
@@ -48,7 +48,7 @@ impl FitRecord {
     /// The record of μ and Σ, with the parameters given as they are.
     pub(super) fn at(
         model: &PhasedModel,
-        reductions: &[Reduction],
+        reductions: &Reductions,
         estimate: &Estimate,
         inference: &Inference,
         parameters: Vec<ParameterRecord>,
@@ -100,12 +100,12 @@ impl FitRecord {
 
 impl DataRecord {
     /// Counts of the data behind reductions.
-    pub fn of(reductions: &[Reduction], files: Vec<String>) -> DataRecord {
+    pub fn of(reductions: &Reductions, files: Vec<String>) -> DataRecord {
         data(reductions, files)
     }
 }
 
-fn data(reductions: &[Reduction], files: Vec<String>) -> DataRecord {
+fn data(reductions: &Reductions, files: Vec<String>) -> DataRecord {
     let mut designs: Vec<u128> = reductions.iter().map(|r| r.design).collect();
     designs.par_sort_unstable();
     designs.dedup();
@@ -218,20 +218,20 @@ fn constraint(cut: &Cut<'_>, sensitivity: &Sensitivity) -> ConstraintRecord {
     }
 }
 
-fn tests(model: &PhasedModel, reductions: &[Reduction], inference: &Inference) -> Vec<TestRecord> {
+fn tests(model: &PhasedModel, reductions: &Reductions, inference: &Inference) -> Vec<TestRecord> {
     if inference.posteriors.is_empty() {
         return Vec::new(); // not asked for
     }
     let cuts = Cut::all(model);
     let mut order: Vec<usize> = (0..reductions.len()).collect();
-    order.par_sort_by(|&a, &b| reductions[a].test.cmp(&reductions[b].test));
+    order.par_sort_by(|&a, &b| reductions.id(a).cmp(reductions.id(b)));
     let classes = DesignClasses::new(reductions, &order);
     let record = |j: usize| {
-        let (reduction, posterior) = (&reductions[j], &inference.posteriors[j]);
+        let (reduction, posterior) = (reductions.get(j), &inference.posteriors[j]);
         let distance = posterior.distance;
         let own = (reductions.len() <= MOST_OWN).then(|| Own::of(reduction));
         TestRecord {
-            id: reduction.test.clone(),
+            id: reduction.test.to_owned(),
             group: None,
             log_likelihood: posterior.log_likelihood,
             observations: reduction.observations,
@@ -253,7 +253,7 @@ fn tests(model: &PhasedModel, reductions: &[Reduction], inference: &Inference) -
 }
 
 /// Some test has a phase whose filter's estimates stand for its measurements.
-fn filtered(model: &PhasedModel, reductions: &[Reduction]) -> bool {
+fn filtered(model: &PhasedModel, reductions: &Reductions) -> bool {
     let has = |phase: usize| reductions.iter().any(|reduction| phases_of(reduction, model) > phase);
     model.phases.iter().enumerate().any(|(i, phase)| phase.filter.is_some() && has(i))
 }
@@ -262,9 +262,9 @@ fn filtered(model: &PhasedModel, reductions: &[Reduction]) -> bool {
 struct DesignClasses(Vec<(u128, usize)>);
 
 impl DesignClasses {
-    fn new(reductions: &[Reduction], order: &[usize]) -> DesignClasses {
+    fn new(reductions: &Reductions, order: &[usize]) -> DesignClasses {
         let mut first: Vec<(u128, usize)> =
-            order.par_iter().map(|&j| reductions[j].design).zip(0..order.len()).collect();
+            order.par_iter().map(|&j| reductions.get(j).design).zip(0..order.len()).collect();
         first.par_sort_unstable();
         first.dedup_by_key(|(design, _)| *design); // the first test of each class is left
         let mut places: Vec<usize> = first.iter().map(|(_, place)| *place).collect();

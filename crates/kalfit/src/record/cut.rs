@@ -5,7 +5,7 @@ use std::ops::Range;
 use nalgebra::DMatrix;
 
 use crate::model::{Phase, PhasedModel, Regression};
-use crate::reduce::Reduction;
+use crate::reduce::ReductionRef;
 
 /// One phase of a model, and where what belongs to it stands among what belongs to all.
 #[derive(Debug, Clone)]
@@ -70,7 +70,7 @@ pub(super) fn regressions(model: &PhasedModel) -> Vec<Regression> {
 }
 
 /// How many phases of a model a test has.
-pub(super) fn phases_of(reduction: &Reduction, model: &PhasedModel) -> usize {
+pub(super) fn phases_of(reduction: ReductionRef<'_>, model: &PhasedModel) -> usize {
     let all = model.phases.len();
     reduction.chain.as_ref().map_or(all, |chain| chain.phases.len().min(all))
 }

@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
 use crate::linalg::symmetric;
-use crate::reduce::Reduction;
+use crate::reduce::ReductionRef;
 
 /// More tests than this have no estimates of their own: they would double the size of the record.
 pub(super) const MOST_OWN: usize = 2000;
@@ -30,7 +30,7 @@ pub(super) struct Own {
 
 impl Own {
     /// Of a test with p elements.
-    pub(super) fn of(reduction: &Reduction) -> Own {
+    pub(super) fn of(reduction: ReductionRef<'_>) -> Own {
         let p = reduction.data.len();
         let factor = DMatrix::from_fn(p, p, |i, k| if i <= k { reduction.factor[i + k * (k + 1) / 2] } else { 0.0 });
         let scale: Vec<f64> = (0..p).map(|k| factor.column(k).norm()).collect();
@@ -43,7 +43,7 @@ impl Own {
         let root =
             DMatrix::from_fn(p, p, |i, k| if values[k] < NONE { 0.0 } else { vectors[(i, k)] / values[k].sqrt() });
         let inverted = &root * root.transpose();
-        let right = scaled.transpose() * DVector::from_column_slice(&reduction.data);
+        let right = scaled.transpose() * DVector::from_column_slice(reduction.data);
         let solution = &inverted * right;
         let known = |x: f64| Some(x).filter(|x| x.is_finite());
         let units: Vec<f64> = (0..p).map(inverse).collect();
@@ -65,7 +65,7 @@ impl Own {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reduce::Path;
+    use crate::reduce::{Path, Reduction};
 
     fn reduction(factor: &[f64], data: &[f64]) -> Reduction {
         Reduction {
@@ -86,7 +86,7 @@ mod tests {
     #[test]
     fn a_regular_test_has_the_least_squares_estimate() {
         // R = [2 1; 0 4], d = (4, 8)': ξ = (1, 2)'; J⁻¹ = R⁻¹R⁻ᵀ by hand
-        let own = Own::of(&reduction(&[2.0, 1.0, 4.0], &[4.0, 8.0]));
+        let own = Own::of(reduction(&[2.0, 1.0, 4.0], &[4.0, 8.0]).view());
         let mean: Vec<f64> = own.mean.iter().map(|x| x.unwrap()).collect();
         assert!((mean[0] - 1.0).abs() < 1e-12 && (mean[1] - 2.0).abs() < 1e-12, "{mean:?}");
         let expected = [[0.25 + 1.0 / 64.0, -1.0 / 32.0], [-1.0 / 32.0, 1.0 / 16.0]];
@@ -102,7 +102,7 @@ mod tests {
     fn what_a_test_does_not_determine_is_null_whatever_the_units() {
         // the sum of the first two is seen, the third by itself, the fourth not at all
         let factor = [1.0, 1e6, 0.0, 0.0, 0.0, 1e-9, 0.0, 0.0, 0.0, 0.0];
-        let own = Own::of(&reduction(&factor, &[3.0, 0.0, 2e-9, 0.0]));
+        let own = Own::of(reduction(&factor, &[3.0, 0.0, 2e-9, 0.0]).view());
         assert_eq!((own.mean[0], own.mean[1], own.mean[3]), (None, None, None));
         assert!((own.mean[2].unwrap() - 2.0).abs() < 1e-9, "{:?}", own.mean[2]);
         assert!((own.covariance[2][2].unwrap() * 1e-18 - 1.0).abs() < 1e-9);

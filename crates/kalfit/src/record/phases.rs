@@ -12,7 +12,7 @@ use crate::record::{
     MatrixRecord, MeanRecord, ObservabilityRecord, PhaseRecord, RegressionRecord, ScaleRecord, UnidentifiedRecord,
     VectorRecord, WeakRecord,
 };
-use crate::reduce::Reduction;
+use crate::reduce::Reductions;
 
 /// The only kind of filter there is.
 const KALMAN_SCHMIDT: &str = "kalman-schmidt";
@@ -22,7 +22,7 @@ pub(super) fn phases(
     model: &PhasedModel,
     estimate: &Estimate,
     inference: &Inference,
-    reductions: &[Reduction],
+    reductions: &Reductions,
 ) -> Vec<PhaseRecord> {
     let Inference { unidentified, explanations, observability, .. } = inference;
     let mut unidentified = UnidentifiedRecord::by_phase(model, unidentified, explanations).into_iter();
@@ -34,7 +34,7 @@ pub(super) fn phases(
         observability: seen.next().unwrap_or_default(),
         weakly_determined: weak.next().unwrap_or_default(),
         information: information.next().flatten(),
-        tests: Some(reductions.iter().filter(|r| phases_of(r, model) > cut.index).count()),
+        tests: Some(reductions.iter().filter(|r| phases_of(*r, model) > cut.index).count()),
         ..phase(&cut, estimate, inference)
     };
     Cut::all(model).into_iter().map(record).collect()

@@ -6,7 +6,7 @@ use crate::estimate::{Estimate, Stop};
 use crate::infer::{Bootstrap, BootstrapResult, Component, LikelihoodRatio};
 use crate::model::PhasedModel;
 use crate::record::{DataRecord, ParameterRecord};
-use crate::reduce::Reduction;
+use crate::reduce::Reductions;
 
 /// All that a test of a hypothesis found.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -138,7 +138,7 @@ impl RatioRecord {
     /// The record of a test of `null` within `alternative`, fits of a model and of a hypothesis within it: both have its states.
     pub fn new(
         model: &PhasedModel,
-        reductions: &[Reduction],
+        reductions: &Reductions,
         (null, alternative): (&Estimate, &Estimate),
         ratio: &LikelihoodRatio,
         bootstrap: Option<(Bootstrap, &BootstrapResult)>,
@@ -152,7 +152,7 @@ impl RatioRecord {
 
     /// The record with its sides and notes as given.
     pub(super) fn at(
-        reductions: &[Reduction],
+        reductions: &Reductions,
         (null, alternative): (SideRecord, SideRecord),
         ratio: &LikelihoodRatio,
         bootstrap: Option<(Bootstrap, &BootstrapResult)>,

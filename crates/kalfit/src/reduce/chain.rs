@@ -20,17 +20,15 @@ pub struct Chain {
 }
 
 impl Chain {
-    /// The same matrices without data.
-    pub(crate) fn blank(&self) -> Chain {
-        let mut chain = self.clone();
-        for phase in &mut chain.phases {
+    /// Leaves the matrices, without data.
+    pub(crate) fn blank(&mut self) {
+        for phase in &mut self.phases {
             phase.constant = 0.0;
             phase.data.fill(0.0);
             if let Some(link) = &mut phase.link {
                 link.mean.fill(0.0);
             }
         }
-        chain
     }
 }
 

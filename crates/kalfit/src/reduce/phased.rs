@@ -15,7 +15,7 @@ use crate::reduce::shared::Shared;
 use crate::reduce::stack::{Stack, StackKey};
 use crate::reduce::steps::Cells;
 use crate::reduce::subject::WHOLE;
-use crate::reduce::{Evidence, PhaseReduction, PhasedTest, Reduction};
+use crate::reduce::{Evidence, PhaseReduction, PhasedTest, Reductions};
 
 /// Bytes of rotations that are kept: tests whose phases have one design each share them while they fit.
 const STACK_BYTES: usize = 128 << 20;
@@ -148,15 +148,16 @@ impl PhasedReducer {
     ///
     /// # Errors
     /// As [`PhasedReducer::reduce`].
-    pub fn reduce_designs(&mut self, tests: &[PhasedTest]) -> Result<Vec<Reduction>, ReduceError> {
-        self.each(tests, &|test, work| {
+    pub fn reduce_designs(&mut self, tests: &[PhasedTest]) -> Result<Reductions, ReduceError> {
+        let all = self.each(tests, &|test, work| {
             let mut reduction = self.whole(test, self.parts(test, work, true))?;
             reduction.constant = 0.0;
             reduction.residual = None;
             reduction.data.fill(0.0);
             reduction.chain = None;
             Ok(reduction)
-        })
+        })?;
+        Ok(all.into())
     }
 
     fn each<T: Send>(

@@ -28,8 +28,8 @@ use crate::reduce::root::{RootError, root_gains};
 use crate::reduce::schedule::GainsWork;
 use crate::reduce::shared::Shared;
 use crate::reduce::subject::{Fault, Subject};
-use crate::reduce::{Path, Reduction};
-pub(crate) use batch::{Batch, all_sound, share};
+use crate::reduce::{Path, Reduction, ReductionRef, Reductions};
+pub(crate) use batch::{Batch, all_sound, joined, share};
 pub(crate) use filtered::filters;
 use known::Known;
 pub(crate) use queue::Queue;
@@ -71,10 +71,22 @@ struct GainsRoom<'a> {
 
 /// What a reduction has from its test beside the data.
 #[derive(Debug)]
-pub(crate) struct About {
-    pub(crate) covariates: Vec<f64>,
+pub(crate) struct About<'a> {
+    /// R, packed.
+    pub(crate) factor: &'a [f64],
+    pub(crate) covariates: &'a [f64],
     pub(crate) steps: usize,
+    pub(crate) observations: usize,
+    pub(crate) path: Path,
     pub(crate) digest: u128,
+}
+
+impl<'a> About<'a> {
+    /// Of a test with these gains.
+    fn new(gains: &'a Gains, covariates: &'a [f64], (steps, digest): (usize, u128)) -> About<'a> {
+        let path = if gains.turns.is_some() { Path::SquareRoot } else { Path::Information };
+        About { factor: &gains.factor, covariates, steps, observations: gains.active, path, digest }
+    }
 }
 
 /// What a reducer has done.
@@ -163,7 +175,7 @@ impl Reducer {
     }
 
     /// The reductions of tests, in their order; of several tests in error, the first one's error.
-    pub fn reduce(&mut self, tests: &[Test]) -> Result<Vec<Reduction>, ReduceError> {
+    pub fn reduce(&mut self, tests: &[Test]) -> Result<Reductions, ReduceError> {
         self.reduce_all(&tests.iter().collect::<Vec<_>>())
     }
 
@@ -172,7 +184,7 @@ impl Reducer {
     ///
     /// # Errors
     /// Of several tests in error, the first one's error.
-    pub fn reduce_designs(&mut self, tests: &[Test]) -> Result<Vec<Reduction>, ReduceError> {
+    pub fn reduce_designs(&mut self, tests: &[Test]) -> Result<Reductions, ReduceError> {
         let this = &*self;
         let one = |work: &mut Workspace, test: &Test| this.designed(test, work).map(|(reduction, _)| reduction);
         let all: Vec<Result<Reduction, ReduceError>> = tests.par_iter().map_init(|| this.workspace(), one).collect();
@@ -284,36 +296,24 @@ impl Reducer {
         if !outcome.is_finite() {
             return Err(Fault::new(Subject::Test, ReduceErrorKind::NotFinite));
         }
-        let about = About { covariates: work.covariates.clone(), steps: work.design.steps(), digest };
-        let reduction = self.reduction(test, outcome, gains, about);
+        let about = About::new(gains, &work.covariates, (work.design.steps(), digest));
+        let reduction = self.row(test, &outcome, about).into();
         Ok((reduction, Class(class)))
     }
 
-    /// A test's reduction under the gains of its class.
-    pub(crate) fn reduction(&self, test: &Test, outcome: Outcome, gains: &Gains, about: About) -> Reduction {
-        let path = if gains.turns.is_some() { Path::SquareRoot } else { Path::Information };
-        Reduction { path, ..self.informed(test, outcome, (gains.factor.clone(), gains.active), about) }
-    }
-
-    /// A test's reduction under R, with so many measurements that say something.
-    pub(crate) fn informed(
-        &self,
-        test: &Test,
-        outcome: Outcome,
-        (factor, observations): (Vec<f64>, usize),
-        about: About,
-    ) -> Reduction {
+    /// The reduction of a test.
+    pub(crate) fn row<'a>(&self, test: &'a Test, outcome: &'a Outcome, about: About<'a>) -> ReductionRef<'a> {
         self.data_runs.fetch_add(1, Ordering::Relaxed);
-        Reduction {
-            test: test.id.clone(),
+        ReductionRef {
+            test: &test.id,
             constant: outcome.constant,
             residual: Some(outcome.residual),
-            data: outcome.data,
-            factor,
+            data: &outcome.data,
+            factor: about.factor,
             covariates: about.covariates,
             steps: about.steps,
-            observations,
-            path: Path::Information,
+            observations: about.observations,
+            path: about.path,
             design: about.digest,
             chain: None,
         }

@@ -19,7 +19,9 @@ use rayon::prelude::*;
 use crate::ensemble::Test;
 use crate::estimate::InitialLaw;
 use crate::model::{EvaluationError, PhasedModel, Slots, Tape};
-use crate::reduce::{Evidence, Fault, Inherits, PhasedReducer, PhasedTest, PhasedWork, ReduceError, Reduction, Shared};
+use crate::reduce::{
+    Evidence, Fault, Inherits, PhasedReducer, PhasedTest, PhasedWork, ReduceError, ReductionRef, Reductions, Shared,
+};
 use crate::score::backward::BackwardWork;
 use crate::score::chain::{Adjoints, Gradient};
 use crate::score::complete::Complete;
@@ -77,7 +79,7 @@ impl<'a> PhasedScorer<'a> {
     pub(crate) fn scores(
         &self,
         tests: &[PhasedTest],
-        reductions: &[Reduction],
+        reductions: &Reductions,
         law: &InitialLaw,
         companies: &Companies,
     ) -> Result<Vec<Gradient>, ReduceError> {
@@ -92,11 +94,12 @@ impl<'a> PhasedScorer<'a> {
     pub(crate) fn all_complete(
         &self,
         tests: &[PhasedTest],
-        reductions: &[Reduction],
+        reductions: &Reductions,
         law: &InitialLaw,
     ) -> Result<Vec<PhasedComplete>, ReduceError> {
         let plans = Shared::new(PLAN_BYTES);
-        self.each(tests, reductions, |room, (test, reduction)| self.complete(test, reduction, (law, &plans), room))
+        let one = |room: &mut Room<'_>, (test, reduction)| self.complete(test, reduction, (law, &plans), room);
+        self.each((tests, reductions.par_iter()), one)
     }
 
     /// The expected log-likelihood of the complete data of each test and its gradient, at the α of the reducer; `None` where
@@ -106,15 +109,15 @@ impl<'a> PhasedScorer<'a> {
         tests: &[PhasedTest],
         complete: &[PhasedComplete],
     ) -> Result<Option<Vec<(f64, Gradient)>>, ReduceError> {
-        let all = self.each(tests, complete, |room, (test, complete)| self.expected(test, complete, room))?;
+        let one = |room: &mut Room<'_>, (test, complete)| self.expected(test, complete, room);
+        let all = self.each((tests, complete.par_iter()), one)?;
         Ok(all.into_iter().collect())
     }
 
-    fn each<X: Sync, T: Send>(
+    fn each<'t, X: Send, T: Send>(
         &self,
-        tests: &[PhasedTest],
-        with: &[X],
-        one: impl Fn(&mut Room<'_>, (&PhasedTest, &X)) -> Result<T, ReduceError> + Sync,
+        (tests, with): (&'t [PhasedTest], impl IndexedParallelIterator<Item = X>),
+        one: impl Fn(&mut Room<'_>, (&'t PhasedTest, X)) -> Result<T, ReduceError> + Sync + Send,
     ) -> Result<Vec<T>, ReduceError> {
         let all: Vec<Result<T, ReduceError>> =
             tests.par_iter().zip(with).map_init(|| self.room(), |room, pair| one(room, pair)).collect();
@@ -142,7 +145,7 @@ impl<'a> PhasedScorer<'a> {
     fn begin(
         &self,
         test: &PhasedTest,
-        reduction: &Reduction,
+        reduction: ReductionRef<'_>,
         (law, plans): (&InitialLaw, &Plans),
         work: &mut PhasedWork,
     ) -> Result<Vec<Smooth>, ReduceError> {
@@ -150,7 +153,7 @@ impl<'a> PhasedScorer<'a> {
             return Ok(vec![Smooth { moments: moments(reduction, law), ..Smooth::default() }]);
         }
         let pieces = self.reducer.pieces_of(test, work)?;
-        let laws = PhaseLaws::new(law, &self.model.ranges(), &reduction.covariates);
+        let laws = PhaseLaws::new(law, &self.model.ranges(), reduction.covariates);
         let entry = plans.get(
             reduction.design,
             |known| known.same(&pieces, &laws),
@@ -197,7 +200,7 @@ impl<'a> PhasedScorer<'a> {
     fn complete(
         &self,
         test: &PhasedTest,
-        reduction: &Reduction,
+        reduction: ReductionRef<'_>,
         law: (&InitialLaw, &Plans),
         room: &mut Room<'_>,
     ) -> Result<PhasedComplete, ReduceError> {

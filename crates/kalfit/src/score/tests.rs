@@ -13,7 +13,7 @@ use crate::model::{
     Clock, Column, CovarianceStructure, Expression, Initial, Linear, MeanStructure, Measurement, Model, Motion,
     Operator, Parameter, State, Value,
 };
-use crate::reduce::Reduction;
+use crate::reduce::ReductionRef;
 use crate::reduce::unpack;
 use crate::score::lines::{Asked, Lines};
 use crate::score::moments::moments;
@@ -115,10 +115,10 @@ fn law() -> InitialLaw {
     InitialLaw::known(DVector::from_vec(vec![0.4]), DMatrix::from_vec(1, 1, vec![0.6]))
 }
 
-fn likelihood(reduction: &Reduction) -> f64 {
+fn likelihood(reduction: ReductionRef<'_>) -> f64 {
     let law = law();
-    let factor = unpack(&reduction.factor, 1);
-    let residual = DVector::from_vec(reduction.data.clone()) - &factor * law.mean_of(&[]);
+    let factor = unpack(reduction.factor, 1);
+    let residual = DVector::from_column_slice(reduction.data) - &factor * law.mean_of(&[]);
     let rf = factor * &law.root;
     let spread = DMatrix::identity(1, 1) + &rf * rf.transpose();
     let cholesky = spread.cholesky().expect("positive definite");
@@ -143,9 +143,9 @@ fn at(model: &Model, slots: &Slots, values: &[f64], test: &Test, unfrozen: bool)
     let mut reducer = if unfrozen { reducer.unfrozen() } else { reducer };
     let tests = std::slice::from_ref(test);
     let reductions = reducer.reduce(tests).expect("sound");
-    let moments = vec![moments(&reductions[0], &law())];
+    let moments = vec![moments(reductions.get(0), &law())];
     let scorer = Scorer::new(&reducer, slots).expect("differentiable");
-    (likelihood(&reductions[0]), scorer.scores(tests, &moments).expect("sound").remove(0))
+    (likelihood(reductions.get(0)), scorer.scores(tests, &moments).expect("sound").remove(0))
 }
 
 #[test]

@@ -5,13 +5,13 @@
 use kalfit::estimate::{self, Estimate, Settings, Silent, Structure};
 use kalfit::infer::{LikelihoodRatio, likelihood_ratio};
 use kalfit::model::{Alpha, CovarianceKind, CovarianceStructure, MeanElement, MeanStructure};
-use kalfit::reduce::Reduction;
+use kalfit::reduce::Reductions;
 use nalgebra::{DMatrix, DVector};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use crate::simulated::structures::{numbers, of};
-use crate::simulated::{Recipe, ensemble, fixed, normal, unpack};
+use crate::simulated::{Recipe, changed, ensemble, fixed, normal, unpack};
 
 /// Draws of the naive projections.
 const DRAWS: usize = 60_000;
@@ -22,7 +22,7 @@ fn recipe(p: usize) -> Recipe {
     Recipe { p, tests: 60, rank: p, observed: p - 1, strength: 1.5, designs: 60, regressors: 0, mild: false }
 }
 
-fn fit(data: &[Reduction], mean: &MeanStructure, covariance: &CovarianceStructure) -> Estimate {
+fn fit(data: &Reductions, mean: &MeanStructure, covariance: &CovarianceStructure) -> Estimate {
     let alpha = Alpha::default();
     let structure = Structure::single(mean, covariance, &alpha);
     estimate::fit(data, &structure, &Settings::default(), &mut Silent).expect("a legal problem")
@@ -30,22 +30,22 @@ fn fit(data: &[Reduction], mean: &MeanStructure, covariance: &CovarianceStructur
 
 /// The hypothesis on Σ within the model, both with free means; and Σ under the hypothesis.
 fn ratio(
-    data: &[Reduction],
+    data: &Reductions,
     model: &CovarianceStructure,
     null: &CovarianceStructure,
 ) -> (LikelihoodRatio, DMatrix<f64>) {
-    let mean = MeanStructure::free(data[0].data.len());
+    let mean = MeanStructure::free(data.get(0).data.len());
     let narrow = fit(data, &mean, null);
     let ratio = likelihood_ratio(&narrow, &fit(data, &mean, model)).expect("nested");
     (ratio, narrow.covariance)
 }
 
 /// ½ Σ_j tr(W_j D W_j E) over the directions.
-fn information(data: &[Reduction], sigma: &DMatrix<f64>, directions: &[DMatrix<f64>]) -> DMatrix<f64> {
+fn information(data: &Reductions, sigma: &DMatrix<f64>, directions: &[DMatrix<f64>]) -> DMatrix<f64> {
     let (p, n) = (sigma.nrows(), directions.len());
     let mut sum = DMatrix::zeros(n, n);
     for test in data {
-        let r = unpack(test, p);
+        let r = unpack(test.factor, p);
         let s = DMatrix::identity(p, p) + &r * sigma * r.transpose();
         let w = r.transpose() * s.try_inverse().expect("S is positive definite") * r;
         let each: Vec<DMatrix<f64>> = directions.iter().map(|d| &w * d).collect();
@@ -230,17 +230,15 @@ fn null_directions_follow_the_standard_deviations_of_the_hypothesis() {
 }
 
 /// Tests of the designs of a recipe, drawn from N(1, FF').
-fn spread_by(root: &DMatrix<f64>, seed: u64) -> Vec<Reduction> {
+fn spread_by(root: &DMatrix<f64>, seed: u64) -> Reductions {
     let p = root.nrows();
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let mut data = ensemble(recipe(p), seed);
-    for test in &mut data {
-        let r = unpack(test, p);
+    changed(&ensemble(recipe(p), seed), |_, test| {
+        let r = unpack(&test.factor, p);
         let xi = DVector::from_element(p, 1.0) + root * DVector::from_fn(root.ncols(), |_, _| normal(&mut random));
         let told = |i: usize| f64::from(u8::from(r.row(i).norm() > 0.0));
         test.data = (0..p).map(|i| (r.row(i) * &xi)[0] + told(i) * normal(&mut random)).collect();
-    }
-    data
+    })
 }
 
 /// Rows that see the last two of three states together.
@@ -272,7 +270,7 @@ fn variances_at_zero_whose_estimates_are_correlated() {
         if p == 3 {
             // the last two states are mostly seen as their sum
             let mut random = ChaCha8Rng::seed_from_u64(2);
-            data.iter_mut().for_each(|test| test.factor = packed(&coupled(&mut random)));
+            data = changed(&data, |_, test| test.factor = packed(&coupled(&mut random)));
         }
         let (found, sigma) = ratio(&data, &diagonal, &null);
         let directions = elements(p, &(0..p).map(|i| vec![i]).collect::<Vec<_>>());
@@ -304,8 +302,7 @@ fn degrees_of_freedom_are_the_directions_that_are_identified() {
                     .collect();
                 packed(&DMatrix::from_fn(4, 3, |i, k| rows[i][k]))
             };
-            let data: Vec<Reduction> =
-                ensemble(recipe(3), 1).into_iter().map(|test| Reduction { factor: design(), ..test }).collect();
+            let data = changed(&ensemble(recipe(3), 1), |_, test| test.factor = design());
             let (narrow, wide) = (fit(&data, &held, &known), fit(&data, &MeanStructure::free(3), &known));
             let found = likelihood_ratio(&narrow, &wide).expect("nested");
             assert_eq!(found.degrees_of_freedom, expected, "apart by {apart:e}, seed {seed}: {:?}", found.law);

@@ -10,7 +10,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use crate::simulated::structures::structures;
-use crate::simulated::{Assumed, Recipe, dense, ensemble, fit, normal};
+use crate::simulated::{Assumed, Recipe, changed, dense, ensemble, fit, normal};
 
 /// Six levels about `offset`, ten measurements of noise one each: the same to the last bit, but for the offset.
 fn levels(offset: f64) -> Fit {
@@ -78,11 +78,10 @@ fn rounding_of_regressions_counts() {
     let assumed = Assumed::ml(MeanStructure { regression, ..MeanStructure::free(1) }, CovarianceStructure::full());
     let slope = 1e8;
     let at = |offset: f64| {
-        let mut data = ensemble(recipe, 5);
-        for test in &mut data {
+        let data = changed(&ensemble(recipe, 5), |_, test| {
             test.data[0] += test.factor[0] * slope * test.covariates[0];
             test.covariates[0] += offset;
-        }
+        });
         fit(&data, &assumed, Solver::Newton)
     };
     let (near, far) = (at(0.0), at(1e4));
@@ -102,7 +101,7 @@ fn rounding_of_regressions_counts() {
 }
 
 /// Moves of mean and Σ that stay feasible, in the sizes of the estimates, and ℓ there by dense algebra.
-fn best_neighbour(data: &[kalfit::Reduction], found: &Estimate, seed: u64) -> f64 {
+fn best_neighbour(data: &kalfit::Reductions, found: &Estimate, seed: u64) -> f64 {
     let p = found.mean.len();
     let free = MeanStructure::free(p);
     let at = |mean: &DVector<f64>, sigma: &DMatrix<f64>| dense(data, &free, mean, sigma).log_likelihood;

@@ -8,14 +8,14 @@ use kalfit::infer::{
 use kalfit::model::{
     Alpha, CovarianceKind, CovarianceStructure, FixedElement, MeanElement, MeanStructure, Population, Regression,
 };
-use kalfit::reduce::{Path, Reduction};
+use kalfit::reduce::{Path, Reduction, ReductionRef, Reductions};
 use nalgebra::{DMatrix, DVector};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
 /// Tests of p states with a design each, some of which observe fewer, drawn from N(μ, FF').
-fn ensemble(tests: usize, root: &DMatrix<f64>, covariates: usize, seed: u64) -> Vec<Reduction> {
+fn ensemble(tests: usize, root: &DMatrix<f64>, covariates: usize, seed: u64) -> Reductions {
     let p = root.nrows();
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     (0..tests)
@@ -51,7 +51,7 @@ fn spread() -> DMatrix<f64> {
     DMatrix::from_row_slice(2, 2, &[1.2, 0.0, 0.6, 0.8])
 }
 
-fn fit(data: &[Reduction], mean: &MeanStructure, covariance: &CovarianceStructure) -> Estimate {
+fn fit(data: &Reductions, mean: &MeanStructure, covariance: &CovarianceStructure) -> Estimate {
     let alpha = Alpha::default();
     let structure = Structure::single(mean, covariance, &alpha);
     let found = estimate::fit(data, &structure, &Settings::default(), &mut Silent).expect("a legal problem");
@@ -59,11 +59,11 @@ fn fit(data: &[Reduction], mean: &MeanStructure, covariance: &CovarianceStructur
     found
 }
 
-fn free_fit(data: &[Reduction], p: usize) -> Estimate {
+fn free_fit(data: &Reductions, p: usize) -> Estimate {
     fit(data, &MeanStructure::free(p), &CovarianceStructure::full())
 }
 
-fn inferred(estimate: &Estimate, data: &[Reduction], choices: Choices) -> Inference {
+fn inferred(estimate: &Estimate, data: &Reductions, choices: Choices) -> Inference {
     infer::infer(estimate, data, choices)
 }
 
@@ -105,8 +105,8 @@ fn deletion_equals_refitting_without_the_test() {
             let deletions = inference.deletions.expect("asked for");
             for (j, deletion) in deletions.iter().enumerate() {
                 let deletion = deletion.as_ref().expect("the other tests have an optimum");
-                let mut others = data.clone();
-                let out = others.remove(j);
+                let others: Vec<usize> = (0..data.len()).filter(|other| *other != j).collect();
+                let (out, others) = (data.get(j), data.select(&others));
                 let again = fit(&others, mean, covariance);
                 for (found, expected) in deletion.estimate.mean.iter().zip(&again.mean) {
                     close(*found, *expected, 1e-6, "mean");
@@ -117,9 +117,9 @@ fn deletion_equals_refitting_without_the_test() {
                 for (found, expected) in deletion.estimate.coefficients.iter().zip(&again.coefficients) {
                     close(*found, *expected, 1e-6, "coefficient");
                 }
-                let density = predictive(&again, mean, &out);
+                let density = predictive(&again, mean, out);
                 close(deletion.log_density, density, 1e-6, "log predictive density");
-                let at_all = predictive(&again, mean, &out) + again.log_likelihood;
+                let at_all = predictive(&again, mean, out) + again.log_likelihood;
                 close(deletion.displacement, 2.0 * (all.log_likelihood - at_all), 1e-6, "displacement");
             }
         }
@@ -127,7 +127,7 @@ fn deletion_equals_refitting_without_the_test() {
 }
 
 /// log N(d; Rμ, I + RΣR') + ½ p log 2π by dense algebra.
-fn predictive(estimate: &Estimate, mean: &MeanStructure, test: &Reduction) -> f64 {
+fn predictive(estimate: &Estimate, mean: &MeanStructure, test: ReductionRef<'_>) -> f64 {
     let p = estimate.mean.len();
     let r = DMatrix::from_fn(p, p, |i, k| if i <= k { test.factor[i + k * (k + 1) / 2] } else { 0.0 });
     let mut mu = DVector::from_column_slice(&estimate.mean);
@@ -135,7 +135,7 @@ fn predictive(estimate: &Estimate, mean: &MeanStructure, test: &Reduction) -> f6
         mu[regression.element] += estimate.coefficients[c] * test.covariates[c];
     }
     let s = DMatrix::identity(p, p) + &r * &estimate.covariance * r.transpose();
-    let e = DVector::from_column_slice(&test.data) - &r * mu;
+    let e = DVector::from_column_slice(test.data) - &r * mu;
     let factor = s.cholesky().expect("I + RΣR' is positive definite");
     -0.5 * (2.0 * factor.l().diagonal().map(f64::ln).sum() + e.dot(&factor.solve(&e)))
 }
@@ -171,16 +171,16 @@ fn profile_intervals_end_where_a_refit_loses_half_the_squared_quantile() {
     }
     // a regression coefficient is held by moving its part of the data over
     for end in intervals.coefficients[0].expect("free").map(|end| end.expect("finite")) {
-        let moved: Vec<Reduction> = data.iter().map(|r| moved(r, end)).collect();
+        let moved: Reductions = data.iter().map(|r| moved(r, end)).collect();
         close(lost(fit(&moved, &MeanStructure::free(2), &covariance)), quantile, 1e-5, "coefficient");
     }
 }
 
 /// The test without its covariate, whose effect on element 0 is taken off the data.
-fn moved(test: &Reduction, coefficient: f64) -> Reduction {
-    let mut data = test.data.clone();
+fn moved(test: ReductionRef<'_>, coefficient: f64) -> Reduction {
+    let mut data = test.data.to_vec();
     data[0] -= test.factor[0] * coefficient * test.covariates[0];
-    Reduction { data, covariates: Vec::new(), ..test.clone() }
+    Reduction { data, covariates: Vec::new(), ..test.into() }
 }
 
 #[test]
@@ -235,14 +235,14 @@ fn unit(k: usize) -> DMatrix<f64> {
     d
 }
 
-fn weight(estimate: &Estimate, test: &Reduction) -> (DMatrix<f64>, DVector<f64>) {
+fn weight(estimate: &Estimate, test: ReductionRef<'_>) -> (DMatrix<f64>, DVector<f64>) {
     let r = DMatrix::from_fn(2, 2, |i, k| if i <= k { test.factor[i + k * (k + 1) / 2] } else { 0.0 });
     let inverse = (DMatrix::identity(2, 2) + &r * &estimate.covariance * r.transpose()).try_inverse().expect("regular");
-    let e = DVector::from_column_slice(&test.data) - &r * DVector::from_column_slice(&estimate.mean);
+    let e = DVector::from_column_slice(test.data) - &r * DVector::from_column_slice(&estimate.mean);
     (r.transpose() * &inverse * &r, r.transpose() * inverse * e)
 }
 
-fn dense_expected(estimate: &Estimate, data: &[Reduction]) -> DMatrix<f64> {
+fn dense_expected(estimate: &Estimate, data: &Reductions) -> DMatrix<f64> {
     let mut sum = DMatrix::zeros(5, 5);
     for test in data {
         let (w, _) = weight(estimate, test);
@@ -260,7 +260,7 @@ fn dense_expected(estimate: &Estimate, data: &[Reduction]) -> DMatrix<f64> {
     sum
 }
 
-fn scores(estimate: &Estimate, data: &[Reduction]) -> DMatrix<f64> {
+fn scores(estimate: &Estimate, data: &Reductions) -> DMatrix<f64> {
     let mut sum = DMatrix::zeros(5, 5);
     for test in data {
         let (w, r) = weight(estimate, test);
@@ -271,7 +271,7 @@ fn scores(estimate: &Estimate, data: &[Reduction]) -> DMatrix<f64> {
     sum
 }
 
-fn dense_observed(estimate: &Estimate, data: &[Reduction]) -> DMatrix<f64> {
+fn dense_observed(estimate: &Estimate, data: &Reductions) -> DMatrix<f64> {
     let likelihood = Likelihood::new(data, 2);
     let gradient = |theta: &DVector<f64>| {
         let sigma = DMatrix::from_row_slice(2, 2, &[theta[2], theta[3], theta[3], theta[4]]);
@@ -295,7 +295,7 @@ fn dense_observed(estimate: &Estimate, data: &[Reduction]) -> DMatrix<f64> {
 type Pair<'a> = (&'a MeanStructure, &'a CovarianceStructure);
 
 fn ratio(
-    data: &[Reduction],
+    data: &Reductions,
     alternative: (&MeanStructure, &CovarianceStructure),
     null: (&MeanStructure, &CovarianceStructure),
 ) -> Result<infer::LikelihoodRatio, NotNested> {

@@ -212,7 +212,7 @@ fn innovations_add_up_to_the_likelihood_of_each_test_in_a_fit() {
         for ((one, posterior), reduction) in found.iter().zip(&posteriors).zip(&reductions) {
             let (a, b) = (one.log_likelihood, posterior.log_likelihood);
             assert!((a - b).abs() < 1e-9 * (1.0 + b.abs()), "scale {scale}, {}: {a} {b}", one.test);
-            assert_eq!((&one.test, one.summary.count), (&reduction.test, reduction.observations));
+            assert_eq!((&*one.test, one.summary.count), (reduction.test, reduction.observations));
         }
     }
 }

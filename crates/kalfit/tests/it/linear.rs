@@ -5,7 +5,7 @@ use crate::simulated;
 use kalfit::estimate::{Estimate, FitError, Solver, Stop};
 use kalfit::infer;
 use kalfit::model::{CovarianceKind, CovarianceStructure, MeanStructure, StructureError};
-use kalfit::reduce::Reduction;
+use kalfit::reduce::Reductions;
 use nalgebra::{DMatrix, DVector};
 use simulated::{Assumed, Recipe, beta, dense, ensemble, fit, fixed, simplex, try_fit};
 
@@ -178,7 +178,7 @@ fn em_ends_at_the_same_point() {
 /// What cannot be is refused, with what was found.
 #[test]
 fn structures_that_cannot_be_are_refused() {
-    let data: Vec<Reduction> = ensemble(base(), 1);
+    let data: Reductions = ensemble(base(), 1);
     let refusal = |covariance: CovarianceStructure| match try_fit(&data, &assumed(covariance), Solver::Newton) {
         Err(FitError::Structure(error)) => error,
         other => panic!("found {other:?}, expected a refusal"),

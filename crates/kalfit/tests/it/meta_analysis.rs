@@ -4,11 +4,11 @@
 use kalfit::estimate::{self, Estimate, Settings, Silent, Solver, Stop, Structure};
 use kalfit::infer::{self, Element, Inference};
 use kalfit::model::{Alpha, CovarianceKind, CovarianceStructure, Expression, FixedElement, MeanElement, MeanStructure};
-use kalfit::reduce::{Path, Reduction};
+use kalfit::reduce::{Path, Reduction, Reductions};
 use nalgebra::{DMatrix, DVector};
 
 /// Bivariate studies of a file `test, y1, y2, v1, v2, c12`, reduced by plain dense algebra.
-fn studies(text: &str) -> Vec<Reduction> {
+fn studies(text: &str) -> Reductions {
     let cell = |s: &str| s.trim().parse::<f64>().ok();
     text.lines()
         .skip(1)
@@ -55,15 +55,15 @@ fn reduce(id: &str, design: &DMatrix<f64>, noise: &DMatrix<f64>, z: &DVector<f64
     }
 }
 
-fn berkey() -> Vec<Reduction> {
+fn berkey() -> Reductions {
     studies(include_str!("../data/berkey1998.csv"))
 }
 
-fn kalaian() -> Vec<Reduction> {
+fn kalaian() -> Reductions {
     studies(include_str!("../data/kalaian1996.csv"))
 }
 
-fn riley() -> Vec<Reduction> {
+fn riley() -> Reductions {
     studies(include_str!("../data/riley2003.csv"))
 }
 
@@ -92,7 +92,7 @@ struct Expected {
     tolerance: f64,
 }
 
-fn fit(reductions: &[Reduction], mean: &MeanStructure, covariance: &CovarianceStructure, solver: Solver) -> Estimate {
+fn fit(reductions: &Reductions, mean: &MeanStructure, covariance: &CovarianceStructure, solver: Solver) -> Estimate {
     let alpha = Alpha::default();
     let structure = Structure::single(mean, covariance, &alpha);
     let settings = Settings { tolerance: if solver == Solver::Em { 1e-6 } else { 1e-8 }, ..Settings::of(solver) };
@@ -100,7 +100,7 @@ fn fit(reductions: &[Reduction], mean: &MeanStructure, covariance: &CovarianceSt
 }
 
 /// Both solvers reach the reference optimum, certified; Newton within 15 passes. Returns the number of Newton passes.
-fn agrees(data: &[Reduction], mean: &MeanStructure, covariance: &CovarianceStructure, want: &Expected) -> usize {
+fn agrees(data: &Reductions, mean: &MeanStructure, covariance: &CovarianceStructure, want: &Expected) -> usize {
     let newton = fit(data, mean, covariance, Solver::Newton);
     close(&newton, want, 1.0);
     assert_eq!(newton.stop, Stop::Certified, "{:?} after {:?}", newton.certificate, newton.trace);
@@ -359,7 +359,7 @@ case!(
     1e-6
 );
 
-fn inferred(data: &[Reduction], mean: &MeanStructure, covariance: &CovarianceStructure) -> (Estimate, Inference) {
+fn inferred(data: &Reductions, mean: &MeanStructure, covariance: &CovarianceStructure) -> (Estimate, Inference) {
     let estimate = fit(data, mean, covariance, Solver::Newton);
     let inference = infer::infer(&estimate, data, infer::Choices::default());
     (estimate, inference)
@@ -476,7 +476,7 @@ fn tests_add_up_to_the_log_likelihood() {
 fn the_order_of_tests_changes_no_bit() {
     let mut data = riley();
     let first = fit(&data, &free(), &full(), Solver::Newton);
-    data.reverse();
+    data = data.iter().rev().collect();
     let second = fit(&data, &free(), &full(), Solver::Newton);
     assert_eq!(first.covariance, second.covariance);
     assert_eq!(first.log_likelihood.to_bits(), second.log_likelihood.to_bits());

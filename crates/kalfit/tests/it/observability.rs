@@ -3,7 +3,7 @@
 use kalfit::estimate::{self, Settings, Silent, Solver, Structure};
 use kalfit::infer::{self, Examination, Quantity, Reason};
 use kalfit::model::{Alpha, CovarianceKind, CovarianceStructure, MeanElement, MeanStructure, Regression};
-use kalfit::reduce::{Plain, Reduction, StepMatrices};
+use kalfit::reduce::{Plain, Reduction, Reductions, StepMatrices};
 use nalgebra::{DMatrix, DVector};
 
 /// A test of p constants that measures each combination in `rows` with unit noise, some value each.
@@ -22,13 +22,13 @@ fn test(id: &str, rows: &[&[f64]]) -> Reduction {
     plain.reduce().expect("sound")
 }
 
-fn examine_under(data: &[Reduction], mean: &MeanStructure, covariance: &CovarianceStructure) -> Examination {
+fn examine_under(data: &Reductions, mean: &MeanStructure, covariance: &CovarianceStructure) -> Examination {
     let alpha = Alpha::default();
     infer::examine_at_start(data, &Structure::single(mean, covariance, &alpha)).expect("a legal problem")
 }
 
-fn examine(data: &[Reduction]) -> Examination {
-    let p = (0..).find(|p| p * (p + 1) / 2 == data[0].factor.len()).expect("packed");
+fn examine(data: &Reductions) -> Examination {
+    let p = (0..).find(|p| p * (p + 1) / 2 == data.get(0).factor.len()).expect("packed");
     examine_under(data, &MeanStructure::free(p), &CovarianceStructure::full())
 }
 
@@ -52,7 +52,7 @@ fn counts(examination: &Examination) -> Vec<(usize, usize)> {
 
 #[test]
 fn a_state_no_test_sees_is_named_with_its_mean_and_covariances() {
-    let data: Vec<Reduction> = (0..4).map(|j| test(&format!("t{j}"), &[&[1.0, 0.0], &[1.0, 0.0]])).collect();
+    let data: Reductions = (0..4).map(|j| test(&format!("t{j}"), &[&[1.0, 0.0], &[1.0, 0.0]])).collect();
     let examination = examine(&data);
     assert_eq!(counts(&examination), [(4, 4), (0, 0)]);
     let found = found(&examination);
@@ -67,7 +67,7 @@ fn a_state_no_test_sees_is_named_with_its_mean_and_covariances() {
 
 #[test]
 fn a_sum_of_two_states_never_tells_them_apart() {
-    let data: Vec<Reduction> = (0..5).map(|j| test(&format!("t{j}"), &[&[1.0, 1.0, 0.0], &[0.0, 0.0, 1.0]])).collect();
+    let data: Reductions = (0..5).map(|j| test(&format!("t{j}"), &[&[1.0, 1.0, 0.0], &[0.0, 0.0, 1.0]])).collect();
     let examination = examine(&data);
     assert_eq!(counts(&examination), [(5, 0), (5, 0), (5, 5)]);
     let found = found(&examination);
@@ -85,7 +85,7 @@ fn a_sum_of_two_states_never_tells_them_apart() {
 
 #[test]
 fn states_of_disjoint_groups_of_tests_have_no_covariance() {
-    let mut data: Vec<Reduction> = (0..4).map(|j| test(&format!("a{j}"), &[&[1.0, 0.0], &[2.0, 0.0]])).collect();
+    let mut data: Reductions = (0..4).map(|j| test(&format!("a{j}"), &[&[1.0, 0.0], &[2.0, 0.0]])).collect();
     data.extend((0..3).map(|j| test(&format!("b{j}"), &[&[0.0, 1.0]])));
     let examination = examine(&data);
     assert_eq!(counts(&examination), [(4, 4), (3, 3)]);
@@ -100,7 +100,7 @@ fn states_of_disjoint_groups_of_tests_have_no_covariance() {
 #[test]
 fn a_state_that_one_test_tells_rests_on_that_test() {
     // all see a + b, one also a alone: the mean of b rests on it
-    let mut data: Vec<Reduction> = (0..20).map(|j| test(&format!("t{j:02}"), &[&[1.0, 1.0]])).collect();
+    let mut data: Reductions = (0..20).map(|j| test(&format!("t{j:02}"), &[&[1.0, 1.0]])).collect();
     data.push(test("z", &[&[1.0, 1.0], &[1.0, 0.0]]));
     data.push(test("y", &[&[0.0, 0.0]]));
     let fixed = CovarianceStructure { kind: CovarianceKind::Fixed(zeros(2)), ..CovarianceStructure::full() };
@@ -126,7 +126,7 @@ fn a_nearly_dark_direction_of_the_mean_is_weakly_determined() {
     let tilt = 1e-3;
     let rows: [&[f64]; 2] = [&[1.0, 1.0 + tilt], &[1.0, 1.0 - tilt]];
     let fixed = CovarianceStructure { kind: CovarianceKind::Fixed(zeros(2)), ..CovarianceStructure::full() };
-    let examination = examine_under(&[test("a", &rows), test("b", &rows)], &MeanStructure::free(2), &fixed);
+    let examination = examine_under(&vec![test("a", &rows), test("b", &rows)].into(), &MeanStructure::free(2), &fixed);
     assert!(examination.unidentified.is_empty(), "{:?}", examination.unidentified);
     let weak = &examination.observability.weak;
     assert_eq!(weak.len(), 1, "{weak:?}");
@@ -136,13 +136,13 @@ fn a_nearly_dark_direction_of_the_mean_is_weakly_determined() {
     assert!((weak[0].condition / expected - 1.0).abs() < 1e-6, "{} {expected}", weak[0].condition);
     assert!((weak[0].direction[0] + weak[0].direction[1]).abs() < 1e-5, "{:?}", weak[0].direction);
     let well: [&[f64]; 2] = [&[1.0, 0.2], &[1.0, -0.1]];
-    assert!(examine(&[test("a", &well), test("b", &well)]).observability.weak.is_empty());
+    assert!(examine(&vec![test("a", &well), test("b", &well)].into()).observability.weak.is_empty());
 }
 
 #[test]
 fn too_few_tests_for_a_covariance_are_counted() {
     let whole: [&[f64]; 3] = [&[1.0, 0.0, 0.0], &[0.0, 1.0, 0.0], &[0.0, 0.0, 1.0]];
-    let data: Vec<Reduction> = (0..3).map(|j| test(&format!("t{j}"), &whole)).collect();
+    let data: Reductions = (0..3).map(|j| test(&format!("t{j}"), &whole)).collect();
     let shortages = examine(&data).observability.shortages;
     assert_eq!(shortages.len(), 1);
     assert_eq!((shortages[0].states.clone(), shortages[0].tests, shortages[0].rank), (vec![0, 1, 2], 3, 2));
@@ -161,7 +161,7 @@ fn too_few_tests_for_a_covariance_are_counted() {
 
 #[test]
 fn a_covariate_that_does_not_vary_is_confounded_with_the_mean() {
-    let with = |x: &dyn Fn(usize) -> f64| -> Vec<Reduction> {
+    let with = |x: &dyn Fn(usize) -> f64| -> Reductions {
         let one =
             |j: usize| Reduction { covariates: vec![x(j)], ..test(&format!("t{j}"), &[&[1.0, 0.0], &[0.0, 1.0]]) };
         (0..8).map(one).collect()
@@ -171,7 +171,7 @@ fn a_covariate_that_does_not_vary_is_confounded_with_the_mean() {
     let covariance = CovarianceStructure::full();
     let alpha = Alpha::default();
     let structure = Structure::single(&mean, &covariance, &alpha);
-    let fit = |data: &[Reduction]| {
+    let fit = |data: &Reductions| {
         let fit = estimate::fit(data, &structure, &Settings::of(Solver::Newton), &mut Silent).expect("a fit");
         infer::infer(&fit, data, infer::Choices::default())
     };
@@ -189,7 +189,7 @@ fn a_covariate_that_does_not_vary_is_confounded_with_the_mean() {
 
 #[test]
 fn what_is_not_identified_has_no_standard_error_and_what_is_has_one() {
-    let mut data: Vec<Reduction> = (0..9).map(|j| test(&format!("a{j}"), &[&[1.0, 1.0, 0.0, 0.0][..]; 3])).collect();
+    let mut data: Reductions = (0..9).map(|j| test(&format!("a{j}"), &[&[1.0, 1.0, 0.0, 0.0][..]; 3])).collect();
     data.extend((0..9).map(|j| test(&format!("b{j}"), &[&[0.0, 0.0, 1.0, 0.0][..]; 3])));
     let (mean, covariance) = (MeanStructure::free(4), CovarianceStructure::full());
     let alpha = Alpha::default();
@@ -205,7 +205,7 @@ fn what_is_not_identified_has_no_standard_error_and_what_is_has_one() {
 #[test]
 fn units_and_the_order_of_tests_change_nothing_but_directions() {
     let ensemble = |scale: [f64; 3], reversed: bool| {
-        let mut data: Vec<Reduction> = Vec::new();
+        let mut data = Reductions::new();
         for j in 0..12 {
             let row = |a: f64, b: f64, c: f64| [a * scale[0], b * scale[1], c * scale[2]];
             let x = 0.3 * f64::from(j);
@@ -218,7 +218,7 @@ fn units_and_the_order_of_tests_change_nothing_but_directions() {
             data.push(test(&format!("t{j:02}"), &rows));
         }
         if reversed {
-            data.reverse();
+            data = data.iter().rev().collect();
         }
         examine(&data)
     };

@@ -10,7 +10,7 @@ use kalfit::model::{
 };
 use kalfit::record::RecordError;
 use kalfit::reduce::PhasedReducer;
-use kalfit::{Alpha, Expression, FitRecord, Label, Labels, Model, PhasedModel, PhasedTest, Provenance, Reduction};
+use kalfit::{Alpha, Expression, FitRecord, Label, Labels, Model, PhasedModel, PhasedTest, Provenance, Reductions};
 use kalfit::{Source, Test};
 
 /// Columns: what is measured, the slope's factor, and what means move with.
@@ -84,7 +84,7 @@ fn test(j: usize) -> Test {
     test
 }
 
-fn reduced(model: &PhasedModel) -> Vec<Reduction> {
+fn reduced(model: &PhasedModel) -> Reductions {
     let labels = Labels::new(&model.shared().literals);
     let tests: Vec<PhasedTest> = (0..TESTS).map(|j| model.split(test(j), &labels).unwrap()).collect();
     PhasedReducer::new(model, &Alpha::default()).unwrap().reduce(&tests).unwrap()
@@ -93,7 +93,7 @@ fn reduced(model: &PhasedModel) -> Vec<Reduction> {
 fn fitted(model: &PhasedModel) -> (FitRecord, Estimate, Inference) {
     let (alpha, reductions) = (Alpha::default(), reduced(model));
     let estimate =
-        estimate::fit(&reductions, &Structure::of(model, &alpha), &Settings::default(), &mut Silent).unwrap();
+        estimate::fit(&reductions, &Structure::of(model, &alpha, None), &Settings::default(), &mut Silent).unwrap();
     let choices = Choices { deletion: DeletionChoice::All, ..Choices::default() };
     let inference = infer::infer(&estimate, &reductions, choices);
     let record = FitRecord::new(model, &alpha, &reductions, &estimate, &inference, Provenance::default());
@@ -231,7 +231,7 @@ fn a_direction_that_mixes_phases_stands_in_each_with_its_part_and_whole_in_a_not
 fn a_likelihood_of_what_filters_made_of_the_data_has_no_aic() {
     let model = model();
     let (alpha, reductions) = (Alpha::default(), reduced(&model));
-    let structure = Structure::of(&model, &alpha);
+    let structure = Structure::of(&model, &alpha, None);
     let estimate = estimate::fit(&reductions, &structure, &Settings::default(), &mut Silent).unwrap();
     let inference = infer::infer(&estimate, &reductions, Choices::default());
     let provenance = Provenance { of_estimates: true, ..Provenance::default() };

@@ -6,7 +6,7 @@ use kalfit::model::{
     Carry, Clock, Column, CovarianceStructure, Function, Initial, Linear, MeanStructure, Measurement, Model, Motion,
     Operator, Parameter, Phase, PhasedModel, State, Value,
 };
-use kalfit::reduce::{Evidence, PhaseReduction, PhasedReducer, PhasedTest, ReduceError, Reduction};
+use kalfit::reduce::{Evidence, PhaseReduction, PhasedReducer, PhasedTest, ReduceError, Reductions};
 use kalfit::{Alpha, Expression, Label, Labels, Source, Test};
 use nalgebra::{DMatrix, DVector};
 
@@ -123,7 +123,7 @@ fn test(rows: &[(usize, [f64; 3])]) -> Test {
     test
 }
 
-fn reduce(model: &PhasedModel, tests: &[PhasedTest]) -> Result<Vec<Reduction>, ReduceError> {
+fn reduce(model: &PhasedModel, tests: &[PhasedTest]) -> Result<Reductions, ReduceError> {
     PhasedReducer::new(model, &Alpha::fixed(&model.shared().parameters).expect("all is fixed"))?.reduce(tests)
 }
 
@@ -143,7 +143,7 @@ fn matrix(blocks: [&[f64]; 3]) -> DMatrix<f64> {
 #[test]
 fn one_test_in_three_phases_has_the_published_log_likelihoods() {
     let model = model();
-    let reduction = reduce(&model, &[split(&model, &ROWS)]).expect("sound").remove(0);
+    let reduction = reduce(&model, &[split(&model, &ROWS)]).expect("sound").get(0).into();
     let known = matrix([&[4.0, 0.1, 0.1, 0.01], &[1.0, 0.0, 0.0, 0.01], &[0.25]]);
     let huge = DMatrix::identity(5, 5) * 1e6;
     let best =

@@ -4,7 +4,7 @@ use kalfit::estimate::{self, Settings, Silent, Structure};
 use kalfit::infer::Element;
 use kalfit::model::{Alpha, CovarianceKind, CovarianceStructure, FixedElement, MeanElement, MeanStructure, Regression};
 use kalfit::plan::{Plan, PlanError, Quantity, Reason, plan};
-use kalfit::reduce::{Path, Reduction};
+use kalfit::reduce::{Path, Reduction, Reductions};
 use kalfit::{Expression, Population};
 use nalgebra::{DMatrix, DVector};
 use rand::{RngExt, SeedableRng};
@@ -38,7 +38,7 @@ fn roots() -> Vec<DMatrix<f64>> {
     vec![m(2, 2, &[2.0, 0.5, 0.0, 1.0]), m(2, 2, &[0.8, -1.0, 0.0, 3.0]), m(2, 2, &[1.5, 1.5, 0.0, 0.0])]
 }
 
-fn designs(roots: &[DMatrix<f64>]) -> Vec<Reduction> {
+fn designs(roots: &[DMatrix<f64>]) -> Reductions {
     roots.iter().enumerate().map(|(j, r)| reduction(j, r, &DVector::zeros(r.ncols()), &[])).collect()
 }
 
@@ -47,7 +47,7 @@ fn population(mean: &[f64], covariance: DMatrix<f64>) -> Population {
 }
 
 fn planned(
-    designs: &[Reduction],
+    designs: &Reductions,
     mean: &MeanStructure,
     covariance: &CovarianceStructure,
     truth: &Population,
@@ -185,7 +185,7 @@ fn a_population_off_the_structure_is_refused() {
     let short = population(&[1.0], m(1, 1, &[1.0]));
     assert!(matches!(planned(&designs(&roots()), &free, &equal, &short, &[1]), Err(PlanError::Population(_))));
     assert_eq!(planned(&designs(&roots()), &free, &diagonal, &correlated, &[0]).err(), Some(PlanError::ZeroTests));
-    assert!(matches!(planned(&[], &free, &diagonal, &correlated, &[1]), Err(PlanError::Design(_))));
+    assert!(matches!(planned(&Reductions::new(), &free, &diagonal, &correlated, &[1]), Err(PlanError::Design(_))));
 }
 
 #[test]
@@ -193,9 +193,9 @@ fn measured_values_do_not_matter() {
     let sigma = m(2, 2, &[1.0, 0.3, 0.3, 0.5]);
     let truth = population(&[5.0, -3.0], sigma);
     let blank = designs(&roots());
-    let measured: Vec<Reduction> =
-        blank.iter().map(|r| Reduction { constant: -1e5, data: vec![1e9, f64::NAN], ..r.clone() }).collect();
-    let run = |d: &[Reduction]| planned(d, &MeanStructure::free(2), &CovarianceStructure::full(), &truth, &[7]);
+    let measured: Reductions =
+        blank.iter().map(|r| Reduction { constant: -1e5, data: vec![1e9, f64::NAN], ..r.into() }).collect();
+    let run = |d: &Reductions| planned(d, &MeanStructure::free(2), &CovarianceStructure::full(), &truth, &[7]);
     assert_eq!(run(&blank), run(&measured));
 }
 
@@ -216,7 +216,7 @@ fn fits_of_simulated_ensembles_spread_as_planned() {
     let mut found: Vec<DVector<f64>> = Vec::new();
     for _ in 0..ENSEMBLES {
         let mut normal = || random.sample::<f64, _>(StandardNormal);
-        let tests: Vec<Reduction> = (0..TESTS)
+        let tests: Reductions = (0..TESTS)
             .map(|j| {
                 let r = &roots[j % 3];
                 let mut xi = DVector::from_vec(vec![5.0, -3.0]) + &root * DVector::from_fn(2, |_, _| normal());
@@ -231,7 +231,7 @@ fn fits_of_simulated_ensembles_spread_as_planned() {
         found.push(DVector::from_vec(vec![fit.mean[0], fit.mean[1], fit.coefficients[0], a, b, s[(1, 0)] / (a * b)]));
     }
     // a design of 15 tests stands for the ensemble
-    let design: Vec<Reduction> =
+    let design: Reductions =
         (0..15).map(|j| reduction(j, &roots[j % 3], &DVector::zeros(2), &[covariate(j)])).collect();
     let truth = Population { mean: vec![5.0, -3.0], coefficients: vec![slope], covariance: sigma };
     let plan = plan(&design, &structure, &truth, &[TESTS]).expect("sound");

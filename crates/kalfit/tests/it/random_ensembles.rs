@@ -7,22 +7,22 @@ use kalfit::estimate::{
     self, Derivatives, Estimate, Likelihood, Settings, Silent, Solver, Stop, Structure, pass_flops,
 };
 use kalfit::model::{Alpha, CovarianceKind, CovarianceStructure, FixedElement, MeanElement, MeanStructure, Regression};
-use kalfit::reduce::Reduction;
+use kalfit::reduce::Reductions;
 use nalgebra::{DMatrix, DVector};
-use simulated::{Recipe, ensemble, unpack};
+use simulated::{Recipe, changed, ensemble, unpack};
 
 /// Σ_j log N(d_j; R_j μ_j, I + R_j Σ R_j') + constant_j + ½ p log 2π: the density of the reductions, naively.
-fn dense(data: &[Reduction], estimate: &Estimate, elements: &[usize]) -> f64 {
+fn dense(data: &Reductions, estimate: &Estimate, elements: &[usize]) -> f64 {
     let p = estimate.mean.len();
     data.iter()
         .map(|reduction| {
-            let r = unpack(reduction, p);
+            let r = unpack(reduction.factor, p);
             let mut mu = DVector::from_column_slice(&estimate.mean);
             for (c, &i) in elements.iter().enumerate() {
                 mu[i] += estimate.coefficients[c] * reduction.covariates[c];
             }
             let s = DMatrix::identity(p, p) + &r * &estimate.covariance * r.transpose();
-            let e = DVector::from_column_slice(&reduction.data) - &r * mu;
+            let e = DVector::from_column_slice(reduction.data) - &r * mu;
             let factor = s.cholesky().expect("I + RΣR' is positive definite");
             let log_det = 2.0 * factor.l().diagonal().map(f64::ln).sum();
             reduction.constant - 0.5 * (log_det + e.dot(&factor.solve(&e)))
@@ -30,7 +30,7 @@ fn dense(data: &[Reduction], estimate: &Estimate, elements: &[usize]) -> f64 {
         .sum()
 }
 
-fn fit(data: &[Reduction], mean: &MeanStructure, covariance: &CovarianceStructure, solver: Solver) -> Estimate {
+fn fit(data: &Reductions, mean: &MeanStructure, covariance: &CovarianceStructure, solver: Solver) -> Estimate {
     let alpha = Alpha::default();
     let structure = Structure::single(mean, covariance, &alpha);
     let tolerance = if solver == Solver::Em { 1e-4 } else { 1e-8 };
@@ -156,16 +156,11 @@ fn units_do_not_matter() {
     for seed in 0..20 {
         let data = ensemble(recipe, seed);
         let unit = [1e-6, 1.0, 3e5];
-        let rescaled: Vec<Reduction> = data
-            .iter()
-            .map(|reduction| {
-                let mut scaled = reduction.clone();
-                for k in 0..3 {
-                    (0..=k).for_each(|i| scaled.factor[i + k * (k + 1) / 2] /= unit[k]);
-                }
-                scaled
-            })
-            .collect();
+        let rescaled = changed(&data, |_, test| {
+            for k in 0..3 {
+                (0..=k).for_each(|i| test.factor[i + k * (k + 1) / 2] /= unit[k]);
+            }
+        });
         let mean = MeanStructure::free(3);
         let one = fit(&data, &mean, &CovarianceStructure::full(), Solver::Newton);
         let other = fit(&rescaled, &mean, &CovarianceStructure::full(), Solver::Newton);
@@ -186,10 +181,7 @@ fn a_design_class_equals_its_tests_apart() {
         Recipe { p: 3, tests: 60, rank: 3, observed: 6, strength: 1.0, designs: 4, regressors: 0, mild: false };
     for seed in 0..20 {
         let data = ensemble(recipe, seed);
-        let mut apart = data.clone();
-        for (j, reduction) in apart.iter_mut().enumerate() {
-            reduction.covariates = vec![j as f64];
-        }
+        let apart = changed(&data, |j, test| test.covariates = vec![j as f64]);
         let mean = MeanStructure::free(3);
         let together = fit(&data, &mean, &CovarianceStructure::full(), Solver::Newton);
         let single = fit(&apart, &mean, &CovarianceStructure::full(), Solver::Newton);

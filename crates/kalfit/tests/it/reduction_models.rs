@@ -9,7 +9,7 @@ use kalfit::model::{
     Clock, Column, CovarianceStructure, Function, Initial, Level, Linear, MeanStructure, Measurement, Motion, Operator,
     Parameter, Regression, State, Value,
 };
-use kalfit::reduce::{Plain, ReduceError, ReduceErrorKind, Reducer, Reduction, StepMatrices, Work};
+use kalfit::reduce::{Plain, ReduceError, ReduceErrorKind, Reducer, Reduction, Reductions, StepMatrices, Work};
 use kalfit::{Alpha, Expression, Label, Model, Source, Test};
 use nalgebra::{DMatrix, DVector};
 
@@ -94,12 +94,12 @@ fn test(rows: &[[f64; 4]]) -> Test {
     labelled("t1", &rows.iter().map(|row| (*row, 0)).collect::<Vec<_>>())
 }
 
-fn reduce_all(model: &Model, tests: &[Test]) -> Result<Vec<Reduction>, ReduceError> {
+fn reduce_all(model: &Model, tests: &[Test]) -> Result<Reductions, ReduceError> {
     Reducer::new(model, &Alpha::fixed(&model.parameters).expect("all is fixed"))?.reduce(tests)
 }
 
 fn reduce(model: &Model, test: &Test) -> Reduction {
-    reduce_all(model, std::slice::from_ref(test)).expect("sound").remove(0)
+    reduce_all(model, std::slice::from_ref(test)).expect("sound").get(0).into()
 }
 
 fn refusal(model: &Model, test: &Test) -> ReduceError {
@@ -457,18 +457,17 @@ fn sharing_changes_no_bit(model: &Model, transitions: u64) {
     let together = reducer.reduce(&tests).expect("sound");
     assert_eq!(reducer.work(), Work { design_runs: 2, root_runs: 0, data_runs: 200, transitions });
     for (test, shared) in tests.iter().zip(&together) {
-        assert_eq!(&reduce(model, test), shared);
+        assert_eq!(reduce(model, test).view(), shared);
     }
     let mut turned: Vec<Test> = tests.iter().rev().cloned().collect();
-    let mut backwards = Vec::new();
+    let mut backwards = Reductions::new();
     let one = |n| rayon::ThreadPoolBuilder::new().num_threads(n).build().expect("threads");
     for (k, batch) in turned.chunks_mut(33).enumerate() {
-        backwards.extend(one(1 + k % 4).install(|| reducer.reduce(batch)).expect("sound"));
+        backwards.append(one(1 + k % 4).install(|| reducer.reduce(batch)).expect("sound"));
     }
-    backwards.reverse();
-    assert_eq!(backwards, together);
-    assert_eq!(together[1].design, together[2].design);
-    assert_ne!(together[0].design, together[1].design);
+    assert!(backwards.iter().rev().eq(&together));
+    assert_eq!(together.get(1).design, together.get(2).design);
+    assert_ne!(together.get(0).design, together.get(1).design);
 }
 
 #[test]
@@ -499,7 +498,8 @@ fn parameters_have_their_level() {
     let values = BTreeMap::from([(Label::literal(0), 0.5)]);
     let alpha = Alpha { values: vec![Level::Each { column: 0, values, other: None }] };
     let mut reducer = Reducer::new(&model, &alpha).expect("sound");
-    let found = reducer.reduce(&[labelled("t", &[(ROWS[0], 0)])]).expect("sound").remove(0);
+    let found = reducer.reduce(&[labelled("t", &[(ROWS[0], 0)])]).expect("sound");
+    let found = found.get(0);
     assert!((found.factor[0] - 2f64.sqrt()).abs() < 1e-15, "{}", found.factor[0]);
     let error = reducer.reduce(&[labelled("t", &[(ROWS[0], 1)])]).expect_err("refused");
     assert_eq!(

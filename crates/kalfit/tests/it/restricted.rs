@@ -5,9 +5,9 @@ use crate::simulated;
 use kalfit::estimate::{Criterion, Estimate, Solver, Stop};
 use kalfit::infer;
 use kalfit::model::{CovarianceKind, CovarianceStructure, MeanElement, MeanStructure, Regression};
-use kalfit::reduce::Reduction;
+use kalfit::reduce::Reductions;
 use nalgebra::{DMatrix, DVector};
-use simulated::{Assumed, Recipe, beta, dense, ensemble, fit, fixed, simplex};
+use simulated::{Assumed, Recipe, beta, changed, dense, ensemble, fit, fixed, simplex};
 
 fn base() -> Recipe {
     Recipe { p: 3, tests: 12, rank: 3, observed: 5, strength: 1.5, designs: 12, regressors: 0, mild: false }
@@ -77,7 +77,7 @@ fn the_restricted_likelihood_is_the_dense_one() {
     }
 }
 
-fn at(data: &[Reduction], mean: &MeanStructure, beta: &DVector<f64>, found: &Estimate) -> f64 {
+fn at(data: &Reductions, mean: &MeanStructure, beta: &DVector<f64>, found: &Estimate) -> f64 {
     dense(data, mean, beta, &found.covariance).log_likelihood
 }
 
@@ -85,10 +85,8 @@ fn at(data: &[Reduction], mean: &MeanStructure, beta: &DVector<f64>, found: &Est
 #[test]
 fn regression_coefficients_are_part_of_the_mean() {
     for seed in 0..8 {
-        let mut data = ensemble(Recipe { tests: 20, designs: 20, regressors: 2, ..base() }, seed);
-        for reduction in &mut data {
-            reduction.covariates[1] *= 1e4;
-        }
+        let data = ensemble(Recipe { tests: 20, designs: 20, regressors: 2, ..base() }, seed);
+        let data = changed(&data, |_, test| test.covariates[1] *= 1e4);
         let regression = vec![Regression { element: 0, column: 0 }, Regression { element: 2, column: 1 }];
         let mean = MeanStructure { regression, ..MeanStructure::free(3) };
         let found = fit(&data, &Assumed::reml(mean.clone(), CovarianceStructure::full()), Solver::Newton);
@@ -174,16 +172,15 @@ fn deletion_equals_refitting_the_others() {
         let regressors = mean.regression.len();
         let mut data = ensemble(Recipe { regressors, designs: 8, ..base() }, seed);
         if seed == 3 {
-            data.iter_mut().enumerate().for_each(|(j, test)| test.covariates = vec![if j == 5 { 2.0 } else { 0.0 }]);
+            data = changed(&data, |j, test| test.covariates = vec![if j == 5 { 2.0 } else { 0.0 }]);
         }
         let assumed = Assumed::reml(mean, CovarianceStructure::full());
         let all = fit(&data, &assumed, Solver::Newton);
         certified(&all, "all");
         let deletions = infer::deletions(&all, &data);
         for (j, deletion) in deletions.iter().enumerate() {
-            let mut others = data.clone();
-            others.remove(j);
-            let again = fit(&others, &assumed, Solver::Newton);
+            let others: Vec<usize> = (0..data.len()).filter(|other| *other != j).collect();
+            let again = fit(&data.select(&others), &assumed, Solver::Newton);
             let what = format!("seed {seed}, without test {j}");
             certified(&again, &what);
             let found = deletion.as_ref().expect("the others have an optimum");
@@ -237,16 +234,11 @@ fn units_shift_the_restricted_likelihood_by_their_jacobian() {
     let unit = [1e-6, 1.0, 3e5];
     for seed in 0..10 {
         let data = ensemble(base(), seed);
-        let rescaled: Vec<Reduction> = data
-            .iter()
-            .map(|reduction| {
-                let mut scaled = reduction.clone();
-                for k in 0..3 {
-                    (0..=k).for_each(|i| scaled.factor[i + k * (k + 1) / 2] /= unit[k]);
-                }
-                scaled
-            })
-            .collect();
+        let rescaled = changed(&data, |_, test| {
+            for k in 0..3 {
+                (0..=k).for_each(|i| test.factor[i + k * (k + 1) / 2] /= unit[k]);
+            }
+        });
         let assumed = Assumed::reml(MeanStructure::free(3), CovarianceStructure::full());
         let (one, other) = (fit(&data, &assumed, Solver::Newton), fit(&rescaled, &assumed, Solver::Newton));
         let shift: f64 = unit.iter().map(|u| f64::ln(*u)).sum();
@@ -267,15 +259,10 @@ fn units_shift_the_restricted_likelihood_by_their_jacobian() {
 fn a_mean_that_no_test_informs_does_not_count() {
     for seed in 0..5 {
         let inner = ensemble(Recipe { p: 2, ..base() }, seed);
-        let outer: Vec<Reduction> = inner
-            .iter()
-            .map(|reduction| {
-                let mut wider = reduction.clone();
-                wider.factor.extend([0.0, 0.0, 0.0]);
-                wider.data.push(0.0);
-                wider
-            })
-            .collect();
+        let outer = changed(&inner, |_, test| {
+            test.factor.extend([0.0, 0.0, 0.0]);
+            test.data.push(0.0);
+        });
         let diagonal = CovarianceStructure { kind: CovarianceKind::Diagonal, ..CovarianceStructure::full() };
         let small = fit(&inner, &Assumed::reml(MeanStructure::free(2), diagonal.clone()), Solver::Newton);
         let large = fit(&outer, &Assumed::reml(MeanStructure::free(3), diagonal), Solver::Newton);
@@ -291,16 +278,11 @@ fn a_mean_that_no_test_informs_does_not_count() {
 #[test]
 fn a_direction_that_no_test_informs_does_not_count() {
     let seen = ensemble(Recipe { p: 1, rank: 1, observed: 1, ..base() }, 3);
-    let sums: Vec<Reduction> = seen
-        .iter()
-        .map(|reduction| {
-            let mut both = reduction.clone();
-            let r = reduction.factor[0];
-            both.factor = vec![r, 3.0 * r, 0.0]; // R = [r 3r; 0 0]
-            both.data.push(0.0);
-            both
-        })
-        .collect();
+    let sums = changed(&seen, |_, test| {
+        let r = test.factor[0];
+        test.factor = vec![r, 3.0 * r, 0.0]; // R = [r 3r; 0 0]
+        test.data.push(0.0);
+    });
     let only_first = fixed(&[(1, 1, 0.0)]);
     let one = fit(&seen, &Assumed::reml(MeanStructure::free(1), CovarianceStructure::full()), Solver::Newton);
     let both = fit(&sums, &Assumed::reml(MeanStructure::free(2), only_first), Solver::Newton);

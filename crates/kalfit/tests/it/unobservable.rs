@@ -5,7 +5,7 @@ use crate::simulated;
 use kalfit::estimate::{self, Estimate, Settings, Silent, Solver, Stop, Structure};
 use kalfit::infer::{self, Quantity};
 use kalfit::model::{Alpha, CovarianceStructure, MeanStructure};
-use kalfit::reduce::Reduction;
+use kalfit::reduce::{Reduction, ReductionRef, Reductions};
 use nalgebra::{DMatrix, DVector};
 use simulated::{Recipe, ensemble, unpack};
 
@@ -14,16 +14,16 @@ const P: usize = 4;
 const O: usize = 2;
 
 /// Tests that all see `seen` ξ (O × P) and nothing else.
-fn tests(seen: &DMatrix<f64>, seed: u64) -> Vec<Reduction> {
+fn tests(seen: &DMatrix<f64>, seed: u64) -> Reductions {
     let recipe =
         Recipe { p: O, tests: 25, rank: O, observed: 4, strength: 1.5, designs: 25, regressors: 0, mild: false };
-    let wide = |reduction: &Reduction| {
-        let r = unpack(reduction, O) * seen;
+    let wide = |reduction: ReductionRef<'_>| {
+        let r = unpack(reduction.factor, O) * seen;
         let mut stacked = DMatrix::zeros(P + 1, P + 1);
         stacked.view_mut((0, 0), (O, P)).copy_from(&r);
         (0..O).for_each(|i| stacked[(i, P)] = reduction.data[i]);
         let upper = stacked.qr().r();
-        let mut found = reduction.clone();
+        let mut found = Reduction::from(reduction);
         // what is zero is so exactly, as it is after a filter
         let clean = |x: f64| if x.abs() < 1e-13 * upper.amax() { 0.0 } else { x };
         found.factor = (0..P).flat_map(|k| (0..=k).map(move |i| (i, k))).map(|(i, k)| clean(upper[(i, k)])).collect();
@@ -49,7 +49,7 @@ struct Start {
     covariance: DMatrix<f64>,
 }
 
-fn search(data: &[Reduction], start: &Start, solver: Solver, passes: usize) -> Estimate {
+fn search(data: &Reductions, start: &Start, solver: Solver, passes: usize) -> Estimate {
     let mean = MeanStructure { start: start.mean.iter().copied().map(Some).collect(), ..MeanStructure::free(P) };
     let covariance = CovarianceStructure { start: Some(start.covariance.clone()), ..CovarianceStructure::full() };
     let alpha = Alpha::default();

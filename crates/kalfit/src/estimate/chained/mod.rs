@@ -20,7 +20,7 @@ use crate::estimate::chained::shape::PhaseShape;
 use crate::estimate::frame::Frame;
 use crate::linalg::factors::{Factors, Plain, Rotations};
 use crate::linalg::rows::Rows;
-use crate::reduce::{Chain, ChainPhase, Path, Reduction};
+use crate::reduce::{Chain, ChainPhase, Path, ReductionRef};
 
 pub(crate) use kept::{Kept, grouped};
 pub(crate) use kernel::{Detail, Root, Said};
@@ -41,8 +41,8 @@ pub(crate) struct Chained<T = f64> {
 
 impl Chained {
     /// Tests with equal matrices, in a frame; `ranges` says where the states of each phase of the model stand.
-    pub(crate) fn new(members: &[&Reduction], ranges: &[Range<usize>], frame: &Frame) -> Chained {
-        let chains: Vec<&Chain> = members.iter().map(|r| r.chain.as_deref().expect("it has a chain")).collect();
+    pub(crate) fn new(members: &[ReductionRef<'_>], ranges: &[Range<usize>], frame: &Frame) -> Chained {
+        let chains: Vec<&Chain> = members.iter().map(|r| r.chain.expect("it has a chain")).collect();
         let careful = chains.iter().any(|chain| chain.phases.iter().any(|phase| phase.path == Path::SquareRoot));
         let data: Vec<Vec<Vec<f64>>> = chains.iter().map(|chain| centred(chain, ranges, frame)).collect();
         let columns = columns(&data);
@@ -201,13 +201,14 @@ mod tests {
     use nalgebra::DVector;
 
     use super::*;
+    use crate::reduce::Reduction;
     use kalfit_lanes::{Counted, Isa, Kernel, Lanes};
 
     /// Phases of three states.
     fn chain(phases: usize) -> (Chained, Frame) {
         let (reduction, ranges, _) = test(phases, (3, 3));
         let frame = Frame { centre: vec![0.0; 3 * phases], scale: vec![1.0; 3 * phases], covariate_scale: Vec::new() };
-        (Chained::new(&[&reduction], &ranges, &frame), frame)
+        (Chained::new(&[reduction.view()], &ranges, &frame), frame)
     }
 
     /// A test in phases of q states, the first p of which are their own; where they stand, and a frame.
@@ -305,7 +306,7 @@ mod tests {
         for (q, p) in [(1, 1), (2, 1), (3, 3), (4, 2), (5, 5), (6, 3), (7, 7), (8, 8), (9, 4)] {
             let phases = 3;
             let (reduction, ranges, frame) = test(phases, (q, p));
-            let chained = Chained::new(&[&reduction], &ranges, &frame);
+            let chained = Chained::new(&[reduction.view()], &ranges, &frame);
             let mean: Vec<f64> = (0..p * phases).map(|k| (k as f64).cos()).collect();
             let root = DMatrix::from_fn(p * phases, p * phases, |i, k| match (i / p == k / p, i.cmp(&k)) {
                 (true, std::cmp::Ordering::Equal) => 0.5 + i as f64 / 10.0,
@@ -321,7 +322,8 @@ mod tests {
                     format!("{chained:?}"),
                     "a lane is what it was made from"
                 );
-                let gathered = Packed::of_tests(shape, members, isa.lanes(), (&ranges, &frame), |_| vec![&reduction]);
+                let gathered =
+                    Packed::of_tests(shape, members, isa.lanes(), (&ranges, &frame), |_| vec![reduction.view()]);
                 assert_eq!(format!("{gathered:?}"), format!("{packed:?}"), "and so it is as gathered");
                 for detail in [Detail::Phases, Detail::Between, Detail::Posterior] {
                     let alone = figures(&chained.at(&mean, &root, detail), |x| x);

@@ -12,7 +12,7 @@ use crate::estimate::frame::Frame;
 use crate::linalg::factors::Plain;
 use crate::linalg::fixed::Fixed;
 use crate::linalg::rows::Rows;
-use crate::reduce::{Chain, Reduction};
+use crate::reduce::{Chain, ReductionRef};
 
 /// As many classes of one shape as there are lanes, or fewer: lanes that no class takes have a class without tests.
 #[derive(Debug, Clone)]
@@ -45,10 +45,10 @@ impl Packed {
         members: Vec<usize>,
         lanes: usize,
         (ranges, frame): (&[Range<usize>], &Frame),
-        of: impl Fn(usize) -> Vec<&'a Reduction>,
+        of: impl Fn(usize) -> Vec<ReductionRef<'a>>,
     ) -> Packed {
         Packed::filled(shape, members, lanes, |member, to| match &of(member)[..] {
-            [Reduction { chain: Some(chain), .. }] => put_test(chain, (ranges, frame), to, lanes),
+            [ReductionRef { chain: Some(chain), .. }] => put_test(chain, (ranges, frame), to, lanes),
             tests => put(&Chained::new(tests, ranges, frame), to, lanes),
         })
     }

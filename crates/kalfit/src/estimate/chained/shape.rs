@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use crate::reduce::{ChainPhase, Path, Reduction};
+use crate::reduce::{ChainPhase, Path, ReductionRef};
 
 /// Sizes of all matrices of a class.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -26,14 +26,14 @@ pub(super) struct PhaseShape {
 impl Shape {
     /// Of tests with equal matrices; `ranges` says where the states of each phase of the model stand. `None` where some phase needs
     /// rotations: such a class is worked on by itself.
-    pub(crate) fn of(members: &[&Reduction], ranges: &[Range<usize>]) -> Option<Shape> {
-        let plain = |reduction: &&Reduction| {
-            reduction.chain.as_deref().is_some_and(|chain| chain.phases.iter().all(|p| p.path != Path::SquareRoot))
+    pub(crate) fn of(members: &[ReductionRef<'_>], ranges: &[Range<usize>]) -> Option<Shape> {
+        let plain = |reduction: &ReductionRef<'_>| {
+            reduction.chain.is_some_and(|chain| chain.phases.iter().all(|p| p.path != Path::SquareRoot))
         };
         if !members.iter().all(plain) {
             return None;
         }
-        let chain = members.first()?.chain.as_deref()?;
+        let chain = members.first()?.chain?;
         let phase = |(phase, own): (&ChainPhase, &Range<usize>)| PhaseShape {
             own: own.clone(),
             size: phase.data.len(),

@@ -13,7 +13,7 @@ use crate::estimate::{Estimate, Silent, State, Stop, fit, fit_from};
 use crate::infer::ratio::nested::regressions;
 use crate::linalg::symmetric;
 use crate::model::Population;
-use crate::reduce::{Reduction, unpack};
+use crate::reduce::{ReductionRef, Reductions, unpack};
 
 /// How many ensembles to draw, and the seed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -42,7 +42,7 @@ pub struct BootstrapResult {
 pub fn bootstrap(
     null: &Estimate,
     alternative: &Estimate,
-    reductions: &[Reduction],
+    reductions: &Reductions,
     statistic: f64,
     bootstrap: Bootstrap,
 ) -> BootstrapResult {
@@ -56,7 +56,7 @@ pub type GoesOn<'a> = &'a mut dyn FnMut(usize) -> bool;
 pub fn bootstrap_while(
     null: &Estimate,
     alternative: &Estimate,
-    reductions: &[Reduction],
+    reductions: &Reductions,
     (statistic, bootstrap): (f64, Bootstrap),
     goes_on: GoesOn<'_>,
 ) -> Option<BootstrapResult> {
@@ -103,7 +103,7 @@ impl BootstrapResult {
 }
 
 /// The statistic of one ensemble; `None` when a fit is not certified.
-fn ratio(null: &Estimate, alternative: &Estimate, reductions: &[Reduction], places: &[usize]) -> Option<f64> {
+fn ratio(null: &Estimate, alternative: &Estimate, reductions: &Reductions, places: &[usize]) -> Option<f64> {
     let truth = Population::from(null);
     let narrow = certified(&null.state, &select_covariates(reductions, places), &truth)?;
     let widened = |state: &Estimate| widened(state, places, alternative.coefficients.len());
@@ -125,14 +125,12 @@ pub(super) fn widened(null: &Estimate, places: &[usize], coefficients: usize) ->
 }
 
 /// Reductions with only these of their covariates.
-pub(super) fn select_covariates(reductions: &[Reduction], places: &[usize]) -> Vec<Reduction> {
-    let selected =
-        |r: &Reduction| Reduction { covariates: places.iter().map(|&at| r.covariates[at]).collect(), ..r.clone() };
-    reductions.iter().map(selected).collect()
+pub(super) fn select_covariates(reductions: &Reductions, places: &[usize]) -> Reductions {
+    reductions.clone().with_covariates(places)
 }
 
 /// From the truth, and from the data when that does not end well.
-fn certified(state: &State, reductions: &[Reduction], start: &Population) -> Option<Estimate> {
+fn certified(state: &State, reductions: &Reductions, start: &Population) -> Option<Estimate> {
     let (structure, settings) = (state.structure(), &state.settings);
     let near = fit_from(reductions, &structure, start, settings, &mut Silent).ok();
     near.filter(|e| e.stop == Stop::Certified)
@@ -141,7 +139,7 @@ fn certified(state: &State, reductions: &[Reduction], start: &Population) -> Opt
 
 /// New data for the same tests.
 struct Draw<'a> {
-    reductions: &'a [Reduction],
+    reductions: &'a Reductions,
     /// By id: draws do not depend on the order of the tests.
     order: Vec<usize>,
     null: &'a Estimate,
@@ -152,27 +150,34 @@ struct Draw<'a> {
 }
 
 impl<'a> Draw<'a> {
-    fn new(null: &'a Estimate, reductions: &'a [Reduction], places: &'a [usize]) -> Draw<'a> {
+    fn new(null: &'a Estimate, reductions: &'a Reductions, places: &'a [usize]) -> Draw<'a> {
         let mut order: Vec<usize> = (0..reductions.len()).collect();
-        order.sort_by(|&a, &b| reductions[a].test.cmp(&reductions[b].test));
+        order.sort_by(|&a, &b| reductions.get(a).test.cmp(reductions.get(b).test));
         Draw { reductions, order, null, places, root: symmetric::square_root(&null.covariance) }
     }
 
-    fn ensemble(&self, random: &mut ChaCha8Rng) -> Vec<Reduction> {
-        self.order.iter().map(|&j| self.test(&self.reductions[j], random)).collect()
+    fn ensemble(&self, random: &mut ChaCha8Rng) -> Reductions {
+        let mut drawn = self.reductions.select(&self.order);
+        for number in 0..drawn.len() {
+            let data = self.data(drawn.get(number), random);
+            let test = drawn.get_mut(number);
+            (*test.constant, *test.residual) = (0.0, None);
+            test.data.copy_from_slice(data.as_slice());
+        }
+        drawn
     }
 
-    fn test(&self, like: &Reduction, random: &mut ChaCha8Rng) -> Reduction {
+    /// New d of a test.
+    fn data(&self, like: ReductionRef<'_>, random: &mut ChaCha8Rng) -> DVector<f64> {
         let p = self.root.nrows();
         let mut normal = |n: usize| DVector::from_fn(n, |_, _| StandardNormal.sample(&mut *random));
         let mut xi = DVector::from_column_slice(&self.null.mean) + &self.root * normal(self.root.ncols());
         for (c, &element) in self.null.state.problem.mean.regressors.iter().enumerate() {
             xi[element] += like.covariates[self.places[c]] * self.null.coefficients[c];
         }
-        let factor = unpack(&like.factor, p);
+        let factor = unpack(like.factor, p);
         let noise = normal(p);
         let told = |i: usize| (i..p).any(|k| factor[(i, k)] != 0.0);
-        let data = &factor * xi + DVector::from_fn(p, |i, _| if told(i) { noise[i] } else { 0.0 });
-        Reduction { data: data.as_slice().to_vec(), constant: 0.0, residual: None, ..like.clone() }
+        &factor * xi + DVector::from_fn(p, |i, _| if told(i) { noise[i] } else { 0.0 })
     }
 }

@@ -13,7 +13,7 @@ pub use nested::NotNested;
 pub use restricted::{NotNestedParameter, Restricted, restricted};
 
 use crate::estimate::{Estimate, FitError, Progress, Settings, Silent, Structure, fit, fit_from};
-use crate::reduce::Reduction;
+use crate::reduce::Reductions;
 
 /// A test of a hypothesis within a model.
 #[derive(Debug, Clone, PartialEq)]
@@ -55,7 +55,7 @@ pub fn likelihood_ratio(null: &Estimate, alternative: &Estimate) -> Result<Likel
 /// Fits a hypothesis to the reductions of a model: those of the model, with the covariates of its regressions only. `None` when
 /// the hypothesis has a regression that the model has not.
 pub fn fit_null(
-    reductions: &[Reduction],
+    reductions: &Reductions,
     model: &Structure<'_>,
     null: &Structure<'_>,
     settings: &Settings,
@@ -67,7 +67,7 @@ pub fn fit_null(
 
 /// The model fitted again from the hypothesis, when the hypothesis has the higher likelihood: then the model's own search
 /// ended elsewhere than at the top.
-pub fn at_least(alternative: Estimate, null: &Estimate, reductions: &[Reduction]) -> Result<Estimate, FitError> {
+pub fn at_least(alternative: Estimate, null: &Estimate, reductions: &Reductions) -> Result<Estimate, FitError> {
     if alternative.log_likelihood >= null.log_likelihood - 1e-9 * null.log_likelihood.abs().max(1.0) {
         return Ok(alternative);
     }

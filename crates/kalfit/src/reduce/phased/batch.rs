@@ -6,8 +6,8 @@ use crate::ensemble::Test;
 use crate::reduce::error::ReduceError;
 use crate::reduce::part::Part;
 use crate::reduce::phased::{PhasedReducer, PhasedWork};
-use crate::reduce::reducer::{Batch, all_sound, share};
-use crate::reduce::{Evidence, PhaseReduction, PhasedTest, Reduction};
+use crate::reduce::reducer::{Batch, all_sound, joined, share};
+use crate::reduce::{Evidence, PhaseReduction, PhasedTest, Reduction, Reductions};
 
 /// Reduces batches of tests in phases.
 #[derive(Debug)]
@@ -25,16 +25,16 @@ impl PhasedReducer {
     ///
     /// # Errors
     /// Of several tests in error, the first one's error; of several phases, the first one's.
-    pub fn reduce(&mut self, tests: &[PhasedTest]) -> Result<Vec<Reduction>, ReduceError> {
+    pub fn reduce(&mut self, tests: &[PhasedTest]) -> Result<Reductions, ReduceError> {
         if let Some((phase, rows)) = self.plain(tests) {
             return phase.reducer.reduce_all(&rows);
         }
         let rows = tests.iter().map(PhasedTest::row_count).sum();
         let batches = tests
             .par_chunks(share(tests.len(), rows))
-            .map_init(|| PhasedBatch::new(self), |batch, tests| batch.reduce(tests))
+            .map_init(|| PhasedBatch::new(self), |batch, tests| batch.reduce(tests).into_iter().collect())
             .collect();
-        all_sound(batches)
+        joined(batches)
     }
 
     /// Phases of tests one by one, whether the phases before them are known or not: (id of the test, phase, what is known of it).

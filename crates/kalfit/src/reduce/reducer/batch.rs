@@ -8,7 +8,6 @@ use kalfit_lanes::Isa;
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
-use crate::reduce::Reduction;
 use crate::reduce::class::{Class, class_bytes};
 use crate::reduce::design::Design;
 use crate::reduce::ending::Ending;
@@ -21,6 +20,7 @@ use crate::reduce::reducer::known::Known;
 use crate::reduce::reducer::queue::Queue;
 use crate::reduce::reducer::{About, Reducer};
 use crate::reduce::subject::Fault;
+use crate::reduce::{Path, Reduction, Reductions};
 
 /// Most classes whose blocks are filled at the same time.
 const OPEN: usize = 32;
@@ -38,7 +38,16 @@ pub(crate) fn share(tests: usize, rows: usize) -> usize {
     (tests / (SHARES * rayon::current_num_threads())).clamp(fewest, MOST)
 }
 
-/// What was found in all batches, in order, or the first error.
+/// The reductions of all batches, in order, or the first error.
+pub(crate) fn joined(batches: Vec<Result<Reductions, ReduceError>>) -> Result<Reductions, ReduceError> {
+    let mut all = Reductions::new();
+    for found in batches {
+        all.append(found?);
+    }
+    Ok(all)
+}
+
+/// What else was found in all batches, in order, or the first error.
 pub(crate) fn all_sound<T>(batches: Vec<Vec<Result<T, ReduceError>>>) -> Result<Vec<T>, ReduceError> {
     let mut all = Vec::with_capacity(batches.iter().map(Vec::len).sum());
     for found in batches.into_iter().flatten() {
@@ -60,7 +69,11 @@ pub(crate) struct Batch<'a> {
     queue: Queue,
     /// Tests that something is wrong with, or that call for square-root arrays: their turn comes last, each by itself.
     odd: Vec<usize>,
-    out: Vec<Option<Result<Reduction, ReduceError>>>,
+    /// Reductions as they come, and the number of the test of each.
+    found: Reductions,
+    numbers: Vec<usize>,
+    /// What is wrong with tests, by their numbers.
+    faults: Vec<(usize, ReduceError)>,
     /// Where the tests end; empty where that is not wanted.
     endings: Vec<Ending<'static>>,
 }
@@ -76,13 +89,13 @@ struct Group {
 
 impl Reducer {
     /// [`Reducer::reduce`], of tests that stand anywhere.
-    pub(crate) fn reduce_all(&self, tests: &[&Test]) -> Result<Vec<Reduction>, ReduceError> {
+    pub(crate) fn reduce_all(&self, tests: &[&Test]) -> Result<Reductions, ReduceError> {
         let rows = tests.iter().map(|test| test.rows()).sum();
         let batches = tests
             .par_chunks(share(tests.len(), rows))
             .map_init(|| Batch::new(self), |batch, tests| batch.reduce(tests))
             .collect();
-        all_sound(batches)
+        joined(batches)
     }
 
     /// A fault of a test, with names.
@@ -123,15 +136,29 @@ impl<'a> Batch<'a> {
             oldest: 0,
             queue: Queue::default(),
             odd: Vec::new(),
-            out: Vec::new(),
+            found: Reductions::new(),
+            numbers: Vec::new(),
+            faults: Vec::new(),
             endings: Vec::new(),
         }
     }
 
-    /// The reductions of tests, in their order.
-    pub(crate) fn reduce(&mut self, tests: &[&Test]) -> Vec<Result<Reduction, ReduceError>> {
-        self.out.clear();
-        self.out.resize_with(tests.len(), || None);
+    /// The reductions of tests, in their order; of several tests in error, the first one's error.
+    fn reduce(&mut self, tests: &[&Test]) -> Result<Reductions, ReduceError> {
+        self.look(tests);
+        if let Some((_, error)) = self.faults.drain(..).min_by_key(|(number, _)| *number) {
+            return Err(error);
+        }
+        let mut places = vec![0; tests.len()];
+        self.numbers.iter().enumerate().for_each(|(place, &number)| places[number] = place);
+        Ok(self.found.select(&places))
+    }
+
+    /// Reduces tests.
+    fn look(&mut self, tests: &[&Test]) {
+        self.found = Reductions::new();
+        self.numbers.clear();
+        self.faults.clear();
         self.endings.clear();
         self.endings.resize_with(if self.reducer.ends { tests.len() } else { 0 }, || Ending::None);
         for (number, test) in tests.iter().enumerate() {
@@ -150,14 +177,19 @@ impl<'a> Batch<'a> {
             let found = self.reducer.one(tests[number], &mut self.work);
             self.note_alone(number, found);
         }
-        self.out.drain(..).map(|found| found.expect("every test was looked at")).collect()
     }
 
-    /// The same, and where the tests end.
+    /// The reduction of each test, and where it ends.
     pub(crate) fn reduce_to_end(&mut self, tests: &[&Test]) -> Vec<Result<(Reduction, Ending<'static>), ReduceError>> {
-        let found = self.reduce(tests);
-        let endings = self.endings.drain(..).chain(std::iter::repeat_with(|| Ending::None));
-        found.into_iter().zip(endings).map(|(found, ending)| found.map(|reduction| (reduction, ending))).collect()
+        self.look(tests);
+        self.endings.resize_with(tests.len(), || Ending::None);
+        let mut all: Vec<Option<Result<_, ReduceError>>> = tests.iter().map(|_| None).collect();
+        for (&number, row) in self.numbers.iter().zip(&self.found) {
+            let ending = std::mem::replace(&mut self.endings[number], Ending::None);
+            all[number] = Some(Ok((row.into(), ending)));
+        }
+        self.faults.drain(..).for_each(|(number, error)| all[number] = Some(Err(error)));
+        all.into_iter().map(|found| found.expect("every test was looked at")).collect()
     }
 
     /// Makes the group of the test's design the latest one; else the hash that it is to be known by, if any.
@@ -219,8 +251,9 @@ impl<'a> Batch<'a> {
         for (lane, (number, covariates)) in seats.drain(..).enumerate() {
             let outcome = block.outcome(lane, (gains.active, gains.log_determinant), &self.work.room);
             if outcome.is_finite() {
-                let about = About { covariates, steps: known.steps, digest: known.digest };
-                self.out[number] = Some(Ok(self.reducer.reduction(tests[number], outcome, gains, about)));
+                let about = About::new(gains, &covariates, (known.steps, known.digest));
+                self.found.put(self.reducer.row(tests[number], &outcome, about));
+                self.numbers.push(number);
                 if let Some(ending) = self.endings.get_mut(number) {
                     *ending = self.reducer.ending(&known.class, block.last(lane, &self.work.room));
                 }
@@ -234,7 +267,7 @@ impl<'a> Batch<'a> {
     fn evaluate(&mut self, tests: &[&Test], number: usize, hash: Option<u64>) {
         let (test, reducer) = (tests[number], self.reducer);
         if let Err(fault) = reducer.preparer().prepare(test, &mut self.work) {
-            self.out[number] = Some(Err(reducer.named(*fault, test)));
+            self.faults.push((number, reducer.named(*fault, test)));
             return;
         }
         let digest = self.work.design.digest();
@@ -259,7 +292,13 @@ impl<'a> Batch<'a> {
         if let (Ok((_, class)), Some(ending)) = (&found, self.endings.get_mut(number)) {
             *ending = self.reducer.ending(class, self.work.pass.x.iter().copied());
         }
-        self.out[number] = Some(found.map(|(reduction, _)| reduction));
+        match found {
+            Ok((reduction, _)) => {
+                self.found.push(reduction);
+                self.numbers.push(number);
+            }
+            Err(error) => self.faults.push((number, error)),
+        }
     }
 
     /// Runs the filters of tests with designs of their own.
@@ -275,9 +314,16 @@ impl<'a> Batch<'a> {
             if let Some(end) = end {
                 self.endings[own.number] = Ending::Known(Cow::Owned(filtered.terminal(lane, end)));
             }
-            let about = About { covariates: own.covariates.clone(), steps: own.design.steps(), digest: own.digest };
-            let informed = reducer.informed(tests[own.number], outcome, (factor, own.design.rows()), about);
-            self.out[own.number] = Some(Ok(informed));
+            let about = About {
+                factor: &factor,
+                covariates: &own.covariates,
+                steps: own.design.steps(),
+                observations: own.design.rows(),
+                path: Path::Information,
+                digest: own.digest,
+            };
+            self.found.put(reducer.row(tests[own.number], &outcome, about));
+            self.numbers.push(own.number);
         }
         self.queue.give_back(waiting);
     }

@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 
 use crate::linalg::symmetric;
-use crate::reduce::Reduction;
+use crate::reduce::ReductionRef;
 
 /// Information below zero by this part of the whole is rounding error.
 const ROUNDING: f64 = 1e-7;
@@ -57,13 +57,13 @@ pub enum LostError {
 ///
 /// # Errors
 /// Reductions of different tests or models, and estimates that say more than the measurements.
-pub fn lost(raw: &Reduction, suboptimal: &Reduction) -> Result<Lost, LostError> {
+pub fn lost(raw: ReductionRef<'_>, suboptimal: ReductionRef<'_>) -> Result<Lost, LostError> {
     if raw.test != suboptimal.test {
-        return Err(LostError::OtherTest { found: suboptimal.test.clone(), expected: raw.test.clone() });
+        return Err(LostError::OtherTest { found: suboptimal.test.to_owned(), expected: raw.test.to_owned() });
     }
     let (found, expected) = (suboptimal.data.len(), raw.data.len());
     if found != expected {
-        return Err(LostError::OtherModel { test: raw.test.clone(), found, expected });
+        return Err(LostError::OtherModel { test: raw.test.to_owned(), found, expected });
     }
     let whole = information(raw);
     let size = symmetric::sizes(&whole);
@@ -72,7 +72,7 @@ pub fn lost(raw: &Reduction, suboptimal: &Reduction) -> Result<Lost, LostError> 
     let missing = scale(&information);
     let least = symmetric::eigen(&missing).0.first().copied().unwrap_or(0.0);
     if least < -ROUNDING {
-        return Err(LostError::Gained { test: raw.test.clone(), excess: -least });
+        return Err(LostError::Gained { test: raw.test.to_owned(), excess: -least });
     }
     Ok(Lost { information, range: parts(&scale(&whole), &missing) })
 }
@@ -89,7 +89,7 @@ fn parts(whole: &DMatrix<f64>, missing: &DMatrix<f64>) -> (f64, f64) {
 }
 
 /// J = R'R.
-fn information(reduction: &Reduction) -> DMatrix<f64> {
+fn information(reduction: ReductionRef<'_>) -> DMatrix<f64> {
     let p = reduction.data.len();
     let factor = DMatrix::from_fn(p, p, |i, k| if i <= k { reduction.factor[symmetric::pair(i, k)] } else { 0.0 });
     factor.transpose() * factor

@@ -170,7 +170,7 @@ fn adjoints_equal_differences_of_the_likelihood() {
     let all = numbers();
     let (design, data, gains, reduction) = reduced(&all);
     let (mean, root) = prior();
-    let moments = moments(&reduction, &InitialLaw::known(mean, root));
+    let moments = moments(reduction.view(), &InitialLaw::known(mean, root));
     let wanted = Wanted { motion: true, equation: true };
     let run = Run {
         design: &design,
@@ -283,7 +283,7 @@ fn the_adjoints_of_two_parts_are_those_of_the_whole() {
     let (mean, root) = prior();
     let law = InitialLaw::known(mean, root);
     let (design, data, gains, reduction) = reduced(&all);
-    let whole = adjoints(&design, &data, &gains, (&moments(&reduction, &law), None));
+    let whole = adjoints(&design, &data, &gains, (&moments(reduction.view(), &law), None));
     for at in 1..STEPS {
         let sensitivity = design.frame.sensitivity.clone();
         let (d1, n1) = part(&all, 0..at, sensitivity);
@@ -478,7 +478,7 @@ fn totals(cut: Cut, unfrozen: bool, wanted: Wanted, takes_sums: bool) -> Totals 
         design: 0,
         chain: None,
     };
-    let moments = moments(&reduction, &InitialLaw::known(mean, root));
+    let moments = moments(reduction.view(), &InitialLaw::known(mean, root));
     let run = Run {
         design: &design,
         gains: &gains,

@@ -84,7 +84,7 @@ impl PhasedScorer<'_> {
         (room, lines): (&mut Room<'_>, &mut [Lines<'t>]),
         (known, answers): (&mut [Known], &mut Vec<Answer>),
     ) -> Result<(), ReduceError> {
-        let (test, reduction) = (&of.tests[number], &of.reductions[number]);
+        let (test, reduction) = (&of.tests[number], of.reductions.get(number));
         let phases = self.begin(test, reduction, (of.law, of.plans), &mut room.work)?;
         for (at, smooth) in phases.into_iter().enumerate() {
             let Some(rows) = self.rows_of(at, test) else { continue };

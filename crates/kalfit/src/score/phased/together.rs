@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use crate::ensemble::Test;
 use crate::estimate::InitialLaw;
-use crate::reduce::{PhasedTest, ReduceError, Reduction};
+use crate::reduce::{PhasedTest, ReduceError, Reductions};
 use crate::score::Companies;
 use crate::score::chain::{Gradient, add};
 use crate::score::company::Told;
@@ -21,7 +21,7 @@ pub(super) type Score = (usize, Result<Gradient, ReduceError>);
 #[derive(Clone, Copy)]
 pub(super) struct Ensemble<'a> {
     pub(super) tests: &'a [PhasedTest],
-    pub(super) reductions: &'a [Reduction],
+    pub(super) reductions: &'a Reductions,
     pub(super) law: &'a InitialLaw,
     pub(super) plans: &'a Plans,
 }
@@ -46,7 +46,7 @@ impl PhasedScorer<'_> {
     pub(super) fn in_companies(
         &self,
         tests: &[PhasedTest],
-        reductions: &[Reduction],
+        reductions: &Reductions,
         (law, plans): (&InitialLaw, &Plans),
         companies: &Companies,
     ) -> Vec<Score> {
@@ -84,7 +84,7 @@ impl PhasedScorer<'_> {
         room: &mut Room<'_>,
     ) -> Result<Option<Vec<Gradient>>, ReduceError> {
         let first = numbers[0];
-        let like = self.begin(&of.tests[first], &of.reductions[first], (of.law, of.plans), &mut room.work)?;
+        let like = self.begin(&of.tests[first], of.reductions.get(first), (of.law, of.plans), &mut room.work)?;
         let begin = |numbers: &[usize]| {
             let mut room = self.room();
             numbers.iter().map(|&number| self.begun(of, (first, number), &like, &mut room)).collect::<Vec<_>>()
@@ -127,9 +127,10 @@ impl PhasedScorer<'_> {
         like: &[Smooth],
         room: &mut Room<'_>,
     ) -> Result<Option<Begun>, ReduceError> {
-        let (test, reduction) = (&of.tests[number], &of.reductions[number]);
-        if let ([smooth], true) = (like, self.model.is_single() && !of.law.is_restricted()) {
-            let same = same_bits(&reduction.factor, &of.reductions[first].factor);
+        let (test, reduction) = (&of.tests[number], of.reductions.get(number));
+        let alike = self.model.is_single() && !of.law.is_restricted() && !of.law.is_of_each();
+        if let ([smooth], true) = (like, alike) {
+            let same = same_bits(reduction.factor, of.reductions.factor(first));
             let phases = || vec![(smooth.moments.mean_of(reduction, of.law), Vec::new())];
             return Ok(same.then(|| Begun { phases: phases(), carried: Gradient::new() }));
         }

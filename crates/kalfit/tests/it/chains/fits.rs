@@ -9,7 +9,7 @@ use kalfit::infer::{self, Choices, DeletionChoice, Element, Inference, Posterior
 use kalfit::model::{
     Alpha, CovarianceKind, CovarianceStructure, Expression, FixedElement, MeanElement, MeanStructure, Regression,
 };
-use kalfit::reduce::Reduction;
+use kalfit::reduce::{ReductionRef, Reductions};
 use nalgebra::{DMatrix, DVector};
 
 use super::{Joint, Recipe, ensemble};
@@ -17,11 +17,14 @@ use super::{Joint, Recipe, ensemble};
 pub(super) type Phases = Vec<(MeanStructure, CovarianceStructure)>;
 
 pub(super) fn structure<'a>(phases: &'a Phases, alpha: &'a Alpha) -> Structure<'a> {
-    let one = |(mean, covariance): &'a (MeanStructure, CovarianceStructure)| PhaseStructure { mean, covariance };
-    Structure { phases: phases.iter().map(one).collect(), alpha }
+    let one = |(mean, covariance): &'a (MeanStructure, CovarianceStructure)| PhaseStructure {
+        mean: std::borrow::Cow::Borrowed(mean),
+        covariance,
+    };
+    Structure { phases: phases.iter().map(one).collect(), alpha, grouping: None }
 }
 
-pub(super) fn fit(data: &[Reduction], phases: &Phases, settings: &Settings) -> Estimate {
+pub(super) fn fit(data: &Reductions, phases: &Phases, settings: &Settings) -> Estimate {
     let alpha = Alpha::default();
     estimate::fit(data, &structure(phases, &alpha), settings, &mut Silent).expect("a legal problem")
 }
@@ -104,7 +107,7 @@ fn structures() -> Vec<(&'static str, Phases)> {
     ]
 }
 
-fn data(seed: u64) -> (Recipe, Vec<Reduction>) {
+fn data(seed: u64) -> (Recipe, Reductions) {
     let recipe = Recipe { tests: 60, designs: 60, missing: true, ..Recipe::two() };
     let data = ensemble(&recipe, seed);
     (recipe, data)
@@ -125,9 +128,8 @@ fn every_structure_has_one_maximum_by_chain_and_stacked_and_by_em() {
             outside.for_each(|at| assert_eq!(chain.covariance[at], 0.0, "{name}: Σ between phases"));
         }
         let mu = DVector::from_column_slice(&chain.mean);
-        let dense = |r: &Reduction| {
-            Joint::of(r.chain.as_ref().expect("made so"), &recipe.own).log_density(&mu, &chain.covariance)
-        };
+        let dense =
+            |r: ReductionRef<'_>| Joint::of(r.chain.expect("made so"), &recipe.own).log_density(&mu, &chain.covariance);
         close(&format!("{name}: dense ℓ"), chain.log_likelihood, data.iter().map(dense).sum(), 1e-10);
     }
 }
@@ -136,7 +138,7 @@ fn every_structure_has_one_maximum_by_chain_and_stacked_and_by_em() {
 #[test]
 fn phases_are_blocks_of_one_phase_to_whom_the_stacked_reductions_are_given() {
     let (_, data) = data(3);
-    let apart: Vec<Reduction> = data.iter().map(|r| Reduction { chain: None, ..r.clone() }).collect();
+    let apart: Reductions = data.iter().map(|r| ReductionRef { chain: None, ..r }).collect();
     for (blocks, phases) in [
         (vec![vec![0, 1], vec![2, 3, 4]], vec![full(2), full(3)]),
         (
@@ -160,7 +162,7 @@ fn phases_are_blocks_of_one_phase_to_whom_the_stacked_reductions_are_given() {
     }
 }
 
-fn inferred(estimate: &Estimate, data: &[Reduction]) -> Inference {
+fn inferred(estimate: &Estimate, data: &Reductions) -> Inference {
     infer::infer(estimate, data, Choices { deletion: DeletionChoice::All, ..Choices::default() })
 }
 
@@ -266,7 +268,7 @@ fn the_joint_density_is_flat_at_the_estimate_of_each_structure() {
         sigma.view_mut((0, 0), (2, 2)).copy_from(&own);
         sigma.view_mut((2, 2), (3, 3)).copy_from(&(&wide * theta[7]));
         let mu = DVector::from_column_slice(&theta[..5]);
-        let one = |r: &Reduction| Joint::of(r.chain.as_ref().expect("made so"), &recipe.own).log_density(&mu, &sigma);
+        let one = |r: ReductionRef<'_>| Joint::of(r.chain.expect("made so"), &recipe.own).log_density(&mu, &sigma);
         data.iter().map(one).sum::<f64>()
     };
     let at = density(&theta);

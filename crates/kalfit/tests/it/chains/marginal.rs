@@ -3,14 +3,14 @@
 use kalfit::estimate::{Combination, Criterion, FitError, Settings, Silent, Stop};
 use kalfit::infer::{NotNested, StdErrors, likelihood_ratio, uncertainty};
 use kalfit::model::{Alpha, CovarianceStructure, MeanStructure};
-use kalfit::reduce::{ChainPhase, Path, Reduction};
+use kalfit::reduce::{ChainPhase, Path, Reduction, ReductionRef, Reductions};
 use nalgebra::{DMatrix, DVector};
 
 use super::fits::{Phases, by, fit, structure};
 use super::{Joint, Recipe, ensemble, unpacked};
 
 /// Two phases, both observable in every test, all states inherited.
-fn data() -> (Recipe, Vec<Reduction>) {
+fn data() -> (Recipe, Reductions) {
     let recipe = Recipe {
         tests: 40,
         designs: 40,
@@ -23,17 +23,17 @@ fn data() -> (Recipe, Vec<Reduction>) {
         ..Recipe::two()
     };
     // a phase with fewer rows than states has no least-squares estimate
-    let observable = |r: &Reduction| {
+    let observable = |r: &ReductionRef<'_>| {
         let regular = |phase: &ChainPhase| unpacked(&phase.factor, 2).diagonal().iter().all(|x| x.abs() > 0.3);
-        r.chain.as_ref().expect("made so").phases.iter().all(regular)
+        r.chain.expect("made so").phases.iter().all(regular)
     };
-    let data = ensemble(&recipe, 2).into_iter().filter(observable).collect();
+    let data = ensemble(&recipe, 2).iter().filter(observable).collect();
     (recipe, data)
 }
 
 /// (x_LS,i - what the phase before makes of its own, covariance of its error).
-fn differences(reduction: &Reduction) -> Vec<(DVector<f64>, DMatrix<f64>)> {
-    let chain = reduction.chain.as_ref().expect("made so");
+fn differences(reduction: ReductionRef<'_>) -> Vec<(DVector<f64>, DMatrix<f64>)> {
+    let chain = reduction.chain.expect("made so");
     let solved = |phase: &ChainPhase| {
         let r = unpacked(&phase.factor, 2);
         let inverse = r.try_inverse().expect("observable");
@@ -76,9 +76,9 @@ fn the_marginal_fit_is_that_of_the_differences_phase_by_phase() {
     for (f, range) in recipe.ranges().into_iter().enumerate() {
         let own: Vec<(String, DVector<f64>, DMatrix<f64>)> = data
             .iter()
-            .filter_map(|r| differences(r).into_iter().nth(f).map(|(x, p)| (r.test.clone(), x, p)))
+            .filter_map(|r| differences(r).into_iter().nth(f).map(|(x, p)| (r.test.to_owned(), x, p)))
             .collect();
-        let reductions: Vec<Reduction> = own.iter().map(|(test, x, p)| reduction(test, x, p)).collect();
+        let reductions: Reductions = own.iter().map(|(test, x, p)| reduction(test, x, p)).collect();
         let one = vec![(MeanStructure::free(2), CovarianceStructure::full())];
         let apart = fit(&reductions, &one, &Settings::default());
         let apart_errors = uncertainty(&apart, &reductions, &[], StdErrors::Observed);
@@ -103,7 +103,7 @@ fn the_marginal_fit_is_that_of_the_differences_phase_by_phase() {
     assert!((maximised - composite).abs() < 1e-8 * composite.abs(), "{maximised} {composite}");
     let mu = DVector::from_column_slice(&found.mean);
     let joint =
-        |r: &Reduction| Joint::of(r.chain.as_ref().expect("made so"), &recipe.own).log_density(&mu, &found.covariance);
+        |r: ReductionRef<'_>| Joint::of(r.chain.expect("made so"), &recipe.own).log_density(&mu, &found.covariance);
     let joint: f64 = data.iter().map(joint).sum();
     assert!((found.log_likelihood - joint).abs() < 1e-9 * joint.abs(), "{} {joint}", found.log_likelihood);
     let best = fit(&data, &phases, &Settings::default());
@@ -156,12 +156,12 @@ fn what_has_no_marginal_meaning_is_refused() {
         (MeanStructure::free(2), CovarianceStructure::full()),
     ];
     let alpha = Alpha::default();
-    let refused = |data: &[Reduction], settings: &Settings| {
+    let refused = |data: &Reductions, settings: &Settings| {
         kalfit::estimate::fit(data, &structure(&phases, &alpha), settings, &mut Silent).expect_err("refused")
     };
     let restricted = Settings { criterion: Criterion::Reml, ..by(Combination::Marginal) };
     assert_eq!(refused(&data, &restricted), FitError::RestrictedMarginal);
-    let apart: Vec<Reduction> = data.iter().map(|r| Reduction { chain: None, ..r.clone() }).collect();
-    let test = apart[0].test.clone();
+    let apart: Reductions = data.iter().map(|r| ReductionRef { chain: None, ..r }).collect();
+    let test = apart.get(0).test.to_owned();
     assert_eq!(refused(&apart, &by(Combination::Marginal)), FitError::NoPhases { test });
 }

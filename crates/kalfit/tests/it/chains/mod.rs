@@ -8,7 +8,7 @@ mod single;
 
 use std::ops::Range;
 
-use kalfit::reduce::{Chain, ChainPhase, Link, Path, Reduction};
+use kalfit::reduce::{Chain, ChainPhase, Link, Path, Reduction, Reductions};
 use nalgebra::{DMatrix, DVector};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -108,7 +108,7 @@ fn design(recipe: &Recipe, rng: &mut impl Rng) -> Design {
 }
 
 /// Reductions with chains, and stacked.
-pub(crate) fn ensemble(recipe: &Recipe, seed: u64) -> Vec<Reduction> {
+pub(crate) fn ensemble(recipe: &Recipe, seed: u64) -> Reductions {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let designs: Vec<Design> = (0..recipe.designs).map(|_| design(recipe, &mut rng)).collect();
     let p = recipe.states();

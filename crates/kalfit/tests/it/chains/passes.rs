@@ -1,7 +1,7 @@
 //! The chain pass: value, score and information are those of the stacked reductions, and ℓ is the joint density of all data.
 
 use kalfit::estimate::{Combination, Derivatives, Evaluation, Likelihood};
-use kalfit::reduce::{Path, Reduction};
+use kalfit::reduce::{Path, ReductionRef, Reductions};
 use nalgebra::{DMatrix, DVector};
 use proptest::prelude::*;
 
@@ -9,11 +9,11 @@ use super::{Joint, Recipe, ensemble};
 use crate::simulated::normal;
 
 /// Both ways at a point, and the dense log-likelihood.
-fn evaluate(recipe: &Recipe, data: &[Reduction], mean: &[f64], sigma: &DMatrix<f64>) -> (Evaluation, Evaluation, f64) {
+fn evaluate(recipe: &Recipe, data: &Reductions, mean: &[f64], sigma: &DMatrix<f64>) -> (Evaluation, Evaluation, f64) {
     let way =
         |combination| Likelihood::of_phases(data, recipe.ranges(), combination).at(mean, sigma, Derivatives::Second);
     let mu = DVector::from_column_slice(mean);
-    let dense = |r: &Reduction| Joint::of(r.chain.as_ref().expect("made so"), &recipe.own).log_density(&mu, sigma);
+    let dense = |r: ReductionRef<'_>| Joint::of(r.chain.expect("made so"), &recipe.own).log_density(&mu, sigma);
     (way(Combination::Chain), way(Combination::Stacked), data.iter().map(dense).sum())
 }
 
@@ -39,11 +39,11 @@ fn apart(found: &DMatrix<f64>, expected: &DMatrix<f64>, rows: &[f64], columns: &
         .fold(0.0, f64::max)
 }
 
-fn compare(recipe: &Recipe, data: &[Reduction], mean: &[f64], sigma: &DMatrix<f64>, tolerance: f64) {
+fn compare(recipe: &Recipe, data: &Reductions, mean: &[f64], sigma: &DMatrix<f64>, tolerance: f64) {
     let (chain, stacked, dense) = evaluate(recipe, data, mean, sigma);
     let what = format!("{recipe:?} Σ {sigma}");
     let size = 1.0 + dense.abs();
-    let rounding = |r: &Reduction| Joint::of(r.chain.as_ref().expect("made so"), &recipe.own).rounding(sigma);
+    let rounding = |r: ReductionRef<'_>| Joint::of(r.chain.expect("made so"), &recipe.own).rounding(sigma);
     let of_dense = data.iter().map(rounding).fold(tolerance, f64::max);
     assert!((chain.log_likelihood - dense).abs() <= of_dense * size, "{} {dense}; {what}", chain.log_likelihood);
     let apart_by = (chain.log_likelihood - stacked.log_likelihood).abs();

@@ -3,7 +3,7 @@
 use kalfit::estimate::{Combination, Estimate, Stop};
 use kalfit::infer::{self, Choices};
 use kalfit::model::{CovarianceKind, CovarianceStructure, MeanElement, MeanStructure};
-use kalfit::reduce::{Chain, ChainPhase, Link, Path, Reduction};
+use kalfit::reduce::{Chain, ChainPhase, Link, Path, Reduction, Reductions};
 use nalgebra::{DMatrix, DVector};
 
 use super::fits::{Phases, by, fit, kind, matrix};
@@ -54,7 +54,7 @@ fn dense(estimate: &Estimate, reduction: &Reduction) -> f64 {
 #[test]
 fn the_means_of_one_test_do_not_depend_on_the_covariance() {
     let reduction = test();
-    let data = std::slice::from_ref(&reduction);
+    let data = &Reductions::from(vec![reduction.clone()]);
     // with as many means as rows of information all of them are met: the estimate solves Rξ = d
     let r = super::unpacked(&reduction.factor, 5);
     let expected = r.lu().solve(&DVector::from_column_slice(&reduction.data)).expect("observable over all phases");
@@ -74,7 +74,7 @@ fn the_means_of_one_test_do_not_depend_on_the_covariance() {
 #[test]
 fn with_a_free_covariance_one_test_puts_it_at_zero_and_says_so() {
     let reduction = test();
-    let data = std::slice::from_ref(&reduction);
+    let data = &Reductions::from(vec![reduction.clone()]);
     let zero = fit(data, &fixed(0.0), &by(Combination::Chain));
     let found = fit(data, &blocks(|_| CovarianceStructure::full()), &by(Combination::Chain));
     assert_eq!(found.stop, Stop::Certified, "{:?}", found.certificate);
@@ -91,7 +91,7 @@ fn with_a_free_covariance_one_test_puts_it_at_zero_and_says_so() {
 #[test]
 fn the_posterior_of_each_phase_is_that_given_all_phases() {
     let reduction = test();
-    let data = std::slice::from_ref(&reduction);
+    let data = &Reductions::from(vec![reduction.clone()]);
     let joint = Joint::of(reduction.chain.as_ref().expect("made so"), &OWN);
     for variance in [0.0, 0.3, 1e6] {
         let known = |(_, covariance): &(MeanStructure, CovarianceStructure)| {
@@ -126,7 +126,7 @@ fn the_posterior_of_each_phase_is_that_given_all_phases() {
 #[test]
 fn it_is_said_which_directions_enter_at_which_phase() {
     let reduction = test();
-    let data = std::slice::from_ref(&reduction);
+    let data = &Reductions::from(vec![reduction.clone()]);
     for way in [Combination::Chain, Combination::Stacked] {
         let found = fit(data, &fixed(1.0), &by(way));
         let phases = infer::infer(&found, data, Choices::default()).phases;

@@ -353,13 +353,13 @@ impl Journey {
 /// log p(z | ξ) of a reduction.
 pub(crate) fn log_likelihood(reduction: &Reduction, xi: &DVector<f64>) -> f64 {
     let d = DVector::from_column_slice(&reduction.data);
-    reduction.constant - 0.5 * (d - crate::simulated::unpack(reduction, xi.len()) * xi).norm_squared()
+    reduction.constant - 0.5 * (d - crate::simulated::unpack(&reduction.factor, xi.len()) * xi).norm_squared()
 }
 
 /// log p(z) of a reduction when ξ ~ N(μ, Σ), naively.
 pub(crate) fn marginal(reduction: &Reduction, mu: &DVector<f64>, sigma: &DMatrix<f64>) -> f64 {
     let p = mu.len();
-    let r = crate::simulated::unpack(reduction, p);
+    let r = crate::simulated::unpack(&reduction.factor, p);
     let factor =
         (DMatrix::identity(p, p) + &r * sigma * r.transpose()).cholesky().expect("I + RΣR' is positive definite");
     let e = DVector::from_column_slice(&reduction.data) - &r * mu;

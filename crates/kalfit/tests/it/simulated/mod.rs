@@ -5,7 +5,7 @@ pub(crate) mod structures;
 
 use kalfit::estimate::{self, Criterion, Estimate, Settings, Silent, Solver, Structure};
 use kalfit::model::{Alpha, CovarianceStructure, FixedElement, MeanStructure};
-use kalfit::reduce::{Path, Reduction};
+use kalfit::reduce::{Path, Reduction, ReductionRef, Reductions};
 use nalgebra::{DMatrix, DVector};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -33,7 +33,7 @@ pub(crate) fn normal(rng: &mut impl Rng) -> f64 {
     rng.sample(StandardNormal)
 }
 
-pub(crate) fn ensemble(recipe: Recipe, seed: u64) -> Vec<Reduction> {
+pub(crate) fn ensemble(recipe: Recipe, seed: u64) -> Reductions {
     let Recipe { p, tests, rank, observed, strength, designs, regressors, mild } = recipe;
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mu = DVector::from_fn(p, |_, _| 3.0 * normal(&mut rng));
@@ -72,8 +72,18 @@ pub(crate) fn ensemble(recipe: Recipe, seed: u64) -> Vec<Reduction> {
         .collect()
 }
 
-pub(crate) fn unpack(reduction: &Reduction, p: usize) -> DMatrix<f64> {
-    DMatrix::from_fn(p, p, |i, k| if i <= k { reduction.factor[i + k * (k + 1) / 2] } else { 0.0 })
+/// The same tests, each of them changed.
+pub(crate) fn changed(data: &Reductions, mut change: impl FnMut(usize, &mut Reduction)) -> Reductions {
+    let one = |(j, test): (usize, ReductionRef<'_>)| {
+        let mut test = Reduction::from(test);
+        change(j, &mut test);
+        test
+    };
+    data.iter().enumerate().map(one).collect()
+}
+
+pub(crate) fn unpack(factor: &[f64], p: usize) -> DMatrix<f64> {
+    DMatrix::from_fn(p, p, |i, k| if i <= k { factor[i + k * (k + 1) / 2] } else { 0.0 })
 }
 
 /// Of full rank: correlations of 0.3. Otherwise: the rows scaled.
@@ -108,11 +118,11 @@ impl Assumed {
     }
 }
 
-pub(crate) fn fit(data: &[Reduction], assumed: &Assumed, solver: Solver) -> Estimate {
+pub(crate) fn fit(data: &Reductions, assumed: &Assumed, solver: Solver) -> Estimate {
     try_fit(data, assumed, solver).expect("a legal problem")
 }
 
-pub(crate) fn try_fit(data: &[Reduction], assumed: &Assumed, solver: Solver) -> Result<Estimate, estimate::FitError> {
+pub(crate) fn try_fit(data: &Reductions, assumed: &Assumed, solver: Solver) -> Result<Estimate, estimate::FitError> {
     let alpha = Alpha::default();
     let structure = Structure::single(&assumed.mean, &assumed.covariance, &alpha);
     let tolerance = if solver == Solver::Em { 1e-4 } else { 1e-8 };
@@ -138,7 +148,7 @@ pub(crate) struct Dense {
 }
 
 /// At Σ, with β (of the structure's basis, then the regression coefficients) where ℓ is wanted.
-pub(crate) fn dense(data: &[Reduction], mean: &MeanStructure, beta: &DVector<f64>, sigma: &DMatrix<f64>) -> Dense {
+pub(crate) fn dense(data: &Reductions, mean: &MeanStructure, beta: &DVector<f64>, sigma: &DMatrix<f64>) -> Dense {
     let p = sigma.nrows();
     let (m0, b) = mean.basis();
     let m0 = DVector::from_vec(m0);
@@ -146,7 +156,7 @@ pub(crate) fn dense(data: &[Reduction], mean: &MeanStructure, beta: &DVector<f64
     let (mut information, mut score) = (DMatrix::zeros(q, q), DVector::zeros(q));
     let mut parts = Vec::new();
     for reduction in data {
-        let r = unpack(reduction, p);
+        let r = unpack(reduction.factor, p);
         let mut x = DMatrix::zeros(p, q);
         x.view_mut((0, 0), b.shape()).copy_from(&b);
         for (c, regression) in mean.regression.iter().enumerate() {
@@ -155,7 +165,7 @@ pub(crate) fn dense(data: &[Reduction], mean: &MeanStructure, beta: &DVector<f64
         let x = &r * x;
         let s =
             (DMatrix::identity(p, p) + &r * sigma * r.transpose()).cholesky().expect("I + RΣR' is positive definite");
-        let e = DVector::from_column_slice(&reduction.data) - &r * &m0;
+        let e = DVector::from_column_slice(reduction.data) - &r * &m0;
         information += x.transpose() * s.solve(&x);
         score += x.transpose() * s.solve(&e);
         parts.push((reduction.constant - s.l().diagonal().map(f64::ln).sum(), x, e, s));

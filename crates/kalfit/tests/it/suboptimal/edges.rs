@@ -74,7 +74,7 @@ fn reduce(phase: &Phase, estimates: &Estimates) -> Result<Reduction, ReduceError
 
 fn raw(phase: &Phase, test: &Test) -> Reduction {
     let reducer = Reducer::new(&phase.model, &Alpha::default());
-    reducer.expect("sound").reduce(std::slice::from_ref(test)).expect("sound").remove(0)
+    reducer.expect("sound").reduce(std::slice::from_ref(test)).expect("sound").get(0).into()
 }
 
 fn information(reduction: &Reduction) -> (DVector<f64>, DMatrix<f64>) {

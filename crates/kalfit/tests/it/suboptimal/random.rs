@@ -16,7 +16,7 @@ fn reduce(drawn: &Drawn, estimates: &Estimates) -> (Reduction, Terminal) {
 
 fn raw(drawn: &Drawn) -> Reduction {
     let tests = std::slice::from_ref(&drawn.test);
-    Reducer::new(&drawn.phase.model, &drawn.alpha).expect("sound").reduce(tests).expect("sound").remove(0)
+    Reducer::new(&drawn.phase.model, &drawn.alpha).expect("sound").reduce(tests).expect("sound").get(0).into()
 }
 
 /// (y, J).
@@ -183,7 +183,7 @@ fn is_sufficient(seed: u64) -> Verdict {
 fn knows_no_more(seed: u64) -> Verdict {
     let drawn = draw(seed, Kind::Wrong);
     let raw = raw(&drawn);
-    let lost = lost(&raw, &reduce(&drawn, &run(&drawn)).0);
+    let lost = lost(raw.view(), reduce(&drawn, &run(&drawn)).0.view());
     let lost = lost.expect("not less than nothing");
     let least = lost.information.clone().symmetric_eigen().eigenvalues.min();
     // where the least deviation of an estimate is 1e-8 of the largest, eight digits are left

@@ -6,7 +6,7 @@ use kalfit::model::{
     Measurement, Motion, Operator, Parameter, Phase, State, Value,
 };
 use kalfit::plan::{Quantity, information_lost};
-use kalfit::reduce::{EstimateReducer, FilterRunner, Reducer, Reduction, lost};
+use kalfit::reduce::{EstimateReducer, FilterRunner, Reducer, ReductionRef, Reductions, lost};
 use kalfit::{Expression, Model, PhasedModel, Population, Source, Test};
 use nalgebra::{DMatrix, DVector};
 
@@ -101,7 +101,7 @@ fn phase(consider: &[usize], parameters: &[(usize, f64)]) -> Phase {
 }
 
 /// Reductions of the estimates, and the sum of ½ log |Γ|.
-fn reduced(phase: &Phase) -> (Vec<Reduction>, f64) {
+fn reduced(phase: &Phase) -> (Reductions, f64) {
     let alpha = Alpha::fixed(&phase.model.parameters).expect("all is fixed");
     let runner = FilterRunner::new(phase, &alpha).expect("sound");
     let reducer = EstimateReducer::new(phase, &alpha).expect("sound");
@@ -113,23 +113,23 @@ fn reduced(phase: &Phase) -> (Vec<Reduction>, f64) {
 }
 
 /// log N of the test's estimates at ξ ~ N(μ, Σ), from (c, y, J) by the plain formula.
-fn marginal(reduction: &Reduction, mean: &DVector<f64>, sigma: &DMatrix<f64>) -> f64 {
+fn marginal(reduction: ReductionRef<'_>, mean: &DVector<f64>, sigma: &DMatrix<f64>) -> f64 {
     let q = mean.len();
     let r = factor(reduction);
     let omega = &r * sigma * r.transpose() + DMatrix::identity(q, q);
-    let left = DVector::from_column_slice(&reduction.data) - &r * mean;
+    let left = DVector::from_column_slice(reduction.data) - &r * mean;
     let root = omega.cholesky().expect("identity and more");
     let white = root.l().solve_lower_triangular(&left).expect("not singular");
     let log_determinant: f64 = root.l().diagonal().iter().map(|l| l.ln()).sum();
     reduction.constant - log_determinant - 0.5 * white.norm_squared()
 }
 
-fn factor(reduction: &Reduction) -> DMatrix<f64> {
+fn factor(reduction: ReductionRef<'_>) -> DMatrix<f64> {
     let q = reduction.data.len();
     DMatrix::from_fn(q, q, |i, k| if i <= k { reduction.factor[i + k * (k + 1) / 2] } else { 0.0 })
 }
 
-fn sum_of_information(reductions: &[Reduction]) -> DMatrix<f64> {
+fn sum_of_information(reductions: &Reductions) -> DMatrix<f64> {
     reductions.iter().map(|r| factor(r).transpose() * factor(r)).sum()
 }
 
@@ -180,8 +180,8 @@ fn a_filter_that_is_optimal_but_for_its_finite_prior_loses_nothing() {
         let (r, s) = (factor(raw), factor(own));
         let (j, k) = (r.transpose() * &r, s.transpose() * &s);
         let (y, z) = (
-            r.transpose() * DVector::from_column_slice(&raw.data),
-            s.transpose() * DVector::from_column_slice(&own.data),
+            r.transpose() * DVector::from_column_slice(raw.data),
+            s.transpose() * DVector::from_column_slice(own.data),
         );
         assert!((&j - &k).amax() <= 1e-11 * j.amax(), "test {}: J {j} {k}", raw.test);
         assert!((&y - &z).amax() <= 1e-11 * y.amax(), "test {}: y {y} {z}", raw.test);

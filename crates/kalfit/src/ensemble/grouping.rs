@@ -1,0 +1,97 @@
+//! Which tests are of one group, level by level (theory §11).
+
+use std::collections::HashMap;
+
+use crate::ensemble::Label;
+
+/// Which tests are of one group, level by level.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Grouping {
+    /// Numbers of the tests by their ids.
+    numbers: HashMap<String, usize>,
+    /// Of each level, the innermost first: the group that each test stands in.
+    of_test: Vec<Vec<usize>>,
+    /// The groups of each level, the innermost first, in the order in which tests name them.
+    groups: Vec<Vec<Group>>,
+}
+
+/// A group of tests.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Group {
+    /// Its name after those of the groups that it stands in, the outermost first.
+    pub path: Vec<Label>,
+    /// The group of the next level that it stands in; `None` for the outermost level.
+    pub parent: Option<usize>,
+    /// Its tests.
+    pub tests: usize,
+}
+
+impl Grouping {
+    /// Of ids with the names of their groups, the outermost first.
+    pub fn from_paths<'a>(depth: usize, tests: impl IntoIterator<Item = (&'a str, Vec<Label>)>) -> Grouping {
+        let mut grouping =
+            Grouping { numbers: HashMap::new(), of_test: vec![Vec::new(); depth], groups: vec![Vec::new(); depth] };
+        let mut known: HashMap<Vec<Label>, usize> = HashMap::new();
+        for (number, (id, path)) in tests.into_iter().enumerate() {
+            grouping.numbers.insert(id.to_owned(), number);
+            let mut parent = None;
+            for names in 1..=depth {
+                let level = depth - names;
+                let own = path[..names].to_vec();
+                let groups = &mut grouping.groups[level];
+                let at = *known.entry(own).or_insert_with_key(|path| {
+                    groups.push(Group { path: path.clone(), parent, tests: 0 });
+                    groups.len() - 1
+                });
+                groups[at].tests += 1;
+                grouping.of_test[level].push(at);
+                parent = Some(at);
+            }
+        }
+        grouping
+    }
+
+    /// Number of levels of groups.
+    pub fn depth(&self) -> usize {
+        self.groups.len()
+    }
+
+    /// Number of tests.
+    pub fn tests(&self) -> usize {
+        self.numbers.len()
+    }
+
+    /// The groups of a level, the innermost being level 0.
+    pub fn groups(&self, level: usize) -> &[Group] {
+        &self.groups[level]
+    }
+
+    /// The number of a test among those that were grouped.
+    pub fn number(&self, test: &str) -> Option<usize> {
+        self.numbers.get(test).copied()
+    }
+
+    /// The group of a level that a test stands in, the innermost being level 0.
+    pub fn group_of(&self, test: usize, level: usize) -> usize {
+        self.of_test[level][test]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn groups_are_told_apart_by_those_they_stand_in() {
+        let path = |names: [usize; 2]| names.map(Label::literal).to_vec();
+        let tests = [("a", [0, 1]), ("b", [2, 1]), ("c", [0, 3]), ("d", [0, 1])];
+        let grouping = Grouping::from_paths(2, tests.map(|(id, names)| (id, path(names))));
+        assert_eq!((grouping.groups(0).len(), grouping.groups(1).len(), grouping.tests()), (3, 2, 4));
+        let inner: Vec<usize> = (0..4).map(|test| grouping.group_of(test, 0)).collect();
+        let outer: Vec<usize> = (0..4).map(|test| grouping.group_of(test, 1)).collect();
+        assert_eq!((inner, outer), (vec![0, 1, 2, 0], vec![0, 1, 0, 0]));
+        assert_eq!(grouping.groups(0)[2], Group { path: path([0, 3]), parent: Some(0), tests: 1 });
+        assert_eq!(grouping.groups(1)[1], Group { path: vec![Label::literal(2)], parent: None, tests: 1 });
+        assert_eq!((grouping.number("c"), grouping.number("e")), (Some(2), None));
+    }
+}

@@ -1,0 +1,154 @@
+//! The posterior of ξ of every test, and of the mean of every group, given all tests of its unit (theory §11).
+
+use rayon::prelude::*;
+
+use crate::estimate::levels::units::{Design, Units};
+use crate::estimate::levels::walk::{At, Mean, Walked};
+use crate::estimate::point::{Point, Regressors};
+use crate::linalg::rows::Rows;
+
+/// What is known of every test and group of an ensemble, in η.
+#[derive(Debug, Clone)]
+pub(crate) struct LevelPosteriors {
+    /// Of the tests, by their numbers in the grouping.
+    pub(crate) tests: Vec<TestPosterior>,
+    /// Of the groups, level by level from the innermost on, by their numbers.
+    pub(crate) groups: Vec<Vec<GroupPosterior>>,
+}
+
+/// ξ of a test given all tests of its unit.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct TestPosterior {
+    pub(crate) mean: Vec<f64>,
+    /// V, p × p by rows.
+    pub(crate) covariance: Vec<f64>,
+    /// What its mean coordinates do to the posterior mean, p × coordinates by rows; nothing where that was not asked for.
+    pub(crate) moved: Vec<f64>,
+}
+
+/// The mean of the members of a group given all tests of its unit, and how far the group is from the population by itself.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct GroupPosterior {
+    pub(crate) mean: Vec<f64>,
+    /// V, p × p by rows.
+    pub(crate) covariance: Vec<f64>,
+    /// (y - Jμ)'(J + JΣJ)⁺(y - Jμ) of all that its tests say, Σ that of its level and those above.
+    pub(crate) squared: f64,
+    /// Rank of J.
+    pub(crate) degrees_of_freedom: usize,
+    /// log p of the measurements of all its tests by themselves.
+    pub(crate) log_density: f64,
+}
+
+/// A test by the number of its reduction, or a group by its level and number.
+enum Found {
+    Test(usize, TestPosterior),
+    Group(usize, usize, GroupPosterior),
+}
+
+/// The posteriors at a point. `constants`: those of the reductions, without which the log densities lack them; `coordinates`: with what
+/// the mean coordinates do to the posteriors.
+pub(crate) fn posteriors(
+    units: &Units,
+    (point, regressors): (&Point, &Regressors),
+    constants: Option<&[f64]>,
+    coordinates: bool,
+) -> LevelPosteriors {
+    let none;
+    let constants = match constants {
+        Some(constants) => constants,
+        None => {
+            none = vec![0.0; units.numbers.len()];
+            &none
+        }
+    };
+    let at = At::new(units, point, regressors);
+    let above = Above::new(&at);
+    let of_design = |design: &Design| -> Vec<Found> {
+        let walked = at.walked(design, 0..design.units.len(), coordinates);
+        let tests = (0..design.tests.len()).flat_map(|t| of_test(&at, (design, &walked), t));
+        tests
+            .chain((0..design.groups.len()).flat_map(|g| of_group(&at, &above, (design, &walked), (g, constants))))
+            .collect()
+    };
+    let found: Vec<Vec<Found>> = units.designs.par_iter().map(of_design).collect();
+    let mut all = LevelPosteriors {
+        tests: vec![TestPosterior::default(); units.grouping.tests()],
+        groups: (0..units.grouping.depth())
+            .map(|level| vec![GroupPosterior::default(); units.grouping.groups(level).len()])
+            .collect(),
+    };
+    for one in found.into_iter().flatten() {
+        match one {
+            Found::Test(number, posterior) => all.tests[units.numbers[number]] = posterior,
+            Found::Group(level, number, posterior) => all.groups[level - 1][number] = posterior,
+        }
+    }
+    all
+}
+
+fn of_test(at: &At<'_>, (design, walked): (&Design, &Walked), t: usize) -> Vec<Found> {
+    let (member, down) = (design.tests[t], &walked.tests[t]);
+    let mean = Mean::of((at.weight_of(member), &down.r), &at.sigmas[0], Some(&walked.means[member.group]));
+    let leaf = &at.units.leaves[member.leaf];
+    let centre = at.mean_of(leaf);
+    let p = centre.len();
+    // with the mean coordinates by one the mean of ξ is that much further, and the data that much less
+    let moved: Vec<f64> = (0..p)
+        .flat_map(|i| (0..walked.before).map(move |c| (i, c)))
+        .map(|(i, c)| at.effect(leaf, i, c) - mean.mean[(i, c)])
+        .collect();
+    let one = |(unit, numbers): (usize, &crate::estimate::levels::units::Unit)| {
+        let own = |i: usize| centre[i] + mean.mean[(i, walked.before + unit)];
+        let covariance = mean.covariance.as_slice().to_vec();
+        Found::Test(
+            numbers.tests[t],
+            TestPosterior { mean: (0..p).map(own).collect(), covariance, moved: moved.clone() },
+        )
+    };
+    design.units.iter().enumerate().map(one).collect()
+}
+
+/// Roots F' of the sum of the Σ of each level and those above.
+struct Above(Vec<Rows>);
+
+impl Above {
+    fn new(at: &At<'_>) -> Above {
+        let levels = at.units.levels();
+        let of = |level: usize| {
+            let mut root = Rows::zeros(0, at.units.states);
+            (level..levels).for_each(|l| root.append(at.root(l)));
+            root
+        };
+        Above((0..levels).map(of).collect())
+    }
+}
+
+fn of_group(
+    at: &At<'_>,
+    above: &Above,
+    (design, walked): (&Design, &Walked),
+    (g, constants): (usize, &[f64]),
+) -> Vec<Found> {
+    let (node, mean, up) = (design.groups[g], &walked.means[g], &walked.up[g]);
+    let p = at.units.states;
+    let rank = up.rank();
+    let (squares, log_det) = up.apart(&above.0[node.level]);
+    let within = walked.within(design, g);
+    let centre = |i: usize| (0..at.units.levels()).map(|l| at.point.mean[l * p + i]).sum::<f64>();
+    let members: Vec<usize> = (0..design.tests.len()).filter(|&t| design.stands_in(design.tests[t].group, g)).collect();
+    let one = |(unit, numbers): (usize, &crate::estimate::levels::units::Unit)| {
+        let column = walked.before + unit;
+        let constant: f64 = members.iter().map(|&t| constants[numbers.tests[t]]).sum();
+        let squared = squares[column];
+        let posterior = GroupPosterior {
+            mean: (0..p).map(|i| centre(i) + mean.mean[(i, column)]).collect(),
+            covariance: mean.covariance.as_slice().to_vec(),
+            squared,
+            degrees_of_freedom: rank,
+            log_density: constant - 0.5 * (log_det + within.0 + within.1[column] + squared),
+        };
+        Found::Group(node.level, numbers.groups[g], posterior)
+    };
+    design.units.iter().enumerate().map(one).collect()
+}

@@ -1,0 +1,352 @@
+//! The reductions of an ensemble, column by column.
+
+use std::ops::Range;
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use rayon::iter::{IndexedParallelIterator, IntoParallelIterator, ParallelIterator};
+
+use crate::reduce::chain::Chain;
+use crate::reduce::column::Column;
+use crate::reduce::path::Path;
+use crate::reduce::reduction::Reduction;
+
+/// The [`Reduction`]s of tests, in their order: what all of them have of one kind stands together, so that a million short tests
+/// are a few pieces of memory, read from front to back.
+///
+/// ```
+/// use kalfit::{Reduction, Reductions};
+/// # use kalfit::reduce::Path;
+/// # let test = |id: &str| Reduction {
+/// #     test: id.into(), constant: 0.0, residual: None, data: vec![0.5], factor: vec![2.0], covariates: vec![], steps: 1,
+/// #     observations: 1, path: Path::Information, design: 0, chain: None,
+/// # };
+/// let reductions: Reductions = ["a", "b"].map(test).into_iter().collect();
+/// assert_eq!((reductions.len(), reductions.get(1).test, reductions.get(1).data), (2, "b", &[0.5][..]));
+/// ```
+#[derive(Debug, Clone, Default)]
+pub struct Reductions {
+    /// Which reductions these are: no others have it but clones. It is given when somebody asks, and lost with any change.
+    stamp: OnceLock<u64>,
+    /// Ids one after the other, and where each ends.
+    ids: String,
+    id_ends: Vec<usize>,
+    constants: Vec<f64>,
+    residuals: Vec<Option<f64>>,
+    data: Column,
+    factors: Column,
+    covariates: Column,
+    steps: Vec<usize>,
+    observations: Vec<usize>,
+    paths: Vec<Path>,
+    designs: Vec<u128>,
+    /// As far as the last test that has one.
+    chains: Vec<Option<Box<Chain>>>,
+}
+
+/// One test of [`Reductions`]: a [`Reduction`] that stands elsewhere.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ReductionRef<'a> {
+    /// Id of the test.
+    pub test: &'a str,
+    /// c' = c + ½ d'd.
+    pub constant: f64,
+    /// The sum of squares that is left at the best ξ, if it is known.
+    pub residual: Option<f64>,
+    /// d, p numbers.
+    pub data: &'a [f64],
+    /// R, packed as [`Reduction::factor`].
+    pub factor: &'a [f64],
+    /// Values of the regression columns.
+    pub covariates: &'a [f64],
+    /// Number of steps of the test.
+    pub steps: usize,
+    /// Number of scalar measurements used.
+    pub observations: usize,
+    /// Which arithmetic made it.
+    pub path: Path,
+    /// Digest of all that S, K, T, J depend on.
+    pub design: u128,
+    /// The same phase by phase, for a test of a model with several phases.
+    pub chain: Option<&'a Chain>,
+}
+
+/// What may change of one test.
+pub(crate) struct ReductionMut<'a> {
+    pub(crate) constant: &'a mut f64,
+    pub(crate) residual: &'a mut Option<f64>,
+    pub(crate) data: &'a mut [f64],
+    pub(crate) factor: &'a mut [f64],
+    pub(crate) chain: Option<&'a mut Chain>,
+}
+
+impl Reductions {
+    /// No reductions.
+    pub fn new() -> Reductions {
+        Reductions::default()
+    }
+
+    /// Number of tests.
+    pub fn len(&self) -> usize {
+        self.constants.len()
+    }
+
+    /// Whether there are no tests.
+    pub fn is_empty(&self) -> bool {
+        self.constants.is_empty()
+    }
+
+    /// The test with this number.
+    ///
+    /// # Panics
+    /// Where there are not as many tests.
+    pub fn get(&self, number: usize) -> ReductionRef<'_> {
+        ReductionRef {
+            test: self.id(number),
+            constant: self.constants[number],
+            residual: self.residuals[number],
+            data: self.data.row(number),
+            factor: self.factor(number),
+            covariates: self.covariates(number),
+            steps: self.steps[number],
+            observations: self.observations[number],
+            path: self.paths[number],
+            design: self.designs[number],
+            chain: self.chain(number),
+        }
+    }
+
+    /// All tests, in their order.
+    pub fn iter(&self) -> Rows<'_> {
+        Rows { of: self, numbers: 0..self.len() }
+    }
+
+    /// All tests, for several threads.
+    pub fn par_iter(&self) -> impl IndexedParallelIterator<Item = ReductionRef<'_>> {
+        (0..self.len()).into_par_iter().map(|number| self.get(number))
+    }
+
+    /// Those tests that are named by their numbers, in the order of these.
+    #[must_use]
+    pub fn select(&self, numbers: &[usize]) -> Reductions {
+        numbers.iter().map(|&number| self.get(number)).collect()
+    }
+
+    /// Adds a test.
+    pub fn push(&mut self, reduction: Reduction) {
+        self.put(ReductionRef { chain: None, ..reduction.view() });
+        self.put_chain(reduction.chain);
+    }
+
+    /// Adds all tests of others.
+    pub fn append(&mut self, mut others: Reductions) {
+        if self.is_empty() {
+            *self = others;
+            return;
+        }
+        self.stamp.take();
+        let (own, more) = (self.len(), others.len());
+        if !others.chains.is_empty() {
+            self.chains.resize_with(own, || None);
+            self.chains.append(&mut others.chains);
+        }
+        let shift = self.ids.len();
+        self.ids.push_str(&others.ids);
+        self.id_ends.extend(others.id_ends.iter().map(|end| end + shift));
+        self.data.append(own, &others.data, more);
+        self.factors.append(own, &others.factors, more);
+        self.covariates.append(own, &others.covariates, more);
+        self.constants.append(&mut others.constants);
+        self.residuals.append(&mut others.residuals);
+        self.steps.append(&mut others.steps);
+        self.observations.append(&mut others.observations);
+        self.paths.append(&mut others.paths);
+        self.designs.append(&mut others.designs);
+    }
+
+    /// The number of these reductions: others have another, but clones have the same.
+    pub(crate) fn stamp(&self) -> u64 {
+        static NEXT: AtomicU64 = AtomicU64::new(0);
+        *self.stamp.get_or_init(|| NEXT.fetch_add(1, Ordering::Relaxed))
+    }
+
+    /// Id of a test.
+    pub(crate) fn id(&self, number: usize) -> &str {
+        let start = number.checked_sub(1).map_or(0, |before| self.id_ends[before]);
+        &self.ids[start..self.id_ends[number]]
+    }
+
+    /// R of a test.
+    pub(crate) fn factor(&self, number: usize) -> &[f64] {
+        self.factors.row(number)
+    }
+
+    /// Covariates of a test.
+    pub(crate) fn covariates(&self, number: usize) -> &[f64] {
+        self.covariates.row(number)
+    }
+
+    /// What a test says phase by phase.
+    pub(crate) fn chain(&self, number: usize) -> Option<&Chain> {
+        self.chains.get(number)?.as_deref()
+    }
+
+    /// The test with this number, to be changed.
+    pub(crate) fn get_mut(&mut self, number: usize) -> ReductionMut<'_> {
+        self.stamp.take();
+        ReductionMut {
+            constant: &mut self.constants[number],
+            residual: &mut self.residuals[number],
+            data: self.data.row_mut(number),
+            factor: self.factors.row_mut(number),
+            chain: self.chains.get_mut(number).and_then(Option::as_deref_mut),
+        }
+    }
+
+    /// The same tests, with these of their covariates alone.
+    #[must_use]
+    pub(crate) fn with_covariates(mut self, places: &[usize]) -> Reductions {
+        self.stamp.take();
+        let mut covariates = Column::default();
+        for number in 0..self.len() {
+            covariates.push(number, places.iter().map(|&at| self.covariates(number)[at]));
+        }
+        self.covariates = covariates;
+        self
+    }
+
+    /// Adds a test, its chain apart.
+    pub(super) fn put(&mut self, one: ReductionRef<'_>) {
+        self.stamp.take();
+        let number = self.len();
+        self.ids.push_str(one.test);
+        self.id_ends.push(self.ids.len());
+        self.constants.push(one.constant);
+        self.residuals.push(one.residual);
+        self.data.push(number, one.data.iter().copied());
+        self.factors.push(number, one.factor.iter().copied());
+        self.covariates.push(number, one.covariates.iter().copied());
+        self.steps.push(one.steps);
+        self.observations.push(one.observations);
+        self.paths.push(one.path);
+        self.designs.push(one.design);
+    }
+
+    /// The chain of the last test.
+    fn put_chain(&mut self, chain: Option<Box<Chain>>) {
+        if chain.is_some() {
+            self.chains.resize_with(self.len() - 1, || None);
+            self.chains.push(chain);
+        }
+    }
+}
+
+/// The tests of [`Reductions`], one after the other.
+#[derive(Debug, Clone)]
+pub struct Rows<'a> {
+    of: &'a Reductions,
+    numbers: Range<usize>,
+}
+
+impl<'a> Iterator for Rows<'a> {
+    type Item = ReductionRef<'a>;
+
+    fn next(&mut self) -> Option<ReductionRef<'a>> {
+        self.numbers.next().map(|number| self.of.get(number))
+    }
+
+    fn size_hint(&self) -> (usize, Option<usize>) {
+        self.numbers.size_hint()
+    }
+}
+
+impl DoubleEndedIterator for Rows<'_> {
+    fn next_back(&mut self) -> Option<Self::Item> {
+        self.numbers.next_back().map(|number| self.of.get(number))
+    }
+}
+
+impl ExactSizeIterator for Rows<'_> {}
+
+impl<'a> IntoIterator for &'a Reductions {
+    type Item = ReductionRef<'a>;
+    type IntoIter = Rows<'a>;
+
+    fn into_iter(self) -> Rows<'a> {
+        self.iter()
+    }
+}
+
+impl PartialEq for Reductions {
+    fn eq(&self, other: &Reductions) -> bool {
+        self.iter().eq(other.iter())
+    }
+}
+
+impl Extend<Reduction> for Reductions {
+    fn extend<I: IntoIterator<Item = Reduction>>(&mut self, all: I) {
+        all.into_iter().for_each(|one| self.push(one));
+    }
+}
+
+impl FromIterator<Reduction> for Reductions {
+    fn from_iter<I: IntoIterator<Item = Reduction>>(all: I) -> Reductions {
+        let mut reductions = Reductions::new();
+        reductions.extend(all);
+        reductions
+    }
+}
+
+impl<'a> FromIterator<ReductionRef<'a>> for Reductions {
+    fn from_iter<I: IntoIterator<Item = ReductionRef<'a>>>(all: I) -> Reductions {
+        let mut reductions = Reductions::new();
+        for one in all {
+            reductions.put(one);
+            reductions.put_chain(one.chain.map(|chain| Box::new(chain.clone())));
+        }
+        reductions
+    }
+}
+
+impl From<Vec<Reduction>> for Reductions {
+    fn from(all: Vec<Reduction>) -> Reductions {
+        all.into_iter().collect()
+    }
+}
+
+impl Reduction {
+    /// The same as a row.
+    pub fn view(&self) -> ReductionRef<'_> {
+        ReductionRef {
+            test: &self.test,
+            constant: self.constant,
+            residual: self.residual,
+            data: &self.data,
+            factor: &self.factor,
+            covariates: &self.covariates,
+            steps: self.steps,
+            observations: self.observations,
+            path: self.path,
+            design: self.design,
+            chain: self.chain.as_deref(),
+        }
+    }
+}
+
+impl From<ReductionRef<'_>> for Reduction {
+    fn from(row: ReductionRef<'_>) -> Reduction {
+        Reduction {
+            test: row.test.to_owned(),
+            constant: row.constant,
+            residual: row.residual,
+            data: row.data.to_vec(),
+            factor: row.factor.to_vec(),
+            covariates: row.covariates.to_vec(),
+            steps: row.steps,
+            observations: row.observations,
+            path: row.path,
+            design: row.design,
+            chain: row.chain.map(|chain| Box::new(chain.clone())),
+        }
+    }
+}
