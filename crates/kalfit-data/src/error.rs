@@ -212,6 +212,26 @@ pub enum DataError {
         /// The cell.
         at: Box<Place>,
     },
+    /// A row does not say of which group its test is.
+    #[error("{at}: found a missing cell, expected the group of the row's test at level `{}`", at.column)]
+    MissingGroup {
+        /// The cell.
+        at: Box<Place>,
+    },
+    /// A test stands in two groups of one level.
+    #[error("{at}: found group `{found}` in a row of test `{test}`, expected `{expected}` as in its first row")]
+    TwoGroups {
+        /// The cell.
+        at: Box<Place>,
+        /// Id of the test, shortened.
+        test: String,
+        /// The group of the row, shortened.
+        found: String,
+        /// That of the first row, shortened.
+        expected: String,
+        /// The id is that of the groups and of the test together.
+        joined: bool,
+    },
     /// A row has no time.
     #[error("{at}: found a missing cell, expected the time of the row")]
     MissingTime {

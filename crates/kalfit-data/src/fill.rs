@@ -100,8 +100,14 @@ impl<'a> Filler<'a> {
                 first.note(at, columns.times(at, put));
             }
         }
-        for (at, _) in wanted.columns.iter().enumerate().filter(|(_, column)| column.is_test) {
-            first.note(at, self.ids(columns, at, first.open(rows)));
+        match wanted.ids[..] {
+            [] => {}
+            [at] => first.note(at, self.ids(columns, at, first.open(rows))),
+            _ => {
+                if let Err((at, bad)) = self.joined_ids(columns, first.open(rows)) {
+                    first.note(at, Err(bad));
+                }
+            }
         }
         if let Err((at, bad)) = self.labels(columns, first.open(rows)) {
             first.note(at, Err(bad));
@@ -135,6 +141,30 @@ impl<'a> Filler<'a> {
             let id = columns.text(at, row, &mut scratch).map_err(|error| (row, error))?;
             self.block.ids.push(self.block.rows + row, id.ok_or_else(|| (row, columns.without_id(at, row)))?);
             row = columns.change(at, row);
+        }
+        Ok(())
+    }
+
+    /// Ids of several columns: their texts with `/` between.
+    fn joined_ids(&mut self, columns: &impl Columns, rows: usize) -> Result<(), (usize, Bad)> {
+        // of each column: the row up to which its text stands, so that no row is looked through twice
+        let mut parts: Vec<(usize, usize)> = self.wanted.ids.iter().map(|&at| (at, 0)).collect();
+        let (mut row, mut scratch, mut id) = (0, String::new(), String::new());
+        while row < rows {
+            id.clear();
+            for (at, change) in &mut parts {
+                let text = columns.text(*at, row, &mut scratch).map_err(|error| (*at, (row, error)))?;
+                let text = text.ok_or_else(|| (*at, (row, columns.without_id(*at, row))))?;
+                if row == *change {
+                    *change = columns.change(*at, row);
+                }
+                if !id.is_empty() {
+                    id.push('/');
+                }
+                id.push_str(text);
+            }
+            self.block.ids.push(self.block.rows + row, &id);
+            row = parts.iter().map(|(_, change)| *change).min().unwrap_or(rows);
         }
         Ok(())
     }
@@ -217,11 +247,20 @@ mod tests {
             numbers: numbers.to_vec(),
             texts: texts.to_vec(),
             is_test,
+            is_group: false,
             is_time: false,
         };
         let columns =
             vec![column(true, &[], &[]), column(false, &[0], &[]), column(false, &[], &[0]), column(false, &[], &[1])];
-        Wanted { columns, numbers: 1, texts: 2, tokens: Tokens::default(), comment: None }
+        Wanted {
+            columns,
+            numbers: 1,
+            texts: 2,
+            ids: vec![0],
+            groups: Vec::new(),
+            tokens: Tokens::default(),
+            comment: None,
+        }
     }
 
     const SOUND: [[&str; 5]; 4] = [
@@ -247,6 +286,25 @@ mod tests {
         let texts: Vec<&str> = block.texts[10..].iter().map(|label| labels.text(*label)).collect();
         assert_eq!(texts, ["same", "x", "same", "y", "same", "x", "same", "x", "same", ""]);
         assert_eq!(labels.texts(), ["y", "same", "x"]);
+    }
+
+    #[test]
+    fn ids_of_several_columns_are_joined() {
+        let wanted = Wanted { ids: vec![2, 0], ..wanted() };
+        let mut sheet = SOUND;
+        sheet[0][3] = "b";
+        let mut filler = Filler::new(&wanted, 5);
+        assert!(filler.fill(&Sheet(sheet)).is_ok());
+        let block = filler.finish(Numbering::from(2), None);
+        let runs: Vec<_> = (0..block.runs()).map(|run| block.run(run)).collect();
+        assert_eq!(runs, [(0..2, Some("same/a")), (2..5, Some("same/b"))]);
+        for (at, text) in [(2, "NA"), (0, "bad")] {
+            sheet[at][3] = text;
+            let mut filler = Filler::new(&wanted, 5);
+            let (row, found) = filler.fill(&Sheet(sheet)).expect_err("a cell is wrong");
+            assert_eq!((row, found.to_string()), (3, error(at, 3).to_string()));
+            sheet = SOUND;
+        }
     }
 
     #[test]

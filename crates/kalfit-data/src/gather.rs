@@ -118,6 +118,11 @@ impl Gather {
         }
     }
 
+    /// The texts of the first row of the test whose turn it is.
+    pub(crate) fn first_texts(&self) -> Option<&[Label]> {
+        self.open.get(self.current).filter(|open| open.test.rows() > 0).map(|open| open.test.texts(0))
+    }
+
     /// Id of the test whose turn it is.
     pub(crate) fn current(&self) -> &str {
         self.open.get(self.current).map_or("", |open| &open.test.id)

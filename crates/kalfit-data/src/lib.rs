@@ -7,6 +7,10 @@
 //! # What is read
 //!
 //! * **Columns.** Those the model names, those of the layout, no others; each file may have its own order and kind.
+//! * **Tests in groups.** Where the layout has levels, the id of a test is the texts of these columns and of its own with `/`
+//!   between, so that run 1 of one unit is another test than run 1 of the next; a test that is a file keeps the file's id. Every
+//!   row needs its groups, and those of a test are the same in all its rows: names that hold a `/` and make one id of two tests
+//!   are refused.
 //! * **Kind of a file.** By its extension (`.csv .tsv .txt`, `.parquet .pq`, `.arrow .ipc .feather .arrows`), else by its
 //!   first bytes, else CSV. Standard input goes by its first bytes.
 //! * **CSV.** A header is required. The delimiter is whichever of comma, semicolon and tab occurs most often outside

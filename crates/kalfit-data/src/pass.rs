@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use kalfit::{Labels, PhasedModel, Test};
+use kalfit::{Label, Labels, PhasedModel, Test};
 
 use crate::block::Block;
 use crate::cell::shown;
@@ -158,12 +158,36 @@ impl Taker<'_, '_> {
                 }
             }
         }
+        if let Some((row, error)) = self.astray(block, sound.clone(), &reading.labels) {
+            (sound.end, failed) = (row, Some(error));
+        }
         reading.rows += sound.len() as u64;
         if let Err((row, previous)) = self.gather.take(block, sound, self.file.1, self.times.unit) {
             let phase = self.phase(block, row, &reading.labels);
             return Err(self.times.decrease(block, row, (file, self.gather.current()), phase, previous));
         }
         failed.map_or(Ok(()), Err)
+    }
+
+    /// The first row whose groups are not those of the first row of its test.
+    fn astray(&self, block: &Block, rows: Range<usize>, labels: &Labels) -> Option<(usize, DataError)> {
+        let wanted = self.job.wanted;
+        if wanted.groups.is_empty() || rows.is_empty() {
+            return None;
+        }
+        let texts = |row: usize| &block.texts[row * wanted.texts..(row + 1) * wanted.texts];
+        let first = self.gather.first_texts().unwrap_or_else(|| texts(rows.start));
+        let differs = |cell: usize, row: usize| texts(row)[cell].is_missing() || texts(row)[cell] != first[cell];
+        let bad = |row: usize| wanted.groups.iter().find(|(cell, _)| differs(*cell, row)).map(|group| (row, *group));
+        let (row, (cell, column)) = rows.into_iter().find_map(bad)?;
+        let at = wanted.columns[column].place(self.file.0, block.numbering.of(row));
+        if texts(row)[cell].is_missing() {
+            return Some((row, DataError::MissingGroup { at }));
+        }
+        let group = |label: Label| shown(labels.text(label).as_bytes());
+        let (found, expected) = (group(texts(row)[cell]), group(first[cell]));
+        let (test, joined) = (shown(self.gather.current().as_bytes()), !wanted.ids.is_empty());
+        Some((row, DataError::TwoGroups { at, test, found, expected, joined }))
     }
 
     /// The phase of a row, by the text of its cell: that it is none of the model's is for others to say.

@@ -18,6 +18,10 @@ pub(crate) struct Wanted {
     pub(crate) numbers: usize,
     /// Number of text cells of a row.
     pub(crate) texts: usize,
+    /// Columns whose texts, in this order, are the id of the row's test; none where no column holds ids.
+    pub(crate) ids: Vec<usize>,
+    /// Text cells with the groups of the row's test, and their columns.
+    pub(crate) groups: Vec<(usize, usize)>,
     /// What stands for a missing cell.
     pub(crate) tokens: Tokens,
     /// Lines of CSV that begin with this are comments.
@@ -37,6 +41,8 @@ pub(crate) struct WantedColumn {
     pub(crate) texts: Vec<usize>,
     /// It holds the test's id.
     pub(crate) is_test: bool,
+    /// It holds the group of the test at a level.
+    pub(crate) is_group: bool,
     /// It holds the time of the row.
     pub(crate) is_time: bool,
 }
@@ -45,10 +51,9 @@ impl Wanted {
     pub(crate) fn new(model: &Model, layout: &Layout) -> Wanted {
         let (numbers, texts) = (model.columns.len(), model.text_columns.len());
         let (tokens, comment) = (Tokens::new(&layout.missing), layout.comment.clone().filter(|text| !text.is_empty()));
-        let mut wanted = Wanted { columns: Vec::new(), numbers, texts, tokens, comment };
-        if let TestKey::Column(name) = &layout.test {
-            wanted.column(name, "`test` of `[data]`").is_test = true;
-        }
+        let (ids, groups) = (Vec::new(), Vec::new());
+        let mut wanted = Wanted { columns: Vec::new(), numbers, texts, ids, groups, tokens, comment };
+        wanted.tests(layout);
         for (index, column) in model.columns.iter().enumerate() {
             let wanted = wanted.column(&column.name, &column.used_in);
             wanted.numbers.push(index);
@@ -57,7 +62,25 @@ impl Wanted {
         for (index, column) in model.text_columns.iter().enumerate() {
             wanted.column(&column.name, &column.used_in).texts.push(index);
         }
+        let cells =
+            |(at, column): (usize, &WantedColumn)| Some((*column.texts.first()?, at)).filter(|_| column.is_group);
+        wanted.groups = wanted.columns.iter().enumerate().filter_map(cells).collect();
         wanted
+    }
+
+    /// The columns that tell tests apart: the test's own, and those of its groups, which go before it in its id.
+    fn tests(&mut self, layout: &Layout) {
+        let own = match &layout.test {
+            TestKey::Column(name) => {
+                self.column(name, "`test` of `[data]`").is_test = true;
+                Some(0)
+            }
+            TestKey::File | TestKey::Single => None,
+        };
+        for name in &layout.levels {
+            self.column(name, "`levels` of `[data]`").is_group = true;
+        }
+        self.ids = own.iter().flat_map(|own| (1..self.columns.len()).chain([*own])).collect();
     }
 
     /// The column of this name, known or new.
@@ -69,6 +92,7 @@ impl Wanted {
                 numbers: Vec::new(),
                 texts: Vec::new(),
                 is_test: false,
+                is_group: false,
                 is_time: false,
             });
             self.columns.len() - 1
@@ -118,12 +142,18 @@ impl WantedColumn {
 
     /// True when its cells are read as text.
     pub(crate) fn is_text(&self) -> bool {
-        self.is_test || !self.texts.is_empty()
+        self.is_test || self.is_group || !self.texts.is_empty()
     }
 
     /// Its cell in a row of a file.
     pub(crate) fn place(&self, file: &str, row: u64) -> Box<Place> {
         Box::new(Place { file: file.to_owned(), row, column: self.name.clone() })
+    }
+
+    /// The error for a row that does not say of which test, or of which group, it is.
+    pub(crate) fn without_id(&self, file: &str, row: u64) -> DataError {
+        let at = self.place(file, row);
+        if self.is_group { DataError::MissingGroup { at } } else { DataError::MissingTest { at } }
     }
 
     /// The error for a cell that is not a number.

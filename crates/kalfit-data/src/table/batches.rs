@@ -231,6 +231,6 @@ impl Columns for DecodedRows<'_> {
 
     fn without_id(&self, column: usize, row: usize) -> DataError {
         let Form { file, wanted, .. } = self.form;
-        DataError::MissingTest { at: wanted.columns[column].place(file, self.number(row)) }
+        wanted.columns[column].without_id(file, self.number(row))
     }
 }

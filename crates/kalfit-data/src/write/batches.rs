@@ -56,9 +56,9 @@ impl<W: Write + Send> BatchTests<W> {
     }
 
     fn new(sink: BatchSink<W>, schema: Arc<Schema>, columns: &[OutColumn]) -> BatchTests<W> {
-        let cells = |column: &OutColumn| match column.from {
+        let cells = |column: &OutColumn| match &column.from {
             From::Number(_) => Cells::Numbers(Float64Builder::new()),
-            From::Id | From::Text(_) => Cells::Texts(StringBuilder::new()),
+            From::Id(_) | From::Text(_) => Cells::Texts(StringBuilder::new()),
         };
         BatchTests { sink, schema, cells: columns.iter().map(cells).collect(), rows: 0 }
     }
@@ -66,9 +66,9 @@ impl<W: Write + Send> BatchTests<W> {
     pub(super) fn write(&mut self, columns: &[OutColumn], test: &Test, labels: &Labels) -> Result<(), WriteError> {
         for row in 0..test.rows() {
             for (column, cells) in columns.iter().zip(&mut self.cells) {
-                match (column.from, cells) {
+                match (&column.from, cells) {
                     (From::Number(index), Cells::Numbers(numbers)) => {
-                        numbers.append_option(Some(test.numbers(row)[index]).filter(|value| !value.is_nan()));
+                        numbers.append_option(Some(test.numbers(row)[*index]).filter(|value| !value.is_nan()));
                     }
                     (from, Cells::Texts(texts)) => texts.append_option(text(from, test, row, labels)),
                     (_, Cells::Numbers(_)) => unreachable!("numbers come from numeric cells"),
@@ -115,9 +115,9 @@ impl<W: Write + Send> BatchTests<W> {
 
 fn schema(columns: &[OutColumn]) -> Arc<Schema> {
     let field = |column: &OutColumn| {
-        let kind = match column.from {
+        let kind = match &column.from {
             From::Number(_) => DataType::Float64,
-            From::Id | From::Text(_) => DataType::Utf8,
+            From::Id(_) | From::Text(_) => DataType::Utf8,
         };
         Field::new(&column.name, kind, true)
     };

@@ -12,22 +12,26 @@ pub(super) struct OutColumn {
 }
 
 /// Where cells come from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum From {
-    /// The id of the test.
-    Id,
+    /// The id of the test, without the groups in these text cells, which have columns of their own.
+    Id(Vec<usize>),
     /// A numeric cell.
     Number(usize),
     /// A text cell.
     Text(usize),
 }
 
-/// The columns: the id, the time, the model's numbers, its texts. A column that is read both as text and as number is written as
+/// The columns: groups, the id, the time, the model's numbers, its texts. A column that is read both as text and as number is written as
 /// the text, which says both. `many`: there are tests that the layout of the model cannot tell apart without a column of ids.
 pub(super) fn columns(model: &Model, layout: &Layout, many: bool) -> Vec<OutColumn> {
-    let mut columns = Vec::new();
+    let mut columns = groups(model, layout);
     if let Some(name) = id_column(model, layout, many) {
-        columns.push(OutColumn { name, from: From::Id });
+        let before = match layout.test {
+            TestKey::Column(_) => columns.iter().filter_map(|column| column.from.text()).collect(),
+            TestKey::Single | TestKey::File => Vec::new(),
+        };
+        columns.push(OutColumn { name, from: From::Id(before) });
     }
     let texts: Vec<&str> = model.text_columns.iter().map(|column| column.name.as_str()).collect();
     let mut numbers: Vec<usize> = (0..model.columns.len()).collect();
@@ -44,6 +48,25 @@ pub(super) fn columns(model: &Model, layout: &Layout, many: bool) -> Vec<OutColu
         }
     }
     columns
+}
+
+/// The columns of groups, the outermost first.
+fn groups(model: &Model, layout: &Layout) -> Vec<OutColumn> {
+    let column = |name: &String| {
+        let index = model.text_columns.iter().position(|column| column.name == *name)?;
+        Some(OutColumn { name: name.clone(), from: From::Text(index) })
+    };
+    layout.levels.iter().filter_map(column).collect()
+}
+
+impl From {
+    /// The text cell that it is.
+    fn text(&self) -> Option<usize> {
+        match self {
+            From::Text(index) => Some(*index),
+            From::Id(_) | From::Number(_) => None,
+        }
+    }
 }
 
 /// Name of the column of ids; `None` when there is no need of one. Where the layout names none it is `test`, or `test_2` and so on
@@ -70,10 +93,16 @@ pub(super) fn refuse_id_in_use(model: &Model, layout: &Layout) -> Result<(), Wri
 }
 
 /// The text of a cell; `None` when it is missing or a number.
-pub(super) fn text<'a>(from: From, test: &'a Test, row: usize, labels: &'a Labels) -> Option<&'a str> {
+pub(super) fn text<'a>(from: &From, test: &'a Test, row: usize, labels: &'a Labels) -> Option<&'a str> {
+    let of = |index: usize| Some(test.texts(row)[index]).filter(|label| !label.is_missing()).map(|l| labels.text(l));
     match from {
-        From::Id => Some(&test.id),
-        From::Text(index) => Some(test.texts(row)[index]).filter(|label| !label.is_missing()).map(|l| labels.text(l)),
+        From::Id(groups) => Some(own_id(&test.id, groups.iter().map(|&index| of(index)))),
+        From::Text(index) => of(*index),
         From::Number(_) => None,
     }
+}
+
+/// An id without the groups it begins with, which the reader puts before it; whole where it does not begin with them.
+fn own_id<'a>(id: &'a str, mut groups: impl Iterator<Item = Option<&'a str>>) -> &'a str {
+    groups.try_fold(id, |rest, group| rest.strip_prefix(group?)?.strip_prefix('/')).unwrap_or(id)
 }

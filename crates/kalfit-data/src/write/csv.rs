@@ -21,8 +21,8 @@ impl<W: Write> CsvTests<W> {
     pub(super) fn write(&mut self, columns: &[OutColumn], test: &Test, labels: &Labels) -> Result<(), WriteError> {
         for row in 0..test.rows() {
             for column in columns {
-                let cell = match column.from {
-                    From::Number(index) => self.writer.write_field(number(test.numbers(row)[index])),
+                let cell = match &column.from {
+                    From::Number(index) => self.writer.write_field(number(test.numbers(row)[*index])),
                     from => self.writer.write_field(text(from, test, row, labels).unwrap_or_default()),
                 };
                 cell.map_err(failed)?;

@@ -4,6 +4,7 @@ mod errors;
 mod exchange;
 mod formats;
 mod hostile;
+mod levels;
 mod memory;
 mod streaming;
 mod support;

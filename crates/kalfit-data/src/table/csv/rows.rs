@@ -138,7 +138,9 @@ impl<'a> Grid<'a> {
         let found = match &error {
             DataError::NotANumber { found, .. } | DataError::NotATime { found, .. } => found.clone(),
             // units of columns, and none of the tests' ids
-            DataError::MissingTest { .. } => texts.clone().find(|cell| !cell.is_empty()).unwrap_or_default().to_owned(),
+            DataError::MissingTest { .. } | DataError::MissingGroup { .. } => {
+                texts.clone().find(|cell| !cell.is_empty()).unwrap_or_default().to_owned()
+            }
             _ => return error,
         };
         let is_text = |text: &str| text.parse::<f64>().is_err() && !text.starts_with(|c: char| c.is_ascii_digit());
@@ -194,7 +196,7 @@ impl Columns for Grid<'_> {
 
     fn without_id(&self, column: usize, row: usize) -> DataError {
         let Form { file, wanted, .. } = self.form;
-        DataError::MissingTest { at: wanted.columns[column].place(file, self.numbering.of(row)) }
+        wanted.columns[column].without_id(file, self.numbering.of(row))
     }
 }
 
