@@ -1,12 +1,15 @@
 //! `kalfit check`: everything but the fit.
 
+use std::sync::Arc;
+
 use kalfit::estimate::Structure;
 use kalfit::model::{Phase, Slots, Value};
 use kalfit::record::{
     DataRecord, InformationRecord, LevelCounts, ObservabilityRecord, UnidentifiedRecord, WeakRecord, crossing_notes,
     level_notes, shortage_notes,
 };
-use kalfit::{Alpha, Evidence, Model, PhasedModel, PhasedTest, Reductions, infer};
+use kalfit::reduce::grouping;
+use kalfit::{Alpha, Evidence, Grouping, Model, PhasedModel, PhasedTest, Reductions, infer};
 use kalfit_data::Reading;
 use kalfit_report::{CheckRecord, Checked, CheckedPhase, ParameterCounts, PhaseCounts};
 use kalfit_spec::Spec;
@@ -28,8 +31,8 @@ pub fn check(job: &CheckJob, watch: &mut dyn Watch) -> Result<Done<CheckRecord>,
     let free = model::has_free(spec.model.shared());
     let (parameters, checked) = match (&given, free) {
         (None, _) => (Vec::new(), Checked::Model),
-        (Some(given), false) => (Vec::new(), known(&spec, given, &mut work)?),
-        (Some(given), true) => started(&spec, given, &mut work)?,
+        (Some(given), false) if spec.model.levels.is_empty() => (Vec::new(), known(&spec, given, &mut work)?),
+        (Some(given), _) => started(&spec, given, &mut work)?,
     };
     let record = CheckRecord { title: spec.model.shared().title.clone(), model: spec.describe(), parameters, checked };
     let mut notes = spec.questions();
@@ -45,7 +48,8 @@ fn known(spec: &Spec, given: &Given, work: &mut Work<'_>) -> Result<Checked, Fai
         Some(test) => add(&mut counts, test),
         None => counts = no_counts(&spec.model),
     })?;
-    examined((&spec.model, counts), &alpha, &reductions, given.names(), (Vec::new(), Vec::new()))
+    let model = (&spec.model, counts);
+    examined(model, &alpha, (&reductions, None), given.names(), (Vec::new(), Vec::new()))
 }
 
 fn no_counts(model: &PhasedModel) -> Vec<PhaseCounts> {
@@ -83,7 +87,10 @@ fn started(spec: &Spec, given: &Given, work: &mut Work<'_>) -> Result<(Vec<Param
     let reductions = reductions::of(&spec.model, &alpha, &tests, &reading)?;
     let at_start_of = parameters.iter().filter(|p| p.free > 0).map(|p| p.name.clone()).collect();
     let said = (notes, at_start_of);
-    let checked = examined((&spec.model, phases), &alpha, &reductions, given.names(), said)?;
+    let grouping = grouping(&spec.model, &tests).map_err(|error| dynamic::failure(error.into(), &reading))?;
+    let grouping = grouping.map(Arc::new);
+    let phases = (&spec.model, phases);
+    let checked = examined(phases, &alpha, (&reductions, grouping.as_ref()), given.names(), said)?;
     Ok((parameters, checked))
 }
 
@@ -111,11 +118,11 @@ fn starts(
 fn examined(
     (model, counts): (&PhasedModel, Vec<PhaseCounts>),
     alpha: &Alpha,
-    reductions: &Reductions,
+    (reductions, grouping): (&Reductions, Option<&Arc<Grouping>>),
     files: Vec<String>,
     (mut notes, at_start_of): (Vec<String>, Vec<String>),
 ) -> Result<Checked, Failure> {
-    let found = infer::examine_at_start(reductions, &Structure::of(model, alpha, None)).map_err(Failure::Fit)?;
+    let found = infer::examine_at_start(reductions, &Structure::of(model, alpha, grouping)).map_err(Failure::Fit)?;
     let infer::Examination { unidentified, explanations, observability, phases } = &found;
     let mut said = crossing_notes(model, unidentified, explanations, observability);
     said.extend(shortage_notes(model, observability));

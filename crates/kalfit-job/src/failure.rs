@@ -124,6 +124,22 @@ pub enum Failure {
     /// Standard errors that a criterion does not have.
     #[error("`--std-errors expected` and `--std-errors sandwich` go with `--criterion ml` only")]
     RestrictedErrors,
+    /// Something that is not made for tests in groups.
+    #[error("{what} is not made for a model with levels of groups")]
+    WithLevels {
+        /// What was asked for.
+        what: &'static str,
+    },
+    /// More tests than the design of tests in groups has.
+    #[error(
+        "found {found} tests to draw, expected at most the {expected} of the design: the model has levels of groups"
+    )]
+    MoreThanDesign {
+        /// Tests asked for.
+        found: u64,
+        /// Tests of the design.
+        expected: u64,
+    },
     /// An option of the search for dynamic parameters, none of which is free.
     #[error("`{option}` has no effect: the model has no free parameters")]
     NoFreeParameter {
@@ -250,6 +266,10 @@ impl Failure {
             Failure::Report(error) => report_hint(error).map(str::to_owned),
             Failure::RestrictedErrors => {
                 Some("leave `--std-errors` out: the restricted likelihood has those of its own curvature".to_owned())
+            }
+            Failure::WithLevels { .. } => Some("leave it out, or leave `levels` out of `[data]`".to_owned()),
+            Failure::MoreThanDesign { .. } => {
+                Some("give a design with as many groups and tests as are wanted: new groups need names of their own".to_owned())
             }
             Failure::NoFreeParameter { .. } => {
                 Some("leave it out, or free a parameter in `[parameters]`: `{}` or `{ start = 1 }`".to_owned())

@@ -24,6 +24,12 @@ pub(crate) fn refuse(job: &FitJob, model: &PhasedModel, given: &Given) -> Result
     if model.shared().group.is_none() {
         return refused("the model names no column to group by", "add `group = \"COLUMN\"` to `[data]`");
     }
+    if !model.levels.is_empty() {
+        return refused(
+            "the model has levels of groups, whose covariances say how much groups differ",
+            "leave `--group-test` out, or leave `levels` out of `[data]`",
+        );
+    }
     if !given.is_rows() {
         return refused("reductions and estimates do not tell the groups of tests", "give the measurements");
     }

@@ -18,13 +18,13 @@ pub(crate) fn with_mean(model: &PhasedModel, null: &PhasedModel) -> Option<Phase
     (of(model) != of(null)).then(|| each(model, &said))
 }
 
-/// The model under what the hypothesis says of the covariance alone; `None` when that is nothing.
+/// The model under what the hypothesis says of the covariance alone, that of each level among it; `None` when that is nothing.
 pub(crate) fn with_covariance(model: &PhasedModel, null: &PhasedModel) -> Option<PhasedModel> {
     let of = |model: &PhasedModel| -> Vec<CovarianceStructure> {
-        model.phases.iter().map(|phase| unstarted_sigma(&phase.model)).collect()
+        model.blocks().map(|(structure, _)| CovarianceStructure { start: None, ..structure.clone() }).collect()
     };
     let said = |i: usize, model: Model| Model { covariance: null.phases[i].model.covariance.clone(), ..model };
-    (of(model) != of(null)).then(|| each(model, &said))
+    (of(model) != of(null)).then(|| PhasedModel { levels: null.levels.clone(), ..each(model, &said) })
 }
 
 /// The model under what the hypothesis says of the parameters alone; `None` when that is nothing.
@@ -36,10 +36,6 @@ pub(crate) fn with_parameters(model: &PhasedModel, null: &PhasedModel) -> Option
 /// A structure without start values, which constrain nothing.
 fn unstarted(mean: &MeanStructure) -> MeanStructure {
     MeanStructure { start: vec![None; mean.start.len()], ..mean.clone() }
-}
-
-fn unstarted_sigma(model: &Model) -> CovarianceStructure {
-    CovarianceStructure { start: None, ..model.covariance.clone() }
 }
 
 fn unstarted_parameters(model: &Model) -> Vec<Parameter> {

@@ -1,9 +1,11 @@
 //! `kalfit test` where all parameters are known: both sides are fitted to the same reductions.
 
+use std::sync::Arc;
+
 use kalfit::estimate::{Estimate, Progress, Structure};
 use kalfit::infer::{Bootstrap, NotNested, at_least, bootstrap_while, fit_null, likelihood_ratio};
 use kalfit::record::{PartRecord, RatioProvenance, RatioRecord};
-use kalfit::{Alpha, PhasedModel, Reductions, estimate};
+use kalfit::{Alpha, Grouping, PhasedModel, Reductions, estimate};
 use kalfit_spec::{Hypothesis, Spec};
 
 use crate::failure::Failure;
@@ -15,12 +17,12 @@ use crate::work::Work;
 pub(crate) fn test(
     job: &TestJob,
     (spec, hypothesis): (&Spec, &Hypothesis),
-    (alpha, reductions): (&Alpha, &Reductions),
+    (alpha, reductions, grouping): (&Alpha, &Reductions, Option<&Arc<Grouping>>),
     provenance: RatioProvenance,
     work: &mut Work<'_>,
 ) -> Result<RatioRecord, Failure> {
-    let bench = Bench { job, model: &spec.model, null: &hypothesis.model, alpha, reductions };
-    let wide = estimate::fit(reductions, &Structure::of(&spec.model, alpha, None), &job.settings, work)
+    let bench = Bench { job, model: &spec.model, null: &hypothesis.model, alpha, reductions, grouping };
+    let wide = estimate::fit(reductions, &Structure::of(&spec.model, alpha, grouping), &job.settings, work)
         .map_err(Failure::Fit)?;
     let null = bench.fit(&hypothesis.model, work)?;
     let wide = at_least(wide, &null, reductions).map_err(Failure::Fit)?;
@@ -55,11 +57,13 @@ struct Bench<'a> {
     null: &'a PhasedModel,
     alpha: &'a Alpha,
     reductions: &'a Reductions,
+    grouping: Option<&'a Arc<Grouping>>,
 }
 
 impl Bench<'_> {
     fn fit(&self, model: &PhasedModel, progress: &mut dyn Progress) -> Result<Estimate, Failure> {
-        let (within, structure) = (Structure::of(self.model, self.alpha, None), Structure::of(model, self.alpha, None));
+        let of = |model| Structure::of(model, self.alpha, self.grouping);
+        let (within, structure) = (of(self.model), of(model));
         fit_null(self.reductions, &within, &structure, &self.job.settings, progress)
             .ok_or(Failure::NotNested(NotNested::Mean))?
             .map_err(Failure::Fit)

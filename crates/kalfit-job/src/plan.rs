@@ -24,6 +24,9 @@ use crate::{model, truth};
 /// Bad input, or [`Failure::Interrupted`].
 pub fn plan(job: &PlanJob, watch: &mut dyn Watch) -> Result<Done<PlanRecord>, Failure> {
     let mut spec = model::read(&job.model.document)?;
+    if !spec.model.levels.is_empty() {
+        return Err(Failure::WithLevels { what: "`kalfit plan`" });
+    }
     let truth = truth::load(&mut spec, &job.from, &job.model.set)?;
     let inputs = Input::expand(&job.design).map_err(|error| Failure::data(error, &spec))?;
     let used = files(&[&job.model.document, &job.from], &inputs);

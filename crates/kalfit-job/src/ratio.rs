@@ -1,5 +1,7 @@
 //! `kalfit test` where dynamic parameters are free: both sides are fitted with α, to tests that are kept.
 
+use std::sync::Arc;
+
 use kalfit::dynamic::{
     self, DynamicFit, DynamicRatioError, Method, ParameterInference, Settings, dynamic_bootstrap_while, dynamic_ratio,
     started,
@@ -7,6 +9,7 @@ use kalfit::dynamic::{
 use kalfit::infer::{Choices, DeletionChoice, Inference, LikelihoodRatio, NotNested, restricted};
 use kalfit::model::Slots;
 use kalfit::record::{DynamicParts, DynamicSides, PartRecord, RatioProvenance, RatioRecord};
+use kalfit::reduce::grouping;
 use kalfit::{Labels, Model, PhasedModel, PhasedTest};
 use kalfit_data::Reading;
 use kalfit_spec::{Hypothesis, Spec};
@@ -45,7 +48,8 @@ pub(crate) fn test(
         // every level of the data has a value after all
         let alpha = slots[1].alpha(wide.shared(), &[]);
         let reductions = reductions::of_all(&wide, &alpha, (&tests, &reading), work)?;
-        return known::test(job, (spec, hypothesis), (&alpha, &reductions), provenance, work);
+        let grouping = grouping(&wide, &tests).map_err(|error| failure(error.into(), &reading))?.map(Arc::new);
+        return known::test(job, (spec, hypothesis), (&alpha, &reductions, grouping.as_ref()), provenance, work);
     }
     let settings = Settings { method: Method::Hybrid, inner: job.settings.clone(), starts: 0, seed: 1 };
     let bench = Bench { wide: &wide, null, tests: &tests, reading: &reading, settings };

@@ -41,8 +41,11 @@ pub fn simulate(job: &SimulateJob, watch: &mut dyn Watch) -> Result<Done<Simulat
     let simulator = Simulator::new(&spec.model, &truth.alpha, truth.population.clone(), job.seed)
         .map_err(|error| refused(error, None))?;
     let (tests, reading) = tests::read(&spec, &Given::rows_of(inputs), &mut work)?;
-    let designs = Designs::new(tests).map_err(|error| refused(error, None))?;
+    let designs = Designs::of(&spec.model, tests).map_err(|error| refused(error, None))?;
     let count = job.tests.unwrap_or(designs.tests().len() as u64);
+    if count > designs.tests().len() as u64 && !spec.model.levels.is_empty() {
+        return Err(Failure::MoreThanDesign { found: count, expected: designs.tests().len() as u64 });
+    }
     let ids = if count > designs.tests().len() as u64 { Ids::New } else { Ids::Same };
     let task = Task { spec: &spec, simulator: &simulator, designs: &designs, reading: &reading, count, ids };
     let Written { rows, table, initial } = task.write((&output, format), states.as_ref(), &mut work)?;

@@ -54,13 +54,13 @@ fn read_and_test(
         null_digest: Some(hypothesis.digest.clone()),
         files: given.names(),
     };
-    if model::has_free(spec.model.shared()) {
+    if model::has_free(spec.model.shared()) || !spec.model.levels.is_empty() {
         return ratio::test(job, (spec, hypothesis), given, provenance, work);
     }
     let alpha = model::alpha(spec);
     same_parameters(hypothesis, &alpha)?;
     let reductions = reductions::reduce(spec, &alpha, given, work, &mut |_| ())?;
-    known::test(job, (spec, hypothesis), (&alpha, &reductions), provenance, work)
+    known::test(job, (spec, hypothesis), (&alpha, &reductions, None), provenance, work)
 }
 
 /// Parameters of a model without free ones must be the same on both sides.

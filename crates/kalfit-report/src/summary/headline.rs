@@ -3,7 +3,7 @@
 use kalfit::FitRecord;
 use kalfit::record::{DataRecord, ModelCheckRecord, TestRecord};
 
-use super::phases;
+use super::{levels, phases};
 use crate::number::{hundredths, plain};
 use crate::page::Page;
 use crate::words::{clean, count, list};
@@ -34,6 +34,7 @@ pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     text.push('\n');
     text.push_str(&page.paragraph(&data(&record.data)));
     text.extend(phases::combined(record).iter().map(|sentence| page.paragraph(sentence)));
+    text.extend(levels::counted(record).iter().map(|sentence| page.paragraph(sentence)));
     text.push_str(&page.paragraph(&likelihood(record)));
     if record.log_likelihood_kind == "estimates" {
         text.push_str(&page.paragraph(OF_ESTIMATES));
@@ -52,8 +53,10 @@ pub(crate) fn verdict(record: &FitRecord) -> String {
         );
     }
     let what = if record.criterion == "reml" { "restricted maximum-likelihood" } else { "maximum-likelihood" };
-    let edge = record.phases.iter().any(|p| !p.boundary.is_empty());
+    let edge = record.phases.iter().any(|p| !p.boundary.is_empty())
+        || record.levels.iter().any(|level| !level.boundary.is_empty());
     let blind = record.phases.iter().any(|p| !p.unidentified.is_empty())
+        || record.levels.iter().any(|level| !level.unidentified.is_empty())
         || record.parameters.iter().any(|p| p.standing.as_deref() == Some("unidentified"));
     let where_ = match (edge, blind) {
         (false, false) => "",

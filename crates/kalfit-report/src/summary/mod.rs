@@ -9,6 +9,7 @@ pub(crate) mod headline;
 pub(crate) mod influence;
 pub(crate) mod innovations;
 pub(crate) mod intervals;
+pub(crate) mod levels;
 pub(crate) mod observability;
 pub(crate) mod outliers;
 mod pairs;
@@ -31,6 +32,7 @@ pub fn summary(record: &FitRecord, style: &Style) -> String {
     for phase in &record.phases {
         sections.extend(phase_sections(record, phase, &page));
     }
+    sections.push(levels::section(record, &page));
     let observed: Vec<_> = record.phases.iter().map(|p| (p.name.as_str(), p.information.as_ref())).collect();
     sections.push(phases::information(&observed, false, &page));
     sections.push(phases::filters(record, &page));

@@ -1,6 +1,6 @@
 //! μ and the standard deviations, state by state, with what else shifts the mean.
 
-use kalfit::record::{PhaseRecord, RegressionRecord, ScaleRecord, UnidentifiedRecord};
+use kalfit::record::{BoundaryRecord, PhaseRecord, RegressionRecord, ScaleRecord, UnidentifiedRecord};
 
 use super::combination::{NEGLIGIBLE, covariance_of};
 use crate::number::Precision;
@@ -50,16 +50,26 @@ pub(crate) fn mean(phase: &PhaseRecord, i: usize) -> Cells {
 
 pub(crate) fn std_dev(phase: &PhaseRecord, i: usize) -> Cells {
     let Some(&estimate) = phase.std_dev.estimate.get(i) else { return Default::default() };
-    let name = &phase.states[i];
-    if phase.boundary.iter().any(|b| b.zero_variances.contains(name)) {
-        return ("0".to_owned(), "at zero (boundary)".to_owned());
-    }
     let fixed = phase.covariance.fixed.get(i).and_then(|row| row.get(i)).copied().unwrap_or(false);
     let error = phase.std_dev.std_error.get(i).copied().flatten();
-    let singular = phase.boundary.iter().any(|b| b.states.contains(name));
+    spread(&phase.states[i], (estimate, error, fixed), &phase.boundary, &phase.unidentified)
+}
+
+/// The standard deviation of a state, from its figure, its error and whether it is fixed.
+pub(crate) fn spread(
+    name: &str,
+    (estimate, error, fixed): (f64, Option<f64>, bool),
+    boundary: &[BoundaryRecord],
+    unidentified: &[UnidentifiedRecord],
+) -> Cells {
+    let among = |names: &[String]| names.iter().any(|other| other == name);
+    if boundary.iter().any(|b| among(&b.zero_variances)) {
+        return ("0".to_owned(), "at zero (boundary)".to_owned());
+    }
+    let singular = boundary.iter().any(|b| among(&b.states));
     let (figure, beside) = cells(estimate, error, fixed, &|| {
         let is_variance = |element: &str| covariance_of(element).is_some_and(|(a, b)| a == name && b == name);
-        match touches(&phase.unidentified, "covariance", &[], &is_variance) {
+        match touches(unidentified, "covariance", &[], &is_variance) {
             true => Some("not identified"),
             false => singular.then_some("boundary"),
         }

@@ -26,7 +26,7 @@ pub enum DynamicError {
     /// Expected information of free parameters where it is not worked out.
     #[error(
         "standard errors from the expected information beside free parameters (`{parameter}`) are for rows of one phase, without \
-         noise covariances, and without values of single tests"
+         noise covariances, without levels of groups, and without values of single tests"
     )]
     Expected {
         /// The first free parameter.

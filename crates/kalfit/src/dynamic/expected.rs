@@ -32,11 +32,11 @@ pub(super) fn expected(bench: &Bench<'_>, fit: &DynamicFit) -> Result<Option<Cov
     Ok(fit.joint.covariances_of(&sum))
 }
 
-/// A model whose tests are rows of one phase, its noises known up to their variances: that of which it is worked out.
+/// A model whose tests are rows of one phase and in no groups, its noises known up to their variances: that of which it is worked out.
 pub(super) fn is_possible(bench: &Bench<'_>) -> bool {
     let all_rows = bench.tests.iter().all(|test| matches!(test.phases[..], [Evidence::Rows(_)]));
     let [phase] = &bench.model.phases[..] else { return false };
-    all_rows && phase.filter.is_none() && phase.model.noise_covariance.is_empty()
+    bench.model.levels.is_empty() && all_rows && phase.filter.is_none() && phase.model.noise_covariance.is_empty()
 }
 
 fn rows(test: &PhasedTest) -> &Test {

@@ -1,7 +1,6 @@
 //! Parameters in the matrices of the covariance structure: dℓ/dα through Σ at fixed coordinates of Σ.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::ops::Range;
 
 use nalgebra::DMatrix;
 
@@ -17,7 +16,7 @@ pub(crate) fn matrix_gradient(
     score: &DMatrix<f64>,
 ) -> Gradient {
     let mut sum = BTreeMap::new();
-    for (structure, range) in blocks(model) {
+    for (structure, range) in model.blocks() {
         let own =
             |matrix: &DMatrix<f64>| matrix.view((range.start, range.start), (range.len(), range.len())).into_owned();
         for (slot, bar) in block_gradient(structure, alpha, slots, &own(sigma), &own(score)) {
@@ -35,7 +34,7 @@ pub(crate) fn matrix_derivatives(
     sigma: &DMatrix<f64>,
 ) -> BTreeMap<usize, DMatrix<f64>> {
     let mut all = BTreeMap::new();
-    for (structure, range) in blocks(model) {
+    for (structure, range) in model.blocks() {
         let own = sigma.view((range.start, range.start), (range.len(), range.len())).into_owned();
         each_derivative(structure, alpha, slots, &own, &mut |slot, (i, j), slope| {
             let whole = all.entry(slot).or_insert_with(|| DMatrix::zeros(sigma.nrows(), sigma.ncols()));
@@ -43,14 +42,6 @@ pub(crate) fn matrix_derivatives(
         });
     }
     all
-}
-
-/// The structure of each block of Σ, and the states it is of: of each phase, or of the tests and then of each level of groups.
-fn blocks(model: &PhasedModel) -> impl Iterator<Item = (&CovarianceStructure, Range<usize>)> {
-    let p = model.dimension();
-    let phases = model.phases.iter().map(|phase| &phase.model.covariance).zip(model.ranges());
-    let levels = model.levels.iter().rev().enumerate();
-    phases.chain(levels.map(move |(l, level)| (&level.covariance, (l + 1) * p..(l + 2) * p)))
 }
 
 fn block_gradient(
@@ -107,7 +98,7 @@ fn each_derivative(
 
 /// Free values that matrices of the structures depend on.
 pub(crate) fn slots(model: &PhasedModel, slots: &Slots) -> Vec<usize> {
-    let all: BTreeSet<usize> = blocks(model).flat_map(|(structure, _)| block_slots(structure, slots)).collect();
+    let all: BTreeSet<usize> = model.blocks().flat_map(|(structure, _)| block_slots(structure, slots)).collect();
     all.into_iter().collect()
 }
 

@@ -124,7 +124,7 @@ pub fn dynamic_bootstrap_while(
 ) -> Result<Option<BootstrapResult>, SimulateError> {
     let (model, fit) = null;
     let simulator = Simulator::new(model, &fit.alpha, Population::from(&fit.estimate), asked.seed)?;
-    let designs = Designs::new(tests.to_vec())?;
+    let designs = Designs::of(model, tests.to_vec())?;
     let starts = [started(model, null), started(wide, null)];
     let n = tests.len() as u64;
     let one = |b: usize| -> Result<Option<f64>, SimulateError> {

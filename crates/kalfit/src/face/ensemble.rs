@@ -66,7 +66,7 @@ impl Ensemble {
         seed: u64,
     ) -> Result<Ensemble, SimulateError> {
         let simulator = Simulator::new(&self.model, alpha, population, seed)?;
-        let drawn = simulator.draw(&Designs::new(self.tests.clone())?, 0..tests)?;
+        let drawn = simulator.draw(&Designs::of(&self.model, self.tests.clone())?, 0..tests)?;
         let tests = drawn.into_iter().map(|drawn| drawn.test).collect();
         Ok(Ensemble { model: self.model.clone(), labels: self.labels.clone(), tests })
     }

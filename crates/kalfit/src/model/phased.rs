@@ -100,6 +100,22 @@ impl PhasedModel {
         self.phases.iter().map(range).collect()
     }
 
+    /// The structure of each block of Σ and where its states stand: of each phase, or of the only one and then of each level of groups,
+    /// the innermost first.
+    pub fn blocks(&self) -> impl Iterator<Item = (&CovarianceStructure, std::ops::Range<usize>)> {
+        let p = self.dimension();
+        let phases = self.phases.iter().map(|phase| &phase.model.covariance).zip(self.ranges());
+        let levels = self.levels.iter().rev().enumerate();
+        phases.chain(levels.map(move |(l, level)| (&level.covariance, (l + 1) * p..(l + 2) * p)))
+    }
+
+    /// Names of the elements of all blocks of Σ: of the estimated states, and again of those of each level of groups as `level.state`.
+    pub fn element_names(&self) -> Vec<String> {
+        let own = self.estimated_names();
+        let of = |level: &GroupLevel| own.iter().map(|name| format!("{}.{name}", level.name)).collect::<Vec<_>>();
+        own.iter().cloned().chain(self.levels.iter().rev().flat_map(of)).collect()
+    }
+
     /// There is one phase only.
     pub fn is_single(&self) -> bool {
         self.phases.len() == 1

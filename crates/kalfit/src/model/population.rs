@@ -3,13 +3,16 @@
 use nalgebra::DMatrix;
 
 use crate::linalg::symmetric;
-use crate::model::{Alpha, CovarianceKind, Expression, MeanElement, Model, PhasedModel, Scope, StructureError};
+use crate::model::{
+    Alpha, CovarianceKind, CovarianceStructure, Expression, MeanElement, Model, PhasedModel, Scope, StructureError,
+};
 
 /// ξ_j ~ N(μ_j, Σ) with μ_j = μ + Σ_r e_state(r) × covariate_jr × coefficient_r. Of a model in phases, ξ_j holds the estimated states
 /// of all phases in a row; those of different phases are independent.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Population {
-    /// μ (p), in the order of [`Model::estimated`], phase by phase.
+    /// μ (p), in the order of [`Model::estimated`], phase by phase. Of a model with levels of groups all is there once for the tests' own
+    /// and once more for each level, the innermost first, with the mean zero: ξ_j is the sum.
     pub mean: Vec<f64>,
     /// Regression coefficients, in the order of [`MeanStructure::regression`](crate::model::MeanStructure::regression), phase by
     /// phase.
@@ -88,17 +91,24 @@ impl Population {
     /// # Errors
     /// [`PopulationError::NoValue`] names all that has neither; a matrix that is not positive semidefinite.
     pub fn of_model(model: &PhasedModel, alpha: &Alpha) -> Result<Population, PopulationError> {
-        let p = model.dimension();
+        let names = model.element_names();
+        let p = names.len();
         let (mut mean, mut sigma, mut missing) = (Vec::with_capacity(p), DMatrix::zeros(p, p), Vec::new());
-        let names = model.estimated_names();
         for (phase, range) in model.phases.iter().zip(model.ranges()) {
-            let named = Named { model: &phase.model, names: &names[range.clone()] };
+            let structure = &phase.model.covariance;
+            let named = Named { model: &phase.model, structure, names: &names[range.clone()] };
             mean.extend(named.means(&mut missing));
             for regression in &phase.model.mean.regression {
                 let column = &phase.model.columns[regression.column].name;
                 let element = &named.names[regression.element];
                 missing.push(format!("the coefficient of `{column}` in mean[{element}]"));
             }
+            let own = named.covariance(alpha, &mut missing)?;
+            sigma.view_mut((range.start, range.start), own.shape()).copy_from(&own);
+        }
+        for (structure, range) in model.blocks().skip(model.phases.len()) {
+            mean.resize(range.end, 0.0);
+            let named = Named { model: model.shared(), structure, names: &names[range.clone()] };
             let own = named.covariance(alpha, &mut missing)?;
             sigma.view_mut((range.start, range.start), own.shape()).copy_from(&own);
         }
@@ -116,10 +126,10 @@ impl Population {
     /// The first of these that it has not.
     pub fn check(&self, model: &PhasedModel) -> Result<(), PopulationError> {
         let regressions = model.phases.iter().map(|phase| phase.model.mean.regression.len()).sum();
-        let names = model.estimated_names();
-        self.check_named(model.dimension(), regressions, &|i| names[i].clone())?;
+        let names = model.element_names();
+        self.check_named(names.len(), regressions, &|i| names[i].clone())?;
         let phase_of: Vec<usize> =
-            model.ranges().into_iter().enumerate().flat_map(|(phase, range)| range.map(move |_| phase)).collect();
+            model.blocks().enumerate().flat_map(|(block, (_, range))| range.map(move |_| block)).collect();
         let apart = |&(i, j): &(usize, usize)| phase_of[i] != phase_of[j] && self.covariance[(i, j)] != 0.0;
         match (0..names.len()).flat_map(|i| (0..i).map(move |j| (i, j))).find(apart) {
             Some((i, j)) => Err(PopulationError::AcrossPhases {
@@ -184,6 +194,8 @@ impl Population {
 /// One phase's model, with the names of its estimated states as messages want them.
 struct Named<'a> {
     model: &'a Model,
+    /// Of Σ: the model's own, or that of a level of groups.
+    structure: &'a CovarianceStructure,
     names: &'a [String],
 }
 
@@ -217,8 +229,8 @@ impl Named<'_> {
 
     /// Σ, with zeros where nothing is given; what is missing is added to `missing`.
     fn covariance(&self, alpha: &Alpha, missing: &mut Vec<String>) -> Result<DMatrix<f64>, PopulationError> {
-        let Named { model, names: name } = self;
-        let (p, structure) = (model.dimension(), &model.covariance);
+        let Named { structure, names: name, .. } = *self;
+        let p = name.len();
         let blocks: Vec<Vec<usize>> = match &structure.kind {
             CovarianceKind::Fixed(entries) => return matrix(entries, alpha),
             CovarianceKind::Proportional(_) => {
@@ -226,8 +238,9 @@ impl Named<'_> {
                 return Ok(DMatrix::zeros(p, p));
             }
             CovarianceKind::Correlation(_) => {
-                missing
-                    .extend((0..p).filter(|&i| !is_zero(model, i)).map(|i| format!("covariance[{0}, {0}]", name[i])));
+                missing.extend(
+                    (0..p).filter(|&i| !is_zero(structure, i)).map(|i| format!("covariance[{0}, {0}]", name[i])),
+                );
                 return Ok(DMatrix::zeros(p, p));
             }
             CovarianceKind::Linear { .. } => {
@@ -247,8 +260,8 @@ impl Named<'_> {
         for i in 0..p {
             for j in 0..=i {
                 let fixed = structure.fixed.iter().find(|e| (e.i, e.j) == (i, j)).map(|e| e.value);
-                let absent = is_zero(model, i)
-                    || is_zero(model, j)
+                let absent = is_zero(structure, i)
+                    || is_zero(structure, j)
                     || !blocks.iter().any(|block| block.contains(&i) && block.contains(&j));
                 match fixed {
                     Some(value) => (sigma[(i, j)], sigma[(j, i)]) = (value, value),
@@ -262,8 +275,8 @@ impl Named<'_> {
 }
 
 /// True when a variance is fixed at zero.
-fn is_zero(model: &Model, i: usize) -> bool {
-    model.covariance.fixed.iter().any(|e| (e.i, e.j) == (i, i) && e.value == 0.0)
+fn is_zero(structure: &CovarianceStructure, i: usize) -> bool {
+    structure.fixed.iter().any(|e| (e.i, e.j) == (i, i) && e.value == 0.0)
 }
 
 fn matrix(entries: &[Vec<Expression>], alpha: &Alpha) -> Result<DMatrix<f64>, PopulationError> {

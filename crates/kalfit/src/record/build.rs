@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use crate::estimate::{Certificate, Combination, Criterion, Estimate, Solver, Stop};
 use crate::infer::{Deletion, Element, Inference, IntervalKind, Posterior, Sensitivity, StdErrors};
 use crate::model::{Alpha, PhasedModel};
-use crate::record::cut::{Cut, names, phases_of};
+use crate::record::cut::{Cut, phases_of};
 use crate::record::diagnosis::shortage_notes;
 use crate::record::directions::crossing_notes;
 use crate::record::own::{MOST_OWN, Own};
@@ -327,7 +327,7 @@ fn notes(model: &PhasedModel, estimate: &Estimate, inference: &Inference) -> Vec
     let mut notes: Vec<String> = rounding_note(model, estimate).into_iter().collect();
     notes.extend(crossing_notes(model, unidentified, explanations, observability));
     notes.extend(shortage_notes(model, observability));
-    for (i, name) in names(model).iter().enumerate() {
+    for (i, name) in model.element_names().iter().enumerate() {
         let variance = estimate.covariance[(i, i)];
         if let Some(error) = uncertainty.covariance[i][i].filter(|e| *e >= variance) {
             notes.push(format!(
@@ -353,7 +353,7 @@ fn rounding_note(model: &PhasedModel, estimate: &Estimate) -> Option<String> {
     }
     let parts = estimate.state.rounding();
     let worst = (0..parts.len()).max_by(|&a, &b| parts[a].total_cmp(&parts[b]).then(b.cmp(&a)))?;
-    let (names, p) = (names(model), estimate.mean.len());
+    let (names, p) = (model.element_names(), estimate.mean.len());
     let cause = match worst.checked_sub(p) {
         None => format!(
             "the mean of `{}`, {:.1e}, is very large beside its standard error, and so are the numbers that cancel in it; subtract an offset from the column that measures it",

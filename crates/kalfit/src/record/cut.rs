@@ -86,15 +86,6 @@ impl<'a> Cut<'a> {
     }
 }
 
-/// Names of the elements of all blocks, `phase.state` where there are several phases, `level.state` of a level of groups.
-pub(super) fn names(model: &PhasedModel) -> Vec<String> {
-    let mut names = model.estimated_names();
-    let own = names.clone();
-    let of = |level: &GroupLevel| own.iter().map(|name| format!("{}.{name}", level.name)).collect::<Vec<_>>();
-    names.extend(model.levels.iter().rev().flat_map(of));
-    names
-}
-
 /// The regressions of all phases, their elements those of all phases.
 pub(super) fn regressions(model: &PhasedModel) -> Vec<Regression> {
     let of = |cut: Cut<'_>| -> Vec<Regression> {

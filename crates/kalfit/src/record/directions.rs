@@ -2,7 +2,7 @@
 
 use crate::infer::{Direction, Explanation, Observability, PhaseObservability, Quantity, WeakDirection};
 use crate::model::PhasedModel;
-use crate::record::cut::{Cut, names};
+use crate::record::cut::Cut;
 use crate::record::diagnosis::{named, words};
 use crate::record::{EnteredRecord, InformationRecord, UnidentifiedRecord, WeakRecord};
 
@@ -40,7 +40,7 @@ impl Entries {
     /// Elements of μ, then regression coefficients as `state per column`.
     fn mean(model: &PhasedModel, coefficients: bool) -> Entries {
         let mut entries = Entries { phase: Vec::new(), own: Vec::new(), full: Vec::new() };
-        let (cuts, full) = (Cut::blocks(model), names(model));
+        let (cuts, full) = (Cut::blocks(model), model.element_names());
         for cut in &cuts {
             for (own, k) in cut.states().into_iter().zip(cut.elements.clone()) {
                 entries.add(cut, own, full[k].clone());
@@ -60,7 +60,7 @@ impl Entries {
     /// Elements of Σ within a phase, as `first, second`.
     fn covariance(model: &PhasedModel) -> Entries {
         let mut entries = Entries { phase: Vec::new(), own: Vec::new(), full: Vec::new() };
-        let full = names(model);
+        let full = model.element_names();
         for cut in Cut::blocks(model) {
             let (own, full) = (cut.states(), &full[cut.elements.clone()]);
             for (i, j) in (0..own.len()).flat_map(|i| (0..=i).map(move |j| (i, j))) {

@@ -4,7 +4,7 @@ use nalgebra::DMatrix;
 
 use crate::model::{PhasedModel, Population, PopulationError};
 use crate::record::cut::Cut;
-use crate::record::{FitRecord, PhaseRecord};
+use crate::record::{FitRecord, LevelRecord, PhaseRecord};
 
 /// Why a record has no population for a model.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -68,14 +68,43 @@ impl FitRecord {
         let found: Vec<String> = self.phases.iter().map(|phase| phase.name.clone()).collect();
         let expected: Vec<String> = model.phases.iter().map(|phase| phase.name.clone()).collect();
         let place = places("the phases".to_owned(), &found, &expected)?;
-        let p = model.dimension();
+        let p = model.element_names().len();
         let mut whole = Population { mean: Vec::new(), coefficients: Vec::new(), covariance: DMatrix::zeros(p, p) };
         for (cut, &place) in Cut::all(model).iter().zip(&place) {
             let of = if model.is_single() { String::new() } else { format!(" of phase `{}`", cut.phase.name) };
             add(&mut whole, cut, &self.phases[place], &of)?;
         }
+        self.add_level_covariances(model, &mut whole)?;
         whole.check(model)?;
         Ok(whole)
+    }
+}
+
+impl FitRecord {
+    /// Adds what the groups of each level add.
+    fn add_level_covariances(&self, model: &PhasedModel, whole: &mut Population) -> Result<(), RecordError> {
+        let own: Vec<&LevelRecord> = self.levels.iter().filter(|level| level.column.is_some()).collect();
+        let found: Vec<String> = own.iter().map(|level| level.name.clone()).collect();
+        let expected: Vec<String> = model.levels.iter().map(|level| level.name.clone()).collect();
+        if found != expected {
+            return Err(RecordError::Names { what: "the levels".to_owned(), found, expected });
+        }
+        for (cut, level) in Cut::blocks(model).iter().skip(model.phases.len()).zip(own.iter().rev()) {
+            let of = format!(" of level `{}`", level.name);
+            let place = places(format!("the estimated states{of}"), &level.states, &cut.states())?;
+            let rows = &level.covariance.estimate;
+            if rows.len() != place.len() || rows.iter().any(|row| row.len() != place.len()) {
+                let what = format!("rows of the covariance{of}");
+                return Err(RecordError::Count { what, found: rows.len(), expected: place.len() });
+            }
+            whole.mean.resize(cut.elements.end, 0.0);
+            for (i, &row) in place.iter().enumerate() {
+                for (k, &column) in place.iter().enumerate() {
+                    whole.covariance[(cut.elements.start + i, cut.elements.start + k)] = rows[row][column];
+                }
+            }
+        }
+        Ok(())
     }
 }
 

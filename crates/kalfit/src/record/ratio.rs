@@ -220,7 +220,7 @@ impl PartRecord {
 
 pub(super) fn side(model: &PhasedModel, estimate: &Estimate) -> SideRecord {
     SideRecord {
-        states: model.estimated_names(),
+        states: model.element_names(),
         log_likelihood: estimate.log_likelihood,
         free_parameters: estimate.declared_mean() + estimate.declared_covariance(),
         converged: estimate.stop == Stop::Certified,

@@ -2,7 +2,9 @@
 
 use std::collections::BTreeSet;
 
-use crate::reduce::PhasedTest;
+use crate::ensemble::Grouping;
+use crate::model::PhasedModel;
+use crate::reduce::{PhasedTest, grouping};
 use crate::simulate::SimulateError;
 
 /// Tests to draw for, at least one, with ids of their own. Test j of an ensemble is drawn for test j mod n of the n tests here.
@@ -10,6 +12,7 @@ use crate::simulate::SimulateError;
 pub struct Designs {
     tests: Vec<PhasedTest>,
     mark: String,
+    grouping: Option<Grouping>,
 }
 
 impl Designs {
@@ -29,7 +32,30 @@ impl Designs {
         while ids.iter().any(|id| id.trim_end_matches(|c: char| c.is_ascii_digit()).ends_with(&mark)) {
             mark.push('#');
         }
-        Ok(Designs { tests, mark })
+        Ok(Designs { tests, mark, grouping: None })
+    }
+
+    /// The tests of a design for a model with levels, in the groups that their rows name; the same for other models. Each time round the
+    /// groups are new ones of the same names.
+    ///
+    /// # Errors
+    /// As [`Designs::new`]; a test of which the groups are not known.
+    pub fn of(model: &PhasedModel, tests: Vec<PhasedTest>) -> Result<Designs, SimulateError> {
+        let grouping = grouping(model, &tests)?;
+        Ok(Designs { grouping, ..Designs::new(tests)? })
+    }
+
+    /// Where the tests stand in groups: of each group of test `index`, from the innermost level on, a number that no other group of the
+    /// ensemble has, those of other rounds among them.
+    pub(super) fn groups(&self, index: u64) -> Option<Vec<u64>> {
+        let grouping = self.grouping.as_ref()?;
+        let (round, all) = (index / self.tests.len() as u64, (0..grouping.depth()).map(|l| grouping.groups(l).len()));
+        let firsts: Vec<usize> = all.scan(0, |end, count| Some(std::mem::replace(end, *end + count))).collect();
+        let total: usize = (0..grouping.depth()).map(|l| grouping.groups(l).len()).sum();
+        let number = grouping.number(&self.design(index).id)?;
+        let of_level =
+            |(level, first): (usize, usize)| round * total as u64 + (first + grouping.group_of(number, level)) as u64;
+        Some(firsts.into_iter().enumerate().map(of_level).collect())
     }
 
     /// The tests of the design.

@@ -2,7 +2,7 @@
 
 use crate::ensemble::Source;
 use crate::model::PopulationError;
-use crate::reduce::ReduceError;
+use crate::reduce::{GroupingError, ReduceError};
 
 /// A refusal to draw.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -13,6 +13,12 @@ pub enum SimulateError {
     /// The model at α does not work on a test of the design.
     #[error(transparent)]
     Reduce(#[from] ReduceError),
+    /// The groups of the design's tests are not known, and the model has levels.
+    #[error(transparent)]
+    Grouping(#[from] GroupingError),
+    /// The design was taken without its groups, and the model has levels.
+    #[error("the model has levels of groups, and which groups the tests of the design stand in is not known")]
+    Ungrouped,
     /// There is no design to draw for.
     #[error("the design has no tests")]
     NoTests,

@@ -14,6 +14,9 @@
 //! coefficients are those that the reducer filters with, evaluated by the same code. Σ, P0, Q and R may be singular. What a
 //! suboptimal filter would make of the measurements is not drawn: a phase with a filter draws its measurements as any other.
 //!
+//! Of a model with levels ξ_j is what is drawn so and what each group of test j adds, N(0, Σ) of its level: group g of all levels
+//! together, the innermost first and in the order in which the design names them, draws p standard normals from stream 2⁶⁴ - 1 - g.
+//!
 //! # Seeds
 //!
 //! Test j of an ensemble draws from stream j of ChaCha8 seeded with the seed, phase after phase in this order: ξ (p standard normals), ζ (one for
@@ -103,6 +106,8 @@ pub struct Simulator {
     /// Whose phases evaluate tests, with all that enters a phase as its ξ.
     reducer: PhasedReducer,
     laws: Vec<PhaseLaw>,
+    /// F with FF' = Σ of what the groups of each level add, the innermost first.
+    levels: Vec<DMatrix<f64>>,
     seed: u64,
 }
 
@@ -143,8 +148,14 @@ impl Simulator {
             root: symmetric::square_root(&population.covariance),
             population,
         };
+        let p = model.dimension();
+        let of_level = |level: usize| {
+            let at = ((level + 1) * p, (level + 1) * p);
+            symmetric::square_root(&population.covariance.view(at, (p, p)).into_owned())
+        };
+        let levels = (0..model.levels.len()).map(of_level).collect();
         let laws = model.phases.iter().zip(population.apart(model)).map(law).collect();
-        Ok(Simulator { reducer, laws, seed })
+        Ok(Simulator { reducer, laws, levels, seed })
     }
 
     /// Its phases, in order.
@@ -170,18 +181,36 @@ impl Simulator {
         if !(1..=expected).contains(&found) {
             return Err(SimulateError::Phases { test: id, found, expected });
         }
+        let added = self.added(designs, place)?;
         let mut random = ChaCha8Rng::seed_from_u64(self.seed);
         random.set_stream(place);
         let (mut phases, mut initial, mut last) = (Vec::new(), Vec::new(), DVector::zeros(0));
         for ((phase, evidence), path) in self.phases().zip(&design.phases).zip(paths) {
             let mut rows = phase.rows(evidence, &id)?;
             rows.id.clone_from(&id);
-            let xi = phase.draw(&mut rows, &last, path, &mut random)?;
+            let xi = phase.draw(&mut rows, (&last, &added), path, &mut random)?;
             last = phase.last(path);
             initial.extend(xi);
             phases.push(Evidence::Rows(rows));
         }
         Ok(Drawn { test: PhasedTest { id, phases }, initial })
+    }
+}
+
+impl Simulator {
+    /// What the groups of a test add to its ξ; nothing without levels.
+    fn added(&self, designs: &Designs, place: u64) -> Result<Vec<f64>, SimulateError> {
+        if self.levels.is_empty() {
+            return Ok(Vec::new());
+        }
+        let groups = designs.groups(place).ok_or(SimulateError::Ungrouped)?;
+        let mut added = vec![0.0; self.levels[0].nrows()];
+        for (root, group) in self.levels.iter().zip(groups) {
+            let mut random = ChaCha8Rng::seed_from_u64(self.seed);
+            random.set_stream(u64::MAX - group);
+            path::add_noise(root, &mut random, |i, value| added[i] += value);
+        }
+        Ok(added)
     }
 }
 
@@ -210,7 +239,7 @@ impl PhaseDraw<'_> {
     fn draw(
         &self,
         rows: &mut Test,
-        before: &DVector<f64>,
+        (before, added): (&DVector<f64>, &[f64]),
         path: &mut Path,
         random: &mut ChaCha8Rng,
     ) -> Result<Vec<f64>, SimulateError> {
@@ -218,7 +247,8 @@ impl PhaseDraw<'_> {
         let named = |fault: Box<Fault>, rows: &Test| self.phase.named(fault.name(model, Some(rows)));
         self.preparer.prepare(rows, &mut path.work).map_err(|fault| named(fault, rows))?;
         self.refuse_shared_cells(rows, path)?;
-        let xi = path.draw_initial(model, &self.law.population, &self.law.root, random);
+        let mut xi = path.draw_initial(model, &self.law.population, &self.law.root, random);
+        xi.iter_mut().zip(added).for_each(|(own, more)| *own += more);
         let mut entering = xi.clone();
         if let Some(inheritance) = &self.phase.inheritance {
             let inherited = inheritance.of(&self.preparer.at(), rows, &mut path.cells);

@@ -188,7 +188,7 @@ fn noise_of<'a>(noises: &'a mut HashMap<u128, Noise>, transition: &Transition) -
 }
 
 /// Adds Fε, ε ~ N(0, I), element by element.
-fn add_noise(F: &DMatrix<f64>, random: &mut ChaCha8Rng, mut add: impl FnMut(usize, f64)) {
+pub(super) fn add_noise(F: &DMatrix<f64>, random: &mut ChaCha8Rng, mut add: impl FnMut(usize, f64)) {
     for c in 0..F.ncols() {
         let epsilon = normal(random);
         (0..F.nrows()).for_each(|i| add(i, F[(i, c)] * epsilon));

@@ -3,6 +3,8 @@
 //! What a test says about ξ is d = Rξ + e, e ~ N(0, I) on the rows of R that are not zero. So new ensembles are drawn as
 //! reductions, exactly, and no filter runs. The remaining part of each log-likelihood does not move the ratio.
 
+use std::collections::BTreeMap;
+
 use nalgebra::{DMatrix, DVector};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -145,21 +147,26 @@ struct Draw<'a> {
     null: &'a Estimate,
     /// Where the regressions of the hypothesis stand among the covariates.
     places: &'a [usize],
-    /// F with Σ = FF'.
-    root: DMatrix<f64>,
+    /// F with Σ = FF', of the tests' own and of each level of groups, the innermost first.
+    roots: Vec<DMatrix<f64>>,
 }
 
 impl<'a> Draw<'a> {
     fn new(null: &'a Estimate, reductions: &'a Reductions, places: &'a [usize]) -> Draw<'a> {
         let mut order: Vec<usize> = (0..reductions.len()).collect();
         order.sort_by(|&a, &b| reductions.get(a).test.cmp(reductions.get(b).test));
-        Draw { reductions, order, null, places, root: symmetric::square_root(&null.covariance) }
+        let levels = null.grouping().map_or(1, |grouping| grouping.depth() + 1);
+        let p = null.covariance.nrows() / levels;
+        let root = |l: usize| symmetric::square_root(&null.covariance.view((l * p, l * p), (p, p)).into_owned());
+        Draw { reductions, order, null, places, roots: (0..levels).map(root).collect() }
     }
 
     fn ensemble(&self, random: &mut ChaCha8Rng) -> Reductions {
         let mut drawn = self.reductions.select(&self.order);
+        let mut groups: BTreeMap<(usize, usize), DVector<f64>> = BTreeMap::new();
         for number in 0..drawn.len() {
-            let data = self.data(drawn.get(number), random);
+            let added = self.added(drawn.id(number), &mut groups, random);
+            let data = self.data(drawn.get(number), added, random);
             let test = drawn.get_mut(number);
             (*test.constant, *test.residual) = (0.0, None);
             test.data.copy_from_slice(data.as_slice());
@@ -167,17 +174,38 @@ impl<'a> Draw<'a> {
         drawn
     }
 
+    /// What the groups of a test add; those that are new are drawn.
+    fn added(
+        &self,
+        test: &str,
+        groups: &mut BTreeMap<(usize, usize), DVector<f64>>,
+        random: &mut ChaCha8Rng,
+    ) -> DVector<f64> {
+        let mut sum = DVector::zeros(self.roots[0].nrows());
+        let Some((grouping, number)) = self.null.grouping().and_then(|all| Some((all, all.number(test)?))) else {
+            return sum;
+        };
+        for (level, root) in self.roots[1..].iter().enumerate() {
+            let own = groups.entry((level, grouping.group_of(number, level)));
+            sum += &*own.or_insert_with(|| root * normal(root.ncols(), random));
+        }
+        sum
+    }
+
     /// New d of a test.
-    fn data(&self, like: ReductionRef<'_>, random: &mut ChaCha8Rng) -> DVector<f64> {
-        let p = self.root.nrows();
-        let mut normal = |n: usize| DVector::from_fn(n, |_, _| StandardNormal.sample(&mut *random));
-        let mut xi = DVector::from_column_slice(&self.null.mean) + &self.root * normal(self.root.ncols());
+    fn data(&self, like: ReductionRef<'_>, added: DVector<f64>, random: &mut ChaCha8Rng) -> DVector<f64> {
+        let (p, root) = (self.roots[0].nrows(), &self.roots[0]);
+        let mut xi = DVector::from_column_slice(&self.null.mean[..p]) + added + root * normal(root.ncols(), random);
         for (c, &element) in self.null.state.problem.mean.regressors.iter().enumerate() {
             xi[element] += like.covariates[self.places[c]] * self.null.coefficients[c];
         }
         let factor = unpack(like.factor, p);
-        let noise = normal(p);
+        let noise = normal(p, random);
         let told = |i: usize| (i..p).any(|k| factor[(i, k)] != 0.0);
         &factor * xi + DVector::from_fn(p, |i, _| if told(i) { noise[i] } else { 0.0 })
     }
+}
+
+fn normal(n: usize, random: &mut ChaCha8Rng) -> DVector<f64> {
+    DVector::from_fn(n, |_, _| StandardNormal.sample(random))
 }
