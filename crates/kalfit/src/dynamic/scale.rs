@@ -60,14 +60,11 @@ pub(crate) struct AtScale {
 type Run<'a> = &'a dyn Fn(f64) -> Result<Reductions, DynamicError>;
 
 impl Scale {
-    /// `None` where α is not of this kind, where there are several phases or levels, and where something is known otherwise than by rows.
+    /// `None` where α is not of this kind, where there are several phases, and where something is known otherwise than by rows.
     pub(crate) fn of(model: &PhasedModel, tests: &[PhasedTest], slots: &Slots) -> Option<Scale> {
         let ([slot], [phase]) = (slots.slots(), &model.phases[..]) else { return None };
         let rows = |test: &PhasedTest| matches!(test.phases[..], [Evidence::Rows(_)]);
-        let more = slot.level.is_some()
-            || !model.levels.is_empty()
-            || phase.filter.is_some()
-            || !matrices::slots(model, slots).is_empty();
+        let more = slot.level.is_some() || phase.filter.is_some() || !matrices::slots(model, slots).is_empty();
         if more || !tests.iter().all(rows) {
             return None;
         }

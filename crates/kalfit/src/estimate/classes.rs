@@ -207,6 +207,8 @@ impl Classes {
         }
         let [single, several] = changes.map(|change| change.change(variance));
         let size = variance.sqrt();
+        let change = told.iter().fold(Residual::default(), |sum, one| sum.and(*one)).change(variance);
+        let noise_unit = noise.unit();
         let scale = self.frame.scale.iter().map(|s| s * size).collect();
         Classes {
             blocks: self.blocks.shrunk(noise.unit(), single),
@@ -221,7 +223,7 @@ impl Classes {
             order: Vec::new(),
             spans: Vec::new(),
             stamp: None,
-            units: None,
+            units: self.units.as_ref().map(|units| Arc::new(units.with_noise(noise_unit, change))),
             ..*self
         }
     }

@@ -19,13 +19,14 @@ use std::sync::Arc;
 use nalgebra::DVector;
 
 use crate::estimate::classes::Classes;
+use crate::estimate::evidence::evidence;
 use crate::estimate::listed::Residual;
 use crate::estimate::problem::Problem;
 use crate::estimate::{Estimate, FitError, Settings, Silent, State, Structure, ended, problem};
 use crate::model::{Population, StructureError};
 use crate::reduce::Reductions;
 
-/// Tests in one phase whose noise may be scaled.
+/// Tests in one phase, alone or in groups, whose noise may be scaled: Σ is then that of every level.
 #[derive(Debug)]
 pub(crate) struct Noisy {
     /// At λ = 1.
@@ -43,7 +44,8 @@ impl Noisy {
         structure: &Structure<'_>,
         settings: &Settings,
     ) -> Result<Noisy, FitError> {
-        let classes = problem(reductions, structure, settings)?.classes;
+        let evidence = evidence(reductions, structure, settings)?;
+        let classes = problem(&evidence, structure, settings)?.classes;
         let sum = |told: &mut dyn Iterator<Item = Residual>| told.fold(Residual::default(), Residual::and);
         let told: Vec<Residual> =
             (0..classes.len()).map(|k| sum(&mut classes.tests_of(k).iter().map(|&j| residuals[j]))).collect();
@@ -89,7 +91,8 @@ pub(crate) struct NoiseInformation {
 impl State {
     fn noise_information(&self, measurements: f64, slope: f64) -> NoiseInformation {
         let (local, tangent, elements) = (&self.place.local, &self.place.tangent, &self.sums.elements);
-        debug_assert!(elements.is_single(), "between phases noise has links of its own");
+        let levels = self.problem.classes.units.is_some();
+        debug_assert!(levels || elements.is_single(), "between phases noise has links of its own");
         let covariance = self.place.point.covariance();
         let sigma = DVector::from_iterator(elements.count(), elements.all().map(|(k, l)| covariance[(k, l)]));
         let outer = elements.pack_score(&self.sums.outer);

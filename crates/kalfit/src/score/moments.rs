@@ -42,7 +42,7 @@ const LARGE: f64 = 1e4;
 /// E‖d - Rξ‖² of a reduction given its test: ‖S⁻¹e‖² + tr(I - S⁻¹) with e = d - Rμ and S = I + RΣR', as d - Rx̂ = S⁻¹e and
 /// RVR' = I - S⁻¹. From the moments where S is large, and under the restricted likelihood.
 pub(crate) fn expected_square(reduction: ReductionRef<'_>, law: &InitialLaw) -> f64 {
-    let own = if law.is_restricted() { None } else { plain_square(reduction, law) };
+    let own = if law.is_restricted() || law.is_of_each() { None } else { plain_square(reduction, law) };
     own.unwrap_or_else(|| moments(reduction, law).expected_square(reduction))
 }
 

@@ -41,7 +41,7 @@ pub(crate) fn pass(units: &Units, point: &Point, wanted: Wanted<'_>) -> Sums {
 pub(crate) fn each_unit(units: &Units, point: &Point, wanted: Wanted<'_>, of: &mut dyn FnMut(&[usize], &Sums)) {
     let at = At::new(units, point, wanted.regressors);
     let wish = Wish { order: Order::First, flat: None };
-    for design in &units.designs {
+    for design in units.designs.iter() {
         for (number, unit) in design.units.iter().enumerate() {
             let mut totals = Totals::zero(units, units.states + wanted.regressors.len(), wish);
             totals.take(&at, (design, number..number + 1), wish);

@@ -32,9 +32,28 @@ pub(super) struct Moved<'a> {
     pub(super) test: Option<usize>,
     pub(super) of: &'a Down,
     /// dr.
-    pub(super) r: Rows,
+    pub(super) r: &'a Rows,
     /// dW̄.
-    pub(super) weight: Rows,
+    pub(super) weight: &'a Rows,
+}
+
+/// Where what moves of one test after the other is worked out.
+pub(super) struct Scratch {
+    r: Rows,
+    weight: Rows,
+    /// Er + dm̂, and E - EWV - VWE + dV.
+    shift: Rows,
+    inner: Rows,
+    product: Rows,
+}
+
+impl Scratch {
+    /// For p states and so many columns.
+    pub(super) fn new(p: usize, columns: usize) -> Scratch {
+        let square = || Rows::zeros(p, p);
+        let wide = || Rows::zeros(p, columns);
+        Scratch { r: wide(), weight: square(), shift: wide(), inner: square(), product: square() }
+    }
 }
 
 /// (dW, ds), where they are not zero.
@@ -58,7 +77,13 @@ impl Along {
     }
 
     /// Tells what moves, groups first.
-    pub(super) fn through(self, at: &At<'_>, (design, walked): (&Design, &Walked), tell: &mut dyn FnMut(Moved<'_>)) {
+    pub(super) fn through(
+        self,
+        at: &At<'_>,
+        (design, walked): (&Design, &Walked),
+        scratch: &mut Scratch,
+        tell: &mut dyn FnMut(Moved<'_>),
+    ) {
         let changes = self.up(at, design, walked);
         let mut means: Vec<Option<Mean>> = vec![None; design.groups.len()];
         for (own, node) in design.groups.iter().enumerate().rev() {
@@ -69,15 +94,38 @@ impl Along {
             let moved = moved((&up.W, down), change, above);
             let here = (node.level == self.level).then_some(self);
             means[own] = Some(inherited((&up.W, down, &at.sigmas[node.level]), (change, &moved), here, above));
-            tell(Moved { level: node.level, test: None, of: down, r: moved.0, weight: moved.1 });
+            tell(Moved { level: node.level, test: None, of: down, r: &moved.0, weight: &moved.1 });
         }
         for (number, (member, down)) in design.tests.iter().zip(&walked.tests).enumerate() {
-            let W = &at.leaves[member.leaf].W;
-            let change = (self.level == 0).then(|| self.own(W, &walked.said[number]));
             let moving = means[member.group].as_ref().expect("it was visited");
-            let (r, weight) = moved((W, down), change.as_ref(), Some((&walked.means[member.group], moving)));
-            tell(Moved { level: 0, test: Some(number), of: down, r, weight });
+            self.test((&at.leaves[member.leaf].W, &walked.known[number]), down, moving, scratch);
+            tell(Moved { level: 0, test: Some(number), of: down, r: &scratch.r, weight: &scratch.weight });
         }
+    }
+
+    /// dr = -W(Er + dm̂) and dW̄ = -W(E - EWV - VWE + dV)W of a test, E where it is of the tests' own level.
+    fn test(self, (W, known): (&Rows, &Rows), down: &Down, moving: &Mean, scratch: &mut Scratch) {
+        let p = W.nrows();
+        let Scratch { r, weight, shift, inner, product } = scratch;
+        for i in 0..p {
+            shift.row_mut(i).copy_from_slice(moving.mean.row(i));
+            inner.row_mut(i).copy_from_slice(moving.covariance.row(i));
+        }
+        if self.level == 0 {
+            let places = [(self.row, self.column), (self.column, self.row)];
+            for (i, k) in places.into_iter().take(if self.row == self.column { 1 } else { 2 }) {
+                shift.row_mut(i).iter_mut().zip(down.r.row(k)).for_each(|(to, x)| *to += x);
+                inner[(i, k)] += 1.0;
+                for c in 0..p {
+                    let both = known[(k, c)];
+                    inner[(i, c)] -= both;
+                    inner[(c, i)] -= both;
+                }
+            }
+        }
+        negative_product(W, shift, r);
+        negative_product(W, inner, product);
+        times(product, W, weight);
     }
 
     /// (dW, ds) of members of its own level.
@@ -86,12 +134,26 @@ impl Along {
         (negative(known.times(W)), negative(known.times(s)))
     }
 
+    /// Adds (dW, ds) of a member of its own level: -WEW and -WEs.
+    fn add_own(self, (sum_W, sum_s): &mut (Rows, Rows), (W, s): (&Rows, &Rows)) {
+        let places = [(self.row, self.column), (self.column, self.row)];
+        for (i, k) in places.into_iter().take(if self.row == self.column { 1 } else { 2 }) {
+            for row in 0..W.nrows() {
+                let x = W[(row, i)];
+                sum_W.row_mut(row).iter_mut().zip(W.row(k)).for_each(|(sum, w)| *sum -= x * w);
+                sum_s.row_mut(row).iter_mut().zip(s.row(k)).for_each(|(sum, s)| *sum -= x * s);
+            }
+        }
+    }
+
     /// (dW, ds) of the groups.
     fn up(self, at: &At<'_>, design: &Design, walked: &Walked) -> Vec<Change> {
         let mut gathered: Vec<Change> = vec![None; design.groups.len()];
         if self.level == 0 {
             for (member, s) in design.tests.iter().zip(&walked.said) {
-                add(&mut gathered[member.group], self.own(&at.leaves[member.leaf].W, s));
+                let W = &at.leaves[member.leaf].W;
+                let none = || (Rows::zeros(W.nrows(), W.nrows()), Rows::zeros(s.nrows(), s.ncols()));
+                self.add_own(gathered[member.group].get_or_insert_with(none), (W, s));
             }
         }
         for (own, node) in design.groups.iter().enumerate() {
@@ -124,6 +186,28 @@ fn add(sum: &mut Change, more: (Rows, Rows)) {
 
 fn negative(a: Rows) -> Rows {
     Rows::zeros(a.nrows(), a.ncols()).less(&a)
+}
+
+/// AB into a matrix of its shape.
+fn times(a: &Rows, b: &Rows, into: &mut Rows) {
+    for i in 0..a.nrows() {
+        into.row_mut(i).fill(0.0);
+        for k in 0..a.ncols() {
+            let x = a[(i, k)];
+            into.row_mut(i).iter_mut().zip(b.row(k)).for_each(|(sum, b)| *sum += x * b);
+        }
+    }
+}
+
+/// -AB into a matrix of its shape.
+fn negative_product(a: &Rows, b: &Rows, into: &mut Rows) {
+    for i in 0..a.nrows() {
+        into.row_mut(i).fill(0.0);
+        for k in 0..a.ncols() {
+            let x = a[(i, k)];
+            into.row_mut(i).iter_mut().zip(b.row(k)).for_each(|(sum, b)| *sum -= x * b);
+        }
+    }
 }
 
 /// A + A'.

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::levels::tangents::{Along, Moved};
+use crate::estimate::levels::tangents::{Along, Moved, Scratch};
 use crate::estimate::levels::units::{Design, Units};
 use crate::estimate::levels::walk::{At, Walked};
 use crate::estimate::order::Order;
@@ -84,8 +84,7 @@ impl Totals {
         let all = groups.chain(walked.tests.iter().map(|test| (0, test)));
         for (level, down) in all {
             add(&mut self.weight[level], count, &down.weight);
-            let own = down.r.last_columns(walked.units);
-            add(&mut self.outer[level], 1.0, &own.times_transpose(&own));
+            add_products(&mut self.outer[level], (&down.r, &down.r), walked.before);
             if let Some((jacobian, _)) = wish.flat {
                 self.spread(level, &of_free(&down.r, jacobian), count);
             }
@@ -133,9 +132,13 @@ impl Totals {
     fn second(&mut self, at: &At<'_>, (design, walked): (&Design, &Walked), wish: Wish<'_>) {
         let (p, levels) = (at.units.states, at.units.levels());
         let elements = (0..levels).flat_map(|level| (0..p).flat_map(move |i| (0..=i).map(move |j| (level, i, j))));
+        let mut scratch = Scratch::new(p, walked.before + walked.units);
+        let mut sum = DMatrix::zeros(p, p);
         for (e, (level, row, column)) in elements.enumerate() {
             let along = Along { level, row, column };
-            along.through(at, (design, walked), &mut |moved| self.moved(at, (design, walked), e, &moved, wish));
+            along.through(at, (design, walked), &mut scratch, &mut |moved| {
+                self.moved(at, (design, walked), (e, &mut sum), &moved, wish);
+            });
         }
     }
 
@@ -144,17 +147,18 @@ impl Totals {
         &mut self,
         at: &At<'_>,
         (design, walked): (&Design, &Walked),
-        e: usize,
+        (e, along): (usize, &mut DMatrix<f64>),
         moved: &Moved<'_>,
         wish: Wish<'_>,
     ) {
         let (p, count) = (moved.r.nrows(), walked.units as f64);
-        let change = moved.r.last_columns(walked.units).times_transpose(&moved.of.r.last_columns(walked.units));
-        let mut along = DMatrix::from_fn(p, p, |i, k| change[(i, k)] + change[(k, i)]);
+        along.fill(0.0);
+        add_products(along, (moved.r, &moved.of.r), walked.before);
+        add_products(along, (&moved.of.r, moved.r), walked.before);
         if let Some((jacobian, Some(covariance))) = wish.flat {
-            let [own, free] = [&moved.r, &moved.of.r].map(|r| of_free(r, jacobian));
+            let [own, free] = [moved.r, &moved.of.r].map(|r| of_free(r, jacobian));
             let both = own.times(&Rows::from(covariance)).times_transpose(&free);
-            along += DMatrix::from_fn(p, p, |i, k| count * (both[(i, k)] + both[(k, i)]));
+            *along += DMatrix::from_fn(p, p, |i, k| count * (both[(i, k)] + both[(k, i)]));
         }
         for i in 0..p {
             for k in 0..=i {
@@ -184,6 +188,15 @@ fn each_coordinate(at: &At<'_>, covariates: &[f64], mut of: impl FnMut(usize, us
 /// What free mean coordinates do, from what the mean coordinates do, which stand first.
 fn of_free(r: &Rows, jacobian: &DMatrix<f64>) -> Rows {
     r.first_columns(jacobian.nrows()).times(&Rows::from(jacobian))
+}
+
+/// Adds AB' of the columns after the first ones.
+fn add_products(sum: &mut DMatrix<f64>, (a, b): (&Rows, &Rows), before: usize) {
+    for i in 0..a.nrows() {
+        for k in 0..b.nrows() {
+            sum[(i, k)] += a.row(i)[before..].iter().zip(&b.row(k)[before..]).map(|(x, y)| x * y).sum::<f64>();
+        }
+    }
 }
 
 fn add(sum: &mut DMatrix<f64>, scale: f64, more: &Rows) {

@@ -5,6 +5,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use nalgebra::DVector;
+use rayon::prelude::*;
 
 use crate::ensemble::Grouping;
 use crate::estimate::class::Class;
@@ -20,13 +21,15 @@ pub(crate) struct Units {
     pub(crate) states: usize,
     pub(crate) grouping: Arc<Grouping>,
     /// The number of each reduction's test in the grouping.
-    pub(super) numbers: Vec<usize>,
+    pub(super) numbers: Arc<Vec<usize>>,
     /// Σ constant over the tests.
     pub(super) constant: f64,
+    /// What d of the designs is multiplied by.
+    pub(super) unit: f64,
     /// Designs of tests.
-    pub(super) leaves: Vec<Leaf>,
+    pub(super) leaves: Arc<Vec<Leaf>>,
     /// Designs of units.
-    pub(super) designs: Vec<Design>,
+    pub(super) designs: Arc<Vec<Design>>,
 }
 
 /// What tests of one class share.
@@ -108,25 +111,35 @@ impl Units {
             let factor = Rows::from_fn(states, states, |i, k| class.factor[i * p + k]);
             Leaf { factor, covariates: class.covariates.clone() }
         };
-        let mut units = Units {
-            states,
-            grouping: grouping.clone(),
-            numbers: reductions.iter().filter_map(|reduction| grouping.number(reduction.test)).collect(),
-            constant: classes.iter().map(|class| class.constant).sum(),
-            leaves: classes.iter().map(leaf).collect(),
-            designs: Vec::new(),
+        let numbers: Option<Vec<usize>> = (0..reductions.len()).map(|j| grouping.number(reductions.id(j))).collect();
+        let Some(numbers) = numbers else {
+            let apart = reductions.iter().find(|reduction| grouping.number(reduction.test).is_none());
+            return Err(apart.map_or(String::new(), |reduction| reduction.test.to_owned()));
         };
         let mut of_design: HashMap<usize, usize> = HashMap::new();
         let mut found: Vec<Vec<Tree>> = Vec::new();
-        for tree in trees(reductions, &leaf_of, grouping)? {
+        for tree in trees(reductions, &leaf_of, (grouping, &numbers)) {
             let at = *of_design.entry(tree.kind).or_insert(found.len());
             if at == found.len() {
                 found.push(Vec::new());
             }
             found[at].push(tree);
         }
-        units.designs = found.into_iter().map(|trees| Design::of(&trees, reductions, frame, states)).collect();
-        Ok(units)
+        let design = |trees: &Vec<Tree>| Design::of(trees, reductions, frame, states);
+        Ok(Units {
+            states,
+            grouping: grouping.clone(),
+            numbers: Arc::new(numbers),
+            constant: classes.iter().map(|class| class.constant).sum(),
+            unit: 1.0,
+            leaves: Arc::new(classes.par_iter().map(leaf).collect()),
+            designs: Arc::new(found.par_iter().map(design).collect()),
+        })
+    }
+
+    /// The same with other noise: d so many times as large, and this much more of Σ constant.
+    pub(crate) fn with_noise(&self, unit: f64, change: f64) -> Units {
+        Units { unit: self.unit * unit, constant: self.constant + change, ..self.clone() }
     }
 
     /// Number of levels, that of the tests among them.
@@ -137,7 +150,7 @@ impl Units {
     /// How many there are of each level, tests first.
     pub(crate) fn counts(&self) -> Vec<f64> {
         let mut counts = vec![0.0; self.levels()];
-        for design in &self.designs {
+        for design in self.designs.iter() {
             let units = design.units.len() as f64;
             counts[0] += units * design.tests.len() as f64;
             design.groups.iter().for_each(|group| counts[group.level] += units);
@@ -152,8 +165,8 @@ impl Units {
         let (levels, p) = (self.levels(), self.states);
         let centre: Vec<f64> = (0..p).map(|i| (0..levels).map(|l| mean[l * p + i]).sum()).collect();
         let (mut excess, mut squares) = (vec![vec![0.0; p]; levels], vec![vec![0.0; p]; levels]);
-        for design in &self.designs {
-            design.moments(&self.leaves, &centre, &mut |level, i, y, information| {
+        for design in self.designs.iter() {
+            design.moments(&self.leaves, (&centre, self.unit), &mut |level, i, y, information| {
                 excess[level][i] += y * y - information;
                 squares[level][i] += information * information;
             });
@@ -186,13 +199,12 @@ fn solved(excess: &[Vec<f64>], squares: &[Vec<f64>], i: usize) -> Vec<Option<f64
 }
 
 /// The trees of all units, in the order of their first tests.
-fn trees(reductions: &Reductions, leaf_of: &[usize], grouping: &Grouping) -> Result<Vec<Tree>, String> {
+fn trees(reductions: &Reductions, leaf_of: &[usize], (grouping, numbers): (&Grouping, &[usize])) -> Vec<Tree> {
     let mut by_id: Vec<usize> = (0..reductions.len()).collect();
-    by_id.sort_unstable_by(|&a, &b| reductions.id(a).cmp(reductions.id(b)));
+    by_id.par_sort_unstable_by(|&a, &b| reductions.id(a).cmp(reductions.id(b)));
     let mut groups: Vec<HashMap<usize, Tree>> = (0..grouping.depth()).map(|_| HashMap::new()).collect();
     for (place, &j) in by_id.iter().enumerate() {
-        let test = grouping.number(reductions.id(j)).ok_or_else(|| reductions.id(j).to_owned())?;
-        let group = grouping.group_of(test, 0);
+        let group = grouping.group_of(numbers[j], 0);
         let tree = groups[0].entry(group).or_insert_with(|| Tree::empty(group, 1, place));
         tree.tests.push((leaf_of[j], place, j));
     }
@@ -202,7 +214,7 @@ fn trees(reductions: &Reductions, leaf_of: &[usize], grouping: &Grouping) -> Res
         trees.sort_unstable_by_key(|tree| tree.first);
         trees.iter_mut().for_each(|tree| tree.settle(&mut kinds));
         if level + 1 == grouping.depth() {
-            return Ok(trees);
+            return trees;
         }
         for tree in trees {
             let parent = grouping.groups(level)[tree.group].parent.expect("an inner level");
@@ -212,7 +224,7 @@ fn trees(reductions: &Reductions, leaf_of: &[usize], grouping: &Grouping) -> Res
             above.inner.push(tree);
         }
     }
-    Ok(Vec::new())
+    Vec::new()
 }
 
 impl Tree {
@@ -295,14 +307,14 @@ impl Design {
     }
 
     /// Calls `of` with the level, the state, (y - Jμ)_i and J_ii of each test and of all that stands in each group.
-    fn moments(&self, leaves: &[Leaf], mean: &[f64], of: &mut dyn FnMut(usize, usize, f64, f64)) {
+    fn moments(&self, leaves: &[Leaf], (mean, scale): (&[f64], f64), of: &mut dyn FnMut(usize, usize, f64, f64)) {
         let p = mean.len();
         for unit in 0..self.units.len() {
             let mut sums = vec![(vec![0.0; p], vec![0.0; p]); self.groups.len()];
             for (member, data) in self.tests.iter().zip(&self.data) {
                 let factor = &leaves[member.leaf].factor;
                 let dot = |row: usize, x: &dyn Fn(usize) -> f64| (row..p).map(|k| factor[(row, k)] * x(k)).sum::<f64>();
-                let left: Vec<f64> = (0..p).map(|row| data[(row, unit)] - dot(row, &|k| mean[k])).collect();
+                let left: Vec<f64> = (0..p).map(|row| scale * data[(row, unit)] - dot(row, &|k| mean[k])).collect();
                 let (y, information) = &mut sums[member.group];
                 for i in 0..p {
                     let own: f64 = (0..=i).map(|row| factor[(row, i)] * left[row]).sum();

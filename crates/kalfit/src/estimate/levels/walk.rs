@@ -3,6 +3,8 @@
 
 use std::ops::Range;
 
+use rayon::prelude::*;
+
 use crate::estimate::levels::units::{Design, Leaf, Member, Units};
 use crate::estimate::point::{Point, Regressors};
 use crate::linalg::factors::{Factors, Rotations};
@@ -78,9 +80,10 @@ pub(super) struct Walked {
     pub(super) up: Vec<Up>,
     pub(super) down: Vec<Down>,
     pub(super) means: Vec<Mean>,
-    /// s and the rest of the tests.
+    /// s of the tests, what else is known of them, and WV with V of the mean of their group.
     pub(super) said: Vec<Rows>,
     pub(super) tests: Vec<Down>,
+    pub(super) known: Vec<Rows>,
 }
 
 impl<'a> At<'a> {
@@ -89,7 +92,7 @@ impl<'a> At<'a> {
         let block = |l: usize| point.root.view((l * p, l * p), (p, p)).transpose();
         let roots: Vec<Rows> = (0..units.levels()).map(|l| Rows::from(&block(l))).collect();
         let sigmas = roots.iter().map(|root| root.transpose_times(root)).collect();
-        let leaves = units.leaves.iter().map(|leaf| Solved::of(&leaf.factor, &roots[0])).collect();
+        let leaves = units.leaves.par_iter().map(|leaf| Solved::of(&leaf.factor, &roots[0])).collect();
         At { units, point, regressors, roots, sigmas, leaves }
     }
 
@@ -137,7 +140,7 @@ impl<'a> At<'a> {
                     Some(c) => leaf.covariates[c] * factor[self.regressors[c]],
                 };
             }
-            rest.iter_mut().zip(&data.row(i)[units.clone()]).for_each(|(to, d)| *to = d - moved);
+            rest.iter_mut().zip(&data.row(i)[units.clone()]).for_each(|(to, d)| *to = self.units.unit * d - moved);
         }
         all
     }
@@ -155,6 +158,7 @@ impl<'a> At<'a> {
             means: Vec::new(),
             said: Vec::with_capacity(design.tests.len()),
             tests: Vec::with_capacity(design.tests.len()),
+            known: Vec::with_capacity(design.tests.len()),
         };
         self.up(design, &units, &mut walked);
         self.down(design, &mut walked);
@@ -203,10 +207,13 @@ impl<'a> At<'a> {
         }
         walked.down = down.into_iter().map(|one| one.expect("it was visited")).collect();
         walked.means = means.into_iter().map(|one| one.expect("it was visited")).collect();
-        let one = |(member, s): (&Member, &Rows)| {
-            Down::of((&self.leaves[member.leaf].W, s.clone()), Some(&walked.means[member.group]))
-        };
-        walked.tests = design.tests.iter().zip(&walked.said).map(one).collect();
+        for (member, s) in design.tests.iter().zip(&walked.said) {
+            let (W, mean) = (&self.leaves[member.leaf].W, &walked.means[member.group]);
+            let known = W.times(&mean.covariance);
+            let r = s.clone().less(&W.times(&mean.mean));
+            walked.tests.push(Down { r, weight: W.clone().less(&known.times(W)) });
+            walked.known.push(known);
+        }
     }
 }
 
@@ -258,8 +265,9 @@ impl Gathered {
     fn take(&mut self, solved: &Solved, data: &Rows) {
         let p = self.upper.nrows();
         let rest = Rotations::absorb(&mut self.upper, solved.half.beside(data), p);
-        let more = squares(&rest.last_columns(data.ncols()));
-        self.left.iter_mut().zip(more).for_each(|(sum, x)| *sum += x);
+        for i in 0..p {
+            self.left.iter_mut().zip(&rest.row(i)[p..]).for_each(|(sum, x)| *sum += x * x);
+        }
         self.log_det += solved.log_det;
     }
 }
