@@ -1,5 +1,7 @@
 //! What can be wrong with exchange files, and with several of them together.
 
+use kalfit::PhasedModel;
+
 use crate::columns::Columns;
 use crate::exchange::alpha::Difference;
 use crate::exchange::schema::{ESTIMATES_SCHEMA, REDUCTIONS_SCHEMA};
@@ -168,6 +170,16 @@ pub enum ExchangeError {
         /// The model's digest.
         expected: String,
     },
+    /// A model with levels, whose groups such a file does not hold.
+    #[error(
+        "{file} holds {kind}, which do not say the groups of tests, and the model has levels of groups: expected rows"
+    )]
+    Levels {
+        /// The file.
+        file: String,
+        /// What it holds.
+        kind: &'static str,
+    },
     /// Filters that ran at other parameters.
     #[error("{file} was made with `{difference}` = {}, expected {} as in {other}", difference.second, difference.first)]
     Parameter {
@@ -178,6 +190,14 @@ pub enum ExchangeError {
         /// What has the first value: the model, or another file.
         other: String,
     },
+}
+
+/// Refuses a model whose groups of tests exchange files do not hold.
+pub(super) fn refuse_levels(model: &PhasedModel, file: &str, kind: &'static str) -> Result<(), ExchangeError> {
+    match model.levels.is_empty() {
+        true => Ok(()),
+        false => Err(ExchangeError::Levels { file: file.to_owned(), kind }),
+    }
 }
 
 fn quoted(found: &Option<String>) -> String {
@@ -214,6 +234,7 @@ impl ExchangeError {
                 "reduce the data again with this model; only `[mean]`, `[covariance]` and labels may change after `kalfit reduce`"
                     .into()
             }
+            ExchangeError::Levels { .. } => "give the rows that the file was made of".into(),
             ExchangeError::Parameter { .. } => {
                 "filters ran at one value of each parameter: leave `--set` out, or run them again at the value you want".into()
             }

@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, DVector};
 use super::Entry;
 use super::constants::Constants;
 use super::content::{Source, opened};
-use super::error::ExchangeError;
+use super::error::{ExchangeError, refuse_levels};
 use super::keys::{Key, Phases};
 use super::metadata::Metadata;
 use super::schema::ESTIMATES;
@@ -20,13 +20,14 @@ const KIND: &str = "estimates";
 /// Reads an estimates file, of any origin, and hands its rows on. Texts of constants are added to `labels`.
 ///
 /// # Errors
-/// What is wrong with the file, with its place; whatever `take` returns.
+/// A model with levels of groups; what is wrong with the file, with its place; whatever `take` returns.
 pub fn read_estimates(
     source: &Source,
     (model, layout): (&PhasedModel, &Layout),
     labels: &mut Labels,
     take: &mut dyn FnMut(Entry) -> Result<(), DataError>,
 ) -> Result<Option<Metadata>, DataError> {
+    refuse_levels(model, &source.name, KIND)?;
     opened!(source, |builder| {
         let metadata = Metadata::read(&source.name, builder.metadata())?;
         let constants = Constants::new(model, layout, builder.schema());

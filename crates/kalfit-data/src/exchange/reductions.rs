@@ -13,7 +13,7 @@ use parquet::file::reader::ChunkReader;
 
 use super::Entry;
 use super::content::{Contents, Source};
-use super::error::ExchangeError;
+use super::error::{ExchangeError, refuse_levels};
 use super::keys::Phases;
 use super::metadata::Metadata;
 use super::schema::{REDUCTIONS, TEST};
@@ -30,12 +30,13 @@ pub(super) const SQUARE_ROOT: &str = "square-root";
 /// [`Metadata::check_digest`] and [`difference`](super::difference) to say.
 ///
 /// # Errors
-/// What is wrong with the file, with its place; whatever `take` returns.
+/// A model with levels of groups; what is wrong with the file, with its place; whatever `take` returns.
 pub fn read_reductions(
     source: &Source,
     model: &PhasedModel,
     take: &mut dyn FnMut(Entry) -> Result<(), DataError>,
 ) -> Result<Metadata, DataError> {
+    refuse_levels(model, &source.name, KIND)?;
     match &source.bytes {
         Contents::Path(path) => read(source, model, || File::open(path), take),
         Contents::Memory(bytes) => read(source, model, || Ok(bytes.clone()), take),

@@ -168,6 +168,11 @@ struct Names {
     states: Vec<String>,
 }
 
+/// Refuses a model whose groups of tests the file would not hold.
+fn refuse_levels(model: &PhasedModel) -> Result<(), WriteError> {
+    if model.levels.is_empty() { Ok(()) } else { Err(WriteError::Levels) }
+}
+
 fn names(model: &PhasedModel) -> Vec<Names> {
     let of = |phase: &kalfit::model::Phase| {
         let name = |state: usize| phase.model.states[state].name.clone();
@@ -184,9 +189,10 @@ impl<W: Write + Send> ReductionWriter<W> {
     /// Begins a file.
     ///
     /// # Errors
-    /// A sink that cannot be written to.
+    /// A model with levels of groups, a sink that cannot be written to.
     pub fn new(model: &PhasedModel, metadata: &Metadata, sink: W) -> Result<ReductionWriter<W>, WriteError> {
         use Kind::{Count, Number, Numbers, Text, Words};
+        refuse_levels(model)?;
         let columns = [
             ("test", Text),
             ("phase", Text),
@@ -265,9 +271,10 @@ impl<W: Write + Send> EstimatesWriter<W> {
     /// Begins a file.
     ///
     /// # Errors
-    /// A sink that cannot be written to.
+    /// A model with levels of groups, a sink that cannot be written to.
     pub fn new(model: &PhasedModel, metadata: &Metadata, sink: W) -> Result<EstimatesWriter<W>, WriteError> {
         use Kind::{Count, Number, Numbers, Text, Words};
+        refuse_levels(model)?;
         let columns = [
             ("test", Text),
             ("phase", Text),

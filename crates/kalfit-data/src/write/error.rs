@@ -22,6 +22,9 @@ pub enum WriteError {
         /// Where else it is used, in words.
         used_in: String,
     },
+    /// A model with levels of groups, for an exchange file.
+    #[error("the model has levels of groups, and files of reductions and estimates do not say the groups of tests")]
+    Levels,
     /// The system could not write.
     #[error("{0}")]
     Io(#[from] std::io::Error),

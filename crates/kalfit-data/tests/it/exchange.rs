@@ -11,7 +11,9 @@ use arrow::array::{ArrayRef, Float32Array, Float64Array, ListBuilder, RecordBatc
 use arrow::array::{FixedSizeListArray, Float64Builder, Int64Array, LargeListBuilder};
 use arrow::datatypes::{DataType, Field};
 use insta::assert_snapshot;
-use kalfit::model::{Carry, Expression, Initial, Linear, MeanStructure, Motion, Phase, State};
+use kalfit::model::{
+    Carry, CovarianceStructure, Expression, GroupLevel, Initial, Linear, MeanStructure, Motion, Phase, State,
+};
 use kalfit::reduce::{Estimates, Inherited, Path as Arithmetic, PhaseReduction, Terminal};
 use kalfit::{Evidence, Labels, Layout, Model, PhasedModel, Reduction, Source as Row, Test};
 use kalfit_data::exchange::{
@@ -464,6 +466,31 @@ fn reductions_that_do_not_fit_the_model() {
     pieces[0].reduction.factor[2] = f64::NAN;
     assert_snapshot!(said(&written_reductions(&[("a", pieces)]), &two_phases()), @"standard input, row 1, column `factor`: found NaN as element 3 of the list, expected a finite number");
     assert_snapshot!(said(&written_reductions(&[]), &two_phases()), @"standard input has no rows");
+}
+
+#[test]
+fn groups_of_tests_are_not_in_exchange_files() {
+    let mut model = one_phase();
+    let covariance = CovarianceStructure::full();
+    let bytes = |model: &PhasedModel| {
+        let mut writer = ReductionWriter::new(model, &metadata(), Vec::new())?;
+        writer.write("a", 0, &PhaseReduction { terminal: None, ..pieces("a", 1).remove(0) })?;
+        writer.finish()
+    };
+    let reductions = bytes(&model).unwrap();
+    let estimates = parquet(&batch(sound()), 1);
+    model.levels.push(GroupLevel { name: "lot".into(), column: 0, covariance });
+    assert_snapshot!(said(&reductions, &model), @"
+    standard input holds reductions, which do not say the groups of tests, and the model has levels of groups: expected rows
+    hint: give the rows that the file was made of
+    ");
+    assert_snapshot!(said(&estimates, &model), @"
+    standard input holds estimates, which do not say the groups of tests, and the model has levels of groups: expected rows
+    hint: give the rows that the file was made of
+    ");
+    assert_snapshot!(bytes(&model).unwrap_err(), @"the model has levels of groups, and files of reductions and estimates do not say the groups of tests");
+    let written = EstimatesWriter::new(&model, &metadata(), Vec::new()).err().map(|error| error.to_string());
+    assert_eq!(written, bytes(&model).err().map(|error| error.to_string()));
 }
 
 #[test]
