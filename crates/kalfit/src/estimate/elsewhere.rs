@@ -159,7 +159,7 @@ impl State {
     /// One test as a class of its own.
     fn class_of(&self, reduction: ReductionRef<'_>) -> Class {
         let alone = std::iter::once(reduction).collect();
-        self.problem.classes.single(self.evidence(&alone).get(0))
+        self.problem.classes.single(&self.evidence(&alone), 0)
     }
 
     /// A gradient in mean coordinates and Σ along the tangent basis.

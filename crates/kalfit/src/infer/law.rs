@@ -6,7 +6,7 @@ use crate::estimate::{JointLaw, Order, Part, State};
 use crate::infer::holdable::Holdable;
 use crate::infer::std_errors::{PART, StdErrors};
 use crate::linalg::symmetric;
-use crate::reduce::{ReductionRef, Reductions};
+use crate::reduce::Reductions;
 
 /// Scaled eigenvalues of the information below this carry none.
 const FLAT: f64 = 1e-10;
@@ -206,10 +206,10 @@ fn expected(state: &State, m: usize, s: usize) -> DMatrix<f64> {
 fn outer_scores(state: &State, reductions: &Reductions, m: usize, s: usize) -> DMatrix<f64> {
     let (problem, point) = (&state.problem, &state.place.point);
     let mut sum = DMatrix::zeros(m + s, m + s);
-    let mut order: Vec<ReductionRef<'_>> = reductions.iter().collect();
-    order.sort_by(|a, b| a.test.cmp(b.test)); // the same bits whatever the order of the tests
-    for reduction in order {
-        let own = problem.of_class(&problem.classes.single(reduction), point, Order::First);
+    let mut order: Vec<usize> = (0..reductions.len()).collect();
+    order.sort_by(|&a, &b| reductions.id(a).cmp(reductions.id(b))); // the same bits whatever the order of the tests
+    for j in order {
+        let own = problem.of_class(&problem.classes.single(reductions, j), point, Order::First);
         let mut score = DVector::zeros(m + s);
         score.rows_mut(0, m).copy_from(&own.mean_score);
         score.rows_mut(m, s).copy_from(&problem.covariance.elements.pack_score(&own.score()));
