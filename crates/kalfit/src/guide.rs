@@ -231,7 +231,7 @@
 //! let theirs = laboratory("b", &[[1.5, 1.1, 0.8], [3.0, 2.4, 2.7]]);
 //!
 //! let mut together = Ensemble::new(&model, &ours)?.reduce(&Alpha::default())?;
-//! together.extend(Ensemble::new(&model, &theirs)?.reduce(&Alpha::default())?); // as they came
+//! together.append(Ensemble::new(&model, &theirs)?.reduce(&Alpha::default())?); // as they came
 //! let fit = kalfit::fit_reductions(&model, together, &Options::default())?;
 //!
 //! let all = kalfit::fit(&model, &[ours, theirs].concat())?;

@@ -1,24 +1,54 @@
 //! An order of tests that does not see theirs, and which tests are one class.
 
 use std::cmp::Ordering;
-use std::ops::Range;
 
 use rayon::prelude::*;
 
-use crate::reduce::{Chain, ChainPhase, ReductionRef, Reductions};
+use crate::reduce::{Chain, ChainPhase, Reductions};
 
-/// The reductions by the first and the last number of R, then in [`canonical`] order.
-pub(super) fn ordered(reductions: &Reductions) -> Vec<usize> {
+/// Which tests are in which class, by their numbers.
+#[derive(Debug, Clone)]
+pub(super) struct Members {
+    /// Class after class.
+    tests: Vec<usize>,
+    /// Where each class ends.
+    ends: Vec<usize>,
+}
+
+impl Members {
+    /// All tests, class after class.
+    pub(super) fn tests(&self) -> &[usize] {
+        &self.tests
+    }
+
+    /// Number of classes.
+    pub(super) fn len(&self) -> usize {
+        self.ends.len()
+    }
+
+    /// The tests of a class.
+    pub(super) fn class(&self, class: usize) -> &[usize] {
+        &self.tests[class.checked_sub(1).map_or(0, |before| self.ends[before])..self.ends[class]]
+    }
+}
+
+/// The reductions by the first and the last number of R, then in [`canonical`] order. `chained`: tests are one class only if they are
+/// in every phase.
+pub(super) fn ordered(reductions: &Reductions, chained: bool) -> Members {
     // most are told apart by these numbers, which are looked at without a visit to each reduction
-    let ends = |reduction: ReductionRef<'_>| {
-        let factor = &reduction.factor;
-        (factor.first().map_or(0, |x| ordinal(*x)), factor.last().map_or(0, |x| ordinal(*x)))
+    let keyed = |j: usize| {
+        let factor = reductions.factor(j);
+        ((factor.first().map_or(0, |x| ordinal(*x)), factor.last().map_or(0, |x| ordinal(*x))), j)
     };
-    let mut order: Vec<_> = reductions.par_iter().map(ends).enumerate().map(|(j, ends)| (ends, j)).collect();
+    let mut order: Vec<_> = (0..reductions.len()).into_par_iter().map(keyed).collect();
     order.par_sort_unstable_by(|a, b| {
-        a.0.cmp(&b.0).then_with(|| canonical(reductions.get(a.1), reductions.get(b.1))).then_with(|| a.1.cmp(&b.1))
+        a.0.cmp(&b.0).then_with(|| canonical(reductions, a.1, b.1)).then_with(|| a.1.cmp(&b.1))
     });
-    order.into_iter().map(|(_, j)| j).collect()
+    let differ =
+        |a: &((i64, i64), usize), b: &((i64, i64), usize)| a.0 != b.0 || !same_class(reductions, (a.1, b.1), chained);
+    let mut ends: Vec<usize> = (1..order.len()).filter(|&at| differ(&order[at - 1], &order[at])).collect();
+    ends.extend((!order.is_empty()).then_some(order.len()));
+    Members { tests: order.into_iter().map(|(_, j)| j).collect(), ends }
 }
 
 /// A whole number that goes with [`f64::total_cmp`].
@@ -28,11 +58,11 @@ fn ordinal(x: f64) -> i64 {
 }
 
 /// Order by R, covariates, then id: a total order that gathers classes and does not see the order of the tests.
-fn canonical(a: ReductionRef<'_>, b: ReductionRef<'_>) -> Ordering {
-    compare(a.factor, b.factor)
-        .then_with(|| compare(a.covariates, b.covariates))
-        .then_with(|| compare_chains(a.chain, b.chain))
-        .then_with(|| a.test.cmp(b.test))
+fn canonical(reductions: &Reductions, a: usize, b: usize) -> Ordering {
+    compare(reductions.factor(a), reductions.factor(b))
+        .then_with(|| compare(reductions.covariates(a), reductions.covariates(b)))
+        .then_with(|| compare_chains(reductions.chain(a), reductions.chain(b)))
+        .then_with(|| reductions.id(a).cmp(reductions.id(b)))
 }
 
 /// By all matrices of the phases, and where the links come from.
@@ -55,19 +85,10 @@ fn compare(a: &[f64], b: &[f64]) -> Ordering {
     different.unwrap_or_else(|| a.len().cmp(&b.len()))
 }
 
-fn same_class(a: ReductionRef<'_>, b: ReductionRef<'_>, chained: bool) -> bool {
-    compare(a.factor, b.factor).is_eq()
-        && compare(a.covariates, b.covariates).is_eq()
-        && (!chained || compare_chains(a.chain, b.chain).is_eq())
-}
-
-/// Where each class begins and ends in the order. `chained`: tests are one class only if they are in every phase.
-pub(super) fn spans(reductions: &Reductions, order: &[usize], chained: bool) -> Vec<Range<usize>> {
-    let mut starts = vec![0];
-    let different = |at: &usize| !same_class(reductions.get(order[at - 1]), reductions.get(order[*at]), chained);
-    starts.extend((1..order.len()).filter(different));
-    let ends = starts[1..].iter().copied().chain([order.len()]);
-    starts.iter().copied().zip(ends).map(|(start, end)| start..end).filter(|span| !span.is_empty()).collect()
+fn same_class(reductions: &Reductions, (a, b): (usize, usize), chained: bool) -> bool {
+    compare(reductions.factor(a), reductions.factor(b)).is_eq()
+        && compare(reductions.covariates(a), reductions.covariates(b)).is_eq()
+        && (!chained || compare_chains(reductions.chain(a), reductions.chain(b)).is_eq())
 }
 
 #[cfg(test)]

@@ -3,38 +3,80 @@
 use crate::estimate::chained::Kept;
 
 /// Tests that share R and covariates, in η: log p(z_j | η) = constant_j - ½ ‖d_j - R η‖².
-#[derive(Debug, Clone)]
-pub(crate) struct Class<T = f64> {
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct ClassRef<'a, T = f64> {
     /// n, the number of tests.
     pub(crate) count: T,
     /// Σ_j constant_j.
     pub(crate) constant: T,
     /// R, p × p by rows, upper triangular.
-    pub(crate) factor: Vec<T>,
+    pub(crate) factor: &'a [T],
     /// Mean of d_j.
-    pub(crate) mean: Vec<T>,
+    pub(crate) mean: &'a [T],
     /// Vectors whose outer products add up to Σ_j (d_j - mean)(d_j - mean)', one after the other; no more of them than p, and none
     /// for a single test.
-    pub(crate) scatter: Vec<T>,
+    pub(crate) scatter: &'a [T],
     /// Scaled covariates of the regressions.
-    pub(crate) covariates: Vec<T>,
+    pub(crate) covariates: &'a [T],
     /// Some test of it needs square-root arithmetic.
     pub(crate) square_root: bool,
     /// The same phase by phase; R, d and their scatter are then empty.
+    pub(crate) chain: Option<&'a Kept>,
+}
+
+/// A class with its numbers, and room for others in its place.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Class {
+    pub(crate) count: f64,
+    pub(crate) constant: f64,
+    pub(crate) factor: Vec<f64>,
+    pub(crate) mean: Vec<f64>,
+    pub(crate) scatter: Vec<f64>,
+    pub(crate) covariates: Vec<f64>,
+    pub(crate) square_root: bool,
     pub(crate) chain: Option<Kept>,
 }
 
 impl Class {
-    /// For each element i, Σ (y - Jμ)_i² - J_ii over the tests and J_ii of one of them, where d is so many times as large.
-    pub(super) fn excess(&self, mean: &[f64], unit: f64) -> Vec<(f64, f64)> {
+    pub(crate) fn view(&self) -> ClassRef<'_> {
+        ClassRef {
+            count: self.count,
+            constant: self.constant,
+            factor: &self.factor,
+            mean: &self.mean,
+            scatter: &self.scatter,
+            covariates: &self.covariates,
+            square_root: self.square_root,
+            chain: self.chain.as_ref(),
+        }
+    }
+
+    /// Takes the place of what was here.
+    pub(super) fn set(&mut self, class: ClassRef<'_>) {
+        let copy = |to: &mut Vec<f64>, from: &[f64]| {
+            to.clear();
+            to.extend_from_slice(from);
+        };
+        (self.count, self.constant, self.square_root) = (class.count, class.constant, class.square_root);
+        copy(&mut self.factor, class.factor);
+        copy(&mut self.mean, class.mean);
+        copy(&mut self.scatter, class.scatter);
+        copy(&mut self.covariates, class.covariates);
+        self.chain = class.chain.cloned();
+    }
+}
+
+impl ClassRef<'_> {
+    /// For each element i, Σ (y - Jμ)_i² - J_ii over the tests and J_ii of one of them.
+    pub(super) fn excess(&self, mean: &[f64]) -> Vec<(f64, f64)> {
         let p = mean.len();
         let rows = || self.factor.chunks_exact(p.max(1));
         let dot = |row: &[f64], x: &[f64]| row.iter().zip(x).map(|(r, x)| r * x).sum::<f64>();
-        let left: Vec<f64> = rows().zip(&self.mean).map(|(row, d)| d * unit - dot(row, mean)).collect();
+        let left: Vec<f64> = rows().zip(self.mean).map(|(row, d)| d - dot(row, mean)).collect();
         // R'x at i
         let at = |i: usize, x: &[f64]| rows().zip(x).map(|(row, x)| row[i] * x).sum::<f64>();
         let one = |i: usize| {
-            let spread: f64 = self.scatter.chunks_exact(p).map(|x| (unit * at(i, x)).powi(2)).sum();
+            let spread: f64 = self.scatter.chunks_exact(p).map(|x| at(i, x).powi(2)).sum();
             let own = rows().map(|row| row[i] * row[i]).sum::<f64>();
             (self.count * (at(i, &left).powi(2) - own) + spread, own)
         };

@@ -3,7 +3,7 @@
 //! Inside this module ξ = m + D η with a centre m near the population mean and a diagonal D that gives the average
 //! test unit information on each state, so that nothing here depends on the user's units. For a class of n tests
 //! with one R, only the mean of their d and its scatter matter: a class costs as much as one test. Tests in phases may be kept
-//! phase by phase ([`Chained`]).
+//! phase by phase ([`Chained`](crate::estimate::Chained)).
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -14,29 +14,35 @@ use nalgebra::DMatrix;
 use rayon::prelude::*;
 
 use crate::ensemble::Grouping;
-use crate::estimate::canonical::{ordered, spans};
-use crate::estimate::chained::{Chained, Kept, Packed, Shape, grouped};
-use crate::estimate::class::Class;
+use crate::estimate::canonical::{Members, ordered};
+use crate::estimate::chained::{Kept, Packed, Shape, grouped};
+use crate::estimate::class::{Class, ClassRef};
 use crate::estimate::frame::{Frame, Pooled};
+use crate::estimate::gather::{gather, gather_chains};
 use crate::estimate::lanes::Blocks;
 use crate::estimate::levels::Units;
-use crate::estimate::listed::{Listed, Noise, Residual};
+use crate::estimate::listed::Listed;
+use crate::estimate::residual::{Noise, Residual};
 use crate::linalg::elements::Elements;
-use crate::linalg::symmetric::{self, pair};
-use crate::reduce::{Path, ReductionRef, Reductions};
+use crate::reduce::{Chain, Path, Reductions};
 
 /// All reductions of an ensemble, ready for passes.
 #[derive(Debug, Clone)]
 pub(crate) struct Classes {
-    /// In an order that does not depend on the order of the tests.
-    pub(crate) classes: Listed,
+    /// Where each class stands, in an order that does not depend on the order of the tests.
+    places: Arc<Vec<Place>>,
+    /// How much larger all noise is than where they were gathered; their numbers are those of this noise, but for the constants that
+    /// blocks know one by one.
+    noise: Option<Noise>,
     /// Those of a single test that are worked on side by side.
     pub(crate) blocks: Blocks,
     /// The same of several tests each.
     pub(crate) shared: Blocks,
-    /// Numbers of those that are worked on one by one.
+    /// The others.
+    pub(crate) listed: Listed,
+    /// Numbers of those of them that are worked on one by one.
     pub(crate) beside: Vec<usize>,
-    /// Those in phases that are worked on side by side.
+    /// Those of them that are worked on side by side, in phases.
     pub(crate) chains: Vec<Arc<Packed>>,
     pub(crate) frame: Frame,
     pub(crate) tests: usize,
@@ -48,17 +54,33 @@ pub(crate) struct Classes {
     pub(crate) present: Vec<f64>,
     /// Tests are kept phase by phase where that can be.
     chained: bool,
-    /// The tests of one class after the other, by number, and where those of each class stand; empty where the classes are a part of
-    /// others.
-    order: Vec<usize>,
-    spans: Vec<Range<usize>>,
-    /// The reductions that these are the classes of; `None` where they are a part of others.
-    stamp: Option<u64>,
+    /// Which tests are in which class, and of which reductions; `None` where the classes are a part of others.
+    members: Option<(Members, u64)>,
     /// Where tests stand in groups: the groups of the outermost level with all that stands in them.
     pub(crate) units: Option<Arc<Units>>,
 }
 
-/// Classes that are made by themselves, by whatever thread.
+/// Where a class stands.
+#[derive(Debug, Clone, Copy)]
+struct Place {
+    kind: Kind,
+    at: u32,
+}
+
+/// How a class is worked on.
+#[derive(Debug, Clone, Copy)]
+enum Kind {
+    /// In blocks of single tests.
+    Single,
+    /// In blocks of several tests.
+    Several,
+    Listed,
+}
+
+/// Puts the class with a number into a place.
+type Fill<'a> = &'a (dyn Fn(usize, &mut Class) + Sync);
+
+/// Classes that one thread puts together.
 const CHUNK: usize = 64;
 
 impl Classes {
@@ -66,11 +88,10 @@ impl Classes {
     /// phase by phase where their reductions are.
     pub(crate) fn new(reductions: &Reductions, ranges: Vec<Range<usize>>, regressors: usize, chained: bool) -> Classes {
         let elements = Elements::new(ranges);
-        let order = ordered(reductions);
-        let pooled = Pooled::all(reductions, &order, (elements.states(), regressors));
-        let frame = Frame::of(&pooled);
-        let information = pooled.information(&frame);
-        Classes::gathered((reductions, order), (frame, information), (elements, chained))
+        let chained = chained && !elements.is_single();
+        let members = ordered(reductions, chained);
+        let pooled = Pooled::all(reductions, members.tests(), (elements.states(), regressors));
+        Classes::gathered(reductions, members, (Frame::of(&pooled), &pooled), (elements, chained))
     }
 
     /// The same in coordinates that are given.
@@ -78,13 +99,27 @@ impl Classes {
         like.again(reductions, like.chained)
     }
 
+    /// With the groups that the tests stand in. All tests of the reductions, which must be in what is a test's own and what each of its
+    /// groups adds, are in some. Then the centre is that of the sum.
+    pub(crate) fn in_groups(mut self, reductions: &Reductions, grouping: &Arc<Grouping>) -> Classes {
+        let centre = self.frame.centred(grouping.depth() + 1);
+        if centre != self.frame {
+            self = Classes { frame: centre, ..self }.again(reductions, false);
+        }
+        let units = Units::new(reductions, &self, grouping).expect("every test is in a group");
+        self.present = units.counts();
+        self.units = Some(Arc::new(units));
+        self
+    }
+
     /// Other reductions, or in other ways, in the same coordinates.
     fn again(&self, reductions: &Reductions, chained: bool) -> Classes {
-        let (order, elements) = (ordered(reductions), self.elements.clone());
-        let pooled = Pooled::all(reductions, &order, (elements.states(), self.frame.covariate_scale.len()));
-        let frame = self.frame.clone();
-        let information = pooled.information(&frame);
-        let classes = Classes::gathered((reductions, order), (frame, information), (elements, chained));
+        let chained = chained && !self.elements.is_single();
+        let members = ordered(reductions, chained);
+        let sizes = (self.dimension(), self.frame.covariate_scale.len());
+        let pooled = Pooled::all(reductions, members.tests(), sizes);
+        let elements = (self.elements.clone(), chained);
+        let classes = Classes::gathered(reductions, members, (self.frame.clone(), &pooled), elements);
         match &self.units {
             Some(units) => classes.in_groups(reductions, &units.grouping),
             None => classes,
@@ -92,104 +127,114 @@ impl Classes {
     }
 
     fn gathered(
-        (reductions, order): (&Reductions, Vec<usize>),
-        (frame, information): (Frame, DMatrix<f64>),
+        reductions: &Reductions,
+        members: Members,
+        (frame, pooled): (Frame, &Pooled),
         (elements, chained): (Elements, bool),
     ) -> Classes {
-        let chained = chained && !elements.is_single();
-        let spans = spans(reductions, &order, chained);
-        let chains = if chained { side_by_side(reductions, &order, &spans, (&frame, &elements)) } else { Vec::new() };
-        let places = places(&chains, spans.len());
-        let class = |(span, place): (&Range<usize>, Option<Kept>)| {
-            let tests: Vec<ReductionRef<'_>> = order[span.clone()].iter().map(|&j| reductions.get(j)).collect();
-            gather(&tests, &frame, (&elements, chained), place)
+        let chains = if chained { side_by_side(reductions, &members, (&frame, &elements)) } else { Vec::new() };
+        let lanes = in_lanes(&chains, members.len());
+        let in_blocks = elements.is_single() && !frame.scale.is_empty();
+        let kind = |class: usize| match members.class(class) {
+            tests if !in_blocks || tests.iter().any(|&j| reductions.path(j) == Path::SquareRoot) => Kind::Listed,
+            [_] => Kind::Single,
+            _ => Kind::Several,
         };
-        let classes = spans.par_iter().zip(places).with_min_len(CHUNK).map(class).collect();
-        let present = present(reductions, &elements);
-        let found = (reductions.len(), information, present);
-        let mut classes = Classes::arranged((classes, chains), frame.clone(), (elements.clone(), chained), found);
-        (classes.order, classes.spans) = (order, spans);
-        classes.stamp = Some(reductions.stamp());
-        classes
+        let fill = |class: usize, room: &mut Class| {
+            let tests = members.class(class);
+            if chained && reductions.chain(tests[0]).is_some() {
+                gather_chains((reductions, tests), (&frame, &elements), lanes.get(class).cloned().flatten(), room);
+            } else {
+                gather(reductions, tests, &frame, room);
+            }
+        };
+        let kinds = (0..members.len()).map(kind).collect();
+        let found = (reductions.len(), pooled.information(&frame), present(reductions, &elements));
+        let classes = Classes::arranged((kinds, &fill), chains, (&frame, &elements, chained), found);
+        Classes { members: Some((members, reductions.stamp())), ..classes }
     }
 
-    /// The classes, and who is worked on side by side with whom.
+    /// The classes, and who is worked on side by side with whom; `fill` puts a class into a place.
     fn arranged(
-        (classes, chains): (Vec<Class>, Vec<Arc<Packed>>),
-        frame: Frame,
-        (elements, chained): (Elements, bool),
+        (kinds, fill): (Vec<Kind>, Fill<'_>),
+        chains: Vec<Arc<Packed>>,
+        (frame, elements, chained): (&Frame, &Elements, bool),
         (tests, information, present): (usize, DMatrix<f64>, Vec<f64>),
     ) -> Classes {
-        let none = |several| Blocks::new(frame.scale.len(), frame.covariate_scale.len(), several, Isa::best());
-        let (mut blocks, mut shared, mut beside) = (none(false), none(true), Vec::new());
-        for (number, class) in classes.iter().enumerate() {
-            if elements.is_single() && blocks.takes(class) {
-                blocks.push(class);
-            } else if elements.is_single() && shared.takes(class) {
-                shared.push(class);
-            } else if class.chain.as_ref().is_none_or(Kept::is_careful) {
-                beside.push(number);
-            }
+        let (mut places, mut numbers) = (Vec::with_capacity(kinds.len()), [const { Vec::new() }; 3]);
+        for (class, kind) in kinds.into_iter().enumerate() {
+            let numbers: &mut Vec<usize> = &mut numbers[kind as usize];
+            places.push(Place { kind, at: numbers.len() as u32 });
+            numbers.push(class);
         }
-        let (order, spans, stamp) = (Vec::new(), Vec::new(), None);
+        let [single, several, listed] = &numbers;
+        let (p, regressors) = (frame.scale.len(), frame.covariate_scale.len());
+        let filled = |several: bool, numbers: &[usize]| {
+            let fill = |at: usize, room: &mut Class| fill(numbers[at], room);
+            Blocks::filled((p, regressors, several), Isa::best(), numbers.len(), &fill)
+        };
+        let (blocks, shared) = (filled(false, single), filled(true, several));
+        let listed = list(listed, fill);
+        let alone = |&number: &usize| listed.get(number).chain.is_none_or(Kept::is_careful);
         Classes {
-            classes: Listed::new(classes),
+            beside: (0..listed.len()).filter(alone).collect(),
+            places: Arc::new(places),
+            noise: None,
             blocks,
             shared,
-            beside,
+            listed,
             chains,
-            frame,
+            frame: frame.clone(),
             tests,
             information,
-            elements,
+            elements: elements.clone(),
             present,
             chained,
-            order,
-            spans,
-            stamp,
+            members: None,
             units: None,
-        }
-    }
-
-    /// With the groups that the tests stand in. All tests of the reductions, which must be in what is a test's own and what each of its
-    /// groups adds, are in some. Then the centre is that of the sum.
-    pub(crate) fn in_groups(mut self, reductions: &Reductions, grouping: &Arc<Grouping>) -> Classes {
-        let centre = self.frame.centred(grouping.depth() + 1);
-        if centre != self.frame {
-            let information = self.information.clone();
-            let order = ordered(reductions);
-            self = Classes::gathered((reductions, order), (centre, information), (self.elements, false));
-        }
-        let tests: Vec<&[usize]> = (0..self.len()).map(|class| self.tests_of(class)).collect();
-        let found = Units::new(reductions, (self.classes.gathered(), &tests), &self.frame, grouping);
-        let units = found.expect("every test is in a group");
-        self.present = units.counts();
-        self.units = Some(Arc::new(units));
-        self
-    }
-
-    /// These classes, if they are those of the reductions, or the classes of the reductions in the same coordinates.
-    pub(crate) fn of<'a>(&'a self, reductions: &Reductions) -> Cow<'a, Classes> {
-        if self.stamp == Some(reductions.stamp()) {
-            Cow::Borrowed(self)
-        } else {
-            Cow::Owned(Classes::within(reductions, self))
         }
     }
 
     /// How many they are.
     pub(crate) fn len(&self) -> usize {
-        self.classes.len()
+        self.places.len()
+    }
+
+    /// The class with this number; there is room for its numbers.
+    pub(crate) fn get<'a>(&'a self, number: usize, room: &'a mut Class) -> ClassRef<'a> {
+        if let Place { kind: Kind::Listed, at } = self.places[number] {
+            return self.listed.get(at as usize);
+        }
+        self.read(number, room);
+        room.view()
+    }
+
+    /// Puts the class with this number into a place.
+    fn read(&self, number: usize, class: &mut Class) {
+        let Place { kind, at } = self.places[number];
+        match kind {
+            Kind::Single => self.blocks.read(at as usize, class),
+            Kind::Several => self.shared.read(at as usize, class),
+            Kind::Listed => return class.set(self.listed.get(at as usize)),
+        }
+        class.constant += self.noise.as_ref().map_or(0.0, |noise| noise.change(number));
+    }
+
+    /// These classes, if they are those of the reductions, or the classes of the reductions in the same coordinates.
+    pub(crate) fn of<'a>(&'a self, reductions: &Reductions) -> Cow<'a, Classes> {
+        let own = self.members.as_ref().is_some_and(|(_, stamp)| *stamp == reductions.stamp());
+        if own { Cow::Borrowed(self) } else { Cow::Owned(Classes::within(reductions, self)) }
     }
 
     /// Numbers of the tests of a class, by their ids, of the reductions that these are the classes of.
     pub(crate) fn tests_of(&self, class: usize) -> &[usize] {
-        &self.order[self.spans[class].clone()]
+        let (members, _) = self.members.as_ref().expect("they are of reductions");
+        members.class(class)
     }
 
     /// Every test has a class to itself, of those that these are the classes of.
     pub(crate) fn are_single(&self) -> bool {
-        self.stamp.is_some() && self.classes.len() == self.tests
+        self.members.is_some() && self.len() == self.tests
     }
 
     /// The same where all noise is λ times as large, from what each class says of it, in coordinates that are √λ times as large.
@@ -197,12 +242,12 @@ impl Classes {
     pub(crate) fn with_noise(&self, variance: f64, told: &Arc<Vec<Residual>>) -> Classes {
         debug_assert!(self.chains.is_empty(), "between phases noise has links of its own");
         let noise = Noise { variance, told: told.clone() };
-        let mut changes = [Residual::default(); 2];
-        let mut beside = self.beside.iter().peekable();
-        for (k, class) in self.classes.gathered().iter().enumerate() {
-            if beside.next_if(|&&number| number == k).is_none() {
-                let change = &mut changes[usize::from(class.count > 1.0)];
-                *change = change.and(told[k]);
+        let (mut changes, mut listed) = ([Residual::default(); 2], Vec::with_capacity(self.listed.len()));
+        for (place, told) in self.places.iter().zip(told.iter()) {
+            match place.kind {
+                Kind::Single => changes[0] = changes[0].and(*told),
+                Kind::Several => changes[1] = changes[1].and(*told),
+                Kind::Listed => listed.push(told.change(variance)),
             }
         }
         let [single, several] = changes.map(|change| change.change(variance));
@@ -211,18 +256,18 @@ impl Classes {
         let noise_unit = noise.unit();
         let scale = self.frame.scale.iter().map(|s| s * size).collect();
         Classes {
+            places: self.places.clone(),
             blocks: self.blocks.shrunk(noise.unit(), single),
             shared: self.shared.shrunk(noise.unit(), several),
-            classes: self.classes.with(noise),
+            listed: self.listed.shrunk(noise.unit(), |at| listed[at]),
+            noise: Some(noise),
             beside: self.beside.clone(),
             chains: Vec::new(),
             frame: Frame { scale, ..self.frame.clone() },
             information: self.information.clone(),
             elements: self.elements.clone(),
             present: self.present.clone(),
-            order: Vec::new(),
-            spans: Vec::new(),
-            stamp: None,
+            members: None,
             units: self.units.as_ref().map(|units| Arc::new(units.with_noise(noise_unit, change))),
             ..*self
         }
@@ -230,18 +275,32 @@ impl Classes {
 
     /// Every so-many-th class in their order, in the same η. The pooled information is the share that goes with the tests.
     pub(crate) fn thinned(&self, every: usize) -> Classes {
-        let mut classes = self.classes.thinned(every);
-        let chains = repacked(&mut classes);
-        let tests = classes.iter().map(|class| class.count).sum::<f64>();
+        let numbers: Vec<usize> = (0..self.len()).skip(every / 2).step_by(every).collect();
+        let kinds = numbers.iter().map(|&number| self.places[number].kind).collect();
+        let chains = self.repacked(&numbers);
+        let lanes = in_lanes(&chains, numbers.len());
+        let fill = |at: usize, room: &mut Class| {
+            self.read(numbers[at], room);
+            room.chain = lanes.get(at).cloned().flatten().or(room.chain.take());
+        };
+        let mut room = Class::default();
+        let tests = numbers.iter().map(|&number| self.get(number, &mut room).count).sum::<f64>();
         let share = tests / self.tests as f64;
         let present = self.present.iter().map(|tests| tests * share).collect();
-        let how = (self.elements.clone(), self.chained);
-        Classes::arranged(
-            (classes, chains),
-            self.frame.clone(),
-            how,
-            (tests as usize, &self.information * share, present),
-        )
+        let found = (tests as usize, &self.information * share, present);
+        Classes::arranged((kinds, &fill), chains, (&self.frame, &self.elements, self.chained), found)
+    }
+
+    /// Those of some classes side by side that can be.
+    fn repacked(&self, numbers: &[usize]) -> Vec<Arc<Packed>> {
+        let lanes = Isa::best().lanes();
+        let mut room = Class::default();
+        let kept: Vec<Option<Kept>> =
+            numbers.iter().map(|&number| self.get(number, &mut room).chain.cloned()).collect();
+        let groups = grouped(kept.iter().map(|kept| kept.as_ref().and_then(Kept::shape)).enumerate(), lanes);
+        let of = |k: usize| kept[k].as_ref().expect("it has a shape").chained();
+        let pack = |(shape, numbers)| Arc::new(Packed::new(shape, numbers, lanes, of));
+        groups.into_par_iter().map(pack).collect()
     }
 
     /// The classes of the reductions, kept phase by phase, whatever these classes are.
@@ -253,8 +312,14 @@ impl Classes {
     }
 
     /// One test as a class of its own, in the same η.
-    pub(crate) fn single(&self, reduction: ReductionRef<'_>) -> Class {
-        gather(&[reduction], &self.frame, (&self.elements, self.chained), None)
+    pub(crate) fn single(&self, reductions: &Reductions, test: usize) -> Class {
+        let mut class = Class::default();
+        if self.chained && reductions.chain(test).is_some() {
+            gather_chains((reductions, &[test]), (&self.frame, &self.elements), None, &mut class);
+        } else {
+            gather(reductions, &[test], &self.frame, &mut class);
+        }
+        class
     }
 
     /// p.
@@ -263,36 +328,57 @@ impl Classes {
     }
 }
 
+/// Those with these numbers, one after the other.
+fn list(numbers: &[usize], fill: Fill<'_>) -> Listed {
+    let some = |numbers: &[usize]| {
+        let (mut listed, mut room) = (Listed::default(), Class::default());
+        for &number in numbers {
+            fill(number, &mut room);
+            listed.push(room.view());
+        }
+        listed
+    };
+    let parts: Vec<Listed> = numbers.par_chunks(CHUNK).map(some).collect();
+    let mut all = Listed::default();
+    parts.into_iter().for_each(|part| all.append(part));
+    all
+}
+
 /// How many tests have each phase: all have the first one; of tests that are not kept phase by phase, those that say something
 /// of its states.
 fn present(reductions: &Reductions, elements: &Elements) -> Vec<f64> {
-    let has = |r: ReductionRef<'_>, f: usize, range: &Range<usize>| match r.chain {
-        _ if f == 0 => true,
+    let has = |j: usize, f: usize, range: &Range<usize>| match reductions.chain(j) {
         Some(chain) => f < chain.phases.len(),
-        None => range.clone().any(|k| r.factor[k * (k + 1) / 2..][..=k].iter().any(|x| *x != 0.0)),
+        None => range.clone().any(|k| reductions.factor(j)[k * (k + 1) / 2..][..=k].iter().any(|x| *x != 0.0)),
     };
-    let count = |(f, range): (usize, &Range<usize>)| reductions.iter().filter(|r| has(*r, f, range)).count() as f64;
+    let count = |(f, range): (usize, &Range<usize>)| match f {
+        0 => reductions.len() as f64,
+        _ => (0..reductions.len()).filter(|&j| has(j, f, range)).count() as f64,
+    };
     elements.blocks().iter().enumerate().map(count).collect()
 }
 
 /// Classes of tests in phases that can be worked on side by side, by their numbers.
 fn side_by_side(
     reductions: &Reductions,
-    order: &[usize],
-    spans: &[Range<usize>],
+    members: &Members,
     (frame, elements): (&Frame, &Elements),
 ) -> Vec<Arc<Packed>> {
     let (ranges, lanes) = (elements.blocks(), Isa::best().lanes());
-    let members =
-        |k: usize| -> Vec<ReductionRef<'_>> { order[spans[k].clone()].iter().map(|&j| reductions.get(j)).collect() };
-    let shapes: Vec<Option<Shape>> = (0..spans.len()).into_par_iter().map(|k| Shape::of(&members(k), ranges)).collect();
+    let chains_of =
+        |k: usize| -> Vec<&Chain> { members.class(k).iter().filter_map(|&j| reductions.chain(j)).collect() };
+    let shapes: Vec<Option<Shape>> =
+        (0..members.len()).into_par_iter().map(|k| Shape::of(&chains_of(k), ranges)).collect();
     let groups = grouped(shapes.into_iter().map(|shape| shape.map(Cow::Owned)).enumerate(), lanes);
-    let pack = |(shape, numbers)| Arc::new(Packed::of_tests(shape, numbers, lanes, (ranges, frame), members));
+    let pack = |(shape, numbers)| Arc::new(Packed::of_tests(shape, numbers, lanes, (ranges, frame), chains_of));
     groups.into_par_iter().map(pack).collect()
 }
 
-/// Where each of so many classes stands.
-fn places(chains: &[Arc<Packed>], classes: usize) -> Vec<Option<Kept>> {
+/// Where each of so many classes in phases stands; of none where none is side by side with others.
+fn in_lanes(chains: &[Arc<Packed>], classes: usize) -> Vec<Option<Kept>> {
+    if chains.is_empty() {
+        return Vec::new();
+    }
     let mut places = vec![None; classes];
     for packed in chains {
         for (lane, &number) in packed.members().iter().enumerate() {
@@ -300,92 +386,4 @@ fn places(chains: &[Arc<Packed>], classes: usize) -> Vec<Option<Kept>> {
         }
     }
     places
-}
-
-/// Puts those of some classes that can be side by side.
-fn repacked(classes: &mut [Class]) -> Vec<Arc<Packed>> {
-    let lanes = Isa::best().lanes();
-    let kept: Vec<Option<Kept>> = classes.iter().map(|class| class.chain.clone()).collect();
-    let groups = grouped(kept.iter().map(|kept| kept.as_ref().and_then(Kept::shape)).enumerate(), lanes);
-    let of = |k: usize| kept[k].as_ref().expect("it has a shape").chained();
-    let pack = |(shape, numbers)| Arc::new(Packed::new(shape, numbers, lanes, of));
-    let chains: Vec<Arc<Packed>> = groups.into_par_iter().map(pack).collect();
-    for (class, place) in classes.iter_mut().zip(places(&chains, kept.len())) {
-        class.chain = place.or(class.chain.take());
-    }
-    chains
-}
-
-/// One class; of tests in phases, where its chain stands if it is made.
-fn gather(
-    tests: &[ReductionRef<'_>],
-    frame: &Frame,
-    (elements, chained): (&Elements, bool),
-    place: Option<Kept>,
-) -> Class {
-    let (first, p) = (tests[0], elements.states());
-    if chained && first.chain.is_some() {
-        return gather_chains(tests, frame, elements, place);
-    }
-    let mut factor = vec![0.0; p * p];
-    let mut offset = vec![0.0; p]; // R × the centre
-    for k in 0..p {
-        for (i, &x) in first.factor[pair(k, 0)..][..=k].iter().enumerate() {
-            factor[i * p + k] = x * frame.scale[k];
-            offset[i] += x * frame.centre[k];
-        }
-    }
-    let count = tests.len() as f64;
-    let mut mean = vec![0.0; p];
-    for test in tests {
-        (0..p).for_each(|i| mean[i] += test.data[i] - offset[i]);
-    }
-    mean.iter_mut().for_each(|m| *m /= count);
-    let away = |test: &ReductionRef<'_>| -> Vec<f64> { (0..p).map(|i| test.data[i] - offset[i] - mean[i]).collect() };
-    let scatter = match tests.len() {
-        1 => Vec::new(),
-        n if n <= p => tests.iter().flat_map(away).collect(),
-        _ => scatter(tests.iter().map(away), p),
-    };
-    Class {
-        count,
-        constant: tests.iter().map(|test| test.constant).sum(),
-        factor,
-        mean,
-        scatter,
-        covariates: covariates(first, frame),
-        square_root: tests.iter().any(|test| test.path == Path::SquareRoot),
-        chain: None,
-    }
-}
-
-/// p vectors whose outer products add up to those of all vectors.
-fn scatter(vectors: impl Iterator<Item = Vec<f64>>, p: usize) -> Vec<f64> {
-    let mut sum = DMatrix::zeros(p, p);
-    for x in vectors {
-        for (k, column) in sum.as_mut_slice().chunks_exact_mut(p.max(1)).enumerate() {
-            column.iter_mut().zip(&x).for_each(|(s, a)| *s += a * x[k]);
-        }
-    }
-    symmetric::square_root(&sum).as_slice().to_vec()
-}
-
-fn gather_chains(tests: &[ReductionRef<'_>], frame: &Frame, elements: &Elements, place: Option<Kept>) -> Class {
-    let constant =
-        |r: &ReductionRef<'_>| r.chain.iter().flat_map(|chain| &chain.phases).map(|phase| phase.constant).sum::<f64>();
-    Class {
-        count: tests.len() as f64,
-        constant: tests.iter().map(constant).sum(),
-        factor: Vec::new(),
-        mean: Vec::new(),
-        scatter: Vec::new(),
-        covariates: covariates(tests[0], frame),
-        square_root: false,
-        chain: Some(place.unwrap_or_else(|| Kept::Apart(Chained::new(tests, elements.blocks(), frame).into()))),
-    }
-}
-
-/// Covariates in units of the frame.
-fn covariates(reduction: ReductionRef<'_>, frame: &Frame) -> Vec<f64> {
-    reduction.covariates.iter().zip(&frame.covariate_scale).map(|(x, s)| x / s).collect()
 }

@@ -232,7 +232,7 @@ impl State {
         let mut order: Vec<usize> = (0..evidence.len()).collect();
         order.sort_by(|&a, &b| evidence.id(a).cmp(evidence.id(b)));
         for j in order {
-            of(&[j], &self.problem.of_class(&classes.single(evidence.get(j)), point, Order::First));
+            of(&[j], &self.problem.of_class(&classes.single(evidence, j), point, Order::First));
         }
     }
 
@@ -249,7 +249,7 @@ impl State {
     /// One test as a class of its own.
     fn class_of(&self, reduction: ReductionRef<'_>) -> Class {
         let alone = std::iter::once(reduction).collect();
-        self.problem.classes.single(self.evidence(&alone).get(0))
+        self.problem.classes.single(&self.evidence(&alone), 0)
     }
 
     /// A gradient in mean coordinates and Σ along the tangent basis.

@@ -7,8 +7,9 @@ use kalfit_lanes::{Kernel, Lanes};
 use nalgebra::{DMatrix, DMatrixView};
 
 use crate::estimate::chained::{Detail, Packed, Root, Said};
-use crate::estimate::class::Class;
+use crate::estimate::class::ClassRef;
 use crate::estimate::classes::Classes;
+use crate::estimate::listed::Listed;
 use crate::estimate::point::{Point, Regressors};
 use crate::estimate::terms::Terms;
 use crate::estimate::together::in_pieces;
@@ -24,10 +25,10 @@ pub(crate) fn forms_in_parts<T: Send>(
     start: &(dyn Fn() -> T + Sync),
     of: &(dyn Fn(&mut T, usize, &[f64]) + Sync),
 ) -> Vec<T> {
-    let (isa, all) = (classes.blocks.isa(), classes.classes.iter().collect::<Vec<&Class>>());
+    let isa = classes.blocks.isa();
     let p = point.mean.len();
-    let one = |terms: &mut Terms, k: usize| {
-        terms.evaluate(all[k], regressors, point, Detail::Between);
+    let one = |terms: &mut Terms, class: ClassRef<'_>| {
+        terms.evaluate(class, regressors, point, Detail::Between);
         let products = DMatrixView::from_slice(&terms.W, p, p) * directions; // W is symmetric
         directions.column_iter().zip(products.column_iter()).map(|(u, Wu)| u.dot(&Wu)).collect::<Vec<f64>>()
     };
@@ -35,13 +36,13 @@ pub(crate) fn forms_in_parts<T: Send>(
     let parts = in_pieces(
         classes,
         &|| (start(), Terms::new(p)),
-        &|(made, terms), k| of(made, k, &one(terms, k)),
+        &|(made, terms), k, class| of(made, k, &one(terms, class)),
         &|(made, terms), packed| {
-            let found = isa.run(Forms { packed, classes: &all, regressors, point, root, directions });
+            let found = isa.run(Forms { packed, classes: &classes.listed, regressors, point, root, directions });
             for (lane, &k) in packed.members().iter().enumerate() {
                 match &found {
                     Some(found) => of(made, k, &found[lane * directions.ncols()..][..directions.ncols()]),
-                    None => of(made, k, &one(terms, k)),
+                    None => of(made, k, &one(terms, classes.listed.get(k))),
                 }
             }
         },
@@ -52,7 +53,7 @@ pub(crate) fn forms_in_parts<T: Send>(
 /// u'Wu of classes side by side, for every column u; one class after the other.
 struct Forms<'a> {
     packed: &'a Packed,
-    classes: &'a [&'a Class],
+    classes: &'a Listed,
     regressors: &'a Regressors,
     point: &'a Point,
     root: &'a Root<'a>,
@@ -64,7 +65,7 @@ impl Kernel for Forms<'_> {
 
     #[inline(always)]
     fn run<T: Lanes>(self) -> Option<Vec<f64>> {
-        let mean = self.packed.means::<T>(self.classes, self.point, self.regressors);
+        let mean = self.packed.means::<T>(|k| self.classes.get(k), self.point, self.regressors);
         let said = self.packed.said::<T>(&mean, self.root, Detail::Between)?;
         let columns = self.directions.ncols();
         let mut forms = vec![T::splat(0.0); columns];
@@ -198,13 +199,13 @@ mod tests {
         let found = forms_in_parts(&classes, (regressors, &point), &directions, &none, &|all, k, forms| {
             all.push((k, forms.to_vec()));
         });
-        let expected = tell_in_parts(&classes, regressors, &point, Detail::Between, &none, &|all, k, terms| {
+        let expected = tell_in_parts(&classes, regressors, &point, Detail::Between, &none, &|all, k, _, terms| {
             let W = DMatrix::from_column_slice(6, 6, &terms.W);
             let form = |u: nalgebra::DVectorView<'_, f64>| (u.transpose() * &W * u)[0];
             all.push((k, directions.column_iter().map(form).collect::<Vec<f64>>()));
         });
         let (found, expected) = (found.concat(), expected.concat());
-        assert_eq!(found.len(), classes.classes.len());
+        assert_eq!(found.len(), classes.len());
         for ((k, found), (other, expected)) in found.iter().zip(&expected) {
             assert_eq!(k, other);
             for (found, expected) in found.iter().zip(expected) {

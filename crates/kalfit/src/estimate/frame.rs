@@ -106,16 +106,17 @@ impl Pooled {
 
     fn of(reductions: &Reductions, tests: &[usize], (p, regressors): (usize, usize)) -> Pooled {
         let mut sum = Pooled { tests: tests.len() as f64, ..Pooled::none((p, regressors)) };
-        for one in tests.iter().map(|&j| reductions.get(j)) {
+        for &j in tests {
+            let (factor, data) = (reductions.factor(j), reductions.data(j));
             for k in 0..p {
-                let column = &one.factor[pair(k, 0)..][..=k];
+                let column = &factor[pair(k, 0)..][..=k];
                 for i in 0..=k {
-                    sum.information[pair(k, i)] += dot(&one.factor[pair(i, 0)..][..=i], column);
+                    sum.information[pair(k, i)] += dot(&factor[pair(i, 0)..][..=i], column);
                 }
                 sum.informed[k] += f64::from(u8::from(column.iter().any(|x| *x != 0.0)));
-                sum.y[k] += dot(column, one.data);
+                sum.y[k] += dot(column, data);
             }
-            sum.squares.iter_mut().zip(one.covariates).for_each(|(s, x)| *s += x * x);
+            sum.squares.iter_mut().zip(reductions.covariates(j)).for_each(|(s, x)| *s += x * x);
         }
         sum
     }

@@ -5,7 +5,7 @@ use std::ops::Range;
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::Combination;
-use crate::estimate::class::Class;
+use crate::estimate::class::ClassRef;
 use crate::estimate::classes::Classes;
 use crate::estimate::order::Order;
 use crate::estimate::pass;
@@ -62,7 +62,7 @@ impl Likelihood {
 
     /// Number of classes of tests with one information matrix.
     pub fn classes(&self) -> usize {
-        self.classes.classes.len()
+        self.classes.len()
     }
 
     /// ℓ and its derivatives at μ and a positive semidefinite Σ: one pass over the classes.
@@ -115,21 +115,22 @@ impl Likelihood {
 /// of adding its terms to the sums.
 pub fn pass_flops(p: usize, derivatives: Derivatives) -> u64 {
     let zero = Counted::splat(0.0);
-    let class = Class {
+    let (factor, mean) = (vec![Counted::splat(1.0); p * p], vec![zero; p]);
+    let class = ClassRef {
         count: Counted::splat(1.0),
         constant: zero,
-        factor: vec![Counted::splat(1.0); p * p],
-        mean: vec![zero; p],
-        scatter: Vec::new(),
-        covariates: Vec::new(),
+        factor: &factor,
+        mean: &mean,
+        scatter: &[],
+        covariates: &[],
         square_root: false,
         chain: None,
     };
     let point = Point { mean: vec![0.0; p], coefficients: Vec::new(), root: DMatrix::identity(p, p) };
     let mut terms = Terms::<Counted>::new(p);
     let flops = Counted::count(|| {
-        terms.factorise(&class, &point.root);
-        terms.finish(&class, &[], &point);
+        terms.factorise(class, &point.root);
+        terms.finish(class, &[], &point);
     });
     let kernel = flops.add + flops.mul + 2 * flops.fma + flops.div;
     let (p, s) = (p as u64, pairs(p) as u64);

@@ -1,111 +1,71 @@
-//! The classes of an ensemble one by one. Passes work on blocks of them, so that classes whose noise is scaled are made when somebody
-//! asks for them, and only then.
+//! Classes that stand in no blocks.
 
-use std::ops::Deref;
-use std::sync::{Arc, OnceLock};
+use crate::estimate::chained::Kept;
+use crate::estimate::class::ClassRef;
+use crate::linalg::column::Column;
 
-use crate::estimate::class::Class;
-
-/// Classes in an order that does not depend on the order of the tests.
-#[derive(Debug, Clone)]
+/// Classes one after the other, their numbers in columns.
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Listed {
-    gathered: Arc<Vec<Class>>,
-    /// What has become of them since.
-    noise: Option<Noise>,
-    made: OnceLock<Vec<Class>>,
-}
-
-/// All noise λ times as large, in coordinates that are √λ times as large: R stays, d is d/√λ.
-#[derive(Debug, Clone)]
-pub(crate) struct Noise {
-    pub(crate) variance: f64,
-    /// Of each class.
-    pub(crate) told: Arc<Vec<Residual>>,
-}
-
-/// What tests say of the level of the noise by themselves.
-#[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Residual {
-    /// n.
-    pub(crate) measurements: f64,
-    /// r.
-    pub(crate) squares: f64,
-}
-
-impl Residual {
-    pub(crate) fn and(self, other: Residual) -> Residual {
-        Residual { measurements: self.measurements + other.measurements, squares: self.squares + other.squares }
-    }
-
-    /// What is added to the constant where all noise is so many times as large: -½ n log λ - ½ r (1/λ - 1).
-    pub(crate) fn change(self, variance: f64) -> f64 {
-        -0.5 * (self.measurements * variance.ln() + self.squares * (variance.recip() - 1.0))
-    }
-}
-
-impl Noise {
-    /// 1/√λ.
-    pub(crate) fn unit(&self) -> f64 {
-        self.variance.sqrt().recip()
-    }
-
-    fn of(&self, class: &Class, told: Residual) -> Class {
-        let unit = self.unit();
-        let shrunk = |numbers: &[f64]| numbers.iter().map(|x| x * unit).collect();
-        Class {
-            constant: class.constant + told.change(self.variance),
-            mean: shrunk(&class.mean),
-            scatter: shrunk(&class.scatter),
-            ..class.clone()
-        }
-    }
+    counts: Vec<f64>,
+    constants: Vec<f64>,
+    factors: Column,
+    means: Column,
+    scatters: Column,
+    covariates: Column,
+    square_root: Vec<bool>,
+    chains: Vec<Option<Kept>>,
 }
 
 impl Listed {
-    /// These classes.
-    pub(crate) fn new(classes: Vec<Class>) -> Listed {
-        Listed { gathered: Arc::new(classes), noise: None, made: OnceLock::new() }
-    }
-
-    /// The same with other noise than they were gathered with.
-    pub(crate) fn with(&self, noise: Noise) -> Listed {
-        Listed { gathered: self.gathered.clone(), noise: Some(noise), made: OnceLock::new() }
-    }
-
-    /// As they were gathered, whatever their noise is now.
-    pub(crate) fn gathered(&self) -> &[Class] {
-        &self.gathered
-    }
-
-    /// What d is now multiplied by.
-    pub(crate) fn unit(&self) -> f64 {
-        self.noise.as_ref().map_or(1.0, Noise::unit)
-    }
-
-    /// Every so-many-th of them.
-    pub(crate) fn thinned(&self, every: usize) -> Vec<Class> {
-        let numbers = (0..self.len()).skip(every / 2).step_by(every);
-        let one = |k: usize| match &self.noise {
-            Some(noise) => noise.of(&self.gathered[k], noise.told[k]),
-            None => self.gathered[k].clone(),
-        };
-        numbers.map(one).collect()
-    }
-
-    /// How many they are.
     pub(crate) fn len(&self) -> usize {
-        self.gathered.len()
+        self.counts.len()
     }
-}
 
-impl Deref for Listed {
-    type Target = [Class];
+    pub(crate) fn get(&self, number: usize) -> ClassRef<'_> {
+        ClassRef {
+            count: self.counts[number],
+            constant: self.constants[number],
+            factor: self.factors.row(number),
+            mean: self.means.row(number),
+            scatter: self.scatters.row(number),
+            covariates: self.covariates.row(number),
+            square_root: self.square_root[number],
+            chain: self.chains[number].as_ref(),
+        }
+    }
 
-    fn deref(&self) -> &[Class] {
-        let Some(noise) = &self.noise else { return &self.gathered };
-        self.made.get_or_init(|| {
-            let all = self.gathered.iter().zip(noise.told.iter());
-            all.map(|(class, told)| noise.of(class, *told)).collect()
-        })
+    pub(crate) fn push(&mut self, class: ClassRef<'_>) {
+        let number = self.len();
+        self.counts.push(class.count);
+        self.constants.push(class.constant);
+        self.factors.push(number, class.factor.iter().copied());
+        self.means.push(number, class.mean.iter().copied());
+        self.scatters.push(number, class.scatter.iter().copied());
+        self.covariates.push(number, class.covariates.iter().copied());
+        self.square_root.push(class.square_root);
+        self.chains.push(class.chain.cloned());
+    }
+
+    /// Adds others.
+    pub(crate) fn append(&mut self, mut others: Listed) {
+        let (own, more) = (self.len(), others.len());
+        self.factors.append(own, &others.factors, more);
+        self.means.append(own, &others.means, more);
+        self.scatters.append(own, &others.scatters, more);
+        self.covariates.append(own, &others.covariates, more);
+        self.counts.append(&mut others.counts);
+        self.constants.append(&mut others.constants);
+        self.square_root.append(&mut others.square_root);
+        self.chains.append(&mut others.chains);
+    }
+
+    /// The same with other noise: d and what classes scatter so many times as large, and this much more of the constant of each.
+    pub(crate) fn shrunk(&self, unit: f64, change: impl Fn(usize) -> f64) -> Listed {
+        let mut listed = self.clone();
+        listed.constants.iter_mut().enumerate().for_each(|(k, constant)| *constant += change(k));
+        listed.means.scale(unit);
+        listed.scatters.scale(unit);
+        listed
     }
 }

@@ -37,6 +37,7 @@ mod expected;
 mod form;
 mod forms;
 mod frame;
+mod gather;
 mod joint_law;
 mod lanes;
 mod levels;
@@ -58,6 +59,7 @@ mod products;
 mod quadratic;
 mod relaxed;
 mod reml;
+mod residual;
 mod result;
 mod rounding;
 mod scoring;
@@ -72,6 +74,9 @@ mod together;
 mod unobserved;
 
 use std::collections::HashSet;
+use std::hash::{DefaultHasher, Hash, Hasher};
+
+use rayon::prelude::*;
 
 pub use certificate::Certificate;
 pub use error::FitError;
@@ -82,7 +87,7 @@ pub use stop::Stop;
 pub use structure::{PhaseStructure, Structure};
 
 pub(crate) use chained::{Chained, Detail, Kept};
-pub(crate) use class::Class;
+pub(crate) use class::{Class, ClassRef};
 pub(crate) use classes::Classes;
 pub(crate) use climb::{Limits, climb};
 pub(crate) use covariance::{Constraint, CovarianceMap, Form, Part};
@@ -92,13 +97,13 @@ pub(crate) use expected::{ExpectedError, at_population};
 pub(crate) use forms::forms_in_parts;
 pub(crate) use joint_law::JointLaw;
 pub(crate) use levels::{GroupPosterior, LevelPosteriors, TestPosterior, Units, posteriors as level_posteriors};
-pub(crate) use listed::Residual;
 pub(crate) use local::{Local, Objective, Tangent, harmonic, natural_sizes};
 pub(crate) use newton::{Place, retract};
 pub(crate) use noise::{NoiseInformation, Noisy};
 pub(crate) use order::Order;
 pub(crate) use point::Point;
 pub(crate) use problem::Problem;
+pub(crate) use residual::Residual;
 pub(crate) use result::State;
 pub(crate) use start::generic_root;
 pub(crate) use sums::Sums;
@@ -166,6 +171,16 @@ pub(crate) fn at_start(reductions: &Reductions, structure: &Structure<'_>) -> Re
 
 /// Of ids that two tests have, the first by order.
 fn twice(reductions: &Reductions) -> Option<&str> {
+    let hash = |j: usize| {
+        let mut hasher = DefaultHasher::new();
+        reductions.id(j).hash(&mut hasher);
+        hasher.finish()
+    };
+    let mut hashes: Vec<u64> = (0..reductions.len()).into_par_iter().map(hash).collect();
+    hashes.par_sort_unstable();
+    if hashes.windows(2).all(|pair| pair[0] != pair[1]) {
+        return None;
+    }
     let mut seen = HashSet::with_capacity(reductions.len());
     let again = reductions.iter().map(|r| r.test).filter(|id| !seen.insert(*id));
     again.min()

@@ -20,8 +20,8 @@ use nalgebra::DVector;
 
 use crate::estimate::classes::Classes;
 use crate::estimate::evidence::evidence;
-use crate::estimate::listed::Residual;
 use crate::estimate::problem::Problem;
+use crate::estimate::residual::Residual;
 use crate::estimate::{Estimate, FitError, Settings, Silent, State, Structure, ended, problem};
 use crate::model::{Population, StructureError};
 use crate::reduce::Reductions;
@@ -179,7 +179,7 @@ mod tests {
             for criterion in [Criterion::Ml, Criterion::Reml] {
                 let settings = Settings { criterion, ..Settings::default() };
                 let noisy = Noisy::new(&reductions, &residuals, &structure, &settings).expect("sound");
-                assert!(!noisy.classes.beside.is_empty() && noisy.classes.classes.len() < 40, "of all kinds");
+                assert!(!noisy.classes.beside.is_empty() && noisy.classes.len() < 40, "of all kinds");
                 let direct = |variance: f64, near: Option<&Population>| {
                     let there: Reductions = reductions.iter().map(|test| noisier(test, variance)).collect();
                     let problem = problem(&there, &structure, &settings).expect("sound");

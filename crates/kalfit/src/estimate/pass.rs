@@ -8,7 +8,7 @@ use nalgebra::DMatrix;
 use rayon::prelude::*;
 
 use crate::estimate::chained::{Detail, Packed};
-use crate::estimate::class::Class;
+use crate::estimate::class::{Class, ClassRef};
 use crate::estimate::classes::Classes;
 use crate::estimate::lanes::{ChainPass, ChainTotals};
 use crate::estimate::levels;
@@ -55,8 +55,8 @@ pub(crate) fn pass(
     }
     // tests in phases are added up one by one where there are regressions, and under the restricted likelihood
     let simple = flat.is_none() && classes.frame.covariate_scale.is_empty();
-    let apart = |number: &usize| &classes.classes[*number];
-    let mut others: Vec<&Class> = classes.beside.iter().map(apart).collect();
+    let apart = |number: &usize| classes.listed.get(*number);
+    let mut others: Vec<ClassRef<'_>> = classes.beside.iter().map(apart).collect();
     if !simple {
         others.extend(classes.chains.iter().flat_map(|packed| packed.members()).map(apart));
     }
@@ -76,21 +76,21 @@ pub(crate) fn pass(
 }
 
 /// Adds what tests in phases say that are worked on side by side; classes that need more care are left, and returned.
-fn add_chains<'a>(sums: &mut Sums, classes: &'a Classes, point: &Point, order: Order) -> Vec<&'a Class> {
+fn add_chains<'a>(sums: &mut Sums, classes: &'a Classes, point: &Point, order: Order) -> Vec<ClassRef<'a>> {
     let isa = classes.blocks.isa();
     let of = |blocks: &[Arc<Packed>]| {
         let elements = &classes.elements;
-        isa.run(ChainPass { blocks, classes: &classes.classes, point, regressors: &[], elements, order, isa })
+        isa.run(ChainPass { blocks, classes: &classes.listed, point, regressors: &[], elements, order, isa })
     };
     let each = classes.chains.len().div_ceil(CHAIN_TASKS).max(CHUNK / isa.lanes());
     let all: Vec<ChainTotals> = classes.chains.par_chunks(each).map(of).collect();
     all.iter().for_each(|totals| sums.take_chain(totals));
-    all.iter().flat_map(|totals| &totals.refused).map(|&k| &classes.classes[k]).collect()
+    all.iter().flat_map(|totals| &totals.refused).map(|&k| classes.listed.get(k)).collect()
 }
 
 /// Sums over classes one by one.
-pub(super) fn one_by_one(classes: &[&Class], point: &Point, wanted: Wanted<'_>) -> Sums {
-    let of_chunk = |chunk: &[&Class]| {
+pub(super) fn one_by_one(classes: &[ClassRef<'_>], point: &Point, wanted: Wanted<'_>) -> Sums {
+    let of_chunk = |chunk: &[ClassRef<'_>]| {
         let mut sums = wanted.zero();
         let add = &mut |k: usize, terms: &Terms| terms.add_to(&mut sums, chunk[k], wanted);
         each(chunk, wanted.regressors, point, wanted.detail(), add);
@@ -109,7 +109,7 @@ pub(crate) fn of_class(
     order: Order,
 ) -> Sums {
     let wanted = wanted(&classes.elements, regressors, order, flat);
-    let mut sums = wanted.zero();
+    let (mut sums, class) = (wanted.zero(), class.view());
     let mut terms = Terms::new(point.mean.len());
     terms.evaluate(class, regressors, point, wanted.detail());
     terms.add_to(&mut sums, class, wanted);
@@ -133,7 +133,7 @@ fn add(column: &mut [f64], n: f64, W: &[f64], rows: Range<usize>) {
 }
 
 impl Terms {
-    fn add_to(&self, sums: &mut Sums, class: &Class, wanted: Wanted<'_>) {
+    fn add_to(&self, sums: &mut Sums, class: ClassRef<'_>, wanted: Wanted<'_>) {
         let (p, n) = (self.r.len(), class.count);
         sums.value += self.value(class);
         sums.quadratic += self.quadratic;
@@ -165,7 +165,7 @@ impl Terms {
         }
     }
 
-    fn add_regressor(&self, sums: &mut Sums, class: &Class, regressors: &Regressors, at: (usize, usize)) {
+    fn add_regressor(&self, sums: &mut Sums, class: ClassRef<'_>, regressors: &Regressors, at: (usize, usize)) {
         let (p, n, x) = (self.r.len(), class.count, class.covariates[at.0]);
         let row = p + at.0;
         sums.mean_score[row] += n * x * self.r[at.1];
@@ -183,7 +183,7 @@ impl Terms {
     fn add_flat(
         &self,
         sums: &mut Sums,
-        class: &Class,
+        class: ClassRef<'_>,
         Wanted { elements, regressors, .. }: Wanted<'_>,
         flat: &FlatMean<'_>,
     ) -> Option<DMatrix<f64>> {
@@ -203,7 +203,7 @@ impl Terms {
         flat.covariance.map(|covariance| &own * covariance * own.transpose())
     }
 
-    fn add_second(&self, sums: &mut Sums, class: &Class, wanted: Wanted<'_>, uncertainty: Option<&DMatrix<f64>>) {
+    fn add_second(&self, sums: &mut Sums, class: ClassRef<'_>, wanted: Wanted<'_>, uncertainty: Option<&DMatrix<f64>>) {
         let regressors = wanted.regressors;
         let (p, n) = (self.r.len(), class.count);
         let mut inner = self.outer.clone();

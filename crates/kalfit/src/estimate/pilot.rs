@@ -19,7 +19,7 @@ pub(crate) fn problem(whole: &Problem, structure: &Structure<'_>) -> Result<Opti
     }
     let coordinates = whole.mean.basis.ncols() + whole.mean.regressors.len() + whole.covariance.elements.count();
     let wanted = CLASSES.max(EACH * coordinates);
-    let every = whole.classes.classes.len() / wanted;
+    let every = whole.classes.len() / wanted;
     if every < PART {
         return Ok(None);
     }

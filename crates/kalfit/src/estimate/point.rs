@@ -4,7 +4,7 @@ use kalfit_lanes::Lanes;
 use nalgebra::DMatrix;
 
 use crate::estimate::chained::Packed;
-use crate::estimate::class::Class;
+use crate::estimate::class::ClassRef;
 
 /// Where ℓ is evaluated, in η: the mean (without regression), scaled regression coefficients, and F with Σ = FF'.
 #[derive(Debug, Clone, PartialEq)]
@@ -16,7 +16,7 @@ pub(crate) struct Point {
 
 impl Point {
     /// μ of the tests of a class.
-    pub(crate) fn mean_of(&self, class: &Class, regressors: &Regressors) -> Vec<f64> {
+    pub(crate) fn mean_of(&self, class: ClassRef<'_>, regressors: &Regressors) -> Vec<f64> {
         let mut mean = self.mean.clone();
         for (c, &element) in regressors.iter().enumerate() {
             mean[element] += class.covariates[c] * self.coefficients[c];
@@ -36,9 +36,9 @@ pub(crate) type Regressors = [usize];
 impl Packed {
     /// μ of the tests of each class.
     #[inline(always)]
-    pub(crate) fn means<T: Lanes>(
+    pub(crate) fn means<'a, T: Lanes>(
         &self,
-        classes: &[impl std::borrow::Borrow<Class>],
+        class: impl Fn(usize) -> ClassRef<'a>,
         point: &Point,
         regressors: &Regressors,
     ) -> Vec<T> {
@@ -49,7 +49,7 @@ impl Packed {
         for (c, &element) in regressors.iter().enumerate() {
             let mut moved = [0.0; kalfit_lanes::MOST];
             for (to, &member) in moved.iter_mut().zip(&self.members) {
-                *to = classes[member].borrow().covariates[c] * point.coefficients[c];
+                *to = class(member).covariates[c] * point.coefficients[c];
             }
             mean[element] = mean[element] + T::load(&moved);
         }

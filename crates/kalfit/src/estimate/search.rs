@@ -346,7 +346,7 @@ fn leave(state: State, certificate: Certificate, stop: Stop, trace: Vec<f64>, so
         stop,
         trace,
         passes: problem.passes(),
-        classes: problem.classes.classes.len(),
+        classes: problem.classes.len(),
         criterion: problem.criterion(),
         solver,
         state,

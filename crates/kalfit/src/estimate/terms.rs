@@ -12,7 +12,7 @@ use std::ops::Range;
 use nalgebra::DMatrix;
 
 use crate::estimate::chained::{Detail, Said};
-use crate::estimate::class::Class;
+use crate::estimate::class::ClassRef;
 use crate::estimate::point::{Point, Regressors};
 use crate::linalg::fold::fold;
 use crate::linalg::rows::Rows;
@@ -73,7 +73,7 @@ impl<T: Real> Terms<T> {
     }
 
     /// RF into `work`. R is upper triangular.
-    fn spread(&mut self, class: &Class<T>, F: &DMatrix<f64>) {
+    fn spread(&mut self, class: ClassRef<'_, T>, F: &DMatrix<f64>) {
         let p = self.p;
         for i in 0..p {
             for c in 0..p {
@@ -87,7 +87,7 @@ impl<T: Real> Terms<T> {
     }
 
     /// S = I + RF(RF)' = LDL'.
-    pub(crate) fn factorise(&mut self, class: &Class<T>, F: &DMatrix<f64>) {
+    pub(crate) fn factorise(&mut self, class: ClassRef<'_, T>, F: &DMatrix<f64>) {
         let p = self.p;
         self.spread(class, F);
         (self.mantissa, self.exponent) = (T::splat(1.0), T::splat(0.0));
@@ -121,9 +121,9 @@ impl<T: Real> Terms<T> {
     }
 
     /// All sums from L and D.
-    pub(crate) fn finish(&mut self, class: &Class<T>, regressors: &Regressors, point: &Point) {
+    pub(crate) fn finish(&mut self, class: ClassRef<'_, T>, regressors: &Regressors, point: &Point) {
         let p = self.p;
-        self.U.copy_from_slice(&class.factor);
+        self.U.copy_from_slice(class.factor);
         solve_unit_lower(&self.L, &mut self.U, p, p);
         self.residual(class, regressors, point);
         solve_unit_lower(&self.L, &mut self.u, p, 1);
@@ -151,7 +151,7 @@ impl<T: Real> Terms<T> {
     }
 
     /// d - Rμ_j of the class mean into u.
-    fn residual(&mut self, class: &Class<T>, regressors: &Regressors, point: &Point) {
+    fn residual(&mut self, class: ClassRef<'_, T>, regressors: &Regressors, point: &Point) {
         let p = self.p;
         for i in 0..p {
             let mut residual = class.mean[i];
@@ -213,8 +213,8 @@ impl<T: Real> Terms<T> {
 impl Terms<f64> {
     /// All that the class says at a point; of tests kept phase by phase in as much detail as is wanted, with zeros where nothing is:
     /// between phases, or, for posteriors, in all of W and Σ r r'.
-    pub(crate) fn evaluate(&mut self, class: &Class, regressors: &Regressors, point: &Point, detail: Detail) {
-        if let Some(chain) = &class.chain {
+    pub(crate) fn evaluate(&mut self, class: ClassRef<'_>, regressors: &Regressors, point: &Point, detail: Detail) {
+        if let Some(chain) = class.chain {
             let said = chain.chained().at(&point.mean_of(class, regressors), &point.root, detail);
             return self.take((&chain.ranges(), class), &said, detail, |x| x);
         }
@@ -227,7 +227,7 @@ impl Terms<f64> {
     }
 
     /// Σ_j ℓ_j over the class.
-    pub(crate) fn value(&self, class: &Class) -> f64 {
+    pub(crate) fn value(&self, class: ClassRef<'_>) -> f64 {
         let log_det = self.mantissa.ln() + self.exponent * std::f64::consts::LN_2;
         class.constant - 0.5 * (class.count * log_det + self.quadratic)
     }
@@ -236,7 +236,7 @@ impl Terms<f64> {
     #[inline(always)]
     pub(crate) fn take<N: Real>(
         &mut self,
-        (ranges, class): (&[Range<usize>], &Class),
+        (ranges, class): (&[Range<usize>], ClassRef<'_>),
         said: &Said<N>,
         detail: Detail,
         of: impl Fn(N) -> f64,
@@ -262,7 +262,12 @@ impl Terms<f64> {
 
     /// W and Σ r r' of each pair of phases of which W is known.
     #[inline(always)]
-    fn take_pairs<N: Real>(&mut self, (own, class): (&[Range<usize>], &Class), said: &Said<N>, of: impl Fn(N) -> f64) {
+    fn take_pairs<N: Real>(
+        &mut self,
+        (own, class): (&[Range<usize>], ClassRef<'_>),
+        said: &Said<N>,
+        of: impl Fn(N) -> f64,
+    ) {
         let p = self.p;
         let mut blocks = said.W.iter();
         for (k, one) in own.iter().enumerate() {
@@ -287,7 +292,7 @@ impl Terms<f64> {
     }
 
     /// The same L and D without forming RΣR': the rows of (RF)' folded into I by QR.
-    fn factorise_by_qr(&mut self, class: &Class, F: &DMatrix<f64>) {
+    fn factorise_by_qr(&mut self, class: ClassRef<'_>, F: &DMatrix<f64>) {
         let p = self.p;
         self.spread(class, F);
         transpose(&mut self.work, p);

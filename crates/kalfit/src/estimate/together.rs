@@ -7,7 +7,7 @@ use kalfit_lanes::{Isa, Kernel, Lanes};
 use rayon::prelude::*;
 
 use crate::estimate::chained::{Detail, Kept, Packed, Root, grouped};
-use crate::estimate::class::Class;
+use crate::estimate::class::{Class, ClassRef};
 use crate::estimate::classes::Classes;
 use crate::estimate::point::{Point, Regressors};
 use crate::estimate::terms::Terms;
@@ -15,26 +15,30 @@ use crate::estimate::terms::Terms;
 /// Classes that one thread takes at a time.
 const CHUNK: usize = 256;
 
+/// Classes by their numbers.
+type Numbered<'a, 'c> = &'a (dyn Fn(usize) -> ClassRef<'c> + Sync);
+
 /// Calls `of` with each class and what it says, in an order that depends on nothing but the classes.
 pub(crate) fn each(
-    classes: &[&Class],
+    classes: &[ClassRef<'_>],
     regressors: &Regressors,
     point: &Point,
     detail: Detail,
     of: &mut dyn FnMut(usize, &Terms),
 ) {
     let isa = Isa::best();
-    let shapes = classes.iter().map(|class| class.chain.as_ref().and_then(Kept::shape));
+    let shapes = classes.iter().map(|class| class.chain.and_then(Kept::shape));
     let groups = grouped(shapes.enumerate(), isa.lanes());
-    let chained = |k: usize| classes[k].chain.as_ref().expect("it has a shape").chained();
+    let chained = |k: usize| classes[k].chain.expect("it has a shape").chained();
     let pack = |(shape, numbers)| Arc::new(Packed::new(shape, numbers, isa.lanes(), chained));
     let packed: Vec<Arc<Packed>> = groups.into_iter().map(pack).collect();
-    each_packed(classes, (isa, &packed), regressors, point, detail, of);
+    let alone = (0..classes.len()).filter(|&k| classes[k].chain.is_none_or(Kept::is_careful));
+    each_packed((alone, &|k| classes[k]), (isa, &packed), regressors, point, detail, of);
 }
 
-/// The same of classes those of which that can be are packed already.
+/// The same of classes those of which that can be are packed already; the others are `alone`.
 pub(crate) fn each_packed(
-    classes: &[&Class],
+    (alone, class): (impl Iterator<Item = usize>, Numbered<'_, '_>),
     (isa, packed): (Isa, &[Arc<Packed>]),
     regressors: &Regressors,
     point: &Point,
@@ -42,13 +46,13 @@ pub(crate) fn each_packed(
     of: &mut dyn FnMut(usize, &Terms),
 ) {
     let mut terms = Terms::new(point.mean.len());
-    for k in alone(classes) {
-        terms.evaluate(classes[k], regressors, point, detail);
+    for k in alone {
+        terms.evaluate(class(k), regressors, point, detail);
         of(k, &terms);
     }
     let root = &Root::of(&point.root);
     for packed in packed {
-        isa.run(Tell { packed, classes, regressors, point, root, detail, terms: &mut terms, of });
+        isa.run(Tell { packed, class, regressors, point, root, detail, terms: &mut terms, of });
     }
 }
 
@@ -59,37 +63,39 @@ pub(crate) fn in_parts<T: Send>(
     point: &Point,
     detail: Detail,
     start: &(dyn Fn() -> T + Sync),
-    of: &(dyn Fn(&mut T, usize, &Terms) + Sync),
+    of: &(dyn Fn(&mut T, usize, ClassRef<'_>, &Terms) + Sync),
 ) -> Vec<T> {
-    let (isa, all) = (classes.blocks.isa(), classes.classes.iter().collect::<Vec<&Class>>());
+    let (isa, class) = (classes.blocks.isa(), &|k: usize| classes.listed.get(k));
     let root = &Root::of(&point.root);
     let parts = in_pieces(
         classes,
         &|| (start(), Terms::new(point.mean.len())),
-        &|(made, terms), k| {
-            terms.evaluate(all[k], regressors, point, detail);
-            of(made, k, terms);
+        &|(made, terms), k, class| {
+            terms.evaluate(class, regressors, point, detail);
+            of(made, k, class, terms);
         },
         &|(made, terms), packed| {
-            let of: &mut dyn FnMut(usize, &Terms) = &mut |k, terms| of(made, k, terms);
-            isa.run(Tell { packed, classes: &all, regressors, point, root, detail, terms, of });
+            let of: &mut dyn FnMut(usize, &Terms) = &mut |k, terms| of(made, k, class(k), terms);
+            isa.run(Tell { packed, class, regressors, point, root, detail, terms, of });
         },
     );
     parts.into_iter().map(|(made, _)| made).collect()
 }
 
-/// Classes by themselves are given to `one`, by number, and those that are packed to `several`; what they make begins with `start`,
-/// whatever thread they are on.
+/// Classes by themselves are given to `one`, with their numbers, and those that are packed to `several`; what they make begins with
+/// `start`, whatever thread they are on.
 pub(super) fn in_pieces<T: Send>(
     classes: &Classes,
     start: &(dyn Fn() -> T + Sync),
-    one: &(dyn Fn(&mut T, usize) + Sync),
+    one: &(dyn Fn(&mut T, usize, ClassRef<'_>) + Sync),
     several: &(dyn Fn(&mut T, &Packed) + Sync),
 ) -> Vec<T> {
-    let alone: Vec<usize> = alone(&classes.classes.iter().collect::<Vec<&Class>>()).collect();
+    // where some are packed all are listed, in their order
+    let packed = !classes.chains.is_empty();
+    let alone = if packed { classes.beside.clone() } else { (0..classes.len()).collect() };
     let one_by_one = |numbers: &[usize]| {
-        let mut made = start();
-        numbers.iter().for_each(|&k| one(&mut made, k));
+        let (mut made, mut room) = (start(), Class::default());
+        numbers.iter().for_each(|&k| one(&mut made, k, classes.get(k, &mut room)));
         made
     };
     let side_by_side = |blocks: &[Arc<Packed>]| {
@@ -102,15 +108,9 @@ pub(super) fn in_pieces<T: Send>(
     parts
 }
 
-/// Classes that are worked on one by one, by number.
-fn alone<'a>(classes: &'a [&Class]) -> impl Iterator<Item = usize> + 'a {
-    let is_alone = |class: &Class| class.chain.as_ref().is_none_or(Kept::is_careful);
-    (0..classes.len()).filter(move |&k| is_alone(classes[k]))
-}
-
-struct Tell<'a, 'b> {
+struct Tell<'a, 'b, 'c> {
     packed: &'a Packed,
-    classes: &'a [&'a Class],
+    class: Numbered<'a, 'c>,
     regressors: &'a Regressors,
     point: &'a Point,
     root: &'a Root<'a>,
@@ -119,20 +119,19 @@ struct Tell<'a, 'b> {
     of: &'b mut dyn FnMut(usize, &Terms),
 }
 
-impl Kernel for Tell<'_, '_> {
+impl Kernel for Tell<'_, '_, '_> {
     type Output = ();
 
     #[inline(always)]
     fn run<T: Lanes>(self) {
-        let Tell { packed, classes, regressors, point, root, detail, terms, of } = self;
-        let mean = packed.means::<T>(classes, point, regressors);
+        let Tell { packed, class, regressors, point, root, detail, terms, of } = self;
+        let mean = packed.means::<T>(class, point, regressors);
         let said = packed.said::<T>(&mean, root, detail);
         let ranges: Vec<Range<usize>> = packed.shape().ranges().cloned().collect();
         for (lane, &k) in packed.members().iter().enumerate() {
-            let class = classes[k];
             match &said {
-                Some(said) => terms.take((&ranges, class), said, detail, |x| x.lane(lane)),
-                None => terms.evaluate(class, regressors, point, detail),
+                Some(said) => terms.take((&ranges, class(k)), said, detail, |x| x.lane(lane)),
+                None => terms.evaluate(class(k), regressors, point, detail),
             }
             of(k, terms);
         }

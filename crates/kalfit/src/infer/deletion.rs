@@ -13,7 +13,7 @@ use crate::estimate::{
 use crate::infer::levels;
 use crate::infer::posterior::{Distance, distance};
 use crate::model::Population;
-use crate::reduce::{ReductionRef, Reductions};
+use crate::reduce::Reductions;
 
 /// The fit without one test.
 #[derive(Debug, Clone, PartialEq)]
@@ -43,12 +43,12 @@ pub fn deletions(estimate: &Estimate, reductions: &Reductions) -> Vec<Option<Del
     }
     let all = &All::of(estimate);
     let without = |j: usize| {
-        let near = climbed(estimate, all, reductions.get(j));
+        let near = climbed(estimate, all, (reductions, j));
         let others = match near {
             Some(others) => others,
             None => searched(estimate, reductions, j)?,
         };
-        Some(deletion(estimate, all, reductions.get(j), &others))
+        Some(deletion(estimate, all, (reductions, j), &others))
     };
     (0..reductions.len()).into_par_iter().map(without).collect()
 }
@@ -110,10 +110,10 @@ impl Objective for Without<'_> {
 }
 
 /// Newton steps from the optimum of all tests, in its coordinates.
-fn climbed(estimate: &Estimate, all: &All, reduction: ReductionRef<'_>) -> Option<Others> {
+fn climbed(estimate: &Estimate, all: &All, (reductions, j): (&Reductions, usize)) -> Option<Others> {
     let state = &estimate.state;
     let (problem, map): (&Problem, &CovarianceMap) = (&state.problem, &state.problem.covariance);
-    let objective = Without { problem, test: problem.classes.single(reduction) };
+    let objective = Without { problem, test: problem.classes.single(reductions, j) };
     if !problem.informed_without(&all.sums, &objective.test, &state.place.point) {
         return None; // log|ΣX'WX| is over fewer directions
     }
@@ -136,9 +136,9 @@ fn searched(estimate: &Estimate, reductions: &Reductions, j: usize) -> Option<Ot
     (found.stop == Stop::Certified).then(|| Others { point: point(), log_likelihood: None })
 }
 
-fn deletion(estimate: &Estimate, all: &All, reduction: ReductionRef<'_>, others: &Others) -> Deletion {
+fn deletion(estimate: &Estimate, all: &All, (reductions, j): (&Reductions, usize), others: &Others) -> Deletion {
     let (problem, point) = (&estimate.state.problem, &others.point);
-    let (log_density, distance) = distance(problem, point, reduction);
+    let (log_density, distance) = distance(problem, point, reductions, j);
     let there = match others.log_likelihood {
         Some(of_others) => of_others + log_density,
         None => problem.likelihood(point, Order::First).value,

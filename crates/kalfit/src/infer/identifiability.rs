@@ -5,7 +5,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::{Estimate, FitError, Place, Problem, Structure, Sums, Tangent, harmonic, natural_sizes};
+use crate::estimate::{Class, Estimate, FitError, Place, Problem, Structure, Sums, Tangent, harmonic, natural_sizes};
 use crate::infer::direction::{Direction, NONE, Quantity, simplest, unit};
 use crate::infer::observability::{Observability, observability};
 use crate::infer::phases::{PhaseObservability, phases};
@@ -117,8 +117,10 @@ fn mean_information(problem: &Problem) -> DMatrix<f64> {
     if !problem.covariance.elements.is_single() {
         return problem.classes.mean_information(regressors);
     }
-    for class in problem.classes.classes.iter() {
-        let factor = DMatrix::from_row_slice(p, p, &class.factor);
+    let mut room = Class::default();
+    for number in 0..problem.classes.len() {
+        let class = problem.classes.get(number, &mut room);
+        let factor = DMatrix::from_row_slice(p, p, class.factor);
         let own = factor.transpose() * &factor * class.count;
         for (c, &i) in regressors.iter().enumerate() {
             for k in 0..p {

@@ -82,7 +82,7 @@ pub(super) fn posteriors(
     let one = |j: usize| {
         let number = grouping.number(evidence.id(j)).expect("it was grouped");
         let TestPosterior { mean, covariance, .. } = &found.tests[number];
-        let (log_likelihood, distance) = distance(problem, point, evidence.get(j));
+        let (log_likelihood, distance) = distance(problem, point, evidence, j);
         Posterior {
             log_likelihood,
             mean: ensemble.mean(mean),
@@ -109,7 +109,7 @@ pub(super) fn deletions(
     let whole = problem.likelihood(&estimate.state.place.point, Order::First).value;
     let tests = (0..evidence.len()).into_par_iter().map(|j| {
         let (point, found) = ensemble.without(&[j], whole)?;
-        let (_, distance) = distance(problem, &point, evidence.get(j));
+        let (_, distance) = distance(problem, &point, evidence, j);
         Some(Deletion { distance, ..found })
     });
     let tests = tests.collect();

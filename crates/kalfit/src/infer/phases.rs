@@ -33,7 +33,7 @@ pub(crate) fn phases(problem: &Problem, reductions: &Reductions) -> Vec<PhaseObs
         return Vec::new(); // levels of groups, of one phase
     }
     let classes = problem.classes.by_phase(reductions);
-    let chains: Option<Vec<&Kept>> = classes.classes.iter().map(|class| class.chain.as_ref()).collect();
+    let chains: Option<Vec<&Kept>> = (0..classes.listed.len()).map(|k| classes.listed.get(k).chain).collect();
     let Some(chains) = chains else { return Vec::new() };
     let chains: Vec<(&Kept, Vec<usize>)> = chains.into_iter().map(|kept| (kept, kept.entering())).collect();
     let mut found: Vec<PhaseObservability> = Vec::with_capacity(count);

@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-use crate::estimate::{Class, Classes, Detail, Estimate, Point, Problem, Terms, each, in_parts};
+use crate::estimate::{Class, ClassRef, Classes, Detail, Estimate, Point, Problem, Terms, each, in_parts};
 use crate::infer::levels;
 use crate::linalg::{posterior_root, symmetric};
 use crate::reduce::{ReductionRef, Reductions};
@@ -55,9 +55,9 @@ pub fn posteriors(estimate: &Estimate, reductions: &Reductions) -> Vec<Posterior
 /// Of tests that are classes to themselves.
 fn of_classes((problem, classes): (&Problem, &Classes), point: &Point, reductions: &Reductions) -> Vec<Posterior> {
     let sigma = point.covariance();
-    let told = |found: &mut Vec<(usize, Posterior)>, k: usize, terms: &Terms| {
+    let told = |found: &mut Vec<(usize, Posterior)>, k: usize, class: ClassRef<'_>, terms: &Terms| {
         let test = classes.tests_of(k)[0];
-        found.push((test, posterior((problem, point, &sigma), terms, &classes.classes[k], reductions.get(test))));
+        found.push((test, posterior((problem, point, &sigma), terms, class, reductions.get(test))));
     };
     let parts = in_parts(classes, &problem.mean.regressors, point, Detail::Posterior, &Vec::new, &told);
     let mut found: Vec<Option<Posterior>> = vec![None; reductions.len()];
@@ -67,11 +67,12 @@ fn of_classes((problem, classes): (&Problem, &Classes), point: &Point, reduction
 
 fn chunk(estimate: &Estimate, reductions: &Reductions, numbers: &[usize]) -> Vec<Posterior> {
     let problem = &estimate.state.problem;
-    let classes: Vec<Class> = numbers.iter().map(|&j| problem.classes.single(reductions.get(j))).collect();
+    let classes: Vec<Class> = numbers.iter().map(|&j| problem.classes.single(reductions, j)).collect();
+    let classes: Vec<ClassRef<'_>> = classes.iter().map(Class::view).collect();
     let mut found: Vec<Option<Posterior>> = vec![None; classes.len()];
     let (point, sigma) = (&estimate.state.place.point, estimate.state.place.point.covariance());
-    each(&classes.iter().collect::<Vec<_>>(), &problem.mean.regressors, point, Detail::Posterior, &mut |k, terms| {
-        found[k] = Some(posterior((problem, point, &sigma), terms, &classes[k], reductions.get(numbers[k])));
+    each(&classes, &problem.mean.regressors, point, Detail::Posterior, &mut |k, terms| {
+        found[k] = Some(posterior((problem, point, &sigma), terms, classes[k], reductions.get(numbers[k])));
     });
     found.into_iter().map(|one| one.expect("every class has its turn")).collect()
 }
@@ -79,7 +80,7 @@ fn chunk(estimate: &Estimate, reductions: &Reductions, numbers: &[usize]) -> Vec
 fn posterior(
     (problem, point, sigma): (&Problem, &Point, &DMatrix<f64>),
     terms: &Terms,
-    class: &Class,
+    class: ClassRef<'_>,
     reduction: ReductionRef<'_>,
 ) -> Posterior {
     let mut mean = DVector::from_column_slice(&point.mean);
@@ -97,13 +98,13 @@ fn posterior(
 }
 
 /// log p of a test's measurements and its distance from the population, at any point.
-pub(crate) fn distance(problem: &Problem, point: &Point, reduction: ReductionRef<'_>) -> (f64, Distance) {
-    let class = problem.classes.single(reduction);
-    let terms = terms(problem, point, &class);
-    (terms.value(&class), Distance::of(&terms, &class, reduction))
+pub(crate) fn distance(problem: &Problem, point: &Point, reductions: &Reductions, test: usize) -> (f64, Distance) {
+    let class = problem.classes.single(reductions, test);
+    let terms = terms(problem, point, class.view());
+    (terms.value(class.view()), Distance::of(&terms, class.view(), reductions.get(test)))
 }
 
-fn terms(problem: &Problem, point: &Point, class: &Class) -> Terms {
+fn terms(problem: &Problem, point: &Point, class: ClassRef<'_>) -> Terms {
     let mut terms = Terms::new(point.mean.len());
     terms.evaluate(class, &problem.mean.regressors, point, Detail::Posterior);
     terms
@@ -116,12 +117,12 @@ impl Distance {
         Distance { squared, degrees_of_freedom, p_value }
     }
 
-    fn of(terms: &Terms, class: &Class, reduction: ReductionRef<'_>) -> Distance {
+    fn of(terms: &Terms, class: ClassRef<'_>, reduction: ReductionRef<'_>) -> Distance {
         let p = terms.r.len();
         let rank = (0..p).filter(|&i| (i..p).any(|k| reduction.factor[i + k * (k + 1) / 2] != 0.0)).count();
         // of tests kept phase by phase the quadratic form holds what their phases disagree on at any ξ as well: the stacked constant
         // is what is left of those of the phases after that and after the noise between them
-        let disagreement = match &class.chain {
+        let disagreement = match class.chain {
             Some(_) => 2.0 * (class.constant - reduction.constant) - terms.link_log_det,
             None => 0.0,
         };
@@ -133,11 +134,11 @@ impl Distance {
 /// Var[ξ_i | z] of each phase, in the user's units. Of phases that a test kept phase by phase lacks, Σ.
 fn covariances(
     problem: &Problem,
-    class: &Class,
+    class: ClassRef<'_>,
     terms: &Terms,
     (point, sigma): (&Point, &DMatrix<f64>),
 ) -> Vec<DMatrix<f64>> {
-    let whole = class.chain.is_none().then(|| posterior_covariance(&class.factor, &point.root));
+    let whole = class.chain.is_none().then(|| posterior_covariance(class.factor, &point.root));
     let all = whole.as_ref().unwrap_or(sigma);
     let scale = &problem.classes.frame.scale;
     let of = |(f, states): (usize, &Range<usize>)| {

@@ -1,6 +1,7 @@
 //! Small dense linear algebra. Own kernels on slices for inner loops; nalgebra for everything else.
 
 pub(crate) mod algebra;
+pub(crate) mod column;
 pub mod echelon;
 pub mod elements;
 pub mod exponential;

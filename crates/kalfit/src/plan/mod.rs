@@ -93,7 +93,7 @@ pub struct Plan {
 /// let structure = Structure::single(&mean, &covariance, &alpha);
 /// let population = Population { mean: vec![5.0], coefficients: vec![], covariance: DMatrix::from_element(1, 1, 3.0) };
 ///
-/// let plan = plan(&[test], &structure, &population, &[4, 100])?;
+/// let plan = plan(&vec![test].into(), &structure, &population, &[4, 100])?;
 /// let level = &plan.quantities[0];
 /// assert_eq!(level.quantity, Quantity::Mean(0));
 /// let errors = level.std_errors.as_ref().expect("the design identifies the mean");

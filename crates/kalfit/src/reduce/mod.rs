@@ -28,9 +28,10 @@
 //! all phases ── stack ──> Reduction with its Chain       rotations once per design, then the data of each test
 //! ```
 //!
-//! Many tests are reduced side by side (batch, [`kalfit_lanes`]). A test whose cells are those of one before it, measured values
-//! apart, is not evaluated (recognise), and tests of one design have one data pass (lanes); tests of designs of their own have one
-//! design pass and one data pass, if their designs have one shape (queue, lanes). No bit depends on the company.
+//! What is left of an ensemble stands in columns ([`Reductions`]). Many tests are reduced side by side (batch, [`kalfit_lanes`]). A
+//! test whose cells are those of one before it, measured values apart, is not evaluated (recognise), and tests of one design have one
+//! data pass (lanes); tests of designs of their own have one design pass and one data pass, if their designs have one shape (queue,
+//! lanes). No bit depends on the company.
 //!
 //! Long uniform records cost little: equal steps are one run of the design, S, K, T are kept once from where they no longer
 //! change (settling), J then grows in closed form, and the data pass is a linear scan (scan).
@@ -38,7 +39,6 @@
 mod carry;
 mod chain;
 mod class;
-mod column;
 mod data;
 mod data_pass;
 mod design;

@@ -6,8 +6,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use rayon::iter::{IndexedParallelIterator, IntoParallelIterator, ParallelIterator};
 
+use crate::linalg::column::Column;
 use crate::reduce::chain::Chain;
-use crate::reduce::column::Column;
 use crate::reduce::path::Path;
 use crate::reduce::reduction::Reduction;
 
@@ -168,6 +168,21 @@ impl Reductions {
     pub(crate) fn stamp(&self) -> u64 {
         static NEXT: AtomicU64 = AtomicU64::new(0);
         *self.stamp.get_or_init(|| NEXT.fetch_add(1, Ordering::Relaxed))
+    }
+
+    /// c' of a test.
+    pub(crate) fn constant(&self, number: usize) -> f64 {
+        self.constants[number]
+    }
+
+    /// Which arithmetic made it.
+    pub(crate) fn path(&self, number: usize) -> Path {
+        self.paths[number]
+    }
+
+    /// d of a test.
+    pub(crate) fn data(&self, number: usize) -> &[f64] {
+        self.data.row(number)
     }
 
     /// Id of a test.

@@ -20,7 +20,7 @@ use crate::estimate::chained::shape::PhaseShape;
 use crate::estimate::frame::Frame;
 use crate::linalg::factors::{Factors, Plain, Rotations};
 use crate::linalg::rows::Rows;
-use crate::reduce::{Chain, ChainPhase, Path, ReductionRef};
+use crate::reduce::{Chain, ChainPhase, Path};
 
 pub(crate) use kept::{Kept, grouped};
 pub(crate) use kernel::{Detail, Root, Said};
@@ -41,8 +41,7 @@ pub(crate) struct Chained<T = f64> {
 
 impl Chained {
     /// Tests with equal matrices, in a frame; `ranges` says where the states of each phase of the model stand.
-    pub(crate) fn new(members: &[ReductionRef<'_>], ranges: &[Range<usize>], frame: &Frame) -> Chained {
-        let chains: Vec<&Chain> = members.iter().map(|r| r.chain.expect("it has a chain")).collect();
+    pub(crate) fn new(chains: &[&Chain], ranges: &[Range<usize>], frame: &Frame) -> Chained {
         let careful = chains.iter().any(|chain| chain.phases.iter().any(|phase| phase.path == Path::SquareRoot));
         let data: Vec<Vec<Vec<f64>>> = chains.iter().map(|chain| centred(chain, ranges, frame)).collect();
         let columns = columns(&data);
@@ -61,7 +60,7 @@ impl Chained {
             before = Some(scale);
             Phase { own: own.clone(), factor, data: own_data, link }
         });
-        Chained { phases: phases.collect(), columns: columns.ncols(), count: members.len() as f64, careful }
+        Chained { phases: phases.collect(), columns: columns.ncols(), count: chains.len() as f64, careful }
     }
 
     /// n J of a phase by itself, in what enters it.
@@ -201,18 +200,17 @@ mod tests {
     use nalgebra::DVector;
 
     use super::*;
-    use crate::reduce::Reduction;
     use kalfit_lanes::{Counted, Isa, Kernel, Lanes};
 
     /// Phases of three states.
     fn chain(phases: usize) -> (Chained, Frame) {
-        let (reduction, ranges, _) = test(phases, (3, 3));
+        let (chain, ranges, _) = test(phases, (3, 3));
         let frame = Frame { centre: vec![0.0; 3 * phases], scale: vec![1.0; 3 * phases], covariate_scale: Vec::new() };
-        (Chained::new(&[reduction.view()], &ranges, &frame), frame)
+        (Chained::new(&[&chain], &ranges, &frame), frame)
     }
 
     /// A test in phases of q states, the first p of which are their own; where they stand, and a frame.
-    fn test(phases: usize, (q, p): (usize, usize)) -> (Reduction, Vec<Range<usize>>, Frame) {
+    fn test(phases: usize, (q, p): (usize, usize)) -> (Chain, Vec<Range<usize>>, Frame) {
         let wave =
             |seed: usize, size: usize| -> Vec<f64> { (0..size).map(|k| ((seed + 3 * k) as f64).sin()).collect() };
         let diagonal = |k: &usize| (0..q).any(|i| i * (i + 3) / 2 == *k);
@@ -235,20 +233,7 @@ mod tests {
         let scale = wave(5, p * phases).iter().map(|x| 1.5 + x).collect();
         let frame = Frame { centre: wave(11, p * phases), scale, covariate_scale: Vec::new() };
         let chain = Chain { phases: (0..phases).map(phase).collect() };
-        let reduction = Reduction {
-            test: "a".to_owned(),
-            constant: 0.0,
-            residual: None,
-            data: Vec::new(),
-            factor: Vec::new(),
-            covariates: Vec::new(),
-            steps: 1,
-            observations: 1,
-            path: Path::Information,
-            design: 0,
-            chain: Some(Box::new(chain)),
-        };
-        (reduction, (0..phases).map(|f| p * f..p * f + p).collect(), frame)
+        (chain, (0..phases).map(|f| p * f..p * f + p).collect(), frame)
     }
 
     fn counted(chained: &Chained) -> Chained<Counted> {
@@ -305,8 +290,8 @@ mod tests {
     fn tests_side_by_side_say_what_they_say_alone_whatever_their_size() {
         for (q, p) in [(1, 1), (2, 1), (3, 3), (4, 2), (5, 5), (6, 3), (7, 7), (8, 8), (9, 4)] {
             let phases = 3;
-            let (reduction, ranges, frame) = test(phases, (q, p));
-            let chained = Chained::new(&[reduction.view()], &ranges, &frame);
+            let (chain, ranges, frame) = test(phases, (q, p));
+            let chained = Chained::new(&[&chain], &ranges, &frame);
             let mean: Vec<f64> = (0..p * phases).map(|k| (k as f64).cos()).collect();
             let root = DMatrix::from_fn(p * phases, p * phases, |i, k| match (i / p == k / p, i.cmp(&k)) {
                 (true, std::cmp::Ordering::Equal) => 0.5 + i as f64 / 10.0,
@@ -322,8 +307,7 @@ mod tests {
                     format!("{chained:?}"),
                     "a lane is what it was made from"
                 );
-                let gathered =
-                    Packed::of_tests(shape, members, isa.lanes(), (&ranges, &frame), |_| vec![reduction.view()]);
+                let gathered = Packed::of_tests(shape, members, isa.lanes(), (&ranges, &frame), |_| vec![&chain]);
                 assert_eq!(format!("{gathered:?}"), format!("{packed:?}"), "and so it is as gathered");
                 for detail in [Detail::Phases, Detail::Between, Detail::Posterior] {
                     let alone = figures(&chained.at(&mean, &root, detail), |x| x);

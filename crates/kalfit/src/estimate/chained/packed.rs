@@ -12,7 +12,7 @@ use crate::estimate::frame::Frame;
 use crate::linalg::factors::Plain;
 use crate::linalg::fixed::Fixed;
 use crate::linalg::rows::Rows;
-use crate::reduce::{Chain, ReductionRef};
+use crate::reduce::Chain;
 
 /// As many classes of one shape as there are lanes, or fewer: lanes that no class takes have a class without tests.
 #[derive(Debug, Clone)]
@@ -39,17 +39,17 @@ impl Packed {
         })
     }
 
-    /// Of classes as the estimator gathers them; `of` has the tests of each.
+    /// Of classes as the estimator gathers them; `of` has the chains of the tests of each.
     pub(crate) fn of_tests<'a>(
         shape: Arc<Shape>,
         members: Vec<usize>,
         lanes: usize,
         (ranges, frame): (&[Range<usize>], &Frame),
-        of: impl Fn(usize) -> Vec<ReductionRef<'a>>,
+        of: impl Fn(usize) -> Vec<&'a Chain>,
     ) -> Packed {
         Packed::filled(shape, members, lanes, |member, to| match &of(member)[..] {
-            [ReductionRef { chain: Some(chain), .. }] => put_test(chain, (ranges, frame), to, lanes),
-            tests => put(&Chained::new(tests, ranges, frame), to, lanes),
+            [chain] => put_test(chain, (ranges, frame), to, lanes),
+            chains => put(&Chained::new(chains, ranges, frame), to, lanes),
         })
     }
 

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use crate::reduce::{ChainPhase, Path, ReductionRef};
+use crate::reduce::{Chain, ChainPhase, Path};
 
 /// Sizes of all matrices of a class.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -26,14 +26,12 @@ pub(super) struct PhaseShape {
 impl Shape {
     /// Of tests with equal matrices; `ranges` says where the states of each phase of the model stand. `None` where some phase needs
     /// rotations: such a class is worked on by itself.
-    pub(crate) fn of(members: &[ReductionRef<'_>], ranges: &[Range<usize>]) -> Option<Shape> {
-        let plain = |reduction: &ReductionRef<'_>| {
-            reduction.chain.is_some_and(|chain| chain.phases.iter().all(|p| p.path != Path::SquareRoot))
-        };
-        if !members.iter().all(plain) {
+    pub(crate) fn of(chains: &[&Chain], ranges: &[Range<usize>]) -> Option<Shape> {
+        let plain = |chain: &&Chain| chain.phases.iter().all(|phase| phase.path != Path::SquareRoot);
+        if !chains.iter().all(plain) {
             return None;
         }
-        let chain = members.first()?.chain?;
+        let chain = chains.first()?;
         let phase = |(phase, own): (&ChainPhase, &Range<usize>)| PhaseShape {
             own: own.clone(),
             size: phase.data.len(),
@@ -41,7 +39,7 @@ impl Shape {
         };
         let phases: Vec<PhaseShape> = chain.phases.iter().zip(ranges).map(phase).collect();
         let data = phases.iter().map(|phase| phase.size).sum();
-        Some(Shape { columns: columns(members.len(), data), phases })
+        Some(Shape { columns: columns(chains.len(), data), phases })
     }
 
     /// How many numbers it takes.

@@ -6,8 +6,8 @@ use std::sync::Arc;
 use kalfit_lanes::{Isa, Kernel, Lanes};
 
 use crate::estimate::chained::{Detail, Packed, Root, Said};
-use crate::estimate::class::Class;
 use crate::estimate::lanes::gather::Gather;
+use crate::estimate::listed::Listed;
 use crate::estimate::order::Order;
 use crate::estimate::point::{Point, Regressors};
 use crate::linalg::elements::Elements;
@@ -17,7 +17,7 @@ use crate::linalg::symmetric::pair;
 /// One pass over some blocks.
 pub(crate) struct Pass<'a> {
     pub(crate) blocks: &'a [Arc<Packed>],
-    pub(crate) classes: &'a [Class],
+    pub(crate) classes: &'a Listed,
     pub(crate) point: &'a Point,
     pub(crate) regressors: &'a Regressors,
     pub(crate) elements: &'a Elements,
@@ -55,11 +55,11 @@ impl Kernel for Pass<'_> {
         let detail = if self.order >= Order::Mean { Detail::Between } else { Detail::Phases };
         let root = Root::of(&self.point.root);
         for block in self.blocks {
-            let mean = block.means::<T>(self.classes, self.point, self.regressors);
+            let mean = block.means::<T>(|member| self.classes.get(member), self.point, self.regressors);
             match block.said::<T>(&mean, &root, detail) {
                 Some(said) => {
                     for &member in block.members() {
-                        sums.value += self.classes[member].constant;
+                        sums.value += self.classes.get(member).constant;
                     }
                     sums.add(block.count(), &said);
                 }

@@ -1,6 +1,7 @@
 //! What stands in a block, and where.
 
-use crate::linalg::symmetric::pairs;
+use crate::estimate::class::{Class, ClassRef};
+use crate::linalg::symmetric::{pair, pairs};
 
 /// What stands in a block, each number of all its classes side by side: R by columns, d, the vectors of the scatter of classes of
 /// several tests, the covariates, and n of classes of several tests.
@@ -30,5 +31,42 @@ impl Layout {
     /// Numbers of a class.
     pub(super) fn size(&self) -> usize {
         self.count() + usize::from(self.several)
+    }
+
+    /// Puts a class into a lane of a block that held nothing there.
+    pub(super) fn put(&self, class: ClassRef<'_>, (block, lane, lanes): (&mut [f64], usize, usize)) {
+        let p = self.p;
+        let triangle = (0..p).flat_map(|k| (0..=k).map(move |i| class.factor[i * p + k]));
+        let mut put = |from: usize, numbers: &mut dyn Iterator<Item = f64>| {
+            block[from * lanes..].chunks_exact_mut(lanes).zip(numbers).for_each(|(entry, x)| entry[lane] = x);
+        };
+        put(0, &mut triangle.chain(class.mean.iter().copied()));
+        put(self.scatter(), &mut class.scatter.iter().copied());
+        put(self.covariates(), &mut class.covariates.iter().copied());
+        if self.several {
+            put(self.count(), &mut std::iter::once(class.count));
+        }
+    }
+
+    /// Takes the class in a lane out of a block, its constant apart.
+    pub(super) fn read(&self, (block, lane, lanes): (&[f64], usize, usize), class: &mut Class) {
+        let p = self.p;
+        let number = |at: usize| block[at * lanes + lane];
+        let copy = |to: &mut Vec<f64>, from: usize, size: usize| {
+            to.clear();
+            to.extend((from..from + size).map(number));
+        };
+        class.count = if self.several { number(self.count()) } else { 1.0 };
+        class.factor.clear();
+        class.factor.resize(p * p, 0.0);
+        for k in 0..p {
+            (0..=k).for_each(|i| class.factor[i * p + k] = number(pair(k, i)));
+        }
+        // vectors beyond those that there are hold zeros
+        let vectors = if self.several { p.min(class.count as usize) } else { 0 };
+        copy(&mut class.mean, pairs(p), p);
+        copy(&mut class.scatter, self.scatter(), vectors * p);
+        copy(&mut class.covariates, self.covariates(), self.covariates);
+        (class.square_root, class.chain) = (false, None);
     }
 }

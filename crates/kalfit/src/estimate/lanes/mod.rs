@@ -9,6 +9,8 @@ mod plain;
 mod rows;
 mod whole;
 
+use std::sync::Arc;
+
 use kalfit_lanes::Isa;
 use nalgebra::DMatrix;
 use rayon::prelude::*;
@@ -29,10 +31,14 @@ pub(crate) struct Blocks {
     isa: Isa,
     layout: Layout,
     numbers: Vec<f64>,
-    classes: usize,
+    /// Of each class, as they were gathered.
+    constants: Arc<Vec<f64>>,
     /// Σ constant.
     constant: f64,
 }
+
+/// Fewest blocks that one thread fills.
+const FILLED: usize = 16;
 
 /// Fewest blocks that one task sums, of many states and of one: a task of few states takes no less time than one of many. How many it
 /// is depends on nothing but the blocks, so that sums have the same bits for any number of threads.
@@ -44,42 +50,36 @@ const MOST: usize = 32;
 const TASKS: usize = 64;
 
 impl Blocks {
-    /// No blocks, to be filled with classes of p states and so many covariates, of several tests each or of one.
-    pub(crate) fn new(p: usize, covariates: usize, several: bool, isa: Isa) -> Blocks {
+    /// So many classes of p states and so many covariates, of several tests each or of one, with no need of rotations; `class` puts
+    /// the one with a number into a place.
+    pub(crate) fn filled(
+        (p, covariates, several): (usize, usize, bool),
+        isa: Isa,
+        count: usize,
+        class: &(dyn Fn(usize, &mut Class) + Sync),
+    ) -> Blocks {
         let layout = Layout { p, covariates, several };
-        Blocks { isa, layout, numbers: Vec::new(), classes: 0, constant: 0.0 }
+        let (lanes, size) = (isa.lanes(), layout.size() * isa.lanes());
+        let mut numbers = vec![0.0; count.div_ceil(lanes) * size];
+        let mut constants = vec![0.0; count];
+        let blocks = numbers.par_chunks_mut(size.max(1)).zip(constants.par_chunks_mut(lanes)).enumerate();
+        blocks.with_min_len(FILLED).for_each_init(Class::default, |room, (at, (block, constants))| {
+            for (lane, constant) in constants.iter_mut().enumerate() {
+                class(at * lanes + lane, room);
+                layout.put(room.view(), (block, lane, lanes));
+                *constant = room.constant;
+            }
+        });
+        let constant = constants.iter().sum();
+        Blocks { isa, layout, numbers, constants: Arc::new(constants), constant }
     }
 
-    /// Whether a class can stand in one of these blocks: of as many tests, with no need of rotations.
-    pub(crate) fn takes(&self, class: &Class) -> bool {
-        let Layout { p, covariates, several } = self.layout;
-        let same = several == (class.count > 1.0) && class.covariates.len() == covariates;
-        same && !class.square_root && class.chain.is_none() && p > 0
-    }
-
-    /// Puts a class that it takes into the next free lane.
-    pub(crate) fn push(&mut self, class: &Class) {
-        let (lanes, layout) = (self.isa.lanes(), self.layout);
-        let lane = self.classes % lanes;
-        let size = layout.size() * lanes;
-        if lane == 0 {
-            self.numbers.resize(self.numbers.len() + size, 0.0);
-        }
-        let start = self.numbers.len() - size;
-        let p = layout.p;
-        let triangle = (0..p).flat_map(|k| (0..=k).map(move |i| class.factor[i * p + k]));
-        let mut put = |from: usize, numbers: &mut dyn Iterator<Item = f64>| {
-            let entries = self.numbers[start + from * lanes..].chunks_exact_mut(lanes);
-            entries.zip(numbers).for_each(|(entry, x)| entry[lane] = x);
-        };
-        put(0, &mut triangle.chain(class.mean.iter().copied()));
-        put(layout.scatter(), &mut class.scatter.iter().copied());
-        put(layout.covariates(), &mut class.covariates.iter().copied());
-        if layout.several {
-            put(layout.count(), &mut std::iter::once(class.count));
-        }
-        self.classes += 1;
-        self.constant += class.constant;
+    /// Puts the class with this number into a place, its constant as it was gathered.
+    pub(crate) fn read(&self, number: usize, class: &mut Class) {
+        let lanes = self.isa.lanes();
+        let size = self.layout.size() * lanes;
+        self.layout.read((&self.numbers[number / lanes * size..][..size], number % lanes, lanes), class);
+        class.constant = self.constants[number];
     }
 
     /// The same with other noise: d and what classes scatter so many times as large, and this much more of Σ constant.
@@ -89,7 +89,7 @@ impl Blocks {
         let mut numbers = self.numbers.clone();
         let shrink = |block: &mut [f64]| block[data.clone()].iter_mut().for_each(|x| *x *= unit);
         numbers.par_chunks_mut((layout.size() * lanes).max(1)).with_min_len(TASKS).for_each(shrink);
-        Blocks { numbers, constant: self.constant + change, ..*self }
+        Blocks { numbers, constants: self.constants.clone(), constant: self.constant + change, ..*self }
     }
 
     /// What it is worked on with.
@@ -117,7 +117,7 @@ impl Blocks {
 
     /// What is made of each so many blocks.
     fn parts<R: Send>(&self, of: &(dyn Fn(&[f64]) -> R + Sync)) -> Vec<R> {
-        if self.classes == 0 {
+        if self.constants.is_empty() {
             return Vec::new();
         }
         let size = self.layout.size() * self.isa.lanes();

@@ -40,11 +40,7 @@ fn point(p: usize) -> Point {
 fn both(p: usize, isa: Isa, tests: usize) -> (Vec<f64>, Vec<f64>) {
     let point = point(p);
     let classes: Vec<Class> = (0..tests).map(|j| class(p, j)).collect();
-    let mut blocks = Blocks::new(p, 0, false, isa);
-    for class in &classes {
-        assert!(blocks.takes(class));
-        blocks.push(class);
-    }
+    let blocks = Blocks::filled((p, 0, false), isa, tests, &|j, place| place.set(classes[j].view()));
     let mut found: Vec<f64> = Vec::new();
     for totals in blocks.totals(&point, Order::Expected) {
         let parts = [&totals.r, &totals.W, &totals.outer, &totals.curvature, &totals.cross, &totals.expected];
@@ -55,7 +51,7 @@ fn both(p: usize, isa: Isa, tests: usize) -> (Vec<f64>, Vec<f64>) {
     }
     let mut expected = vec![0.0; found.len()];
     let mut terms = Terms::new(p);
-    for class in &classes {
+    for class in classes.iter().map(Class::view) {
         terms.factorise(class, &point.root);
         terms.finish(class, &[], &point);
         let log_det = -2.0 * (terms.value(class) - class.constant) - terms.quadratic;
@@ -133,15 +129,13 @@ fn several_tests_regressions_and_the_restricted_likelihood_are_summed_as_one_by_
                 for tests in [1, 2 * isa.lanes() + 1, fewest(p) * isa.lanes() + 3] {
                     let classes: Vec<Class> =
                         (0..tests).map(|j| any_class(p, j, (regressors.len(), several))).collect();
-                    let mut blocks = Blocks::new(p, regressors.len(), several, *isa);
-                    for class in &classes {
-                        assert!(blocks.takes(class));
-                        blocks.push(class);
-                    }
+                    let fill = |j: usize, place: &mut Class| place.set(classes[j].view());
+                    let blocks = Blocks::filled((p, regressors.len(), several), *isa, tests, &fill);
                     let mut found = wanted.zero();
                     found.value += blocks.constant();
                     blocks.whole(&point, wanted).iter().for_each(|totals| found.take_whole(totals));
-                    let expected = one_by_one(&classes.iter().collect::<Vec<&Class>>(), &point, wanted).numbers();
+                    let expected =
+                        one_by_one(&classes.iter().map(Class::view).collect::<Vec<_>>(), &point, wanted).numbers();
                     let largest = expected.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
                     for (at, (found, expected)) in found.numbers().iter().zip(&expected).enumerate() {
                         let allowed = 1e-12 * (1.0 + largest) + 1e-11 * expected.abs();
@@ -152,6 +146,23 @@ fn several_tests_regressions_and_the_restricted_likelihood_are_summed_as_one_by_
                     }
                 }
             }
+        }
+    }
+}
+
+/// What is put into blocks comes out again.
+#[test]
+fn classes_are_read_as_they_were_put() {
+    for (p, covariates, several) in [(1, 0, false), (3, 2, false), (2, 1, true), (4, 0, true)] {
+        let classes: Vec<Class> = (0..19).map(|j| any_class(p, j, (covariates, several))).collect();
+        let fill = |j: usize, place: &mut Class| place.set(classes[j].view());
+        let blocks = Blocks::filled((p, covariates, several), Isa::best(), classes.len(), &fill);
+        let mut found = Class::default();
+        for (j, class) in classes.iter().enumerate() {
+            blocks.read(j, &mut found);
+            assert_eq!((found.count, found.constant), (class.count, class.constant), "p = {p}, {j}");
+            let numbers = |class: &Class| [&class.factor[..], &class.mean, &class.scatter, &class.covariates].concat();
+            assert_eq!(numbers(&found), numbers(class), "p = {p}, {j}");
         }
     }
 }

@@ -8,7 +8,7 @@ use nalgebra::DVector;
 use rayon::prelude::*;
 
 use crate::ensemble::Grouping;
-use crate::estimate::class::Class;
+use crate::estimate::classes::Classes;
 use crate::estimate::frame::Frame;
 use crate::linalg::rows::Rows;
 use crate::linalg::symmetric::pair;
@@ -95,21 +95,17 @@ struct Tree {
 
 impl Units {
     /// Of reductions with the classes they are of; `Err` with the id of a test that is in no group.
-    pub(crate) fn new(
-        reductions: &Reductions,
-        (classes, members): (&[Class], &[&[usize]]),
-        frame: &Frame,
-        grouping: &Arc<Grouping>,
-    ) -> Result<Units, String> {
+    pub(crate) fn new(reductions: &Reductions, classes: &Classes, grouping: &Arc<Grouping>) -> Result<Units, String> {
+        let frame = &classes.frame;
         let states = frame.scale.len() / (grouping.depth() + 1);
         let mut leaf_of = vec![0; reductions.len()];
-        for (leaf, members) in members.iter().enumerate() {
-            members.iter().for_each(|&j| leaf_of[j] = leaf);
+        for leaf in 0..classes.len() {
+            classes.tests_of(leaf).iter().for_each(|&j| leaf_of[j] = leaf);
         }
-        let leaf = |class: &Class| {
-            let p = frame.scale.len();
+        let leaf = |number: usize| {
+            let (class, p) = (classes.listed.get(number), frame.scale.len());
             let factor = Rows::from_fn(states, states, |i, k| class.factor[i * p + k]);
-            Leaf { factor, covariates: class.covariates.clone() }
+            Leaf { factor, covariates: class.covariates.to_vec() }
         };
         let numbers: Option<Vec<usize>> = (0..reductions.len()).map(|j| grouping.number(reductions.id(j))).collect();
         let Some(numbers) = numbers else {
@@ -130,9 +126,9 @@ impl Units {
             states,
             grouping: grouping.clone(),
             numbers: Arc::new(numbers),
-            constant: classes.iter().map(|class| class.constant).sum(),
+            constant: (0..classes.len()).map(|number| classes.listed.get(number).constant).sum(),
             unit: 1.0,
-            leaves: Arc::new(classes.par_iter().map(leaf).collect()),
+            leaves: Arc::new((0..classes.len()).into_par_iter().map(leaf).collect()),
             designs: Arc::new(found.par_iter().map(design).collect()),
         })
     }

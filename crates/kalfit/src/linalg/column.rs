@@ -4,7 +4,7 @@ use std::ops::Range;
 
 /// Rows of numbers: mostly of one length, and then nothing but the numbers.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Column {
+pub(crate) struct Column {
     numbers: Vec<f64>,
     /// Length of the first row, and of all where they are of one.
     width: usize,
@@ -14,7 +14,7 @@ pub(super) struct Column {
 
 impl Column {
     /// Adds a row to so many.
-    pub(super) fn push(&mut self, rows: usize, numbers: impl Iterator<Item = f64>) {
+    pub(crate) fn push(&mut self, rows: usize, numbers: impl Iterator<Item = f64>) {
         let start = self.numbers.len();
         self.numbers.extend(numbers);
         let size = self.numbers.len() - start;
@@ -30,7 +30,7 @@ impl Column {
     }
 
     /// Adds so many rows of another to so many.
-    pub(super) fn append(&mut self, rows: usize, other: &Column, more: usize) {
+    pub(crate) fn append(&mut self, rows: usize, other: &Column, more: usize) {
         if self.width == other.width && self.ends.is_empty() && other.ends.is_empty() {
             self.numbers.extend_from_slice(&other.numbers);
         } else {
@@ -38,20 +38,25 @@ impl Column {
         }
     }
 
-    pub(super) fn row(&self, row: usize) -> &[f64] {
+    pub(crate) fn row(&self, row: usize) -> &[f64] {
         &self.numbers[self.range(row)]
     }
 
-    pub(super) fn row_mut(&mut self, row: usize) -> &mut [f64] {
+    pub(crate) fn row_mut(&mut self, row: usize) -> &mut [f64] {
         let range = self.range(row);
         &mut self.numbers[range]
     }
 
+    /// All numbers so many times as large.
+    pub(crate) fn scale(&mut self, by: f64) {
+        self.numbers.iter_mut().for_each(|x| *x *= by);
+    }
+
     fn range(&self, row: usize) -> Range<usize> {
-        match (self.ends.get(row), row.checked_sub(1)) {
-            (None, _) => row * self.width..(row + 1) * self.width,
-            (Some(&end), before) => before.map_or(0, |before| self.ends[before])..end,
+        if self.ends.is_empty() {
+            return row * self.width..(row + 1) * self.width;
         }
+        row.checked_sub(1).map_or(0, |before| self.ends[before])..self.ends[row]
     }
 }
 
