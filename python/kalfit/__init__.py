@@ -10,7 +10,7 @@ Gyros on two bench stations
 
 from kalfit._arrays import Ensemble
 from kalfit._data import Data, Table, TableLike
-from kalfit._fit import Fit, Interrupted, Parameter, Parameters, Phase, TestFit
+from kalfit._fit import Fit, GroupFit, Interrupted, Level, Parameter, Parameters, Phase, TestFit
 from kalfit._jobs import check, estimates, fit, plan, reduce, simulate, test
 from kalfit._kalfit import DataError, Error, FitError, ModelError, version
 from kalfit._model import Model, ModelLike
@@ -26,7 +26,9 @@ __all__ = [
     "Error",
     "Fit",
     "FitError",
+    "GroupFit",
     "Interrupted",
+    "Level",
     "Model",
     "ModelError",
     "ModelLike",

@@ -85,8 +85,8 @@ class Parameters(Sequence[Parameter]):
         return f"Parameters({self._all!r})"
 
 
-class Phase:
-    """The initial state of one phase, over the population. Arrays are in the order of :attr:`states`.
+class _Spread:
+    """A covariance of initial states, with all that is known of it. Arrays are in the order of :attr:`states`.
 
     What may be unknown, such as the standard error of a fixed element, comes in masked arrays: an unknown number is masked, and so
     is whatever is calculated from it. :meth:`why_unknown` says why. Whoever wants NaN asks for it: ``filled()``.
@@ -94,22 +94,10 @@ class Phase:
 
     def __init__(self, record: dict[str, Any]) -> None:
         self._record = record
-        #: Name of the phase; ``main`` in a model without phases.
+        #: Its name.
         self.name: str = record["name"]
         #: Names of the estimated states.
         self.states: list[str] = list(record["states"])
-        #: Their units; None where the model has none.
-        self.units: list[str | None] = list(record.get("units") or [None] * len(self.states))
-
-    @property
-    def mean(self) -> Array:
-        """Mean, shape (p,)."""
-        return _array(self._record["mean"]["estimate"])
-
-    @property
-    def mean_std_error(self) -> MaskedArray:
-        """Standard errors of the mean, shape (p,)."""
-        return _masked(self._record["mean"]["std_error"])
 
     @property
     def covariance(self) -> Array:
@@ -141,6 +129,25 @@ class Phase:
         """Standard errors of the correlations, shape (p, p)."""
         return _masked(self._record["correlation"]["std_error"]).reshape(len(self.states), len(self.states))
 
+
+class Phase(_Spread):
+    """The initial state of one phase, over the population; named ``main`` in a model without phases."""
+
+    def __init__(self, record: dict[str, Any]) -> None:
+        super().__init__(record)
+        #: Units of the states; None where the model has none.
+        self.units: list[str | None] = list(record.get("units") or [None] * len(self.states))
+
+    @property
+    def mean(self) -> Array:
+        """Mean, shape (p,)."""
+        return _array(self._record["mean"]["estimate"])
+
+    @property
+    def mean_std_error(self) -> MaskedArray:
+        """Standard errors of the mean, shape (p,)."""
+        return _masked(self._record["mean"]["std_error"])
+
     def why_unknown(
         self, what: Literal["mean", "std_dev", "covariance", "correlation"], state: str, other: str | None = None
     ) -> str | None:
@@ -152,6 +159,60 @@ class Phase:
 
     def __repr__(self) -> str:
         return f"<kalfit.Phase {self.name!r}: {', '.join(self.states)}>"
+
+
+class Level(_Spread):
+    """What varies from group to group of a level, or, at the last one, from test to test within the groups."""
+
+    def __init__(self, record: dict[str, Any]) -> None:
+        super().__init__(record)
+        #: Column that names the groups; None for the tests' own level.
+        self.column: str | None = record.get("column")
+        #: Number of groups; of tests for their own level.
+        self.groups: int = record["groups"]
+
+    def why_unknown(
+        self, what: Literal["std_dev", "covariance", "correlation"], state: str, other: str | None = None
+    ) -> str | None:
+        """Why a figure has no standard error, in words; None when it has one."""
+        return _why_unknown(self._record, self.states, what, state, other)
+
+    def __repr__(self) -> str:
+        return f"<kalfit.Level {self.name!r}: {self.groups} groups, {', '.join(self.states)}>"
+
+
+@dataclass(frozen=True)
+class GroupFit:
+    """What is known of one group of tests: the law of the mean of its members, given all data and the fit."""
+
+    level: str
+    #: Its name after those of the groups that it stands in, the outermost first.
+    id: tuple[str, ...]
+    tests: int
+    log_likelihood: float
+    #: Shape (p,).
+    mean: Array
+    #: Shape (p, p).
+    covariance: Array
+    #: How far the group lies from the population: chi-square under the model.
+    distance: float | None
+    degrees_of_freedom: int
+    p_value: float | None
+
+
+def _group(record: dict[str, Any]) -> GroupFit:
+    mean = _array(record["mean"])
+    return GroupFit(
+        level=record["level"],
+        id=tuple(record["id"]),
+        tests=record["tests"],
+        log_likelihood=record["log_likelihood"],
+        mean=mean,
+        covariance=_square(record["covariance"], len(mean)),
+        distance=record.get("distance"),
+        degrees_of_freedom=record["degrees_of_freedom"],
+        p_value=record.get("p_value"),
+    )
 
 
 def _why_unknown(
@@ -217,6 +278,8 @@ class TestFit:
     covariances: dict[str, Array]
     #: Its text in the column of ``[data] group``.
     group: str | None = None
+    #: Names of its groups where the model has levels, the outermost first.
+    groups: tuple[str, ...] = ()
 
 
 class Fit:
@@ -263,6 +326,24 @@ class Fit:
     def phases(self) -> tuple[Phase, ...]:
         """Each phase of the model; one, named ``main``, in a model without phases."""
         return tuple(Phase(phase) for phase in self._record["phases"])
+
+    @cached_property
+    def levels(self) -> tuple[Level, ...]:
+        """What varies at each level of groups, the outermost first, and last from test to test; none without levels."""
+        return tuple(Level(level) for level in self._record.get("levels", []))
+
+    def level(self, name: str) -> Level:
+        """The level of this name; ``tests`` is the tests' own."""
+        for level in self.levels:
+            if level.name == name:
+                return level
+        names = ", ".join(level.name for level in self.levels) or "none"
+        raise KeyError(f"there is no level {name!r}, there are {names}")
+
+    @cached_property
+    def groups(self) -> list[GroupFit]:
+        """What is known of each group, level by level from the outermost on."""
+        return [_group(record) for record in self._record.get("groups", [])]
 
     def phase(self, name: str) -> Phase:
         """The phase of this name."""
@@ -453,4 +534,5 @@ def _test(record: dict[str, Any]) -> TestFit:
         means={phase["name"]: _array(phase["mean"]) for phase in phases},
         covariances={phase["name"]: _square(phase["covariance"], len(phase["mean"])) for phase in phases},
         group=record.get("group"),
+        groups=tuple(record.get("groups", ())),
     )

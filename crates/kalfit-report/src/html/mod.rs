@@ -15,6 +15,7 @@ mod groups;
 mod identifiability;
 mod influence;
 mod innovations;
+mod levels;
 mod math;
 mod model;
 mod outlying;
@@ -51,6 +52,7 @@ fn page(record: &FitRecord, test: Option<&RatioRecord>) -> String {
         model::section(record),
         data::section(record, &mut charts),
         estimates::section(record, &mut charts),
+        levels::section(record, &mut charts),
         parameters::section(record, &mut charts),
         identifiability::section(record),
         tests::section(record, &mut charts),

@@ -43,7 +43,9 @@ pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
         );
     }
     let body = table + &page.items(&sentences);
-    page.section("Spread by level (share of the variance of a test)", &body) + &outlying(record, page)
+    let spread = page.section("Spread by level (share of the variance of a test)", &body);
+    let apart = outlying(record, page);
+    if apart.is_empty() { spread } else { format!("{spread}\n{apart}") }
 }
 
 /// One row for each state and level.
