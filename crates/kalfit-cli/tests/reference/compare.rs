@@ -44,6 +44,7 @@ impl Comparison {
                 all.phase(&format!("{}: ", text(&want["name"])), found, want, rel);
             }
         }
+        all.levels(fit, want, rel);
         all.constraints(fit, want, rel);
         all.parameters(fit, want);
         all.estimates(fit, want, rel);
@@ -64,6 +65,18 @@ impl Comparison {
             });
         }
         self.boundary(of, phase, want);
+    }
+
+    /// What was found of the groups of each level.
+    fn levels(&mut self, fit: &Value, want: &Value, rel: f64) {
+        for (name, want) in want["levels"].as_object().into_iter().flatten() {
+            let Some(found) = list(&fit["levels"]).iter().find(|level| text(&level["name"]) == name) else {
+                self.mismatches.push(format!("level {name} is not in fit.json"));
+                continue;
+            };
+            let (found, expected) = (&found["covariance"]["estimate"], &want["covariance"]);
+            self.scaled(&format!("covariance of level {name}"), found, expected, &want["scale"], rel);
+        }
     }
 
     /// One line for each figure that is off by more than `limit` tolerances, the worst first, and for each mismatch.

@@ -275,6 +275,19 @@ impl Classes {
 
     /// Every so-many-th class in their order, in the same η. The pooled information is the share that goes with the tests.
     pub(crate) fn thinned(&self, every: usize) -> Classes {
+        if let Some(units) = &self.units {
+            let units = units.thinned(every);
+            let present = units.counts();
+            let share = present[0] / self.tests as f64;
+            let information = &self.information * share;
+            return Classes {
+                tests: present[0] as usize,
+                information,
+                present,
+                units: Some(Arc::new(units)),
+                ..self.clone()
+            };
+        }
         let numbers: Vec<usize> = (0..self.len()).skip(every / 2).step_by(every).collect();
         let kinds = numbers.iter().map(|&number| self.places[number].kind).collect();
         let chains = self.repacked(&numbers);

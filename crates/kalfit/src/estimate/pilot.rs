@@ -4,7 +4,7 @@
 //! costs little to find and lies within their sampling error of that of all, where Newton's method needs but a few passes.
 
 use crate::estimate::problem::Problem;
-use crate::estimate::{FitError, Structure};
+use crate::estimate::{Criterion, FitError, Structure};
 
 /// Fewest classes of a pilot, and fewest for each free coordinate of (μ, Σ).
 const CLASSES: usize = 512;
@@ -14,12 +14,15 @@ const PART: usize = 8;
 
 /// The problem of a part of the classes, in the same coordinates; `None` where there are too few to be worth it.
 pub(crate) fn problem(whole: &Problem, structure: &Structure<'_>) -> Result<Option<Problem>, FitError> {
-    if whole.classes.units.is_some() {
-        return Ok(None); // every so-many-th test would leave parts of groups
-    }
     let coordinates = whole.mean.basis.ncols() + whole.mean.regressors.len() + whole.covariance.elements.count();
     let wanted = CLASSES.max(EACH * coordinates);
-    let every = whole.classes.len() / wanted;
+    // of tests in groups whole units, whose restricted likelihood would want all designs
+    let all = match &whole.classes.units {
+        Some(_) if whole.criterion() == Criterion::Reml => return Ok(None),
+        Some(units) => units.len(),
+        None => whole.classes.len(),
+    };
+    let every = all / wanted;
     if every < PART {
         return Ok(None);
     }

@@ -138,6 +138,27 @@ impl Units {
         Units { unit: self.unit * unit, constant: self.constant + change, ..self.clone() }
     }
 
+    /// Every so-many-th unit.
+    pub(crate) fn thinned(&self, every: usize) -> Units {
+        let mut first = 0;
+        let mut designs = Vec::new();
+        for design in self.designs.iter() {
+            let kept: Vec<usize> = (0..design.units.len()).filter(|unit| (first + unit) % every == every / 2).collect();
+            first += design.units.len();
+            if !kept.is_empty() {
+                designs.push(design.some(&kept));
+            }
+        }
+        let kept: usize = designs.iter().map(|design| design.units.len()).sum();
+        let constant = self.constant * kept as f64 / first.max(1) as f64;
+        Units { designs: Arc::new(designs), constant, ..self.clone() }
+    }
+
+    /// How many units there are.
+    pub(crate) fn len(&self) -> usize {
+        self.designs.iter().map(|design| design.units.len()).sum()
+    }
+
     /// Number of levels, that of the tests among them.
     pub(crate) fn levels(&self) -> usize {
         self.grouping.depth() + 1
@@ -291,6 +312,17 @@ impl Design {
                     groups: one.groups.iter().map(|(_, group)| *group).collect(),
                 })
                 .collect(),
+        }
+    }
+
+    /// Some of the units.
+    fn some(&self, units: &[usize]) -> Design {
+        let of = |data: &Rows| Rows::from_fn(data.nrows(), units.len(), |i, at| data[(i, units[at])]);
+        Design {
+            tests: self.tests.clone(),
+            groups: self.groups.clone(),
+            units: units.iter().map(|&unit| self.units[unit].clone()).collect(),
+            data: self.data.iter().map(of).collect(),
         }
     }
 
