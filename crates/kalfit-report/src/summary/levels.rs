@@ -3,9 +3,10 @@
 use kalfit::FitRecord;
 use kalfit::record::{LevelRecord, SEARCH_LEVEL, UnitRecord};
 
+use super::combination::NEGLIGIBLE;
 use super::doubts;
 use super::states::{Cells, spread};
-use crate::number::{plain, probability};
+use crate::number::{Precision, plain, probability};
 use crate::page::Page;
 use crate::table::{Column, Side};
 use crate::words::{clean, count, list};
@@ -54,8 +55,8 @@ fn columns(record: &FitRecord, names: &[String]) -> Vec<Column> {
     let variance = |level: &LevelRecord, i: usize| {
         level.covariance.estimate.get(i).and_then(|row| row.get(i)).copied().filter(|x| x.is_finite()).unwrap_or(0.0)
     };
-    let (mut state, mut level, mut groups, mut figure, mut beside, mut share) =
-        (Vec::new(), Vec::new(), Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let (mut state, mut level, mut groups, mut figure, mut beside, mut ends, mut share) =
+        (Vec::new(), Vec::new(), Vec::new(), Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for i in 0..states {
         let all: f64 = record.levels.iter().map(|one| variance(one, i)).sum();
         for (k, (one, name)) in record.levels.iter().zip(names).enumerate() {
@@ -65,8 +66,10 @@ fn columns(record: &FitRecord, names: &[String]) -> Vec<Column> {
             groups.push(one.groups.to_string());
             figure.push(value);
             beside.push(error);
+            ends.push(interval(one, i));
             let part = variance(one, i) / all;
-            share.push(if all > 0.0 { format!("{} %", plain(100.0 * part, 3)) } else { "-".to_owned() });
+            let known = all > 0.0 && !record.levels.iter().any(|level| is_open(level, i));
+            share.push(if known { format!("{} %", plain(100.0 * part, 3)) } else { "-".to_owned() });
         }
     }
     vec![
@@ -75,8 +78,25 @@ fn columns(record: &FitRecord, names: &[String]) -> Vec<Column> {
         Column::new("number", Side::Right, groups),
         Column::new("std dev", Side::Right, figure),
         Column::new("", Side::Left, beside),
+        Column::new("95 % interval", Side::Left, ends),
         Column::new("share", Side::Right, share),
     ]
+}
+
+/// The data do not determine the variance of a state at a level.
+fn is_open(level: &LevelRecord, i: usize) -> bool {
+    let name = &level.states[i];
+    let own = format!("{name}, {name}");
+    level.unidentified.iter().filter(|one| one.what == "covariance").any(|one| {
+        one.elements.iter().zip(&one.direction).any(|(element, weight)| *element == own && weight.abs() > NEGLIGIBLE)
+    })
+}
+
+fn interval(level: &LevelRecord, i: usize) -> String {
+    let Some([low, high]) = level.std_dev.interval95.get(i).copied().flatten() else { return String::new() };
+    let precision = Precision::of(level.std_dev.estimate[i], level.std_dev.std_error.get(i).copied().flatten());
+    let end = |x: Option<f64>, open: &str| x.map_or_else(|| open.to_owned(), |x| precision.show(x));
+    format!("{} to {}", end(low, "0"), end(high, "∞"))
 }
 
 fn std_dev(level: &LevelRecord, i: usize) -> Cells {
