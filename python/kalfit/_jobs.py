@@ -236,12 +236,16 @@ def plan(
     design: Data,
     tests: Sequence[int],
     *,
+    groups: Mapping[str, Sequence[int]] | None = None,
     set: Set = None,
     out: Path | None = None,
     threads: int | None = None,
     progress: Progress = False,
 ) -> Plan:
     """Expects standard errors against the number of tests, before any is run.
+
+    Of a model with levels ``groups`` says how many groups of each level there are in each group of the one above, as in
+    ``{"serial": [5, 10, 20]}``; ``tests`` is then how many tests there are in each group of the innermost level.
 
     >>> import kalfit
     >>> model, data = "examples/gyro-bench/bench.toml", "examples/gyro-bench/bench.csv"
@@ -252,8 +256,16 @@ def plan(
     counts = [int(count) for count in tests]
     if not counts or not all(1 <= count <= 1_000_000_000 for count in counts):
         raise ValueError(f"tests is {list(tests)}, expected numbers from 1 to 1000000000")
+    in_groups = [(str(level), [int(count) for count in own]) for level, own in (groups or {}).items()]
+    if not all(own and all(1 <= count <= 1_000_000 for count in own) for _, own in in_groups):
+        raise ValueError(f"groups is {groups!r}, expected numbers from 1 to 1000000")
     made, notes = _kalfit.plan(
-        _model(model, set), _source(source), as_data(design, "design"), counts, _file(out), _how(threads, progress)
+        _model(model, set),
+        _source(source),
+        as_data(design, "design"),
+        (counts, in_groups),
+        _file(out),
+        _how(threads, progress),
     )
     return Plan(made, notes)
 

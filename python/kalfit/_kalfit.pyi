@@ -55,7 +55,12 @@ def test(
     how: _How,
 ) -> tuple[str, list[str]]: ...
 def plan(
-    model: _Model, source: _Text, design: _Data, tests: Sequence[int], out: _Path | None, how: _How
+    model: _Model,
+    source: _Text,
+    design: _Data,
+    tests: tuple[Sequence[int], Sequence[tuple[str, Sequence[int]]]],
+    out: _Path | None,
+    how: _How,
 ) -> tuple[str, list[str]]: ...
 def simulate(
     model: _Model,

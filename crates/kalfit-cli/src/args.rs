@@ -303,6 +303,11 @@ pub(crate) struct PlanArgs {
           value_parser = clap::value_parser!(u32).range(1..=1_000_000_000))]
     pub(crate) tests: Vec<u32>,
 
+    /// Of a model with levels, how many groups of a level in each group of the one above: `serial=5,10,20`, once for each level;
+    /// `--tests` is then how many tests in each group of the innermost level
+    #[arg(long, value_name = "LEVEL=N,N,...", value_parser = groups)]
+    pub(crate) groups: Vec<(String, Vec<usize>)>,
+
     /// File for the plan, as JSON
     #[arg(long, value_name = "FILE")]
     pub(crate) out: Option<PathBuf>,
@@ -411,4 +416,13 @@ fn tolerance(text: &str) -> Result<f64, String> {
         Ok(value) if value > 0.0 && value <= 1.0 => Ok(value),
         _ => Err("expected a number above 0 and at most 1".to_owned()),
     }
+}
+
+/// `LEVEL=N,N,...`.
+fn groups(text: &str) -> Result<(String, Vec<usize>), String> {
+    let wrong = || format!("found `{text}`, expected LEVEL=N,N,... with numbers from 1 to 1000000");
+    let (name, counts) = text.rsplit_once('=').ok_or_else(wrong)?;
+    let one = |count: &str| count.trim().parse::<usize>().ok().filter(|n| (1..=1_000_000).contains(n));
+    let counts: Option<Vec<usize>> = counts.split(',').map(one).collect();
+    Ok((name.to_owned(), counts.filter(|counts| !counts.is_empty()).ok_or_else(wrong)?))
 }

@@ -227,6 +227,7 @@ impl From<PlanArgs> for PlanJob {
             from: args.truth.from.into(),
             design: data(args.truth.design),
             tests: args.tests.into_iter().map(|n| n as usize).collect(),
+            groups: args.groups,
             out: args.out,
         }
     }

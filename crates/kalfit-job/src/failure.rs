@@ -130,6 +130,20 @@ pub enum Failure {
         /// What was asked for.
         what: &'static str,
     },
+    /// Numbers of groups of a level that the model does not have.
+    #[error("found groups of `{found}`, expected {}", levels_of(expected))]
+    UnknownLevel {
+        /// The name.
+        found: String,
+        /// The levels of the model.
+        expected: Vec<String>,
+    },
+    /// No numbers of groups of a level.
+    #[error("how many groups of level `{level}` is not said")]
+    NoGroups {
+        /// The level.
+        level: String,
+    },
     /// More tests than the design of tests in groups has.
     #[error(
         "found {found} tests to draw, expected at most the {expected} of the design: the model has levels of groups"
@@ -268,6 +282,8 @@ impl Failure {
                 Some("leave `--std-errors` out: the restricted likelihood has those of its own curvature".to_owned())
             }
             Failure::WithLevels { .. } => Some("leave it out, or leave `levels` out of `[data]`".to_owned()),
+            Failure::UnknownLevel { .. } => None,
+            Failure::NoGroups { level } => Some(format!("give them: `--groups {level}=5,10,20`")),
             Failure::MoreThanDesign { .. } => {
                 Some("give a design with as many groups and tests as are wanted: new groups need names of their own".to_owned())
             }
@@ -420,6 +436,15 @@ fn dynamic_ratio_hint(error: &DynamicRatioError) -> Option<&'static str> {
         ),
         DynamicRatioError::Fit(error) => fit_hint(error),
     }
+}
+
+/// What levels there are.
+fn levels_of(names: &[String]) -> String {
+    if names.is_empty() {
+        return "none: the model has no levels of groups".to_owned();
+    }
+    let names: Vec<String> = names.iter().map(|name| format!("`{name}`")).collect();
+    format!("those of {}", names.join(", "))
 }
 
 fn fit_hint(error: &FitError) -> Option<&'static str> {

@@ -135,8 +135,10 @@ pub struct PlanJob {
     pub from: Document,
     /// Data that give times, inputs and missingness.
     pub design: Vec<Datum>,
-    /// Numbers of tests.
+    /// Numbers of tests; of a model with levels of tests in each group of the innermost level.
     pub tests: Vec<usize>,
+    /// Of each level of groups its name, and numbers of groups in each group of the level above.
+    pub groups: Vec<(String, Vec<usize>)>,
     /// File for the plan.
     pub out: Option<PathBuf>,
 }

@@ -2,7 +2,7 @@
 
 use kalfit::estimate::Structure;
 use kalfit::model::PhasedModel;
-use kalfit::plan;
+use kalfit::plan::{self, Arrangement};
 use kalfit::record::DataRecord;
 use kalfit::record::{PlanProvenance, PlanRecord};
 use kalfit::reduce::PhasedReducer;
@@ -24,9 +24,7 @@ use crate::{model, truth};
 /// Bad input, or [`Failure::Interrupted`].
 pub fn plan(job: &PlanJob, watch: &mut dyn Watch) -> Result<Done<PlanRecord>, Failure> {
     let mut spec = model::read(&job.model.document)?;
-    if !spec.model.levels.is_empty() {
-        return Err(Failure::WithLevels { what: "`kalfit plan`" });
-    }
+    let arrangements = arrangements(&spec.model, job)?;
     let truth = truth::load(&mut spec, &job.from, &job.model.set)?;
     let inputs = Input::expand(&job.design).map_err(|error| Failure::data(error, &spec))?;
     let used = files(&[&job.model.document, &job.from], &inputs);
@@ -36,8 +34,11 @@ pub fn plan(job: &PlanJob, watch: &mut dyn Watch) -> Result<Done<PlanRecord>, Fa
     let structure = Structure::of(&spec.model, &truth.alpha, None);
     let states = spec.model.estimated_names();
     work.go_on()?;
-    let found = plan::plan(&reductions, &structure, &truth.population, &job.tests)
-        .map_err(|error| Failure::Plan { error: Box::new(error), states })?;
+    let found = match arrangements.is_empty() {
+        true => plan::plan(&reductions, &structure, &truth.population, &job.tests),
+        false => plan::plan_groups(&reductions, &structure, &truth.population, &arrangements),
+    };
+    let found = found.map_err(|error| Failure::Plan { error: Box::new(error), states })?;
     let provenance = PlanProvenance {
         model_digest: Some(spec.digest.clone()),
         from: job.from.name(),
@@ -50,6 +51,31 @@ pub fn plan(job: &PlanJob, watch: &mut dyn Watch) -> Result<Done<PlanRecord>, Fa
         output.write(&record)?;
     }
     Ok(Done { record, notes: truth.warnings, written: output.iter().map(Output::name).collect() })
+}
+
+/// Every number of groups of each level with every number of tests; none for a model without levels.
+fn arrangements(model: &PhasedModel, job: &PlanJob) -> Result<Vec<Arrangement>, Failure> {
+    let names: Vec<&str> = model.levels.iter().map(|level| level.name.as_str()).collect();
+    if let Some((found, _)) = job.groups.iter().find(|(name, _)| !names.contains(&name.as_str())) {
+        let expected = names.iter().map(|&name| name.to_owned()).collect();
+        return Err(Failure::UnknownLevel { found: found.clone(), expected });
+    }
+    let mut all = vec![Vec::new()];
+    for name in &names {
+        let Some((_, counts)) = job.groups.iter().find(|(own, _)| own == name) else {
+            return Err(Failure::NoGroups { level: (*name).to_owned() });
+        };
+        let more = |groups: &Vec<usize>| -> Vec<Vec<usize>> {
+            counts.iter().map(|&count| groups.iter().copied().chain([count]).collect()).collect()
+        };
+        all = all.iter().flat_map(more).collect();
+    }
+    if names.is_empty() {
+        return Ok(Vec::new());
+    }
+    let with_tests =
+        |groups: Vec<usize>| job.tests.iter().map(move |&tests| Arrangement { groups: groups.clone(), tests });
+    Ok(all.into_iter().flat_map(with_tests).collect())
 }
 
 /// Reads the design and runs the covariance filters over it: what was measured is not looked at.

@@ -1,6 +1,6 @@
 //! What `kalfit plan` found.
 
-use kalfit::record::{PlanRecord, PlannedRecord};
+use kalfit::record::{ArrangementRecord, PlanRecord, PlannedRecord};
 
 use crate::Style;
 use crate::number::{Precision, plain};
@@ -51,6 +51,9 @@ fn table(record: &PlanRecord, rows: &[&PlannedRecord], width: usize) -> String {
     let several = record.quantities.iter().any(|q| q.phase != record.quantities[0].phase);
     let name = |q: &PlannedRecord| {
         let states = q.states.join(", ");
+        if let Some(level) = &q.level {
+            return format!("{level}.{states}");
+        }
         if several { format!("{}.{states}", q.phase) } else { states }
     };
     let names = rows.iter().map(|q| name(q)).collect();
@@ -65,9 +68,19 @@ fn table(record: &PlanRecord, rows: &[&PlannedRecord], width: usize) -> String {
             (None, 0) => reason(q).to_owned(),
             (None, _) => "-".to_owned(),
         };
-        columns.push(Column::new(&count(tests, "test"), Side::Right, rows.iter().map(cell).collect()));
+        let heading = match record.arrangements.get(k) {
+            Some(one) => arranged(one),
+            None => count(tests, "test"),
+        };
+        columns.push(Column::new(&heading, Side::Right, rows.iter().map(cell).collect()));
     }
     wide_table(&Column::new("state", Side::Left, names), &columns, width)
+}
+
+/// `10 serial x 4 tests`.
+fn arranged(one: &ArrangementRecord) -> String {
+    let groups = one.groups.iter().map(|(name, groups)| format!("{groups} {}", clean(name)));
+    groups.chain([count(one.tests, "test")]).collect::<Vec<_>>().join(" x ")
 }
 
 fn two_digits(error: f64) -> String {
@@ -87,9 +100,14 @@ fn notes(record: &PlanRecord) -> Vec<String> {
     if record.quantities.is_empty() {
         return vec!["No state has an estimated start, so there is nothing to plan for.".to_owned()];
     }
+    let first = match record.arrangements.is_empty() {
+        true => format!("N tests count as N/{} times the design", record.design.tests),
+        false => "so many groups in each group of the level above, and so many tests in each of the innermost, like \
+                  those of the design one after the other"
+            .to_owned(),
+    };
     let mut notes = vec![format!(
-        "From the expected information at these values; N tests count as N/{} times the design. Estimates from few tests spread more, and those of standard deviations are skewed.",
-        record.design.tests
+        "From the expected information at these values; {first}. Estimates from few tests spread more, and those of standard deviations are skewed."
     )];
     if record.quantities.iter().any(|q| q.reason.as_deref() == Some("boundary")) {
         notes.push(

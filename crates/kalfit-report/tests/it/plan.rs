@@ -7,6 +7,7 @@ use kalfit_report::{Style, plan_summary};
 
 fn quantity(kind: &str, states: &[&str], value: Option<f64>, errors: Result<[f64; 3], &str>) -> PlannedRecord {
     PlannedRecord {
+        level: None,
         quantity: kind.to_owned(),
         phase: "main".to_owned(),
         states: states.iter().map(|&s| s.to_owned()).collect(),
@@ -20,6 +21,7 @@ fn quantity(kind: &str, states: &[&str], value: Option<f64>, errors: Result<[f64
 
 fn record() -> PlanRecord {
     PlanRecord {
+        arrangements: Vec::new(),
         schema: "kalfit-plan/1".to_owned(),
         kalfit_version: "0.1.0".to_owned(),
         title: "Gyros".to_owned(),

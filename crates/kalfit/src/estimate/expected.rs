@@ -50,7 +50,8 @@ pub(crate) fn at_population(
         test.data.fill(0.0);
         test.chain.into_iter().for_each(Chain::blank);
     }
-    let problem = super::problem(&blanks, structure, &Settings::default())?;
+    let settings = Settings::default();
+    let problem = super::problem(&*super::evidence(&blanks, structure, &settings)?, structure, &settings)?;
     let mut point = point(&problem, population)?;
     let sums = problem.likelihood(&point, Order::Expected);
     let local = local(&sums);
@@ -60,7 +61,6 @@ pub(crate) fn at_population(
     }
     point.root = tangent.chart.root.clone();
     let place = Place { curvature: Curvature::new(&tangent), point, local, tangent };
-    let settings = Settings::default();
     Ok(State { problem: Arc::new(problem), place, sums, assumed: structure.into(), settings, joint: None })
 }
 

@@ -16,6 +16,14 @@ pub enum PlanError {
     /// A number of tests of zero.
     #[error("found a number of tests of 0, expected 1 or more")]
     ZeroTests,
+    /// More tests than can be arranged in groups.
+    #[error("found an arrangement of {found} tests, expected at most {most}")]
+    TooManyTests {
+        /// How many there would be.
+        found: usize,
+        /// The most.
+        most: usize,
+    },
     /// An element of the population is not what the model's structure makes it.
     #[error("{} is {found} in the population, and the model makes it {expected}", words(element))]
     OffStructure {

@@ -11,9 +11,11 @@
 //! the design's information, so that all standard errors fall as 1/√N.
 
 mod error;
+mod levels;
 mod lost;
 
 pub use error::PlanError;
+pub use levels::{Arrangement, plan_groups};
 pub use lost::{InformationLost, StdErrorRatio, information_lost};
 
 use crate::estimate::{ExpectedError, State, Structure, at_population};
@@ -55,7 +57,8 @@ pub struct Planned {
     pub quantity: Quantity,
     /// Its value in the population; `None` for a correlation with a variance of zero.
     pub value: Option<f64>,
-    /// Its standard error at each number of tests, or why it has none.
+    /// Its standard error at each number of tests, or why it has none. In groups of tests it may be infinite at some of them, which do not
+    /// identify it.
     pub std_errors: Result<Vec<f64>, Reason>,
 }
 
@@ -66,6 +69,8 @@ pub struct Plan {
     pub design_tests: usize,
     /// The numbers of tests asked for.
     pub tests: Vec<usize>,
+    /// How they are grouped, where the model has levels.
+    pub arrangements: Vec<Arrangement>,
     /// All quantities: μ, regression coefficients, standard deviations, correlations by rows, Σ by rows; pairs within a phase.
     pub quantities: Vec<Planned>,
 }
@@ -115,20 +120,42 @@ pub fn plan(
     if tests.contains(&0) {
         return Err(PlanError::ZeroTests);
     }
-    let state = at_population(reductions, structure, population).map_err(off_structure)?;
-    let unidentified = infer::directions(&state.problem, &state.place, &state.sums.expected_information());
-    let uncertainty = infer::uncertainty_at(&state, &population.covariance, &unidentified);
-    let found = Found { state: &state, population, unidentified: &unidentified, uncertainty: &uncertainty };
+    let found = Expected::of(reductions, structure, population)?;
     let n = reductions.len();
     let at_each = |error: f64| tests.iter().map(|&many| error * (n as f64 / many as f64).sqrt()).collect();
     let one = |quantity: Quantity| Planned {
         quantity,
-        value: found.value(quantity),
-        std_errors: found.error(quantity).map(at_each).ok_or_else(|| found.reason(quantity)),
+        value: found.at(population).value(quantity),
+        std_errors: found
+            .at(population)
+            .error(quantity)
+            .map(at_each)
+            .ok_or_else(|| found.at(population).reason(quantity)),
     };
-    let elements = &state.problem.covariance.elements;
+    let elements = &found.state.problem.covariance.elements;
     let quantities = quantities(elements, regressions).into_iter().map(one).collect();
-    Ok(Plan { design_tests: n, tests: tests.to_vec(), quantities })
+    Ok(Plan { design_tests: n, tests: tests.to_vec(), arrangements: Vec::new(), quantities })
+}
+
+/// What is expected of some tests at a population.
+struct Expected {
+    state: State,
+    unidentified: Vec<Direction>,
+    uncertainty: Uncertainty,
+}
+
+impl Expected {
+    fn of(reductions: &Reductions, structure: &Structure<'_>, population: &Population) -> Result<Expected, PlanError> {
+        let state = at_population(reductions, structure, population).map_err(off_structure)?;
+        let unidentified = infer::directions(&state.problem, &state.place, &state.sums.expected_information());
+        let uncertainty = infer::uncertainty_at(&state, &population.covariance, &unidentified);
+        Ok(Expected { state, unidentified, uncertainty })
+    }
+
+    fn at<'a>(&'a self, population: &'a Population) -> Found<'a> {
+        let Expected { state, unidentified, uncertainty } = self;
+        Found { state, population, unidentified, uncertainty }
+    }
 }
 
 fn off_structure(error: ExpectedError) -> PlanError {

@@ -42,7 +42,7 @@ pub use phase::{
     MatrixRecord, MeanRecord, ObservabilityRecord, PhaseRecord, RegressionRecord, ScaleRecord, UnidentifiedRecord,
     VectorRecord, WeakRecord,
 };
-pub use plan::{PlanProvenance, PlanRecord, PlannedRecord};
+pub use plan::{ArrangementRecord, PlanProvenance, PlanRecord, PlannedRecord};
 pub use population::{FIT_SCHEMA, RecordError};
 pub use ratio::{BootstrapRecord, ComponentRecord, PartRecord, RatioProvenance, RatioRecord, SideRecord};
 pub use series::{AutocorrelationRecord, SeriesRecord, WindowRecord};

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::model::{Model, Phase, PhasedModel};
-use crate::plan::{Plan, Planned, Quantity, Reason};
+use crate::plan::{Arrangement, Plan, Planned, Quantity, Reason};
 use crate::record::DataRecord;
 
 /// Expected standard errors against the number of tests.
@@ -27,8 +27,20 @@ pub struct PlanRecord {
     pub parameters_taken_as_known: Vec<String>,
     /// The numbers of tests.
     pub tests: Vec<usize>,
+    /// How they are grouped, where the model has levels: one for each number of tests.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub arrangements: Vec<ArrangementRecord>,
     /// All quantities, in the order of [`Plan::quantities`].
     pub quantities: Vec<PlannedRecord>,
+}
+
+/// Tests in groups.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ArrangementRecord {
+    /// By level, the outermost first: its name, and its groups in each group of the level above.
+    pub groups: Vec<(String, usize)>,
+    /// Tests in each group of the innermost level.
+    pub tests: usize,
 }
 
 /// One quantity.
@@ -38,6 +50,9 @@ pub struct PlannedRecord {
     pub quantity: String,
     /// Its phase; `main` when there is but one.
     pub phase: String,
+    /// The level of groups whose covariance it is of; null for the tests' own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub level: Option<String>,
     /// Its state, or its two states.
     pub states: Vec<String>,
     /// Column of a regression coefficient.
@@ -78,8 +93,31 @@ impl PlanRecord {
             information: "expected".to_owned(),
             parameters_taken_as_known: provenance.parameters_taken_as_known,
             tests: plan.tests.clone(),
+            arrangements: plan.arrangements.iter().map(|one| ArrangementRecord::new(model, one)).collect(),
             quantities: plan.quantities.iter().map(|planned| record(model, planned, plan.tests.len())).collect(),
         }
+    }
+}
+
+impl ArrangementRecord {
+    fn new(model: &PhasedModel, arrangement: &Arrangement) -> ArrangementRecord {
+        let names = model.levels.iter().map(|level| level.name.clone());
+        ArrangementRecord { groups: names.zip(arrangement.groups.iter().copied()).collect(), tests: arrangement.tests }
+    }
+}
+
+/// The level of groups of an element of Σ, and the same element of the tests' own.
+fn own_of(model: &PhasedModel, quantity: Quantity) -> (Option<String>, Quantity) {
+    let p = model.dimension();
+    let level = |i: usize| {
+        let inner = (i / p).checked_sub(1).filter(|_| !model.levels.is_empty())?;
+        model.levels.iter().rev().nth(inner).map(|level| level.name.clone())
+    };
+    match quantity {
+        Quantity::StdDev(i) if i >= p => (level(i), Quantity::StdDev(i % p)),
+        Quantity::Correlation(i, j) if i >= p => (level(i), Quantity::Correlation(i % p, j % p)),
+        Quantity::Covariance(i, j) if i >= p => (level(i), Quantity::Covariance(i % p, j % p)),
+        other => (None, other),
     }
 }
 
@@ -97,7 +135,8 @@ fn find(model: &PhasedModel, place: usize, many: fn(&Model) -> usize) -> (&Phase
 
 fn record(model: &PhasedModel, planned: &Planned, many: usize) -> PlannedRecord {
     let regressions = |model: &Model| model.mean.regression.len();
-    let (phase, own) = match planned.quantity {
+    let (level, of) = own_of(model, planned.quantity);
+    let (phase, own) = match of {
         Quantity::Mean(i) | Quantity::StdDev(i) => find(model, i, Model::dimension),
         Quantity::Correlation(i, _) | Quantity::Covariance(i, _) => find(model, i, Model::dimension),
         Quantity::Coefficient(c) => find(model, c, regressions),
@@ -107,7 +146,7 @@ fn record(model: &PhasedModel, planned: &Planned, many: usize) -> PlannedRecord 
     let name = |element: usize| state(element).name.clone();
     // the other of a pair is of the same phase
     let pair = |i: usize, j: usize| vec![name(own + j - i), name(own)];
-    let (quantity, states, unit) = match planned.quantity {
+    let (quantity, states, unit) = match of {
         Quantity::Mean(_) => ("mean", vec![name(own)], state(own).unit.clone()),
         Quantity::Coefficient(_) => ("regression", vec![name(model.mean.regression[own].element)], None),
         Quantity::StdDev(_) => ("std_dev", vec![name(own)], state(own).unit.clone()),
@@ -126,6 +165,7 @@ fn record(model: &PhasedModel, planned: &Planned, many: usize) -> PlannedRecord 
     PlannedRecord {
         quantity: quantity.to_owned(),
         phase: phase.name.clone(),
+        level,
         states,
         column,
         unit,
