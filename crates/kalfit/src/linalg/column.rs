@@ -38,6 +38,11 @@ impl Column {
         }
     }
 
+    /// Room for so many more rows like the first one.
+    pub(crate) fn reserve(&mut self, rows: usize) {
+        self.numbers.reserve_exact(rows * self.width);
+    }
+
     pub(crate) fn row(&self, row: usize) -> &[f64] {
         &self.numbers[self.range(row)]
     }

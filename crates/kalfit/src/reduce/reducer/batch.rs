@@ -40,11 +40,7 @@ pub(crate) fn share(tests: usize, rows: usize) -> usize {
 
 /// The reductions of all batches, in order, or the first error.
 pub(crate) fn joined(batches: Vec<Result<Reductions, ReduceError>>) -> Result<Reductions, ReduceError> {
-    let mut all = Reductions::new();
-    for found in batches {
-        all.append(found?);
-    }
-    Ok(all)
+    Ok(Reductions::joined(batches.into_iter().collect::<Result<_, _>>()?))
 }
 
 /// What else was found in all batches, in order, or the first error.
