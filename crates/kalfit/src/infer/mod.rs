@@ -17,6 +17,7 @@ mod information;
 mod interval;
 mod law;
 mod observability;
+mod observed;
 mod phases;
 mod posterior;
 mod ratio;

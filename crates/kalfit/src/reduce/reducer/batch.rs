@@ -145,6 +145,7 @@ impl<'a> Batch<'a> {
         if let Some((_, error)) = self.faults.drain(..).min_by_key(|(number, _)| *number) {
             return Err(error);
         }
+        debug_assert_eq!(self.numbers.len(), tests.len(), "every test was looked at");
         let mut places = vec![0; tests.len()];
         self.numbers.iter().enumerate().for_each(|(place, &number)| places[number] = place);
         Ok(self.found.select(&places))
