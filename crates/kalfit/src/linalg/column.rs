@@ -43,6 +43,7 @@ impl Column {
         self.numbers.reserve_exact(rows * self.width);
     }
 
+    #[inline]
     pub(crate) fn row(&self, row: usize) -> &[f64] {
         &self.numbers[self.range(row)]
     }
@@ -57,6 +58,7 @@ impl Column {
         self.numbers.iter_mut().for_each(|x| *x *= by);
     }
 
+    #[inline]
     fn range(&self, row: usize) -> Range<usize> {
         if self.ends.is_empty() {
             return row * self.width..(row + 1) * self.width;
