@@ -383,3 +383,6 @@ impl From<ReductionRef<'_>> for Reduction {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;
