@@ -18,6 +18,7 @@ mod interval;
 mod law;
 mod levels;
 mod observability;
+mod observed;
 mod phases;
 mod posterior;
 mod ratio;

@@ -38,6 +38,12 @@ impl Column {
         }
     }
 
+    /// Room for so many more rows like the first one.
+    pub(crate) fn reserve(&mut self, rows: usize) {
+        self.numbers.reserve_exact(rows * self.width);
+    }
+
+    #[inline]
     pub(crate) fn row(&self, row: usize) -> &[f64] {
         &self.numbers[self.range(row)]
     }
@@ -52,6 +58,7 @@ impl Column {
         self.numbers.iter_mut().for_each(|x| *x *= by);
     }
 
+    #[inline]
     fn range(&self, row: usize) -> Range<usize> {
         if self.ends.is_empty() {
             return row * self.width..(row + 1) * self.width;

@@ -164,6 +164,24 @@ impl Reductions {
         self.designs.append(&mut others.designs);
     }
 
+    /// All of some reductions, one after the other.
+    pub(crate) fn joined(parts: Vec<Reductions>) -> Reductions {
+        let tests: usize = parts.iter().map(Reductions::len).sum();
+        let ids = parts.iter().map(|part| part.ids.len()).sum::<usize>();
+        let mut parts = parts.into_iter();
+        let mut all = parts.next().unwrap_or_default();
+        let more = tests - all.len();
+        all.ids.reserve_exact(ids - all.ids.len());
+        [&mut all.id_ends, &mut all.steps, &mut all.observations].into_iter().for_each(|x| x.reserve_exact(more));
+        [&mut all.data, &mut all.factors, &mut all.covariates].into_iter().for_each(|x| x.reserve(more));
+        all.constants.reserve_exact(more);
+        all.residuals.reserve_exact(more);
+        all.paths.reserve_exact(more);
+        all.designs.reserve_exact(more);
+        parts.for_each(|part| all.append(part));
+        all
+    }
+
     /// The number of these reductions: others have another, but clones have the same.
     pub(crate) fn stamp(&self) -> u64 {
         static NEXT: AtomicU64 = AtomicU64::new(0);
@@ -365,3 +383,6 @@ impl From<ReductionRef<'_>> for Reduction {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

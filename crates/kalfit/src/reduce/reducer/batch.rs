@@ -40,11 +40,7 @@ pub(crate) fn share(tests: usize, rows: usize) -> usize {
 
 /// The reductions of all batches, in order, or the first error.
 pub(crate) fn joined(batches: Vec<Result<Reductions, ReduceError>>) -> Result<Reductions, ReduceError> {
-    let mut all = Reductions::new();
-    for found in batches {
-        all.append(found?);
-    }
-    Ok(all)
+    Ok(Reductions::joined(batches.into_iter().collect::<Result<_, _>>()?))
 }
 
 /// What else was found in all batches, in order, or the first error.
@@ -149,6 +145,7 @@ impl<'a> Batch<'a> {
         if let Some((_, error)) = self.faults.drain(..).min_by_key(|(number, _)| *number) {
             return Err(error);
         }
+        debug_assert_eq!(self.numbers.len(), tests.len(), "every test was looked at");
         let mut places = vec![0; tests.len()];
         self.numbers.iter().enumerate().for_each(|(place, &number)| places[number] = place);
         Ok(self.found.select(&places))
