@@ -16,6 +16,7 @@ mod inference;
 mod init;
 mod innovations;
 mod interrupted;
+mod levels;
 mod maxima;
 mod phases;
 mod plan;

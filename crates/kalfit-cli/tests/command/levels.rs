@@ -1,0 +1,146 @@
+//! Tests of one unit: fits, hypotheses, draws and plans of models with levels.
+
+use crate::folder::{Folder, shown};
+use insta::assert_snapshot;
+use kalfit::FitRecord;
+use kalfit::record::{PlanRecord, RatioRecord};
+
+fn oxide() -> Folder {
+    let folder = Folder::new(&[]);
+    folder.copy("tests/reference/lmm-nested/oxide.toml");
+    folder.copy("tests/reference/lmm-nested/oxide.csv");
+    folder
+}
+
+fn text(folder: &Folder, name: &str) -> String {
+    std::fs::read_to_string(folder.path(name)).expect("it was written")
+}
+
+fn fit(folder: &Folder, name: &str) -> FitRecord {
+    serde_json::from_str(&text(folder, name)).expect("a record of a fit")
+}
+
+#[test]
+fn a_fit_of_tests_of_one_unit() {
+    let folder = oxide();
+    let output = folder.run("fit oxide.toml oxide.csv --out fit.json --quiet");
+    assert_eq!(output.status.code(), Some(0));
+    let record = fit(&folder, "fit.json");
+    assert!(record.converged);
+    let names: Vec<(&str, Option<&str>, usize)> =
+        record.levels.iter().map(|level| (level.name.as_str(), level.column.as_deref(), level.groups)).collect();
+    assert_eq!(names, [("Lot", Some("Lot"), 8), ("tests", None, 24)]);
+    assert_eq!(record.levels[1].covariance, record.phases[0].covariance);
+    assert_eq!((record.groups.len(), record.tests.len(), record.tests[0].groups.len()), (8, 24, 1));
+    let all: f64 = record.groups.iter().map(|group| group.log_likelihood).sum();
+    assert!((all - record.log_likelihood).abs() < 1e-9, "{all} {}", record.log_likelihood);
+    // the fit without a lot is that of the others
+    let left_out = record.groups.iter().find(|group| group.id == ["6"]).expect("there is such a lot");
+    let without = left_out.deletion.as_ref().expect("it has an optimum");
+    let others: String = text(&folder, "oxide.csv")
+        .lines()
+        .filter(|line| !line.starts_with("6,"))
+        .fold(String::new(), |sum, line| sum + line + "\n");
+    std::fs::write(folder.path("others.csv"), others).expect("a file");
+    let sigma = record.parameters[0].estimate;
+    let again = folder.run(&format!("fit oxide.toml others.csv --set sigma={sigma} --out others.json --quiet"));
+    assert_eq!(again.status.code(), Some(0));
+    let others = fit(&folder, "others.json");
+    let found = [without.phases[0].mean[0], without.phases[0].covariance[0][0], without.phases[1].covariance[0][0]];
+    let expected = [
+        others.phases[0].mean.estimate[0],
+        others.phases[0].covariance.estimate[0][0],
+        others.levels[0].covariance.estimate[0][0],
+    ];
+    for (found, expected) in found.into_iter().zip(expected) {
+        assert!((found - expected).abs() < 1e-6 * expected.abs(), "{found} {expected}");
+    }
+}
+
+#[test]
+fn the_summary_says_how_much_is_from_unit_to_unit() {
+    let folder = oxide();
+    let output = folder.run("fit oxide.toml oxide.csv");
+    let summary = shown(&output);
+    let spread = summary.split("Spread by level").nth(1).and_then(|rest| rest.split("Dynamic parameters").next());
+    assert_snapshot!(spread.expect("there are levels"), @"");
+}
+
+#[test]
+fn one_test_of_each_unit_tells_no_levels_apart() {
+    let folder = oxide();
+    let first: Vec<String> = text(&folder, "oxide.csv")
+        .lines()
+        .filter(|line| line.starts_with("Lot") || line.split(',').nth(1) == Some("1"))
+        .map(str::to_owned)
+        .collect();
+    std::fs::write(folder.path("first.csv"), first.join("\n") + "\n").expect("a file");
+    assert_eq!(folder.run("fit oxide.toml first.csv --out fit.json --quiet").status.code(), Some(0));
+    let record = fit(&folder, "fit.json");
+    for level in &record.levels {
+        assert!(!level.unidentified.is_empty(), "{}", level.name);
+        assert_eq!(level.covariance.std_error[0][0], None, "{}", level.name);
+    }
+    assert!(record.notes.iter().any(|note| note.contains("var(Lot.thickness)")), "{:?}", record.notes);
+}
+
+#[test]
+fn whether_anything_varies_from_unit_to_unit_is_a_hypothesis() {
+    let folder = oxide();
+    std::fs::write(folder.path("same.toml"), "[levels.Lot.covariance]\nstates = []\n").expect("a file");
+    let output = folder.run("test oxide.toml oxide.csv --null same.toml --out test.json --quiet");
+    assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+    let record: RatioRecord = serde_json::from_str(&text(&folder, "test.json")).expect("a record");
+    let without = folder.run("fit oxide.toml oxide.csv --out fit.json --quiet");
+    assert_eq!(without.status.code(), Some(0));
+    let gap = 2.0 * (fit(&folder, "fit.json").log_likelihood - record.null.log_likelihood);
+    assert!((record.lr - gap).abs() < 1e-6, "{} {gap}", record.lr);
+    assert_eq!(record.mixture.as_deref(), Some("0.5 chi2_0; 0.5 chi2_1"));
+}
+
+#[test]
+fn drawn_units_are_fitted_again() {
+    let folder = oxide();
+    assert_eq!(folder.run("fit oxide.toml oxide.csv --out fit.json --quiet").status.code(), Some(0));
+    let draw = "simulate oxide.toml --from fit.json --design oxide.csv --seed 7 --out drawn.csv --quiet";
+    assert_eq!(folder.run(draw).status.code(), Some(0));
+    assert_eq!(folder.run("fit oxide.toml drawn.csv --out again.json --quiet").status.code(), Some(0));
+    let (first, again) = (fit(&folder, "fit.json"), fit(&folder, "again.json"));
+    let ids = |record: &FitRecord| record.tests.iter().map(|test| test.id.clone()).collect::<Vec<_>>();
+    assert_eq!(ids(&first), ids(&again));
+    // lots differ by 10.6, wafers of a lot by 6
+    assert!(again.levels[0].std_dev.estimate[0] > 3.0 && again.levels[0].std_dev.estimate[0] < 25.0);
+    let more = folder.run("simulate oxide.toml --from fit.json --design oxide.csv --tests 100 --out more.csv");
+    assert_snapshot!(shown(&more), @"");
+}
+
+#[test]
+fn more_units_or_more_runs_are_planned() {
+    let folder = oxide();
+    assert_eq!(folder.run("fit oxide.toml oxide.csv --out fit.json --quiet").status.code(), Some(0));
+    let plan = "plan oxide.toml --from fit.json --design oxide.csv --groups Lot=8,16 --tests 1,3 --out plan.json";
+    assert_snapshot!(shown(&folder.run(plan)), @"");
+    let record: PlanRecord = serde_json::from_str(&text(&folder, "plan.json")).expect("a record");
+    assert_eq!(record.tests, [8, 24, 16, 48]);
+    // balanced: the variance of the mean is (Σ_B + (Σ_W + σ²/3)/3)/8
+    let fit = fit(&folder, "fit.json");
+    let [between, within, sigma] =
+        [fit.levels[0].covariance.estimate[0][0], fit.levels[1].covariance.estimate[0][0], fit.parameters[0].estimate];
+    let expected = ((between + (within + sigma * sigma / 3.0) / 3.0) / 8.0).sqrt();
+    let found = record.quantities[0].std_error[1].expect("it is identified");
+    assert!((found - expected).abs() < 1e-9 * expected, "{found} {expected}");
+    for refused in [
+        "plan oxide.toml --from fit.json --design oxide.csv --tests 3",
+        "plan oxide.toml --from fit.json --design oxide.csv --groups Wafer=3 --groups Lot=2 --tests 3",
+        "plan oxide.toml --from fit.json --design oxide.csv --groups Lot=0 --tests 3",
+    ] {
+        let output = folder.run(refused);
+        assert!(output.status.code().is_some_and(|code| code > 0), "{}", shown(&output));
+    }
+}
+
+#[test]
+fn what_is_not_made_for_levels_is_refused() {
+    let folder = oxide();
+    assert_snapshot!(shown(&folder.run("fit oxide.toml oxide.csv --std-errors expected")), @"");
+}
