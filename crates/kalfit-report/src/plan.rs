@@ -65,7 +65,7 @@ fn table(record: &PlanRecord, rows: &[&PlannedRecord], width: usize) -> String {
     for (k, &tests) in record.tests.iter().enumerate() {
         let cell = |q: &&PlannedRecord| match (q.std_error.get(k).copied().flatten(), k) {
             (Some(error), _) => two_digits(error),
-            (None, 0) => reason(q).to_owned(),
+            (None, 0) if q.reason.is_some() => reason(q).to_owned(),
             (None, _) => "-".to_owned(),
         };
         let heading = match record.arrangements.get(k) {
@@ -117,6 +117,10 @@ fn notes(record: &PlanRecord) -> Vec<String> {
     }
     if record.quantities.iter().any(|q| q.reason.as_deref() == Some("unidentified")) {
         notes.push("Not identified: no number of tests like these tells anything about it.".to_owned());
+    }
+    let in_part = |q: &PlannedRecord| q.reason.is_none() && q.std_error.iter().any(Option::is_none);
+    if record.quantities.iter().any(in_part) {
+        notes.push("A dash: so few groups and tests do not identify it.".to_owned());
     }
     let names: Vec<String> = record.parameters_taken_as_known.iter().map(|name| clean(name)).collect();
     if !names.is_empty() {

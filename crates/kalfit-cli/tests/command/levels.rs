@@ -63,7 +63,16 @@ fn the_summary_says_how_much_is_from_unit_to_unit() {
     let output = folder.run("fit oxide.toml oxide.csv");
     let summary = shown(&output);
     let spread = summary.split("Spread by level").nth(1).and_then(|rest| rest.split("Dynamic parameters").next());
-    assert_snapshot!(spread.expect("there are levels"), @"");
+    assert_snapshot!(spread.expect("there are levels"), @r#"
+     (share of the variance of a test)
+      state      varies               number  std dev        95 % interval   share
+      thickness  from Lot to Lot           8     10.6 ± 3.0  6.1 to 18.3    75.7 %
+                 from test to test        24      6.0 ± 1.2  4.1 to 8.8     24.3 %
+                 of one Lot
+
+    Outlying groups
+      No group stands out: the smallest of 8 p-values is 0.06 (Lot 6).
+    "#);
 }
 
 #[test]
@@ -110,8 +119,15 @@ fn drawn_units_are_fitted_again() {
     assert_eq!(ids(&first), ids(&again));
     // lots differ by 10.6, wafers of a lot by 6
     assert!(again.levels[0].std_dev.estimate[0] > 3.0 && again.levels[0].std_dev.estimate[0] < 25.0);
-    let more = folder.run("simulate oxide.toml --from fit.json --design oxide.csv --tests 100 --out more.csv");
-    assert_snapshot!(shown(&more), @"");
+    let more = folder.run("simulate oxide.toml --from fit.json --design oxide.csv --seed 7 --tests 100 --out more.csv");
+    assert_snapshot!(shown(&more), @r#"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: found 100 tests to draw, expected at most the 24 of the design: the model has levels of groups
+
+    hint: give a design with as many groups and tests as are wanted: new groups need names of their own
+    "#);
 }
 
 #[test]
@@ -119,7 +135,42 @@ fn more_units_or_more_runs_are_planned() {
     let folder = oxide();
     assert_eq!(folder.run("fit oxide.toml oxide.csv --out fit.json --quiet").status.code(), Some(0));
     let plan = "plan oxide.toml --from fit.json --design oxide.csv --groups Lot=8,16 --tests 1,3 --out plan.json";
-    assert_snapshot!(shown(&folder.run(plan)), @"");
+    assert_snapshot!(shown(&folder.run(plan)), @r#"
+    exit 0
+    ----- stdout
+    Thickness of oxide: wafers of lots
+
+    Design: 24 tests, 72 steps, 72 observations from oxide.csv; all tests share one
+    design.
+    Population: fit.json.
+
+    Expected standard errors of the means
+      state       value  8 Lot x 1 test  8 Lot x 3 tests  16 Lot x 1 test
+      thickness  2000.2             4.4              4.0              3.1
+
+      state      16 Lot x 3 tests
+      thickness               2.8
+
+    Expected standard errors of the standard deviations
+      state          value  8 Lot x 1 test  8 Lot x 3 tests  16 Lot x 1 test
+      thickness       5.99               -              1.2                -
+      Lot.thickness   10.6               -              3.0                -
+
+      state          16 Lot x 3 tests
+      thickness                  0.84
+      Lot.thickness               2.1
+
+    How to read this
+      From the expected information at these values; so many groups in each group of
+        the level above, and so many tests in each of the innermost, like those of
+        the design one after the other. Estimates from few tests spread more, and
+        those of standard deviations are skewed.
+      A dash: so few groups and tests do not identify it.
+      sigma is free in the model and is taken as known here, at its value in
+        fit.json; estimating it too makes standard errors larger.
+    ----- stderr
+    Wrote plan.json
+    "#);
     let record: PlanRecord = serde_json::from_str(&text(&folder, "plan.json")).expect("a record");
     assert_eq!(record.tests, [8, 24, 16, 48]);
     // balanced: the variance of the mean is (Σ_B + (Σ_W + σ²/3)/3)/8
@@ -142,5 +193,12 @@ fn more_units_or_more_runs_are_planned() {
 #[test]
 fn what_is_not_made_for_levels_is_refused() {
     let folder = oxide();
-    assert_snapshot!(shown(&folder.run("fit oxide.toml oxide.csv --std-errors expected")), @"");
+    assert_snapshot!(shown(&folder.run("fit oxide.toml oxide.csv --std-errors expected")), @r#"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: standard errors from the expected information beside free parameters (`sigma`) are for rows of one phase, without noise covariances, without levels of groups, and without values of single tests
+
+    hint: take those from the observed information, or the sandwich, or give every parameter a value
+    "#);
 }
