@@ -108,6 +108,7 @@ fn kind(rust: &str) -> String {
         "bool" => "true or false".to_owned(),
         "SquareRecord" => "list of list of number".to_owned(),
         "Interval" => "two ends, each a number or null".to_owned(),
+        "(String, usize)" => "pair of text and count".to_owned(),
         other => format!("[{other}](#{})", other.to_lowercase()),
     }
 }
