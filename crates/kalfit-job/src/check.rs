@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use kalfit::estimate::Structure;
-use kalfit::model::{Phase, Slots, Value};
+use kalfit::model::{GroupLevel, Phase, Slots, Value};
 use kalfit::record::{
     DataRecord, InformationRecord, LevelCounts, ObservabilityRecord, UnidentifiedRecord, WeakRecord, crossing_notes,
     level_notes, shortage_notes,
@@ -11,7 +11,7 @@ use kalfit::record::{
 use kalfit::reduce::grouping;
 use kalfit::{Alpha, Evidence, Grouping, Model, PhasedModel, PhasedTest, Reductions, infer};
 use kalfit_data::Reading;
-use kalfit_report::{CheckRecord, Checked, CheckedPhase, ParameterCounts, PhaseCounts};
+use kalfit_report::{CheckRecord, Checked, CheckedLevel, CheckedPhase, ParameterCounts, PhaseCounts};
 use kalfit_spec::Spec;
 
 use crate::evidence::Given;
@@ -140,7 +140,39 @@ fn examined(
         information: information.next().flatten(),
     };
     let phases = counts.into_iter().zip(&model.phases).map(phase).collect();
-    Ok(Checked::Reduced { data: DataRecord::of(reductions, files), phases, notes, at_start_of })
+    let levels = grouping.map_or(Vec::new(), |grouping| levels(model, grouping, blind));
+    Ok(Checked::Reduced { data: DataRecord::of(reductions, files), phases, levels, notes, at_start_of })
+}
+
+/// The levels, the outermost first. `blind` gives what is not identified of each, the innermost first.
+fn levels(
+    model: &PhasedModel,
+    grouping: &Grouping,
+    mut blind: impl Iterator<Item = Vec<UnidentifiedRecord>>,
+) -> Vec<CheckedLevel> {
+    let states = model.phases[0].model.estimated_names();
+    let inner = |level: usize| match level {
+        0 => (0..grouping.tests()).map(|test| grouping.group_of(test, 0)).collect::<Vec<_>>(),
+        _ => grouping.groups(level - 1).iter().filter_map(|group| group.parent).collect(),
+    };
+    let one = |(level, named): (usize, &GroupLevel)| {
+        let mut members = vec![0; grouping.groups(level).len()];
+        inner(level).into_iter().for_each(|group| members[group] += 1);
+        CheckedLevel {
+            name: named.name.clone(),
+            groups: members.len(),
+            members: level
+                .checked_sub(1)
+                .and_then(|inner| model.levels.iter().nth_back(inner))
+                .map_or("test".to_owned(), |of| of.name.clone()),
+            members_each: (members.iter().copied().min().unwrap_or(0), members.iter().copied().max().unwrap_or(0)),
+            states: states.clone(),
+            unidentified: blind.next().unwrap_or_default(),
+        }
+    };
+    let mut levels: Vec<CheckedLevel> = model.levels.iter().rev().enumerate().map(one).collect();
+    levels.reverse();
+    levels
 }
 
 /// The parameters that have free values, or would have with other data.

@@ -83,10 +83,11 @@ pub(crate) fn plan(
     model: Asked,
     from: Text,
     design: Vec<Given<'_>>,
-    (tests, groups): (Vec<usize>, Vec<(String, Vec<usize>)>),
+    many: (Vec<usize>, Vec<(String, Vec<usize>)>),
     out: Option<PathBuf>,
     how: How<'_>,
 ) -> PyResult<(String, Vec<String>)> {
+    let (tests, groups) = many;
     let job = PlanJob { model: model.into(), from: from.into(), design: data(design)?, tests, groups, out };
     let done = whole(run(py, how, move |watch| kalfit_job::plan(&job, watch))?)?;
     Ok((written(&done.record)?, done.notes))

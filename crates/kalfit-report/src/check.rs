@@ -63,6 +63,8 @@ pub enum Checked {
         data: DataRecord,
         /// What they say of each phase.
         phases: Vec<CheckedPhase>,
+        /// The levels of groups that tests stand in, the outermost first.
+        levels: Vec<CheckedLevel>,
         /// What else a fit will run into, in sentences.
         notes: Vec<String>,
         /// Free parameters that were held at their start values.
@@ -81,6 +83,23 @@ pub struct PhaseCounts {
     pub rows: usize,
     /// Number of tests of which no rows are there, but what somebody's filter made of them.
     pub without_rows: usize,
+}
+
+/// How the groups of one level are filled, and what they say of it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct CheckedLevel {
+    /// Its name.
+    pub name: String,
+    /// Number of its groups.
+    pub groups: usize,
+    /// What its members are: the next level's name, or `test`.
+    pub members: String,
+    /// The least and the most members that a group of it has.
+    pub members_each: (usize, usize),
+    /// Estimated states.
+    pub states: Vec<String>,
+    /// Directions of its Σ the data say nothing about.
+    pub unidentified: Vec<UnidentifiedRecord>,
 }
 
 /// What the data say of one phase.
@@ -121,7 +140,7 @@ pub fn check_summary(record: &CheckRecord, style: &Style) -> String {
 
 /// Data, observability, identifiability.
 fn reduced(record: &CheckRecord, (data, phases): (&DataRecord, &[CheckedPhase]), page: &Page<'_>) -> Vec<String> {
-    let Checked::Reduced { notes, at_start_of, .. } = &record.checked else { return Vec::new() };
+    let Checked::Reduced { levels, notes, at_start_of, .. } = &record.checked else { return Vec::new() };
     let facts = headline::data(data).trim_start_matches("Data: ").to_owned();
     let counts: Vec<PhaseCounts> = phases.iter().map(|phase| phase.counts.clone()).collect();
     let mut sections = vec![
@@ -132,8 +151,9 @@ fn reduced(record: &CheckRecord, (data, phases): (&DataRecord, &[CheckedPhase]),
     said.extend(held_at_start(at_start_of));
     match phases {
         [only] => {
-            let mut sentences = examined(only);
+            let mut sentences = examined(only, !levels.is_empty());
             sentences.append(&mut said);
+            sentences.splice(0..0, grouped(levels));
             sections.push(page.section("Observability", &seen(only, page)));
             sections.push(page.section("Identifiability", &page.items(&sentences)));
         }
@@ -141,7 +161,9 @@ fn reduced(record: &CheckRecord, (data, phases): (&DataRecord, &[CheckedPhase]),
             for phase in several {
                 let name = clean(&phase.counts.name);
                 sections.push(page.section(&format!("Phase {name}: observability"), &seen(phase, page)));
-                sections.push(page.section(&format!("Phase {name}: identifiability"), &page.items(&examined(phase))));
+                sections.push(
+                    page.section(&format!("Phase {name}: identifiability"), &page.items(&examined(phase, false))),
+                );
             }
             let information: Vec<_> =
                 several.iter().map(|p| (p.counts.name.as_str(), p.information.as_ref())).collect();
@@ -150,6 +172,23 @@ fn reduced(record: &CheckRecord, (data, phases): (&DataRecord, &[CheckedPhase]),
         }
     }
     sections
+}
+
+/// How many groups each level has, and what they cannot tell.
+fn grouped(levels: &[CheckedLevel]) -> Vec<String> {
+    let one = |level: &CheckedLevel| {
+        let (least, most) = level.members_each;
+        let each = if least == most {
+            count(least, &level.members)
+        } else {
+            format!("{least} to {}", count(most, &level.members))
+        };
+        let mut sentences =
+            vec![format!("Level `{}`: {} of {each}.", clean(&level.name), count(level.groups, "group"))];
+        sentences.extend(doubts::unidentified(&level.unidentified, &level.states, false));
+        sentences
+    };
+    levels.iter().flat_map(one).collect()
 }
 
 /// Rows and tests by phase, where there are several.
@@ -174,8 +213,8 @@ fn seen(phase: &CheckedPhase, page: &Page<'_>) -> String {
 }
 
 /// What is identified of a phase, and on what that rests.
-fn examined(phase: &CheckedPhase) -> Vec<String> {
-    let mut sentences = identified(phase);
+fn examined(phase: &CheckedPhase, grouped: bool) -> Vec<String> {
+    let mut sentences = identified(phase, grouped);
     sentences.extend(observability::warnings(&phase.observability, &phase.weak, phase.counts.tests));
     sentences.extend(observability::few_tests(&phase.observability, phase.counts.tests));
     sentences
@@ -235,14 +274,15 @@ fn worked_out(found: &[f64]) -> String {
     }
 }
 
-fn identified(phase: &CheckedPhase) -> Vec<String> {
+fn identified(phase: &CheckedPhase, grouped: bool) -> Vec<String> {
     let mut sentences = doubts::unidentified(&phase.unidentified, &phase.states, false);
     if phase.states.is_empty() {
         sentences.push("No state has an estimated start, so there is nothing to identify.".to_owned());
     } else if phase.unidentified.is_empty() {
-        sentences.push("The data identify all that is free in the mean and the covariance.".to_owned());
+        let whose = if grouped { "the tests' own" } else { "the" };
+        sentences.push(format!("The data identify all that is free in the mean and {whose} covariance."));
     } else if sentences.is_empty() {
-        sentences.push("Not identified: combinations with states of other phases; see below.".to_owned());
+        sentences.push("Not identified: combinations with states of other phases or levels; see below.".to_owned());
     }
     sentences
 }

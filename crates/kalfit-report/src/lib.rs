@@ -13,7 +13,7 @@ mod summary;
 mod table;
 mod words;
 
-pub use check::{CheckRecord, Checked, CheckedPhase, ParameterCounts, PhaseCounts, check_summary};
+pub use check::{CheckRecord, Checked, CheckedLevel, CheckedPhase, ParameterCounts, PhaseCounts, check_summary};
 pub use html::{html, html_with_test};
 pub use plan::plan_summary;
 pub use ratio::ratio_summary;

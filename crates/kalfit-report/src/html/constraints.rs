@@ -32,10 +32,7 @@ fn chart(record: &FitRecord, charts: &mut Charts) -> Option<Markup> {
     let (first, largest) = *tested.first()?;
     let all = tested.len();
     tested.truncate(MOST_BARS);
-    let name = |c: &ConstraintRecord| match record.phases.len() {
-        0 | 1 => clean(&c.element),
-        _ => format!("{}: {}", clean(&c.phase), clean(&c.element)),
-    };
+    let name = |c: &ConstraintRecord| clean(&constraints::name(record, c));
     let data = json!({
         "names": tested.iter().map(|(c, _)| name(c)).collect::<Vec<_>>(),
         "values": figures(tested.iter().map(|(_, s)| *s)),

@@ -37,11 +37,12 @@ pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     page.section("Constraints: what they cost (score test of each by itself)", &body)
 }
 
-/// The element, with its phase where there are several.
-fn name(record: &FitRecord, row: &ConstraintRecord) -> String {
-    match record.phases.len() {
-        0 | 1 => row.element.clone(),
-        _ => format!("{}: {}", row.phase, row.element),
+/// The element, with its level of groups, or its phase where there are several.
+pub(crate) fn name(record: &FitRecord, row: &ConstraintRecord) -> String {
+    match (&row.level, record.phases.len()) {
+        (Some(level), _) => format!("{level}: {}", row.element),
+        (None, 0 | 1) => row.element.clone(),
+        (None, _) => format!("{}: {}", row.phase, row.element),
     }
 }
 

@@ -27,9 +27,9 @@ pub(crate) fn counted(record: &FitRecord) -> Option<String> {
 pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     let Some((_, groups)) = record.levels.split_last() else { return String::new() };
     let inner = groups.last().map_or(String::new(), |level| clean(&level.name));
-    let outer = groups.iter().map(|level| format!("from {0} to {0}", clean(&level.name)));
+    let outer = groups.iter().map(|level| format!("{0} to {0}", clean(&level.name)));
     let mut names: Vec<String> = outer.collect();
-    names.push(format!("from test to test of one {inner}"));
+    names.push(format!("test to test of one {inner}"));
     let table = page.table(&columns(record, &names));
     let mut sentences = Vec::new();
     for (level, name) in record.levels.iter().zip(&names).filter(|(level, _)| level.column.is_some()) {
@@ -57,7 +57,8 @@ fn columns(record: &FitRecord, names: &[String]) -> Vec<Column> {
     };
     let (mut state, mut level, mut groups, mut figure, mut beside, mut ends, mut share) =
         (Vec::new(), Vec::new(), Vec::new(), Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    for i in 0..states {
+    let varying = |i: &usize| record.levels.iter().any(|one| !is_held_at_zero(one, *i));
+    for i in (0..states).filter(varying) {
         let all: f64 = record.levels.iter().map(|one| variance(one, i)).sum();
         for (k, (one, name)) in record.levels.iter().zip(names).enumerate() {
             let (value, error): Cells = std_dev(one, i);
@@ -74,13 +75,22 @@ fn columns(record: &FitRecord, names: &[String]) -> Vec<Column> {
     }
     vec![
         Column::new("state", Side::Left, state),
-        Column::new("varies", Side::Left, level),
+        Column::new("varies from", Side::Left, level),
         Column::new("number", Side::Right, groups),
         Column::new("std dev", Side::Right, figure),
         Column::new("", Side::Left, beside),
         Column::new("95 % interval", Side::Left, ends),
         Column::new("share", Side::Right, share),
     ]
+}
+
+fn is_fixed(level: &LevelRecord, i: usize) -> bool {
+    level.covariance.fixed.get(i).and_then(|row| row.get(i)).copied().unwrap_or(false)
+}
+
+/// The model says that the state does not vary at the level.
+fn is_held_at_zero(level: &LevelRecord, i: usize) -> bool {
+    is_fixed(level, i) && level.std_dev.estimate.get(i) == Some(&0.0)
 }
 
 /// The data do not determine the variance of a state at a level.
@@ -101,10 +111,13 @@ fn interval(level: &LevelRecord, i: usize) -> String {
 
 fn std_dev(level: &LevelRecord, i: usize) -> Cells {
     let Some(&estimate) = level.std_dev.estimate.get(i) else { return Default::default() };
-    let fixed = level.covariance.fixed.get(i).and_then(|row| row.get(i)).copied().unwrap_or(false);
-    if fixed && estimate == 0.0 {
+    if is_held_at_zero(level, i) {
         return ("0".to_owned(), "does not vary".to_owned());
     }
+    if is_open(level, i) {
+        return ("-".to_owned(), "not identified".to_owned());
+    }
+    let fixed = is_fixed(level, i);
     let error = level.std_dev.std_error.get(i).copied().flatten();
     spread(&level.states[i], (estimate, error, fixed), &level.boundary, &level.unidentified)
 }
@@ -112,7 +125,10 @@ fn std_dev(level: &LevelRecord, i: usize) -> Cells {
 /// Said of a level at which nothing varies.
 fn zero(level: &LevelRecord, name: &str) -> Option<String> {
     let free = level.boundary.iter().any(|one| one.rank == 0);
-    free.then(|| format!("Nothing varies {name} beyond what the tests within them explain: its covariance is zero."))
+    let known = !(0..level.states.len()).any(|i| is_open(level, i));
+    (free && known).then(|| {
+        format!("Nothing varies from {name} beyond what the tests within them explain: its covariance is zero.")
+    })
 }
 
 /// Groups that do not look like the others.

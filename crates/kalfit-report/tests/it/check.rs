@@ -35,7 +35,7 @@ fn reduced(unidentified: Vec<UnidentifiedRecord>, at_start_of: Vec<String>) -> C
         weak: vec![],
         information: None,
     };
-    Checked::Reduced { data, phases: vec![phase], notes: vec![], at_start_of }
+    Checked::Reduced { data, phases: vec![phase], levels: vec![], notes: vec![], at_start_of }
 }
 
 #[test]

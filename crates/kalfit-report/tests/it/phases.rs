@@ -199,7 +199,7 @@ fn checked(phases: Vec<CheckedPhase>, notes: Vec<String>) -> String {
         square_root_tests: 0,
         files: vec!["data.csv".into()],
     };
-    let checked = Checked::Reduced { data, phases, notes, at_start_of: vec![] };
+    let checked = Checked::Reduced { data, phases, levels: vec![], notes, at_start_of: vec![] };
     let record = CheckRecord { title: "Platform".into(), model: vec!["phases".into()], parameters: vec![], checked };
     check_summary(&record, &Style::default())
 }
@@ -291,7 +291,7 @@ fn a_check_says_where_a_combination_over_the_phases_is_not_identified() {
     let at = text.find("Phase flight: identifiability").expect("it is there");
     insta::assert_snapshot!(&text[at..], @"
     Phase flight: identifiability
-      Not identified: combinations with states of other phases; see below.
+      Not identified: combinations with states of other phases or levels; see below.
 
     All phases
       The whole combination.

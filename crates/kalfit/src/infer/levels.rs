@@ -13,6 +13,9 @@ use crate::linalg::symmetric;
 use crate::model::Population;
 use crate::reduce::Reductions;
 
+/// The answer without each test, or each group of a level.
+type Deletions = Vec<Option<Deletion>>;
+
 /// What is known of one group.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GroupPosterior {
@@ -99,10 +102,7 @@ pub(super) fn posteriors(
 
 /// The fit without each test, in their order, and without each group of each level, the innermost first. `None` where the others alone
 /// have no certified optimum, and where there are no others.
-pub(super) fn deletions(
-    estimate: &Estimate,
-    evidence: &Reductions,
-) -> Option<(Vec<Option<Deletion>>, Vec<Vec<Option<Deletion>>>)> {
+pub(super) fn deletions(estimate: &Estimate, evidence: &Reductions) -> Option<(Deletions, Vec<Deletions>)> {
     let problem = &estimate.state.problem;
     let classes = problem.classes.of(evidence);
     let ensemble = Ensemble { estimate, evidence, units: classes.units.as_ref()? };
@@ -114,7 +114,7 @@ pub(super) fn deletions(
     });
     let tests = tests.collect();
     let grouping = &ensemble.units.grouping;
-    let of_level = |level: usize| -> Vec<Option<Deletion>> {
+    let of_level = |level: usize| -> Deletions {
         let mut members = vec![Vec::new(); grouping.groups(level).len()];
         for j in 0..evidence.len() {
             let number = grouping.number(evidence.id(j)).expect("it was grouped");

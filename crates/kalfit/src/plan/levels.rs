@@ -26,6 +26,19 @@ impl Arrangement {
         self.groups.iter().fold(self.tests, |product, groups| product.saturating_mul(*groups))
     }
 
+    /// What differs from one test, or group of a level, to the next is told from what differs between those that they stand in only
+    /// where there are several in each. For each block of Σ, the tests' own first and then the innermost level: the first block that it
+    /// is not told from; and last the same for the mean.
+    fn together(&self) -> Vec<usize> {
+        let members = std::iter::once(self.tests).chain(self.groups.iter().rev().copied());
+        let mut first = vec![0];
+        first.extend(members.enumerate().scan(0, |least, (block, members)| {
+            *least = if members == 1 { *least } else { block + 1 };
+            Some(*least)
+        }));
+        first
+    }
+
     /// The names of the groups of each test.
     fn paths(&self) -> Vec<Vec<Label>> {
         let start = vec![Vec::new()];
@@ -64,9 +77,11 @@ pub fn plan_groups(
     let planned = |quantity: Quantity| {
         let errors: Vec<Result<f64, Reason>> = all
             .iter()
-            .map(|found| {
+            .zip(arrangements)
+            .map(|(found, one)| {
                 let found = found.at(population);
-                found.error(quantity).ok_or_else(|| found.reason(quantity))
+                let error = found.error(quantity).ok_or_else(|| found.reason(quantity))?;
+                if is_told(quantity, own, population, &one.together()) { Ok(error) } else { Err(Reason::Unidentified) }
             })
             .collect();
         let known = errors.iter().any(Result::is_ok);
@@ -86,6 +101,17 @@ pub fn plan_groups(
     })
 }
 
+/// True where no other block has a share of the quantity that these groups do not tell from its own. `own` states are in each block.
+fn is_told(quantity: Quantity, own: usize, population: &Population, together: &[usize]) -> bool {
+    let (Quantity::StdDev(i) | Quantity::Correlation(i, _) | Quantity::Covariance(i, _)) = quantity else {
+        return true;
+    };
+    let (block, mean) = (i / own, together.len() - 1);
+    let varies =
+        |other: usize| other == mean || population.covariance[(other * own + i % own, other * own + i % own)] > 0.0;
+    (0..together.len()).all(|other| other == block || together[other] != together[block] || !varies(other))
+}
+
 /// Tests like those of the design, in groups.
 fn arranged(design: &Reductions, arrangement: &Arrangement) -> Result<(Reductions, Arc<Grouping>), PlanError> {
     let total = arrangement.total();
@@ -100,4 +126,18 @@ fn arranged(design: &Reductions, arrangement: &Arrangement) -> Result<(Reduction
     let tests = ids.iter().enumerate().map(like).collect();
     let paths = ids.iter().map(String::as_str).zip(arrangement.paths());
     Ok((tests, Arc::new(Grouping::from_paths(arrangement.groups.len(), paths))))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Arrangement;
+
+    #[test]
+    fn what_has_one_member_is_not_told_from_what_it_stands_in() {
+        let of = |groups: &[usize], tests| Arrangement { groups: groups.to_vec(), tests }.together();
+        assert_eq!(of(&[8], 5), [0, 1, 2]);
+        assert_eq!(of(&[8], 1), [0, 0, 2], "one test of each unit");
+        assert_eq!(of(&[1], 5), [0, 1, 1], "one unit: its own part is not told from the mean");
+        assert_eq!(of(&[4, 1], 3), [0, 1, 1, 3], "one unit of each lot");
+    }
 }
