@@ -65,14 +65,21 @@ fn the_summary_says_how_much_is_from_unit_to_unit() {
     let spread = summary.split("Spread by level").nth(1).and_then(|rest| rest.split("Dynamic parameters").next());
     assert_snapshot!(spread.expect("there are levels"), @r#"
      (share of the variance of a test)
-      state      varies               number  std dev        95 % interval   share
-      thickness  from Lot to Lot           8     10.6 ± 3.0  6.1 to 18.3    75.7 %
-                 from test to test        24      6.0 ± 1.2  4.1 to 8.8     24.3 %
-                 of one Lot
+      state      varies from          number  std dev        95 % interval   share
+      thickness  Lot to Lot                8     10.6 ± 3.0  6.1 to 18.3    75.7 %
+                 test to test of one      24      6.0 ± 1.2  4.1 to 8.8     24.3 %
+                 Lot
 
     Outlying groups
       No group stands out: the smallest of 8 p-values is 0.06 (Lot 6).
     "#);
+}
+
+#[test]
+fn check_counts_the_groups_of_each_level() {
+    let output = oxide().run("check oxide.toml oxide.csv");
+    let said = shown(&output);
+    assert!(said.contains("Level `Lot`: 8 groups of 3 tests."), "{said}");
 }
 
 #[test]
