@@ -124,11 +124,11 @@ pub enum Failure {
     /// Standard errors that a criterion does not have.
     #[error("`--std-errors expected` and `--std-errors sandwich` go with `--criterion ml` only")]
     RestrictedErrors,
-    /// Something that is not made for tests in groups.
-    #[error("{what} is not made for a model with levels of groups")]
-    WithLevels {
-        /// What was asked for.
-        what: &'static str,
+    /// Numbers of groups of a level, more than once.
+    #[error("numbers of groups of level `{level}` are given more than once")]
+    GroupsTwice {
+        /// The level.
+        level: String,
     },
     /// Numbers of groups of a level that the model does not have.
     #[error("found groups of `{found}`, expected {}", levels_of(expected))]
@@ -281,7 +281,7 @@ impl Failure {
             Failure::RestrictedErrors => {
                 Some("leave `--std-errors` out: the restricted likelihood has those of its own curvature".to_owned())
             }
-            Failure::WithLevels { .. } => Some("leave it out, or leave `levels` out of `[data]`".to_owned()),
+            Failure::GroupsTwice { level } => Some(format!("give all of them at once: `--groups {level}=5,10,20`")),
             Failure::UnknownLevel { .. } => None,
             Failure::NoGroups { level } => Some(format!("give them: `--groups {level}=5,10,20`")),
             Failure::MoreThanDesign { .. } => {

@@ -62,8 +62,13 @@ fn arrangements(model: &PhasedModel, job: &PlanJob) -> Result<Vec<Arrangement>, 
     }
     let mut all = vec![Vec::new()];
     for name in &names {
-        let Some((_, counts)) = job.groups.iter().find(|(own, _)| own == name) else {
-            return Err(Failure::NoGroups { level: (*name).to_owned() });
+        let level = || (*name).to_owned();
+        let given: Vec<&Vec<usize>> =
+            job.groups.iter().filter(|(own, _)| own == name).map(|(_, counts)| counts).collect();
+        let counts = match given[..] {
+            [] => return Err(Failure::NoGroups { level: level() }),
+            [counts] => counts,
+            _ => return Err(Failure::GroupsTwice { level: level() }),
         };
         let more = |groups: &Vec<usize>| -> Vec<Vec<usize>> {
             counts.iter().map(|&count| groups.iter().copied().chain([count]).collect()).collect()

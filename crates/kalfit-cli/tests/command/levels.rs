@@ -187,13 +187,15 @@ fn more_units_or_more_runs_are_planned() {
     let expected = ((between + (within + sigma * sigma / 3.0) / 3.0) / 8.0).sqrt();
     let found = record.quantities[0].std_error[1].expect("it is identified");
     assert!((found - expected).abs() < 1e-9 * expected, "{found} {expected}");
-    for refused in [
-        "plan oxide.toml --from fit.json --design oxide.csv --tests 3",
-        "plan oxide.toml --from fit.json --design oxide.csv --groups Wafer=3 --groups Lot=2 --tests 3",
-        "plan oxide.toml --from fit.json --design oxide.csv --groups Lot=0 --tests 3",
+    for (groups, message) in [
+        ("", "how many groups of level `Lot` is not said"),
+        ("--groups Wafer=3 --groups Lot=2", "found groups of `Wafer`, expected those of `Lot`"),
+        ("--groups Lot=0", "0"),
+        ("--groups Lot=8 --groups Lot=4", "numbers of groups of level `Lot` are given more than once"),
     ] {
-        let output = folder.run(refused);
-        assert!(output.status.code().is_some_and(|code| code > 0), "{}", shown(&output));
+        let output = folder.run(&format!("plan oxide.toml --from fit.json --design oxide.csv {groups} --tests 3"));
+        let said = shown(&output);
+        assert!(output.status.code() == Some(2) && said.contains(message), "{groups}: {said}");
     }
 }
 

@@ -50,8 +50,10 @@ fn units(record: &FitRecord, i: usize, charts: &mut Charts) -> Option<Markup> {
 
 fn test_row(test: &TestRecord, indent: &str, i: usize) -> Option<Row> {
     let part = test.phases.first()?;
-    let own = test.id.rsplit('/').next().unwrap_or(&test.id);
-    row(format!("{indent}{}", clean(own)), (&part.mean, &part.covariance), i)
+    let within = test.groups.iter().fold(test.id.as_str(), |id, group| {
+        id.strip_prefix(group.as_str()).and_then(|id| id.strip_prefix('/')).unwrap_or(id)
+    });
+    row(format!("{indent}{}", clean(within)), (&part.mean, &part.covariance), i)
 }
 
 fn row(name: String, (mean, covariance): (&[f64], &SquareRecord), i: usize) -> Option<Row> {

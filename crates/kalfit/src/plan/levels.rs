@@ -130,7 +130,11 @@ fn arranged(design: &Reductions, arrangement: &Arrangement) -> Result<(Reduction
 
 #[cfg(test)]
 mod tests {
-    use super::Arrangement;
+    use nalgebra::{DMatrix, DVector};
+
+    use super::{Arrangement, is_told};
+    use crate::model::Population;
+    use crate::plan::Quantity;
 
     #[test]
     fn what_has_one_member_is_not_told_from_what_it_stands_in() {
@@ -139,5 +143,18 @@ mod tests {
         assert_eq!(of(&[8], 1), [0, 0, 2], "one test of each unit");
         assert_eq!(of(&[1], 5), [0, 1, 1], "one unit: its own part is not told from the mean");
         assert_eq!(of(&[4, 1], 3), [0, 1, 1, 3], "one unit of each lot");
+    }
+
+    #[test]
+    fn only_what_varies_in_both_is_untold() {
+        // two states, one level; the second state varies from test to test only
+        let variances = DVector::from_vec(vec![1.0, 2.0, 3.0, 0.0]);
+        let covariance = DMatrix::from_diagonal(&variances);
+        let population = Population { mean: vec![0.0; 4], coefficients: vec![], covariance };
+        let told = |i: usize, tests: usize| {
+            is_told(Quantity::StdDev(i), 2, &population, &Arrangement { groups: vec![8], tests }.together())
+        };
+        assert_eq!([0, 1, 2].map(|i| told(i, 1)), [false, true, false]);
+        assert_eq!([0, 1, 2].map(|i| told(i, 2)), [true; 3]);
     }
 }

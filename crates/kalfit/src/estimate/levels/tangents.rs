@@ -44,7 +44,7 @@ pub(super) struct Scratch {
     /// Er + dm̂, and E - EWV - VWE + dV.
     shift: Rows,
     inner: Rows,
-    product: Rows,
+    half: Rows,
 }
 
 impl Scratch {
@@ -52,7 +52,7 @@ impl Scratch {
     pub(super) fn new(p: usize, columns: usize) -> Scratch {
         let square = || Rows::zeros(p, p);
         let wide = || Rows::zeros(p, columns);
-        Scratch { r: wide(), weight: square(), shift: wide(), inner: square(), product: square() }
+        Scratch { r: wide(), weight: square(), shift: wide(), inner: square(), half: square() }
     }
 }
 
@@ -106,7 +106,7 @@ impl Along {
     /// dr = -W(Er + dm̂) and dW̄ = -W(E - EWV - VWE + dV)W of a test, E where it is of the tests' own level.
     fn test(self, (W, known): (&Rows, &Rows), down: &Down, moving: &Mean, scratch: &mut Scratch) {
         let p = W.nrows();
-        let Scratch { r, weight, shift, inner, product } = scratch;
+        let Scratch { r, weight, shift, inner, half } = scratch;
         for i in 0..p {
             shift.row_mut(i).copy_from_slice(moving.mean.row(i));
             inner.row_mut(i).copy_from_slice(moving.covariance.row(i));
@@ -123,15 +123,16 @@ impl Along {
                 }
             }
         }
-        negative_product(W, shift, r);
-        negative_product(W, inner, product);
-        times(product, W, weight);
+        product(-1.0, W, shift, r);
+        product(-1.0, W, inner, half);
+        product(1.0, half, W, weight);
     }
 
-    /// (dW, ds) of members of its own level.
+    /// (dW, ds) of a group of its own level.
     fn own(self, W: &Rows, s: &Rows) -> (Rows, Rows) {
-        let known = W.times(&self.matrix(W.nrows()));
-        (negative(known.times(W)), negative(known.times(s)))
+        let mut change = (Rows::zeros(W.nrows(), W.nrows()), Rows::zeros(s.nrows(), s.ncols()));
+        self.add_own(&mut change, (W, s));
+        change
     }
 
     /// Adds (dW, ds) of a member of its own level: -WEW and -WEs.
@@ -184,28 +185,13 @@ fn add(sum: &mut Change, more: (Rows, Rows)) {
     });
 }
 
-fn negative(a: Rows) -> Rows {
-    Rows::zeros(a.nrows(), a.ncols()).less(&a)
-}
-
-/// AB into a matrix of its shape.
-fn times(a: &Rows, b: &Rows, into: &mut Rows) {
+/// AB, so many times, into a matrix of its shape.
+fn product(scale: f64, a: &Rows, b: &Rows, into: &mut Rows) {
     for i in 0..a.nrows() {
         into.row_mut(i).fill(0.0);
         for k in 0..a.ncols() {
-            let x = a[(i, k)];
+            let x = scale * a[(i, k)];
             into.row_mut(i).iter_mut().zip(b.row(k)).for_each(|(sum, b)| *sum += x * b);
-        }
-    }
-}
-
-/// -AB into a matrix of its shape.
-fn negative_product(a: &Rows, b: &Rows, into: &mut Rows) {
-    for i in 0..a.nrows() {
-        into.row_mut(i).fill(0.0);
-        for k in 0..a.ncols() {
-            let x = a[(i, k)];
-            into.row_mut(i).iter_mut().zip(b.row(k)).for_each(|(sum, b)| *sum -= x * b);
         }
     }
 }
