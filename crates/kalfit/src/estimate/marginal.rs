@@ -58,7 +58,7 @@ impl Difference {
     fn left(before: &ChainPhase, link: &Link, (own, data): (DMatrix<f64>, DVector<f64>)) -> Difference {
         let (earlier, q) = (unpacked(before), own.nrows());
         let from = earlier.nrows();
-        let spread = Rotations::identity_plus(&Rows::from(&(&own * &link.root).transpose()));
+        let spread = Rotations::<f64>::identity_plus(&Rows::from(&(&own * &link.root).transpose()));
         let residual = data - &own * &link.mean;
         let mut rows = DMatrix::zeros(q, from + q + 1);
         rows.view_mut((0, 0), (q, from)).copy_from(&(&own * &link.sensitivity));

@@ -2,9 +2,9 @@
 
 use std::marker::PhantomData;
 
-use kalfit_lanes::Real;
+use kalfit_lanes::{Lanes, Part, Real};
 
-use crate::linalg::fold::Rotation;
+use crate::linalg::fold::fold_rows;
 use crate::linalg::products::{Absorb, IdentityPlus};
 use crate::linalg::rows::Rows;
 
@@ -29,7 +29,7 @@ pub(crate) struct Plain<T>(PhantomData<T>);
 
 /// By plane rotations, row by row: rows of very different size do no harm.
 #[derive(Debug)]
-pub(crate) struct Rotations;
+pub(crate) struct Rotations<T = f64>(PhantomData<T>);
 
 impl<T: Real> Factors for Plain<T> {
     type Number = T;
@@ -49,34 +49,44 @@ impl<T: Real> Factors for Plain<T> {
     }
 }
 
-impl Factors for Rotations {
-    type Number = f64;
+impl<T: Lanes> Factors for Rotations<T> {
+    type Number = T;
     const CAREFUL: bool = true;
 
-    fn identity_plus(rows: &Rows) -> Rows {
+    #[inline(always)]
+    fn identity_plus(rows: &Rows<T>) -> Rows<T> {
         let w = rows.ncols();
         let mut upper = Rows::identity(w);
         Rotations::absorb(&mut upper, rows.clone(), w);
-        (0..w).for_each(|i| upper[(i, i)] = upper[(i, i)].max(1.0)); // rounding must not make it less
+        for i in 0..w {
+            upper[(i, i)] = upper[(i, i)].maximum(T::splat(1.0)); // rounding must not make it less
+        }
         upper
     }
 
-    fn absorb(upper: &mut Rows, mut rows: Rows, width: usize) -> Rows {
-        for i in 0..rows.nrows() {
-            let row = rows.row_mut(i);
-            for k in 0..width {
-                let pivot = upper.row_mut(k);
-                let rotation = Rotation::of(pivot[k], row[k]);
-                if rotation.s == 0.0 {
-                    continue;
-                }
-                (pivot[k], row[k]) = (rotation.length, 0.0);
-                for (a, b) in pivot[k + 1..].iter_mut().zip(&mut row[k + 1..]) {
-                    (*a, *b) = rotation.turn(*a, *b);
-                }
-            }
-        }
+    #[inline(always)]
+    fn absorb(upper: &mut Rows<T>, mut rows: Rows<T>, width: usize) -> Rows<T> {
+        T::apart(Fold { upper, rows: &mut rows, width });
         rows
+    }
+}
+
+/// [`fold_rows`] as a function of its own.
+struct Fold<'a, T> {
+    upper: &'a mut Rows<T>,
+    rows: &'a mut Rows<T>,
+    width: usize,
+}
+
+impl<T: Lanes> Part for Fold<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let columns = self.upper.columns;
+        if self.rows.rows > 0 {
+            fold_rows(&mut self.upper.data, &mut self.rows.data, (self.width, columns), |_, _, _| {});
+        }
     }
 }
 
@@ -106,7 +116,7 @@ mod tests {
     fn both_ways_to_a_factor_have_the_same_cross_products() {
         let rows = sample(5, 3, 0.3);
         let expected = gram(&rows).plus(&Rows::identity(3));
-        for upper in [Plain::<f64>::identity_plus(&rows), Rotations::identity_plus(&rows)] {
+        for upper in [Plain::<f64>::identity_plus(&rows), Rotations::<f64>::identity_plus(&rows)] {
             close(&gram(&upper), &expected, 1e-14);
             assert!((0..3).all(|i| (0..i).all(|k| upper[(i, k)] == 0.0)), "{upper:?}");
         }
@@ -138,7 +148,7 @@ mod tests {
     #[test]
     fn rotations_keep_small_rows_beside_huge_ones() {
         let rows = Rows::from_fn(1, 2, |_, _| 1e12);
-        let upper = Rotations::identity_plus(&rows);
+        let upper = Rotations::<f64>::identity_plus(&rows);
         // |I + xx'| = 1 + |x|²
         let (found, expected) = (upper[(0, 0)] * upper[(1, 1)], (1.0 + 2e24_f64).sqrt());
         assert!((found / expected - 1.0).abs() < 1e-14, "{found} {expected}");

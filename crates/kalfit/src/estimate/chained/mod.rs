@@ -95,7 +95,7 @@ impl Chained {
     pub(crate) fn at(&self, mean: &[f64], root: &DMatrix<f64>, detail: Detail) -> Said {
         let prior = Prior { root: &Root::of(root), mean };
         let plain = if self.careful { None } else { self.through::<Plain<f64>>().said(&prior, detail) };
-        plain.unwrap_or_else(|| self.through::<Rotations>().said(&prior, detail).expect(BEARS))
+        plain.unwrap_or_else(|| self.through::<Rotations<f64>>().said(&prior, detail).expect(BEARS))
     }
 
     /// The sizes of its matrices.

@@ -16,18 +16,22 @@
 //! ```
 //!
 //! Reductions are kept as square roots on the way ([`walk`]), and tests come together as groups by design: groups whose members have
-//! the same designs cost one pass over matrices ([`Units`]). Second derivatives are those of the scores, along each element of each Σ
+//! the same designs cost one pass over matrices ([`Units`]), others stand side by side in lanes. Second derivatives are those of the scores, along each element of each Σ
 //! ([`tangents`]).
 //!
 //! In [`Elements`](crate::linalg::elements::Elements) what the groups of a level add stands like a further phase: block 0 is the tests' own
 //! level, the next one the innermost level of groups.
 
+mod bundle;
+mod companies;
+mod moments;
 mod pass;
 mod posterior;
 mod tangents;
 #[cfg(test)]
 mod tests;
 mod totals;
+mod trees;
 mod units;
 mod walk;
 

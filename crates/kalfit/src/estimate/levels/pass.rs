@@ -2,60 +2,128 @@
 
 use std::ops::Range;
 
+use kalfit_lanes::{Isa, Kernel, Lanes};
 use nalgebra::DMatrix;
 use rayon::prelude::*;
 
+use crate::estimate::levels::bundle::Bundle;
+use crate::estimate::levels::companies::Company;
 use crate::estimate::levels::totals::{Totals, Wish};
-use crate::estimate::levels::units::Units;
+use crate::estimate::levels::units::{Design, Units};
 use crate::estimate::levels::walk::At;
 use crate::estimate::order::{FlatMean, Order, Wanted};
 use crate::estimate::point::Point;
 use crate::estimate::sums::{OfLevels, Sums};
+use crate::linalg::rows::Rows;
 
-/// Most units that are walked through at once.
+/// Most units of one design that are walked through at once.
 const TOGETHER: usize = 64;
 /// Tasks there are at most; fixed, so that sums have the same bits for any number of threads.
 const TASKS: usize = 64;
 
 /// ℓ and its derivatives at a point. The mean is the sum of those of all levels, so what is said of one is said of each.
 pub(crate) fn pass(units: &Units, point: &Point, wanted: Wanted<'_>) -> Sums {
-    let at = At::new(units, point, wanted.regressors);
-    let (p, levels) = (units.states, units.levels());
-    let flat = wanted.flat.map(|flat| (folded(flat, p, levels), flat.covariance));
-    let wish = Wish { order: wanted.order, flat: flat.as_ref().map(|(jacobian, covariance)| (jacobian, *covariance)) };
-    let coordinates = p + wanted.regressors.len();
+    let flat = wanted.flat.map(|flat| (folded(flat, units.states, units.levels()), flat.covariance));
+    let wish = Wish {
+        flat: flat.as_ref().map(|(jacobian, covariance)| (jacobian, *covariance)),
+        ..Wish::of(units, wanted, wanted.order)
+    };
     let pieces = pieces(units);
-    let of_part = |pieces: &[(usize, Range<usize>)]| {
-        let mut totals = Totals::zero(units, coordinates, wish);
-        for (design, some) in pieces {
-            totals.take(&at, (&units.designs[*design], some.clone()), wish);
-        }
-        totals
+    let of_part = |pieces: &[Piece<'_>]| {
+        let shared = pieces.iter().filter_map(Piece::columns);
+        let columns = in_columns(units, (point, wanted), shared, wish);
+        let companies = pieces.iter().filter_map(Piece::company).collect();
+        columns.and(Isa::best().run(Abreast { units, point, wanted, wish, companies }))
     };
     let parts: Vec<Totals> = pieces.par_chunks(pieces.len().div_ceil(TASKS).max(1)).map(of_part).collect();
-    let totals = parts.iter().fold(Totals::zero(units, coordinates, wish), Totals::and);
-    sums((units, units.constant), totals, wanted)
+    sums((units, units.constant), parts.into_iter().fold(Totals::zero(wish), Totals::and), wanted)
 }
 
 /// Calls `of` with the numbers of the reductions of each unit and its sums of first order, the constants of its tests apart.
 pub(crate) fn each_unit(units: &Units, point: &Point, wanted: Wanted<'_>, of: &mut dyn FnMut(&[usize], &Sums)) {
-    let at = At::new(units, point, wanted.regressors);
-    let wish = Wish { order: Order::First, flat: None };
+    let wish = Wish::of(units, wanted, Order::First);
     for design in units.designs.iter() {
         for (number, unit) in design.units.iter().enumerate() {
-            let mut totals = Totals::zero(units, units.states + wanted.regressors.len(), wish);
-            totals.take(&at, (design, number..number + 1), wish);
+            let alone = std::iter::once((design, number..number + 1));
+            let totals = in_columns(units, (point, wanted), alone, wish);
             of(&unit.tests, &sums((units, 0.0), totals, wanted));
         }
     }
 }
 
-/// Some units of a design each.
-fn pieces(units: &Units) -> Vec<(usize, Range<usize>)> {
-    let of = |(number, count): (usize, usize)| {
-        (0..count).step_by(TOGETHER).map(move |from| (number, from..(from + TOGETHER).min(count)))
+impl Wish<'_> {
+    fn of(units: &Units, wanted: Wanted<'_>, order: Order) -> Self {
+        let (states, levels) = (units.states, units.levels());
+        Wish { order, states, levels, coordinates: states + wanted.regressors.len(), flat: None }
+    }
+}
+
+/// Units that are walked through together.
+enum Piece<'a> {
+    /// Some units of one design.
+    Columns(&'a Design, Range<usize>),
+    Company(&'a Company),
+}
+
+impl<'a> Piece<'a> {
+    fn columns(&self) -> Option<(&'a Design, Range<usize>)> {
+        match self {
+            Piece::Columns(design, units) => Some((design, units.clone())),
+            Piece::Company(_) => None,
+        }
+    }
+
+    fn company(&self) -> Option<&'a Company> {
+        match self {
+            Piece::Columns(..) => None,
+            Piece::Company(company) => Some(company),
+        }
+    }
+}
+
+fn pieces<'a>(units: &'a Units) -> Vec<Piece<'a>> {
+    let of = |design: &'a Design| {
+        let count = design.units.len();
+        (0..count).step_by(TOGETHER).map(move |from| Piece::Columns(design, from..(from + TOGETHER).min(count)))
     };
-    units.designs.iter().map(|design| design.units.len()).enumerate().flat_map(of).collect()
+    let shared = units.designs.iter().filter(|design| design.is_shared()).flat_map(of);
+    shared.chain(units.companies.iter().map(Piece::Company)).collect()
+}
+
+/// Sums over units whose designs are shared.
+fn in_columns<'a>(
+    units: &Units,
+    (point, wanted): (&Point, Wanted<'_>),
+    pieces: impl Iterator<Item = (&'a Design, Range<usize>)>,
+    wish: Wish<'_>,
+) -> Totals {
+    let at = At::new(units, point, wanted.regressors);
+    let mut totals = Totals::zero(wish);
+    pieces.for_each(|(design, some)| totals.take(&at, &Bundle::alike(units, design, some), wish));
+    totals
+}
+
+/// Units of some companies, in lanes.
+struct Abreast<'a> {
+    units: &'a Units,
+    point: &'a Point,
+    wanted: Wanted<'a>,
+    wish: Wish<'a>,
+    companies: Vec<&'a Company>,
+}
+
+impl Kernel for Abreast<'_> {
+    type Output = Totals;
+
+    #[inline(always)]
+    fn run<T: Lanes>(self) -> Totals {
+        let at = At::<T>::new(self.units, self.point, self.wanted.regressors);
+        let mut totals = Totals::<T>::zero(self.wish);
+        for company in self.companies {
+            totals.take(&at, &Bundle::abreast(self.units, company), self.wish);
+        }
+        totals.of_all_lanes()
+    }
 }
 
 /// d(μ, coefficients) / d(free mean coordinates): the mean is the sum over the levels.
@@ -75,19 +143,26 @@ fn sums((units, constant): (&Units, f64), totals: Totals, wanted: Wanted<'_>) ->
     let own = |m: usize| if m < p * levels { m % p } else { m - p * (levels - 1) };
     sums.value = constant + totals.value;
     sums.quadratic = totals.quadratic;
-    sums.mean_score.iter_mut().enumerate().for_each(|(m, to)| *to = totals.score[own(m)]);
+    sums.mean_score.iter_mut().enumerate().for_each(|(m, to)| *to = totals.score[(own(m), 0)]);
     sums.mean_information = DMatrix::from_fn(all, all, |m, n| totals.information[(own(m), own(n))]);
     for (level, (outer, weight)) in totals.outer.iter().zip(&totals.weight).enumerate() {
         let at = (level * p, level * p);
-        sums.outer.view_mut(at, (p, p)).copy_from(outer);
-        sums.weight.view_mut(at, (p, p)).copy_from(weight);
+        sums.outer.view_mut(at, (p, p)).copy_from(&matrix(outer));
+        sums.weight.view_mut(at, (p, p)).copy_from(&matrix(weight));
     }
-    sums.spread = totals.spread;
+    sums.spread = matrix(&totals.spread);
     let cross = DMatrix::from_fn(if totals.cross.ncols() > 0 { all } else { 0 }, totals.cross.ncols(), |m, e| {
         totals.cross[(own(m), e)]
     });
-    let symmetric = |a: DMatrix<f64>| (&a + a.transpose()) * 0.5;
+    let symmetric = |a: &Rows| {
+        let a = matrix(a);
+        (&a + a.transpose()) * 0.5
+    };
     sums.of_levels =
-        Some(OfLevels { observed: symmetric(totals.observed), cross, expected: symmetric(totals.expected) });
+        Some(OfLevels { observed: symmetric(&totals.observed), cross, expected: symmetric(&totals.expected) });
     sums
+}
+
+fn matrix(rows: &Rows) -> DMatrix<f64> {
+    DMatrix::from_fn(rows.nrows(), rows.ncols(), |i, k| rows[(i, k)])
 }

@@ -2,7 +2,8 @@
 
 use rayon::prelude::*;
 
-use crate::estimate::levels::units::{Design, Units};
+use crate::estimate::levels::bundle::Bundle;
+use crate::estimate::levels::units::{Design, Unit, Units};
 use crate::estimate::levels::walk::{At, Mean, Walked};
 use crate::estimate::point::{Point, Regressors};
 use crate::linalg::rows::Rows;
@@ -65,11 +66,11 @@ pub(crate) fn posteriors(
     let at = At::new(units, point, regressors);
     let above = Above::new(&at);
     let of_design = |design: &Design| -> Vec<Found> {
-        let walked = at.walked(design, 0..design.units.len(), coordinates);
-        let tests = (0..design.tests.len()).flat_map(|t| of_test(&at, (design, &walked), t));
-        tests
-            .chain((0..design.groups.len()).flat_map(|g| of_group(&at, &above, (design, &walked), (g, constants))))
-            .collect()
+        let bundle = Bundle::alike(units, design, 0..design.units.len());
+        let walked = at.walked(&bundle, coordinates);
+        let all = (design.units.as_slice(), &bundle, &walked);
+        let tests = (0..design.tests.len()).flat_map(|t| of_test(&at, all, t));
+        tests.chain((0..design.groups.len()).flat_map(|g| of_group((&at, &above), all, (g, constants)))).collect()
     };
     let found: Vec<Vec<Found>> = units.designs.par_iter().map(of_design).collect();
     let mut all = LevelPosteriors {
@@ -87,10 +88,14 @@ pub(crate) fn posteriors(
     all
 }
 
-fn of_test(at: &At<'_>, (design, walked): (&Design, &Walked), t: usize) -> Vec<Found> {
-    let (member, down) = (design.tests[t], &walked.tests[t]);
-    let mean = Mean::of((at.weight_of(member), &down.r), &at.sigmas[0], Some(&walked.means[member.group]));
-    let leaf = &at.units.leaves[member.leaf];
+/// Units of one design, and what they say.
+type Alike<'a> = (&'a [Unit], &'a Bundle<'a, f64>, &'a Walked<f64>);
+
+fn of_test(at: &At<'_>, (units, bundle, walked): Alike<'_>, t: usize) -> Vec<Found> {
+    let (member, down) = (bundle.tests[t], &walked.tests[t]);
+    let weight = &walked.leaves[member.leaf].W;
+    let mean = Mean::of((weight, &down.r), &at.sigmas[0], Some(&walked.means[member.group]));
+    let leaf = &bundle.leaves[member.leaf];
     let centre = at.mean_of(leaf);
     let p = centre.len();
     // with the mean coordinates by one the mean of ξ is that much further, and the data that much less
@@ -98,7 +103,7 @@ fn of_test(at: &At<'_>, (design, walked): (&Design, &Walked), t: usize) -> Vec<F
         .flat_map(|i| (0..walked.before).map(move |c| (i, c)))
         .map(|(i, c)| at.effect(leaf, i, c) - mean.mean[(i, c)])
         .collect();
-    let one = |(unit, numbers): (usize, &crate::estimate::levels::units::Unit)| {
+    let one = |(unit, numbers): (usize, &Unit)| {
         let own = |i: usize| centre[i] + mean.mean[(i, walked.before + unit)];
         let covariance = mean.covariance.as_slice().to_vec();
         Found::Test(
@@ -106,7 +111,7 @@ fn of_test(at: &At<'_>, (design, walked): (&Design, &Walked), t: usize) -> Vec<F
             TestPosterior { mean: (0..p).map(own).collect(), covariance, moved: moved.clone() },
         )
     };
-    design.units.iter().enumerate().map(one).collect()
+    units.iter().enumerate().map(one).collect()
 }
 
 /// Roots F' of the sum of the Σ of each level and those above.
@@ -114,35 +119,32 @@ struct Above(Vec<Rows>);
 
 impl Above {
     fn new(at: &At<'_>) -> Above {
-        let levels = at.units.levels();
         let of = |level: usize| {
-            let mut root = Rows::zeros(0, at.units.states);
-            (level..levels).for_each(|l| root.append(at.root(l)));
+            let mut root = Rows::zeros(0, at.mean.len());
+            at.roots[level..].iter().for_each(|one| root.append(one));
             root
         };
-        Above((0..levels).map(of).collect())
+        Above((0..at.roots.len()).map(of).collect())
     }
 }
 
 fn of_group(
-    at: &At<'_>,
-    above: &Above,
-    (design, walked): (&Design, &Walked),
+    (at, above): (&At<'_>, &Above),
+    (units, bundle, walked): Alike<'_>,
     (g, constants): (usize, &[f64]),
 ) -> Vec<Found> {
-    let (node, mean, up) = (design.groups[g], &walked.means[g], &walked.up[g]);
-    let p = at.units.states;
+    let (node, mean, up) = (bundle.groups[g], &walked.means[g], &walked.up[g]);
+    let p = at.mean.len();
     let rank = up.rank();
     let (squares, log_det) = up.apart(&above.0[node.level]);
-    let within = walked.within(design, g);
-    let centre = |i: usize| (0..at.units.levels()).map(|l| at.point.mean[l * p + i]).sum::<f64>();
-    let members: Vec<usize> = (0..design.tests.len()).filter(|&t| design.stands_in(design.tests[t].group, g)).collect();
-    let one = |(unit, numbers): (usize, &crate::estimate::levels::units::Unit)| {
+    let within = walked.within(bundle, g);
+    let members: Vec<usize> = (0..bundle.tests.len()).filter(|&t| bundle.stands_in(bundle.tests[t].group, g)).collect();
+    let one = |(unit, numbers): (usize, &Unit)| {
         let column = walked.before + unit;
         let constant: f64 = members.iter().map(|&t| constants[numbers.tests[t]]).sum();
         let squared = squares[column];
         let posterior = GroupPosterior {
-            mean: (0..p).map(|i| centre(i) + mean.mean[(i, column)]).collect(),
+            mean: (0..p).map(|i| at.mean[i] + mean.mean[(i, column)]).collect(),
             covariance: mean.covariance.as_slice().to_vec(),
             squared,
             degrees_of_freedom: rank,
@@ -150,5 +152,5 @@ fn of_group(
         };
         Found::Group(node.level, numbers.groups[g], posterior)
     };
-    design.units.iter().enumerate().map(one).collect()
+    units.iter().enumerate().map(one).collect()
 }

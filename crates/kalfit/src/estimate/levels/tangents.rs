@@ -13,7 +13,9 @@
 //! ```
 #![expect(non_snake_case, reason = "W, V, E, G are the letters of the theory")]
 
-use crate::estimate::levels::units::Design;
+use kalfit_lanes::Lanes;
+
+use crate::estimate::levels::bundle::Bundle;
 use crate::estimate::levels::walk::{At, Down, Mean, Walked};
 use crate::linalg::rows::Rows;
 
@@ -26,85 +28,115 @@ pub(super) struct Along {
 }
 
 /// What moves of a test or a group.
-pub(super) struct Moved<'a> {
+pub(super) struct Moved<'a, T> {
     pub(super) level: usize,
-    /// Its number among the tests of the design; `None` for a group.
+    /// Its number among the tests of the bundle; `None` for a group.
     pub(super) test: Option<usize>,
-    pub(super) of: &'a Down,
+    pub(super) of: &'a Down<T>,
     /// dr.
-    pub(super) r: &'a Rows,
+    pub(super) r: &'a Rows<T>,
     /// dW̄.
-    pub(super) weight: &'a Rows,
+    pub(super) weight: &'a Rows<T>,
 }
 
 /// Where what moves of one test after the other is worked out.
-pub(super) struct Scratch {
-    r: Rows,
-    weight: Rows,
+pub(super) struct Scratch<T> {
+    r: Rows<T>,
+    weight: Rows<T>,
     /// Er + dm̂, and E - EWV - VWE + dV.
-    shift: Rows,
-    inner: Rows,
-    half: Rows,
+    shift: Rows<T>,
+    inner: Rows<T>,
+    half: Rows<T>,
 }
 
-impl Scratch {
+impl<T: Lanes> Scratch<T> {
     /// For p states and so many columns.
-    pub(super) fn new(p: usize, columns: usize) -> Scratch {
-        let square = || Rows::zeros(p, p);
-        let wide = || Rows::zeros(p, columns);
-        Scratch { r: wide(), weight: square(), shift: wide(), inner: square(), half: square() }
+    #[inline(always)]
+    pub(super) fn new(p: usize, columns: usize) -> Scratch<T> {
+        Scratch {
+            r: Rows::zeros(p, columns),
+            weight: Rows::zeros(p, p),
+            shift: Rows::zeros(p, columns),
+            inner: Rows::zeros(p, p),
+            half: Rows::zeros(p, p),
+        }
     }
 }
 
+/// (dW, ds) or (dr, dW̄).
+type Pair<T> = (Rows<T>, Rows<T>);
 /// (dW, ds), where they are not zero.
-type Change = Option<(Rows, Rows)>;
+type Change<T> = Option<Pair<T>>;
 
 impl Along {
+    /// Both places of the element, the diagonal's once.
+    #[inline(always)]
+    fn places(self) -> impl Iterator<Item = (usize, usize)> {
+        let places = [(self.row, self.column), (self.column, self.row)];
+        places.into_iter().take(if self.row == self.column { 1 } else { 2 })
+    }
+
     /// E.
-    fn matrix(self, p: usize) -> Rows {
+    #[inline(always)]
+    fn matrix<T: Lanes>(self, p: usize) -> Rows<T> {
         let mut matrix = Rows::zeros(p, p);
-        matrix[(self.row, self.column)] = 1.0;
-        matrix[(self.column, self.row)] = 1.0;
+        for place in self.places() {
+            matrix[place] = T::splat(1.0);
+        }
         matrix
     }
 
     /// Ex.
-    fn times(self, x: &Rows) -> Rows {
+    #[inline(always)]
+    fn times<T: Lanes>(self, x: &Rows<T>) -> Rows<T> {
         let mut moved = Rows::zeros(x.nrows(), x.ncols());
-        moved.row_mut(self.row).copy_from_slice(x.row(self.column));
-        moved.row_mut(self.column).copy_from_slice(x.row(self.row));
+        for (i, k) in self.places() {
+            moved.row_mut(i).copy_from_slice(x.row(k));
+        }
         moved
     }
 
     /// Tells what moves, groups first.
-    pub(super) fn through(
+    #[inline(always)]
+    pub(super) fn through<T: Lanes>(
         self,
-        at: &At<'_>,
-        (design, walked): (&Design, &Walked),
-        scratch: &mut Scratch,
-        tell: &mut dyn FnMut(Moved<'_>),
+        at: &At<'_, T>,
+        (bundle, walked): (&Bundle<'_, T>, &Walked<T>),
+        scratch: &mut Scratch<T>,
+        mut tell: impl FnMut(Moved<'_, T>),
     ) {
-        let changes = self.up(at, design, walked);
-        let mut means: Vec<Option<Mean>> = vec![None; design.groups.len()];
-        for (own, node) in design.groups.iter().enumerate().rev() {
-            let above = (node.parent != own).then(|| (&walked.means[node.parent], means[node.parent].as_ref()));
-            let above = above.map(|(mean, moved)| (mean, moved.expect("it was visited")));
+        let changes = self.up(at, bundle, walked);
+        let last = bundle.groups.len() - 1;
+        let mut means: Vec<Mean<T>> = Vec::with_capacity(bundle.groups.len()); // the last group first
+        for (own, node) in bundle.groups.iter().enumerate().rev() {
+            let above = match node.parent == own {
+                true => None,
+                false => Some((&walked.means[node.parent], &means[last - node.parent])),
+            };
             let (up, down) = (&walked.up[own], &walked.down[own]);
             let change = changes[own].as_ref();
             let moved = moved((&up.W, down), change, above);
             let here = (node.level == self.level).then_some(self);
-            means[own] = Some(inherited((&up.W, down, &at.sigmas[node.level]), (change, &moved), here, above));
+            let mean = inherited((&up.W, down, &at.sigmas[node.level]), (change, &moved), here, above);
+            means.push(mean);
             tell(Moved { level: node.level, test: None, of: down, r: &moved.0, weight: &moved.1 });
         }
-        for (number, (member, down)) in design.tests.iter().zip(&walked.tests).enumerate() {
-            let moving = means[member.group].as_ref().expect("it was visited");
-            self.test((&at.leaves[member.leaf].W, &walked.known[number]), down, moving, scratch);
+        for (number, (member, down)) in bundle.tests.iter().zip(&walked.tests).enumerate() {
+            let moving = &means[last - member.group];
+            self.test((&walked.leaves[member.leaf].W, &walked.known[number]), down, moving, scratch);
             tell(Moved { level: 0, test: Some(number), of: down, r: &scratch.r, weight: &scratch.weight });
         }
     }
 
     /// dr = -W(Er + dm̂) and dW̄ = -W(E - EWV - VWE + dV)W of a test, E where it is of the tests' own level.
-    fn test(self, (W, known): (&Rows, &Rows), down: &Down, moving: &Mean, scratch: &mut Scratch) {
+    #[inline(always)]
+    fn test<T: Lanes>(
+        self,
+        (W, known): (&Rows<T>, &Rows<T>),
+        down: &Down<T>,
+        moving: &Mean<T>,
+        scratch: &mut Scratch<T>,
+    ) {
         let p = W.nrows();
         let Scratch { r, weight, shift, inner, half } = scratch;
         for i in 0..p {
@@ -112,14 +144,15 @@ impl Along {
             inner.row_mut(i).copy_from_slice(moving.covariance.row(i));
         }
         if self.level == 0 {
-            let places = [(self.row, self.column), (self.column, self.row)];
-            for (i, k) in places.into_iter().take(if self.row == self.column { 1 } else { 2 }) {
-                shift.row_mut(i).iter_mut().zip(down.r.row(k)).for_each(|(to, x)| *to += x);
-                inner[(i, k)] += 1.0;
+            for (i, k) in self.places() {
+                for (to, &x) in shift.row_mut(i).iter_mut().zip(down.r.row(k)) {
+                    *to = *to + x;
+                }
+                inner[(i, k)] = inner[(i, k)] + T::splat(1.0);
                 for c in 0..p {
                     let both = known[(k, c)];
-                    inner[(i, c)] -= both;
-                    inner[(c, i)] -= both;
+                    inner[(i, c)] = inner[(i, c)] - both;
+                    inner[(c, i)] = inner[(c, i)] - both;
                 }
             }
         }
@@ -128,39 +161,44 @@ impl Along {
         product(1.0, half, W, weight);
     }
 
-    /// (dW, ds) of a group of its own level.
-    fn own(self, W: &Rows, s: &Rows) -> (Rows, Rows) {
-        let mut change = (Rows::zeros(W.nrows(), W.nrows()), Rows::zeros(s.nrows(), s.ncols()));
-        self.add_own(&mut change, (W, s));
-        change
-    }
-
     /// Adds (dW, ds) of a member of its own level: -WEW and -WEs.
-    fn add_own(self, (sum_W, sum_s): &mut (Rows, Rows), (W, s): (&Rows, &Rows)) {
-        let places = [(self.row, self.column), (self.column, self.row)];
-        for (i, k) in places.into_iter().take(if self.row == self.column { 1 } else { 2 }) {
+    #[inline(always)]
+    fn add_own<T: Lanes>(self, (sum_W, sum_s): &mut Pair<T>, (W, s): (&Rows<T>, &Rows<T>)) {
+        for (i, k) in self.places() {
             for row in 0..W.nrows() {
                 let x = W[(row, i)];
-                sum_W.row_mut(row).iter_mut().zip(W.row(k)).for_each(|(sum, w)| *sum -= x * w);
-                sum_s.row_mut(row).iter_mut().zip(s.row(k)).for_each(|(sum, s)| *sum -= x * s);
+                for (sum, &w) in sum_W.row_mut(row).iter_mut().zip(W.row(k)) {
+                    *sum = x.fnma(w, *sum);
+                }
+                for (sum, &s) in sum_s.row_mut(row).iter_mut().zip(s.row(k)) {
+                    *sum = x.fnma(s, *sum);
+                }
             }
         }
     }
 
     /// (dW, ds) of the groups.
-    fn up(self, at: &At<'_>, design: &Design, walked: &Walked) -> Vec<Change> {
-        let mut gathered: Vec<Change> = vec![None; design.groups.len()];
+    #[inline(always)]
+    fn up<T: Lanes>(self, at: &At<'_, T>, bundle: &Bundle<'_, T>, walked: &Walked<T>) -> Vec<Change<T>> {
+        let mut gathered: Vec<Change<T>> = Vec::with_capacity(bundle.groups.len());
+        for _ in bundle.groups {
+            gathered.push(None);
+        }
+        let none = |W: &Rows<T>, s: &Rows<T>| (Rows::zeros(W.nrows(), W.nrows()), Rows::zeros(s.nrows(), s.ncols()));
         if self.level == 0 {
-            for (member, s) in design.tests.iter().zip(&walked.said) {
-                let W = &at.leaves[member.leaf].W;
-                let none = || (Rows::zeros(W.nrows(), W.nrows()), Rows::zeros(s.nrows(), s.ncols()));
-                self.add_own(gathered[member.group].get_or_insert_with(none), (W, s));
+            for (member, s) in bundle.tests.iter().zip(&walked.said) {
+                let W = &walked.leaves[member.leaf].W;
+                self.add_own(gathered[member.group].get_or_insert_with(|| none(W, s)), (W, s));
             }
         }
-        for (own, node) in design.groups.iter().enumerate() {
+        for (own, node) in bundle.groups.iter().enumerate() {
             let up = &walked.up[own];
             let change = match gathered[own].take() {
-                _ if node.level == self.level => Some(self.own(&up.W, &up.s)),
+                _ if node.level == self.level => {
+                    let mut change = none(&up.W, &up.s);
+                    self.add_own(&mut change, (&up.W, &up.s));
+                    Some(change)
+                }
                 Some((J, y)) => {
                     let sigma = &at.sigmas[node.level];
                     let G = Rows::identity(sigma.nrows()).less(&up.W.times(sigma));
@@ -170,7 +208,7 @@ impl Along {
                 None => None,
             };
             if let (Some((W, s)), true) = (&change, node.parent != own) {
-                add(&mut gathered[node.parent], (W.clone(), s.clone()));
+                add(&mut gathered[node.parent], (W, s));
             }
             gathered[own] = change;
         }
@@ -178,31 +216,41 @@ impl Along {
     }
 }
 
-fn add(sum: &mut Change, more: (Rows, Rows)) {
+#[inline(always)]
+fn add<T: Lanes>(sum: &mut Change<T>, (W, s): (&Rows<T>, &Rows<T>)) {
     *sum = Some(match sum.take() {
-        None => more,
-        Some((W, s)) => (W.plus(&more.0), s.plus(&more.1)),
+        None => (W.clone(), s.clone()),
+        Some((sum_W, sum_s)) => (sum_W.plus(W), sum_s.plus(s)),
     });
 }
 
 /// AB, so many times, into a matrix of its shape.
-fn product(scale: f64, a: &Rows, b: &Rows, into: &mut Rows) {
+#[inline(always)]
+fn product<T: Lanes>(scale: f64, a: &Rows<T>, b: &Rows<T>, into: &mut Rows<T>) {
     for i in 0..a.nrows() {
-        into.row_mut(i).fill(0.0);
+        into.row_mut(i).fill(T::splat(0.0));
         for k in 0..a.ncols() {
-            let x = scale * a[(i, k)];
-            into.row_mut(i).iter_mut().zip(b.row(k)).for_each(|(sum, b)| *sum += x * b);
+            let x = T::splat(scale) * a[(i, k)];
+            for (sum, &b) in into.row_mut(i).iter_mut().zip(b.row(k)) {
+                *sum = x.fma(b, *sum);
+            }
         }
     }
 }
 
 /// A + A'.
-fn twice(a: &Rows) -> Rows {
+#[inline(always)]
+fn twice<T: Lanes>(a: &Rows<T>) -> Rows<T> {
     a.transposed().plus(a)
 }
 
 /// (dr, dW̄).
-fn moved((W, down): (&Rows, &Down), change: Option<&(Rows, Rows)>, above: Option<(&Mean, &Mean)>) -> (Rows, Rows) {
+#[inline(always)]
+fn moved<T: Lanes>(
+    (W, down): (&Rows<T>, &Down<T>),
+    change: Option<&Pair<T>>,
+    above: Option<(&Mean<T>, &Mean<T>)>,
+) -> Pair<T> {
     let p = W.nrows();
     let (mut r, mut weight) = match change {
         Some((dW, ds)) => (ds.clone(), dW.clone()),
@@ -220,12 +268,13 @@ fn moved((W, down): (&Rows, &Down), change: Option<&(Rows, Rows)>, above: Option
 }
 
 /// (dm̂, dV) of the mean of the members of a group: of m̂ + Σr and TVT' + Σ - ΣWΣ with T = I - ΣW.
-fn inherited(
-    (W, down, sigma): (&Rows, &Down, &Rows),
-    (change, moved): (Option<&(Rows, Rows)>, &(Rows, Rows)),
+#[inline(always)]
+fn inherited<T: Lanes>(
+    (W, down, sigma): (&Rows<T>, &Down<T>, &Rows<T>),
+    (change, moved): (Option<&Pair<T>>, &Pair<T>),
     here: Option<Along>,
-    above: Option<(&Mean, &Mean)>,
-) -> Mean {
+    above: Option<(&Mean<T>, &Mean<T>)>,
+) -> Mean<T> {
     let p = W.nrows();
     let mut mean = sigma.times(&moved.0);
     let mut covariance = Rows::zeros(p, p);
@@ -242,11 +291,11 @@ fn inherited(
         turned = turned.less(&known);
     }
     if let Some((law, moving)) = above {
-        let T = Rows::identity(p).less(&sigma.times(W));
+        let rest = Rows::identity(p).less(&sigma.times(W));
         mean = mean.plus(&moving.mean);
         covariance = covariance
-            .plus(&T.times(&moving.covariance).times_transpose(&T))
-            .plus(&twice(&turned.times(&law.covariance).times_transpose(&T)));
+            .plus(&rest.times(&moving.covariance).times_transpose(&rest))
+            .plus(&twice(&turned.times(&law.covariance).times_transpose(&rest)));
     }
     Mean { mean, covariance }
 }

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use nalgebra::{DMatrix, DVector};
 
 use crate::ensemble::{Grouping, Label};
-use crate::estimate::levels::{Units, posteriors};
-use crate::estimate::order::Order;
+use crate::estimate::levels::{Units, each_unit, pass, posteriors};
+use crate::estimate::order::{Order, Wanted};
 use crate::estimate::point::Point;
 use crate::estimate::{
     Combination, Criterion, Estimate, PhaseStructure, Problem, Settings, Silent, Solver, Stop, Structure, evidence, fit,
@@ -391,5 +391,40 @@ fn with_one_test_in_each_group_the_answer_is_that_of_one_level() {
         assert!((a - b).abs() < 1e-9 * (1.0 + b.abs()), "{a} {b}");
         let off = (found.covariance.view((0, 0), (2, 2)) - &expected.covariance).amax();
         assert!(off < 1e-6, "{} {}", found.covariance, expected.covariance);
+    }
+}
+
+#[test]
+fn units_in_lanes_say_what_they_say_one_by_one() {
+    // lots of ragged trees: lanes without a unit, units without some groups and tests
+    for ensemble in
+        [ensemble(2, &[11, 3, 2], (1, true)), ensemble(3, &[2, 4], (2, false)), ensemble(1, &[9, 1], (1, false))]
+    {
+        let problem = ensemble.problem(Criterion::Ml);
+        let here = somewhere(&ensemble, ensemble.grouping.depth() + 1);
+        let point = point(&problem, &here);
+        let units = problem.classes.units.as_ref().expect("they are in groups");
+        let regressors = &problem.mean.regressors;
+        let wanted = Wanted { elements: &problem.classes.elements, regressors, order: Order::First, flat: None };
+        let together = pass(units, &point, wanted);
+        let (mut value, mut score) = (units.constant, DVector::zeros(together.mean_score.len()));
+        let (mut outer, mut weight) = (together.outer.clone() * 0.0, together.weight.clone() * 0.0);
+        let mut tests = 0;
+        each_unit(units, &point, wanted, &mut |reductions, sums| {
+            value += sums.value;
+            score += &sums.mean_score;
+            outer += &sums.outer;
+            weight += &sums.weight;
+            tests += reductions.len();
+        });
+        assert_eq!(tests, ensemble.reductions.len());
+        assert!((together.value - value).abs() < 1e-12 * value.abs(), "{} {value}", together.value);
+        let close = |found: &[f64], expected: &[f64]| {
+            let off = found.iter().zip(expected).map(|(a, b)| (a - b).abs() / (1.0 + b.abs())).fold(0.0, f64::max);
+            assert!(off < 1e-11, "{off}: {found:?} {expected:?}");
+        };
+        close(together.mean_score.as_slice(), score.as_slice());
+        close(together.outer.as_slice(), outer.as_slice());
+        close(together.weight.as_slice(), weight.as_slice());
     }
 }

@@ -1,11 +1,10 @@
 //! What units say, added up.
 
-use std::ops::Range;
+use kalfit_lanes::Lanes;
+use nalgebra::DMatrix;
 
-use nalgebra::{DMatrix, DVector};
-
+use crate::estimate::levels::bundle::Bundle;
 use crate::estimate::levels::tangents::{Along, Moved, Scratch};
-use crate::estimate::levels::units::{Design, Units};
 use crate::estimate::levels::walk::{At, Walked};
 use crate::estimate::order::Order;
 use crate::linalg::rows::Rows;
@@ -13,194 +12,300 @@ use crate::linalg::symmetric::{pair, pairs};
 
 /// Sums over units. Mean coordinates are the p elements of μ, then the regression coefficients.
 #[derive(Debug, Clone)]
-pub(super) struct Totals {
+pub(super) struct Totals<T = f64> {
     /// ℓ, constants apart.
-    pub(super) value: f64,
-    pub(super) quadratic: f64,
-    /// Of the mean coordinates.
-    pub(super) score: DVector<f64>,
-    pub(super) information: DMatrix<f64>,
+    pub(super) value: T,
+    pub(super) quadratic: T,
+    /// Of the mean coordinates, a column.
+    pub(super) score: Rows<T>,
+    pub(super) information: Rows<T>,
     /// Σ rr' and Σ W̄, by levels.
-    pub(super) outer: Vec<DMatrix<f64>>,
-    pub(super) weight: Vec<DMatrix<f64>>,
+    pub(super) outer: Vec<Rows<T>>,
+    pub(super) weight: Vec<Rows<T>>,
     /// Of the restricted likelihood: Σ ½(X'r X'r' + …) by pairs of free mean coordinates, elements.
-    pub(super) spread: DMatrix<f64>,
+    pub(super) spread: Rows<T>,
     /// -∂²ℓ by two elements, and by a mean coordinate and an element.
-    pub(super) observed: DMatrix<f64>,
-    pub(super) cross: DMatrix<f64>,
-    pub(super) expected: DMatrix<f64>,
+    pub(super) observed: Rows<T>,
+    pub(super) cross: Rows<T>,
+    pub(super) expected: Rows<T>,
 }
 
 /// What is to be added up.
 #[derive(Clone, Copy)]
 pub(super) struct Wish<'a> {
     pub(super) order: Order,
+    /// How many states, levels and mean coordinates there are.
+    pub(super) states: usize,
+    pub(super) levels: usize,
+    pub(super) coordinates: usize,
     /// Free mean coordinates of the restricted likelihood: the jacobian on (μ, coefficients), and their covariance where it is known.
     pub(super) flat: Option<(&'a DMatrix<f64>, Option<&'a DMatrix<f64>>)>,
 }
 
-impl Totals {
-    pub(super) fn zero(units: &Units, coordinates: usize, wish: Wish<'_>) -> Totals {
-        let (p, levels) = (units.states, units.levels());
-        let s = levels * pairs(p);
-        let second = if wish.order >= Order::Second { s } else { 0 };
-        let q = wish.flat.map_or(0, |(jacobian, _)| pairs(jacobian.ncols()));
-        Totals {
-            value: 0.0,
-            quadratic: 0.0,
-            score: DVector::zeros(coordinates),
-            information: DMatrix::zeros(coordinates, coordinates),
-            outer: vec![DMatrix::zeros(p, p); levels],
-            weight: vec![DMatrix::zeros(p, p); levels],
-            spread: DMatrix::zeros(q, if q > 0 { s } else { 0 }),
-            observed: DMatrix::zeros(second, second),
-            cross: DMatrix::zeros(if second > 0 { coordinates } else { 0 }, second),
-            expected: DMatrix::zeros(second, second),
+impl<T: Lanes> Totals<T> {
+    #[inline(always)]
+    pub(super) fn zero(wish: Wish<'_>) -> Totals<T> {
+        let Wish { states: p, levels, coordinates, .. } = wish;
+        let elements = levels * pairs(p);
+        let second = if wish.order >= Order::Second { elements } else { 0 };
+        let free = wish.flat.map_or(0, |(jacobian, _)| pairs(jacobian.ncols()));
+        let mut totals = Totals {
+            value: T::splat(0.0),
+            quadratic: T::splat(0.0),
+            score: Rows::zeros(coordinates, 1),
+            information: Rows::zeros(coordinates, coordinates),
+            outer: Vec::with_capacity(levels),
+            weight: Vec::with_capacity(levels),
+            spread: Rows::zeros(free, if free > 0 { elements } else { 0 }),
+            observed: Rows::zeros(second, second),
+            cross: Rows::zeros(if second > 0 { coordinates } else { 0 }, second),
+            expected: Rows::zeros(second, second),
+        };
+        for _ in 0..levels {
+            totals.outer.push(Rows::zeros(p, p));
+            totals.weight.push(Rows::zeros(p, p));
+        }
+        totals
+    }
+
+    /// Adds what some units say.
+    #[inline(always)]
+    pub(super) fn take(&mut self, at: &At<'_, T>, bundle: &Bundle<'_, T>, wish: Wish<'_>) {
+        let coordinates = !at.regressors.is_empty() || wish.flat.is_some();
+        let walked = at.walked(bundle, coordinates);
+        let count = T::splat(walked.columns as f64);
+        self.value = self.value - T::splat(0.5) * (count * walked.log_det + walked.quadratic);
+        self.quadratic = self.quadratic + walked.quadratic;
+        for (node, down) in bundle.groups.iter().zip(&walked.down) {
+            self.first(node.level, (&down.r, &down.weight), (&walked, wish));
+        }
+        for down in &walked.tests {
+            self.first(0, (&down.r, &down.weight), (&walked, wish));
+        }
+        self.mean(at, bundle, &walked);
+        if wish.order >= Order::Second {
+            self.second(at, (bundle, &walked), wish);
         }
     }
 
-    pub(super) fn and(mut self, other: &Totals) -> Totals {
-        self.value += other.value;
-        self.quadratic += other.quadratic;
-        self.score += &other.score;
-        self.information += &other.information;
-        self.outer.iter_mut().zip(&other.outer).for_each(|(sum, more)| *sum += more);
-        self.weight.iter_mut().zip(&other.weight).for_each(|(sum, more)| *sum += more);
-        self.spread += &other.spread;
-        self.observed += &other.observed;
-        self.cross += &other.cross;
-        self.expected += &other.expected;
-        self
+    /// Adds rr' and W̄ of a test or group.
+    #[inline(always)]
+    fn first(&mut self, level: usize, (r, weight): (&Rows<T>, &Rows<T>), (walked, wish): (&Walked<T>, Wish<'_>)) {
+        let count = T::splat(walked.columns as f64);
+        add(&mut self.weight[level], count, weight);
+        add_products(&mut self.outer[level], (r, r), walked.before);
+        if let Some((jacobian, _)) = wish.flat {
+            self.spread(level, &of_free(r, jacobian), count);
+        }
     }
 
-    /// Adds what some units of a design say.
-    pub(super) fn take(&mut self, at: &At<'_>, (design, units): (&Design, Range<usize>), wish: Wish<'_>) {
-        let coordinates = !at.regressors.is_empty() || wish.flat.is_some();
-        let walked = at.walked(design, units, coordinates);
-        let count = walked.units as f64;
-        self.value -= 0.5 * (count * walked.log_det + walked.quadratic);
-        self.quadratic += walked.quadratic;
-        let groups = design.groups.iter().map(|node| node.level).zip(&walked.down);
-        let all = groups.chain(walked.tests.iter().map(|test| (0, test)));
-        for (level, down) in all {
-            add(&mut self.weight[level], count, &down.weight);
-            add_products(&mut self.outer[level], (&down.r, &down.r), walked.before);
-            if let Some((jacobian, _)) = wish.flat {
-                self.spread(level, &of_free(&down.r, jacobian), count);
+    #[inline(always)]
+    fn mean(&mut self, at: &At<'_, T>, bundle: &Bundle<'_, T>, walked: &Walked<T>) {
+        let count = T::splat(walked.columns as f64);
+        for (member, down) in bundle.tests.iter().zip(&walked.tests) {
+            for (c, (state, x)) in each_coordinate(at, &bundle.leaves[member.leaf].covariates).enumerate() {
+                let (before, rest) = down.r.row(state).split_at(walked.before);
+                let score = &mut self.score[(c, 0)];
+                for &r in rest {
+                    *score = x.fma(r, *score);
+                }
+                for (sum, &r) in self.information.row_mut(c).iter_mut().zip(before) {
+                    *sum = (count * x).fma(r, *sum);
+                }
             }
         }
-        self.mean(at, design, &walked);
-        if wish.order >= Order::Second {
-            self.second(at, (design, &walked), wish);
-        }
-    }
-
-    fn mean(&mut self, at: &At<'_>, design: &Design, walked: &Walked) {
-        let count = walked.units as f64;
-        for (member, down) in design.tests.iter().zip(&walked.tests) {
-            let covariates = &at.units.leaves[member.leaf].covariates;
-            each_coordinate(at, covariates, |c, state, x| {
-                let row = down.r.row(state);
-                self.score[c] += x * row[walked.before..].iter().sum::<f64>();
-                for (d, r) in row[..walked.before].iter().enumerate() {
-                    self.information[(c, d)] += count * x * r;
-                }
-            });
-        }
         if walked.before == 0 {
-            let unit = walked.up.last().expect("a unit is a group");
+            let unit = &walked.up[walked.up.len() - 1];
             add(&mut self.information, count, &unit.W);
         }
     }
 
     /// Adds ½ (r_c r_d' + r_d r_c') for each pair of free mean coordinates.
-    fn spread(&mut self, level: usize, free: &Rows, count: f64) {
+    #[inline(always)]
+    fn spread(&mut self, level: usize, free: &Rows<T>, count: T) {
         let (p, q) = (free.nrows(), free.ncols());
-        let first = level * pairs(p);
+        let (first, half) = (level * pairs(p), T::splat(0.5) * count);
         for c in 0..q {
             for d in 0..=c {
                 for k in 0..p {
                     for l in 0..=k {
                         let both = free[(k, c)] * free[(l, d)] + free[(l, c)] * free[(k, d)];
-                        self.spread[(pair(c, d), first + pair(k, l))] += 0.5 * count * both;
+                        let sum = &mut self.spread[(pair(c, d), first + pair(k, l))];
+                        *sum = half.fma(both, *sum);
                     }
                 }
             }
         }
     }
 
-    fn second(&mut self, at: &At<'_>, (design, walked): (&Design, &Walked), wish: Wish<'_>) {
-        let (p, levels) = (at.units.states, at.units.levels());
-        let elements = (0..levels).flat_map(|level| (0..p).flat_map(move |i| (0..=i).map(move |j| (level, i, j))));
-        let mut scratch = Scratch::new(p, walked.before + walked.units);
-        let mut sum = DMatrix::zeros(p, p);
-        for (e, (level, row, column)) in elements.enumerate() {
-            let along = Along { level, row, column };
-            along.through(at, (design, walked), &mut scratch, &mut |moved| {
-                self.moved(at, (design, walked), (e, &mut sum), &moved, wish);
-            });
+    #[inline(always)]
+    fn second(&mut self, at: &At<'_, T>, (bundle, walked): (&Bundle<'_, T>, &Walked<T>), wish: Wish<'_>) {
+        let p = wish.states;
+        let mut scratch = Scratch::new(p, walked.before + walked.columns);
+        let mut along = Rows::zeros(p, p);
+        for level in 0..wish.levels {
+            for row in 0..p {
+                for column in 0..=row {
+                    let place = (level * pairs(p) + pair(row, column), &mut along);
+                    let element = Along { level, row, column };
+                    self.along(at, (bundle, walked), (element, place), (&mut scratch, wish));
+                }
+            }
         }
     }
 
-    /// Adds how the scores of a test or group move along element e.
-    fn moved(
+    /// Adds how all scores move along an element.
+    #[inline(always)]
+    fn along(
         &mut self,
-        at: &At<'_>,
-        (design, walked): (&Design, &Walked),
-        (e, along): (usize, &mut DMatrix<f64>),
-        moved: &Moved<'_>,
-        wish: Wish<'_>,
+        at: &At<'_, T>,
+        (bundle, walked): (&Bundle<'_, T>, &Walked<T>),
+        (element, (e, sum)): (Along, (usize, &mut Rows<T>)),
+        (scratch, wish): (&mut Scratch<T>, Wish<'_>),
     ) {
-        let (p, count) = (moved.r.nrows(), walked.units as f64);
-        along.fill(0.0);
+        element.through(
+            at,
+            (bundle, walked),
+            scratch,
+            #[inline(always)]
+            |moved| {
+                self.moved(walked, (e, sum), &moved, wish);
+                if let Some(test) = moved.test {
+                    let covariates = &bundle.leaves[bundle.tests[test].leaf].covariates;
+                    for (c, (state, x)) in each_coordinate(at, covariates).enumerate() {
+                        let cross = &mut self.cross[(c, e)];
+                        for &r in &moved.r.row(state)[walked.before..] {
+                            *cross = x.fnma(r, *cross);
+                        }
+                    }
+                }
+            },
+        );
+    }
+
+    /// Adds how the scores of a test or group move along element e.
+    #[inline(always)]
+    fn moved(&mut self, walked: &Walked<T>, (e, along): (usize, &mut Rows<T>), moved: &Moved<'_, T>, wish: Wish<'_>) {
+        let (p, count) = (wish.states, T::splat(walked.columns as f64));
+        for i in 0..p {
+            along.row_mut(i).fill(T::splat(0.0));
+        }
         add_products(along, (moved.r, &moved.of.r), walked.before);
         add_products(along, (&moved.of.r, moved.r), walked.before);
         if let Some((jacobian, Some(covariance))) = wish.flat {
-            let [own, free] = [moved.r, &moved.of.r].map(|r| of_free(r, jacobian));
-            let both = own.times(&Rows::from(covariance)).times_transpose(&free);
-            *along += DMatrix::from_fn(p, p, |i, k| count * (both[(i, k)] + both[(k, i)]));
+            let (own, free) = (of_free(moved.r, jacobian), of_free(&moved.of.r, jacobian));
+            let both = own.times(&numbers(covariance)).times_transpose(&free);
+            add(along, count, &both);
+            add(along, count, &both.transposed());
         }
         for i in 0..p {
             for k in 0..=i {
                 let row = moved.level * pairs(p) + pair(i, k);
-                let places = if i == k { -0.5 } else { -1.0 };
+                let places = T::splat(if i == k { -0.5 } else { -1.0 });
                 let weight = count * moved.weight[(i, k)];
-                self.observed[(row, e)] += places * (along[(i, k)] - weight);
-                self.expected[(row, e)] += places * weight;
+                self.observed[(row, e)] = places.fma(along[(i, k)] - weight, self.observed[(row, e)]);
+                self.expected[(row, e)] = places.fma(weight, self.expected[(row, e)]);
             }
         }
-        if let Some(test) = moved.test {
-            let covariates = &at.units.leaves[design.tests[test].leaf].covariates;
-            each_coordinate(at, covariates, |c, state, x| {
-                self.cross[(c, e)] -= x * moved.r.row(state)[walked.before..].iter().sum::<f64>();
-            });
+    }
+
+    /// The sums over all lanes.
+    #[inline(always)]
+    pub(super) fn of_all_lanes(&self) -> Totals {
+        let mut totals = Totals {
+            value: self.value.sum(),
+            quadratic: self.quadratic.sum(),
+            score: over_lanes(&self.score),
+            information: over_lanes(&self.information),
+            outer: Vec::with_capacity(self.outer.len()),
+            weight: Vec::with_capacity(self.weight.len()),
+            spread: over_lanes(&self.spread),
+            observed: over_lanes(&self.observed),
+            cross: over_lanes(&self.cross),
+            expected: over_lanes(&self.expected),
+        };
+        for (outer, weight) in self.outer.iter().zip(&self.weight) {
+            totals.outer.push(over_lanes(outer));
+            totals.weight.push(over_lanes(weight));
+        }
+        totals
+    }
+}
+
+impl Totals {
+    pub(super) fn and(mut self, other: Totals) -> Totals {
+        let levels = |own: Vec<Rows>, other: &[Rows]| own.into_iter().zip(other).map(|(a, b)| a.plus(b)).collect();
+        self.value += other.value;
+        self.quadratic += other.quadratic;
+        Totals {
+            score: self.score.plus(&other.score),
+            information: self.information.plus(&other.information),
+            outer: levels(self.outer, &other.outer),
+            weight: levels(self.weight, &other.weight),
+            spread: self.spread.plus(&other.spread),
+            observed: self.observed.plus(&other.observed),
+            cross: self.cross.plus(&other.cross),
+            expected: self.expected.plus(&other.expected),
+            ..self
         }
     }
 }
 
-/// Calls `of` with each mean coordinate of a test, the state that it moves, and how much.
-fn each_coordinate(at: &At<'_>, covariates: &[f64], mut of: impl FnMut(usize, usize, f64)) {
-    let p = at.units.states;
-    (0..p).for_each(|i| of(i, i, 1.0));
-    at.regressors.iter().zip(covariates).enumerate().for_each(|(c, (&state, &x))| of(p + c, state, x));
+/// Of each mean coordinate of a test the state that it moves, and how much.
+#[inline(always)]
+fn each_coordinate<T: Lanes>(at: &At<'_, T>, covariates: &[T]) -> impl Iterator<Item = (usize, T)> {
+    let states = (0..at.mean.len()).map(
+        #[inline(always)]
+        |i| (i, T::splat(1.0)),
+    );
+    states.chain(at.regressors.iter().copied().zip(covariates.iter().copied()))
 }
 
 /// What free mean coordinates do, from what the mean coordinates do, which stand first.
-fn of_free(r: &Rows, jacobian: &DMatrix<f64>) -> Rows {
-    r.first_columns(jacobian.nrows()).times(&Rows::from(jacobian))
+#[inline(always)]
+fn of_free<T: Lanes>(r: &Rows<T>, jacobian: &DMatrix<f64>) -> Rows<T> {
+    r.first_columns(jacobian.nrows()).times(&numbers(jacobian))
+}
+
+#[inline(always)]
+fn numbers<T: Lanes>(matrix: &DMatrix<f64>) -> Rows<T> {
+    Rows::from_fn(
+        matrix.nrows(),
+        matrix.ncols(),
+        #[inline(always)]
+        |i, k| T::splat(matrix[(i, k)]),
+    )
 }
 
 /// Adds AB' of the columns after the first ones.
-fn add_products(sum: &mut DMatrix<f64>, (a, b): (&Rows, &Rows), before: usize) {
+#[inline(always)]
+fn add_products<T: Lanes>(sum: &mut Rows<T>, (a, b): (&Rows<T>, &Rows<T>), before: usize) {
     for i in 0..a.nrows() {
         for k in 0..b.nrows() {
-            sum[(i, k)] += a.row(i)[before..].iter().zip(&b.row(k)[before..]).map(|(x, y)| x * y).sum::<f64>();
+            let mut product = T::splat(0.0);
+            for (&x, &y) in a.row(i)[before..].iter().zip(&b.row(k)[before..]) {
+                product = x.fma(y, product);
+            }
+            sum[(i, k)] = sum[(i, k)] + product;
         }
     }
 }
 
-fn add(sum: &mut DMatrix<f64>, scale: f64, more: &Rows) {
+#[inline(always)]
+fn add<T: Lanes>(sum: &mut Rows<T>, scale: T, more: &Rows<T>) {
     for i in 0..more.nrows() {
-        more.row(i).iter().enumerate().for_each(|(k, x)| sum[(i, k)] += scale * x);
+        for (sum, &x) in sum.row_mut(i).iter_mut().zip(more.row(i)) {
+            *sum = scale.fma(x, *sum);
+        }
     }
+}
+
+#[inline(always)]
+fn over_lanes<T: Lanes>(rows: &Rows<T>) -> Rows {
+    Rows::from_fn(
+        rows.nrows(),
+        rows.ncols(),
+        #[inline(always)]
+        |i, k| rows[(i, k)].sum(),
+    )
 }

@@ -1,15 +1,15 @@
 //! Tests gathered as what stands in one group of the outermost level.
 
-use std::cmp::Ordering;
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use nalgebra::DVector;
 use rayon::prelude::*;
 
 use crate::ensemble::Grouping;
 use crate::estimate::classes::Classes;
 use crate::estimate::frame::Frame;
+use crate::estimate::levels::companies::{Company, companies};
+use crate::estimate::levels::trees::{Laid, Tree, trees};
 use crate::linalg::rows::Rows;
 use crate::linalg::symmetric::pair;
 use crate::reduce::{Reduction, ReductionRef, Reductions};
@@ -30,15 +30,17 @@ pub(crate) struct Units {
     pub(super) leaves: Arc<Vec<Leaf>>,
     /// Designs of units.
     pub(super) designs: Arc<Vec<Design>>,
+    /// Which units are walked through side by side.
+    pub(super) companies: Arc<Vec<Company>>,
 }
 
 /// What tests of one class share.
 #[derive(Debug, Clone)]
-pub(super) struct Leaf {
+pub(super) struct Leaf<T = f64> {
     /// R, p × p.
-    pub(super) factor: Rows,
+    pub(super) factor: Rows<T>,
     /// Scaled covariates of the regressions.
-    pub(super) covariates: Vec<f64>,
+    pub(super) covariates: Vec<T>,
 }
 
 /// Units whose tests have the same designs in the same groups.
@@ -79,20 +81,6 @@ pub(super) struct Unit {
     pub(super) groups: Vec<usize>,
 }
 
-/// A group with all that stands in it, its members in an order that does not depend on the order of the tests.
-struct Tree {
-    /// Which group of its level it is.
-    group: usize,
-    level: usize,
-    /// Equal for groups of equal design.
-    kind: usize,
-    /// The place of its first test in the order of the ids.
-    first: usize,
-    inner: Vec<Tree>,
-    /// (leaf, place in the order of the ids, number of the reduction).
-    tests: Vec<(usize, usize, usize)>,
-}
-
 impl Units {
     /// Of reductions with the classes they are of; `Err` with the id of a test that is in no group.
     pub(crate) fn new(reductions: &Reductions, classes: &Classes, grouping: &Arc<Grouping>) -> Result<Units, String> {
@@ -122,6 +110,7 @@ impl Units {
             found[at].push(tree);
         }
         let design = |trees: &Vec<Tree>| Design::of(trees, reductions, frame, states);
+        let designs: Vec<Design> = found.par_iter().map(design).collect();
         Ok(Units {
             states,
             grouping: grouping.clone(),
@@ -129,7 +118,8 @@ impl Units {
             constant: (0..classes.len()).map(|number| classes.listed.get(number).constant).sum(),
             unit: 1.0,
             leaves: Arc::new((0..classes.len()).into_par_iter().map(leaf).collect()),
-            designs: Arc::new(found.par_iter().map(design).collect()),
+            companies: Arc::new(companies(&designs)),
+            designs: Arc::new(designs),
         })
     }
 
@@ -151,7 +141,7 @@ impl Units {
         }
         let kept: usize = designs.iter().map(|design| design.units.len()).sum();
         let constant = self.constant * kept as f64 / first.max(1) as f64;
-        Units { designs: Arc::new(designs), constant, ..self.clone() }
+        Units { companies: Arc::new(companies(&designs)), designs: Arc::new(designs), constant, ..self.clone() }
     }
 
     /// How many units there are.
@@ -173,116 +163,6 @@ impl Units {
             design.groups.iter().for_each(|group| counts[group.level] += units);
         }
         counts
-    }
-
-    /// A variance for each state at each level by moments, as if the states were uncorrelated: with J and y - Jμ of all that stands in a
-    /// group, Σ (y - Jμ)_i² - J_ii over the groups of level k has the mean Σ_l v_l N_min(k,l), N_l = Σ J_ii² over those of level l. By
-    /// levels, tests first; none where the groups say nothing.
-    pub(crate) fn variances(&self, mean: &DVector<f64>) -> Vec<Vec<Option<f64>>> {
-        let (levels, p) = (self.levels(), self.states);
-        let centre: Vec<f64> = (0..p).map(|i| (0..levels).map(|l| mean[l * p + i]).sum()).collect();
-        let (mut excess, mut squares) = (vec![vec![0.0; p]; levels], vec![vec![0.0; p]; levels]);
-        for design in self.designs.iter() {
-            design.moments(&self.leaves, (&centre, self.unit), &mut |level, i, y, information| {
-                excess[level][i] += y * y - information;
-                squares[level][i] += information * information;
-            });
-        }
-        let of_state = |i: usize| solved(&excess, &squares, i);
-        let by_state: Vec<Vec<Option<f64>>> = (0..p).map(of_state).collect();
-        (0..levels).map(|level| by_state.iter().map(|found| found[level]).collect()).collect()
-    }
-}
-
-/// Variances of one state at all levels, the outermost first found: differences of the equations of neighbouring levels.
-fn solved(excess: &[Vec<f64>], squares: &[Vec<f64>], i: usize) -> Vec<Option<f64>> {
-    // e_k = Σ_l v_l N_min(k,l), so e_k - e_(k-1) = (N_k - N_(k-1)) Σ_(l≥k) v_l
-    let mut above = 0.0;
-    let mut found: Vec<Option<f64>> = (0..excess.len())
-        .rev()
-        .map(|k| {
-            let (e, n) = match k {
-                0 => (excess[0][i], squares[0][i]),
-                _ => (excess[k][i] - excess[k - 1][i], squares[k][i] - squares[k - 1][i]),
-            };
-            let together = (n > 0.0).then(|| (e / n).max(above))?;
-            let own = together - above;
-            above = together;
-            Some(own)
-        })
-        .collect();
-    found.reverse();
-    found
-}
-
-/// The trees of all units, in the order of their first tests.
-fn trees(reductions: &Reductions, leaf_of: &[usize], (grouping, numbers): (&Grouping, &[usize])) -> Vec<Tree> {
-    let mut by_id: Vec<usize> = (0..reductions.len()).collect();
-    by_id.par_sort_unstable_by(|&a, &b| reductions.id(a).cmp(reductions.id(b)));
-    let mut groups: Vec<HashMap<usize, Tree>> = (0..grouping.depth()).map(|_| HashMap::new()).collect();
-    for (place, &j) in by_id.iter().enumerate() {
-        let group = grouping.group_of(numbers[j], 0);
-        let tree = groups[0].entry(group).or_insert_with(|| Tree::empty(group, 1, place));
-        tree.tests.push((leaf_of[j], place, j));
-    }
-    let mut kinds: HashMap<Vec<usize>, usize> = HashMap::new();
-    for level in 0..grouping.depth() {
-        let mut trees: Vec<Tree> = std::mem::take(&mut groups[level]).into_values().collect();
-        trees.sort_unstable_by_key(|tree| tree.first);
-        trees.iter_mut().for_each(|tree| tree.settle(&mut kinds));
-        if level + 1 == grouping.depth() {
-            return trees;
-        }
-        for tree in trees {
-            let parent = grouping.groups(level)[tree.group].parent.expect("an inner level");
-            let above = groups[level + 1].entry(parent);
-            let above = above.or_insert_with(|| Tree::empty(parent, level + 2, tree.first));
-            above.first = above.first.min(tree.first);
-            above.inner.push(tree);
-        }
-    }
-    Vec::new()
-}
-
-impl Tree {
-    fn empty(group: usize, level: usize, first: usize) -> Tree {
-        Tree { group, level, kind: 0, first, inner: Vec::new(), tests: Vec::new() }
-    }
-
-    /// Orders what stands in it, and finds its kind.
-    fn settle(&mut self, kinds: &mut HashMap<Vec<usize>, usize>) {
-        self.tests.sort_unstable();
-        let by_kind = |a: &Tree, b: &Tree| -> Ordering { a.kind.cmp(&b.kind).then(a.first.cmp(&b.first)) };
-        self.inner.sort_unstable_by(by_kind);
-        let members = self.tests.iter().map(|test| test.0).chain(self.inner.iter().map(|tree| tree.kind));
-        let signature: Vec<usize> = std::iter::once(self.level).chain(members).collect();
-        let next = kinds.len();
-        self.kind = *kinds.entry(signature).or_insert(next);
-    }
-
-    /// The groups, inner ones first, each with the numbers of what stands in it: `of` is told of each test and of each group.
-    fn visit(&self, unit: &mut Laid) -> usize {
-        let inner: Vec<usize> = self.inner.iter().map(|tree| tree.visit(unit)).collect();
-        let own = unit.groups.len();
-        unit.groups.push((Node { level: self.level, parent: own }, self.group));
-        inner.iter().for_each(|&child| unit.groups[child].0.parent = own);
-        unit.tests.extend(self.tests.iter().map(|&(leaf, _, j)| (Member { leaf, group: own }, j)));
-        own
-    }
-}
-
-/// A unit laid out in rows.
-#[derive(Default)]
-struct Laid {
-    groups: Vec<(Node, usize)>,
-    tests: Vec<(Member, usize)>,
-}
-
-impl Laid {
-    fn of(tree: &Tree) -> Laid {
-        let mut laid = Laid::default();
-        tree.visit(&mut laid);
-        laid
     }
 }
 
@@ -323,45 +203,6 @@ impl Design {
             groups: self.groups.clone(),
             units: units.iter().map(|&unit| self.units[unit].clone()).collect(),
             data: self.data.iter().map(of).collect(),
-        }
-    }
-
-    /// Whether a group is another one, or stands in it.
-    pub(super) fn stands_in(&self, mut group: usize, other: usize) -> bool {
-        while group != other && self.groups[group].parent != group {
-            group = self.groups[group].parent;
-        }
-        group == other
-    }
-
-    /// Calls `of` with the level, the state, (y - Jμ)_i and J_ii of each test and of all that stands in each group.
-    fn moments(&self, leaves: &[Leaf], (mean, scale): (&[f64], f64), of: &mut dyn FnMut(usize, usize, f64, f64)) {
-        let p = mean.len();
-        for unit in 0..self.units.len() {
-            let mut sums = vec![(vec![0.0; p], vec![0.0; p]); self.groups.len()];
-            for (member, data) in self.tests.iter().zip(&self.data) {
-                let factor = &leaves[member.leaf].factor;
-                let dot = |row: usize, x: &dyn Fn(usize) -> f64| (row..p).map(|k| factor[(row, k)] * x(k)).sum::<f64>();
-                let left: Vec<f64> = (0..p).map(|row| scale * data[(row, unit)] - dot(row, &|k| mean[k])).collect();
-                let (y, information) = &mut sums[member.group];
-                for i in 0..p {
-                    let own: f64 = (0..=i).map(|row| factor[(row, i)] * left[row]).sum();
-                    let square: f64 = (0..=i).map(|row| factor[(row, i)].powi(2)).sum();
-                    of(0, i, own, square);
-                    y[i] += own;
-                    information[i] += square;
-                }
-            }
-            for (at, node) in self.groups.iter().enumerate() {
-                let (y, information) = std::mem::take(&mut sums[at]);
-                for i in 0..p {
-                    of(node.level, i, y[i], information[i]);
-                    if node.parent != at {
-                        sums[node.parent].0[i] += y[i];
-                        sums[node.parent].1[i] += information[i];
-                    }
-                }
-            }
         }
     }
 }

@@ -1,191 +1,212 @@
-//! Through the groups of units that are alike, from the tests up and down again.
+//! Through the groups of units that are walked through together, from the tests up and down again.
 #![expect(non_snake_case, reason = "R, U, W, V are the letters of the theory")]
 
-use std::ops::Range;
+use kalfit_lanes::{Lanes, MOST, Part};
 
-use rayon::prelude::*;
-
-use crate::estimate::levels::units::{Design, Leaf, Member, Units};
+use crate::estimate::levels::bundle::Bundle;
+use crate::estimate::levels::units::{Leaf, Units};
 use crate::estimate::point::{Point, Regressors};
 use crate::linalg::factors::{Factors, Rotations};
 use crate::linalg::rows::Rows;
 
 /// The Σ of each level and the mean, at a point.
-pub(super) struct At<'a> {
-    pub(super) units: &'a Units,
-    pub(super) point: &'a Point,
+pub(super) struct At<'a, T = f64> {
     pub(super) regressors: &'a Regressors,
+    /// μ, the sum of the means of all levels.
+    pub(super) mean: Vec<T>,
+    coefficients: Vec<T>,
     /// F' of each level, Σ = FF', tests first.
-    roots: Vec<Rows>,
-    pub(super) sigmas: Vec<Rows>,
-    /// What tests of each design say of the mean of their group.
-    pub(super) leaves: Vec<Solved>,
+    pub(super) roots: Vec<Rows<T>>,
+    pub(super) sigmas: Vec<Rows<T>>,
+    /// What d of the designs is multiplied by.
+    unit: T,
 }
 
 /// What the matrices of a reduction say once what is its own is integrated out.
-#[derive(Debug, Clone)]
-pub(super) struct Solved {
+pub(super) struct Solved<T> {
     /// U with U'U = I + RΣR'.
-    upper: Rows,
+    upper: Rows<T>,
     /// B = U⁻ᵀR.
-    half: Rows,
+    half: Rows<T>,
     /// W = B'B.
-    pub(super) W: Rows,
+    pub(super) W: Rows<T>,
     /// log|I + RΣR'|.
-    log_det: f64,
+    log_det: T,
 }
 
 /// A node on the way up: what it says of the mean of its group.
-#[derive(Debug, Clone)]
-pub(super) struct Up {
-    pub(super) W: Rows,
-    /// s, one column for each unit after those of the mean coordinates.
-    pub(super) s: Rows,
+pub(super) struct Up<T> {
+    pub(super) W: Rows<T>,
+    /// s, a column for each column of the bundle after those of the mean coordinates.
+    pub(super) s: Rows<T>,
     /// [R | d] of all that its members say of their mean, by columns as s.
-    said: Rows,
+    said: Rows<T>,
     /// Squares of each column that are left of its members, its tests apart from that in inner groups.
-    left: Vec<f64>,
+    left: Vec<T>,
     /// log|…| of its members.
-    log_det: f64,
+    log_det: T,
 }
 
 /// A node on the way down.
-#[derive(Debug, Clone)]
-pub(super) struct Down {
-    /// r, one column for each unit after those of the mean coordinates.
-    pub(super) r: Rows,
+pub(super) struct Down<T> {
+    /// r, by columns as [`Up::s`].
+    pub(super) r: Rows<T>,
     /// W̄.
-    pub(super) weight: Rows,
+    pub(super) weight: Rows<T>,
 }
 
 /// The posterior of the mean of the members of a group.
-#[derive(Debug, Clone)]
-pub(super) struct Mean {
+pub(super) struct Mean<T> {
     /// Less its own mean, by columns as [`Down::r`].
-    pub(super) mean: Rows,
+    pub(super) mean: Rows<T>,
     /// V.
-    pub(super) covariance: Rows,
+    pub(super) covariance: Rows<T>,
 }
 
-/// What units that are alike say at a point.
-pub(super) struct Walked {
+/// What units that are walked through together say at a point.
+pub(super) struct Walked<T> {
     /// Columns before those of the units: what the mean coordinates do.
     pub(super) before: usize,
-    pub(super) units: usize,
-    /// log|…| of one of them.
-    pub(super) log_det: f64,
-    /// Squares that are left, of all.
-    pub(super) quadratic: f64,
+    /// How many units stand in columns.
+    pub(super) columns: usize,
+    /// log|…| of the units in one column.
+    pub(super) log_det: T,
+    /// Squares that are left, of all columns.
+    pub(super) quadratic: T,
+    /// What tests of each leaf say of the mean of their group.
+    pub(super) leaves: Vec<Solved<T>>,
     /// Of the groups.
-    pub(super) up: Vec<Up>,
-    pub(super) down: Vec<Down>,
-    pub(super) means: Vec<Mean>,
+    pub(super) up: Vec<Up<T>>,
+    pub(super) down: Vec<Down<T>>,
+    pub(super) means: Vec<Mean<T>>,
     /// s of the tests, what else is known of them, and WV with V of the mean of their group.
-    pub(super) said: Vec<Rows>,
-    pub(super) tests: Vec<Down>,
-    pub(super) known: Vec<Rows>,
+    pub(super) said: Vec<Rows<T>>,
+    pub(super) tests: Vec<Down<T>>,
+    pub(super) known: Vec<Rows<T>>,
 }
 
-impl<'a> At<'a> {
-    pub(super) fn new(units: &'a Units, point: &'a Point, regressors: &'a Regressors) -> At<'a> {
-        let p = units.states;
-        let block = |l: usize| point.root.view((l * p, l * p), (p, p)).transpose();
-        let roots: Vec<Rows> = (0..units.levels()).map(|l| Rows::from(&block(l))).collect();
-        let sigmas = roots.iter().map(|root| root.transpose_times(root)).collect();
-        let leaves = units.leaves.par_iter().map(|leaf| Solved::of(&leaf.factor, &roots[0])).collect();
-        At { units, point, regressors, roots, sigmas, leaves }
+impl<'a, T: Lanes> At<'a, T> {
+    #[inline(always)]
+    pub(super) fn new(units: &Units, point: &Point, regressors: &'a Regressors) -> At<'a, T> {
+        let (p, levels) = (units.states, units.levels());
+        let mut at = At {
+            regressors,
+            mean: Vec::with_capacity(p),
+            coefficients: Vec::with_capacity(regressors.len()),
+            roots: Vec::with_capacity(levels),
+            sigmas: Vec::with_capacity(levels),
+            unit: T::splat(units.unit),
+        };
+        for i in 0..p {
+            let mut mean = 0.0;
+            for l in 0..levels {
+                mean += point.mean[l * p + i];
+            }
+            at.mean.push(T::splat(mean));
+        }
+        for c in 0..regressors.len() {
+            at.coefficients.push(T::splat(point.coefficients[c]));
+        }
+        for l in 0..levels {
+            let mut root = Rows::zeros(p, p);
+            for i in 0..p {
+                for k in 0..p {
+                    root[(k, i)] = T::splat(point.root[(l * p + i, l * p + k)]);
+                }
+            }
+            at.sigmas.push(root.transpose_times(&root));
+            at.roots.push(root);
+        }
+        at
     }
 
     /// μ of the tests of a leaf.
-    pub(super) fn mean_of(&self, leaf: &Leaf) -> Vec<f64> {
-        let (p, levels) = (self.units.states, self.units.levels());
-        let mut mean: Vec<f64> = (0..p).map(|i| (0..levels).map(|l| self.point.mean[l * p + i]).sum()).collect();
+    #[inline(always)]
+    pub(super) fn mean_of(&self, leaf: &Leaf<T>) -> Vec<T> {
+        let mut mean = self.mean.clone();
         for (c, &element) in self.regressors.iter().enumerate() {
-            mean[element] += leaf.covariates[c] * self.point.coefficients[c];
+            mean[element] = leaf.covariates[c].fma(self.coefficients[c], mean[element]);
         }
         mean
     }
 
-    /// W of the tests of a design.
-    pub(super) fn weight_of(&self, member: Member) -> &Rows {
-        &self.leaves[member.leaf].W
-    }
-
-    /// F' of a level.
-    pub(super) fn root(&self, level: usize) -> &Rows {
-        &self.roots[level]
-    }
-
-    /// What a mean coordinate does to a state of the tests of a leaf.
-    pub(super) fn effect(&self, leaf: &Leaf, state: usize, coordinate: usize) -> f64 {
-        match coordinate.checked_sub(self.units.states) {
-            None => f64::from(u8::from(coordinate == state)),
-            Some(c) if self.regressors[c] == state => leaf.covariates[c],
-            Some(_) => 0.0,
-        }
-    }
-
-    /// d - Rμ of some units, after R times what each mean coordinate does to ξ, if that is wanted.
-    fn data(&self, (leaf, data): (&Leaf, &Rows), units: &Range<usize>, before: usize) -> Rows {
-        let (p, mean) = (self.units.states, self.mean_of(leaf));
-        let mut all = Rows::zeros(p, before + units.len());
+    /// d - Rμ of a test, after R times what each mean coordinate does to ξ, if that is wanted.
+    #[inline(always)]
+    fn data(&self, (leaf, data): (&Leaf<T>, &Rows<T>), before: usize) -> Rows<T> {
+        let (p, mean) = (self.mean.len(), self.mean_of(leaf));
+        let mut all = Rows::zeros(p, before + data.ncols());
         for i in 0..p {
             let factor = leaf.factor.row(i);
-            let moved: f64 = (i..p).map(|k| factor[k] * mean[k]).sum();
-            let row = all.row_mut(i);
-            let (first, rest) = row.split_at_mut(before);
+            let mut moved = T::splat(0.0);
+            for k in i..p {
+                moved = factor[k].fma(mean[k], moved);
+            }
+            let (first, rest) = all.row_mut(i).split_at_mut(before);
             for (c, x) in first.iter_mut().enumerate() {
                 *x = match c.checked_sub(p) {
                     None => factor[c],
                     Some(c) => leaf.covariates[c] * factor[self.regressors[c]],
                 };
             }
-            rest.iter_mut().zip(&data.row(i)[units.clone()]).for_each(|(to, d)| *to = self.units.unit * d - moved);
+            for (to, &d) in rest.iter_mut().zip(data.row(i)) {
+                *to = self.unit * d - moved;
+            }
         }
         all
     }
 
-    /// Up and down through some units of a design; with what the mean coordinates do, if that is wanted.
-    pub(super) fn walked(&self, design: &Design, units: Range<usize>, coordinates: bool) -> Walked {
-        let before = if coordinates { self.units.states + self.regressors.len() } else { 0 };
+    /// Up and down through some units; with what the mean coordinates do, if that is wanted.
+    #[inline(always)]
+    pub(super) fn walked(&self, bundle: &Bundle<'_, T>, coordinates: bool) -> Walked<T> {
+        let before = if coordinates { self.mean.len() + self.regressors.len() } else { 0 };
+        let (groups, tests) = (bundle.groups.len(), bundle.tests.len());
         let mut walked = Walked {
             before,
-            units: units.len(),
-            log_det: 0.0,
-            quadratic: 0.0,
-            up: Vec::with_capacity(design.groups.len()),
-            down: Vec::new(),
-            means: Vec::new(),
-            said: Vec::with_capacity(design.tests.len()),
-            tests: Vec::with_capacity(design.tests.len()),
-            known: Vec::with_capacity(design.tests.len()),
+            columns: bundle.columns,
+            log_det: T::splat(0.0),
+            quadratic: T::splat(0.0),
+            leaves: Vec::with_capacity(bundle.leaves.len()),
+            up: Vec::with_capacity(groups),
+            down: Vec::with_capacity(groups),
+            means: Vec::with_capacity(groups),
+            said: Vec::with_capacity(tests),
+            tests: Vec::with_capacity(tests),
+            known: Vec::with_capacity(tests),
         };
-        self.up(design, &units, &mut walked);
-        self.down(design, &mut walked);
+        for leaf in &bundle.leaves {
+            walked.leaves.push(Solved::of(&leaf.factor, &self.roots[0]));
+        }
+        self.up(bundle, &mut walked);
+        self.down(bundle, &mut walked);
         walked
     }
 
     /// From the tests to the units.
-    fn up(&self, design: &Design, units: &Range<usize>, walked: &mut Walked) {
-        let p = self.units.states;
-        let width = p + walked.before + units.len();
-        let mut gathered = vec![Gathered::none(p, width); design.groups.len()];
-        for (member, data) in design.tests.iter().zip(&design.data) {
-            let (leaf, solved) = (&self.units.leaves[member.leaf], &self.leaves[member.leaf]);
-            let left = Rows::solved_below(&solved.upper, self.data((leaf, data), units, walked.before));
+    #[inline(always)]
+    fn up(&self, bundle: &Bundle<'_, T>, walked: &mut Walked<T>) {
+        let p = self.mean.len();
+        let width = p + walked.before + bundle.columns;
+        let mut gathered = Vec::with_capacity(bundle.groups.len());
+        for _ in bundle.groups {
+            gathered.push(Gathered::none(p, width));
+        }
+        for (member, data) in bundle.tests.iter().zip(&bundle.data) {
+            let solved = &walked.leaves[member.leaf];
+            let own = self.data((&bundle.leaves[member.leaf], data), walked.before);
+            let left = Rows::solved_below(&solved.upper, own);
             walked.said.push(solved.half.transpose_times(&left));
             gathered[member.group].take(solved, &left);
         }
-        for (at, node) in design.groups.iter().enumerate() {
+        for (at, node) in bundle.groups.iter().enumerate() {
             let own = std::mem::replace(&mut gathered[at], Gathered::none(0, 0));
             let solved = Solved::of(&own.upper.first_columns(p), &self.roots[node.level]);
             let left = Rows::solved_below(&solved.upper, own.upper.last_columns(width - p));
             let s = solved.half.transpose_times(&left);
-            walked.log_det += own.log_det;
-            walked.quadratic += own.left[walked.before..].iter().sum::<f64>();
+            walked.log_det = walked.log_det + own.log_det;
+            walked.quadratic = walked.quadratic + total(&own.left[walked.before..]);
             if node.parent == at {
-                walked.log_det += solved.log_det;
-                walked.quadratic += squares(&left)[walked.before..].iter().sum::<f64>();
+                walked.log_det = walked.log_det + solved.log_det;
+                walked.quadratic = walked.quadratic + total(&squares(&left)[walked.before..]);
             } else {
                 gathered[node.parent].take(&solved, &left);
             }
@@ -194,21 +215,21 @@ impl<'a> At<'a> {
     }
 
     /// From the units to the tests.
-    fn down(&self, design: &Design, walked: &mut Walked) {
-        let count = design.groups.len();
-        let (mut down, mut means) = (vec![None; count], vec![None; count]);
-        for at in (0..count).rev() {
-            let (node, up) = (design.groups[at], &walked.up[at]);
-            let sigma = &self.sigmas[node.level];
-            let above = if node.parent == at { None } else { means[node.parent].as_ref() };
+    #[inline(always)]
+    fn down(&self, bundle: &Bundle<'_, T>, walked: &mut Walked<T>) {
+        // the last group is the unit: they are found from the last one on
+        for (at, node) in bundle.groups.iter().enumerate().rev() {
+            let (up, found) = (&walked.up[at], bundle.groups.len() - 1);
+            let above = if node.parent == at { None } else { Some(&walked.means[found - node.parent]) };
             let own = Down::of((&up.W, up.s.clone()), above);
-            means[at] = Some(Mean::of((&up.W, &own.r), sigma, above));
-            down[at] = Some(own);
+            let mean = Mean::of((&up.W, &own.r), &self.sigmas[node.level], above);
+            walked.means.push(mean);
+            walked.down.push(own);
         }
-        walked.down = down.into_iter().map(|one| one.expect("it was visited")).collect();
-        walked.means = means.into_iter().map(|one| one.expect("it was visited")).collect();
-        for (member, s) in design.tests.iter().zip(&walked.said) {
-            let (W, mean) = (&self.leaves[member.leaf].W, &walked.means[member.group]);
+        walked.means.reverse();
+        walked.down.reverse();
+        for (member, s) in bundle.tests.iter().zip(&walked.said) {
+            let (W, mean) = (&walked.leaves[member.leaf].W, &walked.means[member.group]);
             let known = W.times(&mean.covariance);
             let r = s.clone().less(&W.times(&mean.mean));
             walked.tests.push(Down { r, weight: W.clone().less(&known.times(W)) });
@@ -217,11 +238,22 @@ impl<'a> At<'a> {
     }
 }
 
-impl Walked {
+impl At<'_> {
+    /// What a mean coordinate does to a state of the tests of a leaf.
+    pub(super) fn effect(&self, leaf: &Leaf, state: usize, coordinate: usize) -> f64 {
+        match coordinate.checked_sub(self.mean.len()) {
+            None => f64::from(u8::from(coordinate == state)),
+            Some(c) if self.regressors[c] == state => leaf.covariates[c],
+            Some(_) => 0.0,
+        }
+    }
+}
+
+impl Walked<f64> {
     /// log|…| of all that stands in a group, but of the group itself, and the squares of each column that are left of it.
-    pub(super) fn within(&self, design: &Design, group: usize) -> (f64, Vec<f64>) {
-        let inner = (0..design.groups.len()).filter(|&own| design.stands_in(own, group));
-        let mut sum = (0.0, vec![0.0; self.before + self.units]);
+    pub(super) fn within(&self, bundle: &Bundle<'_, f64>, group: usize) -> (f64, Vec<f64>) {
+        let inner = (0..bundle.groups.len()).filter(|&own| bundle.stands_in(own, group));
+        let mut sum = (0.0, vec![0.0; self.before + self.columns]);
         for up in inner.map(|own| &self.up[own]) {
             sum.0 += up.log_det;
             sum.1.iter_mut().zip(&up.left).for_each(|(sum, x)| *sum += x);
@@ -230,7 +262,7 @@ impl Walked {
     }
 }
 
-impl Up {
+impl Up<f64> {
     /// The squares of each column and log|I + RΣR'| where the group is by itself; `root`: F' of the Σ that it has then.
     pub(super) fn apart(&self, root: &Rows) -> (Vec<f64>, f64) {
         let p = self.said.nrows();
@@ -247,52 +279,90 @@ impl Up {
 }
 
 /// What the members of a group say together.
-#[derive(Clone)]
-struct Gathered {
+struct Gathered<T> {
     /// [R | d].
-    upper: Rows,
+    upper: Rows<T>,
     /// Squares of each column that are left.
-    left: Vec<f64>,
-    log_det: f64,
+    left: Vec<T>,
+    log_det: T,
 }
 
-impl Gathered {
-    fn none(p: usize, width: usize) -> Gathered {
-        Gathered { upper: Rows::zeros(p, width), left: vec![0.0; width - p], log_det: 0.0 }
+impl<T: Lanes> Gathered<T> {
+    #[inline(always)]
+    fn none(p: usize, width: usize) -> Gathered<T> {
+        let zero = T::splat(0.0);
+        Gathered { upper: Rows::zeros(p, width), left: vec![zero; width - p], log_det: zero }
     }
 
     /// Folds in what a member says.
-    fn take(&mut self, solved: &Solved, data: &Rows) {
+    #[inline(always)]
+    fn take(&mut self, solved: &Solved<T>, data: &Rows<T>) {
         let p = self.upper.nrows();
         let rest = Rotations::absorb(&mut self.upper, solved.half.beside(data), p);
         for i in 0..p {
-            self.left.iter_mut().zip(&rest.row(i)[p..]).for_each(|(sum, x)| *sum += x * x);
+            for (sum, &x) in self.left.iter_mut().zip(&rest.row(i)[p..]) {
+                *sum = x.fma(x, *sum);
+            }
         }
-        self.log_det += solved.log_det;
+        self.log_det = self.log_det + solved.log_det;
     }
 }
 
+#[inline(always)]
+fn total<T: Lanes>(of: &[T]) -> T {
+    let mut sum = T::splat(0.0);
+    for &x in of {
+        sum = sum + x;
+    }
+    sum
+}
+
 /// Sum of squares of each column.
-fn squares(left: &Rows) -> Vec<f64> {
-    let mut sums = vec![0.0; left.ncols()];
+#[inline(always)]
+fn squares<T: Lanes>(left: &Rows<T>) -> Vec<T> {
+    let mut sums = vec![T::splat(0.0); left.ncols()];
     for i in 0..left.nrows() {
-        sums.iter_mut().zip(left.row(i)).for_each(|(sum, x)| *sum += x * x);
+        for (sum, &x) in sums.iter_mut().zip(left.row(i)) {
+            *sum = x.fma(x, *sum);
+        }
     }
     sums
 }
 
-impl Solved {
+impl<T: Lanes> Solved<T> {
     /// From R and F'.
-    fn of(factor: &Rows, root: &Rows) -> Solved {
+    #[inline(always)]
+    fn of(factor: &Rows<T>, root: &Rows<T>) -> Solved<T> {
         let upper = Rotations::identity_plus(&root.times_transpose(factor));
-        let log_det = 2.0 * (0..upper.nrows()).map(|i| upper[(i, i)].ln()).sum::<f64>();
+        let log_det = T::apart(LogDet(&upper));
         let half = Rows::solved_below(&upper, factor.clone());
         Solved { W: half.transpose_times(&half), half, upper, log_det }
     }
 }
 
-impl Down {
-    fn of((W, s): (&Rows, Rows), above: Option<&Mean>) -> Down {
+/// log|U'U| in each lane.
+struct LogDet<'a, T>(&'a Rows<T>);
+
+impl<T: Lanes> Part for LogDet<'_, T> {
+    type Output = T;
+
+    #[inline(always)]
+    fn run(self) -> T {
+        let mut sums = [0.0; MOST];
+        for i in 0..self.0.nrows() {
+            let mut diagonal = [1.0; MOST];
+            self.0[(i, i)].store(&mut diagonal);
+            for lane in 0..T::COUNT {
+                sums[lane] += 2.0 * diagonal[lane].ln();
+            }
+        }
+        T::load(&sums)
+    }
+}
+
+impl<T: Lanes> Down<T> {
+    #[inline(always)]
+    fn of((W, s): (&Rows<T>, Rows<T>), above: Option<&Mean<T>>) -> Down<T> {
         match above {
             None => Down { r: s, weight: W.clone() },
             Some(above) => {
@@ -302,8 +372,9 @@ impl Down {
     }
 }
 
-impl Mean {
-    pub(super) fn of((W, r): (&Rows, &Rows), sigma: &Rows, above: Option<&Mean>) -> Mean {
+impl<T: Lanes> Mean<T> {
+    #[inline(always)]
+    pub(super) fn of((W, r): (&Rows<T>, &Rows<T>), sigma: &Rows<T>, above: Option<&Mean<T>>) -> Mean<T> {
         let (own, known) = (sigma.times(r), sigma.times(W));
         let left = sigma.clone().less(&known.times(sigma));
         match above {
