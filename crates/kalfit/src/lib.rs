@@ -10,6 +10,7 @@
 //!
 //! The crate is pure: it knows nothing of files, model-file syntax, tables, clocks or the terminal.
 
+pub mod apply;
 pub mod build;
 pub mod dynamic;
 pub mod ensemble;

@@ -56,6 +56,11 @@ impl InitialLaw {
         InitialLaw { mean, regression: Vec::new(), root, mean_half: None, given: None }
     }
 
+    /// That of a point whose values are known.
+    pub(crate) fn at(problem: &Problem, point: &Point) -> InitialLaw {
+        InitialLaw::of(problem, point, None)
+    }
+
     fn of(problem: &Problem, point: &Point, mean_covariance: Option<&DMatrix<f64>>) -> InitialLaw {
         let frame = &problem.classes.frame;
         let all = frame.scale.len();

@@ -12,7 +12,7 @@ use crate::reduce::{Reduction, ReductionRef, Reductions};
 
 /// The reductions whose likelihood is maximised: those given, or, phase by phase, what is left of each phase without the one before, or,
 /// where tests stand in groups, in what is a test's own and what each of its groups adds.
-pub(super) fn evidence<'a>(
+pub(crate) fn evidence<'a>(
     reductions: &'a Reductions,
     structure: &Structure<'_>,
     settings: &Settings,

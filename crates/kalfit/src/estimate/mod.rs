@@ -93,6 +93,7 @@ pub(crate) use climb::{Limits, climb};
 pub(crate) use covariance::{Constraint, CovarianceMap, Form, Part};
 pub(crate) use curvature::NOTHING;
 pub(crate) use elsewhere::InitialLaw;
+pub(crate) use evidence::evidence;
 pub(crate) use expected::{ExpectedError, at_population};
 pub(crate) use forms::forms_in_parts;
 pub(crate) use joint_law::JointLaw;
@@ -109,8 +110,6 @@ pub(crate) use start::generic_root;
 pub(crate) use sums::Sums;
 pub(crate) use terms::Terms;
 pub(crate) use together::{each, in_parts};
-
-use evidence::evidence;
 
 use crate::model::Population;
 use crate::reduce::Reductions;

@@ -31,31 +31,27 @@ pub struct GroupPosterior {
     pub tests: usize,
 }
 
-/// An estimate of tests in groups, with its reductions in what is a test's own and what each of its groups adds.
+/// Tests in groups, with their reductions in what is a test's own and what each of its groups adds.
 struct Ensemble<'a> {
-    estimate: &'a Estimate,
+    problem: &'a Problem,
     evidence: &'a Reductions,
     units: &'a Units,
 }
 
 impl Ensemble<'_> {
-    fn problem(&self) -> &Problem {
-        &self.estimate.state.problem
-    }
-
     fn at(&self, point: &Point) -> LevelPosteriors {
         let constants: Vec<f64> = self.evidence.iter().map(|reduction| reduction.constant).collect();
-        level_posteriors(self.units, (point, &self.problem().mean.regressors), Some(&constants), false)
+        level_posteriors(self.units, (point, &self.problem.mean.regressors), Some(&constants), false)
     }
 
     /// In the user's units.
     fn mean(&self, mean: &[f64]) -> Vec<f64> {
-        let frame = &self.problem().classes.frame;
+        let frame = &self.problem.classes.frame;
         mean.iter().zip(&frame.centre).zip(&frame.scale).map(|((x, centre), scale)| centre + scale * x).collect()
     }
 
     fn covariance(&self, numbers: &[f64]) -> DMatrix<f64> {
-        let (p, scale) = (self.units.states, &self.problem().classes.frame.scale);
+        let (p, scale) = (self.units.states, &self.problem.classes.frame.scale);
         symmetric::scaled(&scale[..p], |i, k| numbers[i * p + k])
     }
 
@@ -73,13 +69,13 @@ impl Ensemble<'_> {
 /// Posteriors of all tests, in their order, and of the groups of each level, the innermost first; `None` where there are no groups.
 /// A test's likelihood and distance are those of the test by itself.
 pub(super) fn posteriors(
-    estimate: &Estimate,
+    problem: &Problem,
+    point: &Point,
     evidence: &Reductions,
 ) -> Option<(Vec<Posterior>, Vec<Vec<GroupPosterior>>)> {
-    let problem = &estimate.state.problem;
+    problem.classes.units.as_ref()?;
     let classes = problem.classes.of(evidence);
-    let ensemble = Ensemble { estimate, evidence, units: classes.units.as_ref()? };
-    let point = &estimate.state.place.point;
+    let ensemble = Ensemble { problem, evidence, units: classes.units.as_ref()? };
     let found = ensemble.at(point);
     let grouping = &ensemble.units.grouping;
     let one = |j: usize| {
@@ -105,10 +101,10 @@ pub(super) fn posteriors(
 pub(super) fn deletions(estimate: &Estimate, evidence: &Reductions) -> Option<(Deletions, Vec<Deletions>)> {
     let problem = &estimate.state.problem;
     let classes = problem.classes.of(evidence);
-    let ensemble = Ensemble { estimate, evidence, units: classes.units.as_ref()? };
+    let ensemble = Ensemble { problem, evidence, units: classes.units.as_ref()? };
     let whole = problem.likelihood(&estimate.state.place.point, Order::First).value;
     let tests = (0..evidence.len()).into_par_iter().map(|j| {
-        let (point, found) = ensemble.without(&[j], whole)?;
+        let (point, found) = ensemble.without(estimate, &[j], whole)?;
         let (_, distance) = distance(problem, &point, evidence, j);
         Some(Deletion { distance, ..found })
     });
@@ -121,7 +117,7 @@ pub(super) fn deletions(estimate: &Estimate, evidence: &Reductions) -> Option<(D
             members[grouping.group_of(number, level)].push(j);
         }
         let without = |(group, members): (usize, &Vec<usize>)| {
-            let (point, found) = ensemble.without(members, whole)?;
+            let (point, found) = ensemble.without(estimate, members, whole)?;
             let own = &ensemble.at(&point).groups[level][group];
             Some(Deletion { distance: Distance::new(own.squared, own.degrees_of_freedom), ..found })
         };
@@ -132,14 +128,14 @@ pub(super) fn deletions(estimate: &Estimate, evidence: &Reductions) -> Option<(D
 
 impl Ensemble<'_> {
     /// The fit without some tests, and where it ends; its distance is not looked at.
-    fn without(&self, removed: &[usize], whole: f64) -> Option<(Point, Deletion)> {
+    fn without(&self, estimate: &Estimate, removed: &[usize], whole: f64) -> Option<(Point, Deletion)> {
         let kept: Vec<usize> = (0..self.evidence.len()).filter(|j| !removed.contains(j)).collect();
         if kept.is_empty() {
             return None;
         }
-        let (state, problem) = (&self.estimate.state, self.problem());
+        let (state, problem) = (&estimate.state, self.problem);
         let (others, structure) = (self.evidence.select(&kept), state.structure());
-        let start = Population::from(self.estimate);
+        let start = Population::from(estimate);
         let found = fit_from(&others, &structure, &start, &state.settings, &mut Silent).ok()?;
         if found.stop != Stop::Certified {
             return None;

@@ -35,6 +35,7 @@ pub use interval::{Interval, IntervalKind, Intervals, profile, wald};
 pub use levels::GroupPosterior;
 pub use observability::{Leading, MOST_TESTS, Observability, Shortage, StateObservability, WEAK, WeakDirection};
 pub use phases::PhaseObservability;
+pub(crate) use posterior::posteriors_at;
 pub use posterior::{Distance, Posterior, posteriors};
 pub use ratio::{
     Bootstrap, BootstrapResult, Component, GoesOn, LikelihoodRatio, NotNested, NotNestedParameter, ReferenceLaw,
@@ -147,8 +148,7 @@ pub fn infer(estimate: &Estimate, reductions: &Reductions, choices: Choices) -> 
     };
     let grouped = estimate.grouping().is_some();
     let (posteriors, groups) = match each {
-        true if grouped => levels::posteriors(estimate, &evidence).unwrap_or_default(),
-        true => (posteriors(estimate, reductions), Vec::new()),
+        true => posterior::estimated(estimate, reductions),
         false => (Vec::new(), Vec::new()),
     };
     let (deletions, group_deletions) = match wanted {

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::estimate::{Class, ClassRef, Classes, Detail, Estimate, Point, Problem, Terms, each, in_parts};
-use crate::infer::levels;
+use crate::infer::levels::{self, GroupPosterior};
 use crate::linalg::{posterior_root, symmetric};
 use crate::reduce::{ReductionRef, Reductions};
 
@@ -40,16 +40,35 @@ const CHUNK: usize = 64;
 
 /// Posteriors of all tests, in their order.
 pub fn posteriors(estimate: &Estimate, reductions: &Reductions) -> Vec<Posterior> {
-    let problem = &estimate.state.problem;
-    if problem.classes.units.is_some() {
-        return levels::posteriors(estimate, &estimate.state.evidence(reductions)).map_or(Vec::new(), |found| found.0);
+    estimated(estimate, reductions).0
+}
+
+/// What is known of the tests, and of the groups of each level, the innermost first, at an estimate.
+pub(super) fn estimated(estimate: &Estimate, reductions: &Reductions) -> (Vec<Posterior>, Vec<Vec<GroupPosterior>>) {
+    let (problem, point) = (&estimate.state.problem, &estimate.state.place.point);
+    match estimate.grouping() {
+        Some(_) => posteriors_at(problem, point, &estimate.state.evidence(reductions)),
+        None => posteriors_at(problem, point, reductions),
+    }
+}
+
+/// Posteriors of all tests, in their order, and of the groups of each level, the innermost first, at any point. Of tests in groups the
+/// reductions are [stacked](crate::estimate::evidence).
+pub(crate) fn posteriors_at(
+    problem: &Problem,
+    point: &Point,
+    reductions: &Reductions,
+) -> (Vec<Posterior>, Vec<Vec<GroupPosterior>>) {
+    if let Some(found) = levels::posteriors(problem, point, reductions) {
+        return found;
     }
     let classes = problem.classes.of(reductions);
     if classes.are_single() {
-        return of_classes((problem, &classes), &estimate.state.place.point, reductions);
+        return (of_classes((problem, &classes), point, reductions), Vec::new());
     }
     let all: Vec<usize> = (0..reductions.len()).collect();
-    all.par_chunks(CHUNK).flat_map_iter(|numbers| chunk(estimate, reductions, numbers)).collect()
+    let chunks = all.par_chunks(CHUNK).flat_map_iter(|numbers| chunk((problem, point), reductions, numbers));
+    (chunks.collect(), Vec::new())
 }
 
 /// Of tests that are classes to themselves.
@@ -65,12 +84,11 @@ fn of_classes((problem, classes): (&Problem, &Classes), point: &Point, reduction
     found.into_iter().map(|one| one.expect("every test has a class")).collect()
 }
 
-fn chunk(estimate: &Estimate, reductions: &Reductions, numbers: &[usize]) -> Vec<Posterior> {
-    let problem = &estimate.state.problem;
+fn chunk((problem, point): (&Problem, &Point), reductions: &Reductions, numbers: &[usize]) -> Vec<Posterior> {
     let classes: Vec<Class> = numbers.iter().map(|&j| problem.classes.single(reductions, j)).collect();
     let classes: Vec<ClassRef<'_>> = classes.iter().map(Class::view).collect();
     let mut found: Vec<Option<Posterior>> = vec![None; classes.len()];
-    let (point, sigma) = (&estimate.state.place.point, estimate.state.place.point.covariance());
+    let sigma = point.covariance();
     each(&classes, &problem.mean.regressors, point, Detail::Posterior, &mut |k, terms| {
         found[k] = Some(posterior((problem, point, &sigma), terms, classes[k], reductions.get(numbers[k])));
     });

@@ -18,8 +18,8 @@ use crate::innovations::start::Start;
 use crate::linalg::symmetric;
 use crate::model::{Alpha, Phase, PhasedModel, Population};
 use crate::reduce::{
-    Cells, Evidence, Inherited, PhasedReducer, PhasedTest, PhasedWork, ReduceError, ReduceErrorKind, ReductionRef,
-    Terminal, Workspace,
+    Cells, Evidence, Gains, Inherited, PhasedReducer, PhasedTest, PhasedWork, ReduceError, ReduceErrorKind,
+    ReductionRef, Terminal, Workspace,
 };
 
 /// The filter of tests in phases at (α, μ, Σ).
@@ -60,6 +60,10 @@ impl Chained {
         Ok(Chained { reducer, phases, plain: Plain::new(model, alpha)? })
     }
 
+    pub(crate) fn reducer(&self) -> &PhasedReducer {
+        &self.reducer
+    }
+
     pub(crate) fn workspace(&self) -> Room {
         Room { phases: self.reducer.workspace(), plain: self.plain.workspace() }
     }
@@ -97,31 +101,49 @@ impl Chained {
 
     /// In square roots: the innovations, log p of phases without any, and whether there are phases with some.
     fn careful(&self, whole: &PhasedTest, work: &mut PhasedWork) -> Result<(Vec<Innovation>, f64, bool), ReduceError> {
-        let (mut series, mut rest, mut seen) = (Vec::new(), 0.0, false);
+        let (mut series, mut seen) = (Vec::new(), false);
+        let rest = self.through(whole, work, &mut |(at, rows), gains, work, law| {
+            let take = |e: f64, weight: f64, sensitivity: &[f64]| {
+                let (value, variance) = law.take(e, sensitivity, weight);
+                Figures { value, variance, standardised: value / variance.sqrt() }
+            };
+            series.extend(rows::series((at, rows, self.phases[at].time), gains, work, take));
+            seen = true;
+        })?;
+        Ok((series, rest, seen))
+    }
+
+    /// Phase by phase through a test, in square roots. `take` takes the rows of a phase that is filtered here into the law of its σ, and
+    /// leaves x̂_K in the work space. Log p of the other phases.
+    pub(crate) fn through(
+        &self,
+        whole: &PhasedTest,
+        work: &mut PhasedWork,
+        take: &mut dyn FnMut((usize, &Test), &Gains, &mut Workspace, &mut Law),
+    ) -> Result<f64, ReduceError> {
+        let mut rest = 0.0;
         let mut before: Option<After> = None;
         for (at, evidence) in whole.phases.iter().enumerate() {
             let room = (&mut work.phases[at], &mut work.cells);
             let linked = at + 1 < whole.phases.len();
             let after = match evidence {
                 Evidence::Rows(rows) if !self.phases[at].filtered => {
-                    seen = true;
-                    self.filtered(at, rows, room, before.as_ref(), &mut series)?
+                    self.filtered((at, rows), room, before.as_ref(), take)?
                 }
                 _ => self.given(at, (whole, linked), room, before.as_ref(), &mut rest)?,
             };
             before = Some(after);
         }
-        Ok((series, rest, seen))
+        Ok(rest)
     }
 
     /// A phase whose rows are filtered here.
     fn filtered(
         &self,
-        at: usize,
-        rows: &Test,
+        (at, rows): (usize, &Test),
         (work, cells): (&mut Workspace, &mut Cells),
         before: Option<&After>,
-        series: &mut Vec<Innovation>,
+        take: &mut dyn FnMut((usize, &Test), &Gains, &mut Workspace, &mut Law),
     ) -> Result<After, ReduceError> {
         let (start, phase) = (&self.phases[at], &self.reducer.phases()[at]);
         let link = before.map(|before| Ok((before, phase.inherited(rows, cells)?))).transpose()?;
@@ -129,11 +151,7 @@ impl Chained {
             let q = work.design.frame.p;
             let mut law =
                 start.law(&work.covariates, q, link.as_ref().map(|(before, inherited)| before.link(inherited)));
-            let take = |e: f64, weight: f64, sensitivity: &[f64]| {
-                let (value, variance) = law.take(e, sensitivity, weight);
-                Figures { value, variance, standardised: value / variance.sqrt() }
-            };
-            series.extend(rows::series((at, rows, start.time), gains, work, take));
+            take((at, rows), gains, work, &mut law);
             let states = &phase.reducer.preparer().order.states;
             After { law: law.posterior(), terminal: gains.end.as_ref().map(|end| end.terminal(states, &work.pass.x)) }
         });

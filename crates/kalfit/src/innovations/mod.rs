@@ -31,7 +31,9 @@ pub use innovation::Innovation;
 pub use series::{Innovations, Part, Summary};
 pub use whiteness::Whiteness;
 
-use crate::innovations::chained::Chained;
+pub(crate) use chained::Chained;
+pub(crate) use law::Law;
+
 use crate::model::{Alpha, PhasedModel, Population};
 use crate::reduce::{PhasedTest, ReduceError, ReduceErrorKind, share};
 

@@ -35,6 +35,11 @@ impl Slots {
         Slots::of(model, labels, &tests.iter().collect::<Vec<_>>())
     }
 
+    /// Of a model whose parameters are all known.
+    pub(crate) fn none(model: &Model) -> Slots {
+        Slots { slots: Vec::new(), places: model.parameters.iter().map(|_| Places::Fixed).collect() }
+    }
+
     /// The same of tests that stand anywhere.
     pub(crate) fn of(model: &Model, labels: &Labels, tests: &[&Test]) -> Slots {
         let mut slots = Slots::default();

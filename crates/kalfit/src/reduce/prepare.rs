@@ -113,6 +113,13 @@ pub(crate) struct Workspace {
     spare: Vec<Arc<Transition>>,
 }
 
+impl Workspace {
+    /// The rows of each step.
+    pub(crate) fn step_rows(&self) -> impl Iterator<Item = Range<usize>> {
+        self.spans.iter().flat_map(|span| (0..span.count).map(|number| span.step(number)))
+    }
+}
+
 impl Preparer {
     pub(crate) fn new(model: &Model, alpha: &Alpha) -> Result<Preparer, Box<Fault>> {
         Preparer::with_free(model, alpha, Vec::new())

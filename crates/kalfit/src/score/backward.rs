@@ -39,10 +39,10 @@ mod work;
 
 use crate::reduce::Step;
 use adjoint::{Adjoint, LineBar};
-use filtered::Seen;
 use work::{Kind, Part};
 
 pub(crate) use abreast::{Abreast, StepBars, fits};
+pub(crate) use filtered::Seen;
 pub(crate) use run::{Ending, Run, Wanted};
 pub(crate) use sink::{MeasuredBar, MovedBar, Sink};
 pub(crate) use smooth::{Driven, Smoothed, Smoothing};

@@ -22,11 +22,12 @@ use std::ops::Range;
 use crate::ensemble::Test;
 use crate::model::Slots;
 use crate::reduce::{Fault, ReduceError, Reducer, Workspace};
-use backward::{BackwardWork, Ending, MeasuredBar, MovedBar, Run, Sink, Wanted};
+use backward::{Ending, MeasuredBar, MovedBar, Sink};
 use chain::{Adjoints, Chain, Measured, Moved};
 
 use smoother::Later;
 
+pub(crate) use backward::{BackwardWork, Run, Seen, Smoothed, Wanted};
 pub(crate) use chain::{Gradient, add};
 pub(crate) use company::Companies;
 pub(crate) use levels::{Levels, carried, dependences, mentioned, power};

@@ -27,7 +27,7 @@ use crate::score::chain::{Adjoints, Gradient};
 use crate::score::complete::Complete;
 use crate::score::moments::moments;
 use crate::score::smoother::{InheritedBar, PhaseLaws, Plan, PlanKey, Smooth};
-use crate::score::{Companies, Scorer};
+use crate::score::{Companies, Scorer, Smoothed};
 
 /// Bytes of smoothers that are kept: tests of one design share one while they fit.
 const PLAN_BYTES: usize = 64 << 20;
@@ -100,6 +100,17 @@ impl<'a> PhasedScorer<'a> {
         let plans = Shared::new(PLAN_BYTES);
         let one = |room: &mut Room<'_>, (test, reduction)| self.complete(test, reduction, (law, &plans), room);
         self.each((tests, reductions.par_iter()), one)
+    }
+
+    /// States of each phase of each test given all of the test: x_0, then after each step.
+    pub(crate) fn all_smoothed(
+        &self,
+        tests: &[PhasedTest],
+        reductions: &Reductions,
+        law: &InitialLaw,
+    ) -> Result<Vec<Vec<Option<Vec<Smoothed>>>>, ReduceError> {
+        let all = self.all_complete(tests, reductions, law)?;
+        Ok(all.into_iter().map(|test| test.into_iter().map(|phase| Some(phase?.states)).collect()).collect())
     }
 
     /// The expected log-likelihood of the complete data of each test and its gradient, at the α of the reducer; `None` where

@@ -26,10 +26,10 @@ impl<T> Default for Filtered<T> {
 
 /// What [`Filtered::save`] has kept, to read.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Seen<'a, T = f64> {
-    pub(super) x: &'a [T],
-    pub(super) P: &'a [T],
-    pub(super) Psi: &'a [T],
+pub(crate) struct Seen<'a, T = f64> {
+    pub(crate) x: &'a [T],
+    pub(crate) P: &'a [T],
+    pub(crate) Psi: &'a [T],
 }
 
 impl<'a, T> Seen<'a, T> {
@@ -83,6 +83,11 @@ impl<T: Real> Filtered<T> {
                 }
             }
         }
+    }
+
+    /// Its state, to read.
+    pub(super) fn seen(&self) -> Seen<'_, T> {
+        Seen { x: &self.x, P: &self.P, Psi: &self.Psi }
     }
 
     #[inline(always)]

@@ -6,7 +6,7 @@
 //! ```
 #![expect(non_snake_case, reason = "the letters of the theory: P, B, N")]
 
-use crate::reduce::Transition;
+use crate::reduce::{Step, Transition};
 use crate::score::backward::adjoint::columns;
 use crate::score::backward::filtered::{Seen, second};
 use crate::score::backward::line::dot;
@@ -169,6 +169,25 @@ impl Run<'_> {
         sink.smoothed(0, &state);
         adjoint.variance(&self.unknown(), variance);
         sink.started(&adjoint.r, variance);
+    }
+
+    /// The filter at ξ = x̂, step by step: tells its state before the measurements of a step (`measured` false) and after them. `e`: what
+    /// the data pass left. `wanted.motion` must be set.
+    pub(crate) fn forth(&self, work: &mut BackwardWork, e: &[f64], mut tell: impl FnMut(&Step<'_>, bool, Seen<'_>)) {
+        let BackwardWork { now, .. } = work;
+        let (driven, mut input) = (self.design.frame.driven.len(), 0);
+        self.begin(now);
+        for step in self.design.each_step() {
+            if let Some(transition) = step.transition {
+                now.advance(transition, &self.inputs[input..input + driven], &self.unknown());
+                input += driven;
+            }
+            tell(&step, false, now.seen());
+            for (line, row) in step.lines.clone().zip(step.rows.clone()) {
+                now.measure(&self.line((line, row)), e[row], &self.unknown());
+            }
+            tell(&step, true, now.seen());
+        }
     }
 
     /// The filter at ξ = x̂: its state at the start and after each step, and before each transition.

@@ -1,0 +1,106 @@
+//! A model whose parameters are all known, applied to tests: what each test says, whether the tests are of the population, and the states
+//! along their records (theory §12). Nothing is estimated.
+//!
+//! ```text
+//! (α, μ, Σ) + tests ──> Applied ──> posteriors, distances, log densities, innovations ──> Verdict
+//!                               └─> states: predicted, filtered or smoothed, and what they say of each measurement
+//! ```
+
+mod error;
+mod forward;
+mod predicted;
+mod smoothed;
+mod states;
+#[cfg(test)]
+mod tests;
+mod verdict;
+
+use std::borrow::Cow;
+use std::sync::Arc;
+
+pub use error::ApplyError;
+pub use states::{PhaseStates, Prediction, StateKind, StepStates};
+pub use verdict::{Joint, Verdict};
+
+use crate::estimate::{Combination, Criterion, PhaseStructure, Point, Problem, Settings, Structure, evidence};
+use crate::infer::{GroupPosterior, Posterior, posteriors_at};
+use crate::innovations::{Innovations, innovations};
+use crate::model::{Alpha, CovarianceStructure, MeanStructure, PhasedModel, Population, Slots};
+use crate::reduce::{PhasedReducer, PhasedTest, Reductions, grouping};
+
+/// Tests under a model at (α, μ, Σ).
+#[derive(Debug)]
+pub struct Applied<'a> {
+    model: &'a PhasedModel,
+    alpha: &'a Alpha,
+    population: &'a Population,
+    tests: &'a [PhasedTest],
+    slots: Slots,
+    reducer: PhasedReducer,
+    /// As the problem takes them.
+    reductions: Reductions,
+    problem: Problem,
+    point: Point,
+}
+
+/// What tests say, in their order.
+#[derive(Debug)]
+pub struct Said {
+    /// Their likelihoods, posteriors and distances.
+    pub posteriors: Vec<Posterior>,
+    /// What is known of the groups of each level, the innermost first; empty where tests stand in no groups.
+    pub groups: Vec<Vec<GroupPosterior>>,
+    /// `None` of tests whose measurements are not known.
+    pub innovations: Vec<Option<Innovations>>,
+}
+
+impl<'a> Applied<'a> {
+    /// Runs the filters over the tests. `population` is of the shape of the model; of a model with levels it holds each level.
+    ///
+    /// # Errors
+    /// No tests; a population of another shape; a test that the model does not allow.
+    pub fn new(
+        model: &'a PhasedModel,
+        alpha: &'a Alpha,
+        population: &'a Population,
+        tests: &'a [PhasedTest],
+    ) -> Result<Applied<'a>, ApplyError> {
+        if tests.is_empty() {
+            return Err(ApplyError::NoTests);
+        }
+        population.check(model)?;
+        let slots = Slots::none(model.shared());
+        let mut reducer = PhasedReducer::scoring(model, alpha, &slots)?;
+        let reductions = reducer.reduce(tests)?;
+        let grouping = grouping(model, tests)?.map(Arc::new);
+        // values are taken as they are: no structure may change them
+        let covariances: Vec<CovarianceStructure> = model.blocks().map(|(own, _)| unconstrained(own)).collect();
+        let of = Structure::of(model, alpha, grouping.as_ref());
+        let phases = of.phases.iter().zip(&covariances).map(|(phase, covariance)| {
+            let free = MeanStructure::free(phase.mean.elements.len());
+            let mean = MeanStructure { regression: phase.mean.regression.clone(), ..free };
+            PhaseStructure { mean: Cow::Owned(mean), covariance }
+        });
+        let structure = Structure { phases: phases.collect(), ..of.clone() };
+        let reductions = evidence(&reductions, &structure, &Settings::default())?.into_owned();
+        let problem = Problem::new(&reductions, &structure, (Criterion::Ml, Combination::Chain))?;
+        let point = problem.point_of(population);
+        Ok(Applied { model, alpha, population, tests, slots, reducer, reductions, problem, point })
+    }
+
+    /// What each test says.
+    ///
+    /// # Errors
+    /// As [`innovations`].
+    pub fn said(&self) -> Result<Said, ApplyError> {
+        let (posteriors, groups) = posteriors_at(&self.problem, &self.point, &self.reductions);
+        let alone = self.population.together(self.model.dimension());
+        let innovations = innovations(self.model, self.alpha, &alone, self.tests)?;
+        Ok(Said { posteriors, groups, innovations })
+    }
+}
+
+/// Of any Σ, what tests bring of their own apart.
+fn unconstrained(own: &CovarianceStructure) -> CovarianceStructure {
+    CovarianceStructure { known: own.known.clone(), ..CovarianceStructure::full() }
+}

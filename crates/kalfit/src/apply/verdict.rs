@@ -1,0 +1,72 @@
+//! Whether tests are of the population, all of them together.
+
+use statrs::distribution::{ChiSquared, ContinuousCDF};
+
+use crate::apply::Said;
+use crate::infer::Distance;
+
+/// Sums over all tests against their laws at the given parameters.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Verdict {
+    /// Log density of all that was measured.
+    pub log_density: f64,
+    /// Distances of the tests' initial states from the population, or of the groups of the outermost level.
+    pub distance: Joint,
+    /// Squares of the standardised innovations; `None` where no measurement is known.
+    pub innovations: Option<Joint>,
+    /// Of the test furthest from the population: its place, and its p-value times the number of tests, one at most.
+    pub furthest: Option<(usize, f64)>,
+}
+
+/// A sum of squares and its law.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Joint {
+    /// Σ of the squares.
+    pub squared: f64,
+    /// Degrees of freedom of χ².
+    pub degrees_of_freedom: usize,
+    /// Twice the smaller tail; `None` without degrees of freedom.
+    pub p_value: Option<f64>,
+}
+
+impl Joint {
+    fn new(squared: f64, degrees_of_freedom: usize) -> Joint {
+        let law = ChiSquared::new(degrees_of_freedom as f64).ok();
+        let p_value = law.map(|law| (2.0 * law.cdf(squared).min(law.sf(squared))).min(1.0));
+        Joint { squared, degrees_of_freedom, p_value }
+    }
+
+    fn of<'a>(distances: impl Iterator<Item = &'a Distance>) -> Joint {
+        let (squared, degrees) =
+            distances.fold((0.0, 0), |(sum, count), own| (sum + own.squared, count + own.degrees_of_freedom));
+        Joint::new(squared, degrees)
+    }
+}
+
+impl Said {
+    /// All tests together.
+    pub fn verdict(&self) -> Verdict {
+        // tests of one group are not independent: the groups of the outermost level are
+        let distance = match self.groups.last() {
+            Some(groups) => Joint::of(groups.iter().map(|group| &group.distance)),
+            None => Joint::of(self.posteriors.iter().map(|test| &test.distance)),
+        };
+        let log_density = match self.groups.last() {
+            Some(groups) => groups.iter().map(|group| group.log_likelihood).sum(),
+            None => self.posteriors.iter().map(|test| test.log_likelihood).sum(),
+        };
+        let summaries: Vec<_> = self.innovations.iter().flatten().map(|one| &one.summary).collect();
+        let seen: usize = summaries.iter().map(|summary| summary.count).sum();
+        let squares: f64 = summaries.iter().map(|summary| summary.nis).sum();
+        let p_values = self.posteriors.iter().map(|test| test.distance.p_value);
+        let least = p_values.enumerate().filter_map(|(test, p)| Some((test, p?))).min_by(|a, b| a.1.total_cmp(&b.1));
+        let count = self.posteriors.len() as f64;
+        Verdict {
+            log_density,
+            distance,
+            // squares of innovations of tests in groups are those of each test by itself: they are not independent
+            innovations: (seen > 0 && self.groups.is_empty()).then(|| Joint::new(squares, seen)),
+            furthest: least.map(|(test, p)| (test, (p * count).min(1.0))),
+        }
+    }
+}
