@@ -41,6 +41,8 @@ pub(crate) enum Command {
     Simulate(SimulateArgs),
     /// Expected standard errors against the number of tests, before any is run
     Plan(PlanArgs),
+    /// Apply a fitted model to tests, old or new: are they of the population, and what were their states
+    Apply(ApplyArgs),
     /// The report of a fit, one HTML page, from its results alone
     Report(ReportArgs),
     /// The script that completes commands and options in a shell, to standard output
@@ -315,6 +317,47 @@ pub(crate) struct PlanArgs {
     /// Print nothing but errors
     #[arg(long)]
     pub(crate) quiet: bool,
+}
+
+#[derive(Debug, Group)]
+#[command(after_help = examples::APPLY)]
+pub(crate) struct ApplyArgs {
+    #[command(flatten)]
+    pub(crate) model: ModelArgs,
+
+    /// Data: CSV, Parquet or Arrow files, patterns such as `runs/*.csv`, `-` for standard input
+    #[arg(required = true)]
+    pub(crate) data: Vec<String>,
+
+    /// The population and all parameters: results of `kalfit fit`, or a model file, whose fixed values and start values are taken
+    #[arg(long, value_name = "FIT.json|MODEL.toml")]
+    pub(crate) from: PathBuf,
+
+    /// File for a table of the tests: posterior, distance, log density, innovations. `.parquet`, `.arrow`, `.csv` or `.tsv`
+    #[arg(long, value_name = "FILE")]
+    pub(crate) out: Option<PathBuf>,
+
+    /// File for a table of the states at every step of every test, and of what they say of each measured value
+    #[arg(long, value_name = "FILE")]
+    pub(crate) states: Option<PathBuf>,
+
+    /// What the states of a step are told from [default: smoothed]
+    #[arg(long, value_enum, requires = "states")]
+    pub(crate) kind: Option<KindArg>,
+
+    /// Print nothing but errors
+    #[arg(long)]
+    pub(crate) quiet: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum KindArg {
+    /// From all of the test
+    Smoothed,
+    /// From what was measured up to the step
+    Filtered,
+    /// From what was measured before the step
+    Predicted,
 }
 
 #[derive(Debug, Group)]

@@ -66,6 +66,12 @@ Examples:
   kalfit plan model.toml --from guess.toml --design planned.csv --tests 20 --out plan.json
   kalfit plan units.toml --from fit.json --design data.csv --groups serial=5,10,20 --tests 1,2,4";
 
+pub(crate) const APPLY: &str = "\
+Examples:
+  kalfit apply model.toml new.csv --from fit.json
+  kalfit apply model.toml new.csv --from fit.json --out tests.parquet
+  kalfit apply model.toml data.csv --from fit.json --states states.parquet --kind filtered";
+
 pub(crate) const REPORT: &str = "\
 Examples:
   kalfit report fit.json --out fit.html

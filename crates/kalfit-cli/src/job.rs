@@ -3,15 +3,19 @@
 use std::path::PathBuf;
 
 use clap_complete::Shell;
+use kalfit::apply::StateKind;
 use kalfit::dynamic::{self, Method};
 use kalfit::estimate::{Combination, Criterion, Settings, Solver};
 use kalfit::infer::{Bootstrap, Choices, DeletionChoice, IntervalKind, StdErrors, TestsChoice};
 use kalfit_data::Datum;
-use kalfit_job::{CheckJob, ExchangeJob, Failure, FitJob, ModelJob, PlanJob, ReportJob, SimulateJob, TestJob};
+use kalfit_job::{
+    ApplyJob, CheckJob, ExchangeJob, Failure, FitJob, ModelJob, PlanJob, ReportJob, SimulateJob, TestJob,
+};
 
 use crate::args::{
-    Args, CheckArgs, Command, CriterionArg, DeletionArg, ExchangeArgs, FitArgs, InnovationsArg, IntervalsArg,
-    MethodArg, ModelArgs, PhasesArg, PlanArgs, ReportArgs, SimulateArgs, SolverArg, StdErrorsArg, TestArgs,
+    ApplyArgs, Args, CheckArgs, Command, CriterionArg, DeletionArg, ExchangeArgs, FitArgs, InnovationsArg,
+    IntervalsArg, KindArg, MethodArg, ModelArgs, PhasesArg, PlanArgs, ReportArgs, SimulateArgs, SolverArg,
+    StdErrorsArg, TestArgs,
 };
 use crate::ended::{Ended, Outcome};
 use crate::init::InitJob;
@@ -38,6 +42,7 @@ enum Job {
     Check(CheckJob),
     Simulate(SimulateJob),
     Plan(PlanJob),
+    Apply(ApplyJob),
     Report(ReportJob),
     Completions(Shell),
     Man(Option<PathBuf>),
@@ -59,6 +64,7 @@ impl Order {
             Job::Check(job) => show::check(job),
             Job::Simulate(job) => show::simulate(job, self.quiet),
             Job::Plan(job) => show::plan(job, self.quiet),
+            Job::Apply(job) => show::apply(job, self.quiet),
             Job::Report(job) => show::report(job, self.quiet),
             Job::Completions(shell) => show::completions(*shell),
             Job::Man(folder) => show::man(folder.as_deref()),
@@ -78,6 +84,7 @@ impl From<Args> for Order {
             Command::Completions(_) | Command::Man(_) => (None, false),
             Command::Simulate(args) => (args.model.threads, args.quiet),
             Command::Plan(args) => (args.model.threads, args.quiet),
+            Command::Apply(args) => (args.model.threads, args.quiet),
         };
         let threads = threads.map(usize::from);
         let job = match args.command {
@@ -88,6 +95,7 @@ impl From<Args> for Order {
             Command::Check(args) => Job::Check(args.into()),
             Command::Simulate(args) => Job::Simulate(args.into()),
             Command::Plan(args) => Job::Plan(args.into()),
+            Command::Apply(args) => Job::Apply(args.into()),
             Command::Report(args) => Job::Report(args.into()),
             Command::Init(args) => Job::Init(InitJob { template: args.template, folder: args.dir.unwrap_or_default() }),
             Command::Completions(args) => Job::Completions(args.shell),
@@ -229,6 +237,23 @@ impl From<PlanArgs> for PlanJob {
             tests: args.tests.into_iter().map(|n| n as usize).collect(),
             groups: args.groups,
             out: args.out,
+        }
+    }
+}
+
+impl From<ApplyArgs> for ApplyJob {
+    fn from(args: ApplyArgs) -> ApplyJob {
+        ApplyJob {
+            model: args.model.into(),
+            data: data(args.data),
+            from: args.from.into(),
+            out: args.out,
+            states: args.states,
+            kind: match args.kind.unwrap_or(KindArg::Smoothed) {
+                KindArg::Smoothed => StateKind::Smoothed,
+                KindArg::Filtered => StateKind::Filtered,
+                KindArg::Predicted => StateKind::Predicted,
+            },
         }
     }
 }

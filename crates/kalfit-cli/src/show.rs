@@ -4,9 +4,9 @@ use std::path::Path;
 
 use clap_complete::Shell;
 use kalfit_job::{
-    CheckJob, Done, ExchangeJob, Exchanged, Failure, FitJob, PlanJob, ReportJob, SimulateJob, TestJob, Watch,
+    ApplyJob, CheckJob, Done, ExchangeJob, Exchanged, Failure, FitJob, PlanJob, ReportJob, SimulateJob, TestJob, Watch,
 };
-use kalfit_report::{check_summary, plan_summary, ratio_summary, summary};
+use kalfit_report::{applied_summary, check_summary, plan_summary, ratio_summary, summary};
 
 use crate::ended::{Ended, Outcome};
 use crate::generate;
@@ -30,6 +30,12 @@ pub(crate) fn test(job: &TestJob, quiet: bool) -> Result<Outcome, Ended> {
 pub(crate) fn plan(job: &PlanJob, quiet: bool) -> Result<Outcome, Ended> {
     let Done { record, notes, written } = watched(quiet, |line| kalfit_job::plan(job, line))?;
     tell(quiet, &notes, || plan_summary(&record, &terminal::style()), written)?;
+    Ok(Outcome::Done)
+}
+
+pub(crate) fn apply(job: &ApplyJob, quiet: bool) -> Result<Outcome, Ended> {
+    let Done { record, notes, written } = watched(quiet, |line| kalfit_job::apply(job, line))?;
+    tell(quiet, &notes, || applied_summary(&record, &terminal::style()), written)?;
     Ok(Outcome::Done)
 }
 

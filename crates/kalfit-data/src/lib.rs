@@ -68,4 +68,4 @@ pub use memory::MemoryTable;
 pub use place::Place;
 pub use reading::{SINGLE_TEST, read, read_from};
 pub use sink::{ReadError, Reading, Sink};
-pub use write::{Format, Ids, StateWriter, TestWriter, WriteError, added_id_column};
+pub use write::{Cell, CellKind, Format, Ids, StateWriter, TableWriter, TestWriter, WriteError, added_id_column};

@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use kalfit::apply::ApplyError;
 use kalfit::dynamic::DynamicError;
 use kalfit::dynamic::DynamicRatioError;
 use kalfit::estimate::FitError;
@@ -99,6 +100,9 @@ pub enum Failure {
         /// What was read so far.
         reading: Option<Box<Reading>>,
     },
+    /// The model is not applied.
+    #[error("{0}")]
+    Apply(Box<ApplyError>),
     /// There is no plan.
     #[error("{}", plan_message(error, states))]
     Plan {
@@ -274,6 +278,7 @@ impl Failure {
             Failure::HypothesisParameter { .. } => Some("a hypothesis restricts what the model leaves free".to_owned()),
             Failure::Truth(error) => error.hint(),
             Failure::Simulate { error, .. } => error.hint().map(str::to_owned),
+            Failure::Apply(error) => apply_hint(error).map(str::to_owned),
             Failure::Plan { error, .. } => plan_hint(error).map(str::to_owned),
             Failure::Write { error, .. } => write_hint(error).map(str::to_owned),
             Failure::Output(error) => error.hint().map(str::to_owned),
@@ -445,6 +450,13 @@ fn levels_of(names: &[String]) -> String {
     }
     let names: Vec<String> = names.iter().map(|name| format!("`{name}`")).collect();
     format!("those of {}", names.join(", "))
+}
+
+fn apply_hint(error: &ApplyError) -> Option<&'static str> {
+    match error {
+        ApplyError::NoRows { .. } => Some("leave `--states` out: what is known of such a phase are its estimates"),
+        _ => None,
+    }
 }
 
 fn fit_hint(error: &FitError) -> Option<&'static str> {

@@ -3,6 +3,7 @@
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
+use kalfit::apply::StateKind;
 use kalfit::dynamic::{self, Method};
 use kalfit::estimate::Settings;
 use kalfit::infer::{Bootstrap, Choices};
@@ -141,6 +142,23 @@ pub struct PlanJob {
     pub groups: Vec<(String, Vec<usize>)>,
     /// File for the plan.
     pub out: Option<PathBuf>,
+}
+
+/// Apply a fitted model to tests.
+#[derive(Debug, Clone)]
+pub struct ApplyJob {
+    /// The model.
+    pub model: ModelJob,
+    /// The tests.
+    pub data: Vec<Datum>,
+    /// Where all parameters come from: results of a fit, or a model.
+    pub from: Document,
+    /// File for a table of the tests.
+    pub out: Option<PathBuf>,
+    /// File for a table of the states at every step.
+    pub states: Option<PathBuf>,
+    /// What is known of the states when they are told.
+    pub kind: StateKind,
 }
 
 /// Make the report of a fit from its results.

@@ -14,6 +14,7 @@
 //! assert!(failure.to_string().starts_with("cannot read no-such.csv"));
 //! ```
 
+mod apply;
 mod check;
 mod diagnostic;
 mod document;
@@ -48,6 +49,7 @@ mod truth;
 mod work;
 mod write;
 
+pub use apply::apply;
 pub use check::check;
 pub use diagnostic::{render, render_hinted, render_message};
 pub use document::Document;
@@ -55,7 +57,8 @@ pub use estimates::estimates;
 pub use failure::{Failure, Place, Source};
 pub use fit::fit;
 pub use job::{
-    CheckJob, Done, ExchangeJob, Exchanged, FitJob, ModelJob, PlanJob, ReportJob, SimulateJob, Simulated, TestJob,
+    ApplyJob, CheckJob, Done, ExchangeJob, Exchanged, FitJob, ModelJob, PlanJob, ReportJob, SimulateJob, Simulated,
+    TestJob,
 };
 pub use model::read as read_model;
 pub use output::{Contents, OutputError, abandon};

@@ -3,6 +3,7 @@
 //! From a [`FitRecord`](kalfit::FitRecord) alone, without models or data: [`summary`] makes the text that
 //! `kalfit fit` prints. [`check_summary`] does the same for `kalfit check`, from a [`CheckRecord`].
 
+mod applied;
 mod check;
 mod html;
 mod number;
@@ -13,6 +14,7 @@ mod summary;
 mod table;
 mod words;
 
+pub use applied::applied_summary;
 pub use check::{CheckRecord, Checked, CheckedLevel, CheckedPhase, ParameterCounts, PhaseCounts, check_summary};
 pub use html::{html, html_with_test};
 pub use plan::plan_summary;

@@ -15,20 +15,61 @@ use super::columns::{From, OutColumn, text};
 use super::error::WriteError;
 
 /// Rows of a batch.
-const ROWS: usize = 65_536;
+pub(super) const ROWS: usize = 65_536;
 /// Rows of a row group, which Parquet holds in memory.
 const GROUP_ROWS: usize = 1_048_576;
 
 /// Where batches go.
-pub(super) enum BatchSink<W: Write + Send> {
+enum BatchSink<W: Write + Send> {
     Parquet(Box<ArrowWriter<W>>),
     Arrow(Box<FileWriter<W>>),
 }
 
-/// Writes columns of 64-bit floats and of texts; missing cells are null.
-pub(super) struct BatchTests<W: Write + Send> {
+/// Batches of one schema, written as they come.
+pub(super) struct Batches<W: Write + Send> {
     sink: BatchSink<W>,
     schema: Arc<Schema>,
+}
+
+impl<W: Write + Send> Batches<W> {
+    pub(super) fn parquet(sink: W, schema: Arc<Schema>) -> Result<Batches<W>, WriteError> {
+        let properties = WriterProperties::builder()
+            .set_compression(Compression::SNAPPY)
+            .set_max_row_group_row_count(Some(GROUP_ROWS))
+            .build();
+        let writer = ArrowWriter::try_new(sink, schema.clone(), Some(properties))?;
+        Ok(Batches { sink: BatchSink::Parquet(Box::new(writer)), schema })
+    }
+
+    pub(super) fn arrow(sink: W, schema: Arc<Schema>) -> Result<Batches<W>, WriteError> {
+        let writer = FileWriter::try_new(sink, &schema)?;
+        Ok(Batches { sink: BatchSink::Arrow(Box::new(writer)), schema })
+    }
+
+    pub(super) fn write(&mut self, columns: Vec<ArrayRef>) -> Result<(), WriteError> {
+        let batch = RecordBatch::try_new(self.schema.clone(), columns)?;
+        match &mut self.sink {
+            BatchSink::Parquet(writer) => writer.write(&batch)?,
+            BatchSink::Arrow(writer) => writer.write(&batch)?,
+        }
+        Ok(())
+    }
+
+    pub(super) fn finish(self) -> Result<W, WriteError> {
+        Ok(match self.sink {
+            BatchSink::Parquet(writer) => writer.into_inner()?,
+            BatchSink::Arrow(writer) => {
+                let mut writer = *writer;
+                writer.finish()?;
+                writer.into_inner()?
+            }
+        })
+    }
+}
+
+/// Writes columns of 64-bit floats and of texts; missing cells are null.
+pub(super) struct BatchTests<W: Write + Send> {
+    batches: Batches<W>,
     cells: Vec<Cells>,
     rows: usize,
 }
@@ -40,27 +81,19 @@ enum Cells {
 
 impl<W: Write + Send> BatchTests<W> {
     pub(super) fn parquet(sink: W, columns: &[OutColumn]) -> Result<BatchTests<W>, WriteError> {
-        let schema = schema(columns);
-        let properties = WriterProperties::builder()
-            .set_compression(Compression::SNAPPY)
-            .set_max_row_group_row_count(Some(GROUP_ROWS))
-            .build();
-        let writer = ArrowWriter::try_new(sink, schema.clone(), Some(properties))?;
-        Ok(BatchTests::new(BatchSink::Parquet(Box::new(writer)), schema, columns))
+        Ok(BatchTests::new(Batches::parquet(sink, schema(columns))?, columns))
     }
 
     pub(super) fn arrow(sink: W, columns: &[OutColumn]) -> Result<BatchTests<W>, WriteError> {
-        let schema = schema(columns);
-        let writer = FileWriter::try_new(sink, &schema)?;
-        Ok(BatchTests::new(BatchSink::Arrow(Box::new(writer)), schema, columns))
+        Ok(BatchTests::new(Batches::arrow(sink, schema(columns))?, columns))
     }
 
-    fn new(sink: BatchSink<W>, schema: Arc<Schema>, columns: &[OutColumn]) -> BatchTests<W> {
+    fn new(batches: Batches<W>, columns: &[OutColumn]) -> BatchTests<W> {
         let cells = |column: &OutColumn| match &column.from {
             From::Number(_) => Cells::Numbers(Float64Builder::new()),
             From::Id(_) | From::Text(_) => Cells::Texts(StringBuilder::new()),
         };
-        BatchTests { sink, schema, cells: columns.iter().map(cells).collect(), rows: 0 }
+        BatchTests { batches, cells: columns.iter().map(cells).collect(), rows: 0 }
     }
 
     pub(super) fn write(&mut self, columns: &[OutColumn], test: &Test, labels: &Labels) -> Result<(), WriteError> {
@@ -89,27 +122,15 @@ impl<W: Write + Send> BatchTests<W> {
                 Cells::Texts(texts) => Arc::new(texts.finish()),
             }
         };
-        let batch = RecordBatch::try_new(self.schema.clone(), self.cells.iter_mut().map(finished).collect())?;
         self.rows = 0;
-        match &mut self.sink {
-            BatchSink::Parquet(writer) => writer.write(&batch)?,
-            BatchSink::Arrow(writer) => writer.write(&batch)?,
-        }
-        Ok(())
+        self.batches.write(self.cells.iter_mut().map(finished).collect())
     }
 
     pub(super) fn finish(mut self) -> Result<W, WriteError> {
         if self.rows > 0 {
             self.flush()?;
         }
-        Ok(match self.sink {
-            BatchSink::Parquet(writer) => writer.into_inner()?,
-            BatchSink::Arrow(writer) => {
-                let mut writer = *writer;
-                writer.finish()?;
-                writer.into_inner()?
-            }
-        })
+        self.batches.finish()
     }
 }
 

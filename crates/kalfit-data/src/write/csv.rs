@@ -76,7 +76,11 @@ impl<W: Write> StateWriter<W> {
 }
 
 /// The reader takes the most frequent delimiter outside quotes: a name with any delimiter in it needs quotes.
-fn header<'a>(sink: &mut impl Write, delimiter: u8, names: impl Iterator<Item = &'a str>) -> std::io::Result<()> {
+pub(super) fn header<'a>(
+    sink: &mut impl Write,
+    delimiter: u8,
+    names: impl Iterator<Item = &'a str>,
+) -> std::io::Result<()> {
     let quoted = |name: &str| match name.contains([',', ';', '\t', '"', '\n', '\r']) {
         true => format!("\"{}\"", name.replace('"', "\"\"")),
         false => name.to_owned(),
@@ -86,7 +90,7 @@ fn header<'a>(sink: &mut impl Write, delimiter: u8, names: impl Iterator<Item = 
 }
 
 /// What the csv library says, as an error of the system: nothing but writing can fail here.
-fn failed(error: csv::Error) -> WriteError {
+pub(super) fn failed(error: csv::Error) -> WriteError {
     WriteError::Io(error.into())
 }
 

@@ -4,6 +4,7 @@ mod batches;
 mod columns;
 mod csv;
 mod error;
+mod table;
 
 use std::io::Write;
 use std::path::Path;
@@ -15,6 +16,7 @@ use self::columns::{OutColumn, columns, id_column, refuse_id_in_use};
 use self::csv::CsvTests;
 pub use self::csv::StateWriter;
 pub use self::error::WriteError;
+pub use self::table::{Cell, CellKind, TableWriter};
 
 /// What a file is written as.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

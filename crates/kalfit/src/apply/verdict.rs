@@ -14,8 +14,6 @@ pub struct Verdict {
     pub distance: Joint,
     /// Squares of the standardised innovations; `None` where no measurement is known.
     pub innovations: Option<Joint>,
-    /// Of the test furthest from the population: its place, and its p-value times the number of tests, one at most.
-    pub furthest: Option<(usize, f64)>,
 }
 
 /// A sum of squares and its law.
@@ -58,15 +56,11 @@ impl Said {
         let summaries: Vec<_> = self.innovations.iter().flatten().map(|one| &one.summary).collect();
         let seen: usize = summaries.iter().map(|summary| summary.count).sum();
         let squares: f64 = summaries.iter().map(|summary| summary.nis).sum();
-        let p_values = self.posteriors.iter().map(|test| test.distance.p_value);
-        let least = p_values.enumerate().filter_map(|(test, p)| Some((test, p?))).min_by(|a, b| a.1.total_cmp(&b.1));
-        let count = self.posteriors.len() as f64;
         Verdict {
             log_density,
             distance,
             // squares of innovations of tests in groups are those of each test by itself: they are not independent
             innovations: (seen > 0 && self.groups.is_empty()).then(|| Joint::new(squares, seen)),
-            furthest: least.map(|(test, p)| (test, (p * count).min(1.0))),
         }
     }
 }

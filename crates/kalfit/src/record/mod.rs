@@ -1,5 +1,6 @@
 //! The result of a fit as others read it: fit.json. Field names are a contract; unknown figures are null, never NaN.
 
+mod applied;
 mod build;
 mod by_group;
 mod cut;
@@ -26,6 +27,7 @@ use serde::{Deserialize, Serialize};
 
 pub use crate::infer::Interval;
 
+pub use applied::{AppliedRecord, FarRecord, JointRecord};
 pub use build::Provenance;
 pub use by_group::{GroupRecord, GroupTestRecord, MixedGroup, TestGroups};
 pub use diagnosis::shortage_notes;

@@ -94,7 +94,7 @@ impl PhasedTest {
     }
 
     /// Number of its rows.
-    pub(crate) fn row_count(&self) -> usize {
+    pub fn row_count(&self) -> usize {
         let rows = |evidence: &Evidence| match evidence {
             Evidence::Rows(rows) => rows.rows(),
             Evidence::Estimates(_) | Evidence::Reduced(_) => 0,

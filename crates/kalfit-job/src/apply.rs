@@ -1,0 +1,235 @@
+//! Applying a fitted model to tests: `kalfit apply`.
+
+use std::io::{BufWriter, Write};
+
+use kalfit::apply::{Applied, ApplyError, PhaseStates, Said, StateKind};
+use kalfit::record::AppliedRecord;
+use kalfit::{PhasedModel, PhasedTest};
+use kalfit_data::{Cell, CellKind, Format, Reading, TableWriter, WriteError};
+use kalfit_spec::Spec;
+
+use crate::evidence::Given;
+use crate::failure::Failure;
+use crate::job::{ApplyJob, Done, files};
+use crate::output::{Output, Pending};
+use crate::work::{Watch, Work};
+use crate::{model, tests, truth};
+
+/// States of this many rows, or of one test, are held at a time.
+const BATCH_ROWS: usize = 200_000;
+
+/// Applies a fitted model to tests.
+///
+/// # Errors
+/// Bad input, or [`Failure::Interrupted`].
+pub fn apply(job: &ApplyJob, watch: &mut dyn Watch) -> Result<Done<AppliedRecord>, Failure> {
+    let mut spec = model::read(&job.model.document)?;
+    let truth = truth::load(&mut spec, &job.from, &job.model.set)?;
+    let given = Given::open(&mut spec, &job.data)?;
+    let used = files(&[&job.model.document, &job.from], &given.inputs);
+    let out = job.out.as_deref().map(|path| Table::prepare(path, &used)).transpose()?;
+    let along = job.states.as_deref().map(|path| Table::prepare(path, &used)).transpose()?;
+    if let (Some(out), Some(along)) = (&out, &along) {
+        out.output.refuse_same(Some(&along.output))?;
+    }
+    let mut work = Work::new(watch);
+    let (tests, reading) = tests::read(&spec, &given, &mut work)?;
+    let refused = |error| refused(error, &reading);
+    work.say(|| "running the filters".to_owned());
+    let applied = Applied::new(&spec.model, &truth.alpha, &truth.population, &tests).map_err(refused)?;
+    work.go_on()?;
+    let said = applied.said().map_err(refused)?;
+    work.go_on()?;
+    let outermost = spec.model.levels.first().map(|level| level.name.as_str());
+    let record = AppliedRecord::new(&spec.model.shared().title, job.from.name(), &tests, &said, outermost);
+    let task = Task { spec: &spec, applied: &applied, tests: &tests, reading: &reading };
+    let out = out.map(|table| task.tests(&table, &said).map(|()| table)).transpose()?;
+    let along = along.map(|table| task.states(&table, job.kind, &mut work).map(|()| table)).transpose()?;
+    let written = [out, along].into_iter().flatten().map(|table| table.output.name()).collect();
+    let notes = given.notes.into_iter().chain(truth.warnings).collect();
+    Ok(Done { record, notes, written })
+}
+
+fn refused(error: ApplyError, reading: &Reading) -> Failure {
+    match error {
+        ApplyError::Reduce(error) => Failure::Reduce { error: *error, reading: Some(Box::new(reading.clone())) },
+        ApplyError::Fit(error) => Failure::Fit(error),
+        error => Failure::Apply(Box::new(error)),
+    }
+}
+
+/// A table that will be written.
+struct Table {
+    output: Output,
+    format: Format,
+}
+
+type Writer<'a> = TableWriter<BufWriter<&'a std::fs::File>>;
+
+impl Table {
+    fn prepare(path: &std::path::Path, used: &[&std::path::Path]) -> Result<Table, Failure> {
+        let format = Format::of(path).map_err(|error| failed(error, path.display().to_string()))?;
+        Ok(Table { output: Output::prepare(path, used)?, format })
+    }
+
+    /// Writes it whole, or not at all.
+    fn write(
+        &self,
+        columns: &[(String, CellKind)],
+        rows: impl FnOnce(&mut Writer<'_>) -> Result<(), Failure>,
+    ) -> Result<(), Failure> {
+        let pending: Pending<'_> = self.output.begin()?;
+        let refused = |error: WriteError| failed(error, self.output.name());
+        let mut writer = TableWriter::new(columns, self.format, BufWriter::new(pending.file())).map_err(refused)?;
+        rows(&mut writer)?;
+        writer.finish().and_then(|mut sink| Ok(sink.flush()?)).map_err(refused)?;
+        pending.finish()?;
+        Ok(())
+    }
+
+    fn failed(&self) -> impl Fn(WriteError) -> Failure {
+        move |error| failed(error, self.output.name())
+    }
+}
+
+fn failed(error: WriteError, path: String) -> Failure {
+    Failure::Write { error: Box::new(error), path }
+}
+
+/// What the tables are of.
+struct Task<'a> {
+    spec: &'a Spec,
+    applied: &'a Applied<'a>,
+    tests: &'a [PhasedTest],
+    reading: &'a Reading,
+}
+
+impl Task<'_> {
+    fn model(&self) -> &PhasedModel {
+        &self.spec.model
+    }
+
+    /// Estimated states of all phases, each name once.
+    fn estimated(&self) -> Vec<String> {
+        let mut names: Vec<String> = Vec::new();
+        for phase in &self.model().phases {
+            for name in phase.model.estimated_names() {
+                if !names.contains(&name) {
+                    names.push(name);
+                }
+            }
+        }
+        names
+    }
+
+    /// A row for each phase of each test.
+    fn tests(&self, table: &Table, said: &Said) -> Result<(), Failure> {
+        let names = self.estimated();
+        let numbers = ["log_density", "distance"].map(|name| (name.to_owned(), CellKind::Number));
+        let of =
+            |what: &str| names.iter().map(|name| (format!("{what}[{name}]"), CellKind::Number)).collect::<Vec<_>>();
+        let mut columns = vec![("test".to_owned(), CellKind::Text), ("phase".to_owned(), CellKind::Text)];
+        columns.extend(numbers);
+        columns.push(("degrees_of_freedom".to_owned(), CellKind::Count));
+        columns.push(("p_value".to_owned(), CellKind::Number));
+        columns.push(("observations".to_owned(), CellKind::Count));
+        columns.extend(["nis", "nis_p_value"].map(|name| (name.to_owned(), CellKind::Number)));
+        columns.extend(of("mean").into_iter().chain(of("std_dev")));
+        table.write(&columns, |writer| {
+            for number in 0..self.tests.len() {
+                for phase in 0..self.tests[number].phases.len() {
+                    let cells = self.test((number, phase), said, &names);
+                    writer.write(cells).map_err(table.failed())?;
+                }
+            }
+            Ok(())
+        })
+    }
+
+    fn test<'a>(&'a self, (number, phase): (usize, usize), said: &Said, names: &[String]) -> Vec<Cell<'a>> {
+        let (test, posterior) = (&self.tests[number], &said.posteriors[number]);
+        let model = &self.model().phases[phase];
+        let number_or = |x: Option<f64>| x.map_or(Cell::Missing, Cell::Number);
+        let summary = said.innovations[number].as_ref().map(|own| &own.summary);
+        let mut cells = vec![
+            Cell::Text(&test.id),
+            Cell::Text(&model.name),
+            Cell::Number(posterior.log_likelihood),
+            Cell::Number(posterior.distance.squared),
+            Cell::Count(posterior.distance.degrees_of_freedom),
+            number_or(posterior.distance.p_value),
+            summary.map_or(Cell::Missing, |own| Cell::Count(own.count)),
+            number_or(summary.map(|own| own.nis)),
+            number_or(summary.and_then(|own| own.upper_tail)),
+        ];
+        let (own, first) = (model.model.estimated_names(), self.model().ranges()[phase].start);
+        let place = |name: &String| own.iter().position(|other| other == name);
+        let mean = |i: usize| posterior.mean.get(first + i).copied();
+        let deviation = |i: usize| Some(posterior.covariances.get(phase)?[(i, i)].max(0.0).sqrt());
+        cells.extend(names.iter().map(|name| number_or(place(name).and_then(mean))));
+        cells.extend(names.iter().map(|name| number_or(place(name).and_then(deviation))));
+        cells
+    }
+
+    /// A row for each state at each step, and for each measured value.
+    fn states(&self, table: &Table, kind: StateKind, work: &mut Work<'_>) -> Result<(), Failure> {
+        let text = |name: &str| (name.to_owned(), CellKind::Text);
+        let number = |name: &str| (name.to_owned(), CellKind::Number);
+        let columns = [
+            text("test"),
+            text("phase"),
+            ("row".to_owned(), CellKind::Count),
+            number("time"),
+            text("name"),
+            number("value"),
+            number("std_dev"),
+        ];
+        table.write(&columns, |writer| {
+            let mut done = 0;
+            while done < self.tests.len() {
+                let next = self.batch(done);
+                work.go_on()?;
+                let states = self.applied.states(kind, done..next).map_err(|error| refused(error, self.reading))?;
+                for (test, phases) in self.tests[done..next].iter().zip(&states) {
+                    phases.iter().try_for_each(|phase| self.phase(&test.id, phase, writer)).map_err(table.failed())?;
+                }
+                done = next;
+                work.share("writing states", done as u64, self.tests.len() as u64);
+                work.say(|| format!("writing states: {done} of {} tests", self.tests.len()));
+            }
+            Ok(())
+        })
+    }
+
+    /// The end of the tests whose states are written at once, from this one on.
+    fn batch(&self, from: usize) -> usize {
+        let mut rows = 0;
+        let mut next = from;
+        while next < self.tests.len() && (rows < BATCH_ROWS || next == from) {
+            rows += self.tests[next].row_count();
+            next += 1;
+        }
+        next
+    }
+
+    fn phase(&self, test: &str, states: &PhaseStates, writer: &mut Writer<'_>) -> Result<(), WriteError> {
+        let phase = &self.model().phases[states.phase];
+        let begin = |row: usize, time: Option<f64>| {
+            let time = time.map_or(Cell::Missing, Cell::Number);
+            // rows are counted from one
+            [Cell::Text(test), Cell::Text(&phase.name), Cell::Count(row + 1), time]
+        };
+        for step in &states.steps {
+            for ((state, mean), std_dev) in phase.model.states.iter().zip(&step.mean).zip(&step.std_dev) {
+                let own = [Cell::Text(&state.name), Cell::Number(*mean), Cell::Number(*std_dev)];
+                writer.write(begin(step.rows.start, step.time).into_iter().chain(own))?;
+            }
+            for prediction in &step.measurements {
+                let name = &phase.model.measurements[prediction.measurement].name;
+                let own = [Cell::Text(name), Cell::Number(prediction.value), Cell::Number(prediction.std_dev)];
+                writer.write(begin(prediction.row, step.time).into_iter().chain(own))?;
+            }
+        }
+        Ok(())
+    }
+}
