@@ -44,6 +44,7 @@ mod tests;
 mod touching;
 mod tries;
 mod twins;
+mod unbounded;
 mod worth;
 mod zero;
 

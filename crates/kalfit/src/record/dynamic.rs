@@ -6,7 +6,7 @@ use crate::estimate::{Criterion, Stop};
 use crate::infer::Inference;
 use crate::model::{Model, Parameter, PhasedModel};
 use crate::record::build;
-use crate::record::diagnosis::list;
+use crate::record::diagnosis::{joined, list};
 use crate::record::parameters::{self, MethodRecord, StartRecord, meaning};
 use crate::record::{FitRecord, Provenance};
 
@@ -20,6 +20,9 @@ const MANY_RUNS: usize = 300;
 /// Said of ensembles that are too large to look around in.
 const NOT_EXPLORED: &str =
     "other maxima were not looked for beyond these starts, as one search takes long: `--starts` adds more";
+
+/// What to do where ℓ has no maximum.
+const EXACT: &str = "data without noise cannot tell a noise level: give it a fixed value or a `lower` bound, or see whether the data were rounded, repeated or made without noise";
 
 /// A fit of α, μ and Σ and what was inferred from it.
 #[derive(Debug, Clone, Copy)]
@@ -61,7 +64,7 @@ impl FitRecord {
         record.solver.trace = fit.trace.clone();
         record.starts = StartRecord::all(fit);
         let mut notes = if record.converged { standing_notes(parts) } else { Vec::new() };
-        notes.extend(start_notes(parts));
+        notes.extend(if fit.unbounded.is_empty() { start_notes(parts) } else { vec![EXACT.to_owned()] });
         if record.converged && !fit.explored && fit.slots.len() > 1 {
             notes.push(NOT_EXPLORED.to_owned());
         }
@@ -131,6 +134,13 @@ fn reason(fit: &DynamicFit) -> String {
     let inner = build::reason(&fit.estimate);
     if n == 0 {
         return inner;
+    }
+    if !fit.unbounded.is_empty() {
+        let named = joined(fit.unbounded.iter().cloned(), "and");
+        let go = if fit.unbounded.len() == 1 { "goes to zero" } else { "go to zero together" };
+        return format!(
+            "the log-likelihood has no maximum: it rises without bound as {named} {go}, because the data fit the model exactly"
+        );
     }
     let (far, what) = (fit.certificate, if n == 1 { "the dynamic parameter" } else { "the dynamic parameters" });
     match (fit.stop, fit.estimate.stop) {
