@@ -26,6 +26,7 @@ mod iterate;
 mod joint;
 mod law;
 mod matrices;
+mod mixed;
 #[cfg(test)]
 mod phased_tests;
 mod profile;
