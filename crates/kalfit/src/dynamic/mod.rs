@@ -53,6 +53,7 @@ pub(crate) use coordinates::Coordinate;
 pub use error::DynamicError;
 pub use fit::{fit, start_values};
 pub use inference::infer;
+pub(crate) use interval::MOST_PROFILED;
 pub use ratio::{DynamicRatioError, dynamic_bootstrap, dynamic_bootstrap_while, dynamic_ratio, started};
 pub use result::{DynamicFit, OtherEnd};
 pub use settings::{Method, Settings};
