@@ -440,9 +440,10 @@ class Fit:
 
     @property
     def model_check(self) -> dict[str, Any]:
-        """Whether the model describes the data: ``verdict`` (passed, doubtful, not checked) and ``findings``, each with
-        ``kind`` and ``text``."""
-        return dict(self._record.get("model_check") or {"verdict": "not checked", "findings": []})
+        """Whether the model describes the data: ``verdict`` (passed, doubtful, not checked), the ``findings`` that speak
+        against it and ``remarks`` that limit its answer, each with ``kind`` and ``text``."""
+        none: dict[str, Any] = {"verdict": "not checked", "findings": [], "remarks": []}
+        return none | (self._record.get("model_check") or {})
 
     @property
     def by_group(self) -> list[dict[str, Any]]:

@@ -200,9 +200,9 @@ def test_texts_that_need_quotes_survive_the_way_through_a_dictionary():
 def test_the_model_check_and_groups_are_those_of_the_command():
     bench = "examples/gyro-bench/bench.toml", "examples/gyro-bench/bench.csv"
     fit = kalfit.fit(*bench, group_test=True)
-    assert fit.model_check["verdict"] == "doubtful"
-    assert [finding["kind"] for finding in fit.model_check["findings"]] == ["influence"]
-    assert "model check: <b>doubtful</b> (test g07" in fit._repr_html_()
+    assert (fit.model_check["verdict"], fit.model_check["findings"]) == ("passed", [])
+    assert [remark["kind"] for remark in fit.model_check["remarks"]] == ["influence"]
+    assert "model check: passed" in fit._repr_html_()
     assert [(group["group"], group["tests"]) for group in fit.by_group] == [("A", 15), ("B", 13)]
     assert {test.group for test in fit.tests} == {"A", "B"}
     assert fit.group_test is not None and fit.group_test["degrees_of_freedom"] == 9

@@ -147,7 +147,8 @@ fn check_names_what_data_do_not_identify() {
     ----- stdout
     Converged: the optimality certificate holds, so these are the maximum-likelihood
     estimates of all that the data identify.
-    Model check doubtful: test c by itself decides much of the answer.
+    Model check passed: innovations and tests agree with the model. Test c by itself
+    decides much of the answer.
 
     Data: 3 tests, 3 steps, 3 observations from one.csv; all tests share one design;
     3 tests took the square-root path.

@@ -309,7 +309,7 @@ fn without_the_single_tests_the_fit_is_the_same() {
     let mut expected = fit(&folder, "m.toml", "d.csv", "d.json");
     assert!(!expected["tests"].as_array().unwrap().is_empty());
     expected["tests"] = Value::Array(Vec::new());
-    expected["model_check"] = serde_json::json!({ "verdict": "not checked", "findings": [] });
+    expected["model_check"] = serde_json::json!({ "verdict": "not checked", "findings": [], "remarks": [] });
     for data in ["d.csv", "r.parquet"] {
         ends_well(&folder, &format!("fit m.toml {data} --out n.json --report n.html --no-tests"));
         let text = std::fs::read_to_string(folder.path("n.json")).unwrap();

@@ -27,4 +27,5 @@ mod simulate;
 mod sound;
 mod starts;
 mod terminal;
+mod unbounded;
 mod undrawable;

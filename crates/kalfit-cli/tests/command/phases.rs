@@ -33,7 +33,8 @@ fn a_summary_of_two_phases() {
 
     Converged: the optimality certificate holds, so these are the maximum-likelihood
     estimates.
-    Model check doubtful: each of 2 tests by itself decides much of the answer.
+    Model check passed: the tests agree with the population; there are no
+    innovations to look at. Each of 2 tests by itself decides much of the answer.
 
     Data: 12 tests, 80 steps, 80 observations from phases.csv; 2 different designs.
     Phases: bench (12 tests) and flight (8 of 12 tests); combined exactly, phase by

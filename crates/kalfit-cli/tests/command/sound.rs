@@ -120,7 +120,8 @@ fn meta_analysis_has_the_figures_of_metafor() {
 
     Converged: the optimality certificate holds, so these are the maximum-likelihood
     estimates.
-    Model check doubtful: test 2 by itself decides much of the answer.
+    Model check passed: innovations and tests agree with the model. Test 2 by itself
+    decides much of the answer.
 
     Data: 5 tests, 5 steps, 10 observations from berkey1998.csv; every test has a
     design of its own.
@@ -172,7 +173,8 @@ fn gyro_bench_finds_the_error_model_behind_the_simulated_data() {
 
     Converged: the optimality certificate holds, so these are the maximum-likelihood
     estimates.
-    Model check doubtful: test g07 by itself decides much of the answer.
+    Model check passed: innovations and tests agree with the model. Test g07 by
+    itself decides much of the answer.
 
     Data: 28 tests, 614 steps, 614 observations from bench.csv; every test has a
     design of its own; 8 tests took the square-root path.
@@ -238,7 +240,8 @@ fn vaccine_trials_with_a_regression() {
 
     Converged: the optimality certificate holds, so these are the maximum-likelihood
     estimates.
-    Model check doubtful: test 6 by itself decides much of the answer.
+    Model check passed: innovations and tests agree with the model. Test 6 by itself
+    decides much of the answer.
 
     Data: 13 tests, 13 steps, 13 observations from vaccine.csv; every test has a
     design of its own.
@@ -288,7 +291,8 @@ fn gyros_with_drift_and_constraints() {
 
     Converged: the optimality certificate holds, so these are the maximum-likelihood
     estimates.
-    Model check doubtful: test U03 by itself decides much of the answer.
+    Model check passed: innovations and tests agree with the model. Test U03 by
+    itself decides much of the answer.
 
     Data: 6 tests, 60 steps, 57 observations from gyro.csv; every test has a design
     of its own.
@@ -361,7 +365,8 @@ fn two_sensors_in_long_data() {
 
     Converged: the optimality certificate holds, so these are the maximum-likelihood
     estimates.
-    Model check doubtful: each of 2 tests by itself decides much of the answer.
+    Model check passed: innovations and tests agree with the model. Each of 2 tests
+    by itself decides much of the answer.
 
     Data: 5 tests, 39 steps, 71 observations from sensors.csv; every test has a
     design of its own.
@@ -423,7 +428,8 @@ fn without_an_output_the_summary_is_all() {
     ----- stdout
     Converged: the optimality certificate holds, so these are the maximum-likelihood
     estimates.
-    Model check doubtful: each of 3 tests by itself decides much of the answer.
+    Model check passed: innovations and tests agree with the model. Each of 3 tests
+    by itself decides much of the answer.
 
     Data: 3 tests, 9 steps, 9 observations from d.csv; all tests share one design.
     Log-likelihood -3.72, 5 free parameters, AIC 17.45, BIC 18.43.

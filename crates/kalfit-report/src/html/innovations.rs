@@ -7,6 +7,7 @@ use serde_json::{Value, json};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::html::chart::{Chart, Charts, figure, figures};
+use crate::html::grouping::{Grouping, place};
 use crate::html::outlying::MOST_TESTS;
 use crate::html::section::Section;
 use crate::number::{plain, probability};
@@ -40,7 +41,7 @@ pub(super) fn section(record: &FitRecord, charts: &mut Charts) -> Option<Section
     } else {
         html! {
             (PreEscaped(innovations::section(record, &page)))
-            (sizes(&found, &said, charts).unwrap_or_default())
+            (sizes((record, &found), &said, charts).unwrap_or_default())
             (one_test(record, &found, charts).unwrap_or_default())
             (table(&found, &said, &page))
         }
@@ -67,7 +68,8 @@ fn ratio(nis: f64, n: usize) -> Value {
     json!({ "n": n, "ratio": figure(nis / n.max(1) as f64), "low": figure(bounds[0]), "high": figure(bounds[1]) })
 }
 
-fn sizes(found: &[Found<'_>], said: &str, charts: &mut Charts) -> Option<Markup> {
+fn sizes((record, found): (&FitRecord, &[Found<'_>]), said: &str, charts: &mut Charts) -> Option<Markup> {
+    let groups = Grouping::of(record);
     let sized: Vec<(&Found<'_>, f64)> =
         found.iter().filter_map(|f| Some((f, f.1.nis.filter(|x| x.is_finite())?))).collect();
     if sized.len() < 2 {
@@ -76,6 +78,7 @@ fn sizes(found: &[Found<'_>], said: &str, charts: &mut Charts) -> Option<Markup>
     let test = |((test, innovations), nis): &(&Found<'_>, f64)| {
         let mut value = ratio(*nis, innovations.count);
         value["id"] = json!(clean(&test.id));
+        value["group"] = place(groups.as_ref(), test);
         value["p"] = json!(innovations.nis_p_value.map_or_else(|| "-".to_owned(), probability));
         value
     };
@@ -88,9 +91,11 @@ fn sizes(found: &[Found<'_>], said: &str, charts: &mut Charts) -> Option<Markup>
     let caption = format!(
         "The mean square of each test's innovations in units of their variance (NIS over its degrees of freedom), which should be \
          1; the bars are 95 % bounds of χ². All above: the model's noise is too small or a motion is missing. All below: its \
-         noise is too large. One alone: look at that test.{said}"
+         noise is too large. One alone: look at that test.{said}{}",
+        Grouping::caption(groups.as_ref())
     );
-    let data = json!({ "tests": tests });
+    let mut data = json!({ "tests": tests });
+    Grouping::tell(groups.as_ref(), &mut data);
     let title = "Size of the innovations, test by test";
     Some(charts.figure(Chart { kind: "sizes", title, caption: &caption, alternative: &alternative, data }))
 }

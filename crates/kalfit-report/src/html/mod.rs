@@ -11,6 +11,7 @@ mod constraints;
 mod data;
 mod estimates;
 mod forest;
+mod grouping;
 mod groups;
 mod identifiability;
 mod influence;

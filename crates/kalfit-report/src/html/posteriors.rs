@@ -6,6 +6,7 @@ use maud::Markup;
 use serde_json::{Value, json};
 
 use crate::html::chart::{Chart, Charts, figure, figures};
+use crate::html::grouping::{Grouping, place};
 use crate::html::outlying::{MOST_TESTS, outlying, stands_out};
 use crate::number::plain;
 use crate::words::{clean, count};
@@ -44,7 +45,7 @@ pub(super) fn ellipses(record: &FitRecord, phase: &PhaseRecord, name: &str, char
         return None;
     }
     let (tests, said) = chosen(record, phase);
-    let all = record.data.tests;
+    let (all, groups) = (record.data.tests, Grouping::of(record));
     let test = |test: &&TestRecord| {
         let part = part(test, phase).expect("tests were chosen for having it");
         let own = part.own.as_ref().filter(|own| {
@@ -55,25 +56,27 @@ pub(super) fn ellipses(record: &FitRecord, phase: &PhaseRecord, name: &str, char
             states.iter().map(|k| own.and_then(|o| o.covariance.get(*i)?[*k]).map_or(Value::Null, figure)).collect()
         };
         json!({
-            "id": clean(&test.id), "out": stands_out(test, all),
+            "id": clean(&test.id), "out": stands_out(test, all), "group": place(groups.as_ref(), test),
             "mean": figures(states.iter().map(|&i| part.mean[i])),
             "own": states.iter().map(own_mean).collect::<Vec<Value>>(),
             "ownCovariance": states.iter().map(own_covariance).collect::<Vec<_>>(),
         })
     };
-    let data = json!({
+    let mut data = json!({
         "states": states.iter().map(|&i| clean(&phase.states[i])).collect::<Vec<_>>(),
         "units": units(phase, &states),
         "mean": figures(states.iter().map(|&i| phase.mean.estimate[i])),
         "covariance": states.iter().map(|&i| figures(states.iter().map(|&k| phase.covariance.estimate[i][k]))).collect::<Vec<_>>(),
         "tests": tests.iter().map(test).collect::<Vec<Value>>(),
     });
+    Grouping::tell(groups.as_ref(), &mut data);
     let shifted =
         if phase.mean.regression.is_empty() { "" } else { " The ellipses are for regression columns at zero." };
     let caption = format!(
-        "Ellipses hold 50 % and 95 % of the tests that the fitted population would make. Open circles: what each test says by \
-         itself; dots: what it says given the population, drawn towards it by a thin line the more, the less the test knows. \
-         Point at a test for its own error ellipse. About one test in twenty should lie outside.{said}{shifted}"
+        "Ellipses hold 50 % and 95 % of the tests that the fitted population would make. Open marks: what each test says by \
+         itself; filled ones: what it says given the population, drawn towards it by a thin line the more, the less the test knows. \
+         Point at a test for its own error ellipse. About one test in twenty should lie outside.{said}{shifted}{}",
+        Grouping::caption(groups.as_ref())
     );
     let alternative =
         format!("{} against {}, for {}.", "Any two estimated states", "each other", count(tests.len(), "test"));
@@ -96,25 +99,27 @@ pub(super) fn posteriors(record: &FitRecord, phase: &PhaseRecord, name: &str, ch
     if states.is_empty() || tests.is_empty() {
         return None;
     }
-    let all = record.data.tests;
+    let (all, groups) = (record.data.tests, Grouping::of(record));
     let test = |test: &&TestRecord| {
         let part = part(test, phase).expect("tests were chosen for having it");
         json!({
-            "id": clean(&test.id), "out": stands_out(test, all),
+            "id": clean(&test.id), "out": stands_out(test, all), "group": place(groups.as_ref(), test),
             "mean": figures(states.iter().map(|&i| part.mean[i])),
             "sd": figures(states.iter().map(|&i| part.covariance[i][i].max(0.0).sqrt())),
         })
     };
-    let data = json!({
+    let mut data = json!({
         "states": states.iter().map(|&i| clean(&phase.states[i])).collect::<Vec<_>>(),
         "units": units(phase, &states),
         "mean": figures(states.iter().map(|&i| phase.mean.estimate[i])),
         "sd": figures(states.iter().map(|&i| phase.std_dev.estimate[i])),
         "tests": tests.iter().map(test).collect::<Vec<Value>>(),
     });
+    Grouping::tell(groups.as_ref(), &mut data);
     let caption = format!(
         "Each test's estimate given the population, with its 95 % interval, in order of size; the band is mean ± 1.96 standard \
-         deviations of the population. Filled diamonds stand out from the others.{said}"
+         deviations of the population. Filled diamonds stand out from the others.{said}{}",
+        Grouping::caption(groups.as_ref())
     );
     let first = phase.states.first().map_or_else(String::new, |s| clean(s));
     let alternative = format!(

@@ -16,6 +16,7 @@ const STYLE: &str = include_str!("page/report.css");
 /// Our own script, in parts; they share one scope.
 const SCRIPTS: &[&str] = &[
     include_str!("page/base.js"),
+    include_str!("page/groups.js"),
     include_str!("page/forest.js"),
     include_str!("page/matrix.js"),
     include_str!("page/ellipses.js"),

@@ -6,6 +6,7 @@ use maud::{Markup, PreEscaped, html};
 use serde_json::{Value, json};
 
 use crate::html::chart::{Chart, Charts, figure};
+use crate::html::grouping::{Grouping, place};
 use crate::html::outlying::{LEVEL, MOST_TESTS, outlying, stands_out};
 use crate::html::posteriors;
 use crate::html::section::Section;
@@ -44,7 +45,7 @@ pub(super) fn section(record: &FitRecord, charts: &mut Charts) -> Option<Section
 fn p_values(record: &FitRecord, charts: &mut Charts) -> Option<Markup> {
     let tested: Vec<(&TestRecord, f64)> =
         outlying(record).into_iter().filter_map(|test| Some((test, test.p_value.filter(|p| p.is_finite())?))).collect();
-    let n = tested.len();
+    let (n, groups) = (tested.len(), Grouping::of(record));
     if n < 3 {
         return None;
     }
@@ -54,20 +55,24 @@ fn p_values(record: &FitRecord, charts: &mut Charts) -> Option<Markup> {
         .map(|(i, (test, p))| {
             let expected = -((i as f64 + 0.5) / n as f64).log10();
             json!({ "id": clean(&test.id), "x": figure(expected), "y": figure(-p.max(1e-300).log10()), "p": probability(*p),
-                    "out": stands_out(test, n) })
+                    "out": stands_out(test, n), "group": place(groups.as_ref(), test) })
         })
         .collect();
-    let data = json!({ "points": points, "limit": figure(-(LEVEL / n as f64).log10()) });
+    let mut data = json!({ "points": points, "limit": figure(-(LEVEL / n as f64).log10()) });
+    Grouping::tell(groups.as_ref(), &mut data);
     let out = tested.iter().filter(|(test, _)| stands_out(test, n)).count();
     let alternative =
         format!("{} above the line, of {n}; the smallest p-value is {}.", count(out, "test"), probability(tested[0].1));
-    let caption = "How far each test is from the population, as minus the logarithm of its p-value, against what chance gives. \
+    let caption = format!(
+        "How far each test is from the population, as minus the logarithm of its p-value, against what chance gives. \
                    Points near the diagonal: the population describes the tests. Points above the dashed line stand out even \
-                   though the search went over all tests.";
+                   though the search went over all tests.{}",
+        Grouping::caption(groups.as_ref())
+    );
     Some(charts.figure(Chart {
         kind: "quantiles",
         title: "Distances from the population",
-        caption,
+        caption: &caption,
         alternative: &alternative,
         data,
     }))

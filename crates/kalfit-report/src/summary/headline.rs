@@ -6,7 +6,7 @@ use kalfit::record::{DataRecord, ModelCheckRecord, TestRecord};
 use super::{levels, phases};
 use crate::number::{hundredths, plain};
 use crate::page::Page;
-use crate::words::{clean, count, list};
+use crate::words::{clean, count, list, sentence};
 
 /// What such a log-likelihood is good for.
 pub(crate) const OF_ESTIMATES: &str = "This is the log-likelihood of what the filters made of the measurements. It compares with                             fits to the same estimates only, not with fits to the measurements.";
@@ -86,7 +86,7 @@ pub(crate) fn model_check(record: &FitRecord, checked: &ModelCheckRecord) -> Opt
         let has = |test: &TestRecord| if innovations { test.innovations.is_some() } else { test.p_value.is_some() };
         record.tests.iter().any(has)
     };
-    Some(match (checked.verdict.as_str(), looked_at(true), looked_at(false)) {
+    let said = match (checked.verdict.as_str(), looked_at(true), looked_at(false)) {
         ("doubtful", ..) => format!("Model check doubtful: {}.", findings.join("; ")),
         ("passed", true, true) => "Model check passed: innovations and tests agree with the model.".to_owned(),
         ("passed", true, false) => "Model check passed: the innovations agree with the model.".to_owned(),
@@ -94,7 +94,9 @@ pub(crate) fn model_check(record: &FitRecord, checked: &ModelCheckRecord) -> Opt
             "Model check passed: the tests agree with the population; there are no innovations to look at.".to_owned()
         }
         _ => "Model check not made: this record has no figures of single tests.".to_owned(),
-    })
+    };
+    let remarks = checked.remarks.iter().map(|remark| format!(" {}", sentence(&clean(&remark.text))));
+    Some(remarks.fold(said, |said, remark| said + &remark))
 }
 
 /// What the certificate lacks.

@@ -128,6 +128,51 @@ fn names_that_are_markup_stay_text() {
     }
 }
 
+/// Data of the charts of this kind.
+fn charts(page: &str, kind: &str) -> Vec<serde_json::Value> {
+    let data = body(page).split("id=\"charts\">").nth(1).and_then(|data| data.split("</script>").next());
+    let all: Vec<serde_json::Value> =
+        serde_json::from_str(data.expect("there are charts")).expect("the data of the charts are JSON");
+    all.into_iter().filter(|chart| chart["kind"] == kind).map(|chart| chart["data"].clone()).collect()
+}
+
+/// Twelve tests in groups that go round.
+fn grouped(groups: &[&str]) -> FitRecord {
+    let mut record = with_tests(12);
+    record.group_column = Some("lot".to_owned());
+    for (i, test) in record.tests.iter_mut().enumerate() {
+        test.group = Some(groups[i % groups.len()].to_owned());
+    }
+    record
+}
+
+#[test]
+fn tests_have_the_colour_of_their_group_in_every_chart() {
+    let page = html(&grouped(&["A", "B", "C"]));
+    for (kind, list) in [("posteriors", "tests"), ("ellipses", "tests"), ("quantiles", "points")] {
+        let found = charts(&page, kind);
+        assert_eq!(found.len(), 1, "{kind}");
+        assert_eq!(found[0]["groups"], serde_json::json!({ "column": "lot", "names": ["A", "B", "C"] }), "{kind}");
+        for test in found[0][list].as_array().expect("tests") {
+            let number: u64 = test["id"].as_str().unwrap()[1..].parse().unwrap();
+            assert_eq!(test["group"], number % 3, "{kind}: {test}");
+        }
+    }
+    assert!(text(&page).contains("Colours and shapes: tests by lot."));
+}
+
+#[test]
+fn groups_beyond_the_colours_share_one_and_one_group_has_none() {
+    let many = charts(&html(&grouped(&["A", "B", "C", "D", "E", "F", "G", "H"])), "posteriors").remove(0);
+    // twelve tests: A to D have two, the others one
+    assert_eq!(many["groups"]["names"], serde_json::json!(["A", "B", "C", "D", "E", "3 others"]));
+    let places: Vec<u64> =
+        many["tests"].as_array().unwrap().iter().map(|test| test["group"].as_u64().unwrap()).collect();
+    assert_eq!(places.iter().filter(|place| **place == 5).count(), 3, "{places:?}");
+    let one = html(&grouped(&["A"]));
+    assert!(charts(&one, "posteriors")[0]["groups"].is_null() && !text(&one).contains("Colours and shapes"));
+}
+
 #[test]
 fn nothing_is_loaded_and_only_the_two_scripts_may_run() {
     let page = html(&common::sleepstudy());

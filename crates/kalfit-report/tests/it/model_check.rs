@@ -68,14 +68,38 @@ fn no_green_box_stands_over_a_model_that_the_page_refutes() {
     this is a local maximum; no higher one was found.
     Model check doubtful: the innovations of all tests together are larger than the
     model allows; the innovations of 2 of 18 tests are improbable (size or
-    correlation in time); test 310 stands out of the population; test 308 by itself
-    decides much of the answer; Σ is singular.
+    correlation in time); test 310 stands out of the population. Test 308 by itself
+    decides much of the answer.
     ");
-    assert_eq!(kinds(&record).1, ["mean_square", "innovations", "distance", "influence", "singular"]);
+    assert_eq!(kinds(&record).1, ["mean_square", "innovations", "distance"]);
     let page = html(&record);
     assert!(page.contains("class=\"verdict fair\"") && !page.contains("class=\"verdict good\""));
     let painted = summary(&record, &Style { color: true, ..Style::default() });
     assert!(painted.contains("\u{1b}[1;33mConverged") && !painted.contains("\u{1b}[1;32m"), "{painted}");
+}
+
+#[test]
+fn neither_influence_nor_a_singular_covariance_speaks_against_a_model() {
+    let mut record = with(&[innovations(10, 9.0, 0.9, 0.5), innovations(10, 11.0, 0.7, 0.5)]);
+    record.tests[0].deletion = Some(DeletionRecord {
+        log_density: -50.0,
+        distance: Some(9.0),
+        p_value: Some(0.011),
+        displacement: 12.0,
+        phases: vec![],
+    });
+    record.phases[0].boundary = common::singular().phases[0].boundary.clone();
+    insta::assert_snapshot!(verdicts(&record), @"
+    Converged: the optimality certificate holds, so these are the maximum-likelihood
+    estimates on the boundary of the possible covariances. In the dynamic parameters
+    this is a local maximum; no higher one was found.
+    Model check passed: innovations and tests agree with the model. Test 308 by
+    itself decides much of the answer.
+    ");
+    let found = ModelCheckRecord::of(&record);
+    assert_eq!((kinds(&record), found.remarks.len()), (("passed".to_owned(), vec![]), 1), "{found:?}");
+    assert_eq!(found.remarks[0].kind, "influence");
+    assert!(html(&record).contains("class=\"verdict good\""));
 }
 
 #[test]

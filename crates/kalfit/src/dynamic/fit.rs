@@ -2,10 +2,12 @@
 
 use crate::dynamic::bench::Bench;
 use crate::dynamic::iterate::End;
-use crate::dynamic::{DynamicError, DynamicFit, OtherEnd, Settings, Standing, explore, search, start, twins};
+use crate::dynamic::{
+    DynamicError, DynamicFit, OtherEnd, Settings, Standing, explore, search, start, twins, unbounded,
+};
 use crate::ensemble::Labels;
 use crate::estimate::{Combination, FitError, Progress, Stage, Stop};
-use crate::model::{PhasedModel, Slots};
+use crate::model::{Model, PhasedModel, Slots};
 use crate::reduce::{Evidence, PhasedTest, grouping};
 use crate::score::dependences;
 
@@ -31,6 +33,7 @@ pub fn fit(
     let Some(at) = chosen(&ends) else {
         return Err(first_error.unwrap_or(DynamicError::Fit(FitError::NoTests)));
     };
+    let (at, vanishing) = unbounded::find(&bench, &ends, at).unwrap_or((at, Vec::new()));
     let best = ends.remove(at);
     ends.sort_by(|a, b| b.home.value().total_cmp(&a.home.value()));
     let other = |end: End| OtherEnd {
@@ -51,7 +54,7 @@ pub fn fit(
         reductions,
         estimate,
         certificate: best.certificate,
-        stop: best.stop,
+        stop: if vanishing.is_empty() { best.stop } else { Stop::Stalled },
         method: settings.method,
         trace: best.trace,
         filter_passes,
@@ -59,6 +62,7 @@ pub fn fit(
         passes,
         others,
         explored,
+        unbounded: vanishing.iter().map(|&s| name_of(model.shared(), labels, &slots, s)).collect(),
         joint: best.joint,
         standing: on_edges(&bench, best.standing),
         settings: settings.clone(),
@@ -83,6 +87,18 @@ fn searched(bench: &Bench<'_>, progress: &mut dyn Progress) -> Result<(Vec<End>,
         }
     }
     Ok((ends, first_error))
+}
+
+/// `` `tau` ``, or `` `sigma` for lot B ``.
+fn name_of(model: &Model, labels: &Labels, slots: &Slots, s: usize) -> String {
+    let slot = slots.slots()[s];
+    let parameter = &model.parameters[slot.parameter];
+    match (parameter.per, slot.level) {
+        (Some(column), Some(level)) => {
+            format!("`{}` for {} {}", parameter.name, model.text_columns[column].name, labels.text(level))
+        }
+        _ => format!("`{}`", parameter.name),
+    }
 }
 
 /// Covariances of noises, and levels beside known ones, at a bound of what is sought are at the edge of what they may be.

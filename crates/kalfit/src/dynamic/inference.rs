@@ -2,8 +2,9 @@
 
 use crate::dynamic::bench::Bench;
 use crate::dynamic::covariances::Covariances;
+use crate::dynamic::mixed::mixed;
 use crate::dynamic::{DynamicError, DynamicFit, ParameterInference, expected, interval, law, profile, sandwich, worth};
-use crate::estimate::{Criterion, Stop};
+use crate::estimate::{Criterion, JointLaw, Stop};
 use crate::infer::{Choices, Inference, IntervalKind, StdErrors, sensitivities};
 use crate::model::PhasedModel;
 use crate::reduce::PhasedTest;
@@ -24,7 +25,7 @@ pub fn infer(
     };
     let observed = spread(fit.joint.covariances());
     let mut estimate = fit.estimate.clone();
-    estimate.state.joint = Some(law::joint(model, fit, &observed));
+    estimate.state.joint = Some(JointLaw { mixed: mixed(&bench, fit, &observed), ..law::joint(model, fit, &observed) });
     // by profiles only once the maximum is certain
     let wald = Choices { intervals: IntervalKind::Wald, ..choices };
     let asked = match choices.std_errors {

@@ -23,7 +23,7 @@ const TRACE: f64 = 1e-6;
 const STRIDE: f64 = 3.0;
 
 /// Intervals of up to so many values are profiled; Wald's stand for those of more.
-const MOST_PROFILED: usize = 40;
+pub(crate) const MOST_PROFILED: usize = 40;
 
 /// Profile intervals in the place of Wald's, at values that the data determine and at those on a bound.
 pub(crate) fn profiles(

@@ -192,6 +192,11 @@ impl Joint {
         }
     }
 
+    /// No value that moves is of a single test.
+    pub(crate) fn is_of_shared_values(&self) -> bool {
+        self.private.is_empty()
+    }
+
     /// Values that are not of single tests.
     pub(crate) fn shared(&self) -> &[usize] {
         &self.shared

@@ -33,5 +33,6 @@ pub(crate) fn joint(model: &PhasedModel, fit: &DynamicFit, covariances: &Covaria
         covariance: DMatrix::from_fn(places.len(), places.len(), |i, j| covariances.whole[(places[i], places[j])]),
         moves: matrix(&moves),
         open: matrix(&open),
+        mixed: None,
     }
 }

@@ -26,6 +26,7 @@ mod iterate;
 mod joint;
 mod law;
 mod matrices;
+mod mixed;
 #[cfg(test)]
 mod phased_tests;
 mod profile;
@@ -44,6 +45,7 @@ mod tests;
 mod touching;
 mod tries;
 mod twins;
+mod unbounded;
 mod worth;
 mod zero;
 
@@ -51,6 +53,7 @@ pub(crate) use coordinates::Coordinate;
 pub use error::DynamicError;
 pub use fit::{fit, start_values};
 pub use inference::infer;
+pub(crate) use interval::MOST_PROFILED;
 pub use ratio::{DynamicRatioError, dynamic_bootstrap, dynamic_bootstrap_while, dynamic_ratio, started};
 pub use result::{DynamicFit, OtherEnd};
 pub use settings::{Method, Settings};

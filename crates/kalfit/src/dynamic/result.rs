@@ -39,6 +39,9 @@ pub struct DynamicFit {
     pub others: Vec<OtherEnd>,
     /// Other maxima were looked for from the best end.
     pub explored: bool,
+    /// Noise levels, by name, with which ℓ rises without bound as they go to zero together: the data fit the model exactly. Empty
+    /// where ℓ has a maximum.
+    pub unbounded: Vec<String>,
     /// Observed information of (α, μ, Σ).
     pub(crate) joint: Joint,
     /// Where each free value lies.

@@ -6,6 +6,10 @@ use crate::reduce::{Evidence, PhasedTest};
 
 /// Rows of one test that are looked at.
 const ROWS_OF_A_TEST: usize = 20_000;
+/// Measured values and what is worked out of them are exact to this part of their size.
+const ROUNDING: f64 = 1e-12;
+/// … and no smaller part of the size of their differences is asked for: squares of its inverse are numbers still.
+const SMALLEST: f64 = 1e-60;
 
 /// Sizes found in the data.
 pub(crate) struct Scales {
@@ -69,6 +73,17 @@ impl Scales {
     }
 }
 
+/// Rounding of the data, some thousand times that of a number, beside the sizes of their differences: the largest of all
+/// measurements.
+pub(super) fn relative_rounding(model: &PhasedModel, tests: &[PhasedTest], order: &[usize]) -> f64 {
+    let of_phase = |at: usize| {
+        let rows = phase_rows(tests, order, at);
+        let of = |column: usize| ROUNDING * size(&rows, column) / differences(&rows, column);
+        model.phases[at].model.measurements.iter().map(|m| of(m.column)).fold(0.0, f64::max)
+    };
+    (0..model.phases.len()).map(of_phase).fold(SMALLEST, f64::max)
+}
+
 /// The states of all phases.
 fn states(model: &PhasedModel) -> impl Iterator<Item = &State> {
     model.phases.iter().flat_map(|phase| &phase.model.states)
@@ -115,6 +130,13 @@ fn differences(tests: &[&Test], column: usize) -> f64 {
     }
     let size: f64 = if count > 0.0 { f64::sqrt(sum / count) } else { 0.0 };
     if size > 0.0 && size.is_finite() { size } else { 1.0 }
+}
+
+/// Root mean square of the values of a column.
+fn size(tests: &[&Test], column: usize) -> f64 {
+    let rows = tests.iter().flat_map(|test| (0..test.rows().min(ROWS_OF_A_TEST)).map(|row| test.numbers(row)[column]));
+    let (sum, count) = rows.filter(|x| !x.is_nan()).fold((0.0, 0.0), |(sum, n), x| (sum + x * x, n + 1.0));
+    if count > 0.0 { f64::sqrt(sum / count) } else { 0.0 }
 }
 
 fn median(mut list: Vec<f64>) -> Option<f64> {

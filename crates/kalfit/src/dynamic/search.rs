@@ -3,8 +3,8 @@
 use crate::dynamic::bench::Bench;
 use crate::dynamic::em::Em;
 use crate::dynamic::iterate::{DRIFT, End, LONGEST, NEAR_ENOUGH, RISE, Search, Start};
-use crate::dynamic::joint::{self, Joint};
-use crate::dynamic::{DynamicError, Method};
+use crate::dynamic::joint::{self, Joint, LEVEL_GROUND};
+use crate::dynamic::{DynamicError, Method, Standing};
 use crate::estimate::{Progress, Stop};
 
 /// A variance grows by no more than this factor at once.
@@ -20,6 +20,9 @@ const HARDLY: f64 = 1e-3;
 /// Steps along faint directions, in coordinates, and how often they are looked along.
 const LOOKS: [f64; 6] = [0.3, -0.3, 1.5, -1.5, 4.0, -4.0];
 const FAINT_LOOKS: usize = 3;
+
+/// A slope above this is one, with a curvature below [`LEVEL_GROUND`].
+const SLOPE: f64 = 1e-3;
 
 /// How a search goes on.
 enum Turn {
@@ -55,11 +58,23 @@ impl<'b, 'a> Search<'b, 'a> {
         let unseen = || (Joint::new(self.bench, &self.home, &vec![false; self.standing.len()], false), f64::NAN);
         let (joint, certificate) = last.unwrap_or_else(unseen);
         self.name_idle(&joint);
+        if stop == Stop::Certified && self.is_on_a_slope(&joint) {
+            stop = Stop::Stalled;
+        }
         if self.home.estimate.stop != Stop::Certified && stop != Stop::Interrupted {
             stop = self.home.estimate.stop;
         }
         let Search { home, standing, trace, before_zero, given_up, .. } = self;
         Ok(End { home, standing, joint, certificate, stop, trace, before_zero, given_up })
+    }
+
+    /// ℓ runs straight along a logarithm: no step of Newton's follows, yet there is no maximum.
+    pub(super) fn is_on_a_slope(&self, joint: &Joint) -> bool {
+        let straight = |s: usize| {
+            let moves = self.bench.coordinates[s].log && self.standing[s] == Standing::Inside && self.held != Some(s);
+            moves && self.home.gradient[s].abs() > SLOPE && joint.curvature(s).abs() < LEVEL_GROUND
+        };
+        (0..self.standing.len()).any(straight)
     }
 
     /// What to do where this is known; `fine` when it is by differences to both sides.

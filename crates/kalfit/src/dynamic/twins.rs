@@ -1,5 +1,6 @@
 //! Parts of a model that may change places: two processes of one kind that are measured alike. Exchanging their parameters changes
-//! nothing, so ends that differ by it are one end, and two that coincide are one process of their variances' sum.
+//! nothing, hidden states of theirs changing places as well, so ends that differ by it are one end, and two that coincide are one
+//! process of their variances' sum.
 
 use crate::dynamic::Coordinate;
 use crate::dynamic::scales::time_constants;
@@ -35,7 +36,14 @@ impl Twins {
             pairs.sort_by_key(|(s, _)| !constants.contains(&parameter(*s)));
             (!pairs.is_empty()).then_some(Twins { pairs })
         });
-        twins.collect()
+        let mut found: Vec<Twins> = Vec::new();
+        for twin in twins {
+            // hidden states of a pair are the pair once more
+            if !found.contains(&twin) {
+                found.push(twin);
+            }
+        }
+        found
     }
 
     /// Exchanges the two where they are not in order.
@@ -92,13 +100,19 @@ pub(crate) fn aligned(twins: &[Twins], values: &[f64], home: &[f64]) -> Vec<f64>
     values
 }
 
-/// The parameters that go over into each other as two states change places, if that changes nothing else.
+/// The parameters that go over into each other as two states change places, and with them the states that drive each of them alone, if
+/// that changes nothing else.
 fn exchanged(model: &Model, i: usize, j: usize) -> Option<Vec<(usize, usize)>> {
-    if [i, j].iter().any(|s| model.estimated.contains(s) || model.states[*s].initial == Initial::Estimated) {
+    let (mut states, mut pairs) = (vec![(i, j)], Vec::new());
+    let mut matched = 0;
+    while let Some(&(a, b)) = states.get(matched) {
+        match_states(&model.states[a], &model.states[b], &mut states, &mut pairs)?;
+        matched += 1;
+    }
+    let known = |s: usize| !model.estimated.contains(&s) && model.states[s].initial != Initial::Estimated;
+    if !states.iter().all(|&(a, b)| known(a) && known(b)) {
         return None;
     }
-    let mut pairs = Vec::new();
-    match_states(&model.states[i], &model.states[j], (i, j), &mut pairs)?;
     pairs.sort_unstable();
     pairs.dedup();
     let one_to_one = |(p, q): &(usize, usize)| pairs.iter().all(|(a, b)| (a == p) == (b == q) && (a != q) && (b != p));
@@ -107,40 +121,26 @@ fn exchanged(model: &Model, i: usize, j: usize) -> Option<Vec<(usize, usize)>> {
         p.is_free() && q.is_free() && p.per.is_none() && q.per.is_none() && (p.lower, p.upper) == (q.lower, q.upper)
     };
     let apart: Vec<(usize, usize)> = pairs.iter().copied().filter(|(p, q)| p != q).collect();
-    let swap = Swap { states: (i, j), parameters: &apart };
+    let swap = Swap { states: &states, parameters: &apart };
     (apart.iter().all(one_to_one) && apart.iter().all(alike) && swap.leaves(model)).then_some(apart)
 }
 
-/// Pairs of parameters at the same places of two states; `None` where the states are of different kinds.
-fn match_states(a: &State, b: &State, (i, j): (usize, usize), pairs: &mut Vec<(usize, usize)>) -> Option<()> {
-    let place = |state: usize| {
-        if state == i {
-            j
-        } else if state == j {
-            i
-        } else {
-            state
-        }
-    };
-    let mut forms = |a: &Linear, b: &Linear| -> Option<()> {
-        let mut other: Vec<&(usize, Expression)> = b.terms.iter().collect();
-        for (state, coefficient) in &a.terms {
-            let at = other.iter().position(|(of, _)| *of == place(*state))?;
-            match_expressions(coefficient, &other.remove(at).1, pairs)?;
-        }
-        other.is_empty().then_some(())?;
-        match_expressions(&a.constant, &b.constant, pairs)
-    };
+/// The state in whose place this one comes.
+fn place(states: &[(usize, usize)], state: usize) -> usize {
+    let other = |&(a, b): &(usize, usize)| if a == state { Some(b) } else { (b == state).then_some(a) };
+    states.iter().find_map(other).unwrap_or(state)
+}
+
+/// Pairs of parameters at the same places of two states, and of the states that drive one of them each; `None` where the states are of
+/// different kinds.
+fn match_states(a: &State, b: &State, states: &mut Vec<(usize, usize)>, pairs: &mut Vec<(usize, usize)>) -> Option<()> {
     match (&a.motion, &b.motion) {
         (
             Motion::Continuous { derivative: a, noise_variance: v },
             Motion::Continuous { derivative: b, noise_variance: w },
-        ) => {
-            forms(a, b)?;
-            match_expressions(v, w, pairs)?;
-        }
-        (Motion::Discrete { next: a, noise_variance: v }, Motion::Discrete { next: b, noise_variance: w }) => {
-            forms(a, b)?;
+        )
+        | (Motion::Discrete { next: a, noise_variance: v }, Motion::Discrete { next: b, noise_variance: w }) => {
+            match_forms(a, b, states, pairs)?;
             match_expressions(v, w, pairs)?;
         }
         _ => return None,
@@ -152,6 +152,33 @@ fn match_states(a: &State, b: &State, (i, j): (usize, usize), pairs: &mut Vec<(u
         }
         (a, b) => (a == b).then_some(()),
     }
+}
+
+/// The same of two linear forms. A state that only one of them has, and only one more is in the other, takes that one's place: the hidden
+/// rate of a process of second order, say.
+fn match_forms(
+    a: &Linear,
+    b: &Linear,
+    states: &mut Vec<(usize, usize)>,
+    pairs: &mut Vec<(usize, usize)>,
+) -> Option<()> {
+    let mut other: Vec<&(usize, Expression)> = b.terms.iter().collect();
+    let mut own: Vec<&(usize, Expression)> = Vec::new();
+    for term in &a.terms {
+        match other.iter().position(|(of, _)| *of == place(states, term.0)) {
+            Some(at) => match_expressions(&term.1, &other.remove(at).1, pairs)?,
+            None => own.push(term),
+        }
+    }
+    match (&own[..], &other[..]) {
+        ([], []) => {}
+        ([(s, x)], [(t, y)]) if place(states, *s) == *s && place(states, *t) == *t => {
+            states.push((*s, *t));
+            match_expressions(x, y, pairs)?;
+        }
+        _ => return None,
+    }
+    match_expressions(&a.constant, &b.constant, pairs)
 }
 
 fn match_expressions(a: &Expression, b: &Expression, pairs: &mut Vec<(usize, usize)>) -> Option<()> {
@@ -174,16 +201,17 @@ fn match_expressions(a: &Expression, b: &Expression, pairs: &mut Vec<(usize, usi
     Some(())
 }
 
-/// Two states and some parameters in each other's place.
+/// Some states and some parameters in each other's place.
 struct Swap<'a> {
-    states: (usize, usize),
+    states: &'a [(usize, usize)],
     parameters: &'a [(usize, usize)],
 }
 
 impl Swap<'_> {
     /// The exchange makes the same model of it.
     fn leaves(&self, model: &Model) -> bool {
-        let others = (0..model.states.len()).filter(|s| *s != self.states.0 && *s != self.states.1);
+        let moves = |s: usize| self.states.iter().any(|&(a, b)| a == s || b == s);
+        let others = (0..model.states.len()).filter(|s| !moves(*s));
         let state = |s: usize| {
             let state = &model.states[s];
             let motion = match &state.motion {
@@ -204,10 +232,7 @@ impl Swap<'_> {
                 && self.expression(&m.noise_variance) == m.noise_variance
                 && m.filter.as_ref().is_none_or(|filter| self.expression(filter) == *filter)
         };
-        let crossed = |(i, j, c): &(usize, usize, Expression)| {
-            let touches = [i, j].iter().any(|s| **s == self.states.0 || **s == self.states.1);
-            !touches && self.expression(c) == *c
-        };
+        let crossed = |(i, j, c): &(usize, usize, Expression)| !moves(*i) && !moves(*j) && self.expression(c) == *c;
         let uncrossed = |(_, _, c): &(usize, usize, Expression)| self.expression(c) == *c;
         let named = |entry: &Expression| self.expression(entry) == *entry;
         let matrices = match &model.covariance.kind {
@@ -227,13 +252,8 @@ impl Swap<'_> {
 
     /// A linear form stays the same.
     fn keeps(&self, form: &Linear) -> bool {
-        let place = |s: usize| match s {
-            s if s == self.states.0 => self.states.1,
-            s if s == self.states.1 => self.states.0,
-            s => s,
-        };
         let found = |(s, coefficient): &(usize, Expression)| {
-            let there = form.terms.iter().find(|(state, _)| *state == place(*s));
+            let there = form.terms.iter().find(|(state, _)| *state == place(self.states, *s));
             there.is_some_and(|(_, other)| self.expression(coefficient) == *other)
         };
         form.terms.iter().all(found) && self.expression(&form.constant) == form.constant
@@ -265,7 +285,7 @@ impl Swap<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::build::{Formula, constant, free, gauss_markov, measurement, name};
+    use crate::build::{Formula, constant, free, gauss_markov, gauss_markov_2, measurement, name};
 
     /// Two drifts, the second with this weight and noise level, and the values of tau, sigma, rest, spread.
     fn drifts(equation: Formula, level: Formula) -> (PhasedModel, Slots) {
@@ -300,6 +320,27 @@ mod tests {
             let (model, slots) = drifts(equation.clone(), level.clone());
             assert_eq!(Twins::of(&model, &slots), [], "{equation:?}, {level:?}");
         }
+    }
+
+    #[test]
+    fn processes_of_second_order_change_places_with_their_hidden_rates() {
+        let model = |equation: Formula, level: Formula| {
+            let model = crate::Model::builder("")
+                .time("t")
+                .state(constant("bias"))
+                .state(gauss_markov_2("one", "tau", "sigma"))
+                .state(gauss_markov_2("two", "rest", level))
+                .measurement(measurement("y", equation, "noise"));
+            let names = ["tau", "sigma", "rest", "spread", "noise"];
+            let model: PhasedModel =
+                names.into_iter().fold(model, |model, name| model.parameter(free(name))).build().unwrap();
+            let slots = Slots::new(model.shared(), &crate::Labels::default(), &[]);
+            Twins::of(&model, &slots)
+        };
+        let both = || name("bias") + name("one") + name("two");
+        assert_eq!(model(both(), name("spread")), [Twins { pairs: vec![(0, 2), (1, 3)] }]);
+        assert_eq!(model(name("bias") + name("one") + 2.0 * name("two"), name("spread")), []);
+        assert_eq!(model(both(), name("sigma") * name("spread")), []);
     }
 
     #[test]

@@ -271,6 +271,15 @@ impl State {
 }
 
 impl Elsewhere {
+    /// ∂ℓ/∂(μ in η, γ; σ pairs): of every element, whatever the structure holds.
+    pub(crate) fn scores(&self) -> DVector<f64> {
+        let of_sigma = self.problem.covariance.elements.pack_score(&self.sums.score());
+        DVector::from_iterator(
+            self.sums.mean_score.len() + of_sigma.len(),
+            self.sums.mean_score.iter().chain(of_sigma.iter()).copied(),
+        )
+    }
+
     /// The gradient along the tangent basis of the place it was taken from.
     pub(crate) fn gradient(&self, home: &State) -> DVector<f64> {
         home.along(&self.sums, &self.problem, &self.point)

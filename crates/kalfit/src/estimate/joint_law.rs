@@ -12,4 +12,15 @@ pub(crate) struct JointLaw {
     pub(crate) moves: DMatrix<f64>,
     /// The same of parameters that the data do not determine: what they move has no standard error.
     pub(crate) open: DMatrix<f64>,
+    /// What score tests of constraints want to know besides, where there are any and it was worked out.
+    pub(crate) mixed: Option<Mixed>,
+}
+
+/// How free values of α and every element of (μ, Σ) go together, elements that constraints hold among them.
+#[derive(Debug, Clone)]
+pub(crate) struct Mixed {
+    /// Covariance along the tangent basis, then of the coordinates of α.
+    pub(crate) covariance: DMatrix<f64>,
+    /// -∂²ℓ/∂α∂(μ in η, γ; σ pairs), a row for each coordinate of α.
+    pub(crate) information: DMatrix<f64>,
 }

@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-use crate::estimate::{Estimate, Form, State};
+use crate::estimate::{Estimate, Form, Mixed, State};
 use crate::infer::law::Law;
 use crate::linalg::elements::Element;
 use crate::linalg::symmetric::pair;
@@ -45,6 +45,13 @@ pub fn sensitivities(estimate: &Estimate) -> Vec<Sensitivity> {
         }
     }
     found
+}
+
+/// Some element is held by a constraint, so that there is something to test.
+pub(crate) fn holds_any(state: &State) -> bool {
+    let fixed = |element: &MeanElement| matches!(element, MeanElement::Fixed(_));
+    state.structure().elements().iter().any(fixed)
+        || state.problem.covariance.elements.all().any(|(i, j)| held(state, i, j).is_some())
 }
 
 /// How an element of Σ is held.
@@ -89,7 +96,8 @@ fn of_mean(state: &State, law: &Law<'_>, elements: &[MeanElement], (i, value): (
     let own = direction.dot(&(&local.mean_information * &direction));
     let mean = &local.mean_information * &direction;
     let sigma = local.cross.transpose() * &direction;
-    let test = score_test(score, own, &tangent_cross(state, &mean, &sigma), law, false);
+    let lost = lost(state, law, (&mean, &sigma), &|mixed| mixed.columns(0, direction.len()) * &direction);
+    let test = score_test(score, own, own - lost, false);
     Sensitivity { element: Element::Mean(i), value, sensitivity: score, ..test }
 }
 
@@ -105,20 +113,42 @@ fn of_covariance(estimate: &Estimate, law: &Law<'_>, (i, j): (usize, usize), hel
             Held::Form => places * local.score[(i, j)],
         };
     let k = state.problem.covariance.elements.index(i, j);
-    let mean = local.cross.column(k) * unit;
-    let sigma = local.information.column(k) * unit;
+    let mean: DVector<f64> = local.cross.column(k) * unit;
+    let sigma: DVector<f64> = local.information.column(k) * unit;
     let own = local.information[(k, k)] * unit * unit;
     let value = estimate.covariance[(i, j)];
     let zero = |s: usize| estimate.covariance[(s, s)] == 0.0;
     let alone = i == j || !(zero(i) || zero(j)); // a covariance beside a zero variance cannot be freed alone
     let one_sided = i == j && value == 0.0;
-    let test = score_test(score, own, &tangent_cross(state, &mean, &sigma), law, one_sided);
+    let column = local.mean_score.len() + k;
+    let lost = lost(state, law, (&mean, &sigma), &|mixed| mixed.column(column) * unit);
+    let test = score_test(score, own, own - lost, one_sided);
     let test = if alone && !matches!(state.problem.covariance.form_of(i), Form::Fixed(_)) {
         test
     } else {
         without_test(score)
     };
     Sensitivity { element: Element::Covariance(i, j), value, sensitivity: score, ..test }
+}
+
+/// I_ez I_zz⁻¹ I_ze: what of the information on an element is lost as the free coordinates adapt, those of α among them where the
+/// information of all is known. `sigma` and `mean` are the element's cross information, `of_alpha` takes the same from that of α.
+fn lost(
+    state: &State,
+    law: &Law<'_>,
+    (mean, sigma): (&DVector<f64>, &DVector<f64>),
+    of_alpha: &dyn Fn(&DMatrix<f64>) -> DVector<f64>,
+) -> f64 {
+    let along = tangent_cross(state, mean, sigma);
+    match state.joint.as_ref().and_then(|joint| joint.mixed.as_ref()) {
+        None => along.dot(&(law.coordinates() * &along)),
+        Some(Mixed { covariance, information }) => {
+            let beside = of_alpha(information);
+            let all = along.iter().chain(beside.iter()).copied();
+            let cross = DVector::from_iterator(along.len() + beside.len(), all);
+            cross.dot(&(covariance * &cross))
+        }
+    }
 }
 
 /// Cross information between an element and the free coordinates along the tangent basis.
@@ -131,9 +161,9 @@ fn tangent_cross(state: &State, mean: &DVector<f64>, sigma: &DVector<f64>) -> DV
     tangent.basis.transpose() * cross
 }
 
-/// s² / (I_ee - I_ez I_zz⁻¹ I_ze): the score of the element against its variance once the free coordinates have adapted.
-fn score_test(score: f64, own: f64, cross: &DVector<f64>, law: &Law<'_>, one_sided: bool) -> Sensitivity {
-    let information = own - cross.dot(&(law.coordinates() * cross));
+/// s² / (I_ee - I_ez I_zz⁻¹ I_ze): the score of the element against its variance once the free coordinates have adapted, which leaves
+/// this much of its own information.
+fn score_test(score: f64, own: f64, information: f64, one_sided: bool) -> Sensitivity {
     if information.is_nan() || information <= 1e-10 * own.abs() {
         return without_test(score);
     }

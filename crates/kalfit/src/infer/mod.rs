@@ -44,7 +44,7 @@ pub use ratio::{
 pub use reason::{Explanation, Reason};
 pub use std_errors::StdErrors;
 
-pub(crate) use constraint::is_held;
+pub(crate) use constraint::{holds_any, is_held};
 pub(crate) use held::Holder;
 pub(crate) use holdable::Holdable;
 pub(crate) use identifiability::directions;

@@ -146,8 +146,13 @@ pub fn shortage_notes(model: &PhasedModel, seen: &Observability) -> Vec<String> 
 
 /// `a`, `a and b`, `a, b and c`, each name in backticks.
 pub(super) fn list<'a>(names: impl ExactSizeIterator<Item = &'a str>, last: &str) -> String {
+    joined(names.map(|name| format!("`{name}`")), last)
+}
+
+/// The same of names as they are.
+pub(super) fn joined(names: impl ExactSizeIterator<Item = String>, last: &str) -> String {
     let all = names.len();
-    let mut shown: Vec<String> = names.take(MOST_NAMES).map(|name| format!("`{name}`")).collect();
+    let mut shown: Vec<String> = names.take(MOST_NAMES).collect();
     if all > MOST_NAMES {
         shown.push(format!("{} more", all - MOST_NAMES));
     }

@@ -1,13 +1,13 @@
 //! The record of a fit with free dynamic parameters.
 
-use crate::dynamic::{DynamicFit, Method, ParameterInference, Standing};
+use crate::dynamic::{DynamicFit, MOST_PROFILED, Method, ParameterInference, Standing};
 use crate::ensemble::Labels;
 use crate::estimate::{Criterion, Stop};
-use crate::infer::Inference;
+use crate::infer::{Inference, IntervalKind};
 use crate::model::{Model, Parameter, PhasedModel};
 use crate::record::build;
-use crate::record::diagnosis::list;
-use crate::record::parameters::{self, MethodRecord, StartRecord, meaning};
+use crate::record::diagnosis::{joined, list};
+use crate::record::parameters::{self, MethodRecord, StartRecord, ZERO, meaning};
 use crate::record::{FitRecord, Provenance};
 
 /// Two searches whose log-likelihoods differ by no more than this ended equally high.
@@ -20,6 +20,12 @@ const MANY_RUNS: usize = 300;
 /// Said of ensembles that are too large to look around in.
 const NOT_EXPLORED: &str =
     "other maxima were not looked for beyond these starts, as one search takes long: `--starts` adds more";
+
+/// How an upper limit of what is estimated as zero is had.
+const LIMIT: &str = "; `--intervals profile` gives the upper limit";
+
+/// What to do where ℓ has no maximum.
+const EXACT: &str = "data without noise cannot tell a noise level: give it a fixed value or a `lower` bound, or see whether the data were rounded, repeated or made without noise";
 
 /// A fit of α, μ and Σ and what was inferred from it.
 #[derive(Debug, Clone, Copy)]
@@ -61,7 +67,7 @@ impl FitRecord {
         record.solver.trace = fit.trace.clone();
         record.starts = StartRecord::all(fit);
         let mut notes = if record.converged { standing_notes(parts) } else { Vec::new() };
-        notes.extend(start_notes(parts));
+        notes.extend(if fit.unbounded.is_empty() { start_notes(parts) } else { vec![EXACT.to_owned()] });
         if record.converged && !fit.explored && fit.slots.len() > 1 {
             notes.push(NOT_EXPLORED.to_owned());
         }
@@ -132,6 +138,13 @@ fn reason(fit: &DynamicFit) -> String {
     if n == 0 {
         return inner;
     }
+    if !fit.unbounded.is_empty() {
+        let named = joined(fit.unbounded.iter().cloned(), "and");
+        let go = if fit.unbounded.len() == 1 { "goes to zero" } else { "go to zero together" };
+        return format!(
+            "the log-likelihood has no maximum: it rises without bound as {named} {go}, because the data fit the model exactly"
+        );
+    }
     let (far, what) = (fit.certificate, if n == 1 { "the dynamic parameter" } else { "the dynamic parameters" });
     match (fit.stop, fit.estimate.stop) {
         (Stop::Certified, Stop::Certified) => format!(
@@ -156,6 +169,7 @@ fn reason(fit: &DynamicFit) -> String {
 /// What stands at a limit, one sentence for each parameter and limit.
 fn standing_notes(parts: &DynamicParts<'_>) -> Vec<String> {
     let mut notes = Vec::new();
+    let unlimited = parts.inference.intervals.kind == IntervalKind::Wald && parts.fit.slots.len() <= MOST_PROFILED;
     for (index, parameter) in parts.model.shared().parameters.iter().enumerate() {
         let mut seen: Vec<(&'static str, Vec<String>)> = Vec::new();
         for ((slot, value), found) in parts.fit.slots.slots().iter().zip(&parts.fit.values).zip(parts.parameters) {
@@ -170,7 +184,8 @@ fn standing_notes(parts: &DynamicParts<'_>) -> Vec<String> {
             }
         }
         let sentence = |(meaning, levels): &(&str, Vec<String>)| {
-            format!("{} is {}", whose(parts.model.shared(), parameter, levels), meaning)
+            let how = if unlimited && *meaning == ZERO { LIMIT } else { "" };
+            format!("{} is {meaning}{how}", whose(parts.model.shared(), parameter, levels))
         };
         notes.extend(seen.iter().map(sentence));
         notes.extend(idle_note(parts, index));

@@ -1,11 +1,14 @@
 //! Does the model describe the data, as far as the fit's own figures tell: what to know before its estimates are used.
+//!
+//! What the data contradict is a doubt. That one test decides much of the answer is none: small ensembles of a right model have such
+//! tests, so it is a remark. Nor is a singular Σ, which the fit says in its first sentence and among its limits.
 
 use std::cmp::Ordering;
 
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-use crate::record::{FitRecord, InnovationRecord, PhaseRecord, TestRecord};
+use crate::record::{FitRecord, InnovationRecord, TestRecord};
 
 /// Level of each search over all tests, not of each test.
 pub const SEARCH_LEVEL: f64 = 0.05;
@@ -14,20 +17,23 @@ const OVERALL: f64 = 0.001_35;
 /// A mean square below one speaks against the model only when there are so many innovations for each free quantity.
 const PER_FREE: usize = 10;
 
-/// What the innovations, the distances of the tests, the fits without each of them and Σ say of the model. Each search over tests
+/// What the innovations, the distances of the tests and the fits without each of them say of the model. Each search over tests
 /// accuses a model that is right in 5 % of ensembles.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ModelCheckRecord {
     /// `passed`, `doubtful` or `not checked`.
     pub verdict: String,
-    /// What speaks against the model or limits what it says; empty unless `doubtful`.
+    /// What speaks against the model; empty unless `doubtful`.
     pub findings: Vec<FindingRecord>,
+    /// What limits the answer and does not speak against the model.
+    #[serde(default)]
+    pub remarks: Vec<FindingRecord>,
 }
 
-/// One thing that speaks against a model, or that limits what it says.
+/// One thing that speaks against a model, or that limits its answer.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FindingRecord {
-    /// `innovations`, `mean_square`, `distance`, `influence` or `singular`.
+    /// Of findings `innovations`, `mean_square` or `distance`; of remarks `influence`.
     pub kind: String,
     /// In words, without a full stop.
     pub text: String,
@@ -39,19 +45,18 @@ impl ModelCheckRecord {
     pub fn of(record: &FitRecord) -> ModelCheckRecord {
         let looked_at = !innovation_p_values(record).is_empty() || record.tests.iter().any(|t| t.p_value.is_some());
         if !record.converged || !looked_at {
-            return ModelCheckRecord { verdict: "not checked".to_owned(), findings: Vec::new() };
+            return ModelCheckRecord { verdict: "not checked".to_owned(), findings: vec![], remarks: vec![] };
         }
         let found = [
             ("mean_square", mean_square(record)),
             ("innovations", innovations(record)),
             ("distance", distances(record)),
-            ("influence", influence(record)),
-            ("singular", singular(&record.phases)),
         ];
-        let finding = |(kind, text): (&str, Option<String>)| Some(FindingRecord { kind: kind.to_owned(), text: text? });
-        let findings: Vec<FindingRecord> = found.into_iter().filter_map(finding).collect();
+        let one = |(kind, text): (&str, Option<String>)| Some(FindingRecord { kind: kind.to_owned(), text: text? });
+        let findings: Vec<FindingRecord> = found.into_iter().filter_map(one).collect();
+        let remarks = one(("influence", influence(record))).into_iter().collect();
         let verdict = if findings.is_empty() { "passed" } else { "doubtful" };
-        ModelCheckRecord { verdict: verdict.to_owned(), findings }
+        ModelCheckRecord { verdict: verdict.to_owned(), findings, remarks }
     }
 
     /// Something speaks against the model.
@@ -164,15 +169,5 @@ fn influence(record: &FitRecord) -> Option<String> {
         [] => None,
         [only] => Some(format!("test {only} by itself decides much of the answer")),
         _ => Some(format!("each of {} tests by itself decides much of the answer", deciding.len())),
-    }
-}
-
-fn singular(phases: &[PhaseRecord]) -> Option<String> {
-    let bound: Vec<&str> = phases.iter().filter(|p| !p.boundary.is_empty()).map(|p| &*p.name).collect();
-    match (bound.len(), phases.len()) {
-        (0, _) => None,
-        (_, 1) => Some("Σ is singular".to_owned()),
-        (1, _) => Some(format!("Σ of phase {} is singular", bound[0])),
-        (n, _) => Some(format!("Σ of {n} phases is singular")),
     }
 }

@@ -167,11 +167,14 @@ fn standing_word(standing: Standing) -> &'static str {
     }
 }
 
+/// Of a value at a lower bound of zero.
+pub(super) const ZERO: &str = "estimated as zero: the data show no sign of it";
+
 /// What a standing means for the value itself.
 pub(super) fn meaning(standing: Standing, value: f64) -> Option<&'static str> {
     match standing {
         Standing::Inside => None,
-        Standing::Lower if value == 0.0 => Some("estimated as zero: the data show no sign of it"),
+        Standing::Lower if value == 0.0 => Some(ZERO),
         Standing::Lower => Some("at its lower bound: the data would have it lower"),
         Standing::Vanishing => Some(
             "as good as zero: the data would have it at zero, where a measurement would be exact, so it was left a little above",

@@ -180,6 +180,54 @@ fn errors_beside_a_parameter_in_the_matrix_of_the_covariance_are_joint() {
     }
 }
 
+/// What the dense likelihood says of the score test of element `held` of (μ_a, μ_b, Σ_aa, Σ_ab, Σ_bb, log s), all others adapting:
+/// score, statistic and expected change; and the statistic without what the element shares with s.
+fn dense_score_test(all: &dyn Fn(&[f64]) -> f64, at: &[f64], held: usize) -> [f64; 4] {
+    let information = information(all, at);
+    let score = gradient(all, at)[held];
+    let free: Vec<usize> = (0..at.len()).filter(|&k| k != held).collect();
+    let law = information.select_rows(&free).select_columns(&free).try_inverse().expect("regular");
+    let cross = DVector::from_iterator(free.len(), free.iter().map(|&k| information[(k, held)]));
+    let own = information[(held, held)];
+    let left = own - cross.dot(&(&law * &cross));
+    let apart = DVector::from_iterator(
+        free.len(),
+        free.iter().map(|&k| if k == 5 { 0.0 } else { cross[k - usize::from(k > held)] }),
+    );
+    let without = own - apart.dot(&(&law * &apart));
+    [score, score * score / left, score / left, score * score / without]
+}
+
+#[test]
+fn score_tests_of_constraints_let_free_parameters_adapt() {
+    let root = DMatrix::from_row_slice(2, 2, &[0.5, 0.0, 0.2, 0.3]);
+    let tests = drawn(14, &[1.0, -0.5], &root, 0.5, 21);
+    let cases = [
+        ("covariance", lines(2).diagonal(), "covariance[a, b]", 3),
+        ("variance", lines(2).fix_covariance("a", "a", 0.1), "covariance[a, a]", 2),
+        ("mean", lines(2).fix_mean("b", -0.4), "mean[b]", 1),
+    ];
+    let mut shared: f64 = 0.0;
+    for (what, model, element, held) in cases {
+        let fit = fitted(&model.build().expect("a model"), &tests, IntervalKind::Wald, StdErrors::Observed);
+        let (mean, sigma) = (&fit.record.phases[0].mean.estimate, &fit.estimate.covariance);
+        let s = fit.record.parameters[0].estimate;
+        let at = [mean[0], mean[1], sigma[(0, 0)], sigma[(1, 0)], sigma[(1, 1)], s.ln()];
+        let all = |t: &[f64]| {
+            let sigma = DMatrix::from_row_slice(2, 2, &[t[2], t[3], t[3], t[4]]);
+            tests.iter().map(|rows| dense(rows, &t[..2], &sigma, t[5].exp())).sum::<f64>()
+        };
+        let found = fit.record.constraints.iter().find(|c| c.element == element).expect("it is held");
+        let [score, statistic, change, without] = dense_score_test(&all, &at, held);
+        close(found.sensitivity, score, 1e-5, &format!("{what}: sensitivity"));
+        close(found.score_statistic, statistic, 1e-5, &format!("{what}: statistic"));
+        close(found.expected_change, change, 1e-5, &format!("{what}: expected change"));
+        println!("{what}: statistic {statistic}, without what it shares with the noise level {without}");
+        shared = shared.max((without / statistic - 1.0).abs());
+    }
+    assert!(shared > 1e-3, "no test shows that the noise level counts: {shared}");
+}
+
 /// Twice the fall of ℓ at the end of an interval, by a fit with the quantity held there, is χ²₁'s quantile.
 fn ends_where_a_held_fit_says(
     best: &Fit,

@@ -50,12 +50,16 @@ const remarks = (tests, { own, beyond }) => {
   return said.join(" ");
 };
 
-const outlined = (look, test) => ({
-  symbol: test.out ? "diamond" : "circle",
-  symbolSize: test.out ? 11 : 6,
-  itemStyle: { color: test.out ? look.out : look.mark },
+const outlined = (look, groups, test) => ({
+  symbol: testLook(look, groups, test).symbol,
+  symbolSize: test.out ? 11 : groups ? 7 : 6,
+  itemStyle: { color: testLook(look, groups, test).color },
   label: { show: test.out, formatter: shorten(test.id, 16), position: "right", color: look.ink, fontSize: 11 },
 });
+
+const alone = (look, borderColor) => ({ color: look.paper, borderColor, borderWidth: 1.5 });
+const unfilled = (look, groups, test) =>
+  groups ? { symbol: groupSymbol(groups, test), itemStyle: alone(look, groupColor(look, groups, test)) } : {};
 
 const layers = (data, look, found, [half, wide]) => {
   const contour = (name, points, type) => ({
@@ -72,22 +76,23 @@ const layers = (data, look, found, [half, wide]) => {
     { type: "custom", silent: true, data: found.threads, encode: { x: [0, 2], y: [1, 3] }, clip: true, renderItem: thread },
     { id: "error", type: "line", data: [], symbol: "none", silent: true, lineStyle: { color: look.out, width: 1, type: "dotted" } },
     {
-      type: "scatter", name: "alone", data: found.own, symbol: "circle", symbolSize: 8,
-      itemStyle: { color: look.paper, borderColor: look.series[1], borderWidth: 1.5 },
+      type: "scatter", name: "alone", symbol: "circle", symbolSize: 8, itemStyle: alone(look, data.groups ? look.soft : look.series[1]),
+      data: found.own.map((point) => ({ ...point, ...unfilled(look, data.groups, data.tests[point.j]) })),
     },
     {
-      type: "scatter", name: "given", itemStyle: { color: look.mark },
-      data: found.given.map((point) => ({ ...point, ...outlined(look, data.tests[point.j]) })),
+      type: "scatter", name: "given", itemStyle: { color: data.groups ? look.soft : look.mark },
+      data: found.given.map((point) => ({ ...point, ...outlined(look, data.groups, data.tests[point.j]) })),
     },
   ];
 };
 
-const legendOf = (look) => {
+const legendOf = (look, groups) => {
   const words = look.narrow ? { alone: "alone", given: "given all" } : { alone: "test by itself", given: "given the population" };
   return {
     top: 0, left: 0, itemWidth: 16, selectedMode: false, textStyle: { color: look.ink },
-    data: look.narrow ? ["95 %", "alone", "given"] : ["50 %", "95 %", "alone", "given"],
-    formatter: (name) => words[name] || name,
+    ...(groups ? { right: 90, type: "scroll", pageTextStyle: { color: look.soft } } : {}),
+    data: [...(look.narrow ? ["95 %", "alone", "given"] : ["50 %", "95 %", "alone", "given"]), ...groupNames(groups)],
+    formatter: (name) => words[name] || shorten(name, 24),
   };
 };
 
@@ -113,7 +118,7 @@ kinds.ellipses = {
     };
     const shared = common(look, {});
     const tip = ({ seriesName, data: { j }, value: [x, y] }) =>
-      `<b>${safe(data.tests[j].id)}</b>, ${seriesName === "alone" ? "by itself" : "given the population"}<br>` +
+      `<b>${safe(data.tests[j].id)}</b>${inGroup(data.groups, data.tests[j])}, ${seriesName === "alone" ? "by itself" : "given the population"}<br>` +
       `${safe(data.states[chosen[0]])} ${number(x)}<br>${safe(data.states[chosen[1]])} ${number(y)}`;
     const own = (j) => chosen.map((i) => data.tests[j].own[i]);
     return {
@@ -126,12 +131,12 @@ kinds.ellipses = {
       },
       option: {
         ...shared,
-        legend: legendOf(look),
+        legend: legendOf(look, data.groups),
         grid: { left: look.narrow ? 64 : 78, right: 20, top: 36, bottom: 48, outerBoundsMode: "none" },
         xAxis: edge(0),
         yAxis: edge(1),
         dataZoom: [wheel({ xAxisIndex: 0 }), wheel({ yAxisIndex: 0 })],
-        series: layers(data, look, found, contours),
+        series: [...layers(data, look, found, contours), ...groupSeries(look, data.groups)],
         tooltip: { ...shared.tooltip, formatter: tip },
       },
     };

@@ -11,11 +11,13 @@ kinds.sizes = {
       high: test.high,
       thick: 6,
       out: known(test.low) && (test.ratio < test.low || test.ratio > test.high),
+      group: test.group,
     }));
     return {
       height: 360,
       option: {
         ...common(look, {}),
+        ...groupLegend(look, data.groups),
         grid: testGrid,
         xAxis: testAxis(
           look,
@@ -23,12 +25,15 @@ kinds.sizes = {
         ),
         yAxis: numbers(look, "mean square", { nameGap: 44, type: log ? "log" : "value", scale: false, min: log ? floor : 0 }),
         dataZoom: [wheel({ xAxisIndex: 0 })],
-        series: [whiskers(look, items, { markLine: dashed(look, [{ yAxis: 1 }], "") })],
+        series: [
+          whiskers(look, items, { groups: data.groups, markLine: dashed(look, [{ yAxis: 1 }], "") }),
+          ...groupSeries(look, data.groups),
+        ],
         tooltip: {
           ...common(look).tooltip,
           formatter: (hit) => {
             const t = data.tests[hit.dataIndex];
-            return `<b>${safe(t.id)}</b><br>mean square ${number(t.ratio)} of ${t.n}<br>95 % bounds ${number(t.low, 3)} to ${number(t.high, 3)}<br>p-value ${safe(t.p)}`;
+            return `<b>${safe(t.id)}</b>${inGroup(data.groups, t)}<br>mean square ${number(t.ratio)} of ${t.n}<br>95 % bounds ${number(t.low, 3)} to ${number(t.high, 3)}<br>p-value ${safe(t.p)}`;
           },
         },
       },

@@ -1,6 +1,6 @@
 // Tests among the others.
 // Estimates with error bars over an axis of tests.
-const whiskers = (look, items, more = {}) => ({
+const whiskers = (look, items, { groups, ...more } = {}) => ({
   type: "custom",
   clip: true,
   encode: { x: 0, y: [1, 2, 3] },
@@ -10,9 +10,9 @@ const whiskers = (look, items, more = {}) => ({
     const [x, y] = api.coord([api.value(0), api.value(1)]);
     const low = api.coord([api.value(0), api.value(2)])[1],
       high = api.coord([api.value(0), api.value(3)])[1];
-    const color = item.out ? look.out : look.mark;
-    const mark = item.out ? diamond(x, y, 6, color, look.paper) : dot(x, y, 3.2, color, color);
-    return { type: "group", children: [line(x, low, x, high, item.thick ? look.pale : color, item.thick || 1.3), mark] };
+    const drawn = testLook(look, groups, item);
+    const bar = line(x, low, x, high, item.thick ? look.pale : drawn.color, item.thick || 1.3);
+    return { type: "group", children: [bar, drawnMark(look, drawn, x, y)] };
   },
   ...more,
 });
@@ -38,6 +38,7 @@ kinds.posteriors = {
       low: test.mean[s] - 1.96 * test.sd[s],
       high: test.mean[s] + 1.96 * test.sd[s],
       out: test.out,
+      group: test.group,
     }));
     const [mean, half] = [data.mean[s], 1.96 * data.sd[s]];
     const drawn = known(mean) && known(half);
@@ -51,6 +52,7 @@ kinds.posteriors = {
       height: 380,
       option: {
         ...common(look, {}),
+        ...groupLegend(look, data.groups),
         grid: testGrid,
         xAxis: testAxis(
           look,
@@ -65,17 +67,19 @@ kinds.posteriors = {
         dataZoom: [wheel({ xAxisIndex: 0 })],
         series: [
           whiskers(look, items, {
+            groups: data.groups,
             markArea:
               drawn && half > 0
                 ? { silent: true, itemStyle: { color: look.band }, data: [[{ yAxis: mean - half }, { yAxis: mean + half }]] }
                 : undefined,
             markLine: drawn ? dashed(look, [{ yAxis: mean }], "") : undefined,
           }),
+          ...groupSeries(look, data.groups),
         ],
         tooltip: {
           ...common(look).tooltip,
           formatter: (hit) =>
-            `<b>${safe(tests[hit.dataIndex].id)}</b><br>${safe(data.states[s])} ${number(tests[hit.dataIndex].mean[s])} ± ${number(tests[hit.dataIndex].sd[s], 2)}`,
+            `<b>${safe(tests[hit.dataIndex].id)}</b>${inGroup(data.groups, tests[hit.dataIndex])}<br>${safe(data.states[s])} ${number(tests[hit.dataIndex].mean[s])} ± ${number(tests[hit.dataIndex].sd[s], 2)}`,
         },
       },
     };
@@ -92,6 +96,7 @@ kinds.quantiles = {
       note: beyond ? `${beyond} tests with p-values below 1e−30 are drawn at the top.` : "",
       option: {
         ...common(look, {}),
+        ...groupLegend(look, data.groups),
         grid: { left: 56, right: 20, top: ABOVE, bottom: 48, outerBoundsMode: "none" },
         xAxis: numbers(look, look.narrow ? "−log₁₀ p expected" : "−log₁₀ p expected of the tests in order", {
           scale: false,
@@ -123,19 +128,20 @@ kinds.quantiles = {
             symbolSize: 7,
             data: data.points.map((p) => ({
               value: [p.x, Math.min(p.y, 30)],
-              symbol: p.out ? "diamond" : "circle",
+              symbol: testLook(look, data.groups, p).symbol,
               symbolSize: p.out ? 11 : 7,
-              itemStyle: { color: p.out ? look.out : look.mark },
+              itemStyle: { color: testLook(look, data.groups, p).color },
               label: { show: p.out, formatter: shorten(p.id, 16), position: "left", color: look.ink, fontSize: 11 },
             })),
             markLine: dashed(look, [{ yAxis: data.limit }], "stands out above", {
               label: { position: "insideStartTop", color: look.soft, fontSize: 11, formatter: "stands out above" },
             }),
           },
+          ...groupSeries(look, data.groups),
         ],
         tooltip: {
           ...common(look).tooltip,
-          formatter: (hit) => `<b>${safe(data.points[hit.dataIndex].id)}</b><br>p-value ${safe(data.points[hit.dataIndex].p)}`,
+          formatter: (hit) => `<b>${safe(data.points[hit.dataIndex].id)}</b>${inGroup(data.groups, data.points[hit.dataIndex])}<br>p-value ${safe(data.points[hit.dataIndex].p)}`,
         },
       },
     };

@@ -118,6 +118,9 @@ impl<'b, 'a> Em<'b, 'a> {
         }
         let (last, mut stop) = ended.unwrap_or_else(|| (self.look(true), Stop::PassLimit));
         self.search.name_idle(&last.joint);
+        if stop == Stop::Certified && self.search.is_on_a_slope(&last.joint) {
+            stop = Stop::Stalled;
+        }
         let Search { home, standing, trace, before_zero, .. } = self.search;
         if home.estimate.stop != Stop::Certified && stop != Stop::Interrupted {
             stop = home.estimate.stop;
