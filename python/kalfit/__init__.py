@@ -11,14 +11,15 @@ Gyros on two bench stations
 from kalfit._arrays import Ensemble
 from kalfit._data import Data, Table, TableLike
 from kalfit._fit import Fit, GroupFit, Interrupted, Level, Parameter, Parameters, Phase, TestFit
-from kalfit._jobs import check, estimates, fit, plan, reduce, simulate, test
+from kalfit._jobs import apply, check, estimates, fit, plan, reduce, simulate, test
 from kalfit._kalfit import DataError, Error, FitError, ModelError, version
 from kalfit._model import Model, ModelLike
-from kalfit._results import Check, Plan, RatioTest, Simulation
+from kalfit._results import Applied, Check, Plan, RatioTest, Simulation
 
 __version__ = version()
 
 __all__ = [
+    "Applied",
     "Check",
     "Data",
     "DataError",
@@ -42,6 +43,7 @@ __all__ = [
     "TableLike",
     "TestFit",
     "__version__",
+    "apply",
     "check",
     "estimates",
     "fit",

@@ -12,9 +12,9 @@ from kalfit._arrays import Ensemble
 from kalfit._data import Data, Table, as_data
 from kalfit._fit import Fit, Interrupted
 from kalfit._model import Model, ModelLike, Path, as_model, assignments
-from kalfit._results import Check, Plan, RatioTest, Simulation
+from kalfit._results import Applied, Check, Plan, RatioTest, Simulation
 
-__all__ = ["check", "estimates", "fit", "plan", "reduce", "simulate", "test"]
+__all__ = ["apply", "check", "estimates", "fit", "plan", "reduce", "simulate", "test"]
 
 Set = Union[Mapping[str, float], Sequence[str], None]
 Progress = Union[bool, Callable[[str], object]]
@@ -228,6 +228,40 @@ def simulate(
         _how(threads, progress),
     )
     return Simulation(_table(data), _table(states), (count, rows), column, notes)
+
+
+def apply(
+    model: ModelLike,
+    data: Data,
+    source: Fit | ModelLike,
+    *,
+    states: Literal["smoothed", "filtered", "predicted"] | None = None,
+    set: Set = None,
+    out: Path | None = None,
+    states_out: Path | None = None,
+    threads: int | None = None,
+    progress: Progress = False,
+) -> Applied:
+    """Applies a fitted model to tests, old or new: all parameters are taken from ``source``, and nothing is estimated.
+
+    ``source`` is a fit, its file, or a model with values. What each test says is in ``.tests`` of the result, unless ``out``
+    names a file for it. With ``states`` the states of every test at every step are in ``.states``, unless ``states_out`` names a
+    file for them: ``"smoothed"`` from all of the test, ``"filtered"`` from what was measured up to the step, ``"predicted"``
+    from what was measured before it.
+
+    >>> import kalfit
+    >>> model, data = "examples/gyro-bench/bench.toml", "examples/gyro-bench/bench.csv"
+    >>> fit = kalfit.fit(model, data)
+    >>> applied = kalfit.apply(model, data, fit)
+    >>> len(applied.tests), abs(applied.log_density - fit.log_likelihood) < 1e-9 * abs(fit.log_likelihood)
+    (28, True)
+    """
+    if states_out is not None and states is None:
+        raise ValueError("states_out names a file for states, but states is None: say which ones")
+    made, tests, along, notes = _kalfit.apply(
+        _model(model, set), as_data(data), _source(source), states, (_file(out), _file(states_out)), _how(threads, progress)
+    )
+    return Applied(made, notes, _table(tests), _table(along))
 
 
 def plan(

@@ -8,7 +8,7 @@ from typing import Any
 from kalfit import _kalfit
 from kalfit._data import Table
 
-__all__ = ["Check", "Plan", "RatioTest", "Simulation"]
+__all__ = ["Applied", "Check", "Plan", "RatioTest", "Simulation"]
 
 
 class _Record:
@@ -60,6 +60,27 @@ class RatioTest(_Record):
 
     def __repr__(self) -> str:
         return f"<kalfit.RatioTest: statistic {self.statistic:.4g}, p-value {self.p_value}>"
+
+
+class Applied(_Record):
+    """A fitted model that was applied to tests."""
+
+    def __init__(self, json_text: str, notes: list[str], tests: Table | None, states: Table | None) -> None:
+        super().__init__(json_text, notes)
+        record = self.to_dict()
+        #: Log density of all that was measured.
+        self.log_density: float = float(record["log_density"])
+        #: What each test says, a row for each phase; None when it went to a file.
+        self.tests = tests
+        #: States at every step, and what they say of each measured value; None when they went to a file or were not asked for.
+        self.states = states
+
+    def summary(self, width: int = 80, color: bool = False) -> str:
+        """What the model says of all tests, in words and tables, as ``kalfit apply`` prints it."""
+        return _kalfit.applied_summary(self._json, width, color)
+
+    def __repr__(self) -> str:
+        return f"<kalfit.Applied: {self.to_dict()['tests']} tests, log density {self.log_density:.6g}>"
 
 
 class Plan(_Record):

@@ -47,6 +47,23 @@ def test_a_plan_is_the_command_s(command, tmp_path):
         kalfit.plan(BENCH[0], fit, BENCH[1], [])
 
 
+def test_a_fit_is_applied_as_the_command_applies_it(command, tmp_path):
+    fit = kalfit.fit(*BENCH, out=tmp_path / "fit.json")
+    arguments = ("apply", *BENCH, "--from", str(tmp_path / "fit.json"), "--states", str(tmp_path / "s.csv"), "--kind", "filtered")
+    path = command(*arguments, out="tests.csv")
+    found = kalfit.apply(*BENCH, fit, states="filtered")
+    assert found.tests.to_pandas().equals(pandas.read_csv(path))
+    assert found.states.to_pandas().equals(pandas.read_csv(tmp_path / "s.csv"))
+    assert found.log_density == pytest.approx(fit.log_likelihood, rel=1e-12)
+    assert "are of this population" in found.summary() and "28 tests" in repr(found)
+    written = kalfit.apply(*BENCH, fit, out=tmp_path / "w.csv")
+    assert written.tests is None and written.states is None and (tmp_path / "w.csv").read_text() == path.read_text()
+    with pytest.raises(ValueError, match="states_out"):
+        kalfit.apply(*BENCH, fit, states_out=tmp_path / "w.csv")
+    with pytest.raises(ValueError, match="states is"):
+        kalfit.apply(*BENCH, fit, states="guessed")
+
+
 def test_an_ensemble_is_drawn_as_the_command_draws_it(command, tmp_path):
     fit = kalfit.fit(*BENCH, out=tmp_path / "fit.json")
     arguments = ("simulate", BENCH[0], "--from", str(tmp_path / "fit.json"), "--design", BENCH[1], "--seed", "7")

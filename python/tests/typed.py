@@ -24,6 +24,7 @@ words: str = kalfit.check(model, table).summary(width=100)
 drawn = kalfit.simulate(model, fit, table, seed=1, tests=5)
 rows: int = drawn.rows
 kalfit.plan(model, fit, table, [10, 20]).to_dict()
+kalfit.apply(model, table, fit, states="smoothed").summary()
 ensemble = kalfit.Ensemble.from_arrays(np.zeros((3, 2, 1)), observation=[[1.0]], noise=[[0.1]])
 kalfit.fit(ensemble).save("fit.json")
 try:

@@ -247,8 +247,8 @@ impl From<ApplyArgs> for ApplyJob {
             model: args.model.into(),
             data: data(args.data),
             from: args.from.into(),
-            out: args.out,
-            states: args.states,
+            tests: args.out.into(),
+            states: args.states.into(),
             kind: match args.kind.unwrap_or(KindArg::Smoothed) {
                 KindArg::Smoothed => StateKind::Smoothed,
                 KindArg::Filtered => StateKind::Filtered,

@@ -35,7 +35,7 @@ pub(crate) fn plan(job: &PlanJob, quiet: bool) -> Result<Outcome, Ended> {
 
 pub(crate) fn apply(job: &ApplyJob, quiet: bool) -> Result<Outcome, Ended> {
     let Done { record, notes, written } = watched(quiet, |line| kalfit_job::apply(job, line))?;
-    tell(quiet, &notes, || applied_summary(&record, &terminal::style()), written)?;
+    tell(quiet, &notes, || applied_summary(&record.record, &terminal::style()), written)?;
     Ok(Outcome::Done)
 }
 

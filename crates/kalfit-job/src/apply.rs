@@ -1,6 +1,8 @@
 //! Applying a fitted model to tests: `kalfit apply`.
 
+use std::fs::File;
 use std::io::{BufWriter, Write};
+use std::path::Path;
 
 use kalfit::apply::{Applied, ApplyError, PhaseStates, Said, StateKind};
 use kalfit::record::AppliedRecord;
@@ -10,8 +12,8 @@ use kalfit_spec::Spec;
 
 use crate::evidence::Given;
 use crate::failure::Failure;
-use crate::job::{ApplyJob, Done, files};
-use crate::output::{Output, Pending};
+use crate::job::{AppliedModel, ApplyJob, Done, TableTo, files};
+use crate::output::Target;
 use crate::work::{Watch, Work};
 use crate::{model, tests, truth};
 
@@ -22,15 +24,15 @@ const BATCH_ROWS: usize = 200_000;
 ///
 /// # Errors
 /// Bad input, or [`Failure::Interrupted`].
-pub fn apply(job: &ApplyJob, watch: &mut dyn Watch) -> Result<Done<AppliedRecord>, Failure> {
+pub fn apply(job: &ApplyJob, watch: &mut dyn Watch) -> Result<Done<AppliedModel>, Failure> {
     let mut spec = model::read(&job.model.document)?;
     let truth = truth::load(&mut spec, &job.from, &job.model.set)?;
     let given = Given::open(&mut spec, &job.data)?;
     let used = files(&[&job.model.document, &job.from], &given.inputs);
-    let out = job.out.as_deref().map(|path| Table::prepare(path, &used)).transpose()?;
-    let along = job.states.as_deref().map(|path| Table::prepare(path, &used)).transpose()?;
-    if let (Some(out), Some(along)) = (&out, &along) {
-        out.output.refuse_same(Some(&along.output))?;
+    let [out, along] = [&job.tests, &job.states].map(|to| Table::prepare(to, &used));
+    let (out, along) = (out?, along?);
+    if let (Some(out), Some(Table { target: Target::Named(along), .. })) = (&out, &along) {
+        out.target.refuse_same(Some(along))?;
     }
     let mut work = Work::new(watch);
     let (tests, reading) = tests::read(&spec, &given, &mut work)?;
@@ -43,11 +45,11 @@ pub fn apply(job: &ApplyJob, watch: &mut dyn Watch) -> Result<Done<AppliedRecord
     let outermost = spec.model.levels.first().map(|level| level.name.as_str());
     let record = AppliedRecord::new(&spec.model.shared().title, job.from.name(), &tests, &said, outermost);
     let task = Task { spec: &spec, applied: &applied, tests: &tests, reading: &reading };
-    let out = out.map(|table| task.tests(&table, &said).map(|()| table)).transpose()?;
-    let along = along.map(|table| task.states(&table, job.kind, &mut work).map(|()| table)).transpose()?;
-    let written = [out, along].into_iter().flatten().map(|table| table.output.name()).collect();
+    let of_tests = out.as_ref().map_or(Ok(None), |table| task.tests(table, &said))?;
+    let states = along.as_ref().map_or(Ok(None), |table| task.states(table, job.kind, &mut work))?;
+    let written = [out, along].into_iter().flatten().filter_map(|table| table.target.name()).collect();
     let notes = given.notes.into_iter().chain(truth.warnings).collect();
-    Ok(Done { record, notes, written })
+    Ok(Done { record: AppliedModel { record, tests: of_tests, states }, notes, written })
 }
 
 fn refused(error: ApplyError, reading: &Reading) -> Failure {
@@ -60,35 +62,41 @@ fn refused(error: ApplyError, reading: &Reading) -> Failure {
 
 /// A table that will be written.
 struct Table {
-    output: Output,
+    target: Target,
     format: Format,
 }
 
-type Writer<'a> = TableWriter<BufWriter<&'a std::fs::File>>;
+type Writer<'a> = TableWriter<BufWriter<&'a File>>;
 
 impl Table {
-    fn prepare(path: &std::path::Path, used: &[&std::path::Path]) -> Result<Table, Failure> {
-        let format = Format::of(path).map_err(|error| failed(error, path.display().to_string()))?;
-        Ok(Table { output: Output::prepare(path, used)?, format })
+    fn prepare(to: &TableTo, used: &[&Path]) -> Result<Option<Table>, Failure> {
+        let (path, format) = match to {
+            TableTo::Nowhere => return Ok(None),
+            TableTo::Back => (None, Format::Arrow),
+            TableTo::File(path) => {
+                let format = Format::of(path).map_err(|error| failed(error, path.display().to_string()))?;
+                (Some(path.as_path()), format)
+            }
+        };
+        Ok(Some(Table { target: Target::prepare(path, used)?, format }))
     }
 
-    /// Writes it whole, or not at all.
+    /// Writes it whole, or not at all; the file itself where it has no name.
     fn write(
         &self,
         columns: &[(String, CellKind)],
         rows: impl FnOnce(&mut Writer<'_>) -> Result<(), Failure>,
-    ) -> Result<(), Failure> {
-        let pending: Pending<'_> = self.output.begin()?;
-        let refused = |error: WriteError| failed(error, self.output.name());
-        let mut writer = TableWriter::new(columns, self.format, BufWriter::new(pending.file())).map_err(refused)?;
+    ) -> Result<Option<File>, Failure> {
+        let pending = self.target.begin()?;
+        let mut writer =
+            TableWriter::new(columns, self.format, BufWriter::new(pending.file())).map_err(self.failed())?;
         rows(&mut writer)?;
-        writer.finish().and_then(|mut sink| Ok(sink.flush()?)).map_err(refused)?;
-        pending.finish()?;
-        Ok(())
+        writer.finish().and_then(|mut sink| Ok(sink.flush()?)).map_err(self.failed())?;
+        Ok(pending.finish()?)
     }
 
     fn failed(&self) -> impl Fn(WriteError) -> Failure {
-        move |error| failed(error, self.output.name())
+        move |error| failed(error, self.target.name().unwrap_or_default())
     }
 }
 
@@ -123,7 +131,7 @@ impl Task<'_> {
     }
 
     /// A row for each phase of each test.
-    fn tests(&self, table: &Table, said: &Said) -> Result<(), Failure> {
+    fn tests(&self, table: &Table, said: &Said) -> Result<Option<File>, Failure> {
         let names = self.estimated();
         let numbers = ["log_density", "distance"].map(|name| (name.to_owned(), CellKind::Number));
         let of =
@@ -133,7 +141,8 @@ impl Task<'_> {
         columns.push(("degrees_of_freedom".to_owned(), CellKind::Count));
         columns.push(("p_value".to_owned(), CellKind::Number));
         columns.push(("observations".to_owned(), CellKind::Count));
-        columns.extend(["nis", "nis_p_value"].map(|name| (name.to_owned(), CellKind::Number)));
+        columns.extend(["nis", "nis_p_value", "residual"].map(|name| (name.to_owned(), CellKind::Number)));
+        columns.push(("residual_degrees_of_freedom".to_owned(), CellKind::Count));
         columns.extend(of("mean").into_iter().chain(of("std_dev")));
         table.write(&columns, |writer| {
             for number in 0..self.tests.len() {
@@ -151,6 +160,7 @@ impl Task<'_> {
         let model = &self.model().phases[phase];
         let number_or = |x: Option<f64>| x.map_or(Cell::Missing, Cell::Number);
         let summary = said.innovations[number].as_ref().map(|own| &own.summary);
+        let residual = said.residual(number);
         let mut cells = vec![
             Cell::Text(&test.id),
             Cell::Text(&model.name),
@@ -161,6 +171,8 @@ impl Task<'_> {
             summary.map_or(Cell::Missing, |own| Cell::Count(own.count)),
             number_or(summary.map(|own| own.nis)),
             number_or(summary.and_then(|own| own.upper_tail)),
+            number_or(residual.map(|own| own.0)),
+            residual.map_or(Cell::Missing, |own| Cell::Count(own.1)),
         ];
         let (own, first) = (model.model.estimated_names(), self.model().ranges()[phase].start);
         let place = |name: &String| own.iter().position(|other| other == name);
@@ -172,7 +184,7 @@ impl Task<'_> {
     }
 
     /// A row for each state at each step, and for each measured value.
-    fn states(&self, table: &Table, kind: StateKind, work: &mut Work<'_>) -> Result<(), Failure> {
+    fn states(&self, table: &Table, kind: StateKind, work: &mut Work<'_>) -> Result<Option<File>, Failure> {
         let text = |name: &str| (name.to_owned(), CellKind::Text);
         let number = |name: &str| (name.to_owned(), CellKind::Number);
         let columns = [

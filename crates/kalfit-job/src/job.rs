@@ -7,6 +7,7 @@ use kalfit::apply::StateKind;
 use kalfit::dynamic::{self, Method};
 use kalfit::estimate::Settings;
 use kalfit::infer::{Bootstrap, Choices};
+use kalfit::record::AppliedRecord;
 use kalfit_data::{Datum, Input};
 
 use crate::document::Document;
@@ -153,12 +154,41 @@ pub struct ApplyJob {
     pub data: Vec<Datum>,
     /// Where all parameters come from: results of a fit, or a model.
     pub from: Document,
-    /// File for a table of the tests.
-    pub out: Option<PathBuf>,
-    /// File for a table of the states at every step.
-    pub states: Option<PathBuf>,
+    /// Where a table of the tests goes.
+    pub tests: TableTo,
+    /// Where a table of the states at every step goes.
+    pub states: TableTo,
     /// What is known of the states when they are told.
     pub kind: StateKind,
+}
+
+/// Where a table goes.
+#[derive(Debug, Clone, Default)]
+pub enum TableTo {
+    /// It is not made.
+    #[default]
+    Nowhere,
+    /// It is handed back.
+    Back,
+    /// To a file.
+    File(PathBuf),
+}
+
+impl From<Option<PathBuf>> for TableTo {
+    fn from(path: Option<PathBuf>) -> TableTo {
+        path.map_or(TableTo::Nowhere, TableTo::File)
+    }
+}
+
+/// A fitted model that was applied.
+#[derive(Debug)]
+pub struct AppliedModel {
+    /// What it says of all tests.
+    pub record: AppliedRecord,
+    /// The table of the tests as an Arrow IPC file without a name, where it is handed back.
+    pub tests: Option<File>,
+    /// That of the states.
+    pub states: Option<File>,
 }
 
 /// Make the report of a fit from its results.

@@ -57,8 +57,8 @@ pub use estimates::estimates;
 pub use failure::{Failure, Place, Source};
 pub use fit::fit;
 pub use job::{
-    ApplyJob, CheckJob, Done, ExchangeJob, Exchanged, FitJob, ModelJob, PlanJob, ReportJob, SimulateJob, Simulated,
-    TestJob,
+    AppliedModel, ApplyJob, CheckJob, Done, ExchangeJob, Exchanged, FitJob, ModelJob, PlanJob, ReportJob, SimulateJob,
+    Simulated, TableTo, TestJob,
 };
 pub use model::read as read_model;
 pub use output::{Contents, OutputError, abandon};

@@ -1,11 +1,14 @@
 //! The jobs of the command, one function each. Notes are what the user should know beside the results.
 
+use std::fs::File;
 use std::path::PathBuf;
 
+use kalfit::apply::StateKind;
 use kalfit::estimate::Solver;
 use kalfit::infer::Bootstrap;
 use kalfit_job::{
-    CheckJob, Done, ExchangeJob, Exchanged, Failure, FitJob, PlanJob, SimulateJob, Simulated, TestJob, Watch,
+    AppliedModel, ApplyJob, CheckJob, Done, ExchangeJob, Exchanged, Failure, FitJob, PlanJob, SimulateJob, Simulated,
+    TableTo, TestJob, Watch,
 };
 use kalfit_report::{Style, check_summary};
 use pyo3::exceptions::PyKeyboardInterrupt;
@@ -91,6 +94,38 @@ pub(crate) fn plan(
     let job = PlanJob { model: model.into(), from: from.into(), design: data(design)?, tests, groups, out };
     let done = whole(run(py, how, move |watch| kalfit_job::plan(&job, watch))?)?;
     Ok((written(&done.record)?, done.notes))
+}
+
+/// (JSON of the results, table of the tests, that of the states, notes); tables that went to files are not handed back.
+type Applied = (String, Option<Table>, Option<Table>, Vec<String>);
+
+/// Applies a fitted model to tests. `states`: what those are known from, if they are wanted.
+#[pyfunction]
+pub(crate) fn apply(
+    py: Python<'_>,
+    model: Asked,
+    given: Vec<Given<'_>>,
+    from: Text,
+    states: Option<&str>,
+    files: (Option<PathBuf>, Option<PathBuf>),
+    how: How<'_>,
+) -> PyResult<Applied> {
+    let kinds =
+        [("smoothed", StateKind::Smoothed), ("filtered", StateKind::Filtered), ("predicted", StateKind::Predicted)];
+    let kind = states.map(|kind| pick("states", kind, &kinds)).transpose()?;
+    let to = |file: Option<PathBuf>| file.map_or(TableTo::Back, TableTo::File);
+    let job = ApplyJob {
+        model: model.into(),
+        data: data(given)?,
+        from: from.into(),
+        tests: to(files.0),
+        states: kind.map_or(TableTo::Nowhere, |_| to(files.1)),
+        kind: kind.unwrap_or(StateKind::Smoothed),
+    };
+    let done = whole(run(py, how, move |watch| kalfit_job::apply(&job, watch))?)?;
+    let AppliedModel { record, tests, states } = done.record;
+    let table = |file: Option<File>| file.map(Table::ipc).transpose();
+    Ok((written(&record)?, table(tests)?, table(states)?, done.notes))
 }
 
 /// (the table unless it went to a file, number of tests, of rows, the true initial states unless the table went to a file, the

@@ -19,9 +19,9 @@ mod _kalfit {
     #[pymodule_export]
     use crate::fit::Results;
     #[pymodule_export]
-    use crate::jobs::{check, exchange, fit, plan, simulate, test};
+    use crate::jobs::{apply, check, exchange, fit, plan, simulate, test};
     #[pymodule_export]
     use crate::table::Table;
     #[pymodule_export]
-    use crate::text::{describe, plan_summary, ratio_summary, read_model, version};
+    use crate::text::{applied_summary, describe, plan_summary, ratio_summary, read_model, version};
 }

@@ -1,8 +1,7 @@
 //! Models and results as texts: read, checked, summed up.
 
 use kalfit::TestKey;
-use kalfit::record::PlanRecord;
-use kalfit::record::RatioRecord;
+use kalfit::record::{AppliedRecord, PlanRecord, RatioRecord};
 use kalfit_job::Document;
 use kalfit_report::Style;
 use pyo3::exceptions::PyValueError;
@@ -47,6 +46,12 @@ pub(crate) fn describe(model: Text) -> PyResult<Description> {
 #[pyfunction]
 pub(crate) fn ratio_summary(json: &str, width: usize, color: bool) -> PyResult<String> {
     Ok(kalfit_report::ratio_summary(&read::<RatioRecord>(json)?, &Style { width, color }))
+}
+
+/// Summary of the JSON of a fitted model that was applied.
+#[pyfunction]
+pub(crate) fn applied_summary(json: &str, width: usize, color: bool) -> PyResult<String> {
+    Ok(kalfit_report::applied_summary(&read::<AppliedRecord>(json)?, &Style { width, color }))
 }
 
 /// Summary of the JSON of a plan.

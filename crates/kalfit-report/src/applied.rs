@@ -30,21 +30,26 @@ pub fn applied_summary(record: &AppliedRecord, style: &Style) -> String {
     sections.join("\n")
 }
 
-/// The first sentence: what all of it comes to.
+/// What all of it comes to, in a sentence or two.
 fn verdict(record: &AppliedRecord) -> String {
-    let doubtful = |joint: &Option<JointRecord>| joint.and_then(|own| own.p_value).is_some_and(|p| p < DOUBTFUL);
-    let far = !record.outlying.is_empty() || !record.unlikely.is_empty();
-    match (doubtful(&Some(record.distance)), doubtful(&record.innovations)) {
-        (true, true) => {
-            "The tests are not of this population, and the model does not describe their records.".to_owned()
-        }
-        (true, false) => "The tests are not of this population: their initial states do not have its law.".to_owned(),
-        (false, true) => {
-            "The model does not describe the records of these tests: innovations do not have their law.".to_owned()
-        }
-        (false, false) if far => "As a whole the tests are of this population; some of them stand out.".to_owned(),
-        (false, false) => "The tests are of this population, as far as they can tell.".to_owned(),
+    let doubtful = |joint: &JointRecord| joint.p_value.is_some_and(|p| p < DOUBTFUL);
+    let first = match (doubtful(&record.distance), doubtful(&record.residual)) {
+        (true, true) => "The tests are not of this population, and the model does not describe their records.",
+        (true, false) => "The tests are not of this population: their initial states do not have its law.",
+        (false, true) => "The model does not describe the records of these tests: residuals do not have their law.",
+        (false, false) => "As a whole the tests are of this population, as far as they can tell.",
+    };
+    let mut sentences = vec![first.to_owned()];
+    if !record.outlying.is_empty() {
+        sentences.push(format!("The initial state of {} stands out.", count(record.outlying.len(), "test")));
     }
+    if !record.unlikely.is_empty() {
+        sentences.push(format!(
+            "The residuals of {} are larger than the model allows.",
+            count(record.unlikely.len(), "test")
+        ));
+    }
+    sentences.join(" ")
 }
 
 fn together(record: &AppliedRecord) -> Vec<String> {
@@ -59,15 +64,18 @@ fn together(record: &AppliedRecord) -> Vec<String> {
         0 => "Initial states: the tests say nothing of them.".to_owned(),
         _ => format!("Initial states: squared distances of the {whose} from the population {}", sum(&record.distance)),
     });
-    if let Some(innovations) = &record.innovations {
-        items.push(format!("Innovations: squares of the standardised ones {}", sum(innovations)));
+    if record.residual.degrees_of_freedom > 0 {
+        items.push(format!(
+            "Residuals: squares of what the measured values are off the model, whatever the initial states are, {}",
+            sum(&record.residual)
+        ));
     }
     if let Some(far) = record.furthest.as_ref().filter(|_| record.outlying.is_empty()) {
         items.push(format!(
-            "The test furthest from the population is `{}`: p = {} by itself, {} as the furthest of {}.",
+            "The test furthest from the population is `{}`: {} by itself, {} as the furthest of {}.",
             clean(&far.test),
-            probability(far.p_value),
-            probability(far.p_corrected),
+            p_is(far.p_value),
+            p_is(far.p_corrected),
             record.tests
         ));
     }
@@ -77,7 +85,7 @@ fn together(record: &AppliedRecord) -> Vec<String> {
 /// `add up to 45.2, expected 40 ± 8.9 (chi-squared with 40 degrees of freedom): p = 0.53.`
 fn sum(joint: &JointRecord) -> String {
     let degrees = joint.degrees_of_freedom;
-    let p = joint.p_value.map_or("unknown".to_owned(), probability);
+    let p = joint.p_value.map_or("p unknown".to_owned(), p_is);
     let spread = plain((2.0 * degrees as f64).sqrt(), 2);
     let squared = plain(joint.squared, 4);
     format!(
@@ -86,9 +94,15 @@ fn sum(joint: &JointRecord) -> String {
     )
 }
 
+/// `p = 0.03`, `p < 1e-10`.
+fn p_is(p: f64) -> String {
+    let shown = probability(p);
+    if shown.starts_with('<') { format!("p {shown}") } else { format!("p = {shown}") }
+}
+
 fn far(record: &AppliedRecord, page: &Page<'_>) -> String {
     let outlying = record.outlying.iter().map(|one| (one, "initial state"));
-    let all: Vec<(&FarRecord, &str)> = outlying.chain(record.unlikely.iter().map(|one| (one, "innovations"))).collect();
+    let all: Vec<(&FarRecord, &str)> = outlying.chain(record.unlikely.iter().map(|one| (one, "residuals"))).collect();
     if all.is_empty() {
         return String::new();
     }
@@ -106,7 +120,7 @@ fn far(record: &AppliedRecord, page: &Page<'_>) -> String {
     ]);
     match all.len() - shown.len() {
         0 => table,
-        more => table + &page.paragraph(&format!("And {} more.", count(more, "entry").replace("entrys", "entries"))),
+        more => table + &page.paragraph(&format!("And {more} more.")),
     }
 }
 
@@ -119,7 +133,7 @@ fn notes(record: &AppliedRecord) -> Vec<String> {
     ];
     if record.of != "test" {
         notes.push(format!(
-            "Tests of one group of `{}` are not independent: their sums are those of the groups.",
+            "Tests of one group of `{}` are not independent: distances are added up by groups.",
             clean(&record.of)
         ));
     }

@@ -1,5 +1,6 @@
 //! The built command, run as a user runs it.
 
+mod apply;
 mod broken;
 mod check;
 mod dynamic;

@@ -159,8 +159,24 @@ fn what_tests_say_is_that_of_the_joint_gaussian() {
     near("log density", own.log_likelihood, innovations.log_likelihood);
     let verdict = said.verdict();
     near("of all", verdict.log_density, own.log_likelihood);
-    near("squares", verdict.innovations.expect("there are some").squared, innovations.summary.nis);
+    near("squares", verdict.residual.squared + verdict.distance.squared, innovations.summary.nis);
+    assert_eq!(verdict.residual.degrees_of_freedom, Dense::new().seen.len() - 2);
     assert_eq!(verdict.distance.degrees_of_freedom, 2);
+}
+
+/// With any other initial state for the same noise, what is left of the innovations is the same.
+#[test]
+fn the_residual_does_not_depend_on_the_population() {
+    let model = states((0.0, START), true).build().expect("a model");
+    let (alpha, tests) = (Alpha::default(), [cells(&model, 0..TIMES.len())]);
+    let other = Population { mean: vec![7.0, -4.0], covariance: DMatrix::identity(2, 2) * 0.2, ..population() };
+    let residual = |population: &Population| {
+        let said = Applied::new(&model, &alpha, population, &tests).and_then(|applied| applied.said());
+        said.expect("it applies").residual(0).expect("rows were filtered")
+    };
+    let (found, expected) = (residual(&other), residual(&population()));
+    near("squares", found.0, expected.0);
+    assert_eq!(found.1, expected.1);
 }
 
 /// Cut where two rows have one time, a record is two phases, the second of which goes on where the first ended.

@@ -12,8 +12,8 @@ pub struct Verdict {
     pub log_density: f64,
     /// Distances of the tests' initial states from the population, or of the groups of the outermost level.
     pub distance: Joint,
-    /// Squares of the standardised innovations; `None` where no measurement is known.
-    pub innovations: Option<Joint>,
+    /// What measured values are off the model whatever the initial states are; without degrees of freedom where nothing was measured.
+    pub residual: Joint,
 }
 
 /// A sum of squares and its law.
@@ -42,6 +42,13 @@ impl Joint {
 }
 
 impl Said {
+    /// What the measured values of a test are off the model whatever its initial state is: the sum of squares of its innovations less its
+    /// distance from the population. The two are independent, also where tests stand in groups. `None` where measurements are not known.
+    pub fn residual(&self, test: usize) -> Option<(f64, usize)> {
+        let (own, distance) = (&self.innovations[test].as_ref()?.summary, &self.posteriors[test].distance);
+        Some(((own.nis - distance.squared).max(0.0), own.count.saturating_sub(distance.degrees_of_freedom)))
+    }
+
     /// All tests together.
     pub fn verdict(&self) -> Verdict {
         // tests of one group are not independent: the groups of the outermost level are
@@ -53,14 +60,8 @@ impl Said {
             Some(groups) => groups.iter().map(|group| group.log_likelihood).sum(),
             None => self.posteriors.iter().map(|test| test.log_likelihood).sum(),
         };
-        let summaries: Vec<_> = self.innovations.iter().flatten().map(|one| &one.summary).collect();
-        let seen: usize = summaries.iter().map(|summary| summary.count).sum();
-        let squares: f64 = summaries.iter().map(|summary| summary.nis).sum();
-        Verdict {
-            log_density,
-            distance,
-            // squares of innovations of tests in groups are those of each test by itself: they are not independent
-            innovations: (seen > 0 && self.groups.is_empty()).then(|| Joint::new(squares, seen)),
-        }
+        let residuals = (0..self.posteriors.len()).filter_map(|test| self.residual(test));
+        let (squared, degrees) = residuals.fold((0.0, 0), |(sum, count), own| (sum + own.0, count + own.1));
+        Verdict { log_density, distance, residual: Joint::new(squared, degrees) }
     }
 }

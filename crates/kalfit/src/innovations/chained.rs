@@ -36,6 +36,9 @@ pub(crate) struct Room {
     plain: Vec<Waiting>,
 }
 
+/// Takes the rows of a phase, by its place, into the law of its σ.
+pub(crate) type Take<'a> = dyn FnMut((usize, &Test), &Gains, &mut Workspace, &mut Law) + 'a;
+
 impl Chained {
     /// `initial` is of the shape of the model.
     pub(crate) fn new(model: &PhasedModel, alpha: &Alpha, initial: &Population) -> Result<Chained, ReduceError> {
@@ -119,7 +122,7 @@ impl Chained {
         &self,
         whole: &PhasedTest,
         work: &mut PhasedWork,
-        take: &mut dyn FnMut((usize, &Test), &Gains, &mut Workspace, &mut Law),
+        take: &mut Take<'_>,
     ) -> Result<f64, ReduceError> {
         let mut rest = 0.0;
         let mut before: Option<After> = None;
@@ -143,7 +146,7 @@ impl Chained {
         (at, rows): (usize, &Test),
         (work, cells): (&mut Workspace, &mut Cells),
         before: Option<&After>,
-        take: &mut dyn FnMut((usize, &Test), &Gains, &mut Workspace, &mut Law),
+        take: &mut Take<'_>,
     ) -> Result<After, ReduceError> {
         let (start, phase) = (&self.phases[at], &self.reducer.phases()[at]);
         let link = before.map(|before| Ok((before, phase.inherited(rows, cells)?))).transpose()?;

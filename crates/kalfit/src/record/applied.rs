@@ -1,6 +1,7 @@
 //! What a fitted model says of tests, all of them together.
 
 use serde::{Deserialize, Serialize};
+use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::apply::{Joint, Said, Verdict};
 use crate::record::holm;
@@ -23,13 +24,13 @@ pub struct AppliedRecord {
     pub distance: JointRecord,
     /// What the sum is over: `test`, or the outermost level of groups.
     pub of: String,
-    /// Squares of the standardised innovations; null for tests in groups, which are not independent, and where nothing is known of them.
-    pub innovations: Option<JointRecord>,
+    /// What measured values are off the model whatever the initial states are: squares of the innovations less the tests' own distances.
+    pub residual: JointRecord,
     /// Of the test furthest from the population.
     pub furthest: Option<FarRecord>,
     /// Tests that stand out at 5 % after correction for their number, the furthest first.
     pub outlying: Vec<FarRecord>,
-    /// Tests whose innovations are improbable at 5 % after correction for their number.
+    /// Tests whose residuals are larger than the model allows, at 5 % after correction for their number.
     pub unlikely: Vec<FarRecord>,
 }
 
@@ -71,26 +72,28 @@ impl From<Joint> for JointRecord {
 impl AppliedRecord {
     /// Of tests under the model of a title. `outermost`: name of the outermost level of groups.
     pub fn new(title: &str, from: String, tests: &[PhasedTest], said: &Said, outermost: Option<&str>) -> AppliedRecord {
-        let Verdict { log_density, distance, innovations, .. } = said.verdict();
+        let Verdict { log_density, distance, residual } = said.verdict();
         let distances = said.posteriors.iter().map(|test| &test.distance);
         let distances = distances.map(|own| (own.squared, own.degrees_of_freedom, own.p_value));
         let far = ranked(tests, distances);
-        let summaries = said.innovations.iter().map(|own| own.as_ref().map(|own| &own.summary));
-        let squares =
-            summaries.clone().map(|own| own.map_or((0.0, 0, None), |own| (own.nis, own.count, own.upper_tail)));
+        let seen = said.innovations.iter().flatten().map(|own| own.summary.count).sum();
+        let residuals = (0..tests.len()).map(|test| {
+            let (squared, degrees) = said.residual(test).unwrap_or_default();
+            (squared, degrees, ChiSquared::new(degrees as f64).ok().map(|law| law.sf(squared)))
+        });
         let stands_out = |one: &FarRecord| one.p_corrected < LEVEL;
         AppliedRecord {
             title: title.to_owned(),
             from,
             tests: tests.len(),
-            observations: summaries.flatten().map(|own| own.count).sum(),
+            observations: seen,
             log_density,
             distance: distance.into(),
             of: outermost.unwrap_or("test").to_owned(),
-            innovations: innovations.map(JointRecord::from),
+            residual: residual.into(),
             outlying: far.iter().take_while(|one| stands_out(one)).cloned().collect(),
             furthest: far.into_iter().next(),
-            unlikely: ranked(tests, squares).into_iter().take_while(stands_out).collect(),
+            unlikely: ranked(tests, residuals).into_iter().take_while(stands_out).collect(),
         }
     }
 }

@@ -1,0 +1,197 @@
+//! `kalfit apply` through the built command.
+
+#![expect(clippy::unwrap_used, reason = "a test that cannot be set up must fail")]
+
+use std::collections::HashMap;
+
+use insta::assert_snapshot;
+use kalfit::FitRecord;
+
+use crate::folder::{Folder, shown};
+
+const MODEL: &str = r#"
+title = "Wandering gyros"
+
+[data]
+test = "unit"
+time = "t"
+[states.bias]
+[states.walk]
+process = "random-walk"
+noise_density = 0.3
+initial = { mean = 0, sigma = 0 }
+[measurements.rate]
+column = "y"
+equation = "bias + walk"
+noise = "sigma"
+[parameters]
+sigma = { start = 0.3 }
+"#;
+
+/// Twelve units of ten rows, a value missing in each; biases `shift` higher than those of the others.
+fn data(shift: f64, noise: f64) -> String {
+    let mut text = "unit,t,y\n".to_owned();
+    for j in 0..12 {
+        let bias = f64::from((j * 23) % 31 - 15) / 8.0 + shift;
+        let mut walk = 0.0;
+        for k in 0..10 {
+            walk += f64::from((11 * j + 5 * k) % 23 - 11) / 25.0;
+            let wave = f64::from((13 * j + 7 * k) % 19 - 9) / 18.0;
+            let value = if (j + k) % 10 == 4 { String::new() } else { (bias + walk + noise * wave).to_string() };
+            text.push_str(&format!("u{j:02},{k},{value}\n"));
+        }
+    }
+    text
+}
+
+/// With the model, its data, others, and the fit.
+fn fitted() -> Folder {
+    let [own, shifted, noisy] = [data(0.0, 1.0), data(9.0, 1.0), data(0.0, 6.0)];
+    let files = [("m.toml", MODEL), ("d.csv", &own), ("shifted.csv", &shifted), ("noisy.csv", &noisy)];
+    let folder = Folder::new(&files.map(|(name, text)| (name, text.as_bytes())));
+    let output = folder.run("fit m.toml d.csv --out fit.json --quiet");
+    assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+    folder
+}
+
+/// The rows of a table of text, each by the names of its columns.
+fn table(folder: &Folder, name: &str) -> Vec<HashMap<String, String>> {
+    let mut reader = csv::Reader::from_path(folder.path(name)).unwrap();
+    reader.deserialize().map(|row| row.unwrap()).collect()
+}
+
+fn number(row: &HashMap<String, String>, column: &str) -> f64 {
+    row[column].parse().unwrap_or_else(|_| panic!("{column}: {row:?}"))
+}
+
+fn near(what: &str, found: f64, expected: f64) {
+    assert!((found - expected).abs() < 1e-9 * (1.0 + expected.abs()), "{what}: {found} against {expected}");
+}
+
+#[test]
+fn the_tests_of_a_fit_are_what_the_fit_says_of_them() {
+    let folder = fitted();
+    let output = folder.run("apply m.toml d.csv --from fit.json --out tests.csv --states states.csv");
+    assert_snapshot!(shown(&output), @r#"
+    exit 0
+    ----- stdout
+    Wandering gyros
+
+    12 tests with 108 measured values, all parameters as in fit.json: nothing is
+    estimated.
+    As a whole the tests are of this population, as far as they can tell.
+
+    All tests together
+      Log predictive density: -87.9287 in all, -7.327 for each test on average.
+      Initial states: squared distances of the tests from the population add up to
+        12.03, expected 12 ± 4.9 (chi-squared, 12 degrees of freedom): p = 0.89.
+      Innovations: squares of the standardised ones add up to 93.53, expected 108 ±
+        15 (chi-squared, 108 degrees of freedom): p = 0.32.
+      The test furthest from the population is `u00`: p = 0.04 by itself, 0.46 as
+        the furthest of 12.
+
+    How to read this
+      The parameters are taken as exactly known. Those of a fit are not: distances
+        of new tests from a population whose mean was estimated from N tests are
+        larger by about one part in N.
+      p corrected: Holm's correction for the number of tests.
+    ----- stderr
+    Wrote tests.csv
+    Wrote states.csv
+    "#);
+    let fit: FitRecord = serde_json::from_slice(&std::fs::read(folder.path("fit.json")).unwrap()).unwrap();
+    let (tests, states) = (table(&folder, "tests.csv"), table(&folder, "states.csv"));
+    near("all", tests.iter().map(|test| number(test, "log_density")).sum(), fit.log_likelihood);
+    for (row, test) in tests.iter().zip(&fit.tests) {
+        assert_eq!((row["test"].as_str(), row["phase"].as_str()), (test.id.as_str(), "main"));
+        near("log density", number(row, "log_density"), test.log_likelihood);
+        near("distance", number(row, "distance"), test.distance.unwrap());
+        near("posterior", number(row, "mean[bias]"), test.phases[0].mean[0]);
+        let innovations = test.innovations.as_ref().unwrap();
+        near("innovations", number(row, "nis"), innovations.nis.unwrap());
+        assert_eq!(row["observations"], innovations.count.to_string());
+        // a state that does not move is at every step what its start is
+        let own: Vec<_> = states.iter().filter(|state| state["test"] == test.id && state["name"] == "bias").collect();
+        assert_eq!(own.len(), 10, "steps with nothing measured too");
+        for state in own {
+            near("smoothed", number(state, "value"), number(row, "mean[bias]"));
+            near("its deviation", number(state, "std_dev"), number(row, "std_dev[bias]"));
+        }
+    }
+    // what states say of the measured values is the sum of them
+    let measured = states.iter().filter(|state| state["name"] == "rate");
+    assert_eq!(measured.clone().count(), 108);
+    for rate in measured {
+        let same = |name: &str| {
+            let own = |row: &&HashMap<String, String>| {
+                row["name"] == name && row["row"] == rate["row"] && row["test"] == rate["test"]
+            };
+            number(states.iter().find(own).unwrap(), "value")
+        };
+        near("prediction", number(rate, "value"), same("bias") + same("walk"));
+    }
+}
+
+#[test]
+fn predictions_standardise_innovations() {
+    let folder = fitted();
+    let output =
+        folder.run("apply m.toml d.csv --from fit.json --states states.csv --kind predicted --out tests.csv --quiet");
+    assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+    let (tests, states) = (table(&folder, "tests.csv"), table(&folder, "states.csv"));
+    let measured: HashMap<(String, String), f64> = table(&folder, "d.csv")
+        .iter()
+        .filter(|row| !row["y"].is_empty())
+        .map(|row| ((row["unit"].clone(), row["t"].clone()), number(row, "y")))
+        .collect();
+    for test in &tests {
+        let own = states.iter().filter(|row| row["name"] == "rate" && row["test"] == test["test"]);
+        let squares = own.map(|row| {
+            let value = measured[&(row["test"].clone(), row["time"].clone())];
+            ((value - number(row, "value")) / number(row, "std_dev")).powi(2)
+        });
+        near("NIS", squares.sum(), number(test, "nis"));
+    }
+}
+
+#[test]
+fn tests_of_another_population_are_told() {
+    let folder = fitted();
+    let said = |data: &str| shown(&folder.run(&format!("apply m.toml {data} --from fit.json")));
+    let shifted = said("shifted.csv");
+    assert!(shifted.contains("The tests are not of this population: their initial states"), "{shifted}");
+    let noisy = said("noisy.csv");
+    assert!(noisy.contains("residuals do not have their law"), "{noisy}");
+}
+
+#[test]
+fn tables_hold_the_same_in_every_format_and_for_any_number_of_threads() {
+    let folder = fitted();
+    for (name, options) in [("a.csv", "--threads 1"), ("b.csv", "--threads 2"), ("c.parquet", ""), ("d.arrow", "")] {
+        let output = folder
+            .run(&format!("apply m.toml d.csv --from fit.json --quiet --states {name} --kind filtered {options}"));
+        assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+    }
+    let bytes = |name: &str| std::fs::read(folder.path(name)).unwrap();
+    assert_eq!(bytes("a.csv"), bytes("b.csv"));
+    assert!(bytes("c.parquet").starts_with(b"PAR1") && bytes("d.arrow").starts_with(b"ARROW1"));
+}
+
+#[test]
+fn what_cannot_be_applied_is_refused_before_work_and_writes_nothing() {
+    let folder = fitted();
+    let cases = [
+        ("apply m.toml d.csv --from fit.json --out t.json", "cannot tell the format of `t.json`"),
+        ("apply m.toml d.csv --from fit.json --out t.csv --states t.csv", "both outputs are `t.csv`"),
+        ("apply m.toml d.csv --from fit.json --out d.csv", "is one of the inputs"),
+        ("apply m.toml d.csv --from fit.json --kind filtered", "--states"),
+        ("apply m.toml d.csv --from m.toml", "no value is given for mean[bias]"),
+        ("apply m.toml d.csv --from d.csv", "d.csv"),
+    ];
+    for (line, message) in cases {
+        let output = folder.run(line);
+        assert_eq!(output.status.code(), Some(2), "{line}: {}", shown(&output));
+        assert!(shown(&output).contains(message), "{line}: {}", shown(&output));
+    }
+    assert!(!folder.path("t.csv").exists());
+}
