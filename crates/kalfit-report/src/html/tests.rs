@@ -11,7 +11,7 @@ use crate::html::posteriors;
 use crate::html::section::Section;
 use crate::number::{Precision, hundredths, plain, probability};
 use crate::page::Page;
-use crate::summary::outliers;
+use crate::summary::{levels, outliers};
 use crate::table::{Column, Side};
 use crate::words::{clean, count};
 
@@ -61,13 +61,17 @@ fn p_values(record: &FitRecord, charts: &mut Charts) -> Option<Markup> {
     let out = tested.iter().filter(|(test, _)| stands_out(test, n)).count();
     let alternative =
         format!("{} above the line, of {n}; the smallest p-value is {}.", count(out, "test"), probability(tested[0].1));
-    let caption = "How far each test is from the population, as minus the logarithm of its p-value, against what chance gives. \
-                   Points near the diagonal: the population describes the tests. Points above the dashed line stand out even \
-                   though the search went over all tests.";
+    let together = levels::innermost(record)
+        .map_or_else(String::new, |unit| format!(" Tests of one {unit} are near to or far from it together."));
+    let caption = format!(
+        "How far each test is from the population, as minus the logarithm of its p-value, against what chance gives. Points near \
+         the diagonal: the population describes the tests. Points above the dashed line stand out even though the search went \
+         over all tests.{together}"
+    );
     Some(charts.figure(Chart {
         kind: "quantiles",
         title: "Distances from the population",
-        caption,
+        caption: &caption,
         alternative: &alternative,
         data,
     }))
