@@ -35,7 +35,7 @@ def html(fit: Fit) -> str:
         f"{', '.join(figures)}</p>",
     ]
     for phase in fit.phases:
-        parts += [_phase_table(phase, len(fit.phases) > 1), _forest(fit, phase)]
+        parts += [_phase_table(phase, fit), _forest(fit, phase)]
     parts += [_parameter_table(fit), _notes(fit), "</div>"]
     return "".join(parts)
 
@@ -68,15 +68,24 @@ def _table(heads: list[str], rows: list[list[str]]) -> str:
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
-def _phase_table(phase: Phase, named: bool) -> str:
-    means = zip(phase.mean, phase.mean_std_error.tolist())
-    spreads = zip(phase.std_dev, phase.std_dev_std_error.tolist())
+def _phase_table(phase: Phase, fit: Fit) -> str:
+    """Means and standard deviations; where there are levels, the standard deviations of each."""
+    means = [phase.mean, phase.mean_std_error.tolist()]
+    spreads = [[spread.std_dev, spread.std_dev_std_error.tolist()] for spread in fit.levels or [phase]]
     rows = [
-        [state, unit or "", _with_error(*mean), _with_error(*spread)]
-        for state, unit, mean, spread in zip(phase.states, phase.units, means, spreads)
+        [state, unit or "", *(_with_error(values[i], errors[i]) for values, errors in [means, *spreads])]
+        for i, (state, unit) in enumerate(zip(phase.states, phase.units))
     ]
-    head = f"<p>Phase {escape(phase.name)}</p>" if named else ""
-    return head + _table(["state", "unit", "mean ± std. error", "std. dev. ± std. error"], rows)
+    head = f"<p>Phase {escape(phase.name)}</p>" if len(fit.phases) > 1 else ""
+    heads = [f"std. dev. ± std. error{where}" for where in _steps(fit) or [""]]
+    return head + _table(["state", "unit", "mean ± std. error", *heads], rows)
+
+
+def _steps(fit: Fit) -> list[str]:
+    """From whom to whom each level varies, the outermost first; nothing without levels."""
+    names = ["test" if level.column is None else level.name for level in fit.levels]
+    above = ["", *(f" of one {name}" for name in names)]
+    return [f", {name} to {name}{of}" for name, of in zip(names, above)]
 
 
 def _parameter_table(fit: Fit) -> str:
@@ -103,7 +112,9 @@ def _forest(fit: Fit, phase: Phase) -> str:
     shown = [test for test in fit._some_tests(step) if phase.name in test.means]
     if len(shown) < 2 or not phase.states:
         return ""
-    panels = "".join(_panel(phase, index, shown) for index in range(min(len(phase.states), _MOST_PANELS)))
+    # a test that nothing is known of varies at all levels
+    deviations = [math.sqrt(sum(float(one.covariance[i, i]) for one in fit.levels or [phase])) for i in range(len(phase.states))]
+    panels = "".join(_panel(phase, i, deviations[i], shown) for i in range(min(len(phase.states), _MOST_PANELS)))
     which = f"every {step}th test" if step > 1 else "each test"
     words = f"{which} by its own data and the fit, with 95 % intervals; line: mean, band: 95 % of the population"
     left = len(phase.states) - _MOST_PANELS
@@ -111,10 +122,10 @@ def _forest(fit: Fit, phase: Phase) -> str:
     return f"<div>{panels}</div><p><small>{words}</small></p>"
 
 
-def _panel(phase: Phase, index: int, tests: list[Any]) -> str:
+def _panel(phase: Phase, index: int, deviation: float, tests: list[Any]) -> str:
     """One state: an SVG with a line for each test."""
     width, label, line, top = 330, 90, 13, 22
-    centre, spread = float(phase.mean[index]), _NORMAL95 * float(phase.std_dev[index])
+    centre, spread = float(phase.mean[index]), _NORMAL95 * deviation
     rows = []
     for test in tests:
         value = float(test.means[phase.name][index])

@@ -40,6 +40,7 @@ _COLUMNS: dict[str, str] = {
     "terminal_root": "array<double>",
     "inherited_transition": "array<double>",
     "inherited_input": "array<double>",
+    "groups": "array<string>",
 }
 _METADATA = "kalfit"
 

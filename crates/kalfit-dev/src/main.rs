@@ -40,9 +40,12 @@ enum Task {
     },
     /// Coverage of confidence intervals in simulated ensembles: the table of `docs/coverage.md`. Best built with `--release`.
     Coverage {
-        /// Ensembles of each set-up.
+        /// Ensembles of each set-up; of those with levels a tenth of them.
         #[arg(long, default_value_t = 20_000, value_parser = clap::value_parser!(u64).range(1..))]
         ensembles: u64,
+        /// Only the set-ups whose title contains this.
+        #[arg(long, default_value = "")]
+        only: String,
     },
     /// Fits random models from several starts and probes around every certified end: the table of `docs/coverage.md`. Best built with
     /// `--release`.
@@ -73,7 +76,7 @@ enum Task {
 fn main() -> ExitCode {
     match Arguments::parse().task {
         Task::Test { only } => test::run(only.as_deref()),
-        Task::Coverage { ensembles } => coverage::run(ensembles),
+        Task::Coverage { ensembles, only } => coverage::run(ensembles, &only),
         Task::Maxima(options) => maxima::run(&options),
         Task::FalseAlarms { numbers, ensembles } => false_alarms::run(numbers, ensembles),
         Task::Whiteness => whiteness::run(),

@@ -1,7 +1,7 @@
 //! `kalfit estimates`: the filters of the model as they are, optimal or not, and what they make of each phase.
 
 use kalfit::reduce::{Estimates, FilterRunner};
-use kalfit::{Evidence, Labels, Test};
+use kalfit::{Evidence, Labels, PhasedModel, Test};
 use kalfit_data::WriteError;
 use kalfit_data::exchange::{Entry, EstimatesWriter};
 
@@ -25,6 +25,10 @@ impl Maker for Filters {
     type Writer = EstimatesWriter<Sunk>;
     const ROW: &'static str = "estimate";
     const OF_ESTIMATES: bool = true;
+
+    fn refuse(model: &PhasedModel) -> Result<(), WriteError> {
+        if model.levels.is_empty() { Ok(()) } else { Err(WriteError::Levels) }
+    }
 
     fn new(setting: &Setting) -> Result<Filters, Failure> {
         let runner = |phase: &kalfit::model::Phase| match &phase.filter {

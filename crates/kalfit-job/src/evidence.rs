@@ -92,7 +92,7 @@ impl Given {
         let mut tests = Reduced { reductions: Reductions::new(), places: Vec::new() };
         let mut stopped = false;
         for source in &self.reductions {
-            let read = read_reductions(source, &spec.model, &mut |entry| {
+            let read = read_reductions(source, &spec.model, &mut Labels::default(), &mut |entry| {
                 let done = tests.reductions.len();
                 if done.is_multiple_of(ASK) && work.is_stopped() {
                     stopped = true;
@@ -204,7 +204,7 @@ impl Given {
             assembly.add(entry)
         };
         for source in &self.reductions {
-            read_reductions(source, model, &mut add).map_err(refused)?;
+            read_reductions(source, model, &mut reading.labels, &mut add).map_err(refused)?;
         }
         for source in &self.estimates {
             read_estimates(source, (model, &spec.layout), &mut reading.labels, &mut add).map_err(refused)?;

@@ -6,9 +6,10 @@ use std::fs::File;
 use std::io::{BufWriter, Seek, Write};
 use std::path::PathBuf;
 
+use kalfit::dynamic::DynamicError;
 use kalfit::model::ParameterError;
-use kalfit::reduce::{ReduceError, SplitError};
-use kalfit::{Alpha, Labels, Source, Test};
+use kalfit::reduce::{GroupingError, ReduceError, SplitError};
+use kalfit::{Alpha, Labels, PhasedModel, Source, Test};
 use kalfit_data::exchange::{Entry, Metadata, ParameterValue};
 use kalfit_data::{ReadError, Reading, Sink, WriteError};
 use kalfit_spec::Spec;
@@ -33,6 +34,11 @@ pub(crate) trait Maker: Sized {
     const ROW: &'static str;
     /// They are estimates, whatever they are made of.
     const OF_ESTIMATES: bool;
+
+    /// Refuses a model of which there can be no such file.
+    fn refuse(_: &PhasedModel) -> Result<(), WriteError> {
+        Ok(())
+    }
 
     fn new(setting: &Setting) -> Result<Self, Failure>;
 
@@ -64,6 +70,7 @@ impl Setting {
 pub(crate) enum Refused {
     Split(SplitError),
     Reduce(ReduceError),
+    Grouping(GroupingError),
     Write(WriteError),
     /// Nobody waits any longer.
     Interrupted,
@@ -81,6 +88,8 @@ pub(crate) enum Refused {
 /// Makes an exchange file.
 pub(crate) fn run<M: Maker>(job: &ExchangeJob, watch: &mut dyn Watch) -> Result<Done<Exchanged>, Failure> {
     let mut spec = model::read(&job.model.document)?;
+    let path = job.out.as_ref().map_or_else(|| M::ROW.to_owned() + "s", |path| path.display().to_string());
+    M::refuse(&spec.model).map_err(|error| Failure::Write { error: Box::new(error), path })?;
     let mut notes = job.at.as_ref().map_or(Ok(Vec::new()), |at| truth::parameters(&mut spec, at))?;
     model::set(&mut spec, &job.model.set)?;
     let given = Given::open(&mut spec, &job.data)?;
@@ -225,6 +234,7 @@ fn failure(refused: Refused, reading: &Reading, path: &str) -> Failure {
     match refused {
         Refused::Split(error) => Failure::Split { error, reading: Box::new(reading.clone()) },
         Refused::Reduce(error) => Failure::Reduce { error, reading: Some(Box::new(reading.clone())) },
+        Refused::Grouping(error) => Failure::Dynamic(Box::new(DynamicError::from(error))),
         Refused::Write(error) => Failure::Write { error: Box::new(error), path: path.to_owned() },
         Refused::Interrupted => Failure::Interrupted,
         Refused::NoFilter { phase, at } => Failure::NoFilter { phase, at: reading.place(at) },

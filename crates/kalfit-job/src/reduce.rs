@@ -1,7 +1,7 @@
 //! `kalfit reduce`: the filters, once, at known parameters.
 
-use kalfit::reduce::PhasedReducer;
-use kalfit::{Evidence, Labels};
+use kalfit::reduce::{PhasedReducer, groups_of};
+use kalfit::{Evidence, Labels, PhasedModel};
 use kalfit_data::WriteError;
 use kalfit_data::exchange::{Entry, ReductionWriter};
 
@@ -19,7 +19,10 @@ pub fn reduce(job: &ExchangeJob, watch: &mut dyn Watch) -> Result<Done<Exchanged
 }
 
 /// Makes reductions.
-pub(crate) struct Reductions(PhasedReducer);
+pub(crate) struct Reductions {
+    reducer: PhasedReducer,
+    model: PhasedModel,
+}
 
 impl Maker for Reductions {
     type Writer = ReductionWriter<Sunk>;
@@ -28,19 +31,24 @@ impl Maker for Reductions {
 
     fn new(setting: &Setting) -> Result<Reductions, Failure> {
         let reducer = PhasedReducer::new(&setting.spec.model, &setting.alpha);
-        Ok(Reductions(reducer.map_err(|error| Failure::Reduce { error, reading: None })?))
+        let reducer = reducer.map_err(|error| Failure::Reduce { error, reading: None })?;
+        Ok(Reductions { reducer, model: setting.spec.model.clone() })
     }
 
     fn open(setting: &Setting, sink: Sunk) -> Result<Self::Writer, WriteError> {
         ReductionWriter::new(&setting.spec.model, setting.metadata(), sink)
     }
 
-    fn make(&mut self, entries: Vec<Entry>, _: &Labels, writer: &mut Self::Writer) -> Result<(), Refused> {
+    fn make(&mut self, entries: Vec<Entry>, labels: &Labels, writer: &mut Self::Writer) -> Result<(), Refused> {
         let phases: Vec<(&str, usize, &Evidence)> =
             entries.iter().map(|entry| (entry.test.as_str(), entry.phase, &entry.evidence)).collect();
-        let pieces = self.0.each_piece(&phases).map_err(Refused::Reduce)?;
-        let mut all = entries.iter().zip(&pieces);
-        all.try_for_each(|(entry, piece)| writer.write(&entry.test, entry.phase, piece)).map_err(Refused::Write)
+        let pieces = self.reducer.each_piece(&phases).map_err(Refused::Reduce)?;
+        for (Entry { test, phase, evidence, .. }, piece) in entries.iter().zip(&pieces) {
+            let groups = groups_of(&self.model, test, evidence).map_err(Refused::Grouping)?;
+            let groups: Vec<String> = groups.into_iter().map(|name| labels.text(name).to_owned()).collect();
+            writer.write(test, *phase, piece, &groups).map_err(Refused::Write)?;
+        }
+        Ok(())
     }
 
     fn close(writer: Self::Writer) -> Result<Sunk, WriteError> {

@@ -3,7 +3,7 @@
 use kalfit::record::{AppliedRecord, FarRecord, JointRecord};
 
 use crate::Style;
-use crate::number::{plain, probability};
+use crate::number::{p_value, plain, probability};
 use crate::page::Page;
 use crate::table::{Column, Side};
 use crate::words::{clean, count};
@@ -74,8 +74,8 @@ fn together(record: &AppliedRecord) -> Vec<String> {
         items.push(format!(
             "The test furthest from the population is `{}`: {} by itself, {} as the furthest of {}.",
             clean(&far.test),
-            p_is(far.p_value),
-            p_is(far.p_corrected),
+            p_value(far.p_value),
+            p_value(far.p_corrected),
             record.tests
         ));
     }
@@ -85,19 +85,13 @@ fn together(record: &AppliedRecord) -> Vec<String> {
 /// `add up to 45.2, expected 40 ± 8.9 (chi-squared with 40 degrees of freedom): p = 0.53.`
 fn sum(joint: &JointRecord) -> String {
     let degrees = joint.degrees_of_freedom;
-    let p = joint.p_value.map_or("p unknown".to_owned(), p_is);
+    let p = joint.p_value.map_or("p unknown".to_owned(), p_value);
     let spread = plain((2.0 * degrees as f64).sqrt(), 2);
     let squared = plain(joint.squared, 4);
     format!(
         "add up to {squared}, expected {degrees} ± {spread} (chi-squared, {}): p = {p}.",
         count(degrees, "degree") + " of freedom"
     )
-}
-
-/// `p = 0.03`, `p < 1e-10`.
-fn p_is(p: f64) -> String {
-    let shown = probability(p);
-    if shown.starts_with('<') { format!("p {shown}") } else { format!("p = {shown}") }
 }
 
 fn far(record: &AppliedRecord, page: &Page<'_>) -> String {

@@ -151,7 +151,7 @@ fn reduced(record: &CheckRecord, (data, phases): (&DataRecord, &[CheckedPhase]),
     said.extend(held_at_start(at_start_of));
     match phases {
         [only] => {
-            let mut sentences = examined(only, !levels.is_empty());
+            let mut sentences = examined(only, levels);
             sentences.append(&mut said);
             sentences.splice(0..0, grouped(levels));
             sections.push(page.section("Observability", &seen(only, page)));
@@ -161,9 +161,8 @@ fn reduced(record: &CheckRecord, (data, phases): (&DataRecord, &[CheckedPhase]),
             for phase in several {
                 let name = clean(&phase.counts.name);
                 sections.push(page.section(&format!("Phase {name}: observability"), &seen(phase, page)));
-                sections.push(
-                    page.section(&format!("Phase {name}: identifiability"), &page.items(&examined(phase, false))),
-                );
+                sections
+                    .push(page.section(&format!("Phase {name}: identifiability"), &page.items(&examined(phase, &[]))));
             }
             let information: Vec<_> =
                 several.iter().map(|p| (p.counts.name.as_str(), p.information.as_ref())).collect();
@@ -213,8 +212,8 @@ fn seen(phase: &CheckedPhase, page: &Page<'_>) -> String {
 }
 
 /// What is identified of a phase, and on what that rests.
-fn examined(phase: &CheckedPhase, grouped: bool) -> Vec<String> {
-    let mut sentences = identified(phase, grouped);
+fn examined(phase: &CheckedPhase, levels: &[CheckedLevel]) -> Vec<String> {
+    let mut sentences = identified(phase, levels);
     sentences.extend(observability::warnings(&phase.observability, &phase.weak, phase.counts.tests));
     sentences.extend(observability::few_tests(&phase.observability, phase.counts.tests));
     sentences
@@ -274,13 +273,17 @@ fn worked_out(found: &[f64]) -> String {
     }
 }
 
-fn identified(phase: &CheckedPhase, grouped: bool) -> Vec<String> {
+fn identified(phase: &CheckedPhase, levels: &[CheckedLevel]) -> Vec<String> {
     let mut sentences = doubts::unidentified(&phase.unidentified, &phase.states, false);
     if phase.states.is_empty() {
         sentences.push("No state has an estimated start, so there is nothing to identify.".to_owned());
     } else if phase.unidentified.is_empty() {
-        let whose = if grouped { "the tests' own" } else { "the" };
-        sentences.push(format!("The data identify all that is free in the mean and {whose} covariance."));
+        let covariances = match (levels, levels.iter().all(|level| level.unidentified.is_empty())) {
+            ([], _) => "the covariance",
+            (_, true) => "the covariances of all levels and of the tests",
+            (_, false) => "the tests' own covariance",
+        };
+        sentences.push(format!("The data identify all that is free in the mean and {covariances}."));
     } else if sentences.is_empty() {
         sentences.push("Not identified: combinations with states of other phases or levels; see below.".to_owned());
     }

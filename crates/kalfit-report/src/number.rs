@@ -1,5 +1,7 @@
 //! Numbers for people: as many digits as the standard error allows, never a NaN.
 
+pub(crate) use kalfit::record::plain;
+
 /// What stands for a figure that is not known.
 const UNKNOWN: &str = "unknown";
 
@@ -67,24 +69,6 @@ impl Precision {
     }
 }
 
-/// A figure with this many significant digits and no idle zeros.
-pub(crate) fn plain(x: f64, digits: usize) -> String {
-    if !x.is_finite() {
-        return UNKNOWN.to_owned();
-    }
-    if x == 0.0 {
-        return "0".to_owned();
-    }
-    let digits = digits.max(1);
-    if (SMALL..LARGE).contains(&x.abs()) {
-        let decimals = usize::try_from(digits as i32 - 1 - power(x, digits)).unwrap_or(0);
-        return without_idle_zeros(&format!("{x:.decimals$}"));
-    }
-    let shown = format!("{x:.*e}", digits - 1);
-    let (mantissa, exponent) = shown.split_once('e').expect("the e format has an exponent");
-    format!("{}e{exponent}", without_idle_zeros(mantissa))
-}
-
 /// A log-likelihood, AIC or BIC: differences of a hundredth are the smallest that matter.
 pub(crate) fn hundredths(x: f64) -> String {
     if x.abs() >= 1e12 { plain(x, 12) } else { Precision::Decimals(2).show(x) }
@@ -102,6 +86,12 @@ pub(crate) fn probability(p: f64) -> String {
     }
 }
 
+/// `p = 0.03`, `p < 1e-10`.
+pub(crate) fn p_value(p: f64) -> String {
+    let shown = probability(p);
+    if shown.starts_with('<') { format!("p {shown}") } else { format!("p = {shown}") }
+}
+
 /// Wall time.
 pub(crate) fn seconds(seconds: f64) -> String {
     match seconds {
@@ -117,11 +107,6 @@ pub(crate) fn seconds(seconds: f64) -> String {
 fn power(x: f64, digits: usize) -> i32 {
     let shown = format!("{x:.*e}", digits.saturating_sub(1));
     shown.split_once('e').and_then(|(_, e)| e.parse().ok()).unwrap_or(0)
-}
-
-fn without_idle_zeros(number: &str) -> String {
-    let cut = if number.contains('.') { number.trim_end_matches('0').trim_end_matches('.') } else { number };
-    unsigned_zero(cut.to_owned())
 }
 
 /// `-0.00` is zero.

@@ -21,7 +21,9 @@ pub fn plan_summary(record: &PlanRecord, style: &Style) -> String {
     }
     let facts = headline::data(&record.design);
     let design = format!("Design: {}", facts.trim_start_matches("Data: "));
-    sections.push(page.paragraph(&design) + &page.paragraph(&format!("Population: {}.", clean(&record.from))));
+    let from = page.paragraph(&format!("Population: {}.", clean(&record.from)));
+    let columns = record.arrangements.first().map_or_else(String::new, |one| page.paragraph(&explained(one)));
+    sections.push(page.paragraph(&design) + &from + &columns);
     for (kind, heading) in [
         ("mean", "Expected standard errors of the means"),
         ("regression", "Expected standard errors of the regression coefficients"),
@@ -77,10 +79,17 @@ fn table(record: &PlanRecord, rows: &[&PlannedRecord], width: usize) -> String {
     wide_table(&Column::new("state", Side::Left, names), &columns, width)
 }
 
-/// `10 serial x 4 tests`.
+/// `10 × 4`: groups of each level, the outermost first, and tests.
 fn arranged(one: &ArrangementRecord) -> String {
-    let groups = one.groups.iter().map(|(name, groups)| format!("{groups} {}", clean(name)));
-    groups.chain([count(one.tests, "test")]).collect::<Vec<_>>().join(" x ")
+    let groups = one.groups.iter().map(|(_, groups)| groups);
+    groups.chain([&one.tests]).map(usize::to_string).collect::<Vec<_>>().join(" × ")
+}
+
+/// What such a heading means, for any names of levels.
+fn explained(one: &ArrangementRecord) -> String {
+    let of_level = |(name, groups): &(String, usize)| format!("{} of `{}`", count(*groups, "group"), clean(name));
+    let groups: Vec<String> = one.groups.iter().map(of_level).collect();
+    format!("Column {}: {}, {} in each.", arranged(one), groups.join(", in each of them "), count(one.tests, "test"))
 }
 
 fn two_digits(error: f64) -> String {
@@ -102,9 +111,7 @@ fn notes(record: &PlanRecord) -> Vec<String> {
     }
     let first = match record.arrangements.is_empty() {
         true => format!("N tests count as N/{} times the design", record.design.tests),
-        false => "so many groups in each group of the level above, and so many tests in each of the innermost, like \
-                  those of the design one after the other"
-            .to_owned(),
+        false => "groups and tests are like those of the design, one after the other".to_owned(),
     };
     let mut notes = vec![format!(
         "From the expected information at these values; {first}. Estimates from few tests spread more, and those of standard deviations are skewed."

@@ -3,7 +3,7 @@
 use kalfit::record::{BootstrapRecord, ParameterRecord, RatioRecord, SideRecord};
 
 use crate::Style;
-use crate::number::{hundredths, plain, probability};
+use crate::number::{hundredths, p_value, plain, probability};
 use crate::page::Page;
 use crate::table::{Column, Side};
 use crate::words::{clean, count, sentence};
@@ -60,12 +60,6 @@ fn verdict(record: &RatioRecord) -> String {
         _ => "the data do not speak against it",
     };
     format!("{}: {} {how}.", capital(verdict), p_value(p))
-}
-
-/// `p = 0.03`, `p < 1e-10`.
-fn p_value(p: f64) -> String {
-    let shown = probability(p);
-    if shown.starts_with('<') { format!("p {shown}") } else { format!("p = {shown}") }
 }
 
 fn capital(text: &str) -> String {

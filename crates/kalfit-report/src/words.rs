@@ -7,16 +7,21 @@ pub(crate) fn clean(text: &str) -> String {
 
 /// With a capital letter and a full stop.
 pub(crate) fn sentence(text: &str) -> String {
-    let mut letters = text.trim().chars();
-    let stop = if text.trim().ends_with(['.', '!', '?']) { "" } else { "." };
-    letters.next().map_or(String::new(), |first| format!("{}{}{stop}", first.to_uppercase(), letters.as_str()))
+    let stop = if text.trim().is_empty() || text.trim().ends_with(['.', '!', '?']) { "" } else { "." };
+    capital(text.trim()) + stop
+}
+
+/// With a capital letter.
+pub(crate) fn capital(text: &str) -> String {
+    let mut letters = text.chars();
+    letters.next().map_or(String::new(), |first| format!("{}{}", first.to_uppercase(), letters.as_str()))
 }
 
 /// `1 test`, `18 tests`.
 pub(crate) fn count(n: usize, singular: &str) -> String {
     match n {
         1 => format!("1 {singular}"),
-        n if singular.ends_with("ss") || singular.ends_with("sh") => format!("{n} {singular}es"),
+        n if ["ss", "sh", "ch", "x"].iter().any(|end| singular.ends_with(end)) => format!("{n} {singular}es"),
         n => format!("{n} {singular}s"),
     }
 }

@@ -29,7 +29,8 @@ impl Spec {
             lines.extend(motion(&phase.model));
             lines.extend(measured(&phase.model));
             lines.extend(parameters);
-            lines.extend(population(&phase.model));
+            let within = self.model.levels.last().map(|level| format!(" from test to test of one `{}`", level.name));
+            lines.extend(population(&phase.model, &within.unwrap_or_default()));
             lines.extend(self.levels());
             lines.extend(filter(phase));
         }
@@ -89,7 +90,7 @@ fn block(phase: &Phase, before: Option<&Phase>) -> Vec<String> {
     lines.extend(motion(&phase.model));
     lines.extend(before.iter().flat_map(|before| carried(phase, before)));
     lines.extend(measured(&phase.model));
-    lines.extend(population(&phase.model));
+    lines.extend(population(&phase.model, ""));
     lines.extend(filter(phase));
     lines
 }
@@ -106,9 +107,9 @@ fn measured(model: &Model) -> Vec<String> {
     measurements.chain(words.noise_covariance()).collect()
 }
 
-fn population(model: &Model) -> Vec<String> {
+fn population(model: &Model, place: &str) -> Vec<String> {
     let words = Words { model };
-    [vec![words.order()], words.mean(), words.covariance()].concat()
+    [vec![words.order()], words.mean(), words.covariance(place)].concat()
 }
 
 fn carried(phase: &Phase, before: &Phase) -> Vec<String> {

@@ -159,8 +159,9 @@ impl Words<'_> {
         lines
     }
 
-    pub(crate) fn covariance(&self) -> Vec<String> {
-        self.structure("covariance Σ", &self.model.covariance)
+    /// `place` says where the states vary so, with a space in front, when there is more than one such place.
+    pub(crate) fn covariance(&self, place: &str) -> Vec<String> {
+        self.structure(&format!("covariance Σ{place}"), &self.model.covariance)
     }
 
     /// What is said of a covariance, which is called `title`.

@@ -57,22 +57,81 @@ fn a_fit_of_tests_of_one_unit() {
     }
 }
 
+/// The summary from one heading to another.
+fn between(summary: &str, from: &str, to: &str) -> String {
+    let (start, end) = (summary.find(from).expect("it begins"), summary.find(to).expect("it ends"));
+    summary[start..end].to_owned()
+}
+
 #[test]
 fn the_summary_says_how_much_is_from_unit_to_unit() {
     let folder = oxide();
-    let output = folder.run("fit oxide.toml oxide.csv");
-    let summary = shown(&output);
-    let spread = summary.split("Spread by level").nth(1).and_then(|rest| rest.split("Dynamic parameters").next());
-    assert_snapshot!(spread.expect("there are levels"), @r#"
-     (share of the variance of a test)
-      state      varies from          number  std dev        95 % interval   share
-      thickness  Lot to Lot                8     10.6 ± 3.0  6.1 to 18.3    75.7 %
-                 test to test of one      24      6.0 ± 1.2  4.1 to 8.8     24.3 %
-                 Lot
+    let summary = shown(&folder.run("fit oxide.toml oxide.csv"));
+    assert_snapshot!(between(&summary, "Initial state", "Dynamic parameters"), @r#"
+    Initial state: mean, and spread within one Lot (± standard error)
+      state        mean        std dev
+      thickness  2000.2 ± 4.0      6.0 ± 1.2
+      The standard deviations are from test to test of one Lot; those from Lot to
+        Lot are under "Spread by level".
+
+    Spread by level (share of the variance of a test)
+      state      spread          number  std dev        95 % interval   share
+      thickness  Lot to Lot           8     10.6 ± 3.0  6.1 to 18.3    75.7 %
+                 within one Lot      24      6.0 ± 1.2  4.1 to 8.8     24.3 %
 
     Outlying groups
-      No group stands out: the smallest of 8 p-values is 0.06 (Lot 6).
+      No group stands out: the smallest of 8 p-values is 0.06 (Lot 6), or 0.45 with
+        Bonferroni's correction.
     "#);
+    let profiled = shown(&folder.run("fit oxide.toml oxide.csv --intervals profile"));
+    assert_snapshot!(between(&profiled, "95 % intervals by profile", "Outlying groups"), @"
+    95 % intervals by profile likelihood
+                            spread          estimate    from      to
+      mean of thickness                       2000.2  1991.4  2008.9
+      std dev of thickness  within one Lot       6.0     4.1     9.1
+      std dev of thickness  Lot to Lot          10.6     6.3    19.8
+
+    Spread by level (share of the variance of a test)
+      state      spread          number  std dev        95 % interval   share
+      thickness  Lot to Lot           8     10.6 ± 3.0  6.3 to 19.8    75.7 %
+                 within one Lot      24      6.0 ± 1.2  4.1 to 9.1     24.3 %
+    ");
+}
+
+#[test]
+fn reductions_hold_the_groups_of_tests() {
+    let folder = oxide();
+    let reduced = folder.run("reduce oxide.toml oxide.csv --set sigma=3.5 --out reductions.parquet --quiet");
+    assert_eq!(reduced.status.code(), Some(0), "{}", shown(&reduced));
+    let known = "fit oxide.toml oxide.csv --set sigma=3.5 --innovations off --out rows.json --quiet";
+    assert_eq!(folder.run(known).status.code(), Some(0));
+    assert_eq!(folder.run("fit oxide.toml reductions.parquet --out fit.json --quiet").status.code(), Some(0));
+    let (rows, found) = (fit(&folder, "rows.json"), fit(&folder, "fit.json"));
+    assert_eq!((found.log_likelihood, &found.levels), (rows.log_likelihood, &rows.levels));
+    assert_eq!((&found.groups, &found.tests[0].groups), (&rows.groups, &rows.tests[0].groups));
+    // half of the lots here, half of them there
+    let text = text(&folder, "oxide.csv");
+    let (first, rest): (Vec<&str>, Vec<&str>) = text.lines().skip(1).partition(|line| line < &"5");
+    for (name, lines) in [("first.csv", first), ("rest.csv", rest)] {
+        let header = text.lines().next().expect("a header");
+        std::fs::write(folder.path(name), format!("{header}\n{}\n", lines.join("\n"))).expect("a file");
+    }
+    let reduced = folder.run("reduce oxide.toml first.csv --set sigma=3.5 --out first.parquet --quiet");
+    assert_eq!(reduced.status.code(), Some(0), "{}", shown(&reduced));
+    assert_eq!(folder.run("fit oxide.toml first.parquet rest.csv --out both.json --quiet").status.code(), Some(0));
+    let both = fit(&folder, "both.json");
+    let gap = (both.log_likelihood - rows.log_likelihood).abs();
+    assert!(gap < 1e-9 && both.groups.len() == 8, "{} {}", both.log_likelihood, rows.log_likelihood);
+}
+
+#[test]
+fn estimates_of_a_model_with_levels_are_refused_before_all_else() {
+    assert_snapshot!(shown(&oxide().run("estimates oxide.toml oxide.csv --out estimates.parquet")), @"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: cannot write `estimates.parquet`: the model has levels of groups, and files of estimates do not say the groups of tests
+    ");
 }
 
 #[test]
@@ -142,7 +201,7 @@ fn more_units_or_more_runs_are_planned() {
     let folder = oxide();
     assert_eq!(folder.run("fit oxide.toml oxide.csv --out fit.json --quiet").status.code(), Some(0));
     let plan = "plan oxide.toml --from fit.json --design oxide.csv --groups Lot=8,16 --tests 1,3 --out plan.json";
-    assert_snapshot!(shown(&folder.run(plan)), @r#"
+    assert_snapshot!(shown(&folder.run(plan)), @"
     exit 0
     ----- stdout
     Thickness of oxide: wafers of lots
@@ -150,34 +209,27 @@ fn more_units_or_more_runs_are_planned() {
     Design: 24 tests, 72 steps, 72 observations from oxide.csv; all tests share one
     design.
     Population: fit.json.
+    Column 8 × 1: 8 groups of `Lot`, 1 test in each.
 
     Expected standard errors of the means
-      state       value  8 Lot x 1 test  8 Lot x 3 tests  16 Lot x 1 test
-      thickness  2000.2             4.4              4.0              3.1
-
-      state      16 Lot x 3 tests
-      thickness               2.8
+      state       value  8 × 1  8 × 3  16 × 1  16 × 3
+      thickness  2000.2    4.4    4.0     3.1     2.8
 
     Expected standard errors of the standard deviations
-      state          value  8 Lot x 1 test  8 Lot x 3 tests  16 Lot x 1 test
-      thickness       5.99               -              1.2                -
-      Lot.thickness   10.6               -              3.0                -
-
-      state          16 Lot x 3 tests
-      thickness                  0.84
-      Lot.thickness               2.1
+      state          value  8 × 1  8 × 3  16 × 1  16 × 3
+      thickness       5.99      -    1.2       -    0.84
+      Lot.thickness   10.6      -    3.0       -     2.1
 
     How to read this
-      From the expected information at these values; so many groups in each group of
-        the level above, and so many tests in each of the innermost, like those of
-        the design one after the other. Estimates from few tests spread more, and
-        those of standard deviations are skewed.
+      From the expected information at these values; groups and tests are like those
+        of the design, one after the other. Estimates from few tests spread more,
+        and those of standard deviations are skewed.
       A dash: so few groups and tests do not identify it.
       sigma is free in the model and is taken as known here, at its value in
         fit.json; estimating it too makes standard errors larger.
     ----- stderr
     Wrote plan.json
-    "#);
+    ");
     let record: PlanRecord = serde_json::from_str(&text(&folder, "plan.json")).expect("a record");
     assert_eq!(record.tests, [8, 24, 16, 48]);
     // balanced: the variance of the mean is (Σ_B + (Σ_W + σ²/3)/3)/8

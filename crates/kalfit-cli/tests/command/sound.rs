@@ -155,8 +155,8 @@ fn meta_analysis_has_the_figures_of_metafor() {
         Holm correction for 5 tests).
 
     Notes
-      The variance of `PD` is weakly determined: its standard error (9.050e-3) is no
-        smaller than the variance itself (7.002e-3).
+      The variance of `PD` is weakly determined: its standard error (0.00905) is no
+        smaller than the variance itself (0.007002).
 
     Solver newton, [work].
     ----- stderr
@@ -273,8 +273,8 @@ fn vaccine_trials_with_a_regression() {
         Holm correction for 13 tests).
 
     Notes
-      The variance of `effect` is weakly determined: its standard error (4.050e-2)
-        is no smaller than the variance itself (3.435e-2).
+      The variance of `effect` is weakly determined: its standard error (0.0405) is
+        no smaller than the variance itself (0.03435).
 
     Solver newton, [work].
     ----- stderr
@@ -407,8 +407,8 @@ fn two_sensors_in_long_data() {
         after Holm correction for 10 tests).
 
     Notes
-      The variance of `x2` is weakly determined: its standard error (7.601e-2) is no
-        smaller than the variance itself (7.598e-2).
+      The variance of `x2` is weakly determined: its standard error (0.07601) is no
+        smaller than the variance itself (0.07598).
 
     Solver newton, [work].
     ----- stderr

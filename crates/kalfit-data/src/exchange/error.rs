@@ -1,7 +1,5 @@
 //! What can be wrong with exchange files, and with several of them together.
 
-use kalfit::PhasedModel;
-
 use crate::columns::Columns;
 use crate::exchange::alpha::Difference;
 use crate::exchange::schema::{ESTIMATES_SCHEMA, REDUCTIONS_SCHEMA};
@@ -170,10 +168,8 @@ pub enum ExchangeError {
         /// The model's digest.
         expected: String,
     },
-    /// A model with levels, whose groups such a file does not hold.
-    #[error(
-        "{file} holds {kind}, which do not say the groups of tests, and the model has levels of groups: expected rows"
-    )]
+    /// A model with levels, whose groups the file does not hold.
+    #[error("{file} holds {kind} that do not say the groups of tests, and the model has levels of groups")]
     Levels {
         /// The file.
         file: String,
@@ -190,14 +186,6 @@ pub enum ExchangeError {
         /// What has the first value: the model, or another file.
         other: String,
     },
-}
-
-/// Refuses a model whose groups of tests exchange files do not hold.
-pub(super) fn refuse_levels(model: &PhasedModel, file: &str, kind: &'static str) -> Result<(), ExchangeError> {
-    match model.levels.is_empty() {
-        true => Ok(()),
-        false => Err(ExchangeError::Levels { file: file.to_owned(), kind }),
-    }
 }
 
 fn quoted(found: &Option<String>) -> String {
@@ -233,6 +221,9 @@ impl ExchangeError {
             ExchangeError::Digest { .. } => {
                 "reduce the data again with this model; only `[mean]`, `[covariance]` and labels may change after `kalfit reduce`"
                     .into()
+            }
+            ExchangeError::Levels { kind: super::reductions::KIND, .. } => {
+                "reduce the data again with this model: reductions then say the groups".into()
             }
             ExchangeError::Levels { .. } => "give the rows that the file was made of".into(),
             ExchangeError::Parameter { .. } => {

@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, DVector};
 use super::Entry;
 use super::constants::Constants;
 use super::content::{Source, opened};
-use super::error::{ExchangeError, refuse_levels};
+use super::error::ExchangeError;
 use super::keys::{Key, Phases};
 use super::metadata::Metadata;
 use super::schema::ESTIMATES;
@@ -27,7 +27,9 @@ pub fn read_estimates(
     labels: &mut Labels,
     take: &mut dyn FnMut(Entry) -> Result<(), DataError>,
 ) -> Result<Option<Metadata>, DataError> {
-    refuse_levels(model, &source.name, KIND)?;
+    if !model.levels.is_empty() {
+        return Err(ExchangeError::Levels { file: source.name.clone(), kind: KIND }.into());
+    }
     opened!(source, |builder| {
         let metadata = Metadata::read(&source.name, builder.metadata())?;
         let constants = Constants::new(model, layout, builder.schema());

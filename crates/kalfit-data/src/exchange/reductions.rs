@@ -5,7 +5,7 @@ use std::io;
 
 use kalfit::model::Phase;
 use kalfit::reduce::{Inherited, Path, PhaseReduction, Terminal};
-use kalfit::{Evidence, PhasedModel, Reduction};
+use kalfit::{Evidence, Labels, PhasedModel, Reduction};
 use nalgebra::{DMatrix, DVector};
 use parquet::arrow::arrow_reader::{ArrowReaderMetadata, ArrowReaderOptions};
 use parquet::file::metadata::RowGroupMetaData;
@@ -13,33 +13,40 @@ use parquet::file::reader::ChunkReader;
 
 use super::Entry;
 use super::content::{Contents, Source};
-use super::error::{ExchangeError, refuse_levels};
+use super::error::ExchangeError;
 use super::keys::Phases;
 use super::metadata::Metadata;
-use super::schema::{REDUCTIONS, TEST};
+use super::schema::{GROUPS, REDUCTIONS, TEST};
 use super::sheet::{Part, Plan, Row, Sheet, Wish};
 use crate::error::DataError;
 use crate::table::ahead::{Done, Goes, Make, Task, Tasks, each};
 use crate::table::parquet::FORMAT;
 
-const KIND: &str = "reductions";
+pub(super) const KIND: &str = "reductions";
 pub(super) const INFORMATION: &str = "information";
 pub(super) const SQUARE_ROOT: &str = "square-root";
 
 /// Reads a reductions file and hands its rows on. That it was made with this model and α is for
-/// [`Metadata::check_digest`] and [`difference`](super::difference) to say.
+/// [`Metadata::check_digest`] and [`difference`](super::difference) to say. Names of groups are added to `labels`.
 ///
 /// # Errors
-/// A model with levels of groups; what is wrong with the file, with its place; whatever `take` returns.
+/// What is wrong with the file, with its place: of a model with levels also that it does not say the groups of its tests; whatever
+/// `take` returns.
 pub fn read_reductions(
     source: &Source,
     model: &PhasedModel,
+    labels: &mut Labels,
     take: &mut dyn FnMut(Entry) -> Result<(), DataError>,
 ) -> Result<Metadata, DataError> {
-    refuse_levels(model, &source.name, KIND)?;
+    let mut labelled = |(mut entry, groups): (Entry, Vec<String>)| {
+        if let Evidence::Reduced(piece) = &mut entry.evidence {
+            piece.groups = groups.iter().map(|name| labels.intern(name)).collect();
+        }
+        take(entry)
+    };
     match &source.bytes {
-        Contents::Path(path) => read(source, model, || File::open(path), take),
-        Contents::Memory(bytes) => read(source, model, || Ok(bytes.clone()), take),
+        Contents::Path(path) => read(source, model, || File::open(path), &mut labelled),
+        Contents::Memory(bytes) => read(source, model, || Ok(bytes.clone()), &mut labelled),
     }
 }
 
@@ -47,9 +54,9 @@ fn read<R: ChunkReader + 'static>(
     source: &Source,
     model: &PhasedModel,
     again: impl Fn() -> io::Result<R> + Sync,
-    take: &mut dyn FnMut(Entry) -> Result<(), DataError>,
+    take: &mut dyn FnMut(Grouped) -> Result<(), DataError>,
 ) -> Result<Metadata, DataError> {
-    let reader = Reader { source, phases: Phases::new(model), known: known(model) };
+    let reader = Reader { source, phases: Phases::new(model), known: known(model), levels: model.levels.len() };
     let open = || again().map_err(|error| DataError::Io { file: source.name.clone(), source: error });
     let builder = super::sheet::open(&source.name, open()?)?;
     let metadata = Metadata::read(&source.name, builder.metadata())?.ok_or_else(|| ExchangeError::Metadata {
@@ -80,7 +87,10 @@ fn read<R: ChunkReader + 'static>(
 }
 
 /// Rows, and what is wrong with the row after them.
-type Rows = (Vec<Entry>, Option<DataError>);
+type Rows = (Vec<Grouped>, Option<DataError>);
+
+/// A row with the names of the groups of its test.
+type Grouped = (Entry, Vec<String>);
 
 /// Most rows that are read at a time, and about how many bytes they may have: rows may hold matrices.
 const PART_ROWS: usize = 1 << 16;
@@ -130,6 +140,8 @@ struct Reader<'a> {
     source: &'a Source,
     phases: Phases<'a>,
     known: Vec<Known<'a>>,
+    /// Number of levels of groups.
+    levels: usize,
 }
 
 /// What is known of a phase.
@@ -158,19 +170,36 @@ fn known(model: &PhasedModel) -> Vec<Known<'_>> {
 }
 
 impl Reader<'_> {
-    fn rows(&self, mut sheet: Sheet<'_>, part: Part, rows: &mut Vec<Entry>) -> Result<(), DataError> {
+    fn rows(&self, mut sheet: Sheet<'_>, part: Part, rows: &mut Vec<Grouped>) -> Result<(), DataError> {
         while let Some(batch) = sheet.next()? {
             for row in batch.rows() {
                 let test = row.text(TEST).ok_or_else(|| DataError::MissingTest { at: row.place(TEST) })?;
                 let phase = self.phases.of(row)?;
                 let at = kalfit::Source { file: self.source.number, row: row.number() };
                 let evidence = Evidence::Reduced(Box::new(piece(row, &self.known[phase], &test)?));
-                rows.push(Entry { test, phase, evidence, at });
+                rows.push((Entry { test, phase, evidence, at }, self.groups(row)?));
             }
         }
         // to go on would take a declared row group of any length in vain
         let whole = rows.len() == part.rows;
         whole.then_some(()).ok_or_else(|| DataError::Crashed { file: self.source.name.clone(), format: FORMAT })
+    }
+
+    /// Names of the groups of a test, where the model has levels.
+    fn groups(&self, row: Row<'_>) -> Result<Vec<String>, ExchangeError> {
+        if self.levels == 0 {
+            return Ok(Vec::new());
+        }
+        let names = row.words(GROUPS);
+        let names = names.ok_or_else(|| ExchangeError::Levels { file: self.source.name.clone(), kind: KIND })?;
+        match names.len() == self.levels && names.iter().all(|name| !name.is_empty()) {
+            true => Ok(names.into_iter().map(str::to_owned).collect()),
+            false => Err(ExchangeError::Value {
+                at: row.place(GROUPS),
+                found: format!("{names:?}"),
+                expected: "the name of a group for each level of the model",
+            }),
+        }
     }
 }
 
@@ -197,7 +226,7 @@ fn piece(row: Row<'_>, known: &Known<'_>, test: &str) -> Result<PhaseReduction, 
             Some(Inherited { transition, input: DVector::from_column_slice(input) })
         }
     };
-    Ok(PhaseReduction { reduction, terminal, inherited })
+    Ok(PhaseReduction { reduction, terminal, inherited, groups: Vec::new() })
 }
 
 fn reduction(row: Row<'_>, q: usize, covariates: usize, test: &str) -> Result<Reduction, ExchangeError> {

@@ -10,6 +10,9 @@ pub(super) const TEST: &str = "test";
 /// The column of the phase's name.
 pub(super) const PHASE: &str = "phase";
 
+/// The column of the names of the groups that a test stands in.
+pub(super) const GROUPS: &str = "groups";
+
 /// What a column holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Shape {
@@ -39,7 +42,7 @@ impl Column {
 }
 
 /// The schema `kalfit-reductions/1`.
-pub(super) const REDUCTIONS: [Column; 17] = [
+pub(super) const REDUCTIONS: [Column; 18] = [
     Column::needed(TEST, Shape::Text),
     Column::needed(PHASE, Shape::Text),
     Column::needed("states", Shape::Words),
@@ -57,6 +60,7 @@ pub(super) const REDUCTIONS: [Column; 17] = [
     Column::optional("terminal_root", Shape::Numbers),
     Column::optional("inherited_transition", Shape::Numbers),
     Column::optional("inherited_input", Shape::Numbers),
+    Column::optional(GROUPS, Shape::Words),
 ];
 
 /// The schema `kalfit-estimates/1`.

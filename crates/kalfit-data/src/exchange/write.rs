@@ -15,7 +15,7 @@ use parquet::file::properties::WriterProperties;
 use super::constants::{name_in_file, numeric, textual};
 use super::metadata::Metadata;
 use super::reductions::{INFORMATION, SQUARE_ROOT};
-use super::schema::{ESTIMATES_SCHEMA, REDUCTIONS_SCHEMA};
+use super::schema::{ESTIMATES_SCHEMA, GROUPS, REDUCTIONS_SCHEMA};
 use crate::write::WriteError;
 
 /// Numbers of a row group, which the writer holds in memory.
@@ -168,11 +168,6 @@ struct Names {
     states: Vec<String>,
 }
 
-/// Refuses a model whose groups of tests the file would not hold.
-fn refuse_levels(model: &PhasedModel) -> Result<(), WriteError> {
-    if model.levels.is_empty() { Ok(()) } else { Err(WriteError::Levels) }
-}
-
 fn names(model: &PhasedModel) -> Vec<Names> {
     let of = |phase: &kalfit::model::Phase| {
         let name = |state: usize| phase.model.states[state].name.clone();
@@ -189,10 +184,9 @@ impl<W: Write + Send> ReductionWriter<W> {
     /// Begins a file.
     ///
     /// # Errors
-    /// A model with levels of groups, a sink that cannot be written to.
+    /// A sink that cannot be written to.
     pub fn new(model: &PhasedModel, metadata: &Metadata, sink: W) -> Result<ReductionWriter<W>, WriteError> {
         use Kind::{Count, Number, Numbers, Text, Words};
-        refuse_levels(model)?;
         let columns = [
             ("test", Text),
             ("phase", Text),
@@ -211,16 +205,23 @@ impl<W: Write + Send> ReductionWriter<W> {
             ("terminal_root", Numbers),
             ("inherited_transition", Numbers),
             ("inherited_input", Numbers),
+            (GROUPS, Words),
         ];
         let columns = columns.map(|(name, kind)| (name.to_owned(), kind));
         Ok(ReductionWriter { table: Table::new(&columns, metadata, REDUCTIONS_SCHEMA, sink)?, phases: names(model) })
     }
 
-    /// Appends one phase of a test.
+    /// Appends one phase of a test. `groups` has the names of the groups that the test stands in, the outermost first.
     ///
     /// # Errors
     /// A sink that cannot be written to.
-    pub fn write(&mut self, test: &str, phase: usize, piece: &PhaseReduction) -> Result<(), WriteError> {
+    pub fn write(
+        &mut self,
+        test: &str,
+        phase: usize,
+        piece: &PhaseReduction,
+        groups: &[String],
+    ) -> Result<(), WriteError> {
         let names = &self.phases[phase];
         let reduction = &piece.reduction;
         let design = format!("{:032x}", reduction.design);
@@ -246,6 +247,7 @@ impl<W: Write + Send> ReductionWriter<W> {
             Cell::Numbers(terminal.map(|t| rows_of(&t.root))),
             Cell::Numbers(inherited.map(|i| rows_of(&i.transition))),
             Cell::Numbers(inherited.map(|i| i.input.as_slice().to_vec())),
+            Cell::Words((!groups.is_empty()).then_some(groups)),
         ])
     }
 
@@ -274,7 +276,9 @@ impl<W: Write + Send> EstimatesWriter<W> {
     /// A model with levels of groups, a sink that cannot be written to.
     pub fn new(model: &PhasedModel, metadata: &Metadata, sink: W) -> Result<EstimatesWriter<W>, WriteError> {
         use Kind::{Count, Number, Numbers, Text, Words};
-        refuse_levels(model)?;
+        if !model.levels.is_empty() {
+            return Err(WriteError::Levels);
+        }
         let columns = [
             ("test", Text),
             ("phase", Text),

@@ -22,8 +22,8 @@ pub enum WriteError {
         /// Where else it is used, in words.
         used_in: String,
     },
-    /// A model with levels of groups, for an exchange file.
-    #[error("the model has levels of groups, and files of reductions and estimates do not say the groups of tests")]
+    /// A model with levels of groups, for a file of estimates.
+    #[error("the model has levels of groups, and files of estimates do not say the groups of tests")]
     Levels,
     /// The system could not write.
     #[error("{0}")]

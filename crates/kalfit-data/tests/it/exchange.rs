@@ -98,8 +98,18 @@ fn pieces(test: &str, salt: usize) -> Vec<PhaseReduction> {
     };
     let inherited = Inherited { transition: matrix(3, 2, salt + 4), input: vector(3, salt) };
     vec![
-        PhaseReduction { reduction: reduction(test, 2, salt), terminal: Some(terminal), inherited: None },
-        PhaseReduction { reduction: reduction(test, 3, salt + 1), terminal: None, inherited: Some(inherited) },
+        PhaseReduction {
+            reduction: reduction(test, 2, salt),
+            terminal: Some(terminal),
+            inherited: None,
+            groups: Vec::new(),
+        },
+        PhaseReduction {
+            reduction: reduction(test, 3, salt + 1),
+            terminal: None,
+            inherited: Some(inherited),
+            groups: Vec::new(),
+        },
     ]
 }
 
@@ -152,7 +162,7 @@ fn entries_of(
     let sorted = sort(&[Input::Stdin], Box::new(bytes))?;
     let mut entries = Vec::new();
     for source in &sorted.reductions {
-        read_reductions(source, model, &mut |entry| {
+        read_reductions(source, model, labels, &mut |entry| {
             entries.push(entry);
             Ok(())
         })?;
@@ -191,7 +201,7 @@ fn piece_bits(piece: &PhaseReduction) -> Vec<u64> {
 fn written_reductions(tests: &[(&str, Vec<PhaseReduction>)]) -> Vec<u8> {
     let mut writer = ReductionWriter::new(&two_phases(), &metadata(), Vec::new()).unwrap();
     for (id, pieces) in tests {
-        pieces.iter().enumerate().for_each(|(phase, piece)| writer.write(id, phase, piece).unwrap());
+        pieces.iter().enumerate().for_each(|(phase, piece)| writer.write(id, phase, piece, &[]).unwrap());
     }
     writer.finish().unwrap()
 }
@@ -468,29 +478,54 @@ fn reductions_that_do_not_fit_the_model() {
     assert_snapshot!(said(&written_reductions(&[]), &two_phases()), @"standard input has no rows");
 }
 
-#[test]
-fn groups_of_tests_are_not_in_exchange_files() {
+/// Reductions of one test of a model with these levels, with the names of its groups.
+fn reductions_of(model: &PhasedModel, groups: &[&str]) -> Vec<u8> {
+    let groups: Vec<String> = groups.iter().map(|&name| name.to_owned()).collect();
+    let mut writer = ReductionWriter::new(model, &metadata(), Vec::new()).unwrap();
+    let piece = PhaseReduction { terminal: None, ..pieces("a", 1).remove(0) };
+    writer.write("a", 0, &piece, &groups).unwrap();
+    writer.finish().unwrap()
+}
+
+fn with_levels(names: &[&str]) -> PhasedModel {
     let mut model = one_phase();
-    let covariance = CovarianceStructure::full();
-    let bytes = |model: &PhasedModel| {
-        let mut writer = ReductionWriter::new(model, &metadata(), Vec::new())?;
-        writer.write("a", 0, &PhaseReduction { terminal: None, ..pieces("a", 1).remove(0) })?;
-        writer.finish()
+    let level = |(column, name): (usize, &&str)| GroupLevel {
+        name: (*name).into(),
+        column,
+        covariance: CovarianceStructure::full(),
     };
-    let reductions = bytes(&model).unwrap();
-    let estimates = parquet(&batch(sound()), 1);
-    model.levels.push(GroupLevel { name: "lot".into(), column: 0, covariance });
-    assert_snapshot!(said(&reductions, &model), @"
-    standard input holds reductions, which do not say the groups of tests, and the model has levels of groups: expected rows
+    model.levels.extend(names.iter().enumerate().map(level));
+    model
+}
+
+#[test]
+fn reductions_say_the_groups_of_their_tests() {
+    let model = with_levels(&["lot", "serial"]);
+    let bytes = reductions_of(&model, &["L 1", "7/8"]);
+    let mut labels = Labels::default();
+    let found = entries_of(&bytes, &model, &by("unit"), &mut labels).unwrap();
+    let Evidence::Reduced(piece) = &found[0].evidence else { panic!("it is a reduction") };
+    let names: Vec<&str> = piece.groups.iter().map(|name| labels.text(*name)).collect();
+    assert_eq!(names, ["L 1", "7/8"]);
+    // whoever has no levels needs no groups
+    assert_eq!(entries_of(&bytes, &one_phase(), &by("unit"), &mut Labels::default()).unwrap().len(), 1);
+    assert_snapshot!(said(&reductions_of(&model, &["L 1"]), &model), @r#"standard input, row 1, column `groups`: found ["L 1"], expected the name of a group for each level of the model"#);
+    assert_snapshot!(said(&reductions_of(&model, &["L 1", ""]), &model), @r#"standard input, row 1, column `groups`: found ["L 1", ""], expected the name of a group for each level of the model"#);
+}
+
+#[test]
+fn files_that_do_not_say_the_groups_are_refused() {
+    let model = with_levels(&["lot"]);
+    assert_snapshot!(said(&reductions_of(&model, &[]), &model), @"
+    standard input holds reductions that do not say the groups of tests, and the model has levels of groups
+    hint: reduce the data again with this model: reductions then say the groups
+    ");
+    assert_snapshot!(said(&parquet(&batch(sound()), 1), &model), @"
+    standard input holds estimates that do not say the groups of tests, and the model has levels of groups
     hint: give the rows that the file was made of
     ");
-    assert_snapshot!(said(&estimates, &model), @"
-    standard input holds estimates, which do not say the groups of tests, and the model has levels of groups: expected rows
-    hint: give the rows that the file was made of
-    ");
-    assert_snapshot!(bytes(&model).unwrap_err(), @"the model has levels of groups, and files of reductions and estimates do not say the groups of tests");
-    let written = EstimatesWriter::new(&model, &metadata(), Vec::new()).err().map(|error| error.to_string());
-    assert_eq!(written, bytes(&model).err().map(|error| error.to_string()));
+    let written = EstimatesWriter::new(&model, &metadata(), Vec::new()).err();
+    assert_snapshot!(written.unwrap(), @"the model has levels of groups, and files of estimates do not say the groups of tests");
 }
 
 #[test]

@@ -13,15 +13,15 @@ use crate::html::section::Section;
 use crate::html::{across, phase, posteriors};
 use crate::number::plain;
 use crate::page::Page;
-use crate::summary::{correlations, intervals, phases, states};
+use crate::summary::{correlations, intervals, levels, phases, states};
 use crate::words::clean;
 
 /// A larger Σ is not written as a matrix.
-const MOST_IN_MATRIX: usize = 6;
+pub(super) const MOST_IN_MATRIX: usize = 6;
 /// States of a heat map.
 const MOST_IN_MAP: usize = 40;
 /// Digits of an element of a matrix.
-const DIGITS: usize = 5;
+pub(super) const DIGITS: usize = 5;
 
 pub(super) fn section(record: &FitRecord, charts: &mut Charts) -> Option<Section> {
     let page = Page::html();
@@ -46,18 +46,28 @@ fn phase_part(record: &FitRecord, one: &PhaseRecord, charts: &mut Charts, page: 
     }
     let rest = states::scales(one, page) + &states::regression(one, page);
     html! {
-        h3 { (name) (if several { "mean" } else { "Mean" }) " and spread over the tests" }
+        h3 { (name) (if several { "mean" } else { "Mean" }) (spread_of_what(record)) }
         (PreEscaped(page.table(&phase::columns(one))))
+        @if let Some(sentence) = levels::elsewhere(record) { p { (sentence) } }
         (PreEscaped(rest))
         p.hint { "± " (states::std_error(&record.std_errors)) "; intervals are 95 %, "
             (if record.intervals == "profile" { "by profile likelihood" } else { "by standard errors" }) "." }
         (matrices(one))
+        @if let Some(unit) = levels::innermost(record) { p.hint { "Σ is the covariance within one " (unit) "." } }
         (phase::elements(one, page))
-        (forest_plot(one, &name, charts).unwrap_or_default())
-        (PreEscaped(correlations::section(one, &title, page)))
-        (heat_map(one, &name, charts).unwrap_or_default())
+        (forest_plot(record, one, &name, charts).unwrap_or_default())
+        (PreEscaped(correlations::section(one.into(), &levels::within(record), &title, page)))
+        (heat_map(record, one, &name, charts).unwrap_or_default())
         (PreEscaped(intervals::section(record, one, &title, page)))
         (posteriors::ellipses(record, one, &name, charts).unwrap_or_default())
+    }
+}
+
+/// Whose spread it is, after "Mean".
+fn spread_of_what(record: &FitRecord) -> String {
+    match levels::within(record) {
+        none if none.is_empty() => " and spread over the tests".to_owned(),
+        within => format!(", and spread{within}"),
     }
 }
 
@@ -73,7 +83,7 @@ fn matrices(one: &PhaseRecord) -> Markup {
     } }
 }
 
-fn forest_plot(one: &PhaseRecord, name: &str, charts: &mut Charts) -> Option<Markup> {
+fn forest_plot(record: &FitRecord, one: &PhaseRecord, name: &str, charts: &mut Charts) -> Option<Markup> {
     let mut groups: Vec<Group> = Vec::new();
     for kind in [phase::Kind::Mean, phase::Kind::StdDev] {
         let mut units: Vec<String> = Vec::new();
@@ -92,13 +102,15 @@ fn forest_plot(one: &PhaseRecord, name: &str, charts: &mut Charts) -> Option<Mar
         }
     }
     let title = format!("{name}Estimates with 95 % intervals");
-    let caption = "Top: the mean over all tests. Below: how much tests differ (standard deviation). A mean whose interval \
-                   holds zero may be zero; a long interval asks for more tests. Open marks have no interval: fixed, on the \
-                   boundary or not identified.";
-    forest::forest(&title, caption, groups, charts)
+    let caption = format!(
+        "Top: the mean over all tests. Below: how much tests{} differ (standard deviation). A mean whose interval holds zero may \
+         be zero; a long interval asks for more tests. Open marks have no interval: fixed, on the boundary or not identified.",
+        levels::within(record)
+    );
+    forest::forest(&title, &caption, groups, charts)
 }
 
-fn heat_map(one: &PhaseRecord, name: &str, charts: &mut Charts) -> Option<Markup> {
+fn heat_map(record: &FitRecord, one: &PhaseRecord, name: &str, charts: &mut Charts) -> Option<Markup> {
     let p = one.states.len().min(MOST_IN_MAP);
     let of = |i: usize, k: usize| one.correlation.estimate.get(i).and_then(|row| row.get(k)).copied().flatten();
     let random: Vec<usize> = (0..p).filter(|&i| of(i, i).is_some()).collect();
@@ -121,10 +133,11 @@ fn heat_map(one: &PhaseRecord, name: &str, charts: &mut Charts) -> Option<Markup
     let cut =
         if one.states.len() > p { format!(" The first {p} of {} states.", one.states.len()) } else { String::new() };
     let caption = format!(
-        "Correlations of the initial states over the tests. Deep colour, near 1 or −1: what one of the two does tells the other; \
-         pale: they vary apart.{cut}"
+        "Correlations of the initial states over the tests{}. Deep colour, near 1 or −1: what one of the two does tells the other; \
+         pale: they vary apart.{cut}",
+        levels::within(record)
     );
     let data = json!({ "names": names, "cells": cells });
-    let title = format!("{name}Correlations");
+    let title = format!("{name}Correlations{}", levels::within(record));
     Some(charts.figure(Chart { kind: "heat", title: &title, caption: &caption, alternative: &alternative, data }))
 }

@@ -5,7 +5,7 @@ use maud::{PreEscaped, html};
 
 use crate::html::section::Section;
 use crate::page::Page;
-use crate::summary::{doubts, observability, phases};
+use crate::summary::{doubts, levels, observability, phases};
 use crate::words::clean;
 
 pub(super) fn section(record: &FitRecord) -> Option<Section> {
@@ -19,10 +19,13 @@ pub(super) fn section(record: &FitRecord) -> Option<Section> {
             true => format!("Phase {}: {}{}", clean(&phase.name), what[..1].to_lowercase(), &what[1..]),
             false => what.to_owned(),
         };
-        parts.push(match doubts::section(phase, tests, &title, &page) {
+        parts.push(match doubts::section(record, phase, &title, &page) {
             none if none.is_empty() && !phase.states.is_empty() => page.section(
                 &title("Limits of what the data say"),
-                &page.items(&["The data identify all that is free here, and the covariance is regular.".to_owned()]),
+                &page.items(&[format!(
+                    "The data identify all that is free here, and the covariance{} is regular.",
+                    levels::within(record)
+                )]),
             ),
             some => some,
         });

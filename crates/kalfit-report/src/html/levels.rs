@@ -1,11 +1,13 @@
 //! Tests in groups: the spread by level, and a forest of the groups with their tests.
 
 use kalfit::FitRecord;
-use kalfit::record::{SquareRecord, TestRecord, UnitRecord};
+use kalfit::record::{LevelRecord, SquareRecord, TestRecord, UnitRecord};
 use maud::{Markup, PreEscaped, html};
 
 use crate::html::chart::Charts;
+use crate::html::estimates::{DIGITS, MOST_IN_MATRIX};
 use crate::html::forest::{self, Group, Row};
+use crate::html::math::{self, equation, hat, op};
 use crate::html::section::Section;
 use crate::number::plain;
 use crate::page::Page;
@@ -22,9 +24,25 @@ pub(super) fn section(record: &FitRecord, charts: &mut Charts) -> Option<Section
         return None;
     }
     let table = levels::section(record, &Page::html());
+    let covariances = levels::outer(record).into_iter().filter_map(|(level, place)| covariance(level, &place));
     let forests: Vec<Markup> =
         (0..record.levels[0].states.len().min(MOST_STATES)).filter_map(|i| units(record, i, charts)).collect();
-    Section::new("levels", "Levels", html! { (PreEscaped(table)) @for one in &forests { (one) } })
+    Section::new(
+        "levels",
+        "Levels",
+        html! { (PreEscaped(table)) @for one in covariances { (one) } @for one in &forests { (one) } },
+    )
+}
+
+/// Σ of a level.
+fn covariance(level: &LevelRecord, place: &str) -> Option<Markup> {
+    let found = &level.covariance.estimate;
+    (1..=MOST_IN_MATRIX).contains(&found.len()).then(|| {
+        html! {
+            h3 { "Covariance" (place) }
+            div.equations.matrices { (equation(math::row([hat("Σ"), op("="), math::matrix(found, DIGITS)]))) }
+        }
+    })
 }
 
 /// Each group of the outermost level, then its inner groups and its tests.
@@ -42,10 +60,12 @@ fn units(record: &FitRecord, i: usize, charts: &mut Charts) -> Option<Markup> {
         let own = record.tests.iter().filter(|test| innermost && test.groups == group.id);
         rows.extend(own.filter_map(|test| test_row(test, &format!("{indent}– "), i)));
     }
-    let caption = "Each group with the mean of its tests, and below it the tests: posterior means with 95 % intervals, given all \
-                   data. Groups apart from each other differ from unit to unit; tests of one group apart from each other differ \
-                   from run to run.";
-    forest::forest(&format!("{state}: groups and their tests"), caption, vec![Group { label, rows }], charts)
+    let unit = levels::innermost(record)?;
+    let caption = format!(
+        "Each group with the mean of its tests, and below it the tests: posterior means with 95 % intervals, given all data. \
+         The spread of the groups is what varies from group to group, that of the tests of one {unit} what varies within it."
+    );
+    forest::forest(&format!("{state}: groups and their tests"), &caption, vec![Group { label, rows }], charts)
 }
 
 fn test_row(test: &TestRecord, indent: &str, i: usize) -> Option<Row> {

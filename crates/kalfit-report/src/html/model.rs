@@ -6,6 +6,7 @@ use maud::{Markup, html};
 use crate::html::math::equation;
 use crate::html::math::{self, Math};
 use crate::html::section::Section;
+use crate::summary::levels;
 use crate::words::{clean, sentence};
 
 /// No more facts than this; the model file has them all.
@@ -57,6 +58,10 @@ fn equations(record: &FitRecord) -> Markup {
             (equation(row([op("("), hat("μ"), op(","), hat("Σ"), op(","), hat("α"), op(")"), op("="), math::text("arg max"),
                 math::sum(j()), math::text("log"), letter("p"), op("("), sub(letter("z"), j()), op("∣"),
                 letter("μ"), op(","), letter("Σ"), op(","), letter("α"), op(")")])))
+        }
+        @if let Some(unit) = levels::innermost(record) {
+            p { "Tests stand in groups. " (equation(letter("Σ"))) " is what varies within one " (unit) "; to the start of a test each \
+                 of its groups adds a draw of its own, with mean zero and the covariance of its level." }
         }
         @if phased {
             p { "A test has several phases, each with its own uncertain start; a later phase inherits from the end of the one \

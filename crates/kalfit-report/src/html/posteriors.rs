@@ -36,11 +36,23 @@ fn chosen<'a>(record: &'a FitRecord, phase: &PhaseRecord) -> (Vec<&'a TestRecord
     (shown, said)
 }
 
+/// Σ of a test that nothing is known of: where there are levels, the sum over all of them.
+fn population(record: &FitRecord, phase: &PhaseRecord) -> Vec<Vec<f64>> {
+    let mut sum = phase.covariance.estimate.clone();
+    for level in record.levels.iter().filter(|level| level.column.is_some()) {
+        for (row, own) in sum.iter_mut().zip(&level.covariance.estimate) {
+            row.iter_mut().zip(own).for_each(|(sum, own)| *sum += own);
+        }
+    }
+    sum
+}
+
 pub(super) fn ellipses(record: &FitRecord, phase: &PhaseRecord, name: &str, charts: &mut Charts) -> Option<Markup> {
-    let p = phase.states.len().min(phase.mean.estimate.len()).min(phase.covariance.estimate.len());
-    let varies = |i: &usize| phase.covariance.estimate[*i].get(*i).is_some_and(|v| *v > 0.0 && v.is_finite());
+    let covariance = population(record, phase);
+    let p = phase.states.len().min(phase.mean.estimate.len()).min(covariance.len());
+    let varies = |i: &usize| covariance[*i].get(*i).is_some_and(|v| *v > 0.0 && v.is_finite());
     let states: Vec<usize> = (0..p).filter(varies).take(MOST_IN_PAIRS).collect();
-    let sound = phase.covariance.estimate.iter().all(|row| row.len() >= p);
+    let sound = covariance.iter().all(|row| row.len() >= p);
     if states.len() < 2 || !sound {
         return None;
     }
@@ -66,7 +78,7 @@ pub(super) fn ellipses(record: &FitRecord, phase: &PhaseRecord, name: &str, char
         "states": states.iter().map(|&i| clean(&phase.states[i])).collect::<Vec<_>>(),
         "units": units(phase, &states),
         "mean": figures(states.iter().map(|&i| phase.mean.estimate[i])),
-        "covariance": states.iter().map(|&i| figures(states.iter().map(|&k| phase.covariance.estimate[i][k]))).collect::<Vec<_>>(),
+        "covariance": states.iter().map(|&i| figures(states.iter().map(|&k| covariance[i][k]))).collect::<Vec<_>>(),
         "tests": tests.iter().map(test).collect::<Vec<Value>>(),
     });
     Grouping::tell(groups.as_ref(), &mut data);
@@ -93,7 +105,8 @@ fn units(phase: &PhaseRecord, states: &[usize]) -> Vec<String> {
 
 /// What each test says of each state, given the population.
 pub(super) fn posteriors(record: &FitRecord, phase: &PhaseRecord, name: &str, charts: &mut Charts) -> Option<Markup> {
-    let p = phase.states.len().min(phase.mean.estimate.len()).min(phase.std_dev.estimate.len());
+    let covariance = population(record, phase);
+    let p = phase.states.len().min(phase.mean.estimate.len()).min(covariance.len());
     let states: Vec<usize> = (0..p).take(MOST_STATES).collect();
     let (tests, said) = chosen(record, phase);
     if states.is_empty() || tests.is_empty() {
@@ -112,7 +125,7 @@ pub(super) fn posteriors(record: &FitRecord, phase: &PhaseRecord, name: &str, ch
         "states": states.iter().map(|&i| clean(&phase.states[i])).collect::<Vec<_>>(),
         "units": units(phase, &states),
         "mean": figures(states.iter().map(|&i| phase.mean.estimate[i])),
-        "sd": figures(states.iter().map(|&i| phase.std_dev.estimate[i])),
+        "sd": figures(states.iter().map(|&i| covariance[i].get(i).map_or(f64::NAN, |v| v.max(0.0).sqrt()))),
         "tests": tests.iter().map(test).collect::<Vec<Value>>(),
     });
     Grouping::tell(groups.as_ref(), &mut data);

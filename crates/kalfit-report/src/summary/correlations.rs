@@ -1,7 +1,6 @@
 //! Correlations between the states, the lower triangle.
 
-use kalfit::record::PhaseRecord;
-
+use super::spread::Spread;
 use crate::number::Precision;
 use crate::page::Page;
 use crate::table::{Column, Side};
@@ -9,39 +8,40 @@ use crate::table::{Column, Side};
 /// What is shown for a correlation with a state that does not vary.
 const UNDEFINED: &str = "-";
 
-pub(crate) fn section(phase: &PhaseRecord, title: &dyn Fn(&str) -> String, page: &Page<'_>) -> String {
-    let random: Vec<usize> = (0..phase.states.len()).filter(|&i| !held_at_zero(phase, i)).collect();
+/// `place` says in words where the states vary so, with a space in front, when there is more than one such place.
+pub(crate) fn section(spread: Spread<'_>, place: &str, title: &dyn Fn(&str) -> String, page: &Page<'_>) -> String {
+    let random: Vec<usize> = (0..spread.states.len()).filter(|&i| !held_at_zero(spread, i)).collect();
     if random.len() < 2 {
         return String::new();
     }
     let pairs = || random.iter().flat_map(|&i| random.iter().filter(move |&&k| k < i).map(move |&k| (i, k)));
-    if pairs().all(|(i, k)| is_fixed_zero(phase, i, k)) {
+    if pairs().all(|(i, k)| is_fixed_zero(spread, i, k)) {
         let sentence = "The states are held uncorrelated.".to_owned();
-        return page.section(&title("Correlations"), &page.items(&[sentence]));
+        return page.section(&title(&format!("Correlations{place}")), &page.items(&[sentence]));
     }
     let rows = &random[1..];
-    let names = Column::new("", Side::Left, rows.iter().map(|&i| phase.states[i].clone()).collect());
+    let names = Column::new("", Side::Left, rows.iter().map(|&i| spread.states[i].clone()).collect());
     let columns: Vec<Column> = random[..random.len() - 1]
         .iter()
         .map(|&k| {
-            let cells = rows.iter().map(|&i| if i > k { cell(phase, i, k) } else { String::new() });
-            Column::new(&phase.states[k], Side::Right, cells.collect())
+            let cells = rows.iter().map(|&i| if i > k { cell(spread, i, k) } else { String::new() });
+            Column::new(&spread.states[k], Side::Right, cells.collect())
         })
         .collect();
     let mut body = page.wide_table(&names, &columns);
-    if pairs().any(|(i, k)| cell(phase, i, k) == UNDEFINED) {
+    if pairs().any(|(i, k)| cell(spread, i, k) == UNDEFINED) {
         body += &page.items(&[format!("{UNDEFINED} not defined: a standard deviation is zero.")]);
     }
-    page.section(&title("Correlations (± standard error)"), &body)
+    page.section(&title(&format!("Correlations{place} (± standard error)")), &body)
 }
 
-fn cell(phase: &PhaseRecord, i: usize, k: usize) -> String {
+fn cell(spread: Spread<'_>, i: usize, k: usize) -> String {
     let of = |m: &[Vec<Option<f64>>]| m.get(i).and_then(|row| row.get(k)).copied().flatten().filter(|x| x.is_finite());
-    if is_fixed_zero(phase, i, k) {
+    if is_fixed_zero(spread, i, k) {
         return "0 fixed".to_owned();
     }
-    let Some(value) = of(&phase.correlation.estimate) else { return UNDEFINED.to_owned() };
-    match of(&phase.correlation.std_error).filter(|e| *e > 0.0) {
+    let Some(value) = of(&spread.correlation.estimate) else { return UNDEFINED.to_owned() };
+    match of(&spread.correlation.std_error).filter(|e| *e > 0.0) {
         Some(error) => {
             let decimals = match Precision::of(value, Some(error)) {
                 Precision::Decimals(d) => d.clamp(2, 3),
@@ -53,18 +53,18 @@ fn cell(phase: &PhaseRecord, i: usize, k: usize) -> String {
     }
 }
 
-fn element(phase: &PhaseRecord, i: usize, k: usize) -> (f64, bool) {
-    let covariance = &phase.covariance;
+fn element(spread: Spread<'_>, i: usize, k: usize) -> (f64, bool) {
+    let covariance = &spread.covariance;
     let value = covariance.estimate.get(i).and_then(|row| row.get(k)).copied().unwrap_or(f64::NAN);
     (value, covariance.fixed.get(i).and_then(|row| row.get(k)).copied().unwrap_or(false))
 }
 
 /// A state whose variance is fixed at zero has no correlations to speak of.
-fn held_at_zero(phase: &PhaseRecord, i: usize) -> bool {
-    is_fixed_zero(phase, i, i)
+fn held_at_zero(spread: Spread<'_>, i: usize) -> bool {
+    is_fixed_zero(spread, i, i)
 }
 
-fn is_fixed_zero(phase: &PhaseRecord, i: usize, k: usize) -> bool {
-    let (value, fixed) = element(phase, i, k);
+fn is_fixed_zero(spread: Spread<'_>, i: usize, k: usize) -> bool {
+    let (value, fixed) = element(spread, i, k);
     fixed && value == 0.0
 }

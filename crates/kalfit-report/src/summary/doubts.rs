@@ -1,9 +1,10 @@
 //! What the data leave open: a singular Σ, directions that nothing was observed of.
 
+use kalfit::FitRecord;
 use kalfit::record::{BoundaryRecord, PhaseRecord, UnidentifiedRecord};
 
 use super::combination::{combination, covariance_of, weighted};
-use super::{observability, pairs};
+use super::{levels, observability, pairs};
 use crate::page::Page;
 use crate::words::{clean, list, sentence};
 
@@ -12,8 +13,15 @@ const MOST_DIRECTIONS: usize = 8;
 /// No more names than this in a list.
 const MOST_NAMES: usize = 12;
 
-pub(crate) fn section(phase: &PhaseRecord, tests: usize, title: &dyn Fn(&str) -> String, page: &Page<'_>) -> String {
-    let mut sentences: Vec<String> = phase.boundary.iter().map(|b| singular(b, phase.states.len())).collect();
+pub(crate) fn section(
+    record: &FitRecord,
+    phase: &PhaseRecord,
+    title: &dyn Fn(&str) -> String,
+    page: &Page<'_>,
+) -> String {
+    let (tests, place) = (phase.tests.unwrap_or(record.data.tests), levels::within(record));
+    let own = |b: &BoundaryRecord| at_level(&place, &singular(b, phase.states.len(), "test to test"));
+    let mut sentences: Vec<String> = phase.boundary.iter().map(own).collect();
     sentences.extend(unidentified(&phase.unidentified, &phase.states, true));
     sentences.extend(observability::warnings(&phase.observability, &phase.weakly_determined, tests));
     page.section(&title("Limits of what the data say"), &page.items(&sentences))
@@ -46,7 +54,21 @@ fn reason(found: &UnidentifiedRecord) -> String {
     if found.reason.is_empty() { String::new() } else { format!(" {}", sentence(&clean(&found.reason))) }
 }
 
-fn singular(boundary: &BoundaryRecord, all: usize) -> String {
+/// A sentence on the covariance of a level, after the place where it holds; as it is where there is but one place.
+pub(crate) fn at_level(place: &str, sentence: &str) -> String {
+    let mut letters = sentence.chars();
+    match letters.next().filter(|_| !place.is_empty()) {
+        // Σ stays as large as it is
+        Some(first) => {
+            let place = crate::words::capital(place.trim_start());
+            format!("{place}, {}{}", first.to_ascii_lowercase(), letters.as_str())
+        }
+        None => sentence.to_owned(),
+    }
+}
+
+/// `from` whom to whom, as in `test to test`, nothing varies.
+pub(crate) fn singular(boundary: &BoundaryRecord, all: usize, from: &str) -> String {
     let (rank, of) = (boundary.rank, boundary.of);
     let names = |states: &[String]| list(&states.iter().map(|s| clean(s)).collect::<Vec<_>>(), MOST_NAMES);
     if let ([state], 0) = (boundary.states.as_slice(), rank) {
@@ -58,9 +80,9 @@ fn singular(boundary: &BoundaryRecord, all: usize) -> String {
         return format!("{whose} is estimated as zero: the tests do not differ in it beyond their noise.");
     }
     let why = match (boundary.zero_variances.len(), of.saturating_sub(rank)) {
-        (0, 1) => "one combination of these states does not vary from test to test, as far as the data tell".to_owned(),
+        (0, 1) => format!("one combination of these states does not vary from {from}, as far as the data tell"),
         (0, missing) => {
-            format!("{missing} combinations of these states do not vary from test to test, as far as the data tell")
+            format!("{missing} combinations of these states do not vary from {from}, as far as the data tell")
         }
         (1, _) => format!("the variance of {} is estimated as zero", names(&boundary.zero_variances)),
         _ => format!("the variances of {} are estimated as zero", names(&boundary.zero_variances)),

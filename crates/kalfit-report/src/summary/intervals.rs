@@ -1,7 +1,9 @@
 //! 95 % intervals, where they are more than standard errors already say.
 
-use kalfit::record::{FitRecord, Interval, PhaseRecord};
+use kalfit::record::{FitRecord, Interval, PhaseRecord, RegressionRecord};
 
+use super::levels;
+use super::spread::Spread;
 use crate::number::Precision;
 use crate::page::Page;
 use crate::table::{Column, Side};
@@ -11,6 +13,8 @@ const OPEN: &str = "-";
 
 struct Row {
     quantity: String,
+    /// Where it varies, when there is more than one such place.
+    place: String,
     estimate: String,
     ends: [String; 2],
 }
@@ -24,13 +28,18 @@ pub(crate) fn section(
     if record.intervals != "profile" {
         return String::new();
     }
-    let rows = rows(phase);
+    let mut rows = of_mean(phase);
+    rows.extend(of_spread(phase.into(), levels::within(record).trim_start()));
+    for (level, place) in levels::outer(record) {
+        rows.extend(of_spread(level.into(), place.trim_start_matches(" from ")));
+    }
     if rows.is_empty() {
         return String::new();
     }
     let column = |of: &dyn Fn(&Row) -> &String| rows.iter().map(|row| of(row).clone()).collect();
     let columns = [
         Column::new("", Side::Left, column(&|r| &r.quantity)),
+        Column::new("spread", Side::Left, column(&|r| &r.place)),
         Column::new("estimate", Side::Right, column(&|r| &r.estimate)),
         Column::new("from", Side::Right, column(&|r| &r.ends[0])),
         Column::new("to", Side::Right, column(&|r| &r.ends[1])),
@@ -42,40 +51,39 @@ pub(crate) fn section(
     page.section(&title("95 % intervals by profile likelihood"), &body)
 }
 
-fn rows(phase: &PhaseRecord) -> Vec<Row> {
-    let names = &phase.states;
-    let p = names.len();
-    let mut rows = Vec::new();
-    let mut add = |quantity: String, estimate: Option<f64>, interval: Interval| {
-        if let (Some(estimate), Some(ends)) = (estimate, interval) {
-            rows.push(row(quantity, estimate, ends));
-        }
-    };
-    for i in 0..p {
+fn of_mean(phase: &PhaseRecord) -> Vec<Row> {
+    let of_state = |(i, name): (usize, &String)| {
         let interval = phase.mean.interval95.get(i).copied().flatten();
-        add(format!("mean of {}", names[i]), phase.mean.estimate.get(i).copied(), interval);
-    }
-    for r in &phase.mean.regression {
-        add(format!("mean of {} per {}", r.state, r.column), Some(r.estimate), r.interval95);
-    }
-    for i in 0..p {
-        let interval = phase.std_dev.interval95.get(i).copied().flatten();
-        add(format!("std dev of {}", names[i]), phase.std_dev.estimate.get(i).copied(), interval);
-    }
-    for i in 0..p {
-        for k in 0..i {
-            let estimate = phase.correlation.estimate.get(i).and_then(|row| row.get(k)).copied().flatten();
-            let interval = phase.correlation.interval95.get(i).and_then(|row| row.get(k)).copied().flatten();
-            add(format!("correlation of {}, {}", names[k], names[i]), estimate, interval);
-        }
-    }
-    rows
+        row(format!("mean of {name}"), phase.mean.estimate.get(i).copied(), interval)
+    };
+    let of_column =
+        |r: &RegressionRecord| row(format!("mean of {} per {}", r.state, r.column), Some(r.estimate), r.interval95);
+    let states = phase.states.iter().enumerate().filter_map(of_state);
+    states.chain(phase.mean.regression.iter().filter_map(of_column)).collect()
 }
 
-/// Digits as for a standard error of a quarter of the interval.
-fn row(quantity: String, estimate: f64, ends: [Option<f64>; 2]) -> Row {
+/// `place` says in words where they vary so, when there is more than one such place.
+fn of_spread(spread: Spread<'_>, place: &str) -> Vec<Row> {
+    let names = spread.states;
+    let std_dev = |i: usize| {
+        let interval = spread.std_dev.interval95.get(i).copied().flatten();
+        row(format!("std dev of {}", names[i]), spread.std_dev.estimate.get(i).copied(), interval)
+    };
+    let correlation = |(i, k): (usize, usize)| {
+        let estimate = spread.correlation.estimate.get(i).and_then(|row| row.get(k)).copied().flatten();
+        let interval = spread.correlation.interval95.get(i).and_then(|row| row.get(k)).copied().flatten();
+        row(format!("correlation of {}, {}", names[k], names[i]), estimate, interval)
+    };
+    let pairs = (0..names.len()).flat_map(|i| (0..i).map(move |k| (i, k)));
+    let rows = (0..names.len()).filter_map(std_dev).chain(pairs.filter_map(correlation));
+    rows.map(|row| Row { place: place.to_owned(), ..row }).collect()
+}
+
+/// Digits as for a standard error of a quarter of the interval; nothing without an interval.
+fn row(quantity: String, estimate: Option<f64>, interval: Interval) -> Option<Row> {
+    let (estimate, ends) = (estimate?, interval?);
     let width = ends.iter().flatten().map(|end| (end - estimate).abs()).fold(0.0, f64::max);
     let precision = Precision::of(estimate, Some(0.5 * width).filter(|w| *w > 0.0));
     let end = |end: Option<f64>| end.map_or_else(|| OPEN.to_owned(), |x| precision.show(x));
-    Row { quantity, estimate: precision.show(estimate), ends: ends.map(end) }
+    Some(Row { quantity, place: String::new(), estimate: precision.show(estimate), ends: ends.map(end) })
 }

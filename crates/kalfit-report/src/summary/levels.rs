@@ -1,20 +1,20 @@
-//! Tests in groups: how much of the spread is from group to group of each level, and which groups stand out.
+//! Tests in groups: how much of the spread is from group to group of each level.
 
 use kalfit::FitRecord;
-use kalfit::record::{LevelRecord, SEARCH_LEVEL, UnitRecord};
+use kalfit::record::LevelRecord;
 
 use super::combination::NEGLIGIBLE;
-use super::doubts;
 use super::states::{Cells, spread};
-use crate::number::{Precision, plain, probability};
+use super::{correlations, doubts, outlying_groups};
+use crate::number::{Precision, plain};
 use crate::page::Page;
 use crate::table::{Column, Side};
 use crate::words::{clean, count, list};
 
-/// Groups of a table.
-const MOST_ROWS: usize = 5;
 /// Levels of a sentence.
 const MOST_NAMES: usize = 8;
+/// The table of levels.
+const TABLE: &str = "Spread by level";
 
 /// The levels and their groups: for the first lines.
 pub(crate) fn counted(record: &FitRecord) -> Option<String> {
@@ -24,16 +24,50 @@ pub(crate) fn counted(record: &FitRecord) -> Option<String> {
     Some(format!("Levels: {}; {} within them.", list(&groups, MOST_NAMES), count(tests.groups, "test")))
 }
 
+/// The name of a group of the innermost level, as in "within one chip"; nothing without levels.
+pub(crate) fn innermost(record: &FitRecord) -> Option<String> {
+    let (_, groups) = record.levels.split_last()?;
+    groups.last().map(|level| clean(&level.name))
+}
+
+/// Where the tests' own states vary, with a space in front; empty without levels.
+pub(crate) fn within(record: &FitRecord) -> String {
+    innermost(record).map_or_else(String::new, |unit| format!(" within one {unit}"))
+}
+
+/// The levels of groups with where their states vary, with a space in front.
+pub(crate) fn outer(record: &FitRecord) -> Vec<(&LevelRecord, String)> {
+    let places = places(record).into_iter().map(|place| format!(" from {place}"));
+    record.levels.iter().zip(places).filter(|(level, _)| level.column.is_some()).collect()
+}
+
+/// Where a reader finds what varies from group to group.
+pub(crate) fn elsewhere(record: &FitRecord) -> Option<String> {
+    let (_, groups) = record.levels.split_last()?;
+    let unit = innermost(record)?;
+    let places: Vec<String> = places(record)[..groups.len()].iter().map(|place| format!("from {place}")).collect();
+    Some(format!(
+        "The standard deviations are from test to test of one {unit}; those {} are under \"{TABLE}\".",
+        list(&places, MOST_NAMES)
+    ))
+}
+
+/// Where the states of each level vary, the outermost first: `lot to lot`, `chip to chip`, `within one chip`.
+fn places(record: &FitRecord) -> Vec<String> {
+    let place = |level: &LevelRecord| match level.column {
+        Some(_) => format!("{0} to {0}", clean(&level.name)),
+        None => within(record).trim_start().to_owned(),
+    };
+    record.levels.iter().map(place).collect()
+}
+
 pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
-    let Some((_, groups)) = record.levels.split_last() else { return String::new() };
-    let inner = groups.last().map_or(String::new(), |level| clean(&level.name));
-    let outer = groups.iter().map(|level| format!("{0} to {0}", clean(&level.name)));
-    let mut names: Vec<String> = outer.collect();
-    names.push(format!("test to test of one {inner}"));
-    let table = page.table(&columns(record, &names));
+    if record.levels.is_empty() {
+        return String::new();
+    }
     let mut sentences = Vec::new();
-    for (level, name) in record.levels.iter().zip(&names).filter(|(level, _)| level.column.is_some()) {
-        sentences.extend(zero(level, name));
+    for (level, place) in outer(record) {
+        sentences.extend(boundaries(level, &place));
         sentences.extend(doubts::unidentified(&level.unidentified, &level.states, false));
     }
     let sums = record.levels.iter().any(|level| level.unidentified.iter().any(|one| !one.phases.is_empty()));
@@ -43,10 +77,15 @@ pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
                 .to_owned(),
         );
     }
-    let body = table + &page.items(&sentences);
-    let spread = page.section("Spread by level (share of the variance of a test)", &body);
-    let apart = outlying(record, page);
-    if apart.is_empty() { spread } else { format!("{spread}\n{apart}") }
+    let body = page.table(&columns(record, &places(record))) + &page.items(&sentences);
+    let mut sections = vec![page.section(&format!("{TABLE} (share of the variance of a test)"), &body)];
+    let unchanged = |what: &str| what.to_owned();
+    for (level, place) in outer(record) {
+        sections.push(correlations::section(level.into(), &place, &unchanged, page));
+    }
+    sections.push(outlying_groups::section(record, page));
+    sections.retain(|section| !section.is_empty());
+    sections.join("\n")
 }
 
 /// One row for each state and level.
@@ -75,7 +114,7 @@ fn columns(record: &FitRecord, names: &[String]) -> Vec<Column> {
     }
     vec![
         Column::new("state", Side::Left, state),
-        Column::new("varies from", Side::Left, level),
+        Column::new("spread", Side::Left, level),
         Column::new("number", Side::Right, groups),
         Column::new("std dev", Side::Right, figure),
         Column::new("", Side::Left, beside),
@@ -122,49 +161,15 @@ fn std_dev(level: &LevelRecord, i: usize) -> Cells {
     spread(&level.states[i], (estimate, error, fixed), &level.boundary, &level.unidentified)
 }
 
-/// Said of a level at which nothing varies.
-fn zero(level: &LevelRecord, name: &str) -> Option<String> {
-    let free = level.boundary.iter().any(|one| one.rank == 0);
+/// What is singular of a level: nothing varies there, or some combination does not.
+fn boundaries(level: &LevelRecord, place: &str) -> Vec<String> {
     let known = !(0..level.states.len()).any(|i| is_open(level, i));
-    (free && known).then(|| {
-        format!("Nothing varies from {name} beyond what the tests within them explain: its covariance is zero.")
-    })
-}
-
-/// Groups that do not look like the others.
-fn outlying(record: &FitRecord, page: &Page<'_>) -> String {
-    let mut tested: Vec<(f64, &UnitRecord)> =
-        record.groups.iter().filter_map(|g| g.p_value.filter(|p| p.is_finite()).map(|p| (p, g))).collect();
-    tested.sort_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.id.cmp(&b.1.id)));
-    let Some(&(least, nearest)) = tested.first() else { return String::new() };
-    let all = tested.len();
-    let corrected = |p: f64| (p * all as f64).min(1.0);
-    let outliers: Vec<(f64, &UnitRecord)> = tested.into_iter().filter(|&(p, _)| corrected(p) < SEARCH_LEVEL).collect();
-    if outliers.is_empty() {
-        let sentence = format!(
-            "No group stands out: the smallest of {all} p-values is {} ({} {}).",
-            probability(least),
-            clean(&nearest.level),
-            clean(&nearest.id.join("/"))
-        );
-        return page.section("Outlying groups", &page.items(&[sentence]));
+    let none = level.std_dev.estimate.iter().all(|s| *s == 0.0);
+    if known && none && !level.boundary.is_empty() {
+        return vec![format!(
+            "Nothing varies{place} beyond what the tests within them explain: its covariance is zero."
+        )];
     }
-    let rows = &outliers[..outliers.len().min(page.rows(MOST_ROWS))];
-    let each = |of: &dyn Fn(&UnitRecord) -> String| rows.iter().map(|(_, group)| of(group)).collect();
-    let columns = [
-        Column::new("level", Side::Left, each(&|g| clean(&g.level))),
-        Column::new("group", Side::Left, each(&|g| clean(&g.id.join("/")))),
-        Column::new("tests", Side::Right, each(&|g| g.tests.to_string())),
-        Column::new("distance²", Side::Right, each(&|g| g.distance.map_or_else(|| "-".to_owned(), |d| plain(d, 3)))),
-        Column::new("expected", Side::Right, each(&|g| g.degrees_of_freedom.to_string())),
-        Column::new("p-value", Side::Right, rows.iter().map(|&(p, _)| probability(p)).collect()),
-        Column::new(
-            &format!("times {all}"),
-            Side::Right,
-            rows.iter().map(|&(p, _)| probability(corrected(p))).collect(),
-        ),
-    ];
-    let stands = if outliers.len() == 1 { "This group stands out" } else { "These groups stand out" };
-    let sentence = format!("{stands} even though the search went over {all} groups (Bonferroni, 5 % level).");
-    page.section("Outlying groups", &(page.table(&columns) + &page.items(&[sentence])))
+    let from = place.trim_start_matches(" from ");
+    level.boundary.iter().map(|one| doubts::at_level(place, &doubts::singular(one, level.states.len(), from))).collect()
 }

@@ -12,9 +12,11 @@ pub(crate) mod intervals;
 pub(crate) mod levels;
 pub(crate) mod observability;
 pub(crate) mod outliers;
+pub(crate) mod outlying_groups;
 mod pairs;
 pub(crate) mod parameters;
 pub(crate) mod phases;
+pub(crate) mod spread;
 pub(crate) mod states;
 
 use kalfit::FitRecord;
@@ -55,10 +57,10 @@ fn phase_sections(record: &FitRecord, phase: &PhaseRecord, page: &Page<'_>) -> V
         _ => format!("Phase {}: {}{}", clean(&phase.name), what[..1].to_lowercase(), &what[1..]),
     };
     vec![
-        states::section(phase, &record.std_errors, &title, page),
-        correlations::section(phase, &title, page),
+        states::section(record, phase, &title, page),
+        correlations::section(phase.into(), &levels::within(record), &title, page),
         intervals::section(record, phase, &title, page),
-        doubts::section(phase, phase.tests.unwrap_or(record.data.tests), &title, page),
+        doubts::section(record, phase, &title, page),
     ]
 }
 

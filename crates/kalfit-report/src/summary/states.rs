@@ -1,8 +1,10 @@
 //! μ and the standard deviations, state by state, with what else shifts the mean.
 
+use kalfit::FitRecord;
 use kalfit::record::{BoundaryRecord, PhaseRecord, RegressionRecord, ScaleRecord, UnidentifiedRecord};
 
 use super::combination::{NEGLIGIBLE, covariance_of};
+use super::levels;
 use crate::number::Precision;
 use crate::page::Page;
 use crate::table::{Column, Side};
@@ -19,7 +21,12 @@ pub(crate) fn std_error(kind: &str) -> String {
     }
 }
 
-pub(crate) fn section(phase: &PhaseRecord, kind: &str, title: &dyn Fn(&str) -> String, page: &Page<'_>) -> String {
+pub(crate) fn section(
+    record: &FitRecord,
+    phase: &PhaseRecord,
+    title: &dyn Fn(&str) -> String,
+    page: &Page<'_>,
+) -> String {
     if phase.states.is_empty() {
         return page.paragraph(&title("Initial state: nothing of it is estimated."));
     }
@@ -35,8 +42,14 @@ pub(crate) fn section(phase: &PhaseRecord, kind: &str, title: &dyn Fn(&str) -> S
         Column::new("std dev", Side::Right, std_dev),
         Column::new("", Side::Left, std_dev_error),
     ];
-    let heading = title(&format!("Initial state over the tests (± {})", std_error(kind)));
-    page.section(&heading, &page.table(&columns)) + &scales(phase, page) + &regression(phase, page)
+    let what = match levels::innermost(record) {
+        Some(unit) => format!("Initial state: mean, and spread within one {unit}"),
+        None => "Initial state over the tests".to_owned(),
+    };
+    let heading = title(&format!("{what} (± {})", std_error(&record.std_errors)));
+    let elsewhere: Vec<String> = levels::elsewhere(record).into_iter().collect();
+    let body = page.table(&columns) + &page.items(&elsewhere);
+    page.section(&heading, &body) + &scales(phase, page) + &regression(phase, page)
 }
 
 pub(crate) fn mean(phase: &PhaseRecord, i: usize) -> Cells {

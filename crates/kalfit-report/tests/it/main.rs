@@ -5,6 +5,7 @@ mod choices;
 mod common;
 mod diagnosis;
 mod html;
+mod levels;
 mod model_check;
 mod parameters;
 mod phases;

@@ -138,7 +138,7 @@ fn levels_are_described() {
     measurement `strength`: column `strength` reads strength_of_cask; noise of standard deviation sigma
     parameter `sigma`: free, not negative
     order of μ and Σ: strength_of_cask
-    covariance Σ: full
+    covariance Σ from test to test of one `batch`: full
     level `batch`: one group for each value of column `batch`
     level `batch`: covariance Σ from group to group: full
     ");

@@ -8,6 +8,7 @@ use crate::model::{Alpha, PhasedModel};
 use crate::record::cut::{Cut, phases_of};
 use crate::record::diagnosis::shortage_notes;
 use crate::record::directions::crossing_notes;
+use crate::record::number::plain;
 use crate::record::own::{MOST_OWN, Own};
 use crate::record::phases::phases_and_levels;
 use crate::record::{
@@ -15,6 +16,9 @@ use crate::record::{
     PosteriorRecord, SolverRecord, TestRecord, parameters,
 };
 use crate::reduce::{Path, Reductions};
+
+/// Digits of a figure in a note.
+const DIGITS: usize = 4;
 
 /// What the core does not know about a fit.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -331,7 +335,9 @@ fn notes(model: &PhasedModel, estimate: &Estimate, inference: &Inference) -> Vec
         let variance = estimate.covariance[(i, i)];
         if let Some(error) = uncertainty.covariance[i][i].filter(|e| *e >= variance) {
             notes.push(format!(
-                "the variance of `{name}` is weakly determined: its standard error ({error:.3e}) is no smaller than the variance itself ({variance:.3e})"
+                "the variance of `{name}` is weakly determined: its standard error ({}) is no smaller than the variance itself ({})",
+                plain(error, DIGITS),
+                plain(variance, DIGITS)
             ));
         }
     }

@@ -4,6 +4,7 @@ use crate::infer::{Direction, Explanation, Observability, PhaseObservability, Qu
 use crate::model::PhasedModel;
 use crate::record::cut::Cut;
 use crate::record::diagnosis::{named, words};
+use crate::record::number::plain;
 use crate::record::{EnteredRecord, InformationRecord, UnidentifiedRecord, WeakRecord};
 
 /// Smaller weights of a unit direction do not count, as in the summaries.
@@ -219,9 +220,9 @@ pub fn crossing_notes(
     let crosses = |weak: &&WeakDirection| entries.parts(model, &weak.direction).len() > 1;
     notes.extend(seen.weak.iter().filter(crosses).map(|weak| {
         format!(
-            "weakly determined over the phases: the combination {} of the means is known {:.2e} times less precisely than the best known combination, in comparable units",
+            "weakly determined over the phases: the combination {} of the means is known {} times less precisely than the best known combination, in comparable units",
             entries.combination(&weak.direction),
-            weak.condition
+            plain(weak.condition, 2)
         )
     }));
     notes

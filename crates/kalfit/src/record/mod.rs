@@ -11,6 +11,7 @@ mod dynamic_ratio;
 mod group_levels;
 mod levels;
 mod model_check;
+mod number;
 mod own;
 mod parameters;
 mod phase;
@@ -37,6 +38,7 @@ pub use dynamic_ratio::DynamicSides;
 pub use group_levels::{LevelRecord, UnitRecord};
 pub use levels::{LevelCounts, level_notes};
 pub use model_check::{FindingRecord, ModelCheckRecord, SEARCH_LEVEL, displacement_limit, holm, overall_size};
+pub use number::plain;
 pub use own::OwnRecord;
 pub use parameters::{MethodRecord, ParameterRecord, StartRecord};
 pub use phase::{

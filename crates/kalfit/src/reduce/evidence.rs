@@ -3,7 +3,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::ensemble::{Labels, Test};
+use crate::ensemble::{Label, Labels, Test};
 use crate::model::{PhasedModel, Slots};
 use crate::reduce::reduction::Reduction;
 use crate::reduce::terminal::Terminal;
@@ -67,6 +67,8 @@ pub struct PhaseReduction {
     pub terminal: Option<Terminal>,
     /// What this phase inherits; `None` for the first one.
     pub inherited: Option<Inherited>,
+    /// Names of the groups of its test, the outermost first, where they came with it; empty where they did not.
+    pub groups: Vec<Label>,
 }
 
 /// σ = [ξ; 0] + T x_K + t, of the phase before.

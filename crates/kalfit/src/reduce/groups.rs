@@ -7,9 +7,9 @@ use crate::reduce::{Evidence, PhasedTest};
 /// Why tests cannot be grouped.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum GroupingError {
-    /// Of some test there are no rows that say which groups it stands in.
+    /// Nothing says which groups some test stands in.
     #[error(
-        "which groups test `{test}` stands in is not known: it is given by a reduction or by estimates, without rows"
+        "which groups test `{test}` stands in is not known: it is given by a reduction without them, or by estimates"
     )]
     NoRows {
         /// Its id.
@@ -41,14 +41,26 @@ pub fn grouping(model: &PhasedModel, tests: &[PhasedTest]) -> Result<Option<Grou
     if model.levels.is_empty() {
         return Ok(None);
     }
-    let paths = tests.iter().map(|test| Ok((test.id.as_str(), path(model, test)?)));
+    let path = |test: &PhasedTest| match &test.phases[..] {
+        [only] => groups_of(model, &test.id, only),
+        _ => Err(GroupingError::NoRows { test: test.id.clone() }),
+    };
+    let paths = tests.iter().map(|test| Ok((test.id.as_str(), path(test)?)));
     Ok(Some(Grouping::from_paths(model.levels.len(), paths.collect::<Result<Vec<_>, _>>()?)))
 }
 
-/// Names of the groups of a test, the outermost first.
-fn path(model: &PhasedModel, test: &PhasedTest) -> Result<Vec<Label>, GroupingError> {
-    let id = || test.id.clone();
-    let [Evidence::Rows(rows)] = &test.phases[..] else { return Err(GroupingError::NoRows { test: id() }) };
+/// Names of the groups of a test, the outermost first; none for a model without levels.
+///
+/// # Errors
+/// As [`grouping`].
+pub fn groups_of(model: &PhasedModel, test: &str, evidence: &Evidence) -> Result<Vec<Label>, GroupingError> {
+    let id = || test.to_owned();
+    let rows = match evidence {
+        Evidence::Rows(rows) => rows,
+        Evidence::Reduced(piece) if piece.groups.len() == model.levels.len() => return Ok(piece.groups.clone()),
+        _ if model.levels.is_empty() => return Ok(Vec::new()),
+        Evidence::Reduced(_) | Evidence::Estimates(_) => return Err(GroupingError::NoRows { test: id() }),
+    };
     let one = |level: &GroupLevel| {
         let name = |row: usize| rows.texts(row)[level.column];
         let first = if rows.rows() == 0 { Label::MISSING } else { name(0) };

@@ -90,7 +90,7 @@ pub use chain::{Chain, ChainPhase, Link};
 pub use error::{Cell, ReduceError, ReduceErrorKind};
 pub use evidence::{Estimates, Evidence, Inherited, PhaseReduction, PhasedTest};
 pub use flops::reduction_flops;
-pub use groups::{GroupingError, grouping};
+pub use groups::{GroupingError, grouping, groups_of};
 pub use path::Path;
 pub use phased::PhasedReducer;
 pub use plain::{Plain, StepMatrices};

@@ -176,7 +176,7 @@ impl PhaseReducer {
     fn given<'a>(&self, id: &str, piece: &'a PhaseReduction, linked: bool) -> Result<Part<'a>, ReduceError> {
         let Sizes { q, n, regressions } = self.sizes;
         let before = self.place.before;
-        let PhaseReduction { reduction, terminal, inherited } = piece;
+        let PhaseReduction { reduction, terminal, inherited, .. } = piece;
         let check = |what: &str, numbers: &[f64], found: (usize, usize), expected: (usize, usize)| {
             if found != expected {
                 return Err(refuse(id, what, ReduceErrorKind::Shape { found, expected }));
@@ -237,7 +237,7 @@ impl Part<'_> {
             Ending::Known(terminal) => Some(terminal.into_owned()),
         };
         let inherited = self.inherited.map(Cow::into_owned);
-        PhaseReduction { reduction: self.reduction.into_owned(), terminal, inherited }
+        PhaseReduction { reduction: self.reduction.into_owned(), terminal, inherited, groups: Vec::new() }
     }
 
     /// What a later phase inherits.

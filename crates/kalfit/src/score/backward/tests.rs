@@ -293,8 +293,8 @@ fn the_adjoints_of_two_parts_are_those_of_the_whole() {
         let (d2, n2, g2, r2) = reduction_of(d2, n2);
         let same = Inherited { transition: DMatrix::identity(4, 4), input: DVector::zeros(4) };
         let pieces = [
-            PhaseReduction { reduction: r1, terminal: Some(last), inherited: None },
-            PhaseReduction { reduction: r2, terminal: None, inherited: Some(same) },
+            PhaseReduction { reduction: r1, terminal: Some(last), inherited: None, groups: Vec::new() },
+            PhaseReduction { reduction: r2, terminal: None, inherited: Some(same), groups: Vec::new() },
         ];
         let laws = PhaseLaws::new(&law, &[0..3, 3..3], &[]);
         let plan = Plan::new(&pieces, &laws);

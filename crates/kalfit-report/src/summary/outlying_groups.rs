@@ -1,0 +1,52 @@
+//! Groups of tests that do not look like the others.
+
+use kalfit::FitRecord;
+use kalfit::record::{SEARCH_LEVEL, UnitRecord};
+
+use crate::number::{plain, probability};
+use crate::page::Page;
+use crate::table::{Column, Side};
+use crate::words::clean;
+
+/// Groups of the table.
+const MOST_ROWS: usize = 5;
+
+pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
+    let mut tested: Vec<(f64, &UnitRecord)> =
+        record.groups.iter().filter_map(|g| g.p_value.filter(|p| p.is_finite()).map(|p| (p, g))).collect();
+    tested.sort_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.id.cmp(&b.1.id)));
+    let Some(&(least, nearest)) = tested.first() else { return String::new() };
+    let all = tested.len();
+    let corrected = |p: f64| (p * all as f64).min(1.0);
+    let outliers: Vec<(f64, &UnitRecord)> = tested.into_iter().filter(|&(p, _)| corrected(p) < SEARCH_LEVEL).collect();
+    if outliers.is_empty() {
+        let (which, then) = match all {
+            1 => ("its p-value".to_owned(), String::new()),
+            _ => (
+                format!("the smallest of {all} p-values"),
+                format!(", or {} with Bonferroni's correction", probability(corrected(least))),
+            ),
+        };
+        let (level, id) = (clean(&nearest.level), clean(&nearest.id.join("/")));
+        let sentence = format!("No group stands out: {which} is {} ({level} {id}){then}.", probability(least));
+        return page.section("Outlying groups", &page.items(&[sentence]));
+    }
+    let rows = &outliers[..outliers.len().min(page.rows(MOST_ROWS))];
+    let each = |of: &dyn Fn(&UnitRecord) -> String| rows.iter().map(|(_, group)| of(group)).collect();
+    let columns = [
+        Column::new("level", Side::Left, each(&|g| clean(&g.level))),
+        Column::new("group", Side::Left, each(&|g| clean(&g.id.join("/")))),
+        Column::new("tests", Side::Right, each(&|g| g.tests.to_string())),
+        Column::new("distance²", Side::Right, each(&|g| g.distance.map_or_else(|| "-".to_owned(), |d| plain(d, 3)))),
+        Column::new("expected", Side::Right, each(&|g| g.degrees_of_freedom.to_string())),
+        Column::new("p-value", Side::Right, rows.iter().map(|&(p, _)| probability(p)).collect()),
+        Column::new(
+            &format!("times {all}"),
+            Side::Right,
+            rows.iter().map(|&(p, _)| probability(corrected(p))).collect(),
+        ),
+    ];
+    let stands = if outliers.len() == 1 { "This group stands out" } else { "These groups stand out" };
+    let sentence = format!("{stands} even though the search went over {all} groups (Bonferroni, 5 % level).");
+    page.section("Outlying groups", &(page.table(&columns) + &page.items(&[sentence])))
+}
