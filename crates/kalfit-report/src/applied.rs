@@ -89,7 +89,7 @@ fn sum(joint: &JointRecord) -> String {
     let spread = plain((2.0 * degrees as f64).sqrt(), 2);
     let squared = plain(joint.squared, 4);
     format!(
-        "add up to {squared}, expected {degrees} ± {spread} (chi-squared, {}): p = {p}.",
+        "add up to {squared}, expected {degrees} ± {spread} (chi-squared, {}): {p}.",
         count(degrees, "degree") + " of freedom"
     )
 }

@@ -85,10 +85,11 @@ fn the_tests_of_a_fit_are_what_the_fit_says_of_them() {
       Log predictive density: -87.9287 in all, -7.327 for each test on average.
       Initial states: squared distances of the tests from the population add up to
         12.03, expected 12 ± 4.9 (chi-squared, 12 degrees of freedom): p = 0.89.
-      Innovations: squares of the standardised ones add up to 93.53, expected 108 ±
-        15 (chi-squared, 108 degrees of freedom): p = 0.32.
-      The test furthest from the population is `u00`: p = 0.04 by itself, 0.46 as
-        the furthest of 12.
+      Residuals: squares of what the measured values are off the model, whatever the
+        initial states are, add up to 81.51, expected 96 ± 14 (chi-squared, 96
+        degrees of freedom): p = 0.29.
+      The test furthest from the population is `u00`: p = 0.04 by itself, p = 0.46
+        as the furthest of 12.
 
     How to read this
       The parameters are taken as exactly known. Those of a fit are not: distances
@@ -160,8 +161,9 @@ fn tests_of_another_population_are_told() {
     let said = |data: &str| shown(&folder.run(&format!("apply m.toml {data} --from fit.json")));
     let shifted = said("shifted.csv");
     assert!(shifted.contains("The tests are not of this population: their initial states"), "{shifted}");
+    assert!(!shifted.contains("residuals of"), "records of shifted tests are as good as the others: {shifted}");
     let noisy = said("noisy.csv");
-    assert!(noisy.contains("residuals do not have their law"), "{noisy}");
+    assert!(noisy.contains("The model does not describe the records of these tests"), "{noisy}");
 }
 
 #[test]

@@ -4,8 +4,20 @@ use std::process::Command;
 
 use crate::folder::{Folder, shown};
 
-const COMMANDS: [&str; 11] =
-    ["init", "fit", "reduce", "estimates", "test", "check", "simulate", "plan", "report", "completions", "man"];
+const COMMANDS: [&str; 12] = [
+    "init",
+    "fit",
+    "reduce",
+    "estimates",
+    "test",
+    "check",
+    "simulate",
+    "plan",
+    "apply",
+    "report",
+    "completions",
+    "man",
+];
 
 #[test]
 fn the_shell_takes_its_completions() {
@@ -48,7 +60,7 @@ fn the_page_of_the_program_has_all_commands() {
 fn every_command_has_a_page_with_its_options_and_examples() {
     let folder = Folder::new(&[]);
     let told = shown(&folder.run("man new/man1"));
-    assert!(told.ends_with("Wrote 12 pages to new/man1\n"), "{told}");
+    assert!(told.ends_with("Wrote 13 pages to new/man1\n"), "{told}");
     let page = |name: &str| {
         std::fs::read_to_string(folder.path(&format!("new/man1/{name}.1")))
             .unwrap_or_else(|error| panic!("{name}: {error}"))
@@ -58,7 +70,7 @@ fn every_command_has_a_page_with_its_options_and_examples() {
         assert!(page(&format!("kalfit-{command}")).contains("Examples"), "{command}");
     }
     assert!(page("kalfit-fit").contains("\\-\\-max\\-iterations"));
-    assert_eq!(folder.path("new/man1").read_dir().expect("it is a folder").count(), 12);
+    assert_eq!(folder.path("new/man1").read_dir().expect("it is a folder").count(), 13);
     assert!(shown(&folder.run("man new/man1")).starts_with("exit 0"), "pages are replaced");
     assert!(shown(&folder.run("man d.csv")).starts_with("exit 2"), "a file is no folder");
 }

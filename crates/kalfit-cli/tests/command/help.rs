@@ -31,6 +31,8 @@ fn version_and_help() {
                    the data identify
       simulate     Draw an ensemble of tests from a fit, or from the values of a model
       plan         Expected standard errors against the number of tests, before any is run
+      apply        Apply a fitted model to tests, old or new: are they of the population, and what were
+                   their states
       report       The report of a fit, one HTML page, from its results alone
       completions  The script that completes commands and options in a shell, to standard output
       man          The manual page, to standard output, or the pages of all commands, to a folder

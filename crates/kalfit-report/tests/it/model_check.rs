@@ -49,18 +49,17 @@ fn a_sound_fit_passes_in_a_green_box() {
     assert!(html(&record).contains("class=\"verdict good\""));
 }
 
+/// Without a test that decides much of the answer.
+fn decisive() -> DeletionRecord {
+    DeletionRecord { log_density: -50.0, distance: Some(9.0), p_value: Some(0.011), displacement: 12.0, phases: vec![] }
+}
+
 #[test]
 fn no_green_box_stands_over_a_model_that_the_page_refutes() {
     let mut record =
         with(&[innovations(10, 60.0, 7e-9, 0.5), innovations(10, 9.0, 0.9, 1e-5), innovations(10, 9.0, 0.9, 0.9)]);
     record.tests[2].p_value = Some(1e-9);
-    record.tests[0].deletion = Some(DeletionRecord {
-        log_density: -50.0,
-        distance: Some(9.0),
-        p_value: Some(0.011),
-        displacement: 12.0,
-        phases: vec![],
-    });
+    record.tests[0].deletion = Some(decisive());
     record.phases[0].boundary = common::singular().phases[0].boundary.clone();
     insta::assert_snapshot!(verdicts(&record), @"
     Converged: the optimality certificate holds, so these are the maximum-likelihood
@@ -81,13 +80,7 @@ fn no_green_box_stands_over_a_model_that_the_page_refutes() {
 #[test]
 fn neither_influence_nor_a_singular_covariance_speaks_against_a_model() {
     let mut record = with(&[innovations(10, 9.0, 0.9, 0.5), innovations(10, 11.0, 0.7, 0.5)]);
-    record.tests[0].deletion = Some(DeletionRecord {
-        log_density: -50.0,
-        distance: Some(9.0),
-        p_value: Some(0.011),
-        displacement: 12.0,
-        phases: vec![],
-    });
+    record.tests[0].deletion = Some(decisive());
     record.phases[0].boundary = common::singular().phases[0].boundary.clone();
     insta::assert_snapshot!(verdicts(&record), @"
     Converged: the optimality certificate holds, so these are the maximum-likelihood

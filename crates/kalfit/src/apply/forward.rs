@@ -52,16 +52,7 @@ fn filtered(
     let q = work.design.frame.p;
     // at σ = 0, with a column for each element of σ
     let unknown = Moments::of(&DVector::zeros(q), &DMatrix::identity(q, q));
-    let run = Run {
-        design: &work.design,
-        gains,
-        start: &work.data.start,
-        inputs: &work.data.inputs,
-        values: &work.data.values,
-        moments: &unknown,
-        ending: None,
-        wanted: Wanted { motion: true, equation: false },
-    };
+    let run = Run::of((work, gains), (&unknown, None), Wanted { motion: true, equation: false });
     let mut states = Vec::with_capacity(work.design.steps());
     run.forth(backward, &work.pass.e, |step, measured, seen| {
         if measured {

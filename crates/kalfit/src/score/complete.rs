@@ -112,16 +112,7 @@ impl Scorer<'_> {
     ) -> Result<Complete, ReduceError> {
         let wanted = Wanted { motion: true, equation: false };
         self.reducer.with_gains(test, work, |gains, work| {
-            let run = Run {
-                design: &work.design,
-                gains,
-                start: &work.data.start,
-                inputs: &work.data.inputs,
-                values: &work.data.values,
-                moments,
-                ending,
-                wanted,
-            };
+            let run = Run::of((work, gains), (moments, ending), wanted);
             let mut complete = Complete::of(work);
             run.smooth(backward, &mut Collect { complete: &mut complete });
             complete

@@ -80,16 +80,7 @@ impl<'a> Scorer<'a> {
         backward.set_unfrozen(self.reducer.is_unfrozen());
         let digest = work.design.digest();
         let result = self.reducer.with_prepared(test, digest, work, |gains, work| {
-            let run = Run {
-                design: &work.design,
-                gains,
-                start: &work.data.start,
-                inputs: &work.data.inputs,
-                values: &work.data.values,
-                moments,
-                ending,
-                wanted: self.wanted(),
-            };
+            let run = Run::of((work, gains), (moments, ending), self.wanted());
             let mut onward = Onward { adjoints, test, work };
             run.backward(backward, &mut onward)?;
             adjoints.finish(test, work)

@@ -1,7 +1,7 @@
 //! One test as the backward pass sees it.
 #![expect(non_snake_case, reason = "the letters of the theory: N")]
 
-use crate::reduce::{Design, Gains};
+use crate::reduce::{Design, Gains, Workspace};
 use crate::score::moments::Moments;
 
 /// What the chain rule asks of a backward pass.
@@ -25,6 +25,19 @@ pub(crate) struct Run<'a> {
     /// Where later phases say something of the last state.
     pub(crate) ending: Option<&'a Ending>,
     pub(crate) wanted: Wanted,
+}
+
+impl<'a> Run<'a> {
+    /// Of the test in a work space under the gains of its design.
+    pub(crate) fn of(
+        (work, gains): (&'a Workspace, &'a Gains),
+        (moments, ending): (&'a Moments, Option<&'a Ending>),
+        wanted: Wanted,
+    ) -> Run<'a> {
+        let (design, data) = (&work.design, &work.data);
+        let (start, inputs, values) = (&data.start, &data.inputs, &data.values);
+        Run { design, gains, start, inputs, values, moments, ending, wanted }
+    }
 }
 
 /// r (n), ρ (n × columns) and N (r × r) after the last step, in kernel order: adjoints of x_K from the phases that follow
