@@ -2,7 +2,7 @@
 
 use crate::columns::Columns;
 use crate::exchange::alpha::Difference;
-use crate::exchange::schema::{ESTIMATES_SCHEMA, REDUCTIONS_SCHEMA};
+use crate::exchange::schema::{ESTIMATES_SCHEMA, REDUCTIONS_KIND, REDUCTIONS_SCHEMA};
 use crate::place::Place;
 
 /// What is wrong with an exchange file. The message says where, what was found and what was expected.
@@ -222,7 +222,7 @@ impl ExchangeError {
                 "reduce the data again with this model; only `[mean]`, `[covariance]` and labels may change after `kalfit reduce`"
                     .into()
             }
-            ExchangeError::Levels { kind: super::reductions::KIND, .. } => {
+            ExchangeError::Levels { kind: REDUCTIONS_KIND, .. } => {
                 "reduce the data again with this model: reductions then say the groups".into()
             }
             ExchangeError::Levels { .. } => "give the rows that the file was made of".into(),

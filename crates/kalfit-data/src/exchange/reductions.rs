@@ -16,13 +16,12 @@ use super::content::{Contents, Source};
 use super::error::ExchangeError;
 use super::keys::Phases;
 use super::metadata::Metadata;
-use super::schema::{GROUPS, REDUCTIONS, TEST};
+use super::schema::{GROUPS, REDUCTIONS, REDUCTIONS_KIND, TEST};
 use super::sheet::{Part, Plan, Row, Sheet, Wish};
 use crate::error::DataError;
 use crate::table::ahead::{Done, Goes, Make, Task, Tasks, each};
 use crate::table::parquet::FORMAT;
 
-pub(super) const KIND: &str = "reductions";
 pub(super) const INFORMATION: &str = "information";
 pub(super) const SQUARE_ROOT: &str = "square-root";
 
@@ -64,7 +63,7 @@ fn read<R: ChunkReader + 'static>(
         key: super::metadata::SCHEMA,
         reason: "it is missing".to_owned(),
     })?;
-    let wish = Wish { kind: KIND, columns: &REDUCTIONS, further: Vec::new() };
+    let wish = Wish { kind: REDUCTIONS_KIND, columns: &REDUCTIONS, further: Vec::new() };
     let plan = Plan::new(&source.name, &builder, &wish)?;
     let loaded = ArrowReaderMetadata::try_new(builder.metadata().clone(), ArrowReaderOptions::new());
     let loaded = loaded.map_err(|error| DataError::Parquet { file: source.name.clone(), source: Box::new(error) })?;
@@ -191,7 +190,8 @@ impl Reader<'_> {
             return Ok(Vec::new());
         }
         let names = row.words(GROUPS);
-        let names = names.ok_or_else(|| ExchangeError::Levels { file: self.source.name.clone(), kind: KIND })?;
+        let names =
+            names.ok_or_else(|| ExchangeError::Levels { file: self.source.name.clone(), kind: REDUCTIONS_KIND })?;
         match names.len() == self.levels && names.iter().all(|name| !name.is_empty()) {
             true => Ok(names.into_iter().map(str::to_owned).collect()),
             false => Err(ExchangeError::Value {

@@ -1,5 +1,8 @@
 //! The schemas of exchange files: their names and columns.
 
+/// What a file of reductions is called.
+pub(super) const REDUCTIONS_KIND: &str = "reductions";
+
 /// Schema of reductions files.
 pub(super) const REDUCTIONS_SCHEMA: &str = "kalfit-reductions/1";
 /// Schema of estimates files.

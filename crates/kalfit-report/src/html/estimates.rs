@@ -13,7 +13,7 @@ use crate::html::section::Section;
 use crate::html::{across, phase, posteriors};
 use crate::number::plain;
 use crate::page::Page;
-use crate::summary::{correlations, intervals, levels, phases, states};
+use crate::summary::{correlations, intervals, phases, places, states};
 use crate::words::clean;
 
 /// A larger Σ is not written as a matrix.
@@ -48,15 +48,15 @@ fn phase_part(record: &FitRecord, one: &PhaseRecord, charts: &mut Charts, page: 
     html! {
         h3 { (name) (if several { "mean" } else { "Mean" }) (spread_of_what(record)) }
         (PreEscaped(page.table(&phase::columns(one))))
-        @if let Some(sentence) = levels::elsewhere(record) { p { (sentence) } }
+        @if let Some(sentence) = places::elsewhere(record) { p { (sentence) } }
         (PreEscaped(rest))
         p.hint { "± " (states::std_error(&record.std_errors)) "; intervals are 95 %, "
             (if record.intervals == "profile" { "by profile likelihood" } else { "by standard errors" }) "." }
         (matrices(one))
-        @if let Some(unit) = levels::innermost(record) { p.hint { "Σ is the covariance within one " (unit) "." } }
+        @if let Some(unit) = places::innermost(record) { p.hint { "Σ is the covariance within one " (unit) "." } }
         (phase::elements(one, page))
         (forest_plot(record, one, &name, charts).unwrap_or_default())
-        (PreEscaped(correlations::section(one.into(), &levels::within(record), &title, page)))
+        (PreEscaped(correlations::section(one.into(), &places::within(record), &title, page)))
         (heat_map(record, one, &name, charts).unwrap_or_default())
         (PreEscaped(intervals::section(record, one, &title, page)))
         (posteriors::ellipses(record, one, &name, charts).unwrap_or_default())
@@ -65,7 +65,7 @@ fn phase_part(record: &FitRecord, one: &PhaseRecord, charts: &mut Charts, page: 
 
 /// Whose spread it is, after "Mean".
 fn spread_of_what(record: &FitRecord) -> String {
-    match levels::within(record) {
+    match places::within(record) {
         none if none.is_empty() => " and spread over the tests".to_owned(),
         within => format!(", and spread{within}"),
     }
@@ -105,7 +105,7 @@ fn forest_plot(record: &FitRecord, one: &PhaseRecord, name: &str, charts: &mut C
     let caption = format!(
         "Top: the mean over all tests. Below: how much tests{} differ (standard deviation). A mean whose interval holds zero may \
          be zero; a long interval asks for more tests. Open marks have no interval: fixed, on the boundary or not identified.",
-        levels::within(record)
+        places::within(record)
     );
     forest::forest(&title, &caption, groups, charts)
 }
@@ -135,9 +135,9 @@ fn heat_map(record: &FitRecord, one: &PhaseRecord, name: &str, charts: &mut Char
     let caption = format!(
         "Correlations of the initial states over the tests{}. Deep colour, near 1 or −1: what one of the two does tells the other; \
          pale: they vary apart.{cut}",
-        levels::within(record)
+        places::within(record)
     );
     let data = json!({ "names": names, "cells": cells });
-    let title = format!("{name}Correlations{}", levels::within(record));
+    let title = format!("{name}Correlations{}", places::within(record));
     Some(charts.figure(Chart { kind: "heat", title: &title, caption: &caption, alternative: &alternative, data }))
 }

@@ -5,7 +5,7 @@ use maud::{PreEscaped, html};
 
 use crate::html::section::Section;
 use crate::page::Page;
-use crate::summary::{doubts, levels, observability, phases};
+use crate::summary::{doubts, observability, phases, places};
 use crate::words::clean;
 
 pub(super) fn section(record: &FitRecord) -> Option<Section> {
@@ -24,7 +24,7 @@ pub(super) fn section(record: &FitRecord) -> Option<Section> {
                 &title("Limits of what the data say"),
                 &page.items(&[format!(
                     "The data identify all that is free here, and the covariance{} is regular.",
-                    levels::within(record)
+                    places::within(record)
                 )]),
             ),
             some => some,

@@ -11,7 +11,7 @@ use crate::html::math::{self, equation, hat, op};
 use crate::html::section::Section;
 use crate::number::plain;
 use crate::page::Page;
-use crate::summary::levels;
+use crate::summary::{levels, places};
 use crate::words::clean;
 
 /// Standard deviations to each side of a posterior mean that hold 95 %.
@@ -24,7 +24,7 @@ pub(super) fn section(record: &FitRecord, charts: &mut Charts) -> Option<Section
         return None;
     }
     let table = levels::section(record, &Page::html());
-    let covariances = levels::outer(record).into_iter().filter_map(|(level, place)| covariance(level, &place));
+    let covariances = places::outer(record).into_iter().filter_map(|(level, place)| covariance(level, &place));
     let forests: Vec<Markup> =
         (0..record.levels[0].states.len().min(MOST_STATES)).filter_map(|i| units(record, i, charts)).collect();
     Section::new(
@@ -60,7 +60,7 @@ fn units(record: &FitRecord, i: usize, charts: &mut Charts) -> Option<Markup> {
         let own = record.tests.iter().filter(|test| innermost && test.groups == group.id);
         rows.extend(own.filter_map(|test| test_row(test, &format!("{indent}– "), i)));
     }
-    let unit = levels::innermost(record)?;
+    let unit = places::innermost(record)?;
     let caption = format!(
         "Each group with the mean of its tests, and below it the tests: posterior means with 95 % intervals, given all data. \
          The spread of the groups is what varies from group to group, that of the tests of one {unit} what varies within it."

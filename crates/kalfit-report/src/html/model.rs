@@ -6,7 +6,7 @@ use maud::{Markup, html};
 use crate::html::math::equation;
 use crate::html::math::{self, Math};
 use crate::html::section::Section;
-use crate::summary::levels;
+use crate::summary::places;
 use crate::words::{clean, sentence};
 
 /// No more facts than this; the model file has them all.
@@ -59,7 +59,7 @@ fn equations(record: &FitRecord) -> Markup {
                 math::sum(j()), math::text("log"), letter("p"), op("("), sub(letter("z"), j()), op("∣"),
                 letter("μ"), op(","), letter("Σ"), op(","), letter("α"), op(")")])))
         }
-        @if let Some(unit) = levels::innermost(record) {
+        @if let Some(unit) = places::innermost(record) {
             p { "Tests stand in groups. " (equation(letter("Σ"))) " is what varies within one " (unit) "; to the start of a test each \
                  of its groups adds a draw of its own, with mean zero and the covariance of its level." }
         }

@@ -7,7 +7,7 @@ use maud::{PreEscaped, html};
 use crate::html::section::Section;
 use crate::number::hundredths;
 use crate::page::Page;
-use crate::summary::{self, headline, levels, phases};
+use crate::summary::{self, headline, phases, places};
 
 pub(super) fn section(record: &FitRecord) -> Option<Section> {
     let page = Page::html();
@@ -34,7 +34,7 @@ pub(super) fn section(record: &FitRecord) -> Option<Section> {
         @if !record.converged { p { (headline::shortfall(record)) } }
         dl.cards { @for (name, value) in &cards { div { dt { (name) } dd { (value) } } } }
         @for sentence in phases::combined(record) { p { (sentence) } }
-        @if let Some(sentence) = levels::counted(record) { p { (sentence) } }
+        @if let Some(sentence) = places::counted(record) { p { (sentence) } }
         p { (headline::likelihood(record)) }
         @if record.log_likelihood_kind == "estimates" { p { (headline::OF_ESTIMATES) } }
         (PreEscaped(summary::notes(record, &page)))

@@ -12,7 +12,7 @@ use crate::html::posteriors;
 use crate::html::section::Section;
 use crate::number::{Precision, hundredths, plain, probability};
 use crate::page::Page;
-use crate::summary::{levels, outliers};
+use crate::summary::{outliers, places};
 use crate::table::{Column, Side};
 use crate::words::{clean, count};
 
@@ -63,7 +63,7 @@ fn p_values(record: &FitRecord, charts: &mut Charts) -> Option<Markup> {
     let out = tested.iter().filter(|(test, _)| stands_out(test, n)).count();
     let alternative =
         format!("{} above the line, of {n}; the smallest p-value is {}.", count(out, "test"), probability(tested[0].1));
-    let together = levels::innermost(record)
+    let together = places::innermost(record)
         .map_or_else(String::new, |unit| format!(" Tests of one {unit} are near to or far from it together."));
     let caption = format!(
         "How far each test is from the population, as minus the logarithm of its p-value, against what chance gives. Points near \

@@ -4,7 +4,7 @@ use kalfit::FitRecord;
 use kalfit::record::{BoundaryRecord, PhaseRecord, UnidentifiedRecord};
 
 use super::combination::{combination, covariance_of, weighted};
-use super::{levels, observability, pairs};
+use super::{observability, pairs, places};
 use crate::page::Page;
 use crate::words::{clean, list, sentence};
 
@@ -19,7 +19,7 @@ pub(crate) fn section(
     title: &dyn Fn(&str) -> String,
     page: &Page<'_>,
 ) -> String {
-    let (tests, place) = (phase.tests.unwrap_or(record.data.tests), levels::within(record));
+    let (tests, place) = (phase.tests.unwrap_or(record.data.tests), places::within(record));
     let own = |b: &BoundaryRecord| at_level(&place, &singular(b, phase.states.len(), "test to test"));
     let mut sentences: Vec<String> = phase.boundary.iter().map(own).collect();
     sentences.extend(unidentified(&phase.unidentified, &phase.states, true));

@@ -3,7 +3,7 @@
 use kalfit::FitRecord;
 use kalfit::record::{DataRecord, ModelCheckRecord, TestRecord};
 
-use super::{levels, phases};
+use super::{phases, places};
 use crate::number::{hundredths, plain};
 use crate::page::Page;
 use crate::words::{clean, count, list, sentence};
@@ -34,7 +34,7 @@ pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     text.push('\n');
     text.push_str(&page.paragraph(&data(&record.data)));
     text.extend(phases::combined(record).iter().map(|sentence| page.paragraph(sentence)));
-    text.extend(levels::counted(record).iter().map(|sentence| page.paragraph(sentence)));
+    text.extend(places::counted(record).iter().map(|sentence| page.paragraph(sentence)));
     text.push_str(&page.paragraph(&likelihood(record)));
     if record.log_likelihood_kind == "estimates" {
         text.push_str(&page.paragraph(OF_ESTIMATES));

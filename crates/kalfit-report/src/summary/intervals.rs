@@ -2,7 +2,7 @@
 
 use kalfit::record::{FitRecord, Interval, PhaseRecord, RegressionRecord};
 
-use super::levels;
+use super::places;
 use super::spread::Spread;
 use crate::number::Precision;
 use crate::page::Page;
@@ -29,8 +29,8 @@ pub(crate) fn section(
         return String::new();
     }
     let mut rows = of_mean(phase);
-    rows.extend(of_spread(phase.into(), levels::within(record).trim_start()));
-    for (level, place) in levels::outer(record) {
+    rows.extend(of_spread(phase.into(), places::within(record).trim_start()));
+    for (level, place) in places::outer(record) {
         rows.extend(of_spread(level.into(), place.trim_start_matches(" from ")));
     }
     if rows.is_empty() {

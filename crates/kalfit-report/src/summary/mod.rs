@@ -16,6 +16,7 @@ pub(crate) mod outlying_groups;
 mod pairs;
 pub(crate) mod parameters;
 pub(crate) mod phases;
+pub(crate) mod places;
 pub(crate) mod spread;
 pub(crate) mod states;
 
@@ -58,7 +59,7 @@ fn phase_sections(record: &FitRecord, phase: &PhaseRecord, page: &Page<'_>) -> V
     };
     vec![
         states::section(record, phase, &title, page),
-        correlations::section(phase.into(), &levels::within(record), &title, page),
+        correlations::section(phase.into(), &places::within(record), &title, page),
         intervals::section(record, phase, &title, page),
         doubts::section(record, phase, &title, page),
     ]

@@ -4,7 +4,7 @@ use kalfit::FitRecord;
 use kalfit::record::{BoundaryRecord, PhaseRecord, RegressionRecord, ScaleRecord, UnidentifiedRecord};
 
 use super::combination::{NEGLIGIBLE, covariance_of};
-use super::levels;
+use super::places;
 use crate::number::Precision;
 use crate::page::Page;
 use crate::table::{Column, Side};
@@ -42,12 +42,12 @@ pub(crate) fn section(
         Column::new("std dev", Side::Right, std_dev),
         Column::new("", Side::Left, std_dev_error),
     ];
-    let what = match levels::innermost(record) {
+    let what = match places::innermost(record) {
         Some(unit) => format!("Initial state: mean, and spread within one {unit}"),
         None => "Initial state over the tests".to_owned(),
     };
     let heading = title(&format!("{what} (± {})", std_error(&record.std_errors)));
-    let elsewhere: Vec<String> = levels::elsewhere(record).into_iter().collect();
+    let elsewhere: Vec<String> = places::elsewhere(record).into_iter().collect();
     let body = page.table(&columns) + &page.items(&elsewhere);
     page.section(&heading, &body) + &scales(phase, page) + &regression(phase, page)
 }

@@ -10,7 +10,6 @@ use crate::estimate::{
     Class, CovarianceMap, Criterion, Estimate, Limits, Local, Objective, Order, Place, Point, Problem, Silent, Stop,
     Sums, climb, fit_from,
 };
-use crate::infer::levels;
 use crate::infer::posterior::{Distance, distance};
 use crate::model::Population;
 use crate::reduce::Reductions;
@@ -31,15 +30,11 @@ pub struct Deletion {
 /// Steps of one deletion before a search of its own takes over.
 const STEPS: usize = 12;
 
-/// The fit without each test, in the order of the reductions. `None` where the others alone have no certified optimum, and for
-/// the only test.
-pub fn deletions(estimate: &Estimate, reductions: &Reductions) -> Vec<Option<Deletion>> {
+/// The fit without each test that stands in no group, in the order of the reductions. `None` where the others alone have no certified
+/// optimum, and for the only test.
+pub(super) fn alone(estimate: &Estimate, reductions: &Reductions) -> Vec<Option<Deletion>> {
     if reductions.len() < 2 {
         return vec![None; reductions.len()];
-    }
-    let reductions = &*estimate.state.evidence(reductions);
-    if estimate.grouping().is_some() {
-        return levels::deletions(estimate, reductions).map_or(Vec::new(), |found| found.0);
     }
     let all = &All::of(estimate);
     let without = |j: usize| {
@@ -53,7 +48,7 @@ pub fn deletions(estimate: &Estimate, reductions: &Reductions) -> Vec<Option<Del
     (0..reductions.len()).into_par_iter().map(without).collect()
 }
 
-/// Rough number of multiplications that [`deletions`] takes: of each step the pass, and what is done with its Hessian.
+/// Rough number of multiplications that [`deletions`](super::deletions) takes: of each step the pass, and what is done with its Hessian.
 pub(super) fn deletion_work(estimate: &Estimate, tests: usize) -> f64 {
     let (p, free) = (estimate.mean.len() as f64, estimate.state.place.tangent.basis.ncols() as f64);
     // without shortcuts where tests stand in groups: whole fits, from near their ends, of the tests and of groups

@@ -10,6 +10,7 @@
 mod constraint;
 mod deletion;
 mod direction;
+mod each;
 mod held;
 mod holdable;
 mod identifiability;
@@ -27,16 +28,17 @@ mod std_errors;
 
 pub use crate::linalg::elements::Element;
 pub use constraint::{Sensitivity, sensitivities};
-pub use deletion::{Deletion, deletions};
+pub use deletion::Deletion;
 pub use direction::{Direction, Quantity};
+pub(crate) use each::posteriors_at;
+pub use each::{deletions, posteriors};
 pub use identifiability::{Examination, examine_at_start, identifiability};
 pub use information::{Boundary, Free, Uncertainty, free, uncertainty};
 pub use interval::{Interval, IntervalKind, Intervals, profile, wald};
 pub use levels::GroupPosterior;
 pub use observability::{Leading, MOST_TESTS, Observability, Shortage, StateObservability, WEAK, WeakDirection};
 pub use phases::PhaseObservability;
-pub(crate) use posterior::posteriors_at;
-pub use posterior::{Distance, Posterior, posteriors};
+pub use posterior::{Distance, Posterior};
 pub use ratio::{
     Bootstrap, BootstrapResult, Component, GoesOn, LikelihoodRatio, NotNested, NotNestedParameter, ReferenceLaw,
     Restricted, at_least, bootstrap, bootstrap_while, fit_null, likelihood_ratio, restricted,
@@ -148,7 +150,7 @@ pub fn infer(estimate: &Estimate, reductions: &Reductions, choices: Choices) -> 
     };
     let grouped = estimate.grouping().is_some();
     let (posteriors, groups) = match each {
-        true => posterior::estimated(estimate, reductions),
+        true => each::estimated(estimate, reductions),
         false => (Vec::new(), Vec::new()),
     };
     let (deletions, group_deletions) = match wanted {

@@ -6,8 +6,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-use crate::estimate::{Class, ClassRef, Classes, Detail, Estimate, Point, Problem, Terms, each, in_parts};
-use crate::infer::levels::{self, GroupPosterior};
+use crate::estimate::{Class, ClassRef, Classes, Detail, Point, Problem, Terms, each, in_parts};
 use crate::linalg::{posterior_root, symmetric};
 use crate::reduce::{ReductionRef, Reductions};
 
@@ -38,37 +37,14 @@ pub struct Distance {
 /// Tests that one thread takes at a time.
 const CHUNK: usize = 64;
 
-/// Posteriors of all tests, in their order.
-pub fn posteriors(estimate: &Estimate, reductions: &Reductions) -> Vec<Posterior> {
-    estimated(estimate, reductions).0
-}
-
-/// What is known of the tests, and of the groups of each level, the innermost first, at an estimate.
-pub(super) fn estimated(estimate: &Estimate, reductions: &Reductions) -> (Vec<Posterior>, Vec<Vec<GroupPosterior>>) {
-    let (problem, point) = (&estimate.state.problem, &estimate.state.place.point);
-    match estimate.grouping() {
-        Some(_) => posteriors_at(problem, point, &estimate.state.evidence(reductions)),
-        None => posteriors_at(problem, point, reductions),
-    }
-}
-
-/// Posteriors of all tests, in their order, and of the groups of each level, the innermost first, at any point. Of tests in groups the
-/// reductions are [stacked](crate::estimate::evidence).
-pub(crate) fn posteriors_at(
-    problem: &Problem,
-    point: &Point,
-    reductions: &Reductions,
-) -> (Vec<Posterior>, Vec<Vec<GroupPosterior>>) {
-    if let Some(found) = levels::posteriors(problem, point, reductions) {
-        return found;
-    }
+/// Posteriors of all tests at a point, in their order, each by itself.
+pub(super) fn alone(problem: &Problem, point: &Point, reductions: &Reductions) -> Vec<Posterior> {
     let classes = problem.classes.of(reductions);
     if classes.are_single() {
-        return (of_classes((problem, &classes), point, reductions), Vec::new());
+        return of_classes((problem, &classes), point, reductions);
     }
     let all: Vec<usize> = (0..reductions.len()).collect();
-    let chunks = all.par_chunks(CHUNK).flat_map_iter(|numbers| chunk((problem, point), reductions, numbers));
-    (chunks.collect(), Vec::new())
+    all.par_chunks(CHUNK).flat_map_iter(|numbers| chunk((problem, point), reductions, numbers)).collect()
 }
 
 /// Of tests that are classes to themselves.

@@ -5,7 +5,8 @@ use std::ops::Range;
 use kalfit_lanes::{Lanes, MOST};
 
 use crate::estimate::levels::companies::Company;
-use crate::estimate::levels::units::{Design, Leaf, Member, Node, Units};
+use crate::estimate::levels::design::{Design, Leaf, Member, Node};
+use crate::estimate::levels::units::Units;
 use crate::linalg::rows::Rows;
 
 /// What is known of some units.

@@ -2,7 +2,7 @@
 
 use kalfit_lanes::{Isa, MOST};
 
-use crate::estimate::levels::units::{Design, Node};
+use crate::estimate::levels::design::{Design, Node};
 
 /// As many units as the machine has lanes, or fewer, laid out alike: where a unit has fewer groups or tests than another, an empty one
 /// stands, of which nothing is said.

@@ -24,6 +24,7 @@
 
 mod bundle;
 mod companies;
+mod design;
 mod moments;
 mod pass;
 mod posterior;

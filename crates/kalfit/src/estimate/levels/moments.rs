@@ -2,7 +2,8 @@
 
 use nalgebra::DVector;
 
-use crate::estimate::levels::units::{Design, Leaf, Units};
+use crate::estimate::levels::design::{Design, Leaf};
+use crate::estimate::levels::units::Units;
 
 impl Units {
     /// A variance for each state at each level by moments, as if the states were uncorrelated: with J and y - Jμ of all that stands in a

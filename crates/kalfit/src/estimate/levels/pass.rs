@@ -8,8 +8,9 @@ use rayon::prelude::*;
 
 use crate::estimate::levels::bundle::Bundle;
 use crate::estimate::levels::companies::Company;
+use crate::estimate::levels::design::Design;
 use crate::estimate::levels::totals::{Totals, Wish};
-use crate::estimate::levels::units::{Design, Units};
+use crate::estimate::levels::units::Units;
 use crate::estimate::levels::walk::At;
 use crate::estimate::order::{FlatMean, Order, Wanted};
 use crate::estimate::point::Point;

@@ -3,7 +3,8 @@
 use rayon::prelude::*;
 
 use crate::estimate::levels::bundle::Bundle;
-use crate::estimate::levels::units::{Design, Unit, Units};
+use crate::estimate::levels::design::{Design, Unit};
+use crate::estimate::levels::units::Units;
 use crate::estimate::levels::walk::{At, Mean, Walked};
 use crate::estimate::point::{Point, Regressors};
 use crate::linalg::rows::Rows;

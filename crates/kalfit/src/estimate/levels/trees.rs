@@ -6,7 +6,7 @@ use std::collections::HashMap;
 use rayon::prelude::*;
 
 use crate::ensemble::Grouping;
-use crate::estimate::levels::units::{Member, Node};
+use crate::estimate::levels::design::{Member, Node};
 use crate::reduce::Reductions;
 
 /// A group with all that stands in it, its members in an order that does not depend on the order of the tests.

@@ -4,7 +4,8 @@
 use kalfit_lanes::{Lanes, MOST, Part};
 
 use crate::estimate::levels::bundle::Bundle;
-use crate::estimate::levels::units::{Leaf, Units};
+use crate::estimate::levels::design::Leaf;
+use crate::estimate::levels::units::Units;
 use crate::estimate::point::{Point, Regressors};
 use crate::linalg::factors::{Factors, Rotations};
 use crate::linalg::rows::Rows;

@@ -1,0 +1,42 @@
+//! What is said of each test, whether tests stand in groups or not.
+
+use crate::estimate::{Estimate, Point, Problem};
+use crate::infer::deletion::{self, Deletion};
+use crate::infer::levels::{self, GroupPosterior};
+use crate::infer::posterior::{self, Posterior};
+use crate::reduce::Reductions;
+
+/// Posteriors of all tests, in their order.
+pub fn posteriors(estimate: &Estimate, reductions: &Reductions) -> Vec<Posterior> {
+    estimated(estimate, reductions).0
+}
+
+/// What is known of the tests, and of the groups of each level, the innermost first, at an estimate.
+pub(super) fn estimated(estimate: &Estimate, reductions: &Reductions) -> (Vec<Posterior>, Vec<Vec<GroupPosterior>>) {
+    let (problem, point) = (&estimate.state.problem, &estimate.state.place.point);
+    match estimate.grouping() {
+        Some(_) => posteriors_at(problem, point, &estimate.state.evidence(reductions)),
+        None => posteriors_at(problem, point, reductions),
+    }
+}
+
+/// Posteriors of all tests, in their order, and of the groups of each level, the innermost first, at any point. Of tests in groups the
+/// reductions are in what is a test's own and what each of its groups adds.
+pub(crate) fn posteriors_at(
+    problem: &Problem,
+    point: &Point,
+    reductions: &Reductions,
+) -> (Vec<Posterior>, Vec<Vec<GroupPosterior>>) {
+    levels::posteriors(problem, point, reductions)
+        .unwrap_or_else(|| (posterior::alone(problem, point, reductions), Vec::new()))
+}
+
+/// The fit without each test, in the order of the reductions. `None` where the others alone have no certified optimum, and for
+/// the only test.
+pub fn deletions(estimate: &Estimate, reductions: &Reductions) -> Vec<Option<Deletion>> {
+    let evidence = estimate.state.evidence(reductions);
+    match estimate.grouping() {
+        Some(_) => levels::deletions(estimate, &evidence).map_or(Vec::new(), |found| found.0),
+        None => deletion::alone(estimate, &evidence),
+    }
+}
