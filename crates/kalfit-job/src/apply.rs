@@ -5,7 +5,7 @@ use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use kalfit::apply::{Applied, ApplyError, PhaseStates, Said, StateKind};
-use kalfit::record::AppliedRecord;
+use kalfit::record::{AppliedRecord, AppliedSource};
 use kalfit::{PhasedModel, PhasedTest};
 use kalfit_data::{Cell, CellKind, Format, Reading, TableWriter, WriteError};
 use kalfit_spec::Spec;
@@ -13,7 +13,7 @@ use kalfit_spec::Spec;
 use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::job::{AppliedModel, ApplyJob, Done, TableTo, files};
-use crate::output::Target;
+use crate::output::{Pending, Target};
 use crate::work::{Watch, Work};
 use crate::{model, tests, truth};
 
@@ -42,11 +42,18 @@ pub fn apply(job: &ApplyJob, watch: &mut dyn Watch) -> Result<Done<AppliedModel>
     work.go_on()?;
     let said = applied.said().map_err(refused)?;
     work.go_on()?;
-    let outermost = spec.model.levels.first().map(|level| level.name.as_str());
-    let record = AppliedRecord::new(&spec.model.shared().title, job.from.name(), &tests, &said, outermost);
+    if along.is_some() {
+        applied.check_states().map_err(refused)?;
+    }
+    let changed = job.model.set.iter().filter_map(|one| Some(one.split_once('=')?.0.trim().to_owned())).collect();
+    let source = AppliedSource { name: job.from.name(), fitted: truth.fitted, changed };
+    let record = AppliedRecord::new(&spec.model, source, &tests, &said);
     let task = Task { spec: &spec, applied: &applied, tests: &tests, reading: &reading };
-    let of_tests = out.as_ref().map_or(Ok(None), |table| task.tests(table, &said))?;
-    let states = along.as_ref().map_or(Ok(None), |table| task.states(table, job.kind, &mut work))?;
+    // neither is in place before both are whole
+    let of_tests = out.as_ref().map(|table| task.tests(table, &said)).transpose()?;
+    let states = along.as_ref().map(|table| task.states(table, job.kind, &mut work)).transpose()?;
+    let of_tests = of_tests.map_or(Ok(None), Pending::finish)?;
+    let states = states.map_or(Ok(None), Pending::finish)?;
     let written = [out, along].into_iter().flatten().filter_map(|table| table.target.name()).collect();
     let notes = given.notes.into_iter().chain(truth.warnings).collect();
     Ok(Done { record: AppliedModel { record, tests: of_tests, states }, notes, written })
@@ -81,18 +88,18 @@ impl Table {
         Ok(Some(Table { target: Target::prepare(path, used)?, format }))
     }
 
-    /// Writes it whole, or not at all; the file itself where it has no name.
+    /// Writes it; it is in place when it is finished.
     fn write(
         &self,
         columns: &[(String, CellKind)],
         rows: impl FnOnce(&mut Writer<'_>) -> Result<(), Failure>,
-    ) -> Result<Option<File>, Failure> {
+    ) -> Result<Pending<'_>, Failure> {
         let pending = self.target.begin()?;
         let mut writer =
             TableWriter::new(columns, self.format, BufWriter::new(pending.file())).map_err(self.failed())?;
         rows(&mut writer)?;
         writer.finish().and_then(|mut sink| Ok(sink.flush()?)).map_err(self.failed())?;
-        Ok(pending.finish()?)
+        Ok(pending)
     }
 
     fn failed(&self) -> impl Fn(WriteError) -> Failure {
@@ -131,7 +138,7 @@ impl Task<'_> {
     }
 
     /// A row for each phase of each test.
-    fn tests(&self, table: &Table, said: &Said) -> Result<Option<File>, Failure> {
+    fn tests<'t>(&self, table: &'t Table, said: &Said) -> Result<Pending<'t>, Failure> {
         let names = self.estimated();
         let numbers = ["log_density", "distance"].map(|name| (name.to_owned(), CellKind::Number));
         let of =
@@ -160,7 +167,7 @@ impl Task<'_> {
         let model = &self.model().phases[phase];
         let number_or = |x: Option<f64>| x.map_or(Cell::Missing, Cell::Number);
         let summary = said.innovations[number].as_ref().map(|own| &own.summary);
-        let residual = said.residual(number);
+        let residual = said.residuals[number];
         let mut cells = vec![
             Cell::Text(&test.id),
             Cell::Text(&model.name),
@@ -169,7 +176,7 @@ impl Task<'_> {
             Cell::Count(posterior.distance.degrees_of_freedom),
             number_or(posterior.distance.p_value),
             summary.map_or(Cell::Missing, |own| Cell::Count(own.count)),
-            number_or(summary.map(|own| own.nis)),
+            number_or(summary.map(|own| own.nis + 0.0)), // of nothing it is -0
             number_or(summary.and_then(|own| own.upper_tail)),
             number_or(residual.map(|own| own.0)),
             residual.map_or(Cell::Missing, |own| Cell::Count(own.1)),
@@ -184,7 +191,7 @@ impl Task<'_> {
     }
 
     /// A row for each state at each step, and for each measured value.
-    fn states(&self, table: &Table, kind: StateKind, work: &mut Work<'_>) -> Result<Option<File>, Failure> {
+    fn states<'t>(&self, table: &'t Table, kind: StateKind, work: &mut Work<'_>) -> Result<Pending<'t>, Failure> {
         let text = |name: &str| (name.to_owned(), CellKind::Text);
         let number = |name: &str| (name.to_owned(), CellKind::Number);
         let columns = [
@@ -195,6 +202,7 @@ impl Task<'_> {
             text("name"),
             number("value"),
             number("std_dev"),
+            text("what"),
         ];
         table.write(&columns, |writer| {
             let mut done = 0;
@@ -233,12 +241,13 @@ impl Task<'_> {
         };
         for step in &states.steps {
             for ((state, mean), std_dev) in phase.model.states.iter().zip(&step.mean).zip(&step.std_dev) {
-                let own = [Cell::Text(&state.name), Cell::Number(*mean), Cell::Number(*std_dev)];
+                let own = [Cell::Text(&state.name), Cell::Number(*mean), Cell::Number(*std_dev), Cell::Text("state")];
                 writer.write(begin(step.rows.start, step.time).into_iter().chain(own))?;
             }
             for prediction in &step.measurements {
                 let name = &phase.model.measurements[prediction.measurement].name;
-                let own = [Cell::Text(name), Cell::Number(prediction.value), Cell::Number(prediction.std_dev)];
+                let (value, std_dev) = (Cell::Number(prediction.value), Cell::Number(prediction.std_dev));
+                let own = [Cell::Text(name), value, std_dev, Cell::Text("measurement")];
                 writer.write(begin(prediction.row, step.time).into_iter().chain(own))?;
             }
         }

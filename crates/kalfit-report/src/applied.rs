@@ -6,7 +6,7 @@ use crate::Style;
 use crate::number::{p_value, plain, probability};
 use crate::page::Page;
 use crate::table::{Column, Side};
-use crate::words::{clean, count};
+use crate::words::{clean, count, list};
 
 /// Tests that stand out are listed up to this many.
 const MOST: usize = 10;
@@ -21,7 +21,15 @@ pub fn applied_summary(record: &AppliedRecord, style: &Style) -> String {
         sections.push(page.heading(&clean(&record.title)) + "\n");
     }
     let (tests, values) = (count(record.tests, "test"), count(record.observations, "measured value"));
-    let facts = format!("{tests} with {values}, all parameters as in {}: nothing is estimated.", clean(&record.from));
+    let but = match record.changed.is_empty() {
+        true => String::new(),
+        false => format!(
+            " but {}",
+            list(&record.changed.iter().map(|name| format!("`{}`", clean(name))).collect::<Vec<_>>(), MOST)
+        ),
+    };
+    let facts =
+        format!("{tests} with {values}, all parameters as in {}{but}: nothing is estimated.", clean(&record.from));
     sections.push(page.paragraph(&facts) + &page.paragraph(&verdict(record)));
     sections.push(page.section("All tests together", &page.items(&together(record))));
     sections.push(page.section("Tests that stand out", &far(record, &page)));
@@ -33,7 +41,10 @@ pub fn applied_summary(record: &AppliedRecord, style: &Style) -> String {
 /// What all of it comes to, in a sentence or two.
 fn verdict(record: &AppliedRecord) -> String {
     let doubtful = |joint: &JointRecord| joint.p_value.is_some_and(|p| p < DOUBTFUL);
-    let first = match (doubtful(&record.distance), doubtful(&record.residual)) {
+    let apart = record.is_outside(DOUBTFUL) || record.within.as_ref().is_some_and(doubtful);
+    let nothing = record.distance.degrees_of_freedom + record.residual.degrees_of_freedom == 0;
+    let first = match (apart, doubtful(&record.residual)) {
+        _ if nothing => "Nothing that was measured tells of the population.",
         (true, true) => "The tests are not of this population, and the model does not describe their records.",
         (true, false) => "The tests are not of this population: their initial states do not have its law.",
         (false, true) => "The model does not describe the records of these tests: residuals do not have their law.",
@@ -64,6 +75,13 @@ fn together(record: &AppliedRecord) -> Vec<String> {
         0 => "Initial states: the tests say nothing of them.".to_owned(),
         _ => format!("Initial states: squared distances of the {whose} from the population {}", sum(&record.distance)),
     });
+    if let Some(within) = record.within.as_ref().filter(|within| within.degrees_of_freedom > 0) {
+        let group = clean(&record.of);
+        items.push(format!(
+            "Within the groups of `{group}`: squared distances of tests from each other {}",
+            sum(within)
+        ));
+    }
     if record.residual.degrees_of_freedom > 0 {
         items.push(format!(
             "Residuals: squares of what the measured values are off the model, whatever the initial states are, {}",
@@ -76,7 +94,7 @@ fn together(record: &AppliedRecord) -> Vec<String> {
             clean(&far.test),
             p_value(far.p_value),
             p_value(far.p_corrected),
-            record.tests
+            record.compared
         ));
     }
     items
@@ -119,17 +137,34 @@ fn far(record: &AppliedRecord, page: &Page<'_>) -> String {
 }
 
 fn notes(record: &AppliedRecord) -> Vec<String> {
-    let mut notes = vec![
-        "The parameters are taken as exactly known. Those of a fit are not: distances of new tests from a population \
-         whose mean was estimated from N tests are larger by about one part in N."
+    let mut notes = vec![known(record)];
+    notes.push(
+        "Tests that the population was estimated from fit it by construction: their distances add up to about what is expected."
             .to_owned(),
-        "p corrected: Holm's correction for the number of tests.".to_owned(),
-    ];
-    if record.of != "test" {
-        notes.push(format!(
-            "Tests of one group of `{}` are not independent: distances are added up by groups.",
-            clean(&record.of)
-        ));
-    }
+    );
+    notes.push(
+        "p of a sum is two-sided; p of a single test is that of a larger value, corrected by Holm for the number of tests."
+            .to_owned(),
+    );
     notes
+}
+
+/// What it means that the parameters are taken as known.
+fn known(record: &AppliedRecord) -> String {
+    let known = "The parameters are taken as exactly known.";
+    let of = if record.of == "test" { "test".to_owned() } else { format!("group of `{}`", clean(&record.of)) };
+    match (record.fitted, record.inflation()) {
+        (None, _) => known.to_owned(),
+        (Some(fitted), inflation) if inflation.is_finite() => format!(
+            "{known} As the population was estimated from {}, distances of others are larger by {} % on average; the first \
+             sentence allows for twice as much.",
+            count(fitted, &of),
+            plain(100.0 * (inflation - 1.0), 2)
+        ),
+        (Some(fitted), _) => format!(
+            "{known} The population was estimated from {} only: distances of others may be larger by any factor, and the \
+             first sentence does not rest on them.",
+            count(fitted, &of)
+        ),
+    }
 }

@@ -92,10 +92,13 @@ fn the_tests_of_a_fit_are_what_the_fit_says_of_them() {
         as the furthest of 12.
 
     How to read this
-      The parameters are taken as exactly known. Those of a fit are not: distances
-        of new tests from a population whose mean was estimated from N tests are
-        larger by about one part in N.
-      p corrected: Holm's correction for the number of tests.
+      The parameters are taken as exactly known. As the population was estimated
+        from 12 tests, distances of others are larger by 44 % on average; the first
+        sentence allows for twice as much.
+      Tests that the population was estimated from fit it by construction: their
+        distances add up to about what is expected.
+      p of a sum is two-sided; p of a single test is that of a larger value,
+        corrected by Holm for the number of tests.
     ----- stderr
     Wrote tests.csv
     Wrote states.csv
@@ -196,4 +199,71 @@ fn what_cannot_be_applied_is_refused_before_work_and_writes_nothing() {
         assert!(shown(&output).contains(message), "{line}: {}", shown(&output));
     }
     assert!(!folder.path("t.csv").exists());
+}
+
+#[test]
+fn no_table_is_written_where_states_are_not_known() {
+    let folder = fitted();
+    assert_eq!(folder.run("reduce m.toml d.csv --at fit.json --out r.parquet --quiet").status.code(), Some(0));
+    let output = folder.run("apply m.toml r.parquet --from fit.json --out t.csv --states s.csv");
+    assert!(shown(&output).contains("has a reduction, not rows"), "{}", shown(&output));
+    assert_eq!((output.status.code(), folder.path("t.csv").exists()), (Some(2), false));
+    let output = folder.run("apply m.toml r.parquet --from fit.json --out t.csv");
+    assert_eq!((output.status.code(), folder.path("t.csv").exists()), (Some(0), true), "{}", shown(&output));
+    assert!(!shown(&output).contains("Residuals"), "no measured value is known: {}", shown(&output));
+}
+
+#[test]
+fn other_values_than_those_of_the_fit_are_named() {
+    let folder = fitted();
+    let said = shown(&folder.run("apply m.toml d.csv --from fit.json --set sigma=0.9"));
+    assert!(said.contains("all parameters as in fit.json but `sigma`:"), "{said}");
+}
+
+const UNITS: &str = r#"
+[data]
+test = "run"
+levels = ["unit"]
+[states.level]
+[measurements.y]
+column = "y"
+equation = "level"
+noise = 0.1
+[mean]
+fixed = { level = 0 }
+[covariance]
+structure = "fixed"
+matrix = [[0.25]]
+[levels.unit.covariance]
+structure = "fixed"
+matrix = [[4.0]]
+"#;
+
+/// Eight units of four runs of two rows; runs differ by so much, units as the model says.
+fn runs(apart: f64) -> String {
+    let mut text = "unit,run,y\n".to_owned();
+    for unit in 0..8 {
+        for run in 0..4 {
+            let level = f64::from(unit * 5 % 8) - 3.5 + apart * (f64::from((3 * unit + 5 * run) % 7) - 3.0) / 2.0;
+            for noise in [-0.07, 0.07] {
+                text.push_str(&format!("u{unit},r{run},{}\n", level + noise));
+            }
+        }
+    }
+    text
+}
+
+#[test]
+fn tests_of_one_unit_are_compared_with_each_other() {
+    let [sound, equal, wide] = [runs(0.5), runs(0.0), runs(1.0)];
+    let files = [("u.toml", UNITS), ("sound.csv", &sound), ("equal.csv", &equal), ("wide.csv", &wide)];
+    let folder = Folder::new(&files.map(|(name, text)| (name, text.as_bytes())));
+    let said = |data: &str| shown(&folder.run(&format!("apply u.toml {data} --from u.toml")));
+    let sound = said("sound.csv");
+    assert!(sound.contains("As a whole the tests are of this population"), "{sound}");
+    for name in ["equal.csv", "wide.csv"] {
+        let other = said(name);
+        assert!(other.contains("The tests are not of this population: their initial states"), "{name}: {other}");
+        assert!(other.contains("Within the groups of `unit`"), "{other}");
+    }
 }

@@ -25,6 +25,8 @@ pub(crate) struct Truth {
     pub(crate) taken: Vec<String>,
     /// What the user should know.
     pub(crate) warnings: Vec<String>,
+    /// How many tests, or groups of the outermost level, the population was estimated from; `None` where it was given.
+    pub(crate) fitted: Option<usize>,
 }
 
 impl From<TruthError> for Failure {
@@ -45,6 +47,7 @@ struct Known {
 pub(crate) fn load(spec: &mut Spec, from: &Document, set: &[String]) -> Result<Truth, Failure> {
     let path = from.name();
     let mut warnings = Vec::new();
+    let mut fitted = None;
     let (population, known) = if is_model(from)? {
         of_model(spec, from, set)?
     } else {
@@ -54,6 +57,12 @@ pub(crate) fn load(spec: &mut Spec, from: &Document, set: &[String]) -> Result<T
         if record.model_digest.as_ref().is_some_and(|digest| *digest != spec.digest) {
             warnings.push(format!("`{path}` was made with another version of `{}`", spec.name));
         }
+        if !record.converged {
+            warnings.push(format!(
+                "`{path}` is of a fit that did not converge: its values are not maximum-likelihood estimates"
+            ));
+        }
+        fitted = Some(record.levels.first().map_or(record.data.tests, |level| level.groups));
         let known = of_record(spec, &record, &path)?;
         (population, known)
     };
@@ -62,7 +71,7 @@ pub(crate) fn load(spec: &mut Spec, from: &Document, set: &[String]) -> Result<T
     taken.retain(|name| !set.iter().any(|assignment| assigned(assignment) == name));
     let alpha = Alpha::fixed(&spec.model.shared().parameters)
         .map_err(|ParameterError::Free { names }| Failure::from(TruthError::NoParameter { names }))?;
-    Ok(Truth { population, alpha, taken, warnings })
+    Ok(Truth { population, alpha, taken, warnings, fitted })
 }
 
 /// The results of a fit, from their JSON.
@@ -123,12 +132,16 @@ fn of_model(spec: &Spec, from: &Document, set: &[String]) -> Result<(Population,
         .map_err(|ParameterError::Free { names }| Failure::from(TruthError::NoParameter { names }))?;
     let (found, expected) = (truth.model.estimated_names(), spec.model.estimated_names());
     let place: Option<Vec<usize>> = expected.iter().map(|name| found.iter().position(|other| other == name)).collect();
-    let Some(place) = place.filter(|place| place.len() == found.len()) else {
+    let Some(own) = place.filter(|place| place.len() == found.len()) else {
         let error = RecordError::Names { what: "the estimated states".to_owned(), found, expected };
         return Err(TruthError::Record { path, error }.into());
     };
     let refused = |error| Failure::from(TruthError::Population { path: path.clone(), error });
     let mut population = Population::of_model(&truth.model, &alpha).map_err(refused)?;
+    // what groups of each level add stands after the tests' own
+    let size = own.len();
+    let place: Vec<usize> =
+        (0..=truth.model.levels.len()).flat_map(|level| own.iter().map(move |i| level * size + i)).collect();
     population.mean = place.iter().map(|&i| population.mean[i]).collect();
     population.covariance = population.covariance.select_rows(&place).select_columns(&place);
     population.check(&spec.model).map_err(refused)?;

@@ -52,7 +52,14 @@ pub struct Said {
     pub groups: Vec<Vec<GroupPosterior>>,
     /// `None` of tests whose measurements are not known.
     pub innovations: Vec<Option<Innovations>>,
+    /// What the measured values of a test are off the model whatever its initial state is: the sum of squares of its innovations less its
+    /// distance from the population, and the degrees of freedom of χ². The two are independent, also where tests stand in groups. `None`
+    /// where a phase is not known by its rows, and where a test is so far out that nothing is left of the difference but rounding.
+    pub residuals: Vec<Option<(f64, usize)>>,
 }
+
+/// Largest rounding of a residual that is told.
+const ROUNDING: f64 = 1e-3;
 
 impl<'a> Applied<'a> {
     /// Runs the filters over the tests. `population` is of the shape of the model; of a model with levels it holds each level.
@@ -96,7 +103,19 @@ impl<'a> Applied<'a> {
         let (posteriors, groups) = posteriors_at(&self.problem, &self.point, &self.reductions);
         let alone = self.population.together(self.model.dimension());
         let innovations = innovations(self.model, self.alpha, &alone, self.tests)?;
-        Ok(Said { posteriors, groups, innovations })
+        let residual = |((test, own), posterior): ((&PhasedTest, &Option<Innovations>), &Posterior)| {
+            let (summary, distance) = (&own.as_ref().filter(|_| self.is_all_rows(test))?.summary, &posterior.distance);
+            let degrees = summary.count.saturating_sub(distance.degrees_of_freedom);
+            let sound = summary.nis * f64::EPSILON * summary.count as f64 <= ROUNDING;
+            sound.then(|| ((summary.nis - distance.squared).max(0.0), degrees))
+        };
+        let residuals = self.tests.iter().zip(&innovations).zip(&posteriors).map(residual).collect();
+        Ok(Said { posteriors, groups, innovations, residuals })
+    }
+
+    /// Every phase of the test is known by rows that are filtered here.
+    fn is_all_rows(&self, test: &PhasedTest) -> bool {
+        self.refuse_without_rows(test).is_ok()
     }
 }
 

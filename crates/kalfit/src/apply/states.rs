@@ -74,7 +74,15 @@ impl Applied<'_> {
         }
     }
 
-    fn refuse_without_rows(&self, test: &PhasedTest) -> Result<(), ApplyError> {
+    /// That [`states`](Applied::states) are known of all tests.
+    ///
+    /// # Errors
+    /// [`ApplyError::NoRows`], of the first test whose are not.
+    pub fn check_states(&self) -> Result<(), ApplyError> {
+        self.tests.iter().try_for_each(|test| self.refuse_without_rows(test))
+    }
+
+    pub(super) fn refuse_without_rows(&self, test: &PhasedTest) -> Result<(), ApplyError> {
         for (evidence, phase) in test.phases.iter().zip(&self.model.phases) {
             let found = match evidence {
                 Evidence::Rows(_) if phase.filter.is_none() => continue,

@@ -172,7 +172,7 @@ fn the_residual_does_not_depend_on_the_population() {
     let other = Population { mean: vec![7.0, -4.0], covariance: DMatrix::identity(2, 2) * 0.2, ..population() };
     let residual = |population: &Population| {
         let said = Applied::new(&model, &alpha, population, &tests).and_then(|applied| applied.said());
-        said.expect("it applies").residual(0).expect("rows were filtered")
+        said.expect("it applies").residuals[0].expect("rows were filtered")
     };
     let (found, expected) = (residual(&other), residual(&population()));
     near("squares", found.0, expected.0);

@@ -12,6 +12,8 @@ pub struct Verdict {
     pub log_density: f64,
     /// Distances of the tests' initial states from the population, or of the groups of the outermost level.
     pub distance: Joint,
+    /// Of tests in groups: how far the tests of one group of the outermost level are from each other, whatever the group is.
+    pub within: Option<Joint>,
     /// What measured values are off the model whatever the initial states are; without degrees of freedom where nothing was measured.
     pub residual: Joint,
 }
@@ -28,7 +30,7 @@ pub struct Joint {
 }
 
 impl Joint {
-    fn new(squared: f64, degrees_of_freedom: usize) -> Joint {
+    pub(crate) fn new(squared: f64, degrees_of_freedom: usize) -> Joint {
         let law = ChiSquared::new(degrees_of_freedom as f64).ok();
         let p_value = law.map(|law| (2.0 * law.cdf(squared).min(law.sf(squared))).min(1.0));
         Joint { squared, degrees_of_freedom, p_value }
@@ -42,13 +44,6 @@ impl Joint {
 }
 
 impl Said {
-    /// What the measured values of a test are off the model whatever its initial state is: the sum of squares of its innovations less its
-    /// distance from the population. The two are independent, also where tests stand in groups. `None` where measurements are not known.
-    pub fn residual(&self, test: usize) -> Option<(f64, usize)> {
-        let (own, distance) = (&self.innovations[test].as_ref()?.summary, &self.posteriors[test].distance);
-        Some(((own.nis - distance.squared).max(0.0), own.count.saturating_sub(distance.degrees_of_freedom)))
-    }
-
     /// All tests together.
     pub fn verdict(&self) -> Verdict {
         // tests of one group are not independent: the groups of the outermost level are
@@ -60,8 +55,13 @@ impl Said {
             Some(groups) => groups.iter().map(|group| group.log_likelihood).sum(),
             None => self.posteriors.iter().map(|test| test.log_likelihood).sum(),
         };
-        let residuals = (0..self.posteriors.len()).filter_map(|test| self.residual(test));
+        let within = self.groups.last().map(|groups| {
+            let tests: usize = self.posteriors.iter().map(|test| test.distance.degrees_of_freedom).sum();
+            let squared = groups.iter().map(|group| group.within).sum();
+            Joint::new(squared, tests.saturating_sub(distance.degrees_of_freedom))
+        });
+        let residuals = self.residuals.iter().flatten();
         let (squared, degrees) = residuals.fold((0.0, 0), |(sum, count), own| (sum + own.0, count + own.1));
-        Verdict { log_density, distance, residual: Joint::new(squared, degrees) }
+        Verdict { log_density, distance, within, residual: Joint::new(squared, degrees) }
     }
 }

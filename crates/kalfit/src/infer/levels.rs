@@ -27,6 +27,9 @@ pub struct GroupPosterior {
     pub covariance: DMatrix<f64>,
     /// How far the group is from the population.
     pub distance: Distance,
+    /// Squares of how far its tests and inner groups are from each other, χ² with as many degrees of freedom as the distances of its tests
+    /// have more than its own.
+    pub within: f64,
     /// Number of its tests.
     pub tests: usize,
 }
@@ -61,6 +64,7 @@ impl Ensemble<'_> {
             mean: self.mean(&found.mean),
             covariance: self.covariance(&found.covariance),
             distance: Distance::new(found.squared, found.degrees_of_freedom),
+            within: found.within,
             tests,
         }
     }

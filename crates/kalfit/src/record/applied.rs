@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::apply::{Joint, Said, Verdict};
+use crate::model::PhasedModel;
 use crate::record::holm;
 use crate::reduce::PhasedTest;
 
@@ -24,8 +25,18 @@ pub struct AppliedRecord {
     pub distance: JointRecord,
     /// What the sum is over: `test`, or the outermost level of groups.
     pub of: String,
+    /// Of tests in groups: how far those of one group of the outermost level are from each other.
+    pub within: Option<JointRecord>,
+    /// How many tests, or groups of the outermost level, the population was estimated from; null where it was given.
+    pub fitted: Option<usize>,
+    /// Number of its states.
+    pub states: usize,
+    /// Parameters that were given other values.
+    pub changed: Vec<String>,
     /// What measured values are off the model whatever the initial states are: squares of the innovations less the tests' own distances.
     pub residual: JointRecord,
+    /// Tests that have a distance.
+    pub compared: usize,
     /// Of the test furthest from the population.
     pub furthest: Option<FarRecord>,
     /// Tests that stand out at 5 % after correction for their number, the furthest first.
@@ -60,6 +71,17 @@ pub struct FarRecord {
     pub p_corrected: f64,
 }
 
+/// Where the parameters came from.
+#[derive(Debug, Clone)]
+pub struct AppliedSource {
+    /// As named by the user.
+    pub name: String,
+    /// How many tests, or groups of the outermost level, the population was estimated from, where that is known.
+    pub fitted: Option<usize>,
+    /// Parameters that were given other values.
+    pub changed: Vec<String>,
+}
+
 /// 5 %.
 const LEVEL: f64 = 0.05;
 
@@ -70,31 +92,56 @@ impl From<Joint> for JointRecord {
 }
 
 impl AppliedRecord {
-    /// Of tests under the model of a title. `outermost`: name of the outermost level of groups.
-    pub fn new(title: &str, from: String, tests: &[PhasedTest], said: &Said, outermost: Option<&str>) -> AppliedRecord {
-        let Verdict { log_density, distance, residual } = said.verdict();
+    /// Of tests and what they say, with parameters from a source.
+    pub fn new(model: &PhasedModel, source: AppliedSource, tests: &[PhasedTest], said: &Said) -> AppliedRecord {
+        let Verdict { log_density, distance, within, residual } = said.verdict();
         let distances = said.posteriors.iter().map(|test| &test.distance);
         let distances = distances.map(|own| (own.squared, own.degrees_of_freedom, own.p_value));
         let far = ranked(tests, distances);
         let seen = said.innovations.iter().flatten().map(|own| own.summary.count).sum();
         let residuals = (0..tests.len()).map(|test| {
-            let (squared, degrees) = said.residual(test).unwrap_or_default();
+            let (squared, degrees) = said.residuals[test].unwrap_or_default();
             (squared, degrees, ChiSquared::new(degrees as f64).ok().map(|law| law.sf(squared)))
         });
         let stands_out = |one: &FarRecord| one.p_corrected < LEVEL;
         AppliedRecord {
-            title: title.to_owned(),
-            from,
+            title: model.shared().title.clone(),
+            fitted: source.fitted,
+            states: model.dimension(),
+            from: source.name,
+            changed: source.changed,
+            within: within.map(JointRecord::from),
+            compared: far.len(),
             tests: tests.len(),
             observations: seen,
             log_density,
             distance: distance.into(),
-            of: outermost.unwrap_or("test").to_owned(),
+            of: model.levels.first().map_or("test", |level| level.name.as_str()).to_owned(),
             residual: residual.into(),
             outlying: far.iter().take_while(|one| stands_out(one)).cloned().collect(),
             furthest: far.into_iter().next(),
             unlikely: ranked(tests, residuals).into_iter().take_while(stands_out).collect(),
         }
+    }
+}
+
+impl AppliedRecord {
+    /// How many times as large the sum of distances is on average, as the population was estimated: (1 + 1/N) N / (N - p - 2) of p states that
+    /// N tests tell well. 1 where it was given, infinite where N is too small.
+    pub fn inflation(&self) -> f64 {
+        let Some(number) = self.fitted else { return 1.0 };
+        let left = number as f64 - self.states as f64 - 2.0;
+        if left > 0.0 { (number as f64 + 1.0) / left } else { f64::INFINITY }
+    }
+
+    /// Whether the distances are more than chance and the estimated population allow at this level: how much larger they are differs from fit to
+    /// fit, so that twice the average excess is allowed for.
+    pub fn is_outside(&self, level: f64) -> bool {
+        let most = 1.0 + 2.0 * (self.inflation() - 1.0);
+        let below = |p: Option<f64>| p.is_some_and(|p| p < level);
+        let JointRecord { squared, degrees_of_freedom, p_value } = self.distance;
+        let allowed = Joint::new(squared / most, degrees_of_freedom);
+        below(p_value) && (squared < degrees_of_freedom as f64 || below(allowed.p_value))
     }
 }
 

@@ -28,7 +28,7 @@ use serde::{Deserialize, Serialize};
 
 pub use crate::infer::Interval;
 
-pub use applied::{AppliedRecord, FarRecord, JointRecord};
+pub use applied::{AppliedRecord, AppliedSource, FarRecord, JointRecord};
 pub use build::Provenance;
 pub use by_group::{GroupRecord, GroupTestRecord, MixedGroup, TestGroups};
 pub use diagnosis::shortage_notes;

@@ -38,6 +38,8 @@ pub(crate) struct GroupPosterior {
     pub(crate) squared: f64,
     /// Rank of J.
     pub(crate) degrees_of_freedom: usize,
+    /// Squares of how far its tests and inner groups are from each other: of all that its tests say, less `squared`.
+    pub(crate) within: f64,
     /// log p of the measurements of all its tests by themselves.
     pub(crate) log_density: f64,
 }
@@ -149,6 +151,7 @@ fn of_group(
             covariance: mean.covariance.as_slice().to_vec(),
             squared,
             degrees_of_freedom: rank,
+            within: within.1[column],
             log_density: constant - 0.5 * (log_det + within.0 + within.1[column] + squared),
         };
         Found::Group(node.level, numbers.groups[g], posterior)

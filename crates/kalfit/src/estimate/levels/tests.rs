@@ -332,7 +332,9 @@ fn posteriors_are_those_of_the_joint_gaussian() {
         let mut log_density = 0.0;
         for unit in ensemble.units() {
             let (value, prior, factor, e, s) = ensemble.dense_unit(&unit, (&here.0, &here.1), &here.2);
-            let gain = &prior * factor.transpose() * s.cholesky().expect("positive").inverse();
+            let inverse = s.cholesky().expect("positive").inverse();
+            let quadratic = e.dot(&(&inverse * &e));
+            let gain = &prior * factor.transpose() * inverse;
             let (shift, covariance) = (&gain * e, &prior - &gain * &factor * &prior);
             for (a, &j) in unit.iter().enumerate() {
                 let own = &found.tests[ensemble.grouping.number(ensemble.reductions.id(j)).expect("it was named")];
@@ -351,11 +353,30 @@ fn posteriors_are_those_of_the_joint_gaussian() {
             let number = ensemble.grouping.number(ensemble.reductions.id(unit[0])).expect("it was named");
             let group = &found.groups[levels - 2][ensemble.grouping.group_of(number, levels - 2)];
             assert!((group.log_density - value).abs() < 1e-9, "{} {value}", group.log_density);
+            let all = group.squared + group.within;
+            assert!((all - quadratic).abs() < 1e-9 * (1.0 + quadratic), "squares {all} {quadratic}");
             log_density += group.log_density;
         }
         let all = ensemble.dense((&here.0, &here.1), &here.2);
         assert!((log_density - all).abs() < 1e-9 * (1.0 + all.abs()), "{log_density} {all}");
     }
+}
+
+#[test]
+fn what_all_tests_of_a_group_say_alike_has_its_own_rank() {
+    // every test sees the same combination of two states; folding leaves rounding in the second row
+    let mut ensemble = ensemble(2, &[4, 5], (1, false));
+    let alike = |(j, r): (usize, crate::reduce::ReductionRef<'_>)| {
+        let size = 0.3 + 0.1 * j as f64;
+        Reduction { factor: vec![size, size / 3.0, 0.0], data: vec![wave(j), 0.0], ..r.into() }
+    };
+    ensemble.reductions = ensemble.reductions.iter().enumerate().map(alike).collect();
+    let problem = ensemble.problem(Criterion::Ml);
+    let place = point(&problem, &somewhere(&ensemble, 2));
+    let units: &Units = problem.classes.units.as_ref().expect("there are groups");
+    let found = posteriors(units, (&place, &problem.mean.regressors), None, false);
+    let ranks: Vec<usize> = found.groups[0].iter().map(|group| group.degrees_of_freedom).collect();
+    assert_eq!(ranks, [1; 4]);
 }
 
 #[test]
