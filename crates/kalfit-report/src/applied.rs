@@ -152,19 +152,22 @@ fn notes(record: &AppliedRecord) -> Vec<String> {
 /// What it means that the parameters are taken as known.
 fn known(record: &AppliedRecord) -> String {
     let known = "The parameters are taken as exactly known.";
-    let of = if record.of == "test" { "test".to_owned() } else { format!("group of `{}`", clean(&record.of)) };
+    let tests = |number: usize| match record.of == "test" {
+        true => count(number, "test"),
+        false => format!("{} of `{}`", count(number, "group"), clean(&record.of)),
+    };
     match (record.fitted, record.inflation()) {
         (None, _) => known.to_owned(),
         (Some(fitted), inflation) if inflation.is_finite() => format!(
             "{known} As the population was estimated from {}, distances of others are larger by {} % on average; the first \
              sentence allows for twice as much.",
-            count(fitted, &of),
+            tests(fitted),
             plain(100.0 * (inflation - 1.0), 2)
         ),
         (Some(fitted), _) => format!(
             "{known} The population was estimated from {} only: distances of others may be larger by any factor, and the \
              first sentence does not rest on them.",
-            count(fitted, &of)
+            tests(fitted)
         ),
     }
 }

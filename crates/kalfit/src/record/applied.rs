@@ -140,8 +140,10 @@ impl AppliedRecord {
         let most = 1.0 + 2.0 * (self.inflation() - 1.0);
         let below = |p: Option<f64>| p.is_some_and(|p| p < level);
         let JointRecord { squared, degrees_of_freedom, p_value } = self.distance;
-        let allowed = Joint::new(squared / most, degrees_of_freedom);
-        below(p_value) && (squared < degrees_of_freedom as f64 || below(allowed.p_value))
+        let expected = degrees_of_freedom as f64;
+        let allowed = squared / most;
+        let beyond = allowed > expected && below(Joint::new(allowed, degrees_of_freedom).p_value);
+        below(p_value) && (squared < expected || beyond)
     }
 }
 
@@ -156,4 +158,42 @@ fn ranked(tests: &[PhasedTest], squares: impl Iterator<Item = (f64, usize, Optio
     let p_values: Vec<f64> = all.iter().map(|one| one.p_value).collect();
     all.iter_mut().zip(holm(&p_values)).for_each(|(one, corrected)| one.p_corrected = corrected);
     all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(squared: f64, fitted: Option<usize>) -> AppliedRecord {
+        AppliedRecord {
+            title: String::new(),
+            from: "fit.json".to_owned(),
+            tests: 200,
+            observations: 0,
+            log_density: 0.0,
+            distance: Joint::new(squared, 800).into(),
+            of: "test".to_owned(),
+            within: None,
+            fitted,
+            states: 4,
+            changed: Vec::new(),
+            residual: Joint::new(0.0, 0).into(),
+            compared: 0,
+            furthest: None,
+            outlying: Vec::new(),
+            unlikely: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn a_population_that_was_estimated_from_few_tests_is_allowed_for() {
+        // sums of 200 tests of the population itself, of which 20 were fitted: on average 1.5 times what is expected
+        assert!((of(800.0, Some(20)).inflation() - 1.5).abs() < 1e-15);
+        for squared in [887.0, 1004.0, 1404.0, 1386.0, 904.0, 1262.0, 1227.0, 1143.0] {
+            assert!(!of(squared, Some(20)).is_outside(0.01), "{squared}");
+            assert_eq!(of(squared, None).is_outside(0.01), squared > 905.0, "{squared}");
+        }
+        assert!(of(2000.0, Some(20)).is_outside(0.01) && of(500.0, Some(20)).is_outside(0.01));
+        assert!(!of(1e6, Some(5)).is_outside(0.01), "five tests do not tell what four states are like");
+    }
 }
