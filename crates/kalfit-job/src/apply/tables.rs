@@ -1,82 +1,33 @@
-//! Applying a fitted model to tests: `kalfit apply`.
+//! The tables of `kalfit apply`: what each test says, and states at every step.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
-use kalfit::apply::{Applied, ApplyError, PhaseStates, Said, StateKind};
-use kalfit::record::{AppliedRecord, AppliedSource};
+use kalfit::apply::{Applied, PhaseStates, Said, StateKind};
 use kalfit::{PhasedModel, PhasedTest};
 use kalfit_data::{Cell, CellKind, Format, Reading, TableWriter, WriteError};
 use kalfit_spec::Spec;
 
-use crate::evidence::Given;
+use super::refused;
 use crate::failure::Failure;
-use crate::job::{AppliedModel, ApplyJob, Done, TableTo, files};
+use crate::job::TableTo;
 use crate::output::{Pending, Target};
-use crate::work::{Watch, Work};
-use crate::{model, tests, truth};
+use crate::work::Work;
 
 /// States of this many rows, or of one test, are held at a time.
 const BATCH_ROWS: usize = 200_000;
 
-/// Applies a fitted model to tests.
-///
-/// # Errors
-/// Bad input, or [`Failure::Interrupted`].
-pub fn apply(job: &ApplyJob, watch: &mut dyn Watch) -> Result<Done<AppliedModel>, Failure> {
-    let mut spec = model::read(&job.model.document)?;
-    let truth = truth::load(&mut spec, &job.from, &job.model.set)?;
-    let given = Given::open(&mut spec, &job.data)?;
-    let used = files(&[&job.model.document, &job.from], &given.inputs);
-    let [out, along] = [&job.tests, &job.states].map(|to| Table::prepare(to, &used));
-    let (out, along) = (out?, along?);
-    if let (Some(out), Some(Table { target: Target::Named(along), .. })) = (&out, &along) {
-        out.target.refuse_same(Some(along))?;
-    }
-    let mut work = Work::new(watch);
-    let (tests, reading) = tests::read(&spec, &given, &mut work)?;
-    let refused = |error| refused(error, &reading);
-    work.say(|| "running the filters".to_owned());
-    let applied = Applied::new(&spec.model, &truth.alpha, &truth.population, &tests).map_err(refused)?;
-    work.go_on()?;
-    let said = applied.said().map_err(refused)?;
-    work.go_on()?;
-    if along.is_some() {
-        applied.check_states().map_err(refused)?;
-    }
-    let changed = job.model.set.iter().filter_map(|one| Some(one.split_once('=')?.0.trim().to_owned())).collect();
-    let source = AppliedSource { name: job.from.name(), fitted: truth.fitted, changed };
-    let record = AppliedRecord::new(&spec.model, source, &tests, &said);
-    let task = Task { spec: &spec, applied: &applied, tests: &tests, reading: &reading };
-    // neither is in place before both are whole
-    let of_tests = out.as_ref().map(|table| task.tests(table, &said)).transpose()?;
-    let states = along.as_ref().map(|table| task.states(table, job.kind, &mut work)).transpose()?;
-    let of_tests = of_tests.map_or(Ok(None), Pending::finish)?;
-    let states = states.map_or(Ok(None), Pending::finish)?;
-    let written = [out, along].into_iter().flatten().filter_map(|table| table.target.name()).collect();
-    let notes = given.notes.into_iter().chain(truth.warnings).collect();
-    Ok(Done { record: AppliedModel { record, tests: of_tests, states }, notes, written })
-}
-
-fn refused(error: ApplyError, reading: &Reading) -> Failure {
-    match error {
-        ApplyError::Reduce(error) => Failure::Reduce { error: *error, reading: Some(Box::new(reading.clone())) },
-        ApplyError::Fit(error) => Failure::Fit(error),
-        error => Failure::Apply(Box::new(error)),
-    }
-}
-
 /// A table that will be written.
-struct Table {
-    target: Target,
+pub(super) struct Table {
+    pub(super) target: Target,
     format: Format,
 }
 
 type Writer<'a> = TableWriter<BufWriter<&'a File>>;
 
 impl Table {
-    fn prepare(to: &TableTo, used: &[&Path]) -> Result<Option<Table>, Failure> {
+    pub(super) fn prepare(to: &TableTo, used: &[&Path]) -> Result<Option<Table>, Failure> {
         let (path, format) = match to {
             TableTo::Nowhere => return Ok(None),
             TableTo::Back => (None, Format::Arrow),
@@ -112,11 +63,11 @@ fn failed(error: WriteError, path: String) -> Failure {
 }
 
 /// What the tables are of.
-struct Task<'a> {
-    spec: &'a Spec,
-    applied: &'a Applied<'a>,
-    tests: &'a [PhasedTest],
-    reading: &'a Reading,
+pub(super) struct Task<'a> {
+    pub(super) spec: &'a Spec,
+    pub(super) applied: &'a Applied<'a>,
+    pub(super) tests: &'a [PhasedTest],
+    pub(super) reading: &'a Reading,
 }
 
 impl Task<'_> {
@@ -138,7 +89,7 @@ impl Task<'_> {
     }
 
     /// A row for each phase of each test.
-    fn tests<'t>(&self, table: &'t Table, said: &Said) -> Result<Pending<'t>, Failure> {
+    pub(super) fn tests<'t>(&self, table: &'t Table, said: &Said) -> Result<Pending<'t>, Failure> {
         let names = self.estimated();
         let numbers = ["log_density", "distance"].map(|name| (name.to_owned(), CellKind::Number));
         let of =
@@ -191,7 +142,12 @@ impl Task<'_> {
     }
 
     /// A row for each state at each step, and for each measured value.
-    fn states<'t>(&self, table: &'t Table, kind: StateKind, work: &mut Work<'_>) -> Result<Pending<'t>, Failure> {
+    pub(super) fn states<'t>(
+        &self,
+        table: &'t Table,
+        kind: StateKind,
+        work: &mut Work<'_>,
+    ) -> Result<Pending<'t>, Failure> {
         let text = |name: &str| (name.to_owned(), CellKind::Text);
         let number = |name: &str| (name.to_owned(), CellKind::Number);
         let columns = [
