@@ -11,10 +11,10 @@ Gyros on two bench stations
 from kalfit._arrays import Ensemble
 from kalfit._data import Data, Table, TableLike
 from kalfit._fit import Fit, GroupFit, Interrupted, Level, Parameter, Parameters, Phase, TestFit
-from kalfit._jobs import apply, check, estimates, fit, plan, reduce, simulate, test
+from kalfit._jobs import apply, check, estimates, fit, plan, predict, reduce, simulate, test, validate
 from kalfit._kalfit import DataError, Error, FitError, ModelError, version
 from kalfit._model import Model, ModelLike
-from kalfit._results import Applied, Check, Plan, RatioTest, Simulation
+from kalfit._results import Applied, Check, Plan, Predicted, RatioTest, Simulation, Validation
 
 __version__ = version()
 
@@ -37,18 +37,22 @@ __all__ = [
     "Parameters",
     "Phase",
     "Plan",
+    "Predicted",
     "RatioTest",
     "Simulation",
     "Table",
     "TableLike",
     "TestFit",
+    "Validation",
     "__version__",
     "apply",
     "check",
     "estimates",
     "fit",
     "plan",
+    "predict",
     "reduce",
     "simulate",
     "test",
+    "validate",
 ]

@@ -12,9 +12,9 @@ from kalfit._arrays import Ensemble
 from kalfit._data import Data, Table, as_data
 from kalfit._fit import Fit, Interrupted
 from kalfit._model import Model, ModelLike, Path, as_model, assignments
-from kalfit._results import Applied, Check, Plan, RatioTest, Simulation
+from kalfit._results import Applied, Check, Plan, Predicted, RatioTest, Simulation, Validation
 
-__all__ = ["apply", "check", "estimates", "fit", "plan", "reduce", "simulate", "test"]
+__all__ = ["apply", "check", "estimates", "fit", "plan", "predict", "reduce", "simulate", "test", "validate"]
 
 Set = Union[Mapping[str, float], Sequence[str], None]
 Progress = Union[bool, Callable[[str], object]]
@@ -45,6 +45,25 @@ def _table(made: _kalfit.Table | None) -> Table | None:
 
 def _model(model: ModelLike, set: Set) -> tuple[_Text, list[str]]:
     return (as_model(model)._document(), assignments(set))
+
+
+def _beside(document: Path | Mapping[str, object], name: str) -> _Text:
+    """A file that is read with a model, or a dictionary of its tables."""
+    if isinstance(document, Mapping):
+        from kalfit import _toml
+
+        return (name, _toml.dumps(document), None)
+    path = os.fspath(document)
+    with open(path, encoding="utf-8") as file:
+        return (path, file.read(), path)
+
+
+def _outputs(outputs: Path | Mapping[str, object]) -> _Text:
+    """A file of outputs, or equations by name."""
+    if not isinstance(outputs, Mapping):
+        return _beside(outputs, "the outputs")
+    tables = {name: {"equation": one} if isinstance(one, str) else one for name, one in outputs.items()}
+    return _beside({"outputs": tables}, "the outputs")
 
 
 def _source(source: Fit | ModelLike) -> _Text:
@@ -170,14 +189,7 @@ def test(
     >>> 0 < found.p_value < 0.01
     True
     """
-    if isinstance(null, Mapping):
-        from kalfit import _toml
-
-        hypothesis: _Text = ("the hypothesis", _toml.dumps(null), None)
-    else:
-        path = os.fspath(null)
-        with open(path, encoding="utf-8") as file:
-            hypothesis = (path, file.read(), path)
+    hypothesis = _beside(null, "the hypothesis")
     if bootstrap is not None and not 1 <= bootstrap <= 1_000_000:
         raise ValueError(f"bootstrap is {bootstrap}, expected a number from 1 to 1000000, or None")
     made, notes = _kalfit.test(
@@ -262,6 +274,88 @@ def apply(
         _model(model, set), as_data(data), _source(source), states, (_file(out), _file(states_out)), _how(threads, progress)
     )
     return Applied(made, notes, _table(tests), _table(along))
+
+
+def validate(
+    model: ModelLike,
+    data: Data,
+    *,
+    folds: int = 10,
+    seed: int = 1,
+    by: str | None = None,
+    against: ModelLike | None = None,
+    criterion: Literal["ml", "reml"] = "ml",
+    set: Set = None,
+    out: Path | None = None,
+    threads: int | None = None,
+    progress: Progress = False,
+) -> Validation:
+    """Predicts tests by fits that were made without them: how well does a model do, and does another one do better?
+
+    Tests are drawn into ``folds`` with ``seed``; as many folds as tests leave each one out by itself. With ``by`` those with the
+    same text in that column are a fold. ``against`` is another model of the same measurements.
+
+    >>> import kalfit
+    >>> model, data = "examples/random-coefficients/sleepstudy.toml", "examples/random-coefficients/sleepstudy.csv"
+    >>> found = kalfit.validate(model, data, folds=6)
+    >>> found.log_density < kalfit.fit(model, data).log_likelihood
+    True
+    """
+    if folds < 2:
+        raise ValueError(f"folds is {folds}, expected 2 or more")
+    made, notes = _kalfit.validate(
+        _model(model, set),
+        as_data(data),
+        (None if by is not None else (folds, seed), by, criterion),
+        None if against is None else _source(against),
+        _file(out),
+        _how(threads, progress),
+    )
+    return Validation(made, notes)
+
+
+def predict(
+    model: ModelLike,
+    source: Fit | ModelLike,
+    design: Data,
+    *,
+    outputs: Path | Mapping[str, object] | None = None,
+    confidence: float = 0.9,
+    content: float = 0.95,
+    one_sided: bool = False,
+    units: Literal["new", "known"] = "new",
+    set: Set = None,
+    out: Path | None = None,
+    threads: int | None = None,
+    progress: Progress = False,
+) -> Predicted:
+    """Says what tests that nobody has made will give: mean, spread and limits of states and outputs at every row of ``design``.
+
+    ``design`` has the times and inputs of the tests. ``source`` is a fit, its file, or a model with values. ``outputs`` is
+    a file of ``[outputs.NAME]`` tables, or a dictionary of equations by name. Limits of the mean hold with ``confidence``; tolerance limits hold
+    ``content`` of all tests with that confidence, between them or, if ``one_sided``, beyond neither by itself. Where tests stand
+    in groups, ``units`` says whether those of the design are ``"new"`` or ``"known"`` to the fit. All rows are in ``.table`` of
+    the result, unless ``out`` names a file for them.
+
+    >>> import kalfit
+    >>> model, data = "examples/gyro-bench/bench.toml", "examples/gyro-bench/bench.csv"
+    >>> predicted = kalfit.predict(model, kalfit.fit(model, data), data)
+    >>> [name for name in predicted.table.column_names if name.startswith("std_dev")]
+    ['std_dev', 'std_dev_population', 'std_dev_process', 'std_dev_estimation']
+    """
+    for name, value in (("confidence", confidence), ("content", content)):
+        if not 0.5 <= value <= 1 - 1e-6:
+            raise ValueError(f"{name} is {value}, expected a number from 0.5 to 0.999999")
+    made, table, notes = _kalfit.predict(
+        _model(model, set),
+        _source(source),
+        as_data(design, "design"),
+        None if outputs is None else _outputs(outputs),
+        (confidence, content, one_sided, units),
+        _file(out),
+        _how(threads, progress),
+    )
+    return Predicted(made, notes, _table(table))
 
 
 def plan(

@@ -43,6 +43,8 @@ def describe(model: _Text) -> tuple[str, str, list[str], list[str], str | None, 
 def ratio_summary(json: str, width: int, color: bool) -> str: ...
 def applied_summary(json: str, width: int, color: bool) -> str: ...
 def plan_summary(json: str, width: int, color: bool) -> str: ...
+def validated_summary(json: str, width: int, color: bool) -> str: ...
+def predicted_summary(json: str, width: int, color: bool) -> str: ...
 def fit(
     model: _Model, given: _Data, out: _Path | None, options: dict[str, object], how: _How
 ) -> tuple[Results, bool]: ...
@@ -71,6 +73,23 @@ def plan(
     out: _Path | None,
     how: _How,
 ) -> tuple[str, list[str]]: ...
+def validate(
+    model: _Model,
+    given: _Data,
+    folds: tuple[tuple[int, int] | None, str | None, str],
+    against: _Text | None,
+    out: _Path | None,
+    how: _How,
+) -> tuple[str, list[str]]: ...
+def predict(
+    model: _Model,
+    source: _Text,
+    design: _Data,
+    outputs: _Text | None,
+    asks: tuple[float, float, bool, str],
+    out: _Path | None,
+    how: _How,
+) -> tuple[str, Table | None, list[str]]: ...
 def simulate(
     model: _Model,
     source: _Text,

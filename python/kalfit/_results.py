@@ -8,7 +8,7 @@ from typing import Any
 from kalfit import _kalfit
 from kalfit._data import Table
 
-__all__ = ["Applied", "Check", "Plan", "RatioTest", "Simulation"]
+__all__ = ["Applied", "Check", "Plan", "Predicted", "RatioTest", "Simulation", "Validation"]
 
 
 class _Record:
@@ -81,6 +81,45 @@ class Applied(_Record):
 
     def __repr__(self) -> str:
         return f"<kalfit.Applied: {self.to_dict()['tests']} tests, log density {self.log_density:.6g}>"
+
+
+class Predicted(_Record):
+    """What tests that nobody has made will give."""
+
+    def __init__(self, json_text: str, notes: list[str], table: Table | None) -> None:
+        super().__init__(json_text, notes)
+        #: States and outputs at every row; None when they went to a file.
+        self.table = table
+
+    def summary(self, width: int = 80, color: bool = False) -> str:
+        """The last row of each of the first tests, in words and tables, as ``kalfit predict`` prints it."""
+        return _kalfit.predicted_summary(self._json, width, color)
+
+    def __repr__(self) -> str:
+        return f"<kalfit.Predicted: {self.to_dict()['tests']} tests>"
+
+
+class Validation(_Record):
+    """Predictions of tests by fits that were made without them."""
+
+    def __init__(self, json_text: str, notes: list[str]) -> None:
+        super().__init__(json_text, notes)
+        record = self.to_dict()
+        #: Sum of the log predictive densities.
+        self.log_density: float = float(record["log_density"])
+        #: Its standard error, by the scatter over tests.
+        self.std_error: float | None = record["std_error"]
+        #: By how much the model predicts better than the other one; None when there is none.
+        self.difference: float | None = record["against"] and record["against"]["difference"]
+        #: The standard error of that.
+        self.difference_std_error: float | None = record["against"] and record["against"]["std_error"]
+
+    def summary(self, width: int = 80, color: bool = False) -> str:
+        """The validation in words and tables, as ``kalfit validate`` prints it."""
+        return _kalfit.validated_summary(self._json, width, color)
+
+    def __repr__(self) -> str:
+        return f"<kalfit.Validation: log density {self.log_density:.6g}>"
 
 
 class Plan(_Record):

@@ -43,6 +43,10 @@ pub(crate) enum Command {
     Plan(PlanArgs),
     /// Apply a fitted model to tests, old or new: are they of the population, and what were their states
     Apply(ApplyArgs),
+    /// How well a model predicts tests that it was not fitted to, and whether another one does so better
+    Validate(ValidateArgs),
+    /// What a test that nobody has made will give: means, spread and limits of states and outputs
+    Predict(PredictArgs),
     /// The report of a fit, one HTML page, from its results alone
     Report(ReportArgs),
     /// The script that completes commands and options in a shell, to standard output
@@ -358,6 +362,102 @@ pub(crate) enum KindArg {
     Filtered,
     /// From what was measured before the step
     Predicted,
+}
+
+#[derive(Debug, Group)]
+#[command(after_help = examples::VALIDATE)]
+pub(crate) struct ValidateArgs {
+    #[command(flatten)]
+    pub(crate) model: ModelArgs,
+
+    /// Data: CSV, Parquet or Arrow files, patterns such as `runs/*.csv`, `-` for standard input
+    #[arg(required = true)]
+    pub(crate) data: Vec<String>,
+
+    /// Number of folds that tests are drawn into; as many as there are tests leave each one out by itself [default: 10]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..), conflicts_with = "by")]
+    pub(crate) folds: Option<u32>,
+
+    /// Seed of the draw [default: 1]
+    #[arg(long, value_name = "N", conflicts_with = "by")]
+    pub(crate) seed: Option<u64>,
+
+    /// Column of the data: tests with the same text in it are a fold
+    #[arg(long, value_name = "COLUMN")]
+    pub(crate) by: Option<String>,
+
+    /// Another model of the same measurements, to compare with on the same folds
+    #[arg(long, value_name = "OTHER.toml")]
+    pub(crate) against: Option<PathBuf>,
+
+    /// What the fits maximise
+    #[arg(long, value_enum, default_value_t = CriterionArg::Ml)]
+    pub(crate) criterion: CriterionArg,
+
+    /// File for all results, as JSON
+    #[arg(long, value_name = "FILE")]
+    pub(crate) out: Option<PathBuf>,
+
+    /// Print nothing but errors
+    #[arg(long)]
+    pub(crate) quiet: bool,
+}
+
+#[derive(Debug, Group)]
+#[command(after_help = examples::PREDICT)]
+pub(crate) struct PredictArgs {
+    #[command(flatten)]
+    pub(crate) model: ModelArgs,
+
+    /// The population and all parameters: results of `kalfit fit`, or a model file, whose fixed values and start values are taken
+    #[arg(long, value_name = "FIT.json|MODEL.toml")]
+    pub(crate) from: PathBuf,
+
+    /// Times and inputs of the tests, a row for each: data of the model without its measurements; may be given many times
+    #[arg(long, required = true, value_name = "FILE")]
+    pub(crate) design: Vec<String>,
+
+    /// File of outputs, which are linear in the states: `[outputs.NAME] equation = "…"`
+    #[arg(long, value_name = "OUT.toml")]
+    pub(crate) outputs: Option<PathBuf>,
+
+    /// How sure the limits are: in this part of all ensembles they hold
+    #[arg(long, value_name = "P", default_value_t = 0.9, value_parser = part)]
+    pub(crate) confidence: f64,
+
+    /// What part of all tests is within the tolerance limits
+    #[arg(long, value_name = "P", default_value_t = 0.95, value_parser = part)]
+    pub(crate) content: f64,
+
+    /// Each tolerance limit by itself: that part of all tests is below the upper one, and above the lower one
+    #[arg(long)]
+    pub(crate) one_sided: bool,
+
+    /// Whose tests they are, where tests stand in groups
+    #[arg(long, value_enum, default_value_t = UnitsArg::New)]
+    pub(crate) units: UnitsArg,
+
+    /// File for a table of all states and outputs at every row. `.parquet`, `.arrow`, `.csv` or `.tsv`
+    #[arg(long, value_name = "FILE")]
+    pub(crate) out: Option<PathBuf>,
+
+    /// Print nothing but errors
+    #[arg(long)]
+    pub(crate) quiet: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum UnitsArg {
+    /// Of units that nobody has seen
+    New,
+    /// Of units that the fit knows, by their names in the design
+    Known,
+}
+
+/// A number from a half to less than 1.
+fn part(text: &str) -> Result<f64, String> {
+    let wrong = || "expected a number from 0.5 to 0.999999, such as 0.9".to_owned();
+    text.parse().ok().filter(|part| (0.5..=1.0 - 1e-6).contains(part)).ok_or_else(wrong)
 }
 
 #[derive(Debug, Group)]

@@ -72,6 +72,18 @@ Examples:
   kalfit apply model.toml new.csv --from fit.json --out tests.parquet
   kalfit apply model.toml data.csv --from fit.json --states states.parquet --kind filtered";
 
+pub(crate) const VALIDATE: &str = "\
+Examples:
+  kalfit validate model.toml data.csv
+  kalfit validate model.toml data.csv --against simpler.toml --out validate.json
+  kalfit validate model.toml data.csv --by laboratory";
+
+pub(crate) const PREDICT: &str = "\
+Examples:
+  kalfit predict model.toml --from fit.json --design mission.csv
+  kalfit predict model.toml --from fit.json --design mission.csv --outputs position.toml --out mission.parquet
+  kalfit predict units.toml --from fit.json --design mission.csv --units known --confidence 0.95 --content 0.99";
+
 pub(crate) const REPORT: &str = "\
 Examples:
   kalfit report fit.json --out fit.html

@@ -7,15 +7,17 @@ use kalfit::apply::StateKind;
 use kalfit::dynamic::{self, Method};
 use kalfit::estimate::{Combination, Criterion, Settings, Solver};
 use kalfit::infer::{Bootstrap, Choices, DeletionChoice, IntervalKind, StdErrors, TestsChoice};
+use kalfit::predict::{Limits, Sides};
 use kalfit_data::Datum;
 use kalfit_job::{
-    ApplyJob, CheckJob, ExchangeJob, Failure, FitJob, ModelJob, PlanJob, ReportJob, SimulateJob, TestJob,
+    ApplyJob, CheckJob, ExchangeJob, Failure, FitJob, FoldsOf, ModelJob, PlanJob, PredictJob, ReportJob, SimulateJob,
+    TestJob, Units, ValidateJob,
 };
 
 use crate::args::{
     ApplyArgs, Args, CheckArgs, Command, CriterionArg, DeletionArg, ExchangeArgs, FitArgs, InnovationsArg,
-    IntervalsArg, KindArg, MethodArg, ModelArgs, PhasesArg, PlanArgs, ReportArgs, SimulateArgs, SolverArg,
-    StdErrorsArg, TestArgs,
+    IntervalsArg, KindArg, MethodArg, ModelArgs, PhasesArg, PlanArgs, PredictArgs, ReportArgs, SimulateArgs, SolverArg,
+    StdErrorsArg, TestArgs, UnitsArg, ValidateArgs,
 };
 use crate::ended::{Ended, Outcome};
 use crate::init::InitJob;
@@ -43,6 +45,8 @@ enum Job {
     Simulate(SimulateJob),
     Plan(PlanJob),
     Apply(ApplyJob),
+    Validate(ValidateJob),
+    Predict(PredictJob),
     Report(ReportJob),
     Completions(Shell),
     Man(Option<PathBuf>),
@@ -65,6 +69,8 @@ impl Order {
             Job::Simulate(job) => show::simulate(job, self.quiet),
             Job::Plan(job) => show::plan(job, self.quiet),
             Job::Apply(job) => show::apply(job, self.quiet),
+            Job::Validate(job) => show::validate(job, self.quiet),
+            Job::Predict(job) => show::predict(job, self.quiet),
             Job::Report(job) => show::report(job, self.quiet),
             Job::Completions(shell) => show::completions(*shell),
             Job::Man(folder) => show::man(folder.as_deref()),
@@ -85,6 +91,8 @@ impl From<Args> for Order {
             Command::Simulate(args) => (args.model.threads, args.quiet),
             Command::Plan(args) => (args.model.threads, args.quiet),
             Command::Apply(args) => (args.model.threads, args.quiet),
+            Command::Validate(args) => (args.model.threads, args.quiet),
+            Command::Predict(args) => (args.model.threads, args.quiet),
         };
         let threads = threads.map(usize::from);
         let job = match args.command {
@@ -96,6 +104,8 @@ impl From<Args> for Order {
             Command::Simulate(args) => Job::Simulate(args.into()),
             Command::Plan(args) => Job::Plan(args.into()),
             Command::Apply(args) => Job::Apply(args.into()),
+            Command::Validate(args) => Job::Validate(args.into()),
+            Command::Predict(args) => Job::Predict(args.into()),
             Command::Report(args) => Job::Report(args.into()),
             Command::Init(args) => Job::Init(InitJob { template: args.template, folder: args.dir.unwrap_or_default() }),
             Command::Completions(args) => Job::Completions(args.shell),
@@ -237,6 +247,41 @@ impl From<PlanArgs> for PlanJob {
             tests: args.tests.into_iter().map(|n| n as usize).collect(),
             groups: args.groups,
             out: args.out,
+        }
+    }
+}
+
+impl From<ValidateArgs> for ValidateJob {
+    fn from(args: ValidateArgs) -> ValidateJob {
+        let drawn = || FoldsOf::Drawn { count: args.folds.unwrap_or(10) as usize, seed: args.seed.unwrap_or(1) };
+        ValidateJob {
+            model: args.model.into(),
+            data: data(args.data),
+            folds: args.by.map_or_else(drawn, FoldsOf::Column),
+            against: args.against.map(Into::into),
+            criterion: match args.criterion {
+                CriterionArg::Ml => Criterion::Ml,
+                CriterionArg::Reml => Criterion::Reml,
+            },
+            out: args.out,
+        }
+    }
+}
+
+impl From<PredictArgs> for PredictJob {
+    fn from(args: PredictArgs) -> PredictJob {
+        let sides = if args.one_sided { Sides::One } else { Sides::Two };
+        PredictJob {
+            model: args.model.into(),
+            from: args.from.into(),
+            design: data(args.design),
+            outputs: args.outputs.map(Into::into),
+            limits: Limits { confidence: args.confidence, content: args.content, sides },
+            units: match args.units {
+                UnitsArg::New => Units::New,
+                UnitsArg::Known => Units::Known,
+            },
+            out: args.out.into(),
         }
     }
 }

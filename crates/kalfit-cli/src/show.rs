@@ -4,9 +4,12 @@ use std::path::Path;
 
 use clap_complete::Shell;
 use kalfit_job::{
-    ApplyJob, CheckJob, Done, ExchangeJob, Exchanged, Failure, FitJob, PlanJob, ReportJob, SimulateJob, TestJob, Watch,
+    ApplyJob, CheckJob, Done, ExchangeJob, Exchanged, Failure, FitJob, PlanJob, PredictJob, ReportJob, SimulateJob,
+    TestJob, ValidateJob, Watch,
 };
-use kalfit_report::{applied_summary, check_summary, plan_summary, ratio_summary, summary};
+use kalfit_report::{
+    applied_summary, check_summary, plan_summary, predicted_summary, ratio_summary, summary, validated_summary,
+};
 
 use crate::ended::{Ended, Outcome};
 use crate::generate;
@@ -36,6 +39,19 @@ pub(crate) fn plan(job: &PlanJob, quiet: bool) -> Result<Outcome, Ended> {
 pub(crate) fn apply(job: &ApplyJob, quiet: bool) -> Result<Outcome, Ended> {
     let Done { record, notes, written } = watched(quiet, |line| kalfit_job::apply(job, line))?;
     tell(quiet, &notes, || applied_summary(&record.record, &terminal::style()), written)?;
+    Ok(Outcome::Done)
+}
+
+/// Exit status 1 says that some fit is not certified.
+pub(crate) fn validate(job: &ValidateJob, quiet: bool) -> Result<Outcome, Ended> {
+    let Done { record, notes, written } = watched(quiet, |line| kalfit_job::validate(job, line))?;
+    tell(quiet, &notes, || validated_summary(&record, &terminal::style()), written)?;
+    Ok(Outcome::of(record.is_certified()))
+}
+
+pub(crate) fn predict(job: &PredictJob, quiet: bool) -> Result<Outcome, Ended> {
+    let Done { record, notes, written } = watched(quiet, |line| kalfit_job::predict(job, line))?;
+    tell(quiet, &notes, || predicted_summary(&record.record, &terminal::style()), written)?;
     Ok(Outcome::Done)
 }
 

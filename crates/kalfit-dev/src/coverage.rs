@@ -5,6 +5,7 @@
 //! logarithm, those of correlations on that of atanh.
 
 mod levels;
+mod predictions;
 
 use std::process::ExitCode;
 
@@ -147,7 +148,7 @@ struct Tally {
     without: u64,
 }
 
-/// Set-ups with levels are fitted four times, with profiles, and so get a tenth of the ensembles of the others.
+/// Set-ups with levels are fitted four times, with profiles, and those of predictions with free parameters: they get a tenth of the ensembles of the others.
 const SHARE_OF_LEVELS: u64 = 10;
 
 /// Runs all set-ups whose title holds `only` and prints their tables; fails when some coverage is not sound.
@@ -155,6 +156,7 @@ pub(crate) fn run(ensembles: u64, only: &str) -> ExitCode {
     println!("Coverage of 95 % intervals, {ensembles} ensembles each unless said otherwise, seed {SEED}.\n");
     let sound = without_levels(ensembles, only);
     levels::run(ensembles.div_ceil(SHARE_OF_LEVELS), only);
+    predictions::run(ensembles.div_ceil(SHARE_OF_LEVELS), only);
     if sound { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }
 

@@ -8,9 +8,11 @@ use kalfit::dynamic::DynamicRatioError;
 use kalfit::estimate::FitError;
 use kalfit::infer::{Element, NotNested};
 use kalfit::plan::PlanError;
-use kalfit::record::{FIT_SCHEMA, MixedGroup};
+use kalfit::predict::PredictError;
+use kalfit::record::{FIT_SCHEMA, MixedGroup, NotComparable};
 use kalfit::reduce::{ReduceError, SplitError};
 use kalfit::simulate::SimulateError;
+use kalfit::validate::{FoldsError, ValidateError};
 use kalfit_data::{DataError, Reading, WriteError};
 use kalfit_spec::{Spec, SpecError};
 
@@ -103,6 +105,46 @@ pub enum Failure {
     /// The model is not applied.
     #[error("{0}")]
     Apply(Box<ApplyError>),
+    /// Nothing is predicted.
+    #[error("{0}")]
+    Predict(Box<PredictError>),
+    /// A unit that the fit does not know.
+    #[error("test `{test}` is of {level} `{unit}`, which is not in `{path}`: {known}")]
+    UnknownUnit {
+        /// The test.
+        test: String,
+        /// Name of its innermost level of groups.
+        level: String,
+        /// The group.
+        unit: String,
+        /// The results.
+        path: String,
+        /// What is there.
+        known: String,
+    },
+    /// Known units of a model without units.
+    #[error("`--units known` has no effect: {why}")]
+    NoUnits {
+        /// Why.
+        why: &'static str,
+    },
+    /// There are no folds.
+    #[error("{0}")]
+    Folds(FoldsError),
+    /// Reductions and estimates tell neither innovations nor columns.
+    #[error("tests are validated from their measurements, and some of them are given by reductions or estimates")]
+    FoldsOfRows,
+    /// The model is not validated.
+    #[error("{0}")]
+    Validate(Box<ValidateError>),
+    /// Two models that do not predict the same.
+    #[error("`{path}` cannot be compared: {error}")]
+    NotComparable {
+        /// Why.
+        error: NotComparable,
+        /// The other model.
+        path: String,
+    },
     /// There is no plan.
     #[error("{}", plan_message(error, states))]
     Plan {
@@ -279,6 +321,17 @@ impl Failure {
             Failure::Truth(error) => error.hint(),
             Failure::Simulate { error, .. } => error.hint().map(str::to_owned),
             Failure::Apply(error) => apply_hint(error).map(str::to_owned),
+            Failure::Predict(_) => None,
+            Failure::UnknownUnit { .. } => Some("`--units new` predicts tests of units that nobody has seen".to_owned()),
+            Failure::NoUnits { .. } => Some("leave it out".to_owned()),
+            Failure::Folds(FoldsError::Apart { .. }) => {
+                Some("a fold holds whole groups: name a column that is the same for all tests of one".to_owned())
+            }
+            Failure::Folds(_) | Failure::Validate(_) => None,
+            Failure::FoldsOfRows => Some("give the measurements".to_owned()),
+            Failure::NotComparable { .. } => {
+                Some("log densities are compared of the same measured values: both models must use the same columns".to_owned())
+            }
             Failure::Plan { error, .. } => plan_hint(error).map(str::to_owned),
             Failure::Write { error, .. } => write_hint(error).map(str::to_owned),
             Failure::Output(error) => error.hint().map(str::to_owned),

@@ -5,9 +5,10 @@ use std::path::{Path, PathBuf};
 
 use kalfit::apply::StateKind;
 use kalfit::dynamic::{self, Method};
-use kalfit::estimate::Settings;
+use kalfit::estimate::{Criterion, Settings};
 use kalfit::infer::{Bootstrap, Choices};
-use kalfit::record::AppliedRecord;
+use kalfit::predict::Limits;
+use kalfit::record::{AppliedRecord, PredictedRecord};
 use kalfit_data::{Datum, Input};
 
 use crate::document::Document;
@@ -160,6 +161,75 @@ pub struct ApplyJob {
     pub states: TableTo,
     /// What is known of the states when they are told.
     pub kind: StateKind,
+}
+
+/// Predict tests by fits that were made without them.
+#[derive(Debug, Clone)]
+pub struct ValidateJob {
+    /// The model.
+    pub model: ModelJob,
+    /// The tests.
+    pub data: Vec<Datum>,
+    /// Which tests are left out together.
+    pub folds: FoldsOf,
+    /// Another model.
+    pub against: Option<Document>,
+    /// Of the fits.
+    pub criterion: Criterion,
+    /// File for the results.
+    pub out: Option<PathBuf>,
+}
+
+/// Which tests are left out together.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum FoldsOf {
+    /// About equally many, drawn.
+    Drawn {
+        /// Number of folds.
+        count: usize,
+        /// The same seed draws the same folds.
+        seed: u64,
+    },
+    /// Those with one text in a column.
+    Column(String),
+}
+
+/// Say what tests that nobody has made will give.
+#[derive(Debug, Clone)]
+pub struct PredictJob {
+    /// The model.
+    pub model: ModelJob,
+    /// Where all parameters come from: results of a fit, or a model.
+    pub from: Document,
+    /// Data that give times and inputs.
+    pub design: Vec<Datum>,
+    /// Named quantities that are linear in the states.
+    pub outputs: Option<Document>,
+    /// How sure limits are, and what they are of.
+    pub limits: Limits,
+    /// Whose tests they are.
+    pub units: Units,
+    /// Where the table goes.
+    pub out: TableTo,
+}
+
+/// Whose tests are predicted, of a model with levels of groups.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Units {
+    /// Of groups that nobody has seen.
+    #[default]
+    New,
+    /// Of groups that the fit knows.
+    Known,
+}
+
+/// Predictions of a model.
+#[derive(Debug)]
+pub struct PredictedModel {
+    /// The last row of each of the first tests.
+    pub record: PredictedRecord,
+    /// The table of all rows as an Arrow IPC file without a name, where it is handed back.
+    pub table: Option<File>,
 }
 
 /// Where a table goes.

@@ -36,6 +36,7 @@ mod lost;
 mod model;
 mod output;
 mod plan;
+mod predict;
 mod ratio;
 mod reduce;
 mod reductions;
@@ -43,9 +44,11 @@ mod refused;
 mod report;
 mod results;
 mod simulate;
+mod table;
 mod test;
 mod tests;
 mod truth;
+mod validate;
 mod work;
 mod write;
 
@@ -57,12 +60,13 @@ pub use estimates::estimates;
 pub use failure::{Failure, Place, Source};
 pub use fit::fit;
 pub use job::{
-    AppliedModel, ApplyJob, CheckJob, Done, ExchangeJob, Exchanged, FitJob, ModelJob, PlanJob, ReportJob, SimulateJob,
-    Simulated, TableTo, TestJob,
+    AppliedModel, ApplyJob, CheckJob, Done, ExchangeJob, Exchanged, FitJob, FoldsOf, ModelJob, PlanJob, PredictJob,
+    PredictedModel, ReportJob, SimulateJob, Simulated, TableTo, TestJob, Units, ValidateJob,
 };
 pub use model::read as read_model;
 pub use output::{Contents, OutputError, abandon};
 pub use plan::plan;
+pub use predict::predict;
 pub use reduce::reduce;
 pub use report::report;
 pub use results::ResultError;
@@ -70,5 +74,6 @@ pub use simulate::simulate;
 pub use test::test;
 pub use truth::error::TruthError;
 pub use truth::fit_record;
+pub use validate::validate;
 pub use work::{Share, Unwatched, Watch};
 pub use write::{save, save_text};

@@ -3,7 +3,7 @@
 use kalfit::Alpha;
 use kalfit::model::{Level, Parameter};
 use kalfit::record::{RatioProvenance, RatioRecord};
-use kalfit_spec::{Hypothesis, HypothesisError, Spec};
+use kalfit_spec::{BesideError, Hypothesis, Spec};
 
 use crate::evidence::Given;
 use crate::failure::Failure;
@@ -34,8 +34,8 @@ pub fn test(job: &TestJob, watch: &mut dyn Watch) -> Result<Done<RatioRecord>, F
 fn hypothesis(spec: &Spec, job: &TestJob) -> Result<Hypothesis, Failure> {
     let text = model::text(&job.null)?;
     spec.under(&text).map_err(|error| match error {
-        HypothesisError::Hypothesis(error) => Failure::model(error, &job.null.name(), Some(text)),
-        HypothesisError::Model(error) => Failure::model(error, &spec.name, Some(spec.text.clone())),
+        BesideError::File(error) => Failure::model(error, &job.null.name(), Some(text)),
+        BesideError::Model(error) => Failure::model(error, &spec.name, Some(spec.text.clone())),
     })
 }
 

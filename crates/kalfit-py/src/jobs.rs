@@ -4,11 +4,12 @@ use std::fs::File;
 use std::path::PathBuf;
 
 use kalfit::apply::StateKind;
-use kalfit::estimate::Solver;
+use kalfit::estimate::{Criterion, Solver};
 use kalfit::infer::Bootstrap;
+use kalfit::predict::{Limits, Sides};
 use kalfit_job::{
-    AppliedModel, ApplyJob, CheckJob, Done, ExchangeJob, Exchanged, Failure, FitJob, PlanJob, SimulateJob, Simulated,
-    TableTo, TestJob, Watch,
+    AppliedModel, ApplyJob, CheckJob, Done, ExchangeJob, Exchanged, Failure, FitJob, FoldsOf, PlanJob, PredictJob,
+    PredictedModel, SimulateJob, Simulated, TableTo, TestJob, Units, ValidateJob, Watch,
 };
 use kalfit_report::{Style, check_summary};
 use pyo3::exceptions::PyKeyboardInterrupt;
@@ -126,6 +127,65 @@ pub(crate) fn apply(
     let AppliedModel { record, tests, states } = done.record;
     let table = |file: Option<File>| file.map(Table::ipc).transpose();
     Ok((written(&record)?, table(tests)?, table(states)?, done.notes))
+}
+
+/// (number of folds and seed, or a column; criterion).
+type FoldsAsked = (Option<(usize, u64)>, Option<String>, String);
+
+/// Predicts tests by fits that were made without them: (JSON of the validation, notes).
+#[pyfunction]
+pub(crate) fn validate(
+    py: Python<'_>,
+    model: Asked,
+    given: Vec<Given<'_>>,
+    folds: FoldsAsked,
+    against: Option<Text>,
+    out: Option<PathBuf>,
+    how: How<'_>,
+) -> PyResult<(String, Vec<String>)> {
+    let (drawn, by, criterion) = folds;
+    let (count, seed) = drawn.unwrap_or((10, 1));
+    let job = ValidateJob {
+        model: model.into(),
+        data: data(given)?,
+        folds: by.map_or(FoldsOf::Drawn { count, seed }, FoldsOf::Column),
+        against: against.map(Into::into),
+        criterion: pick("criterion", &criterion, &[("ml", Criterion::Ml), ("reml", Criterion::Reml)])?,
+        out,
+    };
+    let done = whole(run(py, how, move |watch| kalfit_job::validate(&job, watch))?)?;
+    Ok((written(&done.record)?, done.notes))
+}
+
+/// (confidence, content, each limit by itself, whose tests).
+type Asks = (f64, f64, bool, String);
+
+/// Says what tests that nobody has made will give: (JSON of the last rows, table, notes).
+#[pyfunction]
+pub(crate) fn predict(
+    py: Python<'_>,
+    model: Asked,
+    from: Text,
+    design: Vec<Given<'_>>,
+    outputs: Option<Text>,
+    asks: Asks,
+    out: Option<PathBuf>,
+    how: How<'_>,
+) -> PyResult<(String, Option<Table>, Vec<String>)> {
+    let (confidence, content, one_sided, units) = asks;
+    let sides = if one_sided { Sides::One } else { Sides::Two };
+    let job = PredictJob {
+        model: model.into(),
+        from: from.into(),
+        design: data(design)?,
+        outputs: outputs.map(Into::into),
+        limits: Limits { confidence, content, sides },
+        units: pick("units", &units, &[("new", Units::New), ("known", Units::Known)])?,
+        out: out.map_or(TableTo::Back, TableTo::File),
+    };
+    let done = whole(run(py, how, move |watch| kalfit_job::predict(&job, watch))?)?;
+    let PredictedModel { record, table } = done.record;
+    Ok((written(&record)?, table.map(Table::ipc).transpose()?, done.notes))
 }
 
 /// (the table unless it went to a file, number of tests, of rows, the true initial states unless the table went to a file, the

@@ -1,7 +1,7 @@
 //! Models and results as texts: read, checked, summed up.
 
 use kalfit::TestKey;
-use kalfit::record::{AppliedRecord, PlanRecord, RatioRecord};
+use kalfit::record::{AppliedRecord, PlanRecord, PredictedRecord, RatioRecord, ValidatedRecord};
 use kalfit_job::Document;
 use kalfit_report::Style;
 use pyo3::exceptions::PyValueError;
@@ -58,6 +58,18 @@ pub(crate) fn applied_summary(json: &str, width: usize, color: bool) -> PyResult
 #[pyfunction]
 pub(crate) fn plan_summary(json: &str, width: usize, color: bool) -> PyResult<String> {
     Ok(kalfit_report::plan_summary(&read::<PlanRecord>(json)?, &Style { width, color }))
+}
+
+/// Summary of the JSON of predictions.
+#[pyfunction]
+pub(crate) fn predicted_summary(json: &str, width: usize, color: bool) -> PyResult<String> {
+    Ok(kalfit_report::predicted_summary(&read::<PredictedRecord>(json)?, &Style { width, color }))
+}
+
+/// Summary of the JSON of a validation.
+#[pyfunction]
+pub(crate) fn validated_summary(json: &str, width: usize, color: bool) -> PyResult<String> {
+    Ok(kalfit_report::validated_summary(&read::<ValidatedRecord>(json)?, &Style { width, color }))
 }
 
 fn read<T: DeserializeOwned>(json: &str) -> PyResult<T> {

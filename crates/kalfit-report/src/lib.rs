@@ -9,17 +9,21 @@ mod html;
 mod number;
 mod page;
 mod plan;
+mod predicted;
 mod ratio;
 mod summary;
 mod table;
+mod validated;
 mod words;
 
 pub use applied::applied_summary;
 pub use check::{CheckRecord, Checked, CheckedLevel, CheckedPhase, ParameterCounts, PhaseCounts, check_summary};
 pub use html::{html, html_with_test};
 pub use plan::plan_summary;
+pub use predicted::predicted_summary;
 pub use ratio::ratio_summary;
 pub use summary::summary;
+pub use validated::validated_summary;
 
 /// How a text is laid out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

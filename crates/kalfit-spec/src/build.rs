@@ -1,17 +1,18 @@
 //! From the text of a model file to the model.
 
 use kalfit::model::roles;
+use kalfit::predict::Output;
 use kalfit::{Layout, Model, PhasedModel};
 use toml::de::DeTable;
 
 use crate::error::{Problem, Result, SpecError};
-use crate::names::Context;
+use crate::names::{Context, Reads};
 use crate::phase::{Read, Shared, phase};
 use crate::phases::Source;
 use crate::places::Places;
 use crate::spec::Spec;
 use crate::table::Section;
-use crate::{data, digest, filter, levels, parameters, phases};
+use crate::{data, design, digest, filter, levels, parameters, phases};
 
 /// Largest model file, in bytes.
 pub(crate) const MAX_BYTES: u64 = 4 * 1024 * 1024;
@@ -32,6 +33,38 @@ const KEYS: [&str; 12] = [
     "filter",
 ];
 
+/// What a model is read for.
+#[derive(Clone, Copy)]
+pub(crate) enum Purpose<'a, 'd> {
+    /// Tests that were made.
+    Tests,
+    /// Designs of tests: measurements, filters and groups of reports are passed over.
+    Designs {
+        /// The outputs, in a table by name.
+        outputs: Option<&'a Section<'d>>,
+        /// Levels of groups are read too.
+        levels: bool,
+    },
+}
+
+impl Purpose<'_, '_> {
+    fn reads(self) -> Reads {
+        match self {
+            Purpose::Tests => Reads { measurements: true, levels: true },
+            Purpose::Designs { levels, .. } => Reads { measurements: false, levels },
+        }
+    }
+}
+
+/// What the tables of a model file say.
+pub(crate) struct Built {
+    pub(crate) model: PhasedModel,
+    pub(crate) layout: Layout,
+    pub(crate) places: Places,
+    /// Those of each phase, where it was read for designs.
+    pub(crate) outputs: Vec<Vec<Output>>,
+}
+
 /// Reads a whole model file.
 pub(crate) fn spec(name: &str, text: &str) -> Result<Spec> {
     let found = text.len() as u64;
@@ -40,27 +73,34 @@ pub(crate) fn spec(name: &str, text: &str) -> Result<Spec> {
     }
     let table = DeTable::parse(text).map_err(|error| not_toml(&error, text))?;
     let root = Section::open("the model file", table.span(), table.get_ref()).only(&KEYS)?;
-    let (model, layout, places) = model(text, root)?;
+    let Built { model, layout, places, .. } = model(text, root, Purpose::Tests)?;
     Ok(Spec { model, layout, digest: digest::of_text(text), name: name.to_owned(), text: text.to_owned(), places })
 }
 
 /// Reads what the tables of a model file say.
-pub(crate) fn model(text: &str, mut root: Section<'_>) -> Result<(PhasedModel, Layout, Places)> {
+pub(crate) fn model(text: &str, mut root: Section<'_>, purpose: Purpose<'_, '_>) -> Result<Built> {
     let title = root.take("title").map_or(Ok(""), |title| title.text())?.to_owned();
     let mut context = Context::new(text);
+    context.reads = purpose.reads();
     let mut data = data::read(&mut context, root.take("data"))?;
     let declared = parameters::read(&mut context, root.take("parameters"))?;
     let sources = phases::open(&mut root)?;
     data.check_phases(&sources)?;
     let mut read: Vec<Read<'_>> = Vec::with_capacity(sources.len());
     for source in &sources {
-        let one = phase(&mut context, &mut data, source, read.last_mut())?;
+        let one = phase(&mut context, &mut data, source, read.last_mut(), purpose)?;
         read.push(one);
         source.count("states of all phases together", read.iter().map(|phase| phase.states.len()).sum())?;
         source.count("measurements of all phases together", read.iter().map(|one| one.measurements.len()).sum())?;
     }
     let population = (read[0].states.as_slice(), read[0].estimated.as_slice());
-    let levels = levels::read(&mut context, data.levels.as_ref(), root.take("levels"), population)?;
+    let levels = match context.reads.levels {
+        true => levels::read(&mut context, data.levels.as_ref(), root.take("levels"), population)?,
+        false => Vec::new(),
+    };
+    if let Purpose::Designs { outputs: Some(outputs), .. } = purpose {
+        design::check(outputs, &sources, &read.iter().map(|phase| &phase.named).collect::<Vec<_>>())?;
+    }
     check_shared(&context, &declared, &sources)?;
     let as_given = declared.iter().map(|one| one.parameter.clone()).collect();
     let shared = Shared { title, parameters: as_given, group: data.group };
@@ -69,9 +109,13 @@ pub(crate) fn model(text: &str, mut root: Section<'_>) -> Result<(PhasedModel, L
     let mut model = PhasedModel { phases, column: data.phase, levels };
     let parameters = parameters::finish(&mut context, declared, &roles(&model))?;
     model.models_mut().for_each(|phase| phase.parameters.clone_from(&parameters));
-    data.check(model.phases.iter().map(|phase| &phase.model).zip(read.iter().map(|phase| &phase.start)))?;
-    check_filters(&context, &read, &model)?;
-    Ok((model, data.layout, Places::of(&context, &read, data.levels.as_ref())))
+    if context.reads.measurements {
+        data.check(model.phases.iter().map(|phase| &phase.model).zip(read.iter().map(|phase| &phase.start)))?;
+        check_filters(&context, &read, &model)?;
+    }
+    let places = Places::of(&context, &read, data.levels.as_ref());
+    let outputs = read.into_iter().map(|phase| phase.outputs).collect();
+    Ok(Built { model, layout: data.layout, places, outputs })
 }
 
 /// Columns, texts and levels stand in every phase's model: refuses files of which that makes too much.

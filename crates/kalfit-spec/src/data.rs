@@ -58,7 +58,7 @@ pub(crate) fn read(context: &mut Context<'_>, field: Option<Field<'_>>) -> Resul
     if let Some(test) = section.take("test") {
         data.layout.test = test_key(context, &test)?;
     }
-    if let Some(levels) = section.take("levels") {
+    if let Some(levels) = section.take("levels").filter(|_| context.reads.levels) {
         let columns = levels::columns(context, &levels, &data.layout.test)?;
         data.layout.levels = columns.names().map(str::to_owned).collect();
         data.levels = Some(columns);
@@ -69,7 +69,7 @@ pub(crate) fn read(context: &mut Context<'_>, field: Option<Field<'_>>) -> Resul
     if let Some(comment) = section.take("comment") {
         data.layout.comment = Some(comment_mark(&comment)?);
     }
-    if let Some(group) = section.take("group") {
+    if let Some(group) = section.take("group").filter(|_| context.reads.measurements) {
         data.group = Some(context.text_column(group.text()?, group.span.clone(), "`group` in `[data]`"));
     }
     if let Some(phase) = section.take("phase") {

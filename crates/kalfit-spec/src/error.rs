@@ -104,7 +104,7 @@ pub enum Problem {
     #[error("the model has {found} {what}, expected {expected}")]
     Count { what: &'static str, found: usize, expected: String },
     /// A name that cannot be used.
-    #[error("`{name}` cannot be the name of a {what}: {why}")]
+    #[error("`{name}` cannot be the name of {}{what}: {why}", if what.starts_with('o') { "an " } else { "a " })]
     BadName { what: &'static str, name: String, why: &'static str },
     /// A name that stands for two things.
     #[error("`{name}` is the name of a state and of a parameter")]

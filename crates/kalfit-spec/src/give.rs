@@ -53,3 +53,28 @@ impl Spec {
         Ok(())
     }
 }
+
+impl Spec {
+    /// Gives every parameter the values that it has in the same model read otherwise, where none is free.
+    pub fn take_values(&mut self, from: &Spec) {
+        let (own, other) = (self.model.shared(), from.model.shared());
+        let mut literals = own.literals.clone();
+        let mut known: HashMap<String, usize> =
+            literals.iter().enumerate().map(|(k, text)| (text.clone(), k)).collect();
+        let mut parameters = own.parameters.clone();
+        for (parameter, taken) in parameters.iter_mut().zip(&other.parameters) {
+            parameter.value = taken.value;
+            let levels = taken.fixed_levels.iter().map(|(&literal, &value)| {
+                let text = &other.literals[literal];
+                let place = *known.entry(text.clone()).or_insert_with(|| {
+                    literals.push(text.clone());
+                    literals.len() - 1
+                });
+                (place, value)
+            });
+            parameter.fixed_levels = levels.collect();
+        }
+        let model = kalfit::Model { literals, parameters, ..own.clone() };
+        self.share(&model);
+    }
+}

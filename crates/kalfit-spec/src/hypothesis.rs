@@ -7,7 +7,8 @@ use kalfit::model::{Column, Regression};
 use kalfit::{Model, PhasedModel};
 use toml::de::DeTable;
 
-use crate::build::{self, MAX_BYTES};
+use crate::beside::{BesideError, located, moved};
+use crate::build::{self, MAX_BYTES, Purpose};
 use crate::digest;
 use crate::error::{Problem, Span, SpecError};
 use crate::levels;
@@ -31,15 +32,6 @@ pub struct Hypothesis {
     pub digest: String,
 }
 
-/// What is wrong with a hypothesis, and which file the place is in.
-#[derive(Debug, Clone, PartialEq)]
-pub enum HypothesisError {
-    /// In the hypothesis.
-    Hypothesis(SpecError),
-    /// In the model: a key that the hypothesis does not go with.
-    Model(SpecError),
-}
-
 impl Spec {
     /// The model under a hypothesis, given as text: keys of its `[mean]`, `[covariance]` and `[parameters]` replace the
     /// model's; `structure` drops the model's other keys of `[covariance]` but `order` and `known`, which are no constraints, and
@@ -52,11 +44,11 @@ impl Spec {
     ///
     /// # Errors
     /// Whatever is wrong with the text, and with the two together.
-    pub fn under(&self, hypothesis: &str) -> Result<Hypothesis, HypothesisError> {
+    pub fn under(&self, hypothesis: &str) -> Result<Hypothesis, BesideError> {
         let found = hypothesis.len() as u64;
         if found > MAX_BYTES {
             let problem = Problem::TooLarge { found, limit: MAX_BYTES };
-            return Err(HypothesisError::Hypothesis(SpecError::new(problem)));
+            return Err(BesideError::File(SpecError::new(problem)));
         }
         let (text, offset) = (format!("{}\n{hypothesis}", self.text), self.text.len() + 1);
         let sort = |error: SpecError| located(error, offset);
@@ -73,7 +65,7 @@ impl Spec {
         self.reorder(&base, &mut own);
         merge(&mut base, own)?;
         let root = Section::open("the model file", 0..text.len(), &base);
-        let (read, _, places) = build::model(text, root)?;
+        let build::Built { model: read, places, .. } = build::model(text, root, Purpose::Tests)?;
         let mut model = self.adopt(read, &places)?;
         self.keep_set(&mut model);
         Ok((title, model))
@@ -222,23 +214,4 @@ fn place_of<T: Clone>(list: &mut Vec<T>, entry: &T, same: impl Fn(&T, &T) -> boo
         list.push(entry.clone());
         list.len() - 1
     })
-}
-
-fn located(mut error: SpecError, offset: usize) -> HypothesisError {
-    match error.span.take() {
-        Some(span) if span.start >= offset => {
-            error.span = Some(span.start - offset..span.end - offset);
-            HypothesisError::Hypothesis(error)
-        }
-        Some(span) => {
-            error.span = Some(span);
-            HypothesisError::Model(error)
-        }
-        None => HypothesisError::Hypothesis(error),
-    }
-}
-
-fn moved(mut error: SpecError, offset: usize) -> SpecError {
-    error.span = error.span.map(|span| span.start + offset..span.end + offset);
-    error
 }

@@ -65,12 +65,14 @@
 //! Equations must be linear in the states after expansion: products, quotients and functions of states are refused.
 //! Constants are folded exactly; a constant that is not a finite number is refused.
 
+mod beside;
 mod build;
 mod carry;
 mod constraints;
 mod covariance;
 mod data;
 mod describe;
+mod design;
 mod digest;
 mod elements;
 mod error;
@@ -103,6 +105,8 @@ mod table;
 mod token;
 mod words;
 
+pub use beside::BesideError;
+pub use design::DesignSpec;
 pub use error::{ExpressionProblem, Problem, SpecError, StructureProblem};
-pub use hypothesis::{Hypothesis, HypothesisError};
+pub use hypothesis::Hypothesis;
 pub use spec::Spec;

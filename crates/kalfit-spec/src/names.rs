@@ -145,11 +145,22 @@ impl Role {
     }
 }
 
+/// What is read of a model file beside its motion and its population.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Reads {
+    /// Measurements, their filters, and the groups of reports.
+    pub(crate) measurements: bool,
+    /// Levels of groups.
+    pub(crate) levels: bool,
+}
+
 /// The names of a model and what its expressions used of them.
 #[derive(Debug)]
 pub(crate) struct Context<'t> {
     /// The model file.
     pub(crate) source: &'t str,
+    /// What is read of it.
+    pub(crate) reads: Reads,
     /// The phase that is being read.
     pub(crate) phase: Within,
     /// States of the phase that is being read.
@@ -196,6 +207,7 @@ impl<'t> Context<'t> {
     pub(crate) fn new(source: &'t str) -> Context<'t> {
         Context {
             source,
+            reads: Reads { measurements: true, levels: true },
             phase: Within::default(),
             states: Index::default(),
             parameters: Index::default(),

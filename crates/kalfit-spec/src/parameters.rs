@@ -141,7 +141,11 @@ pub(crate) fn finish(
 }
 
 fn checked(context: &Context<'_>, index: usize, Declared { mut parameter, spans }: Declared) -> Result<Parameter> {
-    let Some(role) = context.roles[index] else { return Err(unused(context, index, parameter.name)) };
+    let role = match context.roles[index] {
+        Some(role) => role,
+        None if !context.reads.measurements => Role::Coefficient, // of what is not read
+        None => return Err(unused(context, index, parameter.name)),
+    };
     let at = |span: &Span| {
         let span = span.clone();
         move |problem: Problem| SpecError::new(problem).at(span)

@@ -2,7 +2,9 @@
 
 use kalfit::Model;
 use kalfit::model::{Clock, CovarianceStructure, MeanStructure, Measurement, Parameter, Phase, State};
+use kalfit::predict::Output;
 
+use crate::build::Purpose;
 use crate::carry::{Before, Inherited};
 use crate::data::{Data, Start};
 use crate::elements::Elements;
@@ -10,7 +12,7 @@ use crate::error::{Result, SpecError};
 use crate::names::{Context, Index};
 use crate::noise::Covariances;
 use crate::phases::Source;
-use crate::{carry, covariance, filter, mean, measurements, noise, states};
+use crate::{carry, covariance, design, filter, mean, measurements, noise, states};
 
 /// One phase as it was read.
 pub(crate) struct Read<'s> {
@@ -32,6 +34,8 @@ pub(crate) struct Read<'s> {
     mean: MeanStructure,
     covariance: CovarianceStructure,
     pub(crate) filter: Option<filter::Declared>,
+    /// What stands for the measurements in designs.
+    pub(crate) outputs: Vec<Output>,
 }
 
 /// What all phases have in common, beside what their expressions named.
@@ -47,6 +51,7 @@ pub(crate) fn phase<'s>(
     data: &mut Data,
     source: &'s Source<'s>,
     before: Option<&mut Read<'_>>,
+    purpose: Purpose<'_, '_>,
 ) -> Result<Read<'s>> {
     context.phase = source.within();
     context.states = Index::default();
@@ -59,12 +64,14 @@ pub(crate) fn phase<'s>(
     let inherited = inherited(context, source, &mut states, before)?;
     let process_noise_covariance =
         source.read("process_noise_covariance", |field| noise::between_states(context, field, &states))?;
-    let (measurements, measured) = source.read("measurements", |field| measurements::read(context, field.as_ref()))?;
-    let noise_covariance = source
-        .read("noise_covariance", |field| noise::between_measurements(context, field, &measurements, &measured))?;
+    let Observed { measurements, measured, noise_covariance, filter, outputs } = match purpose {
+        Purpose::Tests => observed(context, source, &states)?,
+        Purpose::Designs { outputs, .. } => {
+            let outputs = outputs.map(|outputs| design::outputs(context, outputs, source)).transpose()?;
+            Observed { outputs: outputs.unwrap_or_default(), ..Observed::default() }
+        }
+    };
     let (estimated, mean, covariance) = population(context, source, &states)?;
-    let filter =
-        source.read("filter", |field| field.map(|field| filter::read(context, &field, &states)).transpose())?;
     let named = std::mem::take(&mut context.states);
     Ok(Read {
         source,
@@ -82,7 +89,26 @@ pub(crate) fn phase<'s>(
         mean,
         covariance,
         filter,
+        outputs,
     })
+}
+
+/// What is observed of the states of a phase.
+#[derive(Default)]
+struct Observed {
+    measurements: Vec<Measurement>,
+    measured: Index,
+    noise_covariance: Covariances,
+    filter: Option<filter::Declared>,
+    outputs: Vec<Output>,
+}
+
+fn observed(context: &mut Context<'_>, source: &Source<'_>, states: &[State]) -> Result<Observed> {
+    let (measurements, measured) = source.read("measurements", |field| measurements::read(context, field.as_ref()))?;
+    let noise_covariance = source
+        .read("noise_covariance", |field| noise::between_measurements(context, field, &measurements, &measured))?;
+    let filter = source.read("filter", |field| field.map(|field| filter::read(context, &field, states)).transpose())?;
+    Ok(Observed { measurements, measured, noise_covariance, filter, outputs: Vec::new() })
 }
 
 fn inherited(

@@ -22,10 +22,12 @@ pub mod innovations;
 pub mod linalg;
 pub mod model;
 pub mod plan;
+pub mod predict;
 pub mod record;
 pub mod reduce;
 pub mod score;
 pub mod simulate;
+pub mod validate;
 
 pub use ensemble::{Group, Grouping, Label, Labels, Layout, Source, Test, TestKey};
 pub use face::{Ensemble, EnsembleError, Figure, Fit, Options, UnknownName, fit, fit_matrices, fit_reductions};

@@ -33,6 +33,10 @@ fn version_and_help() {
       plan         Expected standard errors against the number of tests, before any is run
       apply        Apply a fitted model to tests, old or new: are they of the population, and what were
                    their states
+      validate     How well a model predicts tests that it was not fitted to, and whether another one
+                   does so better
+      predict      What a test that nobody has made will give: means, spread and limits of states and
+                   outputs
       report       The report of a fit, one HTML page, from its results alone
       completions  The script that completes commands and options in a shell, to standard output
       man          The manual page, to standard output, or the pages of all commands, to a folder

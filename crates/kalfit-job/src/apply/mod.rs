@@ -6,11 +6,12 @@ use kalfit::apply::{Applied, ApplyError};
 use kalfit::record::{AppliedRecord, AppliedSource};
 use kalfit_data::Reading;
 
-use self::tables::{Table, Task};
+use self::tables::Task;
 use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::job::{AppliedModel, ApplyJob, Done, files};
 use crate::output::{Pending, Target};
+use crate::table::Table;
 use crate::work::{Watch, Work};
 use crate::{model, tests, truth};
 
@@ -53,7 +54,7 @@ pub fn apply(job: &ApplyJob, watch: &mut dyn Watch) -> Result<Done<AppliedModel>
     Ok(Done { record: AppliedModel { record, tests: of_tests, states }, notes, written })
 }
 
-fn refused(error: ApplyError, reading: &Reading) -> Failure {
+pub(crate) fn refused(error: ApplyError, reading: &Reading) -> Failure {
     match error {
         ApplyError::Reduce(error) => Failure::Reduce { error: *error, reading: Some(Box::new(reading.clone())) },
         ApplyError::Fit(error) => Failure::Fit(error),

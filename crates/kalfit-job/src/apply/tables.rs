@@ -1,66 +1,18 @@
 //! The tables of `kalfit apply`: what each test says, and states at every step.
 
-use std::fs::File;
-use std::io::{BufWriter, Write};
-use std::path::Path;
-
 use kalfit::apply::{Applied, PhaseStates, Said, StateKind};
 use kalfit::{PhasedModel, PhasedTest};
-use kalfit_data::{Cell, CellKind, Format, Reading, TableWriter, WriteError};
+use kalfit_data::{Cell, CellKind, Reading, WriteError};
 use kalfit_spec::Spec;
 
 use super::refused;
 use crate::failure::Failure;
-use crate::job::TableTo;
-use crate::output::{Pending, Target};
+use crate::output::Pending;
+use crate::table::{Table, Writer};
 use crate::work::Work;
 
 /// States of this many rows, or of one test, are held at a time.
 const BATCH_ROWS: usize = 200_000;
-
-/// A table that will be written.
-pub(super) struct Table {
-    pub(super) target: Target,
-    format: Format,
-}
-
-type Writer<'a> = TableWriter<BufWriter<&'a File>>;
-
-impl Table {
-    pub(super) fn prepare(to: &TableTo, used: &[&Path]) -> Result<Option<Table>, Failure> {
-        let (path, format) = match to {
-            TableTo::Nowhere => return Ok(None),
-            TableTo::Back => (None, Format::Arrow),
-            TableTo::File(path) => {
-                let format = Format::of(path).map_err(|error| failed(error, path.display().to_string()))?;
-                (Some(path.as_path()), format)
-            }
-        };
-        Ok(Some(Table { target: Target::prepare(path, used)?, format }))
-    }
-
-    /// Writes it; it is in place when it is finished.
-    fn write(
-        &self,
-        columns: &[(String, CellKind)],
-        rows: impl FnOnce(&mut Writer<'_>) -> Result<(), Failure>,
-    ) -> Result<Pending<'_>, Failure> {
-        let pending = self.target.begin()?;
-        let mut writer =
-            TableWriter::new(columns, self.format, BufWriter::new(pending.file())).map_err(self.failed())?;
-        rows(&mut writer)?;
-        writer.finish().and_then(|mut sink| Ok(sink.flush()?)).map_err(self.failed())?;
-        Ok(pending)
-    }
-
-    fn failed(&self) -> impl Fn(WriteError) -> Failure {
-        move |error| failed(error, self.target.name().unwrap_or_default())
-    }
-}
-
-fn failed(error: WriteError, path: String) -> Failure {
-    Failure::Write { error: Box::new(error), path }
-}
 
 /// What the tables are of.
 pub(super) struct Task<'a> {

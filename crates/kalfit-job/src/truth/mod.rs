@@ -27,6 +27,8 @@ pub(crate) struct Truth {
     pub(crate) warnings: Vec<String>,
     /// How many tests, or groups of the outermost level, the population was estimated from; `None` where it was given.
     pub(crate) fitted: Option<usize>,
+    /// The results that it was taken from, if it was not a model.
+    pub(crate) record: Option<Box<FitRecord>>,
 }
 
 impl From<TruthError> for Failure {
@@ -48,6 +50,7 @@ pub(crate) fn load(spec: &mut Spec, from: &Document, set: &[String]) -> Result<T
     let path = from.name();
     let mut warnings = Vec::new();
     let mut fitted = None;
+    let mut results = None;
     let (population, known) = if is_model(from)? {
         of_model(spec, from, set)?
     } else {
@@ -64,6 +67,7 @@ pub(crate) fn load(spec: &mut Spec, from: &Document, set: &[String]) -> Result<T
         }
         fitted = Some(record.levels.first().map_or(record.data.tests, |level| level.groups));
         let known = of_record(spec, &record, &path)?;
+        results = Some(Box::new(record));
         (population, known)
     };
     let mut taken = give(spec, &known, &path, &mut warnings)?;
@@ -71,7 +75,7 @@ pub(crate) fn load(spec: &mut Spec, from: &Document, set: &[String]) -> Result<T
     taken.retain(|name| !set.iter().any(|assignment| assigned(assignment) == name));
     let alpha = Alpha::fixed(&spec.model.shared().parameters)
         .map_err(|ParameterError::Free { names }| Failure::from(TruthError::NoParameter { names }))?;
-    Ok(Truth { population, alpha, taken, warnings, fitted })
+    Ok(Truth { population, alpha, taken, warnings, fitted, record: results })
 }
 
 /// The results of a fit, from their JSON.

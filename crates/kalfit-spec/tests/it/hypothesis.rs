@@ -2,7 +2,7 @@
 
 use crate::Only as _;
 use kalfit::model::{CovarianceKind, MeanElement, Value};
-use kalfit_spec::{Hypothesis, HypothesisError, Problem, Spec};
+use kalfit_spec::{BesideError, Hypothesis, Problem, Spec};
 use proptest::prelude::*;
 
 const MODEL: &str = r#"
@@ -44,8 +44,8 @@ fn under(hypothesis: &str) -> Hypothesis {
 fn refusal_by(spec: &Spec, hypothesis: &str) -> String {
     let (file, text, error) = match spec.under(hypothesis) {
         Ok(_) => return "accepted".to_owned(),
-        Err(HypothesisError::Hypothesis(error)) => ("hypothesis", hypothesis, error),
-        Err(HypothesisError::Model(error)) => ("model", spec.text.as_str(), error),
+        Err(BesideError::File(error)) => ("hypothesis", hypothesis, error),
+        Err(BesideError::Model(error)) => ("model", spec.text.as_str(), error),
     };
     let mut lines = vec![error.message];
     lines.extend(error.span.map(|span| format!("in the {file} at {:?}", &text[span])));
@@ -334,7 +334,7 @@ fn a_key_of_the_model_that_does_not_go_with_the_hypothesis_is_shown_in_the_model
 #[test]
 fn a_hypothesis_that_is_too_large_is_refused() {
     let error = model().under(&format!("# {}", "x".repeat(4 * 1024 * 1024))).unwrap_err();
-    let HypothesisError::Hypothesis(error) = error else { panic!("{error:?}") };
+    let BesideError::File(error) = error else { panic!("{error:?}") };
     assert!(matches!(*error.problem, Problem::TooLarge { .. }), "{error:?}");
     assert_eq!(error.message, "the file has 4194306 bytes, expected at most 4194304");
     let largest = format!("[mean]\nfixed = {{ scale = 0 }}\n#{}", "x".repeat(4 * 1024 * 1024 - 30));
@@ -355,8 +355,8 @@ fn survives(spec: &Spec, hypothesis: &str) {
             assert!(levels.clone().all(|level| *level < model.literals.len()), "{hypothesis}");
             return;
         }
-        Err(HypothesisError::Hypothesis(error)) => (hypothesis, error),
-        Err(HypothesisError::Model(error)) => (spec.text.as_str(), error),
+        Err(BesideError::File(error)) => (hypothesis, error),
+        Err(BesideError::Model(error)) => (spec.text.as_str(), error),
     };
     assert!(!error.message.is_empty() && !error.message.ends_with('.'), "{error:?}");
     if let Some(span) = &error.span {

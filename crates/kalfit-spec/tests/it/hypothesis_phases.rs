@@ -1,7 +1,7 @@
 //! Hypotheses about models in phases.
 
 use kalfit::model::{CovarianceKind, MeanElement, PhasedModel, Value};
-use kalfit_spec::{HypothesisError, Spec};
+use kalfit_spec::{BesideError, Spec};
 use proptest::prelude::*;
 
 /// Phases `one` and `two` take both tables from the top level, `three` has its own.
@@ -52,8 +52,8 @@ fn refusal(hypothesis: &str) -> String {
 fn refusal_by(spec: &Spec, hypothesis: &str) -> String {
     let (file, text, error) = match spec.under(hypothesis) {
         Ok(_) => return "accepted".to_owned(),
-        Err(HypothesisError::Hypothesis(error)) => ("hypothesis", hypothesis, error),
-        Err(HypothesisError::Model(error)) => ("model", spec.text.as_str(), error),
+        Err(BesideError::File(error)) => ("hypothesis", hypothesis, error),
+        Err(BesideError::Model(error)) => ("model", spec.text.as_str(), error),
     };
     let mut lines = vec![error.message];
     lines.extend(error.span.map(|span| format!("in the {file} at {:?}", &text[span])));
@@ -229,7 +229,7 @@ fn a_table_of_the_top_level_that_no_phase_takes_is_refused() {
 fn phases_of_a_model_without_phases_are_refused() {
     let text = "[states]\na = {}\n[measurements.y]\ncolumn = 'y'\nequation = 'a'\nnoise = 1\n";
     let spec = Spec::parse("model.toml", text).expect("the model is whole");
-    let Err(HypothesisError::Hypothesis(error)) = spec.under("[phases.main.mean]\nfixed = { a = 0 }\n") else {
+    let Err(BesideError::File(error)) = spec.under("[phases.main.mean]\nfixed = { a = 0 }\n") else {
         panic!("it is not refused");
     };
     assert_eq!(error.message, "`phases` has no effect in a hypothesis about a model without phases");
@@ -277,8 +277,8 @@ proptest! {
                 }
                 return Ok(());
             }
-            Err(HypothesisError::Hypothesis(error)) => (hypothesis.as_str(), error),
-            Err(HypothesisError::Model(error)) => (spec.text.as_str(), error),
+            Err(BesideError::File(error)) => (hypothesis.as_str(), error),
+            Err(BesideError::Model(error)) => (spec.text.as_str(), error),
         };
         prop_assert!(!error.message.is_empty());
         prop_assert!(error.span.clone().is_none_or(|span| text.get(span).is_some()), "{:?}", error.span);

@@ -2,7 +2,7 @@
 
 use kalfit::TestKey;
 use kalfit::model::{CovarianceKind, CovarianceStructure, Expression, FixedElement, Role, roles};
-use kalfit_spec::{HypothesisError, Spec};
+use kalfit_spec::{BesideError, Spec};
 use nalgebra::DMatrix;
 
 const PASTES: &str = r#"
@@ -211,8 +211,8 @@ fn matrices_of_a_hypothesis_have_its_order_at_every_level() {
 fn refusal(model: &str, hypothesis: &str) -> String {
     let (file, text, error) = match read(model).under(hypothesis) {
         Ok(_) => return "accepted".to_owned(),
-        Err(HypothesisError::Hypothesis(error)) => ("hypothesis", hypothesis, error),
-        Err(HypothesisError::Model(error)) => ("model", model, error),
+        Err(BesideError::File(error)) => ("hypothesis", hypothesis, error),
+        Err(BesideError::Model(error)) => ("model", model, error),
     };
     let mut lines = vec![error.message];
     lines.extend(error.span.map(|span| format!("in the {file} at {:?}", &text[span])));

@@ -19,6 +19,7 @@ use std::borrow::Cow;
 use std::sync::Arc;
 
 pub use error::ApplyError;
+pub(crate) use predicted::{Form, Record, Subject};
 pub use states::{PhaseStates, Prediction, StateKind, StepStates};
 pub use verdict::{Joint, Verdict};
 
@@ -93,6 +94,11 @@ impl<'a> Applied<'a> {
         let problem = Problem::new(&reductions, &structure, (Criterion::Ml, Combination::Chain))?;
         let point = problem.point_of(population);
         Ok(Applied { model, alpha, population, tests, slots, reducer, reductions, problem, point })
+    }
+
+    /// Number of measured values of each test.
+    pub fn observations(&self) -> Vec<usize> {
+        self.reductions.iter().map(|reduction| reduction.observations).collect()
     }
 
     /// What each test says.

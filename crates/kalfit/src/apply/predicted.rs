@@ -2,19 +2,59 @@
 
 use std::ops::Range;
 
+use nalgebra::{DMatrix, DVector};
+
 use crate::apply::states::{Known, PhaseStates, Prediction, StepStates};
 use crate::ensemble::Test;
-use crate::reduce::{PhaseReducer, ReduceError, Workspace};
+use crate::reduce::{PhaseReducer, ReduceError, Step, Workspace};
+
+/// h'x + d of the states in the order of the kernels.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Form {
+    /// (state, coefficient).
+    pub(crate) terms: Vec<(usize, f64)>,
+    pub(crate) constant: f64,
+}
+
+impl Form {
+    pub(crate) fn of(&self, x: &[f64]) -> f64 {
+        self.terms.iter().map(|&(at, h)| h * x[at]).sum::<f64>() + self.constant
+    }
+
+    /// A'h of a matrix with a row for each state.
+    pub(crate) fn along(&self, matrix: &DMatrix<f64>) -> DVector<f64> {
+        let mut sum = DVector::zeros(matrix.ncols());
+        for &(at, h) in &self.terms {
+            sum.axpy(h, &matrix.row(at).transpose(), 1.0);
+        }
+        sum
+    }
+
+    /// h'Vh of a covariance of the states.
+    pub(crate) fn variance(&self, covariance: &DMatrix<f64>) -> f64 {
+        let row = |&(i, a): &(usize, f64)| self.terms.iter().map(|&(k, b)| a * b * covariance[(i, k)]).sum::<f64>();
+        self.terms.iter().map(row).sum::<f64>().max(0.0)
+    }
+}
+
+/// What a value at a step is of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Subject {
+    /// A state, by its place in the phase's model.
+    State(usize),
+    /// A measurement, and its row among those of the phase.
+    Measurement(usize, usize),
+}
 
 /// A phase of a test, evaluated.
-pub(super) struct Record<'a> {
+pub(crate) struct Record<'a> {
     phase: &'a PhaseReducer,
     rows: &'a Test,
     work: Workspace,
 }
 
 impl<'a> Record<'a> {
-    pub(super) fn new(phase: &'a PhaseReducer, rows: &'a Test) -> Result<Record<'a>, ReduceError> {
+    pub(crate) fn new(phase: &'a PhaseReducer, rows: &'a Test) -> Result<Record<'a>, ReduceError> {
         let preparer = phase.reducer.preparer();
         let mut work = preparer.workspace();
         work.covariances = Some(Vec::new());
@@ -25,44 +65,63 @@ impl<'a> Record<'a> {
 
     /// Steps with what is known of the states after each of them; `noisy`: measurements have their noise.
     pub(super) fn states(&self, phase: usize, known: impl Iterator<Item = Known>, noisy: bool) -> PhaseStates {
-        let steps = self.work.design.each_step().zip(self.work.step_rows()).zip(known);
-        let one = |((step, rows), known): ((crate::reduce::Step<'_>, Range<usize>), Known)| {
-            let place = &self.phase.reducer.preparer().order.place;
-            let variance = |&at: &usize| known.covariance[(at, at)].max(0.0);
-            let lines = step.lines.clone().zip(step.rows.clone());
+        let steps = self.each_step().zip(known);
+        let one = |((step, rows), known): ((Step<'_>, Range<usize>), Known)| {
+            let of = |form: Form| (form.of(&known.mean), form.variance(&known.covariance));
+            let (mean, variances): (Vec<f64>, Vec<f64>) = self.state_forms().map(of).unzip();
+            let prediction = |line: usize, (measurement, row): (usize, usize), form: Form| {
+                let (value, variance) = of(form);
+                let noise = if noisy { self.work.design.noise[line] } else { 0.0 };
+                Prediction { measurement, row, value, std_dev: (variance + noise).sqrt() }
+            };
             StepStates {
                 time: self.time(rows.start),
-                mean: place.iter().map(|&at| known.mean[at]).collect(),
-                std_dev: place.iter().map(|at| variance(at).sqrt()).collect(),
-                measurements: lines.map(|line| self.prediction(line, &known, noisy)).collect(),
+                mean,
+                std_dev: variances.into_iter().map(f64::sqrt).collect(),
+                measurements: self.measured(&step).map(|(line, of, form)| prediction(line, of, form)).collect(),
                 rows,
             }
         };
         PhaseStates { phase, steps: steps.map(one).collect() }
     }
 
+    /// Each step with its rows, its time and its values: the states, and then the measurements.
+    pub(crate) fn forms(&self) -> Vec<(Range<usize>, Option<f64>, Vec<(Subject, Form)>)> {
+        let one = |(step, rows): (Step<'_>, Range<usize>)| {
+            let states = self.state_forms().enumerate().map(|(state, form)| (Subject::State(state), form));
+            let measured = self.measured(&step);
+            let measured = measured.map(|(_, (meter, row), form)| (Subject::Measurement(meter, row), form));
+            (rows.clone(), self.time(rows.start), states.chain(measured).collect())
+        };
+        self.each_step().map(one).collect()
+    }
+
+    fn each_step(&self) -> impl Iterator<Item = (Step<'_>, Range<usize>)> {
+        self.work.design.each_step().zip(self.work.step_rows())
+    }
+
+    /// The states in the order of the model.
+    fn state_forms(&self) -> impl Iterator<Item = Form> {
+        let place = &self.phase.reducer.preparer().order.place;
+        place.iter().map(|&at| Form { terms: vec![(at, 1.0)], constant: 0.0 })
+    }
+
+    /// What was measured at a step: line, measurement and row, and what it is of the states.
+    fn measured(&self, step: &Step<'_>) -> impl Iterator<Item = (usize, (usize, usize), Form)> {
+        let (work, model) = (&self.work, &self.phase.reducer.preparer().model);
+        step.lines.clone().zip(step.rows.clone()).map(move |(line, row)| {
+            let instance = work.instances.get(row);
+            let (states, h) = work.design.terms(line);
+            let terms = states.iter().map(|&state| state as usize).zip(h.iter().copied()).collect();
+            // the data of a measurement are z - d
+            let measured = self.rows.numbers(instance.row)[model.measurements[instance.meter].column];
+            let form = Form { terms, constant: measured - work.data.values[row] };
+            (line, (instance.meter, instance.row), form)
+        })
+    }
+
     fn time(&self, row: usize) -> Option<f64> {
         let column = self.phase.reducer.preparer().model.clock.time?;
         Some(self.rows.numbers(row)[column])
-    }
-
-    fn prediction(&self, (line, row): (usize, usize), known: &Known, noisy: bool) -> Prediction {
-        let (work, model) = (&self.work, &self.phase.reducer.preparer().model);
-        let instance = work.instances.get(row);
-        let (states, h) = work.design.terms(line);
-        let terms = || states.iter().map(|&state| state as usize).zip(h.iter().copied());
-        let moved: f64 = terms().map(|(at, h)| h * known.mean[at]).sum();
-        // the data of a measurement are z - d
-        let measured = self.rows.numbers(instance.row)[model.measurements[instance.meter].column];
-        let constant = measured - work.data.values[row];
-        let variance: f64 =
-            terms().map(|(i, a)| terms().map(|(k, b)| a * b * known.covariance[(i, k)]).sum::<f64>()).sum();
-        let noise = if noisy { work.design.noise[line] } else { 0.0 };
-        Prediction {
-            measurement: instance.meter,
-            row: instance.row,
-            value: moved + constant,
-            std_dev: (variance.max(0.0) + noise).sqrt(),
-        }
     }
 }

@@ -12,6 +12,8 @@ pub(crate) struct JointLaw {
     pub(crate) moves: DMatrix<f64>,
     /// The same of parameters that the data do not determine: what they move has no standard error.
     pub(crate) open: DMatrix<f64>,
+    /// All free values of α with everything else.
+    pub(crate) values: Values,
     /// What score tests of constraints want to know besides, where there are any and it was worked out.
     pub(crate) mixed: Option<Mixed>,
 }
@@ -23,4 +25,17 @@ pub(crate) struct Mixed {
     pub(crate) covariance: DMatrix<f64>,
     /// -∂²ℓ/∂α∂(μ in η, γ; σ pairs), a row for each coordinate of α.
     pub(crate) information: DMatrix<f64>,
+}
+
+/// Free values of α that have a law, together with the tangent basis.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Values {
+    /// (slot, dvalue/dcoordinate).
+    pub(crate) slots: Vec<(usize, f64)>,
+    /// Along the tangent basis, then of the coordinates of those; `None` of very many.
+    pub(crate) covariance: Option<DMatrix<f64>>,
+    /// dσ/dcoordinate of each, elements × values, in η: zero but of those that stand in matrices of the structure of Σ.
+    pub(crate) moves: DMatrix<f64>,
+    /// Slots that the data do not determine, or of single tests.
+    pub(crate) open: Vec<usize>,
 }

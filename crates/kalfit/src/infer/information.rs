@@ -4,6 +4,7 @@ use nalgebra::DMatrix;
 
 use crate::estimate::{CovarianceMap, Estimate, Form, Part, State};
 use crate::infer::direction::{Direction, Quantity};
+use crate::infer::estimates::{EstimateCovariance, Estimated};
 use crate::infer::law::Law;
 use crate::infer::std_errors::{PART, StdErrors};
 use crate::linalg::elements::Elements;
@@ -97,17 +98,30 @@ pub fn uncertainty(
     unidentified: &[Direction],
     kind: StdErrors,
 ) -> Uncertainty {
-    uncertainty_of(estimate, &estimate.state.evidence(reductions), unidentified, kind)
+    uncertainty_of(estimate, &estimate.state.evidence(reductions), unidentified, kind).0
 }
 
-/// The same from the reductions whose likelihood was maximised.
+/// The same from the reductions whose likelihood was maximised, and the covariance of all that was estimated.
 pub(super) fn uncertainty_of(
     estimate: &Estimate,
     evidence: &Reductions,
     unidentified: &[Direction],
     kind: StdErrors,
-) -> Uncertainty {
-    uncertainty_by(&Law::of(&estimate.state, evidence, kind), &estimate.covariance, unidentified, Singular::Face)
+) -> (Uncertainty, Option<EstimateCovariance>) {
+    let law = Law::of(&estimate.state, evidence, kind);
+    let elements = &estimate.state.problem.covariance.elements;
+    let p = estimate.mean.len();
+    let is_open = |one: Estimated| match one {
+        Estimated::Mean(i) => takes_part(unidentified, Quantity::Mean, i),
+        Estimated::Coefficient(c) => takes_part(unidentified, Quantity::Mean, p + c),
+        Estimated::Covariance(i, j) => element_takes_part(unidentified, elements, i, j),
+        Estimated::Value(_) => false,
+    };
+    let uncertainty = uncertainty_by(&law, &estimate.covariance, unidentified, Singular::Face);
+    let zeros = uncertainty.boundary.iter().flat_map(|boundary| &boundary.zero_variances);
+    let at_zero = zeros.map(|&i| Estimated::Covariance(i, i)).collect();
+    let estimates = law.estimates(&is_open).map(|estimates| EstimateCovariance { at_zero, ..estimates });
+    (uncertainty, estimates)
 }
 
 /// Standard errors from the information in a state of the estimator, at the end of a search or anywhere else; `sigma` is Σ

@@ -3,6 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::{JointLaw, Part, State};
+use crate::infer::estimates::Estimated;
 use crate::infer::holdable::Holdable;
 use crate::infer::std_errors::{PART, StdErrors};
 use crate::linalg::symmetric;
@@ -74,6 +75,29 @@ impl<'a> Law<'a> {
     /// Inverse of the information along the tangent basis.
     pub(crate) fn coordinates(&self) -> &DMatrix<f64> {
         &self.coordinates
+    }
+
+    /// d(μ in η, γ; σ pairs) / d(tangent coordinates).
+    pub(super) fn jacobian(&self) -> &DMatrix<f64> {
+        &self.jacobian
+    }
+
+    /// The law of the mean alone, where it has one.
+    pub(super) fn mean_law(&self) -> Option<&DMatrix<f64>> {
+        self.mean.as_ref()
+    }
+
+    /// What the rows of the jacobian are of: the row, the quantity, and its size in the user's units.
+    pub(super) fn quantities(&self) -> Vec<(usize, Estimated, f64)> {
+        let (p, problem) = (self.scale().len(), &self.state.problem);
+        let means = (0..p).map(|i| (i, Estimated::Mean(i), self.scale()[i]));
+        let scales = problem.mean.coefficient_scale.iter().enumerate();
+        let coefficients = scales.map(|(c, scale)| (p + c, Estimated::Coefficient(c), scale.recip()));
+        let covariances = problem.covariance.elements.all().map(|(i, j)| {
+            let (row, unit) = self.sigma(i, j, 1.0);
+            (row, Estimated::Covariance(i, j), unit)
+        });
+        means.chain(coefficients).chain(covariances).collect()
     }
 
     fn sigma_part(&self, weights: &DVector<f64>) -> Option<f64> {

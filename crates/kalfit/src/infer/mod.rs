@@ -11,6 +11,7 @@ mod constraint;
 mod deletion;
 mod direction;
 mod each;
+mod estimates;
 mod held;
 mod holdable;
 mod identifiability;
@@ -32,6 +33,7 @@ pub use deletion::Deletion;
 pub use direction::{Direction, Quantity};
 pub(crate) use each::posteriors_at;
 pub use each::{deletions, posteriors};
+pub use estimates::{EstimateCovariance, Estimated};
 pub use identifiability::{Examination, examine_at_start, identifiability};
 pub use information::{Boundary, Free, Uncertainty, free, uncertainty};
 pub use interval::{Interval, IntervalKind, Intervals, profile, wald};
@@ -105,6 +107,8 @@ pub struct Inference {
     pub std_errors: StdErrors,
     /// Standard errors and the boundary.
     pub uncertainty: Uncertainty,
+    /// The covariance of all that was estimated; `None` of very many numbers.
+    pub estimates: Option<EstimateCovariance>,
     /// 95 % intervals.
     pub intervals: Intervals,
     /// Directions the data say nothing about.
@@ -136,7 +140,7 @@ pub fn infer(estimate: &Estimate, reductions: &Reductions, choices: Choices) -> 
         Criterion::Ml => choices.std_errors,
         Criterion::Reml => StdErrors::Observed, // what it adds to ℓ is no sum over tests
     };
-    let uncertainty = information::uncertainty_of(estimate, &evidence, &unidentified, std_errors);
+    let (uncertainty, estimates) = information::uncertainty_of(estimate, &evidence, &unidentified, std_errors);
     let intervals = match choices.intervals {
         IntervalKind::Wald => wald(estimate, &uncertainty),
         IntervalKind::Profile => profile(estimate, &uncertainty, &free(estimate, &unidentified)),
@@ -163,6 +167,7 @@ pub fn infer(estimate: &Estimate, reductions: &Reductions, choices: Choices) -> 
         phases,
         intervals,
         uncertainty,
+        estimates,
         sensitivities: sensitivities(estimate),
         posteriors,
         deletions,

@@ -2,9 +2,10 @@
 
 use rayon::prelude::*;
 
+use crate::ensemble::Labels;
 use crate::estimate::{Certificate, Combination, Criterion, Estimate, Solver, Stop};
 use crate::infer::{Deletion, Element, Inference, IntervalKind, Posterior, Sensitivity, StdErrors};
-use crate::model::{Alpha, PhasedModel};
+use crate::model::{Alpha, PhasedModel, Slots};
 use crate::record::cut::{Cut, phases_of};
 use crate::record::diagnosis::shortage_notes;
 use crate::record::directions::crossing_notes;
@@ -12,8 +13,8 @@ use crate::record::number::plain;
 use crate::record::own::{MOST_OWN, Own};
 use crate::record::phases::phases_and_levels;
 use crate::record::{
-    CertificateRecord, ConstraintRecord, DataRecord, DeletedRecord, DeletionRecord, FitRecord, ParameterRecord,
-    PosteriorRecord, SolverRecord, TestRecord, parameters,
+    CertificateRecord, ConstraintRecord, DataRecord, DeletedRecord, DeletionRecord, EstimatesRecord, FitRecord,
+    ParameterRecord, PosteriorRecord, SolverRecord, TestRecord, parameters,
 };
 use crate::reduce::{Path, Reductions};
 
@@ -46,16 +47,16 @@ impl FitRecord {
         provenance: Provenance,
     ) -> FitRecord {
         let parameters = parameters::fixed(model.shared(), alpha);
-        FitRecord::at(model, reductions, estimate, inference, parameters, provenance)
+        FitRecord::at(model, reductions, estimate, inference, (parameters, None), provenance)
     }
 
-    /// The record of μ and Σ, with the parameters given as they are.
+    /// The record of μ and Σ, with the parameters given as they are, and the slots of free ones with the texts of their levels.
     pub(super) fn at(
         model: &PhasedModel,
         reductions: &Reductions,
         estimate: &Estimate,
         inference: &Inference,
-        parameters: Vec<ParameterRecord>,
+        (parameters, slots): (Vec<ParameterRecord>, Option<(&Slots, &Labels)>),
         provenance: Provenance,
     ) -> FitRecord {
         let data = data(reductions, provenance.files);
@@ -92,6 +93,7 @@ impl FitRecord {
             levels,
             groups: Vec::new(),
             parameters,
+            estimates: inference.estimates.as_ref().map(|found| EstimatesRecord::new(model, found, slots)),
             starts: Vec::new(),
             methods: Vec::new(),
             constraints: constraints(model, &inference.sensitivities),

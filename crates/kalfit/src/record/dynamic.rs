@@ -51,7 +51,14 @@ impl FitRecord {
             // short of a maximum nothing is known of where the values lie
             parameters.iter_mut().for_each(|p| (p.standing, p.note) = (None, None));
         }
-        let mut record = FitRecord::at(model, &fit.reductions, &fit.estimate, inference, parameters, provenance);
+        let mut record = FitRecord::at(
+            model,
+            &fit.reductions,
+            &fit.estimate,
+            inference,
+            (parameters, Some((&fit.slots, labels))),
+            provenance,
+        );
         let free = record.free_parameters + fit.slots.len();
         let penalty = |per: f64| free as f64 * per - 2.0 * record.log_likelihood;
         record.aic = record.aic.map(|_| penalty(2.0));

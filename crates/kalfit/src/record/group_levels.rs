@@ -1,10 +1,14 @@
 //! Levels of groups, and the groups, as records.
 
+use std::collections::HashMap;
+
+use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
 use crate::ensemble::{Grouping, Labels};
 use crate::infer::{GroupPosterior, Inference};
-use crate::model::PhasedModel;
+use crate::model::{PhasedModel, Population};
+use crate::predict::Initial;
 use crate::record::{
     BoundaryRecord, CovarianceRecord, DeletionRecord, FitRecord, MatrixRecord, PhaseRecord, SquareRecord,
     UnidentifiedRecord, VectorRecord,
@@ -76,6 +80,19 @@ impl LevelRecord {
 }
 
 impl FitRecord {
+    /// The law of a new test of each group of the innermost level, by the group's name after those of the groups that it stands in.
+    pub fn unit_laws(&self, model: &PhasedModel, population: &Population) -> HashMap<Vec<String>, Initial> {
+        let Some(level) = model.levels.last() else { return HashMap::new() };
+        let p = model.dimension();
+        let own = self.groups.iter().filter(|unit| unit.level == level.name);
+        let sound = own.filter(|unit| unit.mean.len() == p && unit.covariance.size() == p);
+        let law = |unit: &UnitRecord| {
+            let covariance = DMatrix::from_fn(p, p, |i, k| unit.covariance[i][k]);
+            Initial::of_group(model, population, unit.mean.clone(), &covariance)
+        };
+        sound.map(|unit| (unit.id.clone(), law(unit))).collect()
+    }
+
     /// Says which groups each test stands in, by name, and what is known of each group.
     pub fn add_levels(
         &mut self,

@@ -8,6 +8,7 @@ mod diagnosis;
 mod directions;
 mod dynamic;
 mod dynamic_ratio;
+mod estimates;
 mod group_levels;
 mod levels;
 mod model_check;
@@ -18,11 +19,13 @@ mod phase;
 mod phases;
 mod plan;
 mod population;
+mod predicted;
 mod ratio;
 mod series;
 mod series_keeper;
 mod square;
 mod test;
+mod validated;
 
 use serde::{Deserialize, Serialize};
 
@@ -35,6 +38,7 @@ pub use diagnosis::shortage_notes;
 pub use directions::crossing_notes;
 pub use dynamic::DynamicParts;
 pub use dynamic_ratio::DynamicSides;
+pub use estimates::EstimatesRecord;
 pub use group_levels::{LevelRecord, UnitRecord};
 pub use levels::{LevelCounts, level_notes};
 pub use model_check::{FindingRecord, ModelCheckRecord, SEARCH_LEVEL, displacement_limit, holm, overall_size};
@@ -48,12 +52,17 @@ pub use phase::{
 };
 pub use plan::{ArrangementRecord, PlanProvenance, PlanRecord, PlannedRecord};
 pub use population::{FIT_SCHEMA, RecordError};
+pub use predicted::{PairRecord, PredictedRecord, PredictedSource, PredictedValueRecord, name_of};
 pub use ratio::{BootstrapRecord, ComponentRecord, PartRecord, RatioProvenance, RatioRecord, SideRecord};
 pub use series::{AutocorrelationRecord, SeriesRecord, WindowRecord};
 pub use series_keeper::SeriesKeeper;
 pub use square::{NotSquare, SquareRecord};
 pub use test::{
     DeletedRecord, DeletionRecord, InnovationPartRecord, InnovationRecord, PosteriorRecord, TestRecord, WhitenessRecord,
+};
+pub use validated::{
+    AgainstRecord, CoverageRecord, FoldRecord, NotComparable, PieceRecord, VALIDATE_SCHEMA, ValidateProvenance,
+    ValidatedRecord,
 };
 
 /// All that a fit found. `None` is written as null: not known, not identified, or not applicable.
@@ -116,6 +125,9 @@ pub struct FitRecord {
     pub groups: Vec<UnitRecord>,
     /// Dynamic parameters, one entry per level, in the order of the model and, within a parameter, of the texts of its levels.
     pub parameters: Vec<ParameterRecord>,
+    /// The covariance of all that was estimated; null of more than 200 numbers, and in records that do not say.
+    #[serde(default)]
+    pub estimates: Option<EstimatesRecord>,
     /// Where searches for α from other starts ended, the best first.
     #[serde(default)]
     pub starts: Vec<StartRecord>,

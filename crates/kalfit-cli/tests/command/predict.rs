@@ -1,0 +1,279 @@
+//! `kalfit predict` through the built command.
+
+#![expect(clippy::unwrap_used, reason = "a test that cannot be set up must fail")]
+
+use std::collections::HashMap;
+
+use insta::assert_snapshot;
+use kalfit::FitRecord;
+
+use crate::folder::{Folder, shown};
+
+const MODEL: &str = r#"
+title = "Wandering gyros"
+
+[data]
+test = "unit"
+time = "t"
+group = "place"
+[states.bias]
+[states.walk]
+process = "random-walk"
+noise_density = "q"
+initial = { mean = 0, sigma = 0 }
+[measurements.rate]
+column = "y"
+equation = "bias + walk"
+noise = "sigma"
+[parameters]
+q = { start = 0.3 }
+sigma = { start = 0.3 }
+"#;
+
+/// No rate and no place: those are measured, and this is not.
+const MISSION: &str = "unit,t,gain\nm,0,1\nm,4,2\nm,9,3\n";
+
+const OUTPUTS: &str = r#"
+[outputs.angle]
+equation = "gain * bias"
+unit = "deg"
+[outputs.rate]
+equation = "bias + walk + 0.5"
+unit = "deg"
+"#;
+
+/// Twelve units of ten rows.
+fn data() -> String {
+    let mut text = "unit,t,y,place\n".to_owned();
+    for j in 0..12 {
+        let bias = f64::from((j * 23) % 31 - 15) / 8.0;
+        let mut walk = 0.0;
+        for k in 0..10 {
+            walk += f64::from((11 * j + 5 * k * k + j * k) % 23 - 11) / 12.0;
+            let wave = f64::from((13 * j + 7 * k) % 19 - 9) / 60.0;
+            text.push_str(&format!("u{j:02},{k},{},A\n", bias + walk + wave));
+        }
+    }
+    text
+}
+
+fn fitted() -> Folder {
+    let own = data();
+    let files = [("m.toml", MODEL), ("d.csv", &own), ("mission.csv", MISSION), ("out.toml", OUTPUTS)];
+    let folder = Folder::new(&files.map(|(name, text)| (name, text.as_bytes())));
+    let output = folder.run("fit m.toml d.csv --out fit.json --quiet");
+    assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+    folder
+}
+
+fn record(folder: &Folder) -> FitRecord {
+    serde_json::from_str(&std::fs::read_to_string(folder.path("fit.json")).unwrap()).unwrap()
+}
+
+/// The rows of a table of text, each by the names of its columns.
+fn table(folder: &Folder, name: &str) -> Vec<HashMap<String, String>> {
+    let mut reader = csv::Reader::from_path(folder.path(name)).unwrap();
+    reader.deserialize().map(|row| row.unwrap()).collect()
+}
+
+fn number(row: &HashMap<String, String>, column: &str) -> f64 {
+    row[column].parse().unwrap_or_else(|_| panic!("{column}: {row:?}"))
+}
+
+fn near(what: &str, found: f64, expected: f64) {
+    assert!((found - expected).abs() < 1e-7 * (1.0 + expected.abs()), "{what}: {found} against {expected}");
+}
+
+#[test]
+fn a_mission_is_what_the_fit_makes_of_it() {
+    let folder = fitted();
+    let output =
+        folder.run("predict m.toml --from fit.json --design mission.csv --outputs out.toml --out mission.out.csv");
+    assert_snapshot!(shown(&output), @"");
+    let record = record(&folder);
+    let (mean, phase) = (record.phases[0].mean.estimate[0], &record.phases[0]);
+    let variance = phase.covariance.estimate[0][0];
+    let error = phase.mean.std_error[0].unwrap();
+    let q = record.parameters.iter().find(|parameter| parameter.name == "q").unwrap().estimate;
+    let rows = table(&folder, "mission.out.csv");
+    assert_eq!(rows.len(), 3 * 4, "two states and two outputs at three times");
+    for row in &rows {
+        let time = number(row, "time");
+        let gain = 1.0 + number(row, "row") - 1.0;
+        let (expected, population, process, estimation) = match row["name"].as_str() {
+            "bias" => (mean, variance, 0.0, error),
+            "walk" => (0.0, 0.0, q * q * time, 0.0),
+            "angle" => (gain * mean, gain * gain * variance, 0.0, gain * error),
+            _ => (mean + 0.5, variance, q * q * time, error),
+        };
+        near("mean", number(row, "mean"), expected);
+        near("population", number(row, "std_dev_population"), population.sqrt());
+        near("process", number(row, "std_dev_process"), process.sqrt());
+        near("estimation", number(row, "std_dev_estimation"), estimation);
+        let all = population + process + estimation * estimation;
+        near("all", number(row, "std_dev"), all.sqrt());
+        let half = number(row, "tolerance_upper") - expected;
+        assert!(half >= 1.96 * (population + process).sqrt(), "{row:?}");
+        near("both sides", expected - number(row, "tolerance_lower"), half);
+        assert!(number(row, "confidence_upper") <= number(row, "tolerance_upper") + 1e-12, "{row:?}");
+    }
+}
+
+#[test]
+fn one_limit_by_itself_is_nearer() {
+    let folder = fitted();
+    let limit = |options: &str| {
+        let output =
+            folder.run(&format!("predict m.toml --from fit.json --design mission.csv --out p.csv --quiet {options}"));
+        assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+        number(&table(&folder, "p.csv")[0], "tolerance_upper")
+    };
+    let [two, one, sure, much] = ["", "--one-sided", "--confidence 0.99", "--content 0.99"].map(limit);
+    assert!(one < two && two < sure && two < much, "{one} {two} {sure} {much}");
+}
+
+#[test]
+fn values_that_are_given_are_exact() {
+    let folder = fitted();
+    let output =
+        folder.run("predict m.toml --from fit.json --set q=0.2 --set sigma=1 --design mission.csv --out p.csv --quiet");
+    assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+    let rows = table(&folder, "p.csv");
+    let walk = rows.iter().rfind(|row| row["name"] == "walk").unwrap();
+    near("process", number(walk, "std_dev_process"), 0.2 * 3.0);
+    near("tolerance", number(walk, "tolerance_upper"), 0.6 * 1.959_963_984_5);
+}
+
+const UNITS: &str = r#"
+[data]
+test = "run"
+levels = ["unit"]
+[states.level]
+[measurements.y]
+column = "y"
+equation = "level"
+noise = 0.5
+"#;
+
+#[test]
+fn runs_of_a_known_unit_are_near_its_own_level() {
+    let mut text = "run,unit,y\n".to_owned();
+    for unit in 0..8 {
+        for run in 0..4 {
+            let level = 3.0 * f64::from((unit * 5) % 8 - 4) + f64::from((unit * 7 + run * 3) % 5 - 2) / 4.0;
+            for row in 0..3 {
+                text.push_str(&format!("{run},u{unit},{}\n", level + f64::from((row + run + unit) % 3 - 1) / 2.0));
+            }
+        }
+    }
+    let files = [("m.toml", UNITS), ("d.csv", &text), ("known.csv", "run,unit\n9,u0\n9,u5\n"), ("new.csv", "run\n9\n")];
+    let strange = ("strange.csv", "run,unit\n9,x7\n");
+    let folder = Folder::new(
+        &files.into_iter().chain([strange]).map(|(name, text)| (name, text.as_bytes())).collect::<Vec<_>>(),
+    );
+    let output = folder.run("fit m.toml d.csv --out fit.json --quiet");
+    assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+    let predicted = |options: &str| {
+        let output = folder.run(&format!("predict m.toml --from fit.json {options} --out p.csv --quiet"));
+        assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+        table(&folder, "p.csv")
+    };
+    let record = record(&folder);
+    let [unit, own] = [0, 1].map(|level| record.levels[level].covariance.estimate[0][0]);
+    let new = &predicted("--design new.csv")[0];
+    near("mean of a new unit", number(new, "mean"), record.phases[0].mean.estimate[0]);
+    near("spread of a new unit", number(new, "std_dev_population").powi(2), unit + own);
+    for (row, name) in predicted("--design known.csv --units known").iter().zip(["u0", "u5"]) {
+        let known = record.groups.iter().find(|unit| unit.id == [name]).unwrap();
+        near("mean of a known unit", number(row, "mean"), known.mean[0]);
+        near("spread of its runs", number(row, "std_dev_population").powi(2), known.covariance[0][0] + own);
+        let hangs = known.covariance[0][0] / unit * record.phases[0].mean.std_error[0].unwrap();
+        near("what is left of the mean", number(row, "std_dev_estimation"), hangs);
+    }
+    let output = folder.run("predict m.toml --from fit.json --design strange.csv --units known");
+    assert_snapshot!(shown(&output), @r#"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: test `x7/9` is of unit `x7`, which is not in `fit.json`: it knows `u0`, `u1`, `u2`, `u3`, `u4`, `u5`, `u6`, `u7`
+
+    hint: `--units new` predicts tests of units that nobody has seen
+    "#);
+}
+
+#[test]
+fn mistakes_are_said_plainly() {
+    let folder = fitted();
+    let outputs = [
+        ("wrong.toml", "[outputs.a]\nequation = \"bias * walk\"\n"),
+        ("state.toml", "[outputs.bias]\nequation = \"2 * bias\"\n"),
+        ("none.toml", "[a]\nequation = \"2 * bias\"\n"),
+        ("phase.toml", "[outputs.a]\nequation = \"2 * bias\"\nphase = \"flight\"\n"),
+        ("column.toml", "[outputs.a]\nequation = \"speed * bias\"\n"),
+    ];
+    for (name, text) in outputs {
+        std::fs::write(folder.path(name), text).unwrap();
+    }
+    let run =
+        |options: &str| shown(&folder.run(&format!("predict m.toml --from fit.json --design mission.csv {options}")));
+    assert_snapshot!(run("--outputs wrong.toml"), @r#"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: state `bias` times state `walk` is not linear in the states
+      --> wrong.toml:2:13 | equation = "bias * walk"
+                          |             ^^^^^^^^^^^
+    "#);
+    assert_snapshot!(run("--outputs state.toml"), @r#"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: `bias` cannot be the name of an output: a state has it
+      --> state.toml:1:10 | [outputs.bias]
+                          |          ^^^^
+
+    hint: states are told anyway
+    "#);
+    assert_snapshot!(run("--outputs none.toml"), @r#"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: unknown key `a` in the file of outputs
+      --> none.toml:1:2 | [a]
+                        |  ^
+
+    hint: its keys are `outputs`
+    "#);
+    assert_snapshot!(run("--outputs phase.toml"), @r#"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: `phase` has no effect with a model without phases
+      --> phase.toml:3:1 | phase = "flight"
+                         | ^^^^^
+    "#);
+    assert_snapshot!(run("--outputs column.toml"), @r#"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: mission.csv has no column `speed`, which is used in `equation` of output `a`
+
+    hint: its columns are `unit`, `t`, `gain`
+    "#);
+    assert_snapshot!(run("--units known"), @r#"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: `--units known` has no effect: the model has no levels of groups
+
+    hint: leave it out
+    "#);
+    assert_snapshot!(run("--content 0.3"), @r#"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: invalid value '0.3' for '--content <P>': expected a number from 0.5 to 0.999999, such as 0.9
+
+    For more information, try '--help'.
+    "#);
+}

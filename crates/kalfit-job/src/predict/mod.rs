@@ -1,0 +1,177 @@
+//! What tests that nobody has made will give: `kalfit predict`.
+
+mod table;
+mod units;
+
+use kalfit::PhasedTest;
+use kalfit::predict::{Bounds, Knowledge, Known, Output, PredictError, Predictor};
+use kalfit::record::{PredictedRecord, PredictedSource};
+use kalfit_data::{Input, Reading};
+use kalfit_spec::{BesideError, DesignSpec, Spec};
+
+use self::table::{columns, write_phase};
+use self::units::UnitsOf;
+use crate::evidence::Given;
+use crate::failure::Failure;
+use crate::job::{Done, PredictJob, PredictedModel, Units, files};
+use crate::output::Pending;
+use crate::table::{Table, Writer};
+use crate::truth::Truth;
+use crate::work::{Watch, Work};
+use crate::{model, tests, truth};
+
+/// Predictions of this many rows, or of one test, are held at a time.
+const BATCH_ROWS: usize = 50_000;
+
+/// Predicts states and outputs of designs.
+///
+/// # Errors
+/// Bad input, or [`Failure::Interrupted`].
+pub fn predict(job: &PredictJob, watch: &mut dyn Watch) -> Result<Done<PredictedModel>, Failure> {
+    let mut spec = model::read(&job.model.document)?;
+    let truth = truth::load(&mut spec, &job.from, &job.model.set)?;
+    let units = UnitsOf::new(job, &spec, &truth)?;
+    let DesignSpec { spec: design, outputs } = designed(job, &spec)?;
+    let inputs = Input::expand(&job.design).map_err(|error| Failure::data(error, &design))?;
+    let documents: Vec<_> = [&job.model.document, &job.from].into_iter().chain(&job.outputs).collect();
+    let table = Table::prepare(&job.out, &files(&documents, &inputs))?;
+    let knowledge = knowledge(&spec, &truth, &job.model.set);
+    let mut work = Work::new(watch);
+    let (tests, reading) = tests::read(&design, &Given::rows_of(inputs), &mut work)?;
+    let values = (&model::alpha(&design), truth.population.coefficients.as_slice());
+    let estimation = knowledge.is_some();
+    let predictor = Predictor::new(&design.model, &outputs, values, knowledge).map_err(|error| refused(error, None))?;
+    let source = PredictedSource {
+        name: job.from.name(),
+        fitted: truth.fitted,
+        changed: job.model.set.iter().filter_map(|one| Some(one.split_once('=')?.0.trim().to_owned())).collect(),
+        known_units: job.units == Units::Known,
+        estimation,
+    };
+    let record = PredictedRecord::new(&design.model, source, job.limits);
+    let mut task = Task {
+        bounds: Bounds::new(job.limits),
+        design: &design,
+        outputs: &outputs,
+        predictor: &predictor,
+        units: &units,
+        reading: &reading,
+        record,
+    };
+    let pending = match &table {
+        Some(table) => {
+            let rows = |writer: &mut Writer<'_>| task.each(&tests, &mut work, Some((table, writer)));
+            Some(table.write(&columns(), rows)?)
+        }
+        None => {
+            task.each(&tests, &mut work, None)?;
+            None
+        }
+    };
+    let record = task.record;
+    let back = pending.map_or(Ok(None), Pending::finish)?;
+    let written = table.iter().filter_map(|table| table.target.name()).collect();
+    Ok(Done { record: PredictedModel { record, table: back }, notes: truth.warnings, written })
+}
+
+/// The model for designs, at the values that were taken; of two outputs of a phase in one unit the sum is a third.
+fn designed(job: &PredictJob, spec: &Spec) -> Result<DesignSpec, Failure> {
+    let text = job.outputs.as_ref().map(model::text).transpose()?;
+    let of_outputs = |error| {
+        let name = job.outputs.as_ref().map_or_else(String::new, |outputs| outputs.name());
+        Failure::model(error, &name, text.clone())
+    };
+    let mut found = spec.design(text.as_deref(), job.units == Units::Known).map_err(|error| match error {
+        BesideError::File(error) => of_outputs(error),
+        BesideError::Model(error) => Failure::model(error, &spec.name, Some(spec.text.clone())),
+    })?;
+    found.spec.take_values(spec);
+    for outputs in &mut found.outputs {
+        if let [first, second] = &outputs[..]
+            && first.unit == second.unit
+        {
+            let sum = Output::sum(first, second);
+            outputs.push(sum);
+        }
+    }
+    Ok(found)
+}
+
+/// What is known of the estimates; parameters that were given other values are exact.
+fn knowledge(spec: &Spec, truth: &Truth, set: &[String]) -> Option<Knowledge> {
+    let Some(record) = &truth.record else { return Some(Knowledge::exact()) };
+    let knowledge = record.knowledge(&spec.model)?;
+    let is_set = |known: &Known| match known {
+        Known::Parameter { parameter, .. } => {
+            let name = &spec.model.shared().parameters[*parameter].name;
+            set.iter().any(|one| one.split(['=', '[']).next().unwrap_or_default().trim() == name)
+        }
+        Known::Population(_) => false,
+    };
+    Some(knowledge.without(&is_set))
+}
+
+fn refused(error: PredictError, reading: Option<&Reading>) -> Failure {
+    match error {
+        PredictError::Reduce(error) => {
+            Failure::Reduce { error: *error, reading: reading.map(|reading| Box::new(reading.clone())) }
+        }
+        error => Failure::Predict(Box::new(error)),
+    }
+}
+
+/// All that predictions depend on.
+struct Task<'a> {
+    bounds: Bounds,
+    design: &'a Spec,
+    outputs: &'a [Vec<Output>],
+    predictor: &'a Predictor,
+    units: &'a UnitsOf,
+    reading: &'a Reading,
+    record: PredictedRecord,
+}
+
+impl Task<'_> {
+    /// Predicts batch by batch.
+    fn each(
+        &mut self,
+        tests: &[PhasedTest],
+        work: &mut Work<'_>,
+        mut to: Option<(&Table, &mut Writer<'_>)>,
+    ) -> Result<(), Failure> {
+        let grouping = self.units.grouping(self.design, tests)?;
+        let mut done = 0;
+        while done < tests.len() {
+            let next = batch(tests, done);
+            work.go_on()?;
+            let own = &tests[done..next];
+            let initial = own.iter().map(|test| self.units.initial(test, grouping.as_ref(), &self.reading.labels));
+            let initial = initial.collect::<Result<Vec<_>, _>>()?;
+            let found = self.predictor.predict(own, &initial).map_err(|error| refused(error, Some(self.reading)))?;
+            for (test, phases) in own.iter().zip(&found) {
+                self.record.add((&self.design.model, self.outputs, &self.bounds), &test.id, phases);
+                if let Some((table, writer)) = &mut to {
+                    for phase in phases {
+                        write_phase((&self.design.model, self.outputs, &self.bounds), &test.id, phase, writer)
+                            .map_err(table.failed())?;
+                    }
+                }
+            }
+            done = next;
+            work.share("predicting", done as u64, tests.len() as u64);
+            work.say(|| format!("predicting: {done} of {} tests", tests.len()));
+        }
+        Ok(())
+    }
+}
+
+/// The end of the tests that are predicted at once, from this one on.
+fn batch(tests: &[PhasedTest], from: usize) -> usize {
+    let mut rows = 0;
+    let mut next = from;
+    while next < tests.len() && (rows < BATCH_ROWS || next == from) {
+        rows += tests[next].row_count();
+        next += 1;
+    }
+    next
+}

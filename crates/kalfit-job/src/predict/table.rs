@@ -1,0 +1,68 @@
+//! The table of `kalfit predict`: a row for each state and each output at every row of a design.
+
+use kalfit::PhasedModel;
+use kalfit::predict::{Bounds, Output, PhasePredictions, Predicted};
+use kalfit::record::name_of;
+use kalfit_data::{Cell, CellKind, WriteError};
+use rayon::prelude::*;
+
+use crate::table::Writer;
+
+pub(super) fn columns() -> Vec<(String, CellKind)> {
+    let texts = ["test", "phase"].map(|name| (name, CellKind::Text));
+    let numbers = [
+        "mean",
+        "std_dev",
+        "std_dev_population",
+        "std_dev_process",
+        "std_dev_estimation",
+        "confidence_lower",
+        "confidence_upper",
+        "tolerance_lower",
+        "tolerance_upper",
+    ];
+    let place = [("row", CellKind::Count), ("time", CellKind::Number), ("name", CellKind::Text)];
+    let all = texts.into_iter().chain(place).chain(numbers.map(|name| (name, CellKind::Number)));
+    all.chain([("what", CellKind::Text)]).map(|(name, kind)| (name.to_owned(), kind)).collect()
+}
+
+/// Both limits of the mean and of tests.
+type Ends = (Option<[f64; 2]>, Option<[f64; 2]>);
+
+/// Writes one phase of a test.
+pub(super) fn write_phase(
+    (model, outputs, bounds): (&PhasedModel, &[Vec<Output>], &Bounds),
+    test: &str,
+    phase: &PhasePredictions,
+    writer: &mut Writer<'_>,
+) -> Result<(), WriteError> {
+    let of = |value: &Predicted| -> Ends { (bounds.of_mean(value), bounds.of_tests(value)) };
+    let ends: Vec<Vec<Ends>> = phase.steps.par_iter().map(|step| step.values.iter().map(of).collect()).collect();
+    let number_or = |x: Option<f64>| x.map_or(Cell::Missing, Cell::Number);
+    let both = |ends: Option<[f64; 2]>| [number_or(ends.map(|ends| ends[0])), number_or(ends.map(|ends| ends[1]))];
+    for (step, ends) in phase.steps.iter().zip(ends) {
+        for (value, (confidence, tolerance)) in step.values.iter().zip(ends) {
+            let Some((name, what, _)) = name_of((model, &outputs[phase.phase]), phase.phase, value.what) else {
+                continue;
+            };
+            let [population, process] = [value.population, value.process].map(f64::sqrt);
+            let estimation = value.estimation.map(|estimation| estimation.mean.sqrt());
+            let mut cells = vec![
+                Cell::Text(test),
+                Cell::Text(&model.phases[phase.phase].name),
+                Cell::Count(value.row + 1), // rows are counted from one
+                number_or(step.time),
+                Cell::Text(name),
+                Cell::Number(value.mean),
+                Cell::Number(value.std_dev()),
+                Cell::Number(population),
+                Cell::Number(process),
+                number_or(estimation),
+            ];
+            cells.extend(both(confidence).into_iter().chain(both(tolerance)));
+            cells.push(Cell::Text(what));
+            writer.write(cells)?;
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,55 @@
+//! Tables of results on their way to a file.
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::Path;
+
+use kalfit_data::{CellKind, Format, TableWriter, WriteError};
+
+use crate::failure::Failure;
+use crate::job::TableTo;
+use crate::output::{Pending, Target};
+
+/// A table that will be written.
+pub(crate) struct Table {
+    pub(crate) target: Target,
+    format: Format,
+}
+
+pub(crate) type Writer<'a> = TableWriter<BufWriter<&'a File>>;
+
+impl Table {
+    pub(crate) fn prepare(to: &TableTo, used: &[&Path]) -> Result<Option<Table>, Failure> {
+        let (path, format) = match to {
+            TableTo::Nowhere => return Ok(None),
+            TableTo::Back => (None, Format::Arrow),
+            TableTo::File(path) => {
+                let format = Format::of(path).map_err(|error| failed(error, path.display().to_string()))?;
+                (Some(path.as_path()), format)
+            }
+        };
+        Ok(Some(Table { target: Target::prepare(path, used)?, format }))
+    }
+
+    /// Writes it; it is in place when it is finished.
+    pub(crate) fn write(
+        &self,
+        columns: &[(String, CellKind)],
+        rows: impl FnOnce(&mut Writer<'_>) -> Result<(), Failure>,
+    ) -> Result<Pending<'_>, Failure> {
+        let pending = self.target.begin()?;
+        let mut writer =
+            TableWriter::new(columns, self.format, BufWriter::new(pending.file())).map_err(self.failed())?;
+        rows(&mut writer)?;
+        writer.finish().and_then(|mut sink| Ok(sink.flush()?)).map_err(self.failed())?;
+        Ok(pending)
+    }
+
+    pub(crate) fn failed(&self) -> impl Fn(WriteError) -> Failure {
+        move |error| failed(error, self.target.name().unwrap_or_default())
+    }
+}
+
+fn failed(error: WriteError, path: String) -> Failure {
+    Failure::Write { error: Box::new(error), path }
+}

@@ -1,0 +1,143 @@
+//! How well a model predicts tests that it was not fitted to: `kalfit validate`.
+
+use kalfit::model::Column;
+use kalfit::record::{TestGroups, ValidateProvenance, ValidatedRecord};
+use kalfit::validate::{Folds, ValidateError, Validation, validate as run};
+use kalfit::{Ensemble, EnsembleError, Options};
+use kalfit_data::Reading;
+use kalfit_spec::Spec;
+
+use crate::dynamic;
+use crate::evidence::Given;
+use crate::failure::Failure;
+use crate::job::{Done, FoldsOf, ModelJob, ValidateJob, files};
+use crate::output::{Contents, Output};
+use crate::work::{Watch, Work};
+use crate::{model, tests};
+
+/// Validates a model, and another one beside it.
+///
+/// # Errors
+/// Bad input, or [`Failure::Interrupted`].
+pub fn validate(job: &ValidateJob, watch: &mut dyn Watch) -> Result<Done<ValidatedRecord>, Failure> {
+    let mut work = Work::new(watch);
+    let first = Read::new(job, &job.model, &mut work)?;
+    let against = job.against.as_ref().map(|document| {
+        let other = ModelJob { document: document.clone(), set: Vec::new() };
+        Read::new(job, &other, &mut work)
+    });
+    let against = against.transpose()?;
+    let documents: Vec<_> = std::iter::once(&job.model.document).chain(&job.against).collect();
+    let output =
+        Output::prepare_for(("--out", Contents::Json), job.out.as_deref(), &files(&documents, &first.given.inputs))?;
+    let folds = first.folds(job)?;
+    let found = first.validated(&folds, job, &mut work)?;
+    let (by, seed) = match &job.folds {
+        FoldsOf::Drawn { seed, .. } => (None, Some(*seed)),
+        FoldsOf::Column(column) => (Some(column.clone()), None),
+    };
+    let provenance =
+        ValidateProvenance { model_digest: Some(first.spec.digest.clone()), files: first.given.names(), by, seed };
+    let mut record = ValidatedRecord::new(&first.spec.model, &folds, &found, provenance);
+    if let Some(other) = &against {
+        let theirs = other.folds_like(&first, &folds)?;
+        let beside = other.validated(&theirs, job, &mut work)?;
+        let title = other.spec.model.shared().title.trim();
+        let title = if title.is_empty() { other.spec.name.clone() } else { title.to_owned() };
+        record
+            .set_against(title, &beside)
+            .map_err(|error| Failure::NotComparable { error, path: other.spec.name.clone() })?;
+    }
+    if let Some(output) = &output {
+        output.write(&record)?;
+    }
+    let notes = first.given.notes;
+    Ok(Done { record, notes, written: output.iter().map(Output::name).collect() })
+}
+
+/// A model with its tests.
+struct Read {
+    spec: Spec,
+    given: Given,
+    ensemble: Ensemble,
+    reading: Reading,
+    /// The texts of the column that makes folds.
+    groups: Option<TestGroups>,
+}
+
+impl Read {
+    fn new(job: &ValidateJob, model: &ModelJob, work: &mut Work<'_>) -> Result<Read, Failure> {
+        let mut spec = model::load(model, &job.data)?;
+        if let FoldsOf::Column(column) = &job.folds {
+            read_too(&mut spec, column);
+        }
+        let given = Given::open(&mut spec, &job.data)?;
+        if !given.is_rows() {
+            return Err(Failure::FoldsOfRows);
+        }
+        let (tests, reading) = tests::read(&spec, &given, work)?;
+        let groups = match &job.folds {
+            FoldsOf::Column(_) => crate::groups::of(&spec.model, &tests, &reading.labels)?,
+            FoldsOf::Drawn { .. } => None,
+        };
+        let ensemble = Ensemble::of_tests(&spec.model, reading.labels.clone(), tests);
+        Ok(Read { spec, given, ensemble, reading, groups })
+    }
+
+    fn folds(&self, job: &ValidateJob) -> Result<Folds, Failure> {
+        let (model, labels, tests) = (&self.spec.model, self.ensemble.labels(), self.ensemble.tests());
+        let found = match (&job.folds, &self.groups) {
+            (FoldsOf::Column(_), Some(groups)) => Folds::by_text(model, labels, tests, groups),
+            (FoldsOf::Drawn { count, seed }, _) => Folds::drawn(model, labels, tests, (*count, *seed)),
+            (FoldsOf::Column(_), None) => unreachable!("groups were read"),
+        };
+        found.map_err(Failure::Folds)
+    }
+
+    /// The folds of another's tests, by the names of these.
+    fn folds_like(&self, other: &Read, folds: &Folds) -> Result<Folds, Failure> {
+        let of: std::collections::HashMap<&str, usize> =
+            other.ensemble.tests().iter().map(|test| test.id.as_str()).zip(folds.of.iter().copied()).collect();
+        let place = |test: &kalfit::PhasedTest| {
+            let found = format!("test `{}`", test.id);
+            let error = kalfit::record::NotComparable::Names { found };
+            of.get(test.id.as_str())
+                .copied()
+                .ok_or_else(|| Failure::NotComparable { error, path: self.spec.name.clone() })
+        };
+        let of = self.ensemble.tests().iter().map(place).collect::<Result<_, _>>()?;
+        Ok(Folds { names: folds.names.clone(), of })
+    }
+
+    fn validated(&self, folds: &Folds, job: &ValidateJob, work: &mut Work<'_>) -> Result<Validation, Failure> {
+        let mut options = Options::default();
+        options.settings.criterion = job.criterion;
+        run(&self.ensemble, folds, &options, work).map_err(|error| self.refused(error))
+    }
+
+    fn refused(&self, error: ValidateError) -> Failure {
+        match error {
+            ValidateError::Interrupted => Failure::Interrupted,
+            ValidateError::Fit(EnsembleError::Dynamic(error)) => dynamic::failure(*error, &self.reading),
+            ValidateError::Fit(EnsembleError::Fit(error)) => Failure::Fit(error),
+            ValidateError::Fit(EnsembleError::Reduce(error)) => {
+                Failure::Reduce { error: *error, reading: Some(Box::new(self.reading.clone())) }
+            }
+            ValidateError::Apply(error) => crate::apply::refused(error, &self.reading),
+            error => Failure::Validate(Box::new(error)),
+        }
+    }
+}
+
+/// Has a column of texts read, and tests grouped by it.
+fn read_too(spec: &mut Spec, column: &str) {
+    let shared = spec.model.shared();
+    let known = shared.text_columns.iter().position(|known| known.name == column);
+    let place = known.unwrap_or(shared.text_columns.len());
+    for model in spec.model.models_mut() {
+        if known.is_none() {
+            model.text_columns.push(Column { name: column.to_owned(), used_in: "`--by`".to_owned() });
+        }
+        model.group = Some(place);
+    }
+}

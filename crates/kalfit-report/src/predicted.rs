@@ -1,0 +1,122 @@
+//! What `kalfit predict` found.
+
+use kalfit::record::{PairRecord, PredictedRecord, PredictedValueRecord};
+
+use crate::Style;
+use crate::number::plain;
+use crate::page::Page;
+use crate::table::{Column, Side, wide_table};
+use crate::words::{clean, count, list};
+
+/// Parameters with other values are named up to this many.
+const MOST: usize = 10;
+/// Digits of a figure.
+const DIGITS: usize = 4;
+
+/// Predictions in words and tables. Every line fits `style.width` and ends with a line feed.
+pub fn predicted_summary(record: &PredictedRecord, style: &Style) -> String {
+    let page = Page::new(style);
+    let mut sections = Vec::new();
+    if !record.title.trim().is_empty() {
+        sections.push(page.heading(&clean(&record.title)) + "\n");
+    }
+    let names: Vec<String> = record.changed.iter().map(|name| format!("`{}`", clean(name))).collect();
+    let but = if names.is_empty() { String::new() } else { format!(" but {}", list(&names, MOST)) };
+    let whose = if record.units == "known" { ", of units that it knows" } else { "" };
+    let facts = format!(
+        "Predictions for {} with {}, all parameters as in {}{but}{whose}.",
+        count(record.tests, "test"),
+        count(record.rows, "row"),
+        clean(&record.from)
+    );
+    sections.push(page.paragraph(&facts));
+    for values in record.last.chunk_by(|a, b| a.test == b.test) {
+        let place = match values[0].time {
+            Some(time) => format!("at time {}", plain(time, 8)),
+            None => format!("in row {}", values.iter().map(|value| value.row).max().unwrap_or_default()),
+        };
+        let heading = format!("Test {}, {place}", clean(&values[0].test));
+        sections.push(page.section(&heading, &table(values, page.width())));
+    }
+    let shown = record.last.chunk_by(|a, b| a.test == b.test).count();
+    if let Some(more) = record.tests.checked_sub(shown).filter(|more| *more > 0) {
+        let those = count(more, "more test");
+        sections.push(page.paragraph(&format!("And {those}: `--out` writes a table of all rows of all of them.")));
+    }
+    let pairs: Vec<String> = record.pairs.iter().map(|pair| together(record, pair)).collect();
+    sections.push(page.section("Two outputs together", &page.items(&pairs)));
+    sections.push(page.section("How to read this", &page.items(&notes(record))));
+    sections.retain(|section| !section.is_empty());
+    sections.join("\n")
+}
+
+fn table(values: &[PredictedValueRecord], width: usize) -> String {
+    let column = |heading: &str, cell: &dyn Fn(&PredictedValueRecord) -> String| {
+        Column::new(heading, Side::Right, values.iter().map(cell).collect())
+    };
+    let limits = |ends: Option<[f64; 2]>| match ends {
+        Some([lower, upper]) => format!("{} to {}", plain(lower, DIGITS), plain(upper, DIGITS)),
+        None => "unknown".to_owned(),
+    };
+    let names = values.iter().map(|value| match &value.unit {
+        Some(unit) => format!("{} [{unit}]", value.name),
+        None => value.name.clone(),
+    });
+    let name = Column::new("", Side::Left, names.collect());
+    let others = [
+        column("mean", &|value| plain(value.mean, DIGITS)),
+        column("std. dev.", &|value| plain(value.std_dev, DIGITS)),
+        column("population", &|value| plain(value.std_dev_population, DIGITS)),
+        column("process", &|value| plain(value.std_dev_process, DIGITS)),
+        column("estimation", &|value| value.std_dev_estimation.map_or("unknown".to_owned(), |x| plain(x, DIGITS))),
+        column("limits of the mean", &|value| limits(value.confidence)),
+        column("tolerance limits", &|value| limits(value.tolerance)),
+    ];
+    wide_table(&name, &others, width)
+}
+
+fn together(record: &PredictedRecord, pair: &PairRecord) -> String {
+    let [first, second] = pair.names.each_ref().map(|name| clean(name));
+    let [long, short] = pair.axes.map(|axis| plain(axis, DIGITS));
+    let [cep, about_zero] = [pair.cep, pair.cep_about_zero].map(|radius| plain(radius, DIGITS));
+    format!(
+        "Test {}, {first} and {second}: the ellipse about the means that holds {} % of all tests has half axes {long} and {short}, \
+         the longer one {}° from {first} towards {second}. Half of all tests are within {cep} of the means (the circular error \
+         probable, CEP), and within {about_zero} of zero.",
+        clean(&pair.test),
+        plain(100.0 * record.content, 4),
+        plain(pair.angle, 3)
+    )
+}
+
+fn notes(record: &PredictedRecord) -> Vec<String> {
+    let (sure, part) = (plain(100.0 * record.confidence, 4), plain(100.0 * record.content, 4));
+    let mut notes = vec![
+        "Standard deviations: \"population\" is the spread of the initial states from test to test, \"process\" that of process \
+         noise and of a start that is known to vary, \"estimation\" what is not known of the mean. The first is the three together."
+            .to_owned(),
+    ];
+    let limits = match record.one_sided {
+        true => format!(
+            "Tolerance limits hold with confidence {sure} % each by itself: {part} % of all tests are below the upper one, and {part} % \
+             above the lower one."
+        ),
+        false => format!("Tolerance limits hold with confidence {sure} %: {part} % of all tests are between them."),
+    };
+    notes.push(format!("Limits of the mean hold with confidence {sure} %, both together. {limits}"));
+    notes.push(match (record.estimation, record.fitted) {
+        (false, _) => format!(
+            "{} does not say how its estimates vary together (it has more than 200 of them, or is of an older version), so that what \
+             estimation leaves open is unknown.",
+            clean(&record.from)
+        ),
+        (true, None) => "The parameters are taken as exactly known: limits are quantiles.".to_owned(),
+        (true, Some(_)) => {
+            "Limits take the estimate of the variance as chi-squared, with the degrees of freedom that its standard error says. That \
+             is exact where every test tells its initial state exactly, and near where tests are many. \"Unknown\" are limits that the \
+             tests are too few for, and of what the data do not determine."
+                .to_owned()
+        }
+    });
+    notes
+}

@@ -1,0 +1,96 @@
+//! The covariance of all that was estimated: of μ, the regression coefficients, the elements of Σ and the free values of α together.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::infer::law::Law;
+
+/// One number that was estimated.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Estimated {
+    /// Of μ.
+    Mean(usize),
+    /// A regression coefficient.
+    Coefficient(usize),
+    /// Of Σ, i ≥ j.
+    Covariance(usize, usize),
+    /// A free value of α, by its slot.
+    Value(usize),
+}
+
+/// The asymptotic covariance of the estimates, in the user's units. Numbers that are fixed, on a bound or at zero are not among them.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct EstimateCovariance {
+    /// What was estimated, in the order of the rows.
+    pub quantities: Vec<Estimated>,
+    /// Their covariance.
+    pub covariance: DMatrix<f64>,
+    /// What the data do not determine.
+    pub open: Vec<Estimated>,
+    /// Free variances whose estimate is zero.
+    pub at_zero: Vec<Estimated>,
+}
+
+/// Covariances of more numbers are not told.
+const MOST: usize = 200;
+/// Of something fixed, in η.
+const STILL: f64 = 1e-12;
+
+impl Law<'_> {
+    /// The covariance of all that was estimated; `None` of very many numbers. `is_open`: whether the data do not determine one.
+    pub(super) fn estimates(&self, is_open: &dyn Fn(Estimated) -> bool) -> Option<EstimateCovariance> {
+        let joint = self.state.joint.as_ref().map(|joint| &joint.values);
+        let empty = DMatrix::zeros(0, 0);
+        let (law, free) = match joint {
+            Some(values) => (values.covariance.as_ref()?, values.slots.as_slice()),
+            None => (self.coordinates(), &[][..]),
+        };
+        let moved = joint.map_or(&empty, |values| &values.moves);
+        let along = self.jacobian();
+        let (rows, coordinates) = along.shape();
+        let elements = moved.nrows();
+        let mut all: Vec<(Estimated, DVector<f64>)> = Vec::new();
+        let mut open: Vec<Estimated> =
+            joint.map_or(Vec::new(), |values| values.open.iter().map(|&slot| Estimated::Value(slot)).collect());
+        for (row, quantity, unit) in self.quantities() {
+            if is_open(quantity) {
+                open.push(quantity);
+                continue;
+            }
+            let of_value = |c: usize| match row.checked_sub(rows - elements) {
+                Some(element) => moved[(element, c)],
+                None => 0.0,
+            };
+            let derivative = DVector::from_fn(coordinates + free.len(), |c, _| match c.checked_sub(coordinates) {
+                None => along[(row, c)],
+                Some(c) => of_value(c),
+            });
+            if derivative.amax() > STILL {
+                all.push((quantity, derivative * unit));
+            }
+        }
+        for (c, &(slot, slope)) in free.iter().enumerate() {
+            let mut derivative = DVector::zeros(coordinates + free.len());
+            derivative[coordinates + c] = slope;
+            all.push((Estimated::Value(slot), derivative));
+        }
+        if all.len() > MOST {
+            return None;
+        }
+        let covariance = DMatrix::from_fn(all.len(), all.len(), |i, k| {
+            let ((first, a), (second, b)) = (&all[i], &all[k]);
+            match (self.mean_law(), is_of_mean(*first), is_of_mean(*second)) {
+                (None, ..) | (Some(_), false, false) => a.dot(&(law * b)),
+                (Some(mean), true, true) => a.rows(0, coordinates).dot(&(mean * b.rows(0, coordinates))),
+                _ => 0.0, // generalised least squares at the estimated Σ
+            }
+        });
+        let quantities = all.into_iter().map(|(quantity, _)| quantity).collect();
+        let at_zero = Vec::new();
+        let is_known = covariance.iter().all(|entry| entry.is_finite());
+        is_known.then_some(EstimateCovariance { quantities, covariance, open, at_zero })
+    }
+}
+
+fn is_of_mean(quantity: Estimated) -> bool {
+    matches!(quantity, Estimated::Mean(_) | Estimated::Coefficient(_))
+}

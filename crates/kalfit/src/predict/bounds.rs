@@ -1,0 +1,416 @@
+//! Limits: for the mean, and such as a given part of all tests stays within.
+//!
+//! The estimate of the mean and that of the variance over tests are taken as independent. Of N tests that tell a quantity of variance s²
+//! with an error of variance r each, the estimate of s² + r is (s² + r) χ²/ν, and that of the mean has the variance (s² + r) / N: both N and
+//! r follow from the standard errors. Given the estimates, what the mean and the variance may be is then (generalised confidence)
+//!
+//! ```text
+//! s_c² = (s² + r)/c² - r,    m_c = m - Z √V / c,    c² = χ²_ν/ν,    Z ~ N(0, 1)
+//! one side:   P(m_c + z_p s_c ≤ m + h) = γ
+//! two sides:  P(Φ((m + h - m_c)/s_c) - Φ((m - h - m_c)/s_c) ≥ p) = γ
+//! ```
+//!
+//! That is exact where r = 0: the factors are those of the tables then. By maximum likelihood s² is too small by the means that were
+//! estimated with it, which is made good.
+
+use statrs::distribution::{ChiSquared, ContinuousCDF, Normal, StudentsT};
+
+use crate::predict::Predicted;
+
+/// How sure, of how much, and on which sides.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Limits {
+    /// γ: in this part of all ensembles the limits hold; a half or more.
+    pub confidence: f64,
+    /// p: this part of all tests is meant to be within the tolerance limits; a half or more.
+    pub content: f64,
+    /// Whether each of the two tolerance limits is meant by itself.
+    pub sides: Sides,
+}
+
+/// Which tests are beyond tolerance limits.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Sides {
+    /// Those on either side: between the limits are p of all tests.
+    #[default]
+    Two,
+    /// Those on one side: p of all tests are below the upper limit, and p above the lower one.
+    One,
+}
+
+/// With more degrees of freedom than this a variance is as good as known.
+const KNOWN: f64 = 1e5;
+/// Parts of the line that an expectation over a normal number is a sum over.
+const NODES: usize = 48;
+/// The normal law is as good as within so many standard deviations.
+const WIDE: f64 = 8.0;
+
+/// What makes limits of predictions.
+#[derive(Debug, Clone)]
+pub struct Bounds {
+    limits: Limits,
+    widths: Widths,
+}
+
+/// The variance over tests, and what is known of it.
+struct Spread {
+    /// s².
+    variance: f64,
+    /// s² + r.
+    scale: f64,
+    /// ν; infinite where the variance is known.
+    degrees: f64,
+    /// V, of the estimate of the mean.
+    of_mean: f64,
+    /// Degrees of freedom of that.
+    degrees_of_mean: f64,
+}
+
+impl Spread {
+    /// `None` where the tests are too few to tell.
+    fn of(value: &Predicted) -> Option<Spread> {
+        let estimation = value.estimation?;
+        let (population, of_population) = (value.population, estimation.population);
+        if of_population <= 0.0 {
+            let variance = value.variance();
+            let degrees = match estimation.variance > 0.0 {
+                true => 2.0 * variance * variance / estimation.variance,
+                false => f64::INFINITY,
+            };
+            let (of_mean, degrees_of_mean) = (estimation.mean, f64::INFINITY);
+            return Some(Spread { variance, scale: variance, degrees, of_mean, degrees_of_mean });
+        }
+        let alone = 2.0 * population * population / of_population;
+        let beside = if estimation.mean > 0.0 { of_population / (2.0 * estimation.mean.powi(2)) } else { 0.0 };
+        // as many degrees of freedom as the error of the mean says beside that of the variance, or as that says by itself
+        let (left, larger) = match estimation.lost {
+            // N² / (N - 1) beside
+            None => (alone.max(0.5 * (beside + (beside * (beside - 4.0)).max(0.0).sqrt()) - 1.0), 1.0),
+            Some(lost) => {
+                let tests = alone.max(beside);
+                (tests - lost as f64, tests / (tests - lost as f64))
+            }
+        };
+        if left < 0.5 {
+            return None;
+        }
+        let seen = (0.5 * of_population * left * larger).sqrt();
+        let variance = population + (larger - 1.0) * seen + value.process;
+        let scale = variance.max(larger * seen);
+        let degrees = 2.0 * scale * scale / (estimation.variance + (larger.powi(3) - 1.0) * of_population);
+        let spread = Spread { variance, scale, degrees, of_mean: estimation.mean * larger, degrees_of_mean: left };
+        (degrees >= 0.5).then_some(spread)
+    }
+
+    /// s_c.
+    fn at(&self, c: f64) -> f64 {
+        (self.scale / (c * c) - (self.scale - self.variance)).max(0.0).sqrt()
+    }
+
+    /// P(χ²_ν/ν ≥ c²).
+    fn beyond(&self, law: &ChiSquared, c: f64) -> f64 {
+        if c <= 0.0 { 1.0 } else { law.sf(self.degrees * c * c) }
+    }
+}
+
+impl Bounds {
+    /// Limits as they are asked for.
+    pub fn new(limits: Limits) -> Bounds {
+        Bounds { limits, widths: Widths::new(limits.content) }
+    }
+
+    /// What they are.
+    pub fn limits(&self) -> &Limits {
+        &self.limits
+    }
+
+    /// Limits that the mean over tests lies between with confidence γ; `None` where that is not known.
+    pub fn of_mean(&self, value: &Predicted) -> Option<[f64; 2]> {
+        let spread = Spread::of(value)?;
+        let upper = 0.5 * (1.0 + self.limits.confidence);
+        let quantile = match spread.degrees_of_mean < KNOWN {
+            true => StudentsT::new(0.0, 1.0, spread.degrees_of_mean).ok()?.inverse_cdf(upper),
+            false => normal().inverse_cdf(upper),
+        };
+        let half = quantile * spread.of_mean.sqrt();
+        Some([value.mean - half, value.mean + half])
+    }
+
+    /// Limits that p of all tests are within with confidence γ; `None` where that is not known, or where a variance in it was estimated as
+    /// zero.
+    pub fn of_tests(&self, value: &Predicted) -> Option<[f64; 2]> {
+        let spread = Spread::of(value).filter(|_| !value.hangs_on_zero)?;
+        if spread.variance == 0.0 {
+            return self.of_mean(value);
+        }
+        let half = match self.limits.sides {
+            Sides::One => self.one_sided(&spread)?,
+            Sides::Two => self.two_sided(&spread)?,
+        };
+        Some([value.mean - half, value.mean + half])
+    }
+
+    /// h with P(m_c + z_p s_c ≤ m + h) = γ.
+    fn one_sided(&self, spread: &Spread) -> Option<f64> {
+        let (z, off, s) = (normal().inverse_cdf(self.limits.content), spread.of_mean.sqrt(), spread.variance.sqrt());
+        if spread.degrees >= KNOWN {
+            return Some(z * s + off * normal().inverse_cdf(self.limits.confidence));
+        }
+        let law = ChiSquared::new(spread.degrees).ok()?;
+        let holds = |h: f64| over_normal(&|x| spread.beyond(&law, crossing(&|c| z * spread.at(c) - x * off / c, h)));
+        root(&holds, self.limits.confidence, s)
+    }
+
+    /// h with P(Φ((m + h - m_c)/s_c) - Φ((m - h - m_c)/s_c) ≥ p) = γ.
+    fn two_sided(&self, spread: &Spread) -> Option<f64> {
+        let (off, s) = (spread.of_mean.sqrt(), spread.variance.sqrt());
+        if spread.degrees >= KNOWN {
+            // the content falls as the mean is further off
+            return Some(s * self.widths.at(off / s * normal().inverse_cdf(0.5 * (1.0 + self.limits.confidence))));
+        }
+        let law = ChiSquared::new(spread.degrees).ok()?;
+        let needed = |x: f64, c: f64| {
+            let (s, off) = (spread.at(c), x.abs() * off / c);
+            if s > off * 1e-9 { s * self.widths.at(off / s) } else { off }
+        };
+        let holds = |h: f64| over_normal(&|x| spread.beyond(&law, crossing(&|c| needed(x, c), h)));
+        root(&holds, self.limits.confidence, s)
+    }
+}
+
+fn normal() -> Normal {
+    Normal::standard()
+}
+
+/// r(x) with Φ(x + r) - Φ(x - r) = p, from a table of values and slopes.
+#[derive(Debug, Clone)]
+struct Widths {
+    table: Vec<(f64, f64)>,
+    /// z_p: far out r = x + z_p.
+    quantile: f64,
+}
+
+/// Distance of the entries of the table,
+const STEP: f64 = 0.05;
+/// and their number.
+const ENTRIES: usize = 161;
+
+impl Widths {
+    fn new(content: f64) -> Widths {
+        let law = normal();
+        let entry = |k: usize| {
+            let x = STEP * k as f64;
+            let (mut low, mut high) = (0.0, x + law.inverse_cdf(0.5 * (1.0 + content)));
+            for _ in 0..60 {
+                let middle = 0.5 * (low + high);
+                let within = law.cdf(x + middle) - law.cdf(x - middle);
+                if within < content { low = middle } else { high = middle }
+            }
+            let r = 0.5 * (low + high);
+            let [near, far] = [x - r, x + r].map(|x| (-0.5 * x * x).exp());
+            (r, (near - far) / (near + far))
+        };
+        Widths { table: (0..ENTRIES).map(entry).collect(), quantile: law.inverse_cdf(content) }
+    }
+
+    fn at(&self, x: f64) -> f64 {
+        let place = x / STEP;
+        let k = place as usize;
+        if k + 1 >= self.table.len() {
+            return x + self.quantile;
+        }
+        let (t, [(a, slope_a), (b, slope_b)]) = (place - k as f64, [self.table[k], self.table[k + 1]]);
+        let (u, tt) = (1.0 - t, t * t);
+        a * (1.0 + 2.0 * t) * u * u + b * tt * (3.0 - 2.0 * t) + STEP * t * u * (slope_a * u - slope_b * t)
+    }
+}
+
+/// Where a function that falls from above comes down to a level; zero where it is below from the start.
+fn crossing(of: &dyn Fn(f64) -> f64, level: f64) -> f64 {
+    const LEAST: f64 = 1e-8;
+    if of(LEAST) <= level {
+        return 0.0;
+    }
+    let (mut low, mut high) = (LEAST.ln(), 0.0);
+    while of(f64::exp(high)) > level {
+        (low, high) = (high, high + 1.0);
+        if high > 40.0 {
+            return f64::INFINITY;
+        }
+    }
+    for _ in 0..44 {
+        let middle = 0.5 * (low + high);
+        if of(middle.exp()) > level { low = middle } else { high = middle }
+    }
+    (0.5 * (low + high)).exp()
+}
+
+/// Where an increasing function that begins with zero at zero is as large as asked; `None` where it never is. `size`: of the root.
+fn root(of: &dyn Fn(f64) -> f64, wanted: f64, size: f64) -> Option<f64> {
+    let (mut low, mut high) = (1e-9 * size, size);
+    while of(high) < wanted {
+        (low, high) = (high, 2.0 * high);
+        if high > 1e9 * size {
+            return None;
+        }
+    }
+    // regula falsi; a side that stays counts half (Illinois)
+    let (mut below, mut above) = (of(low) - wanted, of(high) - wanted);
+    for _ in 0..100 {
+        let middle = if below < 0.0 && above > below { (low * above - high * below) / (above - below) } else { high };
+        let found = of(middle) - wanted;
+        if found.abs() < 1e-11 || high - low < 1e-11 * high {
+            return Some(middle);
+        }
+        if found < 0.0 {
+            (low, below, above) = (middle, found, 0.5 * above);
+        } else {
+            (high, above, below) = (middle, found, 0.5 * below);
+        }
+    }
+    Some(0.5 * (low + high))
+}
+
+/// E f(Z), Z ~ N(0, 1): the rule of trapezes, which is exact to many digits for what falls off as the normal law does.
+fn over_normal(f: &dyn Fn(f64) -> f64) -> f64 {
+    let step = 2.0 * WIDE / NODES as f64;
+    let density = |x: f64| step * (-0.5 * x * x).exp() / (2.0 * std::f64::consts::PI).sqrt();
+    (0..=NODES).map(|k| -WIDE + step * k as f64).map(|x| density(x) * f(x)).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::predict::{Estimation, What};
+
+    /// Of N tests that tell y exactly: mean 0 and variance 1 without bias.
+    fn of(tests: f64) -> Predicted {
+        let ml = (tests - 1.0) / tests;
+        let estimation = Estimation {
+            mean: ml / tests,
+            variance: 2.0 * ml * ml / tests,
+            population: 2.0 * ml * ml / tests,
+            lost: Some(1),
+        };
+        Predicted {
+            what: What::Output(0),
+            row: 0,
+            mean: 0.0,
+            population: ml,
+            process: 0.0,
+            hangs_on_zero: false,
+            estimation: Some(estimation),
+        }
+    }
+
+    fn limits(confidence: f64, content: f64, sides: Sides) -> Bounds {
+        Bounds::new(Limits { confidence, content, sides })
+    }
+
+    /// Tests, confidence, content, factor.
+    type Row = (f64, f64, f64, f64);
+
+    const ONE_SIDED: [Row; 5] = [
+        (5.0, 0.9, 0.95, 3.399_833_958),
+        (10.0, 0.95, 0.9, 2.354_640_132),
+        (30.0, 0.9, 0.99, 2.883_724_685),
+        (3.0, 0.95, 0.95, 7.655_900_133),
+        (200.0, 0.9, 0.95, 1.793_323_993),
+    ];
+
+    const TWO_SIDED: [Row; 5] = [
+        (5.0, 0.9, 0.95, 4.142_464_440),
+        (10.0, 0.95, 0.9, 2.856_310_849),
+        (30.0, 0.9, 0.99, 3.173_308_609),
+        (3.0, 0.95, 0.95, 9.788_752_403),
+        (100.0, 0.9, 0.95, 2.172_381_090),
+    ];
+
+    #[test]
+    fn one_sided_factors_are_those_of_the_tables() {
+        // by scipy.stats.nct.ppf(γ, n - 1, z_p √n) / √n
+        for (tests, confidence, content, expected) in ONE_SIDED {
+            let [lower, upper] = limits(confidence, content, Sides::One).of_tests(&of(tests)).expect("enough tests");
+            assert!(
+                (upper - expected).abs() < 1e-6 * expected,
+                "{tests} {confidence} {content}: {upper} against {expected}"
+            );
+            assert_eq!(lower, -upper);
+        }
+    }
+
+    #[test]
+    fn two_sided_factors_are_those_of_the_tables() {
+        // by quadrature over the mean and the variance with scipy
+        for (tests, confidence, content, expected) in TWO_SIDED {
+            let [_, upper] = limits(confidence, content, Sides::Two).of_tests(&of(tests)).expect("enough tests");
+            assert!(
+                (upper - expected).abs() < 1e-5 * expected,
+                "{tests} {confidence} {content}: {upper} against {expected}"
+            );
+        }
+    }
+
+    /// By restricted likelihood the variance is without bias, and its error is that of N - 1.
+    #[test]
+    fn restricted_likelihood_has_the_same_limits() {
+        for tests in [5.0, 10.0, 30.0] {
+            let of_variance = 2.0 / (tests - 1.0);
+            let estimation =
+                Estimation { mean: 1.0 / tests, variance: of_variance, population: of_variance, lost: None };
+            let restricted = Predicted { population: 1.0, estimation: Some(estimation), ..of(tests) };
+            let bounds = limits(0.9, 0.95, Sides::Two);
+            let [found, expected] = [&restricted, &of(tests)].map(|value| bounds.of_tests(value).expect("enough")[1]);
+            assert!((found - expected).abs() < 1e-8, "{tests}: {found} against {expected}");
+            let [found, expected] = [&restricted, &of(tests)].map(|value| bounds.of_mean(value).expect("enough")[1]);
+            assert!((found - expected).abs() < 1e-8, "{tests}: {found} against {expected}");
+        }
+    }
+
+    #[test]
+    fn the_mean_has_the_law_of_t() {
+        // scipy.stats.t.ppf(0.95, 9) / √10
+        let [lower, upper] = limits(0.9, 0.95, Sides::Two).of_mean(&of(10.0)).expect("enough tests");
+        let expected = 0.579_681_207;
+        assert!((upper - expected).abs() < 1e-6, "{upper} against {expected}");
+        assert_eq!(lower, -upper);
+    }
+
+    #[test]
+    fn a_variance_that_is_known_leaves_quantiles() {
+        let known = Predicted { estimation: Some(Estimation::default()), population: 4.0, ..of(10.0) };
+        let [_, upper] = limits(0.9, 0.95, Sides::Two).of_tests(&known).expect("known");
+        assert!((upper - 2.0 * 1.959_963_985).abs() < 1e-8, "{upper}");
+        let [_, upper] = limits(0.9, 0.95, Sides::One).of_tests(&known).expect("known");
+        assert!((upper - 2.0 * 1.644_853_627).abs() < 1e-8, "{upper}");
+    }
+
+    /// 30 tests that tell y with errors of three times its variance: limits that r is seen in, not as if ν were two.
+    #[test]
+    fn errors_of_the_tests_are_allowed_for() {
+        let (tests, r) = (30.0, 3.0);
+        let ml: f64 = 1.0 - (1.0 + r) / tests;
+        let seen = ml + r;
+        let of_population = 2.0 * seen * seen / tests;
+        let estimation =
+            Estimation { mean: seen / tests, variance: of_population, population: of_population, lost: Some(1) };
+        let value = Predicted { population: ml, estimation: Some(estimation), ..of(30.0) };
+        let spread = Spread::of(&value).expect("enough tests");
+        for (what, found, expected) in [
+            ("s²", spread.variance, 1.0),
+            ("s² + r", spread.scale, 4.0),
+            ("ν", spread.degrees, 29.0),
+            ("V", spread.of_mean, 4.0 / 30.0),
+        ] {
+            assert!((found - expected).abs() < 1e-9, "{what}: {found} against {expected}");
+        }
+    }
+
+    #[test]
+    fn one_test_tells_no_limits() {
+        let estimation = Some(Estimation { mean: 1.0, variance: 2.0, population: 2.0, lost: Some(1) });
+        let one = Predicted { population: 1.0, estimation, ..of(9.0) };
+        assert_eq!(limits(0.9, 0.95, Sides::Two).of_tests(&one), None);
+        assert_eq!(limits(0.9, 0.95, Sides::Two).of_mean(&Predicted { estimation: None, ..of(9.0) }), None);
+    }
+}

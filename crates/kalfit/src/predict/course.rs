@@ -1,0 +1,241 @@
+//! A design followed by the model: means, sensitivities to ξ and to the regression coefficients, and the covariance by process noise, step
+//! by step and from phase to phase.
+#![expect(non_snake_case, reason = "the letters of the theory: Psi, P, C")]
+
+use std::ops::Range;
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::apply::{Form, Record, Subject};
+use crate::ensemble::Test;
+use crate::model::{Alpha, PhasedModel};
+use crate::predict::knowledge::Steps;
+use crate::predict::{Initial, Knowledge, PhasePredictions, PredictError, Predicted, StepPredictions, What};
+use crate::reduce::{Evidence, PhasedReducer, PhasedTest, PhasedWork, Terminal, own_innovations};
+use crate::score::{BackwardWork, Moments, Run, Seen, Wanted};
+
+/// The model at one α.
+#[derive(Debug)]
+pub(super) struct Way {
+    reducer: PhasedReducer,
+}
+
+/// What enters a phase: σ = mean + sensitivity (ξ, γ) + noise.
+struct Entering {
+    mean: DVector<f64>,
+    /// q × (Σ p_i + regressions of all phases).
+    sensitivity: DMatrix<f64>,
+    /// By process noise of earlier phases, q × q.
+    covariance: DMatrix<f64>,
+}
+
+/// All values of a design.
+#[derive(Debug)]
+pub(super) struct Course {
+    phases: Vec<PhaseCourse>,
+}
+
+#[derive(Debug)]
+struct PhaseCourse {
+    phase: usize,
+    steps: Vec<(Range<usize>, Option<f64>, Vec<Value>)>,
+}
+
+/// One value.
+#[derive(Debug)]
+pub(super) struct Value {
+    what: What,
+    row: usize,
+    pub(super) mean: f64,
+    /// By (ξ, γ).
+    pub(super) sensitivity: DVector<f64>,
+    /// Variance by process noise.
+    pub(super) process: f64,
+}
+
+impl Value {
+    /// g'Σg.
+    pub(super) fn population(&self, covariance: &DMatrix<f64>) -> f64 {
+        let own = self.sensitivity.rows(0, covariance.nrows());
+        own.dot(&(covariance * own)).max(0.0)
+    }
+}
+
+impl Way {
+    pub(super) fn new(model: &PhasedModel, alpha: &Alpha) -> Result<Way, PredictError> {
+        Ok(Way { reducer: PhasedReducer::new(model, alpha)? })
+    }
+
+    /// Follows a design phase by phase.
+    pub(super) fn course(
+        &self,
+        model: &PhasedModel,
+        design: &PhasedTest,
+        (initial, coefficients): (&Initial, &[f64]),
+    ) -> Result<Course, PredictError> {
+        let mut work = self.reducer.workspace();
+        let mut phases = Vec::with_capacity(design.phases.len());
+        let mut before: Option<(Entering, Terminal)> = None;
+        let (ranges, mut regression) = (model.ranges(), 0);
+        for (at, evidence) in design.phases.iter().enumerate() {
+            let Evidence::Rows(rows) = evidence else { break };
+            let own = (ranges[at].clone(), regression);
+            regression += model.phases[at].model.mean.regression.len();
+            let (course, end) =
+                self.phase((model, at), rows, (initial, coefficients, own), before.as_ref(), &mut work)?;
+            phases.push(course);
+            before = end;
+        }
+        Ok(Course { phases })
+    }
+
+    fn phase(
+        &self,
+        (model, at): (&PhasedModel, usize),
+        rows: &Test,
+        (initial, coefficients, (elements, regression)): (&Initial, &[f64], (Range<usize>, usize)),
+        before: Option<&(Entering, Terminal)>,
+        work: &mut PhasedWork,
+    ) -> Result<(PhaseCourse, Option<(Entering, Terminal)>), PredictError> {
+        let phase = &self.reducer.phases()[at];
+        let (blank, read) = (filled(rows, f64::NAN), filled(rows, 0.0));
+        let inherited = before.map(|before| Ok::<_, PredictError>((before, phase.inherited(&blank, &mut work.cells)?)));
+        let inherited = inherited.transpose()?;
+        let record = Record::new(phase, &read)?;
+        let forms = record.forms();
+        let structure = &model.phases[at].model.mean.regression;
+        let follow = |gains: &crate::reduce::Gains, work: &mut crate::reduce::Workspace| {
+            let q = work.design.frame.p;
+            let mut entering = Entering {
+                mean: DVector::zeros(q),
+                sensitivity: DMatrix::zeros(q, initial.mean.len() + coefficients.len()),
+                covariance: DMatrix::zeros(q, q),
+            };
+            for (row, element) in elements.clone().enumerate() {
+                entering.mean[row] = initial.mean[element];
+                entering.sensitivity[(row, element)] = 1.0;
+            }
+            for (number, (own, covariate)) in structure.iter().zip(&work.covariates).enumerate() {
+                entering.mean[own.element] += coefficients[regression + number] * covariate;
+                entering.sensitivity[(own.element, initial.mean.len() + regression + number)] += covariate;
+            }
+            if let Some(((last, terminal), inherited)) = &inherited {
+                entering.add(last, terminal, inherited);
+            }
+            own_innovations(gains, work);
+            let unknown = Moments::of(&DVector::zeros(q), &DMatrix::identity(q, q));
+            let run = Run::of((work, gains), (&unknown, None), Wanted { motion: true, equation: false });
+            let mut steps = forms.into_iter();
+            let mut course = Vec::with_capacity(work.design.steps());
+            run.forth(&mut BackwardWork::default(), &work.pass.e, |_, measured, seen| {
+                if !measured && let Some((rows, time, forms)) = steps.next() {
+                    let state = Reached::new(seen, &entering);
+                    let values = forms.iter().map(|(subject, form)| state.value((*subject, rows.start), form));
+                    course.push((rows.clone(), time, values.collect()));
+                }
+            });
+            let states = &phase.reducer.preparer().order.states;
+            let end = gains.end.as_ref().map(|end| end.terminal(states, &work.pass.x));
+            (PhaseCourse { phase: at, steps: course }, end.map(|end| (entering, end)))
+        };
+        phase.reducer.with_gains(&blank, &mut work.phases[at], follow).map_err(|error| phase.named(error).into())
+    }
+}
+
+/// The rows with a number in the last column of each, where outputs are read from.
+fn filled(rows: &Test, value: f64) -> Test {
+    let (numbers, texts) = rows.widths();
+    let mut test = Test::new(rows.id.clone(), numbers + 1, texts);
+    let mut cells = Vec::with_capacity(numbers + 1);
+    for row in 0..rows.rows() {
+        cells.clear();
+        cells.extend_from_slice(rows.numbers(row));
+        cells.push(value);
+        test.push(&cells, rows.texts(row), rows.source(row));
+    }
+    test
+}
+
+impl Entering {
+    /// Adds T x_K + t of the phase before.
+    fn add(&mut self, last: &Entering, terminal: &Terminal, inherited: &crate::reduce::Inherited) {
+        let T = &inherited.transition;
+        let along = T * &terminal.sensitivity;
+        self.mean += T * &terminal.mean + &inherited.input + &along * &last.mean;
+        self.sensitivity += &along * &last.sensitivity;
+        self.covariance += T * terminal.covariance() * T.transpose() + &along * &last.covariance * along.transpose();
+    }
+}
+
+/// The states at a step.
+struct Reached {
+    mean: DVector<f64>,
+    /// By (ξ, γ), n × their number.
+    sensitivity: DMatrix<f64>,
+    /// By process noise, n × n.
+    covariance: DMatrix<f64>,
+}
+
+impl Reached {
+    fn new(seen: Seen<'_>, entering: &Entering) -> Reached {
+        let (n, q) = (seen.x.len(), entering.mean.len());
+        let Psi = DMatrix::from_row_slice(n, q, seen.Psi);
+        let r = seen.P.len().isqrt();
+        let mut covariance = &Psi * &entering.covariance * Psi.transpose();
+        for i in 0..r {
+            for k in 0..r {
+                covariance[(i, k)] += seen.P[i * r + k];
+            }
+        }
+        Reached {
+            mean: DVector::from_column_slice(seen.x) + &Psi * &entering.mean,
+            sensitivity: Psi * &entering.sensitivity,
+            covariance,
+        }
+    }
+
+    fn value(&self, (subject, first): (Subject, usize), form: &Form) -> Value {
+        let (what, row) = match subject {
+            Subject::State(state) => (What::State(state), first),
+            Subject::Measurement(output, row) => (What::Output(output), row),
+        };
+        Value {
+            what,
+            row,
+            mean: form.of(self.mean.as_slice()),
+            sensitivity: form.along(&self.sensitivity),
+            process: form.variance(&self.covariance),
+        }
+    }
+}
+
+impl Course {
+    /// What is known of every value. `sides`: the courses at the α of each step to both sides.
+    pub(super) fn predictions(
+        &self,
+        sides: &[Course],
+        initial: &Initial,
+        known: Option<(&Knowledge, &Steps)>,
+    ) -> Vec<PhasePredictions> {
+        let predicted = |phase: usize, step: usize, place: usize, value: &Value| {
+            let beside: Vec<&Value> = sides.iter().map(|side| &side.phases[phase].steps[step].2[place]).collect();
+            Predicted {
+                what: value.what,
+                row: value.row,
+                mean: value.mean,
+                population: value.population(&initial.covariance),
+                process: value.process,
+                hangs_on_zero: known.is_some_and(|(knowledge, _)| knowledge.hangs_on_zero(initial, value)),
+                estimation: known.and_then(|(knowledge, steps)| steps.estimation(knowledge, initial, value, &beside)),
+            }
+        };
+        let of_phase = |(place, phase): (usize, &PhaseCourse)| {
+            let step = |(number, (rows, time, values)): (usize, &(Range<usize>, Option<f64>, Vec<Value>))| {
+                let all = values.iter().enumerate().map(|(at, value)| predicted(place, number, at, value));
+                StepPredictions { rows: rows.clone(), time: *time, values: all.collect() }
+            };
+            PhasePredictions { phase: phase.phase, steps: phase.steps.iter().enumerate().map(step).collect() }
+        };
+        self.phases.iter().enumerate().map(of_phase).collect()
+    }
+}

@@ -1,0 +1,264 @@
+//! What a test that nobody has made will give: states and outputs along its design, with what they vary by from test to test, by process
+//! noise, and by what estimation leaves open (theory §12).
+//!
+//! ```text
+//! y_k = g'θ̂ + …        population g'Σg,   process noise h'P_kh,   estimation (∂y/∂θ)' Var[θ̂] (∂y/∂θ)
+//! ```
+//!
+//! Nothing is measured, so that all three add up. From them come limits for the mean, and limits that a given part of all tests stays within.
+
+mod bounds;
+mod course;
+mod error;
+mod knowledge;
+mod pair;
+#[cfg(test)]
+mod tests;
+
+pub use bounds::{Bounds, Limits, Sides};
+pub use error::PredictError;
+pub use knowledge::{Knowledge, Known};
+pub use pair::{Ellipse, Pair};
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+use nalgebra::DMatrix;
+use rayon::prelude::*;
+
+use crate::model::{Alpha, Column, Expression, Linear, Measurement, Model, Operator, Phase, PhasedModel, Population};
+use crate::predict::course::{Course, Way};
+use crate::predict::knowledge::Steps;
+use crate::reduce::{Evidence, PhasedTest};
+
+/// A quantity that is linear in the states, as a measurement is, and that nobody measures.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Output {
+    /// Its name.
+    pub name: String,
+    /// Its unit, a label.
+    pub unit: Option<String>,
+    /// h'x + d.
+    pub equation: Linear,
+}
+
+impl Output {
+    /// The sum of two, without a name: what tells how they vary together.
+    pub fn sum(first: &Output, second: &Output) -> Output {
+        let add = |a: &Expression, b: &Expression| {
+            Expression::Binary(Operator::Add, Box::new(a.clone()), Box::new(b.clone()))
+        };
+        let mut terms: BTreeMap<usize, Expression> = first.equation.terms.iter().cloned().collect();
+        for (state, coefficient) in &second.equation.terms {
+            let both = terms.get(state).map_or(coefficient.clone(), |own| add(own, coefficient));
+            terms.insert(*state, both);
+        }
+        let constant = add(&first.equation.constant, &second.equation.constant);
+        let equation = Linear { terms: terms.into_iter().collect(), constant };
+        Output { name: String::new(), unit: None, equation }
+    }
+}
+
+/// What is predicted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum What {
+    /// A state, by its place in the phase's model.
+    State(usize),
+    /// An output, by its place among those of the phase.
+    Output(usize),
+}
+
+/// States and outputs of one phase of a test.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PhasePredictions {
+    /// The phase, by its place in the model.
+    pub phase: usize,
+    /// Step by step.
+    pub steps: Vec<StepPredictions>,
+}
+
+/// States and outputs at one step: rows of the same time are one step.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StepPredictions {
+    /// Its rows among those of the phase.
+    pub rows: Range<usize>,
+    /// Its time, where the model has a column of times.
+    pub time: Option<f64>,
+    /// The states, once a step, and then the outputs, once a row.
+    pub values: Vec<Predicted>,
+}
+
+/// What is known of one value of a test that nobody has made.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Predicted {
+    /// What it is.
+    pub what: What,
+    /// Its row among those of the phase.
+    pub row: usize,
+    /// Its mean over tests.
+    pub mean: f64,
+    /// Its variance from test to test, by the initial state.
+    pub population: f64,
+    /// Its variance by process noise.
+    pub process: f64,
+    /// A variance that it hangs on was estimated as zero: how large it may be, the standard errors do not say.
+    pub hangs_on_zero: bool,
+    /// What the estimates leave open; `None` where it hangs on something that the data do not determine.
+    pub estimation: Option<Estimation>,
+}
+
+/// Variances of the estimates of a mean and of a variance over tests.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Estimation {
+    /// Of the mean.
+    pub mean: f64,
+    /// Of the variance over tests, process noise in it.
+    pub variance: f64,
+    /// Of that part of it that is by the initial state.
+    pub population: f64,
+    /// How many numbers of the mean were estimated, which the variance does not allow for; `None` by restricted likelihood, where it does.
+    pub lost: Option<usize>,
+}
+
+impl Predicted {
+    /// Its variance over tests.
+    pub fn variance(&self) -> f64 {
+        self.population + self.process
+    }
+
+    /// The standard deviation of what will be seen from what is predicted, the estimates' in it where it is known.
+    pub fn std_dev(&self) -> f64 {
+        (self.variance() + self.estimation.map_or(0.0, |estimation| estimation.mean)).sqrt()
+    }
+}
+
+/// The law of the initial state of the tests that are predicted.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Initial {
+    /// E[ξ] with the regressions apart.
+    pub mean: Vec<f64>,
+    /// Var[ξ].
+    pub covariance: DMatrix<f64>,
+    /// d E[ξ] / dμ; `None` where the mean is μ itself.
+    pub shrinkage: Option<DMatrix<f64>>,
+    /// Levels of groups whose covariance is in `covariance`, by their place among the blocks of Σ.
+    pub levels: Range<usize>,
+}
+
+impl Initial {
+    /// Of a new test, of a new group of each level.
+    pub fn new(model: &PhasedModel, population: &Population) -> Initial {
+        let Population { mean, covariance, .. } = population.together(model.dimension());
+        Initial { mean, covariance, shrinkage: None, levels: 0..model.levels.len() + 1 }
+    }
+
+    /// Of a new test of a group that is known, of the innermost level: from what is known of the mean of its tests. With one level of groups
+    /// it is counted how little of μ that hangs on; with more all of it.
+    pub fn of_group(
+        model: &PhasedModel,
+        population: &Population,
+        mean: Vec<f64>,
+        covariance: &DMatrix<f64>,
+    ) -> Initial {
+        let p = model.dimension();
+        let own = population.covariance.view((0, 0), (p, p)).into_owned();
+        let shrinkage = (model.levels.len() == 1).then(|| {
+            let level = population.covariance.view((p, p), (p, p)).into_owned();
+            let inverse = crate::linalg::symmetric::pseudo_inverse(&level);
+            // directions in which groups do not differ are all of μ
+            let still = DMatrix::identity(p, p) - &level * &inverse;
+            covariance * inverse + still
+        });
+        Initial { mean, covariance: covariance + own, shrinkage, levels: 0..1 }
+    }
+}
+
+/// A model at (α, μ, Σ), and what is known of those.
+#[derive(Debug)]
+pub struct Predictor {
+    model: PhasedModel,
+    alpha: Alpha,
+    coefficients: Vec<f64>,
+    knowledge: Option<Knowledge>,
+    /// The model at α, and at α with each free value moved to both sides.
+    ways: Vec<Way>,
+    steps: Steps,
+}
+
+impl Predictor {
+    /// A model that measures nothing, with the outputs of each phase. `knowledge`: `None` where the estimates say nothing of how far they can
+    /// be trusted; [`Knowledge::exact`] of values that are given.
+    ///
+    /// # Errors
+    /// Coefficients that have no value.
+    pub fn new(
+        design: &PhasedModel,
+        outputs: &[Vec<Output>],
+        (alpha, coefficients): (&Alpha, &[f64]),
+        knowledge: Option<Knowledge>,
+    ) -> Result<Predictor, PredictError> {
+        let model = with_outputs(design, outputs);
+        let steps = Steps::new(&model, alpha, knowledge.as_ref());
+        let alphas = std::iter::once(alpha).chain(steps.moved());
+        let ways = alphas.map(|alpha| Way::new(&model, alpha)).collect::<Result<_, _>>()?;
+        Ok(Predictor { model, alpha: alpha.clone(), coefficients: coefficients.to_vec(), knowledge, ways, steps })
+    }
+
+    /// The values of α.
+    pub fn alpha(&self) -> &Alpha {
+        &self.alpha
+    }
+
+    /// States and outputs of designs, phase by phase; `initial`: the law of each one's initial state.
+    ///
+    /// # Errors
+    /// Tests without rows; rows that have no value.
+    pub fn predict(
+        &self,
+        designs: &[PhasedTest],
+        initial: &[&Initial],
+    ) -> Result<Vec<Vec<PhasePredictions>>, PredictError> {
+        let found: Vec<Result<Vec<PhasePredictions>, PredictError>> =
+            designs.par_iter().zip(initial).map(|(design, initial)| self.one(design, initial)).collect();
+        found.into_iter().collect()
+    }
+
+    fn one(&self, design: &PhasedTest, initial: &Initial) -> Result<Vec<PhasePredictions>, PredictError> {
+        for (evidence, phase) in design.phases.iter().zip(&self.model.phases) {
+            if !matches!(evidence, Evidence::Rows(_)) {
+                return Err(PredictError::NoRows { test: design.id.clone(), phase: phase.name.clone() });
+            }
+        }
+        let mut ways = self.ways.iter();
+        let at = |way: &Way| way.course(&self.model, design, (initial, &self.coefficients));
+        let home = ways.next().map(at).expect("the model itself is the first way")?;
+        let sides = ways.map(at).collect::<Result<Vec<Course>, _>>()?;
+        let known = self.knowledge.as_ref().map(|knowledge| (knowledge, &self.steps));
+        Ok(home.predictions(&sides, initial, known))
+    }
+}
+
+/// The model with the outputs in the place of measurements, read from a column of their own after all others.
+fn with_outputs(design: &PhasedModel, outputs: &[Vec<Output>]) -> PhasedModel {
+    let mut columns = design.shared().columns.clone();
+    columns.push(Column { name: String::new(), used_in: String::new() });
+    let column = columns.len() - 1;
+    let measured = |output: &Output| Measurement {
+        name: output.name.clone(),
+        column,
+        filter: None,
+        equation: output.equation.clone(),
+        noise_variance: Expression::Number(0.0),
+    };
+    let of = |(phase, outputs): (&Phase, &Vec<Output>)| Phase {
+        model: Model {
+            columns: columns.clone(),
+            measurements: outputs.iter().map(measured).collect(),
+            noise_covariance: Vec::new(),
+            ..phase.model.clone()
+        },
+        filter: None,
+        ..phase.clone()
+    };
+    PhasedModel { phases: design.phases.iter().zip(outputs).map(of).collect(), ..design.clone() }
+}

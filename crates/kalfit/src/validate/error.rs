@@ -1,0 +1,22 @@
+//! Why a model is not validated.
+
+use crate::apply::ApplyError;
+use crate::face::EnsembleError;
+use crate::reduce::GroupingError;
+
+/// Why a model is not validated.
+#[derive(Debug, thiserror::Error)]
+pub enum ValidateError {
+    /// A fit that cannot be made.
+    #[error(transparent)]
+    Fit(#[from] EnsembleError),
+    /// A fit that cannot be applied to its fold.
+    #[error(transparent)]
+    Apply(#[from] ApplyError),
+    /// Tests that stand in no groups.
+    #[error(transparent)]
+    Grouping(#[from] GroupingError),
+    /// Nobody waits.
+    #[error("interrupted")]
+    Interrupted,
+}

@@ -1,0 +1,132 @@
+//! Folds of tests: which tests are left out together.
+
+use std::collections::BTreeMap;
+
+use rand::SeedableRng;
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+
+use crate::ensemble::Labels;
+use crate::model::PhasedModel;
+use crate::record::TestGroups;
+use crate::reduce::{PhasedTest, grouping};
+use crate::validate::ValidateError;
+
+/// A fold for each test.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Folds {
+    /// Names of the folds.
+    pub names: Vec<String>,
+    /// The fold of each test.
+    pub of: Vec<usize>,
+}
+
+/// Why there are no folds.
+#[derive(Debug, thiserror::Error)]
+pub enum FoldsError {
+    /// One fold leaves nothing to fit.
+    #[error("there is one fold, expected two or more: {why}")]
+    One {
+        /// What would make more of them.
+        why: &'static str,
+    },
+    /// The tests of one group are in two folds.
+    #[error("tests of {level} `{group}` are in folds `{first}` and `{second}`, expected one fold for all of them")]
+    Apart {
+        /// The outermost level.
+        level: String,
+        /// The group.
+        group: String,
+        /// One fold.
+        first: String,
+        /// Another.
+        second: String,
+    },
+    /// Tests that stand in no groups.
+    #[error(transparent)]
+    Validate(Box<ValidateError>),
+}
+
+impl Folds {
+    /// Of about equal numbers of tests, or of groups of the outermost level, drawn from a seed; the order of the tests does not matter.
+    ///
+    /// # Errors
+    /// Fewer than two tests or groups.
+    pub fn drawn(
+        model: &PhasedModel,
+        labels: &Labels,
+        tests: &[PhasedTest],
+        (count, seed): (usize, u64),
+    ) -> Result<Folds, FoldsError> {
+        let pieces = pieces(model, labels, tests)?;
+        let mut names: Vec<&String> = pieces.iter().collect();
+        names.sort();
+        names.dedup();
+        let why = if model.levels.is_empty() { "give two tests or more" } else { "give two groups or more" };
+        if names.len() < 2 || count < 2 {
+            return Err(FoldsError::One { why });
+        }
+        let count = count.min(names.len());
+        names.shuffle(&mut ChaCha8Rng::seed_from_u64(seed));
+        let fold: BTreeMap<&String, usize> = names.iter().enumerate().map(|(k, name)| (*name, k % count)).collect();
+        let of = pieces.iter().map(|name| fold[name]).collect();
+        Ok(Folds { names: (1..=count).map(|k| k.to_string()).collect(), of })
+    }
+
+    /// Those of the column that tests are grouped by: tests with one text are a fold.
+    ///
+    /// # Errors
+    /// One text only; groups whose tests have two.
+    pub fn by_text(
+        model: &PhasedModel,
+        labels: &Labels,
+        tests: &[PhasedTest],
+        groups: &TestGroups,
+    ) -> Result<Folds, FoldsError> {
+        let texts: BTreeMap<&str, &str> =
+            groups.each().iter().map(|(id, text)| (id.as_str(), text.as_deref().unwrap_or_default())).collect();
+        let own: Vec<&str> =
+            tests.iter().map(|test| texts.get(test.id.as_str()).copied().unwrap_or_default()).collect();
+        let mut names = own.clone();
+        names.sort_unstable();
+        names.dedup();
+        if names.len() < 2 {
+            return Err(FoldsError::One { why: "name a column with different texts" });
+        }
+        let of: Vec<usize> = own.iter().map(|text| names.partition_point(|name| name < text)).collect();
+        if let Some(level) = model.levels.first() {
+            let mut seen: BTreeMap<String, usize> = BTreeMap::new();
+            for (group, &fold) in pieces(model, labels, tests)?.into_iter().zip(&of) {
+                let first = *seen.entry(group.clone()).or_insert(fold);
+                if first != fold {
+                    let [first, second] = [first, fold].map(|fold| names[fold].to_owned());
+                    return Err(FoldsError::Apart { level: level.name.clone(), group, first, second });
+                }
+            }
+        }
+        Ok(Folds { names: names.into_iter().map(str::to_owned).collect(), of })
+    }
+
+    /// How many there are.
+    pub fn count(&self) -> usize {
+        self.names.len()
+    }
+
+    /// The tests of a fold, and the others.
+    pub fn split(&self, fold: usize) -> (Vec<usize>, Vec<usize>) {
+        (0..self.of.len()).partition(|&test| self.of[test] == fold)
+    }
+}
+
+/// What is left out as a whole: of each test itself, or its group of the outermost level.
+fn pieces(model: &PhasedModel, labels: &Labels, tests: &[PhasedTest]) -> Result<Vec<String>, FoldsError> {
+    let found = grouping(model, tests).map_err(|error| FoldsError::Validate(Box::new(error.into())))?;
+    let Some(grouping) = found else { return Ok(tests.iter().map(|test| test.id.clone()).collect()) };
+    let level = model.levels.len() - 1;
+    let name = |test: &PhasedTest| {
+        let number = grouping.number(&test.id).unwrap_or_default();
+        let group = &grouping.groups(level)[grouping.group_of(number, level)];
+        group.path.iter().map(|&name| labels.text(name)).collect::<Vec<_>>().join("/")
+    };
+    Ok(tests.iter().map(name).collect())
+}
