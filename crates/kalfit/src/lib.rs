@@ -15,6 +15,7 @@ pub mod build;
 pub mod dynamic;
 pub mod ensemble;
 pub mod estimate;
+pub mod export;
 mod face;
 pub mod guide;
 pub mod infer;
