@@ -12,6 +12,7 @@
 
 pub mod apply;
 pub mod build;
+pub mod compare;
 pub mod dynamic;
 pub mod ensemble;
 pub mod estimate;
