@@ -9,13 +9,14 @@ use kalfit::estimate::{Combination, Criterion, Settings, Solver};
 use kalfit::infer::{Bootstrap, Choices, DeletionChoice, IntervalKind, StdErrors, TestsChoice};
 use kalfit_data::Datum;
 use kalfit_job::{
-    ApplyJob, CheckJob, ExchangeJob, Failure, FitJob, ModelJob, PlanJob, ReportJob, SimulateJob, TestJob,
+    ApplyJob, CheckJob, CompareJob, ExchangeJob, ExportJob, Failure, FitJob, Form, ModelJob, PlanJob, ReportJob,
+    SimulateJob, TestJob,
 };
 
 use crate::args::{
-    ApplyArgs, Args, CheckArgs, Command, CriterionArg, DeletionArg, ExchangeArgs, FitArgs, InnovationsArg,
-    IntervalsArg, KindArg, MethodArg, ModelArgs, PhasesArg, PlanArgs, ReportArgs, SimulateArgs, SolverArg,
-    StdErrorsArg, TestArgs,
+    ApplyArgs, Args, CheckArgs, Command, CompareArgs, CriterionArg, DeletionArg, ExchangeArgs, ExportArgs, FitArgs,
+    FormArg, InnovationsArg, IntervalsArg, KindArg, MethodArg, ModelArgs, PhasesArg, PlanArgs, ReportArgs,
+    SimulateArgs, SolverArg, StdErrorsArg, TestArgs,
 };
 use crate::ended::{Ended, Outcome};
 use crate::init::InitJob;
@@ -43,6 +44,8 @@ enum Job {
     Simulate(SimulateJob),
     Plan(PlanJob),
     Apply(ApplyJob),
+    Export(ExportJob),
+    Compare(CompareJob),
     Report(ReportJob),
     Completions(Shell),
     Man(Option<PathBuf>),
@@ -65,6 +68,8 @@ impl Order {
             Job::Simulate(job) => show::simulate(job, self.quiet),
             Job::Plan(job) => show::plan(job, self.quiet),
             Job::Apply(job) => show::apply(job, self.quiet),
+            Job::Export(job) => show::export(job, self.quiet),
+            Job::Compare(job) => show::compare(job, self.quiet),
             Job::Report(job) => show::report(job, self.quiet),
             Job::Completions(shell) => show::completions(*shell),
             Job::Man(folder) => show::man(folder.as_deref()),
@@ -85,6 +90,8 @@ impl From<Args> for Order {
             Command::Simulate(args) => (args.model.threads, args.quiet),
             Command::Plan(args) => (args.model.threads, args.quiet),
             Command::Apply(args) => (args.model.threads, args.quiet),
+            Command::Export(args) => (args.model.threads, args.quiet),
+            Command::Compare(args) => (None, args.quiet),
         };
         let threads = threads.map(usize::from);
         let job = match args.command {
@@ -96,6 +103,8 @@ impl From<Args> for Order {
             Command::Simulate(args) => Job::Simulate(args.into()),
             Command::Plan(args) => Job::Plan(args.into()),
             Command::Apply(args) => Job::Apply(args.into()),
+            Command::Export(args) => Job::Export(args.into()),
+            Command::Compare(args) => Job::Compare(args.into()),
             Command::Report(args) => Job::Report(args.into()),
             Command::Init(args) => Job::Init(InitJob { template: args.template, folder: args.dir.unwrap_or_default() }),
             Command::Completions(args) => Job::Completions(args.shell),
@@ -255,6 +264,33 @@ impl From<ApplyArgs> for ApplyJob {
                 KindArg::Predicted => StateKind::Predicted,
             },
         }
+    }
+}
+
+impl From<ExportArgs> for ExportJob {
+    fn from(args: ExportArgs) -> ExportJob {
+        let form = |form| match form {
+            FormArg::Json => Form::Json,
+            FormArg::Npz => Form::Npz,
+            FormArg::Mat => Form::Mat,
+            FormArg::C => Form::C,
+            FormArg::Python => Form::Python,
+        };
+        ExportJob {
+            model: args.model.into(),
+            from: args.from.into(),
+            phase: args.phase,
+            step: args.step,
+            at: args.at,
+            form: args.form.map(form),
+            out: Some(args.out),
+        }
+    }
+}
+
+impl From<CompareArgs> for CompareJob {
+    fn from(args: CompareArgs) -> CompareJob {
+        CompareJob { fits: args.fits.into_iter().map(Into::into).collect(), out: args.out }
     }
 }
 

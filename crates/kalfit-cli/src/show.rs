@@ -4,9 +4,12 @@ use std::path::Path;
 
 use clap_complete::Shell;
 use kalfit_job::{
-    ApplyJob, CheckJob, Done, ExchangeJob, Exchanged, Failure, FitJob, PlanJob, ReportJob, SimulateJob, TestJob, Watch,
+    ApplyJob, CheckJob, CompareJob, Done, ExchangeJob, Exchanged, ExportJob, Failure, FitJob, PlanJob, ReportJob,
+    SimulateJob, TestJob, Watch,
 };
-use kalfit_report::{applied_summary, check_summary, plan_summary, ratio_summary, summary};
+use kalfit_report::{
+    applied_summary, check_summary, compared_summary, exported_summary, plan_summary, ratio_summary, summary,
+};
 
 use crate::ended::{Ended, Outcome};
 use crate::generate;
@@ -36,6 +39,18 @@ pub(crate) fn plan(job: &PlanJob, quiet: bool) -> Result<Outcome, Ended> {
 pub(crate) fn apply(job: &ApplyJob, quiet: bool) -> Result<Outcome, Ended> {
     let Done { record, notes, written } = watched(quiet, |line| kalfit_job::apply(job, line))?;
     tell(quiet, &notes, || applied_summary(&record.record, &terminal::style()), written)?;
+    Ok(Outcome::Done)
+}
+
+pub(crate) fn export(job: &ExportJob, quiet: bool) -> Result<Outcome, Ended> {
+    let Done { record, notes, written } = kalfit_job::export(job)?;
+    tell(quiet, &notes, || exported_summary(&record, &terminal::style()), written)?;
+    Ok(Outcome::Done)
+}
+
+pub(crate) fn compare(job: &CompareJob, quiet: bool) -> Result<Outcome, Ended> {
+    let Done { record, notes, written } = kalfit_job::compare(job)?;
+    tell(quiet, &notes, || compared_summary(&record, &terminal::style()), written)?;
     Ok(Outcome::Done)
 }
 

@@ -105,4 +105,5 @@ mod words;
 
 pub use error::{ExpressionProblem, Problem, SpecError, StructureProblem};
 pub use hypothesis::{Hypothesis, HypothesisError};
+pub use show::PhaseWords;
 pub use spec::Spec;

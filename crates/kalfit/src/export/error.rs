@@ -112,8 +112,8 @@ impl ExportError {
                 let mut columns: Vec<&str> = varies.iter().map(|one| one.column.as_str()).collect();
                 columns.sort_unstable();
                 columns.dedup();
-                let options: Vec<String> = columns.iter().map(|column| format!("--at {column}=VALUE")).collect();
-                Some(format!("fix what they depend on: `{}`", options.join(" ")))
+                let options: Vec<String> = columns.iter().map(|column| format!("`--at {column}=VALUE`")).collect();
+                Some(format!("fix what they depend on: {}", options.join(", ")))
             }
             ExportError::NothingMeasured { .. } => Some("give the column of `where` another value".to_owned()),
             _ => None,

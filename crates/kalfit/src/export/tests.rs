@@ -167,7 +167,7 @@ fn columns_that_multiply_states_are_fixed_or_named() {
         ("noise variance of measurement `y`", "lot"),
     ];
     assert_eq!(named, expected);
-    assert_eq!(error.hint().as_deref(), Some("fix what they depend on: `--at T=VALUE --at lot=VALUE`"));
+    assert_eq!(error.hint().as_deref(), Some("fix what they depend on: `--at T=VALUE`, `--at lot=VALUE`"));
     let wanted = at(at(stepped(), "T", "27"), "lot", "B");
     compare("fixed columns", &model, &wanted);
     assert!(matches!(refused(&at(wanted.clone(), "u", "1")), ExportError::NoEffect { .. }));
