@@ -12,9 +12,9 @@ from kalfit._arrays import Ensemble
 from kalfit._data import Data, Table, as_data
 from kalfit._fit import Fit, Interrupted
 from kalfit._model import Model, ModelLike, Path, as_model, assignments
-from kalfit._results import Applied, Check, Plan, RatioTest, Simulation
+from kalfit._results import Applied, Check, Comparison, Filter, Plan, RatioTest, Simulation
 
-__all__ = ["apply", "check", "estimates", "fit", "plan", "reduce", "simulate", "test"]
+__all__ = ["apply", "check", "compare", "estimates", "export", "fit", "plan", "reduce", "simulate", "test"]
 
 Set = Union[Mapping[str, float], Sequence[str], None]
 Progress = Union[bool, Callable[[str], object]]
@@ -262,6 +262,57 @@ def apply(
         _model(model, set), as_data(data), _source(source), states, (_file(out), _file(states_out)), _how(threads, progress)
     )
     return Applied(made, notes, _table(tests), _table(along))
+
+
+def export(
+    model: ModelLike,
+    source: Fit | ModelLike,
+    *,
+    step: float | None = None,
+    at: Mapping[str, float | str] | None = None,
+    phase: str | None = None,
+    set: Set = None,
+    format: Literal["json", "npz", "mat", "c", "python"] | None = None,
+    out: Path | None = None,
+) -> Filter:
+    """The filter that follows from a fit, as constant matrices: all parameters are taken from ``source``.
+
+    ``source`` is a fit, its file, or a model with values. ``step`` is the length of a step in the model's unit of time, where anything
+    depends on it. Columns that multiply states, or that noise depends on, are given a value by ``at``: ``at={"temperature": 20}``.
+    ``out`` names a file for the filter, of the ``format`` that its ending says unless one is given.
+
+    >>> import kalfit
+    >>> model, data = "examples/random-coefficients/sleepstudy.toml", "examples/random-coefficients/sleepstudy.csv"
+    >>> filter = kalfit.export(model, kalfit.fit(model, data), at={"Days": 3})
+    >>> filter.states, filter.H.tolist()
+    (['intercept', 'slope'], [[1.0, 3.0]])
+    """
+    if format is not None and out is None:
+        raise ValueError("format says what is written to a file, but out names none")
+    fixed = [f"{column}={value}" for column, value in (at or {}).items()]
+    made, notes = _kalfit.export(_model(model, set), _source(source), (step, fixed, phase), format, _file(out))
+    return Filter(made, notes)
+
+
+def compare(fits: Mapping[str, Fit | Path] | Sequence[Fit | Path], *, out: Path | None = None) -> Comparison:
+    """Puts fits of the same data side by side: likelihoods, AIC and BIC, tests of one within another, what differs.
+
+    ``fits`` is a list of fits or of their files, or a dictionary of these with names to call them by.
+
+    >>> import kalfit
+    >>> data = "examples/random-coefficients/sleepstudy.csv"
+    >>> model = kalfit.Model.load("examples/random-coefficients/sleepstudy.toml")
+    >>> apart = kalfit.Model({**model.to_dict(), "covariance": {"structure": "diagonal"}})
+    >>> compared = kalfit.compare({"full": kalfit.fit(model, data), "diagonal": kalfit.fit(apart, data)})
+    >>> [round(fit["delta_aic"], 2) for fit in compared.fits], compared.nested[0]["df"]
+    ([1.94, 0.0], 1)
+    """
+    named = fits.items() if isinstance(fits, Mapping) else [(None, fit) for fit in fits]
+    texts = []
+    for number, (name, given) in enumerate(named, 1):
+        called, text, path = _source(given)
+        texts.append((name or (called if path else f"fit {number}"), text, path))
+    return Comparison(_kalfit.compare(texts, _file(out)))
 
 
 def plan(

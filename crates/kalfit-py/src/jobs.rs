@@ -7,14 +7,15 @@ use kalfit::apply::StateKind;
 use kalfit::estimate::Solver;
 use kalfit::infer::Bootstrap;
 use kalfit_job::{
-    AppliedModel, ApplyJob, CheckJob, Done, ExchangeJob, Exchanged, Failure, FitJob, PlanJob, SimulateJob, Simulated,
-    TableTo, TestJob, Watch,
+    AppliedModel, ApplyJob, CheckJob, CompareJob, Done, ExchangeJob, Exchanged, ExportJob, Failure, FitJob, Form,
+    PlanJob, SimulateJob, Simulated, TableTo, TestJob, Watch,
 };
 use kalfit_report::{Style, check_summary};
 use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::prelude::*;
 
 use crate::data::{Given, data};
+use crate::errors::exception;
 use crate::fit::Results;
 use crate::options::{Asked, FitOptions, Text, pick, settings};
 use crate::run::{Ended, How, run};
@@ -126,6 +127,35 @@ pub(crate) fn apply(
     let AppliedModel { record, tests, states } = done.record;
     let table = |file: Option<File>| file.map(Table::ipc).transpose();
     Ok((written(&record)?, table(tests)?, table(states)?, done.notes))
+}
+
+/// (length of a step, columns with their values as `column=value`, phase).
+type WantedFilter = (Option<f64>, Vec<String>, Option<String>);
+
+/// (JSON of the filter that follows from a fit, notes).
+#[pyfunction]
+pub(crate) fn export(
+    model: Asked,
+    from: Text,
+    wanted: WantedFilter,
+    form: Option<&str>,
+    out: Option<PathBuf>,
+) -> PyResult<(String, Vec<String>)> {
+    let forms =
+        [("json", Form::Json), ("npz", Form::Npz), ("mat", Form::Mat), ("c", Form::C), ("python", Form::Python)];
+    let form = form.map(|form| pick("format", form, &forms)).transpose()?;
+    let (step, at, phase) = wanted;
+    let job = ExportJob { model: model.into(), from: from.into(), phase, step, at, form, out };
+    let done = kalfit_job::export(&job).map_err(|failure| exception(&failure))?;
+    Ok((written(&done.record)?, done.notes))
+}
+
+/// JSON of fits of the same data side by side.
+#[pyfunction]
+pub(crate) fn compare(fits: Vec<Text>, out: Option<PathBuf>) -> PyResult<String> {
+    let job = CompareJob { fits: fits.into_iter().map(Into::into).collect(), out };
+    let done = kalfit_job::compare(&job).map_err(|failure| exception(&failure))?;
+    written(&done.record)
 }
 
 /// (the table unless it went to a file, number of tests, of rows, the true initial states unless the table went to a file, the

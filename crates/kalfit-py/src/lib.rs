@@ -19,9 +19,11 @@ mod _kalfit {
     #[pymodule_export]
     use crate::fit::Results;
     #[pymodule_export]
-    use crate::jobs::{apply, check, exchange, fit, plan, simulate, test};
+    use crate::jobs::{apply, check, compare, exchange, export, fit, plan, simulate, test};
     #[pymodule_export]
     use crate::table::Table;
     #[pymodule_export]
-    use crate::text::{applied_summary, describe, plan_summary, ratio_summary, read_model, version};
+    use crate::text::{
+        applied_summary, compared_summary, describe, exported_summary, plan_summary, ratio_summary, read_model, version,
+    };
 }

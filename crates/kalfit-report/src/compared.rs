@@ -22,7 +22,7 @@ pub fn compared_summary(record: &ComparedRecord, style: &Style) -> String {
         count(record.observations, "measured value")
     );
     let mut sections = vec![page.paragraph(&(facts + &verdict(record)))];
-    sections.push(page.section("Likelihoods", &page.table(&likelihoods(record, &names))));
+    sections.push(page.section("Likelihoods", &likelihoods(record, &names, &page)));
     sections.push(page.section("Predictions of tests left out", &predictive(record, &names, &page)));
     sections.push(page.section("Fits within others", &nested(record, &names, &page)));
     sections.push(page.section("What differs", &differences(record, &names, &page)));
@@ -50,25 +50,27 @@ fn column(record: &ComparedRecord, heading: &str, cell: &dyn Fn(&ComparedFit) ->
     Column::new(heading, Side::Right, record.fits.iter().map(cell).collect())
 }
 
-fn likelihoods(record: &ComparedRecord, names: &[String]) -> Vec<Column> {
+fn likelihoods(record: &ComparedRecord, names: &[String], page: &Page<'_>) -> String {
     let or = |x: Option<f64>, show: &dyn Fn(f64) -> String| x.map_or("-".to_owned(), show);
+    let fit = Column::new("fit", Side::Left, names.to_vec());
     let mut columns = vec![
-        Column::new("fit", Side::Left, names.to_vec()),
         column(record, "log-likelihood", &|fit| plain(fit.log_likelihood, 8)),
         column(record, "free", &|fit| fit.free_parameters.to_string()),
-        column(record, "AIC", &|fit| or(fit.aic, &hundredths)),
-        column(record, "BIC", &|fit| or(fit.bic, &hundredths)),
+        column(record, "certified", &|fit| if fit.converged { "yes" } else { "no" }.to_owned()),
     ];
-    if record.comparable {
-        columns.push(column(record, "ΔAIC", &|fit| or(fit.delta_aic, &hundredths)));
-        columns.push(column(record, "ΔBIC", &|fit| or(fit.delta_bic, &hundredths)));
-        columns.push(column(record, "weight", &|fit| or(fit.akaike_weight, &|x| format!("{x:.3}"))));
-    }
     if record.fits.iter().any(|fit| fit.criterion != "ml") {
         columns.push(column(record, "criterion", &|fit| fit.criterion.clone()));
     }
-    columns.push(column(record, "certified", &|fit| if fit.converged { "yes" } else { "no" }.to_owned()));
-    columns
+    let mut criteria = vec![column(record, "AIC", &|fit| or(fit.aic, &hundredths))];
+    if record.comparable {
+        criteria.push(column(record, "ΔAIC", &|fit| or(fit.delta_aic, &hundredths)));
+        criteria.push(column(record, "weight", &|fit| or(fit.akaike_weight, &|x| format!("{x:.3}"))));
+    }
+    criteria.push(column(record, "BIC", &|fit| or(fit.bic, &hundredths)));
+    if record.comparable {
+        criteria.push(column(record, "ΔBIC", &|fit| or(fit.delta_bic, &hundredths)));
+    }
+    format!("{}\n{}", page.wide_table(&fit, &columns), page.wide_table(&fit, &criteria))
 }
 
 fn predictive(record: &ComparedRecord, names: &[String], page: &Page<'_>) -> String {
@@ -92,6 +94,7 @@ fn nested(record: &ComparedRecord, names: &[String], page: &Page<'_>) -> String 
     }
     let cells = |cell: &dyn Fn(&NestedRecord) -> String| record.nested.iter().map(cell).collect::<Vec<String>>();
     let p_value = |test: &NestedRecord| match (test.p_value, test.p_value_kind) {
+        (Some(p), PValueKind::UpperBound) if probability(p).starts_with('<') => probability(p),
         (Some(p), PValueKind::UpperBound) => format!("≤ {}", probability(p)),
         (Some(p), PValueKind::Approximate) => format!("about {}", probability(p)),
         (Some(p), _) => probability(p),

@@ -33,6 +33,10 @@ fn version_and_help() {
       plan         Expected standard errors against the number of tests, before any is run
       apply        Apply a fitted model to tests, old or new: are they of the population, and what were
                    their states
+      export       The filter that follows from a fit, for programs that are not kalfit: JSON, numpy,
+                   Matlab, C or Python
+      compare      Fits of the same data side by side: likelihoods, AIC and BIC, tests of one within
+                   another
       report       The report of a fit, one HTML page, from its results alone
       completions  The script that completes commands and options in a shell, to standard output
       man          The manual page, to standard output, or the pages of all commands, to a folder

@@ -118,7 +118,7 @@ fn law((small, large): (&FitRecord, &FitRecord), restricted: &Restricted) -> (PV
     match restricted.ends.as_slice() {
         [] => (PValueKind::LargeSample, None),
         ends => {
-            let reason = format!("{} fixed where the range ends: the p-value is an upper bound", ends.join(", "));
+            let reason = format!("at the end of its range: {}; the p-value is an upper bound", ends.join(", "));
             (PValueKind::UpperBound, Some(reason))
         }
     }

@@ -27,7 +27,10 @@ impl<'a> Binder<'a> {
     ) -> Result<Binder<'a>, ExportError> {
         let (mut numbers, mut texts) = (BTreeMap::new(), BTreeMap::new());
         let read = columns_read(model);
-        for (name, value) in at {
+        for (k, (name, value)) in at.iter().enumerate() {
+            if at[..k].iter().any(|(other, _)| other == name) {
+                return Err(ExportError::GivenTwice { column: name.clone() });
+            }
             if !read.contains(name) {
                 return Err(ExportError::NoEffect { column: name.clone(), columns: read });
             }

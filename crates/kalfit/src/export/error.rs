@@ -46,6 +46,12 @@ pub enum ExportError {
         /// Columns that have one.
         columns: Vec<String>,
     },
+    /// A column is given two values.
+    #[error("column `{column}` is given a value more than once")]
+    GivenTwice {
+        /// The column.
+        column: String,
+    },
     /// A column of numbers is given something else.
     #[error("column `{column}` is given the value `{found}`, expected a finite number")]
     NotANumber {
@@ -108,6 +114,7 @@ impl ExportError {
             }
             ExportError::StepWithoutTime { .. } => Some("leave it out".to_owned()),
             ExportError::NoEffect { .. } => Some("leave it out".to_owned()),
+            ExportError::GivenTwice { .. } => Some("give each column one value".to_owned()),
             ExportError::Varies { varies } => {
                 let mut columns: Vec<&str> = varies.iter().map(|one| one.column.as_str()).collect();
                 columns.sort_unstable();
@@ -153,15 +160,27 @@ fn known(levels: &[String]) -> String {
 
 fn listed(varies: &[Varies]) -> String {
     const MOST: usize = 4;
-    let words = |one: &Varies| match &one.parameter {
-        None => format!("{} depends on column `{}`", one.what, one.column),
-        Some(parameter) => {
-            format!("{} depends on column `{}`, as parameter `{parameter}` has levels of it", one.what, one.column)
-        }
-    };
-    let mut all: Vec<String> = varies.iter().take(MOST).map(words).collect();
-    if varies.len() > MOST {
-        all.push(format!("and {} more", varies.len() - MOST));
+    let mut all: Vec<String> = Vec::new();
+    for group in varies.chunk_by(|a, b| a.what == b.what) {
+        let columns: Vec<String> = group.iter().map(column).collect();
+        let columns = match columns.as_slice() {
+            [only] => format!("column {only}"),
+            [before @ .., last] => format!("columns {} and {last}", before.join(", ")),
+            [] => continue,
+        };
+        all.push(format!("{} depends on {columns}", group[0].what));
+    }
+    let more = all.len().saturating_sub(MOST);
+    all.truncate(MOST);
+    if more > 0 {
+        all.push(format!("and {more} more"));
     }
     all.join("; ")
+}
+
+fn column(one: &Varies) -> String {
+    match &one.parameter {
+        None => format!("`{}`", one.column),
+        Some(parameter) => format!("`{}`, of which parameter `{parameter}` has levels", one.column),
+    }
 }

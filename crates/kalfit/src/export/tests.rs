@@ -173,6 +173,7 @@ fn columns_that_multiply_states_are_fixed_or_named() {
     assert!(matches!(refused(&at(wanted.clone(), "u", "1")), ExportError::NoEffect { .. }));
     assert!(matches!(refused(&at(wanted.clone(), "y", "1")), ExportError::NoEffect { .. }));
     assert!(matches!(refused(&at(stepped(), "T", "warm")), ExportError::NotANumber { .. }));
+    assert!(matches!(refused(&at(wanted.clone(), "T", "28")), ExportError::GivenTwice { .. }));
     // of another lot `z` is never measured
     let other = export(&model, &alpha, &population(2), &at(at(stepped(), "T", "27"), "lot", "A")).expect("constant");
     assert_eq!(other.measurements, [0]);

@@ -143,13 +143,12 @@ fn notes(model: &PhasedModel, filter: &Exported) -> Vec<String> {
             phase.name
         ));
     } else if !model.levels.is_empty() {
-        notes.push("x0 and P0 are of a new test of a new unit: the spreads of all levels together".to_owned());
+        notes.push("a new test is one of a new unit: P0 holds the spreads of all levels together".to_owned());
     }
     if phase.filter.is_some() {
         notes.push("this is the optimal filter of the model, not the one of `[filter]`".to_owned());
     }
-    let random = phase.model.covariance.known.is_some() && filter.start.is_some();
-    if random {
+    if phase.model.covariance.known.is_some() && filter.start.is_some() {
         notes.push("P0 holds the known covariance that the model adds to the estimated one".to_owned());
     }
     notes
