@@ -302,7 +302,7 @@ def compare(fits: Mapping[str, Fit | Path] | Sequence[Fit | Path], *, out: Path 
     >>> import kalfit
     >>> data = "examples/random-coefficients/sleepstudy.csv"
     >>> model = kalfit.Model.load("examples/random-coefficients/sleepstudy.toml")
-    >>> apart = kalfit.Model({**model.to_dict(), "covariance": {"structure": "diagonal"}})
+    >>> apart = kalfit.Model.from_text(model.text + '\\n[covariance]\\nstructure = "diagonal"')
     >>> compared = kalfit.compare({"full": kalfit.fit(model, data), "diagonal": kalfit.fit(apart, data)})
     >>> [round(fit["delta_aic"], 2) for fit in compared.fits], compared.nested[0]["df"]
     ([1.94, 0.0], 1)

@@ -183,7 +183,38 @@ fn there_is(program: &str) -> bool {
 fn a_filter_in_c_gives_the_predictions_of_kalfit() {
     let folder = fitted();
     let output = folder.run("export m.toml --from m.json --step 0.5 --as c --out turntable.h");
-    assert_snapshot!(shown(&output), @"");
+    assert_snapshot!(shown(&output), @"
+    exit 0
+    ----- stdout
+    Turntable
+
+    The filter at a step of 0.5 s, all parameters as in m.json: 3 states, 2
+    measurements and 2 inputs.
+
+    States of a new test
+      state  unit          x0  std. dev.  of a step
+      bias   deg/s  -0.037654    0.68188          0
+      drift                 0        0.4    0.21297
+      angle                 0        0.2   0.094497
+
+    Measurements
+      measurement  column   noise
+      encoder      y       0.2329
+      gyro         z          0.2
+
+    Inputs
+      input  goes to
+      rate   angle, gyro
+      1      angle
+
+    How to use it
+      x = F x + B u + w with w ~ N(0, Q) from step to step; z = H x + D u + v with v
+        ~ N(0, R).
+      x0 is at: first row. A step takes u from the row that it leads to, a
+        measurement from its own.
+    ----- stderr
+    Wrote turntable.h
+    ");
     if !there_is("cc") {
         return;
     }
@@ -258,15 +289,100 @@ fn json_has_the_keys_that_scripts_rely_on() {
 #[test]
 fn what_has_no_constant_matrices_is_refused_with_a_way_out() {
     let folder = fitted();
-    assert_snapshot!(shown(&folder.run("export warm.toml --from warm.json --out f.json")), @"");
-    assert_snapshot!(shown(&folder.run("export warm.toml --from warm.json --at rate=2 --at lot=C --out f.json")), @"");
-    assert_snapshot!(shown(&folder.run("export warm.toml --from warm.json --at rate=2 --at lot=A --at y=1 --out f.json")), @"");
-    assert_snapshot!(shown(&folder.run("export warm.toml --from warm.json --at rate=2 --at lot=A --step 1 --out f.json")), @"");
-    assert_snapshot!(shown(&folder.run("export m.toml --from m.json --out f.json")), @"");
-    assert_snapshot!(shown(&folder.run("export m.toml --from m.json --step 0.5 --phase coast --out f.json")), @"");
-    assert_snapshot!(shown(&folder.run("export m.toml --from m.json --step 0.5 --out filter")), @"");
-    assert_snapshot!(shown(&folder.run("export m.toml --from m.json --step 0.5 --as mat --out f.json")), @"");
-    assert_snapshot!(shown(&folder.run("export m.toml --from m.json --step 0.5 --out m.json")), @"");
+    assert_snapshot!(shown(&folder.run("export warm.toml --from warm.json --out f.json")), @"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: the filter has no constant matrices: equation of measurement `gyro` depends on column `rate`; noise variance of measurement `gyro` depends on column `lot`, of which parameter `sigma` has levels
+
+    hint: fix what they depend on: `--at lot=VALUE`, `--at rate=VALUE`
+    ");
+    assert_snapshot!(shown(&folder.run("export warm.toml --from warm.json --at rate=2 --at lot=C --out f.json")), @"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: parameter `sigma` has no value where `lot` is `C`, expected one of `A`, `B`
+    ");
+    assert_snapshot!(shown(&folder.run("export warm.toml --from warm.json --at rate=2 --at lot=A --at y=1 --out f.json")), @"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: a value of column `y` has no effect: the filter depends on `rate`, `lot`
+
+    hint: leave it out
+    ");
+    assert_snapshot!(shown(&folder.run("export warm.toml --from warm.json --at rate=2 --at lot=A --step 1 --out f.json")), @"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: a step of 1 has no effect: the rows of the model have no times, each is a step
+
+    hint: leave it out
+    ");
+    assert_snapshot!(shown(&folder.run("export m.toml --from m.json --out f.json")), @"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: derivative of state `drift` depends on the length of a step, which is not given
+
+    hint: give it in the model's unit of time: `--step 0.01`
+    ");
+    assert_snapshot!(shown(&folder.run("export m.toml --from m.json --step 0.5 --phase coast --out f.json")), @"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: the model has no phase `coast`, expected `main`
+    ");
+    assert_snapshot!(shown(&folder.run("export m.toml --from m.json --step 0.5 --out filter")), @"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: what `filter` is to hold is not said
+
+    hint: say it by `--as json`, `npz`, `mat`, `c` or `python`, or by an ending: `.json`, `.npz`, `.mat`, `.h`, `.py`
+    ");
+    assert_snapshot!(shown(&folder.run("export m.toml --from m.json --step 0.5 --as mat --out f.json")), @"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: the output `f.json` would hold variables of Matlab, which its ending does not say
+
+    hint: the endings are `.json`, `.npz`, `.mat`, `.h` and `.py`: give the file that of its format, or leave `--as` out
+    ");
+    assert_snapshot!(shown(&folder.run("export m.toml --from m.json --step 0.5 --out m.json")), @"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: the output `m.json` is one of the inputs
+
+    hint: give the output a name of its own
+    ");
     assert!(!folder.path("f.json").exists(), "nothing is written");
-    assert_snapshot!(shown(&folder.run("export warm.toml --from warm.json --at rate=2 --at lot=A --out f.json")), @"");
+    assert_snapshot!(shown(&folder.run("export warm.toml --from warm.json --at rate=2 --at lot=A --out f.json")), @"
+    exit 0
+    ----- stdout
+    The filter from row to row, where rate=2, lot=A, all parameters as in warm.json:
+    2 states, 1 measurement and 1 input.
+
+    States of a new test
+      state       x0  std. dev.  of a step
+      bias   -0.3498    0.80527          0
+      slope  0.31379    0.05803          0
+
+    Measurements
+      measurement  column    noise
+      gyro         z       0.19906
+
+    Inputs
+      input  goes to
+      1      gyro
+
+    How to use it
+      x = F x + B u + w with w ~ N(0, Q) from step to step; z = H x + D u + v with v
+        ~ N(0, R).
+      x0 is at: first row. A step takes u from the row that it leads to, a
+        measurement from its own.
+    ----- stderr
+    Wrote f.json
+    ");
 }
