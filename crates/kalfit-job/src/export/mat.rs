@@ -8,11 +8,12 @@ use super::fields::{Value, fields};
 
 /// Types of data.
 const INT8: u32 = 1;
-const UINT16: u32 = 4;
 const INT32: u32 = 5;
 const UINT32: u32 = 6;
 const DOUBLE: u32 = 9;
 const MATRIX: u32 = 14;
+/// Of all encodings the one that Matlab, Octave and scipy read alike.
+const UTF8: u32 = 16;
 /// Classes of arrays.
 const CELLS: u32 = 1;
 const CHARACTERS: u32 = 4;
@@ -52,9 +53,8 @@ fn doubles(name: &str, (rows, columns): (usize, usize), values: &[f64]) -> Vec<u
 }
 
 fn characters(name: &str, text: &str) -> Vec<u8> {
-    let units: Vec<u8> = text.encode_utf16().flat_map(u16::to_le_bytes).collect();
-    let length = units.len() / 2;
-    array((name, CHARACTERS), (usize::from(length > 0), length), &element(UINT16, &units))
+    let length = text.chars().count();
+    array((name, CHARACTERS), (usize::from(length > 0), length), &element(UTF8, text.as_bytes()))
 }
 
 fn array((name, class): (&str, u32), (rows, columns): (usize, usize), contents: &[u8]) -> Vec<u8> {
