@@ -11,20 +11,45 @@ Gyros on two bench stations
 from kalfit._arrays import Ensemble
 from kalfit._data import Data, Table, TableLike
 from kalfit._fit import Fit, GroupFit, Interrupted, Level, Parameter, Parameters, Phase, TestFit
-from kalfit._jobs import apply, check, estimates, fit, plan, predict, reduce, simulate, test, validate
+from kalfit._jobs import (
+    apply,
+    check,
+    compare,
+    estimates,
+    export,
+    fit,
+    plan,
+    predict,
+    reduce,
+    simulate,
+    test,
+    validate,
+)
 from kalfit._kalfit import DataError, Error, FitError, ModelError, version
 from kalfit._model import Model, ModelLike
-from kalfit._results import Applied, Check, Plan, Predicted, RatioTest, Simulation, Validation
+from kalfit._results import (
+    Applied,
+    Check,
+    Comparison,
+    Filter,
+    Plan,
+    Predicted,
+    RatioTest,
+    Simulation,
+    Validation,
+)
 
 __version__ = version()
 
 __all__ = [
     "Applied",
     "Check",
+    "Comparison",
     "Data",
     "DataError",
     "Ensemble",
     "Error",
+    "Filter",
     "Fit",
     "FitError",
     "GroupFit",
@@ -47,7 +72,9 @@ __all__ = [
     "__version__",
     "apply",
     "check",
+    "compare",
     "estimates",
+    "export",
     "fit",
     "plan",
     "predict",

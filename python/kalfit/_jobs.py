@@ -12,9 +12,32 @@ from kalfit._arrays import Ensemble
 from kalfit._data import Data, Table, as_data
 from kalfit._fit import Fit, Interrupted
 from kalfit._model import Model, ModelLike, Path, as_model, assignments
-from kalfit._results import Applied, Check, Plan, Predicted, RatioTest, Simulation, Validation
+from kalfit._results import (
+    Applied,
+    Check,
+    Comparison,
+    Filter,
+    Plan,
+    Predicted,
+    RatioTest,
+    Simulation,
+    Validation,
+)
 
-__all__ = ["apply", "check", "estimates", "fit", "plan", "predict", "reduce", "simulate", "test", "validate"]
+__all__ = [
+    "apply",
+    "check",
+    "compare",
+    "estimates",
+    "export",
+    "fit",
+    "plan",
+    "predict",
+    "reduce",
+    "simulate",
+    "test",
+    "validate",
+]
 
 Set = Union[Mapping[str, float], Sequence[str], None]
 Progress = Union[bool, Callable[[str], object]]
@@ -356,6 +379,57 @@ def predict(
         _how(threads, progress),
     )
     return Predicted(made, notes, _table(table))
+
+
+def export(
+    model: ModelLike,
+    source: Fit | ModelLike,
+    *,
+    step: float | None = None,
+    at: Mapping[str, float | str] | None = None,
+    phase: str | None = None,
+    set: Set = None,
+    format: Literal["json", "npz", "mat", "c", "python"] | None = None,
+    out: Path | None = None,
+) -> Filter:
+    """The filter that follows from a fit, as constant matrices: all parameters are taken from ``source``.
+
+    ``source`` is a fit, its file, or a model with values. ``step`` is the length of a step in the model's unit of time, where anything
+    depends on it. Columns that multiply states, or that noise depends on, are given a value by ``at``: ``at={"temperature": 20}``.
+    ``out`` names a file for the filter, of the ``format`` that its ending says unless one is given.
+
+    >>> import kalfit
+    >>> model, data = "examples/random-coefficients/sleepstudy.toml", "examples/random-coefficients/sleepstudy.csv"
+    >>> filter = kalfit.export(model, kalfit.fit(model, data), at={"Days": 3})
+    >>> filter.states, filter.H.tolist()
+    (['intercept', 'slope'], [[1.0, 3.0]])
+    """
+    if format is not None and out is None:
+        raise ValueError("format says what is written to a file, but out names none")
+    fixed = [f"{column}={value}" for column, value in (at or {}).items()]
+    made, notes = _kalfit.export(_model(model, set), _source(source), (step, fixed, phase), format, _file(out))
+    return Filter(made, notes)
+
+
+def compare(fits: Mapping[str, Fit | Path] | Sequence[Fit | Path], *, out: Path | None = None) -> Comparison:
+    """Puts fits of the same data side by side: likelihoods, AIC and BIC, tests of one within another, what differs.
+
+    ``fits`` is a list of fits or of their files, or a dictionary of these with names to call them by.
+
+    >>> import kalfit
+    >>> data = "examples/random-coefficients/sleepstudy.csv"
+    >>> model = kalfit.Model.load("examples/random-coefficients/sleepstudy.toml")
+    >>> apart = kalfit.Model.from_text(model.text + '\\n[covariance]\\nstructure = "diagonal"')
+    >>> compared = kalfit.compare({"full": kalfit.fit(model, data), "diagonal": kalfit.fit(apart, data)})
+    >>> [round(fit["delta_aic"], 2) for fit in compared.fits], compared.nested[0]["df"]
+    ([1.94, 0.0], 1)
+    """
+    named = fits.items() if isinstance(fits, Mapping) else [(None, fit) for fit in fits]
+    texts = []
+    for number, (name, given) in enumerate(named, 1):
+        called, text, path = _source(given)
+        texts.append((name or (called if path else f"fit {number}"), text, path))
+    return Comparison(_kalfit.compare(texts, _file(out)))
 
 
 def plan(

@@ -5,10 +5,23 @@ from __future__ import annotations
 import json
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from kalfit import _kalfit
 from kalfit._data import Table
 
-__all__ = ["Applied", "Check", "Plan", "Predicted", "RatioTest", "Simulation", "Validation"]
+__all__ = [
+    "Applied",
+    "Check",
+    "Comparison",
+    "Filter",
+    "Plan",
+    "Predicted",
+    "RatioTest",
+    "Simulation",
+    "Validation",
+]
 
 
 class _Record:
@@ -120,6 +133,79 @@ class Validation(_Record):
 
     def __repr__(self) -> str:
         return f"<kalfit.Validation: log density {self.log_density:.6g}>"
+
+
+class Filter(_Record):
+    """The filter that follows from a fit: ``x = F x + B u + w`` with ``w ~ N(0, Q)``, ``z = H x + D u + v`` with ``v ~ N(0, R)``."""
+
+    def __init__(self, json_text: str, notes: list[str]) -> None:
+        record: dict[str, Any] = json.loads(json_text)
+        super().__init__(json_text, notes + record["notes"])
+        #: Length of a step; None where nothing depends on it and none was given.
+        self.step: float | None = record["step"]
+        #: Names of the states, hidden ones too.
+        self.states: list[str] = record["states"]
+        #: Their unit labels.
+        self.units: list[str | None] = record["units"]
+        #: Names of the measurements.
+        self.measurements: list[str] = record["measurements"]
+        #: The column that each is read from.
+        self.columns: list[str] = record["columns"]
+        #: What u is made of: expressions in columns, ``"1"`` for what is constant.
+        self.inputs: list[str] = record["inputs"]
+        n, m, k = len(self.states), len(self.measurements), len(self.inputs)
+
+        def matrix(name: str, rows: int, columns: int) -> NDArray[np.float64]:
+            return np.array(record[name], dtype=np.float64).reshape(rows, columns)
+
+        #: Transition of a step, (n, n).
+        self.F = matrix("F", n, n)
+        #: Covariance of the process noise of a step, (n, n).
+        self.Q = matrix("Q", n, n)
+        #: What the inputs do in a step, (n, k).
+        self.B = matrix("B", n, k)
+        #: What is measured, (m, n).
+        self.H = matrix("H", m, n)
+        #: What the inputs add to it, (m, k).
+        self.D = matrix("D", m, k)
+        #: Covariance of the measurement noise, (m, m).
+        self.R = matrix("R", m, m)
+        started = record["x0"] is not None
+        #: Mean of the initial state of a new test, (n,); None of a phase that inherits from the phase before.
+        self.x0: NDArray[np.float64] | None = np.array(record["x0"], dtype=np.float64) if started else None
+        #: Its covariance, (n, n).
+        self.P0: NDArray[np.float64] | None = matrix("P0", n, n) if started else None
+
+    def summary(self, width: int = 80, color: bool = False) -> str:
+        """The filter in words and tables, as ``kalfit export`` prints it."""
+        return _kalfit.exported_summary(self._json, width, color)
+
+    def __repr__(self) -> str:
+        return f"<kalfit.Filter: states {self.states}, measurements {self.measurements}, inputs {self.inputs}>"
+
+
+class Comparison(_Record):
+    """Fits of the same data side by side."""
+
+    def __init__(self, json_text: str) -> None:
+        record: dict[str, Any] = json.loads(json_text)
+        super().__init__(json_text, record["notes"])
+        #: Whether the log-likelihoods are of the same thing.
+        self.comparable: bool = record["comparable"]
+        #: A dictionary for each fit: ``log_likelihood``, ``free_parameters``, ``aic``, ``delta_aic``, ``akaike_weight`` and more.
+        self.fits: list[dict[str, Any]] = record["fits"]
+        #: A dictionary for each fit that lies within another: ``null`` and ``alternative`` are places in ``fits``, and ``lr``, ``df``,
+        #: ``p_value``, ``p_value_kind``.
+        self.nested: list[dict[str, Any]] = record["nested"]
+        #: What is free or fixed otherwise from fit to fit.
+        self.differences: list[dict[str, Any]] = record["differences"]
+
+    def summary(self, width: int = 80, color: bool = False) -> str:
+        """The comparison in words and tables, as ``kalfit compare`` prints it."""
+        return _kalfit.compared_summary(self._json, width, color)
+
+    def __repr__(self) -> str:
+        return f"<kalfit.Comparison: {len(self.fits)} fits, {len(self.nested)} tests of one within another>"
 
 
 class Plan(_Record):

@@ -47,6 +47,10 @@ pub(crate) enum Command {
     Validate(ValidateArgs),
     /// What a test that nobody has made will give: means, spread and limits of states and outputs
     Predict(PredictArgs),
+    /// The filter that follows from a fit, for programs that are not kalfit: JSON, numpy, Matlab, C or Python
+    Export(ExportArgs),
+    /// Fits of the same data side by side: likelihoods, AIC and BIC, tests of one within another
+    Compare(CompareArgs),
     /// The report of a fit, one HTML page, from its results alone
     Report(ReportArgs),
     /// The script that completes commands and options in a shell, to standard output
@@ -461,6 +465,71 @@ fn part(text: &str) -> Result<f64, String> {
 }
 
 #[derive(Debug, Group)]
+#[command(after_help = examples::EXPORT)]
+pub(crate) struct ExportArgs {
+    #[command(flatten)]
+    pub(crate) model: ModelArgs,
+
+    /// The population and all parameters: results of `kalfit fit`, or a model file, whose fixed values and start values are taken
+    #[arg(long, value_name = "FIT.json|MODEL.toml")]
+    pub(crate) from: PathBuf,
+
+    /// Length of a step, in the model's unit of time; needed where anything depends on it
+    #[arg(long, value_name = "DT", value_parser = length)]
+    pub(crate) step: Option<f64>,
+
+    /// A column's value on all rows, where coefficients of states or noise depend on it: `temperature=20`; may be given many times
+    #[arg(long, value_name = "COLUMN=VALUE")]
+    pub(crate) at: Vec<String>,
+
+    /// The phase whose filter it is, of a model with several
+    #[arg(long, value_name = "NAME")]
+    pub(crate) phase: Option<String>,
+
+    /// What to write [default: as the ending of the file says: `.json`, `.npz`, `.mat`, `.h` or `.py`]
+    #[arg(long = "as", value_enum, value_name = "FORM")]
+    pub(crate) form: Option<FormArg>,
+
+    /// File for the filter
+    #[arg(long, value_name = "FILE")]
+    pub(crate) out: PathBuf,
+
+    /// Print nothing but errors
+    #[arg(long)]
+    pub(crate) quiet: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum FormArg {
+    /// Text for any program
+    Json,
+    /// Arrays of numpy
+    Npz,
+    /// Variables of Matlab and Octave
+    Mat,
+    /// A header for C and C++
+    C,
+    /// A module that needs numpy alone
+    Python,
+}
+
+#[derive(Debug, Group)]
+#[command(after_help = examples::COMPARE)]
+pub(crate) struct CompareArgs {
+    /// Results of `kalfit fit --out`, two or more, of the same data
+    #[arg(required = true, num_args = 2.., value_name = "FIT.json")]
+    pub(crate) fits: Vec<PathBuf>,
+
+    /// File for the comparison, as JSON
+    #[arg(long, value_name = "FILE")]
+    pub(crate) out: Option<PathBuf>,
+
+    /// Print nothing but errors
+    #[arg(long)]
+    pub(crate) quiet: bool,
+}
+
+#[derive(Debug, Group)]
 #[command(after_help = examples::REPORT)]
 pub(crate) struct ReportArgs {
     /// Results of `kalfit fit --out`
@@ -558,6 +627,14 @@ fn tolerance(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(value) if value > 0.0 && value <= 1.0 => Ok(value),
         _ => Err("expected a number above 0 and at most 1".to_owned()),
+    }
+}
+
+/// Of a step.
+fn length(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value > 0.0 && value.is_finite() => Ok(value),
+        _ => Err("expected a number above 0".to_owned()),
     }
 }
 

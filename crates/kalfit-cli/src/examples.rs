@@ -84,6 +84,20 @@ Examples:
   kalfit predict model.toml --from fit.json --design mission.csv --outputs position.toml --out mission.parquet
   kalfit predict units.toml --from fit.json --design mission.csv --units known --confidence 0.95 --content 0.99";
 
+pub(crate) const EXPORT: &str = "\
+Examples:
+  kalfit export model.toml --from fit.json --step 0.01 --out filter.json
+  kalfit export model.toml --from fit.json --step 0.01 --as c --out gyro_filter.h
+  kalfit export model.toml --from fit.json --step 0.01 --at temperature=20 --at unit=A7 --out filter.npz
+
+x = F x + B u + w with w ~ N(0, Q), z = H x + D u + v with v ~ N(0, R); x0 and P0 are mean and covariance of the initial state of a new \
+test. `inputs` says what u is made of.";
+
+pub(crate) const COMPARE: &str = "\
+Examples:
+  kalfit compare full.json diagonal.json
+  kalfit compare full.json diagonal.json fixed.json --out compared.json";
+
 pub(crate) const REPORT: &str = "\
 Examples:
   kalfit report fit.json --out fit.html

@@ -10,14 +10,14 @@ use kalfit::infer::{Bootstrap, Choices, DeletionChoice, IntervalKind, StdErrors,
 use kalfit::predict::{Limits, Sides};
 use kalfit_data::Datum;
 use kalfit_job::{
-    ApplyJob, CheckJob, ExchangeJob, Failure, FitJob, FoldsOf, ModelJob, PlanJob, PredictJob, ReportJob, SimulateJob,
-    TestJob, Units, ValidateJob,
+    ApplyJob, CheckJob, CompareJob, ExchangeJob, ExportJob, Failure, FitJob, FoldsOf, Form, ModelJob, PlanJob,
+    PredictJob, ReportJob, SimulateJob, TestJob, Units, ValidateJob,
 };
 
 use crate::args::{
-    ApplyArgs, Args, CheckArgs, Command, CriterionArg, DeletionArg, ExchangeArgs, FitArgs, InnovationsArg,
-    IntervalsArg, KindArg, MethodArg, ModelArgs, PhasesArg, PlanArgs, PredictArgs, ReportArgs, SimulateArgs, SolverArg,
-    StdErrorsArg, TestArgs, UnitsArg, ValidateArgs,
+    ApplyArgs, Args, CheckArgs, Command, CompareArgs, CriterionArg, DeletionArg, ExchangeArgs, ExportArgs, FitArgs,
+    FormArg, InnovationsArg, IntervalsArg, KindArg, MethodArg, ModelArgs, PhasesArg, PlanArgs, PredictArgs, ReportArgs,
+    SimulateArgs, SolverArg, StdErrorsArg, TestArgs, UnitsArg, ValidateArgs,
 };
 use crate::ended::{Ended, Outcome};
 use crate::init::InitJob;
@@ -47,6 +47,8 @@ enum Job {
     Apply(ApplyJob),
     Validate(ValidateJob),
     Predict(PredictJob),
+    Export(ExportJob),
+    Compare(CompareJob),
     Report(ReportJob),
     Completions(Shell),
     Man(Option<PathBuf>),
@@ -71,6 +73,8 @@ impl Order {
             Job::Apply(job) => show::apply(job, self.quiet),
             Job::Validate(job) => show::validate(job, self.quiet),
             Job::Predict(job) => show::predict(job, self.quiet),
+            Job::Export(job) => show::export(job, self.quiet),
+            Job::Compare(job) => show::compare(job, self.quiet),
             Job::Report(job) => show::report(job, self.quiet),
             Job::Completions(shell) => show::completions(*shell),
             Job::Man(folder) => show::man(folder.as_deref()),
@@ -93,6 +97,8 @@ impl From<Args> for Order {
             Command::Apply(args) => (args.model.threads, args.quiet),
             Command::Validate(args) => (args.model.threads, args.quiet),
             Command::Predict(args) => (args.model.threads, args.quiet),
+            Command::Export(args) => (args.model.threads, args.quiet),
+            Command::Compare(args) => (None, args.quiet),
         };
         let threads = threads.map(usize::from);
         let job = match args.command {
@@ -106,6 +112,8 @@ impl From<Args> for Order {
             Command::Apply(args) => Job::Apply(args.into()),
             Command::Validate(args) => Job::Validate(args.into()),
             Command::Predict(args) => Job::Predict(args.into()),
+            Command::Export(args) => Job::Export(args.into()),
+            Command::Compare(args) => Job::Compare(args.into()),
             Command::Report(args) => Job::Report(args.into()),
             Command::Init(args) => Job::Init(InitJob { template: args.template, folder: args.dir.unwrap_or_default() }),
             Command::Completions(args) => Job::Completions(args.shell),
@@ -300,6 +308,33 @@ impl From<ApplyArgs> for ApplyJob {
                 KindArg::Predicted => StateKind::Predicted,
             },
         }
+    }
+}
+
+impl From<ExportArgs> for ExportJob {
+    fn from(args: ExportArgs) -> ExportJob {
+        let form = |form| match form {
+            FormArg::Json => Form::Json,
+            FormArg::Npz => Form::Npz,
+            FormArg::Mat => Form::Mat,
+            FormArg::C => Form::C,
+            FormArg::Python => Form::Python,
+        };
+        ExportJob {
+            model: args.model.into(),
+            from: args.from.into(),
+            phase: args.phase,
+            step: args.step,
+            at: args.at,
+            form: args.form.map(form),
+            out: Some(args.out),
+        }
+    }
+}
+
+impl From<CompareArgs> for CompareJob {
+    fn from(args: CompareArgs) -> CompareJob {
+        CompareJob { fits: args.fits.into_iter().map(Into::into).collect(), out: args.out }
     }
 }
 

@@ -4,11 +4,12 @@ use std::path::Path;
 
 use clap_complete::Shell;
 use kalfit_job::{
-    ApplyJob, CheckJob, Done, ExchangeJob, Exchanged, Failure, FitJob, PlanJob, PredictJob, ReportJob, SimulateJob,
-    TestJob, ValidateJob, Watch,
+    ApplyJob, CheckJob, CompareJob, Done, ExchangeJob, Exchanged, ExportJob, Failure, FitJob, PlanJob, PredictJob,
+    ReportJob, SimulateJob, TestJob, ValidateJob, Watch,
 };
 use kalfit_report::{
-    applied_summary, check_summary, plan_summary, predicted_summary, ratio_summary, summary, validated_summary,
+    applied_summary, check_summary, compared_summary, exported_summary, plan_summary, predicted_summary, ratio_summary,
+    summary, validated_summary,
 };
 
 use crate::ended::{Ended, Outcome};
@@ -52,6 +53,18 @@ pub(crate) fn validate(job: &ValidateJob, quiet: bool) -> Result<Outcome, Ended>
 pub(crate) fn predict(job: &PredictJob, quiet: bool) -> Result<Outcome, Ended> {
     let Done { record, notes, written } = watched(quiet, |line| kalfit_job::predict(job, line))?;
     tell(quiet, &notes, || predicted_summary(&record.record, &terminal::style()), written)?;
+    Ok(Outcome::Done)
+}
+
+pub(crate) fn export(job: &ExportJob, quiet: bool) -> Result<Outcome, Ended> {
+    let Done { record, notes, written } = kalfit_job::export(job)?;
+    tell(quiet, &notes, || exported_summary(&record, &terminal::style()), written)?;
+    Ok(Outcome::Done)
+}
+
+pub(crate) fn compare(job: &CompareJob, quiet: bool) -> Result<Outcome, Ended> {
+    let Done { record, notes, written } = kalfit_job::compare(job)?;
+    tell(quiet, &notes, || compared_summary(&record, &terminal::style()), written)?;
     Ok(Outcome::Done)
 }
 

@@ -3,9 +3,11 @@
 use std::ops::Range;
 
 use kalfit::apply::ApplyError;
+use kalfit::compare::CompareError;
 use kalfit::dynamic::DynamicError;
 use kalfit::dynamic::DynamicRatioError;
 use kalfit::estimate::FitError;
+use kalfit::export::ExportError;
 use kalfit::infer::{Element, NotNested};
 use kalfit::plan::PlanError;
 use kalfit::predict::PredictError;
@@ -145,6 +147,27 @@ pub enum Failure {
         /// The other model.
         path: String,
     },
+    /// There is no filter of constant matrices.
+    #[error("{0}")]
+    Export(Box<ExportError>),
+    /// A column that is given no value.
+    #[error("found `--at {found}`, expected a column and its value")]
+    NoColumnValue {
+        /// What was given.
+        found: String,
+    },
+    /// A file whose ending does not say what is to be in it.
+    #[error("what `{path}` is to hold is not said")]
+    NoForm {
+        /// The file.
+        path: String,
+    },
+    /// Fits that do not compare.
+    #[error("{0}")]
+    Compare(CompareError),
+    /// Results to compare.
+    #[error("{0}")]
+    Compared(Box<ResultError>),
     /// There is no plan.
     #[error("{}", plan_message(error, states))]
     Plan {
@@ -332,6 +355,19 @@ impl Failure {
             Failure::NotComparable { .. } => {
                 Some("log densities are compared of the same measured values: both models must use the same columns".to_owned())
             }
+            Failure::Export(error) => error.hint(),
+            Failure::NoColumnValue { .. } => Some("write `--at temperature=20`".to_owned()),
+            Failure::NoForm { .. } => Some(
+                "say it by `--as json`, `npz`, `mat`, `c` or `python`, or by an ending: `.json`, `.npz`, `.mat`, `.h`, `.py`"
+                    .to_owned(),
+            ),
+            Failure::Compare(error) => Some(error.hint().to_owned()),
+            Failure::Compared(error) => match &**error {
+                ResultError::NotARecord { .. } | ResultError::Schema { .. } => {
+                    Some("`kalfit compare` takes what `kalfit fit --out` writes".to_owned())
+                }
+                _ => None,
+            },
             Failure::Plan { error, .. } => plan_hint(error).map(str::to_owned),
             Failure::Write { error, .. } => write_hint(error).map(str::to_owned),
             Failure::Output(error) => error.hint().map(str::to_owned),

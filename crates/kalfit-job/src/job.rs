@@ -12,6 +12,7 @@ use kalfit::record::{AppliedRecord, PredictedRecord};
 use kalfit_data::{Datum, Input};
 
 use crate::document::Document;
+use crate::export::Form;
 
 /// Which model.
 #[derive(Debug, Clone)]
@@ -259,6 +260,34 @@ pub struct AppliedModel {
     pub tests: Option<File>,
     /// That of the states.
     pub states: Option<File>,
+}
+
+/// Make the filter that follows from a fit.
+#[derive(Debug, Clone)]
+pub struct ExportJob {
+    /// The model.
+    pub model: ModelJob,
+    /// Where all parameters come from: results of a fit, or a model.
+    pub from: Document,
+    /// The phase; it can be left out where there is one.
+    pub phase: Option<String>,
+    /// Length of a step, where anything depends on it.
+    pub step: Option<f64>,
+    /// Columns with the value that they have on all rows, each as `column=value`.
+    pub at: Vec<String>,
+    /// What kind of file; as the ending of `out` says when none.
+    pub form: Option<Form>,
+    /// The file.
+    pub out: Option<PathBuf>,
+}
+
+/// Put fits of the same data side by side.
+#[derive(Debug, Clone)]
+pub struct CompareJob {
+    /// Results of fits.
+    pub fits: Vec<Document>,
+    /// File for the results.
+    pub out: Option<PathBuf>,
 }
 
 /// Make the report of a fit from its results.

@@ -16,12 +16,14 @@
 
 mod apply;
 mod check;
+mod compare;
 mod diagnostic;
 mod document;
 mod dynamic;
 mod estimates;
 mod evidence;
 mod exchange;
+mod export;
 mod failure;
 mod fit;
 mod groups;
@@ -54,14 +56,16 @@ mod write;
 
 pub use apply::apply;
 pub use check::check;
+pub use compare::compare;
 pub use diagnostic::{render, render_hinted, render_message};
 pub use document::Document;
 pub use estimates::estimates;
+pub use export::{Form, export};
 pub use failure::{Failure, Place, Source};
 pub use fit::fit;
 pub use job::{
-    AppliedModel, ApplyJob, CheckJob, Done, ExchangeJob, Exchanged, FitJob, FoldsOf, ModelJob, PlanJob, PredictJob,
-    PredictedModel, ReportJob, SimulateJob, Simulated, TableTo, TestJob, Units, ValidateJob,
+    AppliedModel, ApplyJob, CheckJob, CompareJob, Done, ExchangeJob, Exchanged, ExportJob, FitJob, FoldsOf, ModelJob,
+    PlanJob, PredictJob, PredictedModel, ReportJob, SimulateJob, Simulated, TableTo, TestJob, Units, ValidateJob,
 };
 pub use model::read as read_model;
 pub use output::{Contents, OutputError, abandon};

@@ -72,6 +72,9 @@ impl OutputError {
                 Some("name it `.html`: `--report` takes a file for the page, `--out` one for the results, as JSON")
             }
             OutputError::Ending { contents: Contents::Page, .. } => Some("name it `.html`: it is a page for a browser"),
+            OutputError::Ending { option: "--as", .. } => Some(
+                "the endings are `.json`, `.npz`, `.mat`, `.h` and `.py`: give the file that of its format, or leave `--as` out",
+            ),
             OutputError::Ending { .. } => {
                 Some("name it `.json`; a page for a browser is written by `--report fit.html` and by `kalfit report`")
             }
@@ -89,6 +92,14 @@ pub enum Contents {
     Json,
     /// A report.
     Page,
+    /// Arrays of numpy.
+    Npz,
+    /// Variables of Matlab.
+    Mat,
+    /// A header for C and C++.
+    Header,
+    /// A module of Python.
+    Module,
 }
 
 impl std::fmt::Display for Contents {
@@ -96,6 +107,10 @@ impl std::fmt::Display for Contents {
         f.write_str(match self {
             Contents::Json => "JSON",
             Contents::Page => "a page of HTML",
+            Contents::Npz => "arrays of numpy",
+            Contents::Mat => "variables of Matlab",
+            Contents::Header => "a header for C",
+            Contents::Module => "a module of Python",
         })
     }
 }
@@ -103,10 +118,16 @@ impl std::fmt::Display for Contents {
 impl Contents {
     /// A name may have any ending but that of another kind of file which the program reads or writes.
     fn suits(self, path: &Path) -> bool {
-        const KINDS: [&str; 9] = ["json", "html", "htm", "csv", "tsv", "parquet", "arrow", "toml", "md"];
+        const KINDS: [&str; 15] = [
+            "json", "html", "htm", "csv", "tsv", "parquet", "arrow", "toml", "md", "npz", "mat", "h", "hh", "hpp", "py",
+        ];
         let own: &[&str] = match self {
             Contents::Json => &["json"],
             Contents::Page => &["html", "htm"],
+            Contents::Npz => &["npz"],
+            Contents::Mat => &["mat"],
+            Contents::Header => &["h", "hh", "hpp"],
+            Contents::Module => &["py"],
         };
         let ending = path.extension().map(|ending| ending.to_string_lossy().to_lowercase());
         ending.is_none_or(|ending| own.contains(&ending.as_str()) || !KINDS.contains(&ending.as_str()))
@@ -178,6 +199,11 @@ impl Output {
     /// Its name as the user gave it.
     pub(crate) fn name(&self) -> String {
         self.named.display().to_string()
+    }
+
+    /// Its name without folder and ending.
+    pub(crate) fn stem(&self) -> String {
+        self.named.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default()
     }
 
     /// Writes the record beside the target and moves it into place.

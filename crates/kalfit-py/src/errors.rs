@@ -21,19 +21,24 @@ pub(crate) fn exception(failure: &Failure) -> PyErr {
         | Failure::Set { .. }
         | Failure::NotNested(_)
         | Failure::DynamicRatio(_)
+        | Failure::Export(_)
         | Failure::HypothesisParameter { .. } => ModelError::new_err(text),
         Failure::Data { .. }
         | Failure::Split { .. }
         | Failure::Reduce { .. }
         | Failure::NoFilter { .. }
-        | Failure::NotEstimates { .. } => DataError::new_err(text),
+        | Failure::NotEstimates { .. }
+        | Failure::Compare(_)
+        | Failure::Compared(_) => DataError::new_err(text),
         Failure::Truth(error) => match **error {
             TruthError::NoParameter { .. } | TruthError::Value { .. } => ModelError::new_err(text),
             _ => DataError::new_err(text),
         },
-        Failure::Output(_) | Failure::Write { .. } | Failure::NotParquet { .. } | Failure::Threads { .. } => {
-            Error::new_err(text)
-        }
+        Failure::Output(_)
+        | Failure::Write { .. }
+        | Failure::NotParquet { .. }
+        | Failure::NoForm { .. }
+        | Failure::Threads { .. } => Error::new_err(text),
         _ => FitError::new_err(text),
     }
 }
@@ -44,16 +49,22 @@ pub(crate) fn not_written(error: &OutputError) -> PyErr {
 }
 
 /// Options that messages name as on the command line, and their names in Python.
-const OPTIONS: [(&str, &str); 9] = [
+const OPTIONS: [(&str, &str); 15] = [
+    ("as", "format"),
+    ("at", "at"),
+    ("by", "by"),
     ("criterion", "criterion"),
     ("from", "source"),
     ("out", "out"),
+    ("phase", "phase"),
     ("phases", "phases"),
     ("set", "set"),
     ("starts", "starts"),
     ("std-errors", "std_errors"),
+    ("step", "step"),
     ("test", "test"),
     ("threads", "threads"),
+    ("units", "units"),
 ];
 
 /// A message with the options of the command line, which stand in backticks, in Python's words: `--phases chain` is
@@ -82,6 +93,7 @@ fn argument(option: &str) -> Option<String> {
         None => name.to_owned(),
         Some(value) => match value.split_once('=') {
             Some((key, value)) => format!("{name}={{\"{key}\": {value}}}"),
+            None if value.parse::<f64>().is_ok() => format!("{name}={value}"),
             None => format!("{name}=\"{value}\""),
         },
     })

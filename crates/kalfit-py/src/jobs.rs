@@ -8,14 +8,15 @@ use kalfit::estimate::{Criterion, Solver};
 use kalfit::infer::Bootstrap;
 use kalfit::predict::{Limits, Sides};
 use kalfit_job::{
-    AppliedModel, ApplyJob, CheckJob, Done, ExchangeJob, Exchanged, Failure, FitJob, FoldsOf, PlanJob, PredictJob,
-    PredictedModel, SimulateJob, Simulated, TableTo, TestJob, Units, ValidateJob, Watch,
+    AppliedModel, ApplyJob, CheckJob, CompareJob, Done, ExchangeJob, Exchanged, ExportJob, Failure, FitJob, FoldsOf,
+    Form, PlanJob, PredictJob, PredictedModel, SimulateJob, Simulated, TableTo, TestJob, Units, ValidateJob, Watch,
 };
 use kalfit_report::{Style, check_summary};
 use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::prelude::*;
 
 use crate::data::{Given, data};
+use crate::errors::exception;
 use crate::fit::Results;
 use crate::options::{Asked, FitOptions, Text, pick, settings};
 use crate::run::{Ended, How, run};
@@ -186,6 +187,35 @@ pub(crate) fn predict(
     let done = whole(run(py, how, move |watch| kalfit_job::predict(&job, watch))?)?;
     let PredictedModel { record, table } = done.record;
     Ok((written(&record)?, table.map(Table::ipc).transpose()?, done.notes))
+}
+
+/// (length of a step, columns with their values as `column=value`, phase).
+type WantedFilter = (Option<f64>, Vec<String>, Option<String>);
+
+/// (JSON of the filter that follows from a fit, notes).
+#[pyfunction]
+pub(crate) fn export(
+    model: Asked,
+    from: Text,
+    wanted: WantedFilter,
+    form: Option<&str>,
+    out: Option<PathBuf>,
+) -> PyResult<(String, Vec<String>)> {
+    let forms =
+        [("json", Form::Json), ("npz", Form::Npz), ("mat", Form::Mat), ("c", Form::C), ("python", Form::Python)];
+    let form = form.map(|form| pick("format", form, &forms)).transpose()?;
+    let (step, at, phase) = wanted;
+    let job = ExportJob { model: model.into(), from: from.into(), phase, step, at, form, out };
+    let done = kalfit_job::export(&job).map_err(|failure| exception(&failure))?;
+    Ok((written(&done.record)?, done.notes))
+}
+
+/// JSON of fits of the same data side by side.
+#[pyfunction]
+pub(crate) fn compare(fits: Vec<Text>, out: Option<PathBuf>) -> PyResult<String> {
+    let job = CompareJob { fits: fits.into_iter().map(Into::into).collect(), out };
+    let done = kalfit_job::compare(&job).map_err(|failure| exception(&failure))?;
+    written(&done.record)
 }
 
 /// (the table unless it went to a file, number of tests, of rows, the true initial states unless the table went to a file, the

@@ -1,7 +1,8 @@
 //! Models and results as texts: read, checked, summed up.
 
 use kalfit::TestKey;
-use kalfit::record::{AppliedRecord, PlanRecord, PredictedRecord, RatioRecord, ValidatedRecord};
+use kalfit::compare::ComparedRecord;
+use kalfit::record::{AppliedRecord, ExportRecord, PlanRecord, PredictedRecord, RatioRecord, ValidatedRecord};
 use kalfit_job::Document;
 use kalfit_report::Style;
 use pyo3::exceptions::PyValueError;
@@ -52,6 +53,18 @@ pub(crate) fn ratio_summary(json: &str, width: usize, color: bool) -> PyResult<S
 #[pyfunction]
 pub(crate) fn applied_summary(json: &str, width: usize, color: bool) -> PyResult<String> {
     Ok(kalfit_report::applied_summary(&read::<AppliedRecord>(json)?, &Style { width, color }))
+}
+
+/// Summary of the JSON of fits side by side.
+#[pyfunction]
+pub(crate) fn compared_summary(json: &str, width: usize, color: bool) -> PyResult<String> {
+    Ok(kalfit_report::compared_summary(&read::<ComparedRecord>(json)?, &Style { width, color }))
+}
+
+/// Summary of the JSON of a filter.
+#[pyfunction]
+pub(crate) fn exported_summary(json: &str, width: usize, color: bool) -> PyResult<String> {
+    Ok(kalfit_report::exported_summary(&read::<ExportRecord>(json)?, &Style { width, color }))
 }
 
 /// Summary of the JSON of a plan.

@@ -5,6 +5,8 @@
 
 mod applied;
 mod check;
+mod compared;
+mod exported;
 mod html;
 mod number;
 mod page;
@@ -18,6 +20,8 @@ mod words;
 
 pub use applied::applied_summary;
 pub use check::{CheckRecord, Checked, CheckedLevel, CheckedPhase, ParameterCounts, PhaseCounts, check_summary};
+pub use compared::compared_summary;
+pub use exported::exported_summary;
 pub use html::{html, html_with_test};
 pub use plan::plan_summary;
 pub use predicted::predicted_summary;

@@ -109,4 +109,5 @@ pub use beside::BesideError;
 pub use design::DesignSpec;
 pub use error::{ExpressionProblem, Problem, SpecError, StructureProblem};
 pub use hypothesis::Hypothesis;
+pub use show::PhaseWords;
 pub use spec::Spec;

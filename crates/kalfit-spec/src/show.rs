@@ -2,9 +2,11 @@
 
 use kalfit::Model;
 use kalfit::model::{Expression, Function, Linear, Operator};
+use kalfit::record::Words;
 
 use crate::expression::{ONE, is_zero, symbol};
 use crate::figure::figure;
+use crate::spec::Spec;
 use crate::token::is_name;
 
 /// How tightly a written expression holds together; larger is tighter.
@@ -19,6 +21,23 @@ enum Grip {
     Minus,
     Power,
     Atom,
+}
+
+/// Puts expressions of one phase of a model into words.
+#[derive(Debug)]
+pub struct PhaseWords<'a>(&'a Model);
+
+impl Spec {
+    /// What puts expressions of a phase into words, with the names of its states, parameters and columns.
+    pub fn words(&self, phase: usize) -> PhaseWords<'_> {
+        PhaseWords(&self.model.phases[phase].model)
+    }
+}
+
+impl Words for PhaseWords<'_> {
+    fn of(&self, a: &Expression) -> String {
+        expression(self.0, a)
+    }
 }
 
 /// Noise by its standard deviation where that is what was written, else by its variance; true for a standard deviation.

@@ -12,9 +12,11 @@
 
 pub mod apply;
 pub mod build;
+pub mod compare;
 pub mod dynamic;
 pub mod ensemble;
 pub mod estimate;
+pub mod export;
 mod face;
 pub mod guide;
 pub mod infer;

@@ -37,6 +37,10 @@ fn version_and_help() {
                    does so better
       predict      What a test that nobody has made will give: means, spread and limits of states and
                    outputs
+      export       The filter that follows from a fit, for programs that are not kalfit: JSON, numpy,
+                   Matlab, C or Python
+      compare      Fits of the same data side by side: likelihoods, AIC and BIC, tests of one within
+                   another
       report       The report of a fit, one HTML page, from its results alone
       completions  The script that completes commands and options in a shell, to standard output
       man          The manual page, to standard output, or the pages of all commands, to a folder

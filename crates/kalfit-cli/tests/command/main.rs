@@ -3,10 +3,12 @@
 mod apply;
 mod broken;
 mod check;
+mod compare;
 mod dynamic;
 mod em;
 mod ensembles;
 mod exchange;
+mod export;
 mod folder;
 mod generated;
 mod groups;

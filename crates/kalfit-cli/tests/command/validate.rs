@@ -121,7 +121,12 @@ fn a_column_makes_folds_and_groups_stay_whole() {
     assert_eq!(drawn.status.code(), Some(0), "{}", shown(&drawn));
     let each = self::record(&folder, "drawn.json");
     assert_eq!(each.folds.len(), 4, "there are no more groups to leave out");
-    assert!((each.log_density - record.log_density).abs() < 1e-6, "{} against {}", each.log_density, record.log_density);
+    assert!(
+        (each.log_density - record.log_density).abs() < 1e-6,
+        "{} against {}",
+        each.log_density,
+        record.log_density
+    );
 }
 
 #[test]

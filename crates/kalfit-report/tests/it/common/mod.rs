@@ -88,6 +88,7 @@ pub(crate) fn record(title: &str, phases: Vec<PhaseRecord>) -> FitRecord {
         },
         phases,
         parameters: vec![],
+        estimates: None,
         starts: vec![],
         methods: vec![],
         constraints: vec![],

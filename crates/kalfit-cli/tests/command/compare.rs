@@ -1,0 +1,180 @@
+//! `kalfit compare` through the built command.
+
+#![expect(clippy::unwrap_used, reason = "a test that cannot be set up must fail")]
+
+use insta::assert_snapshot;
+use serde_json::Value;
+
+use crate::folder::{Folder, shown};
+
+/// Random coefficients; the same without correlation, and without spread of the slope.
+fn fitted() -> Folder {
+    let folder = Folder::new(&[]);
+    for path in ["sleepstudy.toml", "sleepstudy.csv"] {
+        folder.copy(&format!("../../examples/random-coefficients/{path}"));
+    }
+    let model = std::fs::read_to_string(folder.path("sleepstudy.toml")).unwrap();
+    let variants = [
+        ("full", ""),
+        ("apart", "\n[covariance]\nstructure = \"diagonal\"\n"),
+        ("parallel", "\n[covariance]\nfixed = { \"slope, slope\" = 0 }\n"),
+    ];
+    for (name, added) in variants {
+        folder.write(&format!("{name}.toml"), format!("{model}{added}").as_bytes());
+        let output = folder.run(&format!("fit {name}.toml sleepstudy.csv --out {name}.json --quiet"));
+        assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+    }
+    folder
+}
+
+#[test]
+fn fits_stand_side_by_side_with_tests_of_one_within_another() {
+    let folder = fitted();
+    assert_snapshot!(shown(&folder.run("compare full.json apart.json parallel.json --out c.json")), @"
+    exit 0
+    ----- stdout
+    3 fits to 18 tests with 180 measured values. The smallest AIC is that of
+    apart.json.
+
+    Likelihoods
+      fit            log-likelihood  free  certified
+      full.json          -875.96967     6        yes
+      apart.json         -876.00163     5        yes
+      parallel.json      -897.03932     4        yes
+
+      fit                AIC   ΔAIC  weight      BIC   ΔBIC
+      full.json      1763.94   1.94   0.275  1783.10   5.13
+      apart.json     1762.00   0.00   0.725  1777.97   0.00
+      parallel.json  1802.08  40.08   0.000  1814.85  36.88
+
+    Predictions of tests left out
+      fit            log density  below the best  std. error
+      full.json        -881.7424           1.475        0.49
+      apart.json       -880.2671               0           0
+      parallel.json    -903.7976           23.53          11
+
+    Fits within others
+      hypothesis     within      -2 log λ  df  p-value
+      apart.json     full.json   0.063911   1     0.80
+      parallel.json  full.json     42.139   2  ≤ 7e-10
+      parallel.json  apart.json    42.075   1  < 1e-10
+      parallel.json within full.json: At the end of its range: covariance[slope,
+        slope]; the p-value is an upper bound.
+      parallel.json within apart.json: At the end of its range: covariance[slope,
+        slope]; the p-value is an upper bound.
+
+    What differs
+                                    full.json  apart.json  parallel.json
+      covariance[intercept, slope]     11.055     0 fixed        0 fixed
+      covariance[slope, slope]         32.682      33.633        0 fixed
+
+    How to read this
+      Files of results do not hold the data: that the fits are of the same measured
+        values is judged by their tests and counts.
+      AIC and BIC weigh the log-likelihood against the number of free quantities,
+        the smaller the better; weights are those of AIC among these fits.
+      Tests left out: the log density of each test at the fit to all others, summed.
+      Fits within others are those that their files show to be; `kalfit test` has
+        the law on boundaries, and a bootstrap.
+    ----- stderr
+    Wrote c.json
+    ");
+    let record: Value = serde_json::from_slice(&std::fs::read(folder.path("c.json")).unwrap()).unwrap();
+    assert_eq!(record["schema"], "kalfit-compare/1");
+    // lme4 on the same data: -875.9697 with 6 free, -876.0016 with 5; anova gives χ² = 0.0639 with 1, p = 0.8004
+    let test = record["nested"].as_array().unwrap().iter().find(|test| test["null"] == 1).unwrap();
+    let near = |what: &str, found: &Value, expected: f64| {
+        let found = found.as_f64().unwrap();
+        assert!((found - expected).abs() < 1e-4, "{what}: {found} against {expected}");
+    };
+    near("-2 log λ", &test["lr"], 0.0639);
+    near("p", &test["p_value"], 0.8004);
+    assert_eq!((test["df"].as_u64(), test["p_value_kind"].as_str()), (Some(1), Some("large-sample")));
+    // and `kalfit test` on the same hypothesis
+    folder.write("null.toml", b"[covariance]\nstructure = \"diagonal\"\n");
+    let output = folder.run("test full.toml sleepstudy.csv --null null.toml --out t.json --quiet");
+    assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+    let own: Value = serde_json::from_slice(&std::fs::read(folder.path("t.json")).unwrap()).unwrap();
+    let difference = own["lr"].as_f64().unwrap() - test["lr"].as_f64().unwrap();
+    assert!(difference.abs() < 1e-6, "{} against {}", own["lr"], test["lr"]);
+}
+
+#[test]
+fn fits_of_other_data_and_files_that_are_no_fits_are_refused() {
+    let folder = fitted();
+    let data = std::fs::read_to_string(folder.path("sleepstudy.csv")).unwrap();
+    let short: Vec<&str> = data.lines().take(data.lines().count() - 1).collect();
+    folder.write("short.csv", short.join("\n").as_bytes());
+    let output = folder.run("fit full.toml short.csv --out short.json --quiet");
+    assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+    assert_snapshot!(shown(&folder.run("compare full.json short.json")), @"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: `full.json` and `short.json` are not fits of the same data: test `372` has 10 measured values against 9
+
+    hint: likelihoods compare only where they are of the same measured values: fit all models to the same data
+    ");
+    assert_snapshot!(shown(&folder.run("compare full.json full.json")), @"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: `full.json` is given twice
+
+    hint: name each file once
+    ");
+    assert_snapshot!(shown(&folder.run("compare full.json full.toml")), @"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: `full.toml` is not a result of `kalfit fit`: expected value at line 1 column 1
+
+    hint: `kalfit compare` takes what `kalfit fit --out` writes
+    ");
+    assert_snapshot!(shown(&folder.run("compare full.json none.json")), @"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: cannot read `none.json`: No such file or directory (os error 2)
+    ");
+    assert_snapshot!(shown(&folder.run("compare full.json apart.json --out full.json")), @"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: the output `full.json` is one of the inputs
+
+    hint: give the output a name of its own
+    ");
+    let output = folder.run("fit full.toml sleepstudy.csv --criterion reml --out reml.json --quiet");
+    assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+    assert_snapshot!(shown(&folder.run("compare full.json reml.json")), @"
+    exit 0
+    ----- stdout
+    2 fits to 18 tests with 180 measured values. Their log-likelihoods do not
+    compare: see the notes.
+
+    Likelihoods
+      fit        log-likelihood  free  certified  criterion
+      full.json      -875.96967     6        yes         ml
+      reml.json      -871.81414     6        yes       reml
+
+      fit            AIC      BIC
+      full.json  1763.94  1783.10
+      reml.json  1755.63  1774.79
+
+    Predictions of tests left out
+      fit        log density  below the best  std. error
+      full.json    -881.7424          0.3162         0.3
+      reml.json    -881.4262               0           0
+
+    Notes
+      Some fits maximise the likelihood, others the restricted likelihood (REML):
+        the two do not compare.
+
+    How to read this
+      Files of results do not hold the data: that the fits are of the same measured
+        values is judged by their tests and counts.
+      Tests left out: the log density of each test at the fit to all others, summed.
+    ----- stderr
+    ");
+}

@@ -1,0 +1,31 @@
+//! Fits of the same data side by side: `kalfit compare`.
+
+use std::path::Path;
+
+use kalfit::FitRecord;
+use kalfit::compare::{ComparedRecord, compare as side_by_side};
+
+use crate::document::Document;
+use crate::failure::Failure;
+use crate::job::{CompareJob, Done};
+use crate::output::{Contents, Output};
+use crate::results::{FIT, read};
+
+/// Puts the results of fits side by side.
+///
+/// # Errors
+/// Files that cannot be read, or have no such results in them; fits of other data.
+pub fn compare(job: &CompareJob) -> Result<Done<ComparedRecord>, Failure> {
+    let named: Vec<&Path> = job.fits.iter().filter_map(Document::path).collect();
+    let output = Output::prepare_for(("--out", Contents::Json), job.out.as_deref(), &named)?;
+    let fits = job.fits.iter().map(|fit| {
+        let record: FitRecord = read(fit, FIT).map_err(|error| Failure::Compared(Box::new(error)))?;
+        Ok((fit.name(), record))
+    });
+    let fits = fits.collect::<Result<Vec<_>, Failure>>()?;
+    let record = side_by_side(&fits).map_err(Failure::Compare)?;
+    if let Some(output) = &output {
+        output.write(&record)?;
+    }
+    Ok(Done { record, notes: Vec::new(), written: output.iter().map(Output::name).collect() })
+}

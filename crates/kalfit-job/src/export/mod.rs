@@ -1,0 +1,74 @@
+//! The filter that follows from a fit: `kalfit export`.
+
+mod c;
+mod fields;
+mod form;
+mod mat;
+mod npz;
+mod python;
+mod zip;
+
+use kalfit::export::{ExportError, Wanted, export as matrices};
+use kalfit::record::{ExportRecord, ExportSource};
+
+pub use self::form::Form;
+use crate::failure::Failure;
+use crate::job::{Done, ExportJob, files};
+use crate::output::{Output, OutputError};
+use crate::{model, truth};
+
+/// Makes the filter, and writes it where a file is named.
+///
+/// # Errors
+/// Bad input: among it a model whose matrices differ from row to row.
+pub fn export(job: &ExportJob) -> Result<Done<ExportRecord>, Failure> {
+    let mut spec = model::read(&job.model.document)?;
+    let truth = truth::load(&mut spec, &job.from, &job.model.set)?;
+    let at = job.at.iter().map(|assignment| column_value(assignment)).collect::<Result<Vec<_>, Failure>>()?;
+    let output = match &job.out {
+        None => None,
+        Some(path) => {
+            let form = job.form.map_or_else(|| Form::of(path), Ok)?;
+            let used = files(&[&job.model.document, &job.from], &[]);
+            let output = Output::prepare_for(("--as", form.contents()), Some(path), &used)?;
+            output.map(|output| (output, form))
+        }
+    };
+    let wanted = Wanted { phase: job.phase.clone(), step: job.step, at };
+    let found = matrices(&spec.model, &truth.alpha, &truth.population, &wanted).map_err(refused)?;
+    let words = spec.words(found.phase);
+    let source = ExportSource { from: job.from.name(), at: &wanted.at, words: &words };
+    let record = ExportRecord::new(&spec.model, &found, &source);
+    if let Some((output, form)) = &output {
+        write(output, *form, &record)?;
+    }
+    let written = output.iter().map(|(output, _)| output.name()).collect();
+    Ok(Done { record, notes: truth.warnings, written })
+}
+
+fn write(output: &Output, form: Form, record: &ExportRecord) -> Result<(), OutputError> {
+    match form {
+        Form::Json => output.write(record),
+        Form::Npz => output.write_bytes(&npz::file(record)),
+        Form::Mat => output.write_bytes(&mat::file(record)),
+        Form::C => output.write_bytes(c::header(record, &output.stem()).as_bytes()),
+        Form::Python => output.write_bytes(python::module(record).as_bytes()),
+    }
+}
+
+/// `column=value`; the name of a column may hold a `=`, its value here cannot.
+fn column_value(assignment: &str) -> Result<(String, String), Failure> {
+    match assignment.rsplit_once('=') {
+        Some((column, value)) if !column.trim().is_empty() && !value.trim().is_empty() => {
+            Ok((column.trim().to_owned(), value.trim().to_owned()))
+        }
+        _ => Err(Failure::NoColumnValue { found: assignment.to_owned() }),
+    }
+}
+
+fn refused(error: ExportError) -> Failure {
+    match error {
+        ExportError::Reduce(error) => Failure::Reduce { error: *error, reading: None },
+        error => Failure::Export(Box::new(error)),
+    }
+}

@@ -1,0 +1,173 @@
+//! Fits of the same data side by side.
+
+use kalfit::compare::{ComparedFit, ComparedRecord, NestedRecord, PValueKind, StandingRecord};
+
+use crate::Style;
+use crate::number::{hundredths, plain, probability};
+use crate::page::Page;
+use crate::table::{Column, Side};
+use crate::words::{capital, clean, count, sentence};
+
+/// Rows of the table of what differs.
+const MOST: usize = 30;
+
+/// The comparison in words and tables. Every line fits `style.width` and ends with a line feed.
+pub fn compared_summary(record: &ComparedRecord, style: &Style) -> String {
+    let page = Page::new(style);
+    let names: Vec<String> = record.fits.iter().map(|fit| clean(&fit.name)).collect();
+    let facts = format!(
+        "{} to {} with {}.",
+        capital(&count(record.fits.len(), "fit")),
+        count(record.tests, "test"),
+        count(record.observations, "measured value")
+    );
+    let mut sections = vec![page.paragraph(&(facts + &verdict(record)))];
+    sections.push(page.section("Likelihoods", &likelihoods(record, &names, &page)));
+    sections.push(page.section("Predictions of tests left out", &predictive(record, &names, &page)));
+    sections.push(page.section("Fits within others", &nested(record, &names, &page)));
+    sections.push(page.section("What differs", &differences(record, &names, &page)));
+    sections.push(page.section("Equations that differ", &page.items(&lines(record, &names))));
+    let notes: Vec<String> = record.notes.iter().map(|note| sentence(&clean(note))).collect();
+    sections.push(page.section("Notes", &page.items(&notes)));
+    sections.push(page.section("How to read this", &page.items(&reading(record))));
+    sections.retain(|section| !section.is_empty());
+    sections.join("\n")
+}
+
+/// Which fit has the smallest AIC.
+fn verdict(record: &ComparedRecord) -> String {
+    if !record.comparable {
+        return " Their log-likelihoods do not compare: see the notes.".to_owned();
+    }
+    let best = record.fits.iter().find(|fit| fit.delta_aic == Some(0.0));
+    match best {
+        Some(best) => format!(" The smallest AIC is that of {}.", clean(&best.name)),
+        None => String::new(),
+    }
+}
+
+fn column(record: &ComparedRecord, heading: &str, cell: &dyn Fn(&ComparedFit) -> String) -> Column {
+    Column::new(heading, Side::Right, record.fits.iter().map(cell).collect())
+}
+
+fn likelihoods(record: &ComparedRecord, names: &[String], page: &Page<'_>) -> String {
+    let or = |x: Option<f64>, show: &dyn Fn(f64) -> String| x.map_or("-".to_owned(), show);
+    let fit = Column::new("fit", Side::Left, names.to_vec());
+    let mut columns = vec![
+        column(record, "log-likelihood", &|fit| plain(fit.log_likelihood, 8)),
+        column(record, "free", &|fit| fit.free_parameters.to_string()),
+        column(record, "certified", &|fit| if fit.converged { "yes" } else { "no" }.to_owned()),
+    ];
+    if record.fits.iter().any(|fit| fit.criterion != "ml") {
+        columns.push(column(record, "criterion", &|fit| fit.criterion.clone()));
+    }
+    let mut criteria = vec![column(record, "AIC", &|fit| or(fit.aic, &hundredths))];
+    if record.comparable {
+        criteria.push(column(record, "ΔAIC", &|fit| or(fit.delta_aic, &hundredths)));
+        criteria.push(column(record, "weight", &|fit| or(fit.akaike_weight, &|x| format!("{x:.3}"))));
+    }
+    criteria.push(column(record, "BIC", &|fit| or(fit.bic, &hundredths)));
+    if record.comparable {
+        criteria.push(column(record, "ΔBIC", &|fit| or(fit.delta_bic, &hundredths)));
+    }
+    format!("{}\n{}", page.wide_table(&fit, &columns), page.wide_table(&fit, &criteria))
+}
+
+fn predictive(record: &ComparedRecord, names: &[String], page: &Page<'_>) -> String {
+    if record.fits.iter().all(|fit| fit.log_predictive_density.is_none()) {
+        return String::new();
+    }
+    let or = |x: Option<f64>, digits: usize| x.map_or("-".to_owned(), |x| plain(x, digits));
+    let difference = |fit: &ComparedFit| fit.predictive_difference.map(|own| own.difference);
+    let error = |fit: &ComparedFit| fit.predictive_difference.and_then(|own| own.std_error);
+    page.table(&[
+        Column::new("fit", Side::Left, names.to_vec()),
+        column(record, "log density", &|fit| or(fit.log_predictive_density, 7)),
+        column(record, "below the best", &|fit| or(difference(fit), 4)),
+        column(record, "std. error", &|fit| or(error(fit), 2)),
+    ])
+}
+
+fn nested(record: &ComparedRecord, names: &[String], page: &Page<'_>) -> String {
+    if record.nested.is_empty() {
+        return String::new();
+    }
+    let cells = |cell: &dyn Fn(&NestedRecord) -> String| record.nested.iter().map(cell).collect::<Vec<String>>();
+    let p_value = |test: &NestedRecord| match (test.p_value, test.p_value_kind) {
+        (Some(p), PValueKind::UpperBound) if probability(p).starts_with('<') => probability(p),
+        (Some(p), PValueKind::UpperBound) => format!("≤ {}", probability(p)),
+        (Some(p), PValueKind::Approximate) => format!("about {}", probability(p)),
+        (Some(p), _) => probability(p),
+        (None, _) => "-".to_owned(),
+    };
+    let table = page.table(&[
+        Column::new("hypothesis", Side::Left, cells(&|test| names[test.null].clone())),
+        Column::new("within", Side::Left, cells(&|test| names[test.alternative].clone())),
+        Column::new("-2 log λ", Side::Right, cells(&|test| plain(test.lr, 5))),
+        Column::new("df", Side::Right, cells(&|test| test.df.to_string())),
+        Column::new("p-value", Side::Right, cells(&p_value)),
+    ]);
+    let mut reasons: Vec<String> = Vec::new();
+    for test in &record.nested {
+        if let Some(reason) = &test.reason {
+            let of = format!("{} within {}", names[test.null], names[test.alternative]);
+            reasons.push(format!("{of}: {}", sentence(&clean(reason))));
+        }
+    }
+    table + &page.items(&reasons)
+}
+
+fn differences(record: &ComparedRecord, names: &[String], page: &Page<'_>) -> String {
+    if record.differences.is_empty() {
+        return String::new();
+    }
+    let rows = &record.differences[..record.differences.len().min(MOST)];
+    let cell = |standing: &Option<StandingRecord>| match standing {
+        None => "-".to_owned(),
+        Some(StandingRecord { fixed: true, value }) => format!("{} fixed", plain(*value, 5)),
+        Some(StandingRecord { fixed: false, value }) => plain(*value, 5),
+    };
+    let first = Column::new("", Side::Left, rows.iter().map(|row| clean(&row.element)).collect());
+    let others: Vec<Column> = names
+        .iter()
+        .enumerate()
+        .map(|(k, name)| Column::new(name, Side::Right, rows.iter().map(|row| cell(&row.standing[k])).collect()))
+        .collect();
+    let more = match record.differences.len() - rows.len() {
+        0 => Vec::new(),
+        more => vec![format!("… and {more} more.")],
+    };
+    page.wide_table(&first, &others) + &page.items(&more)
+}
+
+fn lines(record: &ComparedRecord, names: &[String]) -> Vec<String> {
+    let of = |fits: &[bool]| {
+        let own = names.iter().zip(fits).filter(|(_, has)| **has).map(|(name, _)| name.as_str());
+        own.collect::<Vec<_>>().join(", ")
+    };
+    record.lines.iter().map(|line| format!("{}: {}.", of(&line.fits), clean(&line.line))).collect()
+}
+
+fn reading(record: &ComparedRecord) -> Vec<String> {
+    let mut notes = vec![
+        "Files of results do not hold the data: that the fits are of the same measured values is judged by their tests and counts."
+            .to_owned(),
+    ];
+    if record.comparable {
+        notes.push(
+            "AIC and BIC weigh the log-likelihood against the number of free quantities, the smaller the better; weights are \
+             those of AIC among these fits."
+                .to_owned(),
+        );
+    }
+    if record.fits.iter().any(|fit| fit.log_predictive_density.is_some()) {
+        notes.push("Tests left out: the log density of each test at the fit to all others, summed.".to_owned());
+    }
+    if !record.nested.is_empty() {
+        notes.push(
+            "Fits within others are those that their files show to be; `kalfit test` has the law on boundaries, and a bootstrap."
+                .to_owned(),
+        );
+    }
+    notes
+}

@@ -1,0 +1,94 @@
+//! Whether fits are of the same data.
+
+use std::collections::BTreeMap;
+
+use crate::record::FitRecord;
+
+/// Why fits cannot be compared.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum CompareError {
+    /// One fit is no comparison.
+    #[error("found {found} of the results of a fit, expected two or more")]
+    TooFew {
+        /// How many there are.
+        found: usize,
+    },
+    /// The same file twice.
+    #[error("`{name}` is given twice")]
+    Twice {
+        /// The file.
+        name: String,
+    },
+    /// Fits of other data.
+    #[error("`{first}` and `{second}` are not fits of the same data: {what}")]
+    OtherData {
+        /// One fit.
+        first: String,
+        /// The other.
+        second: String,
+        /// What differs.
+        what: String,
+    },
+}
+
+impl CompareError {
+    /// What to do about it.
+    pub fn hint(&self) -> &'static str {
+        match self {
+            CompareError::TooFew { .. } => "name two or more files that `kalfit fit --out` wrote",
+            CompareError::Twice { .. } => "name each file once",
+            CompareError::OtherData { .. } => {
+                "likelihoods compare only where they are of the same measured values: fit all models to the same data"
+            }
+        }
+    }
+}
+
+pub(super) fn check(fits: &[(String, FitRecord)]) -> Result<(), CompareError> {
+    if fits.len() < 2 {
+        return Err(CompareError::TooFew { found: fits.len() });
+    }
+    for (k, (name, _)) in fits.iter().enumerate() {
+        if fits[..k].iter().any(|(other, _)| other == name) {
+            return Err(CompareError::Twice { name: name.clone() });
+        }
+    }
+    let (first, own) = &fits[0];
+    for (second, other) in &fits[1..] {
+        if let Some(what) = difference(own, other) {
+            return Err(CompareError::OtherData { first: first.clone(), second: second.clone(), what });
+        }
+    }
+    Ok(())
+}
+
+/// What differs, in words.
+fn difference(first: &FitRecord, second: &FitRecord) -> Option<String> {
+    let (one, two) = (&first.data, &second.data);
+    if one.tests != two.tests {
+        return Some(format!("{} tests against {}", one.tests, two.tests));
+    }
+    let levels =
+        |fit: &FitRecord| -> Vec<String> { fit.levels.iter().filter_map(|level| level.column.clone()).collect() };
+    // ids hold the names of groups
+    if !first.tests.is_empty() && !second.tests.is_empty() && levels(first) == levels(second) {
+        let of = |fit: &'_ FitRecord| -> BTreeMap<String, usize> {
+            fit.tests.iter().map(|test| (test.id.clone(), test.observations)).collect()
+        };
+        let (one, two) = (of(first), of(second));
+        let missing = |one: &BTreeMap<String, usize>, two: &BTreeMap<String, usize>| {
+            one.keys().find(|id| !two.contains_key(*id)).cloned()
+        };
+        if let Some(id) = missing(&one, &two) {
+            return Some(format!("test `{id}` is in the first only"));
+        }
+        if let Some(id) = missing(&two, &one) {
+            return Some(format!("test `{id}` is in the second only"));
+        }
+        if let Some((id, count)) = one.iter().find(|(id, count)| two[*id] != **count) {
+            return Some(format!("test `{id}` has {count} measured values against {}", two[id]));
+        }
+    }
+    (one.observations != two.observations)
+        .then(|| format!("{} measured values against {}", one.observations, two.observations))
+}

@@ -1,0 +1,83 @@
+//! What models say of their equations, in the words of the records.
+
+use serde::{Deserialize, Serialize};
+
+use crate::record::FitRecord;
+
+/// A fact about states or measurements that not all models have.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LineRecord {
+    /// The fact.
+    pub line: String,
+    /// Whether each fit's model has it.
+    pub fits: Vec<bool>,
+}
+
+/// Beginnings of facts that other parts of a record tell too: of parameters, μ, Σ and groups.
+const ELSEWHERE: [&str; 9] = [
+    "tests: ",
+    "parameter `",
+    "order of ",
+    "no state has ",
+    "mean of `",
+    "covariance ",
+    "covariances of ",
+    "variance of `",
+    "level `",
+];
+
+/// A state without spread is one whose variance is fixed at zero, which Σ tells.
+const COMMON: &str = ", one value common to all tests";
+
+/// Facts about states, measurements, steps and filters.
+pub(super) fn equations(fit: &FitRecord) -> Vec<String> {
+    let counts = |line: &&String| !ELSEWHERE.iter().any(|start| line.starts_with(start));
+    fit.model.iter().filter(counts).map(|line| line.replace(COMMON, "")).collect()
+}
+
+/// Whether two models have the same equations; not where a record does not say.
+pub(super) fn same(a: &FitRecord, b: &FitRecord) -> bool {
+    let (mut a, mut b) = (equations(a), equations(b));
+    a.sort_unstable();
+    b.sort_unstable();
+    !a.is_empty() && a == b
+}
+
+/// The covariances are full, diagonal, in blocks or known: each element that is not fixed is free by itself.
+pub(super) fn is_plain(fit: &FitRecord) -> bool {
+    let starts_plain = |kind: &str| {
+        ["full", "diagonal", "blocks (", "known, ", "starts at "].iter().any(|plain| kind.starts_with(plain))
+    };
+    let mut all = fit.model.iter().filter_map(|line| {
+        let line =
+            line.strip_prefix("level `").map_or(line.as_str(), |rest| rest.split_once("`: ").map_or("", |x| x.1));
+        Some(line.strip_prefix("covariance Σ")?.split_once(": ")?.1)
+    });
+    all.all(starts_plain) && !fit.model.iter().any(|line| line.contains("covariances of ") && line.ends_with(": equal"))
+}
+
+/// Whether a value is where the range of a parameter ends.
+pub(super) fn is_end(fit: &FitRecord, parameter: &str, value: f64) -> bool {
+    let start = format!("parameter `{parameter}`");
+    let Some(line) = fit.model.iter().find(|line| line.starts_with(&start)) else { return value == 0.0 };
+    line.split_once(": ").map_or("", |x| x.1).split(", ").any(|fact| {
+        let bound = fact.strip_prefix("at least ").or_else(|| fact.strip_prefix("at most "));
+        (fact == "not negative" && value == 0.0) || bound.and_then(|x| x.parse().ok()) == Some(value)
+    })
+}
+
+/// Facts that not all models have.
+pub(super) fn differences(fits: &[&FitRecord]) -> Vec<LineRecord> {
+    if fits.iter().any(|fit| fit.model.is_empty()) {
+        return Vec::new();
+    }
+    let all: Vec<Vec<String>> = fits.iter().map(|fit| equations(fit)).collect();
+    let mut records: Vec<LineRecord> = Vec::new();
+    for line in all.iter().flatten() {
+        let fits: Vec<bool> = all.iter().map(|own| own.contains(line)).collect();
+        if fits.contains(&false) && !records.iter().any(|record| record.line == *line) {
+            records.push(LineRecord { line: line.clone(), fits });
+        }
+    }
+    records
+}
