@@ -291,6 +291,8 @@ class Fit:
 
     def __init__(self, results: str | _kalfit.Results, name: str = "the results") -> None:
         self._results = _kalfit.Results(name, results) if isinstance(results, str) else results
+        #: The model and what was set of it, where the fit was made here.
+        self._made_with: tuple[Any, Any] | None = None
 
     @classmethod
     def from_json(cls, text: str) -> Fit:
@@ -396,6 +398,51 @@ class Fit:
 
     def _some_tests(self, every: int) -> list[TestFit]:
         return [_test(record) for record in json.loads(self._results.tests(every))]
+
+    def tests_frame(self) -> Any:
+        """What each test says as a ``pandas.DataFrame`` with a row for each test: ``id``, ``group``, ``log_likelihood``,
+        ``observations``, ``distance``, ``degrees_of_freedom``, ``p_value``, ``mean[STATE]`` and ``std_dev[STATE]``, the states of
+        several phases after the phase's name. This takes pandas.
+        """
+        import pandas
+
+        several = len(self.phases) > 1
+        states = {phase.name: phase.states for phase in self.phases}
+        levels = [level.name for level in self.levels][:-1]  # the last are the tests themselves
+        rows = []
+        for test in self.tests:
+            row: dict[str, Any] = {"id": test.id, "group": test.group, **dict(zip(levels, test.groups, strict=False))}
+            for name in ("log_likelihood", "observations", "distance", "degrees_of_freedom", "p_value"):
+                row[name] = getattr(test, name)
+            for phase, mean in test.means.items():
+                named = [f"{phase}: {state}" if several else state for state in states[phase]]
+                deviations = np.sqrt(np.diag(test.covariances[phase]).clip(min=0.0))
+                row.update({f"mean[{state}]": value for state, value in zip(named, mean, strict=True)})
+                row.update({f"std_dev[{state}]": value for state, value in zip(named, deviations, strict=True)})
+            rows.append(row)
+        return pandas.DataFrame(rows)
+
+    def _model_of(self, model: Any) -> tuple[Any, Any]:
+        """A model, or that of the fit with what was set of it."""
+        if model is not None:
+            return (model, None)
+        if self._made_with is None:
+            raise TypeError("this fit does not know its model, as it was read from JSON: give it, as in model='model.toml'")
+        return self._made_with
+
+    def apply(self, data: Any, *, model: Any = None, **options: Any) -> Any:
+        """Applies the fit to tests, old or new: :func:`kalfit.apply` with the model of the fit, or with ``model``."""
+        import kalfit
+
+        known, assigned = self._model_of(model)
+        return kalfit.apply(known, data, self, **{"set": assigned, **options})
+
+    def predict(self, design: Any, *, model: Any = None, **options: Any) -> Any:
+        """What tests that nobody has made will give: :func:`kalfit.predict` with the model of the fit, or with ``model``."""
+        import kalfit
+
+        known, assigned = self._model_of(model)
+        return kalfit.predict(known, self, design, **{"set": assigned, **options})
 
     @property
     def constraints(self) -> list[dict[str, Any]]:

@@ -167,6 +167,7 @@ def fit(
         _model(model, set), as_data(data), _file(out), options, _how(threads, progress)
     )
     result = Fit(found)
+    result._made_with = (model, set)
     if interrupted:
         raise Interrupted(result)
     return result

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import json
 
+import numpy
 import pandas
 import polars
 import pyarrow.parquet
@@ -62,6 +63,56 @@ def test_a_fit_is_applied_as_the_command_applies_it(command, tmp_path):
         kalfit.apply(*BENCH, fit, states_out=tmp_path / "w.csv")
     with pytest.raises(ValueError, match="states is"):
         kalfit.apply(*BENCH, fit, states="guessed")
+
+
+def test_missions_are_predicted_as_the_command_predicts_them(command, tmp_path):
+    fit = kalfit.fit(*BENCH, out=tmp_path / "fit.json")
+    outputs = tmp_path / "out.toml"
+    outputs.write_text('[outputs.heading]\nequation = "bias + 10 * scale"\n', encoding="utf-8")
+    arguments = ("predict", BENCH[0], "--from", str(tmp_path / "fit.json"), "--design", BENCH[1], "--outputs", str(outputs))
+    path = command(*arguments, "--one-sided", out="p.csv")
+    for given in (outputs, {"heading": "bias + 10 * scale"}, {"heading": {"equation": "bias + 10 * scale"}}):
+        found = kalfit.predict(BENCH[0], fit, BENCH[1], outputs=given, one_sided=True)
+        assert found.table.to_pandas().equals(pandas.read_csv(path))
+    assert "28 tests" in found.summary() and "28 tests" in repr(found)
+    same = fit.predict(BENCH[1], outputs=outputs, one_sided=True)
+    assert same.table.to_pandas().equals(found.table.to_pandas())
+    read = kalfit.Fit.load(tmp_path / "fit.json")
+    assert read.predict(BENCH[1], model=BENCH[0]).to_dict()["rows"] == found.to_dict()["rows"]
+    with pytest.raises(TypeError, match="does not know its model"):
+        read.predict(BENCH[1])
+    with pytest.raises(ValueError, match="content is 0.2"):
+        kalfit.predict(BENCH[0], fit, BENCH[1], content=0.2)
+    with pytest.raises(kalfit.ModelError, match="not linear"):
+        kalfit.predict(BENCH[0], fit, BENCH[1], outputs={"wrong": "bias * scale"})
+
+
+def test_models_are_validated_as_the_command_validates_them(command):
+    model, data = SLEEP
+    expected = command("validate", model, data, "--folds", "6", "--seed", "3")
+    found = kalfit.validate(model, data, folds=6, seed=3)
+    assert found.to_dict() == expected
+    assert found.log_density == pytest.approx(sum(one["log_density"] for one in expected["pieces"]), rel=1e-12)
+    assert found.difference is None and "in 6 folds" in found.summary()
+    text = Path(model).read_text(encoding="utf-8")
+    other = kalfit.Model.from_text(text + '\n[covariance]\nstructure = "diagonal"\n')
+    beside = kalfit.validate(model, data, folds=6, seed=3, against=other)
+    differences = [one["log_density"] - one["against"] for one in beside.to_dict()["pieces"]]
+    assert beside.difference == pytest.approx(sum(differences), rel=1e-9)
+    with pytest.raises(ValueError, match="folds is 1"):
+        kalfit.validate(model, data, folds=1)
+
+
+def test_tests_are_a_frame():
+    fit = kalfit.fit(*BENCH)
+    frame = fit.tests_frame()
+    assert list(frame["id"]) == [test.id for test in fit.tests] and len(frame) == 28
+    assert frame["mean[bias]"][0] == fit.tests[0].means["main"][0]
+    assert frame["std_dev[scale]"][3] == pytest.approx(fit.tests[3].covariances["main"][1, 1] ** 0.5, rel=1e-15)
+    applied = fit.apply(BENCH[1]).tests.to_pandas()
+    assert numpy.allclose(applied["mean[bias]"], frame["mean[bias]"], rtol=1e-9, atol=1e-12)
+    phases = kalfit.fit(*PHASES).tests_frame()
+    assert "mean[align: drift]" in phases.columns and phases["mean[flight: drift]"].isna().sum() == 4
 
 
 def test_an_ensemble_is_drawn_as_the_command_draws_it(command, tmp_path):

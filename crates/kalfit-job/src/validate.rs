@@ -1,9 +1,9 @@
 //! How well a model predicts tests that it was not fitted to: `kalfit validate`.
 
 use kalfit::model::Column;
-use kalfit::record::{TestGroups, ValidateProvenance, ValidatedRecord};
+use kalfit::record::{NotComparable, TestGroups, ValidateProvenance, ValidatedRecord};
 use kalfit::validate::{Folds, ValidateError, Validation, validate as run};
-use kalfit::{Ensemble, EnsembleError, Options};
+use kalfit::{Ensemble, EnsembleError, Model, Options};
 use kalfit_data::Reading;
 use kalfit_spec::Spec;
 
@@ -30,6 +30,7 @@ pub fn validate(job: &ValidateJob, watch: &mut dyn Watch) -> Result<Done<Validat
     let documents: Vec<_> = std::iter::once(&job.model.document).chain(&job.against).collect();
     let output =
         Output::prepare_for(("--out", Contents::Json), job.out.as_deref(), &files(&documents, &first.given.inputs))?;
+    against.as_ref().map_or(Ok(()), |other| first.refuse_others(other))?;
     let folds = first.folds(job)?;
     let found = first.validated(&folds, job, &mut work)?;
     let (by, seed) = match &job.folds {
@@ -84,6 +85,16 @@ impl Read {
         Ok(Read { spec, given, ensemble, reading, groups })
     }
 
+    /// Refuses another model that measures other columns.
+    fn refuse_others(&self, other: &Read) -> Result<(), Failure> {
+        let [first, second] = [self, other].map(|read| measured(&read.spec));
+        if first == second {
+            return Ok(());
+        }
+        let error = NotComparable::Columns { first, second };
+        Err(Failure::NotComparable { error, path: other.spec.name.clone() })
+    }
+
     fn folds(&self, job: &ValidateJob) -> Result<Folds, Failure> {
         let (model, labels, tests) = (&self.spec.model, self.ensemble.labels(), self.ensemble.tests());
         let found = match (&job.folds, &self.groups) {
@@ -100,7 +111,7 @@ impl Read {
             other.ensemble.tests().iter().map(|test| test.id.as_str()).zip(folds.of.iter().copied()).collect();
         let place = |test: &kalfit::PhasedTest| {
             let found = format!("test `{}`", test.id);
-            let error = kalfit::record::NotComparable::Names { found };
+            let error = NotComparable::Names { found };
             of.get(test.id.as_str())
                 .copied()
                 .ok_or_else(|| Failure::NotComparable { error, path: self.spec.name.clone() })
@@ -127,6 +138,17 @@ impl Read {
             error => Failure::Validate(Box::new(error)),
         }
     }
+}
+
+/// The columns that a model measures, in the order of their names.
+fn measured(spec: &Spec) -> Vec<String> {
+    let of = |model: &Model| -> Vec<String> {
+        model.measurements.iter().map(|one| model.columns[one.column].name.clone()).collect()
+    };
+    let mut names: Vec<String> = spec.model.phases.iter().flat_map(|phase| of(&phase.model)).collect();
+    names.sort();
+    names.dedup();
+    names
 }
 
 /// Has a column of texts read, and tests grouped by it.

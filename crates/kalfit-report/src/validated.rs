@@ -21,7 +21,8 @@ pub fn validated_summary(record: &ValidatedRecord, style: &Style) -> String {
     if !record.title.trim().is_empty() {
         sections.push(page.heading(&clean(&record.title)) + "\n");
     }
-    sections.push(page.paragraph(&facts(record)) + &page.paragraph(&verdict(record)));
+    let verdict = Some(verdict(record)).filter(|verdict| !verdict.is_empty());
+    sections.push(page.paragraph(&facts(record)) + &verdict.map_or(String::new(), |verdict| page.paragraph(&verdict)));
     sections.push(page.section("Predictions of tests that the fit had not seen", &page.items(&predictions(record))));
     if let Some(other) = &record.against {
         sections.push(page.section("The other model", &page.items(&against(record, other))));

@@ -89,7 +89,47 @@ fn a_mission_is_what_the_fit_makes_of_it() {
     let folder = fitted();
     let output =
         folder.run("predict m.toml --from fit.json --design mission.csv --outputs out.toml --out mission.out.csv");
-    assert_snapshot!(shown(&output), @"");
+    assert_snapshot!(shown(&output), @r#"
+    exit 0
+    ----- stdout
+    Wandering gyros
+
+    Predictions for 1 test with 3 rows, all parameters as in fit.json.
+
+    Test m, at time 9
+                     mean  std. dev.  population  process  estimation
+      bias         0.1701      1.665         1.6        0      0.4619
+      walk              0      1.732           0    1.732           0
+      angle [deg]  0.5104      4.996         4.8        0       1.386
+      rate [deg]   0.6701      2.403         1.6    1.732      0.4619
+
+                   limits of the mean  tolerance limits
+      bias           -0.6963 to 1.037   -4.628 to 4.968
+      walk                     0 to 0   -3.727 to 3.727
+      angle [deg]      -2.089 to 3.11    -13.88 to 14.9
+      rate [deg]     -0.1963 to 1.537   -4.963 to 6.303
+
+    Two outputs together
+      Test m, angle and rate: the ellipse about the means that holds 95 % of all
+        tests has half axes 12.97 and 3.999, the longer one 20.5° from angle towards
+        rate. Half of all tests are within 3.997 of the means (the circular error
+        probable, CEP), and within 4.058 of zero.
+
+    How to read this
+      Standard deviations: "population" is the spread of the initial states from
+        test to test, "process" that of process noise and of a start that is known
+        to vary, "estimation" what is not known of the mean. The first is the three
+        together.
+      Limits of the mean hold with confidence 90 %, both together. Tolerance limits
+        hold with confidence 90 %: 95 % of all tests are between them.
+      Limits take the estimate of the variance as chi-squared, with the degrees of
+        freedom that its standard error says. That is exact where every test tells
+        its initial state exactly, and near where tests are many. "Unknown" are
+        limits that the tests are too few for, and of what the data do not
+        determine.
+    ----- stderr
+    Wrote mission.out.csv
+    "#);
     let record = record(&folder);
     let (mean, phase) = (record.phases[0].mean.estimate[0], &record.phases[0]);
     let variance = phase.covariance.estimate[0][0];

@@ -31,7 +31,7 @@ test = "unit"
 [states.level]
 [states.slope]
 [covariance]
-kind = "diagonal"
+structure = "diagonal"
 fixed = { "slope, slope" = 0 }
 [measurements.y]
 column = "y"
@@ -89,7 +89,56 @@ fn record(folder: &Folder, name: &str) -> ValidatedRecord {
 fn the_model_of_the_data_predicts_better_than_a_simpler_one() {
     let folder = folder();
     let output = folder.run("validate m.toml d.csv --folds 4 --against parallel.toml --out v.json");
-    assert_snapshot!(shown(&output), @"");
+    assert_snapshot!(shown(&output), @r#"
+    exit 0
+    ----- stdout
+    Lines
+
+    16 tests with 96 measured values in 4 folds, drawn with seed 1: each fold is
+    predicted by a fit to the others.
+    This model predicts better.
+
+    Predictions of tests that the fit had not seen
+      Log predictive density: -94.19488 ± 4.37, -0.9812 for each measured value.
+      The fit to all tests promises -89.66934: 4.53 more than holds for tests that
+        it has not seen.
+      Of 96 measured values, each predicted from those before it in its test: 40.6 %
+        within the 50 % interval, 91.7 % within the 90 % interval and 94.8 % within
+        the 95 % interval.
+      Initial states: 14 of 16 tests are within the 95 % limit of their distance
+        from the population of the others.
+
+    The other model
+      Parallel lines: log predictive density -216.9494, promised -208.1853.
+      Difference, this model less the other: 122.8 ± 10.1 over 16 tests (p = 4e-9).
+
+    Folds
+      fold  tests  log density
+      1         4     -22.6802
+      2         4     -22.5217
+      3         4     -26.7323
+      4         4     -22.2606
+
+    The tests that are predicted worst
+      name  fold  measured  log density  for each  other model
+      u09   2            6     -7.66539    -1.278     -16.6044
+      u00   3            6     -7.62325    -1.271     -18.2813
+      u05   3            6     -7.44312    -1.241     -13.0998
+      u07   1            6     -6.76024    -1.127     -20.5328
+      u11   3            6     -6.59688    -1.099     -15.5814
+      u14   1            6      -6.5037    -1.084     -17.8327
+      u03   4            6     -6.01468    -1.002     -13.8813
+      u12   4            6     -6.00773    -1.001     -12.9172
+
+    How to read this
+      The log predictive density of a test is the logarithm of the probability
+        density that a fit without its fold gives to all of its measured values.
+        Larger is better; its standard error is by the scatter over tests.
+      Models are compared test by test on the same folds, so that what makes a test
+        hard for both does not count.
+    ----- stderr
+    Wrote v.json
+    "#);
     let record = record(&folder, "v.json");
     let other = record.against.as_ref().unwrap();
     let differences: Vec<f64> = record.pieces.iter().map(|one| one.log_density - one.against.unwrap()).collect();
@@ -133,9 +182,46 @@ fn a_column_makes_folds_and_groups_stay_whole() {
 fn mistakes_are_said_plainly() {
     let folder = folder();
     let run = |line: &str| shown(&folder.run(&format!("validate {line}")));
-    assert_snapshot!(run("m.toml d.csv --against x.toml --by bench"), @"");
-    assert_snapshot!(run("units.toml d.csv --by unit"), @"");
-    assert_snapshot!(run("m.toml d.csv --by colour"), @"");
-    assert_snapshot!(run("m.toml d.csv --by bench --seed 3"), @"");
-    assert_snapshot!(run("m.toml d.csv --folds 1"), @"");
+    assert_snapshot!(run("m.toml d.csv --against x.toml --by bench"), @r#"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: `x.toml` cannot be compared: it measures the columns x, the other model y
+
+    hint: log densities are compared of the same measured values: both models must use the same columns
+    "#);
+    assert_snapshot!(run("units.toml d.csv --by unit"), @r#"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: tests of lot `l0` are in folds `u00` and `u04`, expected one fold for all of them
+
+    hint: a fold holds whole groups: name a column that is the same for all tests of one
+    "#);
+    assert_snapshot!(run("m.toml d.csv --by colour"), @r#"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: d.csv has no column `colour`, which is used in `--by`
+
+    hint: its columns are `unit`, `lot`, `bench`, `x`, `y`
+    "#);
+    assert_snapshot!(run("m.toml d.csv --by bench --seed 3"), @r#"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: the argument '--by <COLUMN>' cannot be used with '--seed <N>'
+
+    Usage: kalfit validate --by <COLUMN> <MODEL> <DATA>...
+
+    For more information, try '--help'.
+    "#);
+    assert_snapshot!(run("m.toml d.csv --folds 1"), @r#"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: invalid value '1' for '--folds <N>': 1 is not in 2..=4294967295
+
+    For more information, try '--help'.
+    "#);
 }

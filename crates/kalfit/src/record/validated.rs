@@ -126,6 +126,14 @@ pub struct ValidateProvenance {
 /// Why two models cannot be compared.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum NotComparable {
+    /// Other columns are measured.
+    #[error("it measures the columns {}, the other model {}", second.join(", "), first.join(", "))]
+    Columns {
+        /// By the first model.
+        first: Vec<String>,
+        /// By the second.
+        second: Vec<String>,
+    },
     /// Other tests, or other groups.
     #[error("{found} is not in both models' data")]
     Names {
