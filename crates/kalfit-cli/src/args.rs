@@ -390,7 +390,7 @@ pub(crate) struct ValidateArgs {
     #[arg(long, value_name = "COLUMN")]
     pub(crate) by: Option<String>,
 
-    /// Another model of the same measurements, to compare with on the same folds
+    /// Another model of the same measurements, to compare with on the same folds; `--set` is for the first model alone
     #[arg(long, value_name = "OTHER.toml")]
     pub(crate) against: Option<PathBuf>,
 

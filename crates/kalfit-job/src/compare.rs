@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use kalfit::FitRecord;
-use kalfit::compare::{ComparedRecord, compare as side_by_side};
+use kalfit::compare::{CompareError, ComparedRecord, compare as side_by_side};
 
 use crate::document::Document;
 use crate::failure::Failure;
@@ -18,6 +18,12 @@ use crate::results::{FIT, read};
 pub fn compare(job: &CompareJob) -> Result<Done<ComparedRecord>, Failure> {
     let named: Vec<&Path> = job.fits.iter().filter_map(Document::path).collect();
     let output = Output::prepare_for(("--out", Contents::Json), job.out.as_deref(), &named)?;
+    let real: Vec<_> = named.iter().map(|path| path.canonicalize().ok()).collect();
+    for (k, path) in real.iter().enumerate().filter(|(_, path)| path.is_some()) {
+        if real[..k].contains(path) {
+            return Err(Failure::Compare(CompareError::Twice { name: named[k].display().to_string() }));
+        }
+    }
     let fits = job.fits.iter().map(|fit| {
         let record: FitRecord = read(fit, FIT).map_err(|error| Failure::Compared(Box::new(error)))?;
         Ok((fit.name(), record))

@@ -93,7 +93,7 @@ fn notes(record: &PredictedRecord) -> Vec<String> {
     let (sure, part) = (plain(100.0 * record.confidence, 4), plain(100.0 * record.content, 4));
     let mut notes = vec![
         "Standard deviations: \"population\" is the spread of the initial states from test to test, \"process\" that of process \
-         noise and of a start that is known to vary, \"estimation\" what is not known of the mean. The first is the three together."
+         noise and of a start that is known to vary, \"estimation\" what is not known of the mean. The first column is the three together, those that are known."
             .to_owned(),
     ];
     let limits = match record.one_sided {

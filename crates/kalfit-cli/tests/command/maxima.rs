@@ -111,3 +111,20 @@ fn a_covariance_of_motion_is_sought_within_its_cone() {
     let far = fitted("matrices-process", "matrices-process", &[("qab = { start = 0 }", "qab = { start = 5 }")]);
     reaches(&far, "a start outside the cone", found.log_likelihood);
 }
+
+/// What a held mean costs is asked of the values of α that move: here none does.
+#[test]
+fn a_held_mean_stands_beside_a_parameter_at_its_bound() {
+    let model = "[data]\ntest = \"test\"\n[states.a]\n[measurements.y]\ncolumn = \"y\"\nequation = \"a + g\"\nnoise = 1\n\
+                 [parameters]\ng = { lower = 5, upper = 9 }\n[mean]\nfixed = { a = 0 }\n";
+    let mut data = "test,y\n".to_owned();
+    for j in 0..8 {
+        (0..4).for_each(|k| data.push_str(&format!("x{j},{}\n", 3.0 + f64::from((j * 5 + k * 3) % 7 - 3) / 3.0)));
+    }
+    let folder = Folder::new(&[("m.toml", model.as_bytes()), ("d.csv", data.as_bytes())]);
+    let output = folder.run("fit m.toml d.csv --out fit.json");
+    assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+    let record: FitRecord = serde_json::from_slice(&std::fs::read(folder.path("fit.json")).unwrap()).unwrap();
+    assert_eq!(parameter(&record, "g", None).estimate, 5.0);
+    assert!(record.constraints[0].sensitivity.unwrap() < 0.0, "{:?}", record.constraints[0]);
+}

@@ -118,8 +118,8 @@ fn a_mission_is_what_the_fit_makes_of_it() {
     How to read this
       Standard deviations: "population" is the spread of the initial states from
         test to test, "process" that of process noise and of a start that is known
-        to vary, "estimation" what is not known of the mean. The first is the three
-        together.
+        to vary, "estimation" what is not known of the mean. The first column is the
+        three together, those that are known.
       Limits of the mean hold with confidence 90 %, both together. Tolerance limits
         hold with confidence 90 %: 95 % of all tests are between them.
       Limits take the estimate of the variance as chi-squared, with the degrees of
@@ -182,6 +182,34 @@ fn values_that_are_given_are_exact() {
     let walk = rows.iter().rfind(|row| row["name"] == "walk").unwrap();
     near("process", number(walk, "std_dev_process"), 0.2 * 3.0);
     near("tolerance", number(walk, "tolerance_upper"), 0.6 * 1.959_963_984_5);
+}
+
+#[test]
+fn what_cannot_be_told_is_not_told() {
+    let folder = fitted();
+    let json = std::fs::read_to_string(folder.path("fit.json")).unwrap();
+    // the walk's noise was estimated as zero: how large it may be is not known
+    let mut record: serde_json::Value = serde_json::from_str(&json).unwrap();
+    record["estimates"]["at_zero"] = serde_json::json!(["q"]);
+    std::fs::write(folder.path("zero.json"), record.to_string()).unwrap();
+    let output = folder.run("predict m.toml --from zero.json --design mission.csv --out p.csv --quiet");
+    assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+    for row in table(&folder, "p.csv") {
+        let is_unknown = row["tolerance_upper"].is_empty();
+        assert_eq!(is_unknown, row["name"] == "walk" && row["time"] != "0", "{row:?}");
+        assert!(!row["confidence_upper"].is_empty(), "{row:?}");
+    }
+    // an older fit says nothing of how its estimates vary together
+    record["estimates"] = serde_json::Value::Null;
+    std::fs::write(folder.path("old.json"), record.to_string()).unwrap();
+    let output = folder.run("predict m.toml --from old.json --design mission.csv --out p.csv");
+    assert!(shown(&output).contains("does not say how its estimates vary together"), "{}", shown(&output));
+    assert!(table(&folder, "p.csv").iter().all(|row| row["std_dev_estimation"].is_empty()));
+    // beyond all numbers
+    std::fs::write(folder.path("huge.toml"), "[outputs.a]\nequation = \"1e308 * bias * gain * 1e10\"\n").unwrap();
+    let output = folder.run("predict m.toml --from fit.json --design mission.csv --outputs huge.toml --out none.csv");
+    assert_eq!(output.status.code(), Some(2), "{}", shown(&output));
+    assert!(!folder.path("none.csv").exists(), "nothing is written");
 }
 
 const UNITS: &str = r#"

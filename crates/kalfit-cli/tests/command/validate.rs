@@ -216,6 +216,14 @@ fn mistakes_are_said_plainly() {
 
     For more information, try '--help'.
     "#);
+    let full = data();
+    let empty = full.lines().enumerate().map(|(k, line)| match (k, line.rsplit_once(',')) {
+        (1.., Some((head, _))) => format!("{head},\n"),
+        _ => format!("{line}\n"),
+    });
+    folder.write("empty.csv", empty.collect::<String>().as_bytes());
+    let found = shown(&folder.run("validate units.toml empty.csv"));
+    assert!(found.starts_with("exit 2") || found.starts_with("exit 1"), "{found}");
     assert_snapshot!(run("m.toml d.csv --folds 1"), @r#"
     exit 2
     ----- stdout

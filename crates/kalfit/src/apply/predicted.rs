@@ -33,7 +33,8 @@ impl Form {
     /// h'Vh of a covariance of the states.
     pub(crate) fn variance(&self, covariance: &DMatrix<f64>) -> f64 {
         let row = |&(i, a): &(usize, f64)| self.terms.iter().map(|&(k, b)| a * b * covariance[(i, k)]).sum::<f64>();
-        self.terms.iter().map(row).sum::<f64>().max(0.0)
+        let variance = self.terms.iter().map(row).sum::<f64>();
+        if variance < 0.0 { 0.0 } else { variance }
     }
 }
 

@@ -63,5 +63,7 @@ fn values(
     let covariance = (places.len() <= MOST)
         .then(|| DMatrix::from_fn(places.len(), places.len(), |i, j| covariances.whole[(places[i], places[j])]));
     let moves = DMatrix::from_fn(elements, known.len(), |i, c| known[c].2.as_ref().map_or(0.0, |column| column[i]));
-    Values { slots: known.iter().map(|(slot, slope, _)| (*slot, *slope)).collect(), covariance, moves, open }
+    let is_zero = |slot: &usize| fit.standing[*slot] == Standing::Lower && fit.values[*slot] == 0.0;
+    let at_zero = (0..fit.values.len()).filter(is_zero).collect();
+    Values { at_zero, slots: known.iter().map(|(slot, slope, _)| (*slot, *slope)).collect(), covariance, moves, open }
 }

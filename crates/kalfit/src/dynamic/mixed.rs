@@ -18,11 +18,11 @@ const PART: f64 = 1e-2;
 /// With more values than this tests are made at the α found.
 const MOST: usize = 24;
 
-/// Of the values that move at the end of a fit; `None` where no element is held, where very many values move or those of single tests
+/// Of the values that move at the end of a fit; `None` where none does or no element is held, where very many values move or those of single tests
 /// do, and where ℓ is not defined beside the end.
 pub(super) fn mixed(bench: &Bench<'_>, fit: &DynamicFit, covariances: &Covariances) -> Option<Mixed> {
     let shared = &covariances.shared;
-    if shared.len() > MOST || !fit.joint.is_of_shared_values() || !holds_any(&fit.estimate.state) {
+    if shared.is_empty() || shared.len() > MOST || !fit.joint.is_of_shared_values() || !holds_any(&fit.estimate.state) {
         return None;
     }
     let rows: Option<Vec<DVector<f64>>> = shared.iter().map(|&s| row(bench, fit, covariances, s)).collect();

@@ -38,4 +38,6 @@ pub(crate) struct Values {
     pub(crate) moves: DMatrix<f64>,
     /// Slots that the data do not determine, or of single tests.
     pub(crate) open: Vec<usize>,
+    /// Slots of noise levels that ended at zero.
+    pub(crate) at_zero: Vec<usize>,
 }

@@ -26,7 +26,7 @@ pub struct EstimateCovariance {
     pub covariance: DMatrix<f64>,
     /// What the data do not determine.
     pub open: Vec<Estimated>,
-    /// Free variances whose estimate is zero.
+    /// Free variances, and free noise levels, whose estimate is zero.
     pub at_zero: Vec<Estimated>,
 }
 
@@ -85,7 +85,8 @@ impl Law<'_> {
             }
         });
         let quantities = all.into_iter().map(|(quantity, _)| quantity).collect();
-        let at_zero = Vec::new();
+        let at_zero =
+            joint.map_or(Vec::new(), |values| values.at_zero.iter().map(|&slot| Estimated::Value(slot)).collect());
         let is_known = covariance.iter().all(|entry| entry.is_finite());
         is_known.then_some(EstimateCovariance { quantities, covariance, open, at_zero })
     }

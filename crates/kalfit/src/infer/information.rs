@@ -119,8 +119,11 @@ pub(super) fn uncertainty_of(
     };
     let uncertainty = uncertainty_by(&law, &estimate.covariance, unidentified, Singular::Face);
     let zeros = uncertainty.boundary.iter().flat_map(|boundary| &boundary.zero_variances);
-    let at_zero = zeros.map(|&i| Estimated::Covariance(i, i)).collect();
-    let estimates = law.estimates(&is_open).map(|estimates| EstimateCovariance { at_zero, ..estimates });
+    let zeros: Vec<Estimated> = zeros.map(|&i| Estimated::Covariance(i, i)).collect();
+    let estimates = law.estimates(&is_open).map(|mut estimates| {
+        estimates.at_zero.extend(zeros);
+        estimates
+    });
     (uncertainty, estimates)
 }
 

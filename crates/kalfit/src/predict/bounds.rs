@@ -13,6 +13,9 @@
 //! That is exact where r = 0: the factors are those of the tables then. By maximum likelihood s² is too small by the means that were
 //! estimated with it, which is made good.
 
+use std::collections::HashMap;
+use std::sync::Mutex;
+
 use statrs::distribution::{ChiSquared, ContinuousCDF, Normal, StudentsT};
 
 use crate::predict::Predicted;
@@ -45,12 +48,16 @@ const NODES: usize = 48;
 /// The normal law is as good as within so many standard deviations.
 const WIDE: f64 = 8.0;
 
-/// What makes limits of predictions.
-#[derive(Debug, Clone)]
+/// What makes limits of predictions. Factors are kept: most values of a design share theirs with others.
+#[derive(Debug)]
 pub struct Bounds {
     limits: Limits,
     widths: Widths,
+    known: Mutex<HashMap<[u64; 3], Option<f64>>>,
 }
+
+/// So many factors are kept.
+const KEPT: usize = 1 << 16;
 
 /// The variance over tests, and what is known of it.
 struct Spread {
@@ -80,16 +87,17 @@ impl Spread {
             let (of_mean, degrees_of_mean) = (estimation.mean, f64::INFINITY);
             return Some(Spread { variance, scale: variance, degrees, of_mean, degrees_of_mean });
         }
+        let lost = estimation.lost as f64;
         let alone = 2.0 * population * population / of_population;
         let beside = if estimation.mean > 0.0 { of_population / (2.0 * estimation.mean.powi(2)) } else { 0.0 };
         // as many degrees of freedom as the error of the mean says beside that of the variance, or as that says by itself
-        let (left, larger) = match estimation.lost {
-            // N² / (N - 1) beside
-            None => (alone.max(0.5 * (beside + (beside * (beside - 4.0)).max(0.0).sqrt()) - 1.0), 1.0),
-            Some(lost) => {
-                let tests = alone.max(beside);
-                (tests - lost as f64, tests / (tests - lost as f64))
-            }
+        let (left, larger) = if estimation.is_restricted {
+            // N² / (N - k) beside
+            let tests = 0.5 * (beside + (beside * (beside - 4.0 * lost)).max(0.0).sqrt());
+            (alone.max(tests.min(estimation.tests) - lost), 1.0)
+        } else {
+            let tests = alone.max(beside.min(estimation.tests));
+            (tests - lost, tests / (tests - lost))
         };
         if left < 0.5 {
             return None;
@@ -116,7 +124,7 @@ impl Spread {
 impl Bounds {
     /// Limits as they are asked for.
     pub fn new(limits: Limits) -> Bounds {
-        Bounds { limits, widths: Widths::new(limits.content) }
+        Bounds { limits, widths: Widths::new(limits.content), known: Mutex::default() }
     }
 
     /// What they are.
@@ -143,11 +151,28 @@ impl Bounds {
         if spread.variance == 0.0 {
             return self.of_mean(value);
         }
-        let half = match self.limits.sides {
-            Sides::One => self.one_sided(&spread)?,
-            Sides::Two => self.two_sided(&spread)?,
-        };
+        let half = self.factor(&spread)? * spread.variance.sqrt();
         Some([value.mean - half, value.mean + half])
+    }
+
+    /// h/s, which hangs on ratios alone.
+    fn factor(&self, spread: &Spread) -> Option<f64> {
+        let [scale, of_mean] = [spread.scale, spread.of_mean].map(|x| x / spread.variance);
+        let key = [scale, of_mean, spread.degrees].map(f64::to_bits);
+        if let Some(known) = self.known.lock().ok().and_then(|known| known.get(&key).copied()) {
+            return known;
+        }
+        let unit = Spread { variance: 1.0, scale, of_mean, ..*spread };
+        let found = match self.limits.sides {
+            Sides::One => self.one_sided(&unit),
+            Sides::Two => self.two_sided(&unit),
+        };
+        if let Ok(mut known) = self.known.lock()
+            && known.len() < KEPT
+        {
+            known.insert(key, found);
+        }
+        found
     }
 
     /// h with P(m_c + z_p s_c ≤ m + h) = γ.
@@ -225,24 +250,42 @@ impl Widths {
     }
 }
 
-/// Where a function that falls from above comes down to a level; zero where it is below from the start.
+/// Where a function that falls from above comes down to a level; zero where it is below from the start. About a power of c, it is sought
+/// in logarithms.
 fn crossing(of: &dyn Fn(f64) -> f64, level: f64) -> f64 {
-    const LEAST: f64 = 1e-8;
-    if of(LEAST) <= level {
-        return 0.0;
+    const FAR: f64 = 20.0;
+    let above = |u: f64| {
+        let found = of(u.exp());
+        if found > 0.0 { (found / level).ln() } else { f64::NEG_INFINITY }
+    };
+    let start = above(0.0);
+    if start == 0.0 {
+        return 1.0;
     }
-    let (mut low, mut high) = (LEAST.ln(), 0.0);
-    while of(f64::exp(high)) > level {
-        (low, high) = (high, high + 1.0);
-        if high > 40.0 {
-            return f64::INFINITY;
+    let side = if start > 0.0 { 1.0 } else { -1.0 };
+    let (mut low, mut high) = ((0.0, start), (side, above(side)));
+    while (high.1 > 0.0) == (start > 0.0) {
+        low = high;
+        high = (high.0 + 2.0 * side, above(high.0 + 2.0 * side));
+        if high.0.abs() > FAR {
+            return if side > 0.0 { f64::INFINITY } else { 0.0 };
         }
     }
-    for _ in 0..44 {
-        let middle = 0.5 * (low + high);
-        if of(middle.exp()) > level { low = middle } else { high = middle }
+    // regula falsi; a side that stays counts half (Illinois)
+    for _ in 0..60 {
+        let inside = low.1.is_finite() && high.1.is_finite();
+        let middle = if inside { low.0 - low.1 * (high.0 - low.0) / (high.1 - low.1) } else { 0.5 * (low.0 + high.0) };
+        let found = above(middle);
+        if found.abs() < 1e-11 || (high.0 - low.0).abs() < 1e-11 {
+            return middle.exp();
+        }
+        if (found > 0.0) == (high.1 > 0.0) {
+            (high, low.1) = ((middle, found), 0.5 * low.1);
+        } else {
+            (low, high) = (high, (middle, found));
+        }
     }
-    (0.5 * (low + high)).exp()
+    high.0.exp()
 }
 
 /// Where an increasing function that begins with zero at zero is as large as asked; `None` where it never is. `size`: of the root.
@@ -290,7 +333,9 @@ mod tests {
             mean: ml / tests,
             variance: 2.0 * ml * ml / tests,
             population: 2.0 * ml * ml / tests,
-            lost: Some(1),
+            lost: 1,
+            is_restricted: false,
+            tests: 1000.0,
         };
         Predicted {
             what: What::Output(0),
@@ -356,8 +401,14 @@ mod tests {
     fn restricted_likelihood_has_the_same_limits() {
         for tests in [5.0, 10.0, 30.0] {
             let of_variance = 2.0 / (tests - 1.0);
-            let estimation =
-                Estimation { mean: 1.0 / tests, variance: of_variance, population: of_variance, lost: None };
+            let estimation = Estimation {
+                mean: 1.0 / tests,
+                variance: of_variance,
+                population: of_variance,
+                lost: 1,
+                is_restricted: true,
+                tests: 1000.0,
+            };
             let restricted = Predicted { population: 1.0, estimation: Some(estimation), ..of(tests) };
             let bounds = limits(0.9, 0.95, Sides::Two);
             let [found, expected] = [&restricted, &of(tests)].map(|value| bounds.of_tests(value).expect("enough")[1]);
@@ -392,8 +443,14 @@ mod tests {
         let ml: f64 = 1.0 - (1.0 + r) / tests;
         let seen = ml + r;
         let of_population = 2.0 * seen * seen / tests;
-        let estimation =
-            Estimation { mean: seen / tests, variance: of_population, population: of_population, lost: Some(1) };
+        let estimation = Estimation {
+            mean: seen / tests,
+            variance: of_population,
+            population: of_population,
+            lost: 1,
+            is_restricted: false,
+            tests: 1000.0,
+        };
         let value = Predicted { population: ml, estimation: Some(estimation), ..of(30.0) };
         let spread = Spread::of(&value).expect("enough tests");
         for (what, found, expected) in [
@@ -408,7 +465,14 @@ mod tests {
 
     #[test]
     fn one_test_tells_no_limits() {
-        let estimation = Some(Estimation { mean: 1.0, variance: 2.0, population: 2.0, lost: Some(1) });
+        let estimation = Some(Estimation {
+            mean: 1.0,
+            variance: 2.0,
+            population: 2.0,
+            lost: 1,
+            is_restricted: false,
+            tests: 1000.0,
+        });
         let one = Predicted { population: 1.0, estimation, ..of(9.0) };
         assert_eq!(limits(0.9, 0.95, Sides::Two).of_tests(&one), None);
         assert_eq!(limits(0.9, 0.95, Sides::Two).of_mean(&Predicted { estimation: None, ..of(9.0) }), None);

@@ -57,7 +57,8 @@ impl Value {
     /// g'Σg.
     pub(super) fn population(&self, covariance: &DMatrix<f64>) -> f64 {
         let own = self.sensitivity.rows(0, covariance.nrows());
-        own.dot(&(covariance * own)).max(0.0)
+        let variance = own.dot(&(covariance * own));
+        if variance < 0.0 { 0.0 } else { variance }
     }
 }
 
@@ -210,6 +211,21 @@ impl Reached {
 }
 
 impl Course {
+    /// Refuses values beyond all numbers.
+    pub(super) fn check(&self, test: &str, initial: &Initial) -> Result<(), PredictError> {
+        let all = self.phases.iter().flat_map(|phase| &phase.steps).flat_map(|(.., values)| values);
+        for value in all {
+            let variance = value.population(&initial.covariance) + value.process;
+            let what = match (value.mean.is_finite(), variance.is_finite()) {
+                (true, true) => continue,
+                (false, _) => "the mean of a state or output",
+                (true, false) => "the variance of a state or output",
+            };
+            return Err(PredictError::NotFinite { test: test.to_owned(), row: value.row + 1, what });
+        }
+        Ok(())
+    }
+
     /// What is known of every value. `sides`: the courses at the α of each step to both sides.
     pub(super) fn predictions(
         &self,
@@ -225,7 +241,8 @@ impl Course {
                 mean: value.mean,
                 population: value.population(&initial.covariance),
                 process: value.process,
-                hangs_on_zero: known.is_some_and(|(knowledge, _)| knowledge.hangs_on_zero(initial, value)),
+                hangs_on_zero: known
+                    .is_some_and(|(knowledge, steps)| steps.hangs_on_zero(knowledge, initial, value, &beside)),
                 estimation: known.and_then(|(knowledge, steps)| steps.estimation(knowledge, initial, value, &beside)),
             }
         };

@@ -16,6 +16,16 @@ pub enum PredictError {
         /// The phase.
         phase: String,
     },
+    /// A value beyond all numbers.
+    #[error("test `{test}`, row {row}: {what} is not a finite number")]
+    NotFinite {
+        /// The test.
+        test: String,
+        /// Its row, from 1.
+        row: usize,
+        /// Which figure of it.
+        what: &'static str,
+    },
 }
 
 impl From<ReduceError> for PredictError {

@@ -1,10 +1,12 @@
 //! What is known of the estimates, carried to what is predicted: the delta method.
 
+use std::ops::Range;
+
 use nalgebra::{DMatrix, DVector};
 
 use crate::ensemble::Label;
 use crate::infer::Estimated;
-use crate::model::{Alpha, Level, PhasedModel};
+use crate::model::{Alpha, Level, Phase, PhasedModel};
 use crate::predict::course::Value;
 use crate::predict::{Estimation, Initial};
 
@@ -31,8 +33,10 @@ pub struct Knowledge {
     pub covariance: DMatrix<f64>,
     /// What the data do not determine.
     pub open: Vec<Known>,
-    /// Free variances whose estimate is zero.
+    /// Free variances and noise levels whose estimate is zero.
     pub at_zero: Vec<Known>,
+    /// How many tests, or groups of the outermost level, they are from; infinitely many of values that are given.
+    pub tests: f64,
     /// By restricted maximum likelihood: Σ allows for the means that were estimated with it.
     pub is_restricted: bool,
 }
@@ -45,6 +49,7 @@ impl Knowledge {
             covariance: DMatrix::zeros(0, 0),
             open: Vec::new(),
             at_zero: Vec::new(),
+            tests: f64::INFINITY,
             is_restricted: true,
         }
     }
@@ -59,23 +64,10 @@ impl Knowledge {
             quantities: kept.iter().map(|&i| self.quantities[i].clone()).collect(),
             covariance: self.covariance.select_rows(&kept).select_columns(&kept),
             open: self.open.iter().filter(|known| !is_exact(known)).cloned().collect(),
-            at_zero: self.at_zero.clone(),
+            at_zero: self.at_zero.iter().filter(|known| !is_exact(known)).cloned().collect(),
+            tests: self.tests,
             is_restricted: self.is_restricted,
         }
-    }
-}
-
-impl Knowledge {
-    /// Whether a free variance that was estimated as zero would be seen in a value.
-    pub(super) fn hangs_on_zero(&self, initial: &Initial, value: &Value) -> bool {
-        let p = initial.mean.len();
-        let own = value.sensitivity.rows(0, p);
-        self.at_zero.iter().any(|known| match *known {
-            Known::Population(Estimated::Covariance(i, _)) => {
-                initial.levels.contains(&(i / p)) && own[i % p].abs() > FAINT * own.amax()
-            }
-            _ => false,
-        })
     }
 }
 
@@ -91,12 +83,21 @@ const FAINT: f64 = 1e-9;
 pub(super) struct Steps {
     /// Of each quantity, and then of each one that is open: (place of its lower side among `moved`, distance of the sides).
     places: Vec<Option<(usize, f64)>>,
+    /// Of each noise level that was estimated as zero, its place among `moved`, where it is one.
+    probes: Vec<usize>,
+    /// (element, column) of each regression coefficient.
+    regressions: Vec<(usize, usize)>,
     moved: Vec<Alpha>,
 }
 
 impl Steps {
     pub(super) fn new(model: &PhasedModel, alpha: &Alpha, knowledge: Option<&Knowledge>) -> Steps {
-        let mut steps = Steps { places: Vec::new(), moved: Vec::new() };
+        let of_phase = |(phase, range): (&Phase, Range<usize>)| {
+            let own = phase.model.mean.regression.iter();
+            own.map(move |regression| (range.start + regression.element, regression.column)).collect::<Vec<_>>()
+        };
+        let regressions = model.phases.iter().zip(model.ranges()).flat_map(of_phase).collect();
+        let mut steps = Steps { places: Vec::new(), probes: Vec::new(), regressions, moved: Vec::new() };
         let Some(knowledge) = knowledge else { return steps };
         let errors = (0..knowledge.quantities.len()).map(|i| Some(knowledge.covariance[(i, i)].max(0.0).sqrt()));
         let all = knowledge.quantities.iter().zip(errors).chain(knowledge.open.iter().map(|open| (open, None)));
@@ -109,7 +110,37 @@ impl Steps {
             };
             steps.places.push(place);
         }
+        for known in &knowledge.at_zero {
+            let Known::Parameter { parameter, level } = known else { continue };
+            let mut alpha = alpha.clone();
+            if let Some(own) = value(model, &mut alpha, (*parameter, level.as_deref())) {
+                *own = 1.0;
+                steps.probes.push(steps.moved.len());
+                steps.moved.push(alpha);
+            }
+        }
         steps
+    }
+
+    /// Whether a free variance or noise level that was estimated as zero would be seen in a value.
+    pub(super) fn hangs_on_zero(
+        &self,
+        knowledge: &Knowledge,
+        initial: &Initial,
+        value: &Value,
+        sides: &[&Value],
+    ) -> bool {
+        let p = initial.mean.len();
+        let own = value.sensitivity.rows(0, p);
+        let is_seen = |known: &Known| match *known {
+            Known::Population(Estimated::Covariance(i, _)) => {
+                initial.levels.contains(&(i / p)) && own[i % p].abs() > FAINT * own.amax()
+            }
+            _ => false,
+        };
+        let variance = |side: &Value| side.population(&initial.covariance) + side.process;
+        let moves = |&place: &usize| variance(sides[place]) > variance(value) * (1.0 + FAINT);
+        knowledge.at_zero.iter().any(is_seen) || self.probes.iter().any(moves)
     }
 
     pub(super) fn moved(&self) -> impl Iterator<Item = &Alpha> {
@@ -194,24 +225,34 @@ impl Steps {
         let gradient = |of: &dyn Fn(&[f64; 3]) -> f64| DVector::from_iterator(count, all.iter().map(of));
         let variance = |of: &dyn Fn(&[f64; 3]) -> f64| {
             let gradient = gradient(of);
-            gradient.dot(&(&knowledge.covariance * &gradient)).max(0.0)
+            gradient.dot(&(&knowledge.covariance * &gradient))
         };
-        let is_of_mean =
-            |known: &Known| matches!(known, Known::Population(Estimated::Mean(_) | Estimated::Coefficient(_)));
-        let moves = |coefficient: bool| {
-            let known =
-                knowledge.quantities.iter().zip(&all).filter(|(known, slopes)| is_of_mean(known) && slopes[0] != 0.0);
-            known
-                .filter(|(known, _)| matches!(known, Known::Population(Estimated::Coefficient(_))) == coefficient)
-                .count()
-        };
-        // one mean, whatever it is made of, and the regressions in it
-        let lost = (!knowledge.is_restricted).then(|| moves(false).min(1) + moves(true));
-        Some(Estimation {
-            mean: variance(&|slopes| slopes[0]),
-            variance: variance(&|slopes| slopes[1] + slopes[2]),
-            population: variance(&|slopes| slopes[1]),
-            lost,
+        // of the states in it: one mean, whatever it is made of, and each column that means are regressed on
+        let is_in = |element: usize| own[element].abs() > FAINT * own.amax();
+        let mut columns: Vec<usize> = Vec::new();
+        let mut means = 0;
+        for known in &knowledge.quantities {
+            match *known {
+                Known::Population(Estimated::Mean(i)) if i < p && is_in(i) => means = 1,
+                Known::Population(Estimated::Coefficient(c)) if is_in(self.regressions[c].0) => {
+                    columns.push(self.regressions[c].1);
+                }
+                _ => {}
+            }
+        }
+        columns.sort_unstable();
+        columns.dedup();
+        let found =
+            [variance(&|slopes| slopes[0]), variance(&|slopes| slopes[1] + slopes[2]), variance(&|slopes| slopes[1])];
+        let [mean, variance, population] = found.map(|x| if x < 0.0 { 0.0 } else { x });
+        let is_known = mean.is_finite() && variance.is_finite() && population.is_finite();
+        is_known.then_some(Estimation {
+            mean,
+            variance,
+            population,
+            lost: means + columns.len(),
+            is_restricted: knowledge.is_restricted,
+            tests: knowledge.tests,
         })
     }
 }

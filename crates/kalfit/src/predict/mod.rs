@@ -116,8 +116,12 @@ pub struct Estimation {
     pub variance: f64,
     /// Of that part of it that is by the initial state.
     pub population: f64,
-    /// How many numbers of the mean were estimated, which the variance does not allow for; `None` by restricted likelihood, where it does.
-    pub lost: Option<usize>,
+    /// How many numbers of the mean were estimated.
+    pub lost: usize,
+    /// The variance allows for those: by restricted likelihood.
+    pub is_restricted: bool,
+    /// How many tests, or groups of the outermost level, all of it is from.
+    pub tests: f64,
 }
 
 impl Predicted {
@@ -234,6 +238,7 @@ impl Predictor {
         let home = ways.next().map(at).expect("the model itself is the first way")?;
         let sides = ways.map(at).collect::<Result<Vec<Course>, _>>()?;
         let known = self.knowledge.as_ref().map(|knowledge| (knowledge, &self.steps));
+        home.check(&design.id, initial)?;
         Ok(home.predictions(&sides, initial, known))
     }
 }

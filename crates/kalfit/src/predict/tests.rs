@@ -125,6 +125,7 @@ fn what_estimates_leave_open_follows_by_derivatives() {
         covariance: covariance.clone(),
         open: vec![],
         at_zero: vec![],
+        tests: 100.0,
         is_restricted: false,
     };
     let found = predicted(&model, cells(&model, 0..TIMES.len()), knowledge.clone());
@@ -143,7 +144,7 @@ fn what_estimates_leave_open_follows_by_derivatives() {
             near("of the mean", estimation.mean, variance(by_mean));
             near("of the variance", estimation.variance, variance(by_variance));
             near("of that by the initial state", estimation.population, variance(by_population));
-            assert_eq!(estimation.lost, Some(1));
+            assert_eq!(estimation.lost, 1);
         }
     }
     // the walk hangs on q alone, the bias on nothing that is open
@@ -176,4 +177,36 @@ fn a_known_group_is_told_from_a_new_one() {
     found.iter().zip(&expected).for_each(|(found, expected)| near("shrinkage", *found, *expected));
     let new = Initial::new(&grouped, &whole);
     near("of a new group", new.covariance[(1, 1)], 0.7 + 0.3);
+}
+
+/// Means that were estimated with the variance are those of the states in a value and the columns they are regressed on, wherever the value
+/// is.
+#[test]
+fn degrees_of_freedom_are_lost_by_the_fit_not_by_the_place() {
+    let model = Model::builder("two")
+        .state(constant("a"))
+        .state(constant("b"))
+        .measurement(measurement("y", name("a") + name("b"), 1.0))
+        .regress_mean("a", "lot")
+        .regress_mean("b", "lot")
+        .build()
+        .expect("a model");
+    let quantities = [Estimated::Mean(0), Estimated::Mean(1), Estimated::Coefficient(0), Estimated::Coefficient(1)];
+    let knowledge = Knowledge {
+        quantities: quantities.map(Known::Population).to_vec(),
+        covariance: DMatrix::identity(4, 4) * 0.1,
+        ..Knowledge::exact()
+    };
+    let alpha = Alpha::default();
+    for lot in [0.0, 1e-300, 2.0] {
+        let mut labels = Labels::new(&[]);
+        let test = Columns::new("t").numbers("lot", [lot]).numbers("y", [f64::NAN]).test(&model, &mut labels);
+        let outputs = outputs(&model);
+        let predictor = Predictor::new(&model, &outputs, (&alpha, &[0.3, 0.4]), Some(knowledge.clone()));
+        let initial = Initial::new(&model, &population());
+        let found = predictor.and_then(|predictor| predictor.predict(&[test.expect("it is")], &[&initial]));
+        for value in &found.expect("it predicts")[0][0].steps[0].values {
+            assert_eq!(value.estimation.expect("all is known").lost, 2, "{:?} at {lot}", value.what);
+        }
+    }
 }

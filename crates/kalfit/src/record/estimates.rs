@@ -22,7 +22,7 @@ pub struct EstimatesRecord {
     pub covariance: SquareRecord,
     /// What the data do not determine.
     pub open: Vec<String>,
-    /// Variances that were estimated as zero.
+    /// Variances and noise levels that were estimated as zero.
     pub at_zero: Vec<String>,
 }
 
@@ -108,6 +108,8 @@ impl FitRecord {
         let covariance = DMatrix::from_fn(size, size, |i, k| record.covariance[i][k]);
         let [quantities, open, at_zero] = [&record.names, &record.open, &record.at_zero].map(|names| all(names));
         let is_restricted = self.criterion == "reml";
-        Some(Knowledge { quantities: quantities?, covariance, open: open?, at_zero: at_zero?, is_restricted })
+        let tests = self.levels.first().map_or(self.data.tests, |level| level.groups) as f64;
+        let (quantities, open, at_zero) = (quantities?, open?, at_zero?);
+        Some(Knowledge { quantities, covariance, open, at_zero, tests, is_restricted })
     }
 }

@@ -16,6 +16,9 @@ pub enum ValidateError {
     /// Tests that stand in no groups.
     #[error(transparent)]
     Grouping(#[from] GroupingError),
+    /// There is nothing to predict.
+    #[error("nothing was measured in any test")]
+    NothingMeasured,
     /// Nobody waits.
     #[error("interrupted")]
     Interrupted,

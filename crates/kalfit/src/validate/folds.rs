@@ -104,7 +104,8 @@ impl Folds {
                 }
             }
         }
-        Ok(Folds { names: names.into_iter().map(str::to_owned).collect(), of })
+        let named = |name: &str| if name.is_empty() { "(no text)".to_owned() } else { name.to_owned() };
+        Ok(Folds { names: names.into_iter().map(named).collect(), of })
     }
 
     /// How many there are.

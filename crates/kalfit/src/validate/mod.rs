@@ -15,7 +15,7 @@ pub use error::ValidateError;
 pub use folds::{Folds, FoldsError};
 
 use crate::apply::Applied;
-use crate::estimate::{Progress, Stop};
+use crate::estimate::{Criterion, Progress, Stop};
 use crate::face::{Ensemble, Fit, Options};
 use crate::infer::{DeletionChoice, Distance, TestsChoice, deletions};
 use crate::innovations::Innovations;
@@ -31,7 +31,7 @@ pub struct Validation {
     pub converged: bool,
     /// Of each fold, whether the fit without it is certified.
     pub folds: Vec<bool>,
-    /// What is predicted as a whole: tests, or groups of the outermost level.
+    /// What is predicted as a whole: tests, or groups of the outermost level, of which anything was measured.
     pub pieces: Vec<Piece>,
     /// Of each test, in their order.
     pub tests: Vec<LeftOut>,
@@ -81,8 +81,16 @@ pub fn validate(
     options.choices.deletion = DeletionChoice::None;
     options.choices.tests = TestsChoice::None;
     let whole = ensemble.fit_with(&options, progress)?;
+    let fitted = match options.settings.criterion {
+        Criterion::Ml => whole.log_likelihood(),
+        // the restricted one is no density of the tests
+        Criterion::Reml => {
+            let (pieces, _) = applied(ensemble, (&whole.alpha, &whole.population()), ensemble.tests(), 0)?;
+            pieces.iter().map(|piece| piece.log_density).sum()
+        }
+    };
     let mut found = Validation {
-        fitted: whole.log_likelihood(),
+        fitted,
         converged: whole.converged(),
         folds: Vec::with_capacity(folds.count()),
         pieces: Vec::new(),
@@ -105,6 +113,10 @@ pub fn validate(
         let (pieces, each) = applied(ensemble, (&values.0, &values.1), &left, fold)?;
         found.pieces.extend(pieces);
         inside.iter().zip(each).for_each(|(&test, one)| tests[test] = Some(one));
+    }
+    found.pieces.retain(|piece| piece.observations > 0);
+    if found.pieces.is_empty() {
+        return Err(ValidateError::NothingMeasured);
     }
     found.pieces.sort_by(|a, b| a.name.cmp(&b.name));
     found.tests = tests.into_iter().map(|test| test.expect("every test is in a fold")).collect();
