@@ -156,6 +156,9 @@ pub enum Failure {
         /// What was given.
         found: String,
     },
+    /// A step that is given, and data that have one.
+    #[error("a step is given beside data, whose records have steps of their own")]
+    StepBesideData,
     /// A file whose ending does not say what is to be in it.
     #[error("what `{path}` is to hold is not said")]
     NoForm {
@@ -357,6 +360,7 @@ impl Failure {
             }
             Failure::Export(error) => error.hint(),
             Failure::NoColumnValue { .. } => Some("write `--at temperature=20`".to_owned()),
+            Failure::StepBesideData => Some("leave one of them out".to_owned()),
             Failure::NoForm { .. } => Some(
                 "say it by `--as json`, `npz`, `mat`, `c` or `python`, or by an ending: `.json`, `.npz`, `.mat`, `.h`, `.py`"
                     .to_owned(),
