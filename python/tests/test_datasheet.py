@@ -72,8 +72,8 @@ def test_allan_deviations_of_records_are_those_of_numpy(rows: pandas.DataFrame) 
 
 
 def test_a_step_stands_for_data() -> None:
-    model = kalfit.Model.from_text(MODEL.replace("start = 0.1", "value = 0.1") + "[mean]\nfixed = { bias = 1 }\n"
-                                   '[covariance]\nfixed = { "bias, bias" = 4 }\n')  # fmt: skip
+    known = '[mean]\nfixed = { bias = 1 }\n[covariance]\nfixed = { "bias, bias" = 4 }\n'
+    model = kalfit.Model.from_text(MODEL.replace("start = 0.1", "value = 0.1") + known)
     sheet = kalfit.datasheet(model, model, step=0.25)
     assert sheet.entries[0]["value"] == pytest.approx(0.1 * 0.5 * 60)
     assert sheet.allan[0]["points"][0]["model"] == pytest.approx(0.1 / 9.80665e-6)

@@ -49,7 +49,7 @@ fn entries(entries: &[EntryRecord], of: &dyn Fn(&EntryRecord) -> String) -> Vec<
         Column::new(heading, side, entries.iter().map(cell).collect())
     };
     vec![
-        column("quantity", Side::Left, &|entry| entry.name.replace(':', "")),
+        column("quantity", Side::Left, &|entry| entry.name.clone()),
         column("of", Side::Left, of),
         column("value", Side::Right, &|entry| match entry.value {
             Some(value) => plain(value, DIGITS),
@@ -87,7 +87,7 @@ fn definitions(entries: &[EntryRecord]) -> Vec<String> {
     let mut all: Vec<(String, &str)> = Vec::new();
     for entry in entries {
         // spreads and means of all kinds mean the same
-        let name = ["repeatability", "mean"].iter().find_map(|kind| entry.name.find(kind)).unwrap_or(0);
+        let name = ["repeatability", "mean"].iter().find_map(|kind| entry.name.rfind(kind)).unwrap_or(0);
         let name = entry.name[name..].to_owned();
         if !all.iter().any(|(other, definition)| *other == name && *definition == entry.definition) {
             all.push((name, &entry.definition));

@@ -76,10 +76,14 @@ impl Asked<'_> {
             notes: Vec::new(),
         };
         let Some(length) = step else {
-            curve.notes.push(match records {
-                Some(_) => "its records are not regular: fewer than half of their steps are within 10 % of the median; a curve of the model alone is drawn with `--step` in place of data".to_owned(),
-                None => "no curve without a step: give data or `--step`".to_owned(),
-            });
+            let why = match records {
+                None => "no curve without a step: give data or `--step`",
+                Some(records) if records.own.iter().all(Vec::is_empty) => "no curve: the data have no records of it",
+                Some(_) => {
+                    "its records are not regular: fewer than half of their steps are within 10 % of the median; `--step` in place of data draws the curve of the model alone"
+                }
+            };
+            curve.notes.push(why.to_owned());
             return curve;
         };
         let pieces: Option<Vec<Vec<Vec<f64>>>> =
@@ -91,7 +95,8 @@ impl Asked<'_> {
         let filter = match self.filter(phase, step, &mut curve.zero) {
             Ok(filter) => Some(filter),
             Err(error) => {
-                curve.notes.push(format!("the model has no curve: {error}"));
+                let hint = error.hint().map_or(String::new(), |hint| format!("; {hint}"));
+                curve.notes.push(format!("the model has no curve: {error}{hint}"));
                 None
             }
         };

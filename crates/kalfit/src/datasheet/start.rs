@@ -106,7 +106,7 @@ fn word(model: &Model, state: usize, quantity: Quantity) -> String {
     }
     match (quantity, columns.is_empty()) {
         (Quantity::Part, _) => "scale factor".to_owned(),
-        (_, false) => format!("sensitivity to {}:", columns.join(", ")),
+        (_, false) => format!("sensitivity to {}", columns.join(", ")),
         (_, true) if measured => "turn-on".to_owned(),
         _ => "initial".to_owned(),
     }
