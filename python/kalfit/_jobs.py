@@ -16,6 +16,7 @@ from kalfit._results import (
     Applied,
     Check,
     Comparison,
+    Datasheet,
     Filter,
     Plan,
     Predicted,
@@ -28,6 +29,7 @@ __all__ = [
     "apply",
     "check",
     "compare",
+    "datasheet",
     "estimates",
     "export",
     "fit",
@@ -364,7 +366,7 @@ def predict(
     >>> import kalfit
     >>> model, data = "examples/gyro-bench/bench.toml", "examples/gyro-bench/bench.csv"
     >>> predicted = kalfit.predict(model, kalfit.fit(model, data), data)
-    >>> [name for name in predicted.table.column_names if name.startswith("std_dev")]
+    >>> [name for name in predicted.table.columns if name.startswith("std_dev")]
     ['std_dev', 'std_dev_population', 'std_dev_process', 'std_dev_estimation']
     """
     for name, value in (("confidence", confidence), ("content", content)):
@@ -374,8 +376,7 @@ def predict(
         _model(model, set),
         _source(source),
         as_data(design, "design"),
-        None if outputs is None else _outputs(outputs),
-        (confidence, content, one_sided, units),
+        (None if outputs is None else _outputs(outputs), confidence, content, one_sided, units),
         _file(out),
         _how(threads, progress),
     )
@@ -410,6 +411,43 @@ def export(
     fixed = [f"{column}={value}" for column, value in (at or {}).items()]
     made, notes = _kalfit.export(_model(model, set), _source(source), (step, fixed, phase), format, _file(out))
     return Filter(made, notes)
+
+
+def datasheet(
+    model: ModelLike,
+    source: Fit | ModelLike,
+    data: Data | None = None,
+    *,
+    step: float | None = None,
+    at: Mapping[str, float | str] | None = None,
+    set: Set = None,
+    out: Path | None = None,
+    threads: int | None = None,
+    progress: Progress = False,
+) -> Datasheet:
+    """The numbers of a datasheet, in its units: random walks, Gauss-Markov pairs, turn-on repeatability, Allan deviations.
+
+    ``source`` is a fit, its file, or a model with values. With ``data`` the Allan deviation of their records stands beside that of the
+    model; without, ``step`` is the time from a value to the next. Columns that noise or motion depend on are given a value by ``at``.
+
+    >>> import kalfit
+    >>> model, data = "examples/mimu4444/gyro_x.toml", "examples/mimu4444/gyro_x.csv"
+    >>> sheet = kalfit.datasheet(model, kalfit.fit(model, data), data)
+    >>> [(entry["name"], entry["unit"]) for entry in sheet.entries[:2]]
+    [('angle random walk', 'deg/sqrt(h)'), ('rate random walk', 'deg/h/sqrt(h)')]
+    """
+    if step is not None and data is not None:
+        raise ValueError("step is given beside data, whose records have steps of their own: leave one of them out")
+    fixed = [f"{column}={value}" for column, value in (at or {}).items()]
+    made, notes = _kalfit.datasheet(
+        _model(model, set),
+        _source(source),
+        [] if data is None else as_data(data),
+        (step, fixed),
+        _file(out),
+        _how(threads, progress),
+    )
+    return Datasheet(made, notes)
 
 
 def compare(fits: Mapping[str, Fit | Path] | Sequence[Fit | Path], *, out: Path | None = None) -> Comparison:

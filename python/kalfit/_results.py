@@ -15,6 +15,7 @@ __all__ = [
     "Applied",
     "Check",
     "Comparison",
+    "Datasheet",
     "Filter",
     "Plan",
     "Predicted",
@@ -182,6 +183,25 @@ class Filter(_Record):
 
     def __repr__(self) -> str:
         return f"<kalfit.Filter: states {self.states}, measurements {self.measurements}, inputs {self.inputs}>"
+
+
+class Datasheet(_Record):
+    """The numbers of a datasheet that follow from a fit."""
+
+    def __init__(self, json_text: str, notes: list[str]) -> None:
+        record: dict[str, Any] = json.loads(json_text)
+        super().__init__(json_text, notes + record["notes"])
+        #: A dictionary for each number: ``name``, ``of``, ``value``, ``unit``, ``interval95``, ``definition`` and more.
+        self.entries: list[dict[str, Any]] = record["entries"]
+        #: A dictionary for each measurement: ``unit``, ``step`` and ``points``, each with ``time``, ``model``, ``data``, ``interval95``.
+        self.allan: list[dict[str, Any]] = record["allan"]
+
+    def summary(self, width: int = 80, color: bool = False) -> str:
+        """The numbers in words and tables, as ``kalfit datasheet`` prints them."""
+        return _kalfit.datasheet_summary(self._json, width, color)
+
+    def __repr__(self) -> str:
+        return f"<kalfit.Datasheet: {len(self.entries)} numbers, {len(self.allan)} Allan deviations>"
 
 
 class Comparison(_Record):

@@ -27,6 +27,8 @@ kalfit.plan(model, fit, table, [10, 20]).to_dict()
 kalfit.apply(model, table, fit, states="smoothed").summary()
 filter = kalfit.export(model, fit, step=0.1, at={"temperature": 20, "unit": "A7"}, out="filter.npz", format="npz")
 transition: float = float((filter.F @ filter.F.T).sum())
+sheet = kalfit.datasheet(model, fit, "data.csv", at={"temperature": 20}, out="sheet.json")
+times: list[float] = [point["time"] for point in sheet.allan[0]["points"]]
 weights: list[float] = [one["akaike_weight"] for one in kalfit.compare([fit, "other.json"]).fits]
 kalfit.compare({"one": fit, "two": Path("other.json")}, out="compared.json").summary()
 ensemble = kalfit.Ensemble.from_arrays(np.zeros((3, 2, 1)), observation=[[1.0]], noise=[[0.1]])

@@ -49,6 +49,8 @@ pub(crate) enum Command {
     Predict(PredictArgs),
     /// The filter that follows from a fit, for programs that are not kalfit: JSON, numpy, Matlab, C or Python
     Export(ExportArgs),
+    /// The numbers of a datasheet, in its units: random walks, Gauss-Markov pairs, turn-on repeatability, Allan deviations
+    Datasheet(DatasheetArgs),
     /// Fits of the same data side by side: likelihoods, AIC and BIC, tests of one within another
     Compare(CompareArgs),
     /// The report of a fit, one HTML page, from its results alone
@@ -511,6 +513,36 @@ pub(crate) enum FormArg {
     C,
     /// A module that needs numpy alone
     Python,
+}
+
+#[derive(Debug, Group)]
+#[command(after_help = examples::DATASHEET)]
+pub(crate) struct DatasheetArgs {
+    #[command(flatten)]
+    pub(crate) model: ModelArgs,
+
+    /// Records to put beside the model: CSV, Parquet or Arrow files, patterns such as `runs/*.csv`, `-` for standard input
+    pub(crate) data: Vec<String>,
+
+    /// The population and all parameters: results of `kalfit fit`, or a model file, whose fixed values and start values are taken
+    #[arg(long, value_name = "FIT.json|MODEL.toml")]
+    pub(crate) from: PathBuf,
+
+    /// Time from a value to the next, in the model's unit of time, where no data say it
+    #[arg(long, value_name = "DT", value_parser = length, conflicts_with = "data")]
+    pub(crate) step: Option<f64>,
+
+    /// A column's value on all rows, where noise or motion depend on it: `temperature=20`; may be given many times
+    #[arg(long, value_name = "COLUMN=VALUE")]
+    pub(crate) at: Vec<String>,
+
+    /// File for all numbers, as JSON
+    #[arg(long, value_name = "FILE")]
+    pub(crate) out: Option<PathBuf>,
+
+    /// Print nothing but errors
+    #[arg(long)]
+    pub(crate) quiet: bool,
 }
 
 #[derive(Debug, Group)]

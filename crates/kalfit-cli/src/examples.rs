@@ -93,6 +93,15 @@ Examples:
 x = F x + B u + w with w ~ N(0, Q), z = H x + D u + v with v ~ N(0, R); x0 and P0 are mean and covariance of the initial state of a new \
 test. `inputs` says what u is made of.";
 
+pub(crate) const DATASHEET: &str = "\
+Examples:
+  kalfit datasheet model.toml --from fit.json data.csv
+  kalfit datasheet model.toml --from fit.json 'runs/*.csv' --out datasheet.json
+  kalfit datasheet model.toml --from fit.json --step 0.01 --at temperature=20
+
+deg/h, deg/s and rad/s become deg/h, and m/s^2, g, mg and ug become ug; white noise of them is given in deg/sqrt(h) and m/s/sqrt(h). Other \
+labels stay.";
+
 pub(crate) const COMPARE: &str = "\
 Examples:
   kalfit compare full.json diagonal.json

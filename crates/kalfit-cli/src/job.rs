@@ -10,14 +10,14 @@ use kalfit::infer::{Bootstrap, Choices, DeletionChoice, IntervalKind, StdErrors,
 use kalfit::predict::{Limits, Sides};
 use kalfit_data::Datum;
 use kalfit_job::{
-    ApplyJob, CheckJob, CompareJob, ExchangeJob, ExportJob, Failure, FitJob, FoldsOf, Form, ModelJob, PlanJob,
-    PredictJob, ReportJob, SimulateJob, TestJob, Units, ValidateJob,
+    ApplyJob, CheckJob, CompareJob, DatasheetJob, ExchangeJob, ExportJob, Failure, FitJob, FoldsOf, Form, ModelJob,
+    PlanJob, PredictJob, ReportJob, SimulateJob, TestJob, Units, ValidateJob,
 };
 
 use crate::args::{
-    ApplyArgs, Args, CheckArgs, Command, CompareArgs, CriterionArg, DeletionArg, ExchangeArgs, ExportArgs, FitArgs,
-    FormArg, InnovationsArg, IntervalsArg, KindArg, MethodArg, ModelArgs, PhasesArg, PlanArgs, PredictArgs, ReportArgs,
-    SimulateArgs, SolverArg, StdErrorsArg, TestArgs, UnitsArg, ValidateArgs,
+    ApplyArgs, Args, CheckArgs, Command, CompareArgs, CriterionArg, DatasheetArgs, DeletionArg, ExchangeArgs,
+    ExportArgs, FitArgs, FormArg, InnovationsArg, IntervalsArg, KindArg, MethodArg, ModelArgs, PhasesArg, PlanArgs,
+    PredictArgs, ReportArgs, SimulateArgs, SolverArg, StdErrorsArg, TestArgs, UnitsArg, ValidateArgs,
 };
 use crate::ended::{Ended, Outcome};
 use crate::init::InitJob;
@@ -48,6 +48,7 @@ enum Job {
     Validate(ValidateJob),
     Predict(PredictJob),
     Export(ExportJob),
+    Datasheet(DatasheetJob),
     Compare(CompareJob),
     Report(ReportJob),
     Completions(Shell),
@@ -74,6 +75,7 @@ impl Order {
             Job::Validate(job) => show::validate(job, self.quiet),
             Job::Predict(job) => show::predict(job, self.quiet),
             Job::Export(job) => show::export(job, self.quiet),
+            Job::Datasheet(job) => show::datasheet(job, self.quiet),
             Job::Compare(job) => show::compare(job, self.quiet),
             Job::Report(job) => show::report(job, self.quiet),
             Job::Completions(shell) => show::completions(*shell),
@@ -98,6 +100,7 @@ impl From<Args> for Order {
             Command::Validate(args) => (args.model.threads, args.quiet),
             Command::Predict(args) => (args.model.threads, args.quiet),
             Command::Export(args) => (args.model.threads, args.quiet),
+            Command::Datasheet(args) => (args.model.threads, args.quiet),
             Command::Compare(args) => (None, args.quiet),
         };
         let threads = threads.map(usize::from);
@@ -113,6 +116,7 @@ impl From<Args> for Order {
             Command::Validate(args) => Job::Validate(args.into()),
             Command::Predict(args) => Job::Predict(args.into()),
             Command::Export(args) => Job::Export(args.into()),
+            Command::Datasheet(args) => Job::Datasheet(args.into()),
             Command::Compare(args) => Job::Compare(args.into()),
             Command::Report(args) => Job::Report(args.into()),
             Command::Init(args) => Job::Init(InitJob { template: args.template, folder: args.dir.unwrap_or_default() }),
@@ -328,6 +332,19 @@ impl From<ExportArgs> for ExportJob {
             at: args.at,
             form: args.form.map(form),
             out: Some(args.out),
+        }
+    }
+}
+
+impl From<DatasheetArgs> for DatasheetJob {
+    fn from(args: DatasheetArgs) -> DatasheetJob {
+        DatasheetJob {
+            model: args.model.into(),
+            from: args.from.into(),
+            data: data(args.data),
+            step: args.step,
+            at: args.at,
+            out: args.out,
         }
     }
 }

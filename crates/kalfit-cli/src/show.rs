@@ -4,12 +4,12 @@ use std::path::Path;
 
 use clap_complete::Shell;
 use kalfit_job::{
-    ApplyJob, CheckJob, CompareJob, Done, ExchangeJob, Exchanged, ExportJob, Failure, FitJob, PlanJob, PredictJob,
-    ReportJob, SimulateJob, TestJob, ValidateJob, Watch,
+    ApplyJob, CheckJob, CompareJob, DatasheetJob, Done, ExchangeJob, Exchanged, ExportJob, Failure, FitJob, PlanJob,
+    PredictJob, ReportJob, SimulateJob, TestJob, ValidateJob, Watch,
 };
 use kalfit_report::{
-    applied_summary, check_summary, compared_summary, exported_summary, plan_summary, predicted_summary, ratio_summary,
-    summary, validated_summary,
+    applied_summary, check_summary, compared_summary, datasheet_summary, exported_summary, plan_summary,
+    predicted_summary, ratio_summary, summary, validated_summary,
 };
 
 use crate::ended::{Ended, Outcome};
@@ -59,6 +59,12 @@ pub(crate) fn predict(job: &PredictJob, quiet: bool) -> Result<Outcome, Ended> {
 pub(crate) fn export(job: &ExportJob, quiet: bool) -> Result<Outcome, Ended> {
     let Done { record, notes, written } = kalfit_job::export(job)?;
     tell(quiet, &notes, || exported_summary(&record, &terminal::style()), written)?;
+    Ok(Outcome::Done)
+}
+
+pub(crate) fn datasheet(job: &DatasheetJob, quiet: bool) -> Result<Outcome, Ended> {
+    let Done { record, notes, written } = watched(quiet, |line| kalfit_job::datasheet(job, line))?;
+    tell(quiet, &notes, || datasheet_summary(&record, &terminal::style()), written)?;
     Ok(Outcome::Done)
 }
 

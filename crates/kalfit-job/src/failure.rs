@@ -22,6 +22,22 @@ use crate::output::OutputError;
 use crate::results::ResultError;
 use crate::truth::error::TruthError;
 
+/// A unit that a fit does not know.
+#[derive(Debug, thiserror::Error)]
+#[error("test `{test}` is of {level} `{unit}`, which is not in `{path}`: {known}")]
+pub struct UnknownUnit {
+    /// The test.
+    pub test: String,
+    /// Name of its innermost level of groups.
+    pub level: String,
+    /// The group.
+    pub unit: String,
+    /// The results.
+    pub path: String,
+    /// What is there.
+    pub known: String,
+}
+
 /// Bad input, or a world that does not let us write. Exit status 2.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -111,19 +127,8 @@ pub enum Failure {
     #[error("{0}")]
     Predict(Box<PredictError>),
     /// A unit that the fit does not know.
-    #[error("test `{test}` is of {level} `{unit}`, which is not in `{path}`: {known}")]
-    UnknownUnit {
-        /// The test.
-        test: String,
-        /// Name of its innermost level of groups.
-        level: String,
-        /// The group.
-        unit: String,
-        /// The results.
-        path: String,
-        /// What is there.
-        known: String,
-    },
+    #[error("{0}")]
+    UnknownUnit(Box<UnknownUnit>),
     /// Known units of a model without units.
     #[error("`--units known` has no effect: {why}")]
     NoUnits {
@@ -132,7 +137,7 @@ pub enum Failure {
     },
     /// There are no folds.
     #[error("{0}")]
-    Folds(FoldsError),
+    Folds(Box<FoldsError>),
     /// Reductions and estimates tell neither innovations nor columns.
     #[error("tests are validated from their measurements, and some of them are given by reductions or estimates")]
     FoldsOfRows,
@@ -143,7 +148,7 @@ pub enum Failure {
     #[error("`{path}` cannot be compared: {error}")]
     NotComparable {
         /// Why.
-        error: NotComparable,
+        error: Box<NotComparable>,
         /// The other model.
         path: String,
     },
@@ -156,6 +161,9 @@ pub enum Failure {
         /// What was given.
         found: String,
     },
+    /// A step that is given, and data that have one.
+    #[error("a step is given beside data, whose records have steps of their own")]
+    StepBesideData,
     /// A file whose ending does not say what is to be in it.
     #[error("what `{path}` is to hold is not said")]
     NoForm {
@@ -345,9 +353,9 @@ impl Failure {
             Failure::Simulate { error, .. } => error.hint().map(str::to_owned),
             Failure::Apply(error) => apply_hint(error).map(str::to_owned),
             Failure::Predict(_) => None,
-            Failure::UnknownUnit { .. } => Some("`--units new` predicts tests of units that nobody has seen".to_owned()),
+            Failure::UnknownUnit(_) => Some("`--units new` predicts tests of units that nobody has seen".to_owned()),
             Failure::NoUnits { .. } => Some("leave it out".to_owned()),
-            Failure::Folds(FoldsError::Apart { .. }) => {
+            Failure::Folds(error) if matches!(**error, FoldsError::Apart { .. }) => {
                 Some("a fold holds whole groups: name a column that is the same for all tests of one".to_owned())
             }
             Failure::Folds(_) | Failure::Validate(_) => None,
@@ -357,6 +365,7 @@ impl Failure {
             }
             Failure::Export(error) => error.hint(),
             Failure::NoColumnValue { .. } => Some("write `--at temperature=20`".to_owned()),
+            Failure::StepBesideData => Some("leave one of them out".to_owned()),
             Failure::NoForm { .. } => Some(
                 "say it by `--as json`, `npz`, `mat`, `c` or `python`, or by an ending: `.json`, `.npz`, `.mat`, `.h`, `.py`"
                     .to_owned(),

@@ -281,6 +281,23 @@ pub struct ExportJob {
     pub out: Option<PathBuf>,
 }
 
+/// Make the numbers of a datasheet.
+#[derive(Debug, Clone)]
+pub struct DatasheetJob {
+    /// The model.
+    pub model: ModelJob,
+    /// Where all parameters come from: results of a fit, or a model.
+    pub from: Document,
+    /// Records to put beside the model; there need be none.
+    pub data: Vec<Datum>,
+    /// Time from a value to the next, without data.
+    pub step: Option<f64>,
+    /// Columns with the value that they have on all rows, each as `column=value`.
+    pub at: Vec<String>,
+    /// File for the results.
+    pub out: Option<PathBuf>,
+}
+
 /// Put fits of the same data side by side.
 #[derive(Debug, Clone)]
 pub struct CompareJob {

@@ -17,6 +17,7 @@
 mod apply;
 mod check;
 mod compare;
+mod datasheet;
 mod diagnostic;
 mod document;
 mod dynamic;
@@ -57,15 +58,17 @@ mod write;
 pub use apply::apply;
 pub use check::check;
 pub use compare::compare;
+pub use datasheet::datasheet;
 pub use diagnostic::{render, render_hinted, render_message};
 pub use document::Document;
 pub use estimates::estimates;
 pub use export::{Form, export};
-pub use failure::{Failure, Place, Source};
+pub use failure::{Failure, Place, Source, UnknownUnit};
 pub use fit::fit;
 pub use job::{
-    AppliedModel, ApplyJob, CheckJob, CompareJob, Done, ExchangeJob, Exchanged, ExportJob, FitJob, FoldsOf, ModelJob,
-    PlanJob, PredictJob, PredictedModel, ReportJob, SimulateJob, Simulated, TableTo, TestJob, Units, ValidateJob,
+    AppliedModel, ApplyJob, CheckJob, CompareJob, DatasheetJob, Done, ExchangeJob, Exchanged, ExportJob, FitJob,
+    FoldsOf, ModelJob, PlanJob, PredictJob, PredictedModel, ReportJob, SimulateJob, Simulated, TableTo, TestJob, Units,
+    ValidateJob,
 };
 pub use model::read as read_model;
 pub use output::{Contents, OutputError, abandon};

@@ -47,7 +47,7 @@ pub fn validate(job: &ValidateJob, watch: &mut dyn Watch) -> Result<Done<Validat
         let title = if title.is_empty() { other.spec.name.clone() } else { title.to_owned() };
         record
             .set_against(title, &beside)
-            .map_err(|error| Failure::NotComparable { error, path: other.spec.name.clone() })?;
+            .map_err(|error| Failure::NotComparable { error: Box::new(error), path: other.spec.name.clone() })?;
     }
     if let Some(output) = &output {
         output.write(&record)?;
@@ -92,7 +92,7 @@ impl Read {
             return Ok(());
         }
         let error = NotComparable::Columns { first, second };
-        Err(Failure::NotComparable { error, path: other.spec.name.clone() })
+        Err(Failure::NotComparable { error: Box::new(error), path: other.spec.name.clone() })
     }
 
     fn folds(&self, job: &ValidateJob) -> Result<Folds, Failure> {
@@ -102,7 +102,7 @@ impl Read {
             (FoldsOf::Drawn { count, seed }, _) => Folds::drawn(model, labels, tests, (*count, *seed)),
             (FoldsOf::Column(_), None) => unreachable!("groups were read"),
         };
-        found.map_err(Failure::Folds)
+        found.map_err(|error| Failure::Folds(Box::new(error)))
     }
 
     /// The folds of another's tests, by the names of these.
@@ -114,7 +114,7 @@ impl Read {
             let error = NotComparable::Names { found };
             of.get(test.id.as_str())
                 .copied()
-                .ok_or_else(|| Failure::NotComparable { error, path: self.spec.name.clone() })
+                .ok_or_else(|| Failure::NotComparable { error: Box::new(error), path: self.spec.name.clone() })
         };
         let of = self.ensemble.tests().iter().map(place).collect::<Result<_, _>>()?;
         Ok(Folds { names: folds.names.clone(), of })

@@ -38,6 +38,7 @@ pub(crate) fn exception(failure: &Failure) -> PyErr {
         | Failure::Write { .. }
         | Failure::NotParquet { .. }
         | Failure::NoForm { .. }
+        | Failure::StepBesideData
         | Failure::Threads { .. } => Error::new_err(text),
         _ => FitError::new_err(text),
     }

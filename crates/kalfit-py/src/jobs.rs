@@ -8,8 +8,9 @@ use kalfit::estimate::{Criterion, Solver};
 use kalfit::infer::Bootstrap;
 use kalfit::predict::{Limits, Sides};
 use kalfit_job::{
-    AppliedModel, ApplyJob, CheckJob, CompareJob, Done, ExchangeJob, Exchanged, ExportJob, Failure, FitJob, FoldsOf,
-    Form, PlanJob, PredictJob, PredictedModel, SimulateJob, Simulated, TableTo, TestJob, Units, ValidateJob, Watch,
+    AppliedModel, ApplyJob, CheckJob, CompareJob, DatasheetJob, Done, ExchangeJob, Exchanged, ExportJob, Failure,
+    FitJob, FoldsOf, Form, PlanJob, PredictJob, PredictedModel, SimulateJob, Simulated, TableTo, TestJob, Units,
+    ValidateJob, Watch,
 };
 use kalfit_report::{Style, check_summary};
 use pyo3::exceptions::PyKeyboardInterrupt;
@@ -158,8 +159,8 @@ pub(crate) fn validate(
     Ok((written(&done.record)?, done.notes))
 }
 
-/// (confidence, content, each limit by itself, whose tests).
-type Asks = (f64, f64, bool, String);
+/// (outputs, confidence, content, each limit by itself, whose tests).
+type Asks = (Option<Text>, f64, f64, bool, String);
 
 /// Says what tests that nobody has made will give: (JSON of the last rows, table, notes).
 #[pyfunction]
@@ -168,12 +169,11 @@ pub(crate) fn predict(
     model: Asked,
     from: Text,
     design: Vec<Given<'_>>,
-    outputs: Option<Text>,
     asks: Asks,
     out: Option<PathBuf>,
     how: How<'_>,
 ) -> PyResult<(String, Option<Table>, Vec<String>)> {
-    let (confidence, content, one_sided, units) = asks;
+    let (outputs, confidence, content, one_sided, units) = asks;
     let sides = if one_sided { Sides::One } else { Sides::Two };
     let job = PredictJob {
         model: model.into(),
@@ -207,6 +207,23 @@ pub(crate) fn export(
     let (step, at, phase) = wanted;
     let job = ExportJob { model: model.into(), from: from.into(), phase, step, at, form, out };
     let done = kalfit_job::export(&job).map_err(|failure| exception(&failure))?;
+    Ok((written(&done.record)?, done.notes))
+}
+
+/// (JSON of the numbers of a datasheet, notes).
+#[pyfunction]
+pub(crate) fn datasheet(
+    py: Python<'_>,
+    model: Asked,
+    from: Text,
+    given: Vec<Given<'_>>,
+    wanted: (Option<f64>, Vec<String>),
+    out: Option<PathBuf>,
+    how: How<'_>,
+) -> PyResult<(String, Vec<String>)> {
+    let (step, at) = wanted;
+    let job = DatasheetJob { model: model.into(), from: from.into(), data: data(given)?, step, at, out };
+    let done = whole(run(py, how, move |watch| kalfit_job::datasheet(&job, watch))?)?;
     Ok((written(&done.record)?, done.notes))
 }
 

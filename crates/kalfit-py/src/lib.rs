@@ -19,12 +19,14 @@ mod _kalfit {
     #[pymodule_export]
     use crate::fit::Results;
     #[pymodule_export]
-    use crate::jobs::{apply, check, compare, exchange, export, fit, plan, predict, simulate, test, validate};
+    use crate::jobs::{
+        apply, check, compare, datasheet, exchange, export, fit, plan, predict, simulate, test, validate,
+    };
     #[pymodule_export]
     use crate::table::Table;
     #[pymodule_export]
     use crate::text::{
-        applied_summary, compared_summary, describe, exported_summary, plan_summary, predicted_summary, ratio_summary,
-        read_model, validated_summary, version,
+        applied_summary, compared_summary, datasheet_summary, describe, exported_summary, plan_summary,
+        predicted_summary, ratio_summary, read_model, validated_summary, version,
     };
 }

@@ -2,7 +2,9 @@
 
 use kalfit::TestKey;
 use kalfit::compare::ComparedRecord;
-use kalfit::record::{AppliedRecord, ExportRecord, PlanRecord, PredictedRecord, RatioRecord, ValidatedRecord};
+use kalfit::record::{
+    AppliedRecord, DatasheetRecord, ExportRecord, PlanRecord, PredictedRecord, RatioRecord, ValidatedRecord,
+};
 use kalfit_job::Document;
 use kalfit_report::Style;
 use pyo3::exceptions::PyValueError;
@@ -59,6 +61,12 @@ pub(crate) fn applied_summary(json: &str, width: usize, color: bool) -> PyResult
 #[pyfunction]
 pub(crate) fn compared_summary(json: &str, width: usize, color: bool) -> PyResult<String> {
     Ok(kalfit_report::compared_summary(&read::<ComparedRecord>(json)?, &Style { width, color }))
+}
+
+/// Summary of the JSON of a datasheet.
+#[pyfunction]
+pub(crate) fn datasheet_summary(json: &str, width: usize, color: bool) -> PyResult<String> {
+    Ok(kalfit_report::datasheet_summary(&read::<DatasheetRecord>(json)?, &Style { width, color }))
 }
 
 /// Summary of the JSON of a filter.

@@ -6,6 +6,7 @@
 mod applied;
 mod check;
 mod compared;
+mod datasheet;
 mod exported;
 mod html;
 mod number;
@@ -21,6 +22,7 @@ mod words;
 pub use applied::applied_summary;
 pub use check::{CheckRecord, Checked, CheckedLevel, CheckedPhase, ParameterCounts, PhaseCounts, check_summary};
 pub use compared::compared_summary;
+pub use datasheet::datasheet_summary;
 pub use exported::exported_summary;
 pub use html::{html, html_with_test};
 pub use plan::plan_summary;

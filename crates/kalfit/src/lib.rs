@@ -10,9 +10,11 @@
 //!
 //! The crate is pure: it knows nothing of files, model-file syntax, tables, clocks or the terminal.
 
+pub mod allan;
 pub mod apply;
 pub mod build;
 pub mod compare;
+pub mod datasheet;
 pub mod dynamic;
 pub mod ensemble;
 pub mod estimate;

@@ -39,6 +39,8 @@ fn version_and_help() {
                    outputs
       export       The filter that follows from a fit, for programs that are not kalfit: JSON, numpy,
                    Matlab, C or Python
+      datasheet    The numbers of a datasheet, in its units: random walks, Gauss-Markov pairs, turn-on
+                   repeatability, Allan deviations
       compare      Fits of the same data side by side: likelihoods, AIC and BIC, tests of one within
                    another
       report       The report of a fit, one HTML page, from its results alone

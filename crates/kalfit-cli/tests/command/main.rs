@@ -4,6 +4,7 @@ mod apply;
 mod broken;
 mod check;
 mod compare;
+mod datasheet;
 mod dynamic;
 mod em;
 mod ensembles;

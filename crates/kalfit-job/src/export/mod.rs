@@ -57,7 +57,7 @@ fn write(output: &Output, form: Form, record: &ExportRecord) -> Result<(), Outpu
 }
 
 /// `column=value`; the name of a column may hold a `=`, its value here cannot.
-fn column_value(assignment: &str) -> Result<(String, String), Failure> {
+pub(crate) fn column_value(assignment: &str) -> Result<(String, String), Failure> {
     match assignment.rsplit_once('=') {
         Some((column, value)) if !column.trim().is_empty() && !value.trim().is_empty() => {
             Ok((column.trim().to_owned(), value.trim().to_owned()))
@@ -66,7 +66,7 @@ fn column_value(assignment: &str) -> Result<(String, String), Failure> {
     }
 }
 
-fn refused(error: ExportError) -> Failure {
+pub(crate) fn refused(error: ExportError) -> Failure {
     match error {
         ExportError::Reduce(error) => Failure::Reduce { error: *error, reading: None },
         error => Failure::Export(Box::new(error)),

@@ -7,7 +7,7 @@ use kalfit::reduce::grouping;
 use kalfit::{Grouping, Labels, PhasedTest};
 use kalfit_spec::Spec;
 
-use crate::failure::Failure;
+use crate::failure::{Failure, UnknownUnit};
 use crate::job::{PredictJob, Units};
 use crate::truth::Truth;
 
@@ -73,7 +73,7 @@ impl UnitsOf {
                 _ => format!("it knows {listed} and {more} more"),
             };
             let (test, unit) = (test.id.clone(), name.join("/"));
-            Failure::UnknownUnit { test, level: level.clone(), unit, path: path.clone(), known }
+            Failure::UnknownUnit(Box::new(UnknownUnit { test, level: level.clone(), unit, path: path.clone(), known }))
         })
     }
 }

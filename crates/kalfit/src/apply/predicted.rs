@@ -47,6 +47,9 @@ pub(crate) enum Subject {
     Measurement(usize, usize),
 }
 
+/// Rows of a step among those of the phase, its time, and its values.
+pub(crate) type StepForms = (Range<usize>, Option<f64>, Vec<(Subject, Form)>);
+
 /// A phase of a test, evaluated.
 pub(crate) struct Record<'a> {
     phase: &'a PhaseReducer,
@@ -87,7 +90,7 @@ impl<'a> Record<'a> {
     }
 
     /// Each step with its rows, its time and its values: the states, and then the measurements.
-    pub(crate) fn forms(&self) -> Vec<(Range<usize>, Option<f64>, Vec<(Subject, Form)>)> {
+    pub(crate) fn forms(&self) -> Vec<StepForms> {
         let one = |(step, rows): (Step<'_>, Range<usize>)| {
             let states = self.state_forms().enumerate().map(|(state, form)| (Subject::State(state), form));
             let measured = self.measured(&step);

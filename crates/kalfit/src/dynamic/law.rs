@@ -17,8 +17,7 @@ pub(crate) fn joint(model: &PhasedModel, fit: &DynamicFit, covariances: &Covaria
     let (state, sigma) = (&fit.estimate.state, &fit.estimate.covariance);
     let (mut known, mut moves, mut open) = (Vec::new(), Vec::new(), Vec::new());
     let slope = |slot: usize| coordinates[slot].slope(fit.values[slot]);
-    let mut columns: Vec<(usize, f64, Option<Vec<f64>>)> =
-        (0..fit.values.len()).map(|slot| (slot, slope(slot), None)).collect();
+    let mut columns: Vec<Moving> = (0..fit.values.len()).map(|slot| (slot, slope(slot), None)).collect();
     for (slot, derivative) in matrix_derivatives(model, &fit.alpha, &fit.slots, sigma) {
         let column = state.elements_in(&(derivative * slope(slot)));
         columns[slot].2 = Some(column.clone());
@@ -45,12 +44,11 @@ pub(crate) fn joint(model: &PhasedModel, fit: &DynamicFit, covariances: &Covaria
     }
 }
 
+/// A free value: its slot, dvalue/dcoordinate, and what it moves of Σ.
+type Moving = (usize, f64, Option<Vec<f64>>);
+
 /// All free values with everything else; `columns`: dσ/dcoordinate of those that stand in matrices.
-fn values(
-    fit: &DynamicFit,
-    covariances: &Covariances,
-    (elements, columns): (usize, &[(usize, f64, Option<Vec<f64>>)]),
-) -> Values {
+fn values(fit: &DynamicFit, covariances: &Covariances, (elements, columns): (usize, &[Moving])) -> Values {
     let place = |slot: usize| covariances.shared.iter().position(|&s| s == slot);
     let is_inside = |slot: usize| fit.standing[slot] == Standing::Inside && covariances.alpha[slot].is_some();
     let (known, rest): (Vec<_>, Vec<_>) =

@@ -9,7 +9,7 @@ use crate::reduce::{Fault, ReduceErrorKind, Subject};
 
 /// What expressions are evaluated at, as far as it is known, and what was found to differ from row to row.
 #[derive(Debug)]
-pub(super) struct Binder<'a> {
+pub(crate) struct Binder<'a> {
     model: &'a Model,
     alpha: &'a Alpha,
     step: Option<f64>,
@@ -20,7 +20,7 @@ pub(super) struct Binder<'a> {
 
 impl<'a> Binder<'a> {
     /// `at`: columns with their values.
-    pub(super) fn new(
+    pub(crate) fn new(
         (model, alpha): (&'a Model, &'a Alpha),
         step: Option<f64>,
         at: &[(String, String)],
@@ -50,7 +50,7 @@ impl<'a> Binder<'a> {
     }
 
     /// The expression with all put in that is known. Parts without a finite value stay as they are.
-    pub(super) fn bind(&self, expression: &Expression) -> Expression {
+    pub(crate) fn bind(&self, expression: &Expression) -> Expression {
         use Expression as E;
         let own = |part: &Expression| Box::new(self.bind(part));
         match expression {
@@ -181,7 +181,7 @@ fn product(operator: Operator, a: Box<Expression>, b: Box<Expression>) -> Expres
 }
 
 /// Names of the columns that the filter of a phase can depend on, each once.
-fn columns_read(model: &Model) -> Vec<String> {
+pub(crate) fn columns_read(model: &Model) -> Vec<String> {
     let mut names: Vec<String> = Vec::new();
     let mut add = |name: &String| {
         if !names.contains(name) {

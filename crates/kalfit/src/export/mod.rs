@@ -11,7 +11,7 @@
 //! a state, or noise, that differs from row to row has no place in constant matrices: the columns it reads are given values, or it is
 //! refused.
 
-mod bind;
+pub(crate) mod bind;
 mod error;
 mod matrices;
 mod plain;

@@ -35,10 +35,13 @@ pub(super) struct Course {
     phases: Vec<PhaseCourse>,
 }
 
+/// Rows of a step among those of the phase, its time, and its values.
+type StepValues = (Range<usize>, Option<f64>, Vec<Value>);
+
 #[derive(Debug)]
 struct PhaseCourse {
     phase: usize,
-    steps: Vec<(Range<usize>, Option<f64>, Vec<Value>)>,
+    steps: Vec<StepValues>,
 }
 
 /// One value.
@@ -247,7 +250,7 @@ impl Course {
             }
         };
         let of_phase = |(place, phase): (usize, &PhaseCourse)| {
-            let step = |(number, (rows, time, values)): (usize, &(Range<usize>, Option<f64>, Vec<Value>))| {
+            let step = |(number, (rows, time, values)): (usize, &StepValues)| {
                 let all = values.iter().enumerate().map(|(at, value)| predicted(place, number, at, value));
                 StepPredictions { rows: rows.clone(), time: *time, values: all.collect() }
             };

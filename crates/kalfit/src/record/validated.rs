@@ -208,8 +208,8 @@ impl ValidatedRecord {
 
     /// Whether every fit is certified.
     pub fn is_certified(&self) -> bool {
-        let theirs = self.against.iter().flat_map(|other| &other.converged);
-        self.converged && self.folds.iter().all(|fold| fold.converged) && theirs.fold(true, |all, one| all && *one)
+        let mut theirs = self.against.iter().flat_map(|other| &other.converged);
+        self.converged && self.folds.iter().all(|fold| fold.converged) && theirs.all(|one| *one)
     }
 
     /// Sets another model beside it.

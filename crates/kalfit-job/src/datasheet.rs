@@ -1,0 +1,53 @@
+//! The numbers of a datasheet: `kalfit datasheet`.
+
+use kalfit::datasheet::{Source, datasheet as sheet};
+use kalfit::record::DatasheetRecord;
+
+use crate::evidence::Given;
+use crate::export::{column_value, refused};
+use crate::failure::Failure;
+use crate::job::{DatasheetJob, Done, files};
+use crate::output::{Contents, Output};
+use crate::work::{Watch, Work};
+use crate::{model, tests, truth};
+
+/// Makes the numbers of a datasheet of a fit, with data the Allan deviations of their records beside those of the model.
+///
+/// # Errors
+/// Bad input, or [`Failure::Interrupted`].
+pub fn datasheet(job: &DatasheetJob, watch: &mut dyn Watch) -> Result<Done<DatasheetRecord>, Failure> {
+    if job.step.is_some() && !job.data.is_empty() {
+        return Err(Failure::StepBesideData);
+    }
+    let mut spec = model::read(&job.model.document)?;
+    let truth = truth::load(&mut spec, &job.from, &job.model.set)?;
+    let at = job.at.iter().map(|assignment| column_value(assignment)).collect::<Result<Vec<_>, Failure>>()?;
+    let given = match job.data.is_empty() {
+        true => None,
+        false => Some(Given::open(&mut spec, &job.data)?),
+    };
+    let inputs = given.as_ref().map_or(&[][..], |given| &given.inputs);
+    let used = files(&[&job.model.document, &job.from], inputs);
+    let output = Output::prepare_for(("--out", Contents::Json), job.out.as_deref(), &used)?;
+    let mut notes = truth.warnings;
+    let tests = match given {
+        None => None,
+        Some(given) => {
+            let (tests, _) = tests::read(&spec, &given, &mut Work::new(watch))?;
+            notes.extend(given.notes);
+            Some(tests)
+        }
+    };
+    let source = Source {
+        name: job.from.name(),
+        record: truth.record.as_deref(),
+        step: job.step,
+        at: &at,
+        tests: tests.as_deref(),
+    };
+    let record = sheet(&spec.model, &truth.alpha, &truth.population, &source).map_err(refused)?;
+    if let Some(output) = &output {
+        output.write(&record)?;
+    }
+    Ok(Done { record, notes, written: output.iter().map(Output::name).collect() })
+}

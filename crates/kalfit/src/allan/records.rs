@@ -1,0 +1,72 @@
+//! Allan's variance of records, estimated from all pairs of neighbouring spans, overlapping ones too.
+
+use statrs::distribution::{ChiSquared, ContinuousCDF};
+
+/// A step may differ by this part from the usual one.
+const JITTER: f64 = 0.1;
+/// Records in which a smaller part of the steps is the usual one are not regular.
+const REGULAR: f64 = 0.5;
+
+/// Allan's variance of records over spans of one length.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Estimate {
+    /// The mean of ½(ȳ_2 - ȳ_1)² over all pairs of neighbouring spans in a stretch.
+    pub variance: f64,
+    /// Number of these pairs.
+    pub pairs: usize,
+    /// Effective degrees of freedom. A stretch of N values has M = N/m independent spans and counts ⅔(M - 1), or 1 where that is less:
+    /// no more than the overlapping estimate has under white noise, flicker noise or a random walk.
+    pub degrees_of_freedom: f64,
+}
+
+impl Estimate {
+    /// 95 % limits of the variance: of that many degrees of freedom its estimate is as χ².
+    pub fn interval95(&self) -> Option<[f64; 2]> {
+        let chi = ChiSquared::new(self.degrees_of_freedom).ok()?;
+        let limit = |p: f64| self.variance * self.degrees_of_freedom / chi.inverse_cdf(p);
+        Some([limit(0.975), limit(0.025)]).filter(|ends| ends.iter().all(|end| end.is_finite()))
+    }
+}
+
+/// The usual step of records of (time, value): the median of the differences of times above zero. `None` where there is no such
+/// difference, or where less than half of them are within 10 % of it: such records have no usual step.
+pub fn median_step(records: &[Vec<(f64, f64)>]) -> Option<f64> {
+    let differences = records.iter().flat_map(|record| record.windows(2)).map(|pair| pair[1].0 - pair[0].0);
+    let mut steps: Vec<f64> = differences.filter(|step| *step > 0.0 && step.is_finite()).collect();
+    let middle = steps.len() / 2;
+    let step = *(steps.len() > middle).then(|| steps.select_nth_unstable_by(middle, f64::total_cmp).1)?;
+    let usual = steps.iter().filter(|own| is_usual(**own, step)).count();
+    (usual as f64 >= REGULAR * steps.len() as f64).then_some(step)
+}
+
+fn is_usual(step: f64, usual: f64) -> bool {
+    (step - usual).abs() <= JITTER * usual
+}
+
+/// The values of a record of (time, value) in stretches without a gap: two values stand in one where they follow each other by `step`,
+/// give or take 10 %.
+pub fn stretches(record: &[(f64, f64)], step: f64) -> Vec<Vec<f64>> {
+    let apart = record.chunk_by(|before, after| is_usual(after.0 - before.0, step));
+    apart.map(|stretch| stretch.iter().map(|(_, value)| *value).collect()).collect()
+}
+
+/// Allan's variance over spans of m values; `None` where no stretch has two of them.
+pub fn estimate(stretches: &[Vec<f64>], m: usize) -> Option<Estimate> {
+    let (mut sum, mut pairs, mut degrees_of_freedom) = (0.0, 0, 0.0);
+    for stretch in stretches.iter().filter(|stretch| m > 0 && stretch.len() / 2 >= m) {
+        // a constant drops out; sums of what is left keep their digits
+        let mean = stretch.iter().sum::<f64>() / stretch.len() as f64;
+        let sums = stretch.iter().scan(0.0, |sum, value| {
+            *sum += value - mean;
+            Some(*sum)
+        });
+        let sums: Vec<f64> = std::iter::once(0.0).chain(sums).collect();
+        for start in 0..=stretch.len() - 2 * m {
+            let difference = (sums[start + 2 * m] - 2.0 * sums[start + m] + sums[start]) / m as f64;
+            sum += 0.5 * difference * difference;
+        }
+        pairs += stretch.len() - 2 * m + 1;
+        degrees_of_freedom += (2.0 / 3.0 * (stretch.len() as f64 / m as f64 - 1.0)).max(1.0);
+    }
+    (pairs > 0).then(|| Estimate { variance: sum / pairs as f64, pairs, degrees_of_freedom })
+}

@@ -1,0 +1,163 @@
+//! A number made of expressions of the model, with the interval of the parameter it hangs on.
+
+use crate::export::ExportError;
+use crate::export::bind::Binder;
+use crate::model::{Alpha, Expression, Level, Model};
+use crate::record::{Interval, ParameterRecord};
+
+/// What numbers are read from.
+#[derive(Debug)]
+pub(super) struct Reader<'a> {
+    pub(super) model: &'a Model,
+    pub(super) alpha: &'a Alpha,
+    /// Columns with the value that they have on all rows.
+    pub(super) at: &'a [(String, String)],
+    /// What is known of the parameters; nothing of values that were merely given.
+    pub(super) known: &'a [ParameterRecord],
+}
+
+/// A number.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(super) struct Figure {
+    /// `None` where it differs from row to row.
+    pub(super) value: Option<f64>,
+    pub(super) interval: Interval,
+    /// Parameters that it depends on.
+    pub(super) from: Vec<String>,
+    /// What it differs with.
+    pub(super) varies_with: Vec<String>,
+}
+
+/// How a number follows from the values of expressions.
+pub(super) type Form<'a> = &'a dyn Fn(&[f64]) -> f64;
+
+impl Reader<'_> {
+    /// The number that follows from expressions at a step. Its interval is that of the parameter that it follows, where it follows one
+    /// alone: a likelihood does not care in which form a parameter is written.
+    pub(super) fn figure(&self, of: &[&Expression], step: Option<f64>, form: Form<'_>) -> Result<Figure, ExportError> {
+        let varies_with = self.varies_with(of, step);
+        if !varies_with.is_empty() {
+            return Ok(Figure { varies_with, ..Figure::default() });
+        }
+        let Some(value) = self.at_alpha(self.alpha, of, step, form)? else { return Ok(Figure::default()) };
+        let mut follows = Vec::new();
+        for index in self.parameters(of) {
+            let own = self.value(index)?;
+            let moved = own + if own == 0.0 { 1.0 } else { 0.3 * own.abs() };
+            let there = self.at_alpha(&self.with(index, moved), of, step, form)?;
+            if there.is_none_or(|there| (there - value).abs() > 1e-9 * value.abs()) {
+                follows.push((index, there.is_none_or(|there| there > value)));
+            }
+        }
+        let interval = match follows.as_slice() {
+            [(only, rises)] => self.interval(*only, *rises, &|alpha| self.at_alpha(alpha, of, step, form))?,
+            _ => None,
+        };
+        let from = follows.iter().map(|(index, _)| self.name(*index)).collect();
+        Ok(Figure { value: Some(value), interval, from, varies_with })
+    }
+
+    /// The number that an expression is.
+    pub(super) fn number(&self, of: &Expression, step: Option<f64>) -> Result<Option<f64>, ExportError> {
+        Ok(Binder::new((self.model, self.alpha), step, self.at)?.bind(of).as_number())
+    }
+
+    /// Columns that expressions still read, `step` for a step that is not known, each once.
+    fn varies_with(&self, of: &[&Expression], step: Option<f64>) -> Vec<String> {
+        let mut all: Vec<String> = Vec::new();
+        let Ok(binder) = Binder::new((self.model, self.alpha), step, self.at) else { return all };
+        for expression in of {
+            binder.bind(expression).any(&mut |part| {
+                let name = match part {
+                    Expression::Column(column) => &self.model.columns[*column].name,
+                    Expression::TextEquals { column, .. } => &self.model.text_columns[*column].name,
+                    Expression::Parameter(index) => match self.model.parameters[*index].per {
+                        Some(column) => &self.model.text_columns[column].name,
+                        None => return false,
+                    },
+                    Expression::Step => "step",
+                    _ => return false,
+                };
+                if !all.iter().any(|other| other == name) {
+                    all.push(name.to_owned());
+                }
+                false
+            });
+        }
+        all
+    }
+
+    fn at_alpha(
+        &self,
+        alpha: &Alpha,
+        of: &[&Expression],
+        step: Option<f64>,
+        form: Form<'_>,
+    ) -> Result<Option<f64>, ExportError> {
+        let binder = Binder::new((self.model, alpha), step, self.at)?;
+        let values: Option<Vec<f64>> = of.iter().map(|expression| binder.bind(expression).as_number()).collect();
+        Ok(values.map(|values| form(&values)).filter(|value| value.is_finite()))
+    }
+
+    /// Parameters that stand in expressions, each once.
+    fn parameters(&self, of: &[&Expression]) -> Vec<usize> {
+        let mut all = Vec::new();
+        for expression in of {
+            expression.any(&mut |part| {
+                if let Expression::Parameter(index) = part
+                    && !all.contains(index)
+                {
+                    all.push(*index);
+                }
+                false
+            });
+        }
+        all
+    }
+
+    fn value(&self, index: usize) -> Result<f64, ExportError> {
+        Ok(self.number(&Expression::Parameter(index), None)?.unwrap_or(0.0))
+    }
+
+    fn with(&self, index: usize, value: f64) -> Alpha {
+        let mut alpha = self.alpha.clone();
+        alpha.values[index] = Level::Common(value);
+        alpha
+    }
+
+    /// The level of a parameter that has several.
+    fn level(&self, index: usize) -> Option<&str> {
+        let column = &self.model.text_columns[self.model.parameters[index].per?].name;
+        self.at.iter().find(|(name, _)| name == column).map(|(_, level)| level.as_str())
+    }
+
+    fn name(&self, index: usize) -> String {
+        let name = &self.model.parameters[index].name;
+        self.level(index).map_or_else(|| name.clone(), |level| format!("{name}[{level}]"))
+    }
+
+    /// What becomes of the ends of the interval of a parameter.
+    fn interval(
+        &self,
+        index: usize,
+        rises: bool,
+        there: &dyn Fn(&Alpha) -> Result<Option<f64>, ExportError>,
+    ) -> Result<Interval, ExportError> {
+        let parameter = &self.model.parameters[index];
+        let (value, level) = (self.value(index)?, self.level(index));
+        let known = |record: &&ParameterRecord| record.name == parameter.name && record.level.as_deref() == level;
+        // what was set otherwise has no interval of the fit
+        let known = self.known.iter().find(known).filter(|record| record.estimate == value);
+        let Some(ends) = known.and_then(|record| record.interval95) else { return Ok(None) };
+        let mut found = [None; 2];
+        for (end, found) in ends.into_iter().zip(&mut found) {
+            let Some(end) = end else { continue };
+            let end = if parameter.positive { end.max(0.0) } else { end };
+            *found = there(&self.with(index, end))?;
+        }
+        if !rises {
+            found.reverse();
+        }
+        Ok(found.iter().any(Option::is_some).then_some(found))
+    }
+}

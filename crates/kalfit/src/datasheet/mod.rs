@@ -1,0 +1,126 @@
+//! The numbers of a datasheet that follow from a fit: noise, random walks, Gauss-Markov pairs, turn-on spread, Allan deviations.
+//!
+//! Each is a number of the model in another unit or another form, and its interval is that of the parameter it hangs on, taken along:
+//! an interval of σ is one of σ√δ. Where it hangs on several parameters its interval is not known. Units with labels that datasheets
+//! use become those of datasheets, other labels stay.
+
+mod curve;
+mod figure;
+mod noise;
+mod start;
+#[cfg(test)]
+mod tests;
+mod units;
+
+use crate::datasheet::curve::{Asked, Records};
+use crate::datasheet::figure::Reader;
+use crate::datasheet::noise::Sheet;
+use crate::export::ExportError;
+use crate::export::bind::{Binder, columns_read};
+use crate::model::{Alpha, PhasedModel, Population};
+use crate::record::{DATASHEET_SCHEMA, DatasheetRecord, FitRecord};
+use crate::reduce::PhasedTest;
+
+/// What a datasheet is made of.
+#[derive(Debug)]
+pub struct Source<'a> {
+    /// What the parameters were taken from, as named by the user.
+    pub name: String,
+    /// Its results, if it was a fit.
+    pub record: Option<&'a FitRecord>,
+    /// Time from a value to the next, for want of data.
+    pub step: Option<f64>,
+    /// Columns with the value that they have on all rows.
+    pub at: &'a [(String, String)],
+    /// Tests whose records are put beside the model.
+    pub tests: Option<&'a [PhasedTest]>,
+}
+
+/// The datasheet of a model at α, for a population.
+///
+/// # Errors
+/// A population that is not of the model; columns that have no effect or values that are no numbers; a step that is no length.
+pub fn datasheet(
+    model: &PhasedModel,
+    alpha: &Alpha,
+    population: &Population,
+    source: &Source<'_>,
+) -> Result<DatasheetRecord, ExportError> {
+    population.check(model)?;
+    check(model, source)?;
+    let asked = Asked { model, alpha, population, at: source.at };
+    let (mut entries, mut allan) = (Vec::new(), Vec::new());
+    for (at, phase) in model.phases.iter().enumerate() {
+        let own = &phase.model;
+        let read = columns_read(own);
+        let fixed: Vec<(String, String)> = source.at.iter().filter(|(name, _)| read.contains(name)).cloned().collect();
+        let known = source.record.map_or(&[][..], |record| &record.parameters);
+        Binder::new((own, alpha), source.step, &fixed)?; // refuses what no later reading should meet
+        let reader = Reader { model: own, alpha, at: &fixed, known };
+        let mut sheet = Sheet { phase: &phase.name, reader, entries: Vec::new() };
+        let mut usual = None;
+        for m in 0..own.measurements.len() {
+            let records = source.tests.map(|tests| Records::of((model, at), m, alpha, tests));
+            let given = if own.clock.time.is_some() { source.step } else { Some(1.0) };
+            let step = records.as_ref().map_or(given, |records| records.step);
+            usual = usual.or(step);
+            sheet.measurement(m, step)?;
+            allan.push(asked.curve(at, m, step, records.as_ref()));
+        }
+        (0..own.states.len()).try_for_each(|state| sheet.motion(state, usual))?;
+        entries.append(&mut sheet.entries);
+        entries.append(&mut start::entries(model, at, population, source.record));
+    }
+    Ok(DatasheetRecord {
+        schema: DATASHEET_SCHEMA.to_owned(),
+        kalfit_version: env!("CARGO_PKG_VERSION").to_owned(),
+        title: model.shared().title.clone(),
+        from: source.name.clone(),
+        at: source.at.iter().map(|(column, value)| format!("{column}={value}")).collect(),
+        time_unit: model.shared().clock.unit.clone(),
+        entries,
+        notes: notes(&allan),
+        allan,
+    })
+}
+
+fn check(model: &PhasedModel, source: &Source<'_>) -> Result<(), ExportError> {
+    if let Some(found) = source.step {
+        if !(found.is_finite() && found > 0.0) {
+            return Err(ExportError::BadStep { found });
+        }
+        if model.shared().clock.time.is_none() {
+            return Err(ExportError::StepWithoutTime { found });
+        }
+    }
+    let mut columns: Vec<String> = Vec::new();
+    for column in model.phases.iter().flat_map(|phase| columns_read(&phase.model)) {
+        if !columns.contains(&column) {
+            columns.push(column);
+        }
+    }
+    match source.at.iter().find(|(name, _)| !columns.contains(name)) {
+        Some((column, _)) => Err(ExportError::NoEffect { column: column.clone(), columns }),
+        None => Ok(()),
+    }
+}
+
+fn notes(curves: &[crate::record::CurveRecord]) -> Vec<String> {
+    let mut notes = Vec::new();
+    if curves.iter().any(|curve| curve.points.iter().any(|point| point.model.is_some())) {
+        notes.push("the curve of the model is that of a new test from its start, with all inputs zero".to_owned());
+    }
+    let mut zero: Vec<String> = curves.iter().flat_map(|curve| &curve.zero).map(|name| format!("`{name}`")).collect();
+    zero.sort();
+    zero.dedup();
+    if !zero.is_empty() {
+        notes.push(format!(
+            "taken as zero for the curve of the model: {}; `--at COLUMN=VALUE` gives them another value",
+            zero.join(", ")
+        ));
+    }
+    if curves.iter().any(|curve| curve.tests.is_some()) {
+        notes.push("the curve of the records is of measured values less known inputs, from all pairs of neighbouring spans without a gap, of all tests together; its interval follows from the number of independent spans".to_owned());
+    }
+    notes
+}

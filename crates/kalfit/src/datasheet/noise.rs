@@ -1,0 +1,250 @@
+//! Noises of measurements, and the motion of states: random walks and Gauss-Markov pairs.
+
+use crate::datasheet::figure::{Figure, Form, Reader};
+use crate::datasheet::units::{Quantity, Unit};
+use crate::export::ExportError;
+use crate::model::{Expression, Initial, Linear, Model, Motion};
+use crate::record::EntryRecord;
+
+/// What entries of one phase are made of.
+#[derive(Debug)]
+pub(super) struct Sheet<'a> {
+    pub(super) phase: &'a str,
+    pub(super) reader: Reader<'a>,
+    pub(super) entries: Vec<EntryRecord>,
+}
+
+/// What an entry is called and means.
+struct Said {
+    name: &'static str,
+    definition: &'static str,
+}
+
+const NOISE: Said =
+    Said { name: "measurement noise", definition: "standard deviation of the white noise of one measured value" };
+const ANGLE: Said = Said {
+    name: "angle random walk",
+    definition: "N: standard deviation of the angle that white noise of the rate adds up to, per square root of time; of a measurement its standard deviation times the square root of the step",
+};
+const VELOCITY: Said = Said {
+    name: "velocity random walk",
+    definition: "N: standard deviation of the velocity that white noise of the acceleration adds up to, per square root of time; of a measurement its standard deviation times the square root of the step",
+};
+const WHITE: Said = Said {
+    name: "white noise",
+    definition: "N: standard deviation of one measured value times the square root of the step: what its integral adds up to, per square root of time",
+};
+const RATE: Said = Said {
+    name: "rate random walk",
+    definition: "K: standard deviation that the rate gains as a random walk, per square root of time",
+};
+const ACCELERATION: Said = Said {
+    name: "acceleration random walk",
+    definition: "K: standard deviation that the acceleration gains as a random walk, per square root of time",
+};
+const WALK: Said = Said {
+    name: "random walk",
+    definition: "standard deviation that driving noise alone gives the state, per square root of time (of steps, where rows have no times)",
+};
+const SIGMA: Said = Said {
+    name: "Gauss-Markov sigma",
+    definition: "standard deviation of a state of finite memory, in its stationary law",
+};
+const TAU: Said = Said {
+    name: "Gauss-Markov time constant",
+    definition: "time in which a state of finite memory forgets: its correlation falls as exp(-t/tau), of second order as (1 + t/tau) exp(-t/tau)",
+};
+
+impl<'a> Sheet<'a> {
+    /// The white noise of a measurement, whose values are `step` apart.
+    pub(super) fn measurement(&mut self, m: usize, step: Option<f64>) -> Result<(), ExportError> {
+        let model = self.reader.model;
+        let measurement = &model.measurements[m];
+        let of = [&measurement.noise_variance];
+        if is_zero(of[0]) {
+            return Ok(());
+        }
+        let unit = Unit::shown(measured_unit(model, m).as_deref());
+        let timed = model.clock.time.is_some()
+            && matches!(unit.quantity, Quantity::Rate | Quantity::Acceleration | Quantity::Other);
+        let (said, factor, label) = if timed {
+            let (factor, label) = unit.white(model.clock.unit.as_deref());
+            (
+                match unit.quantity {
+                    Quantity::Rate => &ANGLE,
+                    Quantity::Acceleration => &VELOCITY,
+                    _ => &WHITE,
+                },
+                factor,
+                label,
+            )
+        } else {
+            (&NOISE, unit.factor, unit.label.clone())
+        };
+        let figure = match (timed, step) {
+            (true, None) => Figure { varies_with: vec!["step".to_owned()], ..Figure::default() },
+            (true, Some(length)) => self.reader.figure(&of, step, &|v| factor * (v[0] * length).sqrt())?,
+            (false, _) => self.reader.figure(&of, step, &|v| factor * v[0].sqrt())?,
+        };
+        self.add(said, ("measurement", &measurement.name.clone()), label, figure);
+        Ok(())
+    }
+
+    /// What a state does beside staying where it is. Steps of states that move from row to row are this long.
+    pub(super) fn motion(&mut self, i: usize, step: Option<f64>) -> Result<(), ExportError> {
+        let model = self.reader.model;
+        let state = &model.states[i];
+        match &state.motion {
+            Motion::Constant => Ok(()),
+            Motion::Continuous { derivative, noise_variance } => {
+                if let [(own, decay)] = derivative.terms.as_slice()
+                    && *own == i
+                    && is_zero(&derivative.constant)
+                    && (state.initial == Initial::Stationary || !is_zero(noise_variance))
+                {
+                    return self.pair(
+                        i,
+                        &[decay, noise_variance],
+                        step,
+                        (&|v| -1.0 / v[0], &|v| (-0.5 * v[1] / v[0]).sqrt()),
+                    );
+                }
+                if let Some((damping, noise)) = self.second_order(i, derivative) {
+                    let own = [damping, noise];
+                    let beta = |v: &[f64]| -0.5 * v[0];
+                    return self.pair(i, &own, step, (&|v| 1.0 / beta(v), &|v| (0.25 * v[1] / beta(v).powi(3)).sqrt()));
+                }
+                let hidden = i > 0 && self.is_second_order(i - 1);
+                if hidden || is_zero(noise_variance) {
+                    Ok(())
+                } else {
+                    self.walk(i, noise_variance, step, &|v| v[0].sqrt())
+                }
+            }
+            Motion::Discrete { next, noise_variance } => {
+                if is_zero(noise_variance) {
+                    return Ok(());
+                }
+                let timed = model.clock.time.is_some();
+                let length = if timed { step } else { Some(1.0) };
+                if let [(own, keep)] = next.terms.as_slice()
+                    && *own == i
+                    && is_zero(&next.constant)
+                    && self.reader.number(keep, step)?.is_some_and(|keep| keep > 0.0 && keep < 1.0)
+                {
+                    let length = length.unwrap_or(f64::NAN);
+                    let tau = |v: &[f64]| -length / v[0].ln();
+                    let sigma = |v: &[f64]| (v[1] / (1.0 - v[0] * v[0])).sqrt();
+                    return self.pair(i, &[keep, noise_variance], step, (&tau, &sigma));
+                }
+                match length {
+                    Some(length) => self.walk(i, noise_variance, step, &|v| (v[0] / length).sqrt()),
+                    None => {
+                        let figure = Figure { varies_with: vec!["step".to_owned()], ..Figure::default() };
+                        self.walked(i, figure);
+                        Ok(())
+                    }
+                }
+            }
+        }
+    }
+
+    fn pair(
+        &mut self,
+        i: usize,
+        of: &[&Expression],
+        step: Option<f64>,
+        (tau, sigma): (Form<'_>, Form<'_>),
+    ) -> Result<(), ExportError> {
+        let model = self.reader.model;
+        let (name, unit) = (model.states[i].name.clone(), Unit::shown(model.states[i].unit.as_deref()));
+        let figure = self.reader.figure(of, step, &|v| unit.factor * sigma(v))?;
+        self.add(&SIGMA, ("state", &name), unit.label.clone(), figure);
+        let figure = self.reader.figure(&of[..1], step, tau)?;
+        let time = if model.clock.time.is_some() { model.clock.unit.clone() } else { Some("steps".to_owned()) };
+        self.add(&TAU, ("state", &name), time, figure);
+        Ok(())
+    }
+
+    fn walk(&mut self, i: usize, noise: &Expression, step: Option<f64>, form: Form<'_>) -> Result<(), ExportError> {
+        let figure = self.reader.figure(&[noise], step, form)?;
+        self.walked(i, figure);
+        Ok(())
+    }
+
+    /// A random walk whose density is known in the units of the model.
+    fn walked(&mut self, i: usize, mut figure: Figure) {
+        let model = self.reader.model;
+        let unit = Unit::shown(model.states[i].unit.as_deref());
+        let time = if model.clock.time.is_some() { model.clock.unit.as_deref() } else { Some("step") };
+        let (factor, label) = unit.walk(time);
+        figure.value = figure.value.map(|value| factor * value);
+        figure.interval = figure.interval.map(|ends| ends.map(|end| end.map(|end| factor * end)));
+        let said = match unit.quantity {
+            Quantity::Rate => &RATE,
+            Quantity::Acceleration => &ACCELERATION,
+            Quantity::Angle => &ANGLE,
+            Quantity::Velocity => &VELOCITY,
+            _ => &WALK,
+        };
+        self.add(said, ("state", &model.states[i].name.clone()), label, figure);
+    }
+
+    /// The damping -2β of the rate of a second-order Gauss-Markov state and the noise 4β³σ² that drives it.
+    fn second_order(&self, i: usize, derivative: &Linear) -> Option<(&'a Expression, &'a Expression)> {
+        let model = self.reader.model;
+        let [(hidden, one)] = derivative.terms.as_slice() else { return None };
+        let Motion::Continuous { derivative: own, noise_variance } = &model.states.get(i + 1)?.motion else {
+            return None;
+        };
+        let [(first, stiffness), (second, damping)] = own.terms.as_slice() else { return None };
+        let number = |of: &Expression| self.reader.number(of, None).ok().flatten();
+        let (stiffness, beta) = (number(stiffness), number(damping).map(|damping| -0.5 * damping));
+        // where the numbers differ from row to row the form alone decides
+        let critical = stiffness.zip(beta).is_none_or(|(k, beta)| (k + beta * beta).abs() <= 1e-9 * beta * beta);
+        let same = *hidden == i + 1 && (*first, *second) == (i, i + 1) && one.as_number() == Some(1.0);
+        (same && critical && model.states[i].initial == Initial::Stationary && !is_zero(noise_variance))
+            .then_some((damping, noise_variance))
+    }
+
+    fn is_second_order(&self, i: usize) -> bool {
+        match &self.reader.model.states[i].motion {
+            Motion::Continuous { derivative, .. } => self.second_order(i, derivative).is_some(),
+            _ => false,
+        }
+    }
+
+    fn add(&mut self, said: &Said, (kind, of): (&str, &str), unit: Option<String>, figure: Figure) {
+        self.entries.push(EntryRecord {
+            name: said.name.to_owned(),
+            of: of.to_owned(),
+            kind: kind.to_owned(),
+            phase: self.phase.to_owned(),
+            level: None,
+            value: figure.value,
+            unit,
+            interval95: figure.interval,
+            definition: said.definition.to_owned(),
+            from: figure.from,
+            varies_with: figure.varies_with,
+        });
+    }
+}
+
+fn is_zero(expression: &Expression) -> bool {
+    expression.as_number() == Some(0.0)
+}
+
+/// The unit label of a measurement: that of the parameter that is its noise, else of the first state that is measured as it is.
+pub(super) fn measured_unit(model: &Model, m: usize) -> Option<String> {
+    let measurement = &model.measurements[m];
+    let noise = match &measurement.noise_variance {
+        Expression::Binary(crate::model::Operator::Multiply, a, b) if a == b => match **a {
+            Expression::Parameter(index) => model.parameters[index].unit.clone(),
+            _ => None,
+        },
+        _ => None,
+    };
+    let own = measurement.equation.terms.iter().filter(|(_, a)| a.as_number().is_some_and(|a| a.abs() == 1.0));
+    noise.or_else(|| own.filter_map(|(state, _)| model.states[*state].unit.clone()).next())
+}

@@ -1,0 +1,142 @@
+//! Labels of units that datasheets use, and what they become there. Other labels stay as they are.
+
+use std::f64::consts::PI;
+
+/// m/s² in one g.
+const GRAVITY: f64 = 9.80665;
+
+/// What is measured in a unit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Quantity {
+    /// An angular rate, shown in deg/h.
+    Rate,
+    /// An acceleration, shown in ug.
+    Acceleration,
+    /// An angle, in deg.
+    Angle,
+    /// A velocity, in m/s.
+    Velocity,
+    /// A part of something, in ppm.
+    Part,
+    /// Anything else, as it is labelled.
+    Other,
+}
+
+/// A unit as a datasheet shows it.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Unit {
+    pub(super) quantity: Quantity,
+    /// Values are multiplied by this.
+    pub(super) factor: f64,
+    pub(super) label: Option<String>,
+}
+
+impl Unit {
+    /// What stands for a label of the model.
+    pub(super) fn shown(label: Option<&str>) -> Unit {
+        let own = label.map(str::trim);
+        let known = |own: &str| {
+            let (quantity, factor, label) = match own {
+                "deg/h" => (Quantity::Rate, 1.0, "deg/h"),
+                "deg/s" => (Quantity::Rate, 3600.0, "deg/h"),
+                "rad/s" => (Quantity::Rate, 3600.0 * 180.0 / PI, "deg/h"),
+                "m/s^2" => (Quantity::Acceleration, 1e6 / GRAVITY, "ug"),
+                "g" => (Quantity::Acceleration, 1e6, "ug"),
+                "mg" => (Quantity::Acceleration, 1e3, "ug"),
+                "ug" => (Quantity::Acceleration, 1.0, "ug"),
+                "deg" => (Quantity::Angle, 1.0, "deg"),
+                "rad" => (Quantity::Angle, 180.0 / PI, "deg"),
+                "m/s" => (Quantity::Velocity, 1.0, "m/s"),
+                "ppm" => (Quantity::Part, 1.0, "ppm"),
+                _ => return None,
+            };
+            Some(Unit { quantity, factor, label: Some(label.to_owned()) })
+        };
+        let other = || Unit { quantity: Quantity::Other, factor: 1.0, label: own.map(str::to_owned) };
+        own.and_then(known).or_else(|| own.and_then(per)).unwrap_or_else(other)
+    }
+
+    /// What a white noise in it adds up to over time, for a standard deviation of one and steps of one unit of time: of a rate an
+    /// angle, of an acceleration a velocity.
+    pub(super) fn white(&self, time: Option<&str>) -> (f64, Option<String>) {
+        match (self.quantity, hours(time)) {
+            (Quantity::Rate, Some(hours)) => (self.factor * hours.sqrt(), Some("deg/sqrt(h)".to_owned())),
+            (Quantity::Acceleration, Some(hours)) => {
+                (self.factor * 1e-6 * GRAVITY * 3600.0 * hours.sqrt(), Some("m/s/sqrt(h)".to_owned()))
+            }
+            _ => (self.factor, self.with("*", time)),
+        }
+    }
+
+    /// The factor and the label of a density of noise that drives a state in it.
+    pub(super) fn walk(&self, time: Option<&str>) -> (f64, Option<String>) {
+        match (self.quantity, hours(time)) {
+            (Quantity::Other | Quantity::Part, _) | (_, None) => (self.factor, self.with("/", time)),
+            (_, Some(hours)) => (self.factor / hours.sqrt(), self.with("/", Some("h"))),
+        }
+    }
+
+    fn with(&self, sign: &str, time: Option<&str>) -> Option<String> {
+        Some(format!("{}{sign}sqrt({})", self.label.as_ref()?, time?))
+    }
+}
+
+/// A rate or an acceleration per something else: `deg/s/g`.
+fn per(label: &str) -> Option<Unit> {
+    let rates = ["deg/h", "deg/s", "rad/s", "m/s^2", "mg", "ug", "g"];
+    let (own, rest) = rates.iter().find_map(|own| Some((*own, label.strip_prefix(own)?)))?;
+    let unit = Unit::shown(Some(own));
+    let label = Some(format!("{}{}", unit.label?, rest.strip_prefix('/').map(|rest| format!("/{rest}"))?));
+    Some(Unit { quantity: Quantity::Other, factor: unit.factor, label })
+}
+
+/// Hours in a unit of time.
+fn hours(time: Option<&str>) -> Option<f64> {
+    match time.map(str::trim) {
+        Some("s") => Some(1.0 / 3600.0),
+        Some("min") => Some(1.0 / 60.0),
+        Some("h") => Some(1.0),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn near(found: f64, expected: f64) {
+        assert!((found - expected).abs() < 1e-9 * expected, "{found} against {expected}");
+    }
+
+    #[test]
+    fn numbers_are_those_of_datasheets() {
+        // 0.01 deg/s at 1 s: 0.01 deg/sqrt(s), 0.6 deg/sqrt(h)
+        let (factor, label) = Unit::shown(Some("deg/s")).white(Some("s"));
+        near(0.01 * factor, 0.6);
+        assert_eq!(label.as_deref(), Some("deg/sqrt(h)"));
+        let (factor, _) = Unit::shown(Some("deg/h")).white(Some("min"));
+        near(factor, 1.0 / 60.0_f64.sqrt());
+        // 1 mg at 1 s: 0.00980665 m/s/sqrt(s) over 3600 s, that is times 60
+        let (factor, label) = Unit::shown(Some("mg")).white(Some("s"));
+        near(factor, 0.00980665 * 60.0);
+        assert_eq!(label.as_deref(), Some("m/s/sqrt(h)"));
+        near(Unit::shown(Some("m/s^2")).white(Some("s")).0, 60.0);
+        let (factor, label) = Unit::shown(Some("deg/s")).walk(Some("s"));
+        near(factor, 3600.0 * 60.0);
+        assert_eq!(label.as_deref(), Some("deg/h/sqrt(h)"));
+        near(Unit::shown(Some("rad")).walk(Some("h")).0, 57.29577951308232);
+        near(Unit::shown(Some("rad/s")).factor, 206264.80624709636);
+    }
+
+    #[test]
+    fn other_labels_stay() {
+        let unit = Unit::shown(Some("furlong"));
+        assert_eq!((unit.factor, unit.label.as_deref()), (1.0, Some("furlong")));
+        assert_eq!(unit.walk(Some("s")), (1.0, Some("furlong/sqrt(s)".to_owned())));
+        assert_eq!(Unit::shown(Some("deg/s")).white(Some("day")).1.as_deref(), Some("deg/h*sqrt(day)"));
+        assert_eq!(Unit::shown(None).walk(Some("s")).1, None);
+        let unit = Unit::shown(Some("deg/s/g"));
+        assert_eq!((unit.factor, unit.label.as_deref()), (3600.0, Some("deg/h/g")));
+        assert_eq!(Unit::shown(Some("gauss")).label.as_deref(), Some("gauss"));
+    }
+}
