@@ -139,11 +139,11 @@ impl Predicted {
 /// The law of the initial state of the tests that are predicted.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Initial {
-    /// E[ξ] with the regressions apart.
+    /// The mean of ξ, with the regressions apart.
     pub mean: Vec<f64>,
-    /// Var[ξ].
+    /// The covariance of ξ.
     pub covariance: DMatrix<f64>,
-    /// d E[ξ] / dμ; `None` where the mean is μ itself.
+    /// The derivative of that mean by μ; `None` where the mean is μ itself.
     pub shrinkage: Option<DMatrix<f64>>,
     /// Levels of groups whose covariance is in `covariance`, by their place among the blocks of Σ.
     pub levels: Range<usize>,
