@@ -8,7 +8,7 @@ use kalfit::compare::{CompareError, ComparedRecord, compare as side_by_side};
 use crate::document::Document;
 use crate::failure::Failure;
 use crate::job::{CompareJob, Done};
-use crate::output::{Contents, Output};
+use crate::output::Output;
 use crate::results::{FIT, read};
 
 /// Puts the results of fits side by side.
@@ -17,7 +17,7 @@ use crate::results::{FIT, read};
 /// Files that cannot be read, or have no such results in them; fits of other data.
 pub fn compare(job: &CompareJob) -> Result<Done<ComparedRecord>, Failure> {
     let named: Vec<&Path> = job.fits.iter().filter_map(Document::path).collect();
-    let output = Output::prepare_for(("--out", Contents::Json), job.out.as_deref(), &named)?;
+    let output = Output::results(job.out.as_deref(), &named)?;
     let real: Vec<_> = named.iter().map(|path| path.canonicalize().ok()).collect();
     for (k, path) in real.iter().enumerate().filter(|(_, path)| path.is_some()) {
         if real[..k].contains(path) {
@@ -30,8 +30,5 @@ pub fn compare(job: &CompareJob) -> Result<Done<ComparedRecord>, Failure> {
     });
     let fits = fits.collect::<Result<Vec<_>, Failure>>()?;
     let record = side_by_side(&fits).map_err(Failure::Compare)?;
-    if let Some(output) = &output {
-        output.write(&record)?;
-    }
-    Ok(Done { record, notes: Vec::new(), written: output.iter().map(Output::name).collect() })
+    Done::in_json(record, Vec::new(), output.as_ref())
 }

@@ -7,9 +7,9 @@ use crate::evidence::Given;
 use crate::export::{column_value, refused};
 use crate::failure::Failure;
 use crate::job::{DatasheetJob, Done, files};
-use crate::output::{Contents, Output};
+use crate::output::Output;
 use crate::work::{Watch, Work};
-use crate::{model, tests, truth};
+use crate::{tests, truth};
 
 /// Makes the numbers of a datasheet of a fit, with data the Allan deviations of their records beside those of the model.
 ///
@@ -19,8 +19,7 @@ pub fn datasheet(job: &DatasheetJob, watch: &mut dyn Watch) -> Result<Done<Datas
     if job.step.is_some() && !job.data.is_empty() {
         return Err(Failure::StepBesideData);
     }
-    let mut spec = model::read(&job.model.document)?;
-    let truth = truth::load(&mut spec, &job.from, &job.model.set)?;
+    let (mut spec, truth) = truth::load(&job.model, &job.from)?;
     let at = job.at.iter().map(|assignment| column_value(assignment)).collect::<Result<Vec<_>, Failure>>()?;
     let given = match job.data.is_empty() {
         true => None,
@@ -28,7 +27,7 @@ pub fn datasheet(job: &DatasheetJob, watch: &mut dyn Watch) -> Result<Done<Datas
     };
     let inputs = given.as_ref().map_or(&[][..], |given| &given.inputs);
     let used = files(&[&job.model.document, &job.from], inputs);
-    let output = Output::prepare_for(("--out", Contents::Json), job.out.as_deref(), &used)?;
+    let output = Output::results(job.out.as_deref(), &used)?;
     let mut notes = truth.warnings;
     let tests = match given {
         None => None,
@@ -46,8 +45,5 @@ pub fn datasheet(job: &DatasheetJob, watch: &mut dyn Watch) -> Result<Done<Datas
         tests: tests.as_deref(),
     };
     let record = sheet(&spec.model, &truth.alpha, &truth.population, &source).map_err(refused)?;
-    if let Some(output) = &output {
-        output.write(&record)?;
-    }
-    Ok(Done { record, notes, written: output.iter().map(Output::name).collect() })
+    Done::in_json(record, notes, output.as_ref())
 }

@@ -141,6 +141,9 @@ pub enum Failure {
     /// Reductions and estimates tell neither innovations nor columns.
     #[error("tests are validated from their measurements, and some of them are given by reductions or estimates")]
     FoldsOfRows,
+    /// Two models are validated on what can be read once.
+    #[error("standard input can be read only once, and `--against` validates a second model on the same data")]
+    AgainstStdin,
     /// The model is not validated.
     #[error("{0}")]
     Validate(Box<ValidateError>),
@@ -360,6 +363,7 @@ impl Failure {
             }
             Failure::Folds(_) | Failure::Validate(_) => None,
             Failure::FoldsOfRows => Some("give the measurements".to_owned()),
+            Failure::AgainstStdin => Some("put the data in a file, and name it in the place of `-`".to_owned()),
             Failure::NotComparable { .. } => {
                 Some("log densities are compared of the same measured values: both models must use the same columns".to_owned())
             }

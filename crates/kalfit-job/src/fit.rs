@@ -41,7 +41,7 @@ pub fn fit(job: &FitJob, watch: &mut dyn Watch) -> Result<Done<FitRecord>, Failu
         refuse_idle(job)?;
     }
     let read = files(&[&job.model.document], &given.inputs);
-    let output = Output::prepare_for(("--out", Contents::Json), job.out.as_deref(), &read)?;
+    let output = Output::results(job.out.as_deref(), &read)?;
     let page = Output::prepare_for(("--report", Contents::Page), job.report.as_deref(), &read)?;
     page.as_ref().map_or(Ok(()), |page| page.refuse_same(output.as_ref()))?;
     let mut work = Work::new(watch);

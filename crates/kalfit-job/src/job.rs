@@ -10,9 +10,12 @@ use kalfit::infer::{Bootstrap, Choices};
 use kalfit::predict::Limits;
 use kalfit::record::{AppliedRecord, PredictedRecord};
 use kalfit_data::{Datum, Input};
+use serde::Serialize;
 
 use crate::document::Document;
-use crate::export::Form;
+use crate::export::form::Form;
+use crate::failure::Failure;
+use crate::output::Output;
 
 /// Which model.
 #[derive(Debug, Clone)]
@@ -327,6 +330,14 @@ pub struct Done<R> {
     pub notes: Vec<String>,
     /// The files of the results, as the user named them.
     pub written: Vec<String>,
+}
+
+impl<R: Serialize> Done<R> {
+    /// Results that are written as they are, where a file is named.
+    pub(crate) fn in_json(record: R, notes: Vec<String>, output: Option<&Output>) -> Result<Done<R>, Failure> {
+        output.map_or(Ok(()), |output| output.write(&record))?;
+        Ok(Done { record, notes, written: output.map(Output::name).into_iter().collect() })
+    }
 }
 
 /// A table that was made.

@@ -173,6 +173,11 @@ impl Output {
         Ok(output)
     }
 
+    /// A file for results, where one is named.
+    pub(crate) fn results(path: Option<&Path>, inputs: &[&Path]) -> Result<Option<Output>, OutputError> {
+        Output::prepare_for(("--out", Contents::Json), path, inputs)
+    }
+
     /// As [`Output::prepare`], for these contents under this option: a name that says otherwise is refused.
     pub(crate) fn prepare_for(
         (option, contents): (&'static str, Contents),

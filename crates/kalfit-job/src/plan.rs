@@ -13,22 +13,21 @@ use kalfit_spec::Spec;
 use crate::evidence::stdin;
 use crate::failure::Failure;
 use crate::job::{Done, PlanJob, files};
-use crate::output::{Contents, Output};
+use crate::output::Output;
 use crate::refused::{self, Refused};
+use crate::truth;
 use crate::work::{Watch, Work};
-use crate::{model, truth};
 
 /// Expects standard errors against the number of tests.
 ///
 /// # Errors
 /// Bad input, or [`Failure::Interrupted`].
 pub fn plan(job: &PlanJob, watch: &mut dyn Watch) -> Result<Done<PlanRecord>, Failure> {
-    let mut spec = model::read(&job.model.document)?;
+    let (spec, truth) = truth::load(&job.model, &job.from)?;
     let arrangements = arrangements(&spec.model, job)?;
-    let truth = truth::load(&mut spec, &job.from, &job.model.set)?;
     let inputs = Input::expand(&job.design).map_err(|error| Failure::data(error, &spec))?;
     let used = files(&[&job.model.document, &job.from], &inputs);
-    let output = Output::prepare_for(("--out", Contents::Json), job.out.as_deref(), &used)?;
+    let output = Output::results(job.out.as_deref(), &used)?;
     let mut work = Work::new(watch);
     let reductions = designs(&spec, &truth.alpha, &inputs, &mut work)?;
     let structure = Structure::of(&spec.model, &truth.alpha, None);
@@ -47,10 +46,7 @@ pub fn plan(job: &PlanJob, watch: &mut dyn Watch) -> Result<Done<PlanRecord>, Fa
     };
     let record = PlanRecord::new(&spec.model, &found, provenance);
     work.go_on()?;
-    if let Some(output) = &output {
-        output.write(&record)?;
-    }
-    Ok(Done { record, notes: truth.warnings, written: output.iter().map(Output::name).collect() })
+    Done::in_json(record, truth.warnings, output.as_ref())
 }
 
 /// Every number of groups of each level with every number of tests; none for a model without levels.

@@ -14,7 +14,7 @@ use crate::failure::Failure;
 use crate::job::{Done, SimulateJob, Simulated, files};
 use crate::output::{Output, Pending, Target};
 use crate::work::{Watch, Work};
-use crate::{model, tests, truth};
+use crate::{tests, truth};
 
 /// Tests are drawn this many at a time, or fewer if they have many rows.
 const BATCH_TESTS: u64 = 1024;
@@ -25,8 +25,7 @@ const BATCH_ROWS: u64 = 200_000;
 /// # Errors
 /// Bad input, or [`Failure::Interrupted`].
 pub fn simulate(job: &SimulateJob, watch: &mut dyn Watch) -> Result<Done<Simulated>, Failure> {
-    let mut spec = model::read(&job.model.document)?;
-    let truth = truth::load(&mut spec, &job.from, &job.model.set)?;
+    let (spec, truth) = truth::load(&job.model, &job.from)?;
     let inputs = Input::expand(&job.design).map_err(|error| Failure::data(error, &spec))?;
     let format = match &job.out {
         Some(path) => Format::of(path).map_err(|error| failed(error, path.display().to_string()))?,

@@ -8,7 +8,7 @@ use kalfit_spec::{BesideError, Hypothesis, Spec};
 use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::job::{Done, TestJob, files};
-use crate::output::{Contents, Output};
+use crate::output::Output;
 use crate::work::{Watch, Work};
 use crate::{known, model, ratio, reductions};
 
@@ -22,13 +22,10 @@ pub fn test(job: &TestJob, watch: &mut dyn Watch) -> Result<Done<RatioRecord>, F
     let given = Given::open(&mut spec, &job.data)?;
     let hypothesis = hypothesis(&spec, job)?;
     let read = files(&[&job.model.document, &job.null], &given.inputs);
-    let output = Output::prepare_for(("--out", Contents::Json), job.out.as_deref(), &read)?;
+    let output = Output::results(job.out.as_deref(), &read)?;
     let record = read_and_test(job, &spec, &hypothesis, &given, &mut work)?;
     work.go_on()?;
-    if let Some(output) = &output {
-        output.write(&record)?;
-    }
-    Ok(Done { record, notes: given.notes, written: output.iter().map(Output::name).collect() })
+    Done::in_json(record, given.notes, output.as_ref())
 }
 
 fn hypothesis(spec: &Spec, job: &TestJob) -> Result<Hypothesis, Failure> {

@@ -9,6 +9,17 @@ use crate::failure::Failure;
 use crate::refused::{self, Refused};
 use crate::work::Work;
 
+/// The end of the tests that are worked on at once, from this one on: so many rows, or one test.
+pub(crate) fn batch(tests: &[PhasedTest], from: usize, most_rows: usize) -> usize {
+    let mut rows = 0;
+    let mut next = from;
+    while next < tests.len() && (rows < most_rows || next == from) {
+        rows += tests[next].row_count();
+        next += 1;
+    }
+    next
+}
+
 struct Keep<'a, 'w> {
     model: &'a PhasedModel,
     tests: Vec<PhasedTest>,

@@ -1,19 +1,19 @@
 //! How well a model predicts tests that it was not fitted to: `kalfit validate`.
 
 use kalfit::model::Column;
-use kalfit::record::{NotComparable, TestGroups, ValidateProvenance, ValidatedRecord};
+use kalfit::record::{NotComparable, ValidateProvenance, ValidatedRecord};
 use kalfit::validate::{Folds, ValidateError, Validation, validate as run};
 use kalfit::{Ensemble, EnsembleError, Model, Options};
-use kalfit_data::Reading;
+use kalfit_data::{Input, Reading};
 use kalfit_spec::Spec;
 
-use crate::dynamic;
+use crate::document::Document;
 use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::job::{Done, FoldsOf, ModelJob, ValidateJob, files};
-use crate::output::{Contents, Output};
+use crate::output::Output;
 use crate::work::{Watch, Work};
-use crate::{model, tests};
+use crate::{dynamic, groups, model, tests};
 
 /// Validates a model, and another one beside it.
 ///
@@ -21,16 +21,16 @@ use crate::{model, tests};
 /// Bad input, or [`Failure::Interrupted`].
 pub fn validate(job: &ValidateJob, watch: &mut dyn Watch) -> Result<Done<ValidatedRecord>, Failure> {
     let mut work = Work::new(watch);
-    let first = Read::new(job, &job.model, &mut work)?;
-    let against = job.against.as_ref().map(|document| {
-        let other = ModelJob { document: document.clone(), set: Vec::new() };
-        Read::new(job, &other, &mut work)
-    });
-    let against = against.transpose()?;
+    let first = Opened::new(job, &job.model)?;
+    if job.against.is_some() && first.given.inputs.contains(&Input::Stdin) {
+        return Err(Failure::AgainstStdin);
+    }
     let documents: Vec<_> = std::iter::once(&job.model.document).chain(&job.against).collect();
-    let output =
-        Output::prepare_for(("--out", Contents::Json), job.out.as_deref(), &files(&documents, &first.given.inputs))?;
-    against.as_ref().map_or(Ok(()), |other| first.refuse_others(other))?;
+    let output = Output::results(job.out.as_deref(), &files(&documents, &first.given.inputs))?;
+    let other = |document: &Document| Opened::new(job, &ModelJob { document: document.clone(), set: Vec::new() });
+    let against = job.against.as_ref().map(other).transpose()?;
+    against.as_ref().map_or(Ok(()), |against| first.refuse_others(against))?;
+    let first = first.read(&mut work)?;
     let folds = first.folds(job)?;
     let found = first.validated(&folds, job, &mut work)?;
     let (by, seed) = match &job.folds {
@@ -40,7 +40,8 @@ pub fn validate(job: &ValidateJob, watch: &mut dyn Watch) -> Result<Done<Validat
     let provenance =
         ValidateProvenance { model_digest: Some(first.spec.digest.clone()), files: first.given.names(), by, seed };
     let mut record = ValidatedRecord::new(&first.spec.model, &folds, &found, provenance);
-    if let Some(other) = &against {
+    if let Some(against) = against {
+        let other = against.read(&mut work)?;
         let theirs = other.folds_like(&first, &folds)?;
         let beside = other.validated(&theirs, job, &mut work)?;
         let title = other.spec.model.shared().title.trim();
@@ -49,11 +50,41 @@ pub fn validate(job: &ValidateJob, watch: &mut dyn Watch) -> Result<Done<Validat
             .set_against(title, &beside)
             .map_err(|error| Failure::NotComparable { error: Box::new(error), path: other.spec.name.clone() })?;
     }
-    if let Some(output) = &output {
-        output.write(&record)?;
+    Done::in_json(record, first.given.notes, output.as_ref())
+}
+
+/// A model with the data that it will read.
+struct Opened {
+    spec: Spec,
+    given: Given,
+}
+
+impl Opened {
+    fn new(job: &ValidateJob, model: &ModelJob) -> Result<Opened, Failure> {
+        let mut spec = model::load(model, &job.data)?;
+        if let FoldsOf::Column(column) = &job.folds {
+            read_too(&mut spec, column);
+        }
+        let given = Given::open(&mut spec, &job.data)?;
+        if given.is_rows() { Ok(Opened { spec, given }) } else { Err(Failure::FoldsOfRows) }
     }
-    let notes = first.given.notes;
-    Ok(Done { record, notes, written: output.iter().map(Output::name).collect() })
+
+    /// Refuses another model that measures other columns.
+    fn refuse_others(&self, other: &Opened) -> Result<(), Failure> {
+        let [first, second] = [self, other].map(|opened| measured(&opened.spec));
+        if first == second {
+            return Ok(());
+        }
+        let error = NotComparable::Columns { first, second };
+        Err(Failure::NotComparable { error: Box::new(error), path: other.spec.name.clone() })
+    }
+
+    fn read(self, work: &mut Work<'_>) -> Result<Read, Failure> {
+        let Opened { spec, given } = self;
+        let (tests, reading) = tests::read(&spec, &given, work)?;
+        let ensemble = Ensemble::of_tests(&spec.model, reading.labels.clone(), tests);
+        Ok(Read { spec, given, ensemble, reading })
+    }
 }
 
 /// A model with its tests.
@@ -62,45 +93,17 @@ struct Read {
     given: Given,
     ensemble: Ensemble,
     reading: Reading,
-    /// The texts of the column that makes folds.
-    groups: Option<TestGroups>,
 }
 
 impl Read {
-    fn new(job: &ValidateJob, model: &ModelJob, work: &mut Work<'_>) -> Result<Read, Failure> {
-        let mut spec = model::load(model, &job.data)?;
-        if let FoldsOf::Column(column) = &job.folds {
-            read_too(&mut spec, column);
-        }
-        let given = Given::open(&mut spec, &job.data)?;
-        if !given.is_rows() {
-            return Err(Failure::FoldsOfRows);
-        }
-        let (tests, reading) = tests::read(&spec, &given, work)?;
-        let groups = match &job.folds {
-            FoldsOf::Column(_) => crate::groups::of(&spec.model, &tests, &reading.labels)?,
-            FoldsOf::Drawn { .. } => None,
-        };
-        let ensemble = Ensemble::of_tests(&spec.model, reading.labels.clone(), tests);
-        Ok(Read { spec, given, ensemble, reading, groups })
-    }
-
-    /// Refuses another model that measures other columns.
-    fn refuse_others(&self, other: &Read) -> Result<(), Failure> {
-        let [first, second] = [self, other].map(|read| measured(&read.spec));
-        if first == second {
-            return Ok(());
-        }
-        let error = NotComparable::Columns { first, second };
-        Err(Failure::NotComparable { error: Box::new(error), path: other.spec.name.clone() })
-    }
-
     fn folds(&self, job: &ValidateJob) -> Result<Folds, Failure> {
         let (model, labels, tests) = (&self.spec.model, self.ensemble.labels(), self.ensemble.tests());
-        let found = match (&job.folds, &self.groups) {
-            (FoldsOf::Column(_), Some(groups)) => Folds::by_text(model, labels, tests, groups),
-            (FoldsOf::Drawn { count, seed }, _) => Folds::drawn(model, labels, tests, (*count, *seed)),
-            (FoldsOf::Column(_), None) => unreachable!("groups were read"),
+        let found = match &job.folds {
+            FoldsOf::Drawn { count, seed } => Folds::drawn(model, labels, tests, (*count, *seed)),
+            FoldsOf::Column(_) => {
+                let texts = groups::of(model, tests, labels)?.unwrap_or_default();
+                Folds::by_text(model, labels, tests, &texts)
+            }
         };
         found.map_err(|error| Failure::Folds(Box::new(error)))
     }

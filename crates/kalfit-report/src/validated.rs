@@ -48,6 +48,7 @@ fn facts(record: &ValidatedRecord) -> String {
     let tests = record.folds.iter().map(|fold| fold.tests).sum();
     let how = match (&record.by, record.seed) {
         (Some(column), _) => format!("one for each text of `{}`", clean(column)),
+        (None, _) if record.folds.len() == tests => "each test one by itself".to_owned(),
         (None, seed) => format!("drawn with seed {}", seed.unwrap_or_default()),
     };
     format!(

@@ -256,8 +256,8 @@ fn moves_with_rows(model: &Model) -> bool {
         Expression::Parameter(index) => model.parameters[*index].per.is_some(),
         _ => false,
     };
-    model.process_noise_covariance.iter().any(|(_, _, q)| q.any(&mut from_row))
-        || model.states.iter().any(|state| in_motion(&state.motion, &mut from_row))
+    let mut motion = model.expressions().into_iter().filter(|(site, _)| site.is_of_motion());
+    motion.any(|(_, expression)| expression.any(&mut from_row))
 }
 
 fn idle(key: &str, why: &str, span: &Span) -> SpecError {
@@ -265,28 +265,18 @@ fn idle(key: &str, why: &str, span: &Span) -> SpecError {
 }
 
 fn needs_length(motion: &Motion) -> bool {
-    matches!(motion, Motion::Continuous { .. }) || in_motion(motion, &mut |part| matches!(part, Expression::Step))
-}
-
-/// True when `test` holds for a part of a motion.
-fn in_motion(motion: &Motion, test: &mut dyn FnMut(&Expression) -> bool) -> bool {
     match motion {
         Motion::Constant => false,
-        Motion::Continuous { derivative: linear, noise_variance }
-        | Motion::Discrete { next: linear, noise_variance } => {
-            linear.terms.iter().any(|(_, a)| a.any(test)) || linear.constant.any(test) || noise_variance.any(test)
+        Motion::Continuous { .. } => true,
+        Motion::Discrete { next, noise_variance } => {
+            let mut all = next.expressions().chain([noise_variance]);
+            all.any(|expression| expression.any(&mut |part| matches!(part, Expression::Step)))
         }
     }
 }
 
 /// True when `test` holds for a part of a motion, a measurement or a noise: of what a filter is made of.
 pub(crate) fn uses(model: &Model, test: &mut dyn FnMut(&Expression) -> bool) -> bool {
-    model.states.iter().any(|state| in_motion(&state.motion, test))
-        || model.measurements.iter().any(|measurement| {
-            measurement.equation.terms.iter().any(|(_, a)| a.any(test))
-                || measurement.equation.constant.any(test)
-                || measurement.noise_variance.any(test)
-                || measurement.filter.as_ref().is_some_and(|filter| filter.any(test))
-        })
-        || model.noise_covariance.iter().chain(&model.process_noise_covariance).any(|(_, _, r)| r.any(test))
+    let mut all = model.expressions().into_iter().filter(|(site, _)| site.is_of_filter());
+    all.any(|(_, expression)| expression.any(test))
 }

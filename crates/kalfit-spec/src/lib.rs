@@ -109,5 +109,6 @@ pub use beside::BesideError;
 pub use design::DesignSpec;
 pub use error::{ExpressionProblem, Problem, SpecError, StructureProblem};
 pub use hypothesis::Hypothesis;
+pub use set::Assignment;
 pub use show::PhaseWords;
 pub use spec::Spec;

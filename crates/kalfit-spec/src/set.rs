@@ -9,10 +9,14 @@ use crate::spec::Spec;
 use crate::suggest::suggest;
 
 /// `name[level] = value`, taken apart.
-struct Assignment<'a> {
-    name: &'a str,
-    level: Option<&'a str>,
-    value: f64,
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Assignment<'a> {
+    /// Name of the parameter.
+    pub name: &'a str,
+    /// One of its levels; `None`: all of them.
+    pub level: Option<&'a str>,
+    /// The value.
+    pub value: f64,
 }
 
 impl Spec {
@@ -22,7 +26,7 @@ impl Spec {
     /// Something that is not an assignment of a finite number, a name that is no parameter, a level of a parameter
     /// without `per`, a value out of bounds or of the wrong sign. The errors have no span, and the model stays as it was.
     pub fn set(&mut self, assignment: &str) -> std::result::Result<(), SpecError> {
-        let Assignment { name, level, value } = take_apart(assignment)?;
+        let Assignment { name, level, value } = Assignment::new(assignment)?;
         let mut model = self.model.shared().clone();
         let parameters = &mut model.parameters;
         let Some(index) = parameters.iter().position(|parameter| parameter.name == name) else {
@@ -70,21 +74,32 @@ impl Spec {
     }
 }
 
-fn take_apart(assignment: &str) -> Result<Assignment<'_>> {
-    let wrong = || SpecError::new(Problem::NotAnAssignment { found: assignment.to_owned() });
-    let (target, value) = assignment.rsplit_once('=').ok_or_else(wrong)?;
-    let (target, text) = (target.trim(), value.trim());
-    let value: f64 = text.parse().map_err(|_| wrong())?;
-    if !value.is_finite() {
-        let what = format!("the value of `{assignment}`");
-        return Err(SpecError::new(Problem::NotFinite { what, found: text.to_owned() }));
+impl Assignment<'_> {
+    /// Takes an assignment apart, whatever model it is for.
+    ///
+    /// # Errors
+    /// Something that is not an assignment of a finite number.
+    pub fn new(text: &str) -> Result<Assignment<'_>> {
+        let wrong = || SpecError::new(Problem::NotAnAssignment { found: text.to_owned() });
+        let (target, value) = text.rsplit_once('=').ok_or_else(wrong)?;
+        let (target, number) = (target.trim(), value.trim());
+        let value: f64 = number.parse().map_err(|_| wrong())?;
+        if !value.is_finite() {
+            let what = format!("the value of `{text}`");
+            return Err(SpecError::new(Problem::NotFinite { what, found: number.to_owned() }));
+        }
+        let (name, level) = match target.split_once('[') {
+            None => (target, None),
+            Some((name, rest)) => (name.trim(), Some(rest.strip_suffix(']').ok_or_else(wrong)?)),
+        };
+        if name.is_empty() || level.is_some_and(str::is_empty) {
+            return Err(wrong());
+        }
+        Ok(Assignment { name, level, value })
     }
-    let (name, level) = match target.split_once('[') {
-        None => (target, None),
-        Some((name, rest)) => (name.trim(), Some(rest.strip_suffix(']').ok_or_else(wrong)?)),
-    };
-    if name.is_empty() || level.is_some_and(str::is_empty) {
-        return Err(wrong());
+
+    /// What it assigns to: `tau`, or `sigma[A]`.
+    pub fn target(&self) -> String {
+        self.level.map_or(self.name.to_owned(), |level| format!("{}[{level}]", self.name))
     }
-    Ok(Assignment { name, level, value })
 }

@@ -1,13 +1,11 @@
 //! `kalfit apply` through the built command.
 
-#![expect(clippy::unwrap_used, reason = "a test that cannot be set up must fail")]
-
 use std::collections::HashMap;
 
 use insta::assert_snapshot;
 use kalfit::FitRecord;
 
-use crate::folder::{Folder, shown};
+use crate::folder::{self, Folder, number, shown};
 
 const MODEL: &str = r#"
 title = "Wandering gyros"
@@ -54,18 +52,8 @@ fn fitted() -> Folder {
     folder
 }
 
-/// The rows of a table of text, each by the names of its columns.
-fn table(folder: &Folder, name: &str) -> Vec<HashMap<String, String>> {
-    let mut reader = csv::Reader::from_path(folder.path(name)).unwrap();
-    reader.deserialize().map(|row| row.unwrap()).collect()
-}
-
-fn number(row: &HashMap<String, String>, column: &str) -> f64 {
-    row[column].parse().unwrap_or_else(|_| panic!("{column}: {row:?}"))
-}
-
 fn near(what: &str, found: f64, expected: f64) {
-    assert!((found - expected).abs() < 1e-9 * (1.0 + expected.abs()), "{what}: {found} against {expected}");
+    folder::near(what, (found, expected), 1e-9);
 }
 
 #[test]
@@ -104,7 +92,7 @@ fn the_tests_of_a_fit_are_what_the_fit_says_of_them() {
     Wrote states.csv
     "#);
     let fit: FitRecord = serde_json::from_slice(&std::fs::read(folder.path("fit.json")).unwrap()).unwrap();
-    let (tests, states) = (table(&folder, "tests.csv"), table(&folder, "states.csv"));
+    let (tests, states) = (folder.table("tests.csv"), folder.table("states.csv"));
     near("all", tests.iter().map(|test| number(test, "log_density")).sum(), fit.log_likelihood);
     for (row, test) in tests.iter().zip(&fit.tests) {
         assert_eq!((row["test"].as_str(), row["phase"].as_str()), (test.id.as_str(), "main"));
@@ -142,8 +130,9 @@ fn predictions_standardise_innovations() {
     let output =
         folder.run("apply m.toml d.csv --from fit.json --states states.csv --kind predicted --out tests.csv --quiet");
     assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
-    let (tests, states) = (table(&folder, "tests.csv"), table(&folder, "states.csv"));
-    let measured: HashMap<(String, String), f64> = table(&folder, "d.csv")
+    let (tests, states) = (folder.table("tests.csv"), folder.table("states.csv"));
+    let measured: HashMap<(String, String), f64> = folder
+        .table("d.csv")
         .iter()
         .filter(|row| !row["y"].is_empty())
         .map(|row| ((row["unit"].clone(), row["t"].clone()), number(row, "y")))

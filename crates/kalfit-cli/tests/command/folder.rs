@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot be set up must fail")]
 
+use std::collections::HashMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
@@ -59,6 +60,12 @@ impl Folder {
         all
     }
 
+    /// The rows of a table of text, each by the names of its columns.
+    pub(crate) fn table(&self, name: &str) -> Vec<HashMap<String, String>> {
+        let mut reader = csv::Reader::from_path(self.path(name)).unwrap();
+        reader.deserialize().map(|row| row.unwrap()).collect()
+    }
+
     /// The command, to be run in the folder.
     pub(crate) fn command(&self, args: &str) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_kalfit"));
@@ -98,4 +105,14 @@ pub(crate) fn steady(text: &str) -> String {
         false => line.to_owned() + "\n",
     };
     text.lines().map(steady).collect()
+}
+
+/// The number in a column of a row of a table.
+pub(crate) fn number(row: &HashMap<String, String>, column: &str) -> f64 {
+    row[column].parse().unwrap_or_else(|_| panic!("{column}: {row:?}"))
+}
+
+/// Fails, with both numbers, where they differ by more than a part of their size.
+pub(crate) fn near(what: &str, (found, expected): (f64, f64), part: f64) {
+    assert!((found - expected).abs() < part * (1.0 + expected.abs()), "{what}: {found} against {expected}");
 }

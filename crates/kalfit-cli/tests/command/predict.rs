@@ -2,12 +2,10 @@
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot be set up must fail")]
 
-use std::collections::HashMap;
-
 use insta::assert_snapshot;
 use kalfit::FitRecord;
 
-use crate::folder::{Folder, shown};
+use crate::folder::{self, Folder, number, shown};
 
 const MODEL: &str = r#"
 title = "Wandering gyros"
@@ -70,18 +68,8 @@ fn record(folder: &Folder) -> FitRecord {
     serde_json::from_str(&std::fs::read_to_string(folder.path("fit.json")).unwrap()).unwrap()
 }
 
-/// The rows of a table of text, each by the names of its columns.
-fn table(folder: &Folder, name: &str) -> Vec<HashMap<String, String>> {
-    let mut reader = csv::Reader::from_path(folder.path(name)).unwrap();
-    reader.deserialize().map(|row| row.unwrap()).collect()
-}
-
-fn number(row: &HashMap<String, String>, column: &str) -> f64 {
-    row[column].parse().unwrap_or_else(|_| panic!("{column}: {row:?}"))
-}
-
 fn near(what: &str, found: f64, expected: f64) {
-    assert!((found - expected).abs() < 1e-7 * (1.0 + expected.abs()), "{what}: {found} against {expected}");
+    folder::near(what, (found, expected), 1e-7);
 }
 
 #[test]
@@ -135,7 +123,7 @@ fn a_mission_is_what_the_fit_makes_of_it() {
     let variance = phase.covariance.estimate[0][0];
     let error = phase.mean.std_error[0].unwrap();
     let q = record.parameters.iter().find(|parameter| parameter.name == "q").unwrap().estimate;
-    let rows = table(&folder, "mission.out.csv");
+    let rows = folder.table("mission.out.csv");
     assert_eq!(rows.len(), 3 * 4, "two states and two outputs at three times");
     for row in &rows {
         let time = number(row, "time");
@@ -166,7 +154,7 @@ fn one_limit_by_itself_is_nearer() {
         let output =
             folder.run(&format!("predict m.toml --from fit.json --design mission.csv --out p.csv --quiet {options}"));
         assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
-        number(&table(&folder, "p.csv")[0], "tolerance_upper")
+        number(&folder.table("p.csv")[0], "tolerance_upper")
     };
     let [two, one, sure, much] = ["", "--one-sided", "--confidence 0.99", "--content 0.99"].map(limit);
     assert!(one < two && two < sure && two < much, "{one} {two} {sure} {much}");
@@ -178,7 +166,7 @@ fn values_that_are_given_are_exact() {
     let output =
         folder.run("predict m.toml --from fit.json --set q=0.2 --set sigma=1 --design mission.csv --out p.csv --quiet");
     assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
-    let rows = table(&folder, "p.csv");
+    let rows = folder.table("p.csv");
     let walk = rows.iter().rfind(|row| row["name"] == "walk").unwrap();
     near("process", number(walk, "std_dev_process"), 0.2 * 3.0);
     near("tolerance", number(walk, "tolerance_upper"), 0.6 * 1.959_963_984_5);
@@ -194,7 +182,7 @@ fn what_cannot_be_told_is_not_told() {
     std::fs::write(folder.path("zero.json"), record.to_string()).unwrap();
     let output = folder.run("predict m.toml --from zero.json --design mission.csv --out p.csv --quiet");
     assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
-    for row in table(&folder, "p.csv") {
+    for row in folder.table("p.csv") {
         let is_unknown = row["tolerance_upper"].is_empty();
         assert_eq!(is_unknown, row["name"] == "walk" && row["time"] != "0", "{row:?}");
         assert!(!row["confidence_upper"].is_empty(), "{row:?}");
@@ -204,7 +192,7 @@ fn what_cannot_be_told_is_not_told() {
     std::fs::write(folder.path("old.json"), record.to_string()).unwrap();
     let output = folder.run("predict m.toml --from old.json --design mission.csv --out p.csv");
     assert!(shown(&output).contains("does not say how its estimates vary together"), "{}", shown(&output));
-    assert!(table(&folder, "p.csv").iter().all(|row| row["std_dev_estimation"].is_empty()));
+    assert!(folder.table("p.csv").iter().all(|row| row["std_dev_estimation"].is_empty()));
     // beyond all numbers
     std::fs::write(folder.path("huge.toml"), "[outputs.a]\nequation = \"1e308 * bias * gain * 1e10\"\n").unwrap();
     let output = folder.run("predict m.toml --from fit.json --design mission.csv --outputs huge.toml --out none.csv");
@@ -244,7 +232,7 @@ fn runs_of_a_known_unit_are_near_its_own_level() {
     let predicted = |options: &str| {
         let output = folder.run(&format!("predict m.toml --from fit.json {options} --out p.csv --quiet"));
         assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
-        table(&folder, "p.csv")
+        folder.table("p.csv")
     };
     let record = record(&folder);
     let [unit, own] = [0, 1].map(|level| record.levels[level].covariance.estimate[0][0]);

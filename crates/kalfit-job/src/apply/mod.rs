@@ -13,15 +13,14 @@ use crate::job::{AppliedModel, ApplyJob, Done, files};
 use crate::output::{Pending, Target};
 use crate::table::Table;
 use crate::work::{Watch, Work};
-use crate::{model, tests, truth};
+use crate::{tests, truth};
 
 /// Applies a fitted model to tests.
 ///
 /// # Errors
 /// Bad input, or [`Failure::Interrupted`].
 pub fn apply(job: &ApplyJob, watch: &mut dyn Watch) -> Result<Done<AppliedModel>, Failure> {
-    let mut spec = model::read(&job.model.document)?;
-    let truth = truth::load(&mut spec, &job.from, &job.model.set)?;
+    let (mut spec, truth) = truth::load(&job.model, &job.from)?;
     let given = Given::open(&mut spec, &job.data)?;
     let used = files(&[&job.model.document, &job.from], &given.inputs);
     let [out, along] = [&job.tests, &job.states].map(|to| Table::prepare(to, &used));
@@ -40,8 +39,7 @@ pub fn apply(job: &ApplyJob, watch: &mut dyn Watch) -> Result<Done<AppliedModel>
     if along.is_some() {
         applied.check_states().map_err(refused)?;
     }
-    let changed = job.model.set.iter().filter_map(|one| Some(one.split_once('=')?.0.trim().to_owned())).collect();
-    let source = AppliedSource { name: job.from.name(), fitted: truth.fitted, changed };
+    let source = AppliedSource { name: job.from.name(), fitted: truth.fitted, changed: truth.changed };
     let record = AppliedRecord::new(&spec.model, source, &tests, &said);
     let task = Task { spec: &spec, applied: &applied, tests: &tests, reading: &reading };
     // neither is in place before both are whole

@@ -9,6 +9,7 @@ use super::refused;
 use crate::failure::Failure;
 use crate::output::Pending;
 use crate::table::{Table, Writer};
+use crate::tests;
 use crate::work::Work;
 
 /// States of this many rows, or of one test, are held at a time.
@@ -115,7 +116,7 @@ impl Task<'_> {
         table.write(&columns, |writer| {
             let mut done = 0;
             while done < self.tests.len() {
-                let next = self.batch(done);
+                let next = tests::batch(self.tests, done, BATCH_ROWS);
                 work.go_on()?;
                 let states = self.applied.states(kind, done..next).map_err(|error| refused(error, self.reading))?;
                 for (test, phases) in self.tests[done..next].iter().zip(&states) {
@@ -127,17 +128,6 @@ impl Task<'_> {
             }
             Ok(())
         })
-    }
-
-    /// The end of the tests whose states are written at once, from this one on.
-    fn batch(&self, from: usize) -> usize {
-        let mut rows = 0;
-        let mut next = from;
-        while next < self.tests.len() && (rows < BATCH_ROWS || next == from) {
-            rows += self.tests[next].row_count();
-            next += 1;
-        }
-        next
     }
 
     fn phase(&self, test: &str, states: &PhaseStates, writer: &mut Writer<'_>) -> Result<(), WriteError> {

@@ -2,7 +2,7 @@
 
 mod c;
 mod fields;
-mod form;
+pub(crate) mod form;
 mod mat;
 mod npz;
 mod python;
@@ -15,15 +15,14 @@ pub use self::form::Form;
 use crate::failure::Failure;
 use crate::job::{Done, ExportJob, files};
 use crate::output::{Output, OutputError};
-use crate::{model, truth};
+use crate::truth;
 
 /// Makes the filter, and writes it where a file is named.
 ///
 /// # Errors
 /// Bad input: among it a model whose matrices differ from row to row.
 pub fn export(job: &ExportJob) -> Result<Done<ExportRecord>, Failure> {
-    let mut spec = model::read(&job.model.document)?;
-    let truth = truth::load(&mut spec, &job.from, &job.model.set)?;
+    let (spec, truth) = truth::load(&job.model, &job.from)?;
     let at = job.at.iter().map(|assignment| column_value(assignment)).collect::<Result<Vec<_>, Failure>>()?;
     let output = match &job.out {
         None => None,

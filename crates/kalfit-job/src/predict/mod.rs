@@ -4,7 +4,7 @@ mod table;
 mod units;
 
 use kalfit::PhasedTest;
-use kalfit::predict::{Bounds, Knowledge, Known, Output, PredictError, Predictor};
+use kalfit::predict::{Bounds, Estimand, Knowledge, Output, PredictError, Predictor};
 use kalfit::record::{PredictedRecord, PredictedSource};
 use kalfit_data::{Input, Reading};
 use kalfit_spec::{BesideError, DesignSpec, Spec};
@@ -28,14 +28,13 @@ const BATCH_ROWS: usize = 50_000;
 /// # Errors
 /// Bad input, or [`Failure::Interrupted`].
 pub fn predict(job: &PredictJob, watch: &mut dyn Watch) -> Result<Done<PredictedModel>, Failure> {
-    let mut spec = model::read(&job.model.document)?;
-    let truth = truth::load(&mut spec, &job.from, &job.model.set)?;
+    let (spec, truth) = truth::load(&job.model, &job.from)?;
     let units = UnitsOf::new(job, &spec, &truth)?;
     let DesignSpec { spec: design, outputs } = designed(job, &spec)?;
     let inputs = Input::expand(&job.design).map_err(|error| Failure::data(error, &design))?;
     let documents: Vec<_> = [&job.model.document, &job.from].into_iter().chain(&job.outputs).collect();
     let table = Table::prepare(&job.out, &files(&documents, &inputs))?;
-    let knowledge = knowledge(&spec, &truth, &job.model.set);
+    let knowledge = knowledge(&spec, &truth);
     let mut work = Work::new(watch);
     let (tests, reading) = tests::read(&design, &Given::rows_of(inputs), &mut work)?;
     let values = (&model::alpha(&design), truth.population.coefficients.as_slice());
@@ -44,7 +43,7 @@ pub fn predict(job: &PredictJob, watch: &mut dyn Watch) -> Result<Done<Predicted
     let source = PredictedSource {
         name: job.from.name(),
         fitted: truth.fitted,
-        changed: job.model.set.iter().filter_map(|one| Some(one.split_once('=')?.0.trim().to_owned())).collect(),
+        changed: truth.changed,
         known_units: job.units == Units::Known,
         estimation,
     };
@@ -98,17 +97,16 @@ fn designed(job: &PredictJob, spec: &Spec) -> Result<DesignSpec, Failure> {
 }
 
 /// What is known of the estimates; parameters that were given other values are exact.
-fn knowledge(spec: &Spec, truth: &Truth, set: &[String]) -> Option<Knowledge> {
+fn knowledge(spec: &Spec, truth: &Truth) -> Option<Knowledge> {
     let Some(record) = &truth.record else { return Some(Knowledge::exact()) };
     let knowledge = record.knowledge(&spec.model)?;
-    let is_set = |known: &Known| match known {
-        Known::Parameter { parameter, .. } => {
-            let name = &spec.model.shared().parameters[*parameter].name;
-            set.iter().any(|one| one.split(['=', '[']).next().unwrap_or_default().trim() == name)
+    let is_changed = |estimand: &Estimand| match estimand {
+        Estimand::Parameter { parameter, level } => {
+            truth.is_changed(&spec.model.shared().parameters[*parameter].name, level.as_deref())
         }
-        Known::Population(_) => false,
+        Estimand::Population(_) => false,
     };
-    Some(knowledge.without(&is_set))
+    Some(knowledge.without(&is_changed))
 }
 
 fn refused(error: PredictError, reading: Option<&Reading>) -> Failure {
@@ -142,7 +140,7 @@ impl Task<'_> {
         let grouping = self.units.grouping(self.design, tests)?;
         let mut done = 0;
         while done < tests.len() {
-            let next = batch(tests, done);
+            let next = tests::batch(tests, done, BATCH_ROWS);
             work.go_on()?;
             let own = &tests[done..next];
             let initial = own.iter().map(|test| self.units.initial(test, grouping.as_ref(), &self.reading.labels));
@@ -163,15 +161,4 @@ impl Task<'_> {
         }
         Ok(())
     }
-}
-
-/// The end of the tests that are predicted at once, from this one on.
-fn batch(tests: &[PhasedTest], from: usize) -> usize {
-    let mut rows = 0;
-    let mut next = from;
-    while next < tests.len() && (rows < BATCH_ROWS || next == from) {
-        rows += tests[next].row_count();
-        next += 1;
-    }
-    next
 }

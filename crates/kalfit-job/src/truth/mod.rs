@@ -8,10 +8,11 @@ use std::path::Path;
 use kalfit::model::{Level, ParameterError, Value};
 use kalfit::record::RecordError;
 use kalfit::{Alpha, FitRecord, Population};
-use kalfit_spec::Spec;
+use kalfit_spec::{Assignment, Spec};
 
 use crate::document::Document;
 use crate::failure::Failure;
+use crate::job::ModelJob;
 use crate::model;
 use crate::results::{self, FIT, ResultError};
 use crate::truth::error::TruthError;
@@ -29,6 +30,16 @@ pub(crate) struct Truth {
     pub(crate) fitted: Option<usize>,
     /// The results that it was taken from, if it was not a model.
     pub(crate) record: Option<Box<FitRecord>>,
+    /// What `--set` gave other values: `tau`, `sigma[A]`.
+    pub(crate) changed: Vec<String>,
+}
+
+impl Truth {
+    /// Whether `--set` gave a parameter a value, at one level or at all.
+    pub(crate) fn is_changed(&self, name: &str, level: Option<&str>) -> bool {
+        let own = level.map(|level| format!("{name}[{level}]"));
+        self.changed.iter().any(|changed| changed == name || Some(changed) == own.as_ref())
+    }
 }
 
 impl From<TruthError> for Failure {
@@ -45,8 +56,15 @@ struct Known {
     value: f64,
 }
 
+/// A model, and what is taken as true of it.
+pub(crate) fn load(job: &ModelJob, from: &Document) -> Result<(Spec, Truth), Failure> {
+    let mut spec = model::read(&job.document)?;
+    let truth = take(&mut spec, from, &job.set)?;
+    Ok((spec, truth))
+}
+
 /// Takes the truth from a file. Free parameters of the model get its values; then `set` is done.
-pub(crate) fn load(spec: &mut Spec, from: &Document, set: &[String]) -> Result<Truth, Failure> {
+fn take(spec: &mut Spec, from: &Document, set: &[String]) -> Result<Truth, Failure> {
     let path = from.name();
     let mut warnings = Vec::new();
     let mut fitted = None;
@@ -72,10 +90,12 @@ pub(crate) fn load(spec: &mut Spec, from: &Document, set: &[String]) -> Result<T
     };
     let mut taken = give(spec, &known, &path, &mut warnings)?;
     model::set(spec, set)?;
-    taken.retain(|name| !set.iter().any(|assignment| assigned(assignment) == name));
+    let assigned = set.iter().filter_map(|assignment| Assignment::new(assignment).ok());
+    let changed: Vec<String> = assigned.clone().map(|assignment| assignment.target()).collect();
+    taken.retain(|name| !assigned.clone().any(|assignment| assignment.name == name));
     let alpha = Alpha::fixed(&spec.model.shared().parameters)
         .map_err(|ParameterError::Free { names }| Failure::from(TruthError::NoParameter { names }))?;
-    Ok(Truth { population, alpha, taken, warnings, fitted, record: results })
+    Ok(Truth { population, alpha, taken, warnings, fitted, record: results, changed })
 }
 
 /// The results of a fit, from their JSON.
@@ -94,11 +114,6 @@ pub(crate) fn parameters(spec: &mut Spec, from: &Document) -> Result<Vec<String>
     let mut warnings = Vec::new();
     give(spec, &known, &path, &mut warnings)?;
     Ok(warnings)
-}
-
-/// Name of the parameter of an assignment such as `tau=90` or `sigma[A]=0.7`.
-fn assigned(assignment: &str) -> &str {
-    assignment.split(['=', '[']).next().unwrap_or_default().trim()
 }
 
 /// True for a model file: by its extension, else by its first character.
@@ -130,7 +145,8 @@ fn of_model(spec: &Spec, from: &Document, set: &[String]) -> Result<(Population,
         }
     }
     let is_there = |name: &str| truth.model.shared().parameters.iter().any(|p| p.name == name);
-    let own: Vec<String> = set.iter().filter(|assignment| is_there(assigned(assignment))).cloned().collect();
+    let is_own = |assignment: &&String| Assignment::new(assignment).is_ok_and(|assigned| is_there(assigned.name));
+    let own: Vec<String> = set.iter().filter(is_own).cloned().collect();
     model::set(&mut truth, &own)?;
     let alpha = Alpha::fixed(&truth.model.shared().parameters)
         .map_err(|ParameterError::Free { names }| Failure::from(TruthError::NoParameter { names }))?;

@@ -71,16 +71,10 @@ fn filtered(
 }
 
 fn known(seen: Seen<'_>, (mean, root): &(DVector<f64>, DMatrix<f64>)) -> Known {
-    let n = seen.x.len();
-    let Psi = DMatrix::from_row_slice(n, mean.len(), seen.Psi);
-    let r = seen.P.len().isqrt();
+    let Psi = seen.sensitivity();
     let spread = &Psi * root;
     let mut covariance = &spread * spread.transpose();
-    for i in 0..r {
-        for k in 0..r {
-            covariance[(i, k)] += seen.P[i * r + k];
-        }
-    }
+    seen.add_noise(&mut covariance);
     let mean = DVector::from_column_slice(seen.x) + Psi * mean;
     Known { mean: mean.as_slice().to_vec(), covariance }
 }

@@ -6,7 +6,7 @@ use crate::datasheet::units::Unit;
 use crate::ensemble::Test;
 use crate::export::bind::columns_read;
 use crate::export::{ExportError, Exported, Wanted, export};
-use crate::model::{Alpha, Expression, Initial, Model, Motion, PhasedModel, Population, Scope};
+use crate::model::{Alpha, Expression, Model, PhasedModel, Population, Scope, Site};
 use crate::record::{AllanPoint, CurveRecord};
 use crate::reduce::{Evidence, PhasedTest};
 
@@ -140,34 +140,18 @@ impl Asked<'_> {
 /// Numeric columns in equations of measurements, in derivatives without a state and in means, unless motion, noise or `where` depend
 /// on them, too.
 fn inputs(model: &Model) -> Vec<String> {
-    let (mut free, mut held): (Vec<&Expression>, Vec<&Expression>) = (Vec::new(), Vec::new());
-    for state in &model.states {
-        match &state.motion {
-            Motion::Constant => {}
-            Motion::Continuous { derivative: form, noise_variance }
-            | Motion::Discrete { next: form, noise_variance } => {
-                free.push(&form.constant);
-                held.extend(form.terms.iter().map(|(_, coefficient)| coefficient));
-                held.push(noise_variance);
-            }
-        }
-        free.extend(&state.offset);
-        if let Initial::Known { mean, variance } = &state.initial {
-            free.push(mean);
-            held.push(variance);
-        }
-    }
-    for measurement in &model.measurements {
-        free.push(&measurement.equation.constant);
-        free.extend(measurement.equation.terms.iter().map(|(_, coefficient)| coefficient));
-        held.push(&measurement.noise_variance);
-        held.extend(&measurement.filter);
-    }
-    let covariances = model.process_noise_covariance.iter().chain(&model.noise_covariance);
-    held.extend(covariances.map(|(.., covariance)| covariance));
-    let reads = |all: &[&Expression], column: usize| {
+    let is_free = |site: &Site| {
+        matches!(
+            site,
+            Site::Input(_) | Site::Offset(_) | Site::InitialMean(_) | Site::Coefficient { .. } | Site::Constant(_)
+        )
+    };
+    let all =
+        model.expressions().into_iter().filter(|(site, _)| is_free(site) || site.is_of_filter() || site.is_variance());
+    let (free, held): (Vec<_>, Vec<_>) = all.partition(|(site, _)| is_free(site));
+    let reads = |all: &[(Site, &Expression)], column: usize| {
         let own = |part: &Expression| matches!(part, Expression::Column(other) if *other == column);
-        all.iter().any(|expression| expression.any(&mut |part| own(part)))
+        all.iter().any(|(_, expression)| expression.any(&mut |part| own(part)))
     };
     let regressed = |column: usize| model.mean.regression.iter().any(|regression| regression.column == column);
     let is_input = |&column: &usize| (reads(&free, column) || regressed(column)) && !reads(&held, column);

@@ -2,7 +2,7 @@
 
 use crate::datasheet::units::{Quantity, Unit};
 use crate::model::{Expression, Model, PhasedModel, Population};
-use crate::record::{EntryRecord, FitRecord, Interval};
+use crate::record::{EntryRecord, FitRecord, Interval, PhaseRecord};
 
 /// Name of the tests' own level.
 const TESTS: &str = "tests";
@@ -14,76 +14,107 @@ pub(super) fn entries(
     population: &Population,
     record: Option<&FitRecord>,
 ) -> Vec<EntryRecord> {
-    let (phase, first) = (&model.phases[at], model.ranges()[at].start);
+    let phase = &model.phases[at];
     let own = record.and_then(|record| record.phases.iter().find(|own| own.name == phase.name));
-    let p = model.dimension();
-    let levels = population.mean.len().checked_div(p).unwrap_or(1);
+    let blocks = population.mean.len().checked_div(model.dimension()).unwrap_or(1);
     let mut entries = Vec::new();
     for (k, &state) in phase.model.estimated.iter().enumerate() {
         let of = &phase.model.states[state];
         let unit = Unit::shown(of.unit.as_deref());
         let word = word(&phase.model, state, unit.quantity);
-        let place = |names: &[String]| names.iter().position(|name| *name == of.name);
-        let scaled = |interval: Interval| interval.map(|ends| ends.map(|end| end.map(|end| unit.factor * end)));
-        let entry =
-            |name: String, level: Option<String>, value: f64, interval: Interval, definition: String| EntryRecord {
-                name,
-                of: of.name.clone(),
-                kind: "state".to_owned(),
-                phase: phase.name.clone(),
-                level,
-                value: Some(unit.factor * value),
-                unit: unit.label.clone(),
-                interval95: scaled(interval),
-                definition,
-                from: Vec::new(),
-                varies_with: Vec::new(),
-            };
-        let mean_of = own.and_then(|own| own.mean.interval95.get(place(&own.states)?).copied().flatten());
+        let i = model.ranges()[at].start + k;
+        let own = StateEntries { model, phase: at, name: &of.name, unit, word, record, own };
         let covariates = phase.model.mean.regression.iter().any(|regression| regression.element == k);
+        entries.push(own.mean(population.mean[i], covariates));
+        // the outermost level first, the tests' own last
+        let deviation = |block: usize| {
+            let i = block * model.dimension() + i;
+            population.covariance[(i, i)].max(0.0).sqrt()
+        };
+        entries.extend((0..blocks).rev().filter_map(|block| own.spread(deviation(block), (block, blocks))));
+    }
+    entries
+}
+
+/// What the entries of one state have in common.
+struct StateEntries<'a> {
+    model: &'a PhasedModel,
+    phase: usize,
+    name: &'a str,
+    unit: Unit,
+    word: String,
+    record: Option<&'a FitRecord>,
+    /// The results of the phase.
+    own: Option<&'a PhaseRecord>,
+}
+
+impl StateEntries<'_> {
+    fn entry(&self, name: String, value: f64, interval: Interval) -> EntryRecord {
+        let factor = self.unit.factor;
+        EntryRecord {
+            name,
+            of: self.name.to_owned(),
+            kind: "state".to_owned(),
+            phase: self.model.phases[self.phase].name.clone(),
+            level: None,
+            value: Some(factor * value),
+            unit: self.unit.label.clone(),
+            interval95: interval.map(|ends| ends.map(|end| end.map(|end| factor * end))),
+            definition: String::new(),
+            from: Vec::new(),
+            varies_with: Vec::new(),
+        }
+    }
+
+    /// The interval of this state among those of others.
+    fn interval(&self, states: &[String], intervals: &[Interval]) -> Interval {
+        let place = states.iter().position(|state| state == self.name)?;
+        intervals.get(place).copied().flatten()
+    }
+
+    fn mean(&self, value: f64, covariates: bool) -> EntryRecord {
+        let interval = self.own.and_then(|own| self.interval(&own.states, &own.mean.interval95));
         let definition = match covariates {
             true => "mean over the population of tests, where the columns that it moves with are zero",
             false => "mean over the population of tests",
         };
-        let mut mean = entry(format!("{word} mean"), None, population.mean[first + k], mean_of, definition.to_owned());
-        mean.from = vec![format!("mean[{}]", of.name)];
-        entries.push(mean);
-        // the outermost level first, the tests' own last
-        for level in (0..levels).rev() {
-            let i = level * p + first + k;
-            let value = population.covariance[(i, i)].max(0.0).sqrt();
-            let name = match (levels, level) {
-                (1, _) => None,
-                (_, 0) => Some(TESTS.to_owned()),
-                (_, level) => Some(model.levels[model.levels.len() - level].name.clone()),
-            };
-            let known = match &name {
-                None => own.map(|own| (&own.states, &own.std_dev)),
-                Some(name) => record
-                    .and_then(|record| record.levels.iter().find(|level| level.name == *name))
-                    .map(|level| (&level.states, &level.std_dev)),
-            };
-            let interval = known.and_then(|(states, spread)| spread.interval95.get(place(states)?).copied().flatten());
-            if value == 0.0 && interval.is_none() {
-                continue; // it does not vary there
-            }
-            let (suffix, definition) = match name.as_deref() {
-                None => (String::new(), "standard deviation from test to test".to_owned()),
-                Some(TESTS) => {
-                    (", run to run".to_owned(), "standard deviation from test to test of one unit".to_owned())
-                }
-                Some(level) => (
-                    format!(", unit to unit ({level})"),
-                    format!("standard deviation from one `{level}` to the next of what their tests have in common"),
-                ),
-            };
-            let mut spread = entry(format!("{word} repeatability{suffix}"), name.clone(), value, interval, definition);
-            let element = format!("std_dev[{}]", of.name);
-            spread.from = vec![name.map_or_else(|| element.clone(), |level| format!("{level}.{element}"))];
-            entries.push(spread);
+        EntryRecord {
+            definition: definition.to_owned(),
+            from: vec![format!("mean[{}]", self.name)],
+            ..self.entry(format!("{} mean", self.word), value, interval)
         }
     }
-    entries
+
+    /// The spread in one block of Σ, of so many; `None` where the state does not vary there.
+    fn spread(&self, value: f64, (block, blocks): (usize, usize)) -> Option<EntryRecord> {
+        let level = match (blocks, block) {
+            (1, _) => None,
+            (_, 0) => Some(TESTS.to_owned()),
+            (_, block) => Some(self.model.levels[self.model.levels.len() - block].name.clone()),
+        };
+        let interval = match &level {
+            None => self.own.and_then(|own| self.interval(&own.states, &own.std_dev.interval95)),
+            Some(name) => {
+                let own = self.record.and_then(|record| record.levels.iter().find(|level| level.name == *name));
+                own.and_then(|own| self.interval(&own.states, &own.std_dev.interval95))
+            }
+        };
+        if value == 0.0 && interval.is_none() {
+            return None;
+        }
+        let (suffix, definition) = match level.as_deref() {
+            None => (String::new(), "standard deviation from test to test".to_owned()),
+            Some(TESTS) => (", run to run".to_owned(), "standard deviation from test to test of one unit".to_owned()),
+            Some(level) => (
+                format!(", unit to unit ({level})"),
+                format!("standard deviation from one `{level}` to the next of what their tests have in common"),
+            ),
+        };
+        let element = format!("std_dev[{}]", self.name);
+        let from = vec![level.as_ref().map_or_else(|| element.clone(), |level| format!("{level}.{element}"))];
+        let entry = self.entry(format!("{} repeatability{suffix}", self.word), value, interval);
+        Some(EntryRecord { level, definition, from, ..entry })
+    }
 }
 
 /// What a state is to its measurements: added as it is, or times columns.

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use crate::ensemble::Label;
 use crate::export::{ExportError, Varies};
-use crate::model::{Alpha, Expression, Level, Model, Operator, Scope};
+use crate::model::{Alpha, Expression, Level, Model, Operator, Scope, Site};
 use crate::reduce::{Fault, ReduceErrorKind, Subject};
 
 /// What expressions are evaluated at, as far as it is known, and what was found to differ from row to row.
@@ -188,7 +188,8 @@ pub(crate) fn columns_read(model: &Model) -> Vec<String> {
             names.push(name.clone());
         }
     };
-    for expression in super::plain::expressions(model) {
+    let bound = |site: &Site| !matches!(site, Site::InitialTime | Site::Structure { .. });
+    for (_, expression) in model.expressions().into_iter().filter(|(site, _)| bound(site)) {
         expression.any(&mut |part| {
             match part {
                 Expression::Column(column) => add(&model.columns[*column].name),

@@ -18,34 +18,6 @@ pub(super) struct Plain {
     pub(super) filters: Vec<Option<Expression>>,
 }
 
-/// All expressions of a model that its filter depends on.
-pub(super) fn expressions(model: &Model) -> Vec<&Expression> {
-    let mut all: Vec<&Expression> = Vec::new();
-    for state in &model.states {
-        match &state.motion {
-            Motion::Constant => {}
-            Motion::Continuous { derivative: form, noise_variance }
-            | Motion::Discrete { next: form, noise_variance } => {
-                all.extend(form.terms.iter().map(|(_, a)| a));
-                all.extend([&form.constant, noise_variance]);
-            }
-        }
-        if let Initial::Known { mean, variance } = &state.initial {
-            all.extend([mean, variance]);
-        }
-        all.extend(&state.offset);
-    }
-    for measurement in &model.measurements {
-        all.extend(measurement.equation.terms.iter().map(|(_, a)| a));
-        all.extend([&measurement.equation.constant, &measurement.noise_variance]);
-        all.extend(&measurement.filter);
-    }
-    let covariances = model.process_noise_covariance.iter().chain(&model.noise_covariance);
-    all.extend(covariances.map(|(.., covariance)| covariance));
-    all.extend(model.covariance.known.iter().flatten().flatten());
-    all
-}
-
 impl Plain {
     /// What differs from row to row is left in the binder. `starts`: x_0 is wanted.
     pub(super) fn new(model: &Model, binder: &mut Binder<'_>, starts: bool) -> Result<Plain, ExportError> {

@@ -2,20 +2,8 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use crate::infer::estimated::Estimated;
 use crate::infer::law::Law;
-
-/// One number that was estimated.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Estimated {
-    /// Of μ.
-    Mean(usize),
-    /// A regression coefficient.
-    Coefficient(usize),
-    /// Of Σ, i ≥ j.
-    Covariance(usize, usize),
-    /// A free value of α, by its slot.
-    Value(usize),
-}
 
 /// The asymptotic covariance of the estimates, in the user's units. Numbers that are fixed, on a bound or at zero are not among them.
 #[derive(Debug, Clone, PartialEq, Default)]

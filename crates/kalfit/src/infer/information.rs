@@ -4,7 +4,8 @@ use nalgebra::DMatrix;
 
 use crate::estimate::{CovarianceMap, Estimate, Form, Part, State};
 use crate::infer::direction::{Direction, Quantity};
-use crate::infer::estimates::{EstimateCovariance, Estimated};
+use crate::infer::estimated::Estimated;
+use crate::infer::estimates::EstimateCovariance;
 use crate::infer::law::Law;
 use crate::infer::std_errors::{PART, StdErrors};
 use crate::linalg::elements::Elements;

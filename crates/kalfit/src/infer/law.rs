@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::{JointLaw, Part, State};
-use crate::infer::estimates::Estimated;
+use crate::infer::estimated::Estimated;
 use crate::infer::holdable::Holdable;
 use crate::infer::std_errors::{PART, StdErrors};
 use crate::linalg::symmetric;

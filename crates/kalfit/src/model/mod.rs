@@ -11,6 +11,7 @@ mod phased;
 mod population;
 mod power;
 mod role;
+mod site;
 mod slots;
 mod stacked;
 mod structure;
@@ -23,6 +24,7 @@ pub use phased::{Carry, Filter, GroupLevel, MAIN, Phase, PhasedModel};
 pub use population::{Population, PopulationError};
 pub(crate) use role::roles_among;
 pub use role::{Role, roles};
+pub use site::Site;
 pub use slots::{Slot, Slots};
 pub use structure::{
     CovarianceKind, CovarianceStructure, FixedElement, MeanElement, MeanStructure, Regression, StructureError,
@@ -94,6 +96,13 @@ pub struct Linear {
     pub terms: Vec<(usize, Expression)>,
     /// The term without a state: a known input or offset.
     pub constant: Expression,
+}
+
+impl Linear {
+    /// Its coefficients, and then its constant.
+    pub fn expressions(&self) -> impl Iterator<Item = &Expression> {
+        self.terms.iter().map(|(_, coefficient)| coefficient).chain([&self.constant])
+    }
 }
 
 /// One state.

@@ -1,6 +1,6 @@
 //! How expressions and models go with the scale of one parameter.
 
-use crate::model::{Expression, Function, Initial, Linear, Model, Motion, Operator};
+use crate::model::{Expression, Function, Model, Operator, Site};
 
 /// How an expression goes with a parameter θ > 0.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -84,41 +84,15 @@ impl Model {
     /// noise there is.
     pub(crate) fn noise_power(&self, parameter: usize) -> Option<f64> {
         let flat = |e: &Expression| matches!(e.power(parameter), Power::Zero | Power::Of(0.0));
-        let form = |form: &Linear| form.terms.iter().all(|(_, e)| flat(e)) && flat(&form.constant);
-        let moves = |motion: &Motion| match motion {
-            Motion::Constant => true,
-            Motion::Continuous { derivative: from, .. } | Motion::Discrete { next: from, .. } => form(from),
-        };
-        let starts = |initial: &Initial| match initial {
-            Initial::Known { mean, .. } => flat(mean),
-            Initial::Estimated | Initial::Stationary => true,
-        };
-        let states = self.states.iter();
-        let fixed =
-            states.clone().all(|state| moves(&state.motion) && starts(&state.initial) && state.offset.iter().all(flat))
-                && self.measurements.iter().all(|meter| form(&meter.equation) && meter.filter.iter().all(flat))
-                && self.clock.initial_time.iter().all(flat);
-        let power = self.variances().map(|variance| variance.power(parameter)).fold(Power::Zero, Power::plus);
+        let all: Vec<(Site, &Expression)> =
+            self.expressions().into_iter().filter(|(site, _)| !matches!(site, Site::Structure { .. })).collect();
+        let fixed = all.iter().all(|(site, expression)| site.is_variance() || flat(expression));
+        let variances = all.iter().filter(|(site, _)| site.is_variance());
+        let power = variances.map(|(_, variance)| variance.power(parameter)).fold(Power::Zero, Power::plus);
         match power {
             Power::Of(power) if fixed && power != 0.0 => Some(power),
             _ => None,
         }
-    }
-
-    /// Every variance and covariance but those of Σ.
-    fn variances(&self) -> impl Iterator<Item = &Expression> {
-        let driven = self.states.iter().filter_map(|state| match &state.motion {
-            Motion::Constant => None,
-            Motion::Continuous { noise_variance, .. } | Motion::Discrete { noise_variance, .. } => Some(noise_variance),
-        });
-        let known = self.states.iter().filter_map(|state| match &state.initial {
-            Initial::Known { variance, .. } => Some(variance),
-            Initial::Estimated | Initial::Stationary => None,
-        });
-        let between = self.process_noise_covariance.iter().chain(&self.noise_covariance).map(|(_, _, e)| e);
-        let measured = self.measurements.iter().map(|meter| &meter.noise_variance);
-        let added = self.covariance.known.iter().flatten().flatten();
-        driven.chain(known).chain(between).chain(measured).chain(added)
     }
 }
 

@@ -4,9 +4,7 @@
 //! standard deviation and at least zero where they are proportional to a variance. So such a parameter can be taken as positive
 //! without loss, and so can a time constant, which cannot pass through zero.
 
-use crate::model::{
-    CovarianceKind, CovarianceStructure, Expression, Initial, Linear, Model, Motion, Phase, PhasedModel,
-};
+use crate::model::{CovarianceKind, CovarianceStructure, Expression, Model, Motion, Phase, PhasedModel, Site};
 
 mod timely;
 mod variance;
@@ -76,7 +74,7 @@ pub(crate) fn roles_among(model: &PhasedModel, parameters: usize) -> Vec<Role> {
         inside.into_iter().for_each(|parameter| occurrences[parameter].push((place, expression)));
     };
     model.phases.iter().for_each(|phase| each_expression(phase, &mut note));
-    model.levels.iter().for_each(|level| each_of_matrices(&level.covariance, &mut note));
+    model.levels.iter().for_each(|level| each_of_level(&level.covariance, &mut note));
     occurrences.iter().enumerate().map(|(parameter, places)| role(parameter, places)).collect()
 }
 
@@ -131,66 +129,44 @@ fn is_time_constant(parameter: usize, occurrences: &[(Place, &Expression)]) -> b
 /// Every expression of a phase and where it stands.
 fn each_expression<'m>(phase: &'m Phase, visit: &mut dyn FnMut(Place, &'m Expression)) {
     let model = &phase.model;
-    for measurement in &model.measurements {
-        each_coefficient(&measurement.equation, &|_| Place::Elsewhere, visit);
-        measurement.filter.iter().for_each(|filter| visit(Place::Elsewhere, filter));
-        visit(Place::Variance, &measurement.noise_variance);
+    for (site, expression) in model.expressions() {
+        visit(place(model, site), expression);
     }
-    each_of_states(model, visit);
-    phase.carry.iter().for_each(|carry| each_coefficient(&carry.from, &|_| Place::Elsewhere, visit));
-    let between = model.noise_covariance.iter().chain(&model.process_noise_covariance);
-    between.for_each(|(.., covariance)| visit(Place::Covariance, covariance));
-    each_of_matrices(&model.covariance, visit);
-    model.clock.initial_time.iter().for_each(|time| visit(Place::Elsewhere, time));
-}
-
-fn each_of_states<'m>(model: &'m Model, visit: &mut dyn FnMut(Place, &'m Expression)) {
-    for (i, state) in model.states.iter().enumerate() {
-        match &state.motion {
-            Motion::Constant => {}
-            Motion::Continuous { derivative, noise_variance } => {
-                each_coefficient(derivative, &|of| Place::Derivative { own: of == Some(i) }, visit);
-                visit(Place::Variance, noise_variance);
-            }
-            Motion::Discrete { next, noise_variance } => {
-                each_coefficient(next, &|of| Place::Next { own: of == Some(i) }, visit);
-                visit(Place::Variance, noise_variance);
-            }
-        }
-        if let Initial::Known { mean, variance } = &state.initial {
-            visit(Place::Elsewhere, mean);
-            visit(Place::Variance, variance);
-        }
-        state.offset.iter().for_each(|offset| visit(Place::Elsewhere, offset));
+    for carry in &phase.carry {
+        carry.from.expressions().for_each(|expression| visit(Place::Elsewhere, expression));
     }
 }
 
-fn each_of_matrices<'m>(covariance: &'m CovarianceStructure, visit: &mut dyn FnMut(Place, &'m Expression)) {
-    let mut each = |matrix: &'m [Vec<Expression>], diagonal, beside| {
-        for (i, row) in matrix.iter().enumerate() {
-            row.iter().enumerate().for_each(|(j, entry)| visit(if i == j { diagonal } else { beside }, entry));
-        }
+fn place(model: &Model, site: Site) -> Place {
+    let moved = |state: usize, own: bool| match model.states[state].motion {
+        Motion::Discrete { .. } => Place::Next { own },
+        _ => Place::Derivative { own },
     };
-    match &covariance.kind {
-        CovarianceKind::Fixed(matrix) | CovarianceKind::Proportional(matrix) => {
-            each(matrix, Place::Variance, Place::Covariance);
-        }
-        CovarianceKind::Correlation(matrix) => each(matrix, Place::Elsewhere, Place::Elsewhere),
-        _ => {}
-    }
-    if let Some(known) = &covariance.known {
-        each(known, Place::Variance, Place::Covariance);
+    match site {
+        Site::Rate { state, from } => moved(state, state == from),
+        Site::Input(state) => moved(state, false),
+        Site::ProcessNoise(_) | Site::InitialVariance(_) | Site::Noise(_) => Place::Variance,
+        Site::ProcessCovariance | Site::NoiseCovariance => Place::Covariance,
+        Site::KnownCovariance { diagonal } => of_matrix(diagonal),
+        Site::Structure { diagonal } => of_structure(&model.covariance.kind, diagonal),
+        _ => Place::Elsewhere,
     }
 }
 
-/// The coefficients of a linear form; `place` of the state of each, `None` for the constant.
-fn each_coefficient<'m>(
-    linear: &'m Linear,
-    place: &dyn Fn(Option<usize>) -> Place,
-    visit: &mut dyn FnMut(Place, &'m Expression),
-) {
-    linear.terms.iter().for_each(|(state, coefficient)| visit(place(Some(*state)), coefficient));
-    visit(place(None), &linear.constant);
+fn of_matrix(diagonal: bool) -> Place {
+    if diagonal { Place::Variance } else { Place::Covariance }
+}
+
+fn of_structure(kind: &CovarianceKind, diagonal: bool) -> Place {
+    if matches!(kind, CovarianceKind::Correlation(_)) { Place::Elsewhere } else { of_matrix(diagonal) }
+}
+
+/// Every expression of the matrix of a level.
+fn each_of_level<'m>(covariance: &'m CovarianceStructure, visit: &mut dyn FnMut(Place, &'m Expression)) {
+    for (site, expression) in covariance.kind.expressions() {
+        let diagonal = site == Site::Structure { diagonal: true };
+        visit(of_structure(&covariance.kind, diagonal), expression);
+    }
 }
 
 #[cfg(test)]

@@ -19,6 +19,8 @@ use std::sync::Mutex;
 use statrs::distribution::{ChiSquared, ContinuousCDF, Normal, StudentsT};
 
 use crate::predict::Predicted;
+use crate::predict::root::{crossing, rising};
+use crate::predict::widths::Widths;
 
 /// How sure, of how much, and on which sides.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -183,7 +185,7 @@ impl Bounds {
         }
         let law = ChiSquared::new(spread.degrees).ok()?;
         let holds = |h: f64| over_normal(&|x| spread.beyond(&law, crossing(&|c| z * spread.at(c) - x * off / c, h)));
-        root(&holds, self.limits.confidence, s)
+        rising(&holds, self.limits.confidence, s)
     }
 
     /// h with P(Φ((m + h - m_c)/s_c) - Φ((m - h - m_c)/s_c) ≥ p) = γ.
@@ -199,119 +201,12 @@ impl Bounds {
             if s > off * 1e-9 { s * self.widths.at(off / s) } else { off }
         };
         let holds = |h: f64| over_normal(&|x| spread.beyond(&law, crossing(&|c| needed(x, c), h)));
-        root(&holds, self.limits.confidence, s)
+        rising(&holds, self.limits.confidence, s)
     }
 }
 
 fn normal() -> Normal {
     Normal::standard()
-}
-
-/// r(x) with Φ(x + r) - Φ(x - r) = p, from a table of values and slopes.
-#[derive(Debug, Clone)]
-struct Widths {
-    table: Vec<(f64, f64)>,
-    /// z_p: far out r = x + z_p.
-    quantile: f64,
-}
-
-/// Distance of the entries of the table,
-const STEP: f64 = 0.05;
-/// and their number.
-const ENTRIES: usize = 161;
-
-impl Widths {
-    fn new(content: f64) -> Widths {
-        let law = normal();
-        let entry = |k: usize| {
-            let x = STEP * k as f64;
-            let (mut low, mut high) = (0.0, x + law.inverse_cdf(0.5 * (1.0 + content)));
-            for _ in 0..60 {
-                let middle = 0.5 * (low + high);
-                let within = law.cdf(x + middle) - law.cdf(x - middle);
-                if within < content { low = middle } else { high = middle }
-            }
-            let r = 0.5 * (low + high);
-            let [near, far] = [x - r, x + r].map(|x| (-0.5 * x * x).exp());
-            (r, (near - far) / (near + far))
-        };
-        Widths { table: (0..ENTRIES).map(entry).collect(), quantile: law.inverse_cdf(content) }
-    }
-
-    fn at(&self, x: f64) -> f64 {
-        let place = x / STEP;
-        let k = place as usize;
-        if k + 1 >= self.table.len() {
-            return x + self.quantile;
-        }
-        let (t, [(a, slope_a), (b, slope_b)]) = (place - k as f64, [self.table[k], self.table[k + 1]]);
-        let (u, tt) = (1.0 - t, t * t);
-        a * (1.0 + 2.0 * t) * u * u + b * tt * (3.0 - 2.0 * t) + STEP * t * u * (slope_a * u - slope_b * t)
-    }
-}
-
-/// Where a function that falls from above comes down to a level; zero where it is below from the start. About a power of c, it is sought
-/// in logarithms.
-fn crossing(of: &dyn Fn(f64) -> f64, level: f64) -> f64 {
-    const FAR: f64 = 20.0;
-    let above = |u: f64| {
-        let found = of(u.exp());
-        if found > 0.0 { (found / level).ln() } else { f64::NEG_INFINITY }
-    };
-    let start = above(0.0);
-    if start == 0.0 {
-        return 1.0;
-    }
-    let side = if start > 0.0 { 1.0 } else { -1.0 };
-    let (mut low, mut high) = ((0.0, start), (side, above(side)));
-    while (high.1 > 0.0) == (start > 0.0) {
-        low = high;
-        high = (high.0 + 2.0 * side, above(high.0 + 2.0 * side));
-        if high.0.abs() > FAR {
-            return if side > 0.0 { f64::INFINITY } else { 0.0 };
-        }
-    }
-    // regula falsi; a side that stays counts half (Illinois)
-    for _ in 0..60 {
-        let inside = low.1.is_finite() && high.1.is_finite();
-        let middle = if inside { low.0 - low.1 * (high.0 - low.0) / (high.1 - low.1) } else { 0.5 * (low.0 + high.0) };
-        let found = above(middle);
-        if found.abs() < 1e-11 || (high.0 - low.0).abs() < 1e-11 {
-            return middle.exp();
-        }
-        if (found > 0.0) == (high.1 > 0.0) {
-            (high, low.1) = ((middle, found), 0.5 * low.1);
-        } else {
-            (low, high) = (high, (middle, found));
-        }
-    }
-    high.0.exp()
-}
-
-/// Where an increasing function that begins with zero at zero is as large as asked; `None` where it never is. `size`: of the root.
-fn root(of: &dyn Fn(f64) -> f64, wanted: f64, size: f64) -> Option<f64> {
-    let (mut low, mut high) = (1e-9 * size, size);
-    while of(high) < wanted {
-        (low, high) = (high, 2.0 * high);
-        if high > 1e9 * size {
-            return None;
-        }
-    }
-    // regula falsi; a side that stays counts half (Illinois)
-    let (mut below, mut above) = (of(low) - wanted, of(high) - wanted);
-    for _ in 0..100 {
-        let middle = if below < 0.0 && above > below { (low * above - high * below) / (above - below) } else { high };
-        let found = of(middle) - wanted;
-        if found.abs() < 1e-11 || high - low < 1e-11 * high {
-            return Some(middle);
-        }
-        if found < 0.0 {
-            (low, below, above) = (middle, found, 0.5 * above);
-        } else {
-            (high, above, below) = (middle, found, 0.5 * below);
-        }
-    }
-    Some(0.5 * (low + high))
 }
 
 /// E f(Z), Z ~ N(0, 1): the rule of trapezes, which is exact to many digits for what falls off as the normal law does.

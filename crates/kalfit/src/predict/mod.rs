@@ -8,16 +8,20 @@
 //! Nothing is measured, so that all three add up. From them come limits for the mean, and limits that a given part of all tests stays within.
 
 mod bounds;
-mod course;
 mod error;
 mod knowledge;
 mod pair;
+mod root;
+mod steps;
 #[cfg(test)]
 mod tests;
+mod trajectory;
+mod value;
+mod widths;
 
 pub use bounds::{Bounds, Limits, Sides};
 pub use error::PredictError;
-pub use knowledge::{Knowledge, Known};
+pub use knowledge::{Estimand, Knowledge};
 pub use pair::{Ellipse, Pair};
 
 use std::collections::BTreeMap;
@@ -27,8 +31,8 @@ use nalgebra::DMatrix;
 use rayon::prelude::*;
 
 use crate::model::{Alpha, Column, Expression, Linear, Measurement, Model, Operator, Phase, PhasedModel, Population};
-use crate::predict::course::{Course, Way};
-use crate::predict::knowledge::Steps;
+use crate::predict::steps::Steps;
+use crate::predict::trajectory::{Propagator, Trajectory};
 use crate::reduce::{Evidence, PhasedTest};
 
 /// A quantity that is linear in the states, as a measurement is, and that nobody measures.
@@ -181,11 +185,10 @@ impl Initial {
 #[derive(Debug)]
 pub struct Predictor {
     model: PhasedModel,
-    alpha: Alpha,
     coefficients: Vec<f64>,
     knowledge: Option<Knowledge>,
     /// The model at α, and at α with each free value moved to both sides.
-    ways: Vec<Way>,
+    propagators: Vec<Propagator>,
     steps: Steps,
 }
 
@@ -204,13 +207,8 @@ impl Predictor {
         let model = with_outputs(design, outputs);
         let steps = Steps::new(&model, alpha, knowledge.as_ref());
         let alphas = std::iter::once(alpha).chain(steps.moved());
-        let ways = alphas.map(|alpha| Way::new(&model, alpha)).collect::<Result<_, _>>()?;
-        Ok(Predictor { model, alpha: alpha.clone(), coefficients: coefficients.to_vec(), knowledge, ways, steps })
-    }
-
-    /// The values of α.
-    pub fn alpha(&self) -> &Alpha {
-        &self.alpha
+        let propagators = alphas.map(|alpha| Propagator::new(&model, alpha)).collect::<Result<_, _>>()?;
+        Ok(Predictor { model, coefficients: coefficients.to_vec(), knowledge, propagators, steps })
     }
 
     /// States and outputs of designs, phase by phase; `initial`: the law of each one's initial state.
@@ -233,10 +231,10 @@ impl Predictor {
                 return Err(PredictError::NoRows { test: design.id.clone(), phase: phase.name.clone() });
             }
         }
-        let mut ways = self.ways.iter();
-        let at = |way: &Way| way.course(&self.model, design, (initial, &self.coefficients));
-        let home = ways.next().map(at).expect("the model itself is the first way")?;
-        let sides = ways.map(at).collect::<Result<Vec<Course>, _>>()?;
+        let mut propagators = self.propagators.iter();
+        let at = |propagator: &Propagator| propagator.trajectory(&self.model, design, (initial, &self.coefficients));
+        let home = propagators.next().map(at).expect("the model itself is the first propagator")?;
+        let sides = propagators.map(at).collect::<Result<Vec<Trajectory>, _>>()?;
         let known = self.knowledge.as_ref().map(|knowledge| (knowledge, &self.steps));
         home.check(&design.id, initial)?;
         Ok(home.predictions(&sides, initial, known))

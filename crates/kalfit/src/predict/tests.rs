@@ -6,7 +6,7 @@ use crate::build::{Columns, ModelBuilder, constant, fixed, measurement, name, ph
 use crate::ensemble::Labels;
 use crate::infer::Estimated;
 use crate::model::{Alpha, Model, PhasedModel, Population};
-use crate::predict::{Initial, Knowledge, Known, Output, PhasePredictions, Predicted, Predictor, What};
+use crate::predict::{Estimand, Initial, Knowledge, Output, PhasePredictions, Predicted, Predictor, What};
 use crate::reduce::PhasedTest;
 
 const TIMES: [f64; 6] = [0.0, 0.5, 0.5, 2.0, 4.0, 4.5];
@@ -112,11 +112,11 @@ fn phases_go_on_where_the_last_one_ended() {
 fn what_estimates_leave_open_follows_by_derivatives() {
     let model = states((0.0, START), true).build().expect("a model");
     let quantities = [
-        Known::Population(Estimated::Mean(0)),
-        Known::Population(Estimated::Mean(1)),
-        Known::Population(Estimated::Covariance(1, 0)),
-        Known::Population(Estimated::Covariance(1, 1)),
-        Known::Parameter { parameter: 0, level: None },
+        Estimand::Population(Estimated::Mean(0)),
+        Estimand::Population(Estimated::Mean(1)),
+        Estimand::Population(Estimated::Covariance(1, 0)),
+        Estimand::Population(Estimated::Covariance(1, 1)),
+        Estimand::Parameter { parameter: 0, level: None },
     ];
     let root = DMatrix::from_fn(5, 5, |i, k| if k > i { 0.0 } else { 0.1 + 0.05 * (i * 5 + k) as f64 % 0.3 });
     let covariance = &root * root.transpose();
@@ -148,7 +148,7 @@ fn what_estimates_leave_open_follows_by_derivatives() {
         }
     }
     // the walk hangs on q alone, the bias on nothing that is open
-    let open = Knowledge { open: vec![Known::Parameter { parameter: 0, level: None }], ..Knowledge::exact() };
+    let open = Knowledge { open: vec![Estimand::Parameter { parameter: 0, level: None }], ..Knowledge::exact() };
     let found = predicted(&model, cells(&model, 0..TIMES.len()), open);
     let last = &found[0].steps[4].values;
     assert!(last[0].estimation.is_some(), "{:?}", last[0]);
@@ -193,7 +193,7 @@ fn degrees_of_freedom_are_lost_by_the_fit_not_by_the_place() {
         .expect("a model");
     let quantities = [Estimated::Mean(0), Estimated::Mean(1), Estimated::Coefficient(0), Estimated::Coefficient(1)];
     let knowledge = Knowledge {
-        quantities: quantities.map(Known::Population).to_vec(),
+        quantities: quantities.map(Estimand::Population).to_vec(),
         covariance: DMatrix::identity(4, 4) * 0.1,
         ..Knowledge::exact()
     };

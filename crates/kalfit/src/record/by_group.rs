@@ -56,8 +56,8 @@ pub struct GroupTestRecord {
 /// A test with two texts in the column of groups.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "test `{test}` has `{first}` and `{second}` in column `{column}`, expected one text in all its rows, because `[data] group` \
-     names this column"
+    "test `{test}` has `{first}` and `{second}` in column `{column}`, expected one text in all its rows, because tests are grouped by \
+     this column"
 )]
 pub struct MixedGroup {
     /// Id of the test.
@@ -71,7 +71,7 @@ pub struct MixedGroup {
 }
 
 /// The group of each test, as tests are read.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct TestGroups {
     column: usize,
     name: String,

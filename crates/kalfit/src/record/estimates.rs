@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::ensemble::Labels;
 use crate::infer::{EstimateCovariance, Estimated};
 use crate::model::{PhasedModel, Slots};
-use crate::predict::{Knowledge, Known};
+use crate::predict::{Estimand, Knowledge};
 use crate::record::cut::Cut;
 use crate::record::{FitRecord, ParameterRecord, SquareRecord};
 
@@ -95,16 +95,16 @@ impl FitRecord {
         if record.covariance.size() != size {
             return None;
         }
-        let mut of: HashMap<String, Known> =
-            names(model).into_iter().map(|(one, name)| (name, Known::Population(one))).collect();
+        let mut of: HashMap<String, Estimand> =
+            names(model).into_iter().map(|(one, name)| (name, Estimand::Population(one))).collect();
         for ParameterRecord { name, level, .. } in &self.parameters {
             let parameter = model.shared().parameters.iter().position(|parameter| parameter.name == *name);
             if let Some(parameter) = parameter {
-                let known = Known::Parameter { parameter, level: level.clone() };
+                let known = Estimand::Parameter { parameter, level: level.clone() };
                 of.insert(parameter_name(name, level.as_deref()), known);
             }
         }
-        let all = |names: &[String]| names.iter().map(|name| of.get(name).cloned()).collect::<Option<Vec<Known>>>();
+        let all = |names: &[String]| names.iter().map(|name| of.get(name).cloned()).collect::<Option<Vec<Estimand>>>();
         let covariance = DMatrix::from_fn(size, size, |i, k| record.covariance[i][k]);
         let [quantities, open, at_zero] = [&record.names, &record.open, &record.at_zero].map(|names| all(names));
         let is_restricted = self.criterion == "reml";

@@ -2,6 +2,7 @@
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, G = P h, K, T, S")]
 
 use kalfit_lanes::Real;
+use nalgebra::{DMatrix, DMatrixView};
 
 use crate::reduce::Transition;
 use crate::score::backward::line::{Line, Unknown, dot};
@@ -39,6 +40,21 @@ impl<'a, T> Seen<'a, T> {
         let (x, rest) = kept.split_at(n);
         let (P, Psi) = rest.split_at(r * r);
         Seen { x, P, Psi }
+    }
+}
+
+impl Seen<'_> {
+    /// Ψ, n × q.
+    pub(crate) fn sensitivity(&self) -> DMatrix<f64> {
+        let n = self.x.len();
+        DMatrix::from_row_slice(n, self.Psi.len() / n.max(1), self.Psi)
+    }
+
+    /// Adds P, which is zero beyond the noisy states, to a covariance of all states.
+    pub(crate) fn add_noise(&self, covariance: &mut DMatrix<f64>) {
+        let r = self.P.len().isqrt();
+        let mut noisy = covariance.view_mut((0, 0), (r, r));
+        noisy += DMatrixView::from_slice(self.P, r, r); // symmetric
     }
 }
 

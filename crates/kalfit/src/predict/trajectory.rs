@@ -9,14 +9,15 @@ use nalgebra::{DMatrix, DVector};
 use crate::apply::{Form, Record, Subject};
 use crate::ensemble::Test;
 use crate::model::{Alpha, PhasedModel};
-use crate::predict::knowledge::Steps;
+use crate::predict::steps::Steps;
+use crate::predict::value::Value;
 use crate::predict::{Initial, Knowledge, PhasePredictions, PredictError, Predicted, StepPredictions, What};
 use crate::reduce::{Evidence, PhasedReducer, PhasedTest, PhasedWork, Terminal, own_innovations};
 use crate::score::{BackwardWork, Moments, Run, Seen, Wanted};
 
 /// The model at one α.
 #[derive(Debug)]
-pub(super) struct Way {
+pub(super) struct Propagator {
     reducer: PhasedReducer,
 }
 
@@ -31,52 +32,31 @@ struct Entering {
 
 /// All values of a design.
 #[derive(Debug)]
-pub(super) struct Course {
-    phases: Vec<PhaseCourse>,
+pub(super) struct Trajectory {
+    phases: Vec<PhaseTrajectory>,
 }
 
 /// Rows of a step among those of the phase, its time, and its values.
 type StepValues = (Range<usize>, Option<f64>, Vec<Value>);
 
 #[derive(Debug)]
-struct PhaseCourse {
+struct PhaseTrajectory {
     phase: usize,
     steps: Vec<StepValues>,
 }
 
-/// One value.
-#[derive(Debug)]
-pub(super) struct Value {
-    what: What,
-    row: usize,
-    pub(super) mean: f64,
-    /// By (ξ, γ).
-    pub(super) sensitivity: DVector<f64>,
-    /// Variance by process noise.
-    pub(super) process: f64,
-}
-
-impl Value {
-    /// g'Σg.
-    pub(super) fn population(&self, covariance: &DMatrix<f64>) -> f64 {
-        let own = self.sensitivity.rows(0, covariance.nrows());
-        let variance = own.dot(&(covariance * own));
-        if variance < 0.0 { 0.0 } else { variance }
-    }
-}
-
-impl Way {
-    pub(super) fn new(model: &PhasedModel, alpha: &Alpha) -> Result<Way, PredictError> {
-        Ok(Way { reducer: PhasedReducer::new(model, alpha)? })
+impl Propagator {
+    pub(super) fn new(model: &PhasedModel, alpha: &Alpha) -> Result<Propagator, PredictError> {
+        Ok(Propagator { reducer: PhasedReducer::new(model, alpha)? })
     }
 
     /// Follows a design phase by phase.
-    pub(super) fn course(
+    pub(super) fn trajectory(
         &self,
         model: &PhasedModel,
         design: &PhasedTest,
         (initial, coefficients): (&Initial, &[f64]),
-    ) -> Result<Course, PredictError> {
+    ) -> Result<Trajectory, PredictError> {
         let mut work = self.reducer.workspace();
         let mut phases = Vec::with_capacity(design.phases.len());
         let mut before: Option<(Entering, Terminal)> = None;
@@ -85,12 +65,12 @@ impl Way {
             let Evidence::Rows(rows) = evidence else { break };
             let own = (ranges[at].clone(), regression);
             regression += model.phases[at].model.mean.regression.len();
-            let (course, end) =
+            let (trajectory, end) =
                 self.phase((model, at), rows, (initial, coefficients, own), before.as_ref(), &mut work)?;
-            phases.push(course);
+            phases.push(trajectory);
             before = end;
         }
-        Ok(Course { phases })
+        Ok(Trajectory { phases })
     }
 
     fn phase(
@@ -100,7 +80,7 @@ impl Way {
         (initial, coefficients, (elements, regression)): (&Initial, &[f64], (Range<usize>, usize)),
         before: Option<&(Entering, Terminal)>,
         work: &mut PhasedWork,
-    ) -> Result<(PhaseCourse, Option<(Entering, Terminal)>), PredictError> {
+    ) -> Result<(PhaseTrajectory, Option<(Entering, Terminal)>), PredictError> {
         let phase = &self.reducer.phases()[at];
         let (blank, read) = (filled(rows, f64::NAN), filled(rows, 0.0));
         let inherited = before.map(|before| Ok::<_, PredictError>((before, phase.inherited(&blank, &mut work.cells)?)));
@@ -130,17 +110,17 @@ impl Way {
             let unknown = Moments::of(&DVector::zeros(q), &DMatrix::identity(q, q));
             let run = Run::of((work, gains), (&unknown, None), Wanted { motion: true, equation: false });
             let mut steps = forms.into_iter();
-            let mut course = Vec::with_capacity(work.design.steps());
+            let mut trajectory = Vec::with_capacity(work.design.steps());
             run.forth(&mut BackwardWork::default(), &work.pass.e, |_, measured, seen| {
                 if !measured && let Some((rows, time, forms)) = steps.next() {
                     let state = Reached::new(seen, &entering);
                     let values = forms.iter().map(|(subject, form)| state.value((*subject, rows.start), form));
-                    course.push((rows.clone(), time, values.collect()));
+                    trajectory.push((rows.clone(), time, values.collect()));
                 }
             });
             let states = &phase.reducer.preparer().order.states;
             let end = gains.end.as_ref().map(|end| end.terminal(states, &work.pass.x));
-            (PhaseCourse { phase: at, steps: course }, end.map(|end| (entering, end)))
+            (PhaseTrajectory { phase: at, steps: trajectory }, end.map(|end| (entering, end)))
         };
         phase.reducer.with_gains(&blank, &mut work.phases[at], follow).map_err(|error| phase.named(error).into())
     }
@@ -182,15 +162,9 @@ struct Reached {
 
 impl Reached {
     fn new(seen: Seen<'_>, entering: &Entering) -> Reached {
-        let (n, q) = (seen.x.len(), entering.mean.len());
-        let Psi = DMatrix::from_row_slice(n, q, seen.Psi);
-        let r = seen.P.len().isqrt();
+        let Psi = seen.sensitivity();
         let mut covariance = &Psi * &entering.covariance * Psi.transpose();
-        for i in 0..r {
-            for k in 0..r {
-                covariance[(i, k)] += seen.P[i * r + k];
-            }
-        }
+        seen.add_noise(&mut covariance);
         Reached {
             mean: DVector::from_column_slice(seen.x) + &Psi * &entering.mean,
             sensitivity: Psi * &entering.sensitivity,
@@ -213,7 +187,7 @@ impl Reached {
     }
 }
 
-impl Course {
+impl Trajectory {
     /// Refuses values beyond all numbers.
     pub(super) fn check(&self, test: &str, initial: &Initial) -> Result<(), PredictError> {
         let all = self.phases.iter().flat_map(|phase| &phase.steps).flat_map(|(.., values)| values);
@@ -229,10 +203,10 @@ impl Course {
         Ok(())
     }
 
-    /// What is known of every value. `sides`: the courses at the α of each step to both sides.
+    /// What is known of every value. `sides`: the trajectories at the α of each step to both sides.
     pub(super) fn predictions(
         &self,
-        sides: &[Course],
+        sides: &[Trajectory],
         initial: &Initial,
         known: Option<(&Knowledge, &Steps)>,
     ) -> Vec<PhasePredictions> {
@@ -249,7 +223,7 @@ impl Course {
                 estimation: known.and_then(|(knowledge, steps)| steps.estimation(knowledge, initial, value, &beside)),
             }
         };
-        let of_phase = |(place, phase): (usize, &PhaseCourse)| {
+        let of_phase = |(place, phase): (usize, &PhaseTrajectory)| {
             let step = |(number, (rows, time, values)): (usize, &StepValues)| {
                 let all = values.iter().enumerate().map(|(at, value)| predicted(place, number, at, value));
                 StepPredictions { rows: rows.clone(), time: *time, values: all.collect() }

@@ -1,0 +1,14 @@
+//! What can be estimated.
+
+/// One number that was estimated.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Estimated {
+    /// Of μ.
+    Mean(usize),
+    /// A regression coefficient.
+    Coefficient(usize),
+    /// Of Σ, i ≥ j.
+    Covariance(usize, usize),
+    /// A free value of α, by its slot.
+    Value(usize),
+}

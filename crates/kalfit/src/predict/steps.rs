@@ -1,0 +1,238 @@
+//! The delta method: values at α with each free value moved to both sides, and what errors of the estimates make of them.
+
+use std::ops::Range;
+
+use nalgebra::DVector;
+
+use crate::ensemble::Label;
+use crate::infer::Estimated;
+use crate::model::{Alpha, Level, Phase, PhasedModel};
+use crate::predict::knowledge::{Estimand, Knowledge};
+use crate::predict::value::Value;
+use crate::predict::{Estimation, Initial};
+
+/// A step of a free value is this part of its standard error,
+const PART: f64 = 1e-3;
+/// and at most this part of the value.
+const MOST: f64 = 1e-3;
+/// What hangs on something that is not determined by less than this part does not hang on it.
+const FAINT: f64 = 1e-9;
+
+/// Free values of α moved to both sides, for derivatives.
+#[derive(Debug)]
+pub(super) struct Steps {
+    /// Of each quantity, and then of each one that is open: (place of its lower side among `moved`, distance of the sides).
+    places: Vec<Option<(usize, f64)>>,
+    /// Of each noise level that was estimated as zero, its place among `moved`, where it is one.
+    probes: Vec<usize>,
+    /// (element, column) of each regression coefficient.
+    regressions: Vec<(usize, usize)>,
+    moved: Vec<Alpha>,
+}
+
+impl Steps {
+    pub(super) fn new(model: &PhasedModel, alpha: &Alpha, knowledge: Option<&Knowledge>) -> Steps {
+        let of_phase = |(phase, range): (&Phase, Range<usize>)| {
+            let own = phase.model.mean.regression.iter();
+            own.map(move |regression| (range.start + regression.element, regression.column)).collect::<Vec<_>>()
+        };
+        let regressions = model.phases.iter().zip(model.ranges()).flat_map(of_phase).collect();
+        let mut steps = Steps { places: Vec::new(), probes: Vec::new(), regressions, moved: Vec::new() };
+        let Some(knowledge) = knowledge else { return steps };
+        let errors = (0..knowledge.quantities.len()).map(|i| Some(knowledge.covariance[(i, i)].max(0.0).sqrt()));
+        let all = knowledge.quantities.iter().zip(errors).chain(knowledge.open.iter().map(|open| (open, None)));
+        for (known, error) in all {
+            let place = match known {
+                Estimand::Population(_) => None,
+                Estimand::Parameter { parameter, level } => {
+                    steps.both_sides(model, alpha, (*parameter, level.as_deref()), error)
+                }
+            };
+            steps.places.push(place);
+        }
+        for known in &knowledge.at_zero {
+            let Estimand::Parameter { parameter, level } = known else { continue };
+            let mut alpha = alpha.clone();
+            if let Some(own) = value(model, &mut alpha, (*parameter, level.as_deref())) {
+                *own = 1.0;
+                steps.probes.push(steps.moved.len());
+                steps.moved.push(alpha);
+            }
+        }
+        steps
+    }
+
+    /// Whether a free variance or noise level that was estimated as zero would be seen in a value.
+    pub(super) fn hangs_on_zero(
+        &self,
+        knowledge: &Knowledge,
+        initial: &Initial,
+        value: &Value,
+        sides: &[&Value],
+    ) -> bool {
+        let p = initial.mean.len();
+        let own = value.sensitivity.rows(0, p);
+        let is_seen = |known: &Estimand| match *known {
+            Estimand::Population(Estimated::Covariance(i, _)) => {
+                initial.levels.contains(&(i / p)) && own[i % p].abs() > FAINT * own.amax()
+            }
+            _ => false,
+        };
+        let variance = |side: &Value| side.population(&initial.covariance) + side.process;
+        let moves = |&place: &usize| variance(sides[place]) > variance(value) * (1.0 + FAINT);
+        knowledge.at_zero.iter().any(is_seen) || self.probes.iter().any(moves)
+    }
+
+    pub(super) fn moved(&self) -> impl Iterator<Item = &Alpha> {
+        self.moved.iter()
+    }
+
+    fn both_sides(
+        &mut self,
+        model: &PhasedModel,
+        alpha: &Alpha,
+        (parameter, level): (usize, Option<&str>),
+        error: Option<f64>,
+    ) -> Option<(usize, f64)> {
+        let value = *value(model, &mut alpha.clone(), (parameter, level))?;
+        let size = if value == 0.0 { 1.0 } else { value.abs() };
+        let step = error.map_or(MOST * size, |error| (PART * error).min(MOST * size));
+        if step <= 0.0 {
+            return None;
+        }
+        let place = self.moved.len();
+        let mut sides = [value - step, value + step];
+        sides.iter_mut().for_each(|side| {
+            let mut alpha = alpha.clone();
+            if let Some(own) = self::value(model, &mut alpha, (parameter, level)) {
+                *own = *side;
+            }
+            self.moved.push(alpha);
+        });
+        Some((place, sides[1] - sides[0]))
+    }
+
+    /// Variances of the estimates of a value's mean and variance over tests; `sides`: the value at each α that is moved. `None` where it hangs
+    /// on what the data do not determine.
+    pub(super) fn estimation(
+        &self,
+        knowledge: &Knowledge,
+        initial: &Initial,
+        value: &Value,
+        sides: &[&Value],
+    ) -> Option<Estimation> {
+        let of = Slopes::new(self, initial, value, sides);
+        let count = knowledge.quantities.len();
+        if knowledge.open.iter().enumerate().any(|(k, open)| of.is_moved_by(count + k, open)) {
+            return None;
+        }
+        let all: Vec<[f64; 3]> = knowledge.quantities.iter().enumerate().map(|(at, one)| of.by(at, one)).collect();
+        let variance = |of: &dyn Fn(&[f64; 3]) -> f64| {
+            let gradient = DVector::from_iterator(count, all.iter().map(of));
+            gradient.dot(&(&knowledge.covariance * &gradient))
+        };
+        let found =
+            [variance(&|slopes| slopes[0]), variance(&|slopes| slopes[1] + slopes[2]), variance(&|slopes| slopes[1])];
+        let [mean, variance, population] = found.map(|x| if x < 0.0 { 0.0 } else { x });
+        let is_known = mean.is_finite() && variance.is_finite() && population.is_finite();
+        is_known.then_some(Estimation {
+            mean,
+            variance,
+            population,
+            lost: self.means(knowledge, &of),
+            is_restricted: knowledge.is_restricted,
+            tests: knowledge.tests,
+        })
+    }
+
+    /// How many numbers of a value's mean were estimated: one for the means of the states in it, whatever they are, and one for each column
+    /// that means are regressed on.
+    fn means(&self, knowledge: &Knowledge, of: &Slopes<'_>) -> usize {
+        let is_in = |element: usize| of.own[element].abs() > FAINT * of.own.amax();
+        let mut columns: Vec<usize> = Vec::new();
+        let mut means = 0;
+        for estimand in &knowledge.quantities {
+            match *estimand {
+                Estimand::Population(Estimated::Mean(i)) if i < of.own.len() && is_in(i) => means = 1,
+                Estimand::Population(Estimated::Coefficient(c)) if is_in(self.regressions[c].0) => {
+                    columns.push(self.regressions[c].1);
+                }
+                _ => {}
+            }
+        }
+        columns.sort_unstable();
+        columns.dedup();
+        means + columns.len()
+    }
+}
+
+/// The derivatives of one value by what was estimated.
+struct Slopes<'a> {
+    steps: &'a Steps,
+    initial: &'a Initial,
+    value: &'a Value,
+    sides: &'a [&'a Value],
+    /// By ξ, and by μ.
+    own: DVector<f64>,
+    by_mean: DVector<f64>,
+}
+
+impl<'a> Slopes<'a> {
+    fn new(steps: &'a Steps, initial: &'a Initial, value: &'a Value, sides: &'a [&'a Value]) -> Slopes<'a> {
+        let own = value.sensitivity.rows(0, initial.mean.len()).into_owned();
+        let by_mean = initial.shrinkage.as_ref().map_or(own.clone(), |shrinkage| shrinkage.transpose() * &own);
+        Slopes { steps, initial, value, sides, own, by_mean }
+    }
+
+    /// By an estimand of this number: of the mean, of the variance by the initial state, of that by process noise.
+    fn by(&self, at: usize, estimand: &Estimand) -> [f64; 3] {
+        let p = self.own.len();
+        match *estimand {
+            Estimand::Population(Estimated::Mean(i)) => [self.by_mean.get(i).copied().unwrap_or(0.0), 0.0, 0.0],
+            Estimand::Population(Estimated::Coefficient(c)) => [self.value.sensitivity[p + c], 0.0, 0.0],
+            Estimand::Population(Estimated::Covariance(i, j)) if self.initial.levels.contains(&(i / p)) => {
+                let both = if i == j { 1.0 } else { 2.0 };
+                [0.0, both * self.own[i % p] * self.own[j % p], 0.0]
+            }
+            Estimand::Population(_) => [0.0; 3],
+            Estimand::Parameter { .. } => {
+                let Some((place, width)) = self.steps.places[at] else { return [0.0; 3] };
+                let [below, above] = [self.sides[place], self.sides[place + 1]];
+                let slope = |of: &dyn Fn(&Value) -> f64| (of(above) - of(below)) / width;
+                let population = |side: &Value| side.population(&self.initial.covariance);
+                [slope(&|side| side.mean), slope(&population), slope(&|side| side.process)]
+            }
+        }
+    }
+
+    /// Whether a value hangs on an estimand of this number.
+    fn is_moved_by(&self, at: usize, estimand: &Estimand) -> bool {
+        let size = self.own.amax();
+        if let Estimand::Population(_) = estimand {
+            let found = self.by(at, estimand);
+            return found[0].abs() > FAINT * size || found[1].abs() > FAINT * size.powi(2);
+        }
+        let Some((place, _)) = self.steps.places[at] else { return false };
+        let [below, above] = [self.sides[place], self.sides[place + 1]];
+        let variance = |side: &Value| side.population(&self.initial.covariance) + side.process;
+        let moves = |of: &dyn Fn(&Value) -> f64, size: f64| (of(above) - of(below)).abs() > FAINT * MOST * size;
+        moves(&|side| side.mean, self.value.mean.abs() + size) || moves(&variance, variance(self.value))
+    }
+}
+
+/// The value of a parameter at a level; `None` where α has none of its own there.
+fn value<'a>(
+    model: &PhasedModel,
+    alpha: &'a mut Alpha,
+    (parameter, level): (usize, Option<&str>),
+) -> Option<&'a mut f64> {
+    match (alpha.values.get_mut(parameter)?, level) {
+        (Level::Common(value), None) => Some(value),
+        (Level::Each { values, .. }, Some(text)) => {
+            let literal = model.shared().literals.iter().position(|literal| literal == text)?;
+            values.get_mut(&Label::literal(literal))
+        }
+        (Level::Each { other, .. }, None) => other.as_mut(),
+        (Level::Common(_), Some(_)) => None,
+    }
+}
