@@ -222,9 +222,21 @@ fn mistakes_are_said_plainly() {
         _ => format!("{line}\n"),
     });
     folder.write("empty.csv", empty.collect::<String>().as_bytes());
-    assert_snapshot!(run("units.toml empty.csv"), @"");
+    assert_snapshot!(run("units.toml empty.csv"), @r#"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: nothing was measured in any test
+    "#);
     let output = folder.run_with_input("validate m.toml - --against units.toml", full.as_bytes());
-    assert_snapshot!(shown(&output), @"");
+    assert_snapshot!(shown(&output), @r#"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: standard input can be read only once, and `--against` validates a second model on the same data
+
+    hint: put the data in a file, and name it in the place of `-`
+    "#);
     assert_snapshot!(run("m.toml d.csv --folds 1"), @r#"
     exit 2
     ----- stdout
