@@ -2,8 +2,14 @@
 
 use std::path::PathBuf;
 
-use clap::{Args as Group, Parser, Subcommand, ValueEnum};
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use clap::{ArgAction, Args as Group, Parser, Subcommand};
 use clap_complete::Shell;
+use kalfit::apply::StateKind;
+use kalfit::estimate::{Combination, Criterion, Solver};
+use kalfit::infer::{DeletionChoice, IntervalKind, StdErrors};
+use kalfit_job::words::{self, Word};
+use kalfit_job::{Form, Search, Units};
 
 use crate::examples;
 use crate::templates::Template;
@@ -125,8 +131,8 @@ pub(crate) struct FitArgs {
     pub(crate) report: Option<PathBuf>,
 
     /// How free dynamic parameters are sought
-    #[arg(long, value_enum, default_value_t = MethodArg::Hybrid)]
-    pub(crate) method: MethodArg,
+    #[arg(long, value_parser = one_of(words::METHODS), default_value = words::METHODS[0].word)]
+    pub(crate) method: Search,
 
     /// Random starts of the search for dynamic parameters, besides the one worked out from the data [default: 0]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
@@ -137,16 +143,16 @@ pub(crate) struct FitArgs {
     pub(crate) seed: Option<u64>,
 
     /// How the mean and the covariance are sought
-    #[arg(long, value_enum, default_value_t = SolverArg::Newton)]
-    pub(crate) solver: SolverArg,
+    #[arg(long, value_parser = one_of(words::SOLVERS), default_value = words::SOLVERS[0].word)]
+    pub(crate) solver: Solver,
 
     /// What is maximised
-    #[arg(long, value_enum, default_value_t = CriterionArg::Ml)]
-    pub(crate) criterion: CriterionArg,
+    #[arg(long, value_parser = one_of(words::CRITERIA), default_value = words::CRITERIA[0].word)]
+    pub(crate) criterion: Criterion,
 
     /// How tests in several phases are put together
-    #[arg(long, value_enum, default_value_t = PhasesArg::Chain)]
-    pub(crate) phases: PhasesArg,
+    #[arg(long, value_parser = one_of(words::PHASES), default_value = words::PHASES[0].word)]
+    pub(crate) phases: Combination,
 
     /// Stop within this many standard errors of the optimum [default: 1e-8]
     #[arg(long, value_name = "T", value_parser = tolerance)]
@@ -157,20 +163,21 @@ pub(crate) struct FitArgs {
     pub(crate) max_iterations: Option<u32>,
 
     /// What 95 % intervals are made of
-    #[arg(long, value_enum, default_value_t = IntervalsArg::Wald)]
-    pub(crate) intervals: IntervalsArg,
+    #[arg(long, value_parser = one_of(words::INTERVALS), default_value = words::INTERVALS[0].word)]
+    pub(crate) intervals: IntervalKind,
 
     /// What standard errors are made of
-    #[arg(long, value_enum, default_value_t = StdErrorsArg::Observed)]
-    pub(crate) std_errors: StdErrorsArg,
+    #[arg(long, value_parser = one_of(words::STD_ERRORS), default_value = words::STD_ERRORS[0].word)]
+    pub(crate) std_errors: StdErrors,
 
     /// Whether to fit again without each test in turn
-    #[arg(long, value_enum, default_value_t = DeletionArg::Auto)]
-    pub(crate) deletion: DeletionArg,
+    #[arg(long, value_parser = one_of(words::DELETIONS), default_value = words::DELETIONS[0].word)]
+    pub(crate) deletion: DeletionChoice,
 
     /// Look at each test's innovations after the fit: is the model right for it
-    #[arg(long, value_enum, value_name = "WHEN", default_value_t = InnovationsArg::On)]
-    pub(crate) innovations: InnovationsArg,
+    #[arg(long, value_parser = one_of(words::INNOVATIONS), value_name = "WHEN", default_value = words::INNOVATIONS[0].word,
+          action = ArgAction::Set)]
+    pub(crate) innovations: bool,
 
     /// Fit each group of `[data] group` by itself too, and say whether the groups differ
     #[arg(long)]
@@ -352,22 +359,12 @@ pub(crate) struct ApplyArgs {
     pub(crate) states: Option<PathBuf>,
 
     /// What the states of a step are told from [default: smoothed]
-    #[arg(long, value_enum, requires = "states")]
-    pub(crate) kind: Option<KindArg>,
+    #[arg(long, value_parser = one_of(words::KINDS), requires = "states")]
+    pub(crate) kind: Option<StateKind>,
 
     /// Print nothing but errors
     #[arg(long)]
     pub(crate) quiet: bool,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum KindArg {
-    /// From all of the test
-    Smoothed,
-    /// From what was measured up to the step
-    Filtered,
-    /// From what was measured before the step
-    Predicted,
 }
 
 #[derive(Debug, Group)]
@@ -397,8 +394,8 @@ pub(crate) struct ValidateArgs {
     pub(crate) against: Option<PathBuf>,
 
     /// What the fits maximise
-    #[arg(long, value_enum, default_value_t = CriterionArg::Ml)]
-    pub(crate) criterion: CriterionArg,
+    #[arg(long, value_parser = one_of(words::CRITERIA), default_value = words::CRITERIA[0].word)]
+    pub(crate) criterion: Criterion,
 
     /// File for all results, as JSON
     #[arg(long, value_name = "FILE")]
@@ -440,8 +437,8 @@ pub(crate) struct PredictArgs {
     pub(crate) one_sided: bool,
 
     /// Whose tests they are, where tests stand in groups
-    #[arg(long, value_enum, default_value_t = UnitsArg::New)]
-    pub(crate) units: UnitsArg,
+    #[arg(long, value_parser = one_of(words::UNITS), default_value = words::UNITS[0].word)]
+    pub(crate) units: Units,
 
     /// File for a table of all states and outputs at every row. `.parquet`, `.arrow`, `.csv` or `.tsv`
     #[arg(long, value_name = "FILE")]
@@ -450,14 +447,6 @@ pub(crate) struct PredictArgs {
     /// Print nothing but errors
     #[arg(long)]
     pub(crate) quiet: bool,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum UnitsArg {
-    /// Of units that nobody has seen
-    New,
-    /// Of units that the fit knows, by their names in the design
-    Known,
 }
 
 /// A number from a half to less than 1.
@@ -489,8 +478,8 @@ pub(crate) struct ExportArgs {
     pub(crate) phase: Option<String>,
 
     /// What to write [default: as the ending of the file says: `.json`, `.npz`, `.mat`, `.h` or `.py`]
-    #[arg(long = "as", value_enum, value_name = "FORM")]
-    pub(crate) form: Option<FormArg>,
+    #[arg(long = "as", value_parser = one_of(words::FORMS), value_name = "FORM")]
+    pub(crate) form: Option<Form>,
 
     /// File for the filter
     #[arg(long, value_name = "FILE")]
@@ -499,20 +488,6 @@ pub(crate) struct ExportArgs {
     /// Print nothing but errors
     #[arg(long)]
     pub(crate) quiet: bool,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum FormArg {
-    /// Text for any program
-    Json,
-    /// Arrays of numpy
-    Npz,
-    /// Variables of Matlab and Octave
-    Mat,
-    /// A header for C and C++
-    C,
-    /// A module that needs numpy alone
-    Python,
 }
 
 #[derive(Debug, Group)]
@@ -581,78 +556,13 @@ pub(crate) struct ReportArgs {
     pub(crate) quiet: bool,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum MethodArg {
-    /// Mean and covariance are solved for each value of the parameters, which an outer search moves
-    Hybrid,
-    /// Maximum likelihood of the innovations, jointly in all that is free
-    Innovations,
-    /// EM on the states and noises: many more steps, to the same point
-    Em,
-    /// All three, side by side; the results are those of `hybrid`
-    All,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum SolverArg {
-    /// Newton's method with the exact Hessian, safeguarded by EM
-    Newton,
-    /// The EM algorithm: many more passes, to the same point
-    Em,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum IntervalsArg {
-    /// Standard errors
-    Wald,
-    /// Profile likelihood: what a likelihood-ratio test at 5 % does not reject
-    Profile,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum StdErrorsArg {
-    /// The curvature of the log-likelihood
-    Observed,
-    /// Its expectation
-    Expected,
-    /// Both, and the spread of the tests' scores: right also for a wrong model, given many tests
-    Sandwich,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum DeletionArg {
-    /// When it takes about a second at most
-    Auto,
-    /// Whatever it takes
-    All,
-    /// Never
-    None,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum CriterionArg {
-    /// The likelihood of the mean and the covariance
-    Ml,
-    /// The restricted likelihood of the covariance, whose estimate does not shrink when tests are few
-    Reml,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum PhasesArg {
-    /// Phase by phase: exact, at a cost that is linear in the number of phases
-    Chain,
-    /// Each phase by itself: the correlation between phases is ignored, and information with it
-    Marginal,
-    /// As one large test: exact, the reference
-    Stacked,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum InnovationsArg {
-    /// Look at them; large data are read a second time
-    On,
-    /// Leave them out, and read the data once
-    Off,
+/// One of the words of an option, each with its help.
+fn one_of<T: Copy + Send + Sync + 'static>(words: &'static [Word<T>]) -> impl TypedValueParser<Value = T> {
+    let known = words.iter().map(|own| PossibleValue::new(own.word).help(own.help));
+    PossibleValuesParser::new(known).try_map(move |text| {
+        let own = words.iter().find(|own| own.word == text);
+        own.map(|own| own.means).ok_or("no such word")
+    })
 }
 
 fn tolerance(text: &str) -> Result<f64, String> {

@@ -5,19 +5,18 @@ use std::path::PathBuf;
 use clap_complete::Shell;
 use kalfit::apply::StateKind;
 use kalfit::dynamic::{self, Method};
-use kalfit::estimate::{Combination, Criterion, Settings, Solver};
-use kalfit::infer::{Bootstrap, Choices, DeletionChoice, IntervalKind, StdErrors, TestsChoice};
+use kalfit::estimate::{Settings, Solver};
+use kalfit::infer::{Bootstrap, Choices, TestsChoice};
 use kalfit::predict::{Limits, Sides};
 use kalfit_data::Datum;
 use kalfit_job::{
-    ApplyJob, CheckJob, CompareJob, DatasheetJob, ExchangeJob, ExportJob, Failure, FitJob, FoldsOf, Form, ModelJob,
-    PlanJob, PredictJob, ReportJob, SimulateJob, TestJob, Units, ValidateJob,
+    ApplyJob, CheckJob, CompareJob, DatasheetJob, ExchangeJob, ExportJob, Failure, FitJob, FoldsOf, ModelJob, PlanJob,
+    PredictJob, ReportJob, SimulateJob, TestJob, ValidateJob,
 };
 
 use crate::args::{
-    ApplyArgs, Args, CheckArgs, Command, CompareArgs, CriterionArg, DatasheetArgs, DeletionArg, ExchangeArgs,
-    ExportArgs, FitArgs, FormArg, InnovationsArg, IntervalsArg, KindArg, MethodArg, ModelArgs, PhasesArg, PlanArgs,
-    PredictArgs, ReportArgs, SimulateArgs, SolverArg, StdErrorsArg, TestArgs, UnitsArg, ValidateArgs,
+    ApplyArgs, Args, CheckArgs, Command, CompareArgs, DatasheetArgs, ExchangeArgs, ExportArgs, FitArgs, ModelArgs,
+    PlanArgs, PredictArgs, ReportArgs, SimulateArgs, TestArgs, ValidateArgs,
 };
 use crate::ended::{Ended, Outcome};
 use crate::init::InitJob;
@@ -139,11 +138,8 @@ impl From<ModelArgs> for ModelJob {
 }
 
 /// Settings of a solver with what was asked for.
-fn settings(solver: SolverArg, tolerance: Option<f64>, passes: Option<u32>) -> Settings {
-    let mut settings = Settings::of(match solver {
-        SolverArg::Newton => Solver::Newton,
-        SolverArg::Em => Solver::Em,
-    });
+fn settings(solver: Solver, tolerance: Option<f64>, passes: Option<u32>) -> Settings {
+    let mut settings = Settings::of(solver);
     settings.tolerance = tolerance.unwrap_or(settings.tolerance);
     settings.max_passes = passes.map_or(settings.max_passes, |passes| passes as usize);
     settings
@@ -158,7 +154,7 @@ impl From<TestArgs> for TestJob {
             null: args.null.into(),
             bootstrap: args.bootstrap.map(|n| Bootstrap { replicates: n as usize, seed }),
             out: args.out,
-            settings: settings(SolverArg::Newton, args.tolerance, args.max_iterations),
+            settings: settings(Solver::Newton, args.tolerance, args.max_iterations),
         }
     }
 }
@@ -166,30 +162,12 @@ impl From<TestArgs> for TestJob {
 impl From<FitArgs> for FitJob {
     fn from(args: FitArgs) -> FitJob {
         let mut settings = settings(args.solver, args.tolerance, args.max_iterations);
-        settings.criterion = match args.criterion {
-            CriterionArg::Ml => Criterion::Ml,
-            CriterionArg::Reml => Criterion::Reml,
-        };
-        settings.phases = match args.phases {
-            PhasesArg::Chain => Combination::Chain,
-            PhasesArg::Marginal => Combination::Marginal,
-            PhasesArg::Stacked => Combination::Stacked,
-        };
+        settings.criterion = args.criterion;
+        settings.phases = args.phases;
         let choices = Choices {
-            std_errors: match args.std_errors {
-                StdErrorsArg::Observed => StdErrors::Observed,
-                StdErrorsArg::Expected => StdErrors::Expected,
-                StdErrorsArg::Sandwich => StdErrors::Sandwich,
-            },
-            intervals: match args.intervals {
-                IntervalsArg::Wald => IntervalKind::Wald,
-                IntervalsArg::Profile => IntervalKind::Profile,
-            },
-            deletion: match args.deletion {
-                DeletionArg::Auto => DeletionChoice::Cheap,
-                DeletionArg::All => DeletionChoice::All,
-                DeletionArg::None => DeletionChoice::None,
-            },
+            std_errors: args.std_errors,
+            intervals: args.intervals,
+            deletion: args.deletion,
             tests: if args.no_tests { TestsChoice::None } else { TestsChoice::Each },
         };
         let search = dynamic::Settings {
@@ -205,14 +183,9 @@ impl From<FitArgs> for FitJob {
             report: args.report,
             settings,
             search,
-            method: match args.method {
-                MethodArg::Hybrid => Some(Method::Hybrid),
-                MethodArg::Innovations => Some(Method::Innovations),
-                MethodArg::Em => Some(Method::Em),
-                MethodArg::All => None,
-            },
+            method: args.method,
             choices,
-            innovations: args.innovations == InnovationsArg::On && !args.no_tests,
+            innovations: args.innovations && !args.no_tests,
             group_test: args.group_test,
             keeps_stopped: true,
         }
@@ -271,10 +244,7 @@ impl From<ValidateArgs> for ValidateJob {
             data: data(args.data),
             folds: args.by.map_or_else(drawn, FoldsOf::Column),
             against: args.against.map(Into::into),
-            criterion: match args.criterion {
-                CriterionArg::Ml => Criterion::Ml,
-                CriterionArg::Reml => Criterion::Reml,
-            },
+            criterion: args.criterion,
             out: args.out,
         }
     }
@@ -289,10 +259,7 @@ impl From<PredictArgs> for PredictJob {
             design: data(args.design),
             outputs: args.outputs.map(Into::into),
             limits: Limits { confidence: args.confidence, content: args.content, sides },
-            units: match args.units {
-                UnitsArg::New => Units::New,
-                UnitsArg::Known => Units::Known,
-            },
+            units: args.units,
             out: args.out.into(),
         }
     }
@@ -306,31 +273,20 @@ impl From<ApplyArgs> for ApplyJob {
             from: args.from.into(),
             tests: args.out.into(),
             states: args.states.into(),
-            kind: match args.kind.unwrap_or(KindArg::Smoothed) {
-                KindArg::Smoothed => StateKind::Smoothed,
-                KindArg::Filtered => StateKind::Filtered,
-                KindArg::Predicted => StateKind::Predicted,
-            },
+            kind: args.kind.unwrap_or(StateKind::Smoothed),
         }
     }
 }
 
 impl From<ExportArgs> for ExportJob {
     fn from(args: ExportArgs) -> ExportJob {
-        let form = |form| match form {
-            FormArg::Json => Form::Json,
-            FormArg::Npz => Form::Npz,
-            FormArg::Mat => Form::Mat,
-            FormArg::C => Form::C,
-            FormArg::Python => Form::Python,
-        };
         ExportJob {
             model: args.model.into(),
             from: args.from.into(),
             phase: args.phase,
             step: args.step,
             at: args.at,
-            form: args.form.map(form),
+            form: args.form,
             out: Some(args.out),
         }
     }

@@ -15,7 +15,7 @@ use crate::failure::Failure;
 use crate::idle::refuse_idle;
 use crate::inferred::{Sorted, patience, record};
 use crate::innovations;
-use crate::job::FitJob;
+use crate::job::{FitJob, Search};
 use crate::work::Work;
 use crate::{groups, lost, reductions, tests};
 
@@ -36,7 +36,10 @@ pub(crate) fn fit(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>)
     }
     let groups = groups::of(model, &tests, &reading.labels)?;
     let data = Data { model, tests: &tests, reading: &reading };
-    let methods = job.method.map_or(ALL.to_vec(), |method| vec![method]);
+    let methods = match job.method {
+        Search::By(method) => vec![method],
+        Search::All => ALL.to_vec(),
+    };
     let mut ends = Vec::new();
     let mut first = None;
     for method in methods {

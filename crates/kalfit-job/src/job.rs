@@ -41,8 +41,8 @@ pub struct FitJob {
     pub settings: Settings,
     /// Of the search for free dynamic parameters.
     pub search: dynamic::Settings,
-    /// How they are sought; in every way when none.
-    pub method: Option<Method>,
+    /// How they are sought.
+    pub method: Search,
     /// What is inferred, and how.
     pub choices: Choices,
     /// Look at the data once more after the fit.
@@ -58,7 +58,7 @@ impl FitJob {
     pub fn new(model: ModelJob, data: Vec<Datum>) -> FitJob {
         let settings = Settings::default();
         let search = dynamic::Settings { inner: settings.clone(), seed: 1, ..dynamic::Settings::default() };
-        let (method, choices) = (Some(Method::Hybrid), Choices::default());
+        let (method, choices) = (Search::By(Method::Hybrid), Choices::default());
         FitJob {
             model,
             data,
@@ -215,6 +215,15 @@ pub struct PredictJob {
     pub units: Units,
     /// Where the table goes.
     pub out: TableTo,
+}
+
+/// How free parameters are sought.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Search {
+    /// By one method.
+    By(Method),
+    /// By all, side by side; the results are those of the hybrid.
+    All,
 }
 
 /// Whose tests are predicted, of a model with levels of groups.

@@ -52,6 +52,7 @@ mod test;
 mod tests;
 mod truth;
 mod validate;
+pub mod words;
 mod work;
 mod write;
 
@@ -67,8 +68,8 @@ pub use failure::{Failure, Place, Source, UnknownUnit};
 pub use fit::fit;
 pub use job::{
     AppliedModel, ApplyJob, CheckJob, CompareJob, DatasheetJob, Done, ExchangeJob, Exchanged, ExportJob, FitJob,
-    FoldsOf, ModelJob, PlanJob, PredictJob, PredictedModel, ReportJob, SimulateJob, Simulated, TableTo, TestJob, Units,
-    ValidateJob,
+    FoldsOf, ModelJob, PlanJob, PredictJob, PredictedModel, ReportJob, Search, SimulateJob, Simulated, TableTo,
+    TestJob, Units, ValidateJob,
 };
 pub use model::read as read_model;
 pub use output::{Contents, OutputError, abandon};

@@ -4,16 +4,17 @@ use std::fs::File;
 use std::path::PathBuf;
 
 use kalfit::apply::StateKind;
-use kalfit::estimate::{Criterion, Solver};
+use kalfit::estimate::Solver;
 use kalfit::infer::Bootstrap;
 use kalfit::predict::{Limits, Sides};
+use kalfit_job::words;
 use kalfit_job::{
     AppliedModel, ApplyJob, CheckJob, CompareJob, DatasheetJob, Done, ExchangeJob, Exchanged, ExportJob, Failure,
-    FitJob, FoldsOf, Form, PlanJob, PredictJob, PredictedModel, SimulateJob, Simulated, TableTo, TestJob, Units,
-    ValidateJob, Watch,
+    FitJob, FoldsOf, PlanJob, PredictJob, PredictedModel, SimulateJob, Simulated, TableTo, TestJob, ValidateJob, Watch,
 };
 use kalfit_report::{Style, check_summary};
 use pyo3::exceptions::PyKeyboardInterrupt;
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 use crate::data::{Given, data};
@@ -113,9 +114,7 @@ pub(crate) fn apply(
     files: (Option<PathBuf>, Option<PathBuf>),
     how: How<'_>,
 ) -> PyResult<Applied> {
-    let kinds =
-        [("smoothed", StateKind::Smoothed), ("filtered", StateKind::Filtered), ("predicted", StateKind::Predicted)];
-    let kind = states.map(|kind| pick("states", kind, &kinds)).transpose()?;
+    let kind = states.map(|kind| pick("states", kind, words::KINDS)).transpose()?;
     let to = |file: Option<PathBuf>| file.map_or(TableTo::Back, TableTo::File);
     let job = ApplyJob {
         model: model.into(),
@@ -152,7 +151,7 @@ pub(crate) fn validate(
         data: data(given)?,
         folds: by.map_or(FoldsOf::Drawn { count, seed }, FoldsOf::Column),
         against: against.map(Into::into),
-        criterion: pick("criterion", &criterion, &[("ml", Criterion::Ml), ("reml", Criterion::Reml)])?,
+        criterion: pick("criterion", &criterion, words::CRITERIA)?,
         out,
     };
     let done = whole(run(py, how, move |watch| kalfit_job::validate(&job, watch))?)?;
@@ -181,7 +180,7 @@ pub(crate) fn predict(
         design: data(design)?,
         outputs: outputs.map(Into::into),
         limits: Limits { confidence, content, sides },
-        units: pick("units", &units, &[("new", Units::New), ("known", Units::Known)])?,
+        units: pick("units", &units, words::UNITS)?,
         out: out.map_or(TableTo::Back, TableTo::File),
     };
     let done = whole(run(py, how, move |watch| kalfit_job::predict(&job, watch))?)?;
@@ -201,9 +200,7 @@ pub(crate) fn export(
     form: Option<&str>,
     out: Option<PathBuf>,
 ) -> PyResult<(String, Vec<String>)> {
-    let forms =
-        [("json", Form::Json), ("npz", Form::Npz), ("mat", Form::Mat), ("c", Form::C), ("python", Form::Python)];
-    let form = form.map(|form| pick("format", form, &forms)).transpose()?;
+    let form = form.map(|form| pick("format", form, words::FORMS)).transpose()?;
     let (step, at, phase) = wanted;
     let job = ExportJob { model: model.into(), from: from.into(), phase, step, at, form, out };
     let done = kalfit_job::export(&job).map_err(|failure| exception(&failure))?;
@@ -276,8 +273,11 @@ pub(crate) fn exchange(
     out: Option<PathBuf>,
     how: How<'_>,
 ) -> PyResult<Made> {
-    let jobs: [(&str, Exchange); 2] = [("reductions", kalfit_job::reduce), ("estimates", kalfit_job::estimates)];
-    let make = pick("what", what, &jobs)?;
+    let make: Exchange = match what {
+        "reductions" => kalfit_job::reduce,
+        "estimates" => kalfit_job::estimates,
+        _ => return Err(PyValueError::new_err(format!("what is `{what}`, expected `reductions` or `estimates`"))),
+    };
     let job = ExchangeJob { model: model.into(), data: data(given)?, at: at.map(Into::into), out };
     let done = whole(run(py, how, move |watch| make(&job, watch))?)?;
     let Exchanged { rows, tests, table, .. } = done.record;

@@ -3,8 +3,9 @@
 use std::path::PathBuf;
 
 use kalfit::dynamic::{self, Method};
-use kalfit::estimate::{Combination, Criterion, Settings, Solver};
-use kalfit::infer::{Choices, DeletionChoice, IntervalKind, StdErrors};
+use kalfit::estimate::{Settings, Solver};
+use kalfit::infer::Choices;
+use kalfit_job::words::{self, Word};
 use kalfit_job::{Document, FitJob, ModelJob};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -51,23 +52,14 @@ pub(crate) struct FitOptions {
 impl FitOptions {
     /// Puts what was asked for into a job.
     pub(crate) fn apply(&self, job: &mut FitJob) -> PyResult<()> {
-        let solver = pick("solver", &self.solver, &[("newton", Solver::Newton), ("em", Solver::Em)])?;
+        let solver = pick("solver", &self.solver, words::SOLVERS)?;
         job.settings = settings(solver, self.tolerance, self.max_iterations)?;
-        let criteria = [("ml", Criterion::Ml), ("reml", Criterion::Reml)];
-        job.settings.criterion = pick("criterion", &self.criterion, &criteria)?;
-        let phases =
-            [("chain", Combination::Chain), ("marginal", Combination::Marginal), ("stacked", Combination::Stacked)];
-        job.settings.phases = pick("phases", &self.phases, &phases)?;
+        job.settings.criterion = pick("criterion", &self.criterion, words::CRITERIA)?;
+        job.settings.phases = pick("phases", &self.phases, words::PHASES)?;
         job.choices = self.choices()?;
         job.innovations = self.innovations;
         job.group_test = self.group_test;
-        let methods = [
-            ("hybrid", Some(Method::Hybrid)),
-            ("innovations", Some(Method::Innovations)),
-            ("em", Some(Method::Em)),
-            ("all", None),
-        ];
-        job.method = pick("method", &self.method, &methods)?;
+        job.method = pick("method", &self.method, words::METHODS)?;
         if self.starts.is_some_and(|starts| !(1..=10_000).contains(&starts)) {
             return Err(PyValueError::new_err("starts must be from 1 to 10000, or None"));
         }
@@ -84,17 +76,10 @@ impl FitOptions {
     }
 
     fn choices(&self) -> PyResult<Choices> {
-        let std_errors =
-            [("observed", StdErrors::Observed), ("expected", StdErrors::Expected), ("sandwich", StdErrors::Sandwich)];
-        let deletions = [("auto", DeletionChoice::Cheap), ("all", DeletionChoice::All), ("none", DeletionChoice::None)];
         Ok(Choices {
-            std_errors: pick("std_errors", &self.std_errors, &std_errors)?,
-            intervals: pick(
-                "intervals",
-                &self.intervals,
-                &[("wald", IntervalKind::Wald), ("profile", IntervalKind::Profile)],
-            )?,
-            deletion: pick("deletion", &self.deletion, &deletions)?,
+            std_errors: pick("std_errors", &self.std_errors, words::STD_ERRORS)?,
+            intervals: pick("intervals", &self.intervals, words::INTERVALS)?,
+            deletion: pick("deletion", &self.deletion, words::DELETIONS)?,
             ..Choices::default()
         })
     }
@@ -119,10 +104,10 @@ pub(crate) fn settings(solver: Solver, tolerance: Option<f64>, passes: Option<u3
 }
 
 /// The meaning of a word.
-pub(crate) fn pick<T: Clone>(option: &str, word: &str, meanings: &[(&str, T)]) -> PyResult<T> {
-    let found = meanings.iter().find(|(name, _)| *name == word);
-    found.map(|(_, meaning)| meaning.clone()).ok_or_else(|| {
-        let names: Vec<String> = meanings.iter().map(|(name, _)| format!("`{name}`")).collect();
+pub(crate) fn pick<T: Copy>(option: &str, word: &str, words: &[Word<T>]) -> PyResult<T> {
+    let found = words.iter().find(|own| own.word == word);
+    found.map(|own| own.means).ok_or_else(|| {
+        let names: Vec<String> = words.iter().map(|own| format!("`{}`", own.word)).collect();
         PyValueError::new_err(format!("{option} is `{word}`, expected one of {}", names.join(", ")))
     })
 }

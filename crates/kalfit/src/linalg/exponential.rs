@@ -5,7 +5,7 @@
 
 mod backward;
 
-pub(crate) use backward::{flow_adjoint, stationary_adjoint};
+pub(crate) use backward::{flow_adjoint, scalar_adjoint, stationary_adjoint};
 
 /// φ, Γ, Q of one step; each m × m, row-major.
 #[derive(Debug, Clone, PartialEq)]

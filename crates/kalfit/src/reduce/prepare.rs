@@ -181,6 +181,11 @@ impl Preparer {
         At { model: &self.model, alpha: &self.alpha, free: &self.free }
     }
 
+    /// Transitions depend on the length of a step alone, and take no matrix exponential.
+    pub(crate) fn moves_steadily(&self) -> bool {
+        self.steady && self.quick
+    }
+
     pub(crate) fn workspace(&self) -> Workspace {
         Workspace {
             design: Design::new(self.order.frame.clone()),

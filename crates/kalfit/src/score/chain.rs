@@ -17,6 +17,7 @@ mod measuring;
 mod moved;
 mod moving;
 mod response;
+mod steady;
 mod taps;
 #[cfg(test)]
 mod tests;
@@ -54,6 +55,8 @@ pub(crate) struct Chain<'a> {
     /// Tap of each of the start's coefficients.
     start: Vec<Option<usize>>,
     needs: Needs,
+    /// The coefficients of the motion are the same on every row, and no matrix exponential stands between them and the transitions.
+    steady: bool,
 }
 
 /// Taps of a measurement.
@@ -110,6 +113,7 @@ impl<'a> Chain<'a> {
             pairs,
             start,
             needs: Needs::default(),
+            steady: preparer.moves_steadily(),
         };
         chain.needs = chain.find_needs();
         Ok(chain)

@@ -21,7 +21,7 @@ pub(crate) fn flow_adjoint(
 }
 
 /// Of a single state: φ = exp(fδ), Γ = δ g(fδ), Q = q δ g(2fδ), with g(x) = expm1(x)/x.
-fn scalar_adjoint(f: f64, q: f64, step: f64, [phi, gamma, noise]: [f64; 3]) -> [f64; 2] {
+pub(crate) fn scalar_adjoint(f: f64, q: f64, step: f64, [phi, gamma, noise]: [f64; 3]) -> [f64; 2] {
     let integral = |rate: f64| if rate == 0.0 { step } else { (rate * step).exp_m1() / rate };
     // δ²g'(x) as δ/x twice where x is large, so that nothing overflows on the way.
     let slope = |rate: f64| {
@@ -34,15 +34,24 @@ fn scalar_adjoint(f: f64, q: f64, step: f64, [phi, gamma, noise]: [f64; 3]) -> [
     [f_bar, if noise == 0.0 { 0.0 } else { noise * integral(2.0 * f) }]
 }
 
+/// Terms of g'(x): what is left out is below the last digit for |x| < 1.
+const TERMS: usize = 20;
+
+/// (k + 1) / (k + 2)!.
+const SLOPES: [f64; TERMS] = {
+    let mut slopes = [0.5; TERMS];
+    let mut k = 1;
+    while k < TERMS {
+        let number = k as f64;
+        slopes[k] = slopes[k - 1] * (number + 1.0) / (number * (number + 2.0));
+        k += 1;
+    }
+    slopes
+};
+
 /// g'(x) = Σ (k + 1) x^k / (k + 2)!.
 fn near(x: f64) -> f64 {
-    let (mut sum, mut term) = (0.0, 0.5);
-    for k in 0..22 {
-        sum += term;
-        let k = f64::from(k);
-        term *= x * (k + 2.0) / ((k + 1.0) * (k + 3.0));
-    }
-    sum
+    SLOPES.iter().rev().fold(0.0, |sum, slope| sum * x + slope)
 }
 
 /// x²g'(x) = (x - 1)eˣ + 1.

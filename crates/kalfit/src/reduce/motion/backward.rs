@@ -1,6 +1,6 @@
 //! From ∂ℓ/∂(φ, Q, b) of steps back to ∂ℓ/∂coefficient of the dynamics.
 
-use crate::linalg::exponential::flow_adjoint;
+use crate::linalg::exponential::{flow_adjoint, scalar_adjoint};
 use crate::reduce::dynamics::{Component, Dynamics};
 use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::motion::{Drive, Entry, Plan, append_flow};
@@ -113,6 +113,14 @@ fn component_backward(
     out: &mut [f64],
 ) -> Result<(), Box<Fault>> {
     let m = component.states.len();
+    let fault = || Fault::new(Subject::Derivative(component.states[0]), ReduceErrorKind::NotFinite);
+    if let ([phi, gamma, noise], true) = (bars, m == 1) {
+        let slots = [&component.rates, &component.noise].map(|terms| terms.first().map(|&(.., slot)| slot));
+        let [f, q] = slots.map(|slot| slot.map_or(0.0, |slot| step.values[slot]));
+        let found = scalar_adjoint(f, q, step.dt, [*phi, *gamma, *noise]);
+        slots.iter().zip(found).for_each(|(slot, bar)| slot.iter().for_each(|&slot| out[slot] += bar));
+        return if found.iter().all(|bar| bar.is_finite()) { Ok(()) } else { Err(fault()) };
+    }
     let (mut f, mut q) = (vec![0.0; m * m], vec![0.0; m * m]);
     for &(i, j, slot) in &component.rates {
         f[i * m + j] = step.values[slot];
@@ -123,8 +131,7 @@ fn component_backward(
     }
     let (phi, rest) = bars.split_at(m * m);
     let (gamma, noise) = rest.split_at(m * m);
-    let (mut f_bar, mut q_bar) = flow_adjoint(&f, &q, m, step.dt, [phi, gamma, noise])
-        .map_err(|_| Fault::new(Subject::Derivative(component.states[0]), ReduceErrorKind::NotFinite))?;
+    let (mut f_bar, mut q_bar) = flow_adjoint(&f, &q, m, step.dt, [phi, gamma, noise]).map_err(|_| fault())?;
     // Of two coefficients for one place the last is the one in it.
     for &(i, j, slot) in component.rates.iter().rev() {
         out[slot] += std::mem::take(&mut f_bar[i * m + j]);

@@ -3,6 +3,7 @@
 use crate::reduce::Cells;
 use crate::score::chain::Chain;
 use crate::score::chain::groups::Groups;
+use crate::score::chain::steady::Stretch;
 
 /// What has come of the steps of a test.
 #[derive(Debug, Clone)]
@@ -15,6 +16,7 @@ pub(super) struct Moving {
     pub(super) sums: Vec<f64>,
     pub(super) bars: Vec<f64>,
     pub(super) flows: Vec<f64>,
+    pub(super) stretch: Stretch,
 }
 
 impl Moving {
@@ -29,6 +31,7 @@ impl Moving {
             sums: Vec::new(),
             bars: Vec::new(),
             flows: Vec::new(),
+            stretch: Stretch::default(),
         }
     }
 }
