@@ -10,8 +10,8 @@ use kalfit::infer::{Bootstrap, Choices, DeletionChoice, IntervalKind, StdErrors,
 use kalfit::predict::{Limits, Sides};
 use kalfit_data::Datum;
 use kalfit_job::{
-    ApplyJob, CheckJob, CompareJob, DatasheetJob, ExchangeJob, ExportJob, Failure, FitJob, FoldsOf, Form, ModelJob,
-    PlanJob, PredictJob, ReportJob, SimulateJob, TestJob, Units, ValidateJob,
+    ApplyJob, CheckJob, CompareJob, DatasheetJob, ExchangeJob, ExportJob, Failure, FitJob, FitTables, FoldsOf, Form,
+    ModelJob, PlanJob, PredictJob, ReportJob, SimulateJob, TestJob, Units, ValidateJob,
 };
 
 use crate::args::{
@@ -203,6 +203,7 @@ impl From<FitArgs> for FitJob {
             data: data(args.data),
             out: args.out,
             report: args.report,
+            tables: FitTables { tests: args.tests, parameters: args.parameters, constraints: args.constraints },
             settings,
             search,
             method: match args.method {

@@ -46,6 +46,7 @@ pub(crate) struct FitOptions {
     seed: Option<u64>,
     tolerance: Option<f64>,
     max_iterations: Option<u32>,
+    report: Option<PathBuf>,
 }
 
 impl FitOptions {
@@ -61,6 +62,7 @@ impl FitOptions {
         job.choices = self.choices()?;
         job.innovations = self.innovations;
         job.group_test = self.group_test;
+        job.report.clone_from(&self.report);
         let methods = [
             ("hybrid", Some(Method::Hybrid)),
             ("innovations", Some(Method::Innovations)),

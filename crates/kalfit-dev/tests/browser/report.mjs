@@ -65,6 +65,11 @@ const expectedMarks = () => {
     influence: (d) => d.tests.filter((t) => t.displacement > 0).length,
     sizes: (d) => 2 * d.tests.length,
     innovations: (d) => d.tests[0].windows.length + d.tests[0].at.length,
+    allan: (d) => d.curves[0].points.filter((p) => p.data !== null).length,
+    record: (d) => {
+      const own = d.tests[0].measurements[0];
+      return own ? own.at.length + own.zAt.length + own.q.length : 0;
+    },
     trace: (d) => d.gap.filter((x) => x > 0).length,
   };
   return Array.from(document.querySelectorAll("figure[data-chart]"), (figure) => {
