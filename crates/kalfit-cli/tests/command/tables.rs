@@ -141,7 +141,23 @@ fn the_table_of_the_parameters_has_each_number_once() {
     assert_eq!((row("sigma")["unit"].as_str(), row("sigma")["kind"].as_str()), ("deg/h", "parameter"));
     let shown: String =
         rows.iter().map(|row| format!("{}, {}: {}\n", row["name"], row["level"], row["status"])).collect();
-    assert_snapshot!(shown, @"");
+    assert_snapshot!(shown, @"
+    mean[bias], : estimated
+    mean[scale], : estimated
+    lot: std_dev[bias], lot: estimated
+    lot: std_dev[scale], lot: fixed
+    lot: covariance[bias, bias], lot: estimated
+    lot: covariance[bias, scale], lot: fixed
+    lot: covariance[scale, scale], lot: fixed
+    lot: correlation[bias, scale], lot: undefined
+    std_dev[bias], tests: estimated
+    std_dev[scale], tests: estimated
+    covariance[bias, bias], tests: estimated
+    covariance[bias, scale], tests: fixed
+    covariance[scale, scale], tests: estimated
+    correlation[bias, scale], tests: fixed
+    sigma, : estimated
+    ");
 }
 
 #[test]
@@ -171,9 +187,27 @@ fn files_that_cannot_be_are_refused_before_the_work() {
         assert_eq!(before, folder.contents(), "`{args}` left the folder as it was");
         String::from_utf8(output.stderr).unwrap()
     };
-    assert_snapshot!(refused("--tests t.csv --parameters t.csv"), @"");
-    assert_snapshot!(refused("--out fit.json --constraints d.csv"), @"");
-    assert_snapshot!(refused("--parameters p.json"), @"");
-    assert_snapshot!(refused("--tests no/t.csv"), @"");
-    assert_snapshot!(refused("--tests t.csv --no-tests"), @"");
+    assert_snapshot!(refused("--tests t.csv --parameters t.csv"), @"
+    error: both outputs are `t.csv`, expected two files
+
+    hint: give the output a name of its own
+    ");
+    assert_snapshot!(refused("--out fit.json --constraints d.csv"), @"
+    error: the output `d.csv` is one of the inputs
+
+    hint: give the output a name of its own
+    ");
+    assert_snapshot!(refused("--parameters p.json"), @"error: cannot tell the format of `p.json`: found `.json`, expected one of `.csv`, `.tsv`, `.parquet`, `.arrow`");
+    assert_snapshot!(refused("--tests no/t.csv"), @"
+    error: the folder `no` for the output does not exist
+
+    hint: name a folder that exists
+    ");
+    assert_snapshot!(refused("--tests t.csv --no-tests"), @"
+    error: the argument '--tests <FILE>' cannot be used with '--no-tests'
+
+    Usage: kalfit fit --tests <FILE> <MODEL> <DATA>...
+
+    For more information, try '--help'.
+    ");
 }

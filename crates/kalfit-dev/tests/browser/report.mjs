@@ -68,7 +68,8 @@ const expectedMarks = () => {
     allan: (d) => d.curves[0].points.filter((p) => p.data !== null).length,
     record: (d) => {
       const own = d.tests[0].measurements[0];
-      return own ? own.at.length + own.zAt.length + own.q.length : 0;
+      const count = (numbers) => (Array.isArray(numbers) ? numbers.length : 1);
+      return own ? count(own.measured) + count(own.z) + own.q.length : 0;
     },
     trace: (d) => d.gap.filter((x) => x > 0).length,
   };

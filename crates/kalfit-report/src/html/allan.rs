@@ -5,10 +5,12 @@ use maud::{Markup, html};
 use serde_json::{Value, json};
 
 use crate::html::chart::{Chart, Charts, figure};
-use crate::words::{clean, count, sentence};
+use crate::words::{clean, count, list, sentence};
 
 /// Measurements that can be chosen.
 const MOST_CURVES: usize = 60;
+/// Measurements that are named at a note.
+const MOST_NAMES: usize = 12;
 
 pub(super) fn part(along: &AlongRecord, charts: &mut Charts) -> Option<Markup> {
     if along.allan.is_empty() {
@@ -81,12 +83,23 @@ fn curve_data(along: &AlongRecord, curve: &CurveRecord) -> Value {
 
 /// Why there is no curve, and what the curves are.
 fn notes(along: &AlongRecord) -> Vec<String> {
-    let of = |curve: &CurveRecord, note: &String| sentence(&clean(&format!("`{}`: {note}", name(along, curve))));
-    let curves = along.allan.iter().take(MOST_CURVES);
-    let own = curves.flat_map(|curve| curve.notes.iter().map(move |note| of(curve, note)));
-    let all = own.chain(along.allan_notes.iter().map(|note| sentence(&clean(note))));
+    let mut own: Vec<(Vec<String>, &String)> = Vec::new();
+    for curve in &along.allan {
+        for note in &curve.notes {
+            let name = format!("`{}`", name(along, curve));
+            match own.iter_mut().find(|(_, other)| *other == note) {
+                Some((names, _)) => names.push(name),
+                None => own.push((vec![name], note)),
+            }
+        }
+    }
+    let own = own.iter().map(|(names, note)| format!("{}: {note}", list(names, MOST_NAMES)));
+    let all = own.chain(along.allan_notes.iter().cloned());
     // what `kalfit datasheet` can be told, a fit cannot
-    let mut all: Vec<String> = all.map(|note| note.replace("`--at", "`kalfit datasheet --at")).collect();
-    all.dedup();
-    all
+    let elsewhere = |note: String| {
+        ["`--at", "`--step"]
+            .iter()
+            .fold(note, |note, option| note.replace(option, &option.replace('`', "`kalfit datasheet ")))
+    };
+    all.map(|note| sentence(&clean(&elsewhere(note)))).collect()
 }

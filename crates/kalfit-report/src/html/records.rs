@@ -1,4 +1,4 @@
-//! Along the records: Allan deviations of all of them, and one test in detail.
+//! Records over time: Allan deviations of all of them, and one test in detail.
 
 use kalfit::record::{AlongRecord, MeasurementAlong, PhaseAlong, StateAlong, TestAlong};
 use maud::{Markup, html};
@@ -38,7 +38,7 @@ fn one_test(along: &AlongRecord, charts: &mut Charts) -> Vec<Markup> {
         false => "The record of one test".to_owned(),
     };
     let drawn: Vec<Markup> = phases.iter().filter_map(|phase| chart(along, phase, &title(phase), charts)).collect();
-    let heading = (!drawn.is_empty()).then(|| html! { h3 { "Test by test" } });
+    let heading = (!drawn.is_empty()).then(|| html! { h3 { "Along one record" } });
     heading.into_iter().chain(drawn).collect()
 }
 
@@ -60,10 +60,11 @@ fn chart(along: &AlongRecord, phase: &str, title: &str, charts: &mut Charts) -> 
         ),
     };
     let caption = format!(
-        "Choose a test; the least probable comes first. Top: what was measured, and the band of two standard deviations that was foreseen \
-         before each step; one value in twenty lies outside. Below: innovations in their standard deviations; 95 % within the dashed lines, \
-         without pattern. Then a state given the whole record, with two standard deviations. Last, innovations in order against those of a \
-         normal law: points on the diagonal; ends that bend away are outliers, a steeper line noise that the model has too small.{left}"
+        "Choose a test; the least probable comes first. Top: what was measured, and what was predicted before each step, with a band of two \
+         standard deviations; one value in twenty lies outside. The band of the first steps may leave the picture. Next: innovations in their \
+         standard deviations; 95 % within the dashed lines, without pattern. Then a state given the whole record, with two standard \
+         deviations. Last: innovations in order against those of a normal law; points on the line are as they should be, ends that bend away \
+         are outliers, points that rise more steeply mean noise that the model has too small.{left}"
     );
     let alternative = format!("For {}; test {} is shown first.", count(tests.len(), "test"), clean(&first.0.id));
     Some(charts.figure(Chart { kind: "record", title, caption: &caption, alternative: &alternative, data }))
@@ -73,41 +74,61 @@ fn test_data(test: &TestAlong, phase: &PhaseAlong) -> Value {
     let measurements = phase.measurements.iter().take(MOST_SERIES);
     let states = phase.states.iter().take(MOST_SERIES);
     json!({
-        "id": clean(&test.id), "at": numbers(&phase.at, &[&phase.at], 1e-3), "steps": phase.steps,
-        "measurements": measurements.map(measured).collect::<Vec<Value>>(),
+        "id": clean(&test.id), "at": times(&phase.at), "steps": phase.steps,
+        "measurements": measurements.map(|own| measured(own, &phase.at)).collect::<Vec<Value>>(),
         "states": states.map(state).collect::<Vec<Value>>(),
     })
 }
 
-fn measured(own: &MeasurementAlong) -> Value {
-    let scale: [&[f64]; 2] = [&own.measured, &own.predicted];
+/// Times that are those of `before` are null.
+fn measured(own: &MeasurementAlong, before: &[f64]) -> Value {
+    let other = |at: &[f64], before: &[f64]| if at == before { Value::Null } else { times(at) };
+    let range = range(&own.measured, &[]);
+    let pair = |pair: &[f64; 2]| numbers(pair, 10.0);
     json!({
         "name": clean(&own.name), "values": own.values, "innovations": own.innovations,
-        "at": numbers(&own.at, &[&own.at], 1e-3), "measured": numbers(&own.measured, &scale, 1.0),
-        "predicted": numbers(&own.predicted, &scale, 1.0), "sd": numbers(&own.std_dev, &[&own.std_dev], 1.0),
-        "zAt": numbers(&own.innovations_at, &[&own.innovations_at], 1e-3), "z": numbers(&own.standardised, &[&own.standardised], 1.0),
-        "q": own.quantiles.iter().map(|pair| numbers(pair, &[&[-5.0, 5.0]], 1.0)).collect::<Vec<_>>(),
+        "at": other(&own.at, before), "measured": folded(numbers(&own.measured, range)),
+        "predicted": folded(numbers(&own.predicted, range)), "sd": folded(numbers(&own.std_dev, self::range(&own.std_dev, &[]))),
+        "zAt": other(&own.innovations_at, &own.at), "z": folded(numbers(&own.standardised, 10.0)),
+        "q": own.quantiles.iter().map(pair).collect::<Vec<_>>(),
     })
 }
 
 fn state(own: &StateAlong) -> Value {
     json!({
         "name": clean(&own.name), "unit": own.unit.as_deref().map_or_else(String::new, clean),
-        "mean": numbers(&own.mean, &[&own.mean, &own.std_dev], 1.0), "sd": numbers(&own.std_dev, &[&own.std_dev], 1.0),
+        "mean": folded(numbers(&own.mean, range(&own.mean, &own.std_dev))),
+        "sd": folded(numbers(&own.std_dev, range(&own.std_dev, &[]))),
     })
 }
 
-/// Numbers with the decimals that a drawing over the range of `of` shows, times `fine`.
-fn numbers(all: &[f64], of: &[&[f64]], fine: f64) -> Vec<Value> {
-    let known = || of.iter().flat_map(|one| one.iter()).copied().filter(|x| x.is_finite());
-    let (low, high) = known().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), x| (a.min(x), b.max(x)));
-    let range = if high > low { high - low } else { high.abs() };
-    let grain = (fine * range / PARTS).log10().floor();
+/// What values span with their standard deviations, where there are any; a size of them where that is nothing.
+fn range(values: &[f64], std_dev: &[f64]) -> f64 {
+    let wide = |i: usize| std_dev.get(i).filter(|sd| sd.is_finite()).map_or(0.0, |sd| 2.0 * sd);
+    let known = values.iter().enumerate().filter(|(_, x)| x.is_finite());
+    let ends = known
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), (i, x)| (low.min(x - wide(i)), high.max(x + wide(i))));
+    if ends.1 > ends.0 { ends.1 - ends.0 } else { ends.1.abs() }
+}
+
+fn times(at: &[f64]) -> Value {
+    json!(numbers(at, 1e-3 * range(at, &[])))
+}
+
+/// One number in place of many that are the same.
+fn folded(numbers: Vec<Value>) -> Value {
+    match numbers.first() {
+        Some(first) if numbers.iter().all(|other| other == first) => first.clone(),
+        _ => Value::Array(numbers),
+    }
+}
+
+/// Numbers with the decimals that a drawing over such a range shows.
+fn numbers(all: &[f64], range: f64) -> Vec<Value> {
+    let grain = (range / PARTS).log10().floor();
     let rounded = |x: f64| -> f64 {
-        if !x.is_finite() || !grain.is_finite() {
-            return x;
-        }
         match grain as i32 {
+            _ if !grain.is_finite() => x,
             decimals @ -15..0 => format!("{x:.*}", decimals.unsigned_abs() as usize).parse().unwrap_or(x),
             0.. => x.round(),
             _ => x,
@@ -123,11 +144,21 @@ mod tests {
     #[test]
     fn numbers_have_the_digits_that_are_seen() {
         let all = [0.1 + 0.2, 1.0 / 3.0, -1e-9, f64::NAN];
-        assert_eq!(numbers(&all, &[&all], 1.0), [json!(0.3), json!(0.33333), json!(0.0), Value::Null]);
-        assert_eq!(numbers(&[123_456_789.123], &[&[0.0, 1e9]], 1.0), [json!(123_456_789.0)]);
-        assert_eq!(numbers(&[5.0, 5.0], &[&[5.0, 5.0]], 1.0), [json!(5.0), json!(5.0)]);
-        assert_eq!(numbers(&[0.0], &[&[0.0]], 1.0), [json!(0.0)]);
+        assert_eq!(numbers(&all, range(&all, &[])), [json!(0.3), json!(0.33333), json!(0.0), Value::Null]);
+        assert_eq!(numbers(&[123_456_789.123], 1e9), [json!(123_456_789.0)]);
+        assert_eq!(numbers(&[0.0], range(&[0.0], &[])), [json!(0.0)]);
         let tiny = [1e-300, 2e-300];
-        assert_eq!(numbers(&tiny, &[&tiny], 1.0), [json!(1e-300), json!(2e-300)]);
+        assert_eq!(numbers(&tiny, range(&tiny, &[])), [json!(1e-300), json!(2e-300)]);
+        // a narrow band about a large number is drawn over the band
+        let (mean, std_dev) = ([1000.0012, 1000.0034], [0.01, 0.01]);
+        assert_eq!(numbers(&mean, range(&mean, &std_dev)), [json!(1000.0012), json!(1000.0034)]);
+    }
+
+    #[test]
+    fn what_is_the_same_is_written_once() {
+        assert_eq!(folded(numbers(&[5.0, 5.0 + 1e-12], 5.0)), json!(5.0));
+        assert_eq!(folded(numbers(&[5.0, 6.0], 1.0)), json!([5.0, 6.0]));
+        assert_eq!(folded(Vec::new()), json!([]));
+        assert_eq!(times(&[3.0, 3.0]), json!([3.0, 3.0]));
     }
 }

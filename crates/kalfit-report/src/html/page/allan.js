@@ -1,12 +1,17 @@
 // Allan deviations: those of the records with their limits, and the line of the model.
-const powers = (x) => {
-  const power = Math.round(Math.log10(x));
-  return power >= -3 && power <= 5 ? tick(x) : `1e${power}`.replace("-", "−");
-};
-const decades = (all) => {
-  const logs = all.filter((x) => known(x) && x > 0).map(Math.log10);
-  const [low, high] = [Math.floor(Math.min(...logs) - 0.02), Math.ceil(Math.max(...logs) + 0.02)];
-  return { min: 10 ** low, max: 10 ** high };
+// Axes are of logarithms, with marks at 1, 2 and 5 of each decade: few records span many decades.
+const log10 = (x) => (known(x) && x > 0 ? Math.log10(x) : null);
+const decades = (look, name, all, more) => {
+  const logs = all.map(log10).filter(known);
+  const [low, high] = [Math.min(...logs) - 0.12, Math.max(...logs) + 0.12];
+  const wide = high - low > 4;
+  const powers = Array.from({ length: Math.ceil(high) - Math.floor(low) + 1 }, (_, k) => Math.floor(low) + k);
+  const marks = powers.flatMap((power) => (wide ? [power] : [power, power + Math.log10(2), power + Math.log10(5)]));
+  const customValues = marks.filter((mark) => mark >= low && mark <= high);
+  return numbers(look, name, {
+    min: low, max: high, ...more, axisTick: { customValues }, axisLabel: { customValues, formatter: (mark) => number(10 ** mark, 3) },
+    splitLine: { show: false },
+  });
 };
 
 kinds.allan = {
@@ -18,8 +23,8 @@ kinds.allan = {
     const curve = data.curves[state.curve || 0];
     const points = curve.points;
     const shared = common(look, {});
-    const items = points.filter((p) => known(p.data)).map((p) => ({ at: p.data, low: p.low ?? p.data, high: p.high ?? p.data, time: p.time }));
-    const log = (name, all, more) => numbers(look, name, { type: "log", ...decades(all), ...more, axisLabel: { formatter: powers } });
+    const items = points.filter((p) => known(p.data)).map((p) => [p.time, p.data, p.low ?? p.data, p.high ?? p.data].map(log10));
+    const log = (name, all, more) => decades(look, name, all, more);
     return {
       height: 360,
       note: curve.said,
@@ -32,7 +37,7 @@ kinds.allan = {
         dataZoom: [wheel({ xAxisIndex: 0 }), wheel({ yAxisIndex: 0 })],
         series: [
           {
-            type: "line", name: "model", symbol: "none", data: points.filter((p) => known(p.model)).map((p) => [p.time, p.model]),
+            type: "line", name: "model", symbol: "none", data: points.filter((p) => known(p.model)).map((p) => [p.time, p.model].map(log10)),
             lineStyle: { color: look.series[1], width: 2 }, itemStyle: { color: look.series[1] }, silent: true,
           },
           { ...limits(look, items), name: "records", itemStyle: { color: look.mark } },
@@ -55,7 +60,7 @@ const limits = (look, items) => ({
   type: "custom",
   clip: true,
   encode: { x: 0, y: [1, 2, 3] },
-  data: items.map((item) => [item.time, item.at, item.low, item.high]),
+  data: items,
   renderItem(params, api) {
     const [x, y] = api.coord([api.value(0), api.value(1)]);
     const [low, high] = [2, 3].map((k) => api.coord([api.value(0), api.value(k)])[1]);

@@ -1,6 +1,22 @@
-// One test along its record: measured and foreseen, innovations over time, a smoothed state, innovations against the normal law.
+// One test along its record: measured and predicted, innovations over time, a smoothed state, innovations against the normal law.
 const WIDTH = 2; // standard deviations of a band
+const [PREDICTED, SMOOTHED] = ["predicted ± 2 σ", "smoothed ± 2 σ"];
 const NORMAL = 1.959964;
+
+// Numbers that are all the same are written once, and times that others have before not at all.
+const spread = (numbers, n) => (Array.isArray(numbers) ? numbers : new Array(n).fill(numbers));
+const unfolded = (test) => {
+  const { at } = test;
+  const measurement = (own) => {
+    const times = own.at || at;
+    const n = times.length;
+    const zAt = own.zAt || times;
+    const [measured, predicted, sd] = [own.measured, own.predicted, own.sd].map((numbers) => spread(numbers, n));
+    return { ...own, at: times, measured, predicted, sd, zAt, z: spread(own.z, zAt.length) };
+  };
+  const state = (own) => ({ ...own, mean: spread(own.mean, at.length), sd: spread(own.sd, at.length) });
+  return { ...test, at, measurements: test.measurements.map(measurement), states: test.states.map(state) };
+};
 
 const most = (data, what) =>
   data.tests.reduce((longest, test) => (test[what].length > longest.length ? test[what] : longest), []).map((one) => one.name);
@@ -30,18 +46,20 @@ const recordSeries = (look, own, state, test) => {
   const [top, middle, below, last] = [0, 1, 2, 3].map((k) => ({ xAxisIndex: k, yAxisIndex: k }));
   const series = [];
   if (own) {
-    series.push(band(look, "foreseen", own.at, own.predicted, own.sd, top));
-    series.push(curveOf("foreseen, mean", own.at, own.predicted, look.soft, top));
+    series.push(band(look, PREDICTED, own.at, own.predicted, own.sd, top));
+    series.push(curveOf("predicted", own.at, own.predicted, look.soft, top));
     series.push(dotsOf("measured", own.at, own.measured, look.mark, top));
     const bounds = dashed(look, [{ yAxis: -NORMAL }, { yAxis: NORMAL }], "");
     series.push(dotsOf("innovation", own.zAt, own.z, look.mark, middle, { markLine: bounds }));
-    const ends = own.q.length ? [own.q[0][0], own.q[own.q.length - 1][0]] : [-2, 2];
-    series.push({ type: "line", name: "normal law", symbol: "none", silent: true, ...last, data: ends.map((q) => [q, q]), lineStyle: { color: look.soft, width: 1.5 } });
+    series.push({
+      type: "line", name: "normal law", symbol: "none", silent: true, ...last, data: [-9, 9].map((q) => [q, q]),
+      lineStyle: { color: look.soft, width: 1.5 },
+    });
     series.push(dotsOf("in order", own.q.map((pair) => pair[0]), own.q.map((pair) => pair[1]), look.mark, last));
   }
   if (state) {
-    series.push(band(look, "given the record", test.at, state.mean, state.sd, below));
-    series.push(curveOf("given the record, mean", test.at, state.mean, look.series[1], below));
+    series.push(band(look, "smoothed, band", test.at, state.mean, state.sd, below));
+    series.push(curveOf(SMOOTHED, test.at, state.mean, look.series[1], below));
   }
   return series;
 };
@@ -52,6 +70,12 @@ const spanOf = (lists) => {
   const [low, high] = [Math.min(...all), Math.max(...all)];
   const room = 0.05 * (high - low) || 0.05 * Math.abs(high) || 0.5;
   return { min: low - room, max: high + room };
+};
+// What was measured, with room for the usual band: that of the first steps may be very wide, and leaves the picture.
+const seenSpan = (own) => {
+  const usual = own.sd.filter(known).sort((a, b) => a - b)[Math.floor(own.sd.length / 2)] || 0;
+  const { min, max } = spanOf([own.measured]);
+  return known(min) ? { min: min - 1.5 * WIDTH * usual, max: max + 1.5 * WIDTH * usual } : spanOf(around(own.predicted, own.sd));
 };
 const around = (mean, sd) => [mean.map((m, i) => m - WIDTH * sd[i]), mean.map((m, i) => m + WIDTH * sd[i])];
 
@@ -65,12 +89,18 @@ const recordAxes = (data, test, own, state, look) => {
   return {
     xAxis: [across(0), across(1), across(2), numbers(look, look.narrow ? "normal law" : "what a normal law has at this place", { gridIndex: 3, min: -q, max: q, axisLabel: inner })],
     yAxis: [
-      up(own ? own.name : "", 0, own ? spanOf([own.measured, ...around(own.predicted, own.sd)]) : {}),
+      up(own ? own.name : "", 0, own ? seenSpan(own) : {}),
       up("innovation / σ", 1, { min: -z, max: z }),
       up(state ? withUnit(state.name, state.unit) : "", 2, state ? spanOf(around(state.mean, state.sd)) : {}),
       up("innovation / σ", 3, { min: -z, max: z }),
     ],
   };
+};
+
+// The first state that moves: one that does not is in the tables already.
+const moving = (data, names) => {
+  const moves = (state) => Array.isArray(state.mean);
+  return Math.max(0, names.findIndex((name) => data.tests.some((test) => test.states.some((own) => own.name === name && moves(own)))));
 };
 
 const left = (drawn, all, what) => (drawn < all ? `${drawn} of ${all} ${what} are drawn, at equal distances and the largest. ` : "");
@@ -86,8 +116,8 @@ const recordTip = (data, own, state) => (hit) => {
   const time = `${safe(withUnit("time", data.timeUnit))} ${tick(x)}<br>`;
   if (hit.seriesName === "innovation") return `${time}${number(y, 3)} standard deviations`;
   const i = own.at.indexOf(x);
-  const foreseen = i < 0 ? "" : `<br>foreseen ${number(own.predicted[i])} ± ${number(own.sd[i], 2)}`;
-  return `${time}${safe(own.name)} ${number(y)}${foreseen}`;
+  const predicted = i < 0 ? "" : `<br>predicted ${number(own.predicted[i])} ± ${number(own.sd[i], 2)}`;
+  return `${time}${safe(own.name)} ${number(y)}${predicted}`;
 };
 
 kinds.record = {
@@ -96,11 +126,11 @@ kinds.record = {
     return [
       { key: "test", label: "Test", options: data.tests.map((test) => test.id), initial: 0 },
       ...(measured.length > 1 ? [{ key: "measurement", label: "Measurement", options: measured, initial: 0 }] : []),
-      ...(states.length > 1 ? [{ key: "state", label: "State", options: states, initial: 0 }] : []),
+      ...(states.length > 1 ? [{ key: "state", label: "State", options: states, initial: moving(data, states) }] : []),
     ];
   },
   option(data, state, look) {
-    const test = data.tests[state.test || 0];
+    const test = unfolded(data.tests[state.test || 0]);
     const names = { measurements: most(data, "measurements"), states: most(data, "states") };
     const named = (what, k) => test[what].find((one) => one.name === names[what][k || 0]);
     const own = named("measurements", state.measurement);
@@ -114,7 +144,7 @@ kinds.record = {
         ...shared,
         legend: {
           top: 0, left: 0, right: 90, type: "scroll", selectedMode: false, textStyle: { color: look.ink }, pageTextStyle: { color: look.soft },
-          data: ["measured", "foreseen", "given the record, mean"],
+          data: ["measured", PREDICTED, SMOOTHED],
         },
         grid: [grid(36, 200), grid(296, 150), grid(506, 170), grid(736, 220)],
         ...recordAxes(data, test, own, told, look),
