@@ -60,6 +60,9 @@ fn column(record: &ComparedRecord, heading: &str, cell: &dyn Fn(&ComparedFit) ->
 }
 
 fn likelihoods(record: &ComparedRecord, names: &[String], page: &Page<'_>) -> String {
+    if record.fits.is_empty() {
+        return String::new();
+    }
     let or = |x: Option<f64>, show: &dyn Fn(f64) -> String| x.map_or("-".to_owned(), show);
     let fit = Column::new("fit", Side::Left, names.to_vec());
     let mut columns = vec![

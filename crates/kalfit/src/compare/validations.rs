@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::compare::PredictiveDifference;
 use crate::compare::data::CompareError;
-use crate::record::ValidatedRecord;
+use crate::record::{PieceRecord, ValidatedRecord};
 
 /// How well one model predicts folds of tests that it was not fitted to.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -71,22 +71,16 @@ pub(super) fn side_by_side(
 
 /// By how much the one predicts each test better, where both predicted the same values from the same others.
 fn differences(best: &ValidatedRecord, own: &ValidatedRecord) -> Option<Vec<f64>> {
-    let sorted = |record: &'_ ValidatedRecord| {
-        let mut all: Vec<(String, String, usize, f64)> = record
-            .pieces
-            .iter()
-            .map(|piece| (piece.name.clone(), piece.fold.clone(), piece.observations, piece.log_density))
-            .collect();
-        all.sort_by(|a, b| a.0.cmp(&b.0));
-        all
-    };
     let (best, own) = (sorted(best), sorted(own));
-    if best.len() != own.len() {
-        return None;
-    }
-    let one = |(a, b): (&(String, String, usize, f64), &(String, String, usize, f64))| {
-        let same = (&a.0, &a.1, a.2) == (&b.0, &b.1, b.2);
-        same.then_some(a.3 - b.3)
-    };
-    best.iter().zip(&own).map(one).collect()
+    let same =
+        |a: &PieceRecord, b: &PieceRecord| (&a.name, &a.fold, a.observations) == (&b.name, &b.fold, b.observations);
+    let difference = |(a, b): (&&PieceRecord, &&PieceRecord)| same(a, b).then_some(a.log_density - b.log_density);
+    if best.len() == own.len() { best.iter().zip(&own).map(difference).collect() } else { None }
+}
+
+/// By name.
+fn sorted(record: &ValidatedRecord) -> Vec<&PieceRecord> {
+    let mut pieces: Vec<&PieceRecord> = record.pieces.iter().collect();
+    pieces.sort_by(|a, b| a.name.cmp(&b.name));
+    pieces
 }
