@@ -213,8 +213,7 @@ fn version_and_help() {
     Examples:
       kalfit fit model.toml data.csv
       kalfit fit model.toml 'runs/*.csv' --out fit.json --report fit.html
-      kalfit fit model.toml data.csv --tests tests.csv --parameters parameters.csv --constraints
-      constraints.csv
+      kalfit fit model.toml data.csv --tests tests.parquet --parameters parameters.csv
       kalfit fit model.toml data.parquet --set tau=90 --intervals profile --starts 5
 
     Ctrl-C ends the search: the best so far is shown, and written to `--out` and `--report`, marked as

@@ -23,6 +23,7 @@ kinds.allan = {
     const curve = data.curves[state.curve || 0];
     const points = curve.points;
     const shared = common(look, {});
+    const told = [["records", "data"], ["model", "model"]].filter(([, what]) => points.some((p) => known(p[what]))).map(([name]) => name);
     const items = points.filter((p) => known(p.data)).map((p) => [p.time, p.data, p.low ?? p.data, p.high ?? p.data].map(log10));
     const log = (name, all, more) => decades(look, name, all, more);
     return {
@@ -30,7 +31,7 @@ kinds.allan = {
       note: curve.said,
       option: {
         ...shared,
-        legend: { top: 0, left: 0, itemWidth: 18, selectedMode: false, textStyle: { color: look.ink }, data: ["records", "model"] },
+        legend: { top: 0, left: 0, itemWidth: 18, selectedMode: false, textStyle: { color: look.ink }, data: told },
         grid: { left: look.narrow ? 62 : 78, right: 20, top: ABOVE, bottom: 48, outerBoundsMode: "none" },
         xAxis: log(withUnit("averaging time", data.timeUnit), points.map((p) => p.time), {}),
         yAxis: log(withUnit(`Allan deviation of ${curve.name}`, curve.unit), points.flatMap((p) => [p.model, p.data, p.low, p.high]), { nameGap: look.narrow ? 42 : 54 }),
