@@ -255,6 +255,17 @@ def _takes_part(direction: dict[str, Any], named: tuple[str, ...]) -> bool:
     return not texts.isdisjoint(moved)
 
 
+def _frame(rows: list[dict[str, Any]], texts: list[str], numbers: list[str], last: list[str]) -> Any:
+    """Rows as a data frame; numbers that are not known are missing in it, and columns have their kind where there are no rows, too."""
+    import pandas
+
+    def column(name: str) -> list[Any]:
+        return [row.get(name) for row in rows]
+
+    kinds = [(name, "object") for name in texts] + [(name, "float64") for name in numbers] + [(name, "object") for name in last]
+    return pandas.DataFrame({name: pandas.Series(column(name), dtype=kind) for name, kind in kinds})
+
+
 def _square(values: Any, p: int) -> Array:
     return _array(values).reshape(p, p)
 
@@ -421,6 +432,24 @@ class Fit:
                 row.update({f"std_dev[{state}]": value for state, value in zip(named, deviations, strict=True)})
             rows.append(row)
         return pandas.DataFrame(rows)
+
+    def parameters_frame(self) -> Any:
+        """All estimates as a ``pandas.DataFrame`` with a row for each number, as ``kalfit fit --parameters`` writes them: ``name``,
+        ``kind`` (``mean``, ``regression``, ``std_dev``, ``covariance``, ``correlation``, ``parameter`` and more), ``phase``, ``level``,
+        ``state``, ``other_state``, ``column``, ``unit``, ``estimate``, ``std_error``, ``lower`` and ``upper`` (95 %), and ``status``:
+        ``estimated``, ``fixed``, ``at zero``, ``not identified`` and more. This takes pandas.
+        """
+        rows = json.loads(self._results.quantities())
+        texts = ["name", "kind", "phase", "level", "state", "other_state", "column", "unit"]
+        return _frame(rows, texts, ["estimate", "std_error", "lower", "upper"], ["status"])
+
+    def constraints_frame(self) -> Any:
+        """What each constraint costs as a ``pandas.DataFrame`` with a row for each constrained element, as ``kalfit fit --constraints``
+        writes it: ``element``, ``phase``, ``level``, ``value``, ``sensitivity``, ``score_statistic``, ``p_value`` and
+        ``expected_change``. This takes pandas.
+        """
+        numbers = ["value", "sensitivity", "score_statistic", "p_value", "expected_change"]
+        return _frame(self._record["constraints"], ["element", "phase", "level"], numbers, [])
 
     def _model_of(self, model: Any) -> tuple[Any, Any]:
         """A model, or that of the fit with what was set of it."""

@@ -123,13 +123,15 @@ def fit(
     max_iterations: int | None = None,
     threads: int | None = None,
     out: Path | None = None,
+    report: Path | None = None,
     progress: Progress = False,
 ) -> Fit:
     """Fits a model to data by maximum likelihood.
 
     ``model`` is a :class:`kalfit.Model`, the path of a model file, or a dictionary; ``data`` a table of polars, pandas or
     pyarrow, a path or a pattern of paths, or a list of these. The options are those of ``kalfit fit``, under the same names:
-    ``set={"tau": 90}`` fixes a parameter, ``out`` names a file for the results.
+    ``set={"tau": 90}`` fixes a parameter, ``out`` names a file for the results, ``report`` one for the HTML report. Made here, the
+    report shows the records too, where they have times; :meth:`Fit.report` makes it from the results alone.
 
     The work is done without Python's lock. Ctrl-C ends it at once; if there is something to show by then, the exception is
     :class:`kalfit.Interrupted`, with the best fit so far.
@@ -164,6 +166,7 @@ def fit(
         "seed": seed,
         "tolerance": tolerance,
         "max_iterations": max_iterations,
+        "report": _file(report),
     }
     found, interrupted = _kalfit.fit(
         _model(model, set), as_data(data), _file(out), options, _how(threads, progress)

@@ -115,6 +115,29 @@ def test_tests_are_a_frame():
     assert "mean[align: drift]" in phases.columns and phases["mean[flight: drift]"].isna().sum() == 4
 
 
+def test_estimates_and_constraints_are_frames():
+    fit = kalfit.fit(*BENCH)
+    frame = fit.parameters_frame().set_index("name")
+    for i, state in enumerate(fit.states):
+        assert frame.loc[f"mean[{state}]", "estimate"] == fit.mean[i]
+        assert frame.loc[f"std_dev[{state}]", "std_error"] == fit.phase("main").std_dev_std_error[i]
+    assert frame.loc["covariance[bias, scale]", "estimate"] == fit.covariance[0, 1]
+    assert set(frame["kind"]) <= {"mean", "regression", "std_dev", "covariance", "correlation", "parameter"}
+    for parameter in fit.parameters:
+        name = parameter.name if parameter.level is None else f"{parameter.name}[{parameter.level}]"
+        assert frame.loc[name, "estimate"] == parameter.estimate
+    constraints = kalfit.fit(*BENCH).constraints_frame()
+    assert list(constraints["element"]) == [one["element"] for one in fit.constraints]
+    assert constraints["p_value"].dtype == float
+    phases = kalfit.fit(*PHASES).parameters_frame()
+    assert "align: mean[drift]" in set(phases["name"])
+
+
+def test_a_fit_with_its_data_writes_a_report_that_shows_them(tmp_path):
+    kalfit.fit(*BENCH, report=tmp_path / "fit.html")
+    assert (tmp_path / "fit.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+
+
 def test_an_ensemble_is_drawn_as_the_command_draws_it(command, tmp_path):
     fit = kalfit.fit(*BENCH, out=tmp_path / "fit.json")
     arguments = ("simulate", BENCH[0], "--from", str(tmp_path / "fit.json"), "--design", BENCH[1], "--seed", "7")

@@ -126,9 +126,21 @@ pub(crate) struct FitArgs {
     #[arg(long, value_name = "FILE")]
     pub(crate) out: Option<PathBuf>,
 
-    /// File for a report, one HTML page that needs nothing else
+    /// File for a report, one HTML page that needs nothing else; of records with times it shows them, too
     #[arg(long, value_name = "FILE.html")]
     pub(crate) report: Option<PathBuf>,
+
+    /// File for a table of the tests: distance, likelihood, innovations, influence, posterior. `.parquet`, `.arrow`, `.csv` or `.tsv`
+    #[arg(long, value_name = "FILE", conflicts_with = "no_tests")]
+    pub(crate) tests: Option<PathBuf>,
+
+    /// File for a table of all estimates: means, spreads, correlations and parameters, with standard errors and intervals
+    #[arg(long, value_name = "FILE")]
+    pub(crate) parameters: Option<PathBuf>,
+
+    /// File for a table of the constraints, and what each costs
+    #[arg(long, value_name = "FILE")]
+    pub(crate) constraints: Option<PathBuf>,
 
     /// How free dynamic parameters are sought
     #[arg(long, value_parser = one_of(words::METHODS), default_value = words::METHODS[0].word)]
@@ -523,7 +535,7 @@ pub(crate) struct DatasheetArgs {
 #[derive(Debug, Group)]
 #[command(after_help = examples::COMPARE)]
 pub(crate) struct CompareArgs {
-    /// Results of `kalfit fit --out`, two or more, of the same data
+    /// Results of `kalfit fit --out`, two or more, of the same data; results of `kalfit validate --out` stand beside them, or alone
     #[arg(required = true, num_args = 2.., value_name = "FIT.json")]
     pub(crate) fits: Vec<PathBuf>,
 

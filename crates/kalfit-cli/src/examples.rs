@@ -21,6 +21,7 @@ pub(crate) const FIT: &str = "\
 Examples:
   kalfit fit model.toml data.csv
   kalfit fit model.toml 'runs/*.csv' --out fit.json --report fit.html
+  kalfit fit model.toml data.csv --tests tests.parquet --parameters parameters.csv
   kalfit fit model.toml data.parquet --set tau=90 --intervals profile --starts 5
 
 Ctrl-C ends the search: the best so far is shown, and written to `--out` and `--report`, marked as not converged, with \
@@ -105,7 +106,8 @@ labels stay.";
 pub(crate) const COMPARE: &str = "\
 Examples:
   kalfit compare full.json diagonal.json
-  kalfit compare full.json diagonal.json fixed.json --out compared.json";
+  kalfit compare full.json diagonal.json fixed.json --out compared.json
+  kalfit compare full-validated.json diagonal-validated.json";
 
 pub(crate) const REPORT: &str = "\
 Examples:

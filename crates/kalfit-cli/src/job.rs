@@ -10,8 +10,8 @@ use kalfit::infer::{Bootstrap, Choices, TestsChoice};
 use kalfit::predict::{Limits, Sides};
 use kalfit_data::Datum;
 use kalfit_job::{
-    ApplyJob, CheckJob, CompareJob, DatasheetJob, ExchangeJob, ExportJob, Failure, FitJob, FoldsOf, ModelJob, PlanJob,
-    PredictJob, ReportJob, SimulateJob, TestJob, ValidateJob,
+    ApplyJob, CheckJob, CompareJob, DatasheetJob, ExchangeJob, ExportJob, Failure, FitJob, FitTables, FoldsOf,
+    ModelJob, PlanJob, PredictJob, ReportJob, SimulateJob, TestJob, ValidateJob,
 };
 
 use crate::args::{
@@ -181,6 +181,7 @@ impl From<FitArgs> for FitJob {
             data: data(args.data),
             out: args.out,
             report: args.report,
+            tables: FitTables { tests: args.tests, parameters: args.parameters, constraints: args.constraints },
             settings,
             search,
             method: args.method,

@@ -1,15 +1,14 @@
-//! Fits of the same data side by side: `kalfit compare`.
+//! Fits of the same data, and predictions of it, side by side: `kalfit compare`.
 
 use std::path::Path;
 
-use kalfit::FitRecord;
-use kalfit::compare::{CompareError, ComparedRecord, compare as side_by_side};
+use kalfit::compare::{CompareError, ComparedRecord, compare_with};
 
 use crate::document::Document;
 use crate::failure::Failure;
 use crate::job::{CompareJob, Done};
 use crate::output::Output;
-use crate::results::{FIT, read};
+use crate::results::{Either, FIT, VALIDATED, read_either};
 
 /// Puts the results of fits side by side.
 ///
@@ -24,11 +23,13 @@ pub fn compare(job: &CompareJob) -> Result<Done<ComparedRecord>, Failure> {
             return Err(Failure::Compare(CompareError::Twice { name: named[k].display().to_string() }));
         }
     }
-    let fits = job.fits.iter().map(|fit| {
-        let record: FitRecord = read(fit, FIT).map_err(|error| Failure::Compared(Box::new(error)))?;
-        Ok((fit.name(), record))
-    });
-    let fits = fits.collect::<Result<Vec<_>, Failure>>()?;
-    let record = side_by_side(&fits).map_err(Failure::Compare)?;
+    let (mut fits, mut validated) = (Vec::new(), Vec::new());
+    for from in &job.fits {
+        match read_either(from, VALIDATED, FIT).map_err(|error| Failure::Compared(Box::new(error)))? {
+            Either::First(record) => validated.push((from.name(), record)),
+            Either::Second(record) => fits.push((from.name(), record)),
+        }
+    }
+    let record = compare_with(&fits, &validated).map_err(Failure::Compare)?;
     Done::in_json(record, Vec::new(), output.as_ref())
 }

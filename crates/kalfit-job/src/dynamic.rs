@@ -10,6 +10,7 @@ use kalfit::{Alpha, FitRecord, Labels, PhasedModel, PhasedTest, Provenance};
 use kalfit_data::Reading;
 use kalfit_spec::Spec;
 
+use crate::along::Held;
 use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::idle::refuse_idle;
@@ -23,7 +24,7 @@ use crate::{groups, lost, reductions, tests};
 const ALL: [Method; 3] = [Method::Hybrid, Method::Innovations, Method::Em];
 
 /// The method in one place: read, fit, infer, record.
-pub(crate) fn fit(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>) -> Result<FitRecord, Failure> {
+pub(crate) fn fit(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>) -> Result<(FitRecord, Held), Failure> {
     let (model, shared) = (&spec.model, spec.model.shared());
     let (tests, reading) = tests::read(spec, given, work)?;
     let slots = Slots::in_phases(model, &reading.labels, &tests);
@@ -32,7 +33,7 @@ pub(crate) fn fit(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>)
         let alpha = slots.alpha(shared, &[]);
         let mut record = known(job, spec, given, (&alpha, &tests, &reading), work)?;
         record.notes.extend(notes);
-        return Ok(record);
+        return Ok((record, Held::Tests(tests, alpha)));
     }
     let groups = groups::of(model, &tests, &reading.labels)?;
     let data = Data { model, tests: &tests, reading: &reading };
@@ -80,7 +81,7 @@ pub(crate) fn fit(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>)
         innovations::add_of(&mut record, at, &tests, work);
         record.solver.seconds = work.seconds();
     }
-    Ok(record)
+    Ok((record, Held::Tests(tests, fit.alpha)))
 }
 
 /// With known parameters, of tests that are kept.

@@ -6,15 +6,16 @@ use kalfit::record::TestGroups;
 use kalfit::{Alpha, FitRecord};
 use kalfit_spec::Spec;
 
+use crate::along::Held;
 use crate::evidence::Given;
 use crate::failure::Failure;
+use crate::fitted::Files;
 use crate::idle::{refuse_idle, refuse_one_phase};
 use crate::inferred::{Sorted, beside, record};
 use crate::innovations::{self, Kept};
 use crate::job::{Done, FitJob, files};
-use crate::output::{Contents, Output};
 use crate::work::{Watch, Work};
-use crate::{dynamic, groups, lost, model, reductions, report, tests, write};
+use crate::{dynamic, groups, lost, model, reductions, tests};
 
 /// Said of a search that had converged when nobody waited any longer.
 const CUT_SHORT: &str =
@@ -41,11 +42,9 @@ pub fn fit(job: &FitJob, watch: &mut dyn Watch) -> Result<Done<FitRecord>, Failu
         refuse_idle(job)?;
     }
     let read = files(&[&job.model.document], &given.inputs);
-    let output = Output::results(job.out.as_deref(), &read)?;
-    let page = Output::prepare_for(("--report", Contents::Page), job.report.as_deref(), &read)?;
-    page.as_ref().map_or(Ok(()), |page| page.refuse_same(output.as_ref()))?;
+    let files = Files::prepare(job, &read)?;
     let mut work = Work::new(watch);
-    let mut record =
+    let (mut record, held) =
         if free { dynamic::fit(job, &spec, &given, &mut work)? } else { known(job, &spec, &given, &mut work)? };
     record.add_by_group();
     record.add_model_check();
@@ -56,31 +55,23 @@ pub fn fit(job: &FitJob, watch: &mut dyn Watch) -> Result<Done<FitRecord>, Failu
     if work.is_stopped() && record.converged {
         record.notes.push(CUT_SHORT.to_owned());
     }
-    // asked for each file: whoever does not want what was stopped does not wait for files either
-    let wanted = |work: &Work<'_>| job.keeps_stopped || !work.is_stopped();
-    let output = output.filter(|_| wanted(&work));
-    if let Some(output) = &output {
-        write::record(output, &mut record)?;
-    }
-    let page = page.filter(|_| wanted(&work));
-    if let Some(page) = &page {
-        report::write(page, &kalfit_report::html(&record))?;
-    }
-    let written = [&output, &page].into_iter().flatten().map(Output::name).collect();
+    let written = files.write(&mut record, held, &spec.model, &mut work)?;
     Ok(Done { record, notes: Vec::new(), written })
 }
 
 /// The method in one place, with known parameters: reduce, estimate, infer, record.
-fn known(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>) -> Result<FitRecord, Failure> {
+fn known(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>) -> Result<(FitRecord, Held), Failure> {
     let alpha = model::alpha(spec);
     if given.is_reductions() && spec.model.is_single() && spec.model.levels.is_empty() {
-        return reduced(job, spec, given, &alpha, work);
+        return Ok((reduced(job, spec, given, &alpha, work)?, Held::Nothing));
     }
     if !given.is_rows() || lost::filters_rows(&spec.model) || !spec.model.levels.is_empty() {
         let (tests, reading) = tests::read(spec, given, work)?;
-        return dynamic::known(job, spec, given, (&alpha, &tests, &reading), work);
+        let record = dynamic::known(job, spec, given, (&alpha, &tests, &reading), work)?;
+        return Ok((record, Held::Tests(tests, alpha)));
     }
-    let mut kept = if job.innovations { Kept::of(&given.inputs) } else { Kept::nothing() };
+    let looks_again = job.innovations || job.report.is_some();
+    let mut kept = if looks_again { Kept::of(&given.inputs) } else { Kept::nothing() };
     kept.groups = TestGroups::new(spec.model.shared());
     let reductions = reductions::reduce_keeping(spec, &alpha, given, work, &mut kept)?;
     let (mut record, population) = record(
@@ -92,10 +83,10 @@ fn known(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>) -> Resul
     )?;
     beside(reductions); // what comes next can have their memory
     if job.innovations {
-        innovations::add(&mut record, kept, (spec, &alpha, &given.inputs), &population, work);
+        innovations::add(&mut record, &mut kept, (spec, &alpha, &given.inputs), &population, work);
         record.solver.seconds = work.seconds();
     }
-    Ok(record)
+    Ok((record, Held::kept(kept.tests.all(), alpha)))
 }
 
 /// The filters have run: estimate, infer, record.

@@ -92,6 +92,11 @@ impl KeptTests {
         }
     }
 
+    /// All of them; `None` where they are not all there.
+    pub(crate) fn all(self) -> Option<Vec<PhasedTest>> {
+        (self.wanted && !self.overflowed).then_some(self.tests)
+    }
+
     /// Forgets them.
     pub(crate) fn restart(&mut self) {
         *self = KeptTests { wanted: self.wanted, ..KeptTests::default() };
@@ -138,7 +143,7 @@ impl Read for Copying<'_> {
 /// Adds innovations to the record, or a note that says why there are none.
 pub(crate) fn add(
     record: &mut FitRecord,
-    kept: Kept,
+    kept: &mut Kept,
     (spec, alpha, inputs): (&Spec, &Alpha, &[Input]),
     initial: &Population,
     work: &mut Work<'_>,
@@ -316,7 +321,7 @@ impl Sink for Looking<'_, '_> {
 /// Tests looked at together: their series of innovations are in memory at the same time.
 const BATCH: usize = 1024;
 
-fn all(mut looking: Looking<'_, '_>, kept: Kept, spec: &Spec, inputs: &[Input]) -> Result<Seen, Unavailable> {
+fn all(mut looking: Looking<'_, '_>, kept: &mut Kept, spec: &Spec, inputs: &[Input]) -> Result<Seen, Unavailable> {
     if kept.tests.overflowed {
         again(&mut looking, kept, spec, inputs)?;
     } else {
@@ -326,7 +331,7 @@ fn all(mut looking: Looking<'_, '_>, kept: Kept, spec: &Spec, inputs: &[Input]) 
 }
 
 /// Reads the data a second time.
-fn again(looking: &mut Looking<'_, '_>, kept: Kept, spec: &Spec, inputs: &[Input]) -> Result<(), Unavailable> {
+fn again(looking: &mut Looking<'_, '_>, kept: &mut Kept, spec: &Spec, inputs: &[Input]) -> Result<(), Unavailable> {
     let once = inputs.iter().find(|input| match input {
         Input::Path(path) => !std::fs::metadata(path).is_ok_and(|found| found.is_file()),
         Input::Stdin | Input::Table(_) => false,
@@ -334,7 +339,7 @@ fn again(looking: &mut Looking<'_, '_>, kept: Kept, spec: &Spec, inputs: &[Input
     if let Some(input) = once {
         return Err(Unavailable::OnlyOnce { name: input.name() });
     }
-    let mut copy: Box<dyn Read> = match kept.copy {
+    let mut copy: Box<dyn Read> = match std::mem::replace(&mut kept.copy, Copy::None) {
         Copy::None => Box::new(std::io::empty()),
         Copy::Whole(mut file) => {
             file.seek(SeekFrom::Start(0)).map_err(|_| Unavailable::NoCopy)?;
@@ -403,14 +408,14 @@ noise = 1
     /// `b` comes back after `a`, so that the second reading starts again too.
     const DATA: &str = "id,y\nb,1\na,2\na,3\nb,-1\nb,4\n";
 
-    fn figures(kept: Kept, inputs: &[Input]) -> Result<Vec<(String, f64)>, Unavailable> {
+    fn figures(mut kept: Kept, inputs: &[Input]) -> Result<Vec<(String, f64)>, Unavailable> {
         let spec = Spec::parse("m.toml", MODEL).unwrap();
         let mut initial = Population { mean: vec![1.0], coefficients: vec![], covariance: Default::default() };
         initial.covariance.resize_mut(1, 1, 1.0);
         let mut watch = Unwatched;
         let mut work = Work::new(&mut watch);
         let looking = Looking::new(&spec.model, &Alpha::default(), &initial, &mut work).unwrap();
-        let seen = all(looking, kept, &spec, inputs)?;
+        let seen = all(looking, &mut kept, &spec, inputs)?;
         assert_eq!((seen.failed, seen.silent), (None, 0));
         Ok(seen.found.into_iter().map(|one| (one.test, one.log_likelihood)).collect())
     }

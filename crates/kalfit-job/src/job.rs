@@ -37,6 +37,8 @@ pub struct FitJob {
     pub out: Option<PathBuf>,
     /// File for the HTML report.
     pub report: Option<PathBuf>,
+    /// Where tables of the results go.
+    pub tables: FitTables,
     /// Of the search for the mean and the covariance.
     pub settings: Settings,
     /// Of the search for free dynamic parameters.
@@ -64,6 +66,7 @@ impl FitJob {
             data,
             out: None,
             report: None,
+            tables: FitTables::default(),
             settings,
             search,
             method,
@@ -73,6 +76,17 @@ impl FitJob {
             keeps_stopped: false,
         }
     }
+}
+
+/// Tables of what a fit found.
+#[derive(Debug, Clone, Default)]
+pub struct FitTables {
+    /// What each test says: a row for each phase.
+    pub tests: Option<PathBuf>,
+    /// Every number that describes the population, and every parameter.
+    pub parameters: Option<PathBuf>,
+    /// What each constraint costs.
+    pub constraints: Option<PathBuf>,
 }
 
 /// Run filters and write what they make of the data.

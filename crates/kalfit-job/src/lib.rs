@@ -14,6 +14,7 @@
 //! assert!(failure.to_string().starts_with("cannot read no-such.csv"));
 //! ```
 
+mod along;
 mod apply;
 mod check;
 mod compare;
@@ -27,6 +28,7 @@ mod exchange;
 mod export;
 mod failure;
 mod fit;
+mod fitted;
 mod groups;
 mod hypothesis;
 mod idle;
@@ -48,6 +50,7 @@ mod report;
 mod results;
 mod simulate;
 mod table;
+mod tables;
 mod test;
 mod tests;
 mod truth;
@@ -68,8 +71,8 @@ pub use failure::{Failure, Place, Source, UnknownUnit};
 pub use fit::fit;
 pub use job::{
     AppliedModel, ApplyJob, CheckJob, CompareJob, DatasheetJob, Done, ExchangeJob, Exchanged, ExportJob, FitJob,
-    FoldsOf, ModelJob, PlanJob, PredictJob, PredictedModel, ReportJob, Search, SimulateJob, Simulated, TableTo,
-    TestJob, Units, ValidateJob,
+    FitTables, FoldsOf, ModelJob, PlanJob, PredictJob, PredictedModel, ReportJob, Search, SimulateJob, Simulated,
+    TableTo, TestJob, Units, ValidateJob,
 };
 pub use model::read as read_model;
 pub use output::{Contents, OutputError, abandon};

@@ -1,6 +1,6 @@
 //! Files of results, read.
 
-use kalfit::record::FIT_SCHEMA;
+use kalfit::record::{FIT_SCHEMA, VALIDATE_SCHEMA};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
@@ -21,6 +21,8 @@ pub(crate) struct Kind {
 pub(crate) const FIT: Kind = Kind { schema: FIT_SCHEMA, command: "fit" };
 /// What `kalfit test --out` writes.
 pub(crate) const TEST: Kind = Kind { schema: "kalfit-test/1", command: "test" };
+/// What `kalfit validate --out` writes.
+pub(crate) const VALIDATED: Kind = Kind { schema: VALIDATE_SCHEMA, command: "validate" };
 
 /// Why results cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -73,19 +75,45 @@ impl ResultError {
 
 /// The results in a file.
 pub(crate) fn read<T: DeserializeOwned>(from: &Document, kind: Kind) -> Result<T, ResultError> {
+    of_bytes(from.name(), &bytes(from)?, kind)
+}
+
+fn bytes(from: &Document) -> Result<Vec<u8>, ResultError> {
     let (bytes, found) = from.bytes(MAX_BYTES + 1).map_err(|error| ResultError::unreadable(from, &error))?;
     if found > MAX_BYTES {
         return Err(ResultError::TooLarge { path: from.name(), found, limit: MAX_BYTES });
     }
-    of_bytes(from.name(), &bytes, kind)
+    Ok(bytes)
+}
+
+/// One of two kinds of results.
+pub(crate) enum Either<A, B> {
+    First(A),
+    Second(B),
+}
+
+/// The results in a file that holds those of the first kind, or else of the second.
+pub(crate) fn read_either<A: DeserializeOwned, B: DeserializeOwned>(
+    from: &Document,
+    first: Kind,
+    second: Kind,
+) -> Result<Either<A, B>, ResultError> {
+    let bytes = bytes(from)?;
+    let schema = serde_json::from_slice::<Head>(&bytes).ok().and_then(|head| head.schema);
+    if schema.as_deref() == Some(first.schema) {
+        return of_bytes(from.name(), &bytes, first).map(Either::First);
+    }
+    of_bytes(from.name(), &bytes, second).map(Either::Second)
+}
+
+/// What every file of results has.
+#[derive(Deserialize)]
+struct Head {
+    schema: Option<String>,
 }
 
 /// The results in the bytes of a file.
 pub(crate) fn of_bytes<T: DeserializeOwned>(path: String, bytes: &[u8], kind: Kind) -> Result<T, ResultError> {
-    #[derive(Deserialize)]
-    struct Head {
-        schema: Option<String>,
-    }
     let Kind { schema: expected, command } = kind;
     let refused = |reason: String| ResultError::NotARecord { path: path.clone(), command, reason };
     let head: Head = serde_json::from_slice(bytes).map_err(|error| refused(error.to_string()))?;

@@ -55,6 +55,11 @@ impl Results {
         py.detach(|| text(&self.record().tests.iter().step_by(every.max(1)).collect::<Vec<_>>()))
     }
 
+    /// The list of all numbers of the population and of all parameters.
+    fn quantities(&self, py: Python<'_>) -> PyResult<String> {
+        py.detach(|| text(&self.record().quantities()))
+    }
+
     /// Number of the tests.
     fn __len__(&self) -> usize {
         self.record().tests.len()

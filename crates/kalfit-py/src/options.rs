@@ -47,6 +47,7 @@ pub(crate) struct FitOptions {
     seed: Option<u64>,
     tolerance: Option<f64>,
     max_iterations: Option<u32>,
+    report: Option<PathBuf>,
 }
 
 impl FitOptions {
@@ -59,6 +60,7 @@ impl FitOptions {
         job.choices = self.choices()?;
         job.innovations = self.innovations;
         job.group_test = self.group_test;
+        job.report.clone_from(&self.report);
         job.method = pick("method", &self.method, words::METHODS)?;
         if self.starts.is_some_and(|starts| !(1..=10_000).contains(&starts)) {
             return Err(PyValueError::new_err("starts must be from 1 to 10000, or None"));

@@ -1,6 +1,6 @@
 //! Fits of the same data side by side.
 
-use kalfit::compare::{ComparedFit, ComparedRecord, NestedRecord, PValueKind, StandingRecord};
+use kalfit::compare::{ComparedFit, ComparedRecord, ComparedValidation, NestedRecord, PValueKind, StandingRecord};
 
 use crate::Style;
 use crate::number::{hundredths, plain, probability};
@@ -15,15 +15,21 @@ const MOST: usize = 30;
 pub fn compared_summary(record: &ComparedRecord, style: &Style) -> String {
     let page = Page::new(style);
     let names: Vec<String> = record.fits.iter().map(|fit| clean(&fit.name)).collect();
+    let (what, number) = match record.fits.len() {
+        0 => ("validation", record.validated.len()),
+        fits => ("fit", fits),
+    };
     let facts = format!(
-        "{} to {} with {}.",
-        capital(&count(record.fits.len(), "fit")),
+        "{} {} {} with {}.",
+        capital(&count(number, what)),
+        if what == "fit" { "to" } else { "on" },
         count(record.tests, "test"),
         count(record.observations, "measured value")
     );
     let mut sections = vec![page.paragraph(&(facts + &verdict(record)))];
     sections.push(page.section("Likelihoods", &likelihoods(record, &names, &page)));
     sections.push(page.section("Predictions of tests left out", &predictive(record, &names, &page)));
+    sections.push(page.section("Predictions of folds left out", &validated(&record.validated, &page)));
     sections.push(page.section("Fits within others", &nested(record, &names, &page)));
     sections.push(page.section("What differs", &differences(record, &names, &page)));
     sections.push(page.section("Equations that differ", &page.items(&lines(record, &names))));
@@ -36,6 +42,9 @@ pub fn compared_summary(record: &ComparedRecord, style: &Style) -> String {
 
 /// Which fit has the smallest AIC.
 fn verdict(record: &ComparedRecord) -> String {
+    if record.fits.is_empty() {
+        return String::new();
+    }
     if !record.comparable {
         return " Their log-likelihoods do not compare: see the notes.".to_owned();
     }
@@ -51,6 +60,9 @@ fn column(record: &ComparedRecord, heading: &str, cell: &dyn Fn(&ComparedFit) ->
 }
 
 fn likelihoods(record: &ComparedRecord, names: &[String], page: &Page<'_>) -> String {
+    if record.fits.is_empty() {
+        return String::new();
+    }
     let or = |x: Option<f64>, show: &dyn Fn(f64) -> String| x.map_or("-".to_owned(), show);
     let fit = Column::new("fit", Side::Left, names.to_vec());
     let mut columns = vec![
@@ -86,6 +98,31 @@ fn predictive(record: &ComparedRecord, names: &[String], page: &Page<'_>) -> Str
         column(record, "below the best", &|fit| or(difference(fit), 4)),
         column(record, "std. error", &|fit| or(error(fit), 2)),
     ])
+}
+
+/// What `kalfit validate` found.
+fn validated(all: &[ComparedValidation], page: &Page<'_>) -> String {
+    if all.is_empty() {
+        return String::new();
+    }
+    let column = |heading: &str, side: Side, cell: &dyn Fn(&ComparedValidation) -> String| {
+        Column::new(heading, side, all.iter().map(cell).collect())
+    };
+    let or = |x: Option<f64>, digits: usize| x.map_or("-".to_owned(), |x| plain(x, digits));
+    let difference = |own: &ComparedValidation| own.difference.map(|own| own.difference);
+    let error = |own: &ComparedValidation| own.difference.and_then(|own| own.std_error);
+    let name = column("validation", Side::Left, &|own| clean(&own.name));
+    page.wide_table(
+        &name,
+        &[
+            column("folds", Side::Right, &|own| own.folds.to_string()),
+            column("log density", Side::Right, &|own| plain(own.log_density, 7)),
+            column("std. error", Side::Right, &|own| or(own.std_error, 2)),
+            column("below the best", Side::Right, &|own| or(difference(own), 4)),
+            column("std. error of that", Side::Right, &|own| or(error(own), 2)),
+            column("certified", Side::Right, &|own| if own.converged { "yes" } else { "no" }.to_owned()),
+        ],
+    )
 }
 
 fn nested(record: &ComparedRecord, names: &[String], page: &Page<'_>) -> String {
@@ -149,10 +186,21 @@ fn lines(record: &ComparedRecord, names: &[String]) -> Vec<String> {
 }
 
 fn reading(record: &ComparedRecord) -> Vec<String> {
-    let mut notes = vec![
+    let mut notes = Vec::new();
+    if !record.validated.is_empty() {
+        notes.push(
+            "Folds left out: the log density of the tests of each fold at the fit to all others, summed; the larger the better. A \
+             difference of more than two of its standard errors is unlikely to be chance."
+                .to_owned(),
+        );
+    }
+    if record.fits.is_empty() {
+        return notes;
+    }
+    notes.push(
         "Files of results do not hold the data: that the fits are of the same measured values is judged by their tests and counts."
             .to_owned(),
-    ];
+    );
     if record.comparable {
         notes.push(
             "AIC and BIC weigh the log-likelihood against the number of free quantities, the smaller the better; weights are \

@@ -24,7 +24,7 @@ pub use check::{CheckRecord, Checked, CheckedLevel, CheckedPhase, ParameterCount
 pub use compared::compared_summary;
 pub use datasheet::datasheet_summary;
 pub use exported::exported_summary;
-pub use html::{html, html_with_test};
+pub use html::{html, html_along, html_with_test};
 pub use plan::plan_summary;
 pub use predicted::predicted_summary;
 pub use ratio::ratio_summary;

@@ -11,6 +11,7 @@
 //! The crate is pure: it knows nothing of files, model-file syntax, tables, clocks or the terminal.
 
 pub mod allan;
+pub mod along;
 pub mod apply;
 pub mod build;
 pub mod compare;

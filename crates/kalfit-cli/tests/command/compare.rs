@@ -100,6 +100,71 @@ fn fits_stand_side_by_side_with_tests_of_one_within_another() {
 }
 
 #[test]
+fn validations_stand_beside_each_other() {
+    let folder = fitted();
+    for (name, seed) in [("full", 3), ("apart", 3), ("parallel", 4)] {
+        let args = format!("validate {name}.toml sleepstudy.csv --folds 6 --seed {seed} --out {name}-v.json --quiet");
+        let output = folder.run(&args);
+        assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+    }
+    let output =
+        folder.run("validate full.toml sleepstudy.csv --folds 6 --seed 3 --against apart.toml --out both.json --quiet");
+    assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+    let read = |name: &str| -> Value { serde_json::from_slice(&std::fs::read(folder.path(name)).unwrap()).unwrap() };
+    let compared = folder.run("compare full.json apart.json full-v.json apart-v.json --out c.json --quiet");
+    assert!(compared.status.success(), "{}", shown(&compared));
+    let (record, both) = (read("c.json"), read("both.json"));
+    assert_eq!(record["fits"].as_array().map(Vec::len), Some(2));
+    let [full, apart] = [&record["validated"][0], &record["validated"][1]];
+    assert_eq!((&full["log_density"], &full["std_error"]), (&both["log_density"], &both["std_error"]));
+    assert_eq!(apart["log_density"], both["against"]["log_density"]);
+    // the one that predicts better is zero below itself, the other as much as `--against` says
+    let of = |own: &Value, what: &str| own["difference"][what].as_f64().unwrap();
+    let against = |what: &str| both["against"][what].as_f64().unwrap();
+    let (best, other) = if against("difference") > 0.0 { (full, apart) } else { (apart, full) };
+    assert_eq!(of(best, "difference"), 0.0);
+    for (what, expected) in [("difference", against("difference").abs()), ("std_error", against("std_error"))] {
+        let found = of(other, what);
+        assert!((found - expected).abs() < 1e-9 * (1.0 + expected), "{what}: {found} against {expected}");
+    }
+    assert_snapshot!(shown(&folder.run("compare full-v.json apart-v.json parallel-v.json")), @"
+    exit 0
+    ----- stdout
+    3 validations on 18 tests with 180 measured values.
+
+    Predictions of folds left out
+      validation       folds  log density  std. error  below the best
+      full-v.json          6      -889.05          29          0.5641
+      apart-v.json         6    -888.4859          29               0
+      parallel-v.json      6    -910.8013          22               -
+
+      validation       std. error of that  certified
+      full-v.json                    0.46        yes
+      apart-v.json                      0        yes
+      parallel-v.json                   -        yes
+
+    Notes
+      `parallel-v.json` and `apart-v.json` did not predict the same values in the
+        same folds: their difference is not told. Give `kalfit validate` the same
+        data and the same `--folds`, `--seed` or `--by`.
+
+    How to read this
+      Folds left out: the log density of the tests of each fold at the fit to all
+        others, summed; the larger the better. A difference of more than two of its
+        standard errors is unlikely to be chance.
+    ----- stderr
+    ");
+    assert_snapshot!(shown(&folder.run("compare full.json full-v.json")), @"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: found 1 of the results of a fit, expected two or more
+
+    hint: name two or more files that `kalfit fit --out` wrote, or two or more of `kalfit validate --out`
+    ");
+}
+
+#[test]
 fn fits_of_other_data_and_files_that_are_no_fits_are_refused() {
     let folder = fitted();
     let data = std::fs::read_to_string(folder.path("sleepstudy.csv")).unwrap();

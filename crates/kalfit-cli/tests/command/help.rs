@@ -87,7 +87,19 @@ fn version_and_help() {
               File for all results, as JSON
 
           --report <FILE.html>
-              File for a report, one HTML page that needs nothing else
+              File for a report, one HTML page that needs nothing else; of records with times it shows
+              them, too
+
+          --tests <FILE>
+              File for a table of the tests: distance, likelihood, innovations, influence, posterior.
+              `.parquet`, `.arrow`, `.csv` or `.tsv`
+
+          --parameters <FILE>
+              File for a table of all estimates: means, spreads, correlations and parameters, with
+              standard errors and intervals
+
+          --constraints <FILE>
+              File for a table of the constraints, and what each costs
 
           --method <METHOD>
               How free dynamic parameters are sought
@@ -201,6 +213,7 @@ fn version_and_help() {
     Examples:
       kalfit fit model.toml data.csv
       kalfit fit model.toml 'runs/*.csv' --out fit.json --report fit.html
+      kalfit fit model.toml data.csv --tests tests.parquet --parameters parameters.csv
       kalfit fit model.toml data.parquet --set tau=90 --intervals profile --starts 5
 
     Ctrl-C ends the search: the best so far is shown, and written to `--out` and `--report`, marked as

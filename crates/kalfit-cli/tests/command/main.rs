@@ -31,6 +31,7 @@ mod scales;
 mod simulate;
 mod sound;
 mod starts;
+mod tables;
 mod terminal;
 mod unbounded;
 mod undrawable;

@@ -47,6 +47,89 @@ fn a_tested_hypothesis_stands_beside_the_fit() {
     assert!(!read(&folder, "fit.html").contains("Comparison with the a-priori model"));
 }
 
+/// Six units of forty rows, half a second apart.
+const TIMED: &str = r#"
+[data]
+test = "unit"
+time = "t"
+time_unit = "s"
+[states.bias]
+unit = "deg/h"
+[states.walk]
+process = "random-walk"
+noise_density = 0.3
+initial = { mean = 0, sigma = 0 }
+[measurements.rate]
+column = "y"
+equation = "bias + walk"
+noise = "sigma"
+[parameters]
+sigma = { start = 0.3 }
+"#;
+
+fn timed() -> Folder {
+    let mut text = "unit,t,y\n".to_owned();
+    for j in 0..6 {
+        let mut walk = f64::from((j * 23) % 31 - 15) / 8.0;
+        for k in 0..40 {
+            walk += f64::from((11 * j + 5 * k) % 23 - 11) / 50.0;
+            let y = walk + f64::from((13 * j + 7 * k) % 19 - 9) / 18.0;
+            text.push_str(&format!("u{j},{},{y}\n", 0.5 * f64::from(k)));
+        }
+    }
+    let folder = Folder::new(&[("m.toml", TIMED.as_bytes()), ("d.csv", text.as_bytes())]);
+    let fitted = folder.run("fit m.toml d.csv --out fit.json --report fit.html --quiet");
+    assert_eq!(fitted.status.code(), Some(0), "{}", shown(&fitted));
+    folder
+}
+
+/// The data of the charts of a page.
+fn charts(page: &str) -> Vec<serde_json::Value> {
+    let data = page.split("id=\"charts\">").nth(1).and_then(|rest| rest.split("</script>").next()).expect("charts");
+    serde_json::from_str(data).expect("the data of the charts are JSON")
+}
+
+#[test]
+fn records_over_time_are_on_the_page_that_is_made_with_the_data() {
+    let folder = timed();
+    let page = read(&folder, "fit.html");
+    let charts = charts(&page);
+    let of = |kind: &str| charts.iter().find(|chart| chart["kind"] == kind).unwrap_or_else(|| panic!("no {kind}"));
+    let sheet = folder.run("datasheet m.toml d.csv --from fit.json --out sheet.json --quiet");
+    assert!(sheet.status.success(), "{}", shown(&sheet));
+    let sheet: serde_json::Value = serde_json::from_str(&read(&folder, "sheet.json")).unwrap();
+    let (drawn, expected) = (&of("allan")["data"]["curves"][0], &sheet["allan"][0]);
+    let points = expected["points"].as_array().unwrap();
+    assert!(points.len() >= 4, "{points:?}");
+    for (k, point) in points.iter().enumerate() {
+        let found = &drawn["points"][k];
+        for (name, expected) in [
+            ("time", &point["time"]),
+            ("model", &point["model"]),
+            ("data", &point["data"]),
+            ("low", &point["interval95"][0]),
+            ("high", &point["interval95"][1]),
+        ] {
+            assert_eq!(&found[name], expected, "{name} of point {k}");
+        }
+    }
+    let record = &of("record")["data"]["tests"];
+    let fit: kalfit::FitRecord = serde_json::from_str(&read(&folder, "fit.json")).unwrap();
+    let least = |test: &&kalfit::record::TestRecord| {
+        let own = test.innovations.as_ref().expect("it has innovations");
+        let all = [test.p_value, own.nis_p_value, own.whiteness.as_ref().map(|w| w.p_value)];
+        all.into_iter().flatten().fold(2.0, f64::min)
+    };
+    let first = fit.tests.iter().min_by(|a, b| least(a).total_cmp(&least(b))).unwrap();
+    assert_eq!((record.as_array().unwrap().len(), record[0]["id"].as_str()), (6, Some(first.id.as_str())));
+    assert_eq!(record[0]["measurements"][0]["measured"].as_array().unwrap().len(), 40);
+    assert_eq!(record[0]["states"].as_array().unwrap().len(), 2);
+    let alone = folder.run("report fit.json --out again.html --quiet");
+    assert!(alone.status.success(), "{}", shown(&alone));
+    let again = read(&folder, "again.html");
+    assert!(page.contains("id=\"records\"") && !again.contains("id=\"records\""), "results alone hold no records");
+}
+
 #[test]
 fn both_files_of_a_fit_are_named() {
     let folder = Folder::new(&[]);

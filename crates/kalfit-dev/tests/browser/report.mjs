@@ -65,6 +65,12 @@ const expectedMarks = () => {
     influence: (d) => d.tests.filter((t) => t.displacement > 0).length,
     sizes: (d) => 2 * d.tests.length,
     innovations: (d) => d.tests[0].windows.length + d.tests[0].at.length,
+    allan: (d) => d.curves[0].points.filter((p) => p.data !== null).length,
+    record: (d) => {
+      const own = d.tests[0].measurements[0];
+      const count = (numbers) => (Array.isArray(numbers) ? numbers.length : 1);
+      return own ? count(own.measured) + count(own.z) + own.q.length : 0;
+    },
     trace: (d) => d.gap.filter((x) => x > 0).length,
   };
   return Array.from(document.querySelectorAll("figure[data-chart]"), (figure) => {

@@ -5,6 +5,7 @@
 //! maud's escaping or as JSON data, never as markup.
 
 mod across;
+mod allan;
 mod chart;
 mod compare;
 mod constraints;
@@ -25,28 +26,34 @@ mod parameters;
 mod phase;
 mod posteriors;
 mod provenance;
+mod records;
 mod section;
 mod shell;
 mod solver;
 mod tests;
 
 use kalfit::FitRecord;
-use kalfit::record::RatioRecord;
+use kalfit::record::{AlongRecord, RatioRecord};
 
 use crate::html::chart::Charts;
 use crate::html::section::Section;
 
 /// The report of a fit, a whole HTML document. It depends on the record alone and copes with any record.
 pub fn html(record: &FitRecord) -> String {
-    page(record, None)
+    page(record, None, None)
+}
+
+/// The same with what is known along the records of its tests, which is no part of the record.
+pub fn html_along(record: &FitRecord, along: Option<&AlongRecord>) -> String {
+    page(record, None, along)
 }
 
 /// The same with a comparison with a hypothesis that was tested within the model.
 pub fn html_with_test(record: &FitRecord, test: &RatioRecord) -> String {
-    page(record, Some(test))
+    page(record, Some(test), None)
 }
 
-fn page(record: &FitRecord, test: Option<&RatioRecord>) -> String {
+fn page(record: &FitRecord, test: Option<&RatioRecord>, along: Option<&AlongRecord>) -> String {
     let mut charts = Charts::default();
     let sections = [
         overview::section(record),
@@ -59,6 +66,7 @@ fn page(record: &FitRecord, test: Option<&RatioRecord>) -> String {
         tests::section(record, &mut charts),
         influence::section(record, &mut charts),
         innovations::section(record, &mut charts),
+        along.and_then(|along| records::section(along, &mut charts)),
         groups::section(record),
         constraints::section(record, &mut charts),
         test.and_then(|test| compare::section(record, test, &mut charts)),

@@ -22,6 +22,8 @@ const SCRIPTS: &[&str] = &[
     include_str!("page/ellipses.js"),
     include_str!("page/tests.js"),
     include_str!("page/innovations.js"),
+    include_str!("page/allan.js"),
+    include_str!("page/records.js"),
     include_str!("page/solver.js"),
     include_str!("page/table.js"),
     include_str!("page/start.js"),

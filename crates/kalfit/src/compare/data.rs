@@ -35,7 +35,9 @@ impl CompareError {
     /// What to do about it.
     pub fn hint(&self) -> &'static str {
         match self {
-            CompareError::TooFew { .. } => "name two or more files that `kalfit fit --out` wrote",
+            CompareError::TooFew { .. } => {
+                "name two or more files that `kalfit fit --out` wrote, or two or more of `kalfit validate --out`"
+            }
             CompareError::Twice { .. } => "name each file once",
             CompareError::OtherData { .. } => {
                 "likelihoods compare only where they are of the same measured values: fit all models to the same data"

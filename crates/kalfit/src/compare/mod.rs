@@ -7,6 +7,7 @@ mod lines;
 mod nested;
 #[cfg(test)]
 mod tests;
+mod validations;
 
 use serde::{Deserialize, Serialize};
 
@@ -14,8 +15,9 @@ pub use data::CompareError;
 pub use elements::{DifferenceRecord, StandingRecord};
 pub use lines::LineRecord;
 pub use nested::{NestedRecord, PValueKind};
+pub use validations::ComparedValidation;
 
-use crate::record::{FitRecord, TestRecord};
+use crate::record::{FitRecord, TestRecord, ValidatedRecord};
 
 /// The schema of [`ComparedRecord`].
 pub const COMPARE_SCHEMA: &str = "kalfit-compare/1";
@@ -41,6 +43,9 @@ pub struct ComparedRecord {
     pub differences: Vec<DifferenceRecord>,
     /// What the models say of states and measurements, where they do not all say it.
     pub lines: Vec<LineRecord>,
+    /// How well models predict folds of tests that they were not fitted to, where that was given.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub validated: Vec<ComparedValidation>,
     /// Findings in plain words, most important first.
     pub notes: Vec<String>,
 }
@@ -91,6 +96,55 @@ pub struct PredictiveDifference {
     pub std_error: Option<f64>,
 }
 
+impl PredictiveDifference {
+    /// Of what the best fit predicts better of each test.
+    fn of(differences: &[f64]) -> PredictiveDifference {
+        let (n, sum) = (differences.len() as f64, differences.iter().sum::<f64>());
+        let squares: f64 = differences.iter().map(|one| (one - sum / n).powi(2)).sum();
+        let std_error = (n > 1.0).then(|| (n * squares / (n - 1.0)).sqrt());
+        PredictiveDifference { difference: sum, std_error }
+    }
+}
+
+/// As [`compare`], with what `kalfit validate` found, too; there may be no fits where there are two validations or more.
+///
+/// # Errors
+/// As there; a validation that is given twice.
+pub fn compare_with(
+    fits: &[(String, FitRecord)],
+    validated: &[(String, ValidatedRecord)],
+) -> Result<ComparedRecord, CompareError> {
+    let mut record = match fits {
+        [] if validated.len() > 1 => nothing(&validated[0].1),
+        _ => compare(fits)?,
+    };
+    record.validated = validations::side_by_side(validated, &mut record.notes)?;
+    for own in record.validated.iter().filter(|own| own.observations != record.observations) {
+        record.notes.push(format!(
+            "`{}` is of {} measured values, not of {}: it is of other data",
+            own.name, own.observations, record.observations
+        ));
+    }
+    Ok(record)
+}
+
+/// No fits, beside a validation.
+fn nothing(validated: &ValidatedRecord) -> ComparedRecord {
+    ComparedRecord {
+        schema: COMPARE_SCHEMA.to_owned(),
+        kalfit_version: env!("CARGO_PKG_VERSION").to_owned(),
+        tests: validated.folds.iter().map(|fold| fold.tests).sum(),
+        observations: validated.observations,
+        comparable: false,
+        fits: Vec::new(),
+        nested: Vec::new(),
+        differences: Vec::new(),
+        lines: Vec::new(),
+        validated: Vec::new(),
+        notes: Vec::new(),
+    }
+}
+
 /// Puts fits side by side, each with the name that the user gave it.
 ///
 /// # Errors
@@ -118,6 +172,7 @@ pub fn compare(fits: &[(String, FitRecord)]) -> Result<ComparedRecord, CompareEr
         nested,
         differences: elements::differences(&records),
         lines: lines::differences(&records),
+        validated: Vec::new(),
         notes,
     })
 }
@@ -221,9 +276,6 @@ fn predictive(fits: &mut [ComparedFit], records: &[&FitRecord]) {
             continue;
         };
         let differences: Vec<f64> = best.iter().zip(own).map(|((_, best), (_, own))| best - own).collect();
-        let (n, sum) = (differences.len() as f64, differences.iter().sum::<f64>());
-        let squares: f64 = differences.iter().map(|one| (one - sum / n).powi(2)).sum();
-        let std_error = (n > 1.0).then(|| (n * squares / (n - 1.0)).sqrt());
-        fit.predictive_difference = Some(PredictiveDifference { difference: sum, std_error });
+        fit.predictive_difference = Some(PredictiveDifference::of(&differences));
     }
 }

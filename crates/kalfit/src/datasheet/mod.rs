@@ -18,7 +18,7 @@ use crate::datasheet::noise::Sheet;
 use crate::export::ExportError;
 use crate::export::bind::{Binder, columns_read};
 use crate::model::{Alpha, PhasedModel, Population};
-use crate::record::{DATASHEET_SCHEMA, DatasheetRecord, FitRecord};
+use crate::record::{CurveRecord, DATASHEET_SCHEMA, DatasheetRecord, FitRecord};
 use crate::reduce::PhasedTest;
 
 /// What a datasheet is made of.
@@ -84,6 +84,27 @@ pub fn datasheet(
     })
 }
 
+/// The Allan deviation of each measurement of each phase: of the records of tests and of the model at α, for a population; and what should
+/// be known of these curves, in plain words.
+///
+/// # Errors
+/// A population that is not of the model.
+pub fn allan(
+    (model, alpha, population): (&PhasedModel, &Alpha, &Population),
+    tests: &[PhasedTest],
+) -> Result<(Vec<CurveRecord>, Vec<String>), ExportError> {
+    population.check(model)?;
+    let asked = Asked { model, alpha, population, at: &[] };
+    let measured = |at: usize| (0..model.phases[at].model.measurements.len()).map(move |m| (at, m));
+    let curve = |(at, m): (usize, usize)| {
+        let records = Records::of((model, at), m, alpha, tests);
+        asked.curve(at, m, records.step, Some(&records))
+    };
+    let curves: Vec<CurveRecord> = (0..model.phases.len()).flat_map(measured).map(curve).collect();
+    let notes = notes(&curves);
+    Ok((curves, notes))
+}
+
 fn check(model: &PhasedModel, source: &Source<'_>) -> Result<(), ExportError> {
     if let Some(found) = source.step {
         if !(found.is_finite() && found > 0.0) {
@@ -105,7 +126,7 @@ fn check(model: &PhasedModel, source: &Source<'_>) -> Result<(), ExportError> {
     }
 }
 
-fn notes(curves: &[crate::record::CurveRecord]) -> Vec<String> {
+fn notes(curves: &[CurveRecord]) -> Vec<String> {
     let mut notes = Vec::new();
     if curves.iter().any(|curve| curve.points.iter().any(|point| point.model.is_some())) {
         notes.push("the curve of the model is that of a new test from its start, with all inputs zero".to_owned());

@@ -1,5 +1,6 @@
 //! The result of a fit as others read it: fit.json. Field names are a contract; unknown figures are null, never NaN.
 
+mod along;
 mod applied;
 mod build;
 mod by_group;
@@ -22,6 +23,7 @@ mod phases;
 mod plan;
 mod population;
 mod predicted;
+mod quantities;
 mod ratio;
 mod series;
 mod series_keeper;
@@ -33,6 +35,7 @@ use serde::{Deserialize, Serialize};
 
 pub use crate::infer::Interval;
 
+pub use along::{AlongRecord, MeasurementAlong, PhaseAlong, StateAlong, TestAlong};
 pub use applied::{AppliedRecord, AppliedSource, FarRecord, JointRecord};
 pub use build::Provenance;
 pub use by_group::{GroupRecord, GroupTestRecord, MixedGroup, TestGroups};
@@ -57,6 +60,7 @@ pub use phase::{
 pub use plan::{ArrangementRecord, PlanProvenance, PlanRecord, PlannedRecord};
 pub use population::{FIT_SCHEMA, RecordError};
 pub use predicted::{PairRecord, PredictedRecord, PredictedSource, PredictedValueRecord, name_of};
+pub use quantities::QuantityRecord;
 pub use ratio::{BootstrapRecord, ComponentRecord, PartRecord, RatioProvenance, RatioRecord, SideRecord};
 pub use series::{AutocorrelationRecord, SeriesRecord, WindowRecord};
 pub use series_keeper::SeriesKeeper;

@@ -1,0 +1,50 @@
+//! What the report of a fit shows along the records of its tests, where these are at hand.
+
+use kalfit::along::along;
+use kalfit::record::AlongRecord;
+use kalfit::{Alpha, FitRecord, PhasedModel, PhasedTest};
+
+use crate::work::Work;
+
+/// What a fit leaves of its data.
+pub(crate) enum Held {
+    /// All tests, and α of the fit.
+    Tests(Vec<PhasedTest>, Alpha),
+    /// They were too large to be kept.
+    TooLarge,
+    /// They were never known by rows.
+    Nothing,
+}
+
+impl Held {
+    /// Tests that were kept, if they were.
+    pub(crate) fn kept(tests: Option<Vec<PhasedTest>>, alpha: Alpha) -> Held {
+        tests.map_or(Held::TooLarge, |tests| Held::Tests(tests, alpha))
+    }
+
+    /// What is known along the records; `None` where there are none over time.
+    pub(crate) fn along(self, model: &PhasedModel, fit: &FitRecord, work: &mut Work<'_>) -> Option<AlongRecord> {
+        model.shared().clock.time?;
+        let (tests, alpha) = match self {
+            Held::Tests(tests, alpha) => (tests, alpha),
+            Held::TooLarge => return Some(said("the data are larger than what is kept in memory; `kalfit apply --states` writes the states along them to a file, and `kalfit datasheet` shows their Allan deviations".to_owned(), fit)),
+            Held::Nothing => return None,
+        };
+        if work.is_stopped() {
+            return Some(said("the fit was interrupted".to_owned(), fit));
+        }
+        match fit.population(model) {
+            Ok(population) => Some(along((model, &alpha, &population), &tests, fit, &mut |done| {
+                work.say(|| format!("records for the report: {done} tests"));
+                !work.is_stopped()
+            })),
+            Err(error) => Some(said(error.to_string(), fit)),
+        }
+    }
+}
+
+/// Nothing, and why.
+fn said(why: String, fit: &FitRecord) -> AlongRecord {
+    let notes = vec![format!("records over time are not shown: {why}")];
+    AlongRecord { of: fit.data.tests, notes, ..AlongRecord::default() }
+}

@@ -1,0 +1,125 @@
+//! What is known along the records of the tests of a fit: for charts, and so bounded whatever the size of the ensemble.
+//!
+//! ```text
+//! fit + its tests ──> Allan deviations of all records beside the model's own
+//!                └──> the least probable tests: record and predictions, innovations, smoothed states
+//! ```
+//!
+//! Nothing is computed here that [`datasheet`](crate::datasheet), [`apply`](crate::apply) and [`innovations`](crate::innovations) do not
+//! compute for everybody; of long records some values are kept.
+
+#[cfg(test)]
+mod tests;
+mod thin;
+mod walk;
+
+use crate::along::walk::Walk;
+use crate::apply::{Applied, ApplyError};
+use crate::datasheet::allan;
+use crate::innovations::InnovationFilter;
+use crate::model::{Alpha, PhasedModel, Population};
+use crate::record::{AlongRecord, FitRecord, TestRecord};
+use crate::reduce::{Evidence, PhasedTest};
+
+/// Tests that are shown one by one.
+const MOST_TESTS: usize = 20;
+/// Values of a series.
+const MOST_VALUES: usize = 400;
+/// A series has as many as this, if the record has.
+const LEAST_VALUES: usize = 100;
+/// Numbers of all series together, about.
+const MOST_NUMBERS: usize = 240_000;
+/// Innovations of a quantile plot.
+const MOST_QUANTILES: usize = 120;
+
+/// What a fit knows along the records of its tests. `goes_on` hears how many tests are done, and says whether anybody still waits.
+///
+/// Tests in groups must be all of the fit's: what is known of a test is told by its group. A model without times has no records over time,
+/// and gives an empty answer.
+pub fn along(
+    (model, alpha, population): (&PhasedModel, &Alpha, &Population),
+    tests: &[PhasedTest],
+    fit: &FitRecord,
+    goes_on: &mut dyn FnMut(usize) -> bool,
+) -> AlongRecord {
+    let clock = &model.shared().clock;
+    let mut record = AlongRecord { time_unit: clock.unit.clone(), of: tests.len(), ..AlongRecord::default() };
+    if clock.time.is_none() || tests.is_empty() {
+        return record;
+    }
+    match allan((model, alpha, population), tests) {
+        Ok((curves, notes)) => (record.allan, record.allan_notes) = (curves, notes),
+        Err(error) => record.notes.push(format!("there are no Allan deviations: {error}")),
+    }
+    if let Err(error) = one_by_one((model, alpha, population), tests, fit, (&mut record, goes_on)) {
+        record.notes.push(format!("records are not shown test by test: {error}"));
+    }
+    record
+}
+
+/// Adds the least probable tests.
+fn one_by_one(
+    (model, alpha, population): (&PhasedModel, &Alpha, &Population),
+    tests: &[PhasedTest],
+    fit: &FitRecord,
+    (record, goes_on): (&mut AlongRecord, &mut dyn FnMut(usize) -> bool),
+) -> Result<(), ApplyError> {
+    let (most, values) = bounds(model);
+    let mut chosen = chosen(tests, fit);
+    if chosen.is_empty() {
+        record
+            .notes
+            .push("records are not shown test by test: no test is known by rows that are filtered here".to_owned());
+        return Ok(());
+    }
+    chosen.truncate(most);
+    // what is known of a test in groups is told by all of them
+    let copies: Vec<PhasedTest>;
+    let (own, places): (&[PhasedTest], Vec<usize>) = if model.levels.is_empty() {
+        copies = chosen.iter().map(|&test| tests[test].clone()).collect();
+        (&copies, (0..chosen.len()).collect())
+    } else {
+        (tests, chosen)
+    };
+    let applied = Applied::new(model, alpha, population, own)?;
+    let filter = InnovationFilter::new(model, alpha, &population.together(model.dimension()))?;
+    for (done, &place) in places.iter().enumerate() {
+        if !goes_on(done) {
+            record.notes.push(format!("{} of the records are shown: the fit was interrupted", record.tests.len()));
+            return Ok(());
+        }
+        let walk = Walk { model, applied: &applied, filter: &filter, values };
+        record.tests.push(walk.test(&own[place], place)?);
+    }
+    Ok(())
+}
+
+/// How many tests of a model are shown, and how many values of each series.
+fn bounds(model: &PhasedModel) -> (usize, usize) {
+    let of = |phase: &crate::model::Phase| 1 + 2 * phase.model.states.len() + 6 * phase.model.measurements.len();
+    let numbers = model.phases.iter().map(of).sum::<usize>().max(1);
+    let tests = (MOST_NUMBERS / (numbers * LEAST_VALUES)).clamp(1, MOST_TESTS);
+    (tests, (MOST_NUMBERS / (numbers * tests)).clamp(LEAST_VALUES, MOST_VALUES))
+}
+
+/// Tests that are known by their rows, the least probable first, and then by their ids.
+fn chosen(tests: &[PhasedTest], fit: &FitRecord) -> Vec<usize> {
+    let of: std::collections::HashMap<&str, f64> =
+        fit.tests.iter().map(|test| (test.id.as_str(), least(test))).collect();
+    let p_value = |test: usize| of.get(tests[test].id.as_str()).copied().unwrap_or(2.0);
+    let all_rows = |test: &PhasedTest| {
+        let mut phases = test.phases.iter();
+        phases.all(|evidence| matches!(evidence, Evidence::Rows(_)))
+    };
+    let mut chosen: Vec<usize> = (0..tests.len()).filter(|&test| all_rows(&tests[test])).collect();
+    chosen.sort_by(|&a, &b| p_value(a).total_cmp(&p_value(b)).then_with(|| tests[a].id.cmp(&tests[b].id)));
+    chosen
+}
+
+/// The least p-value of a test: of its distance, of the size of its innovations, of their whiteness.
+fn least(test: &TestRecord) -> f64 {
+    let seen = test.innovations.as_ref();
+    let white = seen.and_then(|own| own.whiteness.as_ref()).map(|own| own.p_value);
+    let all = [test.p_value, seen.and_then(|own| own.nis_p_value), white];
+    all.into_iter().flatten().filter(|p| p.is_finite()).fold(2.0, f64::min)
+}

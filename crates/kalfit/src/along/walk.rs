@@ -1,0 +1,106 @@
+//! One test along its record: what was measured and foreseen, innovations, smoothed states.
+
+use crate::along::MOST_QUANTILES;
+use crate::along::thin::{quantiles, thinned, with_far};
+use crate::apply::{Applied, ApplyError, PhaseStates, StateKind};
+use crate::innovations::{Innovation, InnovationFilter};
+use crate::model::PhasedModel;
+use crate::record::{MeasurementAlong, PhaseAlong, StateAlong, TestAlong};
+use crate::reduce::{Evidence, PhasedTest};
+
+/// What a test is looked at with.
+pub(super) struct Walk<'a> {
+    pub(super) model: &'a PhasedModel,
+    pub(super) applied: &'a Applied<'a>,
+    pub(super) filter: &'a InnovationFilter,
+    /// Values of a series that are kept.
+    pub(super) values: usize,
+}
+
+/// A value that was measured.
+struct Measured {
+    at: f64,
+    measured: f64,
+    predicted: f64,
+    std_dev: f64,
+}
+
+impl Walk<'_> {
+    /// A test and its place among those that the model is applied to.
+    pub(super) fn test(&self, test: &PhasedTest, place: usize) -> Result<TestAlong, ApplyError> {
+        let of = |kind| self.applied.states(kind, place..place + 1).map(|mut all| all.pop().unwrap_or_default());
+        let predicted = of(StateKind::Predicted)?;
+        let measured: Vec<Vec<Vec<Measured>>> = predicted.iter().map(|phase| self.measured(test, phase)).collect();
+        drop(predicted); // one of the two at a time: records may be very long
+        let seen = self.filter.run(std::slice::from_ref(test)).pop().transpose()?.flatten();
+        let seen = seen.map_or(Vec::new(), |own| own.series);
+        let smoothed = of(StateKind::Smoothed)?;
+        let one = |(states, measured): (&PhaseStates, Vec<Vec<Measured>>)| {
+            let phase = &self.model.phases[states.phase];
+            let kept = thinned(states.steps.len(), self.values);
+            let measurements = measured.into_iter().enumerate().map(|(m, values)| {
+                let own = seen.iter().filter(|one| one.phase == states.phase && one.measurement == m);
+                self.measurement(&phase.model.measurements[m].name, &values, &own.collect::<Vec<_>>())
+            });
+            PhaseAlong {
+                name: phase.name.clone(),
+                steps: states.steps.len(),
+                at: kept.iter().map(|&step| time(states.steps[step].time)).collect(),
+                states: self.states(states, &kept),
+                measurements: measurements.filter(|own| own.values > 0).collect(),
+            }
+        };
+        Ok(TestAlong { id: test.id.clone(), phases: smoothed.iter().zip(measured).map(one).collect() })
+    }
+
+    /// What was measured in a phase, by measurement.
+    fn measured(&self, test: &PhasedTest, states: &PhaseStates) -> Vec<Vec<Measured>> {
+        let model = &self.model.phases[states.phase].model;
+        let mut all: Vec<Vec<Measured>> = model.measurements.iter().map(|_| Vec::new()).collect();
+        let Some(Evidence::Rows(rows)) = test.phases.get(states.phase) else { return all };
+        for step in &states.steps {
+            for one in &step.measurements {
+                let measured = rows.numbers(one.row)[model.measurements[one.measurement].column];
+                let own = Measured { at: time(step.time), measured, predicted: one.value, std_dev: one.std_dev };
+                all[one.measurement].push(own);
+            }
+        }
+        all
+    }
+
+    fn measurement(&self, name: &str, values: &[Measured], seen: &[&Innovation]) -> MeasurementAlong {
+        let off = |one: &Measured| if one.std_dev > 0.0 { (one.measured - one.predicted) / one.std_dev } else { 0.0 };
+        let kept = with_far(&values.iter().map(off).collect::<Vec<f64>>(), self.values);
+        let of = |own: &dyn Fn(&Measured) -> f64| kept.iter().map(|&place| own(&values[place])).collect();
+        let sizes: Vec<f64> = seen.iter().map(|one| one.standardised).collect();
+        let shown = with_far(&sizes, self.values);
+        MeasurementAlong {
+            name: name.to_owned(),
+            values: values.len(),
+            at: of(&|one| one.at),
+            measured: of(&|one| one.measured),
+            predicted: of(&|one| one.predicted),
+            std_dev: of(&|one| one.std_dev),
+            innovations: sizes.len(),
+            innovations_at: shown.iter().map(|&place| time(seen[place].time)).collect(),
+            standardised: shown.iter().map(|&place| sizes[place]).collect(),
+            quantiles: quantiles(&sizes, MOST_QUANTILES),
+        }
+    }
+
+    fn states(&self, states: &PhaseStates, kept: &[usize]) -> Vec<StateAlong> {
+        let model = &self.model.phases[states.phase].model;
+        let one = |(i, state): (usize, &crate::model::State)| StateAlong {
+            name: state.name.clone(),
+            unit: state.unit.clone(),
+            mean: kept.iter().map(|&step| states.steps[step].mean[i]).collect(),
+            std_dev: kept.iter().map(|&step| states.steps[step].std_dev[i]).collect(),
+        };
+        model.states.iter().enumerate().map(one).collect()
+    }
+}
+
+/// A model with times has one for each step.
+fn time(of: Option<f64>) -> f64 {
+    of.unwrap_or(f64::NAN)
+}
