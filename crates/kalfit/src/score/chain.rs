@@ -18,6 +18,7 @@ mod moved;
 mod moving;
 mod response;
 mod steady;
+mod stretch;
 mod taps;
 #[cfg(test)]
 mod tests;

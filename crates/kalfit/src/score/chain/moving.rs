@@ -3,7 +3,7 @@
 use crate::reduce::Cells;
 use crate::score::chain::Chain;
 use crate::score::chain::groups::Groups;
-use crate::score::chain::steady::Stretch;
+use crate::score::chain::stretch::Stretch;
 
 /// What has come of the steps of a test.
 #[derive(Debug, Clone)]

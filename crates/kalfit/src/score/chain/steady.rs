@@ -5,17 +5,7 @@ use crate::model::Scope;
 use crate::reduce::{Evaluated, Fault, Workspace};
 use crate::score::chain::adjoints::Adjoints;
 use crate::score::chain::moved::{Moved, add};
-
-/// Steps on end that are equally long.
-#[derive(Debug, Clone, Default)]
-pub(super) struct Stretch {
-    /// Their length, by its bits.
-    length: Option<u64>,
-    /// Adjoints of φ, Q and the flows, summed.
-    sums: Vec<f64>,
-    /// The flows, where inputs or held states need them.
-    flows: Vec<f64>,
-}
+use crate::score::chain::stretch::Stretch;
 
 impl Adjoints<'_> {
     /// The transition to step `k`.
@@ -93,12 +83,5 @@ impl Adjoints<'_> {
             }
         }
         Ok(())
-    }
-}
-
-impl Stretch {
-    /// Forgets it.
-    pub(super) fn clear(&mut self) {
-        self.length = None;
     }
 }
