@@ -9,7 +9,7 @@ use kalfit::apply::StateKind;
 use kalfit::estimate::{Combination, Criterion, Solver};
 use kalfit::infer::{DeletionChoice, IntervalKind, StdErrors};
 use kalfit_job::words::{self, Word};
-use kalfit_job::{Form, Search, Units};
+use kalfit_job::{Form, MethodChoice, Units};
 
 use crate::examples;
 use crate::templates::Template;
@@ -144,7 +144,7 @@ pub(crate) struct FitArgs {
 
     /// How free dynamic parameters are sought
     #[arg(long, value_parser = one_of(words::METHODS), default_value = words::METHODS[0].word)]
-    pub(crate) method: Search,
+    pub(crate) method: MethodChoice,
 
     /// Random starts of the search for dynamic parameters, besides the one worked out from the data [default: 0]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]

@@ -16,7 +16,7 @@ use crate::failure::Failure;
 use crate::idle::refuse_idle;
 use crate::inferred::{Sorted, patience, record};
 use crate::innovations;
-use crate::job::{FitJob, Search};
+use crate::job::{FitJob, MethodChoice};
 use crate::work::Work;
 use crate::{groups, lost, reductions, tests};
 
@@ -38,8 +38,8 @@ pub(crate) fn fit(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>)
     let groups = groups::of(model, &tests, &reading.labels)?;
     let data = Data { model, tests: &tests, reading: &reading };
     let methods = match job.method {
-        Search::By(method) => vec![method],
-        Search::All => ALL.to_vec(),
+        MethodChoice::By(method) => vec![method],
+        MethodChoice::All => ALL.to_vec(),
     };
     let mut ends = Vec::new();
     let mut first = None;

@@ -44,7 +44,7 @@ pub struct FitJob {
     /// Of the search for free dynamic parameters.
     pub search: dynamic::Settings,
     /// How they are sought.
-    pub method: Search,
+    pub method: MethodChoice,
     /// What is inferred, and how.
     pub choices: Choices,
     /// Look at the data once more after the fit.
@@ -60,7 +60,7 @@ impl FitJob {
     pub fn new(model: ModelJob, data: Vec<Datum>) -> FitJob {
         let settings = Settings::default();
         let search = dynamic::Settings { inner: settings.clone(), seed: 1, ..dynamic::Settings::default() };
-        let (method, choices) = (Search::By(Method::Hybrid), Choices::default());
+        let (method, choices) = (MethodChoice::By(Method::Hybrid), Choices::default());
         FitJob {
             model,
             data,
@@ -233,7 +233,7 @@ pub struct PredictJob {
 
 /// How free parameters are sought.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Search {
+pub enum MethodChoice {
     /// By one method.
     By(Method),
     /// By all, side by side; the results are those of the hybrid.

@@ -71,7 +71,7 @@ pub use failure::{Failure, Place, Source, UnknownUnit};
 pub use fit::fit;
 pub use job::{
     AppliedModel, ApplyJob, CheckJob, CompareJob, DatasheetJob, Done, ExchangeJob, Exchanged, ExportJob, FitJob,
-    FitTables, FoldsOf, ModelJob, PlanJob, PredictJob, PredictedModel, ReportJob, Search, SimulateJob, Simulated,
+    FitTables, FoldsOf, MethodChoice, ModelJob, PlanJob, PredictJob, PredictedModel, ReportJob, SimulateJob, Simulated,
     TableTo, TestJob, Units, ValidateJob,
 };
 pub use model::read as read_model;

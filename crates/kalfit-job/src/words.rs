@@ -6,7 +6,7 @@ use kalfit::estimate::{Combination, Criterion, Solver};
 use kalfit::infer::{DeletionChoice, IntervalKind, StdErrors};
 
 use crate::export::form::Form;
-use crate::job::{Search, Units};
+use crate::job::{MethodChoice, Units};
 
 /// One of the words of an option. Of each option the first is what is done unasked.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -24,19 +24,19 @@ const fn word<T>(word: &'static str, means: T, help: &'static str) -> Word<T> {
 }
 
 /// How free parameters are sought.
-pub const METHODS: &[Word<Search>] = &[
+pub const METHODS: &[Word<MethodChoice>] = &[
     word(
         "hybrid",
-        Search::By(Method::Hybrid),
+        MethodChoice::By(Method::Hybrid),
         "Mean and covariance are solved for each value of the parameters, which an outer search moves",
     ),
     word(
         "innovations",
-        Search::By(Method::Innovations),
+        MethodChoice::By(Method::Innovations),
         "Maximum likelihood of the innovations, jointly in all that is free",
     ),
-    word("em", Search::By(Method::Em), "EM on the states and noises: many more steps, to the same point"),
-    word("all", Search::All, "All three, side by side; the results are those of `hybrid`"),
+    word("em", MethodChoice::By(Method::Em), "EM on the states and noises: many more steps, to the same point"),
+    word("all", MethodChoice::All, "All three, side by side; the results are those of `hybrid`"),
 ];
 
 /// How the mean and the covariance are sought.

@@ -63,7 +63,7 @@ fn a_search_that_is_stopped_ends_with_its_best_so_far_and_says_so() {
 fn a_search_for_parameters_stops_by_every_method() {
     for method in [Method::Hybrid, Method::Innovations, Method::Em] {
         let mut job = sleep();
-        job.method = kalfit_job::Search::By(method);
+        job.method = kalfit_job::MethodChoice::By(method);
         job.search.starts = 3;
         let record = kalfit_job::fit(&job, &mut Impatient { words: ": log-likelihood", times: 1 }).unwrap().record;
         assert!(!record.converged, "{method:?}: {}", record.reason);

@@ -62,7 +62,7 @@ pub struct Bounds {
 const KEPT: usize = 1 << 16;
 
 /// The variance over tests, and what is known of it.
-struct Spread {
+struct VarianceEstimate {
     /// s².
     variance: f64,
     /// s² + r.
@@ -75,9 +75,9 @@ struct Spread {
     degrees_of_mean: f64,
 }
 
-impl Spread {
+impl VarianceEstimate {
     /// `None` where the tests are too few to tell.
-    fn of(value: &Predicted) -> Option<Spread> {
+    fn of(value: &Predicted) -> Option<VarianceEstimate> {
         let estimation = value.estimation?;
         let (population, of_population) = (value.population, estimation.population);
         if of_population <= 0.0 {
@@ -87,7 +87,7 @@ impl Spread {
                 false => f64::INFINITY,
             };
             let (of_mean, degrees_of_mean) = (estimation.mean, f64::INFINITY);
-            return Some(Spread { variance, scale: variance, degrees, of_mean, degrees_of_mean });
+            return Some(VarianceEstimate { variance, scale: variance, degrees, of_mean, degrees_of_mean });
         }
         let lost = estimation.lost as f64;
         let alone = 2.0 * population * population / of_population;
@@ -108,7 +108,8 @@ impl Spread {
         let variance = population + (larger - 1.0) * seen + value.process;
         let scale = variance.max(larger * seen);
         let degrees = 2.0 * scale * scale / (estimation.variance + (larger.powi(3) - 1.0) * of_population);
-        let spread = Spread { variance, scale, degrees, of_mean: estimation.mean * larger, degrees_of_mean: left };
+        let spread =
+            VarianceEstimate { variance, scale, degrees, of_mean: estimation.mean * larger, degrees_of_mean: left };
         (degrees >= 0.5).then_some(spread)
     }
 
@@ -136,7 +137,7 @@ impl Bounds {
 
     /// Limits that the mean over tests lies between with confidence γ; `None` where that is not known.
     pub fn of_mean(&self, value: &Predicted) -> Option<[f64; 2]> {
-        let spread = Spread::of(value)?;
+        let spread = VarianceEstimate::of(value)?;
         let upper = 0.5 * (1.0 + self.limits.confidence);
         let quantile = match spread.degrees_of_mean < KNOWN {
             true => StudentsT::new(0.0, 1.0, spread.degrees_of_mean).ok()?.inverse_cdf(upper),
@@ -149,7 +150,7 @@ impl Bounds {
     /// Limits that p of all tests are within with confidence γ; `None` where that is not known, or where a variance in it was estimated as
     /// zero.
     pub fn of_tests(&self, value: &Predicted) -> Option<[f64; 2]> {
-        let spread = Spread::of(value).filter(|_| !value.hangs_on_zero)?;
+        let spread = VarianceEstimate::of(value).filter(|_| !value.hangs_on_zero)?;
         if spread.variance == 0.0 {
             return self.of_mean(value);
         }
@@ -158,13 +159,13 @@ impl Bounds {
     }
 
     /// h/s, which hangs on ratios alone.
-    fn factor(&self, spread: &Spread) -> Option<f64> {
+    fn factor(&self, spread: &VarianceEstimate) -> Option<f64> {
         let [scale, of_mean] = [spread.scale, spread.of_mean].map(|x| x / spread.variance);
         let key = [scale, of_mean, spread.degrees].map(f64::to_bits);
         if let Some(known) = self.known.lock().ok().and_then(|known| known.get(&key).copied()) {
             return known;
         }
-        let unit = Spread { variance: 1.0, scale, of_mean, ..*spread };
+        let unit = VarianceEstimate { variance: 1.0, scale, of_mean, ..*spread };
         let found = match self.limits.sides {
             Sides::One => self.one_sided(&unit),
             Sides::Two => self.two_sided(&unit),
@@ -178,7 +179,7 @@ impl Bounds {
     }
 
     /// h with P(m_c + z_p s_c ≤ m + h) = γ.
-    fn one_sided(&self, spread: &Spread) -> Option<f64> {
+    fn one_sided(&self, spread: &VarianceEstimate) -> Option<f64> {
         let (z, off, s) = (normal().inverse_cdf(self.limits.content), spread.of_mean.sqrt(), spread.variance.sqrt());
         if spread.degrees >= KNOWN {
             return Some(z * s + off * normal().inverse_cdf(self.limits.confidence));
@@ -189,7 +190,7 @@ impl Bounds {
     }
 
     /// h with P(Φ((m + h - m_c)/s_c) - Φ((m - h - m_c)/s_c) ≥ p) = γ.
-    fn two_sided(&self, spread: &Spread) -> Option<f64> {
+    fn two_sided(&self, spread: &VarianceEstimate) -> Option<f64> {
         let (off, s) = (spread.of_mean.sqrt(), spread.variance.sqrt());
         if spread.degrees >= KNOWN {
             // the content falls as the mean is further off
@@ -347,7 +348,7 @@ mod tests {
             tests: 1000.0,
         };
         let value = Predicted { population: ml, estimation: Some(estimation), ..of(30.0) };
-        let spread = Spread::of(&value).expect("enough tests");
+        let spread = VarianceEstimate::of(&value).expect("enough tests");
         for (what, found, expected) in [
             ("s²", spread.variance, 1.0),
             ("s² + r", spread.scale, 4.0),

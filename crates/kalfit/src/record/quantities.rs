@@ -53,7 +53,7 @@ impl FitRecord {
             let of = Of { before, phase: &phase.name, level: None, states: &phase.states, units: &phase.units };
             of.means(phase, &mut all);
             if self.levels.is_empty() {
-                of.spread(&Spread::from(phase), &mut all);
+                of.spread(&CovarianceForms::from(phase), &mut all);
             }
         }
         let first = self.phases.first().map_or((&[][..], "main"), |phase| (&phase.units[..], phase.name.as_str()));
@@ -62,7 +62,7 @@ impl FitRecord {
             let before = if own { String::new() } else { format!("{}: ", level.name) };
             let (phase, states) = (first.1, &level.states);
             let of = Of { before, phase, level: Some(&level.name), states, units: first.0 };
-            of.spread(&Spread::from(level), &mut all);
+            of.spread(&CovarianceForms::from(level), &mut all);
         }
         all.extend(self.parameters.iter().map(parameter));
         all
@@ -80,7 +80,7 @@ struct Of<'a> {
 }
 
 /// Σ in its three forms, and what is not known of it.
-struct Spread<'a> {
+struct CovarianceForms<'a> {
     covariance: &'a CovarianceRecord,
     std_dev: &'a VectorRecord,
     correlation: &'a MatrixRecord,
@@ -88,17 +88,17 @@ struct Spread<'a> {
     unidentified: &'a [UnidentifiedRecord],
 }
 
-impl<'a> From<&'a PhaseRecord> for Spread<'a> {
-    fn from(own: &'a PhaseRecord) -> Spread<'a> {
+impl<'a> From<&'a PhaseRecord> for CovarianceForms<'a> {
+    fn from(own: &'a PhaseRecord) -> CovarianceForms<'a> {
         let PhaseRecord { covariance, std_dev, correlation, boundary, unidentified, .. } = own;
-        Spread { covariance, std_dev, correlation, boundary, unidentified }
+        CovarianceForms { covariance, std_dev, correlation, boundary, unidentified }
     }
 }
 
-impl<'a> From<&'a LevelRecord> for Spread<'a> {
-    fn from(own: &'a LevelRecord) -> Spread<'a> {
+impl<'a> From<&'a LevelRecord> for CovarianceForms<'a> {
+    fn from(own: &'a LevelRecord) -> CovarianceForms<'a> {
         let LevelRecord { covariance, std_dev, correlation, boundary, unidentified, .. } = own;
-        Spread { covariance, std_dev, correlation, boundary, unidentified }
+        CovarianceForms { covariance, std_dev, correlation, boundary, unidentified }
     }
 }
 
@@ -164,8 +164,8 @@ impl Of<'_> {
     }
 
     /// Standard deviations, covariances and correlations, each once.
-    fn spread(&self, own: &Spread<'_>, all: &mut Vec<QuantityRecord>) {
-        let Spread { covariance, std_dev, correlation, .. } = own;
+    fn spread(&self, own: &CovarianceForms<'_>, all: &mut Vec<QuantityRecord>) {
+        let CovarianceForms { covariance, std_dev, correlation, .. } = own;
         let fixed = |i: usize, k: usize| cell(&covariance.fixed, i, k).unwrap_or_default();
         for (i, state) in self.states.iter().enumerate() {
             let value = at(&std_dev.estimate, &std_dev.std_error, &std_dev.interval95, i);
@@ -198,7 +198,7 @@ impl Of<'_> {
     }
 }
 
-impl Spread<'_> {
+impl CovarianceForms<'_> {
     /// Of an element of Σ.
     fn status(&self, (one, other): (&String, &String), value: Value, fixed: bool) -> &'static str {
         if value.estimate.is_none() {

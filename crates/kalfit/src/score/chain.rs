@@ -10,6 +10,7 @@
 //! run of equal cells. The cost does not depend on the number of free values.
 
 mod adjoints;
+mod equal_steps;
 mod gradient;
 mod groups;
 mod measured;
@@ -18,7 +19,6 @@ mod moved;
 mod moving;
 mod response;
 mod steady;
-mod stretch;
 mod taps;
 #[cfg(test)]
 mod tests;

@@ -107,7 +107,7 @@ impl Adjoints<'_> {
     pub(super) fn clear(&mut self) {
         self.pending.clear();
         self.moving.groups.clear();
-        self.moving.stretch.clear();
+        self.moving.equal.clear();
         self.moving.bars.clear();
     }
 }

@@ -2,8 +2,8 @@
 
 use crate::reduce::Cells;
 use crate::score::chain::Chain;
+use crate::score::chain::equal_steps::EqualSteps;
 use crate::score::chain::groups::Groups;
-use crate::score::chain::stretch::Stretch;
 
 /// What has come of the steps of a test.
 #[derive(Debug, Clone)]
@@ -16,7 +16,7 @@ pub(super) struct Moving {
     pub(super) sums: Vec<f64>,
     pub(super) bars: Vec<f64>,
     pub(super) flows: Vec<f64>,
-    pub(super) stretch: Stretch,
+    pub(super) equal: EqualSteps,
 }
 
 impl Moving {
@@ -31,7 +31,7 @@ impl Moving {
             sums: Vec::new(),
             bars: Vec::new(),
             flows: Vec::new(),
-            stretch: Stretch::default(),
+            equal: EqualSteps::default(),
         }
     }
 }

@@ -4,21 +4,21 @@
 use crate::model::Scope;
 use crate::reduce::{Evaluated, Fault, Workspace};
 use crate::score::chain::adjoints::Adjoints;
+use crate::score::chain::equal_steps::EqualSteps;
 use crate::score::chain::moved::{Moved, add};
-use crate::score::chain::stretch::Stretch;
 
 impl Adjoints<'_> {
     /// The transition to step `k`.
     pub(super) fn steady(&mut self, k: usize, work: &Workspace, bars: Moved<'_>) -> Result<(), Box<Fault>> {
         let preparer = self.chain.preparer;
         let dt = if preparer.dynamics.components.is_empty() { 0.0 } else { work.dt(k) };
-        if self.moving.stretch.length != Some(dt.to_bits()) {
-            self.end_stretch()?;
-            self.begin_stretch(dt)?;
+        if self.moving.equal.length != Some(dt.to_bits()) {
+            self.end_equal()?;
+            self.begin_equal(dt)?;
         }
         let Adjoints { chain, moving, pending, .. } = self;
         let (needs, (phi, q)) = (chain.needs, moving.entries);
-        let Stretch { sums, flows, .. } = &mut moving.stretch;
+        let EqualSteps { sums, flows, .. } = &mut moving.equal;
         if needs.rates {
             add(&mut sums[..phi], bars.phi);
         }
@@ -42,26 +42,26 @@ impl Adjoints<'_> {
         Ok(())
     }
 
-    fn begin_stretch(&mut self, dt: f64) -> Result<(), Box<Fault>> {
+    fn begin_equal(&mut self, dt: f64) -> Result<(), Box<Fault>> {
         let Adjoints { chain, moving, .. } = self;
-        let (preparer, stretch) = (chain.preparer, &mut moving.stretch);
+        let (preparer, equal) = (chain.preparer, &mut moving.equal);
         let (phi, q) = moving.entries;
-        stretch.length = Some(dt.to_bits());
-        stretch.sums.clear();
-        stretch.sums.resize(phi + q + preparer.plan.flow_len(&preparer.dynamics), 0.0);
+        equal.length = Some(dt.to_bits());
+        equal.sums.clear();
+        equal.sums.resize(phi + q + preparer.plan.flow_len(&preparer.dynamics), 0.0);
         if chain.needs.inputs || preparer.plan.holds() {
             let values = &preparer.dynamics.table.fixed;
-            preparer.plan.flows(&preparer.dynamics, values, dt, &mut stretch.flows)?;
+            preparer.plan.flows(&preparer.dynamics, values, dt, &mut equal.flows)?;
         }
         Ok(())
     }
 
-    /// Sends what the stretch has summed on to the coefficients.
-    fn end_stretch(&mut self) -> Result<(), Box<Fault>> {
+    /// Sends what equal steps have summed on to the coefficients.
+    fn end_equal(&mut self) -> Result<(), Box<Fault>> {
         let Adjoints { chain, moving, .. } = self;
         let (phi, q) = moving.entries;
-        let Some(dt) = moving.stretch.length.take().map(f64::from_bits) else { return Ok(()) };
-        let (preparer, Stretch { sums, flows, .. }) = (chain.preparer, &mut moving.stretch);
+        let Some(dt) = moving.equal.length.take().map(f64::from_bits) else { return Ok(()) };
+        let (preparer, EqualSteps { sums, flows, .. }) = (chain.preparer, &mut moving.equal);
         let values = &preparer.dynamics.table.fixed;
         moving.bars.resize(values.len(), 0.0);
         let (phi_bar, rest) = sums.split_at_mut(phi);
@@ -72,7 +72,7 @@ impl Adjoints<'_> {
 
     /// Sends what has come to the coefficients on to the free values.
     pub(super) fn settle_steady(&mut self) -> Result<(), Box<Fault>> {
-        self.end_stretch()?;
+        self.end_equal()?;
         let Adjoints { chain, moving, pending, .. } = self;
         let context = chain.context();
         let scope = Scope { numbers: &[], texts: &[], step: 0.0, alpha: context.at.alpha };

@@ -2,7 +2,7 @@
 
 /// Steps on end that are equally long.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Stretch {
+pub(super) struct EqualSteps {
     /// Their length, by its bits.
     pub(super) length: Option<u64>,
     /// Adjoints of φ, Q and the flows, summed.
@@ -11,7 +11,7 @@ pub(super) struct Stretch {
     pub(super) flows: Vec<f64>,
 }
 
-impl Stretch {
+impl EqualSteps {
     /// Forgets it.
     pub(super) fn clear(&mut self) {
         self.length = None;
