@@ -10,6 +10,7 @@ use crate::estimate::covariance::{Constraint, CovarianceMap, Form, Part, place a
 use crate::estimate::local::natural_sizes;
 use crate::estimate::newton::Place;
 use crate::estimate::relaxed::{relax, undetermined};
+use crate::linalg::regular::Regular;
 use crate::linalg::symmetric;
 
 /// Rounding errors above this many standard errors are told, those above the other one withhold the certificate.
@@ -109,8 +110,12 @@ fn decrement(information: &DMatrix<f64>, gradient: &DVector<f64>) -> f64 {
         if h > 0.0 { h.sqrt().recip() } else { 0.0 }
     });
     let scaled = DMatrix::from_fn(gradient.len(), gradient.len(), |i, j| scale[i] * information[(i, j)] * scale[j]);
+    let gradient = gradient.component_mul(&scale);
+    if let Some(root) = Regular::of(&scaled) {
+        return root.below(&gradient).norm();
+    }
     let (values, vectors) = symmetric::eigen(&scaled);
-    let along = vectors.transpose() * gradient.component_mul(&scale);
+    let along = vectors.transpose() * gradient;
     let term = |(v, g): (&f64, &f64)| if v.abs() > crate::estimate::curvature::FLAT { g * g / v.abs() } else { 0.0 };
     values.iter().zip(along.iter()).map(term).fold(0.0, |a, b| a + b).sqrt()
 }

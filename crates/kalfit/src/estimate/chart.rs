@@ -6,6 +6,7 @@ use nalgebra::DMatrix;
 
 use crate::estimate::covariance::{CovarianceMap, Form};
 use crate::linalg::elements::Elements;
+use crate::linalg::sparse::Sparse;
 
 /// Coordinates ψ around a root F: F(ψ + s) = F + Σ s_k F_k, each F_k given by its entries (row, column, value).
 #[derive(Debug, Clone)]
@@ -50,15 +51,15 @@ impl CovarianceMap {
 
 impl Chart {
     /// dσ_pair / dψ, elements × coordinates, at a root that may have moved on from this chart's.
-    pub(crate) fn jacobian_at(&self, root: &DMatrix<f64>) -> DMatrix<f64> {
+    pub(crate) fn jacobian_at(&self, root: &DMatrix<f64>) -> Sparse {
         let elements = &self.elements;
-        let mut jacobian = DMatrix::zeros(elements.count(), self.coordinates.len());
-        for (k, entries) in self.coordinates.iter().enumerate() {
-            for &(i, c, x) in entries {
-                for j in elements.blocks()[elements.block_of(i)].clone() {
-                    jacobian[(elements.index(i, j), k)] += x * root[(j, c)] * if i == j { 2.0 } else { 1.0 };
-                }
-            }
+        let mut jacobian = Sparse::of_height(elements.count());
+        for entries in &self.coordinates {
+            let of = |&(i, c, x): &(usize, usize, f64)| {
+                let term = move |j| (elements.index(i, j), x * root[(j, c)] * if i == j { 2.0 } else { 1.0 });
+                elements.blocks()[elements.block_of(i)].clone().map(term)
+            };
+            jacobian.push(entries.iter().flat_map(of));
         }
         jacobian
     }

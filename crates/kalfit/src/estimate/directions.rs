@@ -1,55 +1,44 @@
 //! Directions in which Σ may move.
 
-use nalgebra::{DMatrix, DVector};
-
 use crate::estimate::chart::Chart;
 use crate::estimate::covariance::{CovarianceMap, Form};
 use crate::estimate::local::normals;
+use crate::linalg::sparse::Sparse;
 use crate::linalg::symmetric;
 
 impl CovarianceMap {
     /// Directions in which Σ may move, elements × directions: the free elements where Σ is linear in them, else along ψ.
-    pub(crate) fn free_directions(&self, chart: &Chart) -> DMatrix<f64> {
+    pub(crate) fn free_directions(&self, chart: &Chart) -> Sparse {
         self.directions(chart, false)
     }
 
     /// The same, where Σ = βΣ* along β: dΣ/dψ vanishes at Σ = 0, and yet β > 0 is a direction.
-    pub(crate) fn cone_directions(&self, chart: &Chart) -> DMatrix<f64> {
+    pub(crate) fn cone_directions(&self, chart: &Chart) -> Sparse {
         self.directions(chart, true)
     }
 
-    fn directions(&self, chart: &Chart, by_scale: bool) -> DMatrix<f64> {
-        let count = self.elements.count();
+    fn directions(&self, chart: &Chart, by_scale: bool) -> Sparse {
+        let elements = &self.elements;
         let along = chart.jacobian_at(&chart.root);
-        let mut columns: Vec<DVector<f64>> = Vec::new();
+        let mut all = Sparse::of_height(elements.count());
         for part in &self.parts {
             if let (true, Form::Scale(star)) = (by_scale, &part.form) {
                 let star = part.placed(&(star * star.transpose()), self.p);
-                columns.push(DVector::from_iterator(count, self.elements.all().map(|at| star[at])));
+                all.push(elements.all().map(|at| star[at]).enumerate());
             } else if let Form::Factor(_) = part.form {
-                let own = |&&(i, j): &&(usize, usize)| part.states.contains(&i) && !self.is_structural_zero(i, j);
-                let all: Vec<(usize, usize)> = self.elements.all().collect();
-                let unit = |&(i, j): &(usize, usize)| {
-                    let mut unit = DVector::zeros(count);
-                    unit[self.elements.index(i, j)] = 1.0;
-                    unit
-                };
-                columns.extend(all.iter().filter(own).map(unit));
+                let own = |(i, j): &(usize, usize)| part.states.contains(i) && !self.is_structural_zero(*i, *j);
+                elements.all().filter(own).for_each(|(i, j)| all.push([(elements.index(i, j), 1.0)].into_iter()));
             } else {
                 let own = |k: &usize| chart.coordinates[*k].iter().any(|(i, _, _)| part.states.contains(i));
-                columns.extend((0..chart.coordinates.len()).filter(own).map(|k| along.column(k).clone_owned()));
+                (0..chart.coordinates.len()).filter(own).for_each(|k| all.push(along.column(k).iter().copied()));
             }
         }
-        let all = match columns.is_empty() {
-            true => DMatrix::zeros(count, 0),
-            false => DMatrix::from_columns(&columns),
-        };
         if self.constraints.is_empty() {
             return all;
         }
-        let normals = normals(&self.constraints, &self.elements) * &all;
+        let normals = all.after(&normals(&self.constraints, elements));
         let (values, vectors) = symmetric::eigen(&(normals.transpose() * &normals));
         let null: Vec<usize> = (0..values.len()).filter(|&k| values[k] < 1e-12).collect();
-        all * vectors.select_columns(&null)
+        all.times_columns(&Sparse::of(&vectors.select_columns(&null)))
     }
 }

@@ -263,10 +263,10 @@ impl State {
         let chart = problem.covariance.chart(&point.root);
         let mut gradient = DVector::zeros(tangent.basis.nrows());
         gradient.rows_mut(0, tangent.mean).copy_from(&(problem.mean.jacobian().transpose() * &sums.mean_score));
-        let of_sigma =
-            chart.jacobian_at(&chart.root).transpose() * self.problem.covariance.elements.pack_score(&sums.score());
+        let score = self.problem.covariance.elements.pack_score(&sums.score());
+        let of_sigma = chart.jacobian_at(&chart.root).transposed_times(&score);
         gradient.rows_mut(tangent.mean, of_sigma.len()).copy_from(&of_sigma);
-        tangent.basis.transpose() * gradient
+        tangent.basis.transposed_times(&gradient)
     }
 }
 

@@ -7,6 +7,7 @@ use crate::estimate::covariance::{Constraint, CovarianceMap};
 use crate::estimate::point::Point;
 use crate::estimate::sums::Sums;
 use crate::linalg::elements::Elements;
+use crate::linalg::sparse::Sparse;
 use crate::linalg::symmetric;
 
 /// Value and derivatives at a point, in mean coordinates and the elements of Σ ([`Elements`]).
@@ -67,9 +68,9 @@ pub(crate) struct Tangent {
     pub(crate) mean: usize,
     pub(crate) chart: Chart,
     /// dσ/dψ, elements × ψ.
-    pub(crate) jacobian: DMatrix<f64>,
+    pub(crate) jacobian: Sparse,
     /// Columns span the directions in (mean, ψ) that keep the constraints.
-    pub(crate) basis: DMatrix<f64>,
+    pub(crate) basis: Sparse,
     /// Gradient along `basis`.
     pub(crate) gradient: DVector<f64>,
     /// Negative Hessian of the Lagrangian along `basis`.
@@ -93,9 +94,9 @@ impl Tangent {
         let jacobian = chart.jacobian_at(&chart.root);
         let q = mean_jacobian.ncols();
         let packed = map.elements.pack_score(&local.score);
-        let sigma_gradient = jacobian.transpose() * &packed;
+        let sigma_gradient = jacobian.transposed_times(&packed);
         let in_sigma = normals(&map.constraints, &map.elements);
-        let normals = &in_sigma * &jacobian;
+        let normals = jacobian.after(&in_sigma);
         let constraints = (&map.constraints[..], &map.elements);
         let multipliers = multipliers(constraints, (&in_sigma, &normals), &packed, &sigma_gradient);
         let residual_score = &local.score - multiplier_matrix(&map.constraints, multipliers.as_slice(), map.p);
@@ -109,11 +110,9 @@ impl Tangent {
         Tangent {
             mean: q,
             jacobian,
-            gradient: basis.transpose() * gradient,
-            information: basis.transpose() * information * &basis,
-            sizes: (0..basis.ncols())
-                .map(|c| harmonic(basis.column(c).iter().copied().zip(sizes.iter().copied())))
-                .collect(),
+            gradient: basis.transposed_times(&gradient),
+            information: basis.congruence(&information),
+            sizes: basis.columns().map(|c| harmonic(c.iter().map(|&(row, x)| (x, sizes[row])))).collect(),
             chart,
             basis,
             multipliers: multipliers.as_slice().to_vec(),
@@ -207,14 +206,14 @@ fn free_information(
     local: &Local,
     mean_jacobian: &DMatrix<f64>,
     chart: &Chart,
-    jacobian: &DMatrix<f64>,
+    jacobian: &Sparse,
     residual_score: &DMatrix<f64>,
 ) -> DMatrix<f64> {
     let (q, n) = (mean_jacobian.ncols(), jacobian.ncols());
     let mut information = DMatrix::zeros(q + n, q + n);
     let mean = mean_jacobian.transpose() * &local.mean_information * mean_jacobian;
-    let cross = mean_jacobian.transpose() * &local.cross * jacobian;
-    let sigma = jacobian.transpose() * &local.information * jacobian - chart.second_order(residual_score);
+    let cross = jacobian.after(&(mean_jacobian.transpose() * &local.cross));
+    let sigma = jacobian.congruence(&local.information) - chart.second_order(residual_score);
     information.view_mut((0, 0), (q, q)).copy_from(&mean);
     information.view_mut((0, q), (q, n)).copy_from(&cross);
     information.view_mut((q, 0), (n, q)).copy_from(&cross.transpose());
@@ -229,21 +228,19 @@ fn held_coordinates(chart: &Chart, gradient: &DVector<f64>) -> Vec<usize> {
 }
 
 /// Orthonormal columns that span (all of the mean) × (null space of the normals, held coordinates left out).
-fn tangent_basis(q: usize, normals: &DMatrix<f64>, held: &[usize], n: usize) -> DMatrix<f64> {
+fn tangent_basis(q: usize, normals: &DMatrix<f64>, held: &[usize], n: usize) -> Sparse {
     let kept: Vec<usize> = (0..n).filter(|k| !held.contains(k)).collect();
-    let inner = if normals.nrows() == 0 {
-        DMatrix::identity(kept.len(), kept.len())
-    } else {
-        let normals = normals.select_columns(&kept);
-        let (values, vectors) = symmetric::eigen(&(normals.transpose() * &normals));
-        let floor = values.last().copied().unwrap_or(0.0) * 1e-12;
-        let null: Vec<usize> = (0..values.len()).filter(|&k| values[k] <= floor).collect();
-        vectors.select_columns(&null)
-    };
-    let mut basis = DMatrix::zeros(q + n, q + inner.ncols());
-    basis.view_mut((0, 0), (q, q)).fill_with_identity();
-    for (row, &k) in kept.iter().enumerate() {
-        basis.view_mut((q + k, q), (1, inner.ncols())).copy_from(&inner.row(row));
+    let mut basis = Sparse::of_height(q + n);
+    (0..q).for_each(|k| basis.push([(k, 1.0)].into_iter()));
+    if normals.nrows() == 0 {
+        kept.iter().for_each(|k| basis.push([(q + k, 1.0)].into_iter()));
+        return basis;
+    }
+    let normals = normals.select_columns(&kept);
+    let (values, vectors) = symmetric::eigen(&(normals.transpose() * &normals));
+    let floor = values.last().copied().unwrap_or(0.0) * 1e-12;
+    for c in (0..values.len()).filter(|&c| values[c] <= floor) {
+        basis.push(kept.iter().zip(vectors.column(c).iter()).map(|(k, x)| (q + k, *x)));
     }
     basis
 }

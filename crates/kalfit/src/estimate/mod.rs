@@ -158,14 +158,14 @@ fn ended(
 }
 
 /// The place where a search would begin, with the expected information there.
-pub(crate) fn at_start(reductions: &Reductions, structure: &Structure<'_>) -> Result<(Problem, Place, Sums), FitError> {
+pub(crate) fn at_start(reductions: &Reductions, structure: &Structure<'_>) -> Result<(Problem, Point, Sums), FitError> {
     let settings = Settings::default();
     let evidence = evidence(reductions, structure, &settings)?;
     let problem = problem(&evidence, structure, &settings)?;
     let start = start::start(&problem, structure)?;
-    let place = Place::new(&problem, &problem.covariance, start, None).ok_or(FitError::NotFinite)?;
-    let sums = problem.sums(&place.point, Order::Expected, None).ok_or(FitError::NotFinite)?;
-    Ok((problem, place, sums))
+    let sums = problem.sums(&start, Order::Expected, None).filter(|sums| sums.value.is_finite());
+    let sums = sums.ok_or(FitError::NotFinite)?;
+    Ok((problem, start, sums))
 }
 
 /// Of ids that two tests have, the first by order.

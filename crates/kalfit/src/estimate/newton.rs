@@ -124,7 +124,7 @@ pub(crate) fn moved(
     place: &Place,
     step: &DVector<f64>,
 ) -> Option<Point> {
-    let free = &place.tangent.basis * step;
+    let free = place.tangent.basis.times(step);
     let q = place.tangent.mean;
     let mut point = objective.move_mean(&place.point, &free.as_slice()[..q]);
     let step = free.rows(q, free.len() - q).clone_owned();
@@ -148,7 +148,7 @@ pub(crate) fn retract(map: &CovarianceMap, chart: &Chart, mut step: DVector<f64>
             return Some(root);
         }
         previous = size;
-        let slope = &normals * chart.jacobian_at(&root);
+        let slope = chart.jacobian_at(&root).after(&normals);
         step -= slope.transpose() * symmetric::pseudo_solve(&(&slope * slope.transpose()), &residual);
         root = chart.moved(step.as_slice());
     }

@@ -102,10 +102,10 @@ impl State {
         let mut cross = DVector::zeros(tangent.basis.nrows());
         let mean = self.problem.mean.jacobian().transpose() * of_mean;
         cross.rows_mut(0, mean.len()).copy_from(&mean);
-        cross.rows_mut(mean.len(), tangent.jacobian.ncols()).copy_from(&(tangent.jacobian.transpose() * of_sigma));
+        cross.rows_mut(mean.len(), tangent.jacobian.ncols()).copy_from(&tangent.jacobian.transposed_times(&of_sigma));
         let informed = measurements - self.problem.informed() as f64;
         let own = 0.5 * informed + slope - outer.dot(&sigma) + sigma.dot(&curved);
-        NoiseInformation { own, cross: tangent.basis.transpose() * cross }
+        NoiseInformation { own, cross: tangent.basis.transposed_times(&cross) }
     }
 }
 

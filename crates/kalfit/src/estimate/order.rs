@@ -4,6 +4,7 @@ use nalgebra::DMatrix;
 
 use crate::estimate::point::Regressors;
 use crate::linalg::elements::Elements;
+use crate::linalg::symmetric::pairs;
 
 /// Which derivatives a pass computes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -16,6 +17,14 @@ pub(crate) enum Order {
     Second,
     /// And the expected information of Σ.
     Expected,
+}
+
+/// Bytes that the sums of all tasks of a pass may occupy at the same time, where that is up to us.
+const ROOM: usize = 256 << 20;
+
+/// The most tasks that a pass over p states is parted into: each has sums of its own, two matrices over pairs of states.
+pub(crate) fn most_tasks(p: usize) -> usize {
+    (ROOM / (16 * pairs(p).pow(2)).max(1)).max(2)
 }
 
 /// What the restricted likelihood needs of every class: X = E × jacobian, the mean by its free coordinates.

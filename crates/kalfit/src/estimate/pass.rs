@@ -12,7 +12,7 @@ use crate::estimate::class::{Class, ClassRef};
 use crate::estimate::classes::Classes;
 use crate::estimate::lanes::{ChainPass, ChainTotals};
 use crate::estimate::levels;
-use crate::estimate::order::{FlatMean, Order, Wanted};
+use crate::estimate::order::{FlatMean, Order, Wanted, most_tasks};
 use crate::estimate::point::{Point, Regressors};
 use crate::estimate::sums::Sums;
 use crate::estimate::terms::Terms;
@@ -96,7 +96,8 @@ pub(super) fn one_by_one(classes: &[ClassRef<'_>], point: &Point, wanted: Wanted
         each(chunk, wanted.regressors, point, wanted.detail(), add);
         sums.settled()
     };
-    let chunks: Vec<Sums> = classes.par_chunks(CHUNK).map(of_chunk).collect();
+    let each = CHUNK.max(classes.len().div_ceil(most_tasks(wanted.elements.states())));
+    let chunks: Vec<Sums> = classes.par_chunks(each).map(of_chunk).collect();
     chunks.iter().fold(wanted.zero(), Sums::add)
 }
 

@@ -13,6 +13,8 @@ use crate::estimate::point::Point;
 use crate::estimate::problem::Problem;
 use crate::estimate::sums::Sums;
 use crate::linalg::elements::Elements;
+use crate::linalg::regular::Regular;
+use crate::linalg::sparse::Sparse;
 use crate::linalg::symmetric;
 
 /// The largest part of Σ that one step may take away in any direction.
@@ -39,11 +41,12 @@ pub(crate) fn step(problem: &Problem, point: &Point, sums: &Sums) -> (Point, f64
         true => sums.score_after(&problem.mean.regressors, &shift),
         false => sums.score(), // the mean has moved already
     };
-    let information = free.transpose() * sums.expected_information() * &free;
-    let score = free.transpose() * map.elements.pack_score(&score);
-    let along = relative_solve(&information, &score, &metric(&chart.root, &free, &map.elements));
+    let information = free.congruence(&sums.expected_information());
+    let score = free.transposed_times(&map.elements.pack_score(&score));
+    let along = solved(&information, &score)
+        .unwrap_or_else(|| relative_solve(&information, &score, &metric(&chart.root, &free, &map.elements)));
     let promised = 0.5 * (along.dot(&score) + shift.dot(&sums.mean_score));
-    let change = map.elements.unpack(&(free * along));
+    let change = map.elements.unpack(&free.times(&along));
     let of = |part: &Part| {
         let (own, before) = (map.of_part(part), part.of(&point.root));
         match &part.form {
@@ -57,13 +60,20 @@ pub(crate) fn step(problem: &Problem, point: &Point, sums: &Sums) -> (Point, f64
 }
 
 /// tr(Σ⁺D Σ⁺E) over the free directions: the size of a change relative to Σ = FF'.
-fn metric(root: &DMatrix<f64>, free: &DMatrix<f64>, elements: &Elements) -> DMatrix<f64> {
+fn metric(root: &DMatrix<f64>, free: &Sparse, elements: &Elements) -> DMatrix<f64> {
     let sigma = root * root.transpose();
     let (p, size) = (root.nrows(), symmetric::sizes(&sigma));
     let inverse = symmetric::pseudo_inverse(&DMatrix::from_fn(p, p, |i, j| sigma[(i, j)] / size[i] / size[j]));
     let inverse = DMatrix::from_fn(p, p, |i, j| inverse[(i, j)] / size[i] / size[j]);
-    let full = elements.over(|k, l, a, b| inverse[(l, a)] * inverse[(b, k)]);
-    free.transpose() * full * free
+    free.congruence(&elements.over(|k, l, a, b| inverse[(l, a)] * inverse[(b, k)]))
+}
+
+/// The solution of I x = g where there is only one.
+fn solved(information: &DMatrix<f64>, score: &DVector<f64>) -> Option<DVector<f64>> {
+    let size = DVector::from_vec(symmetric::sizes(information));
+    let n = size.len();
+    let root = Regular::of(&DMatrix::from_fn(n, n, |i, j| information[(i, j)] / size[i] / size[j]))?;
+    root.is_whole().then(|| root.solve(&score.component_div(&size)).component_div(&size))
 }
 
 /// The smallest solution of I x = g in a metric: what the data do not determine changes as little as it can relative to Σ.

@@ -30,6 +30,9 @@ pub struct Sensitivity {
 /// constraint.
 pub fn sensitivities(estimate: &Estimate) -> Vec<Sensitivity> {
     let state = &estimate.state;
+    if !holds_any(state) {
+        return Vec::new();
+    }
     let law = Law::new(state);
     let mut found: Vec<Sensitivity> = Vec::new();
     let elements = state.structure().elements();
@@ -157,8 +160,8 @@ fn tangent_cross(state: &State, mean: &DVector<f64>, sigma: &DVector<f64>) -> DV
     let jacobian: DMatrix<f64> = state.problem.mean.jacobian();
     let mut cross = DVector::zeros(tangent.basis.nrows());
     cross.rows_mut(0, tangent.mean).copy_from(&(jacobian.transpose() * mean));
-    cross.rows_mut(tangent.mean, tangent.jacobian.ncols()).copy_from(&(tangent.jacobian.transpose() * sigma));
-    tangent.basis.transpose() * cross
+    cross.rows_mut(tangent.mean, tangent.jacobian.ncols()).copy_from(&tangent.jacobian.transposed_times(sigma));
+    tangent.basis.transposed_times(&cross)
 }
 
 /// s² / (I_ee - I_ez I_zz⁻¹ I_ze): the score of the element against its variance once the free coordinates have adapted, which leaves

@@ -33,8 +33,8 @@ impl Law<'_> {
             None => (self.coordinates(), &[][..]),
         };
         let moved = joint.map_or(&empty, |values| &values.moves);
-        let along = self.jacobian();
-        let (rows, coordinates) = along.shape();
+        let (rows, coordinates) = (self.jacobian().nrows(), self.jacobian().ncols());
+        let by_row = self.jacobian().transposed();
         let elements = moved.nrows();
         let mut all: Vec<(Estimated, DVector<f64>)> = Vec::new();
         let mut open: Vec<Estimated> =
@@ -48,12 +48,14 @@ impl Law<'_> {
                 Some(element) => moved[(element, c)],
                 None => 0.0,
             };
-            let derivative = DVector::from_fn(coordinates + free.len(), |c, _| match c.checked_sub(coordinates) {
-                None => along[(row, c)],
-                Some(c) => of_value(c),
-            });
+            let mut derivative = DVector::zeros(coordinates + free.len());
+            by_row.column(row).iter().for_each(|&(c, x)| derivative[c] = x);
+            (0..free.len()).for_each(|c| derivative[coordinates + c] = of_value(c));
             if derivative.amax() > STILL {
                 all.push((quantity, derivative * unit));
+            }
+            if all.len() > MOST {
+                return None;
             }
         }
         for (c, &(slot, slope)) in free.iter().enumerate() {

@@ -5,11 +5,13 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::{Class, Estimate, FitError, Place, Problem, Structure, Sums, Tangent, harmonic, natural_sizes};
+use crate::estimate::{Class, Estimate, FitError, Point, Problem, Structure, Sums, harmonic, natural_sizes};
 use crate::infer::direction::{Direction, NONE, Quantity, simplest, unit};
 use crate::infer::observability::{Observability, observability};
 use crate::infer::phases::{PhaseObservability, phases};
 use crate::infer::reason::{Explanation, explain};
+use crate::linalg::regular::Regular;
+use crate::linalg::sparse::Sparse;
 use crate::linalg::symmetric;
 use crate::reduce::Reductions;
 
@@ -28,30 +30,30 @@ pub struct Examination {
 
 /// All of it before any fit: at the start values.
 pub fn examine_at_start(reductions: &Reductions, structure: &Structure<'_>) -> Result<Examination, FitError> {
-    let (problem, place, sums) = crate::estimate::at_start(reductions, structure)?;
-    Ok(examination((&problem, &place, &sums), structure, (reductions, reductions), phases(&problem, reductions)))
+    let (problem, point, sums) = crate::estimate::at_start(reductions, structure)?;
+    Ok(examination((&problem, &point, &sums), structure, (reductions, reductions), phases(&problem, reductions)))
 }
 
 /// `evidence`: what the estimate was made from, where that is not the reductions.
 pub(crate) fn examine(estimate: &Estimate, evidence: &Reductions, reductions: &Reductions) -> Examination {
     let state = &estimate.state;
     let phases = phases(&state.problem, reductions);
-    let at = (&*state.problem, &state.place, &state.sums);
+    let at = (&*state.problem, &state.place.point, &state.sums);
     examination(at, &state.structure(), (evidence, reductions), phases)
 }
 
 fn examination(
-    (problem, place, sums): (&Problem, &Place, &Sums),
+    (problem, point, sums): (&Problem, &Point, &Sums),
     structure: &Structure<'_>,
     (evidence, reductions): (&Reductions, &Reductions),
     phases: Vec<PhaseObservability>,
 ) -> Examination {
-    let unidentified = directions(problem, place, &sums.expected_information());
+    let unidentified = directions(problem, point, &sums.expected_information());
     // what tests in groups say of their states they say by themselves
-    let alone = problem.classes.units.as_ref().and_then(|_| problem.apart(structure, &place.point, reductions));
+    let alone = problem.classes.units.as_ref().and_then(|_| problem.apart(structure, point, reductions));
     let (of, point, seen) = match &alone {
         Some((alone, point)) => (alone, point, reductions),
-        None => (problem, &place.point, evidence),
+        None => (problem, point, evidence),
     };
     let p = of.classes.dimension();
     let weight = sums.mean_information.view((0, 0), (p, p)).clone_owned();
@@ -62,22 +64,24 @@ fn examination(
 /// Unidentified directions at an estimate.
 pub fn identifiability(estimate: &Estimate) -> Vec<Direction> {
     let state = &estimate.state;
-    directions(&state.problem, &state.place, &state.sums.expected_information())
+    directions(&state.problem, &state.place.point, &state.sums.expected_information())
 }
 
-pub(crate) fn directions(problem: &Problem, place: &Place, expected: &DMatrix<f64>) -> Vec<Direction> {
+pub(crate) fn directions(problem: &Problem, point: &Point, expected: &DMatrix<f64>) -> Vec<Direction> {
+    let chart = problem.covariance.chart(&point.root);
+    let free = problem.covariance.free_directions(&chart);
     let mut found = mean_directions(problem);
-    found.extend(covariance_directions(problem, &place.tangent, expected));
-    found.extend(of_single_groups(problem, &place.tangent));
+    found.extend(covariance_directions(problem, (&chart.root, &free), expected));
+    found.extend(of_single_groups(problem, &free.row_sizes()));
     found
 }
 
 /// What the only group of a level adds, which is not told from the mean.
-fn of_single_groups(problem: &Problem, tangent: &Tangent) -> Vec<Direction> {
-    let (elements, free) = (&problem.covariance.elements, problem.covariance.free_directions(&tangent.chart));
+fn of_single_groups(problem: &Problem, free: &[f64]) -> Vec<Direction> {
+    let elements = &problem.covariance.elements;
     let alone = |&e: &usize| {
         let (i, _) = elements.at(e).expect("an element");
-        problem.is_one_group(elements.block_of(i)) && free.row(e).amax() > 0.0
+        problem.is_one_group(elements.block_of(i)) && free[e] > 0.0
     };
     let one = |e: usize| {
         let direction = (0..elements.count()).map(|k| f64::from(u8::from(k == e))).collect();
@@ -139,22 +143,25 @@ fn mean_information(problem: &Problem) -> DMatrix<f64> {
     information
 }
 
-fn covariance_directions(problem: &Problem, tangent: &Tangent, expected: &DMatrix<f64>) -> Vec<Direction> {
-    let free = problem.covariance.free_directions(&tangent.chart);
-    let information = free.transpose() * expected * &free;
+fn covariance_directions(
+    problem: &Problem,
+    (root, free): (&DMatrix<f64>, &Sparse),
+    expected: &DMatrix<f64>,
+) -> Vec<Direction> {
+    let information = free.congruence(expected);
     let scale = &problem.classes.frame.scale;
     let elements = &problem.covariance.elements;
     let units: Vec<f64> = elements.all().map(|(i, j)| scale[i] * scale[j]).collect();
     let out = |v: DVector<f64>| {
-        let direction = &free * v;
+        let direction = free.times(&v);
         Direction {
             quantity: Quantity::Covariance,
             direction: unit(direction.iter().zip(&units).map(|(d, s)| d * s).collect()),
         }
     };
-    let sizes = natural_sizes(&tangent.chart.root);
+    let sizes = natural_sizes(root);
     let sizes: Vec<f64> = elements.all().map(|(i, j)| sizes[i] * sizes[j]).collect();
-    let own = free.column_iter().map(|c| harmonic(c.iter().copied().zip(sizes.iter().copied()))).collect::<Vec<_>>();
+    let own = free.columns().map(|c| harmonic(c.iter().map(|&(row, x)| (x, sizes[row])))).collect::<Vec<_>>();
     null_space(&information, &own, 0.0).into_iter().map(out).collect()
 }
 
@@ -174,8 +181,13 @@ fn null_space(information: &DMatrix<f64>, sizes: &[f64], elsewhere: f64) -> Vec<
                 if known(i) && known(j) { scale[i] * information[(i, j)] * scale[j] } else { 0.0 }
             },
         );
-    let (values, vectors) = symmetric::eigen(&scaled);
-    let flat: Vec<usize> = (0..n).filter(|&k| values[k] < NONE).collect();
-    let simple = simplest(vectors.select_columns(&flat));
+    let flat = if Regular::of(&scaled).is_some() {
+        let unknown: Vec<usize> = (0..n).filter(|&i| !known(i)).collect();
+        DMatrix::identity(n, n).select_columns(&unknown)
+    } else {
+        let (values, vectors) = symmetric::eigen(&scaled);
+        vectors.select_columns(&(0..n).filter(|&k| values[k] < NONE).collect::<Vec<_>>())
+    };
+    let simple = simplest(flat);
     simple.column_iter().map(|v| v.component_mul(&scale)).collect()
 }

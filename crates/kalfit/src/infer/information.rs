@@ -73,12 +73,12 @@ pub fn free(estimate: &Estimate, unidentified: &[Direction]) -> Free {
     let problem = &estimate.state.problem;
     let p = estimate.mean.len();
     let mean = |i: usize| problem.mean.basis.row(i).amax() > 0.0 && !takes_part(unidentified, Quantity::Mean, i);
-    let directions = problem.covariance.free_directions(&estimate.state.place.tangent.chart);
+    let directions = problem.covariance.free_directions(&estimate.state.place.tangent.chart).row_sizes();
     let map = &problem.covariance;
     let moves = |i: usize, j: usize| {
-        map.elements.get(i, j).is_some_and(|k| {
-            directions.row(k).iter().any(|x| x.abs() > 1e-12) && !takes_part(unidentified, Quantity::Covariance, k)
-        })
+        map.elements
+            .get(i, j)
+            .is_some_and(|k| directions[k] > 1e-12 && !takes_part(unidentified, Quantity::Covariance, k))
     };
     let bends = |i: usize, j: usize| {
         matches!(map.form_of(i), Form::Factor(_))

@@ -6,6 +6,8 @@ use crate::estimate::{JointLaw, Part, State};
 use crate::infer::estimated::Estimated;
 use crate::infer::holdable::Holdable;
 use crate::infer::std_errors::{PART, StdErrors};
+use crate::linalg::regular::Regular;
+use crate::linalg::sparse::Sparse;
 use crate::linalg::symmetric;
 use crate::reduce::Reductions;
 
@@ -20,7 +22,7 @@ pub(crate) struct Law<'a> {
     /// The same for the mean alone: under the restricted likelihood that of generalised least squares at the estimated Σ.
     mean: Option<DMatrix<f64>>,
     /// d(μ in η, γ; σ pairs) / d(tangent coordinates).
-    jacobian: DMatrix<f64>,
+    jacobian: Sparse,
     /// The same with the parameters that move Σ by themselves, where there are any.
     joint: Option<WithParameters>,
 }
@@ -28,9 +30,9 @@ pub(crate) struct Law<'a> {
 /// Coordinates along the tangent basis, then parameters in matrices of the structure of Σ.
 struct WithParameters {
     covariance: DMatrix<f64>,
-    jacobian: DMatrix<f64>,
+    jacobian: Sparse,
     /// Of parameters that the data do not determine.
-    open: DMatrix<f64>,
+    open: Sparse,
 }
 
 impl<'a> Law<'a> {
@@ -43,15 +45,15 @@ impl<'a> Law<'a> {
         let tangent = &state.place.tangent;
         let mean = state.problem.mean.jacobian();
         let (m, s) = (mean.nrows(), state.problem.covariance.elements.count());
-        let mut jacobian = DMatrix::zeros(m + s, tangent.mean + tangent.jacobian.ncols());
-        jacobian.view_mut((0, 0), mean.shape()).copy_from(&mean);
-        jacobian.view_mut((m, tangent.mean), tangent.jacobian.shape()).copy_from(&tangent.jacobian);
+        let mut jacobian = Sparse::of_height(m + s);
+        mean.column_iter().for_each(|column| jacobian.push(column.iter().copied().enumerate()));
+        tangent.jacobian.columns().for_each(|column| jacobian.push(column.iter().map(|&(row, x)| (m + row, x))));
         let gls = state.place.near().map(|own| {
             let mut mean = DMatrix::zeros(tangent.basis.ncols(), tangent.basis.ncols());
             mean.view_mut((0, 0), own.shape()).copy_from(own); // the basis begins with the mean coordinates
             mean
         });
-        let jacobian = jacobian * &tangent.basis;
+        let jacobian = jacobian.times_columns(&tangent.basis);
         let coordinates = match kind {
             // whatever the kind: with dynamic parameters it was made where they are known
             _ if state.joint.is_some() => {
@@ -59,10 +61,10 @@ impl<'a> Law<'a> {
                 joint.covariance.view((0, 0), (jacobian.ncols(), jacobian.ncols())).into_owned()
             }
             StdErrors::Observed => inverse(&tangent.information),
-            StdErrors::Expected => inverse(&(jacobian.transpose() * expected(state, m, s) * &jacobian)),
+            StdErrors::Expected => inverse(&jacobian.congruence(&expected(state, m, s))),
             StdErrors::Sandwich => {
                 let bread = inverse(&tangent.information);
-                &bread * (jacobian.transpose() * outer_scores(state, reductions, m, s) * &jacobian) * &bread
+                &bread * jacobian.congruence(&outer_scores(state, reductions, m, s)) * &bread
             }
         };
         // the sandwich is of the mean as well; the other two are generalised least squares for it
@@ -78,7 +80,7 @@ impl<'a> Law<'a> {
     }
 
     /// d(μ in η, γ; σ pairs) / d(tangent coordinates).
-    pub(super) fn jacobian(&self) -> &DMatrix<f64> {
+    pub(super) fn jacobian(&self) -> &Sparse {
         &self.jacobian
     }
 
@@ -179,7 +181,8 @@ impl<'a> Law<'a> {
             Holdable::Covariance(i, j) => Some(self.weights(&[self.sigma(i, j, 1.0)])),
             Holdable::Correlation(i, j) => self.correlation_weights(sigma, i, j),
         };
-        weights.map_or_else(|| DVector::zeros(self.jacobian.ncols()), |weights| self.jacobian.transpose() * weights)
+        weights
+            .map_or_else(|| DVector::zeros(self.jacobian.ncols()), |weights| self.jacobian.transposed_times(&weights))
     }
 
     /// Relative standard error of a common factor on the Σ of a phase, read off its largest variance.
@@ -190,31 +193,33 @@ impl<'a> Law<'a> {
 }
 
 impl WithParameters {
-    fn of(joint: &JointLaw, along: &DMatrix<f64>) -> WithParameters {
+    fn of(joint: &JointLaw, along: &Sparse) -> WithParameters {
         let rows = along.nrows();
-        let below = |moves: &DMatrix<f64>| {
-            let mut whole = DMatrix::zeros(rows, moves.ncols());
-            whole.view_mut((rows - moves.nrows(), 0), moves.shape()).copy_from(moves);
-            whole
+        let below = |moves: &DMatrix<f64>, whole: &mut Sparse| {
+            let first = rows - moves.nrows();
+            moves.column_iter().for_each(|c| whole.push(c.iter().enumerate().map(|(row, x)| (first + row, *x))));
         };
-        let mut jacobian = along.clone().resize_horizontally(along.ncols() + joint.moves.ncols(), 0.0);
-        jacobian.columns_mut(along.ncols(), joint.moves.ncols()).copy_from(&below(&joint.moves));
-        WithParameters { covariance: joint.covariance.clone(), jacobian, open: below(&joint.open) }
+        let (mut jacobian, mut open) = (along.clone(), Sparse::of_height(rows));
+        below(&joint.moves, &mut jacobian);
+        below(&joint.open, &mut open);
+        WithParameters { covariance: joint.covariance.clone(), jacobian, open }
     }
 
     /// Nothing that the data do not determine moves a quantity with these weights.
     fn is_known(&self, weights: &DVector<f64>) -> bool {
-        (self.open.transpose() * weights).amax() <= PART * weights.amax()
+        self.open.transposed_times(weights).amax() <= PART * weights.amax()
     }
 }
 
 /// Standard error of the quantity with these derivatives by mean coordinates and elements of Σ.
-fn error(jacobian: &DMatrix<f64>, law: &DMatrix<f64>, weights: &DVector<f64>) -> Option<f64> {
+fn error(jacobian: &Sparse, law: &DMatrix<f64>, weights: &DVector<f64>) -> Option<f64> {
     // in η, where sizes have a meaning whatever the user's units
     let unit = Some(weights.amax()).filter(|unit| *unit > 0.0)?;
-    let along = jacobian.transpose() * (weights / unit);
+    let along = jacobian.transposed_times(&(weights / unit));
     let size = along.amax();
-    let variance = along.dot(&(law * &along)) * unit * unit;
+    let moved: Vec<(usize, f64)> = along.iter().copied().enumerate().filter(|(_, x)| *x != 0.0).collect();
+    let of = |k: usize| moved.iter().map(|&(i, x)| x * law[(i, k)]).sum::<f64>();
+    let variance = moved.iter().map(|&(k, x)| x * of(k)).sum::<f64>() * unit * unit;
     (size > 1e-12 && variance.is_finite() && variance > 0.0).then(|| variance.sqrt())
 }
 
@@ -244,8 +249,11 @@ fn inverse(information: &DMatrix<f64>) -> DMatrix<f64> {
     let unit = |i: usize| if information[(i, i)] > 0.0 { information[(i, i)].sqrt().recip() } else { 0.0 };
     let scale = DVector::from_fn(n, |i, _| unit(i));
     let scaled = DMatrix::from_fn(n, n, |i, j| scale[i] * information[(i, j)] * scale[j]);
-    let (values, vectors) = symmetric::eigen(&scaled);
-    let inverse = values.iter().map(|&v| if v > FLAT { v.recip() } else { 0.0 });
-    let inverse = &vectors * DMatrix::from_diagonal(&DVector::from_iterator(n, inverse)) * vectors.transpose();
+    let by_eigenvectors = || {
+        let (values, vectors) = symmetric::eigen(&scaled);
+        let inverse = values.iter().map(|&v| if v > FLAT { v.recip() } else { 0.0 });
+        &vectors * DMatrix::from_diagonal(&DVector::from_iterator(n, inverse)) * vectors.transpose()
+    };
+    let inverse = Regular::of(&scaled).map_or_else(by_eigenvectors, |root| root.inverse());
     DMatrix::from_fn(n, n, |i, j| scale[i] * inverse[(i, j)] * scale[j])
 }

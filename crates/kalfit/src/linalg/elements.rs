@@ -108,23 +108,26 @@ impl Elements {
     /// Matrix over elements whose entry (σ_kl, σ_ab) sums `term(k, l, a, b)` over the places that the two elements stand in: one
     /// for a diagonal element, two for another.
     pub(crate) fn over(&self, term: impl Fn(usize, usize, usize, usize) -> f64) -> DMatrix<f64> {
-        let mut result = DMatrix::zeros(self.count(), self.count());
-        for one in &self.ranges {
-            for k in one.clone() {
-                for l in one.clone() {
-                    let row = self.index(k, l);
-                    for other in &self.ranges {
-                        for a in other.clone() {
-                            for b in other.clone() {
-                                result[(row, self.index(a, b))] += term(k, l, a, b);
-                            }
-                        }
-                    }
-                }
+        let all: Vec<(usize, usize)> = self.all().collect();
+        let sum = |one: (usize, usize), other: (usize, usize)| {
+            let of = |(k, l)| places(other).map(|(a, b)| term(k, l, a, b)).fold(0.0, |sum, x| sum + x);
+            places(one).map(of).fold(0.0, |sum, x| sum + x)
+        };
+        let mut result = DMatrix::zeros(all.len(), all.len());
+        for (column, &other) in all.iter().enumerate() {
+            for (row, &one) in all.iter().enumerate().take(column + 1) {
+                let value = 0.5 * (sum(one, other) + sum(other, one));
+                result[(row, column)] = value;
+                result[(column, row)] = value;
             }
         }
-        (&result + result.transpose()) * 0.5
+        result
     }
+}
+
+/// The places of a symmetric matrix that an element (i, j), i ≥ j, stands in.
+fn places((i, j): (usize, usize)) -> impl Iterator<Item = (usize, usize)> {
+    std::iter::once((j, i)).chain((i != j).then_some((i, j)))
 }
 
 #[cfg(test)]

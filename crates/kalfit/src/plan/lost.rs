@@ -64,9 +64,10 @@ fn log_determinant(state: &State) -> Option<f64> {
     units.extend(problem.covariance.elements.all().map(|(i, j)| scale[i] * scale[j]));
     let mut jacobian = DMatrix::zeros(units.len(), mean.ncols() + tangent.jacobian.ncols());
     jacobian.view_mut((0, 0), mean.shape()).copy_from(&mean);
-    jacobian.view_mut((m, mean.ncols()), tangent.jacobian.shape()).copy_from(&tangent.jacobian);
+    let of_sigma = tangent.jacobian.dense();
+    jacobian.view_mut((m, mean.ncols()), of_sigma.shape()).copy_from(&of_sigma);
     jacobian.row_iter_mut().zip(&units).for_each(|(mut row, unit)| row *= *unit);
-    let directions = jacobian * &tangent.basis;
+    let directions = jacobian * tangent.basis.dense();
     Some(log_volume(&tangent.information)? - log_volume(&(directions.transpose() * &directions))?)
 }
 

@@ -17,7 +17,7 @@ use rayon::prelude::*;
 
 use crate::estimate::class::Class;
 use crate::estimate::lanes::layout::Layout;
-use crate::estimate::order::{Order, Wanted};
+use crate::estimate::order::{Order, Wanted, most_tasks};
 use crate::estimate::point::Point;
 use crate::linalg::symmetric::pairs;
 pub(crate) use chains::{Pass as ChainPass, Totals as ChainTotals};
@@ -122,7 +122,8 @@ impl Blocks {
         }
         let size = self.layout.size() * self.isa.lanes();
         let fewest = fewest(self.layout.p);
-        let each = (self.numbers.len() / size / TASKS).clamp(fewest, MOST * fewest);
+        let blocks = self.numbers.len() / size;
+        let each = (blocks / TASKS).clamp(fewest, MOST * fewest).max(blocks.div_ceil(most_tasks(self.layout.p)));
         self.numbers.par_chunks(each * size).map(of).collect()
     }
 }

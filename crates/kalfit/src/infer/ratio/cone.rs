@@ -80,7 +80,7 @@ fn narrow_mean(jacobian: &DMatrix<f64>, rows: usize, places: &[usize]) -> DMatri
 /// Directions of the free quantities in mean coordinates of the model and elements of Σ.
 fn directions(problem: &Problem, mean: DMatrix<f64>, root: &DMatrix<f64>) -> DMatrix<f64> {
     let map = &problem.covariance;
-    let sigma = map.cone_directions(&map.chart(root));
+    let sigma = map.cone_directions(&map.chart(root)).dense();
     let mut all = DMatrix::zeros(mean.nrows() + sigma.nrows(), mean.ncols() + sigma.ncols());
     all.view_mut((0, 0), mean.shape()).copy_from(&mean);
     all.view_mut(mean.shape(), sigma.shape()).copy_from(&sigma);

@@ -87,8 +87,8 @@ fn covariance(null: &Estimate, inner: &Problem, outer: &Problem) -> Result<(), N
     if relative.amax() > ROUNDING || map.relative_residual(&sigma, &residual) > ROUNDING {
         return Err(NotNested::Covariance);
     }
-    let inside = inner.covariance.free_directions(&inner.covariance.chart(root));
-    let around = map.free_directions(&map.chart(&copy));
+    let inside = inner.covariance.free_directions(&inner.covariance.chart(root)).dense();
+    let around = map.free_directions(&map.chart(&copy)).dense();
     let scaled = |m: DMatrix<f64>| {
         let units: Vec<f64> = map.elements.all().map(|(i, j)| size[i] * size[j]).collect();
         DMatrix::from_fn(m.nrows(), m.ncols(), |k, c| m[(k, c)] / units[k])
