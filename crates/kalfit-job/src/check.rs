@@ -18,7 +18,7 @@ use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::job::{CheckJob, Done};
 use crate::work::{Watch, Work};
-use crate::{dynamic, model, reductions, tests};
+use crate::{dynamic, memory, model, reductions, tests};
 
 /// Reads all and fits nothing.
 ///
@@ -27,6 +27,9 @@ use crate::{dynamic, model, reductions, tests};
 pub fn check(job: &CheckJob, watch: &mut dyn Watch) -> Result<Done<CheckRecord>, Failure> {
     let mut work = Work::new(watch);
     let mut spec = model::load(&job.model, &job.data)?;
+    if !job.data.is_empty() {
+        memory::suffices(&spec)?;
+    }
     let given = if job.data.is_empty() { None } else { Some(Given::open(&mut spec, &job.data)?) };
     let free = model::has_free(spec.model.shared());
     let (parameters, checked) = match (&given, free) {

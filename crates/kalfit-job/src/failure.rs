@@ -18,6 +18,7 @@ use kalfit::validate::{FoldsError, ValidateError};
 use kalfit_data::{DataError, Reading, WriteError};
 use kalfit_spec::{Spec, SpecError};
 
+use crate::memory::in_words;
 use crate::output::OutputError;
 use crate::results::ResultError;
 use crate::truth::error::TruthError;
@@ -269,6 +270,20 @@ pub enum Failure {
     /// Nobody waits any longer.
     #[error("the work was interrupted")]
     Interrupted,
+    /// More memory than there is.
+    #[error(
+        "the fit of a model with {states} estimated states needs about {} of memory, and there are {}",
+        in_words(*needed),
+        in_words(*available)
+    )]
+    Memory {
+        /// Estimated states.
+        states: usize,
+        /// Bytes that a fit needs.
+        needed: u64,
+        /// Bytes that may be had.
+        available: u64,
+    },
     /// Threads.
     #[error("cannot start {threads} threads: {reason}")]
     Threads {
@@ -404,6 +419,10 @@ impl Failure {
                     .to_owned(),
             ),
             Failure::NotEstimates { .. } => Some("leave the file out: it may stand beside the estimates".to_owned()),
+            Failure::Memory { .. } => Some(
+                "half the states take a sixteenth of it; a state with `initial = \"stationary\"` or `initial = { mean = …, sigma = … }` is not estimated"
+                    .to_owned(),
+            ),
             Failure::Threads { .. } => Some("ask for fewer with `--threads`".to_owned()),
         }
     }

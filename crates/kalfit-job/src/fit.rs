@@ -15,7 +15,7 @@ use crate::inferred::{Sorted, beside, record};
 use crate::innovations::{self, Kept};
 use crate::job::{Done, FitJob, files};
 use crate::work::{Watch, Work};
-use crate::{dynamic, groups, lost, model, reductions, tests};
+use crate::{dynamic, groups, lost, memory, model, reductions, tests};
 
 /// Said of a search that had converged when nobody waited any longer.
 const CUT_SHORT: &str =
@@ -34,6 +34,7 @@ pub fn fit(job: &FitJob, watch: &mut dyn Watch) -> Result<Done<FitRecord>, Failu
         return Err(Failure::RestrictedErrors); // log|ΣB'WB| is no sum over tests
     }
     let mut spec = model::load(&job.model, &job.data)?;
+    memory::suffices(&spec)?;
     refuse_one_phase(job, &spec)?;
     let given = Given::open(&mut spec, &job.data)?;
     groups::refuse(job, &spec.model, &given)?;

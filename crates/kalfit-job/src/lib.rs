@@ -38,6 +38,7 @@ mod job;
 pub mod json;
 mod known;
 mod lost;
+mod memory;
 mod model;
 mod output;
 mod plan;

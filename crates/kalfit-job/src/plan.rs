@@ -15,8 +15,8 @@ use crate::failure::Failure;
 use crate::job::{Done, PlanJob, files};
 use crate::output::Output;
 use crate::refused::{self, Refused};
-use crate::truth;
 use crate::work::{Watch, Work};
+use crate::{memory, truth};
 
 /// Expects standard errors against the number of tests.
 ///
@@ -24,6 +24,7 @@ use crate::work::{Watch, Work};
 /// Bad input, or [`Failure::Interrupted`].
 pub fn plan(job: &PlanJob, watch: &mut dyn Watch) -> Result<Done<PlanRecord>, Failure> {
     let (spec, truth) = truth::load(&job.model, &job.from)?;
+    memory::suffices(&spec)?;
     let arrangements = arrangements(&spec.model, job)?;
     let inputs = Input::expand(&job.design).map_err(|error| Failure::data(error, &spec))?;
     let used = files(&[&job.model.document, &job.from], &inputs);

@@ -10,7 +10,7 @@ use crate::failure::Failure;
 use crate::job::{Done, TestJob, files};
 use crate::output::Output;
 use crate::work::{Watch, Work};
-use crate::{known, model, ratio, reductions};
+use crate::{known, memory, model, ratio, reductions};
 
 /// Tests a hypothesis within a model.
 ///
@@ -19,6 +19,7 @@ use crate::{known, model, ratio, reductions};
 pub fn test(job: &TestJob, watch: &mut dyn Watch) -> Result<Done<RatioRecord>, Failure> {
     let mut work = Work::new(watch);
     let mut spec = model::load(&job.model, &job.data)?;
+    memory::suffices(&spec)?;
     let given = Given::open(&mut spec, &job.data)?;
     let hypothesis = hypothesis(&spec, job)?;
     let read = files(&[&job.model.document, &job.null], &given.inputs);

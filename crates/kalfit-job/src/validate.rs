@@ -13,7 +13,7 @@ use crate::failure::Failure;
 use crate::job::{Done, FoldsOf, ModelJob, ValidateJob, files};
 use crate::output::Output;
 use crate::work::{Watch, Work};
-use crate::{dynamic, groups, model, tests};
+use crate::{dynamic, groups, memory, model, tests};
 
 /// Validates a model, and another one beside it.
 ///
@@ -62,6 +62,7 @@ struct Opened {
 impl Opened {
     fn new(job: &ValidateJob, model: &ModelJob) -> Result<Opened, Failure> {
         let mut spec = model::load(model, &job.data)?;
+        memory::suffices(&spec)?;
         if let FoldsOf::Column(column) = &job.folds {
             read_too(&mut spec, column);
         }

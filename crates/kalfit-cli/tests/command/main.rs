@@ -22,6 +22,7 @@ mod innovations;
 mod interrupted;
 mod levels;
 mod maxima;
+mod memory;
 mod phases;
 mod plan;
 mod predict;

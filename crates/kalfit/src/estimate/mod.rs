@@ -81,6 +81,7 @@ use rayon::prelude::*;
 pub use certificate::Certificate;
 pub use error::FitError;
 pub use likelihood::{Derivatives, Evaluation, Likelihood, pass_flops};
+pub use order::memory;
 pub use result::Estimate;
 pub use settings::{Combination, Criterion, Progress, Settings, Silent, Solver, Stage, Step};
 pub use stop::Stop;

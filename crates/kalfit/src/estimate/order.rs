@@ -27,6 +27,20 @@ pub(crate) fn most_tasks(p: usize) -> usize {
     (ROOM / (16 * pairs(p).pow(2)).max(1)).max(2)
 }
 
+/// Matrices over all elements of Σ that a fit holds at the same time, and those of them by elements between two blocks, as measured.
+const MATRICES: u64 = 13;
+const BETWEEN: u64 = 4;
+
+/// About how many bytes a fit takes for second derivatives by the elements of Σ, which has blocks of so many states. What tests take
+/// comes on top.
+pub fn memory(blocks: &[usize]) -> u64 {
+    let square = |n: usize| (n as u64).saturating_mul(n as u64);
+    let elements = blocks.iter().map(|&p| pairs(p)).fold(0, usize::saturating_add);
+    let pairs_of_blocks = blocks.iter().enumerate().flat_map(|(f, p)| blocks[..f].iter().map(move |q| p * q));
+    let between = pairs_of_blocks.map(square).fold(0, u64::saturating_add);
+    (square(elements).saturating_mul(MATRICES)).saturating_add(between.saturating_mul(BETWEEN)).saturating_mul(8)
+}
+
 /// What the restricted likelihood needs of every class: X = E × jacobian, the mean by its free coordinates.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct FlatMean<'a> {

@@ -152,7 +152,7 @@ fn root(a: &DMatrix<f64>) -> Option<DMatrix<f64>> {
                     root[(i, k)] = left / root[(i, i)];
                 } else if left > FLOOR {
                     root[(k, k)] = left.sqrt();
-                } else if a.column(k).amax() == 0.0 {
+                } else if a.column(k).iter().all(|x| *x == 0.0) {
                     root[(k, k)] = f64::INFINITY;
                 } else {
                     return None;
