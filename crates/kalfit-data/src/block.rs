@@ -32,20 +32,20 @@ pub(crate) struct Block {
     pub(crate) end: Option<DataError>,
 }
 
-/// Ids of tests: the first of rows of one test that follow each other, and where its id ends in `text`.
+/// Ids of tests: the first of rows of one test that follow each other, and its id. Each id stands there once, however often it comes.
 #[derive(Debug, Default)]
 pub(crate) struct Ids {
-    text: String,
-    runs: Vec<(usize, usize)>,
+    texts: Labels,
+    runs: Vec<(usize, Label)>,
 }
 
 impl Ids {
     /// Says the id of a row after those before, and of the rows that follow.
     pub(crate) fn push(&mut self, row: usize, id: &str) {
-        let last = self.runs.len().checked_sub(1).map(|last| self.get(last));
+        let last = self.runs.last().map(|(_, id)| self.texts.text(*id));
         if last != Some(id) {
-            self.text.push_str(id);
-            self.runs.push((row, self.text.len()));
+            let id = self.texts.intern(id);
+            self.runs.push((row, id));
         }
     }
 
@@ -55,8 +55,7 @@ impl Ids {
     }
 
     fn get(&self, run: usize) -> &str {
-        let start = if run == 0 { 0 } else { self.runs[run - 1].1 };
-        &self.text[start..self.runs[run].1]
+        self.texts.text(self.runs[run].1)
     }
 }
 

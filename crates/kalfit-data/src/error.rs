@@ -8,6 +8,7 @@ use parquet::errors::ParquetError;
 use crate::columns::Columns;
 use crate::exchange::ExchangeError;
 use crate::place::Place;
+use crate::room::bytes_in_words;
 
 /// What is wrong with the data. The message says where, what was found and what was expected; [`DataError::hint`] says
 /// what to do, where that is known.
@@ -55,6 +56,22 @@ pub enum DataError {
     Directory {
         /// Its path.
         file: String,
+    },
+    /// Rows that take more memory than there is.
+    #[error(
+        "{file}: after {rows} rows {} of memory are taken and {} are left, which may not be enough for more",
+        bytes_in_words(*taken),
+        bytes_in_words(*left)
+    )]
+    Memory {
+        /// The file.
+        file: String,
+        /// Rows read, of all files.
+        rows: u64,
+        /// Bytes that the process takes.
+        taken: u64,
+        /// Bytes that may still be had.
+        left: u64,
     },
     /// The system could not read.
     #[error("cannot read {file}: {source}")]
@@ -179,6 +196,16 @@ pub enum DataError {
         row: u64,
         /// Name of the column, when it is known.
         column: Option<String>,
+    },
+    /// A text that is too long to name anything.
+    #[error("{at}: found a text of {found} bytes, expected at most {limit}")]
+    LongText {
+        /// The cell.
+        at: Box<Place>,
+        /// Its bytes.
+        found: usize,
+        /// The limit.
+        limit: usize,
     },
     /// A cell that is not a number.
     #[error("{at}: found `{found}`, expected a number")]

@@ -28,6 +28,8 @@ pub(crate) struct Gather {
     complete: Vec<Test>,
     /// Cells in `complete`.
     cells: usize,
+    /// Bytes of the rows in `open`.
+    held: u64,
 }
 
 /// A test that may still get rows.
@@ -94,6 +96,7 @@ impl Gather {
             current: 0,
             complete: Vec::new(),
             cells: 0,
+            held: 0,
         }
     }
 
@@ -139,6 +142,7 @@ impl Gather {
         file: u32,
         unit: i128,
     ) -> Result<(), (usize, Moment)> {
+        self.held += (rows.len() * (8 * self.numbers + 4 * self.texts)) as u64;
         let Open { test, times } = &mut self.open[self.current];
         for row in rows.clone() {
             let Some(now) = block.time(row) else { break };
@@ -167,6 +171,7 @@ impl Gather {
     }
 
     fn close(&mut self) {
+        self.held = 0;
         for open in self.open.drain(..) {
             self.cells += open.test.rows() * (self.numbers + self.texts).max(1);
             self.complete.push(open.test);
@@ -180,6 +185,11 @@ impl Gather {
         }
         self.cells = 0;
         Some(std::mem::take(&mut self.complete))
+    }
+
+    /// Bytes of the rows of tests that may still get some.
+    pub(crate) fn held(&self) -> u64 {
+        self.held
     }
 
     /// Number of tests seen.

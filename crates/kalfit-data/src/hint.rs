@@ -25,6 +25,7 @@ impl DataError {
             DataError::OpenQuote { .. } => "a quote opens a cell that ends at the next quote; write `\"\"` for a quote inside it".into(),
             DataError::BlankRow { .. } => "write `NA` for a missing cell, or remove the line".into(),
             DataError::LongRow { .. } => "a quote that is not closed makes one row of many lines".into(),
+            DataError::LongText { .. } => "ids, names of groups and values of columns of text are short; the file may be damaged".into(),
             DataError::CarriageReturns { .. } => "save the file with the line ends of Unix or Windows".into(),
             DataError::NotUtf8 { .. } => "save the file as UTF-8".into(),
             DataError::NotANumber { found, .. } => number_hint(found),
@@ -46,6 +47,7 @@ impl DataError {
             DataError::Codec { .. } => "write the file again with snappy or zstd".into(),
             DataError::Oversized { .. } => "the file is damaged, or made to exhaust memory; if it is sound, split it into several files".into(),
             DataError::Parquet { .. } | DataError::Arrow { .. } | DataError::Crashed { .. } => "the file may be damaged, or not copied whole; if other programs read it, write it again with one of them".into(),
+            DataError::Memory { .. } => "see that the input ends; rows are kept until those of their test are read, so write these one below the other".into(),
             DataError::Io { .. } | DataError::Empty { .. } | DataError::NoRows { .. } => return None,
         })
     }

@@ -11,6 +11,7 @@ use crate::gather::{Gather, Turn};
 use crate::input::Input;
 use crate::moment::{Moment, unit_nanoseconds};
 use crate::place::Place;
+use crate::room::Watch;
 use crate::sink::{ReadError, Reading, Sink};
 use crate::spool::Spool;
 use crate::table;
@@ -84,7 +85,7 @@ pub(crate) fn run<S: Sink>(
     sink: &mut S,
     spool: &mut Spool<'_>,
 ) -> Result<Ended, ReadError<S::Error>> {
-    let sizes = Sizes::of(job.inputs);
+    let (sizes, mut watch) = (Sizes::of(job.inputs), Watch::default());
     let clock = &job.model.shared().clock;
     let mut times = Times { wanted: job.wanted, time_unit: clock.unit.as_deref(), first: None, unit: 1 };
     for (index, input) in job.inputs.iter().enumerate() {
@@ -96,6 +97,9 @@ pub(crate) fn run<S: Sink>(
         let goes = each::<Block, ReadError<S::Error>>(&mut *table, &mut |mut block, done| {
             block.relabel(&mut reading.labels);
             let goes = taker.take(&mut block, reading, sink)?;
+            if let Some((taken, left)) = watch.short(reading.rows, taker.gather.held()) {
+                return Err(DataError::Memory { file: file.clone(), rows: reading.rows, taken, left }.into());
+            }
             tell(sink, (sizes.read(index, done), sizes.all), reading)?;
             block.end.take().map_or(Ok(goes), |error| Err(error.into()))
         })?;

@@ -2,6 +2,8 @@
 
 use std::io::{self, Read};
 
+use crate::room::{bytes_in_words, memory_left};
+
 /// Standard input with a memory: what was read can be read again from the start.
 pub(crate) struct Spool<'a> {
     source: &'a mut dyn Read,
@@ -18,6 +20,19 @@ impl<'a> Spool<'a> {
     /// What comes from now on need not be remembered.
     pub(crate) fn last_time(&mut self) {
         self.keeps = false;
+    }
+
+    /// Makes room for further bytes, of which there must be some: room that grows does so by as much as it is.
+    fn grow(&mut self, further: usize) -> io::Result<()> {
+        const LARGE: usize = 1 << 24;
+        let kept = self.kept.len();
+        if kept < LARGE || kept + further <= self.kept.capacity() {
+            return Ok(());
+        }
+        let Some(left) = memory_left().filter(|left| *left < 2 * kept as u64) else { return Ok(()) };
+        let (kept, left) = (bytes_in_words(kept as u64), bytes_in_words(left));
+        let reason = format!("{kept} of it are kept, as a test may come back, and {left} of memory are left");
+        Err(io::Error::new(io::ErrorKind::OutOfMemory, reason))
     }
 
     /// All of it, from the start.
@@ -42,6 +57,7 @@ impl Read for Rewound<'_, '_> {
         }
         let fresh = spool.source.read(buffer)?;
         if spool.keeps {
+            spool.grow(fresh)?;
             spool.kept.extend_from_slice(&buffer[..fresh]);
             self.position += fresh;
         }

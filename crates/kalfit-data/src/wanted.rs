@@ -9,6 +9,9 @@ use crate::error::DataError;
 use crate::moment::Moment;
 use crate::place::Place;
 
+/// Bytes of a text that names something, at most: each is kept, and compared with others.
+const TEXT: usize = 1 << 16;
+
 /// Every column that the model or the layout names, once, with its uses.
 #[derive(Debug)]
 pub(crate) struct Wanted {
@@ -154,6 +157,14 @@ impl WantedColumn {
     pub(crate) fn without_id(&self, file: &str, row: u64) -> DataError {
         let at = self.place(file, row);
         if self.is_group { DataError::MissingGroup { at } } else { DataError::MissingTest { at } }
+    }
+
+    /// An error for a text of so many bytes that is too long to name a test, a group or a kind.
+    pub(crate) fn measure(&self, length: usize, file: &str, row: impl FnOnce() -> u64) -> Result<(), DataError> {
+        if length <= TEXT {
+            return Ok(());
+        }
+        Err(DataError::LongText { at: self.place(file, row()), found: length, limit: TEXT })
     }
 
     /// The error for a cell that is not a number.

@@ -15,10 +15,9 @@ use kalfit::record::{FIT_SCHEMA, MixedGroup, NotComparable};
 use kalfit::reduce::{ReduceError, SplitError};
 use kalfit::simulate::SimulateError;
 use kalfit::validate::{FoldsError, ValidateError};
-use kalfit_data::{DataError, Reading, WriteError};
+use kalfit_data::{DataError, Reading, WriteError, bytes_in_words};
 use kalfit_spec::{Spec, SpecError};
 
-use crate::memory::in_words;
 use crate::output::OutputError;
 use crate::results::ResultError;
 use crate::truth::error::TruthError;
@@ -273,8 +272,8 @@ pub enum Failure {
     /// More memory than there is.
     #[error(
         "the fit of a model with {states} estimated states needs about {} of memory, and there are {}",
-        in_words(*needed),
-        in_words(*available)
+        bytes_in_words(*needed),
+        bytes_in_words(*available)
     )]
     Memory {
         /// Estimated states.

@@ -62,16 +62,15 @@ pub struct Sorted<'a> {
 
 /// Runs an expression on the opened file, whatever its bytes are in.
 macro_rules! opened {
-    ($source:expr, |$builder:ident| $body:block) => {
+    ($source:expr, |$opened:ident| $body:block) => {
         match &$source.bytes {
             $crate::exchange::content::Contents::Path(path) => {
                 let failed = |source| $crate::DataError::Io { file: $source.name.clone(), source };
-                let $builder =
-                    $crate::exchange::sheet::open(&$source.name, std::fs::File::open(path).map_err(failed)?)?;
+                let $opened = $crate::exchange::sheet::open(&$source.name, std::fs::File::open(path).map_err(failed)?)?;
                 $body
             }
             $crate::exchange::content::Contents::Memory(bytes) => {
-                let $builder = $crate::exchange::sheet::open(&$source.name, bytes.clone())?;
+                let $opened = $crate::exchange::sheet::open(&$source.name, bytes.clone())?;
                 $body
             }
         }
@@ -85,7 +84,7 @@ impl Source {
     /// # Errors
     /// It cannot be read, or its metadata are wrong.
     pub fn metadata(&self) -> Result<Option<Metadata>, DataError> {
-        opened!(self, |builder| { Ok(Metadata::read(&self.name, builder.metadata())?) })
+        opened!(self, |opened| { Ok(Metadata::read(&self.name, opened.about.metadata())?) })
     }
 
     /// About how many rows it has, for whoever makes room for them: never more than its bytes could fill.
@@ -96,7 +95,7 @@ impl Source {
             Contents::Memory(bytes) => bytes.len() as u64,
         };
         let rows = || -> Result<i64, DataError> {
-            opened!(self, |builder| { Ok(builder.metadata().file_metadata().num_rows()) })
+            opened!(self, |opened| { Ok(opened.about.metadata().file_metadata().num_rows()) })
         };
         let rows = rows().ok().and_then(|rows| u64::try_from(rows).ok()).unwrap_or(0);
         usize::try_from(rows.min(bytes / LEAST_BYTES)).unwrap_or(0)
@@ -168,12 +167,12 @@ fn is_parquet(input: &Input, head: &[u8]) -> bool {
 
 impl Source {
     fn content(&self) -> Result<Content, DataError> {
-        opened!(self, |builder| {
-            if let Some(content) = by_schema(&self.name, builder.metadata())? {
+        opened!(self, |opened| {
+            if let Some(content) = by_schema(&self.name, opened.about.metadata())? {
                 return Ok(content);
             }
             let is_list = |name: &str| {
-                let found = builder.schema().column_with_name(name);
+                let found = opened.about.schema().column_with_name(name);
                 found.is_some_and(|(_, field)| super::lists::is_numbers(field.data_type()))
             };
             Ok(if is_list("estimates") && is_list("sensitivities") { Content::Estimates } else { Content::Rows })

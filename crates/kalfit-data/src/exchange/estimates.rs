@@ -30,11 +30,11 @@ pub fn read_estimates(
     if !model.levels.is_empty() {
         return Err(ExchangeError::Levels { file: source.name.clone(), kind: KIND }.into());
     }
-    opened!(source, |builder| {
-        let metadata = Metadata::read(&source.name, builder.metadata())?;
-        let constants = Constants::new(model, layout, builder.schema());
+    opened!(source, |opened| {
+        let metadata = Metadata::read(&source.name, opened.about.metadata())?;
+        let constants = Constants::new(model, layout, opened.about.schema());
         let wish = Wish { kind: KIND, columns: &ESTIMATES, further: constants.columns(layout) };
-        let mut sheet = Sheet::new(&source.name, builder, &wish)?;
+        let mut sheet = Sheet::new(&source.name, opened, &wish)?;
         let key = Key::new(layout);
         let phases = Phases::new(model);
         let mut rows = 0;

@@ -7,7 +7,6 @@ use kalfit::model::Phase;
 use kalfit::reduce::{Inherited, Path, PhaseReduction, Terminal};
 use kalfit::{Evidence, Labels, PhasedModel, Reduction};
 use nalgebra::{DMatrix, DVector};
-use parquet::arrow::arrow_reader::{ArrowReaderMetadata, ArrowReaderOptions};
 use parquet::file::metadata::RowGroupMetaData;
 use parquet::file::reader::ChunkReader;
 
@@ -57,25 +56,24 @@ fn read<R: ChunkReader + 'static>(
 ) -> Result<Metadata, DataError> {
     let reader = Reader { source, phases: Phases::new(model), known: known(model), levels: model.levels.len() };
     let open = || again().map_err(|error| DataError::Io { file: source.name.clone(), source: error });
-    let builder = super::sheet::open(&source.name, open()?)?;
-    let metadata = Metadata::read(&source.name, builder.metadata())?.ok_or_else(|| ExchangeError::Metadata {
+    let opened = super::sheet::open(&source.name, open()?)?;
+    let about = opened.about.metadata();
+    let metadata = Metadata::read(&source.name, about)?.ok_or_else(|| ExchangeError::Metadata {
         file: source.name.clone(),
         key: super::metadata::SCHEMA,
         reason: "it is missing".to_owned(),
     })?;
     let wish = Wish { kind: REDUCTIONS_KIND, columns: &REDUCTIONS, further: Vec::new() };
-    let plan = Plan::new(&source.name, &builder, &wish)?;
-    let loaded = ArrowReaderMetadata::try_new(builder.metadata().clone(), ArrowReaderOptions::new());
-    let loaded = loaded.map_err(|error| DataError::Parquet { file: source.name.clone(), source: Box::new(error) })?;
+    let plan = Plan::new(&source.name, &opened, &wish)?;
     let make = |part: Part| -> Make<'_, Rows> {
-        let (reader, open, plan, loaded) = (&reader, &open, plan.clone(), loaded.clone());
+        let (reader, open, plan) = (&reader, &open, plan.clone());
         Box::new(move || {
             let mut rows = Vec::new();
-            let end = open().and_then(|bytes| reader.rows(plan.part(bytes, loaded, part)?, part, &mut rows)).err();
+            let end = open().and_then(|bytes| reader.rows(plan.sheet(bytes, Some(part))?, part, &mut rows)).err();
             (rows, end)
         })
     };
-    let mut parts = Parts { groups: builder.metadata().row_groups(), group: 0, within: 0, before: 0, make };
+    let mut parts = Parts { groups: about.row_groups(), group: 0, within: 0, before: 0, make };
     let mut rows = 0_usize;
     each::<Rows, DataError>(&mut parts, &mut |(entries, end), _| {
         rows += entries.len();

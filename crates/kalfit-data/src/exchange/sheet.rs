@@ -7,7 +7,9 @@ use arrow::datatypes::DataType;
 use arrow::error::ArrowError;
 use nalgebra::DMatrix;
 use parquet::arrow::ProjectionMask;
-use parquet::arrow::arrow_reader::{ArrowReaderMetadata, ParquetRecordBatchReader, ParquetRecordBatchReaderBuilder};
+use parquet::arrow::arrow_reader::{
+    ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReader, ParquetRecordBatchReaderBuilder,
+};
 use parquet::errors::ParquetError;
 use parquet::file::metadata::ParquetMetaData;
 use parquet::file::reader::ChunkReader;
@@ -21,6 +23,7 @@ use crate::error::DataError;
 use crate::place::Place;
 use crate::table::arrays::{Numbers, Texts, is_numeric, misfit};
 use crate::table::guard::guarded;
+use crate::table::parquet::survey::{Survey, survey};
 use crate::table::parquet::{FORMAT, ROWS_FREE, ROWS_PER_BYTE, refuse_codecs, refuse_oversized};
 
 /// Rows decoded at a time: they may hold matrices.
@@ -41,8 +44,16 @@ pub(super) struct Wish<'a> {
 pub(super) struct Plan<'a> {
     file: &'a str,
     mask: ProjectionMask,
+    /// How all row groups are read.
+    survey: Survey,
     /// Shapes by name.
     shapes: BTreeMap<String, Shape>,
+}
+
+/// The bytes of a file, and what it says of itself.
+pub(super) struct Opened<R> {
+    bytes: R,
+    pub(super) about: ArrowReaderMetadata,
 }
 
 /// Rows of one row group: `rows` of them, after `skip` of the group and `before` of the file.
@@ -85,18 +96,15 @@ pub(super) struct Row<'b> {
     index: usize,
 }
 
-/// Opens the metadata of a file.
-pub(super) fn open<R: ChunkReader + 'static>(
-    file: &str,
-    bytes: R,
-) -> Result<ParquetRecordBatchReaderBuilder<R>, DataError> {
+/// Opens a file.
+pub(super) fn open<R: ChunkReader>(file: &str, bytes: R) -> Result<Opened<R>, DataError> {
     let failed = |source: ParquetError| DataError::Parquet { file: file.to_owned(), source: Box::new(source) };
     guarded(file, FORMAT, || {
         let length = bytes.len();
-        let builder = ParquetRecordBatchReaderBuilder::try_new(bytes).map_err(failed)?;
-        refuse_oversized(file, builder.metadata(), length)?;
-        refuse_long_lists(file, builder.metadata(), length)?;
-        Ok(builder)
+        let about = ArrowReaderMetadata::load(&bytes, ArrowReaderOptions::new()).map_err(failed)?;
+        refuse_oversized(file, about.metadata(), length)?;
+        refuse_long_lists(file, about.metadata(), length)?;
+        Ok(Opened { bytes, about })
     })
 }
 
@@ -118,10 +126,10 @@ impl<'a> Sheet<'a> {
     /// All rows of a file with the columns of a wish.
     pub(super) fn new<R: ChunkReader + 'static>(
         file: &'a str,
-        builder: ParquetRecordBatchReaderBuilder<R>,
+        opened: Opened<R>,
         wish: &Wish<'_>,
     ) -> Result<Sheet<'a>, DataError> {
-        Plan::new(file, &builder, wish)?.sheet(builder, 0)
+        Plan::new(file, &opened, wish)?.sheet(opened.bytes, None)
     }
 
     /// The next rows; `None` at the end.
@@ -144,12 +152,13 @@ impl<'a> Sheet<'a> {
 
 impl<'a> Plan<'a> {
     /// Finds the columns of a wish in a file.
-    pub(super) fn new<R: ChunkReader + 'static>(
+    pub(super) fn new<R: ChunkReader>(
         file: &'a str,
-        builder: &ParquetRecordBatchReaderBuilder<R>,
+        opened: &Opened<R>,
         wish: &Wish<'_>,
     ) -> Result<Plan<'a>, DataError> {
-        let names: Vec<String> = builder.schema().fields().iter().map(|field| field.name().clone()).collect();
+        let about = &opened.about;
+        let names: Vec<String> = about.schema().fields().iter().map(|field| field.name().clone()).collect();
         let (mut roots, mut shapes) = (Vec::new(), BTreeMap::new());
         let own = wish.columns.iter().map(|column| (column.name, column.shape, column.needed.then_some(column.name)));
         let further = wish.further.iter().map(|(name, shape)| (name.as_str(), *shape, None));
@@ -160,7 +169,7 @@ impl<'a> Plan<'a> {
                 }
                 continue;
             };
-            let data_type = builder.schema().field(root).data_type();
+            let data_type = about.schema().field(root).data_type();
             if *data_type == DataType::Null {
                 continue; // nothing but nulls
             }
@@ -169,36 +178,29 @@ impl<'a> Plan<'a> {
             shapes.insert(name.to_owned(), shape);
         }
         let found: Vec<&str> = roots.iter().map(|&root| names[root].as_str()).collect();
-        refuse_codecs(file, builder.metadata(), &roots, &found)?;
+        refuse_codecs(file, about.metadata(), &roots, &found)?;
         roots.sort_unstable();
-        let mask = ProjectionMask::roots(builder.parquet_schema(), roots);
-        Ok(Plan { file, mask, shapes })
+        let mask = ProjectionMask::roots(about.parquet_schema(), roots);
+        let groups = 0..about.metadata().num_row_groups();
+        let survey = survey(file, &opened.bytes, about, &mask, (groups, ROWS))?;
+        Ok(Plan { file, mask, survey, shapes })
     }
 
-    /// The rows that a builder gives, which are those after `before`.
-    fn sheet<R: ChunkReader + 'static>(
-        self,
-        builder: ParquetRecordBatchReaderBuilder<R>,
-        before: u64,
-    ) -> Result<Sheet<'a>, DataError> {
+    /// The rows of a part, or all.
+    pub(super) fn sheet<R: ChunkReader + 'static>(self, bytes: R, part: Option<Part>) -> Result<Sheet<'a>, DataError> {
         let file = self.file;
         let failed = |source: ParquetError| DataError::Parquet { file: file.to_owned(), source: Box::new(source) };
         let reader = guarded(file, FORMAT, || {
-            builder.with_projection(self.mask.clone()).with_batch_size(ROWS).build().map_err(failed)
+            let all = ParquetRecordBatchReaderBuilder::new_with_metadata(bytes, self.survey.metadata.clone());
+            let builder = match part {
+                None => all,
+                Some(Part { group, skip, rows, .. }) => {
+                    all.with_row_groups(vec![group]).with_offset(skip).with_limit(rows)
+                }
+            };
+            builder.with_projection(self.mask.clone()).with_batch_size(self.survey.rows).build().map_err(failed)
         })?;
-        Ok(Sheet { plan: self, reader, before })
-    }
-
-    /// A part of the rows.
-    pub(super) fn part<R: ChunkReader + 'static>(
-        self,
-        bytes: R,
-        metadata: ArrowReaderMetadata,
-        part: Part,
-    ) -> Result<Sheet<'a>, DataError> {
-        let Part { group, skip, rows, before } = part;
-        let builder = ParquetRecordBatchReaderBuilder::new_with_metadata(bytes, metadata);
-        self.sheet(builder.with_row_groups(vec![group]).with_offset(skip).with_limit(rows), before)
+        Ok(Sheet { plan: self, reader, before: part.map_or(0, |part| part.before) })
     }
 }
 

@@ -120,7 +120,7 @@ impl Texts {
     /// The first row of a range that may have another text than its first one; the end when there is none.
     pub(crate) fn change(&self, rows: Range<usize>) -> usize {
         match self {
-            Texts::Strings(strings) => change(rows, |row| strings.get(row)),
+            Texts::Strings(strings) => strings.change(rows),
             Texts::Signed(array) => change(rows, |row| array.is_valid(row).then(|| array.value(row))),
             Texts::Unsigned(array) => change(rows, |row| array.is_valid(row).then(|| array.value(row))),
             Texts::Nothing => rows.end,

@@ -222,6 +222,8 @@ impl Columns for DecodedRows<'_> {
 
     fn text<'t>(&'t self, column: usize, row: usize, scratch: &'t mut String) -> Result<Option<&'t str>, DataError> {
         let text = self.columns[column].texts.as_ref().and_then(|texts| texts.get(row, scratch));
+        let Form { file, wanted, .. } = self.form;
+        wanted.columns[column].measure(text.map_or(0, str::len), file, || self.number(row))?;
         Ok(text.filter(|text| !self.form.wanted.tokens.is_missing(text.as_bytes())))
     }
 

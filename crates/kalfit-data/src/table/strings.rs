@@ -1,7 +1,11 @@
 //! Columns of text, whichever way Arrow lays them out.
 
+use std::ops::Range;
+
 use arrow::array::{Array, ArrayRef, AsArray, LargeStringArray, StringArray, StringViewArray};
 use arrow::datatypes::DataType;
+
+use crate::fill::change;
 
 /// A column of text. Texts are looked at in place: a dictionary or view may show one long text in every row.
 pub(crate) enum Strings {
@@ -47,6 +51,15 @@ impl Strings {
             Strings::View(array) => array.is_valid(row).then(|| array.value(row)),
             Strings::Dictionary { keys, index, values } if keys.is_valid(row) => values.get(*index.get(row)?),
             Strings::Dictionary { .. } => None,
+        }
+    }
+    /// The first row of a range that may have another text than its first one; the end when there is none.
+    pub(crate) fn change(&self, rows: Range<usize>) -> usize {
+        match self {
+            Strings::Dictionary { keys, index, .. } => {
+                change(rows, |row| keys.is_valid(row).then(|| index.get(row)).flatten())
+            }
+            _ => change(rows, |row| self.get(row)),
         }
     }
 }

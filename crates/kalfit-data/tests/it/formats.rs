@@ -299,13 +299,20 @@ fn labels_of_literals_come_first() {
 
 #[test]
 fn dictionary_arrays_are_not_unfolded() {
-    // One text of a megabyte in 20 000 rows: unfolding it would take 20 GB.
-    let long = "x".repeat(1 << 20);
-    let keys = Int8Array::from(vec![0; 20_000]);
-    let values: ArrayRef = Arc::new(StringArray::from(vec![long.as_str()]));
-    let dictionary = DictionaryArray::new(keys, values);
-    let batch = batch(vec![("lot", Arc::new(dictionary) as ArrayRef)]);
-    let (sink, _) =
-        collect_stdin(&model(&[], &["lot"], None), &Layout::default(), &arrow_stream(&batch, 20_000)).unwrap();
-    assert_eq!(sink.tests[0].rows(), 20_000);
+    // one text of 64 kB in 200 000 rows: unfolding it would take 13 GB
+    let read = |length: usize| {
+        let long = "x".repeat(length);
+        let keys = Int8Array::from(vec![0; 200_000]);
+        let values: ArrayRef = Arc::new(StringArray::from(vec![long.as_str()]));
+        let batch = batch(vec![("lot", Arc::new(DictionaryArray::new(keys, values)) as ArrayRef)]);
+        [arrow_stream(&batch, 200_000), parquet(&batch, 200_000)]
+            .map(|bytes| collect_stdin(&model(&[], &["lot"], None), &Layout::default(), &bytes))
+    };
+    for found in read(1 << 16) {
+        assert_eq!(found.unwrap().0.tests[0].rows(), 200_000);
+    }
+    for refused in read((1 << 16) + 1) {
+        let message = "standard input, row 1, column `lot`: found a text of 65537 bytes, expected at most 65536";
+        assert_eq!(refused.unwrap_err().to_string(), message);
+    }
 }

@@ -184,6 +184,7 @@ impl Columns for Grid<'_> {
     fn text<'t>(&'t self, column: usize, row: usize, _: &'t mut String) -> Result<Option<&'t str>, DataError> {
         let Form { file, wanted, .. } = self.form;
         let cell = self.cell(row, self.positions[column]);
+        wanted.columns[column].measure(cell.len(), file, || self.numbering.of(row))?;
         let not_utf8 = |_| wanted.columns[column].not_utf8(file, self.numbering.of(row));
         let text = std::str::from_utf8(cell).map_err(not_utf8)?;
         Ok((!wanted.tokens.is_missing(cell)).then_some(text))

@@ -1,5 +1,8 @@
 //! Parquet files.
 
+mod header;
+pub(crate) mod survey;
+
 use std::io;
 
 use parquet::arrow::ProjectionMask;
@@ -19,6 +22,7 @@ use crate::error::DataError;
 use crate::fill::Filler;
 use crate::numbering::Numbering;
 use crate::wanted::Wanted;
+use survey::Survey;
 
 pub(crate) const FORMAT: &str = "Parquet";
 
@@ -42,8 +46,9 @@ struct ParquetTable<'a, B> {
     positions: Vec<usize>,
     /// Rows of a block.
     block: usize,
-    /// The next row group, and its rows that are handed out.
+    /// The next row group, how it is read, and its rows that are handed out.
     group: usize,
+    survey: Option<Survey>,
     within: usize,
     /// Rows handed out.
     before: u64,
@@ -70,7 +75,8 @@ pub(super) fn open<'a, R: ChunkReader + 'static, B: Fn() -> io::Result<R> + Clon
         let positions = form.positions(&metadata.schema().project(&roots).map_err(|error| failed(error.into()))?)?;
         let mask = ProjectionMask::roots(metadata.parquet_schema(), roots);
         let block = (BLOCK_CELLS / wanted.columns.len().max(1)).clamp(BLOCK_ROWS.0, BLOCK_ROWS.1);
-        let table = ParquetTable { form, open, metadata, mask, positions, block, group: 0, within: 0, before: 0 };
+        let table =
+            ParquetTable { form, open, metadata, mask, positions, block, group: 0, survey: None, within: 0, before: 0 };
         Ok(Box::new(table) as Box<dyn Tasks<'a> + 'a>)
     })
 }
@@ -80,19 +86,25 @@ impl<'a, R: ChunkReader + 'static, B: Fn() -> io::Result<R> + Clone + Send + 'a>
         let groups = self.metadata.metadata().row_groups();
         let rows = |group: usize| groups.get(group).map(|group| usize::try_from(group.num_rows()).unwrap_or(0));
         while rows(self.group).is_some_and(|rows| rows <= self.within) {
-            (self.group, self.within) = (self.group + 1, 0);
+            (self.group, self.within, self.survey) = (self.group + 1, 0, None);
         }
         let Some(all) = rows(self.group) else { return Ok(None) };
+        let survey = match self.survey.take() {
+            Some(survey) => survey,
+            None => self.survey()?,
+        };
         let piece = Piece {
             form: self.form,
-            metadata: self.metadata.clone(),
+            metadata: survey.metadata.clone(),
             mask: self.mask.clone(),
             positions: self.positions.clone(),
             group: self.group,
             skip: self.within,
             rows: self.block.min(all - self.within),
+            batch: survey.rows,
             before: self.before,
         };
+        self.survey = Some(survey);
         self.within += piece.rows;
         self.before += piece.rows as u64;
         let declared = self.metadata.metadata().file_metadata().num_rows().max(1);
@@ -106,6 +118,15 @@ impl<'a, R: ChunkReader + 'static, B: Fn() -> io::Result<R> + Clone + Send + 'a>
     }
 }
 
+impl<R: ChunkReader + 'static, B: Fn() -> io::Result<R>> ParquetTable<'_, B> {
+    /// How the next row group is to be read.
+    fn survey(&self) -> Result<Survey, DataError> {
+        let file = self.form.file;
+        let bytes = (self.open)().map_err(|source| DataError::Io { file: file.to_owned(), source })?;
+        survey::survey(file, &bytes, &self.metadata, &self.mask, (self.group..self.group + 1, ROWS))
+    }
+}
+
 /// Rows of one row group.
 struct Piece<'a> {
     form: Form<'a>,
@@ -116,6 +137,8 @@ struct Piece<'a> {
     /// Rows of the group before these.
     skip: usize,
     rows: usize,
+    /// Rows decoded at a time.
+    batch: usize,
     /// Rows of the file before these.
     before: u64,
 }
@@ -130,7 +153,7 @@ impl Piece<'_> {
     }
 
     fn read<R: ChunkReader + 'static>(self, bytes: R) -> Block {
-        let Piece { form, metadata, mask, positions, group, skip, rows, mut before } = self;
+        let Piece { form, metadata, mask, positions, group, skip, rows, batch, mut before } = self;
         let (mut filler, numbering) = (Filler::new(form.wanted, rows), Numbering::from(before + 1));
         let last = before + rows as u64;
         let read = || -> Result<(), DataError> {
@@ -140,7 +163,7 @@ impl Piece<'_> {
                     .with_row_groups(vec![group])
                     .with_offset(skip)
                     .with_limit(rows)
-                    .with_batch_size(ROWS);
+                    .with_batch_size(batch);
                 let failed = |source| DataError::Parquet { file: form.file.to_owned(), source: Box::new(source) };
                 builder.build().map_err(failed)
             })?;
