@@ -147,7 +147,7 @@ pub(crate) struct FitArgs {
     pub(crate) method: MethodChoice,
 
     /// Random starts of the search for dynamic parameters, besides the one worked out from the data [default: 0]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=10_000))]
     pub(crate) starts: Option<u32>,
 
     /// Seed of the random starts [default: 1]

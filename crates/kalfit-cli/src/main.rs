@@ -21,6 +21,7 @@ use clap::Parser;
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 fn main() -> ExitCode {
+    kalfit_data::keep_quiet_of_broken_files();
     match job::Order::from(args::Args::parse()).run() {
         Ok(outcome) => outcome.exit_code(),
         Err(ended) => {

@@ -38,7 +38,7 @@
 //!
 //! Nothing here trusts its input: what a file declares is checked against its size before memory is asked for, and a
 //! panic of the Parquet or Arrow libraries on broken bytes is caught and becomes [`DataError::Crashed`] (the panic hook
-//! still runs). This needs unwinding: do not build with `panic = "abort"`.
+//! still runs, unless [`keep_quiet_of_broken_files`] set one). This needs unwinding: do not build with `panic = "abort"`.
 
 mod block;
 mod cell;
@@ -70,4 +70,5 @@ pub use place::Place;
 pub use reading::{SINGLE_TEST, read, read_from};
 pub use room::{bytes_in_words, memory_left};
 pub use sink::{ReadError, Reading, Sink};
+pub use table::guard::keep_quiet_of_broken_files;
 pub use write::{Cell, CellKind, Format, Ids, StateWriter, TableWriter, TestWriter, WriteError, added_id_column};

@@ -29,4 +29,10 @@ mod _kalfit {
         applied_summary, compared_summary, datasheet_summary, describe, exported_summary, plan_summary,
         predicted_summary, ratio_summary, read_model, validated_summary, version,
     };
+
+    #[pymodule_init]
+    fn init(_: &pyo3::Bound<'_, pyo3::types::PyModule>) -> pyo3::PyResult<()> {
+        kalfit_data::keep_quiet_of_broken_files();
+        Ok(())
+    }
 }

@@ -62,8 +62,8 @@ impl FitOptions {
         job.group_test = self.group_test;
         job.report.clone_from(&self.report);
         job.method = pick("method", &self.method, words::METHODS)?;
-        if self.starts.is_some_and(|starts| !(1..=10_000).contains(&starts)) {
-            return Err(PyValueError::new_err("starts must be from 1 to 10000, or None"));
+        if self.starts.is_some_and(|starts| !(0..=10_000).contains(&starts)) {
+            return Err(PyValueError::new_err("starts must be from 0 to 10000, or None"));
         }
         if self.seed.is_some() && self.starts.is_none() {
             return Err(PyValueError::new_err("seed has no effect without starts"));

@@ -1,8 +1,12 @@
 //! Sentences: counting, listing, wrapping.
 
-/// Text from outside as it may be shown: one line, no control characters (a test's id could hold an escape sequence).
+/// Characters of a text from outside that are shown.
+const MOST_SHOWN: usize = 4000;
+
+/// Text from outside as it may be shown: one line that ends, no control characters (a test's id could hold an escape sequence).
 pub(crate) fn clean(text: &str) -> String {
-    text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
+    let more = text.chars().nth(MOST_SHOWN).map(|_| '…');
+    text.chars().take(MOST_SHOWN).map(|c| if c.is_control() { ' ' } else { c }).chain(more).collect()
 }
 
 /// With a capital letter and a full stop.

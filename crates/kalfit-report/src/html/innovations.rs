@@ -4,7 +4,7 @@ use kalfit::FitRecord;
 use kalfit::record::{AutocorrelationRecord, InnovationRecord, SeriesRecord, TestRecord, WindowRecord};
 use maud::{Markup, PreEscaped, html};
 use serde_json::{Value, json};
-use statrs::distribution::{ChiSquared, ContinuousCDF};
+use statrs::distribution::{ChiSquared, ContinuousCDF, Normal};
 
 use crate::html::chart::{Chart, Charts, figure, figures};
 use crate::html::grouping::{Grouping, place};
@@ -55,10 +55,14 @@ fn least(found: &InnovationRecord) -> f64 {
     [found.nis_p_value, white].into_iter().flatten().filter(|p| p.is_finite()).fold(2.0, f64::min)
 }
 
-/// χ² bounds of a mean square of n; none for n = 0.
+/// χ² bounds of a mean square of n, which is normal to six digits where n has seven; none for n = 0.
 fn bounds(n: usize) -> Option<[f64; 2]> {
+    const NORMAL_FROM: usize = 10_000_000;
     let chi = ChiSquared::new(n as f64).ok().filter(|_| n > 0)?;
-    let bounds = [0.5 * LEVEL, 1.0 - 0.5 * LEVEL].map(|p| chi.inverse_cdf(p) / n as f64);
+    let bounds = [0.5 * LEVEL, 1.0 - 0.5 * LEVEL].map(|p| match n {
+        NORMAL_FROM.. => 1.0 + (2.0 / n as f64).sqrt() * Normal::standard().inverse_cdf(p),
+        _ => chi.inverse_cdf(p) / n as f64,
+    });
     bounds.iter().all(|x| x.is_finite()).then_some(bounds)
 }
 
@@ -204,5 +208,8 @@ mod tests {
         assert_eq!(bounds(0), None);
         let [low, high] = bounds(1_000_000).unwrap();
         assert!(low > 0.99 && high < 1.01, "{low} {high}");
+        let [below, above] = [9_999_999, 10_000_000].map(|n| bounds(n).unwrap()[1]);
+        assert!((below - above).abs() < 1e-6, "{below} {above}");
+        assert!(bounds(usize::MAX).is_some());
     }
 }

@@ -119,7 +119,7 @@ fn innovation_p_values(record: &FitRecord) -> Vec<(f64, &str, bool)> {
 }
 
 fn mean_square(record: &FitRecord) -> Option<String> {
-    let count: usize = innovations_of(record).map(|(_, figures)| figures.count).sum();
+    let count = innovations_of(record).fold(0, |all: usize, (_, figures)| all.saturating_add(figures.count));
     let nis: f64 = innovations_of(record).filter_map(|(_, figures)| figures.nis).sum();
     match overall_size(count, nis, record.free_parameters) {
         Ordering::Greater => Some("the innovations of all tests together are larger than the model allows".to_owned()),

@@ -1,10 +1,12 @@
 //! Files of results, read.
 
+mod head;
+
 use kalfit::record::{FIT_SCHEMA, VALIDATE_SCHEMA};
-use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
 use crate::document::Document;
+use head::Head;
 
 /// Larger result files are not read.
 const MAX_BYTES: u64 = 1 << 30;
@@ -104,12 +106,6 @@ pub(crate) fn read_either<A: DeserializeOwned, B: DeserializeOwned>(
         return of_bytes(from.name(), &bytes, first).map(Either::First);
     }
     of_bytes(from.name(), &bytes, second).map(Either::Second)
-}
-
-/// What every file of results has.
-#[derive(Deserialize)]
-struct Head {
-    schema: Option<String>,
 }
 
 /// The results in the bytes of a file.
