@@ -14,6 +14,8 @@ use crate::terminal;
 pub(crate) enum Outcome {
     Done,
     NotCertified,
+    /// Something could not be written, where other files were.
+    Incomplete,
     /// By Ctrl-C, with what there was.
     Interrupted,
 }
@@ -24,10 +26,15 @@ impl Outcome {
         if converged { Outcome::Done } else { Outcome::NotCertified }
     }
 
+    /// The same, when something could not be written.
+    pub(crate) fn with_losses(self) -> Outcome {
+        if self == Outcome::Interrupted { self } else { Outcome::Incomplete }
+    }
+
     pub(crate) fn exit_code(self) -> ExitCode {
         match self {
             Outcome::Done => ExitCode::SUCCESS,
-            Outcome::NotCertified => ExitCode::FAILURE,
+            Outcome::NotCertified | Outcome::Incomplete => ExitCode::FAILURE,
             Outcome::Interrupted => ExitCode::from(interrupt::STATUS),
         }
     }
@@ -67,10 +74,17 @@ impl Ended {
         match self {
             Ended::Failed(failure) => kalfit_job::render(failure, color),
             Ended::NotBegun(error) => kalfit_job::render_hinted(&error.to_string(), error.hint(), color),
-            Ended::NoPages(error) => kalfit_job::render_message(&error.to_string(), color),
-            Ended::Unheard(error) => {
-                kalfit_job::render_message(&format!("cannot write to standard output: {error}"), color)
-            }
+            Ended::NoPages(_) | Ended::Unheard(_) => kalfit_job::render_message(&self.message(), color),
+        }
+    }
+
+    /// The message alone.
+    pub(crate) fn message(&self) -> String {
+        match self {
+            Ended::Failed(failure) => failure.to_string(),
+            Ended::NotBegun(error) => error.to_string(),
+            Ended::NoPages(error) => error.to_string(),
+            Ended::Unheard(error) => format!("cannot write to standard output: {error}"),
         }
     }
 }

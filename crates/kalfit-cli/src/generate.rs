@@ -34,10 +34,25 @@ pub(crate) fn man() -> std::io::Result<String> {
     Ok(String::from_utf8(page).expect("the page is made of UTF-8"))
 }
 
-/// Writes the pages of the program and of every command; how many there are.
+/// Writes the pages of the program and of every command; how many there are. None is in place before all are whole.
 pub(crate) fn man_pages(folder: &Path) -> Result<usize, ManError> {
     let failed = |source| ManError { folder: folder.to_owned(), source };
-    std::fs::create_dir_all(folder).map_err(failed)?;
-    clap_mangen::generate_to(commands(), folder).map_err(failed)?;
+    let made = !folder.exists();
+    let place = || -> std::io::Result<()> {
+        std::fs::create_dir_all(folder)?;
+        let beside = tempfile::Builder::new().prefix(".kalfit-").tempdir_in(folder)?;
+        clap_mangen::generate_to(commands(), beside.path())?;
+        for page in std::fs::read_dir(beside.path())? {
+            let page = page?;
+            std::fs::rename(page.path(), folder.join(page.file_name()))?;
+        }
+        Ok(())
+    };
+    place().map_err(|source| {
+        if made {
+            let _ = std::fs::remove_dir(folder); // as it was found; what went wrong is what the user must hear
+        }
+        failed(source)
+    })?;
     Ok(1 + commands().get_subcommands().count())
 }

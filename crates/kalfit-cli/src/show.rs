@@ -20,64 +20,55 @@ use crate::progress::Line;
 use crate::terminal;
 
 pub(crate) fn fit(job: &FitJob, quiet: bool) -> Result<Outcome, Ended> {
-    let Done { record, notes, written } = watched(quiet, |line| kalfit_job::fit(job, line))?;
-    tell(quiet, &notes, || summary(&record, &terminal::style()), written)?;
-    Ok(if interrupt::asked() { Outcome::Interrupted } else { Outcome::of(record.converged) })
+    let done = watched(quiet, |line| kalfit_job::fit(job, line))?;
+    let ended = if interrupt::asked() { Outcome::Interrupted } else { Outcome::of(done.record.converged) };
+    tell(quiet, &done, |record| summary(record, &terminal::style()), ended)
 }
 
 pub(crate) fn test(job: &TestJob, quiet: bool) -> Result<Outcome, Ended> {
-    let Done { record, notes, written } = watched(quiet, |line| kalfit_job::test(job, line))?;
-    tell(quiet, &notes, || ratio_summary(&record, &terminal::style()), written)?;
-    Ok(Outcome::of(record.converged))
+    let done = watched(quiet, |line| kalfit_job::test(job, line))?;
+    tell(quiet, &done, |record| ratio_summary(record, &terminal::style()), Outcome::of(done.record.converged))
 }
 
 pub(crate) fn plan(job: &PlanJob, quiet: bool) -> Result<Outcome, Ended> {
-    let Done { record, notes, written } = watched(quiet, |line| kalfit_job::plan(job, line))?;
-    tell(quiet, &notes, || plan_summary(&record, &terminal::style()), written)?;
-    Ok(Outcome::Done)
+    let done = watched(quiet, |line| kalfit_job::plan(job, line))?;
+    tell(quiet, &done, |record| plan_summary(record, &terminal::style()), Outcome::Done)
 }
 
 pub(crate) fn apply(job: &ApplyJob, quiet: bool) -> Result<Outcome, Ended> {
-    let Done { record, notes, written } = watched(quiet, |line| kalfit_job::apply(job, line))?;
-    tell(quiet, &notes, || applied_summary(&record.record, &terminal::style()), written)?;
-    Ok(Outcome::Done)
+    let done = watched(quiet, |line| kalfit_job::apply(job, line))?;
+    tell(quiet, &done, |record| applied_summary(&record.record, &terminal::style()), Outcome::Done)
 }
 
 /// Exit status 1 says that some fit is not certified.
 pub(crate) fn validate(job: &ValidateJob, quiet: bool) -> Result<Outcome, Ended> {
-    let Done { record, notes, written } = watched(quiet, |line| kalfit_job::validate(job, line))?;
-    tell(quiet, &notes, || validated_summary(&record, &terminal::style()), written)?;
-    Ok(Outcome::of(record.is_certified()))
+    let done = watched(quiet, |line| kalfit_job::validate(job, line))?;
+    tell(quiet, &done, |record| validated_summary(record, &terminal::style()), Outcome::of(done.record.is_certified()))
 }
 
 pub(crate) fn predict(job: &PredictJob, quiet: bool) -> Result<Outcome, Ended> {
-    let Done { record, notes, written } = watched(quiet, |line| kalfit_job::predict(job, line))?;
-    tell(quiet, &notes, || predicted_summary(&record.record, &terminal::style()), written)?;
-    Ok(Outcome::Done)
+    let done = watched(quiet, |line| kalfit_job::predict(job, line))?;
+    tell(quiet, &done, |record| predicted_summary(&record.record, &terminal::style()), Outcome::Done)
 }
 
 pub(crate) fn export(job: &ExportJob, quiet: bool) -> Result<Outcome, Ended> {
-    let Done { record, notes, written } = kalfit_job::export(job)?;
-    tell(quiet, &notes, || exported_summary(&record, &terminal::style()), written)?;
-    Ok(Outcome::Done)
+    let done = kalfit_job::export(job)?;
+    tell(quiet, &done, |record| exported_summary(record, &terminal::style()), Outcome::Done)
 }
 
 pub(crate) fn datasheet(job: &DatasheetJob, quiet: bool) -> Result<Outcome, Ended> {
-    let Done { record, notes, written } = watched(quiet, |line| kalfit_job::datasheet(job, line))?;
-    tell(quiet, &notes, || datasheet_summary(&record, &terminal::style()), written)?;
-    Ok(Outcome::Done)
+    let done = watched(quiet, |line| kalfit_job::datasheet(job, line))?;
+    tell(quiet, &done, |record| datasheet_summary(record, &terminal::style()), Outcome::Done)
 }
 
 pub(crate) fn compare(job: &CompareJob, quiet: bool) -> Result<Outcome, Ended> {
-    let Done { record, notes, written } = kalfit_job::compare(job)?;
-    tell(quiet, &notes, || compared_summary(&record, &terminal::style()), written)?;
-    Ok(Outcome::Done)
+    let done = kalfit_job::compare(job)?;
+    tell(quiet, &done, |record| compared_summary(record, &terminal::style()), Outcome::Done)
 }
 
 pub(crate) fn check(job: &CheckJob) -> Result<Outcome, Ended> {
-    let Done { record, notes, written } = watched(false, |line| kalfit_job::check(job, line))?;
-    tell(false, &notes, || check_summary(&record, &terminal::style()), written)?;
-    Ok(Outcome::Done)
+    let done = watched(false, |line| kalfit_job::check(job, line))?;
+    tell(false, &done, |record| check_summary(record, &terminal::style()), Outcome::Done)
 }
 
 /// Exit status 0 says that the report was made; what it says of the fit is in it.
@@ -118,7 +109,7 @@ pub(crate) fn man(folder: Option<&Path>) -> Result<Outcome, Ended> {
 type Exchange = fn(&ExchangeJob, &mut dyn Watch) -> Result<Done<Exchanged>, Failure>;
 
 pub(crate) fn exchange(job: &ExchangeJob, run: Exchange, quiet: bool) -> Result<Outcome, Ended> {
-    let Done { record, notes, written } = watched(quiet, |line| run(job, line))?;
+    let Done { record, notes, written, .. } = watched(quiet, |line| run(job, line))?;
     if let (false, Some(name)) = (quiet, written.first()) {
         terminal::warn(&notes);
         let (rows, tests) = (plural(record.rows as u64, record.row), plural(record.tests as u64, "test"));
@@ -128,7 +119,7 @@ pub(crate) fn exchange(job: &ExchangeJob, run: Exchange, quiet: bool) -> Result<
 }
 
 pub(crate) fn simulate(job: &SimulateJob, quiet: bool) -> Result<Outcome, Ended> {
-    let Done { record, notes, written } = watched(quiet, |line| kalfit_job::simulate(job, line))?;
+    let Done { record, notes, written, .. } = watched(quiet, |line| kalfit_job::simulate(job, line))?;
     if let (false, Some(name)) = (quiet, written.first()) {
         terminal::warn(&notes);
         let (tests, rows, seed) = (plural(record.tests, "test"), plural(record.rows, "row"), job.seed);
@@ -151,17 +142,23 @@ fn watched<R>(quiet: bool, job: impl FnOnce(&mut Line) -> Result<R, Failure>) ->
     Ok(job(&mut Line::new(quiet))?)
 }
 
-/// Warnings, the text, and the files that were written.
-fn tell(quiet: bool, notes: &[String], text: impl FnOnce() -> String, written: Vec<String>) -> Result<(), Ended> {
-    if quiet {
-        return Ok(());
+/// Warnings, the text, and the files that were written. What could not be written or said does not undo what was written.
+fn tell<R>(quiet: bool, done: &Done<R>, text: impl FnOnce(&R) -> String, outcome: Outcome) -> Result<Outcome, Ended> {
+    let mut lost = done.unwritten.clone();
+    if !quiet {
+        terminal::warn(&done.notes);
+        if let Err(error) = terminal::print(&text(&done.record)) {
+            let unheard = Ended::Unheard(error);
+            if done.written.is_empty() {
+                return Err(unheard);
+            }
+            lost.push(unheard.message());
+        }
+        done.written.iter().for_each(|name| terminal::complain(&format!("Wrote {name}\n")));
     }
-    terminal::warn(notes);
-    terminal::print(&text()).map_err(Ended::Unheard)?;
-    for name in written {
-        terminal::complain(&format!("Wrote {name}\n"));
-    }
-    Ok(())
+    lost.iter()
+        .for_each(|message| terminal::complain(&kalfit_job::render_message(message, terminal::color_on_stderr())));
+    Ok(if lost.is_empty() { outcome } else { outcome.with_losses() })
 }
 
 fn plural(n: u64, what: &str) -> String {

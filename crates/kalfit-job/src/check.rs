@@ -40,7 +40,7 @@ pub fn check(job: &CheckJob, watch: &mut dyn Watch) -> Result<Done<CheckRecord>,
     let record = CheckRecord { title: spec.model.shared().title.clone(), model: spec.describe(), parameters, checked };
     let mut notes = spec.questions();
     notes.extend(given.into_iter().flat_map(|given| given.notes));
-    Ok(Done { record, notes, written: Vec::new() })
+    Ok(Done::new(record, notes, Vec::new()))
 }
 
 /// Reads the data and runs the filters: all parameters are known.

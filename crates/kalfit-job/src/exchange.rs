@@ -124,7 +124,7 @@ pub(crate) fn run<M: Maker>(job: &ExchangeJob, watch: &mut dyn Watch) -> Result<
     let (tests, rows) = (filing.tests.len(), filing.rows);
     filing.close()?;
     let record = Exchanged { rows, row: M::ROW, tests, table: pending.finish()? };
-    Ok(Done { record, notes, written: output.name().into_iter().collect() })
+    Ok(Done::new(record, notes, output.name().into_iter().collect()))
 }
 
 fn metadata(spec: &Spec, alpha: &Alpha, given: &Given, of_estimates: bool) -> Metadata {

@@ -9,7 +9,7 @@ use kalfit_spec::Spec;
 use crate::along::Held;
 use crate::evidence::Given;
 use crate::failure::Failure;
-use crate::fitted::Files;
+use crate::fitted::{Files, Written};
 use crate::idle::{refuse_idle, refuse_one_phase};
 use crate::inferred::{Sorted, beside, record};
 use crate::innovations::{self, Kept};
@@ -56,8 +56,9 @@ pub fn fit(job: &FitJob, watch: &mut dyn Watch) -> Result<Done<FitRecord>, Failu
     if work.is_stopped() && record.converged {
         record.notes.push(CUT_SHORT.to_owned());
     }
-    let written = files.write(&mut record, held, &spec.model, &mut work)?;
-    Ok(Done { record, notes: Vec::new(), written })
+    let Written { names, failed } = files.write(&mut record, held, &spec.model, &mut work)?;
+    let unwritten = failed.iter().map(Failure::to_string).collect();
+    Ok(Done { unwritten, ..Done::new(record, Vec::new(), names) })
 }
 
 /// The method in one place, with known parameters: reduce, estimate, infer, record.

@@ -54,34 +54,42 @@ impl Files {
         [self.out.as_ref(), self.page.as_ref()].into_iter().chain(tables).flatten()
     }
 
-    /// Writes them; their names as the user gave them.
+    /// Writes them, each as soon as it can be made, so that what is done is not lost for what is not.
+    ///
+    /// # Errors
+    /// None of them could be written.
     pub(crate) fn write(
         &self,
         record: &mut FitRecord,
         held: Held,
         model: &kalfit::PhasedModel,
         work: &mut Work<'_>,
-    ) -> Result<Vec<String>, Failure> {
+    ) -> Result<Written, Failure> {
         // asked for each file: whoever does not want what was stopped does not wait for files either
         let wanted = |work: &Work<'_>| self.keeps_stopped || !work.is_stopped();
-        let mut written = Vec::new();
+        let mut written = Written::default();
         if let Some(output) = self.out.as_ref().filter(|_| wanted(work)) {
-            write::record(output, record)?;
-            written.push(output.name());
+            written.note(vec![output.name()], write::record(output, record).map_err(Failure::from));
         }
         if let Some(page) = self.page.as_ref().filter(|_| wanted(work)) {
             let along = held.along(model, record, work);
-            report::write(page, &kalfit_report::html_along(record, along.as_ref()))?;
-            written.push(page.name());
+            let html = kalfit_report::html_along(record, along.as_ref());
+            written.note(vec![page.name()], report::write(page, &html).map_err(Failure::from));
         }
         if wanted(work) {
-            written.extend(self.write_tables(record)?);
+            match self.tables(record) {
+                Ok(tables) => {
+                    let names = tables.iter().map(Pending::name).collect();
+                    written.note(names, tables.into_iter().try_for_each(|one| Ok(one.finish().map(drop)?)));
+                }
+                Err(failure) => written.failed.push(failure),
+            }
         }
-        Ok(written)
+        written.or_failed()
     }
 
-    /// None is in place before all are whole.
-    fn write_tables(&self, record: &FitRecord) -> Result<Vec<String>, Failure> {
+    /// The tables, whole; none is in place yet.
+    fn tables(&self, record: &FitRecord) -> Result<Vec<Pending<'_>>, Failure> {
         let mut pending: Vec<Pending<'_>> = Vec::new();
         if let Some(table) = &self.tests {
             pending.push(tables::tests(table, record)?);
@@ -92,8 +100,29 @@ impl Files {
         if let Some(table) = &self.constraints {
             pending.push(tables::constraints(table, record)?);
         }
-        let names = pending.iter().map(Pending::name).collect();
-        pending.into_iter().try_for_each(|one| one.finish().map(drop))?;
-        Ok(names)
+        Ok(pending)
+    }
+}
+
+/// What became of the files.
+#[derive(Debug, Default)]
+pub(crate) struct Written {
+    /// Those that are written, as the user named them.
+    pub(crate) names: Vec<String>,
+    /// Why others are not.
+    pub(crate) failed: Vec<Failure>,
+}
+
+impl Written {
+    fn note(&mut self, names: Vec<String>, written: Result<(), Failure>) {
+        match written {
+            Ok(()) => self.names.extend(names),
+            Err(failure) => self.failed.push(failure),
+        }
+    }
+
+    /// The first failure, where there is nothing else.
+    fn or_failed(mut self) -> Result<Written, Failure> {
+        if self.names.is_empty() && !self.failed.is_empty() { Err(self.failed.swap_remove(0)) } else { Ok(self) }
     }
 }

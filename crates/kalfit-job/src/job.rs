@@ -353,13 +353,22 @@ pub struct Done<R> {
     pub notes: Vec<String>,
     /// The files of the results, as the user named them.
     pub written: Vec<String>,
+    /// What is wrong with files that could not be written, where others were: nothing that was done is lost for them.
+    pub unwritten: Vec<String>,
+}
+
+impl<R> Done<R> {
+    /// All that was asked for is written.
+    pub(crate) fn new(record: R, notes: Vec<String>, written: Vec<String>) -> Done<R> {
+        Done { record, notes, written, unwritten: Vec::new() }
+    }
 }
 
 impl<R: Serialize> Done<R> {
     /// Results that are written as they are, where a file is named.
     pub(crate) fn in_json(record: R, notes: Vec<String>, output: Option<&Output>) -> Result<Done<R>, Failure> {
         output.map_or(Ok(()), |output| output.write(&record))?;
-        Ok(Done { record, notes, written: output.map(Output::name).into_iter().collect() })
+        Ok(Done::new(record, notes, output.map(Output::name).into_iter().collect()))
     }
 }
 

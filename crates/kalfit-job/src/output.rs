@@ -1,7 +1,7 @@
 //! A result file: whole or not at all. What stood there before survives every failure.
 
 use std::collections::BTreeSet;
-use std::io::Write;
+use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
@@ -34,6 +34,14 @@ pub enum OutputError {
         contents: Contents,
         /// The option that names it.
         option: &'static str,
+    },
+    /// It is there, and can be neither replaced nor written to.
+    #[error("the output `{}` is {found}, expected a file that can be replaced", path.display())]
+    Fixed {
+        /// The file.
+        path: PathBuf,
+        /// What it is.
+        found: &'static str,
     },
     /// It is read, too.
     #[error("the output `{}` is one of the inputs", path.display())]
@@ -78,6 +86,9 @@ impl OutputError {
             OutputError::Ending { .. } => {
                 Some("name it `.json`; a page for a browser is written by `--report fit.html` and by `kalfit report`")
             }
+            OutputError::Fixed { .. } => Some(
+                "name another file, or take away what protects this one; a folder may be mounted in place of a file",
+            ),
             OutputError::IsInput { .. } | OutputError::Twice { .. } => Some("give the output a name of its own"),
             OutputError::Io { .. } => None,
             OutputError::Temporary { .. } => Some("name a file for the table"),
@@ -151,10 +162,13 @@ impl Output {
         if path.as_os_str().is_empty() || path == Path::new("-") || path.file_name().is_none() {
             return Err(not_a_file("not a file name"));
         }
-        let target = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+        let fixed = |found| OutputError::Fixed { path: path.to_owned(), found };
+        let target = followed(path).map_err(|source| OutputError::Io { path: path.to_owned(), source })?;
         match std::fs::metadata(&target) {
             Ok(found) if found.is_dir() => return Err(not_a_file("a folder")),
             Ok(found) if !found.is_file() => return Err(not_a_file("a device or a pipe")),
+            Ok(found) if found.permissions().readonly() => return Err(fixed("read-only")),
+            Ok(_) if is_mounted(&target) => return Err(fixed("mounted by itself")),
             _ => {}
         }
         if inputs.iter().any(|input| input.canonicalize().is_ok_and(|input| input == target)) {
@@ -267,6 +281,36 @@ impl Output {
     fn io(&self, source: std::io::Error) -> OutputError {
         OutputError::Io { path: self.named.clone(), source }
     }
+}
+
+/// Links that are followed one after the other.
+const LINKS: usize = 40;
+
+/// Where a file is, or would be, with links followed, also those to what is not there yet.
+///
+/// # Errors
+/// A name that no file can have, links that go round.
+fn followed(path: &Path) -> std::io::Result<PathBuf> {
+    let mut path = path.to_owned();
+    for _ in 0..LINKS {
+        match path.canonicalize() {
+            // of folders something better is said elsewhere
+            Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {}
+            found => return found,
+        }
+        let Ok(link) = std::fs::read_link(&path) else { return Ok(path) };
+        path = path.parent().unwrap_or(Path::new("")).join(link);
+    }
+    path.canonicalize()
+}
+
+/// True for a file that is mounted by itself, as containers do: nothing can take its place.
+fn is_mounted(target: &Path) -> bool {
+    let Ok(mounts) = std::fs::read_to_string("/proc/self/mountinfo") else { return false };
+    // the fifth word of a line; spaces and the like are written in octal digits
+    let escaped =
+        |place: &str| place.replace("\\040", " ").replace("\\011", "\t").replace("\\012", "\n").replace("\\134", "\\");
+    mounts.lines().filter_map(|line| line.split(' ').nth(4)).any(|place| Path::new(&escaped(place)) == target)
 }
 
 /// The temporary files that there are.

@@ -29,7 +29,7 @@ pub fn report(job: &ReportJob) -> Result<Done<String>, Failure> {
     if let Some(output) = &output {
         write(output, &page)?;
     }
-    Ok(Done { record: page, notes: Vec::new(), written: output.iter().map(Output::name).collect() })
+    Ok(Done::new(page, Vec::new(), output.iter().map(Output::name).collect()))
 }
 
 /// Writes a page, whole or not at all.

@@ -52,7 +52,7 @@ pub fn simulate(job: &SimulateJob, watch: &mut dyn Watch) -> Result<Done<Simulat
     let states = states.map(|states| states.name());
     let state_names = spec.model.estimated_names();
     let record = Simulated { tests: count, rows, states, added, table, initial, state_names };
-    Ok(Done { record, notes: truth.warnings, written: output.name().into_iter().collect() })
+    Ok(Done::new(record, truth.warnings, output.name().into_iter().collect()))
 }
 
 /// Ids of tests and their true initial states.

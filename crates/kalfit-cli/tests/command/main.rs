@@ -23,6 +23,7 @@ mod interrupted;
 mod levels;
 mod maxima;
 mod memory;
+mod outputs;
 mod phases;
 mod plan;
 mod predict;

@@ -64,7 +64,7 @@ fn truths_that_are_none() {
                     |   ^
     ");
     assert_snapshot!(simulate("f.json", "--out new.csv", &[("f.json", "[1, 2]")]), @"
-    error: `f.json` is not a result of `kalfit fit`: invalid type: integer `1`, expected a string at line 1 column 2
+    error: `f.json` is not a result of `kalfit fit`: invalid type: sequence, expected the object of a result at line 1 column 0
 
     hint: `--from` takes what `kalfit fit --out` writes, or a model file that ends in `.toml`
     ");

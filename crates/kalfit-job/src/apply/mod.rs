@@ -49,7 +49,7 @@ pub fn apply(job: &ApplyJob, watch: &mut dyn Watch) -> Result<Done<AppliedModel>
     let states = states.map_or(Ok(None), Pending::finish)?;
     let written = [out, along].into_iter().flatten().filter_map(|table| table.target.name()).collect();
     let notes = given.notes.into_iter().chain(truth.warnings).collect();
-    Ok(Done { record: AppliedModel { record, tests: of_tests, states }, notes, written })
+    Ok(Done::new(AppliedModel { record, tests: of_tests, states }, notes, written))
 }
 
 pub(crate) fn refused(error: ApplyError, reading: &Reading) -> Failure {

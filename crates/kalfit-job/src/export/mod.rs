@@ -42,7 +42,7 @@ pub fn export(job: &ExportJob) -> Result<Done<ExportRecord>, Failure> {
         write(output, *form, &record)?;
     }
     let written = output.iter().map(|(output, _)| output.name()).collect();
-    Ok(Done { record, notes: truth.warnings, written })
+    Ok(Done::new(record, truth.warnings, written))
 }
 
 fn write(output: &Output, form: Form, record: &ExportRecord) -> Result<(), OutputError> {

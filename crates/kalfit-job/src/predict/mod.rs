@@ -70,7 +70,7 @@ pub fn predict(job: &PredictJob, watch: &mut dyn Watch) -> Result<Done<Predicted
     let record = task.record;
     let back = pending.map_or(Ok(None), Pending::finish)?;
     let written = table.iter().filter_map(|table| table.target.name()).collect();
-    Ok(Done { record: PredictedModel { record, table: back }, notes: truth.warnings, written })
+    Ok(Done::new(PredictedModel { record, table: back }, truth.warnings, written))
 }
 
 /// The model for designs, at the values that were taken; of two outputs of a phase in one unit the sum is a third.
