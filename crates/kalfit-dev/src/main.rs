@@ -6,6 +6,7 @@ mod book;
 mod browser;
 mod coverage;
 mod false_alarms;
+mod fuzz;
 mod maxima;
 mod peak;
 mod peers;
@@ -59,6 +60,9 @@ enum Task {
         #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u64).range(1..))]
         ensembles: u64,
     },
+    /// Runs the program on damaged models, tables, exchange files and results: no run may panic, hang, or leave what is not whole. Best
+    /// built with `--release`.
+    Fuzz(fuzz::Options),
     /// Simulates the law of the whiteness statistic anew: the table from which p-values of innovations come. Best built with `--release`.
     Whiteness,
     /// Writes into the pages of the book what its commands print, and its reference anew from the code. Read the difference.
@@ -79,6 +83,7 @@ fn main() -> ExitCode {
         Task::Coverage { ensembles, only } => coverage::run(ensembles, &only),
         Task::Maxima(options) => maxima::run(&options),
         Task::FalseAlarms { numbers, ensembles } => false_alarms::run(numbers, ensembles),
+        Task::Fuzz(options) => fuzz::run(&options),
         Task::Whiteness => whiteness::run(),
         Task::Book => book::write(),
         Task::Bench { here: true } => bench::run(),

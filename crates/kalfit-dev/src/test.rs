@@ -3,7 +3,7 @@
 use std::process::{Command, ExitCode};
 use std::time::Instant;
 
-use crate::{browser, places, python};
+use crate::{browser, fuzz, places, python};
 
 /// One thing that must hold.
 struct Step {
@@ -57,6 +57,7 @@ const STEPS: &[Step] = &[
 type Other = (&'static str, &'static str, fn() -> Result<(), String>);
 
 const OTHERS: &[Other] = &[
+    ("fuzz", "the program on damaged files", fuzz::short),
     ("python", "the wheel in a fresh environment, and its tests", python::run),
     ("browser", "the report in Chromium", browser::run),
 ];

@@ -1,0 +1,158 @@
+//! Damaged input to the whole program: models, tables, exchange files and results, each damaged at random, run as a user runs them. No
+//! run may end but with status 0, 1 or 2, say that it panicked, print what is no number, leave a file behind where nothing was written,
+//! or take longer or more memory than it is given.
+
+mod corpus;
+mod damage;
+mod run;
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::{Duration, Instant};
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+
+use crate::places;
+use corpus::Corpus;
+use run::Ended;
+
+/// Runs between two looks at the clock.
+const ROUND: u64 = 200;
+/// Wrong runs that are shown and kept.
+const MOST_SHOWN: usize = 20;
+
+/// What is asked of the task.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Options {
+    /// Runs; without it and `--minutes` 20 000.
+    #[arg(long)]
+    runs: Option<u64>,
+    /// As many runs as there is time for.
+    #[arg(long, conflicts_with = "runs")]
+    minutes: Option<f64>,
+    /// Seed of the first run.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+}
+
+/// Runs of the steps of the test command.
+const SHORT: u64 = 400;
+
+/// A short campaign for the test command.
+pub(crate) fn short() -> Result<(), String> {
+    campaign(&Options { runs: Some(SHORT), minutes: None, seed: 1 })
+}
+
+/// Runs a campaign; what it found is printed, and kept where what cargo builds is.
+pub(crate) fn run(options: &Options) -> ExitCode {
+    match campaign(options) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(message) => {
+            eprintln!("{message}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// What came out of runs, added up.
+#[derive(Default)]
+struct Figures {
+    /// Runs by what was damaged and by exit status.
+    by: BTreeMap<(&'static str, String), u64>,
+    runs: u64,
+    slowest: Duration,
+    wrong: Vec<Wrong>,
+}
+
+/// A run that ended as none may.
+struct Wrong {
+    seed: u64,
+    line: String,
+    why: String,
+    name: &'static str,
+    bytes: Vec<u8>,
+}
+
+fn campaign(options: &Options) -> Result<(), String> {
+    let target = places::target()?;
+    let profile = if cfg!(debug_assertions) { "debug" } else { "release" };
+    let kalfit = places::kalfit(&target, profile);
+    if !kalfit.exists() {
+        let release = if cfg!(debug_assertions) { "" } else { " --release" };
+        return Err(format!("{} is not built: cargo build{release}", kalfit.display()));
+    }
+    let kept = target.join("fuzz");
+    std::fs::create_dir_all(&kept).map_err(|error| format!("{}: {error}", kept.display()))?;
+    let corpus = Corpus::new(&kalfit, &kept.join("corpus"))?;
+    let begun = Instant::now();
+    let (runs, limit) = match options.minutes {
+        Some(minutes) => (u64::MAX, Duration::try_from_secs_f64(60.0 * minutes).map_err(|error| error.to_string())?),
+        None => (options.runs.unwrap_or(20_000), Duration::MAX),
+    };
+    let mut all = Figures::default();
+    while all.runs < runs && begun.elapsed() < limit && all.wrong.len() < MOST_SHOWN {
+        let first = options.seed.wrapping_add(all.runs);
+        let round = ROUND.min(runs - all.runs);
+        let found: Result<Vec<_>, String> =
+            (0..round).into_par_iter().map(|k| one(&corpus, &kept, first.wrapping_add(k))).collect();
+        found?.into_iter().for_each(|found| all.add(found));
+    }
+    all.report(begun.elapsed(), &kept)
+}
+
+/// One run.
+struct Found {
+    kind: &'static str,
+    ended: Ended,
+    seconds: Duration,
+    wrong: Option<Wrong>,
+}
+
+fn one(corpus: &Corpus, kept: &std::path::Path, seed: u64) -> Result<Found, String> {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let subject = &corpus.subjects[random.random_range(0..corpus.subjects.len())];
+    let bytes = damage::damaged(&mut random, &subject.bytes, subject.form);
+    let line = &subject.lines[random.random_range(0..subject.lines.len())];
+    let folder = kept.join(format!("run-{seed}"));
+    let done = run::run(corpus, subject, (line, &bytes), &folder)?;
+    let why = done.wrong();
+    let (ended, seconds) = (done.ended, done.seconds);
+    let wrong = why.map(|why| Wrong { seed, line: line.join(" "), why, name: subject.name, bytes });
+    Ok(Found { kind: subject.kind, ended, seconds, wrong })
+}
+
+impl Figures {
+    fn add(&mut self, found: Found) {
+        self.runs += 1;
+        *self.by.entry((found.kind, found.ended.to_string())).or_default() += 1;
+        self.slowest = self.slowest.max(found.seconds);
+        self.wrong.extend(found.wrong);
+    }
+
+    fn report(&self, time: Duration, kept: &std::path::Path) -> Result<(), String> {
+        println!(
+            "{} runs in {:.0} s, the slowest in {:.1} s",
+            self.runs,
+            time.as_secs_f64(),
+            self.slowest.as_secs_f64()
+        );
+        for ((kind, ended), runs) in &self.by {
+            println!("  {kind:<10} {ended:<10} {runs:>8}");
+        }
+        for wrong in &self.wrong {
+            let place: PathBuf = kept.join(format!("{}-{}", wrong.seed, wrong.name));
+            std::fs::write(&place, &wrong.bytes).map_err(|error| format!("{}: {error}", place.display()))?;
+            println!(
+                "\nseed {}: kalfit {}\n  {}\n  {}",
+                wrong.seed,
+                wrong.line,
+                place.display(),
+                wrong.why.replace('\n', "\n  ")
+            );
+        }
+        if self.wrong.is_empty() { Ok(()) } else { Err(format!("{} runs ended as none may", self.wrong.len())) }
+    }
+}

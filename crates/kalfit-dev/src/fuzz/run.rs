@@ -1,0 +1,127 @@
+//! One run of the program on a damaged file, in a folder of its own.
+
+use std::fmt;
+use std::fs::File;
+use std::path::Path;
+use std::process::{Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+
+use super::corpus::{Corpus, Subject};
+
+/// No run may take longer.
+const LONGEST: Duration = Duration::from_secs(120);
+/// Address space of a run, in kilobytes.
+const MEMORY: u64 = 4_000_000;
+
+/// How a run ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Ended {
+    Status(i32),
+    Signal,
+    TooLate,
+}
+
+impl fmt::Display for Ended {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Ended::Status(status) => write!(f, "exit {status}"),
+            Ended::Signal => f.write_str("a signal"),
+            Ended::TooLate => f.write_str("too late"),
+        }
+    }
+}
+
+/// What a run left.
+pub(super) struct Done {
+    pub(super) ended: Ended,
+    pub(super) seconds: Duration,
+    said: String,
+    complained: String,
+    /// Names of files that were not there before.
+    files: Vec<String>,
+}
+
+impl Done {
+    /// What is wrong with the run.
+    pub(super) fn wrong(&self) -> Option<String> {
+        let last = || self.complained.chars().rev().take(600).collect::<Vec<_>>().into_iter().rev().collect::<String>();
+        if !matches!(self.ended, Ended::Status(0..=2)) {
+            return Some(format!("it ended with {}\n{}", self.ended, last()));
+        }
+        if self.complained.contains("panicked at") {
+            return Some(format!("it panicked\n{}", last()));
+        }
+        if self.said.split(|c: char| !c.is_alphanumeric()).any(|word| word == "NaN") {
+            return Some("it printed NaN".to_owned());
+        }
+        if self.ended == Ended::Status(2) && !self.files.is_empty() {
+            return Some(format!("it ended with status 2 and left {}", self.files.join(", ")));
+        }
+        let torn = self.files.iter().find(|name| name.contains("kalfit-"));
+        torn.map(|name| format!("it left the temporary file {name}"))
+    }
+}
+
+/// Runs a line of words in a folder, which is gone again after it.
+pub(super) fn run(
+    corpus: &Corpus,
+    subject: &Subject,
+    (line, bytes): (&[String], &[u8]),
+    folder: &Path,
+) -> Result<Done, String> {
+    let failed = |error: std::io::Error| format!("{}: {error}", folder.display());
+    std::fs::create_dir_all(folder).map_err(failed)?;
+    std::fs::write(folder.join(subject.name), bytes).map_err(failed)?;
+    let word = |word: &String| match word.as_str() {
+        "@" => subject.name.to_owned(),
+        word if subject.folder.join(word).is_file() => subject.folder.join(word).display().to_string(),
+        word => word.to_owned(),
+    };
+    let words: Vec<String> = line.iter().map(word).collect();
+    let [out, err] = ["stdout", "stderr"].map(|name| folder.with_extension(name));
+    let begun = Instant::now();
+    let mut command = limited(&corpus.kalfit);
+    command
+        .args(&words)
+        .current_dir(folder)
+        .stdin(Stdio::null())
+        .env("RUST_BACKTRACE", "0")
+        .env("RAYON_NUM_THREADS", "2");
+    command.stdout(File::create(&out).map_err(failed)?).stderr(File::create(&err).map_err(failed)?);
+    let mut child = command.spawn().map_err(|error| format!("{}: {error}", corpus.kalfit.display()))?;
+    let ended = loop {
+        match child.try_wait().map_err(failed)? {
+            Some(status) => break ended(status),
+            None if begun.elapsed() > LONGEST => {
+                child.kill().and_then(|()| child.wait()).map_err(failed)?;
+                break Ended::TooLate;
+            }
+            None => std::thread::sleep(Duration::from_millis(2)),
+        }
+    };
+    let seconds = begun.elapsed();
+    let read =
+        |path: &Path| std::fs::read(path).map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).map_err(failed);
+    let (said, complained) = (read(&out)?, read(&err)?);
+    let names = std::fs::read_dir(folder).map_err(failed)?;
+    let names = names.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned()));
+    let files: Vec<String> = names.collect::<std::io::Result<Vec<_>>>().map_err(failed)?;
+    let files = files.into_iter().filter(|name| name != subject.name).collect();
+    std::fs::remove_dir_all(folder).map_err(failed)?;
+    [out, err].iter().try_for_each(std::fs::remove_file).map_err(failed)?;
+    Ok(Done { ended, seconds, said, complained, files })
+}
+
+fn ended(status: ExitStatus) -> Ended {
+    status.code().map_or(Ended::Signal, Ended::Status)
+}
+
+/// The program with so much memory and no more, where a shell can say so.
+fn limited(kalfit: &Path) -> Command {
+    if !cfg!(unix) {
+        return Command::new(kalfit);
+    }
+    let mut command = Command::new("sh");
+    command.args(["-c", &format!("ulimit -v {MEMORY}; exec \"$@\""), "sh"]).arg(kalfit);
+    command
+}
