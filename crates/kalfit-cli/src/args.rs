@@ -110,6 +110,11 @@ pub(crate) struct ModelArgs {
     /// Threads to use; the results do not depend on it [default: all processors]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub(crate) threads: Option<u16>,
+
+    /// Instructions to use: `portable`, `avx2` or `avx512`, for the same bits on every machine that has them [default: the widest;
+    /// or the variable KALFIT_INSTRUCTIONS]
+    #[arg(long, value_name = "SET")]
+    pub(crate) instructions: Option<String>,
 }
 
 #[derive(Debug, Group)]

@@ -29,6 +29,8 @@ pub(crate) struct Order {
     job: Job,
     /// Threads; all processors when none.
     threads: Option<usize>,
+    /// Instructions, where an option fixes them.
+    instructions: Option<String>,
     /// Print nothing but errors.
     quiet: bool,
 }
@@ -56,6 +58,7 @@ enum Job {
 
 impl Order {
     pub(crate) fn run(&self) -> Result<Outcome, Ended> {
+        kalfit_job::fix_instructions(self.instructions.as_deref())?;
         if let Some(threads) = self.threads {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
             pool.map_err(|error| Failure::Threads { threads, reason: error.to_string() })?;
@@ -85,24 +88,25 @@ impl Order {
 
 impl From<Args> for Order {
     fn from(args: Args) -> Order {
-        let (threads, quiet) = match &args.command {
-            Command::Fit(args) => (args.model.threads, args.quiet),
-            Command::Reduce(args) | Command::Estimates(args) => (args.model.threads, args.quiet),
-            Command::Test(args) => (args.model.threads, args.quiet),
-            Command::Check(args) => (args.model.threads, false),
+        let (how, quiet) = match &args.command {
+            Command::Fit(args) => (Some(&args.model), args.quiet),
+            Command::Reduce(args) | Command::Estimates(args) => (Some(&args.model), args.quiet),
+            Command::Test(args) => (Some(&args.model), args.quiet),
+            Command::Check(args) => (Some(&args.model), false),
             Command::Report(args) => (None, args.quiet),
             Command::Init(args) => (None, args.quiet),
             Command::Completions(_) | Command::Man(_) => (None, false),
-            Command::Simulate(args) => (args.model.threads, args.quiet),
-            Command::Plan(args) => (args.model.threads, args.quiet),
-            Command::Apply(args) => (args.model.threads, args.quiet),
-            Command::Validate(args) => (args.model.threads, args.quiet),
-            Command::Predict(args) => (args.model.threads, args.quiet),
-            Command::Export(args) => (args.model.threads, args.quiet),
-            Command::Datasheet(args) => (args.model.threads, args.quiet),
+            Command::Simulate(args) => (Some(&args.model), args.quiet),
+            Command::Plan(args) => (Some(&args.model), args.quiet),
+            Command::Apply(args) => (Some(&args.model), args.quiet),
+            Command::Validate(args) => (Some(&args.model), args.quiet),
+            Command::Predict(args) => (Some(&args.model), args.quiet),
+            Command::Export(args) => (Some(&args.model), args.quiet),
+            Command::Datasheet(args) => (Some(&args.model), args.quiet),
             Command::Compare(args) => (None, args.quiet),
         };
-        let threads = threads.map(usize::from);
+        let threads = how.and_then(|how| how.threads).map(usize::from);
+        let instructions = how.and_then(|how| how.instructions.clone());
         let job = match args.command {
             Command::Fit(args) => Job::Fit(args.into()),
             Command::Reduce(args) => Job::Reduce(args.into()),
@@ -122,7 +126,7 @@ impl From<Args> for Order {
             Command::Completions(args) => Job::Completions(args.shell),
             Command::Man(args) => Job::Man(args.dir),
         };
-        Order { job, threads, quiet }
+        Order { job, threads, instructions, quiet }
     }
 }
 

@@ -283,6 +283,16 @@ pub enum Failure {
         /// Bytes that may be had.
         available: u64,
     },
+    /// Instructions that the machine does not have.
+    #[error("{set}: found `{word}`, expected one of `{}` on this machine", machine.join("`, `"))]
+    Instructions {
+        /// The option or the variable that asked for them.
+        set: &'static str,
+        /// What was asked for.
+        word: String,
+        /// Words for those that there are.
+        machine: Vec<&'static str>,
+    },
     /// Threads.
     #[error("cannot start {threads} threads: {reason}")]
     Threads {
@@ -422,6 +432,9 @@ impl Failure {
                 "half the states take a sixteenth of it; a state with `initial = \"stationary\"` or `initial = { mean = …, sigma = … }` is not estimated"
                     .to_owned(),
             ),
+            Failure::Instructions { .. } => {
+                Some("all machines that are to give the same bits need the same instructions; `portable` is everywhere".to_owned())
+            }
             Failure::Threads { .. } => Some("ask for fewer with `--threads`".to_owned()),
         }
     }

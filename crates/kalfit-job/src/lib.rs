@@ -34,6 +34,7 @@ mod hypothesis;
 mod idle;
 mod inferred;
 mod innovations;
+mod instructions;
 mod job;
 pub mod json;
 mod known;
@@ -70,6 +71,7 @@ pub use estimates::estimates;
 pub use export::{Form, export};
 pub use failure::{Failure, Place, Source, UnknownUnit};
 pub use fit::fit;
+pub use instructions::{INSTRUCTIONS, fix_instructions};
 pub use job::{
     AppliedModel, ApplyJob, CheckJob, CompareJob, DatasheetJob, Done, ExchangeJob, Exchanged, ExportJob, FitJob,
     FitTables, FoldsOf, MethodChoice, ModelJob, PlanJob, PredictJob, PredictedModel, ReportJob, SimulateJob, Simulated,

@@ -9,6 +9,8 @@
     expect(unsafe_code, reason = "calls of functions for instructions found at run time")
 )]
 
+use std::sync::OnceLock;
+
 use crate::{Four, Lanes};
 
 /// Work that is written once for all kinds of numbers. `run` must be `#[inline(always)]`.
@@ -19,6 +21,9 @@ pub trait Kernel {
     /// Does the work with this kind of numbers.
     fn run<T: Lanes>(self) -> Self::Output;
 }
+
+/// What is fixed for this process.
+static FIXED: OnceLock<Isa> = OnceLock::new();
 
 /// A set of instructions that this machine has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -37,14 +42,42 @@ impl Isa {
     /// Four at a time by plain arrays, which a compiler may or may not put into registers.
     pub const PORTABLE: Isa = Isa(Kind::Portable);
 
-    /// The best one.
+    /// The best one, or the one that is fixed.
     pub fn best() -> Isa {
-        Isa::all().last().copied().unwrap_or(Isa::PORTABLE)
+        FIXED.get().or(Isa::all().last()).copied().unwrap_or(Isa::PORTABLE)
+    }
+
+    /// Makes this the one that [`Isa::best`] gives from now on, so that machines with other instructions give the same bits.
+    ///
+    /// # Errors
+    /// The one that is fixed already, when it is another.
+    pub fn fix(self) -> Result<(), Isa> {
+        let fixed = *FIXED.get_or_init(|| self);
+        if fixed == self { Ok(()) } else { Err(fixed) }
+    }
+
+    /// The words for all sets, also those that this machine lacks.
+    pub const WORDS: [&'static str; 3] = ["portable", "avx2", "avx512"];
+
+    /// The one of a word; `None` when this machine does not have it.
+    pub fn named(word: &str) -> Option<Isa> {
+        Isa::all().iter().copied().find(|isa| isa.word() == word)
+    }
+
+    /// Its word.
+    pub fn word(self) -> &'static str {
+        match self.0 {
+            Kind::Portable => "portable",
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx2 => "avx2",
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx512 => "avx512",
+        }
     }
 
     /// All that this machine has, the best one last.
     pub fn all() -> &'static [Isa] {
-        static ALL: std::sync::OnceLock<Vec<Isa>> = std::sync::OnceLock::new();
+        static ALL: OnceLock<Vec<Isa>> = OnceLock::new();
         ALL.get_or_init(found)
     }
 
@@ -107,4 +140,18 @@ fn in_avx2<K: Kernel>(kernel: K) -> K::Output {
 #[target_feature(enable = "avx512f,avx2,fma")]
 fn in_avx512<K: Kernel>(kernel: K) -> K::Output {
     kernel.run::<crate::avx512::Avx512>()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_are_those_of_the_sets() {
+        for isa in Isa::all() {
+            assert!(Isa::WORDS.contains(&isa.word()));
+            assert_eq!(Isa::named(isa.word()), Some(*isa));
+        }
+        assert_eq!(Isa::named("sse"), None);
+    }
 }

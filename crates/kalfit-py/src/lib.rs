@@ -33,6 +33,6 @@ mod _kalfit {
     #[pymodule_init]
     fn init(_: &pyo3::Bound<'_, pyo3::types::PyModule>) -> pyo3::PyResult<()> {
         kalfit_data::keep_quiet_of_broken_files();
-        Ok(())
+        kalfit_job::fix_instructions(None).map_err(|failure| crate::errors::exception(&failure))
     }
 }

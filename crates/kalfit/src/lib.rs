@@ -36,6 +36,7 @@ pub mod validate;
 
 pub use ensemble::{Group, Grouping, Label, Labels, Layout, Source, Test, TestKey};
 pub use face::{Ensemble, EnsembleError, Figure, Fit, Options, UnknownName, fit, fit_matrices, fit_reductions};
+pub use kalfit_lanes::Isa;
 pub use model::{Alpha, Expression, Model, PhasedModel, Population};
 pub use record::{FitRecord, Provenance};
 pub use reduce::{Evidence, PhasedTest, Reduction, ReductionRef, Reductions};

@@ -83,6 +83,10 @@ fn version_and_help() {
           --threads <N>
               Threads to use; the results do not depend on it [default: all processors]
 
+          --instructions <SET>
+              Instructions to use: `portable`, `avx2` or `avx512`, for the same bits on every machine
+              that has them [default: the widest; or the variable KALFIT_INSTRUCTIONS]
+
           --out <FILE>
               File for all results, as JSON
 
@@ -233,10 +237,14 @@ fn version_and_help() {
                  input
 
     Options:
-          --set <NAME=VALUE>  Fix a parameter: `tau=90`, or `sigma[A]=0.7` at one level; may be given
-                              many times
-          --threads <N>       Threads to use; the results do not depend on it [default: all processors]
-      -h, --help              Print help
+          --set <NAME=VALUE>    Fix a parameter: `tau=90`, or `sigma[A]=0.7` at one level; may be given
+                                many times
+          --threads <N>         Threads to use; the results do not depend on it [default: all
+                                processors]
+          --instructions <SET>  Instructions to use: `portable`, `avx2` or `avx512`, for the same bits
+                                on every machine that has them [default: the widest; or the variable
+                                KALFIT_INSTRUCTIONS]
+      -h, --help                Print help
 
     Examples:
       kalfit check model.toml                 is the model file sound, and how is it understood

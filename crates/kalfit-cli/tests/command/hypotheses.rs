@@ -553,6 +553,9 @@ fn help_shows_an_example() {
                                 many times
           --threads <N>         Threads to use; the results do not depend on it [default: all
                                 processors]
+          --instructions <SET>  Instructions to use: `portable`, `avx2` or `avx512`, for the same bits
+                                on every machine that has them [default: the widest; or the variable
+                                KALFIT_INSTRUCTIONS]
           --null <NULL>         File of the hypothesis (TOML)
           --bootstrap <N>       Also draw this many ensembles from the hypothesis, and test it in each:
                                 no large-sample law is needed

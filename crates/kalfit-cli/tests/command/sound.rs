@@ -1,5 +1,7 @@
 //! Whole commands on sound input.
 
+use std::process::Stdio;
+
 use crate::folder::{DATA, Folder, shown, steady};
 use insta::assert_snapshot;
 use kalfit::FitRecord;
@@ -516,6 +518,44 @@ fn threads_change_no_bit() {
         let three = timeless(fit(name, &format!("{options} --threads 3")).1);
         assert_eq!(one, three, "{name}");
     }
+}
+
+#[test]
+fn instructions_that_are_fixed_fix_all_bits() {
+    let sets: Vec<&str> = kalfit::Isa::all().iter().map(|isa| isa.word()).collect();
+    for (name, options) in EXAMPLES {
+        let fits: Vec<FitRecord> = sets
+            .iter()
+            .map(|set| {
+                let one = timeless(fit(name, &format!("{options} --instructions {set} --threads 1")).1);
+                let two = timeless(fit(name, &format!("{options} --instructions {set} --threads 2")).1);
+                assert_eq!(one, two, "{name}, {set}");
+                one
+            })
+            .collect();
+        for (found, set) in fits.iter().zip(&sets) {
+            let (found, first) = (found.log_likelihood, fits[0].log_likelihood);
+            assert!((found - first).abs() <= 1e-7 * (1.0 + first.abs()), "{name}, {set}: {found} and {first}");
+        }
+    }
+}
+
+#[test]
+fn instructions_may_stand_in_a_variable() {
+    let folder = Folder::new(&[]);
+    let with = |variable: &str, args: &str| {
+        shown(&folder.command(args).env("KALFIT_INSTRUCTIONS", variable).stdin(Stdio::null()).output().unwrap())
+    };
+    let fixed = with("portable", "fit m.toml d.csv --quiet --out a.json");
+    assert_eq!(fixed, "exit 0\n----- stdout\n----- stderr\n");
+    folder.run("fit m.toml d.csv --quiet --out b.json --instructions portable");
+    let read = |name: &str| -> FitRecord {
+        timeless(serde_json::from_slice(&std::fs::read(folder.path(name)).unwrap()).unwrap())
+    };
+    assert_eq!(read("a.json"), read("b.json"));
+    let refused = with("none", "fit m.toml d.csv");
+    assert!(refused.starts_with("exit 2\n"), "{refused}");
+    assert!(refused.contains("error: KALFIT_INSTRUCTIONS: found `none`, expected one of `portable`"), "{refused}");
 }
 
 #[test]
