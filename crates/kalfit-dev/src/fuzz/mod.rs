@@ -118,7 +118,7 @@ fn one(corpus: &Corpus, kept: &std::path::Path, seed: u64) -> Result<Found, Stri
     let line = &subject.lines[random.random_range(0..subject.lines.len())];
     let folder = kept.join(format!("run-{seed}"));
     let done = run::run(corpus, subject, (line, &bytes), &folder)?;
-    let why = done.wrong();
+    let why = done.wrong(&bytes);
     let (ended, seconds) = (done.ended, done.seconds);
     let wrong = why.map(|why| Wrong { seed, line: line.join(" "), why, name: subject.name, bytes });
     Ok(Found { kind: subject.kind, ended, seconds, wrong })
