@@ -1,6 +1,6 @@
 //! What `kalfit apply` found.
 
-use kalfit::record::{AppliedRecord, FarRecord, JointRecord};
+use kalfit::record::{AppliedRecord, FarGroupRecord, FarRecord, JointRecord};
 
 use crate::Style;
 use crate::number::{p_value, plain, probability};
@@ -33,6 +33,7 @@ pub fn applied_summary(record: &AppliedRecord, style: &Style) -> String {
     sections.push(page.paragraph(&facts) + &page.paragraph(&verdict(record)));
     sections.push(page.section("All tests together", &page.items(&together(record))));
     sections.push(page.section("Tests that stand out", &far(record, &page)));
+    sections.push(page.section("Groups that stand out", &far_groups(record, &page)));
     sections.push(page.section("How to read this", &page.items(&notes(record))));
     sections.retain(|section| !section.is_empty());
     sections.join("\n")
@@ -53,6 +54,12 @@ fn verdict(record: &AppliedRecord) -> String {
     let mut sentences = vec![first.to_owned()];
     if !record.outlying.is_empty() {
         sentences.push(format!("The initial state of {} stands out.", count(record.outlying.len(), "test")));
+    }
+    if !record.outlying_groups.is_empty() {
+        sentences.push(match record.outlying_groups.len() {
+            1 => "One group of tests stands out as a whole.".to_owned(),
+            number => format!("{number} groups of tests stand out as a whole."),
+        });
     }
     if !record.unlikely.is_empty() {
         sentences.push(format!(
@@ -131,6 +138,28 @@ fn far(record: &AppliedRecord, page: &Page<'_>) -> String {
         column("p corrected", Side::Right, &|(one, _)| probability(one.p_corrected)),
     ]);
     match all.len() - shown.len() {
+        0 => table,
+        more => table + &page.paragraph(&format!("And {more} more.")),
+    }
+}
+
+fn far_groups(record: &AppliedRecord, page: &Page<'_>) -> String {
+    let all = &record.outlying_groups;
+    let shown = &all[..all.len().min(MOST)];
+    let column = |heading: &str, side: Side, cell: &dyn Fn(&FarGroupRecord) -> String| {
+        Column::new(heading, side, shown.iter().map(cell).collect())
+    };
+    let table = page.table(&[
+        column("level", Side::Left, &|one| clean(&one.level)),
+        column("group", Side::Left, &|one| clean(&one.id.join("/"))),
+        column("tests", Side::Right, &|one| one.tests.to_string()),
+        column("squared", Side::Right, &|one| plain(one.squared, 3)),
+        column("expected", Side::Right, &|one| one.degrees_of_freedom.to_string()),
+        column("p", Side::Right, &|one| probability(one.p_value)),
+        column("p corrected", Side::Right, &|one| probability(one.p_corrected)),
+    ]);
+    match all.len() - shown.len() {
+        _ if all.is_empty() => String::new(),
         0 => table,
         more => table + &page.paragraph(&format!("And {more} more.")),
     }

@@ -256,3 +256,32 @@ fn tests_of_one_unit_are_compared_with_each_other() {
         assert!(other.contains("Within the groups of `unit`"), "{other}");
     }
 }
+
+#[test]
+fn a_unit_that_is_far_off_is_named_as_a_unit() {
+    let moved: String = runs(0.5)
+        .lines()
+        .map(|line| match line.strip_prefix("u3,").and_then(|rest| rest.split_once(',')) {
+            Some((run, y)) => format!("u3,{run},{}\n", 10.0 + y.parse::<f64>().unwrap()),
+            None => line.to_owned() + "\n",
+        })
+        .collect();
+    let folder = Folder::new(&[("u.toml", UNITS.as_bytes()), ("moved.csv", moved.as_bytes())]);
+    let said = shown(&folder.run("apply u.toml moved.csv --from u.toml"));
+    let flowing = said.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(flowing.contains("One group of tests stands out as a whole."), "{said}");
+    let (_, table) = said.split_once("Groups that stand out\n").unwrap();
+    let row: Vec<&str> = table.lines().nth(1).unwrap().split_whitespace().collect();
+    // the mean of four runs, each known to 0.1/sqrt(2) from a run that varies by 0.5: squared over 4 + 0.25/4 + 0.01/8
+    let mean = moved
+        .lines()
+        .filter(|line| line.starts_with("u3,"))
+        .map(|line| line.rsplit(',').next().unwrap().parse::<f64>().unwrap())
+        .sum::<f64>()
+        / 8.0;
+    let expected = mean * mean / (4.0 + 0.25 / 4.0 + 0.01 / 8.0);
+    assert_eq!(row[..3], ["unit", "u3", "4"], "{said}");
+    let found: f64 = row[3].parse().unwrap();
+    assert!((found - expected).abs() < 0.006 * expected, "{found} and {expected}");
+    assert_eq!(row[4], "1");
+}

@@ -4,6 +4,7 @@ mod tables;
 
 use kalfit::apply::{Applied, ApplyError};
 use kalfit::record::{AppliedRecord, AppliedSource};
+use kalfit::reduce::grouping;
 use kalfit_data::Reading;
 
 use self::tables::Task;
@@ -40,7 +41,9 @@ pub fn apply(job: &ApplyJob, watch: &mut dyn Watch) -> Result<Done<AppliedModel>
         applied.check_states().map_err(refused)?;
     }
     let source = AppliedSource { name: job.from.name(), fitted: truth.fitted, changed: truth.changed };
-    let record = AppliedRecord::new(&spec.model, source, &tests, &said);
+    let grouping = grouping(&spec.model, &tests).map_err(|error| refused(error.into()))?;
+    let groups = grouping.as_ref().map(|grouping| (grouping, &reading.labels));
+    let record = AppliedRecord::new(&spec.model, source, (&tests, groups), &said);
     let task = Task { spec: &spec, applied: &applied, tests: &tests, reading: &reading };
     // neither is in place before both are whole
     let of_tests = out.as_ref().map(|table| task.tests(table, &said)).transpose()?;

@@ -4,6 +4,8 @@ use serde::{Deserialize, Serialize};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::apply::{Joint, Said, Verdict};
+use crate::ensemble::{Group, Grouping, Labels};
+use crate::infer::GroupPosterior;
 use crate::model::PhasedModel;
 use crate::record::holm;
 use crate::reduce::PhasedTest;
@@ -43,6 +45,28 @@ pub struct AppliedRecord {
     pub outlying: Vec<FarRecord>,
     /// Tests whose residuals are larger than the model allows, at 5 % after correction for their number.
     pub unlikely: Vec<FarRecord>,
+    /// Groups that stand out at 5 % after correction for the number of groups, the furthest first.
+    #[serde(default)]
+    pub outlying_groups: Vec<FarGroupRecord>,
+}
+
+/// A group of tests that is far out.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FarGroupRecord {
+    /// Name of its level.
+    pub level: String,
+    /// Its name after those of the groups that it stands in, the outermost first.
+    pub id: Vec<String>,
+    /// Number of its tests.
+    pub tests: usize,
+    /// Standardised squared distance of what its tests say of the group from the population.
+    pub squared: f64,
+    /// Degrees of freedom of χ².
+    pub degrees_of_freedom: usize,
+    /// Of this group by itself.
+    pub p_value: f64,
+    /// After Holm's correction for the number of groups of all levels.
+    pub p_corrected: f64,
 }
 
 /// A sum of squares over all tests and its law.
@@ -92,8 +116,13 @@ impl From<Joint> for JointRecord {
 }
 
 impl AppliedRecord {
-    /// Of tests and what they say, with parameters from a source.
-    pub fn new(model: &PhasedModel, source: AppliedSource, tests: &[PhasedTest], said: &Said) -> AppliedRecord {
+    /// Of tests and what they say, with parameters from a source. `groups`: which tests stand in one group, and the names.
+    pub fn new(
+        model: &PhasedModel,
+        source: AppliedSource,
+        (tests, groups): (&[PhasedTest], Option<(&Grouping, &Labels)>),
+        said: &Said,
+    ) -> AppliedRecord {
         let Verdict { log_density, distance, within, residual } = said.verdict();
         let distances = said.posteriors.iter().map(|test| &test.distance);
         let distances = distances.map(|own| (own.squared, own.degrees_of_freedom, own.p_value));
@@ -121,8 +150,35 @@ impl AppliedRecord {
             outlying: far.iter().take_while(|one| stands_out(one)).cloned().collect(),
             furthest: far.into_iter().next(),
             unlikely: ranked(tests, residuals).into_iter().take_while(stands_out).collect(),
+            outlying_groups: groups.map_or_else(Vec::new, |groups| outlying_groups(model, groups, said)),
         }
     }
+}
+
+/// Groups of all levels that stand out.
+fn outlying_groups(model: &PhasedModel, (grouping, labels): (&Grouping, &Labels), said: &Said) -> Vec<FarGroupRecord> {
+    let of_level = |(inner, found): (usize, &Vec<GroupPosterior>)| {
+        let level = &model.levels[model.levels.len() - 1 - inner].name;
+        let one = |(group, found): (&Group, &GroupPosterior)| {
+            let p_value = found.distance.p_value?;
+            Some(FarGroupRecord {
+                level: level.clone(),
+                id: group.path.iter().map(|&name| labels.text(name).to_owned()).collect(),
+                tests: found.tests,
+                squared: found.distance.squared,
+                degrees_of_freedom: found.distance.degrees_of_freedom,
+                p_value,
+                p_corrected: p_value,
+            })
+        };
+        grouping.groups(inner).iter().zip(found).filter_map(one).collect::<Vec<_>>()
+    };
+    let mut all: Vec<FarGroupRecord> = said.groups.iter().enumerate().flat_map(of_level).collect();
+    all.sort_by(|a, b| a.p_value.total_cmp(&b.p_value).then_with(|| a.id.cmp(&b.id)));
+    let p_values: Vec<f64> = all.iter().map(|one| one.p_value).collect();
+    all.iter_mut().zip(holm(&p_values)).for_each(|(one, corrected)| one.p_corrected = corrected);
+    all.retain(|one| one.p_corrected < LEVEL);
+    all
 }
 
 impl AppliedRecord {
@@ -182,6 +238,7 @@ mod tests {
             furthest: None,
             outlying: Vec::new(),
             unlikely: Vec::new(),
+            outlying_groups: Vec::new(),
         }
     }
 
