@@ -46,12 +46,12 @@ struct OfTexts {
     each: Option<u64>,
 }
 
-/// Pages of a column in a row group.
-enum Texts {
-    /// All point into a dictionary.
-    Coded,
-    /// Some do not, or there is none.
-    Plain(Vec<OfTexts>),
+/// A column of texts in a row group.
+struct Chunk<'a> {
+    /// Its column of the schema.
+    root: usize,
+    metadata: &'a ColumnChunkMetaData,
+    pages: Vec<Header>,
 }
 
 /// Looks through the headers of all pages of the columns in these row groups, of which not more than `rows` are to be read at a time.
@@ -67,23 +67,25 @@ pub(crate) fn survey<R: ChunkReader>(
 ) -> Result<Survey, DataError> {
     guarded(file, FORMAT, || {
         let schema = metadata.parquet_schema();
-        let mut coded: Vec<Option<bool>> = vec![None; schema.root_schema().get_fields().len()];
-        let mut most = rows;
+        let mut chunks = Vec::new();
         for group in metadata.metadata().row_groups().get(groups).unwrap_or_default() {
             for (leaf, chunk) in group.columns().iter().enumerate() {
                 if leaf >= schema.num_columns() || !mask.leaf_included(leaf) {
                     continue;
                 }
                 let pages = pages(file, bytes, chunk)?;
-                if chunk.column_type() != Type::BYTE_ARRAY {
-                    continue;
+                if chunk.column_type() == Type::BYTE_ARRAY {
+                    chunks.push(Chunk { root: schema.get_column_root_idx(leaf), metadata: chunk, pages });
                 }
-                let texts = Texts::new(&pages, || longest(bytes, chunk)).map_err(|source| failed(file, source))?;
-                let is_coded = matches!(texts, Texts::Coded);
-                let coded = &mut coded[schema.get_column_root_idx(leaf)];
-                *coded = Some(is_coded && coded.unwrap_or(true));
-                most = most.min(texts.rows(file, chunk, rows)?);
             }
+        }
+        // a column comes as a dictionary where it is one in all row groups
+        let mut coded = vec![true; schema.root_schema().get_fields().len()];
+        chunks.iter().for_each(|chunk| coded[chunk.root] &= chunk.is_coded());
+        let mut most = rows;
+        for chunk in chunks.iter().filter(|chunk| !coded[chunk.root]) {
+            let texts = chunk.texts(bytes).map_err(|source| failed(file, source))?;
+            most = most.min(chunk.rows(file, &texts, rows)?);
         }
         let metadata = with_dictionaries(metadata, &coded).map_err(|source| failed(file, source))?;
         Ok(Survey { metadata, rows: most })
@@ -151,40 +153,54 @@ fn oversized(file: &str, what: &'static str, declared: u64, (bytes, limit): (u64
     DataError::Oversized { file: file.to_owned(), what, declared, bytes, limit }
 }
 
-impl Texts {
-    /// `longest` is asked for the bytes of the longest text in the dictionary.
-    fn new(pages: &[Header], longest: impl FnOnce() -> Result<u64, ParquetError>) -> Result<Texts, ParquetError> {
-        let points =
-            |page: &Header| matches!(page.encoding, Some(Encoding::PLAIN_DICTIONARY | Encoding::RLE_DICTIONARY));
-        let (dictionaries, data): (Vec<&Header>, Vec<&Header>) = pages.iter().partition(|page| page.is_dictionary);
-        if data.iter().all(|page| points(page)) {
-            return Ok(Texts::Coded);
-        }
-        let longest = if dictionaries.is_empty() { 0 } else { longest()? };
+impl Chunk<'_> {
+    /// One dictionary before all other pages, as the format has it, or none.
+    fn has_one_dictionary(&self) -> bool {
+        self.pages.iter().skip(1).all(|page| !page.is_dictionary)
+    }
+
+    /// All pages point into the dictionary.
+    fn is_coded(&self) -> bool {
+        self.has_one_dictionary() && self.pages.iter().all(|page| page.is_dictionary || page.points())
+    }
+
+    /// Texts of the pages, when they are unfolded.
+    fn texts<R: ChunkReader>(&self, bytes: &R) -> Result<Vec<OfTexts>, ParquetError> {
+        let (dictionaries, data): (Vec<&Header>, Vec<&Header>) = self.pages.iter().partition(|page| page.is_dictionary);
+        let longest = match dictionaries.iter().map(|page| page.unpacked).max() {
+            Some(_) if self.has_one_dictionary() => longest(bytes, self.metadata)?,
+            largest => largest.unwrap_or(0),
+        };
         let page = |page: &&Header| {
             let each = match page.encoding {
-                _ if points(page) => Some(longest),
+                _ if page.points() => Some(longest),
                 Some(Encoding::DELTA_BYTE_ARRAY) => Some(page.unpacked), // each begins as the one before it
                 _ => None,
             };
             OfTexts { values: page.values, bytes: page.unpacked, each }
         };
-        Ok(Texts::Plain(data.iter().map(page).collect()))
+        Ok(data.iter().map(page).collect())
     }
 
     /// So many rows, at most, that their texts take about as much room as a batch may.
-    fn rows(&self, file: &str, chunk: &ColumnChunkMetaData, rows: usize) -> Result<usize, DataError> {
-        let Texts::Plain(pages) = self else { return Ok(rows) };
-        if chunk.column_descr().max_rep_level() == 0 {
-            let halves = std::iter::successors(Some(rows), |rows| Some(rows / 2)).take_while(|&rows| rows > 1);
-            return Ok(halves.into_iter().find(|&rows| fits(pages, rows as u64)).unwrap_or(1));
+    fn rows(&self, file: &str, pages: &[OfTexts], rows: usize) -> Result<usize, DataError> {
+        if self.metadata.column_descr().max_rep_level() == 0 {
+            let mut halves = std::iter::successors(Some(rows), |rows| Some(rows / 2)).take_while(|&rows| rows > 1);
+            return Ok(halves.find(|&rows| fits(pages, rows as u64)).unwrap_or(1));
         }
         let most = pages.iter().map(|page| page.texts(u64::MAX)).max().unwrap_or(0);
         if most <= LIST_TEXTS {
             return Ok(rows);
         }
-        let bytes = u64::try_from(chunk.compressed_size()).unwrap_or(0);
+        let bytes = u64::try_from(self.metadata.compressed_size()).unwrap_or(0);
         Err(oversized(file, "bytes of texts of a page", most, (bytes, LIST_TEXTS)))
+    }
+}
+
+impl Header {
+    /// Its values are places in a dictionary.
+    fn points(&self) -> bool {
+        matches!(self.encoding, Some(Encoding::PLAIN_DICTIONARY | Encoding::RLE_DICTIONARY))
     }
 }
 
@@ -217,13 +233,10 @@ fn fits(pages: &[OfTexts], rows: u64) -> bool {
 }
 
 /// Metadata by which texts come as dictionaries in these columns of the schema.
-fn with_dictionaries(
-    metadata: &ArrowReaderMetadata,
-    coded: &[Option<bool>],
-) -> Result<ArrowReaderMetadata, ParquetError> {
+fn with_dictionaries(metadata: &ArrowReaderMetadata, coded: &[bool]) -> Result<ArrowReaderMetadata, ParquetError> {
     let schema = metadata.schema();
     let field = |(at, field): (usize, &Arc<Field>)| {
-        let is_coded = coded.get(at).copied().flatten().unwrap_or(false);
+        let is_coded = coded.get(at).copied().unwrap_or(false);
         let dictionary = is_coded.then(|| dictionary(field.data_type())).flatten();
         dictionary.map_or_else(|| field.clone(), |to| Arc::new(field.as_ref().clone().with_data_type(to)))
     };
@@ -323,6 +336,19 @@ mod tests {
             let most = batches.iter().map(RecordBatch::get_array_memory_size).max();
             assert!(most.is_some_and(|most| most < 64 << 20), "{name}: {most:?} bytes");
         }
+    }
+
+    #[test]
+    fn a_column_that_is_a_dictionary_in_some_row_groups_alone_is_unfolded_in_all() {
+        // the first group repeats one text, those of the second fill its dictionary and go on without it
+        let other = (0..300).map(|row| "y".repeat(100_000) + &row.to_string());
+        let texts: Vec<String> = long(300).into_iter().chain(other).collect();
+        let set = |with: WriterPropertiesBuilder| {
+            with.set_max_row_group_row_count(Some(300)).set_dictionary_page_size_limit(2 << 20)
+        };
+        let survey = surveyed(&file(texts, set)).expect("sound");
+        assert!(matches!(survey.metadata.schema().field(0).data_type(), DataType::Utf8));
+        assert!(survey.rows <= 16, "{} rows", survey.rows);
     }
 
     #[test]
