@@ -2,10 +2,13 @@
 //!
 //! A certificate is about the neighbourhood of a point. ℓ of several noises often has more maxima than one, and they differ in what
 //! explains what: so each process is taken away and may come back in another shape, processes that coincide become one, levels at
-//! zero are tried at other sizes, and the search begins anew from the data where the start values were given.
+//! zero are tried at other sizes, and the search begins anew from the data where the start values were given. Of many rows a part
+//! will do: only where ℓ of that part is about as high elsewhere does the search go there on all of them.
 
 use crate::dynamic::bench::Bench;
 use crate::dynamic::iterate::{End, RISE, Search};
+use crate::dynamic::result::Explored;
+use crate::dynamic::sample::{Beside, CLOSE, FOLLOWED, alike, sample, total};
 use crate::dynamic::scales::{mentions, time_constants};
 use crate::dynamic::search::search;
 use crate::dynamic::tries::{best_of, other_maxima};
@@ -16,6 +19,8 @@ use crate::model::Motion;
 
 /// Rows that may be filtered for it, all runs together.
 const ROWS: usize = 20_000_000;
+/// A part of the data serves where they are so many times as long.
+const LONGER: usize = 2;
 /// Most runs of the filters.
 const RUNS: usize = 600;
 /// With more values than this one search costs too much.
@@ -27,18 +32,72 @@ const ROUNDS: usize = 4;
 /// Sizes of levels at zero that are tried, in units of what the data suggest.
 const SIZES: [f64; 5] = [2.0, 0.7, 0.25, 0.08, 0.025];
 
-/// Adds the ends that are found, unless the ensemble is too large to look; `told`: all start values were given.
+/// Adds the ends that are found, and says where it was looked; `told`: all start values were given.
 pub(super) fn explore(
     bench: &Bench<'_>,
     ends: &mut Vec<End>,
     told: bool,
     progress: &mut dyn Progress,
-) -> Result<(), DynamicError> {
+) -> Result<Explored, DynamicError> {
     let settings = Settings { method: Method::Hybrid, ..bench.settings.clone() };
     let hybrid = Bench::new(bench.model, bench.tests, bench.slots, &settings);
-    let done = look_around((bench, &hybrid), ends, told, progress);
+    let common = bench.slots.slots().iter().all(|slot| slot.level.is_none());
+    let part = if common { sample(bench.tests, common) } else { Vec::new() };
+    let small = Bench::new(bench.model, &part, bench.slots, &settings);
+    let is_long = common && LONGER * total(&part) <= bench.rows();
+    let explored = match best(ends) {
+        Some(_) if is_long && is_possible(&small) => {
+            on_part((bench, &hybrid, &small), ends, told, progress).map(|()| Explored::Part)
+        }
+        _ if is_possible(bench) => look_around((bench, &hybrid), ends, (told, 0.0), progress).map(|()| Explored::All),
+        _ => Ok(Explored::No),
+    };
     bench.absorb(&hybrid);
-    done
+    explored
+}
+
+/// Adds the best certified end that a part of the data leads to.
+fn on_part(
+    (bench, hybrid, small): (&Bench<'_>, &Bench<'_>, &Bench<'_>),
+    ends: &mut Vec<End>,
+    told: bool,
+    progress: &mut dyn Progress,
+) -> Result<(), DynamicError> {
+    let Some(home) = best(ends).map(End::restart) else { return Ok(()) };
+    let mut beside = Beside { small, progress: &mut *progress };
+    let Ok(start) = small.solve(&home, None) else { return Ok(()) };
+    let mut found = vec![Search::new(small, &mut beside, start).run()?];
+    let known = ordered(&bench.twins, &found[0].restart());
+    look_around((small, small), &mut found, (told, CLOSE), &mut beside)?;
+    found.sort_by(|a, b| b.home.value().total_cmp(&a.home.value()));
+    let highest = found[0].home.value();
+    let near = found.iter().filter(|end| highest - end.home.value() <= CLOSE).map(End::restart);
+    let elsewhere = near.filter(|values| !alike(&ordered(&bench.twins, values), &known));
+    for values in elsewhere.take(FOLLOWED) {
+        let floor = best(ends).map(|best| best.home.value() + RISE);
+        let Ok(home) = hybrid.solve(&values, None) else { continue };
+        if progress.stops() {
+            return Ok(());
+        }
+        let end = Search::new(hybrid, progress, home).beyond(floor).run()?;
+        if is_higher(&end, floor) {
+            ends.push(by_method(bench, end, progress)?);
+        }
+    }
+    Ok(())
+}
+
+/// A certified end above another.
+fn is_higher(end: &End, floor: Option<f64>) -> bool {
+    end.stop == Stop::Certified && floor.is_none_or(|floor| end.home.value() > floor)
+}
+
+/// The end by the method that was asked for.
+fn by_method(bench: &Bench<'_>, found: End, progress: &mut dyn Progress) -> Result<End, DynamicError> {
+    match bench.settings.method {
+        Method::Hybrid => Ok(found),
+        _ => search(bench, found.restart().into(), None, progress),
+    }
 }
 
 /// The best end that is found around another while a value is held; the other where none is higher.
@@ -56,7 +115,7 @@ pub(super) fn around(bench: &Bench<'_>, end: End, held: usize) -> End {
 }
 
 /// Other maxima are within reach of the runs that may be spent.
-pub(super) fn is_possible(bench: &Bench<'_>) -> bool {
+fn is_possible(bench: &Bench<'_>) -> bool {
     most(bench) > 0
 }
 
@@ -66,10 +125,11 @@ fn most(bench: &Bench<'_>) -> usize {
     if runs < FEWEST || bench.slots.len() > VALUES { 0 } else { runs }
 }
 
+/// Adds ends that are higher than the best one, or no further below it than by `slack`; `told`: all start values were given.
 fn look_around(
     (bench, hybrid): (&Bench<'_>, &Bench<'_>),
     ends: &mut Vec<End>,
-    told: bool,
+    (told, slack): (bool, f64),
     progress: &mut dyn Progress,
 ) -> Result<(), DynamicError> {
     let most = most(bench);
@@ -81,7 +141,7 @@ fn look_around(
             places.extend(start::from_data(bench, progress));
         }
         let floor = best.map(|best| best.home.value() + RISE);
-        let mut higher = None;
+        let mut higher = false;
         for place in places {
             if hybrid.filter_passes() >= most || progress.stops() {
                 return Ok(());
@@ -92,18 +152,20 @@ fn look_around(
             }
             tried.push(place.clone());
             let Ok(home) = hybrid.solve(&place, None) else { continue };
-            let found = Search::new(hybrid, progress, home).beyond(floor).run()?;
-            if found.stop == Stop::Certified && floor.is_none_or(|floor| found.home.value() > floor) {
-                higher = Some(found);
+            let within = floor.map(|floor| floor - slack);
+            let found = Search::new(hybrid, progress, home).beyond(within).run()?;
+            if !is_higher(&found, within) {
+                continue;
+            }
+            higher = is_higher(&found, floor);
+            ends.push(if higher { by_method(bench, found, progress)? } else { found });
+            if higher {
                 break;
             }
         }
-        let Some(found) = higher else { return Ok(()) };
-        let found = match bench.settings.method {
-            Method::Hybrid => found,
-            _ => search(bench, found.restart().into(), None, progress)?,
-        };
-        ends.push(found);
+        if !higher {
+            return Ok(());
+        }
     }
     Ok(())
 }

@@ -55,6 +55,6 @@ pub use fit::{fit, start_values};
 pub use inference::infer;
 pub(crate) use interval::MOST_PROFILED;
 pub use ratio::{DynamicRatioError, dynamic_bootstrap, dynamic_bootstrap_while, dynamic_ratio, started};
-pub use result::{DynamicFit, OtherEnd};
+pub use result::{DynamicFit, Explored, OtherEnd};
 pub use settings::{Method, Settings};
 pub use standing::{ParameterInference, Standing};

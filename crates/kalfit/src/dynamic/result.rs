@@ -37,8 +37,8 @@ pub struct DynamicFit {
     pub passes: usize,
     /// Where other starts ended, best first.
     pub others: Vec<OtherEnd>,
-    /// Other maxima were looked for from the best end.
-    pub explored: bool,
+    /// Where other maxima were looked for from the best end.
+    pub explored: Explored,
     /// Noise levels, by name, with which ℓ rises without bound as they go to zero together: the data fit the model exactly. Empty
     /// where ℓ has a maximum.
     pub unbounded: Vec<String>,
@@ -68,4 +68,15 @@ pub struct OtherEnd {
     pub stop: Stop,
     /// It was given up where no higher end than the best was in sight.
     pub given_up: bool,
+}
+
+/// Where other maxima were looked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Explored {
+    /// On all of the data.
+    All,
+    /// On a part of them, and on all of them where that part was about as likely elsewhere.
+    Part,
+    /// Nowhere but at the starts.
+    No,
 }

@@ -9,9 +9,9 @@ use crate::estimate::{Progress, Stage, Step};
 use crate::reduce::{Evidence, PhasedTest};
 
 /// Ends on a part of the data whose ℓ is this close to the best one's are followed on all of it.
-const CLOSE: f64 = 5.0;
+pub(super) const CLOSE: f64 = 5.0;
 /// … so many of them, none but those that differ by more than this part.
-const FOLLOWED: usize = 3;
+pub(super) const FOLLOWED: usize = 3;
 const ALIKE: f64 = 2e-2;
 /// Rows of the part, and rows of one test in it.
 const ROWS: usize = 100_000;
@@ -62,14 +62,17 @@ pub(super) fn promising(
     let most = kept.len() + FOLLOWED;
     for (_, start) in ends.into_iter().filter(|(value, _)| best - value <= CLOSE) {
         let place = ordered(&small.twins, &start.values);
-        let same =
-            |other: &Vec<f64>| other.iter().zip(&place).all(|(a, b)| (a - b).abs() <= ALIKE * a.abs().max(b.abs()));
-        if kept.len() < most && !seen.iter().any(same) {
+        if kept.len() < most && !seen.iter().any(|other| alike(other, &place)) {
             kept.push(start);
             seen.push(place);
         }
     }
     kept
+}
+
+/// Values that differ by no more than a search on a part of the data is worth.
+pub(super) fn alike(a: &[f64], b: &[f64]) -> bool {
+    a.iter().zip(b).all(|(a, b)| (a - b).abs() <= ALIKE * a.abs().max(b.abs()))
 }
 
 /// A part of the data, of which all are `more` times as many.
@@ -103,9 +106,9 @@ impl Part<'_, '_> {
 }
 
 /// Listens to a search on a part of the data: it is about start values still.
-struct Beside<'a, 'b> {
-    small: &'a Bench<'b>,
-    progress: &'a mut dyn Progress,
+pub(super) struct Beside<'a, 'b> {
+    pub(super) small: &'a Bench<'b>,
+    pub(super) progress: &'a mut dyn Progress,
 }
 
 impl Progress for Beside<'_, '_> {

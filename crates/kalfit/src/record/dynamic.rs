@@ -1,6 +1,6 @@
 //! The record of a fit with free dynamic parameters.
 
-use crate::dynamic::{DynamicFit, MOST_PROFILED, Method, ParameterInference, Standing};
+use crate::dynamic::{DynamicFit, Explored, MOST_PROFILED, Method, ParameterInference, Standing};
 use crate::ensemble::Labels;
 use crate::estimate::{Criterion, Stop};
 use crate::infer::{Inference, IntervalKind};
@@ -75,7 +75,7 @@ impl FitRecord {
         record.starts = StartRecord::all(fit);
         let mut notes = if record.converged { standing_notes(parts) } else { Vec::new() };
         notes.extend(if fit.unbounded.is_empty() { start_notes(parts) } else { vec![EXACT.to_owned()] });
-        if record.converged && !fit.explored && fit.slots.len() > 1 {
+        if record.converged && fit.explored == Explored::No && fit.slots.len() > 1 {
             notes.push(NOT_EXPLORED.to_owned());
         }
         if fit.method == Method::Em && fit.filter_passes > MANY_RUNS {
