@@ -10,8 +10,9 @@ Gyros on two bench stations
 
 from kalfit._arrays import Ensemble
 from kalfit._data import Data, Table, TableLike
-from kalfit._fit import Fit, GroupFit, Interrupted, Level, Parameter, Parameters, Phase, TestFit
+from kalfit._fit import Estimate, Fit, GroupFit, Interrupted, Level, Parameter, Parameters, Phase, TestFit
 from kalfit._jobs import (
+    Step,
     apply,
     check,
     compare,
@@ -52,6 +53,7 @@ __all__ = [
     "Datasheet",
     "Ensemble",
     "Error",
+    "Estimate",
     "Filter",
     "Fit",
     "FitError",
@@ -68,6 +70,7 @@ __all__ = [
     "Predicted",
     "RatioTest",
     "Simulation",
+    "Step",
     "Table",
     "TableLike",
     "TestFit",

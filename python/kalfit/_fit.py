@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kalfit import _display, _kalfit
+from kalfit._data import Table
 
-__all__ = ["Fit", "Interrupted", "Parameter", "Parameters", "Phase", "TestFit"]
+__all__ = ["Estimate", "Fit", "Interrupted", "Parameter", "Parameters", "Phase", "TestFit"]
 
 Array = NDArray[np.float64]
 #: Numbers of which some may be unknown: those are masked, print as ``--`` and become None in ``tolist()``.
@@ -51,6 +52,24 @@ class Parameter:
     fixed: bool
     at_bound: bool
     unit: str | None
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One number of a fit: a mean, a standard deviation, a covariance, a correlation, a regression coefficient or a parameter."""
+
+    #: ``mean[a]``, ``std_dev[a]``, ``covariance[a, b]``, ``correlation[a, b]``, ``regression[a, column]``, ``tau``, ``tau[level]``; with
+    #: several phases or levels after their name, as in ``coast: mean[a]``.
+    name: str
+    kind: str
+    unit: str | None
+    estimate: float | None
+    #: None where it is fixed, at a bound, or not determined by the data.
+    std_error: float | None
+    #: Lower and upper end; an end is None where no limit was found.
+    interval95: tuple[float | None, float | None]
+    #: ``estimated``, ``fixed``, ``at zero``, ``on the boundary``, ``not identified`` and more.
+    status: str
 
 
 class Parameters(Sequence[Parameter]):
@@ -120,6 +139,21 @@ class _Spread:
         return _masked(self._record["std_dev"]["std_error"])
 
     @property
+    def covariance_interval95(self) -> MaskedArray:
+        """95 % intervals of the covariance, shape (p, p, 2); ends that are not known are masked."""
+        return _ends(self._record["covariance"], (len(self.states), len(self.states)))
+
+    @property
+    def std_dev_interval95(self) -> MaskedArray:
+        """95 % intervals of the standard deviations, shape (p, 2); ends that are not known are masked."""
+        return _ends(self._record["std_dev"], (len(self.states),))
+
+    @property
+    def correlation_interval95(self) -> MaskedArray:
+        """95 % intervals of the correlations, shape (p, p, 2); ends that are not known are masked."""
+        return _ends(self._record["correlation"], (len(self.states), len(self.states)))
+
+    @property
     def correlation(self) -> MaskedArray:
         """Correlations, shape (p, p); masked beside a variance of zero."""
         return _masked(self._record["correlation"]["estimate"]).reshape(len(self.states), len(self.states))
@@ -147,6 +181,11 @@ class Phase(_Spread):
     def mean_std_error(self) -> MaskedArray:
         """Standard errors of the mean, shape (p,)."""
         return _masked(self._record["mean"]["std_error"])
+
+    @property
+    def mean_interval95(self) -> MaskedArray:
+        """95 % intervals of the mean, shape (p, 2); ends that are not known are masked."""
+        return _ends(self._record["mean"], (len(self.states),))
 
     def why_unknown(
         self, what: Literal["mean", "std_dev", "covariance", "correlation"], state: str, other: str | None = None
@@ -264,6 +303,21 @@ def _frame(rows: list[dict[str, Any]], texts: list[str], numbers: list[str], las
 
     kinds = [(name, "object") for name in texts] + [(name, "float64") for name in numbers] + [(name, "object") for name in last]
     return pandas.DataFrame({name: pandas.Series(column(name), dtype=kind) for name, kind in kinds})
+
+
+def _ends(record: dict[str, Any], shape: tuple[int, ...]) -> MaskedArray:
+    """Both ends of each interval of a vector or a matrix."""
+
+    def pair(one: Any) -> list[Any]:
+        return [None, None] if one is None else list(one)
+
+    values = record.get("interval95") or []
+    if len(shape) == 1:
+        pairs = [pair(one) for one in values]
+    else:
+        pairs = [pair(one) for row in values for one in row]
+    missing = [[None, None]] * (int(np.prod(shape)) - len(pairs))  # older records have none
+    return _masked(pairs + missing).reshape(*shape, 2)
 
 
 def _square(values: Any, p: int) -> Array:
@@ -433,6 +487,58 @@ class Fit:
             rows.append(row)
         return pandas.DataFrame(rows)
 
+    @cached_property
+    def estimates(self) -> dict[str, Estimate]:
+        """Every number of the fit by its name: ``fit.estimates["mean[bias]"].interval95``."""
+        return {row["name"]: _estimate(row) for row in json.loads(self._results.quantities())}
+
+    def tidy(self) -> Table:
+        """Every estimate as a table, a row for each number: ``name``, ``kind``, ``phase``, ``level``, ``state``, ``other_state``,
+        ``column``, ``unit``, ``estimate``, ``std_error``, ``lower`` and ``upper`` (95 %), and ``status``. For a data frame:
+        ``fit.tidy().to_polars()`` or ``.to_pandas()``.
+        """
+        return Table(self._results.table("parameters"))
+
+    def glance(self) -> Table:
+        """The fit as a table of one row: ``title``, ``criterion``, ``model_check``, ``tests``, ``observations``,
+        ``free_parameters``, ``log_likelihood``, ``aic``, ``bic``, ``converged`` (1 or 0)."""
+        data = self._record["data"]
+        texts = {"title": self.title, "criterion": self._record["criterion"], "model_check": self.model_check["verdict"]}
+        numbers = {
+            "tests": data["tests"],
+            "observations": data["observations"],
+            "free_parameters": self.free_parameters,
+            "log_likelihood": self.log_likelihood,
+            "aic": self.aic,
+            "bic": self.bic,
+            "converged": self.converged,
+        }
+        return _columns({name: [text] for name, text in texts.items()}, {name: [x] for name, x in numbers.items()})
+
+    def augment(self) -> Table:
+        """The tests as a table, a row for each phase of each test: log-likelihood, distance from the population, innovations,
+        influence, and the estimate of its initial state with standard deviations, as ``kalfit fit --tests`` writes them. For
+        predictions and residuals of single measurements see :meth:`apply` with ``states="smoothed"``.
+        """
+        return Table(self._results.table("tests"))
+
+    def conf_int(self) -> Table:
+        """95 % intervals as a table: ``name``, ``lower`` and ``upper`` of every estimate that has one; an end that was not found is
+        NaN."""
+        rows = [own for own in self.estimates.values() if own.status != "fixed" and own.interval95 != (None, None)]
+        ends = {"lower": [own.interval95[0] for own in rows], "upper": [own.interval95[1] for own in rows]}
+        return _columns({"name": [own.name for own in rows]}, ends)
+
+    def plot(self, what: Literal["forest", "ellipses", "influence"] = "forest") -> Any:
+        """A figure of matplotlib, which must be installed: ``forest`` (estimates with 95 % intervals), ``ellipses`` (each pair of
+        states: the population, and the tests in it) or ``influence`` (how far the estimates move without each test).
+
+        Returns the ``matplotlib.figure.Figure``.
+        """
+        from kalfit import _plot
+
+        return _plot.plot(self, what)
+
     def parameters_frame(self) -> Any:
         """All estimates as a ``pandas.DataFrame`` with a row for each number, as ``kalfit fit --parameters`` writes them: ``name``,
         ``kind`` (``mean``, ``regression``, ``std_dev``, ``covariance``, ``correlation``, ``parameter`` and more), ``phase``, ``level``,
@@ -506,7 +612,7 @@ class Fit:
 
     @property
     def converged(self) -> bool:
-        """Whether the optimality certificate holds."""
+        """Whether the optimality conditions hold."""
         return bool(self._record["converged"])
 
     @property
@@ -582,6 +688,24 @@ class Interrupted(KeyboardInterrupt):
 
 def _number(value: Any) -> float | None:
     return None if value is None else float(value)
+
+
+def _columns(texts: dict[str, list[str]], numbers: dict[str, list[Any]]) -> Table:
+    """A table of texts and numbers; numbers that are None become NaN."""
+    values = [(name, np.array(column, dtype=np.float64).tobytes()) for name, column in numbers.items()]
+    return Table(_kalfit.Table.columns(list(texts.items()), values))
+
+
+def _estimate(row: dict[str, Any]) -> Estimate:
+    return Estimate(
+        name=row["name"],
+        kind=row["kind"],
+        unit=row["unit"],
+        estimate=_number(row["estimate"]),
+        std_error=_number(row["std_error"]),
+        interval95=(_number(row["lower"]), _number(row["upper"])),
+        status=row["status"],
+    )
 
 
 def _parameter(record: dict[str, Any]) -> Parameter:

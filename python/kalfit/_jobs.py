@@ -26,6 +26,7 @@ from kalfit._results import (
 )
 
 __all__ = [
+    "Step",
     "apply",
     "check",
     "compare",
@@ -42,22 +43,52 @@ __all__ = [
 ]
 
 Set = Union[Mapping[str, float], Sequence[str], None]
-Progress = Union[bool, Callable[[str], object]]
+Progress = Union[bool, Callable[["Step"], object]]
 _Text = tuple[str, str, Union[str, None]]
-_How = tuple[Union[int, None], Union[Callable[[str], object], None]]
+_How = tuple[Union[int, None], Union[Callable[[str, Union[int, None], Union[int, None]], object], None]]
 
 
-def _said(line: str) -> None:
-    sys.stderr.write(f"\r{line[:110]:<110}")
+class Step(str):
+    """How far a job is, in words: a text, which also says how much of how much is done, where the end is known.
+
+    >>> step = Step("reading", 30, 40)
+    >>> step, step.done, step.of, step.share
+    ('reading', 30, 40, 0.75)
+    >>> Step("pass 4").share is None
+    True
+    """
+
+    __slots__ = ("done", "of")
+
+    #: Done so far; None where the end is not known.
+    done: int | None
+    #: All that is to be done.
+    of: int | None
+
+    def __new__(cls, words: str, done: int | None = None, of: int | None = None) -> Step:
+        step = super().__new__(cls, words)
+        step.done, step.of = done, of
+        return step
+
+    @property
+    def share(self) -> float | None:
+        """What part is done, from 0 to 1; None where the end is not known."""
+        return None if self.done is None or not self.of else min(self.done / self.of, 1.0)
+
+
+def _said(step: Step) -> None:
+    share = "" if step.share is None else f", {100 * step.share:.0f} %"
+    sys.stderr.write(f"\r{(step + share)[:110]:<110}")
     sys.stderr.flush()
 
 
 def _how(threads: int | None, progress: Progress) -> _How:
     if threads is not None and not 1 <= threads <= 1024:
         raise ValueError(f"threads is {threads}, expected a number from 1 to 1024, or None for all processors")
-    if progress is True:
-        return (threads, _said)
-    return (threads, progress or None)
+    if progress is False:
+        return (threads, None)
+    told = _said if progress is True else progress
+    return (threads, lambda words, done, of: told(Step(words, done, of)))
 
 
 def _file(path: Path | None) -> str | None:
@@ -116,6 +147,7 @@ def fit(
     std_errors: Literal["observed", "expected", "sandwich"] = "observed",
     deletion: Literal["auto", "all", "none"] = "auto",
     innovations: bool = True,
+    tests: bool = True,
     group_test: bool = False,
     starts: int | None = None,
     seed: int | None = None,
@@ -131,7 +163,9 @@ def fit(
     ``model`` is a :class:`kalfit.Model`, the path of a model file, or a dictionary; ``data`` a table of polars, pandas or
     pyarrow, a path or a pattern of paths, or a list of these. The options are those of ``kalfit fit``, under the same names:
     ``set={"tau": 90}`` fixes a parameter, ``out`` names a file for the results, ``report`` one for the HTML report. Made here, the
-    report shows the records too, where they have times; :meth:`Fit.report` makes it from the results alone.
+    report shows the records too, where they have times; :meth:`Fit.report` makes it from the results alone. ``tests=False`` leaves
+    out all results of single tests, for millions of tests. ``progress=True`` writes a line to standard error; a function is called
+    with a :class:`kalfit.Step` instead.
 
     The work is done without Python's lock. Ctrl-C ends it at once; if there is something to show by then, the exception is
     :class:`kalfit.Interrupted`, with the best fit so far.
@@ -152,6 +186,8 @@ def fit(
         model = model.model()
     if data is None:
         raise TypeError("there are no data: give a table, a path, or a list of these")
+    if not tests and deletion == "all":
+        raise ValueError("deletion is 'all', but tests is False: fits without each test are results of single tests")
     options: dict[str, object] = {
         "method": method,
         "solver": solver,
@@ -161,6 +197,7 @@ def fit(
         "std_errors": std_errors,
         "deletion": deletion,
         "innovations": innovations,
+        "tests": tests,
         "group_test": group_test,
         "starts": starts,
         "seed": seed,

@@ -39,3 +39,13 @@ except kalfit.Interrupted as interrupted:
     interrupted.fit.summary()
 except (kalfit.ModelError, kalfit.DataError, kalfit.FitError) as error:
     print(error)
+interval: tuple[float | None, float | None] = fit.estimates["mean[bias]"].interval95
+tables: list[kalfit.Table] = [fit.tidy(), fit.glance(), fit.augment(), fit.conf_int()]
+ends: list[object] = fit.phases[0].correlation_interval95.tolist()
+
+
+def told(step: kalfit.Step) -> None:
+    share: float | None = step.share
+
+
+kalfit.fit(model, table, tests=False, progress=told)

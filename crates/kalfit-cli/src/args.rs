@@ -3,13 +3,14 @@
 use std::path::PathBuf;
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use clap::{ArgAction, Args as Group, Parser, Subcommand};
+use clap::{ArgAction, Args as Group, ColorChoice, Parser, Subcommand};
 use clap_complete::Shell;
 use kalfit::apply::StateKind;
 use kalfit::estimate::{Combination, Criterion, Solver};
 use kalfit::infer::{DeletionChoice, IntervalKind, StdErrors};
 use kalfit_job::words::{self, Word};
 use kalfit_job::{Form, MethodChoice, Units};
+use kalfit_report::{WIDTHS, What};
 
 use crate::examples;
 use crate::templates::Template;
@@ -19,51 +20,94 @@ use crate::templates::Template;
 #[command(
     name = "kalfit",
     version,
+    long_version = long_version(),
     max_term_width = 100,
     after_help = examples::PROGRAM
 )]
 pub(crate) struct Args {
+    #[command(flatten)]
+    pub(crate) global: GlobalArgs,
+
     #[command(subcommand)]
     pub(crate) command: Command,
 }
 
+/// Headings of the help.
+const GLOBAL: &str = "Global options";
+const MODEL: &str = "Model";
+const SEARCH: &str = "Search";
+const INFERENCE: &str = "Inference";
+const OUTPUT: &str = "Output";
+
+/// Options of every command.
+#[derive(Debug, Group)]
+pub(crate) struct GlobalArgs {
+    /// Print nothing but errors
+    #[arg(short, long, global = true, help_heading = GLOBAL)]
+    pub(crate) quiet: bool,
+
+    /// Threads to use; the results do not depend on it [default: all processors]
+    #[arg(short = 'j', long, value_name = "N", global = true, help_heading = GLOBAL,
+          value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub(crate) threads: Option<u16>,
+
+    /// When to colour what is printed: `auto`, `always` or `never`
+    #[arg(long, value_name = "WHEN", default_value = "auto", global = true, help_heading = GLOBAL, hide_possible_values = true)]
+    pub(crate) color: ColorChoice,
+
+    /// Instructions to use: `portable`, `avx2` or `avx512`, for the same bits on every machine that has them [default: the widest;
+    /// or the variable KALFIT_INSTRUCTIONS]
+    #[arg(long, value_name = "SET", global = true, help_heading = GLOBAL)]
+    pub(crate) instructions: Option<String>,
+}
+
+/// The version, with the commit where that is known.
+fn long_version() -> &'static str {
+    match env!("KALFIT_COMMIT") {
+        "" => env!("CARGO_PKG_VERSION"),
+        _ => concat!(env!("CARGO_PKG_VERSION"), " (commit ", env!("KALFIT_COMMIT"), ")"),
+    }
+}
+
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
-    /// Write a starter model, with comments, and a small data set: both run as they are
+    /// Write a starter model with comments, and a small data set; both run as they are
     Init(InitArgs),
-    /// Fit a model to data: a summary to standard output, all results to a file
+    /// Fit a model to data: print a summary, write all results to a file
     Fit(FitArgs),
-    /// Run the filters once, at known parameters, and write what they make of the data: all that a fit needs
+    /// Run the filters once with known parameters and write the reduced data: all that a fit needs
     #[command(after_help = examples::REDUCE)]
     Reduce(ExchangeArgs),
-    /// Run the `[filter]` of each phase, optimal or not, and write its estimates with the errors they make
+    /// Run the `[filter]` of each phase, optimal or not, and write its estimates with their errors
     #[command(after_help = examples::ESTIMATES)]
     Estimates(ExchangeArgs),
-    /// Test a hypothesis within a model by the ratio of the likelihoods
+    /// Test a hypothesis within a model by a likelihood-ratio test
     Test(TestArgs),
-    /// Read a model, and data if given, and fit nothing: the model in words, counts, what the data identify
+    /// Describe a model in words, count the data, and say what they can identify; nothing is fitted
     Check(CheckArgs),
-    /// Draw an ensemble of tests from a fit, or from the values of a model
+    /// Draw an ensemble of tests from a fit, or from the values in a model
     Simulate(SimulateArgs),
-    /// Expected standard errors against the number of tests, before any is run
+    /// Expected standard errors for different numbers of tests, before any test is run
     Plan(PlanArgs),
-    /// Apply a fitted model to tests, old or new: are they of the population, and what were their states
+    /// Apply a fitted model to old or new tests: do they belong to the population, what were their states
     Apply(ApplyArgs),
-    /// How well a model predicts tests that it was not fitted to, and whether another one does so better
+    /// Cross-validate: how well a model predicts tests that were left out, and whether another does better
     Validate(ValidateArgs),
-    /// What a test that nobody has made will give: means, spread and limits of states and outputs
+    /// Predict a test that has not been made: means, spreads and limits of states and outputs
     Predict(PredictArgs),
-    /// The filter that follows from a fit, for programs that are not kalfit: JSON, numpy, Matlab, C or Python
+    /// Write the filter of a fit for other programs: JSON, numpy, Matlab, C or Python
     Export(ExportArgs),
-    /// The numbers of a datasheet, in its units: random walks, Gauss-Markov pairs, turn-on repeatability, Allan deviations
+    /// Datasheet numbers in their usual units: random walks, turn-on repeatability, Allan deviations
     Datasheet(DatasheetArgs),
-    /// Fits of the same data side by side: likelihoods, AIC and BIC, tests of one within another
+    /// Compare fits of the same data: likelihoods, AIC, BIC, likelihood-ratio tests of nested fits
     Compare(CompareArgs),
-    /// The report of a fit, one HTML page, from its results alone
+    /// Make the report of a fit, one HTML page, from its results
     Report(ReportArgs),
-    /// The script that completes commands and options in a shell, to standard output
+    /// Draw a figure of a fit as SVG or PNG
+    Plot(PlotArgs),
+    /// Print the script that completes commands and options in a shell
     Completions(CompletionsArgs),
-    /// The manual page, to standard output, or the pages of all commands, to a folder
+    /// Print the manual page, or write the pages of all commands to a folder
     Man(ManArgs),
 }
 
@@ -76,10 +120,6 @@ pub(crate) struct InitArgs {
 
     /// Folder for the files, made if it does not exist [default: this folder]
     pub(crate) dir: Option<PathBuf>,
-
-    /// Print nothing but errors
-    #[arg(long)]
-    pub(crate) quiet: bool,
 }
 
 #[derive(Debug, Group)]
@@ -104,17 +144,8 @@ pub(crate) struct ModelArgs {
     pub(crate) model: PathBuf,
 
     /// Fix a parameter: `tau=90`, or `sigma[A]=0.7` at one level; may be given many times
-    #[arg(long, value_name = "NAME=VALUE")]
+    #[arg(long, value_name = "NAME=VALUE", help_heading = MODEL)]
     pub(crate) set: Vec<String>,
-
-    /// Threads to use; the results do not depend on it [default: all processors]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
-    pub(crate) threads: Option<u16>,
-
-    /// Instructions to use: `portable`, `avx2` or `avx512`, for the same bits on every machine that has them [default: the widest;
-    /// or the variable KALFIT_INSTRUCTIONS]
-    #[arg(long, value_name = "SET")]
-    pub(crate) instructions: Option<String>,
 }
 
 #[derive(Debug, Group)]
@@ -127,87 +158,83 @@ pub(crate) struct FitArgs {
     #[arg(required = true)]
     pub(crate) data: Vec<String>,
 
-    /// File for all results, as JSON
-    #[arg(long, value_name = "FILE")]
+    /// File for all results, as JSON; `-` writes them to standard output in place of the summary
+    #[arg(short, long, value_name = "FILE", help_heading = OUTPUT)]
     pub(crate) out: Option<PathBuf>,
 
-    /// File for a report, one HTML page that needs nothing else; of records with times it shows them, too
-    #[arg(long, value_name = "FILE.html")]
+    /// File for a report: one self-contained HTML page; for data with times it also shows records
+    #[arg(long, help_heading = OUTPUT, value_name = "FILE.html")]
     pub(crate) report: Option<PathBuf>,
 
     /// File for a table of the tests: distance, likelihood, innovations, influence, posterior. `.parquet`, `.arrow`, `.csv` or `.tsv`
-    #[arg(long, value_name = "FILE", conflicts_with = "no_tests")]
+    #[arg(long, help_heading = OUTPUT, value_name = "FILE", conflicts_with = "no_tests")]
     pub(crate) tests: Option<PathBuf>,
 
     /// File for a table of all estimates: means, spreads, correlations and parameters, with standard errors and intervals
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, help_heading = OUTPUT, value_name = "FILE")]
     pub(crate) parameters: Option<PathBuf>,
 
     /// File for a table of the constraints, and what each costs
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, help_heading = OUTPUT, value_name = "FILE")]
     pub(crate) constraints: Option<PathBuf>,
 
-    /// How free dynamic parameters are sought
-    #[arg(long, value_parser = one_of(words::METHODS), default_value = words::METHODS[0].word)]
+    /// How free dynamic parameters are estimated
+    #[arg(long, help_heading = SEARCH, value_parser = one_of(words::METHODS), default_value = words::METHODS[0].word)]
     pub(crate) method: MethodChoice,
 
-    /// Random starts of the search for dynamic parameters, besides the one worked out from the data [default: 0]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=10_000))]
+    /// Additional random starts of the search for dynamic parameters [default: 0]
+    #[arg(long, help_heading = SEARCH, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=10_000))]
     pub(crate) starts: Option<u32>,
 
     /// Seed of the random starts [default: 1]
-    #[arg(long, value_name = "N", requires = "starts")]
+    #[arg(long, help_heading = SEARCH, value_name = "N", requires = "starts")]
     pub(crate) seed: Option<u64>,
 
-    /// How the mean and the covariance are sought
-    #[arg(long, value_parser = one_of(words::SOLVERS), default_value = words::SOLVERS[0].word)]
+    /// How the mean and the covariance are estimated
+    #[arg(long, help_heading = SEARCH, value_parser = one_of(words::SOLVERS), default_value = words::SOLVERS[0].word)]
     pub(crate) solver: Solver,
 
-    /// What is maximised
-    #[arg(long, value_parser = one_of(words::CRITERIA), default_value = words::CRITERIA[0].word)]
+    /// Likelihood that is maximised
+    #[arg(long, help_heading = SEARCH, value_parser = one_of(words::CRITERIA), default_value = words::CRITERIA[0].word)]
     pub(crate) criterion: Criterion,
 
-    /// How tests in several phases are put together
-    #[arg(long, value_parser = one_of(words::PHASES), default_value = words::PHASES[0].word)]
+    /// How the phases of a test are combined
+    #[arg(long, help_heading = SEARCH, value_parser = one_of(words::PHASES), default_value = words::PHASES[0].word)]
     pub(crate) phases: Combination,
 
     /// Stop within this many standard errors of the optimum [default: 1e-8]
-    #[arg(long, value_name = "T", value_parser = tolerance)]
+    #[arg(long, help_heading = SEARCH, value_name = "T", value_parser = tolerance)]
     pub(crate) tolerance: Option<f64>,
 
-    /// Stop after this many passes over the reduced data [default: 200 with newton, 20000 with em]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    /// Stop after this many iterations [default: 200 with newton, 20000 with em]
+    #[arg(long, help_heading = SEARCH, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) max_iterations: Option<u32>,
 
-    /// What 95 % intervals are made of
-    #[arg(long, value_parser = one_of(words::INTERVALS), default_value = words::INTERVALS[0].word)]
+    /// How 95 % intervals are computed
+    #[arg(long, help_heading = INFERENCE, value_parser = one_of(words::INTERVALS), default_value = words::INTERVALS[0].word)]
     pub(crate) intervals: IntervalKind,
 
-    /// What standard errors are made of
-    #[arg(long, value_parser = one_of(words::STD_ERRORS), default_value = words::STD_ERRORS[0].word)]
+    /// How standard errors are computed
+    #[arg(long, help_heading = INFERENCE, value_parser = one_of(words::STD_ERRORS), default_value = words::STD_ERRORS[0].word)]
     pub(crate) std_errors: StdErrors,
 
-    /// Whether to fit again without each test in turn
-    #[arg(long, value_parser = one_of(words::DELETIONS), default_value = words::DELETIONS[0].word)]
+    /// Whether to repeat the fit without each test in turn, to find influential tests
+    #[arg(long, help_heading = INFERENCE, value_parser = one_of(words::DELETIONS), default_value = words::DELETIONS[0].word)]
     pub(crate) deletion: DeletionChoice,
 
-    /// Look at each test's innovations after the fit: is the model right for it
-    #[arg(long, value_parser = one_of(words::INNOVATIONS), value_name = "WHEN", default_value = words::INNOVATIONS[0].word,
+    /// Whether to compute the innovations of each test, to check the model
+    #[arg(long, help_heading = INFERENCE, value_parser = one_of(words::INNOVATIONS), value_name = "WHEN", default_value = words::INNOVATIONS[0].word,
           action = ArgAction::Set)]
     pub(crate) innovations: bool,
 
-    /// Fit each group of `[data] group` by itself too, and say whether the groups differ
-    #[arg(long)]
+    /// Also fit each group of `[data] group` separately, and test whether the groups differ
+    #[arg(long, help_heading = INFERENCE)]
     pub(crate) group_test: bool,
 
-    /// Leave out what each test says, its innovations and the fits without it: `tests` of the results is empty. For millions of
-    /// tests, of which that would take more time, memory and disk than the fit
-    #[arg(long, conflicts_with_all = ["deletion", "innovations"])]
+    /// Leave out all results of single tests (estimates, innovations, influence): for millions of tests, where they would take more
+    /// time and memory than the fit
+    #[arg(long, help_heading = OUTPUT, conflicts_with_all = ["deletion", "innovations"])]
     pub(crate) no_tests: bool,
-
-    /// Print nothing but errors
-    #[arg(long)]
-    pub(crate) quiet: bool,
 }
 
 #[derive(Debug, Group)]
@@ -224,7 +251,7 @@ pub(crate) struct TestArgs {
     #[arg(long, value_name = "NULL")]
     pub(crate) null: PathBuf,
 
-    /// Also draw this many ensembles from the hypothesis, and test it in each: no large-sample law is needed
+    /// Also draw this many ensembles from the hypothesis and repeat the test in each: a p-value without large-sample theory
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub(crate) bootstrap: Option<u32>,
 
@@ -232,21 +259,17 @@ pub(crate) struct TestArgs {
     #[arg(long, value_name = "S", requires = "bootstrap")]
     pub(crate) seed: Option<u64>,
 
-    /// File for the results, as JSON
-    #[arg(long, value_name = "FILE")]
+    /// File for the results, as JSON; `-` writes them to standard output in place of the summary
+    #[arg(short, long, value_name = "FILE", help_heading = OUTPUT)]
     pub(crate) out: Option<PathBuf>,
 
     /// Stop within this many standard errors of the optimum [default: 1e-8]
     #[arg(long, value_name = "T", value_parser = tolerance)]
     pub(crate) tolerance: Option<f64>,
 
-    /// Stop a fit after this many passes over the reduced data [default: 200]
+    /// Stop a fit after this many iterations [default: 200]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) max_iterations: Option<u32>,
-
-    /// Print nothing but errors
-    #[arg(long)]
-    pub(crate) quiet: bool,
 }
 
 #[derive(Debug, Group)]
@@ -259,16 +282,12 @@ pub(crate) struct ExchangeArgs {
     pub(crate) data: Vec<String>,
 
     /// Results of `kalfit fit`: free parameters of the model get their values from there
-    #[arg(long, value_name = "FIT.json")]
-    pub(crate) at: Option<PathBuf>,
+    #[arg(long, value_name = "FIT.json", alias = "at")]
+    pub(crate) from: Option<PathBuf>,
 
     /// File to write: `.parquet`
-    #[arg(long, value_name = "FILE")]
+    #[arg(short, long, value_name = "FILE", help_heading = OUTPUT)]
     pub(crate) out: PathBuf,
-
-    /// Print nothing but errors
-    #[arg(long)]
-    pub(crate) quiet: bool,
 }
 
 #[derive(Debug, Group)]
@@ -279,6 +298,10 @@ pub(crate) struct CheckArgs {
 
     /// Data: CSV, Parquet or Arrow files, patterns such as `runs/*.csv`, `-` for standard input
     pub(crate) data: Vec<String>,
+
+    /// File for what was found, as JSON; `-` writes it to standard output in place of the summary
+    #[arg(short, long, value_name = "FILE", help_heading = OUTPUT)]
+    pub(crate) out: Option<PathBuf>,
 }
 
 /// Where the population and the design come from.
@@ -289,7 +312,7 @@ pub(crate) struct TruthArgs {
     #[arg(long, value_name = "FIT.json|MODEL.toml")]
     pub(crate) from: PathBuf,
 
-    /// Data that give times, inputs and which values are missing; measured values in them do not matter
+    /// Data that give times, inputs and missing values; the measured values in them are not used
     #[arg(long, required = true, num_args = 1.., value_name = "DATA")]
     pub(crate) design: Vec<String>,
 }
@@ -313,16 +336,12 @@ pub(crate) struct SimulateArgs {
     pub(crate) seed: u64,
 
     /// File for the data: `.csv`, `.tsv`, `.parquet` or `.arrow`
-    #[arg(long, value_name = "FILE")]
+    #[arg(short, long, value_name = "FILE", help_heading = OUTPUT)]
     pub(crate) out: PathBuf,
 
     /// CSV file for the true initial state of each test
     #[arg(long = "truth", value_name = "FILE.csv")]
     pub(crate) states: Option<PathBuf>,
-
-    /// Print nothing but errors
-    #[arg(long)]
-    pub(crate) quiet: bool,
 }
 
 #[derive(Debug, Group)]
@@ -344,13 +363,9 @@ pub(crate) struct PlanArgs {
     #[arg(long, value_name = "LEVEL=N,N,...", value_parser = groups)]
     pub(crate) groups: Vec<(String, Vec<usize>)>,
 
-    /// File for the plan, as JSON
-    #[arg(long, value_name = "FILE")]
+    /// File for the plan, as JSON; `-` writes it to standard output in place of the summary
+    #[arg(short, long, value_name = "FILE", help_heading = OUTPUT)]
     pub(crate) out: Option<PathBuf>,
-
-    /// Print nothing but errors
-    #[arg(long)]
-    pub(crate) quiet: bool,
 }
 
 #[derive(Debug, Group)]
@@ -368,20 +383,16 @@ pub(crate) struct ApplyArgs {
     pub(crate) from: PathBuf,
 
     /// File for a table of the tests: posterior, distance, log density, innovations. `.parquet`, `.arrow`, `.csv` or `.tsv`
-    #[arg(long, value_name = "FILE")]
+    #[arg(short, long, value_name = "FILE", help_heading = OUTPUT)]
     pub(crate) out: Option<PathBuf>,
 
-    /// File for a table of the states at every step of every test, and of what they say of each measured value
+    /// File for a table of the states at every step of every test, with predictions of the measured values
     #[arg(long, value_name = "FILE")]
     pub(crate) states: Option<PathBuf>,
 
-    /// What the states of a step are told from [default: smoothed]
+    /// Which measurements the states of a step are estimated from [default: smoothed]
     #[arg(long, value_parser = one_of(words::KINDS), requires = "states")]
     pub(crate) kind: Option<StateKind>,
-
-    /// Print nothing but errors
-    #[arg(long)]
-    pub(crate) quiet: bool,
 }
 
 #[derive(Debug, Group)]
@@ -410,17 +421,13 @@ pub(crate) struct ValidateArgs {
     #[arg(long, value_name = "OTHER.toml")]
     pub(crate) against: Option<PathBuf>,
 
-    /// What the fits maximise
+    /// Likelihood that the fits maximise
     #[arg(long, value_parser = one_of(words::CRITERIA), default_value = words::CRITERIA[0].word)]
     pub(crate) criterion: Criterion,
 
-    /// File for all results, as JSON
-    #[arg(long, value_name = "FILE")]
+    /// File for all results, as JSON; `-` writes them to standard output in place of the summary
+    #[arg(short, long, value_name = "FILE", help_heading = OUTPUT)]
     pub(crate) out: Option<PathBuf>,
-
-    /// Print nothing but errors
-    #[arg(long)]
-    pub(crate) quiet: bool,
 }
 
 #[derive(Debug, Group)]
@@ -441,29 +448,25 @@ pub(crate) struct PredictArgs {
     #[arg(long, value_name = "OUT.toml")]
     pub(crate) outputs: Option<PathBuf>,
 
-    /// How sure the limits are: in this part of all ensembles they hold
+    /// Confidence of the limits
     #[arg(long, value_name = "P", default_value_t = 0.9, value_parser = part)]
     pub(crate) confidence: f64,
 
-    /// What part of all tests is within the tolerance limits
+    /// Part of all tests that is within the tolerance limits
     #[arg(long, value_name = "P", default_value_t = 0.95, value_parser = part)]
     pub(crate) content: f64,
 
-    /// Each tolerance limit by itself: that part of all tests is below the upper one, and above the lower one
+    /// One-sided tolerance limits: that part of all tests is below the upper one, and that part above the lower one
     #[arg(long)]
     pub(crate) one_sided: bool,
 
-    /// Whose tests they are, where tests stand in groups
+    /// Whether the tests are of new or of known units, for models with levels
     #[arg(long, value_parser = one_of(words::UNITS), default_value = words::UNITS[0].word)]
     pub(crate) units: Units,
 
     /// File for a table of all states and outputs at every row. `.parquet`, `.arrow`, `.csv` or `.tsv`
-    #[arg(long, value_name = "FILE")]
+    #[arg(short, long, value_name = "FILE", help_heading = OUTPUT)]
     pub(crate) out: Option<PathBuf>,
-
-    /// Print nothing but errors
-    #[arg(long)]
-    pub(crate) quiet: bool,
 }
 
 /// A number from a half to less than 1.
@@ -499,12 +502,8 @@ pub(crate) struct ExportArgs {
     pub(crate) form: Option<Form>,
 
     /// File for the filter
-    #[arg(long, value_name = "FILE")]
+    #[arg(short, long, value_name = "FILE", help_heading = OUTPUT)]
     pub(crate) out: PathBuf,
-
-    /// Print nothing but errors
-    #[arg(long)]
-    pub(crate) quiet: bool,
 }
 
 #[derive(Debug, Group)]
@@ -528,13 +527,9 @@ pub(crate) struct DatasheetArgs {
     #[arg(long, value_name = "COLUMN=VALUE")]
     pub(crate) at: Vec<String>,
 
-    /// File for all numbers, as JSON
-    #[arg(long, value_name = "FILE")]
+    /// File for all numbers, as JSON; `-` writes them to standard output in place of the summary
+    #[arg(short, long, value_name = "FILE", help_heading = OUTPUT)]
     pub(crate) out: Option<PathBuf>,
-
-    /// Print nothing but errors
-    #[arg(long)]
-    pub(crate) quiet: bool,
 }
 
 #[derive(Debug, Group)]
@@ -544,13 +539,9 @@ pub(crate) struct CompareArgs {
     #[arg(required = true, num_args = 2.., value_name = "FIT.json")]
     pub(crate) fits: Vec<PathBuf>,
 
-    /// File for the comparison, as JSON
-    #[arg(long, value_name = "FILE")]
+    /// File for the comparison, as JSON; `-` writes it to standard output in place of the summary
+    #[arg(short, long, value_name = "FILE", help_heading = OUTPUT)]
     pub(crate) out: Option<PathBuf>,
-
-    /// Print nothing but errors
-    #[arg(long)]
-    pub(crate) quiet: bool,
 }
 
 #[derive(Debug, Group)]
@@ -561,16 +552,44 @@ pub(crate) struct ReportArgs {
     pub(crate) fit: PathBuf,
 
     /// File for the report
-    #[arg(long, value_name = "FILE.html")]
+    #[arg(short, long, value_name = "FILE.html", help_heading = OUTPUT)]
     pub(crate) out: PathBuf,
 
-    /// Results of `kalfit test --out`: the fit beside the hypothesis that was tested within its model
+    /// Results of `kalfit test --out`: compare the fit with the tested hypothesis
     #[arg(long, value_name = "TEST.json")]
     pub(crate) test: Option<PathBuf>,
+}
 
-    /// Print nothing but errors
-    #[arg(long)]
-    pub(crate) quiet: bool,
+#[derive(Debug, Group)]
+#[command(after_help = examples::PLOT)]
+pub(crate) struct PlotArgs {
+    /// Results of `kalfit fit --out`
+    #[arg(value_name = "FIT.json")]
+    pub(crate) fit: PathBuf,
+
+    /// With `--what records`: the data of the fit, or new data
+    pub(crate) data: Vec<String>,
+
+    /// What the figure shows
+    #[arg(long, value_parser = one_of(words::FIGURES), default_value = words::FIGURES[0].word)]
+    pub(crate) what: What,
+
+    /// With `--what records`: the model file
+    #[arg(long, value_name = "MODEL")]
+    pub(crate) model: Option<PathBuf>,
+
+    /// With `--what records`: the test to show [default: the least probable]
+    #[arg(long, value_name = "ID")]
+    pub(crate) test: Option<String>,
+
+    /// Width in points of a screen; the height follows from it, and a PNG has two pixels in a point
+    #[arg(long, value_name = "POINTS", default_value_t = 800,
+          value_parser = clap::value_parser!(u32).range(i64::from(*WIDTHS.start())..=i64::from(*WIDTHS.end())))]
+    pub(crate) width: u32,
+
+    /// File for the figure: `.svg` or `.png`
+    #[arg(short, long, value_name = "FILE", help_heading = OUTPUT)]
+    pub(crate) out: PathBuf,
 }
 
 /// One of the words of an option, each with its help.

@@ -4,11 +4,11 @@ pub(crate) const PROGRAM: &str = "\
 Examples:
   kalfit init gyro-bench bench            a model to start from, and its data, in the folder `bench`
   kalfit fit bench/gyro-bench.toml bench/gyro-bench.csv --out fit.json --report fit.html
-  kalfit check model.toml data.csv        before a fit: is all understood as it was meant
+  kalfit check model.toml data.csv        before a fit: what the data can identify
 
-Exit status: 0 done and certified; 1 finished without a certified optimum; 2 bad input, nothing is written; \
-130 interrupted: a fit shows and writes the best so far, other commands write nothing.
-Colours: on terminals, unless NO_COLOR is set; CLICOLOR_FORCE=1 asks for them everywhere.";
+Exit status: 0 success; 1 a fit did not converge, or a file could not be written beside others; 2 bad input, no file was \
+written; 130 interrupted: a fit shows and writes the best so far, other commands write nothing.
+Colours: on terminals, unless NO_COLOR is set; CLICOLOR_FORCE=1 or `--color always` asks for them everywhere.";
 
 pub(crate) const INIT: &str = "\
 Examples:
@@ -23,6 +23,7 @@ Examples:
   kalfit fit model.toml 'runs/*.csv' --out fit.json --report fit.html
   kalfit fit model.toml data.csv --tests tests.parquet --parameters parameters.csv
   kalfit fit model.toml data.parquet --set tau=90 --intervals profile --starts 5
+  kalfit fit model.toml data.csv -o - | jq .log_likelihood
 
 Ctrl-C ends the search: the best so far is shown, and written to `--out` and `--report`, marked as not converged, with \
 exit status 130. A second Ctrl-C ends at once, and writes nothing.";
@@ -30,7 +31,7 @@ exit status 130. A second Ctrl-C ends at once, and writes nothing.";
 pub(crate) const REDUCE: &str = "\
 Examples:
   kalfit reduce model.toml data.csv --out reductions.parquet
-  kalfit reduce model.toml 'runs/*.csv' --at fit.json --out reductions.parquet
+  kalfit reduce model.toml 'runs/*.csv' --from fit.json --out reductions.parquet
   kalfit fit model.toml reductions.parquet";
 
 pub(crate) const ESTIMATES: &str = "\
@@ -53,8 +54,9 @@ The hypothesis is a TOML file with `[mean]`, `[covariance]` or `[parameters]`. I
 
 pub(crate) const CHECK: &str = "\
 Examples:
-  kalfit check model.toml                 is the model file sound, and how is it understood
-  kalfit check model.toml data.csv        what the data identify, too";
+  kalfit check model.toml                 is the model file valid, and how is it understood
+  kalfit check model.toml data.csv        also what the data can identify
+  kalfit check model.toml data.csv -o -   the same as JSON";
 
 pub(crate) const SIMULATE: &str = "\
 Examples:
@@ -113,6 +115,12 @@ pub(crate) const REPORT: &str = "\
 Examples:
   kalfit report fit.json --out fit.html
   kalfit report fit.json --test test.json --out compared.html";
+
+pub(crate) const PLOT: &str = "\
+Examples:
+  kalfit plot fit.json --out forest.svg
+  kalfit plot fit.json --what ellipses --width 1200 --out ellipses.png
+  kalfit plot fit.json data.csv --what records --model model.toml --test A7 --out record.svg";
 
 pub(crate) const COMPLETIONS: &str = "\
 Examples:

@@ -11,17 +11,17 @@ use kalfit::predict::{Limits, Sides};
 use kalfit_data::Datum;
 use kalfit_job::{
     ApplyJob, CheckJob, CompareJob, DatasheetJob, ExchangeJob, ExportJob, Failure, FitJob, FitTables, FoldsOf,
-    ModelJob, PlanJob, PredictJob, ReportJob, SimulateJob, TestJob, ValidateJob,
+    ModelJob, PlanJob, PlotJob, PredictJob, ReportJob, SimulateJob, TestJob, ValidateJob,
 };
 
 use crate::args::{
-    ApplyArgs, Args, CheckArgs, Command, CompareArgs, DatasheetArgs, ExchangeArgs, ExportArgs, FitArgs, ModelArgs,
-    PlanArgs, PredictArgs, ReportArgs, SimulateArgs, TestArgs, ValidateArgs,
+    ApplyArgs, Args, CheckArgs, Command, CompareArgs, DatasheetArgs, ExchangeArgs, ExportArgs, FitArgs, GlobalArgs,
+    ModelArgs, PlanArgs, PlotArgs, PredictArgs, ReportArgs, SimulateArgs, TestArgs, ValidateArgs,
 };
 use crate::ended::{Ended, Outcome};
 use crate::init::InitJob;
 use crate::interrupt;
-use crate::show;
+use crate::show::{self, Telling};
 
 /// One command with all that it needs to know.
 #[derive(Debug)]
@@ -31,8 +31,7 @@ pub(crate) struct Order {
     threads: Option<usize>,
     /// Instructions, where an option fixes them.
     instructions: Option<String>,
-    /// Print nothing but errors.
-    quiet: bool,
+    telling: Telling,
 }
 
 #[derive(Debug)]
@@ -52,6 +51,7 @@ enum Job {
     Datasheet(DatasheetJob),
     Compare(CompareJob),
     Report(ReportJob),
+    Plot(PlotJob),
     Completions(Shell),
     Man(Option<PathBuf>),
 }
@@ -63,50 +63,35 @@ impl Order {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
             pool.map_err(|error| Failure::Threads { threads, reason: error.to_string() })?;
         }
-        interrupt::listen(matches!(self.job, Job::Fit(_)), self.quiet);
+        let telling = self.telling;
+        interrupt::listen(matches!(self.job, Job::Fit(_)), telling.quiet);
         match &self.job {
-            Job::Init(job) => show::init(job, self.quiet),
-            Job::Fit(job) => show::fit(job, self.quiet),
-            Job::Reduce(job) => show::exchange(job, kalfit_job::reduce, self.quiet),
-            Job::Estimates(job) => show::exchange(job, kalfit_job::estimates, self.quiet),
-            Job::Test(job) => show::test(job, self.quiet),
-            Job::Check(job) => show::check(job),
-            Job::Simulate(job) => show::simulate(job, self.quiet),
-            Job::Plan(job) => show::plan(job, self.quiet),
-            Job::Apply(job) => show::apply(job, self.quiet),
-            Job::Validate(job) => show::validate(job, self.quiet),
-            Job::Predict(job) => show::predict(job, self.quiet),
-            Job::Export(job) => show::export(job, self.quiet),
-            Job::Datasheet(job) => show::datasheet(job, self.quiet),
-            Job::Compare(job) => show::compare(job, self.quiet),
-            Job::Report(job) => show::report(job, self.quiet),
+            Job::Init(job) => show::init(job, telling),
+            Job::Fit(job) => show::fit(job, telling),
+            Job::Reduce(job) => show::exchange(job, kalfit_job::reduce, telling),
+            Job::Estimates(job) => show::exchange(job, kalfit_job::estimates, telling),
+            Job::Test(job) => show::test(job, telling),
+            Job::Check(job) => show::check(job, telling),
+            Job::Simulate(job) => show::simulate(job, telling),
+            Job::Plan(job) => show::plan(job, telling),
+            Job::Apply(job) => show::apply(job, telling),
+            Job::Validate(job) => show::validate(job, telling),
+            Job::Predict(job) => show::predict(job, telling),
+            Job::Export(job) => show::export(job, telling),
+            Job::Datasheet(job) => show::datasheet(job, telling),
+            Job::Compare(job) => show::compare(job, telling),
+            Job::Report(job) => show::report(job, telling),
+            Job::Plot(job) => show::plot(job, telling),
             Job::Completions(shell) => show::completions(*shell),
-            Job::Man(folder) => show::man(folder.as_deref()),
+            Job::Man(folder) => show::man(folder.as_deref(), telling),
         }
     }
 }
 
 impl From<Args> for Order {
-    fn from(args: Args) -> Order {
-        let (how, quiet) = match &args.command {
-            Command::Fit(args) => (Some(&args.model), args.quiet),
-            Command::Reduce(args) | Command::Estimates(args) => (Some(&args.model), args.quiet),
-            Command::Test(args) => (Some(&args.model), args.quiet),
-            Command::Check(args) => (Some(&args.model), false),
-            Command::Report(args) => (None, args.quiet),
-            Command::Init(args) => (None, args.quiet),
-            Command::Completions(_) | Command::Man(_) => (None, false),
-            Command::Simulate(args) => (Some(&args.model), args.quiet),
-            Command::Plan(args) => (Some(&args.model), args.quiet),
-            Command::Apply(args) => (Some(&args.model), args.quiet),
-            Command::Validate(args) => (Some(&args.model), args.quiet),
-            Command::Predict(args) => (Some(&args.model), args.quiet),
-            Command::Export(args) => (Some(&args.model), args.quiet),
-            Command::Datasheet(args) => (Some(&args.model), args.quiet),
-            Command::Compare(args) => (None, args.quiet),
-        };
-        let threads = how.and_then(|how| how.threads).map(usize::from);
-        let instructions = how.and_then(|how| how.instructions.clone());
+    fn from(mut args: Args) -> Order {
+        let GlobalArgs { quiet, threads, instructions, color: _ } = args.global;
+        let telling = Telling { quiet, json: takes_standard_output(&mut args.command) };
         let job = match args.command {
             Command::Fit(args) => Job::Fit(args.into()),
             Command::Reduce(args) => Job::Reduce(args.into()),
@@ -123,11 +108,27 @@ impl From<Args> for Order {
             Command::Compare(args) => Job::Compare(args.into()),
             Command::Report(args) => Job::Report(args.into()),
             Command::Init(args) => Job::Init(InitJob { template: args.template, folder: args.dir.unwrap_or_default() }),
+            Command::Plot(args) => Job::Plot(args.into()),
             Command::Completions(args) => Job::Completions(args.shell),
             Command::Man(args) => Job::Man(args.dir),
         };
-        Order { job, threads, instructions, quiet }
+        Order { job, threads: threads.map(usize::from), instructions, telling }
     }
+}
+
+/// True when results were asked for as JSON on standard output, `--out -`, which no job knows of.
+fn takes_standard_output(command: &mut Command) -> bool {
+    let out = match command {
+        Command::Fit(args) => &mut args.out,
+        Command::Test(args) => &mut args.out,
+        Command::Check(args) => &mut args.out,
+        Command::Plan(args) => &mut args.out,
+        Command::Validate(args) => &mut args.out,
+        Command::Datasheet(args) => &mut args.out,
+        Command::Compare(args) => &mut args.out,
+        _ => return false, // tables and pages are files
+    };
+    out.take_if(|out| out.as_os_str() == "-").is_some()
 }
 
 /// The data that were named.
@@ -202,7 +203,7 @@ impl From<ExchangeArgs> for ExchangeJob {
         ExchangeJob {
             model: args.model.into(),
             data: data(args.data),
-            at: args.at.map(Into::into),
+            at: args.from.map(Into::into),
             out: Some(args.out),
         }
     }
@@ -210,7 +211,7 @@ impl From<ExchangeArgs> for ExchangeJob {
 
 impl From<CheckArgs> for CheckJob {
     fn from(args: CheckArgs) -> CheckJob {
-        CheckJob { model: args.model.into(), data: data(args.data) }
+        CheckJob { model: args.model.into(), data: data(args.data), out: args.out }
     }
 }
 
@@ -318,7 +319,21 @@ impl From<CompareArgs> for CompareJob {
 
 impl From<ReportArgs> for ReportJob {
     fn from(args: ReportArgs) -> ReportJob {
-        let ReportArgs { fit, out, test, quiet: _ } = args;
+        let ReportArgs { fit, out, test } = args;
         ReportJob { fit: fit.into(), test: test.map(Into::into), out: Some(out) }
+    }
+}
+
+impl From<PlotArgs> for PlotJob {
+    fn from(args: PlotArgs) -> PlotJob {
+        PlotJob {
+            fit: args.fit.into(),
+            what: args.what,
+            model: args.model.map(|model| ModelJob { document: model.into(), set: Vec::new() }),
+            data: data(args.data),
+            test: args.test,
+            width: args.width,
+            out: args.out,
+        }
     }
 }

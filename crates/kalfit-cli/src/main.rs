@@ -22,7 +22,9 @@ static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 fn main() -> ExitCode {
     kalfit_data::keep_quiet_of_broken_files();
-    match job::Order::from(args::Args::parse()).run() {
+    let args = args::Args::parse();
+    terminal::choose_color(args.global.color);
+    match job::Order::from(args).run() {
         Ok(outcome) => outcome.exit_code(),
         Err(ended) => {
             terminal::complain(&ended.words());

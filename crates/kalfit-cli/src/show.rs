@@ -5,12 +5,13 @@ use std::path::Path;
 use clap_complete::Shell;
 use kalfit_job::{
     ApplyJob, CheckJob, CompareJob, DatasheetJob, Done, ExchangeJob, Exchanged, ExportJob, Failure, FitJob, PlanJob,
-    PredictJob, ReportJob, SimulateJob, TestJob, ValidateJob, Watch,
+    PlotJob, PredictJob, ReportJob, SimulateJob, TestJob, ValidateJob, Watch,
 };
 use kalfit_report::{
-    applied_summary, check_summary, compared_summary, datasheet_summary, exported_summary, plan_summary,
+    Style, applied_summary, check_summary, compared_summary, datasheet_summary, exported_summary, plan_summary,
     predicted_summary, ratio_summary, summary, validated_summary,
 };
+use serde::Serialize;
 
 use crate::ended::{Ended, Outcome};
 use crate::generate;
@@ -19,70 +20,94 @@ use crate::interrupt;
 use crate::progress::Line;
 use crate::terminal;
 
-pub(crate) fn fit(job: &FitJob, quiet: bool) -> Result<Outcome, Ended> {
-    let done = watched(quiet, |line| kalfit_job::fit(job, line))?;
+/// What is told of a job that was done.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Telling {
+    /// Nothing but errors.
+    pub(crate) quiet: bool,
+    /// Results as JSON in place of their summary.
+    pub(crate) json: bool,
+}
+
+impl Telling {
+    /// What goes to standard output.
+    fn put<R: Serialize>(self, record: &R, summary: fn(&R, &Style) -> String) -> String {
+        match self.json {
+            true => kalfit_job::json::to_string(record).expect("records can be put into JSON") + "\n",
+            false => summary(record, &terminal::style()),
+        }
+    }
+}
+
+pub(crate) fn fit(job: &FitJob, how: Telling) -> Result<Outcome, Ended> {
+    let done = watched(how.quiet, |line| kalfit_job::fit(job, line))?;
     let ended = if interrupt::asked() { Outcome::Interrupted } else { Outcome::of(done.record.converged) };
-    tell(quiet, &done, |record| summary(record, &terminal::style()), ended)
+    tell(how, &done, |record| how.put(record, summary), ended)
 }
 
-pub(crate) fn test(job: &TestJob, quiet: bool) -> Result<Outcome, Ended> {
-    let done = watched(quiet, |line| kalfit_job::test(job, line))?;
-    tell(quiet, &done, |record| ratio_summary(record, &terminal::style()), Outcome::of(done.record.converged))
+pub(crate) fn test(job: &TestJob, how: Telling) -> Result<Outcome, Ended> {
+    let done = watched(how.quiet, |line| kalfit_job::test(job, line))?;
+    tell(how, &done, |record| how.put(record, ratio_summary), Outcome::of(done.record.converged))
 }
 
-pub(crate) fn plan(job: &PlanJob, quiet: bool) -> Result<Outcome, Ended> {
-    let done = watched(quiet, |line| kalfit_job::plan(job, line))?;
-    tell(quiet, &done, |record| plan_summary(record, &terminal::style()), Outcome::Done)
+pub(crate) fn plan(job: &PlanJob, how: Telling) -> Result<Outcome, Ended> {
+    let done = watched(how.quiet, |line| kalfit_job::plan(job, line))?;
+    tell(how, &done, |record| how.put(record, plan_summary), Outcome::Done)
 }
 
-pub(crate) fn apply(job: &ApplyJob, quiet: bool) -> Result<Outcome, Ended> {
-    let done = watched(quiet, |line| kalfit_job::apply(job, line))?;
-    tell(quiet, &done, |record| applied_summary(&record.record, &terminal::style()), Outcome::Done)
+pub(crate) fn apply(job: &ApplyJob, how: Telling) -> Result<Outcome, Ended> {
+    let done = watched(how.quiet, |line| kalfit_job::apply(job, line))?;
+    tell(how, &done, |record| applied_summary(&record.record, &terminal::style()), Outcome::Done)
 }
 
 /// Exit status 1 says that some fit is not certified.
-pub(crate) fn validate(job: &ValidateJob, quiet: bool) -> Result<Outcome, Ended> {
-    let done = watched(quiet, |line| kalfit_job::validate(job, line))?;
-    tell(quiet, &done, |record| validated_summary(record, &terminal::style()), Outcome::of(done.record.is_certified()))
+pub(crate) fn validate(job: &ValidateJob, how: Telling) -> Result<Outcome, Ended> {
+    let done = watched(how.quiet, |line| kalfit_job::validate(job, line))?;
+    tell(how, &done, |record| how.put(record, validated_summary), Outcome::of(done.record.is_certified()))
 }
 
-pub(crate) fn predict(job: &PredictJob, quiet: bool) -> Result<Outcome, Ended> {
-    let done = watched(quiet, |line| kalfit_job::predict(job, line))?;
-    tell(quiet, &done, |record| predicted_summary(&record.record, &terminal::style()), Outcome::Done)
+pub(crate) fn predict(job: &PredictJob, how: Telling) -> Result<Outcome, Ended> {
+    let done = watched(how.quiet, |line| kalfit_job::predict(job, line))?;
+    tell(how, &done, |record| predicted_summary(&record.record, &terminal::style()), Outcome::Done)
 }
 
-pub(crate) fn export(job: &ExportJob, quiet: bool) -> Result<Outcome, Ended> {
+pub(crate) fn export(job: &ExportJob, how: Telling) -> Result<Outcome, Ended> {
     let done = kalfit_job::export(job)?;
-    tell(quiet, &done, |record| exported_summary(record, &terminal::style()), Outcome::Done)
+    tell(how, &done, |record| exported_summary(record, &terminal::style()), Outcome::Done)
 }
 
-pub(crate) fn datasheet(job: &DatasheetJob, quiet: bool) -> Result<Outcome, Ended> {
-    let done = watched(quiet, |line| kalfit_job::datasheet(job, line))?;
-    tell(quiet, &done, |record| datasheet_summary(record, &terminal::style()), Outcome::Done)
+pub(crate) fn datasheet(job: &DatasheetJob, how: Telling) -> Result<Outcome, Ended> {
+    let done = watched(how.quiet, |line| kalfit_job::datasheet(job, line))?;
+    tell(how, &done, |record| how.put(record, datasheet_summary), Outcome::Done)
 }
 
-pub(crate) fn compare(job: &CompareJob, quiet: bool) -> Result<Outcome, Ended> {
+pub(crate) fn compare(job: &CompareJob, how: Telling) -> Result<Outcome, Ended> {
     let done = kalfit_job::compare(job)?;
-    tell(quiet, &done, |record| compared_summary(record, &terminal::style()), Outcome::Done)
+    tell(how, &done, |record| how.put(record, compared_summary), Outcome::Done)
 }
 
-pub(crate) fn check(job: &CheckJob) -> Result<Outcome, Ended> {
-    let done = watched(false, |line| kalfit_job::check(job, line))?;
-    tell(false, &done, |record| check_summary(record, &terminal::style()), Outcome::Done)
+pub(crate) fn check(job: &CheckJob, how: Telling) -> Result<Outcome, Ended> {
+    let done = watched(how.quiet, |line| kalfit_job::check(job, line))?;
+    tell(how, &done, |record| how.put(record, check_summary), Outcome::Done)
 }
 
 /// Exit status 0 says that the report was made; what it says of the fit is in it.
-pub(crate) fn report(job: &ReportJob, quiet: bool) -> Result<Outcome, Ended> {
+pub(crate) fn report(job: &ReportJob, how: Telling) -> Result<Outcome, Ended> {
     let Done { written, .. } = kalfit_job::report(job)?;
-    if !quiet {
+    if !how.quiet {
         written.iter().for_each(|name| terminal::complain(&format!("Wrote {name}\n")));
     }
     Ok(Outcome::Done)
 }
 
-pub(crate) fn init(job: &InitJob, quiet: bool) -> Result<Outcome, Ended> {
+pub(crate) fn plot(job: &PlotJob, how: Telling) -> Result<Outcome, Ended> {
+    let done = watched(how.quiet, |line| kalfit_job::plot(job, line))?;
+    tell(how, &done, |()| String::new(), Outcome::Done)
+}
+
+pub(crate) fn init(job: &InitJob, how: Telling) -> Result<Outcome, Ended> {
     let told = init::init(job).map_err(Ended::NotBegun)?;
-    if !quiet {
+    if !how.quiet {
         terminal::complain(&told);
     }
     Ok(Outcome::Done)
@@ -94,12 +119,14 @@ pub(crate) fn completions(shell: Shell) -> Result<Outcome, Ended> {
 }
 
 /// The page of the program to standard output, or all pages to a folder.
-pub(crate) fn man(folder: Option<&Path>) -> Result<Outcome, Ended> {
+pub(crate) fn man(folder: Option<&Path>, how: Telling) -> Result<Outcome, Ended> {
     match folder {
         None => generate::man().and_then(|page| terminal::print(&page)).map_err(Ended::Unheard)?,
         Some(folder) => {
             let pages = generate::man_pages(folder).map_err(Ended::NoPages)?;
-            terminal::complain(&format!("Wrote {pages} pages to {}\n", folder.display()));
+            if !how.quiet {
+                terminal::complain(&format!("Wrote {pages} pages to {}\n", folder.display()));
+            }
         }
     }
     Ok(Outcome::Done)
@@ -108,9 +135,9 @@ pub(crate) fn man(folder: Option<&Path>) -> Result<Outcome, Ended> {
 /// A job that writes an exchange file.
 type Exchange = fn(&ExchangeJob, &mut dyn Watch) -> Result<Done<Exchanged>, Failure>;
 
-pub(crate) fn exchange(job: &ExchangeJob, run: Exchange, quiet: bool) -> Result<Outcome, Ended> {
-    let Done { record, notes, written, .. } = watched(quiet, |line| run(job, line))?;
-    if let (false, Some(name)) = (quiet, written.first()) {
+pub(crate) fn exchange(job: &ExchangeJob, run: Exchange, how: Telling) -> Result<Outcome, Ended> {
+    let Done { record, notes, written, .. } = watched(how.quiet, |line| run(job, line))?;
+    if let (false, Some(name)) = (how.quiet, written.first()) {
         terminal::warn(&notes);
         let (rows, tests) = (plural(record.rows as u64, record.row), plural(record.tests as u64, "test"));
         terminal::complain(&format!("Wrote {name}: {rows} of {tests}\n"));
@@ -118,9 +145,9 @@ pub(crate) fn exchange(job: &ExchangeJob, run: Exchange, quiet: bool) -> Result<
     Ok(Outcome::Done)
 }
 
-pub(crate) fn simulate(job: &SimulateJob, quiet: bool) -> Result<Outcome, Ended> {
-    let Done { record, notes, written, .. } = watched(quiet, |line| kalfit_job::simulate(job, line))?;
-    if let (false, Some(name)) = (quiet, written.first()) {
+pub(crate) fn simulate(job: &SimulateJob, how: Telling) -> Result<Outcome, Ended> {
+    let Done { record, notes, written, .. } = watched(how.quiet, |line| kalfit_job::simulate(job, line))?;
+    if let (false, Some(name)) = (how.quiet, written.first()) {
         terminal::warn(&notes);
         let (tests, rows, seed) = (plural(record.tests, "test"), plural(record.rows, "row"), job.seed);
         let mut text = format!("Wrote {name}: {tests}, {rows}, drawn with seed {seed}\n");
@@ -143,10 +170,12 @@ fn watched<R>(quiet: bool, job: impl FnOnce(&mut Line) -> Result<R, Failure>) ->
 }
 
 /// Warnings, the text, and the files that were written. What could not be written or said does not undo what was written.
-fn tell<R>(quiet: bool, done: &Done<R>, text: impl FnOnce(&R) -> String, outcome: Outcome) -> Result<Outcome, Ended> {
+fn tell<R>(how: Telling, done: &Done<R>, text: impl FnOnce(&R) -> String, outcome: Outcome) -> Result<Outcome, Ended> {
     let mut lost = done.unwritten.clone();
-    if !quiet {
+    if !how.quiet {
         terminal::warn(&done.notes);
+    }
+    if !how.quiet || how.json {
         if let Err(error) = terminal::print(&text(&done.record)) {
             let unheard = Ended::Unheard(error);
             if done.written.is_empty() {
@@ -154,6 +183,8 @@ fn tell<R>(quiet: bool, done: &Done<R>, text: impl FnOnce(&R) -> String, outcome
             }
             lost.push(unheard.message());
         }
+    }
+    if !how.quiet {
         done.written.iter().for_each(|name| terminal::complain(&format!("Wrote {name}\n")));
     }
     lost.iter()

@@ -26,8 +26,17 @@ pub(crate) fn color_on_stderr() -> bool {
     wants_color(&std::io::stderr())
 }
 
-/// As the help goes by, too: on terminals that know colours, unless `NO_COLOR` is set or `CLICOLOR` is 0; with `CLICOLOR_FORCE`
-/// everywhere.
+/// Fixes whether there are colours, where an option does.
+pub(crate) fn choose_color(choice: clap::ColorChoice) {
+    match choice {
+        clap::ColorChoice::Auto => {}
+        clap::ColorChoice::Always => ColorChoice::Always.write_global(),
+        clap::ColorChoice::Never => ColorChoice::Never.write_global(),
+    }
+}
+
+/// As `--color` says. Without it as the help goes by, too: on terminals that know colours, unless `NO_COLOR` is set or `CLICOLOR`
+/// is 0; with `CLICOLOR_FORCE` everywhere.
 fn wants_color(stream: &impl RawStream) -> bool {
     AutoStream::choice(stream) != ColorChoice::Never
 }

@@ -66,7 +66,11 @@ enum Task {
     /// Simulates the law of the whiteness statistic anew: the table from which p-values of innovations come. Best built with `--release`.
     Whiteness,
     /// Writes into the pages of the book what its commands print, and its reference anew from the code. Read the difference.
-    Book,
+    Book {
+        /// Show the book in a browser instead; mdBook is installed into the target directory where it is missing.
+        #[arg(long)]
+        open: bool,
+    },
     /// Times the reduction and the solver's passes against the machine's measured peak.
     Bench {
         /// Run in this process; without it the benchmark is first built for this machine's own instructions.
@@ -85,7 +89,8 @@ fn main() -> ExitCode {
         Task::FalseAlarms { numbers, ensembles } => false_alarms::run(numbers, ensembles),
         Task::Fuzz(options) => fuzz::run(&options),
         Task::Whiteness => whiteness::run(),
-        Task::Book => book::write(),
+        Task::Book { open: true } => book::open(),
+        Task::Book { open: false } => book::write(),
         Task::Bench { here: true } => bench::run(),
         Task::Bench { here: false } => bench::build_and_run(),
         Task::Peers(options) => peers::run(&options),

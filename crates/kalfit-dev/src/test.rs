@@ -62,8 +62,29 @@ const OTHERS: &[Other] = &[
     ("browser", "the report in Chromium", browser::run),
 ];
 
+/// Says what will be done, and what that installs.
+fn announce(only: Option<&str>) {
+    let all = STEPS.iter().map(|step| step.name).chain(OTHERS.iter().map(|other| other.0));
+    let chosen: Vec<&str> = all.filter(|name| only.is_none_or(|word| name.contains(word))).collect();
+    println!("== steps: {}", chosen.join(", "));
+    println!("   all of them take some 20 minutes from nothing on two cores; --only NAME runs one");
+    let installs = [
+        (
+            "python",
+            "the packages of python/tests/requirements.txt into an environment in the target directory; the module `venv` by apt-get, where \
+             it is missing",
+        ),
+        ("browser", "packages of npm into the target directory; Chromium by apt-get, where it is missing"),
+    ];
+    for (step, what) in installs.iter().filter(|(step, _)| chosen.contains(step)) {
+        println!("   {step} installs {what}");
+    }
+    println!();
+}
+
 /// Runs the steps in order and stops at the first that fails.
 pub(crate) fn run(only: Option<&str>) -> ExitCode {
+    announce(only);
     if let Err(message) = minimum_toolchain() {
         eprintln!("toolchain: {message}");
         return ExitCode::FAILURE;

@@ -16,7 +16,8 @@ use kalfit_spec::Spec;
 
 use crate::evidence::Given;
 use crate::failure::Failure;
-use crate::job::{CheckJob, Done};
+use crate::job::{CheckJob, Done, files};
+use crate::output::Output;
 use crate::work::{Watch, Work};
 use crate::{dynamic, memory, model, reductions, tests};
 
@@ -31,16 +32,18 @@ pub fn check(job: &CheckJob, watch: &mut dyn Watch) -> Result<Done<CheckRecord>,
         memory::suffices(&spec)?;
     }
     let given = if job.data.is_empty() { None } else { Some(Given::open(&mut spec, &job.data)?) };
+    let inputs = given.as_ref().map_or(&[][..], |given| &given.inputs);
+    let output = Output::results(job.out.as_deref(), &files(&[&job.model.document], inputs))?;
     let free = model::has_free(spec.model.shared());
     let (parameters, checked) = match (&given, free) {
         (None, _) => (Vec::new(), Checked::Model),
         (Some(given), false) if spec.model.levels.is_empty() => (Vec::new(), known(&spec, given, &mut work)?),
         (Some(given), _) => started(&spec, given, &mut work)?,
     };
-    let record = CheckRecord { title: spec.model.shared().title.clone(), model: spec.describe(), parameters, checked };
+    let record = CheckRecord::new(spec.model.shared().title.clone(), spec.describe(), parameters, checked);
     let mut notes = spec.questions();
     notes.extend(given.into_iter().flat_map(|given| given.notes));
-    Ok(Done::new(record, notes, Vec::new()))
+    Done::in_json(record, notes, output.as_ref())
 }
 
 /// Reads the data and runs the filters: all parameters are known.

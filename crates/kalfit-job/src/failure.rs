@@ -201,6 +201,18 @@ pub enum Failure {
     /// Results to report.
     #[error("{0}")]
     Report(Box<ResultError>),
+    /// A figure that cannot be drawn.
+    #[error("{0}")]
+    Plot(kalfit_report::PlotError),
+    /// A figure of a model file, which has no estimates.
+    #[error("found a model, expected results of `kalfit fit`")]
+    PlotOfModel,
+    /// A figure of records, without them.
+    #[error("`--what records` needs the model and the data, which the results do not contain")]
+    RecordsWithoutData,
+    /// A model, data or a test, which a figure has no use for.
+    #[error("`--model`, `--test` and data go with `--what records` only")]
+    IdlePlotData,
     /// Standard errors that a criterion does not have.
     #[error("`--std-errors expected` and `--std-errors sandwich` go with `--criterion ml` only")]
     RestrictedErrors,
@@ -409,6 +421,12 @@ impl Failure {
             Failure::Write { error, .. } => write_hint(error).map(str::to_owned),
             Failure::Output(error) => error.hint().map(str::to_owned),
             Failure::Report(error) => report_hint(error).map(str::to_owned),
+            Failure::RecordsWithoutData => {
+                Some("write `kalfit plot fit.json data.csv --what records --model model.toml --out records.svg`".to_owned())
+            }
+            Failure::IdlePlotData => Some("leave them out: other figures are drawn from the results alone".to_owned()),
+            Failure::PlotOfModel => Some("give the file that `kalfit fit --out` wrote".to_owned()),
+            Failure::Plot(_) => None,
             Failure::RestrictedErrors => {
                 Some("leave `--std-errors` out: the restricted likelihood has those of its own curvature".to_owned())
             }
@@ -479,7 +497,7 @@ fn plan_hint(error: &PlanError) -> Option<&'static str> {
 fn report_hint(error: &ResultError) -> Option<&'static str> {
     match error {
         ResultError::NotARecord { command: "fit", .. } | ResultError::Schema { expected: FIT_SCHEMA, .. } => {
-            Some("`kalfit report` takes what `kalfit fit --out` writes")
+            Some("give a file that `kalfit fit --out` wrote")
         }
         ResultError::NotARecord { .. } | ResultError::Schema { .. } => {
             Some("`--test` takes what `kalfit test --out` writes")

@@ -10,6 +10,7 @@ use kalfit::infer::{Bootstrap, Choices};
 use kalfit::predict::Limits;
 use kalfit::record::{AppliedRecord, PredictedRecord};
 use kalfit_data::{Datum, Input};
+use kalfit_report::What;
 use serde::Serialize;
 
 use crate::document::Document;
@@ -126,6 +127,8 @@ pub struct CheckJob {
     pub model: ModelJob,
     /// The data; nothing but the model is checked when there are none.
     pub data: Vec<Datum>,
+    /// File for the results.
+    pub out: Option<PathBuf>,
 }
 
 /// Draw an ensemble.
@@ -342,6 +345,25 @@ pub struct ReportJob {
     pub test: Option<Document>,
     /// File for the page, which is handed back when none.
     pub out: Option<PathBuf>,
+}
+
+/// Draw a figure of a fit.
+#[derive(Debug, Clone)]
+pub struct PlotJob {
+    /// Results of a fit.
+    pub fit: Document,
+    /// What the figure shows.
+    pub what: What,
+    /// The model, for figures of records.
+    pub model: Option<ModelJob>,
+    /// The data, for figures of records.
+    pub data: Vec<Datum>,
+    /// The test whose record is shown; the least probable when none.
+    pub test: Option<String>,
+    /// Width in points of a screen.
+    pub width: u32,
+    /// The file, whose ending says its format.
+    pub out: PathBuf,
 }
 
 /// What a job ends with that had good input.

@@ -43,6 +43,7 @@ mod memory;
 mod model;
 mod output;
 mod plan;
+mod plot;
 mod predict;
 mod ratio;
 mod reduce;
@@ -74,17 +75,19 @@ pub use fit::fit;
 pub use instructions::{INSTRUCTIONS, fix_instructions};
 pub use job::{
     AppliedModel, ApplyJob, CheckJob, CompareJob, DatasheetJob, Done, ExchangeJob, Exchanged, ExportJob, FitJob,
-    FitTables, FoldsOf, MethodChoice, ModelJob, PlanJob, PredictJob, PredictedModel, ReportJob, SimulateJob, Simulated,
-    TableTo, TestJob, Units, ValidateJob,
+    FitTables, FoldsOf, MethodChoice, ModelJob, PlanJob, PlotJob, PredictJob, PredictedModel, ReportJob, SimulateJob,
+    Simulated, TableTo, TestJob, Units, ValidateJob,
 };
 pub use model::read as read_model;
 pub use output::{Contents, OutputError, abandon};
 pub use plan::plan;
+pub use plot::plot;
 pub use predict::predict;
 pub use reduce::reduce;
 pub use report::report;
 pub use results::ResultError;
 pub use simulate::simulate;
+pub use tables::{FitTable, fit_table};
 pub use test::test;
 pub use truth::error::TruthError;
 pub use truth::fit_record;

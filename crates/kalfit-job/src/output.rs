@@ -79,6 +79,7 @@ impl OutputError {
             OutputError::Ending { option: "--report", .. } => {
                 Some("name it `.html`: `--report` takes a file for the page, `--out` one for the results, as JSON")
             }
+            OutputError::Ending { contents: Contents::Figure, .. } => Some("name it `.svg` or `.png`"),
             OutputError::Ending { contents: Contents::Page, .. } => Some("name it `.html`: it is a page for a browser"),
             OutputError::Ending { option: "--as", .. } => Some(
                 "the endings are `.json`, `.npz`, `.mat`, `.h` and `.py`: give the file that of its format, or leave `--as` out",
@@ -111,6 +112,8 @@ pub enum Contents {
     Header,
     /// A module of Python.
     Module,
+    /// A picture.
+    Figure,
 }
 
 impl std::fmt::Display for Contents {
@@ -122,6 +125,7 @@ impl std::fmt::Display for Contents {
             Contents::Mat => "variables of Matlab",
             Contents::Header => "a header for C",
             Contents::Module => "a module of Python",
+            Contents::Figure => "a figure",
         })
     }
 }
@@ -129,8 +133,9 @@ impl std::fmt::Display for Contents {
 impl Contents {
     /// A name may have any ending but that of another kind of file which the program reads or writes.
     fn suits(self, path: &Path) -> bool {
-        const KINDS: [&str; 15] = [
-            "json", "html", "htm", "csv", "tsv", "parquet", "arrow", "toml", "md", "npz", "mat", "h", "hh", "hpp", "py",
+        const KINDS: [&str; 17] = [
+            "json", "html", "htm", "csv", "tsv", "parquet", "arrow", "toml", "md", "npz", "mat", "h", "hh", "hpp",
+            "py", "svg", "png",
         ];
         let own: &[&str] = match self {
             Contents::Json => &["json"],
@@ -139,6 +144,7 @@ impl Contents {
             Contents::Mat => &["mat"],
             Contents::Header => &["h", "hh", "hpp"],
             Contents::Module => &["py"],
+            Contents::Figure => &["svg", "png"],
         };
         let ending = path.extension().map(|ending| ending.to_string_lossy().to_lowercase());
         ending.is_none_or(|ending| own.contains(&ending.as_str()) || !KINDS.contains(&ending.as_str()))

@@ -1,12 +1,40 @@
 //! What a fit found as tables: its tests, its parameters, its constraints. Their numbers are those of fit.json.
 
+use std::fs::File;
+
 use kalfit::FitRecord;
 use kalfit::record::{ConstraintRecord, PosteriorRecord, QuantityRecord, TestRecord};
 use kalfit_data::{Cell, CellKind};
 
 use crate::failure::Failure;
+use crate::job::TableTo;
 use crate::output::Pending;
 use crate::table::Table;
+
+/// Which table of a fit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FitTable {
+    /// What each test says: a row for each of its phases.
+    Tests,
+    /// Means, spreads, correlations and dynamic parameters, a row for each number.
+    Parameters,
+    /// What each constraint costs.
+    Constraints,
+}
+
+/// A table of a fit as `kalfit fit` writes it, as an Arrow IPC file without a name.
+///
+/// # Errors
+/// The temporary file cannot be written.
+pub fn fit_table(record: &FitRecord, which: FitTable) -> Result<File, Failure> {
+    let table = Table::prepare(&TableTo::Back, &[])?.expect("it is handed back");
+    let pending = match which {
+        FitTable::Tests => tests(&table, record)?,
+        FitTable::Parameters => parameters(&table, record)?,
+        FitTable::Constraints => constraints(&table, record)?,
+    };
+    Ok(pending.finish()?.expect("it has no name"))
+}
 
 type Columns = Vec<(String, CellKind)>;
 

@@ -4,6 +4,7 @@ use kalfit::apply::StateKind;
 use kalfit::dynamic::Method;
 use kalfit::estimate::{Combination, Criterion, Solver};
 use kalfit::infer::{DeletionChoice, IntervalKind, StdErrors};
+use kalfit_report::What;
 
 use crate::export::form::Form;
 use crate::job::{MethodChoice, Units};
@@ -28,71 +29,67 @@ pub const METHODS: &[Word<MethodChoice>] = &[
     word(
         "hybrid",
         MethodChoice::By(Method::Hybrid),
-        "Mean and covariance are solved for each value of the parameters, which an outer search moves",
+        "A search over the parameters, with mean and covariance solved for at each step",
     ),
-    word(
-        "innovations",
-        MethodChoice::By(Method::Innovations),
-        "Maximum likelihood of the innovations, jointly in all that is free",
-    ),
-    word("em", MethodChoice::By(Method::Em), "EM on the states and noises: many more steps, to the same point"),
-    word("all", MethodChoice::All, "All three, side by side; the results are those of `hybrid`"),
+    word("innovations", MethodChoice::By(Method::Innovations), "A joint search over parameters, mean and covariance"),
+    word("em", MethodChoice::By(Method::Em), "The EM algorithm: many more steps to the same optimum"),
+    word("all", MethodChoice::All, "All three, for comparison; the results are those of `hybrid`"),
 ];
 
 /// How the mean and the covariance are sought.
 pub const SOLVERS: &[Word<Solver>] = &[
     word("newton", Solver::Newton, "Newton's method with the exact Hessian, safeguarded by EM"),
-    word("em", Solver::Em, "The EM algorithm: many more passes, to the same point"),
+    word("em", Solver::Em, "The EM algorithm: many more iterations to the same optimum"),
 ];
 
 /// What is as likely as can be.
 pub const CRITERIA: &[Word<Criterion>] = &[
-    word("ml", Criterion::Ml, "The likelihood of the mean and the covariance"),
-    word(
-        "reml",
-        Criterion::Reml,
-        "The restricted likelihood of the covariance, whose estimate does not shrink when tests are few",
-    ),
+    word("ml", Criterion::Ml, "Maximum likelihood"),
+    word("reml", Criterion::Reml, "Restricted maximum likelihood: less biased covariances with few tests"),
 ];
 
 /// How the phases of a test are put together.
 pub const PHASES: &[Word<Combination>] = &[
-    word("chain", Combination::Chain, "Phase by phase: exact, at a cost that is linear in the number of phases"),
+    word("chain", Combination::Chain, "Exactly, phase by phase; the cost is linear in the number of phases"),
     word(
         "marginal",
         Combination::Marginal,
-        "Each phase by itself: the correlation between phases is ignored, and information with it",
+        "Separately: the correlation between phases is ignored, which loses information",
     ),
-    word("stacked", Combination::Stacked, "As one large test: exact, the reference"),
+    word("stacked", Combination::Stacked, "Exactly, as one large test: slower, for comparison"),
 ];
 
 /// What intervals are made from.
 pub const INTERVALS: &[Word<IntervalKind>] = &[
-    word("wald", IntervalKind::Wald, "Standard errors"),
-    word("profile", IntervalKind::Profile, "Profile likelihood: what a likelihood-ratio test at 5 % does not reject"),
+    word("wald", IntervalKind::Wald, "From standard errors"),
+    word(
+        "profile",
+        IntervalKind::Profile,
+        "From the profile likelihood: all values that a likelihood-ratio test at 5 % does not reject",
+    ),
 ];
 
 /// What standard errors are made from.
 pub const STD_ERRORS: &[Word<StdErrors>] = &[
-    word("observed", StdErrors::Observed, "The curvature of the log-likelihood"),
-    word("expected", StdErrors::Expected, "Its expectation"),
+    word("observed", StdErrors::Observed, "From the curvature of the log-likelihood"),
+    word("expected", StdErrors::Expected, "From the expected curvature"),
     word(
         "sandwich",
         StdErrors::Sandwich,
-        "Both, and the spread of the tests' scores: right also for a wrong model, given many tests",
+        "From the curvature and the scatter of the tests' scores: valid for wrong models, given many tests",
     ),
 ];
 
 /// Whether tests are left out one by one.
 pub const DELETIONS: &[Word<DeletionChoice>] = &[
-    word("auto", DeletionChoice::Cheap, "When it takes about a second at most"),
-    word("all", DeletionChoice::All, "Whatever it takes"),
+    word("auto", DeletionChoice::Cheap, "If that takes about a second at most"),
+    word("all", DeletionChoice::All, "Always"),
     word("none", DeletionChoice::None, "Never"),
 ];
 
 /// Whether innovations are looked at.
 pub const INNOVATIONS: &[Word<bool>] = &[
-    word("on", true, "Look at them; large data are read a second time"),
+    word("on", true, "Compute them; large data are read twice"),
     word("off", false, "Leave them out, and read the data once"),
 ];
 
@@ -103,10 +100,18 @@ pub const KINDS: &[Word<StateKind>] = &[
     word("predicted", StateKind::Predicted, "From what was measured before the step"),
 ];
 
+/// What a figure shows.
+pub const FIGURES: &[Word<What>] = &[
+    word("forest", What::Forest, "Means, standard deviations and free parameters with their 95 % intervals"),
+    word("ellipses", What::Ellipses, "Each pair of states: the population, and the tests in it"),
+    word("influence", What::Influence, "How far the estimates move when a test is left out"),
+    word("records", What::Records, "A test over time: measured and predicted values, innovations"),
+];
+
 /// Whose tests are predicted.
 pub const UNITS: &[Word<Units>] = &[
-    word("new", Units::New, "Of units that nobody has seen"),
-    word("known", Units::Known, "Of units that the fit knows, by their names in the design"),
+    word("new", Units::New, "Tests of new units"),
+    word("known", Units::Known, "Tests of units that were in the fit, by their names in the design"),
 ];
 
 /// What kind of file a filter is written to.

@@ -4,10 +4,13 @@ use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use kalfit::FitRecord;
+use kalfit_job::FitTable;
 use kalfit_report::{Style, summary};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 use crate::errors::{exception, not_written};
+use crate::table::Table;
 use crate::text::{text, written};
 
 /// The record of a fit. Python asks it for JSON of what it wants to see, so that a summary of a million tests parses none of them.
@@ -58,6 +61,18 @@ impl Results {
     /// The list of all numbers of the population and of all parameters.
     fn quantities(&self, py: Python<'_>) -> PyResult<String> {
         py.detach(|| text(&self.record().quantities()))
+    }
+
+    /// A table as the command writes it: `tests`, `parameters` or `constraints`.
+    fn table(&self, py: Python<'_>, which: &str) -> PyResult<Table> {
+        let which = match which {
+            "tests" => FitTable::Tests,
+            "parameters" => FitTable::Parameters,
+            "constraints" => FitTable::Constraints,
+            _ => return Err(PyValueError::new_err(format!("there is no table `{which}`"))),
+        };
+        let file = py.detach(|| kalfit_job::fit_table(&self.record(), which)).map_err(|failure| exception(&failure))?;
+        Table::ipc(file)
     }
 
     /// Number of the tests.

@@ -50,7 +50,7 @@ pub(crate) fn check(
     given: Vec<Given<'_>>,
     how: How<'_>,
 ) -> PyResult<(String, String, Vec<String>)> {
-    let job = CheckJob { model: model.into(), data: data(given)? };
+    let job = CheckJob { model: model.into(), data: data(given)?, out: None };
     let done = whole(run(py, how, move |watch| kalfit_job::check(&job, watch))?)?;
     let summary = check_summary(&done.record, &Style::default());
     Ok((written(&done.record)?, summary, done.notes))

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use kalfit::dynamic::{self, Method};
 use kalfit::estimate::{Settings, Solver};
-use kalfit::infer::Choices;
+use kalfit::infer::{Choices, TestsChoice};
 use kalfit_job::words::{self, Word};
 use kalfit_job::{Document, FitJob, ModelJob};
 use pyo3::exceptions::PyValueError;
@@ -42,6 +42,7 @@ pub(crate) struct FitOptions {
     std_errors: String,
     deletion: String,
     innovations: bool,
+    tests: bool,
     group_test: bool,
     starts: Option<u32>,
     seed: Option<u64>,
@@ -58,7 +59,7 @@ impl FitOptions {
         job.settings.criterion = pick("criterion", &self.criterion, words::CRITERIA)?;
         job.settings.phases = pick("phases", &self.phases, words::PHASES)?;
         job.choices = self.choices()?;
-        job.innovations = self.innovations;
+        job.innovations = self.innovations && self.tests;
         job.group_test = self.group_test;
         job.report.clone_from(&self.report);
         job.method = pick("method", &self.method, words::METHODS)?;
@@ -82,7 +83,7 @@ impl FitOptions {
             std_errors: pick("std_errors", &self.std_errors, words::STD_ERRORS)?,
             intervals: pick("intervals", &self.intervals, words::INTERVALS)?,
             deletion: pick("deletion", &self.deletion, words::DELETIONS)?,
-            ..Choices::default()
+            tests: if self.tests { TestsChoice::Each } else { TestsChoice::None },
         })
     }
 }

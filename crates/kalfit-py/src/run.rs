@@ -5,7 +5,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use kalfit_job::{Failure, Watch};
+use kalfit_job::{Failure, Share, Watch};
 use pyo3::exceptions::{PyKeyboardInterrupt, PyRuntimeError};
 use pyo3::prelude::*;
 
@@ -30,7 +30,8 @@ pub(crate) struct Ended<R> {
 }
 
 enum Heard<R> {
-    Words(String),
+    /// How it goes; and how much of how much is done, where the end is known.
+    Words(String, Option<(u64, u64)>),
     Done(Box<Result<R, Failure>>),
 }
 
@@ -43,12 +44,22 @@ struct Teller<R> {
     last: Option<Instant>,
 }
 
-impl<R> Watch for Teller<R> {
-    fn say(&mut self, what: &dyn Fn() -> String) {
+impl<R> Teller<R> {
+    fn tell(&mut self, what: &dyn Fn() -> String, share: Option<(u64, u64)>) {
         if self.wanted && self.last.is_none_or(|last| last.elapsed() >= TELL) {
             self.last = Some(Instant::now());
-            let _ = self.sender.send(Heard::Words(what())); // nobody listens any longer when it fails
+            let _ = self.sender.send(Heard::Words(what(), share)); // nobody listens any longer when it fails
         }
+    }
+}
+
+impl<R> Watch for Teller<R> {
+    fn say(&mut self, what: &dyn Fn() -> String) {
+        self.tell(what, None);
+    }
+
+    fn share(&mut self, Share { what, done, of }: Share) {
+        self.tell(&|| what.to_owned(), Some((done, of)).filter(|_| of > 0));
     }
 
     fn stops(&self) -> bool {
@@ -105,8 +116,10 @@ impl<R: Send> Listener<'_, R> {
         let mut raised: Option<(PyErr, Instant)> = None;
         loop {
             match self.listen(py) {
-                While::Heard(Heard::Words(words)) => {
-                    let told = self.progress.as_ref().map_or(Ok(()), |progress| progress.call1((words,)).map(|_| ()));
+                While::Heard(Heard::Words(words, share)) => {
+                    let (done, of) = share.unzip();
+                    let tell = |progress: &Bound<'_, PyAny>| progress.call1((words, done, of)).map(|_| ());
+                    let told = self.progress.as_ref().map_or(Ok(()), tell);
                     self.note(&mut raised, told);
                 }
                 While::Heard(Heard::Done(result)) => return ended(py, *result, raised.map(|(error, _)| error)),

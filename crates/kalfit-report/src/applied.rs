@@ -28,12 +28,14 @@ pub fn applied_summary(record: &AppliedRecord, style: &Style) -> String {
             list(&record.changed.iter().map(|name| format!("`{}`", clean(name))).collect::<Vec<_>>(), MOST)
         ),
     };
-    let facts =
-        format!("{tests} with {values}, all parameters as in {}{but}: nothing is estimated.", clean(&record.from));
+    let facts = format!(
+        "{tests} with {values}. All parameters are taken from {}{but}; nothing is estimated.",
+        clean(&record.from)
+    );
     sections.push(page.paragraph(&facts) + &page.paragraph(&verdict(record)));
     sections.push(page.section("All tests together", &page.items(&together(record))));
-    sections.push(page.section("Tests that stand out", &far(record, &page)));
-    sections.push(page.section("Groups that stand out", &far_groups(record, &page)));
+    sections.push(page.section("Outlying tests", &far(record, &page)));
+    sections.push(page.section("Outlying groups", &far_groups(record, &page)));
     sections.push(page.section("How to read this", &page.items(&notes(record))));
     sections.retain(|section| !section.is_empty());
     sections.join("\n")
@@ -45,20 +47,25 @@ fn verdict(record: &AppliedRecord) -> String {
     let apart = record.is_outside(DOUBTFUL) || record.within.as_ref().is_some_and(doubtful);
     let nothing = record.distance.degrees_of_freedom + record.residual.degrees_of_freedom == 0;
     let first = match (apart, doubtful(&record.residual)) {
-        _ if nothing => "Nothing that was measured tells of the population.",
-        (true, true) => "The tests are not of this population, and the model does not describe their records.",
-        (true, false) => "The tests are not of this population: their initial states do not have its law.",
-        (false, true) => "The model does not describe the records of these tests: residuals do not have their law.",
-        (false, false) => "As a whole the tests are of this population, as far as they can tell.",
+        _ if nothing => "The measurements contain no information about the population.",
+        (true, true) => "The tests do not belong to this population, and the model does not describe their records.",
+        (true, false) => {
+            "The tests do not belong to this population: their initial states are distributed differently."
+        }
+        (false, true) => "The model does not describe the records of these tests: the residuals are not as expected.",
+        (false, false) => "Taken together, the tests agree with this population.",
     };
     let mut sentences = vec![first.to_owned()];
     if !record.outlying.is_empty() {
-        sentences.push(format!("The initial state of {} stands out.", count(record.outlying.len(), "test")));
+        sentences.push(match record.outlying.len() {
+            1 => "The initial state of 1 test is an outlier.".to_owned(),
+            number => format!("The initial states of {number} tests are outliers."),
+        });
     }
     if !record.outlying_groups.is_empty() {
         sentences.push(match record.outlying_groups.len() {
-            1 => "One group of tests stands out as a whole.".to_owned(),
-            number => format!("{number} groups of tests stand out as a whole."),
+            1 => "One group of tests is an outlier as a whole.".to_owned(),
+            number => format!("{number} groups of tests are outliers as a whole."),
         });
     }
     if !record.unlikely.is_empty() {
@@ -79,7 +86,7 @@ fn together(record: &AppliedRecord) -> Vec<String> {
     )];
     let whose = if record.of == "test" { "tests".to_owned() } else { format!("groups of `{}`", clean(&record.of)) };
     items.push(match record.distance.degrees_of_freedom {
-        0 => "Initial states: the tests say nothing of them.".to_owned(),
+        0 => "Initial states: the tests contain no information about them.".to_owned(),
         _ => format!("Initial states: squared distances of the {whose} from the population {}", sum(&record.distance)),
     });
     if let Some(within) = record.within.as_ref().filter(|within| within.degrees_of_freedom > 0) {
@@ -91,7 +98,7 @@ fn together(record: &AppliedRecord) -> Vec<String> {
     }
     if record.residual.degrees_of_freedom > 0 {
         items.push(format!(
-            "Residuals: squares of what the measured values are off the model, whatever the initial states are, {}",
+            "Residuals (differences between measurements and model that no initial state explains): their squares {}",
             sum(&record.residual)
         ));
     }
@@ -168,11 +175,13 @@ fn far_groups(record: &AppliedRecord, page: &Page<'_>) -> String {
 fn notes(record: &AppliedRecord) -> Vec<String> {
     let mut notes = vec![known(record)];
     notes.push(
-        "Tests that the population was estimated from fit it by construction: their distances add up to about what is expected."
+        "If the population was estimated from these same tests, they fit it by construction: their distances add up to about the \
+         expected value."
             .to_owned(),
     );
     notes.push(
-        "p of a sum is two-sided; p of a single test is that of a larger value, corrected by Holm for the number of tests."
+        "The p-value of a sum is two-sided. That of a single test is the probability of a larger value, corrected by Holm's method \
+         for the number of tests."
             .to_owned(),
     );
     notes
@@ -188,14 +197,14 @@ fn known(record: &AppliedRecord) -> String {
     match (record.fitted, record.inflation()) {
         (None, _) => known.to_owned(),
         (Some(fitted), inflation) if inflation.is_finite() => format!(
-            "{known} As the population was estimated from {}, distances of others are larger by {} % on average; the first \
-             sentence allows for twice as much.",
+            "{known} Because the population was estimated from {}, distances of new tests are larger by {} % on average; the \
+             verdict allows for twice as much.",
             tests(fitted),
             plain(100.0 * (inflation - 1.0), 2)
         ),
         (Some(fitted), _) => format!(
-            "{known} The population was estimated from {} only: distances of others may be larger by any factor, and the \
-             first sentence does not rest on them.",
+            "{known} The population was estimated from {} only: distances of new tests may be larger by any factor, and the \
+             verdict does not depend on them.",
             tests(fitted)
         ),
     }

@@ -22,6 +22,10 @@ const MOST_LEVELS: usize = 6;
 /// A model and its data, looked at without a fit.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CheckRecord {
+    /// What kind of results these are: [`CheckRecord::SCHEMA`].
+    pub schema: String,
+    /// The version that made them.
+    pub kalfit_version: String,
     /// Title of the model.
     pub title: String,
     /// The model in words, one fact a line.
@@ -30,6 +34,17 @@ pub struct CheckRecord {
     pub parameters: Vec<ParameterCounts>,
     /// How far the check went.
     pub checked: Checked,
+}
+
+impl CheckRecord {
+    /// The name of this form of results.
+    pub const SCHEMA: &str = "kalfit-check/1";
+
+    /// What this version found.
+    pub fn new(title: String, model: Vec<String>, parameters: Vec<ParameterCounts>, checked: Checked) -> CheckRecord {
+        let kalfit_version = env!("CARGO_PKG_VERSION").to_owned();
+        CheckRecord { schema: CheckRecord::SCHEMA.to_owned(), kalfit_version, title, model, parameters, checked }
+    }
 }
 
 /// The values of one dynamic parameter that the data have use for.
@@ -130,7 +145,7 @@ pub fn check_summary(record: &CheckRecord, style: &Style) -> String {
     sections.push(page.section("Model", &page.items(&facts)));
     match &record.checked {
         Checked::Model => {
-            sections.push(page.paragraph("The model is sound. Give data too, to see what they identify."))
+            sections.push(page.paragraph("The model is valid. Give data as well to see what they can identify."))
         }
         Checked::Reduced { data, phases, .. } => sections.extend(reduced(record, (data, phases), &page)),
     }
@@ -141,10 +156,10 @@ pub fn check_summary(record: &CheckRecord, style: &Style) -> String {
 /// Data, observability, identifiability.
 fn reduced(record: &CheckRecord, (data, phases): (&DataRecord, &[CheckedPhase]), page: &Page<'_>) -> Vec<String> {
     let Checked::Reduced { levels, notes, at_start_of, .. } = &record.checked else { return Vec::new() };
-    let facts = headline::data(data).trim_start_matches("Data: ").to_owned();
+    let facts = format!("{} {}", headline::data(data).trim_start_matches("Data: "), headline::designs(data));
     let counts: Vec<PhaseCounts> = phases.iter().map(|phase| phase.counts.clone()).collect();
     let mut sections = vec![
-        page.section("Data", &(page.items(&[facts]) + &counted(&counts, data.tests, page))),
+        page.section("Data", &(page.items(&[facts.trim_end().to_owned()]) + &counted(&counts, data.tests, page))),
         parameters(record, data.tests, page),
     ];
     let mut said: Vec<String> = notes.iter().map(|note| sentence(&clean(note))).collect();
@@ -267,8 +282,8 @@ fn tests_each(row: &ParameterCounts, tests: usize) -> String {
 fn worked_out(found: &[f64]) -> String {
     let least = found.iter().copied().reduce(f64::min);
     match (least, found.iter().copied().reduce(f64::max)) {
-        (Some(least), Some(most)) if least == most => format!("{}, worked out", plain(least, 3)),
-        (Some(least), Some(most)) => format!("{} to {}, worked out", plain(least, 3), plain(most, 3)),
+        (Some(least), Some(most)) if least == most => format!("{}, from the data", plain(least, 3)),
+        (Some(least), Some(most)) => format!("{} to {}, from the data", plain(least, 3), plain(most, 3)),
         _ => "not given".to_owned(),
     }
 }
@@ -276,14 +291,14 @@ fn worked_out(found: &[f64]) -> String {
 fn identified(phase: &CheckedPhase, levels: &[CheckedLevel]) -> Vec<String> {
     let mut sentences = doubts::unidentified(&phase.unidentified, &phase.states, false);
     if phase.states.is_empty() {
-        sentences.push("No state has an estimated start, so there is nothing to identify.".to_owned());
+        sentences.push("No initial state is estimated, so there is nothing to identify.".to_owned());
     } else if phase.unidentified.is_empty() {
         let covariances = match (levels, levels.iter().all(|level| level.unidentified.is_empty())) {
             ([], _) => "the covariance",
             (_, true) => "the covariances of all levels and of the tests",
             (_, false) => "the tests' own covariance",
         };
-        sentences.push(format!("The data identify all that is free in the mean and {covariances}."));
+        sentences.push(format!("The data identify all free elements of the mean and {covariances}."));
     } else if sentences.is_empty() {
         sentences.push("Not identified: combinations with states of other phases or levels; see below.".to_owned());
     }
@@ -293,5 +308,5 @@ fn identified(phase: &CheckedPhase, levels: &[CheckedLevel]) -> Vec<String> {
 fn held_at_start(at_start_of: &[String]) -> Option<String> {
     let names: Vec<String> = at_start_of.iter().map(|name| clean(name)).collect();
     let (them, value) = if names.len() == 1 { ("its", "value") } else { ("their", "values") };
-    (!names.is_empty()).then(|| format!("Examined with {} at {them} start {value}.", list(&names, MOST_NAMES)))
+    (!names.is_empty()).then(|| format!("Computed with {} at {them} start {value}.", list(&names, MOST_NAMES)))
 }

@@ -30,7 +30,7 @@ pub fn compared_summary(record: &ComparedRecord, style: &Style) -> String {
     sections.push(page.section("Likelihoods", &likelihoods(record, &names, &page)));
     sections.push(page.section("Predictions of tests left out", &predictive(record, &names, &page)));
     sections.push(page.section("Predictions of folds left out", &validated(&record.validated, &page)));
-    sections.push(page.section("Fits within others", &nested(record, &names, &page)));
+    sections.push(page.section("Nested fits", &nested(record, &names, &page)));
     sections.push(page.section("What differs", &differences(record, &names, &page)));
     sections.push(page.section("Equations that differ", &page.items(&lines(record, &names))));
     let notes: Vec<String> = record.notes.iter().map(|note| sentence(&clean(note))).collect();
@@ -46,7 +46,7 @@ fn verdict(record: &ComparedRecord) -> String {
         return String::new();
     }
     if !record.comparable {
-        return " Their log-likelihoods do not compare: see the notes.".to_owned();
+        return " Their log-likelihoods cannot be compared: see the notes.".to_owned();
     }
     let best = record.fits.iter().find(|fit| fit.delta_aic == Some(0.0));
     match best {
@@ -68,7 +68,7 @@ fn likelihoods(record: &ComparedRecord, names: &[String], page: &Page<'_>) -> St
     let mut columns = vec![
         column(record, "log-likelihood", &|fit| plain(fit.log_likelihood, 8)),
         column(record, "free", &|fit| fit.free_parameters.to_string()),
-        column(record, "certified", &|fit| if fit.converged { "yes" } else { "no" }.to_owned()),
+        column(record, "converged", &|fit| if fit.converged { "yes" } else { "no" }.to_owned()),
     ];
     if record.fits.iter().any(|fit| fit.criterion != "ml") {
         columns.push(column(record, "criterion", &|fit| fit.criterion.clone()));
@@ -120,7 +120,7 @@ fn validated(all: &[ComparedValidation], page: &Page<'_>) -> String {
             column("std. error", Side::Right, &|own| or(own.std_error, 2)),
             column("below the best", Side::Right, &|own| or(difference(own), 4)),
             column("std. error of that", Side::Right, &|own| or(error(own), 2)),
-            column("certified", Side::Right, &|own| if own.converged { "yes" } else { "no" }.to_owned()),
+            column("converged", Side::Right, &|own| if own.converged { "yes" } else { "no" }.to_owned()),
         ],
     )
 }
@@ -189,8 +189,8 @@ fn reading(record: &ComparedRecord) -> Vec<String> {
     let mut notes = Vec::new();
     if !record.validated.is_empty() {
         notes.push(
-            "Folds left out: the log density of the tests of each fold at the fit to all others, summed; the larger the better. A \
-             difference of more than two of its standard errors is unlikely to be chance."
+            "Folds left out: the sum over all folds of the log density of their tests, given the fit to the other folds. Larger is \
+             better. A difference of more than two standard errors is unlikely to be chance."
                 .to_owned(),
         );
     }
@@ -198,22 +198,27 @@ fn reading(record: &ComparedRecord) -> Vec<String> {
         return notes;
     }
     notes.push(
-        "Files of results do not hold the data: that the fits are of the same measured values is judged by their tests and counts."
+        "Results files do not contain the data. Whether the fits used the same data is judged from the names of the tests and the \
+         numbers of measured values."
             .to_owned(),
     );
     if record.comparable {
         notes.push(
-            "AIC and BIC weigh the log-likelihood against the number of free quantities, the smaller the better; weights are \
-             those of AIC among these fits."
+            "AIC and BIC weigh the log-likelihood against the number of free parameters; smaller is better. The weights are Akaike \
+             weights among these fits."
                 .to_owned(),
         );
     }
     if record.fits.iter().any(|fit| fit.log_predictive_density.is_some()) {
-        notes.push("Tests left out: the log density of each test at the fit to all others, summed.".to_owned());
+        notes.push(
+            "Tests left out: the sum over all tests of the log density of each, given the fit to the others."
+                .to_owned(),
+        );
     }
     if !record.nested.is_empty() {
         notes.push(
-            "Fits within others are those that their files show to be; `kalfit test` has the law on boundaries, and a bootstrap."
+            "Nested fits are listed where the results files show that they are. `kalfit test` also handles boundaries, and has a \
+             bootstrap."
                 .to_owned(),
         );
     }

@@ -107,36 +107,37 @@ fn reason(quantity: &PlannedRecord) -> &'static str {
 
 fn notes(record: &PlanRecord) -> Vec<String> {
     if record.quantities.is_empty() {
-        return vec!["No state has an estimated start, so there is nothing to plan for.".to_owned()];
+        return vec!["No initial state is estimated, so there is nothing to plan for.".to_owned()];
     }
     let first = match record.arrangements.is_empty() {
         true => format!("N tests count as N/{} times the design", record.design.tests),
         false => "groups and tests are like those of the design, one after the other".to_owned(),
     };
     let mut notes = vec![format!(
-        "From the expected information at these values; {first}. Estimates from few tests spread more, and those of standard deviations are skewed."
+        "Standard errors come from the expected information at these values; {first}. With few tests, estimates scatter more than \
+         this, and those of standard deviations are skewed."
     )];
     if record.quantities.iter().any(|q| q.reason.as_deref() == Some("boundary")) {
         notes.push(
-            "Boundary: the covariance is singular there, and a standard error does not describe its estimates."
-                .to_owned(),
+            "Boundary: the covariance is singular, and a standard error does not describe its estimates.".to_owned(),
         );
     }
     if record.quantities.iter().any(|q| q.reason.as_deref() == Some("unidentified")) {
-        notes.push("Not identified: no number of tests like these tells anything about it.".to_owned());
+        notes.push("Not identified: more tests like these would not help.".to_owned());
     }
     let in_part = |q: &PlannedRecord| q.reason.is_none() && q.std_error.iter().any(Option::is_none);
     if record.quantities.iter().any(in_part) {
-        notes.push("A dash: so few groups and tests do not identify it.".to_owned());
+        notes.push("A dash: not identified by so few groups and tests.".to_owned());
     }
     let names: Vec<String> = record.parameters_taken_as_known.iter().map(|name| clean(name)).collect();
     if !names.is_empty() {
         let (are, values) = if names.len() == 1 { ("is", "its value") } else { ("are", "their values") };
         notes.push(format!(
-            "{} {are} free in the model and {are} taken as known here, at {values} in {}; estimating {} too makes standard errors larger.",
+            "{} {are} free in the model but {are} taken as known here, at {values} in {}; if {} were estimated too, standard errors \
+             would be larger.",
             list(&names, MOST_NAMES),
             clean(&record.from),
-            if names.len() == 1 { "it" } else { "them" }
+            if names.len() == 1 { "it" } else { "they" }
         ));
     }
     notes

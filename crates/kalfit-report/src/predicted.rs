@@ -22,9 +22,9 @@ pub fn predicted_summary(record: &PredictedRecord, style: &Style) -> String {
     }
     let names: Vec<String> = record.changed.iter().map(|name| format!("`{}`", clean(name))).collect();
     let but = if names.is_empty() { String::new() } else { format!(" but {}", list(&names, MOST)) };
-    let whose = if record.units == "known" { ", of units that it knows" } else { "" };
+    let whose = if record.units == "known" { ", for units that were in the fit" } else { "" };
     let facts = format!(
-        "Predictions for {} with {}, all parameters as in {}{but}{whose}.",
+        "Predictions for {} with {}; all parameters are taken from {}{but}{whose}.",
         count(record.tests, "test"),
         count(record.rows, "row"),
         clean(&record.from)
@@ -92,29 +92,30 @@ fn together(record: &PredictedRecord, pair: &PairRecord) -> String {
 fn notes(record: &PredictedRecord) -> Vec<String> {
     let (sure, part) = (plain(100.0 * record.confidence, 4), plain(100.0 * record.content, 4));
     let mut notes = vec![
-        "Standard deviations: \"population\" is the spread of the initial states from test to test, \"process\" that of process \
-         noise and of a start that is known to vary, \"estimation\" what is not known of the mean. The first column is the three together, those that are known."
+        "Standard deviations: \"population\" is the spread of the estimated initial states from test to test, \"process\" that of \
+         process noise and of initial states with a given spread, and \"estimation\" the error of the estimated mean. The column \
+         \"std. dev.\" combines those that are known."
             .to_owned(),
     ];
     let limits = match record.one_sided {
         true => format!(
-            "Tolerance limits hold with confidence {sure} % each by itself: {part} % of all tests are below the upper one, and {part} % \
-             above the lower one."
+            "Tolerance limits, each with confidence {sure} %: {part} % of all tests are below the upper limit, and {part} % are above \
+             the lower one."
         ),
-        false => format!("Tolerance limits hold with confidence {sure} %: {part} % of all tests are between them."),
+        false => format!("Tolerance limits, with confidence {sure} %: {part} % of all tests are between them."),
     };
-    notes.push(format!("Limits of the mean hold with confidence {sure} %, both together. {limits}"));
+    notes.push(format!("Limits of the mean: a two-sided interval with confidence {sure} %. {limits}"));
     notes.push(match (record.estimation, record.fitted) {
         (false, _) => format!(
-            "{} does not say how its estimates vary together (it has more than 200 of them, or is of an older version), so that what \
-             estimation leaves open is unknown.",
+            "{} does not contain the covariance of its estimates (there are more than 200 of them, or an older version wrote it), so \
+             the error of estimation is unknown.",
             clean(&record.from)
         ),
-        (true, None) => "The parameters are taken as exactly known: limits are quantiles.".to_owned(),
+        (true, None) => "The parameters are taken as exactly known, so the limits are quantiles.".to_owned(),
         (true, Some(_)) => {
-            "Limits take the estimate of the variance as chi-squared, with the degrees of freedom that its standard error says. That \
-             is exact where every test tells its initial state exactly, and near where tests are many. \"Unknown\" are limits that the \
-             tests are too few for, and of what the data do not determine."
+            "The limits treat the estimated variance as chi-squared, with degrees of freedom that follow from its standard error. That \
+             is exact where every test determines its initial state exactly, and a good approximation for many tests. A limit is \
+             \"unknown\" where there are too few tests for it or the data do not determine the quantity."
                 .to_owned()
         }
     });

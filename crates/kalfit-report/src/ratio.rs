@@ -47,17 +47,17 @@ fn headline(record: &RatioRecord, page: &Page<'_>) -> String {
 /// What the test says, in one sentence.
 fn verdict(record: &RatioRecord) -> String {
     if !record.converged {
-        return "Not certified: a fit did not end at a certified optimum, so this test means little.".to_owned();
+        return "Not converged: one of the fits did not converge, so this test means little.".to_owned();
     }
     let (p, how) = match record.bootstrap.as_ref().and_then(|b| b.p_value) {
         Some(p) => (p, "by the bootstrap"),
-        None => (record.p_value, "by the large-sample law"),
+        None => (record.p_value, "by the large-sample distribution"),
     };
     let verdict = match p {
-        p if !p.is_finite() => "there is no verdict",
-        p if p < 0.001 => "the data speak strongly against it",
-        p if p < 0.05 => "the data speak against it",
-        _ => "the data do not speak against it",
+        p if !p.is_finite() => "there is no p-value",
+        p if p < 0.001 => "the data strongly contradict the hypothesis",
+        p if p < 0.05 => "the data contradict the hypothesis",
+        _ => "the data do not contradict the hypothesis",
     };
     format!("{}: {} {how}.", capital(verdict), p_value(p))
 }
@@ -78,7 +78,7 @@ fn fits(record: &RatioRecord, page: &Page<'_>) -> String {
             Side::Right,
             column(&|s| hundredths(2.0 * s.free_parameters as f64 - 2.0 * s.log_likelihood)),
         ),
-        Column::new("certified", Side::Right, column(&|s| if s.converged { "yes" } else { "no" }.to_owned())),
+        Column::new("converged", Side::Right, column(&|s| if s.converged { "yes" } else { "no" }.to_owned())),
     ];
     page.section(&format!("Fits to {}", count(record.data.tests, "test")), &page.table(&columns))
 }
@@ -104,7 +104,7 @@ fn laws(record: &RatioRecord, page: &Page<'_>) -> String {
         rows.push((drawn(bootstrap), bootstrap.p_value.unwrap_or(f64::NAN)));
     }
     let columns = [
-        Column::new("reference law", Side::Left, rows.iter().map(|r| r.0.clone()).collect()),
+        Column::new("reference distribution", Side::Left, rows.iter().map(|r| r.0.clone()).collect()),
         Column::new("p-value", Side::Right, rows.iter().map(|r| probability(r.1)).collect()),
     ];
     let heading = format!("-2 log λ = {}", plain(record.lr, 6));
@@ -124,13 +124,13 @@ fn remarks(bootstrap: &BootstrapRecord) -> Vec<String> {
     let mut remarks = Vec::new();
     if bootstrap.failed > 0 {
         remarks.push(match bootstrap.failed {
-            1 => "1 draw had no certified fit and was left out.".to_owned(),
-            n => format!("{n} draws had no certified fit and were left out."),
+            1 => "1 draw was left out because its fit did not converge.".to_owned(),
+            n => format!("{n} draws were left out because their fits did not converge."),
         });
     }
     let counted = bootstrap.replicates.saturating_sub(bootstrap.failed) as f64;
     if bootstrap.p_value.is_some_and(|p| p * (1.0 + counted) < 1.5) {
-        remarks.push("No draw came up to the data: more draws may well give a smaller p-value.".to_owned());
+        remarks.push("No draw was as extreme as the data: with more draws the p-value may be smaller.".to_owned());
     }
     remarks
 }
@@ -179,14 +179,14 @@ fn parts(record: &RatioRecord, page: &Page<'_>) -> String {
         .parts
         .iter()
         .map(|p| {
-            (format!("{} alone{}", p.what, if p.converged { "" } else { " (not certified)" }), p.lr, p.df, p.p_value)
+            (format!("{} alone{}", p.what, if p.converged { "" } else { " (not converged)" }), p.lr, p.df, p.p_value)
         })
         .collect();
     let dynamic = record.parts.iter().any(|p| p.what == "parameters");
     let (all, heading) = match (dynamic, rows.len()) {
-        (false, _) => ("both", "Mean and covariance apart"),
-        (true, 2) => ("both", "The two parts of the hypothesis apart"),
-        (true, _) => ("all", "The parts of the hypothesis apart"),
+        (false, _) => ("both", "Mean and covariance separately"),
+        (true, 2) => ("both", "The two parts of the hypothesis separately"),
+        (true, _) => ("all", "The parts of the hypothesis separately"),
     };
     rows.push((all.to_owned(), record.lr, record.df, record.p_value));
     let columns = [

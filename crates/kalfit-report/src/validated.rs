@@ -23,7 +23,8 @@ pub fn validated_summary(record: &ValidatedRecord, style: &Style) -> String {
     }
     let verdict = Some(verdict(record)).filter(|verdict| !verdict.is_empty());
     sections.push(page.paragraph(&facts(record)) + &verdict.map_or(String::new(), |verdict| page.paragraph(&verdict)));
-    sections.push(page.section("Predictions of tests that the fit had not seen", &page.items(&predictions(record))));
+    sections
+        .push(page.section("Predictions of tests that were left out of the fit", &page.items(&predictions(record))));
     if let Some(other) = &record.against {
         sections.push(page.section("The other model", &page.items(&against(record, other))));
     }
@@ -47,8 +48,8 @@ fn whose(record: &ValidatedRecord, number: usize) -> String {
 fn facts(record: &ValidatedRecord) -> String {
     let tests = record.folds.iter().map(|fold| fold.tests).sum();
     let how = match (&record.by, record.seed) {
-        (Some(column), _) => format!("one for each text of `{}`", clean(column)),
-        (None, _) if record.folds.len() == tests => "each test one by itself".to_owned(),
+        (Some(column), _) => format!("one for each value of `{}`", clean(column)),
+        (None, _) if record.folds.len() == tests => "one for each test".to_owned(),
         (None, seed) => format!("drawn with seed {}", seed.unwrap_or_default()),
     };
     format!(
@@ -64,9 +65,9 @@ fn verdict(record: &ValidatedRecord) -> String {
         record.folds.iter().filter(|fold| !fold.converged).map(|fold| clean(&fold.name)).collect();
     let doubt = match (record.converged, uncertain.is_empty()) {
         (true, true) => String::new(),
-        (false, _) => " The fit to all tests has no certified optimum.".to_owned(),
+        (false, _) => " The fit to all tests did not converge.".to_owned(),
         (true, false) => {
-            format!(" The fits without these folds have no certified optimum: {}.", list(&uncertain, MOST))
+            format!(" The fits without these folds did not converge: {}.", list(&uncertain, MOST))
         }
     };
     let first = match &record.against {
@@ -75,9 +76,8 @@ fn verdict(record: &ValidatedRecord) -> String {
             let better = if other.difference >= 0.0 { "This model" } else { "The other model" };
             match other.p_value {
                 Some(p) if p < LEVEL => format!("{better} predicts better."),
-                Some(_) => "Neither model predicts better than the other by more than the scatter of the differences."
-                    .to_owned(),
-                None => "The models predict the same.".to_owned(),
+                Some(_) => "Neither model predicts better: the difference is within its scatter.".to_owned(),
+                None => "The two models give the same predictions.".to_owned(),
             }
         }
     };
@@ -94,7 +94,7 @@ fn predictions(record: &ValidatedRecord) -> Vec<String> {
             plain(each, 4)
         ),
         format!(
-            "The fit to all tests promises {}: {} more than holds for tests that it has not seen.",
+            "The fit to all tests gives {}, which is {} more than for tests that were left out.",
             plain(record.fitted, 7),
             plain(record.fitted - record.log_density, 3)
         ),
@@ -125,13 +125,13 @@ fn against(record: &ValidatedRecord, other: &AgainstRecord) -> Vec<String> {
     let p = other.p_value.map_or(String::new(), |p| format!(" ({})", p_value(p)));
     vec![
         format!(
-            "{}: log predictive density {}, promised {}.",
+            "{}: log predictive density {}; the fit to all tests gives {}.",
             clean(&other.title),
             plain(other.log_density, 7),
             plain(other.fitted, 7)
         ),
         format!(
-            "Difference, this model less the other: {}{error} over {}{p}.",
+            "Difference, this model minus the other: {}{error} over {}{p}.",
             plain(other.difference, 4),
             whose(record, record.pieces.len())
         ),
@@ -149,7 +149,7 @@ fn folds(record: &ValidatedRecord, page: &Page<'_>) -> String {
         column("fold", Side::Left, &|fold| fold.name.clone()),
         column("tests", Side::Right, &|fold| fold.tests.to_string()),
         column("log density", Side::Right, &|fold| plain(fold.log_density, 6)),
-        column("", Side::Left, &|fold| if fold.converged { String::new() } else { "not certified".to_owned() }),
+        column("", Side::Left, &|fold| if fold.converged { String::new() } else { "not converged".to_owned() }),
     ])
 }
 
@@ -174,13 +174,14 @@ fn worst(record: &ValidatedRecord, page: &Page<'_>) -> String {
 
 fn notes(record: &ValidatedRecord) -> Vec<String> {
     let mut notes = vec![format!(
-        "The log predictive density of a test is the logarithm of the probability density that a fit without its fold gives to all of \
-         its measured values. Larger is better; its standard error is by the scatter over {}.",
+        "The log predictive density of a test is the logarithm of the probability density of its measured values, given a fit without \
+         its fold. Larger is better; the standard error comes from the scatter between {}.",
         whose(record, 2)
     )];
     if record.against.is_some() {
         notes.push(
-            "Models are compared test by test on the same folds, so that what makes a test hard for both does not count.".to_owned(),
+            "The models are compared test by test on the same folds, so a test that is hard to predict for both does not count."
+                .to_owned(),
         );
     }
     notes

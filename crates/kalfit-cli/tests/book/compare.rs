@@ -26,13 +26,16 @@ pub(crate) fn agree(shown: &[String], printed: &[String]) -> bool {
     at == printed.len() || shown.last().is_some_and(|line| line == LEFT_OUT)
 }
 
+/// What the line on the work done begins with.
+const WORK: &str = "Computation: ";
+
 /// Lines without spaces at their ends, the lines on the work done as one, without numbers.
 fn worked(lines: &[String]) -> Vec<String> {
     let mut all: Vec<String> = Vec::new();
     let mut inside = false;
     for line in lines {
         let line = line.trim_end();
-        let begins = line.starts_with("Solver ") || line.starts_with("Method ");
+        let begins = line.starts_with(WORK);
         if inside && !line.is_empty() && line != LEFT_OUT {
             let last = all.last_mut().expect("a line began it");
             last.push(' ');
@@ -42,9 +45,7 @@ fn worked(lines: &[String]) -> Vec<String> {
             all.push(line.to_owned());
         }
     }
-    all.iter()
-        .map(|line| if line.starts_with("Solver ") || line.starts_with("Method ") { work(line) } else { line.clone() })
-        .collect()
+    all.iter().map(|line| if line.starts_with(WORK) { work(line) } else { line.clone() }).collect()
 }
 
 /// The method and the solver, and that work was done.
@@ -87,6 +88,12 @@ fn a_wrong_figure_or_a_missing_line_is_seen() {
     assert!(!agree(&lines("…\nx\n…"), &printed));
     assert!(!agree(&lines("b 3\n…"), &printed));
     assert!(!agree(&[], &printed));
-    assert!(agree(&lines("Solver newton, 8 passes, 7 ms."), &lines("Solver newton, 9 passes,\n1.2 s.")));
-    assert!(!agree(&lines("Solver newton, 8 passes, 7 ms."), &lines("Solver em, 8 passes, 7 ms.")));
+    assert!(agree(
+        &lines("Computation: solver newton, 8 passes, 7 ms."),
+        &lines("Computation: solver newton, 9 passes,\n1.2 s.")
+    ));
+    assert!(!agree(
+        &lines("Computation: solver newton, 8 passes, 7 ms."),
+        &lines("Computation: solver em, 8 passes, 7 ms.")
+    ));
 }

@@ -60,37 +60,37 @@ fn near(what: &str, found: f64, expected: f64) {
 fn the_tests_of_a_fit_are_what_the_fit_says_of_them() {
     let folder = fitted();
     let output = folder.run("apply m.toml d.csv --from fit.json --out tests.csv --states states.csv");
-    assert_snapshot!(shown(&output), @r#"
+    assert_snapshot!(shown(&output), @"
     exit 0
     ----- stdout
     Wandering gyros
 
-    12 tests with 108 measured values, all parameters as in fit.json: nothing is
-    estimated.
-    As a whole the tests are of this population, as far as they can tell.
+    12 tests with 108 measured values. All parameters are taken from fit.json;
+    nothing is estimated.
+    Taken together, the tests agree with this population.
 
     All tests together
       Log predictive density: -87.9287 in all, -7.327 for each test on average.
       Initial states: squared distances of the tests from the population add up to
         12.03, expected 12 ± 4.9 (chi-squared, 12 degrees of freedom): p = 0.89.
-      Residuals: squares of what the measured values are off the model, whatever the
-        initial states are, add up to 81.51, expected 96 ± 14 (chi-squared, 96
+      Residuals (differences between measurements and model that no initial state
+        explains): their squares add up to 81.51, expected 96 ± 14 (chi-squared, 96
         degrees of freedom): p = 0.29.
       The test furthest from the population is `u00`: p = 0.04 by itself, p = 0.46
         as the furthest of 12.
 
     How to read this
-      The parameters are taken as exactly known. As the population was estimated
-        from 12 tests, distances of others are larger by 44 % on average; the first
-        sentence allows for twice as much.
-      Tests that the population was estimated from fit it by construction: their
-        distances add up to about what is expected.
-      p of a sum is two-sided; p of a single test is that of a larger value,
-        corrected by Holm for the number of tests.
+      The parameters are taken as exactly known. Because the population was
+        estimated from 12 tests, distances of new tests are larger by 44 % on
+        average; the verdict allows for twice as much.
+      If the population was estimated from these same tests, they fit it by
+        construction: their distances add up to about the expected value.
+      The p-value of a sum is two-sided. That of a single test is the probability of
+        a larger value, corrected by Holm's method for the number of tests.
     ----- stderr
     Wrote tests.csv
     Wrote states.csv
-    "#);
+    ");
     let fit: FitRecord = serde_json::from_slice(&std::fs::read(folder.path("fit.json")).unwrap()).unwrap();
     let (tests, states) = (folder.table("tests.csv"), folder.table("states.csv"));
     near("all", tests.iter().map(|test| number(test, "log_density")).sum(), fit.log_likelihood);
@@ -152,7 +152,7 @@ fn tests_of_another_population_are_told() {
     let folder = fitted();
     let said = |data: &str| shown(&folder.run(&format!("apply m.toml {data} --from fit.json")));
     let shifted = said("shifted.csv");
-    assert!(shifted.contains("The tests are not of this population: their initial states"), "{shifted}");
+    assert!(shifted.contains("The tests do not belong to this population: their initial states"), "{shifted}");
     assert!(!shifted.contains("residuals of"), "records of shifted tests are as good as the others: {shifted}");
     let noisy = said("noisy.csv");
     assert!(noisy.contains("The model does not describe the records of these tests"), "{noisy}");
@@ -206,7 +206,7 @@ fn no_table_is_written_where_states_are_not_known() {
 fn other_values_than_those_of_the_fit_are_named() {
     let folder = fitted();
     let said = shown(&folder.run("apply m.toml d.csv --from fit.json --set sigma=0.9"));
-    assert!(said.contains("all parameters as in fit.json but `sigma`:"), "{said}");
+    assert!(said.contains("All parameters are taken from fit.json but"), "{said}");
 }
 
 const UNITS: &str = r#"
@@ -249,10 +249,10 @@ fn tests_of_one_unit_are_compared_with_each_other() {
     let folder = Folder::new(&files.map(|(name, text)| (name, text.as_bytes())));
     let said = |data: &str| shown(&folder.run(&format!("apply u.toml {data} --from u.toml")));
     let sound = said("sound.csv");
-    assert!(sound.contains("As a whole the tests are of this population"), "{sound}");
+    assert!(sound.contains("Taken together, the tests agree with this population"), "{sound}");
     for name in ["equal.csv", "wide.csv"] {
         let other = said(name);
-        assert!(other.contains("The tests are not of this population: their initial states"), "{name}: {other}");
+        assert!(other.contains("The tests do not belong to this population: their initial states"), "{name}: {other}");
         assert!(other.contains("Within the groups of `unit`"), "{other}");
     }
 }
@@ -269,8 +269,8 @@ fn a_unit_that_is_far_off_is_named_as_a_unit() {
     let folder = Folder::new(&[("u.toml", UNITS.as_bytes()), ("moved.csv", moved.as_bytes())]);
     let said = shown(&folder.run("apply u.toml moved.csv --from u.toml"));
     let flowing = said.split_whitespace().collect::<Vec<_>>().join(" ");
-    assert!(flowing.contains("One group of tests stands out as a whole."), "{said}");
-    let (_, table) = said.split_once("Groups that stand out\n").unwrap();
+    assert!(flowing.contains("One group of tests is an outlier as a whole."), "{said}");
+    let (_, table) = said.split_once("Outlying groups\n").unwrap();
     let row: Vec<&str> = table.lines().nth(1).unwrap().split_whitespace().collect();
     // the mean of four runs, each known to 0.1/sqrt(2) from a run that varies by 0.5: squared over 4 + 0.25/4 + 0.01/8
     let mean = moved

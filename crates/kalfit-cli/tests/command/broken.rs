@@ -217,14 +217,14 @@ fn wrong_arguments() {
     assert_snapshot!(refused("frobnicate m.toml", &[]), @"
     error: unrecognized subcommand 'frobnicate'
 
-    Usage: kalfit <COMMAND>
+    Usage: kalfit [OPTIONS] <COMMAND>
 
     For more information, try '--help'.
     ");
     assert_snapshot!(refused("fti m.toml", &[]), @"
     error: unrecognized subcommand 'fti'
 
-    Usage: kalfit <COMMAND>
+    Usage: kalfit [OPTIONS] <COMMAND>
 
     For more information, try '--help'.
     ");
@@ -355,11 +355,7 @@ fn wrong_outputs_are_found_before_the_work_starts() {
 
     hint: give the output a name of its own
     ");
-    assert_snapshot!(refused("fit m.toml d.csv --out -", &[]), @"
-    error: the output `-` is not a file name, expected the name of a file
-
-    hint: `--out` takes a file such as `fit.json`
-    ");
+    assert_snapshot!(refused("reduce m.toml d.csv --out -", &[]), @"error: the output `-` is no name of a Parquet file, expected one that ends in `.parquet`");
     assert_snapshot!(refused("fit m.toml d.csv --out m.toml/fit.json", &[]), @"
     error: the folder `m.toml` for the output is not a folder
 

@@ -33,7 +33,7 @@ fn check_says_the_model_in_words() {
       covariance Σ: diagonal
       variance of `temperature_coefficient`: fixed at 0
 
-    The model is sound. Give data too, to see what they identify.
+    The model is valid. Give data as well to see what they can identify.
     ----- stderr
     ");
 }
@@ -58,8 +58,8 @@ fn check_says_what_data_identify() {
       covariance Σ: full
 
     Data
-      18 tests, 180 steps, 180 observations from sleepstudy.csv; all tests share one
-        design.
+      18 tests, 180 steps, 180 observations from sleepstudy.csv. All tests have the
+        same design (times, inputs and missing values).
 
     Free parameters
       parameter  free values  tests each  start
@@ -70,12 +70,12 @@ fn check_says_what_data_identify() {
       intercept   all 18         all 18  all equal
       slope       all 18         all 18  all equal
       Seen by: tests whose measurements depend on the state. Determined by: tests
-        that could estimate it alone. Largest share: how much of what is known of
-        the mean comes from one test, and which.
+        that could estimate it by themselves. Largest share: the test with the most
+        information on the mean, and its part of all information.
 
     Identifiability
-      The data identify all that is free in the mean and the covariance.
-      Examined with sigma at its start value.
+      The data identify all free elements of the mean and the covariance.
+      Computed with sigma at its start value.
     ----- stderr
     ");
     assert_snapshot!(shown(&example("vaccine").run("check vaccine.toml vaccine.csv")), @"
@@ -93,18 +93,18 @@ fn check_says_what_data_identify() {
       covariance Σ: full
 
     Data
-      13 tests, 13 steps, 13 observations from vaccine.csv; every test has a design
-        of its own.
+      13 tests, 13 steps, 13 observations from vaccine.csv. Every test has its own
+        design (times, inputs and missing values).
 
     Observability
       state   seen by  determined by  largest share
       effect   all 13         all 13  11 %, 8
       Seen by: tests whose measurements depend on the state. Determined by: tests
-        that could estimate it alone. Largest share: how much of what is known of
-        the mean comes from one test, and which.
+        that could estimate it by themselves. Largest share: the test with the most
+        information on the mean, and its part of all information.
 
     Identifiability
-      The data identify all that is free in the mean and the covariance.
+      The data identify all free elements of the mean and the covariance.
     ----- stderr
     ");
 }
@@ -126,15 +126,16 @@ fn check_names_what_data_do_not_identify() {
       covariance Σ: full
 
     Data
-      3 tests, 3 steps, 3 observations from one.csv; all tests share one design; 3
-        tests took the square-root path.
+      3 tests, 3 steps, 3 observations from one.csv. All tests have the same design
+        (times, inputs and missing values). 3 tests needed the more accurate
+        square-root filter.
 
     Observability
       state  seen by  determined by  largest share
       level    all 3           none  -
       slope    all 3           none  -
       Seen by: tests whose measurements depend on the state. Determined by: tests
-        that could estimate it alone.
+        that could estimate it by themselves.
 
     Identifiability
       Not identified: only the sum level + slope is determined, not each alone
@@ -145,14 +146,7 @@ fn check_names_what_data_do_not_identify() {
     assert_snapshot!(steady(&shown(&folder.run("fit m.toml one.csv"))), @"
     exit 0
     ----- stdout
-    Converged: the optimality certificate holds, so these are the maximum-likelihood
-    estimates of all that the data identify.
-    Model check passed: innovations and tests agree with the model. Test c by itself
-    decides much of the answer.
-
-    Data: 3 tests, 3 steps, 3 observations from one.csv; all tests share one design;
-    3 tests took the square-root path.
-    Log-likelihood -4.92, 5 free parameters, AIC 19.84, BIC 15.33.
+    Data: 3 tests, 3 steps, 3 observations from one.csv.
 
     Initial state over the tests (± standard error)
       state     mean                 std dev
@@ -163,30 +157,46 @@ fn check_names_what_data_do_not_identify() {
               level
       slope  -0.333
 
-    Limits of what the data say
+    What the data cannot determine
       Not identified: only the sum level + slope is determined, not each alone
         (means and variances). The start values of what is not were kept. Fix one,
         e.g. `slope.initial = { mean = 0, sigma = 0 }`.
 
-    Outlying tests
-      No test stands out: the smallest of 3 p-values is 0.18 (test c), or 0.54 with
-        Bonferroni's correction.
+    Convergence and model check
+    Converged: the optimality conditions hold, so these are the maximum-likelihood
+    estimates. Some quantities are not identified by the data.
+    Model check passed: innovations and tests agree with the model. Test c by itself
+    decides much of the answer.
+    Log-likelihood -4.92, 5 free parameters, AIC 19.84, BIC 15.33.
 
-    The answer without each test
-      test  displacement  p-value by the others
-      c             18.5                   6e-7
+    What to do next
+      Fix what the data do not identify, or leave it out of the model, or add tests
+        with information on it; `kalfit check` shows which tests see which states.
+      Check the data of test c with care, because the estimates depend on it; the
+        results file has the estimates without it.
+
+    Outlying tests
+      No test is an outlier: the smallest of 3 p-values is 0.18 (test c), or 0.54
+        after Bonferroni correction.
+
+    Influence of single tests
+      test  displacement  p-value without it
+      c             18.5                6e-7
       Leaving this test out moves the estimates outside the 50 % confidence region
         of the full fit.
       Displacement (Cook's): twice the drop in the log-likelihood of all tests when
-        the estimates from the other tests are used.
+        the estimates from the other tests are used. The p-value says how well the
+        test agrees with the estimates from the other tests.
 
-    Innovations (what the filter did not expect)
-      Mean square of 3 innovations over all tests, each in units of its variance:
-        1.00 (expected 1 ± 0.82).
-      Residual checks passed for all tests (smallest p = 0.36, size in c; 1 after
+    Innovations (measured minus predicted)
+      Mean square of all 3 innovations, each divided by its standard deviation: 1.00
+        (expected 1 ± 0.82).
+      Innovation checks passed for all tests (smallest p = 0.36, size in c; 1 after
         Holm correction for 3 tests).
 
-    Solver newton, [work].
+    All tests have the same design (times, inputs and missing values). 3 tests
+    needed the more accurate square-root filter.
+    Computation: solver newton, [work].
     ----- stderr
     ");
 }
@@ -210,23 +220,24 @@ fn check_reads_data_for_parameters_without_values() {
       covariance Σ: full
 
     Data
-      3 tests, 9 steps, 9 observations from d.csv; all tests share one design.
+      3 tests, 9 steps, 9 observations from d.csv. All tests have the same design
+        (times, inputs and missing values).
 
     Free parameters
       parameter  free values  tests each  start
-      sigma      1            all 3       0.117, worked out
+      sigma      1            all 3       0.117, from the data
 
     Observability
       state  seen by  determined by  largest share
       level    all 3          all 3  all equal
       slope    all 3          all 3  all equal
       Seen by: tests whose measurements depend on the state. Determined by: tests
-        that could estimate it alone. Largest share: how much of what is known of
-        the mean comes from one test, and which.
+        that could estimate it by themselves. Largest share: the test with the most
+        information on the mean, and its part of all information.
 
     Identifiability
-      The data identify all that is free in the mean and the covariance.
-      Examined with sigma at its start value.
+      The data identify all free elements of the mean and the covariance.
+      Computed with sigma at its start value.
     ----- stderr
     ");
     assert!(shown(&folder.run("check m.toml d.csv --set sigma=1")).contains("identify all"), "with a value it runs");

@@ -37,7 +37,7 @@ fn fits_stand_side_by_side_with_tests_of_one_within_another() {
     apart.json.
 
     Likelihoods
-      fit            log-likelihood  free  certified
+      fit            log-likelihood  free  converged
       full.json          -875.96967     6        yes
       apart.json         -876.00163     5        yes
       parallel.json      -897.03932     4        yes
@@ -53,7 +53,7 @@ fn fits_stand_side_by_side_with_tests_of_one_within_another() {
       apart.json       -880.2671               0           0
       parallel.json    -903.7976           23.53          11
 
-    Fits within others
+    Nested fits
       hypothesis     within      -2 log λ  df  p-value
       apart.json     full.json   0.063911   1     0.80
       parallel.json  full.json     42.139   2  ≤ 7e-10
@@ -69,13 +69,14 @@ fn fits_stand_side_by_side_with_tests_of_one_within_another() {
       covariance[slope, slope]         32.682      33.633        0 fixed
 
     How to read this
-      Files of results do not hold the data: that the fits are of the same measured
-        values is judged by their tests and counts.
-      AIC and BIC weigh the log-likelihood against the number of free quantities,
-        the smaller the better; weights are those of AIC among these fits.
-      Tests left out: the log density of each test at the fit to all others, summed.
-      Fits within others are those that their files show to be; `kalfit test` has
-        the law on boundaries, and a bootstrap.
+      Results files do not contain the data. Whether the fits used the same data is
+        judged from the names of the tests and the numbers of measured values.
+      AIC and BIC weigh the log-likelihood against the number of free parameters;
+        smaller is better. The weights are Akaike weights among these fits.
+      Tests left out: the sum over all tests of the log density of each, given the
+        fit to the others.
+      Nested fits are listed where the results files show that they are. `kalfit
+        test` also handles boundaries, and has a bootstrap.
     ----- stderr
     Wrote c.json
     ");
@@ -138,7 +139,7 @@ fn validations_stand_beside_each_other() {
       apart-v.json         6    -888.4859          29               0
       parallel-v.json      6    -910.8013          22               -
 
-      validation       std. error of that  certified
+      validation       std. error of that  converged
       full-v.json                    0.46        yes
       apart-v.json                      0        yes
       parallel-v.json                   -        yes
@@ -149,9 +150,9 @@ fn validations_stand_beside_each_other() {
         data and the same `--folds`, `--seed` or `--by`.
 
     How to read this
-      Folds left out: the log density of the tests of each fold at the fit to all
-        others, summed; the larger the better. A difference of more than two of its
-        standard errors is unlikely to be chance.
+      Folds left out: the sum over all folds of the log density of their tests,
+        given the fit to the other folds. Larger is better. A difference of more
+        than two standard errors is unlikely to be chance.
     ----- stderr
     ");
     assert_snapshot!(shown(&folder.run("compare full.json full-v.json")), @"
@@ -215,11 +216,11 @@ fn fits_of_other_data_and_files_that_are_no_fits_are_refused() {
     assert_snapshot!(shown(&folder.run("compare full.json reml.json")), @"
     exit 0
     ----- stdout
-    2 fits to 18 tests with 180 measured values. Their log-likelihoods do not
-    compare: see the notes.
+    2 fits to 18 tests with 180 measured values. Their log-likelihoods cannot be
+    compared: see the notes.
 
     Likelihoods
-      fit        log-likelihood  free  certified  criterion
+      fit        log-likelihood  free  converged  criterion
       full.json      -875.96967     6        yes         ml
       reml.json      -871.81414     6        yes       reml
 
@@ -237,9 +238,10 @@ fn fits_of_other_data_and_files_that_are_no_fits_are_refused() {
         the two do not compare.
 
     How to read this
-      Files of results do not hold the data: that the fits are of the same measured
-        values is judged by their tests and counts.
-      Tests left out: the log density of each test at the fit to all others, summed.
+      Results files do not contain the data. Whether the fits used the same data is
+        judged from the names of the tests and the numbers of measured values.
+      Tests left out: the sum over all tests of the log density of each, given the
+        fit to the others.
     ----- stderr
     ");
 }

@@ -116,13 +116,13 @@ fn check_counts_the_tests_behind_each_free_value() {
       level    all 4          all 4  26 %, b
       slope    all 4          all 4  26 %, b
       Seen by: tests whose measurements depend on the state. Determined by: tests
-        that could estimate it alone. Largest share: how much of what is known of
-        the mean comes from one test, and which.
+        that could estimate it by themselves. Largest share: the test with the most
+        information on the mean, and its part of all information.
 
     Identifiability
-      The data identify all that is free in the mean and the covariance.
+      The data identify all free elements of the mean and the covariance.
       `s` is fixed for lot `a`, which the data do not have: they have `1` and `2`.
-      Examined with s at its start value.
+      Computed with s at its start value.
     ----- stderr
     ");
 }
@@ -133,7 +133,7 @@ fn check_says_why_it_cannot_examine_the_data() {
     assert_snapshot!(from(&said(&folder, "check m.toml d.csv"), "Free parameters"), @"
     Free parameters
       parameter  free values  one for each  tests each  start
-      s          2            lot           2 to 3      0.129, worked out
+      s          2            lot           2 to 3      0.129, from the data
       Levels of s: 1 in 3 tests and 2 in 2 tests.
 
     Observability
@@ -141,13 +141,13 @@ fn check_says_why_it_cannot_examine_the_data() {
       level    all 4          all 4  all equal
       slope    all 4          all 4  all equal
       Seen by: tests whose measurements depend on the state. Determined by: tests
-        that could estimate it alone. Largest share: how much of what is known of
-        the mean comes from one test, and which.
+        that could estimate it by themselves. Largest share: the test with the most
+        information on the mean, and its part of all information.
 
     Identifiability
-      The data identify all that is free in the mean and the covariance.
+      The data identify all free elements of the mean and the covariance.
       `s` is fixed for lot `a`, which the data do not have: they have `1` and `2`.
-      Examined with s at its start value.
+      Computed with s at its start value.
     ----- stderr
     ");
 }
@@ -363,15 +363,16 @@ fn a_noise_level_of_zero_is_tested_against_a_mixture() {
     Flow of the Nile: level of the first year
 
     Hypothesis: no walk
-    The data speak strongly against it: p = 3e-9 by the large-sample law.
+    The data strongly contradict the hypothesis: p = 3e-9 by the large-sample
+    distribution.
 
     Fits to 1 test
-                  log-likelihood  free      AIC  certified
+                  log-likelihood  free      AIC  converged
       hypothesis      -654.51573     2  1313.03        yes
       model           -637.60293     3  1281.21        yes
 
     -2 log λ = 33.8256
-      reference law                      p-value
+      reference distribution             p-value
       0.5 χ²(0) + 0.5 χ²(1)                 3e-9
       χ²(1), which ignores the boundary     6e-9
 

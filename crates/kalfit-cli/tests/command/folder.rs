@@ -100,7 +100,7 @@ pub(crate) fn shown(output: &Output) -> String {
 
 /// The line on the work done differs from run to run, and with every change of the solver.
 pub(crate) fn steady(text: &str) -> String {
-    let steady = |line: &str| match line.starts_with("Solver ") {
+    let steady = |line: &str| match line.starts_with("Computation: ") {
         true => line.split(',').next().unwrap_or_default().to_owned() + ", [work].\n",
         false => line.to_owned() + "\n",
     };

@@ -73,9 +73,12 @@ fn groups_differ_where_their_means_do() {
         (fitted(&folder, "--group-test")["group_test"].clone(), shown(&folder.run("fit group.toml d.csv --group-test")))
     };
     let (same, said) = compare(0.0);
-    assert!(same["p_value"].as_f64().unwrap() > 0.05 && said.contains("No difference between groups"), "{same} {said}");
+    assert!(
+        same["p_value"].as_f64().unwrap() > 0.05 && said.contains("No difference between the groups"),
+        "{same} {said}"
+    );
     let (apart, said) = compare(4.0);
-    assert!(apart["p_value"].as_f64().unwrap() < 1e-6 && said.contains("Groups differ: p = "), "{apart} {said}");
+    assert!(apart["p_value"].as_f64().unwrap() < 1e-6 && said.contains("The groups differ: p = "), "{apart} {said}");
     assert_eq!((&apart["groups"], &apart["degrees_of_freedom"]), (&2.into(), &2.into()));
     // each lot by itself, as separate files
     let mut alone = 0.0;

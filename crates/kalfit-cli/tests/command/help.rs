@@ -6,7 +6,12 @@ use insta::assert_snapshot;
 #[test]
 fn version_and_help() {
     let folder = Folder::new(&[]);
-    assert_snapshot!(shown(&folder.run("--version")).replace(env!("CARGO_PKG_VERSION"), "[version]"), @"
+    let version = shown(&folder.run("--version")).replace(env!("CARGO_PKG_VERSION"), "[version]");
+    let known = version.lines().nth(2).unwrap_or_default();
+    let commit = known.strip_prefix("kalfit [version] (commit ").and_then(|rest| rest.strip_suffix(")"));
+    let is_commit = commit.is_some_and(|commit| commit.len() == 10 && commit.bytes().all(|b| b.is_ascii_hexdigit()));
+    assert!(known == "kalfit [version]" || is_commit, "{version}");
+    assert_snapshot!(shown(&folder.run("-V")).replace(env!("CARGO_PKG_VERSION"), "[version]"), @"
     exit 0
     ----- stdout
     kalfit [version]
@@ -17,55 +22,67 @@ fn version_and_help() {
     ----- stdout
     Error models from ensembles of non-identical tests, by maximum likelihood
 
-    Usage: kalfit <COMMAND>
+    Usage: kalfit [OPTIONS] <COMMAND>
 
     Commands:
-      init         Write a starter model, with comments, and a small data set: both run as they are
-      fit          Fit a model to data: a summary to standard output, all results to a file
-      reduce       Run the filters once, at known parameters, and write what they make of the data: all
-                   that a fit needs
-      estimates    Run the `[filter]` of each phase, optimal or not, and write its estimates with the
-                   errors they make
-      test         Test a hypothesis within a model by the ratio of the likelihoods
-      check        Read a model, and data if given, and fit nothing: the model in words, counts, what
-                   the data identify
-      simulate     Draw an ensemble of tests from a fit, or from the values of a model
-      plan         Expected standard errors against the number of tests, before any is run
-      apply        Apply a fitted model to tests, old or new: are they of the population, and what were
+      init         Write a starter model with comments, and a small data set; both run as they are
+      fit          Fit a model to data: print a summary, write all results to a file
+      reduce       Run the filters once with known parameters and write the reduced data: all that a fit
+                   needs
+      estimates    Run the `[filter]` of each phase, optimal or not, and write its estimates with their
+                   errors
+      test         Test a hypothesis within a model by a likelihood-ratio test
+      check        Describe a model in words, count the data, and say what they can identify; nothing is
+                   fitted
+      simulate     Draw an ensemble of tests from a fit, or from the values in a model
+      plan         Expected standard errors for different numbers of tests, before any test is run
+      apply        Apply a fitted model to old or new tests: do they belong to the population, what were
                    their states
-      validate     How well a model predicts tests that it was not fitted to, and whether another one
-                   does so better
-      predict      What a test that nobody has made will give: means, spread and limits of states and
+      validate     Cross-validate: how well a model predicts tests that were left out, and whether
+                   another does better
+      predict      Predict a test that has not been made: means, spreads and limits of states and
                    outputs
-      export       The filter that follows from a fit, for programs that are not kalfit: JSON, numpy,
-                   Matlab, C or Python
-      datasheet    The numbers of a datasheet, in its units: random walks, Gauss-Markov pairs, turn-on
-                   repeatability, Allan deviations
-      compare      Fits of the same data side by side: likelihoods, AIC and BIC, tests of one within
-                   another
-      report       The report of a fit, one HTML page, from its results alone
-      completions  The script that completes commands and options in a shell, to standard output
-      man          The manual page, to standard output, or the pages of all commands, to a folder
+      export       Write the filter of a fit for other programs: JSON, numpy, Matlab, C or Python
+      datasheet    Datasheet numbers in their usual units: random walks, turn-on repeatability, Allan
+                   deviations
+      compare      Compare fits of the same data: likelihoods, AIC, BIC, likelihood-ratio tests of
+                   nested fits
+      report       Make the report of a fit, one HTML page, from its results
+      plot         Draw a figure of a fit as SVG or PNG
+      completions  Print the script that completes commands and options in a shell
+      man          Print the manual page, or write the pages of all commands to a folder
       help         Print this message or the help of the given subcommand(s)
 
     Options:
       -h, --help     Print help
       -V, --version  Print version
 
+    Global options:
+      -q, --quiet               Print nothing but errors
+      -j, --threads <N>         Threads to use; the results do not depend on it [default: all
+                                processors]
+          --color <WHEN>        When to colour what is printed: `auto`, `always` or `never` [default:
+                                auto]
+          --instructions <SET>  Instructions to use: `portable`, `avx2` or `avx512`, for the same bits
+                                on every machine that has them [default: the widest; or the variable
+                                KALFIT_INSTRUCTIONS]
+
     Examples:
       kalfit init gyro-bench bench            a model to start from, and its data, in the folder `bench`
       kalfit fit bench/gyro-bench.toml bench/gyro-bench.csv --out fit.json --report fit.html
-      kalfit check model.toml data.csv        before a fit: is all understood as it was meant
+      kalfit check model.toml data.csv        before a fit: what the data can identify
 
-    Exit status: 0 done and certified; 1 finished without a certified optimum; 2 bad input, nothing is
-    written; 130 interrupted: a fit shows and writes the best so far, other commands write nothing.
-    Colours: on terminals, unless NO_COLOR is set; CLICOLOR_FORCE=1 asks for them everywhere.
+    Exit status: 0 success; 1 a fit did not converge, or a file could not be written beside others; 2
+    bad input, no file was written; 130 interrupted: a fit shows and writes the best so far, other
+    commands write nothing.
+    Colours: on terminals, unless NO_COLOR is set; CLICOLOR_FORCE=1 or `--color always` asks for them
+    everywhere.
     ----- stderr
     ");
     assert_snapshot!(shown(&folder.run("fit --help")), @"
     exit 0
     ----- stdout
-    Fit a model to data: a summary to standard output, all results to a file
+    Fit a model to data: print a summary, write all results to a file
 
     Usage: kalfit fit [OPTIONS] <MODEL> <DATA>...
 
@@ -77,22 +94,19 @@ fn version_and_help() {
               Data: CSV, Parquet or Arrow files, patterns such as `runs/*.csv`, `-` for standard input
 
     Options:
+      -h, --help
+              Print help (see a summary with '-h')
+
+    Model:
           --set <NAME=VALUE>
               Fix a parameter: `tau=90`, or `sigma[A]=0.7` at one level; may be given many times
 
-          --threads <N>
-              Threads to use; the results do not depend on it [default: all processors]
-
-          --instructions <SET>
-              Instructions to use: `portable`, `avx2` or `avx512`, for the same bits on every machine
-              that has them [default: the widest; or the variable KALFIT_INSTRUCTIONS]
-
-          --out <FILE>
-              File for all results, as JSON
+    Output:
+      -o, --out <FILE>
+              File for all results, as JSON; `-` writes them to standard output in place of the summary
 
           --report <FILE.html>
-              File for a report, one HTML page that needs nothing else; of records with times it shows
-              them, too
+              File for a report: one self-contained HTML page; for data with times it also shows records
 
           --tests <FILE>
               File for a table of the tests: distance, likelihood, innovations, influence, posterior.
@@ -105,52 +119,54 @@ fn version_and_help() {
           --constraints <FILE>
               File for a table of the constraints, and what each costs
 
+          --no-tests
+              Leave out all results of single tests (estimates, innovations, influence): for millions of
+              tests, where they would take more time and memory than the fit
+
+    Search:
           --method <METHOD>
-              How free dynamic parameters are sought
+              How free dynamic parameters are estimated
 
               Possible values:
-              - hybrid:      Mean and covariance are solved for each value of the parameters, which an
-                outer search moves
-              - innovations: Maximum likelihood of the innovations, jointly in all that is free
-              - em:          EM on the states and noises: many more steps, to the same point
-              - all:         All three, side by side; the results are those of `hybrid`
+              - hybrid:      A search over the parameters, with mean and covariance solved for at each
+                step
+              - innovations: A joint search over parameters, mean and covariance
+              - em:          The EM algorithm: many more steps to the same optimum
+              - all:         All three, for comparison; the results are those of `hybrid`
               
               [default: hybrid]
 
           --starts <N>
-              Random starts of the search for dynamic parameters, besides the one worked out from the
-              data [default: 0]
+              Additional random starts of the search for dynamic parameters [default: 0]
 
           --seed <N>
               Seed of the random starts [default: 1]
 
           --solver <SOLVER>
-              How the mean and the covariance are sought
+              How the mean and the covariance are estimated
 
               Possible values:
               - newton: Newton's method with the exact Hessian, safeguarded by EM
-              - em:     The EM algorithm: many more passes, to the same point
+              - em:     The EM algorithm: many more iterations to the same optimum
               
               [default: newton]
 
           --criterion <CRITERION>
-              What is maximised
+              Likelihood that is maximised
 
               Possible values:
-              - ml:   The likelihood of the mean and the covariance
-              - reml: The restricted likelihood of the covariance, whose estimate does not shrink when
-                tests are few
+              - ml:   Maximum likelihood
+              - reml: Restricted maximum likelihood: less biased covariances with few tests
               
               [default: ml]
 
           --phases <PHASES>
-              How tests in several phases are put together
+              How the phases of a test are combined
 
               Possible values:
-              - chain:    Phase by phase: exact, at a cost that is linear in the number of phases
-              - marginal: Each phase by itself: the correlation between phases is ignored, and
-                information with it
-              - stacked:  As one large test: exact, the reference
+              - chain:    Exactly, phase by phase; the cost is linear in the number of phases
+              - marginal: Separately: the correlation between phases is ignored, which loses information
+              - stacked:  Exactly, as one large test: slower, for comparison
               
               [default: chain]
 
@@ -158,67 +174,74 @@ fn version_and_help() {
               Stop within this many standard errors of the optimum [default: 1e-8]
 
           --max-iterations <N>
-              Stop after this many passes over the reduced data [default: 200 with newton, 20000 with
-              em]
+              Stop after this many iterations [default: 200 with newton, 20000 with em]
 
+    Inference:
           --intervals <INTERVALS>
-              What 95 % intervals are made of
+              How 95 % intervals are computed
 
               Possible values:
-              - wald:    Standard errors
-              - profile: Profile likelihood: what a likelihood-ratio test at 5 % does not reject
+              - wald:    From standard errors
+              - profile: From the profile likelihood: all values that a likelihood-ratio test at 5 %
+                does not reject
               
               [default: wald]
 
           --std-errors <STD_ERRORS>
-              What standard errors are made of
+              How standard errors are computed
 
               Possible values:
-              - observed: The curvature of the log-likelihood
-              - expected: Its expectation
-              - sandwich: Both, and the spread of the tests' scores: right also for a wrong model, given
-                many tests
+              - observed: From the curvature of the log-likelihood
+              - expected: From the expected curvature
+              - sandwich: From the curvature and the scatter of the tests' scores: valid for wrong
+                models, given many tests
               
               [default: observed]
 
           --deletion <DELETION>
-              Whether to fit again without each test in turn
+              Whether to repeat the fit without each test in turn, to find influential tests
 
               Possible values:
-              - auto: When it takes about a second at most
-              - all:  Whatever it takes
+              - auto: If that takes about a second at most
+              - all:  Always
               - none: Never
               
               [default: auto]
 
           --innovations <WHEN>
-              Look at each test's innovations after the fit: is the model right for it
+              Whether to compute the innovations of each test, to check the model
 
               Possible values:
-              - on:  Look at them; large data are read a second time
+              - on:  Compute them; large data are read twice
               - off: Leave them out, and read the data once
               
               [default: on]
 
           --group-test
-              Fit each group of `[data] group` by itself too, and say whether the groups differ
+              Also fit each group of `[data] group` separately, and test whether the groups differ
 
-          --no-tests
-              Leave out what each test says, its innovations and the fits without it: `tests` of the
-              results is empty. For millions of tests, of which that would take more time, memory and
-              disk than the fit
-
-          --quiet
+    Global options:
+      -q, --quiet
               Print nothing but errors
 
-      -h, --help
-              Print help (see a summary with '-h')
+      -j, --threads <N>
+              Threads to use; the results do not depend on it [default: all processors]
+
+          --color <WHEN>
+              When to colour what is printed: `auto`, `always` or `never`
+              
+              [default: auto]
+
+          --instructions <SET>
+              Instructions to use: `portable`, `avx2` or `avx512`, for the same bits on every machine
+              that has them [default: the widest; or the variable KALFIT_INSTRUCTIONS]
 
     Examples:
       kalfit fit model.toml data.csv
       kalfit fit model.toml 'runs/*.csv' --out fit.json --report fit.html
       kalfit fit model.toml data.csv --tests tests.parquet --parameters parameters.csv
       kalfit fit model.toml data.parquet --set tau=90 --intervals profile --starts 5
+      kalfit fit model.toml data.csv -o - | jq .log_likelihood
 
     Ctrl-C ends the search: the best so far is shown, and written to `--out` and `--report`, marked as
     not converged, with exit status 130. A second Ctrl-C ends at once, and writes nothing.
@@ -227,7 +250,7 @@ fn version_and_help() {
     assert_snapshot!(shown(&folder.run("check --help")), @"
     exit 0
     ----- stdout
-    Read a model, and data if given, and fit nothing: the model in words, counts, what the data identify
+    Describe a model in words, count the data, and say what they can identify; nothing is fitted
 
     Usage: kalfit check [OPTIONS] <MODEL> [DATA]...
 
@@ -237,18 +260,30 @@ fn version_and_help() {
                  input
 
     Options:
-          --set <NAME=VALUE>    Fix a parameter: `tau=90`, or `sigma[A]=0.7` at one level; may be given
-                                many times
-          --threads <N>         Threads to use; the results do not depend on it [default: all
+      -h, --help  Print help
+
+    Model:
+          --set <NAME=VALUE>  Fix a parameter: `tau=90`, or `sigma[A]=0.7` at one level; may be given
+                              many times
+
+    Output:
+      -o, --out <FILE>  File for what was found, as JSON; `-` writes it to standard output in place of
+                        the summary
+
+    Global options:
+      -q, --quiet               Print nothing but errors
+      -j, --threads <N>         Threads to use; the results do not depend on it [default: all
                                 processors]
+          --color <WHEN>        When to colour what is printed: `auto`, `always` or `never` [default:
+                                auto]
           --instructions <SET>  Instructions to use: `portable`, `avx2` or `avx512`, for the same bits
                                 on every machine that has them [default: the widest; or the variable
                                 KALFIT_INSTRUCTIONS]
-      -h, --help                Print help
 
     Examples:
-      kalfit check model.toml                 is the model file sound, and how is it understood
-      kalfit check model.toml data.csv        what the data identify, too
+      kalfit check model.toml                 is the model file valid, and how is it understood
+      kalfit check model.toml data.csv        also what the data can identify
+      kalfit check model.toml data.csv -o -   the same as JSON
     ----- stderr
     ");
 }

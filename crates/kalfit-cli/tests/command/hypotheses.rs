@@ -51,16 +51,17 @@ fn a_mean_is_tested_against_chi_squared() {
     BCG vaccine against tuberculosis, log risk ratios
 
     Hypothesis: no effect at the equator
-    The data do not speak against it: p = 0.22 by the large-sample law.
+    The data do not contradict the hypothesis: p = 0.22 by the large-sample
+    distribution.
 
     Fits to 13 tests
-                  log-likelihood  free    AIC  certified
+                  log-likelihood  free    AIC  converged
       hypothesis       -8.450369     2  20.90        yes
       model           -7.6856655     3  21.37        yes
 
     -2 log λ = 1.52941
-      reference law  p-value
-      χ²(1)             0.22
+      reference distribution  p-value
+      χ²(1)                      0.22
 
     Notes
       With 13 tests the large-sample law is a rough guide, and its p-values tend to
@@ -77,15 +78,15 @@ fn a_variance_of_zero_is_tested_against_a_mixture() {
     BCG vaccine against tuberculosis, log risk ratios
 
     Hypothesis: h.toml
-    The data speak against it: p = 0.03 by the large-sample law.
+    The data contradict the hypothesis: p = 0.03 by the large-sample distribution.
 
     Fits to 13 tests
-                  log-likelihood  free    AIC  certified
+                  log-likelihood  free    AIC  converged
       hypothesis      -9.4736109     2  22.95        yes
       model           -7.6856655     3  21.37        yes
 
     -2 log λ = 3.57589
-      reference law                      p-value
+      reference distribution             p-value
       0.5 χ²(0) + 0.5 χ²(1)                 0.03
       χ²(1), which ignores the boundary     0.06
 
@@ -105,19 +106,20 @@ fn mean_and_covariance_are_also_tested_apart() {
     BCG vaccine against tuberculosis, log risk ratios
 
     Hypothesis: h.toml
-    The data speak strongly against it: p = 1e-5 by the large-sample law.
+    The data strongly contradict the hypothesis: p = 1e-5 by the large-sample
+    distribution.
 
     Fits to 13 tests
-                  log-likelihood  free    AIC  certified
+                  log-likelihood  free    AIC  converged
       hypothesis      -18.458109     1  38.92        yes
       model           -7.6856655     3  21.37        yes
 
     -2 log λ = 21.5449
-      reference law                      p-value
+      reference distribution             p-value
       0.5 χ²(1) + 0.5 χ²(2)                 1e-5
       χ²(2), which ignores the boundary     2e-5
 
-    Mean and covariance apart
+    Mean and covariance separately
       hypothesis on     -2 log λ  df  p-value
       mean alone          1.5294   1     0.22
       covariance alone    3.5759   1     0.03
@@ -138,16 +140,16 @@ fn a_hypothesis_without_a_regression_is_within_the_model() {
     BCG vaccine against tuberculosis, log risk ratios
 
     Hypothesis: h.toml
-    The data speak against it: p = 0.002 by the large-sample law.
+    The data contradict the hypothesis: p = 0.002 by the large-sample distribution.
 
     Fits to 13 tests
-                  log-likelihood  free    AIC  certified
+                  log-likelihood  free    AIC  converged
       hypothesis      -12.665076     2  29.33        yes
       model           -7.6856655     3  21.37        yes
 
     -2 log λ = 9.95882
-      reference law  p-value
-      χ²(1)            0.002
+      reference distribution  p-value
+      χ²(1)                     0.002
 
     Notes
       With 13 tests the large-sample law is a rough guide, and its p-values tend to
@@ -165,21 +167,22 @@ fn the_bootstrap_draws_the_same_on_any_number_of_threads() {
     BCG vaccine against tuberculosis, log risk ratios
 
     Hypothesis: h.toml
-    The data speak against it: p = 0.02 by the bootstrap.
+    The data contradict the hypothesis: p = 0.02 by the bootstrap.
 
     Fits to 13 tests
-                  log-likelihood  free    AIC  certified
+                  log-likelihood  free    AIC  converged
       hypothesis      -18.458109     1  38.92        yes
       model           -7.6856655     3  21.37        yes
 
     -2 log λ = 21.5449
-      reference law                      p-value
+      reference distribution             p-value
       0.5 χ²(1) + 0.5 χ²(2)                 1e-5
       χ²(2), which ignores the boundary     2e-5
       bootstrap of 60, seed 7 (± 0.016)     0.02
-      No draw came up to the data: more draws may well give a smaller p-value.
+      No draw was as extreme as the data: with more draws the p-value may be
+        smaller.
 
-    Mean and covariance apart
+    Mean and covariance separately
       hypothesis on     -2 log λ  df  p-value
       mean alone          1.5294   1     0.22
       covariance alone    3.5759   1     0.03
@@ -260,16 +263,16 @@ fn a_set_parameter_is_set_on_both_sides() {
     Gyros on a turntable
 
     Hypothesis: h.toml
-    The data speak against it: p = 0.03 by the large-sample law.
+    The data contradict the hypothesis: p = 0.03 by the large-sample distribution.
 
     Fits to 6 tests
-                  log-likelihood  free      AIC  certified
+                  log-likelihood  free      AIC  converged
       hypothesis       81.799801     3  -157.60        yes
       model            84.307711     4  -160.62        yes
 
     -2 log λ = 5.01582
-      reference law  p-value
-      χ²(1)             0.03
+      reference distribution  p-value
+      χ²(1)                      0.03
 
     Notes
       With 6 tests the large-sample law is a rough guide, and its p-values tend to
@@ -508,17 +511,16 @@ fn fits_that_are_not_certified_are_said_to_be_so() {
     BCG vaccine against tuberculosis, log risk ratios
 
     Hypothesis: no effect at the equator
-    Not certified: a fit did not end at a certified optimum, so this test means
-    little.
+    Not converged: one of the fits did not converge, so this test means little.
 
     Fits to 13 tests
-                  log-likelihood  free    AIC  certified
+                  log-likelihood  free    AIC  converged
       hypothesis      -8.7423203     2  21.48         no
       model           -8.5373189     3  23.07         no
 
     -2 log λ = 0.410003
-      reference law  p-value
-      χ²(1)             0.52
+      reference distribution  p-value
+      χ²(1)                      0.52
 
     Notes
       With 13 tests the large-sample law is a rough guide, and its p-values tend to
@@ -539,7 +541,7 @@ fn help_shows_an_example() {
     assert_snapshot!(shown(&Folder::new(&[]).run("test --help")), @r#"
     exit 0
     ----- stdout
-    Test a hypothesis within a model by the ratio of the likelihoods
+    Test a hypothesis within a model by a likelihood-ratio test
 
     Usage: kalfit test [OPTIONS] --null <NULL> <MODEL> <DATA>...
 
@@ -549,22 +551,31 @@ fn help_shows_an_example() {
                  input
 
     Options:
-          --set <NAME=VALUE>    Fix a parameter: `tau=90`, or `sigma[A]=0.7` at one level; may be given
-                                many times
-          --threads <N>         Threads to use; the results do not depend on it [default: all
+          --null <NULL>         File of the hypothesis (TOML)
+          --bootstrap <N>       Also draw this many ensembles from the hypothesis and repeat the test in
+                                each: a p-value without large-sample theory
+          --seed <S>            Seed of the bootstrap [default: 1]
+          --tolerance <T>       Stop within this many standard errors of the optimum [default: 1e-8]
+          --max-iterations <N>  Stop a fit after this many iterations [default: 200]
+      -h, --help                Print help
+
+    Model:
+          --set <NAME=VALUE>  Fix a parameter: `tau=90`, or `sigma[A]=0.7` at one level; may be given
+                              many times
+
+    Output:
+      -o, --out <FILE>  File for the results, as JSON; `-` writes them to standard output in place of
+                        the summary
+
+    Global options:
+      -q, --quiet               Print nothing but errors
+      -j, --threads <N>         Threads to use; the results do not depend on it [default: all
                                 processors]
+          --color <WHEN>        When to colour what is printed: `auto`, `always` or `never` [default:
+                                auto]
           --instructions <SET>  Instructions to use: `portable`, `avx2` or `avx512`, for the same bits
                                 on every machine that has them [default: the widest; or the variable
                                 KALFIT_INSTRUCTIONS]
-          --null <NULL>         File of the hypothesis (TOML)
-          --bootstrap <N>       Also draw this many ensembles from the hypothesis, and test it in each:
-                                no large-sample law is needed
-          --seed <S>            Seed of the bootstrap [default: 1]
-          --out <FILE>          File for the results, as JSON
-          --tolerance <T>       Stop within this many standard errors of the optimum [default: 1e-8]
-          --max-iterations <N>  Stop a fit after this many passes over the reduced data [default: 200]
-          --quiet               Print nothing but errors
-      -h, --help                Print help
 
     Examples:
       kalfit test model.toml data.csv --null null.toml

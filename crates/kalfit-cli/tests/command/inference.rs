@@ -101,14 +101,15 @@ fn standard_errors_say_what_they_are_made_of() {
 #[test]
 fn tests_are_deleted_when_asked() {
     let (text, found) = fit("--deletion all");
-    assert_snapshot!(section(&text, "The answer without each test"), @"
-    The answer without each test
-      test  displacement  p-value by the others
-      6             13.3                   3e-5
+    assert_snapshot!(section(&text, "Influence of single tests"), @"
+    Influence of single tests
+      test  displacement  p-value without it
+      6             13.3                3e-5
       Leaving this test out moves the estimates outside the 50 % confidence region
         of the full fit.
       Displacement (Cook's): twice the drop in the log-likelihood of all tests when
-        the estimates from the other tests are used.
+        the estimates from the other tests are used. The p-value says how well the
+        test agrees with the estimates from the other tests.
     ");
     let deletion = &found["tests"][5]["deletion"];
     let keys: Vec<&String> = deletion.as_object().expect("an object").keys().collect();
@@ -117,7 +118,7 @@ fn tests_are_deleted_when_asked() {
     assert_eq!(found["tests"], default["tests"], "it takes less than a second here");
     assert_eq!(section(&text, "The answer without"), section(&auto, "The answer without"));
     let (text, found) = fit("--deletion none");
-    assert_eq!(section(&text, "The answer without each test"), "\n");
+    assert_eq!(section(&text, "Influence of single tests"), "\n");
     let tests = found["tests"].as_array().expect("a list");
     assert!(tests.iter().all(|t| t["deletion"].is_null()), "{:?}", tests[0]);
 }

@@ -93,7 +93,9 @@ fn what_is_not_identified_has_a_reason_and_its_tests() {
     assert_eq!(reasons.iter().filter(|r| **r == "no test observes `other`").count(), 4, "{reasons:?}");
     assert!(reasons.contains(&"`level` and `slope` are never observed in one test"), "{reasons:?}");
     let text = shown(&folder.run("check m.toml d.csv"));
-    for part in ["other     none", "2 of 4", "never observed in one test", "Only 2 tests see slope: c and d"] {
+    for part in
+        ["other     none", "2 of 4", "never observed in one test", "Only 2 tests contain information on slope: c and d"]
+    {
         assert!(
             text.split_whitespace()
                 .collect::<Vec<_>>()

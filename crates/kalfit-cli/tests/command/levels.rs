@@ -71,17 +71,17 @@ fn the_summary_says_how_much_is_from_unit_to_unit() {
     Initial state: mean, and spread within one Lot (± standard error)
       state        mean        std dev
       thickness  2000.2 ± 4.0      6.0 ± 1.2
-      The standard deviations are from test to test of one Lot; those from Lot to
-        Lot are under "Spread by level".
+      These standard deviations describe tests of one Lot; see "Spread by level" for
+        those from Lot to Lot.
 
-    Spread by level (share of the variance of a test)
+    Spread by level (share: part of the variance of a test)
       state      spread          number  std dev        95 % interval   share
       thickness  Lot to Lot           8     10.6 ± 3.0  6.1 to 18.3    75.7 %
                  within one Lot      24      6.0 ± 1.2  4.1 to 8.8     24.3 %
 
     Outlying groups
-      No group stands out: the smallest of 8 p-values is 0.06 (Lot 6), or 0.45 with
-        Bonferroni's correction.
+      No group is an outlier: the smallest of 8 p-values is 0.06 (Lot 6), or 0.45
+        after Bonferroni correction.
     "#);
     let profiled = shown(&folder.run("fit oxide.toml oxide.csv --intervals profile"));
     assert_snapshot!(between(&profiled, "95 % intervals by profile", "Outlying groups"), @"
@@ -91,7 +91,7 @@ fn the_summary_says_how_much_is_from_unit_to_unit() {
       std dev of thickness  within one Lot       6.0     4.1     9.1
       std dev of thickness  Lot to Lot          10.6     6.3    19.8
 
-    Spread by level (share of the variance of a test)
+    Spread by level (share: part of the variance of a test)
       state      spread          number  std dev        95 % interval   share
       thickness  Lot to Lot           8     10.6 ± 3.0  6.3 to 19.8    75.7 %
                  within one Lot      24      6.0 ± 1.2  4.1 to 9.1     24.3 %
@@ -206,8 +206,7 @@ fn more_units_or_more_runs_are_planned() {
     ----- stdout
     Thickness of oxide: wafers of lots
 
-    Design: 24 tests, 72 steps, 72 observations from oxide.csv; all tests share one
-    design.
+    Design: 24 tests, 72 steps, 72 observations from oxide.csv.
     Population: fit.json.
     Column 8 × 1: 8 groups of `Lot`, 1 test in each.
 
@@ -221,12 +220,13 @@ fn more_units_or_more_runs_are_planned() {
       Lot.thickness   10.6      -    3.0       -     2.1
 
     How to read this
-      From the expected information at these values; groups and tests are like those
-        of the design, one after the other. Estimates from few tests spread more,
-        and those of standard deviations are skewed.
-      A dash: so few groups and tests do not identify it.
-      sigma is free in the model and is taken as known here, at its value in
-        fit.json; estimating it too makes standard errors larger.
+      Standard errors come from the expected information at these values; groups and
+        tests are like those of the design, one after the other. With few tests,
+        estimates scatter more than this, and those of standard deviations are
+        skewed.
+      A dash: not identified by so few groups and tests.
+      sigma is free in the model but is taken as known here, at its value in
+        fit.json; if it were estimated too, standard errors would be larger.
     ----- stderr
     Wrote plan.json
     ");

@@ -29,8 +29,7 @@ fn the_plan_of_an_example() {
     ----- stdout
     Gyros on two bench stations
 
-    Design: 28 tests, 614 steps, 614 observations from bench.csv; every test has a
-    design of its own; 8 tests took the square-root path.
+    Design: 28 tests, 614 steps, 614 observations from bench.csv.
     Population: fit.json.
 
     Expected standard errors of the means
@@ -52,9 +51,9 @@ fn the_plan_of_an_example() {
       scale, g_sensitivity  -0.62     0.47      0.33      0.20      0.15
 
     How to read this
-      From the expected information at these values; N tests count as N/28 times the
-        design. Estimates from few tests spread more, and those of standard
-        deviations are skewed.
+      Standard errors come from the expected information at these values; N tests
+        count as N/28 times the design. With few tests, estimates scatter more than
+        this, and those of standard deviations are skewed.
     ----- stderr
     Wrote plan.json
     ");
@@ -79,8 +78,7 @@ fn what_is_fixed_and_what_is_taken_as_known_is_said() {
     ----- stdout
     Gyros on a turntable
 
-    Design: 6 tests, 60 steps, 57 observations from gyro.csv; every test has a
-    design of its own.
+    Design: 6 tests, 60 steps, 57 observations from gyro.csv.
     Population: gyro.json.
 
     Expected standard errors of the means
@@ -96,11 +94,11 @@ fn what_is_fixed_and_what_is_taken_as_known_is_said() {
       temperature_coefficient              0    fixed          -
 
     How to read this
-      From the expected information at these values; N tests count as N/6 times the
-        design. Estimates from few tests spread more, and those of standard
-        deviations are skewed.
-      tau is free in the model and is taken as known here, at its value in
-        gyro.json; estimating it too makes standard errors larger.
+      Standard errors come from the expected information at these values; N tests
+        count as N/6 times the design. With few tests, estimates scatter more than
+        this, and those of standard deviations are skewed.
+      tau is free in the model but is taken as known here, at its value in
+        gyro.json; if it were estimated too, standard errors would be larger.
     ----- stderr
     Wrote plan.json
     ");

@@ -82,7 +82,7 @@ fn a_mission_is_what_the_fit_makes_of_it() {
     ----- stdout
     Wandering gyros
 
-    Predictions for 1 test with 3 rows, all parameters as in fit.json.
+    Predictions for 1 test with 3 rows; all parameters are taken from fit.json.
 
     Test m, at time 9
                      mean  std. dev.  population  process  estimation
@@ -104,17 +104,17 @@ fn a_mission_is_what_the_fit_makes_of_it() {
         probable, CEP), and within 4.058 of zero.
 
     How to read this
-      Standard deviations: "population" is the spread of the initial states from
-        test to test, "process" that of process noise and of a start that is known
-        to vary, "estimation" what is not known of the mean. The first column is the
-        three together, those that are known.
-      Limits of the mean hold with confidence 90 %, both together. Tolerance limits
-        hold with confidence 90 %: 95 % of all tests are between them.
-      Limits take the estimate of the variance as chi-squared, with the degrees of
-        freedom that its standard error says. That is exact where every test tells
-        its initial state exactly, and near where tests are many. "Unknown" are
-        limits that the tests are too few for, and of what the data do not
-        determine.
+      Standard deviations: "population" is the spread of the estimated initial
+        states from test to test, "process" that of process noise and of initial
+        states with a given spread, and "estimation" the error of the estimated
+        mean. The column "std. dev." combines those that are known.
+      Limits of the mean: a two-sided interval with confidence 90 %. Tolerance
+        limits, with confidence 90 %: 95 % of all tests are between them.
+      The limits treat the estimated variance as chi-squared, with degrees of
+        freedom that follow from its standard error. That is exact where every test
+        determines its initial state exactly, and a good approximation for many
+        tests. A limit is "unknown" where there are too few tests for it or the data
+        do not determine the quantity.
     ----- stderr
     Wrote mission.out.csv
     "#);
@@ -191,7 +191,7 @@ fn what_cannot_be_told_is_not_told() {
     record["estimates"] = serde_json::Value::Null;
     std::fs::write(folder.path("old.json"), record.to_string()).unwrap();
     let output = folder.run("predict m.toml --from old.json --design mission.csv --out p.csv");
-    assert!(shown(&output).contains("does not say how its estimates vary together"), "{}", shown(&output));
+    assert!(shown(&output).contains("does not contain the covariance of its estimates"), "{}", shown(&output));
     assert!(folder.table("p.csv").iter().all(|row| row["std_dev_estimation"].is_empty()));
     // beyond all numbers
     std::fs::write(folder.path("huge.toml"), "[outputs.a]\nequation = \"1e308 * bias * gain * 1e10\"\n").unwrap();

@@ -176,17 +176,17 @@ fn what_is_no_result_is_refused() {
     assert_snapshot!(refused("report d.csv --out new.html", &[]), @"
     error: `d.csv` is not a result of `kalfit fit`: expected value at line 1 column 1
 
-    hint: `kalfit report` takes what `kalfit fit --out` writes
+    hint: give a file that `kalfit fit --out` wrote
     ");
     assert_snapshot!(refused("report half.json --out new.html", &[("half.json", r#"{"schema": "kalfit-fit/1"}"#)]), @"
     error: `half.json` is not a result of `kalfit fit`: missing field `kalfit_version` at line 1 column 26
 
-    hint: `kalfit report` takes what `kalfit fit --out` writes
+    hint: give a file that `kalfit fit --out` wrote
     ");
     assert_snapshot!(refused("report test.json --out new.html", &[]), @"
     error: `test.json`: the schema is `kalfit-test/1`, expected `kalfit-fit/1`
 
-    hint: `kalfit report` takes what `kalfit fit --out` writes
+    hint: give a file that `kalfit fit --out` wrote
     ");
     assert_snapshot!(refused("report fit.json --test fit.json --out new.html", &[]), @"
     error: `fit.json`: the schema is `kalfit-fit/1`, expected `kalfit-test/1`

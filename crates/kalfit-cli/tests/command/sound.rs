@@ -50,19 +50,12 @@ fn sleep_study_has_the_figures_of_lme4() {
     for (what, found, expected) in expected {
         assert!((found - expected).abs() < 1e-4, "{what}: found {found}, lme4 has {expected}");
     }
-    assert_snapshot!(steady(&text), @"
+    assert_snapshot!(steady(&text), @r#"
     exit 0
     ----- stdout
     Reaction time under sleep deprivation
 
-    Converged: the optimality certificate holds, so these are the maximum-likelihood
-    estimates.
-    Model check doubtful: the innovations of 4 of 18 tests are improbable (size or
-    correlation in time).
-
-    Data: 18 tests, 180 steps, 180 observations from sleepstudy.csv; all tests share
-    one design.
-    Log-likelihood -875.97, 5 free parameters, AIC 1761.94, BIC 1777.90.
+    Data: 18 tests, 180 steps, 180 observations from sleepstudy.csv.
 
     Initial state over the tests (± standard error)
       state      unit     mean        std dev
@@ -77,30 +70,44 @@ fn sleep_study_has_the_figures_of_lme4() {
       parameter  unit    value
       sigma      ms    25.5918 fixed
 
+    Convergence and model check
+    Converged: the optimality conditions hold, so these are the maximum-likelihood
+    estimates.
+    Model check doubtful: the innovations of 4 of 18 tests are improbable (size or
+    correlation in time).
+    Log-likelihood -875.97, 5 free parameters, AIC 1761.94, BIC 1777.90.
+
+    What to do next
+      Let noise levels differ between tests (`per = "test"`, or `per` a column), or
+        look for faults in the tests named under Innovations.
+      Add a process for what is correlated in time, such as a random walk or a
+        Gauss-Markov state, or another one beside it.
+
     Outlying tests
-      No test stands out: the smallest of 18 p-values is 0.08 (test 309), or 1 with
-        Bonferroni's correction.
+      No test is an outlier: the smallest of 18 p-values is 0.08 (test 309), or 1
+        after Bonferroni correction.
 
-    The answer without each test
-      No test decides it alone: the estimates move most without test 309, by a
-        displacement of 1.3 for 5 free quantities.
+    Influence of single tests
+      No single test is influential. Test 309 moves the estimates most: its Cook's
+        displacement is 1.3, and 4.4 is the edge of the 50 % confidence region.
 
-    Innovations (what the filter did not expect)
+    Innovations (measured minus predicted)
       test  what                  found  expected  p-value    Holm
       332   larger than modelled   45.5        10     4e-6  0.0001
       309   correlated in time     15.7         2   0.0003   0.009
       335   correlated in time     14.9         2   0.0004    0.01
       308   larger than modelled     31        10    0.001    0.04
-      These are improbable among 36 p-values (Holm, 5 % level): a size other than
-        modelled asks for other noise levels, or for a look at the test; correlation
-        in time suggests a missing process, such as a drift.
-      Mean square of 180 innovations over all tests, each in units of its variance:
+      These are improbable at the 5 % level, after Holm correction for 36 p-values:
+        a size that differs from the model suggests other noise levels, or faults in
+        the test; correlation in time suggests a missing process, such as a drift.
+      Mean square of all 180 innovations, each divided by its standard deviation:
         1.00 (expected 1 ± 0.11).
 
-    Solver newton, [work].
+    All tests have the same design (times, inputs and missing values).
+    Computation: solver newton, [work].
     ----- stderr
     Wrote fit.json
-    ");
+    "#);
 }
 
 #[test]
@@ -120,14 +127,7 @@ fn meta_analysis_has_the_figures_of_metafor() {
     ----- stdout
     Surgical against non-surgical treatment of periodontal disease
 
-    Converged: the optimality certificate holds, so these are the maximum-likelihood
-    estimates.
-    Model check passed: innovations and tests agree with the model. Test 2 by itself
-    decides much of the answer.
-
-    Data: 5 tests, 5 steps, 10 observations from berkey1998.csv; every test has a
-    design of its own.
-    Log-likelihood 5.84, 5 free parameters, AIC -1.68, BIC -0.17.
+    Data: 5 tests, 5 steps, 10 observations from berkey1998.csv.
 
     Initial state over the tests (± standard error)
       state  unit    mean          std dev
@@ -138,29 +138,42 @@ fn meta_analysis_has_the_figures_of_metafor() {
                    PD
       AL  0.70 ± 0.45
 
-    Outlying tests
-      No test stands out: the smallest of 5 p-values is 0.20 (test 5), or 1 with
-        Bonferroni's correction.
+    Convergence and model check
+    Converged: the optimality conditions hold, so these are the maximum-likelihood
+    estimates.
+    Model check passed: innovations and tests agree with the model. Test 2 by itself
+    decides much of the answer.
+    Log-likelihood 5.84, 5 free parameters, AIC -1.68, BIC -0.17.
 
-    The answer without each test
-      test  displacement  p-value by the others
-      2             10.3                 0.0002
+    What to do next
+      Check the data of test 2 with care, because the estimates depend on it; the
+        results file has the estimates without it.
+
+    Outlying tests
+      No test is an outlier: the smallest of 5 p-values is 0.20 (test 5), or 1 after
+        Bonferroni correction.
+
+    Influence of single tests
+      test  displacement  p-value without it
+      2             10.3              0.0002
       Leaving this test out moves the estimates outside the 50 % confidence region
         of the full fit.
       Displacement (Cook's): twice the drop in the log-likelihood of all tests when
-        the estimates from the other tests are used.
+        the estimates from the other tests are used. The p-value says how well the
+        test agrees with the estimates from the other tests.
 
-    Innovations (what the filter did not expect)
-      Mean square of 10 innovations over all tests, each in units of its variance:
+    Innovations (measured minus predicted)
+      Mean square of all 10 innovations, each divided by its standard deviation:
         1.08 (expected 1 ± 0.45).
-      Residual checks passed for all tests (smallest p = 0.41, size in 5; 1 after
+      Innovation checks passed for all tests (smallest p = 0.41, size in 5; 1 after
         Holm correction for 5 tests).
 
     Notes
       The variance of `PD` is weakly determined: its standard error (0.00905) is no
         smaller than the variance itself (0.007002).
 
-    Solver newton, [work].
+    Every test has its own design (times, inputs and missing values).
+    Computation: solver newton, [work].
     ----- stderr
     Wrote fit.json
     ");
@@ -173,14 +186,7 @@ fn gyro_bench_finds_the_error_model_behind_the_simulated_data() {
     ----- stdout
     Gyros on two bench stations
 
-    Converged: the optimality certificate holds, so these are the maximum-likelihood
-    estimates.
-    Model check passed: innovations and tests agree with the model. Test g07 by
-    itself decides much of the answer.
-
-    Data: 28 tests, 614 steps, 614 observations from bench.csv; every test has a
-    design of its own; 8 tests took the square-root path.
-    Log-likelihood 377.11, 9 free parameters, AIC -736.23, BIC -696.45.
+    Data: 28 tests, 614 steps, 614 observations from bench.csv.
 
     Initial state over the tests (± standard error)
       state          unit      mean          std dev
@@ -200,23 +206,35 @@ fn gyro_bench_finds_the_error_model_behind_the_simulated_data() {
       noise_a      deg/h   0.06 fixed
       noise_b      deg/h    0.1 fixed
 
-    Outlying tests
-      No test stands out: the smallest of 28 p-values is 0.09 (test g23), or 1 with
-        Bonferroni's correction.
+    Convergence and model check
+    Converged: the optimality conditions hold, so these are the maximum-likelihood
+    estimates.
+    Model check passed: innovations and tests agree with the model. Test g07 by
+    itself decides much of the answer.
+    Log-likelihood 377.11, 9 free parameters, AIC -736.23, BIC -696.45.
 
-    The answer without each test
-      test  displacement  p-value by the others
-      g07             23                   1e-7
+    What to do next
+      Check the data of test g07 with care, because the estimates depend on it; the
+        results file has the estimates without it.
+
+    Outlying tests
+      No test is an outlier: the smallest of 28 p-values is 0.09 (test g23), or 1
+        after Bonferroni correction.
+
+    Influence of single tests
+      test  displacement  p-value without it
+      g07             23                1e-7
       Leaving this test out moves the estimates outside the 50 % confidence region
         of the full fit.
       Displacement (Cook's): twice the drop in the log-likelihood of all tests when
-        the estimates from the other tests are used.
+        the estimates from the other tests are used. The p-value says how well the
+        test agrees with the estimates from the other tests.
 
-    Innovations (what the filter did not expect)
-      Mean square of 614 innovations over all tests, each in units of its variance:
+    Innovations (measured minus predicted)
+      Mean square of all 614 innovations, each divided by its standard deviation:
         1.106 (expected 1 ± 0.057).
-      Residual checks passed for all tests (smallest p = 0.006, time correlation in
-        g28; 0.33 after Holm correction for 54 tests).
+      Innovation checks passed for all tests (smallest p = 0.006, time correlation
+        in g28; 0.33 after Holm correction for 54 tests).
 
     Groups by station
       station  tests  mean square  p-value  distance²  expected  p-value
@@ -227,7 +245,9 @@ fn gyro_bench_finds_the_error_model_behind_the_simulated_data() {
       State `scale` is in ppm, and the equation of measurement `rate` takes it times
         a column without 1e-6: is `1e-6 * scale` meant?
 
-    Solver newton, [work].
+    Every test has its own design (times, inputs and missing values). 8 tests needed
+    the more accurate square-root filter.
+    Computation: solver newton, [work].
     ----- stderr
     Wrote fit.json
     ");
@@ -240,14 +260,7 @@ fn vaccine_trials_with_a_regression() {
     ----- stdout
     BCG vaccine against tuberculosis, log risk ratios
 
-    Converged: the optimality certificate holds, so these are the maximum-likelihood
-    estimates.
-    Model check passed: innovations and tests agree with the model. Test 6 by itself
-    decides much of the answer.
-
-    Data: 13 tests, 13 steps, 13 observations from vaccine.csv; every test has a
-    design of its own.
-    Log-likelihood -7.69, 3 free parameters, AIC 21.37, BIC 23.07.
+    Data: 13 tests, 13 steps, 13 observations from vaccine.csv.
 
     Initial state over the tests (± standard error)
       state   mean         std dev
@@ -256,29 +269,42 @@ fn vaccine_trials_with_a_regression() {
       mean of  per unit of  coefficient
       effect   latitude         -0.0295 ± 0.0055
 
-    Outlying tests
-      No test stands out: the smallest of 13 p-values is 0.008 (test 7), or 0.11
-        with Bonferroni's correction.
+    Convergence and model check
+    Converged: the optimality conditions hold, so these are the maximum-likelihood
+    estimates.
+    Model check passed: innovations and tests agree with the model. Test 6 by itself
+    decides much of the answer.
+    Log-likelihood -7.69, 3 free parameters, AIC 21.37, BIC 23.07.
 
-    The answer without each test
-      test  displacement  p-value by the others
-      6             13.3                   3e-5
+    What to do next
+      Check the data of test 6 with care, because the estimates depend on it; the
+        results file has the estimates without it.
+
+    Outlying tests
+      No test is an outlier: the smallest of 13 p-values is 0.008 (test 7), or 0.11
+        after Bonferroni correction.
+
+    Influence of single tests
+      test  displacement  p-value without it
+      6             13.3                3e-5
       Leaving this test out moves the estimates outside the 50 % confidence region
         of the full fit.
       Displacement (Cook's): twice the drop in the log-likelihood of all tests when
-        the estimates from the other tests are used.
+        the estimates from the other tests are used. The p-value says how well the
+        test agrees with the estimates from the other tests.
 
-    Innovations (what the filter did not expect)
-      Mean square of 13 innovations over all tests, each in units of its variance:
+    Innovations (measured minus predicted)
+      Mean square of all 13 innovations, each divided by its standard deviation:
         1.42 (expected 1 ± 0.39).
-      Residual checks passed for all tests (smallest p = 0.02, size in 7; 0.21 after
-        Holm correction for 13 tests).
+      Innovation checks passed for all tests (smallest p = 0.02, size in 7; 0.21
+        after Holm correction for 13 tests).
 
     Notes
       The variance of `effect` is weakly determined: its standard error (0.0405) is
         no smaller than the variance itself (0.03435).
 
-    Solver newton, [work].
+    Every test has its own design (times, inputs and missing values).
+    Computation: solver newton, [work].
     ----- stderr
     Wrote fit.json
     ");
@@ -291,14 +317,7 @@ fn gyros_with_drift_and_constraints() {
     ----- stdout
     Gyros on a turntable
 
-    Converged: the optimality certificate holds, so these are the maximum-likelihood
-    estimates.
-    Model check passed: innovations and tests agree with the model. Test U03 by
-    itself decides much of the answer.
-
-    Data: 6 tests, 60 steps, 57 observations from gyro.csv; every test has a design
-    of its own.
-    Log-likelihood 84.31, 4 free parameters, AIC -160.62, BIC -152.44.
+    Data: 6 tests, 60 steps, 57 observations from gyro.csv.
 
     Initial state over the tests (± standard error)
       state                    unit      mean            std dev
@@ -316,7 +335,18 @@ fn gyros_with_drift_and_constraints() {
       sigma_v      lot A         0.02 fixed
       sigma_v      lot B         0.04 fixed
 
-    Constraints: what they cost (score test of each by itself)
+    Convergence and model check
+    Converged: the optimality conditions hold, so these are the maximum-likelihood
+    estimates.
+    Model check passed: innovations and tests agree with the model. Test U03 by
+    itself decides much of the answer.
+    Log-likelihood 84.31, 4 free parameters, AIC -160.62, BIC -152.44.
+
+    What to do next
+      Check the data of test U03 with care, because the estimates depend on it; the
+        results file has the estimates without it.
+
+    Constraints (score test of each one separately)
       element                               held at  dℓ/dvalue  p-value  if freed
       mean[scale]                               300     0.0391     0.28       329
       covariance[bias, scale]                     0      0.425     0.16      4.68
@@ -326,25 +356,26 @@ fn gyros_with_drift_and_constraints() {
       temperature_coefficient]
       covariance[temperature_coefficient,         0      42721     0.44   5.42e-7
       temperature_coefficient]
-      The data do not speak against any of them (5 % level, counting that there are
-        3).
+      The data do not contradict any of them (5 % level, after Bonferroni correction
+        for 3 tests).
 
     Outlying tests
-      No test stands out: the smallest of 6 p-values is 0.02 (test U06), or 0.10
-        with Bonferroni's correction.
+      No test is an outlier: the smallest of 6 p-values is 0.02 (test U06), or 0.10
+        after Bonferroni correction.
 
-    The answer without each test
-      test  displacement  p-value by the others
-      U03           5.32                  0.006
+    Influence of single tests
+      test  displacement  p-value without it
+      U03           5.32               0.006
       Leaving this test out moves the estimates outside the 50 % confidence region
         of the full fit.
       Displacement (Cook's): twice the drop in the log-likelihood of all tests when
-        the estimates from the other tests are used.
+        the estimates from the other tests are used. The p-value says how well the
+        test agrees with the estimates from the other tests.
 
-    Innovations (what the filter did not expect)
-      Mean square of 57 innovations over all tests, each in units of its variance:
+    Innovations (measured minus predicted)
+      Mean square of all 57 innovations, each divided by its standard deviation:
         0.83 (expected 1 ± 0.19).
-      Residual checks passed for all tests (smallest p = 0.23, time correlation in
+      Innovation checks passed for all tests (smallest p = 0.23, time correlation in
         U06; 1 after Holm correction for 12 tests).
 
     Groups by lot
@@ -352,7 +383,8 @@ fn gyros_with_drift_and_constraints() {
       A        3         0.73     0.32        7.2         9     0.62
       B        3         0.93     0.84       13.5         9     0.14
 
-    Solver newton, [work].
+    Every test has its own design (times, inputs and missing values).
+    Computation: solver newton, [work].
     ----- stderr
     Wrote fit.json
     ");
@@ -365,14 +397,7 @@ fn two_sensors_in_long_data() {
     ----- stdout
     Two sensors, long data
 
-    Converged: the optimality certificate holds, so these are the maximum-likelihood
-    estimates.
-    Model check passed: innovations and tests agree with the model. Each of 2 tests
-    by itself decides much of the answer.
-
-    Data: 5 tests, 39 steps, 71 observations from sensors.csv; every test has a
-    design of its own.
-    Log-likelihood 13.62, 5 free parameters, AIC -17.24, BIC -5.93.
+    Data: 5 tests, 39 steps, 71 observations from sensors.csv.
 
     Initial state over the tests (± standard error)
       state   mean         std dev
@@ -389,30 +414,43 @@ fn two_sensors_in_long_data() {
       g            0.2 fixed
       s            0.1 fixed
 
-    Outlying tests
-      No test stands out: the smallest of 5 p-values is 0.15 (test s0), or 0.77 with
-        Bonferroni's correction.
+    Convergence and model check
+    Converged: the optimality conditions hold, so these are the maximum-likelihood
+    estimates.
+    Model check passed: innovations and tests agree with the model. Each of 2 tests
+    by itself decides much of the answer.
+    Log-likelihood 13.62, 5 free parameters, AIC -17.24, BIC -5.93.
 
-    The answer without each test
-      test  displacement  p-value by the others
-      s0            27.9                   2e-9
-      s4             9.8                 0.0002
+    What to do next
+      Check the data of tests s0 and s4 with care, because the estimates depend on
+        them; the results file has the estimates without them.
+
+    Outlying tests
+      No test is an outlier: the smallest of 5 p-values is 0.15 (test s0), or 0.77
+        after Bonferroni correction.
+
+    Influence of single tests
+      test  displacement  p-value without it
+      s0            27.9                2e-9
+      s4             9.8              0.0002
       Leaving any one of these tests out moves the estimates outside the 50 %
         confidence region of the full fit.
       Displacement (Cook's): twice the drop in the log-likelihood of all tests when
-        the estimates from the other tests are used.
+        the estimates from the other tests are used. The p-value says how well the
+        test agrees with the estimates from the other tests.
 
-    Innovations (what the filter did not expect)
-      Mean square of 71 innovations over all tests, each in units of its variance:
+    Innovations (measured minus predicted)
+      Mean square of all 71 innovations, each divided by its standard deviation:
         1.29 (expected 1 ± 0.17).
-      Residual checks passed for all tests (smallest p = 0.04, size in s2; 0.37
+      Innovation checks passed for all tests (smallest p = 0.04, size in s2; 0.37
         after Holm correction for 10 tests).
 
     Notes
       The variance of `x2` is weakly determined: its standard error (0.07601) is no
         smaller than the variance itself (0.07598).
 
-    Solver newton, [work].
+    Every test has its own design (times, inputs and missing values).
+    Computation: solver newton, [work].
     ----- stderr
     Wrote fit.json
     ");
@@ -428,13 +466,7 @@ fn without_an_output_the_summary_is_all() {
     assert_snapshot!(steady(&shown(&output)), @"
     exit 0
     ----- stdout
-    Converged: the optimality certificate holds, so these are the maximum-likelihood
-    estimates.
-    Model check passed: innovations and tests agree with the model. Each of 3 tests
-    by itself decides much of the answer.
-
-    Data: 3 tests, 9 steps, 9 observations from d.csv; all tests share one design.
-    Log-likelihood -3.72, 5 free parameters, AIC 17.45, BIC 18.43.
+    Data: 3 tests, 9 steps, 9 observations from d.csv.
 
     Initial state over the tests (± standard error)
       state  mean         std dev
@@ -445,27 +477,40 @@ fn without_an_output_the_summary_is_all() {
                     level
       slope  -0.37 ± 0.51
 
-    Outlying tests
-      No test stands out: the smallest of 3 p-values is 0.37 (test a), or 1 with
-        Bonferroni's correction.
+    Convergence and model check
+    Converged: the optimality conditions hold, so these are the maximum-likelihood
+    estimates.
+    Model check passed: innovations and tests agree with the model. Each of 3 tests
+    by itself decides much of the answer.
+    Log-likelihood -3.72, 5 free parameters, AIC 17.45, BIC 18.43.
 
-    The answer without each test
-      test  displacement  p-value by the others
-      b              482                < 1e-10
-      a              143                < 1e-10
-      c              130                < 1e-10
+    What to do next
+      Check the data of tests b, a and c with care, because the estimates depend on
+        them; the results file has the estimates without them.
+
+    Outlying tests
+      No test is an outlier: the smallest of 3 p-values is 0.37 (test a), or 1 after
+        Bonferroni correction.
+
+    Influence of single tests
+      test  displacement  p-value without it
+      b              482             < 1e-10
+      a              143             < 1e-10
+      c              130             < 1e-10
       Leaving any one of these tests out moves the estimates outside the 50 %
         confidence region of the full fit.
       Displacement (Cook's): twice the drop in the log-likelihood of all tests when
-        the estimates from the other tests are used.
+        the estimates from the other tests are used. The p-value says how well the
+        test agrees with the estimates from the other tests.
 
-    Innovations (what the filter did not expect)
-      Mean square of 9 innovations over all tests, each in units of its variance:
-        0.93 (expected 1 ± 0.47).
-      Residual checks passed for all tests (smallest p = 0.64, size in a; 1 after
+    Innovations (measured minus predicted)
+      Mean square of all 9 innovations, each divided by its standard deviation: 0.93
+        (expected 1 ± 0.47).
+      Innovation checks passed for all tests (smallest p = 0.64, size in a; 1 after
         Holm correction for 3 tests).
 
-    Solver newton, [work].
+    All tests have the same design (times, inputs and missing values).
+    Computation: solver newton, [work].
     ----- stderr
     ");
 }

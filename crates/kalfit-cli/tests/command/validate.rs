@@ -89,7 +89,7 @@ fn record(folder: &Folder, name: &str) -> ValidatedRecord {
 fn the_model_of_the_data_predicts_better_than_a_simpler_one() {
     let folder = folder();
     let output = folder.run("validate m.toml d.csv --folds 4 --against parallel.toml --out v.json");
-    assert_snapshot!(shown(&output), @r#"
+    assert_snapshot!(shown(&output), @"
     exit 0
     ----- stdout
     Lines
@@ -98,10 +98,10 @@ fn the_model_of_the_data_predicts_better_than_a_simpler_one() {
     predicted by a fit to the others.
     This model predicts better.
 
-    Predictions of tests that the fit had not seen
+    Predictions of tests that were left out of the fit
       Log predictive density: -94.19488 ± 4.37, -0.9812 for each measured value.
-      The fit to all tests promises -89.66934: 4.53 more than holds for tests that
-        it has not seen.
+      The fit to all tests gives -89.66934, which is 4.53 more than for tests that
+        were left out.
       Of 96 measured values, each predicted from those before it in its test: 40.6 %
         within the 50 % interval, 91.7 % within the 90 % interval and 94.8 % within
         the 95 % interval.
@@ -109,8 +109,9 @@ fn the_model_of_the_data_predicts_better_than_a_simpler_one() {
         from the population of the others.
 
     The other model
-      Parallel lines: log predictive density -216.9494, promised -208.1853.
-      Difference, this model less the other: 122.8 ± 10.1 over 16 tests (p = 4e-9).
+      Parallel lines: log predictive density -216.9494; the fit to all tests gives
+        -208.1853.
+      Difference, this model minus the other: 122.8 ± 10.1 over 16 tests (p = 4e-9).
 
     Folds
       fold  tests  log density
@@ -132,13 +133,13 @@ fn the_model_of_the_data_predicts_better_than_a_simpler_one() {
 
     How to read this
       The log predictive density of a test is the logarithm of the probability
-        density that a fit without its fold gives to all of its measured values.
-        Larger is better; its standard error is by the scatter over tests.
-      Models are compared test by test on the same folds, so that what makes a test
-        hard for both does not count.
+        density of its measured values, given a fit without its fold. Larger is
+        better; the standard error comes from the scatter between tests.
+      The models are compared test by test on the same folds, so a test that is hard
+        to predict for both does not count.
     ----- stderr
     Wrote v.json
-    "#);
+    ");
     let record = record(&folder, "v.json");
     let other = record.against.as_ref().unwrap();
     let differences: Vec<f64> = record.pieces.iter().map(|one| one.log_density - one.against.unwrap()).collect();

@@ -58,10 +58,9 @@ fn chart(along: &AlongRecord, curves: &[&CurveRecord], charts: &mut Charts) -> O
         name(along, first),
         count(points, "averaging time")
     );
-    let caption = "How much neighbouring averages differ, against the time that they are taken over. Points with bars: the records of \
-                   all tests with 95 % limits; line: the fitted model. Points that leave the line beyond their bars are motion or noise that \
-                   the model does not have, at that time scale: a slope of −½ is white noise, a flat floor slow drift, +½ a random walk, +1 \
-                   a ramp.";
+    let caption = "How much neighbouring averages differ, against the averaging time. Points with bars: the records of all tests with \
+                   95 % limits. Line: the fitted model. Where the line misses the bars, the model lacks noise or a process at that time \
+                   scale: a slope of −½ is white noise, a flat floor slow drift, +½ a random walk, +1 a ramp.";
     Some(charts.figure(Chart { kind: "allan", title: "Allan deviation", caption, alternative: &alternative, data }))
 }
 

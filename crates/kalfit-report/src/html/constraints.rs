@@ -45,7 +45,7 @@ fn chart(record: &FitRecord, charts: &mut Charts) -> Option<Markup> {
         name(first)
     );
     let caption = "What each constraint costs: about twice the log-likelihood that freeing it alone would gain. Bars beyond the \
-                   dashed line speak against the constraint; of twenty true constraints one does so by chance.";
+                   dashed line contradict the constraint; of twenty true constraints one does so by chance.";
     Some(charts.figure(Chart {
         kind: "bars",
         title: "Score tests of the constraints",

@@ -30,7 +30,7 @@ const MOST_GAPS: usize = 5;
 pub(super) fn section(record: &FitRecord, charts: &mut Charts) -> Option<Section> {
     let page = Page::html();
     let body = html! {
-        p { (headline::data(&record.data)) }
+        p { (headline::data(&record.data)) " " (headline::designs(&record.data)) }
         (chart(record, charts).unwrap_or_default())
         (PreEscaped(phases(record, &page)))
         (PreEscaped(classes(record, &page)))
@@ -46,7 +46,7 @@ fn chart(record: &FitRecord, charts: &mut Charts) -> Option<maud::Markup> {
     let (names, values, axis, caption) = if tests.len() <= MOST_TESTS {
         let names = tests.iter().map(|t| clean(&t.id)).collect();
         let values: Vec<usize> = tests.iter().map(|t| t.observations).collect();
-        (names, values, "test", "Tests with few measurements weigh less, and say less of what varies slowly.")
+        (names, values, "test", "Tests with few measurements have less weight.")
     } else {
         let (names, values) = histogram(tests, least, most);
         (names, values, "observations of a test", "How many tests have how many measurements.")

@@ -83,7 +83,8 @@ fn matrices(one: &PhaseRecord) -> Markup {
     } }
 }
 
-fn forest_plot(record: &FitRecord, one: &PhaseRecord, name: &str, charts: &mut Charts) -> Option<Markup> {
+/// Means and standard deviations, those of one unit together.
+pub(crate) fn groups(one: &PhaseRecord) -> Vec<Group> {
     let mut groups: Vec<Group> = Vec::new();
     for kind in [phase::Kind::Mean, phase::Kind::StdDev] {
         let mut units: Vec<String> = Vec::new();
@@ -101,13 +102,18 @@ fn forest_plot(record: &FitRecord, one: &PhaseRecord, name: &str, charts: &mut C
             groups.push(Group { label, rows });
         }
     }
+    groups
+}
+
+fn forest_plot(record: &FitRecord, one: &PhaseRecord, name: &str, charts: &mut Charts) -> Option<Markup> {
     let title = format!("{name}Estimates with 95 % intervals");
     let caption = format!(
-        "Top: the mean over all tests. Below: how much tests{} differ (standard deviation). A mean whose interval holds zero may \
-         be zero; a long interval asks for more tests. Open marks have no interval: fixed, on the boundary or not identified.",
+        "Top: the mean over all tests. Below: how much tests{} differ (standard deviation). If the interval of a mean contains zero, \
+         the mean may be zero; a long interval means that more tests are needed. Open marks have no interval: the value is fixed, on \
+         the boundary or not identified.",
         places::within(record)
     );
-    forest::forest(&title, &caption, groups, charts)
+    forest::forest(&title, &caption, groups(one), charts)
 }
 
 fn heat_map(record: &FitRecord, one: &PhaseRecord, name: &str, charts: &mut Charts) -> Option<Markup> {
@@ -133,8 +139,8 @@ fn heat_map(record: &FitRecord, one: &PhaseRecord, name: &str, charts: &mut Char
     let cut =
         if one.states.len() > p { format!(" The first {p} of {} states.", one.states.len()) } else { String::new() };
     let caption = format!(
-        "Correlations of the initial states over the tests{}. Deep colour, near 1 or −1: what one of the two does tells the other; \
-         pale: they vary apart.{cut}",
+        "Correlations of the initial states over the tests{}. Dark colours: one state largely determines the other. Pale colours: the \
+         two vary independently.{cut}",
         places::within(record)
     );
     let data = json!({ "names": names, "cells": cells });

@@ -15,26 +15,27 @@ const MOST_PANELS: usize = 12;
 const SPREAD: f64 = 40.0;
 
 /// One estimate.
-pub(super) struct Row {
-    pub(super) name: String,
-    pub(super) estimate: f64,
-    pub(super) ends: Interval,
+pub(crate) struct Row {
+    pub(crate) name: String,
+    pub(crate) estimate: f64,
+    pub(crate) ends: Interval,
     /// The estimate in words.
-    pub(super) words: String,
+    pub(crate) words: String,
     /// What it is compared with.
     pub(super) reference: Option<f64>,
 }
 
 /// Estimates of one kind and unit.
-pub(super) struct Group {
+pub(crate) struct Group {
     /// `mean [deg/h]`.
-    pub(super) label: String,
+    pub(crate) label: String,
     pub(super) rows: Vec<Row>,
 }
 
-struct Panel {
-    label: String,
-    rows: Vec<Row>,
+/// Estimates on one axis.
+pub(crate) struct Panel {
+    pub(crate) label: String,
+    pub(crate) rows: Vec<Row>,
     low: f64,
     high: f64,
     shortest: f64,
@@ -73,7 +74,8 @@ impl Panel {
     }
 }
 
-fn panels(groups: Vec<Group>) -> Vec<Panel> {
+/// Axes for all groups: several for one whose estimates would not all be seen on one.
+pub(crate) fn panels(groups: Vec<Group>) -> Vec<Panel> {
     let mut panels: Vec<Panel> = Vec::new();
     let mut room = MOST_ROWS;
     for group in groups {

@@ -12,7 +12,7 @@ pub(super) fn section(record: &FitRecord) -> Option<Section> {
     if body.is_empty() {
         return None;
     }
-    let hint = "Mean square: of the group's innovations in units of their variance, expected 1. Distance²: of its tests \
-                from the population, together.";
+    let hint = "Mean square: of the group's standardised innovations, expected 1. Distance²: sum of the squared distances of its \
+                tests from the population.";
     Section::new("groups", "Groups", html! { (PreEscaped(body)) p.hint { (hint) } })
 }

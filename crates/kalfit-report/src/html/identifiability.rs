@@ -21,16 +21,16 @@ pub(super) fn section(record: &FitRecord) -> Option<Section> {
         };
         parts.push(match doubts::section(record, phase, &title, &page) {
             none if none.is_empty() && !phase.states.is_empty() => page.section(
-                &title("Limits of what the data say"),
+                &title("What the data cannot determine"),
                 &page.items(&[format!(
-                    "The data identify all that is free here, and the covariance{} is regular.",
+                    "The data identify all free elements, and the covariance{} is regular.",
                     places::within(record)
                 )]),
             ),
             some => some,
         });
         let seen = observability::overview(&phase.observability, tests, &page);
-        parts.push(page.section(&title("Which tests say what"), &seen));
+        parts.push(page.section(&title("Which tests determine which states"), &seen));
     }
     parts.push(phases::information(&observed, true, &page));
     Section::new("identifiability", "Identifiability", html! { (PreEscaped(parts.concat())) })

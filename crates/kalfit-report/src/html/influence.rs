@@ -23,8 +23,8 @@ pub(super) fn section(record: &FitRecord, charts: &mut Charts) -> Option<Section
     deleted.retain(|(_, d)| d.displacement.is_finite());
     deleted.sort_by(|a, b| b.1.displacement.total_cmp(&a.1.displacement).then_with(|| a.0.id.cmp(&b.0.id)));
     let body = if deleted.is_empty() {
-        html! { p { "The fit was not repeated without each test: it was not asked for, or would have taken long \
-        (" code { "--deletion all" } " asks for it)." } }
+        html! { p { "The fit was not repeated without each test: this was not asked for, or would have taken long. Ask for it with \
+        " code { "--deletion all" } "." } }
     } else {
         html! { (PreEscaped(influence::section(record, &Page::html()))) (chart(record, &deleted, charts)) }
     };
@@ -48,12 +48,12 @@ fn chart(record: &FitRecord, deleted: &[(&TestRecord, &DeletionRecord)], charts:
     });
     let said = match deleted.len() - shown.len() {
         0 => String::new(),
-        n => format!(" {} that pull less are left out.", count(n, "test")),
+        n => format!(" {} with less influence are not shown.", count(n, "test")),
     };
     let caption = format!(
-        "How far the estimates move when a test is left out: all together (displacement, twice the loss of log-likelihood; beyond \
-         the dashed line they leave the 50 % region), or the mean of one state, in its standard errors. Bars that tower over the \
-         others deserve a look at the test.{said}"
+        "How far the estimates move when a test is left out: all together (Cook's displacement, twice the loss of log-likelihood; \
+         beyond the dashed line they leave the 50 % confidence region), or the mean of one state, in standard errors. If a bar is much \
+         longer than the others, check the data of that test.{said}"
     );
     let alternative = format!(
         "{}; the largest displacement is {}, without test {}.",

@@ -36,8 +36,8 @@ pub(super) fn section(record: &FitRecord, charts: &mut Charts) -> Option<Section
     let said =
         if all > found.len() { format!(" The {} least probable of {all} tests.", found.len()) } else { String::new() };
     let body = if found.is_empty() {
-        html! { p { "This record holds no innovations: they were left out, or the tests were given by reductions or estimates, \
-        which no longer tell what was measured when." } }
+        html! { p { "These results contain no innovations. They were not asked for, or the tests came as reductions or estimates, which do \
+        not contain the single measurements." } }
     } else {
         html! {
             (PreEscaped(innovations::section(record, &page)))
@@ -93,9 +93,9 @@ fn sizes((record, found): (&FitRecord, &[Found<'_>]), said: &str, charts: &mut C
     let alternative =
         format!("{} of {} outside their bounds.", sized.iter().filter(outside).count(), count(tests.len(), "test"));
     let caption = format!(
-        "The mean square of each test's innovations in units of their variance (NIS over its degrees of freedom), which should be \
-         1; the bars are 95 % bounds of χ². All above: the model's noise is too small or a motion is missing. All below: its \
-         noise is too large. One alone: look at that test.{said}{}",
+        "The mean square of each test's standardised innovations (NIS over its degrees of freedom), which should be 1; the bars are \
+         95 % bounds of χ². If all points are above, the model has too little noise or lacks a process. If all are below, it has too \
+         much noise. If one point is outside, look at that test.{said}{}",
         Grouping::caption(groups.as_ref())
     );
     let mut data = json!({ "tests": tests });
@@ -114,9 +114,9 @@ fn one_test(record: &FitRecord, found: &[Found<'_>], charts: &mut Charts) -> Opt
     let among =
         if left > 0 { format!(" {} less striking cannot be chosen.", count(left, "test")) } else { String::new() };
     let caption = format!(
-        "Choose a test; the least probable comes first. Top: each innovation in its standard deviations; 95 % should lie within \
-         the dashed lines, without pattern. Middle: their mean square in windows, with 95 % bounds of χ². Bottom: \
-         autocorrelation, which should stay within the dashed lines; slow decay from lag 1 means that a drift is missing.{among}"
+        "Choose a test; the least probable comes first. Top: each innovation divided by its standard deviation; 95 % should lie within \
+         the dashed lines, without a pattern. Middle: their mean square in windows, with 95 % bounds of χ². Bottom: \
+         autocorrelation, which should stay within the dashed lines; a slow decay from lag 1 suggests a missing drift.{among}"
     );
     let alternative = format!("For {}; test {} is shown first.", count(tests.len(), "test"), clean(&first));
     let data = json!({ "tests": tests });

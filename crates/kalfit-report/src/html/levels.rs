@@ -63,7 +63,7 @@ fn units(record: &FitRecord, i: usize, charts: &mut Charts) -> Option<Markup> {
     let unit = places::innermost(record)?;
     let caption = format!(
         "Each group with the mean of its tests, and below it the tests: posterior means with 95 % intervals, given all data. \
-         The spread of the groups is what varies from group to group, that of the tests of one {unit} what varies within it."
+         The spread of the groups is the variation between groups, that of the tests of one {unit} the variation within it."
     );
     forest::forest(&format!("{state}: groups and their tests"), &caption, vec![Group { label, rows }], charts)
 }

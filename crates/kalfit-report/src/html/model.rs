@@ -17,7 +17,7 @@ pub(super) fn section(record: &FitRecord) -> Option<Section> {
     let left = record.model.len() - facts.len();
     let body = html! {
         (equations(record))
-        @if facts.is_empty() { p { "This record does not say what the model is; it was made by an earlier version." } }
+        @if facts.is_empty() { p { "These results were written by an earlier version and do not describe the model." } }
         @else {
             h3 { "This model" }
             ul.facts { @for fact in facts { li { (coded(fact)) } } }
@@ -40,12 +40,12 @@ fn equations(record: &FitRecord) -> Markup {
     let step = || row([letter("k"), op("−"), math::number("1")]);
     html! {
         p {
-            "Each test " (equation(j())) " starts from its own draw of the uncertain initial state; from there it moves and is \
-             measured as a Kalman filter models it. The fit finds the mean " (equation(letter("μ"))) " and the covariance "
+            "Each test " (equation(j())) " starts from its own random initial state, and then follows the model of a Kalman filter. \
+             The fit finds the mean " (equation(letter("μ"))) " and the covariance "
             (equation(letter("Σ"))) " of the draws"
             @if record.parameters.iter().any(|p| !p.fixed) { ", and the dynamic parameters " (equation(letter("α"))) }
-            ", that make all measurements of all tests together most likely"
-            @if record.criterion == "reml" { " (restricted: of what is left when the mean is fitted)" }
+            " that maximise the likelihood of all measurements"
+            @if record.criterion == "reml" { " (restricted likelihood: that of the residuals of the mean)" }
             "."
         }
         div.equations {
@@ -60,12 +60,12 @@ fn equations(record: &FitRecord) -> Markup {
                 letter("μ"), op(","), letter("Σ"), op(","), letter("α"), op(")")])))
         }
         @if let Some(unit) = places::innermost(record) {
-            p { "Tests stand in groups. " (equation(letter("Σ"))) " is what varies within one " (unit) "; to the start of a test each \
-                 of its groups adds a draw of its own, with mean zero and the covariance of its level." }
+            p { "Tests belong to groups. " (equation(letter("Σ"))) " is the covariance within one " (unit) "; each group adds its own \
+                 random contribution to the initial states of its tests, with mean zero and the covariance of its level." }
         }
         @if phased {
-            p { "A test has several phases, each with its own uncertain start; a later phase inherits from the end of the one \
-                 before it as the model says." }
+            p { "A test has several phases, each with its own random initial state; a later phase inherits from the end of the one \
+                 before it as the model defines." }
         }
     }
 }

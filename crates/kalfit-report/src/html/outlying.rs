@@ -17,6 +17,6 @@ pub(super) fn outlying(record: &FitRecord) -> Vec<&TestRecord> {
 }
 
 /// Even though the search went over so many tests.
-pub(super) fn stands_out(test: &TestRecord, all: usize) -> bool {
+pub(crate) fn stands_out(test: &TestRecord, all: usize) -> bool {
     test.p_value.is_some_and(|p| p * (all as f64) < LEVEL)
 }

@@ -35,8 +35,8 @@ fn name(row: &ParameterRecord) -> String {
     format!("{} {}", row.name, level(row)).trim_end().to_owned()
 }
 
-/// Free values, those of one unit on one axis where that can be read.
-fn chart(record: &FitRecord, charts: &mut Charts) -> Option<Markup> {
+/// Free values, those of one unit together.
+pub(crate) fn groups(record: &FitRecord) -> Vec<Group> {
     let mut groups: Vec<Group> = Vec::new();
     for row in record.parameters.iter().filter(|row| !row.fixed) {
         let label = match row.unit.as_ref().filter(|unit| !unit.is_empty()) {
@@ -57,7 +57,12 @@ fn chart(record: &FitRecord, charts: &mut Charts) -> Option<Markup> {
             None => groups.push(Group { label, rows: vec![drawn] }),
         }
     }
+    groups
+}
+
+/// Free values, those of one unit on one axis where that can be read.
+fn chart(record: &FitRecord, charts: &mut Charts) -> Option<Markup> {
     let caption = "Free values with their 95 % intervals. Levels whose intervals do not overlap differ; an open mark has no \
                    interval: it is at a bound or not identified.";
-    forest::forest("Dynamic parameters with 95 % intervals", caption, groups, charts)
+    forest::forest("Dynamic parameters with 95 % intervals", caption, groups(record), charts)
 }

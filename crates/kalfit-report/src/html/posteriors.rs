@@ -85,9 +85,9 @@ pub(super) fn ellipses(record: &FitRecord, phase: &PhaseRecord, name: &str, char
     let shifted =
         if phase.mean.regression.is_empty() { "" } else { " The ellipses are for regression columns at zero." };
     let caption = format!(
-        "Ellipses hold 50 % and 95 % of the tests that the fitted population would make. Open marks: what each test says by \
-         itself; filled ones: what it says given the population, drawn towards it by a thin line the more, the less the test knows. \
-         Point at a test for its own error ellipse. About one test in twenty should lie outside.{said}{shifted}{}",
+        "The ellipses contain 50 % and 95 % of the tests of the fitted population. Open marks: estimate from the test alone. Filled \
+         marks: estimate shrunk towards the population; the less informative the test, the longer the line between the two. Point at \
+         a test to see its own error ellipse. About one test in twenty should lie outside.{said}{shifted}{}",
         Grouping::caption(groups.as_ref())
     );
     let alternative =
@@ -130,8 +130,8 @@ pub(super) fn posteriors(record: &FitRecord, phase: &PhaseRecord, name: &str, ch
     });
     Grouping::tell(groups.as_ref(), &mut data);
     let caption = format!(
-        "Each test's estimate given the population, with its 95 % interval, in order of size; the band is mean ± 1.96 standard \
-         deviations of the population. Filled diamonds stand out from the others.{said}{}",
+        "The estimate of each test given the population, with its 95 % interval, in order of size. The band is the mean ± 1.96 \
+         standard deviations of the population. Filled diamonds are outliers.{said}{}",
         Grouping::caption(groups.as_ref())
     );
     let first = phase.states.first().map_or_else(String::new, |s| clean(s));
@@ -140,6 +140,6 @@ pub(super) fn posteriors(record: &FitRecord, phase: &PhaseRecord, name: &str, ch
         count(tests.len(), "test"),
         phase.mean.estimate.first().map_or_else(String::new, |x| plain(*x, 4))
     );
-    let title = format!("{name}What each test says");
+    let title = format!("{name}Estimates of single tests");
     Some(charts.figure(Chart { kind: "posteriors", title: &title, caption: &caption, alternative: &alternative, data }))
 }

@@ -60,11 +60,11 @@ fn chart(along: &AlongRecord, phase: &str, title: &str, charts: &mut Charts) -> 
         ),
     };
     let caption = format!(
-        "Choose a test; the least probable comes first. Top: what was measured, and what was predicted before each step, with a band of two \
-         standard deviations; one value in twenty lies outside. The band of the first steps may leave the picture. Next: innovations in their \
-         standard deviations; 95 % within the dashed lines, without pattern. Then a state given the whole record, with two standard \
-         deviations. Last: innovations in order against those of a normal law; points on the line are as they should be, ends that bend away \
-         are outliers, points that rise more steeply mean noise that the model has too small.{left}"
+        "Choose a test; the least probable comes first. Top: measured values, and predictions before each step with a band of two \
+         standard deviations; about one value in twenty should lie outside. The band of the first steps may leave the picture. Next: \
+         innovations divided by their standard deviations; 95 % should lie within the dashed lines, without a pattern. Then: a state \
+         estimated from the whole record, with two standard deviations. Last: normal quantile plot of the innovations. Points on the \
+         line are as expected; ends that bend away are outliers, and a steeper slope means that the model has too little noise.{left}"
     );
     let alternative = format!("For {}; test {} is shown first.", count(tests.len(), "test"), clean(&first.0.id));
     Some(charts.figure(Chart { kind: "record", title, caption: &caption, alternative: &alternative, data }))

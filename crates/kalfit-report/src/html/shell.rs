@@ -56,7 +56,7 @@ pub(super) fn document(record: &FitRecord, sections: &[Section], charts: &Charts
                 div.wide.columns {
                     nav aria-label="Contents" { (contents(sections)) }
                     main id="main" tabindex="-1" {
-                        noscript { p.verdict { "Charts and sorting need JavaScript; all words and tables are here without it." } }
+                        noscript { p.verdict { "Charts and sorting need JavaScript; all text and tables work without it." } }
                         @for section in sections {
                             section id=(section.id) aria-labelledby=(format!("{}-title", section.id)) {
                                 h2 id=(format!("{}-title", section.id)) { (section.title) }

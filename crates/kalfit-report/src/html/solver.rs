@@ -1,4 +1,4 @@
-//! How the optimum was found, and the certificate that it is one.
+//! How the optimum was found, and whether it is one.
 
 use kalfit::FitRecord;
 use maud::{Markup, PreEscaped, html};
@@ -26,24 +26,24 @@ pub(super) fn section(record: &FitRecord, charts: &mut Charts) -> Option<Section
         (PreEscaped(starts(record, &page)))
         (PreEscaped(summary::work(record, &page)))
     };
-    Section::new("solver", "Solver and certificate", body)
+    Section::new("solver", "Solver and optimality", body)
 }
 
 fn certificate(record: &FitRecord, page: &Page<'_>) -> String {
     let c = &record.certificate;
     let rows = [
         ("mean", "largest score of the mean", c.mean),
-        ("covariance", "largest entry of GΣ on the free elements", c.covariance),
-        ("null space of Σ", "largest gain from a direction that Σ does not have", c.null_space),
+        ("covariance", "largest gradient of the free elements of Σ", c.covariance),
+        ("null space of Σ", "largest gain from adding a direction to a singular Σ", c.null_space),
         ("dynamic parameters", "largest score of a dynamic parameter", c.parameters),
-        ("rounding", "what rounding errors leave open of mean and covariance, at most", c.rounding),
+        ("rounding", "largest effect of rounding errors on mean and covariance", c.rounding),
     ];
     let columns = [
         Column::new("condition", Side::Left, rows.iter().map(|r| r.0.to_owned()).collect()),
-        Column::new("what must vanish", Side::Left, rows.iter().map(|r| r.1.to_owned()).collect()),
+        Column::new("what must be zero", Side::Left, rows.iter().map(|r| r.1.to_owned()).collect()),
         Column::new("found, in standard errors", Side::Right, rows.iter().map(|r| plain(r.2, 2)).collect()),
     ];
-    page.section("Optimality certificate", &page.table(&columns))
+    page.section("Optimality conditions", &page.table(&columns))
 }
 
 fn chart(record: &FitRecord, charts: &mut Charts) -> Option<Markup> {
@@ -57,8 +57,8 @@ fn chart(record: &FitRecord, charts: &mut Charts) -> Option<Markup> {
     let data = json!({
         "steps": steps, "gap": figures(steps.iter().map(|&i| best - trace[i])), "value": figures(steps.iter().map(|&i| trace[i])),
     });
-    let caption = "How far each step's log-likelihood was below the best, on a logarithmic scale: a line that drops faster and \
-                   faster has found the optimum; one that creeps has not. Steps at the best itself are not drawn.";
+    let caption = "How far the log-likelihood of each step was below the best, on a logarithmic scale. A line that falls faster and \
+                   faster has found the optimum; one that flattens out has not. Steps at the best itself are not drawn.";
     let alternative = format!(
         "{}, from {} to {}.",
         count(trace.len(), "step"),
@@ -82,7 +82,7 @@ fn starts(record: &FitRecord, page: &Page<'_>) -> String {
             starts.iter().map(|s| plain(best - s.log_likelihood, 3)).collect(),
         ),
         Column::new(
-            "certified",
+            "converged",
             Side::Left,
             starts.iter().map(|s| if s.converged { "yes" } else { "no" }.into()).collect(),
         ),

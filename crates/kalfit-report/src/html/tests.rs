@@ -66,9 +66,9 @@ fn p_values(record: &FitRecord, charts: &mut Charts) -> Option<Markup> {
     let together = places::innermost(record)
         .map_or_else(String::new, |unit| format!(" Tests of one {unit} are near to or far from it together."));
     let caption = format!(
-        "How far each test is from the population, as minus the logarithm of its p-value, against what chance gives. Points near \
-         the diagonal: the population describes the tests. Points above the dashed line stand out even though the search went \
-         over all tests.{together}{}",
+        "How far each test is from the population, as minus the logarithm of its p-value, against the value expected by chance. Points \
+         near the diagonal: the population describes the tests. Points above the dashed line are outliers at the 5 % level, after \
+         Bonferroni correction.{together}{}",
         Grouping::caption(groups.as_ref())
     );
     Some(charts.figure(Chart {
@@ -95,14 +95,14 @@ fn table(record: &FitRecord, page: &Page<'_>) -> Markup {
         Column::new("distance²", Side::Right, column(&|t| or_dash(t.distance.map(|d| plain(d, 3))))),
         Column::new("expected", Side::Right, column(&|t| t.degrees_of_freedom.to_string())),
         Column::new("p-value", Side::Right, column(&|t| or_dash(t.p_value.map(probability)))),
-        Column::new("", Side::Left, column(&|t| if stands_out(t, all) { "stands out".into() } else { String::new() })),
+        Column::new("", Side::Left, column(&|t| if stands_out(t, all) { "outlier".into() } else { String::new() })),
     ];
     columns.extend(states(record, &tests));
     let rows = page.table(&columns);
     let said = if all > tests.len() {
         format!("The {} most outlying of {all} tests; all are in fit.json.", tests.len())
     } else {
-        format!("{}. States: estimate given the population ± its standard deviation.", count(all, "test"))
+        format!("{}. States: estimate given the population ± standard deviation.", count(all, "test"))
     };
     html! { h3 { "Test by test" } (PreEscaped(rows)) p.hint { (said) } }
 }

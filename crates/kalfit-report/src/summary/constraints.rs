@@ -34,7 +34,7 @@ pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
         Column::new("if freed", Side::Right, figures(|r| r.expected_change.map(|c| r.value + c), 3)),
     ];
     let body = page.table(&columns) + &page.items(&remarks(record, rows.len()));
-    page.section("Constraints: what they cost (score test of each by itself)", &body)
+    page.section("Constraints (score test of each one separately)", &body)
 }
 
 /// The element, with its level of groups, or its phase where there are several.
@@ -61,12 +61,12 @@ fn remarks(record: &FitRecord, shown: usize) -> Vec<String> {
         .filter(|c| c.p_value.is_some_and(|p| p * (tested as f64) < LEVEL))
         .map(|c| clean(&name(record, c)))
         .collect();
-    let counted = if tested > 1 { format!(", counting that there are {tested}") } else { String::new() };
+    let counted = if tested > 1 { format!(", after Bonferroni correction for {tested} tests") } else { String::new() };
     if !against.is_empty() {
-        remarks.push(format!("The data speak against holding {} (5 % level{counted}).", list(&against, 5)));
+        remarks.push(format!("The data contradict the constraint on {} (5 % level{counted}).", list(&against, 5)));
     } else if tested > 0 {
         let which = if tested == 1 { "the constraint" } else { "any of them" };
-        remarks.push(format!("The data do not speak against {which} (5 % level{counted})."));
+        remarks.push(format!("The data do not contradict {which} (5 % level{counted})."));
     }
     remarks
 }

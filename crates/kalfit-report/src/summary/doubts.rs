@@ -24,7 +24,7 @@ pub(crate) fn section(
     let mut sentences: Vec<String> = phase.boundary.iter().map(own).collect();
     sentences.extend(unidentified(&phase.unidentified, &phase.states, true));
     sentences.extend(observability::warnings(&phase.observability, &phase.weakly_determined, tests));
-    page.section(&title("Limits of what the data say"), &page.items(&sentences))
+    page.section(&title("What the data cannot determine"), &page.items(&sentences))
 }
 
 /// What the data say nothing about, one sentence for each reason; directions that mix phases are left to the notes, which name
@@ -35,14 +35,10 @@ pub(crate) fn unidentified(found: &[UnidentifiedRecord], states: &[String], kept
         let what: Vec<String> = group.iter().map(|u| direction(u, states)).collect();
         let kept = match (kept, group.len()) {
             (false, _) => "",
-            (true, 1) => "; its start value was kept",
-            (true, _) => "; their start values were kept",
+            (true, 1) => ", whose start value was kept",
+            (true, _) => ", whose start values were kept",
         };
-        format!(
-            "Not identified: the data say nothing about {}{kept}.{}",
-            list(&what, MOST_DIRECTIONS),
-            reason(&group[0])
-        )
+        format!("Not identified: {}{kept}.{}", list(&what, MOST_DIRECTIONS), reason(&group[0]))
     };
     let mut own: Vec<UnidentifiedRecord> = found.iter().filter(|u| u.phases.is_empty()).cloned().collect();
     let joined = pairs::joined(&mut own, states, kept);
@@ -77,12 +73,12 @@ pub(crate) fn singular(boundary: &BoundaryRecord, all: usize, from: &str) -> Str
     let part = boundary.states.len() < all && !boundary.states.is_empty();
     let whose = if part { format!("Σ of {}", names(&boundary.states)) } else { "Σ".to_owned() };
     if rank == 0 {
-        return format!("{whose} is estimated as zero: the tests do not differ in it beyond their noise.");
+        return format!("{whose} is estimated as zero: measurement noise explains all differences between the tests.");
     }
     let why = match (boundary.zero_variances.len(), of.saturating_sub(rank)) {
-        (0, 1) => format!("one combination of these states does not vary from {from}, as far as the data tell"),
+        (0, 1) => format!("no variation from {from} was found in one combination of these states"),
         (0, missing) => {
-            format!("{missing} combinations of these states do not vary from {from}, as far as the data tell")
+            format!("no variation from {from} was found in {missing} combinations of these states")
         }
         (1, _) => format!("the variance of {} is estimated as zero", names(&boundary.zero_variances)),
         _ => format!("the variances of {} are estimated as zero", names(&boundary.zero_variances)),

@@ -50,9 +50,9 @@ fn columns(rows: &[GroupRecord], column: &str) -> Vec<Column> {
 /// Whether groups differ, in one sentence.
 fn differ(test: &GroupTestRecord) -> String {
     let bound = if test.on_boundary { " at most" } else { "" };
-    let verdict = if test.p_value < 0.05 { "Groups differ" } else { "No difference between groups is found" };
+    let verdict = if test.p_value < 0.05 { "The groups differ" } else { "No difference between the groups was found" };
     format!(
-        "{verdict}: p = {}{bound} (mean and covariance of each of {} groups by itself against those of all tests; likelihood ratio {} \
+        "{verdict}: p = {}{bound} (likelihood-ratio test of a mean and covariance for each of the {} groups against common ones: {} \
          with {} degrees of freedom).",
         probability(test.p_value),
         test.groups,

@@ -6,43 +6,58 @@ use kalfit::record::{DataRecord, ModelCheckRecord, TestRecord};
 use super::{phases, places};
 use crate::number::{hundredths, plain};
 use crate::page::Page;
-use crate::words::{clean, count, list, sentence};
+use crate::words::{capital, clean, count, list, sentence};
 
 /// What such a log-likelihood is good for.
-pub(crate) const OF_ESTIMATES: &str = "This is the log-likelihood of what the filters made of the measurements. It compares with                             fits to the same estimates only, not with fits to the measurements.";
+pub(crate) const OF_ESTIMATES: &str = "This log-likelihood is that of the filters' estimates, not of the measurements. Compare it \
+                                       only with fits to the same estimates.";
 
 /// Rounding errors above this many standard errors are told.
 const NOTABLE: f64 = 1e-6;
 
+/// What was fitted to what; before all else that a fit failed.
 pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     let mut text = String::new();
     if !record.title.trim().is_empty() {
         text.push_str(&format!("{}\n\n", page.heading(&clean(&record.title))));
     }
+    if !record.converged {
+        text.push_str(&(verdicts(record, page) + "\n"));
+    }
+    text.push_str(&page.paragraph(&data(&record.data)));
+    text.extend(phases::combined(record).iter().map(|sentence| page.paragraph(sentence)));
+    text.extend(places::counted(record).iter().map(|sentence| page.paragraph(sentence)));
+    text
+}
+
+/// Whether the estimates above can be trusted.
+pub(crate) fn trust(record: &FitRecord, page: &Page<'_>) -> String {
+    let mut text = if record.converged { verdicts(record, page) } else { String::new() };
+    text.push_str(&page.paragraph(&likelihood(record)));
+    if record.log_likelihood_kind == "estimates" {
+        text.push_str(&page.paragraph(OF_ESTIMATES));
+    }
+    if record.converged { page.section("Convergence and model check", &text) } else { text }
+}
+
+/// Convergence and model check, in colour.
+fn verdicts(record: &FitRecord, page: &Page<'_>) -> String {
     let checked = ModelCheckRecord::of(record);
     let paint = |line: &str| match (record.converged, checked.is_doubtful()) {
         (true, false) => page.style.good(line),
         (true, true) => page.style.fair(line),
         (false, _) => page.style.bad(line),
     };
-    let mut verdicts = page.paragraph(&verdict(record));
-    verdicts.extend(model_check(record, &checked).map(|sentence| page.paragraph(&sentence)));
-    text.extend(verdicts.lines().map(|line| paint(line) + "\n"));
+    let mut text = page.paragraph(&verdict(record));
+    text.extend(model_check(record, &checked).map(|sentence| page.paragraph(&sentence)));
+    let mut painted: String = text.lines().map(|line| paint(line) + "\n").collect();
     if !record.converged {
-        text.push_str(&page.paragraph(&shortfall(record)));
+        painted.push_str(&page.paragraph(&shortfall(record)));
     }
-    text.push('\n');
-    text.push_str(&page.paragraph(&data(&record.data)));
-    text.extend(phases::combined(record).iter().map(|sentence| page.paragraph(sentence)));
-    text.extend(places::counted(record).iter().map(|sentence| page.paragraph(sentence)));
-    text.push_str(&page.paragraph(&likelihood(record)));
-    if record.log_likelihood_kind == "estimates" {
-        text.push_str(&page.paragraph(OF_ESTIMATES));
-    }
-    text
+    painted
 }
 
-/// One sentence on whether the result can be trusted.
+/// Whether the search ended at a maximum, and what is special about it.
 pub(crate) fn verdict(record: &FitRecord) -> String {
     if !record.converged {
         let reason = clean(&record.reason);
@@ -53,27 +68,36 @@ pub(crate) fn verdict(record: &FitRecord) -> String {
         );
     }
     let what = if record.criterion == "reml" { "restricted maximum-likelihood" } else { "maximum-likelihood" };
-    let edge = record.phases.iter().any(|p| !p.boundary.is_empty())
-        || record.levels.iter().any(|level| !level.boundary.is_empty());
-    let blind = record.phases.iter().any(|p| !p.unidentified.is_empty())
-        || record.levels.iter().any(|level| !level.unidentified.is_empty())
-        || record.parameters.iter().any(|p| p.standing.as_deref() == Some("unidentified"));
-    let where_ = match (edge, blind) {
-        (false, false) => "",
-        (true, false) => " on the boundary of the possible covariances",
-        (false, true) => " of all that the data identify",
-        (true, true) => " of all that the data identify, on the boundary of the possible covariances",
-    };
     let rounding = record.certificate.rounding;
     let but = match rounding > NOTABLE {
-        true => format!(", but for rounding errors of up to {} standard errors", plain(rounding, 2)),
+        true => format!(", apart from rounding errors of up to {} standard errors", plain(rounding, 2)),
         false => String::new(),
     };
-    let local = match record.parameters.iter().any(|p| !p.fixed) {
-        true => " In the dynamic parameters this is a local maximum; no higher one was found.",
-        false => "",
-    };
-    format!("Converged: the optimality certificate holds, so these are the {what} estimates{where_}{but}.{local}")
+    let mut sentences =
+        vec![format!("Converged: the optimality conditions hold, so these are the {what} estimates{but}.")];
+    if is_singular(record) {
+        sentences.push("The estimated covariance is singular, on the boundary of the possible covariances.".to_owned());
+    }
+    if is_blind(record) {
+        sentences.push("Some quantities are not identified by the data.".to_owned());
+    }
+    if record.parameters.iter().any(|p| !p.fixed) {
+        sentences
+            .push("For the dynamic parameters this is a local maximum; the search found no higher one.".to_owned());
+    }
+    sentences.join(" ")
+}
+
+/// Some covariance lies on its boundary.
+pub(crate) fn is_singular(record: &FitRecord) -> bool {
+    record.phases.iter().any(|p| !p.boundary.is_empty()) || record.levels.iter().any(|level| !level.boundary.is_empty())
+}
+
+/// Something is not identified.
+pub(crate) fn is_blind(record: &FitRecord) -> bool {
+    record.phases.iter().any(|p| !p.unidentified.is_empty())
+        || record.levels.iter().any(|level| !level.unidentified.is_empty())
+        || record.parameters.iter().any(|p| p.standing.as_deref() == Some("unidentified"))
 }
 
 /// What the figures of the fit say of the model, beside convergence; nothing where it did not converge.
@@ -91,9 +115,9 @@ pub(crate) fn model_check(record: &FitRecord, checked: &ModelCheckRecord) -> Opt
         ("passed", true, true) => "Model check passed: innovations and tests agree with the model.".to_owned(),
         ("passed", true, false) => "Model check passed: the innovations agree with the model.".to_owned(),
         ("passed", false, _) => {
-            "Model check passed: the tests agree with the population; there are no innovations to look at.".to_owned()
+            "Model check passed: the tests agree with the population (innovations were not computed).".to_owned()
         }
-        _ => "Model check not made: this record has no figures of single tests.".to_owned(),
+        _ => "No model check: the results have no figures of single tests.".to_owned(),
     };
     let remarks = checked.remarks.iter().map(|remark| format!(" {}", sentence(&clean(&remark.text))));
     Some(remarks.fold(said, |said, remark| said + &remark))
@@ -112,25 +136,28 @@ pub(crate) fn shortfall(record: &FitRecord) -> String {
     if c.rounding >= c.mean && c.rounding > 0.0 {
         figures.push(format!("rounding alone {}", plain(c.rounding, 2)));
     }
-    format!("Optimality conditions are missed, in standard errors, by: {}.", figures.join(", "))
+    format!("Distance from the optimality conditions, in standard errors: {}.", figures.join(", "))
 }
 
 /// Counts of the data, in one sentence.
 pub(crate) fn data(d: &DataRecord) -> String {
     let counts = [count(d.tests, "test"), count(d.steps, "step"), count(d.observations, "observation")].join(", ");
-    let from = from(&d.files);
+    format!("Data: {counts}{}.", from(&d.files))
+}
+
+/// How many tests share their times, inputs and missing values, and how they were reduced; for those who ask where time went.
+pub(crate) fn designs(d: &DataRecord) -> String {
     let designs = match (d.design_classes, d.tests) {
         (_, 0 | 1) => String::new(),
-        (1, _) => "; all tests share one design".to_owned(),
-        (n, tests) if n == tests => "; every test has a design of its own".to_owned(),
-        (n, _) => format!("; {n} different designs"),
+        (1, _) => "All tests have the same design (times, inputs and missing values).".to_owned(),
+        (n, tests) if n == tests => "Every test has its own design (times, inputs and missing values).".to_owned(),
+        (n, _) => format!("The tests have {n} different designs (times, inputs and missing values)."),
     };
     let roots = match d.square_root_tests {
         0 => String::new(),
-        1 => "; 1 test took the square-root path".to_owned(),
-        n => format!("; {n} tests took the square-root path"),
+        n => format!("{} needed the more accurate square-root filter.", capital(&count(n, "test"))),
     };
-    format!("Data: {counts}{from}{designs}{roots}.")
+    format!("{designs} {roots}").trim().to_owned()
 }
 
 /// ` from a.csv, b.csv and 7 more`

@@ -11,20 +11,18 @@ use crate::words::clean;
 const MOST_ROWS: usize = 5;
 
 pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
-    let mut deleted: Vec<(&TestRecord, &DeletionRecord)> =
-        record.tests.iter().filter_map(|t| t.deletion.as_ref().map(|d| (t, d))).collect();
-    deleted.retain(|(_, d)| d.displacement.is_finite());
-    deleted.sort_by(|a, b| b.1.displacement.total_cmp(&a.1.displacement).then_with(|| a.0.id.cmp(&b.0.id)));
+    let deleted = deleted(record);
     let Some(&(first, most)) = deleted.first() else { return String::new() };
-    let heading = "The answer without each test";
-    let influential: Vec<_> =
-        deleted.iter().filter(|(_, d)| d.displacement > displacement_limit(record.free_parameters)).collect();
+    let heading = "Influence of single tests";
+    let limit = displacement_limit(record.free_parameters);
+    let influential: Vec<_> = deleted.iter().take_while(|(_, d)| d.displacement > limit).collect();
     if influential.is_empty() {
         let sentence = format!(
-            "No test decides it alone: the estimates move most without test {}, by a displacement of {} for {} free quantities.",
+            "No single test is influential. Test {} moves the estimates most: its Cook's displacement is {}, and {} is the edge \
+             of the 50 % confidence region.",
             clean(&first.id),
             plain(most.displacement, 2),
-            record.free_parameters
+            plain(limit, 2)
         );
         return page.section(heading, &page.items(&[sentence]));
     }
@@ -32,7 +30,7 @@ pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     let columns = [
         Column::new("test", Side::Left, rows.iter().map(|(t, _)| t.id.clone()).collect()),
         Column::new("displacement", Side::Right, rows.iter().map(|(_, d)| plain(d.displacement, 3)).collect()),
-        Column::new("p-value by the others", Side::Right, rows.iter().map(|(_, d)| p_value(d)).collect()),
+        Column::new("p-value without it", Side::Right, rows.iter().map(|(_, d)| p_value(d)).collect()),
     ];
     let which = match (rows.len(), influential.len() - rows.len()) {
         (1, _) => "this test".to_owned(),
@@ -41,9 +39,26 @@ pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     };
     let sentences = [
         format!("Leaving {which} out moves the estimates outside the 50 % confidence region of the full fit."),
-        "Displacement (Cook's): twice the drop in the log-likelihood of all tests when the estimates from the other tests are used.".to_owned(),
+        "Displacement (Cook's): twice the drop in the log-likelihood of all tests when the estimates from the other tests are \
+         used. The p-value says how well the test agrees with the estimates from the other tests."
+            .to_owned(),
     ];
     page.section(heading, &(page.table(&columns) + &page.items(&sentences)))
+}
+
+/// Tests that were left out in turn, those that move the estimates most first.
+pub(crate) fn deleted(record: &FitRecord) -> Vec<(&TestRecord, &DeletionRecord)> {
+    let mut deleted: Vec<(&TestRecord, &DeletionRecord)> =
+        record.tests.iter().filter_map(|t| t.deletion.as_ref().map(|d| (t, d))).collect();
+    deleted.retain(|(_, d)| d.displacement.is_finite());
+    deleted.sort_by(|a, b| b.1.displacement.total_cmp(&a.1.displacement).then_with(|| a.0.id.cmp(&b.0.id)));
+    deleted
+}
+
+/// Tests without which the estimates leave the 50 % confidence region.
+pub(super) fn influential(record: &FitRecord) -> Vec<&TestRecord> {
+    let limit = displacement_limit(record.free_parameters);
+    deleted(record).into_iter().take_while(|(_, d)| d.displacement > limit).map(|(test, _)| test).collect()
 }
 
 fn p_value(deletion: &DeletionRecord) -> String {

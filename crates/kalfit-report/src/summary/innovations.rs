@@ -28,9 +28,34 @@ enum Of<'a> {
     Whiteness(&'a InnovationRecord),
 }
 
+/// Which figures of single tests are improbable.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Kinds {
+    pub(super) size: bool,
+    pub(super) whiteness: bool,
+}
+
+pub(super) fn kinds(record: &FitRecord) -> Kinds {
+    let findings = findings(&of_tests(record));
+    let improbable = || findings.iter().take_while(|finding| finding.adjusted < SEARCH_LEVEL);
+    Kinds {
+        size: improbable().any(|finding| matches!(finding.of, Of::Size(_))),
+        whiteness: improbable().any(|finding| matches!(finding.of, Of::Whiteness(_))),
+    }
+}
+
+/// Whether all innovations together are larger or smaller than chance allows.
+pub(super) fn size(record: &FitRecord) -> Ordering {
+    let (n, nis) = sums(&of_tests(record));
+    overall_size(n, nis, record.free_parameters)
+}
+
+fn of_tests(record: &FitRecord) -> Vec<(&str, &InnovationRecord)> {
+    record.tests.iter().filter_map(|t| Some((t.id.as_str(), t.innovations.as_ref()?))).collect()
+}
+
 pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
-    let all: Vec<(&str, &InnovationRecord)> =
-        record.tests.iter().filter_map(|t| Some((t.id.as_str(), t.innovations.as_ref()?))).collect();
+    let all = of_tests(record);
     let findings = findings(&all);
     let Some(least) = findings.first() else { return String::new() };
     let improbable = findings.iter().take_while(|f| f.adjusted < SEARCH_LEVEL).count();
@@ -43,7 +68,7 @@ pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
             shown(found, phases.len() > 1, page) + &page.items(&[meaning(found, all, page), overall])
         }
     };
-    page.section("Innovations (what the filter did not expect)", &body)
+    page.section("Innovations (measured minus predicted)", &body)
 }
 
 /// The figures of all tests, the least probable first.
@@ -66,21 +91,25 @@ fn findings<'a>(all: &[(&'a str, &'a InnovationRecord)]) -> Vec<Finding<'a>> {
 
 /// Size of all innovations together.
 fn overall(all: &[(&str, &InnovationRecord)], free: usize) -> String {
-    let n: usize = all.iter().map(|(_, found)| found.count).sum();
-    let nis: f64 = all.iter().filter_map(|(_, found)| found.nis).sum();
+    let (n, nis) = sums(all);
     let spread = (2.0 / n.max(1) as f64).sqrt();
     let mean = nis / n.max(1) as f64;
     let verdict = match overall_size(n, nis, free) {
-        Ordering::Greater => " That is more than chance allows: noise or a motion is missing from the model.",
-        Ordering::Less => " That is less than chance allows: the model's noise is too large.",
+        Ordering::Greater => " That is more than chance allows: the model has too little noise, or lacks a process.",
+        Ordering::Less => " That is less than chance allows: the model has too much noise.",
         Ordering::Equal => "",
     };
     format!(
-        "Mean square of {} over all tests, each in units of its variance: {} (expected 1 ± {}).{verdict}",
+        "Mean square of all {}, each divided by its standard deviation: {} (expected 1 ± {}).{verdict}",
         count(n, "innovation"),
         Precision::of(mean, Some(spread)).show(mean),
         plain(spread, 2)
     )
+}
+
+/// Number of all innovations, and their normalised square.
+fn sums(all: &[(&str, &InnovationRecord)]) -> (usize, f64) {
+    (all.iter().map(|(_, found)| found.count).sum(), all.iter().filter_map(|(_, found)| found.nis).sum())
 }
 
 /// The same of each phase that has any, where there are several.
@@ -111,7 +140,7 @@ fn probable(least: &Finding<'_>, all: usize) -> String {
         _ => format!("; {} after Holm correction for {all} tests", probability(least.adjusted)),
     };
     format!(
-        "Residual checks passed for all tests (smallest p = {}, {what} in {}{holm}).",
+        "Innovation checks passed for all tests (smallest p = {}, {what} in {}{holm}).",
         probability(least.p_value),
         clean(least.test)
     )
@@ -181,10 +210,14 @@ fn meaning(improbable: &[Finding<'_>], all: usize, page: &Page<'_>) -> String {
     let any = |of: fn(&Of<'_>) -> bool| improbable.iter().any(|f| of(&f.of));
     let mut because = Vec::new();
     if any(|of| matches!(of, Of::Size(_))) {
-        because.push("a size other than modelled asks for other noise levels, or for a look at the test");
+        because.push("a size that differs from the model suggests other noise levels, or faults in the test");
     }
     if any(|of| matches!(of, Of::Whiteness(_))) {
         because.push("correlation in time suggests a missing process, such as a drift");
     }
-    format!("{these} improbable{more} among {} (Holm, 5 % level): {}.", count(all, "p-value"), because.join("; "))
+    let because = because.join("; ");
+    format!(
+        "{these} improbable{more} at the 5 % level, after Holm correction for {}: {because}.",
+        count(all, "p-value")
+    )
 }

@@ -23,12 +23,12 @@ pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     let sums = record.levels.iter().any(|level| level.unidentified.iter().any(|one| !one.phases.is_empty()));
     if sums {
         sentences.push(
-            "The levels are not told apart by these data: only sums of their covariances are known (see the notes)."
+            "These data cannot separate the levels: only sums of their covariances are known (see the notes)."
                 .to_owned(),
         );
     }
     let body = page.table(&columns(record, &places(record))) + &page.items(&sentences);
-    let mut sections = vec![page.section(&format!("{TABLE} (share of the variance of a test)"), &body)];
+    let mut sections = vec![page.section(&format!("{TABLE} (share: part of the variance of a test)"), &body)];
     let unchanged = |what: &str| what.to_owned();
     for (level, place) in outer(record) {
         sections.push(correlations::section(level.into(), &place, &unchanged, page));
@@ -117,7 +117,7 @@ fn boundaries(level: &LevelRecord, place: &str) -> Vec<String> {
     let none = level.std_dev.estimate.iter().all(|s| *s == 0.0);
     if known && none && !level.boundary.is_empty() {
         return vec![format!(
-            "Nothing varies{place} beyond what the tests within them explain: its covariance is zero."
+            "The covariance{place} is estimated as zero: the variation between tests explains all differences."
         )];
     }
     let from = place.trim_start_matches(" from ");

@@ -1,5 +1,7 @@
-//! The summary of a fit, in the order in which a test engineer asks: can it be trusted, what is it, what is doubtful.
+//! The summary of a fit, in the order in which a reader asks: what are the estimates, can they be trusted, what is to be done;
+//! then the figures behind the answers.
 
+pub(crate) mod advice;
 mod combination;
 pub(crate) mod constraints;
 pub(crate) mod correlations;
@@ -41,6 +43,8 @@ pub fn summary(record: &FitRecord, style: &Style) -> String {
     sections.push(phases::filters(record, &page));
     sections.push(parameters::section(record, &page));
     sections.push(parameters::methods(record, &page));
+    sections.push(headline::trust(record, &page));
+    sections.push(advice::section(record, &page));
     sections.push(constraints::section(record, &page));
     sections.push(outliers::section(record, &page));
     sections.push(influence::section(record, &page));
@@ -70,17 +74,21 @@ pub(crate) fn notes(record: &FitRecord, page: &Page<'_>) -> String {
     page.section("Notes", &page.items(&lines))
 }
 
+/// What was computed, and how.
 pub(crate) fn work(record: &FitRecord, page: &Page<'_>) -> String {
     let solver = &record.solver;
     let (method, backward) = match solver.score_passes {
-        0 => ("Solver ".to_owned(), String::new()),
-        n => (format!("Method {}, solver ", clean(&solver.method)), format!(", {}", count(n, "backward run"))),
+        0 => (String::new(), String::new()),
+        n => (format!("method {}, ", clean(&solver.method)), format!(", {}", count(n, "backward run"))),
     };
-    page.paragraph(&format!(
-        "{method}{}, {} over the reductions, {}{backward}, {}.",
+    let designs = headline::designs(&record.data);
+    let designs = if designs.is_empty() { designs } else { page.paragraph(&designs) };
+    let work = page.paragraph(&format!(
+        "Computation: {method}solver {}, {}, {}{backward}, {}.",
         clean(&solver.solver),
-        count(solver.iterations, "pass"),
+        count(solver.iterations, "iteration"),
         count(solver.filter_passes, "filter run"),
         number::seconds(solver.seconds)
-    ))
+    ));
+    designs + &work
 }

@@ -42,10 +42,10 @@ pub(crate) fn overview(seen: &[ObservabilityRecord], tests: usize, page: &Page<'
         body += &page.items(&[format!("… and {} more states.", seen.len() - rows.len())]);
     }
     let mut legend = "Seen by: tests whose measurements depend on the state. Determined by: tests that could \
-                      estimate it alone."
+                      estimate it by themselves."
         .to_owned();
     if rows.iter().any(|row| row.leading_share.is_some()) {
-        legend += " Largest share: how much of what is known of the mean comes from one test, and which.";
+        legend += " Largest share: the test with the most information on the mean, and its part of all information.";
     }
     body + &page.items(&[legend])
 }
@@ -72,9 +72,9 @@ fn one_test(row: &ObservabilityRecord, tests: usize) -> Option<String> {
     let state = clean(&row.state);
     match (row.informed_by, row.tests.as_slice(), &row.leading_test, row.leading_share) {
         _ if tests < 2 => None,
-        (1, [only], ..) => Some(format!("Only one test, {}, says anything about {state}.", clean(only))),
+        (1, [only], ..) => Some(format!("Only one test, {}, contains information on {state}.", clean(only))),
         (_, _, Some(test), Some(share)) if share > ONE_TEST => Some(format!(
-            "{} % of what is known of the mean of {state} rests on one test, {}.",
+            "{} % of the information on the mean of {state} comes from one test, {}.",
             plain(100.0 * share, 2),
             clean(test)
         )),
@@ -87,10 +87,10 @@ pub(crate) fn few_tests(seen: &[ObservabilityRecord], tests: usize) -> Vec<Strin
     let few = |row: &&ObservabilityRecord| (2..=FEW).contains(&row.informed_by) && row.informed_by < tests;
     let sentence = |row: &ObservabilityRecord| {
         let ids: Vec<String> = row.tests.iter().map(|id| clean(id)).collect();
-        let only = count(row.informed_by, "test");
+        let only = format!("{} contain information on", count(row.informed_by, "test"));
         match ids.is_empty() {
-            true => format!("Only {only} see {}.", clean(&row.state)),
-            false => format!("Only {only} see {}: {}.", clean(&row.state), list(&ids, FEW)),
+            true => format!("Only {only} {}.", clean(&row.state)),
+            false => format!("Only {only} {}: {}.", clean(&row.state), list(&ids, FEW)),
         }
     };
     seen.iter().filter(few).map(sentence).collect()
@@ -99,12 +99,12 @@ pub(crate) fn few_tests(seen: &[ObservabilityRecord], tests: usize) -> Vec<Strin
 fn weakly(weak: &WeakRecord, states: &[String], tests: usize) -> String {
     let share = match (&weak.leading_test, weak.leading_share) {
         (Some(test), Some(share)) if share > ONE_TEST && tests > 1 => {
-            format!(", and {} % of that rests on one test, {}", plain(100.0 * share, 2), clean(test))
+            format!(", and {} % of that information comes from one test, {}", plain(100.0 * share, 2), clean(test))
         }
         _ => String::new(),
     };
     format!(
-        "Weakly determined: the combination {} of the means is known {} times less precisely than the best known \
+        "Weakly determined: the combination {} of the means has an error {} times larger than that of the best determined \
          combination, in comparable units{share}.",
         combination_of(&weighted(&weak.direction, states)),
         plain(weak.condition, 2)

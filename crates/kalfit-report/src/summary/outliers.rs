@@ -13,24 +13,22 @@ const MOST_ROWS: usize = 5;
 const ROUNDING: f64 = 1e-9;
 
 pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
-    let mut tested: Vec<(f64, &TestRecord)> =
-        record.tests.iter().filter_map(|t| t.p_value.filter(|p| p.is_finite()).map(|p| (p, t))).collect();
-    tested.sort_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.id.cmp(&b.1.id)));
+    let tested = tested(record);
     let Some(&(least, _)) = tested.first() else { return String::new() };
     // of those that rounding alone tells apart the first by name
     let equal = tested.iter().filter(|(p, _)| *p <= least * (1.0 + ROUNDING));
     let nearest = equal.map(|&(_, test)| test).min_by_key(|test| &test.id).expect("one is the least");
     let all = tested.len();
     let corrected = |p: f64| (p * all as f64).min(1.0);
-    let outliers: Vec<(f64, &TestRecord)> = tested.into_iter().filter(|&(p, _)| corrected(p) < SEARCH_LEVEL).collect();
+    let outliers = outlying(record);
     if outliers.is_empty() {
         let which = if all == 1 { "its p-value".to_owned() } else { format!("the smallest of {all} p-values") };
         let then = match all {
             1 => String::new(),
-            _ => format!(", or {} with Bonferroni's correction", probability(corrected(least))),
+            _ => format!(", or {} after Bonferroni correction", probability(corrected(least))),
         };
         let sentence =
-            format!("No test stands out: {which} is {} (test {}){then}.", probability(least), clean(&nearest.id));
+            format!("No test is an outlier: {which} is {} (test {}){then}.", probability(least), clean(&nearest.id));
         return page.section("Outlying tests", &page.items(&[sentence]));
     }
     let rows = &outliers[..outliers.len().min(page.rows(MOST_ROWS))];
@@ -49,9 +47,28 @@ pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
         0 => String::new(),
         n => format!(" (and {n} more)"),
     };
-    let stands = if outliers.len() == 1 { "This test stands out" } else { "These tests stand out" };
-    let sentence = format!("{stands}{more} even though the search went over {all} tests (Bonferroni, 5 % level).");
+    let are = if outliers.len() == 1 { ("This test", "is an outlier") } else { ("These tests", "are outliers") };
+    let sentence = format!(
+        "{}{more} {} at the 5 % level, after Bonferroni correction for {all} tests. Distance²: squared distance of the test's \
+         initial state from the population, in standard deviations.",
+        are.0, are.1
+    );
     page.section("Outlying tests", &(page.table(&columns) + &page.items(&[sentence])))
+}
+
+/// Tests with their p-values, the least probable first.
+fn tested(record: &FitRecord) -> Vec<(f64, &TestRecord)> {
+    let mut tested: Vec<(f64, &TestRecord)> =
+        record.tests.iter().filter_map(|t| t.p_value.filter(|p| p.is_finite()).map(|p| (p, t))).collect();
+    tested.sort_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.id.cmp(&b.1.id)));
+    tested
+}
+
+/// Tests that are improbable among all of them, the least probable first.
+pub(super) fn outlying(record: &FitRecord) -> Vec<(f64, &TestRecord)> {
+    let tested = tested(record);
+    let all = tested.len() as f64;
+    tested.into_iter().filter(|(p, _)| (p * all).min(1.0) < SEARCH_LEVEL).collect()
 }
 
 fn distance(test: &TestRecord) -> String {

@@ -24,11 +24,11 @@ pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
             1 => ("its p-value".to_owned(), String::new()),
             _ => (
                 format!("the smallest of {all} p-values"),
-                format!(", or {} with Bonferroni's correction", probability(corrected(least))),
+                format!(", or {} after Bonferroni correction", probability(corrected(least))),
             ),
         };
         let (level, id) = (clean(&nearest.level), clean(&nearest.id.join("/")));
-        let sentence = format!("No group stands out: {which} is {} ({level} {id}){then}.", probability(least));
+        let sentence = format!("No group is an outlier: {which} is {} ({level} {id}){then}.", probability(least));
         return page.section("Outlying groups", &page.items(&[sentence]));
     }
     let rows = &outliers[..outliers.len().min(page.rows(MOST_ROWS))];
@@ -46,7 +46,7 @@ pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
             rows.iter().map(|&(p, _)| probability(corrected(p))).collect(),
         ),
     ];
-    let stands = if outliers.len() == 1 { "This group stands out" } else { "These groups stand out" };
-    let sentence = format!("{stands} even though the search went over {all} groups (Bonferroni, 5 % level).");
+    let are = if outliers.len() == 1 { "This group is an outlier" } else { "These groups are outliers" };
+    let sentence = format!("{are} at the 5 % level, after Bonferroni correction for {all} groups.");
     page.section("Outlying groups", &(page.table(&columns) + &page.items(&[sentence])))
 }

@@ -68,8 +68,8 @@ fn others(levels: &[ParameterRecord], shown: usize) -> String {
     let fixed = levels.iter().filter(|level| level.fixed).count();
     let fixed = if fixed > 0 { format!(", {fixed} of them fixed") } else { String::new() };
     format!(
-        "{} has {}{fixed}: shown are the first {FIRST_LEVELS}, the smallest and the largest; {} more are in the results \
-         file. Their median is {}.",
+        "{} has {}{fixed}. The table shows the first {FIRST_LEVELS}, the smallest and the largest; {} more are in the \
+         results file. The median of all is {}.",
         clean(&levels[0].name),
         count(levels.len(), "level"),
         levels.len() - shown,
@@ -138,8 +138,8 @@ pub(crate) fn methods(record: &FitRecord, page: &Page<'_>) -> String {
     let work = [
         Column::new("method", Side::Left, column(&|m| m.method.clone())),
         Column::new("log-lik.", Side::Right, column(&|m| Precision::Decimals(6).show(m.log_likelihood))),
-        Column::new("certified", Side::Left, column(&|m| if m.converged { "yes" } else { "no" }.to_owned())),
-        Column::new("passes", Side::Right, column(&|m| m.iterations.to_string())),
+        Column::new("converged", Side::Left, column(&|m| if m.converged { "yes" } else { "no" }.to_owned())),
+        Column::new("iter.", Side::Right, column(&|m| m.iterations.to_string())),
         Column::new("filter runs", Side::Right, column(&|m| m.filter_passes.to_string())),
         Column::new("backward", Side::Right, column(&|m| m.score_passes.to_string())),
         Column::new("time", Side::Right, column(&|m| crate::number::seconds(m.seconds))),
@@ -156,7 +156,7 @@ pub(crate) fn methods(record: &FitRecord, page: &Page<'_>) -> String {
     let mut remarks: Vec<String> = methods
         .iter()
         .filter(|m| !m.converged)
-        .map(|m| format!("{} is not certified: {}.", clean(&m.method), clean(&m.reason)))
+        .map(|m| format!("{} did not converge: {}.", clean(&m.method), clean(&m.reason)))
         .collect();
     if free.len() > shown {
         remarks.push(format!("… and {} more free values.", free.len() - shown));

@@ -14,8 +14,8 @@ const MOST_NAMES: usize = 12;
 /// No more directions than this of a phase; all are in fit.json.
 const MOST_DIRECTIONS: usize = 6;
 /// What the columns of ranks mean.
-const LEGEND: &str = "Directions that the tests together observe: by itself, of all that enters the phase (its own states and \
-                      those that inherit); so far, of the estimated states of this and all earlier phases.";
+const LEGEND: &str = "Number of directions that the tests together observe. By itself: of all states that enter the phase (its own \
+                      and inherited ones). So far: of the estimated states of this and all earlier phases.";
 /// Below this part a standard error that grew is not worth a word.
 const SLIGHT: f64 = 5e-4;
 
@@ -32,7 +32,7 @@ pub(crate) fn combined(record: &FitRecord) -> Vec<String> {
     let (how, caveat) = match record.solver.phases.as_str() {
         "chain" => ("combined exactly, phase by phase", None),
         "stacked" => ("combined exactly, as one large test", None),
-        "marginal" => ("each taken by itself", Some(marginal(record))),
+        "marginal" => ("each fitted separately", Some(marginal(record))),
         _ => ("combined in some way", None),
     };
     let first = format!("Phases: {}; {how} ({}).", list(&phases, MOST_NAMES), clean(&record.solver.phases));
@@ -46,10 +46,10 @@ fn of_all(n: usize, tests: usize) -> String {
 
 fn marginal(record: &FitRecord) -> String {
     let maximised = record.composite_log_likelihood.filter(|x| x.is_finite());
-    let maximised = maximised.map_or(String::new(), |x| format!(", {}", hundredths(x)));
+    let maximised = maximised.map_or(String::new(), |x| format!(" ({})", hundredths(x)));
     format!(
-        "What was maximised is the sum of the phases' own log-likelihoods{maximised}: the correlation of their errors is \
-         ignored. Standard errors hold for each phase by itself, not for figures of different phases together."
+        "The fit maximises the sum of the phases' log-likelihoods{maximised} and ignores the correlation of their errors. \
+         Standard errors hold within each phase, not between phases."
     )
 }
 
@@ -87,7 +87,7 @@ pub(crate) fn filters(record: &FitRecord, page: &Page<'_>) -> String {
     let of = |phase: &PhaseRecord| {
         let filter = phase.filter.as_ref()?;
         let whose = if several { format!("Phase {}: the", clean(&phase.name)) } else { "The".to_owned() };
-        Some(format!("{whose} estimates of a filter stand for the measurements{}.{}", considered(filter), lost(phase)))
+        Some(format!("{whose} estimates of a filter replace the measurements{}.{}", considered(filter), lost(phase)))
     };
     let sentences: Vec<String> = record.phases.iter().filter_map(of).collect();
     page.section("Filters", &page.items(&sentences))
@@ -108,10 +108,10 @@ fn lost(phase: &PhaseRecord) -> String {
     };
     let Some((ratio, what)) = largest(lost, &phase.states) else { return String::new() };
     if ratio - 1.0 < SLIGHT {
-        return " That costs nothing: the standard errors are those of the measurements.".to_owned();
+        return " No information was lost: the standard errors are those of a fit to the measurements.".to_owned();
     }
     format!(
-        " That costs information: expected standard errors are up to {} % larger than from the measurements (that of {what}).",
+        " Information was lost: expected standard errors are up to {} % larger than those of a fit to the measurements (for {what}).",
         plain(100.0 * (ratio - 1.0), 2)
     )
 }

@@ -41,7 +41,7 @@ pub(crate) fn elsewhere(record: &FitRecord) -> Option<String> {
     let unit = innermost(record)?;
     let places: Vec<String> = places(record)[..groups.len()].iter().map(|place| format!("from {place}")).collect();
     Some(format!(
-        "The standard deviations are from test to test of one {unit}; those {} are under \"{TABLE}\".",
+        "These standard deviations describe tests of one {unit}; see \"{TABLE}\" for those {}.",
         list(&places, MOST_NAMES)
     ))
 }

@@ -4,15 +4,15 @@ use kalfit::record::{DataRecord, ObservabilityRecord, UnidentifiedRecord};
 use kalfit_report::{CheckRecord, Checked, CheckedPhase, PhaseCounts, Style, check_summary};
 
 fn shown(checked: Checked) -> String {
-    let record = CheckRecord {
-        title: "Reaction time".into(),
-        model: vec![
+    let record = CheckRecord::new(
+        "Reaction time".into(),
+        vec![
             "tests: one for each value of column `Subject`".into(),
             "measurement `reaction`: column `Reaction` = intercept + Days × slope; noise of variance 654.94103".into(),
         ],
-        parameters: vec![],
+        vec![],
         checked,
-    };
+    );
     check_summary(&record, &Style::default())
 }
 
@@ -48,7 +48,7 @@ fn a_model_alone() {
       measurement `reaction`: column `Reaction` = intercept + Days × slope; noise of
         variance 654.94103
 
-    The model is sound. Give data too, to see what they identify.
+    The model is valid. Give data as well to see what they can identify.
     ");
 }
 
@@ -63,21 +63,21 @@ fn identified_quantities_are_all_there_is_to_say() {
         variance 654.94103
 
     Data
-      18 tests, 180 steps, 180 observations from a.csv and b.csv; 2 different
-        designs.
+      18 tests, 180 steps, 180 observations from a.csv and b.csv. The tests have 2
+        different designs (times, inputs and missing values).
 
     Observability
       state       seen by  determined by  largest share
       intercept    all 18         all 18  6.1 %, 308
       slope      17 of 18           none  93 %, 308
       Seen by: tests whose measurements depend on the state. Determined by: tests
-        that could estimate it alone. Largest share: how much of what is known of
-        the mean comes from one test, and which.
+        that could estimate it by themselves. Largest share: the test with the most
+        information on the mean, and its part of all information.
 
     Identifiability
-      The data identify all that is free in the mean and the covariance.
-      93 % of what is known of the mean of slope rests on one test, 308.
-      Examined with sigma at its start value.
+      The data identify all free elements of the mean and the covariance.
+      93 % of the information on the mean of slope comes from one test, 308.
+      Computed with sigma at its start value.
     ");
 }
 
@@ -106,21 +106,21 @@ fn unidentified_directions_are_named() {
         variance 654.94103
 
     Data
-      18 tests, 180 steps, 180 observations from a.csv and b.csv; 2 different
-        designs.
+      18 tests, 180 steps, 180 observations from a.csv and b.csv. The tests have 2
+        different designs (times, inputs and missing values).
 
     Observability
       state       seen by  determined by  largest share
       intercept    all 18         all 18  6.1 %, 308
       slope      17 of 18           none  93 %, 308
       Seen by: tests whose measurements depend on the state. Determined by: tests
-        that could estimate it alone. Largest share: how much of what is known of
-        the mean comes from one test, and which.
+        that could estimate it by themselves. Largest share: the test with the most
+        information on the mean, and its part of all information.
 
     Identifiability
-      Not identified: the data say nothing about the mean of slope, the covariance
-        of intercept and slope and the combination 0.8 var(slope) - 0.6
-        var(intercept). No test observes `slope`.
-      93 % of what is known of the mean of slope rests on one test, 308.
+      Not identified: the mean of slope, the covariance of intercept and slope and
+        the combination 0.8 var(slope) - 0.6 var(intercept). No test observes
+        `slope`.
+      93 % of the information on the mean of slope comes from one test, 308.
     ");
 }

@@ -145,15 +145,15 @@ fn deleted(displacements: &[f64]) -> FitRecord {
 }
 
 fn influence(record: &FitRecord) -> String {
-    section(80, record, "The answer without each test")
+    section(80, record, "Influence of single tests")
 }
 
 #[test]
 fn where_no_test_decides_the_most_influential_is_named() {
     insta::assert_snapshot!(influence(&deleted(&[0.3, 1.234, 0.8])), @"
-    The answer without each test
-      No test decides it alone: the estimates move most without test 309, by a
-        displacement of 1.2 for 6 free quantities.
+    Influence of single tests
+      No single test is influential. Test 309 moves the estimates most: its Cook's
+        displacement is 1.2, and 5.4 is the edge of the 50 % confidence region.
     ");
     assert_eq!(influence(&deleted(&[])), "\n");
     assert_eq!(influence(&common::sleepstudy()), "\n", "no test was left out");
@@ -164,32 +164,34 @@ fn tests_that_decide_are_a_table() {
     let mut record = deleted(&[0.3, 12.34, 5.4, 7.0]);
     record.tests[3].deletion.as_mut().expect("it was left out").p_value = None;
     insta::assert_snapshot!(influence(&record), @"
-    The answer without each test
-      test  displacement  p-value by the others
-      309           12.3                   0.01
-      311              7                      -
-      310            5.4                   0.01
+    Influence of single tests
+      test  displacement  p-value without it
+      309           12.3                0.01
+      311              7                   -
+      310            5.4                0.01
       Leaving any one of these tests out moves the estimates outside the 50 %
         confidence region of the full fit.
       Displacement (Cook's): twice the drop in the log-likelihood of all tests when
-        the estimates from the other tests are used.
+        the estimates from the other tests are used. The p-value says how well the
+        test agrees with the estimates from the other tests.
     ");
 }
 
 #[test]
 fn the_most_influential_of_many_are_shown() {
     insta::assert_snapshot!(influence(&deleted(&[9.0, 12.0, 8.0, 7.0, 6.0, 5.5, 10.0, 11.0, 0.1])), @"
-    The answer without each test
-      test  displacement  p-value by the others
-      309             12                   0.01
-      315             11                   0.01
-      314             10                   0.01
-      308              9                   0.01
-      310              8                   0.01
+    Influence of single tests
+      test  displacement  p-value without it
+      309             12                0.01
+      315             11                0.01
+      314             10                0.01
+      308              9                0.01
+      310              8                0.01
       Leaving any one of these tests (and of 3 more) out moves the estimates outside
         the 50 % confidence region of the full fit.
       Displacement (Cook's): twice the drop in the log-likelihood of all tests when
-        the estimates from the other tests are used.
+        the estimates from the other tests are used. The p-value says how well the
+        test agrees with the estimates from the other tests.
     ");
 }
 
@@ -205,9 +207,9 @@ fn a_test_decides_beyond_half_of_the_confidence() {
 fn displacements_that_are_no_numbers_are_left_out() {
     assert_eq!(influence(&deleted(&[f64::NAN, f64::INFINITY])), "\n");
     insta::assert_snapshot!(influence(&deleted(&[f64::NAN, 1.0, -1e-9])), @"
-    The answer without each test
-      No test decides it alone: the estimates move most without test 309, by a
-        displacement of 1 for 6 free quantities.
+    Influence of single tests
+      No single test is influential. Test 309 moves the estimates most: its Cook's
+        displacement is 1, and 5.4 is the edge of the 50 % confidence region.
     ");
 }
 

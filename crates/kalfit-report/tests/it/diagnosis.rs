@@ -30,7 +30,7 @@ fn record(found: &[InnovationRecord]) -> FitRecord {
 /// The section on innovations.
 fn section(record: &FitRecord) -> String {
     let text = summary(record, &Style::default());
-    let from = text.find("Innovations").map_or("", |at| &text[at..]);
+    let from = text.find("Innovations (measured").map_or("", |at| &text[at..]);
     from.split("\n\n").next().unwrap_or_default().to_owned() + "\n"
 }
 
@@ -38,10 +38,10 @@ fn section(record: &FitRecord) -> String {
 fn probable_innovations_are_said_to_be_so() {
     let record = record(&[innovations(9.0, 0.9, 0.4), innovations(14.0, 0.3, 0.03)]);
     insta::assert_snapshot!(section(&record), @"
-    Innovations (what the filter did not expect)
-      Mean square of 20 innovations over all tests, each in units of its variance:
+    Innovations (measured minus predicted)
+      Mean square of all 20 innovations, each divided by its standard deviation:
         1.15 (expected 1 ± 0.32).
-      Residual checks passed for all tests (smallest p = 0.03, time correlation in
+      Innovation checks passed for all tests (smallest p = 0.03, time correlation in
         309; 0.12 after Holm correction for 4 tests).
     ");
 }
@@ -50,17 +50,17 @@ fn probable_innovations_are_said_to_be_so() {
 fn improbable_innovations_are_named_by_test_and_kind() {
     let found = [innovations(9.0, 0.9, 1e-5), innovations(60.0, 7e-9, 0.5), innovations(0.3, 2e-4, 0.6)];
     insta::assert_snapshot!(section(&record(&found)), @"
-    Innovations (what the filter did not expect)
+    Innovations (measured minus predicted)
       test  what                   found  expected  p-value    Holm
       309   larger than modelled      60        10     7e-9    4e-8
       308   correlated in time       4.5         2     1e-5    5e-5
       310   smaller than modelled    0.3        10   0.0002  0.0008
-      These are improbable among 6 p-values (Holm, 5 % level): a size other than
-        modelled asks for other noise levels, or for a look at the test; correlation
-        in time suggests a missing process, such as a drift.
-      Mean square of 30 innovations over all tests, each in units of its variance:
-        2.31 (expected 1 ± 0.26). That is more than chance allows: noise or a motion
-        is missing from the model.
+      These are improbable at the 5 % level, after Holm correction for 6 p-values: a
+        size that differs from the model suggests other noise levels, or faults in
+        the test; correlation in time suggests a missing process, such as a drift.
+      Mean square of all 30 innovations, each divided by its standard deviation:
+        2.31 (expected 1 ± 0.26). That is more than chance allows: the model has too
+        little noise, or lacks a process.
     ");
 }
 
@@ -111,14 +111,14 @@ fn states_that_hang_on_one_test_and_weak_directions_are_warned_of() {
         phases: vec![],
     }];
     let text = summary(&record, &Style::default());
-    let at = text.find("Limits").expect("a section");
+    let at = text.find("What the data cannot").expect("a section");
     insta::assert_snapshot!(text[at..].split("\n\n").next().unwrap(), @"
-    Limits of what the data say
-      Only one test, 308, says anything about intercept.
-      96 % of what is known of the mean of slope rests on one test, 335.
-      Weakly determined: the combination 0.8 slope - 0.6 intercept of the means is
-        known 45 times less precisely than the best known combination, in comparable
-        units.
+    What the data cannot determine
+      Only one test, 308, contains information on intercept.
+      96 % of the information on the mean of slope comes from one test, 335.
+      Weakly determined: the combination 0.8 slope - 0.6 intercept of the means has
+        an error 45 times larger than that of the best determined combination, in
+        comparable units.
     ");
 }
 

@@ -76,24 +76,22 @@ fn between(text: &str, from: &str, to: &str) -> String {
 #[test]
 fn each_level_has_its_spread_and_its_correlations() {
     let text = summary(&chips_of_lots(), &Style::default());
-    assert_snapshot!(between(&text, "Data:", "Outlying tests"), @r#"
-    Data: 18 tests, 180 steps, 180 observations from data.csv; all tests share one
-    design.
+    assert_snapshot!(between(&text, "Data:", "Convergence and"), @r#"
+    Data: 18 tests, 180 steps, 180 observations from data.csv.
     Levels: 3 groups of `lot` and 9 groups of `chip`; 18 tests within them.
-    Log-likelihood -875.97, 6 free parameters, AIC 1763.94, BIC 1783.10.
 
     Initial state: mean, and spread within one chip (± standard error)
       state  mean         std dev
       bias   1.00 ± 0.25     1.00 ± 0.15
       scale  2.00 ± 0.25     1.00 ± 0.15
-      The standard deviations are from test to test of one chip; those from lot to
-        lot and from chip to chip are under "Spread by level".
+      These standard deviations describe tests of one chip; see "Spread by level"
+        for those from lot to lot and from chip to chip.
 
     Correlations within one chip (± standard error)
                     bias
       scale  0.00 ± 0.20
 
-    Spread by level (share of the variance of a test)
+    Spread by level (share: part of the variance of a test)
       state  spread           number  std dev                   share
       bias   lot to lot            3     1.00 ± 0.15 boundary  16.7 %
              chip to chip          9     2.00 ± 0.15           66.7 %
@@ -101,8 +99,8 @@ fn each_level_has_its_spread_and_its_correlations() {
       scale  lot to lot            3     1.00 ± 0.15 boundary  16.7 %
              chip to chip          9     2.00 ± 0.15           66.7 %
              within one chip      18     1.00 ± 0.15           16.7 %
-      From lot to lot, Σ is singular: rank 1 of 2; one combination of these states
-        does not vary from lot to lot, as far as the data tell.
+      From lot to lot, Σ is singular: rank 1 of 2; no variation from lot to lot was
+        found in one combination of these states.
 
     Correlations from lot to lot (± standard error)
               bias
@@ -113,8 +111,8 @@ fn each_level_has_its_spread_and_its_correlations() {
       scale  0.00 ± 0.20
 
     Outlying groups
-      No group stands out: the smallest of 3 p-values is 0.03 (chip A/7), or 0.09
-        with Bonferroni's correction.
+      No group is an outlier: the smallest of 3 p-values is 0.03 (chip A/7), or 0.09
+        after Bonferroni correction.
     "#);
 }
 
@@ -123,12 +121,12 @@ fn a_group_that_stands_out_has_a_row() {
     let mut record = chips_of_lots();
     record.groups[2].p_value = Some(1e-4);
     let text = summary(&record, &Style::default());
-    assert_snapshot!(between(&text, "Outlying groups", "Outlying tests"), @"
+    assert_snapshot!(between(&text, "Outlying groups", "Convergence and"), @"
     Outlying groups
       level  group  tests  distance²  expected  p-value  times 3
       chip   A/7        3       7.01         2   0.0001   0.0003
-      This group stands out even though the search went over 3 groups (Bonferroni, 5
-        % level).
+      This group is an outlier at the 5 % level, after Bonferroni correction for 3
+        groups.
     ");
 }
 
@@ -142,8 +140,8 @@ fn a_level_at_which_nothing_varies_is_said_so() {
     lots.boundary[0] =
         BoundaryRecord { rank: 0, zero_variances: vec!["bias".into(), "scale".into()], ..lots.boundary[0].clone() };
     let text = summary(&record, &Style::default());
-    assert_snapshot!(between(&text, "Spread by level (", "Outlying groups"), @"
-    Spread by level (share of the variance of a test)
+    assert_snapshot!(between(&text, "Spread by level (share", "Outlying groups"), @"
+    Spread by level (share: part of the variance of a test)
       state  spread           number  std dev                     share
       bias   lot to lot            3        0 at zero (boundary)    0 %
              chip to chip          9     2.00 ± 0.15               80 %
@@ -151,8 +149,8 @@ fn a_level_at_which_nothing_varies_is_said_so() {
       scale  lot to lot            3        0 at zero (boundary)    0 %
              chip to chip          9     2.00 ± 0.15               80 %
              within one chip      18     1.00 ± 0.15               20 %
-      Nothing varies from lot to lot beyond what the tests within them explain: its
-        covariance is zero.
+      The covariance from lot to lot is estimated as zero: the variation between
+        tests explains all differences.
 
     Correlations from lot to lot (± standard error)
              bias
@@ -187,7 +185,7 @@ fn profiles_name_where_each_quantity_varies() {
     }
     record.levels[1].correlation.interval95[1][0] = Some([None, Some(0.4)]);
     let text = summary(&record, &Style::default());
-    assert_snapshot!(between(&text, "95 % intervals by", "Spread by level ("), @"
+    assert_snapshot!(between(&text, "95 % intervals by", "Spread by level (share"), @"
     95 % intervals by profile likelihood
                                   spread           estimate  from    to
       mean of bias                                     1.00  0.50  1.50
@@ -211,10 +209,10 @@ fn the_population_of_the_report_varies_at_all_levels() {
     );
     for sentence in [
         "Mean, and spread within one chip",
-        "those from lot to lot and from chip to chip are under",
+        "for those from lot to lot and from chip to chip.",
         "Covariance from lot to lot",
         "Levels: 3 groups of `lot` and 9 groups of `chip`; 18 tests within them.",
-        "to the start of a test each of its groups adds a draw of its own",
+        "each group adds its own random contribution to the initial states of its tests",
     ] {
         assert!(page.contains(sentence), "the report does not say: {sentence}");
     }

@@ -10,5 +10,6 @@ mod model_check;
 mod parameters;
 mod phases;
 mod plan;
+mod plot;
 mod ratio;
 mod summary;

@@ -8,7 +8,9 @@ use crate::common;
 
 /// The first paragraph after the title.
 fn verdicts(record: &FitRecord) -> String {
-    summary(record, &Style::default()).split("\n\n").nth(1).unwrap_or_default().to_owned() + "\n"
+    let text = summary(record, &Style::default());
+    let part = |heading: &str| text.split("\n\n").find(|part| part.starts_with(heading)).unwrap_or_default().to_owned();
+    part("Convergence and model check") + "\n" + &part("What to do next") + "\n"
 }
 
 fn kinds(record: &FitRecord) -> (String, Vec<String>) {
@@ -40,10 +42,14 @@ fn with(found: &[InnovationRecord]) -> FitRecord {
 fn a_sound_fit_passes_in_a_green_box() {
     let record = with(&[innovations(10, 9.0, 0.9, 0.02), innovations(10, 11.0, 0.7, 0.5)]);
     insta::assert_snapshot!(verdicts(&record), @"
-    Converged: the optimality certificate holds, so these are the maximum-likelihood
-    estimates. In the dynamic parameters this is a local maximum; no higher one was
-    found.
+    Convergence and model check
+    Converged: the optimality conditions hold, so these are the maximum-likelihood
+    estimates. For the dynamic parameters this is a local maximum; the search found
+    no higher one.
     Model check passed: innovations and tests agree with the model.
+    Log-likelihood -875.97, 6 free parameters, AIC 1763.94, BIC 1783.10.
+    What to do next
+      Nothing needs attention: the fit converged and the model describes the data.
     ");
     assert_eq!(kinds(&record), ("passed".to_owned(), vec![]));
     assert!(html(&record).contains("class=\"verdict good\""));
@@ -61,15 +67,32 @@ fn no_green_box_stands_over_a_model_that_the_page_refutes() {
     record.tests[2].p_value = Some(1e-9);
     record.tests[0].deletion = Some(decisive());
     record.phases[0].boundary = common::singular().phases[0].boundary.clone();
-    insta::assert_snapshot!(verdicts(&record), @"
-    Converged: the optimality certificate holds, so these are the maximum-likelihood
-    estimates on the boundary of the possible covariances. In the dynamic parameters
-    this is a local maximum; no higher one was found.
+    insta::assert_snapshot!(verdicts(&record), @r#"
+    Convergence and model check
+    Converged: the optimality conditions hold, so these are the maximum-likelihood
+    estimates. The estimated covariance is singular, on the boundary of the possible
+    covariances. For the dynamic parameters this is a local maximum; the search
+    found no higher one.
     Model check doubtful: the innovations of all tests together are larger than the
     model allows; the innovations of 2 of 18 tests are improbable (size or
     correlation in time); test 310 stands out of the population. Test 308 by itself
     decides much of the answer.
-    ");
+    Log-likelihood -875.97, 6 free parameters, AIC 1763.94, BIC 1783.10.
+    What to do next
+      Look at the noise levels and processes of the model: their sizes do not fit
+        the data.
+      Let noise levels differ between tests (`per = "test"`, or `per` a column), or
+        look for faults in the tests named under Innovations.
+      Add a process for what is correlated in time, such as a random walk or a
+        Gauss-Markov state, or another one beside it.
+      Look for faults in the data of test 310, and see whether a fit without it
+        changes the estimates.
+      A singular covariance is a valid result: these tests do not show that the
+        states vary in all directions. Fewer varying states describe the data
+        equally well; more tests may separate them.
+      Check the data of test 308 with care, because the estimates depend on it; the
+        results file has the estimates without it.
+    "#);
     assert_eq!(kinds(&record).1, ["mean_square", "innovations", "distance"]);
     let page = html(&record);
     assert!(page.contains("class=\"verdict fair\"") && !page.contains("class=\"verdict good\""));
@@ -83,11 +106,20 @@ fn neither_influence_nor_a_singular_covariance_speaks_against_a_model() {
     record.tests[0].deletion = Some(decisive());
     record.phases[0].boundary = common::singular().phases[0].boundary.clone();
     insta::assert_snapshot!(verdicts(&record), @"
-    Converged: the optimality certificate holds, so these are the maximum-likelihood
-    estimates on the boundary of the possible covariances. In the dynamic parameters
-    this is a local maximum; no higher one was found.
+    Convergence and model check
+    Converged: the optimality conditions hold, so these are the maximum-likelihood
+    estimates. The estimated covariance is singular, on the boundary of the possible
+    covariances. For the dynamic parameters this is a local maximum; the search
+    found no higher one.
     Model check passed: innovations and tests agree with the model. Test 308 by
     itself decides much of the answer.
+    Log-likelihood -875.97, 6 free parameters, AIC 1763.94, BIC 1783.10.
+    What to do next
+      A singular covariance is a valid result: these tests do not show that the
+        states vary in all directions. Fewer varying states describe the data
+        equally well; more tests may separate them.
+      Check the data of test 308 with care, because the estimates depend on it; the
+        results file has the estimates without it.
     ");
     let found = ModelCheckRecord::of(&record);
     assert_eq!((kinds(&record), found.remarks.len()), (("passed".to_owned(), vec![]), 1), "{found:?}");
@@ -100,10 +132,15 @@ fn what_was_not_looked_at_has_not_passed() {
     let mut record = common::sleepstudy();
     record.tests.clear();
     insta::assert_snapshot!(verdicts(&record), @"
-    Converged: the optimality certificate holds, so these are the maximum-likelihood
-    estimates. In the dynamic parameters this is a local maximum; no higher one was
-    found.
-    Model check not made: this record has no figures of single tests.
+    Convergence and model check
+    Converged: the optimality conditions hold, so these are the maximum-likelihood
+    estimates. For the dynamic parameters this is a local maximum; the search found
+    no higher one.
+    No model check: the results have no figures of single tests.
+    Log-likelihood -875.97, 6 free parameters, AIC 1763.94, BIC 1783.10.
+    What to do next
+      To check the model, fit with the figures of single tests: without
+        `--no-tests`, and with `--innovations on`.
     ");
     assert_eq!(kinds(&record).0, "not checked");
     let mut stuck = with(&[innovations(10, 60.0, 7e-9, 0.5)]);
@@ -149,9 +186,9 @@ fn groups_are_a_table_with_what_is_known_of_their_difference() {
       lot  tests  mean square  p-value  distance²  expected  p-value
       A        2         0.90     0.83       2.77         4     0.60
       B        2         2.48     1e-6       2.77         4     0.60
-      Groups differ: p = 6e-6 at most (mean and covariance of each of 2 groups by
-        itself against those of all tests; likelihood ratio 31.9 with 5 degrees of
-        freedom).
+      The groups differ: p = 6e-6 at most (likelihood-ratio test of a mean and
+        covariance for each of the 2 groups against common ones: 31.9 with 5 degrees
+        of freedom).
     ");
     assert!(html(&record).contains("Groups by lot"));
 }

@@ -37,7 +37,8 @@ fn shown(record: &FitRecord, heading: &str) -> String {
     let text = summary(record, &Style::default());
     let start = text.find(heading).unwrap_or_else(|| panic!("no {heading} in\n{text}"));
     let rest = &text[start..];
-    let end = ["\nConstraints", "\nOutlying", "\nNotes", "\nSolver"].iter().filter_map(|next| rest.find(next)).min();
+    let end =
+        ["\nConvergence", "\nOutlying", "\nNotes", "\nComputation"].iter().filter_map(|next| rest.find(next)).min();
     rest[..end.unwrap_or(rest.len())].to_owned()
 }
 
@@ -94,8 +95,9 @@ fn of_very_many_levels_the_first_and_the_extremes_are_shown() {
       sigma_v    unit u0005  2.595 ± 0.050  2.497 to 2.693
       sigma_v    unit u0321  2.999 ± 0.050  2.901 to 3.097
       tau                     3.00 ± 0.10   2.80 to 3.20
-      sigma_v has 2000 levels, 1 of them fixed: shown are the first 6, the smallest
-        and the largest; 1993 more are in the results file. Their median is 2.
+      sigma_v has 2000 levels, 1 of them fixed. The table shows the first 6, the
+        smallest and the largest; 1993 more are in the results file. The median of
+        all is 2.
     ");
 }
 
@@ -138,14 +140,14 @@ fn methods_stand_side_by_side() {
     };
     insta::assert_snapshot!(shown(&record, "Methods side by side"), @"
     Methods side by side
-      method          log-lik.  certified  passes  filter runs  backward   time
-      hybrid       -637.602932  yes            26           20        19  12 ms
-      innovations  -637.602932  yes            26           20        19  12 ms
-      em           -637.612932  no             26           20        19  12 ms
+      method          log-lik.  converged  iter.  filter runs  backward   time
+      hybrid       -637.602932  yes           26           20        19  12 ms
+      innovations  -637.602932  yes           26           20        19  12 ms
+      em           -637.612932  no            26           20        19  12 ms
 
       parameter      hybrid  innovations      em
       walk         35.77194     35.77194    36.5
       sigma lot A    123.61       123.61  123.61
-      em is not certified: the search ran out of passes.
+      em did not converge: the search ran out of passes.
     ");
 }

@@ -56,8 +56,7 @@ fn a_plan_says_what_is_expected_and_why_something_is_not() {
     assert_snapshot!(plan_summary(&record(), &Style::default()), @"
     Gyros
 
-    Design: 4 tests, 40 steps, 39 observations from bench.csv; every test has a
-    design of its own.
+    Design: 4 tests, 40 steps, 39 observations from bench.csv.
     Population: fit.json.
 
     Expected standard errors of the means
@@ -79,14 +78,15 @@ fn a_plan_says_what_is_expected_and_why_something_is_not() {
       bias, scale      -  boundary         -          -
 
     How to read this
-      From the expected information at these values; N tests count as N/4 times the
-        design. Estimates from few tests spread more, and those of standard
-        deviations are skewed.
-      Boundary: the covariance is singular there, and a standard error does not
-        describe its estimates.
-      Not identified: no number of tests like these tells anything about it.
-      tau and sigma are free in the model and are taken as known here, at their
-        values in fit.json; estimating them too makes standard errors larger.
+      Standard errors come from the expected information at these values; N tests
+        count as N/4 times the design. With few tests, estimates scatter more than
+        this, and those of standard deviations are skewed.
+      Boundary: the covariance is singular, and a standard error does not describe
+        its estimates.
+      Not identified: more tests like these would not help.
+      tau and sigma are free in the model but are taken as known here, at their
+        values in fit.json; if they were estimated too, standard errors would be
+        larger.
     ");
 }
 

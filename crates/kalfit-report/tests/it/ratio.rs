@@ -134,16 +134,17 @@ fn a_plain_test_names_its_law_once() {
     Gyro bench
 
     Hypothesis: no bias
-    The data do not speak against it: p = 0.22 by the large-sample law.
+    The data do not contradict the hypothesis: p = 0.22 by the large-sample
+    distribution.
 
     Fits to 13 tests
-                  log-likelihood  free    AIC  certified
+                  log-likelihood  free    AIC  converged
       hypothesis       -8.450369     2  20.90        yes
       model           -7.6856655     3  21.37        yes
 
     -2 log λ = 1.52941
-      reference law  p-value
-      χ²(1)             0.22
+      reference distribution  p-value
+      χ²(1)                      0.22
     ");
 }
 
@@ -153,15 +154,15 @@ fn a_mixture_stands_beside_what_textbooks_and_habit_give() {
     Gyro bench
 
     Hypothesis: no bias
-    The data speak against it: p = 0.02 by the large-sample law.
+    The data contradict the hypothesis: p = 0.02 by the large-sample distribution.
 
     Fits to 13 tests
-                  log-likelihood  free    AIC  certified
+                  log-likelihood  free    AIC  converged
       hypothesis       -8.450369     2  20.90        yes
       model           -7.6856655     3  21.37        yes
 
     -2 log λ = 6
-      reference law                         p-value
+      reference distribution                p-value
       0.271 χ²(0) + 0.5 χ²(1) + 0.229          0.02
       χ²(2)
       as if independent: 0.25 χ²(0) + 0.5      0.02
@@ -178,15 +179,16 @@ fn a_bound_is_said_to_be_one() {
     Gyro bench
 
     Hypothesis: no bias
-    The data speak strongly against it: p = 5e-5 by the large-sample law.
+    The data strongly contradict the hypothesis: p = 5e-5 by the large-sample
+    distribution.
 
     Fits to 13 tests
-                  log-likelihood  free    AIC  certified
+                  log-likelihood  free    AIC  converged
       hypothesis       -8.450369     2  20.90        yes
       model           -7.6856655     3  21.37        yes
 
     -2 log λ = 21.5449
-      reference law                       p-value
+      reference distribution              p-value
       upper bound: 0.5 χ²(2) + 0.5 χ²(3)     5e-5
       χ²(3), which ignores the boundary      8e-5
 
@@ -202,22 +204,22 @@ fn the_bootstrap_gives_the_verdict_where_there_is_one() {
     Gyro bench
 
     Hypothesis: no bias
-    The data speak against it: p = 0.04 by the bootstrap.
+    The data contradict the hypothesis: p = 0.04 by the bootstrap.
 
     Fits to 13 tests
-                  log-likelihood  free    AIC  certified
+                  log-likelihood  free    AIC  converged
       hypothesis       -8.450369     2  20.90        yes
       model           -7.6856655     3  21.37        yes
 
     -2 log λ = 6
-      reference law                         p-value
+      reference distribution                p-value
       0.271 χ²(0) + 0.5 χ²(1) + 0.229          0.02
       χ²(2)
       as if independent: 0.25 χ²(0) + 0.5      0.02
       χ²(1) + 0.25 χ²(2)
       χ²(2), which ignores the boundary        0.05
       bootstrap of 200, seed 7 (± 0.014)       0.04
-      3 draws had no certified fit and were left out.
+      3 draws were left out because their fits did not converge.
     ");
 }
 
@@ -227,22 +229,22 @@ fn a_bootstrap_of_which_nothing_counts_gives_no_verdict() {
     Gyro bench
 
     Hypothesis: no bias
-    The data speak against it: p = 0.02 by the large-sample law.
+    The data contradict the hypothesis: p = 0.02 by the large-sample distribution.
 
     Fits to 13 tests
-                  log-likelihood  free    AIC  certified
+                  log-likelihood  free    AIC  converged
       hypothesis       -8.450369     2  20.90        yes
       model           -7.6856655     3  21.37        yes
 
     -2 log λ = 6
-      reference law                         p-value
+      reference distribution                p-value
       0.271 χ²(0) + 0.5 χ²(1) + 0.229          0.02
       χ²(2)
       as if independent: 0.25 χ²(0) + 0.5      0.02
       χ²(1) + 0.25 χ²(2)
       χ²(2), which ignores the boundary        0.05
       bootstrap of 200, seed 7              unknown
-      200 draws had no certified fit and were left out.
+      200 draws were left out because their fits did not converge.
     ");
 }
 
@@ -251,7 +253,7 @@ fn a_p_value_that_the_number_of_draws_limits_is_said_to_be_so() {
     let says = |p_value: f64, failed: usize| {
         let mut record = drawn(failed);
         record.bootstrap.as_mut().expect("there is one").p_value = Some(p_value).filter(|_| failed < 200);
-        at_80(&record).contains("No draw came up to the data")
+        at_80(&record).contains("No draw was as extreme as the data")
     };
     for (counted, failed) in [(200.0, 0), (50.0, 150)] {
         assert!(says(1.0 / (1.0 + counted), failed), "none of {counted}");
@@ -266,25 +268,25 @@ fn parts_stand_below_each_other() {
     Gyro bench
 
     Hypothesis: no bias
-    The data speak against it: p = 0.02 by the large-sample law.
+    The data contradict the hypothesis: p = 0.02 by the large-sample distribution.
 
     Fits to 13 tests
-                  log-likelihood  free    AIC  certified
+                  log-likelihood  free    AIC  converged
       hypothesis       -8.450369     2  20.90        yes
       model           -7.6856655     3  21.37        yes
 
     -2 log λ = 6
-      reference law                         p-value
+      reference distribution                p-value
       0.271 χ²(0) + 0.5 χ²(1) + 0.229          0.02
       χ²(2)
       as if independent: 0.25 χ²(0) + 0.5      0.02
       χ²(1) + 0.25 χ²(2)
       χ²(2), which ignores the boundary        0.05
 
-    Mean and covariance apart
+    Mean and covariance separately
       hypothesis on                     -2 log λ  df  p-value
       mean alone                          1.5294   1     0.22
-      covariance alone (not certified)    3.5759   1     0.03
+      covariance alone (not converged)    3.5759   1     0.03
       both                                     6   2     0.02
     ");
 }
@@ -296,19 +298,18 @@ fn what_is_not_certified_has_no_verdict() {
     Gyro bench
 
     Hypothesis: no bias
-    Not certified: a fit did not end at a certified optimum, so this test means
-    little.
+    Not converged: one of the fits did not converge, so this test means little.
 
     Fits to 13 tests
-                  log-likelihood  free    AIC  certified
+                  log-likelihood  free    AIC  converged
       hypothesis              -9     2  22.00         no
       model           -7.6856655     3  21.37        yes
 
     -2 log λ = 1.52941
-      reference law                       p-value
+      reference distribution              p-value
       χ²(1)                                  0.22
       bootstrap of 200, seed 7 (± 0.014)     0.04
-      3 draws had no certified fit and were left out.
+      3 draws were left out because their fits did not converge.
     ");
     assert!(!text.contains("speak"), "{text}");
 }
@@ -320,13 +321,13 @@ fn verdicts_follow_the_p_value() {
         text.lines().nth(3).unwrap_or_default().to_owned()
     };
     insta::assert_snapshot!([0.7, 0.05, 0.0499, 0.001, 0.00099, 1e-12, f64::NAN].map(verdict).join("\n"), @"
-    The data do not speak against it: p = 0.70 by the large-sample law.
-    The data do not speak against it: p = 0.05 by the large-sample law.
-    The data speak against it: p = 0.05 by the large-sample law.
-    The data speak against it: p = 0.001 by the large-sample law.
-    The data speak strongly against it: p = 0.001 by the large-sample law.
-    The data speak strongly against it: p < 1e-10 by the large-sample law.
-    There is no verdict: p = unknown by the large-sample law.
+    The data do not contradict the hypothesis: p = 0.70 by the large-sample
+    The data do not contradict the hypothesis: p = 0.05 by the large-sample
+    The data contradict the hypothesis: p = 0.05 by the large-sample distribution.
+    The data contradict the hypothesis: p = 0.001 by the large-sample distribution.
+    The data strongly contradict the hypothesis: p = 0.001 by the large-sample
+    The data strongly contradict the hypothesis: p < 1e-10 by the large-sample
+    There is no p-value: p = unknown by the large-sample distribution.
     ");
 }
 
@@ -336,36 +337,37 @@ fn narrow_and_wide_pages_hold_the_same() {
     Gyro bench
 
     Hypothesis: no bias
-    The data speak against it: p = 0.04 by the bootstrap.
+    The data contradict the hypothesis: p = 0.04 by the
+    bootstrap.
 
     Fits to 13 tests
-                  log-likelihood  free    AIC  certified
+                  log-likelihood  free    AIC  converged
       hypothesis       -8.450369     2  20.90        yes
       model           -7.6856655     3  21.37        yes
 
     -2 log λ = 6
-      reference law                         p-value
+      reference distribution                p-value
       0.271 χ²(0) + 0.5 χ²(1) + 0.229          0.02
       χ²(2)
       as if independent: 0.25 χ²(0) + 0.5      0.02
       χ²(1) + 0.25 χ²(2)
       χ²(2), which ignores the boundary        0.05
       bootstrap of 200, seed 7 (± 0.014)       0.04
-      3 draws had no certified fit and were left out.
+      3 draws were left out because their fits did not converge.
     ");
     insta::assert_snapshot!(at(120, &bound()), @"
     Gyro bench
 
     Hypothesis: no bias
-    The data speak strongly against it: p = 5e-5 by the large-sample law.
+    The data strongly contradict the hypothesis: p = 5e-5 by the large-sample distribution.
 
     Fits to 13 tests
-                  log-likelihood  free    AIC  certified
+                  log-likelihood  free    AIC  converged
       hypothesis       -8.450369     2  20.90        yes
       model           -7.6856655     3  21.37        yes
 
     -2 log λ = 21.5449
-      reference law                       p-value
+      reference distribution              p-value
       upper bound: 0.5 χ²(2) + 0.5 χ²(3)     5e-5
       χ²(3), which ignores the boundary      8e-5
 

@@ -15,15 +15,7 @@ fn a_healthy_fit_reads_from_verdict_to_figures() {
     insta::assert_snapshot!(at_80(&sleepstudy()), @"
     Reaction time under sleep deprivation
 
-    Converged: the optimality certificate holds, so these are the maximum-likelihood
-    estimates. In the dynamic parameters this is a local maximum; no higher one was
-    found.
-    Model check passed: the tests agree with the population; there are no
-    innovations to look at.
-
-    Data: 18 tests, 180 steps, 180 observations from data.csv; all tests share one
-    design.
-    Log-likelihood -875.97, 6 free parameters, AIC 1763.94, BIC 1783.10.
+    Data: 18 tests, 180 steps, 180 observations from data.csv.
 
     Initial state over the tests (± standard error)
       state      unit     mean        std dev
@@ -38,11 +30,23 @@ fn a_healthy_fit_reads_from_verdict_to_figures() {
       parameter  unit  value        95 % interval
       sigma      ms     25.6 ± 1.5  22.8 to 28.7
 
-    Outlying tests
-      No test stands out: the smallest of 4 p-values is 0.02 (test 310), or 0.08
-        with Bonferroni's correction.
+    Convergence and model check
+    Converged: the optimality conditions hold, so these are the maximum-likelihood
+    estimates. For the dynamic parameters this is a local maximum; the search found
+    no higher one.
+    Model check passed: the tests agree with the population (innovations were not
+    computed).
+    Log-likelihood -875.97, 6 free parameters, AIC 1763.94, BIC 1783.10.
 
-    Solver newton, 9 passes over the reductions, 1 filter run, 12 ms.
+    What to do next
+      Nothing needs attention: the fit converged and the model describes the data.
+
+    Outlying tests
+      No test is an outlier: the smallest of 4 p-values is 0.02 (test 310), or 0.08
+        after Bonferroni correction.
+
+    All tests have the same design (times, inputs and missing values).
+    Computation: solver newton, 9 iterations, 1 filter run, 12 ms.
     ");
 }
 
@@ -61,15 +65,7 @@ fn singular_covariances_and_unidentified_directions_are_said_in_words() {
     insta::assert_snapshot!(at_80(&singular()), @"
     Static IMU
 
-    Converged: the optimality certificate holds, so these are the maximum-likelihood
-    estimates of all that the data identify, on the boundary of the possible
-    covariances.
-    Model check passed: the tests agree with the population; there are no
-    innovations to look at.
-
-    Data: 18 tests, 180 steps, 180 observations from data.csv; 4 different designs;
-    3 tests took the square-root path.
-    Log-likelihood -875.97, 6 free parameters, AIC 1763.94, BIC 1783.10.
+    Data: 18 tests, 180 steps, 180 observations from data.csv.
 
     Initial state over the tests (± standard error)
       state         mean                 std dev
@@ -83,21 +79,38 @@ fn singular_covariances_and_unidentified_directions_are_said_in_words() {
       misalignment      -      -
       - not defined: a standard deviation is zero.
 
-    Limits of what the data say
+    What the data cannot determine
       Σ is singular: rank 1 of 3; the variance of misalignment is estimated as zero.
-      Not identified: the data say nothing about the combination 0.8 scale - 0.6
-        bias of the means; its start value was kept.
-      Not identified: the data say nothing about the covariance of bias and scale;
-        its start value was kept. `bias` and `scale` are never observed in one test.
+      Not identified: the combination 0.8 scale - 0.6 bias of the means, whose start
+        value was kept.
+      Not identified: the covariance of bias and scale, whose start value was kept.
+        `bias` and `scale` are never observed in one test.
+
+    Convergence and model check
+    Converged: the optimality conditions hold, so these are the maximum-likelihood
+    estimates. The estimated covariance is singular, on the boundary of the possible
+    covariances. Some quantities are not identified by the data.
+    Model check passed: the tests agree with the population (innovations were not
+    computed).
+    Log-likelihood -875.97, 6 free parameters, AIC 1763.94, BIC 1783.10.
+
+    What to do next
+      Fix what the data do not identify, or leave it out of the model, or add tests
+        with information on it; `kalfit check` shows which tests see which states.
+      A singular covariance is a valid result: these tests do not show that the
+        states vary in all directions. Fewer varying states describe the data
+        equally well; more tests may separate them.
 
     Outlying tests
-      No test stands out: the smallest of 4 p-values is 0.02 (test 310), or 0.08
-        with Bonferroni's correction.
+      No test is an outlier: the smallest of 4 p-values is 0.02 (test 310), or 0.08
+        after Bonferroni correction.
 
     Notes
       Units of the states span 9 powers of ten; they were scaled.
 
-    Solver newton, 9 passes over the reductions, 1 filter run, 12 ms.
+    The tests have 4 different designs (times, inputs and missing values). 3 tests
+    needed the more accurate square-root filter.
+    Computation: solver newton, 9 iterations, 1 filter run, 12 ms.
     ");
 }
 
@@ -106,14 +119,7 @@ fn constraints_show_what_they_cost() {
     insta::assert_snapshot!(at_80(&constrained()), @"
     Gyro bench
 
-    Converged: the optimality certificate holds, so these are the maximum-likelihood
-    estimates. In the dynamic parameters this is a local maximum; no higher one was
-    found.
-    Model check doubtful: 2 tests stand out of the population.
-
-    Data: 18 tests, 180 steps, 180 observations from data.csv; all tests share one
-    design.
-    Log-likelihood -875.97, 6 free parameters, AIC 1763.94, BIC 1783.10.
+    Data: 18 tests, 180 steps, 180 observations from data.csv.
 
     Initial state over the tests (± standard error)
       state                    mean         std dev
@@ -134,23 +140,36 @@ fn constraints_show_what_they_cost() {
       sigma_v    lot B        0.123 ± 0.012       0.099 to 0.147
       tau               s         1 at its bound
 
-    Constraints: what they cost (score test of each by itself)
+    Convergence and model check
+    Converged: the optimality conditions hold, so these are the maximum-likelihood
+    estimates. For the dynamic parameters this is a local maximum; the search found
+    no higher one.
+    Model check doubtful: 2 tests stand out of the population.
+    Log-likelihood -875.97, 6 free parameters, AIC 1763.94, BIC 1783.10.
+
+    What to do next
+      Look for faults in the data of tests 309 and 310, and see whether a fit
+        without them changes the estimates.
+
+    Constraints (score test of each one separately)
       element                               held at  dℓ/dvalue  p-value  if freed
       mean[scale_factor]                          0      -12.3    0.008    -0.457
       covariance[scale_factor, bias]              0      -12.3     0.43    -0.457
       covariance[temperature_coefficient,         0          -        -         -
       temperature_coefficient]
-      The data speak against holding mean[scale_factor] (5 % level, counting that
-        there are 2).
+      The data contradict the constraint on mean[scale_factor] (5 % level, after
+        Bonferroni correction for 2 tests).
 
     Outlying tests
       test  distance²  expected  p-value  times 4
       309        55.3         2  < 1e-10  < 1e-10
       310        15.6         2   0.0004    0.002
-      These tests stand out even though the search went over 4 tests (Bonferroni, 5
-        % level).
+      These tests are outliers at the 5 % level, after Bonferroni correction for 4
+        tests. Distance²: squared distance of the test's initial state from the
+        population, in standard deviations.
 
-    Solver newton, 9 passes over the reductions, 1 filter run, 12 ms.
+    All tests have the same design (times, inputs and missing values).
+    Computation: solver newton, 9 iterations, 1 filter run, 12 ms.
     ");
 }
 
@@ -162,24 +181,28 @@ fn without_random_states_the_means_remain() {
     main.std_dev.estimate[0] = 0.0;
     main.std_dev.std_error[0] = None;
     insta::assert_snapshot!(at_80(&record("", vec![main])), @"
-    Converged: the optimality certificate holds, so these are the maximum-likelihood
-    estimates.
-    Model check passed: the tests agree with the population; there are no
-    innovations to look at.
-
-    Data: 18 tests, 180 steps, 180 observations from data.csv; all tests share one
-    design.
-    Log-likelihood -875.97, 6 free parameters, AIC 1763.94, BIC 1783.10.
+    Data: 18 tests, 180 steps, 180 observations from data.csv.
 
     Initial state over the tests (± standard error)
       state  mean         std dev
       level  1.00 ± 0.25        0 fixed
 
-    Outlying tests
-      No test stands out: the smallest of 4 p-values is 0.02 (test 310), or 0.08
-        with Bonferroni's correction.
+    Convergence and model check
+    Converged: the optimality conditions hold, so these are the maximum-likelihood
+    estimates.
+    Model check passed: the tests agree with the population (innovations were not
+    computed).
+    Log-likelihood -875.97, 6 free parameters, AIC 1763.94, BIC 1783.10.
 
-    Solver newton, 9 passes over the reductions, 1 filter run, 12 ms.
+    What to do next
+      Nothing needs attention: the fit converged and the model describes the data.
+
+    Outlying tests
+      No test is an outlier: the smallest of 4 p-values is 0.02 (test 310), or 0.08
+        after Bonferroni correction.
+
+    All tests have the same design (times, inputs and missing values).
+    Computation: solver newton, 9 iterations, 1 filter run, 12 ms.
     ");
 }
 
@@ -190,17 +213,22 @@ fn without_estimated_states_the_likelihood_remains() {
     insta::assert_snapshot!(at_80(&record), @"
     Known start
 
-    Converged: the optimality certificate holds, so these are the maximum-likelihood
-    estimates.
-    Model check not made: this record has no figures of single tests.
-
-    Data: 18 tests, 180 steps, 180 observations from data.csv; all tests share one
-    design.
-    Log-likelihood -875.97, 6 free parameters, AIC 1763.94, BIC 1783.10.
+    Data: 18 tests, 180 steps, 180 observations from data.csv.
 
     Initial state: nothing of it is estimated.
 
-    Solver newton, 9 passes over the reductions, 1 filter run, 12 ms.
+    Convergence and model check
+    Converged: the optimality conditions hold, so these are the maximum-likelihood
+    estimates.
+    No model check: the results have no figures of single tests.
+    Log-likelihood -875.97, 6 free parameters, AIC 1763.94, BIC 1783.10.
+
+    What to do next
+      To check the model, fit with the figures of single tests: without
+        `--no-tests`, and with `--innovations on`.
+
+    All tests have the same design (times, inputs and missing values).
+    Computation: solver newton, 9 iterations, 1 filter run, 12 ms.
     ");
 }
 
@@ -223,14 +251,7 @@ fn wide_matrices_are_cut_into_parts_that_fit_80_columns() {
     insta::assert_snapshot!(at_80(&ten_states()), @"
     Ten states
 
-    Converged: the optimality certificate holds, so these are the maximum-likelihood
-    estimates.
-    Model check passed: the tests agree with the population; there are no
-    innovations to look at.
-
-    Data: 18 tests, 180 steps, 180 observations from data.csv; all tests share one
-    design.
-    Log-likelihood -875.97, 6 free parameters, AIC 1763.94, BIC 1783.10.
+    Data: 18 tests, 180 steps, 180 observations from data.csv.
 
     Initial state over the tests (± standard error)
       state                  mean         std dev
@@ -275,11 +296,22 @@ fn wide_matrices_are_cut_into_parts_that_fit_80_columns() {
           misalignment_xy
       m2      0.20 ± 0.27
 
-    Outlying tests
-      No test stands out: the smallest of 4 p-values is 0.02 (test 310), or 0.08
-        with Bonferroni's correction.
+    Convergence and model check
+    Converged: the optimality conditions hold, so these are the maximum-likelihood
+    estimates.
+    Model check passed: the tests agree with the population (innovations were not
+    computed).
+    Log-likelihood -875.97, 6 free parameters, AIC 1763.94, BIC 1783.10.
 
-    Solver newton, 9 passes over the reductions, 1 filter run, 12 ms.
+    What to do next
+      Nothing needs attention: the fit converged and the model describes the data.
+
+    Outlying tests
+      No test is an outlier: the smallest of 4 p-values is 0.02 (test 310), or 0.08
+        after Bonferroni correction.
+
+    All tests have the same design (times, inputs and missing values).
+    Computation: solver newton, 9 iterations, 1 filter run, 12 ms.
     ");
 }
 
@@ -288,11 +320,7 @@ fn wide_matrices_use_120_columns_where_there_are() {
     insta::assert_snapshot!(summary(&ten_states(), &Style { width: 120, color: false }), @"
     Ten states
 
-    Converged: the optimality certificate holds, so these are the maximum-likelihood estimates.
-    Model check passed: the tests agree with the population; there are no innovations to look at.
-
-    Data: 18 tests, 180 steps, 180 observations from data.csv; all tests share one design.
-    Log-likelihood -875.97, 6 free parameters, AIC 1763.94, BIC 1783.10.
+    Data: 18 tests, 180 steps, 180 observations from data.csv.
 
     Initial state over the tests (± standard error)
       state                  mean         std dev
@@ -325,10 +353,19 @@ fn wide_matrices_use_120_columns_where_there_are() {
       misalignment_xy   0.50 ± 0.18   0.80 ± 0.21  -0.80 ± 0.24
       m2               -0.70 ± 0.18  -0.40 ± 0.21  -0.10 ± 0.24      0.20 ± 0.27
 
-    Outlying tests
-      No test stands out: the smallest of 4 p-values is 0.02 (test 310), or 0.08 with Bonferroni's correction.
+    Convergence and model check
+    Converged: the optimality conditions hold, so these are the maximum-likelihood estimates.
+    Model check passed: the tests agree with the population (innovations were not computed).
+    Log-likelihood -875.97, 6 free parameters, AIC 1763.94, BIC 1783.10.
 
-    Solver newton, 9 passes over the reductions, 1 filter run, 12 ms.
+    What to do next
+      Nothing needs attention: the fit converged and the model describes the data.
+
+    Outlying tests
+      No test is an outlier: the smallest of 4 p-values is 0.02 (test 310), or 0.08 after Bonferroni correction.
+
+    All tests have the same design (times, inputs and missing values).
+    Computation: solver newton, 9 iterations, 1 filter run, 12 ms.
     ");
 }
 
@@ -347,12 +384,10 @@ fn what_did_not_converge_says_so_first() {
 
     Not converged: 200 passes were not enough. The figures below are where the
     solver stopped, not a maximum of the likelihood.
-    Optimality conditions are missed, in standard errors, by: mean 0.31, covariance
-    13, null space of Σ 0, parameters 0.
+    Distance from the optimality conditions, in standard errors: mean 0.31,
+    covariance 13, null space of Σ 0, parameters 0.
 
-    Data: 18 tests, 180 steps, 180 observations from data.csv; all tests share one
-    design.
-    Log-likelihood -875.97, 6 free parameters, AIC 1763.94, BIC 1783.10.
+    Data: 18 tests, 180 steps, 180 observations from data.csv.
 
     Initial state over the tests (± standard error)
       state      unit       mean            std dev
@@ -367,11 +402,19 @@ fn what_did_not_converge_says_so_first() {
       parameter  unit  value        95 % interval
       sigma      ms     25.6 ± 1.5  22.8 to 28.7
 
-    Outlying tests
-      No test stands out: the smallest of 4 p-values is 0.02 (test 310), or 0.08
-        with Bonferroni's correction.
+    Log-likelihood -875.97, 6 free parameters, AIC 1763.94, BIC 1783.10.
 
-    Solver newton, 9 passes over the reductions, 1 filter run, 12 ms.
+    What to do next
+      Do not use these figures. Give start values for the free parameters, allow
+        more passes (`--max-iterations`), or use a simpler model: fewer states, or a
+        diagonal covariance.
+
+    Outlying tests
+      No test is an outlier: the smallest of 4 p-values is 0.02 (test 310), or 0.08
+        after Bonferroni correction.
+
+    All tests have the same design (times, inputs and missing values).
+    Computation: solver newton, 9 iterations, 1 filter run, 12 ms.
     ");
 }
 
@@ -385,15 +428,8 @@ fn phases_have_a_section_each() {
     insta::assert_snapshot!(at_80(&record), @"
     Two phases
 
-    Converged: the optimality certificate holds, so these are the restricted
-    maximum-likelihood estimates on the boundary of the possible covariances.
-    Model check passed: the tests agree with the population; there are no
-    innovations to look at.
-
-    Data: 18 tests, 180 steps, 180 observations from data.csv; all tests share one
-    design.
+    Data: 18 tests, 180 steps, 180 observations from data.csv.
     Phases: align and coast; combined exactly, phase by phase (chain).
-    Restricted log-likelihood -875.97, 6 free parameters, AIC 1763.94, BIC 1783.10.
 
     Phase align: initial state over the tests (± standard error)
       state  mean         std dev
@@ -408,14 +444,29 @@ fn phases_have_a_section_each() {
                    bias
       tilt  0.00 ± 0.20
 
-    Phase coast: limits of what the data say
-      Σ is estimated as zero: the tests do not differ in it beyond their noise.
+    Phase coast: what the data cannot determine
+      Σ is estimated as zero: measurement noise explains all differences between the
+        tests.
+
+    Convergence and model check
+    Converged: the optimality conditions hold, so these are the restricted
+    maximum-likelihood estimates. The estimated covariance is singular, on the
+    boundary of the possible covariances.
+    Model check passed: the tests agree with the population (innovations were not
+    computed).
+    Restricted log-likelihood -875.97, 6 free parameters, AIC 1763.94, BIC 1783.10.
+
+    What to do next
+      A singular covariance is a valid result: these tests do not show that the
+        states vary in all directions. Fewer varying states describe the data
+        equally well; more tests may separate them.
 
     Outlying tests
-      No test stands out: the smallest of 4 p-values is 0.02 (test 310), or 0.08
-        with Bonferroni's correction.
+      No test is an outlier: the smallest of 4 p-values is 0.02 (test 310), or 0.08
+        after Bonferroni correction.
 
-    Solver newton, 9 passes over the reductions, 1 filter run, 12 ms.
+    All tests have the same design (times, inputs and missing values).
+    Computation: solver newton, 9 iterations, 1 filter run, 12 ms.
     ");
 }
 

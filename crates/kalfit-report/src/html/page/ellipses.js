@@ -87,7 +87,7 @@ const layers = (data, look, found, [half, wide]) => {
 };
 
 const legendOf = (look, groups) => {
-  const words = look.narrow ? { alone: "alone", given: "given all" } : { alone: "test by itself", given: "given the population" };
+  const words = look.narrow ? { alone: "alone", given: "given all" } : { alone: "test alone", given: "given the population" };
   return {
     top: 0, left: 0, itemWidth: 16, selectedMode: false, textStyle: { color: look.ink },
     ...(groups ? { right: 90, type: "scroll", pageTextStyle: { color: look.soft } } : {}),

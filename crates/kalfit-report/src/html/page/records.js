@@ -52,7 +52,7 @@ const recordSeries = (look, own, state, test) => {
     const bounds = dashed(look, [{ yAxis: -NORMAL }, { yAxis: NORMAL }], "");
     series.push(dotsOf("innovation", own.zAt, own.z, look.mark, middle, { markLine: bounds }));
     series.push({
-      type: "line", name: "normal law", symbol: "none", silent: true, ...last, data: [-9, 9].map((q) => [q, q]),
+      type: "line", name: "normal distribution", symbol: "none", silent: true, ...last, data: [-9, 9].map((q) => [q, q]),
       lineStyle: { color: look.soft, width: 1.5 },
     });
     series.push(dotsOf("in order", own.q.map((pair) => pair[0]), own.q.map((pair) => pair[1]), look.mark, last));
@@ -87,7 +87,7 @@ const recordAxes = (data, test, own, state, look) => {
   const wide = (x) => Math.max(2.5, ...x.filter(known).map(Math.abs)) * 1.06;
   const [z, q] = own ? [wide(own.z), wide(own.q.map((pair) => pair[0]))] : [2.5, 2.5];
   return {
-    xAxis: [across(0), across(1), across(2), numbers(look, look.narrow ? "normal law" : "what a normal law has at this place", { gridIndex: 3, min: -q, max: q, axisLabel: inner })],
+    xAxis: [across(0), across(1), across(2), numbers(look, look.narrow ? "normal distribution" : "quantile of the normal distribution", { gridIndex: 3, min: -q, max: q, axisLabel: inner })],
     yAxis: [
       up(own ? own.name : "", 0, own ? seenSpan(own) : {}),
       up("innovation / σ", 1, { min: -z, max: z }),
@@ -112,7 +112,7 @@ const remark = (test, own) =>
 
 const recordTip = (data, own, state) => (hit) => {
   const [x, y] = hit.value;
-  if (hit.seriesName === "in order") return `innovation ${number(y, 3)}<br>a normal law has ${number(x, 3)}`;
+  if (hit.seriesName === "in order") return `innovation ${number(y, 3)}<br>normal quantile ${number(x, 3)}`;
   const time = `${safe(withUnit("time", data.timeUnit))} ${tick(x)}<br>`;
   if (hit.seriesName === "innovation") return `${time}${number(y, 3)} standard deviations`;
   const i = own.at.indexOf(x);

@@ -133,8 +133,8 @@ kinds.quantiles = {
               itemStyle: { color: testLook(look, data.groups, p).color },
               label: { show: p.out, formatter: shorten(p.id, 16), position: "left", color: look.ink, fontSize: 11 },
             })),
-            markLine: dashed(look, [{ yAxis: data.limit }], "stands out above", {
-              label: { position: "insideStartTop", color: look.soft, fontSize: 11, formatter: "stands out above" },
+            markLine: dashed(look, [{ yAxis: data.limit }], "outliers above", {
+              label: { position: "insideStartTop", color: look.soft, fontSize: 11, formatter: "outliers above" },
             }),
           },
           ...groupSeries(look, data.groups),

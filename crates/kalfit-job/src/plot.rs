@@ -1,0 +1,62 @@
+//! `kalfit plot`: one figure of a fit, as SVG or PNG.
+
+use std::path::Path;
+
+use kalfit::FitRecord;
+use kalfit::along::along;
+use kalfit::record::AlongRecord;
+use kalfit_report::{Format, What};
+
+use crate::evidence::Given;
+use crate::failure::Failure;
+use crate::job::{Done, PlotJob, files};
+use crate::output::{Contents, Output, OutputError};
+use crate::results::{FIT, read};
+use crate::work::{Watch, Work};
+use crate::{tests, truth};
+
+/// Draws a figure of a fit from its results; along records with the model and the data, too.
+///
+/// # Errors
+/// Bad input, or nothing to draw.
+pub fn plot(job: &PlotJob, watch: &mut dyn Watch) -> Result<Done<()>, Failure> {
+    let (output, format) = prepared(job, &files(&[&job.fit], &[]))?;
+    let shown = |record: &FitRecord, along: Option<&AlongRecord>| {
+        let chosen = (along, job.test.as_deref());
+        kalfit_report::plot(record, job.what, chosen, (format, job.width)).map_err(Failure::Plot)
+    };
+    let (figure, notes) = match (job.what, &job.model) {
+        (What::Records, Some(model)) => {
+            let (mut spec, truth) = truth::load(model, &job.fit)?;
+            let given = Given::open(&mut spec, &job.data)?;
+            prepared(job, &files(&[&model.document, &job.fit], &given.inputs))?;
+            let record = truth.record.ok_or(Failure::PlotOfModel)?;
+            let mut work = Work::new(watch);
+            let (read, _) = tests::read(&spec, &given, &mut work)?;
+            let known = spec.model.shared().clock.time.is_some().then(|| {
+                along((&spec.model, &truth.alpha, &truth.population), &read, &record, &mut |_| !work.is_stopped())
+            });
+            work.go_on()?;
+            (shown(&record, known.as_ref())?, [truth.warnings, given.notes].concat())
+        }
+        (What::Records, None) => return Err(Failure::RecordsWithoutData),
+        _ if job.model.is_some() || !job.data.is_empty() || job.test.is_some() => return Err(Failure::IdlePlotData),
+        _ => (shown(&read(&job.fit, FIT).map_err(|error| Failure::Report(Box::new(error)))?, None)?, Vec::new()),
+    };
+    output.write_bytes(&figure)?;
+    Ok(Done::new((), notes, vec![output.name()]))
+}
+
+/// The file, and its format, which its ending says.
+fn prepared(job: &PlotJob, inputs: &[&Path]) -> Result<(Output, Format), Failure> {
+    let ending = job.out.extension().map(|ending| ending.to_string_lossy().to_lowercase());
+    let format = match ending.as_deref() {
+        Some("svg") => Format::Svg,
+        Some("png") => Format::Png,
+        _ => {
+            let (path, option) = (job.out.clone(), "--out");
+            return Err(OutputError::Ending { path, contents: Contents::Figure, option }.into());
+        }
+    };
+    Ok((Output::prepare(&job.out, inputs)?, format))
+}

@@ -1,0 +1,125 @@
+//! A test along its record: measured and predicted values, innovations.
+
+use kalfit::record::{AlongRecord, MeasurementAlong, TestAlong};
+
+use crate::plot::axis::Axis;
+use crate::plot::canvas::{BLUE, Canvas, FAINT, INK, ORANGE, SMALL, Side, WORDS, cut};
+use crate::plot::{Picture, PlotError};
+use crate::words::{clean, list};
+
+/// Measurements that are drawn.
+const MOST: usize = 6;
+/// Tests that are named.
+const MOST_NAMES: usize = 20;
+/// Heights of the values and of the innovations of a measurement, and of what stands around each.
+const VALUES: f64 = 170.0;
+const INNOVATIONS: f64 = 90.0;
+const AROUND: f64 = 50.0;
+/// Half of the interval that holds 95 % of a standard normal number.
+const LIMIT: f64 = 1.96;
+const LEFT: f64 = 66.0;
+
+pub(super) struct Records<'a> {
+    test: &'a TestAlong,
+    unit: Option<String>,
+    of: usize,
+}
+
+impl<'a> Records<'a> {
+    /// Of this test, by default the least probable.
+    pub(super) fn of(along: Option<&'a AlongRecord>, test: Option<&str>) -> Result<Records<'a>, PlotError> {
+        let Some(along) = along else {
+            return Err(PlotError::Nothing("records over time need a model with `time`, and the data".to_owned()));
+        };
+        let found = match test {
+            None => along.tests.first(),
+            Some(id) => along.tests.iter().find(|one| one.id == id),
+        };
+        match (found, test) {
+            (Some(test), _) => Ok(Records { test, unit: along.time_unit.as_deref().map(clean), of: along.of }),
+            (None, Some(id)) if !along.tests.is_empty() => Err(PlotError::NoTest {
+                test: clean(id),
+                known: list(&along.tests.iter().map(|one| clean(&one.id)).collect::<Vec<_>>(), MOST_NAMES),
+            }),
+            (None, _) => Err(PlotError::Nothing(
+                along.notes.first().map_or("there are no records".to_owned(), |note| clean(note)),
+            )),
+        }
+    }
+
+    fn measurements(&self) -> Vec<(String, &'a MeasurementAlong)> {
+        let several = self.test.phases.len() > 1;
+        let name = |phase: &str, own: &MeasurementAlong| match several {
+            true => format!("{}: {}", clean(phase), clean(&own.name)),
+            false => clean(&own.name),
+        };
+        let phases = self.test.phases.iter();
+        let all = phases.flat_map(|phase| phase.measurements.iter().map(|own| (name(&phase.name, own), own)));
+        all.take(MOST).collect()
+    }
+}
+
+impl Picture for Records<'_> {
+    fn caption(&self) -> String {
+        format!(
+            "Test {} of {}: measured values, predictions ± 2 standard deviations, innovations",
+            clean(&self.test.id),
+            self.of
+        )
+    }
+
+    fn height(&self, _: f64) -> f64 {
+        self.measurements().len() as f64 * (VALUES + INNOVATIONS + 2.0 * AROUND) + 10.0
+    }
+
+    fn draw(&self, on: &mut Canvas<'_>) {
+        let time = self.unit.as_ref().map_or("time".to_owned(), |unit| format!("time [{unit}]"));
+        for (k, (name, own)) in self.measurements().into_iter().enumerate() {
+            let top = k as f64 * (VALUES + INNOVATIONS + 2.0 * AROUND);
+            values(own, &name, &mut on.below(top));
+            innovations(own, &time, &mut on.below(top + VALUES + AROUND));
+        }
+    }
+}
+
+/// Where the panel is, with its axis of time.
+fn times(own: &MeasurementAlong, on: &Canvas<'_>) -> Axis {
+    Axis::over(own.at.iter().chain(&own.innovations_at).copied(), LEFT, on.width - 18.0)
+}
+
+fn values(own: &MeasurementAlong, name: &str, on: &mut Canvas<'_>) {
+    let (x, right) = (times(own, on), on.width - 18.0);
+    let (top, bottom) = (24.0, 24.0 + VALUES);
+    let rows = own.at.len().min(own.measured.len()).min(own.predicted.len()).min(own.std_dev.len());
+    // the band of the first steps, before anything is known, would leave nothing else to see
+    let y = Axis::over(own.measured.iter().copied(), bottom, top);
+    let band = |sign: f64| (0..rows).map(move |i| (i, own.predicted[i] + sign * 2.0 * own.std_dev[i]));
+    let point = |(i, value): (usize, f64)| [x.at(own.at[i]), y.at(value)];
+    on.text([12.0, 10.0], &cut(name, on.width - 24.0, WORDS), WORDS, Side::Left, INK);
+    x.below(on, top, bottom);
+    y.beside(on, LEFT, right);
+    if rows > 1 {
+        let edge: Vec<[f64; 2]> = band(1.0).map(point).chain(band(-1.0).rev().map(point)).collect();
+        on.area(&edge, BLUE);
+        on.line(&(0..rows).map(|i| point((i, own.predicted[i]))).collect::<Vec<_>>(), BLUE, 1.2);
+    }
+    for i in 0..rows {
+        on.dot(point((i, own.measured[i])), 1.8, INK, true);
+    }
+}
+
+fn innovations(own: &MeasurementAlong, time: &str, on: &mut Canvas<'_>) {
+    let (x, right) = (times(own, on), on.width - 18.0);
+    let (top, bottom) = (24.0, 24.0 + INNOVATIONS);
+    let y = Axis::over(own.standardised.iter().copied().chain([-LIMIT, LIMIT]), bottom, top);
+    on.text([12.0, 10.0], "innovations / standard deviation", WORDS, Side::Left, INK);
+    x.below(on, top, bottom);
+    y.beside(on, LEFT, right);
+    for limit in [-LIMIT, LIMIT] {
+        on.dashed([LEFT, y.at(limit)], [right, y.at(limit)], FAINT);
+    }
+    for (at, value) in own.innovations_at.iter().zip(&own.standardised) {
+        on.dot([x.at(*at), y.at(*value)], 1.8, if value.abs() > 3.0 { ORANGE } else { BLUE }, true);
+    }
+    on.text([right, bottom + 23.0], time, SMALL, Side::Right, FAINT);
+}

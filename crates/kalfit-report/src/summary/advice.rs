@@ -1,0 +1,92 @@
+//! What to do next, from what the fit found.
+
+use std::cmp::Ordering;
+
+use kalfit::FitRecord;
+use kalfit::record::{FindingRecord, ModelCheckRecord};
+
+use super::headline::{is_blind, is_singular};
+use super::innovations::{self, Kinds};
+use super::{influence, outliers};
+use crate::page::Page;
+use crate::words::{clean, list};
+
+/// Tests that are named.
+const MOST_TESTS: usize = 3;
+
+pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
+    page.section("What to do next", &page.items(&all(record)))
+}
+
+/// One sentence for each thing, the gravest first; one where there is nothing to do.
+pub(crate) fn all(record: &FitRecord) -> Vec<String> {
+    if !record.converged {
+        return vec![NOT_CONVERGED.to_owned()];
+    }
+    let checked = ModelCheckRecord::of(record);
+    let mut advice: Vec<String> = checked.findings.iter().flat_map(|finding| against(record, finding)).collect();
+    if is_blind(record) {
+        advice.push(UNIDENTIFIED.to_owned());
+    }
+    if is_singular(record) {
+        advice.push(SINGULAR.to_owned());
+    }
+    if !checked.remarks.is_empty() {
+        let (tests, it) = named(&influence::influential(record).iter().map(|test| &*test.id).collect::<Vec<_>>());
+        advice.push(format!(
+            "Check the data of {tests} with care, because the estimates depend on {it}; the results file has the estimates \
+             without {it}."
+        ));
+    }
+    match (advice.is_empty(), checked.verdict.as_str()) {
+        (false, _) => advice,
+        (true, "passed") => vec![NOTHING.to_owned()],
+        (true, _) => vec![UNCHECKED.to_owned()],
+    }
+}
+
+const NOT_CONVERGED: &str = "Do not use these figures. Give start values for the free parameters, allow more passes \
+                             (`--max-iterations`), or use a simpler model: fewer states, or a diagonal covariance.";
+const UNIDENTIFIED: &str = "Fix what the data do not identify, or leave it out of the model, or add tests with information on it; \
+                            `kalfit check` shows which tests see which states.";
+const SINGULAR: &str = "A singular covariance is a valid result: these tests do not show that the states vary in all directions. \
+                        Fewer varying states describe the data equally well; more tests may separate them.";
+const NOTHING: &str = "Nothing needs attention: the fit converged and the model describes the data.";
+const UNCHECKED: &str = "To check the model, fit with the figures of single tests: without `--no-tests`, and with \
+                         `--innovations on`.";
+
+/// What to do about a finding that speaks against the model.
+fn against(record: &FitRecord, finding: &FindingRecord) -> Vec<String> {
+    match finding.kind.as_str() {
+        "distance" => {
+            let outlying = outliers::outlying(record);
+            let (tests, it) = named(&outlying.iter().map(|(_, test)| &*test.id).collect::<Vec<_>>());
+            vec![format!(
+                "Look for faults in the data of {tests}, and see whether a fit without {it} changes the estimates."
+            )]
+        }
+        "mean_square" => match innovations::size(record) {
+            Ordering::Greater if !record.parameters.iter().any(|p| !p.fixed) => vec![FREE_NOISE.to_owned()],
+            _ => vec![OTHER_NOISE.to_owned()],
+        },
+        "innovations" => match innovations::kinds(record) {
+            Kinds { size: true, whiteness: false } => vec![NOISE_EACH.to_owned()],
+            Kinds { size: false, .. } => vec![PROCESS.to_owned()],
+            Kinds { size: true, whiteness: true } => vec![NOISE_EACH.to_owned(), PROCESS.to_owned()],
+        },
+        _ => Vec::new(),
+    }
+}
+
+const FREE_NOISE: &str = "Estimate the noise levels instead of fixing them: leave out their values in `[parameters]`.";
+const OTHER_NOISE: &str = "Look at the noise levels and processes of the model: their sizes do not fit the data.";
+const NOISE_EACH: &str = "Let noise levels differ between tests (`per = \"test\"`, or `per` a column), or look for faults in the \
+                          tests named under Innovations.";
+const PROCESS: &str = "Add a process for what is correlated in time, such as a random walk or a Gauss-Markov state, or another one beside it.";
+
+/// `test A` and `it`, `tests A, B and C` and `them`.
+fn named(ids: &[&str]) -> (String, &'static str) {
+    let names: Vec<String> = ids.iter().map(|id| clean(id)).collect();
+    let (tests, it) = if names.len() == 1 { ("test", "it") } else { ("tests", "them") };
+    (format!("{tests} {}", list(&names, MOST_TESTS)), it)
+}
