@@ -30,7 +30,9 @@ pub mod plan;
 pub mod predict;
 pub mod record;
 pub mod reduce;
+pub mod remote;
 pub mod score;
+pub mod shards;
 pub mod simulate;
 pub mod validate;
 

@@ -19,6 +19,7 @@ use crate::ensemble::Grouping;
 use crate::estimate::{self, Criterion, Estimate, FitError, InitialLaw, NoiseInformation, Silent, Structure};
 use crate::model::{Alpha, PhasedModel, Population, Slots};
 use crate::reduce::{Evidence, PhasedReducer, PhasedTest, Reductions, grouping};
+use crate::remote::{Answers, Question, Remote};
 use crate::score::{Companies, Gradient, Levels, PhasedComplete, PhasedScorer, carried};
 
 /// The ensemble and the model, ready for any α.
@@ -41,6 +42,8 @@ pub(crate) struct Bench<'a> {
     order: Vec<usize>,
     indirect: Indirect,
     scale: Option<Scale>,
+    /// What is known of the tests, where they are elsewhere.
+    answers: Option<Arc<Answers>>,
     companies: OnceLock<Companies>,
     filter_passes: AtomicUsize,
     score_passes: AtomicUsize,
@@ -130,10 +133,40 @@ impl<'a> Bench<'a> {
             order,
             indirect: Indirect::of(model, tests, slots),
             scale: Scale::of(model, tests, slots),
+            answers: None,
             companies: OnceLock::new(),
             filter_passes: zero(),
             score_passes: zero(),
             passes: zero(),
+        }
+    }
+
+    /// The same of tests that are elsewhere, which suggest these sizes of the values.
+    pub(crate) fn elsewhere(
+        model: &'a PhasedModel,
+        (slots, settings): (&'a Slots, &'a Settings),
+        (answers, units): (&Arc<Answers>, Vec<f64>),
+    ) -> Bench<'a> {
+        let bench = Bench::new(model, &[], slots, settings);
+        // all of them together stand for one test that knows every value
+        Bench { scale: None, order: vec![0], answers: Some(answers.clone()), units: units.into(), ..bench }
+    }
+
+    /// The tests are elsewhere: what is known is of all of them together.
+    pub(crate) fn is_elsewhere(&self) -> bool {
+        self.answers.is_some()
+    }
+
+    /// Something was asked of tests that are elsewhere that has no answer yet.
+    pub(crate) fn is_waiting(&self) -> bool {
+        self.answers.as_ref().is_some_and(|answers| answers.is_waiting())
+    }
+
+    /// Does what asks for several things that do not depend on each other, of tests that are elsewhere all at once.
+    pub(crate) fn together<T>(&self, ask: impl FnOnce() -> T) -> T {
+        match &self.answers {
+            Some(answers) => answers.together(ask),
+            None => ask(),
         }
     }
 
@@ -201,6 +234,11 @@ impl<'a> Bench<'a> {
 
     /// The reductions at α.
     pub(crate) fn reduce(&self, values: &[f64]) -> Result<Reduced, DynamicError> {
+        if let Some(answers) = &self.answers {
+            self.filter_passes.fetch_add(1, Ordering::Relaxed);
+            let remote = Remote { values: values.to_vec(), answers: answers.clone() };
+            return Ok(Reduced { reducer: None, reductions: Reductions::elsewhere(remote) });
+        }
         if let Some(scale) = &self.scale
             && let Some(reductions) = scale.reductions(values[0], &|value| Ok(self.filter(&[value])?.1))?
         {
@@ -401,6 +439,12 @@ impl<'a> Bench<'a> {
         law: &InitialLaw,
     ) -> Result<Vec<Gradient>, DynamicError> {
         let Reduced { reducer, reductions } = reduced;
+        if let Some(remote) = reductions.remote() {
+            self.score_passes.fetch_add(1, Ordering::Relaxed);
+            let sum = remote.ask(Question::Score { law: law.told() }).filter(|sum| sum.len() == values.len());
+            let sum = sum.ok_or(DynamicError::Fit(FitError::NotFinite))?;
+            return Ok(vec![sum.into_iter().enumerate().collect()]);
+        }
         let fresh = match (reducer, &self.scale) {
             (Some(_), _) => None,
             (None, scale) => match scale.as_ref().and_then(|scale| scale.scores(values[0], reductions, law)) {

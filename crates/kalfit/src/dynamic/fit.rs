@@ -1,5 +1,7 @@
 //! The best (α, μ, Σ) that is found from all starts, and beyond them.
 
+use std::sync::Arc;
+
 use crate::dynamic::bench::Bench;
 use crate::dynamic::iterate::End;
 use crate::dynamic::{
@@ -9,6 +11,7 @@ use crate::ensemble::Labels;
 use crate::estimate::{Combination, FitError, Progress, Stage, Stop};
 use crate::model::{Model, PhasedModel, Slots};
 use crate::reduce::{Evidence, PhasedTest, grouping};
+use crate::remote::Answers;
 use crate::score::dependences;
 
 /// Log-likelihoods that differ by this part are equal.
@@ -43,6 +46,28 @@ pub fn fit(
         given_up: end.given_up,
     };
     let others = ends.into_iter().map(other).collect();
+    let unbounded = vanishing.iter().map(|&s| name_of(model.shared(), labels, &slots, s)).collect();
+    finished(&bench, best, (others, explored, unbounded))
+}
+
+/// The same of tests that are elsewhere, from these values: one search. They suggest such sizes of the values.
+pub(crate) fn fit_elsewhere(
+    model: &PhasedModel,
+    (slots, settings): (&Slots, &Settings),
+    (answers, start, units): (&Arc<Answers>, Vec<f64>, Vec<f64>),
+    progress: &mut dyn Progress,
+) -> Result<DynamicFit, DynamicError> {
+    let bench = Bench::elsewhere(model, (slots, settings), (answers, units));
+    let end = search::search(&bench, start.into(), None, progress)?;
+    finished(&bench, end, (Vec::new(), Explored::No, Vec::new()))
+}
+
+/// What is told of the best end, beside where others ended, whether more were looked for, and levels without which ℓ has no bound.
+fn finished(
+    bench: &Bench<'_>,
+    best: End,
+    (others, explored, unbounded): (Vec<OtherEnd>, Explored, Vec<String>),
+) -> Result<DynamicFit, DynamicError> {
     let (filter_passes, score_passes, passes) = (bench.filter_passes(), bench.score_passes(), bench.passes());
     let (alpha, sought) = (best.home.alpha.clone(), best.home.values.clone());
     let values = bench.values(&sought);
@@ -54,19 +79,19 @@ pub fn fit(
         reductions,
         estimate,
         certificate: best.certificate,
-        stop: if vanishing.is_empty() { best.stop } else { Stop::Stalled },
-        method: settings.method,
+        stop: if unbounded.is_empty() { best.stop } else { Stop::Stalled },
+        method: bench.settings.method,
         trace: best.trace,
         filter_passes,
         score_passes,
         passes,
         others,
         explored,
-        unbounded: vanishing.iter().map(|&s| name_of(model.shared(), labels, &slots, s)).collect(),
+        unbounded,
         joint: best.joint,
-        standing: on_edges(&bench, best.standing),
-        settings: settings.clone(),
-        slots,
+        standing: on_edges(bench, best.standing),
+        settings: bench.settings.clone(),
+        slots: bench.slots.clone(),
     })
 }
 

@@ -17,7 +17,10 @@ pub fn infer(
     choices: Choices,
 ) -> Result<(Inference, Vec<ParameterInference>), DynamicError> {
     let ml = fit.estimate.criterion == Criterion::Ml;
-    let bench = Bench::new(model, tests, &fit.slots, &fit.settings);
+    let bench = match fit.reductions.remote() {
+        Some(remote) => Bench::elsewhere(model, (&fit.slots, &fit.settings), (&remote.answers, fit.values.clone())),
+        None => Bench::new(model, tests, &fit.slots, &fit.settings),
+    };
     let known = (&fit.slots, &bench.coordinates[..]);
     let spread = |mut covariances: Covariances| {
         bench.edges.spread((&fit.sought, &fit.alpha), known, &fit.values, &mut covariances);

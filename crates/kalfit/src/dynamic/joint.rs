@@ -73,7 +73,9 @@ impl Joint {
             Told::Scale(exact) => return Joint::of_scale(exact, list, inner).without_flat(bench, home),
         };
         let touching = Touching::of(bench, tests, n);
-        let alone = |s: usize| list.len() > DENSE && touching.tests[s].len() == 1 && !touching.matrix[s];
+        let alone = |s: usize| {
+            !bench.is_elsewhere() && list.len() > DENSE && touching.tests[s].len() == 1 && !touching.matrix[s]
+        };
         let mut by_test: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
         list.iter().filter(|&&s| alone(s)).for_each(|&s| by_test.entry(touching.tests[s][0]).or_default().push(s));
         let mut joint = Joint {
@@ -84,9 +86,11 @@ impl Joint {
             cross: DMatrix::zeros(n, inner.nrows()),
             inner,
         };
-        for colour in touching.colours(&joint.active, bench.restricted()) {
-            joint.column(bench, home, &colour, &touching, central);
-        }
+        bench.together(|| {
+            for colour in touching.colours(&joint.active, bench.restricted()) {
+                joint.column(bench, home, &colour, &touching, central);
+            }
+        });
         joint.mirror();
         joint.without_flat(bench, home)
     }
@@ -117,6 +121,9 @@ impl Joint {
         for attempt in 0..5 {
             let sides = sides(bench, home, colour, &steps, central);
             let Some(sides) = sides.filter(|sides| widths(bench, colour, sides).values().all(|w| *w > 0.0)) else {
+                if bench.is_waiting() {
+                    return; // the sides are not known yet
+                }
                 steps.iter_mut().for_each(|h| *h *= 1e-2);
                 continue;
             };
@@ -453,7 +460,7 @@ fn sides(bench: &Bench<'_>, home: &Solved, colour: &[usize], steps: &[f64], cent
         bench.shift(home, &values)
     };
     let upper = moved(1.0);
-    let lower = if central || upper.is_none() { moved(-1.0) } else { bench.at_home(home) };
+    let lower = if central || (upper.is_none() && !bench.is_waiting()) { moved(-1.0) } else { bench.at_home(home) };
     match (upper, lower) {
         (Some(upper), Some(lower)) => Some([upper, lower]),
         (Some(upper), None) => Some([upper, bench.at_home(home)?]),

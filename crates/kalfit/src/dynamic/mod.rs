@@ -27,6 +27,7 @@ mod joint;
 mod law;
 mod matrices;
 mod mixed;
+mod opening;
 #[cfg(test)]
 mod phased_tests;
 mod profile;
@@ -51,10 +52,13 @@ mod zero;
 
 pub(crate) use coordinates::Coordinate;
 pub use error::DynamicError;
+pub(crate) use fit::fit_elsewhere;
 pub use fit::{fit, start_values};
 pub use inference::infer;
 pub(crate) use interval::MOST_PROFILED;
+pub(crate) use opening::{Opening, opening};
 pub use ratio::{DynamicRatioError, dynamic_bootstrap, dynamic_bootstrap_while, dynamic_ratio, started};
 pub use result::{DynamicFit, Explored, OtherEnd};
+pub(crate) use scale::Scale;
 pub use settings::{Method, Settings};
 pub use standing::{ParameterInference, Standing};

@@ -116,6 +116,19 @@ impl Scale {
         Ok(all.par_iter().all(is_finite).then_some(all))
     }
 
+    /// The same from this θ_0, whatever was asked before.
+    pub(crate) fn reductions_from(
+        &self,
+        origin: f64,
+        value: f64,
+        run: Run<'_>,
+    ) -> Result<Option<Reductions>, DynamicError> {
+        match self.home(origin, 1.0, run)? {
+            Some(_) => self.reductions(value, run),
+            None => Ok(None),
+        }
+    }
+
     /// dℓ_j/dθ of each test at θ and this law; `None` where the reductions are not from here.
     pub(crate) fn scores(&self, value: f64, reductions: &Reductions, law: &InitialLaw) -> Option<Vec<Gradient>> {
         let home = self.last().filter(|_| value > 0.0)?;

@@ -29,15 +29,8 @@ pub(crate) fn starts(bench: &Bench<'_>, progress: &mut dyn Progress) -> Result<V
     let common = bench.slots.slots().iter().all(|slot| slot.level.is_none());
     let sample = sample(bench.tests, common);
     let small = Bench::new(bench.model, &sample, bench.slots, bench.settings);
-    let mut first = guess(bench, true);
     let unknown = unknown(bench);
-    let mut peaks = Vec::new();
-    if !unknown.is_empty() {
-        peaks = balance(&small, &unknown, &mut first, progress);
-        for _ in 0..unknown.len().min(2) {
-            unknown.iter().for_each(|&parameter| scan(&small, parameter, &mut first, progress));
-        }
-    }
+    let (first, peaks) = likeliest((bench, &small), &unknown, progress);
     if small.value(&first).is_none() {
         bench.solve(&first, None)?; // says what is wrong
     }
@@ -59,6 +52,30 @@ pub(crate) fn starts(bench: &Bench<'_>, progress: &mut dyn Progress) -> Result<V
     let free = (0..bench.model.shared().parameters.len()).filter(|&p| bench.slots.is_free(p)).count();
     let given = (unknown.len() < free).then(|| all.remove(0));
     Ok(promising((bench, &small), given, all, progress))
+}
+
+/// The first start on a part of the tests, and others where the likelihood looks to have other maxima.
+fn likeliest(
+    (bench, small): (&Bench<'_>, &Bench<'_>),
+    unknown: &[usize],
+    progress: &mut dyn Progress,
+) -> (Vec<f64>, Vec<Vec<f64>>) {
+    let (mut first, mut peaks) = (guess(bench, true), Vec::new());
+    if !unknown.is_empty() {
+        peaks = balance(small, unknown, &mut first, progress);
+        for _ in 0..unknown.len().min(2) {
+            unknown.iter().for_each(|&parameter| scan(small, parameter, &mut first, progress));
+        }
+    }
+    (first, peaks)
+}
+
+/// The start that was given, or that is worked out from the tests: the first of [`starts`].
+pub(crate) fn first(bench: &Bench<'_>, progress: &mut dyn Progress) -> Vec<f64> {
+    let common = bench.slots.slots().iter().all(|slot| slot.level.is_none());
+    let sample = sample(bench.tests, common);
+    let small = Bench::new(bench.model, &sample, bench.slots, bench.settings);
+    likeliest((bench, &small), &unknown(bench), progress).0
 }
 
 /// Starts from the data alone, whatever values were given.

@@ -25,6 +25,7 @@ use crate::estimate::listed::Listed;
 use crate::estimate::residual::{Noise, Residual};
 use crate::linalg::elements::Elements;
 use crate::reduce::{Chain, Path, Reductions};
+use crate::remote::Remote;
 
 /// All reductions of an ensemble, ready for passes.
 #[derive(Debug, Clone)]
@@ -58,6 +59,8 @@ pub(crate) struct Classes {
     members: Option<(Members, u64)>,
     /// Where tests stand in groups: the groups of the outermost level with all that stands in them.
     pub(crate) units: Option<Arc<Units>>,
+    /// Where the tests are when they are elsewhere: then there are no classes here.
+    pub(crate) remote: Option<Remote>,
 }
 
 /// Where a class stands.
@@ -89,6 +92,9 @@ impl Classes {
     pub(crate) fn new(reductions: &Reductions, ranges: Vec<Range<usize>>, regressors: usize, chained: bool) -> Classes {
         let elements = Elements::new(ranges);
         let chained = chained && !elements.is_single();
+        if let Some(remote) = reductions.remote() {
+            return Classes::afar(remote, (elements, regressors), chained);
+        }
         let members = ordered(reductions, chained);
         let pooled = Pooled::all(reductions, members.tests(), (elements.states(), regressors));
         Classes::gathered(reductions, members, (Frame::of(&pooled), &pooled), (elements, chained))
@@ -114,16 +120,34 @@ impl Classes {
 
     /// Other reductions, or in other ways, in the same coordinates.
     fn again(&self, reductions: &Reductions, chained: bool) -> Classes {
-        let chained = chained && !self.elements.is_single();
-        let members = ordered(reductions, chained);
-        let sizes = (self.dimension(), self.frame.covariate_scale.len());
-        let pooled = Pooled::all(reductions, members.tests(), sizes);
-        let elements = (self.elements.clone(), chained);
-        let classes = Classes::gathered(reductions, members, (self.frame.clone(), &pooled), elements);
+        if let Some(remote) = reductions.remote() {
+            return Classes { remote: Some(remote.clone()), ..self.clone() }; // what starts need is near enough
+        }
+        let classes = Classes::in_frame(reductions, &self.frame, self.elements.clone(), chained);
         match &self.units {
             Some(units) => classes.in_groups(reductions, &units.grouping),
             None => classes,
         }
+    }
+
+    /// Gathers reductions in coordinates that are given.
+    pub(super) fn in_frame(reductions: &Reductions, frame: &Frame, elements: Elements, chained: bool) -> Classes {
+        let chained = chained && !elements.is_single();
+        let members = ordered(reductions, chained);
+        let pooled = Pooled::all(reductions, members.tests(), (elements.states(), frame.covariate_scale.len()));
+        Classes::gathered(reductions, members, (frame.clone(), &pooled), (elements, chained))
+    }
+
+    /// Those of tests that are elsewhere, by what they say together: (their number, that of those that have each phase, the rest).
+    pub(super) fn of_survey(
+        remote: &Remote,
+        (tests, present, pooled): (usize, Vec<f64>, &Pooled),
+        (elements, chained): (Elements, bool),
+    ) -> Classes {
+        let frame = Frame::of(pooled);
+        let found = (tests, pooled.information(&frame), present);
+        let classes = Classes::arranged((Vec::new(), &|_, _| {}), Vec::new(), (&frame, &elements, chained), found);
+        Classes { remote: Some(remote.clone()), ..classes }
     }
 
     fn gathered(
@@ -192,6 +216,7 @@ impl Classes {
             chained,
             members: None,
             units: None,
+            remote: None,
         }
     }
 
@@ -269,6 +294,7 @@ impl Classes {
             present: self.present.clone(),
             members: None,
             units: self.units.as_ref().map(|units| Arc::new(units.with_noise(noise_unit, change))),
+            remote: None,
             ..*self
         }
     }
@@ -359,7 +385,7 @@ fn list(numbers: &[usize], fill: Fill<'_>) -> Listed {
 
 /// How many tests have each phase: all have the first one; of tests that are not kept phase by phase, those that say something
 /// of its states.
-fn present(reductions: &Reductions, elements: &Elements) -> Vec<f64> {
+pub(super) fn present(reductions: &Reductions, elements: &Elements) -> Vec<f64> {
     let has = |j: usize, f: usize, range: &Range<usize>| match reductions.chain(j) {
         Some(chain) => f < chain.phases.len(),
         None => range.clone().any(|k| reductions.factor(j)[k * (k + 1) / 2..][..=k].iter().any(|x| *x != 0.0)),

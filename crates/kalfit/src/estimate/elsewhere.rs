@@ -14,11 +14,13 @@ use crate::estimate::newton::{self, Place};
 use crate::estimate::order::{Order, Wanted};
 use crate::estimate::point::Point;
 use crate::estimate::problem::Problem;
+use crate::estimate::remote::matrix;
 use crate::estimate::sums::Sums;
-use crate::estimate::{State, Structure};
+use crate::estimate::{Criterion, State, Structure};
 use crate::linalg::symmetric;
 use crate::model::{Alpha, StructureError};
 use crate::reduce::{ReductionRef, Reductions};
+use crate::remote::{Law, Question};
 use rayon::prelude::*;
 
 /// The objective at one point under some reductions.
@@ -89,6 +91,36 @@ impl InitialLaw {
             mean_half,
             given: problem.classes.units.as_ref().map(given),
         }
+    }
+
+    /// As others are told of it. Tests that are elsewhere stand in no groups.
+    pub(crate) fn told(&self) -> Law {
+        let list = |matrix: &DMatrix<f64>| matrix.as_slice().to_vec();
+        Law {
+            mean: self.mean.as_slice().to_vec(),
+            regression: self.regression.clone(),
+            root: list(&self.root),
+            mean_half: self.mean_half.as_ref().map(list),
+        }
+    }
+
+    /// As it is told of; `None` where it is not one of so many states and regressions.
+    pub(crate) fn from_told(law: &Law, (p, regressions): (usize, usize)) -> Option<InitialLaw> {
+        let fits = law.mean.len() == p && law.regression.len() == regressions;
+        if !fits || law.regression.iter().any(|&(element, _)| element >= p) {
+            return None;
+        }
+        let mean_half = match &law.mean_half {
+            Some(half) => Some(matrix(p + regressions, half)?),
+            None => None,
+        };
+        Some(InitialLaw {
+            mean: DVector::from_column_slice(&law.mean),
+            regression: law.regression.clone(),
+            root: matrix(p, &law.root)?,
+            mean_half,
+            given: None,
+        })
     }
 
     /// ξ given the data is known of each test, other tests of its unit among them.
@@ -190,7 +222,7 @@ impl State {
         let problem = Problem::within(&self.evidence(reductions), &structure, &self.problem)?;
         let root = carried(&self.problem.covariance, &problem.covariance, &self.place.point.root);
         let point = Point { root, ..self.place.point.clone() };
-        let sums = problem.sums(&point, Order::First, self.place.near());
+        let sums = problem.with_score(&point, || problem.sums(&point, Order::First, self.place.near()));
         Ok(sums.map(|sums| Elsewhere { problem, point, sums }))
     }
 
@@ -206,13 +238,20 @@ impl State {
         let problem = Problem::within(&self.evidence(reductions), &structure, &self.problem).ok()?;
         let root = carried(&self.problem.covariance, &problem.covariance, &point.root);
         let point = Point { root, ..point };
-        let place = Place::new(&problem, &problem.covariance, point, self.place.near())?;
+        let charted = Point { root: problem.covariance.chart(&point.root).root, ..point.clone() };
+        problem.ends_soon(true); // nothing more is asked of this place
+        let place =
+            problem.with_score(&charted, || Place::new(&problem, &problem.covariance, point, self.place.near()))?;
         // the restricted likelihood's second derivatives want the covariance of the mean at the place itself
         let place = match place.near().cloned() {
             Some(own) => Place::new(&problem, &problem.covariance, place.point, Some(&own))?,
             None => place,
         };
-        let sums = problem.sums(&place.point, Order::Expected, place.near())?;
+        problem.ends_soon(false);
+        let sums = match problem.criterion() {
+            Criterion::Ml => problem.at_end(&place)?,
+            Criterion::Reml => problem.sums(&place.point, Order::Expected, place.near())?,
+        };
         let assumed = (&structure).into();
         Some(State { problem: Arc::new(problem), place, sums, assumed, joint: None, ..self.clone() })
     }
@@ -331,6 +370,17 @@ fn carried_part(from: &Form, to: &Form, root: DMatrix<f64>) -> DMatrix<f64> {
 }
 
 impl Problem {
+    /// Asks for a sum at a point of tests that are elsewhere together with what α's score is made of there, which is wanted next.
+    fn with_score<T>(&self, point: &Point, ask: impl FnOnce() -> T) -> T {
+        let Some(remote) = &self.classes.remote else { return ask() };
+        remote.answers.together(|| {
+            if self.criterion() == Criterion::Ml {
+                let _ = remote.ask(Question::Score { law: InitialLaw::at(self, point).told() });
+            }
+            ask()
+        })
+    }
+
     /// The problem of other reductions of the same tests, in the coordinates η and with the criterion of another.
     pub(crate) fn within(
         reductions: &Reductions,

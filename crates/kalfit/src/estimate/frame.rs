@@ -7,6 +7,7 @@ use rayon::prelude::*;
 
 use crate::linalg::symmetric::{self, pair, pairs};
 use crate::reduce::Reductions;
+use crate::remote::Coordinates;
 
 /// Tests that are added up by themselves.
 const CHUNK: usize = 1024;
@@ -55,6 +56,17 @@ impl Frame {
         DMatrix::from_fn(sigma.nrows(), sigma.ncols(), |i, j| sigma[(i, j)] / (self.scale[i] * self.scale[j]))
     }
 
+    /// As others are told of it.
+    pub(crate) fn told(&self) -> Coordinates {
+        let Frame { centre, scale, covariate_scale } = self.clone();
+        Coordinates { centre, scale, covariate_scale }
+    }
+
+    /// As it is told of.
+    pub(super) fn from_told(Coordinates { centre, scale, covariate_scale }: &Coordinates) -> Frame {
+        Frame { centre: centre.clone(), scale: scale.clone(), covariate_scale: covariate_scale.clone() }
+    }
+
     /// The frame of some of the states.
     pub(crate) fn part(&self, states: &Range<usize>) -> Frame {
         let of = |all: &[f64]| all[states.clone()].to_vec();
@@ -81,7 +93,7 @@ pub(super) struct Pooled {
 }
 
 impl Pooled {
-    fn none((p, regressors): (usize, usize)) -> Pooled {
+    pub(super) fn none((p, regressors): (usize, usize)) -> Pooled {
         Pooled {
             information: vec![0.0; pairs(p)],
             informed: vec![0.0; p],
@@ -96,6 +108,23 @@ impl Pooled {
         let parts: Vec<Pooled> =
             order.par_chunks(CHUNK).map(|part| Pooled::of(reductions, part, (p, regressors))).collect();
         parts.iter().fold(Pooled::none((p, regressors)), |sum, part| sum.and(part))
+    }
+
+    /// As a list that adds.
+    pub(super) fn numbers(&self) -> Vec<f64> {
+        let Pooled { information, informed, y, squares, tests } = self;
+        [information, informed, y, squares].into_iter().flatten().copied().chain([*tests]).collect()
+    }
+
+    /// From such a list; `None` where it is not of the right length.
+    pub(super) fn of_numbers((p, regressors): (usize, usize), numbers: &[f64]) -> Option<Pooled> {
+        let (information, rest) = numbers.split_at_checked(pairs(p))?;
+        let (informed, rest) = rest.split_at_checked(p)?;
+        let (y, rest) = rest.split_at_checked(p)?;
+        let (squares, rest) = rest.split_at_checked(regressors)?;
+        let [tests] = *rest else { return None };
+        let [information, informed, y, squares] = [information, informed, y, squares].map(<[f64]>::to_vec);
+        Some(Pooled { information, informed, y, squares, tests })
     }
 
     /// Σ R'R in units of the frame.

@@ -59,6 +59,7 @@ mod products;
 mod quadratic;
 mod relaxed;
 mod reml;
+mod remote;
 mod residual;
 mod result;
 mod rounding;
@@ -105,6 +106,7 @@ pub(crate) use noise::{NoiseInformation, Noisy};
 pub(crate) use order::Order;
 pub(crate) use point::Point;
 pub(crate) use problem::Problem;
+pub(crate) use remote::{RemoteCounts, Summed};
 pub(crate) use residual::Residual;
 pub(crate) use result::State;
 pub(crate) use start::generic_root;
@@ -187,7 +189,7 @@ fn twice(reductions: &Reductions) -> Option<&str> {
 }
 
 fn problem(reductions: &Reductions, structure: &Structure<'_>, settings: &Settings) -> Result<Problem, FitError> {
-    if reductions.is_empty() {
+    if reductions.is_empty() && reductions.remote().is_none() {
         return Err(FitError::NoTests);
     }
     if let Some(id) = twice(reductions) {

@@ -6,18 +6,7 @@ use crate::estimate::point::Regressors;
 use crate::linalg::elements::Elements;
 use crate::linalg::symmetric::pairs;
 
-/// Which derivatives a pass computes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum Order {
-    /// ℓ and the first derivatives: all that EM needs. The information on the mean only within phases.
-    First,
-    /// And all of the information on the mean.
-    Mean,
-    /// And the observed information.
-    Second,
-    /// And the expected information of Σ.
-    Expected,
-}
+pub(crate) use crate::remote::Detail as Order;
 
 /// Bytes that the sums of all tasks of a pass may occupy at the same time, where that is up to us.
 const ROOM: usize = 256 << 20;

@@ -8,13 +8,14 @@ use crate::estimate::classes::Classes;
 use crate::estimate::order::Order;
 use crate::estimate::pass::pass;
 use crate::estimate::point::Point;
+use crate::estimate::remote;
 use crate::estimate::together::each_packed;
 
 impl Classes {
     /// Σ_j E_j'J_jE_j: information on the p elements of μ and the scaled regression coefficients at Σ = 0.
     pub(crate) fn mean_information(&self, regressors: &[usize]) -> DMatrix<f64> {
         let p = self.dimension();
-        if self.is_chained() {
+        if self.is_chained() || self.remote.is_some() {
             return pass(self, regressors, &self.origin(regressors.len()), Order::Mean, None).mean_information;
         }
         let mut information = DMatrix::zeros(p + regressors.len(), p + regressors.len());
@@ -37,9 +38,25 @@ impl Classes {
         Point { mean: vec![0.0; p], coefficients: vec![0.0; regressors], root: DMatrix::zeros(p, p) }
     }
 
+    /// For each element i the sums over tests of (y - Jμ)_i² - J_ii, which has the mean Σ (JΣJ)_ii, and of J_ii².
+    pub(crate) fn excess(&self, mean: &DVector<f64>) -> (DVector<f64>, DVector<f64>) {
+        let p = mean.len();
+        if let Some(remote) = &self.remote {
+            return remote::excess(remote, &self.frame, mean);
+        }
+        let (mut excess, mut weight) = (DVector::zeros(p), DVector::zeros(p));
+        for (count, each) in self.excesses(mean) {
+            for (i, (own_excess, own)) in each.into_iter().enumerate() {
+                excess[i] += own_excess;
+                weight[i] += count * own * own;
+            }
+        }
+        (excess, weight)
+    }
+
     /// For each class its number of tests and, for each element i, Σ (y - Jμ)_i² - J_ii over them, which has the mean
     /// Σ (JΣJ)_ii, and J_ii of one of them.
-    pub(crate) fn excesses(&self, mean: &DVector<f64>) -> Vec<(f64, Vec<(f64, f64)>)> {
+    fn excesses(&self, mean: &DVector<f64>) -> Vec<(f64, Vec<(f64, f64)>)> {
         if !self.is_chained() {
             let mut room = Class::default();
             let mut told = |number: usize| {

@@ -14,6 +14,7 @@ use crate::estimate::lanes::{ChainPass, ChainTotals};
 use crate::estimate::levels;
 use crate::estimate::order::{FlatMean, Order, Wanted, most_tasks};
 use crate::estimate::point::{Point, Regressors};
+use crate::estimate::remote;
 use crate::estimate::sums::Sums;
 use crate::estimate::terms::Terms;
 use crate::estimate::together::each;
@@ -50,6 +51,9 @@ pub(crate) fn pass(
     flat: Option<&FlatMean<'_>>,
 ) -> Sums {
     let wanted = wanted(&classes.elements, regressors, order, flat);
+    if let Some(remote) = &classes.remote {
+        return remote::pass(remote, &classes.frame, point, wanted);
+    }
     if let Some(units) = &classes.units {
         return levels::pass(units, point, wanted);
     }

@@ -106,7 +106,11 @@ impl Problem {
     /// a place near by. They are exact when that place is this one, and nothing else depends on it.
     /// `None` where the restricted likelihood is not defined.
     pub(crate) fn sums(&self, point: &Point, order: Order, near: Option<&DMatrix<f64>>) -> Option<Sums> {
-        self.restricted(self.unrestricted(point, order, near))
+        let sums = self.unrestricted(point, order, near);
+        if self.classes.remote.is_some() && sums.value.is_nan() {
+            return None; // nobody has answered
+        }
+        self.restricted(sums)
     }
 
     /// The same before the restricted likelihood adds its own.

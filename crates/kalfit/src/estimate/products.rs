@@ -113,6 +113,16 @@ impl Products {
         }
     }
 
+    /// All of it, once it is settled.
+    pub(super) fn numbers(&self) -> impl Iterator<Item = f64> {
+        self.blocks.iter().flat_map(|block| block.sum.iter().copied())
+    }
+
+    /// The same, to be set.
+    pub(super) fn places_mut(&mut self) -> impl Iterator<Item = &mut f64> {
+        self.blocks.iter_mut().flat_map(|block| block.sum.iter_mut())
+    }
+
     pub(crate) fn settle(&mut self) {
         self.blocks.iter_mut().for_each(Outer::settle);
     }
@@ -192,6 +202,16 @@ impl Crosses {
         }
     }
 
+    /// All of it, once it is settled.
+    pub(super) fn numbers(&self) -> impl Iterator<Item = f64> {
+        self.blocks.iter().flat_map(|block| block.sum.iter().copied())
+    }
+
+    /// The same, to be set.
+    pub(super) fn places_mut(&mut self) -> impl Iterator<Item = &mut f64> {
+        self.blocks.iter_mut().flat_map(|block| block.sum.iter_mut())
+    }
+
     pub(crate) fn settle(&mut self) {
         self.blocks.iter_mut().for_each(Outer::settle);
     }
@@ -207,20 +227,6 @@ impl Crosses {
 /// Products of one phase are few: they are added one by one.
 fn gathered(elements: &Elements) -> usize {
     if elements.is_single() { 1 } else { GATHERED }
-}
-
-#[cfg(test)]
-impl Products {
-    pub(super) fn numbers(&self) -> Vec<f64> {
-        self.blocks.iter().flat_map(|block| block.sum.iter().copied()).collect()
-    }
-}
-
-#[cfg(test)]
-impl Crosses {
-    pub(super) fn numbers(&self) -> Vec<f64> {
-        self.blocks.iter().flat_map(|block| block.sum.iter().copied()).collect()
-    }
 }
 
 #[cfg(test)]

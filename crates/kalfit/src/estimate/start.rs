@@ -119,14 +119,7 @@ fn variances(classes: &Classes, mean: &DVector<f64>) -> DVector<f64> {
         let found: Vec<Option<f64>> = units.variances(mean).into_iter().flatten().collect();
         return DVector::from_fn(p, |k, _| found[k].map_or(1.0, |variance| variance.max(LEAST)));
     }
-    let mut excess = DVector::<f64>::zeros(p);
-    let mut weight = DVector::<f64>::zeros(p);
-    for (count, each) in classes.excesses(mean) {
-        for (i, (own_excess, own)) in each.into_iter().enumerate() {
-            excess[i] += own_excess;
-            weight[i] += count * own * own;
-        }
-    }
+    let (excess, weight) = classes.excess(mean);
     DVector::from_fn(p, |i, _| if weight[i] > 0.0 { (excess[i] / weight[i]).max(LEAST) } else { 1.0 })
 }
 

@@ -283,13 +283,32 @@ impl Sums {
     }
 }
 
-#[cfg(test)]
+/// Sums as a list of numbers that adds: what one place tells another.
 impl Sums {
-    /// All that was added up.
+    /// All that was added up over tests that stand in no groups.
     pub(super) fn numbers(&self) -> Vec<f64> {
         let matrices = [&self.mean_information, &self.outer, &self.weight, &self.spread];
-        let products = [self.curvature.numbers(), self.cross.numbers(), self.expected.numbers()];
         let plain = [self.value, self.quadratic].into_iter().chain(self.mean_score.iter().copied());
-        plain.chain(matrices.into_iter().flatten().copied()).chain(products.into_iter().flatten()).collect()
+        let products = self.curvature.numbers().chain(self.cross.numbers()).chain(self.expected.numbers());
+        plain.chain(matrices.into_iter().flatten().copied()).chain(products).collect()
+    }
+
+    /// Those of such a list, of the form of these; `None` where it is of another length.
+    pub(super) fn of_numbers(mut self, numbers: &[f64]) -> Option<Sums> {
+        let matrices = [&mut self.mean_information, &mut self.outer, &mut self.weight, &mut self.spread];
+        let plain = [&mut self.value, &mut self.quadratic].into_iter().chain(self.mean_score.iter_mut());
+        let products = self.curvature.places_mut().chain(self.cross.places_mut()).chain(self.expected.places_mut());
+        let places = plain.chain(matrices.into_iter().flat_map(|matrix| matrix.iter_mut())).chain(products);
+        let mut count = 0;
+        places.zip(numbers).for_each(|(place, number)| {
+            *place = *number;
+            count += 1;
+        });
+        (count == numbers.len() && count == self.numbers().len()).then_some(self)
+    }
+
+    /// What is not known.
+    pub(super) fn unknown(self) -> Sums {
+        Sums { value: f64::NAN, ..self }
     }
 }

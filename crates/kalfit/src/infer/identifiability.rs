@@ -118,7 +118,7 @@ fn mean_information(problem: &Problem) -> DMatrix<f64> {
     if regressors.is_empty() {
         return information;
     }
-    if !problem.covariance.elements.is_single() {
+    if !problem.covariance.elements.is_single() || problem.classes.remote.is_some() {
         return problem.classes.mean_information(regressors);
     }
     let mut room = Class::default();

@@ -57,6 +57,7 @@ pub(crate) use identifiability::directions;
 pub(crate) use information::uncertainty_at;
 pub(crate) use interval::{Held, Holds, profiled, quantities, value};
 pub(crate) use law::Law;
+pub(crate) use observability::counted;
 pub(crate) use ratio::replicates;
 pub(crate) use std_errors::PART;
 

@@ -16,11 +16,12 @@ use std::collections::BTreeMap;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use crate::estimate::{Classes, Form, Part, Point, Problem, forms_in_parts};
+use crate::estimate::{Classes, Form, Part, Point, Problem, Summed, forms_in_parts};
 use crate::infer::direction::{NONE, unit};
 use crate::infer::observed::{PART, column_norm, observe};
 use crate::linalg::symmetric;
 use crate::reduce::Reductions;
+use crate::remote::{Coordinates, Question, Remote};
 
 /// Condition index beyond which a direction of the mean is weakly determined; 30 is Belsley, Kuh and Welsch's "strong".
 pub const WEAK: f64 = 30.0;
@@ -110,6 +111,9 @@ pub(crate) fn observability(
     weight: &DMatrix<f64>,
     reductions: &Reductions,
 ) -> Observability {
+    if let Some(remote) = &problem.classes.remote {
+        return afar(problem, weight, remote);
+    }
     let p = problem.classes.dimension();
     let classes = problem.classes.of(reductions);
     let designs = Designs::new(&classes, reductions);
@@ -138,6 +142,46 @@ pub(crate) fn observability(
         together: designs.together(p),
         shortages: shortages(problem, &designs),
     }
+}
+
+/// The same of tests that are elsewhere: numbers of tests, and none by its id.
+fn afar(problem: &Problem, weight: &DMatrix<f64>, remote: &Remote) -> Observability {
+    let p = problem.classes.dimension();
+    let answer = remote.ask(Question::Observability { frame: problem.classes.frame.told() });
+    let counts = answer.filter(|numbers| numbers.len() == p * (p + 2)).unwrap_or_else(|| vec![0.0; p * (p + 2)]);
+    let count = |at: usize| counts[at] as usize;
+    let scale = &problem.classes.frame.scale;
+    let (_, weak) = known_and_weak(problem, weight);
+    let state = |i: usize| StateObservability {
+        informed_by: count(i),
+        observed_by: count(p + i),
+        tests: Vec::new(),
+        leading: None,
+    };
+    let weak = weak.into_iter().map(|(direction, condition)| WeakDirection {
+        direction: unit(direction.iter().zip(scale).map(|(d, s)| d * s).collect()),
+        condition,
+        leading: None,
+    });
+    Observability {
+        states: (0..p).map(state).collect(),
+        together: (0..p).map(|i| (0..p).map(|k| count(p * (2 + i) + k)).collect()).collect(),
+        weak: weak.collect(),
+        shortages: Vec::new(),
+    }
+}
+
+/// What a place answers to [`Question::Observability`]; `None` where that is not of its model.
+pub(crate) fn counted(summed: &mut Summed, frame: &Coordinates) -> Option<Vec<f64>> {
+    let p = frame.centre.len();
+    summed.classes(frame)?;
+    let reductions = summed.reductions.clone();
+    let (classes, _) = summed.classes(frame)?;
+    let designs = Designs::new(classes, &reductions);
+    let informed = (0..p).map(|i| designs.count(|d| d.informs[i]));
+    let observed = (0..p).map(|i| designs.count(|d| d.observes[i]));
+    let together = designs.together(p);
+    Some(informed.chain(observed).chain(together.into_iter().flatten()).map(|n| n as f64).collect())
 }
 
 impl Observability {

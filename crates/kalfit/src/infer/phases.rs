@@ -29,8 +29,8 @@ pub(crate) fn phases(problem: &Problem, reductions: &Reductions) -> Vec<PhaseObs
     if elements.is_single() {
         return vec![single(problem)];
     }
-    if problem.classes.units.is_some() {
-        return Vec::new(); // levels of groups, of one phase
+    if problem.classes.units.is_some() || problem.classes.remote.is_some() {
+        return Vec::new(); // levels of groups, of one phase; tests that are elsewhere
     }
     let classes = problem.classes.by_phase(reductions);
     let chains: Option<Vec<&Kept>> = (0..classes.listed.len()).map(|k| classes.listed.get(k).chain).collect();

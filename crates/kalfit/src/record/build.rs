@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::ensemble::Labels;
-use crate::estimate::{Certificate, Combination, Criterion, Estimate, Solver, Stop};
+use crate::estimate::{Certificate, Combination, Criterion, Estimate, RemoteCounts, Solver, Stop};
 use crate::infer::{Deletion, Element, Inference, IntervalKind, Posterior, Sensitivity, StdErrors};
 use crate::model::{Alpha, PhasedModel, Slots};
 use crate::record::cut::{Cut, phases_of};
@@ -115,6 +115,10 @@ impl DataRecord {
 }
 
 fn data(reductions: &Reductions, files: Vec<String>) -> DataRecord {
+    if let Some(remote) = reductions.remote() {
+        let RemoteCounts { tests, steps, observations, square_root_tests, designs } = RemoteCounts::of(remote);
+        return DataRecord { tests, steps, observations, design_classes: designs, square_root_tests, files };
+    }
     let mut designs: Vec<u128> = reductions.iter().map(|r| r.design).collect();
     designs.par_sort_unstable();
     designs.dedup();
@@ -269,7 +273,9 @@ fn tests(model: &PhasedModel, reductions: &Reductions, inference: &Inference) ->
 
 /// Some test has a phase whose filter's estimates stand for its measurements.
 fn filtered(model: &PhasedModel, reductions: &Reductions) -> bool {
-    let has = |phase: usize| reductions.iter().any(|reduction| phases_of(reduction, model) > phase);
+    let has = |phase: usize| {
+        reductions.remote().is_some() || reductions.iter().any(|reduction| phases_of(reduction, model) > phase)
+    };
     model.phases.iter().enumerate().any(|(i, phase)| phase.filter.is_some() && has(i))
 }
 

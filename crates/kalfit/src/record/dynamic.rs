@@ -21,6 +21,10 @@ const MANY_RUNS: usize = 300;
 const NOT_EXPLORED: &str =
     "other maxima were not looked for beyond these starts, as one search takes long: `--starts` adds more";
 
+/// Said of ensembles that are elsewhere.
+const ONE_SEARCH: &str =
+    "other maxima were not looked for, as a fit by sums makes one search: begin it elsewhere by `start` in the model";
+
 /// How an upper limit of what is estimated as zero is had.
 const LIMIT: &str = "; `--intervals profile` gives the upper limit";
 
@@ -76,7 +80,8 @@ impl FitRecord {
         let mut notes = if record.converged { standing_notes(parts) } else { Vec::new() };
         notes.extend(if fit.unbounded.is_empty() { start_notes(parts) } else { vec![EXACT.to_owned()] });
         if record.converged && fit.explored == Explored::No && fit.slots.len() > 1 {
-            notes.push(NOT_EXPLORED.to_owned());
+            let elsewhere = fit.reductions.remote().is_some();
+            notes.push(if elsewhere { ONE_SEARCH } else { NOT_EXPLORED }.to_owned());
         }
         if fit.method == Method::Em && fit.filter_passes > MANY_RUNS {
             let runs = fit.filter_passes;

@@ -56,15 +56,16 @@ fn blocks(
         observability: seen.next().unwrap_or_default(),
         weakly_determined: weak.next().unwrap_or_default(),
         information: information.next().flatten(),
-        tests: Some(tests_of(&cut, reductions, model)),
+        tests: Some(tests_of(&cut, (estimate, reductions), model)),
         ..phase(&cut, estimate, inference)
     };
     Cut::blocks(model).into_iter().map(record).collect()
 }
 
 /// Number of tests that have a phase.
-fn tests_of(cut: &Cut<'_>, reductions: &Reductions, model: &PhasedModel) -> usize {
+fn tests_of(cut: &Cut<'_>, (estimate, reductions): (&Estimate, &Reductions), model: &PhasedModel) -> usize {
     match cut.level {
+        _ if reductions.remote().is_some() => estimate.state.problem.classes.present[cut.index] as usize,
         None => reductions.iter().filter(|r| phases_of(*r, model) > cut.index).count(),
         Some(_) => reductions.len(),
     }

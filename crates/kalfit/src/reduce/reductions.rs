@@ -10,6 +10,7 @@ use crate::linalg::column::Column;
 use crate::reduce::chain::Chain;
 use crate::reduce::path::Path;
 use crate::reduce::reduction::Reduction;
+use crate::remote::Remote;
 
 /// The [`Reduction`]s of tests, in their order: what all of them have of one kind stands together, so that a million short tests
 /// are a few pieces of memory, read from front to back.
@@ -42,6 +43,8 @@ pub struct Reductions {
     designs: Vec<u128>,
     /// As far as the last test that has one.
     chains: Vec<Option<Box<Chain>>>,
+    /// Where they are when none is here.
+    remote: Option<Remote>,
 }
 
 /// One test of [`Reductions`]: a [`Reduction`] that stands elsewhere.
@@ -84,6 +87,16 @@ impl Reductions {
     /// No reductions.
     pub fn new() -> Reductions {
         Reductions::default()
+    }
+
+    /// Reductions that are elsewhere: none is here, but sums over them can be asked for.
+    pub(crate) fn elsewhere(remote: Remote) -> Reductions {
+        Reductions { remote: Some(remote), ..Reductions::default() }
+    }
+
+    /// Where they are, when they are elsewhere.
+    pub(crate) fn remote(&self) -> Option<&Remote> {
+        self.remote.as_ref()
     }
 
     /// Number of tests.

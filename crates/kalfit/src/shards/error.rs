@@ -1,0 +1,91 @@
+//! Why a model cannot be fitted to tests in several places, or why one of them has no answer.
+
+use crate::dynamic::DynamicError;
+use crate::reduce::ReduceError;
+
+/// Why a model cannot be fitted to tests in several places, or why one of them has no answer.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ShardError {
+    /// Groups of tests may be spread over places.
+    #[error("the model has levels of groups, and a fit by sums takes tests one by one")]
+    Levels,
+    /// Levels of a parameter are texts of the data, which stay where they are.
+    #[error("`{parameter}` is free level by level, and a fit by sums knows no texts of the data")]
+    PerLevel {
+        /// The parameter.
+        parameter: String,
+    },
+    /// Bounds of noise covariances follow from rows.
+    #[error(
+        "noise covariances beside free parameters (`{parameter}`) have bounds that follow from rows, which a fit by sums does not see"
+    )]
+    NoiseCovariance {
+        /// The first free parameter.
+        parameter: String,
+    },
+    /// Phases put together by their marginals.
+    #[error("phases put together by their marginals are not fitted by sums")]
+    Marginal,
+    /// Standard errors that are made test by test.
+    #[error("standard errors from the {found} are not made by sums")]
+    StdErrors {
+        /// What was asked for.
+        found: &'static str,
+    },
+    /// Profiles take very many sums.
+    #[error("intervals by profile likelihood are not made by sums")]
+    Profiles,
+    /// The restricted likelihood beside free parameters.
+    #[error("the restricted likelihood beside free parameters (`{parameter}`) is not maximised by sums")]
+    Restricted {
+        /// The first free parameter.
+        parameter: String,
+    },
+    /// Estimates of a filter beside free parameters.
+    #[error("test `{test}` comes as a filter's estimates or as a reduction, but `{parameter}` is free")]
+    NotRows {
+        /// Id of the test.
+        test: String,
+        /// The first free parameter.
+        parameter: String,
+    },
+    /// What is asked is not of this model.
+    #[error("what is asked does not fit the model: {what}")]
+    Question {
+        /// What does not fit.
+        what: &'static str,
+    },
+    /// No place has a test.
+    #[error("there are no tests")]
+    NoTests,
+    /// A test has no reduction at the only values of the parameters.
+    #[error(transparent)]
+    Reduce(#[from] Box<ReduceError>),
+    /// There is no fit.
+    #[error(transparent)]
+    Dynamic(#[from] Box<DynamicError>),
+}
+
+impl ShardError {
+    /// What to do about it.
+    pub fn hint(&self) -> Option<&'static str> {
+        match self {
+            ShardError::Levels => {
+                Some("bring the reductions of all tests together (`kalfit reduce`): ten million fit into one machine")
+            }
+            ShardError::PerLevel { .. } => Some("make the parameter common to all tests, or give each level its value"),
+            ShardError::NoiseCovariance { .. } => Some("give the parameters their values, or fit on one machine"),
+            ShardError::Marginal => Some("put the phases together by `chain`"),
+            ShardError::StdErrors { .. } => Some("take those from the observed information"),
+            ShardError::Profiles => Some("take Wald's"),
+            ShardError::Restricted { .. } => {
+                Some("maximise the likelihood (`ml`), or give the parameters their values")
+            }
+            ShardError::NotRows { .. } => Some("give the rows of the test, or give the parameters their values"),
+            ShardError::Question { .. } => Some("ask again with the same model and the same version of kalfit"),
+            ShardError::Reduce(error) => error.hint(),
+            ShardError::Dynamic(error) => error.hint(),
+            ShardError::NoTests => None,
+        }
+    }
+}

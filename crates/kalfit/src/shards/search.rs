@@ -1,0 +1,191 @@
+//! The search for a fit by sums: what is to be asked next, or the fit.
+
+use std::sync::Arc;
+
+use crate::dynamic::{self, Coordinate, Method, Opening, Settings};
+use crate::ensemble::Labels;
+use crate::estimate::{self, Combination, Criterion, FitError, Progress, Stage, Step, Structure};
+use crate::infer::{Choices, DeletionChoice, IntervalKind, StdErrors, TestsChoice, infer};
+use crate::model::{PhasedModel, Slots, Value};
+use crate::record::{DynamicParts, FitRecord, Provenance};
+use crate::reduce::Reductions;
+use crate::remote::{Answer, Answers, Asked, Question, Remote};
+use crate::shards::error::ShardError;
+
+/// Said of every fit by sums.
+const BY_SUMS: &str = "made from sums over tests that stayed where they are: nothing is said of single tests, and designs are counted place by place";
+
+/// What is asked of a fit.
+#[derive(Debug, Clone, Default)]
+pub struct Asks {
+    /// Of the search for μ and Σ.
+    pub settings: estimate::Settings,
+    /// What standard errors are made of: the observed information, or, with all parameters known, the expected.
+    pub std_errors: StdErrors,
+    /// How intervals are made: Wald's.
+    pub intervals: IntervalKind,
+}
+
+/// How a fit goes on.
+#[derive(Debug)]
+pub enum Next {
+    /// These sums are wanted.
+    Asks(Vec<Asked>),
+    /// It has ended.
+    Ends(Box<FitRecord>),
+}
+
+/// What every place is asked for first.
+///
+/// # Errors
+/// A model that is not fitted by sums.
+pub fn first(model: &PhasedModel, settings: &estimate::Settings) -> Result<Vec<Asked>, ShardError> {
+    refuse(model, settings)?;
+    let slots = slots(model);
+    let question = if slots.is_empty() { Question::Survey } else { Question::Opening };
+    Ok(vec![Asked { values: vec![0.0; slots.len()], question }])
+}
+
+/// Goes on with the sums over all places that are known so far.
+///
+/// # Errors
+/// A model or a choice that is not fitted by sums; what keeps a fit of all tests in one place from an answer.
+pub fn go_on(
+    model: &PhasedModel,
+    asks: &Asks,
+    known: Vec<(Asked, Answer)>,
+    provenance: Provenance,
+    progress: &mut dyn Progress,
+) -> Result<Next, ShardError> {
+    let slots = slots(model);
+    refuse_choices(asks, &slots)?;
+    let opening = first(model, &asks.settings)?;
+    let Some((_, begun)) = known.iter().find(|(asked, _)| *asked == opening[0]) else {
+        return Ok(Next::Asks(opening));
+    };
+    let begun = begun.clone().unwrap_or_default();
+    if begun.first().is_none_or(|tests| *tests < 1.0) {
+        return Err(ShardError::NoTests);
+    }
+    let answers = Arc::new(Answers::new(known));
+    let mut watched = Waiting { answers: answers.clone(), progress };
+    let choices = Choices {
+        std_errors: asks.std_errors,
+        intervals: IntervalKind::Wald,
+        deletion: DeletionChoice::None,
+        tests: TestsChoice::None,
+    };
+    let found = match slots.is_empty() {
+        true => at_known(model, (asks, choices), (&answers, &slots), provenance, &mut watched),
+        false => with_free(model, (asks, choices), (&answers, &slots, &begun), provenance, &mut watched),
+    };
+    let wanted = answers.wanted();
+    if !wanted.is_empty() {
+        return Ok(Next::Asks(wanted)); // what was found beyond means nothing
+    }
+    let mut record = found?;
+    record.notes.push(BY_SUMS.to_owned());
+    Ok(Next::Ends(Box::new(record)))
+}
+
+fn at_known(
+    model: &PhasedModel,
+    (asks, choices): (&Asks, Choices),
+    (answers, slots): (&Arc<Answers>, &Slots),
+    provenance: Provenance,
+    progress: &mut dyn Progress,
+) -> Result<FitRecord, ShardError> {
+    let alpha = slots.alpha(model.shared(), &[]);
+    let reductions = Reductions::elsewhere(Remote { values: Vec::new(), answers: answers.clone() });
+    let structure = Structure::of(model, &alpha, None);
+    let estimate = estimate::fit(&reductions, &structure, &asks.settings, progress).map_err(failed)?;
+    let inference = infer(&estimate, &reductions, choices);
+    Ok(FitRecord::new(model, &alpha, &reductions, &estimate, &inference, provenance))
+}
+
+fn with_free(
+    model: &PhasedModel,
+    (asks, choices): (&Asks, Choices),
+    (answers, slots, begun): (&Arc<Answers>, &Slots, &[f64]),
+    provenance: Provenance,
+    progress: &mut dyn Progress,
+) -> Result<FitRecord, ShardError> {
+    let opening = Opening::of(begun, &Coordinate::of(model, slots));
+    let Opening { start, units, .. } = opening.ok_or(ShardError::Question { what: "the number of free values" })?;
+    // α, μ and Σ move together: what a step asks for is one sum
+    let settings = Settings { method: Method::Innovations, inner: asks.settings.clone(), ..Settings::default() };
+    let fit = dynamic::fit_elsewhere(model, (slots, &settings), (answers, start, units), progress).map_err(Box::new)?;
+    let (inference, parameters) = dynamic::infer(model, &[], &fit, choices).map_err(Box::new)?;
+    let labels = &Labels::new(&model.shared().literals);
+    let parts = DynamicParts { model, labels, fit: &fit, inference: &inference, parameters: &parameters };
+    Ok(FitRecord::dynamic(&parts, provenance))
+}
+
+fn failed(error: FitError) -> ShardError {
+    ShardError::Dynamic(Box::new(error.into()))
+}
+
+/// The free values, all of which are common to all tests.
+fn slots(model: &PhasedModel) -> Slots {
+    Slots::in_phases(model, &Labels::new(&model.shared().literals), &[])
+}
+
+/// Models that are not fitted by sums.
+pub(super) fn refuse(model: &PhasedModel, settings: &estimate::Settings) -> Result<(), ShardError> {
+    if !model.levels.is_empty() {
+        return Err(ShardError::Levels);
+    }
+    let free = |value: Value| matches!(value, Value::Free { .. });
+    let parameters = &model.shared().parameters;
+    if let Some(apart) = parameters.iter().find(|p| p.per.is_some() && free(p.value)) {
+        return Err(ShardError::PerLevel { parameter: apart.name.clone() });
+    }
+    if settings.phases == Combination::Marginal && !model.is_single() {
+        return Err(ShardError::Marginal);
+    }
+    let Some(parameter) = parameters.iter().find(|p| free(p.value)).map(|p| p.name.clone()) else { return Ok(()) };
+    let crossed = |phase: &crate::model::Phase| {
+        !phase.model.noise_covariance.is_empty() || !phase.model.process_noise_covariance.is_empty()
+    };
+    if model.phases.iter().any(crossed) {
+        return Err(ShardError::NoiseCovariance { parameter });
+    }
+    match settings.criterion {
+        Criterion::Reml => Err(ShardError::Restricted { parameter }),
+        Criterion::Ml => Ok(()),
+    }
+}
+
+/// Choices of a fit that are not made by sums.
+fn refuse_choices(asks: &Asks, slots: &Slots) -> Result<(), ShardError> {
+    match asks.std_errors {
+        StdErrors::Sandwich => Err(ShardError::StdErrors { found: "sandwich" }),
+        StdErrors::Expected if !slots.is_empty() => {
+            Err(ShardError::StdErrors { found: "expected information beside free parameters" })
+        }
+        _ if asks.intervals == IntervalKind::Profile => Err(ShardError::Profiles),
+        _ => Ok(()),
+    }
+}
+
+/// Ends a search that has asked for what is not known.
+struct Waiting<'a> {
+    answers: Arc<Answers>,
+    progress: &'a mut dyn Progress,
+}
+
+impl Progress for Waiting<'_> {
+    fn step(&mut self, step: Step) {
+        if !self.answers.is_waiting() {
+            self.progress.step(step);
+        }
+    }
+
+    fn stage(&mut self, stage: Stage) {
+        self.progress.stage(stage);
+    }
+
+    fn stops(&self) -> bool {
+        self.answers.is_waiting() || self.progress.stops()
+    }
+}

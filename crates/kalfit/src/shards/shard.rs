@@ -1,0 +1,140 @@
+//! One place: its tests, and what it answers about them.
+
+use std::sync::{Mutex, OnceLock, PoisonError};
+
+use crate::dynamic::{self, Scale, Settings};
+use crate::ensemble::Labels;
+use crate::estimate::{InitialLaw, Silent, Structure, Summed};
+use crate::infer::counted;
+use crate::model::{PhasedModel, Slots};
+use crate::reduce::{Evidence, PhasedReducer, PhasedTest, ReduceError, Reductions};
+use crate::remote::{Answer, Asked, Law, Question};
+use crate::score::{Companies, Gradient, PhasedScorer};
+use crate::shards::error::ShardError;
+use crate::shards::search::refuse;
+
+/// The tests of one place. What it answers is a function of the tests and of what is asked, and of nothing else; what it keeps saves
+/// work only.
+#[derive(Debug)]
+pub struct Shard {
+    model: PhasedModel,
+    /// In the order of their ids.
+    tests: Vec<PhasedTest>,
+    slots: Slots,
+    settings: Settings,
+    companies: OnceLock<Companies>,
+    /// Where the only free value scales all noise: the filters run at one value of many.
+    scale: Option<Scale>,
+    /// The reductions at the α that was asked for last.
+    kept: Mutex<Option<(Vec<f64>, Summed)>>,
+}
+
+impl Shard {
+    /// Tests of a model; `settings` are those of start values.
+    ///
+    /// # Errors
+    /// A model that is not fitted by sums; tests that come otherwise than by rows where parameters are free.
+    pub fn new(
+        model: PhasedModel,
+        labels: &Labels,
+        mut tests: Vec<PhasedTest>,
+        settings: Settings,
+    ) -> Result<Shard, ShardError> {
+        refuse(&model, &settings.inner)?;
+        let slots = Slots::in_phases(&model, labels, &tests);
+        let is_rows = |test: &PhasedTest| test.phases.iter().all(|evidence| matches!(evidence, Evidence::Rows(_)));
+        if let (Some(slot), Some(test)) = (slots.slots().first(), tests.iter().find(|test| !is_rows(test))) {
+            let parameter = model.shared().parameters[slot.parameter].name.clone();
+            return Err(ShardError::NotRows { test: test.id.clone(), parameter });
+        }
+        tests.sort_by(|a, b| a.id.cmp(&b.id));
+        let scale = Scale::of(&model, &tests, &slots);
+        let (companies, kept) = (OnceLock::new(), Mutex::new(None));
+        Ok(Shard { model, tests, slots, settings, companies, scale, kept })
+    }
+
+    /// Number of tests.
+    pub fn tests(&self) -> usize {
+        self.tests.len()
+    }
+
+    /// What the tests say; `None` where it is not defined at these free values.
+    ///
+    /// # Errors
+    /// Questions about another model, and where no parameter is free a test that has no reduction.
+    pub fn answer(&self, asked: &Asked) -> Result<Answer, ShardError> {
+        if asked.values.len() != self.slots.len() {
+            return Err(ShardError::Question { what: "the number of free values" });
+        }
+        if asked.question == Question::Opening {
+            let told = (&self.slots, &self.settings);
+            return Ok(Some(dynamic::opening(&self.model, &self.tests, told, &mut Silent)));
+        }
+        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        if kept.as_ref().is_none_or(|(values, _)| *values != asked.values) {
+            *kept = None;
+            match self.reduce(&asked.values) {
+                Ok(summed) => *kept = Some((asked.values.clone(), summed)),
+                Err(error) if self.slots.is_empty() => return Err(error),
+                Err(_) => return Ok(None),
+            }
+        }
+        let (_, summed) = kept.as_mut().expect("it was set");
+        match &asked.question {
+            Question::Score { law } => self.score(&asked.values, summed, law),
+            Question::Observability { frame } => match counted(summed, frame) {
+                Some(counts) => Ok(Some(counts)),
+                None => Err(ShardError::Question { what: "the number of states" }),
+            },
+            question => summed.answer(question).ok_or(ShardError::Question { what: "the number of states" }),
+        }
+    }
+
+    fn reduce(&self, values: &[f64]) -> Result<Summed, ShardError> {
+        let alpha = self.slots.alpha(self.model.shared(), values);
+        let filter = |value: f64| Ok(self.filter(&[value])?);
+        let scaled = match &self.scale {
+            Some(scale) => scale.reductions_from(origin(values[0]), values[0], &filter).map_err(Box::new)?,
+            None => None,
+        };
+        let reductions = scaled.map_or_else(|| self.filter(values), Ok)?;
+        Ok(Summed::new(reductions, &Structure::of(&self.model, &alpha, None)))
+    }
+
+    /// Runs the filters.
+    fn filter(&self, values: &[f64]) -> Result<Reductions, Box<ReduceError>> {
+        let alpha = self.slots.alpha(self.model.shared(), values);
+        PhasedReducer::passing(&self.model, &alpha, &self.slots)?.reduce(&self.tests).map_err(Box::new)
+    }
+
+    /// Σ dℓ_j/dα.
+    fn score(&self, values: &[f64], summed: &Summed, law: &Law) -> Result<Answer, ShardError> {
+        let structure = self.model.phases.iter().map(|phase| phase.model.mean.regression.len()).sum();
+        let law = InitialLaw::from_told(law, (self.model.dimension(), structure));
+        let law = law.ok_or(ShardError::Question { what: "the number of states" })?;
+        if let Some(scores) = self.scale.as_ref().and_then(|scale| scale.scores(values[0], &summed.reductions, &law)) {
+            return Ok(total(&scores, values.len()));
+        }
+        let alpha = self.slots.alpha(self.model.shared(), values);
+        let found = || {
+            let reducer = PhasedReducer::scoring(&self.model, &alpha, &self.slots)?;
+            let scorer = PhasedScorer::new(&self.model, &reducer, &self.slots)?;
+            let companies = self.companies.get_or_init(|| scorer.companies(&self.tests));
+            scorer.scores(&self.tests, &summed.reductions, &law, companies)
+        };
+        let Ok(scores) = found() else { return Ok(None) };
+        Ok(total(&scores, values.len()))
+    }
+}
+
+/// The sum over tests, of so many values; `None` where it is not defined.
+fn total(scores: &[Gradient], values: usize) -> Answer {
+    let mut sum = vec![0.0; values];
+    scores.iter().flatten().for_each(|&(slot, bar)| sum[slot] += bar);
+    sum.iter().all(|x| x.is_finite()).then_some(sum)
+}
+
+/// The value that one is scaled from: a power of four near by, which depends on nothing else.
+fn origin(value: f64) -> f64 {
+    if value > 0.0 && value.is_finite() { 2f64.powi(2 * (0.5 * value.log2()).round() as i32) } else { value }
+}

@@ -1,0 +1,232 @@
+//! Fits by sums against fits of all tests in one place.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::build::{Columns, ModelBuilder, constant, fixed, free, gauss_markov, measurement, name, phase};
+use crate::estimate::{self, Criterion, Silent};
+use crate::infer::{Choices, DeletionChoice, IntervalKind, StdErrors, TestsChoice};
+use crate::model::{Alpha, PhasedModel, Population};
+use crate::record::{FitRecord, Provenance};
+use crate::remote::{Answer, Asked, sum};
+use crate::shards::{Asks, Next, Shard, ShardError, go_on};
+use crate::{Ensemble, Options};
+
+/// The fit of tests that are dealt out to so many places, and how many rounds it took.
+fn by_sums(ensemble: &Ensemble, places: usize, asks: &Asks) -> (FitRecord, usize) {
+    let tests = ensemble.tests();
+    let part = |k: usize| tests.iter().skip(k).step_by(places).cloned().collect::<Vec<_>>();
+    let settings = crate::dynamic::Settings { inner: asks.settings.clone(), ..Default::default() };
+    let shard = |k| Shard::new(ensemble.model().clone(), ensemble.labels(), part(k), settings.clone()).unwrap();
+    let shards: Vec<Shard> = (0..places).map(shard).collect();
+    let mut known: Vec<(Asked, Answer)> = Vec::new();
+    for round in 0..200 {
+        match go_on(ensemble.model(), asks, known.clone(), Provenance::default(), &mut Silent).unwrap() {
+            Next::Ends(record) => {
+                forget_nothing(&shards, (0..places).map(shard).collect(), &known);
+                return (*record, round);
+            }
+            Next::Asks(all) => {
+                for asked in all {
+                    assert!(known.iter().all(|(other, _)| *other != asked), "asked twice: {asked:?}");
+                    let answers: Vec<Answer> = shards.iter().map(|shard| shard.answer(&asked).unwrap()).collect();
+                    known.push((asked, sum(&answers).expect("of one length")));
+                }
+            }
+        }
+    }
+    panic!("no end after 200 rounds");
+}
+
+/// Places that have answered much answer as those that have answered nothing, to the bit.
+fn forget_nothing(old: &[Shard], fresh: Vec<Shard>, known: &[(Asked, Answer)]) {
+    for (asked, _) in known.iter().rev().step_by(3) {
+        for (old, fresh) in old.iter().zip(&fresh) {
+            assert_eq!(old.answer(asked), fresh.answer(asked), "{asked:?}");
+        }
+    }
+}
+
+fn in_one_place(ensemble: &Ensemble, asks: &Asks) -> FitRecord {
+    let choices = Choices {
+        std_errors: asks.std_errors,
+        intervals: IntervalKind::Wald,
+        deletion: DeletionChoice::None,
+        tests: TestsChoice::None,
+    };
+    let options = Options { settings: asks.settings.clone(), choices, innovations: false, ..Options::default() };
+    ensemble.fit_with(&options, &mut Silent).unwrap().record
+}
+
+/// Every figure of a record with its standard error.
+fn figures(record: &FitRecord) -> Vec<(String, f64, Option<f64>)> {
+    let mut all = Vec::new();
+    for phase in &record.phases {
+        for (i, state) in phase.states.iter().enumerate() {
+            all.push((format!("mean {state}"), phase.mean.estimate[i], phase.mean.std_error[i]));
+            all.push((format!("deviation {state}"), phase.std_dev.estimate[i], phase.std_dev.std_error[i]));
+            for k in 0..i {
+                let (value, error) = (phase.covariance.estimate[i][k], phase.covariance.std_error[i][k]);
+                all.push((format!("covariance {state} {k}"), value, error));
+            }
+        }
+        for r in &phase.mean.regression {
+            all.push((format!("regression {}", r.column), r.estimate, r.std_error));
+        }
+    }
+    let parameters = record.parameters.iter().map(|p| (p.name.clone(), p.estimate, p.std_error));
+    all.extend(parameters);
+    all
+}
+
+#[track_caller]
+fn agree(ensemble: &Ensemble, asks: &Asks) -> usize {
+    let (found, rounds) = by_sums(ensemble, 3, asks);
+    eprintln!("{}: {rounds} rounds", ensemble.model().shared().title);
+    let expected = in_one_place(ensemble, asks);
+    assert!(found.converged && expected.converged, "{} {}", found.reason, expected.reason);
+    let (a, b) = (found.log_likelihood, expected.log_likelihood);
+    assert!((a - b).abs() <= 1e-10 * b.abs(), "log-likelihood: {a} {b}");
+    for ((what, value, error), (_, known, known_error)) in figures(&found).into_iter().zip(figures(&expected)) {
+        let unit = known_error.unwrap_or(known.abs()).max(1e-12);
+        assert!((value - known).abs() <= 1e-5 * unit, "{what}: {value} {known}, standard error {unit}");
+        match (error, known_error) {
+            (Some(error), Some(known)) => assert!((error / known - 1.0).abs() < 1e-5, "of {what}: {error} {known}"),
+            _ => assert_eq!(error.is_some(), known_error.is_some(), "of {what}"),
+        }
+    }
+    assert!(found.certificate.mean.max(found.certificate.covariance) < 1e-6, "{:?}", found.certificate);
+    assert!(found.certificate.parameters < 1e-4, "{:?}", found.certificate);
+    let counts = |record: &FitRecord| (record.data.tests, record.data.steps, record.data.observations);
+    assert_eq!(counts(&found), counts(&expected));
+    let seen = |record: &FitRecord| -> Vec<(usize, usize)> {
+        record.phases.iter().flat_map(|p| &p.observability).map(|o| (o.informed_by, o.observed_by)).collect()
+    };
+    assert_eq!(seen(&found), seen(&expected));
+    assert_eq!(found.free_parameters, expected.free_parameters);
+    assert!(found.tests.is_empty());
+    rounds
+}
+
+fn population(mean: &[f64], variances: &[f64]) -> Population {
+    let covariance = DMatrix::from_diagonal(&DVector::from_row_slice(variances));
+    Population { mean: mean.to_vec(), coefficients: Vec::new(), covariance }
+}
+
+fn lines(sigma: crate::build::ParameterBuilder) -> ModelBuilder {
+    crate::Model::builder("lines")
+        .state(constant("level"))
+        .state(constant("slope"))
+        .measurement(measurement("y", name("level") + name("slope") * name("x"), "sigma"))
+        .parameter(sigma)
+}
+
+/// Tests of several lengths and designs, one in seven without a slope.
+fn ensemble_of_lines(model: &PhasedModel, tests: usize) -> Ensemble {
+    let design = |j: usize| {
+        let rows = 4 + j % 3;
+        let x = |k: usize| if j % 7 == 3 { 0.0 } else { k as f64 - 1.0 + 0.1 * (j % 5) as f64 };
+        let dose = 0.5 + 0.25 * (j % 4) as f64;
+        Columns::new(format!("t{j:03}"))
+            .numbers("x", (0..rows).map(x))
+            .every_number("dose", dose)
+            .every_number("y", 0.0)
+    };
+    let designs: Vec<Columns> = (0..tests).map(design).collect();
+    let mut truth = population(&[1.0, -0.5], &[0.5, 0.2]);
+    truth.coefficients = vec![0.0; model.phases[0].model.mean.regression.len()];
+    Ensemble::new(model, &designs).unwrap().draw(&Alpha::common([0.4]), truth, tests as u64, 3).unwrap()
+}
+
+#[test]
+fn known_parameters() {
+    let model = lines(fixed("sigma", 0.4)).build().unwrap();
+    let rounds = agree(&ensemble_of_lines(&model, 60), &Asks::default());
+    assert!(rounds < 15, "{rounds} rounds");
+    let expected = Asks { std_errors: StdErrors::Expected, ..Asks::default() };
+    agree(&ensemble_of_lines(&model, 60), &expected);
+}
+
+#[test]
+fn known_parameters_constraints_and_a_regression() {
+    let model = lines(fixed("sigma", 0.4)).regress_mean("slope", "dose").fix_mean("level", 1.0).build().unwrap();
+    agree(&ensemble_of_lines(&model, 60), &Asks::default());
+    let reml =
+        Asks { settings: estimate::Settings { criterion: Criterion::Reml, ..Default::default() }, ..Asks::default() };
+    agree(&ensemble_of_lines(&model, 60), &reml);
+}
+
+#[test]
+fn a_noise_level() {
+    let rounds = agree(&ensemble_of_lines(&lines(free("sigma")).build().unwrap(), 80), &Asks::default());
+    assert!(rounds < 60, "{rounds} rounds");
+}
+
+#[test]
+fn a_time_constant_and_two_noise_levels() {
+    let model = crate::Model::builder("drifts")
+        .time("t")
+        .state(constant("bias"))
+        .state(gauss_markov("drift", "tau", "walk"))
+        .measurement(measurement("y", name("bias") + name("drift"), "sigma"))
+        .parameter(free("tau").start(2.0))
+        .parameter(free("walk"))
+        .parameter(free("sigma"))
+        .fix_mean("bias", 0.0)
+        .build()
+        .unwrap();
+    let design = |j: usize| {
+        let rows = 40 + j % 5;
+        Columns::new(format!("t{j}")).numbers("t", (0..rows).map(|k| 0.5 * k as f64)).every_number("y", 0.0)
+    };
+    let designs: Vec<Columns> = (0..45).map(design).collect();
+    let alpha = Alpha::common([3.0, 0.5, 0.2]);
+    let drawn = Ensemble::new(&model, &designs).unwrap().draw(&alpha, population(&[0.0], &[1.0]), 45, 2).unwrap();
+    let rounds = agree(&drawn, &Asks::default());
+    assert!(rounds < 80, "{rounds} rounds");
+}
+
+/// Two phases, the second of which inherits the level and some tests lack, with a noise level that is known or not.
+fn phases(sigma: crate::build::ParameterBuilder) -> Ensemble {
+    let rest = crate::Model::builder("phases")
+        .state(constant("level"))
+        .measurement(measurement("y", name("level"), "sigma"))
+        .parameter(sigma.clone());
+    let moved = crate::Model::builder("phases")
+        .state(constant("level"))
+        .state(constant("rate"))
+        .measurement(measurement("y", name("level") + name("rate") * name("x"), 0.2))
+        .parameter(sigma);
+    let model = PhasedModel::builder("part")
+        .phase(phase("rest", &rest))
+        .phase(phase("move", &moved).carry("level", name("level")))
+        .build()
+        .unwrap();
+    let design = |j: usize| {
+        let rows = if j % 6 == 5 { 4 } else { 9 + j % 3 };
+        Columns::new(format!("t{j:02}"))
+            .numbers("x", (0..rows).map(|k| 0.3 * k as f64 - 1.0))
+            .texts("part", (0..rows).map(|k| if k < 4 { "rest" } else { "move" }))
+            .every_number("y", 0.0)
+    };
+    let designs: Vec<Columns> = (0..48).map(design).collect();
+    let truth = population(&[1.0, 0.2, -0.5], &[0.5, 0.1, 0.3]);
+    Ensemble::new(&model, &designs).unwrap().draw(&Alpha::common([0.1]), truth, 48, 5).unwrap()
+}
+
+#[test]
+fn tests_in_phases() {
+    agree(&phases(fixed("sigma", 0.1)), &Asks::default());
+    agree(&phases(free("sigma").start(0.2)), &Asks::default());
+}
+
+#[test]
+fn models_that_no_sums_are_made_for_are_refused_in_words() {
+    let model = lines(free("sigma").per("lot")).build().unwrap();
+    let error = go_on(&model, &Asks::default(), Vec::new(), Provenance::default(), &mut Silent).unwrap_err();
+    assert_eq!(error, ShardError::PerLevel { parameter: "sigma".to_owned() });
+    let model = lines(free("sigma")).build().unwrap();
+    let reml = estimate::Settings { criterion: Criterion::Reml, ..Default::default() };
+    let asks = Asks { settings: reml, ..Asks::default() };
+    let error = go_on(&model, &asks, Vec::new(), Provenance::default(), &mut Silent).unwrap_err();
+    assert_eq!(error, ShardError::Restricted { parameter: "sigma".to_owned() });
+}
