@@ -213,7 +213,7 @@ def test_fits_are_compared_as_the_command_compares_them(command, tmp_path):
     assert (test["null"], test["alternative"], test["df"]) == (1, 0, 1)
     assert test["lr"] == pytest.approx(2 * (fits["full"].log_likelihood - fits["apart"].log_likelihood))
     assert [difference["element"] for difference in named.differences] == ["covariance[intercept, slope]"]
-    assert "Fits within others" in named.summary() and "2 fits" in repr(named)
+    assert "Nested fits" in named.summary() and "2 fits" in repr(named)
     assert [fit["name"] for fit in kalfit.compare([fits["full"], fits["apart"]]).fits] == ["fit 1", "fit 2"]
     with pytest.raises(kalfit.DataError, match="not fits of the same data"):
         kalfit.compare([fits["full"], kalfit.fit(*BENCH)])

@@ -56,7 +56,7 @@ def test_a_fit_is_applied_as_the_command_applies_it(command, tmp_path):
     assert found.tests.to_pandas().equals(pandas.read_csv(path))
     assert found.states.to_pandas().equals(pandas.read_csv(tmp_path / "s.csv"))
     assert found.log_density == pytest.approx(fit.log_likelihood, rel=1e-12)
-    assert "are of this population" in found.summary() and "28 tests" in repr(found)
+    assert "agree with this population" in found.summary() and "28 tests" in repr(found)
     written = kalfit.apply(*BENCH, fit, out=tmp_path / "w.csv")
     assert written.tests is None and written.states is None and (tmp_path / "w.csv").read_text() == path.read_text()
     with pytest.raises(ValueError, match="states_out"):

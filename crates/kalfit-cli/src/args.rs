@@ -55,8 +55,8 @@ pub(crate) struct GlobalArgs {
     #[arg(long, value_name = "WHEN", default_value = "auto", global = true, help_heading = GLOBAL, hide_possible_values = true)]
     pub(crate) color: ColorChoice,
 
-    /// Instructions to use: `portable`, `avx2` or `avx512`, for the same bits on every machine that has them [default: the widest;
-    /// or the variable KALFIT_INSTRUCTIONS]
+    /// Processor instructions to use: `portable`, `avx2` or `avx512`; with the same choice, all machines give the same bits
+    /// [default: the widest; or the variable KALFIT_INSTRUCTIONS]
     #[arg(long, value_name = "SET", global = true, help_heading = GLOBAL)]
     pub(crate) instructions: Option<String>,
 }
@@ -174,7 +174,7 @@ pub(crate) struct FitArgs {
     #[arg(long, help_heading = OUTPUT, value_name = "FILE")]
     pub(crate) parameters: Option<PathBuf>,
 
-    /// File for a table of the constraints, and what each costs
+    /// File for a table of the constraints, with a score test of each
     #[arg(long, help_heading = OUTPUT, value_name = "FILE")]
     pub(crate) constraints: Option<PathBuf>,
 
@@ -307,8 +307,8 @@ pub(crate) struct CheckArgs {
 /// Where the population and the design come from.
 #[derive(Debug, Group)]
 pub(crate) struct TruthArgs {
-    /// The true population: results of `kalfit fit`, or a model file, whose fixed values and start values are taken. Free
-    /// parameters of MODEL get their values from there too
+    /// Where the true population comes from: results of `kalfit fit`, or a model file with fixed or start values. Free parameters
+    /// of MODEL get their values from there too
     #[arg(long, value_name = "FIT.json|MODEL.toml")]
     pub(crate) from: PathBuf,
 
@@ -326,8 +326,8 @@ pub(crate) struct SimulateArgs {
     #[command(flatten)]
     pub(crate) truth: TruthArgs,
 
-    /// Number of tests: those of the design are taken in turn, and after the first round get ids such as `A#2` [default: as
-    /// many as the design has]
+    /// Number of tests to draw. The tests of the design are used in turn; from the second round on they get ids such as `A#2`
+    /// [default: as many as the design has]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1_000_000_000))]
     pub(crate) tests: Option<u64>,
 
@@ -358,8 +358,8 @@ pub(crate) struct PlanArgs {
           value_parser = clap::value_parser!(u32).range(1..=1_000_000_000))]
     pub(crate) tests: Vec<u32>,
 
-    /// Of a model with levels, how many groups of a level in each group of the one above: `serial=5,10,20`, once for each level;
-    /// `--tests` is then how many tests in each group of the innermost level
+    /// For a model with levels: numbers of groups of a level in each group of the level above, `serial=5,10,20`, once for each level;
+    /// `--tests` is then the number of tests in each group of the innermost level
     #[arg(long, value_name = "LEVEL=N,N,...", value_parser = groups)]
     pub(crate) groups: Vec<(String, Vec<usize>)>,
 
@@ -378,7 +378,7 @@ pub(crate) struct ApplyArgs {
     #[arg(required = true)]
     pub(crate) data: Vec<String>,
 
-    /// The population and all parameters: results of `kalfit fit`, or a model file, whose fixed values and start values are taken
+    /// Where the population and all parameters come from: results of `kalfit fit`, or a model file with fixed or start values
     #[arg(long, value_name = "FIT.json|MODEL.toml")]
     pub(crate) from: PathBuf,
 
@@ -405,7 +405,7 @@ pub(crate) struct ValidateArgs {
     #[arg(required = true)]
     pub(crate) data: Vec<String>,
 
-    /// Number of folds that tests are drawn into; as many as there are tests leave each one out by itself [default: 10]
+    /// Number of folds; with as many folds as tests, each test is left out by itself [default: 10]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..), conflicts_with = "by")]
     pub(crate) folds: Option<u32>,
 
@@ -417,7 +417,7 @@ pub(crate) struct ValidateArgs {
     #[arg(long, value_name = "COLUMN")]
     pub(crate) by: Option<String>,
 
-    /// Another model of the same measurements, to compare with on the same folds; `--set` is for the first model alone
+    /// Another model of the same measurements, to compare with on the same folds; `--set` applies to the first model only
     #[arg(long, value_name = "OTHER.toml")]
     pub(crate) against: Option<PathBuf>,
 
@@ -436,11 +436,11 @@ pub(crate) struct PredictArgs {
     #[command(flatten)]
     pub(crate) model: ModelArgs,
 
-    /// The population and all parameters: results of `kalfit fit`, or a model file, whose fixed values and start values are taken
+    /// Where the population and all parameters come from: results of `kalfit fit`, or a model file with fixed or start values
     #[arg(long, value_name = "FIT.json|MODEL.toml")]
     pub(crate) from: PathBuf,
 
-    /// Times and inputs of the tests, a row for each: data of the model without its measurements; may be given many times
+    /// Times and inputs of the tests, one row per step: data of the model without its measurements; may be given many times
     #[arg(long, required = true, value_name = "FILE")]
     pub(crate) design: Vec<String>,
 
@@ -481,7 +481,7 @@ pub(crate) struct ExportArgs {
     #[command(flatten)]
     pub(crate) model: ModelArgs,
 
-    /// The population and all parameters: results of `kalfit fit`, or a model file, whose fixed values and start values are taken
+    /// Where the population and all parameters come from: results of `kalfit fit`, or a model file with fixed or start values
     #[arg(long, value_name = "FIT.json|MODEL.toml")]
     pub(crate) from: PathBuf,
 
@@ -489,11 +489,11 @@ pub(crate) struct ExportArgs {
     #[arg(long, value_name = "DT", value_parser = length)]
     pub(crate) step: Option<f64>,
 
-    /// A column's value on all rows, where coefficients of states or noise depend on it: `temperature=20`; may be given many times
+    /// Value of a column on all rows, where coefficients of states or noise depend on it: `temperature=20`; may be given many times
     #[arg(long, value_name = "COLUMN=VALUE")]
     pub(crate) at: Vec<String>,
 
-    /// The phase whose filter it is, of a model with several
+    /// Phase whose filter is written, for models with several phases
     #[arg(long, value_name = "NAME")]
     pub(crate) phase: Option<String>,
 
@@ -512,18 +512,18 @@ pub(crate) struct DatasheetArgs {
     #[command(flatten)]
     pub(crate) model: ModelArgs,
 
-    /// Records to put beside the model: CSV, Parquet or Arrow files, patterns such as `runs/*.csv`, `-` for standard input
+    /// Data whose Allan deviations are compared with those of the model: CSV, Parquet or Arrow files, patterns such as `runs/*.csv`, `-` for standard input
     pub(crate) data: Vec<String>,
 
-    /// The population and all parameters: results of `kalfit fit`, or a model file, whose fixed values and start values are taken
+    /// Where the population and all parameters come from: results of `kalfit fit`, or a model file with fixed or start values
     #[arg(long, value_name = "FIT.json|MODEL.toml")]
     pub(crate) from: PathBuf,
 
-    /// Time from a value to the next, in the model's unit of time, where no data say it
+    /// Time between values, in the model's unit of time, if there are no data
     #[arg(long, value_name = "DT", value_parser = length, conflicts_with = "data")]
     pub(crate) step: Option<f64>,
 
-    /// A column's value on all rows, where noise or motion depend on it: `temperature=20`; may be given many times
+    /// Value of a column on all rows, where noise or motion depend on it: `temperature=20`; may be given many times
     #[arg(long, value_name = "COLUMN=VALUE")]
     pub(crate) at: Vec<String>,
 
@@ -535,7 +535,7 @@ pub(crate) struct DatasheetArgs {
 #[derive(Debug, Group)]
 #[command(after_help = examples::COMPARE)]
 pub(crate) struct CompareArgs {
-    /// Results of `kalfit fit --out`, two or more, of the same data; results of `kalfit validate --out` stand beside them, or alone
+    /// Two or more results of `kalfit fit --out` for the same data, of `kalfit validate --out`, or both
     #[arg(required = true, num_args = 2.., value_name = "FIT.json")]
     pub(crate) fits: Vec<PathBuf>,
 

@@ -175,14 +175,14 @@ fn tell<R>(how: Telling, done: &Done<R>, text: impl FnOnce(&R) -> String, outcom
     if !how.quiet {
         terminal::warn(&done.notes);
     }
-    if !how.quiet || how.json {
-        if let Err(error) = terminal::print(&text(&done.record)) {
-            let unheard = Ended::Unheard(error);
-            if done.written.is_empty() {
-                return Err(unheard);
-            }
-            lost.push(unheard.message());
+    if (!how.quiet || how.json)
+        && let Err(error) = terminal::print(&text(&done.record))
+    {
+        let unheard = Ended::Unheard(error);
+        if done.written.is_empty() {
+            return Err(unheard);
         }
+        lost.push(unheard.message());
     }
     if !how.quiet {
         done.written.iter().for_each(|name| terminal::complain(&format!("Wrote {name}\n")));

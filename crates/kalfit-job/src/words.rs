@@ -95,9 +95,9 @@ pub const INNOVATIONS: &[Word<bool>] = &[
 
 /// What the states of a step are told from.
 pub const KINDS: &[Word<StateKind>] = &[
-    word("smoothed", StateKind::Smoothed, "From all of the test"),
-    word("filtered", StateKind::Filtered, "From what was measured up to the step"),
-    word("predicted", StateKind::Predicted, "From what was measured before the step"),
+    word("smoothed", StateKind::Smoothed, "From all measurements of the test"),
+    word("filtered", StateKind::Filtered, "From measurements up to the step"),
+    word("predicted", StateKind::Predicted, "From measurements before the step"),
 ];
 
 /// What a figure shows.

@@ -63,9 +63,9 @@ fn version_and_help() {
                                 processors]
           --color <WHEN>        When to colour what is printed: `auto`, `always` or `never` [default:
                                 auto]
-          --instructions <SET>  Instructions to use: `portable`, `avx2` or `avx512`, for the same bits
-                                on every machine that has them [default: the widest; or the variable
-                                KALFIT_INSTRUCTIONS]
+          --instructions <SET>  Processor instructions to use: `portable`, `avx2` or `avx512`; with the
+                                same choice, all machines give the same bits [default: the widest; or
+                                the variable KALFIT_INSTRUCTIONS]
 
     Examples:
       kalfit init gyro-bench bench            a model to start from, and its data, in the folder `bench`
@@ -117,7 +117,7 @@ fn version_and_help() {
               standard errors and intervals
 
           --constraints <FILE>
-              File for a table of the constraints, and what each costs
+              File for a table of the constraints, with a score test of each
 
           --no-tests
               Leave out all results of single tests (estimates, innovations, influence): for millions of
@@ -233,8 +233,8 @@ fn version_and_help() {
               [default: auto]
 
           --instructions <SET>
-              Instructions to use: `portable`, `avx2` or `avx512`, for the same bits on every machine
-              that has them [default: the widest; or the variable KALFIT_INSTRUCTIONS]
+              Processor instructions to use: `portable`, `avx2` or `avx512`; with the same choice, all
+              machines give the same bits [default: the widest; or the variable KALFIT_INSTRUCTIONS]
 
     Examples:
       kalfit fit model.toml data.csv
@@ -276,9 +276,9 @@ fn version_and_help() {
                                 processors]
           --color <WHEN>        When to colour what is printed: `auto`, `always` or `never` [default:
                                 auto]
-          --instructions <SET>  Instructions to use: `portable`, `avx2` or `avx512`, for the same bits
-                                on every machine that has them [default: the widest; or the variable
-                                KALFIT_INSTRUCTIONS]
+          --instructions <SET>  Processor instructions to use: `portable`, `avx2` or `avx512`; with the
+                                same choice, all machines give the same bits [default: the widest; or
+                                the variable KALFIT_INSTRUCTIONS]
 
     Examples:
       kalfit check model.toml                 is the model file valid, and how is it understood

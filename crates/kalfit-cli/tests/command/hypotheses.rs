@@ -573,9 +573,9 @@ fn help_shows_an_example() {
                                 processors]
           --color <WHEN>        When to colour what is printed: `auto`, `always` or `never` [default:
                                 auto]
-          --instructions <SET>  Instructions to use: `portable`, `avx2` or `avx512`, for the same bits
-                                on every machine that has them [default: the widest; or the variable
-                                KALFIT_INSTRUCTIONS]
+          --instructions <SET>  Processor instructions to use: `portable`, `avx2` or `avx512`; with the
+                                same choice, all machines give the same bits [default: the widest; or
+                                the variable KALFIT_INSTRUCTIONS]
 
     Examples:
       kalfit test model.toml data.csv --null null.toml

@@ -42,7 +42,7 @@ fn equations(record: &FitRecord) -> Markup {
         p {
             "Each test " (equation(j())) " starts from its own random initial state, and then follows the model of a Kalman filter. \
              The fit finds the mean " (equation(letter("μ"))) " and the covariance "
-            (equation(letter("Σ"))) " of the draws"
+            (equation(letter("Σ"))) " of the initial states"
             @if record.parameters.iter().any(|p| !p.fixed) { ", and the dynamic parameters " (equation(letter("α"))) }
             " that maximise the likelihood of all measurements"
             @if record.criterion == "reml" { " (restricted likelihood: that of the residuals of the mean)" }

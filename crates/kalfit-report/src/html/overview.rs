@@ -17,7 +17,7 @@ pub(super) fn section(record: &FitRecord) -> Option<Section> {
         ("steps", record.data.steps.to_string()),
         ("observations", record.data.observations.to_string()),
         ("free parameters", record.free_parameters.to_string()),
-        ("log-likelihood", hundredths(record.log_likelihood)),
+        (headline::likelihood_name(record), hundredths(record.log_likelihood)),
     ];
     cards.extend(record.aic.map(|x| ("AIC", hundredths(x))));
     cards.extend(record.bic.map(|x| ("BIC", hundredths(x))));
@@ -30,7 +30,6 @@ pub(super) fn section(record: &FitRecord) -> Option<Section> {
         dl.cards { @for (name, value) in &cards { div { dt { (name) } dd { (value) } } } }
         @for sentence in phases::combined(record) { p { (sentence) } }
         @if let Some(sentence) = places::counted(record) { p { (sentence) } }
-        p { (headline::likelihood(record)) }
         @if record.log_likelihood_kind == "estimates" { p { (headline::OF_ESTIMATES) } }
         (PreEscaped(summary::notes(record, &page)))
     };

@@ -166,12 +166,17 @@ pub(crate) fn from(files: &[String]) -> String {
     if files.is_empty() { String::new() } else { format!(" from {}", list(&files, 3)) }
 }
 
+/// What kind of log-likelihood it is.
+pub(crate) fn likelihood_name(record: &FitRecord) -> &'static str {
+    match (record.log_likelihood_kind.as_str(), record.criterion.as_str()) {
+        ("estimates", _) => "log-likelihood of the estimates",
+        (_, "reml") => "restricted log-likelihood",
+        _ => "log-likelihood",
+    }
+}
+
 pub(crate) fn likelihood(record: &FitRecord) -> String {
-    let name = match (record.log_likelihood_kind.as_str(), record.criterion.as_str()) {
-        ("estimates", _) => "Log-likelihood of the estimates",
-        (_, "reml") => "Restricted log-likelihood",
-        _ => "Log-likelihood",
-    };
+    let name = capital(likelihood_name(record));
     let mut parts =
         vec![format!("{name} {}", hundredths(record.log_likelihood)), count(record.free_parameters, "free parameter")];
     parts.extend(record.aic.map(|x| format!("AIC {}", hundredths(x))));
