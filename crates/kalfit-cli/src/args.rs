@@ -483,7 +483,7 @@ pub(crate) struct ExportArgs {
     pub(crate) from: PathBuf,
 
     /// Length of a step, in the model's unit of time; needed where anything depends on it
-    #[arg(long, value_name = "DT", value_parser = length)]
+    #[arg(long, value_name = "DT", value_parser = length, allow_negative_numbers = true)]
     pub(crate) step: Option<f64>,
 
     /// A column's value on all rows, where coefficients of states or noise depend on it: `temperature=20`; may be given many times
@@ -521,7 +521,7 @@ pub(crate) struct DatasheetArgs {
     pub(crate) from: PathBuf,
 
     /// Time from a value to the next, in the model's unit of time, where no data say it
-    #[arg(long, value_name = "DT", value_parser = length, conflicts_with = "data")]
+    #[arg(long, value_name = "DT", value_parser = length, allow_negative_numbers = true, conflicts_with = "data")]
     pub(crate) step: Option<f64>,
 
     /// A column's value on all rows, where noise or motion depend on it: `temperature=20`; may be given many times
