@@ -486,7 +486,7 @@ pub(crate) struct ExportArgs {
     pub(crate) from: PathBuf,
 
     /// Length of a step, in the model's unit of time; needed where anything depends on it
-    #[arg(long, value_name = "DT", value_parser = length)]
+    #[arg(long, value_name = "DT", value_parser = length, allow_negative_numbers = true)]
     pub(crate) step: Option<f64>,
 
     /// Value of a column on all rows, where coefficients of states or noise depend on it: `temperature=20`; may be given many times
@@ -520,7 +520,7 @@ pub(crate) struct DatasheetArgs {
     pub(crate) from: PathBuf,
 
     /// Time between values, in the model's unit of time, if there are no data
-    #[arg(long, value_name = "DT", value_parser = length, conflicts_with = "data")]
+    #[arg(long, value_name = "DT", value_parser = length, allow_negative_numbers = true, conflicts_with = "data")]
     pub(crate) step: Option<f64>,
 
     /// Value of a column on all rows, where noise or motion depend on it: `temperature=20`; may be given many times

@@ -4,8 +4,10 @@
 //! Intervals of means and regression coefficients are taken on their own scale, those of standard deviations on that of their
 //! logarithm, those of correlations on that of atanh.
 
+mod drawn;
 mod levels;
 mod predictions;
+mod verdicts;
 
 use std::process::ExitCode;
 
@@ -148,7 +150,7 @@ struct Tally {
     without: u64,
 }
 
-/// Set-ups with levels are fitted four times, with profiles, and those of predictions with free parameters: they get a tenth of the ensembles of the others.
+/// Set-ups with levels are fitted four times, with profiles, and those of predictions and verdicts with free parameters: they get a tenth of the ensembles of the others.
 const SHARE_OF_LEVELS: u64 = 10;
 
 /// Runs all set-ups whose title holds `only` and prints their tables; fails when some coverage is not sound.
@@ -157,6 +159,7 @@ pub(crate) fn run(ensembles: u64, only: &str) -> ExitCode {
     let sound = without_levels(ensembles, only);
     levels::run(ensembles.div_ceil(SHARE_OF_LEVELS), only);
     predictions::run(ensembles.div_ceil(SHARE_OF_LEVELS), only);
+    verdicts::run(ensembles.div_ceil(SHARE_OF_LEVELS), only);
     if sound { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }
 

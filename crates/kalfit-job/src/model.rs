@@ -16,16 +16,22 @@ pub(crate) fn load(job: &ModelJob, data: &[Datum]) -> Result<Spec, Failure> {
     Ok(spec)
 }
 
+/// Endings of tables.
+const TABLES: [&str; 8] = [".csv", ".tsv", ".txt", ".parquet", ".arrow", ".ipc", ".feather", ".gz"];
+
+/// Whether a name is that of a table, by its ending.
+pub(crate) fn is_table(name: &str) -> bool {
+    TABLES.iter().any(|ending| name.to_lowercase().ends_with(ending))
+}
+
 /// Of a model that is none, where the model stands among the data: the one was named in the other's place.
 fn swapped(mut failure: Failure, document: &Document, data: &[Datum]) -> Failure {
-    const TABLES: [&str; 8] = [".csv", ".tsv", ".txt", ".parquet", ".arrow", ".ipc", ".feather", ".gz"];
     let name = document.name();
-    let is_table = TABLES.iter().any(|ending| name.to_lowercase().ends_with(ending));
     let model = data.iter().find_map(|datum| match datum {
         Datum::Named(name) if name.ends_with(".toml") => Some(name),
         _ => None,
     });
-    if let (Failure::Model { error, .. }, Some(model), true) = (&mut failure, model, is_table) {
+    if let (Failure::Model { error, .. }, Some(model), true) = (&mut failure, model, is_table(&name)) {
         error.hint = Some(format!("the model comes first, then the data: `{model} {name}`"));
     }
     failure
@@ -37,7 +43,14 @@ fn swapped(mut failure: Failure, document: &Document, data: &[Datum]) -> Failure
 /// [`Failure::Model`], with the place in the text.
 pub fn read(document: &Document) -> Result<Spec, Failure> {
     let (name, text) = (document.name(), text(document)?);
-    Spec::parse(&name, &text).map_err(|error| Failure::model(error, &name, Some(text)))
+    Spec::parse(&name, &text).map_err(|mut error| {
+        if name.to_lowercase().ends_with(".json") {
+            error.hint = Some("a model file is wanted here; results of a fit are given by `--from`".to_owned());
+        } else if is_table(&name) {
+            error.hint = Some("a model file is wanted here: it comes first, then the data".to_owned());
+        }
+        Failure::model(error, &name, Some(text))
+    })
 }
 
 /// The text of a model or of a hypothesis.

@@ -1,6 +1,6 @@
 //! What `kalfit apply` found.
 
-use kalfit::record::{AppliedRecord, FarGroupRecord, FarRecord, JointRecord};
+use kalfit::record::{AppliedRecord, Basis, FarGroupRecord, FarRecord, JointRecord, LawRecord};
 
 use crate::Style;
 use crate::number::{p_value, plain, probability};
@@ -44,7 +44,7 @@ pub fn applied_summary(record: &AppliedRecord, style: &Style) -> String {
 /// What all of it comes to, in a sentence or two.
 fn verdict(record: &AppliedRecord) -> String {
     let doubtful = |joint: &JointRecord| joint.p_value.is_some_and(|p| p < DOUBTFUL);
-    let apart = record.is_outside(DOUBTFUL) || record.within.as_ref().is_some_and(doubtful);
+    let apart = doubtful(&record.distance) || record.within.as_ref().is_some_and(doubtful);
     let nothing = record.distance.degrees_of_freedom + record.residual.degrees_of_freedom == 0;
     let first = match (apart, doubtful(&record.residual)) {
         _ if nothing => "The measurements contain no information about the population.",
@@ -116,14 +116,22 @@ fn together(record: &AppliedRecord) -> Vec<String> {
 
 /// `add up to 45.2, expected 40 ± 8.9 (chi-squared with 40 degrees of freedom): p = 0.53.`
 fn sum(joint: &JointRecord) -> String {
-    let degrees = joint.degrees_of_freedom;
-    let p = joint.p_value.map_or("p unknown".to_owned(), p_value);
-    let spread = plain((2.0 * degrees as f64).sqrt(), 2);
     let squared = plain(joint.squared, 4);
-    format!(
-        "add up to {squared}, expected {degrees} ± {spread} (chi-squared, {}): {p}.",
-        count(degrees, "degree") + " of freedom"
-    )
+    let Some(LawRecord { expected, std_dev, degrees_of_freedom, denominator }) = joint.law else {
+        let degrees = count(joint.degrees_of_freedom, "degree") + " of freedom";
+        return format!("add up to {squared}, on {degrees}; their law is not known.");
+    };
+    let p = joint.p_value.map_or("p unknown".to_owned(), p_value);
+    let expected = match (expected, std_dev) {
+        (Some(expected), Some(std_dev)) => format!("expected {} ± {}", plain(expected, 3), plain(std_dev, 2)),
+        (Some(expected), None) => format!("expected {}", plain(expected, 3)),
+        (None, _) => "expected anything".to_owned(),
+    };
+    let law = match denominator {
+        None => format!("chi-squared, {} degrees of freedom", plain(degrees_of_freedom, 3)),
+        Some(below) => format!("F, {} and {} degrees of freedom", plain(degrees_of_freedom, 3), plain(below, 3)),
+    };
+    format!("add up to {squared}, {expected} ({law}): {p}.")
 }
 
 fn far(record: &AppliedRecord, page: &Page<'_>) -> String {
@@ -173,12 +181,26 @@ fn far_groups(record: &AppliedRecord, page: &Page<'_>) -> String {
 }
 
 fn notes(record: &AppliedRecord) -> Vec<String> {
-    let mut notes = vec![known(record)];
-    notes.push(
-        "If the population was estimated from these same tests, they fit it by construction: their distances add up to about the \
-         expected value."
-            .to_owned(),
-    );
+    let mut notes = vec![allowed_for(record)];
+    let sums = [Some(&record.distance), record.within.as_ref(), Some(&record.residual)];
+    if sums.into_iter().flatten().any(|sum| sum.degrees_of_freedom > 0 && sum.law.is_none()) {
+        notes.push(format!(
+            "A sum whose law is not known hangs on what the data of the fit do not determine, or the {} of the fit are too few for its \
+             {}: nothing is concluded from it.",
+            fitted(record),
+            count(record.states, "state")
+        ));
+    }
+    if !record.at_zero.is_empty() && record.basis != Basis::OwnTests {
+        let names: Vec<String> = record.at_zero.iter().map(|name| format!("`{}`", clean(name))).collect();
+        notes.push(format!("Estimated as zero, which counts as exactly zero: {}.", list(&names, MOST)));
+    }
+    if record.own > 0 && record.basis != Basis::OwnTests {
+        notes.push(format!(
+            "{} of these tests are among those that the parameters were estimated from: they fit them by construction.",
+            record.own
+        ));
+    }
     notes.push(
         "The p-value of a sum is two-sided. That of a single test is the probability of a larger value, corrected by Holm's method \
          for the number of tests."
@@ -187,25 +209,40 @@ fn notes(record: &AppliedRecord) -> Vec<String> {
     notes
 }
 
-/// What it means that the parameters are taken as known.
-fn known(record: &AppliedRecord) -> String {
-    let known = "The parameters are taken as exactly known.";
-    let tests = |number: usize| match record.of == "test" {
+/// `12 tests`, `10 groups of `chip``.
+fn fitted(record: &AppliedRecord) -> String {
+    let number = record.fitted.unwrap_or_default();
+    match record.of == "test" {
         true => count(number, "test"),
         false => format!("{} of `{}`", count(number, "group"), clean(&record.of)),
-    };
-    match (record.fitted, record.inflation()) {
-        (None, _) => known.to_owned(),
-        (Some(fitted), inflation) if inflation.is_finite() => format!(
-            "{known} Because the population was estimated from {}, distances of new tests are larger by {} % on average; the \
-             verdict allows for twice as much.",
-            tests(fitted),
-            plain(100.0 * (inflation - 1.0), 2)
+    }
+}
+
+/// What expected values and p-values allow for.
+fn allowed_for(record: &AppliedRecord) -> String {
+    let from = clean(&record.from);
+    match record.basis {
+        Basis::Given => "The parameters are taken as exactly known.".to_owned(),
+        Basis::OwnTests => format!(
+            "The parameters of {from} were estimated from these very tests, which fit them by construction: squares add up to about what is \
+             expected. Tests that are new are compared with wider laws."
         ),
-        (Some(fitted), _) => format!(
-            "{known} The population was estimated from {} only: distances of new tests may be larger by any factor, and the \
-             verdict does not depend on them.",
-            tests(fitted)
+        Basis::Estimates => format!(
+            "Expected values and p allow for the errors of all estimates in {from}, which are from {}: sums of squares have the law of a \
+             multiple of F in place of chi-squared.",
+            fitted(record)
+        ),
+        Basis::Population => format!(
+            "Expected values and p allow for the errors of mean and covariance in {from}, estimated from {}: distances have the law of a \
+             multiple of F in place of chi-squared. Dynamic parameters are taken as exactly known, as some of what is known of these tests \
+             was made with their values.",
+            fitted(record)
+        ),
+        Basis::Tests => format!(
+            "{from} does not say how far its estimates can be trusted: they are too many, or the fit was not made for it. Distances are \
+             compared as if each of the {} that it was made from had told all of its states exactly, which is too strict, and residuals as if \
+             dynamic parameters were exactly known.",
+            fitted(record)
         ),
     }
 }

@@ -21,9 +21,10 @@ pub fn datasheet_summary(record: &DatasheetRecord, style: &Style) -> String {
     let at = if at.is_empty() { String::new() } else { format!(", where {}", at.join(", ")) };
     sections.push(page.paragraph(&format!("All values follow from {}{at}.", clean(&record.from))));
     let phases = record.entries.iter().any(|entry| entry.phase != kalfit::model::MAIN);
-    let of = |entry: &EntryRecord| match phases {
-        true => format!("{}.{}", entry.phase, entry.of),
-        false => entry.of.clone(),
+    let of = |entry: &EntryRecord| {
+        let phase = if phases { format!("{}.", entry.phase) } else { String::new() };
+        let at = entry.at.as_ref().map_or(String::new(), |at| format!(", {}", clean(at)));
+        format!("{phase}{}{at}", entry.of)
     };
     sections.push(page.section("Datasheet", &page.table(&entries(&record.entries, &of))));
     let known = |known: &dyn Fn(&kalfit::record::AllanPoint) -> bool| {

@@ -166,6 +166,12 @@ fn the_reference_of_results_has_every_field_of_the_code() {
     fresh("reference/test-json.md", &records("test.json", test, "RatioRecord"));
     let plan = "What `kalfit plan --out plan.json` writes, from `PlanRecord` down.";
     fresh("reference/plan-json.md", &records("plan.json", plan, "PlanRecord"));
+    let validated = "What `kalfit validate --out validated.json` writes, from `ValidatedRecord` down.";
+    fresh("reference/validated-json.md", &records("validated.json", validated, "ValidatedRecord"));
+    let compared = "What `kalfit compare --out compared.json` writes, from `ComparedRecord` down.";
+    fresh("reference/compared-json.md", &records("compared.json", compared, "ComparedRecord"));
+    let sheet = "What `kalfit datasheet --out datasheet.json` writes, from `DatasheetRecord` down.";
+    fresh("reference/datasheet-json.md", &records("datasheet.json", sheet, "DatasheetRecord"));
 }
 
 #[test]

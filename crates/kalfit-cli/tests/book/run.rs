@@ -58,7 +58,10 @@ pub(crate) fn check(mut page: Page) -> Vec<String> {
     wrong
 }
 
-/// The commands of a block: lines `$ kalfit …`, continued behind `\`, each with the lines up to the next `$`.
+/// Besides kalfit these are run, by a shell: what takes data apart.
+const TOOLS: [&str; 1] = ["awk"];
+
+/// The commands of a block: lines `$ kalfit …`, and those of [`TOOLS`], continued behind `\`, each with the lines up to the next `$`.
 fn said(page: &Page, block: &Block) -> Vec<Said> {
     let status = block.value("status").map_or(0, |status| status.parse().unwrap());
     let starts: Vec<usize> = (block.at..block.end).filter(|&at| page.lines[at].starts_with("$ ")).collect();
@@ -70,8 +73,11 @@ fn said(page: &Page, block: &Block) -> Vec<Said> {
             text = format!("{begun} {}", page.lines[from].trim());
             from += 1;
         }
-        let words = words(text.split(" # ").next().unwrap_or_default());
-        if words.first().is_some_and(|word| word == "kalfit") {
+        let words = match text.split(' ').next() {
+            Some(tool) if TOOLS.contains(&tool) => vec!["sh".to_owned(), "-c".to_owned(), text.clone()],
+            _ => words(text.split(" # ").next().unwrap_or_default()),
+        };
+        if words.first().is_some_and(|word| word == "kalfit" || word == "sh") {
             commands.push(Said { words, from, to: starts.get(k + 1).copied().unwrap_or(block.end), status });
         }
     }
@@ -94,7 +100,8 @@ fn words(text: &str) -> Vec<String> {
 }
 
 fn run(folder: &Path, words: &[String]) -> (Vec<String>, i32) {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_kalfit"));
+    let program = if words[0] == "kalfit" { env!("CARGO_BIN_EXE_kalfit") } else { words[0].as_str() };
+    let mut command = Command::new(program);
     command.args(&words[1..]).current_dir(folder).stdin(Stdio::null()).env_remove("COLUMNS").env("NO_COLOR", "1");
     let output = command.output().unwrap();
     let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap()).concat();

@@ -80,13 +80,11 @@ fn the_tests_of_a_fit_are_what_the_fit_says_of_them() {
         as the furthest of 12.
 
     How to read this
-      The parameters are taken as exactly known. Because the population was
-        estimated from 12 tests, distances of new tests are larger by 44 % on
-        average; the verdict allows for twice as much.
-      If the population was estimated from these same tests, they fit it by
-        construction: their distances add up to about the expected value.
-      The p-value of a sum is two-sided. That of a single test is the probability of
-        a larger value, corrected by Holm's method for the number of tests.
+      The parameters of fit.json were estimated from these very tests, which fit
+        them by construction: squares add up to about what is expected. Tests that
+        are new are compared with wider laws.
+      p of a sum is two-sided; p of a single test is that of a larger value,
+        corrected by Holm for the number of tests.
     ----- stderr
     Wrote tests.csv
     Wrote states.csv
@@ -284,4 +282,44 @@ fn a_unit_that_is_far_off_is_named_as_a_unit() {
     let found: f64 = row[3].parse().unwrap();
     assert!((found - expected).abs() < 0.006 * expected, "{found} and {expected}");
     assert_eq!(row[4], "1");
+}
+
+const EXACT: &str = r#"
+[data]
+test = "unit"
+[states.level]
+[measurements.y]
+column = "y"
+equation = "level"
+noise = 1e-4
+"#;
+
+/// Six units that tell their level exactly, and one more: Student's law of a new value, on five degrees of freedom.
+#[test]
+fn a_new_unit_is_compared_with_an_estimated_population() {
+    let units: String = [1, 2, 3, 4, 5, 9].iter().enumerate().map(|(k, y)| format!("u{k},{y}\n")).collect();
+    let old = format!("unit,y\n{units}");
+    let files = [("m.toml", EXACT), ("old.csv", &old), ("new.csv", "unit,y\nv,11\n")];
+    let folder = Folder::new(&files.map(|(name, text)| (name, text.as_bytes())));
+    assert_eq!(folder.run("fit m.toml old.csv --out fit.json --quiet").status.code(), Some(0));
+    let said = shown(&folder.run("apply m.toml new.csv --from fit.json --out t.csv"));
+    let row = &folder.table("t.csv")[0];
+    // mean 4, variance 40/6: 49 over it, and scipy.stats.f.sf(49 / (40 / 6) * 5 / 7, 1, 5)
+    folder::near("distance", (number(row, "distance"), 49.0 / (40.0 / 6.0)), 1e-6);
+    folder::near("p", (number(row, "p_value"), 0.070_535_765_2), 1e-5);
+    assert!(said.contains("(F, 1 and 5 degrees of freedom)"), "{said}");
+    let flowing = said.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(flowing.contains("allow for the errors of all estimates in fit.json, which are from 6 tests"), "{said}");
+    let own = shown(&folder.run("apply m.toml old.csv --from fit.json"));
+    assert!(
+        own.split_whitespace().collect::<Vec<_>>().join(" ").contains("were estimated from these very tests"),
+        "{own}"
+    );
+    // of a fit that does not say how far its estimates can be trusted six tests that told all are taken
+    let mut fit: serde_json::Value = serde_json::from_slice(&std::fs::read(folder.path("fit.json")).unwrap()).unwrap();
+    fit["estimates"] = serde_json::Value::Null;
+    folder.write("silent.json", fit.to_string().as_bytes());
+    let said = shown(&folder.run("apply m.toml new.csv --from silent.json --out s.csv"));
+    assert!(said.contains("silent.json does not say how far its estimates can be trusted"), "{said}");
+    folder::near("p", (number(&folder.table("s.csv")[0], "p_value"), 0.070_535_765_2), 1e-5);
 }

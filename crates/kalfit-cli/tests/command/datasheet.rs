@@ -164,3 +164,55 @@ fn bad_wishes_are_refused() {
     let ending = folder.run("datasheet m.toml --from fit.json --step 1 --out sheet.csv");
     assert!(shown(&ending).contains("would hold JSON"), "{}", shown(&ending));
 }
+
+const BY_CHIP: &str = r#"
+[data]
+test = "run"
+time = "t"
+time_unit = "s"
+[states.bias]
+unit = "deg/h"
+[states.drift]
+unit = "deg/h"
+process = "random-walk"
+noise_density = "walk"
+initial = { mean = 0, sigma = 0 }
+[measurements.gyro]
+column = "y"
+equation = "bias + drift"
+noise = "sigma"
+[mean]
+fixed = { bias = 0 }
+[covariance]
+structure = "fixed"
+matrix = [[1.0]]
+[parameters]
+sigma = { per = "chip", unit = "deg/h", fixed = { c1 = 0.3, c2 = 0.6 } }
+walk = 0.02
+"#;
+
+/// Of noise that each chip has a value of its own for there is a number for each; of what is common there is one.
+#[test]
+fn parameters_by_level_have_an_entry_each() {
+    let folder = Folder::new(&[("m.toml", BY_CHIP.as_bytes())]);
+    let output = folder.run("datasheet m.toml --from m.toml --step 0.5 --out sheet.json");
+    assert!(output.status.success(), "{}", shown(&output));
+    let sheet = read(&folder, "sheet.json");
+    let of = |name: &str| -> Vec<(Value, f64)> {
+        let all = sheet["entries"].as_array().unwrap().iter().filter(|entry| entry["name"] == name);
+        all.map(|entry| (entry["at"].clone(), entry["value"].as_f64().unwrap())).collect()
+    };
+    // sigma times the square root of half a second, in hours
+    let root = (0.5_f64 / 3600.0).sqrt();
+    let noise = of("angle random walk");
+    assert_eq!(noise.iter().map(|(at, _)| at.clone()).collect::<Vec<_>>(), ["chip=c1", "chip=c2"]);
+    for ((_, found), sigma) in noise.iter().zip([0.3, 0.6]) {
+        assert!((found - sigma * root).abs() < 1e-12, "{found} and {}", sigma * root);
+    }
+    let walk = of("rate random walk");
+    assert_eq!(walk.len(), 1);
+    assert!(walk[0].0.is_null() && (walk[0].1 - 0.02 * 60.0).abs() < 1e-12, "{walk:?}");
+    assert!(shown(&output).contains("gyro, chip=c2"), "{}", shown(&output));
+    let one = folder.run("datasheet m.toml --from m.toml --step 0.5 --at chip=c2");
+    assert!(!shown(&one).contains("chip=c1") && shown(&one).contains("where chip=c2"), "{}", shown(&one));
+}

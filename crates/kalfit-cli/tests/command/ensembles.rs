@@ -217,6 +217,8 @@ fn a_population_of_other_phases_is_refused() {
     ----- stdout
     ----- stderr
     error: `other.toml`: the estimated states are `align.velocity_error`, `align.tilt`, `align.bias`, `cruise.velocity_error`, `cruise.tilt`, `cruise.bias`, expected `align.velocity_error`, `align.tilt`, `align.bias`, `flight.velocity_error`, `flight.tilt`, `flight.bias` as in the model
+
+    hint: it is of another model: phases, states, regressions and parameters must have the same names
     ");
     let half = format!("{PHASES}{ALIGN}");
     folder.write("half.toml", half.as_bytes());

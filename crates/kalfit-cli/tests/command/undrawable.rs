@@ -59,9 +59,9 @@ fn truths_that_are_none() {
     hint: fix it or give it a start value in `[mean]` and `[covariance]`, or take a fit
     ");
     assert_snapshot!(simulate("d.csv", "--out new.csv", &[]), @"
-    error: not valid TOML: key with no value, expected `=`
-      --> d.csv:1:3 | id,x,y
-                    |   ^
+    error: `d.csv` is not a result of `kalfit fit`: expected value at line 1 column 1
+
+    hint: `--from` takes what `kalfit fit --out` writes, or a model file that ends in `.toml`
     ");
     assert_snapshot!(simulate("f.json", "--out new.csv", &[("f.json", "[1, 2]")]), @"
     error: `f.json` is not a result of `kalfit fit`: invalid type: sequence, expected the object of a result at line 1 column 0
@@ -98,7 +98,11 @@ noise = 0.1
 start = { level = 1, rate = 0.5 }
 [covariance]
 start = [[1, 0.2], [0.2, 0.25]]
-"##)]), @"error: `t.toml`: the estimated states are `level`, `rate`, expected `level`, `slope` as in the model");
+"##)]), @"
+    error: `t.toml`: the estimated states are `level`, `rate`, expected `level`, `slope` as in the model
+
+    hint: it is of another model: phases, states, regressions and parameters must have the same names
+    ");
     assert_snapshot!(simulate("t.toml", "--out new.csv", &[("t.toml", r##"[data]
 test = "id"
 
@@ -206,7 +210,11 @@ test = "id"
 column = "y"
 equation = "level + rate * x"
 noise = 0.1
-"##)]), @"error: `fit.json`: the estimated states are `level`, `slope`, expected `level`, `rate` as in the model");
+"##)]), @"
+    error: `fit.json`: the estimated states are `level`, `slope`, expected `level`, `rate` as in the model
+
+    hint: it is of another model: phases, states, regressions and parameters must have the same names
+    ");
     assert_snapshot!(simulate("fit.json", "--out new.csv", &[("m.toml", r##"[data]
 test = "id"
 
@@ -219,7 +227,11 @@ equation = "level + slope * x"
 noise = 0.1
 [mean.regression]
 level = ["x"]
-"##)]), @"error: `fit.json`: the regressions are none, expected `level on x` as in the model");
+"##)]), @"
+    error: `fit.json`: the regressions are none, expected `level on x` as in the model
+
+    hint: it is of another model: phases, states, regressions and parameters must have the same names
+    ");
     assert_snapshot!(plan("fit.json", "", &[("m.toml", r##"[data]
 test = "id"
 

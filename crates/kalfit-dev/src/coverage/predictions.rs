@@ -1,217 +1,149 @@
 //! Limits of predictions: how often a limit of the mean holds the mean, and tolerance limits as many of the tests as they say.
 
-use kalfit::estimate::{self, Criterion};
-use kalfit::infer::{Choices, DeletionChoice, TestsChoice};
-use kalfit::predict::{Bounds, Initial, Knowledge, Limits, Predicted, Predictor, Sides, What};
-use kalfit::{Alpha, Ensemble, FitRecord, Labels, Options, PhasedTest, Population, Source, Test};
-use kalfit_spec::{DesignSpec, Spec};
-use nalgebra::DMatrix;
+use kalfit::infer::Knowledge;
+use kalfit::predict::{Bounds, Initial, Limits, Predicted, Predictor, Sides, What};
+use kalfit::{Alpha, Population};
+use kalfit_spec::DesignSpec;
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, Normal};
 
 use super::SEED;
+use super::drawn::{CONSTANT, Drawn, LINE, NOISY, UNITS, WALK, rows, values};
 
 const LIMITS: Limits = Limits { confidence: 0.9, content: 0.95, sides: Sides::Two };
 
-/// A model, a design and a population.
+/// What is predicted from which ensembles.
 struct Setup {
     title: &'static str,
-    /// With its parameters at the truth; those named in `free` are free in fits.
-    model: &'static str,
-    free: &'static str,
     output: &'static str,
-    units: usize,
-    tests: usize,
-    /// Values of `x`, one a row.
-    rows: &'static [f64],
     /// `x` of the mission, whose last row counts.
     mission: &'static [f64],
-    mean: &'static [f64],
-    /// Standard deviations of each level, the tests' own first; states are independent.
-    std_dev: &'static [&'static [f64]],
-    restricted: bool,
+    drawn: Drawn,
 }
-
-const CONSTANT: &str = r#"
-[data]
-test = "test"
-time = "x"
-[states]
-level = {}
-[measurements.y]
-column = "y"
-equation = "level"
-noise = "sigma"
-[parameters]
-sigma = 0.01
-"#;
-
-const NOISY: &str = r#"
-[data]
-test = "test"
-time = "x"
-[states]
-level = {}
-[measurements.y]
-column = "y"
-equation = "level"
-noise = "sigma"
-[parameters]
-sigma = 3.4641
-"#;
-
-const LINE: &str = r#"
-[data]
-test = "test"
-[states]
-level = {}
-slope = {}
-[measurements.y]
-column = "y"
-equation = "level + slope * x"
-noise = "sigma"
-[parameters]
-sigma = 20
-"#;
-
-const WALK: &str = r#"
-[data]
-test = "test"
-time = "x"
-initial_time = 0
-[states]
-level = {}
-walk = { process = "random-walk", noise_density = "q", initial = { mean = 0, sigma = 0 } }
-[measurements.y]
-column = "y"
-equation = "level + walk"
-noise = "sigma"
-[parameters]
-q = 1
-sigma = 0.5
-"#;
-
-const UNITS: &str = r#"
-[data]
-test = "test"
-levels = ["unit"]
-[states]
-level = {}
-[measurements.y]
-column = "y"
-equation = "level"
-noise = "sigma"
-[parameters]
-sigma = 20
-"#;
 
 const SETUPS: [Setup; 8] = [
     Setup {
         title: "5 tests that tell their level exactly",
-        model: CONSTANT,
-        free: "",
         output: "level",
-        units: 1,
-        tests: 5,
-        rows: &[0.0, 1.0],
         mission: &[0.0],
-        mean: &[1.0],
-        std_dev: &[&[1.0]],
-        restricted: false,
+        drawn: Drawn {
+            model: CONSTANT,
+            free: "",
+            units: 1,
+            tests: 5,
+            rows: &[0.0, 1.0],
+            mean: &[1.0],
+            std_dev: &[&[1.0]],
+            restricted: false,
+        },
     },
     Setup {
         title: "5 tests that tell their level exactly, by restricted likelihood",
-        model: CONSTANT,
-        free: "",
         output: "level",
-        units: 1,
-        tests: 5,
-        rows: &[0.0, 1.0],
         mission: &[0.0],
-        mean: &[1.0],
-        std_dev: &[&[1.0]],
-        restricted: true,
+        drawn: Drawn {
+            model: CONSTANT,
+            free: "",
+            units: 1,
+            tests: 5,
+            rows: &[0.0, 1.0],
+            mean: &[1.0],
+            std_dev: &[&[1.0]],
+            restricted: true,
+        },
     },
     Setup {
         title: "30 tests that tell their level with an error as large as its spread",
-        model: NOISY,
-        free: "sigma",
         output: "level",
-        units: 1,
-        tests: 30,
-        rows: &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0],
         mission: &[0.0],
-        mean: &[1.0],
-        std_dev: &[&[1.0]],
-        restricted: false,
+        drawn: Drawn {
+            model: NOISY,
+            free: "sigma",
+            units: 1,
+            tests: 30,
+            rows: &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0],
+            mean: &[1.0],
+            std_dev: &[&[1.0]],
+            restricted: false,
+        },
     },
     Setup {
         title: "30 tests that tell their level with an error of 1.7 times its spread",
-        model: NOISY,
-        free: "sigma",
         output: "level",
-        units: 1,
-        tests: 30,
-        rows: &[0.0, 1.0, 2.0, 3.0],
         mission: &[0.0],
-        mean: &[1.0],
-        std_dev: &[&[1.0]],
-        restricted: false,
+        drawn: Drawn {
+            model: NOISY,
+            free: "sigma",
+            units: 1,
+            tests: 30,
+            rows: &[0.0, 1.0, 2.0, 3.0],
+            mean: &[1.0],
+            std_dev: &[&[1.0]],
+            restricted: false,
+        },
     },
     Setup {
         title: "18 random lines of 10 rows, a little beyond them",
-        model: LINE,
-        free: "sigma",
         output: "level + slope * x",
-        units: 1,
-        tests: 18,
-        rows: &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0],
         mission: &[12.0],
-        mean: &[250.0, 10.0],
-        std_dev: &[&[24.0, 6.0]],
-        restricted: false,
+        drawn: Drawn {
+            model: LINE,
+            free: "sigma",
+            units: 1,
+            tests: 18,
+            rows: &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0],
+            mean: &[250.0, 10.0],
+            std_dev: &[&[24.0, 6.0]],
+            restricted: false,
+        },
     },
     Setup {
         title: "12 random walks of 20 rows from a random level, density and noise free",
-        model: WALK,
-        free: "q sigma",
         output: "level + walk",
-        units: 1,
-        tests: 12,
-        rows: &[
-            1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0, 17.0, 18.0, 19.0,
-            20.0,
-        ],
         mission: &[10.0, 30.0],
-        mean: &[1.0],
-        std_dev: &[&[4.0]],
-        restricted: false,
+        drawn: Drawn {
+            model: WALK,
+            free: "q sigma",
+            units: 1,
+            tests: 12,
+            rows: &[
+                1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0, 17.0, 18.0,
+                19.0, 20.0,
+            ],
+            mean: &[1.0],
+            std_dev: &[&[4.0]],
+            restricted: false,
+        },
     },
     Setup {
         title: "10 units of 3 tests of 4 rows, a new unit",
-        model: UNITS,
-        free: "sigma",
         output: "level",
-        units: 10,
-        tests: 3,
-        rows: &[0.0, 1.0, 2.0, 3.0],
         mission: &[0.0],
-        mean: &[250.0],
-        std_dev: &[&[12.0], &[24.0]],
-        restricted: false,
+        drawn: Drawn {
+            model: UNITS,
+            free: "sigma",
+            units: 10,
+            tests: 3,
+            rows: &[0.0, 1.0, 2.0, 3.0],
+            mean: &[250.0],
+            std_dev: &[&[12.0], &[24.0]],
+            restricted: false,
+        },
     },
     Setup {
         title: "30 units of 5 tests of 4 rows, a new unit",
-        model: UNITS,
-        free: "sigma",
         output: "level",
-        units: 30,
-        tests: 5,
-        rows: &[0.0, 1.0, 2.0, 3.0],
         mission: &[0.0],
-        mean: &[250.0],
-        std_dev: &[&[12.0], &[24.0]],
-        restricted: false,
+        drawn: Drawn {
+            model: UNITS,
+            free: "sigma",
+            units: 30,
+            tests: 5,
+            rows: &[0.0, 1.0, 2.0, 3.0],
+            mean: &[250.0],
+            std_dev: &[&[12.0], &[24.0]],
+            restricted: false,
+        },
     },
 ];
 
@@ -248,44 +180,8 @@ pub(super) fn run(ensembles: u64, only: &str) {
 }
 
 impl Setup {
-    fn spec(&self, is_free: bool) -> Spec {
-        let free = |line: &str| {
-            let name = line.split(" = ").next().unwrap_or_default();
-            if is_free && self.free.split(' ').any(|free| free == name) {
-                format!("{name} = {{}}")
-            } else {
-                line.to_owned()
-            }
-        };
-        let (head, parameters) = self.model.split_once("[parameters]\n").expect("every set-up has parameters");
-        let parameters: Vec<String> = parameters.lines().map(free).collect();
-        Spec::parse("set-up", &format!("{head}[parameters]\n{}\n", parameters.join("\n"))).expect("a set-up is sound")
-    }
-
-    fn population(&self) -> Population {
-        let p = self.mean.len();
-        let all = self.std_dev.concat();
-        let covariance = DMatrix::from_fn(all.len(), all.len(), |i, k| if i == k { all[i] * all[i] } else { 0.0 });
-        let mean = [self.mean, &vec![0.0; all.len() - p]].concat();
-        Population { mean, coefficients: Vec::new(), covariance }
-    }
-
-    fn design(&self, spec: &Spec) -> Ensemble {
-        let shared = spec.model.shared();
-        let mut labels = Labels::new(&shared.literals);
-        let mut tests = Vec::new();
-        for unit in 0..self.units {
-            let name = labels.intern(&format!("u{unit}"));
-            for test in 0..self.tests {
-                let texts = vec![name; shared.text_columns.len()];
-                tests.push(rows(spec, &format!("u{unit}/{test}"), self.rows, &texts));
-            }
-        }
-        Ensemble::of_tests(&spec.model, labels, tests)
-    }
-
     fn tally(&self, ensembles: u64) -> Tally {
-        let [known, free] = [false, true].map(|is_free| self.spec(is_free));
+        let [known, free] = [false, true].map(|is_free| self.drawn.spec(is_free));
         let outputs = format!("[outputs.y]\nequation = \"{}\"\n", self.output);
         let DesignSpec { spec: design, outputs } = known.design(Some(&outputs), false).expect("a set-up is sound");
         let mission = rows(&design, "mission", self.mission, &[]);
@@ -298,13 +194,13 @@ impl Setup {
             last.values.iter().find(|value| matches!(value.what, What::Output(_))).expect("an output").clone()
         };
         let alpha = Alpha::fixed(&known.model.shared().parameters).expect("the truth is known");
-        let truth = predicted(&alpha, &self.population(), Knowledge::exact());
-        let ensemble = self.design(&known);
+        let truth = predicted(&alpha, &self.drawn.population(), Knowledge::exact());
+        let ensemble = self.drawn.design(&known);
         let bounds = [Sides::Two, Sides::One].map(|sides| Bounds::new(Limits { sides, ..LIMITS }));
         let tally = (0..ensembles).into_par_iter().map(|k| {
             let tests = ensemble.tests().len() as u64;
-            let drawn = ensemble.draw(&alpha, self.population(), tests, SEED + k).expect("a set-up is sound");
-            let record = self.fit(&free, &drawn);
+            let drawn = ensemble.draw(&alpha, self.drawn.population(), tests, SEED + k).expect("a set-up is sound");
+            let record = self.drawn.fit(&free, &drawn);
             let found = record.converged.then(|| {
                 let population = record.population(&known.model).expect("it is of this model");
                 let values = values(&known, &record);
@@ -321,36 +217,6 @@ impl Setup {
             unknown: a.unknown + b.unknown,
         })
     }
-
-    fn fit(&self, free: &Spec, drawn: &Ensemble) -> FitRecord {
-        let choices = Choices { deletion: DeletionChoice::None, tests: TestsChoice::None, ..Choices::default() };
-        let mut options = Options { choices, innovations: false, ..Options::default() };
-        if self.restricted {
-            options.settings.criterion = Criterion::Reml;
-        }
-        let ensemble = Ensemble::of_tests(&free.model, drawn.labels().clone(), drawn.tests().to_vec());
-        ensemble.fit_with(&options, &mut estimate::Silent).expect("a legal problem").record
-    }
-}
-
-/// A test with a zero for every value that is drawn.
-fn rows(spec: &Spec, id: &str, x: &[f64], texts: &[kalfit::Label]) -> PhasedTest {
-    let shared = spec.model.shared();
-    let mut rows = Test::new(id.to_owned(), shared.columns.len(), shared.text_columns.len());
-    for &x in x {
-        let cells: Vec<f64> = shared.columns.iter().map(|column| if column.name == "x" { x } else { 0.0 }).collect();
-        rows.push(&cells, texts, Source::default());
-    }
-    rows.into()
-}
-
-/// The parameters of a fit.
-fn values(known: &Spec, record: &FitRecord) -> Alpha {
-    let mut spec = known.clone();
-    for parameter in &record.parameters {
-        spec.set(&format!("{}={}", parameter.name, parameter.estimate)).expect("it is a parameter");
-    }
-    Alpha::fixed(&spec.model.shared().parameters).expect("all are known")
 }
 
 fn one(found: Option<&Predicted>, truth: &Predicted, [two, one]: &[Bounds; 2]) -> Tally {

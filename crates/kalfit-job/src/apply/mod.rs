@@ -2,10 +2,12 @@
 
 mod tables;
 
-use kalfit::apply::{Applied, ApplyError};
-use kalfit::record::{AppliedRecord, AppliedSource};
-use kalfit::reduce::grouping;
+use kalfit::PhasedTest;
+use kalfit::apply::{Applied, ApplyError, Laws, Said, Trust};
+use kalfit::record::{AppliedRecord, AppliedSource, Basis};
+use kalfit::reduce::{Evidence, grouping};
 use kalfit_data::Reading;
+use kalfit_spec::Spec;
 
 use self::tables::Task;
 use crate::evidence::Given;
@@ -13,6 +15,7 @@ use crate::failure::Failure;
 use crate::job::{AppliedModel, ApplyJob, Done, files};
 use crate::output::{Pending, Target};
 use crate::table::Table;
+use crate::truth::Truth;
 use crate::work::{Watch, Work};
 use crate::{tests, truth};
 
@@ -40,19 +43,53 @@ pub fn apply(job: &ApplyJob, watch: &mut dyn Watch) -> Result<Done<AppliedModel>
     if along.is_some() {
         applied.check_states().map_err(refused)?;
     }
-    let source = AppliedSource { name: job.from.name(), fitted: truth.fitted, changed: truth.changed };
+    work.say(|| "comparing with the population".to_owned());
+    let (laws, source) = judged(&spec, &truth, (&applied, &tests), &said, &job.from.name()).map_err(refused)?;
+    work.go_on()?;
     let grouping = grouping(&spec.model, &tests).map_err(|error| refused(error.into()))?;
     let groups = grouping.as_ref().map(|grouping| (grouping, &reading.labels));
-    let record = AppliedRecord::new(&spec.model, source, (&tests, groups), &said);
+    let record = AppliedRecord::new(&spec.model, source, (&tests, groups), (&said, &laws));
     let task = Task { spec: &spec, applied: &applied, tests: &tests, reading: &reading };
     // neither is in place before both are whole
-    let of_tests = out.as_ref().map(|table| task.tests(table, &said)).transpose()?;
+    let of_tests = out.as_ref().map(|table| task.tests(table, (&said, &laws))).transpose()?;
     let states = along.as_ref().map(|table| task.states(table, job.kind, &mut work)).transpose()?;
     let of_tests = of_tests.map_or(Ok(None), Pending::finish)?;
     let states = states.map_or(Ok(None), Pending::finish)?;
     let written = [out, along].into_iter().flatten().filter_map(|table| table.target.name()).collect();
     let notes = given.notes.into_iter().chain(truth.warnings).collect();
     Ok(Done::new(AppliedModel { record, tests: of_tests, states }, notes, written))
+}
+
+/// The laws that tests are judged by, and what they allow for.
+fn judged(
+    spec: &Spec,
+    truth: &Truth,
+    (applied, tests): (&Applied<'_>, &[PhasedTest]),
+    said: &Said,
+    name: &str,
+) -> Result<(Laws, AppliedSource), ApplyError> {
+    let knowledge = truth.knowledge(spec);
+    let own = truth.record.as_ref().map_or(0, |record| record.own_tests(tests, said));
+    let is_reduced = tests.iter().flat_map(|test| &test.phases).any(|own| !matches!(own, Evidence::Rows(_)));
+    let (basis, laws) = match (&knowledge, truth.fitted) {
+        _ if own == tests.len() => (Basis::OwnTests, Laws::known(said)),
+        (None, Some(fitted)) => (Basis::Tests, applied.laws(said, &Trust::Tests(fitted))?),
+        (_, None) => (Basis::Given, Laws::known(said)),
+        (Some(known), Some(_)) => {
+            let basis = if is_reduced { Basis::Population } else { Basis::Estimates };
+            (basis, applied.laws(said, &Trust::Estimates(known))?)
+        }
+    };
+    let at_zero = truth.record.as_ref().and_then(|record| record.estimates.as_ref());
+    let source = AppliedSource {
+        name: name.to_owned(),
+        fitted: truth.fitted,
+        changed: truth.changed.clone(),
+        basis,
+        own,
+        at_zero: at_zero.map_or_else(Vec::new, |estimates| estimates.at_zero.clone()),
+    };
+    Ok((laws, source))
 }
 
 pub(crate) fn refused(error: ApplyError, reading: &Reading) -> Failure {

@@ -1,6 +1,6 @@
 //! The tables of `kalfit apply`: what each test says, and states at every step.
 
-use kalfit::apply::{Applied, PhaseStates, Said, StateKind};
+use kalfit::apply::{Applied, Laws, PhaseStates, Said, StateKind};
 use kalfit::{PhasedModel, PhasedTest};
 use kalfit_data::{Cell, CellKind, Reading, WriteError};
 use kalfit_spec::Spec;
@@ -42,7 +42,7 @@ impl Task<'_> {
     }
 
     /// A row for each phase of each test.
-    pub(super) fn tests<'t>(&self, table: &'t Table, said: &Said) -> Result<Pending<'t>, Failure> {
+    pub(super) fn tests<'t>(&self, table: &'t Table, said: (&Said, &Laws)) -> Result<Pending<'t>, Failure> {
         let names = self.estimated();
         let numbers = ["log_density", "distance"].map(|name| (name.to_owned(), CellKind::Number));
         let of =
@@ -66,7 +66,12 @@ impl Task<'_> {
         })
     }
 
-    fn test<'a>(&'a self, (number, phase): (usize, usize), said: &Said, names: &[String]) -> Vec<Cell<'a>> {
+    fn test<'a>(
+        &'a self,
+        (number, phase): (usize, usize),
+        (said, laws): (&Said, &Laws),
+        names: &[String],
+    ) -> Vec<Cell<'a>> {
         let (test, posterior) = (&self.tests[number], &said.posteriors[number]);
         let model = &self.model().phases[phase];
         let number_or = |x: Option<f64>| x.map_or(Cell::Missing, Cell::Number);
@@ -78,7 +83,7 @@ impl Task<'_> {
             Cell::Number(posterior.log_likelihood),
             Cell::Number(posterior.distance.squared),
             Cell::Count(posterior.distance.degrees_of_freedom),
-            number_or(posterior.distance.p_value),
+            number_or(laws.tests[number].and_then(|law| law.tails(posterior.distance.squared)).map(|tails| tails[1])),
             summary.map_or(Cell::Missing, |own| Cell::Count(own.count)),
             number_or(summary.map(|own| own.nis + 0.0)), // of nothing it is -0
             number_or(summary.and_then(|own| own.upper_tail)),

@@ -4,7 +4,7 @@ mod table;
 mod units;
 
 use kalfit::PhasedTest;
-use kalfit::predict::{Bounds, Estimand, Knowledge, Output, PredictError, Predictor};
+use kalfit::predict::{Bounds, Output, PredictError, Predictor};
 use kalfit::record::{PredictedRecord, PredictedSource};
 use kalfit_data::{Input, Reading};
 use kalfit_spec::{BesideError, DesignSpec, Spec};
@@ -16,7 +16,6 @@ use crate::failure::Failure;
 use crate::job::{Done, PredictJob, PredictedModel, Units, files};
 use crate::output::Pending;
 use crate::table::{Table, Writer};
-use crate::truth::Truth;
 use crate::work::{Watch, Work};
 use crate::{model, tests, truth};
 
@@ -34,7 +33,7 @@ pub fn predict(job: &PredictJob, watch: &mut dyn Watch) -> Result<Done<Predicted
     let inputs = Input::expand(&job.design).map_err(|error| Failure::data(error, &design))?;
     let documents: Vec<_> = [&job.model.document, &job.from].into_iter().chain(&job.outputs).collect();
     let table = Table::prepare(&job.out, &files(&documents, &inputs))?;
-    let knowledge = knowledge(&spec, &truth);
+    let knowledge = truth.knowledge(&spec);
     let mut work = Work::new(watch);
     let (tests, reading) = tests::read(&design, &Given::rows_of(inputs), &mut work)?;
     let values = (&model::alpha(&design), truth.population.coefficients.as_slice());
@@ -94,19 +93,6 @@ fn designed(job: &PredictJob, spec: &Spec) -> Result<DesignSpec, Failure> {
         }
     }
     Ok(found)
-}
-
-/// What is known of the estimates; parameters that were given other values are exact.
-fn knowledge(spec: &Spec, truth: &Truth) -> Option<Knowledge> {
-    let Some(record) = &truth.record else { return Some(Knowledge::exact()) };
-    let knowledge = record.knowledge(&spec.model)?;
-    let is_changed = |estimand: &Estimand| match estimand {
-        Estimand::Parameter { parameter, level } => {
-            truth.is_changed(&spec.model.shared().parameters[*parameter].name, level.as_deref())
-        }
-        Estimand::Population(_) => false,
-    };
-    Some(knowledge.without(&is_changed))
 }
 
 fn refused(error: PredictError, reading: Option<&Reading>) -> Failure {

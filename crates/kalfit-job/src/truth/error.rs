@@ -93,6 +93,10 @@ impl TruthError {
             }
             TruthError::NoParameter { names } => Some(format!("give it: `--set {}=VALUE`", names.first()?)),
             TruthError::Value { error, .. } => error.hint.clone(),
+            TruthError::Record { error: RecordError::Names { .. }, .. } | TruthError::UnknownParameter { .. } => Some(
+                "it is of another model: phases, states, regressions and parameters must have the same names"
+                    .to_owned(),
+            ),
             _ => None,
         }
     }

@@ -5,6 +5,7 @@ pub(crate) mod error;
 use std::collections::{BTreeSet, HashMap};
 use std::path::Path;
 
+use kalfit::infer::{Estimand, Knowledge};
 use kalfit::model::{Level, ParameterError, Value};
 use kalfit::record::RecordError;
 use kalfit::{Alpha, FitRecord, Population};
@@ -39,6 +40,21 @@ impl Truth {
     pub(crate) fn is_changed(&self, name: &str, level: Option<&str>) -> bool {
         let own = level.map(|level| format!("{name}[{level}]"));
         self.changed.iter().any(|changed| changed == name || Some(changed) == own.as_ref())
+    }
+}
+
+impl Truth {
+    /// What is known of the estimates; what was given, by a model file or by `--set`, is exact. `None` where the fit does not say.
+    pub(crate) fn knowledge(&self, spec: &Spec) -> Option<Knowledge> {
+        let Some(record) = &self.record else { return Some(Knowledge::exact()) };
+        let knowledge = record.knowledge(&spec.model)?;
+        let is_changed = |estimand: &Estimand| match estimand {
+            Estimand::Parameter { parameter, level } => {
+                self.is_changed(&spec.model.shared().parameters[*parameter].name, level.as_deref())
+            }
+            Estimand::Population(_) => false,
+        };
+        Some(knowledge.without(&is_changed))
     }
 }
 
@@ -127,6 +143,7 @@ fn is_model(from: &Document) -> Result<bool, TruthError> {
     {
         Some("toml") => return Ok(true),
         Some("json") => return Ok(false),
+        _ if model::is_table(&from.name()) => return Ok(false),
         _ => {}
     }
     let (start, _) = from.bytes(64).map_err(|error| ResultError::unreadable(from, &error))?;

@@ -2,27 +2,37 @@
 //! along their records (theory §12). Nothing is estimated.
 //!
 //! ```text
-//! (α, μ, Σ) + tests ──> Applied ──> posteriors, distances, log densities, innovations ──> Verdict
+//! (α, μ, Σ) + tests ──> Applied ──> posteriors, distances, log densities, innovations ──> Verdict, by Laws
 //!                               └─> states: predicted, filtered or smoothed, and what they say of each measurement
 //! ```
 
+mod doubt;
 mod error;
 mod forward;
+mod law;
+#[cfg(test)]
+mod law_tests;
+mod laws;
 mod predicted;
 mod smoothed;
 mod states;
 #[cfg(test)]
 mod tests;
+mod tree;
 mod verdict;
 
 use std::borrow::Cow;
 use std::sync::Arc;
 
+pub use doubt::Trust;
 pub use error::ApplyError;
+pub use law::Law;
+pub use laws::Laws;
 pub(crate) use predicted::{Form, Record, Subject};
 pub use states::{PhaseStates, Prediction, StateKind, StepStates};
 pub use verdict::{Joint, Verdict};
 
+use crate::ensemble::Grouping;
 use crate::estimate::{Combination, Criterion, PhaseStructure, Point, Problem, Settings, Structure, evidence};
 use crate::infer::{GroupPosterior, Posterior, posteriors_at};
 use crate::innovations::{Innovations, innovations};
@@ -36,6 +46,7 @@ pub struct Applied<'a> {
     alpha: &'a Alpha,
     population: &'a Population,
     tests: &'a [PhasedTest],
+    grouping: Option<Arc<Grouping>>,
     slots: Slots,
     reducer: PhasedReducer,
     /// As the problem takes them.
@@ -93,7 +104,7 @@ impl<'a> Applied<'a> {
         let reductions = evidence(&reductions, &structure, &Settings::default())?.into_owned();
         let problem = Problem::new(&reductions, &structure, (Criterion::Ml, Combination::Chain))?;
         let point = problem.point_of(population);
-        Ok(Applied { model, alpha, population, tests, slots, reducer, reductions, problem, point })
+        Ok(Applied { model, alpha, population, tests, grouping, slots, reducer, reductions, problem, point })
     }
 
     /// Number of measured values of each test.

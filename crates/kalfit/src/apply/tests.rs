@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::apply::{Applied, StateKind, StepStates};
+use crate::apply::{Applied, Laws, StateKind, StepStates};
 use crate::build::{Columns, ModelBuilder, constant, measurement, name, phase, random_walk};
 use crate::ensemble::Labels;
 use crate::model::{Alpha, Model, PhasedModel, Population};
@@ -157,7 +157,7 @@ fn what_tests_say_is_that_of_the_joint_gaussian() {
     }
     let innovations = said.innovations[0].as_ref().expect("rows were filtered");
     near("log density", own.log_likelihood, innovations.log_likelihood);
-    let verdict = said.verdict();
+    let verdict = said.verdict(&Laws::known(&said));
     near("of all", verdict.log_density, own.log_likelihood);
     near("squares", verdict.residual.squared + verdict.distance.squared, innovations.summary.nis);
     assert_eq!(verdict.residual.degrees_of_freedom, Dense::new().seen.len() - 2);

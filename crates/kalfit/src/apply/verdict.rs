@@ -1,11 +1,8 @@
 //! Whether tests are of the population, all of them together.
 
-use statrs::distribution::{ChiSquared, ContinuousCDF};
+use crate::apply::{Law, Laws, Said};
 
-use crate::apply::Said;
-use crate::infer::Distance;
-
-/// Sums over all tests against their laws at the given parameters.
+/// Sums over all tests against their laws.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Verdict {
     /// Log density of all that was measured.
@@ -23,45 +20,66 @@ pub struct Verdict {
 pub struct Joint {
     /// Σ of the squares.
     pub squared: f64,
-    /// Degrees of freedom of χ².
+    /// Their degrees of freedom: what they add up to on average at known parameters.
     pub degrees_of_freedom: usize,
-    /// Twice the smaller tail; `None` without degrees of freedom.
+    /// `None` without degrees of freedom, and where it is not known.
+    pub law: Option<Law>,
+    /// Twice the smaller tail; `None` without a law.
     pub p_value: Option<f64>,
 }
 
-impl Joint {
-    pub(crate) fn new(squared: f64, degrees_of_freedom: usize) -> Joint {
-        let law = ChiSquared::new(degrees_of_freedom as f64).ok();
-        let p_value = law.map(|law| (2.0 * law.cdf(squared).min(law.sf(squared))).min(1.0));
-        Joint { squared, degrees_of_freedom, p_value }
-    }
+/// Number of squares that are not of nothing, and their degrees of freedom.
+type Degrees = (usize, usize);
 
-    fn of<'a>(distances: impl Iterator<Item = &'a Distance>) -> Joint {
-        let (squared, degrees) =
-            distances.fold((0.0, 0), |(sum, count), own| (sum + own.squared, count + own.degrees_of_freedom));
-        Joint::new(squared, degrees)
+impl Joint {
+    fn new(squared: f64, degrees_of_freedom: usize, law: Option<Law>) -> Joint {
+        Joint { squared, degrees_of_freedom, law, p_value: law.and_then(|law| law.two_sided(squared)) }
     }
 }
 
 impl Said {
-    /// All tests together.
-    pub fn verdict(&self) -> Verdict {
-        // tests of one group are not independent: the groups of the outermost level are
-        let distance = match self.groups.last() {
-            Some(groups) => Joint::of(groups.iter().map(|group| &group.distance)),
-            None => Joint::of(self.posteriors.iter().map(|test| &test.distance)),
+    /// Of the distances of the groups of the outermost level or of the tests where there are none, of tests within groups, and of residuals.
+    pub(super) fn degrees(&self) -> [Degrees; 3] {
+        let of = |degrees: &mut dyn Iterator<Item = usize>| {
+            degrees.filter(|own| *own > 0).fold((0, 0), |(count, sum), own| (count + 1, sum + own))
         };
-        let log_density = match self.groups.last() {
-            Some(groups) => groups.iter().map(|group| group.log_likelihood).sum(),
-            None => self.posteriors.iter().map(|test| test.log_likelihood).sum(),
+        let tests = of(&mut self.posteriors.iter().map(|test| test.distance.degrees_of_freedom));
+        let residuals = of(&mut self.residuals.iter().flatten().map(|own| own.1));
+        match self.groups.last() {
+            Some(groups) => {
+                let groups = of(&mut groups.iter().map(|group| group.distance.degrees_of_freedom));
+                [groups, (tests.0.saturating_sub(groups.0), tests.1.saturating_sub(groups.1)), residuals]
+            }
+            None => [tests, (0, 0), residuals],
+        }
+    }
+
+    /// All tests together.
+    pub fn verdict(&self, laws: &Laws) -> Verdict {
+        let [(_, of_distance), (_, of_within), (_, of_residual)] = self.degrees();
+        // tests of one group are not independent: the groups of the outermost level are
+        let squared = match self.groups.last() {
+            Some(groups) => groups.iter().map(|group| group.distance.squared).sum(),
+            None => self.posteriors.iter().map(|test| test.distance.squared).sum(),
         };
         let within = self.groups.last().map(|groups| {
-            let tests: usize = self.posteriors.iter().map(|test| test.distance.degrees_of_freedom).sum();
             let squared = groups.iter().map(|group| group.within).sum();
-            Joint::new(squared, tests.saturating_sub(distance.degrees_of_freedom))
+            Joint::new(squared, of_within, laws.within)
         });
-        let residuals = self.residuals.iter().flatten();
-        let (squared, degrees) = residuals.fold((0.0, 0), |(sum, count), own| (sum + own.0, count + own.1));
-        Verdict { log_density, distance, within, residual: Joint::new(squared, degrees) }
+        let residual = self.residuals.iter().flatten().map(|own| own.0).sum();
+        Verdict {
+            log_density: self.log_density(),
+            distance: Joint::new(squared, of_distance, laws.distance),
+            within,
+            residual: Joint::new(residual, of_residual, laws.residual),
+        }
+    }
+
+    /// Log density of all that was measured: tests of one group are not independent.
+    pub fn log_density(&self) -> f64 {
+        match self.groups.last() {
+            Some(groups) => groups.iter().map(|group| group.log_likelihood).sum(),
+            None => self.posteriors.iter().map(|test| test.log_likelihood).sum(),
+        }
     }
 }

@@ -1,5 +1,6 @@
 //! A number made of expressions of the model, with the interval of the parameter it hangs on.
 
+use crate::ensemble::Label;
 use crate::export::ExportError;
 use crate::export::bind::Binder;
 use crate::model::{Alpha, Expression, Level, Model};
@@ -26,12 +27,55 @@ pub(super) struct Figure {
     pub(super) from: Vec<String>,
     /// What it differs with.
     pub(super) varies_with: Vec<String>,
+    /// Where it differs with the levels of a column alone, the column and the level that it is of.
+    pub(super) at: Option<(String, String)>,
 }
 
 /// How a number follows from the values of expressions.
 pub(super) type Form<'a> = &'a dyn Fn(&[f64]) -> f64;
 
 impl Reader<'_> {
+    /// The number that follows from expressions at a step; where it differs with a column alone that parameters have values of their own by, one
+    /// for each level.
+    pub(super) fn figures(
+        &self,
+        of: &[&Expression],
+        step: Option<f64>,
+        form: Form<'_>,
+    ) -> Result<Vec<Figure>, ExportError> {
+        let whole = self.figure(of, step, form)?;
+        let levels = match whole.varies_with.as_slice() {
+            [column] => self.levels(column),
+            _ => Vec::new(),
+        };
+        if levels.is_empty() {
+            return Ok(vec![whole]);
+        }
+        let one = |level: String| {
+            let here = (whole.varies_with[0].clone(), level);
+            let at = [self.at, std::slice::from_ref(&here)].concat();
+            let figure = Reader { at: &at, ..*self }.figure(of, step, form)?;
+            Ok(Figure { at: Some(here), ..figure })
+        };
+        levels.into_iter().map(one).collect()
+    }
+
+    /// Levels of a text column that parameters have values of their own at, in the order of the model; none of any other column.
+    fn levels(&self, column: &str) -> Vec<String> {
+        let Some(column) = self.model.text_columns.iter().position(|own| own.name == column) else { return Vec::new() };
+        let mut labels: Vec<Label> = Vec::new();
+        for (parameter, level) in self.model.parameters.iter().zip(&self.alpha.values) {
+            if let (Some(per), Level::Each { values, .. }) = (parameter.per, level)
+                && per == column
+            {
+                labels.extend(values.keys());
+            }
+        }
+        labels.sort_unstable();
+        labels.dedup();
+        labels.iter().filter_map(|label| self.model.literals.get(label.index()).cloned()).collect()
+    }
+
     /// The number that follows from expressions at a step. Its interval is that of the parameter that it follows, where it follows one
     /// alone: a likelihood does not care in which form a parameter is written.
     pub(super) fn figure(&self, of: &[&Expression], step: Option<f64>, form: Form<'_>) -> Result<Figure, ExportError> {
@@ -54,7 +98,7 @@ impl Reader<'_> {
             _ => None,
         };
         let from = follows.iter().map(|(index, _)| self.name(*index)).collect();
-        Ok(Figure { value: Some(value), interval, from, varies_with })
+        Ok(Figure { value: Some(value), interval, from, varies_with, at: None })
     }
 
     /// The number that an expression is.

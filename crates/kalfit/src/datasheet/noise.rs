@@ -81,12 +81,12 @@ impl<'a> Sheet<'a> {
         } else {
             (&NOISE, unit.factor, unit.label.clone())
         };
-        let figure = match (timed, step) {
-            (true, None) => Figure { varies_with: vec!["step".to_owned()], ..Figure::default() },
-            (true, Some(length)) => self.reader.figure(&of, step, &|v| factor * (v[0] * length).sqrt())?,
-            (false, _) => self.reader.figure(&of, step, &|v| factor * v[0].sqrt())?,
+        let figures = match (timed, step) {
+            (true, None) => vec![Figure { varies_with: vec!["step".to_owned()], ..Figure::default() }],
+            (true, Some(length)) => self.reader.figures(&of, step, &|v| factor * (v[0] * length).sqrt())?,
+            (false, _) => self.reader.figures(&of, step, &|v| factor * v[0].sqrt())?,
         };
-        self.add(said, ("measurement", &measurement.name.clone()), label, figure);
+        self.add(said, ("measurement", &measurement.name.clone()), &label, figures);
         Ok(())
     }
 
@@ -141,7 +141,7 @@ impl<'a> Sheet<'a> {
                     Some(length) => self.walk(i, noise_variance, step, &|v| (v[0] / length).sqrt()),
                     None => {
                         let figure = Figure { varies_with: vec!["step".to_owned()], ..Figure::default() };
-                        self.walked(i, figure);
+                        self.walked(i, vec![figure]);
                         Ok(())
                     }
                 }
@@ -158,28 +158,30 @@ impl<'a> Sheet<'a> {
     ) -> Result<(), ExportError> {
         let model = self.reader.model;
         let (name, unit) = (model.states[i].name.clone(), Unit::shown(model.states[i].unit.as_deref()));
-        let figure = self.reader.figure(of, step, &|v| unit.factor * sigma(v))?;
-        self.add(&SIGMA, ("state", &name), unit.label.clone(), figure);
-        let figure = self.reader.figure(&of[..1], step, tau)?;
+        let figures = self.reader.figures(of, step, &|v| unit.factor * sigma(v))?;
+        self.add(&SIGMA, ("state", &name), &unit.label, figures);
+        let figures = self.reader.figures(&of[..1], step, tau)?;
         let time = if model.clock.time.is_some() { model.clock.unit.clone() } else { Some("steps".to_owned()) };
-        self.add(&TAU, ("state", &name), time, figure);
+        self.add(&TAU, ("state", &name), &time, figures);
         Ok(())
     }
 
     fn walk(&mut self, i: usize, noise: &Expression, step: Option<f64>, form: Form<'_>) -> Result<(), ExportError> {
-        let figure = self.reader.figure(&[noise], step, form)?;
-        self.walked(i, figure);
+        let figures = self.reader.figures(&[noise], step, form)?;
+        self.walked(i, figures);
         Ok(())
     }
 
     /// A random walk whose density is known in the units of the model.
-    fn walked(&mut self, i: usize, mut figure: Figure) {
+    fn walked(&mut self, i: usize, mut figures: Vec<Figure>) {
         let model = self.reader.model;
         let unit = Unit::shown(model.states[i].unit.as_deref());
         let time = if model.clock.time.is_some() { model.clock.unit.as_deref() } else { Some("step") };
         let (factor, label) = unit.walk(time);
-        figure.value = figure.value.map(|value| factor * value);
-        figure.interval = figure.interval.map(|ends| ends.map(|end| end.map(|end| factor * end)));
+        for figure in &mut figures {
+            figure.value = figure.value.map(|value| factor * value);
+            figure.interval = figure.interval.map(|ends| ends.map(|end| end.map(|end| factor * end)));
+        }
         let said = match unit.quantity {
             Quantity::Rate => &RATE,
             Quantity::Acceleration => &ACCELERATION,
@@ -187,7 +189,7 @@ impl<'a> Sheet<'a> {
             Quantity::Velocity => &VELOCITY,
             _ => &WALK,
         };
-        self.add(said, ("state", &model.states[i].name.clone()), label, figure);
+        self.add(said, ("state", &model.states[i].name.clone()), &label, figures);
     }
 
     /// The damping -2β of the rate of a second-order Gauss-Markov state and the noise 4β³σ² that drives it.
@@ -214,20 +216,22 @@ impl<'a> Sheet<'a> {
         }
     }
 
-    fn add(&mut self, said: &Said, (kind, of): (&str, &str), unit: Option<String>, figure: Figure) {
-        self.entries.push(EntryRecord {
+    fn add(&mut self, said: &Said, (kind, of): (&str, &str), unit: &Option<String>, figures: Vec<Figure>) {
+        let entry = |figure: Figure| EntryRecord {
             name: said.name.to_owned(),
             of: of.to_owned(),
             kind: kind.to_owned(),
             phase: self.phase.to_owned(),
             level: None,
+            at: figure.at.map(|(column, level)| format!("{column}={level}")),
             value: figure.value,
-            unit,
+            unit: unit.clone(),
             interval95: figure.interval,
             definition: said.definition.to_owned(),
             from: figure.from,
             varies_with: figure.varies_with,
-        });
+        };
+        self.entries.extend(figures.into_iter().map(entry));
     }
 }
 

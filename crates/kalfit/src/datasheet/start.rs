@@ -57,6 +57,7 @@ impl StateEntries<'_> {
             kind: "state".to_owned(),
             phase: self.model.phases[self.phase].name.clone(),
             level: None,
+            at: None,
             value: Some(factor * value),
             unit: self.unit.label.clone(),
             interval95: interval.map(|ends| ends.map(|end| end.map(|end| factor * end))),

@@ -19,7 +19,7 @@ use std::sync::Mutex;
 use statrs::distribution::{ChiSquared, ContinuousCDF, Normal, StudentsT};
 
 use crate::predict::Predicted;
-use crate::predict::root::{crossing, rising};
+use crate::predict::root::{Near, crossing, rising};
 use crate::predict::widths::Widths;
 
 /// How sure, of how much, and on which sides.
@@ -46,9 +46,9 @@ pub enum Sides {
 /// With more degrees of freedom than this a variance is as good as known.
 const KNOWN: f64 = 1e5;
 /// Parts of the line that an expectation over a normal number is a sum over.
-const NODES: usize = 48;
+const NODES: usize = 40;
 /// The normal law is as good as within so many standard deviations.
-const WIDE: f64 = 8.0;
+const WIDE: f64 = 6.7;
 
 /// What makes limits of predictions. Factors are kept: most values of a design share theirs with others.
 #[derive(Debug)]
@@ -113,9 +113,21 @@ impl VarianceEstimate {
         (degrees >= 0.5).then_some(spread)
     }
 
+    /// r = 0: what is larger by 1/c is so as a whole, and the c at which a limit is met needs no search.
+    fn is_all(&self) -> bool {
+        self.scale <= self.variance
+    }
+
     /// s_c.
     fn at(&self, c: f64) -> f64 {
         (self.scale / (c * c) - (self.scale - self.variance)).max(0.0).sqrt()
+    }
+
+    /// About as large as half widths of so many standard deviations are with confidence γ, by Wilson and Hilferty's quantile of χ².
+    fn large(&self, confidence: f64, width: f64) -> f64 {
+        let part = 2.0 / (9.0 * self.degrees);
+        let root = 1.0 - part - normal().inverse_cdf(confidence) * part.sqrt();
+        (width * self.at(root.max(0.2).powf(1.5))).max(self.variance.sqrt())
     }
 
     /// P(χ²_ν/ν ≥ c²).
@@ -185,8 +197,15 @@ impl Bounds {
             return Some(z * s + off * normal().inverse_cdf(self.limits.confidence));
         }
         let law = ChiSquared::new(spread.degrees).ok()?;
-        let holds = |h: f64| over_normal(&|x| spread.beyond(&law, crossing(&|c| z * spread.at(c) - x * off / c, h)));
-        rising(&holds, self.limits.confidence, s)
+        let holds = |h: f64| {
+            let mut near = Near::default();
+            let needed = |x: f64, near: &mut Near| match spread.is_all() {
+                true => (z * s - x * off) / h,
+                false => crossing(&|c| z * spread.at(c) - x * off / c, h, near),
+            };
+            (0..=NODES).map(node).map(|(x, weight)| weight * spread.beyond(&law, needed(x, &mut near))).sum()
+        };
+        rising(&holds, self.limits.confidence, spread.large(self.limits.confidence, z))
     }
 
     /// h with P(Φ((m + h - m_c)/s_c) - Φ((m - h - m_c)/s_c) ≥ p) = γ.
@@ -201,8 +220,20 @@ impl Bounds {
             let (s, off) = (spread.at(c), x.abs() * off / c);
             if s > off * 1e-9 { s * self.widths.at(off / s) } else { off }
         };
-        let holds = |h: f64| over_normal(&|x| spread.beyond(&law, crossing(&|c| needed(x, c), h)));
-        rising(&holds, self.limits.confidence, s)
+        // either side of the mean is as the other
+        let holds = |h: f64| {
+            let mut near = Near::default();
+            let half = (NODES / 2..=NODES).map(node).map(|(x, weight)| {
+                let both = if x > 0.0 { 2.0 } else { 1.0 };
+                let c = match spread.is_all() {
+                    true => needed(x, 1.0) / h,
+                    false => crossing(&|c| needed(x, c), h, &mut near),
+                };
+                both * weight * spread.beyond(&law, c)
+            });
+            half.sum()
+        };
+        rising(&holds, self.limits.confidence, spread.large(self.limits.confidence, self.widths.at(off / s)))
     }
 }
 
@@ -210,11 +241,12 @@ fn normal() -> Normal {
     Normal::standard()
 }
 
-/// E f(Z), Z ~ N(0, 1): the rule of trapezes, which is exact to many digits for what falls off as the normal law does.
-fn over_normal(f: &dyn Fn(f64) -> f64) -> f64 {
+/// A point of the normal law and its weight: sums over all of them are expectations by the rule of trapezes, which is exact to many digits for
+/// what falls off as the normal law does.
+fn node(k: usize) -> (f64, f64) {
     let step = 2.0 * WIDE / NODES as f64;
-    let density = |x: f64| step * (-0.5 * x * x).exp() / (2.0 * std::f64::consts::PI).sqrt();
-    (0..=NODES).map(|k| -WIDE + step * k as f64).map(|x| density(x) * f(x)).sum()
+    let x = step * (k as f64 - 0.5 * NODES as f64);
+    (x, step * (-0.5 * x * x).exp() / (2.0 * std::f64::consts::PI).sqrt())
 }
 
 #[cfg(test)]

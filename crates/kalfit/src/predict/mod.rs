@@ -9,7 +9,6 @@
 
 mod bounds;
 mod error;
-mod knowledge;
 mod pair;
 mod root;
 mod steps;
@@ -21,7 +20,6 @@ mod widths;
 
 pub use bounds::{Bounds, Limits, Sides};
 pub use error::PredictError;
-pub use knowledge::{Estimand, Knowledge};
 pub use pair::{Ellipse, Pair};
 
 use std::collections::BTreeMap;
@@ -30,6 +28,7 @@ use std::ops::Range;
 use nalgebra::DMatrix;
 use rayon::prelude::*;
 
+use crate::infer::Knowledge;
 use crate::model::{Alpha, Column, Expression, Linear, Measurement, Model, Operator, Phase, PhasedModel, Population};
 use crate::predict::steps::Steps;
 use crate::predict::trajectory::{Propagator, Trajectory};

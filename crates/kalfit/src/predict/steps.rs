@@ -4,17 +4,11 @@ use std::ops::Range;
 
 use nalgebra::DVector;
 
-use crate::ensemble::Label;
-use crate::infer::Estimated;
-use crate::model::{Alpha, Level, Phase, PhasedModel};
-use crate::predict::knowledge::{Estimand, Knowledge};
+use crate::infer::{Estimand, Estimated, Knowledge, MOST_OF_A_VALUE};
+use crate::model::{Alpha, Phase, PhasedModel};
 use crate::predict::value::Value;
 use crate::predict::{Estimation, Initial};
 
-/// A step of a free value is this part of its standard error,
-const PART: f64 = 1e-3;
-/// and at most this part of the value.
-const MOST: f64 = 1e-3;
 /// What hangs on something that is not determined by less than this part does not hang on it.
 const FAINT: f64 = 1e-9;
 
@@ -42,18 +36,15 @@ impl Steps {
         let errors = (0..knowledge.quantities.len()).map(|i| Some(knowledge.covariance[(i, i)].max(0.0).sqrt()));
         let all = knowledge.quantities.iter().zip(errors).chain(knowledge.open.iter().map(|open| (open, None)));
         for (known, error) in all {
-            let place = match known {
-                Estimand::Population(_) => None,
-                Estimand::Parameter { parameter, level } => {
-                    steps.both_sides(model, alpha, (*parameter, level.as_deref()), error)
-                }
-            };
+            let place = known.sides(model, alpha, error).map(|(sides, width)| {
+                steps.moved.extend(sides);
+                (steps.moved.len() - 2, width)
+            });
             steps.places.push(place);
         }
         for known in &knowledge.at_zero {
-            let Estimand::Parameter { parameter, level } = known else { continue };
             let mut alpha = alpha.clone();
-            if let Some(own) = value(model, &mut alpha, (*parameter, level.as_deref())) {
+            if let Some(own) = known.value(model, &mut alpha) {
                 *own = 1.0;
                 steps.probes.push(steps.moved.len());
                 steps.moved.push(alpha);
@@ -85,31 +76,6 @@ impl Steps {
 
     pub(super) fn moved(&self) -> impl Iterator<Item = &Alpha> {
         self.moved.iter()
-    }
-
-    fn both_sides(
-        &mut self,
-        model: &PhasedModel,
-        alpha: &Alpha,
-        (parameter, level): (usize, Option<&str>),
-        error: Option<f64>,
-    ) -> Option<(usize, f64)> {
-        let value = *value(model, &mut alpha.clone(), (parameter, level))?;
-        let size = if value == 0.0 { 1.0 } else { value.abs() };
-        let step = error.map_or(MOST * size, |error| (PART * error).min(MOST * size));
-        if step <= 0.0 {
-            return None;
-        }
-        let place = self.moved.len();
-        let mut sides = [value - step, value + step];
-        sides.iter_mut().for_each(|side| {
-            let mut alpha = alpha.clone();
-            if let Some(own) = self::value(model, &mut alpha, (parameter, level)) {
-                *own = *side;
-            }
-            self.moved.push(alpha);
-        });
-        Some((place, sides[1] - sides[0]))
     }
 
     /// Variances of the estimates of a value's mean and variance over tests; `sides`: the value at each α that is moved. `None` where it hangs
@@ -215,24 +181,8 @@ impl<'a> Slopes<'a> {
         let Some((place, _)) = self.steps.places[at] else { return false };
         let [below, above] = [self.sides[place], self.sides[place + 1]];
         let variance = |side: &Value| side.population(&self.initial.covariance) + side.process;
-        let moves = |of: &dyn Fn(&Value) -> f64, size: f64| (of(above) - of(below)).abs() > FAINT * MOST * size;
+        let moves =
+            |of: &dyn Fn(&Value) -> f64, size: f64| (of(above) - of(below)).abs() > FAINT * MOST_OF_A_VALUE * size;
         moves(&|side| side.mean, self.value.mean.abs() + size) || moves(&variance, variance(self.value))
-    }
-}
-
-/// The value of a parameter at a level; `None` where α has none of its own there.
-fn value<'a>(
-    model: &PhasedModel,
-    alpha: &'a mut Alpha,
-    (parameter, level): (usize, Option<&str>),
-) -> Option<&'a mut f64> {
-    match (alpha.values.get_mut(parameter)?, level) {
-        (Level::Common(value), None) => Some(value),
-        (Level::Each { values, .. }, Some(text)) => {
-            let literal = model.shared().literals.iter().position(|literal| literal == text)?;
-            values.get_mut(&Label::literal(literal))
-        }
-        (Level::Each { other, .. }, None) => other.as_mut(),
-        (Level::Common(_), Some(_)) => None,
     }
 }

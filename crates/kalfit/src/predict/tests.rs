@@ -4,9 +4,9 @@ use nalgebra::DMatrix;
 
 use crate::build::{Columns, ModelBuilder, constant, fixed, measurement, name, phase, random_walk};
 use crate::ensemble::Labels;
-use crate::infer::Estimated;
+use crate::infer::{Estimand, Estimated, Knowledge};
 use crate::model::{Alpha, Model, PhasedModel, Population};
-use crate::predict::{Estimand, Initial, Knowledge, Output, PhasePredictions, Predicted, Predictor, What};
+use crate::predict::{Initial, Output, PhasePredictions, Predicted, Predictor, What};
 use crate::reduce::PhasedTest;
 
 const TIMES: [f64; 6] = [0.0, 0.5, 0.5, 2.0, 4.0, 4.5];

@@ -8,10 +8,11 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::apply::{Form, Record, Subject};
 use crate::ensemble::Test;
+use crate::infer::Knowledge;
 use crate::model::{Alpha, PhasedModel};
 use crate::predict::steps::Steps;
 use crate::predict::value::Value;
-use crate::predict::{Initial, Knowledge, PhasePredictions, PredictError, Predicted, StepPredictions, What};
+use crate::predict::{Initial, PhasePredictions, PredictError, Predicted, StepPredictions, What};
 use crate::reduce::{Evidence, PhasedReducer, PhasedTest, PhasedWork, Terminal, own_innovations};
 use crate::score::{BackwardWork, Moments, Run, Seen, Wanted};
 

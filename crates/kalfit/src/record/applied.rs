@@ -1,13 +1,14 @@
 //! What a fitted model says of tests, all of them together.
 
-use serde::{Deserialize, Serialize};
-use statrs::distribution::{ChiSquared, ContinuousCDF};
+use std::collections::HashMap;
 
-use crate::apply::{Joint, Said, Verdict};
+use serde::{Deserialize, Serialize};
+
+use crate::apply::{Joint, Law, Laws, Said, Verdict};
 use crate::ensemble::{Group, Grouping, Labels};
-use crate::infer::GroupPosterior;
+use crate::infer::{GroupPosterior, Posterior};
 use crate::model::PhasedModel;
-use crate::record::holm;
+use crate::record::{FitRecord, holm};
 use crate::reduce::PhasedTest;
 
 /// A fitted model applied to tests. Nothing of it was estimated.
@@ -31,6 +32,12 @@ pub struct AppliedRecord {
     pub within: Option<JointRecord>,
     /// How many tests, or groups of the outermost level, the population was estimated from; null where it was given.
     pub fitted: Option<usize>,
+    /// What laws and p-values allow for.
+    pub basis: Basis,
+    /// How many of the tests are among those that the parameters were estimated from.
+    pub own: usize,
+    /// Variances and noise levels that were estimated as zero: they count as zero.
+    pub at_zero: Vec<String>,
     /// Number of its states.
     pub states: usize,
     /// Parameters that were given other values.
@@ -69,15 +76,46 @@ pub struct FarGroupRecord {
     pub p_corrected: f64,
 }
 
+/// What the laws of distances and residuals allow for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Basis {
+    /// Nothing: the parameters were given.
+    Given,
+    /// The errors of all estimates.
+    Estimates,
+    /// The errors of μ and Σ; not those of dynamic parameters, as tests are known by reductions or estimates made at their values.
+    Population,
+    /// How many tests the population was estimated from: the fit does not say how far its estimates can be trusted.
+    Tests,
+    /// Nothing: the tests are those that the parameters were estimated from.
+    OwnTests,
+}
+
 /// A sum of squares over all tests and its law.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct JointRecord {
     /// The sum.
     pub squared: f64,
-    /// Degrees of freedom of χ².
+    /// Its degrees of freedom: what it is on average at known parameters.
     pub degrees_of_freedom: usize,
-    /// Two-sided; null without degrees of freedom.
+    /// Its law; null without degrees of freedom, and where it is not known.
+    pub law: Option<LawRecord>,
+    /// Two-sided; null without a law.
     pub p_value: Option<f64>,
+}
+
+/// A multiple of Fisher's F, or of χ².
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct LawRecord {
+    /// What it is on average; null where it has no average.
+    pub expected: Option<f64>,
+    /// Its standard deviation; null where it has none.
+    pub std_dev: Option<f64>,
+    /// Degrees of freedom, of F those of the numerator.
+    pub degrees_of_freedom: f64,
+    /// Those of the denominator of F; null of χ².
+    pub denominator: Option<f64>,
 }
 
 /// A test far out.
@@ -95,7 +133,7 @@ pub struct FarRecord {
     pub p_corrected: f64,
 }
 
-/// Where the parameters came from.
+/// Where the parameters came from, and what is known of them.
 #[derive(Debug, Clone)]
 pub struct AppliedSource {
     /// As named by the user.
@@ -104,14 +142,52 @@ pub struct AppliedSource {
     pub fitted: Option<usize>,
     /// Parameters that were given other values.
     pub changed: Vec<String>,
+    /// What the laws allow for.
+    pub basis: Basis,
+    /// How many of the tests are among those that the parameters were estimated from.
+    pub own: usize,
+    /// Variances and noise levels that were estimated as zero.
+    pub at_zero: Vec<String>,
 }
 
 /// 5 %.
 const LEVEL: f64 = 0.05;
 
 impl From<Joint> for JointRecord {
-    fn from(Joint { squared, degrees_of_freedom, p_value }: Joint) -> JointRecord {
-        JointRecord { squared, degrees_of_freedom, p_value }
+    fn from(Joint { squared, degrees_of_freedom, law, p_value }: Joint) -> JointRecord {
+        JointRecord { squared, degrees_of_freedom, law: law.map(LawRecord::from), p_value }
+    }
+}
+
+impl From<Law> for LawRecord {
+    fn from(law: Law) -> LawRecord {
+        let finite = |x: f64| x.is_finite().then_some(x);
+        LawRecord {
+            expected: finite(law.mean()),
+            std_dev: finite(law.std_dev()),
+            degrees_of_freedom: law.numerator,
+            denominator: finite(law.denominator),
+        }
+    }
+}
+
+impl FitRecord {
+    /// How many of these tests are among those that the fit was made from, by name and density. Of a fit that does not list its tests it is all or
+    /// none.
+    pub fn own_tests(&self, tests: &[PhasedTest], said: &Said) -> usize {
+        /// Of one density on two machines.
+        const SAME: f64 = 1e-9;
+        let is_same = |a: f64, b: f64| (a - b).abs() <= SAME * (1.0 + a.abs());
+        if self.tests.is_empty() {
+            let all: f64 = said.log_density();
+            let is_own = self.data.tests == tests.len() && is_same(self.log_likelihood, all);
+            return if is_own { tests.len() } else { 0 };
+        }
+        let of: HashMap<&str, f64> = self.tests.iter().map(|test| (test.id.as_str(), test.log_likelihood)).collect();
+        let is_own = |(test, own): (&PhasedTest, &Posterior)| {
+            of.get(test.id.as_str()).is_some_and(|fitted| is_same(*fitted, own.log_likelihood))
+        };
+        tests.iter().zip(&said.posteriors).filter(|&both| is_own(both)).count()
     }
 }
 
@@ -121,21 +197,24 @@ impl AppliedRecord {
         model: &PhasedModel,
         source: AppliedSource,
         (tests, groups): (&[PhasedTest], Option<(&Grouping, &Labels)>),
-        said: &Said,
+        (said, laws): (&Said, &Laws),
     ) -> AppliedRecord {
-        let Verdict { log_density, distance, within, residual } = said.verdict();
-        let distances = said.posteriors.iter().map(|test| &test.distance);
-        let distances = distances.map(|own| (own.squared, own.degrees_of_freedom, own.p_value));
+        let Verdict { log_density, distance, within, residual } = said.verdict(laws);
+        let distances = said.posteriors.iter().map(|test| &test.distance).zip(&laws.tests);
+        let distances = distances.map(|(own, law)| (own.squared, own.degrees_of_freedom, above(*law, own.squared)));
         let far = ranked(tests, distances);
         let seen = said.innovations.iter().flatten().map(|own| own.summary.count).sum();
         let residuals = (0..tests.len()).map(|test| {
             let (squared, degrees) = said.residuals[test].unwrap_or_default();
-            (squared, degrees, ChiSquared::new(degrees as f64).ok().map(|law| law.sf(squared)))
+            (squared, degrees, above(laws.residuals[test], squared))
         });
         let stands_out = |one: &FarRecord| one.p_corrected < LEVEL;
         AppliedRecord {
             title: model.shared().title.clone(),
             fitted: source.fitted,
+            basis: source.basis,
+            own: source.own,
+            at_zero: source.at_zero,
             states: model.dimension(),
             from: source.name,
             changed: source.changed,
@@ -150,17 +229,26 @@ impl AppliedRecord {
             outlying: far.iter().take_while(|one| stands_out(one)).cloned().collect(),
             furthest: far.into_iter().next(),
             unlikely: ranked(tests, residuals).into_iter().take_while(stands_out).collect(),
-            outlying_groups: groups.map_or_else(Vec::new, |groups| outlying_groups(model, groups, said)),
+            outlying_groups: groups.map_or_else(Vec::new, |groups| outlying_groups(model, groups, (said, laws))),
         }
     }
 }
 
+/// The probability of a larger square.
+fn above(law: Option<Law>, squared: f64) -> Option<f64> {
+    law?.tails(squared).map(|[_, above]| above)
+}
+
 /// Groups of all levels that stand out.
-fn outlying_groups(model: &PhasedModel, (grouping, labels): (&Grouping, &Labels), said: &Said) -> Vec<FarGroupRecord> {
+fn outlying_groups(
+    model: &PhasedModel,
+    (grouping, labels): (&Grouping, &Labels),
+    (said, laws): (&Said, &Laws),
+) -> Vec<FarGroupRecord> {
     let of_level = |(inner, found): (usize, &Vec<GroupPosterior>)| {
         let level = &model.levels[model.levels.len() - 1 - inner].name;
-        let one = |(group, found): (&Group, &GroupPosterior)| {
-            let p_value = found.distance.p_value?;
+        let one = |((group, found), law): ((&Group, &GroupPosterior), &Option<Law>)| {
+            let p_value = above(*law, found.distance.squared)?;
             Some(FarGroupRecord {
                 level: level.clone(),
                 id: group.path.iter().map(|&name| labels.text(name).to_owned()).collect(),
@@ -171,7 +259,7 @@ fn outlying_groups(model: &PhasedModel, (grouping, labels): (&Grouping, &Labels)
                 p_corrected: p_value,
             })
         };
-        grouping.groups(inner).iter().zip(found).filter_map(one).collect::<Vec<_>>()
+        grouping.groups(inner).iter().zip(found).zip(&laws.groups[inner]).filter_map(one).collect::<Vec<_>>()
     };
     let mut all: Vec<FarGroupRecord> = said.groups.iter().enumerate().flat_map(of_level).collect();
     all.sort_by(|a, b| a.p_value.total_cmp(&b.p_value).then_with(|| a.id.cmp(&b.id)));
@@ -179,28 +267,6 @@ fn outlying_groups(model: &PhasedModel, (grouping, labels): (&Grouping, &Labels)
     all.iter_mut().zip(holm(&p_values)).for_each(|(one, corrected)| one.p_corrected = corrected);
     all.retain(|one| one.p_corrected < LEVEL);
     all
-}
-
-impl AppliedRecord {
-    /// How many times as large the sum of distances is on average, as the population was estimated: (1 + 1/N) N / (N - p - 2) of p states that
-    /// N tests tell well. 1 where it was given, infinite where N is too small.
-    pub fn inflation(&self) -> f64 {
-        let Some(number) = self.fitted else { return 1.0 };
-        let left = number as f64 - self.states as f64 - 2.0;
-        if left > 0.0 { (number as f64 + 1.0) / left } else { f64::INFINITY }
-    }
-
-    /// Whether the distances are more than chance and the estimated population allow at this level: how much larger they are differs from fit to
-    /// fit, so that twice the average excess is allowed for.
-    pub fn is_outside(&self, level: f64) -> bool {
-        let most = 1.0 + 2.0 * (self.inflation() - 1.0);
-        let below = |p: Option<f64>| p.is_some_and(|p| p < level);
-        let JointRecord { squared, degrees_of_freedom, p_value } = self.distance;
-        let expected = degrees_of_freedom as f64;
-        let allowed = squared / most;
-        let beyond = allowed > expected && below(Joint::new(allowed, degrees_of_freedom).p_value);
-        below(p_value) && (squared < expected || beyond)
-    }
 }
 
 /// Tests from the least probable on, with Holm's correction.
@@ -214,43 +280,4 @@ fn ranked(tests: &[PhasedTest], squares: impl Iterator<Item = (f64, usize, Optio
     let p_values: Vec<f64> = all.iter().map(|one| one.p_value).collect();
     all.iter_mut().zip(holm(&p_values)).for_each(|(one, corrected)| one.p_corrected = corrected);
     all
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn of(squared: f64, fitted: Option<usize>) -> AppliedRecord {
-        AppliedRecord {
-            title: String::new(),
-            from: "fit.json".to_owned(),
-            tests: 200,
-            observations: 0,
-            log_density: 0.0,
-            distance: Joint::new(squared, 800).into(),
-            of: "test".to_owned(),
-            within: None,
-            fitted,
-            states: 4,
-            changed: Vec::new(),
-            residual: Joint::new(0.0, 0).into(),
-            compared: 0,
-            furthest: None,
-            outlying: Vec::new(),
-            unlikely: Vec::new(),
-            outlying_groups: Vec::new(),
-        }
-    }
-
-    #[test]
-    fn a_population_that_was_estimated_from_few_tests_is_allowed_for() {
-        // sums of 200 tests of the population itself, of which 20 were fitted: on average 1.5 times what is expected
-        assert!((of(800.0, Some(20)).inflation() - 1.5).abs() < 1e-15);
-        for squared in [887.0, 1004.0, 1404.0, 1386.0, 904.0, 1262.0, 1227.0, 1143.0] {
-            assert!(!of(squared, Some(20)).is_outside(0.01), "{squared}");
-            assert_eq!(of(squared, None).is_outside(0.01), squared > 905.0, "{squared}");
-        }
-        assert!(of(2000.0, Some(20)).is_outside(0.01) && of(500.0, Some(20)).is_outside(0.01));
-        assert!(!of(1e6, Some(5)).is_outside(0.01), "five tests do not tell what four states are like");
-    }
 }

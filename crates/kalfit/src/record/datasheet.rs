@@ -43,6 +43,9 @@ pub struct EntryRecord {
     pub phase: String,
     /// Of a spread in a model with levels, the name of its level, `tests` for the tests' own; null elsewhere.
     pub level: Option<String>,
+    /// Of a number that parameters have values of their own for by a column, the level that it is of, as `column=level`; null elsewhere.
+    #[serde(default)]
+    pub at: Option<String>,
     /// Its value; null where it differs with columns, or where the step is not known.
     pub value: Option<f64>,
     /// Unit of the value.

@@ -6,9 +6,9 @@ use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
 use crate::ensemble::Labels;
-use crate::infer::{EstimateCovariance, Estimated};
+use crate::infer::{Estimand, EstimateCovariance, Estimated, Knowledge};
 use crate::model::{PhasedModel, Slots};
-use crate::predict::{Estimand, Knowledge};
+
 use crate::record::cut::Cut;
 use crate::record::{FitRecord, ParameterRecord, SquareRecord};
 

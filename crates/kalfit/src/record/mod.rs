@@ -36,7 +36,7 @@ use serde::{Deserialize, Serialize};
 pub use crate::infer::Interval;
 
 pub use along::{AlongRecord, MeasurementAlong, PhaseAlong, StateAlong, TestAlong};
-pub use applied::{AppliedRecord, AppliedSource, FarGroupRecord, FarRecord, JointRecord};
+pub use applied::{AppliedRecord, AppliedSource, Basis, FarGroupRecord, FarRecord, JointRecord, LawRecord};
 pub use build::Provenance;
 pub use by_group::{GroupRecord, GroupTestRecord, MixedGroup, TestGroups};
 pub use datasheet::{AllanPoint, CurveRecord, DATASHEET_SCHEMA, DatasheetRecord, EntryRecord};

@@ -2,7 +2,14 @@
 
 use nalgebra::DMatrix;
 
-use crate::infer::Estimated;
+use crate::ensemble::Label;
+use crate::infer::estimated::Estimated;
+use crate::model::{Alpha, Level, PhasedModel};
+
+/// A step of a free value is this part of its standard error,
+const PART: f64 = 1e-3;
+/// and at most this part of the value.
+pub(crate) const MOST: f64 = 1e-3;
 
 /// One number that was estimated, as a model names it.
 #[derive(Debug, Clone, PartialEq)]
@@ -16,6 +23,39 @@ pub enum Estimand {
         /// The text of its level.
         level: Option<String>,
     },
+}
+
+impl Estimand {
+    /// α with this parameter moved a little to both sides, and how far the sides are from each other; `None` of what is no parameter, or does
+    /// not move. `error`: its standard error, where there is one.
+    pub(crate) fn sides(&self, model: &PhasedModel, alpha: &Alpha, error: Option<f64>) -> Option<([Alpha; 2], f64)> {
+        let value = *self.value(model, &mut alpha.clone())?;
+        let size = if value == 0.0 { 1.0 } else { value.abs() };
+        let step = error.map_or(MOST * size, |error| (PART * error).min(MOST * size));
+        let sides = [value - step, value + step];
+        let moved = |side: f64| {
+            let mut alpha = alpha.clone();
+            if let Some(own) = self.value(model, &mut alpha) {
+                *own = side;
+            }
+            alpha
+        };
+        (step > 0.0).then(|| (sides.map(moved), sides[1] - sides[0]))
+    }
+
+    /// The value of a parameter at its level; `None` of what is no parameter, or where α has no value of its own there.
+    pub(crate) fn value<'a>(&self, model: &PhasedModel, alpha: &'a mut Alpha) -> Option<&'a mut f64> {
+        let Estimand::Parameter { parameter, level } = self else { return None };
+        match (alpha.values.get_mut(*parameter)?, level) {
+            (Level::Common(value), None) => Some(value),
+            (Level::Each { values, .. }, Some(text)) => {
+                let literal = model.shared().literals.iter().position(|literal| literal == text)?;
+                values.get_mut(&Label::literal(literal))
+            }
+            (Level::Each { other, .. }, None) => other.as_mut(),
+            (Level::Common(_), Some(_)) => None,
+        }
+    }
 }
 
 /// How far estimates can be trusted.

@@ -1,0 +1,256 @@
+//! The law of a sum of squared distances of new tests from a population that was estimated.
+//!
+//! Of n tests that tell p numbers each, against a population estimated from N tests that do: D = N tr W⁻¹B, where W ~ Wishart_p(N - 1) and B is
+//! a sum of n squares about an estimated mean. That is Lawley's and Hotelling's trace, and McKeon's F has its first two moments (Biometrika
+//! 61, 1974, 381). It is exact for one test, which is Hotelling's T², and for one number:
+//!
+//! ```text
+//! tr W⁻¹B ~ c F(a, b),   a = ph,   b = 4 + (a + 2)(ν - p - 3)(ν - p) / ((ν + h - p - 1)(ν - 1) - (ν - p - 3)(ν - p)),
+//! c = a (b - 2) / (b (ν - p - 1)),   W of ν and B of h degrees of freedom
+//! ```
+
+use statrs::distribution::{ChiSquared, ContinuousCDF, FisherSnedecor, Normal};
+
+/// A multiple of Fisher's F, or of χ².
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Law {
+    /// What F is multiplied by.
+    pub scale: f64,
+    /// Degrees of freedom of the numerator.
+    pub numerator: f64,
+    /// Degrees of freedom of the denominator; infinite where nothing is estimated: `scale` times χ² over its degrees of freedom.
+    pub denominator: f64,
+}
+
+/// With more degrees of freedom than this, above and below, the cube root of F is normal to all digits that count.
+const MANY: f64 = 1e4;
+
+impl Law {
+    /// χ².
+    pub fn chi_squared(degrees: f64) -> Law {
+        Law { scale: degrees, numerator: degrees, denominator: f64::INFINITY }
+    }
+
+    /// How large it is on average; infinite where it has no average.
+    pub fn mean(&self) -> f64 {
+        match self.denominator {
+            b if b.is_infinite() => self.scale,
+            b if b > 2.0 => self.scale * b / (b - 2.0),
+            _ => f64::INFINITY,
+        }
+    }
+
+    /// Its standard deviation; infinite where it has none.
+    pub fn std_dev(&self) -> f64 {
+        let (a, b) = (self.numerator, self.denominator);
+        match b {
+            b if b.is_infinite() => self.scale * (2.0 / a).sqrt(),
+            b if b > 4.0 => self.mean() * (2.0 * (a + b - 2.0) / (a * (b - 4.0))).sqrt(),
+            _ => f64::INFINITY,
+        }
+    }
+
+    /// P(X ≤ x) and P(X ≥ x); `None` without degrees of freedom.
+    pub fn tails(&self, x: f64) -> Option<[f64; 2]> {
+        let (f, a, b) = (x / self.scale, self.numerator, self.denominator);
+        if b.is_infinite() {
+            let law = ChiSquared::new(a).ok()?;
+            return Some([law.cdf(f * a), law.sf(f * a)]);
+        }
+        if a > MANY && b > MANY {
+            // Paulson's approximation
+            let [above, below] = [2.0 / (9.0 * a), 2.0 / (9.0 * b)];
+            let root = f.cbrt();
+            let z = ((1.0 - below) * root - (1.0 - above)) / (below * root * root + above).sqrt();
+            let law = Normal::standard();
+            return Some([law.cdf(z), law.sf(z)]);
+        }
+        let law = FisherSnedecor::new(a, b).ok()?;
+        Some([law.cdf(f), law.sf(f)])
+    }
+
+    /// Twice the smaller tail.
+    pub fn two_sided(&self, x: f64) -> Option<f64> {
+        self.tails(x).map(|[below, above]| (2.0 * below.min(above)).min(1.0))
+    }
+}
+
+/// A sum of squared distances, and what estimation adds to it, to first order.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Sum {
+    /// How many distances it is of.
+    pub(super) count: f64,
+    /// Their degrees of freedom together.
+    pub(super) degrees: f64,
+    /// Degrees of freedom that are estimated together: p of a full p × p covariance, 1 of variances by themselves.
+    pub(super) dimension: f64,
+    /// Variance of the sum's expectation by errors of covariances and parameters, over the square of `degrees`: 2/(pN).
+    pub(super) variance: f64,
+    /// What errors of the mean add to it on average: np/N.
+    pub(super) of_mean: f64,
+    /// How many means were estimated with the covariances.
+    pub(super) means: f64,
+    /// Covariances are too small by those: not by restricted likelihood.
+    pub(super) is_biased: bool,
+    /// Tests, or groups, that all of it was estimated from.
+    pub(super) tests: f64,
+}
+
+/// A relative variance below this is none.
+const KNOWN: f64 = 1e-12;
+
+impl Sum {
+    /// Of so many tests, against as many others as told all of their states exactly, by maximum likelihood.
+    pub(super) fn of_tests(count: f64, degrees: f64, tests: f64) -> Sum {
+        Sum {
+            count,
+            degrees,
+            dimension: degrees / count,
+            variance: 2.0 * count / (degrees * tests),
+            of_mean: degrees / tests,
+            means: 1.0,
+            is_biased: true,
+            tests,
+        }
+    }
+
+    /// Its law; `None` where the estimates are from too few tests to have one.
+    pub(super) fn law(&self) -> Option<Law> {
+        let each = self.degrees / self.count;
+        // n squares, of which those along the estimated means are larger by their error: as many of one size
+        let error = self.of_mean / each;
+        let means = self.means.min(self.count).max(1.0);
+        let (sum, squares) = (self.count + error, self.count - means + means * (1.0 + error / means).powi(2));
+        let (h, size) = (sum * sum / squares, squares / sum);
+        if self.variance < KNOWN {
+            let degrees = each * h;
+            return Some(Law { scale: size * degrees, ..Law::chi_squared(degrees) });
+        }
+        let seen = 2.0 / (each * self.variance);
+        let left = seen * (1.0 - self.bias(each, seen));
+        let copies = each / self.dimension;
+        let one = trace(self.dimension, h, left)?;
+        Some(Law { scale: one.scale * seen * size, ..one }.times(copies))
+    }
+
+    /// The part that maximum likelihood makes covariances too small by. How many tests there were is what the errors of the mean and of the
+    /// covariances say beside each other.
+    fn bias(&self, each: f64, seen: f64) -> f64 {
+        if !self.is_biased || self.of_mean <= 0.0 {
+            return 0.0;
+        }
+        let error = self.of_mean / (self.count * each * self.means);
+        let beside = self.variance * each / (2.0 * error * error);
+        let tests = seen.max(beside.min(self.tests));
+        self.means * (self.variance * each / (2.0 * tests)).sqrt()
+    }
+}
+
+/// tr W⁻¹B.
+fn trace(p: f64, h: f64, degrees: f64) -> Option<Law> {
+    let left = degrees - p;
+    if h <= 1.0 {
+        let denominator = left + 1.0;
+        return (denominator > 0.0).then_some(Law { scale: p / denominator, numerator: p, denominator });
+    }
+    if left <= 1.0 {
+        return None;
+    }
+    let a = p * h;
+    let below = (left + h - 1.0) * (degrees - 1.0) - (left - 3.0) * left;
+    let b = 4.0 + (a + 2.0) * (left - 3.0) * left / below;
+    Some(Law { scale: a * (b - 2.0) / (b * (left - 1.0)), numerator: a, denominator: b })
+}
+
+impl Law {
+    /// The sum of so many of it, independent of each other.
+    fn times(self, number: f64) -> Law {
+        let (a, b) = (self.numerator, self.denominator);
+        if number == 1.0 || b <= 4.0 {
+            return Law { scale: self.scale * number, numerator: a * number, ..self };
+        }
+        let (mean, variance) = (number * self.mean(), 2.0 * (a + b - 2.0) / (a * (b - 4.0)) / number);
+        let numerator = number * a;
+        let denominator = (2.0 * numerator - 4.0 + 4.0 * variance * numerator) / (variance * numerator - 2.0);
+        Law { scale: mean * (denominator - 2.0) / denominator, numerator, denominator }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// n new tests of p states against N tests that tell their states exactly, by maximum likelihood.
+    fn exact(p: f64, n: f64, tests: f64) -> Sum {
+        Sum::of_tests(n, n * p, tests)
+    }
+
+    #[test]
+    fn one_test_has_the_law_of_hotelling() {
+        // d (N - p) / (p (N + 1)) ~ F(p, N - p)
+        for (p, tests) in [(1.0, 5.0), (2.0, 10.0), (4.0, 6.0), (3.0, 50.0)] {
+            let found = exact(p, 1.0, tests).law().expect("enough tests");
+            for (what, found, expected) in [
+                ("scale", found.scale, p * (tests + 1.0) / (tests - p)),
+                ("a", found.numerator, p),
+                ("b", found.denominator, tests - p),
+            ] {
+                assert!((found - expected).abs() < 1e-9 * expected, "{what}: {found} against {expected}");
+            }
+        }
+    }
+
+    /// Of one state whose mean is known the ratio of two variances.
+    #[test]
+    fn many_tests_of_one_state_have_the_law_of_fisher() {
+        let sum = Sum { of_mean: 0.0, means: 0.0, ..exact(1.0, 20.0, 12.0) };
+        let found = sum.law().expect("enough tests");
+        for (what, found, expected) in
+            [("scale", found.scale, 20.0), ("a", found.numerator, 20.0), ("b", found.denominator, 12.0)]
+        {
+            assert!((found - expected).abs() < 1e-9 * expected, "{what}: {found} against {expected}");
+        }
+    }
+
+    /// E tr W⁻¹B = E tr W⁻¹ · tr of one square, and Var by the moments of the inverse of a Wishart matrix, both written down.
+    #[test]
+    fn the_trace_has_its_moments() {
+        let (p, n, tests) = (3.0, 8.0, 20.0);
+        let found = exact(p, n, tests).law().expect("enough tests");
+        let expected = tests * n * (1.0 + 1.0 / tests) * p / (tests - 1.0 - p - 1.0);
+        assert!((found.mean() - expected).abs() < 1e-9 * expected, "{} against {expected}", found.mean());
+        // the mean known: Var = E[2h tr V²] + h² Var[tr V], V the inverse of W
+        let known = Sum { of_mean: 0.0, means: 0.0, ..exact(p, n, tests) }.law().expect("enough tests");
+        let (nu, c) = (tests, (tests - p) * (tests - p - 1.0) * (tests - p - 3.0));
+        // E[V_ii V_kk] and E[V_ik²] of W of the unit matrix
+        let same = 1.0 / ((nu - p - 1.0) * (nu - p - 3.0));
+        let (pair, mixed) = ((nu - p - 2.0) / c, 1.0 / c);
+        let (squared, both) = (p * same + p * (p - 1.0) * mixed, p * same + p * (p - 1.0) * pair);
+        let variance = 2.0 * n * squared + n * n * (both - (p / (nu - p - 1.0)).powi(2));
+        let expected = tests * variance.sqrt();
+        assert!((known.std_dev() - expected).abs() < 1e-9 * expected, "{} against {expected}", known.std_dev());
+    }
+
+    #[test]
+    fn too_few_tests_have_no_law() {
+        assert_eq!(exact(4.0, 10.0, 6.0).law(), None);
+        assert_eq!(exact(4.0, 1.0, 4.0).law(), None);
+        assert!(exact(4.0, 1.0, 5.0).law().is_some());
+    }
+
+    #[test]
+    fn what_is_known_has_the_law_of_chi_squared() {
+        let sum = Sum { variance: 0.0, of_mean: 0.0, means: 0.0, ..exact(2.0, 6.0, 10.0) };
+        assert_eq!(sum.law(), Some(Law::chi_squared(12.0)));
+    }
+
+    #[test]
+    fn tails_agree_where_one_way_takes_over_from_another() {
+        // scipy.stats.f.sf(1.02, 9999, 9999), and the same of 10001
+        for (degrees, expected) in [(9999.0, 0.161_075_081_1), (10001.0, 0.161_050_885_2)] {
+            let law = Law { scale: 1.0, numerator: degrees, denominator: degrees };
+            let [_, above] = law.tails(1.02).expect("there are degrees");
+            assert!((above - expected).abs() < 1e-6, "{degrees}: {above} against {expected}");
+        }
+    }
+}
