@@ -9,14 +9,15 @@ use kalfit::estimate::{Settings, Solver};
 use kalfit::infer::{Bootstrap, Choices, TestsChoice};
 use kalfit::predict::{Limits, Sides};
 use kalfit_data::Datum;
+use kalfit_job::sums::{JoinJob, SumsJob};
 use kalfit_job::{
     ApplyJob, CheckJob, CompareJob, DatasheetJob, ExchangeJob, ExportJob, Failure, FitJob, FitTables, FoldsOf,
     ModelJob, PlanJob, PredictJob, ReportJob, SimulateJob, TestJob, ValidateJob,
 };
 
 use crate::args::{
-    ApplyArgs, Args, CheckArgs, Command, CompareArgs, DatasheetArgs, ExchangeArgs, ExportArgs, FitArgs, ModelArgs,
-    PlanArgs, PredictArgs, ReportArgs, SimulateArgs, TestArgs, ValidateArgs,
+    ApplyArgs, Args, CheckArgs, Command, CompareArgs, DatasheetArgs, ExchangeArgs, ExportArgs, FitArgs, JoinArgs,
+    ModelArgs, PlanArgs, PredictArgs, ReportArgs, SimulateArgs, SumsArgs, TestArgs, ValidateArgs,
 };
 use crate::ended::{Ended, Outcome};
 use crate::init::InitJob;
@@ -41,6 +42,8 @@ enum Job {
     Fit(FitJob),
     Reduce(ExchangeJob),
     Estimates(ExchangeJob),
+    Sums(SumsJob),
+    Join(JoinJob),
     Test(TestJob),
     Check(CheckJob),
     Simulate(SimulateJob),
@@ -69,6 +72,8 @@ impl Order {
             Job::Fit(job) => show::fit(job, self.quiet),
             Job::Reduce(job) => show::exchange(job, kalfit_job::reduce, self.quiet),
             Job::Estimates(job) => show::exchange(job, kalfit_job::estimates, self.quiet),
+            Job::Sums(job) => show::sums(job, self.quiet),
+            Job::Join(job) => show::join(job, self.quiet),
             Job::Test(job) => show::test(job, self.quiet),
             Job::Check(job) => show::check(job),
             Job::Simulate(job) => show::simulate(job, self.quiet),
@@ -91,6 +96,8 @@ impl From<Args> for Order {
         let (how, quiet) = match &args.command {
             Command::Fit(args) => (Some(&args.model), args.quiet),
             Command::Reduce(args) | Command::Estimates(args) => (Some(&args.model), args.quiet),
+            Command::Sums(args) => (Some(&args.model), args.quiet),
+            Command::Join(args) => (Some(&args.model), args.quiet),
             Command::Test(args) => (Some(&args.model), args.quiet),
             Command::Check(args) => (Some(&args.model), false),
             Command::Report(args) => (None, args.quiet),
@@ -111,6 +118,8 @@ impl From<Args> for Order {
             Command::Fit(args) => Job::Fit(args.into()),
             Command::Reduce(args) => Job::Reduce(args.into()),
             Command::Estimates(args) => Job::Estimates(args.into()),
+            Command::Sums(args) => Job::Sums(args.into()),
+            Command::Join(args) => Job::Join(args.into()),
             Command::Test(args) => Job::Test(args.into()),
             Command::Check(args) => Job::Check(args.into()),
             Command::Simulate(args) => Job::Simulate(args.into()),
@@ -204,6 +213,30 @@ impl From<ExchangeArgs> for ExchangeJob {
             data: data(args.data),
             at: args.at.map(Into::into),
             out: Some(args.out),
+        }
+    }
+}
+
+impl From<SumsArgs> for SumsJob {
+    fn from(args: SumsArgs) -> SumsJob {
+        SumsJob {
+            model: args.model.into(),
+            data: data(args.data),
+            at: args.at.map(Into::into),
+            at_least: args.at_least as usize,
+            out: args.out,
+        }
+    }
+}
+
+impl From<JoinArgs> for JoinJob {
+    fn from(args: JoinArgs) -> JoinJob {
+        JoinJob {
+            model: args.model.into(),
+            sums: args.sums.into_iter().map(Into::into).collect(),
+            criterion: args.criterion,
+            out: args.out,
+            fit: args.fit,
         }
     }
 }

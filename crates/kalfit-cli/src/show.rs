@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use clap_complete::Shell;
+use kalfit_job::sums::{JoinJob, Round, SumsJob};
 use kalfit_job::{
     ApplyJob, CheckJob, CompareJob, DatasheetJob, Done, ExchangeJob, Exchanged, ExportJob, Failure, FitJob, PlanJob,
     PredictJob, ReportJob, SimulateJob, TestJob, ValidateJob, Watch,
@@ -114,6 +115,31 @@ pub(crate) fn exchange(job: &ExchangeJob, run: Exchange, quiet: bool) -> Result<
         terminal::warn(&notes);
         let (rows, tests) = (plural(record.rows as u64, record.row), plural(record.tests as u64, "test"));
         terminal::complain(&format!("Wrote {name}: {rows} of {tests}\n"));
+    }
+    Ok(Outcome::Done)
+}
+
+pub(crate) fn sums(job: &SumsJob, quiet: bool) -> Result<Outcome, Ended> {
+    let Done { record, notes, written, .. } = watched(quiet, |line| kalfit_job::sums::sums(job, line))?;
+    if let (false, Some(name)) = (quiet, written.first()) {
+        terminal::warn(&notes);
+        let tests = plural(record.tests as u64, "test");
+        terminal::complain(&format!("Wrote {name}: sums of round {} over {tests}\n", record.round + 1));
+    }
+    Ok(Outcome::Done)
+}
+
+/// The next round, or the fit.
+pub(crate) fn join(job: &JoinJob, quiet: bool) -> Result<Outcome, Ended> {
+    let done = watched(quiet, |line| kalfit_job::sums::join(job, line))?;
+    let Round { places, tests, rounds, record } = &done.record;
+    if let Some(record) = record {
+        let outcome = Outcome::of(record.converged);
+        return tell(quiet, &done, |_| summary(record, &terminal::style()), outcome);
+    }
+    if let (false, Some(name)) = (quiet, done.written.first()) {
+        let (places, tests) = (plural(*places as u64, "place"), plural(*tests as u64, "test"));
+        terminal::complain(&format!("Wrote {name}: round {rounds} of {tests} in {places} does not end the search\n"));
     }
     Ok(Outcome::Done)
 }

@@ -33,6 +33,7 @@ mod scales;
 mod simulate;
 mod sound;
 mod starts;
+mod sums;
 mod tables;
 mod terminal;
 mod unbounded;
