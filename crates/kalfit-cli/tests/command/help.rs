@@ -26,6 +26,9 @@ fn version_and_help() {
                    that a fit needs
       estimates    Run the `[filter]` of each phase, optimal or not, and write its estimates with the
                    errors they make
+      sums         Sums over the tests of one place, for a fit of tests in several places that exchange
+                   nothing else
+      join         Put the sums of all places together: what is asked next of each of them, or the fit
       test         Test a hypothesis within a model by the ratio of the likelihoods
       check        Read a model, and data if given, and fit nothing: the model in words, counts, what
                    the data identify
