@@ -1,25 +1,31 @@
-"""Ensembles too large for one machine: the filters run where the data are, on a Spark cluster, and their reductions are fitted here.
+"""Ensembles too large for one machine: rows stay on a Spark cluster, and a fit asks for sums over them, free parameters included.
 
+    fit = kalfit.spark.fit(model, frame)               # a Spark DataFrame of rows, or of reductions
     reductions = kalfit.spark.reduce(model, frame)     # a Spark DataFrame, a row for each test and phase
-    fit = kalfit.spark.fit(model, reductions)
+    tests = kalfit.spark.apply(model, frame, fit)      # a Spark DataFrame, a row for each test and phase
 
-Executors need kalfit, pandas and pyarrow. Nothing of Spark is imported before it is needed.
+Partitions hold whole tests; where they do not, the frame is repartitioned by test. All is done by ``DataFrame.mapInArrow`` on whole
+partitions, so that Spark Connect will do, and whatever a lost executor takes along is made again from the frame.
+
+Executors need kalfit, and the pyarrow and pandas that Spark's Arrow functions ask for. Nothing of Spark is imported before it is needed.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from typing import Any
+import sys
+import uuid
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, Literal
 
 from kalfit import _kalfit
 from kalfit._data import Table
 from kalfit._fit import Fit
-from kalfit._jobs import Set, _source
-from kalfit._jobs import fit as _fit
+from kalfit._jobs import Progress, Set, _how, _said, _source
 from kalfit._model import Model, ModelLike, Path, as_model, assignments
 
-__all__ = ["fit", "reduce"]
+__all__ = ["apply", "fit", "reduce"]
 
 #: The columns of reductions with their types in Spark, and what the reductions say of themselves, which Spark would lose.
 _COLUMNS: dict[str, str] = {
@@ -43,28 +49,60 @@ _COLUMNS: dict[str, str] = {
     "groups": "array<string>",
 }
 _METADATA = "kalfit"
+#: Number of a row's partition.
+_PARTITION = "kalfit_partition"
+#: More bytes than this are not one cell of Arrow's.
+_LARGEST = (1 << 31) - (1 << 20)
+
+_Text = tuple[str, str, Any]
 
 
-class GroupReducer:
-    """Reduces the rows of one test, or of some, from a pandas table to a pandas table: what runs on the executors."""
+def fit(
+    model: ModelLike,
+    frame: Any,
+    at: Fit | Path | None = None,
+    *,
+    set: Set = None,
+    order_by: str | Sequence[str] | None = None,
+    criterion: Literal["ml", "reml"] = "ml",
+    partitions: int | None = None,
+    progress: Progress = False,
+) -> Fit:
+    """Fits a model to the rows of a Spark DataFrame, or to reductions that :func:`reduce` made, where they are.
 
-    def __init__(
-        self, model: Model, set: Sequence[str], at: tuple[str, str, str | None] | None, order: Sequence[str]
-    ) -> None:
-        self._model = model
-        self._set = list(set)
-        self._at = at
-        self._order = list(order)
+    Free parameters are estimated, too, unless they take their values from ``at``, the results of another fit. Spark keeps no order
+    of rows: those of a test are put in the order of the model's time, or of ``order_by``. Partitions that hold whole tests stay as
+    they are; others are repartitioned by test, and a line to standard error says so. ``partitions`` repartitions into so many
+    beforehand.
 
-    def __call__(self, rows: Any) -> Any:
-        rows = rows.sort_values(self._order, kind="stable") if self._order else rows
-        model = (self._model._document(), self._set)
-        table, *_ = _kalfit.exchange("reductions", model, [("data", rows)], self._at, None, (1, None))
-        assert table is not None, "no file was named"
-        made = Table(table)
-        reductions = made.to_pandas()
-        reductions[_METADATA] = json.dumps(made.metadata, sort_keys=True)
-        return reductions[[*_COLUMNS, _METADATA]]
+    Says nothing of single tests: :func:`apply` does. The answer is that of :func:`kalfit.fit` to rounding, and to the bit where the
+    partitions are the same.
+    """
+    known = as_model(model)
+    values = [*([] if at is None else _values(known, at)), *assignments(set)]
+    reduced = _METADATA in frame.columns and "factor" in frame.columns
+    if reduced:
+        values = [*_held(known, frame), *values]
+    document = (known._document(), values)
+    theta, asked = _kalfit.first_theta(document)
+    packed = _packed(known, frame, [] if reduced else _order(known, frame, order_by), partitions, reduced)
+    token = uuid.uuid4().hex
+    tell = _said if progress is True else progress or None
+    try:
+        for round in range(1, sys.maxsize):
+            if tell is not None:
+                tell(f"round {round}: sums over the tests")
+            told = _told(packed, _passes(token, document, asked), "sums string")
+            after, results = _kalfit.join(document, criterion, theta, told, _how(None, False))
+            if results is not None:
+                found = Fit(results)
+                found._made_with = (model, set)
+                return found
+            assert after is not None, "a search goes on, or it has ended"
+            theta, asked = after
+    finally:
+        packed.unpersist()
+    raise AssertionError("a search ends")
 
 
 def reduce(
@@ -74,45 +112,259 @@ def reduce(
     at: Fit | Path | None = None,
     set: Set = None,
     order_by: str | Sequence[str] | None = None,
+    partitions: int | None = None,
 ) -> Any:
-    """Runs the filters over a Spark DataFrame of rows, test by test, and gives a DataFrame of reductions.
+    """Runs the filters over a Spark DataFrame of rows, partition by partition, and gives a DataFrame of reductions.
 
-    Free parameters take their values from ``at`` or ``set``, as in :func:`kalfit.reduce`. Spark keeps no order of rows: those of
-    a test are put in the order of the model's time, or of ``order_by``.
+    Free parameters take their values from ``at`` or ``set``, as in :func:`kalfit.reduce`. Rows are put in order as in :func:`fit`.
     """
     known = as_model(model)
-    if known.test is None:
-        raise ValueError("the model names no column that tells tests apart: set `test` in its [data]")
-    order = [order_by] if isinstance(order_by, str) else list(order_by or [])
-    if not order and known.time is None:
-        raise ValueError("the model names no column of time, and Spark keeps no order of rows: name the columns of `order_by`")
-    order = order or [str(known.time)]
-    for column in (known.test, *order):
-        if column not in frame.columns:
-            raise _kalfit.DataError(f"the frame has no column {column!r}, it has {', '.join(frame.columns)}")
-    reducer = GroupReducer(known, assignments(set), None if at is None else _source(at), order)
+    document, source = (known._document(), assignments(set)), None if at is None else _source(at)
+    packed = _packed(known, frame, _order(known, frame, order_by), partitions)
     schema = ", ".join(f"{name} {kind}" for name, kind in {**_COLUMNS, _METADATA: "string"}.items())
 
-    def of_group(rows: Any) -> Any:  # Spark counts the arguments of a function, and takes `self` for one
-        return reducer(rows)
+    def reductions(batches: Iterable[Any]) -> Iterator[Any]:
+        return _reductions(batches, document, source)
 
-    return frame.groupBy(known.test).applyInPandas(of_group, schema)
-
-
-def fit(model: ModelLike, reductions: Any, **options: Any) -> Fit:
-    """Collects the reductions that :func:`reduce` made, and fits them; ``options`` are those of :func:`kalfit.fit`."""
-    return _fit(model, collected(reductions.toPandas()), **options)
+    return packed.mapInArrow(reductions, schema)
 
 
-def collected(reductions: Any) -> Table:
-    """A pandas table of reductions from many groups as one table of kalfit's, in the order of the tests' ids."""
-    kinds = [dict(json.loads(text)) for text in sorted(reductions[_METADATA].unique())]
+def apply(
+    model: ModelLike,
+    frame: Any,
+    source: Fit | ModelLike,
+    *,
+    set: Set = None,
+    order_by: str | Sequence[str] | None = None,
+    partitions: int | None = None,
+) -> Any:
+    """Applies a fitted model to the tests of a Spark DataFrame of rows: a DataFrame of what each test says, as ``.tests`` of
+    :func:`kalfit.apply`. Nothing is estimated, and nothing is collected.
+    """
+    from pyspark.sql import functions
+    from pyspark.sql.pandas.types import from_arrow_schema
+
+    known = as_model(model)
+    document, text = (known._document(), assignments(set)), _source(source)
+    order = _order(known, frame, order_by)
+    first = frame.select(known.test).where(functions.col(str(known.test)).isNotNull()).limit(1).collect()
+    if not first:
+        raise _kalfit.DataError("the frame has no rows")
+    one = _pack_frame(known, frame.where(functions.col(str(known.test)) == first[0][0]).coalesce(1), order).collect()
+    schema = _applied(_table(one[0]["rows"]), document, text).schema
+    packed = _packed(known, frame, order, partitions)
+
+    def tests(batches: Iterable[Any]) -> Iterator[Any]:
+        for _, rows in _cells(batches):
+            yield from _applied(_table(rows), document, text).to_batches()
+
+    return packed.mapInArrow(tests, from_arrow_schema(schema))
+
+
+def _order(model: Model, frame: Any, order_by: str | Sequence[str] | None) -> list[str]:
+    """The columns that rows of a test are put in order by."""
+    if model.test is None:
+        raise ValueError("the model names no column that tells tests apart: set `test` in its [data]")
+    order = [order_by] if isinstance(order_by, str) else list(order_by or [])
+    if not order and model.time is None:
+        raise ValueError("the model names no column of time, and Spark keeps no order of rows: name the columns of `order_by`")
+    order = order or [str(model.time)]
+    for column in (model.test, *order):
+        if column not in frame.columns:
+            raise _kalfit.DataError(f"the frame has no column {column!r}, it has {', '.join(frame.columns)}")
+    return order
+
+
+def _values(model: Model, at: Fit | Path) -> list[str]:
+    """The values of a fit for the parameters of a model, as they are assigned."""
+    found = at if isinstance(at, Fit) else Fit.load(at)
+    place = {True: "{0.name}={0.estimate!r}", False: "{0.name}[{0.level}]={0.estimate!r}"}
+    known = [p for p in found.parameters if p.name in model.parameters and not p.fixed]
+    return [place[p.level is None].format(p) for p in known]
+
+
+def _held(model: Model, reductions: Any) -> list[str]:
+    """The values at which filters made reductions, of the parameters that the model leaves open."""
+    kinds = [json.loads(row[0]) for row in reductions.select(_METADATA).distinct().limit(2).collect()]
     if not kinds:
         raise _kalfit.DataError("there are no reductions")
-    first: Mapping[str, str] = kinds[0]
     for other in kinds[1:]:
-        if other != first:
-            key = next(key for key in {**first, **other} if first.get(key) != other.get(key))
-            raise _kalfit.DataError(f"the reductions were made at different models or parameters: they differ in {key}")
-    ordered = reductions.drop(columns=_METADATA).sort_values(["test", "phase"], kind="stable", ignore_index=True)
-    return Table(_kalfit.Table(ordered, sorted(first.items())))
+        key = next(key for key in {**kinds[0], **other} if kinds[0].get(key) != other.get(key))
+        raise _kalfit.DataError(f"the reductions were made at different models or parameters: they differ in {key}")
+    values = []
+    for parameter in json.loads(kinds[0].get("kalfit.parameters", "[]")):
+        if parameter.get("value") is not None and not parameter.get("per"):
+            values.append(f"{parameter['name']}={parameter['value']!r}")
+        for level, value in (parameter.get("levels") or {}).items():
+            values.append(f"{parameter['name']}[{level}]={value!r}")
+    return values
+
+
+def _packed(model: Model, frame: Any, order: list[str], partitions: int | None, reduced: bool = False) -> Any:
+    """One row of bytes for each partition of a frame, kept on the executors; partitions hold whole tests."""
+    from pyspark.sql import functions
+
+    test = "test" if reduced else str(model.test)
+    if partitions is not None:
+        frame = frame.repartition(partitions, test)
+    packed = _pack_frame(model, frame, order, reduced).persist()
+    ids = packed.select(_PARTITION, functions.explode("tests").alias("test"))
+    split = ids.groupBy("test").count().where("count > 1").limit(1).collect()
+    if split:
+        packed.unpersist()
+        sys.stderr.write(f"kalfit: test {split[0][0]} is spread over partitions: the frame is repartitioned by test\n")
+        packed = _pack_frame(model, frame.repartition(test), order, reduced).persist()
+    return packed
+
+
+def _pack_frame(model: Model, frame: Any, order: list[str], reduced: bool = False) -> Any:
+    from pyspark.sql import functions
+
+    test = "test" if reduced else str(model.test)
+    numbered = frame.withColumn(_PARTITION, functions.spark_partition_id())
+
+    def pack(batches: Iterable[Any]) -> Iterator[Any]:
+        return _pack(batches, test, order)
+
+    return numbered.mapInArrow(pack, f"{_PARTITION} int, tests array<string>, rows binary")
+
+
+def _told(packed: Any, function: Callable[[Iterable[Any]], Iterator[Any]], schema: str) -> list[str]:
+    """A text from each partition, in their order."""
+    rows = packed.mapInArrow(function, f"{_PARTITION} int, {schema}").collect()
+    return [row[1] for row in sorted(rows, key=lambda row: row[0])]
+
+
+def _passes(token: str, document: tuple[_Text, list[str]], theta: str) -> Callable[[Iterable[Any]], Iterator[Any]]:
+    def passes(batches: Iterable[Any]) -> Iterator[Any]:
+        return _sums(batches, token, document, theta)
+
+    return passes
+
+
+# What follows runs on executors.
+
+#: Tests that this process has read, by fit and partition: it saves reading them again, and a process without them reads them.
+_SITES: OrderedDict[tuple[str, int], _kalfit.Site] = OrderedDict()
+_MOST_SITES = 16
+
+
+def _pack(batches: Iterable[Any], test: str, order: Sequence[str]) -> Iterator[Any]:
+    """The rows of one partition, in order, as one cell of bytes: an Arrow stream."""
+    import pyarrow
+
+    batches = [batch for batch in batches if batch.num_rows > 0]
+    if not batches:
+        return
+    table = pyarrow.Table.from_batches(batches)
+    partition = table.column(_PARTITION)[0].as_py()
+    table = table.drop_columns([_PARTITION])
+    if order:
+        table = table.sort_by([(column, "ascending") for column in (test, *order)])
+    ids = table.column(test).unique().drop_null().cast(pyarrow.string())
+    sink = pyarrow.BufferOutputStream()
+    with pyarrow.ipc.new_stream(sink, table.schema) as writer:
+        writer.write_table(table)
+    rows = sink.getvalue()
+    if rows.size > _LARGEST:
+        raise _kalfit.DataError(
+            f"partition {partition} has {rows.size} bytes, expected at most {_LARGEST}: ask for more `partitions`; "
+            "a single test that is larger is fitted on one machine, or in phases"
+        )
+    cells = [pyarrow.array([partition], pyarrow.int32()), _list(ids), pyarrow.array([rows.to_pybytes()], pyarrow.binary())]
+    yield pyarrow.RecordBatch.from_arrays(cells, names=[_PARTITION, "tests", "rows"])
+
+
+def _list(ids: Any) -> Any:
+    import pyarrow
+
+    ids = ids.combine_chunks() if isinstance(ids, pyarrow.ChunkedArray) else ids
+    return pyarrow.ListArray.from_arrays(pyarrow.array([0, len(ids)], pyarrow.int32()), ids)
+
+
+def _cells(batches: Iterable[Any]) -> Iterator[tuple[int, Any]]:
+    """Number and rows of each partition that was packed."""
+    for batch in batches:
+        yield from zip(batch.column(_PARTITION).to_pylist(), batch.column("rows"))
+
+
+def _table(cell: Any) -> Any:
+    """The rows of a cell; of reductions with what they say of themselves."""
+    import pyarrow
+
+    source = cell.as_buffer() if hasattr(cell, "as_buffer") else pyarrow.py_buffer(cell)
+    table = pyarrow.ipc.open_stream(source).read_all()
+    if _METADATA not in table.column_names or "factor" not in table.column_names:
+        return table
+    kinds = table.column(_METADATA).unique().to_pylist()
+    assert len(kinds) == 1, "that was seen before"
+    return _kalfit.Table(table.drop_columns([_METADATA]), sorted(json.loads(kinds[0]).items()))
+
+
+def _sums(batches: Iterable[Any], token: str, document: tuple[_Text, list[str]], theta: str) -> Iterator[Any]:
+    """What each partition answers."""
+    import pyarrow
+
+    for partition, rows in _cells(batches):
+        key = (token, partition)
+        site = _SITES.get(key)
+        if site is None:
+            site = _SITES[key] = _kalfit.Site(document, [(f"partition {partition}", _table(rows))], 1)
+        _SITES.move_to_end(key)
+        for other in [other for other in _SITES if other[0] != token]:
+            del _SITES[other]
+        while len(_SITES) > _MOST_SITES:
+            _SITES.popitem(last=False)
+        cells = [pyarrow.array([partition], pyarrow.int32()), pyarrow.array([site.answer(theta)], pyarrow.string())]
+        yield pyarrow.RecordBatch.from_arrays(cells, names=[_PARTITION, "sums"])
+
+
+def _reductions(batches: Iterable[Any], document: tuple[_Text, list[str]], source: Any) -> Iterator[Any]:
+    """The reductions of each partition."""
+    import pyarrow
+
+    kinds = {
+        "string": pyarrow.string(),
+        "double": pyarrow.float64(),
+        "bigint": pyarrow.int64(),
+        "array<string>": pyarrow.list_(pyarrow.string()),
+        "array<double>": pyarrow.list_(pyarrow.float64()),
+    }
+    for _, rows in _cells(batches):
+        # one name for all, which the reductions carry along
+        made, *_ = _kalfit.exchange("reductions", document, [("data", _table(rows))], source, None, (1, None))
+        assert made is not None, "no file was named"
+        table = Table(made).to_pyarrow()
+        cells = [_plain(table.column(name), kinds[kind]) for name, kind in _COLUMNS.items()]
+        told = json.dumps(Table(made).metadata, sort_keys=True)
+        cells.append(pyarrow.chunked_array([pyarrow.array([told] * table.num_rows, pyarrow.string())]))
+        yield from pyarrow.table(dict(zip([*_COLUMNS, _METADATA], cells))).to_batches()
+
+
+def _applied(rows: Any, document: tuple[_Text, list[str]], source: Any) -> Any:
+    """What the tests of one partition say, in types that Spark knows."""
+    import pyarrow
+
+    _, made, _, _ = _kalfit.apply(document, [("partition", rows)], source, None, (None, None), (1, None))
+    assert made is not None, "no file was named"
+    table = Table(made).to_pyarrow()
+    columns = {name: _plain(table.column(name), _known(table.schema.field(name).type)) for name in table.column_names}
+    return pyarrow.table(columns)
+
+
+def _known(kind: Any) -> Any:
+    """The type in Spark's words: no dictionaries, no large lists, no unsigned numbers."""
+    import pyarrow
+    from pyarrow import types
+
+    if types.is_dictionary(kind):
+        return _known(kind.value_type)
+    if types.is_large_string(kind) or types.is_string_view(kind):
+        return pyarrow.string()
+    if types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind):
+        return pyarrow.list_(_known(kind.value_type))
+    return pyarrow.int64() if types.is_unsigned_integer(kind) else kind
+
+
+def _plain(column: Any, kind: Any) -> Any:
+    return column.cast(kind) if column.type != kind else column

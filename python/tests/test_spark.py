@@ -1,102 +1,126 @@
-"""The part of `kalfit.spark` that runs on executors, without Spark, over a frame that stands in for Spark's; and, where pyspark and
-Java are installed, Spark itself."""
+"""What of `kalfit.spark` runs on executors, without Spark, over partitions made by hand; and, where pyspark and Java are installed,
+Spark itself."""
 
-import inspect
 import os
 import shutil
 import sys
-from pathlib import Path
+import uuid
 
 import pandas
+import pyarrow
 import pytest
 
 import kalfit
-import kalfit.spark
-from conftest import BENCH, PHASES
+import kalfit.spark as spark
+from conftest import BENCH, PHASES, SLEEP
+
+JAVA = shutil.which("java") is not None or "JAVA_HOME" in os.environ
 
 
-class Frame:
-    """Groups and applies as Spark does, in an order of its own."""
-
-    def __init__(self, rows):
-        self._rows = rows
-
-    @property
-    def columns(self):
-        return list(self._rows.columns)
-
-    def groupBy(self, column):
-        return Groups(self._rows, column)
-
-    def toPandas(self):
-        return self._rows
+def packed(model, rows, partitions=3):
+    """The rows of whole tests in partitions, shuffled and packed as executors pack them."""
+    known = kalfit.Model.load(model)
+    order = [known.time] if known.time else []
+    ids = list(rows[known.test].unique())
+    cells = []
+    for number in range(partitions):
+        own = rows[rows[known.test].isin(ids[number::partitions])].sample(frac=1, random_state=3)
+        table = pyarrow.Table.from_pandas(own.assign(kalfit_partition=number), preserve_index=False)
+        cells += spark._pack(table.to_batches(max_chunksize=7), known.test, order or ["Days"])
+    return known, cells
 
 
-class Groups:
-    def __init__(self, rows, column):
-        self._rows, self._column = rows, column
-
-    def applyInPandas(self, function, schema):
-        names = [part.split()[0] for part in schema.split(", ")]
-        shuffled = self._rows.sample(frac=1, random_state=3)
-        # Spark hands over the key too when a function has two arguments, and takes `self` of an object for one
-        assert len(inspect.getfullargspec(function).args) == 1
-        parts = [function(rows) for _, rows in shuffled.groupby(self._column, sort=False)]
-        assert all(list(part.columns) == names for part in parts)
-        return Frame(pandas.concat(parts, ignore_index=True))
+def by_sums(known, cells, set=()):
+    document, token = (known._document(), list(set)), uuid.uuid4().hex
+    theta, asked = kalfit._kalfit.first_theta(document)
+    for round in range(100):
+        told = [batch.column("sums")[0].as_py() for cell in cells for batch in spark._sums([cell], token, document, asked)]
+        after, results = kalfit._kalfit.join(document, "ml", theta, told, (None, None))
+        if results is not None:
+            return kalfit.Fit(results), round
+        theta, asked = after
+    raise AssertionError("no end after 100 rounds")
 
 
-@pytest.mark.parametrize("model, path", [BENCH, PHASES])
-def test_reductions_by_group_fit_to_the_same_bits(model, path):
-    reductions = kalfit.spark.reduce(model, Frame(pandas.read_csv(path)))
-    found = kalfit.spark.fit(model, reductions)
+@pytest.mark.parametrize("model, path", [BENCH, PHASES, SLEEP])
+def test_sums_over_partitions_fit_as_all_rows_do(model, path):
+    known, cells = packed(model, pandas.read_csv(path))
+    found, _ = by_sums(known, cells)
     expected = kalfit.fit(model, path)
-    assert abs(found.log_likelihood - expected.log_likelihood) <= 1e-12 * abs(expected.log_likelihood)
+    assert found.converged and len(found.tests) == 0
+    assert abs(found.log_likelihood - expected.log_likelihood) <= 1e-10 * abs(expected.log_likelihood)
     for one, other in zip(found.phases, expected.phases):
-        assert abs(one.mean - other.mean).max() <= 1e-9 * abs(other.mean).max()
+        assert abs(one.mean - other.mean).max() <= 1e-6 * abs(other.mean).max()
+    again, _ = by_sums(known, cells)
+    assert again.log_likelihood == found.log_likelihood
 
 
-@pytest.mark.skipif(shutil.which("java") is None and "JAVA_HOME" not in os.environ, reason="Spark needs Java")
-@pytest.mark.filterwarnings("ignore")
-def test_spark_itself_gives_the_same_fit(tmp_path, monkeypatch):
-    sql = pytest.importorskip("pyspark.sql")
-    monkeypatch.setenv("PYSPARK_PYTHON", sys.executable)
-    session = sql.SparkSession.builder.master("local[2]").config("spark.ui.enabled", "false").getOrCreate()
-    try:
-        for model, path in (BENCH, PHASES):
-            expected = kalfit.fit(model, path).log_likelihood
-            reductions = kalfit.spark.reduce(model, session.read.csv(str(path), header=True, inferSchema=True))
-            assert abs(kalfit.spark.fit(model, reductions).log_likelihood - expected) <= 1e-12 * abs(expected)
-            reductions.write.parquet(str(tmp_path / Path(path).stem))
-            stored = session.read.parquet(str(tmp_path / Path(path).stem))
-            assert abs(kalfit.spark.fit(model, stored).log_likelihood - expected) <= 1e-12 * abs(expected)
-    finally:
-        session.stop()
-
-
-def test_a_frame_without_the_columns_of_the_model_is_refused_before_anything_runs():
-    frame = Frame(pandas.read_csv(BENCH[1]).drop(columns="hours"))
-    with pytest.raises(kalfit.DataError, match="the frame has no column 'hours', it has unit, station"):
-        kalfit.spark.reduce(BENCH[0], frame)
+def test_an_executor_that_lost_its_tests_reads_them_again():
+    known, cells = packed(BENCH[0], pandas.read_csv(BENCH[1]))
+    document = (known._document(), [])
+    _, asked = kalfit._kalfit.first_theta(document)
+    once = [batch.to_pylist() for batch in spark._sums(cells, "one", document, asked)]
+    assert len(spark._SITES) == 3
+    spark._SITES.clear()
+    assert [batch.to_pylist() for batch in spark._sums(cells, "one", document, asked)] == once
 
 
 def test_what_spark_cannot_know_is_asked_for():
     model = {"states": {"a": {}}, "measurements": {"y": {"column": "y", "equation": "a", "noise": 1}}}
     with pytest.raises(ValueError, match="names no column that tells tests apart"):
-        kalfit.spark.reduce(model, None)
+        spark._order(kalfit.Model(model), None, None)
     with pytest.raises(ValueError, match="order_by"):
-        kalfit.spark.reduce({"data": {"test": "id"}, **model}, None)
-    rows = Frame(pandas.DataFrame({"id": ["a", "a", "b", "b"], "k": [1, 2, 1, 2], "y": [1.0, 2.0, 3.0, 5.0]}))
-    reductions = kalfit.spark.reduce({"data": {"test": "id"}, **model}, rows, order_by="k")
-    assert len(reductions.toPandas()) == 2
+        spark._order(kalfit.Model({"data": {"test": "id"}, **model}), None, None)
 
 
-def test_reductions_of_different_models_do_not_mix():
-    rows = pandas.read_csv(BENCH[1])
-    one = kalfit.spark.reduce(BENCH[0], Frame(rows[rows.unit == "g01"])).toPandas()
-    text = Path(BENCH[0]).read_text(encoding="utf-8") + "\n# another\n"
-    other = kalfit.spark.reduce(kalfit.Model.from_text(text), Frame(rows[rows.unit == "g02"])).toPandas()
-    with pytest.raises(kalfit.DataError, match="differ in kalfit.model_digest"):
-        kalfit.spark.fit(BENCH[0], Frame(pandas.concat([one, other])))
-    with pytest.raises(kalfit.DataError, match="there are no reductions"):
-        kalfit.spark.fit(BENCH[0], Frame(one[:0]))
+@pytest.fixture(scope="module")
+def session():
+    sql = pytest.importorskip("pyspark.sql", reason="pyspark is not installed")
+    os.environ["PYSPARK_PYTHON"] = sys.executable
+    builder = sql.SparkSession.builder.master("local[2]").config("spark.ui.enabled", "false")
+    made = builder.config("spark.sql.shuffle.partitions", "3").getOrCreate()
+    made.sparkContext.setLogLevel("ERROR")
+    yield made
+    made.stop()
+
+
+@pytest.mark.skipif(not JAVA, reason="Spark needs Java, which is not installed")
+@pytest.mark.filterwarnings("ignore")
+class TestSparkItself:
+    @pytest.mark.parametrize("model, path", [BENCH, PHASES, SLEEP])
+    def test_fits_rows_and_reductions(self, session, model, path, capsys):
+        frame = session.read.csv(path, header=True, inferSchema=True).repartition(4)  # tests in pieces
+        order = None if kalfit.Model.load(model).time else "Days"
+        expected = kalfit.fit(model, path)
+        found = spark.fit(model, frame, order_by=order)
+        assert "is spread over partitions: the frame is repartitioned by test" in capsys.readouterr().err
+        assert abs(found.log_likelihood - expected.log_likelihood) <= 1e-10 * abs(expected.log_likelihood)
+        assert found.converged
+        at = expected if model == SLEEP[0] else None
+        reductions = spark.reduce(model, frame, at=at, order_by=order)
+        known = spark.fit(model, reductions)
+        assert abs(known.log_likelihood - expected.log_likelihood) <= 1e-9 * abs(expected.log_likelihood)
+
+    def test_applies_a_fit(self, session):
+        model, path = BENCH
+        frame = session.read.csv(path, header=True, inferSchema=True)
+        source = kalfit.fit(model, path)
+        found = spark.apply(model, frame, source).toPandas().sort_values("test", ignore_index=True)
+        expected = kalfit.apply(model, path, source).tests.to_pandas().sort_values("test", ignore_index=True)
+        assert list(found.columns) == list(expected.columns) and len(found) == len(expected)
+        for column in expected.select_dtypes("number").columns:
+            apart = abs(found[column].astype(float) - expected[column].astype(float))
+            assert not (apart > 1e-9 * (1 + abs(expected[column].astype(float)))).any(), column
+
+    def test_a_frame_without_the_columns_of_the_model_is_refused_before_anything_runs(self, session):
+        frame = session.read.csv(BENCH[1], header=True, inferSchema=True).drop("hours")
+        with pytest.raises(kalfit.DataError, match="the frame has no column 'hours', it has unit, station"):
+            spark.fit(BENCH[0], frame)
+
+    def test_reductions_of_different_models_do_not_mix(self, session):
+        frame = session.read.csv(BENCH[1], header=True, inferSchema=True)
+        with open(BENCH[0], encoding="utf-8") as file:
+            other = kalfit.Model.from_text(file.read() + "\n# another\n")
+        one = spark.reduce(BENCH[0], frame.where("unit = 'g01'")).union(spark.reduce(other, frame.where("unit = 'g02'")))
+        with pytest.raises(kalfit.DataError, match="differ in kalfit.model_digest"):
+            spark.fit(BENCH[0], one)

@@ -81,6 +81,10 @@ pub(crate) enum Command {
     /// Run the `[filter]` of each phase, optimal or not, and write its estimates with their errors
     #[command(after_help = examples::ESTIMATES)]
     Estimates(ExchangeArgs),
+    /// Sum over the tests of one place, for a fit of tests in several places that exchange nothing else
+    Sums(SumsArgs),
+    /// Put the sums of all places together: write what each of them is asked next, or the fit
+    Join(JoinArgs),
     /// Test a hypothesis within a model by a likelihood-ratio test
     Test(TestArgs),
     /// Describe a model in words, count the data, and say what they can identify; nothing is fitted
@@ -288,6 +292,52 @@ pub(crate) struct ExchangeArgs {
     /// File to write: `.parquet`
     #[arg(short, long, value_name = "FILE", help_heading = OUTPUT)]
     pub(crate) out: PathBuf,
+}
+
+#[derive(Debug, Group)]
+#[command(after_help = examples::SUMS)]
+pub(crate) struct SumsArgs {
+    #[command(flatten)]
+    pub(crate) model: ModelArgs,
+
+    /// Data of this place: CSV, Parquet or Arrow files, patterns such as `runs/*.csv`, `-` for standard input
+    #[arg(required = true)]
+    pub(crate) data: Vec<String>,
+
+    /// What is asked: the last file of `kalfit join --out` [default: what every fit begins with]
+    #[arg(long, value_name = "THETA.json")]
+    pub(crate) at: Option<PathBuf>,
+
+    /// Refuse to tell sums over fewer tests than this
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    pub(crate) at_least: u32,
+
+    /// File for the sums, as JSON: nothing else of the data is in it
+    #[arg(short, long, value_name = "FILE", help_heading = OUTPUT)]
+    pub(crate) out: PathBuf,
+}
+
+#[derive(Debug, Group)]
+#[command(after_help = examples::JOIN)]
+pub(crate) struct JoinArgs {
+    #[command(flatten)]
+    pub(crate) model: ModelArgs,
+
+    /// The sums of all places, one file of `kalfit sums --out` each
+    #[arg(required = true, value_name = "SUMS")]
+    pub(crate) sums: Vec<PathBuf>,
+
+    /// What is maximised; the same in every round
+    #[arg(long, value_parser = one_of(words::CRITERIA), default_value = words::CRITERIA[0].word)]
+    pub(crate) criterion: Criterion,
+
+    /// File for what is asked next
+    #[arg(short, long, value_name = "THETA.json", help_heading = OUTPUT)]
+    pub(crate) out: PathBuf,
+
+    /// File for the results, which is written when the search has ended, and not before
+    #[arg(long, value_name = "FIT.json", default_value = "fit.json", help_heading = OUTPUT)]
+    pub(crate) fit: PathBuf,
 }
 
 #[derive(Debug, Group)]

@@ -39,6 +39,16 @@ Examples:
   kalfit estimates model.toml data.csv --out estimates.parquet
   kalfit fit model.toml estimates.parquet";
 
+pub(crate) const SUMS: &str = "\
+Examples:
+  kalfit sums model.toml data.csv --out here.sums
+  kalfit sums model.toml data.csv --at theta.json --at-least 20 --out here.sums";
+
+pub(crate) const JOIN: &str = "\
+Examples:
+  kalfit join model.toml north.sums south.sums --out theta.json
+  kalfit join model.toml *.sums --out theta.json --fit fit.json";
+
 pub(crate) const TEST: &str = "\
 Examples:
   kalfit test model.toml data.csv --null null.toml

@@ -9,6 +9,7 @@ use kalfit::estimate::{Settings, Solver};
 use kalfit::infer::{Bootstrap, Choices, TestsChoice};
 use kalfit::predict::{Limits, Sides};
 use kalfit_data::Datum;
+use kalfit_job::sums::{JoinJob, SumsJob};
 use kalfit_job::{
     ApplyJob, CheckJob, CompareJob, DatasheetJob, ExchangeJob, ExportJob, Failure, FitJob, FitTables, FoldsOf,
     ModelJob, PlanJob, PlotJob, PredictJob, ReportJob, SimulateJob, TestJob, ValidateJob,
@@ -16,7 +17,7 @@ use kalfit_job::{
 
 use crate::args::{
     ApplyArgs, Args, CheckArgs, Command, CompareArgs, DatasheetArgs, ExchangeArgs, ExportArgs, FitArgs, GlobalArgs,
-    ModelArgs, PlanArgs, PlotArgs, PredictArgs, ReportArgs, SimulateArgs, TestArgs, ValidateArgs,
+    JoinArgs, ModelArgs, PlanArgs, PlotArgs, PredictArgs, ReportArgs, SimulateArgs, SumsArgs, TestArgs, ValidateArgs,
 };
 use crate::ended::{Ended, Outcome};
 use crate::init::InitJob;
@@ -40,6 +41,8 @@ enum Job {
     Fit(FitJob),
     Reduce(ExchangeJob),
     Estimates(ExchangeJob),
+    Sums(SumsJob),
+    Join(JoinJob),
     Test(TestJob),
     Check(CheckJob),
     Simulate(SimulateJob),
@@ -70,6 +73,8 @@ impl Order {
             Job::Fit(job) => show::fit(job, telling),
             Job::Reduce(job) => show::exchange(job, kalfit_job::reduce, telling),
             Job::Estimates(job) => show::exchange(job, kalfit_job::estimates, telling),
+            Job::Sums(job) => show::sums(job, telling),
+            Job::Join(job) => show::join(job, telling),
             Job::Test(job) => show::test(job, telling),
             Job::Check(job) => show::check(job, telling),
             Job::Simulate(job) => show::simulate(job, telling),
@@ -96,6 +101,8 @@ impl From<Args> for Order {
             Command::Fit(args) => Job::Fit(args.into()),
             Command::Reduce(args) => Job::Reduce(args.into()),
             Command::Estimates(args) => Job::Estimates(args.into()),
+            Command::Sums(args) => Job::Sums(args.into()),
+            Command::Join(args) => Job::Join(args.into()),
             Command::Test(args) => Job::Test(args.into()),
             Command::Check(args) => Job::Check(args.into()),
             Command::Simulate(args) => Job::Simulate(args.into()),
@@ -205,6 +212,30 @@ impl From<ExchangeArgs> for ExchangeJob {
             data: data(args.data),
             at: args.from.map(Into::into),
             out: Some(args.out),
+        }
+    }
+}
+
+impl From<SumsArgs> for SumsJob {
+    fn from(args: SumsArgs) -> SumsJob {
+        SumsJob {
+            model: args.model.into(),
+            data: data(args.data),
+            at: args.at.map(Into::into),
+            at_least: args.at_least as usize,
+            out: args.out,
+        }
+    }
+}
+
+impl From<JoinArgs> for JoinJob {
+    fn from(args: JoinArgs) -> JoinJob {
+        JoinJob {
+            model: args.model.into(),
+            sums: args.sums.into_iter().map(Into::into).collect(),
+            criterion: args.criterion,
+            out: args.out,
+            fit: args.fit,
         }
     }
 }

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use clap_complete::Shell;
+use kalfit_job::sums::{JoinJob, Round, SumsJob};
 use kalfit_job::{
     ApplyJob, CheckJob, CompareJob, DatasheetJob, Done, ExchangeJob, Exchanged, ExportJob, Failure, FitJob, PlanJob,
     PlotJob, PredictJob, ReportJob, SimulateJob, TestJob, ValidateJob, Watch,
@@ -141,6 +142,31 @@ pub(crate) fn exchange(job: &ExchangeJob, run: Exchange, how: Telling) -> Result
         terminal::warn(&notes);
         let (rows, tests) = (plural(record.rows as u64, record.row), plural(record.tests as u64, "test"));
         terminal::complain(&format!("Wrote {name}: {rows} of {tests}\n"));
+    }
+    Ok(Outcome::Done)
+}
+
+pub(crate) fn sums(job: &SumsJob, how: Telling) -> Result<Outcome, Ended> {
+    let Done { record, notes, written, .. } = watched(how.quiet, |line| kalfit_job::sums::sums(job, line))?;
+    if let (false, Some(name)) = (how.quiet, written.first()) {
+        terminal::warn(&notes);
+        let tests = plural(record.tests as u64, "test");
+        terminal::complain(&format!("Wrote {name}: sums of round {} over {tests}\n", record.round + 1));
+    }
+    Ok(Outcome::Done)
+}
+
+/// The next round, or the fit.
+pub(crate) fn join(job: &JoinJob, how: Telling) -> Result<Outcome, Ended> {
+    let done = watched(how.quiet, |line| kalfit_job::sums::join(job, line))?;
+    let Round { places, tests, rounds, record } = &done.record;
+    if let Some(record) = record {
+        let outcome = Outcome::of(record.converged);
+        return tell(how, &done, |_| summary(record, &terminal::style()), outcome);
+    }
+    if let (false, Some(name)) = (how.quiet, done.written.first()) {
+        let (places, tests) = (plural(*places as u64, "place"), plural(*tests as u64, "test"));
+        terminal::complain(&format!("Wrote {name}: round {rounds} of {tests} in {places} does not end the search\n"));
     }
     Ok(Outcome::Done)
 }

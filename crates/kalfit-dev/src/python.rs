@@ -46,6 +46,7 @@ pub(crate) fn run() -> Result<(), String> {
     environment(&places)?;
     let python = places.python();
     places.run(&python, &["-m", "pip", "install", "--quiet", "--requirement", "python/tests/requirements.txt"])?;
+    spark(&places)?;
     // the program as the tests have built it, with all that they need, so that nothing is built twice
     places.run(Path::new("cargo"), &["test", "--quiet", "--locked", "--workspace", "--no-run"])?;
     let wheels = places.environment.join("wheels");
@@ -56,6 +57,15 @@ pub(crate) fn run() -> Result<(), String> {
     places
         .run(&python, &["-m", "pip", "install", "--quiet", "--no-index", "--no-deps", "--force-reinstall", &wheel])?;
     places.run(&python, &["-m", "pytest", "python/tests"])
+}
+
+/// Spark itself is tried where there is Java to run it.
+fn spark(places: &Places) -> Result<(), String> {
+    if Command::new("java").arg("-version").output().is_ok_and(|done| done.status.success()) {
+        return places.run(&places.python(), &["-m", "pip", "install", "--quiet", "pyspark>=3.4"]);
+    }
+    println!("   there is no Java: Spark itself is not tried");
+    Ok(())
 }
 
 /// A fresh environment.

@@ -20,6 +20,7 @@ use kalfit_spec::{Spec, SpecError};
 
 use crate::output::OutputError;
 use crate::results::ResultError;
+use crate::sums::SumsError;
 use crate::truth::error::TruthError;
 
 /// A unit that a fit does not know.
@@ -94,6 +95,9 @@ pub enum Failure {
     /// The estimator.
     #[error("{0}")]
     Fit(FitError),
+    /// Sums that cannot be made, or not be put together.
+    #[error("{0}")]
+    Sums(Box<SumsError>),
     /// The search for dynamic parameters.
     #[error("{0}")]
     Dynamic(Box<DynamicError>),
@@ -384,6 +388,7 @@ impl Failure {
             }
             Failure::GroupTest { hint, .. } => Some((*hint).to_owned()),
             Failure::Fit(error) => fit_hint(error).map(str::to_owned),
+            Failure::Sums(error) => error.hint().map(str::to_owned),
             Failure::Dynamic(error) => error.hint().map(str::to_owned),
             Failure::NotNested(error) => Some(nesting_hint(*error).to_owned()),
             Failure::DynamicRatio(error) => dynamic_ratio_hint(error).map(str::to_owned),

@@ -52,6 +52,7 @@ mod refused;
 mod report;
 mod results;
 mod simulate;
+pub mod sums;
 mod table;
 mod tables;
 mod test;

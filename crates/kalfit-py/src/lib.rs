@@ -7,6 +7,7 @@ mod fit;
 mod jobs;
 mod options;
 mod run;
+mod sums;
 mod table;
 mod text;
 
@@ -22,6 +23,8 @@ mod _kalfit {
     use crate::jobs::{
         apply, check, compare, datasheet, exchange, export, fit, plan, predict, simulate, test, validate,
     };
+    #[pymodule_export]
+    use crate::sums::{Site, first_theta, join};
     #[pymodule_export]
     use crate::table::Table;
     #[pymodule_export]

@@ -91,7 +91,7 @@ pub(crate) fn run<R: Send + 'static>(
     listener.wait(py)
 }
 
-fn pool(threads: usize) -> PyResult<rayon::ThreadPool> {
+pub(crate) fn pool(threads: usize) -> PyResult<rayon::ThreadPool> {
     let built = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
     built.map_err(|error| exception(&Failure::Threads { threads, reason: error.to_string() }))
 }

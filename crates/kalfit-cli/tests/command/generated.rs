@@ -4,11 +4,13 @@ use std::process::Command;
 
 use crate::folder::{Folder, shown};
 
-const COMMANDS: [&str; 17] = [
+const COMMANDS: [&str; 19] = [
     "init",
     "fit",
     "reduce",
     "estimates",
+    "sums",
+    "join",
     "test",
     "check",
     "simulate",
@@ -65,7 +67,7 @@ fn the_page_of_the_program_has_all_commands() {
 fn every_command_has_a_page_with_its_options_and_examples() {
     let folder = Folder::new(&[]);
     let told = shown(&folder.run("man new/man1"));
-    assert!(told.ends_with("Wrote 19 pages to new/man1\n"), "{told}");
+    assert!(told.ends_with("Wrote 21 pages to new/man1\n"), "{told}");
     let page = |name: &str| {
         std::fs::read_to_string(folder.path(&format!("new/man1/{name}.1")))
             .unwrap_or_else(|error| panic!("{name}: {error}"))
@@ -75,7 +77,7 @@ fn every_command_has_a_page_with_its_options_and_examples() {
         assert!(page(&format!("kalfit-{command}")).contains("Examples"), "{command}");
     }
     assert!(page("kalfit-fit").contains("\\-\\-max\\-iterations"));
-    assert_eq!(folder.path("new/man1").read_dir().expect("it is a folder").count(), 19);
+    assert_eq!(folder.path("new/man1").read_dir().expect("it is a folder").count(), 21);
     assert!(shown(&folder.run("man new/man1")).starts_with("exit 0"), "pages are replaced");
     assert!(shown(&folder.run("man d.csv")).starts_with("exit 2"), "a file is no folder");
 }

@@ -31,6 +31,10 @@ fn version_and_help() {
                    needs
       estimates    Run the `[filter]` of each phase, optimal or not, and write its estimates with their
                    errors
+      sums         Sum over the tests of one place, for a fit of tests in several places that exchange
+                   nothing else
+      join         Put the sums of all places together: write what each of them is asked next, or the
+                   fit
       test         Test a hypothesis within a model by a likelihood-ratio test
       check        Describe a model in words, count the data, and say what they can identify; nothing is
                    fitted

@@ -35,6 +35,7 @@ mod scales;
 mod simulate;
 mod sound;
 mod starts;
+mod sums;
 mod tables;
 mod terminal;
 mod unbounded;

@@ -1,0 +1,181 @@
+//! `kalfit join`: the sums of all places together, and what is to be asked next, or the fit.
+
+use std::path::{Path, PathBuf};
+
+use kalfit::estimate::{Criterion, Settings};
+use kalfit::remote::{Answer, Asked, Question, sum};
+use kalfit::shards::{Asks, Next, ShardError};
+use kalfit::{FitRecord, Provenance};
+use kalfit_spec::Spec;
+
+use crate::document::Document;
+use crate::failure::Failure;
+use crate::job::{Done, ModelJob};
+use crate::output::Output;
+use crate::sums::error::SumsError;
+use crate::sums::theta::{Sums, Theta};
+use crate::work::{Watch, Work};
+use crate::{memory, model, write};
+
+/// Put the sums of all places together.
+#[derive(Debug, Clone)]
+pub struct JoinJob {
+    /// The model.
+    pub model: ModelJob,
+    /// The sums of all places.
+    pub sums: Vec<Document>,
+    /// What is maximised.
+    pub criterion: Criterion,
+    /// File for what is asked next.
+    pub out: PathBuf,
+    /// File for the results, once the search has ended.
+    pub fit: PathBuf,
+}
+
+/// How a fit by sums goes on.
+#[derive(Debug)]
+pub enum Joined {
+    /// One more round.
+    Asks(Box<Theta>),
+    /// It has ended.
+    Ends(Box<FitRecord>),
+}
+
+/// What `kalfit join` ended with.
+#[derive(Debug)]
+pub struct Round {
+    /// Number of places.
+    pub places: usize,
+    /// Number of tests.
+    pub tests: usize,
+    /// Rounds so far.
+    pub rounds: usize,
+    /// The results, if the search has ended.
+    pub record: Option<Box<FitRecord>>,
+}
+
+/// Puts the sums of all places together, and writes what is to be asked next, or the results.
+///
+/// # Errors
+/// Sums of other models, versions, rounds or places; what keeps a fit of all tests in one place from an answer.
+pub fn join(job: &JoinJob, watch: &mut dyn Watch) -> Result<Done<Round>, Failure> {
+    let spec = model::load(&job.model, &[])?;
+    memory::suffices(&spec)?;
+    let read: Vec<&Path> = std::iter::once(&job.model.document).chain(&job.sums).filter_map(Document::path).collect();
+    let (out, fit) = (Output::prepare(&job.out, &read)?, Output::prepare(&job.fit, &read)?);
+    out.refuse_same(Some(&fit))?;
+    let names: Vec<String> = job.sums.iter().map(Document::name).collect();
+    let sums = job.sums.iter().map(Sums::read).collect::<Result<Vec<_>, _>>()?;
+    if let Some((at, other)) = twice(&sums) {
+        let [file, first] = [at, other].map(|at| names[at].clone());
+        return Err(SumsError::Twice { file, first }.into());
+    }
+    let theta = sums.first().ok_or(SumsError::Shard(ShardError::NoTests))?.theta.clone();
+    let (rounds, tests) = (theta.round + 1, sums.iter().map(|sums| sums.tests).sum());
+    let named: Vec<(&str, &Sums)> = names.iter().map(String::as_str).zip(&sums).collect();
+    let round = |record| Round { places: sums.len(), tests, rounds, record };
+    match go_on((&spec, job.criterion), theta, &named, watch)? {
+        Joined::Asks(theta) => {
+            out.write(&*theta)?;
+            Ok(Done::new(round(None), Vec::new(), vec![out.name()]))
+        }
+        Joined::Ends(mut record) => {
+            record.data.files = names.clone();
+            write::record(&fit, &mut record)?;
+            Ok(Done::new(round(Some(record)), Vec::new(), vec![fit.name()]))
+        }
+    }
+}
+
+/// What is asked first of every place.
+///
+/// # Errors
+/// A model that is none, or that is not fitted by sums.
+pub fn first(job: &ModelJob) -> Result<Theta, Failure> {
+    Ok(Theta::first(&model::load(job, &[])?)?)
+}
+
+/// Goes on from θ with the sums of all partitions of one table, in their order.
+///
+/// # Errors
+/// As [`join`].
+pub fn of_partitions(
+    (job, criterion): (&ModelJob, Criterion),
+    theta: Theta,
+    sums: &[Sums],
+    watch: &mut dyn Watch,
+) -> Result<Joined, Failure> {
+    let spec = model::load(job, &[])?;
+    memory::suffices(&spec)?;
+    let names: Vec<String> = (1..=sums.len()).map(|k| format!("partition {k}")).collect();
+    let named: Vec<(&str, &Sums)> = names.iter().map(String::as_str).zip(sums).collect();
+    go_on((&spec, criterion), theta, &named, watch)
+}
+
+/// Goes on from θ with the sums of all places, which messages call by their names.
+fn go_on(
+    (spec, criterion): (&Spec, Criterion),
+    theta: Theta,
+    sums: &[(&str, &Sums)],
+    watch: &mut dyn Watch,
+) -> Result<Joined, Failure> {
+    let mut work = Work::new(watch);
+    let next = together(theta, sums, spec)?;
+    let provenance = Provenance {
+        model_digest: Some(spec.digest.clone()),
+        model: spec.describe(),
+        files: Vec::new(),
+        seconds: work.seconds(),
+        of_estimates: spec.model.phases.iter().any(|phase| phase.filter.is_some()),
+    };
+    let asks = Asks { settings: Settings { criterion, ..Settings::default() }, ..Asks::default() };
+    let found = kalfit::shards::go_on(&spec.model, &asks, next.known.clone(), provenance, &mut work);
+    match found.map_err(SumsError::from)? {
+        Next::Asks(ask) => Ok(Joined::Asks(Box::new(Theta { ask, ..next }))),
+        Next::Ends(mut record) => {
+            record.notes.splice(0..0, spec.questions());
+            Ok(Joined::Ends(record))
+        }
+    }
+}
+
+/// Of sums of some tests that are there before, the first, and where they were. Counts may well be alike.
+fn twice(sums: &[Sums]) -> Option<(usize, usize)> {
+    let counts = |asked: &Asked| matches!(asked.question, Question::Observability { .. });
+    let same = |one: &Sums, other: &Sums| one.tests > 0 && one == other && !one.theta.ask.iter().all(counts);
+    let before = |at: usize| sums[..at].iter().position(|other| same(other, &sums[at]));
+    (0..sums.len()).find_map(|at| Some((at, before(at)?)))
+}
+
+/// What is known after a round.
+fn together(theta: Theta, sums: &[(&str, &Sums)], spec: &Spec) -> Result<Theta, SumsError> {
+    let bare = theta.bare();
+    let Some(&(first, _)) = sums.first() else { return Err(ShardError::NoTests.into()) };
+    for &(file, own) in sums {
+        own.theta.check(file, spec)?;
+        let (file, first) = (file.to_owned(), first.to_owned());
+        if own.theta.round != theta.round {
+            return Err(SumsError::Round { file, found: own.theta.round, first, expected: theta.round });
+        }
+        if own.theta != theta && own.theta != bare {
+            return Err(SumsError::Fit { file, first, round: theta.round });
+        }
+        if own.answers.len() != theta.ask.len() {
+            return Err(SumsError::Answers { file });
+        }
+    }
+    let found = [sums.len(), sums.iter().map(|(_, sums)| sums.tests).sum()];
+    if let Some(expected) = theta.places.filter(|expected| *expected != found) {
+        let ([found, found_tests], [places, tests]) = (found, expected);
+        return Err(SumsError::Places { found, found_tests, places, tests });
+    }
+    let mut known = theta.known;
+    for (k, asked) in theta.ask.into_iter().enumerate() {
+        let answers: Vec<Answer> = sums.iter().map(|(_, sums)| sums.answers[k].clone()).collect();
+        let length = |answer: &Answer| answer.as_ref().map(Vec::len);
+        let odd = answers.iter().position(|answer| answer.is_some() && length(answer) != length(&answers[0]));
+        let file = sums[odd.unwrap_or(0)].0.to_owned();
+        known.push((asked, sum(&answers).ok_or(SumsError::Answers { file })?));
+    }
+    Ok(Theta { round: theta.round + 1, places: Some(found), ask: Vec::new(), known, ..theta })
+}

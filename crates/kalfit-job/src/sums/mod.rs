@@ -1,0 +1,11 @@
+//! Fits by sums: `kalfit sums` where tests are, `kalfit join` between such places, and the same for whoever moves sums in another way.
+
+mod error;
+mod join;
+mod site;
+mod theta;
+
+pub use error::SumsError;
+pub use join::{JoinJob, Joined, Round, first, join, of_partitions};
+pub use site::{Site, Summed, SumsJob, sums};
+pub use theta::{Sums, Theta};

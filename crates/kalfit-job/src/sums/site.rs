@@ -1,0 +1,123 @@
+//! `kalfit sums`: what one place answers.
+
+use std::path::PathBuf;
+
+use kalfit::dynamic::Settings;
+use kalfit::shards::Shard;
+use kalfit_data::Datum;
+use kalfit_spec::Spec;
+
+use crate::document::Document;
+use crate::evidence::Given;
+use crate::failure::Failure;
+use crate::job::{Done, ModelJob, files};
+use crate::output::Output;
+use crate::sums::error::SumsError;
+use crate::sums::theta::{SUMS, Sums, Theta};
+use crate::work::{Watch, Work};
+use crate::{memory, model, tests};
+
+/// Make the sums that are asked for.
+#[derive(Debug, Clone)]
+pub struct SumsJob {
+    /// The model.
+    pub model: ModelJob,
+    /// The data of this place.
+    pub data: Vec<Datum>,
+    /// What is asked for; the first round when none.
+    pub at: Option<Document>,
+    /// Sums of fewer tests are not told.
+    pub at_least: usize,
+    /// File for the sums.
+    pub out: PathBuf,
+}
+
+/// Sums that were made.
+#[derive(Debug)]
+pub struct Summed {
+    /// Number of tests.
+    pub tests: usize,
+    /// Rounds before this one.
+    pub round: usize,
+}
+
+/// The tests of one place, read.
+#[derive(Debug)]
+pub struct Site {
+    spec: Spec,
+    shard: Shard,
+    /// What the user should know.
+    pub notes: Vec<String>,
+}
+
+impl Site {
+    /// Reads the data of a place.
+    ///
+    /// # Errors
+    /// Bad input, a model that is not fitted by sums, or [`Failure::Interrupted`].
+    pub fn open(job: &ModelJob, data: &[Datum], watch: &mut dyn Watch) -> Result<Site, Failure> {
+        let mut spec = model::load(job, data)?;
+        let given = Given::open(&mut spec, data)?;
+        Site::read(spec, &given, &mut Work::new(watch))
+    }
+
+    fn read(spec: Spec, given: &Given, work: &mut Work<'_>) -> Result<Site, Failure> {
+        memory::suffices(&spec)?;
+        let (tests, reading) = tests::read(&spec, given, work)?;
+        let shard =
+            Shard::new(spec.model.clone(), &reading.labels, tests, Settings::default()).map_err(SumsError::from)?;
+        Ok(Site { spec, shard, notes: given.notes.clone() })
+    }
+
+    /// Number of tests.
+    pub fn tests(&self) -> usize {
+        self.shard.tests()
+    }
+
+    /// What is asked for first.
+    ///
+    /// # Errors
+    /// A model that is not fitted by sums.
+    pub fn first(&self) -> Result<Theta, Failure> {
+        Ok(Theta::first(&self.spec)?)
+    }
+
+    /// What this place answers; messages call what is asked `name`.
+    ///
+    /// # Errors
+    /// What is asked is of another model or of another version.
+    pub fn answer(&self, theta: Theta, name: &str) -> Result<Sums, Failure> {
+        theta.check(name, &self.spec)?;
+        let answers = theta.ask.iter().map(|asked| self.shard.answer(asked)).collect::<Result<_, _>>();
+        let answers = answers.map_err(SumsError::from)?;
+        Ok(Sums { schema: SUMS.schema.to_owned(), tests: self.tests(), answers, theta })
+    }
+}
+
+/// Makes the sums that are asked for, and writes them.
+///
+/// # Errors
+/// Bad input, fewer tests than may be told of, what is asked is of another model or version, or [`Failure::Interrupted`].
+pub fn sums(job: &SumsJob, watch: &mut dyn Watch) -> Result<Done<Summed>, Failure> {
+    let mut spec = model::load(&job.model, &job.data)?;
+    let theta = job.at.as_ref().map(Theta::read).transpose()?;
+    let given = Given::open(&mut spec, &job.data)?;
+    let documents: Vec<&Document> = std::iter::once(&job.model.document).chain(&job.at).collect();
+    let output = Output::prepare(&job.out, &files(&documents, &given.inputs))?;
+    let mut work = Work::new(watch);
+    let name = job.at.as_ref().map_or_else(String::new, Document::name);
+    if let Some(theta) = &theta {
+        theta.check(&name, &spec)?; // before the data are read
+    }
+    let site = Site::read(spec, &given, &mut work)?;
+    let (found, least) = (site.tests(), job.at_least);
+    if found < least {
+        return Err(SumsError::Few { found, least }.into());
+    }
+    work.go_on()?;
+    work.say(|| "sums over the tests".to_owned());
+    let theta = theta.map_or_else(|| site.first(), Ok)?;
+    let round = theta.round;
+    output.write(&site.answer(theta, &name)?)?;
+    Ok(Done::new(Summed { tests: found, round }, site.notes.clone(), vec![output.name()]))
+}
