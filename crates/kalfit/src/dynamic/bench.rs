@@ -18,7 +18,7 @@ use crate::dynamic::{Coordinate, DynamicError, Settings};
 use crate::ensemble::Grouping;
 use crate::estimate::{self, Criterion, Estimate, FitError, InitialLaw, NoiseInformation, Silent, Structure};
 use crate::model::{Alpha, PhasedModel, Population, Slots};
-use crate::reduce::{Evidence, PhasedReducer, PhasedTest, Reductions, grouping};
+use crate::reduce::{Blocks, Evidence, Filtered, PhasedReducer, PhasedTest, Reductions, grouping};
 use crate::remote::{Answers, Question, Remote};
 use crate::score::{Companies, Gradient, Levels, PhasedComplete, PhasedScorer, carried};
 
@@ -45,6 +45,7 @@ pub(crate) struct Bench<'a> {
     /// What is known of the tests, where they are elsewhere.
     answers: Option<Arc<Answers>>,
     companies: OnceLock<Companies>,
+    blocks: OnceLock<Option<Arc<Blocks>>>,
     filter_passes: AtomicUsize,
     score_passes: AtomicUsize,
     passes: AtomicUsize,
@@ -55,6 +56,8 @@ pub(crate) struct Reduced {
     /// What made the reductions; `None` where they were scaled from another α.
     reducer: Option<PhasedReducer>,
     pub(crate) reductions: Reductions,
+    /// Tests that are kept side by side.
+    filtered: Option<Filtered>,
 }
 
 /// ℓ at α with its gradient, at the best (μ, Σ).
@@ -135,6 +138,7 @@ impl<'a> Bench<'a> {
             scale: Scale::of(model, tests, slots),
             answers: None,
             companies: OnceLock::new(),
+            blocks: OnceLock::new(),
             filter_passes: zero(),
             score_passes: zero(),
             passes: zero(),
@@ -237,25 +241,42 @@ impl<'a> Bench<'a> {
         if let Some(answers) = &self.answers {
             self.filter_passes.fetch_add(1, Ordering::Relaxed);
             let remote = Remote { values: values.to_vec(), answers: answers.clone() };
-            return Ok(Reduced { reducer: None, reductions: Reductions::elsewhere(remote) });
+            return Ok(Reduced { reducer: None, reductions: Reductions::elsewhere(remote), filtered: None });
         }
         if let Some(scale) = &self.scale
-            && let Some(reductions) = scale.reductions(values[0], &|value| Ok(self.filter(&[value])?.1))?
+            && let Some(reductions) = scale.reductions(values[0], &|value| Ok(self.filter(&[value])?.reductions))?
         {
-            return Ok(Reduced { reducer: None, reductions });
+            return Ok(Reduced { reducer: None, reductions, filtered: None });
         }
-        let (reducer, reductions) = self.filter(values)?;
-        Ok(Reduced { reducer: Some(reducer), reductions })
+        self.filter(values)
     }
 
     /// Runs the filters.
-    fn filter(&self, values: &[f64]) -> Result<(PhasedReducer, Reductions), DynamicError> {
+    fn filter(&self, values: &[f64]) -> Result<Reduced, DynamicError> {
         // where one value scales all noise, scores are known without a backward pass
         let made = if self.scale.is_some() { PhasedReducer::passing } else { PhasedReducer::scoring };
         let mut reducer = made(self.model, &self.alpha(values), self.slots).map_err(Box::new)?;
         self.filter_passes.fetch_add(1, Ordering::Relaxed);
-        let reductions = reducer.reduce(self.tests).map_err(Box::new)?;
-        Ok((reducer, reductions))
+        let (reductions, filtered) = match self.blocks(&reducer) {
+            Some(blocks) => {
+                let (reductions, filtered) = reducer.reduce_blocks(self.tests, blocks).map_err(Box::new)?;
+                (reductions, Some(filtered))
+            }
+            None => (reducer.reduce(self.tests).map_err(Box::new)?, None),
+        };
+        Ok(Reduced { reducer: Some(reducer), reductions, filtered })
+    }
+
+    /// Tests with designs of their own, side by side, which does not depend on α.
+    fn blocks(&self, reducer: &PhasedReducer) -> Option<&Arc<Blocks>> {
+        if self.scale.is_some() {
+            return None; // the filters hardly run
+        }
+        if self.blocks.get().is_none() {
+            let scorer = PhasedScorer::new(self.model, reducer, self.slots).ok()?;
+            let _ = self.blocks.set(scorer.blocks(self.tests, self.companies(&scorer)).map(Arc::new));
+        }
+        self.blocks.get()?.as_ref()
     }
 
     /// ℓ(α) and its gradient; `near` is a population near the best one.
@@ -296,7 +317,7 @@ impl<'a> Bench<'a> {
     ) -> Result<Option<AtScale>, DynamicError> {
         let Some(scale) = &self.scale else { return Ok(None) };
         let how = (&self.structure(alpha), near, &self.settings.inner);
-        let run = |value| Ok(self.filter(&[value])?.1);
+        let run = |value| Ok(self.filter(&[value])?.reductions);
         let found = scale.fit((values[0], self.coordinates[0]), (far, &run), how)?;
         let found = found.filter(|at| at.gradient.is_finite());
         found.iter().for_each(|at| self.count_passes(&at.estimate));
@@ -333,7 +354,7 @@ impl<'a> Bench<'a> {
 
     /// The same with the filters run at these very values, which keeps all digits however far they are from others.
     pub(crate) fn filtered_value(&self, values: &[f64]) -> Option<f64> {
-        let reductions = self.filter(values).ok()?.1;
+        let reductions = self.filter(values).ok()?.reductions;
         let estimate = self.inner(&reductions, &self.alpha(values), None).ok()?;
         Some(estimate.log_likelihood).filter(|value| value.is_finite())
     }
@@ -438,7 +459,7 @@ impl<'a> Bench<'a> {
         reduced: &Reduced,
         law: &InitialLaw,
     ) -> Result<Vec<Gradient>, DynamicError> {
-        let Reduced { reducer, reductions } = reduced;
+        let Reduced { reducer, reductions, filtered } = reduced;
         if let Some(remote) = reductions.remote() {
             self.score_passes.fetch_add(1, Ordering::Relaxed);
             let sum = remote.ask(Question::Score { law: law.told() }).filter(|sum| sum.len() == values.len());
@@ -455,7 +476,8 @@ impl<'a> Bench<'a> {
         let reducer = reducer.as_ref().or(fresh.as_ref()).expect("one of them is there");
         self.score_passes.fetch_add(1, Ordering::Relaxed);
         let scorer = PhasedScorer::new(self.model, reducer, self.slots).map_err(Box::new)?;
-        let mut scores = scorer.scores(self.tests, reductions, law, self.companies(&scorer)).map_err(Box::new)?;
+        let known = (self.companies(&scorer), filtered.as_ref());
+        let mut scores = scorer.scores(self.tests, reductions, law, known).map_err(Box::new)?;
         self.edges.pull(values, &self.alpha(values), self.slots, &mut scores);
         let alpha = |values: &[f64]| self.alpha(values);
         let around = Around { model: self.model, tests: self.tests, slots: self.slots, alpha: &alpha };

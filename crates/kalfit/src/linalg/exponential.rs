@@ -4,8 +4,10 @@
 //! Q ← Q + φQφ', Γ ← Γ + φΓ, φ ← φ². No exp(+δ/τ) is ever formed, so steps far longer than the time constants are exact.
 
 mod backward;
+mod lanes;
 
-pub(crate) use backward::{flow_adjoint, scalar_adjoint, stationary_adjoint};
+pub(crate) use backward::{flow_adjoint, scalar_adjoint, scalar_slope, stationary_adjoint};
+pub(crate) use lanes::scalar_flows;
 
 /// φ, Γ, Q of one step; each m × m, row-major.
 #[derive(Debug, Clone, PartialEq)]

@@ -31,11 +31,12 @@
 //! What is left of an ensemble stands in columns ([`Reductions`]). Many tests are reduced side by side (batch, [`kalfit_lanes`]). A
 //! test whose cells are those of one before it, measured values apart, is not evaluated (recognise), and tests of one design have one
 //! data pass (lanes); tests of designs of their own have one design pass and one data pass, if their designs have one shape (queue,
-//! lanes). No bit depends on the company.
+//! lanes). No bit depends on the company. Where α is sought, tests with designs of their own stay in lanes for all its values (blocks).
 //!
 //! Long uniform records cost little: equal steps are one run of the design, S, K, T are kept once from where they no longer
 //! change (settling), J then grows in closed form, and the data pass is a linear scan (scan).
 
+mod blocks;
 mod carry;
 mod chain;
 mod class;
@@ -103,6 +104,7 @@ pub use split::SplitError;
 pub use suboptimal::{EstimateReducer, FilterRunner, Lost, LostError, lost};
 pub use terminal::Terminal;
 
+pub(crate) use blocks::{Blocks, Filtered, FilteredBlock};
 pub(crate) use carry::Inherits;
 pub(crate) use data::Data;
 pub(crate) use design::{Design, Frame, Step, Stretch, Transition};
@@ -112,7 +114,7 @@ pub(crate) use instances::{Instance, Instances};
 pub(crate) use kernel::advance;
 pub(crate) use lanes::{Block, Gained, Woven, is_short, same_shape};
 pub(crate) use lines::{Lines, Waits};
-pub(crate) use motion::{Evaluated, Moves};
+pub(crate) use motion::{Evaluated, MotionBack, Moves};
 pub(crate) use observe::Unwhitened;
 pub(crate) use part::PhaseReducer;
 pub(crate) use phased::PhasedWork;

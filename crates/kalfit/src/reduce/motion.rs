@@ -1,6 +1,7 @@
 //! The transitions of a model's steps.
 
 mod backward;
+mod columns;
 
 use std::sync::Arc;
 
@@ -13,6 +14,7 @@ use crate::reduce::semidefinite::ldl;
 use crate::reduce::subject::{Fault, Subject};
 
 pub(crate) use backward::Evaluated;
+pub(crate) use columns::{MotionBack, MotionColumns, Transitions};
 
 /// How the entries of φ, Q and b follow from coefficients and from the flows of components. The flows stand one after the
 /// other: φ, Γ, Q of the first component, each m × m, then of the next.
@@ -76,6 +78,11 @@ fn mover(dynamics: &Dynamics, state: usize) -> Mover<'_> {
 }
 
 impl Plan {
+    /// A transition of zeros.
+    pub(crate) fn blank(&self) -> Transition {
+        Transition::new(self.pattern.clone(), vec![0.0; self.phi.len()], vec![0.0; self.q.len()])
+    }
+
     pub(crate) fn new(dynamics: &Dynamics, order: &Order) -> Plan {
         let mut offsets = Vec::new();
         let mut size = 0;

@@ -3,10 +3,13 @@
 mod batch;
 mod whole;
 
+use std::sync::Arc;
+
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
 use crate::model::{Alpha, Model, PhasedModel, Slots};
+use crate::reduce::blocks::{Blocks, Filtered};
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
 use crate::reduce::part::{Part, PhaseReducer, Place, refuse};
 use crate::reduce::prepare::Workspace;
@@ -124,6 +127,23 @@ impl PhasedReducer {
         };
         let rows = phase.is_optimal().then(|| tests.iter().map(rows).collect::<Option<Vec<_>>>())??;
         Some((phase, rows))
+    }
+
+    /// The tests of a single phase with designs of their own, to be kept side by side: of those with the numbers `alone`. `shared`:
+    /// some of each kind of the others.
+    pub(crate) fn blocks(&self, tests: &[PhasedTest], alone: &[usize], shared: &[usize]) -> Option<Blocks> {
+        let (phase, rows) = self.plain(tests)?;
+        Some(Blocks::new(&phase.reducer, &rows, alone, shared)).filter(|blocks| !blocks.is_empty())
+    }
+
+    /// As [`PhasedReducer::reduce`], the tests of a single phase in their blocks.
+    pub(crate) fn reduce_blocks(
+        &self,
+        tests: &[PhasedTest],
+        blocks: &Arc<Blocks>,
+    ) -> Result<(Reductions, Filtered), ReduceError> {
+        let (phase, rows) = self.plain(tests).expect("only tests of a single phase are in blocks");
+        blocks.reduce(&phase.reducer, &rows)
     }
 
     /// The phases of tests, each by itself in its entering coordinates.

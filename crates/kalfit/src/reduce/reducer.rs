@@ -288,6 +288,26 @@ impl Reducer {
         work: &mut Workspace,
     ) -> Result<(Reduction, Class), Box<Fault>> {
         let class = self.class(digest, work);
+        self.told(test, (digest, class), work)
+    }
+
+    /// The reduction of a test whose design is known to call for square-root arrays.
+    pub(crate) fn rooted(&self, test: &Test, work: &mut Workspace) -> Result<Reduction, ReduceError> {
+        let found = self.preparer.prepare(test, work).and_then(|()| {
+            let digest = work.design.digest();
+            let class = self.class_of((digest, &work.design), |design| self.root(design));
+            self.told(test, (digest, class), work)
+        });
+        found.map(|(reduction, _)| reduction).map_err(|fault| self.named(*fault, test))
+    }
+
+    /// The reduction of the test in the work space, of this class.
+    fn told(
+        &self,
+        test: &Test,
+        (digest, class): (u128, Made),
+        work: &mut Workspace,
+    ) -> Result<(Reduction, Class), Box<Fault>> {
         let gains = class.value().as_ref().map_err(|&error| root_fault(error, &work.instances))?;
         let outcome = own_outcome(gains, work).map_err(|miss| {
             let Instance { meter, row } = work.instances.get(miss.row);
@@ -348,17 +368,21 @@ impl Reducer {
     /// The design class of the test in the work space.
     fn class(&self, digest: u128, work: &mut Workspace) -> Made {
         let Workspace { design, gains, block, room, gained, .. } = work;
-        let mut work = GainsRoom { gains, block, room, gained };
-        self.classes.get(
-            digest,
-            |known| known.same(design),
-            || design.clone(),
-            |design| {
-                self.design_runs.fetch_add(1, Ordering::Relaxed);
-                self.information(design, &mut work).map_or_else(|| self.root(design), Ok)
-            },
-            class_bytes,
-        )
+        let mut room = GainsRoom { gains, block, room, gained };
+        let make = |design: &Design| self.information(design, &mut room).map_or_else(|| self.root(design), Ok);
+        self.class_of((digest, design), make)
+    }
+
+    fn class_of(
+        &self,
+        (digest, design): (u128, &Design),
+        make: impl FnOnce(&Design) -> Result<Gains, RootError>,
+    ) -> Made {
+        let counted = |design: &Design| {
+            self.design_runs.fetch_add(1, Ordering::Relaxed);
+            make(design)
+        };
+        self.classes.get(digest, |known| known.same(design), || design.clone(), counted, class_bytes)
     }
 }
 

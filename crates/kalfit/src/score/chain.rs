@@ -10,6 +10,7 @@
 //! run of equal cells. The cost does not depend on the number of free values.
 
 mod adjoints;
+mod columns;
 mod equal_steps;
 mod gradient;
 mod groups;
@@ -67,6 +68,12 @@ struct MeterTaps {
     constant: Option<usize>,
     /// (kernel state, tap).
     terms: Vec<(usize, usize)>,
+}
+
+impl MeterTaps {
+    fn taps(&self) -> impl Iterator<Item = usize> {
+        self.noise.into_iter().chain(self.constant).chain(self.terms.iter().map(|&(_, tap)| tap))
+    }
 }
 
 #[derive(Debug, Clone, Copy, Default)]

@@ -106,6 +106,17 @@ pub(crate) fn moments(reduction: ReductionRef<'_>, law: &InitialLaw) -> Moments 
 }
 
 impl Moments {
+    /// With so many columns of C, those beyond its own zero.
+    pub(crate) fn widened(mut self, columns: usize) -> Moments {
+        if columns > self.columns {
+            let rows = (0..self.mean.len()).map(|i| &self.root[i * self.columns..(i + 1) * self.columns]);
+            let rest = vec![0.0; columns - self.columns];
+            self.root = rows.flat_map(|row| row.iter().chain(&rest).copied()).collect();
+            self.columns = columns;
+        }
+        self
+    }
+
     /// x̂ of another test with the same R under the same law, which must not be a restricted one: μ + CC'R'(d - Rμ).
     pub(crate) fn mean_of(&self, reduction: ReductionRef<'_>, law: &InitialLaw) -> Vec<f64> {
         let (p, factor) = (self.mean.len(), |i: usize, k: usize| reduction.factor[i + k * (k + 1) / 2]);

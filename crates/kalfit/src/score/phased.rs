@@ -8,6 +8,7 @@
 //! Phases that are known by estimates or by a reduction have no part in it.
 
 mod apart;
+mod blocks;
 #[cfg(test)]
 mod tests;
 mod together;
@@ -20,7 +21,8 @@ use crate::ensemble::Test;
 use crate::estimate::InitialLaw;
 use crate::model::{EvaluationError, PhasedModel, Slots, Tape};
 use crate::reduce::{
-    Evidence, Fault, Inherits, PhasedReducer, PhasedTest, PhasedWork, ReduceError, ReductionRef, Reductions, Shared,
+    Evidence, Fault, Filtered, Inherits, PhasedReducer, PhasedTest, PhasedWork, ReduceError, ReductionRef, Reductions,
+    Shared,
 };
 use crate::score::backward::BackwardWork;
 use crate::score::chain::{Adjoints, Gradient};
@@ -75,17 +77,17 @@ impl<'a> PhasedScorer<'a> {
     }
 
     /// dℓ_j/dα of each test through the phases that are filtered here. `reductions`: theirs; `law`: that of ξ; `companies`: which of
-    /// them are alike.
+    /// them are alike; `filtered`: those that are kept side by side, after their filters.
     pub(crate) fn scores(
         &self,
         tests: &[PhasedTest],
         reductions: &Reductions,
         law: &InitialLaw,
-        companies: &Companies,
+        (companies, filtered): (&Companies, Option<&Filtered>),
     ) -> Result<Vec<Gradient>, ReduceError> {
         let plans = Shared::new(PLAN_BYTES);
         let mut scores: Vec<(usize, Result<Gradient, ReduceError>)> =
-            self.in_companies(tests, reductions, (law, &plans), companies);
+            self.in_companies(tests, reductions, (law, &plans), (companies, filtered));
         scores.sort_unstable_by_key(|(number, _)| *number);
         scores.into_iter().map(|(_, score)| score).collect()
     }

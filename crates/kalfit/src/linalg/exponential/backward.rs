@@ -1,5 +1,7 @@
 //! Adjoints of motions and of their stationary laws: from ∂ℓ/∂(φ, Γ, Q) to ∂ℓ/∂(F, Q_c). The sums and doublings run backwards.
 
+use kalfit_lanes::{Lanes, MOST};
+
 use super::{Doubling, FlowError, accumulate, product, product_into, scale, scaling, stationary, stationary_discrete};
 
 /// (∂ℓ/∂F, ∂ℓ/∂Q_c) of [`flow`](super::flow). Shapes: all m × m, row-major; `bars`: ∂ℓ/∂φ, ∂ℓ/∂Γ, ∂ℓ/∂Q, each place by itself;
@@ -32,6 +34,26 @@ pub(crate) fn scalar_adjoint(f: f64, q: f64, step: f64, [phi, gamma, noise]: [f6
     let f_bar =
         part(phi, &|| step * (f * step).exp()) + part(gamma, &|| slope(f)) + part(noise * q, &|| 2.0 * slope(2.0 * f));
     [f_bar, if noise == 0.0 { 0.0 } else { noise * integral(2.0 * f) }]
+}
+
+/// ∂/∂x of I = expm1(xδ)/x, side by side, where exp(xδ) and I are known.
+#[inline(always)]
+pub(crate) fn scalar_slope<T: Lanes>(rate: T, step: T, (power, integral): (T, T)) -> T {
+    let x = rate * step;
+    let mut near = T::splat(0.0);
+    for slope in SLOPES.iter().rev() {
+        near = near.fma(x, T::splat(*slope));
+    }
+    near = step * step * near;
+    if x.magnitude().at_most(T::splat(1.0)) {
+        return near;
+    }
+    let far = (step * power - integral) / rate;
+    let mut all = [0.0; MOST];
+    for lane in 0..T::COUNT {
+        all[lane] = if x.lane(lane).abs() < 1.0 { near.lane(lane) } else { far.lane(lane) };
+    }
+    T::load(&all)
 }
 
 /// Terms of g'(x): what is left out is below the last digit for |x| < 1.
@@ -280,6 +302,19 @@ mod tests {
         // Far longer than the time constant nothing of φ is left, and Γ = -1/f, Q = -q/2f.
         let (far, noise) = flow_adjoint(&[-1e300], &[2.0], 1, 1e20, [&[1.0], &[1.0], &[1.0]]).expect("finite");
         assert_eq!((far[0], noise[0]), (0.0, 5e-301));
+    }
+
+    #[test]
+    fn slopes_side_by_side_are_those_of_one_state() {
+        for (rate, step) in
+            [(-0.3, 0.7), (-1e-9, 1.0), (0.0, 2.0), (-4.0, 0.251), (-40.0, 3.0), (2.5, 1.0), (-3.0, 0.0)]
+        {
+            let [_, integral, _] = crate::linalg::exponential::scalar_flow(rate, 0.0, step);
+            let found = scalar_slope::<f64>(rate, step, ((rate * step).exp(), integral));
+            let [expected, _] = scalar_adjoint(rate, 0.0, step, [0.0, 1.0, 0.0]);
+            let off = (found - expected).abs() / expected.abs().max(1e-300);
+            assert!(off < 1e-14, "rate {rate}, step {step}: {found} for {expected}");
+        }
     }
 
     #[test]

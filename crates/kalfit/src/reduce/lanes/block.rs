@@ -78,6 +78,14 @@ impl Block {
         gained.gains((0, self.isa.lanes()), design.rows())
     }
 
+    /// Starts, inputs and values, to be changed.
+    pub(super) fn numbers_mut(&mut self) -> [&mut [f64]; 3] {
+        let lanes = self.isa.lanes();
+        let (start, rest) = self.numbers.split_at_mut(self.inputs * lanes);
+        let (inputs, values) = rest.split_at_mut((self.values - self.inputs) * lanes);
+        [start, inputs, values]
+    }
+
     pub(super) fn side(&self) -> Side<'_> {
         let (start, rest) = self.numbers.split_at(self.inputs * self.isa.lanes());
         let (inputs, values) = rest.split_at((self.values - self.inputs) * self.isa.lanes());

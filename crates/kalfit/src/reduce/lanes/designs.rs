@@ -79,15 +79,63 @@ impl Kernel for Filters<'_> {
     fn run<T: Lanes>(self) {
         let Filters { designs, longest, data, gained, room } = self;
         gained.load::<T>(designs, longest);
-        let sums = gained.filter::<T>(longest);
-        gained.finish(&sums, designs.len());
+        Loaded { design: longest, tests: designs.len(), data, gained, room }.run::<T>();
+    }
+}
+
+/// The same of designs whose numbers are in lanes already: so many of them, of the shape of `design`.
+pub(super) struct Loaded<'a> {
+    pub(super) design: &'a Design,
+    pub(super) tests: usize,
+    pub(super) data: Option<Side<'a>>,
+    pub(super) gained: &'a mut Gained,
+    pub(super) room: &'a mut Room,
+}
+
+impl Kernel for Loaded<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<T: Lanes>(self) {
+        let Loaded { design, tests, data, gained, room } = self;
+        let sums = gained.filter::<T>(design);
+        gained.finish(&sums, tests);
         if let Some(data) = data {
-            innovate::<T, _>(longest, gained, data, room);
+            innovate::<T, _>(design, gained, data, room);
         }
     }
 }
 
 impl Gained {
+    /// Of designs that are all as long as this one, each step a run: numbers of zero, but noises of one.
+    pub(super) fn blank(design: &Design, lanes: usize) -> Gained {
+        let pattern = pattern(design).cloned().unwrap_or_default();
+        let mut transitions = 0_usize;
+        let mut number = |run: &Run| {
+            transitions += usize::from(run.transition.is_some());
+            transitions.saturating_sub(1)
+        };
+        let moves: Vec<usize> = design.runs.iter().map(&mut number).collect();
+        Gained {
+            variance: vec![0.0; design.variance.len() * lanes],
+            h: vec![0.0; design.states.len() * lanes],
+            noise: vec![1.0; design.rows() * lanes],
+            moves,
+            phi: vec![0.0; transitions * pattern.columns.len() * lanes],
+            q: vec![0.0; transitions * pattern.pairs.len() * lanes],
+            terms: pattern.columns.len(),
+            runs: [design.runs.len(); MOST],
+            shortest: design.runs.len(),
+            ..Gained::default()
+        }
+    }
+
+    /// P0, h, R, φ and Q, to be changed.
+    pub(super) fn numbers_mut(&mut self) -> [&mut [f64]; 5] {
+        let Gained { variance, h, noise, phi, q, .. } = self;
+        [variance, h, noise, phi, q]
+    }
+
     /// The numbers of the designs, side by side.
     #[inline(always)]
     fn load<T: Lanes>(&mut self, designs: &[&Design], longest: &Design) {

@@ -6,6 +6,7 @@
 
 mod block;
 mod designs;
+mod kept;
 mod numbers;
 mod pass;
 mod room;
@@ -14,6 +15,7 @@ mod woven;
 
 pub(crate) use block::Block;
 pub(crate) use designs::{Gained, same_shape};
+pub(crate) use kept::{Columns, Kept};
 pub(crate) use room::Room;
 pub(crate) use woven::Woven;
 

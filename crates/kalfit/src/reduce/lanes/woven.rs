@@ -1,7 +1,5 @@
 //! Designs of one shape, their gains and their data as numbers side by side, for passes that are not the reduction's own.
 
-use std::sync::Arc;
-
 use kalfit_lanes::Lanes;
 
 use crate::reduce::design::{Design, Transition};
@@ -12,8 +10,13 @@ use crate::reduce::lanes::numbers::{Numbers, at};
 /// A test in each lane. Where one is shorter than the longest it goes on with measurements that say nothing, and transitions that
 /// forget everything.
 #[derive(Debug)]
-pub(crate) struct Woven<T> {
-    pub(crate) design: Design<T>,
+pub(crate) struct Woven<'a, T> {
+    /// Of the longest: its numbers do not count.
+    pub(crate) shape: &'a Design,
+    gained: &'a Gained,
+    pub(crate) variance: Vec<T>,
+    h: Vec<T>,
+    noise: Vec<T>,
     pub(crate) start: Vec<T>,
     pub(crate) inputs: Vec<T>,
     pub(crate) values: Vec<T>,
@@ -22,7 +25,15 @@ pub(crate) struct Woven<T> {
     sizes: (usize, usize),
 }
 
-impl<T: Lanes> Woven<T> {
+impl<T: Lanes> Woven<'_, T> {
+    /// (states, h, R) of a line.
+    #[inline(always)]
+    pub(crate) fn line(&self, line: usize) -> (&[u32], &[T], T) {
+        let start = if line == 0 { 0 } else { self.shape.ends[line - 1] };
+        let terms = start..self.shape.ends[line];
+        (&self.shape.states[terms.clone()], &self.h[terms], self.noise[line])
+    }
+
     /// 1/S, K, T of a row.
     #[inline(always)]
     pub(crate) fn row(&self, row: usize) -> (T, &[T], &[T]) {
@@ -30,15 +41,42 @@ impl<T: Lanes> Woven<T> {
         let own = &self.gains[row * (1 + r + p)..][..1 + r + p];
         (own[0], &own[1..=r], &own[1 + r..])
     }
+
+    /// Room for a transition.
+    #[inline(always)]
+    pub(crate) fn transition(&self) -> Transition<T> {
+        let zero = T::splat(0.0);
+        let (pattern, phi, q) = match self.shape.moves.first() {
+            Some(like) => (like.pattern.clone(), like.phi.len(), like.q.len()),
+            None => Default::default(),
+        };
+        Transition { pattern, phi: vec![zero; phi], q: vec![zero; q], digest: None }
+    }
+
+    /// Takes the transition of a run; false, and nothing is taken, where it has none.
+    #[inline(always)]
+    pub(crate) fn take(&self, run: usize, transition: &mut Transition<T>) -> bool {
+        if self.shape.runs[run].transition.is_none() {
+            return false;
+        }
+        let Transition { phi, q, .. } = transition;
+        for term in 0..phi.len() {
+            phi[term] = self.gained.phi(run, term);
+        }
+        let first = self.gained.transition(run) * q.len();
+        for pair in 0..q.len() {
+            q[pair] = at(self.gained.process_noise(), first + pair);
+        }
+        true
+    }
 }
 
 impl Block {
     /// The tests of the block, after [`Block::filter`] into `gained`; `longest` as there.
     #[inline(always)]
-    pub(crate) fn woven<T: Lanes>(&self, longest: &Design, gained: &Gained) -> Woven<T> {
-        let frame = &longest.frame;
+    pub(crate) fn woven<'a, T: Lanes>(&self, longest: &'a Design, gained: &'a Gained) -> Woven<'a, T> {
         let side = self.side();
-        let (r, p) = (frame.r, frame.p);
+        let (r, p) = (longest.frame.r, longest.frame.p);
         let mut gains: Vec<T> = Vec::with_capacity(longest.rows() * (1 + r + p));
         for row in 0..longest.rows() {
             for k in 0..=r {
@@ -48,29 +86,9 @@ impl Block {
                 gains.push(at(Numbers::<T>::sensitivities(gained, row), k));
             }
         }
-        let mut design = Design::<T>::new(frame.clone());
-        (design.ends, design.states) = (longest.ends.clone(), longest.states.clone());
-        design.variance = all(gained.variance());
-        design.h = all(gained.coefficients());
-        design.noise = all(gained.noise());
-        design.runs.clone_from(&longest.runs);
-        for (run, own) in design.runs.iter_mut().enumerate() {
-            let Some(like) = own.transition.map(|number| &longest.moves[number as usize]) else { continue };
-            let number = gained.transition(run);
-            if number == design.moves.len() {
-                let (mut phi, mut q) = (Vec::with_capacity(like.phi.len()), Vec::with_capacity(like.q.len()));
-                for term in 0..like.phi.len() {
-                    phi.push(gained.phi(run, term));
-                }
-                for pair in 0..like.q.len() {
-                    q.push(at(gained.process_noise(), number * like.q.len() + pair));
-                }
-                design.moves.push(Arc::new(Transition { pattern: like.pattern.clone(), phi, q, digest: None }));
-            }
-            own.transition = Some(number as u32);
-        }
         let (start, inputs, values) = (all(side.start), all(side.inputs), all(side.values));
-        Woven { design, start, inputs, values, gains, sizes: (r, p) }
+        let (variance, h, noise) = (all(gained.variance()), all(gained.coefficients()), all(gained.noise()));
+        Woven { shape: longest, gained, variance, h, noise, start, inputs, values, gains, sizes: (r, p) }
     }
 }
 

@@ -73,8 +73,11 @@ impl Preparer {
         self.motion_scope(&self.at(), test, &work.moment(k, self.clock_previous()), cells)
     }
 
-    /// What the start was evaluated on.
+    /// What the start was evaluated on: nothing, when no test changes it.
     pub(crate) fn starting<'a>(&'a self, work: &'a Workspace) -> Scope<'a> {
+        if self.law.is_some() {
+            return Scope { numbers: &[], texts: &[], step: 0.0, alpha: &self.alpha };
+        }
         Scope { numbers: &work.whole.numbers, texts: &work.whole.texts, step: work.spans[0].dt, alpha: &self.alpha }
     }
 

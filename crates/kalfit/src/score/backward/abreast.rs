@@ -32,7 +32,7 @@ pub(crate) struct Abreast<'a> {
 
 /// The adjoints of all of them, each number of one test beside the same of the others.
 #[derive(Debug, Clone)]
-pub(crate) struct Bars {
+pub(crate) struct LaneBars {
     lanes: usize,
     /// ∂ℓ/∂R, ∂ℓ/∂(z - d) and, if it is wanted, ∂ℓ/∂h, of each measurement.
     rows: Vec<f64>,
@@ -53,21 +53,21 @@ pub(crate) fn fits(design: &Design, columns: usize, wanted: Wanted) -> bool {
 
 impl Abreast<'_> {
     /// Runs the pass.
-    pub(crate) fn pass(self) -> Bars {
+    pub(crate) fn pass(self) -> LaneBars {
         self.block.isa().run(self)
     }
 }
 
 impl Kernel for Abreast<'_> {
-    type Output = Bars;
+    type Output = LaneBars;
 
     #[inline(always)]
-    fn run<T: Lanes>(self) -> Bars {
+    fn run<T: Lanes>(self) -> LaneBars {
         let woven = self.block.woven::<T>(self.longest, self.gained);
         let root = abreast::<T>(self.moments.len(), |lane| &self.moments[lane].root);
         let mean = abreast::<T>(self.moments.len(), |lane| &self.moments[lane].mean);
         let columns = self.moments[0].columns;
-        let unknown = Unknown { frame: &woven.design.frame, root: &root, columns, wanted: self.wanted };
+        let unknown = Unknown { frame: &self.longest.frame, root: &root, columns, wanted: self.wanted };
         let forward = Forward::new(&woven, &mean, &unknown);
         let mut ending = None;
         if let Some(first) = self.endings.first() {
@@ -95,28 +95,29 @@ struct Forward<T> {
 }
 
 #[inline(always)]
-fn line<'a, T: Lanes>(woven: &'a Woven<T>, (line, row): (usize, usize)) -> Line<'a, T> {
-    let ((states, h), (weight, K, T)) = (woven.design.terms(line), woven.row(row));
-    Line { states, h, noise: woven.design.noise[line], weight, K, T }
+fn line<'a, T: Lanes>(woven: &'a Woven<'_, T>, (line, row): (usize, usize)) -> Line<'a, T> {
+    let ((states, h, noise), (weight, K, T)) = (woven.line(line), woven.row(row));
+    Line { states, h, noise, weight, K, T }
 }
 
 impl<T: Lanes> Forward<T> {
     #[inline(always)]
-    fn new(woven: &Woven<T>, mean: &[T], unknown: &Unknown<'_, T>) -> Forward<T> {
-        let (design, driven) = (&woven.design, unknown.frame.driven.len());
+    fn new(woven: &Woven<'_, T>, mean: &[T], unknown: &Unknown<'_, T>) -> Forward<T> {
+        let (design, driven) = (woven.shape, unknown.frame.driven.len());
         let (n, r) = (unknown.frame.n, unknown.frame.r);
         let stride = n + r * r + n * unknown.columns;
         let mut forward = Forward { e: Vec::with_capacity(design.rows()), left: vec![], before: vec![], stride };
         let mut now = Filtered::<T>::default();
-        now.begin(&Begin { start: &woven.start, variance: &design.variance, mean }, unknown);
+        now.begin(&Begin { start: &woven.start, variance: &woven.variance, mean }, unknown);
         let (mut input, mut row, mut first) = (0, 0, 0);
-        for run in &design.runs {
+        let mut transition = woven.transition();
+        for (at_run, run) in design.runs.iter().enumerate() {
             for _ in 0..run.count {
-                if let Some(transition) = design.transition(run) {
+                if woven.take(at_run, &mut transition) {
                     if unknown.wanted.motion {
                         now.save(&mut forward.left);
                     }
-                    now.advance(transition, &woven.inputs[input..input + driven], unknown);
+                    now.advance(&transition, &woven.inputs[input..input + driven], unknown);
                     input += driven;
                 }
                 for number in first..run.lines {
@@ -136,8 +137,8 @@ impl<T: Lanes> Forward<T> {
     }
 
     #[inline(always)]
-    fn back(self, woven: &Woven<T>, unknown: &Unknown<'_, T>, ending: Option<[&[T]; 3]>) -> Bars {
-        let (design, frame, wanted) = (&woven.design, unknown.frame, unknown.wanted);
+    fn back(self, woven: &Woven<'_, T>, unknown: &Unknown<'_, T>, ending: Option<[&[T]; 3]>) -> LaneBars {
+        let (design, frame, wanted) = (woven.shape, unknown.frame, unknown.wanted);
         let (n, zero) = (frame.n, T::splat(0.0));
         let sizes = (n, frame.r);
         let mut adjoint = Adjoint::<T>::default();
@@ -146,7 +147,7 @@ impl<T: Lanes> Forward<T> {
         let mut rows = vec![0.0; design.rows() * width * T::COUNT];
         let (mut moves, mut kinds) = (Vec::new(), [0; 3]);
         let (mut bar, mut moved) = (vec![zero; width], MovedBar::<T>::default());
-        let (mut transitions, mut row) = (0, design.rows());
+        let (mut transitions, mut row, mut transition) = (0, design.rows(), woven.transition());
         for run in &design.runs {
             transitions += if run.transition.is_some() { run.count } else { 0 };
         }
@@ -168,7 +169,9 @@ impl<T: Lanes> Forward<T> {
                         bar[k].store(&mut rows[(row * width + k) * T::COUNT..]);
                     }
                 }
-                let Some(transition) = design.transition(run) else { continue };
+                if !woven.take(at_run, &mut transition) {
+                    continue;
+                }
                 if moves.is_empty() {
                     kinds = [transition.phi.len(), transition.q.len(), frame.driven.len()];
                     moves.resize(transitions * kinds.iter().sum::<usize>() * T::COUNT, 0.0);
@@ -178,7 +181,7 @@ impl<T: Lanes> Forward<T> {
                 if wanted.motion {
                     left = Some(Seen::new(&self.left[transitions * self.stride..][..self.stride], sizes));
                 }
-                adjoint.moved(unknown, transition, left, &mut moved);
+                adjoint.moved(unknown, &transition, left, &mut moved);
                 let mut at = transitions * kinds.iter().sum::<usize>();
                 for list in [&moved.phi, &moved.q, &moved.input] {
                     for x in list {
@@ -191,7 +194,7 @@ impl<T: Lanes> Forward<T> {
         let mut variance = Vec::new();
         adjoint.variance(unknown, &mut variance);
         let (mean, variance) = (apart(&adjoint.r), apart(&variance));
-        Bars { lanes: T::COUNT, rows, moves, mean, variance, sizes: (width, kinds) }
+        LaneBars { lanes: T::COUNT, rows, moves, mean, variance, sizes: (width, kinds) }
     }
 }
 
@@ -211,7 +214,22 @@ pub(crate) struct StepBars {
     moved: MovedBar,
 }
 
-impl Bars {
+impl LaneBars {
+    /// ∂ℓ/∂R, ∂ℓ/∂(z - d) and, if it is wanted, ∂ℓ/∂h to all states, of each measurement; how many numbers those are.
+    pub(crate) fn rows(&self) -> (&[f64], usize) {
+        (&self.rows, self.sizes.0)
+    }
+
+    /// ∂ℓ/∂φ, ∂ℓ/∂Q and ∂ℓ/∂b of each transition; how many numbers those are.
+    pub(crate) fn moves(&self) -> (&[f64], usize) {
+        (&self.moves, self.sizes.1.iter().sum())
+    }
+
+    /// ∂ℓ/∂a and ∂ℓ/∂P0 of the test in a lane.
+    pub(crate) fn start(&self, lane: usize) -> [Vec<f64>; 2] {
+        [&self.mean, &self.variance].map(|all| all.iter().skip(lane).step_by(self.lanes).copied().collect())
+    }
+
     /// Those of the test in a lane, whose design this is, into the sink.
     pub(crate) fn send<S: Sink>(
         &self,
@@ -243,8 +261,8 @@ impl Bars {
                 }
             }
         }
-        let own = |all: &[f64]| -> Vec<f64> { all.iter().skip(lane).step_by(self.lanes).copied().collect() };
-        sink.started(&own(&self.mean), &own(&self.variance))
+        let [mean, variance] = self.start(lane);
+        sink.started(&mean, &variance)
     }
 
     /// Sums the adjoints of steps of so many measurements each.

@@ -51,6 +51,10 @@ impl Taps {
         Some(self.taps.len() - 1)
     }
 
+    pub(super) fn len(&self) -> usize {
+        self.taps.len()
+    }
+
     /// Cells that any of them reads.
     pub(super) fn all_reads(&self) -> Vec<Read> {
         let mut reads: Vec<Read> = self.taps.iter().flat_map(|tap| &tap.reads).copied().collect();

@@ -13,15 +13,15 @@ use crate::model::{
 };
 use crate::reduce::unpack;
 
-fn number(x: f64) -> Expression {
+pub(super) fn number(x: f64) -> Expression {
     Expression::Number(x)
 }
 
-fn column(c: usize) -> Expression {
+pub(super) fn column(c: usize) -> Expression {
     Expression::Column(c)
 }
 
-fn alpha(index: usize) -> Expression {
+pub(super) fn alpha(index: usize) -> Expression {
     Expression::Parameter(index)
 }
 
@@ -29,47 +29,47 @@ fn binary(operator: Operator, a: Expression, b: Expression) -> Expression {
     Expression::Binary(operator, Box::new(a), Box::new(b))
 }
 
-fn times(a: Expression, b: Expression) -> Expression {
+pub(super) fn times(a: Expression, b: Expression) -> Expression {
     binary(Operator::Multiply, a, b)
 }
 
-fn square(a: Expression) -> Expression {
+pub(super) fn square(a: Expression) -> Expression {
     binary(Operator::Power, a, number(2.0))
 }
 
-fn over(a: Expression, b: Expression) -> Expression {
+pub(super) fn over(a: Expression, b: Expression) -> Expression {
     binary(Operator::Divide, a, b)
 }
 
-fn linear(terms: Vec<(usize, Expression)>, constant: Expression) -> Linear {
+pub(super) fn linear(terms: Vec<(usize, Expression)>, constant: Expression) -> Linear {
     Linear { terms, constant }
 }
 
-fn state(name: &str, motion: Motion, initial: Initial) -> State {
+pub(super) fn state(name: &str, motion: Motion, initial: Initial) -> State {
     State { name: name.to_owned(), unit: None, motion, initial, offset: None, random: true }
 }
 
-fn known(mean: Expression, variance: Expression) -> Initial {
+pub(super) fn known(mean: Expression, variance: Expression) -> Initial {
     Initial::Known { mean, variance }
 }
 
-const TAU: usize = 0;
-const DRIFT: usize = 1;
-const NOISE: usize = 2; // by sensor
-const KEEP: usize = 3;
-const STEP: usize = 4;
-const START: usize = 5;
-const OFFSET: usize = 6;
-const INPUT: usize = 7;
-const CARRY: usize = 8;
-const KICK: usize = 9; // by sensor, constant within the phases that are kicked
-const VALUES: [f64; 12] = [1.3, 0.6, 0.5, 0.9, 0.8, 0.4, 0.7, 0.3, 0.2, 1.1, 0.35, -0.6];
+pub(super) const TAU: usize = 0;
+pub(super) const DRIFT: usize = 1;
+pub(super) const NOISE: usize = 2; // by sensor
+pub(super) const KEEP: usize = 3;
+pub(super) const STEP: usize = 4;
+pub(super) const START: usize = 5;
+pub(super) const OFFSET: usize = 6;
+pub(super) const INPUT: usize = 7;
+pub(super) const CARRY: usize = 8;
+pub(super) const KICK: usize = 9; // by sensor, constant within the phases that are kicked
+pub(super) const VALUES: [f64; 12] = [1.3, 0.6, 0.5, 0.9, 0.8, 0.4, 0.7, 0.3, 0.2, 1.1, 0.35, -0.6];
 
-const U: usize = 2;
-const W: usize = 3;
+pub(super) const U: usize = 2;
+pub(super) const W: usize = 3;
 
 /// Columns t, z, u, w (constant within a test); text columns phase, sensor, room (constant within a phase).
-fn model(states: Vec<State>, equation: Linear) -> Model {
+pub(super) fn model(states: Vec<State>, equation: Linear) -> Model {
     let named = |name: &&str| Column { name: (*name).to_owned(), used_in: String::new() };
     let parameter = |k: usize| Parameter {
         name: format!("a{k}"),
@@ -106,7 +106,7 @@ fn model(states: Vec<State>, equation: Linear) -> Model {
 }
 
 /// A Gauss-Markov state.
-fn drift(index: usize) -> Motion {
+pub(super) fn drift(index: usize) -> Motion {
     let rate = over(number(-1.0), alpha(TAU));
     let noise_variance = over(times(number(2.0), square(alpha(DRIFT))), alpha(TAU));
     Motion::Continuous { derivative: linear(vec![(index, rate)], number(0.0)), noise_variance }
@@ -177,7 +177,7 @@ fn rows(id: &str, at: usize, count: usize, random: &mut impl FnMut() -> f64) -> 
     test
 }
 
-fn random(mut seed: u64) -> impl FnMut() -> f64 {
+pub(super) fn random(mut seed: u64) -> impl FnMut() -> f64 {
     move || {
         seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (seed >> 40) as f64 / f64::from(1 << 24) - 0.5
@@ -212,7 +212,12 @@ fn stacked(reduction: ReductionRef<'_>, law: &InitialLaw) -> f64 {
     reduction.constant - 0.5 * cholesky.determinant().ln() - 0.5 * residual.dot(&cholesky.solve(&residual))
 }
 
-fn reduced(model: &PhasedModel, slots: &Slots, values: &[f64], tests: &[PhasedTest]) -> (PhasedReducer, Reductions) {
+pub(super) fn reduced(
+    model: &PhasedModel,
+    slots: &Slots,
+    values: &[f64],
+    tests: &[PhasedTest],
+) -> (PhasedReducer, Reductions) {
     let alpha = slots.alpha(model.shared(), values);
     let mut reducer = PhasedReducer::scoring(model, &alpha, slots).expect("sound");
     let reductions = reducer.reduce(tests).expect("sound");
@@ -239,7 +244,7 @@ fn scores_equal_differences_of_the_stacked_likelihood() {
         let law = InitialLaw::known(all.mean_of(&[]).rows(0, p).into_owned(), all.root.rows(0, p).into_owned());
         let (reducer, reductions) = reduced(&model, &slots, &VALUES, &tests);
         let scorer = PhasedScorer::new(&model, &reducer, &slots).expect("differentiable");
-        let scores = scorer.scores(&tests, &reductions, &law, &Companies::none(tests.len())).expect("sound");
+        let scores = scorer.scores(&tests, &reductions, &law, (&Companies::none(tests.len()), None)).expect("sound");
         for (j, score) in scores.iter().enumerate() {
             let pieces = reducer.pieces_of(&tests[j], &mut reducer.workspace()).expect("sound");
             let laws = PhaseLaws::new(&law, &model.ranges(), &[]);
@@ -271,7 +276,7 @@ fn the_expected_likelihood_of_phases_has_the_slope_of_the_likelihood() {
     let law = law();
     let (reducer, reductions) = reduced(&model, &slots, &VALUES, &tests);
     let scorer = PhasedScorer::new(&model, &reducer, &slots).expect("differentiable");
-    let scores = scorer.scores(&tests, &reductions, &law, &Companies::none(tests.len())).expect("sound");
+    let scores = scorer.scores(&tests, &reductions, &law, (&Companies::none(tests.len()), None)).expect("sound");
     let complete = scorer.all_complete(&tests, &reductions, &law).expect("sound");
     let expected = scorer.all_expected(&tests, &complete).expect("sound").expect("it came about");
     let carried: Vec<usize> = model.phases.iter().flat_map(|phase| crate::score::carried(phase, &slots)).collect();
@@ -292,9 +297,10 @@ fn scores_have_the_same_bits_alone_and_together() {
     let slots = Slots::in_phases(&model, &Labels::new(&model.shared().literals), &tests);
     let (reducer, reductions) = reduced(&model, &slots, &VALUES, &tests);
     let scorer = PhasedScorer::new(&model, &reducer, &slots).expect("differentiable");
-    let together = scorer.scores(&tests, &reductions, &law(), &Companies::none(tests.len())).expect("sound");
+    let together = scorer.scores(&tests, &reductions, &law(), (&Companies::none(tests.len()), None)).expect("sound");
     for j in 0..tests.len() {
-        let alone = scorer.scores(&tests[j..=j], &reductions.select(&[j]), &law(), &Companies::none(1)).expect("sound");
+        let alone =
+            scorer.scores(&tests[j..=j], &reductions.select(&[j]), &law(), (&Companies::none(1), None)).expect("sound");
         assert_eq!(alone[0], together[j], "test {j}");
     }
 }
@@ -347,8 +353,8 @@ fn alike_tests_are_scored_as_one_by_one() {
             let found = scorer.together(ensemble, company, &mut scorer.room()).expect("sound");
             assert!(found.is_some(), "they go together");
         }
-        let together = scorer.scores(&many, &reductions, &law, &companies).expect("sound");
-        let alone = scorer.scores(&many, &reductions, &law, &Companies::none(many.len())).expect("sound");
+        let together = scorer.scores(&many, &reductions, &law, (&companies, None)).expect("sound");
+        let alone = scorer.scores(&many, &reductions, &law, (&Companies::none(many.len()), None)).expect("sound");
         assert!(alone.iter().any(|score| score.len() > 7), "most values count");
         for (number, (found, expected)) in together.iter().zip(&alone).enumerate() {
             let of = |score: &Gradient, slot: usize| score.iter().find(|(s, _)| *s == slot).map(|(_, x)| *x);

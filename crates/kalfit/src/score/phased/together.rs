@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use crate::ensemble::Test;
 use crate::estimate::InitialLaw;
-use crate::reduce::{PhasedTest, ReduceError, Reductions};
+use crate::reduce::{Filtered, PhasedTest, ReduceError, Reductions};
 use crate::score::Companies;
 use crate::score::chain::{Gradient, add};
 use crate::score::company::Told;
@@ -48,7 +48,7 @@ impl PhasedScorer<'_> {
         tests: &[PhasedTest],
         reductions: &Reductions,
         (law, plans): (&InitialLaw, &Plans),
-        companies: &Companies,
+        (companies, filtered): (&Companies, Option<&Filtered>),
     ) -> Vec<Score> {
         let ensemble = Ensemble { tests, reductions, law, plans };
         // covariates move the uncertainty of the mean
@@ -63,7 +63,14 @@ impl PhasedScorer<'_> {
         let one = |room: &mut Room<'_>, members: &Vec<usize>| self.company(ensemble, members, room);
         let mut scores: Vec<Score> =
             companies.companies.par_iter().map_init(|| self.room(), one).flatten_iter().collect();
-        scores.extend(self.apart(ensemble, &companies.alone));
+        let Some(filtered) = filtered else {
+            scores.extend(self.apart(ensemble, &companies.alone));
+            return scores;
+        };
+        let is_other = |number: &&usize| filtered.others.binary_search(number).is_ok();
+        let others: Vec<usize> = companies.alone.iter().filter(is_other).copied().collect();
+        scores.extend(self.in_blocks(ensemble, filtered));
+        scores.extend(self.apart(ensemble, &others));
         scores
     }
 

@@ -1,0 +1,307 @@
+//! Tests with designs of their own, kept side by side for all values of α.
+//!
+//! ```text
+//! once:        cells ── Skeleton ──> Layout      steps, measurements and lengths of steps, a test in each lane
+//! at an α:     coefficients ── Values ──> h, R, z - d, φ, Q, b, a, P0 in place ── filters ──> reductions
+//! its score:   Values ── backward, pulled back column by column (score/blocks) ──> dℓ/dα
+//! ```
+//!
+//! Which tests share a shape, which cells each step reads and what is measured depends on the cells of the data alone, so it is
+//! found once. A test that lacks a measurement or a step of its block has one that changes nothing. What is wrong with a test, or
+//! calls for square-root arrays, sends it the way that tests go by themselves, which says so.
+
+mod layout;
+mod values;
+
+use std::collections::HashSet;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use kalfit_lanes::Isa;
+use rayon::prelude::*;
+
+use crate::ensemble::Test;
+use crate::model::{Alpha, Level};
+use crate::reduce::digest::Digest;
+use crate::reduce::error::ReduceError;
+use crate::reduce::lanes::Room;
+use crate::reduce::prepare::Preparer;
+use crate::reduce::reducer::{About, Reducer};
+use crate::reduce::{Path, Reductions};
+pub(crate) use layout::Layout;
+use layout::Skeleton;
+pub(crate) use values::Values;
+
+/// Bytes of blocks, with their numbers at one α.
+const BYTES: usize = 512 << 20;
+/// Blocks that one thread takes at a time.
+const SHARE: usize = 8;
+
+/// What a reduction has from its test, whatever α.
+#[derive(Debug)]
+struct Own {
+    digest: u128,
+    covariates: Vec<f64>,
+    steps: usize,
+    observations: usize,
+}
+
+/// Tests side by side.
+#[derive(Debug)]
+struct Block {
+    layout: Layout,
+    own: Vec<Own>,
+    /// Numbers at some α, that nobody has.
+    spare: Mutex<Vec<Values>>,
+}
+
+/// Tests of an ensemble with designs of their own, side by side. Which of them go together depends on the ensemble, not on the
+/// order of its tests.
+#[derive(Debug, Default)]
+pub(crate) struct Blocks {
+    blocks: Vec<Block>,
+    /// Tests that are in none, by number.
+    pub(crate) others: Vec<usize>,
+}
+
+/// Blocks at an α, after their filters.
+#[derive(Debug)]
+pub(crate) struct Filtered {
+    blocks: Arc<Blocks>,
+    /// By block.
+    values: Vec<Values>,
+    /// Tests of no block, and those that must be looked at by themselves at this α, by number.
+    pub(crate) others: Vec<usize>,
+}
+
+impl Blocks {
+    /// Of the tests with these numbers, whose designs are not among those of tests that share them; `shared` are some tests of each
+    /// of those.
+    pub(crate) fn new(reducer: &Reducer, tests: &[&Test], numbers: &[usize], shared: &[usize]) -> Blocks {
+        let preparer = reducer.preparer();
+        if !preparer.has_columns() {
+            return Blocks { blocks: Vec::new(), others: (0..tests.len()).collect() };
+        }
+        let digest = |&number: &usize| {
+            let mut work = reducer.workspace();
+            preparer.prepare(tests[number], &mut work).ok().map(|()| work.design.digest())
+        };
+        let shared: HashSet<u128> = shared.iter().filter_map(digest).collect();
+        let skeleton = |work: &mut _, &number: &usize| Skeleton::new(preparer, tests[number], number, work);
+        let mut skeletons: Vec<Skeleton> =
+            numbers.par_iter().map_init(|| reducer.workspace(), skeleton).flatten_iter().collect();
+        skeletons.retain(|own| !shared.contains(&own.digest));
+        let order = |a: &Skeleton, b: &Skeleton| {
+            let id = |own: &Skeleton| &tests[own.number].id;
+            b.len().cmp(&a.len()).then_with(|| a.pattern().cmp(b.pattern())).then_with(|| id(a).cmp(id(b)))
+        };
+        skeletons.par_sort_unstable_by(order);
+        let mut bytes = 0;
+        let mut groups = groups(&skeletons);
+        groups.retain(|own| {
+            bytes += size(preparer, own);
+            bytes <= BYTES
+        });
+        let blocks: Vec<Block> = groups.into_par_iter().map(|own| Block::new(reducer, tests, own)).collect();
+        let kept: HashSet<usize> = blocks.iter().flat_map(|block| &block.layout.tests).copied().collect();
+        Blocks { blocks, others: (0..tests.len()).filter(|number| !kept.contains(number)).collect() }
+    }
+
+    /// Whether no test is in one.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.blocks.is_empty()
+    }
+
+    /// The reductions of all tests at the α of a reducer, in their order.
+    ///
+    /// # Errors
+    /// Of several tests in error, the first one's error.
+    pub(crate) fn reduce(
+        self: &Arc<Blocks>,
+        reducer: &Reducer,
+        tests: &[&Test],
+    ) -> Result<(Reductions, Filtered), ReduceError> {
+        let mut alpha = Digest::new();
+        add_to(&mut alpha, reducer.preparer().at().alpha);
+        let alpha = alpha.finish();
+        let share = |room: &mut Room, blocks: &[Block]| {
+            let mut found = Found::default();
+            let values = blocks.iter().map(|block| block.filter((reducer, alpha), tests, room, &mut found)).collect();
+            (values, found)
+        };
+        let shares: Vec<(Vec<Values>, Found)> = self.blocks.par_chunks(SHARE).map_init(Room::default, share).collect();
+        let (mut all, mut numbers, mut parts, mut odd) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        for (values, found) in shares {
+            all.extend(values);
+            numbers.extend(found.numbers);
+            parts.push(found.reductions);
+            odd.extend(found.odd);
+        }
+        let (rest, last) = self.rest(reducer, tests, odd)?;
+        parts.push(rest);
+        numbers.extend(&last);
+        let mut places = vec![0; tests.len()];
+        numbers.iter().enumerate().for_each(|(place, &number)| places[number] = place);
+        let mut others = last;
+        others.sort_unstable();
+        let filtered = Filtered { blocks: self.clone(), values: all, others };
+        Ok((Reductions::joined(parts).select(&places), filtered))
+    }
+}
+
+impl Blocks {
+    /// The reductions of tests that are in no block, and of those that call for square-root arrays, and their numbers.
+    fn rest(
+        &self,
+        reducer: &Reducer,
+        tests: &[&Test],
+        odd: Vec<usize>,
+    ) -> Result<(Reductions, Vec<usize>), ReduceError> {
+        let of = |numbers: &[usize]| numbers.iter().map(|&number| tests[number]).collect::<Vec<&Test>>();
+        let root = |work: &mut _, &number: &usize| reducer.rooted(tests[number], work);
+        let rooted: Result<Reductions, ReduceError> =
+            odd.par_iter().map_init(|| reducer.workspace(), root).collect::<Vec<_>>().into_iter().collect();
+        let mut numbers = self.others.clone();
+        numbers.extend(odd);
+        if let Ok(rooted) = rooted {
+            let rest = reducer.reduce_all(&of(&self.others))?;
+            return Ok((Reductions::joined(vec![rest, rooted]), numbers));
+        }
+        // of all of them the first one in error is to be told of
+        numbers.sort_unstable();
+        Ok((reducer.reduce_all(&of(&numbers))?, numbers))
+    }
+}
+
+/// Tests that go together, in order: of one length to a factor of two.
+fn groups(skeletons: &[Skeleton]) -> Vec<&[Skeleton]> {
+    let (mut left, mut groups) = (skeletons, Vec::new());
+    while let Some(first) = left.first() {
+        let like = left.iter().take(Isa::best().lanes()).take_while(|own| 2 * own.len() >= first.len()).count();
+        let (group, rest) = left.split_at(like);
+        groups.push(group);
+        left = rest;
+    }
+    groups
+}
+
+/// Bytes of a block of these tests, about so many.
+fn size(preparer: &Preparer, own: &[Skeleton]) -> usize {
+    let (frame, transition) = (&preparer.order.frame, preparer.plan.blank());
+    let terms = preparer.meters.parts().map(|(.., terms)| terms.len()).max().unwrap_or(0);
+    let of_row = 8 + terms + frame.r + frame.p;
+    let of_step = 3 + transition.phi.len() + transition.q.len() + frame.driven.len() + 3 * frame.r;
+    let most = |of: fn(&Skeleton) -> usize| own.iter().map(of).max().unwrap_or(0);
+    8 * Isa::best().lanes() * (most(Skeleton::observations) * of_row + most(Skeleton::len) * of_step)
+}
+
+/// All values of α.
+fn add_to(digest: &mut Digest, alpha: &Alpha) {
+    for level in &alpha.values {
+        match level {
+            Level::Common(value) => digest.numbers(&[*value]),
+            Level::Each { values, other, .. } => {
+                digest.count(values.len());
+                values.values().chain(other).for_each(|value| digest.numbers(&[*value]));
+            }
+        }
+    }
+}
+
+/// Reductions as they come.
+#[derive(Default)]
+struct Found {
+    reductions: Reductions,
+    /// The number of the test of each.
+    numbers: Vec<usize>,
+    /// Tests that must be looked at by themselves.
+    odd: Vec<usize>,
+}
+
+impl Block {
+    fn new(reducer: &Reducer, tests: &[&Test], own: &[Skeleton]) -> Block {
+        let layout = Layout::new(reducer.preparer(), tests, own);
+        let values = Values::new(&layout, reducer.preparer(), tests);
+        let own = own.iter().map(|own| Own {
+            digest: own.digest,
+            covariates: own.covariates.clone(),
+            steps: own.len(),
+            observations: own.observations(),
+        });
+        Block { own: own.collect(), layout, spare: Mutex::new(vec![values]) }
+    }
+
+    /// Evaluates the tests at the α of a reducer, whose digest this is, and runs their filters.
+    fn filter(
+        &self,
+        (reducer, alpha): (&Reducer, u128),
+        tests: &[&Test],
+        room: &mut Room,
+        found: &mut Found,
+    ) -> Values {
+        let Block { layout, own, .. } = self;
+        let spare = self.spare.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        let mut values = match spare {
+            Some(mut values) => {
+                values.evaluate(layout, (reducer.preparer(), tests), false);
+                values
+            }
+            None => Values::new(layout, reducer.preparer(), tests),
+        };
+        values.kept.filter(&layout.design, own.len(), room);
+        for (lane, (own, &number)) in own.iter().zip(&layout.tests).enumerate() {
+            let filter = values.kept.gained.found[lane].as_ref().filter(|_| values.sound[lane]);
+            let outcome = filter.map(|(factor, determinant)| {
+                (factor, values.kept.block.outcome(lane, (own.observations, *determinant), room))
+            });
+            let Some((factor, outcome)) = outcome.filter(|(_, outcome)| outcome.is_finite()) else {
+                values.sound[lane] = false;
+                found.odd.push(number);
+                continue;
+            };
+            let mut digest = Digest::new();
+            digest.wide(own.digest);
+            digest.wide(alpha);
+            let about = About {
+                factor,
+                covariates: &own.covariates,
+                steps: own.steps,
+                observations: own.observations,
+                path: Path::Information,
+                digest: digest.finish(),
+            };
+            found.reductions.put(reducer.row(tests[number], &outcome, about));
+            found.numbers.push(number);
+        }
+        values
+    }
+}
+
+/// One block at an α, after its filters.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct FilteredBlock<'a> {
+    pub(crate) layout: &'a Layout,
+    pub(crate) values: &'a Values,
+}
+
+impl FilteredBlock<'_> {
+    /// (lane, number) of each test that went with the others.
+    pub(crate) fn tests(&self) -> impl Iterator<Item = (usize, usize)> {
+        self.layout.tests.iter().copied().enumerate().filter(|&(lane, _)| self.values.sound[lane])
+    }
+}
+
+impl Filtered {
+    /// The blocks, for several threads.
+    pub(crate) fn blocks(&self) -> impl IndexedParallelIterator<Item = FilteredBlock<'_>> {
+        let both = self.blocks.blocks.par_iter().zip(&self.values);
+        both.map(|(block, values)| FilteredBlock { layout: &block.layout, values })
+    }
+}
+
+impl Drop for Filtered {
+    fn drop(&mut self) {
+        for (block, values) in self.blocks.blocks.iter().zip(self.values.drain(..)) {
+            block.spare.lock().unwrap_or_else(PoisonError::into_inner).push(values);
+        }
+    }
+}

@@ -1,0 +1,178 @@
+//! The numbers of tests in lanes at an α. What α does not change is evaluated once.
+
+use std::ops::Range;
+
+use kalfit_lanes::{Isa, MOST};
+
+use crate::ensemble::Test;
+use crate::model::Scope;
+use crate::reduce::blocks::layout::Layout;
+use crate::reduce::dynamics::Table;
+use crate::reduce::lanes::{Columns, Kept};
+use crate::reduce::motion::MotionColumns;
+use crate::reduce::prepare::Preparer;
+use crate::reduce::subject::{At, Coefficient, Fault};
+
+/// What tests are at an α, and what their filters leave.
+#[derive(Debug, Clone)]
+pub(crate) struct Values {
+    pub(crate) kept: Kept,
+    pub(crate) motion: MotionColumns,
+    /// Whether the numbers of the test in each lane are sound: others are to be looked at one by one.
+    pub(super) sound: [bool; MOST],
+}
+
+/// What is to be done about a coefficient.
+enum Rate<'a> {
+    /// Nothing: it is what it was.
+    Kept,
+    Same(f64),
+    /// It is another on each row.
+    Row(&'a Coefficient),
+}
+
+impl<'a> Rate<'a> {
+    /// `fresh`: nothing was evaluated before.
+    fn of(at: &At<'_>, coefficient: &'a Coefficient, fresh: bool) -> Rate<'a> {
+        match coefficient {
+            Coefficient::Fixed(x) if fresh => Rate::Same(*x),
+            Coefficient::Fixed(_) => Rate::Kept,
+            Coefficient::Free(x, ..) => Rate::Same(*x),
+            Coefficient::Varying(expression, _) if fresh || at.depends(expression) => Rate::Row(coefficient),
+            Coefficient::Varying(..) => Rate::Kept,
+        }
+    }
+
+    /// Values in the lanes where there are some. `row`: that of a lane.
+    fn each(
+        &self,
+        here: &[f64],
+        value: impl Fn(usize, &Coefficient) -> Result<f64, Box<Fault>>,
+        sound: &mut [bool; MOST],
+        mut put: impl FnMut(usize, f64),
+    ) {
+        for lane in (0..here.len()).filter(|&lane| here[lane] != 0.0) {
+            match self {
+                Rate::Kept => return,
+                Rate::Same(x) => put(lane, *x),
+                Rate::Row(coefficient) => match value(lane, coefficient) {
+                    Ok(x) => put(lane, x),
+                    Err(_) => sound[lane] = false,
+                },
+            }
+        }
+    }
+}
+
+/// Noise, constant and terms of a measurement.
+struct Rates<'a> {
+    noise: Rate<'a>,
+    constant: Rate<'a>,
+    terms: Vec<Rate<'a>>,
+}
+
+impl Values {
+    /// The numbers of tests, none of them evaluated before.
+    pub(super) fn new(layout: &Layout, preparer: &Preparer, tests: &[&Test]) -> Values {
+        let kept = Kept::blank(Isa::best(), &layout.design, layout.moves());
+        let mut values = Values { kept, motion: MotionColumns::default(), sound: [true; MOST] };
+        values.evaluate(layout, (preparer, tests), true);
+        values
+    }
+
+    /// The numbers at the α of a preparer.
+    pub(super) fn evaluate(&mut self, layout: &Layout, (preparer, tests): (&Preparer, &[&Test]), fresh: bool) {
+        self.sound = [true; MOST];
+        self.start(layout, preparer);
+        self.measure(layout, (preparer, tests), fresh);
+        let at = preparer.at();
+        let (dynamics, motion) = (&preparer.dynamics, &mut self.motion);
+        table((layout, tests), (&at, &dynamics.table), &mut motion.values, fresh, &mut self.sound);
+        table((layout, tests), (&at, &dynamics.inputs), &mut motion.inputs, fresh, &mut self.sound);
+        let (isa, out) = (self.kept.block.isa(), self.kept.columns());
+        let finite = preparer.plan.fill(isa, dynamics, (&layout.transitions, motion), out);
+        self.sound.iter_mut().zip(finite).for_each(|(sound, finite)| *sound &= finite);
+    }
+
+    /// a and P0, which are those of all tests.
+    fn start(&mut self, layout: &Layout, preparer: &Preparer) {
+        let law = preparer.law().expect("no test changes it");
+        let (lanes, place, r) = (layout.lanes, &preparer.order.place, layout.design.frame.r);
+        let Columns { start, variance, .. } = self.kept.columns();
+        for (state, &mean) in law.mean.iter().enumerate() {
+            start[lanes * place[state]..][..lanes].fill(mean);
+        }
+        variance.fill(0.0);
+        for &(i, j, value) in law.covariance.iter().filter(|(.., value)| *value != 0.0) {
+            let (i, j) = (place[i], place[j]);
+            variance[lanes * (i.max(j) * r + i.min(j))..][..lanes].iter_mut().for_each(|entry| *entry += value);
+        }
+    }
+
+    /// h, R and z - d.
+    fn measure(&mut self, layout: &Layout, (preparer, tests): (&Preparer, &[&Test]), fresh: bool) {
+        let (at, lanes) = (preparer.at(), layout.lanes);
+        let rate = |coefficient| Rate::of(&at, coefficient, fresh);
+        let rates = preparer.meters.parts().map(|(noise, constant, terms)| Rates {
+            noise: rate(noise),
+            constant: rate(constant),
+            terms: terms.iter().map(|(_, h)| rate(h)).collect(),
+        });
+        let rates: Vec<Rates<'_>> = rates.collect();
+        let Values { kept, sound, .. } = self;
+        let Columns { h, noise, values, .. } = kept.columns();
+        let mut term = 0;
+        for (row, &meter) in layout.meters.iter().enumerate() {
+            let (Rates { noise: variance, constant, terms }, places) = (&rates[meter], row * lanes..(row + 1) * lanes);
+            let here = &layout.measured[places.clone()];
+            let scope = |lane: usize| layout.scope(&at, tests, (places.start + lane, lane));
+            let out = &mut noise[places.clone()];
+            variance.each(here, |lane, c| at.variance_value(c, &scope(lane)), sound, |lane, x| out[lane] = x);
+            let (z, out) = (&layout.z[places.clone()], &mut values[places.clone()]);
+            let value = |lane: usize, c: &Coefficient| at.value(c, &scope(lane));
+            constant.each(here, value, sound, |lane, d| out[lane] = z[lane] - d);
+            for coefficient in terms {
+                let out = &mut h[term * lanes..][..lanes];
+                coefficient.each(here, value, sound, |lane, x| out[lane] = x);
+                term += 1;
+            }
+        }
+    }
+}
+
+impl Layout {
+    /// What a measurement is evaluated on.
+    pub(crate) fn scope<'a>(&self, at: &At<'a>, tests: &[&'a Test], (place, lane): (usize, usize)) -> Scope<'a> {
+        let (test, row) = (tests[self.tests[lane]], self.cells[place] as usize);
+        Scope { numbers: test.numbers(row), texts: test.texts(row), step: self.dt[place], alpha: at.alpha }
+    }
+
+    /// What a transition is evaluated on.
+    pub(crate) fn moving<'a>(&self, at: &At<'a>, tests: &[&'a Test], (place, lane): (usize, usize)) -> Scope<'a> {
+        let (test, row) = (tests[self.tests[lane]], self.transitions.sources[place] as usize);
+        Scope { numbers: test.numbers(row), texts: test.texts(row), step: self.transitions.dt[place], alpha: at.alpha }
+    }
+}
+
+/// The coefficients of a table that vary, on all transitions.
+fn table(
+    (layout, tests): (&Layout, &[&Test]),
+    (at, table): (&At<'_>, &Table),
+    columns: &mut Vec<Vec<f64>>,
+    fresh: bool,
+    sound: &mut [bool; MOST],
+) {
+    let (lanes, steps) = (layout.lanes, &layout.transitions);
+    columns.resize_with(table.varying.len(), || vec![0.0; steps.dt.len()]);
+    for ((_, coefficient, variance), column) in table.varying.iter().zip(columns) {
+        let rate = Rate::of(at, coefficient, fresh);
+        for (t, out) in column.chunks_exact_mut(lanes).enumerate() {
+            let places: Range<usize> = t * lanes..(t + 1) * lanes;
+            let value = |lane: usize, c: &Coefficient| {
+                let scope = layout.moving(at, tests, (places.start + lane, lane));
+                if *variance { at.variance_value(c, &scope) } else { at.value(c, &scope) }
+            };
+            rate.each(&steps.moving[places.clone()], value, sound, |lane, x| out[lane] = x);
+        }
+    }
+}

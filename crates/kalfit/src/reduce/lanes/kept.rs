@@ -1,0 +1,57 @@
+//! Tests whose numbers stay in lanes: they are changed there, and the filters run again.
+
+use kalfit_lanes::Isa;
+
+use crate::reduce::design::Design;
+use crate::reduce::lanes::block::Block;
+use crate::reduce::lanes::designs::{Gained, Loaded};
+use crate::reduce::lanes::room::Room;
+
+/// A test in each lane: design and data, and what their filters leave. All tests have the steps and the measurements of one
+/// shape; where a test has none of its own, they change nothing: h = 0, R = 1, φ = I, Q = 0.
+#[derive(Debug, Clone)]
+pub(crate) struct Kept {
+    pub(crate) block: Block,
+    pub(crate) gained: Gained,
+}
+
+/// What may change of them: number k of the test in a lane stands at k × lanes + lane.
+#[derive(Debug)]
+pub(crate) struct Columns<'a> {
+    /// P0 on the reachable states, r × r.
+    pub(crate) variance: &'a mut [f64],
+    /// Coefficients of the terms of each row.
+    pub(crate) h: &'a mut [f64],
+    /// R of each row.
+    pub(crate) noise: &'a mut [f64],
+    /// Entries of φ and of Q of each transition.
+    pub(crate) phi: &'a mut [f64],
+    pub(crate) q: &'a mut [f64],
+    /// a.
+    pub(crate) start: &'a mut [f64],
+    /// b of each transition.
+    pub(crate) inputs: &'a mut [f64],
+    /// z - d of each row.
+    pub(crate) values: &'a mut [f64],
+}
+
+impl Kept {
+    /// Of a shape in which each step is a run, with so many transitions: all numbers are zero, but noises are one.
+    pub(crate) fn blank(isa: Isa, design: &Design, transitions: usize) -> Kept {
+        let mut block = Block::new(isa);
+        block.clear(design.frame.n, transitions * design.frame.driven.len(), design.rows());
+        Kept { block, gained: Gained::blank(design, isa.lanes()) }
+    }
+
+    pub(crate) fn columns(&mut self) -> Columns<'_> {
+        let [variance, h, noise, phi, q] = self.gained.numbers_mut();
+        let [start, inputs, values] = self.block.numbers_mut();
+        Columns { variance, h, noise, phi, q, start, inputs, values }
+    }
+
+    /// Runs the filters of so many tests, and their data passes.
+    pub(crate) fn filter(&mut self, design: &Design, tests: usize, room: &mut Room) {
+        let Kept { block, gained } = self;
+        block.isa().run(Loaded { design, tests, data: Some(block.side()), gained, room });
+    }
+}

@@ -1,0 +1,180 @@
+//! The chain rule of tests side by side: their adjoints are summed column by column.
+
+use kalfit_lanes::{Kernel, Lanes};
+
+use crate::ensemble::Test;
+use crate::model::Scope;
+use crate::reduce::{Fault, FilteredBlock, MotionBack, Workspace};
+use crate::score::backward::LaneBars;
+use crate::score::chain::adjoints::Adjoints;
+use crate::score::chain::gradient::Gradient;
+use crate::score::chain::{Chain, MeterTaps};
+
+/// The adjoints of coefficients, in lanes.
+#[derive(Debug)]
+pub(crate) struct Pulled {
+    /// Of each tap, summed over the test.
+    sums: Vec<f64>,
+    /// Of each coefficient and input of the motion that varies, of each transition: those with a tap.
+    values: Vec<(usize, Vec<f64>)>,
+    inputs: Vec<(usize, Vec<f64>)>,
+}
+
+struct Pull<'a> {
+    chain: &'a Chain<'a>,
+    block: FilteredBlock<'a>,
+    back: MotionBack<'a>,
+    bars: &'a LaneBars,
+}
+
+impl Chain<'_> {
+    /// From the adjoints of a block to those of the coefficients that depend on free values.
+    pub(crate) fn pull(&self, block: FilteredBlock<'_>, bars: &LaneBars) -> Pulled {
+        let steps = (&block.layout.transitions, &block.values.motion);
+        let back = self.preparer.plan.back(&self.preparer.dynamics, steps, &self.free);
+        block.values.kept.block.isa().run(Pull { chain: self, block, back, bars })
+    }
+
+    /// (slot, tap) of the coefficients, or inputs, of the motion that are read from cells.
+    fn columns<'s>(&'s self, taps: &'s [Option<usize>]) -> impl Iterator<Item = (usize, usize)> + 's {
+        taps.iter().enumerate().filter_map(|(slot, tap)| Some((slot, (*tap)?))).filter(|&(_, tap)| self.reads(tap))
+    }
+
+    fn reads(&self, tap: usize) -> bool {
+        !self.taps.reads(tap).is_empty()
+    }
+}
+
+impl Kernel for Pull<'_> {
+    type Output = Pulled;
+
+    #[inline(always)]
+    fn run<T: Lanes>(self) -> Pulled {
+        let Pull { chain, block, .. } = &self;
+        let mut sums = vec![T::splat(0.0); chain.taps.len()];
+        self.measured(&mut sums);
+        let room = |taps: &[Option<usize>]| -> Vec<(usize, Vec<f64>)> {
+            chain.columns(taps).map(|(slot, _)| (slot, vec![0.0; block.layout.transitions.dt.len()])).collect()
+        };
+        let (mut values, mut inputs) = (room(&chain.values), room(&chain.inputs));
+        let (moves, width) = self.bars.moves();
+        let mut bars = self.back.zero::<T>();
+        for (t, own) in moves.chunks_exact((width * T::COUNT).max(1)).enumerate() {
+            self.back.pull(t, own, &mut bars);
+            for (slot, column) in &mut values {
+                let bar = std::mem::replace(&mut bars.values[*slot], T::splat(0.0));
+                bar.store(&mut column[t * T::COUNT..]);
+            }
+            for (slot, column) in &mut inputs {
+                let bar = std::mem::replace(&mut bars.inputs[*slot], T::splat(0.0));
+                bar.store(&mut column[t * T::COUNT..]);
+            }
+        }
+        for (taps, bars) in [(&chain.values, &bars.values), (&chain.inputs, &bars.inputs)] {
+            for (tap, &bar) in taps.iter().zip(bars) {
+                if let Some(tap) = *tap {
+                    sums[tap] = sums[tap] + bar;
+                }
+            }
+        }
+        let mut all = vec![0.0; sums.len() * T::COUNT];
+        for (sum, out) in sums.iter().zip(all.chunks_exact_mut(T::COUNT)) {
+            sum.store(out);
+        }
+        Pulled { sums: all, values, inputs }
+    }
+}
+
+impl Pull<'_> {
+    /// Sums what the measurements say.
+    #[inline(always)]
+    fn measured<T: Lanes>(&self, sums: &mut [T]) {
+        let (layout, (rows, width)) = (self.block.layout, self.bars.rows());
+        for (row, &meter) in layout.meters.iter().enumerate() {
+            let MeterTaps { noise, constant, terms } = &self.chain.meters[meter];
+            let here = T::load(&layout.measured[row * T::COUNT..]);
+            let bars = &rows[row * width * T::COUNT..][..width * T::COUNT];
+            if let Some(tap) = *noise {
+                sums[tap] = here.fma(T::load(bars), sums[tap]);
+            }
+            if let Some(tap) = *constant {
+                sums[tap] = here.fnma(T::load(&bars[T::COUNT..]), sums[tap]);
+            }
+            for &(state, tap) in terms {
+                sums[tap] = here.fma(T::load(&bars[(2 + state) * T::COUNT..]), sums[tap]);
+            }
+        }
+    }
+}
+
+impl Adjoints<'_> {
+    /// dℓ/dα of the test in a lane of a block, from what [`Chain::pull`] has summed. `work`: room.
+    pub(crate) fn of_lane(
+        &mut self,
+        (block, bars, pulled): (FilteredBlock<'_>, &LaneBars, &Pulled),
+        lane: usize,
+        tests: &[&Test],
+        work: &Workspace,
+    ) -> Result<Gradient, Box<Fault>> {
+        let test = tests[block.layout.tests[lane]];
+        let found = self.gather((block, bars, pulled), lane, tests).and_then(|()| {
+            let [mean, variance] = bars.start(lane);
+            self.started(test, work, &mean, &variance)
+        });
+        // what is left of one in error must go too
+        let gradient = self.finish(test, work);
+        found.and(gradient)
+    }
+
+    fn gather(
+        &mut self,
+        (block, bars, pulled): (FilteredBlock<'_>, &LaneBars, &Pulled),
+        lane: usize,
+        tests: &[&Test],
+    ) -> Result<(), Box<Fault>> {
+        let (chain, lanes, layout) = (self.chain, block.layout.lanes, block.layout);
+        let context = chain.context();
+        let nothing = Scope { numbers: &[], texts: &[], step: 0.0, alpha: context.at.alpha };
+        for tap in (0..chain.taps.len()).filter(|&tap| !chain.reads(tap)) {
+            self.pending.add(&context, tap, pulled.sums[tap * lanes + lane], &nothing)?;
+        }
+        if chain.meters.iter().any(|meter| meter.taps().any(|tap| chain.reads(tap))) {
+            self.rows((block, bars), lane, tests)?;
+        }
+        let tables = [(&chain.values, &pulled.values), (&chain.inputs, &pulled.inputs)];
+        for ((slot, column), taps) in tables.iter().flat_map(|(taps, all)| all.iter().map(move |own| (own, *taps))) {
+            let tap = taps[*slot].expect("only those with a tap have a column");
+            for place in (lane..column.len()).step_by(lanes).filter(|&place| layout.transitions.moving[place] != 0.0) {
+                let scope = layout.moving(&context.at, tests, (place, lane));
+                self.pending.add(&context, tap, column[place], &scope)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// What the measurements say of coefficients that are read from cells.
+    fn rows(
+        &mut self,
+        (block, bars): (FilteredBlock<'_>, &LaneBars),
+        lane: usize,
+        tests: &[&Test],
+    ) -> Result<(), Box<Fault>> {
+        let (chain, lanes, layout, (rows, width)) = (self.chain, block.layout.lanes, block.layout, bars.rows());
+        let context = chain.context();
+        for (row, &meter) in layout.meters.iter().enumerate() {
+            let place = row * lanes + lane;
+            if layout.measured[place] == 0.0 {
+                continue;
+            }
+            let (taps, scope) = (&chain.meters[meter], layout.scope(&context.at, tests, (place, lane)));
+            let bar = |k: usize| rows[(row * width + k) * lanes + lane];
+            let noise = taps.noise.map(|tap| (tap, bar(0)));
+            let constant = taps.constant.map(|tap| (tap, -bar(1)));
+            let terms = taps.terms.iter().map(|&(state, tap)| (tap, bar(2 + state)));
+            for (tap, seed) in noise.into_iter().chain(constant).chain(terms).filter(|&(tap, _)| chain.reads(tap)) {
+                self.pending.add(&context, tap, seed, &scope)?;
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,179 @@
+//! Tests side by side against the same tests by themselves.
+
+use std::sync::Arc;
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::ensemble::{Label, Labels, Source, Test};
+use crate::estimate::InitialLaw;
+use crate::model::{Clock, Expression, Initial, Measurement, Motion, PhasedModel, Slots};
+use crate::reduce::{Blocks, Evidence, Filtered, Path, PhasedReducer, PhasedTest, Reduction, Reductions};
+use crate::score::phased::PhasedScorer;
+use crate::score::phased::tests::*;
+use crate::score::{Companies, Gradient};
+
+/// A model of one phase with some of all that blocks can hold.
+fn drawn_model(random: &mut impl FnMut() -> f64) -> PhasedModel {
+    let mut flip = || random() > 0.0;
+    let mut states = vec![state("bias", Motion::Constant, Initial::Estimated)];
+    let mut terms = vec![(0, number(1.0))];
+    if flip() {
+        terms.push((states.len(), if flip() { column(U) } else { alpha(KICK) }));
+        states.push(state("slope", Motion::Constant, Initial::Estimated));
+    }
+    if flip() {
+        let start = if flip() { Initial::Stationary } else { known(number(0.0), square(alpha(START))) };
+        terms.push((states.len(), number(0.8)));
+        states.push(state("drift", drift(states.len()), start));
+    }
+    if flip() {
+        let own = states.len();
+        let next = linear(vec![(0, number(0.2)), (own, alpha(KEEP))], times(alpha(INPUT), column(U)));
+        terms.push((own, alpha(CARRY)));
+        let walk = Motion::Discrete { next, noise_variance: square(alpha(STEP)) };
+        states.push(state("walk", walk, known(number(0.1), square(alpha(START)))));
+    }
+    if flip() {
+        let own = states.len();
+        let rate = if flip() { Expression::Negate(Box::new(square(alpha(KICK)))) } else { number(-0.4) };
+        let input = if flip() { times(alpha(INPUT), column(U)) } else { number(0.0) };
+        let derivative = linear(vec![(0, times(alpha(CARRY), column(W))), (own, rate)], input);
+        let lag = Motion::Continuous { derivative, noise_variance: square(times(alpha(STEP), column(W))) };
+        terms.push((own, number(1.3)));
+        states.push(state("lag", lag, if flip() { Initial::Estimated } else { known(number(0.2), number(0.3)) }));
+    }
+    let constant = if flip() { times(alpha(OFFSET), column(U)) } else { alpha(OFFSET) };
+    let mut model = model(states, linear(terms, constant));
+    if flip() {
+        let equation = linear(vec![(0, alpha(KEEP))], number(0.1));
+        let second =
+            Measurement { name: "w".to_owned(), column: 4, filter: None, equation, noise_variance: number(0.7) };
+        model.columns.push(model.columns[1].clone());
+        model.measurements.push(second);
+    } else {
+        model.columns.push(model.columns[1].clone());
+    }
+    let initial_time = flip().then(|| number(-0.3));
+    model.clock = Clock { time: Some(0), initial_time, previous_inputs: flip(), ..Clock::default() };
+    PhasedModel::from(model)
+}
+
+/// Tests with times of their own, of different lengths, some of whose values are missing.
+fn drawn_tests(random: &mut impl FnMut() -> f64) -> Vec<PhasedTest> {
+    let one = |number: usize| {
+        let (mut test, mut time) = (Test::new(format!("t{number}"), 5, 3), 0.0);
+        let w = 1.0 + 0.1 * (number % 4) as f64;
+        for k in 0..1 + (number * 7) % 12 {
+            let values = [0, 1].map(|_| if random() > 0.3 { f64::NAN } else { 3.0 * random() });
+            let sensor = Label::literal(3 + (k + number) % 2);
+            let texts = [Label::literal(0), sensor, Label::literal(3 + number % 2)];
+            test.push(&[time, values[0], 1.0 + random(), w, values[1]], &texts, Source::default());
+            time += if number % 3 == 0 { 0.5 } else { 0.6 + random() };
+        }
+        PhasedTest { id: test.id.clone(), phases: vec![Evidence::Rows(test)] }
+    };
+    (0..37).map(one).collect()
+}
+
+struct Case {
+    model: PhasedModel,
+    slots: Slots,
+    law: InitialLaw,
+}
+
+impl Case {
+    fn reduced(&self, tests: &[PhasedTest]) -> Reduction {
+        reduced(&self.model, &self.slots, &VALUES, tests).1.get(0).into()
+    }
+
+    fn blocks(&self, tests: &[PhasedTest]) -> Arc<Blocks> {
+        let (reducer, _) = reduced(&self.model, &self.slots, &VALUES, tests);
+        let scorer = PhasedScorer::new(&self.model, &reducer, &self.slots).expect("differentiable");
+        Arc::new(scorer.blocks(tests, &Companies::none(tests.len())).expect("some tests are in blocks"))
+    }
+
+    /// Reductions and scores, in blocks where there are some.
+    fn at(&self, values: &[f64], tests: &[PhasedTest], blocks: Option<&Arc<Blocks>>) -> (Reductions, Vec<Gradient>) {
+        let (reducer, mut reductions): (PhasedReducer, _) = reduced(&self.model, &self.slots, values, tests);
+        let mut filtered: Option<Filtered> = None;
+        if let Some(blocks) = blocks {
+            let (own, after) = reducer.reduce_blocks(tests, blocks).expect("sound");
+            (reductions, filtered) = (own, Some(after));
+        }
+        let scorer = PhasedScorer::new(&self.model, &reducer, &self.slots).expect("differentiable");
+        let companies = Companies::none(tests.len());
+        let scores = scorer.scores(tests, &reductions, &self.law, (&companies, filtered.as_ref())).expect("sound");
+        (reductions, scores)
+    }
+}
+
+fn case(seed: u64) -> (Case, Vec<PhasedTest>) {
+    let mut random = random(seed);
+    (0..seed % 7).for_each(|_| _ = random());
+    let (model, tests) = (drawn_model(&mut random), drawn_tests(&mut random));
+    let slots = Slots::in_phases(&model, &Labels::new(&model.shared().literals), &tests);
+    assert_eq!(slots.len(), VALUES.len(), "eight common values, and two parameters with two levels each");
+    let p = model.dimension();
+    let root = DMatrix::from_fn(p, p, |i, k| if i >= k { 0.7 + 0.1 * (i + 2 * k) as f64 } else { 0.0 });
+    let law = InitialLaw::known(DVector::from_fn(p, |i, _| 0.4 - 0.3 * i as f64), root);
+    (Case { model, slots, law }, tests)
+}
+
+fn near(what: &str, tolerance: f64, found: &[f64], expected: &[f64]) {
+    let size = expected.iter().fold(1.0, |most: f64, x| most.max(x.abs()));
+    for (k, (found, expected)) in found.iter().zip(expected).enumerate() {
+        assert!((found - expected).abs() <= tolerance * size, "{what}, number {k}: {found} for {expected}");
+    }
+}
+
+fn dense(gradient: &Gradient) -> Vec<f64> {
+    let mut all = vec![0.0; VALUES.len()];
+    gradient.iter().for_each(|&(slot, x)| all[slot] += x);
+    all
+}
+
+#[test]
+fn tests_in_blocks_have_the_reductions_and_scores_that_they_have_by_themselves() {
+    let moved = VALUES.map(|x| 1.1 * x + 0.01);
+    let mut sharp = VALUES; // noises so small that square-root arrays are called for
+    sharp[NOISE] = 1e-5;
+    sharp[NOISE + 1] = 2e-5;
+    let mut rooted = 0;
+    for seed in 1..=60 {
+        let (case, tests) = case(seed);
+        let blocks = case.blocks(&tests);
+        let silent = |&number: &usize| case.reduced(&tests[number..=number]).observations == 0;
+        assert!(blocks.others.iter().all(silent), "seed {seed}: {:?} are in no block", blocks.others);
+        for values in [&VALUES, &moved, &sharp, &VALUES] {
+            let (found, scores) = case.at(values, &tests, Some(&blocks));
+            let (expected, by_themselves) = case.at(values, &tests, None);
+            for j in 0..tests.len() {
+                let (own, alone) = (found.get(j), expected.get(j));
+                let what = format!("seed {seed}, {}", alone.test);
+                // small noises multiply the last digits of flows
+                let tolerance = if values == &sharp { 1e-8 } else { 1e-12 };
+                rooted += usize::from(own.path == Path::SquareRoot);
+                assert_eq!((own.test, own.steps, own.observations), (alone.test, alone.steps, alone.observations));
+                near(&format!("{what}, ℓ"), tolerance, &[own.constant], &[alone.constant]);
+                near(&format!("{what}, d"), tolerance, own.data, alone.data);
+                near(&format!("{what}, R"), tolerance, own.factor, alone.factor);
+                near(&format!("{what}, score"), tolerance, &dense(&scores[j]), &dense(&by_themselves[j]));
+            }
+        }
+    }
+    assert!(rooted > 100, "{rooted} tests by square-root arrays");
+}
+
+#[test]
+fn blocks_do_not_depend_on_the_order_of_tests() {
+    let (case, tests) = case(3);
+    let (reductions, scores) = case.at(&VALUES, &tests, Some(&case.blocks(&tests)));
+    let mut other: Vec<PhasedTest> = tests.clone();
+    other.reverse();
+    let (turned, turned_scores) = case.at(&VALUES, &other, Some(&case.blocks(&other)));
+    for j in 0..tests.len() {
+        let k = tests.len() - 1 - j;
+        assert_eq!(reductions.get(j), turned.get(k));
+        assert_eq!(scores[j], turned_scores[k], "score of {}", tests[j].id);
+    }
+}
