@@ -120,7 +120,7 @@ impl Shard {
             let reducer = PhasedReducer::scoring(&self.model, &alpha, &self.slots)?;
             let scorer = PhasedScorer::new(&self.model, &reducer, &self.slots)?;
             let companies = self.companies.get_or_init(|| scorer.companies(&self.tests));
-            scorer.scores(&self.tests, &summed.reductions, &law, companies)
+            scorer.scores(&self.tests, &summed.reductions, &law, (companies, None))
         };
         let Ok(scores) = found() else { return Ok(None) };
         Ok(total(&scores, values.len()))
