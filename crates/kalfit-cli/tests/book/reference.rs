@@ -102,7 +102,7 @@ fn kind(rust: &str) -> String {
         return kind(inner);
     }
     match rust {
-        "String" | "Label" => "text".to_owned(),
+        "String" | "Label" | "PValueKind" => "text".to_owned(),
         "f64" => "number".to_owned(),
         "usize" | "u64" | "u32" => "count".to_owned(),
         "bool" => "true or false".to_owned(),
