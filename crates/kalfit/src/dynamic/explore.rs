@@ -10,7 +10,7 @@ use crate::dynamic::scales::{mentions, time_constants};
 use crate::dynamic::search::search;
 use crate::dynamic::tries::{best_of, other_maxima};
 use crate::dynamic::twins::ordered;
-use crate::dynamic::{DynamicError, Method, Settings, start};
+use crate::dynamic::{DynamicError, Explored, Method, Settings, start};
 use crate::estimate::{Progress, Silent, Stop};
 use crate::model::Motion;
 
@@ -24,6 +24,12 @@ const VALUES: usize = 24;
 const FEWEST: usize = 150;
 /// Most times that a better end is looked around from.
 const ROUNDS: usize = 4;
+/// … more of them where rows are so few that all runs together are of no more than this.
+const MORE_RUNS: usize = 1200;
+const FEW_ROWS: usize = 600_000;
+/// Parts of what a covariance of noises may be that are tried, those that are this far from the present one.
+const PARTS: [f64; 4] = [-0.9, -0.3, 0.3, 0.9];
+const APART: f64 = 0.4;
 /// Sizes of levels at zero that are tried, in units of what the data suggest.
 const SIZES: [f64; 5] = [2.0, 0.7, 0.25, 0.08, 0.025];
 
@@ -33,7 +39,7 @@ pub(super) fn explore(
     ends: &mut Vec<End>,
     told: bool,
     progress: &mut dyn Progress,
-) -> Result<(), DynamicError> {
+) -> Result<Explored, DynamicError> {
     let settings = Settings { method: Method::Hybrid, ..bench.settings.clone() };
     let hybrid = Bench::new(bench.model, bench.tests, bench.slots, &settings);
     let done = look_around((bench, &hybrid), ends, told, progress);
@@ -45,7 +51,8 @@ pub(super) fn explore(
 pub(super) fn around(bench: &Bench<'_>, end: End, held: usize) -> End {
     let most = bench.filter_passes() + most(bench);
     let floor = end.home.value() + RISE;
-    let places = places(bench, &end, Some(held), &mut Silent);
+    let mut places = places(bench, &end, Some(held), &mut Silent);
+    places.extend(start::from_data(bench, Some((held, end.home.values[held])), &mut Silent));
     let mut found = places.into_iter().take_while(|_| bench.filter_passes() < most).filter_map(|place| {
         let (home, mut silent) = (bench.solve(&place, None).ok()?, Silent);
         let mut search = Search::new(bench, &mut silent, home).beyond(Some(floor));
@@ -62,7 +69,8 @@ pub(super) fn is_possible(bench: &Bench<'_>) -> bool {
 
 /// Runs of the filters that may be spent; none where they are too few for a search.
 fn most(bench: &Bench<'_>) -> usize {
-    let runs = (ROWS / bench.rows().max(1)).min(RUNS);
+    let rows = bench.rows().max(1);
+    let runs = (ROWS / rows).min(RUNS).max((FEW_ROWS / rows).min(MORE_RUNS));
     if runs < FEWEST || bench.slots.len() > VALUES { 0 } else { runs }
 }
 
@@ -71,20 +79,20 @@ fn look_around(
     ends: &mut Vec<End>,
     told: bool,
     progress: &mut dyn Progress,
-) -> Result<(), DynamicError> {
+) -> Result<Explored, DynamicError> {
     let most = most(bench);
     let mut tried: Vec<Vec<f64>> = ends.iter().map(|end| end.home.values.clone()).collect();
     for round in 0..ROUNDS {
         let best = best(ends);
         let mut places = best.map_or_else(Vec::new, |best| places(hybrid, best, None, progress));
         if round == 0 && told {
-            places.extend(start::from_data(bench, progress));
+            places.extend(start::from_data(bench, None, progress));
         }
         let floor = best.map(|best| best.home.value() + RISE);
         let mut higher = None;
         for place in places {
             if hybrid.filter_passes() >= most || progress.stops() {
-                return Ok(());
+                return Ok(Explored::Part);
             }
             let place = ordered(&bench.twins, &place);
             if tried.iter().any(|other| other == &place) {
@@ -98,14 +106,14 @@ fn look_around(
                 break;
             }
         }
-        let Some(found) = higher else { return Ok(()) };
+        let Some(found) = higher else { return Ok(Explored::Whole) };
         let found = match bench.settings.method {
             Method::Hybrid => found,
             _ => search(bench, found.restart().into(), None, progress)?,
         };
         ends.push(found);
     }
-    Ok(())
+    Ok(Explored::Part)
 }
 
 /// The best certified end.
@@ -132,6 +140,15 @@ fn places(bench: &Bench<'_>, end: &End, held: Option<usize>, progress: &mut dyn 
         without[s] = 0.0;
         all.push(without);
     }
+    for t in (0..values.len()).filter(|&t| bench.edges.has(t) && held != Some(t)) {
+        all.extend(other_parts(values, t));
+    }
+    for &s in levels.iter().filter(|&&s| values[s] > 0.0 && !drives(bench, s) && is_crossed(bench, s)) {
+        let mut without = values.clone();
+        without[s] = 0.0;
+        all.push(without);
+    }
+    all.extend(given_back(bench, end, &levels));
     for &s in &levels {
         all.extend(sizes(bench, end, (s, bench.units()[s])));
     }
@@ -141,6 +158,22 @@ fn places(bench: &Bench<'_>, end: &End, held: Option<usize>, progress: &mut dyn 
         all.extend(levels.iter().filter_map(|&s| taken_over(bench, values, s, parameter, progress)));
     }
     all
+}
+
+/// Processes in the place of a measurement's noise, which is at zero, given back to it: they may return in another shape.
+fn given_back(bench: &Bench<'_>, end: &End, levels: &[usize]) -> Vec<Vec<f64>> {
+    let (driving, still): (Vec<usize>, Vec<usize>) = levels.iter().partition(|&&s| drives(bench, s));
+    let (values, coordinates) = (&end.home.values, &bench.coordinates);
+    let back = |s: usize, t: usize| -> Option<Vec<f64>> {
+        let (from, to) = (coordinates[t].level?, coordinates[s].level?);
+        let mut given = values.clone();
+        given[s] = values[t].powf(from / to).clamp(coordinates[s].lower, coordinates[s].upper);
+        given[t] = 0.0;
+        Some(given)
+    };
+    let zeros = still.into_iter().filter(|&s| end.is_at_zero(s));
+    let pairs = zeros.flat_map(|s| driving.iter().filter(|&&t| values[t] > 0.0).map(move |&t| (s, t)));
+    pairs.filter_map(|(s, t)| back(s, t)).collect()
 }
 
 /// Noise of a measurement, in the level `s`, taken over by a process with this time constant in the shape that suits it best.
@@ -170,6 +203,21 @@ fn taken_over(
     over[taker] = values[s].powf(from / to).clamp(bench.coordinates[taker].lower, bench.coordinates[taker].upper);
     over[s] = 0.0;
     best_of(bench, time_constant, &over, progress)
+}
+
+/// Other parts of what a covariance of noises may be: of the other sign, say.
+fn other_parts(values: &[f64], t: usize) -> impl Iterator<Item = Vec<f64>> {
+    let apart = PARTS.into_iter().filter(move |part| (part - values[t]).abs() > APART);
+    apart.map(move |part| {
+        let mut other = values.to_vec();
+        other[t] = part;
+        other
+    })
+}
+
+/// A level of a noise that has a free covariance with another.
+fn is_crossed(bench: &Bench<'_>, s: usize) -> bool {
+    !bench.edges.beside(bench.slots.slots()[s].parameter).is_empty()
 }
 
 /// A level of the motion of some state.

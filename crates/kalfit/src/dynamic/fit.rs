@@ -3,7 +3,7 @@
 use crate::dynamic::bench::Bench;
 use crate::dynamic::iterate::End;
 use crate::dynamic::{
-    DynamicError, DynamicFit, OtherEnd, Settings, Standing, explore, search, start, twins, unbounded,
+    DynamicError, DynamicFit, Explored, OtherEnd, Settings, Standing, explore, search, start, twins, unbounded,
 };
 use crate::ensemble::Labels;
 use crate::estimate::{Combination, FitError, Progress, Stage, Stop};
@@ -26,10 +26,10 @@ pub fn fit(
     refuse(model, tests, &slots, settings)?;
     let bench = Bench::new(model, tests, &slots, settings);
     let (mut ends, first_error) = searched(&bench, progress)?;
-    let explored = explore::is_possible(&bench) && !progress.stops();
-    if explored {
-        explore::explore(&bench, &mut ends, start::all_given(&bench), progress)?;
-    }
+    let explored = match explore::is_possible(&bench) && !progress.stops() {
+        true => explore::explore(&bench, &mut ends, start::all_given(&bench), progress)?,
+        false => Explored::No,
+    };
     let Some(at) = chosen(&ends) else {
         return Err(first_error.unwrap_or(DynamicError::Fit(FitError::NoTests)));
     };

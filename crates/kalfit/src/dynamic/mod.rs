@@ -8,6 +8,7 @@
 
 mod balance;
 mod bench;
+mod branches;
 mod coordinates;
 mod covariances;
 mod curvature;
@@ -55,6 +56,6 @@ pub use fit::{fit, start_values};
 pub use inference::infer;
 pub(crate) use interval::MOST_PROFILED;
 pub use ratio::{DynamicRatioError, dynamic_bootstrap, dynamic_bootstrap_while, dynamic_ratio, started};
-pub use result::{DynamicFit, OtherEnd};
+pub use result::{DynamicFit, Explored, OtherEnd};
 pub use settings::{Method, Settings};
 pub use standing::{ParameterInference, Standing};

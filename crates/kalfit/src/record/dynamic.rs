@@ -1,6 +1,6 @@
 //! The record of a fit with free dynamic parameters.
 
-use crate::dynamic::{DynamicFit, MOST_PROFILED, Method, ParameterInference, Standing};
+use crate::dynamic::{DynamicFit, Explored, MOST_PROFILED, Method, ParameterInference, Standing};
 use crate::ensemble::Labels;
 use crate::estimate::{Criterion, Stop};
 use crate::infer::{Inference, IntervalKind};
@@ -20,6 +20,7 @@ const MANY_RUNS: usize = 300;
 /// Said of ensembles that are too large to look around in.
 const NOT_EXPLORED: &str =
     "other maxima were not looked for beyond these starts, as one search takes long: `--starts` adds more";
+const CUT_SHORT: &str = "the look for other maxima ended with the filter runs that it may take, so there may be a higher one: `--starts` adds more";
 
 /// How an upper limit of what is estimated as zero is had.
 const LIMIT: &str = "; `--intervals profile` gives the upper limit";
@@ -75,8 +76,13 @@ impl FitRecord {
         record.starts = StartRecord::all(fit);
         let mut notes = if record.converged { standing_notes(parts) } else { Vec::new() };
         notes.extend(if fit.unbounded.is_empty() { start_notes(parts) } else { vec![EXACT.to_owned()] });
-        if record.converged && !fit.explored && fit.slots.len() > 1 {
-            notes.push(NOT_EXPLORED.to_owned());
+        if record.converged && fit.slots.len() > 1 {
+            let said = match fit.explored {
+                Explored::No => Some(NOT_EXPLORED),
+                Explored::Part => Some(CUT_SHORT),
+                Explored::Whole => None,
+            };
+            notes.extend(said.map(str::to_owned));
         }
         if fit.method == Method::Em && fit.filter_passes > MANY_RUNS {
             let runs = fit.filter_passes;
@@ -241,7 +247,7 @@ fn start_notes(parts: &DynamicParts<'_>) -> Vec<String> {
     let equal = EQUAL + 1e-9 * top.abs();
     let all = fit.others.len();
     let certified: Vec<_> = fit.others.iter().filter(|end| end.stop == Stop::Certified).collect();
-    let below: Vec<f64> = certified.iter().map(|end| top - end.log_likelihood).filter(|gap| *gap > equal).collect();
+    let below = fit.lower_maxima(equal);
     let mut notes = Vec::new();
     if let (Some(least), count) = (below.iter().copied().reduce(f64::min), below.len()) {
         let ended = if count == 1 { "another maximum" } else { "other maxima" };
