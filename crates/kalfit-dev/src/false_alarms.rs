@@ -1,5 +1,7 @@
-//! How often the checks of a fit accuse a model that is right: the tails of the whiteness test by plain simulation, and whole
-//! ensembles drawn from a model and fitted with it.
+//! How often the checks of a fit accuse a model that is right: the tails of the whiteness test, of the size of innovations and of
+//! distances by plain simulation, and whole ensembles drawn from a model and fitted with it.
+
+mod tails;
 
 use std::process::ExitCode;
 
@@ -7,7 +9,7 @@ use kalfit::infer::{Choices, DeletionChoice};
 use kalfit::innovations::Whiteness;
 use kalfit::record::FitRecord;
 use kalfit::simulate::{Designs, Simulator};
-use kalfit::{Alpha, Ensemble, Label, Labels, Model, Options, Population, Source, Test, estimate};
+use kalfit::{Alpha, Ensemble, Label, Labels, Model, PhasedModel, Population, Source, Test, estimate};
 use kalfit_spec::Spec;
 use nalgebra::DMatrix;
 use rand::{RngExt, SeedableRng};
@@ -42,8 +44,36 @@ equation = "bias + scale * turn + drift"
 noise = 0.08
 "#;
 
-/// Simulates so many numbers for each length, and so many ensembles; fails when a search accuses too often.
-pub(crate) fn run(numbers: u64, ensembles: u64) -> ExitCode {
+/// What is asked of the task.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Options {
+    /// Random numbers for each length of series; none are simulated with 0.
+    #[arg(long, default_value_t = 1_000_000_000)]
+    numbers: u64,
+    /// Tests at known parameters, for the tails of sizes and distances; none are simulated with 0.
+    #[arg(long, default_value_t = 20_000_000)]
+    tests: u64,
+    /// Ensembles of 20 000 tests; none are simulated with 0.
+    #[arg(long, default_value_t = 200)]
+    ensembles: u64,
+}
+
+/// Simulates what is asked for; fails when a search accuses too often.
+pub(crate) fn run(options: &Options) -> ExitCode {
+    if options.numbers > 0 {
+        whiteness_table(options.numbers);
+    }
+    let tails = if options.tests > 0 { tails::run(options.tests) } else { Ok(()) };
+    match tails.and_then(|()| whole(options.ensembles)) {
+        Ok(code) => code,
+        Err(error) => {
+            eprintln!("{error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn whiteness_table(numbers: u64) {
     println!(
         "Whiteness: share of series with a p-value below the nominal one, as a multiple of it, {numbers} numbers of each length.\n"
     );
@@ -56,16 +86,30 @@ pub(crate) fn run(numbers: u64, ensembles: u64) -> ExitCode {
         let cell = |k: usize| if below[k] < 10.0 { "-".to_owned() } else { format!("{:.2}", found[k] / below[k]) };
         println!("| {n} | {} |", (0..LEVELS.len()).map(cell).collect::<Vec<_>>().join(" | "));
     }
+}
+
+/// Whole ensembles, fitted.
+fn whole(ensembles: u64) -> Result<ExitCode, String> {
+    if ensembles == 0 {
+        return Ok(ExitCode::SUCCESS);
+    }
     println!(
         "\n{ensembles} ensembles of {TESTS} tests of 20 to 100 measurements, each fitted with the model it comes from.\n"
     );
-    match tally(ensembles) {
-        Ok(tally) => tally.show(ensembles),
-        Err(error) => {
-            eprintln!("{error}");
-            ExitCode::FAILURE
-        }
-    }
+    Ok(tally(ensembles)?.show(ensembles))
+}
+
+/// Counts below each level as multiples of what they should be; none where that is too few to tell.
+fn multiples(all: u64, below: &[u64; LEVELS.len()]) -> String {
+    let cell = |k: usize| match LEVELS[k] * all as f64 {
+        few if few < 3.0 => "-".to_owned(),
+        expected => format!("{:.2}", below[k] as f64 / expected),
+    };
+    (0..LEVELS.len()).map(cell).collect::<Vec<_>>().join(" | ")
+}
+
+fn parsed() -> Result<PhasedModel, String> {
+    Ok(Spec::parse("model", MODEL).map_err(|error| error.to_string())?.model)
 }
 
 /// How many of these series of n numbers have a p-value below each level.
@@ -99,7 +143,7 @@ struct Tally {
 }
 
 fn tally(ensembles: u64) -> Result<Tally, String> {
-    let model = Spec::parse("model", MODEL).map_err(|error| error.to_string())?.model;
+    let model = parsed()?;
     let mut tally = Tally::default();
     let shared = model.shared();
     let alpha = Alpha::fixed(&shared.parameters).map_err(|error| error.to_string())?;
@@ -111,7 +155,7 @@ fn tally(ensembles: u64) -> Result<Tally, String> {
         covariance: DMatrix::from_row_slice(2, 2, &[0.64, -8.0, -8.0, 625.0]),
     };
     let choices = Choices { deletion: DeletionChoice::None, ..Choices::default() };
-    let options = Options { choices, ..Options::default() };
+    let options = kalfit::Options { choices, ..kalfit::Options::default() };
     for k in 0..ensembles {
         let simulator =
             Simulator::new(&model, &alpha, population.clone(), SEED + k).map_err(|error| error.to_string())?;
@@ -162,11 +206,7 @@ impl Tally {
         println!("| p-values | {} |", LEVELS.map(|p| format!("{p:e}")).join(" | "));
         println!("|---{}|", "|---".repeat(LEVELS.len()));
         for (which, name) in ["size", "whiteness", "distance"].iter().enumerate() {
-            let cell = |k: usize| match LEVELS[k] * self.all[which] as f64 {
-                few if few < 3.0 => "-".to_owned(),
-                expected => format!("{:.2}", self.below[which][k] as f64 / expected),
-            };
-            println!("| {name} | {} |", (0..LEVELS.len()).map(cell).collect::<Vec<_>>().join(" | "));
+            println!("| {name} | {} |", multiples(self.all[which], &self.below[which]));
         }
         println!("\n| accused by | share of ensembles |\n|---|---|");
         let names = ["innovations (Holm)", "distances (Bonferroni)", "mean square of all", "anything"];

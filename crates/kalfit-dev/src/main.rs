@@ -52,14 +52,7 @@ enum Task {
     /// `--release`.
     Maxima(maxima::Options),
     /// How often the checks of a fit accuse a model that is right: tables of `docs/coverage.md`. Best built with `--release`.
-    FalseAlarms {
-        /// Random numbers for each length of series.
-        #[arg(long, default_value_t = 1_000_000_000, value_parser = clap::value_parser!(u64).range(1_000_000..))]
-        numbers: u64,
-        /// Ensembles of 20 000 tests.
-        #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u64).range(1..))]
-        ensembles: u64,
-    },
+    FalseAlarms(false_alarms::Options),
     /// Runs the program on damaged models, tables, exchange files and results: no run may panic, hang, or leave what is not whole. Best
     /// built with `--release`.
     Fuzz(fuzz::Options),
@@ -86,7 +79,7 @@ fn main() -> ExitCode {
         Task::Test { only } => test::run(only.as_deref()),
         Task::Coverage { ensembles, only } => coverage::run(ensembles, &only),
         Task::Maxima(options) => maxima::run(&options),
-        Task::FalseAlarms { numbers, ensembles } => false_alarms::run(numbers, ensembles),
+        Task::FalseAlarms(options) => false_alarms::run(&options),
         Task::Fuzz(options) => fuzz::run(&options),
         Task::Whiteness => whiteness::run(),
         Task::Book { open: true } => book::open(),

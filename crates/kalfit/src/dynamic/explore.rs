@@ -7,13 +7,12 @@
 
 use crate::dynamic::bench::Bench;
 use crate::dynamic::iterate::{End, RISE, Search};
-use crate::dynamic::result::Explored;
 use crate::dynamic::sample::{Beside, CLOSE, FOLLOWED, alike, sample, total};
 use crate::dynamic::scales::{mentions, time_constants};
 use crate::dynamic::search::search;
 use crate::dynamic::tries::{best_of, other_maxima};
 use crate::dynamic::twins::ordered;
-use crate::dynamic::{DynamicError, Method, Settings, start};
+use crate::dynamic::{DynamicError, Explored, Method, Settings, start};
 use crate::estimate::{Progress, Silent, Stop};
 use crate::model::Motion;
 
@@ -29,6 +28,12 @@ const VALUES: usize = 24;
 const FEWEST: usize = 150;
 /// Most times that a better end is looked around from.
 const ROUNDS: usize = 4;
+/// … more of them where rows are so few that all runs together are of no more than this.
+const MORE_RUNS: usize = 1200;
+const FEW_ROWS: usize = 600_000;
+/// Parts of what a covariance of noises may be that are tried, those that are this far from the present one.
+const PARTS: [f64; 4] = [-0.9, -0.3, 0.3, 0.9];
+const APART: f64 = 0.4;
 /// Sizes of levels at zero that are tried, in units of what the data suggest.
 const SIZES: [f64; 5] = [2.0, 0.7, 0.25, 0.08, 0.025];
 
@@ -46,10 +51,8 @@ pub(super) fn explore(
     let small = Bench::new(bench.model, &part, bench.slots, &settings);
     let is_long = common && LONGER * total(&part) <= bench.rows();
     let explored = match best(ends) {
-        Some(_) if is_long && is_possible(&small) => {
-            on_part((bench, &hybrid, &small), ends, told, progress).map(|()| Explored::Part)
-        }
-        _ if is_possible(bench) => look_around((bench, &hybrid), ends, (told, 0.0), progress).map(|()| Explored::All),
+        Some(_) if is_long && is_possible(&small) => on_part((bench, &hybrid, &small), ends, told, progress),
+        _ if is_possible(bench) => look_around((bench, &hybrid), ends, (told, 0.0), progress),
         _ => Ok(Explored::No),
     };
     bench.absorb(&hybrid);
@@ -62,13 +65,13 @@ fn on_part(
     ends: &mut Vec<End>,
     told: bool,
     progress: &mut dyn Progress,
-) -> Result<(), DynamicError> {
-    let Some(home) = best(ends).map(End::restart) else { return Ok(()) };
+) -> Result<Explored, DynamicError> {
+    let Some(home) = best(ends).map(End::restart) else { return Ok(Explored::No) };
     let mut beside = Beside { small, progress: &mut *progress };
-    let Ok(start) = small.solve(&home, None) else { return Ok(()) };
+    let Ok(start) = small.solve(&home, None) else { return Ok(Explored::No) };
     let mut found = vec![Search::new(small, &mut beside, start).run()?];
     let known = ordered(&bench.twins, &found[0].restart());
-    look_around((small, small), &mut found, (told, CLOSE), &mut beside)?;
+    let looked = look_around((small, small), &mut found, (told, CLOSE), &mut beside)?;
     found.sort_by(|a, b| b.home.value().total_cmp(&a.home.value()));
     let highest = found[0].home.value();
     let near = found.iter().filter(|end| highest - end.home.value() <= CLOSE).map(End::restart);
@@ -77,14 +80,14 @@ fn on_part(
         let floor = best(ends).map(|best| best.home.value() + RISE);
         let Ok(home) = hybrid.solve(&values, None) else { continue };
         if progress.stops() {
-            return Ok(());
+            return Ok(Explored::Part);
         }
         let end = Search::new(hybrid, progress, home).beyond(floor).run()?;
         if is_higher(&end, floor) {
             ends.push(by_method(bench, end, progress)?);
         }
     }
-    Ok(())
+    Ok(if looked == Explored::Whole { Explored::Sample } else { looked })
 }
 
 /// A certified end above another.
@@ -104,7 +107,8 @@ fn by_method(bench: &Bench<'_>, found: End, progress: &mut dyn Progress) -> Resu
 pub(super) fn around(bench: &Bench<'_>, end: End, held: usize) -> End {
     let most = bench.filter_passes() + most(bench);
     let floor = end.home.value() + RISE;
-    let places = places(bench, &end, Some(held), &mut Silent);
+    let mut places = places(bench, &end, Some(held), &mut Silent);
+    places.extend(start::from_data(bench, Some((held, end.home.values[held])), &mut Silent));
     let mut found = places.into_iter().take_while(|_| bench.filter_passes() < most).filter_map(|place| {
         let (home, mut silent) = (bench.solve(&place, None).ok()?, Silent);
         let mut search = Search::new(bench, &mut silent, home).beyond(Some(floor));
@@ -121,7 +125,8 @@ fn is_possible(bench: &Bench<'_>) -> bool {
 
 /// Runs of the filters that may be spent; none where they are too few for a search.
 fn most(bench: &Bench<'_>) -> usize {
-    let runs = (ROWS / bench.rows().max(1)).min(RUNS);
+    let rows = bench.rows().max(1);
+    let runs = (ROWS / rows).min(RUNS).max((FEW_ROWS / rows).min(MORE_RUNS));
     if runs < FEWEST || bench.slots.len() > VALUES { 0 } else { runs }
 }
 
@@ -131,20 +136,20 @@ fn look_around(
     ends: &mut Vec<End>,
     (told, slack): (bool, f64),
     progress: &mut dyn Progress,
-) -> Result<(), DynamicError> {
+) -> Result<Explored, DynamicError> {
     let most = most(bench);
     let mut tried: Vec<Vec<f64>> = ends.iter().map(|end| end.home.values.clone()).collect();
     for round in 0..ROUNDS {
         let best = best(ends);
         let mut places = best.map_or_else(Vec::new, |best| places(hybrid, best, None, progress));
         if round == 0 && told {
-            places.extend(start::from_data(bench, progress));
+            places.extend(start::from_data(bench, None, progress));
         }
         let floor = best.map(|best| best.home.value() + RISE);
         let mut higher = false;
         for place in places {
             if hybrid.filter_passes() >= most || progress.stops() {
-                return Ok(());
+                return Ok(Explored::Part);
             }
             let place = ordered(&bench.twins, &place);
             if tried.iter().any(|other| other == &place) {
@@ -164,10 +169,10 @@ fn look_around(
             }
         }
         if !higher {
-            return Ok(());
+            return Ok(Explored::Whole);
         }
     }
-    Ok(())
+    Ok(Explored::Part)
 }
 
 /// The best certified end.
@@ -194,6 +199,15 @@ fn places(bench: &Bench<'_>, end: &End, held: Option<usize>, progress: &mut dyn 
         without[s] = 0.0;
         all.push(without);
     }
+    for t in (0..values.len()).filter(|&t| bench.edges.has(t) && held != Some(t)) {
+        all.extend(other_parts(values, t));
+    }
+    for &s in levels.iter().filter(|&&s| values[s] > 0.0 && !drives(bench, s) && is_crossed(bench, s)) {
+        let mut without = values.clone();
+        without[s] = 0.0;
+        all.push(without);
+    }
+    all.extend(given_back(bench, end, &levels));
     for &s in &levels {
         all.extend(sizes(bench, end, (s, bench.units()[s])));
     }
@@ -203,6 +217,22 @@ fn places(bench: &Bench<'_>, end: &End, held: Option<usize>, progress: &mut dyn 
         all.extend(levels.iter().filter_map(|&s| taken_over(bench, values, s, parameter, progress)));
     }
     all
+}
+
+/// Processes in the place of a measurement's noise, which is at zero, given back to it: they may return in another shape.
+fn given_back(bench: &Bench<'_>, end: &End, levels: &[usize]) -> Vec<Vec<f64>> {
+    let (driving, still): (Vec<usize>, Vec<usize>) = levels.iter().partition(|&&s| drives(bench, s));
+    let (values, coordinates) = (&end.home.values, &bench.coordinates);
+    let back = |s: usize, t: usize| -> Option<Vec<f64>> {
+        let (from, to) = (coordinates[t].level?, coordinates[s].level?);
+        let mut given = values.clone();
+        given[s] = values[t].powf(from / to).clamp(coordinates[s].lower, coordinates[s].upper);
+        given[t] = 0.0;
+        Some(given)
+    };
+    let zeros = still.into_iter().filter(|&s| end.is_at_zero(s));
+    let pairs = zeros.flat_map(|s| driving.iter().filter(|&&t| values[t] > 0.0).map(move |&t| (s, t)));
+    pairs.filter_map(|(s, t)| back(s, t)).collect()
 }
 
 /// Noise of a measurement, in the level `s`, taken over by a process with this time constant in the shape that suits it best.
@@ -232,6 +262,21 @@ fn taken_over(
     over[taker] = values[s].powf(from / to).clamp(bench.coordinates[taker].lower, bench.coordinates[taker].upper);
     over[s] = 0.0;
     best_of(bench, time_constant, &over, progress)
+}
+
+/// Other parts of what a covariance of noises may be: of the other sign, say.
+fn other_parts(values: &[f64], t: usize) -> impl Iterator<Item = Vec<f64>> {
+    let apart = PARTS.into_iter().filter(move |part| (part - values[t]).abs() > APART);
+    apart.map(move |part| {
+        let mut other = values.to_vec();
+        other[t] = part;
+        other
+    })
+}
+
+/// A level of a noise that has a free covariance with another.
+fn is_crossed(bench: &Bench<'_>, s: usize) -> bool {
+    !bench.edges.beside(bench.slots.slots()[s].parameter).is_empty()
 }
 
 /// A level of the motion of some state.

@@ -26,6 +26,8 @@ const FACTOR: f64 = 2.0;
 const PART: f64 = 0.05;
 const SPANS: f64 = 4.0;
 const MOST_TIMES: usize = 40;
+/// … and times as many spans, where what they drive is all but constant in a test.
+const FAR: [f64; 3] = [30.0, 1e3, 1e6];
 
 /// Values for some slots.
 type Change = Vec<(usize, f64)>;
@@ -111,12 +113,8 @@ impl Search<'_, '_> {
                 let within = |t: usize| time.clamp(self.bench.coordinates[t].lower, self.bench.coordinates[t].upper);
                 times.iter().map(|&t| (t, within(t))).collect()
             };
-            all.extend(
-                Scales::of(self.bench.model, self.bench.tests, self.bench.order())
-                    .range(PART, SPANS, FACTOR)
-                    .take(MOST_TIMES)
-                    .map(at),
-            );
+            let scales = Scales::of(self.bench.model, self.bench.tests, self.bench.order());
+            all.extend(scales.range(PART, SPANS, FACTOR).take(MOST_TIMES).chain(scales.beyond(FAR)).map(at));
         }
         let few: Vec<Change> = all.iter().step_by((all.len() / 4).max(1)).cloned().collect();
         for t in others {

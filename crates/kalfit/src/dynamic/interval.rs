@@ -1,18 +1,21 @@
 //! Profile-likelihood intervals of α: where the best ℓ with one value held is χ²₁'s 95 % quantile, halved, below the maximum.
+//!
+//! The best ℓ is that of the highest branch: other ends of the searches, and what is found around an end, are tried before a value is
+//! called unlikely.
 
 use statrs::distribution::{ContinuousCDF, Normal};
 
 use crate::dynamic::bench::{Bench, Solved};
+use crate::dynamic::branches::{alike, others};
 use crate::dynamic::covariances::Covariances;
 use crate::dynamic::explore;
 use crate::dynamic::iterate::{End, Search};
 use crate::dynamic::{DynamicError, DynamicFit, ParameterInference, Standing};
 use crate::estimate::Silent;
-use crate::infer::Interval;
 use crate::model::Population;
 
 /// Tries to meet the quantile.
-const TRIES: usize = 20;
+const TRIES: usize = 30;
 /// The deviance's root is met to this.
 const NEAR: f64 = 1e-4;
 /// A logarithm this far away has no limit there.
@@ -37,76 +40,127 @@ pub(crate) fn profiles(
     }
     let near = Population::from(&fit.estimate);
     let best = bench.solve(&fit.sought, Some(&near))?;
+    let others = others(bench, fit);
     for (slot, parameter) in parameters.iter_mut().enumerate() {
         let is_open = matches!(parameter.standing, Standing::Inside | Standing::Lower | Standing::Upper);
         if is_open && !bench.edges.has(slot) {
-            parameter.interval = profile(bench, &best, slot, covariances.alpha[slot].map(f64::sqrt));
+            let error = covariances.alpha[slot].map_or(0.5, f64::sqrt);
+            let end = |sign: f64| Side { bench, best: &best, slot, sign, others: others.clone() }.limit(error);
+            parameter.interval = Some([end(-1.0), end(1.0)]);
         }
     }
     Ok(())
 }
 
-/// The interval of the value in a slot; `error` is the standard error of its coordinate. An end is `None` where no value is
-/// unlikely enough.
-pub(crate) fn profile(bench: &Bench<'_>, best: &Solved, slot: usize, error: Option<f64>) -> Interval {
-    let end = |sign: f64| limit(bench, best, slot, sign, error.unwrap_or(0.5));
-    Some([end(-1.0), end(1.0)])
+/// One side of the interval of the value in a slot.
+struct Side<'b, 'a> {
+    bench: &'b Bench<'a>,
+    best: &'b Solved,
+    slot: usize,
+    sign: f64,
+    /// Places of other branches.
+    others: Vec<Vec<f64>>,
 }
 
-/// One end: the signed root of the deviance is nearly linear in the coordinate, so that secants meet it in a few tries.
-fn limit(bench: &Bench<'_>, best: &Solved, slot: usize, sign: f64, error: f64) -> Option<f64> {
-    let wanted = Normal::standard().inverse_cdf(0.975);
-    let (coordinate, value) = (bench.coordinates[slot], best.values[slot]);
-    let bound = if sign < 0.0 { coordinate.lower } else { coordinate.upper };
-    if value == bound {
-        return Some(bound);
+/// A held value with the best ℓ beside it.
+struct Tried {
+    home: Solved,
+    root: f64,
+    /// It is on a branch that was not known before.
+    new: bool,
+}
+
+impl Side<'_, '_> {
+    /// The end on this side; `error` is the standard error of the coordinate. The signed root of the deviance is nearly linear in the
+    /// coordinate, so that secants meet it in a few tries. `None` where no value is unlikely enough.
+    fn limit(mut self, error: f64) -> Option<f64> {
+        let (coordinate, value) = (self.bench.coordinates[self.slot], self.best.values[self.slot]);
+        let (sign, wanted) = (self.sign, wanted());
+        let bound = if sign < 0.0 { coordinate.lower } else { coordinate.upper };
+        if value == bound {
+            return Some(bound);
+        }
+        // from zero no logarithm leads away: begin where nothing can be felt yet
+        let value = if coordinate.log && value == 0.0 { TRACE * scale(self.best) } else { value };
+        let (mut inner, mut outer): ((f64, f64), Option<(f64, f64)>) = ((0.0, 0.0), None);
+        let mut distance = wanted * error;
+        let mut near = self.best.clone();
+        for _ in 0..TRIES {
+            if coordinate.log {
+                distance = distance.min(inner.0 + STRIDE);
+            }
+            let tried = coordinate.moved(value, sign * distance);
+            let mut root = f64::INFINITY;
+            if let Some(found) = self.highest(&near, tried) {
+                // what was too low on the branches known before need not be on this one
+                outer = outer.filter(|_| !found.new);
+                root = found.root;
+                near = found.home;
+            }
+            if (root - wanted).abs() <= NEAR {
+                return Some(tried);
+            }
+            if root < wanted {
+                if tried == bound {
+                    return Some(bound);
+                }
+                if coordinate.log && distance >= FAR {
+                    // every value down to zero, or up to infinity, may be
+                    return (sign < 0.0).then_some(coordinate.lower);
+                }
+                inner = (distance, root);
+            } else {
+                outer = Some((distance, root));
+            }
+            distance = next(inner, outer);
+        }
+        outer.map(|(far, _)| coordinate.moved(value, sign * 0.5 * (inner.0 + far)))
     }
-    // from zero no logarithm leads away: begin where nothing can be felt yet
-    let value = if coordinate.log && value == 0.0 { TRACE * scale(best) } else { value };
-    let (mut inner, mut outer): ((f64, f64), Option<(f64, f64)>) = ((0.0, 0.0), None);
-    let mut distance = wanted * error;
-    let mut near = best.clone();
-    for _ in 0..TRIES {
-        if coordinate.log {
-            distance = distance.min(inner.0 + STRIDE);
-        }
-        let tried = coordinate.moved(value, sign * distance);
-        let at_bound = tried == bound;
-        let root_at = |home: &Solved| (2.0 * (best.value() - home.value())).max(0.0).sqrt();
-        let mut root = f64::INFINITY;
-        if let Some(mut end) = held(bench, &near, slot, tried) {
-            if (root_at(&end.home) - wanted).abs() <= NEAR {
-                end = explore::around(bench, end, slot); // ℓ may be higher elsewhere
+
+    /// The best ℓ with the value held here: from nearby, where that is too low from other ends, and at the quantile from around it.
+    fn highest(&mut self, near: &Solved, tried: f64) -> Option<Tried> {
+        let wanted = wanted();
+        let root = |home: &Solved| (2.0 * (self.best.value() - home.value())).max(0.0).sqrt();
+        let mut end = held(self.bench, near, &near.values, (self.slot, tried));
+        for other in &self.others {
+            if end.as_ref().is_some_and(|end| root(&end.home) < wanted - NEAR) {
+                break;
             }
-            root = root_at(&end.home);
-            near = end.home;
+            let from = held(self.bench, near, other, (self.slot, tried));
+            let value = |end: &Option<End>| end.as_ref().map_or(f64::NEG_INFINITY, |end| end.home.value());
+            end = if value(&from) > value(&end) { from } else { end };
         }
-        if (root - wanted).abs() <= NEAR {
-            return Some(tried);
+        let end = end?;
+        if (root(&end.home) - wanted).abs() > NEAR {
+            return Some(Tried { root: root(&end.home), home: end.home, new: false });
         }
-        if root < wanted {
-            if at_bound {
-                return Some(bound);
-            }
-            if coordinate.log && distance >= FAR {
-                // every value down to zero, or up to infinity, may be
-                return (sign < 0.0).then_some(coordinate.lower);
-            }
-            inner = (distance, root);
-        } else {
-            outer = Some((distance, root));
+        let before = end.home.values.clone();
+        let end = explore::around(self.bench, end, self.slot); // ℓ may be higher elsewhere
+        let new = !alike(&before, &end.home.values);
+        let root = root(&end.home);
+        if new {
+            self.others.push(end.home.values.clone());
         }
-        distance = match outer {
-            Some((far, root)) if root.is_finite() => {
-                let secant = inner.0 + (far - inner.0) * (wanted - inner.1) / (root - inner.1);
-                secant.clamp(inner.0 + 0.05 * (far - inner.0), inner.0 + 0.95 * (far - inner.0))
-            }
-            Some((far, _)) => 0.5 * (inner.0 + far),
-            None if inner.1 > 0.1 * wanted => inner.0 * (1.02 * wanted / inner.1).min(3.0),
-            None => 3.0 * inner.0,
-        };
+        Some(Tried { root, home: end.home, new })
     }
-    outer.map(|(far, _)| coordinate.moved(value, sign * 0.5 * (inner.0 + far)))
+}
+
+/// Where the root of the deviance ends an interval.
+fn wanted() -> f64 {
+    Normal::standard().inverse_cdf(0.975)
+}
+
+/// The next distance to try, between (distance, root) of one that is likely and one that is not.
+fn next(inner: (f64, f64), outer: Option<(f64, f64)>) -> f64 {
+    match outer {
+        Some((far, root)) if root.is_finite() => {
+            let secant = inner.0 + (far - inner.0) * (wanted() - inner.1) / (root - inner.1);
+            secant.clamp(inner.0 + 0.05 * (far - inner.0), inner.0 + 0.95 * (far - inner.0))
+        }
+        Some((far, _)) => 0.5 * (inner.0 + far),
+        None if inner.1 > 0.1 * wanted() => inner.0 * (1.02 * wanted() / inner.1).min(3.0),
+        None => 3.0 * inner.0,
+    }
 }
 
 /// The largest of the values.
@@ -115,9 +169,9 @@ fn scale(best: &Solved) -> f64 {
     if largest > 0.0 { largest } else { 1.0 }
 }
 
-/// The best ℓ with a value held.
-fn held(bench: &Bench<'_>, near: &Solved, slot: usize, value: f64) -> Option<End> {
-    let mut values = near.values.clone();
+/// The best ℓ with a value held, from these values.
+fn held(bench: &Bench<'_>, near: &Solved, values: &[f64], (slot, value): (usize, f64)) -> Option<End> {
+    let mut values = values.to_vec();
     values[slot] = value;
     let population = Population::from(&near.estimate);
     let home = bench.solve(&values, Some(&population)).ok()?;

@@ -8,6 +8,7 @@
 
 mod balance;
 mod bench;
+mod branches;
 mod coordinates;
 mod covariances;
 mod curvature;

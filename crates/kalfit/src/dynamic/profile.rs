@@ -6,13 +6,15 @@
 //! ```
 //!
 //! The inner maximum is that of profiles at a known α. The outer one begins where the joint law of α and the quantity expects
-//! it, with the covariance of α given the quantity as the inverse of its curvature: one or two runs of the filters are enough.
+//! it, with the covariance of α given the quantity as the inverse of its curvature: one or two runs of the filters are enough. Where
+//! ℓ(x) is too low there, it begins at other ends of the searches for α as well: the highest of these branches counts.
 
 use std::collections::BTreeSet;
 
 use nalgebra::{DMatrix, DVector};
 
 use crate::dynamic::bench::Bench;
+use crate::dynamic::branches::{WITHIN, others};
 use crate::dynamic::covariances::Covariances;
 use crate::dynamic::matrices::{matrix_derivatives, matrix_gradient};
 use crate::dynamic::{DynamicFit, ParameterInference, Standing};
@@ -104,6 +106,8 @@ struct Outer<'b, 'a> {
     cross: DMatrix<f64>,
     /// And of these.
     inner: DMatrix<f64>,
+    /// Where other branches are.
+    others: Vec<Vec<f64>>,
 }
 
 /// A maximum with a quantity held, to begin near.
@@ -156,7 +160,16 @@ impl<'b, 'a> Outer<'b, 'a> {
         });
         let cross = DMatrix::from_fn(slots.len(), m, |i, c| places[i].map_or(0.0, |a| whole[(a, k + c)]));
         let inner = whole.view((k, k), (m, m)).into_owned();
-        Outer { bench, estimate, law: Law::new(&estimate.state), slots, alpha, cross, inner }
+        Outer {
+            bench,
+            estimate,
+            law: Law::new(&estimate.state),
+            slots,
+            alpha,
+            cross,
+            inner,
+            others: others(bench, fit),
+        }
     }
 
     /// Covariance of the values given a quantity, and how they follow it.
@@ -255,6 +268,25 @@ impl Holds for Outer<'_, '_> {
     type Near = Near;
 
     fn held(&self, what: Holdable, x: f64, near: &Near) -> Option<Held<Near>> {
+        let mut best = self.nearby(what, x, near);
+        let value = |found: &Option<Here>| found.as_ref().map_or(f64::NEG_INFINITY, Here::value);
+        let high = self.estimate.log_likelihood - WITHIN;
+        for other in &self.others {
+            if value(&best) > high {
+                break;
+            }
+            let state = self.estimate.state.clone();
+            let found = self.nearby(what, x, &Near { values: other.clone(), state, point: None, at: Some(x) });
+            best = if value(&found) > value(&best) { found } else { best };
+        }
+        let found = best?;
+        Some(Held { near: found.near(x), value: found.value(), slope: found.slope })
+    }
+}
+
+impl Outer<'_, '_> {
+    /// The maximum that a search from nearby ends at.
+    fn nearby(&self, what: Holdable, x: f64, near: &Near) -> Option<Here> {
         let (mut inverse, follows) = self.given(what);
         let from = near.at.or_else(|| value(self.estimate, what))?;
         let expected = self.moved(&near.values, &(follows * (x - from)));
@@ -278,7 +310,6 @@ impl Holds for Outer<'_, '_> {
             inverse = self.learn(&inverse, &here, &next);
             here = next;
         }
-        let found = found?;
-        Some(Held { near: found.near(x), value: found.value(), slope: found.slope })
+        found
     }
 }

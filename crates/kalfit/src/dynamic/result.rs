@@ -37,7 +37,7 @@ pub struct DynamicFit {
     pub passes: usize,
     /// Where other starts ended, best first.
     pub others: Vec<OtherEnd>,
-    /// Where other maxima were looked for from the best end.
+    /// How far other maxima were looked for from the best end.
     pub explored: Explored,
     /// Noise levels, by name, with which ℓ rises without bound as they go to zero together: the data fit the model exactly. Empty
     /// where ℓ has a maximum.
@@ -55,6 +55,26 @@ impl DynamicFit {
     pub fn standing(&self) -> &[Standing] {
         &self.standing
     }
+
+    /// By how much other starts ended lower at certified maxima, those that differ by more than this.
+    pub fn lower_maxima(&self, equal: f64) -> Vec<f64> {
+        let certified = self.others.iter().filter(|end| end.stop == Stop::Certified);
+        let gaps = certified.map(|end| self.estimate.log_likelihood - end.log_likelihood);
+        gaps.filter(|gap| *gap > equal).collect()
+    }
+}
+
+/// How far other maxima were looked for from the best end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Explored {
+    /// Not at all: one search takes long.
+    No,
+    /// As far as the runs of the filters went that may be spent on it.
+    Part,
+    /// Everywhere that is looked at, on a part of the data; on all of them where that part was about as likely elsewhere.
+    Sample,
+    /// Everywhere that is looked at.
+    Whole,
 }
 
 /// Where another start ended.
@@ -68,15 +88,4 @@ pub struct OtherEnd {
     pub stop: Stop,
     /// It was given up where no higher end than the best was in sight.
     pub given_up: bool,
-}
-
-/// Where other maxima were looked for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Explored {
-    /// On all of the data.
-    All,
-    /// On a part of them, and on all of them where that part was about as likely elsewhere.
-    Part,
-    /// Nowhere but at the starts.
-    No,
 }

@@ -48,6 +48,11 @@ impl Scales {
         (0..).map(move |k| first * factor.powi(k)).take_while(move |time| *time <= last)
     }
 
+    /// Times so many times the length of a test, far longer than a record shows.
+    pub(crate) fn beyond<const N: usize>(&self, spans: [f64; N]) -> [f64; N] {
+        spans.map(|spans| spans * self.span.max(self.step))
+    }
+
     /// A value for a positive parameter.
     pub(crate) fn guess(&self, model: &PhasedModel, parameter: usize) -> f64 {
         if time_constants(model).contains(&parameter) {

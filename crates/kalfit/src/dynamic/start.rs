@@ -78,18 +78,24 @@ pub(crate) fn first(bench: &Bench<'_>, progress: &mut dyn Progress) -> Vec<f64> 
     likeliest((bench, &small), &unknown(bench), progress).0
 }
 
-/// Starts from the data alone, whatever values were given.
-pub(crate) fn from_data(bench: &Bench<'_>, progress: &mut dyn Progress) -> Vec<Vec<f64>> {
-    let all: Vec<usize> = (0..bench.model.shared().parameters.len()).filter(|&p| bench.slots.is_free(p)).collect();
+/// Starts from the data alone, whatever values were given; `held`: a slot whose value stays as it is.
+pub(crate) fn from_data(bench: &Bench<'_>, held: Option<(usize, f64)>, progress: &mut dyn Progress) -> Vec<Vec<f64>> {
+    let still =
+        held.map(|(s, _)| bench.slots.slots()[s]).filter(|slot| slot.level.is_none()).map(|slot| slot.parameter);
+    let parameters = 0..bench.model.shared().parameters.len();
+    let all: Vec<usize> = parameters.filter(|&p| bench.slots.is_free(p) && still != Some(p)).collect();
     let common = bench.slots.slots().iter().all(|slot| slot.level.is_none());
     let sample = sample(bench.tests, common);
     let small = Bench::new(bench.model, &sample, bench.slots, bench.settings);
     let mut first = guess(bench, false);
+    let hold = |values: &mut Vec<f64>| held.iter().for_each(|&(s, value)| values[s] = value);
+    hold(&mut first);
     let peaks = balance(&small, &all, &mut first, progress);
     all.iter().for_each(|&parameter| scan(&small, parameter, &mut first, progress));
     let mut starts = vec![first.clone()];
     starts.extend(peaks.into_iter().take(1));
     starts.extend(scattered(&small, &all, &first, progress));
+    starts.iter_mut().for_each(hold);
     starts
 }
 

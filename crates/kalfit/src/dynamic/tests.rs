@@ -417,8 +417,8 @@ fn work_of_a_fit_is_as_recorded() {
     let levels = format!("63 values: {} filter passes, {} score passes", levels.filter_passes, levels.score_passes);
     let lines = [by(Method::Hybrid), by(Method::Innovations), levels].join("\n");
     insta::assert_snapshot!(lines, @"
-    Hybrid: 373 filter passes, 360 score passes
-    Innovations: 405 filter passes, 392 score passes
+    Hybrid: 379 filter passes, 366 score passes
+    Innovations: 411 filter passes, 398 score passes
     63 values: 528 filter passes, 528 score passes
     ");
 }
@@ -437,8 +437,7 @@ fn profile_intervals_end_where_the_likelihood_has_fallen_by_the_quantile() {
             held.phases[0].model.parameters[slot.parameter].value = Value::Fixed(end);
             let there = fit(&held, &labels, &tests, &settings, &mut Silent).expect("a fit");
             let fallen = 2.0 * (best.estimate.log_likelihood - there.estimate.log_likelihood);
-            // a profile follows the maximum that it begins at; the fit, which looks further, may find a higher one there
-            let near = (3.4..3.841_458_8 + 2e-3).contains(&fallen);
+            let near = (fallen - 3.841_458_8).abs() < 2e-3;
             assert!(near, "{}: {end} has {fallen}, the quantile is 3.841", slot.parameter);
         }
     }

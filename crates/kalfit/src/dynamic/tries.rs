@@ -6,6 +6,8 @@ use crate::estimate::{Progress, Stage};
 /// Powers of this factor are tried, so many to each side.
 pub(super) const FACTOR: f64 = 4.0;
 const EACH_SIDE: i32 = 6;
+/// Powers by which a value may be off what the data suggest and still be the middle of what is tried.
+const NEAR: f64 = 4.0;
 /// Values other than logarithms that are tried where none is given.
 const TRIED: [f64; 5] = [0.0, 0.5, 0.9, -0.5, 1.0];
 
@@ -38,9 +40,14 @@ fn grid(small: &Bench<'_>, parameter: usize, values: &[f64]) -> Vec<Vec<f64>> {
     let with = |change: &dyn Fn(usize, f64) -> f64| -> Vec<f64> {
         values.iter().enumerate().map(|(s, &v)| if own(s) { change(s, v) } else { v }).collect()
     };
+    // about what the data suggest where a search has run away from it
+    let middle = |s: usize, v: f64| {
+        let unit = small.units()[s];
+        if (v / unit).ln().abs() <= NEAR * FACTOR.ln() { v } else { unit }
+    };
     if (0..values.len()).any(|s| own(s) && small.coordinates[s].log) {
         (-EACH_SIDE..=EACH_SIDE)
-            .map(|k| with(&|s, v| small.coordinates[s].moved(v, f64::from(k) * FACTOR.ln())))
+            .map(|k| with(&|s, v| small.coordinates[s].moved(middle(s, v), f64::from(k) * FACTOR.ln())))
             .collect()
     } else {
         TRIED.iter().map(|&x| with(&|s, _| small.coordinates[s].inside(x))).collect()
@@ -70,7 +77,7 @@ pub(super) fn other_maxima(
     let values: Vec<f64> = grid.iter().map(|v| tried(small, v, progress).unwrap_or(f64::NEG_INFINITY)).collect();
     let at = |k: usize| values.get(k).copied().unwrap_or(f64::NEG_INFINITY);
     let peak = |&k: &usize| values[k].is_finite() && (k == 0 || at(k - 1) < values[k]) && at(k + 1) < values[k];
-    let middle = EACH_SIDE as usize;
-    let near = |k: usize| k.abs_diff(middle) <= 1;
+    let alike = |(s, value): (usize, &f64)| *value == first[s] || (value / first[s]).ln().abs() <= 1.01 * FACTOR.ln();
+    let near = |k: usize| grid[k].iter().enumerate().all(alike);
     (0..values.len()).filter(peak).filter(|&k| !near(k)).take(3).map(|k| grid[k].clone()).collect()
 }

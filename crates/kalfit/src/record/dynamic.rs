@@ -20,6 +20,9 @@ const MANY_RUNS: usize = 300;
 /// Said of ensembles that are too large to look around in.
 const NOT_EXPLORED: &str =
     "other maxima were not looked for beyond these starts, as one search takes long: `--starts` adds more";
+const CUT_SHORT: &str = "the look for other maxima ended with the filter runs that it may take, so there may be a higher one: `--starts` adds more";
+/// Said of ensembles of many rows.
+const ON_A_SAMPLE: &str = "other maxima were looked for on a part of the data, as there are many rows";
 
 /// Said of ensembles that are elsewhere.
 const ONE_SEARCH: &str =
@@ -79,9 +82,15 @@ impl FitRecord {
         record.starts = StartRecord::all(fit);
         let mut notes = if record.converged { standing_notes(parts) } else { Vec::new() };
         notes.extend(if fit.unbounded.is_empty() { start_notes(parts) } else { vec![EXACT.to_owned()] });
-        if record.converged && fit.explored == Explored::No && fit.slots.len() > 1 {
-            let elsewhere = fit.reductions.remote().is_some();
-            notes.push(if elsewhere { ONE_SEARCH } else { NOT_EXPLORED }.to_owned());
+        if record.converged && fit.slots.len() > 1 {
+            let said = match fit.explored {
+                Explored::No if fit.reductions.remote().is_some() => Some(ONE_SEARCH),
+                Explored::No => Some(NOT_EXPLORED),
+                Explored::Part => Some(CUT_SHORT),
+                Explored::Sample => Some(ON_A_SAMPLE),
+                Explored::Whole => None,
+            };
+            notes.extend(said.map(str::to_owned));
         }
         if fit.method == Method::Em && fit.filter_passes > MANY_RUNS {
             let runs = fit.filter_passes;
@@ -246,7 +255,7 @@ fn start_notes(parts: &DynamicParts<'_>) -> Vec<String> {
     let equal = EQUAL + 1e-9 * top.abs();
     let all = fit.others.len();
     let certified: Vec<_> = fit.others.iter().filter(|end| end.stop == Stop::Certified).collect();
-    let below: Vec<f64> = certified.iter().map(|end| top - end.log_likelihood).filter(|gap| *gap > equal).collect();
+    let below = fit.lower_maxima(equal);
     let mut notes = Vec::new();
     if let (Some(least), count) = (below.iter().copied().reduce(f64::min), below.len()) {
         let ended = if count == 1 { "another maximum" } else { "other maxima" };
