@@ -95,7 +95,7 @@ mod tests {
         let rates: Vec<f64> =
             (0..8000).map(|k| -(10f64.powf(-9.0 + f64::from(k % 1000) * 0.0113)) + 1e-3 * f64::from(k % 3)).collect();
         let steps: Vec<f64> = (0..8000).map(|k| 0.01 * f64::from(k % 487)).collect();
-        let zero = |k: usize, x: f64| if k % 97 == 0 { 0.0 } else { x };
+        let zero = |k: usize, x: f64| if k.is_multiple_of(97) { 0.0 } else { x };
         let rates: Vec<f64> = rates.iter().enumerate().map(|(k, &x)| zero(k, x)).collect();
         for isa in Isa::all() {
             for (k, found) in isa.run(Flows(&rates, &steps)).iter().enumerate() {

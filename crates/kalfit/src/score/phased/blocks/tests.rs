@@ -68,7 +68,7 @@ fn drawn_tests(random: &mut impl FnMut() -> f64) -> Vec<PhasedTest> {
             let sensor = Label::literal(3 + (k + number) % 2);
             let texts = [Label::literal(0), sensor, Label::literal(3 + number % 2)];
             test.push(&[time, values[0], 1.0 + random(), w, values[1]], &texts, Source::default());
-            time += if number % 3 == 0 { 0.5 } else { 0.6 + random() };
+            time += if number.is_multiple_of(3) { 0.5 } else { 0.6 + random() };
         }
         PhasedTest { id: test.id.clone(), phases: vec![Evidence::Rows(test)] }
     };
