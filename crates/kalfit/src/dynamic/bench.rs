@@ -18,9 +18,9 @@ use crate::dynamic::{Coordinate, DynamicError, Settings};
 use crate::ensemble::Grouping;
 use crate::estimate::{self, Criterion, Estimate, FitError, InitialLaw, NoiseInformation, Silent, Structure};
 use crate::model::{Alpha, PhasedModel, Population, Slots};
-use crate::reduce::{Blocks, Evidence, Filtered, PhasedReducer, PhasedTest, Reductions, grouping};
+use crate::reduce::{Evidence, Filtered, PhasedReducer, PhasedTest, Reductions, grouping};
 use crate::remote::{Answers, Question, Remote};
-use crate::score::{Companies, Gradient, Levels, PhasedComplete, PhasedScorer, carried};
+use crate::score::{Arrangement, Gradient, Levels, PhasedComplete, PhasedScorer, carried};
 
 /// The ensemble and the model, ready for any α.
 #[derive(Debug)]
@@ -44,8 +44,7 @@ pub(crate) struct Bench<'a> {
     scale: Option<Scale>,
     /// What is known of the tests, where they are elsewhere.
     answers: Option<Arc<Answers>>,
-    companies: OnceLock<Companies>,
-    blocks: OnceLock<Option<Arc<Blocks>>>,
+    arrangement: Arrangement,
     filter_passes: AtomicUsize,
     score_passes: AtomicUsize,
     passes: AtomicUsize,
@@ -137,8 +136,7 @@ impl<'a> Bench<'a> {
             indirect: Indirect::of(model, tests, slots),
             scale: Scale::of(model, tests, slots),
             answers: None,
-            companies: OnceLock::new(),
-            blocks: OnceLock::new(),
+            arrangement: Arrangement::default(),
             filter_passes: zero(),
             score_passes: zero(),
             passes: zero(),
@@ -257,26 +255,14 @@ impl<'a> Bench<'a> {
         let made = if self.scale.is_some() { PhasedReducer::passing } else { PhasedReducer::scoring };
         let mut reducer = made(self.model, &self.alpha(values), self.slots).map_err(Box::new)?;
         self.filter_passes.fetch_add(1, Ordering::Relaxed);
-        let (reductions, filtered) = match self.blocks(&reducer) {
-            Some(blocks) => {
-                let (reductions, filtered) = reducer.reduce_blocks(self.tests, blocks).map_err(Box::new)?;
-                (reductions, Some(filtered))
+        let (reductions, filtered) = match self.scale {
+            Some(_) => (reducer.reduce(self.tests).map_err(Box::new)?, None), // the filters hardly run
+            None => {
+                let told = (self.model, self.slots);
+                self.arrangement.reduce(told, &mut reducer, self.tests).map_err(Box::new)?
             }
-            None => (reducer.reduce(self.tests).map_err(Box::new)?, None),
         };
         Ok(Reduced { reducer: Some(reducer), reductions, filtered })
-    }
-
-    /// Tests with designs of their own, side by side, which does not depend on α.
-    fn blocks(&self, reducer: &PhasedReducer) -> Option<&Arc<Blocks>> {
-        if self.scale.is_some() {
-            return None; // the filters hardly run
-        }
-        if self.blocks.get().is_none() {
-            let scorer = PhasedScorer::new(self.model, reducer, self.slots).ok()?;
-            let _ = self.blocks.set(scorer.blocks(self.tests, self.companies(&scorer)).map(Arc::new));
-        }
-        self.blocks.get()?.as_ref()
     }
 
     /// ℓ(α) and its gradient; `near` is a population near the best one.
@@ -476,22 +462,13 @@ impl<'a> Bench<'a> {
         let reducer = reducer.as_ref().or(fresh.as_ref()).expect("one of them is there");
         self.score_passes.fetch_add(1, Ordering::Relaxed);
         let scorer = PhasedScorer::new(self.model, reducer, self.slots).map_err(Box::new)?;
-        let known = (self.companies(&scorer), filtered.as_ref());
+        let known = (self.arrangement.companies(&scorer, self.tests), filtered.as_ref());
         let mut scores = scorer.scores(self.tests, reductions, law, known).map_err(Box::new)?;
         self.edges.pull(values, &self.alpha(values), self.slots, &mut scores);
         let alpha = |values: &[f64]| self.alpha(values);
         let around = Around { model: self.model, tests: self.tests, slots: self.slots, alpha: &alpha };
         self.indirect.add(&around, (reducer, values), (reductions, law), &mut scores).map_err(Box::new)?;
         Ok(scores)
-    }
-
-    /// Which tests are alike, which does not depend on α.
-    fn companies(&self, scorer: &PhasedScorer<'_>) -> &Companies {
-        if self.companies.get().is_none() {
-            // not within the lock: threads that find them may take up other work meanwhile
-            let _ = self.companies.set(scorer.companies(self.tests));
-        }
-        self.companies.get().expect("they were set")
     }
 
     /// Moments of the complete data of each test at a solved α.

@@ -4,6 +4,7 @@
 //! Test at α, moments (x̂, V) of ξ ── backward ──> adjoints of φ, Q, M, R, b, d, a, P0 ── chain ──> dℓ/dα
 //! ```
 
+mod arrangement;
 mod backward;
 mod chain;
 mod company;
@@ -27,6 +28,7 @@ use chain::{Adjoints, Chain, Measured, Moved};
 
 use smoother::Later;
 
+pub(crate) use arrangement::Arrangement;
 pub(crate) use backward::{BackwardWork, Run, Seen, Smoothed, Wanted};
 pub(crate) use chain::{Gradient, add};
 pub(crate) use company::Companies;

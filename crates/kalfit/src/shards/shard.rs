@@ -1,15 +1,15 @@
 //! One place: its tests, and what it answers about them.
 
-use std::sync::{Mutex, OnceLock, PoisonError};
+use std::sync::{Mutex, PoisonError};
 
 use crate::dynamic::{self, Scale, Settings};
 use crate::ensemble::Labels;
 use crate::estimate::{InitialLaw, Silent, Structure, Summed};
 use crate::infer::counted;
 use crate::model::{PhasedModel, Slots};
-use crate::reduce::{Evidence, PhasedReducer, PhasedTest, ReduceError, Reductions};
+use crate::reduce::{Evidence, Filtered, PhasedReducer, PhasedTest, ReduceError, Reductions};
 use crate::remote::{Answer, Asked, Law, Question};
-use crate::score::{Companies, Gradient, PhasedScorer};
+use crate::score::{Arrangement, Gradient, PhasedScorer};
 use crate::shards::error::ShardError;
 use crate::shards::search::refuse;
 
@@ -22,11 +22,20 @@ pub struct Shard {
     tests: Vec<PhasedTest>,
     slots: Slots,
     settings: Settings,
-    companies: OnceLock<Companies>,
+    arrangement: Arrangement,
     /// Where the only free value scales all noise: the filters run at one value of many.
     scale: Option<Scale>,
-    /// The reductions at the α that was asked for last.
-    kept: Mutex<Option<(Vec<f64>, Summed)>>,
+    /// What was made of the tests at the α that was asked for last.
+    kept: Mutex<Option<Kept>>,
+}
+
+/// The tests at an α.
+#[derive(Debug)]
+struct Kept {
+    values: Vec<f64>,
+    summed: Summed,
+    /// Tests that are kept side by side.
+    filtered: Option<Filtered>,
 }
 
 impl Shard {
@@ -49,8 +58,8 @@ impl Shard {
         }
         tests.sort_by(|a, b| a.id.cmp(&b.id));
         let scale = Scale::of(&model, &tests, &slots);
-        let (companies, kept) = (OnceLock::new(), Mutex::new(None));
-        Ok(Shard { model, tests, slots, settings, companies, scale, kept })
+        let (arrangement, kept) = (Arrangement::default(), Mutex::new(None));
+        Ok(Shard { model, tests, slots, settings, arrangement, scale, kept })
     }
 
     /// Number of tests.
@@ -71,17 +80,17 @@ impl Shard {
             return Ok(Some(dynamic::opening(&self.model, &self.tests, told, &mut Silent)));
         }
         let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        if kept.as_ref().is_none_or(|(values, _)| *values != asked.values) {
+        if kept.as_ref().is_none_or(|kept| kept.values != asked.values) {
             *kept = None;
             match self.reduce(&asked.values) {
-                Ok(summed) => *kept = Some((asked.values.clone(), summed)),
+                Ok(made) => *kept = Some(made),
                 Err(error) if self.slots.is_empty() => return Err(error),
                 Err(_) => return Ok(None),
             }
         }
-        let (_, summed) = kept.as_mut().expect("it was set");
+        let Kept { summed, filtered, .. } = kept.as_mut().expect("it was set");
         match &asked.question {
-            Question::Score { law } => self.score(&asked.values, summed, law),
+            Question::Score { law } => self.score(&asked.values, (summed, filtered.as_ref()), law),
             Question::Observability { frame } => match counted(summed, frame) {
                 Some(counts) => Ok(Some(counts)),
                 None => Err(ShardError::Question { what: "the number of states" }),
@@ -90,25 +99,41 @@ impl Shard {
         }
     }
 
-    fn reduce(&self, values: &[f64]) -> Result<Summed, ShardError> {
+    fn reduce(&self, values: &[f64]) -> Result<Kept, ShardError> {
         let alpha = self.slots.alpha(self.model.shared(), values);
-        let filter = |value: f64| Ok(self.filter(&[value])?);
+        let filter = |value: f64| Ok(self.passed(&[value])?);
         let scaled = match &self.scale {
             Some(scale) => scale.reductions_from(origin(values[0]), values[0], &filter).map_err(Box::new)?,
             None => None,
         };
-        let reductions = scaled.map_or_else(|| self.filter(values), Ok)?;
-        Ok(Summed::new(reductions, &Structure::of(&self.model, &alpha, None)))
+        let (reductions, filtered) = scaled.map_or_else(|| self.filter(values), |reductions| Ok((reductions, None)))?;
+        let summed = Summed::new(reductions, &Structure::of(&self.model, &alpha, None));
+        Ok(Kept { values: values.to_vec(), summed, filtered })
     }
 
-    /// Runs the filters.
-    fn filter(&self, values: &[f64]) -> Result<Reductions, Box<ReduceError>> {
+    /// Runs the filters, for scores too where they are wanted.
+    fn filter(&self, values: &[f64]) -> Result<(Reductions, Option<Filtered>), Box<ReduceError>> {
+        if self.slots.is_empty() || self.scale.is_some() {
+            return Ok((self.passed(values)?, None));
+        }
+        let alpha = self.slots.alpha(self.model.shared(), values);
+        let mut reducer = PhasedReducer::scoring(&self.model, &alpha, &self.slots)?;
+        Ok(self.arrangement.reduce((&self.model, &self.slots), &mut reducer, &self.tests)?)
+    }
+
+    /// Runs the filters for their reductions alone.
+    fn passed(&self, values: &[f64]) -> Result<Reductions, Box<ReduceError>> {
         let alpha = self.slots.alpha(self.model.shared(), values);
         PhasedReducer::passing(&self.model, &alpha, &self.slots)?.reduce(&self.tests).map_err(Box::new)
     }
 
     /// Σ dℓ_j/dα.
-    fn score(&self, values: &[f64], summed: &Summed, law: &Law) -> Result<Answer, ShardError> {
+    fn score(
+        &self,
+        values: &[f64],
+        (summed, filtered): (&Summed, Option<&Filtered>),
+        law: &Law,
+    ) -> Result<Answer, ShardError> {
         let structure = self.model.phases.iter().map(|phase| phase.model.mean.regression.len()).sum();
         let law = InitialLaw::from_told(law, (self.model.dimension(), structure));
         let law = law.ok_or(ShardError::Question { what: "the number of states" })?;
@@ -119,8 +144,8 @@ impl Shard {
         let found = || {
             let reducer = PhasedReducer::scoring(&self.model, &alpha, &self.slots)?;
             let scorer = PhasedScorer::new(&self.model, &reducer, &self.slots)?;
-            let companies = self.companies.get_or_init(|| scorer.companies(&self.tests));
-            scorer.scores(&self.tests, &summed.reductions, &law, (companies, None))
+            let known = (self.arrangement.companies(&scorer, &self.tests), filtered);
+            scorer.scores(&self.tests, &summed.reductions, &law, known)
         };
         let Ok(scores) = found() else { return Ok(None) };
         Ok(total(&scores, values.len()))

@@ -1,0 +1,96 @@
+//! What a place that holds some of the tests answers: sums over their reductions.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::estimate::classes::{Classes, present};
+use crate::estimate::frame::{Frame, Pooled};
+use crate::estimate::order::FlatMean;
+use crate::estimate::pass;
+use crate::estimate::point::{Point, Regressors};
+use crate::estimate::remote::{RemoteCounts, matrix};
+use crate::estimate::structure::Structure;
+use crate::linalg::elements::Elements;
+use crate::reduce::Reductions;
+use crate::remote::{Answer, Coordinates, Flat, Place, Question};
+
+/// The reductions of one place at one α, ready to be asked for sums over them.
+#[derive(Debug)]
+pub(crate) struct Summed {
+    pub(crate) reductions: Reductions,
+    elements: Elements,
+    regressors: Vec<usize>,
+    /// The classes in the coordinates that were asked for last.
+    gathered: Option<(Coordinates, Classes)>,
+}
+
+impl Summed {
+    pub(crate) fn new(reductions: Reductions, structure: &Structure<'_>) -> Summed {
+        let regressors = structure.regressions().iter().map(|r| r.element).collect();
+        Summed { reductions, elements: Elements::new(structure.ranges()), regressors, gathered: None }
+    }
+
+    /// The answer to a question about μ and Σ; `None` where it is none, or not of this model.
+    pub(crate) fn answer(&mut self, question: &Question) -> Option<Answer> {
+        let numbers = match question {
+            Question::Survey => self.survey(),
+            Question::Excess { frame, mean } if self.is_state(mean) => {
+                let (excess, weight) = self.classes(frame)?.0.excess(&DVector::from_column_slice(mean));
+                excess.iter().chain(weight.iter()).copied().collect()
+            }
+            Question::Pass { frame, place, detail, flat } => {
+                let (point, flat) = (self.point(place)?, flat.as_ref());
+                let flat = flat.map_or(Some(None), |flat| self.flat(flat).map(Some))?;
+                let flat =
+                    flat.as_ref().map(|(jacobian, covariance)| FlatMean { jacobian, covariance: covariance.as_ref() });
+                let (classes, regressors) = self.classes(frame)?;
+                pass::pass(classes, regressors, &point, *detail, flat.as_ref()).numbers()
+            }
+            _ => return None,
+        };
+        Some(numbers.iter().all(|x| x.is_finite()).then_some(numbers))
+    }
+
+    /// The classes in these coordinates, with the elements that regressions act on; `None` where the coordinates are not of this model.
+    pub(crate) fn classes(&mut self, frame: &Coordinates) -> Option<(&Classes, &Regressors)> {
+        let fits = self.is_state(&frame.centre) && self.is_state(&frame.scale);
+        if !fits || frame.covariate_scale.len() != self.regressors.len() {
+            return None;
+        }
+        if self.gathered.as_ref().is_none_or(|(known, _)| known != frame) {
+            let own = Frame::from_told(frame);
+            let classes = Classes::in_frame(&self.reductions, &own, self.elements.clone(), true);
+            self.gathered = Some((frame.clone(), classes));
+        }
+        let (_, classes) = self.gathered.as_ref()?;
+        Some((classes, &self.regressors))
+    }
+
+    fn survey(&self) -> Vec<f64> {
+        let all: Vec<usize> = (0..self.reductions.len()).collect();
+        let pooled = Pooled::all(&self.reductions, &all, (self.elements.states(), self.regressors.len()));
+        let head = RemoteCounts::here(&self.reductions).numbers();
+        let present = present(&self.reductions, &self.elements);
+        head.into_iter().chain(present).chain(pooled.numbers()).collect()
+    }
+
+    fn is_state(&self, numbers: &[f64]) -> bool {
+        numbers.len() == self.elements.states()
+    }
+
+    fn point(&self, place: &Place) -> Option<Point> {
+        let p = self.elements.states();
+        let fits = self.is_state(&place.mean) && place.coefficients.len() == self.regressors.len();
+        let root = matrix(p, &place.root).filter(|_| fits)?;
+        Some(Point { mean: place.mean.clone(), coefficients: place.coefficients.clone(), root })
+    }
+
+    fn flat(&self, flat: &Flat) -> Option<(DMatrix<f64>, Option<DMatrix<f64>>)> {
+        let rows = self.elements.states() + self.regressors.len();
+        let jacobian = matrix(rows, &flat.jacobian).filter(|jacobian| jacobian.ncols() == flat.free)?;
+        let covariance = match &flat.covariance {
+            Some(numbers) => Some(matrix(flat.free, numbers).filter(|square| square.is_square())?),
+            None => None,
+        };
+        Some((jacobian, covariance))
+    }
+}

@@ -1,0 +1,55 @@
+//! How the tests of an ensemble are worked on together. None of it depends on α: it is found once.
+
+use std::sync::{Arc, OnceLock};
+
+use crate::model::{PhasedModel, Slots};
+use crate::reduce::{Blocks, Filtered, PhasedReducer, PhasedTest, ReduceError, Reductions};
+use crate::score::{Companies, PhasedScorer};
+
+/// Which tests are alike, and which are kept side by side.
+#[derive(Debug, Default)]
+pub(crate) struct Arrangement {
+    companies: OnceLock<Companies>,
+    blocks: OnceLock<Option<Arc<Blocks>>>,
+}
+
+impl Arrangement {
+    /// Which tests are alike.
+    pub(crate) fn companies(&self, scorer: &PhasedScorer<'_>, tests: &[PhasedTest]) -> &Companies {
+        if self.companies.get().is_none() {
+            // not within the lock: threads that find them may take up other work meanwhile
+            let _ = self.companies.set(scorer.companies(tests));
+        }
+        self.companies.get().expect("they were set")
+    }
+
+    /// The reductions at the α of a reducer that knows the slots, and what the scores of tests in blocks go back over.
+    pub(crate) fn reduce(
+        &self,
+        (model, slots): (&PhasedModel, &Slots),
+        reducer: &mut PhasedReducer,
+        tests: &[PhasedTest],
+    ) -> Result<(Reductions, Option<Filtered>), ReduceError> {
+        match self.blocks((model, slots), reducer, tests) {
+            Some(blocks) => {
+                let (reductions, filtered) = reducer.reduce_blocks(tests, blocks)?;
+                Ok((reductions, Some(filtered)))
+            }
+            None => Ok((reducer.reduce(tests)?, None)),
+        }
+    }
+
+    /// Tests with designs of their own, side by side.
+    fn blocks(
+        &self,
+        (model, slots): (&PhasedModel, &Slots),
+        reducer: &PhasedReducer,
+        tests: &[PhasedTest],
+    ) -> Option<&Arc<Blocks>> {
+        if self.blocks.get().is_none() {
+            let scorer = PhasedScorer::new(model, reducer, slots).ok()?;
+            let _ = self.blocks.set(scorer.blocks(tests, self.companies(&scorer, tests)).map(Arc::new));
+        }
+        self.blocks.get()?.as_ref()
+    }
+}
