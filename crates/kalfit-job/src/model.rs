@@ -45,9 +45,9 @@ pub fn read(document: &Document) -> Result<Spec, Failure> {
     let (name, text) = (document.name(), text(document)?);
     Spec::parse(&name, &text).map_err(|mut error| {
         if name.to_lowercase().ends_with(".json") {
-            error.hint = Some("a model file is wanted here; results of a fit are given by `--from`".to_owned());
+            error.hint = Some("this should be a model file; results of a fit are given by `--from`".to_owned());
         } else if is_table(&name) {
-            error.hint = Some("a model file is wanted here: it comes first, then the data".to_owned());
+            error.hint = Some("the model file comes first, then the data".to_owned());
         }
         Failure::model(error, &name, Some(text))
     })

@@ -83,8 +83,8 @@ fn the_tests_of_a_fit_are_what_the_fit_says_of_them() {
       The parameters of fit.json were estimated from these very tests, which fit
         them by construction: squares add up to about what is expected. Tests that
         are new are compared with wider laws.
-      p of a sum is two-sided; p of a single test is that of a larger value,
-        corrected by Holm for the number of tests.
+      The p-value of a sum is two-sided. That of a single test is the probability of
+        a larger value, corrected by Holm's method for the number of tests.
     ----- stderr
     Wrote tests.csv
     Wrote states.csv

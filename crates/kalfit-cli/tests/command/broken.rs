@@ -53,6 +53,8 @@ fn files_that_are_no_models() {
     error: not valid TOML: key with no value, expected `=`
       --> d.csv:1:3 | id,x,y
                     |   ^
+
+    hint: the model file comes first, then the data
     ");
     assert_snapshot!(refused_bytes("fit m.toml d.csv", &[("m.toml", b"title = \"\xff\xfe\"")]), @"
     error: the file is not UTF-8 text: byte 9 is not part of a character
