@@ -22,7 +22,7 @@ from typing import Any, Literal
 from kalfit import _kalfit
 from kalfit._data import Table
 from kalfit._fit import Fit
-from kalfit._jobs import Progress, Set, _how, _said, _source
+from kalfit._jobs import Progress, Set, Step, _how, _said, _source
 from kalfit._model import Model, ModelLike, Path, as_model, assignments
 
 __all__ = ["apply", "fit", "reduce"]
@@ -91,7 +91,7 @@ def fit(
     try:
         for round in range(1, sys.maxsize):
             if tell is not None:
-                tell(f"round {round}: sums over the tests")
+                tell(Step(f"round {round}: sums over the tests"))
             told = _told(packed, _passes(token, document, asked), "sums string")
             after, results = _kalfit.join(document, criterion, theta, told, _how(None, False))
             if results is not None:

@@ -92,8 +92,10 @@ class TestSparkItself:
         frame = session.read.csv(path, header=True, inferSchema=True).repartition(4)  # tests in pieces
         order = None if kalfit.Model.load(model).time else "Days"
         expected = kalfit.fit(model, path)
-        found = spark.fit(model, frame, order_by=order)
-        assert "is spread over partitions: the frame is repartitioned by test" in capsys.readouterr().err
+        found = spark.fit(model, frame, order_by=order, progress=True)
+        said = capsys.readouterr().err
+        assert "is spread over partitions: the frame is repartitioned by test" in said
+        assert "round 2: sums over the tests" in said
         assert abs(found.log_likelihood - expected.log_likelihood) <= 1e-10 * abs(expected.log_likelihood)
         assert found.converged
         at = expected if model == SLEEP[0] else None
