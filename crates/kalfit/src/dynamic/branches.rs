@@ -2,12 +2,13 @@
 
 use crate::dynamic::DynamicFit;
 use crate::dynamic::bench::Bench;
+use crate::dynamic::coordinates::alike;
 
 /// An end with ℓ lower by more is nowhere within an interval: half of χ²₁'s 95 % quantile.
 pub(super) const WITHIN: f64 = 1.9208;
 /// So many ends are kept, none but those that differ by more than this part.
 const MOST: usize = 6;
-const ALIKE: f64 = 1e-3;
+pub(super) const ALIKE: f64 = 1e-3;
 
 /// Other ends of the searches from which a profile may be higher than from the best, as they are sought: the highest first.
 pub(super) fn others(bench: &Bench<'_>, fit: &DynamicFit) -> Vec<Vec<f64>> {
@@ -15,14 +16,9 @@ pub(super) fn others(bench: &Bench<'_>, fit: &DynamicFit) -> Vec<Vec<f64>> {
     let mut kept = vec![fit.sought.clone()];
     for end in fit.others.iter().filter(|end| end.log_likelihood >= least) {
         let sought = bench.sought(&end.values);
-        if kept.len() <= MOST && !kept.iter().any(|other| alike(other, &sought)) {
+        if kept.len() <= MOST && !kept.iter().any(|other| alike(other, &sought, ALIKE)) {
             kept.push(sought);
         }
     }
     kept.split_off(1)
-}
-
-/// The same place, to a small part of each value.
-pub(super) fn alike(a: &[f64], b: &[f64]) -> bool {
-    a.iter().zip(b).all(|(a, b)| (a - b).abs() <= ALIKE * a.abs().max(b.abs()))
 }

@@ -96,6 +96,11 @@ impl Coordinate {
     }
 }
 
+/// The same place, to this part of each value.
+pub(super) fn alike(a: &[f64], b: &[f64], part: f64) -> bool {
+    a.iter().zip(b).all(|(a, b)| (a - b).abs() <= part * a.abs().max(b.abs()))
+}
+
 /// k where the variances that a level stands in go as its k-th power; 1 where they go otherwise.
 fn exponent(model: &PhasedModel, parameter: usize) -> f64 {
     let models = || model.phases.iter().map(|phase| &phase.model);

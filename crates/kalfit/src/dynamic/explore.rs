@@ -6,8 +6,9 @@
 //! will do: only where ℓ of that part is about as high elsewhere does the search go there on all of them.
 
 use crate::dynamic::bench::Bench;
+use crate::dynamic::coordinates::alike;
 use crate::dynamic::iterate::{End, RISE, Search};
-use crate::dynamic::sample::{Beside, CLOSE, FOLLOWED, alike, sample, total};
+use crate::dynamic::sample::{ALIKE, Beside, CLOSE, FOLLOWED, sample, total};
 use crate::dynamic::scales::{mentions, time_constants};
 use crate::dynamic::search::search;
 use crate::dynamic::tries::{best_of, other_maxima};
@@ -75,7 +76,7 @@ fn on_part(
     found.sort_by(|a, b| b.home.value().total_cmp(&a.home.value()));
     let highest = found[0].home.value();
     let near = found.iter().filter(|end| highest - end.home.value() <= CLOSE).map(End::restart);
-    let elsewhere = near.filter(|values| !alike(&ordered(&bench.twins, values), &known));
+    let elsewhere = near.filter(|values| !alike(&ordered(&bench.twins, values), &known, ALIKE));
     for values in elsewhere.take(FOLLOWED) {
         let floor = best(ends).map(|best| best.home.value() + RISE);
         let Ok(home) = hybrid.solve(&values, None) else { continue };

@@ -6,7 +6,8 @@
 use statrs::distribution::{ContinuousCDF, Normal};
 
 use crate::dynamic::bench::{Bench, Solved};
-use crate::dynamic::branches::{alike, others};
+use crate::dynamic::branches::{ALIKE, others};
+use crate::dynamic::coordinates::alike;
 use crate::dynamic::covariances::Covariances;
 use crate::dynamic::explore;
 use crate::dynamic::iterate::{End, Search};
@@ -136,7 +137,7 @@ impl Side<'_, '_> {
         }
         let before = end.home.values.clone();
         let end = explore::around(self.bench, end, self.slot); // ℓ may be higher elsewhere
-        let new = !alike(&before, &end.home.values);
+        let new = !alike(&before, &end.home.values, ALIKE);
         let root = root(&end.home);
         if new {
             self.others.push(end.home.values.clone());

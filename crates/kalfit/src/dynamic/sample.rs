@@ -1,6 +1,7 @@
 //! A part of the data, on which searches are cheap, and where the best of them end.
 
 use crate::dynamic::bench::Bench;
+use crate::dynamic::coordinates::alike;
 use crate::dynamic::curvature::Curvature;
 use crate::dynamic::iterate::Start;
 use crate::dynamic::search::search;
@@ -12,7 +13,7 @@ use crate::reduce::{Evidence, PhasedTest};
 pub(super) const CLOSE: f64 = 5.0;
 /// … so many of them, none but those that differ by more than this part.
 pub(super) const FOLLOWED: usize = 3;
-const ALIKE: f64 = 2e-2;
+pub(super) const ALIKE: f64 = 2e-2;
 /// Rows of the part, and rows of one test in it.
 const ROWS: usize = 100_000;
 const ROWS_OF_A_TEST: usize = 20_000;
@@ -62,17 +63,12 @@ pub(super) fn promising(
     let most = kept.len() + FOLLOWED;
     for (_, start) in ends.into_iter().filter(|(value, _)| best - value <= CLOSE) {
         let place = ordered(&small.twins, &start.values);
-        if kept.len() < most && !seen.iter().any(|other| alike(other, &place)) {
+        if kept.len() < most && !seen.iter().any(|other| alike(other, &place, ALIKE)) {
             kept.push(start);
             seen.push(place);
         }
     }
     kept
-}
-
-/// Values that differ by no more than a search on a part of the data is worth.
-pub(super) fn alike(a: &[f64], b: &[f64]) -> bool {
-    a.iter().zip(b).all(|(a, b)| (a - b).abs() <= ALIKE * a.abs().max(b.abs()))
 }
 
 /// A part of the data, of which all are `more` times as many.
