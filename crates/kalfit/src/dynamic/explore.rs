@@ -11,8 +11,8 @@ use crate::dynamic::iterate::{End, RISE, Search};
 use crate::dynamic::sample::{ALIKE, Beside, CLOSE, FOLLOWED, sample, total};
 use crate::dynamic::scales::{mentions, time_constants};
 use crate::dynamic::search::search;
-use crate::dynamic::tries::{best_of, other_maxima};
-use crate::dynamic::twins::ordered;
+use crate::dynamic::tries::{FACTOR, best_of, longer, other_maxima};
+use crate::dynamic::twins::{Twins, ordered};
 use crate::dynamic::{DynamicError, Explored, Method, Settings, start};
 use crate::estimate::{Progress, Silent, Stop};
 use crate::model::Motion;
@@ -35,6 +35,12 @@ const FEW_ROWS: usize = 600_000;
 /// Parts of what a covariance of noises may be that are tried, those that are this far from the present one.
 const PARTS: [f64; 4] = [-0.9, -0.3, 0.3, 0.9];
 const APART: f64 = 0.4;
+/// ℓ is as high as another to this.
+const LEVEL: f64 = 1e-3;
+/// A process whose time constant may be a quarter of what it is, at no more loss of ℓ than this, is white.
+const WHITE: f64 = 1e-6;
+/// Of processes that are set apart so many shapes are followed.
+const APART_TRIED: usize = 3;
 /// Sizes of levels at zero that are tried, in units of what the data suggest.
 const SIZES: [f64; 5] = [2.0, 0.7, 0.25, 0.08, 0.025];
 
@@ -185,9 +191,17 @@ pub(super) fn best(ends: &[End]) -> Option<&End> {
 /// Where to look from an end: at common values but the one that is held.
 fn places(bench: &Bench<'_>, end: &End, held: Option<usize>, progress: &mut dyn Progress) -> Vec<Vec<f64>> {
     let values = &end.home.values;
-    let mut all: Vec<Vec<f64>> =
-        bench.twins.iter().filter_map(|twins| twins.merged(values, &bench.coordinates)).collect();
-    all.retain(|place| held.is_none_or(|s| place[s] == values[s]));
+    let (mut all, mut bases) = (Vec::new(), vec![values.clone()]);
+    for twins in &bench.twins {
+        let Some(one) = twins.merged(values, &bench.coordinates) else { continue };
+        if held.is_none_or(|s| one[s] == values[s]) {
+            all.push(one.clone());
+        }
+        if held.is_none_or(|s| !twins.has(s)) {
+            all.extend(set_apart(bench, &one, twins, progress));
+            bases.push(one);
+        }
+    }
     let is_level = |s: &usize| {
         let coordinate = &bench.coordinates[*s];
         let common = bench.slots.slots()[*s].level.is_none();
@@ -215,9 +229,32 @@ fn places(bench: &Bench<'_>, end: &End, held: Option<usize>, progress: &mut dyn 
     let is_open = |parameter: usize| bench.slots.common(parameter).is_some_and(|s| held != Some(s));
     for parameter in time_constants(bench.model).into_iter().filter(|&p| is_open(p)) {
         all.extend(other_maxima(bench, parameter, values, progress));
-        all.extend(levels.iter().filter_map(|&s| taken_over(bench, values, s, parameter, progress)));
+        all.extend(less_white(bench, end, parameter, progress));
+        for base in &bases {
+            all.extend(
+                levels.iter().filter_map(|&s| taken_over(bench, (base, end.home.value()), s, parameter, progress)),
+            );
+        }
     }
     all
+}
+
+/// Of two processes that coincide one has taken the variance of both, and the other one may be of any size and shape beside it.
+fn set_apart(bench: &Bench<'_>, one: &[f64], twins: &Twins, progress: &mut dyn Progress) -> Vec<Vec<f64>> {
+    let (Some(level), Some(shape)) = (twins.freed(&bench.coordinates), twins.shape(&bench.coordinates)) else {
+        return Vec::new();
+    };
+    let of_size = |size: &f64| {
+        let mut beside = one.to_vec();
+        beside[level] = (size * bench.units()[level]).min(bench.coordinates[level].upper);
+        beside
+    };
+    let parameter = bench.slots.slots()[shape].parameter;
+    let found = SIZES.iter().flat_map(|size| other_maxima(bench, parameter, &of_size(size), progress));
+    let valued = found.filter_map(|place| Some((bench.value(&place)?, place)));
+    let mut valued: Vec<(f64, Vec<f64>)> = valued.collect();
+    valued.sort_by(|a, b| b.0.total_cmp(&a.0));
+    valued.into_iter().take(APART_TRIED).map(|(_, place)| place).collect()
 }
 
 /// Processes in the place of a measurement's noise, which is at zero, given back to it: they may return in another shape.
@@ -236,10 +273,21 @@ fn given_back(bench: &Bench<'_>, end: &End, levels: &[usize]) -> Vec<Vec<f64>> {
     pairs.filter_map(|(s, t)| back(s, t)).collect()
 }
 
-/// Noise of a measurement, in the level `s`, taken over by a process with this time constant in the shape that suits it best.
+/// A process that is all but white, with the time constant that suits it best among those from which it is told apart from white noise.
+fn less_white(bench: &Bench<'_>, end: &End, time_constant: usize, progress: &mut dyn Progress) -> Option<Vec<f64>> {
+    let (slot, height) = (bench.slots.common(time_constant)?, end.home.value());
+    let mut shorter = end.home.values.clone();
+    shorter[slot] = bench.coordinates[slot].moved(shorter[slot], -FACTOR.ln());
+    let is_white = (bench.value(&shorter)? - height).abs() <= WHITE;
+    let (best, value) = best_of(bench, time_constant, &end.home.values, progress).filter(|_| is_white)?;
+    ((value - height).abs() <= LEVEL).then(|| longer(bench, time_constant, (best, value), progress))
+}
+
+/// Noise of a measurement, in the level `s`, taken over by a process with this time constant in the shape that suits it best; `height`: ℓ
+/// before.
 fn taken_over(
     bench: &Bench<'_>,
-    values: &[f64],
+    (values, height): (&[f64], f64),
     s: usize,
     time_constant: usize,
     progress: &mut dyn Progress,
@@ -262,7 +310,10 @@ fn taken_over(
     let mut over = values.to_vec();
     over[taker] = values[s].powf(from / to).clamp(bench.coordinates[taker].lower, bench.coordinates[taker].upper);
     over[s] = 0.0;
-    best_of(bench, time_constant, &over, progress)
+    let best = best_of(bench, time_constant, &over, progress)?;
+    // no higher and no lower: white as the noise was, and the way up may be close by
+    let is_level = (best.1 - height).abs() <= LEVEL;
+    Some(if is_level { longer(bench, time_constant, best, progress) } else { best.0 })
 }
 
 /// Other parts of what a covariance of noises may be: of the other sign, say.

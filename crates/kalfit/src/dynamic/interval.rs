@@ -85,6 +85,7 @@ impl Side<'_, '_> {
         let value = if coordinate.log && value == 0.0 { TRACE * scale(self.best) } else { value };
         let (mut inner, mut outer): ((f64, f64), Option<(f64, f64)>) = ((0.0, 0.0), None);
         let mut distance = wanted * error;
+        // the last one within: a search from one too far may stay on a branch that is lower here
         let mut near = self.best.clone();
         for _ in 0..TRIES {
             if coordinate.log {
@@ -96,7 +97,7 @@ impl Side<'_, '_> {
                 // what was too low on the branches known before need not be on this one
                 outer = outer.filter(|_| !found.new);
                 root = found.root;
-                near = found.home;
+                near = if root < wanted { found.home } else { near };
             }
             if (root - wanted).abs() <= NEAR {
                 return Some(tried);

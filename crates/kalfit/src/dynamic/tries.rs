@@ -8,6 +8,11 @@ pub(super) const FACTOR: f64 = 4.0;
 const EACH_SIDE: i32 = 6;
 /// Powers by which a value may be off what the data suggest and still be the middle of what is tried.
 const NEAR: f64 = 4.0;
+/// ℓ is not told apart by less than this.
+const ROUNDING: f64 = 1e-8;
+/// Part of a power by which what is all but white is made longer, so many times.
+const FINE: f64 = 0.25;
+const FINE_STEPS: usize = 12;
 /// Values other than logarithms that are tried where none is given.
 const TRIED: [f64; 5] = [0.0, 0.5, 0.9, -0.5, 1.0];
 
@@ -25,14 +30,37 @@ pub(super) fn scan(small: &Bench<'_>, parameter: usize, values: &mut Vec<f64>, p
     }
 }
 
-/// The best of the same with all levels of one parameter over many powers of a factor.
+/// The best of the same with all levels of one parameter over many powers of a factor, and ℓ there.
 pub(super) fn best_of(
     bench: &Bench<'_>,
     parameter: usize,
     values: &[f64],
     progress: &mut dyn Progress,
-) -> Option<Vec<f64>> {
-    best(bench, grid(bench, parameter, values).into_iter(), progress).map(|(values, _)| values)
+) -> Option<(Vec<f64>, f64)> {
+    let tries = grid(bench, parameter, values).into_iter();
+    let valued: Vec<(Vec<f64>, f64)> =
+        tries.filter_map(|values| tried(bench, &values, progress).map(|value| (values, value))).collect();
+    let highest = valued.iter().map(|(_, value)| *value).fold(f64::NEG_INFINITY, f64::max);
+    // the last of those that rounding does not tell apart: the longest time constant of what is all but white
+    valued.into_iter().rfind(|(_, value)| *value >= highest - ROUNDING)
+}
+
+/// Values with the time constant of what is all but white, where ℓ is highest among somewhat longer ones: as it comes to be felt by the
+/// shortest steps alone, ℓ may rise and fall again between the powers that are tried elsewhere.
+pub(super) fn longer(
+    bench: &Bench<'_>,
+    parameter: usize,
+    (values, highest): (Vec<f64>, f64),
+    progress: &mut dyn Progress,
+) -> Vec<f64> {
+    let Some(slot) = bench.slots.common(parameter).filter(|&s| bench.coordinates[s].log) else { return values };
+    let at = |k: usize| {
+        let mut moved = values.clone();
+        moved[slot] = bench.coordinates[slot].moved(values[slot], k as f64 * FINE * FACTOR.ln());
+        moved
+    };
+    let found = best(bench, (1..=FINE_STEPS).map(at), progress).filter(|(_, value)| *value > highest);
+    found.map_or(values.clone(), |(values, _)| values)
 }
 
 fn grid(small: &Bench<'_>, parameter: usize, values: &[f64]) -> Vec<Vec<f64>> {

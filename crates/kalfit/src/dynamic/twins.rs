@@ -54,6 +54,21 @@ impl Twins {
         }
     }
 
+    /// Whether a slot is of one of the two.
+    pub(crate) fn has(&self, slot: usize) -> bool {
+        self.pairs.iter().any(|&(s, t)| s == slot || t == slot)
+    }
+
+    /// The level that is at zero where the two are [merged](Twins::merged).
+    pub(crate) fn freed(&self, coordinates: &[Coordinate]) -> Option<usize> {
+        self.pairs.iter().map(|&(_, t)| t).find(|&t| coordinates[t].level.is_some())
+    }
+
+    /// A time constant of that process.
+    pub(crate) fn shape(&self, coordinates: &[Coordinate]) -> Option<usize> {
+        self.pairs.iter().map(|&(_, t)| t).find(|&t| coordinates[t].level.is_none() && coordinates[t].log)
+    }
+
     /// Where the two coincide, one of them with the variance of both and the other at zero.
     pub(crate) fn merged(&self, values: &[f64], coordinates: &[Coordinate]) -> Option<Vec<f64>> {
         let (levels, shapes): (Vec<_>, Vec<_>) =

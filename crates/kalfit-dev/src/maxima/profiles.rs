@@ -1,0 +1,96 @@
+//! Whether profile intervals end where they say: at each end of an interval the value is held, and all others are fitted from
+//! several starts. The highest of these fits must lie χ²₁'s 95 % quantile, halved, below the maximum.
+
+use kalfit::dynamic::{self, DynamicFit};
+use kalfit::estimate::{Silent, Stop};
+use kalfit::infer::{Choices, DeletionChoice, IntervalKind, StdErrors, TestsChoice};
+use kalfit::model::Value;
+use kalfit::{Labels, PhasedModel};
+use rand_chacha::ChaCha8Rng;
+
+use super::{Drawn, fitted, scattered};
+
+/// Half of χ²₁'s 95 % quantile.
+const DROP: f64 = 1.920_729_410_347_062;
+/// Twice ℓ is met to this at an end.
+const MET: f64 = 5e-3;
+/// Starts at each end, beside the fit's own values and those that the data were drawn with.
+const RANDOM: usize = 2;
+
+/// The ends of one model's intervals.
+#[derive(Default)]
+pub(super) struct Ends {
+    /// Ends that were held.
+    pub(super) held: usize,
+    /// Ends at which a fit is higher than it may be: the interval is too short.
+    pub(super) short: usize,
+    /// The most by which one is.
+    pub(super) by: f64,
+    /// Ends at which no fit is as high as it should be: the interval is too long.
+    pub(super) long: usize,
+}
+
+/// Holds all ends of the intervals of a model's free values.
+pub(super) fn ends(drawn: &Drawn, seed: u64, random: &mut ChaCha8Rng) -> Ends {
+    let mut found = Ends::default();
+    let Some(fit) = fitted(drawn, None).filter(|fit| fit.stop == Stop::Certified) else { return found };
+    let choices = Choices {
+        std_errors: StdErrors::Observed,
+        intervals: IntervalKind::Profile,
+        deletion: DeletionChoice::None,
+        tests: TestsChoice::None,
+    };
+    let model = open(&drawn.model);
+    let Ok((_, parameters)) = dynamic::infer(&model, &drawn.tests, &fit, choices) else { return found };
+    for (slot, parameter) in parameters.iter().enumerate() {
+        for (side, end) in parameter.interval.into_iter().flatten().enumerate() {
+            let Some(end) = end.filter(|end| *end != 0.0 && *end != fit.values[slot]) else { continue };
+            let Some(highest) = highest(drawn, &fit, (slot, end), random) else { continue };
+            let over = highest - (fit.estimate.log_likelihood - DROP);
+            found.held += 1;
+            found.short += usize::from(over > MET);
+            found.long += usize::from(over < -MET);
+            found.by = found.by.max(over);
+            if over.abs() > MET {
+                eprintln!(
+                    "seed {seed}, {}: with {} held at {end:e}, its {}, the highest fit is {over:+.4} from where it should be; at {:?}\n{}",
+                    drawn.kind,
+                    drawn.model.shared().parameters[slot].name,
+                    ["lower end", "upper end"][side],
+                    fit.values,
+                    drawn.text
+                );
+            }
+        }
+    }
+    found
+}
+
+/// The highest ℓ of fits with the value of a slot held.
+fn highest(drawn: &Drawn, fit: &DynamicFit, (slot, end): (usize, f64), random: &mut ChaCha8Rng) -> Option<f64> {
+    let mut starts = vec![fit.values.clone(), drawn.truth.clone()];
+    starts.extend((0..RANDOM).map(|_| scattered(drawn, random)));
+    let value = |starts: &Vec<f64>| {
+        let mut model = drawn.model.clone();
+        for phase in &mut model.phases {
+            for (at, parameter) in phase.model.parameters.iter_mut().enumerate() {
+                let free = Value::Free { start: Some(starts[at]) };
+                parameter.value = if at == slot { Value::Fixed(end) } else { free };
+            }
+        }
+        let found = dynamic::fit(&model, &Labels::default(), &drawn.tests, &dynamic::Settings::default(), &mut Silent);
+        found.ok().map(|fit| fit.estimate.log_likelihood)
+    };
+    starts.iter().filter_map(value).max_by(f64::total_cmp)
+}
+
+/// The model with all parameters free.
+fn open(model: &PhasedModel) -> PhasedModel {
+    let mut model = model.clone();
+    for phase in &mut model.phases {
+        for parameter in &mut phase.model.parameters {
+            parameter.value = Value::Free { start: None };
+        }
+    }
+    model
+}
