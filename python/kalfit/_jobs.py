@@ -390,6 +390,7 @@ def predict(
     content: float = 0.95,
     one_sided: bool = False,
     units: Literal["new", "known"] = "new",
+    profile: Data | None = None,
     set: Set = None,
     out: Path | None = None,
     threads: int | None = None,
@@ -400,7 +401,8 @@ def predict(
     ``design`` has the times and inputs of the tests. ``source`` is a fit, its file, or a model with values. ``outputs`` is
     a file of ``[outputs.NAME]`` tables, or a dictionary of equations by name. Limits of the mean hold with ``confidence``; tolerance limits hold
     ``content`` of all tests with that confidence, between them or, if ``one_sided``, beyond neither by itself. Where tests stand
-    in groups, ``units`` says whether those of the design are ``"new"`` or ``"known"`` to the fit. All rows are in ``.table`` of
+    in groups, ``units`` says whether those of the design are ``"new"`` or ``"known"`` to the fit. With ``profile``, the data that
+    the fit was made from, limits of the mean come from the profile likelihood and not from standard errors. All rows are in ``.table`` of
     the result, unless ``out`` names a file for them.
 
     >>> import kalfit
@@ -417,6 +419,7 @@ def predict(
         _source(source),
         as_data(design, "design"),
         (None if outputs is None else _outputs(outputs), confidence, content, one_sided, units),
+        [] if profile is None else as_data(profile, "profile"),
         _file(out),
         _how(threads, progress),
     )

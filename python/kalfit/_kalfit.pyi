@@ -116,6 +116,7 @@ def predict(
     source: _Text,
     design: _Data,
     asks: tuple[_Text | None, float, float, bool, str],
+    profile: _Data,
     out: _Path | None,
     how: _How,
 ) -> tuple[str, Table | None, list[str]]: ...

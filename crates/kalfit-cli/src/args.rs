@@ -514,6 +514,10 @@ pub(crate) struct PredictArgs {
     #[arg(long, value_parser = one_of(words::UNITS), default_value = words::UNITS[0].word)]
     pub(crate) units: Units,
 
+    /// Data of the fit: limits of the mean by profile likelihood in place of standard errors; may be given many times
+    #[arg(long, value_name = "DATA")]
+    pub(crate) profile: Vec<String>,
+
     /// File for a table of all states and outputs at every row. `.parquet`, `.arrow`, `.csv` or `.tsv`
     #[arg(short, long, value_name = "FILE", help_heading = OUTPUT)]
     pub(crate) out: Option<PathBuf>,

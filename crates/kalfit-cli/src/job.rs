@@ -297,6 +297,7 @@ impl From<PredictArgs> for PredictJob {
             outputs: args.outputs.map(Into::into),
             limits: Limits { confidence: args.confidence, content: args.content, sides },
             units: args.units,
+            profile: data(args.profile),
             out: args.out.into(),
         }
     }

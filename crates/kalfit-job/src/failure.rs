@@ -139,6 +139,14 @@ pub enum Failure {
         /// Why.
         why: &'static str,
     },
+    /// No limits by profile likelihood.
+    #[error("limits by profile likelihood are not possible: {why}")]
+    NoProfile {
+        /// Why.
+        why: String,
+        /// What to do.
+        hint: &'static str,
+    },
     /// There are no folds.
     #[error("{0}")]
     Folds(Box<FoldsError>),
@@ -399,6 +407,7 @@ impl Failure {
             Failure::Predict(_) => None,
             Failure::UnknownUnit(_) => Some("`--units new` predicts tests of units that nobody has seen".to_owned()),
             Failure::NoUnits { .. } => Some("leave it out".to_owned()),
+            Failure::NoProfile { hint, .. } => Some((*hint).to_owned()),
             Failure::Folds(error) if matches!(**error, FoldsError::Apart { .. }) => {
                 Some("a fold holds whole groups: name a column that is the same for all tests of one".to_owned())
             }

@@ -230,6 +230,8 @@ pub struct PredictJob {
     pub limits: Limits,
     /// Whose tests they are.
     pub units: Units,
+    /// The data of the fit, where limits of means are to be by profile likelihood.
+    pub profile: Vec<Datum>,
     /// Where the table goes.
     pub out: TableTo,
 }

@@ -169,6 +169,7 @@ pub(crate) fn predict(
     from: Text,
     design: Vec<Given<'_>>,
     asks: Asks,
+    profile: Vec<Given<'_>>,
     out: Option<PathBuf>,
     how: How<'_>,
 ) -> PyResult<(String, Option<Table>, Vec<String>)> {
@@ -181,6 +182,7 @@ pub(crate) fn predict(
         outputs: outputs.map(Into::into),
         limits: Limits { confidence, content, sides },
         units: pick("units", &units, words::UNITS)?,
+        profile: data(profile)?,
         out: out.map_or(TableTo::Back, TableTo::File),
     };
     let done = whole(run(py, how, move |watch| kalfit_job::predict(&job, watch))?)?;

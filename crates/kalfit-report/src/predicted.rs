@@ -105,6 +105,13 @@ fn notes(record: &PredictedRecord) -> Vec<String> {
         false => format!("Tolerance limits, with confidence {sure} %: {part} % of all tests are between them."),
     };
     notes.push(format!("Limits of the mean: a two-sided interval with confidence {sure} %. {limits}"));
+    if record.profile {
+        notes.push(
+            "The limits of the mean come from the profile likelihood of the data: they contain the values that a likelihood-ratio test \
+             does not reject. The test treats twice the drop in log-likelihood as chi-squared, which is exact for many tests."
+                .to_owned(),
+        );
+    }
     notes.push(match (record.estimation, record.fitted) {
         (false, _) => format!(
             "{} does not contain the covariance of its estimates (there are more than 200 of them, or an older version wrote it), so \
@@ -113,10 +120,12 @@ fn notes(record: &PredictedRecord) -> Vec<String> {
         ),
         (true, None) => "The parameters are taken as exactly known, so the limits are quantiles.".to_owned(),
         (true, Some(_)) => {
-            "The limits treat the estimated variance as chi-squared, with degrees of freedom that follow from its standard error. That \
-             is exact where every test determines its initial state exactly, and a good approximation for many tests. A limit is \
-             \"unknown\" where there are too few tests for it or the data do not determine the quantity."
-                .to_owned()
+            let these = if record.profile { "The tolerance limits" } else { "The limits" };
+            format!(
+                "{these} treat the estimated variance as chi-squared, with degrees of freedom that follow from its standard error. That \
+                 is exact where every test determines its initial state exactly, and a good approximation for many tests. A limit is \
+                 \"unknown\" where there are too few tests for it or the data do not determine the quantity."
+            )
         }
     });
     notes

@@ -37,7 +37,9 @@ pub mod simulate;
 pub mod validate;
 
 pub use ensemble::{Group, Grouping, Label, Labels, Layout, Source, Test, TestKey};
-pub use face::{Ensemble, EnsembleError, Figure, Fit, Options, UnknownName, fit, fit_matrices, fit_reductions};
+pub use face::{
+    Ensemble, EnsembleError, Figure, Fit, MeanProfiles, Options, UnknownName, fit, fit_matrices, fit_reductions,
+};
 pub use kalfit_lanes::Isa;
 pub use model::{Alpha, Expression, Model, PhasedModel, Population};
 pub use record::{FitRecord, Provenance};

@@ -160,6 +160,43 @@ fn one_limit_by_itself_is_nearer() {
     assert!(one < two && two < sure && two < much, "{one} {two} {sure} {much}");
 }
 
+/// With the data of the fit, limits of the mean are by profile likelihood: those of a constant bias are those of its μ.
+#[test]
+fn limits_of_the_mean_by_profile_are_those_of_the_fit() {
+    let folder = fitted();
+    let with = "--design mission.csv --outputs out.toml --confidence 0.95 --profile d.csv --out p.csv";
+    let output = folder.run(&format!("predict m.toml --from fit.json {with}"));
+    assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+    assert!(shown(&output).contains("profile likelihood of the data"), "{}", shown(&output));
+    let output = folder.run("fit m.toml d.csv --intervals profile --out profiled.json --quiet");
+    assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+    let fit: FitRecord = serde_json::from_slice(&std::fs::read(folder.path("profiled.json")).unwrap()).unwrap();
+    let ends = fit.phases[0].mean.interval95[0].unwrap().map(Option::unwrap);
+    let width = ends[1] - ends[0];
+    let rows = folder.table("p.csv");
+    for (name, factor, constant) in [("bias", 1.0, 0.0), ("angle", 3.0, 0.0), ("rate", 1.0, 0.5)] {
+        let row = rows.iter().rfind(|row| row["name"] == name).unwrap();
+        for (column, end) in ["confidence_lower", "confidence_upper"].into_iter().zip(ends) {
+            let (found, expected) = (number(row, column), factor * end + constant);
+            assert!((found - expected).abs() < 1e-3 * factor * width, "{name}: {found} against {expected}");
+        }
+    }
+}
+
+#[test]
+fn profiles_need_the_data_of_the_fit() {
+    let folder = fitted();
+    let short: String = data().lines().take(61).map(|line| format!("{line}\n")).collect();
+    std::fs::write(folder.path("half.csv"), short).unwrap();
+    let run = |options: &str| shown(&folder.run(&format!("predict m.toml --design mission.csv --out p.csv {options}")));
+    let text = run("--from fit.json --profile half.csv");
+    assert!(text.starts_with("exit 2") && text.contains("the log-likelihood of these data is"), "{text}");
+    assert!(text.contains("hint: give the data, and all the data, that the fit was made from"), "{text}");
+    let text = run("--from fit.json --profile d.csv --set q=0.2");
+    assert!(text.starts_with("exit 2") && text.contains("`--set` changed parameters that were estimated"), "{text}");
+    assert!(!folder.path("p.csv").exists(), "nothing was written");
+}
+
 #[test]
 fn values_that_are_given_are_exact() {
     let folder = fitted();

@@ -1,14 +1,16 @@
 //! What tests that nobody has made will give: `kalfit predict`.
 
+mod profile;
 mod table;
 mod units;
 
 use kalfit::PhasedTest;
-use kalfit::predict::{Bounds, Output, PredictError, Predictor};
+use kalfit::predict::{Bounds, MeanLimits, Output, PredictError, Predictor};
 use kalfit::record::{PredictedRecord, PredictedSource};
 use kalfit_data::{Input, Reading};
 use kalfit_spec::{BesideError, DesignSpec, Spec};
 
+use self::profile::Profiles;
 use self::table::{columns, write_phase};
 use self::units::UnitsOf;
 use crate::evidence::Given;
@@ -32,7 +34,10 @@ pub fn predict(job: &PredictJob, watch: &mut dyn Watch) -> Result<Done<Predicted
     let DesignSpec { spec: design, outputs } = designed(job, &spec)?;
     let inputs = Input::expand(&job.design).map_err(|error| Failure::data(error, &design))?;
     let documents: Vec<_> = [&job.model.document, &job.from].into_iter().chain(&job.outputs).collect();
-    let table = Table::prepare(&job.out, &files(&documents, &inputs))?;
+    let mut read = files(&documents, &inputs);
+    let profiles = Profiles::open(job, &truth)?;
+    read.extend(profiles.iter().flat_map(|profiles| files(&[], &profiles.given.inputs)));
+    let table = Table::prepare(&job.out, &read)?;
     let knowledge = truth.knowledge(&spec);
     let mut work = Work::new(watch);
     let (tests, reading) = tests::read(&design, &Given::rows_of(inputs), &mut work)?;
@@ -45,7 +50,9 @@ pub fn predict(job: &PredictJob, watch: &mut dyn Watch) -> Result<Done<Predicted
         changed: truth.changed,
         known_units: job.units == Units::Known,
         estimation,
+        profile: profiles.is_some(),
     };
+    let profiles = profiles.map(|profiles| profiles.limits((&predictor, &tests, &units, &reading), job, &mut work));
     let record = PredictedRecord::new(&design.model, source, job.limits);
     let mut task = Task {
         bounds: Bounds::new(job.limits),
@@ -54,6 +61,7 @@ pub fn predict(job: &PredictJob, watch: &mut dyn Watch) -> Result<Done<Predicted
         predictor: &predictor,
         units: &units,
         reading: &reading,
+        profiles: profiles.transpose()?,
         record,
     };
     let pending = match &table {
@@ -112,6 +120,8 @@ struct Task<'a> {
     predictor: &'a Predictor,
     units: &'a UnitsOf,
     reading: &'a Reading,
+    /// Limits of all means by profile likelihood, in their order.
+    profiles: Option<Vec<Option<[f64; 2]>>>,
     record: PredictedRecord,
 }
 
@@ -124,6 +134,7 @@ impl Task<'_> {
         mut to: Option<(&Table, &mut Writer<'_>)>,
     ) -> Result<(), Failure> {
         let grouping = self.units.grouping(self.design, tests)?;
+        let mut limits = self.profiles.take().map(Vec::into_iter);
         let mut done = 0;
         while done < tests.len() {
             let next = tests::batch(tests, done, BATCH_ROWS);
@@ -131,7 +142,13 @@ impl Task<'_> {
             let own = &tests[done..next];
             let initial = own.iter().map(|test| self.units.initial(test, grouping.as_ref(), &self.reading.labels));
             let initial = initial.collect::<Result<Vec<_>, _>>()?;
-            let found = self.predictor.predict(own, &initial).map_err(|error| refused(error, Some(self.reading)))?;
+            let mut found =
+                self.predictor.predict(own, &initial).map_err(|error| refused(error, Some(self.reading)))?;
+            if let Some(limits) = &mut limits {
+                let steps = found.iter_mut().flatten().flat_map(|phase| &mut phase.steps);
+                let values = steps.flat_map(|step| &mut step.values);
+                values.zip(limits).for_each(|(value, own)| value.limits = MeanLimits::Profile(own));
+            }
             for (test, phases) in own.iter().zip(&found) {
                 self.record.add((&self.design.model, self.outputs, &self.bounds), &test.id, phases);
                 if let Some((table, writer)) = &mut to {

@@ -4,7 +4,7 @@ use crate::dynamic::bench::Bench;
 use crate::dynamic::covariances::Covariances;
 use crate::dynamic::mixed::mixed;
 use crate::dynamic::{DynamicError, DynamicFit, ParameterInference, expected, interval, law, profile, sandwich, worth};
-use crate::estimate::{Criterion, JointLaw, Stop};
+use crate::estimate::{Criterion, Estimate, JointLaw, Stop};
 use crate::infer::{Choices, Inference, IntervalKind, StdErrors, sensitivities};
 use crate::model::PhasedModel;
 use crate::reduce::PhasedTest;
@@ -21,14 +21,8 @@ pub fn infer(
         Some(remote) => Bench::elsewhere(model, (&fit.slots, &fit.settings), (&remote.answers, fit.values.clone())),
         None => Bench::new(model, tests, &fit.slots, &fit.settings),
     };
-    let known = (&fit.slots, &bench.coordinates[..]);
-    let spread = |mut covariances: Covariances| {
-        bench.edges.spread((&fit.sought, &fit.alpha), known, &fit.values, &mut covariances);
-        covariances
-    };
-    let observed = spread(fit.joint.covariances());
-    let mut estimate = fit.estimate.clone();
-    estimate.state.joint = Some(JointLaw { mixed: mixed(&bench, fit, &observed), ..law::joint(model, fit, &observed) });
+    let spread = |covariances: Covariances| spread(&bench, fit, covariances);
+    let (estimate, observed) = with_law(&bench, fit);
     // by profiles only once the maximum is certain
     let wald = Choices { intervals: IntervalKind::Wald, ..choices };
     let asked = match choices.std_errors {
@@ -57,6 +51,22 @@ pub fn infer(
         }
     }
     Ok((inference, parameters))
+}
+
+/// The estimate with the law of (α, μ, Σ) from the observed information, and that law.
+pub(super) fn with_law(bench: &Bench<'_>, fit: &DynamicFit) -> (Estimate, Covariances) {
+    let observed = spread(bench, fit, fit.joint.covariances());
+    let joint = law::joint(bench.model, fit, &observed);
+    let mut estimate = fit.estimate.clone();
+    estimate.state.joint = Some(JointLaw { mixed: mixed(bench, fit, &observed), ..joint });
+    (estimate, observed)
+}
+
+/// Covariances with those of noises that are as large as their variances allow.
+fn spread(bench: &Bench<'_>, fit: &DynamicFit, mut covariances: Covariances) -> Covariances {
+    let known = (&fit.slots, &bench.coordinates[..]);
+    bench.edges.spread((&fit.sought, &fit.alpha), known, &fit.values, &mut covariances);
+    covariances
 }
 
 /// Covariances from the expected information, where it is worked out.

@@ -27,8 +27,10 @@ mod iterate;
 mod joint;
 mod law;
 mod matrices;
+mod mean_limits;
 mod mixed;
 mod opening;
+mod outer;
 #[cfg(test)]
 mod phased_tests;
 mod profile;
@@ -42,6 +44,7 @@ mod search;
 mod settings;
 mod standing;
 mod start;
+mod target;
 #[cfg(test)]
 mod tests;
 mod touching;
@@ -57,6 +60,7 @@ pub(crate) use fit::fit_elsewhere;
 pub use fit::{fit, start_values};
 pub use inference::infer;
 pub(crate) use interval::MOST_PROFILED;
+pub use mean_limits::{MeansAt, mean_limits};
 pub(crate) use opening::{Opening, opening};
 pub use ratio::{DynamicRatioError, dynamic_bootstrap, dynamic_bootstrap_while, dynamic_ratio, started};
 pub use result::{DynamicFit, Explored, OtherEnd};

@@ -4,40 +4,22 @@
 //! ℓ(x) = max over α of ℓ(α, x),   ℓ(α, x) = max over (μ, Σ) with the quantity held at x, on the reductions at α
 //! dℓ(α, x)/dα = ∂ℓ/∂α there       dℓ(x)/dx = the Lagrange multiplier there
 //! ```
-//!
-//! The inner maximum is that of profiles at a known α. The outer one begins where the joint law of α and the quantity expects
-//! it, with the covariance of α given the quantity as the inverse of its curvature: one or two runs of the filters are enough. Where
-//! ℓ(x) is too low there, it begins at other ends of the searches for α as well: the highest of these branches counts.
 
 use std::collections::BTreeSet;
 
-use nalgebra::{DMatrix, DVector};
-
 use crate::dynamic::bench::Bench;
-use crate::dynamic::branches::{WITHIN, others};
 use crate::dynamic::covariances::Covariances;
-use crate::dynamic::matrices::{matrix_derivatives, matrix_gradient};
-use crate::dynamic::{DynamicFit, ParameterInference, Standing};
-use crate::estimate::{Criterion, Estimate, Place, Point, State};
-use crate::infer::{Held, Holdable, Holder, Holds, Inference, IntervalKind, Law, free, profiled, quantities, value};
+use crate::dynamic::matrices::matrix_derivatives;
+use crate::dynamic::outer::{Near, Outer};
+use crate::dynamic::{DynamicFit, ParameterInference};
+use crate::estimate::{Criterion, Estimate};
+use crate::infer::{Holdable, Inference, IntervalKind, free, profiled, quantities};
 use crate::model::{CovarianceKind, Expression};
 
 /// So many quantities have profiles.
 const MOST_PROFILED: usize = 60;
 /// With more free values than this none has.
 const MOST_VALUES: usize = 24;
-/// α is found to this part of its standard error: ℓ is then right to half its square.
-const TOLERANCE: f64 = 1e-3;
-/// … and where no step raises ℓ any more, this near is near enough.
-const NEAR_ENOUGH: f64 = 2e-2;
-/// Steps of α.
-const STEPS: usize = 25;
-/// Shorter steps that are tried where one goes too far.
-const TRIES: usize = 8;
-/// Longest step of a logarithm.
-const LONGEST: f64 = 2.0;
-/// Standard error of a coordinate that is let off its bound.
-const RELEASED: f64 = 0.3;
 
 /// Puts profile intervals of μ and Σ in the place of Wald's, and counts those that stay.
 pub(crate) fn profiles(
@@ -65,8 +47,7 @@ pub(crate) fn profiles(
     let is_done = |what: &Holdable| wanted.contains(what) || entries.iter().any(|(entry, _)| entry == what);
     intervals.unprofiled = due.iter().filter(|what| !is_done(what)).count();
     let outer = Outer::new((bench, fit), estimate, covariances);
-    let start = Near { values: fit.sought.clone(), state: estimate.state.clone(), point: None, at: None };
-    intervals.follow((estimate, &inference.uncertainty), &wanted, &outer, &start);
+    intervals.follow((estimate, &inference.uncertainty), &wanted, &outer, &Near::best(fit, estimate));
 }
 
 /// Elements of Σ beside its diagonal that parameters in matrices of its structure move.
@@ -91,225 +72,4 @@ fn entries<'p>(bench: &Bench<'_>, parameters: &'p [ParameterInference]) -> Vec<(
         }
     }
     found
-}
-
-/// ℓ with a quantity held, over α.
-struct Outer<'b, 'a> {
-    bench: &'b Bench<'a>,
-    estimate: &'b Estimate,
-    law: Law<'b>,
-    /// Values that may move.
-    slots: Vec<usize>,
-    /// Their covariance.
-    alpha: DMatrix<f64>,
-    /// That with the coordinates along the tangent basis.
-    cross: DMatrix<f64>,
-    /// And of these.
-    inner: DMatrix<f64>,
-    /// Where other branches are.
-    others: Vec<Vec<f64>>,
-}
-
-/// A maximum with a quantity held, to begin near.
-#[derive(Clone)]
-struct Near {
-    values: Vec<f64>,
-    state: State,
-    /// Where in the coordinates of the state's problem; `None` where the state itself is.
-    point: Option<Point>,
-    /// The value of the quantity; `None` at the maximum of all.
-    at: Option<f64>,
-}
-
-/// The best (μ, Σ) at some α with a quantity held.
-struct Here {
-    values: Vec<f64>,
-    state: State,
-    place: Place,
-    slope: f64,
-    /// dℓ/dcoordinate of all free values.
-    gradient: Vec<f64>,
-}
-
-impl Here {
-    fn value(&self) -> f64 {
-        self.place.local.value
-    }
-
-    fn near(&self, at: f64) -> Near {
-        let (values, state) = (self.values.clone(), self.state.clone());
-        Near { values, state, point: Some(self.place.point.clone()), at: Some(at) }
-    }
-}
-
-impl<'b, 'a> Outer<'b, 'a> {
-    fn new((bench, fit): (&'b Bench<'a>, &DynamicFit), estimate: &'b Estimate, covariances: &Covariances) -> Self {
-        let shared = &covariances.shared;
-        let place = |s: usize| shared.iter().position(|&other| other == s).filter(|_| covariances.alpha[s].is_some());
-        let at_bound = |s: usize| {
-            let away_from_zero = fit.values[s] != 0.0 || !bench.coordinates[s].log;
-            matches!(fit.standing[s], Standing::Lower | Standing::Upper) && away_from_zero
-        };
-        let slots: Vec<usize> = (0..fit.values.len()).filter(|&s| place(s).is_some() || at_bound(s)).collect();
-        let places: Vec<Option<usize>> = slots.iter().map(|&s| place(s)).collect();
-        let (whole, k, m) = (&covariances.whole, shared.len(), covariances.whole.nrows() - shared.len());
-        let alpha = DMatrix::from_fn(slots.len(), slots.len(), |i, j| match (places[i], places[j]) {
-            (Some(a), Some(b)) => whole[(a, b)],
-            _ if i == j => RELEASED * RELEASED,
-            _ => 0.0,
-        });
-        let cross = DMatrix::from_fn(slots.len(), m, |i, c| places[i].map_or(0.0, |a| whole[(a, k + c)]));
-        let inner = whole.view((k, k), (m, m)).into_owned();
-        Outer {
-            bench,
-            estimate,
-            law: Law::new(&estimate.state),
-            slots,
-            alpha,
-            cross,
-            inner,
-            others: others(bench, fit),
-        }
-    }
-
-    /// Covariance of the values given a quantity, and how they follow it.
-    fn given(&self, what: Holdable) -> (DMatrix<f64>, DVector<f64>) {
-        let along = self.law.derivative(&self.estimate.covariance, what);
-        let (with, variance) = (&self.cross * &along, along.dot(&(&self.inner * &along)));
-        if variance > 0.0 && variance.is_finite() {
-            (&self.alpha - &with * with.transpose() / variance, with / variance)
-        } else {
-            (self.alpha.clone(), DVector::zeros(self.slots.len()))
-        }
-    }
-
-    /// Values after a step in the coordinates of those that may move.
-    fn moved(&self, values: &[f64], step: &DVector<f64>) -> Vec<f64> {
-        let mut moved = values.to_vec();
-        for (&s, d) in self.slots.iter().zip(step.iter()) {
-            let coordinate = &self.bench.coordinates[s];
-            let d = if coordinate.log { d.clamp(-LONGEST, LONGEST) } else { *d };
-            moved[s] = coordinate.moved(values[s], d);
-        }
-        moved
-    }
-
-    /// The best (μ, Σ) at these values, and which way ℓ rises from there.
-    fn at(&self, (what, x): (Holdable, f64), values: Vec<f64>, near: &Near) -> Option<Here> {
-        let bench = self.bench;
-        let reduced = bench.reduce(&values).ok()?;
-        let alpha = bench.alpha(&values);
-        let point = near.point.as_ref().unwrap_or(&near.state.place.point);
-        let state = near.state.at(&reduced.reductions, &alpha, point.clone())?;
-        let found = Holder::new(&state).maximum(what, x, &state.place.point)?;
-        let scores = bench.scores(&values, &reduced, &state.law_at(&found.place)).ok()?;
-        let sigma = state.problem.values_of(&found.place.point).covariance;
-        let score = state.residual_score_at(&found.place);
-        let matrix = matrix_gradient(bench.model, &alpha, bench.slots, &sigma, &score);
-        let gradient = bench.gradient(&values, &scores, &matrix);
-        let (place, slope) = (found.place, found.slope);
-        gradient.iter().all(|g| g.is_finite()).then_some(Here { values, state, place, slope, gradient })
-    }
-
-    /// The gradient along the values that may move; zero where one stands at a bound and ℓ rises beyond.
-    fn gradient(&self, here: &Here) -> DVector<f64> {
-        let of = |&s: &usize| {
-            let (coordinate, value, g) = (&self.bench.coordinates[s], here.values[s], here.gradient[s]);
-            let beyond = (coordinate.at_lower(value) && g < 0.0) || (coordinate.at_upper(value) && g > 0.0);
-            if beyond { 0.0 } else { g }
-        };
-        DVector::from_iterator(self.slots.len(), self.slots.iter().map(of))
-    }
-
-    /// The step of Newton's method with this inverse curvature among values that are not at a bound, and what it promises.
-    fn step(&self, inverse: &DMatrix<f64>, gradient: &DVector<f64>) -> (DVector<f64>, f64) {
-        let step = (inverse * gradient).zip_map(gradient, |d, g| if g == 0.0 { 0.0 } else { d });
-        let promised = step.dot(gradient);
-        (step, promised)
-    }
-
-    /// Up from here; `None` where no step raises ℓ.
-    fn next(&self, held: (Holdable, f64), here: &Here, step: &DVector<f64>, promised: f64) -> Option<Here> {
-        let slack = 1e-12 * here.value().abs().max(1.0);
-        let near = here.near(held.1);
-        let mut length = 1.0;
-        for _ in 0..TRIES {
-            let values = self.moved(&here.values, &(step * length));
-            let rises = |next: &Here| next.value() >= here.value() + 0.05 * length * promised - slack;
-            if let Some(next) = self.at(held, values, &near).filter(rises) {
-                return Some(next);
-            }
-            length *= 0.3;
-        }
-        None
-    }
-
-    /// What was learned of the curvature on the way from `here` to `next`: Broyden, Fletcher, Goldfarb and Shanno's update.
-    fn learn(&self, inverse: &DMatrix<f64>, here: &Here, next: &Here) -> DMatrix<f64> {
-        let way = |&s: &usize| {
-            let coordinate = &self.bench.coordinates[s];
-            coordinate.of_value(next.values[s]) - coordinate.of_value(here.values[s])
-        };
-        let s = DVector::from_iterator(self.slots.len(), self.slots.iter().map(way));
-        let y =
-            DVector::from_iterator(self.slots.len(), self.slots.iter().map(|&s| here.gradient[s] - next.gradient[s]));
-        let bend = s.dot(&y);
-        if bend.is_nan() || bend <= 1e-8 * s.norm() * y.norm() {
-            return inverse.clone();
-        }
-        let n = s.len();
-        let turned = DMatrix::identity(n, n) - &s * y.transpose() / bend;
-        &turned * inverse * turned.transpose() + &s * s.transpose() / bend
-    }
-}
-
-impl Holds for Outer<'_, '_> {
-    const PRECISION: f64 = 1e-4;
-    type Near = Near;
-
-    fn held(&self, what: Holdable, x: f64, near: &Near) -> Option<Held<Near>> {
-        let mut best = self.nearby(what, x, near);
-        let value = |found: &Option<Here>| found.as_ref().map_or(f64::NEG_INFINITY, Here::value);
-        let high = self.estimate.log_likelihood - WITHIN;
-        for other in &self.others {
-            if value(&best) > high {
-                break;
-            }
-            let state = self.estimate.state.clone();
-            let found = self.nearby(what, x, &Near { values: other.clone(), state, point: None, at: Some(x) });
-            best = if value(&found) > value(&best) { found } else { best };
-        }
-        let found = best?;
-        Some(Held { near: found.near(x), value: found.value(), slope: found.slope })
-    }
-}
-
-impl Outer<'_, '_> {
-    /// The maximum that a search from nearby ends at.
-    fn nearby(&self, what: Holdable, x: f64, near: &Near) -> Option<Here> {
-        let (mut inverse, follows) = self.given(what);
-        let from = near.at.or_else(|| value(self.estimate, what))?;
-        let expected = self.moved(&near.values, &(follows * (x - from)));
-        let mut here = self.at((what, x), expected, near).or_else(|| self.at((what, x), near.values.clone(), near))?;
-        let mut found = None;
-        for _ in 0..STEPS {
-            let gradient = self.gradient(&here);
-            let (mut step, mut promised) = self.step(&inverse, &gradient);
-            if promised < 0.0 {
-                inverse = self.alpha.clone();
-                (step, promised) = self.step(&inverse, &gradient);
-            }
-            if promised <= TOLERANCE * TOLERANCE {
-                found = Some(here);
-                break;
-            }
-            let Some(next) = self.next((what, x), &here, &step, promised) else {
-                found = Some(here).filter(|_| promised <= NEAR_ENOUGH * NEAR_ENOUGH);
-                break;
-            };
-            inverse = self.learn(&inverse, &here, &next);
-            here = next;
-        }
-        found
-    }
 }

@@ -6,6 +6,7 @@ mod figure;
 mod fit;
 mod flow;
 mod matrices;
+mod mean_limits;
 mod second_look;
 
 pub use ensemble::Ensemble;
@@ -14,6 +15,7 @@ pub use figure::{Figure, UnknownName};
 pub use fit::{Fit, Options};
 pub use flow::fit;
 pub use matrices::{fit_matrices, fit_reductions};
+pub use mean_limits::MeanProfiles;
 
 #[cfg(test)]
 mod tests;

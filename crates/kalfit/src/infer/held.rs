@@ -90,6 +90,23 @@ impl<'a> Holder<'a> {
         }
     }
 
+    /// The maximum with weights'(μ, γ) held at `value`, in the user's units. `None` where no certified one is found.
+    pub(crate) fn combination(&self, weights: &DVector<f64>, value: f64, near: &Point) -> Option<HeldMaximum> {
+        let problem = &self.state.problem;
+        let row = problem.mean.jacobian().transpose() * self.scaled(weights);
+        let now = problem.values_of(near);
+        let now = now.mean.iter().chain(&now.coefficients).zip(weights.iter()).map(|(x, w)| x * w).sum::<f64>();
+        self.mean(&row, 1.0, value - now, near)
+    }
+
+    /// Derivatives by (b, γ) of what has these by (μ, γ).
+    fn scaled(&self, weights: &DVector<f64>) -> DVector<f64> {
+        let (scale, of_coefficient) =
+            (&self.state.problem.classes.frame.scale, &self.state.problem.mean.coefficient_scale);
+        let units = scale.iter().copied().chain(of_coefficient.iter().map(|scale| scale.recip()));
+        DVector::from_iterator(weights.len(), weights.iter().zip(units).map(|(weight, unit)| weight * unit))
+    }
+
     /// row'(b, γ) moved by `shift` and held; `unit` is one unit of it in the user's.
     fn mean(&self, row: &DVector<f64>, unit: f64, shift: f64, near: &Point) -> Option<HeldMaximum> {
         let (problem, n) = (&*self.state.problem, row.len());

@@ -136,7 +136,7 @@ pub(crate) fn profiled(estimate: &Estimate, free: &Free) -> Vec<Holdable> {
 
 impl Intervals {
     /// Puts the profile intervals of some quantities in place; `start` is the maximum.
-    pub(crate) fn follow<H: Holds>(
+    pub(crate) fn follow<H: Holds<What = Holdable>>(
         &mut self,
         (estimate, uncertainty): (&Estimate, &Uncertainty),
         wanted: &[Holdable],
@@ -148,7 +148,8 @@ impl Intervals {
             .map(|&what| {
                 let centre = value(estimate, what)?;
                 let step = error(uncertainty, what).map_or_else(|| guess(estimate, what), |e| QUANTILE * e);
-                let profile = Profile { holder, what, centre, maximum: estimate.state.place.local.value };
+                let maximum = estimate.state.place.local.value;
+                let profile = Profile { holder, what, centre, maximum, quantile: QUANTILE, limits: limits(what) };
                 Some([profile.end(start, -step), profile.end(start, step)])
             })
             .collect();
@@ -223,10 +224,12 @@ fn guess(estimate: &Estimate, what: Holdable) -> f64 {
 pub(crate) trait Holds: Sync {
     /// The root of the deviance is found to this.
     const PRECISION: f64;
+    /// What can be held.
+    type What: Copy + Sync;
     /// Where a search for a maximum begins: a maximum nearby.
     type Near: Clone + Sync;
     /// The maximum with `what` held at `value`. `None` where no certified one is found.
-    fn held(&self, what: Holdable, value: f64, near: &Self::Near) -> Option<Held<Self::Near>>;
+    fn held(&self, what: Self::What, value: f64, near: &Self::Near) -> Option<Held<Self::Near>>;
 }
 
 /// A maximum with one quantity held.
@@ -240,6 +243,7 @@ pub(crate) struct Held<N> {
 
 impl Holds for Holder<'_> {
     const PRECISION: f64 = 1e-6;
+    type What = Holdable;
     type Near = Point;
 
     fn held(&self, what: Holdable, value: f64, near: &Point) -> Option<Held<Point>> {
@@ -248,24 +252,30 @@ impl Holds for Holder<'_> {
     }
 }
 
+/// Values beyond which a quantity cannot go, below and above.
+fn limits(what: Holdable) -> [Option<f64>; 2] {
+    match what {
+        Holdable::StdDev(_) => [Some(0.0), None],
+        Holdable::Correlation(..) => [Some(-1.0), Some(1.0)],
+        _ => [None; 2],
+    }
+}
+
 /// The profile of one quantity.
-struct Profile<'a, H> {
-    holder: &'a H,
-    what: Holdable,
-    centre: f64,
-    maximum: f64,
+pub(crate) struct Profile<'a, H: Holds> {
+    pub(crate) holder: &'a H,
+    pub(crate) what: H::What,
+    /// Its estimate.
+    pub(crate) centre: f64,
+    /// ℓ there.
+    pub(crate) maximum: f64,
+    /// An interval holds the values whose ℓ_max is within half the square of this of the maximum.
+    pub(crate) quantile: f64,
+    /// Values beyond which the quantity cannot go.
+    pub(crate) limits: [Option<f64>; 2],
 }
 
 impl<H: Holds> Profile<'_, H> {
-    /// Values beyond which the quantity cannot go.
-    fn limit(&self, sign: f64) -> Option<f64> {
-        match self.what {
-            Holdable::StdDev(_) if sign < 0.0 => Some(0.0),
-            Holdable::Correlation(..) => Some(sign),
-            _ => None,
-        }
-    }
-
     /// ζ = √(2(ℓ_max - ℓ_max(x))) and its derivative away from the centre.
     fn root(&self, x: f64, near: &H::Near, sign: f64) -> Option<(f64, f64, Held<H::Near>)> {
         let held = self.holder.held(self.what, x, near)?;
@@ -275,9 +285,9 @@ impl<H: Holds> Profile<'_, H> {
     }
 
     /// Where ζ reaches the quantile: Newton's method with the exact slope, which the multiplier gives, inside a bracket.
-    fn end(&self, start: &H::Near, step: f64) -> Option<f64> {
+    pub(crate) fn end(&self, start: &H::Near, step: f64) -> Option<f64> {
         let sign = step.signum();
-        let limit = self.limit(sign);
+        let limit = self.limits[usize::from(sign > 0.0)];
         if limit.is_some_and(|limit| sign * (limit - self.centre) <= 1e-12) {
             return limit;
         }
@@ -290,10 +300,10 @@ impl<H: Holds> Profile<'_, H> {
                 x = 0.5 * (below + x);
                 continue;
             };
-            if (zeta - QUANTILE).abs() < H::PRECISION {
+            if (zeta - self.quantile).abs() < H::PRECISION {
                 return Some(x);
             }
-            if zeta < QUANTILE {
+            if zeta < self.quantile {
                 below = x;
                 near = held.near;
                 if limit.is_some_and(|l| (l - x).abs() <= 1e-4 * (l - self.centre).abs()) {
@@ -313,7 +323,7 @@ impl<H: Holds> Profile<'_, H> {
 
     fn next(&self, x: f64, zeta: f64, slope: f64, (below, above): (f64, f64), step: f64) -> f64 {
         let sign = step.signum();
-        let newton = x + sign * (QUANTILE - zeta) / slope;
+        let newton = x + sign * (self.quantile - zeta) / slope;
         let farthest = below + 3.0 * sign * (below - self.centre).abs().max(step.abs());
         let newton = if slope > 0.0 && newton.is_finite() { newton } else { farthest };
         let newton = if above.is_finite() || sign * (newton - farthest) <= 0.0 { newton } else { farthest };

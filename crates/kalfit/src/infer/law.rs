@@ -185,6 +185,15 @@ impl<'a> Law<'a> {
             .map_or_else(|| DVector::zeros(self.jacobian.ncols()), |weights| self.jacobian.transposed_times(&weights))
     }
 
+    /// Derivative of weights'(μ, γ) along the tangent basis.
+    pub(crate) fn derivative_of_means(&self, weights: &DVector<f64>) -> DVector<f64> {
+        let scales = self.state.problem.mean.coefficient_scale.iter().map(|scale| scale.recip());
+        let units = self.scale().iter().copied().chain(scales);
+        let entries: Vec<(usize, f64)> =
+            weights.iter().zip(units).map(|(weight, unit)| weight * unit).enumerate().collect();
+        self.jacobian.transposed_times(&self.weights(&entries))
+    }
+
     /// Relative standard error of a common factor on the Σ of a phase, read off its largest variance.
     pub(super) fn scale_error(&self, sigma: &DMatrix<f64>, part: &Part) -> Option<f64> {
         let i = part.states.clone().max_by(|&a, &b| sigma[(a, a)].total_cmp(&sigma[(b, b)]))?;

@@ -18,9 +18,9 @@ use std::sync::Mutex;
 
 use statrs::distribution::{ChiSquared, ContinuousCDF, Normal, StudentsT};
 
-use crate::predict::Predicted;
 use crate::predict::root::{Near, crossing, rising};
 use crate::predict::widths::Widths;
+use crate::predict::{MeanLimits, Predicted};
 
 /// How sure, of how much, and on which sides.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -142,6 +142,11 @@ impl Bounds {
         Bounds { limits, widths: Widths::new(limits.content), known: Mutex::default() }
     }
 
+    /// The normal quantile of limits of the mean by profile likelihood.
+    pub fn quantile(&self) -> f64 {
+        normal().inverse_cdf(0.5 * (1.0 + self.limits.confidence))
+    }
+
     /// What they are.
     pub fn limits(&self) -> &Limits {
         &self.limits
@@ -149,6 +154,9 @@ impl Bounds {
 
     /// Limits that the mean over tests lies between with confidence γ; `None` where that is not known.
     pub fn of_mean(&self, value: &Predicted) -> Option<[f64; 2]> {
+        if let MeanLimits::Profile(found) = value.limits {
+            return found;
+        }
         let spread = VarianceEstimate::of(value)?;
         let upper = 0.5 * (1.0 + self.limits.confidence);
         let quantile = match spread.degrees_of_mean < KNOWN {
@@ -164,7 +172,7 @@ impl Bounds {
     pub fn of_tests(&self, value: &Predicted) -> Option<[f64; 2]> {
         let spread = VarianceEstimate::of(value).filter(|_| !value.hangs_on_zero)?;
         if spread.variance == 0.0 {
-            return self.of_mean(value);
+            return self.of_mean(&Predicted { limits: MeanLimits::Error, ..value.clone() });
         }
         let half = self.factor(&spread)? * spread.variance.sqrt();
         Some([value.mean - half, value.mean + half])
@@ -252,7 +260,7 @@ fn node(k: usize) -> (f64, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::predict::{Estimation, What};
+    use crate::predict::{Estimation, MeanLimits, What};
 
     /// Of N tests that tell y exactly: mean 0 and variance 1 without bias.
     fn of(tests: f64) -> Predicted {
@@ -273,6 +281,7 @@ mod tests {
             process: 0.0,
             hangs_on_zero: false,
             estimation: Some(estimation),
+            limits: MeanLimits::Error,
         }
     }
 

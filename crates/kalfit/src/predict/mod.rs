@@ -28,7 +28,7 @@ use std::ops::Range;
 use nalgebra::DMatrix;
 use rayon::prelude::*;
 
-use crate::infer::Knowledge;
+use crate::infer::{Knowledge, MeanCombination};
 use crate::model::{Alpha, Column, Expression, Linear, Measurement, Model, Operator, Phase, PhasedModel, Population};
 use crate::predict::steps::Steps;
 use crate::predict::trajectory::{Propagator, Trajectory};
@@ -108,6 +108,18 @@ pub struct Predicted {
     pub hangs_on_zero: bool,
     /// What the estimates leave open; `None` where it hangs on something that the data do not determine.
     pub estimation: Option<Estimation>,
+    /// What limits of the mean are made of.
+    pub limits: MeanLimits,
+}
+
+/// What limits of a mean are made of.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum MeanLimits {
+    /// Of its standard error.
+    #[default]
+    Error,
+    /// Of its profile likelihood; `None` where no limit was found.
+    Profile(Option<[f64; 2]>),
 }
 
 /// Variances of the estimates of a mean and of a variance over tests.
@@ -222,6 +234,25 @@ impl Predictor {
         let found: Vec<Result<Vec<PhasePredictions>, PredictError>> =
             designs.par_iter().zip(initial).map(|(design, initial)| self.one(design, initial)).collect();
         found.into_iter().collect()
+    }
+
+    /// The means of all values of designs as what is linear in (μ, γ), at some α, in the order of [`Predictor::predict`].
+    ///
+    /// # Errors
+    /// Coefficients that have no value.
+    pub fn means(
+        &self,
+        designs: &[PhasedTest],
+        initial: &Initial,
+        alpha: &Alpha,
+    ) -> Result<Vec<MeanCombination>, PredictError> {
+        let propagator = Propagator::new(&self.model, alpha)?;
+        let mut all = Vec::new();
+        for design in designs {
+            let found = propagator.trajectory(&self.model, design, (initial, &self.coefficients))?;
+            all.extend(found.means(initial, &self.coefficients));
+        }
+        Ok(all)
     }
 
     fn one(&self, design: &PhasedTest, initial: &Initial) -> Result<Vec<PhasePredictions>, PredictError> {

@@ -8,11 +8,11 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::apply::{Form, Record, Subject};
 use crate::ensemble::Test;
-use crate::infer::Knowledge;
+use crate::infer::{Knowledge, MeanCombination};
 use crate::model::{Alpha, PhasedModel};
 use crate::predict::steps::Steps;
 use crate::predict::value::Value;
-use crate::predict::{Initial, PhasePredictions, PredictError, Predicted, StepPredictions, What};
+use crate::predict::{Initial, MeanLimits, PhasePredictions, PredictError, Predicted, StepPredictions, What};
 use crate::reduce::{Evidence, PhasedReducer, PhasedTest, PhasedWork, Terminal, own_innovations};
 use crate::score::{BackwardWork, Moments, Run, Seen, Wanted};
 
@@ -189,6 +189,19 @@ impl Reached {
 }
 
 impl Trajectory {
+    /// The mean of each value as what is linear in (μ, γ).
+    pub(super) fn means(&self, initial: &Initial, coefficients: &[f64]) -> impl Iterator<Item = MeanCombination> {
+        let at = DVector::from_iterator(
+            initial.mean.len() + coefficients.len(),
+            initial.mean.iter().chain(coefficients).copied(),
+        );
+        let values = self.phases.iter().flat_map(|phase| &phase.steps).flat_map(|(.., values)| values);
+        values.map(move |value| MeanCombination {
+            weights: value.sensitivity.clone(),
+            constant: value.mean - value.sensitivity.dot(&at),
+        })
+    }
+
     /// Refuses values beyond all numbers.
     pub(super) fn check(&self, test: &str, initial: &Initial) -> Result<(), PredictError> {
         let all = self.phases.iter().flat_map(|phase| &phase.steps).flat_map(|(.., values)| values);
@@ -222,6 +235,7 @@ impl Trajectory {
                 hangs_on_zero: known
                     .is_some_and(|(knowledge, steps)| steps.hangs_on_zero(knowledge, initial, value, &beside)),
                 estimation: known.and_then(|(knowledge, steps)| steps.estimation(knowledge, initial, value, &beside)),
+                limits: MeanLimits::Error,
             }
         };
         let of_phase = |(place, phase): (usize, &PhaseTrajectory)| {

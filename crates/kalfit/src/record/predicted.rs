@@ -30,6 +30,9 @@ pub struct PredictedRecord {
     pub fitted: Option<usize>,
     /// Whether it is known how far the estimates can be trusted.
     pub estimation: bool,
+    /// Limits of means are by profile likelihood.
+    #[serde(default)]
+    pub profile: bool,
     /// Parameters that were given other values.
     pub changed: Vec<String>,
     /// Values at the last row of each of the first tests.
@@ -105,6 +108,8 @@ pub struct PredictedSource {
     pub known_units: bool,
     /// Whether it is known how far the estimates can be trusted.
     pub estimation: bool,
+    /// Limits of means are by profile likelihood.
+    pub profile: bool,
 }
 
 /// Of more tests than this the last rows are not kept.
@@ -128,6 +133,7 @@ impl PredictedRecord {
             one_sided: sides == Sides::One,
             fitted: source.fitted,
             estimation: source.estimation,
+            profile: source.profile,
             changed: source.changed,
             last: Vec::new(),
             pairs: Vec::new(),

@@ -12,6 +12,7 @@ mod joint_errors;
 mod journey;
 mod linear;
 mod long_records;
+mod mean_limits;
 mod meta_analysis;
 mod observability;
 mod passes;

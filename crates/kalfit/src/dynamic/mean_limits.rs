@@ -1,0 +1,125 @@
+//! Limits by profile likelihood of means that are predicted, where α is free: such a mean is linear in (μ, γ), with weights that
+//! hang on α.
+
+use nalgebra::DVector;
+use rayon::prelude::*;
+
+use crate::dynamic::DynamicFit;
+use crate::dynamic::bench::Bench;
+use crate::dynamic::inference::with_law;
+use crate::dynamic::outer::{Near, Outer};
+use crate::dynamic::target::Target;
+use crate::estimate::{Estimate, Point};
+use crate::infer::{Held, HeldMaximum, Holder, Holds, Law, MeanCombination, Profile};
+use crate::model::{Alpha, PhasedModel, Population};
+use crate::reduce::PhasedTest;
+
+/// Step of a coordinate for derivatives of weights.
+const STEP: f64 = 1e-4;
+/// A value that is no logarithm moves by this part of one at least.
+const LEAST: f64 = 1e-2;
+/// A quantity that nothing moves by more than this part of itself is known.
+const FAINT: f64 = 1e-12;
+
+/// All predicted means at an α, in one order; `None` where they have no value.
+pub type MeansAt<'a> = &'a (dyn Fn(&Alpha) -> Option<Vec<MeanCombination>> + Sync);
+
+/// Between which values the likelihood-ratio test keeps each predicted mean: those whose ℓ_max, over α, μ and Σ, is within half the
+/// square of `quantile` of the maximum. Both are the estimate where nothing that was estimated moves it; `None` where an end is not
+/// found.
+pub fn mean_limits(
+    model: &PhasedModel,
+    tests: &[PhasedTest],
+    fit: &DynamicFit,
+    means: MeansAt<'_>,
+    quantile: f64,
+) -> Vec<Option<[f64; 2]>> {
+    let bench = Bench::new(model, tests, &fit.slots, &fit.settings);
+    let (estimate, covariances) = with_law(&bench, fit);
+    let Some(home) = means(&fit.alpha) else { return Vec::new() };
+    let outer = Outer::new((&bench, fit), &estimate, &covariances);
+    let population = Population::from(&estimate);
+    let means = Means { outer: &outer, means, fit };
+    let limits = |number: usize| {
+        let centre = home[number].value(&population);
+        let mean = Mean { means: &means, number };
+        let moved = home[number].weights.amax().max(mean.slopes(&outer).amax());
+        if moved <= FAINT * centre.abs() {
+            return Some([centre; 2]);
+        }
+        let step = quantile * outer.error(mean)?;
+        let maximum = estimate.state.place.local.value;
+        let profile = Profile { holder: &means, what: number, centre, maximum, quantile, limits: [None; 2] };
+        let start = Near::best(fit, &estimate);
+        Some([profile.end(&start, -step)?, profile.end(&start, step)?])
+    };
+    (0..home.len()).into_par_iter().map(limits).collect()
+}
+
+/// Predicted means over α.
+struct Means<'o, 'b, 'a> {
+    outer: &'o Outer<'b, 'a>,
+    means: MeansAt<'o>,
+    fit: &'o DynamicFit,
+}
+
+impl Holds for Means<'_, '_, '_> {
+    const PRECISION: f64 = 1e-4;
+    /// Its number.
+    type What = usize;
+    type Near = Near;
+
+    fn held(&self, what: usize, x: f64, near: &Near) -> Option<Held<Near>> {
+        self.outer.highest(Mean { means: self, number: what }, x, near)
+    }
+}
+
+/// One of them.
+#[derive(Clone, Copy)]
+struct Mean<'m, 'o, 'b, 'a> {
+    means: &'m Means<'o, 'b, 'a>,
+    number: usize,
+}
+
+impl Mean<'_, '_, '_, '_> {
+    fn at(self, alpha: &Alpha) -> Option<MeanCombination> {
+        (self.means.means)(alpha)?.into_iter().nth(self.number)
+    }
+}
+
+impl Target for Mean<'_, '_, '_, '_> {
+    fn maximum(self, (holder, alpha): (&Holder<'_>, &Alpha), x: f64, near: &Point) -> Option<HeldMaximum> {
+        let MeanCombination { weights, constant } = self.at(alpha)?;
+        holder.combination(&weights, x - constant, near)
+    }
+
+    fn value(self, outer: &Outer<'_, '_>) -> Option<f64> {
+        Some(self.at(&self.means.fit.alpha)?.value(&Population::from(outer.estimate)))
+    }
+
+    fn along(self, law: &Law<'_>, _: &Estimate) -> DVector<f64> {
+        let weights = self.at(&self.means.fit.alpha).map_or_else(|| DVector::zeros(0), |own| own.weights);
+        law.derivative_of_means(&weights)
+    }
+
+    fn slopes(self, outer: &Outer<'_, '_>) -> DVector<f64> {
+        let here = self.slopes_at(outer, &self.means.fit.sought, &Population::from(outer.estimate));
+        here.unwrap_or_else(|| DVector::zeros(outer.slots.len()))
+    }
+
+    fn slopes_at(self, outer: &Outer<'_, '_>, values: &[f64], there: &Population) -> Option<DVector<f64>> {
+        let slope = |&s: &usize| {
+            let coordinate = &outer.bench.coordinates[s];
+            let step = if coordinate.log { STEP } else { STEP * values[s].abs().max(LEAST) };
+            let side = |sign: f64| {
+                let mut values = values.to_vec();
+                values[s] = coordinate.moved(values[s], sign * step);
+                Some((coordinate.of_value(values[s]), self.at(&outer.bench.alpha(&values))?.value(there)))
+            };
+            let ((below, low), (above, high)) = (side(-1.0)?, side(1.0)?);
+            Some(if above > below { (high - low) / (above - below) } else { 0.0 })
+        };
+        let all: Vec<f64> = outer.slots.iter().map(slope).collect::<Option<_>>()?;
+        Some(DVector::from_vec(all))
+    }
+}

@@ -1,0 +1,54 @@
+//! Limits of predicted means by profile likelihood, from the tests that a fit was made of.
+
+use std::sync::Arc;
+
+use crate::dynamic::{self, DynamicError, MeansAt};
+use crate::estimate::{self, Progress, Stop, Structure};
+use crate::face::ensemble::Ensemble;
+use crate::face::error::EnsembleError;
+use crate::infer;
+use crate::model::Slots;
+use crate::reduce::grouping;
+
+/// Limits of predicted means, and the fit that they are around.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MeanProfiles {
+    /// log p of all measurements at the maximum.
+    pub log_likelihood: f64,
+    /// The optimality certificate holds there; without it there are no limits.
+    pub converged: bool,
+    /// Of each mean; both are the estimate where nothing that was estimated moves it, `None` where an end is not found.
+    pub limits: Vec<Option<[f64; 2]>>,
+}
+
+impl Ensemble {
+    /// Between which values the likelihood-ratio test keeps predicted means: those whose highest log-likelihood, over α, μ and Σ, is
+    /// within half the square of `quantile` of the maximum. The model is fitted by maximum likelihood, from its start values.
+    ///
+    /// # Errors
+    /// As of a fit.
+    pub fn mean_limits(
+        &self,
+        means: MeansAt<'_>,
+        quantile: f64,
+        progress: &mut dyn Progress,
+    ) -> Result<MeanProfiles, EnsembleError> {
+        let (model, labels, tests) = (self.model(), self.labels(), self.tests());
+        let slots = Slots::in_phases(model, labels, tests);
+        if !slots.is_empty() {
+            let fit = dynamic::fit(model, labels, tests, &dynamic::Settings::default(), progress)?;
+            let converged = fit.stop == Stop::Certified && fit.estimate.stop == Stop::Certified;
+            let limits = if converged { dynamic::mean_limits(model, tests, &fit, means, quantile) } else { Vec::new() };
+            return Ok(MeanProfiles { log_likelihood: fit.estimate.log_likelihood, converged, limits });
+        }
+        let alpha = slots.alpha(model.shared(), &[]);
+        let reductions = self.reduce(&alpha)?;
+        let grouping = grouping(model, tests).map_err(DynamicError::from)?.map(Arc::new);
+        let structure = Structure::of(model, &alpha, grouping.as_ref());
+        let found = estimate::fit(&reductions, &structure, &estimate::Settings::default(), progress)?;
+        let converged = found.stop == Stop::Certified;
+        let home = if converged { means(&alpha) } else { None };
+        let limits = infer::mean_limits(&found, &home.unwrap_or_default(), quantile);
+        Ok(MeanProfiles { log_likelihood: found.log_likelihood, converged, limits })
+    }
+}
