@@ -197,11 +197,6 @@ impl Preparer {
         self.law.as_ref()
     }
 
-    /// Transitions depend on the length of a step alone, and take no matrix exponential.
-    pub(crate) fn moves_steadily(&self) -> bool {
-        self.steady && self.quick
-    }
-
     pub(crate) fn workspace(&self) -> Workspace {
         Workspace {
             design: Design::new(self.order.frame.clone()),

@@ -15,7 +15,6 @@ use crate::model::{
 };
 use crate::reduce::ReductionRef;
 use crate::reduce::unpack;
-use crate::score::lines::{Asked, Lines};
 use crate::score::moments::moments;
 
 fn number(x: f64) -> Expression {
@@ -131,8 +130,7 @@ impl Scorer<'_> {
         let room = || (self.reducer.workspace(), BackwardWork::default(), self.chain.adjoints());
         let one = |room: &mut (Workspace, BackwardWork, Adjoints<'_>), (test, moments): (&Test, &Moments)| {
             let (work, backward, adjoints) = room;
-            self.reducer.preparer().prepare(test, work).map_err(|fault| self.reducer.named(*fault, test))?;
-            self.prepared(test, (moments, None), (work, backward, adjoints))
+            self.alone(test, (moments, None), (work, backward, adjoints))
         };
         tests.par_iter().zip(moments).map_init(room, |room, pair| one(room, pair)).collect()
     }
@@ -189,71 +187,5 @@ fn a_long_record_is_scored_to_the_same_bits_on_any_thread() {
     for k in 0..tests.len() {
         let alone = scorer.scores(&tests[k..=k], &moments[k..=k]).expect("sound");
         assert_eq!(alone[0], together[k]);
-    }
-}
-
-/// A test with times of its own, equal steps among them, and missing values.
-fn own(number: u64) -> Test {
-    let mut rng = ChaCha8Rng::seed_from_u64(number);
-    let mut test = Test::new(format!("t{number}"), 2, 0);
-    let mut t = 0.0;
-    for row in 0..rng.random_range(3..9) {
-        let z = if rng.random_bool(0.1) { f64::NAN } else { rng.sample(StandardNormal) };
-        test.push(&[t, z], &[], Source { file: 0, row });
-        t += rng.random_range(0.01..1.5);
-        if row == 2 && number.is_multiple_of(3) {
-            for again in 0..7 {
-                test.push(&[t, rng.sample(StandardNormal)], &[], Source { file: 0, row: 10 + again });
-                t += 0.25;
-            }
-        }
-    }
-    test
-}
-
-#[test]
-fn tests_side_by_side_are_scored_as_alone() {
-    let tests: Vec<Test> = (0..61).map(own).collect();
-    for (free, driven) in [(1, false), (4, false), (6, false), (6, true)] {
-        let mut model = model(free);
-        if let (State { motion: Motion::Continuous { derivative, .. }, initial, .. }, true) =
-            (&mut model.states[2], driven)
-        {
-            *initial = Initial::Known { mean: number(0.3), variance: number(0.5) };
-            derivative.constant = Expression::Column(0); // a known input, another one at each of equal steps
-        }
-        let slots = Slots::new(&model, &Labels::default(), &tests);
-        let alpha = slots.alpha(&model, &VALUES[..free]);
-        let mut reducer = Reducer::scoring(&model, &alpha, &slots, false).expect("sound");
-        let reductions = reducer.reduce(&tests).expect("sound");
-        let moments: Vec<Moments> = reductions.iter().map(|reduction| moments(reduction, &law())).collect();
-        let scorer = Scorer::new(&reducer, &slots).expect("differentiable");
-        let alone = scorer.scores(&tests, &moments).expect("sound");
-        let side_by_side = |numbers: &[usize]| {
-            let (mut work, mut backward) = (reducer.workspace(), BackwardWork::default());
-            let (mut adjoints, mut lines, mut answers) = (scorer.chain.adjoints(), Lines::default(), Vec::new());
-            for &number in numbers {
-                let (test, moments) = (&tests[number], moments[number].clone());
-                let asked = Asked { number, test, moments, ending: None };
-                scorer.ask(asked, &mut lines, (&mut work, &mut backward, &mut adjoints), &mut answers);
-            }
-            scorer.answer_all(&mut lines, (&mut work, &mut backward, &mut adjoints), &mut answers);
-            answers.sort_by_key(|(number, _)| *number);
-            let scores: Vec<Gradient> = answers.into_iter().map(|(_, score)| score.expect("sound")).collect();
-            scores
-        };
-        let together = side_by_side(&(0..tests.len()).collect::<Vec<_>>());
-        assert_eq!(together.len(), tests.len());
-        for (number, (found, expected)) in together.iter().zip(&alone).enumerate() {
-            assert_eq!(&side_by_side(&[number])[0], found, "test {number} has the same bits in any company");
-            for ((slot, found), (other, expected)) in found.iter().zip(expected) {
-                assert_eq!(slot, other);
-                let off = (found - expected).abs() / (1.0 + expected.abs());
-                assert!(
-                    off < 1e-12,
-                    "{free} free, driven {driven}, test {number}, value {slot}: {found}, alone {expected}"
-                );
-            }
-        }
     }
 }

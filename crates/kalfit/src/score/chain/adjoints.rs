@@ -107,7 +107,5 @@ impl Adjoints<'_> {
     pub(super) fn clear(&mut self) {
         self.pending.clear();
         self.moving.groups.clear();
-        self.moving.equal.clear();
-        self.moving.bars.clear();
     }
 }
