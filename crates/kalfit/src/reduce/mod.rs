@@ -119,6 +119,7 @@ pub(crate) use part::PhaseReducer;
 pub(crate) use phased::{PhasedBlocks, PhasedFiltered, PhasedWork};
 pub(crate) use prepare::{Preparer, Replay, Workspace};
 pub(crate) use reducer::{Queue, own_innovations, share};
+pub(crate) use scan::Steady;
 pub(crate) use semidefinite::{NotSemidefinite, ldl};
 pub(crate) use settling::{Frozen, Settling};
 pub(crate) use shared::Shared;

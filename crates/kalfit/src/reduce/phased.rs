@@ -13,16 +13,11 @@ use crate::reduce::error::{ReduceError, ReduceErrorKind};
 use crate::reduce::part::{Part, PhaseReducer, Place, refuse};
 use crate::reduce::prepare::Workspace;
 use crate::reduce::reducer::{Reducer, Work};
-use crate::reduce::shared::Shared;
-use crate::reduce::stack::{Stack, StackKey};
 use crate::reduce::steps::Cells;
 use crate::reduce::subject::WHOLE;
 use crate::reduce::{Evidence, PhaseReduction, PhasedTest, Reductions};
 
 pub(crate) use blocks::{PhasedBlocks, PhasedFiltered};
-
-/// Bytes of rotations that are kept: tests whose phases have one design each share them while they fit.
-const STACK_BYTES: usize = 128 << 20;
 
 /// Reduces the tests of a model in phases at α.
 ///
@@ -31,7 +26,6 @@ const STACK_BYTES: usize = 128 << 20;
 #[derive(Debug)]
 pub struct PhasedReducer {
     phases: Vec<PhaseReducer>,
-    stacks: Shared<StackKey, Stack>,
     /// Σ p_i.
     dimension: usize,
     /// Regressions of all phases.
@@ -80,7 +74,6 @@ impl PhasedReducer {
         };
         Ok(PhasedReducer {
             phases: (0..=last).map(phase).collect::<Result<_, _>>()?,
-            stacks: Shared::patient(STACK_BYTES, 0),
             dimension: model.dimension(),
             regressions: model.phases.iter().map(|phase| phase.model.mean.regression.len()).sum(),
         })

@@ -30,7 +30,6 @@ use crate::reduce::shared::Shared;
 use crate::reduce::subject::{Fault, Subject};
 use crate::reduce::{Path, Reduction, ReductionRef, Reductions};
 pub(crate) use batch::{Batch, all_sound, joined, share};
-pub(crate) use filtered::filters;
 use known::Known;
 pub(crate) use queue::Queue;
 

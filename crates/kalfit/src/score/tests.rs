@@ -9,85 +9,27 @@ use rayon::prelude::*;
 use super::*;
 use crate::ensemble::{Labels, Source};
 use crate::estimate::InitialLaw;
-use crate::model::{
-    Clock, Column, CovarianceStructure, Expression, Initial, Linear, MeanStructure, Measurement, Model, Motion,
-    Operator, Parameter, State, Value,
-};
+use crate::model::by_hand::{self, alpha, continuous, gauss_markov, known, linear, meter, number, square, state};
+use crate::model::{Initial, Model, Motion, Parameter, Value};
 use crate::reduce::ReductionRef;
 use crate::reduce::unpack;
 use crate::score::moments::moments;
 
-fn number(x: f64) -> Expression {
-    Expression::Number(x)
-}
-
-fn alpha(index: usize) -> Expression {
-    Expression::Parameter(index)
-}
-
-fn binary(operator: Operator, a: Expression, b: Expression) -> Expression {
-    Expression::Binary(operator, Box::new(a), Box::new(b))
-}
-
-fn over(a: Expression, b: Expression) -> Expression {
-    binary(Operator::Divide, a, b)
-}
-
-fn square(a: Expression) -> Expression {
-    binary(Operator::Power, a, number(2.0))
-}
-
-fn state(name: &str, motion: Motion, initial: Initial) -> State {
-    State { name: name.to_owned(), unit: None, motion, initial, offset: None, random: true }
-}
-
 /// z = bias + scale·walk + drift + level + v; α = (q, τ, σ, r, scale, level), of which the first `free` are free.
 fn model(free: usize) -> Model {
-    let continuous = |terms: Vec<(usize, Expression)>, noise_variance: Expression| Motion::Continuous {
-        derivative: Linear { terms, constant: number(0.0) },
-        noise_variance,
-    };
-    let walk = continuous(Vec::new(), square(alpha(0)));
-    let spread = over(binary(Operator::Multiply, number(2.0), square(alpha(2))), alpha(1));
-    let drift = continuous(vec![(2, over(number(-1.0), alpha(1)))], spread);
+    let walk = continuous(Vec::new(), number(0.0), square(alpha(0)));
     let states = vec![
         state("bias", Motion::Constant, Initial::Estimated),
-        state("walk", walk, Initial::Known { mean: number(0.0), variance: number(0.0) }),
-        state("drift", drift, Initial::Stationary),
+        state("walk", walk, known(number(0.0), number(0.0))),
+        state("drift", gauss_markov(2, alpha(1), alpha(2)), Initial::Stationary),
     ];
     let parameter = |k: usize| Parameter {
-        name: format!("a{k}"),
-        unit: None,
         value: if k < free { Value::Free { start: None } } else { Value::Fixed(VALUES[k]) },
-        per: None,
-        fixed_levels: std::collections::BTreeMap::new(),
-        lower: None,
-        upper: None,
-        positive: false,
+        ..by_hand::parameter(&format!("a{k}"), None, None, false)
     };
-    let named = |name: &&str| Column { name: (*name).to_owned(), used_in: String::new() };
-    Model {
-        title: String::new(),
-        columns: ["t", "z"].iter().map(named).collect(),
-        text_columns: Vec::new(),
-        literals: Vec::new(),
-        parameters: (0..VALUES.len()).map(parameter).collect(),
-        process_noise_covariance: Vec::new(),
-        measurements: vec![Measurement {
-            name: "z".to_owned(),
-            column: 1,
-            filter: None,
-            equation: Linear { terms: vec![(0, number(1.0)), (1, alpha(4)), (2, number(1.0))], constant: alpha(5) },
-            noise_variance: square(alpha(3)),
-        }],
-        noise_covariance: Vec::new(),
-        clock: Clock { time: Some(0), ..Clock::default() },
-        group: None,
-        mean: MeanStructure::free(1),
-        covariance: CovarianceStructure::full(),
-        estimated: vec![0],
-        states,
-    }
+    let equation = linear(vec![(0, number(1.0)), (1, alpha(4)), (2, number(1.0))], alpha(5));
+    let (parameters, meter) = ((0..VALUES.len()).map(parameter).collect(), meter("z", 1, equation, square(alpha(3))));
+    by_hand::model([&["t", "z"], &[], &[]], parameters, states, vec![meter])
 }
 
 const VALUES: [f64; 6] = [0.05, 2.0, 0.4, 0.8, 1.3, 0.1];

@@ -1,57 +1,16 @@
 //! Scores of tests in phases against differences of the stacked ℓ.
 
-use std::collections::BTreeMap;
-
 use nalgebra::{DMatrix, DVector};
 
 use super::together::Ensemble;
 use super::*;
 use crate::ensemble::{Label, Labels, Source};
-use crate::model::{
-    Carry, Clock, Column, CovarianceStructure, Expression, Initial, Linear, MeanStructure, Measurement, Model, Motion,
-    Operator, Parameter, Phase, State, Value,
+pub(super) use crate::model::by_hand::{
+    self, alpha, column, discrete, known, linear, meter, number, over, square, state, times,
 };
+use crate::model::by_hand::{gauss_markov, parameter};
+use crate::model::{Carry, Expression, Initial, Linear, Model, Motion, Phase, State};
 use crate::reduce::{Evidence, ReductionRef, unpack};
-
-pub(super) fn number(x: f64) -> Expression {
-    Expression::Number(x)
-}
-
-pub(super) fn column(c: usize) -> Expression {
-    Expression::Column(c)
-}
-
-pub(super) fn alpha(index: usize) -> Expression {
-    Expression::Parameter(index)
-}
-
-fn binary(operator: Operator, a: Expression, b: Expression) -> Expression {
-    Expression::Binary(operator, Box::new(a), Box::new(b))
-}
-
-pub(super) fn times(a: Expression, b: Expression) -> Expression {
-    binary(Operator::Multiply, a, b)
-}
-
-pub(super) fn square(a: Expression) -> Expression {
-    binary(Operator::Power, a, number(2.0))
-}
-
-pub(super) fn over(a: Expression, b: Expression) -> Expression {
-    binary(Operator::Divide, a, b)
-}
-
-pub(super) fn linear(terms: Vec<(usize, Expression)>, constant: Expression) -> Linear {
-    Linear { terms, constant }
-}
-
-pub(super) fn state(name: &str, motion: Motion, initial: Initial) -> State {
-    State { name: name.to_owned(), unit: None, motion, initial, offset: None, random: true }
-}
-
-pub(super) fn known(mean: Expression, variance: Expression) -> Initial {
-    Initial::Known { mean, variance }
-}
 
 pub(super) const TAU: usize = 0;
 pub(super) const DRIFT: usize = 1;
@@ -70,46 +29,20 @@ pub(super) const W: usize = 3;
 
 /// Columns t, z, u, w (constant within a test); text columns phase, sensor, room (constant within a phase).
 pub(super) fn model(states: Vec<State>, equation: Linear) -> Model {
-    let named = |name: &&str| Column { name: (*name).to_owned(), used_in: String::new() };
-    let parameter = |k: usize| Parameter {
-        name: format!("a{k}"),
-        unit: None,
-        value: Value::Free { start: None },
-        per: match k {
-            NOISE => Some(1),
-            KICK => Some(2),
-            _ => None,
-        },
-        fixed_levels: BTreeMap::new(),
-        lower: None,
-        upper: None,
-        positive: false,
+    let per = |k: usize| match k {
+        NOISE => Some(1),
+        KICK => Some(2),
+        _ => None,
     };
-    let estimated: Vec<usize> = (0..states.len()).filter(|&i| states[i].initial == Initial::Estimated).collect();
-    let noise_variance = square(alpha(NOISE));
-    Model {
-        title: String::new(),
-        columns: ["t", "z", "u", "w"].iter().map(named).collect(),
-        text_columns: ["phase", "sensor", "room"].iter().map(named).collect(),
-        literals: ["align", "coast", "land", "A", "B"].map(str::to_owned).to_vec(),
-        parameters: (0..10).map(parameter).collect(),
-        process_noise_covariance: Vec::new(),
-        measurements: vec![Measurement { name: "z".to_owned(), column: 1, filter: None, equation, noise_variance }],
-        noise_covariance: Vec::new(),
-        clock: Clock { time: Some(0), ..Clock::default() },
-        group: None,
-        mean: MeanStructure::free(estimated.len()),
-        covariance: CovarianceStructure::full(),
-        estimated,
-        states,
-    }
+    let parameters = (0..10).map(|k| parameter(&format!("a{k}"), None, per(k), false)).collect();
+    let names: [&[&str]; 3] =
+        [&["t", "z", "u", "w"], &["phase", "sensor", "room"], &["align", "coast", "land", "A", "B"]];
+    by_hand::model(names, parameters, states, vec![meter("z", 1, equation, square(alpha(NOISE)))])
 }
 
 /// A Gauss-Markov state.
 pub(super) fn drift(index: usize) -> Motion {
-    let rate = over(number(-1.0), alpha(TAU));
-    let noise_variance = over(times(number(2.0), square(alpha(DRIFT))), alpha(TAU));
-    Motion::Continuous { derivative: linear(vec![(index, rate)], number(0.0)), noise_variance }
+    gauss_markov(index, alpha(TAU), alpha(DRIFT))
 }
 
 fn phase(at: usize, model: Model, carry: Vec<Carry>) -> Phase {
@@ -119,10 +52,7 @@ fn phase(at: usize, model: Model, carry: Vec<Carry>) -> Phase {
 
 /// Three phases: states that start afresh, that inherit, that do both; a phase's own P0; free values in all of it.
 pub(super) fn journey() -> PhasedModel {
-    let walk = |terms: Vec<(usize, Expression)>| Motion::Discrete {
-        next: linear(terms, times(alpha(INPUT), column(U))),
-        noise_variance: square(alpha(STEP)),
-    };
+    let walk = |terms: Vec<(usize, Expression)>| discrete(terms, times(alpha(INPUT), column(U)), square(alpha(STEP)));
     let align = model(
         vec![
             state("bias", Motion::Constant, Initial::Estimated),
