@@ -18,7 +18,7 @@ use crate::dynamic::{Coordinate, DynamicError, Settings};
 use crate::ensemble::Grouping;
 use crate::estimate::{self, Criterion, Estimate, FitError, InitialLaw, NoiseInformation, Silent, Structure};
 use crate::model::{Alpha, PhasedModel, Population, Slots};
-use crate::reduce::{Evidence, Filtered, PhasedReducer, PhasedTest, Reductions, grouping};
+use crate::reduce::{Evidence, PhasedFiltered, PhasedReducer, PhasedTest, Reductions, grouping};
 use crate::remote::{Answers, Question, Remote};
 use crate::score::{Arrangement, Gradient, Levels, PhasedComplete, PhasedScorer, carried};
 
@@ -56,7 +56,7 @@ pub(crate) struct Reduced {
     reducer: Option<PhasedReducer>,
     pub(crate) reductions: Reductions,
     /// Tests that are kept side by side.
-    filtered: Option<Filtered>,
+    filtered: Option<PhasedFiltered>,
 }
 
 /// ℓ at α with its gradient, at the best (μ, Σ).

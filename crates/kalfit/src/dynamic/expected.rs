@@ -370,21 +370,11 @@ impl<'a> Cursor<'a> {
     fn motion(&mut self, transition: Option<&Transition>) -> Option<Motion> {
         let (transition, design) = (transition?, &self.side.design);
         let n = design.frame.n;
-        let (mut phi, mut noise, mut input) = (DMatrix::identity(n, n), DMatrix::zeros(n, n), DVector::zeros(n));
-        for row in &transition.pattern.moved {
-            phi.row_mut(row.state as usize).fill(0.0);
-            for k in row.start as usize..row.end as usize {
-                phi[(row.state as usize, transition.pattern.columns[k] as usize)] = transition.phi[k];
-            }
-        }
-        for (&(i, j), &q) in transition.pattern.pairs.iter().zip(&transition.q) {
-            noise[(i as usize, j as usize)] = q;
-            noise[(j as usize, i as usize)] = q;
-        }
+        let mut input = DVector::zeros(n);
         for &state in &design.frame.driven {
             input[state as usize] = self.side.data.inputs[self.inputs];
             self.inputs += 1;
         }
-        Some(Motion { phi, noise, input })
+        Some(Motion { phi: transition.phi_of(n, |i| i), noise: transition.noise_of(n, |i| i), input })
     }
 }

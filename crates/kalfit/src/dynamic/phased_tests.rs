@@ -1,84 +1,33 @@
 //! Whole searches for α over tests in phases.
 
-use std::collections::BTreeMap;
-
 use crate::dynamic::bench::Bench;
 use crate::dynamic::{DynamicError, DynamicFit, Method, Settings, fit};
 use crate::ensemble::{Label, Labels, Source, Test};
 use crate::estimate::{Combination, Criterion, Silent, Stop};
+use crate::model::by_hand::{self, Lcg, alpha, continuous, gauss_markov, linear, meter, number, square, state};
 use crate::model::{
-    Carry, Clock, Column, CovarianceKind, CovarianceStructure, Expression, Initial, Linear, MeanElement, MeanStructure,
-    Measurement, Model, Motion, Operator, Parameter, Phase, PhasedModel, Slots, State, Value,
+    Carry, Clock, CovarianceKind, Expression, Initial, Linear, MeanElement, Model, Motion, Phase, PhasedModel, Slots,
+    State, Value,
 };
 use crate::reduce::{Evidence, PhasedReducer, PhasedTest};
 
-fn number(x: f64) -> Expression {
-    Expression::Number(x)
-}
-
-fn of(parameter: usize) -> Expression {
-    Expression::Parameter(parameter)
-}
-
-fn binary(operator: Operator, a: Expression, b: Expression) -> Expression {
-    Expression::Binary(operator, Box::new(a), Box::new(b))
-}
-
-fn square(a: Expression) -> Expression {
-    binary(Operator::Multiply, a.clone(), a)
-}
-
-fn linear(terms: Vec<(usize, Expression)>, constant: Expression) -> Linear {
-    Linear { terms, constant }
-}
-
-fn state(name: &str, motion: Motion, initial: Initial) -> State {
-    State { name: name.to_owned(), unit: None, motion, initial, offset: None, random: true }
-}
-
 fn known(mean: f64, variance: f64) -> Initial {
-    Initial::Known { mean: number(mean), variance: number(variance) }
+    by_hand::known(number(mean), number(variance))
 }
 
 /// A Gauss-Markov state: time constant and steady-state standard deviation are parameters 0 and 1.
 fn drift(index: usize, initial: Initial) -> State {
-    let rate = Expression::Negate(Box::new(binary(Operator::Divide, number(1.0), of(0))));
-    let noise_variance = binary(Operator::Divide, binary(Operator::Multiply, number(2.0), square(of(1))), of(0));
-    let motion = Motion::Continuous { derivative: linear(vec![(index, rate)], number(0.0)), noise_variance };
-    state("drift", motion, initial)
+    state("drift", gauss_markov(index, alpha(0), alpha(1)), initial)
 }
 
 /// Columns t, z, u, before (time of the last row of the phase before); text column phase.
 fn model(states: Vec<State>, equation: Linear, noise: usize, parameters: &[(bool, f64)]) -> Model {
-    let named = |name: &&str| Column { name: (*name).to_owned(), used_in: String::new() };
-    let parameter = |(k, &(positive, start)): (usize, &(bool, f64))| Parameter {
-        name: format!("a{k}"),
-        unit: None,
-        value: Value::Free { start: Some(start) },
-        per: None,
-        fixed_levels: BTreeMap::new(),
-        lower: None,
-        upper: None,
-        positive,
+    let parameter = |(k, &(positive, start)): (usize, &(bool, f64))| {
+        by_hand::parameter(&format!("a{k}"), Some(start), None, positive)
     };
-    let estimated: Vec<usize> = (0..states.len()).filter(|&i| states[i].initial == Initial::Estimated).collect();
-    let noise_variance = square(of(noise));
-    Model {
-        title: String::new(),
-        columns: ["t", "z", "u", "before"].iter().map(named).collect(),
-        text_columns: ["phase"].iter().map(named).collect(),
-        literals: ["first", "second"].map(str::to_owned).to_vec(),
-        parameters: parameters.iter().enumerate().map(parameter).collect(),
-        process_noise_covariance: Vec::new(),
-        measurements: vec![Measurement { name: "z".to_owned(), column: 1, filter: None, equation, noise_variance }],
-        noise_covariance: Vec::new(),
-        clock: Clock { time: Some(0), ..Clock::default() },
-        group: None,
-        mean: MeanStructure::free(estimated.len()),
-        covariance: CovarianceStructure::full(),
-        estimated,
-        states,
-    }
+    let names: [&[&str]; 3] = [&["t", "z", "u", "before"], &["phase"], &["first", "second"]];
+    let parameters = parameters.iter().enumerate().map(parameter).collect();
+    by_hand::model(names, parameters, states, vec![meter("z", 1, equation, square(alpha(noise)))])
 }
 
 fn phases(first: Model, second: Model, carry: Vec<Carry>) -> PhasedModel {
@@ -88,20 +37,6 @@ fn phases(first: Model, second: Model, carry: Vec<Carry>) -> PhasedModel {
         Phase { name: name(1), label: Some(1), model: second, carry, filter: None },
     ];
     PhasedModel { phases, column: Some(0), levels: Vec::new() }
-}
-
-/// Uniform numbers in (-½, ½), the same on every machine.
-struct Lcg(u64);
-
-impl Lcg {
-    fn next(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        ((self.0 >> 40) as f64 + 0.5) / f64::from(1 << 24) - 0.5
-    }
-
-    fn normal(&mut self) -> f64 {
-        (0..12).map(|_| self.next()).sum()
-    }
 }
 
 const TRUE: [(bool, f64); 6] = [(true, 1.5), (true, 0.5), (true, 0.3), (true, 0.4), (true, 0.5), (false, 0.8)];
@@ -119,14 +54,14 @@ fn bench_and_flight() -> PhasedModel {
         2,
         &TRUE,
     );
-    let walk = Motion::Continuous { derivative: linear(Vec::new(), number(0.0)), noise_variance: square(of(3)) };
+    let walk = continuous(Vec::new(), number(0.0), square(alpha(3)));
     let second = model(
         vec![state("angle", walk, known(0.0, 0.04)), state("rate", Motion::Constant, Initial::Estimated)],
         linear(vec![(0, number(1.0)), (1, Expression::Column(2))], number(0.0)),
         4,
         &TRUE,
     );
-    let from = linear(vec![(0, of(5)), (2, number(0.5))], number(0.1));
+    let from = linear(vec![(0, alpha(5)), (2, number(0.5))], number(0.1));
     phases(first, second, vec![Carry { state: 0, from }])
 }
 

@@ -42,30 +42,14 @@ impl Made {
 
     /// F.
     pub(super) fn phi(&self) -> DMatrix<f64> {
-        let (states, transition) = (&self.preparer.order.states, &self.moves.transition);
-        let mut F = DMatrix::identity(states.len(), states.len());
-        for moved in &transition.pattern.moved {
-            let row = states[moved.state as usize];
-            F.row_mut(row).fill(0.0);
-            for at in moved.start as usize..moved.end as usize {
-                F[(row, states[transition.pattern.columns[at] as usize])] = transition.phi[at];
-            }
-        }
-        F
+        let states = &self.preparer.order.states;
+        self.moves.transition.phi_of(states.len(), |place| states[place])
     }
 
     /// Q.
     pub(super) fn noise(&self) -> DMatrix<f64> {
-        let (states, transition) = (&self.preparer.order.states, &self.moves.transition);
-        let mut Q = DMatrix::zeros(states.len(), states.len());
-        for (&(i, j), &q) in transition.pattern.pairs.iter().zip(&transition.q) {
-            let (i, j) = (states[i as usize], states[j as usize]);
-            Q[(i, j)] += q;
-            if i != j {
-                Q[(j, i)] += q;
-            }
-        }
-        Q
+        let states = &self.preparer.order.states;
+        self.moves.transition.noise_of(states.len(), |place| states[place])
     }
 
     /// B: what one unit of each input does in a step.

@@ -85,7 +85,7 @@ impl<T: Lanes> Part for Fold<'_, T> {
     fn run(self) {
         let columns = self.upper.columns;
         if self.rows.rows > 0 {
-            fold_rows(&mut self.upper.data, &mut self.rows.data, (self.width, columns), |_, _, _| {});
+            fold_rows(&mut self.upper.data, &mut self.rows.data, (self.width, columns));
         }
     }
 }

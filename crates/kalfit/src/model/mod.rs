@@ -3,6 +3,8 @@
 //! A [`Model`] holds its equations as exact linear forms whose coefficients are [`Expression`]s in the columns of the
 //! data and the parameters. It refers to columns, states and parameters by index; names are kept for reports only.
 
+#[cfg(test)]
+pub(crate) mod by_hand;
 mod derivative;
 mod error;
 mod expression;

@@ -13,6 +13,7 @@
 mod layout;
 mod values;
 
+use std::borrow::Cow;
 use std::collections::HashSet;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -22,11 +23,13 @@ use rayon::prelude::*;
 use crate::ensemble::Test;
 use crate::model::{Alpha, Level};
 use crate::reduce::digest::Digest;
+use crate::reduce::end::{End, placed};
+use crate::reduce::ending::Ending;
 use crate::reduce::error::ReduceError;
 use crate::reduce::lanes::Room;
-use crate::reduce::prepare::Preparer;
-use crate::reduce::reducer::{About, Reducer};
-use crate::reduce::{Path, Reductions};
+use crate::reduce::prepare::{Preparer, Workspace};
+use crate::reduce::reducer::{About, Batch, Reducer, share};
+use crate::reduce::{Path, Reduction, Reductions, Terminal};
 pub(crate) use layout::Layout;
 use layout::Skeleton;
 pub(crate) use values::Values;
@@ -69,9 +72,10 @@ pub(crate) struct Filtered {
     blocks: Arc<Blocks>,
     /// By block.
     values: Vec<Values>,
-    /// Tests of no block, and those that must be looked at by themselves at this α, by number.
-    pub(crate) others: Vec<usize>,
 }
+
+/// A reduction, and where its test ends.
+pub(crate) type ToEnd = Result<(Reduction, Ending<'static>), ReduceError>;
 
 impl Blocks {
     /// Of the tests with these numbers, whose designs are not among those of tests that share them; `shared` are some tests of each
@@ -106,11 +110,6 @@ impl Blocks {
         Blocks { blocks, others: (0..tests.len()).filter(|number| !kept.contains(number)).collect() }
     }
 
-    /// Whether no test is in one.
-    pub(crate) fn is_empty(&self) -> bool {
-        self.blocks.is_empty()
-    }
-
     /// The reductions of all tests at the α of a reducer, in their order.
     ///
     /// # Errors
@@ -120,6 +119,40 @@ impl Blocks {
         reducer: &Reducer,
         tests: &[&Test],
     ) -> Result<(Reductions, Filtered), ReduceError> {
+        let (filtered, found) = self.filter(reducer, tests);
+        let (rest, last) = self.rest(reducer, tests, found.odd)?;
+        let mut places = vec![0; tests.len()];
+        found.numbers.iter().chain(&last).enumerate().for_each(|(place, &number)| places[number] = place);
+        Ok((Reductions::joined(vec![found.reductions, rest]).select(&places), filtered))
+    }
+
+    /// The same with where each test ends, if that is wanted; what is wrong with a test is said of it alone.
+    pub(crate) fn reduce_to_end(self: &Arc<Blocks>, reducer: &Reducer, tests: &[&Test]) -> (Vec<ToEnd>, Filtered) {
+        let (filtered, found) = self.filter(reducer, tests);
+        let mut all: Vec<Option<ToEnd>> = tests.iter().map(|_| None).collect();
+        let mut terminals = found.terminals.into_iter();
+        for (row, &number) in found.reductions.iter().zip(&found.numbers) {
+            let ending = terminals.next().map_or(Ending::None, |terminal| Ending::Known(Cow::Owned(terminal)));
+            all[number] = Some(Ok((row.into(), ending)));
+        }
+        let root = |work: &mut Workspace, &number: &usize| {
+            let found = reducer.rooted(tests[number], work).or_else(|_| reducer.one(tests[number], work));
+            found.map(|(reduction, class)| (reduction, reducer.ending(&class, work.pass.x.iter().copied())))
+        };
+        let rooted: Vec<ToEnd> = found.odd.par_iter().map_init(|| reducer.workspace(), root).collect();
+        let rows = self.others.iter().map(|&number| tests[number].rows()).sum();
+        let rest = |batch: &mut Batch<'_>, numbers: &[usize]| {
+            batch.reduce_to_end(&numbers.iter().map(|&number| tests[number]).collect::<Vec<_>>())
+        };
+        let others = self.others.par_chunks(share(self.others.len(), rows));
+        let rest: Vec<ToEnd> = others.map_init(|| Batch::new(reducer), rest).flatten_iter().collect();
+        let left = found.odd.iter().chain(&self.others).zip(rooted.into_iter().chain(rest));
+        left.for_each(|(&number, found)| all[number] = Some(found));
+        (all.into_iter().map(|found| found.expect("every test was looked at")).collect(), filtered)
+    }
+
+    /// Runs the filters of all blocks at the α of a reducer.
+    fn filter(self: &Arc<Blocks>, reducer: &Reducer, tests: &[&Test]) -> (Filtered, Found) {
         let mut alpha = Digest::new();
         add_to(&mut alpha, reducer.preparer().at().alpha);
         let alpha = alpha.finish();
@@ -129,26 +162,23 @@ impl Blocks {
             (values, found)
         };
         let shares: Vec<(Vec<Values>, Found)> = self.blocks.par_chunks(SHARE).map_init(Room::default, share).collect();
-        let (mut all, mut numbers, mut parts, mut odd) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        for (values, found) in shares {
-            all.extend(values);
-            numbers.extend(found.numbers);
+        let (mut values, mut all, mut parts) = (Vec::new(), Found::default(), Vec::new());
+        for (own, found) in shares {
+            values.extend(own);
+            all.numbers.extend(found.numbers);
+            all.terminals.extend(found.terminals);
+            all.odd.extend(found.odd);
             parts.push(found.reductions);
-            odd.extend(found.odd);
         }
-        let (rest, last) = self.rest(reducer, tests, odd)?;
-        parts.push(rest);
-        numbers.extend(&last);
-        let mut places = vec![0; tests.len()];
-        numbers.iter().enumerate().for_each(|(place, &number)| places[number] = place);
-        let mut others = last;
-        others.sort_unstable();
-        let filtered = Filtered { blocks: self.clone(), values: all, others };
-        Ok((Reductions::joined(parts).select(&places), filtered))
+        all.reductions = Reductions::joined(parts);
+        (Filtered { blocks: self.clone(), values }, all)
     }
-}
 
-impl Blocks {
+    /// Numbers of the tests that are in blocks.
+    pub(crate) fn numbers(&self) -> impl Iterator<Item = usize> {
+        self.blocks.iter().flat_map(|block| &block.layout.tests).copied()
+    }
+
     /// The reductions of tests that are in no block, and of those that call for square-root arrays, and their numbers.
     fn rest(
         &self,
@@ -157,7 +187,7 @@ impl Blocks {
         odd: Vec<usize>,
     ) -> Result<(Reductions, Vec<usize>), ReduceError> {
         let of = |numbers: &[usize]| numbers.iter().map(|&number| tests[number]).collect::<Vec<&Test>>();
-        let root = |work: &mut _, &number: &usize| reducer.rooted(tests[number], work);
+        let root = |work: &mut _, &number: &usize| Ok(reducer.rooted(tests[number], work)?.0);
         let rooted: Result<Reductions, ReduceError> =
             odd.par_iter().map_init(|| reducer.workspace(), root).collect::<Vec<_>>().into_iter().collect();
         let mut numbers = self.others.clone();
@@ -213,6 +243,8 @@ struct Found {
     reductions: Reductions,
     /// The number of the test of each.
     numbers: Vec<usize>,
+    /// Where each ends, if that is wanted.
+    terminals: Vec<Terminal>,
     /// Tests that must be looked at by themselves.
     odd: Vec<usize>,
 }
@@ -247,13 +279,16 @@ impl Block {
             }
             None => Values::new(layout, reducer.preparer(), tests),
         };
+        values.kept.gained.with_ends = reducer.wants_ends();
         values.kept.filter(&layout.design, own.len(), room);
         for (lane, (own, &number)) in own.iter().zip(&layout.tests).enumerate() {
             let filter = values.kept.gained.found[lane].as_ref().filter(|_| values.sound[lane]);
             let outcome = filter.map(|(factor, determinant)| {
                 (factor, values.kept.block.outcome(lane, (own.observations, *determinant), room))
             });
-            let Some((factor, outcome)) = outcome.filter(|(_, outcome)| outcome.is_finite()) else {
+            let outcome = outcome.filter(|(_, outcome)| outcome.is_finite());
+            let end = reducer.wants_ends().then(|| values.end(lane, layout, reducer, room));
+            let (Some((factor, outcome)), None | Some(Some(_))) = (outcome, &end) else {
                 values.sound[lane] = false;
                 found.odd.push(number);
                 continue;
@@ -271,8 +306,18 @@ impl Block {
             };
             found.reductions.put(reducer.row(tests[number], &outcome, about));
             found.numbers.push(number);
+            found.terminals.extend(end.flatten());
         }
         values
+    }
+}
+
+impl Values {
+    /// Where the test in a lane ends; `None` where that calls for square-root arrays.
+    fn end(&self, lane: usize, layout: &Layout, reducer: &Reducer, room: &Room) -> Option<Terminal> {
+        let states = &reducer.preparer().order.states;
+        let End { sensitivity, root } = self.kept.gained.end((lane, layout.lanes), states)?;
+        Some(Terminal { mean: placed(states, self.kept.block.last(lane, room)), sensitivity, root })
     }
 }
 

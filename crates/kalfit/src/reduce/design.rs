@@ -10,6 +10,7 @@ use std::sync::Arc;
 
 use crate::reduce::digest::Digest;
 use kalfit_lanes::Real;
+use nalgebra::DMatrix;
 
 /// Row of Ψ that is dense.
 pub(crate) const DENSE: u32 = u32::MAX;
@@ -108,6 +109,36 @@ pub(crate) struct Transition<R = f64> {
 }
 
 impl Transition<f64> {
+    /// (row, column, entry) of φ, of the rows that move.
+    pub(crate) fn entries(&self) -> impl Iterator<Item = (usize, usize, f64)> {
+        let of = move |row: &Moved| {
+            let (state, terms) = (row.state as usize, row.start as usize..row.end as usize);
+            terms.map(move |k| (state, self.pattern.columns[k] as usize, self.phi[k]))
+        };
+        self.pattern.moved.iter().flat_map(of)
+    }
+
+    /// φ on n states, `state` the one at each place.
+    pub(crate) fn phi_of(&self, n: usize, state: impl Fn(usize) -> usize) -> DMatrix<f64> {
+        let mut phi = DMatrix::identity(n, n);
+        self.pattern.moved.iter().for_each(|row| phi.row_mut(state(row.state as usize)).fill(0.0));
+        self.entries().for_each(|(i, j, x)| phi[(state(i), state(j))] = x);
+        phi
+    }
+
+    /// Q on n states, `state` the one at each place.
+    pub(crate) fn noise_of(&self, n: usize, state: impl Fn(usize) -> usize) -> DMatrix<f64> {
+        let mut noise = DMatrix::zeros(n, n);
+        for (&(i, j), &q) in self.pattern.pairs.iter().zip(&self.q) {
+            let (i, j) = (state(i as usize), state(j as usize));
+            noise[(i, j)] += q;
+            if i != j {
+                noise[(j, i)] += q;
+            }
+        }
+        noise
+    }
+
     pub(crate) fn new(pattern: Arc<Pattern>, phi: Vec<f64>, q: Vec<f64>) -> Transition {
         Transition { pattern, phi, q, digest: None }
     }

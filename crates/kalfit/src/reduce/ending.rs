@@ -8,7 +8,7 @@ use crate::reduce::class::Class;
 use crate::reduce::terminal::Terminal;
 
 /// x_K given σ.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(crate) enum Ending<'a> {
     /// No phase follows.
     None,

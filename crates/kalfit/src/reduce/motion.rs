@@ -122,7 +122,7 @@ impl Plan {
         flows.clear();
         for (component, &offset) in dynamics.components.iter().zip(&self.offsets) {
             debug_assert_eq!(flows.len(), offset, "flows stand one after the other");
-            append_flow(component, values, dt, flows)?;
+            append_flow(component, |slot| values[slot], dt, flows)?;
         }
         let entry = |entry: &Entry| match entry {
             Entry::Slot(slot) => values[*slot],
@@ -213,22 +213,27 @@ fn noise_entries(dynamics: &Dynamics, order: &Order, offsets: &[usize]) -> Vec<(
 }
 
 /// Appends φ, Γ and Q of a component.
-fn append_flow(component: &Component, values: &[f64], dt: f64, flows: &mut Vec<f64>) -> Result<(), Box<Fault>> {
+fn append_flow(
+    component: &Component,
+    value: impl Fn(usize) -> f64,
+    dt: f64,
+    flows: &mut Vec<f64>,
+) -> Result<(), Box<Fault>> {
     let m = component.states.len();
     let fault = || Fault::new(Subject::Derivative(component.states[0]), ReduceErrorKind::NotFinite);
     if m == 1 {
-        let value = |terms: &[(usize, usize, usize)]| terms.first().map_or(0.0, |term| values[term.2]);
-        let flow = scalar_flow(value(&component.rates), value(&component.noise), dt);
+        let first = |terms: &[(usize, usize, usize)]| terms.first().map_or(0.0, |term| value(term.2));
+        let flow = scalar_flow(first(&component.rates), first(&component.noise), dt);
         flows.extend(flow);
         return if flow.iter().all(|x| x.is_finite()) { Ok(()) } else { Err(fault()) };
     }
     let (mut f, mut q) = (vec![0.0; m * m], vec![0.0; m * m]);
     for &(i, j, slot) in &component.rates {
-        f[i * m + j] = values[slot];
+        f[i * m + j] = value(slot);
     }
     for &(i, j, slot) in &component.noise {
-        q[i * m + j] = values[slot];
-        q[j * m + i] = values[slot];
+        q[i * m + j] = value(slot);
+        q[j * m + i] = value(slot);
     }
     let flow = flow(&f, &q, m, dt).map_err(|_| fault())?;
     [flow.phi, flow.gamma, flow.q].iter().for_each(|matrix| flows.extend(matrix));

@@ -56,6 +56,7 @@ struct Sizes {
 }
 
 /// What is known of one phase, owned or not.
+#[derive(Clone)]
 pub(crate) struct Part<'a> {
     pub(crate) reduction: Cow<'a, Reduction>,
     pub(crate) ending: Ending<'a>,

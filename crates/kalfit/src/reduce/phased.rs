@@ -1,27 +1,23 @@
 //! Tests in phases → reductions: each phase by its own filter, then all of them together (theory §7).
 
 mod batch;
+mod blocks;
 mod whole;
-
-use std::sync::Arc;
 
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
 use crate::model::{Alpha, Model, PhasedModel, Slots};
-use crate::reduce::blocks::{Blocks, Filtered};
+use crate::reduce::blocks::ToEnd;
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
 use crate::reduce::part::{Part, PhaseReducer, Place, refuse};
 use crate::reduce::prepare::Workspace;
 use crate::reduce::reducer::{Reducer, Work};
-use crate::reduce::shared::Shared;
-use crate::reduce::stack::{Stack, StackKey};
 use crate::reduce::steps::Cells;
 use crate::reduce::subject::WHOLE;
 use crate::reduce::{Evidence, PhaseReduction, PhasedTest, Reductions};
 
-/// Bytes of rotations that are kept: tests whose phases have one design each share them while they fit.
-const STACK_BYTES: usize = 128 << 20;
+pub(crate) use blocks::{PhasedBlocks, PhasedFiltered};
 
 /// Reduces the tests of a model in phases at α.
 ///
@@ -30,7 +26,6 @@ const STACK_BYTES: usize = 128 << 20;
 #[derive(Debug)]
 pub struct PhasedReducer {
     phases: Vec<PhaseReducer>,
-    stacks: Shared<StackKey, Stack>,
     /// Σ p_i.
     dimension: usize,
     /// Regressions of all phases.
@@ -79,7 +74,6 @@ impl PhasedReducer {
         };
         Ok(PhasedReducer {
             phases: (0..=last).map(phase).collect::<Result<_, _>>()?,
-            stacks: Shared::patient(STACK_BYTES, 0),
             dimension: model.dimension(),
             regressions: model.phases.iter().map(|phase| phase.model.mean.regression.len()).sum(),
         })
@@ -121,29 +115,16 @@ impl PhasedReducer {
     /// The only phase and the rows of all tests, where that is all there is: they are reduced many at a time.
     fn plain<'a>(&'a self, tests: &'a [PhasedTest]) -> Option<(&'a PhaseReducer, Vec<&'a Test>)> {
         let [phase] = &*self.phases else { return None };
-        let rows = |test: &'a PhasedTest| match &*test.phases {
-            [Evidence::Rows(rows)] => Some(rows),
+        let rows = |test: &'a PhasedTest| self.rows_of(0, test).filter(|_| test.phases.len() == 1);
+        Some((phase, tests.iter().map(rows).collect::<Option<_>>()?))
+    }
+
+    /// The rows of a phase of a test, where the optimal filter is to run over them.
+    pub(crate) fn rows_of<'t>(&self, at: usize, test: &'t PhasedTest) -> Option<&'t Test> {
+        match test.phases.get(at)? {
+            Evidence::Rows(rows) if self.phases[at].is_optimal() => Some(rows),
             _ => None,
-        };
-        let rows = phase.is_optimal().then(|| tests.iter().map(rows).collect::<Option<Vec<_>>>())??;
-        Some((phase, rows))
-    }
-
-    /// The tests of a single phase with designs of their own, to be kept side by side: of those with the numbers `alone`. `shared`:
-    /// some of each kind of the others.
-    pub(crate) fn blocks(&self, tests: &[PhasedTest], alone: &[usize], shared: &[usize]) -> Option<Blocks> {
-        let (phase, rows) = self.plain(tests)?;
-        Some(Blocks::new(&phase.reducer, &rows, alone, shared)).filter(|blocks| !blocks.is_empty())
-    }
-
-    /// As [`PhasedReducer::reduce`], the tests of a single phase in their blocks.
-    pub(crate) fn reduce_blocks(
-        &self,
-        tests: &[PhasedTest],
-        blocks: &Arc<Blocks>,
-    ) -> Result<(Reductions, Filtered), ReduceError> {
-        let (phase, rows) = self.plain(tests).expect("only tests of a single phase are in blocks");
-        blocks.reduce(&phase.reducer, &rows)
+        }
     }
 
     /// The phases of tests, each by itself in its entering coordinates.
@@ -199,6 +180,25 @@ impl PhasedReducer {
             }
             _ => Ok(()),
         }
+    }
+
+    /// The phases of a test by themselves, `found` what the filters left of those that have rows for them.
+    fn parts_of<'a>(
+        &'a self,
+        test: &'a PhasedTest,
+        found: Vec<Option<ToEnd>>,
+        work: &mut PhasedWork,
+    ) -> Result<Vec<Part<'a>>, ReduceError> {
+        self.check(test)?;
+        let part = |((at, evidence), found): ((usize, &'a Evidence), Option<ToEnd>)| {
+            let phase = &self.phases[at];
+            if let (Evidence::Rows(rows), Some(found)) = (evidence, found) {
+                return phase.joined(rows, found, &mut work.cells);
+            }
+            let room = (&mut work.phases[at], &mut work.cells);
+            phase.part((&test.id, evidence), room, (false, at + 1 < test.phases.len()))
+        };
+        test.phases.iter().enumerate().zip(found).map(part).collect()
     }
 
     /// The phases of a test by themselves; of `designs`, nothing that was measured.

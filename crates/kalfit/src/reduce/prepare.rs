@@ -34,7 +34,7 @@ mod transition;
 
 use alike::looks;
 use last::Last;
-pub(crate) use replay::Replay;
+pub(crate) use replay::{Opening, Replay};
 
 /// Bytes of transitions that are kept.
 const TRANSITION_BYTES: usize = 16 << 20;
@@ -181,25 +181,18 @@ impl Preparer {
         At { model: &self.model, alpha: &self.alpha, free: &self.free }
     }
 
-    /// Whether tests can be evaluated column by column: measurements are not correlated, no transition calls for a matrix
-    /// exponential, noises that are correlated are the same on every row, and no test changes the law of x_0.
+    /// Whether tests can be evaluated column by column: measurements are not correlated, and noises that are correlated are the same
+    /// on every row.
     pub(crate) fn has_columns(&self) -> bool {
         let varies = |slot: usize| self.dynamics.table.varying.iter().any(|(other, ..)| *other == slot);
-        let mut noise = self.dynamics.noise.iter();
-        self.quick
-            && self.law.is_some()
-            && self.meters.can_repeat()
-            && !noise.any(|&(i, j, slot)| i != j && varies(slot))
+        let components = self.dynamics.components.iter().flat_map(|component| &component.noise);
+        let mut noise = self.dynamics.noise.iter().chain(components);
+        self.meters.can_repeat() && !noise.any(|&(i, j, slot)| i != j && varies(slot))
     }
 
     /// The law of x_0, when no test changes it.
     pub(crate) fn law(&self) -> Option<&Law> {
         self.law.as_ref()
-    }
-
-    /// Transitions depend on the length of a step alone, and take no matrix exponential.
-    pub(crate) fn moves_steadily(&self) -> bool {
-        self.steady && self.quick
     }
 
     pub(crate) fn workspace(&self) -> Workspace {

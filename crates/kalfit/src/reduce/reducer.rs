@@ -30,7 +30,6 @@ use crate::reduce::shared::Shared;
 use crate::reduce::subject::{Fault, Subject};
 use crate::reduce::{Path, Reduction, ReductionRef, Reductions};
 pub(crate) use batch::{Batch, all_sound, joined, share};
-pub(crate) use filtered::filters;
 use known::Known;
 pub(crate) use queue::Queue;
 
@@ -163,6 +162,11 @@ impl Reducer {
         self
     }
 
+    /// The state after the last step is wanted.
+    pub(crate) fn wants_ends(&self) -> bool {
+        self.ends
+    }
+
     /// Where a test of a class ends, with x̂ of its last step, in the order of the kernels.
     pub(crate) fn ending(&self, class: &Class, x: impl Iterator<Item = f64>) -> Ending<'static> {
         let states = &self.preparer.order.states;
@@ -291,14 +295,14 @@ impl Reducer {
         self.told(test, (digest, class), work)
     }
 
-    /// The reduction of a test whose design is known to call for square-root arrays.
-    pub(crate) fn rooted(&self, test: &Test, work: &mut Workspace) -> Result<Reduction, ReduceError> {
+    /// [`Reducer::one`] of a test whose design is known to call for square-root arrays.
+    pub(crate) fn rooted(&self, test: &Test, work: &mut Workspace) -> Result<(Reduction, Class), ReduceError> {
         let found = self.preparer.prepare(test, work).and_then(|()| {
             let digest = work.design.digest();
             let class = self.class_of((digest, &work.design), |design| self.root(design));
             self.told(test, (digest, class), work)
         });
-        found.map(|(reduction, _)| reduction).map_err(|fault| self.named(*fault, test))
+        found.map_err(|fault| self.named(*fault, test))
     }
 
     /// The reduction of the test in the work space, of this class.

@@ -14,10 +14,12 @@ pub(crate) const BLOCK: usize = 512;
 const LANES: usize = 8;
 
 /// Steps of one scalar measurement z = h'x + v: x ← φx + c + Ke on the N states that move, e = z - h'(φx + c) - d.
-struct Steady<const N: usize> {
-    phi: [[f64; N]; N],
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Steady<const N: usize> {
+    pub(crate) phi: [[f64; N]; N],
     /// What the states that rest add to φx.
-    c: [f64; N],
+    pub(crate) c: [f64; N],
+    pub(crate) h: [f64; N],
     /// φ'h, so that e needs no predicted x.
     g: [f64; N],
     /// h'c and what the states that rest add to z.
@@ -64,7 +66,7 @@ fn steady<const N: usize>(
     values: &[f64],
     work: &mut DataWork,
 ) {
-    let step = Steady::<N>::new(stretch, design.terms(stretch.lines.start), &work.x);
+    let step = Steady::<N>::new(design, stretch, &work.x);
     let (mut x, mut K) = ([0.0; N], [0.0; N]);
     x.copy_from_slice(&work.x[..N]);
     let (first, r) = (stretch.rows.start, design.frame.r);
@@ -83,23 +85,25 @@ fn steady<const N: usize>(
 }
 
 impl<const N: usize> Steady<N> {
-    fn new(stretch: &Stretch<'_>, (states, h): (&[u32], &[f64]), x: &[f64]) -> Steady<N> {
-        let mut step = Steady { phi: [[0.0; N]; N], c: [0.0; N], g: [0.0; N], d: 0.0 };
+    /// `x`: the filter before them.
+    pub(crate) fn new(design: &Design, stretch: &Stretch<'_>, x: &[f64]) -> Steady<N> {
+        let mut step = Steady { phi: [[0.0; N]; N], c: [0.0; N], h: [0.0; N], g: [0.0; N], d: 0.0 };
         (0..N).for_each(|i| step.phi[i][i] = 1.0);
-        for row in stretch.transition.iter().flat_map(|transition| &transition.pattern.moved) {
-            let transition = stretch.transition.expect("it has rows");
-            let i = row.state as usize;
-            step.phi[i] = [0.0; N];
-            for k in row.start as usize..row.end as usize {
-                match transition.pattern.columns[k] as usize {
-                    j if j < N => step.phi[i][j] = transition.phi[k],
-                    j => step.c[i] += transition.phi[k] * x[j],
+        if let Some(transition) = stretch.transition {
+            transition.pattern.moved.iter().for_each(|row| step.phi[row.state as usize] = [0.0; N]);
+            for (i, j, phi) in transition.entries() {
+                if j < N {
+                    step.phi[i][j] = phi;
+                } else {
+                    step.c[i] += phi * x[j];
                 }
             }
         }
+        let (states, h) = design.terms(stretch.lines.start);
         for (&state, &h) in states.iter().zip(h) {
             match state as usize {
                 i if i < N => {
+                    step.h[i] = h;
                     (0..N).for_each(|j| step.g[j] += h * step.phi[i][j]);
                     step.d += h * step.c[i];
                 }
@@ -109,22 +113,43 @@ impl<const N: usize> Steady<N> {
         step
     }
 
-    /// e; x is updated.
+    /// e of a measurement after the step from x.
     #[inline(always)]
-    fn take(&self, x: &mut [f64; N], K: &[f64; N], z: f64) -> f64 {
+    pub(crate) fn innovation(&self, x: &[f64; N], z: f64) -> f64 {
         let mut e = z - self.d;
-        let mut next = self.c;
         for j in 0..N {
             e -= self.g[j] * x[j];
         }
+        e
+    }
+
+    /// φx + c.
+    #[inline(always)]
+    pub(crate) fn predicted(&self, x: &[f64; N]) -> [f64; N] {
+        let mut next = self.c;
         for i in 0..N {
             for j in 0..N {
                 next[i] += self.phi[i][j] * x[j];
             }
         }
+        next
+    }
+
+    /// φx + c + Ke.
+    #[inline(always)]
+    pub(crate) fn state(&self, x: &[f64; N], K: &[f64; N], e: f64) -> [f64; N] {
+        let mut next = self.predicted(x);
         for i in 0..N {
-            x[i] = next[i] + K[i] * e;
+            next[i] += K[i] * e;
         }
+        next
+    }
+
+    /// e; x is updated.
+    #[inline(always)]
+    fn take(&self, x: &mut [f64; N], K: &[f64; N], z: f64) -> f64 {
+        let e = self.innovation(x, z);
+        *x = self.state(x, K, e);
         e
     }
 }

@@ -93,20 +93,6 @@ impl<K, V> Shared<K, V> {
         self.shard(digest).entries.get(&digest).is_some_and(|entry| same(&entry.key))
     }
 
-    /// Whether [`Shared::get`] has, or would keep, the value of this digest. If not, it is noted as asked for once.
-    pub(crate) fn is_worth(&self, digest: u128) -> bool {
-        let mut shard = self.shard(digest);
-        let bytes = self.bytes.load(Ordering::Relaxed);
-        if shard.entries.contains_key(&digest) || bytes < self.eager {
-            return true;
-        }
-        // what is noted already is left so, for the call that gets it
-        bytes < self.limit && shard.noted.contains(&digest) || {
-            shard.is_known(digest);
-            false
-        }
-    }
-
     /// Keeps what was made elsewhere, beyond `eager` bytes only what is offered or asked for a second time; it is put together only
     /// then. False where another was quicker.
     pub(crate) fn offer(

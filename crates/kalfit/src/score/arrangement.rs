@@ -1,16 +1,16 @@
 //! How the tests of an ensemble are worked on together. None of it depends on α: it is found once.
 
-use std::sync::{Arc, OnceLock};
+use std::sync::OnceLock;
 
 use crate::model::{PhasedModel, Slots};
-use crate::reduce::{Blocks, Filtered, PhasedReducer, PhasedTest, ReduceError, Reductions};
+use crate::reduce::{PhasedBlocks, PhasedFiltered, PhasedReducer, PhasedTest, ReduceError, Reductions};
 use crate::score::{Companies, PhasedScorer};
 
 /// Which tests are alike, and which are kept side by side.
 #[derive(Debug, Default)]
 pub(crate) struct Arrangement {
     companies: OnceLock<Companies>,
-    blocks: OnceLock<Option<Arc<Blocks>>>,
+    blocks: OnceLock<Option<PhasedBlocks>>,
 }
 
 impl Arrangement {
@@ -29,7 +29,7 @@ impl Arrangement {
         (model, slots): (&PhasedModel, &Slots),
         reducer: &mut PhasedReducer,
         tests: &[PhasedTest],
-    ) -> Result<(Reductions, Option<Filtered>), ReduceError> {
+    ) -> Result<(Reductions, Option<PhasedFiltered>), ReduceError> {
         match self.blocks((model, slots), reducer, tests) {
             Some(blocks) => {
                 let (reductions, filtered) = reducer.reduce_blocks(tests, blocks)?;
@@ -45,10 +45,10 @@ impl Arrangement {
         (model, slots): (&PhasedModel, &Slots),
         reducer: &PhasedReducer,
         tests: &[PhasedTest],
-    ) -> Option<&Arc<Blocks>> {
+    ) -> Option<&PhasedBlocks> {
         if self.blocks.get().is_none() {
             let scorer = PhasedScorer::new(model, reducer, slots).ok()?;
-            let _ = self.blocks.set(scorer.blocks(tests, self.companies(&scorer, tests)).map(Arc::new));
+            let _ = self.blocks.set(scorer.blocks(tests, self.companies(&scorer, tests)));
         }
         self.blocks.get()?.as_ref()
     }

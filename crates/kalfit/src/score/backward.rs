@@ -41,7 +41,7 @@ use crate::reduce::Step;
 use adjoint::{Adjoint, LineBar};
 use work::{Kind, Part};
 
-pub(crate) use abreast::{Abreast, LaneBars, StepBars, fits};
+pub(crate) use abreast::{Abreast, LaneBars};
 pub(crate) use filtered::Seen;
 pub(crate) use run::{Ending, Run, Wanted};
 pub(crate) use sink::{MeasuredBar, MovedBar, Sink};

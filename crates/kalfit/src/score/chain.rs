@@ -11,7 +11,6 @@
 
 mod adjoints;
 mod columns;
-mod equal_steps;
 mod gradient;
 mod groups;
 mod measured;
@@ -19,7 +18,6 @@ mod measuring;
 mod moved;
 mod moving;
 mod response;
-mod steady;
 mod taps;
 #[cfg(test)]
 mod tests;
@@ -57,8 +55,6 @@ pub(crate) struct Chain<'a> {
     /// Tap of each of the start's coefficients.
     start: Vec<Option<usize>>,
     needs: Needs,
-    /// The coefficients of the motion are the same on every row, and no matrix exponential stands between them and the transitions.
-    steady: bool,
 }
 
 /// Taps of a measurement.
@@ -121,7 +117,6 @@ impl<'a> Chain<'a> {
             pairs,
             start,
             needs: Needs::default(),
-            steady: preparer.moves_steadily(),
         };
         chain.needs = chain.find_needs();
         Ok(chain)

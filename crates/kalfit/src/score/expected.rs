@@ -144,21 +144,11 @@ impl Known {
     fn of(&mut self, old: &Arc<Transition>, new: &Arc<Transition>, r: usize) -> Option<&Turned> {
         let same = |(a, b, _): &(Arc<Transition>, Arc<Transition>, Turned)| Arc::ptr_eq(a, old) && Arc::ptr_eq(b, new);
         if !self.last.as_ref().is_some_and(same) {
-            let turned = Turned::new(&noise(old, r), &noise(new, r))?;
+            let turned = Turned::new(&old.noise_of(r, |i| i), &new.noise_of(r, |i| i))?;
             self.last = Some((old.clone(), new.clone(), turned));
         }
         self.last.as_ref().map(|(.., turned)| turned)
     }
-}
-
-/// Q of a transition on the r noise-reachable states.
-fn noise(transition: &Transition, r: usize) -> DMatrix<f64> {
-    let mut q = DMatrix::zeros(r, r);
-    for (&(i, j), &value) in transition.pattern.pairs.iter().zip(&transition.q) {
-        q[(i as usize, j as usize)] = value;
-        q[(j as usize, i as usize)] = value;
-    }
-    q
 }
 
 impl Passage<'_> {

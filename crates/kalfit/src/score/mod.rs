@@ -11,7 +11,6 @@ mod company;
 mod complete;
 mod expected;
 mod levels;
-mod lines;
 mod moments;
 mod phased;
 mod smoother;
@@ -52,14 +51,21 @@ impl<'a> Scorer<'a> {
         Ok(Scorer { reducer, chain })
     }
 
-    /// What a phase's later ones say of its last state, in the order of the kernels.
-    fn ending(&self, later: &Later) -> Ending {
+    /// What a phase's later ones say of its last state, in the order of the kernels; ρ with so many columns, those beyond its own
+    /// zero.
+    fn ending(&self, later: &Later, columns: usize) -> Ending {
+        self.ending_or_none(Some(later), columns)
+    }
+
+    /// The same, zero where there is no later phase.
+    fn ending_or_none(&self, later: Option<&Later>, columns: usize) -> Ending {
         let order = &self.reducer.preparer().order;
-        let (n, r, c) = (order.frame.n, order.frame.r, later.rho.ncols());
-        let mut ending = Ending { r: vec![0.0; n], rho: vec![0.0; n * c], N: vec![0.0; r * r] };
+        let (n, r) = (order.frame.n, order.frame.r);
+        let mut ending = Ending { r: vec![0.0; n], rho: vec![0.0; n * columns], N: vec![0.0; r * r] };
+        let Some(later) = later else { return ending };
         for (i, &at) in order.place.iter().enumerate() {
             ending.r[at] = later.r[i];
-            (0..c).for_each(|k| ending.rho[at * c + k] = later.rho[(i, k)]);
+            (0..later.rho.ncols()).for_each(|k| ending.rho[at * columns + k] = later.rho[(i, k)]);
             for (j, &to) in order.place.iter().enumerate().filter(|(_, to)| at.max(**to) < r) {
                 ending.N[at * r + to] = later.N[(i, j)];
             }
@@ -72,22 +78,20 @@ impl<'a> Scorer<'a> {
         Wanted { motion: self.chain.needs_rates(), equation: self.chain.needs_equation() }
     }
 
-    /// dℓ_j/dα of the test in the work space, with the moments of its ξ, and what later phases say of its last state.
-    fn prepared(
+    /// dℓ_j/dα of a test, with the moments of its ξ, and what later phases say of its last state.
+    pub(crate) fn alone(
         &self,
         test: &Test,
         (moments, ending): (&Moments, Option<&Ending>),
         (work, backward, adjoints): (&mut Workspace, &mut BackwardWork, &mut Adjoints<'_>),
     ) -> Result<Gradient, ReduceError> {
         backward.set_unfrozen(self.reducer.is_unfrozen());
-        let digest = work.design.digest();
-        let result = self.reducer.with_prepared(test, digest, work, |gains, work| {
+        let result = self.reducer.with_gains(test, work, |gains, work| {
             let run = Run::of((work, gains), (moments, ending), self.wanted());
-            let mut onward = Onward { adjoints, test, work };
-            run.backward(backward, &mut onward)?;
+            run.backward(backward, &mut Onward { adjoints, test, work })?;
             adjoints.finish(test, work)
         })?;
-        result.map_err(|fault| fault.name(&self.reducer.preparer().model, Some(test)))
+        result.map_err(|fault| self.reducer.named(*fault, test))
     }
 }
 

@@ -21,13 +21,13 @@ use crate::ensemble::Test;
 use crate::estimate::InitialLaw;
 use crate::model::{EvaluationError, PhasedModel, Slots, Tape};
 use crate::reduce::{
-    Evidence, Fault, Filtered, Inherits, PhasedReducer, PhasedTest, PhasedWork, ReduceError, ReductionRef, Reductions,
-    Shared,
+    Fault, Inherits, PhasedFiltered, PhasedReducer, PhasedTest, PhasedWork, ReduceError, Reductions, Shared,
 };
 use crate::score::backward::BackwardWork;
 use crate::score::chain::{Adjoints, Gradient};
 use crate::score::complete::Complete;
 use crate::score::moments::moments;
+use crate::score::phased::together::Ensemble;
 use crate::score::smoother::{InheritedBar, PhaseLaws, Plan, PlanKey, Smooth};
 use crate::score::{Companies, Scorer, Smoothed};
 
@@ -83,11 +83,10 @@ impl<'a> PhasedScorer<'a> {
         tests: &[PhasedTest],
         reductions: &Reductions,
         law: &InitialLaw,
-        (companies, filtered): (&Companies, Option<&Filtered>),
+        (companies, filtered): (&Companies, Option<&PhasedFiltered>),
     ) -> Result<Vec<Gradient>, ReduceError> {
         let plans = Shared::new(PLAN_BYTES);
-        let mut scores: Vec<(usize, Result<Gradient, ReduceError>)> =
-            self.in_companies(tests, reductions, (law, &plans), (companies, filtered));
+        let mut scores = self.in_companies(Ensemble { tests, reductions, law, plans: &plans, filtered }, companies);
         scores.sort_unstable_by_key(|(number, _)| *number);
         scores.into_iter().map(|(_, score)| score).collect()
     }
@@ -100,8 +99,10 @@ impl<'a> PhasedScorer<'a> {
         law: &InitialLaw,
     ) -> Result<Vec<PhasedComplete>, ReduceError> {
         let plans = Shared::new(PLAN_BYTES);
-        let one = |room: &mut Room<'_>, (test, reduction)| self.complete(test, reduction, (law, &plans), room);
-        self.each((tests, reductions.par_iter()), one)
+        let of = Ensemble { tests, reductions, law, plans: &plans, filtered: None };
+        let one =
+            |room: &mut Room<'_>, (test, number)| self.complete(test, self.begin(of, number, &mut room.work)?, room);
+        self.each((tests, (0..tests.len()).into_par_iter()), one)
     }
 
     /// States of each phase of each test given all of the test: x_0, then after each step.
@@ -146,35 +147,29 @@ impl<'a> PhasedScorer<'a> {
         }
     }
 
-    /// The rows of a phase that is filtered here.
-    fn rows<'t>(&self, at: usize, evidence: &'t Evidence) -> Option<&'t Test> {
-        match evidence {
-            Evidence::Rows(test) if self.model.phases[at].filter.is_none() => Some(test),
-            _ => None,
-        }
-    }
-
     /// What the passes through each phase of a test begin from.
-    fn begin(
-        &self,
-        test: &PhasedTest,
-        reduction: ReductionRef<'_>,
-        (law, plans): (&InitialLaw, &Plans),
-        work: &mut PhasedWork,
-    ) -> Result<Vec<Smooth>, ReduceError> {
+    fn begin(&self, of: Ensemble<'_>, number: usize, work: &mut PhasedWork) -> Result<Vec<Smooth>, ReduceError> {
+        let reduction = of.reductions.get(number);
         if self.model.is_single() {
-            return Ok(vec![Smooth { moments: moments(reduction, law), ..Smooth::default() }]);
+            return Ok(vec![Smooth { moments: moments(reduction, of.law), ..Smooth::default() }]);
         }
-        let pieces = self.reducer.pieces_of(test, work)?;
-        let laws = PhaseLaws::new(law, &self.model.ranges(), reduction.covariates);
-        let entry = plans.get(
+        let made;
+        let pieces = match of.filtered.and_then(|filtered| filtered.pieces(number)) {
+            Some(pieces) => pieces,
+            None => {
+                made = self.reducer.pieces_of(&of.tests[number], work)?;
+                &made
+            }
+        };
+        let laws = PhaseLaws::new(of.law, &self.model.ranges(), reduction.covariates);
+        let entry = of.plans.get(
             reduction.design,
-            |known| known.same(&pieces, &laws),
-            || PlanKey::new(&pieces, &laws),
-            |_| Plan::new(&pieces, &laws),
+            |known| known.same(pieces, &laws),
+            || PlanKey::new(pieces, &laws),
+            |_| Plan::new(pieces, &laws),
             |_, plan| 2 * plan.bytes(),
         );
-        Ok(entry.value().smooth(&pieces, &laws))
+        Ok(entry.value().smooth(pieces, &laws))
     }
 
     /// Through the coefficients of the carry of a phase.
@@ -213,20 +208,18 @@ impl<'a> PhasedScorer<'a> {
     fn complete(
         &self,
         test: &PhasedTest,
-        reduction: ReductionRef<'_>,
-        law: (&InitialLaw, &Plans),
+        phases: Vec<Smooth>,
         room: &mut Room<'_>,
     ) -> Result<PhasedComplete, ReduceError> {
-        let phases = self.begin(test, reduction, law, &mut room.work)?;
-        let one = |(at, (evidence, smooth)): (usize, (&Evidence, &Smooth))| {
-            let Some(rows) = self.rows(at, evidence) else { return Ok(None) };
+        let one = |(at, smooth): (usize, &Smooth)| {
+            let Some(rows) = self.reducer.rows_of(at, test) else { return Ok(None) };
             let scorer = &self.phases[at];
-            let ending = smooth.later.as_ref().map(|later| scorer.ending(later));
+            let ending = smooth.later.as_ref().map(|later| scorer.ending(later, smooth.moments.columns));
             let work = (&mut room.work.phases[at], &mut room.backward);
             let complete = scorer.complete(rows, (&smooth.moments, ending.as_ref()), work);
             complete.map(Some).map_err(|error| self.reducer.phases()[at].named(error))
         };
-        test.phases.iter().zip(&phases).enumerate().map(one).collect()
+        phases.iter().enumerate().map(one).collect()
     }
 
     fn expected(
@@ -236,8 +229,8 @@ impl<'a> PhasedScorer<'a> {
         room: &mut Room<'_>,
     ) -> Result<Option<(f64, Gradient)>, ReduceError> {
         let (mut value, mut sum) = (0.0, BTreeMap::new());
-        for (at, (evidence, complete)) in test.phases.iter().zip(complete).enumerate() {
-            let (Some(rows), Some(complete)) = (self.rows(at, evidence), complete) else { continue };
+        for (at, complete) in complete.iter().enumerate() {
+            let (Some(rows), Some(complete)) = (self.reducer.rows_of(at, test), complete) else { continue };
             let work = (&mut room.work.phases[at], &mut room.adjoints[at]);
             let expected = self.phases[at].expected(rows, complete, work);
             let Some((own, gradient)) = expected.map_err(|error| self.reducer.phases()[at].named(error))? else {

@@ -9,86 +9,27 @@ use rayon::prelude::*;
 use super::*;
 use crate::ensemble::{Labels, Source};
 use crate::estimate::InitialLaw;
-use crate::model::{
-    Clock, Column, CovarianceStructure, Expression, Initial, Linear, MeanStructure, Measurement, Model, Motion,
-    Operator, Parameter, State, Value,
-};
+use crate::model::by_hand::{self, alpha, continuous, gauss_markov, known, linear, meter, number, square, state};
+use crate::model::{Initial, Model, Motion, Parameter, Value};
 use crate::reduce::ReductionRef;
 use crate::reduce::unpack;
-use crate::score::lines::{Asked, Lines};
 use crate::score::moments::moments;
-
-fn number(x: f64) -> Expression {
-    Expression::Number(x)
-}
-
-fn alpha(index: usize) -> Expression {
-    Expression::Parameter(index)
-}
-
-fn binary(operator: Operator, a: Expression, b: Expression) -> Expression {
-    Expression::Binary(operator, Box::new(a), Box::new(b))
-}
-
-fn over(a: Expression, b: Expression) -> Expression {
-    binary(Operator::Divide, a, b)
-}
-
-fn square(a: Expression) -> Expression {
-    binary(Operator::Power, a, number(2.0))
-}
-
-fn state(name: &str, motion: Motion, initial: Initial) -> State {
-    State { name: name.to_owned(), unit: None, motion, initial, offset: None, random: true }
-}
 
 /// z = bias + scale·walk + drift + level + v; α = (q, τ, σ, r, scale, level), of which the first `free` are free.
 fn model(free: usize) -> Model {
-    let continuous = |terms: Vec<(usize, Expression)>, noise_variance: Expression| Motion::Continuous {
-        derivative: Linear { terms, constant: number(0.0) },
-        noise_variance,
-    };
-    let walk = continuous(Vec::new(), square(alpha(0)));
-    let spread = over(binary(Operator::Multiply, number(2.0), square(alpha(2))), alpha(1));
-    let drift = continuous(vec![(2, over(number(-1.0), alpha(1)))], spread);
+    let walk = continuous(Vec::new(), number(0.0), square(alpha(0)));
     let states = vec![
         state("bias", Motion::Constant, Initial::Estimated),
-        state("walk", walk, Initial::Known { mean: number(0.0), variance: number(0.0) }),
-        state("drift", drift, Initial::Stationary),
+        state("walk", walk, known(number(0.0), number(0.0))),
+        state("drift", gauss_markov(2, alpha(1), alpha(2)), Initial::Stationary),
     ];
     let parameter = |k: usize| Parameter {
-        name: format!("a{k}"),
-        unit: None,
         value: if k < free { Value::Free { start: None } } else { Value::Fixed(VALUES[k]) },
-        per: None,
-        fixed_levels: std::collections::BTreeMap::new(),
-        lower: None,
-        upper: None,
-        positive: false,
+        ..by_hand::parameter(&format!("a{k}"), None, None, false)
     };
-    let named = |name: &&str| Column { name: (*name).to_owned(), used_in: String::new() };
-    Model {
-        title: String::new(),
-        columns: ["t", "z"].iter().map(named).collect(),
-        text_columns: Vec::new(),
-        literals: Vec::new(),
-        parameters: (0..VALUES.len()).map(parameter).collect(),
-        process_noise_covariance: Vec::new(),
-        measurements: vec![Measurement {
-            name: "z".to_owned(),
-            column: 1,
-            filter: None,
-            equation: Linear { terms: vec![(0, number(1.0)), (1, alpha(4)), (2, number(1.0))], constant: alpha(5) },
-            noise_variance: square(alpha(3)),
-        }],
-        noise_covariance: Vec::new(),
-        clock: Clock { time: Some(0), ..Clock::default() },
-        group: None,
-        mean: MeanStructure::free(1),
-        covariance: CovarianceStructure::full(),
-        estimated: vec![0],
-        states,
-    }
+    let equation = linear(vec![(0, number(1.0)), (1, alpha(4)), (2, number(1.0))], alpha(5));
+    let (parameters, meter) = ((0..VALUES.len()).map(parameter).collect(), meter("z", 1, equation, square(alpha(3))));
+    by_hand::model([&["t", "z"], &[], &[]], parameters, states, vec![meter])
 }
 
 const VALUES: [f64; 6] = [0.05, 2.0, 0.4, 0.8, 1.3, 0.1];
@@ -131,8 +72,7 @@ impl Scorer<'_> {
         let room = || (self.reducer.workspace(), BackwardWork::default(), self.chain.adjoints());
         let one = |room: &mut (Workspace, BackwardWork, Adjoints<'_>), (test, moments): (&Test, &Moments)| {
             let (work, backward, adjoints) = room;
-            self.reducer.preparer().prepare(test, work).map_err(|fault| self.reducer.named(*fault, test))?;
-            self.prepared(test, (moments, None), (work, backward, adjoints))
+            self.alone(test, (moments, None), (work, backward, adjoints))
         };
         tests.par_iter().zip(moments).map_init(room, |room, pair| one(room, pair)).collect()
     }
@@ -189,71 +129,5 @@ fn a_long_record_is_scored_to_the_same_bits_on_any_thread() {
     for k in 0..tests.len() {
         let alone = scorer.scores(&tests[k..=k], &moments[k..=k]).expect("sound");
         assert_eq!(alone[0], together[k]);
-    }
-}
-
-/// A test with times of its own, equal steps among them, and missing values.
-fn own(number: u64) -> Test {
-    let mut rng = ChaCha8Rng::seed_from_u64(number);
-    let mut test = Test::new(format!("t{number}"), 2, 0);
-    let mut t = 0.0;
-    for row in 0..rng.random_range(3..9) {
-        let z = if rng.random_bool(0.1) { f64::NAN } else { rng.sample(StandardNormal) };
-        test.push(&[t, z], &[], Source { file: 0, row });
-        t += rng.random_range(0.01..1.5);
-        if row == 2 && number.is_multiple_of(3) {
-            for again in 0..7 {
-                test.push(&[t, rng.sample(StandardNormal)], &[], Source { file: 0, row: 10 + again });
-                t += 0.25;
-            }
-        }
-    }
-    test
-}
-
-#[test]
-fn tests_side_by_side_are_scored_as_alone() {
-    let tests: Vec<Test> = (0..61).map(own).collect();
-    for (free, driven) in [(1, false), (4, false), (6, false), (6, true)] {
-        let mut model = model(free);
-        if let (State { motion: Motion::Continuous { derivative, .. }, initial, .. }, true) =
-            (&mut model.states[2], driven)
-        {
-            *initial = Initial::Known { mean: number(0.3), variance: number(0.5) };
-            derivative.constant = Expression::Column(0); // a known input, another one at each of equal steps
-        }
-        let slots = Slots::new(&model, &Labels::default(), &tests);
-        let alpha = slots.alpha(&model, &VALUES[..free]);
-        let mut reducer = Reducer::scoring(&model, &alpha, &slots, false).expect("sound");
-        let reductions = reducer.reduce(&tests).expect("sound");
-        let moments: Vec<Moments> = reductions.iter().map(|reduction| moments(reduction, &law())).collect();
-        let scorer = Scorer::new(&reducer, &slots).expect("differentiable");
-        let alone = scorer.scores(&tests, &moments).expect("sound");
-        let side_by_side = |numbers: &[usize]| {
-            let (mut work, mut backward) = (reducer.workspace(), BackwardWork::default());
-            let (mut adjoints, mut lines, mut answers) = (scorer.chain.adjoints(), Lines::default(), Vec::new());
-            for &number in numbers {
-                let (test, moments) = (&tests[number], moments[number].clone());
-                let asked = Asked { number, test, moments, ending: None };
-                scorer.ask(asked, &mut lines, (&mut work, &mut backward, &mut adjoints), &mut answers);
-            }
-            scorer.answer_all(&mut lines, (&mut work, &mut backward, &mut adjoints), &mut answers);
-            answers.sort_by_key(|(number, _)| *number);
-            let scores: Vec<Gradient> = answers.into_iter().map(|(_, score)| score.expect("sound")).collect();
-            scores
-        };
-        let together = side_by_side(&(0..tests.len()).collect::<Vec<_>>());
-        assert_eq!(together.len(), tests.len());
-        for (number, (found, expected)) in together.iter().zip(&alone).enumerate() {
-            assert_eq!(&side_by_side(&[number])[0], found, "test {number} has the same bits in any company");
-            for ((slot, found), (other, expected)) in found.iter().zip(expected) {
-                assert_eq!(slot, other);
-                let off = (found - expected).abs() / (1.0 + expected.abs());
-                assert!(
-                    off < 1e-12,
-                    "{free} free, driven {driven}, test {number}, value {slot}: {found}, alone {expected}"
-                );
-            }
-        }
     }
 }

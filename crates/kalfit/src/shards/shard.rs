@@ -7,7 +7,7 @@ use crate::ensemble::Labels;
 use crate::estimate::{InitialLaw, Silent, Structure, Summed};
 use crate::infer::counted;
 use crate::model::{PhasedModel, Slots};
-use crate::reduce::{Evidence, Filtered, PhasedReducer, PhasedTest, ReduceError, Reductions};
+use crate::reduce::{Evidence, PhasedFiltered, PhasedReducer, PhasedTest, ReduceError, Reductions};
 use crate::remote::{Answer, Asked, Law, Question};
 use crate::score::{Arrangement, Gradient, PhasedScorer};
 use crate::shards::error::ShardError;
@@ -35,7 +35,7 @@ struct Kept {
     values: Vec<f64>,
     summed: Summed,
     /// Tests that are kept side by side.
-    filtered: Option<Filtered>,
+    filtered: Option<PhasedFiltered>,
 }
 
 impl Shard {
@@ -112,7 +112,7 @@ impl Shard {
     }
 
     /// Runs the filters, for scores too where they are wanted.
-    fn filter(&self, values: &[f64]) -> Result<(Reductions, Option<Filtered>), Box<ReduceError>> {
+    fn filter(&self, values: &[f64]) -> Result<(Reductions, Option<PhasedFiltered>), Box<ReduceError>> {
         if self.slots.is_empty() || self.scale.is_some() {
             return Ok((self.passed(values)?, None));
         }
@@ -131,7 +131,7 @@ impl Shard {
     fn score(
         &self,
         values: &[f64],
-        (summed, filtered): (&Summed, Option<&Filtered>),
+        (summed, filtered): (&Summed, Option<&PhasedFiltered>),
         law: &Law,
     ) -> Result<Answer, ShardError> {
         let structure = self.model.phases.iter().map(|phase| phase.model.mean.regression.len()).sum();

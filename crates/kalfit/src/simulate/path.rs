@@ -174,15 +174,8 @@ fn noise_of<'a>(noises: &'a mut HashMap<u128, Noise>, transition: &Transition) -
         let mut states: Vec<usize> = pairs.iter().flat_map(|&(i, j)| [i as usize, j as usize]).collect();
         states.sort_unstable();
         states.dedup();
-        let local = |state: u32| states.binary_search(&(state as usize)).expect("every state of a pair is listed");
-        let mut Q = DMatrix::zeros(states.len(), states.len());
-        for (&(i, j), &q) in pairs.iter().zip(&transition.q) {
-            let (i, j) = (local(i), local(j));
-            Q[(i, j)] += q;
-            if i != j {
-                Q[(j, i)] += q;
-            }
-        }
+        let local = |state: usize| states.binary_search(&state).expect("every state of a pair is listed");
+        let Q = transition.noise_of(states.len(), local);
         Noise { F: symmetric::square_root(&Q), states }
     })
 }

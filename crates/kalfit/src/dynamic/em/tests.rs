@@ -1,7 +1,5 @@
 //! EM against ℓ itself, difference quotients, and the hybrid method, on ensembles drawn at random.
 
-use std::collections::BTreeMap;
-
 use nalgebra::DMatrix;
 
 use super::*;
@@ -9,105 +7,35 @@ use crate::dynamic::bench::Bench;
 use crate::dynamic::{Method, Settings};
 use crate::ensemble::{Labels, Source, Test};
 use crate::estimate::Silent;
+use crate::model::by_hand::{self, alpha, gauss_markov, linear, minus, number, plus, square, state, times};
 use crate::model::{
-    Clock, Column, CovarianceStructure, Expression, Initial, Linear, MeanStructure, Measurement, Model, Motion,
-    Operator, Parameter, PhasedModel, Population, Slots, State, Value,
+    Expression, Initial, Measurement, Model, Motion, Parameter, PhasedModel, Population, Slots, State, Value,
 };
 use crate::reduce::PhasedTest;
 use crate::simulate::{Designs, Simulator};
 
-fn number(x: f64) -> Expression {
-    Expression::Number(x)
-}
-
-fn alpha(index: usize) -> Expression {
-    Expression::Parameter(index)
-}
-
-fn binary(operator: Operator, a: Expression, b: Expression) -> Expression {
-    Expression::Binary(operator, Box::new(a), Box::new(b))
-}
-
-fn times(a: Expression, b: Expression) -> Expression {
-    binary(Operator::Multiply, a, b)
-}
-
-fn plus(a: Expression, b: Expression) -> Expression {
-    binary(Operator::Add, a, b)
-}
-
-fn over(a: Expression, b: Expression) -> Expression {
-    binary(Operator::Divide, a, b)
-}
-
-fn square(a: Expression) -> Expression {
-    binary(Operator::Power, a, number(2.0))
-}
-
-fn minus(a: Expression) -> Expression {
-    Expression::Negate(Box::new(a))
-}
-
-fn linear(terms: Vec<(usize, Expression)>, constant: Expression) -> Linear {
-    Linear { terms, constant }
-}
-
-fn state(name: &str, motion: Motion, initial: Initial) -> State {
-    State { name: name.to_owned(), unit: None, motion, initial, offset: None, random: true }
-}
-
 fn continuous(terms: Vec<(usize, Expression)>, noise_variance: Expression) -> Motion {
-    Motion::Continuous { derivative: linear(terms, number(0.0)), noise_variance }
+    by_hand::continuous(terms, number(0.0), noise_variance)
 }
 
 /// Measurement of columns 1, 2, …
-fn meter(
-    index: usize,
-    terms: Vec<(usize, Expression)>,
-    constant: Expression,
-    noise_variance: Expression,
-) -> Measurement {
-    let equation = linear(terms, constant);
-    Measurement { name: format!("y{index}"), column: 1 + index, filter: None, equation, noise_variance }
+fn meter(index: usize, terms: Vec<(usize, Expression)>, constant: Expression, noise: Expression) -> Measurement {
+    by_hand::meter(&format!("y{index}"), 1 + index, linear(terms, constant), noise)
 }
 
 /// Columns t, y1, y2. Parameters: (positive, value).
 fn model(states: Vec<State>, measurements: Vec<Measurement>, parameters: &[(bool, f64)]) -> Model {
-    let column = |name: &&str| Column { name: (*name).to_owned(), used_in: String::new() };
-    let estimated: Vec<usize> = (0..states.len()).filter(|&i| states[i].initial == Initial::Estimated).collect();
-    let parameter = |(k, (positive, value)): (usize, &(bool, f64))| Parameter {
-        name: format!("a{k}"),
-        unit: None,
-        value: Value::Free { start: Some(*value) },
-        per: None,
-        fixed_levels: BTreeMap::new(),
-        lower: None,
-        upper: None,
-        positive: *positive,
+    let parameter = |(k, (positive, value)): (usize, &(bool, f64))| {
+        by_hand::parameter(&format!("a{k}"), Some(*value), None, *positive)
     };
-    Model {
-        title: String::new(),
-        columns: ["t", "y1", "y2"].iter().map(column).collect(),
-        text_columns: Vec::new(),
-        literals: Vec::new(),
-        parameters: parameters.iter().enumerate().map(parameter).collect(),
-        process_noise_covariance: Vec::new(),
-        measurements,
-        noise_covariance: Vec::new(),
-        clock: Clock { time: Some(0), ..Clock::default() },
-        group: None,
-        mean: MeanStructure::free(estimated.len()),
-        covariance: CovarianceStructure::full(),
-        estimated,
-        states,
-    }
+    let parameters = parameters.iter().enumerate().map(parameter).collect();
+    by_hand::model([&["t", "y1", "y2"], &[], &[]], parameters, states, measurements)
 }
 
 /// A Gauss-Markov state beside a constant, seen by two sensors whose noises are correlated and grow with time; a gain and an
 /// offset are unknown. τ, σ, s1, r0, r1, gain, offset, covariance.
 fn sensors() -> Model {
-    let motion =
-        continuous(vec![(1, over(number(-1.0), alpha(0)))], over(times(number(2.0), square(alpha(1))), alpha(0)));
+    let motion = gauss_markov(1, alpha(0), alpha(1));
     let states = vec![state("base", Motion::Constant, Initial::Estimated), state("gm", motion, Initial::Stationary)];
     let grows = plus(square(alpha(3)), square(times(alpha(4), Expression::Column(0))));
     let measurements = vec![

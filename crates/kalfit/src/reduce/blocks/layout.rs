@@ -9,7 +9,7 @@ use crate::reduce::design::{Design, Run};
 use crate::reduce::instances::Instance;
 use crate::reduce::lanes::is_short;
 use crate::reduce::motion::Transitions;
-use crate::reduce::prepare::{Preparer, Workspace};
+use crate::reduce::prepare::{Opening, Preparer, Workspace};
 
 /// No row.
 pub(super) const NONE: u32 = u32::MAX;
@@ -25,6 +25,8 @@ pub(super) struct Skeleton {
     pub(super) covariates: Vec<f64>,
     steps: Vec<Step>,
     instances: Vec<Instance>,
+    /// Where tests have other laws of x_0.
+    opening: Option<Opening>,
 }
 
 #[derive(Debug)]
@@ -56,7 +58,8 @@ impl Skeleton {
         };
         let steps = design.each_step().enumerate().map(step).collect();
         let (digest, covariates) = (design.digest(), work.covariates.clone());
-        Some(Skeleton { number, digest, covariates, steps, instances: work.instances.iter().collect() })
+        let opening = preparer.law().is_none().then(|| work.opening());
+        Some(Skeleton { number, digest, covariates, steps, instances: work.instances.iter().collect(), opening })
     }
 
     pub(super) fn len(&self) -> usize {
@@ -99,6 +102,8 @@ pub(crate) struct Layout {
     /// What was measured.
     pub(super) z: Vec<f64>,
     pub(crate) transitions: Transitions,
+    /// What the law of x_0 of each test is evaluated on; empty where all have one.
+    pub(crate) openings: Vec<Opening>,
 }
 
 /// A measurement of a step: which of the model, and its row in each test.
@@ -117,6 +122,7 @@ impl Layout {
             dt: Vec::new(),
             z: Vec::new(),
             transitions: Transitions::default(),
+            openings: own.iter().filter_map(|skeleton| skeleton.opening.clone()).collect(),
         };
         layout.design.moves.push(Arc::new(preparer.plan.blank()));
         let terms: Vec<Vec<u32>> =

@@ -10,7 +10,7 @@ use crate::reduce::blocks::layout::Layout;
 use crate::reduce::dynamics::Table;
 use crate::reduce::lanes::{Columns, Kept};
 use crate::reduce::motion::MotionColumns;
-use crate::reduce::prepare::Preparer;
+use crate::reduce::prepare::{Preparer, Replay};
 use crate::reduce::subject::{At, Coefficient, Fault};
 
 /// What tests are at an α, and what their filters leave.
@@ -83,7 +83,7 @@ impl Values {
     /// The numbers at the α of a preparer.
     pub(super) fn evaluate(&mut self, layout: &Layout, (preparer, tests): (&Preparer, &[&Test]), fresh: bool) {
         self.sound = [true; MOST];
-        self.start(layout, preparer);
+        self.start(layout, (preparer, tests));
         self.measure(layout, (preparer, tests), fresh);
         let at = preparer.at();
         let (dynamics, motion) = (&preparer.dynamics, &mut self.motion);
@@ -94,18 +94,34 @@ impl Values {
         self.sound.iter_mut().zip(finite).for_each(|(sound, finite)| *sound &= finite);
     }
 
-    /// a and P0, which are those of all tests.
-    fn start(&mut self, layout: &Layout, preparer: &Preparer) {
-        let law = preparer.law().expect("no test changes it");
+    /// a and P0.
+    fn start(&mut self, layout: &Layout, (preparer, tests): (&Preparer, &[&Test])) {
         let (lanes, place, r) = (layout.lanes, &preparer.order.place, layout.design.frame.r);
-        let Columns { start, variance, .. } = self.kept.columns();
-        for (state, &mean) in law.mean.iter().enumerate() {
-            start[lanes * place[state]..][..lanes].fill(mean);
-        }
+        let Values { kept, sound, .. } = self;
+        let Columns { start, variance, .. } = kept.columns();
+        let mut replay = Replay::default();
         variance.fill(0.0);
-        for &(i, j, value) in law.covariance.iter().filter(|(.., value)| *value != 0.0) {
-            let (i, j) = (place[i], place[j]);
-            variance[lanes * (i.max(j) * r + i.min(j))..][..lanes].iter_mut().for_each(|entry| *entry += value);
+        for (lane, &number) in layout.tests.iter().enumerate() {
+            let own;
+            let law = match (preparer.law(), layout.openings.get(lane)) {
+                (Some(law), _) => law,
+                (None, Some(opening)) => match preparer.law_of(tests[number], opening, &mut replay) {
+                    Ok(law) => {
+                        own = law;
+                        &own
+                    }
+                    Err(_) => {
+                        sound[lane] = false;
+                        continue;
+                    }
+                },
+                (None, None) => unreachable!("each test has an opening"),
+            };
+            law.mean.iter().zip(place).for_each(|(&mean, &place)| start[lanes * place + lane] = mean);
+            for &(i, j, value) in law.covariance.iter().filter(|(.., value)| *value != 0.0) {
+                let (i, j) = (place[i], place[j]);
+                variance[lanes * (i.max(j) * r + i.min(j)) + lane] += value;
+            }
         }
     }
 

@@ -31,7 +31,7 @@ impl Plan {
         out: &mut Vec<f64>,
     ) -> Result<(), Box<Fault>> {
         out.clear();
-        dynamics.components.iter().try_for_each(|component| append_flow(component, values, dt, out))
+        dynamics.components.iter().try_for_each(|component| append_flow(component, |slot| values[slot], dt, out))
     }
 
     /// Adds ∂ℓ/∂Γ of one step to the flows' adjoints: b = Γu.
@@ -101,12 +101,12 @@ pub(crate) struct Evaluated<'a> {
 }
 
 impl Component {
-    fn counts(&self, free: &[bool]) -> bool {
+    pub(super) fn counts(&self, free: &[bool]) -> bool {
         self.rates.iter().chain(&self.noise).any(|&(.., slot)| free[slot])
     }
 }
 
-fn component_backward(
+pub(super) fn component_backward(
     component: &Component,
     step: &Evaluated<'_>,
     bars: &[f64],

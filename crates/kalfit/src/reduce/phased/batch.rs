@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
+use crate::reduce::blocks::ToEnd;
 use crate::reduce::error::ReduceError;
 use crate::reduce::part::Part;
 use crate::reduce::phased::{PhasedReducer, PhasedWork};
@@ -60,12 +61,15 @@ impl<'a> PhasedBatch<'a> {
 
     /// The reductions of tests, in their order; of several phases of a test in error, the first one's error.
     fn reduce(&mut self, tests: &[PhasedTest]) -> Vec<Result<Reduction, ReduceError>> {
-        let mut parts: Vec<_> = tests.iter().map(|test| Ok(Vec::with_capacity(test.phases.len()))).collect();
-        for at in 0..self.phases.len() {
-            self.phase(at, tests, &mut parts);
+        let mut found: Vec<Vec<Option<ToEnd>>> = tests.iter().map(|_| Vec::new()).collect();
+        for (at, batch) in self.phases.iter_mut().enumerate() {
+            let (numbers, rows) = self.reducer.members(at, tests);
+            found.iter_mut().for_each(|own| own.push(None));
+            numbers.into_iter().zip(batch.reduce_to_end(&rows)).for_each(|(number, end)| found[number][at] = Some(end));
         }
-        let parts = tests.iter().zip(parts).map(|(test, parts)| self.reducer.check(test).and(parts)).collect();
-        self.reducer.wholes(tests, parts)
+        let (reducer, work) = (self.reducer, &mut self.work);
+        let parts = tests.iter().zip(found).map(|(test, found)| reducer.parts_of(test, found, work)).collect();
+        reducer.wholes(tests, parts)
     }
 
     /// Phases of tests by themselves, in their order: (id of the test, phase, what is known of it).
@@ -94,43 +98,5 @@ impl<'a> PhasedBatch<'a> {
             }
         }
         pieces.into_iter().map(|piece| piece.expect("every phase was looked at")).collect()
-    }
-
-    /// The phase with this number of the tests that have it and are sound so far.
-    fn phase<'t>(&mut self, at: usize, tests: &'t [PhasedTest], parts: &mut [Result<Vec<Part<'t>>, ReduceError>])
-    where
-        'a: 't,
-    {
-        let reducer = self.reducer;
-        let phase = &reducer.phases[at];
-        let mut numbers = Vec::with_capacity(tests.len());
-        let mut rows: Vec<&Test> = Vec::with_capacity(tests.len());
-        for (number, (test, parts)) in tests.iter().zip(&mut *parts).enumerate() {
-            match (test.phases.get(at), &mut *parts) {
-                (Some(Evidence::Rows(own)), Ok(_)) if phase.is_optimal() => {
-                    numbers.push(number);
-                    rows.push(own);
-                }
-                (Some(evidence), Ok(_)) => {
-                    let room = (&mut self.work.phases[at], &mut self.work.cells);
-                    let linked = at + 1 < test.phases.len();
-                    add(parts, phase.part((&test.id, evidence), room, (false, linked)));
-                }
-                _ => {}
-            }
-        }
-        let found = self.phases[at].reduce_to_end(&rows);
-        for ((number, rows), found) in numbers.into_iter().zip(rows).zip(found) {
-            add(&mut parts[number], phase.joined(rows, found, &mut self.work.cells));
-        }
-    }
-}
-
-/// Adds the next phase of a test, or what is wrong with it.
-fn add<'t>(parts: &mut Result<Vec<Part<'t>>, ReduceError>, next: Result<Part<'t>, ReduceError>) {
-    match (&mut *parts, next) {
-        (Ok(parts), Ok(next)) => parts.push(next),
-        (Ok(_), Err(error)) => *parts = Err(error),
-        (Err(_), _) => {}
     }
 }

@@ -8,7 +8,7 @@ use crate::reduce::digest::Digest;
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
 use crate::reduce::part::{Part, PhaseReducer, refuse};
 use crate::reduce::phased::PhasedReducer;
-use crate::reduce::stack::{Stack, StackData, StackKey, StackPhase, StackShape, Stacked, shape};
+use crate::reduce::stack::{StackData, StackPhase, StackShape, Stacked, shape};
 use crate::reduce::subject::WHOLE;
 use crate::reduce::{Chain, ChainPhase, Inherited, Link, Path, PhasedTest, Reduction};
 
@@ -59,7 +59,7 @@ impl PhasedReducer {
         all.into_iter().next().expect("one test, one reduction")
     }
 
-    /// All phases of tests together, those with designs of their own side by side.
+    /// All phases of tests together, those of one shape side by side.
     pub(super) fn wholes(
         &self,
         tests: &[PhasedTest],
@@ -92,10 +92,7 @@ impl PhasedReducer {
             linked.iter().map(|linked| linked.as_ref().map_or(Vec::new(), Linked::data)).collect();
         let mut alike: BTreeMap<StackShape, Vec<usize>> = BTreeMap::new();
         for (number, linked) in linked.iter().enumerate() {
-            let Ok(linked) = linked else { continue };
-            if self.stacks.is_worth(linked.design) {
-                stacked[number] = Some(self.shared(linked.design, &designs[number], &told[number]));
-            } else {
+            if linked.is_ok() {
                 alike.entry(shape(&designs[number])).or_default().push(number);
             }
         }
@@ -107,16 +104,6 @@ impl PhasedReducer {
             }
         }
         stacked
-    }
-
-    /// A test whose design is stacked once for all that have it.
-    fn shared(&self, digest: u128, design: &[StackPhase<'_>], told: &[StackData<'_>]) -> Stacked {
-        let (same, key) = (|known: &StackKey| known.same(design), || StackKey::new(design));
-        let bytes = |key: &StackKey, stack: &Stack| key.bytes() + stack.bytes();
-        let entry = self.stacks.get(digest, same, key, Stack::new, bytes);
-        let stack = entry.value();
-        let (constant, data) = stack.data(told);
-        Stacked { factor: stack.factor.clone(), links: stack.links.clone(), constant, data }
     }
 
     /// What is left of a test.

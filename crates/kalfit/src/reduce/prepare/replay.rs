@@ -2,9 +2,10 @@
 
 use std::ops::Range;
 
-use crate::ensemble::Test;
-use crate::model::Scope;
+use crate::ensemble::{Label, Test};
+use crate::model::{Alpha, Scope};
 use crate::reduce::prepare::{Moment, Preparer, Workspace};
+use crate::reduce::start::Law;
 use crate::reduce::steps::{Cells, Span};
 use crate::reduce::subject::Fault;
 
@@ -17,7 +18,34 @@ pub(crate) struct Replay {
     pub(crate) inputs: Vec<f64>,
 }
 
+/// What the law of a test's x_0 is evaluated on.
+#[derive(Debug, Clone)]
+pub(crate) struct Opening {
+    numbers: Vec<f64>,
+    texts: Vec<Label>,
+    /// Length of the first step.
+    dt: f64,
+}
+
+impl Opening {
+    /// Cells that are constant within the test.
+    pub(crate) fn whole<'a>(&'a self, alpha: &'a Alpha) -> Scope<'a> {
+        Scope { numbers: &self.numbers, texts: &self.texts, step: self.dt, alpha }
+    }
+
+    /// Those of its first row, which the stationary law is evaluated on.
+    pub(crate) fn first<'a>(&self, test: &'a Test, alpha: &'a Alpha) -> Scope<'a> {
+        Scope { numbers: test.numbers(0), texts: test.texts(0), step: self.dt, alpha }
+    }
+}
+
 impl Workspace {
+    /// What the law of x_0 of the test was evaluated on.
+    pub(crate) fn opening(&self) -> Opening {
+        let Cells { numbers, texts } = &self.whole;
+        Opening { numbers: numbers.clone(), texts: texts.clone(), dt: self.spans[0].dt }
+    }
+
     /// Length of step `k`.
     pub(crate) fn dt(&self, k: usize) -> f64 {
         self.place(k).0.dt
@@ -92,6 +120,14 @@ impl Preparer {
             Some(_) => Ok(Scope { numbers: &[], texts: &[], step: 0.0, alpha: &self.alpha }),
             None => self.moving(test, 0, work, cells),
         }
+    }
+
+    /// a and P0 of a test, where these differ from test to test.
+    pub(crate) fn law_of(&self, test: &Test, opening: &Opening, out: &mut Replay) -> Result<Law, Box<Fault>> {
+        if self.start.settles() {
+            self.settling(&opening.first(test, &self.alpha), out)?;
+        }
+        self.start.law(&self.at(), &opening.whole(&self.alpha), &out.values, &out.inputs)
     }
 
     /// The dynamics' coefficients on a step.

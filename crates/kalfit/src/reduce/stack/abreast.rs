@@ -7,7 +7,7 @@ use crate::reduce::root::UNINFORMED;
 use crate::reduce::stack::join::{Room, apart};
 use crate::reduce::stack::{StackData, StackPhase, constant, given, half_log_determinants, links, settle_packed};
 
-/// The phases of one test stacked, rotations forgotten.
+/// The phases of one test stacked.
 #[derive(Debug, Clone)]
 pub(crate) struct Stacked {
     /// R of all phases together, packed by columns.
@@ -51,11 +51,11 @@ fn stack_abreast<T: Lanes>(
     (room, memory): &mut (Room<T>, Vec<T>),
     all: &mut Vec<Stacked>,
 ) {
-    let phases = given::<T>(tests, Some(data));
+    let phases = given::<T>(tests, data);
     let mut array = phases[phases.len() - 1].last(std::mem::take(memory));
     let (mut residual, mut diagonals) = (T::splat(0.0), Vec::new());
     for pair in phases.windows(2).rev() {
-        let (rest, diagonal) = pair[0].join(&pair[1], array, &mut residual, |_, _, _| {}, room);
+        let (rest, diagonal) = pair[0].join(&pair[1], array, &mut residual, room);
         diagonals.push(diagonal);
         array = rest;
     }
@@ -80,7 +80,7 @@ fn stack_abreast<T: Lanes>(
 }
 
 impl Stacked {
-    /// Stacks the phases of tests of one shape, each with its data: to the bits of [`Stack::new`] and [`Stack::data`].
+    /// Stacks the phases of tests of one shape, each with its data. Each comes to the bits that it has by itself.
     pub(crate) fn all(tests: &[&[StackPhase<'_>]], data: &[&[StackData<'_>]]) -> Vec<Stacked> {
         Isa::best().run(Abreast { tests, data })
     }

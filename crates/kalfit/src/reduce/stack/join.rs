@@ -4,7 +4,7 @@
 use kalfit_lanes::{Lanes, MOST, abreast};
 use nalgebra::DMatrix;
 
-use crate::linalg::fold::{Rotation, fold_rows};
+use crate::linalg::fold::fold_rows;
 use crate::reduce::stack::phase::{StackData, StackPhase};
 use crate::reduce::stack::square::Square;
 
@@ -18,8 +18,9 @@ pub(super) struct Given<T> {
     factor: Vec<T>,
     /// `None` for the first phase.
     pub(super) link: Option<GivenLink<T>>,
-    /// d, and g of the link that leads here; `None` where tests are stacked without data.
-    told: Option<(Vec<T>, Vec<T>)>,
+    /// d, and g of the link that leads here.
+    data: Vec<T>,
+    mean: Vec<T>,
 }
 
 /// The link that leads to a phase, matrices by columns.
@@ -32,8 +33,8 @@ pub(super) struct GivenLink<T> {
 
 /// A matrix by columns.
 pub(super) struct Matrix<T> {
-    pub(super) rows: usize,
-    pub(super) columns: usize,
+    rows: usize,
+    columns: usize,
     entries: Vec<T>,
 }
 
@@ -68,9 +69,9 @@ pub(super) fn apart<T: Lanes>(numbers: &[T], tests: usize) -> Vec<Vec<f64>> {
 
 impl<T: Lanes> Given<T> {
     /// The phase with this number of tests whose phases have the same sizes, at least one and no more than there are lanes, and their
-    /// data if these are wanted.
+    /// data.
     #[inline(always)]
-    pub(super) fn new(tests: &[&[StackPhase<'_>]], data: Option<&[&[StackData<'_>]]>, at: usize) -> Given<T> {
+    pub(super) fn new(tests: &[&[StackPhase<'_>]], data: &[&[StackData<'_>]], at: usize) -> Given<T> {
         let (count, first) = (tests.len(), &tests[0][at]);
         let mut link = None;
         if let Some(like) = first.link {
@@ -79,23 +80,18 @@ impl<T: Lanes> Given<T> {
             let transition = Matrix::new(like[2], count, |lane| link_of(&tests[lane][at])[2].as_slice());
             link = Some(GivenLink { G: transition.times(&sensitivity), C: transition.times(&root).narrowed() });
         }
-        let mut told = None;
-        if let Some(data) = data {
-            let mean = |lane: usize| data[lane][at].mean.map_or(&[][..], |mean| mean.as_slice());
-            told = Some((abreast(count, |lane| data[lane][at].data), abreast(count, mean)));
-        }
+        let mean = abreast(count, |lane| data[lane][at].mean.map_or(&[][..], |mean| mean.as_slice()));
+        let data = abreast(count, |lane| data[lane][at].data);
         let factor = abreast(count, |lane| tests[lane][at].factor);
-        Given { own: first.own, size: first.size(), factor, link, told }
+        Given { own: first.own, size: first.size(), factor, link, data, mean }
     }
 
     /// What is known of the last phase.
     #[inline(always)]
     pub(super) fn last(&self, memory: Vec<T>) -> Square<T> {
-        let mut array = Square::zeros(self.size, self.told.is_some(), memory);
+        let mut array = Square::zeros(self.size, memory);
         array.put_packed(0, &self.factor, self.size);
-        if let Some((data, _)) = &self.told {
-            array.put_data(0, data);
-        }
+        array.put_data(0, &self.data);
         array
     }
 
@@ -107,20 +103,17 @@ impl<T: Lanes> Given<T> {
         next: &Given<T>,
         later: Square<T>,
         residual: &mut T,
-        note: impl FnMut(usize, usize, Rotation<T>),
         room: &mut Room<T>,
     ) -> (Square<T>, Vec<T>) {
         let GivenLink { G, C } = next.link.as_ref().expect("a later phase has a link");
         let (u, from, q, own) = (C.columns, G.columns, next.size, next.own);
         let size = u + from + own + later.width - q;
-        let mut array = Square::zeros(size, self.told.is_some(), std::mem::take(&mut room.array));
+        let mut array = Square::zeros(size, std::mem::take(&mut room.array));
         for k in 0..u {
             array.entries[k * (array.stride + 1)] = T::splat(1.0);
         }
         array.put_packed(u, &self.factor, from);
-        if let Some((data, _)) = &self.told {
-            array.put_data(u, data);
-        }
+        array.put_data(u, &self.data);
         later.copy_from(q, &mut array, u + from + own);
         let rows = &mut room.rows;
         rows.clear();
@@ -136,21 +129,17 @@ impl<T: Lanes> Given<T> {
             let rest = &mut row[u + from..];
             rest[..own].copy_from_slice(&A[..own]);
             rest[own..][..B.len()].copy_from_slice(B);
-            if let (Some(d), Some((_, mean))) = (later.data(i), &next.told) {
-                row[array.width] = d - dot(&A[i..], &mean[i..]);
-            }
+            row[array.width] = later.data(i) - dot(&A[i..], &next.mean[i..]);
         }
-        fold_rows(&mut array.entries, rows, (array.width, array.stride), note);
-        if self.told.is_some() {
-            for row in rows.chunks_exact(array.stride) {
-                *residual = *residual + row[array.width] * row[array.width];
-            }
+        fold_rows(&mut array.entries, rows, (array.width, array.stride));
+        for row in rows.chunks_exact(array.stride) {
+            *residual = *residual + row[array.width] * row[array.width];
         }
         let mut diagonal = Vec::with_capacity(u);
         for k in 0..u {
             diagonal.push(array.row(k)[k]);
         }
-        let mut rest = Square::zeros(array.width - u, self.told.is_some(), later.entries);
+        let mut rest = Square::zeros(array.width - u, later.entries);
         array.copy_from(u, &mut rest, 0);
         room.array = array.entries;
         (rest, diagonal)
@@ -163,7 +152,7 @@ fn link_of<'a>(phase: &StackPhase<'a>) -> [&'a DMatrix<f64>; 3] {
 
 /// Σ ab.
 #[inline(always)]
-pub(super) fn dot<T: Lanes>(a: &[T], b: &[T]) -> T {
+fn dot<T: Lanes>(a: &[T], b: &[T]) -> T {
     let mut sum = T::splat(0.0);
     for (&a, &b) in a.iter().zip(b) {
         sum = sum + a * b;
@@ -204,7 +193,7 @@ impl<T: Lanes> Matrix<T> {
             return self;
         }
         let (mut U, mut rows) = (vec![T::splat(0.0); q * q], self.entries); // A' by rows is A by columns
-        fold_rows(&mut U, &mut rows, (q, q), |_, _, _| {});
+        fold_rows(&mut U, &mut rows, (q, q));
         Matrix { rows: q, columns: q, entries: U } // U' by columns is U by rows
     }
 

@@ -5,13 +5,10 @@
 //! [I 0] of u and the rows of phase i, they leave u's own rows on top, whose diagonal is |I + RCC'R'|^½ and which say nothing
 //! else, and below them the rows on (σ_i, ξ_{i+1}, …). Nothing is inverted, and R, P_K and Σ may be singular.
 //!
-//! Designs that several tests have are stacked once, and the rotations are done to the data of each ([`Stack`]); tests with designs of
-//! their own are stacked side by side with their data ([`Stacked`]). Both come to the same bits.
+//! Tests of one shape are stacked side by side with their data ([`Stacked`]).
 
 mod abreast;
 mod join;
-mod kept;
-mod key;
 mod phase;
 mod square;
 
@@ -23,13 +20,11 @@ use crate::reduce::root::settle;
 use join::{Given, apart};
 
 pub(crate) use abreast::Stacked;
-pub(crate) use kept::Stack;
-pub(crate) use key::StackKey;
 pub(crate) use phase::{StackData, StackPhase, StackShape, shape};
 
 /// The phases of tests of one shape.
 #[inline(always)]
-fn given<T: Lanes>(tests: &[&[StackPhase<'_>]], data: Option<&[&[StackData<'_>]]>) -> Vec<Given<T>> {
+fn given<T: Lanes>(tests: &[&[StackPhase<'_>]], data: &[&[StackData<'_>]]) -> Vec<Given<T>> {
     let mut phases = Vec::with_capacity(tests[0].len());
     for at in 0..tests[0].len() {
         phases.push(Given::new(tests, data, at));
@@ -144,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn tests_side_by_side_are_stacked_to_the_bits_of_each_alone_and_of_its_rotations() {
+    fn tests_side_by_side_are_stacked_to_the_bits_of_each_alone() {
         let shapes: [&[(usize, usize, usize, usize)]; 5] = [
             &[(2, 2, 0, 0), (2, 2, 2, 1)],
             &[(3, 3, 0, 0), (1, 4, 3, 3), (0, 2, 4, 0)],
@@ -164,18 +159,12 @@ mod tests {
                     let found = isa.run(Abreast { tests: &designs, data: &data });
                     assert_eq!(found.len(), count);
                     for (lane, found) in found.iter().enumerate() {
-                        let stack = Stack::new(&StackKey::new(designs[lane]));
-                        let (constant, d) = stack.data(data[lane]);
+                        let alone = &Stacked::all(&designs[lane..=lane], &data[lane..=lane])[0];
                         let about = format!("{isa:?}, {sizes:?}, test {lane} of {count}");
-                        assert_eq!(bits(&found.factor), bits(&stack.factor), "R: {about}");
-                        assert_eq!(found.links, stack.links, "links: {about}");
-                        assert_eq!(
-                            found.constant.to_bits(),
-                            constant.to_bits(),
-                            "{about}: {} {constant}",
-                            found.constant
-                        );
-                        assert_eq!(bits(&found.data), bits(&d), "d: {about}");
+                        assert_eq!(bits(&found.factor), bits(&alone.factor), "R: {about}");
+                        assert_eq!(found.links, alone.links, "links: {about}");
+                        assert_eq!(found.constant.to_bits(), alone.constant.to_bits(), "ℓ: {about}");
+                        assert_eq!(bits(&found.data), bits(&alone.data), "d: {about}");
                     }
                 }
             }

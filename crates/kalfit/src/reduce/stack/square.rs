@@ -2,7 +2,7 @@
 
 use kalfit_lanes::Lanes;
 
-/// A square upper triangular array, row-major, perhaps with a column of data beside it.
+/// A square upper triangular array, row-major, with a column of data beside it.
 pub(super) struct Square<T> {
     pub(super) width: usize,
     /// The width with the data.
@@ -13,8 +13,8 @@ pub(super) struct Square<T> {
 impl<T: Lanes> Square<T> {
     /// In memory that was used before.
     #[inline(always)]
-    pub(super) fn zeros(width: usize, with_data: bool, mut memory: Vec<T>) -> Square<T> {
-        let stride = width + usize::from(with_data);
+    pub(super) fn zeros(width: usize, mut memory: Vec<T>) -> Square<T> {
+        let stride = width + 1;
         memory.clear();
         memory.resize(width * stride, T::splat(0.0));
         Square { width, stride, entries: memory }
@@ -53,10 +53,10 @@ impl<T: Lanes> Square<T> {
         &self.entries[i * self.stride..][..self.width]
     }
 
-    /// What stands beside a row, if anything does.
+    /// What stands beside a row.
     #[inline(always)]
-    pub(super) fn data(&self, i: usize) -> Option<T> {
-        if self.stride > self.width { Some(self.entries[i * self.stride + self.width]) } else { None }
+    pub(super) fn data(&self, i: usize) -> T {
+        self.entries[i * self.stride + self.width]
     }
 
     /// The upper triangle, packed by columns, and then the data.

@@ -24,22 +24,8 @@ impl<'a> Matrices<'a> {
     /// φ and Q, n × n.
     pub(super) fn motion(&self, transition: &Transition) -> (DMatrix<f64>, DMatrix<f64>) {
         let n = self.states.len();
-        let (mut phi, mut Q) = (DMatrix::identity(n, n), DMatrix::zeros(n, n));
-        for row in &transition.pattern.moved {
-            let i = self.states[row.state as usize];
-            phi[(i, i)] = 0.0;
-            for at in row.start as usize..row.end as usize {
-                phi[(i, self.states[transition.pattern.columns[at] as usize])] = transition.phi[at];
-            }
-        }
-        for (&(i, j), &q) in transition.pattern.pairs.iter().zip(&transition.q) {
-            let (i, j) = (self.states[i as usize], self.states[j as usize]);
-            Q[(i, j)] += q;
-            if i != j {
-                Q[(j, i)] += q;
-            }
-        }
-        (phi, Q)
+        let state = |place: usize| self.states[place];
+        (transition.phi_of(n, state), transition.noise_of(n, state))
     }
 
     /// M of a step, m × n.

@@ -1,21 +1,15 @@
 //! The backward pass of tests with designs of one shape, a test in each lane.
 #![expect(non_snake_case, reason = "the letters of the theory: K, T, N")]
 
-use std::ops::Range;
-
 use kalfit_lanes::{Kernel, Lanes, abreast};
 
-use crate::reduce::{Block, Design, Gained, Woven, is_short};
+use crate::reduce::{Block, Design, Gained, Woven};
 use crate::score::backward::adjoint::{Adjoint, LineBar};
 use crate::score::backward::filtered::{Begin, Filtered, Seen};
 use crate::score::backward::line::{Line, Unknown};
 use crate::score::backward::run::{Ending, Wanted};
-use crate::score::backward::sink::{MeasuredBar, MovedBar, Sink};
-use crate::score::backward::work::Cut;
+use crate::score::backward::sink::MovedBar;
 use crate::score::moments::Moments;
-
-/// Numbers of one test that the pass remembers: no more than these.
-const MOST_NUMBERS: usize = 1 << 16;
 
 /// Tests after their filters: [`Block::filter`].
 #[derive(Debug)]
@@ -25,7 +19,7 @@ pub(crate) struct Abreast<'a> {
     pub(crate) longest: &'a Design,
     /// One for each test, with as many columns.
     pub(crate) moments: &'a [&'a Moments],
-    /// One for each test, or none; the tests end together then.
+    /// One for each test, or none.
     pub(crate) endings: &'a [&'a Ending],
     pub(crate) wanted: Wanted,
 }
@@ -42,13 +36,6 @@ pub(crate) struct LaneBars {
     variance: Vec<f64>,
     /// Numbers of a measurement; of a transition of each kind.
     sizes: (usize, [usize; 3]),
-}
-
-/// Whether a test is one for lanes, with so many columns of its moments.
-pub(crate) fn fits(design: &Design, columns: usize, wanted: Wanted) -> bool {
-    let (n, r) = (design.frame.n, design.frame.r);
-    let many = usize::from(wanted.motion) * design.steps() + usize::from(wanted.equation) * design.rows();
-    is_short(design) && many * (n + r * r + n * columns) + design.rows() * (r + n) <= MOST_NUMBERS
 }
 
 impl Abreast<'_> {
@@ -207,13 +194,6 @@ fn apart<T: Lanes>(numbers: &[T]) -> Vec<f64> {
     all
 }
 
-/// Room for the adjoints of one step.
-#[derive(Debug, Default)]
-pub(crate) struct StepBars {
-    measured: MeasuredBar,
-    moved: MovedBar,
-}
-
 impl LaneBars {
     /// ∂ℓ/∂R, ∂ℓ/∂(z - d) and, if it is wanted, ∂ℓ/∂h to all states, of each measurement; how many numbers those are.
     pub(crate) fn rows(&self) -> (&[f64], usize) {
@@ -228,74 +208,5 @@ impl LaneBars {
     /// ∂ℓ/∂a and ∂ℓ/∂P0 of the test in a lane.
     pub(crate) fn start(&self, lane: usize) -> [Vec<f64>; 2] {
         [&self.mean, &self.variance].map(|all| all.iter().skip(lane).step_by(self.lanes).copied().collect())
-    }
-
-    /// Those of the test in a lane, whose design this is, into the sink.
-    pub(crate) fn send<S: Sink>(
-        &self,
-        lane: usize,
-        design: &Design,
-        room: &mut StepBars,
-        sink: &mut S,
-    ) -> Result<(), S::Error> {
-        let mut step = design.steps();
-        let mut transitions: usize = design.stretches().filter(|s| s.transition.is_some()).map(|s| s.count).sum();
-        for stretch in design.stretches().rev() {
-            let (steps, lines) = (step - stretch.count..step, stretch.lines.len());
-            // known inputs may be others at each of equal steps
-            let can_sum = lines == 1 && design.frame.driven.is_empty() && stretch.count > Cut::default().few;
-            let summed = can_sum && sink.sums(steps.clone());
-            let many = if summed { stretch.count } else { 1 };
-            let mut row = stretch.rows.end;
-            while step > steps.start {
-                step -= many;
-                row -= many * lines;
-                if lines > 0 {
-                    self.measured(lane, row..row + many * lines, lines, room);
-                    sink.measured(step, &room.measured)?;
-                }
-                if stretch.transition.is_some() {
-                    transitions -= many;
-                    self.moved(lane, transitions..transitions + many, room);
-                    sink.moved(step, &room.moved)?;
-                }
-            }
-        }
-        let [mean, variance] = self.start(lane);
-        sink.started(&mean, &variance)
-    }
-
-    /// Sums the adjoints of steps of so many measurements each.
-    fn measured(&self, lane: usize, rows: Range<usize>, lines: usize, room: &mut StepBars) {
-        let (width, lanes) = (self.sizes.0, self.lanes);
-        let MeasuredBar { noise, value, h } = &mut room.measured;
-        for (list, size) in [(&mut *noise, lines), (&mut *value, lines), (&mut *h, lines * (width - 2))] {
-            list.clear();
-            list.resize(size, 0.0);
-        }
-        for (number, row) in rows.enumerate() {
-            let (place, own) = (number % lines, |k: usize| self.rows[(row * width + k) * lanes + lane]);
-            noise[place] += own(0);
-            value[place] += own(1);
-            (2..width).for_each(|k| h[place * (width - 2) + k - 2] += own(k));
-        }
-    }
-
-    /// Sums the adjoints of transitions.
-    fn moved(&self, lane: usize, transitions: Range<usize>, room: &mut StepBars) {
-        let (kinds, lanes) = (self.sizes.1, self.lanes);
-        let width: usize = kinds.iter().sum();
-        let MovedBar { phi, q, input } = &mut room.moved;
-        let mut first = 0;
-        for (list, size) in [phi, q, input].into_iter().zip(kinds) {
-            list.clear();
-            list.resize(size, 0.0);
-            for transition in transitions.clone() {
-                for (k, sum) in list.iter_mut().enumerate() {
-                    *sum += self.moves[(transition * width + first + k) * lanes + lane];
-                }
-            }
-            first += size;
-        }
     }
 }

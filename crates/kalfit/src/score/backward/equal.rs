@@ -94,14 +94,14 @@ impl<'a> Steps<'a> {
             spreads.push(spread);
             let gain = self.gain(k);
             spread = step.advance(&spread, &gain, k < self.gains);
-            x = step.state(&x, &gain.K, e[self.row(k)]);
+            x = step.filter.state(&x, &gain.K, e[self.row(k)]);
         }
         if to > self.moving {
             spreads.push(spread);
             let (from, gain) = (from.max(self.moving), self.gain::<N, C>(self.moving));
             xs.extend(e[self.row(from)..self.row(to)].iter().map(|&e| {
                 let before = x;
-                x = step.state(&x, &gain.K, e);
+                x = step.filter.state(&x, &gain.K, e);
                 before
             }));
         }
@@ -123,18 +123,18 @@ fn forward<const N: usize, const C: usize>(run: &Run<'_>, part: &Part, work: &mu
         }
         for k in from..to.min(steps.moving) {
             let gain = steps.gain::<N, C>(k);
-            let innovation = step.innovation(&x, values[k]);
+            let innovation = step.filter.innovation(&x, values[k]);
             if tracked {
                 spread = step.advance(&spread, &gain, k < steps.gains);
             }
-            x = step.state(&x, &gain.K, innovation);
+            x = step.filter.state(&x, &gain.K, innovation);
             e.push(innovation);
         }
         if to > steps.moving {
             let gain = steps.gain::<N, C>(steps.moving);
             e.extend(values[from.max(steps.moving)..to].iter().map(|&z| {
-                let innovation = step.innovation(&x, z);
-                x = step.state(&x, &gain.K, innovation);
+                let innovation = step.filter.innovation(&x, z);
+                x = step.filter.state(&x, &gain.K, innovation);
                 innovation
             }));
         }

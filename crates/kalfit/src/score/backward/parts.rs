@@ -1,6 +1,8 @@
 //! A record cut into parts, and the way forth over them.
 
+use crate::reduce::Step;
 use crate::score::backward::equal::kernel;
+use crate::score::backward::filtered::Filtered;
 use crate::score::backward::run::Run;
 use crate::score::backward::sink::Sink;
 use crate::score::backward::work::{BackwardWork, Kind, MOST, Part};
@@ -74,23 +76,50 @@ impl Run<'_> {
     /// Over the steps of a part, one by one; what the filter passes through is kept for the way back.
     pub(super) fn steps_forth(&self, part: &Part, work: &mut BackwardWork) {
         let BackwardWork { e, left, before, now, .. } = work;
-        let (driven, mut input) = (self.design.frame.driven.len(), part.input);
         left.clear();
         before.clear();
-        for step in part.steps(self.design) {
+        self.through(part.steps(self.design), part.input, (now, e), |at, _, now| match at {
+            At::Moves if self.wanted.motion => now.save(left),
+            At::Measures if self.wanted.equation => now.save(before),
+            _ => {}
+        });
+    }
+
+    /// Over some steps from where the filter stands, `input` their first known input; `e`: innovations that are known, others are
+    /// appended.
+    pub(super) fn through<'s>(
+        &self,
+        steps: impl Iterator<Item = Step<'s>>,
+        mut input: usize,
+        (now, e): (&mut Filtered, &mut Vec<f64>),
+        mut tell: impl FnMut(At, &Step<'s>, &Filtered),
+    ) {
+        let driven = self.design.frame.driven.len();
+        for step in steps {
             if let Some(transition) = step.transition {
-                if self.wanted.motion {
-                    now.save(left);
-                }
+                tell(At::Moves, &step, now);
                 now.advance(transition, &self.inputs[input..input + driven], &self.unknown());
                 input += driven;
             }
-            for (line, row) in step.lines.zip(step.rows) {
-                if self.wanted.equation {
-                    now.save(before);
-                }
+            tell(At::Arrives, &step, now);
+            for (line, row) in step.lines.clone().zip(step.rows.clone()) {
+                tell(At::Measures, &step, now);
                 self.measure(now, (line, row), e);
             }
+            tell(At::Ends, &step, now);
         }
     }
+}
+
+/// Where the forward filter stands in a step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum At {
+    /// Before its transition.
+    Moves,
+    /// After it.
+    Arrives,
+    /// Before one of its measurements.
+    Measures,
+    /// After all of them.
+    Ends,
 }

@@ -10,6 +10,7 @@ use crate::reduce::{Step, Transition};
 use crate::score::backward::adjoint::columns;
 use crate::score::backward::filtered::{Seen, second};
 use crate::score::backward::line::dot;
+use crate::score::backward::parts::At;
 use crate::score::backward::run::Run;
 use crate::score::backward::work::BackwardWork;
 
@@ -51,13 +52,14 @@ impl Driven {
         (adjoint, rho, N): (&[f64], &[f64], &[f64]),
         (r, c): (usize, usize),
     ) {
-        let q = full_noise(transition, r);
+        let q = transition.noise_of(r, |i| i);
+        let q = q.as_slice(); // symmetric
         self.mean.clear();
         self.mean.extend((0..r).map(|i| dot(&q[i * r..][..r], adjoint)));
         let g: Vec<f64> = (0..r * r).map(|ij| second(adjoint, rho, c, ij / r, ij % r) - N[ij]).collect();
-        let qg = product(&q, &g, r, r);
-        self.second = product(&qg, &q, r, r);
-        self.second.iter_mut().zip(&q).for_each(|(second, q)| *second += q);
+        let qg = product(q, &g, r, r);
+        self.second = product(&qg, q, r, r);
+        self.second.iter_mut().zip(q).for_each(|(second, q)| *second += q);
     }
 
     /// Cov[w, x] = -Q(ρB' + NφP), `N` being Nφ, `rho` φ'ρ.
@@ -79,18 +81,8 @@ impl Driven {
                 inner[i * n + j] -= (0..r).map(|m| N[i * r + m] * left.P[m * r + j]).sum::<f64>();
             }
         }
-        self.cross = product(&full_noise(transition, r), &inner, r, n);
+        self.cross = product(transition.noise_of(r, |i| i).as_slice(), &inner, r, n);
     }
-}
-
-/// Q, both triangles, r × r.
-fn full_noise(transition: &Transition, r: usize) -> Vec<f64> {
-    let mut q = vec![0.0; r * r];
-    for (&(i, j), &value) in transition.pattern.pairs.iter().zip(&transition.q) {
-        q[i as usize * r + j as usize] = value;
-        q[j as usize * r + i as usize] = value;
-    }
-    q
 }
 
 /// AB with A r × r, B r × n.
@@ -175,38 +167,24 @@ impl Run<'_> {
     /// the data pass left. `wanted.motion` must be set.
     pub(crate) fn forth(&self, work: &mut BackwardWork, e: &[f64], mut tell: impl FnMut(&Step<'_>, bool, Seen<'_>)) {
         let BackwardWork { now, .. } = work;
-        let (driven, mut input) = (self.design.frame.driven.len(), 0);
         self.begin(now);
-        for step in self.design.each_step() {
-            if let Some(transition) = step.transition {
-                now.advance(transition, &self.inputs[input..input + driven], &self.unknown());
-                input += driven;
-            }
-            tell(&step, false, now.seen());
-            for (line, row) in step.lines.clone().zip(step.rows.clone()) {
-                now.measure(&self.line((line, row)), e[row], &self.unknown());
-            }
-            tell(&step, true, now.seen());
-        }
+        self.through(self.design.each_step(), 0, (now, &mut e.to_vec()), |at, step, now| match at {
+            At::Arrives => tell(step, false, now.seen()),
+            At::Ends => tell(step, true, now.seen()),
+            At::Moves | At::Measures => {}
+        });
     }
 
     /// The filter at ξ = x̂: its state at the start and after each step, and before each transition.
     fn forward_all(&self, work: &mut BackwardWork, ends: &mut Vec<f64>, left: &mut Vec<f64>) {
         let BackwardWork { e, now, .. } = work;
-        let (driven, mut input) = (self.design.frame.driven.len(), 0);
         e.clear();
         self.begin(now);
         now.save(ends);
-        for step in self.design.each_step() {
-            if let Some(transition) = step.transition {
-                now.save(left);
-                now.advance(transition, &self.inputs[input..input + driven], &self.unknown());
-                input += driven;
-            }
-            for (line, row) in step.lines.zip(step.rows) {
-                self.measure(now, (line, row), e);
-            }
-            now.save(ends);
-        }
+        self.through(self.design.each_step(), 0, (now, e), |at, _, now| match at {
+            At::Moves => now.save(left),
+            At::Ends => now.save(ends),
+            At::Arrives | At::Measures => {}
+        });
     }
 }

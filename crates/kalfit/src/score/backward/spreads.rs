@@ -1,5 +1,6 @@
 //! P before each step, for passes that share it.
 
+use crate::score::backward::parts::At;
 use crate::score::backward::run::Run;
 use crate::score::backward::work::BackwardWork;
 
@@ -18,25 +19,13 @@ impl Run<'_> {
             return spreads;
         }
         let BackwardWork { e, now, .. } = work;
-        let driven = self.design.frame.driven.len();
         e.clear();
         self.begin(now);
-        let mut input = 0;
-        for step in self.design.each_step() {
-            if let Some(transition) = step.transition {
-                if self.wanted.motion {
-                    spreads.left.extend_from_slice(&now.P);
-                }
-                now.advance(transition, &self.inputs[input..input + driven], &self.unknown());
-                input += driven;
-            }
-            for (line, row) in step.lines.zip(step.rows) {
-                if self.wanted.equation {
-                    spreads.before.extend_from_slice(&now.P);
-                }
-                self.measure(now, (line, row), e);
-            }
-        }
+        self.through(self.design.each_step(), 0, (now, e), |at, _, now| match at {
+            At::Moves if self.wanted.motion => spreads.left.extend_from_slice(&now.P),
+            At::Measures if self.wanted.equation => spreads.before.extend_from_slice(&now.P),
+            _ => {}
+        });
         spreads
     }
 }

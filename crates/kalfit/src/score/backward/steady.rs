@@ -1,7 +1,7 @@
 //! One step of the filter and its way back on arrays of known size, which stay in registers: one scalar measurement of the N
 //! states that move; those that rest are constants.
 
-use crate::reduce::Stretch;
+use crate::reduce::{self, Stretch};
 use crate::score::backward::bars::{Bars, Gain, Rest, Spread, Sums};
 use crate::score::backward::filtered::Filtered;
 use crate::score::backward::run::Run;
@@ -9,15 +9,10 @@ use crate::score::backward::run::Run;
 /// The coefficients of a step. C: columns of ΨC.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Steady<const N: usize, const C: usize> {
-    phi: [[f64; N]; N],
+    pub(super) filter: reduce::Steady<N>,
     Q: [[f64; N]; N],
-    /// What the states that rest add to φx, to φΨC.
-    c: [f64; N],
+    /// What the states that rest add to φΨC.
     cPsi: [[f64; C]; N],
-    h: [f64; N],
-    /// φ'h and what the states that rest add to h'x: e needs no predicted x.
-    g: [f64; N],
-    d: f64,
     noise: f64,
     moves: bool,
     pub(super) equation: bool,
@@ -62,103 +57,39 @@ fn product<const N: usize, const W: usize>(x: &[[f64; N]; N], y: &[[f64; W]; N])
 
 impl<const N: usize, const C: usize> Steady<N, C> {
     pub(super) fn new(run: &Run<'_>, stretch: &Stretch<'_>, now: &Filtered) -> Steady<N, C> {
-        let line = stretch.lines.start;
         let mut step = Steady {
-            phi: [[0.0; N]; N],
+            filter: reduce::Steady::new(run.design, stretch, &now.x),
             Q: [[0.0; N]; N],
-            c: [0.0; N],
             cPsi: [[0.0; C]; N],
-            h: [0.0; N],
-            g: [0.0; N],
-            d: 0.0,
-            noise: run.design.noise[line],
+            noise: run.design.noise[stretch.lines.start],
             moves: stretch.transition.is_some(),
             equation: run.wanted.equation,
             motion: run.wanted.motion,
         };
-        (0..N).for_each(|i| step.phi[i][i] = 1.0);
         if let Some(transition) = stretch.transition {
-            for row in &transition.pattern.moved {
-                let i = row.state as usize;
-                step.phi[i] = [0.0; N];
-                for k in row.start as usize..row.end as usize {
-                    match transition.pattern.columns[k] as usize {
-                        j if j < N => step.phi[i][j] = transition.phi[k],
-                        j => step.rest(i, transition.phi[k], j, now),
-                    }
-                }
-            }
             for (&(i, j), &q) in transition.pattern.pairs.iter().zip(&transition.q) {
                 let (i, j) = (i as usize, j as usize);
                 (step.Q[i][j], step.Q[j][i]) = (q, q);
             }
-        }
-        let (states, h) = run.design.terms(line);
-        for (&state, &h) in states.iter().zip(h) {
-            match state as usize {
-                i if i < N => step.h[i] = h,
-                i => step.d += h * now.x[i],
+            for (i, j, phi) in transition.entries().filter(|&(_, j, _)| j >= N && !now.Psi.is_empty()) {
+                (0..C).for_each(|k| step.cPsi[i][k] += phi * now.Psi[j * C + k]);
             }
-        }
-        for i in 0..N {
-            step.d += step.h[i] * step.c[i];
-            (0..N).for_each(|j| step.g[j] += step.h[i] * step.phi[i][j]);
         }
         step
-    }
-
-    /// State `i` moves with state `j`, which rests.
-    fn rest(&mut self, i: usize, phi: f64, j: usize, now: &Filtered) {
-        self.c[i] += phi * now.x[j];
-        if !now.Psi.is_empty() {
-            (0..C).for_each(|k| self.cPsi[i][k] += phi * now.Psi[j * C + k]);
-        }
-    }
-
-    /// ē.
-    #[inline(always)]
-    pub(super) fn innovation(&self, x: &[f64; N], z: f64) -> f64 {
-        let mut e = z - self.d;
-        for j in 0..N {
-            e -= self.g[j] * x[j];
-        }
-        e
-    }
-
-    /// φx + c.
-    #[inline(always)]
-    fn predicted(&self, x: &[f64; N]) -> [f64; N] {
-        let mut next = self.c;
-        for i in 0..N {
-            for j in 0..N {
-                next[i] += self.phi[i][j] * x[j];
-            }
-        }
-        next
-    }
-
-    /// x ← φx + c + Ke.
-    #[inline(always)]
-    pub(super) fn state(&self, x: &[f64; N], K: &[f64; N], e: f64) -> [f64; N] {
-        let mut next = self.predicted(x);
-        for i in 0..N {
-            next[i] += K[i] * e;
-        }
-        next
     }
 
     /// φΨC, and φPφ' + Q.
     #[inline(always)]
     fn spread(&self, from: &Spread<N, C>) -> Spread<N, C> {
-        let mut Psi = product(&self.phi, &from.Psi);
-        let half = product(&self.phi, &from.P);
+        let mut Psi = product(&self.filter.phi, &from.Psi);
+        let half = product(&self.filter.phi, &from.P);
         let mut P = self.Q;
         for i in 0..N {
             for j in 0..C {
                 Psi[i][j] += self.cPsi[i][j];
             }
             for j in 0..N {
-                P[i][j] += inner(&half[i], &self.phi[j]);
+                P[i][j] += inner(&half[i], &self.filter.phi[j]);
             }
         }
         Spread { P, Psi }
@@ -169,7 +100,7 @@ impl<const N: usize, const C: usize> Steady<N, C> {
     pub(super) fn advance(&self, from: &Spread<N, C>, gain: &Gain<N, C>, P: bool) -> Spread<N, C> {
         let K = &gain.K;
         if !P {
-            let mut Psi = product(&self.phi, &from.Psi);
+            let mut Psi = product(&self.filter.phi, &from.Psi);
             for i in 0..N {
                 for j in 0..C {
                     Psi[i][j] += self.cPsi[i][j] - K[i] * gain.T[j];
@@ -180,9 +111,9 @@ impl<const N: usize, const C: usize> Steady<N, C> {
         let mut to = self.spread(from);
         let mut G = [0.0; N];
         for i in 0..N {
-            G[i] = inner(&to.P[i], &self.h);
+            G[i] = inner(&to.P[i], &self.filter.h);
         }
-        let S = self.noise + inner(&self.h, &G);
+        let S = self.noise + inner(&self.filter.h, &G);
         for i in 0..N {
             for j in 0..N {
                 to.P[i][j] += S * K[i] * K[j] - (K[i] * G[j] + G[i] * K[j]);
@@ -224,11 +155,11 @@ impl<const N: usize, const C: usize> Steady<N, C> {
         for i in 0..N {
             for k in 0..N {
                 for j in 0..N {
-                    Nphi[i][j] += bars.N[i][k] * self.phi[k][j];
+                    Nphi[i][j] += bars.N[i][k] * self.filter.phi[k][j];
                 }
             }
         }
-        let (r, rho) = (self.adjoint(&bars.r), transposed(&self.phi, &bars.rho));
+        let (r, rho) = (self.adjoint(&bars.r), transposed(&self.filter.phi, &bars.rho));
         if self.motion {
             for j in 0..N {
                 let mut smoothed = x[j];
@@ -245,7 +176,7 @@ impl<const N: usize, const C: usize> Steady<N, C> {
                 }
             }
         }
-        *bars = Bars { r, rho, N: transposed(&self.phi, &Nphi) };
+        *bars = Bars { r, rho, N: transposed(&self.filter.phi, &Nphi) };
     }
 
     /// φ'r.
@@ -254,7 +185,7 @@ impl<const N: usize, const C: usize> Steady<N, C> {
         let mut out = [0.0; N];
         for k in 0..N {
             for i in 0..N {
-                out[i] += self.phi[k][i] * r[k];
+                out[i] += self.filter.phi[k][i] * r[k];
             }
         }
         out
@@ -269,7 +200,7 @@ impl<const N: usize, const C: usize> Steady<N, C> {
         (x, spread): (&[f64; N], &Spread<N, C>),
         sums: &mut Sums<N, C>,
     ) {
-        let (weight, K, h) = (gain.weight, &gain.K, &self.h);
+        let (weight, K, h) = (gain.weight, &gain.K, &self.filter.h);
         let u = e * weight - inner(K, &bars.r);
         let mut upsilon = gain.T;
         for j in 0..C {
@@ -295,7 +226,7 @@ impl<const N: usize, const C: usize> Steady<N, C> {
             }
         }
         if self.equation {
-            let (x, spread) = (self.predicted(x), self.spread(spread));
+            let (x, spread) = (self.filter.predicted(x), self.spread(spread));
             for i in 0..N {
                 let mut sum = u * x[i] - inner(&upsilon, &spread.Psi[i]);
                 for j in 0..N {
@@ -319,7 +250,7 @@ impl<const N: usize, const C: usize> Steady<N, C> {
         rest.u += u;
         rest.uu += u * u;
         for i in 0..N {
-            r[i] += self.h[i] * u;
+            r[i] += self.filter.h[i] * u;
         }
         for i in 0..N {
             if self.equation {
@@ -361,7 +292,7 @@ impl<const N: usize, const C: usize> Steady<N, C> {
             sums.upsilon[j] += many * each.upsilon[j];
         }
         for i in 0..N {
-            sums.h[i] += many * each.h[i] + inner(&self.phi[i], &rest.ux) + self.c[i] * rest.u;
+            sums.h[i] += many * each.h[i] + inner(&self.filter.phi[i], &rest.ux) + self.filter.c[i] * rest.u;
             sums.h[i] += inner(&before.P[i], &rest.ur);
         }
         if !self.moves {
@@ -379,7 +310,7 @@ impl<const N: usize, const C: usize> Steady<N, C> {
             for j in 0..N {
                 sums.phi[i][j] += many * each.phi[i][j] + rest.rx[i][j];
                 for l in 0..N {
-                    let moved: f64 = (0..N).map(|m| self.phi[m][l] * rr(i, m)).sum();
+                    let moved: f64 = (0..N).map(|m| self.filter.phi[m][l] * rr(i, m)).sum();
                     sums.phi[i][j] += spread.P[j][l] * moved;
                 }
             }

@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use crate::ensemble::Test;
+use crate::model::Scope;
 use crate::reduce::{Fault, LawAdjoint, Replay, StartAdjoint, Workspace};
 use crate::score::chain::Chain;
 use crate::score::chain::gradient::Gradient;
@@ -68,7 +69,30 @@ impl Adjoints<'_> {
         mean: &[f64],
         variance: &[f64],
     ) -> Result<(), Box<Fault>> {
-        let Adjoints { chain, pending, moving, replay, start: out, .. } = self;
+        let chain = self.chain;
+        if !chain.needs.start {
+            return Ok(());
+        }
+        let mut cells = std::mem::take(&mut self.moving.cells);
+        let starting = chain.preparer.starting(work);
+        if chain.preparer.start.settles() {
+            let settled = chain.preparer.settled(test, work, &mut cells)?;
+            self.started_at((&settled, &starting), mean, variance)?;
+        } else {
+            self.started_at((&starting, &starting), mean, variance)?;
+        }
+        self.moving.cells = cells;
+        Ok(())
+    }
+
+    /// The same of a test whose stationary law, and whose law of x_0, were evaluated on these.
+    pub(super) fn started_at(
+        &mut self,
+        (settled, starting): (&Scope<'_>, &Scope<'_>),
+        mean: &[f64],
+        variance: &[f64],
+    ) -> Result<(), Box<Fault>> {
+        let Adjoints { chain, pending, replay, start: out, .. } = self;
         if !chain.needs.start {
             return Ok(());
         }
@@ -77,20 +101,18 @@ impl Adjoints<'_> {
         if !preparer.start.settles() {
             preparer.start.backward(&context.at, (&[], &[]), &law, out)?;
         } else {
-            let scope = preparer.settled(test, work, &mut moving.cells)?;
-            preparer.settling(&scope, replay)?;
+            preparer.settling(settled, replay)?;
             preparer.start.backward(&context.at, (&replay.values, &replay.inputs), &law, out)?;
             let slots = chain.values.iter().zip(&out.values).chain(chain.inputs.iter().zip(&out.inputs));
             for (tap, &bar) in slots {
                 if let Some(tap) = *tap {
-                    pending.add(&context, tap, bar, &scope)?;
+                    pending.add(&context, tap, bar, settled)?;
                 }
             }
         }
-        let scope = preparer.starting(work);
         for (tap, &bar) in chain.start.iter().zip(&out.coefficients) {
             if let Some(tap) = *tap {
-                pending.add(&context, tap, bar, &scope)?;
+                pending.add(&context, tap, bar, starting)?;
             }
         }
         Ok(())
@@ -107,7 +129,5 @@ impl Adjoints<'_> {
     pub(super) fn clear(&mut self) {
         self.pending.clear();
         self.moving.groups.clear();
-        self.moving.equal.clear();
-        self.moving.bars.clear();
     }
 }

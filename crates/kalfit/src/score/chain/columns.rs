@@ -70,6 +70,7 @@ impl Kernel for Pull<'_> {
                 bar.store(&mut column[t * T::COUNT..]);
             }
         }
+        self.back.finish(&mut bars);
         for (taps, bars) in [(&chain.values, &bars.values), (&chain.inputs, &bars.inputs)] {
             for (tap, &bar) in taps.iter().zip(bars) {
                 if let Some(tap) = *tap {
@@ -118,8 +119,13 @@ impl Adjoints<'_> {
     ) -> Result<Gradient, Box<Fault>> {
         let test = tests[block.layout.tests[lane]];
         let found = self.gather((block, bars, pulled), lane, tests).and_then(|()| {
-            let [mean, variance] = bars.start(lane);
-            self.started(test, work, &mean, &variance)
+            let chain = self.chain;
+            let ([mean, variance], alpha) = (bars.start(lane), chain.context().at.alpha);
+            let nothing = Scope { numbers: &[], texts: &[], step: 0.0, alpha };
+            match block.layout.openings.get(lane) {
+                None => self.started_at((&nothing, &nothing), &mean, &variance),
+                Some(own) => self.started_at((&own.first(test, alpha), &own.whole(alpha)), &mean, &variance),
+            }
         });
         // what is left of one in error must go too
         let gradient = self.finish(test, work);

@@ -32,9 +32,6 @@ impl Adjoints<'_> {
         if !(needs.rates || needs.noise || needs.inputs) {
             return Ok(());
         }
-        if self.chain.steady {
-            return self.steady(k, work, bars);
-        }
         let Some(transition) = work.design.step(k).transition else { return Ok(()) };
         let group = match self.again(transition, test, k, work)? {
             Some(group) => group,
@@ -142,9 +139,6 @@ impl Adjoints<'_> {
 
     /// Sends what the groups have summed on to the coefficients.
     pub(super) fn settle(&mut self, test: &Test, work: &Workspace) -> Result<(), Box<Fault>> {
-        if self.chain.steady {
-            return self.settle_steady();
-        }
         let Adjoints { chain, moving, pending, replay, .. } = self;
         let (preparer, context) = (chain.preparer, chain.context());
         let Moving { groups, entries: (phi, q), cells, sums, bars, flows, .. } = moving;
@@ -178,7 +172,7 @@ impl Adjoints<'_> {
     }
 }
 
-pub(super) fn add(sums: &mut [f64], bars: &[f64]) {
+fn add(sums: &mut [f64], bars: &[f64]) {
     debug_assert_eq!(sums.len(), bars.len(), "one adjoint for each entry");
     sums.iter_mut().zip(bars).for_each(|(sum, bar)| *sum += bar);
 }

@@ -2,7 +2,6 @@
 
 use crate::reduce::Cells;
 use crate::score::chain::Chain;
-use crate::score::chain::equal_steps::EqualSteps;
 use crate::score::chain::groups::Groups;
 
 /// What has come of the steps of a test.
@@ -16,7 +15,6 @@ pub(super) struct Moving {
     pub(super) sums: Vec<f64>,
     pub(super) bars: Vec<f64>,
     pub(super) flows: Vec<f64>,
-    pub(super) equal: EqualSteps,
 }
 
 impl Moving {
@@ -31,7 +29,6 @@ impl Moving {
             sums: Vec::new(),
             bars: Vec::new(),
             flows: Vec::new(),
-            equal: EqualSteps::default(),
         }
     }
 }

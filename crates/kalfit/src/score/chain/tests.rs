@@ -1,115 +1,29 @@
 //! The whole chain: a linear functional of all numbers of a prepared test has its weights for adjoints, and its derivatives to
 //! the free values of α must equal difference quotients through the preparation.
 
-use std::collections::BTreeMap;
-
 use super::*;
 use crate::ensemble::{Label, Labels, Source, Test};
-use crate::model::{
-    Clock, Column, CovarianceStructure, Expression, Function, Initial, Linear, MeanStructure, Measurement, Model,
-    Motion, Operator, Parameter, State, Value,
+use crate::model::by_hand::{
+    self, alpha, column, continuous, discrete, known, linear, minus, number, over, parameter, square, state, times,
 };
+use crate::model::{Expression, Function, Initial, Measurement, Model, Motion, Operator, Parameter, State};
 use crate::reduce::Workspace;
 use crate::score::chain::measured::Measured;
 use crate::score::chain::moved::Moved;
 
-fn number(x: f64) -> Expression {
-    Expression::Number(x)
-}
-
-fn column(c: usize) -> Expression {
-    Expression::Column(c)
-}
-
-fn alpha(index: usize) -> Expression {
-    Expression::Parameter(index)
-}
-
-fn binary(operator: Operator, a: Expression, b: Expression) -> Expression {
-    Expression::Binary(operator, Box::new(a), Box::new(b))
-}
-
-fn times(a: Expression, b: Expression) -> Expression {
-    binary(Operator::Multiply, a, b)
-}
-
-fn square(a: Expression) -> Expression {
-    binary(Operator::Power, a, number(2.0))
-}
-
-fn over(a: Expression, b: Expression) -> Expression {
-    binary(Operator::Divide, a, b)
-}
-
-fn minus(a: Expression) -> Expression {
-    Expression::Negate(Box::new(a))
-}
-
-fn linear(terms: Vec<(usize, Expression)>, constant: Expression) -> Linear {
-    Linear { terms, constant }
-}
-
-fn state(name: &str, motion: Motion, initial: Initial) -> State {
-    State { name: name.to_owned(), unit: None, motion, initial, offset: None, random: true }
-}
-
-fn continuous(terms: Vec<(usize, Expression)>, input: Expression, noise_variance: Expression) -> Motion {
-    Motion::Continuous { derivative: linear(terms, input), noise_variance }
-}
-
-fn discrete(terms: Vec<(usize, Expression)>, input: Expression, noise_variance: Expression) -> Motion {
-    Motion::Discrete { next: linear(terms, input), noise_variance }
-}
-
-fn known(mean: Expression, variance: Expression) -> Initial {
-    Initial::Known { mean, variance }
-}
-
 /// Measurement of columns 1, 2, …, in order.
 fn meter(index: usize, terms: Vec<(usize, Expression)>, constant: Expression, noise: Expression) -> Measurement {
-    Measurement {
-        name: format!("z{index}"),
-        column: 1 + index,
-        filter: None,
-        equation: linear(terms, constant),
-        noise_variance: noise,
-    }
+    by_hand::meter(&format!("z{index}"), 1 + index, linear(terms, constant), noise)
 }
 
 fn parameters(count: usize, levelled: &[usize]) -> Vec<Parameter> {
-    let parameter = |k: usize| Parameter {
-        name: format!("a{k}"),
-        unit: None,
-        value: Value::Free { start: None },
-        per: levelled.contains(&k).then_some(0),
-        fixed_levels: BTreeMap::new(),
-        lower: None,
-        upper: None,
-        positive: false,
-    };
-    (0..count).map(parameter).collect()
+    (0..count).map(|k| parameter(&format!("a{k}"), None, levelled.contains(&k).then_some(0), false)).collect()
 }
 
 /// Columns: t, z0, z1, z2, u, w; text column sensor.
 fn model(states: Vec<State>, measurements: Vec<Measurement>, parameters: Vec<Parameter>) -> Model {
-    let named = |name: &&str| Column { name: (*name).to_owned(), used_in: String::new() };
-    let estimated: Vec<usize> = (0..states.len()).filter(|&i| states[i].initial == Initial::Estimated).collect();
-    Model {
-        title: String::new(),
-        columns: ["t", "z0", "z1", "z2", "u", "w"].iter().map(named).collect(),
-        text_columns: ["sensor"].iter().map(named).collect(),
-        literals: vec!["A".to_owned(), "B".to_owned()],
-        parameters,
-        process_noise_covariance: Vec::new(),
-        measurements,
-        noise_covariance: Vec::new(),
-        clock: Clock { time: Some(0), ..Clock::default() },
-        group: None,
-        mean: MeanStructure::free(estimated.len()),
-        covariance: CovarianceStructure::full(),
-        estimated,
-        states,
-    }
+    let names: [&[&str]; 3] = [&["t", "z0", "z1", "z2", "u", "w"], &["sensor"], &["A", "B"]];
+    by_hand::model(names, parameters, states, measurements)
 }
 
 const U: usize = 4;
@@ -501,7 +415,7 @@ fn what_decides_rows_or_times_cannot_be_free() {
         fault.name(model, None).to_string()
     };
     let mut filtered = gyro();
-    filtered.measurements[0].filter = Some(binary(Operator::Less, column(U), alpha(3)));
+    filtered.measurements[0].filter = Some(Expression::Binary(Operator::Less, Box::new(column(U)), Box::new(alpha(3))));
     insta::assert_snapshot!(refusal(&filtered), @"`where` of measurement `z0`: it depends on the free parameter `a3`, expected parameters that are fixed");
     let mut timed = gyro();
     timed.clock.initial_time = Some(minus(alpha(3)));

@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
-use crate::ensemble::Test;
 use crate::reduce::{PhasedReducer, PhasedTest};
 
 /// Fewer tests than these are not worth a company.
@@ -20,27 +19,23 @@ pub(crate) struct Companies {
 }
 
 impl Companies {
-    /// `rows`: those of a phase that are filtered here, if any are.
-    pub(crate) fn of<'t>(
-        reducer: &PhasedReducer,
-        tests: &'t [PhasedTest],
-        rows: impl Fn(usize, &'t PhasedTest) -> Option<&'t Test> + Sync,
-    ) -> Companies {
+    /// Of tests that differ in nothing but what was measured.
+    pub(crate) fn of(reducer: &PhasedReducer, tests: &[PhasedTest]) -> Companies {
         let phases = reducer.phases().len();
         let Some(looks) =
             reducer.phases().iter().map(|phase| phase.reducer.preparer().looks.as_ref()).collect::<Option<Vec<_>>>()
         else {
             return Companies::none(tests.len());
         };
-        let hash = |test: &'t PhasedTest| {
-            let of = |at: usize| rows(at, test).map(|rows| looks[at].hash(rows, true));
+        let hash = |test: &PhasedTest| {
+            let of = |at: usize| reducer.rows_of(at, test).map(|rows| looks[at].hash(rows, true));
             (test.phases.len(), (0..phases).map(of).collect::<Vec<Option<u64>>>())
         };
         let hashes: Vec<_> = tests.par_iter().map(hash).collect();
         let mut known: BTreeMap<_, Vec<usize>> = BTreeMap::new();
         hashes.into_iter().enumerate().for_each(|(number, hash)| known.entry(hash).or_default().push(number));
         let likeness = |number: usize| {
-            let of = |at: usize| rows(at, &tests[number]).map(|rows| looks[at].likeness(rows));
+            let of = |at: usize| reducer.rows_of(at, &tests[number]).map(|rows| looks[at].likeness(rows));
             (0..phases).map(of).collect::<Vec<_>>()
         };
         let mut found = Companies::default();

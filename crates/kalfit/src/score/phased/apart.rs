@@ -1,39 +1,36 @@
-//! Scores of tests by themselves, those with designs of one shape side by side.
+//! Scores of tests that are in no company: phase by phase, those in blocks side by side.
 
 use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
-use crate::reduce::{ReduceError, share};
+use crate::reduce::ReduceError;
 use crate::score::chain::{Gradient, add};
-use crate::score::lines::{Answer, Asked, Lines};
 use crate::score::phased::together::{Ensemble, Score};
 use crate::score::phased::{PhasedScorer, Room};
+use crate::score::smoother::Smooth;
 
 /// What is known of one test so far.
 #[derive(Debug, Default)]
-struct Known {
+pub(super) struct Known {
+    /// What the passes through its phases begin from.
+    pub(super) phases: Vec<Smooth>,
     /// By phase; last, what goes through the carries.
     parts: Vec<Gradient>,
     /// Of several errors, that of the first phase.
-    error: Option<(usize, ReduceError)>,
+    error: Option<ReduceError>,
 }
 
 impl Known {
-    fn new(phases: usize) -> Known {
-        Known { parts: vec![Gradient::new(); phases + 1], error: None }
-    }
-
     fn take(&mut self, at: usize, score: Result<Gradient, ReduceError>) {
         match score {
             Ok(gradient) => self.parts[at] = gradient,
-            Err(error) if self.error.as_ref().is_none_or(|(before, _)| at < *before) => self.error = Some((at, error)),
-            Err(_) => {}
+            Err(error) => self.error = self.error.take().or(Some(error)),
         }
     }
 
     fn score(self) -> Result<Gradient, ReduceError> {
-        if let Some((_, error)) = self.error {
+        if let Some(error) = self.error {
             return Err(error);
         }
         let mut parts = self.parts.into_iter();
@@ -46,66 +43,63 @@ impl Known {
 impl PhasedScorer<'_> {
     /// The scores of tests with these numbers.
     pub(super) fn apart(&self, of: Ensemble<'_>, numbers: &[usize]) -> Vec<Score> {
-        let rows = numbers.iter().map(|&number| of.tests[number].row_count()).sum();
-        let room = || (self.room(), self.phases.iter().map(|_| Lines::default()).collect::<Vec<_>>());
-        numbers
-            .par_chunks(share(numbers.len(), rows))
-            .map_init(room, |(room, lines), numbers| self.share_of(of, numbers, (room, lines)))
-            .flatten_iter()
-            .collect()
-    }
-
-    fn share_of<'t>(
-        &self,
-        of: Ensemble<'t>,
-        numbers: &[usize],
-        (room, lines): (&mut Room<'_>, &mut [Lines<'t>]),
-    ) -> Vec<Score> {
-        let mut known: Vec<Known> = numbers.iter().map(|_| Known::new(self.phases.len())).collect();
-        let mut answers = Vec::new();
-        for (place, &number) in numbers.iter().enumerate() {
-            if let Err(error) = self.ask(of, (place, number), (room, lines), (&mut known, &mut answers)) {
-                known[place].take(0, Err(error));
+        let begin = |room: &mut Room<'_>, &number: &usize| self.begin_alone(of, number, room);
+        let mut known: Vec<Known> = numbers.par_iter().map_init(|| self.room(), begin).collect();
+        for at in 0..self.phases.len() {
+            for (place, score) in self.of_phase(at, of, numbers, &known) {
+                known[place].take(at, score.map_err(|error| self.reducer.phases()[at].named(error)));
             }
-        }
-        for (at, lines) in lines.iter_mut().enumerate() {
-            let work = (&mut room.work.phases[at], &mut room.backward, &mut room.adjoints[at]);
-            self.phases[at].answer_all(lines, work, &mut answers);
-            self.keep(at, &mut answers, &mut known);
         }
         numbers.iter().copied().zip(known.into_iter().map(Known::score)).collect()
     }
 
-    /// Asks for the scores of a test, phase by phase.
-    fn ask<'t>(
-        &self,
-        of: Ensemble<'t>,
-        (place, number): (usize, usize),
-        (room, lines): (&mut Room<'_>, &mut [Lines<'t>]),
-        (known, answers): (&mut [Known], &mut Vec<Answer>),
-    ) -> Result<(), ReduceError> {
-        let (test, reduction) = (&of.tests[number], of.reductions.get(number));
-        let phases = self.begin(test, reduction, (of.law, of.plans), &mut room.work)?;
-        for (at, smooth) in phases.into_iter().enumerate() {
-            let Some(rows) = self.rows_of(at, test) else { continue };
-            if let Some(bar) = &smooth.inherited {
-                let mut carried = BTreeMap::new();
-                self.carried((at, rows), bar, room, &mut carried)?;
-                add(&mut known[place].parts[self.phases.len()], &carried.into_iter().collect());
+    fn begin_alone(&self, of: Ensemble<'_>, number: usize, room: &mut Room<'_>) -> Known {
+        let mut known = Known { parts: vec![Gradient::new(); self.phases.len() + 1], ..Known::default() };
+        let mut begin = || {
+            let phases = self.begin(of, number, &mut room.work)?;
+            let mut carried = BTreeMap::new();
+            for (at, smooth) in phases.iter().enumerate() {
+                if let (Some(bar), Some(rows)) = (&smooth.inherited, self.reducer.rows_of(at, &of.tests[number])) {
+                    self.carried((at, rows), bar, room, &mut carried)?;
+                }
             }
-            let ending = smooth.later.as_ref().map(|later| self.phases[at].ending(later));
-            let asked = Asked { number: place, test: rows, moments: smooth.moments, ending };
-            let work = (&mut room.work.phases[at], &mut room.backward, &mut room.adjoints[at]);
-            self.phases[at].ask(asked, &mut lines[at], work, answers);
-            self.keep(at, answers, known);
+            Ok((phases, carried.into_iter().collect()))
+        };
+        match begin() {
+            Ok((phases, carried)) => {
+                known.phases = phases;
+                known.parts[self.phases.len()] = carried;
+            }
+            Err(error) => known.error = Some(error),
         }
-        Ok(())
+        known
     }
 
-    /// Takes the scores of a phase.
-    fn keep(&self, at: usize, answers: &mut Vec<Answer>, known: &mut [Known]) {
-        for (place, score) in answers.drain(..) {
-            known[place].take(at, score.map_err(|error| self.reducer.phases()[at].named(error)));
+    /// What a phase says of the tests with these numbers, by their places among them.
+    fn of_phase(
+        &self,
+        at: usize,
+        of: Ensemble<'_>,
+        numbers: &[usize],
+        known: &[Known],
+    ) -> Vec<(usize, Result<Gradient, ReduceError>)> {
+        let mut left = vec![true; numbers.len()];
+        let mut scores = Vec::new();
+        for (place, gradient) in self.in_blocks(at, of, numbers, known) {
+            left[place] = false;
+            scores.push((place, Ok(gradient)));
         }
+        let wanted = |place: usize| known[place].error.is_none() && left[place];
+        let alone = |room: &mut Room<'_>, place: usize| {
+            let rows = self.reducer.rows_of(at, &of.tests[numbers[place]])?;
+            let (scorer, smooth) = (&self.phases[at], &known[place].phases[at]);
+            let ending = smooth.later.as_ref().map(|later| scorer.ending(later, smooth.moments.columns));
+            let work = (&mut room.work.phases[at], &mut room.backward, &mut room.adjoints[at]);
+            Some((place, scorer.alone(rows, (&smooth.moments, ending.as_ref()), work)))
+        };
+        let places: Vec<usize> = (0..numbers.len()).filter(|&place| wanted(place)).collect();
+        let rest = places.into_par_iter().map_init(|| self.room(), alone);
+        scores.extend(rest.flatten_iter().collect::<Vec<_>>());
+        scores
     }
 }

@@ -6,57 +6,84 @@ mod tests;
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
-use crate::reduce::{Blocks, Filtered, FilteredBlock, PhasedTest};
-use crate::score::Companies;
-use crate::score::backward::Abreast;
-use crate::score::moments::{Moments, moments};
-use crate::score::phased::together::{Ensemble, Score};
+use crate::reduce::{FilteredBlock, PhasedBlocks, PhasedTest};
+use crate::score::backward::{Abreast, Ending};
+use crate::score::chain::Gradient;
+use crate::score::moments::Moments;
+use crate::score::phased::apart::Known;
+use crate::score::phased::together::Ensemble;
 use crate::score::phased::{PhasedScorer, Room};
+use crate::score::smoother::Smooth;
+use crate::score::{Companies, Scorer};
+
+/// No place.
+const NONE: usize = usize::MAX;
+
+/// The test in a lane, by its place among those asked about, and what its pass begins from.
+type Lane<'a> = (usize, usize, &'a Smooth);
 
 impl PhasedScorer<'_> {
     /// The tests that have no company, where they can be kept side by side.
-    pub(crate) fn blocks(&self, tests: &[PhasedTest], companies: &Companies) -> Option<Blocks> {
+    pub(crate) fn blocks(&self, tests: &[PhasedTest], companies: &Companies) -> Option<PhasedBlocks> {
         let shared: Vec<usize> = companies.companies.iter().map(|company| company[0]).collect();
         self.reducer.blocks(tests, &companies.alone, &shared)
     }
 
-    /// The scores of tests in blocks; those with which something is wrong are scored by themselves.
-    pub(super) fn in_blocks(&self, of: Ensemble<'_>, filtered: &Filtered) -> Vec<Score> {
-        let rows = |test| self.rows_of(0, test).expect("tests in blocks have rows");
-        let tests: Vec<&Test> = of.tests.iter().map(rows).collect();
-        let block = |room: &mut Room<'_>, block: FilteredBlock<'_>| self.block(of, &tests, block, room);
-        let all: Vec<(usize, Option<Score>)> =
-            filtered.blocks().map_init(|| self.room(), block).flatten_iter().collect();
-        let odd: Vec<usize> = all.iter().filter(|(_, score)| score.is_none()).map(|(number, _)| *number).collect();
-        let mut scores: Vec<Score> = all.into_iter().filter_map(|(_, score)| score).collect();
-        scores.extend(self.apart(of, &odd));
-        scores
+    /// What a phase says of the tests with these numbers that are in its blocks, by their places among them; those with which
+    /// something is wrong are left out.
+    pub(super) fn in_blocks(
+        &self,
+        at: usize,
+        of: Ensemble<'_>,
+        numbers: &[usize],
+        known: &[Known],
+    ) -> Vec<(usize, Gradient)> {
+        let Some(filtered) = of.filtered else { return Vec::new() };
+        let (members, blocks) = filtered.phase(at);
+        let rows = |&number: &usize| self.reducer.rows_of(at, &of.tests[number]).expect("members have rows");
+        let rows: Vec<&Test> = members.iter().map(rows).collect();
+        let mut places = vec![NONE; of.tests.len()];
+        numbers.iter().enumerate().for_each(|(place, &number)| places[number] = place);
+        let lane = |(lane, member): (usize, usize)| {
+            let place = places[members[member]];
+            Some((lane, place, known.get(place)?.phases.get(at)?))
+        };
+        let block = |room: &mut Room<'_>, block: FilteredBlock<'_>| {
+            let own: Vec<Lane<'_>> = block.tests().filter_map(lane).collect();
+            self.phases[at].block(at, (&own, &rows), block, room)
+        };
+        blocks.map_init(|| self.room(), block).flatten_iter().collect()
     }
+}
 
+impl Scorer<'_> {
     fn block(
         &self,
-        of: Ensemble<'_>,
-        tests: &[&Test],
+        at: usize,
+        (own, rows): (&[Lane<'_>], &[&Test]),
         block: FilteredBlock<'_>,
         room: &mut Room<'_>,
-    ) -> Vec<(usize, Option<Score>)> {
-        let own: Vec<(usize, usize)> = block.tests().collect();
-        let told: Vec<Moments> = own.iter().map(|&(_, number)| moments(of.reductions.get(number), of.law)).collect();
-        let Some(columns) = told.iter().map(|moments| moments.columns).max() else { return Vec::new() };
-        let told: Vec<Moments> = told.into_iter().map(|moments| moments.widened(columns)).collect();
-        // lanes of other tests are not looked at
-        let mut lanes: Vec<&Moments> = vec![&told[0]; block.layout.tests.len()];
-        own.iter().zip(&told).for_each(|(&(lane, _), moments)| lanes[lane] = moments);
-        let (kept, scorer) = (&block.values.kept, &self.phases[0]);
-        let (longest, wanted) = (&block.layout.design, scorer.wanted());
-        let pass = Abreast { block: &kept.block, gained: &kept.gained, longest, moments: &lanes, endings: &[], wanted };
-        let bars = pass.pass();
-        let pulled = scorer.chain.pull(block, &bars);
-        let (adjoints, work) = (&mut room.adjoints[0], &room.work.phases[0]);
-        let mut score = |(lane, number): (usize, usize)| {
-            let gradient = adjoints.of_lane((block, &bars, &pulled), lane, tests, work).ok();
-            (number, gradient.map(|gradient| (number, Ok(gradient))))
+    ) -> Vec<(usize, Gradient)> {
+        let Some(columns) = own.iter().map(|(.., smooth)| smooth.moments.columns).max() else { return Vec::new() };
+        let told: Vec<Moments> = own.iter().map(|(.., smooth)| smooth.moments.clone().widened(columns)).collect();
+        let later: Vec<Ending> = match own.iter().any(|(.., smooth)| smooth.later.is_some()) {
+            true => own.iter().map(|(.., smooth)| self.ending_or_none(smooth.later.as_ref(), columns)).collect(),
+            false => Vec::new(),
         };
-        own.iter().map(|&own| score(own)).collect()
+        // lanes of other tests are not looked at
+        let mut moments: Vec<&Moments> = vec![&told[0]; block.layout.tests.len()];
+        own.iter().zip(&told).for_each(|(&(lane, ..), told)| moments[lane] = told);
+        let mut endings: Vec<&Ending> = later.first().map_or(Vec::new(), |first| vec![first; moments.len()]);
+        own.iter().zip(&later).for_each(|(&(lane, ..), later)| endings[lane] = later);
+        let (kept, longest, wanted) = (&block.values.kept, &block.layout.design, self.wanted());
+        let (moments, endings) = (&*moments, &*endings);
+        let pass = Abreast { block: &kept.block, gained: &kept.gained, longest, moments, endings, wanted };
+        let bars = pass.pass();
+        let pulled = self.chain.pull(block, &bars);
+        let (adjoints, work) = (&mut room.adjoints[at], &room.work.phases[at]);
+        let score = |&(lane, place, _): &Lane<'_>| {
+            Some((place, adjoints.of_lane((block, &bars, &pulled), lane, rows, work).ok()?))
+        };
+        own.iter().filter_map(score).collect()
     }
 }

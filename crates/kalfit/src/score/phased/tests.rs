@@ -1,57 +1,16 @@
 //! Scores of tests in phases against differences of the stacked ℓ.
 
-use std::collections::BTreeMap;
-
 use nalgebra::{DMatrix, DVector};
 
 use super::together::Ensemble;
 use super::*;
 use crate::ensemble::{Label, Labels, Source};
-use crate::model::{
-    Carry, Clock, Column, CovarianceStructure, Expression, Initial, Linear, MeanStructure, Measurement, Model, Motion,
-    Operator, Parameter, Phase, State, Value,
+pub(super) use crate::model::by_hand::{
+    self, alpha, column, discrete, known, linear, meter, number, over, square, state, times,
 };
-use crate::reduce::unpack;
-
-pub(super) fn number(x: f64) -> Expression {
-    Expression::Number(x)
-}
-
-pub(super) fn column(c: usize) -> Expression {
-    Expression::Column(c)
-}
-
-pub(super) fn alpha(index: usize) -> Expression {
-    Expression::Parameter(index)
-}
-
-fn binary(operator: Operator, a: Expression, b: Expression) -> Expression {
-    Expression::Binary(operator, Box::new(a), Box::new(b))
-}
-
-pub(super) fn times(a: Expression, b: Expression) -> Expression {
-    binary(Operator::Multiply, a, b)
-}
-
-pub(super) fn square(a: Expression) -> Expression {
-    binary(Operator::Power, a, number(2.0))
-}
-
-pub(super) fn over(a: Expression, b: Expression) -> Expression {
-    binary(Operator::Divide, a, b)
-}
-
-pub(super) fn linear(terms: Vec<(usize, Expression)>, constant: Expression) -> Linear {
-    Linear { terms, constant }
-}
-
-pub(super) fn state(name: &str, motion: Motion, initial: Initial) -> State {
-    State { name: name.to_owned(), unit: None, motion, initial, offset: None, random: true }
-}
-
-pub(super) fn known(mean: Expression, variance: Expression) -> Initial {
-    Initial::Known { mean, variance }
-}
+use crate::model::by_hand::{gauss_markov, parameter};
+use crate::model::{Carry, Expression, Initial, Linear, Model, Motion, Phase, State};
+use crate::reduce::{Evidence, ReductionRef, unpack};
 
 pub(super) const TAU: usize = 0;
 pub(super) const DRIFT: usize = 1;
@@ -70,46 +29,20 @@ pub(super) const W: usize = 3;
 
 /// Columns t, z, u, w (constant within a test); text columns phase, sensor, room (constant within a phase).
 pub(super) fn model(states: Vec<State>, equation: Linear) -> Model {
-    let named = |name: &&str| Column { name: (*name).to_owned(), used_in: String::new() };
-    let parameter = |k: usize| Parameter {
-        name: format!("a{k}"),
-        unit: None,
-        value: Value::Free { start: None },
-        per: match k {
-            NOISE => Some(1),
-            KICK => Some(2),
-            _ => None,
-        },
-        fixed_levels: BTreeMap::new(),
-        lower: None,
-        upper: None,
-        positive: false,
+    let per = |k: usize| match k {
+        NOISE => Some(1),
+        KICK => Some(2),
+        _ => None,
     };
-    let estimated: Vec<usize> = (0..states.len()).filter(|&i| states[i].initial == Initial::Estimated).collect();
-    let noise_variance = square(alpha(NOISE));
-    Model {
-        title: String::new(),
-        columns: ["t", "z", "u", "w"].iter().map(named).collect(),
-        text_columns: ["phase", "sensor", "room"].iter().map(named).collect(),
-        literals: ["align", "coast", "land", "A", "B"].map(str::to_owned).to_vec(),
-        parameters: (0..10).map(parameter).collect(),
-        process_noise_covariance: Vec::new(),
-        measurements: vec![Measurement { name: "z".to_owned(), column: 1, filter: None, equation, noise_variance }],
-        noise_covariance: Vec::new(),
-        clock: Clock { time: Some(0), ..Clock::default() },
-        group: None,
-        mean: MeanStructure::free(estimated.len()),
-        covariance: CovarianceStructure::full(),
-        estimated,
-        states,
-    }
+    let parameters = (0..10).map(|k| parameter(&format!("a{k}"), None, per(k), false)).collect();
+    let names: [&[&str]; 3] =
+        [&["t", "z", "u", "w"], &["phase", "sensor", "room"], &["align", "coast", "land", "A", "B"]];
+    by_hand::model(names, parameters, states, vec![meter("z", 1, equation, square(alpha(NOISE)))])
 }
 
 /// A Gauss-Markov state.
 pub(super) fn drift(index: usize) -> Motion {
-    let rate = over(number(-1.0), alpha(TAU));
-    let noise_variance = over(times(number(2.0), square(alpha(DRIFT))), alpha(TAU));
-    Motion::Continuous { derivative: linear(vec![(index, rate)], number(0.0)), noise_variance }
+    gauss_markov(index, alpha(TAU), alpha(DRIFT))
 }
 
 fn phase(at: usize, model: Model, carry: Vec<Carry>) -> Phase {
@@ -118,11 +51,8 @@ fn phase(at: usize, model: Model, carry: Vec<Carry>) -> Phase {
 }
 
 /// Three phases: states that start afresh, that inherit, that do both; a phase's own P0; free values in all of it.
-fn journey() -> PhasedModel {
-    let walk = |terms: Vec<(usize, Expression)>| Motion::Discrete {
-        next: linear(terms, times(alpha(INPUT), column(U))),
-        noise_variance: square(alpha(STEP)),
-    };
+pub(super) fn journey() -> PhasedModel {
+    let walk = |terms: Vec<(usize, Expression)>| discrete(terms, times(alpha(INPUT), column(U)), square(alpha(STEP)));
     let align = model(
         vec![
             state("bias", Motion::Constant, Initial::Estimated),
@@ -184,17 +114,21 @@ pub(super) fn random(mut seed: u64) -> impl FnMut() -> f64 {
     }
 }
 
-fn tests(seed: u64) -> Vec<PhasedTest> {
+pub(super) fn journeys(seed: u64) -> Vec<PhasedTest> {
     let mut random = random(seed);
     let test = |(id, phases): (&str, usize)| {
-        let evidence = (0..phases).map(|at| Evidence::Rows(rows(id, at, 6 - at, &mut random))).collect();
-        PhasedTest { id: id.to_owned(), phases: evidence }
+        let mut rows = |at: usize| {
+            let mut rows = rows(id, at, 6 - at, &mut random);
+            rows.id = format!("{id}{seed}");
+            Evidence::Rows(rows)
+        };
+        PhasedTest { id: format!("{id}{seed}"), phases: (0..phases).map(&mut rows).collect() }
     };
     [("a", 3), ("bb", 2), ("ccc", 1), ("dddd", 3)].into_iter().map(test).collect()
 }
 
 /// Σ of all phases: the second phase's is singular, that of the third has a zero.
-fn law() -> InitialLaw {
+pub(super) fn law() -> InitialLaw {
     let mut root = DMatrix::zeros(5, 4);
     root.view_mut((0, 0), (2, 2)).copy_from(&DMatrix::from_row_slice(2, 2, &[0.8, 0.1, -0.3, 0.9]));
     root[(2, 2)] = 0.6;
@@ -236,7 +170,7 @@ fn cut(mut model: PhasedModel, end: usize, tests: &[PhasedTest]) -> (PhasedModel
 #[test]
 fn scores_equal_differences_of_the_stacked_likelihood() {
     for (phases, seed) in [(2, 1), (3, 2), (3, 3)] {
-        let (model, tests) = cut(journey(), phases, &tests(seed));
+        let (model, tests) = cut(journey(), phases, &journeys(seed));
         let slots = Slots::in_phases(&model, &Labels::new(&model.shared().literals), &tests);
         assert_eq!(slots.len(), VALUES.len(), "eight common values, and two parameters with two levels each");
         let all = law();
@@ -271,7 +205,7 @@ fn scores_equal_differences_of_the_stacked_likelihood() {
 
 #[test]
 fn the_expected_likelihood_of_phases_has_the_slope_of_the_likelihood() {
-    let (model, tests) = (journey(), tests(4));
+    let (model, tests) = (journey(), journeys(4));
     let slots = Slots::in_phases(&model, &Labels::new(&model.shared().literals), &tests);
     let law = law();
     let (reducer, reductions) = reduced(&model, &slots, &VALUES, &tests);
@@ -293,7 +227,7 @@ fn the_expected_likelihood_of_phases_has_the_slope_of_the_likelihood() {
 
 #[test]
 fn scores_have_the_same_bits_alone_and_together() {
-    let (model, tests) = (journey(), tests(5));
+    let (model, tests) = (journey(), journeys(5));
     let slots = Slots::in_phases(&model, &Labels::new(&model.shared().literals), &tests);
     let (reducer, reductions) = reduced(&model, &slots, &VALUES, &tests);
     let scorer = PhasedScorer::new(&model, &reducer, &slots).expect("differentiable");
@@ -331,14 +265,14 @@ fn alike(tests: &[PhasedTest], each: usize, seed: u64) -> Vec<PhasedTest> {
 #[test]
 fn alike_tests_are_scored_as_one_by_one() {
     for phases in 1..=3 {
-        let (model, few) = cut(journey(), phases, &tests(7));
+        let (model, few) = cut(journey(), phases, &journeys(7));
         let slots = Slots::in_phases(&model, &Labels::new(&model.shared().literals), &few);
         let values: Vec<f64> = VALUES.iter().take(slots.len()).copied().collect();
         let all = law();
         let p = model.dimension();
         let law = InitialLaw::known(all.mean_of(&[]).rows(0, p).into_owned(), all.root.rows(0, p).into_owned());
         let mut many = alike(&few, 37, 8);
-        many.extend(tests(9).into_iter().map(|mut test| {
+        many.extend(journeys(9).into_iter().map(|mut test| {
             test.phases.truncate(phases);
             test
         }));
@@ -348,7 +282,7 @@ fn alike_tests_are_scored_as_one_by_one() {
         let sizes: Vec<usize> = companies.companies.iter().map(Vec::len).collect();
         assert_eq!((sizes, companies.alone.len()), (vec![37; 4], 4));
         let plans = Shared::new(PLAN_BYTES);
-        let ensemble = Ensemble { tests: &many, reductions: &reductions, law: &law, plans: &plans };
+        let ensemble = Ensemble { tests: &many, reductions: &reductions, law: &law, plans: &plans, filtered: None };
         for company in &companies.companies {
             let found = scorer.together(ensemble, company, &mut scorer.room()).expect("sound");
             assert!(found.is_some(), "they go together");

@@ -2,9 +2,8 @@
 
 use rayon::prelude::*;
 
-use crate::ensemble::Test;
 use crate::estimate::InitialLaw;
-use crate::reduce::{Filtered, PhasedTest, ReduceError, Reductions};
+use crate::reduce::{PhasedFiltered, PhasedTest, ReduceError, Reductions};
 use crate::score::Companies;
 use crate::score::chain::{Gradient, add};
 use crate::score::company::Told;
@@ -24,6 +23,8 @@ pub(super) struct Ensemble<'a> {
     pub(super) reductions: &'a Reductions,
     pub(super) law: &'a InitialLaw,
     pub(super) plans: &'a Plans,
+    /// Those that are kept side by side, after their filters.
+    pub(super) filtered: Option<&'a PhasedFiltered>,
 }
 
 /// What one test alone has of each of its phases: x̂ and r, and what goes through the carries.
@@ -35,42 +36,24 @@ struct Begun {
 impl PhasedScorer<'_> {
     /// Which of these tests are alike.
     pub(crate) fn companies(&self, tests: &[PhasedTest]) -> Companies {
-        Companies::of(self.reducer, tests, |at, test| self.rows_of(at, test))
-    }
-
-    pub(super) fn rows_of<'t>(&self, at: usize, test: &'t PhasedTest) -> Option<&'t Test> {
-        test.phases.get(at).and_then(|evidence| self.rows(at, evidence))
+        Companies::of(self.reducer, tests)
     }
 
     /// The scores of tests, in any order.
-    pub(super) fn in_companies(
-        &self,
-        tests: &[PhasedTest],
-        reductions: &Reductions,
-        (law, plans): (&InitialLaw, &Plans),
-        (companies, filtered): (&Companies, Option<&Filtered>),
-    ) -> Vec<Score> {
-        let ensemble = Ensemble { tests, reductions, law, plans };
+    pub(super) fn in_companies(&self, of: Ensemble<'_>, companies: &Companies) -> Vec<Score> {
         // covariates move the uncertainty of the mean
-        let own = law.is_restricted() && reductions.iter().any(|reduction| !reduction.covariates.is_empty());
+        let own = of.law.is_restricted() && of.reductions.iter().any(|reduction| !reduction.covariates.is_empty());
         let none;
         let companies = if own {
-            none = Companies::none(tests.len());
+            none = Companies::none(of.tests.len());
             &none
         } else {
             companies
         };
-        let one = |room: &mut Room<'_>, members: &Vec<usize>| self.company(ensemble, members, room);
+        let one = |room: &mut Room<'_>, members: &Vec<usize>| self.company(of, members, room);
         let mut scores: Vec<Score> =
             companies.companies.par_iter().map_init(|| self.room(), one).flatten_iter().collect();
-        let Some(filtered) = filtered else {
-            scores.extend(self.apart(ensemble, &companies.alone));
-            return scores;
-        };
-        let is_other = |number: &&usize| filtered.others.binary_search(number).is_ok();
-        let others: Vec<usize> = companies.alone.iter().filter(is_other).copied().collect();
-        scores.extend(self.in_blocks(ensemble, filtered));
-        scores.extend(self.apart(ensemble, &others));
+        scores.extend(self.apart(of, &companies.alone));
         scores
     }
 
@@ -91,7 +74,7 @@ impl PhasedScorer<'_> {
         room: &mut Room<'_>,
     ) -> Result<Option<Vec<Gradient>>, ReduceError> {
         let first = numbers[0];
-        let like = self.begin(&of.tests[first], of.reductions.get(first), (of.law, of.plans), &mut room.work)?;
+        let like = self.begin(of, first, &mut room.work)?;
         let begin = |numbers: &[usize]| {
             let mut room = self.room();
             numbers.iter().map(|&number| self.begun(of, (first, number), &like, &mut room)).collect::<Vec<_>>()
@@ -106,17 +89,17 @@ impl PhasedScorer<'_> {
         };
         let mut scores: Vec<Gradient> = begun.iter_mut().map(|begun| std::mem::take(&mut begun.carried)).collect();
         for (at, smooth) in like.iter().enumerate() {
-            if self.rows_of(at, &of.tests[first]).is_none() {
+            if self.reducer.rows_of(at, &of.tests[first]).is_none() {
                 continue;
             }
             let told = |(&number, begun): (&usize, &mut Begun)| {
-                let test = self.rows_of(at, &of.tests[number]).expect("alike tests have the same phases");
+                let test = self.reducer.rows_of(at, &of.tests[number]).expect("alike tests have the same phases");
                 let (mean, ending) = std::mem::take(&mut begun.phases[at]);
                 Told { test, mean, ending }
             };
             let told: Vec<Told<'_>> = numbers.iter().zip(&mut begun).map(told).collect();
             let scorer = &self.phases[at];
-            let ending = smooth.later.as_ref().map(|later| scorer.ending(later));
+            let ending = smooth.later.as_ref().map(|later| scorer.ending(later, smooth.moments.columns));
             let work = (&mut room.work.phases[at], &mut room.backward, &mut room.adjoints[at]);
             let Some(own) = scorer.company(&told, (&smooth.moments, ending.as_ref()), work)? else {
                 return Ok(None);
@@ -141,17 +124,17 @@ impl PhasedScorer<'_> {
             let phases = || vec![(smooth.moments.mean_of(reduction, of.law), Vec::new())];
             return Ok(same.then(|| Begun { phases: phases(), carried: Gradient::new() }));
         }
-        let own = self.begin(test, reduction, (of.law, of.plans), &mut room.work)?;
+        let own = self.begin(of, number, &mut room.work)?;
         if own.len() != like.len() || !own.iter().zip(like).all(|(a, b)| a.same_design(b)) {
             return Ok(None);
         }
         let mut carried = std::collections::BTreeMap::new();
         let mut phases = Vec::with_capacity(own.len());
         for (at, smooth) in own.into_iter().enumerate() {
-            if let (Some(bar), Some(rows)) = (&smooth.inherited, self.rows_of(at, test)) {
+            if let (Some(bar), Some(rows)) = (&smooth.inherited, self.reducer.rows_of(at, test)) {
                 self.carried((at, rows), bar, room, &mut carried)?;
             }
-            let ending = smooth.later.map_or(Vec::new(), |later| self.phases[at].ending(&later).r);
+            let ending = smooth.later.map_or(Vec::new(), |later| self.phases[at].ending(&later, later.rho.ncols()).r);
             phases.push((smooth.moments.mean, ending));
         }
         Ok(Some(Begun { phases, carried: carried.into_iter().collect() }))
