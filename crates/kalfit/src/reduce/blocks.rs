@@ -144,7 +144,7 @@ impl Blocks {
         let mut others = last;
         others.sort_unstable();
         let filtered = Filtered { blocks: self.clone(), values: all, others };
-        Ok((Reductions::joined(parts).select(&places), filtered))
+        Ok((Reductions::joined(parts).in_order(&places), filtered))
     }
 }
 

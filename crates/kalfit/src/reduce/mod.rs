@@ -98,7 +98,6 @@ pub use plain::{Plain, StepMatrices};
 pub use reducer::{Reducer, Work};
 pub use reduction::Reduction;
 pub(crate) use reduction::unpack;
-pub(crate) use reductions::ReductionMut;
 pub use reductions::{ReductionRef, Reductions, Rows};
 pub use split::SplitError;
 pub use suboptimal::{EstimateReducer, FilterRunner, Lost, LostError, lost};

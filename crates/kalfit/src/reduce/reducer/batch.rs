@@ -148,7 +148,7 @@ impl<'a> Batch<'a> {
         debug_assert_eq!(self.numbers.len(), tests.len(), "every test was looked at");
         let mut places = vec![0; tests.len()];
         self.numbers.iter().enumerate().for_each(|(place, &number)| places[number] = place);
-        Ok(self.found.select(&places))
+        Ok(std::mem::take(&mut self.found).in_order(&places))
     }
 
     /// Reduces tests.
@@ -312,7 +312,7 @@ impl<'a> Batch<'a> {
                 self.endings[own.number] = Ending::Known(Cow::Owned(filtered.terminal(lane, end)));
             }
             let about = About {
-                factor: &factor,
+                factor,
                 covariates: &own.covariates,
                 steps: own.design.steps(),
                 observations: own.design.rows(),
