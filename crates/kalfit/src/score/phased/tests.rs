@@ -188,7 +188,7 @@ fn tests(seed: u64) -> Vec<PhasedTest> {
     let mut random = random(seed);
     let test = |(id, phases): (&str, usize)| {
         let evidence = (0..phases).map(|at| Evidence::Rows(rows(id, at, 6 - at, &mut random))).collect();
-        PhasedTest { id: id.to_owned(), phases: evidence }
+        PhasedTest { id: id.into(), phases: evidence }
     };
     [("a", 3), ("bb", 2), ("ccc", 1), ("dddd", 3)].into_iter().map(test).collect()
 }
@@ -322,7 +322,7 @@ fn alike(tests: &[PhasedTest], each: usize, seed: u64) -> Vec<PhasedTest> {
                 Evidence::Rows(own)
             };
             let id = format!("{}{number}", test.id);
-            all.push(PhasedTest { id, phases: test.phases.iter().map(again).collect() });
+            all.push(PhasedTest { id: id.into(), phases: test.phases.iter().map(again).collect() });
         }
     }
     all

@@ -7,7 +7,7 @@ use nalgebra::{DMatrix, DVector};
 use crate::ensemble::{Label, Labels, Source, Test};
 use crate::estimate::InitialLaw;
 use crate::model::{Clock, Expression, Initial, Measurement, Motion, PhasedModel, Slots};
-use crate::reduce::{Blocks, Evidence, Filtered, Path, PhasedReducer, PhasedTest, Reduction, Reductions};
+use crate::reduce::{Blocks, Filtered, Path, PhasedReducer, PhasedTest, Reduction, Reductions};
 use crate::score::phased::PhasedScorer;
 use crate::score::phased::tests::*;
 use crate::score::{Companies, Gradient};
@@ -70,7 +70,7 @@ fn drawn_tests(random: &mut impl FnMut() -> f64) -> Vec<PhasedTest> {
             test.push(&[time, values[0], 1.0 + random(), w, values[1]], &texts, Source::default());
             time += if number.is_multiple_of(3) { 0.5 } else { 0.6 + random() };
         }
-        PhasedTest { id: test.id.clone(), phases: vec![Evidence::Rows(test)] }
+        PhasedTest::from(test)
     };
     (0..37).map(one).collect()
 }
