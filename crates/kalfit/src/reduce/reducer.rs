@@ -4,6 +4,7 @@ mod batch;
 mod filtered;
 mod known;
 mod queue;
+mod straight;
 
 use std::sync::atomic::{AtomicU64, Ordering};
 

@@ -71,8 +71,10 @@ impl<'a> Filtered<'a> {
         if !outcome.is_finite() {
             return None;
         }
-        let gains = || Some(Gains { end: end.clone(), ..self.gained.gains(place, rows)? });
-        reducer.ran(own.digest, &own.design, gains);
+        reducer.ran(own.digest, || {
+            let gains = self.gained.gains(place, rows).expect("only sound filters are noted");
+            (own.design.clone(), Gains { end: end.clone(), ..gains })
+        });
         Some(Filter { outcome, factor, end })
     }
 
