@@ -1,7 +1,9 @@
 //! Rows of a table, decoded, on their way into tests.
 
+use std::hash::{BuildHasher, RandomState};
 use std::ops::Range;
 
+use hashbrown::HashTable;
 use kalfit::{Label, Labels};
 
 use crate::error::DataError;
@@ -32,30 +34,47 @@ pub(crate) struct Block {
     pub(crate) end: Option<DataError>,
 }
 
-/// Ids of tests: the first of rows of one test that follow each other, and its id. Each id stands there once, however often it comes.
+/// Ids of tests, in runs of rows of one test that follow each other. Each id stands there once, however often it comes.
 #[derive(Debug, Default)]
 pub(crate) struct Ids {
-    texts: Labels,
-    runs: Vec<(usize, Label)>,
+    texts: String,
+    /// Hashes and places of all ids.
+    known: HashTable<Id>,
+    /// The first row of each run, and its id.
+    runs: Vec<(usize, Id)>,
+}
+
+/// An id: its hash, and where it stands among the texts.
+#[derive(Debug, Clone, Copy)]
+struct Id {
+    hash: u64,
+    start: usize,
+    end: usize,
 }
 
 impl Ids {
-    /// Says the id of a row after those before, and of the rows that follow.
-    pub(crate) fn push(&mut self, row: usize, id: &str) {
-        let last = self.runs.last().map(|(_, id)| self.texts.text(*id));
-        if last != Some(id) {
-            let id = self.texts.intern(id);
-            self.runs.push((row, id));
+    /// Says the id of a row after those before, and of the rows that follow; `hasher` is the same for all blocks.
+    pub(crate) fn push(&mut self, row: usize, id: &str, hasher: &RandomState) {
+        let Ids { texts, known, runs } = self;
+        if runs.last().is_some_and(|(_, last)| texts[last.start..last.end] == *id) {
+            return;
         }
+        let hash = hasher.hash_one(id);
+        let same = |other: &Id| other.hash == hash && texts[other.start..other.end] == *id;
+        let place = match known.find(hash, same) {
+            Some(place) => *place,
+            None => {
+                let place = Id { hash, start: texts.len(), end: texts.len() + id.len() };
+                texts.push_str(id);
+                *known.insert_unique(hash, place, |id| id.hash).get()
+            }
+        };
+        runs.push((row, place));
     }
 
     /// Leaves the rows before this one.
     pub(crate) fn truncate(&mut self, row: usize) {
         self.runs.truncate(self.runs.partition_point(|(first, _)| *first < row));
-    }
-
-    fn get(&self, run: usize) -> &str {
-        self.texts.text(self.runs[run].1)
     }
 }
 
@@ -101,10 +120,10 @@ impl Block {
         if self.ids.runs.is_empty() { usize::from(self.rows > 0) } else { self.ids.runs.len() }
     }
 
-    /// A run of rows of one test, and its id; `None` where no column holds ids.
-    pub(crate) fn run(&self, run: usize) -> (Range<usize>, Option<&str>) {
-        let Some(&(first, _)) = self.ids.runs.get(run) else { return (0..self.rows, None) };
+    /// A run of rows of one test, and its id with its hash; `None` where no column holds ids.
+    pub(crate) fn run(&self, run: usize) -> (Range<usize>, Option<(&str, u64)>) {
+        let Some(&(first, id)) = self.ids.runs.get(run) else { return (0..self.rows, None) };
         let next = self.ids.runs.get(run + 1).map_or(self.rows, |(next, _)| *next);
-        (first..next, Some(self.ids.get(run)))
+        (first..next, Some((&self.ids.texts[id.start..id.end], id.hash)))
     }
 }

@@ -139,7 +139,8 @@ impl<'a> Filler<'a> {
         let (mut row, mut scratch) = (0, String::new());
         while row < rows {
             let id = columns.text(at, row, &mut scratch).map_err(|error| (row, error))?;
-            self.block.ids.push(self.block.rows + row, id.ok_or_else(|| (row, columns.without_id(at, row)))?);
+            let id = id.ok_or_else(|| (row, columns.without_id(at, row)))?;
+            self.block.ids.push(self.block.rows + row, id, &self.wanted.hasher);
             row = columns.change(at, row);
         }
         Ok(())
@@ -163,7 +164,7 @@ impl<'a> Filler<'a> {
                 }
                 id.push_str(text);
             }
-            self.block.ids.push(self.block.rows + row, &id);
+            self.block.ids.push(self.block.rows + row, &id, &self.wanted.hasher);
             row = parts.iter().map(|(_, change)| *change).min().unwrap_or(rows);
         }
         Ok(())
@@ -199,6 +200,8 @@ impl<'a> Filler<'a> {
 
 #[cfg(test)]
 mod tests {
+    use std::hash::RandomState;
+
     use kalfit::Labels;
 
     use super::*;
@@ -260,6 +263,7 @@ mod tests {
             groups: Vec::new(),
             tokens: Tokens::default(),
             comment: None,
+            hasher: RandomState::new(),
         }
     }
 
@@ -276,7 +280,8 @@ mod tests {
         let mut filler = Filler::new(&wanted, 10);
         assert!(filler.fill(&Sheet(SOUND)).is_ok() && filler.fill(&Sheet(SOUND)).is_ok());
         let mut block = filler.finish(Numbering::from(2), None);
-        let runs: Vec<_> = (0..block.runs()).map(|run| block.run(run)).collect();
+        let run = |run: usize| (block.run(run).0, block.run(run).1.map(|(id, _)| id));
+        let runs: Vec<_> = (0..block.runs()).map(run).collect();
         let (a, b, none) = (Some("a"), Some("b"), Some(""));
         assert_eq!(runs[..4], [(0..2, a), (2..3, b), (3..4, none), (4..5, b)]);
         assert_eq!(runs[4..], [(5..7, a), (7..8, b), (8..9, none), (9..10, b)]);
@@ -296,7 +301,8 @@ mod tests {
         let mut filler = Filler::new(&wanted, 5);
         assert!(filler.fill(&Sheet(sheet)).is_ok());
         let block = filler.finish(Numbering::from(2), None);
-        let runs: Vec<_> = (0..block.runs()).map(|run| block.run(run)).collect();
+        let run = |run: usize| (block.run(run).0, block.run(run).1.map(|(id, _)| id));
+        let runs: Vec<_> = (0..block.runs()).map(run).collect();
         assert_eq!(runs, [(0..2, Some("same/a")), (2..5, Some("same/b"))]);
         for (at, text) in [(2, "NA"), (0, "bad")] {
             sheet[at][3] = text;

@@ -1,42 +1,35 @@
 //! Rows into tests.
 
 use std::collections::BTreeMap;
-use std::hash::{BuildHasher, RandomState};
 use std::ops::Range;
 
 use hashbrown::HashTable;
-use kalfit::{Label, Source, Test};
+use kalfit::{Label, Source, Test, TestBatch};
 
 use crate::block::Block;
 use crate::moment::Moment;
 
 /// Gathers rows by test. Streaming, a test is complete when the next one begins; holding, when all is read.
 pub(crate) struct Gather {
-    holds: bool,
     numbers: usize,
     texts: usize,
     /// Text cell with the phase of the row.
     phase_cell: Option<usize>,
-    /// Hashes of the ids seen, with the place of the test in `open` (holding).
+    /// Hashes of the ids seen, with the number of the test.
     seen: HashTable<(u64, usize)>,
-    hasher: RandomState,
-    /// Tests that may still get rows, in order of first appearance: one while streaming.
-    open: Vec<Open>,
-    /// The test of the last row.
-    current: usize,
+    open: Open,
     /// Complete tests, to be handed over.
-    complete: Vec<Test>,
-    /// Cells in `complete`.
-    cells: usize,
-    /// Bytes of the rows in `open`.
+    complete: Option<Vec<Test>>,
+    /// Bytes of the rows of tests that may still get some.
     held: u64,
 }
 
-/// A test that may still get rows.
-struct Open {
-    test: Test,
-    /// Times of its rows so far.
-    times: Option<Times>,
+/// Tests that may still get rows, and those handed over with them.
+enum Open {
+    /// The last test alone, after complete ones that are not handed over yet.
+    Last { batch: TestBatch, times: Option<Times> },
+    /// All tests, in order of first appearance, and the number of that of the last row.
+    All { tests: Vec<(Test, Option<Times>)>, current: usize },
 }
 
 /// Times of a test: the first of all, and the last of each phase, since times may start again with a phase.
@@ -85,50 +78,59 @@ const BATCH_CELLS: usize = 1_000_000;
 
 impl Gather {
     pub(crate) fn new(holds: bool, (numbers, texts): (usize, usize), phase_cell: Option<usize>) -> Gather {
-        Gather {
-            holds,
-            numbers,
-            texts,
-            phase_cell,
-            seen: HashTable::new(),
-            hasher: RandomState::new(),
-            open: Vec::new(),
-            current: 0,
-            complete: Vec::new(),
-            cells: 0,
-            held: 0,
-        }
+        let open = match holds {
+            true => Open::All { tests: Vec::new(), current: 0 },
+            false => Open::Last { batch: TestBatch::new(numbers, texts), times: None },
+        };
+        Gather { numbers, texts, phase_cell, seen: HashTable::new(), open, complete: None, held: 0 }
     }
 
-    /// Turns to the test of the next rows.
-    pub(crate) fn turn(&mut self, id: &str) -> Turn {
-        if self.open.get(self.current).is_some_and(|open| open.test.id == id) {
+    /// Turns to the test of the next rows, by its id and the hash of that.
+    pub(crate) fn turn(&mut self, id: &str, hash: u64) -> Turn {
+        if self.has_test() && self.current() == id {
             return Turn::Known;
         }
-        let hash = self.hasher.hash_one(id);
         // while streaming, two ids with one hash are taken for one: all is read again then, and ids are compared
-        let same = |&(other, at): &(u64, usize)| other == hash && (!self.holds || self.open[at].test.id == id);
-        match self.seen.find(hash, same) {
-            Some(_) if !self.holds => Turn::Returned,
-            Some(&(_, known)) => {
-                self.current = known;
-                Turn::Known
+        let found = match &mut self.open {
+            Open::Last { .. } => self.seen.find(hash, |(other, _)| *other == hash).map(|_| Turn::Returned),
+            Open::All { tests, current } => {
+                let same = |&(other, at): &(u64, usize)| other == hash && tests[at].0.id == id;
+                self.seen.find(hash, same).map(|&(_, known)| {
+                    *current = known;
+                    Turn::Known
+                })
             }
-            None => {
-                self.begin(id, hash);
-                Turn::New
-            }
+        };
+        found.unwrap_or_else(|| {
+            self.begin(id, hash);
+            Turn::New
+        })
+    }
+
+    /// Whether there is a test whose turn it is.
+    fn has_test(&self) -> bool {
+        match &self.open {
+            Open::Last { batch, .. } => !batch.is_empty(),
+            Open::All { tests, .. } => !tests.is_empty(),
         }
     }
 
     /// The texts of the first row of the test whose turn it is.
     pub(crate) fn first_texts(&self) -> Option<&[Label]> {
-        self.open.get(self.current).filter(|open| open.test.rows() > 0).map(|open| open.test.texts(0))
+        match &self.open {
+            Open::Last { batch, .. } => batch.last_texts(),
+            Open::All { tests, current } => {
+                tests.get(*current).filter(|(test, _)| test.rows() > 0).map(|(test, _)| test.texts(0))
+            }
+        }
     }
 
     /// Id of the test whose turn it is.
     pub(crate) fn current(&self) -> &str {
-        self.open.get(self.current).map_or("", |open| &open.test.id)
+        match &self.open {
+            Open::Last { batch, .. } => batch.last_id().unwrap_or_default(),
+            Open::All { tests, current } => tests.get(*current).map_or("", |(test, _)| &test.id),
+        }
     }
 
     /// Puts rows of a block into the test whose turn it is. `unit`: nanoseconds in the unit that date-times are read in.
@@ -143,7 +145,10 @@ impl Gather {
         unit: i128,
     ) -> Result<(), (usize, Moment)> {
         self.held += (rows.len() * (8 * self.numbers + 4 * self.texts)) as u64;
-        let Open { test, times } = &mut self.open[self.current];
+        let times = match &mut self.open {
+            Open::Last { times, .. } => times,
+            Open::All { tests, current } => &mut tests[*current].1,
+        };
         for row in rows.clone() {
             let Some(now) = block.time(row) else { break };
             let phase = self.phase_cell.map_or(Label::MISSING, |cell| block.texts[row * self.texts + cell]);
@@ -156,35 +161,37 @@ impl Gather {
         for (part, row) in block.numbering.parts(rows) {
             let numbers = &block.numbers[part.start * self.numbers..part.end * self.numbers];
             let texts = &block.texts[part.start * self.texts..part.end * self.texts];
-            test.push_rows(part.len(), numbers, texts, Source { file, row });
+            let source = Source { file, row };
+            match &mut self.open {
+                Open::Last { batch, .. } => batch.push_rows(part.len(), numbers, texts, source),
+                Open::All { tests, current } => tests[*current].0.push_rows(part.len(), numbers, texts, source),
+            }
         }
         Ok(())
     }
 
     fn begin(&mut self, id: &str, hash: u64) {
-        if !self.holds {
-            self.close();
-        }
-        self.current = self.open.len();
-        self.seen.insert_unique(hash, (hash, self.current), |(hash, _)| *hash);
-        self.open.push(Open { test: Test::new(id, self.numbers, self.texts), times: None });
-    }
-
-    fn close(&mut self) {
-        self.held = 0;
-        for open in self.open.drain(..) {
-            self.cells += open.test.rows() * (self.numbers + self.texts).max(1);
-            self.complete.push(open.test);
+        self.seen.insert_unique(hash, (hash, self.seen.len()), |(hash, _)| *hash);
+        match &mut self.open {
+            Open::Last { batch, times } => {
+                (*times, self.held) = (None, 0);
+                let cells = batch.rows() * (self.numbers + self.texts).max(1);
+                if batch.len() >= BATCH_TESTS || cells >= BATCH_CELLS {
+                    let whole = std::mem::replace(batch, TestBatch::new(self.numbers, self.texts));
+                    self.complete = Some(whole.finish());
+                }
+                batch.begin(id);
+            }
+            Open::All { tests, current } => {
+                *current = tests.len();
+                tests.push((Test::new(id, self.numbers, self.texts), None));
+            }
         }
     }
 
     /// The complete tests, once there are enough of them to hand over.
     pub(crate) fn batch(&mut self) -> Option<Vec<Test>> {
-        if self.complete.len() < BATCH_TESTS && self.cells < BATCH_CELLS {
-            return None;
-        }
-        self.cells = 0;
-        Some(std::mem::take(&mut self.complete))
+        self.complete.take()
     }
 
     /// Bytes of the rows of tests that may still get some.
@@ -198,11 +205,15 @@ impl Gather {
     }
 
     /// All that is left, in batches.
-    pub(crate) fn finish(mut self) -> Vec<Vec<Test>> {
-        self.close();
+    pub(crate) fn finish(self) -> Vec<Vec<Test>> {
+        let tests = match self.open {
+            Open::Last { batch, .. } if batch.is_empty() => return Vec::new(),
+            Open::Last { batch, .. } => return vec![batch.finish()],
+            Open::All { tests, .. } => tests,
+        };
         let width = (self.numbers + self.texts).max(1);
         let (mut batches, mut batch, mut cells) = (Vec::new(), Vec::new(), 0);
-        for test in self.complete {
+        for (test, _) in tests {
             cells += test.rows() * width;
             batch.push(test);
             if batch.len() >= BATCH_TESTS || cells >= BATCH_CELLS {

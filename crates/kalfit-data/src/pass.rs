@@ -1,5 +1,6 @@
 //! One pass over all inputs.
 
+use std::hash::BuildHasher;
 use std::ops::Range;
 
 use kalfit::{Label, Labels, PhasedModel, Test};
@@ -136,8 +137,11 @@ impl Taker<'_, '_> {
         for run in 0..block.runs() {
             let (rows, id) = block.run(run);
             self.times.check(block, rows.start, self.file.0)?; // before anything else is said of the row
-            let id = id.unwrap_or_else(|| self.job.ids.get(self.file.1 as usize).map_or("", String::as_str));
-            match self.gather.turn(id) {
+            let (id, hash) = id.unwrap_or_else(|| {
+                let id = self.job.ids.get(self.file.1 as usize).map_or("", String::as_str);
+                (id, self.job.wanted.hasher.hash_one(id))
+            });
+            match self.gather.turn(id, hash) {
                 Turn::Returned => return Ok(Goes::NoFurther),
                 Turn::Known => {}
                 // the tests before it go before what may be wrong with its rows

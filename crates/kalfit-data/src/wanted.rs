@@ -1,5 +1,7 @@
 //! The columns that are wanted of a table.
 
+use std::hash::RandomState;
+
 use kalfit::{Layout, Model, TestKey};
 
 use crate::cell::shown;
@@ -29,6 +31,8 @@ pub(crate) struct Wanted {
     pub(crate) tokens: Tokens,
     /// Lines of CSV that begin with this are comments.
     pub(crate) comment: Option<String>,
+    /// What hashes ids.
+    pub(crate) hasher: RandomState,
 }
 
 /// One column and its uses.
@@ -55,7 +59,8 @@ impl Wanted {
         let (numbers, texts) = (model.columns.len(), model.text_columns.len());
         let (tokens, comment) = (Tokens::new(&layout.missing), layout.comment.clone().filter(|text| !text.is_empty()));
         let (ids, groups) = (Vec::new(), Vec::new());
-        let mut wanted = Wanted { columns: Vec::new(), numbers, texts, ids, groups, tokens, comment };
+        let hasher = RandomState::new();
+        let mut wanted = Wanted { columns: Vec::new(), numbers, texts, ids, groups, tokens, comment, hasher };
         wanted.tests(layout);
         for (index, column) in model.columns.iter().enumerate() {
             let wanted = wanted.column(&column.name, &column.used_in);

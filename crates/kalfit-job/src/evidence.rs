@@ -278,7 +278,7 @@ pub(crate) fn entries(model: &PhasedModel, tests: Vec<Test>, labels: &Labels) ->
     for test in tests {
         for (phase, rows) in model.rows_by_phase(test, labels)?.into_iter().enumerate() {
             if rows.rows() > 0 {
-                let (test, at) = (rows.id.clone(), rows.source(0));
+                let (test, at) = (rows.id.to_string(), rows.source(0));
                 entries.push(Entry { test, phase, evidence: Evidence::Rows(rows), at });
             }
         }

@@ -114,7 +114,7 @@ impl Task<'_> {
             let drawn = self.draw(done..next)?;
             truths.as_mut().map_or(Ok(()), |truths| truths.write(&drawn))?;
             if let Some(keep) = &mut keep {
-                keep.extend(drawn.iter().map(|drawn| (drawn.test.id.clone(), drawn.initial.clone())));
+                keep.extend(drawn.iter().map(|drawn| (drawn.test.id.to_string(), drawn.initial.clone())));
             }
             let tests: Vec<Test> = drawn.into_iter().map(|drawn| drawn.test.joined()).collect();
             rows += tests.iter().map(|test| test.rows() as u64).sum::<u64>();

@@ -36,7 +36,7 @@ pub mod shards;
 pub mod simulate;
 pub mod validate;
 
-pub use ensemble::{Group, Grouping, Label, Labels, Layout, Source, Test, TestKey};
+pub use ensemble::{Group, Grouping, Label, Labels, Layout, Source, Test, TestBatch, TestId, TestKey};
 pub use face::{
     Ensemble, EnsembleError, Figure, Fit, MeanProfiles, Options, UnknownName, fit, fit_matrices, fit_reductions,
 };

@@ -102,5 +102,5 @@ fn whole(parts: Parts, model: &PhasedModel, files: &[String]) -> Result<PhasedTe
             }
         }
     }
-    Ok(PhasedTest { id, phases: known })
+    Ok(PhasedTest { id: id.into(), phases: known.into() })
 }

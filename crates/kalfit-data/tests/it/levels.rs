@@ -58,7 +58,7 @@ fn read(rows: &[[&str; 3]]) -> (Vec<(String, Vec<f64>)>, usize) {
             let groups = test.texts(0).iter().map(|label| reading.labels.text(*label)).collect::<Vec<_>>().join("/");
             assert!(test.id.starts_with(&format!("{groups}/")), "{format}: test {} of {groups}", test.id);
         }
-        (sink.tests.iter().map(|test| (test.id.clone(), numbers(test))).collect(), sink.restarts)
+        (sink.tests.iter().map(|test| (test.id.to_string(), numbers(test))).collect(), sink.restarts)
     });
     let first = all.next().expect("a format");
     all.for_each(|other| assert_eq!(other, first));

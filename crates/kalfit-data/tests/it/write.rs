@@ -56,7 +56,7 @@ fn spelt(tests: &[Test], labels: &Labels) -> Vec<Spelt> {
             let bits = |x: &f64| (!x.is_nan()).then(|| x.to_bits());
             let text = |label: &kalfit::Label| (!label.is_missing()).then(|| labels.text(*label).to_owned());
             let (numbers, texts) = (test.numbers(row).iter(), test.texts(row).iter());
-            rows.push((test.id.clone(), numbers.map(bits).collect(), texts.map(text).collect()));
+            rows.push((test.id.to_string(), numbers.map(bits).collect(), texts.map(text).collect()));
         }
     }
     rows

@@ -72,7 +72,7 @@ impl UnitsOf {
                 (_, 0) => format!("it knows {listed}"),
                 _ => format!("it knows {listed} and {more} more"),
             };
-            let (test, unit) = (test.id.clone(), name.join("/"));
+            let (test, unit) = (test.id.to_string(), name.join("/"));
             Failure::UnknownUnit(Box::new(UnknownUnit { test, level: level.clone(), unit, path: path.clone(), known }))
         })
     }

@@ -50,7 +50,7 @@ impl Walk<'_> {
                 measurements: measurements.filter(|own| own.values > 0).collect(),
             }
         };
-        Ok(TestAlong { id: test.id.clone(), phases: smoothed.iter().zip(measured).map(one).collect() })
+        Ok(TestAlong { id: test.id.to_string(), phases: smoothed.iter().zip(measured).map(one).collect() })
     }
 
     /// What was measured in a phase, by measurement.

@@ -90,7 +90,7 @@ impl Applied<'_> {
                 Evidence::Estimates(_) => "estimates",
                 Evidence::Reduced(_) => "a reduction",
             };
-            return Err(ApplyError::NoRows { test: test.id.clone(), phase: phase.name.clone(), found });
+            return Err(ApplyError::NoRows { test: test.id.to_string(), phase: phase.name.clone(), found });
         }
         Ok(())
     }

@@ -187,10 +187,10 @@ fn a_record_in_two_phases_has_the_states_of_the_whole() {
     let onward = names.iter().fold(phase("second", &second), |phase, name| phase.carry(*name, *name));
     let model = PhasedModel::builder("phase").phase(phase("first", &first)).phase(onward).build().expect("a model");
     let tests = [PhasedTest {
-        id: "record".to_owned(),
+        id: "record".into(),
         phases: [0..2, 2..TIMES.len()]
             .into_iter()
-            .map(|rows| cells(&first.build().expect("a model"), rows).phases.remove(0))
+            .map(|rows| cells(&first.build().expect("a model"), rows).phases[0].clone())
             .collect(),
     }];
     let (alpha, population) = (Alpha::default(), population());

@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 
 use nalgebra::DVector;
+use rayon::prelude::*;
 
 use crate::dynamic::edges::Edges;
 use crate::dynamic::indirect::{Around, Indirect};
@@ -39,7 +40,8 @@ pub(crate) struct Bench<'a> {
     /// The groups that tests stand in, where the model has levels.
     grouping: Option<Arc<Grouping>>,
     units: OnceLock<Vec<f64>>,
-    order: Vec<usize>,
+    scales: OnceLock<Scales>,
+    order: OnceLock<Vec<usize>>,
     indirect: Indirect,
     scale: Option<Scale>,
     /// What is known of the tests, where they are elsewhere.
@@ -119,8 +121,6 @@ impl<'a> Bench<'a> {
         edges.bound(&mut coordinates);
         let cone = Edges::least(model, slots, tests);
         cone.iter().for_each(|&(s, least)| coordinates[s].lower = coordinates[s].lower.max(least));
-        let mut order: Vec<usize> = (0..tests.len()).collect();
-        order.sort_by(|&a, &b| tests[a].id.cmp(&tests[b].id));
         Bench {
             model,
             tests,
@@ -132,7 +132,8 @@ impl<'a> Bench<'a> {
             twins: Twins::of(model, slots),
             grouping: grouping(model, tests).ok().flatten().map(Arc::new), // whether there is one is looked at before
             units: OnceLock::new(),
-            order,
+            scales: OnceLock::new(),
+            order: OnceLock::new(),
             indirect: Indirect::of(model, tests, slots),
             scale: Scale::of(model, tests, slots),
             answers: None,
@@ -151,7 +152,7 @@ impl<'a> Bench<'a> {
     ) -> Bench<'a> {
         let bench = Bench::new(model, &[], slots, settings);
         // all of them together stand for one test that knows every value
-        Bench { scale: None, order: vec![0], answers: Some(answers.clone()), units: units.into(), ..bench }
+        Bench { scale: None, order: vec![0].into(), answers: Some(answers.clone()), units: units.into(), ..bench }
     }
 
     /// The tests are elsewhere: what is known is of all of them together.
@@ -172,11 +173,15 @@ impl<'a> Bench<'a> {
         }
     }
 
+    /// Sizes found in the data.
+    pub(crate) fn scales(&self) -> &Scales {
+        self.scales.get_or_init(|| Scales::of(self.model, self.tests, self.order()))
+    }
+
     /// What the data suggest for each value; 1 where they suggest nothing.
     pub(crate) fn units(&self) -> &[f64] {
         self.units.get_or_init(|| {
-            let scales = Scales::of(self.model, self.tests, &self.order);
-            let unit = |slot: &crate::model::Slot| scales.guess(self.model, slot.parameter);
+            let unit = |slot: &crate::model::Slot| self.scales().guess(self.model, slot.parameter);
             let one = |(slot, coordinate): (_, &Coordinate)| if coordinate.log { unit(slot) } else { 1.0 };
             self.slots.slots().iter().zip(&self.coordinates).map(one).collect()
         })
@@ -411,7 +416,12 @@ impl<'a> Bench<'a> {
         if let Told::Tests(tests) = told {
             return Ok((tests.reductions, estimate));
         }
-        let reductions = self.reduce(&values)?.reductions;
+        let run = |value| Ok(self.filter(&[value])?.reductions);
+        let scaled = self.scale.as_ref().map(|scale| scale.last_reductions(values[0], &run)).transpose()?.flatten();
+        let reductions = match scaled {
+            Some(reductions) => reductions,
+            None => self.filter(&values)?.reductions,
+        };
         let state = estimate.state.grounded(&reductions).map_err(FitError::from)?;
         Ok((reductions, Estimate { state, ..estimate }))
     }
@@ -435,7 +445,7 @@ impl<'a> Bench<'a> {
 
     /// The tests in an order that does not depend on theirs.
     pub(crate) fn order(&self) -> &[usize] {
-        &self.order
+        self.order.get_or_init(|| by_id(self.tests))
     }
 
     /// dℓ_j/dvalue of each test at these values and this law.
@@ -491,7 +501,7 @@ impl<'a> Bench<'a> {
         let (own, mut scores): (Vec<f64>, Vec<Gradient>) =
             scorer.all_expected(self.tests, complete).ok()??.into_iter().unzip();
         self.edges.pull(values, &alpha, self.slots, &mut scores);
-        let value: f64 = self.order.iter().map(|&j| own[j]).sum();
+        let value: f64 = self.order().iter().map(|&j| own[j]).sum();
         let gradient = self.gradient(values, &scores, &Gradient::new());
         (value.is_finite() && gradient.iter().all(|g| g.is_finite())).then_some((value, gradient))
     }
@@ -505,11 +515,22 @@ impl<'a> Bench<'a> {
     /// dℓ/dcoordinate from what tests and matrices give.
     pub(crate) fn gradient(&self, values: &[f64], scores: &[Gradient], matrix: &Gradient) -> Vec<f64> {
         let mut gradient = vec![0.0; values.len()];
-        for (slot, bar) in self.order.iter().flat_map(|&j| &scores[j]).chain(matrix) {
+        for (slot, bar) in self.order().iter().flat_map(|&j| &scores[j]).chain(matrix) {
             gradient[*slot] += bar;
         }
         let slope = |(s, value): (usize, &f64)| self.coordinates[s].slope(*value);
         gradient.iter_mut().zip(values.iter().enumerate().map(slope)).for_each(|(g, slope)| *g *= slope);
         gradient
     }
+}
+
+/// Tests in the order of their ids. Most are told apart by the first letters, which are looked at without a visit to each id.
+fn by_id(tests: &[PhasedTest]) -> Vec<usize> {
+    let first =
+        |id: &str| id.bytes().chain(std::iter::repeat(0)).take(8).fold(0, |word, byte| word << 8 | u64::from(byte));
+    let keyed = |(number, test): (usize, &PhasedTest)| (first(&test.id), number);
+    let mut order: Vec<(u64, usize)> = tests.par_iter().enumerate().map(keyed).collect();
+    let id = |number: usize| &*tests[number].id;
+    order.par_sort_unstable_by(|a, b| a.0.cmp(&b.0).then_with(|| id(a.1).cmp(id(b.1))).then(a.1.cmp(&b.1)));
+    order.into_iter().map(|(_, number)| number).collect()
 }

@@ -179,7 +179,7 @@ fn refuse(model: &PhasedModel, tests: &[PhasedTest], slots: &Slots, settings: &S
         let Some(&parameter) = dependences(phase, slots).first() else { continue };
         let reduced = |test: &&PhasedTest| matches!(test.phases.get(at), Some(Evidence::Reduced(_)));
         if let Some(test) = tests.iter().find(reduced) {
-            let (test, phase) = (test.id.clone(), phase.name.clone());
+            let (test, phase) = (test.id.to_string(), phase.name.clone());
             return Err(DynamicError::FixedReduction { test, phase, parameter: name(parameter) });
         }
     }

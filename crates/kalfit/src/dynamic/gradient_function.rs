@@ -6,7 +6,7 @@
 use crate::dynamic::Standing;
 use crate::dynamic::iterate::{RISE, Search};
 use crate::dynamic::joint::{Joint, LEVEL_GROUND};
-use crate::dynamic::scales::{Scales, time_constants};
+use crate::dynamic::scales::time_constants;
 
 /// Levels at zero are given this part of what they were, where a derivative at zero is wanted.
 const TRACE: f64 = 1e-7;
@@ -113,7 +113,7 @@ impl Search<'_, '_> {
                 let within = |t: usize| time.clamp(self.bench.coordinates[t].lower, self.bench.coordinates[t].upper);
                 times.iter().map(|&t| (t, within(t))).collect()
             };
-            let scales = Scales::of(self.bench.model, self.bench.tests, self.bench.order());
+            let scales = self.bench.scales();
             all.extend(scales.range(PART, SPANS, FACTOR).take(MOST_TIMES).chain(scales.beyond(FAR)).map(at));
         }
         let few: Vec<Change> = all.iter().step_by((all.len() / 4).max(1)).cloned().collect();

@@ -97,7 +97,7 @@ fn drawn(tests: usize, seed: u64) -> Vec<PhasedTest> {
         }
         let mut phases = vec![rows(&id, 0, &first), rows(&id, 1, &second)];
         phases.truncate(if j % 5 == 4 { 1 } else { 2 });
-        PhasedTest { id, phases }
+        PhasedTest { id: id.into(), phases: phases.into() }
     };
     (0..tests).map(test).collect()
 }
@@ -199,7 +199,7 @@ fn cut(tests: &[PhasedTest]) -> (Vec<PhasedTest>, Vec<PhasedTest>) {
             parts[usize::from(k >= at)].push(&cells, rows.texts(k), rows.source(k));
         }
         wholes.push(rows.clone().into());
-        halves.push(PhasedTest { id: test.id.clone(), phases: parts.map(Evidence::Rows).to_vec() });
+        halves.push(PhasedTest { id: test.id.clone(), phases: parts.map(Evidence::Rows).into_iter().collect() });
     }
     (wholes, halves)
 }

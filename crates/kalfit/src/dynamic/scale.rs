@@ -18,7 +18,7 @@ use rayon::prelude::*;
 use crate::dynamic::{Coordinate, DynamicError, matrices};
 use crate::estimate::{Estimate, InitialLaw, NoiseInformation, Noisy, Residual, Settings, Structure};
 use crate::model::{PhasedModel, Population, Slots};
-use crate::reduce::{Evidence, PhasedTest, ReductionMut, ReductionRef, Reductions};
+use crate::reduce::{Evidence, PhasedTest, ReductionRef, Reductions};
 use crate::score::{Gradient, expected_square};
 
 /// Where variances are so many times as large as at θ_0, constants are small differences of large numbers; where they are so many
@@ -82,11 +82,11 @@ impl Scale {
             Some(home) => home,
             None => {
                 let reductions = run(value)?;
-                let residual = |reduction: ReductionRef<'_>| {
-                    let squares = reduction.residual?.max(0.0); // rounding leaves less than nothing
-                    Some(Residual { measurements: reduction.observations as f64, squares })
+                let residual = |(squares, observations): (Option<f64>, usize)| {
+                    let squares = squares?.max(0.0); // rounding leaves less than nothing
+                    Some(Residual { measurements: observations as f64, squares })
                 };
-                let Some(residuals) = reductions.iter().map(residual).collect() else { return Ok(None) };
+                let Some(residuals) = reductions.residuals().map(residual).collect() else { return Ok(None) };
                 let home = Arc::new(Home { value, reductions, residuals, noisy: OnceLock::new() });
                 *self.home.lock().unwrap_or_else(PoisonError::into_inner) = Some(home.clone());
                 home
@@ -108,12 +108,18 @@ impl Scale {
     /// The reductions at θ. `None` where θ is not one that others can be had from.
     pub(crate) fn reductions(&self, value: f64, run: Run<'_>) -> Result<Option<Reductions>, DynamicError> {
         let Some((home, variance)) = self.home(value, EXACT, run)? else { return Ok(None) };
-        let unit = variance.sqrt().recip();
-        let mut all = home.reductions.clone();
-        for (number, residual) in home.residuals.iter().enumerate() {
-            scale(all.get_mut(number), *residual, (variance, unit));
-        }
-        Ok(all.par_iter().all(is_finite).then_some(all))
+        Ok(scaled(home.reductions.clone(), &home.residuals, variance))
+    }
+
+    /// The same at the end of a search: nothing is left here that others are had from.
+    pub(crate) fn last_reductions(&self, value: f64, run: Run<'_>) -> Result<Option<Reductions>, DynamicError> {
+        let Some((home, variance)) = self.home(value, EXACT, run)? else { return Ok(None) };
+        *self.home.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        let (reductions, residuals) = match Arc::try_unwrap(home) {
+            Ok(home) => (home.reductions, home.residuals),
+            Err(home) => (home.reductions.clone(), home.residuals.clone()),
+        };
+        Ok(scaled(reductions, &residuals, variance))
     }
 
     /// The same from this θ_0, whatever was asked before.
@@ -167,14 +173,19 @@ impl Scale {
     }
 }
 
-/// To where variances are so many times as large, and √ of the inverse of that.
-fn scale(test: ReductionMut<'_>, residual: Residual, (variance, unit): (f64, f64)) {
-    *test.residual = Some(residual.squares / variance);
-    *test.constant += residual.change(variance);
-    test.data.iter_mut().chain(test.factor).for_each(|x| *x *= unit);
-}
-
-fn is_finite(reduction: ReductionRef<'_>) -> bool {
-    let all = |numbers: &[f64]| numbers.iter().all(|x| x.is_finite());
-    reduction.constant.is_finite() && all(reduction.data) && all(reduction.factor)
+/// To where variances are so many times as large; `None` where something is then not finite.
+fn scaled(mut all: Reductions, residuals: &[Residual], variance: f64) -> Option<Reductions> {
+    let unit = variance.sqrt().recip();
+    let mut finite = true;
+    for (number, residual) in residuals.iter().enumerate() {
+        let test = all.get_mut(number);
+        *test.residual = Some(residual.squares / variance);
+        *test.constant += residual.change(variance);
+        finite &= test.constant.is_finite();
+        for x in test.data.iter_mut().chain(test.factor) {
+            *x *= unit;
+            finite &= x.is_finite();
+        }
+    }
+    finite.then_some(all)
 }

@@ -1,17 +1,22 @@
 //! Sizes found in the data, and which parameters they are sizes of.
 
+use rayon::prelude::*;
+
 use crate::ensemble::Test;
 use crate::model::{Expression, Linear, Motion, Operator, PhasedModel, State};
 use crate::reduce::{Evidence, PhasedTest};
 
 /// Rows of one test that are looked at.
 const ROWS_OF_A_TEST: usize = 20_000;
+/// Tests that a thread looks at together, at least.
+const TOGETHER: usize = 256;
 /// Measured values and what is worked out of them are exact to this part of their size.
 const ROUNDING: f64 = 1e-12;
 /// … and no smaller part of the size of their differences is asked for: squares of its inverse are numbers still.
 const SMALLEST: f64 = 1e-60;
 
 /// Sizes found in the data.
+#[derive(Debug)]
 pub(crate) struct Scales {
     /// Of the differences of successive measured values, by phase and measurement.
     noise: Vec<Vec<f64>>,
@@ -119,9 +124,8 @@ fn is_square(variance: &Expression) -> bool {
 
 /// Root mean square of the differences of successive values within tests, over √2.
 fn differences(tests: &[&Test], column: usize) -> f64 {
-    let (mut sum, mut count) = (0.0, 0.0);
-    for test in tests {
-        let mut last = f64::NAN;
+    let of_test = |test: &&Test| {
+        let (mut sum, mut count, mut last) = (0.0, 0.0, f64::NAN);
         for row in 0..test.rows().min(ROWS_OF_A_TEST) {
             let value = test.numbers(row)[column];
             if !value.is_nan() {
@@ -132,7 +136,10 @@ fn differences(tests: &[&Test], column: usize) -> f64 {
                 last = value;
             }
         }
-    }
+        (sum, count)
+    };
+    let parts: Vec<(f64, f64)> = tests.par_iter().with_min_len(TOGETHER).map(of_test).collect();
+    let (sum, count) = parts.iter().fold((0.0, 0.0), |(sum, n), (part, more)| (sum + part, n + more));
     let size: f64 = if count > 0.0 { f64::sqrt(sum / count) } else { 0.0 };
     if size > 0.0 && size.is_finite() { size } else { 1.0 }
 }

@@ -12,7 +12,7 @@ use crate::dynamic::balance::balance;
 use crate::dynamic::bench::Bench;
 use crate::dynamic::iterate::Start;
 use crate::dynamic::sample::{promising, sample, total};
-use crate::dynamic::scales::{Scales, is_noise, time_constants};
+use crate::dynamic::scales::{is_noise, time_constants};
 use crate::dynamic::tries::{other_maxima, scan, tried};
 use crate::estimate::Progress;
 use crate::model::Value;
@@ -117,7 +117,7 @@ fn unknown(bench: &Bench<'_>) -> Vec<usize> {
 
 /// A first value for each slot: those that were given where they are to be heeded.
 fn guess(bench: &Bench<'_>, heeded: bool) -> Vec<f64> {
-    let scales = Scales::of(bench.model, bench.tests, bench.order());
+    let scales = bench.scales();
     let one = |(s, slot): (usize, &crate::model::Slot)| {
         let parameter = &bench.model.shared().parameters[slot.parameter];
         let coordinate = bench.coordinates[s];

@@ -1,11 +1,16 @@
 //! What was observed: tests, and the texts in them.
 
+mod batch;
 mod grouping;
+mod id;
 mod labels;
 mod layout;
+mod records;
 mod test;
 
+pub use batch::TestBatch;
 pub use grouping::{Group, Grouping};
+pub use id::TestId;
 pub use labels::{Label, Labels};
 pub use layout::{Layout, TestKey};
 pub use test::{Source, Test};

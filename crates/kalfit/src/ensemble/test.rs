@@ -1,8 +1,10 @@
 //! One test: its rows, in time order.
 
 use std::ops::Range;
+use std::sync::Arc;
 
-use crate::ensemble::Label;
+use crate::ensemble::records::Records;
+use crate::ensemble::{Label, TestId};
 
 /// Where a row came from. The core only carries it, for messages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -14,84 +16,75 @@ pub struct Source {
 }
 
 /// The rows of one test with the columns a model reads. Missing numbers are NaN, missing texts [`Label::MISSING`].
-#[derive(Debug, Clone, PartialEq)]
+///
+/// Tests that were read together share the memory of their cells ([`TestBatch`](crate::TestBatch)): a copy of a test, or of some of its rows,
+/// copies no cell. A test that is changed gets cells of its own first, unless nobody else has them.
+#[derive(Debug, Clone)]
 pub struct Test {
     /// Its id, as text.
-    pub id: String,
-    columns: usize,
-    text_columns: usize,
-    numbers: Vec<f64>,
-    texts: Vec<Label>,
+    pub id: TestId,
+    records: Arc<Records>,
+    /// Its first row among the records.
+    first: usize,
     rows: usize,
-    /// (row of the test, where it came from): the first of rows that follow each other in a file.
-    sources: Vec<(usize, Source)>,
 }
 
 impl Test {
     /// An empty test whose rows have this many numeric and text cells.
-    pub fn new(id: impl Into<String>, columns: usize, text_columns: usize) -> Test {
-        let (numbers, texts, sources) = (Vec::new(), Vec::new(), Vec::new());
-        Test { id: id.into(), columns, text_columns, numbers, texts, rows: 0, sources }
+    pub fn new(id: impl Into<TestId>, columns: usize, text_columns: usize) -> Test {
+        Test { id: id.into(), records: Arc::new(Records::new(columns, text_columns)), first: 0, rows: 0 }
+    }
+
+    /// Rows of records.
+    pub(super) fn part(id: TestId, records: &Arc<Records>, rows: Range<usize>) -> Test {
+        Test { id, records: records.clone(), first: rows.start, rows: rows.len() }
     }
 
     /// Appends a row. Panics when the number of cells is not that of the test.
     pub fn push(&mut self, numbers: &[f64], texts: &[Label], source: Source) {
-        assert_eq!((numbers.len(), texts.len()), (self.columns, self.text_columns), "cells of a row");
-        self.numbers.extend_from_slice(numbers);
-        self.texts.extend_from_slice(texts);
-        if self.rows == 0 || self.next_source() != Some(source) {
-            self.sources.push((self.rows, source));
-        }
-        self.rows += 1;
+        self.push_rows(1, numbers, texts, source);
     }
 
     /// Appends rows, the k-th of them from row `source.row + k` of its file. Panics when the number of cells is not that of so
     /// many rows of the test.
     pub fn push_rows(&mut self, rows: usize, numbers: &[f64], texts: &[Label], source: Source) {
-        assert_eq!(
-            (numbers.len(), texts.len()),
-            (rows * self.columns, rows * self.text_columns),
-            "cells of {rows} rows"
-        );
-        if rows == 0 {
-            return;
-        }
-        if self.rows == 0 {
-            // most tests come whole: no more memory than they need
-            self.numbers.reserve_exact(numbers.len());
-            self.texts.reserve_exact(texts.len());
-            self.sources.reserve_exact(1);
-        }
-        self.numbers.extend_from_slice(numbers);
-        self.texts.extend_from_slice(texts);
-        if self.rows == 0 || self.next_source() != Some(source) {
-            self.sources.push((self.rows, source));
-        }
+        self.own().push(rows, numbers, texts, source);
         self.rows += rows;
     }
 
     /// Appends rows of another test. Panics where it has no such rows, or other numbers of cells.
     pub(crate) fn push_from(&mut self, other: &Test, rows: Range<usize>) {
-        let mut start = rows.start;
-        while start < rows.end {
-            let end = other.follow(start).min(rows.end);
-            let numbers = &other.numbers[start * other.columns..end * other.columns];
-            let texts = &other.texts[start * other.text_columns..end * other.text_columns];
-            self.push_rows(end - start, numbers, texts, other.source(start));
-            start = end;
+        assert!(rows.end <= other.rows, "rows {rows:?} of {}", other.rows);
+        if self.rows == 0 {
+            (self.records, self.first, self.rows) = (other.records.clone(), other.first + rows.start, rows.len());
+            return;
         }
+        let (own, from) = (self.own(), other.first);
+        own.push_from(&other.records, from + rows.start..from + rows.end);
+        self.rows += rows.len();
     }
 
     /// The first rows, at most as many as there are.
     pub(crate) fn first(&self, rows: usize) -> Test {
-        let mut test = Test::new(self.id.clone(), self.columns, self.text_columns);
-        test.push_from(self, 0..rows.min(self.rows()));
-        test
+        Test { rows: rows.min(self.rows), ..self.clone() }
+    }
+
+    /// Its records, which nobody else has and which have no other rows.
+    fn own(&mut self) -> &mut Records {
+        let (first, rows) = (self.first, self.rows);
+        let alone = Arc::get_mut(&mut self.records).is_some_and(|records| first == 0 && records.rows() == rows);
+        if !alone {
+            let (columns, text_columns) = self.records.widths();
+            let mut own = Records::new(columns, text_columns);
+            own.push_from(&self.records, first..first + rows);
+            (self.records, self.first) = (Arc::new(own), 0);
+        }
+        Arc::get_mut(&mut self.records).expect("nobody else has them")
     }
 
     /// Numeric and text cells of a row.
     pub(crate) fn widths(&self) -> (usize, usize) {
-        (self.columns, self.text_columns)
+        self.records.widths()
     }
 
     /// Number of rows.
@@ -100,44 +93,49 @@ impl Test {
     }
 
     /// Numeric cells of a row.
+    #[inline]
     pub fn numbers(&self, row: usize) -> &[f64] {
-        &self.numbers[row * self.columns..][..self.columns]
+        assert!(row < self.rows, "row {row} of {}", self.rows);
+        self.records.numbers(self.first + row..self.first + row + 1)
     }
 
     /// Numeric cells of all rows.
     pub(crate) fn all_numbers(&self) -> &[f64] {
-        &self.numbers
+        self.records.numbers(self.first..self.first + self.rows)
     }
 
     /// Sets a numeric cell. Panics when there is no such cell.
     pub fn set_number(&mut self, row: usize, column: usize, value: f64) {
-        assert!(column < self.columns, "column {column} of {}", self.columns);
-        self.numbers[row * self.columns + column] = value;
+        assert!(row < self.rows, "row {row} of {}", self.rows);
+        self.own().set_number(row, column, value);
     }
 
     /// Text cells of a row.
+    #[inline]
     pub fn texts(&self, row: usize) -> &[Label] {
-        &self.texts[row * self.text_columns..][..self.text_columns]
+        assert!(row < self.rows, "row {row} of {}", self.rows);
+        self.records.texts(self.first + row..self.first + row + 1)
+    }
+
+    /// Text cells of all rows.
+    fn all_texts(&self) -> &[Label] {
+        self.records.texts(self.first..self.first + self.rows)
     }
 
     /// Where a row came from.
     pub fn source(&self, row: usize) -> Source {
         assert!(row < self.rows, "row {row} of {}", self.rows);
-        let run = self.sources.partition_point(|(first, _)| *first <= row) - 1;
-        let (first, source) = self.sources[run];
-        Source { row: source.row + (row - first) as u64, ..source }
+        self.records.source(self.first + row)
     }
+}
 
-    /// The end of the rows that follow this one in its file.
-    fn follow(&self, row: usize) -> usize {
-        let next = self.sources.partition_point(|(first, _)| *first <= row);
-        self.sources.get(next).map_or(self.rows, |(first, _)| *first)
-    }
-
-    /// Where the next row comes from, if it follows the last one in its file.
-    fn next_source(&self) -> Option<Source> {
-        let (first, source) = self.sources.last()?;
-        Some(Source { row: source.row.checked_add((self.rows - first) as u64)?, ..*source })
+impl PartialEq for Test {
+    fn eq(&self, other: &Test) -> bool {
+        self.id == other.id
+            && (self.widths(), self.rows) == (other.widths(), other.rows)
+            && self.all_numbers() == other.all_numbers()
+            && self.all_texts() == other.all_texts()
+            && (0..self.rows).all(|row| self.source(row) == other.source(row))
     }
 }
 
@@ -153,7 +151,7 @@ mod tests {
         for (k, &(file, row)) in sources.iter().enumerate() {
             assert_eq!(test.source(k), Source { file, row }, "row {k}");
         }
-        assert_eq!((test.rows(), test.sources.len()), (10, 7));
+        assert_eq!(test.rows(), 10);
     }
 
     #[test]

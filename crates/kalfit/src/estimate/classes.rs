@@ -55,8 +55,10 @@ pub(crate) struct Classes {
     pub(crate) present: Vec<f64>,
     /// Tests are kept phase by phase where that can be.
     chained: bool,
-    /// Which tests are in which class, and of which reductions; `None` where the classes are a part of others.
-    members: Option<(Members, u64)>,
+    /// Which tests are in which class; `None` where the classes are a part of others.
+    members: Option<Arc<Members>>,
+    /// Of which reductions they are.
+    stamp: Option<u64>,
     /// Where tests stand in groups: the groups of the outermost level with all that stands in them.
     pub(crate) units: Option<Arc<Units>>,
     /// Where the tests are when they are elsewhere: then there are no classes here.
@@ -175,7 +177,7 @@ impl Classes {
         let kinds = (0..members.len()).map(kind).collect();
         let found = (reductions.len(), pooled.information(&frame), present(reductions, &elements));
         let classes = Classes::arranged((kinds, &fill), chains, (&frame, &elements, chained), found);
-        Classes { members: Some((members, reductions.stamp())), ..classes }
+        Classes { members: Some(Arc::new(members)), stamp: Some(reductions.stamp()), ..classes }
     }
 
     /// The classes, and who is worked on side by side with whom; `fill` puts a class into a place.
@@ -215,6 +217,7 @@ impl Classes {
             present,
             chained,
             members: None,
+            stamp: None,
             units: None,
             remote: None,
         }
@@ -247,19 +250,25 @@ impl Classes {
 
     /// These classes, if they are those of the reductions, or the classes of the reductions in the same coordinates.
     pub(crate) fn of<'a>(&'a self, reductions: &Reductions) -> Cow<'a, Classes> {
-        let own = self.members.as_ref().is_some_and(|(_, stamp)| *stamp == reductions.stamp());
+        let own = self.stamp.is_some_and(|stamp| stamp == reductions.stamp());
         if own { Cow::Borrowed(self) } else { Cow::Owned(Classes::within(reductions, self)) }
+    }
+
+    /// The same as the classes of these reductions, which are those of the same tests in the same order at the noise of the classes.
+    pub(super) fn grounded(&self, reductions: &Reductions) -> Option<Classes> {
+        let members = self.members.as_ref().filter(|members| members.tests().len() == reductions.len());
+        let known = members.is_some() && self.units.is_none();
+        known.then(|| Classes { stamp: Some(reductions.stamp()), ..self.clone() })
     }
 
     /// Numbers of the tests of a class, by their ids, of the reductions that these are the classes of.
     pub(crate) fn tests_of(&self, class: usize) -> &[usize] {
-        let (members, _) = self.members.as_ref().expect("they are of reductions");
-        members.class(class)
+        self.members.as_ref().expect("they are of reductions").class(class)
     }
 
     /// Every test has a class to itself, of those that these are the classes of.
     pub(crate) fn are_single(&self) -> bool {
-        self.members.is_some() && self.len() == self.tests
+        self.stamp.is_some() && self.len() == self.tests
     }
 
     /// The same where all noise is λ times as large, from what each class says of it, in coordinates that are √λ times as large.
@@ -292,7 +301,8 @@ impl Classes {
             information: self.information.clone(),
             elements: self.elements.clone(),
             present: self.present.clone(),
-            members: None,
+            members: self.members.clone(),
+            stamp: None,
             units: self.units.as_ref().map(|units| Arc::new(units.with_noise(noise_unit, change))),
             remote: None,
             ..*self

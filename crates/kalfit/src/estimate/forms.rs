@@ -4,7 +4,7 @@
 use std::ops::Range;
 
 use kalfit_lanes::{Kernel, Lanes};
-use nalgebra::{DMatrix, DMatrixView};
+use nalgebra::DMatrix;
 
 use crate::estimate::chained::{Detail, Packed, Root, Said};
 use crate::estimate::class::ClassRef;
@@ -27,27 +27,35 @@ pub(crate) fn forms_in_parts<T: Send>(
 ) -> Vec<T> {
     let isa = classes.blocks.isa();
     let p = point.mean.len();
-    let one = |terms: &mut Terms, class: ClassRef<'_>| {
+    let one = |(terms, forms): (&mut Terms, &mut Vec<f64>), class: ClassRef<'_>| {
         terms.evaluate(class, regressors, point, Detail::Between);
-        let products = DMatrixView::from_slice(&terms.W, p, p) * directions; // W is symmetric
-        directions.column_iter().zip(products.column_iter()).map(|(u, Wu)| u.dot(&Wu)).collect::<Vec<f64>>()
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let form = |u: &[f64]| terms.W.chunks_exact(p).zip(u).map(|(row, own)| own * dot(row, u)).sum::<f64>();
+        forms.clear();
+        forms.extend(directions.as_slice().chunks_exact(p.max(1)).map(form));
     };
     let root = &Root::of(&point.root);
     let parts = in_pieces(
         classes,
-        &|| (start(), Terms::new(p)),
-        &|(made, terms), k, class| of(made, k, &one(terms, class)),
-        &|(made, terms), packed| {
+        &|| (start(), Terms::new(p), Vec::new()),
+        &|(made, terms, forms), k, class| {
+            one((terms, forms), class);
+            of(made, k, forms);
+        },
+        &|(made, terms, forms), packed| {
             let found = isa.run(Forms { packed, classes: &classes.listed, regressors, point, root, directions });
             for (lane, &k) in packed.members().iter().enumerate() {
                 match &found {
                     Some(found) => of(made, k, &found[lane * directions.ncols()..][..directions.ncols()]),
-                    None => of(made, k, &one(terms, classes.listed.get(k))),
+                    None => {
+                        one((terms, forms), classes.listed.get(k));
+                        of(made, k, forms);
+                    }
                 }
             }
         },
     );
-    parts.into_iter().map(|(made, _)| made).collect()
+    parts.into_iter().map(|(made, ..)| made).collect()
 }
 
 /// u'Wu of classes side by side, for every column u; one class after the other.

@@ -110,9 +110,12 @@ impl State {
 }
 
 impl State {
-    /// The same, its classes gathered from reductions of the same tests.
+    /// The same, its classes those of reductions of the same tests.
     pub(crate) fn grounded(self, reductions: &Reductions) -> Result<State, StructureError> {
-        let problem = Problem::within(&self.evidence(reductions), &self.structure(), &self.problem)?;
+        let problem = match self.problem.classes.grounded(reductions) {
+            Some(classes) => Problem::of(classes, &self.structure(), self.problem.criterion())?,
+            None => Problem::within(&self.evidence(reductions), &self.structure(), &self.problem)?,
+        };
         Ok(State { problem: Arc::new(problem), ..self })
     }
 }

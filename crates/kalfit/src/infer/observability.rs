@@ -309,7 +309,7 @@ impl Shares<'_> {
             let tests = classes.tests_of(k);
             for (c, &own) in forms.iter().enumerate() {
                 parts.totals[c] += own * tests.len() as f64;
-                parts.offer(c, own, reductions.id(tests[0]));
+                parts.offer(c, own, || reductions.id(tests[0]));
             }
         });
         parts.into_iter().for_each(|parts| all.add(parts));
@@ -336,16 +336,16 @@ impl<'a> Parts<'a> {
         self.totals.iter_mut().zip(&other.totals).for_each(|(sum, part)| *sum += part);
         for (c, best) in other.best.into_iter().enumerate() {
             if let Some((own, test)) = best {
-                self.offer(c, own, test);
+                self.offer(c, own, || test);
             }
         }
     }
 
-    /// The larger stays; of equals the first by id.
-    fn offer(&mut self, c: usize, own: f64, test: &'a str) {
-        let better = |&(most, id): &(f64, &str)| own > most || (own >= most && test < id);
+    /// The larger stays; of equals the first by id, which most are not asked for.
+    fn offer(&mut self, c: usize, own: f64, test: impl Fn() -> &'a str) {
+        let better = |&(most, id): &(f64, &str)| own > most || (own >= most && test() < id);
         if own > 0.0 && self.best[c].as_ref().is_none_or(better) {
-            self.best[c] = Some((own, test));
+            self.best[c] = Some((own, test()));
         }
     }
 }

@@ -97,9 +97,14 @@ impl Chained {
         };
         if !rows::are_finite(&series) {
             let kind = Box::new(ReduceErrorKind::NotFinite);
-            return Err(ReduceError { test: Some(whole.id.clone()), row: None, what: "innovations".to_owned(), kind });
+            return Err(ReduceError {
+                test: Some(whole.id.to_string()),
+                row: None,
+                what: "innovations".to_owned(),
+                kind,
+            });
         }
-        Ok(seen.then(|| Innovations::new(whole.id.clone(), series, rest)))
+        Ok(seen.then(|| Innovations::new(whole.id.to_string(), series, rest)))
     }
 
     /// In square roots: the innovations, log p of phases without any, and whether there are phases with some.

@@ -258,7 +258,7 @@ impl Predictor {
     fn one(&self, design: &PhasedTest, initial: &Initial) -> Result<Vec<PhasePredictions>, PredictError> {
         for (evidence, phase) in design.phases.iter().zip(&self.model.phases) {
             if !matches!(evidence, Evidence::Rows(_)) {
-                return Err(PredictError::NoRows { test: design.id.clone(), phase: phase.name.clone() });
+                return Err(PredictError::NoRows { test: design.id.to_string(), phase: phase.name.clone() });
             }
         }
         let mut propagators = self.propagators.iter();

@@ -98,8 +98,8 @@ fn phases_go_on_where_the_last_one_ended() {
     let onward = ["bias", "slope", "walk"].iter().fold(phase("on", &second), |phase, name| phase.carry(*name, *name));
     let model = PhasedModel::builder("phase").phase(phase("first", &first)).phase(onward).build().expect("a model");
     let single = first.build().expect("a model");
-    let phases = [0..2, 2..TIMES.len()].into_iter().map(|rows| cells(&single, rows).phases.remove(0)).collect();
-    let found = predicted(&model, PhasedTest { id: "mission".to_owned(), phases }, Knowledge::exact());
+    let phases = [0..2, 2..TIMES.len()].into_iter().map(|rows| cells(&single, rows).phases[0].clone()).collect();
+    let found = predicted(&model, PhasedTest { id: "mission".into(), phases }, Knowledge::exact());
     for (phase, first) in found.iter().zip([0, 2]) {
         for step in &phase.steps {
             let time = step.time.expect("there are times");

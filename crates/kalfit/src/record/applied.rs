@@ -273,7 +273,7 @@ fn outlying_groups(
 fn ranked(tests: &[PhasedTest], squares: impl Iterator<Item = (f64, usize, Option<f64>)>) -> Vec<FarRecord> {
     let one = |(test, (squared, degrees_of_freedom, p_value)): (&PhasedTest, (f64, usize, Option<f64>))| {
         let p_value = p_value?;
-        Some(FarRecord { test: test.id.clone(), squared, degrees_of_freedom, p_value, p_corrected: p_value })
+        Some(FarRecord { test: test.id.to_string(), squared, degrees_of_freedom, p_value, p_corrected: p_value })
     };
     let mut all: Vec<FarRecord> = tests.iter().zip(squares).filter_map(one).collect();
     all.sort_by(|a, b| a.p_value.total_cmp(&b.p_value).then_with(|| a.test.cmp(&b.test)));

@@ -97,7 +97,7 @@ impl TestGroups {
             for cell in cells.filter(|cell| !cell.is_missing()) {
                 if let Some(first) = group.filter(|first| *first != cell) {
                     return Err(MixedGroup {
-                        test: test.id.clone(),
+                        test: test.id.to_string(),
                         column: self.name.clone(),
                         first: labels.text(first).to_owned(),
                         second: labels.text(cell).to_owned(),
@@ -105,7 +105,7 @@ impl TestGroups {
                 }
                 group = Some(cell);
             }
-            self.of.push((test.id.clone(), group.map(|label| labels.text(label).to_owned())));
+            self.of.push((test.id.to_string(), group.map(|label| labels.text(label).to_owned())));
         }
         Ok(())
     }

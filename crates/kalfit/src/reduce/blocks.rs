@@ -123,7 +123,7 @@ impl Blocks {
         let (rest, last) = self.rest(reducer, tests, found.odd)?;
         let mut places = vec![0; tests.len()];
         found.numbers.iter().chain(&last).enumerate().for_each(|(place, &number)| places[number] = place);
-        Ok((Reductions::joined(vec![found.reductions, rest]).select(&places), filtered))
+        Ok((Reductions::joined(vec![found.reductions, rest]).in_order(&places), filtered))
     }
 
     /// The same with where each test ends, if that is wanted; what is wrong with a test is said of it alone.

@@ -47,7 +47,7 @@ pub(crate) struct DataWork<R = f64> {
 }
 
 /// What the data say under a design.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Outcome {
     pub(crate) constant: f64,
     /// The sum of squares that is left.

@@ -3,8 +3,9 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::ensemble::{Label, Labels, Test};
+use crate::ensemble::{Label, Labels, Test, TestId};
 use crate::model::{PhasedModel, Slots};
+use crate::reduce::phases::Phases;
 use crate::reduce::reduction::Reduction;
 use crate::reduce::terminal::Terminal;
 
@@ -12,9 +13,9 @@ use crate::reduce::terminal::Terminal;
 #[derive(Debug, Clone, PartialEq)]
 pub struct PhasedTest {
     /// Its id.
-    pub id: String,
+    pub id: TestId,
     /// What is known of each phase, from the first one on.
-    pub phases: Vec<Evidence>,
+    pub phases: Phases,
 }
 
 /// What is known of one phase of a test.
@@ -82,7 +83,7 @@ pub struct Inherited {
 
 impl From<Test> for PhasedTest {
     fn from(test: Test) -> PhasedTest {
-        PhasedTest { id: test.id.clone(), phases: vec![Evidence::Rows(test)] }
+        PhasedTest { id: test.id.clone(), phases: Evidence::Rows(test).into() }
     }
 }
 

@@ -43,7 +43,7 @@ pub fn grouping(model: &PhasedModel, tests: &[PhasedTest]) -> Result<Option<Grou
     }
     let path = |test: &PhasedTest| match &test.phases[..] {
         [only] => groups_of(model, &test.id, only),
-        _ => Err(GroupingError::NoRows { test: test.id.clone() }),
+        _ => Err(GroupingError::NoRows { test: test.id.to_string() }),
     };
     let paths = tests.iter().map(|test| Ok((test.id.as_str(), path(test)?)));
     Ok(Some(Grouping::from_paths(model.levels.len(), paths.collect::<Result<Vec<_>, _>>()?)))

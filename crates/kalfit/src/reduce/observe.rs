@@ -13,7 +13,7 @@ use crate::reduce::semidefinite::{NotSemidefinite, ldl};
 use crate::reduce::subject::{At, Coefficient, Fault, Subject, Uses};
 
 pub(crate) use backward::Unwhitened;
-pub(crate) use follow::Ahead;
+pub(crate) use follow::{Ahead, Lines};
 
 /// A measurement of the model at α.
 #[derive(Debug, Clone)]

@@ -190,6 +190,18 @@ impl Preparer {
         self.meters.can_repeat() && !noise.any(|&(i, j, slot)| i != j && varies(slot))
     }
 
+    /// No state of any test moves, nothing but what is measured is read of it, and rows are steps: tests differ in lines and values.
+    pub(crate) fn rests(&self) -> bool {
+        let (frame, transition) = (&self.order.frame, self.plan.blank());
+        let still = frame.r == 0 && frame.driven.is_empty() && transition.phi.is_empty() && transition.q.is_empty();
+        still
+            && self.follows
+            && self.steady
+            && self.model.clock.time.is_none()
+            && self.law.is_some()
+            && self.start.uses.is_empty()
+    }
+
     /// The law of x_0, when no test changes it.
     pub(crate) fn law(&self) -> Option<&Law> {
         self.law.as_ref()

@@ -8,6 +8,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use kalfit_lanes::{Isa, Kernel, Lanes};
 
 use crate::ensemble::{Label, Test};
+use crate::reduce::shared::Mixed;
 use crate::reduce::subject::Uses;
 
 /// Rows whose cells are looked at together.
@@ -153,9 +154,9 @@ pub(crate) struct Memory<V> {
 
 #[derive(Debug)]
 struct Shard<V> {
-    known: HashMap<u64, Arc<V>>,
+    known: HashMap<u64, Arc<V>, Mixed>,
     /// Seen once.
-    noted: HashSet<u64>,
+    noted: HashSet<u64, Mixed>,
 }
 
 impl<V> Shard<V> {
@@ -170,7 +171,7 @@ impl<V> Shard<V> {
 
 impl<V> Memory<V> {
     pub(crate) fn new(limit: usize) -> Memory<V> {
-        let shard = || Mutex::new(Shard { known: HashMap::new(), noted: HashSet::new() });
+        let shard = || Mutex::new(Shard { known: HashMap::default(), noted: HashSet::default() });
         Memory { shards: (0..16).map(|_| shard()).collect(), bytes: AtomicUsize::new(0), limit }
     }
 

@@ -4,6 +4,7 @@ mod batch;
 mod filtered;
 mod known;
 mod queue;
+mod straight;
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -209,7 +210,7 @@ impl Reducer {
             return Err(Fault::new(Subject::Test, ReduceErrorKind::NotFinite));
         }
         let reduction = Reduction {
-            test: test.id.clone(),
+            test: test.id.to_string(),
             constant: 0.0,
             residual: None,
             data: vec![0.0; work.design.frame.p],

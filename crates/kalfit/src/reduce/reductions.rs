@@ -145,6 +145,11 @@ impl Reductions {
         numbers.iter().map(|&number| self.get(number)).collect()
     }
 
+    /// The same in the order of these numbers, each of which is there once.
+    pub(crate) fn in_order(self, numbers: &[usize]) -> Reductions {
+        if numbers.iter().enumerate().all(|(at, number)| at == *number) { self } else { self.select(numbers) }
+    }
+
     /// Adds a test.
     pub fn push(&mut self, reduction: Reduction) {
         self.put(ReductionRef { chain: None, ..reduction.view() });
@@ -209,6 +214,11 @@ impl Reductions {
     /// Which arithmetic made it.
     pub(crate) fn path(&self, number: usize) -> Path {
         self.paths[number]
+    }
+
+    /// The sum of squares that is left of each test, and how many measurements it has.
+    pub(crate) fn residuals(&self) -> impl Iterator<Item = (Option<f64>, usize)> + use<'_> {
+        self.residuals.iter().copied().zip(self.observations.iter().copied())
     }
 
     /// d of a test.

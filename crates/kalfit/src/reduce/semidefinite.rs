@@ -60,9 +60,19 @@ pub(crate) fn root(a: &[f64], m: usize) -> Result<Vec<f64>, NotSemidefinite> {
 /// J = R'R. The least pivot is that of J scaled to unit diagonal, columns of zeros set aside; a pivot below `zero` gives a row
 /// of zeros in R.
 pub(crate) fn information_root(j: &[f64], p: usize, zero: f64) -> (Vec<f64>, f64) {
+    let mut root = Vec::new();
+    let least = information_root_to(&mut root, j, p, zero);
+    (root, least)
+}
+
+/// The same, R in the place of what was in `root`.
+pub(crate) fn information_root_to(root: &mut Vec<f64>, j: &[f64], p: usize, zero: f64) -> f64 {
     let at = |i: usize, k: usize| i + k * (k + 1) / 2;
-    let scale: Vec<f64> = (0..p).map(|i| j[at(i, i)].sqrt()).collect();
-    let (mut r, mut least) = (vec![0.0; j.len()], f64::INFINITY);
+    root.clear();
+    root.resize(j.len() + p, 0.0);
+    let (r, scale) = root.split_at_mut(j.len());
+    (0..p).for_each(|i| scale[i] = j[at(i, i)].sqrt());
+    let mut least = f64::INFINITY;
     for k in 0..p {
         if scale[k] == 0.0 {
             continue;
@@ -89,7 +99,8 @@ pub(crate) fn information_root(j: &[f64], p: usize, zero: f64) -> (Vec<f64>, f64
             r[at(i, k)] *= scale[k];
         }
     }
-    (r, least)
+    root.truncate(j.len());
+    least
 }
 
 #[cfg(test)]

@@ -29,12 +29,12 @@ impl<K, V> Default for Shard<K, V> {
     }
 }
 
-/// Digests are mixed already.
-type Mixed = BuildHasherDefault<Half>;
+/// Digests and hashes are mixed already.
+pub(super) type Mixed = BuildHasherDefault<Half>;
 
-/// The upper half of a digest: the lower one has told the shard.
+/// The upper half of a digest: the lower one has told the shard. Of a hash its first bits have done so, and others take their place.
 #[derive(Debug, Default)]
-struct Half(u64);
+pub(super) struct Half(u64);
 
 impl Hasher for Half {
     fn finish(&self) -> u64 {
@@ -43,6 +43,10 @@ impl Hasher for Half {
 
     fn write(&mut self, bytes: &[u8]) {
         bytes.iter().for_each(|&byte| self.0 = self.0.rotate_left(8) ^ u64::from(byte));
+    }
+
+    fn write_u64(&mut self, hash: u64) {
+        self.0 = hash ^ hash << 32;
     }
 
     fn write_u128(&mut self, digest: u128) {

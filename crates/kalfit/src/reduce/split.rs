@@ -87,13 +87,16 @@ impl PhasedModel {
     /// # Errors
     /// A row without phase or of an unknown one; a phase without the one before it.
     pub fn split(&self, test: Test, labels: &Labels) -> Result<PhasedTest, SplitError> {
+        if self.column.is_none() {
+            return Ok(test.into());
+        }
         let id = test.id.clone();
         let mut phases = self.rows_by_phase(test, labels)?;
         let last = phases.iter().rposition(|phase| phase.rows() > 0).unwrap_or(0);
         if let Some(missing) = phases[..last].iter().rposition(|phase| phase.rows() == 0) {
             let later = missing + 1;
             return Err(SplitError::MissingPhase {
-                test: id,
+                test: id.to_string(),
                 at: phases[later].source(0),
                 missing: self.phases[missing].name.clone(),
                 later: self.phases[later].name.clone(),
@@ -152,7 +155,7 @@ impl PhasedModel {
         if let Some(phase) = self.phases.iter().position(|phase| phase.label.is_some_and(of)) {
             return Ok(phase);
         }
-        let (id, at, column) = (test.id.clone(), test.source(row), self.shared().text_columns[column].name.clone());
+        let (id, at, column) = (test.id.to_string(), test.source(row), self.shared().text_columns[column].name.clone());
         let phases = self.phases.iter().map(|phase| format!("`{}`", phase.name)).collect();
         Err(if cell.is_missing() {
             SplitError::MissingCell { test: id, at, column, phases }

@@ -93,7 +93,7 @@ impl Fault {
 
     pub(crate) fn name(self, model: &Model, test: Option<&Test>) -> ReduceError {
         ReduceError {
-            test: test.map(|test| test.id.clone()),
+            test: test.map(|test| test.id.to_string()),
             row: test.zip(self.row).map(|(test, row)| test.source(row)),
             what: self.subject.words(model),
             kind: Box::new(self.kind),

@@ -1,7 +1,7 @@
 //! What a design pass adds up.
 #![expect(non_snake_case, reason = "the letters of the theory: S, J")]
 
-use crate::reduce::semidefinite::information_root;
+use crate::reduce::semidefinite::information_root_to;
 use kalfit_lanes::{Lanes, Real};
 
 /// A scaled pivot of J below this is too ill-conditioned for sums of T'S⁻¹T.
@@ -63,29 +63,31 @@ impl<R: Lanes> Sums<R> {
 }
 
 impl Sums {
-    /// Those of one lane, from [`Sums::lanes`].
-    pub(crate) fn of_lane(all: &[f64], lane: usize, lanes: usize) -> Sums {
+    /// Takes those of one lane, from [`Sums::lanes`].
+    pub(crate) fn take_lane(&mut self, all: &[f64], lane: usize, lanes: usize) {
         let entries = all.len() / lanes - 4;
         let at = |k: usize| all[k * lanes + lane];
-        Sums {
-            J: (0..entries).map(at).collect(),
-            mantissa: at(entries),
-            exponent: at(entries + 1),
-            kept: at(entries + 2),
-            least: at(entries + 3),
-        }
+        self.J.clear();
+        self.J.extend((0..entries).map(at));
+        (self.mantissa, self.exponent) = (at(entries), at(entries + 1));
+        (self.kept, self.least) = (at(entries + 2), at(entries + 3));
     }
 
     /// (R, Σ log S), or `None` where square-root arrays are called for. `many`: more rows, (S, how many).
     pub(crate) fn root(&self, many: &[(f64, usize)]) -> Option<(Vec<f64>, f64)> {
+        self.root_in(Vec::new(), many)
+    }
+
+    /// The same, R in the place of what was in `root`.
+    pub(crate) fn root_in(&self, mut root: Vec<f64>, many: &[(f64, usize)]) -> Option<(Vec<f64>, f64)> {
         let sound = self.kept >= 0.0 && self.least > 0.0 && self.J.iter().all(|x| x.is_finite());
         if !sound || !self.mantissa.is_finite() {
             return None;
         }
         let p = (0..).find(|&p| packed(p) == self.J.len()).expect("J is a packed triangle");
-        let (factor, least) = information_root(&self.J, p, LEAST_PIVOT);
+        let least = information_root_to(&mut root, &self.J, p, LEAST_PIVOT);
         let repeated: f64 = many.iter().map(|&(S, many)| many as f64 * S.ln()).sum();
         let log_determinant = self.mantissa.ln() + self.exponent * std::f64::consts::LN_2 + repeated;
-        (least >= LEAST_PIVOT).then_some((factor, log_determinant))
+        (least >= LEAST_PIVOT).then_some((root, log_determinant))
     }
 }

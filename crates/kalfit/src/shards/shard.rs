@@ -54,7 +54,7 @@ impl Shard {
         let is_rows = |test: &PhasedTest| test.phases.iter().all(|evidence| matches!(evidence, Evidence::Rows(_)));
         if let (Some(slot), Some(test)) = (slots.slots().first(), tests.iter().find(|test| !is_rows(test))) {
             let parameter = model.shared().parameters[slot.parameter].name.clone();
-            return Err(ShardError::NotRows { test: test.id.clone(), parameter });
+            return Err(ShardError::NotRows { test: test.id.to_string(), parameter });
         }
         tests.sort_by(|a, b| a.id.cmp(&b.id));
         let scale = Scale::of(&model, &tests, &slots);

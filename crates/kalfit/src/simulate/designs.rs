@@ -26,7 +26,7 @@ impl Designs {
         }
         let mut ids = BTreeSet::new();
         if let Some(twice) = tests.iter().find(|test| !ids.insert(test.id.as_str())) {
-            return Err(SimulateError::DuplicateTest { id: twice.id.clone() });
+            return Err(SimulateError::DuplicateTest { id: twice.id.to_string() });
         }
         let mut mark = "#".to_owned();
         while ids.iter().any(|id| id.trim_end_matches(|c: char| c.is_ascii_digit()).ends_with(&mark)) {
@@ -74,7 +74,7 @@ impl Designs {
     pub fn id(&self, index: u64) -> String {
         let design = self.design(index);
         match index / self.tests.len() as u64 {
-            0 => design.id.clone(),
+            0 => design.id.to_string(),
             round => format!("{}{}{}", design.id, self.mark, round + 1),
         }
     }

@@ -187,13 +187,13 @@ impl Simulator {
         let (mut phases, mut initial, mut last) = (Vec::new(), Vec::new(), DVector::zeros(0));
         for ((phase, evidence), path) in self.phases().zip(&design.phases).zip(paths) {
             let mut rows = phase.rows(evidence, &id)?;
-            rows.id.clone_from(&id);
+            rows.id = id.as_str().into();
             let xi = phase.draw(&mut rows, (&last, &added), path, &mut random)?;
             last = phase.last(path);
             initial.extend(xi);
             phases.push(Evidence::Rows(rows));
         }
-        Ok(Drawn { test: PhasedTest { id, phases }, initial })
+        Ok(Drawn { test: PhasedTest { id: id.into(), phases: phases.into() }, initial })
     }
 }
 
@@ -262,7 +262,7 @@ impl PhaseDraw<'_> {
             let (row, column) = (instance.row, model.measurements[instance.meter].column);
             if !value.is_finite() {
                 let (row, column) = (rows.source(row), model.columns[column].name.clone());
-                return Err(SimulateError::NotFinite { test: rows.id.clone(), row, column });
+                return Err(SimulateError::NotFinite { test: rows.id.to_string(), row, column });
             }
             rows.set_number(row, column, value);
         }
@@ -285,7 +285,7 @@ impl PhaseDraw<'_> {
             let mut same_row = own.iter().rev();
             if let Some(other) = same_row.find(|other| model.measurements[other.meter].column == column) {
                 return Err(SimulateError::SharedCell {
-                    test: test.id.clone(),
+                    test: test.id.to_string(),
                     row: test.source(instance.row),
                     column: model.columns[column].name.clone(),
                     first: model.measurements[other.meter].name.clone(),

@@ -122,7 +122,7 @@ impl Folds {
 /// What is left out as a whole: of each test itself, or its group of the outermost level.
 fn pieces(model: &PhasedModel, labels: &Labels, tests: &[PhasedTest]) -> Result<Vec<String>, FoldsError> {
     let found = grouping(model, tests).map_err(|error| FoldsError::Validate(Box::new(error.into())))?;
-    let Some(grouping) = found else { return Ok(tests.iter().map(|test| test.id.clone()).collect()) };
+    let Some(grouping) = found else { return Ok(tests.iter().map(|test| test.id.to_string()).collect()) };
     let level = model.levels.len() - 1;
     let name = |test: &PhasedTest| {
         let number = grouping.number(&test.id).unwrap_or_default();

@@ -202,7 +202,7 @@ fn applied(
         _ => {
             let all = tests.iter().zip(&said.posteriors).zip(observations);
             all.map(|((test, found), observations)| Piece {
-                name: test.id.clone(),
+                name: test.id.to_string(),
                 fold,
                 log_density: found.log_likelihood,
                 observations,

@@ -46,7 +46,7 @@ fn refitted(ensemble: &Ensemble, folds: &Folds) -> Vec<(String, f64)> {
             let applied = Applied::new(ensemble.model(), &fit.alpha, &fit.population(), &tests)
                 .map(|own| own.said().expect("it says").posteriors[0].log_likelihood);
             let own = applied.expect("it applies");
-            found.push((tests[0].id.clone(), own));
+            found.push((tests[0].id.to_string(), own));
         }
     }
     found.sort_by(|a, b| a.0.cmp(&b.0));
@@ -96,7 +96,7 @@ fn folds_do_not_depend_on_the_order_of_tests() {
     let of = |ensemble: &Ensemble| {
         let folds = Folds::drawn(&model, ensemble.labels(), ensemble.tests(), (5, 3)).expect("folds");
         let mut named: Vec<(String, usize)> =
-            ensemble.tests().iter().map(|test| test.id.clone()).zip(folds.of).collect();
+            ensemble.tests().iter().map(|test| test.id.to_string()).zip(folds.of).collect();
         named.sort();
         named
     };

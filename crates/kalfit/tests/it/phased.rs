@@ -43,7 +43,7 @@ fn assert_close(found: &DMatrix<f64>, expected: &DMatrix<f64>, tolerance: f64, w
 /// Another test of the model of a journey: as many rows, other values.
 fn another(journey: &Journey, id: usize, rng: &mut ChaCha8Rng) -> PhasedTest {
     let mut test = journey.test.clone();
-    test.id = format!("t{id}");
+    test.id = format!("t{id}").into();
     for (evidence, phase) in test.phases.iter_mut().zip(&journey.phases) {
         let Evidence::Rows(rows) = evidence else { unreachable!("journeys have rows") };
         rows.id.clone_from(&test.id);
@@ -279,7 +279,7 @@ proptest! {
     fn pieces_given_as_evidence_give_the_bits_of_the_rows(seed in any::<u64>()) {
         let journey = Journey::random(seed);
         let given = pieces(&journey).into_iter().map(|piece| Evidence::Reduced(Box::new(piece))).collect();
-        let given = PhasedTest { id: "t".to_owned(), phases: given };
+        let given = PhasedTest { id: "t".into(), phases: given };
         let mut mixed = journey.test.clone();
         mixed.phases[0] = given.phases[0].clone();
         let expected = reduce(&journey);
@@ -565,7 +565,7 @@ fn wide_roots_are_narrowed() {
             terminal.root = DMatrix::from_fn(root.nrows(), 4 * columns, twice);
         }
         let phases = parts.into_iter().map(|piece| Evidence::Reduced(Box::new(piece))).collect();
-        let found = reduce_all(&journey.model, &[PhasedTest { id: "t".to_owned(), phases }]).get(0).into();
+        let found = reduce_all(&journey.model, &[PhasedTest { id: "t".into(), phases }]).get(0).into();
         let xi = DVector::from_fn(journey.dimension(), |_, _| normal(&mut rng));
         assert_near(log_likelihood(&found, &xi), log_likelihood(&expected, &xi), 1e-11, "given ξ");
         for phase in &found.chain.expect("several phases have a chain").phases {

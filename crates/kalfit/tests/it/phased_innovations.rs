@@ -86,7 +86,7 @@ fn of_several_designs(count: u64) -> Vec<PhasedTest> {
             Evidence::Rows(rows) => Evidence::Rows(stretched(rows)),
             other => other.clone(),
         });
-        *test = PhasedTest { id: format!("t{j}"), phases: phases.collect() };
+        *test = PhasedTest { id: format!("t{j}").into(), phases: phases.collect() };
     }
     tests
 }

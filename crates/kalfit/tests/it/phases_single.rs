@@ -185,10 +185,10 @@ fn messages_name_the_phase_and_the_row() {
     let mut rows = ROWS;
     rows[14].1[0] = 12.0;
     insta::assert_snapshot!(refusal(&sound, split(&sound, &rows)), @"test `S1`, row 16: time of a row of phase `transfer`: time 12 follows time 14");
-    insta::assert_snapshot!(refusal(&sound, PhasedTest { id: "S1".to_owned(), phases: Vec::new() }), @"test `S1`: the test: the test has no rows");
+    insta::assert_snapshot!(refusal(&sound, PhasedTest { id: "S1".into(), phases: Vec::new().into() }), @"test `S1`: the test: the test has no rows");
     insta::assert_snapshot!(refusal(&sound, split(&sound, &[])), @"test `S1`: phase `calibrate`: the test has no rows");
     let mut four = split(&sound, &ROWS);
-    four.phases.push(four.phases[2].clone());
+    four.phases.extend([four.phases[2].clone()]);
     insta::assert_snapshot!(refusal(&sound, four), @"test `S1`: the test: found 4 phases, expected 3 at most");
 }
 
@@ -220,7 +220,7 @@ fn reductions_made_before_must_have_the_shape_of_their_phase() {
         let mut pieces = pieces.clone();
         change(&mut pieces[at]);
         let phases = pieces.into_iter().map(|piece| Evidence::Reduced(Box::new(piece))).collect();
-        refusal(&model, PhasedTest { id: "S1".to_owned(), phases })
+        refusal(&model, PhasedTest { id: "S1".into(), phases })
     };
     insta::assert_snapshot!(refused(0, &|piece| piece.reduction.data.truncate(1)), @"test `S1`: data of the reduction of phase `calibrate`: found 1 x 1, expected 2 x 1");
     insta::assert_snapshot!(refused(1, &|piece| piece.reduction.factor.push(1.0)), @"test `S1`: factor of the reduction of phase `transfer`: found 4 x 1, expected 3 x 1");

@@ -234,7 +234,7 @@ mod tests {
             let mut block = rows::block(table.form, &table.positions, &chunk);
             block.relabel(&mut labels);
             for run in 0..block.runs() {
-                let (range, id) = block.run(run);
+                let (range, id) = (block.run(run).0, block.run(run).1.map(|(id, _)| id));
                 rows.extend(range.map(|row| {
                     let lot = labels.text(block.texts[row]);
                     format!("line {}: {id:?} {:?} {lot:?}", block.numbering.of(row), block.numbers[row])

@@ -30,7 +30,7 @@ pub(crate) use whole::Totals as WholeTotals;
 pub(crate) struct Blocks {
     isa: Isa,
     layout: Layout,
-    numbers: Vec<f64>,
+    numbers: Arc<Vec<f64>>,
     /// Of each class, as they were gathered.
     constants: Arc<Vec<f64>>,
     /// Σ constant.
@@ -71,7 +71,7 @@ impl Blocks {
             }
         });
         let constant = constants.iter().sum();
-        Blocks { isa, layout, numbers, constants: Arc::new(constants), constant }
+        Blocks { isa, layout, numbers: Arc::new(numbers), constants: Arc::new(constants), constant }
     }
 
     /// Puts the class with this number into a place, its constant as it was gathered.
@@ -86,10 +86,11 @@ impl Blocks {
     pub(crate) fn shrunk(&self, unit: f64, change: f64) -> Blocks {
         let (lanes, layout) = (self.isa.lanes(), self.layout);
         let data = pairs(layout.p) * lanes..layout.covariates() * lanes;
-        let mut numbers = self.numbers.clone();
+        let mut numbers = (*self.numbers).clone();
         let shrink = |block: &mut [f64]| block[data.clone()].iter_mut().for_each(|x| *x *= unit);
         numbers.par_chunks_mut((layout.size() * lanes).max(1)).with_min_len(TASKS).for_each(shrink);
-        Blocks { numbers, constants: self.constants.clone(), constant: self.constant + change, ..*self }
+        let constants = self.constants.clone();
+        Blocks { numbers: Arc::new(numbers), constants, constant: self.constant + change, ..*self }
     }
 
     /// What it is worked on with.

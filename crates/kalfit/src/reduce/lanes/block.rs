@@ -93,14 +93,25 @@ impl Block {
     }
 
     /// What a pass found in a lane, for `active` measurements with this Σ log S.
-    pub(crate) fn outcome(&self, lane: usize, (active, log_determinant): (usize, f64), room: &Room) -> Outcome {
+    pub(crate) fn outcome(&self, lane: usize, of: (usize, f64), room: &Room) -> Outcome {
+        let mut outcome = Outcome::default();
+        self.outcome_to(&mut outcome, lane, of, room);
+        outcome
+    }
+
+    /// The same in the place of another.
+    pub(crate) fn outcome_to(
+        &self,
+        outcome: &mut Outcome,
+        lane: usize,
+        (active, log_determinant): (usize, f64),
+        room: &Room,
+    ) {
         let from = if room.is_refined[lane] { &room.refined } else { &room.d };
         let log_density = -0.5 * (active as f64 * std::f64::consts::TAU.ln() + log_determinant);
-        Outcome {
-            constant: log_density - 0.5 * room.residual[lane],
-            residual: room.residual[lane],
-            data: from.iter().skip(lane).step_by(self.isa.lanes()).copied().collect(),
-        }
+        (outcome.constant, outcome.residual) = (log_density - 0.5 * room.residual[lane], room.residual[lane]);
+        outcome.data.clear();
+        outcome.data.extend(from.iter().skip(lane).step_by(self.isa.lanes()));
     }
 
     /// The innovations of the test in a lane, of as many measurements as the longest test has.

@@ -237,15 +237,17 @@ impl Gained {
     #[inline(always)]
     fn finish<T: Lanes>(&mut self, sums: &Sums<T>, designs: usize) {
         sums.lanes(&mut self.sums);
-        self.found.clear();
+        self.found.resize(designs, None);
         self.factor.clear();
         self.factor.resize(packed(self.p) * T::COUNT, 0.0);
-        for lane in 0..designs {
-            let found = Sums::of_lane(&self.sums, lane, T::COUNT).root(&[]);
-            if let Some((factor, _)) = &found {
+        let mut own = Sums::new(self.p);
+        for (lane, found) in self.found.iter_mut().enumerate() {
+            own.take_lane(&self.sums, lane, T::COUNT);
+            let room = found.take().map_or_else(Vec::new, |(factor, _)| factor);
+            *found = own.root_in(room, &[]);
+            if let Some((factor, _)) = &*found {
                 factor.iter().enumerate().for_each(|(k, &x)| self.factor[k * T::COUNT + lane] = x);
             }
-            self.found.push(found);
         }
     }
 
@@ -260,11 +262,11 @@ impl Gained {
         &self.variance
     }
 
-    pub(super) fn coefficients(&self) -> &[f64] {
+    pub(crate) fn coefficients(&self) -> &[f64] {
         &self.h
     }
 
-    pub(super) fn noise(&self) -> &[f64] {
+    pub(crate) fn noise(&self) -> &[f64] {
         &self.noise
     }
 

@@ -68,7 +68,7 @@ impl PhasedReducer {
         if self.phases.len() == 1 {
             let only = |(test, parts): (&PhasedTest, Result<Vec<Part<'_>>, ReduceError>)| {
                 let only = parts?.into_iter().next().expect("a test has a phase");
-                Ok(Reduction { test: test.id.clone(), chain: None, ..only.reduction.into_owned() })
+                Ok(Reduction { test: test.id.to_string(), chain: None, ..only.reduction.into_owned() })
             };
             return tests.iter().zip(parts).map(only).collect();
         }
@@ -115,7 +115,7 @@ impl PhasedReducer {
             return Err(refuse(&test.id, WHOLE, ReduceErrorKind::NotFinite));
         }
         let mut reduction = Reduction {
-            test: test.id.clone(),
+            test: test.id.to_string(),
             constant,
             residual: None,
             data,

@@ -18,6 +18,7 @@ use crate::reduce::prepare::Workspace;
 use crate::reduce::reducer::filtered::Filter;
 use crate::reduce::reducer::known::Known;
 use crate::reduce::reducer::queue::Queue;
+use crate::reduce::reducer::straight::Straight;
 use crate::reduce::reducer::{About, Reducer};
 use crate::reduce::subject::Fault;
 use crate::reduce::{Path, Reduction, Reductions};
@@ -63,6 +64,8 @@ pub(crate) struct Batch<'a> {
     /// The group that makes room for another, when there are as many as there may be.
     oldest: usize,
     queue: Queue,
+    /// Tests without dynamics, of the length of the last one that was evaluated.
+    straight: Option<Straight>,
     /// Tests that something is wrong with, or that call for square-root arrays: their turn comes last, each by itself.
     odd: Vec<usize>,
     /// Reductions as they come, and the number of the test of each.
@@ -104,9 +107,12 @@ impl Reducer {
         is_short(design) && !self.classes.has(digest, |known| known.same(design))
     }
 
-    /// Takes note of a design whose filter was run elsewhere. `gains` puts together what it left, if it is wanted.
-    pub(crate) fn ran(&self, digest: u128, design: &Design, gains: impl FnOnce() -> Option<Gains>) {
-        let made = || (design.clone(), Ok(gains().expect("only sound filters are noted")));
+    /// Takes note of a design whose filter was run elsewhere. `made` puts together what it left, if it is wanted.
+    pub(crate) fn ran(&self, digest: u128, made: impl FnOnce() -> (Design, Gains)) {
+        let made = || {
+            let (design, gains) = made();
+            (design, Ok(gains))
+        };
         // threads that meet one design at the same time count once: the work told of does not depend on threads
         let first = self.classes.offer((digest, self.eager), made, class_bytes);
         self.design_runs.fetch_add(u64::from(first), Ordering::Relaxed);
@@ -131,6 +137,7 @@ impl<'a> Batch<'a> {
             latest: 0,
             oldest: 0,
             queue: Queue::default(),
+            straight: None,
             odd: Vec::new(),
             found: Reductions::new(),
             numbers: Vec::new(),
@@ -148,7 +155,7 @@ impl<'a> Batch<'a> {
         debug_assert_eq!(self.numbers.len(), tests.len(), "every test was looked at");
         let mut places = vec![0; tests.len()];
         self.numbers.iter().enumerate().for_each(|(place, &number)| places[number] = place);
-        Ok(self.found.select(&places))
+        Ok(std::mem::take(&mut self.found).in_order(&places))
     }
 
     /// Reduces tests.
@@ -170,6 +177,7 @@ impl<'a> Batch<'a> {
         while let Some(line) = self.queue.any() {
             self.filter(tests, line);
         }
+        self.filter_straight(tests);
         for number in std::mem::take(&mut self.odd) {
             let found = self.reducer.one(tests[number], &mut self.work);
             self.note_alone(number, found);
@@ -263,6 +271,9 @@ impl<'a> Batch<'a> {
     /// Evaluates a test. Others are recognised by it, if it has a hash.
     fn evaluate(&mut self, tests: &[&Test], number: usize, hash: Option<u64>) {
         let (test, reducer) = (tests[number], self.reducer);
+        if hash.is_none() && self.go_straight(tests, number) {
+            return;
+        }
         if let Err(fault) = reducer.preparer().prepare(test, &mut self.work) {
             self.faults.push((number, reducer.named(*fault, test)));
             return;
@@ -272,6 +283,7 @@ impl<'a> Batch<'a> {
             self.filter(tests, line);
         }
         if hash.is_none() && reducer.goes_aside(digest, &self.work.design) {
+            self.follow_straight(tests, test);
             if let Some(full) = self.queue.push(number, digest, &mut self.work) {
                 self.filter(tests, full);
             }
@@ -282,6 +294,49 @@ impl<'a> Batch<'a> {
             reducer.learn(test, class, hash, &self.work);
         }
         self.note_alone(number, found.map_err(|fault| reducer.named(*fault, test)));
+    }
+
+    /// Evaluates a test without dynamics straight into a lane; false where it is to be evaluated as others.
+    fn go_straight(&mut self, tests: &[&Test], number: usize) -> bool {
+        let (test, reducer) = (tests[number], self.reducer);
+        let Some(straight) = self.straight.as_mut().filter(|straight| straight.is_of(test.rows())) else {
+            return false;
+        };
+        let Some(digest) = straight.evaluate(reducer.preparer(), test) else { return false };
+        let waits = straight.has(digest) || self.queue.line_with(digest).is_some();
+        if waits || !reducer.goes_aside(digest, straight.design()) {
+            self.filter_straight(tests); // its design is known then
+            return false;
+        }
+        if straight.seat(number, digest) {
+            self.filter_straight(tests);
+        }
+        true
+    }
+
+    /// Lets tests of the length of this one, which is in the work space, go straight into lanes where they may.
+    fn follow_straight(&mut self, tests: &[&Test], test: &Test) {
+        let known = self.straight.as_ref().is_some_and(|straight| straight.is_of(test.rows()));
+        if known || self.reducer.ends {
+            return;
+        }
+        if let Some(straight) = Straight::like(self.reducer.preparer(), test, &self.work) {
+            self.filter_straight(tests);
+            self.straight = Some(straight);
+        }
+    }
+
+    /// Runs the filters of tests that went straight into lanes.
+    fn filter_straight(&mut self, tests: &[&Test]) {
+        let Batch { reducer, work, straight, found, numbers, odd, .. } = self;
+        let Some(straight) = straight else { return };
+        straight.filter((reducer, work), |number, filtered| match filtered {
+            Some((outcome, about)) => {
+                found.put(reducer.row(tests[number], outcome, about));
+                numbers.push(number);
+            }
+            None => odd.push(number),
+        });
     }
 
     /// Takes what was found of the test in the work space.
@@ -312,7 +367,7 @@ impl<'a> Batch<'a> {
                 self.endings[own.number] = Ending::Known(Cow::Owned(filtered.terminal(lane, end)));
             }
             let about = About {
-                factor: &factor,
+                factor,
                 covariates: &own.covariates,
                 steps: own.design.steps(),
                 observations: own.design.rows(),

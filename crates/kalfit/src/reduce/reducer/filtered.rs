@@ -22,10 +22,10 @@ pub(crate) struct Filtered<'a> {
 
 /// What is known of one of them.
 #[derive(Debug)]
-pub(crate) struct Filter {
+pub(crate) struct Filter<'a> {
     pub(crate) outcome: Outcome,
     /// R, packed.
-    pub(crate) factor: Vec<f64>,
+    pub(crate) factor: &'a [f64],
     /// Where it ends, if that is wanted.
     pub(crate) end: Option<End>,
 }
@@ -58,11 +58,11 @@ pub(crate) fn filters<'d>(tests: &[(&'d Design, &Data)], work: &mut Workspace) -
 
 impl<'a> Filtered<'a> {
     /// What the filter of a test found; `None` where square-root arrays are called for or something is not finite.
-    pub(crate) fn of(&self, lane: usize) -> Option<Filter> {
-        let (reducer, own) = (self.reducer, &self.tests[lane]);
-        let (factor, log_determinant) = self.gained.found[lane].clone()?;
+    pub(crate) fn of(&self, lane: usize) -> Option<Filter<'a>> {
+        let (reducer, own, gained) = (self.reducer, &self.tests[lane], self.gained);
+        let (factor, log_determinant) = gained.found[lane].as_ref()?;
         let rows = own.design.rows();
-        let outcome = self.block.outcome(lane, (rows, log_determinant), self.room);
+        let outcome = self.block.outcome(lane, (rows, *log_determinant), self.room);
         let place = (lane, self.block.lanes());
         let end = match reducer.ends {
             true => Some(self.gained.end(place, &reducer.preparer.order.states)?),
@@ -71,8 +71,10 @@ impl<'a> Filtered<'a> {
         if !outcome.is_finite() {
             return None;
         }
-        let gains = || Some(Gains { end: end.clone(), ..self.gained.gains(place, rows)? });
-        reducer.ran(own.digest, &own.design, gains);
+        reducer.ran(own.digest, || {
+            let gains = self.gained.gains(place, rows).expect("only sound filters are noted");
+            (own.design.clone(), Gains { end: end.clone(), ..gains })
+        });
         Some(Filter { outcome, factor, end })
     }
 

@@ -119,10 +119,10 @@ pub(super) fn journeys(seed: u64) -> Vec<PhasedTest> {
     let test = |(id, phases): (&str, usize)| {
         let mut rows = |at: usize| {
             let mut rows = rows(id, at, 6 - at, &mut random);
-            rows.id = format!("{id}{seed}");
+            rows.id = format!("{id}{seed}").into();
             Evidence::Rows(rows)
         };
-        PhasedTest { id: format!("{id}{seed}"), phases: (0..phases).map(&mut rows).collect() }
+        PhasedTest { id: format!("{id}{seed}").into(), phases: (0..phases).map(&mut rows).collect() }
     };
     [("a", 3), ("bb", 2), ("ccc", 1), ("dddd", 3)].into_iter().map(test).collect()
 }
@@ -256,7 +256,7 @@ fn alike(tests: &[PhasedTest], each: usize, seed: u64) -> Vec<PhasedTest> {
                 Evidence::Rows(own)
             };
             let id = format!("{}{number}", test.id);
-            all.push(PhasedTest { id, phases: test.phases.iter().map(again).collect() });
+            all.push(PhasedTest { id: id.into(), phases: test.phases.iter().map(again).collect() });
         }
     }
     all

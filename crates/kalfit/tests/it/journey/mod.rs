@@ -307,7 +307,7 @@ impl Journey {
                 line += 1;
             }
         }
-        let test = PhasedTest { id: "t".to_owned(), phases: tests.into_iter().map(Evidence::Rows).collect() };
+        let test = PhasedTest { id: "t".into(), phases: tests.into_iter().map(Evidence::Rows).collect() };
         Journey { model, test, mixed, phases, present }
     }
 

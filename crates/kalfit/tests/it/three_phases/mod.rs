@@ -140,7 +140,7 @@ pub(crate) fn test(id: &str, rows: &[Vec<Row>; 3]) -> PhasedTest {
         Evidence::Rows(test)
     };
     let phases = rows.iter().take_while(|rows| !rows.is_empty()).enumerate().map(of).collect();
-    PhasedTest { id: id.to_owned(), phases }
+    PhasedTest { id: id.into(), phases }
 }
 
 /// A population of (a, b), (d, e), f with roots of Σ of these phases.

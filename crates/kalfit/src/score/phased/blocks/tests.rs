@@ -6,7 +6,7 @@ use crate::ensemble::{Label, Labels, Source, Test};
 use crate::estimate::InitialLaw;
 use crate::model::by_hand::{continuous, gauss_markov, minus};
 use crate::model::{Clock, Expression, Initial, Motion, PhasedModel, Slots};
-use crate::reduce::{Evidence, Path, PhasedBlocks, PhasedFiltered, PhasedReducer, PhasedTest, Reduction, Reductions};
+use crate::reduce::{Path, PhasedBlocks, PhasedFiltered, PhasedReducer, PhasedTest, Reduction, Reductions};
 use crate::score::phased::PhasedScorer;
 use crate::score::phased::tests::*;
 use crate::score::{Companies, Gradient};
@@ -86,7 +86,7 @@ fn drawn_tests(random: &mut impl FnMut() -> f64) -> Vec<PhasedTest> {
             test.push(&[time, values[0], 1.0 + random(), w, values[1]], &texts, Source::default());
             time += if number.is_multiple_of(3) { 0.5 } else { 0.6 + random() };
         }
-        PhasedTest { id: test.id.clone(), phases: vec![Evidence::Rows(test)] }
+        PhasedTest::from(test)
     };
     (0..37).map(one).collect()
 }
