@@ -2,6 +2,8 @@
 //! at once; so does a search that is asked again.
 
 use std::io::IsTerminal;
+#[cfg(unix)]
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::terminal;
@@ -21,6 +23,7 @@ pub(crate) fn asked() -> bool {
 /// far, `quiet` that nobody wants to hear of it. A signal that is ignored, as by `nohup`, or in jobs that a script runs in the
 /// background, stays so.
 pub(crate) fn listen(searches: bool, quiet: bool) {
+    survive_large_files();
     let shows = !quiet && std::io::stderr().is_terminal();
     hear(move |again_ends| {
         let first = !ASKED.swap(true, Ordering::Relaxed);
@@ -53,6 +56,16 @@ fn hear(asked: impl Fn(bool) + Send + 'static) {
     let listens = move || signals.forever().for_each(|signal| asked(signal != SIGHUP));
     let _ = std::thread::Builder::new().name("signals".to_owned()).spawn(listens);
 }
+
+/// A file that grows beyond the limit of the process is an error of the one who writes it, as on a full disk. By default a signal would
+/// end the process without a word, and its temporary files would stay.
+#[cfg(unix)]
+fn survive_large_files() {
+    let _ = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Arc::new(AtomicBool::new(false)));
+}
+
+#[cfg(not(unix))]
+fn survive_large_files() {}
 
 /// The signals that are ignored, a bit for each, where the system tells.
 #[cfg(unix)]

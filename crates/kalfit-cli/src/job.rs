@@ -62,10 +62,13 @@ enum Job {
 impl Order {
     pub(crate) fn run(&self) -> Result<Outcome, Ended> {
         kalfit_job::fix_instructions(self.instructions.as_deref())?;
-        if let Some(threads) = self.threads {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
-            pool.map_err(|error| Failure::Threads { threads, reason: error.to_string() })?;
-        }
+        // now, where it can be told that there are none: whoever wants the first one could not
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(self.threads.unwrap_or(0)).build_global();
+        pool.map_err(|error| {
+            let all = || std::thread::available_parallelism().map_or(1, usize::from);
+            Failure::Threads { threads: self.threads.unwrap_or_else(all), reason: error.to_string() }
+        })?;
+        kalfit_job::memory_is_there()?;
         let telling = self.telling;
         interrupt::listen(matches!(self.job, Job::Fit(_)), telling.quiet);
         match &self.job {

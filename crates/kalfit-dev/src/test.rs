@@ -150,3 +150,16 @@ fn minimum_toolchain() -> Result<(), String> {
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Each of them is somebody's to look after: one more is to be noticed (docs/decisions/0004-libraries.md).
+    #[test]
+    fn dependencies_are_no_more_than_were_agreed() {
+        let lock = std::fs::read_to_string(places::root().join("Cargo.lock")).expect("it is in the repository");
+        let packages = lock.lines().filter(|line| *line == "[[package]]").count();
+        assert!(packages <= 250, "Cargo.lock holds {packages} packages, expected no more than 250");
+    }
+}

@@ -307,6 +307,12 @@ pub enum Failure {
         /// Bytes that may be had.
         available: u64,
     },
+    /// Less memory than any work takes.
+    #[error("less than {} of memory can be had", bytes_in_words(*needed))]
+    NoRoom {
+        /// Bytes that the least work takes.
+        needed: u64,
+    },
     /// Instructions that the machine does not have.
     #[error("{set}: found `{word}`, expected one of `{}` on this machine", machine.join("`, `"))]
     Instructions {
@@ -464,6 +470,7 @@ impl Failure {
                 "half the states take a sixteenth of it; a state with `initial = \"stationary\"` or `initial = { mean = …, sigma = … }` is not estimated"
                     .to_owned(),
             ),
+            Failure::NoRoom { .. } => Some("raise the limit of the process, which `ulimit -v` shows".to_owned()),
             Failure::Instructions { .. } => {
                 Some("all machines that are to give the same bits need the same instructions; `portable` is everywhere".to_owned())
             }

@@ -79,6 +79,7 @@ pub use job::{
     FitTables, FoldsOf, MethodChoice, ModelJob, PlanJob, PlotJob, PredictJob, PredictedModel, ReportJob, SimulateJob,
     Simulated, TableTo, TestJob, Units, ValidateJob,
 };
+pub use memory::is_there as memory_is_there;
 pub use model::read as read_model;
 pub use output::{Contents, OutputError, abandon};
 pub use plan::plan;

@@ -39,6 +39,7 @@ pub(crate) fn exception(failure: &Failure) -> PyErr {
         | Failure::NotParquet { .. }
         | Failure::NoForm { .. }
         | Failure::StepBesideData
+        | Failure::NoRoom { .. }
         | Failure::Threads { .. } => Error::new_err(text),
         _ => FitError::new_err(text),
     }

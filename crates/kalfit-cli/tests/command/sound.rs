@@ -31,7 +31,7 @@ fn stem(name: &str) -> &str {
 }
 
 /// Fits an example; what was printed, and the record.
-fn fit(name: &str, options: &str) -> (String, FitRecord) {
+pub(crate) fn fit(name: &str, options: &str) -> (String, FitRecord) {
     let folder = example(name);
     let name = stem(name);
     let output = folder.run(&format!("fit {name}.toml {name}.csv --out fit.json {options}"));

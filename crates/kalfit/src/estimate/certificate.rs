@@ -4,7 +4,7 @@
 //! -(G - Λ) ⪰ 0 on the null space of Σ. Each figure is in the scale of standard errors: how many of them the
 //! optimum may still be away.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DMatrixView, DVector};
 
 use crate::estimate::covariance::{Constraint, CovarianceMap, Form, Part, place as place_block, sub};
 use crate::estimate::local::natural_sizes;
@@ -98,23 +98,23 @@ fn scores(place: &Place) -> (f64, f64) {
     let (q, n) = (tangent.mean, tangent.gradient.len());
     let part = |from: usize, size: usize| {
         let gradient = tangent.gradient.rows(from, size).clone_owned();
-        let information = tangent.information.view((from, from), (size, size)).clone_owned();
-        decrement(&information, &gradient)
+        decrement(tangent.information.view((from, from), (size, size)), &gradient)
     };
     (part(0, q), part(q, n - q))
 }
 
-fn decrement(information: &DMatrix<f64>, gradient: &DVector<f64>) -> f64 {
+fn decrement(information: DMatrixView<'_, f64>, gradient: &DVector<f64>) -> f64 {
     let scale = DVector::from_fn(gradient.len(), |i, _| {
         let h = information[(i, i)].abs();
         if h > 0.0 { h.sqrt().recip() } else { 0.0 }
     });
-    let scaled = DMatrix::from_fn(gradient.len(), gradient.len(), |i, j| scale[i] * information[(i, j)] * scale[j]);
+    let n = gradient.len();
+    let scaled = || DMatrix::from_fn(n, n, |i, j| scale[i] * information[(i, j)] * scale[j]);
     let gradient = gradient.component_mul(&scale);
-    if let Some(root) = Regular::of(&scaled) {
+    if let Some(root) = Regular::within(scaled()) {
         return root.below(&gradient).norm();
     }
-    let (values, vectors) = symmetric::eigen(&scaled);
+    let (values, vectors) = symmetric::eigen(&scaled());
     let along = vectors.transpose() * gradient;
     let term = |(v, g): (&f64, &f64)| if v.abs() > crate::estimate::curvature::FLAT { g * g / v.abs() } else { 0.0 };
     values.iter().zip(along.iter()).map(term).fold(0.0, |a, b| a + b).sqrt()

@@ -64,20 +64,17 @@ impl Chart {
         jacobian
     }
 
-    /// tr(G ∂²Σ/∂ψ_k∂ψ_l) = 2 tr(G F_k F_l'), coordinates × coordinates.
-    pub(crate) fn second_order(&self, score: &DMatrix<f64>) -> DMatrix<f64> {
-        let n = self.coordinates.len();
-        DMatrix::from_fn(n, n, |k, l| {
-            let mut sum = 0.0;
-            for &(i, c, x) in &self.coordinates[k] {
-                for &(j, d, y) in &self.coordinates[l] {
-                    if c == d {
-                        sum += score[(i, j)] * x * y;
-                    }
+    /// tr(G ∂²Σ/∂ψ_k∂ψ_l) = 2 tr(G F_k F_l').
+    pub(crate) fn second_order(&self, score: &DMatrix<f64>, (k, l): (usize, usize)) -> f64 {
+        let mut sum = 0.0;
+        for &(i, c, x) in &self.coordinates[k] {
+            for &(j, d, y) in &self.coordinates[l] {
+                if c == d {
+                    sum += score[(i, j)] * x * y;
                 }
             }
-            2.0 * sum
-        })
+        }
+        2.0 * sum
     }
 
     /// F after a step in ψ; bounded coordinates stop at zero.

@@ -35,7 +35,7 @@ pub(crate) fn climb(
                 None => return (place, Stop::Certified),
             }
         }
-        match damping.attempt(objective, map, &place) {
+        match damping.attempt(objective, map, &mut place) {
             Attempt::Better(next) => place = *next,
             Attempt::Failed | Attempt::Blind => return (place, Stop::Stalled),
         }

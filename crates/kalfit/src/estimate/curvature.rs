@@ -56,9 +56,17 @@ impl Curvature {
         let largest = (0..n).map(own).fold(0.0, f64::max);
         let unit = |i: usize| if own(i) > NOTHING * largest { h[(i, i)].abs().sqrt().recip() } else { 0.0 };
         let scale = DVector::from_fn(n, |i, _| unit(i));
-        let scaled = DMatrix::from_fn(n, n, |i, j| scale[i] * h[(i, j)] * scale[j]);
-        let gradient = tangent.gradient.component_mul(&scale);
-        Curvature { scale, gradient, model: Model::of(scaled), spectrum: OnceLock::new() }
+        let scaled = || DMatrix::from_fn(n, n, |i, j| scale[i] * h[(i, j)] * scale[j]);
+        let (model, gradient) = (Model::of(scaled), tangent.gradient.component_mul(&scale));
+        Curvature { scale, gradient, model, spectrum: OnceLock::new() }
+    }
+
+    /// The large matrix that it is made of.
+    pub(crate) fn matrix_mut(&mut self) -> &mut DMatrix<f64> {
+        match &mut self.model {
+            Model::Regular(root) => root.root_mut(),
+            Model::Any(scaled) => scaled,
+        }
     }
 
     fn spectrum(&self) -> &Spectrum {
@@ -124,8 +132,9 @@ impl Curvature {
 }
 
 impl Model {
-    fn of(scaled: DMatrix<f64>) -> Model {
-        Regular::of(&scaled).map_or_else(|| Model::Any(scaled), Model::Regular)
+    /// The matrix is made anew where it has no root: two of them would take too much memory.
+    fn of(scaled: impl Fn() -> DMatrix<f64>) -> Model {
+        Regular::within(scaled()).map_or_else(|| Model::Any(scaled()), Model::Regular)
     }
 }
 
@@ -158,7 +167,7 @@ mod tests {
 
     fn of(scaled: DMatrix<f64>, gradient: DVector<f64>) -> Curvature {
         let scale = DVector::from_element(gradient.len(), 1.0);
-        Curvature { scale, gradient, model: Model::of(scaled), spectrum: OnceLock::new() }
+        Curvature { scale, gradient, model: Model::of(|| scaled.clone()), spectrum: OnceLock::new() }
     }
 
     #[test]

@@ -61,7 +61,7 @@ pub(crate) fn maximise_exact(map: &CovarianceMap, second: &DMatrix<f64>, root: D
         if place.decrement() < 1e-10 * n.sqrt() {
             break;
         }
-        match damping.attempt(&objective, map, &place) {
+        match damping.attempt(&objective, map, &mut place) {
             Attempt::Better(next) => place = *next,
             Attempt::Failed | Attempt::Blind => break,
         }

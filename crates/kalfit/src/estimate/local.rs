@@ -111,7 +111,7 @@ impl Tangent {
             mean: q,
             jacobian,
             gradient: basis.transposed_times(&gradient),
-            information: basis.congruence(&information),
+            information: along(&basis, information),
             sizes: basis.columns().map(|c| harmonic(c.iter().map(|&(row, x)| (x, sizes[row])))).collect(),
             chart,
             basis,
@@ -119,6 +119,15 @@ impl Tangent {
             residual_score,
         }
     }
+}
+
+/// The information along a basis.
+fn along(basis: &Sparse, mut information: DMatrix<f64>) -> DMatrix<f64> {
+    if !basis.is_identity() {
+        return basis.congruence(&information);
+    }
+    information.fill_lower_triangle_with_upper_triangle();
+    information
 }
 
 /// What varies in each element, in η: √(1 + Σ_ii), the spread over the tests and what one test leaves open. Information on
@@ -213,11 +222,16 @@ fn free_information(
     let mut information = DMatrix::zeros(q + n, q + n);
     let mean = mean_jacobian.transpose() * &local.mean_information * mean_jacobian;
     let cross = jacobian.after(&(mean_jacobian.transpose() * &local.cross));
-    let sigma = jacobian.congruence(&local.information) - chart.second_order(residual_score);
     information.view_mut((0, 0), (q, q)).copy_from(&mean);
     information.view_mut((0, q), (q, n)).copy_from(&cross);
     information.view_mut((q, 0), (n, q)).copy_from(&cross.transpose());
-    information.view_mut((q, q), (n, n)).copy_from(&sigma);
+    let mut sigma = information.view_mut((q, q), (n, n));
+    jacobian.congruence_into(&local.information, &mut sigma);
+    for l in 0..n {
+        for k in 0..n {
+            sigma[(k, l)] -= chart.second_order(residual_score, (k, l));
+        }
+    }
     information
 }
 

@@ -10,6 +10,7 @@ use crate::estimate::covariance::CovarianceMap;
 use crate::estimate::curvature::Curvature;
 use crate::estimate::local::{Local, Objective, Tangent};
 use crate::estimate::point::Point;
+use crate::linalg::folded::Folded;
 use crate::linalg::symmetric;
 
 /// A point with all that is known there.
@@ -57,6 +58,23 @@ impl Place {
     pub(crate) fn decrement(&self) -> f64 {
         self.curvature.decrement()
     }
+
+    /// Puts the large matrices aside, while another place is made.
+    fn fold(&mut self) -> [Option<Folded>; 3] {
+        self.large().map(Folded::of)
+    }
+
+    fn unfold(&mut self, folded: [Option<Folded>; 3]) {
+        for (matrix, folded) in self.large().into_iter().zip(folded) {
+            if let Some(folded) = folded {
+                *matrix = folded.unfolded();
+            }
+        }
+    }
+
+    fn large(&mut self) -> [&mut DMatrix<f64>; 3] {
+        [&mut self.local.information, &mut self.tangent.information, self.curvature.matrix_mut()]
+    }
 }
 
 /// What became of one attempt to step.
@@ -77,27 +95,26 @@ pub(crate) struct Damping(f64);
 const TRIES: usize = 6;
 
 impl Damping {
-    /// Steps from `place`, with more damping until the value rises.
-    pub(crate) fn attempt(&mut self, objective: &dyn Objective, map: &CovarianceMap, place: &Place) -> Attempt {
+    /// Steps from `place`, with more damping until the value rises. Of the place nothing may be asked after a better one is found.
+    pub(crate) fn attempt(&mut self, objective: &dyn Objective, map: &CovarianceMap, place: &mut Place) -> Attempt {
         let slack = 1e-13 * place.local.value.abs().max(1.0);
         self.0 = self.0.max(place.curvature.doubtful());
         for _ in 0..TRIES {
             let (step, promised) = place.curvature.step(self.0);
-            if let Some(next) =
-                moved(objective, map, place, &step).and_then(|point| Place::new(objective, map, point, place.near()))
-            {
-                let gain = next.local.value - place.local.value;
-                if gain >= -slack && (gain >= 0.05 * promised || promised <= slack) {
-                    self.judge(gain / promised);
-                    return Attempt::Better(Box::new(next));
-                }
-                if promised <= slack {
-                    return Attempt::Blind;
-                }
-                self.0 = place.curvature.shorter(self.0, gain);
-            } else {
-                self.0 = place.curvature.shorter(self.0, f64::NEG_INFINITY);
+            let point = moved(objective, map, place, &step);
+            let folded = place.fold();
+            let next = point.and_then(|point| Place::new(objective, map, point, place.near()));
+            let gain = next.as_ref().map(|next| next.local.value - place.local.value);
+            let good = |gain: f64| gain >= -slack && (gain >= 0.05 * promised || promised <= slack);
+            if let (Some(next), Some(gain)) = (next, gain.filter(|gain| good(*gain))) {
+                self.judge(gain / promised);
+                return Attempt::Better(Box::new(next));
             }
+            place.unfold(folded);
+            if gain.is_some() && promised <= slack {
+                return Attempt::Blind;
+            }
+            self.0 = place.curvature.shorter(self.0, gain.unwrap_or(f64::NEG_INFINITY));
         }
         Attempt::Failed
     }

@@ -17,7 +17,7 @@ pub(crate) fn most_tasks(p: usize) -> usize {
 }
 
 /// Matrices over all elements of Σ that a fit holds at the same time, and those of them by elements between two blocks, as measured.
-const MATRICES: u64 = 13;
+const MATRICES: u64 = 11;
 const BETWEEN: u64 = 4;
 
 /// About how many bytes a fit takes for second derivatives by the elements of Σ, which has blocks of so many states. What tests take

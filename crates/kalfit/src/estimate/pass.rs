@@ -67,15 +67,15 @@ pub(crate) fn pass(
     let mut sums = one_by_one(&others, point, wanted);
     sums.value += classes.blocks.constant() + classes.shared.constant();
     if simple {
-        classes.blocks.totals(point, order).iter().for_each(|totals| sums.take(totals));
+        classes.blocks.totals(point, order).into_iter().for_each(|totals| sums.take(totals));
         let refused = add_chains(&mut sums, classes, point, order);
         if !refused.is_empty() {
             sums = sums.add(&one_by_one(&refused, point, wanted));
         }
     } else {
-        classes.blocks.whole(point, wanted).iter().for_each(|totals| sums.take_whole(totals));
+        classes.blocks.whole(point, wanted).into_iter().for_each(|totals| sums.take_whole(totals));
     }
-    classes.shared.whole(point, wanted).iter().for_each(|totals| sums.take_whole(totals));
+    classes.shared.whole(point, wanted).into_iter().for_each(|totals| sums.take_whole(totals));
     sums
 }
 

@@ -160,7 +160,10 @@ impl Problem {
         let last = self.last.lock().unwrap_or_else(PoisonError::into_inner).take();
         match last {
             Some((point, sums)) if point == place.point => Some(sums),
-            _ => self.sums(&place.point, Order::Expected, None),
+            other => {
+                drop(other);
+                self.sums(&place.point, Order::Expected, None).map(Sums::at_rest)
+            }
         }
     }
 
@@ -246,9 +249,11 @@ impl Objective for Problem {
         if !self.ending.load(Ordering::Relaxed) {
             return Some(Local::from(&self.sums(point, Order::Second, near)?));
         }
+        let last = || self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        *last() = None; // its room is wanted
         let sums = self.sums(point, Order::Expected, near)?;
         let local = Local::from(&sums);
-        *self.last.lock().unwrap_or_else(PoisonError::into_inner) = Some((point.clone(), sums));
+        *last() = Some((point.clone(), sums.at_rest()));
         Some(local)
     }
 

@@ -20,7 +20,8 @@ struct Outer {
 impl Outer {
     fn zero(rows: usize, columns: usize, gathered: usize) -> Outer {
         Outer {
-            sum: DMatrix::zeros(rows, columns),
+            // memory that nothing is written to is not taken
+            sum: DMatrix::from_vec(rows, columns, vec![0.0; rows * columns]),
             left: DMatrix::zeros(rows, gathered),
             right: DMatrix::zeros(gathered, columns),
             filled: 0,
@@ -96,8 +97,8 @@ impl Products {
     }
 
     /// Adds sums of a single phase, pairs × pairs by rows; none where they are not wanted.
-    pub(crate) fn take(&mut self, sums: &[f64]) {
-        self.blocks.iter_mut().for_each(|block| block.take(sums));
+    pub(crate) fn take(&mut self, sums: Vec<f64>) {
+        self.blocks.iter_mut().for_each(|block| block.take(&sums));
     }
 
     /// Adds sums by pairs of phases, places × places by rows; none where they are not wanted.

@@ -37,7 +37,9 @@ pub(crate) fn step(objective: &dyn Objective, map: &CovarianceMap, tests: f64, p
     if promised.is_nan() || !is_near(&end.point, &place.point) {
         return None;
     }
-    let next = Place::new(objective, map, end.point, place.near())?;
+    let point = end.point;
+    drop((model, end.local, end.tangent, end.curvature)); // of many states their room is wanted
+    let next = Place::new(objective, map, point, place.near())?;
     let gain = next.local.value - place.local.value;
     // where the value has no digits left to tell, the decrement does
     let closer = gain >= -noise && next.decrement() < 0.5 * place.decrement();

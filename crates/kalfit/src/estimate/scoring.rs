@@ -72,7 +72,7 @@ fn metric(root: &DMatrix<f64>, free: &Sparse, elements: &Elements) -> DMatrix<f6
 fn solved(information: &DMatrix<f64>, score: &DVector<f64>) -> Option<DVector<f64>> {
     let size = DVector::from_vec(symmetric::sizes(information));
     let n = size.len();
-    let root = Regular::of(&DMatrix::from_fn(n, n, |i, j| information[(i, j)] / size[i] / size[j]))?;
+    let root = Regular::within(DMatrix::from_fn(n, n, |i, j| information[(i, j)] / size[i] / size[j]))?;
     root.is_whole().then(|| root.solve(&score.component_div(&size)).component_div(&size))
 }
 

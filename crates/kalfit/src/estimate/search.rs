@@ -148,7 +148,7 @@ impl<'a> Search<'a> {
                     continue;
                 }
             }
-            match damping.attempt(&self.problem, &self.problem.covariance, &place) {
+            match damping.attempt(&self.problem, &self.problem.covariance, &mut place) {
                 Attempt::Better(next) => {
                     place = *next;
                     failures = 0;
@@ -199,6 +199,7 @@ impl<'a> Search<'a> {
             }
             self.accept(sums.value, None);
             let gained = before.map_or(f64::INFINITY, |before| sums.value - before);
+            drop(best.take()); // of many states there is no room for both
             let (next, promised) = scoring::step(&self.problem, &point, &sums);
             let kept_its_word = gained >= KEPT * expected;
             expected = promised;

@@ -1,5 +1,7 @@
 //! What a pass adds up, and the derivatives of ℓ that are made of it (theory §3).
 
+use std::borrow::Cow;
+
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::lanes::{ChainTotals, Totals, WholeTotals};
@@ -37,6 +39,8 @@ pub(crate) struct Sums {
     pub(super) expected: Products,
     /// Second derivatives of tests in groups, which no sum over tests gives.
     pub(super) of_levels: Option<OfLevels>,
+    /// ½ Σ tr(W D W E) where a search has ended, in place of all that it is made of.
+    rested: Option<DMatrix<f64>>,
     /// The elements of Σ.
     pub(crate) elements: Elements,
 }
@@ -69,6 +73,7 @@ impl Sums {
             cross: Crosses::zero(elements, m, order >= Order::Second),
             expected: Products::zero(elements, order >= Order::Expected),
             of_levels: None,
+            rested: None,
             elements: elements.clone(),
         }
     }
@@ -111,7 +116,7 @@ impl Sums {
     }
 
     /// Adds what tests say that are worked on side by side, their constants apart.
-    pub(super) fn take(&mut self, totals: &Totals) {
+    pub(super) fn take(&mut self, totals: Totals) {
         self.value -= 0.5 * (totals.log_det + totals.quadratic);
         self.quadratic += totals.quadratic;
         self.mean_score.iter_mut().zip(&totals.r).for_each(|(sum, r)| *sum += r);
@@ -122,13 +127,14 @@ impl Sums {
                 self.outer[(a, b)] += totals.outer[at];
             }
         }
-        self.curvature.take(&totals.curvature);
+        // each is gone before the next grows
+        self.curvature.take(totals.curvature);
         self.cross.take(&totals.cross);
-        self.expected.take(&totals.expected);
+        self.expected.take(totals.expected);
     }
 
     /// The same of classes of several tests, with regressions, and with what the restricted likelihood wants.
-    pub(super) fn take_whole(&mut self, totals: &WholeTotals) {
+    pub(super) fn take_whole(&mut self, totals: WholeTotals) {
         self.value -= 0.5 * (totals.log_det + totals.quadratic);
         self.quadratic += totals.quadratic;
         self.mean_score.iter_mut().zip(&totals.score).for_each(|(sum, x)| *sum += x);
@@ -144,9 +150,9 @@ impl Sums {
                 self.outer[(a, b)] += totals.outer[pair(a.max(b), a.min(b))];
             }
         }
-        self.curvature.take(&totals.curvature);
+        self.curvature.take(totals.curvature);
         self.cross.take_phases(std::slice::from_ref(&totals.cross));
-        self.expected.take(&totals.expected);
+        self.expected.take(totals.expected);
         self.take_spread(&totals.spread);
     }
 
@@ -258,12 +264,25 @@ impl Sums {
     }
 
     /// ½ Σ tr(W D W E), elements × elements.
-    pub(crate) fn expected_information(&self) -> DMatrix<f64> {
-        if let Some(of_levels) = &self.of_levels {
-            return of_levels.expected.clone();
+    pub(crate) fn expected_information(&self) -> Cow<'_, DMatrix<f64>> {
+        if let Some(expected) = self.rested.as_ref().or(self.of_levels.as_ref().map(|of_levels| &of_levels.expected)) {
+            return Cow::Borrowed(expected);
         }
         let elements = &self.elements;
-        elements.over(|k, l, a, b| 0.5 * self.expected.get((l, a), (b, k)))
+        Cow::Owned(elements.over(|k, l, a, b| 0.5 * self.expected.get((l, a), (b, k))))
+    }
+
+    /// What is asked for where a search has ended: of second derivatives by elements of Σ the expected ones alone. Of many states each
+    /// such matrix is most of the memory there is.
+    pub(super) fn at_rest(mut self) -> Sums {
+        self.curvature = Products::zero(&self.elements, false);
+        if let Some(of_levels) = self.of_levels.take() {
+            self.rested = Some(of_levels.expected);
+        } else if self.rested.is_none() {
+            self.rested = Some(self.expected_information().into_owned());
+        }
+        self.expected = Products::zero(&self.elements, false);
+        self
     }
 
     /// -∂²ℓ/∂(mean coordinate) ∂σ_kl = Σ E'(W_{·k} r_l + W_{·l} r_k), mean coordinates × elements.

@@ -3,6 +3,8 @@
 //! For μ with its regression coefficients: the null space of Σ_j E_j'J_jE_j on what is free of them, μ_j = E_j(μ, γ). For Σ: the null space of the expected information
 //! ½ Σ_j tr(W_j D W_j E) on the free directions of Σ.
 
+use std::borrow::Cow;
+
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::{Class, Estimate, FitError, Point, Problem, Structure, Sums, harmonic, natural_sizes};
@@ -148,7 +150,7 @@ fn covariance_directions(
     (root, free): (&DMatrix<f64>, &Sparse),
     expected: &DMatrix<f64>,
 ) -> Vec<Direction> {
-    let information = free.congruence(expected);
+    let information = if free.is_identity() { Cow::Borrowed(expected) } else { Cow::Owned(free.congruence(expected)) };
     let scale = &problem.classes.frame.scale;
     let elements = &problem.covariance.elements;
     let units: Vec<f64> = elements.all().map(|(i, j)| scale[i] * scale[j]).collect();
@@ -173,19 +175,13 @@ fn null_space(information: &DMatrix<f64>, sizes: &[f64], elsewhere: f64) -> Vec<
     let largest = (0..n).map(own).fold(elsewhere, f64::max);
     let known = |i: usize| own(i) > 1e-14 * largest;
     let scale = DVector::from_fn(n, |i, _| if known(i) { information[(i, i)].sqrt().recip() } else { 1.0 });
-    let scaled =
-        DMatrix::from_fn(
-            n,
-            n,
-            |i, j| {
-                if known(i) && known(j) { scale[i] * information[(i, j)] * scale[j] } else { 0.0 }
-            },
-        );
-    let flat = if Regular::of(&scaled).is_some() {
+    let entry = |i: usize, j: usize| if known(i) && known(j) { scale[i] * information[(i, j)] * scale[j] } else { 0.0 };
+    let scaled = || DMatrix::from_fn(n, n, entry);
+    let flat = if Regular::within(scaled()).is_some() {
         let unknown: Vec<usize> = (0..n).filter(|&i| !known(i)).collect();
         DMatrix::identity(n, n).select_columns(&unknown)
     } else {
-        let (values, vectors) = symmetric::eigen(&scaled);
+        let (values, vectors) = symmetric::eigen(&scaled());
         vectors.select_columns(&(0..n).filter(|&k| values[k] < NONE).collect::<Vec<_>>())
     };
     let simple = simplest(flat);

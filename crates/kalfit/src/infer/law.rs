@@ -257,12 +257,15 @@ fn inverse(information: &DMatrix<f64>) -> DMatrix<f64> {
     let n = information.nrows();
     let unit = |i: usize| if information[(i, i)] > 0.0 { information[(i, i)].sqrt().recip() } else { 0.0 };
     let scale = DVector::from_fn(n, |i, _| unit(i));
-    let scaled = DMatrix::from_fn(n, n, |i, j| scale[i] * information[(i, j)] * scale[j]);
+    let scaled = || DMatrix::from_fn(n, n, |i, j| scale[i] * information[(i, j)] * scale[j]);
     let by_eigenvectors = || {
-        let (values, vectors) = symmetric::eigen(&scaled);
+        let (values, vectors) = symmetric::eigen(&scaled());
         let inverse = values.iter().map(|&v| if v > FLAT { v.recip() } else { 0.0 });
         &vectors * DMatrix::from_diagonal(&DVector::from_iterator(n, inverse)) * vectors.transpose()
     };
-    let inverse = Regular::of(&scaled).map_or_else(by_eigenvectors, |root| root.inverse());
-    DMatrix::from_fn(n, n, |i, j| scale[i] * inverse[(i, j)] * scale[j])
+    let mut inverse = Regular::within(scaled()).map_or_else(by_eigenvectors, Regular::into_inverse);
+    for (j, mut column) in inverse.column_iter_mut().enumerate() {
+        column.iter_mut().zip(scale.iter()).for_each(|(x, of_row)| *x = of_row * *x * scale[j]);
+    }
+    inverse
 }

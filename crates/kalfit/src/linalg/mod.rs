@@ -8,6 +8,7 @@ pub mod exponential;
 pub(crate) mod factors;
 pub(crate) mod fixed;
 pub mod fold;
+pub(crate) mod folded;
 pub(crate) mod parts;
 mod posterior;
 mod products;

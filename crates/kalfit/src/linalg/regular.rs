@@ -24,12 +24,14 @@ pub(crate) struct Regular {
 impl Regular {
     /// `None` where an eigenvalue of A may be below [`FLOOR`]. Of a matrix of one block that is sure: the least eigenvalue is at least
     /// the inverse of Σ 1/λ = ‖R⁻¹‖². Of larger ones the least eigenvalue is found by inverse iteration, from above, with a margin.
-    pub(crate) fn of(a: &DMatrix<f64>) -> Option<Regular> {
+    ///
+    /// The root takes the memory of A, which is gone where there is none.
+    pub(crate) fn within(a: DMatrix<f64>) -> Option<Regular> {
         let found = Regular { root: root(a)? };
-        let inverses = if a.nrows() > BLOCK {
+        let inverses = if found.root.nrows() > BLOCK {
             MARGIN * found.largest_inverse()
         } else {
-            found.panels().map(|(_, panel)| panel.norm_squared()).sum()
+            blocks(found.root.nrows()).map(|block| found.panel(block).norm_squared()).sum()
         };
         (inverses * FLOOR <= 1.0).then_some(found)
     }
@@ -45,6 +47,11 @@ impl Regular {
             size = x.norm();
         }
         size
+    }
+
+    /// R.
+    pub(crate) fn root_mut(&mut self) -> &mut DMatrix<f64> {
+        &mut self.root
     }
 
     /// No row is passed over.
@@ -80,51 +87,46 @@ impl Regular {
         self.above(self.below(g))
     }
 
-    /// A⁻¹ = R⁻¹R⁻ᵀ.
-    pub(crate) fn inverse(&self) -> DMatrix<f64> {
+    /// A⁻¹ = R⁻¹R⁻ᵀ, in the memory of R.
+    pub(crate) fn into_inverse(mut self) -> DMatrix<f64> {
         let n = self.root.nrows();
-        let mut half = DMatrix::zeros(n, n);
-        for (start, panel) in self.panels() {
-            half.view_mut((0, start), panel.shape()).copy_from(&panel);
+        // a panel of R⁻¹ wants no columns of R after its own: the last one first
+        let all: Vec<(usize, usize)> = blocks(n).collect();
+        for &(start, end) in all.iter().rev() {
+            let panel = self.panel((start, end));
+            self.root.view_mut((0, start), panel.shape()).copy_from(&panel);
         }
-        let mut inverse = DMatrix::zeros(n, n);
+        let mut inverse = self.root;
         for (start, end) in blocks(n) {
-            // R⁻¹ is upper triangular too: columns before `start` have nothing in these rows
-            let right = half.view((start, start), (end - start, n - start)).transpose();
-            let own = half.view((0, start), (end, n - start)) * right;
+            // R⁻¹ is upper triangular too: columns before `start` have nothing in these rows, and are the inverse's by now
+            let right = inverse.view((start, start), (end - start, n - start)).transpose();
+            let own = inverse.view((0, start), (end, n - start)) * right;
             inverse.view_mut((0, start), own.shape()).copy_from(&own);
         }
-        for k in 0..n {
-            for i in 0..k {
-                inverse[(k, i)] = inverse[(i, k)];
-            }
-        }
+        inverse.fill_lower_triangle_with_upper_triangle();
         inverse
     }
 
-    /// Blocks of columns of R⁻¹, each with the number of its first one and without the rows of zeros below.
-    fn panels(&self) -> impl Iterator<Item = (usize, DMatrix<f64>)> {
-        let n = self.root.nrows();
-        blocks(n).map(move |(start, end)| {
-            let mut panel = DMatrix::zeros(end, end - start);
-            for c in 0..end - start {
-                panel[(start + c, c)] = 1.0;
-                above(&self.root, &mut panel.as_mut_slice()[c * end..][..end], (start, start + c + 1));
+    /// A block of columns of R⁻¹, without the rows of zeros below.
+    fn panel(&self, (start, end): (usize, usize)) -> DMatrix<f64> {
+        let mut panel = DMatrix::zeros(end, end - start);
+        for c in 0..end - start {
+            panel[(start + c, c)] = 1.0;
+            above(&self.root, &mut panel.as_mut_slice()[c * end..][..end], (start, start + c + 1));
+        }
+        let earlier: Vec<(usize, usize)> = blocks(start).collect();
+        for &(top, bottom) in earlier.iter().rev() {
+            let known = panel.rows(bottom, end - bottom).into_owned();
+            let mut own = self.root.view((top, bottom), (bottom - top, end - bottom)) * known * -1.0;
+            for mut column in own.column_iter_mut() {
+                let mut whole = vec![0.0; bottom];
+                whole[top..].copy_from_slice(column.as_slice());
+                above(&self.root, &mut whole, (top, bottom));
+                column.copy_from_slice(&whole[top..]);
             }
-            let earlier: Vec<(usize, usize)> = blocks(start).collect();
-            for &(top, bottom) in earlier.iter().rev() {
-                let known = panel.rows(bottom, end - bottom).into_owned();
-                let mut own = self.root.view((top, bottom), (bottom - top, end - bottom)) * known * -1.0;
-                for mut column in own.column_iter_mut() {
-                    let mut whole = vec![0.0; bottom];
-                    whole[top..].copy_from_slice(column.as_slice());
-                    above(&self.root, &mut whole, (top, bottom));
-                    column.copy_from_slice(&whole[top..]);
-                }
-                panel.view_mut((top, 0), own.shape()).copy_from(&own);
-            }
-            (start, panel)
-        })
+            panel.view_mut((top, 0), own.shape()).copy_from(&own);
+        }
+        panel
     }
 }
 
@@ -133,14 +135,13 @@ fn blocks(n: usize) -> impl Iterator<Item = (usize, usize)> {
     (0..n).step_by(BLOCK).map(move |start| (start, (start + BLOCK).min(n)))
 }
 
-/// R with R'R = A; `None` where what is left of a diagonal element is not above [`FLOOR`]. On the diagonal of a row of zeros stands ∞,
-/// whose inverse is the zero that is wanted there.
-fn root(a: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+/// R with R'R = A, in the memory of A; `None` where what is left of a diagonal element is not above [`FLOOR`]. On the diagonal of a row
+/// of zeros stands ∞, whose inverse is the zero that is wanted there.
+fn root(a: DMatrix<f64>) -> Option<DMatrix<f64>> {
     let n = a.nrows();
-    let mut root = DMatrix::<f64>::zeros(n, n);
-    for k in 0..n {
-        root.column_mut(k).rows_mut(0, k + 1).copy_from(&a.column(k).rows(0, k + 1));
-    }
+    let empty: Vec<bool> = a.column_iter().map(|column| column.iter().all(|x| *x == 0.0)).collect();
+    let mut root = a;
+    root.fill_lower_triangle(0.0, 1);
     for (start, end) in blocks(n) {
         for k in start..n {
             // rows of this block in column k; on the diagonal, as far as it
@@ -152,7 +153,7 @@ fn root(a: &DMatrix<f64>) -> Option<DMatrix<f64>> {
                     root[(i, k)] = left / root[(i, i)];
                 } else if left > FLOOR {
                     root[(k, k)] = left.sqrt();
-                } else if a.column(k).iter().all(|x| *x == 0.0) {
+                } else if empty[k] {
                     root[(k, k)] = f64::INFINITY;
                 } else {
                     return None;
@@ -194,12 +195,12 @@ mod tests {
     fn solutions_and_inverse_are_those_of_the_library() {
         for n in [0, 1, 5, BLOCK, BLOCK + 1, 2 * BLOCK + 17] {
             let a = regular(n);
-            let found = Regular::of(&a).expect("no eigenvalue is below 0.05");
+            let found = Regular::within(a.clone()).expect("no eigenvalue is below 0.05");
             let inverse = a.clone().cholesky().expect("it is positive definite").inverse();
             let g = DVector::from_fn(n, |i, _| (i as f64).cos());
             let (own, wanted) = (found.solve(&g), &inverse * &g);
             assert!((&own - &wanted).norm() <= 1e-10 * wanted.norm(), "{n}: {} {}", own.norm(), wanted.norm());
-            let apart = (found.inverse() - &inverse).norm();
+            let apart = (found.clone().into_inverse() - &inverse).norm();
             assert!(apart <= 1e-10 * inverse.norm(), "{n}: {apart} of {}", inverse.norm());
             assert!((found.product() - &a).norm() <= 1e-12 * a.norm(), "{n}");
         }
@@ -213,9 +214,9 @@ mod tests {
             a.row_mut(k).fill(0.0);
             a.column_mut(k).fill(0.0);
         }
-        let found = Regular::of(&a).expect("the rest is regular");
+        let found = Regular::within(a.clone()).expect("the rest is regular");
         let inverse = crate::linalg::symmetric::pseudo_inverse(&a);
-        let apart = (found.inverse() - &inverse).norm();
+        let apart = (found.clone().into_inverse() - &inverse).norm();
         assert!(apart <= 1e-10 * inverse.norm(), "{apart} of {}", inverse.norm());
         let g = DVector::from_fn(n, |i, _| (i as f64).cos());
         assert!((found.solve(&g) - &inverse * &g).norm() <= 1e-10 * (&inverse * &g).norm());
@@ -226,17 +227,17 @@ mod tests {
     fn what_may_be_below_the_floor_is_refused() {
         let diagonal = |least: f64| DMatrix::from_diagonal(&DVector::from_vec(vec![1.0, least, 2.0]));
         for least in [1e-12, -0.5, f64::NAN] {
-            assert!(Regular::of(&diagonal(least)).is_none(), "{least}");
+            assert!(Regular::within(diagonal(least)).is_none(), "{least}");
         }
-        assert!(Regular::of(&diagonal(1e-6)).is_some());
+        assert!(Regular::within(diagonal(1e-6)).is_some());
         let hilbert = DMatrix::from_fn(9, 9, |i, k| 1.0 / (i + k + 1) as f64); // least eigenvalue 3e-12
-        assert!(Regular::of(&hilbert).is_none());
+        assert!(Regular::within(hilbert).is_none());
         let mut large = regular(BLOCK + 40);
         let last = BLOCK + 39;
         let copy = large.column(3).into_owned();
         large.set_column(last, &copy);
         large.set_row(last, &copy.transpose());
         large[(last, last)] = large[(3, 3)];
-        assert!(Regular::of(&large).is_none(), "two rows are the same");
+        assert!(Regular::within(large).is_none(), "two rows are the same");
     }
 }

@@ -2,7 +2,7 @@
 //! both, and each coordinate moves no more than 2p elements, so that a product with such a matrix takes p⁵ steps where a dense one
 //! takes p⁶.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DMatrixViewMut, DVector};
 
 /// A matrix by the entries of its columns.
 #[derive(Debug, Clone, PartialEq)]
@@ -129,22 +129,35 @@ impl Sparse {
 
     /// A'MA of a symmetric M.
     pub(crate) fn congruence(&self, m: &DMatrix<f64>) -> DMatrix<f64> {
+        let mut out = DMatrix::zeros(self.ncols(), self.ncols());
+        self.congruence_into(m, &mut out.as_view_mut());
+        out
+    }
+
+    /// The same, to a place that is there.
+    pub(crate) fn congruence_into(&self, m: &DMatrix<f64>, out: &mut DMatrixViewMut<'_, f64>) {
         if 4 * self.entries.len() > self.nrows() * self.ncols() {
             let dense = self.dense();
-            return dense.transpose() * m * dense;
+            out.copy_from(&(dense.transpose() * m * dense));
+            return;
         }
         let n = self.ncols();
-        let right = self.after(m);
-        let mut out = DMatrix::zeros(n, n);
+        let mut own = vec![0.0; m.nrows()]; // a column of MA
         for k in 0..n {
-            let own = right.column(k);
-            for i in 0..=k {
-                let value = dot(self.column(i), own.as_slice());
-                out[(i, k)] = value;
-                out[(k, i)] = value;
+            own.fill(0.0);
+            for &(row, a) in self.column(k) {
+                let from = &m.as_slice()[row * own.len()..][..own.len()];
+                own.iter_mut().zip(from).for_each(|(to, x)| *to += a * x);
             }
+            (0..=k).for_each(|i| out[(i, k)] = dot(self.column(i), &own));
         }
-        out
+        out.fill_lower_triangle_with_upper_triangle();
+    }
+
+    /// Whether it is the identity matrix.
+    pub(crate) fn is_identity(&self) -> bool {
+        self.nrows() == self.ncols()
+            && self.columns().enumerate().all(|(c, own)| matches!(own, [(row, 1.0)] if *row == c))
     }
 }
 

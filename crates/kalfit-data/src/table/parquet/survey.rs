@@ -25,8 +25,9 @@ const PAGE_FREE: u64 = 32 << 20;
 const PAGE_PER_BYTE: u64 = 8;
 /// Texts of a batch, about, in bytes.
 const BATCH_TEXTS: u64 = 16 << 20;
-/// Texts of one page of lists, at most: there is no cutting them between rows.
-const LIST_TEXTS: u64 = 1 << 30;
+/// Texts of one page of lists, at most, and so many times the bytes of the file more: there is no cutting them between rows.
+const LIST_FREE: u64 = 64 << 20;
+const LIST_PER_BYTE: u64 = 8;
 
 /// How row groups are to be read.
 #[derive(Clone)]
@@ -85,7 +86,7 @@ pub(crate) fn survey<R: ChunkReader>(
         let mut most = rows;
         for chunk in chunks.iter().filter(|chunk| !coded[chunk.root]) {
             let texts = chunk.texts(bytes).map_err(|source| failed(file, source))?;
-            most = most.min(chunk.rows(file, &texts, rows)?);
+            most = most.min(chunk.rows((file, bytes.len()), &texts, rows)?);
         }
         let metadata = with_dictionaries(metadata, &coded).map_err(|source| failed(file, source))?;
         Ok(Survey { metadata, rows: most })
@@ -183,17 +184,17 @@ impl Chunk<'_> {
     }
 
     /// So many rows, at most, that their texts take about as much room as a batch may.
-    fn rows(&self, file: &str, pages: &[OfTexts], rows: usize) -> Result<usize, DataError> {
+    fn rows(&self, (file, bytes): (&str, u64), pages: &[OfTexts], rows: usize) -> Result<usize, DataError> {
         if self.metadata.column_descr().max_rep_level() == 0 {
             let mut halves = std::iter::successors(Some(rows), |rows| Some(rows / 2)).take_while(|&rows| rows > 1);
             return Ok(halves.find(|&rows| fits(pages, rows as u64)).unwrap_or(1));
         }
         let most = pages.iter().map(|page| page.texts(u64::MAX)).max().unwrap_or(0);
-        if most <= LIST_TEXTS {
+        let limit = bytes.saturating_mul(LIST_PER_BYTE).saturating_add(LIST_FREE);
+        if most <= limit {
             return Ok(rows);
         }
-        let bytes = u64::try_from(self.metadata.compressed_size()).unwrap_or(0);
-        Err(oversized(file, "bytes of texts of a page", most, (bytes, LIST_TEXTS)))
+        Err(oversized(file, "bytes of texts of a page", most, (bytes, limit)))
     }
 }
 

@@ -164,12 +164,15 @@ impl Products {
 
     fn into(self, totals: Totals) -> Totals {
         let s = self.p * (self.p + 1) / 2;
-        let (mut curvature, mut cross) = (Vec::new(), Vec::new());
-        for row in self.observed.total().chunks_exact(s + self.p) {
-            let (inner, r) = row.split_at(s);
-            curvature.extend_from_slice(inner);
-            cross.extend_from_slice(r);
+        let (mut curvature, mut cross) = (self.observed.total(), Vec::new());
+        // in place: of many states there is no room for a second one
+        let rows = curvature.len() / (s + self.p).max(1);
+        for row in 0..rows {
+            let start = row * (s + self.p);
+            cross.extend_from_slice(&curvature[start + s..][..self.p]);
+            curvature.copy_within(start..start + s, row * s);
         }
+        curvature.truncate(rows * s);
         Totals { curvature, cross, expected: self.expected.map(Gather::total).unwrap_or_default(), ..totals }
     }
 }

@@ -133,7 +133,7 @@ fn several_tests_regressions_and_the_restricted_likelihood_are_summed_as_one_by_
                     let blocks = Blocks::filled((p, regressors.len(), several), *isa, tests, &fill);
                     let mut found = wanted.zero();
                     found.value += blocks.constant();
-                    blocks.whole(&point, wanted).iter().for_each(|totals| found.take_whole(totals));
+                    blocks.whole(&point, wanted).into_iter().for_each(|totals| found.take_whole(totals));
                     let expected =
                         one_by_one(&classes.iter().map(Class::view).collect::<Vec<_>>(), &point, wanted).numbers();
                     let largest = expected.iter().fold(0.0_f64, |most, x| most.max(x.abs()));

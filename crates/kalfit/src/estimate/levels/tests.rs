@@ -313,7 +313,7 @@ fn the_expected_information_is_what_the_observed_one_is_on_average() {
             }
         }
         let found = sums.expected_information();
-        let off = (&found - &expected).amax();
+        let off = (&*found - &expected).amax();
         assert!(off < 1e-9 * expected.amax(), "{found} {expected}");
     }
 }
