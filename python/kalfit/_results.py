@@ -63,7 +63,7 @@ class RatioTest(_Record):
         self.statistic: float = float(record["lr"])
         #: Number of constraints.
         self.degrees_of_freedom: int = record["df"]
-        #: By the large-sample law; None where there is none. That of a bootstrap is in :meth:`to_dict`.
+        #: From the large-sample distribution; None where there is none. That of a bootstrap is in :meth:`to_dict`.
         self.p_value: float | None = record["p_value"]
         #: Whether both fits are certified.
         self.converged: bool = record["converged"]

@@ -15,7 +15,7 @@ import kalfit
 from conftest import ROOT
 
 MODULES = sorted(f"kalfit.{module.name}" for module in pkgutil.iter_modules(kalfit.__path__)) + ["kalfit"]
-GUIDE = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "python.md").read_text(encoding="utf-8"), re.DOTALL)
+GUIDE = re.findall(r"```python\n(.*?)```", (ROOT / "book" / "src" / "guide" / "python.md").read_text(encoding="utf-8"), re.DOTALL)
 
 
 def test_the_wheel_is_what_is_tested():
@@ -56,7 +56,7 @@ def test_the_guide_runs_from_top_to_bottom(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # it writes files
     names = {"__name__": "guide"}
     for block in GUIDE:
-        exec(compile(block, "docs/python.md", "exec"), names)
+        exec(compile(block, "guide/python.md", "exec"), names)
 
 
 def test_strict_types():

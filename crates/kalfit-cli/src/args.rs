@@ -55,7 +55,7 @@ pub(crate) struct GlobalArgs {
     #[arg(long, value_name = "WHEN", default_value = "auto", global = true, help_heading = GLOBAL, hide_possible_values = true)]
     pub(crate) color: ColorChoice,
 
-    /// Processor instructions to use: `portable`, `avx2` or `avx512`; with the same choice, all machines give the same bits
+    /// Processor instructions to use: `portable`, `neon`, `avx2` or `avx512`; with the same choice, all machines give the same bits
     /// [default: the widest; or the variable KALFIT_INSTRUCTIONS]
     #[arg(long, value_name = "SET", global = true, help_heading = GLOBAL)]
     pub(crate) instructions: Option<String>,
@@ -93,7 +93,7 @@ pub(crate) enum Command {
     Simulate(SimulateArgs),
     /// Expected standard errors for different numbers of tests, before any test is run
     Plan(PlanArgs),
-    /// Apply a fitted model to old or new tests: do they belong to the population, what were their states
+    /// Apply a fitted model to old or new tests: whether they belong to the population, and their states
     Apply(ApplyArgs),
     /// Cross-validate: how well a model predicts tests that were left out, and whether another does better
     Validate(ValidateArgs),
@@ -137,7 +137,7 @@ pub(crate) struct CompletionsArgs {
 #[derive(Debug, Group)]
 #[command(after_help = examples::MAN)]
 pub(crate) struct ManArgs {
-    /// Folder for the pages, made if it does not exist; pages that are there are replaced
+    /// Folder for the pages, made if it does not exist; existing pages are replaced
     pub(crate) dir: Option<PathBuf>,
 }
 

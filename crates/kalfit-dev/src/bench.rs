@@ -33,7 +33,8 @@ pub(crate) fn build_and_run() -> ExitCode {
         }
     };
     let status = Command::new("cargo")
-        .args(["run", "--quiet", "--release", "--package", "kalfit-dev", "--", "bench", "--here"])
+        .args(["run", "--quiet", "--release", "--package", "kalfit-dev", "--features", "measure"])
+        .args(["--", "bench", "--here"])
         .env("CARGO_TARGET_DIR", target)
         .env("RUSTFLAGS", "-C target-cpu=native")
         .status();

@@ -4,15 +4,17 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
 use crate::places;
+use crate::test::MEASURE;
 
 /// The version of mdBook that the pages were looked at with.
 const MDBOOK: &str = "0.5.4";
 
 /// Runs the book's tests so that they write instead of compare.
 pub(crate) fn write() -> ExitCode {
-    let arguments = ["test", "--quiet", "--locked", "-p", "kalfit-cli", "--test", "book", "--", "--test-threads", "1"];
     let mut cargo = Command::new("cargo");
-    ended(cargo.args(arguments).env("KALFIT_BOOK", "write"), "cargo")
+    // built as `cargo dev test` builds it, so that nothing is built twice
+    cargo.args(["test", "--quiet", "--locked", "--workspace", "--features", MEASURE, "--test", "book"]);
+    ended(cargo.args(["--", "--test-threads", "1"]).env("KALFIT_BOOK", "write"), "cargo")
 }
 
 /// Shows the book in a browser, by mdBook, which is installed into the target directory first where it is missing.

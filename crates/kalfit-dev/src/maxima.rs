@@ -1,6 +1,6 @@
 //! Whether certified points are maxima: random models of one to three processes, zero scales, redundant parts and free covariances
 //! of noise are drawn and fitted from five starts each. No certified end may lie below another certified one, and from none may a
-//! probe of random directions rise: the table of `docs/coverage.md`.
+//! probe of random directions rise: the table of `book/src/guide/coverage.md`.
 
 mod profiles;
 

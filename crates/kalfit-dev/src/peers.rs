@@ -125,7 +125,8 @@ fn build_and_run(options: &Options) -> Result<(), String> {
     };
     let (python, rscript) = (program(&options.python)?, program(&options.rscript)?);
     let command = whole::path(&command)?;
-    let mut arguments = [&["run"], &build[..], &["kalfit-dev", "--", "peers", "--here"]].concat();
+    let mut arguments =
+        [&["run"], &build[..], &["kalfit-dev", "--features", "measure", "--", "peers", "--here"]].concat();
     arguments.extend(["--command", command, "--python", &python, "--rscript", &rscript]);
     let only = options.only.and_then(|part| Some(part.to_possible_value()?.get_name().to_owned()));
     if let Some(only) = &only {

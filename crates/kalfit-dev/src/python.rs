@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crate::places;
+use crate::test::MEASURE;
 
 /// Where things are.
 struct Places {
@@ -48,7 +49,8 @@ pub(crate) fn run() -> Result<(), String> {
     places.run(&python, &["-m", "pip", "install", "--quiet", "--requirement", "python/tests/requirements.txt"])?;
     spark(&places)?;
     // the program as the tests have built it, with all that they need, so that nothing is built twice
-    places.run(Path::new("cargo"), &["test", "--quiet", "--locked", "--workspace", "--no-run"])?;
+    let tests = ["test", "--quiet", "--locked", "--workspace", "--no-run", "--features", MEASURE];
+    places.run(Path::new("cargo"), &tests)?;
     let wheels = places.environment.join("wheels");
     let folder = wheels.to_str().ok_or("the target folder has no name in UTF-8")?;
     // the profile of the other tests: what they have built of it is used again

@@ -32,14 +32,14 @@ pub(crate) fn add(
         optimal.phases[i].filter = None;
         let Ok(raw) = reductions::of(&optimal, alpha, tests, reading) else {
             record.notes.push(format!(
-                "what the filter of phase `{}` lost is not known: its measurements cannot be reduced by themselves",
+                "the information lost by the filter of phase `{}` is not known: its measurements cannot be reduced by themselves",
                 model.phases[i].name
             ));
             continue;
         };
         match information_lost(&raw, reductions, &Structure::of(model, alpha, None), population) {
             Ok(lost) => record.add_information_lost(i, InformationLostRecord::new(model, i, &lost)),
-            Err(error) => record.notes.push(format!("what a filter lost is not known: {error}")),
+            Err(error) => record.notes.push(format!("the information lost by a filter is not known: {error}")),
         }
     }
 }

@@ -32,6 +32,8 @@ pub struct Isa(Kind);
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
     Portable,
+    #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
+    Neon,
     #[cfg(target_arch = "x86_64")]
     Avx2,
     #[cfg(target_arch = "x86_64")]
@@ -57,7 +59,7 @@ impl Isa {
     }
 
     /// The words for all sets, also those that this machine lacks.
-    pub const WORDS: [&'static str; 3] = ["portable", "avx2", "avx512"];
+    pub const WORDS: [&'static str; 4] = ["portable", "neon", "avx2", "avx512"];
 
     /// The one of a word; `None` when this machine does not have it.
     pub fn named(word: &str) -> Option<Isa> {
@@ -68,6 +70,8 @@ impl Isa {
     pub fn word(self) -> &'static str {
         match self.0 {
             Kind::Portable => "portable",
+            #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
+            Kind::Neon => "neon",
             #[cfg(target_arch = "x86_64")]
             Kind::Avx2 => "avx2",
             #[cfg(target_arch = "x86_64")]
@@ -85,6 +89,8 @@ impl Isa {
     pub fn lanes(self) -> usize {
         match self.0 {
             Kind::Portable => 4,
+            #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
+            Kind::Neon => 4,
             #[cfg(target_arch = "x86_64")]
             Kind::Avx2 => 4,
             #[cfg(target_arch = "x86_64")]
@@ -96,6 +102,8 @@ impl Isa {
     pub fn name(self) -> &'static str {
         match self.0 {
             Kind::Portable => "four numbers at a time",
+            #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
+            Kind::Neon => "NEON, four numbers at a time",
             #[cfg(target_arch = "x86_64")]
             Kind::Avx2 => "AVX2 and FMA, four numbers at a time",
             #[cfg(target_arch = "x86_64")]
@@ -107,6 +115,8 @@ impl Isa {
     pub fn run<K: Kernel>(self, kernel: K) -> K::Output {
         match self.0 {
             Kind::Portable => kernel.run::<Four>(),
+            #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
+            Kind::Neon => kernel.run::<crate::neon::Neon>(),
             // SAFETY: `found` made this value, so the machine has AVX2 and FMA.
             #[cfg(target_arch = "x86_64")]
             Kind::Avx2 => unsafe { in_avx2(kernel) },
@@ -125,7 +135,12 @@ fn found() -> Vec<Isa> {
     some.into_iter().filter(|(has, _)| *has).map(|(_, kind)| Isa(kind)).collect()
 }
 
-#[cfg(not(target_arch = "x86_64"))]
+#[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
+fn found() -> Vec<Isa> {
+    vec![Isa::PORTABLE, Isa(Kind::Neon)]
+}
+
+#[cfg(not(any(target_arch = "x86_64", all(target_arch = "aarch64", target_feature = "neon"))))]
 fn found() -> Vec<Isa> {
     vec![Isa::PORTABLE]
 }

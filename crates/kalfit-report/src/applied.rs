@@ -119,7 +119,7 @@ fn sum(joint: &JointRecord) -> String {
     let squared = plain(joint.squared, 4);
     let Some(LawRecord { expected, std_dev, degrees_of_freedom, denominator }) = joint.law else {
         let degrees = count(joint.degrees_of_freedom, "degree") + " of freedom";
-        return format!("add up to {squared}, on {degrees}; their law is not known.");
+        return format!("add up to {squared}, on {degrees}; their distribution is not known.");
     };
     let p = joint.p_value.map_or("p unknown".to_owned(), p_value);
     let expected = match (expected, std_dev) {
@@ -185,19 +185,19 @@ fn notes(record: &AppliedRecord) -> Vec<String> {
     let sums = [Some(&record.distance), record.within.as_ref(), Some(&record.residual)];
     if sums.into_iter().flatten().any(|sum| sum.degrees_of_freedom > 0 && sum.law.is_none()) {
         notes.push(format!(
-            "A sum whose law is not known hangs on what the data of the fit do not determine, or the {} of the fit are too few for its \
-             {}: nothing is concluded from it.",
+            "The distribution of a sum is unknown if it depends on quantities that the data of the fit do not determine, or if \
+             the {} of the fit are too few for its {}. Nothing is concluded from such a sum.",
             fitted(record),
             count(record.states, "state")
         ));
     }
     if !record.at_zero.is_empty() && record.basis != Basis::OwnTests {
         let names: Vec<String> = record.at_zero.iter().map(|name| format!("`{}`", clean(name))).collect();
-        notes.push(format!("Estimated as zero, which counts as exactly zero: {}.", list(&names, MOST)));
+        notes.push(format!("Estimated as zero and taken as exactly zero: {}.", list(&names, MOST)));
     }
     if record.own > 0 && record.basis != Basis::OwnTests {
         notes.push(format!(
-            "{} of these tests are among those that the parameters were estimated from: they fit them by construction.",
+            "{} of these tests were used to estimate the parameters, so they agree with them better than new tests do.",
             record.own
         ));
     }
@@ -224,24 +224,24 @@ fn allowed_for(record: &AppliedRecord) -> String {
     match record.basis {
         Basis::Given => "The parameters are taken as exactly known.".to_owned(),
         Basis::OwnTests => format!(
-            "The parameters of {from} were estimated from these very tests, which fit them by construction: squares add up to about what is \
-             expected. Tests that are new are compared with wider laws."
+            "The parameters of {from} were estimated from these same tests, so the sums of squares are close to what is expected. New \
+             tests are compared with wider distributions."
         ),
         Basis::Estimates => format!(
-            "Expected values and p allow for the errors of all estimates in {from}, which are from {}: sums of squares have the law of a \
-             multiple of F in place of chi-squared.",
+            "Expected values and p-values allow for the errors of all estimates in {from} (from {}): sums of squares are compared with \
+             a multiple of F instead of chi-squared.",
             fitted(record)
         ),
         Basis::Population => format!(
-            "Expected values and p allow for the errors of mean and covariance in {from}, estimated from {}: distances have the law of a \
-             multiple of F in place of chi-squared. Dynamic parameters are taken as exactly known, as some of what is known of these tests \
-             was made with their values.",
+            "Expected values and p-values allow for the errors of mean and covariance in {from} (from {}): distances are compared with \
+             a multiple of F instead of chi-squared. Dynamic parameters are taken as exactly known, because some of these tests \
+             were reduced with their values.",
             fitted(record)
         ),
         Basis::Tests => format!(
-            "{from} does not say how far its estimates can be trusted: they are too many, or the fit was not made for it. Distances are \
-             compared as if each of the {} that it was made from had told all of its states exactly, which is too strict, and residuals as if \
-             dynamic parameters were exactly known.",
+            "{from} does not contain the covariance of its estimates (there are too many, or another kind of fit wrote it). Distances \
+             are therefore compared as if each of its {} had determined all its states exactly, which is too strict, and residuals \
+             as if the dynamic parameters were exactly known.",
             fitted(record)
         ),
     }

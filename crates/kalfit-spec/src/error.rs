@@ -136,8 +136,8 @@ pub enum Problem {
     /// A first step of unknown length.
     #[error("`step_first` gives the first step no length, which {what} needs")]
     FirstStepWithoutLength { what: String },
-    /// A start in a stationary law that does not exist.
-    #[error("state `{name}` has no stationary law: {why}")]
+    /// A start in a stationary distribution that does not exist.
+    #[error("state `{name}` has no stationary distribution: {why}")]
     NoStationaryLaw { name: String, why: String },
     /// A filter whose own belief of a parameter is not known.
     #[error("parameter `{name}` is free, but {place} uses it and does not say at which value")]
@@ -320,7 +320,7 @@ pub enum StructureProblem {
     #[error("the noise of `{first}` is {first_kind} and that of `{second}` {second_kind}, so they have no covariance")]
     MixedNoise { first: String, first_kind: &'static str, second: String, second_kind: &'static str },
     /// A state that inherits and is stationary.
-    #[error("state `{name}` inherits by `carry`, so it cannot start in its stationary law")]
+    #[error("state `{name}` inherits by `carry`, so it cannot start in its stationary distribution")]
     StationaryInherits { name: String },
     /// A state that inherits from nothing.
     #[error("`carry` of state `{name}` names no state of phase `{before}`")]

@@ -50,16 +50,17 @@
 //! expression  = number | name | `any text` | 'text' | ( expression ) | function ( expression, … )
 //!             | - expression | not expression | expression operator expression
 //! operator    = or | and | < <= > >= == != | + - | * / | ^
-//! function    = sqrt exp log sin cos tan abs (one argument), min max (one or more), if (condition, value, other value)
+//! function    = sqrt exp log sin cos tan abs (one argument), min max (one or more),
+//!               if (condition, value, other value)
 //! ```
 //!
 //! From loosest to tightest: `or`, `and`, `not`, comparisons (which cannot be chained), `+ -`, `* /`, unary minus, `^`.
-//! All group from the left but `^`, which groups from the right and takes a signed exponent: `2^-1` is a half, `-2^2`
-//! is minus four. Numbers are decimal (`1`, `.5`, `1e-6`); names are letters, digits and `_`, not starting with a digit.
+//! All operators group from the left except `^`, which groups from the right and takes a signed exponent: `2^-1` is a half,
+//! `-2^2` is minus four. Numbers are decimal (`1`, `.5`, `1e-6`); names are letters, digits and `_`, not starting with a digit.
 //! A quote inside a text is written twice.
 //!
-//! A name is a state of the phase, else a parameter, else `pi` or `dt`, else a column of the data; a name in backticks is always a
-//! column. Numbers, conditions and texts are different types: a condition becomes a number by `if(c, 1, 0)`, a number a
+//! A name is a state of the phase, or else a parameter, or else `pi` or `dt`, or else a column of the data. A name in backticks is
+//! always a column. Numbers, conditions and texts are different types: a condition becomes a number by `if(c, 1, 0)`, a number a
 //! condition by `x != 0`, and a text can only be compared, by `==` or `!=`, with a column, which is then a text column.
 //!
 //! Equations must be linear in the states after expansion: products, quotients and functions of states are refused.

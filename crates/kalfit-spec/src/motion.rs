@@ -22,7 +22,7 @@ pub(crate) enum Process {
 /// A motion, and what comes with it.
 pub(crate) struct Moved {
     pub(crate) motion: Motion,
-    /// It starts in its stationary law when nothing else is said.
+    /// It starts in its stationary distribution when nothing else is said.
     pub(crate) stationary: bool,
     pub(crate) hidden: Option<Rate>,
 }

@@ -39,7 +39,7 @@ fn in_equation(model: &Model, equation: &Linear, place: &str) -> Vec<String> {
         let named = MILLIONTHS.contains(&unit.trim().to_lowercase().as_str());
         (named && acts_whole(coefficient)).then(|| {
             let name = &state.name;
-            format!("state `{name}` is in {unit}, and {place} takes it times a column without 1e-6: is `1e-6 * {name}` meant?")
+            format!("state `{name}` is in {unit}, but {place} multiplies it by a column without the factor 1e-6: is `1e-6 * {name}` meant?")
         })
     };
     equation.terms.iter().filter_map(asks).collect()

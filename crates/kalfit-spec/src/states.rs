@@ -153,7 +153,7 @@ pub(crate) fn start_words(initial: &Initial) -> &'static str {
     }
 }
 
-/// A stationary law must exist, and belong to the stationary states alone.
+/// A stationary distribution must exist, and belong to the stationary states alone.
 fn check_stationary(context: &Context<'_>, one: &Declared<'_>, states: &[State]) -> Result<()> {
     let state = &states[one.index];
     if state.initial != Initial::Stationary {

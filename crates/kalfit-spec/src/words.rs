@@ -53,7 +53,7 @@ impl Words<'_> {
         let start = match &state.initial {
             Initial::Estimated if state.random => "start estimated".to_owned(),
             Initial::Estimated => "start estimated, one value common to all tests".to_owned(),
-            Initial::Stationary => "start in its stationary law".to_owned(),
+            Initial::Stationary => "start in its stationary distribution".to_owned(),
             Initial::Known { mean, variance } => {
                 format!("start known, mean {}, variance {}", self.shown(mean), self.shown(variance))
             }

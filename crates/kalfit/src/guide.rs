@@ -43,7 +43,7 @@
 //!
 //! # Gyros on two bench stations
 //!
-//! Constants, a drift that starts in its stationary law, and the noise of two stations. Here the data are drawn from the model
+//! Constants, a drift that starts in its stationary distribution, and the noise of two stations. Here the data are drawn from the model
 //! itself: times and inputs are the design, and the measured values of the design do not matter.
 //!
 //! ```

@@ -71,13 +71,13 @@ fn the_reference_of_the_model_file_has_every_key_of_the_code() {
         };
         let described = sorted(names.iter().map(|name| (*name).to_owned()).collect());
         assert_eq!(described, sorted(known), "keys.txt, {title}: left, what it describes; right, what the code knows");
-        write!(page, "\n## {title}\n\n{intro}\n\n| key | meaning |\n|---|---|\n").unwrap();
+        write!(page, "\n## {title}\n\n{}\n| key | meaning |\n|---|---|\n", wrapped(intro)).unwrap();
         for (name, meaning) in said {
             writeln!(page, "| `{name}` | {} |", meaning.replace('|', "\\|")).unwrap();
         }
     }
     page.push_str("\n## Expressions\n\n");
-    page.push_str(&expressions());
+    page.push_str(&wrapped(&expressions()));
     fresh("reference/model-file.md", &page);
 }
 
@@ -113,6 +113,38 @@ fn kind(rust: &str) -> String {
     }
 }
 
+/// Paragraphs of lines of at most a hundred characters; blocks stay as they are.
+fn wrapped(text: &str) -> String {
+    const WIDTH: usize = 100;
+    let mut page = String::new();
+    let (mut at, mut inside) = (0, false);
+    for line in text.lines() {
+        let fence = line.starts_with("```");
+        if inside || fence || line.is_empty() {
+            page.push_str(if at > 0 { "\n" } else { "" });
+            page.push_str(line);
+            page.push('\n');
+            (at, inside) = (0, inside != fence);
+            continue;
+        }
+        for word in line.split(' ') {
+            let size = word.chars().count();
+            let follows = at > 0 && at + 1 + size <= WIDTH;
+            page.push_str(if follows {
+                " "
+            } else if at > 0 {
+                "\n"
+            } else {
+                ""
+            });
+            page.push_str(word);
+            at = if follows { at + 1 + size } else { size };
+        }
+    }
+    page.push_str(if at > 0 { "\n" } else { "" });
+    page
+}
+
 /// Words of the documentation without its links to code.
 fn plain(words: &str) -> String {
     words.replace("[`", "`").replace("`]", "`").replace('|', "\\|")
@@ -138,12 +170,13 @@ fn records(title: &str, intro: &str, top: &str) -> String {
     let mut order = Vec::new();
     reached(top, &all, &mut order);
     assert!(order.len() > 1, "{top} leads nowhere");
-    let mut page = format!("{MADE}# {title}\n\n{intro}\n");
+    let mut page = format!("{MADE}# {title}\n\n{}", wrapped(intro));
     for structure in order {
         write!(
             page,
-            "\n## {}\n\n{}\n\n| field | type | meaning |\n|---|---|---|\n",
-            structure.item.name, structure.item.words
+            "\n## {}\n\n{}\n| field | type | meaning |\n|---|---|---|\n",
+            structure.item.name,
+            wrapped(&structure.item.words)
         )
         .unwrap();
         for field in &structure.fields {
@@ -160,17 +193,17 @@ fn records(title: &str, intro: &str, top: &str) -> String {
 
 #[test]
 fn the_reference_of_results_has_every_field_of_the_code() {
-    let fit = "What `kalfit fit --out fit.json` writes, from `FitRecord` down. Unknown figures are null. Fields may be added, none is renamed.";
+    let fit = "`kalfit fit --out fit.json` writes a `FitRecord`. Unknown numbers are null. Later versions may add fields, but do not rename them.";
     fresh("reference/fit-json.md", &records("fit.json", fit, "FitRecord"));
-    let test = "What `kalfit test --out test.json` writes, from `RatioRecord` down.";
+    let test = "`kalfit test --out test.json` writes a `RatioRecord`.";
     fresh("reference/test-json.md", &records("test.json", test, "RatioRecord"));
-    let plan = "What `kalfit plan --out plan.json` writes, from `PlanRecord` down.";
+    let plan = "`kalfit plan --out plan.json` writes a `PlanRecord`.";
     fresh("reference/plan-json.md", &records("plan.json", plan, "PlanRecord"));
-    let validated = "What `kalfit validate --out validated.json` writes, from `ValidatedRecord` down.";
+    let validated = "`kalfit validate --out validated.json` writes a `ValidatedRecord`.";
     fresh("reference/validated-json.md", &records("validated.json", validated, "ValidatedRecord"));
-    let compared = "What `kalfit compare --out compared.json` writes, from `ComparedRecord` down.";
+    let compared = "`kalfit compare --out compared.json` writes a `ComparedRecord`.";
     fresh("reference/compared-json.md", &records("compared.json", compared, "ComparedRecord"));
-    let sheet = "What `kalfit datasheet --out datasheet.json` writes, from `DatasheetRecord` down.";
+    let sheet = "`kalfit datasheet --out datasheet.json` writes a `DatasheetRecord`.";
     fresh("reference/datasheet-json.md", &records("datasheet.json", sheet, "DatasheetRecord"));
 }
 

@@ -80,9 +80,9 @@ fn the_tests_of_a_fit_are_what_the_fit_says_of_them() {
         as the furthest of 12.
 
     How to read this
-      The parameters of fit.json were estimated from these very tests, which fit
-        them by construction: squares add up to about what is expected. Tests that
-        are new are compared with wider laws.
+      The parameters of fit.json were estimated from these same tests, so the sums
+        of squares are close to what is expected. New tests are compared with wider
+        distributions.
       The p-value of a sum is two-sided. That of a single test is the probability of
         a larger value, corrected by Holm's method for the number of tests.
     ----- stderr
@@ -309,10 +309,10 @@ fn a_new_unit_is_compared_with_an_estimated_population() {
     folder::near("p", (number(row, "p_value"), 0.070_535_765_2), 1e-5);
     assert!(said.contains("(F, 1 and 5 degrees of freedom)"), "{said}");
     let flowing = said.split_whitespace().collect::<Vec<_>>().join(" ");
-    assert!(flowing.contains("allow for the errors of all estimates in fit.json, which are from 6 tests"), "{said}");
+    assert!(flowing.contains("allow for the errors of all estimates in fit.json (from 6 tests)"), "{said}");
     let own = shown(&folder.run("apply m.toml old.csv --from fit.json"));
     assert!(
-        own.split_whitespace().collect::<Vec<_>>().join(" ").contains("were estimated from these very tests"),
+        own.split_whitespace().collect::<Vec<_>>().join(" ").contains("were estimated from these same tests"),
         "{own}"
     );
     // of a fit that does not say how far its estimates can be trusted six tests that told all are taken
@@ -320,6 +320,6 @@ fn a_new_unit_is_compared_with_an_estimated_population() {
     fit["estimates"] = serde_json::Value::Null;
     folder.write("silent.json", fit.to_string().as_bytes());
     let said = shown(&folder.run("apply m.toml new.csv --from silent.json --out s.csv"));
-    assert!(said.contains("silent.json does not say how far its estimates can be trusted"), "{said}");
+    assert!(said.contains("silent.json does not contain the covariance of its estimates"), "{said}");
     folder::near("p", (number(&folder.table("s.csv")[0], "p_value"), 0.070_535_765_2), 1e-5);
 }

@@ -516,7 +516,7 @@ fn data_that_do_not_fit_the_model() {
     hint: give the measurement some noise
     ");
     assert_snapshot!(with("[states.slope]", "[states.slope]\nnext = \"2 * slope\"\nstep_noise = 1\ninitial = \"stationary\"", DATA), @r#"
-    error: stationary start of state `slope`: the motion has no stationary law: it is not stable (slope)
+    error: stationary start of state `slope`: the motion has no stationary distribution: it is not stable (slope)
 
     hint: give `initial = { mean, sigma }` or `initial = "estimated"`
     "#);

@@ -18,7 +18,7 @@ fn check_says_the_model_in_words() {
       state `bias` [deg/h]: constant; start estimated
       state `scale` [ppm]: constant; start estimated
       state `drift`: d/dt = -1 / tau * drift + noise of variance 2 * sigma_drift^2 /
-        tau per unit of time; start in its stationary law
+        tau per unit of time; start in its stationary distribution
       state `temperature_coefficient`: constant; start estimated, one value common
         to all tests
       measurement `gyro`: column `rate_out` reads bias + 1e-6 * rate_in * scale +
@@ -165,8 +165,8 @@ fn check_names_what_data_do_not_identify() {
     Convergence and model check
     Converged: the optimality conditions hold, so these are the maximum-likelihood
     estimates. Some quantities are not identified by the data.
-    Model check passed: innovations and tests agree with the model. Test c by itself
-    decides much of the answer.
+    Model check passed: innovations and tests agree with the model. Test c is
+    influential: the estimates depend on it.
     Log-likelihood -4.92, 5 free parameters, AIC 19.84, BIC 15.33.
 
     What to do next

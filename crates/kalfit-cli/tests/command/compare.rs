@@ -146,8 +146,8 @@ fn validations_stand_beside_each_other() {
 
     Notes
       `parallel-v.json` and `apart-v.json` did not predict the same values in the
-        same folds: their difference is not told. Give `kalfit validate` the same
-        data and the same `--folds`, `--seed` or `--by`.
+        same folds, so their difference is not given. Give `kalfit validate` the
+        same data and the same `--folds`, `--seed` or `--by`.
 
     How to read this
       Folds left out: the sum over all folds of the log density of their tests,
@@ -179,7 +179,7 @@ fn fits_of_other_data_and_files_that_are_no_fits_are_refused() {
     ----- stderr
     error: `full.json` and `short.json` are not fits of the same data: test `372` has 10 measured values against 9
 
-    hint: likelihoods compare only where they are of the same measured values: fit all models to the same data
+    hint: likelihoods can be compared only for the same measured values: fit all models to the same data
     ");
     assert_snapshot!(shown(&folder.run("compare full.json full.json")), @"
     exit 2
@@ -235,7 +235,7 @@ fn fits_of_other_data_and_files_that_are_no_fits_are_refused() {
 
     Notes
       Some fits maximise the likelihood, others the restricted likelihood (REML):
-        the two do not compare.
+        the two cannot be compared.
 
     How to read this
       Results files do not contain the data. Whether the fits used the same data is

@@ -125,12 +125,12 @@ fn it_is_shown_as_a_table() {
             5      10  0.09301   0.1701  0.1328 to 0.2367
 
     Definitions
-      Angle random walk: N: standard deviation of the angle that white noise of the
-        rate adds up to, per square root of time; of a measurement its standard
-        deviation times the square root of the step.
+      Angle random walk: N: standard deviation of the integrated white noise of the
+        rate, per square root of time; for a measurement, its standard deviation
+        times the square root of the step.
       Mean: mean over the population of tests.
-      Repeatability, unit to unit (serial): standard deviation from one `serial` to
-        the next of what their tests have in common.
+      Repeatability, unit to unit (serial): standard deviation, from one `serial` to
+        the next, of the part that its tests share.
       Repeatability, run to run: standard deviation from test to test of one unit.
 
     Notes
@@ -138,9 +138,9 @@ fn it_is_shown_as_a_table() {
         zero.
       Taken as zero for the curve of the model: `rate`; `--at COLUMN=VALUE` gives
         them another value.
-      The curve of the records is of measured values less known inputs, from all
-        pairs of neighbouring spans without a gap, of all tests together; its
-        interval follows from the number of independent spans.
+      The curve of the records uses measured values minus known inputs, and all
+        pairs of adjacent spans without a gap in all tests; its interval follows
+        from the number of independent spans.
     ----- stderr
     ");
 }

@@ -382,8 +382,8 @@ fn a_noise_level_of_zero_is_tested_against_a_mixture() {
       sigma         168.379   123.61
 
     Notes
-      With 1 test the large-sample law is a rough guide, and its p-values tend to be
-        too small: `--bootstrap 1000` does not depend on it.
+      With 1 test the large-sample distribution is a rough guide, and its p-values
+        tend to be too small; `--bootstrap 1000` does not use it.
     ----- stderr
     Wrote t.json
     ");

@@ -332,7 +332,7 @@ fn a_test_that_two_reductions_files_have_is_refused_with_both_places() {
     assert!(!folder.path("n.json").exists(), "nothing is written");
 }
 
-/// `by_hand.parquet` is what the program in docs/exchange.md writes. Least squares loses nothing of what was measured.
+/// `by_hand.parquet` is what the program in book/src/guide/exchange.md writes. Least squares loses nothing of what was measured.
 #[test]
 fn a_file_made_by_hand_says_what_the_measurements_say() {
     let model = "[data]\ntest = \"unit\"\n[states.bias]\n[states.drift]\n[measurements.z]\ncolumn = \"z\"\nequation = \"bias + k * drift\"\nnoise = 0.2\n[covariance]\nstructure = \"fixed\"\nmatrix = [[0.1, 0], [0, 0.01]]\n";

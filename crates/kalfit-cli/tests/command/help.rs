@@ -40,7 +40,7 @@ fn version_and_help() {
                    fitted
       simulate     Draw an ensemble of tests from a fit, or from the values in a model
       plan         Expected standard errors for different numbers of tests, before any test is run
-      apply        Apply a fitted model to old or new tests: do they belong to the population, what were
+      apply        Apply a fitted model to old or new tests: whether they belong to the population, and
                    their states
       validate     Cross-validate: how well a model predicts tests that were left out, and whether
                    another does better
@@ -67,9 +67,9 @@ fn version_and_help() {
                                 processors]
           --color <WHEN>        When to colour what is printed: `auto`, `always` or `never` [default:
                                 auto]
-          --instructions <SET>  Processor instructions to use: `portable`, `avx2` or `avx512`; with the
-                                same choice, all machines give the same bits [default: the widest; or
-                                the variable KALFIT_INSTRUCTIONS]
+          --instructions <SET>  Processor instructions to use: `portable`, `neon`, `avx2` or `avx512`;
+                                with the same choice, all machines give the same bits [default: the
+                                widest; or the variable KALFIT_INSTRUCTIONS]
 
     Examples:
       kalfit init gyro-bench bench            a model to start from, and its data, in the folder `bench`
@@ -237,8 +237,9 @@ fn version_and_help() {
               [default: auto]
 
           --instructions <SET>
-              Processor instructions to use: `portable`, `avx2` or `avx512`; with the same choice, all
-              machines give the same bits [default: the widest; or the variable KALFIT_INSTRUCTIONS]
+              Processor instructions to use: `portable`, `neon`, `avx2` or `avx512`; with the same
+              choice, all machines give the same bits [default: the widest; or the variable
+              KALFIT_INSTRUCTIONS]
 
     Examples:
       kalfit fit model.toml data.csv
@@ -280,9 +281,9 @@ fn version_and_help() {
                                 processors]
           --color <WHEN>        When to colour what is printed: `auto`, `always` or `never` [default:
                                 auto]
-          --instructions <SET>  Processor instructions to use: `portable`, `avx2` or `avx512`; with the
-                                same choice, all machines give the same bits [default: the widest; or
-                                the variable KALFIT_INSTRUCTIONS]
+          --instructions <SET>  Processor instructions to use: `portable`, `neon`, `avx2` or `avx512`;
+                                with the same choice, all machines give the same bits [default: the
+                                widest; or the variable KALFIT_INSTRUCTIONS]
 
     Examples:
       kalfit check model.toml                 is the model file valid, and how is it understood

@@ -168,8 +168,8 @@ fn lines_of_comments_are_skipped_and_lines_keep_their_numbers() {
 fn parts_per_million_without_their_factor() {
     let ppm = model("[states.slope]", "[states.slope]\nunit = \"ppm\"");
     let folder = Folder::new(&[("m.toml", ppm.as_bytes())]);
-    let asked = "state `slope` is in ppm, and the equation of measurement `y` takes it times a column without 1e-6: \
-                 is `1e-6 * slope` meant?";
+    let asked = "state `slope` is in ppm, but the equation of measurement `y` multiplies it by a column without the \
+                 factor 1e-6: is `1e-6 * slope` meant?";
     let said = shown(&folder.run("check m.toml"));
     assert!(said.contains(&format!("warning: {asked}")), "{said}");
     let said = shown(&folder.run("fit m.toml d.csv")).replace("\n    ", " ");

@@ -64,8 +64,8 @@ fn a_mean_is_tested_against_chi_squared() {
       χ²(1)                      0.22
 
     Notes
-      With 13 tests the large-sample law is a rough guide, and its p-values tend to
-        be too small: `--bootstrap 1000` does not depend on it.
+      With 13 tests the large-sample distribution is a rough guide, and its p-values
+        tend to be too small; `--bootstrap 1000` does not use it.
     ----- stderr
     ");
 }
@@ -91,8 +91,8 @@ fn a_variance_of_zero_is_tested_against_a_mixture() {
       χ²(1), which ignores the boundary     0.06
 
     Notes
-      With 13 tests the large-sample law is a rough guide, and its p-values tend to
-        be too small: `--bootstrap 1000` does not depend on it.
+      With 13 tests the large-sample distribution is a rough guide, and its p-values
+        tend to be too small; `--bootstrap 1000` does not use it.
     ----- stderr
     Wrote t.json
     ");
@@ -126,8 +126,8 @@ fn mean_and_covariance_are_also_tested_apart() {
       both                21.545   2     1e-5
 
     Notes
-      With 13 tests the large-sample law is a rough guide, and its p-values tend to
-        be too small: `--bootstrap 1000` does not depend on it.
+      With 13 tests the large-sample distribution is a rough guide, and its p-values
+        tend to be too small; `--bootstrap 1000` does not use it.
     ----- stderr
     ");
 }
@@ -152,8 +152,8 @@ fn a_hypothesis_without_a_regression_is_within_the_model() {
       χ²(1)                     0.002
 
     Notes
-      With 13 tests the large-sample law is a rough guide, and its p-values tend to
-        be too small: `--bootstrap 1000` does not depend on it.
+      With 13 tests the large-sample distribution is a rough guide, and its p-values
+        tend to be too small; `--bootstrap 1000` does not use it.
     ----- stderr
     ");
 }
@@ -275,8 +275,8 @@ fn a_set_parameter_is_set_on_both_sides() {
       χ²(1)                      0.03
 
     Notes
-      With 6 tests the large-sample law is a rough guide, and its p-values tend to
-        be too small: `--bootstrap 1000` does not depend on it.
+      With 6 tests the large-sample distribution is a rough guide, and its p-values
+        tend to be too small; `--bootstrap 1000` does not use it.
     ----- stderr
     ");
     folder.write("h.toml", b"[mean]\nfixed = { bias = 0.5, scale = 300 }\n[parameters]\ntau = 100\n");
@@ -523,8 +523,8 @@ fn fits_that_are_not_certified_are_said_to_be_so() {
       χ²(1)                      0.52
 
     Notes
-      With 13 tests the large-sample law is a rough guide, and its p-values tend to
-        be too small: `--bootstrap 1000` does not depend on it.
+      With 13 tests the large-sample distribution is a rough guide, and its p-values
+        tend to be too small; `--bootstrap 1000` does not use it.
     ----- stderr
     Wrote t.json
     ");
@@ -573,9 +573,9 @@ fn help_shows_an_example() {
                                 processors]
           --color <WHEN>        When to colour what is printed: `auto`, `always` or `never` [default:
                                 auto]
-          --instructions <SET>  Processor instructions to use: `portable`, `avx2` or `avx512`; with the
-                                same choice, all machines give the same bits [default: the widest; or
-                                the variable KALFIT_INSTRUCTIONS]
+          --instructions <SET>  Processor instructions to use: `portable`, `neon`, `avx2` or `avx512`;
+                                with the same choice, all machines give the same bits [default: the
+                                widest; or the variable KALFIT_INSTRUCTIONS]
 
     Examples:
       kalfit test model.toml data.csv --null null.toml

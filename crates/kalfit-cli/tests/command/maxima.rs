@@ -96,7 +96,7 @@ fn the_edge_of_what_a_noise_covariance_may_be_is_named() {
     assert!(found.converged, "{}", found.reason);
     let edge = parameter(&found, "s", Some("B"));
     assert_eq!((edge.standing.as_deref(), edge.at_bound, edge.std_error), (Some("edge"), true, None));
-    assert!(found.notes.iter().any(|note| note.contains("edge of what a covariance may be")), "{:?}", found.notes);
+    assert!(found.notes.iter().any(|note| note.contains("at the largest possible covariance")), "{:?}", found.notes);
 }
 
 #[test]

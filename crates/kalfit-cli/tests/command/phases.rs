@@ -60,7 +60,7 @@ fn a_summary_of_two_phases() {
     Converged: the optimality conditions hold, so these are the maximum-likelihood
     estimates.
     Model check passed: the tests agree with the population (innovations were not
-    computed). Each of 2 tests by itself decides much of the answer.
+    computed). 2 tests are influential: the estimates depend on each of them.
     Log-likelihood 8.91, 9 free parameters, AIC 0.18, BIC 21.62.
 
     What to do next

@@ -141,8 +141,8 @@ fn meta_analysis_has_the_figures_of_metafor() {
     Convergence and model check
     Converged: the optimality conditions hold, so these are the maximum-likelihood
     estimates.
-    Model check passed: innovations and tests agree with the model. Test 2 by itself
-    decides much of the answer.
+    Model check passed: innovations and tests agree with the model. Test 2 is
+    influential: the estimates depend on it.
     Log-likelihood 5.84, 5 free parameters, AIC -1.68, BIC -0.17.
 
     What to do next
@@ -209,8 +209,8 @@ fn gyro_bench_finds_the_error_model_behind_the_simulated_data() {
     Convergence and model check
     Converged: the optimality conditions hold, so these are the maximum-likelihood
     estimates.
-    Model check passed: innovations and tests agree with the model. Test g07 by
-    itself decides much of the answer.
+    Model check passed: innovations and tests agree with the model. Test g07 is
+    influential: the estimates depend on it.
     Log-likelihood 377.11, 9 free parameters, AIC -736.23, BIC -696.45.
 
     What to do next
@@ -242,8 +242,8 @@ fn gyro_bench_finds_the_error_model_behind_the_simulated_data() {
       B           13        1.048     0.55       30.3        32     0.55
 
     Notes
-      State `scale` is in ppm, and the equation of measurement `rate` takes it times
-        a column without 1e-6: is `1e-6 * scale` meant?
+      State `scale` is in ppm, but the equation of measurement `rate` multiplies it
+        by a column without the factor 1e-6: is `1e-6 * scale` meant?
 
     Every test has its own design (times, inputs and missing values). 8 tests needed
     the more accurate square-root filter.
@@ -272,8 +272,8 @@ fn vaccine_trials_with_a_regression() {
     Convergence and model check
     Converged: the optimality conditions hold, so these are the maximum-likelihood
     estimates.
-    Model check passed: innovations and tests agree with the model. Test 6 by itself
-    decides much of the answer.
+    Model check passed: innovations and tests agree with the model. Test 6 is
+    influential: the estimates depend on it.
     Log-likelihood -7.69, 3 free parameters, AIC 21.37, BIC 23.07.
 
     What to do next
@@ -338,8 +338,8 @@ fn gyros_with_drift_and_constraints() {
     Convergence and model check
     Converged: the optimality conditions hold, so these are the maximum-likelihood
     estimates.
-    Model check passed: innovations and tests agree with the model. Test U03 by
-    itself decides much of the answer.
+    Model check passed: innovations and tests agree with the model. Test U03 is
+    influential: the estimates depend on it.
     Log-likelihood 84.31, 4 free parameters, AIC -160.62, BIC -152.44.
 
     What to do next
@@ -417,8 +417,8 @@ fn two_sensors_in_long_data() {
     Convergence and model check
     Converged: the optimality conditions hold, so these are the maximum-likelihood
     estimates.
-    Model check passed: innovations and tests agree with the model. Each of 2 tests
-    by itself decides much of the answer.
+    Model check passed: innovations and tests agree with the model. 2 tests are
+    influential: the estimates depend on each of them.
     Log-likelihood 13.62, 5 free parameters, AIC -17.24, BIC -5.93.
 
     What to do next
@@ -480,8 +480,8 @@ fn without_an_output_the_summary_is_all() {
     Convergence and model check
     Converged: the optimality conditions hold, so these are the maximum-likelihood
     estimates.
-    Model check passed: innovations and tests agree with the model. Each of 3 tests
-    by itself decides much of the answer.
+    Model check passed: innovations and tests agree with the model. 3 tests are
+    influential: the estimates depend on each of them.
     Log-likelihood -3.72, 5 free parameters, AIC 17.45, BIC 18.43.
 
     What to do next
@@ -528,7 +528,7 @@ fn what_did_not_converge_is_written_and_says_so() {
     assert!(text.starts_with("exit 1\n"), "{text}");
     assert!(text.contains("Not converged: "), "{text}");
     assert!(!record.converged, "the record says so too");
-    assert!(record.reason.contains("passes"), "the reason is given: {}", record.reason);
+    assert!(record.reason.contains("limit of iterations"), "the reason is given: {}", record.reason);
 }
 
 #[test]

@@ -153,5 +153,5 @@ fn a_model_with_levels_is_refused_in_words() {
     folder.write("levels.toml", levels.as_bytes());
     folder.write("lots.csv", b"id,lot,x,y\na,1,0,1.1\na,1,1,2.0\nb,1,0,0.4\nb,1,1,0.9\nc,2,0,2.0\nc,2,1,2.1\n");
     let text = refused(&folder, "sums levels.toml lots.csv --out here.sums");
-    assert!(text.contains("the model has levels of groups, and a fit by sums takes tests one by one"), "{text}");
+    assert!(text.contains("the model has levels of groups, which a fit by sums does not support"), "{text}");
 }

@@ -127,6 +127,7 @@ fn an_ordinary_level_at_zero_is_no_false_alarm() {
         fitted(&model(walk, "bias + wander", "sigma = {}\nwalk = {}").replace("time = \"t\"\n", ""), &data, 0);
     assert!(record.converged, "{text}");
     assert_eq!(record.parameters[1].estimate, 0.0, "{text}");
-    let limit = "`walk` is estimated as zero: the data show no sign of it; `--intervals profile` gives the upper limit";
+    let limit =
+        "`walk` is estimated as zero: the data show no such effect; `--intervals profile` gives the upper limit";
     assert!(record.notes.iter().any(|note| note == limit), "{:?}", record.notes);
 }

@@ -302,7 +302,7 @@ column = "y"
 equation = "level + slope * x + 0.1 * y"
 noise = 0.1
 "##)]), @"
-    error: column `y` holds measurements and is read as an input too: a drawn value would change the model that it is drawn from
+    error: column `y` contains measurements and is also used as an input: a drawn value would change the model that it is drawn from
 
     hint: read the input from a column of its own
     ");

@@ -169,7 +169,7 @@ pub enum ExchangeError {
         expected: String,
     },
     /// A model with levels, whose groups the file does not hold.
-    #[error("{file} holds {kind} that do not say the groups of tests, and the model has levels of groups")]
+    #[error("{file} has {kind} without the groups of tests, but the model has levels of groups")]
     Levels {
         /// The file.
         file: String,
@@ -208,7 +208,7 @@ impl ExchangeError {
                 "write the file again; metadata other than kalfit's own may be left out altogether".into()
             }
             ExchangeError::MissingColumn { columns, .. } => columns.hint(),
-            ExchangeError::Length { .. } => "matrices are flat lists, row after row; docs/exchange.md has all lengths".into(),
+            ExchangeError::Length { .. } => "matrices are flat lists, row after row; the book (Exchange files) has all lengths".into(),
             ExchangeError::Phase { .. } => "`phase` may be left out where the model has but one".into(),
             ExchangeError::States { ordered: false, .. } => {
                 "name every state of the phase once, in the order in which the file's vectors have them".into()

@@ -1,6 +1,6 @@
 //! Exchange files: what filters made of each phase of a test, so that data need not travel.
 //!
-//! Both kinds are Parquet files with one row for each test and phase. `docs/exchange.md` has the schemas and a program that
+//! Both kinds are Parquet files with one row for each test and phase. `book/src/guide/exchange.md` has the schemas and a program that
 //! writes an estimates file by hand.
 //!
 //! * **Reductions** (`kalfit-reductions/1`) hold [`PhaseReduction`](kalfit::reduce::PhaseReduction)s: everything that the

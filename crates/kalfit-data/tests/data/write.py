@@ -31,7 +31,7 @@ frame.write_ipc("polars.arrow", compression="zstd")
 frame.write_ipc_stream("polars.arrows")
 frame.write_csv("polars.csv")
 
-# Estimates files, as `docs/exchange.md` describes them: states in another order than the model's, `tilt` first; n = 2, m = 3.
+# Estimates files, as `book/src/guide/exchange.md` describes them: states in another order than the model's, `tilt` first; n = 2, m = 3.
 covariance = [
     [0.0, 0.0, 0.0, 0.0, 0.0],
     [0.0, 4.0, 0.5, 0.0, 1.0],

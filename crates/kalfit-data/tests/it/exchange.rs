@@ -394,24 +394,24 @@ fn columns_that_are_missing_or_of_another_type() {
 fn lists_of_the_wrong_length_or_with_holes() {
     assert_snapshot!(refused("offsets", Some(numbers(&[Some(&[1.0, 2.0])]))), @"
     standard input, row 1, column `offsets`: found a list of 2 numbers, expected 1: one for each of the 1 estimates
-    hint: matrices are flat lists, row after row; docs/exchange.md has all lengths
+    hint: matrices are flat lists, row after row; the book (Exchange files) has all lengths
     ");
     assert_snapshot!(refused("sensitivities", Some(numbers(&[Some(&[1.0])]))), @"
     standard input, row 1, column `sensitivities`: found a list of 1 numbers, expected 2: m × n with m = 1 estimates and n = 2 states
-    hint: matrices are flat lists, row after row; docs/exchange.md has all lengths
+    hint: matrices are flat lists, row after row; the book (Exchange files) has all lengths
     ");
     assert_snapshot!(refused("transition", Some(numbers(&[Some(&[1.0, 2.0])]))), @"
     standard input, row 1, column `transition`: found a list of 2 numbers, expected 4: n × n with n = 2 states
-    hint: matrices are flat lists, row after row; docs/exchange.md has all lengths
+    hint: matrices are flat lists, row after row; the book (Exchange files) has all lengths
     ");
     assert_snapshot!(refused("transition", Some(numbers(&[None]))), @"standard input, row 1, column `transition`: found a missing value, expected a list of numbers");
     assert_snapshot!(refused("drift", Some(numbers(&[Some(&[1.0])]))), @"
     standard input, row 1, column `drift`: found a list of 1 numbers, expected 2: one for each of the 2 states
-    hint: matrices are flat lists, row after row; docs/exchange.md has all lengths
+    hint: matrices are flat lists, row after row; the book (Exchange files) has all lengths
     ");
     assert_snapshot!(refused("covariance_root", Some(numbers(&[Some(&[1.0, 2.0])]))), @"
     standard input, row 1, column `covariance_root`: found a list of 2 numbers, expected a multiple of 3: (n + m) × any number of columns with n = 2 states and m = 1 estimates
-    hint: matrices are flat lists, row after row; docs/exchange.md has all lengths
+    hint: matrices are flat lists, row after row; the book (Exchange files) has all lengths
     ");
     assert_snapshot!(refused("covariance_root", None), @"standard input, row 1, column `covariance_root`: found a missing value, expected a list of numbers, here or in `covariance`");
     assert_snapshot!(refused("estimates", Some(numbers(&[Some(&[f64::NAN])]))), @"standard input, row 1, column `estimates`: found NaN as element 1 of the list, expected a finite number");
@@ -517,11 +517,11 @@ fn reductions_say_the_groups_of_their_tests() {
 fn files_that_do_not_say_the_groups_are_refused() {
     let model = with_levels(&["lot"]);
     assert_snapshot!(said(&reductions_of(&model, &[]), &model), @"
-    standard input holds reductions that do not say the groups of tests, and the model has levels of groups
+    standard input has reductions without the groups of tests, but the model has levels of groups
     hint: reduce the data again with this model: reductions then say the groups
     ");
     assert_snapshot!(said(&parquet(&batch(sound()), 1), &model), @"
-    standard input holds estimates that do not say the groups of tests, and the model has levels of groups
+    standard input has estimates without the groups of tests, but the model has levels of groups
     hint: give the rows that the file was made of
     ");
     let written = EstimatesWriter::new(&model, &metadata(), Vec::new()).err();

@@ -23,7 +23,7 @@ struct Setup {
 
 const SETUPS: [Setup; 8] = [
     Setup {
-        title: "5 tests that tell their level exactly",
+        title: "5 tests that determine their level exactly",
         output: "level",
         mission: &[0.0],
         drawn: Drawn {
@@ -38,7 +38,7 @@ const SETUPS: [Setup; 8] = [
         },
     },
     Setup {
-        title: "5 tests that tell their level exactly, by restricted likelihood",
+        title: "5 tests that determine their level exactly, by restricted likelihood",
         output: "level",
         mission: &[0.0],
         drawn: Drawn {
@@ -53,7 +53,7 @@ const SETUPS: [Setup; 8] = [
         },
     },
     Setup {
-        title: "30 tests that tell their level with an error as large as its spread",
+        title: "30 tests that determine their level with an error as large as its spread",
         output: "level",
         mission: &[0.0],
         drawn: Drawn {
@@ -68,7 +68,7 @@ const SETUPS: [Setup; 8] = [
         },
     },
     Setup {
-        title: "30 tests that tell their level with an error of 1.7 times its spread",
+        title: "30 tests that determine their level with an error of 1.7 times its spread",
         output: "level",
         mission: &[0.0],
         drawn: Drawn {

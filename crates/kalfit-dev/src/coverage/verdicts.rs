@@ -64,7 +64,7 @@ const SETUPS: [Setup; 5] = [
         },
     },
     Setup {
-        title: "levels told with an error as large as their spread, 12 rows",
+        title: "levels determined with an error as large as their spread, 12 rows",
         drawn: Drawn {
             model: NOISY,
             free: "sigma",

@@ -75,7 +75,7 @@ pub(super) fn run(tests: u64) -> Result<(), String> {
         size.row(&format!("size, N = {n}"));
         distance.row(&format!("distance, N = {n}"));
         let exact = LEVELS.map(|level| format!("{:.2}", exactly(n, level) / level));
-        println!("| the same by law, states told exactly | {} |", exact.join(" | "));
+        println!("| exact, states determined exactly | {} |", exact.join(" | "));
     }
     Ok(())
 }

@@ -61,7 +61,7 @@ fn chart(along: &AlongRecord, phase: &str, title: &str, charts: &mut Charts) -> 
     };
     let caption = format!(
         "Choose a test; the least probable comes first. Top: measured values, and predictions before each step with a band of two \
-         standard deviations; about one value in twenty should lie outside. The band of the first steps may leave the picture. Next: \
+         standard deviations; about one value in twenty should lie outside. The band of the first steps may extend beyond the chart. Next: \
          innovations divided by their standard deviations; 95 % should lie within the dashed lines, without a pattern. Then: a state \
          estimated from the whole record, with two standard deviations. Last: normal quantile plot of the innovations. Points on the \
          line are as expected; ends that bend away are outliers, and a steeper slope means that the model has too little noise.{left}"

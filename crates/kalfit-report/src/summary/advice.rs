@@ -45,7 +45,7 @@ pub(crate) fn all(record: &FitRecord) -> Vec<String> {
     }
 }
 
-const NOT_CONVERGED: &str = "Do not use these figures. Give start values for the free parameters, allow more passes \
+const NOT_CONVERGED: &str = "Do not use these figures. Give start values for the free parameters, allow more iterations \
                              (`--max-iterations`), or use a simpler model: fewer states, or a diagonal covariance.";
 const UNIDENTIFIED: &str = "Fix what the data do not identify, or leave it out of the model, or add tests with information on it; \
                             `kalfit check` shows which tests see which states.";

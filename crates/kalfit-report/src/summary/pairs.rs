@@ -31,7 +31,7 @@ fn sentence(
     states: &[String],
     kept: bool,
 ) -> Option<(String, [String; 2])> {
-    if mean.what != "mean" || !mean.reason.contains(" apart") {
+    if mean.what != "mean" || !inseparable(mean) {
         return None;
     }
     let names = if mean.elements.is_empty() { states } else { &mean.elements };
@@ -60,6 +60,13 @@ fn sentence(
     Some((text, names))
 }
 
+/// The data know combinations of states, but not each alone, by the words that the fit gives; before version 0.2 these were "apart".
+fn inseparable(found: &UnidentifiedRecord) -> bool {
+    ["test separates", "separate the levels", "separate their", " apart"]
+        .iter()
+        .any(|words| found.reason.contains(words))
+}
+
 /// The direction is about these two states only.
 fn of_pair(found: &UnidentifiedRecord, pair: &[String; 2]) -> bool {
     let of = |name: &String| match covariance_of(name) {
@@ -67,5 +74,5 @@ fn of_pair(found: &UnidentifiedRecord, pair: &[String; 2]) -> bool {
         _ => pair.contains(name),
     };
     let terms = weighted(&found.direction, &found.elements);
-    !terms.is_empty() && found.reason.contains(" apart") && terms.into_iter().all(|(_, name)| of(name))
+    !terms.is_empty() && inseparable(found) && terms.into_iter().all(|(_, name)| of(name))
 }

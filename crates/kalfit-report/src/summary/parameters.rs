@@ -80,8 +80,8 @@ fn others(levels: &[ParameterRecord], shown: usize) -> String {
 fn value(row: &ParameterRecord) -> Cells {
     let why = match row.standing.as_deref() {
         Some("lower") if row.estimate == 0.0 => "at zero",
-        Some("lower") if row.note.as_deref().is_some_and(|note| note.starts_with("as good as zero")) => {
-            "as good as zero"
+        Some("lower") if row.note.as_deref().is_some_and(|note| note.starts_with("practically zero")) => {
+            "practically zero"
         }
         Some("lower") => "at its lower bound",
         Some("upper") => "at its upper bound",

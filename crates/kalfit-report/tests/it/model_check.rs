@@ -75,8 +75,8 @@ fn no_green_box_stands_over_a_model_that_the_page_refutes() {
     found no higher one.
     Model check doubtful: the innovations of all tests together are larger than the
     model allows; the innovations of 2 of 18 tests are improbable (size or
-    correlation in time); test 310 stands out of the population. Test 308 by itself
-    decides much of the answer.
+    correlation in time); test 310 is an outlier. Test 308 is influential: the
+    estimates depend on it.
     Log-likelihood -875.97, 6 free parameters, AIC 1763.94, BIC 1783.10.
     What to do next
       Look at the noise levels and processes of the model: their sizes do not fit
@@ -111,8 +111,8 @@ fn neither_influence_nor_a_singular_covariance_speaks_against_a_model() {
     estimates. The estimated covariance is singular, on the boundary of the possible
     covariances. For the dynamic parameters this is a local maximum; the search
     found no higher one.
-    Model check passed: innovations and tests agree with the model. Test 308 by
-    itself decides much of the answer.
+    Model check passed: innovations and tests agree with the model. Test 308 is
+    influential: the estimates depend on it.
     Log-likelihood -875.97, 6 free parameters, AIC 1763.94, BIC 1783.10.
     What to do next
       A singular covariance is a valid result: these tests do not show that the

@@ -115,7 +115,7 @@ fn methods_stand_side_by_side() {
         method: method.into(),
         log_likelihood: -637.602932 - if converged { 0.0 } else { 0.01 },
         converged,
-        reason: "the search ran out of passes".into(),
+        reason: "the search reached its limit of iterations".into(),
         values: vec![value, 123.61],
         iterations: 26,
         filter_passes: 20,
@@ -148,6 +148,6 @@ fn methods_stand_side_by_side() {
       parameter      hybrid  innovations      em
       walk         35.77194     35.77194    36.5
       sigma lot A    123.61       123.61  123.61
-      em did not converge: the search ran out of passes.
+      em did not converge: the search reached its limit of iterations.
     ");
 }

@@ -151,7 +151,7 @@ fn directions_that_mix_phases_are_left_to_the_notes() {
         direction: direction.to_vec(),
         elements: elements.iter().map(|&name| name.into()).collect(),
         tests: vec![],
-        reason: "no test tells `align.tilt` and `flight.tilt` apart".into(),
+        reason: "no test separates `align.tilt` and `flight.tilt`".into(),
         phases: vec!["align".into(), "flight".into()],
     };
     fit.phases[0].unidentified = vec![part(&[0.7, 0.0], &["tilt", "bias"])];

@@ -144,7 +144,7 @@ fn constraints_show_what_they_cost() {
     Converged: the optimality conditions hold, so these are the maximum-likelihood
     estimates. For the dynamic parameters this is a local maximum; the search found
     no higher one.
-    Model check doubtful: 2 tests stand out of the population.
+    Model check doubtful: 2 tests are outliers.
     Log-likelihood -875.97, 6 free parameters, AIC 1763.94, BIC 1783.10.
 
     What to do next
@@ -406,8 +406,8 @@ fn what_did_not_converge_says_so_first() {
 
     What to do next
       Do not use these figures. Give start values for the free parameters, allow
-        more passes (`--max-iterations`), or use a simpler model: fewer states, or a
-        diagonal covariance.
+        more iterations (`--max-iterations`), or use a simpler model: fewer states,
+        or a diagonal covariance.
 
     Outlying tests
       No test is an outlier: the smallest of 4 p-values is 0.02 (test 310), or 0.08

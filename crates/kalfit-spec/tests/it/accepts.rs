@@ -422,7 +422,7 @@ fn a_description_says_the_model_in_words() {
     steps: rows of equal time, column `t` [s]; x_0 is at time 0
     state `bias` [deg/h]: constant; start estimated
     state `scale` [ppm]: constant; start estimated
-    state `drift`: d/dt = -1 / tau * drift + noise of variance 2 * sigma_drift^2 / tau per unit of time; start in its stationary law
+    state `drift`: d/dt = -1 / tau * drift + noise of variance 2 * sigma_drift^2 / tau per unit of time; start in its stationary distribution
     state `temperature_coefficient`: constant; start estimated, one value common to all tests
     state `angle`: d/dt = bias + 1e-6 * rate_in * scale + drift + (T - 20) * temperature_coefficient + noise of standard deviation arw per square root of a unit of time; start known, mean 0, variance 0
     measurement `gyro`: column `angle_out` reads angle; noise of standard deviation sigma_v

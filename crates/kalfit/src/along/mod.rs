@@ -67,9 +67,7 @@ fn one_by_one(
     let (most, values) = bounds(model);
     let mut chosen = chosen(tests, fit);
     if chosen.is_empty() {
-        record
-            .notes
-            .push("records are not shown test by test: no test is known by rows that are filtered here".to_owned());
+        record.notes.push("records are not shown test by test: no test has rows of data".to_owned());
         return Ok(());
     }
     chosen.truncate(most);

@@ -112,7 +112,7 @@ impl<'a> Applied<'a> {
         self.reductions.iter().map(|reduction| reduction.observations).collect()
     }
 
-    /// What each test says.
+    /// Results of each test.
     ///
     /// # Errors
     /// As [`innovations`].

@@ -112,7 +112,7 @@ impl BuildError {
     pub fn hint(&self) -> Option<&'static str> {
         match self {
             BuildError::NoTime { .. } => Some("`ModelBuilder::time` names the column with the time of each row"),
-            BuildError::Unused { .. } => Some("a name that is misspelt where it is used has become a column"),
+            BuildError::Unused { .. } => Some("a misspelt name is taken as a column"),
             BuildError::NotLinear { .. } => {
                 Some("coefficients of states may depend on columns and parameters in any way")
             }

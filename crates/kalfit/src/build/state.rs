@@ -113,7 +113,7 @@ impl StateBuilder {
         self
     }
 
-    /// It starts in the stationary law of its motion.
+    /// It starts in the stationary distribution of its motion.
     #[must_use]
     pub fn stationary(mut self) -> Self {
         self.initial = Start::Stationary;

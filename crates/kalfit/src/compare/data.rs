@@ -40,7 +40,7 @@ impl CompareError {
             }
             CompareError::Twice { .. } => "name each file once",
             CompareError::OtherData { .. } => {
-                "likelihoods compare only where they are of the same measured values: fit all models to the same data"
+                "likelihoods can be compared only for the same measured values: fit all models to the same data"
             }
         }
     }

@@ -67,7 +67,7 @@ pub struct ComparedFit {
     pub log_likelihood: f64,
     /// Declared free quantities.
     pub free_parameters: usize,
-    /// 2k - 2ℓ; null where ℓ is of estimates, or is not what was maximised.
+    /// 2k - 2ℓ; null if ℓ is that of estimates, or is not the maximised function.
     pub aic: Option<f64>,
     /// k log(observations) - 2ℓ; null where `aic` is.
     pub bic: Option<f64>,
@@ -121,7 +121,7 @@ pub fn compare_with(
     record.validated = validations::side_by_side(validated, &mut record.notes)?;
     for own in record.validated.iter().filter(|own| own.observations != record.observations) {
         record.notes.push(format!(
-            "`{}` is of {} measured values, not of {}: it is of other data",
+            "`{}` is a fit of {} measured values, not of {}: its data are different",
             own.name, own.observations, record.observations
         ));
     }
@@ -159,7 +159,7 @@ pub fn compare(fits: &[(String, FitRecord)]) -> Result<ComparedRecord, CompareEr
     }
     predictive(&mut all, &records);
     notes.extend(all.iter().filter(|fit| !fit.converged).map(|fit| {
-        format!("`{}` is not certified: its log-likelihood is a lower bound of the maximum, no more", fit.name)
+        format!("`{}` is not certified: its log-likelihood is only a lower bound of the maximum", fit.name)
     }));
     let nested = if comparable { nested::all(fits, &mut notes) } else { Vec::new() };
     Ok(ComparedRecord {
@@ -205,13 +205,13 @@ fn comparable(fits: &[(String, FitRecord)]) -> (bool, Vec<String>) {
     let mut notes = Vec::new();
     if differs(&|fit| fit.log_likelihood_kind != first.log_likelihood_kind) {
         notes.push(
-            "Some log-likelihoods are of the measurements, others of what filters made of them: they do not compare"
+            "Some log-likelihoods are those of measurements, others those of filter estimates: they cannot be compared"
                 .to_owned(),
         );
     }
     if differs(&|fit| fit.criterion != first.criterion) {
         notes.push(
-            "Some fits maximise the likelihood, others the restricted likelihood (REML): the two do not compare"
+            "Some fits maximise the likelihood, others the restricted likelihood (REML): the two cannot be compared"
                 .to_owned(),
         );
     } else if first.criterion == "reml" {
@@ -232,7 +232,10 @@ fn comparable(fits: &[(String, FitRecord)]) -> (bool, Vec<String>) {
         );
     }
     if differs(&|fit| fit.composite_log_likelihood.is_some()) {
-        notes.push("A log-likelihood of `--phases marginal` is not what was maximised: it does not compare".to_owned());
+        notes.push(
+            "The log-likelihood of `--phases marginal` is not the maximised function, so it cannot be compared"
+                .to_owned(),
+        );
     }
     (notes.is_empty(), notes)
 }

@@ -68,7 +68,7 @@ pub(super) fn all(fits: &[(String, FitRecord)], notes: &mut Vec<String>) -> Vec<
             let lr = 2.0 * (large.log_likelihood - small.log_likelihood);
             if small.converged && large.converged && lr < -slack(large) {
                 notes.push(format!(
-                    "`{}` seems to lie within `{}` and has the higher log-likelihood all the same: there is no test of it",
+                    "`{}` seems to be nested in `{}` but has the higher log-likelihood, so no test is given",
                     fits[null].0, fits[alternative].0
                 ));
                 continue;
@@ -103,7 +103,7 @@ fn law((small, large): (&FitRecord, &FitRecord), restricted: &Restricted) -> (PV
         return none("a fit is not certified");
     }
     if [small, large].into_iter().any(has_unidentified) {
-        return none("not all that is free is identified, so the degrees of freedom are not known");
+        return none("some free quantities are not identified, so the degrees of freedom are unknown");
     }
     if restricted.parameter_ends > 0 && restricted.parameters > restricted.parameter_ends {
         return none(

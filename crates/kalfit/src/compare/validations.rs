@@ -50,7 +50,7 @@ pub(super) fn side_by_side(
         let differences = best.and_then(|(_, best)| differences(best, own));
         if let (None, Some((best, _))) = (&differences, best) {
             notes.push(format!(
-                "`{name}` and `{best}` did not predict the same values in the same folds: their difference is not told. Give `kalfit validate` the same data and the same `--folds`, `--seed` or `--by`"
+                "`{name}` and `{best}` did not predict the same values in the same folds, so their difference is not given. Give `kalfit validate` the same data and the same `--folds`, `--seed` or `--by`"
             ));
         }
         beside.push(ComparedValidation {

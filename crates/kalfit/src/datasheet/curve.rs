@@ -77,10 +77,10 @@ impl Asked<'_> {
         };
         let Some(length) = step else {
             let why = match records {
-                None => "no curve without a step: give data or `--step`",
+                None => "there is no curve without a step: give data or `--step`",
                 Some(records) if records.own.iter().all(Vec::is_empty) => "no curve: the data have no records of it",
                 Some(_) => {
-                    "its records are not regular: fewer than half of their steps are within 10 % of the median; `--step` in place of data draws the curve of the model alone"
+                    "its records have no regular step: fewer than half of their steps are within 10 % of the median; `--step` in place of data draws the curve of the model alone"
                 }
             };
             curve.notes.push(why.to_owned());

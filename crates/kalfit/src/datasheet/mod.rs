@@ -141,7 +141,7 @@ fn notes(curves: &[CurveRecord]) -> Vec<String> {
         ));
     }
     if curves.iter().any(|curve| curve.tests.is_some()) {
-        notes.push("the curve of the records is of measured values less known inputs, from all pairs of neighbouring spans without a gap, of all tests together; its interval follows from the number of independent spans".to_owned());
+        notes.push("the curve of the records uses measured values minus known inputs, and all pairs of adjacent spans without a gap in all tests; its interval follows from the number of independent spans".to_owned());
     }
     notes
 }

@@ -24,15 +24,15 @@ const NOISE: Said =
     Said { name: "measurement noise", definition: "standard deviation of the white noise of one measured value" };
 const ANGLE: Said = Said {
     name: "angle random walk",
-    definition: "N: standard deviation of the angle that white noise of the rate adds up to, per square root of time; of a measurement its standard deviation times the square root of the step",
+    definition: "N: standard deviation of the integrated white noise of the rate, per square root of time; for a measurement, its standard deviation times the square root of the step",
 };
 const VELOCITY: Said = Said {
     name: "velocity random walk",
-    definition: "N: standard deviation of the velocity that white noise of the acceleration adds up to, per square root of time; of a measurement its standard deviation times the square root of the step",
+    definition: "N: standard deviation of the integrated white noise of the acceleration, per square root of time; for a measurement, its standard deviation times the square root of the step",
 };
 const WHITE: Said = Said {
     name: "white noise",
-    definition: "N: standard deviation of one measured value times the square root of the step: what its integral adds up to, per square root of time",
+    definition: "N: standard deviation of one measured value times the square root of the step, which is that of its integral per square root of time",
 };
 const RATE: Said = Said {
     name: "rate random walk",
@@ -44,15 +44,15 @@ const ACCELERATION: Said = Said {
 };
 const WALK: Said = Said {
     name: "random walk",
-    definition: "standard deviation that driving noise alone gives the state, per square root of time (of steps, where rows have no times)",
+    definition: "standard deviation that the driving noise adds to the state, per square root of time (of the number of steps, if rows have no times)",
 };
 const SIGMA: Said = Said {
     name: "Gauss-Markov sigma",
-    definition: "standard deviation of a state of finite memory, in its stationary law",
+    definition: "standard deviation of a state with finite memory, in its stationary distribution",
 };
 const TAU: Said = Said {
     name: "Gauss-Markov time constant",
-    definition: "time in which a state of finite memory forgets: its correlation falls as exp(-t/tau), of second order as (1 + t/tau) exp(-t/tau)",
+    definition: "correlation time of a state with finite memory: its correlation falls as exp(-t/tau), for second order as (1 + t/tau) exp(-t/tau)",
 };
 
 impl<'a> Sheet<'a> {

@@ -76,7 +76,7 @@ impl StateEntries<'_> {
     fn mean(&self, value: f64, covariates: bool) -> EntryRecord {
         let interval = self.own.and_then(|own| self.interval(&own.states, &own.mean.interval95));
         let definition = match covariates {
-            true => "mean over the population of tests, where the columns that it moves with are zero",
+            true => "mean over the population of tests, at zero values of its regression columns",
             false => "mean over the population of tests",
         };
         EntryRecord {
@@ -108,7 +108,7 @@ impl StateEntries<'_> {
             Some(TESTS) => (", run to run".to_owned(), "standard deviation from test to test of one unit".to_owned()),
             Some(level) => (
                 format!(", unit to unit ({level})"),
-                format!("standard deviation from one `{level}` to the next of what their tests have in common"),
+                format!("standard deviation, from one `{level}` to the next, of the part that its tests share"),
             ),
         };
         let element = format!("std_dev[{}]", self.name);

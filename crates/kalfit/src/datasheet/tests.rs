@@ -83,7 +83,7 @@ fn what_differs_from_row_to_row_is_said() {
     assert!(sheet.allan[0].notes[0].contains("column `warmth`"), "{:?}", sheet.allan[0].notes);
     let sheet = made(None, &[("warmth", "2")]).expect("it has numbers");
     assert_eq!(entry(&sheet, "angle random walk", "y").varies_with, ["step"]);
-    assert_eq!(sheet.allan[0].notes, ["no curve without a step: give data or `--step`"]);
+    assert_eq!(sheet.allan[0].notes, ["there is no curve without a step: give data or `--step`"]);
 }
 
 #[test]

@@ -76,7 +76,7 @@ pub(crate) struct Solved {
 /// What second derivatives are made of.
 #[derive(Debug, Clone)]
 pub(crate) enum Told {
-    /// What each test says.
+    /// Results of each test.
     Tests(Box<OfTests>),
     /// The information in the only value, which scales all noise, and with (μ, Σ) along the tangent basis. What each test says is
     /// worked out when it is asked for.
@@ -219,7 +219,7 @@ impl<'a> Bench<'a> {
         pairs.iter().for_each(|(own, more)| _ = own.fetch_add(more.load(Ordering::Relaxed), Ordering::Relaxed));
     }
 
-    /// Passes over the reductions.
+    /// Iterations of the solver; each uses the reductions of all tests.
     pub(crate) fn passes(&self) -> usize {
         self.passes.load(Ordering::Relaxed)
     }

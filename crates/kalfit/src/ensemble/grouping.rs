@@ -18,7 +18,7 @@ pub struct Grouping {
 /// A group of tests.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Group {
-    /// Its name after those of the groups that it stands in, the outermost first.
+    /// Its name, after those of the groups that contain it, the outermost first.
     pub path: Vec<Label>,
     /// The group of the next level that it stands in; `None` for the outermost level.
     pub parent: Option<usize>,

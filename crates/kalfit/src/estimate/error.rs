@@ -18,7 +18,7 @@ pub enum FitError {
         id: String,
     },
     /// A test of which is not known which groups it stands in, under a model with levels.
-    #[error("which groups test `{test}` stands in is not known, and the model has levels of groups")]
+    #[error("the model has levels of groups, and the groups of test `{test}` are not known")]
     Ungrouped {
         /// Its id.
         test: String,
@@ -30,7 +30,7 @@ pub enum FitError {
         test: String,
     },
     /// The restricted likelihood of phases taken by themselves.
-    #[error("there is no restricted likelihood of several phases that are each taken by themselves (`marginal`)")]
+    #[error("the restricted likelihood is not available for phases that are fitted separately (`marginal`)")]
     RestrictedMarginal,
     /// ℓ is not a finite number at the start.
     #[error("the log-likelihood is not finite at the start values")]

@@ -43,7 +43,7 @@ pub struct Estimate {
     pub stop: Stop,
     /// ℓ after each accepted step.
     pub trace: Vec<f64>,
-    /// Passes over the reductions.
+    /// Iterations of the solver; each uses the reductions of all tests.
     pub passes: usize,
     /// Number of classes of tests with one information matrix.
     pub classes: usize,

@@ -54,7 +54,7 @@ impl Fit {
         self.record.converged
     }
 
-    /// log p of all measurements, every constant included; under REML the restricted one.
+    /// log p of all measurements, including all constants; under REML the restricted one.
     pub fn log_likelihood(&self) -> f64 {
         self.estimate.log_likelihood
     }

@@ -14,7 +14,7 @@ use crate::model::MeanElement;
 pub struct Sensitivity {
     /// The element.
     pub element: Element,
-    /// Value it is held at.
+    /// Value at which it is fixed.
     pub value: f64,
     /// dℓ_max / d value; an off-diagonal element moves both of its places.
     pub sensitivity: f64,

@@ -12,7 +12,7 @@ pub struct EstimateCovariance {
     pub quantities: Vec<Estimated>,
     /// Their covariance.
     pub covariance: DMatrix<f64>,
-    /// What the data do not determine.
+    /// Estimates that the data do not determine.
     pub open: Vec<Estimated>,
     /// Free variances, and free noise levels, whose estimate is zero.
     pub at_zero: Vec<Estimated>,

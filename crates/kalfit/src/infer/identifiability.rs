@@ -20,7 +20,7 @@ use crate::reduce::Reductions;
 /// What the data identify, why not all, and from which tests.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Examination {
-    /// Directions the data say nothing about.
+    /// Directions that the data do not determine.
     pub unidentified: Vec<Direction>,
     /// Why, for each of them.
     pub explanations: Vec<Explanation>,

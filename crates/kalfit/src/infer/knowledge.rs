@@ -65,7 +65,7 @@ pub struct Knowledge {
     pub quantities: Vec<Estimand>,
     /// Covariance of the estimates.
     pub covariance: DMatrix<f64>,
-    /// What the data do not determine.
+    /// Estimates that the data do not determine.
     pub open: Vec<Estimand>,
     /// Free variances and noise levels whose estimate is zero.
     pub at_zero: Vec<Estimand>,

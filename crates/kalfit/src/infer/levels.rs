@@ -16,7 +16,7 @@ use crate::reduce::Reductions;
 /// The answer without each test, or each group of a level.
 type Deletions = Vec<Option<Deletion>>;
 
-/// What is known of one group.
+/// Results of one group.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GroupPosterior {
     /// log p of all measurements of its tests, by themselves.

@@ -119,7 +119,7 @@ pub struct Inference {
     pub estimates: Option<EstimateCovariance>,
     /// 95 % intervals.
     pub intervals: Intervals,
-    /// Directions the data say nothing about.
+    /// Directions that the data do not determine.
     pub unidentified: Vec<Direction>,
     /// Why, for each of them.
     pub explanations: Vec<Explanation>,

@@ -43,7 +43,7 @@ pub struct Observability {
     pub shortages: Vec<Shortage>,
 }
 
-/// What the ensemble says of one state.
+/// How well the ensemble determines one state.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StateObservability {
     /// Number of tests whose measurements depend on it.
@@ -73,7 +73,7 @@ pub struct WeakDirection {
     pub direction: Vec<f64>,
     /// Its condition index.
     pub condition: f64,
-    /// The test that most of what is known of it rests on.
+    /// The test with the most information on it.
     pub leading: Option<Leading>,
 }
 

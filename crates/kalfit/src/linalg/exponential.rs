@@ -26,7 +26,7 @@ pub enum FlowError {
     /// An entry overflows, or was not finite to begin with.
     #[error("the transition is not finite")]
     NotFinite,
-    /// There is no stationary law.
+    /// There is no stationary distribution.
     #[error("the motion is not stable")]
     Unstable,
 }

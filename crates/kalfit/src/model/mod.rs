@@ -150,7 +150,7 @@ pub enum Motion {
 pub enum Initial {
     /// Part of ξ ~ N(μ, Σ).
     Estimated,
-    /// In the stationary law of its motion (Lyapunov equation), jointly with the other stationary states.
+    /// In the stationary distribution of its motion (Lyapunov equation), jointly with the other stationary states.
     Stationary,
     /// Known mean and variance.
     Known {

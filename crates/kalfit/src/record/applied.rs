@@ -62,7 +62,7 @@ pub struct AppliedRecord {
 pub struct FarGroupRecord {
     /// Name of its level.
     pub level: String,
-    /// Its name after those of the groups that it stands in, the outermost first.
+    /// Its name, after those of the groups that contain it, the outermost first.
     pub id: Vec<String>,
     /// Number of its tests.
     pub tests: usize,

@@ -148,23 +148,23 @@ fn certificate(estimate: &Estimate) -> CertificateRecord {
 pub(super) fn reason(estimate: &Estimate) -> String {
     let far = estimate.certificate.distance();
     match estimate.stop {
-        Stop::Certified => format!("the optimality certificate holds: within {far:.1e} standard errors of the optimum"),
+        Stop::Certified => format!("the optimality conditions hold: within {far:.1e} standard errors of the optimum"),
         Stop::PassLimit => format!(
-            "the search ran out of passes ({}) about {far:.1e} standard errors from the optimum",
+            "the search reached its limit of iterations ({}) about {far:.1e} standard errors from the optimum",
             estimate.passes
         ),
         Stop::Interrupted => format!(
-            "the search was interrupted after {} passes, about {far:.1e} standard errors from the optimum",
+            "the search was interrupted after {} iterations, about {far:.1e} standard errors from the optimum",
             estimate.passes
         ),
         Stop::Stalled if !estimate.certificate.is_precise() => {
             format!(
-                "rounding errors leave the estimates open to about {:.1e} standard errors",
+                "rounding errors of up to about {:.1e} standard errors remain in the estimates",
                 estimate.certificate.rounding
             )
         }
         Stop::Stalled => format!(
-            "no step raises the log-likelihood, but the optimality certificate does not hold ({far:.1e} standard errors away)"
+            "no step increases the log-likelihood, but the optimality conditions do not hold ({far:.1e} standard errors away)"
         ),
     }
 }
@@ -351,9 +351,9 @@ fn notes(model: &PhasedModel, estimate: &Estimate, inference: &Inference) -> Vec
     }
     let without = inference.intervals.unprofiled;
     if without > 0 {
-        let (are, they) = if without == 1 { ("interval is", "it comes") } else { ("intervals are", "they come") };
+        let come = if without == 1 { "interval comes" } else { "intervals come" };
         notes.push(format!(
-            "{without} {are} not by profile likelihood, {they} from standard errors: with free parameters profiles are made of at most 60 quantities of mean and covariance, beside at most 24 free values, and not of covariances that a parameter in the matrix of Σ moves"
+            "{without} {come} from standard errors instead of the profile likelihood: with free parameters, profiles are limited to 60 quantities of mean and covariance and 24 free values, and are not available for covariances that depend on a parameter"
         ));
     }
     notes
@@ -370,16 +370,16 @@ fn rounding_note(model: &PhasedModel, estimate: &Estimate) -> Option<String> {
     let (names, p) = (model.element_names(), estimate.mean.len());
     let cause = match worst.checked_sub(p) {
         None => format!(
-            "the mean of `{}`, {:.1e}, is very large beside its standard error, and so are the numbers that cancel in it; subtract an offset from the column that measures it",
+            "the mean of `{}`, {:.1e}, is very large compared with its standard error, so digits are lost by cancellation; subtract a constant from the measured column",
             names[worst], estimate.mean[worst]
         ),
         Some(c) => format!(
-            "the regression of `{}` adds very large numbers that cancel; subtract an offset from its column",
+            "the regression of `{}` adds very large numbers that cancel; subtract a constant from its column",
             names[estimate.state.problem.mean.regressors[c]]
         ),
     };
     Some(format!(
-        "rounding errors leave mean and covariance open to about {:.1e} standard errors: {cause}",
+        "rounding errors of up to about {:.1e} standard errors remain in mean and covariance: {cause}",
         certificate.rounding
     ))
 }

@@ -100,16 +100,16 @@ pub(super) fn words(model: &PhasedModel, reason: &Reason) -> String {
         }
         Reason::NeverTogether { states: both } => format!("{} are never observed in one test", names(both)),
         Reason::NeverApart { states: joined } => {
-            format!("no test tells {} apart: only combinations of them are measured", names(joined))
+            format!("no test separates {}: only combinations of them are measured", names(joined))
         }
         Reason::TooFewCombinations { states: few } => {
             format!("the tests see too few different combinations of {}", names(few))
         }
         Reason::LevelsTogether { states: few } => {
-            format!("the groups have too few members to tell their levels apart in {}: only sums are known", names(few))
+            format!("the groups have too few members to separate the levels of {}: only sums are known", names(few))
         }
         Reason::OneGroup { states: few } => {
-            format!("there is one group, and what it adds to {} is not told from the mean", names(few))
+            format!("there is only one group, so its effect on {} cannot be separated from the mean", names(few))
         }
         Reason::Confounded { regressions: confounded } => {
             let all = regressions(model);
@@ -117,9 +117,9 @@ pub(super) fn words(model: &PhasedModel, reason: &Reason) -> String {
             let mut columns: Vec<&str> = confounded.iter().map(name).collect();
             columns.dedup();
             let vary = if columns.len() == 1 {
-                "varies too little over the tests to tell its effect from the mean"
+                "varies too little over the tests to separate its effect from the mean"
             } else {
-                "vary too little, or together, over the tests to tell their effects apart"
+                "vary too little, or together, over the tests to separate their effects"
             };
             format!("{} {vary}", list(columns.into_iter(), "and"))
         }

@@ -210,7 +210,7 @@ pub fn crossing_notes(
             let of = if direction.quantity == Quantity::Mean { " of the means" } else { "" };
             let of_what = if model.levels.is_empty() { "phases" } else { "tests" };
             notes.push(format!(
-                "the {of_what} together say nothing about the combination {}{of}: {}",
+                "the {of_what} together do not determine the combination {}{of}: {}",
                 entries.combination(&direction.direction),
                 words(model, &explanation.reason)
             ));
@@ -220,7 +220,7 @@ pub fn crossing_notes(
     let crosses = |weak: &&WeakDirection| entries.parts(model, &weak.direction).len() > 1;
     notes.extend(seen.weak.iter().filter(crosses).map(|weak| {
         format!(
-            "weakly determined over the phases: the combination {} of the means is known {} times less precisely than the best known combination, in comparable units",
+            "weakly determined over the phases: the combination {} of the means is known {} times less precisely than the best known one, in comparable units",
             entries.combination(&weak.direction),
             plain(weak.condition, 2)
         )

@@ -19,20 +19,20 @@ const SAME: f64 = 0.05;
 const MANY_RUNS: usize = 300;
 /// Said of ensembles that are too large to look around in.
 const NOT_EXPLORED: &str =
-    "other maxima were not looked for beyond these starts, as one search takes long: `--starts` adds more";
-const CUT_SHORT: &str = "the look for other maxima ended with the filter runs that it may take, so there may be a higher one: `--starts` adds more";
+    "no other maxima were searched for beyond these starts, because one search takes long; `--starts` adds more starts";
+const CUT_SHORT: &str =
+    "the search for other maxima used up its filter runs, so there may be a higher one; `--starts` adds more starts";
 /// Said of ensembles of many rows.
-const ON_A_SAMPLE: &str = "other maxima were looked for on a part of the data, as there are many rows";
+const ON_A_SAMPLE: &str = "other maxima were searched for on a part of the data, because there are many rows";
 
 /// Said of ensembles that are elsewhere.
-const ONE_SEARCH: &str =
-    "other maxima were not looked for, as a fit by sums makes one search: begin it elsewhere by `start` in the model";
+const ONE_SEARCH: &str = "no other maxima were searched for, because a fit by sums makes one search only; `start` in the model begins it elsewhere";
 
 /// How an upper limit of what is estimated as zero is had.
 const LIMIT: &str = "; `--intervals profile` gives the upper limit";
 
 /// What to do where ℓ has no maximum.
-const EXACT: &str = "data without noise cannot tell a noise level: give it a fixed value or a `lower` bound, or see whether the data were rounded, repeated or made without noise";
+const EXACT: &str = "noise-free data do not determine a noise level: give it a fixed value or a `lower` bound, or check whether the data were rounded, repeated or made without noise";
 
 /// A fit of α, μ and Σ and what was inferred from it.
 #[derive(Debug, Clone, Copy)]
@@ -169,12 +169,12 @@ fn reason(fit: &DynamicFit) -> String {
     let (far, what) = (fit.certificate, if n == 1 { "the dynamic parameter" } else { "the dynamic parameters" });
     match (fit.stop, fit.estimate.stop) {
         (Stop::Certified, Stop::Certified) => format!(
-            "the optimality certificate holds: mean and covariance are within {:.1e} standard errors of the optimum, {what} within {far:.1e}",
+            "the optimality conditions hold: mean and covariance are within {:.1e} standard errors of the optimum, {what} within {far:.1e}",
             fit.estimate.certificate.distance()
         ),
         (Stop::Certified, _) => format!("at the values found for {what}: {inner}"),
         (Stop::PassLimit, _) => format!(
-            "the search for {what} ran out of passes ({}) with a score of {far:.1e} standard errors",
+            "the search for {what} reached its limit of iterations ({}) with a score of {far:.1e} standard errors",
             fit.passes
         ),
         (Stop::Interrupted, _) => format!(
@@ -182,7 +182,7 @@ fn reason(fit: &DynamicFit) -> String {
             fit.filter_passes
         ),
         (Stop::Stalled, _) => format!(
-            "no step of {what} raises the log-likelihood, but the optimality certificate does not hold (score of {far:.1e} standard errors)"
+            "no step of {what} increases the log-likelihood, but the optimality conditions do not hold (score of {far:.1e} standard errors)"
         ),
     }
 }
@@ -270,20 +270,20 @@ fn start_notes(parts: &DynamicParts<'_>) -> Vec<String> {
     let flat = certified.iter().filter(elsewhere).count();
     if flat > 0 {
         notes.push(format!(
-            "{flat} of {all} other starts ended as high at other values of the dynamic parameters: the maximum is not unique"
+            "{flat} of {all} other starts reached the same height at other values of the dynamic parameters, so the maximum is not unique"
         ));
     }
     let given_up = fit.others.iter().filter(|end| end.given_up).count();
     if given_up > 0 {
         notes.push(format!(
-            "{given_up} of {all} other starts were given up: they were not on the way to a higher {what}"
+            "{given_up} of {all} other starts were stopped early, because they were not leading to a higher {what}"
         ));
     }
     let lost = fit.others.iter().filter(|end| end.stop != Stop::Certified && !end.given_up).count();
     let higher = fit.others.iter().filter(|end| end.stop != Stop::Certified && end.log_likelihood > top + equal);
     if let Some(most) = higher.map(|end| end.log_likelihood).reduce(f64::max) {
         notes.push(format!(
-            "another start reached a {what} of {most:.4}, higher by {:.4}, at a point that is no certified maximum: ℓ may have no bound there, or the search was cut short",
+            "another start reached a {what} of {most:.4}, higher by {:.4}, at a point that is not a certified maximum: the likelihood may be unbounded there, or the search was cut short",
             most - top
         ));
     }

@@ -60,7 +60,7 @@ fn notes(
     let gap = alternative.log_likelihood - null.log_likelihood;
     if gap < -1e-6 * (1.0 + null.log_likelihood.abs()) {
         notes.push(format!(
-            "the hypothesis has a log-likelihood higher by {:.4} than the model that it lies within: the search for the model ended at a lower maximum",
+            "the log-likelihood of the hypothesis is higher by {:.4} than that of the model that contains it: the search for the model ended at a lower maximum",
             -gap
         ));
     }
@@ -68,19 +68,19 @@ fn notes(
     if !without.is_empty() {
         let have = if without.len() == 1 { "has" } else { "have" };
         notes.push(format!(
-            "under the hypothesis {} {have} no effect, where the large-sample law does not hold and its p-value tends to be too small: `--bootstrap` does not depend on it",
+            "under the hypothesis {} {have} no effect. The large-sample distribution does not hold then, and its p-value tends to be too small; `--bootstrap` does not use it",
             list(without.iter().map(String::as_str), "and")
         ));
     }
     if ratio.law.is_bound {
         notes.push(
-            "the hypothesis puts several quantities on their boundary: the law given is an upper bound, so the p-value is not too small but may be too large; `--bootstrap` gives one without that doubt"
+            "the hypothesis puts several quantities on their boundary. The distribution used is an upper bound, so the p-value may be too large but not too small; `--bootstrap` avoids this"
                 .to_owned(),
         );
     }
     if ratio.null_on_boundary {
         notes.push(
-            "under the hypothesis the estimated covariance is singular, where the large-sample law does not hold exactly: `--bootstrap` does not depend on it"
+            "under the hypothesis the estimated covariance is singular, and the large-sample distribution does not hold exactly; `--bootstrap` does not use it"
                 .to_owned(),
         );
     }
@@ -93,14 +93,14 @@ fn notes(
     let by_tests = of(&sides.null) != of(&sides.alternative) || !ratio.law.is_chi_squared();
     if tests < FEW && !drawn && notes.is_empty() && by_tests {
         notes.push(format!(
-            "with {} the large-sample law is a rough guide, and its p-values tend to be too small: `--bootstrap 1000` does not depend on it",
+            "with {} the large-sample distribution is a rough guide, and its p-values tend to be too small; `--bootstrap 1000` does not use it",
             if tests == 1 { "1 test".to_owned() } else { format!("{tests} tests") }
         ));
     }
     let declared = alternative.free_parameters.saturating_sub(null.free_parameters);
     if declared != ratio.degrees_of_freedom {
         notes.push(format!(
-            "the hypothesis takes {declared} free quantities away, of which the data identify {}",
+            "the hypothesis removes {declared} free quantities; the data identify {} of them",
             ratio.degrees_of_freedom
         ));
     }

@@ -12,7 +12,7 @@ use crate::model::{PhasedModel, Slots};
 use crate::record::cut::Cut;
 use crate::record::{FitRecord, ParameterRecord, SquareRecord};
 
-/// The covariance of all that was estimated, fixed numbers and those on bounds apart.
+/// The covariance of all estimates, except fixed numbers and those on bounds.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EstimatesRecord {
     /// What each row and column is: `mean[a]`, `regression[a, column]`, `covariance[a, b]`, `tau`, `tau[level]`; of several phases or of
@@ -20,7 +20,7 @@ pub struct EstimatesRecord {
     pub names: Vec<String>,
     /// Their covariance.
     pub covariance: SquareRecord,
-    /// What the data do not determine.
+    /// Estimates that the data do not determine.
     pub open: Vec<String>,
     /// Variances and noise levels that were estimated as zero.
     pub at_zero: Vec<String>,

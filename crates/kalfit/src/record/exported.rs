@@ -139,7 +139,7 @@ fn notes(model: &PhasedModel, filter: &Exported) -> Vec<String> {
     let mut notes = Vec::new();
     if filter.start.is_none() {
         notes.push(format!(
-            "phase `{}` inherits from the phase before it: its start is what that phase's filter ends with, and x0 and P0 are left out",
+            "phase `{}` inherits its start from the end of the phase before it, so x0 and P0 are left out",
             phase.name
         ));
     } else if !model.levels.is_empty() {

@@ -14,7 +14,7 @@ use crate::record::{
     UnidentifiedRecord, VectorRecord,
 };
 
-/// What varies from group to group of a level, or from test to test within the groups.
+/// The variation between groups of a level, or between tests within the groups.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LevelRecord {
     /// Its name; `tests` for the tests' own.
@@ -33,16 +33,16 @@ pub struct LevelRecord {
     pub correlation: MatrixRecord,
     /// Where it is on the boundary of the positive semidefinite cone.
     pub boundary: Vec<BoundaryRecord>,
-    /// Directions the data say nothing about.
+    /// Directions that the data do not determine.
     pub unidentified: Vec<UnidentifiedRecord>,
 }
 
-/// What is known of one group.
+/// Results of one group.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct UnitRecord {
     /// Name of its level.
     pub level: String,
-    /// Its name after those of the groups that it stands in, the outermost first.
+    /// Its name, after those of the groups that contain it, the outermost first.
     pub id: Vec<String>,
     /// Number of its tests.
     pub tests: usize,
@@ -58,7 +58,7 @@ pub struct UnitRecord {
     pub degrees_of_freedom: usize,
     /// Its χ² p-value.
     pub p_value: Option<f64>,
-    /// The fit without the group; null when it was not asked for or has no certified optimum.
+    /// The fit without the group; null if it was not requested or has no certified optimum.
     #[serde(default)]
     pub deletion: Option<DeletionRecord>,
 }

@@ -73,7 +73,7 @@ pub use validated::{
     ValidatedRecord,
 };
 
-/// All that a fit found. `None` is written as null: not known, not identified, or not applicable.
+/// The results of a fit. `None` is written as null: unknown, not identified, or not applicable.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FitRecord {
     /// Always `kalfit-fit/1`.
@@ -93,7 +93,7 @@ pub struct FitRecord {
     pub criterion: String,
     /// `measurements`, or `estimates` where a phase has a filter of its own.
     pub log_likelihood_kind: String,
-    /// log p of all measurements, every constant included; under `reml` the restricted log-likelihood.
+    /// log p of all measurements, including all constants; under `reml` the restricted log-likelihood.
     pub log_likelihood: f64,
     /// What was maximised where correlation between phases was ignored (`solver.phases` is `marginal`): the sum of the phases'
     /// log-likelihoods, each by itself. `log_likelihood` is then that of all phases together at the same place.
@@ -101,9 +101,9 @@ pub struct FitRecord {
     pub composite_log_likelihood: Option<f64>,
     /// Declared free quantities: μ, Σ and α.
     pub free_parameters: usize,
-    /// 2k - 2ℓ; null where ℓ is of estimates, or is not what was maximised.
+    /// 2k - 2ℓ; null if ℓ is that of estimates, or is not the maximised function.
     pub aic: Option<f64>,
-    /// k log(observations) - 2ℓ; null where `aic` is, and without observations.
+    /// k log(observations) - 2ℓ; null if `aic` is, or if there are no observations.
     pub bic: Option<f64>,
     /// The optimality certificate holds.
     pub converged: bool,
@@ -111,40 +111,40 @@ pub struct FitRecord {
     pub reason: String,
     /// The optimality certificate.
     pub certificate: CertificateRecord,
-    /// Whether the model describes the data, as far as the figures of this record tell; null in records that do not say.
+    /// Whether the model describes the data, judged from the figures of this record; null in records of older versions.
     #[serde(default)]
     pub model_check: Option<ModelCheckRecord>,
     /// What was done.
     pub solver: SolverRecord,
-    /// What standard errors are made of: `observed`, `expected` or `sandwich`.
+    /// How standard errors were computed: `observed`, `expected` or `sandwich`.
     #[serde(default)]
     pub std_errors: String,
-    /// How 95 % intervals were made: `wald` or `profile`.
+    /// How 95 % intervals were computed: `wald` or `profile`.
     #[serde(default)]
     pub intervals: String,
     /// One entry per phase.
     pub phases: Vec<PhaseRecord>,
-    /// What varies from group to group of each level, the outermost first, and last from test to test; none where tests stand in no
-    /// groups.
+    /// The variation between groups of each level, the outermost level first, and last that between tests; empty
+    /// without levels.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub levels: Vec<LevelRecord>,
-    /// What is known of each group, level by level from the outermost on.
+    /// Results of each group, level by level, the outermost first.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub groups: Vec<UnitRecord>,
     /// Dynamic parameters, one entry per level, in the order of the model and, within a parameter, of the texts of its levels.
     pub parameters: Vec<ParameterRecord>,
-    /// The covariance of all that was estimated; null of more than 200 numbers, and in records that do not say.
+    /// The covariance of all estimates; null for more than 200 of them, and in records of older versions.
     #[serde(default)]
     pub estimates: Option<EstimatesRecord>,
     /// Where searches for α from other starts ended, the best first.
     #[serde(default)]
     pub starts: Vec<StartRecord>,
-    /// The methods that were asked for, when there were several: where each of them ended.
+    /// Where each of the requested methods ended, if there were several.
     #[serde(default)]
     pub methods: Vec<MethodRecord>,
-    /// Every constrained element and what the constraint costs; between phases there are none.
+    /// Every constrained element and the cost of its constraint.
     pub constraints: Vec<ConstraintRecord>,
-    /// What each test says.
+    /// Results of each test.
     pub tests: Vec<TestRecord>,
     /// The column that tests are grouped by; null where the model names none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -152,7 +152,7 @@ pub struct FitRecord {
     /// The tests of each group together, in the order of the groups' texts.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub by_group: Vec<GroupRecord>,
-    /// Whether the groups differ; null when it was not asked for.
+    /// Whether the groups differ; null if it was not requested.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub group_test: Option<GroupTestRecord>,
     /// Findings in plain words, most important first.
@@ -171,7 +171,7 @@ pub struct DataRecord {
     pub observations: usize,
     /// Sets of tests that share gains and information.
     pub design_classes: usize,
-    /// Tests that went through the square-root path.
+    /// Tests that needed the more accurate square-root filter.
     #[serde(default)]
     pub square_root_tests: usize,
     /// Files, as named on the command line.
@@ -179,7 +179,7 @@ pub struct DataRecord {
     pub files: Vec<String>,
 }
 
-/// How far the optimality conditions are from holding, each in units of its tolerance-free natural scale: standard errors.
+/// How far the optimality conditions are from holding, in standard errors.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CertificateRecord {
     /// Largest score of the mean.
@@ -190,7 +190,7 @@ pub struct CertificateRecord {
     pub null_space: f64,
     /// Largest score of the dynamic parameters.
     pub parameters: f64,
-    /// A bound of what rounding errors leave open of mean and covariance, of which the first two figures are no less.
+    /// A bound of the effect of rounding errors on mean and covariance; the first two figures are not smaller.
     #[serde(default)]
     pub rounding: f64,
 }
@@ -204,7 +204,7 @@ pub struct SolverRecord {
     pub solver: String,
     /// `chain`, `marginal` or `stacked`.
     pub phases: String,
-    /// Passes over the reductions.
+    /// Iterations of the solver; each uses the reductions of all tests.
     pub iterations: usize,
     /// Runs of the filters over all tests.
     pub filter_passes: usize,
@@ -217,7 +217,7 @@ pub struct SolverRecord {
     pub seconds: f64,
 }
 
-/// What one constraint costs.
+/// The cost of one constraint.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ConstraintRecord {
     /// `mean[a]` or `covariance[a, b]`.
@@ -227,7 +227,7 @@ pub struct ConstraintRecord {
     /// The level of groups whose covariance it is of; null for a phase's own.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub level: Option<String>,
-    /// Value it is held at.
+    /// Value at which it is fixed.
     pub value: f64,
     /// dℓ_max / d value.
     pub sensitivity: Option<f64>,

@@ -17,25 +17,25 @@ const OVERALL: f64 = 0.001_35;
 /// A mean square below one speaks against the model only when there are so many innovations for each free quantity.
 const PER_FREE: usize = 10;
 
-/// What the innovations, the distances of the tests and the fits without each of them say of the model. Each search over tests
-/// accuses a model that is right in 5 % of ensembles.
+/// What the innovations, the distances of the tests and the fits without each of them show about the model. Each check
+/// over all tests rejects a correct model in 5 % of ensembles.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ModelCheckRecord {
     /// `passed`, `doubtful` or `not checked`.
     pub verdict: String,
-    /// What speaks against the model; empty unless `doubtful`.
+    /// Evidence against the model; empty unless `doubtful`.
     pub findings: Vec<FindingRecord>,
-    /// What limits the answer and does not speak against the model.
+    /// Limits of the result that are not evidence against the model.
     #[serde(default)]
     pub remarks: Vec<FindingRecord>,
 }
 
-/// One thing that speaks against a model, or that limits its answer.
+/// One piece of evidence against a model, or one limit of its result.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FindingRecord {
-    /// Of findings `innovations`, `mean_square` or `distance`; of remarks `influence`.
+    /// For findings `innovations`, `mean_square` or `distance`; for remarks `influence`.
     pub kind: String,
-    /// In words, without a full stop.
+    /// The sentence, without a full stop.
     pub text: String,
 }
 
@@ -154,8 +154,8 @@ fn distances(record: &FitRecord) -> Option<String> {
     let outlying: Vec<&str> = known().filter(|(p, _)| p * all < SEARCH_LEVEL).map(|(_, id)| id).collect();
     match outlying[..] {
         [] => None,
-        [only] => Some(format!("test {only} stands out of the population")),
-        _ => Some(format!("{} tests stand out of the population", outlying.len())),
+        [only] => Some(format!("test {only} is an outlier")),
+        _ => Some(format!("{} tests are outliers", outlying.len())),
     }
 }
 
@@ -167,7 +167,7 @@ fn influence(record: &FitRecord) -> Option<String> {
     let deciding: Vec<&str> = record.tests.iter().filter(decides).map(|test| &*test.id).collect();
     match deciding[..] {
         [] => None,
-        [only] => Some(format!("test {only} by itself decides much of the answer")),
-        _ => Some(format!("each of {} tests by itself decides much of the answer", deciding.len())),
+        [only] => Some(format!("test {only} is influential: the estimates depend on it")),
+        _ => Some(format!("{} tests are influential: the estimates depend on each of them", deciding.len())),
     }
 }

@@ -13,10 +13,10 @@ const NONE: f64 = 1e-11;
 /// A state with more than this of a direction without information is not determined.
 const PART: f64 = 1e-6;
 
-/// A test's own estimate of ξ in one phase, as if nothing were known of the population.
+/// The estimate of ξ in one phase from the test alone, without the population.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct OwnRecord {
-    /// Its estimate; null where the test alone does not determine the state.
+    /// Its estimate; null if the test alone does not determine the state.
     pub mean: Vec<Option<f64>>,
     /// Its error covariance; null where either state is not determined.
     pub covariance: Vec<Vec<Option<f64>>>,

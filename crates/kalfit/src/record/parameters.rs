@@ -33,7 +33,7 @@ pub struct ParameterRecord {
     /// Where the value lies: `inside`, `lower`, `upper`, `unbounded` or `unidentified`; null for a fixed value.
     #[serde(default)]
     pub standing: Option<String>,
-    /// What that means, in words; null when the value is inside.
+    /// The meaning of `standing`, in words; null if the value is inside.
     #[serde(default)]
     pub note: Option<String>,
 }
@@ -62,7 +62,7 @@ pub struct MethodRecord {
     pub reason: String,
     /// The free values, in the order of the free entries of `parameters`.
     pub values: Vec<f64>,
-    /// Passes over the reductions.
+    /// Iterations of the solver; each uses the reductions of all tests.
     pub iterations: usize,
     /// Runs of the filters over all tests.
     pub filter_passes: usize,
@@ -168,23 +168,23 @@ fn standing_word(standing: Standing) -> &'static str {
 }
 
 /// Of a value at a lower bound of zero.
-pub(super) const ZERO: &str = "estimated as zero: the data show no sign of it";
+pub(super) const ZERO: &str = "estimated as zero: the data show no such effect";
 
 /// What a standing means for the value itself.
 pub(super) fn meaning(standing: Standing, value: f64) -> Option<&'static str> {
     match standing {
         Standing::Inside => None,
         Standing::Lower if value == 0.0 => Some(ZERO),
-        Standing::Lower => Some("at its lower bound: the data would have it lower"),
-        Standing::Vanishing => Some(
-            "as good as zero: the data would have it at zero, where a measurement would be exact, so it was left a little above",
-        ),
-        Standing::Upper => Some("at its upper bound: the data would have it higher"),
-        Standing::Edge => Some(
-            "at the edge of what a covariance may be: the two noises are perfectly correlated, as far as the data tell",
-        ),
+        Standing::Lower => Some("at its lower bound: the likelihood increases below it"),
+        Standing::Vanishing => {
+            Some("practically zero: at zero a measurement would be exact, so a slightly larger value was kept")
+        }
+        Standing::Upper => Some("at its upper bound: the likelihood increases above it"),
+        Standing::Edge => {
+            Some("at the largest possible covariance: the two noises are estimated as perfectly correlated")
+        }
         Standing::Unbounded => Some(
-            "larger than the data can tell: the log-likelihood still rises, ever more slowly; a time constant so much longer than the records cannot be told from a random constant or a random walk",
+            "too large to be determined: the log-likelihood still increases, ever more slowly. A time constant much longer than the records cannot be distinguished from a random constant or a random walk",
         ),
         Standing::Idle => Some("without effect while a noise level is zero"),
         Standing::Unidentified => {

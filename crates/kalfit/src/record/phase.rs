@@ -24,9 +24,9 @@ pub struct PhaseRecord {
     pub correlation: MatrixRecord,
     /// Where Σ is on the boundary of the positive semidefinite cone.
     pub boundary: Vec<BoundaryRecord>,
-    /// Directions the data say nothing about.
+    /// Directions that the data do not determine.
     pub unidentified: Vec<UnidentifiedRecord>,
-    /// Which tests say what of each state, one entry per estimated state.
+    /// Which tests inform each state, one entry per estimated state.
     #[serde(default)]
     pub observability: Vec<ObservabilityRecord>,
     /// Directions of the mean that are known much worse than its elements suggest, the worst first.
@@ -35,10 +35,10 @@ pub struct PhaseRecord {
     /// Number of tests that have this phase; null in records that do not say.
     #[serde(default)]
     pub tests: Option<usize>,
-    /// What this phase adds to what is observable of all phases; null where there is one phase only.
+    /// What this phase adds to the observability of all phases; null if there is only one phase.
     #[serde(default)]
     pub information: Option<InformationRecord>,
-    /// The filter whose estimates stand for the measurements; null where the measurements themselves were used.
+    /// The filter whose estimates replace the measurements; null if the measurements were used.
     #[serde(default)]
     pub filter: Option<FilterRecord>,
 }
@@ -46,16 +46,15 @@ pub struct PhaseRecord {
 /// What the ensemble observes of the states, phase by phase: ranks of the information, and what is new.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct InformationRecord {
-    /// Rank of what this phase by itself says of all that enters it: its estimated states and those that inherit.
+    /// Rank of this phase's information on all states that enter it: its estimated states and those that inherit.
     pub own_rank: usize,
     /// Number of states that enter it.
     pub entering: usize,
-    /// Rank of what the phases up to this one together say of all their estimated states.
+    /// Rank of the information of all phases up to this one on their estimated states.
     pub rank_so_far: usize,
     /// Number of those states.
     pub of: usize,
-    /// Combinations of those states that are known from this phase on, and were not before: `rank_so_far` less that of the phase
-    /// before.
+    /// Combinations of those states that become known in this phase: `rank_so_far` minus that of the phase before.
     pub entered: Vec<EnteredRecord>,
 }
 
@@ -75,19 +74,19 @@ pub struct FilterRecord {
     pub kind: String,
     /// States whose uncertainty it accounts for but which it does not estimate.
     pub consider: Vec<String>,
-    /// What was lost against the measurements themselves; null where those are not known.
+    /// Information lost in comparison with the measurements; null if these are not known.
     pub information_lost: Option<InformationLostRecord>,
 }
 
-/// What a filter lost: expected figures at the fit, estimates against measurements.
+/// Information lost by a filter: expected figures at the fit, from estimates and from measurements.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct InformationLostRecord {
     /// Standard error of each mean from the estimates over that from the measurements, 1 or more; null where not free.
     pub mean_std_error_ratio: Vec<Option<f64>>,
     /// The same of the covariance.
     pub covariance_std_error_ratio: Vec<Vec<Option<f64>>>,
-    /// log of the determinant of the information on all that is free, from the estimates over that from the measurements: 0 or
-    /// less.
+    /// log of the ratio of the determinants of the information on all free quantities, from the estimates and from the
+    /// measurements: 0 or less.
     pub log_det_ratio: Option<f64>,
 }
 
@@ -194,7 +193,7 @@ pub struct BoundaryRecord {
     pub zero_variances: Vec<String>,
 }
 
-/// A direction the data say nothing about.
+/// A direction that the data do not determine.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct UnidentifiedRecord {
     /// `mean` or `covariance`.
@@ -216,7 +215,7 @@ pub struct UnidentifiedRecord {
     pub phases: Vec<String>,
 }
 
-/// What the ensemble says of one state.
+/// How well the ensemble determines one state.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ObservabilityRecord {
     /// The state.
@@ -227,9 +226,9 @@ pub struct ObservabilityRecord {
     pub observed_by: usize,
     /// Ids of the tests that inform it, when they are at most twenty; else none.
     pub tests: Vec<String>,
-    /// The test that most of what is known of its mean rests on; null where the mean is fixed or not identified.
+    /// The test with the most information on its mean; null if the mean is fixed or not identified.
     pub leading_test: Option<String>,
-    /// That test's share of what is known, 0 to 1.
+    /// That test's share of the information, 0 to 1.
     pub leading_share: Option<f64>,
 }
 
@@ -240,9 +239,9 @@ pub struct WeakRecord {
     pub direction: Vec<f64>,
     /// Condition index: how many times less precisely it is known than the best known direction, states in comparable units.
     pub condition: f64,
-    /// The test that most of what is known of it rests on.
+    /// The test with the most information on it.
     pub leading_test: Option<String>,
-    /// That test's share of what is known, 0 to 1.
+    /// That test's share of the information, 0 to 1.
     pub leading_share: Option<f64>,
     /// The phases that the direction mixes; none where it is of this phase alone.
     #[serde(default)]

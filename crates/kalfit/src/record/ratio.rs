@@ -252,25 +252,25 @@ fn notes(
     let mut notes = Vec::new();
     if ratio.law.is_bound {
         notes.push(
-            "the hypothesis puts several variances with free covariances on their boundary: the law given is an upper bound, so the p-value is not too small but may be too large; `--bootstrap` gives one without that doubt"
+            "the hypothesis puts several variances with free covariances on their boundary. The distribution used is an upper bound, so the p-value may be too large but not too small; `--bootstrap` avoids this"
                 .to_owned(),
         );
     }
     if ratio.null_on_boundary {
         notes.push(
-            "under the hypothesis the estimated covariance is singular, where the large-sample law does not hold exactly: `--bootstrap` does not depend on it"
+            "under the hypothesis the estimated covariance is singular, and the large-sample distribution does not hold exactly; `--bootstrap` does not use it"
                 .to_owned(),
         );
     }
     if tests < FEW && !drawn && notes.is_empty() {
         notes.push(format!(
-            "with {tests} tests the large-sample law is a rough guide, and its p-values tend to be too small: `--bootstrap 1000` does not depend on it"
+            "with {tests} tests the large-sample distribution is a rough guide, and its p-values tend to be too small; `--bootstrap 1000` does not use it"
         ));
     }
     let declared = alternative.free_parameters.saturating_sub(null.free_parameters);
     if declared != ratio.degrees_of_freedom {
         notes.push(format!(
-            "the hypothesis takes {declared} free quantities away, of which the data identify {}",
+            "the hypothesis removes {declared} free quantities; the data identify {} of them",
             ratio.degrees_of_freedom
         ));
     }

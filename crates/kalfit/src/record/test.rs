@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::record::{OwnRecord, SeriesRecord, SquareRecord};
 
-/// What one test says.
+/// Results of one test.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TestRecord {
     /// Its id.
@@ -33,10 +33,10 @@ pub struct TestRecord {
     pub degrees_of_freedom: usize,
     /// Its χ² p-value.
     pub p_value: Option<f64>,
-    /// The fit without this test; null when it was not asked for or has no certified optimum.
+    /// The fit without this test; null if it was not requested or has no certified optimum.
     #[serde(default)]
     pub deletion: Option<DeletionRecord>,
-    /// Innovations of the filter at the estimate; null when they were not asked for or could not be had.
+    /// Innovations of the filter at the estimate; null if they were not requested or cannot be computed.
     #[serde(default)]
     pub innovations: Option<InnovationRecord>,
 }
@@ -93,13 +93,13 @@ pub struct WhitenessRecord {
 pub struct DeletionRecord {
     /// log p of the test's measurements at the fit without it: its predictive density.
     pub log_density: f64,
-    /// Standardised squared distance from the population that the other tests describe.
+    /// Standardised squared distance from the population estimated from the other tests.
     pub distance: Option<f64>,
     /// Its χ² p-value.
     pub p_value: Option<f64>,
     /// 2 (ℓ(θ̂) - ℓ(θ̂ without the test)) over all tests: how far the test pulls the estimate.
     pub displacement: f64,
-    /// The answer without the test, by phase.
+    /// The estimates without the test, by phase.
     pub phases: Vec<DeletedRecord>,
 }
 
@@ -126,7 +126,7 @@ pub struct PosteriorRecord {
     pub mean: Vec<f64>,
     /// Var[ξ | z].
     pub covariance: SquareRecord,
-    /// What the test says by itself; null where it determines no state alone, and in very large ensembles.
+    /// The estimate from the test alone; null if it determines no state alone, and in very large ensembles.
     #[serde(default)]
     pub own: Option<OwnRecord>,
 }

@@ -151,14 +151,14 @@ pub enum ReduceErrorKind {
         /// A later cell.
         second: Cell,
     },
-    /// There is no stationary law.
-    #[error("the motion has no stationary law: it is not stable ({})", states.join(", "))]
+    /// There is no stationary distribution.
+    #[error("the motion has no stationary distribution: it is not stable ({})", states.join(", "))]
     Unstable {
         /// States concerned.
         states: Vec<String>,
     },
     /// A stationary state depends on one that is not.
-    #[error("`{state}` starts in its stationary law but depends on `{other}`, which does not")]
+    #[error("`{state}` starts in its stationary distribution but depends on `{other}`, which does not")]
     StationaryOpen {
         /// The stationary state.
         state: String,
@@ -167,7 +167,7 @@ pub enum ReduceErrorKind {
     },
     /// Continuous and discrete stationary states depend on each other.
     #[error(
-        "`{state}` and `{other}` have no stationary law together: one moves in continuous time, the other from step to step"
+        "`{state}` and `{other}` have no stationary distribution together: one moves in continuous time, the other from step to step"
     )]
     StationaryMixed {
         /// One state.
@@ -176,7 +176,7 @@ pub enum ReduceErrorKind {
         other: String,
     },
     /// A stationary state has an input that depends on the data.
-    #[error("`{state}` starts in its stationary law, but its input depends on the data")]
+    #[error("`{state}` starts in its stationary distribution, but its input depends on the data")]
     StationaryInput {
         /// The state.
         state: String,

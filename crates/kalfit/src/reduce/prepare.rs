@@ -395,7 +395,7 @@ impl Preparer {
         Ok(())
     }
 
-    /// Values of the dynamics' coefficients and inputs on a step; for the start, only those that the stationary law needs.
+    /// Values of the dynamics' coefficients and inputs on a step; for the start, only those that the stationary distribution needs.
     fn evaluate(
         &self,
         at: &At<'_>,

@@ -7,10 +7,10 @@ use crate::reduce::ReduceError;
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ShardError {
     /// Groups of tests may be spread over places.
-    #[error("the model has levels of groups, and a fit by sums takes tests one by one")]
+    #[error("the model has levels of groups, which a fit by sums does not support")]
     Levels,
     /// Levels of a parameter are texts of the data, which stay where they are.
-    #[error("`{parameter}` is free level by level, and a fit by sums knows no texts of the data")]
+    #[error("`{parameter}` has one free value for each level, which a fit by sums does not support")]
     PerLevel {
         /// The parameter.
         parameter: String,
@@ -24,19 +24,19 @@ pub enum ShardError {
         parameter: String,
     },
     /// Phases put together by their marginals.
-    #[error("phases put together by their marginals are not fitted by sums")]
+    #[error("phases combined by `marginal` cannot be fitted by sums")]
     Marginal,
     /// Standard errors that are made test by test.
-    #[error("standard errors from the {found} are not made by sums")]
+    #[error("standard errors from the {found} are not available in a fit by sums")]
     StdErrors {
         /// What was asked for.
         found: &'static str,
     },
     /// Profiles take very many sums.
-    #[error("intervals by profile likelihood are not made by sums")]
+    #[error("intervals by profile likelihood are not available in a fit by sums")]
     Profiles,
     /// The restricted likelihood beside free parameters.
-    #[error("the restricted likelihood beside free parameters (`{parameter}`) is not maximised by sums")]
+    #[error("the restricted likelihood with free parameters (`{parameter}`) is not available in a fit by sums")]
     Restricted {
         /// The first free parameter.
         parameter: String,

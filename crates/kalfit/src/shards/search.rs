@@ -13,7 +13,7 @@ use crate::remote::{Answer, Answers, Asked, Question, Remote};
 use crate::shards::error::ShardError;
 
 /// Said of every fit by sums.
-const BY_SUMS: &str = "made from sums over tests that stayed where they are: nothing is said of single tests, and designs are counted place by place";
+const BY_SUMS: &str = "computed from sums over tests, which stayed at their places: there are no results of single tests, and designs are counted place by place";
 
 /// What is asked of a fit.
 #[derive(Debug, Clone, Default)]

@@ -17,7 +17,7 @@ pub enum SimulateError {
     #[error(transparent)]
     Grouping(#[from] GroupingError),
     /// The design was taken without its groups, and the model has levels.
-    #[error("the model has levels of groups, and which groups the tests of the design stand in is not known")]
+    #[error("the model has levels of groups, and the groups of the tests of the design are not known")]
     Ungrouped,
     /// There is no design to draw for.
     #[error("the design has no tests")]
@@ -52,7 +52,7 @@ pub enum SimulateError {
     },
     /// A measured column is an input too.
     #[error(
-        "column `{column}` holds measurements and is read as an input too: a drawn value would change the model that it is drawn from"
+        "column `{column}` contains measurements and is also used as an input: a drawn value would change the model that it is drawn from"
     )]
     MeasuredInput {
         /// Name of the column.

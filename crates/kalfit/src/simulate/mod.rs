@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! ξ_j ~ N(μ_j, Σ)                          the population
-//! x_0 = a + Aξ_j + ζ, ζ ~ N(0, P0)         states that start in a known or stationary law
+//! x_0 = a + Aξ_j + ζ, ζ ~ N(0, P0)         states that start in a known or stationary distribution
 //! x_k = φ_k x_{k-1} + b_k + w_k, w_k ~ N(0, Q_k)
 //! z_k = M_k x_k + d_k + v_k, v_k ~ N(0, R_k)
 //! ```

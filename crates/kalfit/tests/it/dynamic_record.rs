@@ -160,7 +160,7 @@ fn convergence_takes_both_certificates() {
     assert!(stalled.reason.contains("the dynamic parameters"), "{}", stalled.reason);
     let inner = record(|fit, _| fit.estimate.stop = Stop::PassLimit);
     assert!(!inner.converged);
-    assert!(inner.reason.contains("ran out of passes"), "{}", inner.reason);
+    assert!(inner.reason.contains("reached its limit of iterations"), "{}", inner.reason);
     assert!(inner.parameters.iter().all(|p| p.standing.is_none()), "short of a maximum nothing is said of standings");
     let unknown = record(|fit, _| fit.certificate = f64::NAN);
     assert!(unknown.certificate.parameters.is_finite(), "{}", unknown.certificate.parameters);
@@ -178,7 +178,7 @@ fn values_at_a_limit_are_said_in_words() {
         (Standing::Lower, 0.0, "`r` for lot `A` is estimated as zero", true),
         (Standing::Lower, 0.1, "`r` for lot `A` is at its lower bound", true),
         (Standing::Upper, 2.0, "`r` for lot `A` is at its upper bound", true),
-        (Standing::Unbounded, 1e9, "`r` for lot `A` is larger than the data can tell", false),
+        (Standing::Unbounded, 1e9, "`r` for lot `A` is too large to be determined", false),
         (Standing::Unidentified, 0.5, "`r` for lot `A` is not identified", false),
     ] {
         let record = at(standing, value);
@@ -225,9 +225,9 @@ fn other_starts_that_ended_elsewhere_are_said_in_words() {
     assert!(notes.len() == 1 && notes[0].contains("did not end at a certified optimum"), "{notes:?}");
     assert!(!starts[0].converged);
     let (notes, _) = said(ended(9.0, 0.3, (Stop::PassLimit, true)));
-    assert!(notes.len() == 1 && notes[0].contains("1 of 1 other starts were given up"), "{notes:?}");
+    assert!(notes.len() == 1 && notes[0].contains("1 of 1 other starts were stopped early"), "{notes:?}");
     let (notes, _) = said(with(-9.0, 0.3, Stop::Stalled));
-    assert!(notes[0].contains("higher by 9.0000, at a point that is no certified maximum"), "{notes:?}");
+    assert!(notes[0].contains("higher by 9.0000, at a point that is not a certified maximum"), "{notes:?}");
 }
 
 #[test]

@@ -29,7 +29,7 @@ fn linear(terms: Vec<(usize, Expression)>) -> Linear {
     Linear { terms, constant: number(0.0) }
 }
 
-/// bias and scale are estimated, drift is Gauss-Markov from its stationary law; y1 = bias + scale u + drift and y2 = scale
+/// bias and scale are estimated, drift is Gauss-Markov from its stationary distribution; y1 = bias + scale u + drift and y2 = scale
 /// have correlated noise. The mean of bias moves with column w. Columns: t, y1, y2, u, w.
 fn model() -> Model {
     let state = |name: &str, motion, initial| State {

@@ -222,7 +222,7 @@ fn a_direction_that_mixes_phases_stands_in_each_with_its_part_and_whole_in_a_not
     let note = record.notes.iter().find(|note| note.contains("of the means")).unwrap();
     assert_eq!(
         note,
-        "the phases together say nothing about the combination 0.71 flight.bias - 0.71 bench.bias of the means: no test tells `bench.bias` and `flight.bias` apart: only combinations of them are measured"
+        "the phases together do not determine the combination 0.71 flight.bias - 0.71 bench.bias of the means: no test separates `bench.bias` and `flight.bias`: only combinations of them are measured"
     );
     assert!(record.notes.iter().all(|note| !note.contains("NaN")), "{:?}", record.notes);
 }

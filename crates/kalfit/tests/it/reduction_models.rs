@@ -562,14 +562,14 @@ const REFUSALS: &[(Spoil, &str)] = &[
     ),
     (
         |model, _| model.states[1].initial = Initial::Stationary,
-        "stationary start of state `b`: the motion has no stationary law: it is not stable (b)",
+        "stationary start of state `b`: the motion has no stationary distribution: it is not stable (b)",
     ),
     (
         |model, _| {
             model.states[1].initial = Initial::Stationary;
             model.states[1].motion = continuous(&[(0, 1.0), (1, -1.0)], 1.0);
         },
-        "stationary start of state `b`: `b` starts in its stationary law but depends on `a`, which does not",
+        "stationary start of state `b`: `b` starts in its stationary distribution but depends on `a`, which does not",
     ),
     (
         |model, _| {
@@ -578,7 +578,7 @@ const REFUSALS: &[(Spoil, &str)] = &[
             model.states[0] = state("a", continuous(&[(0, -1.0), (1, 1.0)], 1.0), Initial::Stationary);
             model.states[1] = state("b", discrete(&[(1, 0.5)], 1.0), Initial::Stationary);
         },
-        "stationary start of state `a`: `a` and `b` have no stationary law together: one moves in continuous time, the other from step to step",
+        "stationary start of state `a`: `a` and `b` have no stationary distribution together: one moves in continuous time, the other from step to step",
     ),
     (
         |model, _| {

@@ -67,7 +67,7 @@ pub(crate) fn record(title: &str, phases: Vec<PhaseRecord>) -> FitRecord {
         aic: Some(1763.93934),
         bic: Some(1783.09712),
         converged: true,
-        reason: "the optimality certificate holds".into(),
+        reason: "the optimality conditions hold".into(),
         certificate: CertificateRecord {
             mean: 1e-9,
             covariance: 1e-9,

@@ -320,12 +320,12 @@ fn carry_into_a_stationary_state() {
         )
     };
     insta::assert_snapshot!(refusal("", &states("")), @r#"
-    state `a` inherits by `carry`, so it cannot start in its stationary law
+    state `a` inherits by `carry`, so it cannot start in its stationary distribution
     at   "a"
     hint say what phase `two` adds: `initial = "estimated"`, or `initial = { mean = 0, sigma = 0 }` for nothing
     "#);
     insta::assert_snapshot!(refusal("", &states(", initial = 'stationary'")), @r#"
-    state `a` inherits by `carry`, so it cannot start in its stationary law
+    state `a` inherits by `carry`, so it cannot start in its stationary distribution
     at   "a"
     hint say what phase `two` adds: `initial = "estimated"`, or `initial = { mean = 0, sigma = 0 }` for nothing
     "#);

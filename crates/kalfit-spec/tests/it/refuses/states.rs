@@ -279,7 +279,7 @@ fn a_stationary_constant() {
 initial = "stationary"
 "#;
     insta::assert_snapshot!(refusal(text), @r#"
-    state `a` has no stationary law: a constant keeps the value it starts with
+    state `a` has no stationary distribution: a constant keeps the value it starts with
     at   "\"stationary\""
     "#);
 }
@@ -292,7 +292,7 @@ step_noise = 1
 initial = "stationary"
 "#;
     insta::assert_snapshot!(refusal(text), @r#"
-    state `a` has no stationary law: the variance of a random walk grows without bound
+    state `a` has no stationary distribution: the variance of a random walk grows without bound
     at   "\"stationary\""
     "#);
 }
@@ -306,7 +306,7 @@ next = "0.5 * a + b"
 initial = "stationary"
 "#;
     insta::assert_snapshot!(refusal(text), @r#"
-    state `a` has no stationary law: it moves with state `b`, whose start is estimated
+    state `a` has no stationary distribution: it moves with state `b`, whose start is estimated
     at   "\"stationary\""
     "#);
 }

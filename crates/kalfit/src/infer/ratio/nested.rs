@@ -24,7 +24,7 @@ pub enum NotNested {
     #[error("restricted likelihoods of different means cannot be compared")]
     Restricted,
     /// Phases that were each taken by themselves.
-    #[error("no likelihood was maximised: `marginal` takes each phase by itself")]
+    #[error("no likelihood was maximised: `marginal` fits each phase separately")]
     Marginal,
     /// Nothing is restricted.
     #[error("the hypothesis restricts nothing that the model leaves free")]

@@ -15,7 +15,7 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 ///
 /// The mean of the z = e/√S is known to be zero and is not subtracted, so that Q has exactly the mean of its χ² however few
 /// they are, and a bias of the innovations counts as correlation. Its tail is not that of χ², for which it is known by simulation for
-/// every length: the p-value holds to 1e-6 and beyond (docs/coverage.md). Each measurement's Q is brought to the χ² value of the same
+/// every length: the p-value holds to 1e-6 and beyond (book/src/guide/coverage.md). Each measurement's Q is brought to the χ² value of the same
 /// probability, and these are added up. A measurement with fewer than five has no lag. The lag is
 /// counted in innovations of the measurement, whatever the time between them.
 #[derive(Debug, Clone, Copy, PartialEq)]

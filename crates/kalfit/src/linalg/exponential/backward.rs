@@ -1,4 +1,4 @@
-//! Adjoints of motions and of their stationary laws: from ∂ℓ/∂(φ, Γ, Q) to ∂ℓ/∂(F, Q_c). The sums and doublings run backwards.
+//! Adjoints of motions and of their stationary distributions: from ∂ℓ/∂(φ, Γ, Q) to ∂ℓ/∂(F, Q_c). The sums and doublings run backwards.
 
 use kalfit_lanes::{Lanes, MOST};
 

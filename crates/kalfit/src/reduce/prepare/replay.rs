@@ -109,7 +109,7 @@ impl Preparer {
         Scope { numbers: &work.whole.numbers, texts: &work.whole.texts, step: work.spans[0].dt, alpha: &self.alpha }
     }
 
-    /// What the stationary law was evaluated on: nothing, when no test changes it.
+    /// What the stationary distribution was evaluated on: nothing, when no test changes it.
     pub(crate) fn settled<'a>(
         &'a self,
         test: &'a Test,
@@ -140,7 +140,7 @@ impl Preparer {
         self.dynamics.inputs.evaluate(&self.at(), scope, &mut out.inputs)
     }
 
-    /// Those of both that the stationary law needs.
+    /// Those of both that the stationary distribution needs.
     pub(crate) fn settling(&self, scope: &Scope<'_>, out: &mut Replay) -> Result<(), Box<Fault>> {
         let at = self.at();
         self.dynamics.table.evaluate_some(&at, scope, |slot| self.start.needs(slot), &mut out.values)?;

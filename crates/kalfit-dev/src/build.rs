@@ -1,0 +1,26 @@
+//! Tasks that need kalfit itself: this program is built without it, so that `cargo dev test` talks at once, and builds itself again.
+
+use std::process::{Command, ExitCode};
+
+/// Their names.
+const TASKS: [&str; 6] = ["coverage", "maxima", "false-alarms", "whiteness", "bench", "peers"];
+
+/// Runs such a task in a release build.
+pub(crate) fn run(words: &[String]) -> ExitCode {
+    let task = words.first().map_or("", String::as_str);
+    if !TASKS.contains(&task) {
+        eprintln!("there is no task `{task}`: `cargo dev --help` lists all");
+        return ExitCode::from(2);
+    }
+    println!("== {task}: cargo run --release --package kalfit-dev --features measure, some minutes at first");
+    let mut cargo = Command::new("cargo");
+    cargo.args(["run", "--quiet", "--release", "--locked", "--package", "kalfit-dev", "--features", "measure", "--"]);
+    match cargo.args(words).status() {
+        Ok(status) if status.success() => ExitCode::SUCCESS,
+        Ok(_) => ExitCode::FAILURE,
+        Err(error) => {
+            eprintln!("cargo: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}

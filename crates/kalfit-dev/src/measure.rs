@@ -1,0 +1,50 @@
+//! Tasks that measure kalfit itself.
+
+use std::process::ExitCode;
+
+use clap::Subcommand;
+
+use crate::{bench, coverage, false_alarms, maxima, peers, whiteness};
+
+/// What is measured here allocates as the command does.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Task {
+    /// Coverage of confidence intervals in simulated ensembles: the tables of `book/src/guide/coverage.md`.
+    Coverage {
+        /// Ensembles of each set-up; of those with levels a tenth of them.
+        #[arg(long, default_value_t = 20_000, value_parser = clap::value_parser!(u64).range(1..))]
+        ensembles: u64,
+        /// Only the set-ups whose title contains this.
+        #[arg(long, default_value = "")]
+        only: String,
+    },
+    /// Fits random models from several starts and probes around every certified end: a table of `book/src/guide/coverage.md`.
+    Maxima(maxima::Options),
+    /// How often the checks of a fit reject a correct model: tables of `book/src/guide/coverage.md`.
+    FalseAlarms(false_alarms::Options),
+    /// Simulates the distribution of the whiteness statistic: the table from which p-values of innovations come.
+    Whiteness,
+    /// Times the reduction and the iterations of the solver against the measured peak of the machine.
+    Bench {
+        /// Run in this process; without it the benchmark is first built for this machine's own instructions.
+        #[arg(long)]
+        here: bool,
+    },
+    /// Times whole fits against other programs, where they are installed, after comparing the answers: the tables of the book's "How fast it is".
+    Peers(peers::Options),
+}
+
+pub(crate) fn run(task: Task) -> ExitCode {
+    match task {
+        Task::Coverage { ensembles, only } => coverage::run(ensembles, &only),
+        Task::Maxima(options) => maxima::run(&options),
+        Task::FalseAlarms(options) => false_alarms::run(&options),
+        Task::Whiteness => whiteness::run(),
+        Task::Bench { here: true } => bench::run(),
+        Task::Bench { here: false } => bench::build_and_run(),
+        Task::Peers(options) => peers::run(&options),
+    }
+}
