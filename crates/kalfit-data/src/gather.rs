@@ -27,7 +27,7 @@ pub(crate) struct Gather {
 /// Tests that may still get rows, and those handed over with them.
 enum Open {
     /// The last test alone, after complete ones that are not handed over yet.
-    Last { batch: TestBatch, times: Option<Times> },
+    Last { batch: Box<TestBatch>, times: Option<Times> },
     /// All tests, in order of first appearance, and the number of that of the last row.
     All { tests: Vec<(Test, Option<Times>)>, current: usize },
 }
@@ -80,7 +80,7 @@ impl Gather {
     pub(crate) fn new(holds: bool, (numbers, texts): (usize, usize), phase_cell: Option<usize>) -> Gather {
         let open = match holds {
             true => Open::All { tests: Vec::new(), current: 0 },
-            false => Open::Last { batch: TestBatch::new(numbers, texts), times: None },
+            false => Open::Last { batch: Box::new(TestBatch::new(numbers, texts)), times: None },
         };
         Gather { numbers, texts, phase_cell, seen: HashTable::new(), open, complete: None, held: 0 }
     }
@@ -177,7 +177,7 @@ impl Gather {
                 (*times, self.held) = (None, 0);
                 let cells = batch.rows() * (self.numbers + self.texts).max(1);
                 if batch.len() >= BATCH_TESTS || cells >= BATCH_CELLS {
-                    let whole = std::mem::replace(batch, TestBatch::new(self.numbers, self.texts));
+                    let whole = std::mem::replace(&mut **batch, TestBatch::new(self.numbers, self.texts));
                     self.complete = Some(whole.finish());
                 }
                 batch.begin(id);
