@@ -417,9 +417,8 @@ def predict(
     made, table, notes = _kalfit.predict(
         _model(model, set),
         _source(source),
-        as_data(design, "design"),
+        (as_data(design, "design"), [] if profile is None else as_data(profile, "profile")),
         (None if outputs is None else _outputs(outputs), confidence, content, one_sided, units),
-        [] if profile is None else as_data(profile, "profile"),
         _file(out),
         _how(threads, progress),
     )

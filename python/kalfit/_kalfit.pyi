@@ -114,9 +114,8 @@ def validate(
 def predict(
     model: _Model,
     source: _Text,
-    design: _Data,
+    given: tuple[_Data, _Data],
     asks: tuple[_Text | None, float, float, bool, str],
-    profile: _Data,
     out: _Path | None,
     how: _How,
 ) -> tuple[str, Table | None, list[str]]: ...

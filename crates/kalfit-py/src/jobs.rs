@@ -167,9 +167,8 @@ pub(crate) fn predict(
     py: Python<'_>,
     model: Asked,
     from: Text,
-    design: Vec<Given<'_>>,
+    (design, profile): (Vec<Given<'_>>, Vec<Given<'_>>),
     asks: Asks,
-    profile: Vec<Given<'_>>,
     out: Option<PathBuf>,
     how: How<'_>,
 ) -> PyResult<(String, Option<Table>, Vec<String>)> {
