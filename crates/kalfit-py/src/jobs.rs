@@ -161,17 +161,18 @@ pub(crate) fn validate(
 /// (outputs, confidence, content, each limit by itself, whose tests).
 type Asks = (Option<Text>, f64, f64, bool, String);
 
-/// Says what tests that nobody has made will give: (JSON of the last rows, table, notes).
+/// Says what tests that nobody has made will give, of designs and perhaps the data of the fit: (JSON of the last rows, table, notes).
 #[pyfunction]
 pub(crate) fn predict(
     py: Python<'_>,
     model: Asked,
     from: Text,
-    (design, profile): (Vec<Given<'_>>, Vec<Given<'_>>),
+    given: (Vec<Given<'_>>, Vec<Given<'_>>),
     asks: Asks,
     out: Option<PathBuf>,
     how: How<'_>,
 ) -> PyResult<(String, Option<Table>, Vec<String>)> {
+    let (design, profile) = given;
     let (outputs, confidence, content, one_sided, units) = asks;
     let sides = if one_sided { Sides::One } else { Sides::Two };
     let job = PredictJob {
