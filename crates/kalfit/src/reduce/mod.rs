@@ -25,7 +25,7 @@
 //! ```text
 //! rows ── PhasedModel::split ──> PhasedTest              rows, estimates or a reduction of each phase
 //! each phase ── Reducer (part, carry) ──> PhaseReduction its factor, its last state (end), what it inherits
-//! all phases ── stack ──> Reduction with its Chain       rotations once per design, then the data of each test
+//! all phases ── stack ──> Reduction with its Chain       tests of one shape side by side
 //! ```
 //!
 //! What is left of an ensemble stands in columns ([`Reductions`]). Many tests are reduced side by side (batch, [`kalfit_lanes`]). A
