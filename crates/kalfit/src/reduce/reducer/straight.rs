@@ -148,7 +148,7 @@ mod tests {
                 let at = |row: usize| ((97 * seed + 13 * row) as f64).sin();
                 let x = at(if j % 11 == 1 && row == 4 { 3 } else { row });
                 let y = if j % 13 == 2 && row == 2 { f64::NAN } else { ((31 * j + 7 * row) as f64).cos() };
-                test.push(&[x, y], &[], Source::default());
+                test.push(&[y, x], &[], Source::default());
             }
             test
         };
@@ -162,7 +162,7 @@ mod tests {
             Model::builder("").state(constant("a")).state(constant("b")).measurement(y).build().expect("a model");
         let model = &model.phases[0].model;
         let columns: Vec<&str> = model.columns.iter().map(|column| column.name.as_str()).collect();
-        assert_eq!(columns, ["x", "y"], "the order of the cells of a row");
+        assert_eq!(columns, ["y", "x"], "the order of the cells of a row");
         let reducer = || Reducer::new(model, &Alpha::default()).expect("sound");
         let all = tests();
         let together = reducer().reduce(&all).expect("sound");
