@@ -25,8 +25,10 @@ pub(super) struct Straight {
     /// The design of the last test, whose shape is that of all.
     design: Design,
     kept: Kept,
-    /// z - d of the last test.
+    /// z - d of the last test; h and R of one that may be none of these.
     values: Vec<f64>,
+    h: Vec<f64>,
+    noise: Vec<f64>,
     seats: Vec<Seat>,
 }
 
@@ -53,7 +55,8 @@ impl Straight {
         let lanes = kept.block.lanes();
         let Columns { start, .. } = kept.columns();
         start.chunks_exact_mut(lanes).zip(&work.data.start).for_each(|(all, x)| all.fill(*x));
-        Some(Straight { design: design.clone(), kept, values: Vec::new(), seats: Vec::new() })
+        let (values, h, noise) = (Vec::new(), Vec::new(), Vec::new());
+        Some(Straight { design: design.clone(), kept, values, h, noise, seats: Vec::new() })
     }
 
     /// Whether tests of so many rows go here.
@@ -63,9 +66,14 @@ impl Straight {
 
     /// Evaluates a test; the digest of its design. `None` where it is to be evaluated as any other.
     pub(super) fn evaluate(&mut self, preparer: &Preparer, test: &Test) -> Option<u128> {
-        let Design { h, noise, .. } = &mut self.design;
-        let mut lines = Lines { h, noise, values: &mut self.values };
-        preparer.meters.lines(&preparer.at(), test, &mut lines).then(|| self.design.digest())
+        let Straight { design, values, h, noise, .. } = self;
+        let sound = preparer.meters.lines(&preparer.at(), test, &mut Lines { h, noise, values });
+        sound.then(|| {
+            // only then: the passes take the shape from the whole design
+            std::mem::swap(&mut design.h, h);
+            std::mem::swap(&mut design.noise, noise);
+            design.digest()
+        })
     }
 
     /// The design of the test that was evaluated.
@@ -120,6 +128,47 @@ impl Straight {
             });
             let path = Path::Information;
             found(number, Some((&outcome, About { factor, covariates: &[], steps, observations: rows, path, digest })));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::build::{constant, measurement, name};
+    use crate::ensemble::Source;
+    use crate::model::{Alpha, Model};
+
+    /// Regressions of several lengths: some share a design, some repeat a row, some lack a value.
+    fn tests() -> Vec<Test> {
+        let one = |j: usize| {
+            let mut test = Test::new(format!("t{j:03}"), 2, 0);
+            for row in 0..if j % 5 == 4 { 4 } else { 9 } {
+                let seed = if j.is_multiple_of(7) { 3 } else { j };
+                let at = |row: usize| ((97 * seed + 13 * row) as f64).sin();
+                let x = at(if j % 11 == 1 && row == 4 { 3 } else { row });
+                let y = if j % 13 == 2 && row == 2 { f64::NAN } else { ((31 * j + 7 * row) as f64).cos() };
+                test.push(&[y, x], &[], Source::default());
+            }
+            test
+        };
+        (0..200).map(one).collect()
+    }
+
+    #[test]
+    fn what_goes_straight_into_lanes_is_what_tests_are_by_themselves() {
+        let y = measurement("y", name("a") + name("b") * name("x"), 0.5);
+        let model =
+            Model::builder("").state(constant("a")).state(constant("b")).measurement(y).build().expect("a model");
+        let model = &model.phases[0].model;
+        let columns: Vec<&str> = model.columns.iter().map(|column| column.name.as_str()).collect();
+        assert_eq!(columns, ["y", "x"], "the order of the cells of a row");
+        let reducer = || Reducer::new(model, &Alpha::default()).expect("sound");
+        let all = tests();
+        let together = reducer().reduce(&all).expect("sound");
+        for (test, found) in all.iter().zip(&together) {
+            let alone = reducer().reduce(std::slice::from_ref(test)).expect("sound");
+            assert_eq!(found, alone.get(0), "{}", test.id);
         }
     }
 }
