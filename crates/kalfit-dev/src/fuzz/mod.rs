@@ -4,7 +4,10 @@
 
 mod corpus;
 mod damage;
+mod fits;
+mod in_process;
 mod run;
+mod targets;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -17,6 +20,7 @@ use rayon::prelude::*;
 
 use crate::places;
 use corpus::Corpus;
+use in_process::Asked;
 use run::Ended;
 
 /// Runs between two looks at the clock.
@@ -36,14 +40,21 @@ pub(crate) struct Options {
     /// Seed of the first run.
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Inputs to the libraries in this process, hundreds of times as many as runs; without `--runs` and `--minutes` 200 000. Whole small
+    /// fits are among them, whose log-likelihood is compared with that of a dense law.
+    #[arg(long)]
+    in_process: bool,
 }
 
 /// Runs of the steps of the test command.
 const SHORT: u64 = 400;
+/// Inputs of that step in this process.
+const SHORT_IN_PROCESS: u64 = 1_000;
 
 /// A short campaign for the test command.
 pub(crate) fn short() -> Result<(), String> {
-    campaign(&Options { runs: Some(SHORT), minutes: None, seed: 1 })
+    campaign(&Options { runs: Some(SHORT), minutes: None, seed: 1, in_process: false })?;
+    campaign(&Options { runs: Some(SHORT_IN_PROCESS), minutes: None, seed: 1, in_process: true })
 }
 
 /// Runs a campaign; what it found is printed, and kept where what cargo builds is.
@@ -90,8 +101,11 @@ fn campaign(options: &Options) -> Result<(), String> {
     let begun = Instant::now();
     let (runs, limit) = match options.minutes {
         Some(minutes) => (u64::MAX, Duration::try_from_secs_f64(60.0 * minutes).map_err(|error| error.to_string())?),
-        None => (options.runs.unwrap_or(20_000), Duration::MAX),
+        None => (options.runs.unwrap_or(if options.in_process { 200_000 } else { 20_000 }), Duration::MAX),
     };
+    if options.in_process {
+        return in_process::campaign(&corpus, &kept, Asked { seed: options.seed, inputs: runs, time: limit });
+    }
     let mut all = Figures::default();
     while all.runs < runs && begun.elapsed() < limit && all.wrong.len() < MOST_SHOWN {
         let first = options.seed.wrapping_add(all.runs);
