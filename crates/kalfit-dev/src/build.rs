@@ -3,7 +3,7 @@
 use std::process::{Command, ExitCode};
 
 /// Their names.
-const TASKS: [&str; 6] = ["coverage", "maxima", "false-alarms", "whiteness", "bench", "peers"];
+const TASKS: [&str; 7] = ["coverage", "maxima", "false-alarms", "fuzz-in-process", "whiteness", "bench", "peers"];
 
 /// Runs such a task in a release build.
 pub(crate) fn run(words: &[String]) -> ExitCode {

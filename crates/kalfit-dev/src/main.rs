@@ -33,7 +33,8 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 /// What is not in the list of a program without the feature.
-const MEASURE: &str = "Measurements, which are built in release on first use: coverage, maxima, false-alarms, whiteness, bench, peers. \
+const MEASURE: &str = "Measurements, which are built in release on first use: coverage, maxima, false-alarms, fuzz-in-process, whiteness, bench, \
+                       peers. \
                        `cargo dev coverage --help` describes one.";
 
 /// Tasks of kalfit's developers.

@@ -4,7 +4,7 @@ use std::process::ExitCode;
 
 use clap::Subcommand;
 
-use crate::{bench, coverage, false_alarms, maxima, peers, whiteness};
+use crate::{bench, coverage, false_alarms, fuzz, maxima, peers, whiteness};
 
 /// What is measured here allocates as the command does.
 #[global_allocator]
@@ -33,6 +33,9 @@ pub(crate) enum Task {
         #[arg(long)]
         here: bool,
     },
+    /// Gives damaged models, tables, exchange files and results to the libraries in this process, and fits small models whose
+    /// log-likelihood is compared with that of a dense law: no input may panic, hang or take more memory than it is given.
+    FuzzInProcess(fuzz::InProcess),
     /// Times whole fits against other programs, where they are installed, after comparing the answers: the tables of the book's "How fast it is".
     Peers(peers::Options),
 }
@@ -45,6 +48,7 @@ pub(crate) fn run(task: Task) -> ExitCode {
         Task::Whiteness => whiteness::run(),
         Task::Bench { here: true } => bench::run(),
         Task::Bench { here: false } => bench::build_and_run(),
+        Task::FuzzInProcess(options) => fuzz::in_process(&options),
         Task::Peers(options) => peers::run(&options),
     }
 }

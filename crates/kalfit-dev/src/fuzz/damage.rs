@@ -15,6 +15,9 @@ pub(super) enum Form {
     Json,
 }
 
+/// Bytes of a text that is repeated, at most.
+const LONGEST: usize = 1 << 20;
+
 /// Numbers at the edge of something.
 const NUMBERS: [&str; 20] = [
     "0",
@@ -180,7 +183,9 @@ fn by_values(random: &mut ChaCha8Rng, bytes: Vec<u8>) -> Vec<u8> {
         (0, _) => Value::Null,
         (1, Value::Array(list)) => Value::Array(list.iter().skip(1).cloned().collect()),
         (2, Value::Array(list)) => Value::Array(list.iter().chain(list).cloned().collect()),
-        (1 | 2, Value::String(text)) => json!(text.repeat(random.random_range(0..5000_usize))),
+        (1 | 2, Value::String(text)) => {
+            json!(text.repeat(random.random_range(0..5000_usize).min(LONGEST / text.len().max(1))))
+        }
         (3, _) => [json!([]), json!({}), json!(""), json!(true), json!("x")][random.random_range(0..5_usize)].clone(),
         _ => serde_json::from_str(number).unwrap_or_else(|_| json!(number)),
     };

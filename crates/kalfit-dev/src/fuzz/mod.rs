@@ -4,11 +4,17 @@
 
 mod corpus;
 mod damage;
+#[cfg(feature = "measure")]
+mod fits;
+#[cfg(feature = "measure")]
+mod in_process;
 mod run;
+#[cfg(feature = "measure")]
+mod targets;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-use std::process::ExitCode;
+use std::process::{Command, ExitCode};
 use std::time::{Duration, Instant};
 
 use rand::{RngExt, SeedableRng};
@@ -16,6 +22,7 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use crate::places;
+use crate::test::MEASURE;
 use corpus::Corpus;
 use run::Ended;
 
@@ -38,17 +45,61 @@ pub(crate) struct Options {
     seed: u64,
 }
 
+/// What is asked of the task that works in this process.
+#[cfg(feature = "measure")]
+#[derive(Debug, clap::Args)]
+pub(crate) struct InProcess {
+    /// Inputs; without it and `--minutes` 200 000.
+    #[arg(long)]
+    inputs: Option<u64>,
+    /// As many inputs as there is time for.
+    #[arg(long, conflicts_with = "inputs")]
+    minutes: Option<f64>,
+    /// Seed of the first input.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+}
+
 /// Runs of the steps of the test command.
 const SHORT: u64 = 400;
+/// Inputs of that step to the libraries.
+const SHORT_IN_PROCESS: &str = "1000";
 
 /// A short campaign for the test command.
 pub(crate) fn short() -> Result<(), String> {
-    campaign(&Options { runs: Some(SHORT), minutes: None, seed: 1 })
+    campaign(&Options { runs: Some(SHORT), minutes: None, seed: 1 })?;
+    // in the program with the libraries, as the step of the tests has compiled them
+    let build = ["build", "--quiet", "--workspace", "--locked", "--features", MEASURE, "--bin", "kalfit-dev"];
+    let built = places::target()?.join("debug").join("kalfit-dev");
+    passed(Command::new("cargo").args(build).env("CARGO_INCREMENTAL", "0").current_dir(places::root()))?;
+    passed(Command::new(built).args(["fuzz-in-process", "--inputs", SHORT_IN_PROCESS]))
+}
+
+/// Runs a program, which must succeed.
+fn passed(command: &mut Command) -> Result<(), String> {
+    let status = command.status().map_err(|error| error.to_string())?;
+    if status.success() { Ok(()) } else { Err(format!("{} ended with {status}", command.get_program().display())) }
+}
+
+/// Damages input to the libraries in this process, hundreds of times as fast as runs of the program.
+#[cfg(feature = "measure")]
+pub(crate) fn in_process(options: &InProcess) -> ExitCode {
+    let found = || {
+        let (kalfit, kept) = places_of_a_campaign()?;
+        let corpus = Corpus::new(&kalfit, &kept.join("corpus"))?;
+        let (inputs, time) = asked(options.inputs, options.minutes, 200_000)?;
+        in_process::campaign(&corpus, &kept, in_process::Asked { seed: options.seed, inputs, time })
+    };
+    ended(found())
 }
 
 /// Runs a campaign; what it found is printed, and kept where what cargo builds is.
 pub(crate) fn run(options: &Options) -> ExitCode {
-    match campaign(options) {
+    ended(campaign(options))
+}
+
+fn ended(found: Result<(), String>) -> ExitCode {
+    match found {
         Ok(()) => ExitCode::SUCCESS,
         Err(message) => {
             eprintln!("{message}");
@@ -76,7 +127,8 @@ struct Wrong {
     bytes: Vec<u8>,
 }
 
-fn campaign(options: &Options) -> Result<(), String> {
+/// The program that is run, and where what was wrong is kept.
+fn places_of_a_campaign() -> Result<(PathBuf, PathBuf), String> {
     let target = places::target()?;
     let profile = if cfg!(debug_assertions) { "debug" } else { "release" };
     let kalfit = places::kalfit(&target, profile);
@@ -86,12 +138,22 @@ fn campaign(options: &Options) -> Result<(), String> {
     }
     let kept = target.join("fuzz");
     std::fs::create_dir_all(&kept).map_err(|error| format!("{}: {error}", kept.display()))?;
+    Ok((kalfit, kept))
+}
+
+/// How many, and for how long.
+fn asked(count: Option<u64>, minutes: Option<f64>, usual: u64) -> Result<(u64, Duration), String> {
+    Ok(match minutes {
+        Some(minutes) => (u64::MAX, Duration::try_from_secs_f64(60.0 * minutes).map_err(|error| error.to_string())?),
+        None => (count.unwrap_or(usual), Duration::MAX),
+    })
+}
+
+fn campaign(options: &Options) -> Result<(), String> {
+    let (kalfit, kept) = places_of_a_campaign()?;
     let corpus = Corpus::new(&kalfit, &kept.join("corpus"))?;
     let begun = Instant::now();
-    let (runs, limit) = match options.minutes {
-        Some(minutes) => (u64::MAX, Duration::try_from_secs_f64(60.0 * minutes).map_err(|error| error.to_string())?),
-        None => (options.runs.unwrap_or(20_000), Duration::MAX),
-    };
+    let (runs, limit) = asked(options.runs, options.minutes, 20_000)?;
     let mut all = Figures::default();
     while all.runs < runs && begun.elapsed() < limit && all.wrong.len() < MOST_SHOWN {
         let first = options.seed.wrapping_add(all.runs);
