@@ -69,7 +69,7 @@ fn is_unbounded(what: &str, model: &str, data: &str, levels: &str) {
     );
     assert!(!record.converged, "{what}: converged, {}", record.reason);
     assert_eq!(record.reason, expected, "{what}: {text}");
-    assert!(record.notes.iter().any(|note| note.contains("data without noise")), "{what}: {:?}", record.notes);
+    assert!(record.notes.iter().any(|note| note.contains("noise-free data")), "{what}: {:?}", record.notes);
 }
 
 #[test]

@@ -38,14 +38,17 @@ pub(super) fn find(bench: &Bench<'_>, ends: &[End], best: usize) -> Option<(usiz
     places.find_map(|at| Some((at, levels(bench, &ends[at])?)))
 }
 
-/// What is not certified, or has levels that a search left behind on their way.
+/// What is not certified, or has levels that a search left behind on their way, or that rounding of the data held up.
 fn is_open(bench: &Bench<'_>, end: &End) -> bool {
-    let left = |(standing, coordinate): (&Standing, &Coordinate)| {
-        coordinate.level.is_some() && matches!(standing, Standing::Vanishing | Standing::Unidentified)
+    let left = |s: usize| matches!(end.standing[s], Standing::Vanishing | Standing::Unidentified);
+    let tiny = |s: usize| {
+        let value = end.home.values[s];
+        value > 0.0 && value < fallen(&bench.coordinates[s], bench.units()[s], FIRST)
     };
+    let is_open = |s: usize| bench.coordinates[s].level.is_some() && (left(s) || tiny(s));
     match end.stop {
         Stop::Interrupted => false,
-        Stop::Certified => end.standing.iter().zip(&bench.coordinates).any(left),
+        Stop::Certified => (0..end.home.values.len()).any(is_open),
         Stop::PassLimit | Stop::Stalled => true,
     }
 }
@@ -91,15 +94,19 @@ fn depth(bench: &Bench<'_>) -> Option<f64> {
     (depth >= FIRST + ROOM).then_some(depth)
 }
 
+/// A level whose standard deviation is so many powers of ten below what the data suggest.
+fn fallen(coordinate: &Coordinate, unit: f64, powers: f64) -> f64 {
+    unit * 10f64.powf(-2.0 * powers / coordinate.level.unwrap_or(2.0))
+}
+
 /// ℓ rises by as much with each power of ten by which these levels fall.
 fn rises(bench: &Bench<'_>, values: &[f64], set: &[usize], depth: f64) -> bool {
     let step = (depth - FIRST) / STEPS as f64;
     let at = |k: usize| {
-        let fallen = FIRST + k as f64 * step;
+        let powers = FIRST + k as f64 * step;
         let mut values = values.to_vec();
         for &s in set {
-            let exponent = bench.coordinates[s].level.unwrap_or(2.0);
-            values[s] = bench.units()[s] * 10f64.powf(-2.0 * fallen / exponent);
+            values[s] = fallen(&bench.coordinates[s], bench.units()[s], powers);
         }
         bench.filtered_value(&values)
     };

@@ -1,5 +1,6 @@
 //! One test: its rows, in time order.
 
+use std::fmt;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -19,7 +20,7 @@ pub struct Source {
 ///
 /// Tests that were read together share the memory of their cells ([`TestBatch`](crate::TestBatch)): a copy of a test, or of some of its rows,
 /// copies no cell. A test that is changed gets cells of its own first, unless nobody else has them.
-#[derive(Debug, Clone)]
+#[derive(Clone)]
 pub struct Test {
     /// Its id, as text.
     pub id: TestId,
@@ -126,6 +127,20 @@ impl Test {
     pub fn source(&self, row: usize) -> Source {
         assert!(row < self.rows, "row {row} of {}", self.rows);
         self.records.source(self.first + row)
+    }
+}
+
+/// Its own cells, not those that it shares memory with.
+impl fmt::Debug for Test {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let sources: Vec<Source> = (0..self.rows).map(|row| self.source(row)).collect();
+        f.debug_struct("Test")
+            .field("id", &self.id)
+            .field("widths", &self.widths())
+            .field("numbers", &self.all_numbers())
+            .field("texts", &self.all_texts())
+            .field("sources", &sources)
+            .finish()
     }
 }
 
