@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
 use crate::places;
-use crate::test::MEASURE;
+use crate::places::MEASURE;
 
 /// The version of mdBook that the pages were looked at with.
 const MDBOOK: &str = "0.5.4";

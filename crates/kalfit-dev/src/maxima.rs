@@ -345,4 +345,16 @@ mod tests {
             assert!(found.certified >= 4, "seed {seed}: {} of {} ends are certified", found.certified, found.fits);
         }
     }
+
+    /// Models where a search from around the end of an interval let go of the value that it was to hold.
+    #[test]
+    fn profile_intervals_end_where_all_else_fitted_says() {
+        for seed in [1987, 3004] {
+            let mut random = ChaCha8Rng::seed_from_u64(seed);
+            let drawn = draw(&mut random, seed);
+            let found = profiles::ends(&drawn, seed, &mut random);
+            assert!(found.held >= 3, "seed {seed}: {} ends", found.held);
+            assert_eq!((found.short, found.long), (0, 0), "seed {seed}: too short and too long, of {}", found.held);
+        }
+    }
 }

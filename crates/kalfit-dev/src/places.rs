@@ -2,6 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
+/// The feature with which this package and all others are built for tests: one build serves every step.
+pub(crate) const MEASURE: &str = "kalfit-dev/measure";
+
 /// The root of the repository.
 pub(crate) fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).expect("the crate lies in crates/")

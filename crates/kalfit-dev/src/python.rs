@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crate::places;
-use crate::test::MEASURE;
+use crate::places::MEASURE;
 
 /// Where things are.
 struct Places {

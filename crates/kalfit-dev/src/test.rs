@@ -3,6 +3,7 @@
 use std::process::{Command, ExitCode};
 use std::time::Instant;
 
+use crate::places::MEASURE;
 use crate::{browser, fuzz, places, python};
 
 /// One thing that must hold.
@@ -14,9 +15,6 @@ struct Step {
     /// Where the program is missing, the step is left out with these words.
     optional: Option<&'static str>,
 }
-
-/// All of this package, too.
-pub(crate) const MEASURE: &str = "kalfit-dev/measure";
 
 const STEPS: &[Step] = &[
     Step {

@@ -3,15 +3,19 @@
 use std::fmt::Write;
 use std::path::Path;
 
+use kalfit::FitRecord;
+use kalfit::infer::DeletionChoice;
+use kalfit_data::Datum;
+use kalfit_job::{Document, FitJob, ModelJob, Unwatched};
 use nalgebra::{DMatrix, DVector};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use super::targets::{fit, model};
-
 /// Names of the states, and what each is multiplied with in the only measurement.
 const STATES: [(&str, &str); 3] = [("a", "1"), ("b", "x"), ("c", "z")];
+/// Most passes of a fit: one that has not converged by then is compared as it is.
+const PASSES: usize = 100;
 /// What the two log-likelihoods may differ by, as a part of their size.
 const EQUAL: f64 = 1e-9;
 /// Nor may a step of the mean raise it by more, where the fit says that it is the largest.
@@ -121,4 +125,18 @@ fn tests(text: &str, data: &Path) -> Result<Vec<Rows>, String> {
         variance: noise * noise,
     };
     Ok(all.into_iter().map(of).collect())
+}
+
+/// A model from a text.
+pub(super) fn model(text: &str) -> ModelJob {
+    let document = Document::Text { name: "m.toml".to_owned(), text: text.to_owned(), file: None };
+    ModelJob { document, set: Vec::new() }
+}
+
+/// A fit of a model to a file.
+fn fit(model: ModelJob, data: &Path) -> Result<FitRecord, String> {
+    let mut job = FitJob::new(model, vec![Datum::Named(data.display().to_string())]);
+    (job.innovations, job.settings.max_passes) = (false, PASSES);
+    job.choices.deletion = DeletionChoice::None;
+    kalfit_job::fit(&job, &mut Unwatched).map(|done| done.record).map_err(|failure| failure.to_string())
 }

@@ -22,7 +22,7 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use crate::places;
-use crate::test::MEASURE;
+use crate::places::MEASURE;
 use corpus::Corpus;
 use run::Ended;
 

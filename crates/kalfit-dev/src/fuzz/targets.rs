@@ -2,17 +2,16 @@
 
 use std::path::{Path, PathBuf};
 
-use kalfit::infer::DeletionChoice;
-use kalfit::{FitRecord, Labels, Test};
+use kalfit::{Labels, Test};
 use kalfit_data::{Datum, Input, Sink};
-use kalfit_job::{CheckJob, CompareJob, Document, FitJob, ModelJob, ReportJob, Unwatched};
+use kalfit_job::{CheckJob, CompareJob, Document, ReportJob, Unwatched};
 use kalfit_spec::Spec;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::corpus::{Corpus, Subject};
 use super::damage;
-use super::fits;
+use super::fits::{self, model};
 
 /// Pieces of expressions, of which random ones are put together.
 const PIECES: [&str; 40] = [
@@ -23,9 +22,6 @@ const PIECES: [&str; 40] = [
 
 /// Bytes of an input, at most.
 const LARGEST: usize = 1 << 20;
-
-/// Most passes of a fit: one that has not converged by then is compared as it is.
-const PASSES: usize = 100;
 
 /// What a seed makes.
 #[derive(Debug)]
@@ -108,20 +104,6 @@ fn in_file(input: &Given, folder: &Path) -> Result<PathBuf, String> {
     let place = folder.join(&input.name);
     std::fs::write(&place, &input.bytes).map_err(|error| format!("{}: {error}", place.display()))?;
     Ok(place)
-}
-
-/// A model from a text.
-pub(super) fn model(text: &str) -> ModelJob {
-    let document = Document::Text { name: "m.toml".to_owned(), text: text.to_owned(), file: None };
-    ModelJob { document, set: Vec::new() }
-}
-
-/// A fit of a model to a file.
-pub(super) fn fit(model: ModelJob, data: &Path) -> Result<FitRecord, String> {
-    let mut job = FitJob::new(model, vec![Datum::Named(data.display().to_string())]);
-    (job.innovations, job.settings.max_passes) = (false, PASSES);
-    job.choices.deletion = DeletionChoice::None;
-    kalfit_job::fit(&job, &mut Unwatched).map(|done| done.record).map_err(|failure| failure.to_string())
 }
 
 /// Takes tests and forgets them.

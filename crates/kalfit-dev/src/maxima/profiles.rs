@@ -4,7 +4,7 @@
 use kalfit::dynamic::{self, DynamicFit};
 use kalfit::estimate::{Silent, Stop};
 use kalfit::infer::{Choices, DeletionChoice, IntervalKind, StdErrors, TestsChoice};
-use kalfit::model::Value;
+use kalfit::model::{Expression, Value};
 use kalfit::{Labels, PhasedModel};
 use rand_chacha::ChaCha8Rng;
 
@@ -42,7 +42,12 @@ pub(super) fn ends(drawn: &Drawn, seed: u64, random: &mut ChaCha8Rng) -> Ends {
     };
     let model = open(&drawn.model);
     let Ok((_, parameters)) = dynamic::infer(&model, &drawn.tests, &fit, choices) else { return found };
-    for (slot, parameter) in parameters.iter().enumerate() {
+    let of_noises = |slot: usize| {
+        let named = |(.., c): &(usize, usize, Expression)| *c == Expression::Parameter(slot);
+        drawn.model.phases.iter().any(|phase| phase.model.noise_covariance.iter().any(named))
+    };
+    // covariances of noises have no profile
+    for (slot, parameter) in parameters.iter().enumerate().filter(|(slot, _)| !of_noises(*slot)) {
         for (side, end) in parameter.interval.into_iter().flatten().enumerate() {
             let Some(end) = end.filter(|end| *end != 0.0 && *end != fit.values[slot]) else { continue };
             let Some(highest) = highest(drawn, &fit, (slot, end), random) else { continue };

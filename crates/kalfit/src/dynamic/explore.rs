@@ -194,13 +194,9 @@ fn places(bench: &Bench<'_>, end: &End, held: Option<usize>, progress: &mut dyn 
     let (mut all, mut bases) = (Vec::new(), vec![values.clone()]);
     for twins in &bench.twins {
         let Some(one) = twins.merged(values, &bench.coordinates) else { continue };
-        if held.is_none_or(|s| one[s] == values[s]) {
-            all.push(one.clone());
-        }
-        if held.is_none_or(|s| !twins.has(s)) {
-            all.extend(set_apart(bench, &one, twins, progress));
-            bases.push(one);
-        }
+        all.push(one.clone());
+        all.extend(set_apart(bench, &one, twins, progress));
+        bases.push(one);
     }
     let is_level = |s: &usize| {
         let coordinate = &bench.coordinates[*s];
@@ -236,6 +232,8 @@ fn places(bench: &Bench<'_>, end: &End, held: Option<usize>, progress: &mut dyn 
             );
         }
     }
+    // whatever moved it
+    all.retain(|place| held.is_none_or(|s| place[s] == values[s]));
     all
 }
 

@@ -45,10 +45,11 @@ pub fn infer(
         }
     };
     if choices.intervals == IntervalKind::Profile && fit.stop == Stop::Certified {
-        interval::profiles(&bench, fit, &observed, &mut parameters)?;
+        let kept = interval::profiles(&bench, fit, &observed, &mut parameters)?;
         if fit.estimate.stop == Stop::Certified {
             profile::profiles((&bench, fit), &estimate, &observed, (&mut inference, &parameters));
         }
+        inference.intervals.unprofiled += kept;
     }
     Ok((inference, parameters))
 }

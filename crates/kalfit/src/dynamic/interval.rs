@@ -29,28 +29,34 @@ const STRIDE: f64 = 3.0;
 /// Intervals of up to so many values are profiled; Wald's stand for those of more.
 pub(crate) const MOST_PROFILED: usize = 40;
 
-/// Profile intervals in the place of Wald's, at values that the data determine and at those on a bound.
+/// Profile intervals in the place of Wald's, at values that the data determine and at those on a bound; how many of those keep Wald's:
+/// covariances of noises, which move with the variances beside them, and all where there are very many.
 pub(crate) fn profiles(
     bench: &Bench<'_>,
     fit: &DynamicFit,
     covariances: &Covariances,
     parameters: &mut [ParameterInference],
-) -> Result<(), DynamicError> {
+) -> Result<usize, DynamicError> {
+    let is_open = |parameter: &ParameterInference| {
+        matches!(parameter.standing, Standing::Inside | Standing::Lower | Standing::Upper)
+    };
     if fit.values.len() > MOST_PROFILED {
-        return Ok(());
+        return Ok(parameters.iter().filter(|parameter| is_open(parameter)).count());
     }
+    let mut kept = 0;
     let near = Population::from(&fit.estimate);
     let best = bench.solve(&fit.sought, Some(&near))?;
     let others = others(bench, fit);
     for (slot, parameter) in parameters.iter_mut().enumerate() {
-        let is_open = matches!(parameter.standing, Standing::Inside | Standing::Lower | Standing::Upper);
-        if is_open && !bench.edges.has(slot) {
+        if is_open(parameter) && bench.edges.has(slot) {
+            kept += 1;
+        } else if is_open(parameter) {
             let error = covariances.alpha[slot].map_or(0.5, f64::sqrt);
             let end = |sign: f64| Side { bench, best: &best, slot, sign, others: others.clone() }.limit(error);
             parameter.interval = Some([end(-1.0), end(1.0)]);
         }
     }
-    Ok(())
+    Ok(kept)
 }
 
 /// One side of the interval of the value in a slot.

@@ -7,8 +7,7 @@ use rayon::prelude::*;
 use crate::dynamic::DynamicFit;
 use crate::dynamic::bench::Bench;
 use crate::dynamic::inference::with_law;
-use crate::dynamic::outer::{Near, Outer};
-use crate::dynamic::target::Target;
+use crate::dynamic::outer::{Near, Outer, Target};
 use crate::estimate::{Estimate, Point};
 use crate::infer::{Held, HeldMaximum, Holder, Holds, Law, MeanCombination, Profile};
 use crate::model::{Alpha, PhasedModel, Population};
@@ -50,8 +49,7 @@ pub fn mean_limits(
         let step = quantile * outer.error(mean)?;
         let maximum = estimate.state.place.local.value;
         let profile = Profile { holder: &means, what: number, centre, maximum, quantile, limits: [None; 2] };
-        let start = Near::best(fit, &estimate);
-        Some([profile.end(&start, -step)?, profile.end(&start, step)?])
+        profile.ends(&Near::best(fit, &estimate), step)
     };
     (0..home.len()).into_par_iter().map(limits).collect()
 }

@@ -44,7 +44,6 @@ mod search;
 mod settings;
 mod standing;
 mod start;
-mod target;
 #[cfg(test)]
 mod tests;
 mod touching;

@@ -16,10 +16,10 @@ use crate::dynamic::bench::Bench;
 use crate::dynamic::branches::{WITHIN, others};
 use crate::dynamic::covariances::Covariances;
 use crate::dynamic::matrices::matrix_gradient;
-use crate::dynamic::target::Target;
 use crate::dynamic::{DynamicFit, Standing};
 use crate::estimate::{Estimate, Place, Point, State};
-use crate::infer::{Held, Holdable, Holder, Holds, Law};
+use crate::infer::{Held, HeldMaximum, Holdable, Holder, Holds, Law, value};
+use crate::model::{Alpha, Population};
 
 /// α is found to this part of its standard error: ℓ is then right to half its square.
 const TOLERANCE: f64 = 1e-3;
@@ -33,6 +33,42 @@ const TRIES: usize = 8;
 const LONGEST: f64 = 2.0;
 /// Standard error of a coordinate that is let off its bound.
 const RELEASED: f64 = 0.3;
+
+/// A quantity that can be held at a value while α moves.
+pub(super) trait Target: Copy + Sync {
+    /// The best (μ, Σ) at some α with it held, from a point nearby.
+    fn maximum(self, at: (&Holder<'_>, &Alpha), x: f64, near: &Point) -> Option<HeldMaximum>;
+    /// Its estimate.
+    fn value(self, outer: &Outer<'_, '_>) -> Option<f64>;
+    /// Its derivative along the tangent basis at the estimate.
+    fn along(self, law: &Law<'_>, estimate: &Estimate) -> DVector<f64>;
+    /// Its derivative by the coordinates of the values that move, at the estimate.
+    fn slopes(self, outer: &Outer<'_, '_>) -> DVector<f64>;
+    /// The same at other values, with (μ, Σ) there.
+    fn slopes_at(self, outer: &Outer<'_, '_>, values: &[f64], there: &Population) -> Option<DVector<f64>>;
+}
+
+impl Target for Holdable {
+    fn maximum(self, (holder, _): (&Holder<'_>, &Alpha), x: f64, near: &Point) -> Option<HeldMaximum> {
+        holder.maximum(self, x, near)
+    }
+
+    fn value(self, outer: &Outer<'_, '_>) -> Option<f64> {
+        value(outer.estimate, self)
+    }
+
+    fn along(self, law: &Law<'_>, estimate: &Estimate) -> DVector<f64> {
+        law.derivative(&estimate.covariance, self)
+    }
+
+    fn slopes(self, outer: &Outer<'_, '_>) -> DVector<f64> {
+        DVector::zeros(outer.slots.len())
+    }
+
+    fn slopes_at(self, outer: &Outer<'_, '_>, _: &[f64], _: &Population) -> Option<DVector<f64>> {
+        Some(self.slopes(outer))
+    }
+}
 
 /// ℓ with a quantity held, over α.
 pub(super) struct Outer<'b, 'a> {

@@ -54,11 +54,6 @@ impl Twins {
         }
     }
 
-    /// Whether a slot is of one of the two.
-    pub(crate) fn has(&self, slot: usize) -> bool {
-        self.pairs.iter().any(|&(s, t)| s == slot || t == slot)
-    }
-
     /// The level that is at zero where the two are [merged](Twins::merged).
     pub(crate) fn freed(&self, coordinates: &[Coordinate]) -> Option<usize> {
         self.pairs.iter().map(|&(_, t)| t).find(|&t| coordinates[t].level.is_some())

@@ -276,6 +276,11 @@ pub(crate) struct Profile<'a, H: Holds> {
 }
 
 impl<H: Holds> Profile<'_, H> {
+    /// Both ends, a first step to each side of this length; `None` where one is not found.
+    pub(crate) fn ends(&self, start: &H::Near, step: f64) -> Option<[f64; 2]> {
+        Some([self.end(start, -step)?, self.end(start, step)?])
+    }
+
     /// ζ = √(2(ℓ_max - ℓ_max(x))) and its derivative away from the centre.
     fn root(&self, x: f64, near: &H::Near, sign: f64) -> Option<(f64, f64, Held<H::Near>)> {
         let held = self.holder.held(self.what, x, near)?;

@@ -60,8 +60,7 @@ pub fn mean_limits(estimate: &Estimate, all: &[MeanCombination], quantile: f64) 
         let step = Some(quantile * variance.sqrt()).filter(|step| *step > 0.0 && step.is_finite())?;
         let maximum = estimate.state.place.local.value;
         let profile = Profile { holder: &holder, what, centre, maximum, quantile, limits: [None; 2] };
-        let start = &estimate.state.place.point;
-        Some([profile.end(start, -step)?, profile.end(start, step)?])
+        profile.ends(&estimate.state.place.point, step)
     };
     all.par_iter().enumerate().map(limits).collect()
 }

@@ -353,7 +353,7 @@ fn notes(model: &PhasedModel, estimate: &Estimate, inference: &Inference) -> Vec
     if without > 0 {
         let come = if without == 1 { "interval comes" } else { "intervals come" };
         notes.push(format!(
-            "{without} {come} from standard errors instead of the profile likelihood: with free parameters, profiles are limited to 60 quantities of mean and covariance and 24 free values, and are not available for covariances that depend on a parameter"
+            "{without} {come} from standard errors instead of the profile likelihood: with free parameters, profiles are limited to 60 quantities of mean and covariance with up to 24 free values, and to 40 free values themselves; covariances that depend on a parameter and covariances of noises have none"
         ));
     }
     notes
