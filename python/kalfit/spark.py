@@ -16,7 +16,7 @@ import json
 import sys
 import uuid
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, Literal
 
 from kalfit import _kalfit
@@ -86,14 +86,13 @@ def fit(
     document = (known._document(), values)
     theta, asked = _kalfit.first_theta(document)
     packed = _packed(known, frame, [] if reduced else _order(known, frame, order_by), partitions, reduced)
-    token = uuid.uuid4().hex
+    ask = _Rounds(packed, document)
     tell = _said if progress is True else progress or None
     try:
         for round in range(1, sys.maxsize):
             if tell is not None:
                 tell(Step(f"round {round}: sums over the tests"))
-            told = _told(packed, _passes(token, document, asked), "sums string")
-            after, results = _kalfit.join(document, criterion, theta, told, _how(None, False))
+            after, results = _kalfit.join(document, criterion, theta, ask.sums(asked), _how(None, False))
             if results is not None:
                 found = Fit(results)
                 found._made_with = (model, set)
@@ -229,17 +228,40 @@ def _pack_frame(model: Model, frame: Any, order: list[str], reduced: bool = Fals
     return numbered.mapInArrow(pack, f"{_PARTITION} int, tests array<string>, rows binary")
 
 
-def _told(packed: Any, function: Callable[[Iterable[Any]], Iterator[Any]], schema: str) -> list[str]:
-    """A text from each partition, in their order."""
-    rows = packed.mapInArrow(function, f"{_PARTITION} int, {schema}").collect()
-    return [row[1] for row in sorted(rows, key=lambda row: row[0])]
+class _Rounds:
+    """What partitions answer, round by round. Processes that keep the tests of a partition are asked without its rows: Spark moves
+    them only to those that do not."""
 
+    def __init__(self, packed: Any, document: tuple[_Text, list[str]]) -> None:
+        self._packed = packed
+        self._document = document
+        self._token = uuid.uuid4().hex
+        self._begun = False
+        self._keep = True  # until most partitions cannot be answered for without their rows
 
-def _passes(token: str, document: tuple[_Text, list[str]], theta: str) -> Callable[[Iterable[Any]], Iterator[Any]]:
-    def passes(batches: Iterable[Any]) -> Iterator[Any]:
-        return _sums(batches, token, document, theta)
+    def sums(self, theta: str) -> list[str]:
+        """A text from each partition, in their order."""
+        from pyspark.sql import functions
 
-    return passes
+        told: dict[int, str | None] = {}
+        if self._begun and self._keep:
+            told = self._asked(self._packed.select(_PARTITION), theta)
+        missing = [partition for partition, sums in told.items() if sums is None]
+        self._keep &= 2 * len(missing) <= len(told)
+        if not told:
+            told = self._asked(self._packed, theta)
+        elif missing:
+            told |= self._asked(self._packed.where(functions.col(_PARTITION).isin(missing)), theta)
+        self._begun = True
+        return [str(told[partition]) for partition in sorted(told)]
+
+    def _asked(self, frame: Any, theta: str) -> dict[int, str | None]:
+        token, document = self._token, self._document
+
+        def passes(batches: Iterable[Any]) -> Iterator[Any]:
+            return _sums(batches, token, document, theta)
+
+        return dict(frame.mapInArrow(passes, f"{_PARTITION} int, sums string").collect())
 
 
 # What follows runs on executors.
@@ -283,9 +305,10 @@ def _list(ids: Any) -> Any:
 
 
 def _cells(batches: Iterable[Any]) -> Iterator[tuple[int, Any]]:
-    """Number and rows of each partition that was packed."""
+    """Number and rows of each partition that was packed; None where its rows did not come along."""
     for batch in batches:
-        yield from zip(batch.column(_PARTITION).to_pylist(), batch.column("rows"))
+        numbers = batch.column(_PARTITION).to_pylist()
+        yield from zip(numbers, batch.column("rows") if "rows" in batch.schema.names else [None] * len(numbers))
 
 
 def _table(cell: Any) -> Any:
@@ -302,21 +325,28 @@ def _table(cell: Any) -> Any:
 
 
 def _sums(batches: Iterable[Any], token: str, document: tuple[_Text, list[str]], theta: str) -> Iterator[Any]:
-    """What each partition answers."""
+    """What each partition answers; nothing where its rows are neither kept nor told."""
     import pyarrow
 
     for partition, rows in _cells(batches):
-        key = (token, partition)
-        site = _SITES.get(key)
-        if site is None:
-            site = _SITES[key] = _kalfit.Site(document, [(f"partition {partition}", _table(rows))], 1)
-        _SITES.move_to_end(key)
-        for other in [other for other in _SITES if other[0] != token]:
-            del _SITES[other]
-        while len(_SITES) > _MOST_SITES:
-            _SITES.popitem(last=False)
-        cells = [pyarrow.array([partition], pyarrow.int32()), pyarrow.array([site.answer(theta)], pyarrow.string())]
+        site = _site((token, partition), document, rows)
+        answer = None if site is None else site.answer(theta)
+        cells = [pyarrow.array([partition], pyarrow.int32()), pyarrow.array([answer], pyarrow.string())]
         yield pyarrow.RecordBatch.from_arrays(cells, names=[_PARTITION, "sums"])
+
+
+def _site(key: tuple[str, int], document: tuple[_Text, list[str]], rows: Any) -> _kalfit.Site | None:
+    """The tests of a partition, read if they are not kept."""
+    site = _SITES.get(key)
+    if site is None and rows is not None:
+        site = _SITES[key] = _kalfit.Site(document, [(f"partition {key[1]}", _table(rows))], 1)
+    if site is not None:
+        _SITES.move_to_end(key)
+    for other in [other for other in _SITES if other[0] != key[0]]:
+        del _SITES[other]
+    while len(_SITES) > _MOST_SITES:
+        _SITES.popitem(last=False)
+    return site
 
 
 def _reductions(batches: Iterable[Any], document: tuple[_Text, list[str]], source: Any) -> Iterator[Any]:

@@ -65,6 +65,20 @@ def test_an_executor_that_lost_its_tests_reads_them_again():
     assert [batch.to_pylist() for batch in spark._sums(cells, "one", document, asked)] == once
 
 
+def test_rows_are_moved_only_to_where_they_are_not_kept():
+    known, cells = packed(BENCH[0], pandas.read_csv(BENCH[1]))
+    document = (known._document(), [])
+    _, asked = kalfit._kalfit.first_theta(document)
+    bare = [cell.select(["kalfit_partition"]) for cell in cells]
+
+    def told(batches):
+        return [batch.to_pylist()[0]["sums"] for batch in spark._sums(batches, "bare", document, asked)]
+
+    assert told(bare) == [None, None, None]
+    once = told(cells[:2])
+    assert told(bare) == [*once, None] and None not in once
+
+
 def test_what_spark_cannot_know_is_asked_for():
     model = {"states": {"a": {}}, "measurements": {"y": {"column": "y", "equation": "a", "noise": 1}}}
     with pytest.raises(ValueError, match="names no column that tells tests apart"):

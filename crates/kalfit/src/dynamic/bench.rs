@@ -398,6 +398,16 @@ impl<'a> Bench<'a> {
         self.solved(values, alpha, reduced, Estimate::unfinished(state)).ok()
     }
 
+    /// ℓ(α) and its gradient where (μ, Σ) moved along with α: they are solved for by themselves.
+    pub(crate) fn settle(&self, home: &Solved) -> Result<Solved, DynamicError> {
+        let (values, alpha) = (&home.values, self.alpha(&home.values));
+        let reduced = self.reduce(values)?;
+        let structure = self.structure(&alpha);
+        let estimate = estimate::fit_on(&home.estimate.state, &reduced.reductions, &structure, &mut Silent)?;
+        self.count_passes(&estimate);
+        self.solved(values, alpha, reduced, estimate)
+    }
+
     /// What [`Bench::shift`] gives at home.
     pub(crate) fn at_home(&self, home: &Solved) -> Option<Shifted> {
         let state = &home.estimate.state;

@@ -95,6 +95,13 @@ fn finished(
     })
 }
 
+/// The best end of all searches as a start elsewhere; `None` where they all fail.
+pub(crate) fn best(bench: &Bench<'_>, progress: &mut dyn Progress) -> Option<Vec<f64>> {
+    let (mut ends, _) = searched(bench, progress).ok()?;
+    explore::explore(bench, &mut ends, start::all_given(bench), progress).ok()?;
+    chosen(&ends).map(|at| ends[at].restart())
+}
+
 /// Where the searches from all starts end, and the first error of those that do not.
 fn searched(bench: &Bench<'_>, progress: &mut dyn Progress) -> Result<(Vec<End>, Option<DynamicError>), DynamicError> {
     let (mut ends, mut first_error, mut floor) = (Vec::new(), None, None);

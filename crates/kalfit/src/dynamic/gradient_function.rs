@@ -32,6 +32,9 @@ const FAR: [f64; 3] = [30.0, 1e3, 1e6];
 /// Values for some slots.
 type Change = Vec<(usize, f64)>;
 
+/// A derivative at zero times the variance it had, of a level, with this shape of what it drives.
+type Derivative = (f64, usize, Change);
+
 impl Search<'_, '_> {
     /// A level at zero returns where ℓ rises with its variance, for some shape of what it drives.
     pub(super) fn revived(&mut self, joint: &Joint) -> bool {
@@ -40,14 +43,17 @@ impl Search<'_, '_> {
         if zeros.is_empty() {
             return false;
         }
-        let mut found: Vec<(f64, usize, Change)> = Vec::new();
+        let mut found: Vec<Derivative> = Vec::new();
         for shape in self.shapes(joint) {
             for (s, gain) in self.derivatives_at_zero(&zeros, &shape) {
                 found.push((gain, s, shape.clone()));
             }
         }
+        for &s in &zeros {
+            found.extend(self.between(s, &found));
+        }
         let best = |s: usize| found.iter().filter(|(_, level, _)| *level == s).max_by(|a, b| a.0.total_cmp(&b.0));
-        let mut promising: Vec<(f64, usize, Change)> = zeros.iter().filter_map(|&s| best(s).cloned()).collect();
+        let mut promising: Vec<Derivative> = zeros.iter().filter_map(|&s| best(s).cloned()).collect();
         promising.retain(|(gain, ..)| *gain > GAIN);
         promising.sort_by(|a, b| b.0.total_cmp(&a.0));
         promising.into_iter().any(|(_, s, shape)| self.returns(s, &shape)) || self.crosses_back(&zeros)
@@ -129,6 +135,30 @@ impl Search<'_, '_> {
         all
     }
 
+    /// The derivative of a level between the times that were tried, at the tops of parabolas through three of them, where it is not
+    /// positive at the highest of these but may be beside it.
+    fn between(&self, s: usize, found: &[Derivative]) -> Vec<Derivative> {
+        let own: Vec<&Derivative> = found.iter().filter(|(_, level, _)| *level == s).collect();
+        let mut tops = Vec::new();
+        for around in own.windows(3) {
+            let [(before, _, shorter), (gain, _, shape), (after, _, longer)] = around else { continue };
+            let is_top = gain >= before && gain >= after && *gain <= GAIN && (before < gain || after < gain);
+            let [Some(short), Some(time), Some(long)] = [shorter, shape, longer].map(alone) else {
+                continue;
+            };
+            if !is_top || short >= time || time >= long {
+                continue;
+            }
+            let (left, right) = ((time / short).ln(), (long / time).ln());
+            let (fall, drop) = ((gain - before) / left, (gain - after) / right);
+            let shift = 0.5 * (fall * right - drop * left) / (fall + drop);
+            let change: Change = shape.iter().map(|&(t, _)| (t, time * shift.exp())).collect();
+            let at_top = self.derivatives_at_zero(&[s], &change);
+            tops.extend(at_top.into_iter().map(|(s, gain)| (gain, s, change.clone())));
+        }
+        tops
+    }
+
     /// Values along which ℓ does not move at all.
     fn idle(&self, joint: &Joint) -> Vec<usize> {
         let flat = |t: &usize| {
@@ -152,4 +182,10 @@ impl Search<'_, '_> {
         let gradient = self.bench.gradient(&values, &at.tests.scores, &at.matrix);
         idle.into_iter().filter(|&t| gradient[t].abs() > FLAT).for_each(|t| self.standing[t] = Standing::Idle);
     }
+}
+
+/// The one time that a shape has.
+fn alone(shape: &Change) -> Option<f64> {
+    let (_, time) = *shape.first()?;
+    shape.iter().all(|(_, other)| *other == time).then_some(time)
 }

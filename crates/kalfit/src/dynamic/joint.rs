@@ -117,7 +117,7 @@ impl Joint {
 
     /// The columns of some values that no test has in common.
     fn column(&mut self, bench: &Bench<'_>, home: &Solved, colour: &[usize], touching: &Touching, central: bool) {
-        let mut steps: Vec<f64> = colour.iter().map(|&s| first_step(bench, home, s, central)).collect();
+        let mut steps: Vec<f64> = colour.iter().map(|&s| first_step(bench, &home.values, s, central)).collect();
         for attempt in 0..5 {
             let sides = sides(bench, home, colour, &steps, central);
             let Some(sides) = sides.filter(|sides| widths(bench, colour, sides).values().all(|w| *w > 0.0)) else {
@@ -454,11 +454,7 @@ fn informed(tangent: &Tangent) -> DMatrix<f64> {
 
 /// ℓ on both sides of home, with the values of a colour moved; the lower side is home itself for differences to one side.
 fn sides(bench: &Bench<'_>, home: &Solved, colour: &[usize], steps: &[f64], central: bool) -> Option<[Shifted; 2]> {
-    let moved = |sign: f64| {
-        let mut values = home.values.clone();
-        colour.iter().zip(steps).for_each(|(&s, h)| values[s] = bench.coordinates[s].moved(values[s], sign * h));
-        bench.shift(home, &values)
-    };
+    let moved = |sign: f64| bench.shift(home, &beside(bench, &home.values, (colour, steps), sign));
     let upper = moved(1.0);
     let lower = if central || (upper.is_none() && !bench.is_waiting()) { moved(-1.0) } else { bench.at_home(home) };
     match (upper, lower) {
@@ -478,7 +474,24 @@ fn widths(bench: &Bench<'_>, colour: &[usize], sides: &[Shifted; 2]) -> BTreeMap
     colour.iter().map(width).collect()
 }
 
-fn first_step(bench: &Bench<'_>, home: &Solved, s: usize, central: bool) -> f64 {
+/// The values with those of a colour moved to one side.
+fn beside(bench: &Bench<'_>, values: &[f64], (colour, steps): (&[usize], &[f64]), sign: f64) -> Vec<f64> {
+    let mut values = values.to_vec();
+    colour.iter().zip(steps).for_each(|(&s, h)| values[s] = bench.coordinates[s].moved(values[s], sign * h));
+    values
+}
+
+/// Where [`Joint::new`] looks first about some values, each of which all tests have in common.
+pub(crate) fn around(bench: &Bench<'_>, values: &[f64], active: &[bool], central: bool) -> Vec<Vec<f64>> {
+    let signs: &[f64] = if central { &[1.0, -1.0] } else { &[1.0] };
+    let of = |s: usize| {
+        let step = first_step(bench, values, s, central);
+        signs.iter().map(move |sign| beside(bench, values, (&[s], &[step]), *sign))
+    };
+    (0..values.len()).filter(|&s| active[s]).flat_map(of).collect()
+}
+
+fn first_step(bench: &Bench<'_>, values: &[f64], s: usize, central: bool) -> f64 {
     let h = if central { STEP } else { SHORT };
-    if bench.coordinates[s].log { h } else { h * home.values[s].abs().max(1e-2) }
+    if bench.coordinates[s].log { h } else { h * values[s].abs().max(1e-2) }
 }

@@ -18,6 +18,7 @@ mod error;
 mod expected;
 mod explore;
 mod fit;
+mod foresight;
 mod glide;
 mod gradient_function;
 mod indirect;

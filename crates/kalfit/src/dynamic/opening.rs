@@ -1,10 +1,15 @@
 //! Where a search begins whose tests are in several places: what each of them suggests, put together.
 
 use crate::dynamic::bench::Bench;
-use crate::dynamic::{Coordinate, Settings, start};
+use crate::dynamic::sample::sample;
+use crate::dynamic::twins::ordered;
+use crate::dynamic::{Coordinate, Settings, fit, start};
 use crate::estimate::Progress;
 use crate::model::{PhasedModel, Slots};
 use crate::reduce::PhasedTest;
+
+/// A value that is this many times what the data suggest, or less by as much, is not put together with those of other places.
+const FAR: f64 = 1e4;
 
 /// The answer of one place to [`Question::Opening`](crate::remote::Question::Opening): its number of tests, and that many times the
 /// coordinate of each start value and the logarithm of each size.
@@ -17,14 +22,25 @@ pub(crate) fn opening(
     let bench = Bench::new(model, tests, slots, settings);
     let count = tests.len() as f64;
     let units = bench.units();
+    let farthest = if start::all_given(&bench) { f64::INFINITY } else { FAR };
     let start = |(s, value): (usize, f64)| {
-        let coordinate = &bench.coordinates[s];
-        coordinate.of_value(if coordinate.log && value <= 0.0 { units[s] } else { value })
+        let (coordinate, unit) = (&bench.coordinates[s], units[s]);
+        let is_far = coordinate.log && (value <= 0.0 || value / unit > farthest || unit / value > farthest);
+        coordinate.of_value(if is_far { unit } else { value })
     };
-    let starts = start::first(&bench, progress).into_iter().enumerate().map(start);
+    let starts = suggested(&bench, progress).into_iter().enumerate().map(start);
     let sizes = units.iter().map(|unit| unit.max(f64::MIN_POSITIVE).ln());
     let numbers = starts.chain(sizes).map(|x| count * x);
     std::iter::once(count).chain(numbers).collect()
+}
+
+/// The start values that were given; if some are open, where the best search on a part of the tests ends.
+fn suggested(bench: &Bench<'_>, progress: &mut dyn Progress) -> Vec<f64> {
+    let sample = sample(bench.tests, true);
+    let small = Bench::new(bench.model, &sample, bench.slots, bench.settings);
+    let found = if start::all_given(bench) { None } else { fit::best(&small, progress) };
+    let found = found.map(|values| ordered(&bench.twins, &values));
+    found.unwrap_or_else(|| start::first(bench, progress))
 }
 
 /// What all places suggest: the mean over their tests.

@@ -16,7 +16,7 @@ const STEPS: usize = 200;
 /// So many steps on end need not raise ℓ, where rounding hides what they do.
 const LEVEL_STEPS: usize = 8;
 /// With a decrement below this, levels that are not felt are looked for.
-const HARDLY: f64 = 1e-3;
+pub(super) const HARDLY: f64 = 1e-3;
 /// Steps along faint directions, in coordinates, and how often they are looked along.
 const LOOKS: [f64; 6] = [0.3, -0.3, 1.5, -1.5, 4.0, -4.0];
 const FAINT_LOOKS: usize = 3;
@@ -103,7 +103,7 @@ impl<'b, 'a> Search<'b, 'a> {
                 true => Turn::End(Stop::Certified),
             };
         }
-        if self.advance(joint, step.decrement) {
+        if self.advance(joint, step.decrement, fine) {
             self.place();
             self.tell(step.decrement);
             return Turn::On { closer: fine };
@@ -135,7 +135,7 @@ impl<'b, 'a> Search<'b, 'a> {
         if self.bench.settings.method != Method::Innovations || self.home.estimate.stop == Stop::Certified {
             return false;
         }
-        let Some(next) = self.at(&self.home.values) else { return false };
+        let Ok(next) = self.bench.settle(&self.home) else { return false };
         let certified = next.estimate.stop == Stop::Certified;
         self.home = next;
         certified
@@ -160,8 +160,8 @@ impl<'b, 'a> Search<'b, 'a> {
         false
     }
 
-    /// One step, damped until ℓ rises.
-    fn advance(&mut self, joint: &Joint, decrement: f64) -> bool {
+    /// One step, damped until ℓ rises; `fine` when what follows is known by differences to both sides.
+    fn advance(&mut self, joint: &Joint, decrement: f64, fine: bool) -> bool {
         let slack = 1e-12 * self.home.value().abs().max(1.0);
         let levels = self.levels_near_zero(joint);
         let joint = &joint.in_variances(&levels, &self.home.gradient);
@@ -170,7 +170,7 @@ impl<'b, 'a> Search<'b, 'a> {
             let promised = 0.5 * step.decrement.powi(2);
             let values = self.moved(&step.alpha, &levels);
             let next = match self.bench.settings.method {
-                Method::Innovations => self.bench.step(&self.home, &values, &step.inner),
+                Method::Innovations => self.stepped(&values, &step, fine),
                 Method::Hybrid | Method::Em => self.at(&values),
             };
             let next = next.or_else(|| self.above_zero(&values));

@@ -16,7 +16,7 @@ const STEEP: f64 = 5.0;
 const BEYOND: f64 = 1e-7;
 /// Where ℓ is not defined at zero, this part of the size that the level had stands for it: its square is nothing to ℓ, and leaves
 /// scores their digits.
-const NEARLY_ZERO: f64 = 3e-4;
+const NEARLY_ZERO: f64 = 1e-4;
 /// A level below this part of what it was, whose slope and curvature are below this, is not felt.
 const FEW_PARTS: f64 = 1e-2;
 const UNFELT: f64 = 1e-6;

@@ -15,6 +15,7 @@ use crate::estimate::order::{Order, Wanted};
 use crate::estimate::point::Point;
 use crate::estimate::problem::Problem;
 use crate::estimate::remote::matrix;
+use crate::estimate::structure::Assumed;
 use crate::estimate::sums::Sums;
 use crate::estimate::{Criterion, State, Structure};
 use crate::linalg::symmetric;
@@ -29,6 +30,13 @@ pub(crate) struct Elsewhere {
     pub(crate) problem: Problem,
     pub(crate) point: Point,
     pub(crate) sums: Sums,
+}
+
+/// A place that a search of tests that are elsewhere is about to reach.
+pub(crate) struct Ahead {
+    problem: Problem,
+    point: Point,
+    assumed: Assumed,
 }
 
 /// ξ_j ~ N(μ_j, FF') in the user's units; regression columns multiply their coefficients.
@@ -218,12 +226,29 @@ impl State {
         reductions: &Reductions,
         alpha: &Alpha,
     ) -> Result<Option<Elsewhere>, StructureError> {
-        let structure = self.assumed.at(alpha);
-        let problem = Problem::within(&self.evidence(reductions), &structure, &self.problem)?;
-        let root = carried(&self.problem.covariance, &problem.covariance, &self.place.point.root);
-        let point = Point { root, ..self.place.point.clone() };
-        let sums = problem.with_score(&point, || problem.sums(&point, Order::First, self.place.near()));
-        Ok(sums.map(|sums| Elsewhere { problem, point, sums }))
+        let home = (&*self.problem, &self.place.point, self.place.near());
+        Elsewhere::of(home, &self.evidence(reductions), &self.assumed.at(alpha))
+    }
+
+    /// Where a step along the tangent basis of this place leads, of tests that are elsewhere: nobody has answered yet what they say
+    /// there.
+    pub(crate) fn ahead(&self, reductions: &Reductions, alpha: &Alpha, step: &DVector<f64>) -> Option<Ahead> {
+        let point = newton::moved(&*self.problem, &self.problem.covariance, &self.place, step)?;
+        let (problem, point) = self.carried_to(reductions, &self.assumed.at(alpha), point).ok()?;
+        let point = charted(&problem, &point);
+        Some(Ahead { problem, point, assumed: self.assumed.clone() })
+    }
+
+    /// A point of this problem in that of other reductions of the same tests.
+    fn carried_to(
+        &self,
+        reductions: &Reductions,
+        structure: &Structure<'_>,
+        point: Point,
+    ) -> Result<(Problem, Point), StructureError> {
+        let problem = Problem::within(&self.evidence(reductions), structure, &self.problem)?;
+        let root = carried(&self.problem.covariance, &problem.covariance, &point.root);
+        Ok((problem, Point { root, ..point }))
     }
 
     /// The state after a step along the tangent basis of this place, under other reductions of the same tests; `None` where it
@@ -235,10 +260,8 @@ impl State {
     /// The state at another point of this problem, under other reductions of the same tests; `None` where it is not defined.
     pub(crate) fn at(&self, reductions: &Reductions, alpha: &Alpha, point: Point) -> Option<State> {
         let structure = self.assumed.at(alpha);
-        let problem = Problem::within(&self.evidence(reductions), &structure, &self.problem).ok()?;
-        let root = carried(&self.problem.covariance, &problem.covariance, &point.root);
-        let point = Point { root, ..point };
-        let charted = Point { root: problem.covariance.chart(&point.root).root, ..point.clone() };
+        let (problem, point) = self.carried_to(reductions, &structure, point).ok()?;
+        let charted = charted(&problem, &point);
         problem.ends_soon(true); // nothing more is asked of this place
         let place =
             problem.with_score(&charted, || Place::new(&problem, &problem.covariance, point, self.place.near()))?;
@@ -309,7 +332,32 @@ impl State {
     }
 }
 
+impl Ahead {
+    /// Asks for what [`State::elsewhere`] will ask for from there.
+    pub(crate) fn ask(&self, reductions: &Reductions, alpha: &Alpha) {
+        _ = Elsewhere::of((&self.problem, &self.point, None), reductions, &self.assumed.at(alpha));
+    }
+
+    /// Asks how many tests there are, and how many inform each state there: what a fit tells of its end.
+    pub(crate) fn ask_counts(&self) {
+        _ = self.problem.told_counts();
+        self.problem.classes.remote.iter().for_each(|remote| _ = remote.ask(Question::Survey));
+    }
+}
+
 impl Elsewhere {
+    fn of(
+        (problem, point, near): (&Problem, &Point, Option<&DMatrix<f64>>),
+        reductions: &Reductions,
+        structure: &Structure<'_>,
+    ) -> Result<Option<Elsewhere>, StructureError> {
+        let own = Problem::within(reductions, structure, problem)?;
+        let root = carried(&problem.covariance, &own.covariance, &point.root);
+        let point = Point { root, ..point.clone() };
+        let sums = own.with_score(&point, || own.sums(&point, Order::First, near));
+        Ok(sums.map(|sums| Elsewhere { problem: own, point, sums }))
+    }
+
     /// ∂ℓ/∂(μ in η, γ; σ pairs): of every element, whatever the structure holds.
     pub(crate) fn scores(&self) -> DVector<f64> {
         let of_sigma = self.problem.covariance.elements.pack_score(&self.sums.score());
@@ -345,6 +393,11 @@ fn out(problem: &Problem, score: &DMatrix<f64>) -> DMatrix<f64> {
     DMatrix::from_fn(score.nrows(), score.ncols(), |i, j| score[(i, j)] / (scale[i] * scale[j]))
 }
 
+/// The point with its root in the chart that places have.
+fn charted(problem: &Problem, point: &Point) -> Point {
+    Point { root: problem.covariance.chart(&point.root).root, ..point.clone() }
+}
+
 /// The root with the same coordinates ψ where matrices of the structure follow α.
 fn carried(from: &CovarianceMap, to: &CovarianceMap, root: &DMatrix<f64>) -> DMatrix<f64> {
     let parts = from.parts.iter().zip(&to.parts);
@@ -371,14 +424,19 @@ fn carried_part(from: &Form, to: &Form, root: DMatrix<f64>) -> DMatrix<f64> {
 
 impl Problem {
     /// Asks for a sum at a point of tests that are elsewhere together with what α's score is made of there, which is wanted next.
-    fn with_score<T>(&self, point: &Point, ask: impl FnOnce() -> T) -> T {
+    pub(super) fn with_score<T>(&self, point: &Point, ask: impl FnOnce() -> T) -> T {
         let Some(remote) = &self.classes.remote else { return ask() };
         remote.answers.together(|| {
-            if self.criterion() == Criterion::Ml {
+            if self.criterion() == Criterion::Ml && !remote.values.is_empty() {
                 let _ = remote.ask(Question::Score { law: InitialLaw::at(self, point).told() });
             }
             ask()
         })
+    }
+
+    /// Numbers of the tests that are elsewhere that inform and observe each state; `None` where nobody has answered, or nobody is asked.
+    pub(crate) fn told_counts(&self) -> Option<Vec<f64>> {
+        self.classes.remote.as_ref()?.ask(Question::Observability { frame: self.classes.frame.told() })
     }
 
     /// The problem of other reductions of the same tests, in the coordinates η and with the criterion of another.

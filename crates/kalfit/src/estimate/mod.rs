@@ -146,6 +146,18 @@ pub fn fit_from(
     ended(problem, structure, Some(start), settings, progress)?.of_all(reductions)
 }
 
+/// As [`fit`], from the end of another search, under other reductions of the same tests and in its coordinates.
+pub(crate) fn fit_on(
+    end: &State,
+    reductions: &Reductions,
+    structure: &Structure<'_>,
+    progress: &mut dyn Progress,
+) -> Result<Estimate, FitError> {
+    let problem = Problem::within(&end.evidence(reductions), structure, &end.problem)?;
+    let search = search::Search::new(problem, &end.settings, progress);
+    search.resume(end.place.point.clone(), structure)?.of_all(reductions)
+}
+
 /// The end of a search, from values near the optimum if there are any.
 fn ended(
     problem: Problem,

@@ -21,7 +21,7 @@ use crate::infer::direction::{NONE, unit};
 use crate::infer::observed::{PART, column_norm, observe};
 use crate::linalg::symmetric;
 use crate::reduce::Reductions;
-use crate::remote::{Coordinates, Question, Remote};
+use crate::remote::Coordinates;
 
 /// Condition index beyond which a direction of the mean is weakly determined; 30 is Belsley, Kuh and Welsch's "strong".
 pub const WEAK: f64 = 30.0;
@@ -111,8 +111,8 @@ pub(crate) fn observability(
     weight: &DMatrix<f64>,
     reductions: &Reductions,
 ) -> Observability {
-    if let Some(remote) = &problem.classes.remote {
-        return afar(problem, weight, remote);
+    if problem.classes.remote.is_some() {
+        return afar(problem, weight);
     }
     let p = problem.classes.dimension();
     let classes = problem.classes.of(reductions);
@@ -145,10 +145,10 @@ pub(crate) fn observability(
 }
 
 /// The same of tests that are elsewhere: numbers of tests, and none by its id.
-fn afar(problem: &Problem, weight: &DMatrix<f64>, remote: &Remote) -> Observability {
+fn afar(problem: &Problem, weight: &DMatrix<f64>) -> Observability {
     let p = problem.classes.dimension();
-    let answer = remote.ask(Question::Observability { frame: problem.classes.frame.told() });
-    let counts = answer.filter(|numbers| numbers.len() == p * (p + 2)).unwrap_or_else(|| vec![0.0; p * (p + 2)]);
+    let counts =
+        problem.told_counts().filter(|numbers| numbers.len() == p * (p + 2)).unwrap_or_else(|| vec![0.0; p * (p + 2)]);
     let count = |at: usize| counts[at] as usize;
     let scale = &problem.classes.frame.scale;
     let (_, weak) = known_and_weak(problem, weight);
