@@ -16,6 +16,8 @@ use crate::score::dependences;
 
 /// Log-likelihoods that differ by this part are equal.
 const ROUNDING: f64 = 1e-11;
+/// An end that is higher by more is worth another search.
+const HIGHER: f64 = 1e-6;
 
 /// Estimates α, μ and Σ of tests, phases and all. With no free values it is [`estimate::fit`](crate::estimate::fit) on the reductions.
 pub fn fit(
@@ -33,6 +35,7 @@ pub fn fit(
         true => Explored::No,
         false => explore::explore(&bench, &mut ends, start::all_given(&bench), progress)?,
     };
+    take_up_again(&bench, &mut ends, progress)?;
     let Some(at) = chosen(&ends) else {
         return Err(first_error.unwrap_or(DynamicError::Fit(FitError::NoTests)));
     };
@@ -60,6 +63,18 @@ pub(crate) fn fit_elsewhere(
     let bench = Bench::elsewhere(model, (slots, settings), (answers, units));
     let end = search::search(&bench, start.into(), None, progress)?;
     finished(&bench, end, (Vec::new(), Explored::No, Vec::new()))
+}
+
+/// Where an end without a certificate is higher than the best one with it, another search begins: steps that failed on the way there,
+/// or runs that were used up, may lead on from a fresh start.
+fn take_up_again(bench: &Bench<'_>, ends: &mut Vec<End>, progress: &mut dyn Progress) -> Result<(), DynamicError> {
+    let Some(certified) = explore::best(ends).map(|end| end.home.value()) else { return Ok(()) };
+    let higher = ends.iter().filter(|end| end.home.value() > certified + HIGHER && !progress.stops());
+    let highest = higher.max_by(|a, b| a.home.value().total_cmp(&b.home.value()));
+    if let Some(start) = highest.map(End::restart) {
+        ends.push(search::search(bench, start.into(), None, progress)?);
+    }
+    Ok(())
 }
 
 /// What is told of the best end, beside where others ended, whether more were looked for, and levels without which ℓ has no bound.
@@ -99,6 +114,7 @@ fn finished(
 pub(crate) fn best(bench: &Bench<'_>, progress: &mut dyn Progress) -> Option<Vec<f64>> {
     let (mut ends, _) = searched(bench, progress).ok()?;
     explore::explore(bench, &mut ends, start::all_given(bench), progress).ok()?;
+    take_up_again(bench, &mut ends, progress).ok()?;
     chosen(&ends).map(|at| ends[at].restart())
 }
 
