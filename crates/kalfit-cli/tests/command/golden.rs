@@ -24,7 +24,7 @@ const DIGESTS: [(&str, [u64; 5]); 3] = [
         [
             0xd5e5_9f68_0fba_4d23,
             0xb535_8cd6_5aa9_58fa,
-            0x4461_2862_586d_af36,
+            0x0474_c5b9_0897_e4ab,
             0x509f_ae5a_fe31_5c81,
             0x3952_23ff_c25d_20f0,
         ],
@@ -35,7 +35,7 @@ const DIGESTS: [(&str, [u64; 5]); 3] = [
             0xec39_104f_cd16_28d1,
             0xadaa_c1eb_49bd_3987,
             0x749c_8dcb_d167_90db,
-            0xdcca_ab26_667b_01a8,
+            0x4fe7_9563_2306_5ea2,
             0x51dd_cf33_c625_ee52,
         ],
     ),

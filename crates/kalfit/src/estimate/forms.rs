@@ -73,7 +73,8 @@ impl Kernel for Forms<'_> {
 
     #[inline(always)]
     fn run<T: Lanes>(self) -> Option<Vec<f64>> {
-        let mean = self.packed.means::<T>(|k| self.classes.get(k), self.point, self.regressors);
+        let covariates = self.packed.covariates::<T>(|k| self.classes.get(k), self.regressors.len());
+        let mean = self.packed.means(&covariates, self.point, self.regressors);
         let said = self.packed.said::<T>(&mean, self.root, Detail::Between)?;
         let columns = self.directions.ncols();
         let mut forms = vec![T::splat(0.0); columns];

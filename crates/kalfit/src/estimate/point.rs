@@ -34,24 +34,29 @@ impl Point {
 pub(crate) type Regressors = [usize];
 
 impl Packed {
-    /// μ of the tests of each class.
+    /// The covariates of each class, so many.
     #[inline(always)]
-    pub(crate) fn means<'a, T: Lanes>(
-        &self,
-        class: impl Fn(usize) -> ClassRef<'a>,
-        point: &Point,
-        regressors: &Regressors,
-    ) -> Vec<T> {
+    pub(crate) fn covariates<'a, T: Lanes>(&self, class: impl Fn(usize) -> ClassRef<'a>, count: usize) -> Vec<T> {
+        let mut covariates = Vec::with_capacity(count);
+        for c in 0..count {
+            let mut all = [0.0; kalfit_lanes::MOST];
+            for (to, &member) in all.iter_mut().zip(&self.members) {
+                *to = class(member).covariates[c];
+            }
+            covariates.push(T::load(&all));
+        }
+        covariates
+    }
+
+    /// μ of the tests of each class, whose covariates these are.
+    #[inline(always)]
+    pub(crate) fn means<T: Lanes>(&self, covariates: &[T], point: &Point, regressors: &Regressors) -> Vec<T> {
         let mut mean = Vec::with_capacity(point.mean.len());
         for x in &point.mean {
             mean.push(T::splat(*x));
         }
         for (c, &element) in regressors.iter().enumerate() {
-            let mut moved = [0.0; kalfit_lanes::MOST];
-            for (to, &member) in moved.iter_mut().zip(&self.members) {
-                *to = class(member).covariates[c] * point.coefficients[c];
-            }
-            mean[element] = mean[element] + T::load(&moved);
+            mean[element] = mean[element] + covariates[c] * T::splat(point.coefficients[c]);
         }
         mean
     }

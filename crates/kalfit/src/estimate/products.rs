@@ -3,62 +3,19 @@
 use nalgebra::DMatrix;
 
 use crate::linalg::elements::Elements;
-use crate::linalg::symmetric::pair;
+use crate::linalg::symmetric::{pair, pairs};
 
-/// Products that are gathered before they are added, where they are many: one matrix product costs less than their sum one by one.
-const GATHERED: usize = 32;
-
-/// Σ a b' over vectors a, b.
-#[derive(Debug, Clone)]
-struct Outer {
-    sum: DMatrix<f64>,
-    left: DMatrix<f64>,
-    right: DMatrix<f64>,
-    filled: usize,
+/// Adds sums that are given by rows.
+fn take(sum: &mut DMatrix<f64>, rows: &[f64]) {
+    let columns = sum.ncols().max(1);
+    for (row, sums) in rows.chunks_exact(columns).enumerate() {
+        sum.row_mut(row).iter_mut().zip(sums).for_each(|(sum, x)| *sum += x);
+    }
 }
 
-impl Outer {
-    fn zero(rows: usize, columns: usize, gathered: usize) -> Outer {
-        Outer {
-            // memory that nothing is written to is not taken
-            sum: DMatrix::from_vec(rows, columns, vec![0.0; rows * columns]),
-            left: DMatrix::zeros(rows, gathered),
-            right: DMatrix::zeros(gathered, columns),
-            filled: 0,
-        }
-    }
-
-    /// Takes in a product whose left side is written by `left`.
-    fn push(&mut self, left: impl FnOnce(&mut [f64]), right: impl Iterator<Item = f64>) {
-        let (at, rows) = (self.filled, self.left.nrows());
-        left(&mut self.left.as_mut_slice()[at * rows..][..rows]);
-        self.right.row_mut(at).iter_mut().zip(right).for_each(|(to, x)| *to = x);
-        self.filled += 1;
-        if self.filled == self.left.ncols() {
-            self.settle();
-        }
-    }
-
-    /// Adds sums that are given by rows.
-    fn take(&mut self, sums: &[f64]) {
-        let columns = self.sum.ncols().max(1);
-        for (row, sums) in sums.chunks_exact(columns).enumerate() {
-            self.sum.row_mut(row).iter_mut().zip(sums).for_each(|(sum, x)| *sum += x);
-        }
-    }
-
-    /// Adds what is gathered.
-    fn settle(&mut self) {
-        let n = std::mem::take(&mut self.filled);
-        if self.left.ncols() == 1 && n == 1 {
-            let (left, rows) = (self.left.as_slice(), self.sum.nrows().max(1));
-            for (column, right) in self.sum.as_mut_slice().chunks_exact_mut(rows).zip(self.right.iter()) {
-                column.iter_mut().zip(left).for_each(|(sum, l)| *sum += l * right);
-            }
-        } else if n > 0 {
-            self.sum.gemm(1.0, &self.left.columns(0, n), &self.right.rows(0, n), 1.0);
-        }
-    }
+/// Of so many rows and columns; memory that nothing is written to is not taken.
+fn zeros(rows: usize, columns: usize) -> DMatrix<f64> {
+    DMatrix::from_vec(rows, columns, vec![0.0; rows * columns])
 }
 
 /// Sums of A ⊗ B over tests, A and B symmetric, as far as second derivatives by two elements of Σ need them: A_la B_bk with k, l
@@ -68,64 +25,40 @@ impl Outer {
 pub(crate) struct Products {
     elements: Elements,
     /// For phases f ≥ g at f(f+1)/2 + g; none where they are not wanted.
-    blocks: Vec<Outer>,
-    /// Where the entries of each block stand in a matrix by rows.
-    places: Vec<Vec<usize>>,
+    blocks: Vec<DMatrix<f64>>,
 }
 
 impl Products {
     pub(crate) fn zero(elements: &Elements, wanted: bool) -> Products {
-        let p = elements.states();
-        let ranges = elements.blocks();
-        let count = if wanted { ranges.len() } else { 0 };
-        let places = (0..count).flat_map(|f| (0..=f).map(move |g| (f, g))).map(|(f, g)| {
-            let row = |i: usize| ranges[g].clone().filter(move |&k| f != g || k <= i).map(move |k| i * p + k);
-            ranges[f].clone().flat_map(row).collect::<Vec<usize>>()
-        });
-        let places: Vec<Vec<usize>> = places.collect();
-        let gathered = gathered(elements);
-        let blocks = places.iter().map(|places| Outer::zero(places.len(), places.len(), gathered)).collect();
-        Products { elements: elements.clone(), blocks, places }
+        let sizes: Vec<usize> = elements.blocks().iter().map(ExactSizeIterator::len).collect();
+        let places = |f: usize, g: usize| if f == g { pairs(sizes[f]) } else { sizes[f] * sizes[g] };
+        let square = |(f, g)| zeros(places(f, g), places(f, g));
+        let count = if wanted { sizes.len() } else { 0 };
+        let blocks = (0..count).flat_map(|f| (0..=f).map(move |g| (f, g))).map(square).collect();
+        Products { elements: elements.clone(), blocks }
     }
 
     pub(crate) fn plus(&mut self, other: &Products) {
-        self.blocks.iter_mut().zip(&other.blocks).for_each(|(own, other)| own.sum += &other.sum);
+        self.blocks.iter_mut().zip(&other.blocks).for_each(|(own, other)| *own += other);
     }
 
     pub(crate) fn minus(&mut self, other: &Products) {
-        self.blocks.iter_mut().zip(&other.blocks).for_each(|(own, other)| own.sum -= &other.sum);
-    }
-
-    /// Adds sums of a single phase, pairs × pairs by rows; none where they are not wanted.
-    pub(crate) fn take(&mut self, sums: Vec<f64>) {
-        self.blocks.iter_mut().for_each(|block| block.take(&sums));
+        self.blocks.iter_mut().zip(&other.blocks).for_each(|(own, other)| *own -= other);
     }
 
     /// Adds sums by pairs of phases, places × places by rows; none where they are not wanted.
-    pub(crate) fn take_pairs(&mut self, sums: &[Vec<f64>]) {
-        self.blocks.iter_mut().zip(sums).for_each(|(block, sums)| block.take(sums));
+    pub(crate) fn take(&mut self, sums: Vec<Vec<f64>>) {
+        self.blocks.iter_mut().zip(sums).for_each(|(block, sums)| take(block, &sums));
     }
 
-    /// Adds scale × A ⊗ B; both p × p by rows.
-    pub(crate) fn add(&mut self, (scale, a): (f64, &[f64]), b: &[f64]) {
-        for (block, places) in self.blocks.iter_mut().zip(&self.places) {
-            let left = |to: &mut [f64]| to.iter_mut().zip(places).for_each(|(to, &at)| *to = scale * a[at]);
-            block.push(left, places.iter().map(|&at| b[at]));
-        }
-    }
-
-    /// All of it, once it is settled.
+    /// All of it.
     pub(super) fn numbers(&self) -> impl Iterator<Item = f64> {
-        self.blocks.iter().flat_map(|block| block.sum.iter().copied())
+        self.blocks.iter().flat_map(|block| block.iter().copied())
     }
 
     /// The same, to be set.
     pub(super) fn places_mut(&mut self) -> impl Iterator<Item = &mut f64> {
-        self.blocks.iter_mut().flat_map(|block| block.sum.iter_mut())
-    }
-
-    pub(crate) fn settle(&mut self) {
-        self.blocks.iter_mut().for_each(Outer::settle);
+        self.blocks.iter_mut().flat_map(|block| block.iter_mut())
     }
 
     /// A_la B_bk, k and l of one phase, a and b of one phase.
@@ -134,7 +67,7 @@ impl Products {
         let ranges = self.elements.blocks();
         let (of_f, of_g) = (ranges[f].start, ranges[g].start);
         let (l, a, b, k) = (l - of_f, a - of_g, b - of_g, k - of_f);
-        let sum = &self.blocks[pair(f, g)].sum;
+        let sum = &self.blocks[pair(f, g)];
         if f == g {
             return sum[(pair(l, a), pair(b, k))];
         }
@@ -150,84 +83,45 @@ pub(crate) struct Crosses {
     elements: Elements,
     coordinates: usize,
     /// By phase: entry (m, k, l) at (k × coordinates + m, l).
-    blocks: Vec<Outer>,
+    blocks: Vec<DMatrix<f64>>,
 }
 
 impl Crosses {
     pub(crate) fn zero(elements: &Elements, coordinates: usize, wanted: bool) -> Crosses {
         let ranges = if wanted { elements.blocks() } else { &[] };
-        let gathered = gathered(elements);
-        let block = |p: usize| Outer::zero(p * coordinates, p, gathered);
-        let blocks = ranges.iter().map(|range| block(range.len())).collect();
+        let blocks = ranges.iter().map(|range| zeros(range.len() * coordinates, range.len())).collect();
         Crosses { elements: elements.clone(), coordinates, blocks }
     }
 
     pub(crate) fn plus(&mut self, other: &Crosses) {
-        self.blocks.iter_mut().zip(&other.blocks).for_each(|(own, other)| own.sum += &other.sum);
+        self.blocks.iter_mut().zip(&other.blocks).for_each(|(own, other)| *own += other);
     }
 
     pub(crate) fn minus(&mut self, other: &Crosses) {
-        self.blocks.iter_mut().zip(&other.blocks).for_each(|(own, other)| own.sum -= &other.sum);
+        self.blocks.iter_mut().zip(&other.blocks).for_each(|(own, other)| *own -= other);
     }
 
     /// Adds sums by phases, in the order in which they are kept here; none where they are not wanted.
-    pub(crate) fn take_phases(&mut self, sums: &[Vec<f64>]) {
-        self.blocks.iter_mut().zip(sums).for_each(|(block, sums)| block.take(sums));
+    pub(crate) fn take(&mut self, sums: Vec<Vec<f64>>) {
+        self.blocks.iter_mut().zip(sums).for_each(|(block, sums)| take(block, &sums));
     }
 
-    /// Adds sums of A ⊗ r of a single phase without regression, pairs × p by rows; none where they are not wanted.
-    pub(crate) fn take(&mut self, sums: &[f64]) {
-        let coordinates = self.coordinates;
-        for block in &mut self.blocks {
-            let p = block.sum.ncols();
-            let places = (0..p).flat_map(|i| (0..=i).map(move |k| (i, k)));
-            for ((i, k), sums) in places.zip(sums.chunks_exact(p)) {
-                for (m, k) in if i == k { vec![(i, k)] } else { vec![(i, k), (k, i)] } {
-                    let mut row = block.sum.row_mut(k * coordinates + m);
-                    row.iter_mut().zip(sums).for_each(|(sum, x)| *sum += x);
-                }
-            }
-        }
-    }
-
-    /// Adds A ⊗ r, A_mk given by `weight(m, k)`.
-    pub(crate) fn add(&mut self, weight: impl Fn(usize, usize) -> f64, r: &[f64]) {
-        let coordinates = self.coordinates.max(1);
-        for (block, range) in self.blocks.iter_mut().zip(self.elements.blocks()) {
-            let left = |to: &mut [f64]| {
-                for (to, k) in to.chunks_exact_mut(coordinates).zip(range.clone()) {
-                    to.iter_mut().enumerate().for_each(|(m, to)| *to = weight(m, k));
-                }
-            };
-            block.push(left, r[range.clone()].iter().copied());
-        }
-    }
-
-    /// All of it, once it is settled.
+    /// All of it.
     pub(super) fn numbers(&self) -> impl Iterator<Item = f64> {
-        self.blocks.iter().flat_map(|block| block.sum.iter().copied())
+        self.blocks.iter().flat_map(|block| block.iter().copied())
     }
 
     /// The same, to be set.
     pub(super) fn places_mut(&mut self) -> impl Iterator<Item = &mut f64> {
-        self.blocks.iter_mut().flat_map(|block| block.sum.iter_mut())
-    }
-
-    pub(crate) fn settle(&mut self) {
-        self.blocks.iter_mut().for_each(Outer::settle);
+        self.blocks.iter_mut().flat_map(|block| block.iter_mut())
     }
 
     /// A_mk r_l.
     pub(crate) fn get(&self, m: usize, (k, l): (usize, usize)) -> f64 {
         let f = self.elements.block_of(k);
         let start = self.elements.blocks()[f].start;
-        self.blocks[f].sum[((k - start) * self.coordinates + m, l - start)]
+        self.blocks[f][((k - start) * self.coordinates + m, l - start)]
     }
-}
-
-/// Products of one phase are few: they are added one by one.
-fn gathered(elements: &Elements) -> usize {
-    if elements.is_single() { 1 } else { GATHERED }
 }
 
 #[cfg(test)]
@@ -244,12 +138,22 @@ mod tests {
         let mut sums = Products::zero(&elements, true);
         let mut crosses = Crosses::zero(&elements, 6, true);
         let tests: Vec<_> = (0..40).map(|j| (matrix(f64::from(j)), matrix(0.3 * f64::from(j)))).collect();
+        // the places of each pair of phases in a matrix by rows
+        let places = [(0..2, 0..2), (2..5, 0..2), (2..5, 2..5)].map(|(rows, columns)| {
+            let within = rows == columns;
+            let row = |i: usize| columns.clone().filter(move |&k| !within || k <= i).map(move |k| i * 5 + k);
+            rows.flat_map(row).collect::<Vec<usize>>()
+        });
         for (a, b) in &tests {
-            sums.add((2.0, a), b);
-            crosses.add(|m, k| if m < 5 { a[m * 5 + k] } else { b[k] }, &a[5..10]);
+            let outer = |left: Vec<f64>, right: &[f64]| -> Vec<f64> {
+                left.iter().flat_map(|l| right.iter().map(move |r| l * r)).collect()
+            };
+            let of = |places: &Vec<usize>, m: &[f64]| places.iter().map(|&at| m[at]).collect::<Vec<f64>>();
+            sums.take(places.iter().map(|at| outer(of(at, a).iter().map(|x| 2.0 * x).collect(), &of(at, b))).collect());
+            let weight = |k: usize, m: usize| if m < 5 { a[m * 5 + k] } else { b[k] };
+            let left = |own: std::ops::Range<usize>| own.flat_map(|k| (0..6).map(move |m| weight(k, m))).collect();
+            crosses.take([0..2, 2..5].map(|own| outer(left(own.clone()), &a[5..10][own])).to_vec());
         }
-        sums.settle();
-        crosses.settle();
         let close = |what: &str, found: f64, expected: f64| {
             assert!((found - expected).abs() < 1e-12, "{what}: {found} {expected}");
         };

@@ -4,7 +4,7 @@ use std::borrow::Cow;
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::lanes::{ChainTotals, Totals, WholeTotals};
+use crate::estimate::lanes::Totals;
 use crate::estimate::order::{FlatMean, Order};
 use crate::estimate::point::Regressors;
 use crate::estimate::products::{Crosses, Products};
@@ -17,7 +17,7 @@ use crate::linalg::symmetric::{pair, pairs};
 pub(crate) struct Sums {
     /// ℓ.
     pub(crate) value: f64,
-    /// Σ (d - Rμ)'(I + RΣR')⁻¹(d - Rμ), of tests in one phase.
+    /// Σ (d - Rμ)'(I + RΣR')⁻¹(d - Rμ).
     pub(crate) quadratic: f64,
     /// ∂ℓ/∂(mean coordinates): Σ E'r.
     pub(crate) mean_score: DVector<f64>,
@@ -78,14 +78,6 @@ impl Sums {
         }
     }
 
-    /// Nothing is left to be added.
-    pub(super) fn settled(mut self) -> Sums {
-        self.curvature.settle();
-        self.cross.settle();
-        self.expected.settle();
-        self
-    }
-
     pub(super) fn add(mut self, other: &Sums) -> Sums {
         self.value += other.value;
         self.quadratic += other.quadratic;
@@ -115,88 +107,57 @@ impl Sums {
         self
     }
 
-    /// Adds what tests say that are worked on side by side, their constants apart.
+    /// Adds what classes say, their constants apart.
     pub(super) fn take(&mut self, totals: Totals) {
-        self.value -= 0.5 * (totals.log_det + totals.quadratic);
+        self.value += totals.value;
         self.quadratic += totals.quadratic;
-        self.mean_score.iter_mut().zip(&totals.r).for_each(|(sum, r)| *sum += r);
-        for (at, (a, b)) in self.elements.all().enumerate() {
-            for (a, b) in if a == b { vec![(a, b)] } else { vec![(a, b), (b, a)] } {
-                self.weight[(a, b)] += totals.W[at];
-                self.mean_information[(a, b)] += totals.W[at];
-                self.outer[(a, b)] += totals.outer[at];
+        self.mean_score.iter_mut().zip(&totals.score).for_each(|(sum, x)| *sum += x);
+        let (m, p, ranges) = (self.mean_score.len(), self.outer.nrows(), self.elements.blocks());
+        for (k, own) in ranges.iter().enumerate() {
+            for (i, other) in ranges[..=k].iter().enumerate() {
+                let row = |a: usize| other.clone().take_while(move |&b| b <= a).map(move |b| (a, b));
+                for (at, w) in own.clone().flat_map(row).zip(&totals.weight[pair(k, i)]) {
+                    add_symmetric(&mut self.mean_information, at, *w);
+                    if k == i {
+                        add_symmetric(&mut self.weight, at, *w);
+                    }
+                }
+                if k == i {
+                    let places = own.clone().flat_map(row).zip(&totals.outer[k]);
+                    places.for_each(|(at, x)| add_symmetric(&mut self.outer, at, *x));
+                }
+            }
+        }
+        for (c, row) in totals.regression.chunks_exact(m.max(1)).enumerate() {
+            for (b, x) in row.iter().enumerate() {
+                self.mean_information[(p + c, b)] += x;
+                if b < p {
+                    self.mean_information[(b, p + c)] += x;
+                }
             }
         }
         // each is gone before the next grows
         self.curvature.take(totals.curvature);
-        self.cross.take(&totals.cross);
-        self.expected.take(totals.expected);
-    }
-
-    /// The same of classes of several tests, with regressions, and with what the restricted likelihood wants.
-    pub(super) fn take_whole(&mut self, totals: WholeTotals) {
-        self.value -= 0.5 * (totals.log_det + totals.quadratic);
-        self.quadratic += totals.quadratic;
-        self.mean_score.iter_mut().zip(&totals.score).for_each(|(sum, x)| *sum += x);
-        let (m, p) = (self.mean_score.len(), self.outer.nrows());
-        for a in 0..m {
-            for b in 0..m {
-                self.mean_information[(a, b)] += totals.information[a * m + b];
-            }
-        }
-        for a in 0..p {
-            for b in 0..p {
-                self.weight[(a, b)] += totals.information[a * m + b];
-                self.outer[(a, b)] += totals.outer[pair(a.max(b), a.min(b))];
-            }
-        }
-        self.curvature.take(totals.curvature);
-        self.cross.take_phases(std::slice::from_ref(&totals.cross));
+        self.cross.take(totals.cross);
         self.expected.take(totals.expected);
         self.take_spread(&totals.spread);
     }
 
-    /// Σ X'W ⊗ WX of a single phase from Σ WX ⊗ WX, pq × pq by rows.
-    fn take_spread(&mut self, sums: &[f64]) {
-        let p = self.outer.nrows();
-        let q = sums.len().isqrt().checked_div(p).unwrap_or(0);
-        let both = |(k, c): (usize, usize), (l, d): (usize, usize)| sums[(k * q + c) * p * q + l * q + d];
-        for c in 0..q {
-            for d in 0..=c {
-                for (s, (k, l)) in self.elements.all().enumerate() {
+    /// Σ X'W ⊗ WX from Σ WX ⊗ WX by phases, pq × pq by rows.
+    fn take_spread(&mut self, sums: &[Vec<f64>]) {
+        let ranges = self.elements.blocks();
+        for (s, (k, l)) in self.elements.all().enumerate() {
+            let f = self.elements.block_of(k);
+            let (p, k, l) = (ranges[f].len(), k - ranges[f].start, l - ranges[f].start);
+            let sums = sums.get(f).map_or(&[][..], Vec::as_slice);
+            let q = sums.len().isqrt() / p;
+            let both = |(k, c): (usize, usize), (l, d): (usize, usize)| sums[(k * q + c) * p * q + l * q + d];
+            for c in 0..q {
+                for d in 0..=c {
                     self.spread[(pair(c, d), s)] += 0.5 * (both((k, c), (l, d)) + both((l, c), (k, d)));
                 }
             }
         }
-    }
-
-    /// The same of tests in phases.
-    pub(super) fn take_chain(&mut self, totals: &ChainTotals) {
-        self.value += totals.value;
-        self.mean_score.iter_mut().zip(&totals.r).for_each(|(sum, r)| *sum += r);
-        let ranges = self.elements.blocks();
-        for (k, own) in ranges.iter().enumerate() {
-            for (i, other) in ranges[..=k].iter().enumerate() {
-                let places = own.clone().flat_map(|a| other.clone().map(move |b| (a, b)));
-                for ((a, b), w) in places.zip(&totals.W[pair(k, i)]) {
-                    self.mean_information[(a, b)] += w;
-                    if k == i {
-                        self.weight[(a, b)] += w;
-                    } else {
-                        self.mean_information[(b, a)] += w;
-                    }
-                }
-            }
-            for a in 0..own.len() {
-                for b in 0..own.len() {
-                    let (row, column) = (a.max(b), a.min(b));
-                    self.outer[(own.start + a, own.start + b)] += totals.outer[k][row * own.len() + column];
-                }
-            }
-        }
-        self.curvature.take_pairs(&totals.curvature);
-        self.cross.take_phases(&totals.cross);
-        self.expected.take_pairs(&totals.expected);
     }
 
     /// Σ X'W ⊗ WX.
@@ -299,6 +260,14 @@ impl Sums {
             }
         }
         cross
+    }
+}
+
+/// Adds to both places of a symmetric matrix.
+fn add_symmetric(matrix: &mut DMatrix<f64>, (a, b): (usize, usize), x: f64) {
+    matrix[(a, b)] += x;
+    if a != b {
+        matrix[(b, a)] += x;
     }
 }
 

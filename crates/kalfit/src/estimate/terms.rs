@@ -232,6 +232,11 @@ impl Terms<f64> {
         class.constant - 0.5 * (class.count * log_det + self.quadratic)
     }
 
+    /// |S| of one test as mantissa × 2^exponent.
+    pub(crate) fn det(&self) -> (f64, f64) {
+        (self.mantissa, self.exponent)
+    }
+
     /// What a class in phases says, as far as it is wanted; where the states of its phases stand.
     #[inline(always)]
     pub(crate) fn take<N: Real>(

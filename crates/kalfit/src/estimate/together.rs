@@ -125,7 +125,8 @@ impl Kernel for Tell<'_, '_, '_> {
     #[inline(always)]
     fn run<T: Lanes>(self) {
         let Tell { packed, class, regressors, point, root, detail, terms, of } = self;
-        let mean = packed.means::<T>(class, point, regressors);
+        let covariates = packed.covariates::<T>(class, regressors.len());
+        let mean = packed.means(&covariates, point, regressors);
         let said = packed.said::<T>(&mean, root, detail);
         let ranges: Vec<Range<usize>> = packed.shape().ranges().cloned().collect();
         for (lane, &k) in packed.members().iter().enumerate() {

@@ -56,7 +56,6 @@ mod groups;
 mod instances;
 mod kernel;
 mod lanes;
-mod lines;
 mod motion;
 mod observe;
 mod order;

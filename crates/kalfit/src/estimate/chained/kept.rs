@@ -24,12 +24,17 @@ impl Kept {
         }
     }
 
+    /// The sizes of its matrices.
+    fn sizes(&self) -> Cow<'_, Shape> {
+        match self {
+            Kept::Apart(chained) => Cow::Owned(chained.shape()),
+            Kept::Lane(packed, _) => Cow::Borrowed(packed.shape()),
+        }
+    }
+
     /// Its shape; `None` where it needs square-root arithmetic, and so to be worked on by itself.
     pub(crate) fn shape(&self) -> Option<Cow<'_, Shape>> {
-        match self {
-            Kept::Apart(chained) => (!chained.careful).then(|| Cow::Owned(chained.shape())),
-            Kept::Lane(packed, _) => Some(Cow::Borrowed(packed.shape())),
-        }
+        (!self.is_careful()).then(|| self.sizes())
     }
 
     /// Needs square-root arithmetic.
@@ -39,19 +44,12 @@ impl Kept {
 
     /// How many coordinates enter each phase that its tests have.
     pub(crate) fn entering(&self) -> Vec<usize> {
-        let of = |shape: &Shape| shape.phases.iter().map(|phase| phase.size).collect();
-        match self {
-            Kept::Apart(chained) => of(&chained.shape()),
-            Kept::Lane(packed, _) => of(packed.shape()),
-        }
+        self.sizes().phases.iter().map(|phase| phase.size).collect()
     }
 
     /// Where the states of its phases stand.
     pub(crate) fn ranges(&self) -> Vec<Range<usize>> {
-        match self {
-            Kept::Apart(chained) => chained.phases.iter().map(|phase| phase.own.clone()).collect(),
-            Kept::Lane(packed, _) => packed.shape().ranges().cloned().collect(),
-        }
+        self.sizes().ranges().cloned().collect()
     }
 }
 

@@ -11,38 +11,38 @@
 use kalfit_lanes::Lanes;
 use nalgebra::DMatrix;
 
-use crate::estimate::lanes::rows::{add_one, add_weighed, at};
+use crate::estimate::lanes::rows::add_weighed;
 
-/// The room that one block needs, and what it says at last. Matrices by rows, in lanes.
+/// The room that one block needs, and what it says at last. Matrices by rows.
 #[derive(Debug)]
-pub(super) struct Room {
+pub(super) struct Room<T> {
     p: usize,
     /// Columns of u.
     pub(super) columns: usize,
     /// μ of each test.
-    pub(super) mean: Vec<f64>,
+    pub(super) mean: Vec<T>,
     /// F.
     F: DMatrix<f64>,
     /// (RF)', p × p.
-    X: Vec<f64>,
+    X: Vec<T>,
     /// [S R d-Rμ], then [DL' U u]: p × (2p + columns); S from its diagonal on.
-    rows: Vec<f64>,
+    rows: Vec<T>,
     /// D⁻¹.
-    inverse: Vec<f64>,
-    minus_inverse: Vec<f64>,
+    inverse: Vec<T>,
+    minus_inverse: Vec<T>,
     /// The lower triangle of [W r; r' u'D⁻¹u], (p + columns) × (p + columns).
-    pub(super) W: Vec<f64>,
+    W: Vec<T>,
 }
 
-impl Room {
+impl<T: Lanes> Room<T> {
     /// For a point: μ and F, lower triangular; and so many columns of u.
-    pub(super) fn new(mean: &[f64], root: &DMatrix<f64>, columns: usize, lanes: usize) -> Room {
+    pub(super) fn new(mean: &[f64], root: &DMatrix<f64>, columns: usize) -> Room<T> {
         let p = mean.len();
-        let zeros = |size: usize| vec![0.0; size * lanes];
+        let zeros = |size: usize| vec![T::splat(0.0); size];
         Room {
             p,
             columns,
-            mean: mean.iter().flat_map(|&x| std::iter::repeat_n(x, lanes)).collect(),
+            mean: mean.iter().map(|&x| T::splat(x)).collect(),
             F: root.clone(),
             X: zeros(p * p),
             rows: zeros(p * (2 * p + columns)),
@@ -53,6 +53,7 @@ impl Room {
     }
 
     /// Numbers of a row of [R d-Rμ].
+    #[inline(always)]
     fn width(&self) -> usize {
         self.p + self.columns
     }
@@ -60,25 +61,25 @@ impl Room {
     /// Evaluates a block: R by columns, d, then vectors of the scatter for the other columns of u, in lanes. |S| as
     /// mantissa × 2^exponent.
     #[inline(always)]
-    pub(super) fn evaluate<T: Lanes>(&mut self, block: &[f64]) -> (T, T) {
-        self.load::<T>(block);
-        self.spread::<T>(block);
-        self.cover::<T>();
-        let root_det = self.eliminate::<T>();
-        self.weigh::<T>();
-        root_det
+    pub(super) fn evaluate(&mut self, block: &[f64]) -> (T, T) {
+        self.load(block);
+        self.spread(block);
+        self.cover();
+        let det = self.eliminate();
+        self.weigh();
+        det
     }
 
     /// [0 R d-Rμ].
     #[inline(always)]
-    fn load<T: Lanes>(&mut self, block: &[f64]) {
-        let (p, n, width) = (self.p, T::COUNT, (self.p + self.width()) * T::COUNT);
-        self.rows.fill(0.0);
-        let mut next = block.chunks_exact(n);
+    fn load(&mut self, block: &[f64]) {
+        let (p, width) = (self.p, self.p + self.width());
+        self.rows.fill(T::splat(0.0));
+        let mut next = block.chunks_exact(T::COUNT);
         for k in 0..p {
             for row in self.rows.chunks_exact_mut(width).take(k + 1) {
                 if let Some(x) = next.next() {
-                    row[(p + k) * n..][..n].copy_from_slice(x);
+                    row[p + k] = T::load(x);
                 }
             }
         }
@@ -86,60 +87,60 @@ impl Room {
             let Some(d) = next.next() else { break };
             let mut residual = T::load(d);
             for k in 0..p {
-                residual = at::<T>(row, p + k).fnma(at(&self.mean, k), residual);
+                residual = row[p + k].fnma(self.mean[k], residual);
             }
-            residual.store(&mut row[2 * p * n..]);
+            row[2 * p] = residual;
         }
         for column in 1..self.columns {
             for row in self.rows.chunks_exact_mut(width) {
                 let Some(x) = next.next() else { break };
-                row[(2 * p + column) * n..][..n].copy_from_slice(x);
+                row[2 * p + column] = T::load(x);
             }
         }
     }
 
     /// (RF)': row c is Σ_k F_kc (column k of R).
     #[inline(always)]
-    fn spread<T: Lanes>(&mut self, block: &[f64]) {
-        let (p, n) = (self.p, T::COUNT);
-        self.X.fill(0.0);
-        for (c, row) in self.X.chunks_exact_mut((p * n).max(1)).enumerate() {
+    fn spread(&mut self, block: &[f64]) {
+        let p = self.p;
+        self.X.fill(T::splat(0.0));
+        for (c, row) in self.X.chunks_exact_mut(p.max(1)).enumerate() {
             for k in c..p {
-                let column = &block[k * (k + 1) / 2 * n..][..(k + 1) * n];
-                add_one(row, T::splat(self.F[(k, c)]), column);
+                let (factor, column) = (T::splat(self.F[(k, c)]), &block[k * (k + 1) / 2 * T::COUNT..]);
+                for (x, r) in row[..=k].iter_mut().zip(column.chunks_exact(T::COUNT)) {
+                    *x = factor.fma(T::load(r), *x);
+                }
             }
         }
     }
 
     /// S = I + RF(RF)'.
     #[inline(always)]
-    fn cover<T: Lanes>(&mut self) {
-        let (p, n, width) = (self.p, T::COUNT, (self.p + self.width()) * T::COUNT);
+    fn cover(&mut self) {
+        let (p, width) = (self.p, self.p + self.width());
         for i in 0..p {
-            let row = &mut self.rows[i * width..][i * n..p * n];
-            T::splat(1.0).store(row);
-            let x = &self.X[i * n..];
-            add_weighed::<T>(row, p, (x, p, 0), None);
+            let row = &mut self.rows[i * width..][i..p];
+            row[0] = T::splat(1.0);
+            add_weighed(row, p, (&self.X[i..], p, 0), None);
         }
     }
 
     /// [S R d-Rμ] → [DL' U u].
     #[inline(always)]
-    fn eliminate<T: Lanes>(&mut self) -> (T, T) {
-        let (p, n, wide) = (self.p, T::COUNT, self.p + self.width());
+    fn eliminate(&mut self) -> (T, T) {
+        let (p, wide) = (self.p, self.p + self.width());
         let one = T::splat(1.0);
         let (mut mantissa, mut exponent) = (one, T::splat(0.0));
         for i in 0..p {
-            let (done, row) = self.rows.split_at_mut(i * wide * n);
-            let row = &mut row[i * n..wide * n];
+            let (done, row) = self.rows.split_at_mut(i * wide);
+            let row = &mut row[i..wide];
             if i > 0 {
-                add_weighed::<T>(row, i, (&done[i * n..], wide, 0), Some(&self.minus_inverse));
+                add_weighed(row, i, (&done[i..], wide, 0), Some(&self.minus_inverse));
             }
             // S ⪰ I, so no pivot is below one; rounding must not make it so
-            let pivot = T::load(row).maximum(one);
-            let inverse = pivot.recip();
-            inverse.store(&mut self.inverse[i * n..]);
-            (-inverse).store(&mut self.minus_inverse[i * n..]);
+            let pivot = row[0].maximum(one);
+            self.inverse[i] = pivot.recip();
+            self.minus_inverse[i] = -self.inverse[i];
             let (m, e) = (mantissa * pivot).split();
             (mantissa, exponent) = (m, exponent + e);
         }
@@ -148,37 +149,37 @@ impl Room {
 
     /// [W r; r' u'D⁻¹u].
     #[inline(always)]
-    fn weigh<T: Lanes>(&mut self) {
-        let (p, n, width) = (self.p, T::COUNT, self.width());
+    fn weigh(&mut self) {
+        let (p, width) = (self.p, self.width());
         let wide = p + width;
-        self.W.fill(0.0);
+        self.W.fill(T::splat(0.0));
         for a in 0..width {
-            let to = &mut self.W[a * width * n..][..(a + 1) * n];
-            add_weighed::<T>(to, p, (&self.rows[p * n..], wide, a), Some(&self.inverse));
+            let to = &mut self.W[a * width..][..a + 1];
+            add_weighed(to, p, (&self.rows[p..], wide, a), Some(&self.inverse));
         }
     }
 
     /// r.
     #[inline(always)]
-    pub(super) fn r<T: Lanes>(&self) -> &[f64] {
-        self.r_of::<T>(0)
+    pub(super) fn r(&self) -> &[T] {
+        self.r_of(0)
     }
 
     /// r of a column of u.
     #[inline(always)]
-    pub(super) fn r_of<T: Lanes>(&self, column: usize) -> &[f64] {
-        &self.row::<T>(self.p + column)[..self.p * T::COUNT]
+    pub(super) fn r_of(&self, column: usize) -> &[T] {
+        &self.row(self.p + column)[..self.p]
     }
 
     /// u'D⁻¹u of a column.
     #[inline(always)]
-    pub(super) fn quadratic<T: Lanes>(&self, column: usize) -> T {
-        at(self.row::<T>(self.p + column), self.p + column)
+    pub(super) fn quadratic(&self, column: usize) -> T {
+        self.row(self.p + column)[self.p + column]
     }
 
     /// Row a of the lower triangle of [W r; r' u'D⁻¹u].
     #[inline(always)]
-    pub(super) fn row<T: Lanes>(&self, a: usize) -> &[f64] {
-        &self.W[a * self.width() * T::COUNT..][..(a + 1) * T::COUNT]
+    pub(super) fn row(&self, a: usize) -> &[T] {
+        &self.W[a * self.width()..][..a + 1]
     }
 }

@@ -1,6 +1,6 @@
 //! Sums of products over tests side by side: Σ a b' over vectors a, b.
 
-use kalfit_lanes::{Isa, Kernel, Lanes};
+use kalfit_lanes::{Lanes, Part};
 
 use crate::linalg::parts::{Columns, in_parts};
 
@@ -9,43 +9,45 @@ const TOGETHER: usize = 16;
 
 /// Σ a b'. Products of a few blocks are added together.
 #[derive(Debug, Clone)]
-pub(super) struct Gather {
-    isa: Isa,
+pub(super) struct Gather<T> {
     rows: usize,
     columns: usize,
-    /// In lanes, block after block.
-    left: Vec<f64>,
-    right: Vec<f64>,
+    /// Block after block.
+    left: Vec<T>,
+    right: Vec<T>,
     filled: usize,
     /// Over all lanes, by rows.
     sum: Vec<f64>,
 }
 
-impl Gather {
+impl<T: Lanes> Gather<T> {
     /// Of products that are wanted, or of none.
-    pub(super) fn new(isa: Isa, (rows, columns): (usize, usize), wanted: bool) -> Gather {
+    pub(super) fn new((rows, columns): (usize, usize), wanted: bool) -> Gather<T> {
         let rows = if wanted { rows } else { 0 };
-        let room = |size: usize| vec![0.0; size * isa.lanes() * if wanted { TOGETHER } else { 0 }];
-        Gather { isa, rows, columns, left: room(rows), right: room(columns), filled: 0, sum: vec![0.0; rows * columns] }
+        let room = |size: usize| vec![T::splat(0.0); size * if wanted { TOGETHER } else { 0 }];
+        Gather { rows, columns, left: room(rows), right: room(columns), filled: 0, sum: vec![0.0; rows * columns] }
     }
 
-    /// Room for the next a and b in lanes, both to be written whole.
-    pub(super) fn next(&mut self) -> (&mut [f64], &mut [f64]) {
+    /// Room for the next a and b, both to be written whole.
+    #[inline(always)]
+    pub(super) fn next(&mut self) -> (&mut [T], &mut [T]) {
         if self.filled == TOGETHER {
             self.settle();
         }
-        let (at, lanes) = (self.filled, self.isa.lanes());
+        let at = self.filled;
         self.filled += 1;
-        let (rows, columns) = (self.rows * lanes, self.columns * lanes);
+        let (rows, columns) = (self.rows, self.columns);
         (&mut self.left[at * rows..][..rows], &mut self.right[at * columns..][..columns])
     }
 
+    #[inline(always)]
     fn settle(&mut self) {
-        self.isa.run(Settle(self));
+        T::apart(Settle(self));
         self.filled = 0;
     }
 
     /// The sums, by rows.
+    #[inline(always)]
     pub(super) fn total(mut self) -> Vec<f64> {
         self.settle();
         self.sum
@@ -53,16 +55,16 @@ impl Gather {
 }
 
 /// Adds what is gathered.
-struct Settle<'a>(&'a mut Gather);
+struct Settle<'a, T>(&'a mut Gather<T>);
 
 /// Rows that are worked on at once.
 const TALLEST: usize = 4;
 
-impl Kernel for Settle<'_> {
+impl<T: Lanes> Part for Settle<'_, T> {
     type Output = ();
 
     #[inline(always)]
-    fn run<T: Lanes>(self) {
+    fn run(self) {
         let gather = self.0;
         let mut row = 0;
         while row < gather.rows {
@@ -79,25 +81,23 @@ impl Kernel for Settle<'_> {
 
 /// Adds to so many rows of the sums; says how many.
 #[inline(always)]
-fn some_rows<T: Lanes, const M: usize>(gather: &mut Gather, row: usize) -> usize {
+fn some_rows<T: Lanes, const M: usize>(gather: &mut Gather<T>, row: usize) -> usize {
     let Gather { rows, columns, left, right, filled, sum, .. } = gather;
     let sum = &mut sum[row * *columns..][..M * *columns];
-    let (left, blocks) = (&left[row * T::COUNT..], *filled);
-    let rows = *rows * T::COUNT;
-    in_parts(0, &mut Tile::<T, M> { left, rows, blocks, right, columns: *columns, sum, zero: T::splat(0.0) });
+    let (left, blocks) = (&left[row..], *filled);
+    in_parts(0, &mut Tile::<T, M> { left, rows: *rows, blocks, right, columns: *columns, sum });
     M
 }
 
 /// M rows of the sums.
 struct Tile<'a, T, const M: usize> {
-    /// M numbers in lanes of each block, so far apart.
-    left: &'a [f64],
+    /// M numbers of each block, so far apart.
+    left: &'a [T],
     rows: usize,
     blocks: usize,
-    right: &'a [f64],
+    right: &'a [T],
     columns: usize,
     sum: &'a mut [f64],
-    zero: T,
 }
 
 impl<T: Lanes, const M: usize> Columns for Tile<'_, T, M> {
@@ -108,18 +108,13 @@ impl<T: Lanes, const M: usize> Columns for Tile<'_, T, M> {
 
     #[inline(always)]
     fn part<const N: usize>(&mut self, from: usize) {
-        let mut sums = [[self.zero; N]; M];
+        let mut sums = [[T::splat(0.0); N]; M];
         for k in 0..self.blocks {
-            let a = &self.left[k * self.rows..][..M * T::COUNT];
-            let right = &self.right[(k * self.columns + from) * T::COUNT..][..N * T::COUNT];
-            let mut b = [self.zero; N];
-            for n in 0..N {
-                b[n] = T::load(&right[n * T::COUNT..]);
-            }
+            let a = &self.left[k * self.rows..][..M];
+            let b = &self.right[k * self.columns + from..][..N];
             for m in 0..M {
-                let a = T::load(&a[m * T::COUNT..]);
                 for n in 0..N {
-                    sums[m][n] = a.fma(b[n], sums[m][n]);
+                    sums[m][n] = a[m].fma(b[n], sums[m][n]);
                 }
             }
         }

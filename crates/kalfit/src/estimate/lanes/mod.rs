@@ -1,5 +1,6 @@
 //! Tests side by side: blocks of tests with one J each, whose numbers stand in lanes, and passes over them.
 
+mod accumulator;
 mod any;
 mod chains;
 mod dense;
@@ -17,12 +18,11 @@ use rayon::prelude::*;
 
 use crate::estimate::class::Class;
 use crate::estimate::lanes::layout::Layout;
-use crate::estimate::order::{Order, Wanted, most_tasks};
+use crate::estimate::order::{Wanted, most_tasks};
 use crate::estimate::point::Point;
 use crate::linalg::symmetric::pairs;
-pub(crate) use chains::{Pass as ChainPass, Totals as ChainTotals};
-pub(crate) use plain::Totals;
-pub(crate) use whole::Totals as WholeTotals;
+pub(crate) use accumulator::{Accumulator, Says, Totals};
+pub(crate) use chains::{Found, Pass as ChainPass};
 
 /// Classes of p states that are not in phases, in blocks of as many as the machine has lanes: all of a single test, or all of several.
 /// Places that no class takes hold zeros, which add nothing.
@@ -103,29 +103,18 @@ impl Blocks {
         self.constant
     }
 
-    /// What all tests say at a point, one part after the other: of classes of one test, without regressions.
-    pub(crate) fn totals(&self, point: &Point, order: Order) -> Vec<Totals> {
-        debug_assert!(!self.layout.several && self.layout.covariates == 0, "they want more");
-        let root = &lower(&point.root);
-        self.parts(&|blocks| self.isa.run(plain::Pass { blocks, mean: &point.mean, root, order, isa: self.isa }))
-    }
-
-    /// What all classes say at a point, one part after the other: several tests each, regressions and the restricted likelihood too.
-    pub(crate) fn whole(&self, point: &Point, wanted: Wanted<'_>) -> Vec<WholeTotals> {
-        let (root, layout, isa) = (&lower(&point.root), self.layout, self.isa);
-        self.parts(&|blocks| isa.run(whole::Pass { blocks, layout, point, root, wanted, isa }))
-    }
-
-    /// What is made of each so many blocks.
-    fn parts<R: Send>(&self, of: &(dyn Fn(&[f64]) -> R + Sync)) -> Vec<R> {
+    /// What all classes say at a point, one part after the other.
+    pub(crate) fn totals(&self, point: &Point, wanted: Wanted<'_>) -> Vec<Totals> {
         if self.constants.is_empty() {
             return Vec::new();
         }
-        let size = self.layout.size() * self.isa.lanes();
-        let fewest = fewest(self.layout.p);
+        let (root, layout, isa) = (&lower(&point.root), self.layout, self.isa);
+        let size = layout.size() * isa.lanes();
+        let fewest = fewest(layout.p);
         let blocks = self.numbers.len() / size;
-        let each = (blocks / TASKS).clamp(fewest, MOST * fewest).max(blocks.div_ceil(most_tasks(self.layout.p)));
-        self.numbers.par_chunks(each * size).map(of).collect()
+        let each = (blocks / TASKS).clamp(fewest, MOST * fewest).max(blocks.div_ceil(most_tasks(layout.p)));
+        let pass = |blocks: &[f64]| isa.run(whole::Pass { blocks, layout, point, root, wanted });
+        self.numbers.par_chunks(each * size).map(pass).collect()
     }
 }
 

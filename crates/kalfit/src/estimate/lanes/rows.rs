@@ -7,22 +7,19 @@ const TOGETHER: usize = 4;
 
 /// y ← y + a x.
 #[inline(always)]
-pub(super) fn add_one<T: Lanes>(y: &mut [f64], a: T, x: &[f64]) {
-    let mut x = x.chunks_exact(T::COUNT);
-    for y in y.chunks_exact_mut(T::COUNT) {
-        let Some(x) = x.next() else { return };
-        a.fma(T::load(x), T::load(y)).store(y);
+pub(super) fn add_one<T: Lanes>(y: &mut [T], a: T, x: &[T]) {
+    for (y, x) in y.iter_mut().zip(x) {
+        *y = a.fma(*x, *y);
     }
 }
 
 /// y ← y + a_0 x_0 + a_1 x_1 + a_2 x_2 + a_3 x_3.
 #[inline(always)]
-fn add_four<T: Lanes>(y: &mut [f64], a: [T; TOGETHER], x: [&[f64]; TOGETHER]) {
-    let mut at = 0;
-    for y in y.chunks_exact_mut(T::COUNT) {
-        let first = a[1].fma(T::load(&x[1][at..]), a[0].fma(T::load(&x[0][at..]), T::load(y)));
-        a[3].fma(T::load(&x[3][at..]), a[2].fma(T::load(&x[2][at..]), first)).store(y);
-        at += T::COUNT;
+fn add_four<T: Lanes>(y: &mut [T], a: [T; TOGETHER], x: [&[T]; TOGETHER]) {
+    let x = [&x[0][..y.len()], &x[1][..y.len()], &x[2][..y.len()], &x[3][..y.len()]];
+    for at in 0..y.len() {
+        let first = a[1].fma(x[1][at], a[0].fma(x[0][at], y[at]));
+        y[at] = a[3].fma(x[3][at], a[2].fma(x[2][at], first));
     }
 }
 
@@ -30,43 +27,32 @@ fn add_four<T: Lanes>(y: &mut [f64], a: [T; TOGETHER], x: [&[f64]; TOGETHER]) {
 /// k × width of what is given.
 #[inline(always)]
 pub(super) fn add_weighed<T: Lanes>(
-    y: &mut [f64],
+    y: &mut [T],
     count: usize,
-    (rows, width, l): (&[f64], usize, usize),
-    weights: Option<&[f64]>,
+    (rows, width, l): (&[T], usize, usize),
+    weights: Option<&[T]>,
 ) {
-    let (size, step) = (y.len(), width * T::COUNT);
+    let size = y.len();
     let mut k = 0;
     while k + TOGETHER <= count {
-        let rows = &rows[k * step..];
-        let x = [&rows[..size], &rows[step..][..size], &rows[2 * step..][..size], &rows[3 * step..][..size]];
-        let mut a = [at::<T>(x[0], l), at(x[1], l), at(x[2], l), at(x[3], l)];
+        let rows = &rows[k * width..];
+        let x = [&rows[..size], &rows[width..][..size], &rows[2 * width..][..size], &rows[3 * width..][..size]];
+        let mut a = [x[0][l], x[1][l], x[2][l], x[3][l]];
         if let Some(weights) = weights {
-            a = [
-                a[0] * at(weights, k),
-                a[1] * at(weights, k + 1),
-                a[2] * at(weights, k + 2),
-                a[3] * at(weights, k + 3),
-            ];
+            a = [a[0] * weights[k], a[1] * weights[k + 1], a[2] * weights[k + 2], a[3] * weights[k + 3]];
         }
         add_four(y, a, x);
         k += TOGETHER;
     }
     while k < count {
-        let x = &rows[k * step..][..size];
-        let mut a = at::<T>(x, l);
+        let x = &rows[k * width..][..size];
+        let mut a = x[l];
         if let Some(weights) = weights {
-            a = a * at(weights, k);
+            a = a * weights[k];
         }
         add_one(y, a, x);
         k += 1;
     }
-}
-
-/// The number at a place.
-#[inline(always)]
-pub(super) fn at<T: Lanes>(numbers: &[f64], place: usize) -> T {
-    T::load(&numbers[place * T::COUNT..])
 }
 
 /// Σ log(mantissa 2^exponent) over the lanes.
@@ -77,14 +63,4 @@ pub(super) fn log_det<T: Lanes>(mantissa: T, exponent: T) -> f64 {
         sum += mantissa.lane(lane).ln() + exponent.lane(lane) * std::f64::consts::LN_2;
     }
     sum
-}
-
-/// Each number over all lanes.
-#[inline(always)]
-pub(super) fn sums<T: Lanes>(numbers: &[f64]) -> Vec<f64> {
-    let mut all = Vec::with_capacity(numbers.len() / T::COUNT);
-    for x in numbers.chunks_exact(T::COUNT) {
-        all.push(T::load(x).sum());
-    }
-    all
 }

@@ -1,12 +1,12 @@
-//! Blocks against the formulas for any class, one test at a time.
+//! Sums over classes, side by side and one by one, against the formulas of the theory.
+#![expect(non_snake_case, reason = "R, S, W, E, X are the letters of the theory")]
 
 use kalfit_lanes::Isa;
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 
 use super::*;
-use crate::estimate::order::FlatMean;
+use crate::estimate::order::{FlatMean, Order};
 use crate::estimate::pass::one_by_one;
-use crate::estimate::terms::Terms;
 use crate::linalg::elements::Elements;
 
 fn class(p: usize, j: usize) -> Class {
@@ -36,58 +36,90 @@ fn point(p: usize) -> Point {
     }
 }
 
-/// All sums in one row: of the blocks, and test by test.
-fn both(p: usize, isa: Isa, tests: usize) -> (Vec<f64>, Vec<f64>) {
-    let point = point(p);
-    let classes: Vec<Class> = (0..tests).map(|j| class(p, j)).collect();
-    let blocks = Blocks::filled((p, 0, false), isa, tests, &|j, place| place.set(classes[j].view()));
-    let mut found: Vec<f64> = Vec::new();
-    for totals in blocks.totals(&point, Order::Expected) {
-        let parts = [&totals.r, &totals.W, &totals.outer, &totals.curvature, &totals.cross, &totals.expected];
-        let row = [totals.log_det, totals.quadratic].into_iter().chain(parts.into_iter().flatten().copied());
-        let row: Vec<f64> = row.collect();
-        found.resize(row.len(), 0.0);
-        found.iter_mut().zip(&row).for_each(|(sum, x)| *sum += x);
+/// All sums in one row, of classes in one phase, in the order of [`crate::estimate::sums::Sums::numbers`].
+fn by_hand(classes: &[Class], point: &Point, Wanted { regressors, flat, .. }: Wanted<'_>) -> Vec<f64> {
+    let (p, m) = (point.mean.len(), point.mean.len() + regressors.len());
+    let mean = DVector::from_iterator(m, point.mean.iter().chain(&point.coefficients).copied());
+    let places: Vec<(usize, usize)> = (0..p).flat_map(|i| (0..=i).map(move |k| (i, k))).collect();
+    let mut sums = Vec::new();
+    for class in classes {
+        let (n, R) = (class.count, DMatrix::from_row_slice(p, p, &class.factor));
+        let E = DMatrix::from_fn(p, m, |i, c| match c.checked_sub(p) {
+            None => f64::from(i == c),
+            Some(c) => {
+                if regressors[c] == i {
+                    class.covariates[c]
+                } else {
+                    0.0
+                }
+            }
+        });
+        let S = DMatrix::identity(p, p) + &R * &point.root * (&R * &point.root).transpose();
+        let inverse = S.clone().try_inverse().expect("S is at least one");
+        let of = |u: &DVector<f64>| (R.transpose() * &inverse * u, (u.transpose() * &inverse * u)[0]);
+        let (r, square) = of(&(DVector::from_column_slice(&class.mean) - &R * &E * &mean));
+        let (mut outer, mut quadratic) = (&r * r.transpose() * n, n * square);
+        for away in class.scatter.chunks_exact(p) {
+            let (r, square) = of(&DVector::from_column_slice(away));
+            (outer, quadratic) = (outer + &r * r.transpose(), quadratic + square);
+        }
+        let W = R.transpose() * &inverse * &R;
+        let (WE, mut inner) = (&W * &E, &outer - &W * (0.5 * n));
+        let WX = flat.map_or_else(|| DMatrix::zeros(p, 0), |flat| &WE * flat.jacobian);
+        if let Some(covariance) = flat.and_then(|flat| flat.covariance) {
+            inner += &WX * covariance * WX.transpose() * n;
+        }
+        let mut row = vec![class.constant - 0.5 * (n * S.determinant().ln() + quadratic), quadratic];
+        row.extend((E.transpose() * &r * n).iter());
+        for matrix in [E.transpose() * &WE * n, outer, &W * n] {
+            row.extend(matrix.iter());
+        }
+        for &(k, l) in &places {
+            let both = |c: usize, d: usize| WX[(k, c)] * WX[(l, d)] + WX[(l, c)] * WX[(k, d)];
+            row.extend((0..WX.ncols()).flat_map(|c| (0..=c).map(move |d| (c, d))).map(|(c, d)| 0.5 * n * both(c, d)));
+        }
+        row.extend(places.iter().flat_map(|&b| places.iter().map(move |&a| (a, b))).map(|(a, b)| W[a] * inner[b]));
+        let crosses = (0..p).flat_map(|l| (0..p * m).map(move |at| (at / m, at % m, l)));
+        row.extend(crosses.map(|(k, c, l)| n * WE[(k, c)] * r[l]));
+        row.extend(places.iter().flat_map(|&b| places.iter().map(move |&a| (a, b))).map(|(a, b)| n * W[a] * W[b]));
+        sums.resize(row.len(), 0.0);
+        sums.iter_mut().zip(&row).for_each(|(sum, x)| *sum += x);
     }
-    let mut expected = vec![0.0; found.len()];
-    let mut terms = Terms::new(p);
-    for class in classes.iter().map(Class::view) {
-        terms.factorise(class, &point.root);
-        terms.finish(class, &[], &point);
-        let log_det = -2.0 * (terms.value(class) - class.constant) - terms.quadratic;
-        let places: Vec<usize> = (0..p).flat_map(|i| (0..=i).map(move |k| i * p + k)).collect();
-        let inner = |at: usize| terms.outer[at] - 0.5 * terms.W[at];
-        let mut row = vec![log_det, terms.quadratic];
-        row.extend(&terms.r);
-        row.extend(places.iter().map(|&at| terms.W[at]));
-        row.extend(places.iter().map(|&at| terms.outer[at]));
-        row.extend(
-            places.iter().flat_map(|&a| places.iter().map(move |&b| (a, b))).map(|(a, b)| terms.W[a] * inner(b)),
-        );
-        row.extend(places.iter().flat_map(|&a| (0..p).map(move |l| (a, l))).map(|(a, l)| terms.W[a] * terms.r[l]));
-        row.extend(
-            places.iter().flat_map(|&a| places.iter().map(move |&b| (a, b))).map(|(a, b)| terms.W[a] * terms.W[b]),
-        );
-        expected.iter_mut().zip(&row).for_each(|(sum, x)| *sum += x);
+    sums
+}
+
+/// Asserts that the sums over blocks of classes, and over the classes one by one, are those by hand.
+fn assert_sums(classes: &[Class], (isa, several): (Isa, bool), point: &Point, wanted: Wanted<'_>) {
+    let p = point.mean.len();
+    let fill = |j: usize, place: &mut Class| place.set(classes[j].view());
+    let blocks = Blocks::filled((p, wanted.regressors.len(), several), isa, classes.len(), &fill);
+    let mut together = wanted.zero();
+    together.value += blocks.constant();
+    blocks.totals(point, wanted).into_iter().for_each(|totals| together.take(totals));
+    let alone = one_by_one(&classes.iter().map(Class::view).collect::<Vec<_>>(), point, wanted);
+    let expected = by_hand(classes, point, wanted);
+    let largest = expected.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
+    for (way, found) in [("side by side", together), ("one by one", alone)] {
+        let found = found.numbers();
+        assert_eq!(found.len(), expected.len());
+        for (at, (found, expected)) in found.iter().zip(&expected).enumerate() {
+            let allowed = 1e-12 * (1.0 + largest) + 1e-11 * expected.abs();
+            let about = format!("{way}, {isa:?}, p = {p}, several {several}, {} classes", classes.len());
+            assert!((found - expected).abs() < allowed, "{about}, {at}: {found} {expected}");
+        }
     }
-    (found, expected)
 }
 
 #[test]
-fn blocks_say_what_their_tests_say_one_by_one() {
+fn sums_over_single_tests_are_those_by_hand() {
     for isa in Isa::all() {
         for p in (1..=10).chain([13, 20]) {
+            let elements = Elements::single(p);
+            let wanted = Wanted { elements: &elements, regressors: &[], order: Order::Expected, flat: None };
             // also blocks that are not full, and more than one task
             for tests in [1, isa.lanes(), 3 * isa.lanes() + 1, fewest(p) * isa.lanes() + 3] {
-                let (found, expected) = both(p, *isa, tests);
-                let largest = expected.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
-                for (at, (found, expected)) in found.iter().zip(&expected).enumerate() {
-                    let allowed = 1e-12 * (1.0 + largest) + 1e-11 * expected.abs();
-                    assert!(
-                        (found - expected).abs() < allowed,
-                        "{isa:?}, p = {p}, {tests} tests, {at}: {found} {expected}"
-                    );
-                }
+                let classes: Vec<Class> = (0..tests).map(|j| class(p, j)).collect();
+                assert_sums(&classes, (*isa, false), &point(p), wanted);
             }
         }
     }
@@ -106,7 +138,7 @@ fn any_class(p: usize, j: usize, (covariates, several): (usize, bool)) -> Class 
 }
 
 #[test]
-fn several_tests_regressions_and_the_restricted_likelihood_are_summed_as_one_by_one() {
+fn sums_over_several_tests_with_regressions_and_the_restricted_likelihood_are_those_by_hand() {
     for isa in Isa::all() {
         for (p, regressors, q, several) in [
             (1, vec![], 1, true),
@@ -129,21 +161,7 @@ fn several_tests_regressions_and_the_restricted_likelihood_are_summed_as_one_by_
                 for tests in [1, 2 * isa.lanes() + 1, fewest(p) * isa.lanes() + 3] {
                     let classes: Vec<Class> =
                         (0..tests).map(|j| any_class(p, j, (regressors.len(), several))).collect();
-                    let fill = |j: usize, place: &mut Class| place.set(classes[j].view());
-                    let blocks = Blocks::filled((p, regressors.len(), several), *isa, tests, &fill);
-                    let mut found = wanted.zero();
-                    found.value += blocks.constant();
-                    blocks.whole(&point, wanted).into_iter().for_each(|totals| found.take_whole(totals));
-                    let expected =
-                        one_by_one(&classes.iter().map(Class::view).collect::<Vec<_>>(), &point, wanted).numbers();
-                    let largest = expected.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
-                    for (at, (found, expected)) in found.numbers().iter().zip(&expected).enumerate() {
-                        let allowed = 1e-12 * (1.0 + largest) + 1e-11 * expected.abs();
-                        assert!(
-                            (found - expected).abs() < allowed,
-                            "{isa:?}, p = {p}, several {several}, {tests} tests, {at}: {found} {expected}"
-                        );
-                    }
+                    assert_sums(&classes, (*isa, several), &point, wanted);
                 }
             }
         }

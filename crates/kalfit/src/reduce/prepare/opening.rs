@@ -1,7 +1,8 @@
-//! Parts of a test that suboptimal estimates need apart from the rest: how it starts, and the constants d of its measurements.
+//! Parts of a test that are needed apart from the rest: how it starts, and the cells and constants d of its measurements.
 
 use crate::ensemble::Test;
 use crate::reduce::error::ReduceErrorKind;
+use crate::reduce::instances::Instance;
 use crate::reduce::prepare::{Preparer, Workspace};
 use crate::reduce::steps::Span;
 use crate::reduce::subject::{Fault, Subject};
@@ -31,5 +32,12 @@ impl Preparer {
             self.meters.constants(&self.at(), test, (&instances, work.dt(k)), &mut constants)?;
         }
         Ok(constants)
+    }
+
+    /// Cell and d of each scalar measurement of the test in the work space: what is filtered is the number in the cell, less d.
+    pub(crate) fn measured_cells(&self, test: &Test, work: &Workspace) -> Result<Vec<(usize, f64)>, Box<Fault>> {
+        let (constants, width) = (self.measured_constants(test, work)?, test.widths().0);
+        let cell = |Instance { meter, row }: Instance| row * width + self.meters.column(meter);
+        Ok(work.instances.iter().map(cell).zip(constants).collect())
     }
 }

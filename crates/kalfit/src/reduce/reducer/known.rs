@@ -2,7 +2,6 @@
 
 use crate::ensemble::Test;
 use crate::reduce::class::{Class, class_bytes};
-use crate::reduce::instances::Instance;
 use crate::reduce::lanes::fits;
 use crate::reduce::prepare::{Preparer, Workspace};
 use crate::reduce::recognise::Likeness;
@@ -28,15 +27,12 @@ impl Known {
         if !fits(class.design(), gains) {
             return None;
         }
-        let width = test.widths().0;
-        let cell = |instance: Instance| instance.row * width + preparer.meters.column(instance.meter);
-        let constants = preparer.measured_constants(test, work).ok()?;
         Some(Known {
             likeness: looks.likeness(test),
             class: class.clone(),
             digest: work.design.digest(),
             steps: work.design.steps(),
-            cells: work.instances.iter().map(cell).zip(constants).collect(),
+            cells: preparer.measured_cells(test, work).ok()?,
             start: work.data.start.clone(),
             inputs: work.data.inputs.clone(),
         })

@@ -1,11 +1,15 @@
-//! Tests that were evaluated and wait to be filtered.
+//! Tests with designs of their own that were evaluated and wait for others of the same shape, to be filtered side by side.
+
+use kalfit_lanes::Isa;
 
 use crate::reduce::data::Data;
 use crate::reduce::design::Design;
 use crate::reduce::instances::Instances;
 use crate::reduce::lanes::same_shape;
-use crate::reduce::lines::{Lines, Waits};
 use crate::reduce::prepare::Workspace;
+
+/// Most lines: one for each shape.
+const LINES: usize = 16;
 
 /// A test that was evaluated.
 #[derive(Debug)]
@@ -18,20 +22,10 @@ pub(crate) struct Own {
     pub(crate) instances: Instances,
 }
 
-impl Waits for Own {
-    fn length(&self) -> usize {
-        self.design.runs.len()
-    }
-
-    fn goes_with(&self, other: &Own) -> bool {
-        same_shape(&self.design, &other.design)
-    }
-}
-
 /// Lines of tests whose designs have one shape each.
 #[derive(Debug, Default)]
 pub(crate) struct Queue {
-    lines: Lines<Own>,
+    lines: Vec<Vec<Own>>,
     /// Room that was used before.
     spare: Vec<Own>,
 }
@@ -39,12 +33,16 @@ pub(crate) struct Queue {
 impl Queue {
     /// The line in which a test of this design waits.
     pub(crate) fn line_with(&self, digest: u128) -> Option<usize> {
-        self.lines.find(|own| own.digest == digest)
+        self.line(|own| own.digest == digest)
     }
 
     /// A line that is not empty.
     pub(crate) fn any(&self) -> Option<usize> {
-        self.lines.find(|_| true)
+        self.line(|_| true)
+    }
+
+    fn line(&self, wanted: impl Fn(&Own) -> bool) -> Option<usize> {
+        self.lines.iter().position(|line| line.iter().any(&wanted))
     }
 
     /// Moves a test from the work space to the end of its line. Returns the number of a line that is to be taken now.
@@ -62,12 +60,28 @@ impl Queue {
         std::mem::swap(&mut own.data, &mut work.data);
         std::mem::swap(&mut own.covariates, &mut work.covariates);
         std::mem::swap(&mut own.instances, &mut work.instances);
-        self.lines.push(own)
+        // a shorter test that goes with the longest of a line goes with all
+        let fits = |line: &Vec<Own>| {
+            let longest = line.iter().max_by_key(|other| other.design.runs.len());
+            longest.is_some_and(|longest| same_shape(&longest.design, &own.design))
+        };
+        let found = self.lines.iter().position(fits).or_else(|| self.lines.iter().position(Vec::is_empty));
+        let line = found.unwrap_or_else(|| {
+            self.lines.push(Vec::new());
+            self.lines.len() - 1
+        });
+        self.lines[line].push(own);
+        if self.lines[line].len() == Isa::best().lanes() {
+            return Some(line);
+        }
+        // the fullest line is the least loss
+        let fullest = || (0..self.lines.len()).max_by_key(|&at| self.lines[at].len());
+        (self.lines.iter().filter(|line| !line.is_empty()).count() > LINES).then(fullest).flatten()
     }
 
     /// The tests of a line, which is empty then.
     pub(crate) fn take(&mut self, line: usize) -> Vec<Own> {
-        self.lines.take(line)
+        std::mem::take(&mut self.lines[line])
     }
 
     /// Room that is not needed any more.

@@ -16,7 +16,7 @@ use kalfit_lanes::Isa;
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
-use crate::reduce::{Design, Fault, Gains, Instance, ReduceError, Step, Workspace};
+use crate::reduce::{Design, Fault, Gains, ReduceError, Step, Workspace};
 use crate::score::backward::{BackwardWork, Ending, Run, Wanted};
 use crate::score::chain::{Adjoints, Gradient, Response, add};
 use crate::score::moments::Moments;
@@ -56,7 +56,7 @@ impl Scorer<'_> {
             if adjoints.questions(work) > tests.len() || !is_small(&work.design, wanted) {
                 return Ok(None);
             }
-            let cells = self.cells(first, work)?;
+            let cells = self.reducer.preparer().measured_cells(first, work)?;
             let response = adjoints.response(first, work)?;
             let blank = Blank::new(work, shared);
             let run = blank.run((&work.design, gains), wanted);
@@ -78,15 +78,6 @@ impl Scorer<'_> {
         })?;
         // what is wrong with it will be said of the test that it is wrong with
         Ok(found.unwrap_or(None))
-    }
-
-    /// Cell and d of each scalar measurement of the test in the work space.
-    fn cells(&self, test: &Test, work: &Workspace) -> Result<Vec<(usize, f64)>, Box<Fault>> {
-        let preparer = self.reducer.preparer();
-        let constants = preparer.measured_constants(test, work)?;
-        let width = test.widths().0;
-        let cell = |Instance { meter, row }: Instance| row * width + preparer.meters.column(meter);
-        Ok(work.instances.iter().map(cell).zip(constants).collect())
     }
 }
 
