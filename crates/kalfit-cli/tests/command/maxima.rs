@@ -51,6 +51,12 @@ fn a_noise_level_is_not_lost_to_zero() {
 }
 
 #[test]
+fn an_end_on_its_way_along_a_ridge_is_taken_up_again() {
+    // two starts climb on while the third process becomes slower and larger, and end without a certificate above the one that has it
+    reaches(&fitted("three-processes", "three-processes", &[]), "three processes", -142.321258);
+}
+
+#[test]
 fn a_noise_returns_together_with_its_covariance() {
     // with s at zero c has no effect, and ℓ has a slope in s only beside the c that belongs to it
     let highest = fitted("noises-crossed", "noises-crossed", &[]).log_likelihood;
