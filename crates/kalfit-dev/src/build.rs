@@ -3,7 +3,8 @@
 use std::process::{Command, ExitCode};
 
 /// Their names.
-const TASKS: [&str; 7] = ["coverage", "maxima", "false-alarms", "fuzz-in-process", "whiteness", "bench", "peers"];
+const TASKS: [&str; 8] =
+    ["coverage", "maxima", "false-alarms", "fuzz-in-process", "mutants", "whiteness", "bench", "peers"];
 
 /// Runs such a task in a release build.
 pub(crate) fn run(words: &[String]) -> ExitCode {
@@ -12,9 +13,12 @@ pub(crate) fn run(words: &[String]) -> ExitCode {
         eprintln!("there is no task `{task}`: `cargo dev --help` lists all");
         return ExitCode::from(2);
     }
-    println!("== {task}: cargo run --release --package kalfit-dev --features measure, some minutes at first");
+    // mutants work on a copy of the core, which this program need not have in it
+    let how: &[&str] =
+        if task == "mutants" { &["--features", "mutants"] } else { &["--release", "--features", "measure"] };
+    println!("== {task}: cargo run --package kalfit-dev {}, some minutes at first", how.join(" "));
     let mut cargo = Command::new("cargo");
-    cargo.args(["run", "--quiet", "--release", "--locked", "--package", "kalfit-dev", "--features", "measure", "--"]);
+    cargo.args(["run", "--quiet", "--locked", "--package", "kalfit-dev"]).args(how).arg("--");
     match cargo.args(words).status() {
         Ok(status) if status.success() => ExitCode::SUCCESS,
         Ok(_) => ExitCode::FAILURE,

@@ -18,6 +18,8 @@ mod false_alarms;
 mod maxima;
 #[cfg(feature = "measure")]
 mod measure;
+#[cfg(feature = "mutants")]
+mod mutants;
 #[cfg(feature = "measure")]
 mod peak;
 #[cfg(feature = "measure")]
@@ -33,8 +35,8 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 /// What is not in the list of a program without the feature.
-const MEASURE: &str = "Measurements, which are built in release on first use: coverage, maxima, false-alarms, fuzz-in-process, whiteness, bench, \
-                       peers. \
+const MEASURE: &str = "Measurements, which are built in release on first use: coverage, maxima, false-alarms, fuzz-in-process, mutants, whiteness, \
+                       bench, peers. \
                        `cargo dev coverage --help` describes one.";
 
 /// Tasks of kalfit's developers.
@@ -62,6 +64,10 @@ enum Task {
         #[arg(long)]
         open: bool,
     },
+    /// Changes the core in a hundred small ways, such as `a - b` for `a + b`, and sees whether a test notices each: the table of
+    /// `book/src/guide/coverage.md`. An hour.
+    #[cfg(feature = "mutants")]
+    Mutants(mutants::Options),
     /// What measures kalfit itself.
     #[cfg(feature = "measure")]
     #[command(flatten)]
@@ -78,6 +84,8 @@ fn main() -> ExitCode {
         Task::Fuzz(options) => fuzz::run(&options),
         Task::Book { open: true } => book::open(),
         Task::Book { open: false } => book::write(),
+        #[cfg(feature = "mutants")]
+        Task::Mutants(options) => mutants::run(&options),
         #[cfg(feature = "measure")]
         Task::Measure(task) => measure::run(task),
         #[cfg(not(feature = "measure"))]

@@ -94,6 +94,11 @@ impl Coordinate {
     pub(crate) fn at_upper(&self, value: f64) -> bool {
         value >= self.upper
     }
+
+    /// Whether the value stands at a bound beyond which ℓ rises with this slope.
+    pub(crate) fn is_held(&self, value: f64, slope: f64) -> bool {
+        (self.at_lower(value) && slope < 0.0) || (self.at_upper(value) && slope > 0.0)
+    }
 }
 
 /// The same place, to this part of each value.
@@ -114,4 +119,27 @@ fn exponent(model: &PhasedModel, parameter: usize) -> f64 {
     let of = |expression: &Expression| power(expression, parameter).unwrap_or(1.0);
     let powers = measured.chain(moved).chain(crossed).map(of).filter(|power| *power > 0.0);
     powers.fold(f64::INFINITY, f64::min).clamp(1.0, 2.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_value_at_a_bound_is_held_by_a_slope_that_leads_beyond_it() {
+        let between = Coordinate { log: true, level: None, lower: 0.5, upper: 2.0 };
+        let cases = [
+            (0.5, -1.0, true),
+            (0.5, 1.0, false),
+            (0.5, 0.0, false),
+            (1.0, -1.0, false),
+            (1.0, 1.0, false),
+            (2.0, -1.0, false),
+            (2.0, 0.0, false),
+            (2.0, 1.0, true),
+        ];
+        for (value, slope, held) in cases {
+            assert_eq!(between.is_held(value, slope), held, "{value} with slope {slope}");
+        }
+    }
 }

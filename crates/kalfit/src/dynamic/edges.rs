@@ -375,19 +375,22 @@ mod tests {
 
     #[test]
     fn a_known_covariance_bounds_the_level_beside_it() {
-        let model = crate::Model::builder("")
-            .state(constant("level"))
-            .measurement(measurement("y", "level", "s"))
-            .measurement(measurement("z", "level", 0.5))
-            .noise_covariance("y", "z", 0.2)
-            .parameter(free("s"));
-        let model: PhasedModel = model.build().unwrap();
-        let mut test = Test::new("one", model.shared().columns.len(), 0);
-        test.push(&vec![1.0; model.shared().columns.len()], &[], crate::Source::default());
-        let tests: Vec<PhasedTest> = vec![test.into()];
-        let slots = Slots::in_phases(&model, &crate::Labels::default(), &tests);
-        let least = Edges::least(&model, &slots, &tests);
-        // s 0.5 ≥ 0.2
-        assert!(least.len() == 1 && least[0].0 == 0 && (least[0].1 - 0.4).abs() < 1e-8, "{least:?}");
+        for (sought, known) in [("y", "z"), ("z", "y")] {
+            let noise = |of: &str| if of == sought { name("s") } else { Formula::from(0.5) };
+            let model = crate::Model::builder("")
+                .state(constant("level"))
+                .measurement(measurement("y", "level", noise("y")))
+                .measurement(measurement("z", "level", noise("z")))
+                .noise_covariance(sought, known, 0.2)
+                .parameter(free("s"));
+            let model: PhasedModel = model.build().unwrap();
+            let mut test = Test::new("one", model.shared().columns.len(), 0);
+            test.push(&vec![1.0; model.shared().columns.len()], &[], crate::Source::default());
+            let tests: Vec<PhasedTest> = vec![test.into()];
+            let slots = Slots::in_phases(&model, &crate::Labels::default(), &tests);
+            let least = Edges::least(&model, &slots, &tests);
+            // s 0.5 ≥ 0.2
+            assert!(least.len() == 1 && least[0].0 == 0 && (least[0].1 - 0.4).abs() < 1e-8, "{sought}: {least:?}");
+        }
     }
 }

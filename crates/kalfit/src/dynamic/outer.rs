@@ -218,8 +218,7 @@ impl<'b, 'a> Outer<'b, 'a> {
     fn gradient(&self, here: &Here) -> DVector<f64> {
         let of = |&s: &usize| {
             let (coordinate, value, g) = (&self.bench.coordinates[s], here.values[s], here.gradient[s]);
-            let beyond = (coordinate.at_lower(value) && g < 0.0) || (coordinate.at_upper(value) && g > 0.0);
-            if beyond { 0.0 } else { g }
+            if coordinate.is_held(value, g) { 0.0 } else { g }
         };
         DVector::from_iterator(self.slots.len(), self.slots.iter().map(of))
     }

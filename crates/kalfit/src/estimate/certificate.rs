@@ -249,3 +249,116 @@ fn along(direction: DMatrix<f64>, slope: f64, weight: &DMatrix<f64>, tests: f64)
     }
     Escape { direction, length: slope / information, score: slope / information.sqrt() }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn found(decrement: f64, null_space: f64, rounding: f64) -> Certificate {
+        Certificate { mean: 0.0, covariance: 0.0, null_space, decrement, rounding }
+    }
+
+    #[test]
+    fn each_condition_by_itself_withholds_it() {
+        assert!(found(1e-8, 1e-5, 1e-3).holds(1e-8), "at the limits");
+        assert!(found(0.0, 0.0, 0.0).holds(0.0), "nothing is left");
+        for (what, figures) in [
+            ("decrement", found(1.1e-8, 0.0, 0.0)),
+            ("null space", found(0.0, 1.1e-5, 0.0)),
+            ("rounding", found(0.0, 0.0, 1.1e-3)),
+        ] {
+            assert!(!figures.holds(1e-8), "{what}: {figures:?}");
+        }
+        for (rounding, precise, limited) in
+            [(1e-3, true, true), (1.1e-3, false, true), (1.1e-6, true, true), (1e-6, true, false)]
+        {
+            let figures = found(0.0, 0.0, rounding);
+            assert_eq!((figures.is_precise(), figures.is_limited_by_rounding()), (precise, limited), "{figures:?}");
+        }
+        assert_eq!(found(3.0, 9.0, 2.0).distance(), 3.0);
+        assert_eq!(found(2.0, 9.0, 3.0).distance(), 3.0);
+    }
+
+    #[test]
+    fn rounding_adds_up_and_is_finite() {
+        assert_eq!(found(1.0, 2.0, 9.0).with_rounding(&[0.25, 0.5]), found(1.0, 2.0, 0.75));
+        for part in [f64::NAN, f64::INFINITY] {
+            let figures = found(0.0, 0.0, 0.0).with_rounding(&[0.5, part]);
+            assert_eq!(figures.rounding, f64::MAX);
+            assert!(!figures.holds(1.0), "{figures:?}");
+        }
+    }
+
+    /// g'|H|⁻¹g, with H scaled to a unit diagonal before its eigenvalues are taken by absolute value.
+    #[test]
+    fn a_decrement_is_a_distance_in_standard_errors() {
+        let cases = [
+            // regular: g'H⁻¹g = 4/4 + 36/9
+            ([4.0, 0.0, 9.0], [2.0, 6.0], 5.0),
+            // regular: H⁻¹ = (2, -1; -1, 2)/3
+            ([2.0, 1.0, 2.0], [1.0, 0.0], 2.0 / 3.0),
+            // eigenvalues 3 and -1 along (1, ±1)/√2: ½/3 + ½
+            ([1.0, 2.0, 1.0], [1.0, 0.0], 2.0 / 3.0),
+            // the same in other units
+            ([16.0, 8.0, 1.0], [4.0, 0.0], 2.0 / 3.0),
+            // flat along (1, -1): nothing is known there
+            ([1.0, 1.0, 1.0], [3.0, 3.0], 9.0),
+            ([1.0, 1.0, 1.0], [3.0, -3.0], 0.0),
+            // no information at all in one of them
+            ([4.0, 0.0, 0.0], [6.0, 5.0], 9.0),
+            // concave the wrong way round
+            ([-4.0, 0.0, 9.0], [2.0, 6.0], 5.0),
+        ];
+        for ([a, b, c], g, expected) in cases {
+            let information = DMatrix::from_row_slice(2, 2, &[a, b, b, c]);
+            let found = decrement(information.as_view(), &DVector::from_column_slice(&g));
+            assert!((found - f64::sqrt(expected)).abs() < 1e-12, "{information} {g:?}: {found}² {expected}");
+        }
+    }
+
+    /// Each null vector is orthogonal to F where elements count in their natural sizes, and there are as many as the rank leaves.
+    #[test]
+    fn a_null_space_is_what_the_range_leaves() {
+        for (columns, expected) in [
+            (vec![], 3),
+            (vec![[1e4, 1.0, 0.0]], 2),
+            (vec![[1e4, 1.0, 0.0], [0.0, 2.0, 1e-3]], 1),
+            (vec![[1.0, 0.0, 0.0], [0.0, 1e-6, 0.0]], 2), // 1e-12 of its natural size
+            (vec![[1.0, 0.0, 0.0], [0.0, 1e-4, 0.0]], 1), // 1e-8
+            (vec![[1e6, 0.0, 0.0], [0.0, 1e6, 0.0], [0.0, 0.0, 1e6]], 0),
+        ] {
+            let root = DMatrix::from_fn(3, 3, |i, c| columns.get(c).map_or(0.0, |column: &[f64; 3]| column[i]));
+            let null = null_spaces(&[vec![0, 1, 2]], &root).remove(0);
+            assert_eq!(null.ncols(), expected, "{root}");
+            let natural = |i: usize| 1.0 + root.row(i).norm_squared();
+            let weighed = DMatrix::from_fn(3, null.ncols(), |i, k| null[(i, k)] / natural(i));
+            let product = root.transpose() * &weighed;
+            assert!(product.amax() < 2e-6, "{root} {null} {product}");
+            let unit = null.transpose() * &weighed;
+            assert!((&unit - DMatrix::identity(expected, expected)).amax() < 1e-9, "{root} {null} {unit}");
+        }
+        let root = DMatrix::from_row_slice(3, 1, &[0.0, 0.8, -0.6]);
+        let null = null_spaces(&[vec![2, 1], vec![0]], &root);
+        assert_eq!((null[0].ncols(), null[1].ncols()), (1, 1));
+        let along = null[0][(1, 0)] * 0.8 / 1.64 - null[0][(0, 0)] * 0.6 / 1.36;
+        assert!(along.abs() < 1e-12, "{} {}", null[0], null[1]);
+    }
+
+    #[test]
+    fn the_step_along_a_direction_is_that_of_newton() {
+        let direction = DMatrix::from_row_slice(2, 2, &[1.0, 2.0, 2.0, 4.0]);
+        let weight = DMatrix::from_row_slice(2, 2, &[8.0, 0.0, 0.0, 2.0]);
+        // ½ N tr((W̄D)²) of four tests, W̄ = diag(2, ½): ½ 4 (2 + 2)²
+        let (information, slope) = (32.0, 3.0);
+        let found = along(direction.clone(), slope, &weight, 4.0);
+        assert!((found.length - slope / information).abs() < 1e-14, "{} {}", found.length, slope / information);
+        assert!(
+            (found.score - slope / information.sqrt()).abs() < 1e-14,
+            "{} {}",
+            found.score,
+            slope / information.sqrt()
+        );
+        let nothing = along(direction, slope, &DMatrix::zeros(2, 2), 4.0);
+        assert_eq!((nothing.length, nothing.score), (0.0, 0.0), "no test informs the direction");
+    }
+}

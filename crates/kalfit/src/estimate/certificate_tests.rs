@@ -139,6 +139,15 @@ impl Spot {
         Spot { problem, place }
     }
 
+    /// At a Σ of the structure, whose root is of the structure's shape.
+    fn of_members(data: &Reductions, covariance: &CovarianceStructure, mean: &[f64], sigma: &DMatrix<f64>) -> Spot {
+        let spot = Spot::new(data, covariance, mean, &DMatrix::zeros(mean.len(), mean.len()));
+        let map = &spot.problem.covariance;
+        let root = map.root_of(&spot.problem.classes.frame.covariance_in(sigma));
+        let place = Place::new(&spot.problem, map, Point { root, ..spot.place.point }, None).expect("a finite place");
+        Spot { place, problem: spot.problem }
+    }
+
     fn certificate(&self) -> Certificate {
         certificate(&self.problem.covariance, &self.place, TESTS as f64).0
     }
@@ -306,6 +315,10 @@ fn a_trap_of_zero_columns_is_left_for_the_maximum() {
         let expected = &inverse * (&case.moment - DMatrix::identity(3, 3)) * inverse.transpose();
         let found = spot.problem.values_of(&end.point).covariance;
         assert!((&found - &expected).amax() < 1e-6, "rank {}: {found} {expected}", range.len());
+        // one step leaves it
+        let (end, _) = climb(&spot.problem, map, TESTS as f64, spot.place.clone(), Limits { steps: 1, ..limits });
+        let gain = end.local.value - spot.place.local.value;
+        assert!(gain > 0.1, "rank {}: {gain}", range.len());
         // and where no step may follow, the end is not called a maximum
         let none = Limits { steps: 0, ..limits };
         assert_eq!(climb(&spot.problem, map, TESTS as f64, spot.place.clone(), none).1, Stop::PassLimit);
@@ -361,6 +374,69 @@ fn standard_deviations_of_zero_are_tried_by_themselves_and_in_pairs() {
         let case = Case::at_zero(symmetric([1.0 - a, c, 1.0 - b]));
         let (found, what) = (case.spot(&given(0.6)), format!("-{a}, -{b} and {c}"));
         if grows { found.is_refused(&what) } else { found.is_accepted(&what) }
+    }
+}
+
+/// One of two is zero and the other is not. C = S + N, with N_10 = c and N_11 = m, makes G_11 = ½ N m and, where it is zero, ∂ℓ/∂σ_1 = 2 G_10 r σ_0
+/// of the sign of c r.
+#[test]
+fn a_standard_deviation_of_zero_beside_another_follows_their_correlation() {
+    let s: f64 = 0.8;
+    for r in [0.6, -0.6] {
+        let given = of(CovarianceKind::Correlation(numbers(&symmetric([1.0, r, 1.0]))));
+        let spot = |c: f64, m: f64| {
+            let moment = symmetric([1.0 + s, c, 1.0 + m]);
+            let case = Case { moment, ..Case::at_zero(DMatrix::identity(2, 2)) };
+            Spot::of_members(&case.data(), &given, case.mean().as_slice(), &symmetric([s, 0.0, 0.0]))
+        };
+        let n = (TESTS as f64 / 2.0).sqrt();
+        spot(0.0, 0.2).is_refused_off_the_range(0.2 * n, &format!("no slope, r = {r}"));
+        spot(0.0, -0.2).is_accepted(&format!("no slope, but a loss, r = {r}"));
+        // ℓ falls at first, whatever comes after
+        spot(-0.1 * r, 0.2).is_accepted(&format!("a slope downwards, r = {r}"));
+        // ℓ rises at first: the gradient says so
+        for m in [0.2, -0.2] {
+            let found = spot(0.1 * r, m).certificate();
+            assert!(found.decrement > 0.05 && !found.holds(1e-2), "a slope upwards, m = {m}, r = {r}: {found:?}");
+        }
+    }
+}
+
+/// ℓ falls with one of two standard deviations, is flat in the other, and rises with both as long as the first is small enough: the least
+/// part that is tried, in units of what the tests know of each. These differ where a third one that is not zero hides the first.
+#[test]
+fn a_pair_of_standard_deviations_is_tried_in_their_own_units() {
+    let (s, r, a, c) = (4.0_f64, 0.6, 0.05, 0.1);
+    let correlation = DMatrix::from_row_slice(3, 3, &[1.0, r, 0.0, r, 1.0, 0.0, 0.0, 0.0, 1.0]);
+    let factor = DMatrix::from_row_slice(3, 3, &[1.0, 0.0, 0.9, 0.0, 1.0, 0.0, 0.0, 0.0, 0.5]);
+    let spread = &factor * DMatrix::from_column_slice(3, 1, &[0.0, 0.0, s.sqrt()]);
+    let inner = DMatrix::identity(3, 3) + &spread * spread.transpose();
+    // C = S + S R'⁻¹ M R⁻¹ S gives G = ½ N M
+    let back = &inner * factor.clone().try_inverse().expect("R is invertible").transpose();
+    let wanted = DMatrix::from_row_slice(3, 3, &[-a, c, 0.0, c, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    let case = Case { moment: &inner + &back * wanted * back.transpose(), factor, spread };
+    let (_, weight) = case.dense();
+    let unit = |i: usize| (TESTS as f64 / weight[(i, i)]).sqrt();
+    assert!(unit(0) > 1.2 * unit(1), "{} {}", unit(0), unit(1));
+    let grown = [1e-3 * unit(0), unit(1), 0.0];
+    let along = DMatrix::from_fn(3, 3, |i, k| grown[i] * grown[k] * correlation[(i, k)]);
+    let given = of(CovarianceKind::Correlation(numbers(&correlation)));
+    let sigma = DMatrix::from_diagonal(&DVector::from_vec(vec![0.0, 0.0, s]));
+    let spot = Spot::of_members(&case.data(), &given, case.mean().as_slice(), &sigma);
+    spot.is_refused_off_the_range(case.slope(&along), "flat in one, but not in both");
+}
+
+/// β = 0 is on the boundary, any other β is not: there the gradient says all.
+#[test]
+fn a_scale_that_is_not_zero_has_no_null_space() {
+    let star = symmetric([1.0, 0.7, 2.0]);
+    let scaled = of(CovarianceKind::Proportional(numbers(&star)));
+    for scale in [1.0, 1e-6] {
+        let case = Case { factor: design(2), ..Case::at_zero(symmetric([3.0, 0.1, 4.0])) };
+        let spot = Spot::of_members(&case.data(), &scaled, case.mean().as_slice(), &(&star * scale));
+        let found = spot.certificate();
+        assert_eq!(found.null_space, 0.0, "β = {scale}: {found:?}");
+        assert!(found.decrement > 1e-4 && found.covariance > 1e-4, "β = {scale}: ℓ rises with it, {found:?}");
     }
 }
 

@@ -164,6 +164,9 @@ impl Spectrum {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::estimate::chart::Chart;
+    use crate::linalg::elements::Elements;
+    use crate::linalg::sparse::Sparse;
 
     fn of(scaled: DMatrix<f64>, gradient: DVector<f64>) -> Curvature {
         let scale = DVector::from_element(gradient.len(), 1.0);
@@ -192,6 +195,56 @@ mod tests {
         assert!(matches!(of(diagonal(0.5), DVector::zeros(3)).model, Model::Regular(_)));
         let flat = of(diagonal(0.0), DVector::from_vec(vec![3.0, 100.0, 0.0]));
         assert_eq!(flat.decrement(), 3.0);
-        assert!(of(diagonal(-0.5), DVector::from_vec(vec![3.0, 1.0, 0.0])).doubtful() > 0.29);
+        for (least, size, expected) in
+            [(-0.5, 1.0, 0.3), (-2e-3, 1.0, 1.2e-3), (-5e-4, 1.0, 0.0), (0.0, 1.0, 0.0), (-0.5, 0.1, 0.0)]
+        {
+            let found = of(diagonal(least), DVector::from_vec(vec![3.0 * size, 0.0, 0.0])).doubtful();
+            assert!((found - expected).abs() < 1e-12, "{least} at {size}: {found} {expected}");
+        }
+    }
+
+    /// A coordinate counts from 10⁻¹⁴ of the largest information on, each at its natural size.
+    #[test]
+    fn information_is_nothing_beside_the_largest_at_natural_sizes() {
+        for (small, size, counts) in
+            [(1e-13, 1.0, true), (1e-15, 1.0, false), (1e-15, 10.0, true), (1e-13, 0.01, false), (0.0, 1.0, false)]
+        {
+            let tangent = Tangent {
+                mean: 2,
+                chart: Chart {
+                    root: DMatrix::zeros(0, 0),
+                    coordinates: Vec::new(),
+                    bounded: Vec::new(),
+                    elements: Elements::single(0),
+                },
+                jacobian: Sparse::of_height(0),
+                basis: Sparse::of_height(2),
+                gradient: DVector::from_vec(vec![3.0, 4.0 * f64::sqrt(small)]),
+                information: DMatrix::from_diagonal(&DVector::from_vec(vec![1.0, small])),
+                sizes: vec![1.0, size],
+                multipliers: Vec::new(),
+                residual_score: DMatrix::zeros(0, 0),
+            };
+            let found = Curvature::new(&tangent).decrement();
+            let expected = if counts { 5.0 } else { 3.0 };
+            assert!((found - expected).abs() < 1e-12, "{small} at size {size}: {found} {expected}");
+        }
+    }
+
+    /// Beyond the optimum of a value that is no parabola: g'(H + d)⁻¹ grows shorter, to between a quarter and a half of what failed.
+    #[test]
+    fn a_step_that_failed_is_made_shorter_as_its_gain_says() {
+        let (values, g) = ([4.0, 1.0], [8.0, 3.0]);
+        let curvature =
+            of(DMatrix::from_diagonal(&DVector::from_column_slice(&values)), DVector::from_column_slice(&g));
+        for damping in [0.0, 0.7] {
+            let length = |d: f64| (0..2).map(|k| (g[k] / (values[k] + d)).powi(2)).sum::<f64>().sqrt();
+            let slope: f64 = (0..2).map(|k| g[k] * g[k] / (values[k] + damping)).sum();
+            // a parabola with this slope that has fallen by `loss` at the end of the step has its top at this part of it
+            for (loss, part) in [(0.1 * slope, 1.0 / 2.2), (f64::INFINITY, 0.25), (-0.01 * slope, 0.5)] {
+                let found = length(curvature.shorter(damping, -loss)) / length(damping);
+                assert!((found - part).abs() < 1e-4, "{damping} {loss}: {found} {part}");
+            }
+        }
     }
 }

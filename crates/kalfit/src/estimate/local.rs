@@ -258,3 +258,18 @@ fn tangent_basis(q: usize, normals: &DMatrix<f64>, held: &[usize], n: usize) -> 
     }
     basis
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 1/size² = Σ (weight/size)², and one where nothing moves.
+    #[test]
+    fn the_smallest_size_counts_most() {
+        let found = harmonic([(2.0, 1.0), (3.0, 0.5), (0.0, 1e-9)].into_iter());
+        let expected = 1.0 / f64::sqrt(4.0 + 36.0);
+        assert!((found - expected).abs() < 1e-15, "{found} {expected}");
+        assert_eq!(harmonic([(0.0, 3.0)].into_iter()), 1.0);
+        assert_eq!(harmonic(std::iter::empty()), 1.0);
+    }
+}

@@ -171,3 +171,131 @@ pub(crate) fn retract(map: &CovarianceMap, chart: &Chart, mut step: DVector<f64>
     }
     (previous <= 1e-10).then_some(root)
 }
+
+#[cfg(test)]
+mod tests {
+    use std::cell::RefCell;
+
+    use super::*;
+    use crate::estimate::covariance::{Form, Part};
+    use crate::linalg::elements::Elements;
+
+    /// A value of one mean whose model is everywhere slope x - ½ x²; where it has been asked.
+    struct Along<F> {
+        slope: f64,
+        value: F,
+        jacobian: DMatrix<f64>,
+        asked: RefCell<Vec<f64>>,
+    }
+
+    impl<F: Fn(f64) -> Option<f64>> Objective for Along<F> {
+        fn local(&self, point: &Point, _: Option<&DMatrix<f64>>) -> Option<Local> {
+            self.asked.borrow_mut().push(point.mean[0]);
+            let zero = || DMatrix::zeros(1, 1);
+            Some(Local {
+                value: (self.value)(point.mean[0])?,
+                mean_score: DVector::from_element(1, self.slope),
+                mean_information: DMatrix::identity(1, 1),
+                score: zero(),
+                cross: zero(),
+                information: zero(),
+                weight: zero(),
+                mean_covariance: None,
+            })
+        }
+
+        fn mean_jacobian(&self) -> &DMatrix<f64> {
+            &self.jacobian
+        }
+
+        fn move_mean(&self, point: &Point, step: &[f64]) -> Point {
+            Point { mean: vec![point.mean[0] + step[0]], ..point.clone() }
+        }
+    }
+
+    /// One attempt from zero, with this much damping before it: where it ends, what is left of the damping, where it asked.
+    fn attempt(slope: f64, damping: f64, value: impl Fn(f64) -> Option<f64>) -> (Attempt, f64, Vec<f64>) {
+        let objective = Along { slope, value, jacobian: DMatrix::identity(1, 1), asked: RefCell::default() };
+        let fixed = Part { states: 0..1, form: Form::Fixed(DMatrix::zeros(1, 1)), linear: false, start: None };
+        let map = CovarianceMap {
+            p: 1,
+            parts: vec![fixed],
+            constraints: Vec::new(),
+            random: Vec::new(),
+            regressors: Vec::new(),
+            elements: Elements::single(1),
+        };
+        let point = Point { mean: vec![0.0], coefficients: Vec::new(), root: DMatrix::zeros(1, 1) };
+        let mut place = Place::new(&objective, &map, point, None).expect("a finite place");
+        objective.asked.borrow_mut().clear();
+        let mut damping = Damping(damping);
+        let end = damping.attempt(&objective, &map, &mut place);
+        (end, damping.0, objective.asked.into_inner())
+    }
+
+    fn better(end: &Attempt) -> f64 {
+        match end {
+            Attempt::Better(place) => place.point.mean[0],
+            Attempt::Failed => panic!("no step was good"),
+            Attempt::Blind => panic!("no step was promising"),
+        }
+    }
+
+    #[test]
+    fn a_step_must_give_a_twentieth_of_what_it_promised() {
+        // the whole step promises ½
+        let far = |part: f64| move |x: f64| Some(if x > 0.9 { 0.5 * part } else { 0.4 * x });
+        for (part, accepted) in [(0.051, true), (0.049, false), (-0.2, false), (0.9, true)] {
+            let (end, _, asked) = attempt(1.0, 0.0, far(part));
+            assert!((asked[0] - 1.0).abs() < 1e-12, "{asked:?}: the whole step first");
+            assert_eq!(asked.len() == 1, accepted, "{part}: {asked:?}");
+            assert_eq!((better(&end) - 1.0).abs() < 1e-12, accepted, "{part}: {}", better(&end));
+        }
+    }
+
+    #[test]
+    fn steps_grow_shorter_until_one_is_good() {
+        let (end, damping, asked) = attempt(1.0, 0.0, |x| Some(if x > 0.1 { -1.0 } else { x }));
+        assert!(better(&end) > 0.02 && better(&end) <= 0.1, "{}", better(&end));
+        assert!(asked.windows(2).all(|two| two[1] < 0.51 * two[0] && two[1] > 0.24 * two[0]), "{asked:?}");
+        assert!(damping > 1.0, "{damping}: what helped is remembered");
+        // where there is no value at all, each is a quarter of the last
+        let (_, _, asked) = attempt(1.0, 0.0, |x| (x < 0.1).then_some(x));
+        assert!(asked.windows(2).all(|two| (two[1] / two[0] - 0.25).abs() < 1e-3), "{asked:?}");
+        // none is good
+        let (end, _, asked) = attempt(1.0, 0.0, |x| Some(-x.abs()));
+        assert!(matches!(end, Attempt::Failed), "all fall");
+        assert_eq!(asked.len(), TRIES, "{asked:?}");
+    }
+
+    #[test]
+    fn what_promises_less_than_rounding_is_blind() {
+        // ½ slope² beside 1e-13, and of the second try a quarter as far less than half as much
+        for (slope, blind, tries) in [(4e-7, true, 1), (5e-7, true, 2), (1e-3, false, TRIES)] {
+            let (end, _, asked) = attempt(slope, 0.0, |x| Some(-x.abs()));
+            assert_eq!((matches!(end, Attempt::Blind), asked.len()), (blind, tries), "{slope}: {asked:?}");
+        }
+        // nor is it refused for falling by less
+        let (end, ..) = attempt(4e-7, 0.0, |x| Some(if x == 0.0 { 0.0 } else { -0.9e-13 }));
+        assert!((better(&end) - 4e-7).abs() < 1e-18, "{}", better(&end));
+    }
+
+    #[test]
+    fn damping_follows_what_steps_give() {
+        for (before, part, after) in [
+            (0.5, 0.76, 0.05),
+            (0.5, 0.74, 0.5),
+            (0.5, 0.26, 0.5),
+            (0.5, 0.24, 2.0),
+            (9e-6, 1.0, 0.0),
+            (2e-5, 1.0, 2e-6),
+            (2.5e-7, 0.24, 1e-6),
+        ] {
+            // ½ slope² / (1 + damping)² (1 + 2 damping) is what a damped step promises
+            let promised = 0.5 * (1.0 + 2.0 * before) / f64::powi(1.0 + before, 2);
+            let (end, damping, _) = attempt(1.0, before, |x| Some(if x == 0.0 { 0.0 } else { part * promised }));
+            assert!((better(&end) - 1.0 / (1.0 + before)).abs() < 1e-12, "{}", better(&end));
+            assert!((damping - after).abs() < 1e-12, "{before} after {part}: {damping}, not {after}");
+        }
+    }
+}

@@ -109,6 +109,22 @@ mod tests {
         let largest = *symmetric::eigen(&best).0.last().expect("two");
         assert!((largest - 1.0).abs() < 0.02, "{largest} 1");
         assert!(p.component_mul(&s).sum().abs() < 0.2, "{p}");
+        // two directions that can make all three eigenvalues alike, seen from other axes
+        let turn = DMatrix::from_fn(3, 3, |i, k| ((3 * i + 5 * k + 1) as f64).sin()).qr().q();
+        let seen = |diagonal: [f64; 3]| {
+            &turn * DMatrix::from_diagonal(&DVector::from_column_slice(&diagonal)) * turn.transpose()
+        };
+        let free = [seen([1.0, -1.0, 0.0]), seen([0.5, 1.0, -1.5])];
+        for of in [[3.0_f64, -1.0, 0.4], [-2.0, 5.0, 0.0], [0.1, 0.2, -4.0]] {
+            let (size, mean) = (of.iter().fold(0.0, |most: f64, x| most.max(x.abs())), of.iter().sum::<f64>() / 3.0);
+            let (best, p) = relax(&seen(of), &free);
+            let largest = *symmetric::eigen(&best).0.last().expect("three");
+            assert!(largest >= mean - 1e-12 && largest < mean + 2e-3 * size, "{of:?}: {largest} {mean}");
+            assert!((best.trace() - 3.0 * mean).abs() < 1e-12 * size, "only along the free ones: {best}");
+            // P is a third of I
+            let bound = p.component_mul(&seen(of)).sum();
+            assert!((p.trace() - 1.0).abs() < 1e-12 && (bound - mean).abs() < 0.1 * size, "{of:?}: {bound} {mean}");
+        }
         // a free direction with a trace makes it as negative as one likes
         let (best, _) = relax(&a, &[DMatrix::identity(2, 2)]);
         assert!(*symmetric::eigen(&best).0.last().expect("two") < 0.0);

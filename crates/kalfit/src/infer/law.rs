@@ -269,3 +269,68 @@ fn inverse(information: &DMatrix<f64>) -> DMatrix<f64> {
     }
     inverse
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimate::{self, Estimate, Settings, Silent, Structure};
+    use crate::infer::value;
+    use crate::model::{Alpha, CovarianceStructure, MeanStructure};
+    use crate::reduce::{Path, Reduction};
+
+    /// A fit of two states with variances near 0.4 and 9, which twenty tests know to a tenth.
+    fn fitted() -> Estimate {
+        let factor = [10.0, 3.0, 10.0];
+        let test = |j: usize| {
+            let (x, y) = (0.9 * f64::sin(1.7 * j as f64), 3.7 * f64::sin(2.9 * j as f64 + 0.3));
+            let y = y + 2.0 * x;
+            Reduction {
+                test: format!("t{j:02}"),
+                constant: 0.0,
+                residual: None,
+                data: vec![factor[0] * x + factor[1] * y, factor[2] * y],
+                factor: factor.to_vec(),
+                covariates: Vec::new(),
+                steps: 2,
+                observations: 2,
+                path: Path::Information,
+                design: 0,
+                chain: None,
+            }
+        };
+        let (mean, covariance, alpha) = (MeanStructure::free(2), CovarianceStructure::full(), Alpha::default());
+        let structure = Structure::single(&mean, &covariance, &alpha);
+        let data: Reductions = (0..20).map(test).collect();
+        estimate::fit(&data, &structure, &Settings::default(), &mut Silent).expect("a legal problem")
+    }
+
+    #[test]
+    fn standard_deviations_and_correlations_move_with_the_covariances_that_they_are_made_of() {
+        let estimate = fitted();
+        let (sigma, law) = (&estimate.covariance, Law::new(&estimate.state));
+        let (a, b, c) = (sigma[(0, 0)], sigma[(1, 1)], sigma[(1, 0)]);
+        assert!(a < 1.0 && b > 2.0 && c > 0.1, "{sigma}");
+        let of = |i, j| law.derivative(sigma, Holdable::Covariance(i, j));
+        for (what, now, expected) in [
+            (Holdable::StdDev(0), a.sqrt(), of(0, 0) / (2.0 * a.sqrt())),
+            (Holdable::StdDev(1), b.sqrt(), of(1, 1) / (2.0 * b.sqrt())),
+            (
+                Holdable::Correlation(1, 0),
+                c / (a * b).sqrt(),
+                (of(1, 0) - of(0, 0) * (0.5 * c / a) - of(1, 1) * (0.5 * c / b)) / (a * b).sqrt(),
+            ),
+        ] {
+            let found = law.derivative(sigma, what);
+            assert!(expected.norm() > 0.0, "it moves");
+            assert!((&found - &expected).norm() < 1e-12 * expected.norm(), "{what:?}: {found} {expected}");
+            let value = value(&estimate, what).expect("it has a value");
+            assert!((value - now).abs() < 1e-14, "{what:?}: {value} {now}");
+        }
+        let mut flat = sigma.clone();
+        flat.fill_row(0, 0.0);
+        flat.fill_column(0, 0.0);
+        for what in [Holdable::StdDev(0), Holdable::Correlation(1, 0)] {
+            assert_eq!(law.derivative(&flat, what).amax(), 0.0, "{what:?} of no variance does not move");
+        }
+    }
+}

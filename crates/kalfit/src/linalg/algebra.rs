@@ -218,3 +218,24 @@ impl<F: Factors> Algebra for F {
         data.first_rows(rows)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::linalg::factors::{Plain, Rotations};
+
+    /// Cross products of 10⁵ and more lose the one beside them; rotations bear them.
+    #[test]
+    fn what_is_too_large_for_cross_products_is_said() {
+        for (size, sound) in [(0.99e5, true), (1.01e5, false), (1e9, false)] {
+            let small = Rows::from_fn(2, 2, |i, k| 1.0 + (i + k) as f64);
+            let large = Rows::from_fn(1, 2, |_, k| if k == 0 { -size } else { 0.5 });
+            for parts in [vec![&small, &large], vec![&large, &small], vec![&large]] {
+                let (mut plain, mut careful) = (true, true);
+                <Plain<f64> as Algebra>::identity_plus(&parts, &mut plain);
+                <Rotations as Algebra>::identity_plus(&parts, &mut careful);
+                assert_eq!((plain, careful), (sound, true), "{size} among {} parts", parts.len());
+            }
+        }
+    }
+}

@@ -366,6 +366,11 @@ fn what_is_measured_without_noise_is_taken_refused_or_ignored() {
     assert!(
         matches!(kind(&exact(2.0, &[1.5, 1.6])), ReduceErrorKind::Impossible { residual } if (residual - 0.1).abs() < 1e-12)
     );
+    // rounding is no contradiction: a ten thousand millionth of what is added up, and no more
+    for (off, sound) in [(1e-10, true), (1e-9, false), (1e-7, false)] {
+        let found = exact(2.0, &[1.5, 1.5 + off]).reduce();
+        assert_eq!(found.is_ok(), sound, "{off}: {found:?}");
+    }
     let message = exact(0.0, &[1.0]).reduce().expect_err("refused");
     assert_eq!(
         message.to_string(),

@@ -304,6 +304,8 @@ mod tests {
     #[test]
     fn weights_by_formula_are_those_by_drawing() {
         for (m, rho) in [(2, 0.6), (2, -0.4), (3, 0.5), (3, -0.3)] {
+            let sum = drawn_weights(&equal(m, rho)).iter().sum::<f64>();
+            assert!((sum - 1.0).abs() < 1e-12, "every draw counts once: {sum}");
             let (formula, drawn) = (orthant_weights(&equal(m, rho)), drawn_weights(&equal(m, rho)));
             assert!((formula.iter().sum::<f64>() - 1.0).abs() < 1e-12, "{formula:?}");
             for (f, d) in formula.iter().zip(&drawn) {
@@ -313,6 +315,40 @@ mod tests {
         let drawn = drawn_weights(&equal(4, 0.0));
         for (i, d) in drawn.iter().enumerate() {
             assert!((binomial(4, i) / 16.0 - d).abs() < 5e-3, "{drawn:?}");
+        }
+    }
+
+    /// Estimates of three variances that are correlated each in its own way: no two may be mistaken for each other.
+    #[test]
+    fn weights_of_unequal_correlations_are_those_by_drawing() {
+        let r = DMatrix::from_row_slice(3, 3, &[1.0, 0.7, -0.2, 0.7, 1.0, 0.3, -0.2, 0.3, 1.0]);
+        for order in [[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1]] {
+            let own = DMatrix::from_fn(3, 3, |i, j| r[(order[i], order[j])]);
+            let (formula, drawn) = (orthant_weights(&own), drawn_weights(&own));
+            for (f, d) in formula.iter().zip(&drawn) {
+                assert!((f - d).abs() < 5e-3, "{order:?}: {formula:?} {drawn:?}");
+            }
+        }
+    }
+
+    /// β of D = βΣ*; of any other D that of the nearest βΣ*, tr(DΣ*)/tr(Σ*Σ*).
+    #[test]
+    fn a_common_factor_is_read_off_a_direction() {
+        let star = DMatrix::from_row_slice(2, 2, &[1.0, 0.5, 0.5, 2.0]);
+        let root = symmetric::square_root(&star);
+        let part = Part { states: 1..3, form: Form::Scale(root.clone()), linear: false, start: None };
+        let elements = Elements::single(3);
+        let weights = along_scale(&part, &root, &elements);
+        for (d, expected) in [
+            ([3.0, 1.5, 6.0], 3.0),
+            ([0.0, 1.0, 0.0], 2.0 * 0.5 / 5.5),
+            ([1.0, 0.0, 0.0], 1.0 / 5.5),
+            ([0.0, 0.0, 1.0], 2.0 / 5.5),
+        ] {
+            let at = |i: usize, j: usize| if i == 0 || j == 0 { 9.0 } else { d[i + j - 2] };
+            let direction = DVector::from_iterator(elements.count(), elements.all().map(|(i, j)| at(i, j)));
+            let found = weights.dot(&direction);
+            assert!((found - expected).abs() < 1e-12, "{d:?}: {found} {expected}");
         }
     }
 }

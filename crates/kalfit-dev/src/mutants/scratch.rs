@@ -1,0 +1,229 @@
+//! A copy of the workspace with switches in it, built once: mutants that do not compile give way to others.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use serde_json::Value;
+
+use super::choose::{Mutant, chosen};
+use super::rewrite::{Switch, rewritten};
+use crate::places;
+
+/// The module that says which mutant is on.
+const SWITCH: &str = include_str!("switch.rs");
+/// Rounds of leaving out what does not compile: types first, then borrows.
+const ROUNDS: usize = 12;
+
+/// The file of changes that do not compile.
+const REFUSED: &str = "does-not-compile";
+
+/// The file of programs that were built.
+const BUILT: &str = "built";
+
+fn sources() -> PathBuf {
+    places::root().join("crates/kalfit/src")
+}
+
+/// Where the copy lies and what cargo builds of it.
+pub(super) struct Scratch {
+    folder: PathBuf,
+}
+
+/// A program of tests.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Tests {
+    pub(super) name: String,
+    pub(super) program: PathBuf,
+}
+
+impl Scratch {
+    pub(super) fn new() -> Result<Scratch, String> {
+        let folder = places::target()?.join("mutants");
+        std::fs::create_dir_all(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
+        Ok(Scratch { folder })
+    }
+
+    /// A file beside the copy.
+    pub(super) fn file(&self, name: &str) -> PathBuf {
+        self.folder.join(name)
+    }
+
+    fn work(&self) -> PathBuf {
+        self.folder.join("work")
+    }
+
+    /// The folder of the core, where its tests run.
+    pub(super) fn core(&self) -> PathBuf {
+        self.work().join("crates/kalfit")
+    }
+
+    /// Keys of changes that are known not to compile.
+    fn refused(&self) -> BTreeSet<String> {
+        let known = std::fs::read_to_string(self.file(REFUSED)).unwrap_or_default();
+        known.lines().map(str::to_owned).collect()
+    }
+
+    /// A sample of mutants, as far as it is known which of them compile.
+    pub(super) fn sample(&self, sample: (usize, u64)) -> Result<Vec<Mutant>, String> {
+        chosen(&sources(), sample, &self.refused())
+    }
+
+    /// Copies the workspace with a sample of mutants, all of which compile.
+    pub(super) fn compiled(&self, sample: (usize, u64)) -> Result<Vec<Mutant>, String> {
+        let mut refused = self.refused();
+        for _ in 0..ROUNDS {
+            let mutants = chosen(&sources(), sample, &refused)?;
+            let switches = self.write(&mutants)?;
+            let wrong = self.wrong(&switches)?;
+            if wrong.is_empty() {
+                return Ok(mutants);
+            }
+            println!("   {} of {} mutants do not compile, others take their place", wrong.len(), mutants.len());
+            refused.extend(wrong.iter().map(|&k| mutants[k].key.clone()));
+            let lines: Vec<&str> = refused.iter().map(String::as_str).collect();
+            write(&self.file(REFUSED), format!("{}\n", lines.join("\n")))?;
+        }
+        Err(format!("after {ROUNDS} rounds there are still mutants that do not compile"))
+    }
+
+    /// Writes the copy; the switches by file.
+    fn write(&self, mutants: &[Mutant]) -> Result<BTreeMap<String, Vec<Switch>>, String> {
+        let mut changed: BTreeMap<&str, Vec<(usize, &super::find::Change)>> = BTreeMap::new();
+        for (k, mutant) in mutants.iter().enumerate() {
+            changed.entry(mutant.file).or_default().push((k, &mutant.change));
+        }
+        let mut switches = BTreeMap::new();
+        copy(places::root(), &self.work(), &mut |relative, text| {
+            let file = relative.strip_prefix("crates/kalfit/src/")?;
+            if file == "lib.rs" {
+                return Some(format!("{text}\nmod mutant;\n"));
+            }
+            let (text, placed) = rewritten(text, changed.get(file)?);
+            switches.insert(relative.to_owned(), placed);
+            Some(text)
+        })?;
+        write(&self.core().join("src/mutant.rs"), SWITCH)?;
+        Ok(switches)
+    }
+
+    fn cargo(&self, words: &[&str]) -> Command {
+        let mut cargo = Command::new("cargo");
+        cargo.args(words).args(["--package", "kalfit", "--message-format", "json"]);
+        // the switches are what is slow; a build takes longer than what it saves
+        cargo.args(["--config", "profile.dev.package.kalfit.opt-level=1"]);
+        cargo.args(["--config", "profile.test.package.kalfit.opt-level=1"]);
+        cargo.env("CARGO_TARGET_DIR", self.folder.join("target")).env("CARGO_INCREMENTAL", "0");
+        cargo.current_dir(self.work()).stderr(Stdio::inherit());
+        cargo
+    }
+
+    /// What cargo says, line by line, and whether it succeeded.
+    fn said(&self, words: &[&str]) -> Result<(Vec<Value>, bool), String> {
+        let done = self.cargo(words).output().map_err(|error| format!("cargo: {error}"))?;
+        let text = String::from_utf8_lossy(&done.stdout).into_owned();
+        Ok((text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect(), done.status.success()))
+    }
+
+    /// Mutants that do not compile.
+    fn wrong(&self, switches: &BTreeMap<String, Vec<Switch>>) -> Result<BTreeSet<usize>, String> {
+        let (said, success) = self.said(&["check", "--quiet", "--lib"])?;
+        if success {
+            return Ok(BTreeSet::new());
+        }
+        let mut wrong = BTreeSet::new();
+        let mut rest = String::new();
+        for message in said.iter().map(|line| &line["message"]).filter(|message| message["level"] == "error") {
+            let spans = message["spans"].as_array().map_or(&[][..], Vec::as_slice);
+            let hit = |primary: bool| {
+                let spans = spans.iter().filter(move |span| span["is_primary"] == primary);
+                spans.flat_map(|span| hits(span, switches)).collect::<Vec<usize>>()
+            };
+            let found = Some(hit(true)).filter(|found| !found.is_empty()).unwrap_or_else(|| hit(false));
+            if found.is_empty() && !spans.is_empty() {
+                rest.push_str(message["rendered"].as_str().unwrap_or_default());
+            }
+            wrong.extend(found);
+        }
+        if wrong.is_empty() { Err(format!("the copy does not compile:\n{rest}")) } else { Ok(wrong) }
+    }
+
+    /// Builds the programs of tests.
+    pub(super) fn built(&self) -> Result<Vec<Tests>, String> {
+        let (said, success) = self.said(&["test", "--no-run", "--quiet"])?;
+        let of = |line: &Value| {
+            let program = line["executable"].as_str()?;
+            let name = line["target"]["name"].as_str()?;
+            (line["profile"]["test"] == true).then(|| Tests { name: name.to_owned(), program: PathBuf::from(program) })
+        };
+        let tests: Vec<Tests> = said.iter().filter_map(of).collect();
+        if !success || tests.is_empty() {
+            return Err("the tests of the copy were not built".to_owned());
+        }
+        let lines = tests.iter().map(|tests| format!("{}\t{}\n", tests.name, tests.program.display()));
+        write(&self.file(BUILT), lines.collect::<String>())?;
+        Ok(tests)
+    }
+
+    /// The programs of tests as they were built last.
+    pub(super) fn as_built(&self) -> Result<Vec<Tests>, String> {
+        let path = self.file(BUILT);
+        let text = std::fs::read_to_string(&path).map_err(|error| format!("{}: {error}", path.display()))?;
+        let of = |line: &str| {
+            let (name, program) = line.split_once('\t')?;
+            Some(Tests { name: name.to_owned(), program: PathBuf::from(program) })
+        };
+        Ok(text.lines().filter_map(of).collect())
+    }
+}
+
+/// Mutants that a place in a message is in.
+fn hits(span: &Value, switches: &BTreeMap<String, Vec<Switch>>) -> Vec<usize> {
+    let at = |name: &str| span[name].as_u64().unwrap_or(0) as usize;
+    let file = span["file_name"].as_str().unwrap_or_default().replace('\\', "/");
+    let Some(placed) = switches.iter().find(|(path, _)| file.ends_with(path.as_str())) else { return Vec::new() };
+    let inside = |switch: &&Switch| switch.range.start <= at("byte_start") && at("byte_end") <= switch.range.end;
+    let within: Vec<usize> = placed.1.iter().filter(inside).map(|switch| switch.mutant).collect();
+    if !within.is_empty() {
+        return within;
+    }
+    let shared = |switch: &&Switch| switch.range.start < at("byte_end") && at("byte_start") < switch.range.end;
+    placed.1.iter().filter(shared).map(|switch| switch.mutant).collect()
+}
+
+/// Copies a folder without what cargo, git and npm make; texts pass through a function. What is the same already is left alone, so
+/// that cargo need not build it again.
+fn copy(from: &Path, to: &Path, change: &mut impl FnMut(&str, &str) -> Option<String>) -> Result<(), String> {
+    let root = from.to_owned();
+    let mut folders = vec![from.to_owned()];
+    while let Some(folder) = folders.pop() {
+        let entries = std::fs::read_dir(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
+        for entry in entries {
+            let entry = entry.map_err(|error| error.to_string())?;
+            let (path, name) = (entry.path(), entry.file_name().to_string_lossy().into_owned());
+            if path.is_dir() {
+                let made = ["target", "node_modules", "__pycache__", "dist"].contains(&name.as_str());
+                if !made && (!name.starts_with('.') || name == ".cargo") {
+                    folders.push(path);
+                }
+                continue;
+            }
+            let relative = path.strip_prefix(&root).unwrap_or(&path);
+            let bytes = std::fs::read(&path).map_err(|error| format!("{}: {error}", path.display()))?;
+            let words = relative.to_string_lossy().replace('\\', "/");
+            let text = std::str::from_utf8(&bytes).ok().filter(|_| words.ends_with(".rs"));
+            let text = text.and_then(|text| change(&words, text));
+            write(&to.join(relative), text.as_ref().map_or(&bytes[..], |text| text.as_bytes()))?;
+        }
+    }
+    Ok(())
+}
+
+fn write(path: &Path, bytes: impl AsRef<[u8]>) -> Result<(), String> {
+    let failed = |error: std::io::Error| format!("{}: {error}", path.display());
+    if std::fs::read(path).is_ok_and(|old| old == bytes.as_ref()) {
+        return Ok(());
+    }
+    path.parent().map_or(Ok(()), std::fs::create_dir_all).map_err(failed)?;
+    std::fs::write(path, bytes).map_err(failed)
+}
