@@ -71,7 +71,7 @@ pub(crate) struct Watch {
 
 /// Rows from one look to the next, and what they and the work on them may take.
 const STEP: u64 = 1 << 16;
-const RESERVE: u64 = 64 << 20;
+const RESERVE: u64 = 96 << 20;
 
 impl Watch {
     /// What the process takes and what is left, where the latter may not be enough to go on after so many rows. Room that grows does so
