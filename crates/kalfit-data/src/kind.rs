@@ -13,6 +13,10 @@ pub(crate) enum Kind {
     ArrowStream,
 }
 
+/// Names of formats in messages.
+pub(crate) const PARQUET: &str = "Parquet";
+pub(crate) const ARROW_IPC: &str = "Arrow IPC";
+
 /// Number of first bytes that tell kinds apart.
 pub(crate) const HEAD: usize = 8;
 

@@ -7,12 +7,13 @@
 mod drawn;
 mod levels;
 mod predictions;
+mod tally;
 mod verdicts;
 
 use std::process::ExitCode;
 
 use kalfit::estimate::{self, Settings, Silent, Stop, Structure};
-use kalfit::infer::{Choices, DeletionChoice};
+use kalfit::infer::{Choices, DeletionChoice, Interval};
 use kalfit::reduce::Reducer;
 use kalfit::simulate::{Designs, Simulator};
 use kalfit::{Alpha, Label, Model, Population, Source, Test, infer};
@@ -20,7 +21,9 @@ use kalfit_spec::Spec;
 use nalgebra::DMatrix;
 use rayon::prelude::*;
 
-const SEED: u64 = 1980;
+use self::tally::Tally;
+use crate::seed::SEED;
+
 /// Coverage of an interval that is what it says, within sampling error and terms of order 1/N.
 const SOUND: std::ops::RangeInclusive<f64> = 0.935..=0.965;
 
@@ -142,14 +145,6 @@ variance = "vb"
     },
 ];
 
-/// How often an interval held the truth.
-#[derive(Debug, Clone, Copy, Default)]
-struct Tally {
-    held: u64,
-    /// Fits without this interval.
-    without: u64,
-}
-
 /// Set-ups with levels are fitted four times, with profiles, and those of predictions and verdicts with free parameters: they get a tenth of the ensembles of the others.
 const SHARE_OF_LEVELS: u64 = 10;
 
@@ -230,7 +225,7 @@ fn tally(setup: &Setup, model: &Model, ensembles: u64) -> Vec<Tally> {
     let designs = Designs::new(design(setup, model).into_iter().map(Into::into).collect())
         .expect("tests of a set-up have ids of their own");
     let truths = truths(setup);
-    let each: Vec<Vec<Option<bool>>> = (0..ensembles)
+    let each: Vec<Vec<Interval>> = (0..ensembles)
         .into_par_iter()
         .map_init(
             || Reducer::new(model, &alpha).expect("a set-up is sound"),
@@ -239,25 +234,24 @@ fn tally(setup: &Setup, model: &Model, ensembles: u64) -> Vec<Tally> {
                     .expect("a set-up is sound");
                 let drawn = simulator.draw(&designs, 0..setup.tests as u64).expect("a set-up is sound");
                 let tests: Vec<Test> = drawn.into_iter().flat_map(|drawn| drawn.test.rows()).collect();
-                held(reducer, model, &alpha, &tests, &truths)
+                intervals(reducer, model, &alpha, &tests, truths.len())
             },
         )
         .collect();
-    (0..truths.len())
-        .map(|q| Tally {
-            held: each.iter().filter(|ensemble| ensemble[q] == Some(true)).count() as u64,
-            without: each.iter().filter(|ensemble| ensemble[q].is_none()).count() as u64,
-        })
-        .collect()
+    let mut tallies = vec![Tally::default(); truths.len()];
+    for ensemble in each {
+        tallies.iter_mut().zip(ensemble).zip(&truths).for_each(|((tally, own), truth)| tally.add(own, *truth));
+    }
+    tallies
 }
 
-/// For each quantity, whether the interval of a fit holds the truth; `None` where the fit has no interval.
-fn held(reducer: &mut Reducer, model: &Model, alpha: &Alpha, tests: &[Test], truths: &[f64]) -> Vec<Option<bool>> {
+/// The interval of each of so many quantities; `None` where the fit has none.
+fn intervals(reducer: &mut Reducer, model: &Model, alpha: &Alpha, tests: &[Test], count: usize) -> Vec<Interval> {
     let reductions = reducer.reduce(tests).expect("a set-up is sound");
     let structure = Structure::single(&model.mean, &model.covariance, alpha);
     let fit = estimate::fit(&reductions, &structure, &Settings::default(), &mut Silent).expect("a legal problem");
     if fit.stop != Stop::Certified {
-        return vec![None; truths.len()];
+        return vec![None; count];
     }
     let choices = Choices { deletion: DeletionChoice::None, ..Choices::default() };
     let intervals = infer::infer(&fit, &reductions, choices).intervals;
@@ -268,7 +262,5 @@ fn held(reducer: &mut Reducer, model: &Model, alpha: &Alpha, tests: &[Test], tru
         q if q < p + r + p => intervals.std_dev[q - p - r],
         _ => intervals.correlation[1][0],
     };
-    let inside =
-        |q: usize| of(q).map(|[low, high]| low.is_none_or(|l| l <= truths[q]) && high.is_none_or(|h| truths[q] <= h));
-    (0..truths.len()).map(inside).collect()
+    (0..count).map(of).collect()
 }

@@ -25,6 +25,8 @@ mod peak;
 #[cfg(feature = "measure")]
 mod peers;
 #[cfg(feature = "measure")]
+mod seed;
+#[cfg(feature = "measure")]
 mod whiteness;
 
 #[cfg(not(feature = "measure"))]

@@ -2,30 +2,28 @@
 //! of noise are drawn and fitted from five starts each. No certified end may lie below another certified one, and from none may a
 //! probe of random directions rise: the table of `book/src/guide/coverage.md`.
 
+mod drawn;
 mod profiles;
 
-use std::fmt::Write as _;
 use std::process::ExitCode;
 
-use kalfit::dynamic::{self, DynamicFit, Explored, Standing};
+use kalfit::dynamic::{DynamicFit, Explored, Standing};
 use kalfit::estimate::{self, Silent, Stop, Structure};
-use kalfit::model::{Level, Value};
+use kalfit::model::Level;
 use kalfit::reduce::PhasedReducer;
-use kalfit::simulate::{Designs, Simulator};
-use kalfit::{Alpha, Labels, PhasedModel, PhasedTest, Population, Source, Test};
-use kalfit_spec::Spec;
-use nalgebra::DMatrix;
-use rand::{RngExt, SeedableRng};
+use kalfit::{Alpha, Population};
+use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
+
+use self::drawn::Drawn;
+use crate::seed::SEED;
 
 /// Log-likelihoods that differ by no more are equal.
 const EQUAL: f64 = 1e-6;
 /// A probe that rises by more has found a point that is no maximum.
 const RISES: f64 = 1e-5;
-/// Spread of random starts: standard deviation of a logarithm.
-const SPREAD: f64 = 1.5;
 /// Random starts of each model, beside kalfit's own and the values it was drawn with.
 const RANDOM: usize = 3;
 
@@ -36,7 +34,7 @@ pub(crate) struct Options {
     #[arg(long, default_value_t = 2000)]
     models: u64,
     /// Seed of the first.
-    #[arg(long, default_value_t = 1980)]
+    #[arg(long, default_value_t = SEED)]
     seed: u64,
     /// Random directions from each certified end.
     #[arg(long, default_value_t = 200)]
@@ -44,15 +42,6 @@ pub(crate) struct Options {
     /// Hold the ends of profile intervals instead, and fit all other values there.
     #[arg(long)]
     profiles: bool,
-}
-
-/// A model with the values it is drawn with.
-struct Drawn {
-    kind: String,
-    text: String,
-    model: PhasedModel,
-    truth: Vec<f64>,
-    tests: Vec<PhasedTest>,
 }
 
 /// What came out for one model.
@@ -96,7 +85,7 @@ pub(crate) fn run(options: &Options) -> ExitCode {
 fn profile_ends(options: &Options) -> ExitCode {
     let one = |k: u64| {
         let mut random = ChaCha8Rng::seed_from_u64(options.seed + k);
-        let drawn = draw(&mut random, options.seed + k);
+        let drawn = Drawn::new(&mut random, options.seed + k);
         profiles::ends(&drawn, options.seed + k, &mut random)
     };
     let all: Vec<profiles::Ends> = (0..options.models).into_par_iter().map(one).collect();
@@ -128,16 +117,16 @@ fn line<'a>(kind: &str, outcomes: impl Iterator<Item = &'a Outcome>) {
 
 fn examine(seed: u64, directions: usize) -> Outcome {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let drawn = draw(&mut random, seed);
+    let drawn = Drawn::new(&mut random, seed);
     let mut outcome = Outcome { kind: drawn.kind.clone(), ..Outcome::default() };
     let mut ends: Vec<(usize, DynamicFit)> = Vec::new();
     for k in 0..RANDOM + 2 {
         let starts: Option<Vec<f64>> = match k {
             0 => None,
             1 => Some(drawn.truth.clone()),
-            _ => Some(scattered(&drawn, &mut random)),
+            _ => Some(drawn.scattered(&mut random)),
         };
-        if let Some(end) = fitted(&drawn, starts.as_deref()) {
+        if let Some(end) = drawn.fit(&drawn.free(starts.as_deref())) {
             outcome.fits += 1;
             ends.push((k, end));
         }
@@ -181,26 +170,6 @@ fn says_nothing(end: &DynamicFit) -> bool {
     end.explored == Explored::Whole && end.lower_maxima(EQUAL).is_empty()
 }
 
-fn fitted(drawn: &Drawn, starts: Option<&[f64]>) -> Option<DynamicFit> {
-    let mut model = drawn.model.clone();
-    for phase in &mut model.phases {
-        for (at, parameter) in phase.model.parameters.iter_mut().enumerate() {
-            parameter.value = Value::Free { start: starts.map(|starts| starts[at]) };
-        }
-    }
-    let settings = dynamic::Settings::default();
-    dynamic::fit(&model, &Labels::default(), &drawn.tests, &settings, &mut Silent).ok()
-}
-
-fn scattered(drawn: &Drawn, random: &mut ChaCha8Rng) -> Vec<f64> {
-    let parameters = &drawn.model.shared().parameters;
-    let one = |(value, parameter): (&f64, &kalfit::model::Parameter)| {
-        let draw: f64 = StandardNormal.sample(random);
-        if parameter.positive { value.max(0.05) * (SPREAD * draw).exp() } else { 0.0 }
-    };
-    drawn.truth.iter().zip(parameters).map(one).collect()
-}
-
 /// The most that ℓ rises along random directions in natural parameters.
 fn probe(drawn: &Drawn, end: &DynamicFit, directions: usize, random: &mut ChaCha8Rng) -> f64 {
     let near = Population::from(&end.estimate);
@@ -230,107 +199,6 @@ fn probe(drawn: &Drawn, end: &DynamicFit, directions: usize, random: &mut ChaCha
     if end.standing().contains(&Standing::Unbounded) { most - 1e-7 } else { most }
 }
 
-/// Draws a model, its values, a design and the data.
-fn draw(random: &mut ChaCha8Rng, seed: u64) -> Drawn {
-    loop {
-        let (kind, text, truth) = model(random);
-        let spec = Spec::parse("model", &text).unwrap_or_else(|error| panic!("{}\n{text}", error.message));
-        let model = spec.model;
-        if let Some(tests) = data(&model, &truth, random, seed) {
-            return Drawn { kind, text, model, truth, tests };
-        }
-    }
-}
-
-fn data(model: &PhasedModel, truth: &[f64], random: &mut ChaCha8Rng, seed: u64) -> Option<Vec<PhasedTest>> {
-    let columns = &model.shared().columns;
-    let (count, rows) = (random.random_range(8..=20), random.random_range(6..=24));
-    let test = |k: usize| {
-        let mut test = Test::new(format!("t{k:02}"), columns.len(), 0);
-        let mut time = 0.0;
-        for _ in 0..rows {
-            let cells: Vec<f64> = columns.iter().map(|column| if column.name == "t" { time } else { 0.0 }).collect();
-            test.push(&cells, &[], Source::default());
-            time += random.random_range(0.2..1.5);
-        }
-        PhasedTest::from(test)
-    };
-    let designs = Designs::new((0..count).map(test).collect()).ok()?;
-    let p = model.shared().dimension();
-    let alpha = Alpha { values: truth.iter().map(|value| Level::Common(*value)).collect() };
-    let population = Population {
-        mean: vec![1.0; p],
-        coefficients: vec![],
-        covariance: DMatrix::from_fn(p, p, |i, k| if i == k { 1.0 } else { 0.3 }),
-    };
-    let simulator = Simulator::new(model, &alpha, population, seed).ok()?;
-    let drawn = simulator.draw(&designs, 0..count as u64).ok()?;
-    Some(drawn.into_iter().map(|drawn| drawn.test).collect())
-}
-
-/// A model file without start values and the values of its parameters, in their order.
-fn model(random: &mut ChaCha8Rng) -> (String, String, Vec<f64>) {
-    let mut states = String::from("[states.a]\n");
-    let (mut equation, mut parameters, mut truth) = (String::from("a"), String::new(), Vec::new());
-    let mut add = |parameters: &mut String, name: &str, value: f64| {
-        let _ = writeln!(parameters, "{name} = {{}}");
-        truth.push(value);
-    };
-    let processes = random.random_range(1..=3);
-    let mut kinds: Vec<&str> = Vec::new();
-    let mut shared_time = None;
-    for k in 0..processes {
-        let zero = random.random_bool(0.2);
-        let level = if zero { 0.0 } else { random.random_range(0.2..1.0) };
-        let _ = write!(equation, " + p{k}");
-        match random.random_range(0..4) {
-            0 => {
-                kinds.push("walk");
-                let _ = writeln!(
-                    states,
-                    "[states.p{k}]\nprocess = \"random-walk\"\nnoise_density = \"s{k}\"\ninitial = {{ mean = 0, sigma = 0 }}"
-                );
-            }
-            _ => {
-                kinds.push("gauss-markov");
-                // now and then as long as another's: one of the two is redundant
-                let time = shared_time.filter(|_| random.random_bool(0.3));
-                let time = time.unwrap_or_else(|| random.random_range(-1.0_f64..3.0).exp());
-                shared_time = Some(time);
-                let _ = writeln!(
-                    states,
-                    "[states.p{k}]\nprocess = \"gauss-markov\"\ntime_constant = \"tau{k}\"\nsigma = \"s{k}\""
-                );
-                add(&mut parameters, &format!("tau{k}"), time);
-            }
-        }
-        add(&mut parameters, &format!("s{k}"), level);
-    }
-    kinds.sort_unstable();
-    let white = if random.random_bool(0.2) { 0.0 } else { random.random_range(0.1..0.6) };
-    let mut measurements = format!("[measurements.y]\ncolumn = \"y\"\nequation = \"{equation}\"\nnoise = \"s\"\n");
-    add(&mut parameters, "s", white);
-    match random.random_range(0..4) {
-        0 => {
-            kinds.push("two instruments");
-            measurements += "[measurements.z]\ncolumn = \"z\"\nequation = \"a - 0.3 * p0\"\nnoise = \"r\"\n";
-            add(&mut parameters, "r", if random.random_bool(0.2) { 0.05 } else { 0.3 });
-        }
-        1 => {
-            kinds.push("noise covariance");
-            measurements += "[measurements.z]\ncolumn = \"z\"\nequation = \"a - 0.3 * p0\"\nnoise = \"r\"\n";
-            measurements += "[noise_covariance]\n\"y, z\" = \"c\"\n";
-            let r = random.random_range(0.1..0.5);
-            add(&mut parameters, "r", r);
-            let part = if random.random_bool(0.3) { 1.0 } else { random.random_range(-0.9..0.9) };
-            add(&mut parameters, "c", part * r * white);
-        }
-        _ => {}
-    }
-    let text = format!("[data]\ntest = \"test\"\ntime = \"t\"\n{states}{measurements}[parameters]\n{parameters}");
-    (kinds.join(", "), text, truth)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -352,7 +220,7 @@ mod tests {
     fn profile_intervals_end_where_all_else_fitted_says() {
         for seed in [1987, 3004] {
             let mut random = ChaCha8Rng::seed_from_u64(seed);
-            let drawn = draw(&mut random, seed);
+            let drawn = Drawn::new(&mut random, seed);
             let found = profiles::ends(&drawn, seed, &mut random);
             assert!(found.held >= 3, "seed {seed}: {} ends", found.held);
             assert_eq!((found.short, found.long), (0, 0), "seed {seed}: too short and too long, of {}", found.held);

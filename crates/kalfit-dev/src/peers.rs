@@ -29,8 +29,6 @@ use whole::Kalfit;
 
 use crate::places;
 
-const SEED: u64 = 1980;
-
 /// Fits of one ensemble by several peers. What a peer cannot do in about a minute it is not asked.
 const FITS: &[(Study, usize, &[Peer])] = &[
     (Study::Regression, 1_000, &[peer::LME4, peer::NLME, peer::STATSMODELS, peer::MIXEDLM_RS, peer::OPENMX]),
@@ -87,11 +85,6 @@ enum Part {
 struct Open {
     missing: Vec<Peer>,
     problems: Vec<String>,
-}
-
-/// Where the models and the peers' scripts are.
-fn scripts() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("peers")
 }
 
 /// Runs the task, in a released build.

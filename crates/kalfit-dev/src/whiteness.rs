@@ -11,26 +11,23 @@
 //! ([`long`]).
 
 mod long;
+mod proposal;
 mod short;
 
 use std::fmt::Write as _;
 use std::process::ExitCode;
 use std::time::Instant;
 
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::RngExt;
 use rand_distr::StandardNormal;
 use rayon::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
+use self::proposal::{MOST_LAGS, PER_LAG, Proposal, lags};
 use crate::places;
+use crate::seed::random_of_block;
 
-const SEED: u64 = 1980;
 const TABLE: &str = "crates/kalfit/src/innovations/whiteness/table.rs";
-/// Longest lag of any series.
-const MOST_LAGS: usize = 10;
-/// Numbers for each lag.
-const PER_LAG: usize = 5;
 /// From this length on all lags are taken.
 const LONG: usize = MOST_LAGS * PER_LAG;
 /// Lengths from there on; between them 1/n is interpolated, down to the χ² of n → ∞.
@@ -45,20 +42,6 @@ const NUMBERS: usize = 200_000_000;
 const DRAWS: (usize, usize) = (100_000, 1_000_000);
 /// Draws of one stream of random numbers.
 const BLOCK: usize = 10_000;
-
-/// A law of series to draw from.
-trait Proposal: Sync {
-    /// Draw number `number` into `z`.
-    fn draw(&self, number: usize, rng: &mut ChaCha8Rng, z: &mut [f64]);
-
-    /// f/g at z, whose sums of products by lag are `products`.
-    fn weight(&self, z: &[f64], products: &[f64]) -> f64;
-}
-
-/// Longest lag for n numbers.
-fn lags(n: usize) -> usize {
-    (n / PER_LAG).min(MOST_LAGS)
-}
 
 /// Writes the table.
 pub(crate) fn run() -> ExitCode {
@@ -148,8 +131,7 @@ fn quantiles(n: usize) -> Vec<f64> {
 /// Statistics with their weights, the largest first.
 fn drawn(n: usize, draws: usize, proposal: &impl Proposal) -> Vec<(f64, f64)> {
     let block = |block: usize| {
-        let mut rng = ChaCha8Rng::seed_from_u64(SEED);
-        rng.set_stream((n as u64) << 32 | block as u64);
+        let mut rng = random_of_block(n, block);
         let (mut z, mut products) = (vec![0.0; n], vec![0.0; lags(n) + 1]);
         let one = move |number: usize| {
             z.iter_mut().for_each(|x| *x = rng.sample(StandardNormal));

@@ -6,7 +6,7 @@ use kalfit::dynamic::{self, DynamicError, DynamicFit, Method, Settings};
 use kalfit::model::{Population, Slots};
 use kalfit::record::{DynamicParts, LevelCounts, MethodRecord, level_notes};
 use kalfit::reduce::grouping;
-use kalfit::{Alpha, FitRecord, Labels, PhasedModel, PhasedTest, Provenance};
+use kalfit::{Alpha, FitRecord, Labels, PhasedModel, PhasedTest};
 use kalfit_data::Reading;
 use kalfit_spec::Spec;
 
@@ -58,14 +58,7 @@ pub(crate) fn fit(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>)
         dynamic::infer(model, &tests, &fit, patience(job.choices, work)).map_err(|error| failure(error, &reading))?;
     let parts =
         DynamicParts { model, labels: &reading.labels, fit: &fit, inference: &inference, parameters: &parameters };
-    let provenance = Provenance {
-        model_digest: Some(spec.digest.clone()),
-        model: spec.describe(),
-        files: given.names(),
-        seconds: work.seconds(),
-        of_estimates: given.is_of_estimates(model),
-    };
-    let mut record = FitRecord::dynamic(&parts, provenance);
+    let mut record = FitRecord::dynamic(&parts, given.provenance(spec, work.seconds()));
     record.notes.extend(notes);
     if let Some(groups) = groups {
         groups::add(job, &mut record, &groups, (model, &fit.alpha, &fit.estimate, &fit.reductions), work)?;

@@ -5,6 +5,7 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use std::io::Read;
 
 use kalfit::model::Parameter;
+use kalfit::record::Provenance;
 use kalfit::reduce::SplitError;
 use kalfit::{Evidence, Labels, PhasedModel, PhasedTest, Reductions, Test};
 use kalfit_data::exchange::{
@@ -120,6 +121,17 @@ impl Given {
         self.of_estimates
             || !self.estimates.is_empty()
             || (!self.rows.is_empty() && model.phases.iter().any(|phase| phase.filter.is_some()))
+    }
+
+    /// What the record of a fit says of where it comes from.
+    pub(crate) fn provenance(&self, spec: &Spec, seconds: f64) -> Provenance {
+        Provenance {
+            model_digest: Some(spec.digest.clone()),
+            model: spec.describe(),
+            files: self.names(),
+            seconds,
+            of_estimates: self.is_of_estimates(&spec.model),
+        }
     }
 
     /// Standard input, from its start; it comes once.

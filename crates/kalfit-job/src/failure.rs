@@ -20,7 +20,7 @@ use kalfit_spec::{Spec, SpecError};
 
 use crate::output::OutputError;
 use crate::results::ResultError;
-use crate::sums::SumsError;
+use crate::sums::error::SumsError;
 use crate::truth::error::TruthError;
 
 /// A unit that a fit does not know.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use kalfit::estimate::Structure;
 use kalfit::infer::{Choices, DeletionChoice, IntervalKind};
 use kalfit::model::Population;
-use kalfit::record::{Provenance, TestGroups};
+use kalfit::record::TestGroups;
 use kalfit::{Alpha, FitRecord, Grouping, Labels, Reductions, estimate, infer};
 use kalfit_spec::Spec;
 
@@ -35,13 +35,7 @@ pub(crate) fn record(
     let structure = Structure::of(&spec.model, alpha, sorted.levels.map(|(grouping, _)| grouping));
     let estimate = estimate::fit(reductions, &structure, &job.settings, work).map_err(Failure::Fit)?;
     let inference = infer::infer(&estimate, reductions, patience(job.choices, work));
-    let provenance = Provenance {
-        model_digest: Some(spec.digest.clone()),
-        model: spec.describe(),
-        files: given.names(),
-        seconds: work.seconds(),
-        of_estimates: given.is_of_estimates(&spec.model),
-    };
+    let provenance = given.provenance(spec, work.seconds());
     let mut record = FitRecord::new(&spec.model, alpha, reductions, &estimate, &inference, provenance);
     if let Some((grouping, labels)) = sorted.levels {
         record.add_levels((&spec.model, labels), Some(grouping), &inference);

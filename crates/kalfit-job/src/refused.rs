@@ -1,8 +1,10 @@
-//! Why tests were not taken in as they were read.
+//! Why tests were not taken in as they were read, and why what is known of a fit does not go with them.
 
+use kalfit::apply::ApplyError;
+use kalfit::predict::PredictError;
 use kalfit::record::MixedGroup;
 use kalfit::reduce::{ReduceError, SplitError};
-use kalfit_data::ReadError;
+use kalfit_data::{ReadError, Reading};
 use kalfit_spec::Spec;
 
 use crate::failure::Failure;
@@ -38,5 +40,24 @@ pub(crate) fn failure(error: ReadError<Refused>, spec: &Spec) -> Failure {
         ReadError::Sink { error: Refused::Reduce(error), reading } => Failure::Reduce { error, reading: Some(reading) },
         ReadError::Sink { error: Refused::Group(error), .. } => Failure::MixedGroup(error),
         ReadError::Sink { error: Refused::Interrupted, .. } => Failure::Interrupted,
+    }
+}
+
+/// What a model that is applied to tests says of them.
+pub(crate) fn by_apply(error: ApplyError, reading: &Reading) -> Failure {
+    match error {
+        ApplyError::Reduce(error) => Failure::Reduce { error: *error, reading: Some(Box::new(reading.clone())) },
+        ApplyError::Fit(error) => Failure::Fit(error),
+        error => Failure::Apply(Box::new(error)),
+    }
+}
+
+/// What a prediction says of designs.
+pub(crate) fn by_predict(error: PredictError, reading: Option<&Reading>) -> Failure {
+    match error {
+        PredictError::Reduce(error) => {
+            Failure::Reduce { error: *error, reading: reading.map(|reading| Box::new(reading.clone())) }
+        }
+        error => Failure::Predict(Box::new(error)),
     }
 }

@@ -13,7 +13,7 @@ use crate::failure::Failure;
 use crate::job::{Done, FoldsOf, ModelJob, ValidateJob, files};
 use crate::output::Output;
 use crate::work::{Watch, Work};
-use crate::{dynamic, groups, memory, model, tests};
+use crate::{dynamic, groups, memory, model, refused, tests};
 
 /// Validates a model, and another one beside it.
 ///
@@ -138,7 +138,7 @@ impl Read {
             ValidateError::Fit(EnsembleError::Reduce(error)) => {
                 Failure::Reduce { error: *error, reading: Some(Box::new(self.reading.clone())) }
             }
-            ValidateError::Apply(error) => crate::apply::refused(error, &self.reading),
+            ValidateError::Apply(error) => refused::by_apply(error, &self.reading),
             error => Failure::Validate(Box::new(error)),
         }
     }

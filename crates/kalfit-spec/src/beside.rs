@@ -1,6 +1,10 @@
 //! A second file that is read together with a model: a hypothesis, outputs. Its places are counted from the end of the model's text.
 
-use crate::error::SpecError;
+use toml::de::DeTable;
+
+use crate::build::{MAX_BYTES, not_toml};
+use crate::error::{Problem, Result, SpecError};
+use crate::merge::shifted_table;
 
 /// What is wrong with two files that are read together, and which of them the place is in.
 #[derive(Debug, Clone, PartialEq)]
@@ -12,7 +16,7 @@ pub enum BesideError {
 }
 
 /// Which file the place of an error is in; the second begins at `offset`.
-pub(crate) fn located(mut error: SpecError, offset: usize) -> BesideError {
+fn located(mut error: SpecError, offset: usize) -> BesideError {
     match error.span.take() {
         Some(span) if span.start >= offset => {
             error.span = Some(span.start - offset..span.end - offset);
@@ -26,8 +30,28 @@ pub(crate) fn located(mut error: SpecError, offset: usize) -> BesideError {
     }
 }
 
-/// The error with its place moved.
-pub(crate) fn moved(mut error: SpecError, offset: usize) -> SpecError {
-    error.span = error.span.map(|span| span.start + offset..span.end + offset);
-    error
+/// Reads a second file after the text of a model; `read` is given both as one text, and where the second begins.
+pub(crate) fn read<T>(
+    model: &str,
+    second: &str,
+    read: impl FnOnce(&str, usize) -> Result<T>,
+) -> std::result::Result<T, BesideError> {
+    let found = second.len() as u64;
+    if found > MAX_BYTES {
+        return Err(BesideError::File(SpecError::new(Problem::TooLarge { found, limit: MAX_BYTES })));
+    }
+    let (text, offset) = (format!("{model}\n{second}"), model.len() + 1);
+    read(&text, offset).map_err(|error| located(error, offset))
+}
+
+/// The tables of the model and of the second file, with their places in the whole text.
+pub(crate) fn tables(text: &str, offset: usize) -> Result<[DeTable<'_>; 2]> {
+    let (first, second) = (&text[..offset - 1], &text[offset..]);
+    let second = DeTable::parse(second).map_err(|error| {
+        let mut error = not_toml(&error, second);
+        error.span = error.span.map(|span| span.start + offset..span.end + offset);
+        error
+    })?;
+    let first = DeTable::parse(first).map_err(|error| not_toml(&error, first))?;
+    Ok([first.into_inner(), shifted_table(second.into_inner(), offset)])
 }

@@ -6,13 +6,13 @@ use kalfit::{Layout, Model, PhasedModel};
 use toml::de::DeTable;
 
 use crate::error::{Problem, Result, SpecError};
-use crate::names::{Context, Reads};
-use crate::phase::{Read, Shared, phase};
+use crate::names::Context;
+use crate::phase::{Purpose, Read, Shared, phase};
 use crate::phases::Source;
 use crate::places::Places;
 use crate::spec::Spec;
 use crate::table::Section;
-use crate::{data, design, digest, filter, levels, parameters, phases};
+use crate::{data, digest, filter, levels, outputs, parameters, phases};
 
 /// Largest model file, in bytes.
 pub(crate) const MAX_BYTES: u64 = 4 * 1024 * 1024;
@@ -32,29 +32,6 @@ const KEYS: [&str; 12] = [
     "phases",
     "filter",
 ];
-
-/// What a model is read for.
-#[derive(Clone, Copy)]
-pub(crate) enum Purpose<'a, 'd> {
-    /// Tests that were made.
-    Tests,
-    /// Designs of tests: measurements, filters and groups of reports are passed over.
-    Designs {
-        /// The outputs, in a table by name.
-        outputs: Option<&'a Section<'d>>,
-        /// Levels of groups are read too.
-        levels: bool,
-    },
-}
-
-impl Purpose<'_, '_> {
-    fn reads(self) -> Reads {
-        match self {
-            Purpose::Tests => Reads { measurements: true, levels: true },
-            Purpose::Designs { levels, .. } => Reads { measurements: false, levels },
-        }
-    }
-}
 
 /// What the tables of a model file say.
 pub(crate) struct Built {
@@ -99,7 +76,7 @@ pub(crate) fn model(text: &str, mut root: Section<'_>, purpose: Purpose<'_, '_>)
         false => Vec::new(),
     };
     if let Purpose::Designs { outputs: Some(outputs), .. } = purpose {
-        design::check(outputs, &sources, &read.iter().map(|phase| &phase.named).collect::<Vec<_>>())?;
+        outputs::check(outputs, &sources, &read.iter().map(|phase| &phase.named).collect::<Vec<_>>())?;
     }
     check_shared(&context, &declared, &sources)?;
     let as_given = declared.iter().map(|one| one.parameter.clone()).collect();
@@ -113,7 +90,7 @@ pub(crate) fn model(text: &str, mut root: Section<'_>, purpose: Purpose<'_, '_>)
         data.check(model.phases.iter().map(|phase| &phase.model).zip(read.iter().map(|phase| &phase.start)))?;
         check_filters(&context, &read, &model)?;
     }
-    let places = Places::of(&context, &read, data.levels.as_ref());
+    let places = Places::of(&context, read.iter().map(Read::places).collect(), data.levels.as_ref());
     let outputs = read.into_iter().map(|phase| phase.outputs).collect();
     Ok(Built { model, layout: data.layout, places, outputs })
 }

@@ -5,9 +5,8 @@ use std::fmt::Write;
 use kalfit::model::{Clock, Expression, Filter, Initial, Linear, Model, Motion, Phase, PhasedModel};
 use sha2::{Digest, Sha256};
 
-use crate::expression::symbol;
-use crate::show::function;
 use crate::spec::Spec;
+use crate::vocabulary::{function, symbol};
 
 /// First line of the text that is digested; another one when what stands there changes.
 const VERSION: &str = "kalfit-reduction/1";

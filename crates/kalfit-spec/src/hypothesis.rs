@@ -7,13 +7,14 @@ use kalfit::model::{Column, Regression};
 use kalfit::{Model, PhasedModel};
 use toml::de::DeTable;
 
-use crate::beside::{BesideError, located, moved};
-use crate::build::{self, MAX_BYTES, Purpose};
+use crate::beside::{self, BesideError};
+use crate::build;
 use crate::digest;
 use crate::error::{Problem, Span, SpecError};
 use crate::levels;
-use crate::merge::{OF_PHASE, PLACE, has_own, merge, reorder, reorder_levels, shifted_table, table_in};
+use crate::merge::{OF_PHASE, PLACE, has_own, merge, reorder, reorder_levels, table_in};
 use crate::names::{phase_key, table_key};
+use crate::phase::Purpose;
 use crate::phases;
 use crate::places::Places;
 use crate::spec::Spec;
@@ -45,22 +46,12 @@ impl Spec {
     /// # Errors
     /// Whatever is wrong with the text, and with the two together.
     pub fn under(&self, hypothesis: &str) -> Result<Hypothesis, BesideError> {
-        let found = hypothesis.len() as u64;
-        if found > MAX_BYTES {
-            let problem = Problem::TooLarge { found, limit: MAX_BYTES };
-            return Err(BesideError::File(SpecError::new(problem)));
-        }
-        let (text, offset) = (format!("{}\n{hypothesis}", self.text), self.text.len() + 1);
-        let sort = |error: SpecError| located(error, offset);
-        let (title, model) = self.merged(&text, offset).map_err(sort)?;
+        let (title, model) = beside::read(&self.text, hypothesis, |text, offset| self.merged(text, offset))?;
         Ok(Hypothesis { title, model, digest: digest::of_text(hypothesis) })
     }
 
     fn merged(&self, text: &str, offset: usize) -> Result<(Option<String>, PhasedModel), SpecError> {
-        let (first, second) = (&text[..offset - 1], &text[offset..]);
-        let own = DeTable::parse(second).map_err(|error| moved(build::not_toml(&error, second), offset))?;
-        let mut own = shifted_table(own.into_inner(), offset);
-        let mut base = DeTable::parse(first).map_err(|error| build::not_toml(&error, first))?.into_inner();
+        let [mut base, mut own] = beside::tables(text, offset)?;
         let title = self.check(&own, offset..text.len())?;
         self.reorder(&base, &mut own);
         merge(&mut base, own)?;

@@ -90,6 +90,7 @@ mod merge;
 mod motion;
 mod names;
 mod noise;
+mod outputs;
 mod parameters;
 mod phase;
 mod phases;
@@ -104,6 +105,7 @@ mod states;
 mod suggest;
 mod table;
 mod token;
+mod vocabulary;
 mod words;
 
 pub use beside::BesideError;

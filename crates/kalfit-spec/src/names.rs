@@ -6,10 +6,8 @@ use kalfit::model::Column;
 
 use crate::error::{ExpressionProblem, Problem, Result, Span, SpecError};
 use crate::token::is_name;
+use crate::vocabulary::is_reserved;
 
-/// Words of the expression language, which cannot name states or parameters.
-pub(crate) const RESERVED: [&str; 15] =
-    ["and", "or", "not", "pi", "dt", "if", "sqrt", "exp", "log", "sin", "cos", "tan", "abs", "min", "max"];
 /// Longest name of a state, parameter or measurement, in bytes.
 const MAX_NAME: usize = 100;
 /// Parts of all expanded equations together: it bounds the memory that a small file can ask for.
@@ -268,7 +266,7 @@ fn intern(columns: &mut Vec<Column>, by_name: &mut HashMap<String, usize>, name:
 pub(crate) fn check_name(what: &'static str, name: &str, span: &Span) -> Result<()> {
     let why = if name.len() > MAX_NAME {
         "it is longer than 100 bytes"
-    } else if RESERVED.contains(&name) {
+    } else if is_reserved(name) {
         "it is a word of the expression language"
     } else if !is_name(name) {
         "only letters, digits and `_` can stand in expressions, and a digit cannot come first"

@@ -4,15 +4,39 @@ use kalfit::Model;
 use kalfit::model::{Clock, CovarianceStructure, MeanStructure, Measurement, Parameter, Phase, State};
 use kalfit::predict::Output;
 
-use crate::build::Purpose;
 use crate::carry::{Before, Inherited};
 use crate::data::{Data, Start};
 use crate::elements::Elements;
 use crate::error::{Result, SpecError};
-use crate::names::{Context, Index};
+use crate::names::{Context, Index, Reads};
 use crate::noise::Covariances;
 use crate::phases::Source;
-use crate::{carry, covariance, design, filter, mean, measurements, noise, states};
+use crate::places::PhasePlaces;
+use crate::table::{Field, Section};
+use crate::{carry, covariance, filter, mean, measurements, noise, outputs, states};
+
+/// What a model is read for.
+#[derive(Clone, Copy)]
+pub(crate) enum Purpose<'a, 'd> {
+    /// Tests that were made.
+    Tests,
+    /// Designs of tests: measurements, filters and groups of reports are passed over.
+    Designs {
+        /// The outputs, in a table by name.
+        outputs: Option<&'a Section<'d>>,
+        /// Levels of groups are read too.
+        levels: bool,
+    },
+}
+
+impl Purpose<'_, '_> {
+    pub(crate) fn reads(self) -> Reads {
+        match self {
+            Purpose::Tests => Reads { measurements: true, levels: true },
+            Purpose::Designs { levels, .. } => Reads { measurements: false, levels },
+        }
+    }
+}
 
 /// One phase as it was read.
 pub(crate) struct Read<'s> {
@@ -67,7 +91,7 @@ pub(crate) fn phase<'s>(
     let Observed { measurements, measured, noise_covariance, filter, outputs } = match purpose {
         Purpose::Tests => observed(context, source, &states)?,
         Purpose::Designs { outputs, .. } => {
-            let outputs = outputs.map(|outputs| design::outputs(context, outputs, source)).transpose()?;
+            let outputs = outputs.map(|outputs| outputs::outputs(context, outputs, source)).transpose()?;
             Observed { outputs: outputs.unwrap_or_default(), ..Observed::default() }
         }
     };
@@ -136,7 +160,7 @@ fn population(context: &mut Context<'_>, source: &Source<'_>, states: &[State]) 
 
 impl Source<'_> {
     /// Reads one of its tables.
-    fn read<T>(&self, key: &str, read: impl FnOnce(Option<crate::table::Field<'_>>) -> Result<T>) -> Result<T> {
+    fn read<T>(&self, key: &str, read: impl FnOnce(Option<Field<'_>>) -> Result<T>) -> Result<T> {
         read(self.table(key)).map_err(|error: SpecError| self.explain(key, error))
     }
 }
@@ -159,6 +183,18 @@ impl Read<'_> {
             estimated: self.estimated.clone(),
             mean: self.mean.clone(),
             covariance: self.covariance.clone(),
+        }
+    }
+
+    /// Where its things stand.
+    pub(crate) fn places(&self) -> PhasePlaces {
+        PhasePlaces {
+            name: self.source.name.to_owned(),
+            key: self.source.span.clone(),
+            states: self.named.spans(),
+            measurements: self.measured.spans(),
+            carry: self.inherited.spans.clone(),
+            filter: self.filter.as_ref().map(|filter| filter.span.clone()),
         }
     }
 

@@ -5,7 +5,6 @@ use std::collections::BTreeMap;
 use crate::error::Span;
 use crate::levels::GroupColumns;
 use crate::names::{Context, Role};
-use crate::phase::Read;
 
 /// Where things stand in the file, and what parameters are used as.
 #[derive(Debug, Clone, Default)]
@@ -29,20 +28,12 @@ pub(crate) struct PhasePlaces {
 }
 
 impl Places {
-    pub(crate) fn of(context: &Context<'_>, read: &[Read<'_>], levels: Option<&GroupColumns>) -> Places {
-        let phase = |phase: &Read<'_>| PhasePlaces {
-            name: phase.source.name.to_owned(),
-            key: phase.source.span.clone(),
-            states: phase.named.spans(),
-            measurements: phase.measured.spans(),
-            carry: phase.inherited.spans.clone(),
-            filter: phase.filter.as_ref().map(|filter| filter.span.clone()),
-        };
+    pub(crate) fn of(context: &Context<'_>, phases: Vec<PhasePlaces>, levels: Option<&GroupColumns>) -> Places {
         Places {
             columns: context.column_spans.clone(),
             parameters: context.parameters.spans(),
             levels: levels.map_or_else(BTreeMap::new, GroupColumns::spans),
-            phases: read.iter().map(phase).collect(),
+            phases,
             roles: context.roles.iter().map(|role| role.unwrap_or(Role::Coefficient)).collect(),
         }
     }

@@ -1,13 +1,14 @@
 //! Writing expressions and linear forms as a person would.
 
 use kalfit::Model;
-use kalfit::model::{Expression, Function, Linear, Operator};
+use kalfit::model::{Expression, Linear, Operator};
 use kalfit::record::Words;
 
-use crate::expression::{ONE, is_zero, symbol};
+use crate::expression::{ONE, is_zero};
 use crate::figure::figure;
 use crate::spec::Spec;
 use crate::token::is_name;
+use crate::vocabulary::{self, symbol};
 
 /// How tightly a written expression holds together; larger is tighter.
 #[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
@@ -113,7 +114,7 @@ fn write(model: &Model, a: &Expression) -> (String, Grip) {
         Expression::Not(a) => (format!("not {}", enclosed(write(model, a), Grip::Not)), Grip::Not),
         Expression::Binary(operator, a, b) => binary(model, *operator, a, b),
         Expression::Call(function, arguments) => {
-            atom(format!("{}({})", self::function(*function), list(model, arguments)))
+            atom(format!("{}({})", vocabulary::function(*function), list(model, arguments)))
         }
         Expression::If(a, b, c) => {
             let parts = [a, b, c].map(|part| expression(model, part));
@@ -159,19 +160,4 @@ fn quoted(model: &Model, name: &str) -> String {
     let hidden = model.states.iter().any(|state| state.name == name)
         || model.parameters.iter().any(|parameter| parameter.name == name);
     if is_name(name) && !hidden { name.to_owned() } else { format!("`{name}`") }
-}
-
-/// The name of a function.
-pub(crate) fn function(function: Function) -> &'static str {
-    match function {
-        Function::Sqrt => "sqrt",
-        Function::Exp => "exp",
-        Function::Log => "log",
-        Function::Sin => "sin",
-        Function::Cos => "cos",
-        Function::Tan => "tan",
-        Function::Abs => "abs",
-        Function::Min => "min",
-        Function::Max => "max",
-    }
 }

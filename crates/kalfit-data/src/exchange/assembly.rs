@@ -4,10 +4,22 @@ use std::collections::HashMap;
 
 use kalfit::{Evidence, PhasedModel, PhasedTest, Source};
 
-use super::Entry;
 use super::error::ExchangeError;
 use crate::cell::shown;
 use crate::error::DataError;
+
+/// What one row of an exchange file says.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Entry {
+    /// Id of the test.
+    pub test: String,
+    /// Place of the phase in the model.
+    pub phase: usize,
+    /// What is known of it.
+    pub evidence: Evidence,
+    /// File and row.
+    pub at: Source,
+}
 
 /// Puts tests together whose phases come from several files.
 #[derive(Debug)]

@@ -5,7 +5,7 @@ use kalfit::reduce::Estimates;
 use kalfit::{Evidence, Labels, Layout, PhasedModel};
 use nalgebra::{DMatrix, DVector};
 
-use super::Entry;
+use super::assembly::Entry;
 use super::constants::Constants;
 use super::content::{Source, opened};
 use super::error::ExchangeError;

@@ -25,26 +25,11 @@ mod schema;
 mod sheet;
 mod write;
 
-use kalfit::{Evidence, Source as Row};
-
 pub use alpha::{Difference, ParameterValue, difference, merge};
-pub use assembly::{Assembly, twice};
+pub use assembly::{Assembly, Entry, twice};
 pub use content::{Content, Sorted, Source, sort};
 pub use error::ExchangeError;
 pub use estimates::read_estimates;
 pub use metadata::Metadata;
 pub use reductions::read_reductions;
 pub use write::{EstimatesWriter, ReductionWriter};
-
-/// What one row of an exchange file says.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Entry {
-    /// Id of the test.
-    pub test: String,
-    /// Place of the phase in the model.
-    pub phase: usize,
-    /// What is known of it.
-    pub evidence: Evidence,
-    /// File and row.
-    pub at: Row,
-}

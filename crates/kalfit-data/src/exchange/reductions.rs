@@ -10,7 +10,7 @@ use nalgebra::{DMatrix, DVector};
 use parquet::file::metadata::RowGroupMetaData;
 use parquet::file::reader::ChunkReader;
 
-use super::Entry;
+use super::assembly::Entry;
 use super::content::{Contents, Source};
 use super::error::ExchangeError;
 use super::keys::Phases;
@@ -18,8 +18,8 @@ use super::metadata::Metadata;
 use super::schema::{GROUPS, REDUCTIONS, REDUCTIONS_KIND, TEST};
 use super::sheet::{Part, Plan, Row, Sheet, Wish};
 use crate::error::DataError;
+use crate::kind::PARQUET;
 use crate::table::ahead::{Done, Goes, Make, Task, Tasks, each};
-use crate::table::parquet::FORMAT;
 
 pub(super) const INFORMATION: &str = "information";
 pub(super) const SQUARE_ROOT: &str = "square-root";
@@ -179,7 +179,7 @@ impl Reader<'_> {
         }
         // to go on would take a declared row group of any length in vain
         let whole = rows.len() == part.rows;
-        whole.then_some(()).ok_or_else(|| DataError::Crashed { file: self.source.name.clone(), format: FORMAT })
+        whole.then_some(()).ok_or_else(|| DataError::Crashed { file: self.source.name.clone(), format: PARQUET })
     }
 
     /// Names of the groups of a test, where the model has levels.

@@ -20,11 +20,12 @@ use super::schema::{Column, Shape};
 use crate::cell::shown;
 use crate::columns::{Columns, nearest};
 use crate::error::DataError;
+use crate::kind::PARQUET;
 use crate::place::Place;
 use crate::table::arrays::{Numbers, Texts, is_numeric, misfit};
 use crate::table::guard::guarded;
 use crate::table::parquet::survey::{Survey, survey};
-use crate::table::parquet::{FORMAT, ROWS_FREE, ROWS_PER_BYTE, refuse_codecs, refuse_oversized};
+use crate::table::parquet::{ROWS_FREE, ROWS_PER_BYTE, refuse_codecs, refuse_oversized};
 
 /// Rows decoded at a time: they may hold matrices.
 const ROWS: usize = 256;
@@ -99,7 +100,7 @@ pub(super) struct Row<'b> {
 /// Opens a file.
 pub(super) fn open<R: ChunkReader>(file: &str, bytes: R) -> Result<Opened<R>, DataError> {
     let failed = |source: ParquetError| DataError::Parquet { file: file.to_owned(), source: Box::new(source) };
-    guarded(file, FORMAT, || {
+    guarded(file, PARQUET, || {
         let length = bytes.len();
         let about = ArrowReaderMetadata::load(&bytes, ArrowReaderOptions::new()).map_err(failed)?;
         refuse_oversized(file, about.metadata(), length)?;
@@ -137,7 +138,7 @@ impl<'a> Sheet<'a> {
         let file = self.plan.file;
         let failed = |source: ArrowError| DataError::Arrow { file: file.to_owned(), source: Box::new(source) };
         let (reader, shapes) = (&mut self.reader, &self.plan.shapes);
-        let batch = guarded(file, FORMAT, || {
+        let batch = guarded(file, PARQUET, || {
             let Some(batch) = reader.next().transpose().map_err(failed)? else { return Ok(None) };
             let cells = decode(&batch, shapes).map_err(failed)?;
             Ok(Some((batch.num_rows(), cells)))
@@ -190,7 +191,7 @@ impl<'a> Plan<'a> {
     pub(super) fn sheet<R: ChunkReader + 'static>(self, bytes: R, part: Option<Part>) -> Result<Sheet<'a>, DataError> {
         let file = self.file;
         let failed = |source: ParquetError| DataError::Parquet { file: file.to_owned(), source: Box::new(source) };
-        let reader = guarded(file, FORMAT, || {
+        let reader = guarded(file, PARQUET, || {
             let all = ParquetRecordBatchReaderBuilder::new_with_metadata(bytes, self.survey.metadata.clone());
             let builder = match part {
                 None => all,

@@ -4,10 +4,10 @@ mod batches;
 mod columns;
 mod csv;
 mod error;
+mod format;
 mod table;
 
 use std::io::Write;
-use std::path::Path;
 
 use kalfit::{Labels, Layout, Model, Test};
 
@@ -16,37 +16,8 @@ use self::columns::{OutColumn, columns, id_column, refuse_id_in_use};
 use self::csv::CsvTests;
 pub use self::csv::StateWriter;
 pub use self::error::WriteError;
+pub use self::format::Format;
 pub use self::table::{Cell, CellKind, TableWriter};
-
-/// What a file is written as.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Format {
-    /// Text, with commas.
-    Csv,
-    /// Text, with tabs.
-    Tsv,
-    /// Parquet, compressed by Snappy.
-    Parquet,
-    /// Arrow IPC, file format.
-    Arrow,
-}
-
-impl Format {
-    /// The format that the extension of a file names, which is the one it will be read as.
-    ///
-    /// # Errors
-    /// Another extension, or none.
-    pub fn of(path: &Path) -> Result<Format, WriteError> {
-        let extension = path.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
-        match extension.as_deref() {
-            Some("csv" | "txt") => Ok(Format::Csv),
-            Some("tsv") => Ok(Format::Tsv),
-            Some("parquet" | "pq") => Ok(Format::Parquet),
-            Some("arrow" | "ipc" | "feather") => Ok(Format::Arrow),
-            _ => Err(WriteError::Format { path: path.display().to_string(), extension }),
-        }
-    }
-}
 
 /// Which tests will be written, where that decides what the table needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

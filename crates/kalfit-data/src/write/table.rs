@@ -6,10 +6,10 @@ use std::sync::Arc;
 use arrow::array::{ArrayRef, Float64Builder, Int64Builder, StringBuilder};
 use arrow::datatypes::{DataType, Field, Schema};
 
-use super::Format;
 use super::batches::{Batches, ROWS};
 use super::csv::{failed, header, number};
 use super::error::WriteError;
+use super::format::Format;
 
 /// What the cells of a column are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

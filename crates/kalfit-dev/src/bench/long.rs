@@ -7,11 +7,11 @@ use kalfit::model::{
 };
 use kalfit::reduce::Reducer;
 use kalfit::{Model, Source, Test};
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::RngExt;
 use rand_distr::StandardNormal;
 
-use super::{SEED, best};
+use super::time::best;
+use crate::seed::random;
 
 const ROWS: u32 = 1_000_000;
 const STEP: f64 = 0.01;
@@ -40,7 +40,7 @@ fn time(model: &Model, test: &Test, off: bool, runs: usize) -> f64 {
 
 /// White noise at times as a file has them; the filter's work does not depend on the values.
 fn record() -> Test {
-    let mut rng = ChaCha8Rng::seed_from_u64(SEED);
+    let mut rng = random();
     let mut test = Test::new("long", 2, 0);
     for k in 0..ROWS {
         let time: f64 = format!("{:.2}", f64::from(k) * STEP).parse().expect("a number");

@@ -2,7 +2,7 @@
 
 use kalfit::estimate::{self, Criterion};
 use kalfit::infer::{Choices, DeletionChoice, TestsChoice};
-use kalfit::{Alpha, Ensemble, FitRecord, Labels, Options, PhasedTest, Population, Source, Test};
+use kalfit::{Alpha, Ensemble, FitRecord, Labels, Options, PhasedModel, PhasedTest, Population, Source, Test};
 use kalfit_spec::Spec;
 use nalgebra::DMatrix;
 
@@ -22,7 +22,9 @@ pub(super) struct Drawn {
     pub(super) restricted: bool,
 }
 
-pub(super) const CONSTANT: &str = r#"
+/// Levels that their tests determine all but exactly.
+pub(super) const CONSTANT: Drawn = Drawn {
+    model: r#"
 [data]
 test = "test"
 time = "x"
@@ -34,9 +36,19 @@ equation = "level"
 noise = "sigma"
 [parameters]
 sigma = 0.01
-"#;
+"#,
+    free: "",
+    units: 1,
+    tests: 5,
+    rows: &[0.0, 1.0],
+    mean: &[1.0],
+    std_dev: &[&[1.0]],
+    restricted: false,
+};
 
-pub(super) const NOISY: &str = r#"
+/// Levels that their tests determine with an error as large as their spread.
+pub(super) const NOISY: Drawn = Drawn {
+    model: r#"
 [data]
 test = "test"
 time = "x"
@@ -48,9 +60,19 @@ equation = "level"
 noise = "sigma"
 [parameters]
 sigma = 3.4641
-"#;
+"#,
+    free: "sigma",
+    units: 1,
+    tests: 30,
+    rows: &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0],
+    mean: &[1.0],
+    std_dev: &[&[1.0]],
+    restricted: false,
+};
 
-pub(super) const LINE: &str = r#"
+/// Random lines.
+pub(super) const LINE: Drawn = Drawn {
+    model: r#"
 [data]
 test = "test"
 [states]
@@ -62,9 +84,19 @@ equation = "level + slope * x"
 noise = "sigma"
 [parameters]
 sigma = 20
-"#;
+"#,
+    free: "sigma",
+    units: 1,
+    tests: 18,
+    rows: &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0],
+    mean: &[250.0, 10.0],
+    std_dev: &[&[24.0, 6.0]],
+    restricted: false,
+};
 
-pub(super) const WALK: &str = r#"
+/// Random walks from a random level.
+pub(super) const WALK: Drawn = Drawn {
+    model: r#"
 [data]
 test = "test"
 time = "x"
@@ -79,9 +111,21 @@ noise = "sigma"
 [parameters]
 q = 1
 sigma = 0.5
-"#;
+"#,
+    free: "q sigma",
+    units: 1,
+    tests: 12,
+    rows: &[
+        1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0, 17.0, 18.0, 19.0, 20.0,
+    ],
+    mean: &[1.0],
+    std_dev: &[&[4.0]],
+    restricted: false,
+};
 
-pub(super) const UNITS: &str = r#"
+/// Levels of units, and of their tests.
+pub(super) const UNITS: Drawn = Drawn {
+    model: r#"
 [data]
 test = "test"
 levels = ["unit"]
@@ -93,7 +137,15 @@ equation = "level"
 noise = "sigma"
 [parameters]
 sigma = 20
-"#;
+"#,
+    free: "sigma",
+    units: 10,
+    tests: 3,
+    rows: &[0.0, 1.0, 2.0, 3.0],
+    mean: &[250.0],
+    std_dev: &[&[12.0], &[24.0]],
+    restricted: false,
+};
 
 impl Drawn {
     pub(super) fn spec(&self, is_free: bool) -> Spec {
@@ -119,17 +171,7 @@ impl Drawn {
     }
 
     pub(super) fn design(&self, spec: &Spec) -> Ensemble {
-        let shared = spec.model.shared();
-        let mut labels = Labels::new(&shared.literals);
-        let mut tests = Vec::new();
-        for unit in 0..self.units {
-            let name = labels.intern(&format!("u{unit}"));
-            for test in 0..self.tests {
-                let texts = vec![name; shared.text_columns.len()];
-                tests.push(rows(spec, &format!("u{unit}/{test}"), self.rows, &texts));
-            }
-        }
-        Ensemble::of_tests(&spec.model, labels, tests)
+        design(&spec.model, (self.units, self.tests), self.rows)
     }
 
     pub(super) fn fit(&self, free: &Spec, drawn: &Ensemble) -> FitRecord {
@@ -143,9 +185,21 @@ impl Drawn {
     }
 }
 
+/// So many units of so many tests, with a zero for every value that is drawn.
+pub(super) fn design(model: &PhasedModel, (units, tests): (usize, usize), x: &[f64]) -> Ensemble {
+    let shared = model.shared();
+    let mut labels = Labels::new(&shared.literals);
+    let mut all = Vec::new();
+    for unit in 0..units {
+        let texts = vec![labels.intern(&format!("u{unit}")); shared.text_columns.len()];
+        all.extend((0..tests).map(|test| rows(model, &format!("u{unit}/{test}"), x, &texts)));
+    }
+    Ensemble::of_tests(model, labels, all)
+}
+
 /// A test with a zero for every value that is drawn.
-pub(super) fn rows(spec: &Spec, id: &str, x: &[f64], texts: &[kalfit::Label]) -> PhasedTest {
-    let shared = spec.model.shared();
+pub(super) fn rows(model: &PhasedModel, id: &str, x: &[f64], texts: &[kalfit::Label]) -> PhasedTest {
+    let shared = model.shared();
     let mut rows = Test::new(id.to_owned(), shared.columns.len(), shared.text_columns.len());
     for &x in x {
         let cells: Vec<f64> = shared.columns.iter().map(|column| if column.name == "x" { x } else { 0.0 }).collect();

@@ -2,12 +2,14 @@
 
 use kalfit::infer::{Choices, DeletionChoice, IntervalKind, TestsChoice};
 use kalfit::record::{FitRecord, Interval};
-use kalfit::{Alpha, Ensemble, Labels, Options, PhasedModel, Population, Source, Test, estimate};
+use kalfit::{Alpha, Ensemble, Options, PhasedModel, Population, estimate};
 use kalfit_spec::Spec;
 use nalgebra::DMatrix;
 use rayon::prelude::*;
 
-use super::SEED;
+use super::drawn::design;
+use super::tally::Tally;
+use crate::seed::SEED;
 
 /// Of the simulation, and of the fits that know it.
 const SIGMA: f64 = 20.0;
@@ -101,14 +103,6 @@ enum Quantity {
     Sigma,
 }
 
-/// How often an interval held the truth.
-#[derive(Debug, Clone, Copy, Default)]
-struct Tally {
-    held: u64,
-    /// Fits without this interval.
-    without: u64,
-}
-
 /// Runs the set-ups whose title holds `only` and prints their tables. Nothing is required of them: units are few.
 pub(super) fn run(ensembles: u64, only: &str) {
     for setup in SETUPS.iter().filter(|setup| setup.title.contains(only)) {
@@ -123,27 +117,6 @@ pub(super) fn run(ensembles: u64, only: &str) {
             println!("| {} | {} | {} |", setup.name(quantity), setup.truth(quantity), cells.join(" | "));
         }
         println!();
-    }
-}
-
-impl Tally {
-    fn add(&mut self, interval: Interval, truth: f64) {
-        match interval {
-            Some([low, high]) => {
-                let inside = low.is_none_or(|low| low <= truth) && high.is_none_or(|high| truth <= high);
-                self.held += u64::from(inside);
-            }
-            None => self.without += 1,
-        }
-    }
-
-    /// Share of the intervals that held the truth; in brackets how many fits have none.
-    fn shown(&self, ensembles: u64) -> String {
-        match (ensembles - self.without, self.without) {
-            (0, _) => "-".to_owned(),
-            (all, 0) => format!("{:.1} %", 100.0 * self.held as f64 / all as f64),
-            (all, without) => format!("{:.1} % ({without})", 100.0 * self.held as f64 / all as f64),
-        }
     }
 }
 
@@ -201,30 +174,11 @@ impl Setup {
         Population { mean, coefficients: Vec::new(), covariance }
     }
 
-    /// Tests with a zero for every value that is to be drawn.
-    fn design(&self, model: &PhasedModel) -> Ensemble {
-        let shared = model.shared();
-        let mut labels = Labels::new(&shared.literals);
-        let mut tests = Vec::new();
-        for unit in 0..self.units {
-            let name = labels.intern(&format!("u{unit}"));
-            for test in 0..self.tests {
-                let mut rows = Test::new(format!("u{unit}/{test}"), shared.columns.len(), shared.text_columns.len());
-                for row in 0..self.rows {
-                    let cell = |name: &str| if name == "x" { row as f64 } else { 0.0 };
-                    let cells: Vec<f64> = shared.columns.iter().map(|column| cell(&column.name)).collect();
-                    rows.push(&cells, &vec![name; shared.text_columns.len()], Source::default());
-                }
-                tests.push(rows.into());
-            }
-        }
-        Ensemble::of_tests(model, labels, tests)
-    }
-
     /// By quantity, of each of [`FITS`].
     fn tally(&self, ensembles: u64) -> Vec<[Tally; FITS.len()]> {
         let models = [self.model(false), self.model(true)];
-        let design = self.design(&models[0]);
+        let x: Vec<f64> = (0..self.rows).map(|row| row as f64).collect();
+        let design = design(&models[0], (self.units, self.tests), &x);
         let alpha = Alpha::fixed(&models[0].shared().parameters).expect("the noise is known");
         let each: Vec<Vec<[Interval; FITS.len()]>> = (0..ensembles)
             .into_par_iter()

@@ -7,8 +7,8 @@ use kalfit_spec::DesignSpec;
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, Normal};
 
-use super::SEED;
 use super::drawn::{CONSTANT, Drawn, LINE, NOISY, UNITS, WALK, rows, values};
+use crate::seed::SEED;
 
 const LIMITS: Limits = Limits { confidence: 0.9, content: 0.95, sides: Sides::Two };
 
@@ -22,128 +22,43 @@ struct Setup {
 }
 
 const SETUPS: [Setup; 8] = [
-    Setup {
-        title: "5 tests that determine their level exactly",
-        output: "level",
-        mission: &[0.0],
-        drawn: Drawn {
-            model: CONSTANT,
-            free: "",
-            units: 1,
-            tests: 5,
-            rows: &[0.0, 1.0],
-            mean: &[1.0],
-            std_dev: &[&[1.0]],
-            restricted: false,
-        },
-    },
+    Setup { title: "5 tests that determine their level exactly", output: "level", mission: &[0.0], drawn: CONSTANT },
     Setup {
         title: "5 tests that determine their level exactly, by restricted likelihood",
         output: "level",
         mission: &[0.0],
-        drawn: Drawn {
-            model: CONSTANT,
-            free: "",
-            units: 1,
-            tests: 5,
-            rows: &[0.0, 1.0],
-            mean: &[1.0],
-            std_dev: &[&[1.0]],
-            restricted: true,
-        },
+        drawn: Drawn { restricted: true, ..CONSTANT },
     },
     Setup {
         title: "30 tests that determine their level with an error as large as its spread",
         output: "level",
         mission: &[0.0],
-        drawn: Drawn {
-            model: NOISY,
-            free: "sigma",
-            units: 1,
-            tests: 30,
-            rows: &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0],
-            mean: &[1.0],
-            std_dev: &[&[1.0]],
-            restricted: false,
-        },
+        drawn: NOISY,
     },
     Setup {
         title: "30 tests that determine their level with an error of 1.7 times its spread",
         output: "level",
         mission: &[0.0],
-        drawn: Drawn {
-            model: NOISY,
-            free: "sigma",
-            units: 1,
-            tests: 30,
-            rows: &[0.0, 1.0, 2.0, 3.0],
-            mean: &[1.0],
-            std_dev: &[&[1.0]],
-            restricted: false,
-        },
+        drawn: Drawn { rows: &[0.0, 1.0, 2.0, 3.0], ..NOISY },
     },
     Setup {
         title: "18 random lines of 10 rows, a little beyond them",
         output: "level + slope * x",
         mission: &[12.0],
-        drawn: Drawn {
-            model: LINE,
-            free: "sigma",
-            units: 1,
-            tests: 18,
-            rows: &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0],
-            mean: &[250.0, 10.0],
-            std_dev: &[&[24.0, 6.0]],
-            restricted: false,
-        },
+        drawn: LINE,
     },
     Setup {
         title: "12 random walks of 20 rows from a random level, density and noise free",
         output: "level + walk",
         mission: &[10.0, 30.0],
-        drawn: Drawn {
-            model: WALK,
-            free: "q sigma",
-            units: 1,
-            tests: 12,
-            rows: &[
-                1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0, 17.0, 18.0,
-                19.0, 20.0,
-            ],
-            mean: &[1.0],
-            std_dev: &[&[4.0]],
-            restricted: false,
-        },
+        drawn: WALK,
     },
-    Setup {
-        title: "10 units of 3 tests of 4 rows, a new unit",
-        output: "level",
-        mission: &[0.0],
-        drawn: Drawn {
-            model: UNITS,
-            free: "sigma",
-            units: 10,
-            tests: 3,
-            rows: &[0.0, 1.0, 2.0, 3.0],
-            mean: &[250.0],
-            std_dev: &[&[12.0], &[24.0]],
-            restricted: false,
-        },
-    },
+    Setup { title: "10 units of 3 tests of 4 rows, a new unit", output: "level", mission: &[0.0], drawn: UNITS },
     Setup {
         title: "30 units of 5 tests of 4 rows, a new unit",
         output: "level",
         mission: &[0.0],
-        drawn: Drawn {
-            model: UNITS,
-            free: "sigma",
-            units: 30,
-            tests: 5,
-            rows: &[0.0, 1.0, 2.0, 3.0],
-            mean: &[250.0],
-            std_dev: &[&[12.0], &[24.0]],
-            restricted: false,
-        },
+        drawn: Drawn { units: 30, tests: 5, ..UNITS },
     },
 ];
 
@@ -184,7 +99,7 @@ impl Setup {
         let [known, free] = [false, true].map(|is_free| self.drawn.spec(is_free));
         let outputs = format!("[outputs.y]\nequation = \"{}\"\n", self.output);
         let DesignSpec { spec: design, outputs } = known.design(Some(&outputs), false).expect("a set-up is sound");
-        let mission = rows(&design, "mission", self.mission, &[]);
+        let mission = rows(&design.model, "mission", self.mission, &[]);
         let predicted = |alpha: &Alpha, population: &Population, knowledge: Knowledge| -> Predicted {
             let predictor =
                 Predictor::new(&design.model, &outputs, (alpha, &[]), Some(knowledge)).expect("it predicts");

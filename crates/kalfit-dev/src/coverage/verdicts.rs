@@ -4,8 +4,8 @@ use kalfit::apply::{Applied, Laws, Trust, Verdict};
 use kalfit::{Ensemble, Labels};
 use rayon::prelude::*;
 
-use super::SEED;
 use super::drawn::{Drawn, LINE, NOISY, UNITS, WALK, values};
+use crate::seed::SEED;
 
 /// Share of the batches that may be accused.
 const LEVEL: f64 = 0.05;
@@ -37,19 +37,7 @@ sigma = 0.3
 "#;
 
 const SETUPS: [Setup; 5] = [
-    Setup {
-        title: "random lines of 10 rows",
-        drawn: Drawn {
-            model: LINE,
-            free: "sigma",
-            units: 0,
-            tests: 1,
-            rows: &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0],
-            mean: &[250.0, 10.0],
-            std_dev: &[&[24.0, 6.0]],
-            restricted: false,
-        },
-    },
+    Setup { title: "random lines of 10 rows", drawn: Drawn { units: 0, tests: 1, ..LINE } },
     Setup {
         title: "cubics of 8 rows, four states",
         drawn: Drawn {
@@ -65,43 +53,13 @@ const SETUPS: [Setup; 5] = [
     },
     Setup {
         title: "levels determined with an error as large as their spread, 12 rows",
-        drawn: Drawn {
-            model: NOISY,
-            free: "sigma",
-            units: 0,
-            tests: 1,
-            rows: &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0],
-            mean: &[1.0],
-            std_dev: &[&[1.0]],
-            restricted: false,
-        },
+        drawn: Drawn { units: 0, tests: 1, ..NOISY },
     },
     Setup {
         title: "random walks of 8 rows from a random level, density and noise free",
-        drawn: Drawn {
-            model: WALK,
-            free: "q sigma",
-            units: 0,
-            tests: 1,
-            rows: &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0],
-            mean: &[1.0],
-            std_dev: &[&[4.0]],
-            restricted: false,
-        },
+        drawn: Drawn { units: 0, tests: 1, rows: &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0], ..WALK },
     },
-    Setup {
-        title: "units of 3 tests of 4 rows",
-        drawn: Drawn {
-            model: UNITS,
-            free: "sigma",
-            units: 0,
-            tests: 3,
-            rows: &[0.0, 1.0, 2.0, 3.0],
-            mean: &[250.0],
-            std_dev: &[&[12.0], &[24.0]],
-            restricted: false,
-        },
-    },
+    Setup { title: "units of 3 tests of 4 rows", drawn: Drawn { units: 0, ..UNITS } },
 ];
 
 /// How often a law accuses: distances, tests within units, residuals, some test by itself.

@@ -2,13 +2,12 @@
 //! several starts. The highest of these fits must lie χ²₁'s 95 % quantile, halved, below the maximum.
 
 use kalfit::dynamic::{self, DynamicFit};
-use kalfit::estimate::{Silent, Stop};
+use kalfit::estimate::Stop;
 use kalfit::infer::{Choices, DeletionChoice, IntervalKind, StdErrors, TestsChoice};
 use kalfit::model::{Expression, Value};
-use kalfit::{Labels, PhasedModel};
 use rand_chacha::ChaCha8Rng;
 
-use super::{Drawn, fitted, scattered};
+use super::drawn::Drawn;
 
 /// Half of χ²₁'s 95 % quantile.
 const DROP: f64 = 1.920_729_410_347_062;
@@ -33,14 +32,14 @@ pub(super) struct Ends {
 /// Holds all ends of the intervals of a model's free values.
 pub(super) fn ends(drawn: &Drawn, seed: u64, random: &mut ChaCha8Rng) -> Ends {
     let mut found = Ends::default();
-    let Some(fit) = fitted(drawn, None).filter(|fit| fit.stop == Stop::Certified) else { return found };
+    let model = drawn.free(None);
+    let Some(fit) = drawn.fit(&model).filter(|fit| fit.stop == Stop::Certified) else { return found };
     let choices = Choices {
         std_errors: StdErrors::Observed,
         intervals: IntervalKind::Profile,
         deletion: DeletionChoice::None,
         tests: TestsChoice::None,
     };
-    let model = open(&drawn.model);
     let Ok((_, parameters)) = dynamic::infer(&model, &drawn.tests, &fit, choices) else { return found };
     let of_noises = |slot: usize| {
         let named = |(.., c): &(usize, usize, Expression)| *c == Expression::Parameter(slot);
@@ -74,28 +73,11 @@ pub(super) fn ends(drawn: &Drawn, seed: u64, random: &mut ChaCha8Rng) -> Ends {
 /// The highest ℓ of fits with the value of a slot held.
 fn highest(drawn: &Drawn, fit: &DynamicFit, (slot, end): (usize, f64), random: &mut ChaCha8Rng) -> Option<f64> {
     let mut starts = vec![fit.values.clone(), drawn.truth.clone()];
-    starts.extend((0..RANDOM).map(|_| scattered(drawn, random)));
+    starts.extend((0..RANDOM).map(|_| drawn.scattered(random)));
     let value = |starts: &Vec<f64>| {
-        let mut model = drawn.model.clone();
-        for phase in &mut model.phases {
-            for (at, parameter) in phase.model.parameters.iter_mut().enumerate() {
-                let free = Value::Free { start: Some(starts[at]) };
-                parameter.value = if at == slot { Value::Fixed(end) } else { free };
-            }
-        }
-        let found = dynamic::fit(&model, &Labels::default(), &drawn.tests, &dynamic::Settings::default(), &mut Silent);
-        found.ok().map(|fit| fit.estimate.log_likelihood)
+        let mut model = drawn.free(Some(starts));
+        model.models_mut().for_each(|phase| phase.parameters[slot].value = Value::Fixed(end));
+        drawn.fit(&model).map(|fit| fit.estimate.log_likelihood)
     };
     starts.iter().filter_map(value).max_by(f64::total_cmp)
-}
-
-/// The model with all parameters free.
-fn open(model: &PhasedModel) -> PhasedModel {
-    let mut model = model.clone();
-    for phase in &mut model.phases {
-        for parameter in &mut phase.model.parameters {
-            parameter.value = Value::Free { start: None };
-        }
-    }
-    model
 }

@@ -3,11 +3,11 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::RngExt;
 
+use super::peer::scripts;
 use super::whole::{Kalfit, path};
-use super::{SEED, scripts};
+use crate::seed::{SEED, random};
 
 /// What is fitted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -43,7 +43,7 @@ impl Study {
 
     /// Inputs and variances; what is measured is drawn from the truth.
     fn design(self, tests: usize) -> String {
-        let mut rng = ChaCha8Rng::seed_from_u64(SEED);
+        let mut rng = random();
         let mut text = match self {
             Study::Regression => "test,x,y\n",
             Study::Meta => "test,y_a,y_b,v_a,v_b,c_ab\n",

@@ -1,12 +1,16 @@
 //! The peers: their scripts, run as child processes where they are installed.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use super::answer::Answer;
 use super::clock;
-use super::scripts;
 use super::whole::path;
+
+/// Where the models and the peers' scripts are.
+pub(super) fn scripts() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("peers")
+}
 
 /// The language of a script.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -8,13 +8,13 @@ use kalfit::model::Alpha;
 use kalfit::reduce::Reducer;
 use kalfit::{Model, Source, Test};
 use kalfit_spec::Spec;
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::RngExt;
 use rand_distr::StandardNormal;
 
 use super::agreement::Ours;
 use super::clock::{self, Taken};
-use super::{SEED, ensemble};
+use super::ensemble;
+use crate::seed::random;
 
 /// Rows of the record.
 pub(super) const ROWS: usize = 100_000;
@@ -41,7 +41,7 @@ pub(super) struct Record {
 
 impl Record {
     pub(super) fn draw() -> Record {
-        let mut rng = ChaCha8Rng::seed_from_u64(SEED);
+        let mut rng = random();
         let (mut time, mut drift) = (0.0, 0.0);
         let row = || {
             let step: f64 = rng.random_range(0.05..0.3);

@@ -9,14 +9,14 @@ use kalfit::model::Alpha;
 use kalfit::reduce::Reducer;
 use kalfit::{Source, Test};
 use nalgebra::DMatrix;
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::RngExt;
 use rand_distr::StandardNormal;
 
 use super::agreement::Ours;
 use super::clock::{self, Taken};
-use super::{SEED, ensemble};
+use super::ensemble;
 use crate::bench::bench_model;
+use crate::seed::random;
 
 /// Two random constants and a stationary drift.
 const STATES: usize = 3;
@@ -33,7 +33,7 @@ pub(super) struct Space {
 impl Space {
     /// Tests with inputs of their own, or all with those of the first.
     pub(super) fn draw(tests: usize, shared: bool) -> Space {
-        let mut rng = ChaCha8Rng::seed_from_u64(SEED);
+        let mut rng = random();
         let mut test =
             || -> Vec<[f64; STATES]> { (0..ROWS).map(|_| [(); STATES].map(|()| rng.sample(StandardNormal))).collect() };
         let mut tests: Vec<Vec<[f64; STATES]>> = (0..tests).map(|_| test()).collect();

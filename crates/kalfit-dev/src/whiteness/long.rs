@@ -11,7 +11,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-use super::{Proposal, lags};
+use super::proposal::{Proposal, lags};
 
 /// τ², each as often.
 const SPREADS: [f64; 5] = [0.0, 1.0, 3.0, 6.0, 12.0];

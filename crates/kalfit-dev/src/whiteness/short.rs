@@ -6,7 +6,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-use super::{Proposal, lags};
+use super::proposal::{Proposal, lags};
 
 /// Draws of ten that are uncorrelated, that are sinusoids; the rest are autoregressions.
 const PLAIN: usize = 1;

@@ -6,7 +6,6 @@ use kalfit::PhasedTest;
 use kalfit::apply::{Applied, ApplyError, Laws, Said, Trust};
 use kalfit::record::{AppliedRecord, AppliedSource, Basis};
 use kalfit::reduce::{Evidence, grouping};
-use kalfit_data::Reading;
 use kalfit_spec::Spec;
 
 use self::tables::Task;
@@ -14,6 +13,7 @@ use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::job::{AppliedModel, ApplyJob, Done, files};
 use crate::output::{Pending, Target};
+use crate::refused::by_apply;
 use crate::table::Table;
 use crate::truth::Truth;
 use crate::work::{Watch, Work};
@@ -34,7 +34,7 @@ pub fn apply(job: &ApplyJob, watch: &mut dyn Watch) -> Result<Done<AppliedModel>
     }
     let mut work = Work::new(watch);
     let (tests, reading) = tests::read(&spec, &given, &mut work)?;
-    let refused = |error| refused(error, &reading);
+    let refused = |error| by_apply(error, &reading);
     work.say(|| "running the filters".to_owned());
     let applied = Applied::new(&spec.model, &truth.alpha, &truth.population, &tests).map_err(refused)?;
     work.go_on()?;
@@ -90,12 +90,4 @@ fn judged(
         at_zero: at_zero.map_or_else(Vec::new, |estimates| estimates.at_zero.clone()),
     };
     Ok((laws, source))
-}
-
-pub(crate) fn refused(error: ApplyError, reading: &Reading) -> Failure {
-    match error {
-        ApplyError::Reduce(error) => Failure::Reduce { error: *error, reading: Some(Box::new(reading.clone())) },
-        ApplyError::Fit(error) => Failure::Fit(error),
-        error => Failure::Apply(Box::new(error)),
-    }
 }

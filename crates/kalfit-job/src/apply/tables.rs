@@ -5,9 +5,9 @@ use kalfit::{PhasedModel, PhasedTest};
 use kalfit_data::{Cell, CellKind, Reading, WriteError};
 use kalfit_spec::Spec;
 
-use super::refused;
 use crate::failure::Failure;
 use crate::output::Pending;
+use crate::refused::by_apply;
 use crate::table::{Table, Writer};
 use crate::tests;
 use crate::work::Work;
@@ -123,7 +123,7 @@ impl Task<'_> {
             while done < self.tests.len() {
                 let next = tests::batch(self.tests, done, BATCH_ROWS);
                 work.go_on()?;
-                let states = self.applied.states(kind, done..next).map_err(|error| refused(error, self.reading))?;
+                let states = self.applied.states(kind, done..next).map_err(|error| by_apply(error, self.reading))?;
                 for (test, phases) in self.tests[done..next].iter().zip(&states) {
                     phases.iter().try_for_each(|phase| self.phase(&test.id, phase, writer)).map_err(table.failed())?;
                 }

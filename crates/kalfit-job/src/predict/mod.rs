@@ -5,7 +5,7 @@ mod table;
 mod units;
 
 use kalfit::PhasedTest;
-use kalfit::predict::{Bounds, MeanLimits, Output, PredictError, Predictor};
+use kalfit::predict::{Bounds, MeanLimits, Output, Predictor};
 use kalfit::record::{PredictedRecord, PredictedSource};
 use kalfit_data::{Input, Reading};
 use kalfit_spec::{BesideError, DesignSpec, Spec};
@@ -17,6 +17,7 @@ use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::job::{Done, PredictJob, PredictedModel, Units, files};
 use crate::output::Pending;
+use crate::refused::by_predict;
 use crate::table::{Table, Writer};
 use crate::work::{Watch, Work};
 use crate::{model, tests, truth};
@@ -43,7 +44,8 @@ pub fn predict(job: &PredictJob, watch: &mut dyn Watch) -> Result<Done<Predicted
     let (tests, reading) = tests::read(&design, &Given::rows_of(inputs), &mut work)?;
     let values = (&model::alpha(&design), truth.population.coefficients.as_slice());
     let estimation = knowledge.is_some();
-    let predictor = Predictor::new(&design.model, &outputs, values, knowledge).map_err(|error| refused(error, None))?;
+    let predictor =
+        Predictor::new(&design.model, &outputs, values, knowledge).map_err(|error| by_predict(error, None))?;
     let source = PredictedSource {
         name: job.from.name(),
         fitted: truth.fitted,
@@ -103,15 +105,6 @@ fn designed(job: &PredictJob, spec: &Spec) -> Result<DesignSpec, Failure> {
     Ok(found)
 }
 
-fn refused(error: PredictError, reading: Option<&Reading>) -> Failure {
-    match error {
-        PredictError::Reduce(error) => {
-            Failure::Reduce { error: *error, reading: reading.map(|reading| Box::new(reading.clone())) }
-        }
-        error => Failure::Predict(Box::new(error)),
-    }
-}
-
 /// All that predictions depend on.
 struct Task<'a> {
     bounds: Bounds,
@@ -143,7 +136,7 @@ impl Task<'_> {
             let initial = own.iter().map(|test| self.units.initial(test, grouping.as_ref(), &self.reading.labels));
             let initial = initial.collect::<Result<Vec<_>, _>>()?;
             let mut found =
-                self.predictor.predict(own, &initial).map_err(|error| refused(error, Some(self.reading)))?;
+                self.predictor.predict(own, &initial).map_err(|error| by_predict(error, Some(self.reading)))?;
             if let Some(limits) = &mut limits {
                 let steps = found.iter_mut().flatten().flat_map(|phase| &mut phase.steps);
                 let values = steps.flat_map(|step| &mut step.values);

@@ -6,11 +6,11 @@ use kalfit::{Alpha, Ensemble, EnsembleError, FitRecord, PhasedTest};
 use kalfit_data::Reading;
 use kalfit_spec::Spec;
 
-use super::refused;
 use super::units::UnitsOf;
 use crate::evidence::Given;
 use crate::failure::Failure;
 use crate::job::{PredictJob, Units};
+use crate::refused::by_predict;
 use crate::truth::Truth;
 use crate::work::Work;
 use crate::{dynamic, memory, model, tests};
@@ -77,7 +77,7 @@ impl Profiles {
     ) -> Result<Vec<Option<[f64; 2]>>, Failure> {
         let UnitsOf::New(initial) = units else { unreachable!("known units were refused") };
         let own = predictor.predict(designs, &vec![initial; designs.len()]);
-        let own = own.map_err(|error| refused(error, Some(reading)))?;
+        let own = own.map_err(|error| by_predict(error, Some(reading)))?;
         let values: usize = own.iter().flatten().flat_map(|phase| &phase.steps).map(|step| step.values.len()).sum();
         if values > MOST {
             let why =

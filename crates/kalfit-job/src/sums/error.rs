@@ -2,7 +2,6 @@
 
 use kalfit::shards::ShardError;
 
-use crate::failure::Failure;
 use crate::results::ResultError;
 
 /// Why sums cannot be made, or not be put together.
@@ -108,12 +107,6 @@ pub enum SumsError {
         /// The fewest that are told of.
         least: usize,
     },
-}
-
-impl From<SumsError> for Failure {
-    fn from(error: SumsError) -> Failure {
-        Failure::Sums(Box::new(error))
-    }
 }
 
 impl SumsError {

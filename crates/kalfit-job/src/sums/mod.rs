@@ -1,6 +1,6 @@
 //! Fits by sums: `kalfit sums` where tests are, `kalfit join` between such places, and the same for whoever moves sums in another way.
 
-mod error;
+pub(crate) mod error;
 mod join;
 mod site;
 mod theta;
@@ -9,3 +9,11 @@ pub use error::SumsError;
 pub use join::{JoinJob, Joined, Round, first, join, of_partitions};
 pub use site::{Site, Summed, SumsJob, sums};
 pub use theta::{Sums, Theta};
+
+use crate::failure::Failure;
+
+impl From<SumsError> for Failure {
+    fn from(error: SumsError) -> Failure {
+        Failure::Sums(Box::new(error))
+    }
+}

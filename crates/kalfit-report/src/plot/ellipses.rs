@@ -6,7 +6,8 @@ use kalfit::record::PhaseRecord;
 use crate::html::outlying::stands_out;
 use crate::plot::axis::Axis;
 use crate::plot::canvas::{BLUE, Canvas, FAINT, INK, ORANGE, SMALL, Side, WORDS, cut};
-use crate::plot::{Picture, PlotError};
+use crate::plot::error::PlotError;
+use crate::plot::picture::Picture;
 use crate::words::clean;
 
 /// Pairs that are drawn: those of the first four states.

@@ -6,7 +6,8 @@ use crate::html::forest::{Panel, panels};
 use crate::html::{estimates, parameters};
 use crate::plot::axis::Axis;
 use crate::plot::canvas::{BLUE, Canvas, FAINT, INK, SMALL, Side, WORDS, cut, widest};
-use crate::plot::{Picture, PlotError};
+use crate::plot::error::PlotError;
+use crate::plot::picture::Picture;
 use crate::words::clean;
 
 /// Heights, in points.

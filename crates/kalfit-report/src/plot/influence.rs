@@ -5,7 +5,8 @@ use kalfit::record::displacement_limit;
 
 use crate::plot::axis::Axis;
 use crate::plot::canvas::{BLUE, Canvas, FAINT, INK, ORANGE, SMALL, Side, WORDS, cut, widest};
-use crate::plot::{Picture, PlotError};
+use crate::plot::error::PlotError;
+use crate::plot::picture::Picture;
 use crate::summary::influence::deleted;
 use crate::words::{clean, count};
 

@@ -3,8 +3,8 @@
 use tiny_skia::{FillRule, Paint, Path, PathBuilder, Pixmap, Rect, Stroke, StrokeDash, Transform};
 use ttf_parser::{Face, GlyphId, OutlineBuilder};
 
-use crate::plot::PlotError;
 use crate::plot::canvas::{AREA, Color, DASH, Scene, Shape, Side};
+use crate::plot::error::PlotError;
 use crate::plot::svg::MIDDLE;
 
 /// Pixels in a point.

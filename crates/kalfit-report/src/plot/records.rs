@@ -4,7 +4,8 @@ use kalfit::record::{AlongRecord, MeasurementAlong, TestAlong};
 
 use crate::plot::axis::Axis;
 use crate::plot::canvas::{BLUE, Canvas, FAINT, INK, ORANGE, SMALL, Side, WORDS, cut};
-use crate::plot::{Picture, PlotError};
+use crate::plot::error::PlotError;
+use crate::plot::picture::Picture;
 use crate::words::{clean, list};
 
 /// Measurements that are drawn.

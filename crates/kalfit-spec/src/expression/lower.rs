@@ -10,10 +10,9 @@ use crate::expression::form::Form;
 use crate::expression::scope::Scope;
 use crate::expression::snippet::Snippet;
 use crate::expression::syntax::{Kind, Node};
-use crate::names::{Context, RESERVED, Role};
+use crate::names::{Context, Role};
 use crate::suggest::suggest;
-
-const FUNCTIONS: [&str; 10] = ["sqrt", "exp", "log", "sin", "cos", "tan", "abs", "min", "max", "if"];
+use crate::vocabulary::{function_called, functions, is_reserved, symbol};
 
 /// Turns one tree into its meaning.
 pub(crate) struct Lowering<'c, 't> {
@@ -101,7 +100,7 @@ impl Lowering<'_, '_> {
                     Err(self.wrong(Wrong::StepWithoutTime, span))
                 }
             }
-            _ if RESERVED.contains(&name) => Err(self
+            _ if is_reserved(name) => Err(self
                 .wrong(Wrong::NoArguments { name: name.to_owned() }, span)
                 .hint(format!("a column of this name is written `` `{name}` ``"))),
             _ => self.column(name, span),
@@ -269,7 +268,7 @@ impl Lowering<'_, '_> {
             Some("the state")
         } else if self.context.parameters.get(name).is_some() {
             Some("the parameter")
-        } else if RESERVED.contains(&name) {
+        } else if is_reserved(name) {
             Some("the word")
         } else {
             None
@@ -277,19 +276,10 @@ impl Lowering<'_, '_> {
     }
 
     fn call(&mut self, name: &str, arguments: &[Node], span: &Range<usize>) -> Result<Meaning> {
-        let function = match name {
-            "if" => return self.choice(arguments, span),
-            "sqrt" => Function::Sqrt,
-            "exp" => Function::Exp,
-            "log" => Function::Log,
-            "sin" => Function::Sin,
-            "cos" => Function::Cos,
-            "tan" => Function::Tan,
-            "abs" => Function::Abs,
-            "min" => Function::Min,
-            "max" => Function::Max,
-            _ => return Err(self.unknown_function(name, span)),
-        };
+        if name == "if" {
+            return self.choice(arguments, span);
+        }
+        let function = function_called(name).ok_or_else(|| self.unknown_function(name, span))?;
         let many = matches!(function, Function::Min | Function::Max);
         if arguments.is_empty() || (!many && arguments.len() > 1) {
             let expected = if many { "1 or more" } else { "1" };
@@ -325,7 +315,7 @@ impl Lowering<'_, '_> {
             "ln" => Some("the natural logarithm is `log`".to_owned()),
             "pow" => Some("`^` raises to a power".to_owned()),
             _ if self.what_hides(name).is_some() => Some(format!("write `{name} * (`")),
-            _ => suggest(name, FUNCTIONS),
+            _ => suggest(name, functions()),
         };
         self.wrong(Wrong::UnknownFunction { name: name.to_owned() }, &name_span).maybe_hint(hint)
     }
@@ -352,25 +342,6 @@ impl Lowering<'_, '_> {
 
 fn number(constant: Expression) -> Meaning {
     Meaning::Number(Form { terms: Vec::new(), constant })
-}
-
-/// How an operator is written.
-pub(crate) fn symbol(operator: Operator) -> &'static str {
-    match operator {
-        Operator::Add => "+",
-        Operator::Subtract => "-",
-        Operator::Multiply => "*",
-        Operator::Divide => "/",
-        Operator::Power => "^",
-        Operator::Less => "<",
-        Operator::LessEqual => "<=",
-        Operator::Greater => ">",
-        Operator::GreaterEqual => ">=",
-        Operator::Equal => "==",
-        Operator::NotEqual => "!=",
-        Operator::And => "and",
-        Operator::Or => "or",
-    }
 }
 
 /// The form of a plain number.

@@ -17,7 +17,6 @@ use snippet::Snippet;
 use syntax::Node;
 
 pub(crate) use fold::{ONE, ZERO, binary, is_zero, negate, size, square};
-pub(crate) use lower::symbol;
 pub(crate) use scope::Scope;
 
 fn read(context: &Context<'_>, field: &Field<'_>) -> Result<(Snippet, Node)> {

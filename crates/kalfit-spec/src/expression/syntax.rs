@@ -6,6 +6,7 @@ use kalfit::model::Operator;
 
 use crate::error::ExpressionProblem;
 use crate::token::{Token, Word, tokenize};
+use crate::vocabulary::operator_written;
 
 /// Longest expression that is read, in bytes.
 const MAX_LENGTH: usize = 16_384;
@@ -70,24 +71,15 @@ struct Parser<'w, 's> {
 
 /// How tightly operators bind, loosest first: left and right power of each.
 fn power(token: &Token<'_>) -> Option<(u8, u8, Operator)> {
-    let (left, right, operator) = match token {
-        Token::Name("or") => (1, 2, Operator::Or),
-        Token::Name("and") => (3, 4, Operator::And),
-        Token::Symbol(symbol) => match *symbol {
-            "<" => (COMPARISON, COMPARISON + 1, Operator::Less),
-            "<=" => (COMPARISON, COMPARISON + 1, Operator::LessEqual),
-            ">" => (COMPARISON, COMPARISON + 1, Operator::Greater),
-            ">=" => (COMPARISON, COMPARISON + 1, Operator::GreaterEqual),
-            "==" => (COMPARISON, COMPARISON + 1, Operator::Equal),
-            "!=" => (COMPARISON, COMPARISON + 1, Operator::NotEqual),
-            "+" => (9, 10, Operator::Add),
-            "-" => (9, 10, Operator::Subtract),
-            "*" => (11, 12, Operator::Multiply),
-            "/" => (11, 12, Operator::Divide),
-            "^" => (16, 15, Operator::Power), // groups from the right
-            _ => return None,
-        },
-        _ => return None,
+    let (Token::Name(word) | Token::Symbol(word)) = token else { return None };
+    let operator = operator_written(word)?;
+    let (left, right) = match operator {
+        Operator::Or => (1, 2),
+        Operator::And => (3, 4),
+        Operator::Add | Operator::Subtract => (9, 10),
+        Operator::Multiply | Operator::Divide => (11, 12),
+        Operator::Power => (16, 15), // groups from the right
+        _ => (COMPARISON, COMPARISON + 1),
     };
     Some((left, right, operator))
 }

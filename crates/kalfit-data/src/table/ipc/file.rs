@@ -16,8 +16,9 @@ use arrow::ipc::{Block, root_as_footer};
 
 use super::super::batches::BatchTable;
 use super::super::guard::guarded;
-use super::{FORMAT, refuse_oversized, refused, unsound};
+use super::message::{refuse_oversized, refused, unsound};
 use crate::error::DataError;
+use crate::kind::ARROW_IPC;
 use crate::wanted::Wanted;
 
 /// Bytes of the footer's length and the mark after it.
@@ -30,7 +31,7 @@ pub(in super::super) fn open<'a, B: Read + Seek + 'a>(
     wanted: &'a Wanted,
 ) -> Result<BatchTable<'a>, DataError> {
     let mut source = Source { file, bytes };
-    let (schema, decoder, blocks) = guarded(file, FORMAT, || begin(&mut source, wanted))?;
+    let (schema, decoder, blocks) = guarded(file, ARROW_IPC, || begin(&mut source, wanted))?;
     let mut blocks = blocks.into_iter();
     let mut next = move || -> Result<Option<RecordBatch>, DataError> {
         for block in blocks.by_ref() {
@@ -41,7 +42,7 @@ pub(in super::super) fn open<'a, B: Read + Seek + 'a>(
         }
         Ok(None)
     };
-    BatchTable::new(file, FORMAT, wanted, &schema, Box::new(move || guarded(file, FORMAT, &mut next)))
+    BatchTable::new(file, ARROW_IPC, wanted, &schema, Box::new(move || guarded(file, ARROW_IPC, &mut next)))
 }
 
 /// Reads footer and dictionaries: the schema of the wanted columns, what decodes the blocks, and the blocks.

@@ -11,8 +11,9 @@ use arrow::ipc::root_as_message;
 
 use super::super::batches::BatchTable;
 use super::super::guard::guarded;
-use super::{FORMAT, refuse_oversized, refused, unsound};
+use super::message::{refuse_oversized, refused, unsound};
 use crate::error::DataError;
+use crate::kind::ARROW_IPC;
 use crate::wanted::Wanted;
 
 const CONTINUATION: [u8; 4] = [0xff; 4];
@@ -25,12 +26,12 @@ pub(in super::super) fn open<'a>(
 ) -> Result<BatchTable<'a>, DataError> {
     let pending = Buffer::from_vec(Vec::<u8>::new());
     let mut messages = Messages { file, bytes, decoder: StreamDecoder::new(), pending, ended: false };
-    let (schema, mut first) = guarded(file, FORMAT, || messages.begin())?;
+    let (schema, mut first) = guarded(file, ARROW_IPC, || messages.begin())?;
     let next = move || match first.take() {
         Some(batch) => Ok(Some(batch)),
-        None => guarded(file, FORMAT, || messages.next()),
+        None => guarded(file, ARROW_IPC, || messages.next()),
     };
-    BatchTable::new(file, FORMAT, wanted, &schema, Box::new(next))
+    BatchTable::new(file, ARROW_IPC, wanted, &schema, Box::new(next))
 }
 
 struct Messages<'a> {

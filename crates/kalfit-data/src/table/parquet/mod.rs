@@ -20,11 +20,10 @@ use super::guard::guarded;
 use crate::block::Block;
 use crate::error::DataError;
 use crate::fill::Filler;
+use crate::kind::PARQUET;
 use crate::numbering::Numbering;
 use crate::wanted::Wanted;
 use survey::Survey;
-
-pub(crate) const FORMAT: &str = "Parquet";
 
 /// Rows a file is believed to hold beyond [`ROWS_PER_BYTE`]. Run-length codes can declare billions of equal rows in a
 /// few bytes; a table worth reading does not compress so well.
@@ -62,7 +61,7 @@ pub(super) fn open<'a, R: ChunkReader + 'static, B: Fn() -> io::Result<R> + Clon
 ) -> Result<Box<dyn Tasks<'a> + 'a>, DataError> {
     let failed = |source: ParquetError| DataError::Parquet { file: file.to_owned(), source: Box::new(source) };
     let bytes = open().map_err(|source| DataError::Io { file: file.to_owned(), source })?;
-    guarded(file, FORMAT, || {
+    guarded(file, PARQUET, || {
         let length = bytes.len();
         let metadata = ArrowReaderMetadata::load(&bytes, ArrowReaderOptions::new()).map_err(failed)?;
         refuse_oversized(file, metadata.metadata(), length)?;
@@ -70,7 +69,7 @@ pub(super) fn open<'a, R: ChunkReader + 'static, B: Fn() -> io::Result<R> + Clon
         let mut roots = wanted.positions(file, &names)?;
         let columns: Vec<&str> = wanted.columns.iter().map(|column| column.name.as_str()).collect();
         refuse_codecs(file, metadata.metadata(), &roots, &columns)?;
-        let form = Form { file, format: FORMAT, wanted };
+        let form = Form { file, format: PARQUET, wanted };
         roots.sort_unstable();
         let positions = form.positions(&metadata.schema().project(&roots).map_err(|error| failed(error.into()))?)?;
         let mask = ProjectionMask::roots(metadata.parquet_schema(), roots);
@@ -157,7 +156,7 @@ impl Piece<'_> {
         let (mut filler, numbering) = (Filler::new(form.wanted, rows), Numbering::from(before + 1));
         let last = before + rows as u64;
         let read = || -> Result<(), DataError> {
-            let mut reader = guarded(form.file, FORMAT, || {
+            let mut reader = guarded(form.file, PARQUET, || {
                 let builder = ParquetRecordBatchReaderBuilder::new_with_metadata(bytes, metadata)
                     .with_projection(mask)
                     .with_row_groups(vec![group])
@@ -167,13 +166,13 @@ impl Piece<'_> {
                 let failed = |source| DataError::Parquet { file: form.file.to_owned(), source: Box::new(source) };
                 builder.build().map_err(failed)
             })?;
-            while let Some(batch) = guarded(form.file, FORMAT, || next_batch(&mut reader, form.file))? {
+            while let Some(batch) = guarded(form.file, PARQUET, || next_batch(&mut reader, form.file))? {
                 form.fill(&mut filler, &positions, (&batch, before))?;
                 before += batch.num_rows() as u64;
             }
             // to go on would take a declared row group of any length in vain
             let whole = before == last;
-            whole.then_some(()).ok_or_else(|| DataError::Crashed { file: form.file.to_owned(), format: FORMAT })
+            whole.then_some(()).ok_or_else(|| DataError::Crashed { file: form.file.to_owned(), format: PARQUET })
         };
         let end = read().err();
         filler.finish(numbering, end)

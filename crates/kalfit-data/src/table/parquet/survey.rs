@@ -15,9 +15,9 @@ use parquet::file::metadata::ColumnChunkMetaData;
 use parquet::file::reader::{ChunkReader, Length};
 use parquet::file::serialized_reader::SerializedPageReader;
 
-use super::FORMAT;
 use super::header::Header;
 use crate::error::DataError;
+use crate::kind::PARQUET;
 use crate::table::guard::guarded;
 
 /// A page may unpack to as many bytes as these, and so many times its bytes in the file more.
@@ -66,7 +66,7 @@ pub(crate) fn survey<R: ChunkReader>(
     mask: &ProjectionMask,
     (groups, rows): (Range<usize>, usize),
 ) -> Result<Survey, DataError> {
-    guarded(file, FORMAT, || {
+    guarded(file, PARQUET, || {
         let schema = metadata.parquet_schema();
         let mut chunks = Vec::new();
         for group in metadata.metadata().row_groups().get(groups).unwrap_or_default() {

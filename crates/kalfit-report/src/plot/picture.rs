@@ -1,0 +1,46 @@
+//! From a figure's shapes to its file.
+
+use kalfit::FitRecord;
+
+use crate::plot::canvas::{Canvas, LINE, Scene, WORDS, lines};
+use crate::plot::error::PlotError;
+use crate::plot::{png, svg};
+use crate::words::clean;
+
+/// Height of the heading, without its caption.
+const HEADING: f64 = 36.0;
+
+/// How a figure is written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Format {
+    /// Scalable.
+    Svg,
+    /// Points.
+    Png,
+}
+
+/// A figure that knows how to draw itself, in points, below its heading.
+pub(super) trait Picture {
+    /// What it shows, for the lines below its title.
+    fn caption(&self) -> String;
+
+    /// Its height at this width.
+    fn height(&self, width: f64) -> f64;
+
+    fn draw(&self, on: &mut Canvas<'_>);
+
+    /// The file.
+    fn put(&self, record: &FitRecord, format: Format, width: u32) -> Result<Vec<u8>, PlotError> {
+        let width = f64::from(width);
+        let caption = lines(&self.caption(), width - 24.0, WORDS);
+        let heading = HEADING + LINE * caption.len() as f64;
+        let mut scene = Scene { width, height: (heading + self.height(width)).ceil(), shapes: Vec::new() };
+        let mut canvas = scene.canvas();
+        canvas.heading(&clean(&record.title), &caption);
+        self.draw(&mut canvas.below(heading));
+        match format {
+            Format::Svg => Ok(svg::svg(&scene).into_bytes()),
+            Format::Png => png::png(&scene),
+        }
+    }
+}
