@@ -35,7 +35,7 @@ pub fn fit(
         true => Explored::No,
         false => explore::explore(&bench, &mut ends, start::all_given(&bench), progress)?,
     };
-    take_up_again(&bench, &mut ends, progress)?;
+    take_up_again(&bench, &mut ends, progress);
     let Some(at) = chosen(&ends) else {
         return Err(first_error.unwrap_or(DynamicError::Fit(FitError::NoTests)));
     };
@@ -66,15 +66,17 @@ pub(crate) fn fit_elsewhere(
 }
 
 /// Where an end without a certificate is higher than the best one with it, another search begins: steps that failed on the way there,
-/// or runs that were used up, may lead on from a fresh start.
-fn take_up_again(bench: &Bench<'_>, ends: &mut Vec<End>, progress: &mut dyn Progress) -> Result<(), DynamicError> {
-    let Some(certified) = explore::best(ends).map(|end| end.home.value()) else { return Ok(()) };
-    let higher = ends.iter().filter(|end| end.home.value() > certified + HIGHER && !progress.stops());
+/// or runs that were used up, may lead on from a fresh start. If they do not, all stays as it was.
+fn take_up_again(bench: &Bench<'_>, ends: &mut Vec<End>, progress: &mut dyn Progress) {
+    if progress.stops() {
+        return;
+    }
+    let Some(certified) = explore::best(ends).map(|end| end.home.value()) else { return };
+    let higher = ends.iter().filter(|end| end.home.value() > certified + HIGHER);
     let highest = higher.max_by(|a, b| a.home.value().total_cmp(&b.home.value()));
     if let Some(start) = highest.map(End::restart) {
-        ends.push(search::search(bench, start.into(), None, progress)?);
+        ends.extend(search::search(bench, start.into(), None, progress));
     }
-    Ok(())
 }
 
 /// What is told of the best end, beside where others ended, whether more were looked for, and levels without which ℓ has no bound.
@@ -114,7 +116,7 @@ fn finished(
 pub(crate) fn best(bench: &Bench<'_>, progress: &mut dyn Progress) -> Option<Vec<f64>> {
     let (mut ends, _) = searched(bench, progress).ok()?;
     explore::explore(bench, &mut ends, start::all_given(bench), progress).ok()?;
-    take_up_again(bench, &mut ends, progress).ok()?;
+    take_up_again(bench, &mut ends, progress);
     chosen(&ends).map(|at| ends[at].restart())
 }
 
