@@ -11,6 +11,10 @@ use crate::terminal;
 /// Exit status of whatever was interrupted: 128 and the number of the signal, as shells have it.
 pub(crate) const STATUS: u8 = 130;
 
+/// Exit status of what could not be done, as of bad input.
+#[cfg(unix)]
+const UNDONE: i32 = 2;
+
 /// Somebody asked for the end.
 static ASKED: AtomicBool = AtomicBool::new(false);
 
@@ -66,6 +70,17 @@ fn survive_large_files() {
 
 #[cfg(not(unix))]
 fn survive_large_files() {}
+
+/// Memory that is refused in the middle of work ends the process, as the standard library has it, but with the exit status of whatever
+/// could not be done, and without a core file. What it says of it stands on standard error by then, and files are written at the end.
+#[cfg(unix)]
+pub(crate) fn end_in_order_without_memory() {
+    let always = Arc::new(AtomicBool::new(true));
+    let _ = signal_hook::flag::register_conditional_shutdown(signal_hook::consts::SIGABRT, UNDONE, always);
+}
+
+#[cfg(not(unix))]
+pub(crate) fn end_in_order_without_memory() {}
 
 /// The signals that are ignored, a bit for each, where the system tells.
 #[cfg(unix)]

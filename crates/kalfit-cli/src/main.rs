@@ -21,6 +21,7 @@ use clap::Parser;
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 fn main() -> ExitCode {
+    interrupt::end_in_order_without_memory();
     kalfit_data::keep_quiet_of_broken_files();
     let args = args::Args::parse();
     terminal::choose_color(args.global.color);

@@ -5,6 +5,7 @@
 mod drawn;
 mod profiles;
 
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use kalfit::dynamic::{DynamicFit, Explored, Standing};
@@ -42,6 +43,9 @@ pub(crate) struct Options {
     /// Hold the ends of profile intervals instead, and fit all other values there.
     #[arg(long)]
     profiles: bool,
+    /// Only write each model and its data into this folder.
+    #[arg(long)]
+    save: Option<PathBuf>,
 }
 
 /// What came out for one model.
@@ -62,6 +66,9 @@ struct Outcome {
 
 /// Runs the models and prints the table.
 pub(crate) fn run(options: &Options) -> ExitCode {
+    if let Some(folder) = &options.save {
+        return save(options, folder);
+    }
     if options.profiles {
         return profile_ends(options);
     }
@@ -79,6 +86,22 @@ pub(crate) fn run(options: &Options) -> ExitCode {
     line("all", outcomes.iter());
     let sound = outcomes.iter().all(|outcome| outcome.silent == 0 && outcome.rising == 0);
     if sound { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}
+
+/// Writes the models and their data.
+fn save(options: &Options, folder: &Path) -> ExitCode {
+    let one = |seed: u64| {
+        let drawn = Drawn::new(&mut ChaCha8Rng::seed_from_u64(seed), seed);
+        std::fs::write(folder.join(format!("{seed}.toml")), &drawn.text)?;
+        std::fs::write(folder.join(format!("{seed}.csv")), drawn.table())
+    };
+    match (0..options.models).try_for_each(|k| one(options.seed + k)) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("{}: {error}", folder.display());
+            ExitCode::FAILURE
+        }
+    }
 }
 
 /// Runs the models and prints how the ends of their profile intervals are met.

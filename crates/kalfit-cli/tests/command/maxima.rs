@@ -57,6 +57,27 @@ fn an_end_on_its_way_along_a_ridge_is_taken_up_again() {
 }
 
 #[test]
+fn two_processes_explain_what_the_other_one_did() {
+    // of two instruments one reads only the first process; where the search ends without start values, the slow one is the first
+    reaches(&fitted("processes-exchanged", "processes-exchanged", &[]), "no starts", -171.319242);
+    let exchanged = [("tau0 = {}", "tau0 = { start = 10.9 }"), ("tau1 = {}", "tau1 = { start = 0.37 }")];
+    reaches(&fitted("processes-exchanged", "processes-exchanged", &exchanged), "the other way round", -171.319242);
+}
+
+#[test]
+fn both_time_constants_of_two_processes_are_longer() {
+    let lower = [
+        ("tau0 = {}", "tau0 = { start = 16.5 }"),
+        ("s0 = {}", "s0 = { start = 0.86 }"),
+        ("tau1 = {}", "tau1 = { start = 0.94 }"),
+        ("s1 = {}", "s1 = { start = 0.103 }"),
+        ("\ns = {}", "\ns = { start = 0.22 }"),
+    ];
+    reaches(&fitted("processes-longer", "processes-longer", &[]), "no starts", -145.366035);
+    reaches(&fitted("processes-longer", "processes-longer", &lower), "at another maximum", -145.366035);
+}
+
+#[test]
 fn a_noise_returns_together_with_its_covariance() {
     // with s at zero c has no effect, and ℓ has a slope in s only beside the c that belongs to it
     let highest = fitted("noises-crossed", "noises-crossed", &[]).log_likelihood;

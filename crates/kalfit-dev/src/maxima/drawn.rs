@@ -5,6 +5,7 @@ use std::fmt::Write as _;
 use kalfit::dynamic::{self, DynamicFit};
 use kalfit::estimate::Silent;
 use kalfit::model::{Level, Value};
+use kalfit::reduce::Evidence;
 use kalfit::simulate::{Designs, Simulator};
 use kalfit::{Alpha, Labels, PhasedModel, PhasedTest, Population, Source, Test};
 use kalfit_spec::Spec;
@@ -36,6 +37,23 @@ impl Drawn {
                 return Drawn { kind, text, model, truth, tests };
             }
         }
+    }
+
+    /// The data as a table.
+    pub(super) fn table(&self) -> String {
+        let names: Vec<&str> = self.model.shared().columns.iter().map(|column| column.name.as_str()).collect();
+        let mut table = format!("test,{}\n", names.join(","));
+        for test in &self.tests {
+            for rows in
+                test.phases.iter().filter_map(|phase| if let Evidence::Rows(rows) = phase { Some(rows) } else { None })
+            {
+                for row in 0..rows.rows() {
+                    let cells: Vec<String> = rows.numbers(row).iter().map(f64::to_string).collect();
+                    let _ = writeln!(table, "{},{}", test.id, cells.join(","));
+                }
+            }
+        }
+        table
     }
 
     /// The model with all parameters free.

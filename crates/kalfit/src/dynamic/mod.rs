@@ -15,6 +15,7 @@ mod curvature;
 mod edges;
 mod em;
 mod error;
+mod exchange;
 mod expected;
 mod explore;
 mod fit;
@@ -34,6 +35,7 @@ mod opening;
 mod outer;
 #[cfg(test)]
 mod phased_tests;
+mod places;
 mod profile;
 mod ratio;
 mod result;

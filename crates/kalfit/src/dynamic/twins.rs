@@ -3,8 +3,9 @@
 //! process of their variances' sum.
 
 use crate::dynamic::Coordinate;
+use crate::dynamic::exchange::Exchange;
 use crate::dynamic::scales::time_constants;
-use crate::model::{Expression, Initial, Linear, Model, Motion, PhasedModel, Slots, State};
+use crate::model::{PhasedModel, Slots};
 
 /// Two processes of one kind whose free values, place by place, may be exchanged.
 #[derive(Debug, Clone, PartialEq)]
@@ -19,6 +20,16 @@ const EQUAL: f64 = 1e-2;
 impl Twins {
     /// All pairs of such processes in a model of one phase.
     pub(crate) fn of(model: &PhasedModel, slots: &Slots) -> Vec<Twins> {
+        Twins::all(model, slots, true)
+    }
+
+    /// Pairs of processes of one kind that are not measured alike: each may explain what the other one does, but not as well.
+    pub(crate) fn unlike(model: &PhasedModel, slots: &Slots) -> Vec<Twins> {
+        Twins::all(model, slots, false)
+    }
+
+    /// Pairs of processes of one kind whose exchange leaves the model as it is, or does not.
+    fn all(model: &PhasedModel, slots: &Slots, leaves: bool) -> Vec<Twins> {
         let [phase] = &model.phases[..] else { return Vec::new() };
         let levels = !model.levels.is_empty();
         let constants = time_constants(model);
@@ -27,11 +38,11 @@ impl Twins {
         // what groups add to a state is not looked at
         let apart =
             |&(i, j): &(usize, usize)| !(levels && (model.estimated.contains(&i) || model.estimated.contains(&j)));
-        let twins = pairs.filter(apart).filter_map(|(i, j)| {
-            let mut pairs: Vec<(usize, usize)> = exchanged(model, i, j)?
-                .into_iter()
-                .map(|(p, q)| Some((slots.common(p)?, slots.common(q)?)))
-                .collect::<Option<_>>()?;
+        let exchanges = pairs.filter(apart).filter_map(|(i, j)| Exchange::of(model, i, j));
+        let twins = exchanges.filter(|exchange| exchange.leaves(model) == leaves).filter_map(|exchange| {
+            let slots_of = |(p, q)| Some((slots.common(p)?, slots.common(q)?));
+            let mut pairs: Vec<(usize, usize)> =
+                exchange.parameters.into_iter().map(slots_of).collect::<Option<_>>()?;
             let parameter = |slot: usize| slots.slots()[slot].parameter;
             pairs.sort_by_key(|(s, _)| !constants.contains(&parameter(*s)));
             (!pairs.is_empty()).then_some(Twins { pairs })
@@ -44,6 +55,13 @@ impl Twins {
             }
         }
         found
+    }
+
+    /// The values of the two exchanged.
+    pub(crate) fn exchanged(&self, values: &[f64]) -> Vec<f64> {
+        let mut values = values.to_vec();
+        self.pairs.iter().for_each(|&(s, t)| values.swap(s, t));
+        values
     }
 
     /// Exchanges the two where they are not in order.
@@ -110,188 +128,6 @@ pub(crate) fn aligned(twins: &[Twins], values: &[f64], home: &[f64]) -> Vec<f64>
     values
 }
 
-/// The parameters that go over into each other as two states change places, and with them the states that drive each of them alone, if
-/// that changes nothing else.
-fn exchanged(model: &Model, i: usize, j: usize) -> Option<Vec<(usize, usize)>> {
-    let (mut states, mut pairs) = (vec![(i, j)], Vec::new());
-    let mut matched = 0;
-    while let Some(&(a, b)) = states.get(matched) {
-        match_states(&model.states[a], &model.states[b], &mut states, &mut pairs)?;
-        matched += 1;
-    }
-    let known = |s: usize| !model.estimated.contains(&s) && model.states[s].initial != Initial::Estimated;
-    if !states.iter().all(|&(a, b)| known(a) && known(b)) {
-        return None;
-    }
-    pairs.sort_unstable();
-    pairs.dedup();
-    let one_to_one = |(p, q): &(usize, usize)| pairs.iter().all(|(a, b)| (a == p) == (b == q) && (a != q) && (b != p));
-    let alike = |(p, q): &(usize, usize)| {
-        let (p, q) = (&model.parameters[*p], &model.parameters[*q]);
-        p.is_free() && q.is_free() && p.per.is_none() && q.per.is_none() && (p.lower, p.upper) == (q.lower, q.upper)
-    };
-    let apart: Vec<(usize, usize)> = pairs.iter().copied().filter(|(p, q)| p != q).collect();
-    let swap = Swap { states: &states, parameters: &apart };
-    (apart.iter().all(one_to_one) && apart.iter().all(alike) && swap.leaves(model)).then_some(apart)
-}
-
-/// The state in whose place this one comes.
-fn place(states: &[(usize, usize)], state: usize) -> usize {
-    let other = |&(a, b): &(usize, usize)| if a == state { Some(b) } else { (b == state).then_some(a) };
-    states.iter().find_map(other).unwrap_or(state)
-}
-
-/// Pairs of parameters at the same places of two states, and of the states that drive one of them each; `None` where the states are of
-/// different kinds.
-fn match_states(a: &State, b: &State, states: &mut Vec<(usize, usize)>, pairs: &mut Vec<(usize, usize)>) -> Option<()> {
-    match (&a.motion, &b.motion) {
-        (
-            Motion::Continuous { derivative: a, noise_variance: v },
-            Motion::Continuous { derivative: b, noise_variance: w },
-        )
-        | (Motion::Discrete { next: a, noise_variance: v }, Motion::Discrete { next: b, noise_variance: w }) => {
-            match_forms(a, b, states, pairs)?;
-            match_expressions(v, w, pairs)?;
-        }
-        _ => return None,
-    }
-    match (&a.initial, &b.initial) {
-        (Initial::Known { mean: a, variance: v }, Initial::Known { mean: b, variance: w }) => {
-            match_expressions(a, b, pairs)?;
-            match_expressions(v, w, pairs)
-        }
-        (a, b) => (a == b).then_some(()),
-    }
-}
-
-/// The same of two linear forms. A state that only one of them has, and only one more is in the other, takes that one's place: the hidden
-/// rate of a process of second order, say.
-fn match_forms(
-    a: &Linear,
-    b: &Linear,
-    states: &mut Vec<(usize, usize)>,
-    pairs: &mut Vec<(usize, usize)>,
-) -> Option<()> {
-    let mut other: Vec<&(usize, Expression)> = b.terms.iter().collect();
-    let mut own: Vec<&(usize, Expression)> = Vec::new();
-    for term in &a.terms {
-        match other.iter().position(|(of, _)| *of == place(states, term.0)) {
-            Some(at) => match_expressions(&term.1, &other.remove(at).1, pairs)?,
-            None => own.push(term),
-        }
-    }
-    match (&own[..], &other[..]) {
-        ([], []) => {}
-        ([(s, x)], [(t, y)]) if place(states, *s) == *s && place(states, *t) == *t => {
-            states.push((*s, *t));
-            match_expressions(x, y, pairs)?;
-        }
-        _ => return None,
-    }
-    match_expressions(&a.constant, &b.constant, pairs)
-}
-
-fn match_expressions(a: &Expression, b: &Expression, pairs: &mut Vec<(usize, usize)>) -> Option<()> {
-    use Expression::{Binary, Call, If, Negate, Not, Parameter};
-    match (a, b) {
-        (Parameter(p), Parameter(q)) => pairs.push((*p, *q)),
-        (Negate(a), Negate(b)) | (Not(a), Not(b)) => match_expressions(a, b, pairs)?,
-        (Binary(o, a, b), Binary(p, c, d)) if o == p => {
-            match_expressions(a, c, pairs)?;
-            match_expressions(b, d, pairs)?;
-        }
-        (Call(f, a), Call(g, b)) if f == g && a.len() == b.len() => {
-            a.iter().zip(b).try_for_each(|(a, b)| match_expressions(a, b, pairs))?;
-        }
-        (If(a, b, c), If(d, e, f)) => {
-            [(a, d), (b, e), (c, f)].into_iter().try_for_each(|(a, b)| match_expressions(a, b, pairs))?;
-        }
-        _ => return (a == b).then_some(()),
-    }
-    Some(())
-}
-
-/// Some states and some parameters in each other's place.
-struct Swap<'a> {
-    states: &'a [(usize, usize)],
-    parameters: &'a [(usize, usize)],
-}
-
-impl Swap<'_> {
-    /// The exchange makes the same model of it.
-    fn leaves(&self, model: &Model) -> bool {
-        let moves = |s: usize| self.states.iter().any(|&(a, b)| a == s || b == s);
-        let others = (0..model.states.len()).filter(|s| !moves(*s));
-        let state = |s: usize| {
-            let state = &model.states[s];
-            let motion = match &state.motion {
-                Motion::Constant => true,
-                Motion::Continuous { derivative: f, noise_variance: v }
-                | Motion::Discrete { next: f, noise_variance: v } => self.keeps(f) && self.expression(v) == *v,
-            };
-            let initial = match &state.initial {
-                Initial::Known { mean, variance } => {
-                    self.expression(mean) == *mean && self.expression(variance) == *variance
-                }
-                _ => true,
-            };
-            motion && initial && state.offset.as_ref().is_none_or(|offset| self.expression(offset) == *offset)
-        };
-        let measured = |m: &crate::model::Measurement| {
-            self.keeps(&m.equation)
-                && self.expression(&m.noise_variance) == m.noise_variance
-                && m.filter.as_ref().is_none_or(|filter| self.expression(filter) == *filter)
-        };
-        let crossed = |(i, j, c): &(usize, usize, Expression)| !moves(*i) && !moves(*j) && self.expression(c) == *c;
-        let uncrossed = |(_, _, c): &(usize, usize, Expression)| self.expression(c) == *c;
-        let named = |entry: &Expression| self.expression(entry) == *entry;
-        let matrices = match &model.covariance.kind {
-            crate::model::CovarianceKind::Fixed(m)
-            | crate::model::CovarianceKind::Proportional(m)
-            | crate::model::CovarianceKind::Correlation(m) => m.iter().flatten().all(named),
-            _ => true,
-        };
-        others.into_iter().all(state)
-            && model.measurements.iter().all(measured)
-            && model.process_noise_covariance.iter().all(crossed)
-            && model.noise_covariance.iter().all(uncrossed)
-            && matrices
-            && model.covariance.known.iter().flatten().flatten().all(named)
-            && model.clock.initial_time.as_ref().is_none_or(named)
-    }
-
-    /// A linear form stays the same.
-    fn keeps(&self, form: &Linear) -> bool {
-        let found = |(s, coefficient): &(usize, Expression)| {
-            let there = form.terms.iter().find(|(state, _)| *state == place(self.states, *s));
-            there.is_some_and(|(_, other)| self.expression(coefficient) == *other)
-        };
-        form.terms.iter().all(found) && self.expression(&form.constant) == form.constant
-    }
-
-    fn expression(&self, expression: &Expression) -> Expression {
-        let of = |part: &Expression| Box::new(self.expression(part));
-        match expression {
-            Expression::Parameter(p) => {
-                let other = self.parameters.iter().find_map(|&(a, b)| match *p {
-                    p if p == a => Some(b),
-                    p if p == b => Some(a),
-                    _ => None,
-                });
-                Expression::Parameter(other.unwrap_or(*p))
-            }
-            Expression::Negate(a) => Expression::Negate(of(a)),
-            Expression::Not(a) => Expression::Not(of(a)),
-            Expression::Binary(operator, a, b) => Expression::Binary(*operator, of(a), of(b)),
-            Expression::Call(function, list) => {
-                Expression::Call(*function, list.iter().map(|part| self.expression(part)).collect())
-            }
-            Expression::If(a, b, c) => Expression::If(of(a), of(b), of(c)),
-            other => other.clone(),
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -321,6 +157,7 @@ mod tests {
         assert_eq!(ordered(&twins, &[9.0, 1.0, 4.0, 2.0, 0.1]), [4.0, 2.0, 9.0, 1.0, 0.1]);
         let near = aligned(&twins, &[9.0, 1.0, 4.0, 2.0, 0.1], &[4.1, 2.0, 8.0, 1.0, 0.1]);
         assert_eq!(near, [4.0, 2.0, 9.0, 1.0, 0.1]);
+        assert_eq!(Twins::unlike(&model, &slots), []);
         // measured otherwise, or by a level that stands in another place too, they may not
         for (equation, level) in [
             (name("bias") + name("one") + 2.0 * name("two"), name("spread")),
@@ -330,6 +167,17 @@ mod tests {
             let (model, slots) = drifts(equation.clone(), level.clone());
             assert_eq!(Twins::of(&model, &slots), [], "{equation:?}, {level:?}");
         }
+    }
+
+    #[test]
+    fn processes_of_one_kind_that_are_measured_otherwise_are_unlike() {
+        let (model, slots) = drifts(name("bias") + name("one") + 2.0 * name("two"), name("spread"));
+        let unlike = Twins::unlike(&model, &slots);
+        assert_eq!(unlike, [Twins { pairs: vec![(0, 2), (1, 3)] }]);
+        assert_eq!(unlike[0].exchanged(&[9.0, 1.0, 4.0, 2.0, 0.1]), [4.0, 2.0, 9.0, 1.0, 0.1]);
+        // a level that stands in another place too has no counterpart
+        let (model, slots) = drifts(name("bias") + name("one") + 2.0 * name("two"), name("spread") * name("noise"));
+        assert_eq!(Twins::unlike(&model, &slots), []);
     }
 
     #[test]
