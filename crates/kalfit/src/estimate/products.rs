@@ -5,11 +5,37 @@ use nalgebra::DMatrix;
 use crate::linalg::elements::Elements;
 use crate::linalg::symmetric::{pair, pairs};
 
-/// Adds sums that are given by rows.
-fn take(sum: &mut DMatrix<f64>, rows: &[f64]) {
-    let columns = sum.ncols().max(1);
-    for (row, sums) in rows.chunks_exact(columns).enumerate() {
-        sum.row_mut(row).iter_mut().zip(sums).for_each(|(sum, x)| *sum += x);
+/// Sums block by block; none where they are not wanted.
+#[derive(Debug, Clone)]
+pub(crate) struct Blocks(Vec<DMatrix<f64>>);
+
+impl Blocks {
+    pub(crate) fn plus(&mut self, other: &Blocks) {
+        self.0.iter_mut().zip(&other.0).for_each(|(own, other)| *own += other);
+    }
+
+    pub(crate) fn minus(&mut self, other: &Blocks) {
+        self.0.iter_mut().zip(&other.0).for_each(|(own, other)| *own -= other);
+    }
+
+    /// Adds sums, those of each block by rows.
+    pub(crate) fn take(&mut self, sums: Vec<Vec<f64>>) {
+        for (block, sums) in self.0.iter_mut().zip(sums) {
+            let columns = block.ncols().max(1);
+            for (row, sums) in sums.chunks_exact(columns).enumerate() {
+                block.row_mut(row).iter_mut().zip(sums).for_each(|(sum, x)| *sum += x);
+            }
+        }
+    }
+
+    /// All numbers.
+    pub(super) fn numbers(&self) -> impl Iterator<Item = f64> {
+        self.0.iter().flat_map(|block| block.iter().copied())
+    }
+
+    /// The same, to be set.
+    pub(super) fn places_mut(&mut self) -> impl Iterator<Item = &mut f64> {
+        self.0.iter_mut().flat_map(|block| block.iter_mut())
     }
 }
 
@@ -24,8 +50,8 @@ fn zeros(rows: usize, columns: usize) -> DMatrix<f64> {
 #[derive(Debug, Clone)]
 pub(crate) struct Products {
     elements: Elements,
-    /// For phases f ≥ g at f(f+1)/2 + g; none where they are not wanted.
-    blocks: Vec<DMatrix<f64>>,
+    /// For phases f ≥ g at f(f+1)/2 + g.
+    pub(super) blocks: Blocks,
 }
 
 impl Products {
@@ -35,30 +61,7 @@ impl Products {
         let square = |(f, g)| zeros(places(f, g), places(f, g));
         let count = if wanted { sizes.len() } else { 0 };
         let blocks = (0..count).flat_map(|f| (0..=f).map(move |g| (f, g))).map(square).collect();
-        Products { elements: elements.clone(), blocks }
-    }
-
-    pub(crate) fn plus(&mut self, other: &Products) {
-        self.blocks.iter_mut().zip(&other.blocks).for_each(|(own, other)| *own += other);
-    }
-
-    pub(crate) fn minus(&mut self, other: &Products) {
-        self.blocks.iter_mut().zip(&other.blocks).for_each(|(own, other)| *own -= other);
-    }
-
-    /// Adds sums by pairs of phases, places × places by rows; none where they are not wanted.
-    pub(crate) fn take(&mut self, sums: Vec<Vec<f64>>) {
-        self.blocks.iter_mut().zip(sums).for_each(|(block, sums)| take(block, &sums));
-    }
-
-    /// All of it.
-    pub(super) fn numbers(&self) -> impl Iterator<Item = f64> {
-        self.blocks.iter().flat_map(|block| block.iter().copied())
-    }
-
-    /// The same, to be set.
-    pub(super) fn places_mut(&mut self) -> impl Iterator<Item = &mut f64> {
-        self.blocks.iter_mut().flat_map(|block| block.iter_mut())
+        Products { elements: elements.clone(), blocks: Blocks(blocks) }
     }
 
     /// A_la B_bk, k and l of one phase, a and b of one phase.
@@ -67,7 +70,7 @@ impl Products {
         let ranges = self.elements.blocks();
         let (of_f, of_g) = (ranges[f].start, ranges[g].start);
         let (l, a, b, k) = (l - of_f, a - of_g, b - of_g, k - of_f);
-        let sum = &self.blocks[pair(f, g)];
+        let sum = &self.blocks.0[pair(f, g)];
         if f == g {
             return sum[(pair(l, a), pair(b, k))];
         }
@@ -83,44 +86,21 @@ pub(crate) struct Crosses {
     elements: Elements,
     coordinates: usize,
     /// By phase: entry (m, k, l) at (k × coordinates + m, l).
-    blocks: Vec<DMatrix<f64>>,
+    pub(super) blocks: Blocks,
 }
 
 impl Crosses {
     pub(crate) fn zero(elements: &Elements, coordinates: usize, wanted: bool) -> Crosses {
         let ranges = if wanted { elements.blocks() } else { &[] };
         let blocks = ranges.iter().map(|range| zeros(range.len() * coordinates, range.len())).collect();
-        Crosses { elements: elements.clone(), coordinates, blocks }
-    }
-
-    pub(crate) fn plus(&mut self, other: &Crosses) {
-        self.blocks.iter_mut().zip(&other.blocks).for_each(|(own, other)| *own += other);
-    }
-
-    pub(crate) fn minus(&mut self, other: &Crosses) {
-        self.blocks.iter_mut().zip(&other.blocks).for_each(|(own, other)| *own -= other);
-    }
-
-    /// Adds sums by phases, in the order in which they are kept here; none where they are not wanted.
-    pub(crate) fn take(&mut self, sums: Vec<Vec<f64>>) {
-        self.blocks.iter_mut().zip(sums).for_each(|(block, sums)| take(block, &sums));
-    }
-
-    /// All of it.
-    pub(super) fn numbers(&self) -> impl Iterator<Item = f64> {
-        self.blocks.iter().flat_map(|block| block.iter().copied())
-    }
-
-    /// The same, to be set.
-    pub(super) fn places_mut(&mut self) -> impl Iterator<Item = &mut f64> {
-        self.blocks.iter_mut().flat_map(|block| block.iter_mut())
+        Crosses { elements: elements.clone(), coordinates, blocks: Blocks(blocks) }
     }
 
     /// A_mk r_l.
     pub(crate) fn get(&self, m: usize, (k, l): (usize, usize)) -> f64 {
         let f = self.elements.block_of(k);
         let start = self.elements.blocks()[f].start;
-        self.blocks[f][((k - start) * self.coordinates + m, l - start)]
+        self.blocks.0[f][((k - start) * self.coordinates + m, l - start)]
     }
 }
 
@@ -149,10 +129,11 @@ mod tests {
                 left.iter().flat_map(|l| right.iter().map(move |r| l * r)).collect()
             };
             let of = |places: &Vec<usize>, m: &[f64]| places.iter().map(|&at| m[at]).collect::<Vec<f64>>();
-            sums.take(places.iter().map(|at| outer(of(at, a).iter().map(|x| 2.0 * x).collect(), &of(at, b))).collect());
+            sums.blocks
+                .take(places.iter().map(|at| outer(of(at, a).iter().map(|x| 2.0 * x).collect(), &of(at, b))).collect());
             let weight = |k: usize, m: usize| if m < 5 { a[m * 5 + k] } else { b[k] };
             let left = |own: std::ops::Range<usize>| own.flat_map(|k| (0..6).map(move |m| weight(k, m))).collect();
-            crosses.take([0..2, 2..5].map(|own| outer(left(own.clone()), &a[5..10][own])).to_vec());
+            crosses.blocks.take([0..2, 2..5].map(|own| outer(left(own.clone()), &a[5..10][own])).to_vec());
         }
         let close = |what: &str, found: f64, expected: f64| {
             assert!((found - expected).abs() < 1e-12, "{what}: {found} {expected}");

@@ -86,9 +86,9 @@ impl Sums {
         self.outer += &other.outer;
         self.weight += &other.weight;
         self.spread += &other.spread;
-        self.curvature.plus(&other.curvature);
-        self.cross.plus(&other.cross);
-        self.expected.plus(&other.expected);
+        self.curvature.blocks.plus(&other.curvature.blocks);
+        self.cross.blocks.plus(&other.cross.blocks);
+        self.expected.blocks.plus(&other.expected.blocks);
         self
     }
 
@@ -101,9 +101,9 @@ impl Sums {
         self.outer -= &other.outer;
         self.weight -= &other.weight;
         self.spread -= &other.spread;
-        self.curvature.minus(&other.curvature);
-        self.cross.minus(&other.cross);
-        self.expected.minus(&other.expected);
+        self.curvature.blocks.minus(&other.curvature.blocks);
+        self.cross.blocks.minus(&other.cross.blocks);
+        self.expected.blocks.minus(&other.expected.blocks);
         self
     }
 
@@ -137,9 +137,9 @@ impl Sums {
             }
         }
         // each is gone before the next grows
-        self.curvature.take(totals.curvature);
-        self.cross.take(totals.cross);
-        self.expected.take(totals.expected);
+        self.curvature.blocks.take(totals.curvature);
+        self.cross.blocks.take(totals.cross);
+        self.expected.blocks.take(totals.expected);
         self.take_spread(&totals.spread);
     }
 
@@ -277,7 +277,8 @@ impl Sums {
     pub(super) fn numbers(&self) -> Vec<f64> {
         let matrices = [&self.mean_information, &self.outer, &self.weight, &self.spread];
         let plain = [self.value, self.quadratic].into_iter().chain(self.mean_score.iter().copied());
-        let products = self.curvature.numbers().chain(self.cross.numbers()).chain(self.expected.numbers());
+        let products =
+            self.curvature.blocks.numbers().chain(self.cross.blocks.numbers()).chain(self.expected.blocks.numbers());
         plain.chain(matrices.into_iter().flatten().copied()).chain(products).collect()
     }
 
@@ -285,7 +286,12 @@ impl Sums {
     pub(super) fn of_numbers(mut self, numbers: &[f64]) -> Option<Sums> {
         let matrices = [&mut self.mean_information, &mut self.outer, &mut self.weight, &mut self.spread];
         let plain = [&mut self.value, &mut self.quadratic].into_iter().chain(self.mean_score.iter_mut());
-        let products = self.curvature.places_mut().chain(self.cross.places_mut()).chain(self.expected.places_mut());
+        let products = self
+            .curvature
+            .blocks
+            .places_mut()
+            .chain(self.cross.blocks.places_mut())
+            .chain(self.expected.blocks.places_mut());
         let places = plain.chain(matrices.into_iter().flat_map(|matrix| matrix.iter_mut())).chain(products);
         let mut count = 0;
         places.zip(numbers).for_each(|(place, number)| {

@@ -20,6 +20,15 @@ pub(crate) trait Algebra {
     /// U, upper triangular.
     type Factor;
 
+    /// Zeros.
+    fn zeros(rows: usize, columns: usize) -> Self::Matrix;
+    /// A row, to be set.
+    fn row_mut(a: &mut Self::Matrix, i: usize) -> &mut [Self::Number];
+    /// Data of zeros.
+    fn no_data(rows: usize, columns: usize) -> Self::Data;
+    /// A row of them, to be set.
+    fn data_row_mut(data: &mut Self::Data, i: usize) -> &mut [Self::Number];
+
     /// U with U'U = I + Σ A'A. `borne` becomes false where cross products would lose digits.
     fn identity_plus(parts: &[&Self::Matrix], borne: &mut bool) -> Self::Factor;
     /// |U|, factor by factor.
@@ -75,6 +84,26 @@ impl<F: Factors> Algebra for F {
     type Matrix = Rows<F::Number>;
     type Data = Rows<F::Number>;
     type Factor = Rows<F::Number>;
+
+    #[inline(always)]
+    fn zeros(rows: usize, columns: usize) -> Self::Matrix {
+        Rows::zeros(rows, columns)
+    }
+
+    #[inline(always)]
+    fn row_mut(a: &mut Self::Matrix, i: usize) -> &mut [Self::Number] {
+        a.row_mut(i)
+    }
+
+    #[inline(always)]
+    fn no_data(rows: usize, columns: usize) -> Self::Data {
+        Rows::zeros(rows, columns)
+    }
+
+    #[inline(always)]
+    fn data_row_mut(data: &mut Self::Data, i: usize) -> &mut [Self::Number] {
+        data.row_mut(i)
+    }
 
     #[inline(always)]
     fn identity_plus(parts: &[&Self::Matrix], borne: &mut bool) -> Self::Factor {

@@ -35,6 +35,26 @@ impl<T: Real, const N: usize> Algebra for Fixed<T, N> {
     type Factor = Pivoted<T, N>;
 
     #[inline(always)]
+    fn zeros(_: usize, _: usize) -> Square<T, N> {
+        [[T::splat(0.0); N]; N]
+    }
+
+    #[inline(always)]
+    fn row_mut(a: &mut Square<T, N>, i: usize) -> &mut [T] {
+        &mut a[i]
+    }
+
+    #[inline(always)]
+    fn no_data(_: usize, _: usize) -> [T; N] {
+        [T::splat(0.0); N]
+    }
+
+    #[inline(always)]
+    fn data_row_mut(data: &mut [T; N], i: usize) -> &mut [T] {
+        std::slice::from_mut(&mut data[i])
+    }
+
+    #[inline(always)]
     fn identity_plus(parts: &[&Square<T, N>], borne: &mut bool) -> Pivoted<T, N> {
         T::apart(IdentityPlus { parts, borne })
     }

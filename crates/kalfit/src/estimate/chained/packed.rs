@@ -2,16 +2,17 @@
 
 use std::borrow::Cow;
 use std::ops::Range;
+use std::slice::ChunksExact;
 use std::sync::Arc;
 
-use kalfit_lanes::{Lanes, Part};
+use kalfit_lanes::{Lanes, Part, Real};
 
 use crate::estimate::chained::kernel::{Detail, Phases, Prior, Root, Said};
 use crate::estimate::chained::{Chained, Link, Phase, Shape, centre, scales, told};
 use crate::estimate::frame::Frame;
+use crate::linalg::algebra::Algebra;
 use crate::linalg::factors::Plain;
 use crate::linalg::fixed::Fixed;
-use crate::linalg::rows::Rows;
 use crate::reduce::Chain;
 
 /// As many classes of one shape as there are lanes, or fewer: lanes that no class takes have a class without tests.
@@ -93,17 +94,7 @@ impl Packed {
 
     /// The class in one lane.
     pub(crate) fn chained(&self, lane: usize) -> Chained {
-        let number = |entry: &[f64]| entry[lane];
-        let phases = self.phases(
-            self.lanes,
-            |q, numbers| upper(q, numbers.chunks_exact(self.lanes).map(number)),
-            |(rows, columns), numbers| {
-                Rows::from_vec(rows, columns, numbers.chunks_exact(self.lanes).map(number).collect())
-            },
-            |(rows, columns), numbers| {
-                Rows::from_vec(rows, columns, numbers.chunks_exact(self.lanes).map(number).collect())
-            },
-        );
+        let phases = self.phases::<Plain<f64>>(self.lanes, |entry| entry[lane]);
         Chained { phases, columns: self.shape.columns, count: self.numbers[lane], careful: false }
     }
 
@@ -115,50 +106,58 @@ impl Packed {
         let prior = Prior { root, mean };
         let size = if self.shape.columns == 1 { Some(self.shape.widest()) } else { None };
         match size {
-            Some(1) if T::OWN_SIZES >= 1 => self.sized::<T, 1>(&prior, detail),
-            Some(2) if T::OWN_SIZES >= 2 => self.sized::<T, 2>(&prior, detail),
-            Some(3) if T::OWN_SIZES >= 3 => self.sized::<T, 3>(&prior, detail),
-            Some(4) if T::OWN_SIZES >= 4 => self.sized::<T, 4>(&prior, detail),
-            Some(5 | 6) if T::OWN_SIZES >= 6 => self.sized::<T, 6>(&prior, detail),
-            Some(7 | 8) if T::OWN_SIZES >= 8 => self.sized::<T, 8>(&prior, detail),
-            _ => T::apart(OfAnySize { packed: self, prior: &prior, detail }),
+            Some(1) if T::OWN_SIZES >= 1 => self.by::<Fixed<T, 1>>(&prior, detail),
+            Some(2) if T::OWN_SIZES >= 2 => self.by::<Fixed<T, 2>>(&prior, detail),
+            Some(3) if T::OWN_SIZES >= 3 => self.by::<Fixed<T, 3>>(&prior, detail),
+            Some(4) if T::OWN_SIZES >= 4 => self.by::<Fixed<T, 4>>(&prior, detail),
+            Some(5 | 6) if T::OWN_SIZES >= 6 => self.by::<Fixed<T, 6>>(&prior, detail),
+            Some(7 | 8) if T::OWN_SIZES >= 8 => self.by::<Fixed<T, 8>>(&prior, detail),
+            _ => self.by::<Plain<T>>(&prior, detail),
         }
     }
 
     #[inline(always)]
-    fn sized<T: Lanes, const N: usize>(&self, prior: &Prior<'_, T>, detail: Detail) -> Option<Said<T>> {
-        T::apart(OfSize::<T, N> { packed: self, prior, detail })
+    fn by<A: Algebra<Number: Lanes>>(&self, prior: &Prior<'_, A::Number>, detail: Detail) -> Option<Said<A::Number>> {
+        A::Number::apart(By::<A> { packed: self, prior, detail })
     }
 
-    /// All phases, each matrix read from its numbers by what reads triangles of so many rows, matrices, and data.
+    /// All phases; `number` reads an entry of `lanes` numbers.
     #[inline(always)]
-    fn phases<M, D>(
-        &self,
-        lanes: usize,
-        upper: impl Fn(usize, &[f64]) -> M,
-        matrix: impl Fn((usize, usize), &[f64]) -> M,
-        data: impl Fn((usize, usize), &[f64]) -> D,
-    ) -> Vec<Phase<M, D>> {
-        let mut from = lanes;
-        let mut take = |entries: usize| {
-            from += entries * lanes;
-            &self.numbers[from - entries * lanes..from]
-        };
+    fn phases<A: Algebra>(&self, lanes: usize, number: impl Fn(&[f64]) -> A::Number) -> Vec<Phase<A::Matrix, A::Data>> {
+        let mut entries = self.numbers[lanes..].chunks_exact(lanes);
         let mut phases = Vec::with_capacity(self.shape.phases.len());
         let mut before = 0;
         for phase in &self.shape.phases {
-            let q = phase.size;
-            let factor = upper(q, take(q * (q + 1) / 2));
-            let data = data((q, self.shape.columns), take(q * self.shape.columns));
-            let mut link = None;
+            let (q, columns) = (phase.size, self.shape.columns);
+            let (mut factor, mut data, mut link) = (A::zeros(q, q), A::no_data(q, columns), None);
+            for i in 0..q {
+                read(&mut A::row_mut(&mut factor, i)[i..q], &mut entries, &number);
+            }
+            for i in 0..q {
+                read(&mut A::data_row_mut(&mut data, i)[..columns], &mut entries, &number);
+            }
             if let Some(rows) = phase.noise {
-                let sensitivity = matrix((q, before), take(q * before));
-                link = Some(Link { sensitivity, root: matrix((rows, q), take(rows * q)) });
+                let (mut sensitivity, mut root) = (A::zeros(q, before), A::zeros(rows, q));
+                for i in 0..q {
+                    read(&mut A::row_mut(&mut sensitivity, i)[..before], &mut entries, &number);
+                }
+                for i in 0..rows {
+                    read(&mut A::row_mut(&mut root, i)[..q], &mut entries, &number);
+                }
+                link = Some(Link { sensitivity, root });
             }
             phases.push(Phase { own: phase.own.clone(), factor, data, link });
             before = q;
         }
         phases
+    }
+}
+
+/// Reads entries into a row.
+#[inline(always)]
+fn read<T>(row: &mut [T], entries: &mut ChunksExact<'_, f64>, number: &impl Fn(&[f64]) -> T) {
+    for (x, entry) in row.iter_mut().zip(entries) {
+        *x = number(entry);
     }
 }
 
@@ -216,106 +215,19 @@ fn put_test(chain: &Chain, (ranges, frame): (&[Range<usize>], &Frame), to: &mut 
     }
 }
 
-/// An upper triangle from its numbers by rows.
-#[inline(always)]
-fn upper<T: kalfit_lanes::Real>(q: usize, mut numbers: impl Iterator<Item = T>) -> Rows<T> {
-    let mut rows = Rows::zeros(q, q);
-    for i in 0..q {
-        for x in &mut rows.row_mut(i)[i..] {
-            if let Some(number) = numbers.next() {
-                *x = number;
-            }
-        }
-    }
-    rows
-}
-
-/// All that the classes say, by matrices of any size.
-struct OfAnySize<'a, T> {
+/// All that the classes say, by matrices of one kind.
+struct By<'a, A: Algebra> {
     packed: &'a Packed,
-    prior: &'a Prior<'a, T>,
+    prior: &'a Prior<'a, A::Number>,
     detail: Detail,
 }
 
-impl<T: Lanes> Part for OfAnySize<'_, T> {
-    type Output = Option<Said<T>>;
+impl<A: Algebra<Number: Lanes>> Part for By<'_, A> {
+    type Output = Option<Said<A::Number>>;
 
     #[inline(always)]
-    fn run(self) -> Option<Said<T>> {
-        let phases = self.packed.phases(T::COUNT, upper_rows::<T>, rows::<T>, rows::<T>);
-        Phases::<Plain<T>> { phases: &phases, count: self.packed.count() }.said(self.prior, self.detail)
+    fn run(self) -> Self::Output {
+        let phases = self.packed.phases::<A>(A::Number::COUNT, A::Number::load);
+        Phases::<A> { phases: &phases, count: self.packed.count() }.said(self.prior, self.detail)
     }
-}
-
-#[inline(always)]
-fn rows<T: Lanes>((rows, columns): (usize, usize), numbers: &[f64]) -> Rows<T> {
-    let mut data = Vec::with_capacity(rows * columns);
-    for x in numbers.chunks_exact(T::COUNT) {
-        data.push(T::load(x));
-    }
-    Rows::from_vec(rows, columns, data)
-}
-
-#[inline(always)]
-fn upper_rows<T: Lanes>(q: usize, numbers: &[f64]) -> Rows<T> {
-    let mut rows = Rows::zeros(q, q);
-    let mut numbers = numbers.chunks_exact(T::COUNT);
-    for i in 0..q {
-        for (x, from) in rows.row_mut(i)[i..].iter_mut().zip(&mut numbers) {
-            *x = T::load(from);
-        }
-    }
-    rows
-}
-
-/// The same by matrices of at most N rows and columns.
-struct OfSize<'a, T, const N: usize> {
-    packed: &'a Packed,
-    prior: &'a Prior<'a, T>,
-    detail: Detail,
-}
-
-impl<T: Lanes, const N: usize> Part for OfSize<'_, T, N> {
-    type Output = Option<Said<T>>;
-
-    #[inline(always)]
-    fn run(self) -> Option<Said<T>> {
-        let phases = self.packed.phases(T::COUNT, upper_square::<T, N>, square::<T, N>, column::<T, N>);
-        Phases::<Fixed<T, N>> { phases: &phases, count: self.packed.count() }.said(self.prior, self.detail)
-    }
-}
-
-#[inline(always)]
-fn square<T: Lanes, const N: usize>((_, columns): (usize, usize), numbers: &[f64]) -> [[T; N]; N] {
-    let mut square = [[T::splat(0.0); N]; N];
-    if columns > 0 {
-        for (row, from) in square.iter_mut().zip(numbers.chunks_exact(columns * T::COUNT)) {
-            for (x, from) in row.iter_mut().zip(from.chunks_exact(T::COUNT)) {
-                *x = T::load(from);
-            }
-        }
-    }
-    square
-}
-
-#[inline(always)]
-fn upper_square<T: Lanes, const N: usize>(q: usize, numbers: &[f64]) -> [[T; N]; N] {
-    let mut square = [[T::splat(0.0); N]; N];
-    let mut from = 0;
-    for (i, row) in square[..q].iter_mut().enumerate() {
-        for x in &mut row[i..q] {
-            *x = T::load(&numbers[from..]);
-            from += T::COUNT;
-        }
-    }
-    square
-}
-
-#[inline(always)]
-fn column<T: Lanes, const N: usize>(_: (usize, usize), numbers: &[f64]) -> [T; N] {
-    let mut column = [T::splat(0.0); N];
-    for (x, from) in column.iter_mut().zip(numbers.chunks_exact(T::COUNT)) {
-        *x = T::load(from);
-    }
-    column
 }

@@ -151,14 +151,7 @@ impl<const N: usize, const C: usize> Steady<N, C> {
                 sums.rho[i][j] += bars.rho[i][j];
             }
         }
-        let mut Nphi = [[0.0; N]; N];
-        for i in 0..N {
-            for k in 0..N {
-                for j in 0..N {
-                    Nphi[i][j] += bars.N[i][k] * self.filter.phi[k][j];
-                }
-            }
-        }
+        let Nphi = product(&bars.N, &self.filter.phi);
         let (r, rho) = (self.adjoint(&bars.r), transposed(&self.filter.phi, &bars.rho));
         if self.motion {
             for j in 0..N {
