@@ -124,11 +124,11 @@ impl Classes {
 
     /// Those of tests that are elsewhere, as if each stood alone where it stands in groups.
     pub(crate) fn apart(&self) -> Classes {
-        let p = self.units.as_ref().map_or(self.dimension(), |units| units.states);
+        let Some(p) = self.units.as_ref().map(|units| units.states) else { return self.clone() };
         Classes {
             frame: self.frame.part(&(0..p)),
             information: self.information.view((0, 0), (p, p)).into_owned(),
-            elements: Elements::new(vec![0..p]),
+            elements: Elements::new(self.elements.blocks()[..1].to_vec()),
             present: self.present[..1].to_vec(),
             units: None,
             ..self.clone()

@@ -106,7 +106,7 @@ impl Summed {
         if !fits || frame.covariate_scale.len() != self.regressors.len() {
             return None;
         }
-        let elements = Elements::new(vec![0..self.states]);
+        let elements = Elements::new(self.elements.blocks()[..1].to_vec());
         Some(Cow::Owned(Classes::in_frame(&self.reductions, &Frame::from_told(frame), elements, true)))
     }
 
