@@ -34,7 +34,7 @@ class Model:
     Raises :class:`kalfit.ModelError` when something is wrong with it; the message shows the place in the text.
     """
 
-    __slots__ = ("_file", "_name", "_text", "_words", "digest", "parameters", "test", "time", "title")
+    __slots__ = ("_file", "_name", "_text", "_words", "digest", "levels", "parameters", "test", "time", "title")
 
     #: The title, or an empty text.
     title: str
@@ -42,6 +42,8 @@ class Model:
     digest: str
     #: Names of the dynamic parameters.
     parameters: list[str]
+    #: The columns of the groups that tests stand in, the outermost first.
+    levels: list[str]
     #: The column that tells tests apart, if there is one.
     test: str | None
     #: The column of time, if there is one.
@@ -73,7 +75,8 @@ class Model:
 
     def _set(self, name: str, text: str, file: str | None) -> None:
         self._name, self._text, self._file = name, text, file
-        self.title, self.digest, self._words, self.parameters, self.test, self.time = _kalfit.describe(self._document())
+        told = _kalfit.describe(self._document())
+        self.title, self.digest, self._words, self.parameters, self.test, self.time, self.levels = told
 
     def _document(self) -> tuple[str, str, str | None]:
         return (self._name, self._text, self._file)

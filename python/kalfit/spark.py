@@ -4,8 +4,9 @@
     reductions = kalfit.spark.reduce(model, frame)     # a Spark DataFrame, a row for each test and phase
     tests = kalfit.spark.apply(model, frame, fit)      # a Spark DataFrame, a row for each test and phase
 
-Partitions hold whole tests; where they do not, the frame is repartitioned by test. All is done by ``DataFrame.mapInArrow`` on whole
-partitions, so that Spark Connect will do, and whatever a lost executor takes along is made again from the frame.
+Partitions hold whole tests, and of a model with levels whole groups of the outermost level; where they do not, the frame is
+repartitioned by them. All is done by ``DataFrame.mapInArrow`` on whole partitions, so that Spark Connect will do, and whatever a lost
+executor takes along is made again from the frame.
 
 Executors need kalfit, and the pyarrow and pandas that Spark's Arrow functions ask for. Nothing of Spark is imported before it is needed.
 """
@@ -49,6 +50,8 @@ _COLUMNS: dict[str, str] = {
     "groups": "array<string>",
 }
 _METADATA = "kalfit"
+#: The column of reductions with the names of the groups of a test, the outermost first.
+_GROUPS = "groups"
 #: Number of a row's partition.
 _PARTITION = "kalfit_partition"
 #: More bytes than this are not one cell of Arrow's.
@@ -72,7 +75,8 @@ def fit(
 
     Free parameters are estimated, too, unless they take their values from ``at``, the results of another fit. Spark keeps no order
     of rows: those of a test are put in the order of the model's time, or of ``order_by``. Partitions that hold whole tests stay as
-    they are; others are repartitioned by test, and a line to standard error says so. ``partitions`` repartitions into so many
+    they are; others are repartitioned by test, and a line to standard error says so. Of a model with levels, partitions must hold whole
+    groups of the outermost level in the same way. ``partitions`` repartitions into so many
     beforehand.
 
     Says nothing of single tests: :func:`apply` does. The answer is that of :func:`kalfit.fit` to rounding, and to the bit where the
@@ -168,7 +172,7 @@ def _order(model: Model, frame: Any, order_by: str | Sequence[str] | None) -> li
     if not order and model.time is None:
         raise ValueError("the model names no column of time, and Spark keeps no order of rows: name the columns of `order_by`")
     order = order or [str(model.time)]
-    for column in (model.test, *order):
+    for column in (*model.levels, model.test, *order):
         if column not in frame.columns:
             raise _kalfit.DataError(f"the frame has no column {column!r}, it has {', '.join(frame.columns)}")
     return order
@@ -203,29 +207,40 @@ def _packed(model: Model, frame: Any, order: list[str], partitions: int | None, 
     """One row of bytes for each partition of a frame, kept on the executors; partitions hold whole tests."""
     from pyspark.sql import functions
 
-    test = "test" if reduced else str(model.test)
+    whole = _whole(model, reduced)
+    key = functions.col(whole)[0] if whole == _GROUPS and reduced else whole
     if partitions is not None:
-        frame = frame.repartition(partitions, test)
+        frame = frame.repartition(partitions, key)
     packed = _pack_frame(model, frame, order, reduced).persist()
-    ids = packed.select(_PARTITION, functions.explode("tests").alias("test"))
-    split = ids.groupBy("test").count().where("count > 1").limit(1).collect()
+    ids = packed.select(_PARTITION, functions.explode("whole").alias("id"))
+    split = ids.groupBy("id").count().where("count > 1").limit(1).collect()
     if split:
         packed.unpersist()
-        sys.stderr.write(f"kalfit: test {split[0][0]} is spread over partitions: the frame is repartitioned by test\n")
-        packed = _pack_frame(model, frame.repartition(test), order, reduced).persist()
+        what = model.levels[0] if model.levels else "test"
+        sys.stderr.write(f"kalfit: {what} {split[0][0]} is spread over partitions: the frame is repartitioned by {what}\n")
+        packed = _pack_frame(model, frame.repartition(key), order, reduced).persist()
     return packed
+
+
+def _whole(model: Model, reduced: bool) -> str:
+    """The column of what a partition holds whole: groups of the outermost level, or tests."""
+    if model.levels:
+        return _GROUPS if reduced else model.levels[0]
+    return "test" if reduced else str(model.test)
 
 
 def _pack_frame(model: Model, frame: Any, order: list[str], reduced: bool = False) -> Any:
     from pyspark.sql import functions
 
-    test = "test" if reduced else str(model.test)
+    whole = _whole(model, reduced)
+    if model.levels and not reduced:
+        order = [*model.levels[1:], str(model.test), *order]
     numbered = frame.withColumn(_PARTITION, functions.spark_partition_id())
 
     def pack(batches: Iterable[Any]) -> Iterator[Any]:
-        return _pack(batches, test, order)
+        return _pack(batches, whole, order)
 
-    return numbered.mapInArrow(pack, f"{_PARTITION} int, tests array<string>, rows binary")
+    return numbered.mapInArrow(pack, f"{_PARTITION} int, whole array<string>, rows binary")
 
 
 class _Rounds:
@@ -271,9 +286,10 @@ _SITES: OrderedDict[tuple[str, int], _kalfit.Site] = OrderedDict()
 _MOST_SITES = 16
 
 
-def _pack(batches: Iterable[Any], test: str, order: Sequence[str]) -> Iterator[Any]:
+def _pack(batches: Iterable[Any], whole: str, order: Sequence[str]) -> Iterator[Any]:
     """The rows of one partition, in order, as one cell of bytes: an Arrow stream."""
     import pyarrow
+    import pyarrow.compute
 
     batches = [batch for batch in batches if batch.num_rows > 0]
     if not batches:
@@ -282,8 +298,11 @@ def _pack(batches: Iterable[Any], test: str, order: Sequence[str]) -> Iterator[A
     partition = table.column(_PARTITION)[0].as_py()
     table = table.drop_columns([_PARTITION])
     if order:
-        table = table.sort_by([(column, "ascending") for column in (test, *order)])
-    ids = table.column(test).unique().drop_null().cast(pyarrow.string())
+        table = table.sort_by([(column, "ascending") for column in (whole, *order)])
+    column = table.column(whole)
+    if pyarrow.types.is_list(column.type):
+        column = pyarrow.compute.list_element(column, 0)  # the outermost group of reductions
+    ids = column.unique().drop_null().cast(pyarrow.string())
     sink = pyarrow.BufferOutputStream()
     with pyarrow.ipc.new_stream(sink, table.schema) as writer:
         writer.write_table(table)
@@ -294,7 +313,7 @@ def _pack(batches: Iterable[Any], test: str, order: Sequence[str]) -> Iterator[A
             "a single test that is larger is fitted on one machine, or in phases"
         )
     cells = [pyarrow.array([partition], pyarrow.int32()), _list(ids), pyarrow.array([rows.to_pybytes()], pyarrow.binary())]
-    yield pyarrow.RecordBatch.from_arrays(cells, names=[_PARTITION, "tests", "rows"])
+    yield pyarrow.RecordBatch.from_arrays(cells, names=[_PARTITION, "whole", "rows"])
 
 
 def _list(ids: Any) -> Any:

@@ -14,19 +14,23 @@ import kalfit
 import kalfit.spark as spark
 from conftest import BENCH, PHASES, SLEEP
 
+PASTES = ("examples/levels/pastes.toml", "examples/levels/pastes.csv")
+
 JAVA = shutil.which("java") is not None or "JAVA_HOME" in os.environ
 
 
 def packed(model, rows, partitions=3):
     """The rows of whole tests in partitions, shuffled and packed as executors pack them."""
     known = kalfit.Model.load(model)
-    order = [known.time] if known.time else []
-    ids = list(rows[known.test].unique())
+    whole = spark._whole(known, False)
+    order = [*known.levels[1:], known.test] if known.levels else []
+    order += [known.time] if known.time else []
+    ids = list(rows[whole].unique())
     cells = []
     for number in range(partitions):
-        own = rows[rows[known.test].isin(ids[number::partitions])].sample(frac=1, random_state=3)
+        own = rows[rows[whole].isin(ids[number::partitions])].sample(frac=1, random_state=3)
         table = pyarrow.Table.from_pandas(own.assign(kalfit_partition=number), preserve_index=False)
-        cells += spark._pack(table.to_batches(max_chunksize=7), known.test, order or ["Days"])
+        cells += spark._pack(table.to_batches(max_chunksize=7), whole, order or ["Days"])
     return known, cells
 
 
@@ -42,7 +46,7 @@ def by_sums(known, cells, set=()):
     raise AssertionError("no end after 100 rounds")
 
 
-@pytest.mark.parametrize("model, path", [BENCH, PHASES, SLEEP])
+@pytest.mark.parametrize("model, path", [BENCH, PHASES, SLEEP, PASTES])
 def test_sums_over_partitions_fit_as_all_rows_do(model, path):
     known, cells = packed(model, pandas.read_csv(path))
     found, _ = by_sums(known, cells)
@@ -116,6 +120,18 @@ class TestSparkItself:
         reductions = spark.reduce(model, frame, at=at, order_by=order)
         known = spark.fit(model, reductions)
         assert abs(known.log_likelihood - expected.log_likelihood) <= 1e-9 * abs(expected.log_likelihood)
+
+    def test_groups_of_tests_stay_together(self, session, capsys):
+        model, path = PASTES
+        frame = session.read.csv(path, header=True, inferSchema=True).repartition(4)  # batches in pieces
+        expected = kalfit.fit(model, path)
+        found = spark.fit(model, frame, order_by="strength")
+        assert "is spread over partitions: the frame is repartitioned by batch" in capsys.readouterr().err
+        reductions = spark.reduce(model, frame, at=expected, order_by="strength")
+        known = spark.fit(model, reductions.repartition(5))
+        for other in (found, known):
+            assert abs(other.log_likelihood - expected.log_likelihood) <= 1e-9 * abs(expected.log_likelihood)
+            assert [level.groups for level in other.levels] == [level.groups for level in expected.levels]
 
     def test_applies_a_fit(self, session):
         model, path = BENCH

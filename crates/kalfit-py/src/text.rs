@@ -27,9 +27,9 @@ pub(crate) fn read_model(path: std::path::PathBuf) -> PyResult<String> {
     Ok(spec.text)
 }
 
-/// (title, digest, the model in words, the names of its parameters, the column that tells tests apart, the column of time) of a
-/// model's text, which is sound.
-type Description = (String, String, Vec<String>, Vec<String>, Option<String>, Option<String>);
+/// (title, digest, the model in words, the names of its parameters, the column that tells tests apart, the column of time, the
+/// columns of groups, the outermost first) of a model's text, which is sound.
+type Description = (String, String, Vec<String>, Vec<String>, Option<String>, Option<String>, Vec<String>);
 
 /// What a model's text says.
 #[pyfunction]
@@ -42,7 +42,8 @@ pub(crate) fn describe(model: Text) -> PyResult<Description> {
         TestKey::Single | TestKey::File => None,
     };
     let time = shared.clock.time.map(|column| shared.columns[column].name.clone());
-    Ok((shared.title.clone(), spec.digest.clone(), spec.describe(), names, test, time))
+    let levels = spec.layout.levels.clone();
+    Ok((shared.title.clone(), spec.digest.clone(), spec.describe(), names, test, time, levels))
 }
 
 /// Summary of the JSON of a likelihood-ratio test.

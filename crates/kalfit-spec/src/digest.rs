@@ -29,6 +29,13 @@ impl Spec {
     pub fn reduction_digest(&self) -> String {
         of_text(&canonical(&self.model))
     }
+
+    /// 16 hexadecimal digits: a digest of this model file and the name of a group, for telling whether two places that have the same
+    /// file have the same group.
+    pub fn group_digest(&self, group: &str) -> String {
+        let digest = of_text(&format!("{}\n{group}", self.digest));
+        digest.chars().skip("sha256:".len()).take(16).collect()
+    }
 }
 
 /// The text that is digested: the same for models whose reductions are the same thing, wherever their columns, texts and

@@ -145,13 +145,83 @@ fn what_does_not_belong_together_is_refused() {
     assert!(text.contains("north.sums"), "{text}");
 }
 
-#[test]
-fn a_model_with_levels_is_refused_in_words() {
+const LOTS: &str = r#"
+title = "Lots"
+
+[data]
+test = "unit"
+levels = ["lot"]
+
+[states]
+level = {}
+slope = {}
+
+[measurements.y]
+column = "y"
+equation = "level + slope * x"
+noise = "sigma"
+
+[parameters]
+sigma = {}
+"#;
+
+/// 36 units in 12 lots, each lot in one of three places; units of different lots have the same names. The model has the name of the other.
+fn lots() -> Folder {
     let folder = Folder::new(&[]);
-    let model = std::fs::read_to_string(folder.path("m.toml")).unwrap();
-    let levels = model.replace("test = \"id\"", "test = \"id\"\nlevels = [\"lot\"]");
-    folder.write("levels.toml", levels.as_bytes());
-    folder.write("lots.csv", b"id,lot,x,y\na,1,0,1.1\na,1,1,2.0\nb,1,0,0.4\nb,1,1,0.9\nc,2,0,2.0\nc,2,1,2.1\n");
-    let text = refused(&folder, "sums levels.toml lots.csv --out here.sums");
-    assert!(text.contains("the model has levels of groups, which a fit by sums does not support"), "{text}");
+    folder.write("sleepstudy.toml", LOTS.as_bytes());
+    let wave = |seed: usize| (seed as f64 * 12.9898).sin() * 1.4;
+    let header = "lot,unit,x,y\n";
+    let mut places = [header, header, header].map(str::to_owned);
+    for lot in 0..12 {
+        for unit in 0..3 {
+            let of = |state: usize| wave(lot * 17 + state) + 0.5 * wave(lot * 31 + unit * 7 + state + 3);
+            for x in 0..6 {
+                let y = 2.0 + of(0) + (0.5 + of(1)) * x as f64 + 0.2 * wave(lot * 101 + unit * 13 + x + 5);
+                places[lot % 3].push_str(&format!("L{lot:02},u{unit},{x},{y}\n"));
+            }
+        }
+    }
+    let all: Vec<&str> = places.iter().map(|rows| rows.strip_prefix(header).unwrap()).collect();
+    folder.write("all.csv", format!("{header}{}", all.concat()).as_bytes());
+    PLACES.iter().zip(&places).for_each(|(place, rows)| folder.write(&format!("{place}.csv"), rows.as_bytes()));
+    folder
+}
+
+#[test]
+fn three_places_reach_the_fit_of_units_in_lots() {
+    let folder = lots();
+    ends_well(&folder, "fit sleepstudy.toml all.csv --out pooled.json --quiet");
+    let rounds = rounds(&folder, "|");
+    assert!(rounds < 40, "{rounds} rounds");
+    let (found, expected) = (json(&folder, "fit.json"), json(&folder, "pooled.json"));
+    let number = |record: &Value, at: &str| record.pointer(at).and_then(Value::as_f64).unwrap();
+    let (a, b) = (number(&found, "/log_likelihood"), number(&expected, "/log_likelihood"));
+    assert!((a - b).abs() <= 1e-10 * b.abs(), "{a} {b}");
+    for at in ["/levels/0/groups", "/levels/1/groups", "/phases/0/tests", "/data/tests", "/free_parameters"] {
+        assert_eq!(found.pointer(at), expected.pointer(at), "{at}");
+    }
+    for (level, i) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+        let part = format!("/levels/{level}/std_dev/");
+        let error = number(&expected, &format!("{part}std_error/{i}"));
+        for at in [format!("{part}estimate/{i}"), format!("{part}std_error/{i}")] {
+            let (a, b) = (number(&found, &at), number(&expected, &at));
+            assert!((a - b).abs() <= 1e-5 * error, "{at}: {a} {b}, standard error {error}");
+        }
+    }
+    assert_eq!(found["converged"], true);
+    let told = std::fs::read_to_string(folder.path("north.sums")).unwrap();
+    assert!(!told.contains("L00"), "names of groups stay where they are");
+    ends_well(&folder, "report fit.json --out fit.html");
+}
+
+#[test]
+fn a_group_in_two_places_is_refused() {
+    let folder = lots();
+    let south = std::fs::read_to_string(folder.path("south.csv")).unwrap();
+    folder.write("south.csv", format!("{south}L00,u9,0,1.5\nL00,u9,1,2.5\n").as_bytes());
+    sums(&folder, "", "");
+    let text = refused(&folder, "join sleepstudy.toml north.sums east.sums south.sums --out theta.json");
+    let expected = "`south.sums` and `north.sums` both have tests of 1 of the groups of `lot`, expected all tests of a group in one place";
+    assert!(text.contains(expected), "{text}");
+    assert!(text.contains("move each of these groups to one place"), "{text}");
 }

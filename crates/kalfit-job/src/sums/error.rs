@@ -81,6 +81,20 @@ pub enum SumsError {
         /// The first one.
         first: String,
     },
+    /// Groups that are not in one place.
+    #[error(
+        "`{file}` and `{first}` both have tests of {found} of the groups of `{level}`, expected all tests of a group in one place"
+    )]
+    Groups {
+        /// The file.
+        file: String,
+        /// The first file.
+        first: String,
+        /// How many groups both have.
+        found: usize,
+        /// The outermost level.
+        level: String,
+    },
     /// Not all places are there, or not all of their tests.
     #[error("found {found_tests} tests in {found} files, expected {tests} in {places} as in the rounds before")]
     Places {
@@ -123,6 +137,9 @@ impl SumsError {
                 Some("make the sums of every place anew, `--at` the newest theta.json")
             }
             SumsError::Twice { .. } => Some("name the file of each place once"),
+            SumsError::Groups { .. } => {
+                Some("move each of these groups to one place, or rename them if they are different groups of one name")
+            }
             SumsError::Places { .. } => Some("every place takes part in every round, with the same tests"),
             SumsError::Answers { .. } => Some("make them anew"),
             SumsError::Few { .. } => {

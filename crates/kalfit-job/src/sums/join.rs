@@ -1,5 +1,6 @@
 //! `kalfit join`: the sums of all places together, and what is to be asked next, or the fit.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use kalfit::estimate::{Criterion, Settings};
@@ -147,6 +148,22 @@ fn twice(sums: &[Sums]) -> Option<(usize, usize)> {
     (0..sums.len()).find_map(|at| Some((at, before(at)?)))
 }
 
+/// Each group of the outermost level is in one place.
+fn apart(sums: &[(&str, &Sums)], spec: &Spec) -> Result<(), SumsError> {
+    let mut places: HashMap<&str, usize> = HashMap::new();
+    for (at, (file, own)) in sums.iter().enumerate() {
+        let before: Vec<usize> = own.groups.iter().filter_map(|group| places.insert(group, at)).collect();
+        let Some(&first) = before.iter().min() else { continue };
+        return Err(SumsError::Groups {
+            file: (*file).to_owned(),
+            first: sums[first].0.to_owned(),
+            found: before.iter().filter(|place| **place == first).count(),
+            level: spec.model.levels.first().map_or_else(String::new, |level| level.name.clone()),
+        });
+    }
+    Ok(())
+}
+
 /// What is known after a round.
 fn together(theta: Theta, sums: &[(&str, &Sums)], spec: &Spec) -> Result<Theta, SumsError> {
     let bare = theta.bare();
@@ -169,6 +186,7 @@ fn together(theta: Theta, sums: &[(&str, &Sums)], spec: &Spec) -> Result<Theta, 
         let ([found, found_tests], [places, tests]) = (found, expected);
         return Err(SumsError::Places { found, found_tests, places, tests });
     }
+    apart(sums, spec)?;
     let mut known = theta.known;
     for (k, asked) in theta.ask.into_iter().enumerate() {
         let answers: Vec<Answer> = sums.iter().map(|(_, sums)| sums.answers[k].clone()).collect();

@@ -90,7 +90,12 @@ impl Site {
         theta.check(name, &self.spec)?;
         let answers = theta.ask.iter().map(|asked| self.shard.answer(asked)).collect::<Result<_, _>>();
         let answers = answers.map_err(SumsError::from)?;
-        Ok(Sums { schema: SUMS.schema.to_owned(), tests: self.tests(), answers, theta })
+        let mut groups: Vec<String> = match theta.round {
+            0 => self.shard.groups().iter().map(|group| self.spec.group_digest(group)).collect(),
+            _ => Vec::new(), // they were compared before
+        };
+        groups.sort(); // not in the order of the names
+        Ok(Sums { schema: SUMS.schema.to_owned(), tests: self.tests(), groups, answers, theta })
     }
 }
 

@@ -43,6 +43,9 @@ pub struct Sums {
     pub schema: String,
     /// Number of tests.
     pub tests: usize,
+    /// In the first round of a model with levels: digests of the names of its groups of the outermost level, in their order.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub groups: Vec<String>,
     /// An answer to each question; null where what was asked for is not defined.
     pub answers: Vec<Answer>,
     /// What was asked.

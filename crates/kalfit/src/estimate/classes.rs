@@ -59,7 +59,7 @@ pub(crate) struct Classes {
     members: Option<Arc<Members>>,
     /// Of which reductions they are.
     stamp: Option<u64>,
-    /// Where tests stand in groups: the groups of the outermost level with all that stands in them.
+    /// Where tests stand in groups: the groups of the outermost level with all that stands in them, none of tests that are elsewhere.
     pub(crate) units: Option<Arc<Units>>,
     /// Where the tests are when they are elsewhere: then there are no classes here.
     pub(crate) remote: Option<Remote>,
@@ -115,9 +115,24 @@ impl Classes {
             self = Classes { frame: centre, ..self }.again(reductions, false);
         }
         let units = Units::new(reductions, &self, grouping).expect("every test is in a group");
-        self.present = units.counts();
+        if self.remote.is_none() {
+            self.present = units.counts(); // of tests that are elsewhere it is told
+        }
         self.units = Some(Arc::new(units));
         self
+    }
+
+    /// Those of tests that are elsewhere, as if each stood alone where it stands in groups.
+    pub(crate) fn apart(&self) -> Classes {
+        let Some(p) = self.units.as_ref().map(|units| units.states) else { return self.clone() };
+        Classes {
+            frame: self.frame.part(&(0..p)),
+            information: self.information.view((0, 0), (p, p)).into_owned(),
+            elements: Elements::new(self.elements.blocks()[..1].to_vec()),
+            present: self.present[..1].to_vec(),
+            units: None,
+            ..self.clone()
+        }
     }
 
     /// Other reductions, or in other ways, in the same coordinates.

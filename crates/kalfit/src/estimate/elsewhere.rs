@@ -9,19 +9,20 @@ use crate::ensemble::Grouping;
 use crate::estimate::class::Class;
 use crate::estimate::classes::Classes;
 use crate::estimate::covariance::{CovarianceMap, Form};
+use crate::estimate::frame::Frame;
 use crate::estimate::levels::{self, TestPosterior, Units};
 use crate::estimate::newton::{self, Place};
 use crate::estimate::order::{Order, Wanted};
-use crate::estimate::point::Point;
+use crate::estimate::point::{Point, Regressors};
 use crate::estimate::problem::Problem;
-use crate::estimate::remote::matrix;
+use crate::estimate::remote::{list, matrix};
 use crate::estimate::structure::Assumed;
 use crate::estimate::sums::Sums;
 use crate::estimate::{Criterion, State, Structure};
 use crate::linalg::symmetric;
 use crate::model::{Alpha, StructureError};
 use crate::reduce::{ReductionRef, Reductions};
-use crate::remote::{Law, Question};
+use crate::remote::{InGroups, Law, Question};
 use rayon::prelude::*;
 
 /// The objective at one point under some reductions.
@@ -54,10 +55,14 @@ pub(crate) struct InitialLaw {
 
 /// The posterior of ξ of every test, which depends on other tests too.
 #[derive(Debug)]
-struct Given {
-    grouping: Arc<Grouping>,
-    /// x̂ and a root of V of each test, by its number in the grouping; under the restricted likelihood with what the mean adds to V.
-    tests: Vec<(DVector<f64>, DMatrix<f64>)>,
+enum Given {
+    Here {
+        grouping: Arc<Grouping>,
+        /// x̂ and a root of V of each test, by its number in the grouping; under the restricted likelihood with what the mean adds to V.
+        tests: Vec<(DVector<f64>, DMatrix<f64>)>,
+    },
+    /// The tests are elsewhere: this is what it follows from.
+    Elsewhere(InGroups),
 }
 
 impl InitialLaw {
@@ -80,15 +85,21 @@ impl InitialLaw {
         let levels = problem.classes.units.as_ref().map_or(1, |units| units.levels());
         let p = all / levels;
         let mean = frame.mean_out(&point.mean);
-        let mean_half = mean_covariance.map(|covariance| {
+        let half = mean_covariance.map(|covariance| {
             let half = problem.mean.jacobian() * symmetric::square_root(covariance);
             let sum = |k: usize, c: usize| (0..levels).map(|l| half[(l * p + k, c)]).sum::<f64>();
             let entry = |k: usize, c: usize| if k < p { sum(k, c) } else { half[(k - p + all, c)] };
-            DMatrix::from_fn(half.nrows() - all + p, half.ncols(), |k, c| {
-                unit(if k < p { k } else { k - p + all }) * entry(k, c)
-            })
+            DMatrix::from_fn(half.nrows() - all + p, half.ncols(), entry)
         });
-        let given = |units: &Arc<Units>| Arc::new(Given::new((problem, units), point, mean_covariance));
+        let in_units = |half: &DMatrix<f64>| {
+            DMatrix::from_fn(half.nrows(), half.ncols(), |k, c| {
+                unit(if k < p { k } else { k - p + all }) * half[(k, c)]
+            })
+        };
+        let given = |units: &Arc<Units>| match problem.classes.remote {
+            Some(_) => Given::Elsewhere(InGroups { frame: frame.told(), place: point.told() }),
+            None => Given::here((units, frame), (point, &problem.mean.regressors), half.as_ref()),
+        };
         InitialLaw {
             mean: DVector::from_fn(p, |i, _| (0..levels).map(|l| mean[l * p + i]).sum()),
             regression: problem.mean.regressors.iter().copied().zip(coefficients).collect(),
@@ -96,19 +107,22 @@ impl InitialLaw {
                 let (l, c) = (c / point.root.ncols(), c % point.root.ncols());
                 frame.scale[l * p + i] * point.root[(l * p + i, c)]
             }),
-            mean_half,
-            given: problem.classes.units.as_ref().map(given),
+            mean_half: half.as_ref().map(in_units),
+            given: problem.classes.units.as_ref().map(given).map(Arc::new),
         }
     }
 
-    /// As others are told of it. Tests that are elsewhere stand in no groups.
+    /// As others are told of it.
     pub(crate) fn told(&self) -> Law {
-        let list = |matrix: &DMatrix<f64>| matrix.as_slice().to_vec();
         Law {
             mean: self.mean.as_slice().to_vec(),
             regression: self.regression.clone(),
             root: list(&self.root),
             mean_half: self.mean_half.as_ref().map(list),
+            given: match self.given.as_deref() {
+                Some(Given::Elsewhere(told)) => Some(told.clone()),
+                _ => None,
+            },
         }
     }
 
@@ -131,6 +145,15 @@ impl InitialLaw {
         })
     }
 
+    /// The same of the tests of these units, of each given all tests of its unit at a point.
+    pub(super) fn within(
+        self,
+        (units, frame): (&Units, &Frame),
+        (point, regressors): (&Point, &Regressors),
+    ) -> InitialLaw {
+        InitialLaw { given: Some(Arc::new(Given::here((units, frame), (point, regressors), None))), ..self }
+    }
+
     /// ξ given the data is known of each test, other tests of its unit among them.
     pub(crate) fn is_of_each(&self) -> bool {
         self.given.is_some()
@@ -138,8 +161,8 @@ impl InitialLaw {
 
     /// x̂ and a root of V of a test, where they depend on other tests too.
     pub(crate) fn given(&self, test: &str) -> Option<(&DVector<f64>, &DMatrix<f64>)> {
-        let given = self.given.as_ref()?;
-        let (mean, root) = &given.tests[given.grouping.number(test)?];
+        let Given::Here { grouping, tests } = self.given.as_deref()? else { return None };
+        let (mean, root) = &tests[grouping.number(test)?];
         Some((mean, root))
     }
 
@@ -170,22 +193,20 @@ impl InitialLaw {
 }
 
 impl Given {
-    fn new((problem, units): (&Problem, &Arc<Units>), point: &Point, mean_covariance: Option<&DMatrix<f64>>) -> Given {
-        let (frame, p, levels) = (&problem.classes.frame, units.states, units.levels());
-        let half = mean_covariance.map(|covariance| {
-            let half = problem.mean.jacobian() * symmetric::square_root(covariance);
-            let all = p * levels;
-            let sum = |k: usize, c: usize| (0..levels).map(|l| half[(l * p + k, c)]).sum::<f64>();
-            let rows = half.nrows() - all + p;
-            DMatrix::from_fn(rows, half.ncols(), |k, c| if k < p { sum(k, c) } else { half[(k - p + all, c)] })
-        });
-        let found = levels::posteriors(units, (point, &problem.mean.regressors), None, half.is_some());
+    /// `half`: a root of the covariance of the mean coordinates of a test, under the restricted likelihood.
+    fn here(
+        (units, frame): (&Units, &Frame),
+        (point, regressors): (&Point, &Regressors),
+        half: Option<&DMatrix<f64>>,
+    ) -> Given {
+        let p = units.states;
+        let found = levels::posteriors(units, (point, regressors), None, half.is_some());
         let one = |test: &TestPosterior| {
             if test.mean.is_empty() {
                 return (DVector::zeros(0), DMatrix::zeros(0, 0)); // a test that is not among the reductions
             }
             let own = symmetric::square_root(&DMatrix::from_row_slice(p, p, &test.covariance));
-            let extra = half.as_ref().map(|half| DMatrix::from_row_slice(p, half.nrows(), &test.moved) * half);
+            let extra = half.map(|half| DMatrix::from_row_slice(p, half.nrows(), &test.moved) * half);
             let columns = p + extra.as_ref().map_or(0, DMatrix::ncols);
             let entry = |i: usize, c: usize| match (c.checked_sub(p), &extra) {
                 (Some(c), Some(extra)) => extra[(i, c)],
@@ -195,7 +216,7 @@ impl Given {
             let root = DMatrix::from_fn(p, columns, |i, c| frame.scale[i] * entry(i, c));
             (DVector::from_iterator(p, mean), root)
         };
-        Given { grouping: units.grouping.clone(), tests: found.tests.par_iter().map(one).collect() }
+        Given::Here { grouping: units.grouping.clone(), tests: found.tests.par_iter().map(one).collect() }
     }
 }
 
@@ -434,9 +455,11 @@ impl Problem {
         })
     }
 
-    /// Numbers of the tests that are elsewhere that inform and observe each state; `None` where nobody has answered, or nobody is asked.
+    /// Numbers of the tests that are elsewhere that inform and observe each state, as if each stood alone; `None` where nobody has
+    /// answered, or nobody is asked.
     pub(crate) fn told_counts(&self) -> Option<Vec<f64>> {
-        self.classes.remote.as_ref()?.ask(Question::Observability { frame: self.classes.frame.told() })
+        let remote = self.classes.remote.as_ref()?;
+        remote.ask(Question::Observability { frame: self.classes.apart().frame.told() })
     }
 
     /// The problem of other reductions of the same tests, in the coordinates η and with the criterion of another.

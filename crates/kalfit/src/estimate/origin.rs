@@ -38,11 +38,15 @@ impl Classes {
         Point { mean: vec![0.0; p], coefficients: vec![0.0; regressors], root: DMatrix::zeros(p, p) }
     }
 
-    /// For each element i the sums over tests of (y - Jμ)_i² - J_ii, which has the mean Σ (JΣJ)_ii, and of J_ii².
+    /// For each element i the sums over tests of (y - Jμ)_i² - J_ii, which has the mean Σ (JΣJ)_ii, and of J_ii²; of those of a level of
+    /// groups over the groups.
     pub(crate) fn excess(&self, mean: &DVector<f64>) -> (DVector<f64>, DVector<f64>) {
         let p = mean.len();
         if let Some(remote) = &self.remote {
             return remote::excess(remote, &self.frame, mean);
+        }
+        if let Some(units) = &self.units {
+            return units.excess(mean);
         }
         let (mut excess, mut weight) = (DVector::zeros(p), DVector::zeros(p));
         for (count, each) in self.excesses(mean) {

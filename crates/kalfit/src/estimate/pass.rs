@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use nalgebra::DMatrix;
 use rayon::prelude::*;
 
 use crate::estimate::chained::{Detail, Packed};
@@ -12,7 +13,7 @@ use crate::estimate::levels;
 use crate::estimate::order::{FlatMean, Order, Wanted, most_tasks};
 use crate::estimate::point::{Point, Regressors};
 use crate::estimate::remote;
-use crate::estimate::sums::Sums;
+use crate::estimate::sums::{OfLevels, Sums};
 use crate::estimate::terms::Terms;
 use crate::linalg::elements::Elements;
 
@@ -25,6 +26,16 @@ const CHAIN_TASKS: usize = 16;
 impl Wanted<'_> {
     pub(super) fn zero(&self) -> Sums {
         Sums::zero(self.elements, self.regressors.len(), self.order, self.flat)
+    }
+
+    /// Of tests in groups: their second derivatives are matrices of their own.
+    pub(super) fn zero_in_groups(self) -> Sums {
+        let mut zero = Wanted { order: self.order.min(Order::Mean), ..self }.zero();
+        let second = if self.order >= Order::Second { self.elements.count() } else { 0 };
+        let of = |rows: usize| DMatrix::zeros(if second > 0 { rows } else { 0 }, second);
+        let coordinates = zero.mean_score.len();
+        zero.of_levels = Some(OfLevels { observed: of(second), cross: of(coordinates), expected: of(second) });
+        zero
     }
 
     /// W between phases is wanted.
@@ -47,7 +58,7 @@ pub(crate) fn pass(
 ) -> Sums {
     let wanted = wanted(&classes.elements, regressors, order, flat);
     if let Some(remote) = &classes.remote {
-        return remote::pass(remote, &classes.frame, point, wanted);
+        return remote::pass((remote, classes), point, wanted);
     }
     if let Some(units) = &classes.units {
         return levels::pass(units, point, wanted);

@@ -92,7 +92,11 @@ impl Problem {
         reductions: &Reductions,
     ) -> Option<(Problem, Point)> {
         let first = Structure { phases: structure.phases[..1].to_vec(), grouping: None, ..structure.clone() };
-        let alone = Problem::new(reductions, &first, (Criterion::Ml, Combination::Stacked)).ok()?;
+        let alone = match self.classes.remote {
+            Some(_) => Problem::of(self.classes.apart(), &first, Criterion::Ml),
+            None => Problem::new(reductions, &first, (Criterion::Ml, Combination::Stacked)),
+        };
+        let alone = alone.ok()?;
         let (p, frame) = (alone.classes.dimension(), &alone.classes.frame);
         let Population { mean, covariance, .. } = self.values_of(point).together(p);
         let root = symmetric::square_root(&frame.covariance_in(&covariance));

@@ -69,16 +69,16 @@ impl Classes {
 }
 
 /// ℓ and its derivatives at a point; NaN where nobody has answered.
-pub(super) fn pass(remote: &Remote, frame: &Frame, point: &Point, wanted: Wanted<'_>) -> Sums {
-    let list = |matrix: &DMatrix<f64>| matrix.as_slice().to_vec();
+pub(super) fn pass((remote, classes): (&Remote, &Classes), point: &Point, wanted: Wanted<'_>) -> Sums {
     let flat = wanted.flat.map(|flat| Flat {
         free: flat.jacobian.ncols(),
         jacobian: list(flat.jacobian),
         covariance: flat.covariance.map(list),
     });
-    let place = Place { mean: point.mean.clone(), coefficients: point.coefficients.clone(), root: list(&point.root) };
-    let answer = remote.ask(Question::Pass { frame: frame.told(), place, detail: wanted.order, flat });
-    answer.and_then(|numbers| wanted.zero().of_numbers(&numbers)).unwrap_or_else(|| wanted.zero().unknown())
+    let (frame, place) = (classes.frame.told(), point.told());
+    let answer = remote.ask(Question::Pass { frame, place, detail: wanted.order, flat });
+    let zero = || if classes.units.is_some() { wanted.zero_in_groups() } else { wanted.zero() };
+    answer.and_then(|numbers| zero().of_numbers(&numbers)).unwrap_or_else(|| zero().unknown())
 }
 
 /// [`Classes::excess`] of tests that are elsewhere; zero where nobody has answered.
@@ -87,6 +87,18 @@ pub(super) fn excess(remote: &Remote, frame: &Frame, mean: &DVector<f64>) -> (DV
     let answer = remote.ask(Question::Excess { frame: frame.told(), mean: mean.as_slice().to_vec() });
     let numbers = answer.filter(|numbers| numbers.len() == 2 * p).unwrap_or_else(|| vec![0.0; 2 * p]);
     (DVector::from_column_slice(&numbers[..p]), DVector::from_column_slice(&numbers[p..]))
+}
+
+impl Point {
+    /// As others are told of it.
+    pub(super) fn told(&self) -> Place {
+        Place { mean: self.mean.clone(), coefficients: self.coefficients.clone(), root: list(&self.root) }
+    }
+}
+
+/// A matrix as a list by columns.
+pub(super) fn list(matrix: &DMatrix<f64>) -> Vec<f64> {
+    matrix.as_slice().to_vec()
 }
 
 /// A matrix of so many rows from its columns.

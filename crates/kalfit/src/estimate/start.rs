@@ -115,11 +115,11 @@ fn mean(problem: &Problem, structure: &Structure<'_>) -> (DVector<f64>, Vec<f64>
 /// A variance for each state by moments, as if the states were uncorrelated: Σ_j (y - Jμ)_i² has the mean Σ_j (J + JΣJ)_ii.
 fn variances(classes: &Classes, mean: &DVector<f64>) -> DVector<f64> {
     let p = mean.len();
+    let (excess, weight) = classes.excess(mean);
     if let Some(units) = &classes.units {
-        let found: Vec<Option<f64>> = units.variances(mean).into_iter().flatten().collect();
+        let found: Vec<Option<f64>> = units.variances((&excess, &weight)).into_iter().flatten().collect();
         return DVector::from_fn(p, |k, _| found[k].map_or(1.0, |variance| variance.max(LEAST)));
     }
-    let (excess, weight) = classes.excess(mean);
     DVector::from_fn(p, |i, _| if weight[i] > 0.0 { (excess[i] / weight[i]).max(LEAST) } else { 1.0 })
 }
 

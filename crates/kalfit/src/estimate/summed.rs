@@ -1,22 +1,33 @@
 //! What a place that holds some of the tests answers: sums over their reductions.
 
+use std::borrow::Cow;
+use std::sync::Arc;
+
 use nalgebra::{DMatrix, DVector};
 
+use crate::ensemble::Grouping;
 use crate::estimate::classes::{Classes, present};
+use crate::estimate::evidence::evidence;
 use crate::estimate::frame::{Frame, Pooled};
 use crate::estimate::order::FlatMean;
 use crate::estimate::pass;
 use crate::estimate::point::{Point, Regressors};
 use crate::estimate::remote::{RemoteCounts, matrix};
 use crate::estimate::structure::Structure;
+use crate::estimate::{InitialLaw, Settings};
 use crate::linalg::elements::Elements;
 use crate::reduce::Reductions;
-use crate::remote::{Answer, Coordinates, Flat, Place, Question};
+use crate::remote::{Answer, Coordinates, Flat, Law, Place, Question};
 
 /// The reductions of one place at one α, ready to be asked for sums over them.
 #[derive(Debug)]
 pub(crate) struct Summed {
     pub(crate) reductions: Reductions,
+    /// Of tests in groups: the reductions in what is a test's own and what each of its groups adds.
+    stacked: Option<Reductions>,
+    grouping: Option<Arc<Grouping>>,
+    /// p of a test.
+    states: usize,
     elements: Elements,
     regressors: Vec<usize>,
     /// The classes in the coordinates that were asked for last.
@@ -26,7 +37,24 @@ pub(crate) struct Summed {
 impl Summed {
     pub(crate) fn new(reductions: Reductions, structure: &Structure<'_>) -> Summed {
         let regressors = structure.regressions().iter().map(|r| r.element).collect();
-        Summed { reductions, elements: Elements::new(structure.ranges()), regressors, gathered: None }
+        let stacked = match evidence(&reductions, structure, &Settings::default()) {
+            Ok(Cow::Owned(stacked)) => Some(stacked),
+            _ => None,
+        };
+        Summed {
+            reductions,
+            stacked,
+            grouping: structure.grouping.clone(),
+            states: structure.reduced_dimension(),
+            elements: Elements::new(structure.ranges()),
+            regressors,
+            gathered: None,
+        }
+    }
+
+    /// What the likelihood is of.
+    fn evidence(&self) -> &Reductions {
+        self.stacked.as_ref().unwrap_or(&self.reductions)
     }
 
     /// The answer to a question about μ and Σ; `None` where it is none, or not of this model.
@@ -58,18 +86,50 @@ impl Summed {
         }
         if self.gathered.as_ref().is_none_or(|(known, _)| known != frame) {
             let own = Frame::from_told(frame);
-            let classes = Classes::in_frame(&self.reductions, &own, self.elements.clone(), true);
+            let classes = Classes::in_frame(self.evidence(), &own, self.elements.clone(), true);
+            let classes = match &self.grouping {
+                Some(grouping) => classes.in_groups(self.evidence(), grouping),
+                None => classes,
+            };
             self.gathered = Some((frame.clone(), classes));
         }
         let (_, classes) = self.gathered.as_ref()?;
         Some((classes, &self.regressors))
     }
 
+    /// The classes of the tests as if each stood alone, in these coordinates; `None` where they are not of this model.
+    pub(crate) fn apart(&mut self, frame: &Coordinates) -> Option<Cow<'_, Classes>> {
+        if self.grouping.is_none() {
+            return self.classes(frame).map(|(classes, _)| Cow::Borrowed(classes));
+        }
+        let fits = [&frame.centre, &frame.scale].iter().all(|numbers| numbers.len() == self.states);
+        if !fits || frame.covariate_scale.len() != self.regressors.len() {
+            return None;
+        }
+        let elements = Elements::new(self.elements.blocks()[..1].to_vec());
+        Some(Cow::Owned(Classes::in_frame(&self.reductions, &Frame::from_told(frame), elements, true)))
+    }
+
+    /// The law of ξ of each test, as it is told; `None` where it is not of this model.
+    pub(crate) fn law(&mut self, law: &Law) -> Option<InitialLaw> {
+        let own = InitialLaw::from_told(law, (self.states, self.regressors.len()))?;
+        let Some(given) = &law.given else { return self.grouping.is_none().then_some(own) };
+        let point = self.point(&given.place)?;
+        let (classes, regressors) = self.classes(&given.frame)?;
+        Some(own.within((classes.units.as_ref()?, &classes.frame), (&point, regressors)))
+    }
+
     fn survey(&self) -> Vec<f64> {
-        let all: Vec<usize> = (0..self.reductions.len()).collect();
-        let pooled = Pooled::all(&self.reductions, &all, (self.elements.states(), self.regressors.len()));
-        let head = RemoteCounts::here(&self.reductions).numbers();
-        let present = present(&self.reductions, &self.elements);
+        let (evidence, all) = (self.evidence(), (0..self.reductions.len()).collect::<Vec<usize>>());
+        let pooled = Pooled::all(evidence, &all, (self.elements.states(), self.regressors.len()));
+        let head = RemoteCounts::here(evidence).numbers();
+        let present = match &self.grouping {
+            Some(grouping) => {
+                let groups = (0..grouping.depth()).map(|level| grouping.groups(level).len());
+                std::iter::once(all.len()).chain(groups).map(|count| count as f64).collect()
+            }
+            None => present(evidence, &self.elements),
+        };
         head.into_iter().chain(present).chain(pooled.numbers()).collect()
     }
 

@@ -7,7 +7,7 @@ use nalgebra::{DMatrix, DVector};
 use crate::estimate::lanes::Totals;
 use crate::estimate::order::{FlatMean, Order};
 use crate::estimate::point::Regressors;
-use crate::estimate::products::{Crosses, Products};
+use crate::estimate::products::{Blocks, Crosses, Products};
 use crate::estimate::reml::Restricted;
 use crate::linalg::elements::Elements;
 use crate::linalg::symmetric::{pair, pairs};
@@ -273,26 +273,26 @@ fn add_symmetric(matrix: &mut DMatrix<f64>, (a, b): (usize, usize), x: f64) {
 
 /// Sums as a list of numbers that adds: what one place tells another.
 impl Sums {
-    /// All that was added up over tests that stand in no groups.
+    /// All that was added up.
     pub(super) fn numbers(&self) -> Vec<f64> {
         let matrices = [&self.mean_information, &self.outer, &self.weight, &self.spread];
+        let of_levels = self.of_levels.iter().flat_map(|own| [&own.observed, &own.cross, &own.expected]);
         let plain = [self.value, self.quadratic].into_iter().chain(self.mean_score.iter().copied());
-        let products =
-            self.curvature.blocks.numbers().chain(self.cross.blocks.numbers()).chain(self.expected.blocks.numbers());
-        plain.chain(matrices.into_iter().flatten().copied()).chain(products).collect()
+        let blocks = [&self.curvature.blocks, &self.cross.blocks, &self.expected.blocks];
+        let products = blocks.into_iter().flat_map(Blocks::numbers);
+        plain.chain(matrices.into_iter().chain(of_levels).flatten().copied()).chain(products).collect()
     }
 
     /// Those of such a list, of the form of these; `None` where it is of another length.
     pub(super) fn of_numbers(mut self, numbers: &[f64]) -> Option<Sums> {
         let matrices = [&mut self.mean_information, &mut self.outer, &mut self.weight, &mut self.spread];
+        let of_levels =
+            self.of_levels.iter_mut().flat_map(|own| [&mut own.observed, &mut own.cross, &mut own.expected]);
         let plain = [&mut self.value, &mut self.quadratic].into_iter().chain(self.mean_score.iter_mut());
-        let products = self
-            .curvature
-            .blocks
-            .places_mut()
-            .chain(self.cross.blocks.places_mut())
-            .chain(self.expected.blocks.places_mut());
-        let places = plain.chain(matrices.into_iter().flat_map(|matrix| matrix.iter_mut())).chain(products);
+        let blocks = [&mut self.curvature.blocks, &mut self.cross.blocks, &mut self.expected.blocks];
+        let products = blocks.into_iter().flat_map(Blocks::places_mut);
+        let places =
+            plain.chain(matrices.into_iter().chain(of_levels).flat_map(|matrix| matrix.iter_mut())).chain(products);
         let mut count = 0;
         places.zip(numbers).for_each(|(place, number)| {
             *place = *number;

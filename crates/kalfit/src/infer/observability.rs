@@ -174,10 +174,9 @@ fn afar(problem: &Problem, weight: &DMatrix<f64>) -> Observability {
 /// What a place answers to [`Question::Observability`]; `None` where that is not of its model.
 pub(crate) fn counted(summed: &mut Summed, frame: &Coordinates) -> Option<Vec<f64>> {
     let p = frame.centre.len();
-    summed.classes(frame)?;
     let reductions = summed.reductions.clone();
-    let (classes, _) = summed.classes(frame)?;
-    let designs = Designs::new(classes, &reductions);
+    let classes = summed.apart(frame)?;
+    let designs = Designs::new(&classes, &reductions);
     let informed = (0..p).map(|i| designs.count(|d| d.informs[i]));
     let observed = (0..p).map(|i| designs.count(|d| d.observes[i]));
     let together = designs.together(p);

@@ -29,14 +29,17 @@ pub(super) fn phases_and_levels(
 ) -> (Vec<PhaseRecord>, Vec<LevelRecord>) {
     let mut blocks = blocks(model, estimate, inference, reductions);
     let levels = blocks.split_off(model.phases.len());
-    let Some(grouping) = estimate.grouping() else { return (blocks, Vec::new()) };
+    if estimate.grouping().is_none() {
+        return (blocks, Vec::new());
+    }
+    let count = |block: usize| estimate.state.problem.classes.present[block] as usize;
     let one = |(level, block): (usize, PhaseRecord)| {
         let own = model.levels.iter().rev().nth(level).expect("a level for each block");
         let column = Some(model.shared().text_columns[own.column].name.clone());
-        LevelRecord::new(own.name.clone(), column, grouping.groups(level).len(), &block)
+        LevelRecord::new(own.name.clone(), column, count(level + 1), &block)
     };
     let mut levels: Vec<LevelRecord> = levels.into_iter().enumerate().map(one).rev().collect();
-    levels.push(LevelRecord::new(TESTS.to_owned(), None, reductions.len(), &blocks[0]));
+    levels.push(LevelRecord::new(TESTS.to_owned(), None, count(0), &blocks[0]));
     (blocks, levels)
 }
 
@@ -64,10 +67,11 @@ fn blocks(
 
 /// Number of tests that have a phase.
 fn tests_of(cut: &Cut<'_>, (estimate, reductions): (&Estimate, &Reductions), model: &PhasedModel) -> usize {
+    let present = &estimate.state.problem.classes.present;
     match cut.level {
-        _ if reductions.remote().is_some() => estimate.state.problem.classes.present[cut.index] as usize,
+        Some(_) => present[0] as usize,
+        None if reductions.remote().is_some() => present[cut.index] as usize,
         None => reductions.iter().filter(|r| phases_of(*r, model) > cut.index).count(),
-        Some(_) => reductions.len(),
     }
 }
 

@@ -12,6 +12,6 @@ mod answers;
 mod question;
 
 pub use answers::{Answer, Answers, sum};
-pub use question::{Asked, Coordinates, Detail, Flat, Law, Place, Question};
+pub use question::{Asked, Coordinates, Detail, Flat, InGroups, Law, Place, Question};
 
 pub(crate) use answers::Remote;

@@ -107,6 +107,18 @@ pub struct Law {
     pub root: Vec<f64>,
     /// A root of the covariance of (μ, coefficients) at a known Σ, under the restricted likelihood.
     pub mean_half: Option<Vec<f64>>,
+    /// Where tests stand in groups: ξ of each is meant given all tests of its unit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub given: Option<InGroups>,
+}
+
+/// μ and the Σ of every level of groups, that of the tests first.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct InGroups {
+    /// Where η stands.
+    pub frame: Coordinates,
+    /// μ and Σ in η.
+    pub place: Place,
 }
 
 impl Asked {
@@ -115,6 +127,7 @@ impl Asked {
         let finite = |numbers: &[f64]| numbers.iter().all(|x| x.is_finite());
         let framed =
             |frame: &Coordinates| finite(&frame.centre) && finite(&frame.scale) && finite(&frame.covariate_scale);
+        let placed = |place: &Place| finite(&place.mean) && finite(&place.coefficients) && finite(&place.root);
         let own = match &self.question {
             Question::Opening | Question::Survey => true,
             Question::Excess { frame, mean } => framed(frame) && finite(mean),
@@ -123,11 +136,13 @@ impl Asked {
                 let flat = flat
                     .as_ref()
                     .is_none_or(|flat| finite(&flat.jacobian) && flat.covariance.as_deref().is_none_or(finite));
-                framed(frame) && finite(&place.mean) && finite(&place.coefficients) && finite(&place.root) && flat
+                framed(frame) && placed(place) && flat
             }
             Question::Score { law } => {
                 let coefficients = law.regression.iter().all(|(_, x)| x.is_finite());
-                finite(&law.mean) && coefficients && finite(&law.root) && law.mean_half.as_deref().is_none_or(finite)
+                let given = law.given.as_ref().is_none_or(|given| framed(&given.frame) && placed(&given.place));
+                let own = finite(&law.mean) && coefficients && finite(&law.root);
+                own && law.mean_half.as_deref().is_none_or(finite) && given
             }
         };
         own && finite(&self.values)

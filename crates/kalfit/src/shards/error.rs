@@ -1,14 +1,11 @@
 //! Why a model cannot be fitted to tests in several places, or why one of them has no answer.
 
 use crate::dynamic::DynamicError;
-use crate::reduce::ReduceError;
+use crate::reduce::{GroupingError, ReduceError};
 
 /// Why a model cannot be fitted to tests in several places, or why one of them has no answer.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ShardError {
-    /// Groups of tests may be spread over places.
-    #[error("the model has levels of groups, which a fit by sums does not support")]
-    Levels,
     /// Levels of a parameter are texts of the data, which stay where they are.
     #[error("`{parameter}` has one free value for each level, which a fit by sums does not support")]
     PerLevel {
@@ -55,6 +52,9 @@ pub enum ShardError {
         /// What does not fit.
         what: &'static str,
     },
+    /// Tests that cannot be grouped.
+    #[error(transparent)]
+    Grouping(#[from] GroupingError),
     /// No place has a test.
     #[error("there are no tests")]
     NoTests,
@@ -70,9 +70,6 @@ impl ShardError {
     /// What to do about it.
     pub fn hint(&self) -> Option<&'static str> {
         match self {
-            ShardError::Levels => {
-                Some("bring the reductions of all tests together (`kalfit reduce`): ten million fit into one machine")
-            }
             ShardError::PerLevel { .. } => Some("make the parameter common to all tests, or give each level its value"),
             ShardError::NoiseCovariance { .. } => Some("give the parameters their values, or fit on one machine"),
             ShardError::Marginal => Some("put the phases together by `chain`"),
@@ -85,7 +82,7 @@ impl ShardError {
             ShardError::Question { .. } => Some("ask again with the same model and the same version of kalfit"),
             ShardError::Reduce(error) => error.hint(),
             ShardError::Dynamic(error) => error.hint(),
-            ShardError::NoTests => None,
+            ShardError::Grouping(_) | ShardError::NoTests => None,
         }
     }
 }

@@ -8,7 +8,7 @@ use crate::estimate::{self, Combination, Criterion, FitError, Progress, Stage, S
 use crate::infer::{Choices, DeletionChoice, IntervalKind, StdErrors, TestsChoice, infer};
 use crate::model::{PhasedModel, Slots, Value};
 use crate::record::{DynamicParts, FitRecord, Provenance};
-use crate::reduce::Reductions;
+use crate::reduce::{Reductions, grouping};
 use crate::remote::{Answer, Answers, Asked, Question, Remote};
 use crate::shards::error::ShardError;
 
@@ -97,7 +97,8 @@ fn at_known(
 ) -> Result<FitRecord, ShardError> {
     let alpha = slots.alpha(model.shared(), &[]);
     let reductions = Reductions::elsewhere(Remote { values: Vec::new(), answers: answers.clone() });
-    let structure = Structure::of(model, &alpha, None);
+    let grouping = grouping(model, &[])?.map(Arc::new); // the tests are elsewhere
+    let structure = Structure::of(model, &alpha, grouping.as_ref());
     let estimate = estimate::fit(&reductions, &structure, &asks.settings, progress).map_err(failed)?;
     let inference = infer(&estimate, &reductions, choices);
     Ok(FitRecord::new(model, &alpha, &reductions, &estimate, &inference, provenance))
@@ -132,9 +133,6 @@ fn slots(model: &PhasedModel) -> Slots {
 
 /// Models that are not fitted by sums.
 pub(super) fn refuse(model: &PhasedModel, settings: &estimate::Settings) -> Result<(), ShardError> {
-    if !model.levels.is_empty() {
-        return Err(ShardError::Levels);
-    }
     let free = |value: Value| matches!(value, Value::Free { .. });
     let parameters = &model.shared().parameters;
     if let Some(apart) = parameters.iter().find(|p| p.per.is_some() && free(p.value)) {

@@ -1,25 +1,29 @@
 //! One place: its tests, and what it answers about them.
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::dynamic::{self, Scale, Settings};
-use crate::ensemble::Labels;
-use crate::estimate::{InitialLaw, Silent, Structure, Summed};
+use crate::ensemble::{Grouping, Labels};
+use crate::estimate::{Silent, Structure, Summed};
 use crate::infer::counted;
 use crate::model::{PhasedModel, Slots};
-use crate::reduce::{Evidence, PhasedFiltered, PhasedReducer, PhasedTest, ReduceError, Reductions};
+use crate::reduce::{Evidence, PhasedFiltered, PhasedReducer, PhasedTest, ReduceError, Reductions, grouping};
 use crate::remote::{Answer, Asked, Law, Question};
 use crate::score::{Arrangement, Gradient, PhasedScorer};
 use crate::shards::error::ShardError;
 use crate::shards::search::refuse;
 
-/// The tests of one place. What it answers is a function of the tests and of what is asked, and of nothing else; what it keeps saves
+/// The tests of one place, with all that stand in one group of the outermost level. What it answers is a function of the tests and of what is asked, and of nothing else; what it keeps saves
 /// work only.
 #[derive(Debug)]
 pub struct Shard {
     model: PhasedModel,
     /// In the order of their ids.
     tests: Vec<PhasedTest>,
+    /// The groups that they stand in, where the model has levels.
+    grouping: Option<Arc<Grouping>>,
+    /// Names of those of the outermost level, in their order.
+    groups: Vec<String>,
     slots: Slots,
     settings: Settings,
     arrangement: Arrangement,
@@ -57,14 +61,23 @@ impl Shard {
             return Err(ShardError::NotRows { test: test.id.to_string(), parameter });
         }
         tests.sort_by(|a, b| a.id.cmp(&b.id));
+        let grouping = grouping(&model, &tests)?.map(Arc::new);
+        let outermost = grouping.iter().flat_map(|grouping| grouping.groups(grouping.depth() - 1));
+        let mut groups: Vec<String> = outermost.map(|group| labels.text(group.path[0]).to_owned()).collect();
+        groups.sort();
         let scale = Scale::of(&model, &tests, &slots);
         let (arrangement, kept) = (Arrangement::default(), Mutex::new(None));
-        Ok(Shard { model, tests, slots, settings, arrangement, scale, kept })
+        Ok(Shard { model, tests, grouping, groups, slots, settings, arrangement, scale, kept })
     }
 
     /// Number of tests.
     pub fn tests(&self) -> usize {
         self.tests.len()
+    }
+
+    /// Names of the groups of the outermost level, in their order; each must be in one place only, with all its tests.
+    pub fn groups(&self) -> &[String] {
+        &self.groups
     }
 
     /// What the tests say; `None` where it is not defined at these free values.
@@ -107,7 +120,7 @@ impl Shard {
             None => None,
         };
         let (reductions, filtered) = scaled.map_or_else(|| self.filter(values), |reductions| Ok((reductions, None)))?;
-        let summed = Summed::new(reductions, &Structure::of(&self.model, &alpha, None));
+        let summed = Summed::new(reductions, &Structure::of(&self.model, &alpha, self.grouping.as_ref()));
         Ok(Kept { values: values.to_vec(), summed, filtered })
     }
 
@@ -131,12 +144,10 @@ impl Shard {
     fn score(
         &self,
         values: &[f64],
-        (summed, filtered): (&Summed, Option<&PhasedFiltered>),
+        (summed, filtered): (&mut Summed, Option<&PhasedFiltered>),
         law: &Law,
     ) -> Result<Answer, ShardError> {
-        let structure = self.model.phases.iter().map(|phase| phase.model.mean.regression.len()).sum();
-        let law = InitialLaw::from_told(law, (self.model.dimension(), structure));
-        let law = law.ok_or(ShardError::Question { what: "the number of states" })?;
+        let law = summed.law(law).ok_or(ShardError::Question { what: "the number of states" })?;
         if let Some(scores) = self.scale.as_ref().and_then(|scale| scale.scores(values[0], &summed.reductions, &law)) {
             return Ok(total(&scores, values.len()));
         }

@@ -5,7 +5,7 @@ use nalgebra::{DMatrix, DVector};
 use crate::build::{Columns, ModelBuilder, constant, fixed, free, gauss_markov, measurement, name, phase};
 use crate::estimate::{self, Criterion, Silent};
 use crate::infer::{Choices, DeletionChoice, IntervalKind, StdErrors, TestsChoice};
-use crate::model::{Alpha, PhasedModel, Population};
+use crate::model::{Alpha, Column, CovarianceStructure, GroupLevel, PhasedModel, Population};
 use crate::record::{FitRecord, Provenance};
 use crate::remote::{Answer, Asked, sum};
 use crate::shards::{Asks, Next, Shard, ShardError, go_on};
@@ -14,7 +14,12 @@ use crate::{Ensemble, Options};
 /// The fit of tests that are dealt out to so many places, and how many rounds it took.
 fn by_sums(ensemble: &Ensemble, places: usize, asks: &Asks) -> (FitRecord, usize) {
     let tests = ensemble.tests();
-    let part = |k: usize| tests.iter().skip(k).step_by(places).cloned().collect::<Vec<_>>();
+    // whole groups of the outermost level
+    let grouping = crate::reduce::grouping(ensemble.model(), tests).unwrap();
+    let unit = |j: usize| grouping.as_ref().map_or(j, |grouping| grouping.group_of(j, grouping.depth() - 1));
+    let part = |k: usize| -> Vec<_> {
+        (0..tests.len()).filter(|&j| unit(j) % places == k).map(|j| tests[j].clone()).collect()
+    };
     let settings = crate::dynamic::Settings { inner: asks.settings.clone(), ..Default::default() };
     let shard = |k| Shard::new(ensemble.model().clone(), ensemble.labels(), part(k), settings.clone()).unwrap();
     let shards: Vec<Shard> = (0..places).map(shard).collect();
@@ -60,6 +65,12 @@ fn in_one_place(ensemble: &Ensemble, asks: &Asks) -> FitRecord {
 /// Every figure of a record with its standard error.
 fn figures(record: &FitRecord) -> Vec<(String, f64, Option<f64>)> {
     let mut all = Vec::new();
+    for level in &record.levels {
+        for (i, state) in level.states.iter().enumerate() {
+            let what = format!("{} deviation {state}", level.name);
+            all.push((what, level.std_dev.estimate[i], level.std_dev.std_error[i]));
+        }
+    }
     for phase in &record.phases {
         for (i, state) in phase.states.iter().enumerate() {
             all.push((format!("mean {state}"), phase.mean.estimate[i], phase.mean.std_error[i]));
@@ -103,6 +114,10 @@ fn agree(ensemble: &Ensemble, asks: &Asks) -> usize {
     };
     assert_eq!(seen(&found), seen(&expected));
     assert_eq!(found.free_parameters, expected.free_parameters);
+    let groups = |record: &FitRecord| record.levels.iter().map(|level| level.groups).collect::<Vec<_>>();
+    assert_eq!(groups(&found), groups(&expected));
+    let tests = |record: &FitRecord| record.phases.iter().map(|phase| phase.tests).collect::<Vec<_>>();
+    assert_eq!(tests(&found), tests(&expected));
     assert!(found.tests.is_empty());
     rounds
 }
@@ -217,6 +232,92 @@ fn phases(sigma: crate::build::ParameterBuilder) -> Ensemble {
 fn tests_in_phases() {
     agree(&phases(fixed("sigma", 0.1)), &Asks::default());
     agree(&phases(free("sigma").start(0.2)), &Asks::default());
+}
+
+/// Lines of tests that stand in groups of these levels, the outermost first, with a regression of the mean on a dose.
+fn in_groups(sigma: crate::build::ParameterBuilder, levels: &[&str], tests: usize) -> Ensemble {
+    let mut model = lines(sigma).regress_mean("slope", "dose").build().unwrap();
+    let column = |name: &&str| Column { name: (*name).to_owned(), used_in: "levels".to_owned() };
+    model.phases[0].model.text_columns = levels.iter().map(column).collect();
+    let level = |(column, name): (usize, &&str)| GroupLevel {
+        name: (*name).to_owned(),
+        column,
+        covariance: CovarianceStructure::full(),
+    };
+    model.levels = levels.iter().enumerate().map(level).collect();
+    let design = |j: usize| {
+        let rows = 4 + j % 3;
+        let x = |k: usize| if j % 7 == 3 { 0.0 } else { k as f64 - 1.0 + 0.1 * (j % 5) as f64 };
+        let own = Columns::new(format!("t{j:03}"))
+            .numbers("x", (0..rows).map(x))
+            .every_number("dose", 0.5 + 0.25 * (j % 4) as f64)
+            .every_number("y", 0.0);
+        // groups of several sizes, which the order of the tests does not follow
+        let names = [format!("lot {}", j % 11), format!("unit {}", j / 11 % (2 + j % 3))];
+        levels.iter().zip(names).fold(own, |own, (level, name)| own.texts(*level, vec![name; rows]))
+    };
+    let designs: Vec<Columns> = (0..tests).map(design).collect();
+    let variances = [[0.05, 0.02], [0.5, 0.2], [0.3, 0.1]];
+    let blocks = [&variances[..1], &variances[3 - levels.len()..]].concat();
+    let mean: Vec<f64> = [1.0, -0.5].into_iter().chain(vec![0.0; 2 * levels.len()]).collect();
+    let truth = Population { coefficients: vec![0.4], ..population(&mean, &blocks.concat()) };
+    Ensemble::new(&model, &designs).unwrap().draw(&Alpha::common([0.4]), truth, tests as u64, 11).unwrap()
+}
+
+#[test]
+fn a_level_of_groups() {
+    let rounds = agree(&in_groups(fixed("sigma", 0.4), &["lot"], 66), &Asks::default());
+    assert!(rounds <= 12, "{rounds} rounds");
+    let expected = Asks { std_errors: StdErrors::Expected, ..Asks::default() };
+    agree(&in_groups(fixed("sigma", 0.4), &["lot"], 66), &expected);
+    let rounds = agree(&in_groups(free("sigma"), &["lot"], 66), &Asks::default());
+    assert!(rounds <= 16, "{rounds} rounds");
+}
+
+#[test]
+fn units_in_lots() {
+    agree(&in_groups(fixed("sigma", 0.4), &["lot", "unit"], 132), &Asks::default());
+    agree(&in_groups(free("sigma"), &["lot", "unit"], 132), &Asks::default());
+    let reml =
+        Asks { settings: estimate::Settings { criterion: Criterion::Reml, ..Default::default() }, ..Asks::default() };
+    agree(&in_groups(fixed("sigma", 0.4), &["lot", "unit"], 132), &reml);
+}
+
+#[test]
+fn groups_of_tests_with_a_time_constant() {
+    let mut model = crate::Model::builder("drifts of units")
+        .time("t")
+        .state(constant("bias"))
+        .state(gauss_markov("drift", "tau", "walk"))
+        .measurement(measurement("y", name("bias") + name("drift"), 0.2))
+        .parameter(free("tau").start(2.0))
+        .parameter(free("walk").start(0.4))
+        .build()
+        .unwrap();
+    model.phases[0].model.text_columns = vec![Column { name: "unit".to_owned(), used_in: "levels".to_owned() }];
+    let covariance = CovarianceStructure::full();
+    model.levels = vec![GroupLevel { name: "unit".to_owned(), column: 0, covariance }];
+    let design = |j: usize| {
+        let rows = 20 + j % 5;
+        Columns::new(format!("t{j}"))
+            .numbers("t", (0..rows).map(|k| 0.5 * k as f64))
+            .every_number("y", 0.0)
+            .texts("unit", vec![format!("{}", j % 12); rows])
+    };
+    let designs: Vec<Columns> = (0..48).map(design).collect();
+    let truth = population(&[0.5, 0.0], &[0.3, 1.0]);
+    let drawn = Ensemble::new(&model, &designs).unwrap().draw(&Alpha::common([3.0, 0.5]), truth, 48, 2).unwrap();
+    agree(&drawn, &Asks::default());
+}
+
+#[test]
+fn a_place_names_its_groups_of_the_outermost_level() {
+    let ensemble = in_groups(free("sigma"), &["lot", "unit"], 30);
+    let shard = Shard::new(ensemble.model().clone(), ensemble.labels(), ensemble.tests().to_vec(), Default::default());
+    let expected: Vec<String> = (0..11).map(|lot| format!("lot {lot}")).collect();
+    let mut found = shard.unwrap().groups().to_vec();
+    found.sort_by_key(|name| name.len());
+    assert_eq!(found, expected);
 }
 
 #[test]

@@ -6,35 +6,42 @@ use crate::estimate::levels::design::{Design, Leaf};
 use crate::estimate::levels::units::Units;
 
 impl Units {
-    /// A variance for each state at each level by moments, as if the states were uncorrelated: with J and y - Jμ of all that stands in a
-    /// group, Σ (y - Jμ)_i² - J_ii over the groups of level k has the mean Σ_l v_l N_min(k,l), N_l = Σ J_ii² over those of level l. By
-    /// levels, tests first; none where the groups say nothing.
-    pub(crate) fn variances(&self, mean: &DVector<f64>) -> Vec<Vec<Option<f64>>> {
+    /// With J and y - Jμ of all that stands in a group, the sums of (y - Jμ)_i² - J_ii and of J_ii² over the groups of each level, tests
+    /// first.
+    pub(crate) fn excess(&self, mean: &DVector<f64>) -> (DVector<f64>, DVector<f64>) {
         let (levels, p) = (self.levels(), self.states);
         let centre: Vec<f64> = (0..p).map(|i| (0..levels).map(|l| mean[l * p + i]).sum()).collect();
-        let (mut excess, mut squares) = (vec![vec![0.0; p]; levels], vec![vec![0.0; p]; levels]);
+        let (mut excess, mut squares) = (DVector::zeros(levels * p), DVector::zeros(levels * p));
         for design in self.designs.iter() {
             design.moments(&self.leaves, (&centre, self.unit), &mut |level, i, y, information| {
-                excess[level][i] += y * y - information;
-                squares[level][i] += information * information;
+                excess[level * p + i] += y * y - information;
+                squares[level * p + i] += information * information;
             });
         }
-        let of_state = |i: usize| solved(&excess, &squares, i);
+        (excess, squares)
+    }
+
+    /// A variance for each state at each level by moments, as if the states were uncorrelated: that [excess](Units::excess) of level k has
+    /// the mean Σ_l v_l N_min(k,l), N_l = Σ J_ii² over those of level l. By levels, tests first; none where the groups say nothing.
+    pub(crate) fn variances(&self, (excess, squares): (&DVector<f64>, &DVector<f64>)) -> Vec<Vec<Option<f64>>> {
+        let (levels, p) = (self.levels(), self.states);
+        let of_level = |sums: &DVector<f64>, i: usize| (0..levels).map(|l| sums[l * p + i]).collect::<Vec<f64>>();
+        let of_state = |i: usize| solved(&of_level(excess, i), &of_level(squares, i));
         let by_state: Vec<Vec<Option<f64>>> = (0..p).map(of_state).collect();
         (0..levels).map(|level| by_state.iter().map(|found| found[level]).collect()).collect()
     }
 }
 
 /// Variances of one state at all levels, the outermost first found: differences of the equations of neighbouring levels.
-fn solved(excess: &[Vec<f64>], squares: &[Vec<f64>], i: usize) -> Vec<Option<f64>> {
+fn solved(excess: &[f64], squares: &[f64]) -> Vec<Option<f64>> {
     // e_k = Σ_l v_l N_min(k,l), so e_k - e_(k-1) = (N_k - N_(k-1)) Σ_(l≥k) v_l
     let mut above = 0.0;
     let mut found: Vec<Option<f64>> = (0..excess.len())
         .rev()
         .map(|k| {
             let (e, n) = match k {
-                0 => (excess[0][i], squares[0][i]),
-                _ => (excess[k][i] - excess[k - 1][i], squares[k][i] - squares[k - 1][i]),
+                0 => (excess[0], squares[0]),
+                _ => (excess[k] - excess[k - 1], squares[k] - squares[k - 1]),
             };
             let together = (n > 0.0).then(|| (e / n).max(above))?;
             let own = together - above;

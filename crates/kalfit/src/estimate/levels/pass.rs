@@ -138,7 +138,7 @@ fn folded(flat: &FlatMean<'_>, p: usize, levels: usize) -> DMatrix<f64> {
 
 fn sums((units, constant): (&Units, f64), totals: Totals, wanted: Wanted<'_>) -> Sums {
     let (p, levels) = (units.states, units.levels());
-    let mut sums = Wanted { order: wanted.order.min(Order::Mean), ..wanted }.zero();
+    let mut sums = wanted.zero_in_groups();
     let all = sums.mean_score.len();
     // of each mean coordinate of all levels the one that it is
     let own = |m: usize| if m < p * levels { m % p } else { m - p * (levels - 1) };
