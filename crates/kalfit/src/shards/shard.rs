@@ -13,8 +13,8 @@ use crate::score::{Arrangement, Gradient, PhasedScorer};
 use crate::shards::error::ShardError;
 use crate::shards::search::refuse;
 
-/// The tests of one place, with all that stand in one group of the outermost level. What it answers is a function of the tests and of what is asked, and of nothing else; what it keeps saves
-/// work only.
+/// The tests of one place, with all that stand in one group of the outermost level. What it answers is a function of the tests and of
+/// what is asked, and of nothing else; what it keeps saves work only.
 #[derive(Debug)]
 pub struct Shard {
     model: PhasedModel,
