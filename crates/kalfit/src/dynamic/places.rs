@@ -115,7 +115,8 @@ fn less_white(bench: &Bench<'_>, end: &End, time_constant: usize, progress: &mut
     ((value - height).abs() <= LEVEL).then(|| longer(bench, time_constant, (best, value), progress))
 }
 
-/// All time constants together, longer or shorter, each process as rough as it is: what two of them explain may be explained by two others.
+/// All time constants together, longer or shorter, each process as rough as it is: what processes and the noise of measurements explain may
+/// be explained by slower and larger ones, or by quicker and smaller ones.
 fn all_times(bench: &Bench<'_>, values: &[f64]) -> Vec<Vec<f64>> {
     let open = |&parameter: &usize| bench.slots.common(parameter).is_some();
     let parameters: Vec<usize> = time_constants(bench.model).into_iter().filter(open).collect();
@@ -131,7 +132,7 @@ fn all_times(bench: &Bench<'_>, values: &[f64]) -> Vec<Vec<f64>> {
         }
         moved
     };
-    if parameters.len() < 2 { Vec::new() } else { [FACTOR.ln(), -FACTOR.ln()].map(by).to_vec() }
+    if parameters.is_empty() { Vec::new() } else { [FACTOR.ln(), -FACTOR.ln()].map(by).to_vec() }
 }
 
 /// The level of a process with this time constant, and whether it is the size of the process: its noise depends on the time constant too.
