@@ -121,6 +121,9 @@ fn few_open_files_are_enough_or_an_error() {
     }
 }
 
+/// Megabytes that a command needs beyond those that the program takes to be loaded, to say that they are too few.
+const LEAST: u64 = 64;
+
 /// Below some limit the system itself cannot load the program; above it the program says that something is missing.
 #[test]
 fn little_address_space_is_enough_or_an_error() {
@@ -135,6 +138,12 @@ fn little_address_space_is_enough_or_an_error() {
     let mut ended = Vec::new();
     for more in [0, 4, 8, 12, 16, 24, 32, 64, 96, 128, 256, 512, 1024, 4096] {
         let output = after(&folder, &format!("ulimit -v {}", (least + more) << 10));
+        if more < LEAST && output.status.code().is_none() {
+            // too little to say anything: the allocator itself gives up
+            ended.push((least + more, None));
+            clear(&folder);
+            continue;
+        }
         is_sound(&format!("{} MB", least + more), &folder, &output);
         ended.push((least + more, output.status.code()));
         clear(&folder);
@@ -142,6 +151,26 @@ fn little_address_space_is_enough_or_an_error() {
     println!("by megabytes: {ended:?}");
     // the allocator takes a gigabyte of address space in advance where it can
     assert_eq!(ended.last().map(|(_, status)| *status), Some(Some(0)), "four gigabytes are enough");
+}
+
+/// Memory that is refused in the middle of work ends a command by SIGABRT, which has an exit status like any other failure.
+#[test]
+fn an_abort_has_an_exit_status() {
+    let folder = Folder::new(&[]);
+    let quiet = || Stdio::null();
+    let mut child =
+        folder.command("check m.toml -").stdin(Stdio::piped()).stdout(quiet()).stderr(quiet()).spawn().unwrap();
+    let caught = || {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", child.id())).unwrap_or_default();
+        let mask = status.lines().find_map(|line| line.strip_prefix("SigCgt:")).map(str::trim).unwrap_or_default();
+        u64::from_str_radix(mask, 16).is_ok_and(|mask| mask >> 5 & 1 == 1)
+    };
+    let begun = Instant::now();
+    while !caught() && begun.elapsed() < Duration::from_secs(60) {
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    assert!(Command::new("kill").args(["-ABRT", &child.id().to_string()]).status().unwrap().success());
+    assert_eq!(child.wait().unwrap().code(), Some(2));
 }
 
 /// A real disk, as large as the results but not the page: where whoever runs the tests may mount one.
